@@ -94,17 +94,11 @@ Part = Callable[[Trace, Scenario], Value]
 
 @dataclass(frozen=True, slots=True)
 class Formula:
-    """How a score is computed from its parts (1).
+    """How a score is computed from its parts (1)."""
 
-    Attributes:
-        multipliers: Names in `PARTS`.
-        weights: Weight by name in `PARTS`; empty: the score is the product.
-        optional: Multipliers that are left out where they cannot be measured.
-    """
-
-    multipliers: tuple[str, ...]
-    weights: Mapping[str, float]
-    optional: frozenset[str] = frozenset()
+    multipliers: tuple[str, ...]  # Names in `PARTS`
+    weights: Mapping[str, float]  # Weight by name in `PARTS`; empty: the score is the product
+    optional: frozenset[str] = frozenset()  # Multipliers that are left out where they cannot be measured
 
     @property
     def names(self) -> tuple[str, ...]:

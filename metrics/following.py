@@ -103,30 +103,20 @@ _ALONE = f"no other road user in the ego's path within {LOOK_M:g} m"
 
 @dataclass(frozen=True, eq=False, slots=True)
 class EgoAndLead:
-    """The ego and its lead over k steps; NaN without a lead.
+    """The ego and its lead over k steps; NaN without a lead."""
 
-    Attributes:
-        t: s since the scenario's start.
-        v: The ego's speed, m/s; `a` its acceleration, m/s2.
-        agent: Index of the lead's track, -1: none.
-        gap: Along the path from the ego's front bumper to the lead's nearest part in the band, m; 0 where they touch.
-        u: The lead's speed along the path, m/s; `w` across it, positive to the left.
-        decel: The lead's deceleration along the path, m/s2; 0 if it does not brake.
-        low: The lead's rightmost l, m; `high` its leftmost.
-        facing: Cosine of the angle between the lead's heading and the path.
-    """
-
-    t: FloatArray
-    v: FloatArray
+    t: FloatArray  # s since the scenario's start
+    v: FloatArray  # The ego's speed, m/s; `a` its acceleration, m/s2
     a: FloatArray
-    agent: IntArray
+    agent: IntArray  # Index of the lead's track, -1: none
+    # Along the path from the ego's front bumper to the lead's nearest part in the band, m; 0 where they touch
     gap: FloatArray
-    u: FloatArray
+    u: FloatArray  # The lead's speed along the path, m/s; `w` across it, positive to the left
     w: FloatArray
-    decel: FloatArray
-    low: FloatArray
+    decel: FloatArray  # The lead's deceleration along the path, m/s2; 0 if it does not brake
+    low: FloatArray  # The lead's rightmost l, m; `high` its leftmost
     high: FloatArray
-    facing: FloatArray
+    facing: FloatArray  # Cosine of the angle between the lead's heading and the path
 
 
 @once

@@ -43,37 +43,24 @@ CROSSING = cos(30.0 / 180.0 * pi)  # Lanes cross where their directions differ b
 
 
 class EdgeBoxes(NamedTuple):
-    """Bounding boxes of stretches of polylines: a query looks only at the edges in near boxes.
+    """Bounding boxes of stretches of polylines: a query looks only at the edges in near boxes."""
 
-    Attributes:
-        first: `(n + 1,)`: polyline i owns the boxes `first[i] : first[i + 1]`.
-        box: `(g, 4)`: least x, y, greatest x, y of its edges.
-        edges: `(g, 2)`: its first edge, and the edge after its last.
-    """
-
-    first: IntArray
-    box: FloatArray
-    edges: IntArray
+    first: IntArray  # `(n + 1,)`: polyline i owns the boxes `first[i] : first[i + 1]`
+    box: FloatArray  # `(g, 4)`: least x, y, greatest x, y of its edges
+    edges: IntArray  # `(g, 2)`: its first edge, and the edge after its last
 
 
 class LaneArrays(NamedTuple):
-    """The drivable lanes of a road.
+    """The drivable lanes of a road."""
 
-    Attributes:
-        points: Outlines of all lanes one after the other `(m, 2)`, m; edge k of one leads from its point k - 1 to k.
-        offsets: `(n + 1,)`: lane i owns the points `offsets[i] : offsets[i + 1]`.
-        center: Their centre lines `(m / 2, 2)`, m; lane i owns the halves of `offsets`; edge k leads from point k on.
-        box: `(n, 4)`: least x, y, greatest x, y.
-        limit: `(n,)` the log's speed limit, m/s; NaN where it has none.
-        outline: Boxes of the outlines; `middle` of the centre lines.
-    """
-
+    # Outlines of all lanes one after the other `(m, 2)`, m; edge k of one leads from its point k - 1 to k
     points: FloatArray
-    offsets: IntArray
+    offsets: IntArray  # `(n + 1,)`: lane i owns the points `offsets[i] : offsets[i + 1]`
+    # Their centre lines `(m / 2, 2)`, m; lane i owns the halves of `offsets`; edge k leads from point k on
     center: FloatArray
-    box: FloatArray
-    limit: FloatArray
-    outline: EdgeBoxes
+    box: FloatArray  # `(n, 4)`: least x, y, greatest x, y
+    limit: FloatArray  # `(n,)` the log's speed limit, m/s; NaN where it has none
+    outline: EdgeBoxes  # Boxes of the outlines; `middle` of the centre lines
     middle: EdgeBoxes
 
 
@@ -158,18 +145,12 @@ def keeps_lane(road: Road, x: float, y: float, corners: FloatArray) -> bool:
 
 
 class Under(NamedTuple):
-    """The lanes under points of a drive, `(k,)` each; NaN without a lane; at crossings `along` and `left` are NaN.
+    """The lanes under points of a drive, `(k,)` each; NaN without a lane; at crossings `along` and `left` are NaN."""
 
-    Attributes:
-        along: Cosine of the angle between heading and lane; of several lanes, the best aligned one. -1: against the
-            lane.
-        left: Distance from the nearest centre line of a lane there, m, positive to the left of the lane.
-        half: Half of that lane's width there, m.
-    """
-
+    # Cosine of the angle between heading and lane; of several lanes, the best aligned one. -1: against the lane.
     along: FloatArray
-    left: FloatArray
-    half: FloatArray
+    left: FloatArray  # Distance from the nearest centre line of a lane there, m, positive to the left of the lane
+    half: FloatArray  # Half of that lane's width there, m
 
 
 @kernel
@@ -329,24 +310,15 @@ def along_line(line: FloatArray, x: FloatArray, y: FloatArray) -> tuple[FloatArr
 
 @dataclass(frozen=True, eq=False)
 class DrivableLanes:
-    """The drivable lanes of a road.
+    """The drivable lanes of a road."""
 
-    Attributes:
-        lanes: The lanes; an index in this tuple names a lane.
-        arrays: Their outlines.
-        block: The roadblock of each lane, a number.
-        after: The successors of each lane; `before` the predecessors.
-        connector: Whether each lane is a connector.
-        areas: Other drivable ground, polygons `(k, 2)`.
-    """
-
-    lanes: tuple[Lane, ...]
-    arrays: LaneArrays
-    block: tuple[int, ...]
-    after: tuple[tuple[int, ...], ...]
+    lanes: tuple[Lane, ...]  # The lanes; an index in this tuple names a lane
+    arrays: LaneArrays  # Their outlines
+    block: tuple[int, ...]  # The roadblock of each lane, a number
+    after: tuple[tuple[int, ...], ...]  # The successors of each lane; `before` the predecessors
     before: tuple[tuple[int, ...], ...]
-    connector: tuple[bool, ...]
-    areas: tuple[Points, ...] = ()
+    connector: tuple[bool, ...]  # Whether each lane is a connector
+    areas: tuple[Points, ...] = ()  # Other drivable ground, polygons `(k, 2)`
 
     @cached_property
     def crossing(self) -> BoolArray:

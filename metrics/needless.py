@@ -118,20 +118,14 @@ TOUCHING_M = 0.5  # Least gap in (7): nearer road users are contacts
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Reasons:
-    """The ego's speed v, m/s, its offset l from the route, m, and its reasons, at k times t, s.
-
-    Attributes:
-        slow: Whether it has a reason to be slower.
-        stand: Whether it has a reason to stand.
-        steer: Whether it has a reason to change its offset; `beside`: a road user is one; `change`: its lane.
-    """
+    """The ego's speed v, m/s, its offset l from the route, m, and its reasons, at k times t, s."""
 
     t: FloatArray
     v: FloatArray
     l: FloatArray  # noqa: E741
-    slow: BoolArray
-    stand: BoolArray
-    steer: BoolArray
+    slow: BoolArray  # Whether it has a reason to be slower
+    stand: BoolArray  # Whether it has a reason to stand
+    steer: BoolArray  # Whether it has a reason to change its offset; `beside`: a road user is one; `change`: its lane
     beside: BoolArray
     change: BoolArray
 

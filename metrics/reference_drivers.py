@@ -183,19 +183,14 @@ DRIVERS = {"cc": careful_driver, "fsm": fuzzy_driver}
 
 @dataclass(frozen=True, eq=False, slots=True)
 class ReferenceDrive:
-    """The drive of a reference driver: stations, speeds and accelerations `(k,)` up to its end.
-
-    Attributes:
-        meets: Step of its first touch, -1: none; `agent` is the agent touched, -1: none.
-        least: Least distance to the agent `about`, m (6); after a touch, minus its depth.
-    """
+    """The drive of a reference driver: stations, speeds and accelerations `(k,)` up to its end."""
 
     s: FloatArray
     v: FloatArray
     a: FloatArray
-    meets: int
+    meets: int  # Step of its first touch, -1: none; `agent` is the agent touched, -1: none
     agent: int
-    least: float
+    least: float  # Least distance to the agent `about`, m (6); after a touch, minus its depth
 
 
 @kernel

@@ -264,17 +264,12 @@ def _steps_around(on: BoolArray) -> BoolArray:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Meetings:
-    """The boxes of one road user (index of its track) at places that a drive occupies, at m increasing grid steps.
-
-    Attributes:
-        left: `(m,)` s since the drive last left the place of the box; NaN if it was not there before.
-        taken: `(m,)` s until the drive reaches the place, 0 in a contact; NaN if it never does.
-    """
+    """The boxes of one road user (index of its track) at places that a drive occupies, at m increasing grid steps."""
 
     agent: int
     step: IntArray
-    left: FloatArray
-    taken: FloatArray
+    left: FloatArray  # `(m,)` s since the drive last left the place of the box; NaN if it was not there before
+    taken: FloatArray  # `(m,)` s until the drive reaches the place, 0 in a contact; NaN if it never does
 
 
 def _meetings(drive: Trajectory, tracks: Tracks, scenario: Scenario, t: FloatArray) -> Iterator[_Meetings]:

@@ -106,29 +106,19 @@ class LogOutcome:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """The outcome of a gate for one planner in one mode, and why.
-
-    Attributes:
-        outcome: Pass, fail, inconclusive or not asked.
-        reason: One sentence that names planner, worst log, value and time.
-        planner: "" if no planner could be judged; `mode` likewise.
-        value: The judged value (the statistic `over` the logs, or the worst log's value); NaN if there is none.
-        log: The worst log; "" if there is none.
-        time_s: The time of its value; NaN if it has no time.
-        logs: The outcome of each log that the gate selects.
-        group: "family everyday/cut_in" if the gate has a verdict per group; else "".
-    """
+    """The outcome of a gate for one planner in one mode, and why."""
 
     gate: Gate
-    outcome: Outcome
-    reason: str
-    planner: str = ""
+    outcome: Outcome  # Pass, fail, inconclusive or not asked
+    reason: str  # One sentence that names planner, worst log, value and time
+    planner: str = ""  # "" if no planner could be judged; `mode` likewise
     mode: str = ""
+    # The judged value (the statistic `over` the logs, or the worst log's value); NaN if there is none
     value: float = nan
-    log: str = ""
-    time_s: float = nan
-    logs: tuple[LogOutcome, ...] = ()
-    group: str = ""
+    log: str = ""  # The worst log; "" if there is none
+    time_s: float = nan  # The time of its value; NaN if it has no time
+    logs: tuple[LogOutcome, ...] = ()  # The outcome of each log that the gate selects
+    group: str = ""  # "family everyday/cut_in" if the gate has a verdict per group; else ""
 
 
 def judge(

@@ -25,18 +25,13 @@ BEHIND_M = 60.0  # Length of a sequence behind the lane that it was made for, m,
 
 @dataclass(frozen=True, eq=False, slots=True)
 class LaneSequence:
-    """A candidate lane.
+    """A candidate lane."""
 
-    Attributes:
-        lanes: Its lanes in driving order, including a stretch behind.
-        changes: (1); 0 if it leads to the goal or there is no goal, None if the goal cannot be reached from it.
-        change_by: (2), m; inf where no change is needed.
-    """
-
-    lanes: tuple[int, ...]
+    lanes: tuple[int, ...]  # Its lanes in driving order, including a stretch behind
     reference: ReferencePath
+    # (1); 0 if it leads to the goal or there is no goal, None if the goal cannot be reached from it
     changes: int | None
-    change_by: float
+    change_by: float  # (2), m; inf where no change is needed
 
 
 class LaneSequences:

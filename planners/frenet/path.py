@@ -32,20 +32,14 @@ MIN_REGULAR = 0.1  # Least 1 - kappa l: nearer to the centre of the turn the Fre
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Path:
-    """A path of the rear axle; arrays `(m,)`.
+    """A path of the rear axle; arrays `(m,)`."""
 
-    Attributes:
-        sigma: Arc length from the start, m.
-        x: In the world frame, m; `y`, `yaw` (rad, unwrapped), `kappa` (1/m) likewise.
-        s: Station on the reference line, m.
-    """
-
-    sigma: FloatArray
-    x: FloatArray
+    sigma: FloatArray  # Arc length from the start, m
+    x: FloatArray  # In the world frame, m; `y`, `yaw` (rad, unwrapped), `kappa` (1/m) likewise
     y: FloatArray
     yaw: FloatArray
     kappa: FloatArray
-    s: FloatArray
+    s: FloatArray  # Station on the reference line, m
 
     @property
     def length(self) -> float:

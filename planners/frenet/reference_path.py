@@ -64,29 +64,21 @@ class CrossSections(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ReferencePath:
-    """A reference line and the road along it; arrays `(n,)` over `line.s`, offsets l in m, positive left.
+    """A reference line and the road along it; arrays `(n,)` over `line.s`, offsets l in m, positive left."""
 
-    Attributes:
-        line: The line; it continues straight beyond its ends.
-        lane_left: Left edge of the route's own lane (of both lanes during a lane change); `lane_right` < 0 likewise.
-        road_left: Left edge of the same-direction lanes that can be reached from there; `road_right` likewise.
-        limit: Speed limit, m/s.
-        lanes: The lanes that it leads along, in driving order.
-        facing_left: Left edge of the lane of the opposite direction that adjoins `road_left` where the marking may be
-            crossed, else `road_left`; `facing_right` likewise; None without such a lane.
-        waits: Stations before which traffic may have to wait: where lanes part or meet, m.
-    """
-
-    line: ReferenceLine
+    line: ReferenceLine  # The line; it continues straight beyond its ends
+    # Left edge of the route's own lane (of both lanes during a lane change); `lane_right` < 0 likewise
     lane_left: FloatArray
     lane_right: FloatArray
-    road_left: FloatArray
+    road_left: FloatArray  # Left edge of the same-direction lanes that can be reached from there; `road_right` likewise
     road_right: FloatArray
-    limit: FloatArray
-    lanes: tuple[int, ...] = ()
+    limit: FloatArray  # Speed limit, m/s
+    lanes: tuple[int, ...] = ()  # The lanes that it leads along, in driving order
+    # Left edge of the lane of the opposite direction that adjoins `road_left` where the marking may be crossed, else
+    # `road_left`; `facing_right` likewise; None without such a lane
     facing_left: FloatArray | None = None
     facing_right: FloatArray | None = None
-    waits: tuple[float, ...] = ()
+    waits: tuple[float, ...] = ()  # Stations before which traffic may have to wait: where lanes part or meet, m
 
     def __post_init__(self) -> None:
         for name in ("facing_left", "facing_right"):

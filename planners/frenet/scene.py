@@ -92,30 +92,21 @@ class StartPlace(NamedTuple):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Scene:
-    """A frame in a lane.
+    """A frame in a lane."""
 
-    Attributes:
-        frame: The planner's input now; `start` is the state at which the plan begins.
-        s: Station of the start, m; `l` its offset, m.
-        trouble: Why the start has no l', l'' in the Frenet frame; empty if it has.
-        frenet: l, l', l'' of the start; zeros where there is `trouble`.
-        limit: The lane's speed limit at the start, m/s.
-        bodies: The agents' boxes; `agents` these along the reference path; `across` the rows of `road` `(8, n)`.
-        speed: Speeds of the agents `(n,)`, m/s; which of them are `standing`, and which `vulnerable` (walk or ride).
-    """
-
-    frame: Frame
+    frame: Frame  # The planner's input now; `start` is the state at which the plan begins
     start: EgoState
     reference: ReferencePath
     vehicle: VehicleParameters
-    s: float
+    s: float  # Station of the start, m; `l` its offset, m
     l: float  # noqa: E741
-    trouble: str
-    frenet: tuple[float, float, float]
-    limit: float
-    bodies: Bodies
+    trouble: str  # Why the start has no l', l'' in the Frenet frame; empty if it has
+    frenet: tuple[float, float, float]  # l, l', l'' of the start; zeros where there is `trouble`
+    limit: float  # The lane's speed limit at the start, m/s
+    bodies: Bodies  # The agents' boxes; `agents` these along the reference path; `across` the rows of `road` `(8, n)`
     agents: AgentsAlong
     across: FloatArray
+    # Speeds of the agents `(n,)`, m/s; which of them are `standing`, and which `vulnerable` (walk or ride)
     speed: FloatArray
     standing: BoolArray
     vulnerable: BoolArray
@@ -258,29 +249,18 @@ class RouteTracker:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Occupancy:
-    """A part of the lane that is taken for a time (module docstring).
+    """A part of the lane that is taken for a time (module docstring)."""
 
-    Attributes:
-        agent: An agent's id, or the name of a stop ("stop line 7").
-        s_from: Station at which it begins, m; `s_to` at which it ends.
-        l_from: Offset of its right side, m; `l_to` of its left side.
-        aside: Width of the box on either side that is space beside the agent, m.
-        until: Time until which it lasts, s from the frame; inf: not known to end.
-        aim: Station at which the ego's front should come to rest before it, m; inf: it is not a stop.
-        kind: The decision about it; IGNORE: none yet.
-        reason: The reason for the decision.
-    """
-
-    agent: str
-    s_from: float
+    agent: str  # An agent's id, or the name of a stop ("stop line 7")
+    s_from: float  # Station at which it begins, m; `s_to` at which it ends
     s_to: float = inf
-    l_from: float = -inf
+    l_from: float = -inf  # Offset of its right side, m; `l_to` of its left side
     l_to: float = inf
-    aside: float = 0.0
-    until: float = inf
-    aim: float = inf
-    kind: DecisionKind = DecisionKind.IGNORE
-    reason: str = ""
+    aside: float = 0.0  # Width of the box on either side that is space beside the agent, m
+    until: float = inf  # Time until which it lasts, s from the frame; inf: not known to end
+    aim: float = inf  # Station at which the ego's front should come to rest before it, m; inf: it is not a stop
+    kind: DecisionKind = DecisionKind.IGNORE  # The decision about it; IGNORE: none yet
+    reason: str = ""  # The reason for the decision
 
     @property
     def s_middle(self) -> float:

@@ -74,22 +74,14 @@ class StGraphConfig:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class StBoundaries:
-    """The intervals (1) of `n` predictions at `k` times; NaN where the path is free.
+    """The intervals (1) of `n` predictions at `k` times; NaN where the path is free."""
 
-    Attributes:
-        t: `(k,)` s from the frame.
-        agent: `(n,)` index into the frame's agents; -1 for a stop, which belongs to no agent.
-        lower: `(n, k)` m along the path, extended in time by the uncertainty (2); `upper` likewise.
-        speed: `(n,)` the agent's speed along the path where it enters (3), m/s.
-        probability: `(n,)` probability of the prediction.
-    """
-
-    t: FloatArray
-    agent: IntArray
-    lower: FloatArray
+    t: FloatArray  # `(k,)` s from the frame
+    agent: IntArray  # `(n,)` index into the frame's agents; -1 for a stop, which belongs to no agent
+    lower: FloatArray  # `(n, k)` m along the path, extended in time by the uncertainty (2); `upper` likewise
     upper: FloatArray
-    speed: FloatArray
-    probability: FloatArray
+    speed: FloatArray  # `(n,)` the agent's speed along the path where it enters (3), m/s
+    probability: FloatArray  # `(n,)` probability of the prediction
 
     def __len__(self) -> int:
         return len(self.agent)
@@ -216,21 +208,15 @@ class Roles(NamedTuple):
 
 
 class Swept(NamedTuple):
-    """The ego's box and the settings of a sweep, for the kernel.
+    """The ego's box and the settings of a sweep, for the kernel."""
 
-    Attributes:
-        rear_to_center: Distance from the rear axle to the box's centre, m; `length` and `width` of the box.
-        margin: As in `StGraphConfig`, m; `vulnerable_margin` and `passed_margin` likewise.
-        early: (2), s; `late` likewise.
-    """
-
-    rear_to_center: float
+    rear_to_center: float  # Distance from the rear axle to the box's centre, m; `length` and `width` of the box
     length: float
     width: float
-    margin: float
+    margin: float  # As in `StGraphConfig`, m; `vulnerable_margin` and `passed_margin` likewise
     vulnerable_margin: float
     passed_margin: float
-    early: float
+    early: float  # (2), s; `late` likewise
     late: float
 
 

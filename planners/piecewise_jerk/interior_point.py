@@ -102,50 +102,29 @@ class Point(NamedTuple):
 
 
 class Newton(NamedTuple):
-    """Work arrays of (7).
+    """Work arrays of (7)."""
 
-    Attributes:
-        primal: Residuals of (5) `(2, N)`.
-        product: z f and the terms that (7) adds to it `(2, N)`.
-        inverse: 1 / z `(2, N)`.
-        stiffness: W~ `(N,)`.
-        softening: 1 / (1 + give W) `(N,)`.
-        push: Input of `gather` and `multiply`: q (y - r), q + W~, t~ in turn `(N,)`.
-        dual: Residual of (4) `(m + 3,)`, 0 for the fixed coefficients.
-        pull: A' force `(m + 3,)`.
-        band: The matrix by diagonals, then its factors `(4, m + 3)`.
-    """
-
-    primal: FloatArray
-    product: FloatArray
-    inverse: FloatArray
-    stiffness: FloatArray
-    softening: FloatArray
-    push: FloatArray
-    dual: FloatArray
-    pull: FloatArray
-    band: FloatArray
+    primal: FloatArray  # Residuals of (5) `(2, N)`
+    product: FloatArray  # z f and the terms that (7) adds to it `(2, N)`
+    inverse: FloatArray  # 1 / z `(2, N)`
+    stiffness: FloatArray  # W~ `(N,)`
+    softening: FloatArray  # 1 / (1 + give W) `(N,)`
+    push: FloatArray  # Input of `gather` and `multiply`: q (y - r), q + W~, t~ in turn `(N,)`
+    dual: FloatArray  # Residual of (4) `(m + 3,)`, 0 for the fixed coefficients
+    pull: FloatArray  # A' force `(m + 3,)`
+    band: FloatArray  # The matrix by diagonals, then its factors `(4, m + 3)`
 
 
 class Solution(NamedTuple):
-    """The result of `solve`.
+    """The result of `solve`."""
 
-    Attributes:
-        curve: x, x', x'' `(3, n)`, to be used only where `status` is `SOLVED`.
-        status: A key of `STATUS`.
-        iterations: Number of factorised matrices.
-        primal: Largest residual of (5), m; `dual` of (4), m.
-        gap: Sum of the products (6), m2.
-        violation: Largest violation of the problem's bounds, in the units of the row (`largest_violation`).
-    """
-
-    curve: FloatArray
-    status: int
-    iterations: int
-    primal: float
+    curve: FloatArray  # x, x', x'' `(3, n)`, to be used only where `status` is `SOLVED`
+    status: int  # A key of `STATUS`
+    iterations: int  # Number of factorised matrices
+    primal: float  # Largest residual of (5), m; `dual` of (4), m
     dual: float
-    gap: float
-    violation: float
+    gap: float  # Sum of the products (6), m2
+    violation: float  # Largest violation of the problem's bounds, in the units of the row (`largest_violation`)
 
 
 @kernel

@@ -93,17 +93,12 @@ class RulesConfig:
 
 @dataclass(frozen=True, slots=True)
 class RuleMemory:
-    """The memory of earlier frames; without a previous plan it is a new one.
+    """The memory of earlier frames; without a previous plan it is a new one."""
 
-    Attributes:
-        stopping: Lines and zones that the ego stops for.
-        rested: Stop signs at which it came to rest.
-        since: When it came to rest before crosswalks at which pedestrians stand, by zone.
-    """
-
-    stopping: frozenset[str] = frozenset()
-    rested: frozenset[int] = frozenset()
+    stopping: frozenset[str] = frozenset()  # Lines and zones that the ego stops for
+    rested: frozenset[int] = frozenset()  # Stop signs at which it came to rest
     taken: frozenset[str] = frozenset()
+    # When it came to rest before crosswalks at which pedestrians stand, by zone
     since: Mapping[str, float] = field(default_factory=dict)
 
 

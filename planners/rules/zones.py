@@ -78,38 +78,26 @@ class Walk:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Priority:
-    """A lane whose vehicles go first.
-
-    Attributes:
-        feeds: Lanes that lead to it, itself included, each with the lights that hold its vehicles.
-        p_in: Station on its centre line where the zone begins, m; `p_out` where it ends.
-        boxes: The zone as boxes along the reference line: x, y, yaw, length, width `(k, 5)`.
-        merges: Whether it ends where the ego's lane ends.
-    """
+    """A lane whose vehicles go first."""
 
     lane: Lane
+    # Lanes that lead to it, itself included, each with the lights that hold its vehicles
     feeds: Mapping[int, tuple[int, ...]]
-    p_in: float
+    p_in: float  # Station on its centre line where the zone begins, m; `p_out` where it ends
     p_out: float
-    boxes: FloatArray
-    merges: bool
+    boxes: FloatArray  # The zone as boxes along the reference line: x, y, yaw, length, width `(k, 5)`
+    merges: bool  # Whether it ends where the ego's lane ends
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Zone:
-    """A stretch in which others may go first.
+    """A stretch in which others may go first."""
 
-    Attributes:
-        name: Its name in reasons ("crosswalk 3", "lane 17").
-        by: The crosswalk or lane whose users go first.
-        s_in: Station at which the front enters it, m; `s_out` at which the rear leaves it.
-        holds: Stations that the front does not pass while it waits, in driving order; the first one ahead applies.
-    """
-
-    name: str
-    by: Walk | Priority
-    s_in: float
+    name: str  # Its name in reasons ("crosswalk 3", "lane 17")
+    by: Walk | Priority  # The crosswalk or lane whose users go first
+    s_in: float  # Station at which the front enters it, m; `s_out` at which the rear leaves it
     s_out: float
+    # Stations that the front does not pass while it waits, in driving order; the first one ahead applies
     holds: tuple[float, ...] = ()
 
 
@@ -273,18 +261,13 @@ def distances(points: FloatArray, line: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class ZoneTime:
-    """An agent takes a zone from `begin` to `end`, s after the frame's time; inf: the end is not known.
-
-    Attributes:
-        agent: Index into the frame's agents; `speed` of it, m/s.
-        waits: Whether it is a pedestrian who stands at the crosswalk and may begin to cross.
-    """
+    """An agent takes a zone from `begin` to `end`, s after the frame's time; inf: the end is not known."""
 
     begin: float
     end: float
-    agent: int
+    agent: int  # Index into the frame's agents; `speed` of it, m/s
     speed: float
-    waits: bool = False
+    waits: bool = False  # Whether it is a pedestrian who stands at the crosswalk and may begin to cross
 
 
 def windows(zone: Zone, line: ReferenceLine, road: Road, frame: Frame) -> tuple[ZoneTime, ...]:

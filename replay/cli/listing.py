@@ -35,15 +35,11 @@ from replay.settings import dotted, meaning
 
 @dataclass(frozen=True)
 class ListedName:
-    """A name.
-
-    Attributes:
-        where: "package.module:line", or a file.
-    """
+    """A name."""
 
     name: str
     says: str
-    where: str
+    where: str  # "package.module:line", or a file
 
 
 @dataclass(frozen=True)
@@ -183,22 +179,15 @@ ANY = ExtensionKind[Callable[..., Any]]("extension", "extensions", {})
 
 @dataclass(frozen=True)
 class ListedSetting:
-    """A setting.
+    """A setting."""
 
-    Attributes:
-        key: Its key for `--set`.
-        default: Its value if it is not set; None also if it has to be set.
-        unit: Its unit; "" for a number without one, a weight, a text.
-        range: Its bounds, named as in JSON Schema ("minimum", "exclusiveMinimum", ...); empty: none is checked.
-        group: What its table is for; "" without one.
-    """
-
-    key: str
-    default: Any
-    unit: str
+    key: str  # Its key for `--set`
+    default: Any  # Its value if it is not set; None also if it has to be set
+    unit: str  # Its unit; "" for a number without one, a weight, a text
+    # Its bounds, named as in JSON Schema ("minimum", "exclusiveMinimum", ...); empty: none is checked
     range: Mapping[str, float]
     meaning: str
-    group: str = ""
+    group: str = ""  # What its table is for; "" without one
 
 
 def settings_of(part: Part) -> tuple[ListedSetting, ...]:

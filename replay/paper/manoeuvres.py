@@ -99,16 +99,12 @@ MODELS = ("kinematic_bicycle", "single_track", "multibody")
 
 @dataclass(frozen=True, eq=False)
 class Manoeuvre:
-    """A reference to follow.
-
-    Attributes:
-        cones: Places `(n, 2)` that must not be touched, m.
-        plant: Plant parameters that are hidden from the controller, such as the road's friction.
-    """
+    """A reference to follow."""
 
     name: str
     reference: Trajectory
-    cones: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
+    cones: FloatArray = field(default_factory=lambda: np.empty((0, 2)))  # Places `(n, 2)` that must not be touched, m
+    # Plant parameters that are hidden from the controller, such as the road's friction
     plant: PlantTable = field(default_factory=dict)
 
 
@@ -222,13 +218,9 @@ def manoeuvres(car: VehicleParameters) -> tuple[Manoeuvre, ...]:
 
 @dataclass(frozen=True, eq=False)
 class FollowedManoeuvre:
-    """A followed manoeuvre, one row per control period.
+    """A followed manoeuvre, one row per control period."""
 
-    Attributes:
-        columns: t, x, y, yaw, lateral, heading, speed, station error, a, wheel angle.
-    """
-
-    columns: Mapping[str, FloatArray]
+    columns: Mapping[str, FloatArray]  # t, x, y, yaw, lateral, heading, speed, station error, a, wheel angle
     notes: tuple[str, ...]
 
 

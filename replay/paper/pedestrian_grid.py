@@ -54,15 +54,12 @@ JOINED_S = 0.5  # Releases of the brake that are shorter than this do not end th
 
 @dataclass(frozen=True)
 class GridCrossing:
-    """One crossing.
-
-    Attributes:
-        late_s: Time at which the walker is in the middle of the lane, minus the time at which the front bumper of an
-            ego that keeps its speed reaches the walker's line.
-    """
+    """One crossing."""
 
     ego_kmh: float
     walker_mps: float
+    # Time at which the walker is in the middle of the lane, minus the time at which the front bumper of an ego that
+    # keeps its speed reaches the walker's line
     late_s: float
 
     @property

@@ -30,16 +30,11 @@ class AbandonedError(BaseException):
 
 @dataclass(frozen=True, eq=False)
 class Request:
-    """A request of the drive of a log.
-
-    Attributes:
-        message: `schema.Hello` at its begin, or `schema.Frame`.
-        limit: Time limit of the answer, s.
-    """
+    """A request of the drive of a log."""
 
     place: DriveKey
-    message: Any
-    limit: float
+    message: Any  # `schema.Hello` at its begin, or `schema.Frame`
+    limit: float  # Time limit of the answer, s
     limits: PlannerProcessConfig
     load: Load
 
@@ -48,12 +43,11 @@ class BatchLog(Generic[R]):
     """A log that is evaluated in a thread, which runs while `run_on` waits for it.
 
     Attributes:
-        request: The request that it waits for.
         took_s: Duration of the answer, s.
         ended: Whether its evaluation has returned.
     """
 
-    request: Request
+    request: Request  # The request that it waits for
     answer: messages.Answer | FaultError
     result: R
 

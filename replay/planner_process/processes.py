@@ -41,17 +41,12 @@ ROOT = Path(__file__).parents[2]
 
 @dataclass(frozen=True)
 class Load:
-    """The planner that a template loads.
+    """The planner that a template loads."""
 
-    Attributes:
-        planner: "module:Class".
-        settings: Its table in the configuration, MessagePack.
-        again: Whether it serves the second drive of a log's start (`replay.loop.planning`). That has a template of
-            its own, as a module may draw or read something else each time it is imported.
-    """
-
-    planner: str
-    settings: bytes
+    planner: str  # "module:Class"
+    settings: bytes  # Its table in the configuration, MessagePack
+    # Whether it serves the second drive of a log's start (`replay.loop.planning`). That has a template of its own, as a
+    # module may draw or read something else each time it is imported.
     again: bool = False
 
 

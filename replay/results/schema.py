@@ -24,34 +24,21 @@ _TYPES["list"] = pa.list_(pa.large_string())
 
 @dataclass(frozen=True)
 class Column:
-    """One column.
+    """One column."""
 
-    Attributes:
-        name: The name; its last part is the unit of a quantity with one unit.
-        kind: "text", "number" (NaN if there is none), "count", "yes/no", "list" (of texts).
-        meaning: Its meaning.
-        older: Its value in files of before the column; None: all files have it.
-    """
-
-    name: str
-    kind: str
-    meaning: str
-    older: str | float | None = None
+    name: str  # The name; its last part is the unit of a quantity with one unit
+    kind: str  # "text", "number" (NaN if there is none), "count", "yes/no", "list" (of texts)
+    meaning: str  # Its meaning
+    older: str | float | None = None  # Its value in files of before the column; None: all files have it
 
 
 @dataclass(frozen=True)
 class Table:
-    """One table.
+    """One table."""
 
-    Attributes:
-        rows: A description of a row and of the file.
-        same: Whether the same inputs give the same bytes.
-        columns: The columns, in their order.
-    """
-
-    rows: str
-    same: bool
-    columns: tuple[Column, ...]
+    rows: str  # A description of a row and of the file
+    same: bool  # Whether the same inputs give the same bytes
+    columns: tuple[Column, ...]  # The columns, in their order
 
 
 Row = Column | tuple[str, str, str] | tuple[str, str, str, str | float]

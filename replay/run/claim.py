@@ -41,18 +41,12 @@ STUDY = "study.jsonl"
 
 @dataclass(frozen=True)
 class FolderContents:
-    """What a command writes into a folder of its own.
-
-    Attributes:
-        names: Patterns of the names of its files and folders, beside `STUDY`.
-        is_ours: Instead of names: whether an entry of the folder is of the command.
-        resumes: Whether the command has the option --resume.
-    """
+    """What a command writes into a folder of its own."""
 
     command: str
-    names: tuple[str, ...] = ()
-    is_ours: Callable[[Path], bool] | None = None
-    resumes: bool = True
+    names: tuple[str, ...] = ()  # Patterns of the names of its files and folders, beside `STUDY`
+    is_ours: Callable[[Path], bool] | None = None  # Instead of names: whether an entry of the folder is of the command
+    resumes: bool = True  # Whether the command has the option --resume
 
     def check(self, out: Path) -> None:
         """Raise ConfigError if a folder has anything that the command did not write."""

@@ -46,13 +46,9 @@ class Engine(Protocol):
 
 @dataclass(frozen=True)
 class Local:
-    """This machine.
+    """This machine."""
 
-    Attributes:
-        workers: Number of child processes; 0: this process, in the order given.
-    """
-
-    workers: int = 0
+    workers: int = 0  # Number of child processes; 0: this process, in the order given
 
     def evaluate(
         self, sources: Sequence[LogSource], run: RunConfig, out: Path, stamp: Stamp
@@ -85,17 +81,12 @@ def teams_of(count: int, batch: int) -> list[range]:
 
 @dataclass(frozen=True)
 class Job:
-    """`evaluate_log` with all arguments except the log; a process that calls it loads a planner's module once.
-
-    Attributes:
-        stamp: See `evaluate_log`.
-        name: A name that no other run has.
-    """
+    """`evaluate_log` with all arguments except the log; a process that calls it loads a planner's module once."""
 
     run: RunConfig
     out: Path
-    stamp: Stamp
-    name: str = field(default_factory=lambda: uuid4().hex)
+    stamp: Stamp  # See `evaluate_log`
+    name: str = field(default_factory=lambda: uuid4().hex)  # A name that no other run has
 
     def __call__(self, team: Sequence[LogSource]) -> list[LogResult]:
         """Evaluate each log of a team; in lock step if `LoopConfig.apart.batch` is set."""

@@ -50,18 +50,12 @@ class WatchedPlanning(Planning):
 
 @dataclass(frozen=True, eq=False)
 class ReplannedFrame:
-    """A frame planned again.
-
-    Attributes:
-        dump: The frames up to it, the plan, the QPs.
-        seconds: Duration of each stage, and "total", s.
-        is_same: Whether the trajectory is the one in the results, to the bit; None for another planner.
-    """
+    """A frame planned again."""
 
     scenario: Scenario
-    dump: FrameDump
-    seconds: Mapping[str, float]
-    is_same: bool | None
+    dump: FrameDump  # The frames up to it, the plan, the QPs
+    seconds: Mapping[str, float]  # Duration of each stage, and "total", s
+    is_same: bool | None  # Whether the trajectory is the one in the results, to the bit; None for another planner
 
 
 def replan_frame(drive: DriveResult, at: float, planner: str | None = None, *, debug: bool = False) -> ReplannedFrame:

@@ -36,46 +36,29 @@ VERSION = 1
 
 
 class DumpedProblem(msgspec.Struct):
-    """`planners.piecewise_jerk.problem.PiecewiseJerkProblem`, and the curve x, x', x'' `(3 n,)` that solves it.
+    """`planners.piecewise_jerk.problem.PiecewiseJerkProblem`, and the curve x, x', x'' `(3 n,)` that solves it."""
 
-    Attributes:
-        report: The solver's report; its stage names the caller.
-        numbers: step, soft, and the weights x, dx, ddx, dddx.
-        leads: `(k,)`.
-        start: `(3,)`.
-        references: `(2, n)` row by row.
-        lower: `(4 + k, n)` row by row; `upper` likewise.
-    """
-
-    report: SolverReport
-    numbers: list[float]
-    leads: bytes
-    start: bytes
-    references: bytes
-    lower: bytes
+    report: SolverReport  # The solver's report; its stage names the caller
+    numbers: list[float]  # step, soft, and the weights x, dx, ddx, dddx
+    leads: bytes  # `(k,)`
+    start: bytes  # `(3,)`
+    references: bytes  # `(2, n)` row by row
+    lower: bytes  # `(4 + k, n)` row by row; `upper` likewise
     upper: bytes
     x: bytes
 
 
 class File(msgspec.Struct):
-    """The contents of the file.
-
-    Attributes:
-        log: Name; `planner` and `config` (its table) are as in a run's configuration.
-        context: The context with which the planner was built.
-        frames: The frames in order of time; the last is the one of interest.
-        plan: The plan of the last frame, with its internals.
-        problems: The QPs that were solved for it, in their order.
-    """
+    """The contents of the file."""
 
     version: int
-    log: str
+    log: str  # Name; `planner` and `config` (its table) are as in a run's configuration
     planner: str
     config: dict[str, Any]
-    context: messages.Context
-    frames: list[messages.Frame]
-    plan: messages.Plan
-    problems: list[DumpedProblem]
+    context: messages.Context  # The context with which the planner was built
+    frames: list[messages.Frame]  # The frames in order of time; the last is the one of interest
+    plan: messages.Plan  # The plan of the last frame, with its internals
+    problems: list[DumpedProblem]  # The QPs that were solved for it, in their order
 
 
 @dataclass(frozen=True, eq=False)

@@ -56,15 +56,10 @@ LEFT_OUT = ("__pycache__", ".*", "*.pyc")
 
 @dataclass(frozen=True)
 class OnRay:
-    """A Ray cluster.
+    """A Ray cluster."""
 
-    Attributes:
-        address: Its address ("auto", "HOST:6379", "ray://HOST:10001"); "": one on this machine, for this run.
-        workers: Largest number of tasks in flight, and cores of a cluster on this machine. None: by the cluster's
-            cores.
-    """
-
-    address: str = ""
+    address: str = ""  # Its address ("auto", "HOST:6379", "ray://HOST:10001"); "": one on this machine, for this run
+    # Largest number of tasks in flight, and cores of a cluster on this machine. None: by the cluster's cores.
     workers: int | None = None
 
     def evaluate(

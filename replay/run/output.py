@@ -171,19 +171,13 @@ def _start_of_process(pid: int) -> str:
 
 @dataclass
 class OutputLocation:
-    """The place to which the results of a run are written.
+    """The place to which the results of a run are written."""
 
-    Attributes:
-        folder: The folder on this machine; None: the next free one.
-        url: The URL to which it is sent; "" if there is none.
-        there: Write times of the files that are at the URL already; they are sent again only if written anew.
-        old: Files at the URL that are removed before anything is sent.
-    """
-
-    folder: Path | None
-    url: str = ""
+    folder: Path | None  # The folder on this machine; None: the next free one
+    url: str = ""  # The URL to which it is sent; "" if there is none
+    # Write times of the files that are at the URL already; they are sent again only if written anew
     there: dict[str, int] = field(default_factory=dict)
-    old: list[str] = field(default_factory=list)
+    old: list[str] = field(default_factory=list)  # Files at the URL that are removed before anything is sent
 
     def check_outside(self, sources: Sequence[LogSource]) -> None:
         """Raise ConfigError if the URL contains a log that is to be driven: it would be removed."""

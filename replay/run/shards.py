@@ -45,15 +45,10 @@ from replay.run.sources import LogSource, Selection
 
 @dataclass(frozen=True)
 class Shard:
-    """A part of a run.
+    """A part of a run."""
 
-    Attributes:
-        number: Number of this shard, from 1.
-        of: Number of all shards.
-    """
-
-    number: int
-    of: int
+    number: int  # Number of this shard, from 1
+    of: int  # Number of all shards
 
     def __post_init__(self) -> None:
         if not 1 <= self.number <= self.of:

@@ -57,22 +57,14 @@ SUITE_HEADER = "# A suite of logs, written by `replan suite`; give it to --suite
 
 @dataclass(frozen=True)
 class LogSource:
-    """The source of a log: a file or folder of any format, or the catalogue.
+    """The source of a log: a file or folder of any format, or the catalogue."""
 
-    Attributes:
-        label: Its name for the user; for the catalogue, the name of a scenario (`logs.catalogue.scenario`).
-        path: The file or folder; None for the catalogue.
-        digest: Its `log_hash`, so that a log with many windows is hashed once; "" if unknown.
-        remote: Its files if it is named by URL; `fetched` gives it as a path.
-        format: Format of a remote log, as known from its name.
-    """
-
-    label: str
-    path: Path | None = None
+    label: str  # Its name for the user; for the catalogue, the name of a scenario (`logs.catalogue.scenario`)
+    path: Path | None = None  # The file or folder; None for the catalogue
     settings: LogSettings = field(default_factory=LogSettings)
-    digest: str = ""
-    remote: tuple[RemoteFile, ...] = ()
-    format: str = ""
+    digest: str = ""  # Its `log_hash`, so that a log with many windows is hashed once; "" if unknown
+    remote: tuple[RemoteFile, ...] = ()  # Its files if it is named by URL; `fetched` gives it as a path
+    format: str = ""  # Format of a remote log, as known from its name
 
     def identity(self) -> str:
         """Identifies the input: names and hashes of log and map, or the name; LogError as `read`.
@@ -143,15 +135,10 @@ class LogSource:
 
 @dataclass(frozen=True)
 class Selection:
-    """The logs of a run; as text, the numbers found and kept, and the reasons why others were left out.
+    """The logs of a run; as text, the numbers found and kept, and the reasons why others were left out."""
 
-    Attributes:
-        sources: The kept logs, in the given order (folders: sorted by path).
-        dropped: The reasons why others were left out, one line each.
-    """
-
-    sources: tuple[LogSource, ...]
-    dropped: tuple[str, ...] = ()
+    sources: tuple[LogSource, ...]  # The kept logs, in the given order (folders: sorted by path)
+    dropped: tuple[str, ...] = ()  # The reasons why others were left out, one line each
 
     def __str__(self) -> str:
         counts = f"{len(self.sources) + len(self.dropped)} found, {len(self.sources)} kept"

@@ -36,19 +36,12 @@ OF_A_CHOICE = ("everyday/traffic_light", "everyday/junction", "raw/crossing")
 
 @dataclass(frozen=True)
 class Warmed:
-    """The result of a warm-up.
+    """The result of a warm-up."""
 
-    Attributes:
-        seconds: Its duration, s.
-        compiled: The number of compiled kernels; the others were in the cache.
-        folder: The folder of their machine code; None if it is not kept.
-        failures: Drives that failed.
-    """
-
-    seconds: float
-    compiled: int
-    folder: Path | None
-    failures: tuple[Failure, ...]
+    seconds: float  # Its duration, s
+    compiled: int  # The number of compiled kernels; the others were in the cache
+    folder: Path | None  # The folder of their machine code; None if it is not kept
+    failures: tuple[Failure, ...]  # Drives that failed
 
 
 ELSEWHERE = ("multibody", "recorded")

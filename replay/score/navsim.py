@@ -57,30 +57,19 @@ NO_LANES = "the log has no lanes: the scores of nuPlan and NAVSIM need them"
 
 @dataclass(frozen=True)
 class Version:
-    """What a version of NAVSIM does.
+    """What a version of NAVSIM does."""
 
-    Attributes:
-        columns: The original's column of each part, in its order.
-        multipliers: Parts that multiply the weighted mean; `weights` by part.
-        filters: Whether the human filter changes the columns; `scores_filtered` whether it changes the score, too.
-        masks: Whether EP is that after the own multipliers.
-        drops: Whether agents that touch the ego at the start are left out.
-        seen_s: For how long others are seen, s; `ttc_steps` is the number of states that TTC looks at.
-        past: Whether comfort begins with the recorded past, and is that of the centre.
-        windows: Filters of acceleration and jerk (`metrics.driving_scores.comfort_signals`).
-    """
-
-    columns: Mapping[str, str]
-    multipliers: tuple[str, ...]
+    columns: Mapping[str, str]  # The original's column of each part, in its order
+    multipliers: tuple[str, ...]  # Parts that multiply the weighted mean; `weights` by part
     weights: Mapping[str, float]
-    filters: bool
+    filters: bool  # Whether the human filter changes the columns; `scores_filtered` whether it changes the score, too
     scores_filtered: bool
-    masks: bool
-    drops: bool
-    seen_s: float
+    masks: bool  # Whether EP is that after the own multipliers
+    drops: bool  # Whether agents that touch the ego at the start are left out
+    seen_s: float  # For how long others are seen, s; `ttc_steps` is the number of states that TTC looks at
     ttc_steps: int
-    past: bool
-    windows: tuple[int, int]
+    past: bool  # Whether comfort begins with the recorded past, and is that of the centre
+    windows: tuple[int, int]  # Filters of acceleration and jerk (`metrics.driving_scores.comfort_signals`)
 
 
 _V1 = Version(

@@ -34,21 +34,14 @@ FARTHEST_M = 1000.0  # No pose of a plan is this far from where its window begin
 
 @dataclass(frozen=True, eq=False)
 class Asked:
-    """A plan to be scored.
+    """A plan to be scored."""
 
-    Attributes:
-        log: The log's name; `drive` the agent's, `token` the window's.
-        t: Begin of the window, s.
-        poses: x, y, yaw in the log's world `(8, 3)`.
-        stage_one: The token of the window of which this is a follow-up scene; "": it is none.
-    """
-
-    log: str
+    log: str  # The log's name; `drive` the agent's, `token` the window's
     drive: str
     token: str
-    t: float
-    poses: FloatArray
-    stage_one: str = ""
+    t: float  # Begin of the window, s
+    poses: FloatArray  # x, y, yaw in the log's world `(8, 3)`
+    stage_one: str = ""  # The token of the window of which this is a follow-up scene; "": it is none
 
 
 def read_table(path: Path) -> pd.DataFrame:

@@ -134,16 +134,11 @@ def _with_headings(lanes: DrivableLanes, i: int) -> tuple[FloatArray, FloatArray
 
 
 class WindowAgents(NamedTuple):
-    """Road users of a window at k steps of 0.1 s.
+    """Road users of a window at k steps of 0.1 s."""
 
-    Attributes:
-        there: `(n, k)`; `pose` `(3, n, k)`: x, y, yaw.
-        speed: `(n,)` when first seen; `agent` `(n,)` whether it can move; `size` `(n, 2)`.
-    """
-
-    there: BoolArray
+    there: BoolArray  # `(n, k)`; `pose` `(3, n, k)`: x, y, yaw
     pose: FloatArray
-    speed: FloatArray
+    speed: FloatArray  # `(n,)` when first seen; `agent` `(n,)` whether it can move; `size` `(n, 2)`
     agent: BoolArray
     size: FloatArray
 

@@ -166,18 +166,12 @@ def total(parts: Mapping[str, float], version: Version) -> float:
 
 @dataclass(frozen=True, eq=False)
 class ScoredPlan:
-    """The parts of a plan, its tracked states, which the next plan's EC needs, and its score.
+    """The parts of a plan, its tracked states, which the next plan's EC needs, and its score."""
 
-    Attributes:
-        parts: After the human filter; `own` before it.
-        states: The tracked states `(41, 9)`.
-        version: The version by which it is scored.
-    """
-
-    parts: Mapping[str, float]
+    parts: Mapping[str, float]  # After the human filter; `own` before it
     own: Mapping[str, float]
-    states: FloatArray
-    version: Version
+    states: FloatArray  # The tracked states `(41, 9)`
+    version: Version  # The version by which it is scored
 
     @property
     def score(self) -> float:
@@ -191,17 +185,11 @@ class ScoredPlan:
 
 @dataclass(frozen=True, eq=False)
 class Yardstick:
-    """What the plans of a window are compared with.
+    """What the plans of a window are compared with."""
 
-    Attributes:
-        others: The road users as logged.
-        best: PDM-Closed's way along its centre line times its multipliers, m.
-        human: The parts of the log's driver; empty without the human filter.
-    """
-
-    others: WindowAgents
-    best: float
-    human: Mapping[str, float]
+    others: WindowAgents  # The road users as logged
+    best: float  # PDM-Closed's way along its centre line times its multipliers, m
+    human: Mapping[str, float]  # The parts of the log's driver; empty without the human filter
 
 
 def yardstick(at: ScoredWindow, version: Version) -> Yardstick:

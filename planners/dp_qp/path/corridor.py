@@ -63,19 +63,12 @@ AHEAD = 1.0 / 3.0
 
 
 class EgoInLane(NamedTuple):
-    """The ego and its start, in the lane.
+    """The ego and its start, in the lane."""
 
-    Attributes:
-        start: s, l, l', l'' and speed, m, 1, 1/m, m/s `(5,)`.
-        leads: Distances of its points ahead of the rear axle `(k,)`, the first 0, m.
-        car: The argument `car` of `steering_bounds` `(3,)`.
-        side: Half its width plus the distance to keep to the lane's edge, m.
-    """
-
-    start: FloatArray
-    leads: FloatArray
-    car: FloatArray
-    side: float
+    start: FloatArray  # s, l, l', l'' and speed, m, 1, 1/m, m/s `(5,)`
+    leads: FloatArray  # Distances of its points ahead of the rear axle `(k,)`, the first 0, m
+    car: FloatArray  # The argument `car` of `steering_bounds` `(3,)`
+    side: float  # Half its width plus the distance to keep to the lane's edge, m
 
 
 class Borrowed(NamedTuple):
@@ -91,19 +84,12 @@ class Borrowed(NamedTuple):
 
 
 class RoadAhead(NamedTuple):
-    """The road at the n knots of the path QP, for k points of the ego.
+    """The road at the n knots of the path QP, for k points of the ego."""
 
-    Attributes:
-        along: Rows `KNOT`, `LIMIT`, `KAPPA` `(3, n)`.
-        points: Rows `S` to `MOST` `(6, k, n)`.
-        references: References of the path QP without obstacles `(2, n)` (`PiecewiseJerkProblem`).
-        rows: Its lower and upper bounds `(2, 3 + k, n)`.
-    """
-
-    along: FloatArray
-    points: FloatArray
-    references: FloatArray
-    rows: FloatArray
+    along: FloatArray  # Rows `KNOT`, `LIMIT`, `KAPPA` `(3, n)`
+    points: FloatArray  # Rows `S` to `MOST` `(6, k, n)`
+    references: FloatArray  # References of the path QP without obstacles `(2, n)` (`PiecewiseJerkProblem`)
+    rows: FloatArray  # Its lower and upper bounds `(2, 3 + k, n)`
 
 
 @kernel

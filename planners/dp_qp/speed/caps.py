@@ -85,65 +85,42 @@ class CautionConfig:
 
 @dataclass(frozen=True, slots=True)
 class SpeedCap:
-    """A reason to drive slower.
+    """A reason to drive slower."""
 
-    Attributes:
-        s_from: Arc length of the rear axle from which it applies, m; `s_to` to which.
-        v: The speed, m/s.
-        agent: Its cause, as the report names it (an agent, "hidden ground"); empty: it is not reported.
-        is_bound: Whether the profile keeps the speed exactly (2).
-    """
-
-    s_from: float
+    s_from: float  # Arc length of the rear axle from which it applies, m; `s_to` to which
     s_to: float
-    v: float
-    agent: str = ""
+    v: float  # The speed, m/s
+    agent: str = ""  # Its cause, as the report names it (an agent, "hidden ground"); empty: it is not reported
     reason: str = ""
-    is_bound: bool = True
+    is_bound: bool = True  # Whether the profile keeps the speed exactly (2)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SpeedTask:
-    """The input of the speed stage on a path.
+    """The input of the speed stage on a path."""
 
-    Attributes:
-        passed: The space between the path and each standing agent that it passes, m.
-        skip: Which agents follow the ego `(agents,)`.
-        stops: The stops that the rules demand on the path.
-        targets: Agents along the lane that the ego comes beside; `is_pass`: whether the path swings out for them.
-        goal: The goal along the lane; `target`: its demands now.
-    """
-
-    passed: Mapping[str, float]
-    skip: BoolArray
-    stops: tuple[Occupancy, ...]
+    passed: Mapping[str, float]  # The space between the path and each standing agent that it passes, m
+    skip: BoolArray  # Which agents follow the ego `(agents,)`
+    stops: tuple[Occupancy, ...]  # The stops that the rules demand on the path
+    # Agents along the lane that the ego comes beside; `is_pass`: whether the path swings out for them
     targets: tuple[PassTarget, ...]
     is_pass: bool
-    goal: GoalWindow
+    goal: GoalWindow  # The goal along the lane; `target`: its demands now
     target: SpeedTarget
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PathView:
-    """A scene on the chosen path: the input of the producers of caps.
-
-    Attributes:
-        task: The agents that it passes, the stops and the goal.
-        limit: The road's speed limit along it `(m,)`, m/s.
-        taken: When which part of it is taken, and by which agent.
-        came: When each pedestrian or rider was last in the path, s.
-        hard_mps2: Deceleration with which the ego must be able to stop for a person who steps out (b).
-        margin_m: The ego follows an agent that the path comes nearer to than this.
-    """
+    """A scene on the chosen path: the input of the producers of caps."""
 
     scene: Scene
     path: Path
-    task: SpeedTask
-    limit: FloatArray
-    taken: StBoundaries
-    came: Mapping[str, float]
-    hard_mps2: float
-    margin_m: float
+    task: SpeedTask  # The agents that it passes, the stops and the goal
+    limit: FloatArray  # The road's speed limit along it `(m,)`, m/s
+    taken: StBoundaries  # When which part of it is taken, and by which agent
+    came: Mapping[str, float]  # When each pedestrian or rider was last in the path, s
+    hard_mps2: float  # Deceleration with which the ego must be able to stop for a person who steps out (b)
+    margin_m: float  # The ego follows an agent that the path comes nearer to than this
     caution: CautionConfig
 
     def arc(self, s: float) -> float:

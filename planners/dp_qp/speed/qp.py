@@ -86,23 +86,15 @@ class SpeedQpConfig:
 
 
 class SpeedProblem(NamedTuple):
-    """One speed problem; arrays `(knots,)`.
+    """One speed problem; arrays `(knots,)`."""
 
-    Attributes:
-        start: v, a of the ego.
-        lower: Bounds of s, m; `upper` likewise.
-        limit: Upper bound of v, m/s.
-        s_ref: m; `v_ref` m/s.
-        end: Station at which the path ends, m.
-    """
-
-    start: tuple[float, float]
-    lower: FloatArray
+    start: tuple[float, float]  # v, a of the ego
+    lower: FloatArray  # Bounds of s, m; `upper` likewise
     upper: FloatArray
-    limit: FloatArray
-    s_ref: FloatArray
+    limit: FloatArray  # Upper bound of v, m/s
+    s_ref: FloatArray  # m; `v_ref` m/s
     v_ref: FloatArray
-    end: float = inf
+    end: float = inf  # Station at which the path ends, m
 
     @property
     def overtakes(self) -> bool:

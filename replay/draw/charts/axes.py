@@ -41,21 +41,14 @@ def number(value: float) -> str:
 
 @dataclass(frozen=True)
 class Plane:
-    """A plot area.
+    """A plot area."""
 
-    Attributes:
-        x: Range of the values; `y` likewise.
-        width: Width of the whole chart, pixels; `height` likewise.
-        left: Margin at the left for ticks or words, pixels.
-        top: Margin above, pixels.
-    """
-
-    x: tuple[float, float]
+    x: tuple[float, float]  # Range of the values; `y` likewise
     y: tuple[float, float]
-    width: float
+    width: float  # Width of the whole chart, pixels; `height` likewise
     height: float
-    left: float = LEFT_PX
-    top: float = TOP_PX
+    left: float = LEFT_PX  # Margin at the left for ticks or words, pixels
+    top: float = TOP_PX  # Margin above, pixels
 
     @property
     def inner(self) -> tuple[float, float]:

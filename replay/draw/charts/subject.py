@@ -51,15 +51,11 @@ class Moment:
 
 @dataclass(frozen=True, eq=False)
 class Violation:
-    """A gate that a drive broke.
-
-    Attributes:
-        series: The series of its metric ("lon_accel").
-        spans: Intervals in which its steps are out of bounds, s; without steps, the time of its value.
-    """
+    """A gate that a drive broke."""
 
     gate: str
-    series: str
+    series: str  # The series of its metric ("lon_accel")
+    # Intervals in which its steps are out of bounds, s; without steps, the time of its value
     spans: tuple[tuple[float, float], ...]
 
 

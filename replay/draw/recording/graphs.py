@@ -37,14 +37,10 @@ NO_POINTS = np.empty((0, 2))
 
 @dataclass(frozen=True)
 class Axes:
-    """The axes of one graph over a whole recording.
-
-    Attributes:
-        x: Range, relative to the begin of the graph; `y` likewise.
-    """
+    """The axes of one graph over a whole recording."""
 
     kind: GraphKind
-    x: Span
+    x: Span  # Range, relative to the begin of the graph; `y` likewise
     y: Span
 
     @classmethod

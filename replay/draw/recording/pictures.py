@@ -118,18 +118,12 @@ class ScreenshotError(ReplanError):
 
 @dataclass(frozen=True)
 class Picture:
-    """One picture to take.
-
-    Attributes:
-        t: Time in the recording, s.
-        view: Name of one view; None: the whole window.
-        layout: One of `LAYOUTS`; a view that it does not have is taken from another.
-    """
+    """One picture to take."""
 
     out: Path
-    t: float
-    view: str | None = None
-    layout: str = LAYOUTS[0]
+    t: float  # Time in the recording, s
+    view: str | None = None  # Name of one view; None: the whole window
+    layout: str = LAYOUTS[0]  # One of `LAYOUTS`; a view that it does not have is taken from another
 
 
 def take_pictures(

@@ -199,43 +199,28 @@ class Recording:
 
 @dataclass(frozen=True, eq=False)
 class DrivePage:
-    """The contents of the page of a drive.
-
-    Attributes:
-        time_s: The moment of the pictures; NaN if there are none.
-        why: The reason for this moment; if there are no pictures, the reason for that.
-        because: The action of the plan at this moment, and its reasons, in sentences.
-        verdicts: The rows of `DriveResult.verdicts` of both loops, failed ones first.
-        pictures: Charts of scenes and graphs; `decided` and `curves` follow them.
-        scene: Index of the scene at the moment among them.
-        events: The changes, with their times.
-        more_events: The number of events that are left out.
-        metrics: The rows of the available metrics of each loop.
-        missing: Each reason, and the metrics that are not available because of it.
-        plot: The command that draws the same pictures.
-        broken: Charts that could not be drawn, a sentence each.
-    """
+    """The contents of the page of a drive."""
 
     anchor: str
     row: DriveRow
     mode: str = ""
     tags: tuple[str, ...] = ()
-    time_s: float = nan
-    why: str = ""
-    because: tuple[str, ...] = ()
+    time_s: float = nan  # The moment of the pictures; NaN if there are none
+    why: str = ""  # The reason for this moment; if there are no pictures, the reason for that
+    because: tuple[str, ...] = ()  # The action of the plan at this moment, and its reasons, in sentences
     end: str = ""
-    verdicts: tuple[Any, ...] = ()
-    pictures: tuple[Markup, ...] = ()
-    scene: int = 0
+    verdicts: tuple[Any, ...] = ()  # The rows of `DriveResult.verdicts` of both loops, failed ones first
+    pictures: tuple[Markup, ...] = ()  # Charts of scenes and graphs; `decided` and `curves` follow them
+    scene: int = 0  # Index of the scene at the moment among them
     decided: Markup = field(default_factory=Markup)
     curves: tuple[Markup, ...] = ()
-    events: tuple[TimedEvent, ...] = ()
-    more_events: int = 0
-    metrics: tuple[tuple[str, tuple[Any, ...]], ...] = ()
-    missing: tuple[tuple[str, str], ...] = ()
+    events: tuple[TimedEvent, ...] = ()  # The changes, with their times
+    more_events: int = 0  # The number of events that are left out
+    metrics: tuple[tuple[str, tuple[Any, ...]], ...] = ()  # The rows of the available metrics of each loop
+    missing: tuple[tuple[str, str], ...] = ()  # Each reason, and the metrics that are not available because of it
     files: tuple[Recording, ...] = ()
-    plot: str = ""
-    broken: tuple[str, ...] = ()
+    plot: str = ""  # The command that draws the same pictures
+    broken: tuple[str, ...] = ()  # Charts that could not be drawn, a sentence each
 
     @property
     def failed(self) -> tuple[Any, ...]:

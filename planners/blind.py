@@ -21,9 +21,8 @@ from logs.frame import Frame, PlannerContext, Predictions
 from logs.once import once
 from logs.plan import Plan
 from logs.road import Road
-from planners.frenet.fallback import trajectory_along
 from planners.frenet.path import path_through
-from planners.frenet.profiles import COMFORT, HORIZON_KNOTS, STEP_S, braking
+from planners.frenet.profiles import COMFORT, HORIZON_KNOTS, STEP_S, braking, trajectory_along
 from planners.frenet.scene import start_of
 from planners.idm import Idm, IdmConfig
 

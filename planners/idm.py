@@ -28,9 +28,8 @@ from logs.frame import Frame, PlannerContext
 from logs.kernel import kernel
 from logs.plan import Artefact, Corridor, Internals, Plan, SlGraph, StGraph
 from logs.states import EgoState
-from planners.frenet.fallback import fall_back, trajectory_along
 from planners.frenet.path import Path, make_path, quintic
-from planners.frenet.profiles import HORIZON_KNOTS, HORIZON_STEPS, STEP_S, limit_profile
+from planners.frenet.profiles import HORIZON_KNOTS, HORIZON_STEPS, STEP_S, fall_back, limit_profile, trajectory_along
 from planners.frenet.scene import Occupancy, RouteTracker, behind, on_path
 from planners.frenet.st_boundaries import (
     StBoundaries,

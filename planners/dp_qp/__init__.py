@@ -3,7 +3,7 @@
     path      which side of each obstacle, the smoothest path; passing   stage, bounds, corridor, dp, qp, passing
     speed     the order of passing, the smoothest speed, the braking     stage, caps, problem, dp, qp, doubt, braking
     lane      both stages in one lane, and their cost
-    choice    keep the lane, pass within it, or change; the agents that this would endanger
+    planner   keep the lane, pass within it, or change; the agents that this would endanger
     goal_window    arrival at the goal: time, speed and place
 
 The speed DP gets obstacles from `frenet.st_boundaries` (when they take the path), `frenet.scene` (stops), `speed.doubt`

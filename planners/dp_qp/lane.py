@@ -27,7 +27,7 @@ from planners.dp_qp.path.passing import PassTarget, find_slow_agents, free_stati
 from planners.dp_qp.path.stage import ChosenPath, PathConfig, PathMemory, PathStage
 from planners.dp_qp.speed.caps import SpeedTask
 from planners.dp_qp.speed.stage import ChosenSpeed, SpeedConfig, SpeedMemory, SpeedStage
-from planners.frenet.lane_sequence import LaneSequence
+from planners.frenet.reference_path import LaneSequence
 from planners.frenet.scene import STITCH_M, STITCH_MPS, TRACK_M, Scene, StartPlace, behind, on_path, scene_of
 from planners.piecewise_jerk.solvers import DEFAULT, check_solver
 from planners.rules import Rulebook, RuleMemory, RulesConfig

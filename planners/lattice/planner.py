@@ -29,9 +29,8 @@ from logs.plan import (
 from logs.shapes import overlap
 from logs.states import Trajectory, wrap
 from logs.vehicle import VehicleParameters
-from planners.frenet.fallback import fall_back
 from planners.frenet.path import Path, path_through
-from planners.frenet.profiles import HORIZON_KNOTS, HORIZON_STEPS, STEP_S, braking, limit_profile
+from planners.frenet.profiles import HORIZON_KNOTS, HORIZON_STEPS, STEP_S, braking, fall_back, limit_profile
 from planners.frenet.reference_path import ReferencePath
 from planners.frenet.scene import TRACK_M, Occupancy, RouteTracker, Scene, behind, on_reference, open_end, upper_bound
 from planners.frenet.st_boundaries import StGraphConfig, decide_speed, outlines, st_boundaries
@@ -302,7 +301,7 @@ class Sampler:
 class Lattice:
     """Chooses among pairs of polynomials; its memory is the last station and the memory of the rules.
 
-    Where no pair is feasible, it uses the ladder of `planners.frenet.fallback`: the rest of the previous plan, else a
+    Where no pair is feasible, it uses the ladder of `planners.frenet.profiles`: the rest of the previous plan, else a
     comfortable stop, else a hard one. Agents behind are ignored while the ego keeps its track.
     """
 

@@ -40,9 +40,16 @@ from logs.kernel import kernel
 from logs.plan import Artefact, Candidates, Corridor, CostTerms, Internals, Plan, SlGraph, StGraph
 from logs.states import EgoState, Trajectory, wrap
 from logs.vehicle import VehicleParameters
-from planners.frenet.fallback import fall_back, trajectory_along
 from planners.frenet.path import Path, make_path, states_on_path
-from planners.frenet.profiles import EMERGENCY, HORIZON_KNOTS, HORIZON_STEPS, STEP_S, braking
+from planners.frenet.profiles import (
+    EMERGENCY,
+    HORIZON_KNOTS,
+    HORIZON_STEPS,
+    STEP_S,
+    braking,
+    fall_back,
+    trajectory_along,
+)
 from planners.frenet.scene import Occupancy, RouteTracker, Scene, on_path
 from planners.frenet.st_boundaries import (
     StBoundaries,

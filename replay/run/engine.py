@@ -1,18 +1,23 @@
 """Engines drive the logs of a run: in this process, in processes of this machine, or on a Ray cluster. Same bytes.
 
-An engine applies a function to items and yields the result of each as it ends, in any
-order; if a worker dies, the result of its item is `WorkerLost`, and no other item is
-affected. The function writes a log's folder into the result folder if the workers
-share that with the driver (`Local`); otherwise its result contains the folder (`replay.run.on_ray`).
+An engine applies a function to items and yields the result of each as it ends, in any order; if a worker dies, the
+result of its item is `WorkerLost`, and no other item is affected. The function writes a log's folder into the result
+folder if the workers share that with the driver (`Local`); otherwise its result contains the folder
+(`replay.run.on_ray`).
 
-Items are started by their expected duration, the longest first (Graham, SIAM J. Appl. Math. 17, 1969:
-within 4/3 - 1/(3 m) of the shortest makespan on m workers), so that no long log begins last. An item is a log, or the
-logs that are driven in lock step.
+Items are started by their expected duration, the longest first (Graham, SIAM J. Appl. Math. 17, 1969: within
+4/3 - 1/(3 m) of the shortest makespan on m workers), so that no long log begins last. An item is a log, or the logs
+that are driven in lock step.
+
+While no machine code is on disk, the first log of a run is driven alone, so that kernels that all logs need are
+compiled once. It begins with the reference drives and their metrics; meanwhile a second process plans over some
+built-in scenes (`compile_planning`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import accumulate
@@ -20,12 +25,16 @@ from pathlib import Path
 from typing import Protocol, TypeVar
 from uuid import uuid4
 
+from logs.catalogue import scenario
+from logs.errors import ReplanError
 from logs.kernel_watch import is_cache_cold
 from replay.config import RunConfig
+from replay.loop.open_loop import run_open_loop
+from replay.parts import PLANNER
 from replay.planner_process.batch import in_lockstep
+from replay.planner_process.planner_config import drive_keywords
 from replay.planner_process.processes import set_template_run
 from replay.results.log_result import LogResult, Stamp
-from replay.run.head_start import compile_planning
 from replay.run.one_log import evaluate_log
 from replay.run.pool import WorkerLost, run_all
 from replay.run.sources import LogSource
@@ -102,3 +111,20 @@ def longest_first(
     order = sorted(range(len(items)), key=lambda index: -expected_s(items[index]))
     for place, ended in drive([items[index] for index in order]):
         yield order[place], ended
+
+
+SCENES = ("everyday/traffic_light", "everyday/cyclist", "paper/static_obstacles", "everyday/pull_outs")
+"""Scenes in which most kernels of a plan are needed within `UNTIL_S`."""
+UNTIL_S = 1.5
+
+
+def compile_planning(run: RunConfig) -> None:
+    """Plan the begin of each scene with the built-in planners of a run."""
+    for name in SCENES:
+        for planner in run.planners:
+            if planner in PLANNER.causal:
+                with suppress(ReplanError):  # the run itself says what is wrong
+                    run_open_loop(
+                        scenario(name), planner, planner_config=drive_keywords(planner, run), config=run.drive_loop,
+                        until_s=UNTIL_S,
+                    )  # fmt: skip

@@ -39,8 +39,8 @@ from planners.dp_qp.lane import LaneConfig, LaneMemory, LanePlanner
 from planners.dp_qp.path.qp import PathQp
 from planners.dp_qp.speed.qp import SpeedQp, SpeedQpConfig
 from planners.dp_qp.speed.stage import DOUBTED
-from planners.frenet.fallback import meets
-from planners.frenet.lane_sequence import LaneSequences
+from planners.frenet.profiles import meets
+from planners.frenet.reference_path import LaneSequences
 from planners.solver import QPResult
 from replay.prediction import predict
 

@@ -223,8 +223,7 @@ def _report_error(metric: Metric, function: Callable[..., object], error: BaseEx
 def _reduce(reduction: Reduction, steps: Measured) -> tuple[float, bool, str, float]:
     """Return the columns value, available, reason (with full ids) and time_s.
 
-    Raises:
-        Exception: The error of the reduction; a ValueError if it returns a step that does not exist.
+    An error of the reduction is raised; ValueError if it returns a step that does not exist.
     """
     if isinstance(steps, Unavailable):
         return nan, False, steps.reason, nan

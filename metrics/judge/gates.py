@@ -234,9 +234,8 @@ PACKAGED: Mapping[str, Path | None] = {"default": None, "safety": Path(__file__)
 def load_gates(path: Path | None, *, metrics: Mapping[str, Metric] = METRICS) -> Gates:
     """Load the gates of a TOML file; None: the packaged default.
 
-    Raises:
-        ConfigError: The file cannot be read, a key or metric is unknown, or bounds are missing or contradictory; names
-            file and gate.
+    ConfigError if the file cannot be read, a key or metric is unknown, or bounds are missing or contradictory; it
+    names file and gate.
     """
     source, gates = _read_tables(path, "gate", Gate, metrics)
     if not gates:

@@ -74,14 +74,10 @@ def convert_all(
 ) -> bool:
     """Write logs as native MCAP, into `out` if its suffix is .mcap, else into that folder; return whether all are read.
 
-    With `foxglove` they get channels that Foxglove draws.
-    If the first name is not a path but the name of a reader, that reader reads all files, whatever their names.
-
-    Raises:
-        ConfigError: A path does not exist, there is nothing to convert, several logs are to go into one file, a log
-            would be written over itself or another, or the package for Foxglove is not installed. Nothing has been
-            written in these cases.
-        OutputError: A log cannot be written.
+    With `foxglove` they get channels that Foxglove draws. If the first name is not a path but the name of a reader,
+    that reader reads all files, whatever their names. ConfigError, with nothing written, if a path does not exist,
+    there is nothing to convert, several logs are to go into one file, a log would be written over itself or another, or
+    the package for Foxglove is not installed; OutputError if a log cannot be written.
     """
     reader = None
     first = str(logs[0])
@@ -148,10 +144,8 @@ def _is_ours(logs: Iterable[tuple[Path, Reader | None]]) -> Callable[[Path], boo
 def repair_log(log: Path, target: Path, table: Path | None, settings: LogSettings) -> Scenario:
     """Read a log, write it as native MCAP, and its changes as CSV; the scenario, whose `repair` may be None.
 
-    Raises:
-        ConfigError: There is no such log, or a file of it would be overwritten. Nothing has been written then.
-        LogError: The log cannot be read.
-        OutputError: A file cannot be written.
+    ConfigError, with nothing written, if there is no such log, or a file of it would be overwritten; LogError if the log
+    cannot be read; OutputError if a file cannot be written.
     """
     if not log.exists():
         raise ConfigError(f"{log}: no such file or folder")
@@ -202,12 +196,11 @@ VERSION = "2020a"
 def commonroad_solution(trace: Path, cost: str = COSTS[0]) -> str:
     """The solution file of a closed drive over a CommonRoad scenario, XML.
 
+    LogError if the file is not such a trace, or its vehicle is not one of CommonRoad's.
+
     Args:
         trace: `closed.mcap` of a result folder.
         cost: The cost function that the benchmark id names.
-
-    Raises:
-        LogError: The file is not such a trace, or its vehicle is not one of CommonRoad's.
     """
     try:
         scenario = read_scenario(trace)

@@ -36,10 +36,7 @@ def matching_drives(results: Results, log: str | None, planner: str | None, mode
     """The drives of a run that fit some options.
 
     `log`: name of a log, or a part of it (`named_logs`); None: any. `planner`: name of a planner; None: any. `mode`:
-    "open" or "closed"; "both" and None: either.
-
-    Raises:
-        ConfigError: None fits.
+    "open" or "closed"; "both" and None: either. ConfigError if none fits.
     """
     from replay.results.load import named_logs
 

@@ -190,13 +190,12 @@ def say_agents(scenario: Scenario, *, as_json: bool) -> None:
 def run_config(config: Path | None, options: Mapping[str, Any], words: Sequence[str] = ()) -> RunConfig:
     """The configuration of a run: the file, overridden by the options, overridden by the words of `--set`.
 
+    ConfigError if a key is unknown, a value is wrong, or the file cannot be read.
+
     Args:
         config: A TOML file, or None.
         options: A table like that of the file; None and empty lists are options that were not given.
         words: "KEY=VALUE" each, with a dotted key and a TOML value; a value that is not TOML is taken as text.
-
-    Raises:
-        ConfigError: A key is unknown, a value is wrong, or the file cannot be read.
     """
     from replay.config import RunConfig, load_run
     from replay.settings import dotted_keys, merged, set_table

@@ -48,9 +48,8 @@ Row = tuple[str, str, int, dict[str, Any]]  # Topic, type, log time ns, fields
 def write_bag(path: Path, scenario: Scenario) -> None:
     """Write the folder of a bag, completely or not at all; only a bag that was written here is replaced.
 
-    Raises:
-        ConfigError: The scenario has no raw detections, or something else has this name.
-        OutputError: The bag cannot be written.
+    ConfigError if the scenario has no raw detections, or something else has this name; OutputError if the bag cannot be
+    written.
     """
     if scenario.detections is None:
         raise ConfigError(f"{scenario.name} has tracks and no raw detections: a bag holds those (synth raw --as ros2)")

@@ -104,8 +104,7 @@ def scenario_channels(scenario: Scenario, markers: Sequence[Marker] = ()) -> Ite
 def trace_channels(trace: Trace, scenario: Scenario) -> Iterator[Entry]:
     """The messages of a drive: those of its log, and its plans.
 
-    Raises:
-        LogError: As `scenario_channels`.
+    LogError as `scenario_channels`.
     """
     start = scenario.start_ns
     yield from scenario_channels(driven_scenario(trace, scenario))

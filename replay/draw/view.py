@@ -88,12 +88,11 @@ def write_index(path: Path, folder: Path, most: int) -> list[Path]:
 def recordings(target: Path, log: str | None = None) -> list[Path]:
     """The recordings of a folder, sorted by path.
 
+    ConfigError if there are no such recordings.
+
     Args:
         target: The folder.
         log: Name of a log or its folder: only recordings whose path contains it.
-
-    Raises:
-        ConfigError: There are no such recordings.
     """
     found = sorted(target.rglob("*.rrd"))
     if not found:
@@ -106,10 +105,7 @@ def to_open(target: Path, found: list[Path], folder: Path, *, index: bool) -> li
     """The files to open: the recordings of a folder, at most `MOST`, or the index and those of the worst drives.
 
     `target`: a folder of results, or any folder with recordings. `index`: whether to write and open the index of a
-    result folder.
-
-    Raises:
-        ConfigError: There are too many.
+    result folder. ConfigError if there are too many.
     """
     if index:
         page = folder / "index.rrd"
@@ -169,11 +165,8 @@ def save_log(
 def show(files: list[Path], memory_limit: str, *, web: bool = False, port: int = 9090) -> None:
     """Run the viewer on recordings until it is closed; it listens on this machine only.
 
-    `memory_limit`: memory of the viewer ("2GB", "50%"). `port`: port of the page, with `web`.
-
-    Raises:
-        ConfigError: The port is in use.
-        ReplanError: There is no display, or the viewer ended with an error (no graphics driver).
+    `memory_limit`: memory of the viewer ("2GB", "50%"). `port`: port of the page, with `web`. ConfigError if the port
+    is in use; ReplanError if there is no display, or the viewer ended with an error (no graphics driver).
     """
     if not web and sys.platform == "linux" and not {"DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"} & {*os.environ}:
         raise ReplanError(f"there is no display here (DISPLAY and WAYLAND_DISPLAY are not set); {ELSEWHERE}")
@@ -209,9 +202,7 @@ MARK = 0xFF463CFF
 def write_pair(path: Path, recordings: tuple[Path, Path], traces: tuple[Trace, Trace], names: tuple[str, str]) -> None:
     """Write two recordings as one.
 
-    Raises:
-        ConfigError: The drives are of different logs.
-        OutputError: The file cannot be written.
+    ConfigError if the drives are of different logs; OutputError if the file cannot be written.
     """
     one, two = traces
     if one.scenario != two.scenario:

@@ -176,14 +176,13 @@ DIGITS = "%.6g"  # The format of numbers in the tables
 class PaperConfig:
     """The extent of the experiments.
 
+    ConfigError if a vehicle model is unknown, or a number is negative.
+
     Attributes:
         vehicles: Vehicle models of the tables of controllers; the figures use the first one.
         roads: Seeded roads among the manoeuvres.
         cells: Cells of the pedestrian grid.
         workers: Number of processes for the grid; 0: this process. The results are the same.
-
-    Raises:
-        ConfigError: A vehicle model is unknown, or a number is negative.
     """
 
     vehicles: tuple[str, ...] = ("single_track",)

@@ -54,10 +54,8 @@ class Channel(Generic[T]):
     def send(self, message: msgspec.Struct, deadline: float = float("inf")) -> None:
         """Send a message before the deadline (of `time.monotonic`).
 
-        Raises:
-            LateError: The other side did not take it in time.
-            GoneError: It has closed the channel.
-            TypeError: A value cannot be sent.
+        LateError if the other side did not take it in time; GoneError if it has closed the channel; TypeError if a
+        value cannot be sent.
         """
         payload = self._encoder.encode(message)
         left = [memoryview(HEADER.pack(len(payload))), memoryview(payload)]
@@ -77,10 +75,8 @@ class Channel(Generic[T]):
     def receive(self, deadline: float = float("inf")) -> T:
         """The next message before the deadline.
 
-        Raises:
-            LateError: It did not come in time, or was not decoded by then.
-            GoneError: The channel was closed.
-            GarbageError: It is not a message of the type.
+        LateError if it did not come in time, or was not decoded by then; GoneError if the channel was closed;
+        GarbageError if it is not a message of the type.
         """
         self._read(HEADER.size, deadline)
         (size,) = HEADER.unpack_from(self._buffer)

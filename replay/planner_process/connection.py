@@ -104,11 +104,8 @@ class Connection:
     """The connection to a planner that is started or reached for one drive, or for a batch of drives.
 
     `spec`: "module:Class", "exec:COMMAND" or "tcp://HOST:PORT". `load`: the module and settings that a Python planner
-    loads. `drives`: number of drives that it serves; the time limit of a drive is multiplied by it.
-
-    Raises:
-        ConfigError: The command or address is invalid.
-        FaultError: The node cannot be reached.
+    loads. `drives`: number of drives that it serves; the time limit of a drive is multiplied by it. ConfigError if the
+    command or address is invalid; FaultError if the node cannot be reached.
     """
 
     def __init__(self, spec: str, limits: PlannerProcessConfig, load: Load | None = None, drives: int = 1) -> None:
@@ -146,6 +143,9 @@ class Connection:
 class ApartPlanner:
     """A planner in another process.
 
+    ConfigError if the planner does not take such settings; PlannerError if it cannot be loaded; FaultError if it cannot
+    be built.
+
     Args:
         spec: "module:Class", "exec:COMMAND" or "tcp://HOST:PORT".
         context: The context of the planner; its clock is not used.
@@ -154,11 +154,6 @@ class ApartPlanner:
         watch: Receives the stages of a plan and how long they took, s.
         keep_internals: Whether the internals of its plans are kept.
         place: The key of the drive that it plans.
-
-    Raises:
-        ConfigError: The planner does not take such settings.
-        PlannerError: It cannot be loaded.
-        FaultError: It cannot be built.
     """
 
     def __init__(
@@ -227,9 +222,8 @@ class ApartPlanner:
 def describe_planner(spec: str, table: Mapping[str, object], limits: PlannerProcessConfig) -> dict[str, Any]:
     """The planner's table with all defaults; unchanged for programs and nodes, whose defaults are unknown.
 
-    Raises:
-        ConfigError: A key is unknown, a value has the wrong type, the command or address is invalid.
-        PlannerError: The planner cannot be loaded.
+    ConfigError if a key is unknown, a value has the wrong type, the command or address is invalid; PlannerError if the
+    planner cannot be loaded.
     """
     if is_foreign(spec):
         (command_of if spec.startswith("exec:") else address_of)(spec)

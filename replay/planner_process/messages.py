@@ -294,9 +294,8 @@ def plan_message(plan: nouns.Plan, laps: dict[str, float] | None = None, *, insi
 def plan_of(message: Plan) -> nouns.Plan:
     """The plan of a message.
 
-    Raises:
-        ValueError: `Trajectory` refuses it, its status or start is unknown, it has too many stages, or its inside does
-            not fit or is too large.
+    ValueError if `Trajectory` refuses it, its status or start is unknown, it has too many stages, or its inside does
+    not fit or is too large.
     """
     size = len(msgspec.msgpack.encode((message.laps, message.inside))) if message.laps or message.inside else 0
     if size > LARGEST_INSIDE_BYTES:

@@ -94,9 +94,7 @@ def start_process(argv: list[str] | None, kind: Any, limits: PlannerProcessConfi
 
     `argv`: the program and its arguments; None: a Python planner. `limits`: limits of its memory, and of the time to
     load its template. `load`: the planner of its template, within a run; None: it starts without a template.
-
-    Raises:
-        ConfigError: The system cannot pass descriptors between processes.
+    ConfigError if the system cannot pass descriptors between processes.
     """
     if not hasattr(socket, "send_fds"):
         raise ConfigError("planners are kept apart on Linux and macOS only; here give --set loop.apart.trust=true")

@@ -211,8 +211,7 @@ class Steps:
 class StepsFile:
     """Stores the steps of metrics until all drives of a log are complete.
 
-    Raises:
-        OutputError: The file cannot be written; every method may raise it.
+    OutputError if the file cannot be written; every method may raise it.
     """
 
     def __init__(self, folder: Path) -> None:

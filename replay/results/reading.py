@@ -42,10 +42,8 @@ T = TypeVar("T")
 def read_json(file: Path, kind: type[T], again: str = AGAIN) -> tuple[dict[str, Any], T]:
     """The contents of a JSON file, as they are and as a type.
 
-    `kind`: the type of its contents, a Struct; further keys are allowed.
-
-    Raises:
-        ConfigError: It cannot be read, is of another version, or not of the type.
+    `kind`: the type of its contents, a Struct; further keys are allowed. ConfigError if it cannot be read, is of
+    another version, or not of the type.
     """
     try:
         check_regular(file)
@@ -72,11 +70,8 @@ def checked(file: Path, found: Any, kind: type[T], again: str) -> tuple[dict[str
 def read_table(file: Path, without: Sequence[str] = (), again: str = AGAIN, *, words: Sequence[str] = ()) -> pa.Table:
     """A table, checked by the schema of its name; columns that the schema does not know are left out.
 
-    `words`: columns of few different texts, which are read as dictionaries.
-
-    Raises:
-        LogError: It cannot be read, or is not as replan writes it.
-        ConfigError: It is of another version.
+    `words`: columns of few different texts, which are read as dictionaries. LogError if it cannot be read, or is not as
+    replan writes it; ConfigError if it is of another version.
     """
     check_regular(file)
     try:

@@ -82,10 +82,8 @@ def study_of(out: Path) -> str:
 def claimed_folder(out: Path | str | None, contents: FolderContents, *, resume: bool = False) -> Iterator[Path]:
     """The locked folder of a command; None: the next free one.
 
-    Raises:
-        ConfigError: It must not be written, another command writes it, or `resume` without a folder.
-        OutputError: The disk is full; with the way to go on.
-        KeyboardInterrupt: Likewise.
+    ConfigError if it must not be written, another command writes it, or `resume` without a folder. OutputError if the
+    disk is full, and KeyboardInterrupt, with the way to go on.
     """
     if resume and out is None:
         raise ConfigError("name the folder that is to be resumed with --out")
@@ -139,9 +137,7 @@ def claimed_files(
 def claimed_file(path: Path, suffixes: Sequence[str], is_ours: Callable[[Path], bool] = is_marked) -> Iterator[Path]:
     """The locked file of a command, which the body writes; its folder is created.
 
-    Raises:
-        ConfigError: As `check_file`, or another command writes it.
-        OutputError: It cannot be written.
+    ConfigError as `check_file`, or if another command writes it; OutputError if it cannot be written.
     """
     check_file(path, suffixes, is_ours)
     with locked(path.with_name(f".{path.name}{LOCK}"), path):

@@ -193,11 +193,8 @@ def replan_frame(drive: DriveResult, at: float, planner: str | None = None, *, d
     """Drive up to a frame as the run did, in this process, and plan it again.
 
     `at`: time, s; the last frame that is not later is planned again. `planner`: another planner, which gets this frame
-    only; None: the drive's own. `debug`: open the debugger before the frame is planned.
-
-    Raises:
-        ConfigError: There is no such frame; the log was moved or changed; the planner is a program, or an oracle.
-        PlannerError: The planner raised.
+    only; None: the drive's own. `debug`: open the debugger before the frame is planned. ConfigError if there is no such
+    frame, the log was moved or changed, or the planner is a program or an oracle; PlannerError if the planner raised.
     """
     run, recorded = drive.result.run, drive.frame(at)
     for spec in (drive.planner, planner or drive.planner):

@@ -67,9 +67,8 @@ class OnRay:
     ) -> Iterator[tuple[int, LogResult | WorkerLost]]:
         """As `Engine.evaluate`.
 
-        Raises:
-            ConfigError: Ray is not installed, the cluster cannot be reached, or its Python differs.
-            OutputError: A folder cannot be written on this machine.
+        ConfigError if Ray is not installed, the cluster cannot be reached, or its Python differs; OutputError if a
+        folder cannot be written on this machine.
         """
         absolute = [
             source if source.path is None else replace(source, path=source.path.absolute()) for source in sources

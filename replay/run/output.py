@@ -56,9 +56,8 @@ _FAR = 1 << 30  # Windows locks bytes, which then cannot be read: this byte is b
 def held(out: Path) -> Iterator[None]:
     """Lock the folder, and create it if needed; the lock file is removed afterwards.
 
-    Raises:
-        ConfigError: Another run has locked it (with process, host and time), it cannot be created or written to, or it
-            is a URL.
+    ConfigError if another run has locked it (with process, host and time), it cannot be created or written to, or it is
+    a URL.
     """
     on_this_machine(out)
     made = not out.exists()
@@ -214,9 +213,8 @@ class OutputLocation:
 def output_location(out: Path | str | None, *, resume: bool = False) -> Iterator[OutputLocation]:
     """A place for a run's results; a URL is locked, and its contents are fetched (`resume`) or replaced.
 
-    Raises:
-        ConfigError: Another run writes there, its contents are not results, or it cannot be written.
-        OutputError: The connection is lost; finished logs are kept for `resume`.
+    ConfigError if another run writes there, its contents are not results, or it cannot be written. OutputError if the
+    connection is lost; finished logs are kept for `resume`.
     """
     url = "" if out is None else url_of(out)
     if not url:
@@ -307,11 +305,8 @@ def scenario_of(out: Path, row: Mapping[Any, Any], settings: LogSettings) -> Sce
 def log_of(out: Path, source: str, digest: str, settings: LogSettings) -> Scenario:
     """The original log that a run read.
 
-    `source`: the log's path or URL as it was given. `digest`: SHA-256 of its bytes.
-
-    Raises:
-        ConfigError: The log was moved or changed.
-        LogError: The log cannot be read.
+    `source`: the log's path or URL as it was given. `digest`: SHA-256 of its bytes. ConfigError if the log was moved or
+    changed; LogError if the log cannot be read.
     """
     if url_of(source):
         found = select([source], settings).sources[0]

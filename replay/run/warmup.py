@@ -63,9 +63,8 @@ def everything() -> Iterator[tuple[RunConfig, Sequence[str]]]:
 def warm_up(runs: Iterable[tuple[RunConfig, Sequence[str]]]) -> Warmed:
     """Compile the kernels that runs need on built-in logs, in this process.
 
-    Raises:
-        ConfigError, PlannerError: As `replay.run.evaluate_logs`.
-        OutputError: The disk is too full for the files of the drives.
+    ConfigError and PlannerError as `replay.run.evaluate_logs`; OutputError if the disk is too full for the files of the
+    drives.
     """
     begin = perf_counter()
     failures: list[Failure] = []

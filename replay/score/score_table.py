@@ -81,10 +81,7 @@ def navsim_table(
 ) -> ScoreTable:
     """Return NAVSIM's scores of plans.
 
-    `name`: a name of `VERSIONS`.
-
-    Raises:
-        ConfigError: There are no plans; a window does not fit its log.
+    `name`: a name of `VERSIONS`. ConfigError if there are no plans, or a window does not fit its log.
     """
     if not asked:
         raise ConfigError("no plans to score: a window needs a plan of 4 s, and 4 s of the log after its begin")

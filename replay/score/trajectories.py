@@ -77,10 +77,8 @@ def read_table(path: Path) -> pd.DataFrame:
 def of_table(path: Path, logs: Mapping[str, Scenario], *, relative: bool) -> list[Asked]:
     """Return the plans of a file, for logs by name.
 
-    `relative`: whether poses are relative to the ego at the begin of their window.
-
-    Raises:
-        ConfigError: As `read_table`; a window has not eight poses, or one that is `FARTHEST_M` away; a log is unknown.
+    `relative`: whether poses are relative to the ego at the begin of their window. ConfigError as `read_table`, or if a
+    window has not eight poses, or one that is `FARTHEST_M` away, or a log is unknown.
     """
     table = read_table(path)
     known = {name: log for log in logs for name in (log, safe_name(log), Path(log).stem)}

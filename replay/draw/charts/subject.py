@@ -200,10 +200,8 @@ class Subject(SceneSubject):
 def subject(drive: StoredDrive, at: float | None = None, beside: Sequence[StoredDrive] = ()) -> Subject:
     """A drive at a time, or at its worst moment, and other drives of the same log beside it.
 
-    Raises:
-        ConfigError: `at` is outside the time span of the drive; a drive is of another log or given twice, or there are
-            too many.
-        LogError: A trace is damaged.
+    ConfigError if `at` is outside the time span of the drive; a drive is of another log or given twice, or there are
+    too many. LogError if a trace is damaged.
     """
     moment = worst_moment(drive) if at is None else Moment(at, ASKED)
     trace, scenario, plans = read_moment(drive.trace_file, moment.t)

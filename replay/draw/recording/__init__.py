@@ -47,9 +47,7 @@ def write_recording(
 
     `path`: the .rrd file; it appears only when it is complete. `table`: rows of `metrics.evaluate` for this trace;
     None: no metrics in the summary. `steps`: rows of `metrics.series` for this trace; None: no curves of metrics.
-
-    Raises:
-        OutputError: The file cannot be written.
+    OutputError if the file cannot be written.
     """
     whole, trace = drive.trace, replace(drive.trace, frames=light(drive.trace.frames))
     times = scene_times(trace, float(trace.ego.t[-1]))

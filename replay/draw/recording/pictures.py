@@ -131,15 +131,13 @@ def take_pictures(
 ) -> list[str]:
     """Take pictures of a recording.
 
+    ConfigError if there is no such layout or view, or the size is invalid; ScreenshotError if there is no graphics
+    driver, the viewer died, or a picture never settled; OutputError if a picture cannot be written.
+
     `size`: size of a picture of the whole window, pixels: WIDTHxHEIGHT.
 
     Returns:
         The viewer's reports about its views after the last picture, one line each; empty for a healthy recording.
-
-    Raises:
-        ConfigError: There is no such layout or view, or the size is invalid.
-        ScreenshotError: No graphics driver, the viewer died, or a picture never settled.
-        OutputError: A picture cannot be written.
     """
     if re.fullmatch(r"[1-9]\d{2,3}x[1-9]\d{2,3}", size) is None:
         raise ConfigError(f"--size {size}: WIDTHxHEIGHT in pixels, for example 1920x1080")
@@ -163,6 +161,8 @@ def take_pictures(
 def arranged(kept: Blueprint, layout: str, view: str | None) -> tuple[Blueprint, str | None]:
     """A blueprint without header and time panel, in which the tabs that hold a layout or a view of it are open.
 
+    ConfigError if there is no such layout or view.
+
     Args:
         kept: The blueprint as the viewer reports it: fields by entity and archetype.
         layout: One of `LAYOUTS`.
@@ -170,9 +170,6 @@ def arranged(kept: Blueprint, layout: str, view: str | None) -> tuple[Blueprint,
 
     Returns:
         The blueprint, and the view's id.
-
-    Raises:
-        ConfigError: There is no such layout or view.
     """
     parts = {name: {kind: dict(fields) for kind, fields in part.items()} for name, part in kept.items()}
     parts["/top_panel"] = {"PanelBlueprint": {"state": "Hidden"}}
@@ -351,6 +348,9 @@ def film(
 ) -> int:
     """Write the video of a recording; returns the number of its frames.
 
+    ConfigError if there is no such layout, no time in the span, or no ffmpeg for this ending; ReplanError if ffmpeg
+    fails, or the viewer does; OutputError if the video cannot be written.
+
     Args:
         recording: The .rrd file.
         out: The video file; its suffix gives the format.
@@ -359,11 +359,6 @@ def film(
         layout: One of `LAYOUTS`.
         size: Pixels: WIDTHxHEIGHT.
         theme: The theme of the viewer.
-
-    Raises:
-        ConfigError: There is no such layout, no time in the span, or no ffmpeg for this ending.
-        ReplanError: ffmpeg fails, or the viewer does.
-        OutputError: The video cannot be written.
     """
     if out.suffix not in BY_PILLOW and shutil.which("ffmpeg") is None:
         raise ConfigError(

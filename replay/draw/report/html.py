@@ -62,9 +62,8 @@ class Attempts:
     def __call__(self, what: str, make: Callable[[], T], instead: T) -> T:
         """The result of `make`; if it raises, `instead`, and a sentence in `broken`.
 
-        Raises:
-            ConfigError: As `make`: the user named something that does not exist.
-            OutputError: As `make`: nothing can be written.
+        ConfigError as `make`: the user named something that does not exist; OutputError as `make`: nothing can be
+        written.
         """
         try:
             return make()
@@ -79,14 +78,13 @@ class Attempts:
 def write_html(overview: Overview, results: Results, path: Path, *, drives: int = 100) -> tuple[str, ...]:
     """Write the report as one HTML file; the same run gives the same bytes.
 
+    OutputError if the file cannot be written.
+
     `overview`: the overview of the results, with its comparison, if there is one. `path`: the file; links to recordings
     are relative to it. `drives`: the number of drives with a page, the worst first; the table has all of them.
 
     Returns:
         A sentence for each chart that could not be drawn, with the number of drives.
-
-    Raises:
-        OutputError: The file cannot be written.
     """
     broken = Counter[str]()
 

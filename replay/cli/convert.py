@@ -144,8 +144,8 @@ def _is_ours(logs: Iterable[tuple[Path, Reader | None]]) -> Callable[[Path], boo
 def repair_log(log: Path, target: Path, table: Path | None, settings: LogSettings) -> Scenario:
     """Read a log, write it as native MCAP, and its changes as CSV; the scenario, whose `repair` may be None.
 
-    ConfigError, with nothing written, if there is no such log, or a file of it would be overwritten; LogError if the log
-    cannot be read; OutputError if a file cannot be written.
+    ConfigError, with nothing written, if there is no such log, or a file of it would be overwritten; LogError if the
+    log cannot be read; OutputError if a file cannot be written.
     """
     if not log.exists():
         raise ConfigError(f"{log}: no such file or folder")

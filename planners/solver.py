@@ -71,7 +71,6 @@ class QuadraticProgram:
         A: `(m, n)`.
         equalities: Number of rows with equal bounds, which come first.
         scale: `(n,)` typical size of each variable; the solvers work on x / scale, and on rows of size 1.
-        config: Settings.
     """
 
     def __init__(

@@ -131,12 +131,9 @@ def judge(
 ) -> tuple[Verdict, ...]:
     """Return the verdicts on a table of `evaluate` rows, in the order of the gates.
 
-    Args:
-        gates: The rules.
-        table: The rows of all logs, planners and modes, including reference drives.
-        labels: Labels of all logs of the run, so that logs without rows are detected.
-        failed: Reason by log, for logs that could not be evaluated.
-        crashed: Reason by log, planner and mode, for drives that crashed.
+    `table`: the rows of all logs, planners and modes, including reference drives. `labels`: labels of all logs of the
+    run, so that logs without rows are detected. `failed`: reason by log, for logs that could not be evaluated.
+    `crashed`: reason by log, planner and mode, for drives that crashed.
     """
     rows: dict[tuple[str, str], dict[str, dict[str, MetricRow]]] = {}
     columns = ("planner", "mode", "log", "metric", *MetricRow._fields)
@@ -397,9 +394,8 @@ def _drive_outcomes(
 def deadline_misses(timings: pd.DataFrame, deadline_s: float) -> pd.DataFrame:
     """Count the plans of each drive that took longer than a deadline.
 
-    Args:
-        timings: Columns log, planner, mode, t_s, stage, seconds; the stage "total" is a whole plan.
-        deadline_s: A plan that takes longer has missed it, s; ValueError unless above 0.
+    `timings`: columns log, planner, mode, t_s, stage, seconds; the stage "total" is a whole plan. `deadline_s`: a plan
+    that takes longer has missed it, s; ValueError unless above 0.
 
     Returns:
         `MISS_COLUMNS` of each log, planner and mode in the order of `timings`: plans made, misses, their share, the

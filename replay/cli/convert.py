@@ -196,11 +196,8 @@ VERSION = "2020a"
 def commonroad_solution(trace: Path, cost: str = COSTS[0]) -> str:
     """The solution file of a closed drive over a CommonRoad scenario, XML.
 
-    LogError if the file is not such a trace, or its vehicle is not one of CommonRoad's.
-
-    Args:
-        trace: `closed.mcap` of a result folder.
-        cost: The cost function that the benchmark id names.
+    `trace`: `closed.mcap` of a result folder. `cost`: the cost function that the benchmark id names. LogError if the
+    file is not such a trace, or its vehicle is not one of CommonRoad's.
     """
     try:
         scenario = read_scenario(trace)

@@ -67,12 +67,9 @@ LOGS, LOOP, JUDGE, OUTPUT, RUNNING = "Logs", "Drive", "Judge", "Output", "Run"
 def option(panel: str | None, words: str, *names: str, complete: str = "", **more: Any) -> Any:
     """A `typer.Option` in a group of the help.
 
-    Args:
-        panel: The group; None: the default group.
-        words: The help text.
-        names: The spellings of the option; by default made from its parameter.
-        complete: The names for shell completion: the name of a kind of part, or a key of `OTHER_NAMES`.
-        more: Further arguments of `typer.Option`.
+    `panel`: the group; None: the default group. `names`: the spellings of the option; by default made from its
+    parameter. `complete`: the names for shell completion: the name of a kind of part, or a key of `OTHER_NAMES`.
+    `more`: further arguments of `typer.Option`.
     """
     if complete:
         more["autocompletion"] = completion(complete)
@@ -190,12 +187,9 @@ def say_agents(scenario: Scenario, *, as_json: bool) -> None:
 def run_config(config: Path | None, options: Mapping[str, Any], words: Sequence[str] = ()) -> RunConfig:
     """The configuration of a run: the file, overridden by the options, overridden by the words of `--set`.
 
+    `config`: a TOML file, or None. `options`: a table like that of the file; None and empty lists are options that were
+    not given. `words`: "KEY=VALUE" each, with a dotted key and a TOML value; a value that is not TOML is taken as text.
     ConfigError if a key is unknown, a value is wrong, or the file cannot be read.
-
-    Args:
-        config: A TOML file, or None.
-        options: A table like that of the file; None and empty lists are options that were not given.
-        words: "KEY=VALUE" each, with a dotted key and a TOML value; a value that is not TOML is taken as text.
     """
     from replay.config import RunConfig, load_run
     from replay.settings import dotted_keys, merged, set_table

@@ -118,11 +118,8 @@ def progress(
 ) -> Iterator[tuple[Callable[[Selection, Path], None], Callable[[LogResult], None]]]:
     """The functions to call when a run begins and when each log ends.
 
-    KeyboardInterrupt is raised again with a message about the finished logs and how to continue.
-
-    Args:
-        quiet: Print errors only.
-        verbose: Print each log as it ends, with its time and how its drives ended.
+    KeyboardInterrupt is raised again with a message about the finished logs and how to continue. `quiet`: print errors
+    only. `verbose`: print each log as it ends, with its time and how its drives ended.
     """
     rest = TextColumn("{task.fields[rest]}")
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), rest

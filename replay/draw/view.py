@@ -88,11 +88,8 @@ def write_index(path: Path, folder: Path, most: int) -> list[Path]:
 def recordings(target: Path, log: str | None = None) -> list[Path]:
     """The recordings of a folder, sorted by path.
 
-    ConfigError if there are no such recordings.
-
-    Args:
-        target: The folder.
-        log: Name of a log or its folder: only recordings whose path contains it.
+    `log`: name of a log or its folder: only recordings whose path contains it. ConfigError if there are no such
+    recordings.
     """
     found = sorted(target.rglob("*.rrd"))
     if not found:

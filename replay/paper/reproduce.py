@@ -55,10 +55,8 @@ AROUND_M = 10.0
 def path_figure(traces: Sequence[tuple[str, Trace]], planned: FloatArray, scenario: Scenario) -> Chart:
     """Fig. 9: planned and driven path, and below them the lateral error over station, because the paths coincide.
 
-    Args:
-        traces: Controllers and drives; the path of the first drive and the errors of all drives are drawn.
-        planned: Points `(n, 2)` of the plans of the first drive.
-        scenario: The road.
+    `traces`: controllers and drives; the path of the first drive and the errors of all drives are drawn. `planned`:
+    points `(n, 2)` of the plans of the first drive.
     """
     name, first = traces[0]
     x, y = ((float(v.min()) - AROUND_M, float(v.max()) + AROUND_M) for v in (first.ego.x, first.ego.y))

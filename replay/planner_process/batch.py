@@ -127,8 +127,7 @@ class BatchConnection:
 class BatchSession:
     """The planner's process for the drives of some logs.
 
-    Args:
-        logs: The logs that wait for the begin of their drive.
+    `logs`: the logs that wait for the begin of their drive.
     """
 
     def __init__(self, logs: Sequence[BatchLog[Any]]) -> None:

@@ -118,9 +118,8 @@ def start_process(argv: list[str] | None, kind: Any, limits: PlannerProcessConfi
 def set_template_run(run: str) -> None:
     """From now on, load a planner's module once in this process for all drives of a run.
 
-    Args:
-        run: Its name. Templates of another run are dropped, as the files may have changed since. "": no run; each
-            drive loads the module itself.
+    `run`: its name. Templates of another run are dropped, as the files may have changed since. "": no run; each drive
+    loads the module itself.
     """
     if _warm.get("run", "") != run:
         _warm["run"] = run
@@ -131,9 +130,7 @@ def set_template_run(run: str) -> None:
 class ForkClient:
     """The other end of a control socket: `replay.planner_process.launcher.ForkServer`.
 
-    Args:
-        control: The socket.
-        key: The key under which the process at the other end was started; 0 for the launcher.
+    `key`: the key under which the process at the other end was started; 0 for the launcher.
     """
 
     def __init__(self, control: socket.socket, key: int = 0) -> None:

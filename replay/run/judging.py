@@ -49,15 +49,9 @@ def judge_and_write(
 ) -> Results:
     """Judge the results of a run (those of a shard are not judged), and write its tables.
 
-    Args:
-        out: The result folder, which contains the folders of the logs; the tables are written into it.
-        run: The configuration of the drives.
-        selection: The logs.
-        results: The result of each log, in the order of the selection.
-        gates: The thresholds.
-        failures: Failures that are not about a log.
-        resumed: Number of logs whose results are from an interrupted run.
-        shard: The part of the run; "" for the whole run.
+    `out`: the result folder, which contains the folders of the logs; the tables are written into it. `results`: the
+    result of each log, in the order of the selection. `failures`: failures that are not about a log. `resumed`: number
+    of logs whose results are from an interrupted run. `shard`: the part of the run; "" for the whole run.
     """
     selection, results = _without_twins(selection, results)
     names, distinct = Counter(result.name for result in results), list[LogResult]()
@@ -149,9 +143,8 @@ def _write_summary(
 def exit_code_of(failures: Iterable[Failure], outcomes: Iterable[Outcome] | None) -> int:
     """Exit code of a run: 0 pass, 1 a gate failed, 2 configuration, 3 not all could be evaluated, 4 inconclusive.
 
-    Args:
-        failures: Logs and drives that could not be evaluated.
-        outcomes: Outcomes of the gates; None: the run is not judged, and 0 means that it is complete.
+    `failures`: logs and drives that could not be evaluated. `outcomes`: outcomes of the gates; None: the run is not
+    judged, and 0 means that it is complete.
     """
     codes = {failure.exit_code for failure in failures}
     if codes:

@@ -145,13 +145,10 @@ class ShardContents:
 def merge(folders: Sequence[Path | str], out: Path | str) -> Results:
     """Judge the logs of all shards together and write one result folder.
 
-    ConfigError if a folder is not a complete shard; the shards are of different runs (logs, configuration, gates,
-    version, code), or of another version or code than this replan; one is duplicate or missing; `out` must not be
-    written, or is in use. OutputError if the disk is full.
-
-    Args:
-        folders: Folders of all shards of a run (`evaluate_logs(shard=...)`), in any order.
-        out: Result folder: new, empty, or results of an earlier run, which are replaced.
+    `folders`: folders of all shards of a run (`evaluate_logs(shard=...)`), in any order. `out`: result folder: new,
+    empty, or results of an earlier run, which are replaced. ConfigError if a folder is not a complete shard; the shards
+    are of different runs (logs, configuration, gates, version, code), or of another version or code than this replan;
+    one is duplicate or missing; `out` must not be written, or is in use. OutputError if the disk is full.
     """
     found, out = _read_parts([Path(folder) for folder in folders]), Path(out)
     for part in found:

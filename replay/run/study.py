@@ -32,12 +32,9 @@ def study_head(kind: str, run: RunConfig, inputs: Mapping[str, Any]) -> dict[str
 class Study:
     """The trials of a study, by key.
 
-    ConfigError if the folder contains no study that can be resumed.
-
-    Args:
-        out: The folder, which is claimed (`replay.run.claim`).
-        head: The inputs, as JSON types: a study with another head is a different study.
-        resume: Use the trials in the file; otherwise the folder is emptied.
+    `out`: the folder, which is claimed (`replay.run.claim`). `head`: the inputs, as JSON types: a study with another
+    head is a different study. `resume`: use the trials in the file; otherwise the folder is emptied. ConfigError if the
+    folder contains no study that can be resumed.
     """
 
     def __init__(self, out: Path, head: Mapping[str, Any], *, resume: bool) -> None:

@@ -37,12 +37,8 @@ BROKEN, BROKEN_PX = "broken", (440.0, 40.0)  # Name and size of the placeholder 
 def placed(subject: Subject, own: Sequence[str] = ()) -> dict[str, list[Chart]]:
     """All charts of a drive by their places.
 
-    ConfigError if a chart of users cannot be loaded; ValueError if a built-in chart has no place in `LAYOUT`, so that
-    it would not be shown.
-
-    Args:
-        subject: The drive.
-        own: Charts of users ("module:NAME"), in addition to those of entry points.
+    `own`: charts of users ("module:NAME"), in addition to those of entry points. ConfigError if a chart of users cannot
+    be loaded; ValueError if a built-in chart has no place in `LAYOUT`, so that it would not be shown.
     """
     nowhere = set(CHARTS) - {name for names in LAYOUT.values() for name in names}
     if nowhere:

@@ -293,10 +293,8 @@ def label_position(strokes: FloatArray, letters: int, axes: Axes) -> FloatArray:
 def spread_labels(points: FloatArray, lengths: Sequence[int], axes: Axes) -> FloatArray:
     """Label positions `(n, 2)` moved up, then down from the top, until no two labels cover each other.
 
-    Args:
-        points: The preferred positions, in units of the graph.
-        lengths: The numbers of characters of the labels.
-        axes: The axes, which give the scale and the upper border.
+    `points`: the preferred positions, in units of the graph. `lengths`: the numbers of characters of the labels.
+    `axes`: the axes, which give the scale and the upper border.
     """
     kx, ky = axes.scale
     out, order = points.copy(), np.argsort(points[:, 1], kind="stable")

@@ -161,12 +161,9 @@ def take_pictures(
 def arranged(kept: Blueprint, layout: str, view: str | None) -> tuple[Blueprint, str | None]:
     """A blueprint without header and time panel, in which the tabs that hold a layout or a view of it are open.
 
-    ConfigError if there is no such layout or view.
-
-    Args:
-        kept: The blueprint as the viewer reports it: fields by entity and archetype.
-        layout: One of `LAYOUTS`.
-        view: Name of a view; if several have it, the one in the layout, otherwise the first.
+    `kept`: the blueprint as the viewer reports it: fields by entity and archetype. `layout`: one of `LAYOUTS`. `view`:
+    name of a view; if several have it, the one in the layout, otherwise the first. ConfigError if there is no such
+    layout or view.
 
     Returns:
         The blueprint, and the view's id.
@@ -348,17 +345,10 @@ def film(
 ) -> int:
     """Write the video of a recording; returns the number of its frames.
 
-    ConfigError if there is no such layout, no time in the span, or no ffmpeg for this ending; ReplanError if ffmpeg
-    fails, or the viewer does; OutputError if the video cannot be written.
-
-    Args:
-        recording: The .rrd file.
-        out: The video file; its suffix gives the format.
-        begin: Start, s; None: that of the recording.
-        end: End, s; None: that of the recording.
-        layout: One of `LAYOUTS`.
-        size: Pixels: WIDTHxHEIGHT.
-        theme: The theme of the viewer.
+    `out`: the video file; its suffix gives the format. `begin`: start, s; None: that of the recording; `end` likewise.
+    `layout`: one of `LAYOUTS`. `size`: pixels: WIDTHxHEIGHT. ConfigError if there is no such layout, no time in the
+    span, or no ffmpeg for this ending; ReplanError if ffmpeg fails, or the viewer does; OutputError if the video cannot
+    be written.
     """
     if out.suffix not in BY_PILLOW and shutil.which("ffmpeg") is None:
         raise ConfigError(

@@ -373,9 +373,7 @@ def distributions(columns: Sequence[MetricColumn], drives: Sequence[DriveRow]) -
 def moved(pairs: pd.DataFrame, title: str) -> Chart:
     """One metric from baseline to candidate, the worst regression first.
 
-    Args:
-        pairs: Rows of `Comparison.pairs` of one metric, with both values.
-        title: Title of the chart.
+    `pairs`: rows of `Comparison.pairs` of one metric, with both values. `title`: title of the chart.
     """
     shown = pairs.sort_values(["worse", "log"], ascending=[False, True], kind="stable").head(MAX_PAIRS)
     names = [str(log) for log in shown["log"]]

@@ -66,10 +66,8 @@ def overview(
 ) -> Overview:
     """The overview of a finished run.
 
-    Args:
-        results: The results, from `replay.draw.drawn_results.load`.
-        comparison: The comparison with a baseline; outcome and exit code are then the worse of both.
-        diagnosis: The contents of diagnosis.json of the run.
+    `results`: the results, from `replay.draw.drawn_results.load`. `comparison`: the comparison with a baseline; outcome
+    and exit code are then the worse of both. `diagnosis`: the contents of diagnosis.json of the run.
     """
     code = combined((results.exit_code, comparison.exit_code if comparison else 0))
     found = results.metrics[results.metrics["available"].astype(bool)]

@@ -64,9 +64,7 @@ class JunitCase:
 def junit(results: Results, over: Overview) -> str:
     """The JUnit XML of a run.
 
-    Args:
-        results: The run.
-        over: The overview of the run, with its comparison, if there is a baseline.
+    `over`: the overview of the run, with its comparison, if there is a baseline.
     """
     verdicts = log_outcomes(results)
     failed = [failure["message"] for failure in results.summary["failures"] if not failure["log"]]
@@ -185,10 +183,8 @@ MAX_OPEN = 25  # Longest table or list that is not folded
 def markdown(over: Overview, *, links: Iterable[str] | None = ()) -> str:
     """The report.
 
-    Args:
-        over: The contents.
-        links: Files beside the report to link to first ("report.html"), before those of the drives; None: no links at
-            all, for a report by itself.
+    `links`: files beside the report to link to first ("report.html"), before those of the drives; None: no links at
+    all, for a report by itself.
     """
     parts = [f"# replan: {over.outcome}"]
     if not over.shard:

@@ -53,7 +53,9 @@ class Blind:
 class Parked:
     """Brakes to a stop and stays, or with `speed_mps` creeps along, on the path of `blind`.
 
-    `speed_mps`: the desired speed, m/s; not negative.
+    Args:
+        context: As every planner's.
+        speed_mps: The desired speed, m/s; not negative.
     """
 
     def __init__(self, context: PlannerContext, *, speed_mps: float = 0.0) -> None:

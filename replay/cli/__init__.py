@@ -16,7 +16,6 @@ app.py         what the commands share
 
 from replay.cli import about, evaluate, logs, mine, one_drive, report, score, search
 from replay.cli.app import app, bug, group_commands
-from replay.cli.options import StrictCommand
 from replay.interruption import end_at_once
 
 __all__ = ["about", "app", "evaluate", "logs", "main", "mine", "one_drive", "report", "score", "search"]
@@ -30,7 +29,7 @@ PANELS = {
     "Names, kernels, shards": ("list", "metrics", "warmup", "merge"),
 }
 """The groups of `replan --help` with their commands, in order."""
-group_commands(PANELS, StrictCommand)
+group_commands(PANELS)
 
 COLLECTED_EVERY = 10_000
 """New objects between two garbage collections: with Python's 700, they took 1/12 of the time to a first verdict."""

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
-from typer.core import TyperCommand
 
 from logs.errors import ConfigError, unknown_name
 from logs.files import on_this_machine
@@ -213,28 +212,3 @@ def log_table(
     """The options about logs as the table [log] of a run."""
     place = None if road_map is None else str(road_map)
     return {"ego": ego, "map": place, "begin": begin, "end": end, "repair": repair}
-
-
-class StrictCommand(TyperCommand):
-    """A command that refuses an option with one value that is given twice."""
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """The words, parsed; UsageError if an option would lose a value."""
-        options: Any = [one for one in self.params if one.param_type_name == "option"]
-        values = {name: one for one in options if not one.is_flag for name in (*one.opts, *one.secondary_opts)}
-        given: list[Any] = []
-        left = iter(args)
-        for word in left:
-            if word == "--":
-                break
-            long = word.startswith("--")
-            name, joined = word.partition("=")[0] if long else word[:2], "=" in word if long else len(word) > 2
-            if name in values:
-                given.append(values[name])
-                if not joined:
-                    next(left, None)
-        for one in given:
-            if not one.multiple and given.count(one) > 1:
-                raise typer.BadParameter(f"takes one value, and is given {given.count(one)} times", ctx, param=one)
-        parsed: list[str] = super().parse_args(ctx, args)
-        return parsed

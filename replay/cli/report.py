@@ -9,7 +9,7 @@ import typer
 
 from logs.errors import ConfigError
 from replay.cli import options as opt
-from replay.cli.app import app, console_of, handle_errors, say, say_json
+from replay.cli.app import app, console_of, say, say_json
 from replay.cli.options import option
 
 if TYPE_CHECKING:
@@ -90,26 +90,25 @@ def merge(
       replan evaluate my_logs/ --shard 2/2 -o shard-2
       replan merge shard-1 shard-2 -o results/merged
     """
-    with handle_errors():
-        from contextlib import ExitStack
+    from contextlib import ExitStack
 
-        from logs.files import here
-        from replay.config import load_run
-        from replay.run.output import output_location
-        from replay.run.shards import gates_in
-        from replay.run.shards import merge as merged
+    from logs.files import here
+    from replay.config import load_run
+    from replay.run.output import output_location
+    from replay.run.shards import gates_in
+    from replay.run.shards import merge as merged
 
-        with ExitStack() as near:
-            folders = [near.enter_context(here(shard)) for shard in shards]
-            gates = near.enter_context(gates_in(folders[0]))
-            run = load_run(folders[0] / "run.toml")
-            before = None if baseline is None else load_baseline(baseline, run, gates, out)
-            place = near.enter_context(output_location(out))
-            assert place.folder is not None
-            result = merged(folders, place.folder)
-            show = {"as_json": as_json, "quiet": quiet, "report": not no_report}
-            code = finish_run(result, before, place.url, gates, **show)
-        raise typer.Exit(code)
+    with ExitStack() as near:
+        folders = [near.enter_context(here(shard)) for shard in shards]
+        gates = near.enter_context(gates_in(folders[0]))
+        run = load_run(folders[0] / "run.toml")
+        before = None if baseline is None else load_baseline(baseline, run, gates, out)
+        place = near.enter_context(output_location(out))
+        assert place.folder is not None
+        result = merged(folders, place.folder)
+        show = {"as_json": as_json, "quiet": quiet, "report": not no_report}
+        code = finish_run(result, before, place.url, gates, **show)
+    raise typer.Exit(code)
 
 
 @app.command()
@@ -135,32 +134,31 @@ def report(
       replan report results/run-001
       replan report results/run-001 --baseline baseline.parquet -o reports
     """
-    with handle_errors():
-        from logs.files import url_of
-        from replay.compare import compare_runs, read_run
-        from replay.draw.drawn_results import load
-        from replay.draw.report.overview import overview
-        from replay.draw.report.write import write_reports
-        from replay.experiments.findings import read_diagnosis
-        from replay.results.tables import REPORTS
-        from replay.run.claim import FolderContents, claimed_folder
-        from replay.run.output import held
+    from logs.files import url_of
+    from replay.compare import compare_runs, read_run
+    from replay.draw.drawn_results import load
+    from replay.draw.report.overview import overview
+    from replay.draw.report.write import write_reports
+    from replay.experiments.findings import read_diagnosis
+    from replay.results.tables import REPORTS
+    from replay.run.claim import FolderContents, claimed_folder
+    from replay.run.output import held
 
-        if url_of(results) and out is None:
-            raise ConfigError(f"{url_of(results)}: name a folder for its reports with --out")
-        if gates is not None and baseline is None:
-            raise ConfigError("--gates names rules of comparison: give what to compare with, --baseline RUN, too")
-        found = load(results)
-        folder = out or found.path
-        beside = folder.resolve() == found.path.resolve()
-        with held(folder) if beside else claimed_folder(folder, FolderContents("report", REPORTS, resumes=False)):
-            comparison = None if baseline is None else compare_runs(read_run(baseline), found, gates=gates)
-            why = None if diagnosis is None else read_diagnosis(diagnosis, found)
-            written = write_reports(found, overview(found, comparison, why), folder)
-        for name in REPORTS:
-            say(folder / name)
-        for line in written.broken:
-            say(line, err=True)
+    if url_of(results) and out is None:
+        raise ConfigError(f"{url_of(results)}: name a folder for its reports with --out")
+    if gates is not None and baseline is None:
+        raise ConfigError("--gates names rules of comparison: give what to compare with, --baseline RUN, too")
+    found = load(results)
+    folder = out or found.path
+    beside = folder.resolve() == found.path.resolve()
+    with held(folder) if beside else claimed_folder(folder, FolderContents("report", REPORTS, resumes=False)):
+        comparison = None if baseline is None else compare_runs(read_run(baseline), found, gates=gates)
+        why = None if diagnosis is None else read_diagnosis(diagnosis, found)
+        written = write_reports(found, overview(found, comparison, why), folder)
+    for name in REPORTS:
+        say(folder / name)
+    for line in written.broken:
+        say(line, err=True)
 
 
 COMPARE_CODES = (
@@ -198,22 +196,21 @@ def compare(
       replan compare baseline.parquet results/mine --gates gates.toml
       replan compare results/run-001 --planner idm --planner dp_qp
     """
-    with handle_errors():
-        from replay.compare import MOST_PARTINGS, compare_runs, read_run
-        from replay.draw.report.terminal import document
+    from replay.compare import MOST_PARTINGS, compare_runs, read_run
+    from replay.draw.report.terminal import document
 
-        planners = tuple(planner or ())
-        if len(planners) > 2 or len(runs) > 2 or (len(runs) == 1 and len(planners) != 2):
-            raise ConfigError("name two runs, or one run and two planners: replan compare RESULT -p idm -p dp_qp")
-        most = 0 if no_first_difference else MOST_PARTINGS
-        candidate = read_run(runs[-1])
-        baseline = read_run(runs[0]) if len(runs) == 2 else candidate
-        comparison = compare_runs(baseline, candidate, planners, gates=gates, partings=most)
-        if as_json:
-            say_json(document(comparison))
-        else:
-            print_tables(comparison, candidate)
-        raise typer.Exit(comparison.exit_code)
+    planners = tuple(planner or ())
+    if len(planners) > 2 or len(runs) > 2 or (len(runs) == 1 and len(planners) != 2):
+        raise ConfigError("name two runs, or one run and two planners: replan compare RESULT -p idm -p dp_qp")
+    most = 0 if no_first_difference else MOST_PARTINGS
+    candidate = read_run(runs[-1])
+    baseline = read_run(runs[0]) if len(runs) == 2 else candidate
+    comparison = compare_runs(baseline, candidate, planners, gates=gates, partings=most)
+    if as_json:
+        say_json(document(comparison))
+    else:
+        print_tables(comparison, candidate)
+    raise typer.Exit(comparison.exit_code)
 
 
 def print_tables(comparison: Comparison, candidate: Run, *, alone: bool = True) -> None:
@@ -235,10 +232,9 @@ def baseline(
 
       replan baseline results/run-001 -o baseline.parquet
     """
-    with handle_errors():
-        from replay.compare import is_baseline, read_run, write_baseline
-        from replay.run.claim import claimed_file
+    from replay.compare import is_baseline, read_run, write_baseline
+    from replay.run.claim import claimed_file
 
-        with claimed_file(out, (".parquet",), is_baseline):
-            write_baseline(read_run(results), out)
-        say(f"{out}: {out.stat().st_size / 1e3:.0f} kB")
+    with claimed_file(out, (".parquet",), is_baseline):
+        write_baseline(read_run(results), out)
+    say(f"{out}: {out.stat().st_size / 1e3:.0f} kB")

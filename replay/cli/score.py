@@ -10,7 +10,7 @@ import typer
 
 from logs.errors import ConfigError
 from replay.cli import options as opt
-from replay.cli.app import app, handle_errors, progress_lines, say, say_json
+from replay.cli.app import app, progress_lines, say, say_json
 
 if TYPE_CHECKING:
     from logs.scenario import Scenario
@@ -46,7 +46,7 @@ def score(
       replan score results/run-001 --as navsim-v2 -o scores.csv
       replan score my_logs/ --trajectories agent.parquet --as navsim-v2
     """
-    with handle_errors(), ExitStack() as writes:
+    with ExitStack() as writes:
         from replay.run.claim import rows_file
         from replay.score.score_table import AVERAGE, FINAL, NUPLAN_CLS, navsim_table, nuplan_table
 

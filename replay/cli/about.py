@@ -72,10 +72,7 @@ def metrics(
 
 @app.command()
 def warmup(
-    planner: Annotated[
-        list[str] | None,
-        opt.planner_option(None, "Repeatable. Default: dp_qp."),
-    ] = None,
+    planner: Annotated[list[str] | None, opt.planner_option(None, "Repeatable. Default: dp_qp.")] = None,
     config: Annotated[Path | None, opt.config_option("TOML file of a run, for its kernels.")] = None,
     every: Annotated[bool, typer.Option("--all", help="Compile the kernels of all that is built in.")] = False,
     as_json: opt.Json = False,

@@ -33,26 +33,22 @@ def evaluate(
     ] = None,
     mode: Annotated[opt.Loop | None, option(LOOP, "Loops to run. Default: both.")] = None,
     vehicle: Annotated[
-        str | None,
-        option(LOOP, "kinematic_bicycle, single_track, multibody or perfect.", metavar="NAME", complete="vehicle"),
+        str | None, option(LOOP, "kinematic_bicycle, single_track, multibody or perfect.", complete="vehicle")
     ] = None,
     car: Annotated[
-        str | None,
-        option(LOOP, "Vehicle parameters in place of the log's: bmw_320i ...", metavar="NAME", complete="car"),
+        str | None, option(LOOP, "Vehicle parameters in place of the log's: bmw_320i ...", complete="car")
     ] = None,
     controller: Annotated[
-        str | None, option(LOOP, "dlqr_pid, mpc, pure_pursuit, stanley, pid ...", metavar="NAME", complete="controller")
+        str | None, option(LOOP, "dlqr_pid, mpc, pure_pursuit, stanley, pid ...", complete="controller")
     ] = None,
     traffic: Annotated[
-        str | None,
-        option(LOOP, "The others: give_way, time (as logged), reactive ...", metavar="NAME", complete="traffic"),
+        str | None, option(LOOP, "The others: give_way, time (as logged), reactive ...", complete="traffic")
     ] = None,
     prediction: Annotated[
-        str | None,
-        option(LOOP, "lane_following, constant_velocity, ..., oracle.", metavar="NAME", complete="prediction"),
+        str | None, option(LOOP, "lane_following, constant_velocity, ..., oracle.", complete="prediction")
     ] = None,
     perception: Annotated[
-        str | None, option(LOOP, "ground_truth, recorded, sensor or auto.", metavar="NAME", complete="perception")
+        str | None, option(LOOP, "ground_truth, recorded, sensor or auto.", complete="perception")
     ] = None,
     suite: opt.Suite = None,
     ego: opt.Ego = None,
@@ -120,7 +116,7 @@ def evaluate(
         "metrics": metric,
         "charts": chart,
         "mode": mode,
-        "gates": None if gates is None else str(gates),
+        "gates": gates,
         "recording": False if no_recording else None,
         "foxglove": foxglove or None,
         "ensemble": ensemble,
@@ -209,7 +205,7 @@ def vary(
         raise ConfigError("name a log or a family: replan vary paper/crossing_pedestrian --vary time=-2:2:9")
     options = {
         "planners": [planner] if planner else None,
-        "gates": None if gates is None else str(gates),
+        "gates": gates,
         "log": log_table(ego, road_map, begin, end, repair),
         "recording": recording,
         "internals": "summary" if recording else "none",

@@ -119,10 +119,7 @@ def convert(
 def repair(
     log: Annotated[Path, typer.Argument(help="A log of raw detections, of any format.")],
     out: Annotated[Path, opt.out_option("The FILE.mcap to write.")],
-    table: Annotated[
-        Path | None,
-        opt.output("Write the changes as FILE.csv, not to stdout.", "--table"),
-    ] = None,
+    table: Annotated[Path | None, opt.output("Write the changes as FILE.csv, not to stdout.", "--table")] = None,
     ego: opt.Ego = None,
     road_map: opt.Map = None,
     begin: opt.Begin = None,

@@ -95,8 +95,7 @@ def view(
         opt.output("Write the recording (FILE.rrd) of the log, or of both drives, and open nothing.", "--save"),
     ] = None,
     screenshot: Annotated[
-        Path | None,
-        opt.output("Write a picture (PNG) and open nothing; of a run: of the worst drive.", "--screenshot"),
+        Path | None, opt.output("Write a picture (PNG) and open nothing; of a run: of the worst drive.", "--screenshot")
     ] = None,
     video: Annotated[
         Path | None, opt.output("Write a video: FILE.gif, or with ffmpeg FILE.mp4; --from, --to.", "--video")
@@ -347,8 +346,7 @@ def frame(
     planner: opt.OfPlanner = None,
     mode: opt.OfMode = None,
     other: Annotated[
-        str | None,
-        option(None, "Plan the frame with this planner instead.", "--with", metavar="NAME", complete="planner"),
+        str | None, option(None, "Plan the frame with this planner instead.", "--with", complete="planner")
     ] = None,
     dump: Annotated[Path | None, opt.output("Write frames, plan and QPs to FILE.msgpack.", "--dump")] = None,
     debug: Annotated[bool, typer.Option("--debug", help="Open the debugger before the frame is planned.")] = False,

@@ -71,14 +71,14 @@ def option(panel: str | None, words: str, *names: str, complete: str = "", **mor
     `more`: further arguments of `typer.Option`.
     """
     if complete:
-        more["autocompletion"] = completion(complete)
+        more = {"metavar": "NAME", **more, "autocompletion": completion(complete)}
     make: Any = typer.Option
     return make(*names, rich_help_panel=panel, help=words, **more)
 
 
 def planner_option(panel: str | None, words: str) -> Any:
     """The option --planner, -p of a command: planners to drive, or of a run the drives of these planners."""
-    return option(panel, words, "--planner", "-p", metavar="NAME", complete="planner")
+    return option(panel, words, "--planner", "-p", complete="planner")
 
 
 def log_option(panel: str | None, words: str) -> Any:
@@ -128,10 +128,7 @@ Repair = Annotated[
 Begin = Annotated[float | None, option(LOGS, "Begin this many seconds after the log does.", "--from", metavar="S")]
 End = Annotated[float | None, option(LOGS, "End this many seconds after the log begins.", "--to", metavar="S")]
 Suite = Annotated[
-    str | None,
-    option(
-        LOGS, "Built-in logs: smoke, full, nightly, or a family or group.", "--suite", metavar="NAME", complete="suite"
-    ),
+    str | None, option(LOGS, "Built-in logs: smoke, full, nightly, or a family or group.", "--suite", complete="suite")
 ]
 Foxglove = Annotated[bool, option(OUTPUT, "Also write channels that Foxglove can draw.", "--foxglove")]
 Json = Annotated[bool, option(OUTPUT, "Write one JSON document, and nothing else, to stdout.", "--json")]
@@ -202,13 +199,14 @@ def run_config(config: Path | None, options: Mapping[str, Any], words: Sequence[
 
 
 def _without_defaults(options: Mapping[str, Any]) -> dict[str, Any]:
-    tables = {key: _without_defaults(value) if isinstance(value, Mapping) else value for key, value in options.items()}
-    return {key: value for key, value in tables.items() if value is not None and value != []}
+    given = {key: value for key, value in options.items() if value is not None and value != []}
+    as_text = {key: str(value) for key, value in given.items() if isinstance(value, Path)}
+    tables = {key: _without_defaults(value) for key, value in given.items() if isinstance(value, Mapping)}
+    return {**given, **as_text, **tables}
 
 
 def log_table(
     ego: str | None, road_map: Path | None, begin: float | None, end: float | None, repair: str | None
 ) -> dict[str, Any]:
     """The options about logs as the table [log] of a run."""
-    place = None if road_map is None else str(road_map)
-    return {"ego": ego, "map": place, "begin": begin, "end": end, "repair": repair}
+    return {"ego": ego, "map": road_map, "begin": begin, "end": end, "repair": repair}

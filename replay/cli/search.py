@@ -26,7 +26,7 @@ def falsify(
     list_agents: opt.ListAgents = False,
     listing: opt.ListAxes = False,
     against: Annotated[
-        str, option(LOOP, "Who must not fail: careful (of UN R157), or a planner.", metavar="NAME", complete="planner")
+        str, option(LOOP, "Who must not fail: careful (of UN R157), or a planner.", complete="planner")
     ] = "careful",
     axis: Annotated[
         list[str] | None,
@@ -77,7 +77,7 @@ def falsify(
         raise ConfigError(f"--resolution must be positive, got {resolution:g}")
     options = {
         "planners": [planner] if planner else None,
-        "gates": None if gates is None else str(gates),
+        "gates": gates,
         "log": log_table(ego, road_map, begin, end, repair),
     }
     run = run_config(config, options, settings or ())
@@ -152,7 +152,7 @@ def tune(
     from replay.run.evaluate import selected
     from replay.run.one_log import all_metrics
 
-    options = {"planners": [planner], "metrics": metric, "gates": None if gates is None else str(gates)}
+    options = {"planners": [planner], "metrics": metric, "gates": gates}
     run = run_config(config, options, settings or ())
     asked = objectives(objective or DEFAULT_OBJECTIVES, all_metrics(run))
     plan = TuningInputs(run, load_space(space, run), asked, trials, seed, held_out)

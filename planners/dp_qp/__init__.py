@@ -1,7 +1,7 @@
 """The paper's planner: route -> candidate lanes -> (path DP, path QP) -> (speed DP, speed QP) -> choice -> trajectory.
 
     path      which side of each obstacle, the smoothest path; passing   stage, bounds, corridor, dp, qp, passing
-    speed     the order of passing, the smoothest speed, the braking     stage, caps, problem, dp, qp, doubt, braking
+    speed     the order of passing, the smoothest speed, the braking     stage, caps, problem, dp, qp, doubt
     lane      both stages in one lane, and their cost
     planner   keep the lane, pass within it, or change; the agents that this would endanger
     goal_window    arrival at the goal: time, speed and place

@@ -15,7 +15,7 @@ from replay.cli.app import app, progress_lines, say, say_json
 if TYPE_CHECKING:
     from logs.scenario import Scenario
     from replay.draw.drawn_results import Results
-    from replay.score.trajectories import Asked
+    from replay.score.score_table import Asked
 
 MOST_ROWS = 40  # More rows are not printed
 Names = Literal["nuplan-cls", "navsim-v1", "navsim-v2", "navsim-v2-old-filter"]
@@ -95,7 +95,7 @@ def _plans(
 ) -> tuple[list[Asked], dict[str, Scenario]]:
     from replay.draw.drawn_results import load
     from replay.run.sources import select
-    from replay.score.trajectories import of_table, of_trace
+    from replay.score.score_table import of_table, of_trace
 
     asked: list[Asked] = []
     logs: dict[str, Scenario] = {}

@@ -31,8 +31,7 @@ from metrics.judge.aggregate import LogLabels
 from metrics.judge.gates import Outcome
 from replay.config import RunConfig, load_run
 from replay.results.log_result import Failure, LogCard
-from replay.results.reading import AGAIN, read_json, read_table
-from replay.results.schema import names_of
+from replay.results.schema import AGAIN, names_of, read_json, read_table
 
 Run = TypeVar("Run", bound="StoredRun")
 RECORDINGS = (".rrd",)

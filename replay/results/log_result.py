@@ -28,8 +28,7 @@ import pyarrow.parquet as pq
 from logs.arrays import FloatArray
 from logs.errors import ReplanError, writing
 from metrics import Series
-from replay.results.reading import FileName, Name, Place, read_json, read_table
-from replay.results.schema import METADATA, arrow_schema
+from replay.results.schema import METADATA, FileName, Name, Place, arrow_schema, read_json, read_table
 from replay.results.tables import LOG_CARD, write_file, write_json, write_parquet
 
 METRICS, MEMBERS, HEALTH, TIMINGS = "metrics.parquet", "ensemble.parquet", "health.parquet", "timings.parquet"

@@ -11,32 +11,37 @@ that are driven in lock step.
 
 While no machine code is on disk, the first log of a run is driven alone, so that kernels that all logs need are
 compiled once. It begins with the reference drives and their metrics; meanwhile a second process plans over some
-built-in scenes (`compile_planning`).
+built-in scenes (`compile_planning`). `replan warmup` compiles kernels beforehand: it drives, measures and records a few
+built-in logs in a folder that is then deleted.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import accumulate
 from pathlib import Path
-from typing import Protocol, TypeVar
+from tempfile import TemporaryDirectory
+from time import perf_counter
+from typing import Any, Protocol, TypeVar
 from uuid import uuid4
 
 from logs.catalogue import scenario
-from logs.errors import ReplanError
-from logs.kernel_watch import is_cache_cold
+from logs.errors import OutputError, ReplanError
+from logs.kernel_watch import cache_folder, compiled_count, is_cache_cold
 from replay.config import RunConfig
 from replay.loop.open_loop import run_open_loop
-from replay.parts import PLANNER
+from replay.parts import OF_LOOP, PLANNER
 from replay.planner_process.batch import in_lockstep
 from replay.planner_process.planner_config import drive_keywords
 from replay.planner_process.processes import set_template_run
-from replay.results.log_result import LogResult, Stamp
+from replay.results.log_result import Failure, LogResult, Stamp
+from replay.run.checks import checked
 from replay.run.one_log import evaluate_log
 from replay.run.pool import WorkerLost, run_all
+from replay.run.resume import stamp_of
 from replay.run.sources import LogSource
 
 T = TypeVar("T")
@@ -113,14 +118,14 @@ def longest_first(
         yield order[place], ended
 
 
-SCENES = ("everyday/traffic_light", "everyday/cyclist", "paper/static_obstacles", "everyday/pull_outs")
+FIRST_SCENES = ("everyday/traffic_light", "everyday/cyclist", "paper/static_obstacles", "everyday/pull_outs")
 """Scenes in which most kernels of a plan are needed within `UNTIL_S`."""
 UNTIL_S = 1.5
 
 
 def compile_planning(run: RunConfig) -> None:
     """Plan the begin of each scene with the built-in planners of a run."""
-    for name in SCENES:
+    for name in FIRST_SCENES:
         for planner in run.planners:
             if planner in PLANNER.causal:
                 with suppress(ReplanError):  # the run itself says what is wrong
@@ -128,3 +133,65 @@ def compile_planning(run: RunConfig) -> None:
                         scenario(name), planner, planner_config=drive_keywords(planner, run), config=run.drive_loop,
                         until_s=UNTIL_S,
                     )  # fmt: skip
+
+
+SCENES = (
+    "paper/crossing_pedestrian",
+    "paper/static_obstacles",
+    "everyday/cyclist",
+    "everyday/crosswalk",
+    "everyday/traffic_light",
+    "everyday/junction",
+    "everyday/pull_outs",
+    "raw/crossing",
+)
+"""Scenes with walkers, cyclists, cars that pull out, obstacles, junctions, lights, raw detections: as in the suite."""
+OF_A_CHOICE = ("everyday/traffic_light", "everyday/junction", "raw/crossing")
+"""Scenes that need all kernels of one choice beside the default: a stop, others from the side, raw detections."""
+
+
+@dataclass(frozen=True)
+class Warmed:
+    """The result of a warm-up."""
+
+    seconds: float  # Its duration, s
+    compiled: int  # The number of compiled kernels; the others were in the cache
+    folder: Path | None  # The folder of their machine code; None if it is not kept
+    failures: tuple[Failure, ...]  # Drives that failed
+
+
+ELSEWHERE = ("multibody", "recorded")
+"""Choices that are left out: the first has no kernels and an optional package; "auto" uses the second for raw logs."""
+
+
+def everything() -> Iterator[tuple[RunConfig, Sequence[str]]]:
+    """Runs, and their scenes, that need all built-in kernels: of all planners, and of each other choice in turn."""
+    yield RunConfig(planners=PLANNER.causal), SCENES
+    apart = RunConfig(mode="closed", recording=False, internals="none")
+    yield replace(apart, planner={"dp_qp": {"solver": "osqp"}}), OF_A_CHOICE
+    for key, kind in OF_LOOP.items():
+        for name in kind.causal:
+            if name not in (getattr(apart.loop, key), *ELSEWHERE):
+                instead: dict[str, Any] = {key: name}
+                yield replace(apart, loop=replace(apart.loop, **instead)), OF_A_CHOICE
+
+
+def warm_up(runs: Iterable[tuple[RunConfig, Sequence[str]]]) -> Warmed:
+    """Compile the kernels that runs need on built-in logs, in this process.
+
+    ConfigError and PlannerError as `replay.run.evaluate_logs`; OutputError if the disk is too full for the files of the
+    drives.
+    """
+    begin = perf_counter()
+    failures: list[Failure] = []
+    for named, scenes in runs:
+        run, refused = checked(named)
+        failures += refused
+        with TemporaryDirectory(prefix="replan-warmup-") as folder:
+            sources = [LogSource(scene) for scene in scenes]
+            ended = [result for _, result in Local().evaluate(sources, run, Path(folder), stamp_of(run))]
+        results = [result for result in ended if isinstance(result, LogResult)]
+        for stopped in filter(None, (result.stopped for result in results)):
+            raise OutputError(stopped)
+        failures += [failure for result in results for failure in result.failures]
+    return Warmed(perf_counter() - begin, compiled_count(), cache_folder(), tuple(failures))

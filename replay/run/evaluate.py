@@ -17,11 +17,10 @@ from replay.results.tables import clear_partial, write_text
 from replay.run.checks import checked
 from replay.run.claim import RUN, claimed_folder, emptied
 from replay.run.engine import Engine, Local, teams_of
-from replay.run.judging import gates_of, judge_and_write
+from replay.run.judging import explained, gates_of, judge_and_write
 from replay.run.output import write_origin
 from replay.run.pool import WorkerLost
 from replay.run.resume import finished, stamp_of
-from replay.run.run_file import explained
 from replay.run.shards import Shard, write_card
 from replay.run.sources import LogSource, Selection, builtin_suite, named_suite, select, suite_file
 

@@ -43,7 +43,7 @@ from logs.mcap import read_scenario
 from logs.readers import LogSettings
 from logs.scenario import Scenario
 from replay.results.log_result import LogResult
-from replay.results.reading import Place, read_json
+from replay.results.schema import Place, read_json
 from replay.results.tables import FILES, LOCK, LOG_CARD, ORIGIN, PARTIAL, write_json
 from replay.run.sources import LogSource, log_hash, select
 

@@ -33,13 +33,12 @@ from replay.config import RunConfig, load_run
 from replay.draw.drawn_results import Results
 from replay.planner_process.planner_config import is_foreign, planner_part
 from replay.results.log_result import Failure, LogResult, Stamp, load_result
-from replay.results.reading import Name, Place, read_json
+from replay.results.schema import Name, Place, read_json
 from replay.results.tables import SHARD_CARD, write_folder, write_json, write_text
 from replay.run.claim import MERGED, claimed_folder, emptied
-from replay.run.judging import gates_of, judge_and_write
+from replay.run.judging import explained, gates_of, judge_and_write
 from replay.run.output import begun_in, write_origin
 from replay.run.resume import changes, identity_of, stamp_of
-from replay.run.run_file import explained
 from replay.run.sources import LogSource, Selection
 
 

@@ -17,7 +17,6 @@ from logs.frame import PlannerContext
 from logs.plan import Artefact, Corridor, Decision, DecisionKind, GridCost, SolverReport, StGraph
 from planners.dp_qp.goal_window import HURRIED_GAP_S
 from planners.dp_qp.speed import doubt
-from planners.dp_qp.speed.braking import RESERVE, Attempts, BrakingLadder, SolvedSpeed
 from planners.dp_qp.speed.caps import (
     OTHERS,
     OWN,
@@ -30,7 +29,7 @@ from planners.dp_qp.speed.caps import (
 )
 from planners.dp_qp.speed.dp import COLLISION, DS_M, DT_S, SpeedDpConfig
 from planners.dp_qp.speed.problem import BuiltProblem, PathLimits, Settings, Taken, build_problem
-from planners.dp_qp.speed.qp import TOLERANCE, SpeedQpConfig
+from planners.dp_qp.speed.qp import RESERVE, TOLERANCE, Attempts, BrakingLadder, SolvedSpeed, SpeedQpConfig
 from planners.frenet.path import Path
 from planners.frenet.profiles import STEP_S
 from planners.frenet.scene import STANDING_MPS, Scene

@@ -21,7 +21,7 @@ from replay.config import DEFAULT_LOOP
 from replay.loop.open_loop import run_open_loop
 from replay.score.navsim import VERSIONS, human_poses, window
 from replay.score.navsim_tracker import fitted, simulated
-from replay.score.trajectories import of_trace
+from replay.score.score_table import of_trace
 from replay.score.yardstick import ScoredPlan, scored, total
 
 VALUES = Path(__file__).parents[2] / "support" / "leaderboards"

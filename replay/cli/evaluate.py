@@ -15,7 +15,7 @@ from replay.cli.report import EXIT_CODES, finish_run, load_baseline
 
 if TYPE_CHECKING:
     from replay.results.log_result import LogResult
-    from replay.run.engine import Engine
+    from replay.run.evaluate import Engine
     from replay.run.sources import Selection
 
 
@@ -229,7 +229,7 @@ def vary(
 
 def engine_of(name: str, address: str | None, workers: int | None) -> Engine:
     """The engine that drives the logs; ConfigError if options conflict."""
-    from replay.run.engine import Local
+    from replay.run.evaluate import Local
 
     if name == "ray":
         from replay.run.on_ray import OnRay

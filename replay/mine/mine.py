@@ -39,7 +39,7 @@ from replay.results.schema import names_of, read_json, read_table, typed
 from replay.results.tables import write_json, write_parquet, write_text
 from replay.results.version import replan_version
 from replay.run.claim import FolderContents, claimed_folder
-from replay.run.engine import longest_first
+from replay.run.evaluate import longest_first
 from replay.run.output import write_origin
 from replay.run.pool import WorkerLost, run_all
 from replay.run.resume import identity_of, stamp_of

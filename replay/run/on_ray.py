@@ -35,7 +35,7 @@ from replay.parts import OF_LOOP
 from replay.planner_process.connection import command_of
 from replay.results.log_result import Failure, LogResult, Stamp
 from replay.results.tables import write_folder
-from replay.run.engine import Job, longest_first
+from replay.run.evaluate import Job, longest_first
 from replay.run.pool import WorkerLost, freeze_gc
 from replay.run.resume import stamp_of
 from replay.run.sources import LogSource

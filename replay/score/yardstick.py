@@ -8,8 +8,8 @@ standing. Every other step looks for the leader: of those that touch the corrido
 nearest to the car's box; without one, the end of the line. The first step has a leader at a gap of 1 m that stands: the
 original's array is still empty.
 
-Each is driven by `tracker` and judged by `navsim.judged` among the predictions; the score leaves out EC, and HC is 1 in
-v2. `planners.pdm` is a planner after the same paper: it obeys signs and crosswalks, and reacts at once.
+Each is driven by `navsim.simulated` and judged by `navsim.judged` among the predictions; the score leaves out EC, and
+HC is 1 in v2. `planners.pdm` is a planner after the same paper: it obeys signs and crosswalks, and reacts at once.
 """
 
 from __future__ import annotations
@@ -27,9 +27,13 @@ from metrics.boxes import EgoOutline, car_of
 from planners.pdm.planner import PdmConfig
 from replay.score.navsim import (
     POSE_S,
+    STEP_S,
     STEPS,
     ScoredWindow,
+    V,
     Version,
+    X,
+    Y,
     driven,
     extended_comfort,
     history_comfort,
@@ -37,8 +41,8 @@ from replay.score.navsim import (
     judged,
     multiplied,
     progress,
+    simulated,
 )
-from replay.score.navsim_tracker import STEP_S, V, X, Y, simulated
 from replay.score.window import (
     Polyline,
     WindowAgents,

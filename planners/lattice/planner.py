@@ -178,11 +178,9 @@ def futures_of(scene: Scene, ego: FrenetStart, config: LatticeConfig) -> NearFut
 
 
 class Sampler:
-    """Makes the pairs along one reference.
+    """Makes the pairs along one reference: `limit` is the speed limit along its line, curves included, m/s.
 
-    Attributes:
-        left: Greatest offset of the rear axle along the reference line, m; `right` the least.
-        limit: Speed limit along it, curves included, m/s.
+    `left` is the greatest offset of the rear axle along it, m, `right` the least.
     """
 
     def __init__(

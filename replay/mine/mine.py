@@ -42,9 +42,8 @@ from replay.run.claim import FolderContents, claimed_folder
 from replay.run.evaluate import longest_first
 from replay.run.output import write_origin
 from replay.run.pool import WorkerLost, run_all
-from replay.run.resume import identity_of, stamp_of
+from replay.run.resume import Study, identity_of, stamp_of
 from replay.run.sources import LogSource, Selection, log_hash
-from replay.run.study import Study
 
 EVENTS, LOGS, HEALTH, CARD = "events.parquet", "logs.parquet", "health.parquet", "mined.json"
 CONTENTS = FolderContents(

@@ -315,19 +315,14 @@ class Request:
 
 
 class BatchLog(Generic[R]):
-    """A log that is evaluated in a thread, which runs while `run_on` waits for it.
-
-    Attributes:
-        took_s: Duration of the answer, s.
-        ended: Whether its evaluation has returned.
-    """
+    """A log that is evaluated in a thread, which runs while `run_on` waits for it."""
 
     request: Request  # The request that it waits for
     answer: messages.Answer | FaultError
     result: R
 
     def __init__(self, task: Callable[[], R]) -> None:
-        self.ended, self.took_s = False, 0.0
+        self.ended, self.took_s = False, 0.0  # whether its evaluation has returned; duration of the answer, s
         self._task, self._raised, self._abandoned = task, list[BaseException](), False
         self._go, self._back = threading.Semaphore(0), threading.Semaphore(0)
         self._thread = threading.Thread(target=copy_context().run, args=(self._run,), daemon=True)

@@ -51,11 +51,7 @@ class Load:
 
 
 class Process:
-    """A planner's process.
-
-    Attributes:
-        channel: The channel to it; its output is read, too.
-    """
+    """A planner's process, with the `channel` to it; its output is read, too."""
 
     def __init__(self, forks: ForkClient, key: int, channel: Channel[Any]) -> None:
         self._forks, self._key, self.channel = forks, key, channel
@@ -208,11 +204,7 @@ class ForkClient:
 
 
 class Launcher:
-    """The process of `replay.planner_process.launcher`, and its templates.
-
-    Attributes:
-        templates: The templates by what they load; None if one cannot be made.
-    """
+    """The process of `replay.planner_process.launcher`, and its templates by what they load."""
 
     def __init__(self, environment: Mapping[str, str]) -> None:
         control, theirs = socket.socketpair()
@@ -222,7 +214,7 @@ class Launcher:
                 stdin=theirs.fileno(), stdout=subprocess.DEVNULL, env=dict(environment), start_new_session=True,
             )  # fmt: skip
         self.forks = ForkClient(control)
-        self.templates: dict[Load, ForkClient | None] = {}
+        self.templates: dict[Load, ForkClient | None] = {}  # None if one cannot be made
         self.close = weakref.finalize(self, _end_launcher, control, self._process, self.templates)
 
     @property

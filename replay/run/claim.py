@@ -36,7 +36,7 @@ MARKS: Mapping[str, bytes] = {
 }  # fmt: skip
 """What files of replan hold, and others of the same kind do not, by the end of their names."""
 STUDY = "study.jsonl"
-"""The file of a study (`replay.run.study`): its first line names the command that wrote the folder."""
+"""The file of a study (`replay.run.resume`): its first line names the command that wrote the folder."""
 
 
 @dataclass(frozen=True)

@@ -50,14 +50,10 @@ _WEIGHT = {outcome.value: weight for weight, outcome in enumerate(Outcome)}
 
 
 class Attempts:
-    """Makes parts of a report, and records the parts that fail.
-
-    Attributes:
-        broken: A sentence for each part that could not be made.
-    """
+    """Makes parts of a report, and records the parts that fail."""
 
     def __init__(self) -> None:
-        self.broken: list[str] = []
+        self.broken: list[str] = []  # a sentence for each part that could not be made
 
     def __call__(self, what: str, make: Callable[[], T], instead: T) -> T:
         """The result of `make`; if it raises, `instead`, and a sentence in `broken`.

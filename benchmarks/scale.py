@@ -28,7 +28,7 @@ from replay.config import RunConfig
 from replay.loop import reference_drives
 from replay.results.log_result import LogResult
 from replay.run import evaluate_logs, one_log
-from replay.run.engine import Engine, Local
+from replay.run.evaluate import Engine, Local
 from replay.run.judging import gates_of, judge_and_write
 from replay.run.on_ray import OnRay
 from replay.run.pool import run_all

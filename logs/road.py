@@ -132,7 +132,7 @@ class Road:
         stop_lines: Lines at which lights and signs make a car stop.
         crosswalks: Areas in which pedestrians have the right of way.
         areas: Other ground on which a car may drive (drivable areas, car parks), polygons `(k, 2)`; only the scores of
-            `metrics.nuplan` and `replay.score` use it.
+            `metrics.driving_scores` and `replay.score` use it.
         route: Lanes of the route that the log names, in its order; empty: it names none.
         assumed_limits: Lanes whose speed limit is assumed, because the log states none.
         assumed_priority: Lanes that yield by assumption, because neither a sign nor a light says who goes first.

@@ -28,7 +28,6 @@ from metrics import (
     comfort,
     cut_in,
     driving_scores,
-    effort,
     encounters,
     evidence,
     following,
@@ -37,9 +36,7 @@ from metrics import (
     progress,
     proposals,
     reference_drivers,
-    rss,
     safety,
-    steadiness,
     traffic_rules,
 )
 from metrics.boxes import phantoms, without_phantoms
@@ -68,7 +65,7 @@ GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
         safety.GAP_KEPT_VULNERABLE, safety.TTC, safety.OFF_ROAD,
         proposals.PLAN_COLLISION, proposals.PLAN_OFF_ROAD, proposals.PLAN_TTC,
         safety.TTC_VULNERABLE, safety.COLLISION_SEVERITY, *following.FOLLOWING, encounters.TTC_ACCELERATED,
-        encounters.DCE, encounters.TTCE, encounters.PET, rss.RSS_MARGIN, rss.RSS_IMPROPER,
+        encounters.DCE, encounters.TTCE, encounters.PET, following.RSS_MARGIN, following.RSS_IMPROPER,
     ),
     "rules": (
         traffic_rules.RED_LIGHT, traffic_rules.YELLOW_LIGHT, traffic_rules.STOP_SIGN, traffic_rules.CROSSWALK,
@@ -76,7 +73,7 @@ GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
         cut_in.FORCED_BRAKING, needless.NEEDLESS_BRAKING, needless.NEEDLESS_STANDING, needless.NEEDLESS_STEERING,
         needless.FALSE_BRAKING, needless.MISSED_BRAKING,
         safety.PASSING_ROOM, traffic_rules.WRONG_WAY, traffic_rules.LANE_KEEPING, traffic_rules.LANE_LINE,
-        progress.SPEED_EXCESS, progress.SPEED_RATIO, progress.ASSUMED_LIMIT_EXCESS, *steadiness.STEADINESS,
+        progress.SPEED_EXCESS, progress.SPEED_RATIO, progress.ASSUMED_LIMIT_EXCESS, *needless.STEADINESS,
     ),
     "comfort": (
         comfort.LON_ACCEL, comfort.LAT_ACCEL, comfort.LON_JERK_STATE, comfort.LAT_JERK_STATE, comfort.YAW_RATE,
@@ -88,8 +85,8 @@ GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
         progress.ROUTE_PROGRESS,
         progress.COMPLETION,
     ),
-    "tracking": effort.TRACKING,
-    "effort": effort.EFFORT,
+    "tracking": comfort.TRACKING,
+    "effort": comfort.EFFORT,
     "consistency": (
         plans.PLAN_CHANGE, plans.PLAN_CHANGE_LATERAL,
         plans.EXTENDED_COMFORT, plans.PLAN_HORIZON, plans.PLAN_COMPLETE,
@@ -226,8 +223,7 @@ def _report_error(metric: Metric, function: Callable[..., object], error: BaseEx
 def _reduce(reduction: Reduction, steps: Measured) -> tuple[float, bool, str, float]:
     """Return the columns value, available, reason (with full ids) and time_s.
 
-    Raises:
-        Exception: The error of the reduction; a ValueError if it returns a step that does not exist.
+    An error of the reduction is raised; ValueError if it returns a step that does not exist.
     """
     if isinstance(steps, Unavailable):
         return nan, False, steps.reason, nan

@@ -73,9 +73,7 @@ def passed_early(scenario: Scenario) -> tuple[float, float] | None:
 class Arrival:
     """Tests the states of one drive, in order, for arrival (1).
 
-    Args:
-        scenario: The scenario, for its route and its vehicle.
-        goal: The goal, with its way.
+    `scenario`: the scenario, for its route and its vehicle. `goal`: the goal, with its way.
     """
 
     def __init__(self, scenario: Scenario, goal: Goal) -> None:

@@ -43,21 +43,13 @@ DEEP_M = 0.3  # Depth that a phantom reaches into the ego's box on each side; a 
 
 
 class OtherBoxes(NamedTuple):
-    """Road users over a grid of k times.
+    """Road users over a grid of k times."""
 
-    Attributes:
-        there: `(n, k)` whether the agent is present.
-        pose: `(5, n, k)`: x, y (box centre, m), yaw (rad), vx, vy (m/s); NaN while absent.
-        accel: `(n, k)` rate of the speed, m/s2; NaN while absent.
-        turn: `(n, k)` rate of the velocity's direction, rad/s; NaN while absent.
-        size: `(n, 2)` length and width, m.
-    """
-
-    there: BoolArray
-    pose: FloatArray
-    accel: FloatArray
-    turn: FloatArray
-    size: FloatArray
+    there: BoolArray  # `(n, k)` whether the agent is present
+    pose: FloatArray  # `(5, n, k)`: x, y (box centre, m), yaw (rad), vx, vy (m/s); NaN while absent
+    accel: FloatArray  # `(n, k)` rate of the speed, m/s2; NaN while absent
+    turn: FloatArray  # `(n, k)` rate of the velocity's direction, rad/s; NaN while absent
+    size: FloatArray  # `(n, 2)` length and width, m
 
 
 @once

@@ -77,24 +77,16 @@ LOST_SHARE = 0.1  # Share of the logs that passed a gate and may lose their valu
 
 @dataclass(frozen=True, eq=False)
 class Side:
-    """One of two runs.
-
-    Attributes:
-        table: Rows of `metrics.evaluate`, reference drives among them.
-        logs: A row per log: log, sha256, family, dataset, tags (a list), vehicle (a hash; "" if unknown).
-        facts: Versions and all keys of the configuration of the run, as text.
-        failed: Reason by log, for logs that could not be evaluated.
-        crashed: Drives (log, planner, mode) in which the planner failed; the table holds their beginning.
-        metrics: "module:NAME" of the user's metrics.
-    """
+    """One of two runs."""
 
     label: str
-    table: pd.DataFrame
-    logs: pd.DataFrame
-    facts: Mapping[str, str]
-    failed: Mapping[str, str]
+    table: pd.DataFrame  # Rows of `metrics.evaluate`, reference drives among them
+    logs: pd.DataFrame  # A row per log: log, sha256, family, dataset, tags (a list), vehicle (a hash; "" if unknown)
+    facts: Mapping[str, str]  # Versions and all keys of the configuration of the run, as text
+    failed: Mapping[str, str]  # Reason by log, for logs that could not be evaluated
+    # Drives (log, planner, mode) in which the planner failed; the table holds their beginning
     crashed: tuple[tuple[str, str, str], ...] = ()
-    metrics: tuple[str, ...] = ()
+    metrics: tuple[str, ...] = ()  # "module:NAME" of the user's metrics
 
     @property
     def labels(self) -> dict[str, LogLabels]:
@@ -124,37 +116,27 @@ class RuleVerdict:
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """Two runs, compared.
+    """Two runs, compared."""
 
-    Attributes:
-        baseline: Label of the baseline; `candidate` likewise.
-        differences: Inputs that differ, one sentence each.
-        only_in_baseline: Drives "log, planner, mode loop" that only the baseline has, or that failed only in the
-            candidate; `only_in_candidate` likewise.
-        pairs: `PAIR_COLUMNS`, the worst regression first: metrics that a gate or rule names, by (3), then the others.
-            A value that one of the runs lacks is NaN, and `reason` says why; otherwise `reason` is that of the
-            candidate's value.
-        flips: `FLIP_COLUMNS`: gates whose outcome on a log changed.
-        groups: `GROUP_COLUMNS`: means over the suite, its families, tags and datasets.
-        partings: `PARTING_COLUMNS`: first differences of two drives; empty without traces.
-        not_looked_at: Number of differing drives whose first difference was not searched.
-        other_logs: Logs whose content (SHA-256) differs between the two runs.
-        not_compared: Metrics of gates or rules that the baseline has in another version, or that only the baseline has.
-    """
-
-    baseline: str
+    baseline: str  # Label of the baseline; `candidate` likewise
     candidate: str
-    differences: tuple[str, ...]
+    differences: tuple[str, ...]  # Inputs that differ, one sentence each
+    # Drives "log, planner, mode loop" that only the baseline has, or that failed only in the candidate;
+    # `only_in_candidate` likewise
     only_in_baseline: tuple[str, ...]
     only_in_candidate: tuple[str, ...]
+    # `PAIR_COLUMNS`, the worst regression first: metrics that a gate or rule names, by (3), then the others. A value
+    # that one of the runs lacks is NaN, and `reason` says why; otherwise `reason` is that of the candidate's value.
     pairs: pd.DataFrame
-    flips: pd.DataFrame
-    groups: pd.DataFrame
+    flips: pd.DataFrame  # `FLIP_COLUMNS`: gates whose outcome on a log changed
+    groups: pd.DataFrame  # `GROUP_COLUMNS`: means over the suite, its families, tags and datasets
+    # `PARTING_COLUMNS`: first differences of two drives; empty without traces
     partings: pd.DataFrame = field(default_factory=lambda: pd.DataFrame(columns=list(PARTING_COLUMNS)))
     verdicts: tuple[RuleVerdict, ...] = ()
-    not_looked_at: int = 0
+    not_looked_at: int = 0  # Number of differing drives whose first difference was not searched
+    # Metrics of gates or rules that the baseline has in another version, or that only the baseline has
     not_compared: tuple[str, ...] = ()
-    other_logs: tuple[str, ...] = ()
+    other_logs: tuple[str, ...] = ()  # Logs whose content (SHA-256) differs between the two runs
 
     @property
     def exit_code(self) -> int:

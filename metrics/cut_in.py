@@ -83,23 +83,18 @@ def entries(drive: Trajectory, agents: Tracks, scenario: Scenario) -> list[CutIn
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Follower:
-    """The ego on the path of a follower (index of its track), at the k steps at which the follower is present.
-
-    Attributes:
-        ego: The ego's drive and its boxes at these steps; `goes_on`: they end with the drive.
-        u: The follower's speed, m/s; `front`, m, the station of its front.
-        rear: Station of the ego's rear, m; `deep`, m, how far its box is inside the strip; `ahead` whether it is ahead
-            of the front and near.
-    """
+    """The ego on the path of a follower (index of its track), at the k steps at which the follower is present."""
 
     agent: int
-    ego: Trajectory
+    ego: Trajectory  # The ego's drive and its boxes at these steps; `goes_on`: they end with the drive
     boxes: FloatArray
     goes_on: bool
     path: ReferenceLine
     length: float
-    u: FloatArray
+    u: FloatArray  # The follower's speed, m/s; `front`, m, the station of its front
     front: FloatArray
+    # Station of the ego's rear, m; `deep`, m, how far its box is inside the strip; `ahead` whether it is ahead of the
+    # front and near
     rear: FloatArray
     deep: FloatArray
     ahead: BoolArray

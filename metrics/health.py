@@ -147,21 +147,15 @@ class FaultKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One fault of a log, from `t_from` to `t_to`, s since the scenario's start.
-
-    Attributes:
-        topic: The part of the scenario: "ego", "agents", "road", "lights", "goal".
-        who: The agent, lane or light, or "".
-        unit: Unit of the value: "m", "s", "rad", "x" (a factor), "1" (a count or a share).
-    """
+    """One fault of a log, from `t_from` to `t_to`, s since the scenario's start."""
 
     kind: FaultKind
-    topic: str
-    who: str
+    topic: str  # The part of the scenario: "ego", "agents", "road", "lights", "goal"
+    who: str  # The agent, lane or light, or ""
     t_from: float
     t_to: float
     value: float
-    unit: str
+    unit: str  # Unit of the value: "m", "s", "rad", "x" (a factor), "1" (a count or a share)
     text: str
 
     def __post_init__(self) -> None:

@@ -168,8 +168,7 @@ class Metric:
     def measured(self, trace: Trace, scenario: Scenario) -> dict[str, Measured]:
         """Return its series by full name ("gap", "ade.3s"); an unavailable metric has the names of its parts too.
 
-        Raises:
-            TypeError: `measure` returned something else.
+        TypeError if `measure` returned something else.
         """
         found = self.found(trace, scenario)
         for one in found.values() if isinstance(found, Mapping) else (found,):

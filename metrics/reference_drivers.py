@@ -177,26 +177,20 @@ def _verdict(
 
 careful_driver = partial(_verdict, "cc", CC)
 """Returns the verdict of "cc" on a scenario along a line, for an ego that starts at a state (None: the log's first)."""
-fuzzy_driver = partial(_verdict, "fsm", FSM)
-"""Returns the verdict of "fsm"; arguments as `careful_driver`."""
+fuzzy_driver = partial(_verdict, "fsm", FSM)  # Returns the verdict of "fsm"; arguments as `careful_driver`
 DRIVERS = {"cc": careful_driver, "fsm": fuzzy_driver}
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class ReferenceDrive:
-    """The drive of a reference driver: stations, speeds and accelerations `(k,)` up to its end.
-
-    Attributes:
-        meets: Step of its first touch, -1: none; `agent` is the agent touched, -1: none.
-        least: Least distance to the agent `about`, m (6); after a touch, minus its depth.
-    """
+    """The drive of a reference driver: stations, speeds and accelerations `(k,)` up to its end."""
 
     s: FloatArray
     v: FloatArray
     a: FloatArray
-    meets: int
+    meets: int  # Step of its first touch, -1: none; `agent` is the agent touched, -1: none
     agent: int
-    least: float
+    least: float  # Least distance to the agent `about`, m (6); after a touch, minus its depth
 
 
 @kernel

@@ -91,7 +91,7 @@ from metrics.boxes import (
     without_phantoms,
 )
 from metrics.encounters import CROSSING_RAD, encroachment, may_meet
-from metrics.lanes import Under, mapped_lanes, under
+from metrics.lanes import NO_LANES, Under, mapped_lanes, under
 from metrics.metric import COUNT, MIN, Measured, Metric, Reduction, Series, Unavailable, counted
 from metrics.needless import reasons
 
@@ -107,7 +107,6 @@ SEEN_S = 0.3
 WRONG_WAY_S = 1.0
 AGAINST_MPS = 0.1  # Slower motion is not driving against a lane: equal to the speed of a stop
 KEEPING_M, OVER_M = 0.5, 0.3
-NO_LANES = Unavailable("the log has no lanes")
 _NEVER = "the ego is never on a lane, or only where lanes cross"
 
 
@@ -265,17 +264,12 @@ def _steps_around(on: BoolArray) -> BoolArray:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Meetings:
-    """The boxes of one road user (index of its track) at places that a drive occupies, at m increasing grid steps.
-
-    Attributes:
-        left: `(m,)` s since the drive last left the place of the box; NaN if it was not there before.
-        taken: `(m,)` s until the drive reaches the place, 0 in a contact; NaN if it never does.
-    """
+    """The boxes of one road user (index of its track) at places that a drive occupies, at m increasing grid steps."""
 
     agent: int
     step: IntArray
-    left: FloatArray
-    taken: FloatArray
+    left: FloatArray  # `(m,)` s since the drive last left the place of the box; NaN if it was not there before
+    taken: FloatArray  # `(m,)` s until the drive reaches the place, 0 in a contact; NaN if it never does
 
 
 def _meetings(drive: Trajectory, tracks: Tracks, scenario: Scenario, t: FloatArray) -> Iterator[_Meetings]:

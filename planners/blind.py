@@ -21,14 +21,12 @@ from logs.frame import Frame, PlannerContext, Predictions
 from logs.once import once
 from logs.plan import Plan
 from logs.road import Road
-from planners.frenet.fallback import trajectory_along
 from planners.frenet.path import path_through
-from planners.frenet.profiles import COMFORT, HORIZON_KNOTS, STEP_S, braking
+from planners.frenet.profiles import COMFORT, HORIZON_KNOTS, STEP_S, braking, trajectory_along
 from planners.frenet.scene import start_of
 from planners.idm import Idm, IdmConfig
 
-GAIN_MPS2 = 1.0
-"""Acceleration of `parked` up to its desired speed."""
+GAIN_MPS2 = 1.0  # Acceleration of `parked` up to its desired speed
 NO_AGENTS = np.zeros(0, np.int64)
 
 

@@ -28,9 +28,8 @@ from logs.frame import Frame, PlannerContext
 from logs.kernel import kernel
 from logs.plan import Artefact, Corridor, Internals, Plan, SlGraph, StGraph
 from logs.states import EgoState
-from planners.frenet.fallback import fall_back, trajectory_along
 from planners.frenet.path import Path, make_path, quintic
-from planners.frenet.profiles import HORIZON_KNOTS, HORIZON_STEPS, STEP_S, limit_profile
+from planners.frenet.profiles import HORIZON_KNOTS, HORIZON_STEPS, STEP_S, fall_back, limit_profile, trajectory_along
 from planners.frenet.scene import Occupancy, RouteTracker, behind, on_path
 from planners.frenet.st_boundaries import (
     StBoundaries,
@@ -42,14 +41,10 @@ from planners.frenet.st_boundaries import (
 )
 from planners.rules import Rulebook, RuleMemory
 
-KNOT_M = 2.0
-"""Spacing of the knots of the path, m."""
-TOUCHING_M = 0.1
-"""Least gap in (1) and (3), m."""
-SLOWEST_MPS = 0.5
-"""Least v0 in (1) and (3), m/s."""
-TRACK_LIMIT_S = 0.5
-"""tau of (3), s."""
+KNOT_M = 2.0  # Spacing of the knots of the path, m
+TOUCHING_M = 0.1  # Least gap in (1) and (3), m
+SLOWEST_MPS = 0.5  # Least v0 in (1) and (3), m/s
+TRACK_LIMIT_S = 0.5  # tau of (3), s
 EXACT = StGraphConfig(early_s=0.0, late_s=0.0)
 """No time margins around predictions: IDM's time gap covers their uncertainty."""
 

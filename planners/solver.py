@@ -22,10 +22,8 @@ from scipy import sparse
 from logs.arrays import FloatArray, IntArray
 from logs.plan import SolverReport
 
-SOLVED = 1
-"""OSQP's status of a solved problem."""
-RHO = 0.1
-"""OSQP's first step size (rho), which is its default."""
+SOLVED = 1  # OSQP's status of a solved problem
+RHO = 0.1  # OSQP's first step size (rho), which is its default
 WORDS = {
     piqp.PIQP_SOLVED: "solved",
     piqp.PIQP_MAX_ITER_REACHED: "iterations spent",
@@ -73,7 +71,6 @@ class QuadraticProgram:
         A: `(m, n)`.
         equalities: Number of rows with equal bounds, which come first.
         scale: `(n,)` typical size of each variable; the solvers work on x / scale, and on rows of size 1.
-        config: Settings.
     """
 
     def __init__(
@@ -116,9 +113,7 @@ class QuadraticProgram:
         """Replace the stored entries of A `(nnz,)`, in the order of its columns (`A.data`, sorted indices).
 
         The scale of the rows stays that of the set-up.
-
-        Raises:
-            ValueError: The number of entries differs, or one is not finite.
+        ValueError if the number of entries differs, or one is not finite.
         """
         if values.shape != self._A.data.shape or not np.isfinite(values).all():
             raise ValueError(f"A has {len(self._A.data)} entries, got {values.shape}, or one that is not finite")

@@ -16,7 +16,7 @@ from replay.draw.report.contents import Overview
 from replay.draw.report.overview import overview
 from replay.draw.report.write import write_reports
 from replay.run import evaluate_logs
-from replay.run.engine import Engine
+from replay.run.evaluate import Engine
 from replay.run.output import held
 from replay.run.shards import Shard
 from replay.settings import converted, dotted, known_keys

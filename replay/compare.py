@@ -32,8 +32,7 @@ from replay.draw.drawn_results import Results, loaded
 from replay.explain.first_difference import first_difference, planners_part
 from replay.results.load import RECORDINGS
 from replay.results.log_result import LogFileCard
-from replay.results.reading import check_table, checked, read_json
-from replay.results.schema import SCHEMA_VERSION
+from replay.results.schema import SCHEMA_VERSION, check_table, checked, read_json
 from replay.results.tables import LOG_CARD, write_file
 from replay.settings import flat
 

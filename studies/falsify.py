@@ -39,7 +39,7 @@ from replay.experiments.mildest import BATCH, Point, norm
 from replay.experiments.search_subject import agents_of, box_of, search_axes, subject_of
 from replay.results.tables import write_file, write_text
 from replay.run.output import held
-from replay.run.study import Study
+from replay.run.resume import Study
 
 GATES = """
 [[gate]]

@@ -37,9 +37,8 @@ from replay.config import LoopConfig
 from replay.loop.closed_loop import run_closed_loop
 from replay.loop.reference_drives import with_avoidability
 from replay.results.tables import write_file
-from replay.run.perturb import noisy
 from replay.run.pool import WorkerLost, run_all
-from replay.run.sources import LogSource, builtin_suite, select
+from replay.run.sources import LogSource, builtin_suite, noisy, select
 
 TURNS_DEG = (30, 45, 60, 90, 120, 150, 180, 210, 240, 270, 300, 330)
 TINY = 1e-9

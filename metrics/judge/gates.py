@@ -234,9 +234,8 @@ PACKAGED: Mapping[str, Path | None] = {"default": None, "safety": Path(__file__)
 def load_gates(path: Path | None, *, metrics: Mapping[str, Metric] = METRICS) -> Gates:
     """Load the gates of a TOML file; None: the packaged default.
 
-    Raises:
-        ConfigError: The file cannot be read, a key or metric is unknown, or bounds are missing or contradictory; names
-            file and gate.
+    ConfigError if the file cannot be read, a key or metric is unknown, or bounds are missing or contradictory; it
+    names file and gate.
     """
     source, gates = _read_tables(path, "gate", Gate, metrics)
     if not gates:
@@ -247,9 +246,7 @@ def load_gates(path: Path | None, *, metrics: Mapping[str, Metric] = METRICS) ->
 def load_rules(path: Path | None, *, metrics: Mapping[str, Metric] = METRICS) -> tuple[GateRule, ...]:
     """Load the rules of a TOML file; the packaged rules if it has none, or for None.
 
-    Raises:
-        ConfigError: The file cannot be read, a key or metric is unknown, or a rule is contradictory; names file and
-            rule.
+    ConfigError if the file cannot be read, a key or metric is unknown, or a rule is contradictory; names file and rule.
     """
     return _read_tables(path, "compare", GateRule, metrics)[1] or _read_tables(None, "compare", GateRule, metrics)[1]
 
@@ -259,8 +256,7 @@ def _read_tables(
 ) -> tuple[str, tuple[R, ...]]:
     """Return the name of a file of gates (None: the packaged one), and its tables [[gate]] or [[compare]] as objects.
 
-    Raises:
-        ConfigError: The file cannot be read, has other tables, or a table has an invalid key, value or metric.
+    ConfigError if the file cannot be read, has other tables, or a table has an invalid key, value or metric.
     """
     source = "default gates" if path is None else str(path)
     content = read_toml(Path(__file__).with_name("default_gates.toml") if path is None else path)

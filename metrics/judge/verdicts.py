@@ -106,30 +106,19 @@ class LogOutcome:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """The outcome of a gate for one planner in one mode, and why.
-
-    Attributes:
-        gate: The rule.
-        outcome: Pass, fail, inconclusive or not asked.
-        reason: One sentence that names planner, worst log, value and time.
-        planner: "" if no planner could be judged; `mode` likewise.
-        value: The judged value (the statistic `over` the logs, or the worst log's value); NaN if there is none.
-        log: The worst log; "" if there is none.
-        time_s: The time of its value; NaN if it has no time.
-        logs: The outcome of each log that the gate selects.
-        group: "family everyday/cut_in" if the gate has a verdict per group; else "".
-    """
+    """The outcome of a gate for one planner in one mode, and why."""
 
     gate: Gate
-    outcome: Outcome
-    reason: str
-    planner: str = ""
+    outcome: Outcome  # Pass, fail, inconclusive or not asked
+    reason: str  # One sentence that names planner, worst log, value and time
+    planner: str = ""  # "" if no planner could be judged; `mode` likewise
     mode: str = ""
+    # The judged value (the statistic `over` the logs, or the worst log's value); NaN if there is none
     value: float = nan
-    log: str = ""
-    time_s: float = nan
-    logs: tuple[LogOutcome, ...] = ()
-    group: str = ""
+    log: str = ""  # The worst log; "" if there is none
+    time_s: float = nan  # The time of its value; NaN if it has no time
+    logs: tuple[LogOutcome, ...] = ()  # The outcome of each log that the gate selects
+    group: str = ""  # "family everyday/cut_in" if the gate has a verdict per group; else ""
 
 
 def judge(
@@ -142,12 +131,9 @@ def judge(
 ) -> tuple[Verdict, ...]:
     """Return the verdicts on a table of `evaluate` rows, in the order of the gates.
 
-    Args:
-        gates: The rules.
-        table: The rows of all logs, planners and modes, including reference drives.
-        labels: Labels of all logs of the run, so that logs without rows are detected.
-        failed: Reason by log, for logs that could not be evaluated.
-        crashed: Reason by log, planner and mode, for drives that crashed.
+    `table`: the rows of all logs, planners and modes, including reference drives. `labels`: labels of all logs of the
+    run, so that logs without rows are detected. `failed`: reason by log, for logs that could not be evaluated.
+    `crashed`: reason by log, planner and mode, for drives that crashed.
     """
     rows: dict[tuple[str, str], dict[str, dict[str, MetricRow]]] = {}
     columns = ("planner", "mode", "log", "metric", *MetricRow._fields)
@@ -408,9 +394,8 @@ def _drive_outcomes(
 def deadline_misses(timings: pd.DataFrame, deadline_s: float) -> pd.DataFrame:
     """Count the plans of each drive that took longer than a deadline.
 
-    Args:
-        timings: Columns log, planner, mode, t_s, stage, seconds; the stage "total" is a whole plan.
-        deadline_s: A plan that takes longer has missed it, s; ValueError unless above 0.
+    `timings`: columns log, planner, mode, t_s, stage, seconds; the stage "total" is a whole plan. `deadline_s`: a plan
+    that takes longer has missed it, s; ValueError unless above 0.
 
     Returns:
         `MISS_COLUMNS` of each log, planner and mode in the order of `timings`: plans made, misses, their share, the

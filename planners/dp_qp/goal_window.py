@@ -30,34 +30,20 @@ from logs.vehicle import VehicleParameters
 from planners.frenet.profiles import COMFORT
 from planners.frenet.reference_path import ReferencePath
 
-LEAST = 0.3
-"""Share of the speed limit below which (2) does not slow the ego down."""
-HASTE_S = 3.0
-"""The ego is in a hurry where it would arrive less than this before the last time (3), s."""
-ROOM_MPS = 1.0
-"""Reserve to the goal's greatest speed (1), m/s."""
-ROOM_S = 0.2
-"""Reserve to its first time (2), s."""
-END_M = 3.0
-"""Reserve to the end of the road where a goal has no region, m."""
-HURRIED_GAP_S = 0.8
-"""Time gap of an ego in a hurry, s."""
-BESIDE_M = 8.0
-"""A region farther beside the line than this is not a goal of this lane, m."""
-SIDE_M = 0.3
-"""Distance of the ego's middle to a region's sides, m; at most a quarter of the region's width."""
-ALONG_M = 0.5
-"""Spacing of the stations at which a region's sides are measured, m ..."""
-ROWS = 400
-"""... and their greatest number."""
-STEPS = 32
-"""Number of steps in the integration of the time to a region."""
-JOINED_M = 0.1
-"""Regions nearer to each other than this are one, m."""
-NARROW = 0.5
-"""(4) does not apply where a region is narrower than this share of its greatest width: at its corners."""
-NO_SIDES = np.empty((3, 0))
-"""(4) where there is no region."""
+LEAST = 0.3  # Share of the speed limit below which (2) does not slow the ego down
+HASTE_S = 3.0  # The ego is in a hurry where it would arrive less than this before the last time (3), s
+ROOM_MPS = 1.0  # Reserve to the goal's greatest speed (1), m/s
+ROOM_S = 0.2  # Reserve to its first time (2), s
+END_M = 3.0  # Reserve to the end of the road where a goal has no region, m
+HURRIED_GAP_S = 0.8  # Time gap of an ego in a hurry, s
+BESIDE_M = 8.0  # A region farther beside the line than this is not a goal of this lane, m
+SIDE_M = 0.3  # Distance of the ego's middle to a region's sides, m; at most a quarter of the region's width
+ALONG_M = 0.5  # Spacing of the stations at which a region's sides are measured, m ...
+ROWS = 400  # ... and their greatest number.
+STEPS = 32  # Number of steps in the integration of the time to a region
+JOINED_M = 0.1  # Regions nearer to each other than this are one, m
+NARROW = 0.5  # (4) does not apply where a region is narrower than this share of its greatest width: at its corners
+NO_SIDES = np.empty((3, 0))  # (4) where there is no region
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,29 +9,30 @@ The cost of a candidate adds terms in seconds, weighted as `LaneConfig` says:
 (4) braking       = hard_s where comfortable braking cannot keep the distance, failed_s where no braking can, or a stage
                     failed
 (5) late          = lateness at the goal, after its last time, at the lane's speed limit
+
+Settings of `dp_qp`: of its stages, of the choice between lanes, and of the planner as a whole.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import astuple, dataclass, field
 from math import inf
 
 from logs.frame import Frame, PlannerContext
 from logs.plan import Artefact, CostTerms, SolverReport
 from logs.states import EgoState
 from planners.dp_qp.goal_window import GoalWindow, SpeedTarget
-from planners.dp_qp.parameters import DpQpConfig
 from planners.dp_qp.path.bounds import InTheWay
 from planners.dp_qp.path.passing import PassTarget, find_slow_agents, free_stations, pass_targets
-from planners.dp_qp.path.stage import ChosenPath, PathMemory, PathStage
+from planners.dp_qp.path.stage import ChosenPath, PathConfig, PathMemory, PathStage
 from planners.dp_qp.speed.caps import SpeedTask
-from planners.dp_qp.speed.stage import ChosenSpeed, SpeedMemory, SpeedStage
-from planners.frenet.lane_sequence import LaneSequence
-from planners.frenet.scene import TRACK_M, Scene, StartPlace, behind, on_path, scene_of
-from planners.rules import Rulebook, RuleMemory
+from planners.dp_qp.speed.stage import ChosenSpeed, SpeedConfig, SpeedMemory, SpeedStage
+from planners.frenet.reference_path import LaneSequence
+from planners.frenet.scene import STITCH_M, STITCH_MPS, TRACK_M, Scene, StartPlace, behind, on_path, scene_of
+from planners.piecewise_jerk.solvers import DEFAULT, check_solver
+from planners.rules import Rulebook, RuleMemory, RulesConfig
 
-FORGET_S = 0.5
-"""The memory of a lane that was not planned for this long is dropped, s."""
+FORGET_S = 0.5  # The memory of a lane that was not planned for this long is dropped, s
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -179,3 +180,64 @@ class LanePlanner:
             route = lane.changes * (config.route_s + config.urgency_s * min(max(1.0 - left, 0.0), 1.0))  # (2)
         change = config.change_s if name in ("left", "right") else 0.0  # (3)
         return CostTerms(f"lane {name}", (("lane changes", route), ("change", change), ("late", target.missed_s)))
+
+
+@dataclass(frozen=True)
+class LaneConfig:
+    """Settings of the lane choice; costs are in seconds of equivalent time.
+
+    Attributes:
+        hysteresis_s: Amount by which another lane, or passing, must be cheaper than keeping the lane.
+        look_s: Time lost to other agents from which the neighbouring lanes are planned.
+        dwell_s: No further change and no new attempt to pass within this time, unless the lane fails.
+        route_s: Cost of a lane change that the route needs.
+        urgency_s: Cost that is added to it as the change becomes due.
+        due_s: Changes are urgent where less than this time per change is left until they are due.
+        dead_end_s: Cost of a lane from which the goal cannot be reached.
+        change_s: Cost of leaving the driven lane, so that only a clear gain leads to a change.
+        hard_s: Cost where comfortable braking cannot keep the distance.
+        failed_s: Cost where no braking can, or a stage failed: more than all others together.
+    """
+
+    hysteresis_s: float = 0.5
+    look_s: float = 1.0
+    dwell_s: float = 3.0
+    route_s: float = 1.6
+    urgency_s: float = 6.0
+    due_s: float = 15.0
+    dead_end_s: float = 25.0
+    change_s: float = 1.0
+    hard_s: float = 3.0
+    failed_s: float = 50.0
+
+    def __post_init__(self) -> None:
+        if not min(astuple(self)) >= 0.0:
+            raise ValueError("settings of the lane choice must not be negative")
+        if not self.due_s > 0.0:
+            raise ValueError("due_s must be positive")
+
+
+@dataclass(frozen=True)
+class DpQpConfig:
+    """Settings of `dp_qp`.
+
+    Attributes:
+        path: The path stage.
+        speed: The speed stage.
+        lane: The choice between lanes, and of passing.
+        rules: Settings of the traffic rules.
+        solver: Solver of the path and speed QPs: "interior_point", "osqp" or "piqp".
+        stitch_m: The plan starts on the previous one where the ego is nearer to it than this; else at the ego.
+        stitch_mps: The plan starts on the previous one where the ego's speed is nearer to its speed than this.
+    """
+
+    path: PathConfig = field(default_factory=PathConfig)
+    speed: SpeedConfig = field(default_factory=SpeedConfig)
+    lane: LaneConfig = field(default_factory=LaneConfig)
+    rules: RulesConfig = field(default_factory=RulesConfig)
+    solver: str = DEFAULT
+    stitch_m: float = STITCH_M
+    stitch_mps: float = STITCH_MPS
+
+    def __post_init__(self) -> None:
+        check_solver(self.solver)

@@ -1,19 +1,42 @@
-"""The planner: start, candidate lanes, choice, trajectory; or the fallback and its reason."""
+"""The planner: start, candidate lanes, choice, trajectory; or the fallback and its reason.
+
+It keeps the lane, passes within it, or changes: by cost with hysteresis and a safety protocol (paper, section II-F).
+
+The neighbouring lanes are planned where the route needs a change, a slow agent is ahead, or the plan in the lane is not
+comfortable (while a change is under way, only then: it may be aborted). The ego changes to a neighbouring lane that is
+cheaper by `hysteresis_s` if it endangers no agent on it:
+
+(1) gap behind >= MIN_GAP_M + REACTION_S max(0, v_a - v) + max(0, v_a - v)^2 / (2 YIELD_MPS2)      for each follower
+(2) no agent beside the ego, from MIN_GAP_M behind its rear to MIN_GAP_M before its front
+(3) the lane's own S-T graph contains the agents ahead; the plan must not need hard braking
+
+The plan that keeps the lane follows slower agents. A second plan of the same lane passes them where `path.passing`
+allows it ("nudge" in the paper): it must be comfortable and cheaper by `hysteresis_s`; once it is under way, it may not
+be dearer by more than that. Its path and speed are found in turns, at most `TURNS` in one frame: the first turn assumes
+the speed on a free road, the next the speed of the turn before; later frames start from the plan of the last frame. It
+is a plan only if, at its own speed, it gets past the nearest agent within the predictions. It may borrow the lane on
+the passing side where (1) and (2) hold for it; once the ego is over the marking, others see it and they need not hold.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from math import inf
 
+import numpy as np
+
+from logs.arrays import FloatArray
 from logs.frame import Frame, PlannerContext
-from logs.plan import Artefact, Internals, Plan, PlanStatus
+from logs.plan import Artefact, Candidates, CostTerms, Internals, LaneOption, Plan, PlanStatus
 from logs.states import EgoState
-from planners.dp_qp.choice import PassMemory, choose, hopeless, passing, worth_looking
-from planners.dp_qp.lane import LaneMemory, LanePlan, LanePlanner
-from planners.dp_qp.parameters import DpQpConfig
-from planners.frenet.fallback import Stops, fall_back, trajectory_along
-from planners.frenet.lane_sequence import LaneSequence, LaneSequences
-from planners.frenet.scene import start_of
+from planners.dp_qp.lane import FORGET_S, DpQpConfig, LaneConfig, LaneMemory, LanePlan, LanePlanner, PassWay
+from planners.dp_qp.path.bounds import CorridorConfig
+from planners.dp_qp.path.passing import find_slow_agents, free_stations, obstacles_to_pass, pass_targets
+from planners.frenet.profiles import STEP_S, Stops, fall_back, trajectory_along
+from planners.frenet.reference_path import LaneSequence, LaneSequences
+from planners.frenet.scene import Scene, start_of
+from planners.rules.rulebook import YIELD_MPS2
 
 
 @dataclass(eq=False)
@@ -99,3 +122,182 @@ class DpQp:
         if lane not in self._planners:
             self._planners[lane] = LanePlanner(lane, self._context, self._config)
         return self._planners[lane]
+
+
+MIN_GAP_M = 2.0  # Least gap to a follower (1) or an agent beside the ego (2), m
+REACTION_S = 1.0  # Reaction time of a follower before it brakes with `YIELD_MPS2` (1), s
+INSIDE_M = 1.0  # An ego nearer than this to a lane's reference line drives in that lane, m
+SLOWEST_CHANGE_MPS = 1.0  # A slower ego does not begin a lane change, m/s: it would stop across the marking
+TURNS = 3  # Most turns of path and speed in one frame
+SETTLED_M = 1.0  # The turns end when the last one has moved each box by less than this, m
+
+
+def worth_looking(keep: LanePlan, config: LaneConfig, *, since_change: float) -> bool:
+    """Whether to plan the neighbouring lanes, by the plan in the lane and the time (s) since the last change."""
+    if abs(keep.scene.l) > INSIDE_M:  # a change is under way
+        return not keep.is_comfortable
+    slow = keep.time_lost > config.look_s and since_change > config.dwell_s
+    return keep.lane.changes != 0 or slow or not keep.is_comfortable
+
+
+def hopeless(name: str, scene: Scene, least: CostTerms, keep: LanePlan, hysteresis_s: float) -> LaneOption | None:
+    """Why a neighbouring lane that costs `least` or more need not be planned; None if it must be."""
+    cost = sum(value for _, value in least.terms)
+    against = ""
+    if not cost < keep.cost - hysteresis_s:
+        against = f"costs at least {cost:.1f} s, {keep.name} {keep.cost:.1f} s: not {hysteresis_s:.1f} s better"
+    elif abs(scene.l) > INSIDE_M:
+        against = _unsafe(scene)
+    return LaneOption(name, least.terms, against) if against else None
+
+
+def choose(keep: LanePlan, others: list[LanePlan], hysteresis_s: float) -> tuple[LanePlan, tuple[Artefact, ...]]:
+    """The cheapest permitted plan, and the options that were compared."""
+    best, rejected = keep, dict[str, str]()
+    for other in others:
+        against = "" if other.is_comfortable else other.trouble
+        if not against and abs(other.scene.l) > INSIDE_M:
+            against = _unsafe(other.scene)
+        needed = hysteresis_s if best is keep else 0.0
+        if not against and not other.cost < best.cost - needed:
+            against = f"costs {other.cost:.1f} s, {best.name} {best.cost:.1f} s"
+            against += f": not {needed:.1f} s better" if other.cost < best.cost else ""
+        if against:
+            rejected[other.name] = against
+            continue
+        if best is not keep:
+            rejected[best.name] = f"costs {best.cost:.1f} s, {other.name} {other.cost:.1f} s"
+        best = other
+    if best is not keep:
+        rejected[keep.name] = f"costs {keep.cost:.1f} s, {best.name} {best.cost:.1f} s"
+    compared = (LaneOption(one.name, one.costs.terms, rejected.get(one.name, "")) for one in (keep, *others))
+    return best, tuple(compared)
+
+
+def _unsafe(scene: Scene) -> str:
+    """Why a change into the scene's lane must not begin now; empty if it may."""
+    return "too slow to change" if scene.frame.ego.v < SLOWEST_CHANGE_MPS else endangered(scene)
+
+
+def endangered(scene: Scene, beside: str = "") -> str:
+    """The agent that the ego would endanger (1), (2), and how; empty if there is none.
+
+    The ego changes into the scene's lane, or borrows the road `beside` it ("left" or "right").
+    """
+    lane = scene.reference
+    right_edge, left_edge = {
+        "": (lane.lane_right, lane.lane_left),
+        "left": (lane.lane_left, lane.road_left),
+        "right": (lane.road_right, lane.lane_right),
+    }[beside]
+    agents, along = scene.frame.agents, scene.agents
+    left, right = (np.interp(along.s, lane.line.s, edge) for edge in (left_edge, right_edge))
+    inside = (along.l - 0.5 * agents.width < left) & (along.l + 0.5 * agents.width > right)
+    for i in np.flatnonzero(inside).tolist():
+        head, tail = along.s[i] + 0.5 * agents.length[i], along.s[i] - 0.5 * agents.length[i]
+        if tail > scene.front + MIN_GAP_M:
+            continue
+        if head > scene.rear - MIN_GAP_M:
+            return f"{scene.name(i)} is beside"  # (2)
+        closing = max(0.0, float(along.v_s[i]) - scene.frame.ego.v)
+        needed = MIN_GAP_M + REACTION_S * closing + closing**2 / (2.0 * YIELD_MPS2)  # (1)
+        gap = scene.rear - head
+        if gap < needed:
+            return f"{scene.name(i)} is {gap:.1f} m behind and {closing:.1f} m/s faster: needs {needed:.1f} m"
+    return ""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class PassMemory:
+    """Memory of passing slower agents in one lane: time `t` of the last frame that considered it, s, and those passed.
+
+    `given_up`: when the ego gave up passing an agent, s; `stations`: those of the last passing plan at the times of the
+    predictions since `t` `(k,)`, m; `lane`: memory of the passing plans, not of those that keep the lane.
+    """
+
+    t: float = -inf
+    passed: frozenset[str] = frozenset()
+    given_up: Mapping[str, float] = field(default_factory=dict)
+    stations: FloatArray | None = None
+    lane: LaneMemory = field(default_factory=LaneMemory)
+
+
+def passing(
+    keep: LanePlan, planner: LanePlanner, memory: PassMemory, config: DpQpConfig, *, passes_left: bool
+) -> tuple[LanePlan, tuple[Artefact, ...], PassMemory]:
+    """The plan that passes slower agents if it is better, else `keep`; the options considered; the memory."""
+    scene, t, hysteresis = keep.scene, keep.scene.frame.t, config.lane.hysteresis_s
+    if not 0.0 <= t - memory.t <= FORGET_S:
+        memory = PassMemory()
+    if not memory.passed and keep.time_lost + keep.braking < hysteresis:
+        return keep, (), memory
+    who, ids = find_slow_agents(scene, memory.passed), scene.frame.agents.ids
+    if not who and not memory.passed:
+        return keep, (), PassMemory(t, given_up=memory.given_up, lane=memory.lane)
+    past, names, after = _plan_past(keep, planner, memory, who, config.path.corridor, passes_left=passes_left)
+    under_way = bool(names & memory.passed)
+    against = ""
+    if past is None:
+        against = "no plan"
+    elif not past.is_comfortable and (keep.is_comfortable or not under_way):
+        against = past.trouble
+    elif not past.cost < keep.cost - (-hysteresis if under_way else hysteresis):
+        against = f"costs {past.cost:.1f} s, keep {keep.cost:.1f} s" + (" and it is not begun" if not under_way else "")
+    if not under_way and any(t - memory.given_up.get(name, -inf) < config.lane.dwell_s for name in names):
+        against = "abandoned a moment ago"
+    going = frozenset() if against else names
+    given_up = {**memory.given_up, **{ids[i]: t for i in who if ids[i] in memory.passed - going}}
+    memory = replace(after, t=t, passed=going, given_up=given_up)
+    if past is None:
+        return keep, (), memory
+    rejected = f"pass: {against}" if against else f"keep: costs {keep.cost:.1f} s, pass {past.cost:.1f} s"
+    considered = (keep.costs, past.costs, Candidates("passing", 2, ((rejected, 1),)))
+    return keep if against else past, considered, memory
+
+
+def _plan_past(
+    keep: LanePlan, planner: LanePlanner, memory: PassMemory, who: list[int], config: CorridorConfig, *,
+    passes_left: bool,
+) -> tuple[LanePlan | None, frozenset[str], PassMemory]:  # fmt: skip
+    """The plan past the nearest agent, all agents that it passes, the memory; None where there is no such plan."""
+    scene, t, lane = keep.scene, keep.scene.frame.predictions.t, memory.lane
+    if not who:
+        return None, frozenset(), replace(memory, stations=None)
+    course, passing_side = scene.reference, "left" if passes_left else "right"
+    aside, edge = (scene.l, course.lane_left) if passes_left else (-scene.l, -course.lane_right)
+    over_marking = aside + 0.5 * scene.vehicle.width > float(np.interp(scene.s, course.line.s, edge))
+    free = over_marking or not endangered(scene, passing_side)
+    sides, stations = (free and passes_left, free and not passes_left), memory.stations
+    if stations is None or len(stations) != len(t):
+        stations = free_stations(t, scene.s, scene.start.v, scene.limit)
+    else:
+        stations = _carried_on(t - t[0], stations, t - memory.t)
+    found = pass_targets(scene, who, stations, memory.passed)
+    for turn in range(TURNS):
+        way = obstacles_to_pass(scene, found, stations, sides, config, planner.places, memory.passed)
+        if not way.obstacles:
+            return None, frozenset(), replace(memory, stations=None, lane=lane)
+        plan, lane = planner.plan("pass", scene, lane, PassWay(found, way))
+        path, speed = plan.path.path, plan.speed
+        if path is None or speed is None or speed.profile is None:
+            return None, frozenset(), replace(memory, stations=None, lane=lane)
+        sigma = speed.profile[0]
+        reached = np.interp(sigma, path.sigma, path.s)  # on the reference line
+        stations = _carried_on(STEP_S * np.arange(len(sigma)), reached, t - t[0])
+        before, found = found, pass_targets(scene, who, stations, memory.passed)
+        moved = [
+            abs(a.box.s_from - b.box.s_from) + abs(a.box.s_to - b.box.s_to) for a, b in zip(before, found, strict=False)
+        ]
+        same = [one.agent for one in before] == [one.agent for one in found]
+        if turn + 1 == TURNS or (same and max(moved, default=inf) < SETTLED_M):
+            break
+    names = frozenset(plan.path.passed) & {box.agent for box in way.obstacles} & {one.box.agent for one in found}
+    if way.obstacles[0].agent not in names:
+        return None, frozenset(), replace(memory, stations=None, lane=lane)
+    return plan, names, replace(memory, stations=stations, lane=lane)
+
+
+def _carried_on(known: FloatArray, stations: FloatArray, t: FloatArray) -> FloatArray:
+    """Interpolate stations `(n,)` at `known` times to other times `(k,)`; after the last, at the last speed."""
+    speed = (stations[-1] - stations[-2]) / (known[-1] - known[-2])
+    return np.asarray(np.interp(t, known, stations) + speed * np.maximum(t - known[-1], 0.0))

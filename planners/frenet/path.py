@@ -23,34 +23,23 @@ from logs.kernel import inner_kernel, kernel
 from logs.road import ReferenceLine, line_curvature, line_frame
 from logs.states import EgoState, wrap
 
-FINE_M = 0.5
-"""Greatest spacing of the points of a path, m."""
-SHIFT_AHEAD_M = 60.0
-"""Distance ahead within which the shift of a path is measured, m."""
-AT_START_M = 5.0
-"""Within this distance of its start, a path may bend more than the steering lock permits, m."""
-MAX_TURN = 1.2
-"""Heading off the reference line, rad, above which a path is no longer a function of its station."""
-MIN_REGULAR = 0.1
-"""Least 1 - kappa l: nearer to the centre of the turn the Frenet frame is not defined."""
+FINE_M = 0.5  # Greatest spacing of the points of a path, m
+SHIFT_AHEAD_M = 60.0  # Distance ahead within which the shift of a path is measured, m
+AT_START_M = 5.0  # Within this distance of its start, a path may bend more than the steering lock permits, m
+MAX_TURN = 1.2  # Heading off the reference line, rad, above which a path is no longer a function of its station
+MIN_REGULAR = 0.1  # Least 1 - kappa l: nearer to the centre of the turn the Frenet frame is not defined
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Path:
-    """A path of the rear axle; arrays `(m,)`.
+    """A path of the rear axle; arrays `(m,)`."""
 
-    Attributes:
-        sigma: Arc length from the start, m.
-        x: In the world frame, m; `y`, `yaw` (rad, unwrapped), `kappa` (1/m) likewise.
-        s: Station on the reference line, m.
-    """
-
-    sigma: FloatArray
-    x: FloatArray
+    sigma: FloatArray  # Arc length from the start, m
+    x: FloatArray  # In the world frame, m; `y`, `yaw` (rad, unwrapped), `kappa` (1/m) likewise
     y: FloatArray
     yaw: FloatArray
     kappa: FloatArray
-    s: FloatArray
+    s: FloatArray  # Station on the reference line, m
 
     @property
     def length(self) -> float:

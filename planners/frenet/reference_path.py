@@ -10,6 +10,14 @@ p_i, equally spaced on the raw line r_i:
 tangent m_i of the raw line: bounds (2) keep the norm in (1), and rotate and mirror with the world, which bounds on x
 and y do not. The shift is larger where the line would otherwise bend more than the car can steer. The lateral extents
 of the lanes are where their boundaries cross the normals of the smoothed line.
+
+Candidate lanes: the ego's lane and its neighbours, each with its own reference line (paper, section II-F).
+
+A lane sequence is a lane with the lanes that continue it without a lane change, chosen so that the goal stays near.
+Its value for the route follows from the cost to go of its lanes (`route.costs_to_go`):
+
+(3) changes(sequence)  = lane changes between it and the goal
+(4) change_by(sequence) = station at which its last lane ends from which the first of these changes is possible
 """
 
 from __future__ import annotations
@@ -25,38 +33,29 @@ import numpy as np
 from scipy import sparse
 
 from logs.arrays import TIE, FloatArray, arc_lengths, frozen
+from logs.frame import PlannerContext
 from logs.kernel import inner_kernel, kernel
 from logs.once import once
-from logs.road import Lane, ReferenceLine, Road, nearest, thinned
-from logs.route import straight_on
+from logs.road import Lane, ReferenceLine, Road, nearest, predecessors, thinned
+from logs.route import CostToGo, costs_to_go, start_lanes, straight_on
 from logs.states import EgoState
 from logs.vehicle import VehicleParameters
 from planners.solver import QuadraticProgram
 
-SPACING_M = 2.0
-"""Spacing of the points of (1), m."""
-BENDING_WEIGHT = 50.0
-"""w of (1)."""
+SPACING_M = 2.0  # Spacing of the points of (1), m
+BENDING_WEIGHT = 50.0  # w of (1)
 MAX_SHIFT_M = 0.3
 """Largest shift, m: about the mean over all headings that bounds of 0.25 m on x and y permit across a line (0.32)."""
-BEND = np.array([1.0, -2.0, 1.0])
-"""Coefficients of three points in the bending term of (1)."""
-ACROSS = 0.97
-"""Share of the shift that a point may make across the line; the rest is along it, as a sharp corner needs."""
+BEND = np.array([1.0, -2.0, 1.0])  # Coefficients of three points in the bending term of (1)
+ACROSS = 0.97  # Share of the shift that a point may make across the line; the rest is along it, as a sharp corner needs
 HARDER = ((0.5, 200.0), (0.75, 1000.0), (1.0, 1000.0), (1.5, 3000.0))
 """Shift (m) and bending weight of further attempts, where the line bends more than a car can steer."""
-LOCK_SHARE = 0.9
-"""Share of the steering lock that a reference line may need."""
-EDGE_M = 0.1
-"""Distance of the car to the lane's edge that a shift keeps, m."""
-BEYOND_M = 300.0
-"""Length of the line after the route, m; a plan of 8 s at 130 km/h is shorter."""
-HALF_LANE_M = 1.75
-"""Half the width of a lane without a width in the map, m; the least half width is half of that."""
-REACH_M = 16.0
-"""Lane edges farther beside the line than this are ignored, m: about four lanes."""
-JOINT_M = 0.6
-"""Boundaries nearer than this are one marking, m."""
+LOCK_SHARE = 0.9  # Share of the steering lock that a reference line may need
+EDGE_M = 0.1  # Distance of the car to the lane's edge that a shift keeps, m
+BEYOND_M = 300.0  # Length of the line after the route, m; a plan of 8 s at 130 km/h is shorter
+HALF_LANE_M = 1.75  # Half the width of a lane without a width in the map, m; the least half width is half of that
+REACH_M = 16.0  # Lane edges farther beside the line than this are ignored, m: about four lanes
+JOINT_M = 0.6  # Boundaries nearer than this are one marking, m
 
 
 class CrossSections(NamedTuple):
@@ -74,29 +73,21 @@ class CrossSections(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ReferencePath:
-    """A reference line and the road along it; arrays `(n,)` over `line.s`, offsets l in m, positive left.
+    """A reference line and the road along it; arrays `(n,)` over `line.s`, offsets l in m, positive left."""
 
-    Attributes:
-        line: The line; it continues straight beyond its ends.
-        lane_left: Left edge of the route's own lane (of both lanes during a lane change); `lane_right` < 0 likewise.
-        road_left: Left edge of the same-direction lanes that can be reached from there; `road_right` likewise.
-        limit: Speed limit, m/s.
-        lanes: The lanes that it leads along, in driving order.
-        facing_left: Left edge of the lane of the opposite direction that adjoins `road_left` where the marking may be
-            crossed, else `road_left`; `facing_right` likewise; None without such a lane.
-        waits: Stations before which traffic may have to wait: where lanes part or meet, m.
-    """
-
-    line: ReferenceLine
+    line: ReferenceLine  # The line; it continues straight beyond its ends
+    # Left edge of the route's own lane (of both lanes during a lane change); `lane_right` < 0 likewise
     lane_left: FloatArray
     lane_right: FloatArray
-    road_left: FloatArray
+    road_left: FloatArray  # Left edge of the same-direction lanes that can be reached from there; `road_right` likewise
     road_right: FloatArray
-    limit: FloatArray
-    lanes: tuple[int, ...] = ()
+    limit: FloatArray  # Speed limit, m/s
+    lanes: tuple[int, ...] = ()  # The lanes that it leads along, in driving order
+    # Left edge of the lane of the opposite direction that adjoins `road_left` where the marking may be crossed, else
+    # `road_left`; `facing_right` likewise; None without such a lane
     facing_left: FloatArray | None = None
     facing_right: FloatArray | None = None
-    waits: tuple[float, ...] = ()
+    waits: tuple[float, ...] = ()  # Stations before which traffic may have to wait: where lanes part or meet, m
 
     def __post_init__(self) -> None:
         for name in ("facing_left", "facing_right"):
@@ -348,3 +339,95 @@ def _fill_nan(values: FloatArray, default: float) -> FloatArray:
         return np.full(len(values), default)
     index = np.arange(len(values))
     return np.interp(index, index[known], values[known])
+
+
+BEHIND_M = 60.0  # Length of a sequence behind the lane that it was made for, m, so that it contains agents that follow
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class LaneSequence:
+    """A candidate lane."""
+
+    lanes: tuple[int, ...]  # Its lanes in driving order, including a stretch behind
+    reference: ReferencePath
+    # (3); 0 if it leads to the goal or there is no goal, None if the goal cannot be reached from it
+    changes: int | None
+    change_by: float  # (4), m; inf where no change is needed
+
+
+class LaneSequences:
+    """The lane sequences of one scenario, each made when it is first needed."""
+
+    def __init__(self, context: PlannerContext) -> None:
+        self._road = context.road
+        self._to_go = costs_to_go(context.road, context.goal)
+        self._before = predecessors({i: lane for i, lane in context.road.lanes.items() if lane.drivable})
+        self._sequences: dict[int, LaneSequence] = {}
+        self._start, self._car = context.start, context.vehicle
+
+    def start(self, ego: EgoState) -> LaneSequence:
+        """The first sequence: that of the lane nearest to the goal among the lanes under the ego."""
+        under = start_lanes(self._road, ego)[: None if self._to_go else 1]
+        best = min(under, key=lambda lane: (*_rank(self._to_go.get(lane)), under.index(lane)))
+        return self.of(best)
+
+    def of(self, lane: int) -> LaneSequence:
+        """The sequence that a lane belongs to."""
+        if lane not in self._sequences:
+            sequence = self._make_sequence(lane)
+            for each in sequence.lanes[sequence.lanes.index(lane) :]:
+                self._sequences.setdefault(each, sequence)
+        return self._sequences[lane]
+
+    def beside(self, sequence: LaneSequence, station: float) -> tuple[tuple[str, LaneSequence], ...]:
+        """The neighbours ("left" or "right") of a sequence at a station whose marking may be crossed."""
+        ends = np.cumsum([self._road.lanes[lane].length for lane in sequence.lanes])
+        here = min(int(np.searchsorted(ends, station + TIE)), len(sequence.lanes) - 1)
+        lane = self._road.lanes[sequence.lanes[here]]
+        sides = (
+            ("left", lane.left_neighbour, lane.left_crossable),
+            ("right", lane.right_neighbour, lane.right_crossable),
+        )
+        ordered = sides if self._road.drives_on_right else sides[::-1]
+        return tuple(
+            (side, self.of(other))
+            for side, other, crossable in ordered
+            if other is not None and crossable and other in self._road.lanes and self._road.lanes[other].drivable
+        )
+
+    def _make_sequence(self, lane: int) -> LaneSequence:
+        """The sequence of a lane: on towards the goal, straight on if no successor leads there, and back behind it."""
+        onward, length = [lane], 0.0
+        while length < BEYOND_M:
+            leading = [i for i in self._road.lanes[onward[-1]].successors if i in self._to_go]
+            nearest = min(leading, key=lambda i: (*_rank(self._to_go[i]), i), default=None)
+            after = nearest if nearest is not None else straight_on(self._road, onward[-1])
+            if after is None or after in onward:
+                break
+            onward.append(after)
+            length += self._road.lanes[after].length
+        behind: list[int] = []
+        length = 0.0
+        while length < BEHIND_M:
+            first = (behind or onward)[0]
+            before = min((i for i in self._before.get(first, ()) if straight_on(self._road, i) == first), default=None)
+            if before is None or before in behind or before in onward:
+                break
+            behind.insert(0, before)
+            length += self._road.lanes[before].length
+        lanes = (*behind, *onward)
+        reference = make_reference_path(self._road, lanes, self._start, self._car)
+        if not self._to_go:
+            return LaneSequence(lanes, reference, 0, np.inf)
+        needs = [self._to_go[each].changes if each in self._to_go else None for each in lanes]
+        known = [(need, i) for i, need in enumerate(needs) if need is not None and i >= len(behind)]
+        fewest = min((need for need, _ in known), default=None)
+        if not fewest:
+            return LaneSequence(lanes, reference, fewest, np.inf)
+        ends = np.cumsum([self._road.lanes[each].length for each in lanes])
+        due = float(ends[max(i for need, i in known if need == fewest)])
+        return LaneSequence(lanes, reference, fewest, due)  # (3), (4)
+
+
+def _rank(to_go: CostToGo | None) -> tuple[float, float]:
+    return (np.inf, np.inf) if to_go is None else (float(to_go.changes), to_go.cost)

@@ -32,26 +32,19 @@ from logs.vehicle import VehicleParameters
 from planners.frenet.path import Path, frenet_start, interpolated, out_of_frame
 from planners.frenet.reference_path import CrossSections, ReferencePath, make_reference_path, write_sections
 
-STITCH_M = 0.5
-"""A plan starts on the previous one where the ego is nearer to it than this, m ..."""
-STITCH_MPS = 1.0
-"""... and its speed nearer than this, m/s."""
+STITCH_M = 0.5  # A plan starts on the previous one where the ego is nearer to it than this, m ...
+STITCH_MPS = 1.0  # ... and its speed nearer than this, m/s.
 WINDOW_SHARE = 1.5
 """An agent's foot point is searched ahead of and behind the ego's within this times their distance ..."""
 WINDOW_M = (80.0, 370.0)
 """... plus the first, m, but at most the second, m, so that it is not on another branch of a winding road."""
-FOOT_M = 30.0
-"""The ego's foot point is searched within this distance of its expected station, m."""
+FOOT_M = 30.0  # The ego's foot point is searched within this distance of its expected station, m
 STANDING_MPS = 0.5
 """An agent slower than this stands, m/s: the path passes it, or the ego stops; the speed stage does not follow it."""
-UNLIKELY = 0.2
-"""A predicted hypothesis that is not more probable than this is unlikely."""
-TRACK_M = 1.0
-"""The ego keeps its track where its offset changes by less than this, m."""
-TRACK_ROOM_M = 0.3
-"""An agent beside the ego's track by more than this is not in it, m."""
-OVERLAP_M = 0.5
-"""An agent whose front is past the ego's rear by less than this follows the ego, m."""
+UNLIKELY = 0.2  # A predicted hypothesis that is not more probable than this is unlikely
+TRACK_M = 1.0  # The ego keeps its track where its offset changes by less than this, m
+TRACK_ROOM_M = 0.3  # An agent beside the ego's track by more than this is not in it, m
+OVERLAP_M = 0.5  # An agent whose front is past the ego's rear by less than this follows the ego, m
 VULNERABLE = among(*(kind for kind in AgentKind if kind.is_vulnerable))
 """The vulnerable kinds (on foot or riding), by code."""
 
@@ -99,32 +92,21 @@ class StartPlace(NamedTuple):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Scene:
-    """A frame in a lane.
+    """A frame in a lane."""
 
-    Attributes:
-        frame: The planner's input now; `start` is the state at which the plan begins.
-        reference: The lane's reference path.
-        vehicle: The ego.
-        s: Station of the start, m; `l` its offset, m.
-        trouble: Why the start has no l', l'' in the Frenet frame; empty if it has.
-        frenet: l, l', l'' of the start; zeros where there is `trouble`.
-        limit: The lane's speed limit at the start, m/s.
-        bodies: The agents' boxes; `agents` these along the reference path; `across` the rows of `road` `(8, n)`.
-        speed: Speeds of the agents `(n,)`, m/s; which of them are `standing`, and which `vulnerable` (walk or ride).
-    """
-
-    frame: Frame
+    frame: Frame  # The planner's input now; `start` is the state at which the plan begins
     start: EgoState
     reference: ReferencePath
     vehicle: VehicleParameters
-    s: float
+    s: float  # Station of the start, m; `l` its offset, m
     l: float  # noqa: E741
-    trouble: str
-    frenet: tuple[float, float, float]
-    limit: float
-    bodies: Bodies
+    trouble: str  # Why the start has no l', l'' in the Frenet frame; empty if it has
+    frenet: tuple[float, float, float]  # l, l', l'' of the start; zeros where there is `trouble`
+    limit: float  # The lane's speed limit at the start, m/s
+    bodies: Bodies  # The agents' boxes; `agents` these along the reference path; `across` the rows of `road` `(8, n)`
     agents: AgentsAlong
     across: FloatArray
+    # Speeds of the agents `(n,)`, m/s; which of them are `standing`, and which `vulnerable` (walk or ride)
     speed: FloatArray
     standing: BoolArray
     vulnerable: BoolArray
@@ -267,29 +249,18 @@ class RouteTracker:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Occupancy:
-    """A part of the lane that is taken for a time (module docstring).
+    """A part of the lane that is taken for a time (module docstring)."""
 
-    Attributes:
-        agent: An agent's id, or the name of a stop ("stop line 7").
-        s_from: Station at which it begins, m; `s_to` at which it ends.
-        l_from: Offset of its right side, m; `l_to` of its left side.
-        aside: Width of the box on either side that is space beside the agent, m.
-        until: Time until which it lasts, s from the frame; inf: not known to end.
-        aim: Station at which the ego's front should come to rest before it, m; inf: it is not a stop.
-        kind: The decision about it; IGNORE: none yet.
-        reason: The reason for the decision.
-    """
-
-    agent: str
-    s_from: float
+    agent: str  # An agent's id, or the name of a stop ("stop line 7")
+    s_from: float  # Station at which it begins, m; `s_to` at which it ends
     s_to: float = inf
-    l_from: float = -inf
+    l_from: float = -inf  # Offset of its right side, m; `l_to` of its left side
     l_to: float = inf
-    aside: float = 0.0
-    until: float = inf
-    aim: float = inf
-    kind: DecisionKind = DecisionKind.IGNORE
-    reason: str = ""
+    aside: float = 0.0  # Width of the box on either side that is space beside the agent, m
+    until: float = inf  # Time until which it lasts, s from the frame; inf: not known to end
+    aim: float = inf  # Station at which the ego's front should come to rest before it, m; inf: it is not a stop
+    kind: DecisionKind = DecisionKind.IGNORE  # The decision about it; IGNORE: none yet
+    reason: str = ""  # The reason for the decision
 
     @property
     def s_middle(self) -> float:

@@ -37,20 +37,14 @@ from planners.frenet.scene import STANDING_MPS, Bodies, Futures, Occupancy, Scen
 
 ALONG = 0.8
 """An agent with this share of its speed along the path is followed, not yielded to; at 45 degrees it crosses."""
-ONCOMING_RAD = 0.75 * pi
-"""A vehicle that is turned against the lane by more than this comes towards the ego, rad."""
-HALVINGS = 4
-"""Halvings of the path's spacing, about 0.4 m, in the search for the edge of an interval."""
-JUMP = 0.999
-"""Share of a gap that the search skips, so that rounding does not skip a touch."""
+ONCOMING_RAD = 0.75 * pi  # A vehicle that is turned against the lane by more than this comes towards the ego, rad
+HALVINGS = 4  # Halvings of the path's spacing, about 0.4 m, in the search for the edge of an interval
+JUMP = 0.999  # Share of a gap that the search skips, so that rounding does not skip a touch
 PART, SAMPLES = 16, 8
 """Number of points of the path, and of samples of a prediction, in one envelope; envelopes are tested first."""
-ROUNDING_M = 1e-6
-"""Envelopes nearer than this touch, m."""
-KINDS = (DecisionKind.OVERTAKE, DecisionKind.STOP, DecisionKind.FOLLOW, DecisionKind.YIELD)
-"""The decisions (4) ..."""
-OVERTAKE, STOP, FOLLOW, YIELD = range(len(KINDS))
-"""... and their codes."""
+ROUNDING_M = 1e-6  # Envelopes nearer than this touch, m
+KINDS = (DecisionKind.OVERTAKE, DecisionKind.STOP, DecisionKind.FOLLOW, DecisionKind.YIELD)  # The decisions (4) ...
+OVERTAKE, STOP, FOLLOW, YIELD = range(len(KINDS))  # ... and their codes.
 
 
 @dataclass(frozen=True)
@@ -80,22 +74,14 @@ class StGraphConfig:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class StBoundaries:
-    """The intervals (1) of `n` predictions at `k` times; NaN where the path is free.
+    """The intervals (1) of `n` predictions at `k` times; NaN where the path is free."""
 
-    Attributes:
-        t: `(k,)` s from the frame.
-        agent: `(n,)` index into the frame's agents; -1 for a stop, which belongs to no agent.
-        lower: `(n, k)` m along the path, extended in time by the uncertainty (2); `upper` likewise.
-        speed: `(n,)` the agent's speed along the path where it enters (3), m/s.
-        probability: `(n,)` probability of the prediction.
-    """
-
-    t: FloatArray
-    agent: IntArray
-    lower: FloatArray
+    t: FloatArray  # `(k,)` s from the frame
+    agent: IntArray  # `(n,)` index into the frame's agents; -1 for a stop, which belongs to no agent
+    lower: FloatArray  # `(n, k)` m along the path, extended in time by the uncertainty (2); `upper` likewise
     upper: FloatArray
-    speed: FloatArray
-    probability: FloatArray
+    speed: FloatArray  # `(n,)` the agent's speed along the path where it enters (3), m/s
+    probability: FloatArray  # `(n,)` probability of the prediction
 
     def __len__(self) -> int:
         return len(self.agent)
@@ -222,21 +208,15 @@ class Roles(NamedTuple):
 
 
 class Swept(NamedTuple):
-    """The ego's box and the settings of a sweep, for the kernel.
+    """The ego's box and the settings of a sweep, for the kernel."""
 
-    Attributes:
-        rear_to_center: Distance from the rear axle to the box's centre, m; `length` and `width` of the box.
-        margin: As in `StGraphConfig`, m; `vulnerable_margin` and `passed_margin` likewise.
-        early: (2), s; `late` likewise.
-    """
-
-    rear_to_center: float
+    rear_to_center: float  # Distance from the rear axle to the box's centre, m; `length` and `width` of the box
     length: float
     width: float
-    margin: float
+    margin: float  # As in `StGraphConfig`, m; `vulnerable_margin` and `passed_margin` likewise
     vulnerable_margin: float
     passed_margin: float
-    early: float
+    early: float  # (2), s; `late` likewise
     late: float
 
 

@@ -41,16 +41,11 @@ from logs.states import wrap
 from planners.frenet.path import MAX_TURN, MIN_REGULAR, quintic
 from planners.frenet.profiles import HORIZON_STEPS, STEP_S
 
-LEAST_M = 8.0
-"""Least length of a lateral move (3), m: at low speeds a shorter one would be too sharp to steer."""
-REST_MPS = 0.05
-"""Below this speed the ego stands: an agent that then runs into it is not the ego's fault."""
-SIDE_M = 0.1
-"""An agent nearer than this beside a track is on it."""
-COST_PARTS = ("jerk along", "time", "speed", "sideways", "gap")
-"""The names of the terms of (4) in traces."""
-STRIDE = 4
-"""Samples of the plan per sample of the agents' Frenet coordinates."""
+LEAST_M = 8.0  # Least length of a lateral move (3), m: at low speeds a shorter one would be too sharp to steer
+REST_MPS = 0.05  # Below this speed the ego stands: an agent that then runs into it is not the ego's fault
+SIDE_M = 0.1  # An agent nearer than this beside a track is on it
+COST_PARTS = ("jerk along", "time", "speed", "sideways", "gap")  # The names of the terms of (4) in traces
+STRIDE = 4  # Samples of the plan per sample of the agents' Frenet coordinates
 
 
 class Fault(IntEnum):
@@ -82,8 +77,7 @@ REASONS = {
     Fault.STOP_LINE: "passes a place where it must stop",
 }
 """The faults in words."""
-FAULTS = len(Fault)
-"""Length of a count by fault: kernels cannot count an enumeration."""
+FAULTS = len(Fault)  # Length of a count by fault: kernels cannot count an enumeration
 
 
 @kernel
@@ -222,23 +216,14 @@ class FrenetStart(NamedTuple):
 
 
 class NearFutures(NamedTuple):
-    """The n predictions near the ego, on the plan's grid of `HORIZON_KNOTS` times.
+    """The n predictions near the ego, on the plan's grid of `HORIZON_KNOTS` times."""
 
-    Attributes:
-        agent: `(n,)` index into the frame's agents.
-        pose: x, y, yaw `(3, n, HORIZON_KNOTS)`; beyond the predictions' horizon all agents stay.
-        frenet: `futures_frenet` of every `STRIDE`-th time `(4, n, m)`.
-        speed: Speed along the line at the first time `(n,)`, m/s.
-        sizes: Length, width, margin `(3, n)`, m.
-        behind: `(2, n)` which the ego ignores: when it keeps its track, and when it changes it.
-    """
-
-    agent: IntArray
-    pose: FloatArray
-    frenet: FloatArray
-    speed: FloatArray
-    sizes: FloatArray
-    behind: BoolArray
+    agent: IntArray  # `(n,)` index into the frame's agents
+    pose: FloatArray  # x, y, yaw `(3, n, HORIZON_KNOTS)`; beyond the predictions' horizon all agents stay
+    frenet: FloatArray  # `futures_frenet` of every `STRIDE`-th time `(4, n, m)`
+    speed: FloatArray  # Speed along the line at the first time `(n,)`, m/s
+    sizes: FloatArray  # Length, width, margin `(3, n)`, m
+    behind: BoolArray  # `(2, n)` which the ego ignores: when it keeps its track, and when it changes it
 
 
 class Longitudinal(NamedTuple):
@@ -256,23 +241,15 @@ class Longitudinal(NamedTuple):
 
 
 class Pairs(NamedTuple):
-    """Candidates, n of them: a row of `Longitudinal` with an end offset and a length of the lateral move.
+    """Candidates, n of them: a row of `Longitudinal` with an end offset and a length of the lateral move."""
 
-    Attributes:
-        lon: The longitudinal polynomials; `row` `(n,)` index into them.
-        l1: End offset `(n,)`, m; `length` D of the lateral polynomial.
-        changes: `(n,)` whether they end on another track.
-        costs: Cost by `COST_PARTS` `(5, n)`.
-        faults: Number of pairs, by fault, that were not made since their longitudinal polynomial breaks a limit.
-    """
-
-    lon: Longitudinal
+    lon: Longitudinal  # The longitudinal polynomials; `row` `(n,)` index into them
     row: IntArray
-    l1: FloatArray
+    l1: FloatArray  # End offset `(n,)`, m; `length` D of the lateral polynomial
     length: FloatArray
-    changes: BoolArray
-    costs: FloatArray
-    faults: IntArray
+    changes: BoolArray  # `(n,)` whether they end on another track
+    costs: FloatArray  # Cost by `COST_PARTS` `(5, n)`
+    faults: IntArray  # Number of pairs, by fault, that were not made since their longitudinal polynomial breaks a limit
 
 
 class Room(NamedTuple):

@@ -29,9 +29,8 @@ from logs.plan import (
 from logs.shapes import overlap
 from logs.states import Trajectory, wrap
 from logs.vehicle import VehicleParameters
-from planners.frenet.fallback import fall_back
 from planners.frenet.path import Path, path_through
-from planners.frenet.profiles import HORIZON_KNOTS, HORIZON_STEPS, STEP_S, braking, limit_profile
+from planners.frenet.profiles import HORIZON_KNOTS, HORIZON_STEPS, STEP_S, braking, fall_back, limit_profile
 from planners.frenet.reference_path import ReferencePath
 from planners.frenet.scene import TRACK_M, Occupancy, RouteTracker, Scene, behind, on_reference, open_end, upper_bound
 from planners.frenet.st_boundaries import StGraphConfig, decide_speed, outlines, st_boundaries
@@ -61,16 +60,11 @@ from planners.lattice.candidates import (
 )
 from planners.rules import Rulebook, RuleMemory
 
-SHORT = 4.0
-"""Weight of each metre short of a stop that the rules require, so that the ego stops visibly at that place."""
-STOP_S = 1.0
-"""The ego brakes for a stop that the rules demand from this time, s ..."""
-STOP_M = 2.0
-"""... and this distance, m, before gentle braking would have to begin."""
-NEAR_M = 30.0
-"""Agents that stay farther than this from the ego's reach are left out, m."""
-EVERY = 4
-"""Samples of the plan per point of the S-L graph."""
+SHORT = 4.0  # Weight of each metre short of a stop that the rules require, so that the ego stops visibly at that place
+STOP_S = 1.0  # The ego brakes for a stop that the rules demand from this time, s ...
+STOP_M = 2.0  # ... and this distance, m, before gentle braking would have to begin.
+NEAR_M = 30.0  # Agents that stay farther than this from the ego's reach are left out, m
+EVERY = 4  # Samples of the plan per point of the S-L graph
 Row = tuple[float, float, float, float, float, float, float]
 """A longitudinal polynomial: c3, c4, c5, duration, end speed, missed distance, track or -1."""
 
@@ -184,11 +178,9 @@ def futures_of(scene: Scene, ego: FrenetStart, config: LatticeConfig) -> NearFut
 
 
 class Sampler:
-    """Makes the pairs along one reference.
+    """Makes the pairs along one reference: `limit` is the speed limit along its line, curves included, m/s.
 
-    Attributes:
-        left: Greatest offset of the rear axle along the reference line, m; `right` the least.
-        limit: Speed limit along it, curves included, m/s.
+    `left` is the greatest offset of the rear axle along it, m, `right` the least.
     """
 
     def __init__(
@@ -307,7 +299,7 @@ class Sampler:
 class Lattice:
     """Chooses among pairs of polynomials; its memory is the last station and the memory of the rules.
 
-    Where no pair is feasible, it uses the ladder of `planners.frenet.fallback`: the rest of the previous plan, else a
+    Where no pair is feasible, it uses the ladder of `planners.frenet.profiles`: the rest of the previous plan, else a
     comfortable stop, else a hard one. Agents behind are ignored while the ego keeps its track.
     """
 

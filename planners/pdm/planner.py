@@ -40,9 +40,16 @@ from logs.kernel import kernel
 from logs.plan import Artefact, Candidates, Corridor, CostTerms, Internals, Plan, SlGraph, StGraph
 from logs.states import EgoState, Trajectory, wrap
 from logs.vehicle import VehicleParameters
-from planners.frenet.fallback import fall_back, trajectory_along
 from planners.frenet.path import Path, make_path, states_on_path
-from planners.frenet.profiles import EMERGENCY, HORIZON_KNOTS, HORIZON_STEPS, STEP_S, braking
+from planners.frenet.profiles import (
+    EMERGENCY,
+    HORIZON_KNOTS,
+    HORIZON_STEPS,
+    STEP_S,
+    braking,
+    fall_back,
+    trajectory_along,
+)
 from planners.frenet.scene import Occupancy, RouteTracker, Scene, on_path
 from planners.frenet.st_boundaries import (
     StBoundaries,
@@ -60,10 +67,8 @@ KNOT_M, BEYOND_M, LOOKED_UP_S = 2.0, 30.0, 0.2
 predictions of agents, s."""
 BODIES = StGraphConfig(margin_m=0.0, vulnerable_margin_m=0.0, step_s=LOOKED_UP_S, early_s=0.0, late_s=0.0)
 """S-T boundaries without margins: a track is as wide as the ego."""
-AHEAD = 10
-"""Steps that (2) and (3) look ahead."""
-Q_SPEED, Q_OFFSET, Q_HEADING = 10.0, 1.0, 10.0
-"""Weights of (2) and (3); the weight of the input is 1."""
+AHEAD = 10  # Steps that (2) and (3) look ahead
+Q_SPEED, Q_OFFSET, Q_HEADING = 10.0, 1.0, 10.0  # Weights of (2) and (3); the weight of the input is 1
 STOPPING_MPS, STOPPING_GAIN, ACCEL_LAG_S, STEER_LAG_S = 0.2, 0.5, 0.2, 0.05
 """Speed up to which (2) only stops, m/s, and its gain there, 1/s; lags of (4), s."""
 

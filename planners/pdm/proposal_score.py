@@ -37,18 +37,14 @@ from planners.frenet.profiles import STEP_S
 from planners.frenet.reference_path import sections
 from planners.frenet.scene import Scene
 
-OFF_M = 0.3
-"""nuPlan's tolerance for leaving the road, m."""
-AGAINST_M = 2.0, 6.0
-"""Distances driven beside the lanes of the ego's direction above which `direction` is 1/2 and 0, m."""
-LEAST_WAY_M = 0.1
-"""Where the best proposal does not progress more than this, progress is not compared, m."""
+OFF_M = 0.3  # nuPlan's tolerance for leaving the road, m
+AGAINST_M = 2.0, 6.0  # Distances driven beside the lanes of the ego's direction above which `direction` is 1/2 and 0, m
+LEAST_WAY_M = 0.1  # Where the best proposal does not progress more than this, progress is not compared, m
 STOPPED_MPS = 0.05
 """Agents up to this speed stand, as nuPlan judges contacts, m/s; below a tenth of it the ego's `ttc` is 1."""
 BEHIND = cos(np.deg2rad(150.0))
 """An agent more than 150 degrees off the heading, seen from the rear axle, is behind: cosine."""
-CARRIED = (0, 3, 6, 9)
-"""Steps by which `ttc` extrapolates the ego straight ahead."""
+CARRIED = (0, 3, 6, 9)  # Steps by which `ttc` extrapolates the ego straight ahead
 BOUNDS = frozen([(-4.05, 2.40), (-4.89, 4.89), (-8.37, 8.37), (-4.13, 4.13), (-1.93, 1.93), (-0.95, 0.95)])
 """Bounds of a, v^2 kappa (m/s2), the rates of their norm, of a (m/s3), of the yaw rate (rad/s2), the yaw (rad/s)."""
 PARTS = ("no collision", "driving direction", "drivable area", "progress", "time to collision", "comfort")

@@ -61,8 +61,7 @@ from planners.piecewise_jerk.problem import (
     rows_of,
 )
 
-SOLVED, SPENT, INFEASIBLE, BROKEN, CROSSED, NOT_FINITE = 1, 2, 3, 4, 5, 6
-"""Status codes; `STATUS` has them in words."""
+SOLVED, SPENT, INFEASIBLE, BROKEN, CROSSED, NOT_FINITE = 1, 2, 3, 4, 5, 6  # Status codes; `STATUS` has them in words
 STATUS = {
     SOLVED: "solved",
     SPENT: "iterations spent",
@@ -75,31 +74,21 @@ STATUS = {
 ACCURACY_M = 1e-4
 """Distance from the optimum in (10), far below what a car can steer. Where bounds are nearly equal, residuals and
 `NARROW_M` add to it (measured: benchmarks/README.md)."""
-MAX_ITERATIONS = 60
-"""Several times the iterations that problems from roads need (benchmarks/README.md)."""
-RESIDUAL = 1e-2
-"""Greatest residuals of (4) and (5) in a solution, as a share of the accuracy."""
+MAX_ITERATIONS = 60  # Several times the iterations that problems from roads need (benchmarks/README.md)
+RESIDUAL = 1e-2  # Greatest residuals of (4) and (5) in a solution, as a share of the accuracy
 FARKAS = 1e-7
 """Residual of the forces in (11), as a share of the contradiction, which holds for coefficients up to 1 / this, m."""
-TO_BOUNDARY = 0.995
-"""Share of the way to the boundary that a step goes (9)."""
-NEARLY = 1e3
-"""The gap is nearly closed where it is less than this multiple of the accuracy squared."""
-FLOOR = 0.1
-"""Least target of the products z f, as a share of what (10) needs: smaller ones only lose digits."""
+TO_BOUNDARY = 0.995  # Share of the way to the boundary that a step goes (9)
+NEARLY = 1e3  # The gap is nearly closed where it is less than this multiple of the accuracy squared
+FLOOR = 0.1  # Least target of the products z f, as a share of what (10) needs: smaller ones only lose digits
 PROXIMAL = 1e-10
 """The give of every row in a step: the matrix stays positive definite in floating point, and the solution is the same
 (proximal method of multipliers) ..."""
-PROXIMAL_M = 1e-6
-"""... it is smaller where its product with the largest multiplier would exceed this, m."""
-START_SHARE = 0.1
-"""First slacks are at least this share of the distance between two bounds ..."""
-START_LEAST_M = 0.01
-"""... which is taken as at least this, m ..."""
-START_MOST_M = 2.0
-"""... and at most this, m."""
-START_MU = 1.0
-"""First products z f, m2."""
+PROXIMAL_M = 1e-6  # ... it is smaller where its product with the largest multiplier would exceed this, m.
+START_SHARE = 0.1  # First slacks are at least this share of the distance between two bounds ...
+START_LEAST_M = 0.01  # ... which is taken as at least this, m ...
+START_MOST_M = 2.0  # ... and at most this, m.
+START_MU = 1.0  # First products z f, m2
 
 
 class Point(NamedTuple):
@@ -113,50 +102,29 @@ class Point(NamedTuple):
 
 
 class Newton(NamedTuple):
-    """Work arrays of (7).
+    """Work arrays of (7)."""
 
-    Attributes:
-        primal: Residuals of (5) `(2, N)`.
-        product: z f and the terms that (7) adds to it `(2, N)`.
-        inverse: 1 / z `(2, N)`.
-        stiffness: W~ `(N,)`.
-        softening: 1 / (1 + give W) `(N,)`.
-        push: Input of `gather` and `multiply`: q (y - r), q + W~, t~ in turn `(N,)`.
-        dual: Residual of (4) `(m + 3,)`, 0 for the fixed coefficients.
-        pull: A' force `(m + 3,)`.
-        band: The matrix by diagonals, then its factors `(4, m + 3)`.
-    """
-
-    primal: FloatArray
-    product: FloatArray
-    inverse: FloatArray
-    stiffness: FloatArray
-    softening: FloatArray
-    push: FloatArray
-    dual: FloatArray
-    pull: FloatArray
-    band: FloatArray
+    primal: FloatArray  # Residuals of (5) `(2, N)`
+    product: FloatArray  # z f and the terms that (7) adds to it `(2, N)`
+    inverse: FloatArray  # 1 / z `(2, N)`
+    stiffness: FloatArray  # W~ `(N,)`
+    softening: FloatArray  # 1 / (1 + give W) `(N,)`
+    push: FloatArray  # Input of `gather` and `multiply`: q (y - r), q + W~, t~ in turn `(N,)`
+    dual: FloatArray  # Residual of (4) `(m + 3,)`, 0 for the fixed coefficients
+    pull: FloatArray  # A' force `(m + 3,)`
+    band: FloatArray  # The matrix by diagonals, then its factors `(4, m + 3)`
 
 
 class Solution(NamedTuple):
-    """The result of `solve`.
+    """The result of `solve`."""
 
-    Attributes:
-        curve: x, x', x'' `(3, n)`, to be used only where `status` is `SOLVED`.
-        status: A key of `STATUS`.
-        iterations: Number of factorised matrices.
-        primal: Largest residual of (5), m; `dual` of (4), m.
-        gap: Sum of the products (6), m2.
-        violation: Largest violation of the problem's bounds, in the units of the row (`largest_violation`).
-    """
-
-    curve: FloatArray
-    status: int
-    iterations: int
-    primal: float
+    curve: FloatArray  # x, x', x'' `(3, n)`, to be used only where `status` is `SOLVED`
+    status: int  # A key of `STATUS`
+    iterations: int  # Number of factorised matrices
+    primal: float  # Largest residual of (5), m; `dual` of (4), m
     dual: float
-    gap: float
-    violation: float
+    gap: float  # Sum of the products (6), m2
+    violation: float  # Largest violation of the problem's bounds, in the units of the row (`largest_violation`)
 
 
 @kernel

@@ -43,12 +43,9 @@ import numpy as np
 from logs.arrays import FloatArray
 from logs.kernel import inner_kernel, kernel
 
-X, DX, DDX, DDDX, LEADS = 0, 1, 2, 3, 4
-"""Rows of the bounds; rows x + lead x' from `LEADS` on."""
-NARROW_M = 1e-6
-"""Bounds less than twice this apart are moved to twice this apart: the method needs an interior."""
-FAR_M = 1e6
-"""Scaled bounds are clipped to +- this, m."""
+X, DX, DDX, DDDX, LEADS = 0, 1, 2, 3, 4  # Rows of the bounds; rows x + lead x' from `LEADS` on
+NARROW_M = 1e-6  # Bounds less than twice this apart are moved to twice this apart: the method needs an interior
+FAR_M = 1e6  # Scaled bounds are clipped to +- this, m
 ROUNDING, HUGE = 1e-15, 1e128
 """Pivots that are less than this share of their diagonal are rounding errors; a huge one replaces them."""
 
@@ -63,28 +60,18 @@ class Weights(NamedTuple):
 
 
 class PiecewiseJerkProblem(NamedTuple):
-    """One problem (4)-(6); k leads, n knots. Also an argument of kernels: arrays C-contiguous, float64, writeable.
+    """One problem (4)-(6); k leads, n knots. Also an argument of kernels: arrays C-contiguous, float64, writeable."""
 
-    Attributes:
-        step: h > 0.
-        leads: Lead of each further row `(k,)`.
-        start: x, x', x'' at the first knot `(3,)`.
-        weights: Weights of (4), not negative, at least one positive.
-        references: r and r' `(2, n)`.
-        lower: Bounds of the rows x, x', x'', x''', x + lead x' `(4 + k, n)`, -inf for none. The solvers do
-            not read those at the first knot, which is the start, except that of x''', nor the last of x'''.
-        upper: Likewise, inf for none.
-        soft: Weight in (6), with which the corridor gives way; 0: it does not.
-    """
-
-    step: float
-    leads: FloatArray
-    start: FloatArray
-    weights: Weights
-    references: FloatArray
+    step: float  # h > 0
+    leads: FloatArray  # Lead of each further row `(k,)`
+    start: FloatArray  # x, x', x'' at the first knot `(3,)`
+    weights: Weights  # Weights of (4), not negative, at least one positive
+    references: FloatArray  # r and r' `(2, n)`
+    # Bounds of the rows x, x', x'', x''', x + lead x' `(4 + k, n)`, -inf for none. The solvers do not read those at the
+    # first knot, which is the start, except that of x''', nor the last of x'''.
     lower: FloatArray
-    upper: FloatArray
-    soft: float
+    upper: FloatArray  # Likewise, inf for none
+    soft: float  # Weight in (6), with which the corridor gives way; 0: it does not
 
 
 @kernel
@@ -117,19 +104,13 @@ class Rows(NamedTuple):
     """The rows of (9); K kinds (x, x', x'', x''', x + lead x'), m = n - 1 rows each, N = K m.
 
     Row j of each kind reads c_j .. c_{j+3}. Arrays `(N,)` are kind by kind.
-
-    Attributes:
-        stencil: Coefficients of (7) `(K, 4)`.
-        cost: q of (9) `(N,)`; `wanted` is r.
-        give: give of (9) `(N,)`.
-        bound: Lower and upper bounds `(2, N)`.
     """
 
-    stencil: FloatArray
-    cost: FloatArray
+    stencil: FloatArray  # Coefficients of (7) `(K, 4)`
+    cost: FloatArray  # q of (9) `(N,)`; `wanted` is r
     wanted: FloatArray
-    give: FloatArray
-    bound: FloatArray
+    give: FloatArray  # give of (9) `(N,)`
+    bound: FloatArray  # Lower and upper bounds `(2, N)`
 
 
 @inner_kernel

@@ -25,12 +25,9 @@ from planners.piecewise_jerk import interior_point
 from planners.piecewise_jerk.problem import DDX, PiecewiseJerkProblem, Weights
 from planners.solver import QPConfig, QPResult, QuadraticProgram
 
-DEFAULT = "interior_point"
-"""Name of the default solver."""
-OSQP_EPS = 1e-5
-"""Tolerance of OSQP: at 1e-4 its answers are up to 0.5 m off ..."""
-OSQP_ITERATIONS = 4000
-"""... and the iterations in which it solves nearly all problems from a cold start."""
+DEFAULT = "interior_point"  # Name of the default solver
+OSQP_EPS = 1e-5  # Tolerance of OSQP: at 1e-4 its answers are up to 0.5 m off ...
+OSQP_ITERATIONS = 4000  # ... and the iterations in which it solves nearly all problems from a cold start.
 
 
 def check_solver(name: str) -> None:

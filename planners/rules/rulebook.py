@@ -56,42 +56,24 @@ from planners.rules.zones import (
 
 COMFORT = 2.8, 2.8
 """Deceleration (m/s2) and jerk (m/s3) with which the ego stops where it comfortably can; below ITE's 3.05 m/s2."""
-HARD = 7.0, 12.0
-"""Deceleration (m/s2) and jerk (m/s3) with which the ego stops where it must."""
-REST_MPS = 0.1
-"""The ego is at rest below this, m/s."""
-NEAR_M = 3.0
-"""The ego has stopped at a stop sign if it came to rest within this distance before the line, m."""
-SHORT_M = 0.8
-"""Distance from the front to a line where a comfortable stop can keep it, m."""
-AIM_M = 0.5
-"""Distance before that point at which the ego aims to come to rest, m."""
-OVER_M = 1.0
-"""An ego that stops for a line and is over it by less than this still waits, m."""
-CLEAR_S = 1.5
-"""c of (4) before a vehicle, s; its sources are in the module docstring."""
-WALK_CLEAR_S = 2.0
-"""c of (4) before a pedestrian, s."""
-AFTER_S = 0.5
-"""Time after a vehicle has left a zone until the ego may enter it (4), s."""
-FOLLOW_S = 1.0
-"""Where lanes merge: time after a vehicle has entered the zone until the ego may follow it (4), s."""
-KEPT_S = 0.5
-"""A gap that the ego has taken is kept while (4) holds with this much less, s."""
-YIELD_MPS2 = 2.0
-"""Deceleration that the ego may demand of an agent from behind, m/s2: comfortable (b of IDM)."""
-GO_MPS2 = 1.5
-"""Acceleration with which the ego is assumed to go, m/s2 ..."""
-GO_MPS3 = 2.0
-"""... and its jerk, m/s3."""
-CURVE_MPS2 = 3.0
-"""Assumed lateral acceleration of the ego in curves, m/s2, for planners that do not set their own."""
-EASE_MPS2 = 1.5
-"""Assumed deceleration towards a lower limit, m/s2, likewise."""
-LOOK_M = 10.0
-"""Zones are considered from this distance before the place where gentle braking for them would begin, m."""
-ROLLING_MPS = 1.0
-"""A leader slower than this makes no room behind a zone, an ego slower has not left a crosswalk, m/s."""
+HARD = 7.0, 12.0  # Deceleration (m/s2) and jerk (m/s3) with which the ego stops where it must
+REST_MPS = 0.1  # The ego is at rest below this, m/s
+NEAR_M = 3.0  # The ego has stopped at a stop sign if it came to rest within this distance before the line, m
+SHORT_M = 0.8  # Distance from the front to a line where a comfortable stop can keep it, m
+AIM_M = 0.5  # Distance before that point at which the ego aims to come to rest, m
+OVER_M = 1.0  # An ego that stops for a line and is over it by less than this still waits, m
+CLEAR_S = 1.5  # c of (4) before a vehicle, s; its sources are in the module docstring
+WALK_CLEAR_S = 2.0  # c of (4) before a pedestrian, s
+AFTER_S = 0.5  # Time after a vehicle has left a zone until the ego may enter it (4), s
+FOLLOW_S = 1.0  # Where lanes merge: time after a vehicle has entered the zone until the ego may follow it (4), s
+KEPT_S = 0.5  # A gap that the ego has taken is kept while (4) holds with this much less, s
+YIELD_MPS2 = 2.0  # Deceleration that the ego may demand of an agent from behind, m/s2: comfortable (b of IDM)
+GO_MPS2 = 1.5  # Acceleration with which the ego is assumed to go, m/s2 ...
+GO_MPS3 = 2.0  # ... and its jerk, m/s3.
+CURVE_MPS2 = 3.0  # Assumed lateral acceleration of the ego in curves, m/s2, for planners that do not set their own
+EASE_MPS2 = 1.5  # Assumed deceleration towards a lower limit, m/s2, likewise
+LOOK_M = 10.0  # Zones are considered from this distance before the place where gentle braking for them would begin, m
+ROLLING_MPS = 1.0  # A leader slower than this makes no room behind a zone, an ego slower has not left a crosswalk, m/s
 
 
 @dataclass(frozen=True)
@@ -111,18 +93,12 @@ class RulesConfig:
 
 @dataclass(frozen=True, slots=True)
 class RuleMemory:
-    """The memory of earlier frames; without a previous plan it is a new one.
+    """The memory of earlier frames; without a previous plan it is a new one."""
 
-    Attributes:
-        stopping: Lines and zones that the ego stops for.
-        rested: Stop signs at which it came to rest.
-        taken: Zones whose gap it took.
-        since: When it came to rest before crosswalks at which pedestrians stand, by zone.
-    """
-
-    stopping: frozenset[str] = frozenset()
-    rested: frozenset[int] = frozenset()
+    stopping: frozenset[str] = frozenset()  # Lines and zones that the ego stops for
+    rested: frozenset[int] = frozenset()  # Stop signs at which it came to rest
     taken: frozenset[str] = frozenset()
+    # When it came to rest before crosswalks at which pedestrians stand, by zone
     since: Mapping[str, float] = field(default_factory=dict)
 
 

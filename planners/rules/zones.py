@@ -42,32 +42,19 @@ from logs.vehicle import VehicleParameters
 from planners.frenet.reference_path import ReferencePath
 from planners.frenet.scene import STANDING_MPS, UNLIKELY
 
-SIDE_M = 0.3
-"""Space beside the ego's body in (1) and (2), m."""
-HALF_CAR_M = 1.0
-"""Half the width of agents that go first in (2), m."""
-STEP_M = 0.5
-"""Spacing of the stations that are tried, m."""
-ROOM_M = 1.0
-"""Space that a waiting ego keeps before and behind itself, to zones and to the agent ahead, m."""
-LINE_BEFORE_M = 15.0
-"""The ego waits for a zone at a stop line that is nearer than this before it, m."""
-FEED_M = 100.0
-"""An agent nearer than this to a priority lane, on lanes that lead to it, may claim it, m."""
-ASIDE_M = 1.0
-"""A stop line applies where the reference line runs within this of it, m."""
-MERGED_M = 1.5
-"""Two lanes whose ends are nearer than this merge, m."""
-EDGE_M = 1.5
-"""A pedestrian who stands within this of a crosswalk may want to cross, m."""
-TOWARDS_MPS = 0.3
-"""A pedestrian whose distance to it falls faster than this walks towards it; a slower one stands, m/s."""
-KEPT_M = 0.3
-"""Width by which the ego's half of a crosswalk is extended on each side, m."""
-START_MPS = 1.2
-"""Speed with which a standing pedestrian sets off, m/s: that of the clearing times in RiLSA 2010."""
-ASKEW_RAD = 1.0
-"""A vehicle drives along a lane where its heading differs less than this, rad."""
+SIDE_M = 0.3  # Space beside the ego's body in (1) and (2), m
+HALF_CAR_M = 1.0  # Half the width of agents that go first in (2), m
+STEP_M = 0.5  # Spacing of the stations that are tried, m
+ROOM_M = 1.0  # Space that a waiting ego keeps before and behind itself, to zones and to the agent ahead, m
+LINE_BEFORE_M = 15.0  # The ego waits for a zone at a stop line that is nearer than this before it, m
+FEED_M = 100.0  # An agent nearer than this to a priority lane, on lanes that lead to it, may claim it, m
+ASIDE_M = 1.0  # A stop line applies where the reference line runs within this of it, m
+MERGED_M = 1.5  # Two lanes whose ends are nearer than this merge, m
+EDGE_M = 1.5  # A pedestrian who stands within this of a crosswalk may want to cross, m
+TOWARDS_MPS = 0.3  # A pedestrian whose distance to it falls faster than this walks towards it; a slower one stands, m/s
+KEPT_M = 0.3  # Width by which the ego's half of a crosswalk is extended on each side, m
+START_MPS = 1.2  # Speed with which a standing pedestrian sets off, m/s: that of the clearing times in RiLSA 2010
+ASKEW_RAD = 1.0  # A vehicle drives along a lane where its heading differs less than this, rad
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,39 +78,26 @@ class Walk:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Priority:
-    """A lane whose vehicles go first.
-
-    Attributes:
-        lane: The lane.
-        feeds: Lanes that lead to it, itself included, each with the lights that hold its vehicles.
-        p_in: Station on its centre line where the zone begins, m; `p_out` where it ends.
-        boxes: The zone as boxes along the reference line: x, y, yaw, length, width `(k, 5)`.
-        merges: Whether it ends where the ego's lane ends.
-    """
+    """A lane whose vehicles go first."""
 
     lane: Lane
+    # Lanes that lead to it, itself included, each with the lights that hold its vehicles
     feeds: Mapping[int, tuple[int, ...]]
-    p_in: float
+    p_in: float  # Station on its centre line where the zone begins, m; `p_out` where it ends
     p_out: float
-    boxes: FloatArray
-    merges: bool
+    boxes: FloatArray  # The zone as boxes along the reference line: x, y, yaw, length, width `(k, 5)`
+    merges: bool  # Whether it ends where the ego's lane ends
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Zone:
-    """A stretch in which others may go first.
+    """A stretch in which others may go first."""
 
-    Attributes:
-        name: Its name in reasons ("crosswalk 3", "lane 17").
-        by: The crosswalk or lane whose users go first.
-        s_in: Station at which the front enters it, m; `s_out` at which the rear leaves it.
-        holds: Stations that the front does not pass while it waits, in driving order; the first one ahead applies.
-    """
-
-    name: str
-    by: Walk | Priority
-    s_in: float
+    name: str  # Its name in reasons ("crosswalk 3", "lane 17")
+    by: Walk | Priority  # The crosswalk or lane whose users go first
+    s_in: float  # Station at which the front enters it, m; `s_out` at which the rear leaves it
     s_out: float
+    # Stations that the front does not pass while it waits, in driving order; the first one ahead applies
     holds: tuple[float, ...] = ()
 
 
@@ -293,18 +267,13 @@ def distances(points: FloatArray, line: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class ZoneTime:
-    """An agent takes a zone from `begin` to `end`, s after the frame's time; inf: the end is not known.
-
-    Attributes:
-        agent: Index into the frame's agents; `speed` of it, m/s.
-        waits: Whether it is a pedestrian who stands at the crosswalk and may begin to cross.
-    """
+    """An agent takes a zone from `begin` to `end`, s after the frame's time; inf: the end is not known."""
 
     begin: float
     end: float
-    agent: int
+    agent: int  # Index into the frame's agents; `speed` of it, m/s
     speed: float
-    waits: bool = False
+    waits: bool = False  # Whether it is a pedestrian who stands at the crosswalk and may begin to cross
 
 
 def windows(zone: Zone, line: ReferenceLine, road: Road, frame: Frame) -> tuple[ZoneTime, ...]:

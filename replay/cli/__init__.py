@@ -4,23 +4,21 @@ Commands by subject:
 
 evaluate.py    drive: evaluate, vary, paper, calibrate
 search.py      search: falsify, tune, diagnose
-report.py      the end of a run, reports, shards put together: merge, report
+report.py      the end of a run, reports, shards put together, run against run: merge, report, compare, baseline;
+               the scores of nuPlan and NAVSIM: score
 logs.py        read and write logs: synth, convert, repair, inspect, salvage, export
-compare.py     run against run: compare, baseline
 one_drive.py   look at one drive: view, plot, explain, frame
-score.py       the scores of nuPlan and NAVSIM: score
 mine.py        what happened in logs: mine, query, cut, suite, coverage
 about.py       what replan knows: list, metrics; kernels compiled beforehand: warmup
 options.py     options of several commands, shell completion, old spellings
 app.py         what the commands share
 """
 
-from replay.cli import about, compare, evaluate, logs, mine, one_drive, report, score, search
+from replay.cli import about, evaluate, logs, mine, one_drive, report, search
 from replay.cli.app import app, bug, group_commands
-from replay.cli.options import StrictCommand
 from replay.interruption import end_at_once
 
-__all__ = ["about", "app", "compare", "evaluate", "logs", "main", "mine", "one_drive", "report", "score", "search"]
+__all__ = ["about", "app", "evaluate", "logs", "main", "mine", "one_drive", "report", "search"]
 
 PANELS = {
     "Drive and judge": ("evaluate", "vary", "paper", "calibrate"),
@@ -31,7 +29,7 @@ PANELS = {
     "Names, kernels, shards": ("list", "metrics", "warmup", "merge"),
 }
 """The groups of `replan --help` with their commands, in order."""
-group_commands(PANELS, StrictCommand)
+group_commands(PANELS)
 
 COLLECTED_EVERY = 10_000
 """New objects between two garbage collections: with Python's 700, they took 1/12 of the time to a first verdict."""

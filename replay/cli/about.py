@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from replay.cli import options as opt
-from replay.cli.app import app, handle_errors, progress_lines, say, say_error, say_json
+from replay.cli.app import app, progress_lines, say, say_error, say_json
 from replay.cli.options import completion, run_config
 
 
@@ -34,16 +34,15 @@ def listed(
       replan list controllers
       replan list dp_qp
     """
-    with handle_errors():
-        from replay.cli import listing
+    from replay.cli import listing
 
-        if name is None:
-            found: Any = {kind: listing.entries(kind) for kind in listing.KINDS} if as_json else listing.counts()
-        elif name in listing.KINDS:
-            found = listing.entries(name) if as_json else listing.lines(listing.entries(name))
-        else:
-            found = listing.described(name) if as_json else listing.page(listing.described(name))
-        say_json(found) if as_json else say("\n".join(found))
+    if name is None:
+        found: Any = {kind: listing.entries(kind) for kind in listing.KINDS} if as_json else listing.counts()
+    elif name in listing.KINDS:
+        found = listing.entries(name) if as_json else listing.lines(listing.entries(name))
+    else:
+        found = listing.described(name) if as_json else listing.page(listing.described(name))
+    say_json(found) if as_json else say("\n".join(found))
 
 
 @app.command()
@@ -59,25 +58,21 @@ def metrics(
       replan metrics
       replan metrics route_progress
     """
-    with handle_errors():
-        from metrics import GROUPS, load_metric
-        from metrics.metric import list_metrics, metric_facts, metric_page, metrics_markdown
+    from metrics import GROUPS, load_metric
+    from metrics.metric import list_metrics, metric_facts, metric_page, metrics_markdown
 
-        if as_json:
-            found = [metric_facts(metric) for group in GROUPS.values() for metric in group]
-            say_json(found if name is None else metric_facts(load_metric(name)))
-        elif name is not None:
-            say(metric_page(load_metric(name)))
-        else:
-            say(metrics_markdown(GROUPS) if markdown else list_metrics(GROUPS))
+    if as_json:
+        found = [metric_facts(metric) for group in GROUPS.values() for metric in group]
+        say_json(found if name is None else metric_facts(load_metric(name)))
+    elif name is not None:
+        say(metric_page(load_metric(name)))
+    else:
+        say(metrics_markdown(GROUPS) if markdown else list_metrics(GROUPS))
 
 
 @app.command()
 def warmup(
-    planner: Annotated[
-        list[str] | None,
-        opt.planner_option(None, "Repeatable. Default: dp_qp."),
-    ] = None,
+    planner: Annotated[list[str] | None, opt.planner_option(None, "Repeatable. Default: dp_qp.")] = None,
     config: Annotated[Path | None, opt.config_option("TOML file of a run, for its kernels.")] = None,
     every: Annotated[bool, typer.Option("--all", help="Compile the kernels of all that is built in.")] = False,
     as_json: opt.Json = False,
@@ -92,23 +87,20 @@ def warmup(
       replan warmup
       NUMBA_CACHE_DIR=/var/cache/replan replan warmup --planner dp_qp --planner lattice
     """
-    with handle_errors():
-        run = run_config(config, {"planners": planner})
-        from replay.cli.progress_bar import sign_of_life, with_kernels
-        from replay.run.warmup import SCENES, everything, warm_up
+    run = run_config(config, {"planners": planner})
+    from replay.cli.progress_bar import sign_of_life, with_kernels
+    from replay.run.evaluate import SCENES, everything, warm_up
 
-        if not quiet:
-            say("compiling kernels (a minute or two; seconds if they were compiled before)", err=True)
-        with sign_of_life(progress_lines(quiet=quiet), with_kernels(lambda: "driving built-in logs")):
-            done = warm_up([(run, SCENES), *(everything() if every else ())])
-        for failure in done.failures:
-            say_error(failure.message)
-        where = "nowhere: no folder can be written" if done.folder is None else done.folder
-        if as_json:
-            say_json(
-                {"seconds": done.seconds, "compiled": done.compiled, "folder": done.folder, "failures": done.failures}
-            )
-        elif not quiet:
-            say(f"{done.compiled} kernels compiled, {done.seconds:.1f} s; kept in: {where}")
-        if done.failures:
-            raise typer.Exit(3)
+    if not quiet:
+        say("compiling kernels (a minute or two; seconds if they were compiled before)", err=True)
+    with sign_of_life(progress_lines(quiet=quiet), with_kernels(lambda: "driving built-in logs")):
+        done = warm_up([(run, SCENES), *(everything() if every else ())])
+    for failure in done.failures:
+        say_error(failure.message)
+    where = "nowhere: no folder can be written" if done.folder is None else done.folder
+    if as_json:
+        say_json({"seconds": done.seconds, "compiled": done.compiled, "folder": done.folder, "failures": done.failures})
+    elif not quiet:
+        say(f"{done.compiled} kernels compiled, {done.seconds:.1f} s; kept in: {where}")
+    if done.failures:
+        raise typer.Exit(3)

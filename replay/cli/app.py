@@ -34,24 +34,7 @@ app = typer.Typer(
 )
 
 
-def group_commands(panels: Mapping[str, Sequence[str]], of_class: type[TyperCommand]) -> None:
-    """Show the commands, now `of_class`, in the help in these groups and this order; KeyError if one has no group."""
-    places = {name: panel for panel, names in panels.items() for name in names}
-    order = {name: place for place, name in enumerate(places)}
-    for command in app.registered_commands:
-        command.rich_help_panel = places[_name_of(command)]
-        command.cls = of_class
-    for group in app.registered_groups:
-        group.rich_help_panel = places[_name_of(group)]
-    app.registered_commands.sort(key=lambda command: order[_name_of(command)])
-
-
-def _name_of(command: CommandInfo | TyperInfo) -> str:
-    return command.name or command.callback.__name__  # type: ignore[union-attr]
-
-
-FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-"""Error numbers of a full disk."""
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # Error numbers of a full disk
 
 
 @contextmanager
@@ -73,10 +56,54 @@ def handle_errors() -> Iterator[None]:
         raise typer.Exit(EXIT_CODE) from None
 
 
-INTERNAL = 70
-"""Exit code of a bug in replan (EX_SOFTWARE of sysexits.h); 1 always means that a gate failed."""
-TRACEBACK = "REPLAN_TRACEBACK"
-"""Environment variable: if it is set, the traceback of a bug is printed."""
+class StrictCommand(TyperCommand):
+    """A command that handles errors, and refuses an option with one value that is given twice."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command."""
+        with handle_errors():
+            return super().invoke(ctx)
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """The words, parsed; UsageError if an option would lose a value."""
+        options: Any = [one for one in self.params if one.param_type_name == "option"]
+        values = {name: one for one in options if not one.is_flag for name in (*one.opts, *one.secondary_opts)}
+        given: list[Any] = []
+        left = iter(args)
+        for word in left:
+            if word == "--":
+                break
+            long = word.startswith("--")
+            name, joined = word.partition("=")[0] if long else word[:2], "=" in word if long else len(word) > 2
+            if name in values:
+                given.append(values[name])
+                if not joined:
+                    next(left, None)
+        for one in given:
+            if not one.multiple and given.count(one) > 1:
+                raise typer.BadParameter(f"takes one value, and is given {given.count(one)} times", ctx, param=one)
+        parsed: list[str] = super().parse_args(ctx, args)
+        return parsed
+
+
+def group_commands(panels: Mapping[str, Sequence[str]]) -> None:
+    """Show the commands, now strict, in the help in these groups and this order; KeyError if one has no group."""
+    places = {name: panel for panel, names in panels.items() for name in names}
+    order = {name: place for place, name in enumerate(places)}
+    for command in app.registered_commands:
+        command.rich_help_panel = places[_name_of(command)]
+        command.cls = StrictCommand
+    for group in app.registered_groups:
+        group.rich_help_panel = places[_name_of(group)]
+    app.registered_commands.sort(key=lambda command: order[_name_of(command)])
+
+
+def _name_of(command: CommandInfo | TyperInfo) -> str:
+    return command.name or command.callback.__name__  # type: ignore[union-attr]
+
+
+INTERNAL = 70  # Exit code of a bug in replan (EX_SOFTWARE of sysexits.h); 1 always means that a gate failed
+TRACEBACK = "REPLAN_TRACEBACK"  # Environment variable: if it is set, the traceback of a bug is printed
 
 
 def bug(error: Exception) -> NoReturn:

@@ -1,4 +1,15 @@
-"""`replan convert | repair`: logs of any format to native MCAP, the list of formats, and the table of repairs."""
+"""`replan convert | repair | export`: logs of any format to native MCAP, the table of repairs, CommonRoad solutions.
+
+CommonRoad solution: the ego's states at the scenario's time steps, of the kinematic single track model KS, in which the
+position is the centre of gravity, b behind it the rear axle (commonroad-vehicle-models):
+
+(1) p = r + b (cos yaw, sin yaw),   b = wheelbase - cog_to_front,   r the rear axle in the world
+(2) A drive that reaches the goal between two steps is extended to the next one with the last acceleration and
+    steering angle: s = v h + a h^2 / 2, yaw' = yaw + s tan(steer) / wheelbase
+
+CommonRoad's checker integrates the model between the states: it accepts what such a vehicle drove, so the drive must be
+one of `--vehicle kinematic_bicycle` with the numbers of one of CommonRoad's vehicles.
+"""
 
 from __future__ import annotations
 
@@ -10,14 +21,21 @@ from dataclasses import astuple, fields, replace
 from io import StringIO
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree as ET
+
+import numpy as np
 
 from logs.errors import ConfigError, LogError
-from logs.mcap import is_written_here, write_scenario
+from logs.mcap import is_written_here, read_scenario, write_scenario
 from logs.mcap.writer import Entry
 from logs.readers import READER, LogSettings, Reader, logs_in, read_log, reader_called, reader_of, readers
 from logs.repair.detections import TrackChange
 from logs.scenario import Scenario
-from replay.results.tables import write_text
+from logs.states import TRAJECTORY_COLUMNS, Trajectory
+from logs.trace import EndReason
+from logs.vehicle import vehicle_parameters
+from replay.draw.drawn_results import load
+from replay.results.tables import safe_names, write_text
 from replay.run.claim import claimed_file, claimed_files
 
 CHANGE_COLUMNS = tuple({"begin": "t_from_s", "end": "t_to_s"}.get(each.name, each.name) for each in fields(TrackChange))
@@ -56,14 +74,10 @@ def convert_all(
 ) -> bool:
     """Write logs as native MCAP, into `out` if its suffix is .mcap, else into that folder; return whether all are read.
 
-    With `foxglove` they get channels that Foxglove draws.
-    If the first name is not a path but the name of a reader, that reader reads all files, whatever their names.
-
-    Raises:
-        ConfigError: A path does not exist, there is nothing to convert, several logs are to go into one file, a log
-            would be written over itself or another, or the package for Foxglove is not installed. Nothing has been
-            written in these cases.
-        OutputError: A log cannot be written.
+    With `foxglove` they get channels that Foxglove draws. If the first name is not a path but the name of a reader,
+    that reader reads all files, whatever their names. ConfigError, with nothing written, if a path does not exist,
+    there is nothing to convert, several logs are to go into one file, a log would be written over itself or another, or
+    the package for Foxglove is not installed; OutputError if a log cannot be written.
     """
     reader = None
     first = str(logs[0])
@@ -130,10 +144,8 @@ def _is_ours(logs: Iterable[tuple[Path, Reader | None]]) -> Callable[[Path], boo
 def repair_log(log: Path, target: Path, table: Path | None, settings: LogSettings) -> Scenario:
     """Read a log, write it as native MCAP, and its changes as CSV; the scenario, whose `repair` may be None.
 
-    Raises:
-        ConfigError: There is no such log, or a file of it would be overwritten. Nothing has been written then.
-        LogError: The log cannot be read.
-        OutputError: A file cannot be written.
+    ConfigError, with nothing written, if there is no such log, or a file of it would be overwritten; LogError if the
+    log cannot be read; OutputError if a file cannot be written.
     """
     if not log.exists():
         raise ConfigError(f"{log}: no such file or folder")
@@ -173,3 +185,89 @@ def unrepaired(log: Path, settings: LogSettings, scenario: Scenario) -> Scenario
         return None
     raw = read_log(log, replace(settings, repair="off"))
     return raw if raw.repair is None and len(raw.tracks) else None
+
+
+TYPES = {"bmw_320i": 2, "vw_vanagon": 3}  # Vehicle type in a benchmark id, by the vehicle's name in replan
+COSTS = ("JB1", "SA1", "WX1", "SM1", "SM2", "SM3", "MW1", "TR1")
+"""Cost functions of CommonRoad: the file only names them, and CommonRoad computes the cost."""
+VERSION = "2020a"
+
+
+def commonroad_solution(trace: Path, cost: str = COSTS[0]) -> str:
+    """The solution file of a closed drive over a CommonRoad scenario, XML.
+
+    `trace`: `closed.mcap` of a result folder. `cost`: the cost function that the benchmark id names. LogError if the
+    file is not such a trace, or its vehicle is not one of CommonRoad's.
+    """
+    try:
+        scenario = read_scenario(trace)
+        return _solution(scenario, cost)
+    except LogError as error:
+        raise error if error.file is not None else error.at(trace) from None
+
+
+def solutions(run: Path, cost: str = COSTS[0]) -> tuple[dict[str, str], list[str]]:
+    """The solution files of the closed drives of a run by name, and why other closed drives have none.
+
+    ConfigError if the path is not a result folder.
+    """
+    results, found, skipped = load(run), dict[str, str](), list[str]()
+    closed = results.drives.loc[results.drives["mode"] == "closed", ["log", "planner"]]
+    several = closed["planner"].nunique() > 1
+    labels = {key: ".".join(key if several else key[:1]) for key in closed.itertuples(index=False, name=None)}
+    names = safe_names(labels.values())
+    for (log, planner), label in labels.items():
+        try:
+            drive = results.drive(log, planner, "closed")
+            found[f"{names[label]}.xml"] = commonroad_solution(drive.trace_file, cost)
+        except LogError as error:
+            skipped.append(str(error))
+    return found, skipped
+
+
+def _solution(scenario: Scenario, cost: str) -> str:
+    facts = scenario.metadata
+    if "benchmark" not in facts or facts.get("trace_mode") != "closed" or scenario.controls is None:
+        remedy = "name closed.mcap of a CommonRoad scenario in a result folder"
+        raise LogError("no closed drive over a CommonRoad scenario", remedy=remedy)
+    car, dt = scenario.vehicle, float(facts["time_step_s"])
+    sizes = ((vehicle_parameters(name), number) for name, number in TYPES.items())
+    size = (car.length, car.width, car.wheelbase)
+    kind = next((number for one, number in sizes if (one.length, one.width, one.wheelbase) == size), None)
+    if kind is None:
+        remedy = f"drive with --vehicle kinematic_bicycle --car {' or '.join(TYPES)}"
+        raise LogError("the vehicle is not one of CommonRoad's", topic="/vehicle", remedy=remedy)
+    first = round(scenario.start_ns / 1e9 / dt)
+    driven = _carried_on(scenario, dt) if facts.get("trace_end") == EndReason.GOAL.name.lower() else scenario.ego
+    steps = np.arange(int(driven.t[-1] / dt + 1e-6) + 1)
+    ego = driven.resampled(np.minimum(dt * steps, driven.t[-1]))
+    steer = np.interp(dt * steps, scenario.controls.t, np.nan_to_num(scenario.controls.steer))
+    behind = car.wheelbase - car.cog_to_front
+    x = ego.x + behind * np.cos(ego.yaw) + scenario.origin[0]  # (1)
+    y = ego.y + behind * np.sin(ego.yaw) + scenario.origin[1]
+    root = ET.Element("CommonRoadSolution", benchmark_id=f"KS{kind}:{cost}:{facts['benchmark']}:{VERSION}")
+    path = ET.SubElement(root, "ksTrajectory", planningProblem=facts["planning_problem"])
+    for k in steps:
+        state = ET.SubElement(path, "ksState")
+        values = {"x": x[k], "y": y[k], "steeringAngle": steer[k], "velocity": ego.v[k], "orientation": ego.yaw[k]}
+        for name, value in values.items():
+            ET.SubElement(state, name).text = repr(float(value))
+        ET.SubElement(state, "time").text = str(first + int(k))
+    ET.indent(root)
+    return ET.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
+
+
+def _carried_on(scenario: Scenario, dt: float) -> Trajectory:
+    """The drive, extended to the next time step (2)."""
+    ego, last = scenario.ego, scenario.ego.state(-1)
+    left = dt * np.ceil(last.t / dt - 1e-6) - last.t
+    if left < 1e-6:
+        return ego
+    s = max(last.v * left + 0.5 * last.a * left**2, 0.0)
+    yaw = last.yaw + s * last.kappa
+    middle = 0.5 * (last.yaw + yaw)
+    state = (
+        last.t + left, last.x + s * np.cos(middle), last.y + s * np.sin(middle), yaw, max(last.v + last.a * left, 0.0),
+        last.a, last.kappa,
+    )  # fmt: skip
+    return Trajectory(*(np.r_[getattr(ego, name), x] for name, x in zip(TRAJECTORY_COLUMNS, state, strict=True)))

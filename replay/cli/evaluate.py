@@ -9,13 +9,13 @@ import typer
 
 from logs.errors import ConfigError
 from replay.cli import options as opt
-from replay.cli.app import app, handle_errors, progress_lines, say, say_json, worker_count
+from replay.cli.app import app, progress_lines, say, say_json, worker_count
 from replay.cli.options import JUDGE, LOGS, LOOP, OUTPUT, RUNNING, log_table, option, run_config
 from replay.cli.report import EXIT_CODES, finish_run, load_baseline
 
 if TYPE_CHECKING:
     from replay.results.log_result import LogResult
-    from replay.run.engine import Engine
+    from replay.run.evaluate import Engine
     from replay.run.sources import Selection
 
 
@@ -33,26 +33,22 @@ def evaluate(
     ] = None,
     mode: Annotated[opt.Loop | None, option(LOOP, "Loops to run. Default: both.")] = None,
     vehicle: Annotated[
-        str | None,
-        option(LOOP, "kinematic_bicycle, single_track, multibody or perfect.", metavar="NAME", complete="vehicle"),
+        str | None, option(LOOP, "kinematic_bicycle, single_track, multibody or perfect.", complete="vehicle")
     ] = None,
     car: Annotated[
-        str | None,
-        option(LOOP, "Vehicle parameters in place of the log's: bmw_320i ...", metavar="NAME", complete="car"),
+        str | None, option(LOOP, "Vehicle parameters in place of the log's: bmw_320i ...", complete="car")
     ] = None,
     controller: Annotated[
-        str | None, option(LOOP, "dlqr_pid, mpc, pure_pursuit, stanley, pid ...", metavar="NAME", complete="controller")
+        str | None, option(LOOP, "dlqr_pid, mpc, pure_pursuit, stanley, pid ...", complete="controller")
     ] = None,
     traffic: Annotated[
-        str | None,
-        option(LOOP, "The others: give_way, time (as logged), reactive ...", metavar="NAME", complete="traffic"),
+        str | None, option(LOOP, "The others: give_way, time (as logged), reactive ...", complete="traffic")
     ] = None,
     prediction: Annotated[
-        str | None,
-        option(LOOP, "lane_following, constant_velocity, ..., oracle.", metavar="NAME", complete="prediction"),
+        str | None, option(LOOP, "lane_following, constant_velocity, ..., oracle.", complete="prediction")
     ] = None,
     perception: Annotated[
-        str | None, option(LOOP, "ground_truth, recorded, sensor or auto.", metavar="NAME", complete="perception")
+        str | None, option(LOOP, "ground_truth, recorded, sensor or auto.", complete="perception")
     ] = None,
     suite: opt.Suite = None,
     ego: opt.Ego = None,
@@ -107,57 +103,56 @@ def evaluate(
 
     The keys of --set are those of a run's TOML file: docs/use.md.
     """
-    with handle_errors():
-        from replay.cli.progress_bar import progress
-        from replay.run import evaluate_logs
-        from replay.run.output import output_location
-        from replay.run.pool import freeze_gc
-        from replay.run.shards import Shard
+    from replay.cli.progress_bar import progress
+    from replay.run import evaluate_logs
+    from replay.run.output import output_location
+    from replay.run.pool import freeze_gc
+    from replay.run.shards import Shard
 
-        loop = {"vehicle": vehicle, "controller": controller, "traffic": traffic}
-        loop |= {"prediction": prediction, "perception": perception}
-        options = {
-            "planners": planner,
-            "metrics": metric,
-            "charts": chart,
-            "mode": mode,
-            "gates": None if gates is None else str(gates),
-            "recording": False if no_recording else None,
-            "foxglove": foxglove or None,
-            "ensemble": ensemble,
-            "vehicle": {"set": car},
-            "log": log_table(ego, road_map, begin, end, repair),
-            "loop": loop,
-        }
-        run = run_config(config, options, settings or ())
-        if every is not None and window is None:
-            raise ConfigError("--every is about windows: give their length, --window S")
-        if baseline is not None and shard is not None:
-            raise ConfigError("--shard drives a part of the logs only: give --baseline to replan merge")
-        before = None if baseline is None else load_baseline(baseline, run, run.gates_path, out)
-        part = None if shard is None else Shard.parsed(shard)
-        driven_on = engine_of(engine, address, workers)
-        freeze_gc()
-        with output_location(out, resume=resume) as location:
-            with progress(quiet=quiet, verbose=verbose) as (on_start, on_log):
+    loop = {"vehicle": vehicle, "controller": controller, "traffic": traffic}
+    loop |= {"prediction": prediction, "perception": perception}
+    options = {
+        "planners": planner,
+        "metrics": metric,
+        "charts": chart,
+        "mode": mode,
+        "gates": gates,
+        "recording": False if no_recording else None,
+        "foxglove": foxglove or None,
+        "ensemble": ensemble,
+        "vehicle": {"set": car},
+        "log": log_table(ego, road_map, begin, end, repair),
+        "loop": loop,
+    }
+    run = run_config(config, options, settings or ())
+    if every is not None and window is None:
+        raise ConfigError("--every is about windows: give their length, --window S")
+    if baseline is not None and shard is not None:
+        raise ConfigError("--shard drives a part of the logs only: give --baseline to replan merge")
+    before = None if baseline is None else load_baseline(baseline, run, run.gates_path, out)
+    part = None if shard is None else Shard.parsed(shard)
+    driven_on = engine_of(engine, address, workers)
+    freeze_gc()
+    with output_location(out, resume=resume) as location:
+        with progress(quiet=quiet, verbose=verbose) as (on_start, on_log):
 
-                def check_and_start(selection: Selection, folder: Path) -> None:
-                    location.check_outside(selection.sources)
-                    on_start(selection, folder)
+            def check_and_start(selection: Selection, folder: Path) -> None:
+                location.check_outside(selection.sources)
+                on_start(selection, folder)
 
-                def log_and_send(result: LogResult) -> None:
-                    on_log(result)
-                    location.keep(result)
+            def log_and_send(result: LogResult) -> None:
+                on_log(result)
+                location.keep(result)
 
-                result = evaluate_logs(
-                    logs or [], run, location.folder, engine=driven_on, resume=resume, shard=part, window=window,
-                    every=every, suite=suite, on_start=check_and_start, on_log=log_and_send,
-                )  # fmt: skip
-            show = {"as_json": as_json, "quiet": quiet, "report": not no_report}
-            code = finish_run(result, before, location.url, run.gates_path, **show)
-        if location.url and not quiet:
-            say(f"all of it is at {location.url}", err=True)
-        raise typer.Exit(code)
+            result = evaluate_logs(
+                logs or [], run, location.folder, engine=driven_on, resume=resume, shard=part, window=window,
+                every=every, suite=suite, on_start=check_and_start, on_log=log_and_send,
+            )  # fmt: skip
+        show = {"as_json": as_json, "quiet": quiet, "report": not no_report}
+        code = finish_run(result, before, location.url, run.gates_path, **show)
+    if location.url and not quiet:
+        say(f"all of it is at {location.url}", err=True)
+    raise typer.Exit(code)
 
 
 @app.command()
@@ -200,46 +195,41 @@ def vary(
       replan vary my_bag --agent 17 --vary time=-2:2:9 -p dp_qp
       replan vary my_log.mcap --vary standing_car=20:80:7 --vary ego_speed=0.5:1.5:5
     """
-    with handle_errors():
-        from replay.experiments.conflict import opened, question_about
-        from replay.experiments.surface import vary as evaluate_surface
+    from replay.experiments.conflict import opened, question_about
+    from replay.experiments.surface import vary as evaluate_surface
 
-        if listing:
-            opt.say_axes(as_json=as_json)
-            return
-        if log is None:
-            raise ConfigError("name a log or a family: replan vary paper/crossing_pedestrian --vary time=-2:2:9")
-        options = {
-            "planners": [planner] if planner else None,
-            "gates": None if gates is None else str(gates),
-            "log": log_table(ego, road_map, begin, end, repair),
-            "recording": recording,
-            "internals": "summary" if recording else "none",
-        }
-        run = run_config(config, options, settings or ())
-        scenario, _ = opened(log, run.log)
-        if list_agents:
-            opt.say_agents(scenario, as_json=as_json)
-            return
-        asked = question_about(scenario, variation or [], agent or [], resolution)
-        say_progress = progress_lines(quiet=quiet)
-        if asked.agents:
-            say_progress(f"varied: {', '.join(map(scenario.short_names, asked.agents))}")
-        result = evaluate_surface(
-            scenario, asked, run, out, workers=worker_count(workers), resume=resume, say=say_progress
-        )
-        if as_json:
-            say_json(
-                {"results": result.out, "exit_code": result.exit_code, "edges": result.edges, "table": result.table}
-            )
-        else:
-            say("\n".join(result.lines()))
-        raise typer.Exit(result.exit_code)
+    if listing:
+        opt.say_axes(as_json=as_json)
+        return
+    if log is None:
+        raise ConfigError("name a log or a family: replan vary paper/crossing_pedestrian --vary time=-2:2:9")
+    options = {
+        "planners": [planner] if planner else None,
+        "gates": gates,
+        "log": log_table(ego, road_map, begin, end, repair),
+        "recording": recording,
+        "internals": "summary" if recording else "none",
+    }
+    run = run_config(config, options, settings or ())
+    scenario, _ = opened(log, run.log)
+    if list_agents:
+        opt.say_agents(scenario, as_json=as_json)
+        return
+    asked = question_about(scenario, variation or [], agent or [], resolution)
+    say_progress = progress_lines(quiet=quiet)
+    if asked.agents:
+        say_progress(f"varied: {', '.join(map(scenario.short_names, asked.agents))}")
+    result = evaluate_surface(scenario, asked, run, out, workers=worker_count(workers), resume=resume, say=say_progress)
+    if as_json:
+        say_json({"results": result.out, "exit_code": result.exit_code, "edges": result.edges, "table": result.table})
+    else:
+        say("\n".join(result.lines()))
+    raise typer.Exit(result.exit_code)
 
 
 def engine_of(name: str, address: str | None, workers: int | None) -> Engine:
     """The engine that drives the logs; ConfigError if options conflict."""
-    from replay.run.engine import Local
+    from replay.run.evaluate import Local
 
     if name == "ray":
         from replay.run.on_ray import OnRay
@@ -270,13 +260,12 @@ def paper(
 
     This takes a few minutes. docs/paper.md compares the results with the paper.
     """
-    with handle_errors():
-        from replay.paper.reproduce import CONTENTS, PaperConfig, reproduce
-        from replay.run.claim import claimed_folder
+    from replay.paper.reproduce import CONTENTS, PaperConfig, reproduce
+    from replay.run.claim import claimed_folder
 
-        config = PaperConfig(tuple(vehicle or ("single_track",)), roads=roads, workers=worker_count(workers))
-        with claimed_folder(out, CONTENTS):
-            say(reproduce(out, config, say=progress_lines()))
+    config = PaperConfig(tuple(vehicle or ("single_track",)), roads=roads, workers=worker_count(workers))
+    with claimed_folder(out, CONTENTS):
+        say(reproduce(out, config, say=progress_lines()))
 
 
 @app.command()
@@ -289,8 +278,7 @@ def calibrate(
     config: Annotated[Path | None, opt.config_option("TOML file of a run: its \\[vehicle].")] = None,
 ) -> None:
     """Write and plot the table acceleration x speed -> throttle or brake, from the vehicle's own model."""
-    with handle_errors():
-        from replay.run.calibrate import calibrate as write
+    from replay.run.calibrate import calibrate as write
 
-        for path in write(out, vehicle, car, config):
-            say(path)
+    for path in write(out, vehicle, car, config):
+        say(path)

@@ -9,7 +9,7 @@ import typer
 
 from logs.errors import ConfigError
 from replay.cli import options as opt
-from replay.cli.app import app, handle_errors, progress_lines, say, say_error, say_json, worker_count
+from replay.cli.app import app, progress_lines, say, say_error, say_json, worker_count
 from replay.cli.options import log_table, option, run_config
 
 if TYPE_CHECKING:
@@ -55,47 +55,46 @@ def mine(
       replan mine my_bags/ -o results/mined -p dp_qp
       replan query results/mined "SELECT kind, count(*) FROM events GROUP BY kind"
     """  # fmt: skip
-    with handle_errors():
-        if markdown:
-            from replay.mine.kinds import page
+    if markdown:
+        from replay.mine.kinds import page
 
-            say(page())
-            return
-        from replay.cli.progress_bar import sign_of_life, with_kernels
-        from replay.mine.mine import mine_into, summary
-        from replay.run.evaluate import selected
+        say(page())
+        return
+    from replay.cli.progress_bar import sign_of_life, with_kernels
+    from replay.mine.mine import mine_into, summary
+    from replay.run.evaluate import selected
 
-        if not logs and suite is None:
-            raise ConfigError("name logs, or logs of the catalogue with --suite: replan mine my_bags/ -o results/mined")
+    if not logs and suite is None:
+        raise ConfigError("name logs, or logs of the catalogue with --suite: replan mine my_bags/ -o results/mined")
 
-        planners = list(dict.fromkeys(planner or []))
-        options = {"log": log_table(ego, road_map, begin, end, repair), "planners": planners or None}
-        run = run_config(config, options, settings or ())
-        if planners:
-            from replay.run.checks import checked
+    planners = list(dict.fromkeys(planner or []))
+    options = {"log": log_table(ego, road_map, begin, end, repair), "planners": planners or None}
+    run = run_config(config, options, settings or ())
+    if planners:
+        from replay.run.checks import checked
 
-            run, _ = checked(run)
-        selection = selected(logs or [], run, None, suite)
-        done: list[MinedLog] = []
+        run, _ = checked(run)
+    selection = selected(logs or [], run, None, suite)
+    done: list[MinedLog] = []
 
-        def ended(log: MinedLog) -> None:
-            done.append(log)
-            for line in log.failures:
-                say_error(line)
+    def ended(log: MinedLog) -> None:
+        done.append(log)
+        for line in log.failures:
+            say_error(line)
 
-        def progress() -> str:
-            return f"mined {len(done)} of {len(selection.sources)} logs"
+    def progress() -> str:
+        return f"mined {len(done)} of {len(selection.sources)} logs"
 
-        kinds, count = tuple(kind or ()), worker_count(workers)
-        with sign_of_life(progress_lines(quiet=quiet), with_kernels(progress)):
-            folder, mined = mine_into(
-                out, selection, run, kinds=kinds, planners=planners, workers=count, resume=resume, on_log=ended
-            )
-        if as_json:
-            say_json({"folder": str(folder), "logs": mined.logs, "events": mined.events, "failures": mined.failures})
-        elif not quiet:
-            say("\n".join([*summary(mined), str(folder)]))
-        raise typer.Exit(3 if mined.failures else 0)
+    kinds, count = tuple(kind or ()), worker_count(workers)
+    with sign_of_life(progress_lines(quiet=quiet), with_kernels(progress)):
+        folder, mined = mine_into(
+            out, selection, run, kinds=kinds, planners=planners, workers=count, resume=resume, on_log=ended
+        )
+    if as_json:
+        say_json({"folder": str(folder), "logs": mined.logs, "events": mined.events, "failures": mined.failures})
+    elif not quiet:
+        say("\n".join([*summary(mined), str(folder)]))
+    raise typer.Exit(3 if mined.failures else 0)
 
 
 @app.command()
@@ -114,20 +113,19 @@ def query(
       replan query results/mined "SELECT log, t_from_s FROM events WHERE kind = 'cut_in' AND value < 10"
       replan query results/run-001 "SELECT log, value FROM metrics WHERE metric = 'ttc.min' ORDER BY value" -o ttc.csv
     """
-    with handle_errors():
-        from replay.mine.query import query as ask
-        from replay.run.rows_file import rows_file
+    from replay.mine.query import query as ask
+    from replay.run.claim import rows_file
 
-        if out is not None:
-            with rows_file(out) as write:
-                write(ask(run, sql))
-            say(out)
-            return
-        rows = ask(run, sql)
-        if as_json:
-            say_json(rows)
-        else:
-            say(rows.to_string(index=False, max_colwidth=80) if len(rows) else "no rows")
+    if out is not None:
+        with rows_file(out) as write:
+            write(ask(run, sql))
+        say(out)
+        return
+    rows = ask(run, sql)
+    if as_json:
+        say_json(rows)
+    else:
+        say(rows.to_string(index=False, max_colwidth=80) if len(rows) else "no rows")
 
 
 @app.command()
@@ -147,11 +145,10 @@ def cut(
       replan cut results/mined --where "kind = 'pedestrian_crossing'" --before 5 --after 8 -o moments
       replan cut results/run-001 --table verdicts --where "outcome = 'fail'" -o failures
     """
-    with handle_errors():
-        from replay.mine.query import cut_logs, moments
+    from replay.mine.query import cut_logs, moments
 
-        for file in cut_logs(run, moments(run, where, table, before, after), out, resume=resume):
-            say(file)
+    for file in cut_logs(run, moments(run, where, table, before, after), out, resume=resume):
+        say(file)
 
 
 @app.command()
@@ -163,18 +160,17 @@ def suite(run: Mined, out: Annotated[Path, opt.out_option("The FILE.toml to writ
       replan suite results/mined -o suite.toml
       replan evaluate --suite suite.toml
     """
-    with handle_errors():
-        from logs.names import counted
-        from replay.mine.coverage import suite_of, suite_writer
-        from replay.mine.mine import read_mined
-        from replay.run.output import begun_in
+    from logs.names import counted
+    from replay.mine.coverage import suite_of, suite_writer
+    from replay.mine.mine import read_mined
+    from replay.run.output import begun_in
 
-        with suite_writer(out) as write:
-            mined = read_mined(run)
-            chosen = suite_of(mined)
-            write(chosen, begun_in(run, [one.source for one in chosen]))
-        cells = sum(one.adds for one in chosen)
-        say(f"{out}: {counted(len(chosen), 'log')} of {len(mined.logs)} with all {counted(cells, 'cell')}")
+    with suite_writer(out) as write:
+        mined = read_mined(run)
+        chosen = suite_of(mined)
+        write(chosen, begun_in(run, [one.source for one in chosen]))
+    cells = sum(one.adds for one in chosen)
+    say(f"{out}: {counted(len(chosen), 'log')} of {len(mined.logs)} with all {counted(cells, 'cell')}")
 
 
 @app.command()
@@ -194,28 +190,27 @@ def coverage(
     Writes coverage.csv and coverage.png. By default the families of the catalogue are mined for
     comparison, so that a gap names a family that fills it (replan synth FAMILY).
     """
-    with handle_errors():
-        from replay.cli.progress_bar import sign_of_life
-        from replay.mine.coverage import COVERAGE, cells, gaps, lines, table, write_coverage
-        from replay.mine.mine import mine as mine_logs
-        from replay.mine.mine import read_mined
-        from replay.run.claim import claimed_folder
-        from replay.run.output import held
+    from replay.cli.progress_bar import sign_of_life
+    from replay.mine.coverage import COVERAGE, cells, gaps, lines, table, write_coverage
+    from replay.mine.mine import mine as mine_logs
+    from replay.mine.mine import read_mined
+    from replay.run.claim import claimed_folder
+    from replay.run.output import held
 
-        mined = read_mined(run)
-        with held(run) if out is None else claimed_folder(out, COVERAGE) as folder:
-            if against is None:
-                from replay.config import RunConfig
-                from replay.mine.coverage import catalogue
+    mined = read_mined(run)
+    with held(run) if out is None else claimed_folder(out, COVERAGE) as folder:
+        if against is None:
+            from replay.config import RunConfig
+            from replay.mine.coverage import catalogue
 
-                with sign_of_life(progress_lines(), lambda: "mining the catalogue"):
-                    other = mine_logs(catalogue(), RunConfig(), workers=worker_count(workers)).events
-            else:
-                other = read_mined(against).events
-            have = cells(mined.events)
-            missing = gaps(have, cells(other))
-            write_coverage(folder or run, mined.events, table(have, missing))
-        if as_json:
-            say_json(table(have, missing))
+            with sign_of_life(progress_lines(), lambda: "mining the catalogue"):
+                other = mine_logs(catalogue(), RunConfig(), workers=worker_count(workers)).events
         else:
-            say("\n".join(lines(have, missing, "the catalogue" if against is None else str(against))))
+            other = read_mined(against).events
+        have = cells(mined.events)
+        missing = gaps(have, cells(other))
+        write_coverage(folder or run, mined.events, table(have, missing))
+    if as_json:
+        say_json(table(have, missing))
+    else:
+        say("\n".join(lines(have, missing, "the catalogue" if against is None else str(against))))

@@ -12,7 +12,7 @@ import typer
 from logs.errors import ConfigError, unknown_name
 from logs.names import counted
 from replay.cli import options as opt
-from replay.cli.app import app, handle_errors, say, say_json
+from replay.cli.app import app, say, say_json
 from replay.cli.options import completion, log_table, option, run_config
 
 if TYPE_CHECKING:
@@ -35,14 +35,8 @@ class ChosenDrive(NamedTuple):
 def matching_drives(results: Results, log: str | None, planner: str | None, mode: opt.Loop | None) -> list[DriveResult]:
     """The drives of a run that fit some options.
 
-    Args:
-        results: The run.
-        log: Name of a log, or a part of it (`named_logs`); None: any.
-        planner: Name of a planner; None: any.
-        mode: "open" or "closed"; "both" and None: either.
-
-    Raises:
-        ConfigError: None fits.
+    `log`: name of a log, or a part of it (`named_logs`); None: any. `planner`: name of a planner; None: any. `mode`:
+    "open" or "closed"; "both" and None: either. ConfigError if none fits.
     """
     from replay.results.load import named_logs
 
@@ -101,8 +95,7 @@ def view(
         opt.output("Write the recording (FILE.rrd) of the log, or of both drives, and open nothing.", "--save"),
     ] = None,
     screenshot: Annotated[
-        Path | None,
-        opt.output("Write a picture (PNG) and open nothing; of a run: of the worst drive.", "--screenshot"),
+        Path | None, opt.output("Write a picture (PNG) and open nothing; of a run: of the worst drive.", "--screenshot")
     ] = None,
     video: Annotated[
         Path | None, opt.output("Write a video: FILE.gif, or with ffmpeg FILE.mp4; --from, --to.", "--video")
@@ -135,48 +128,46 @@ def view(
       replan view results/run-001 -p idm --mode closed
       replan view results/run-001 --log cut_in --screenshot cut_in.png --at 6.5 --layout planner
     """
-    with handle_errors():
-        import tempfile
-        from contextlib import ExitStack
+    import tempfile
+    from contextlib import ExitStack
 
-        from logs.files import Near
-        from replay.draw.recording.pictures import BY_FFMPEG, BY_PILLOW, LAYOUTS
-        from replay.draw.view import picture, show
-        from replay.run.claim import claimed_file
+    from logs.files import Near
+    from replay.draw.recording.pictures import BY_FFMPEG, BY_PILLOW, LAYOUTS
+    from replay.draw.view import picture, show
+    from replay.run.claim import claimed_file
 
-        if layout not in LAYOUTS:
-            raise ConfigError(f"--layout {layout}: there are {', '.join(LAYOUTS)}")
-        if at is not None and screenshot is None:
-            raise ConfigError(
-                "--at is the time of a picture: give --screenshot FILE.png, too; for a video, --from and --to"
-            )
-        drawn = screenshot is not None or video is not None
-        which = (log, planner, None if mode == "both" else mode)
-        with ExitStack() as claims:
-            for place, suffixes in ((save, (".rrd",)), (screenshot, (".png",)), (video, BY_PILLOW + BY_FFMPEG)):
-                if place is not None:
-                    claims.enter_context(claimed_file(place, suffixes))
-            scratch = claims.enter_context(tempfile.TemporaryDirectory())
-            span = (None, None) if video is not None else (begin, end)
-            settings = run_config(config, {"log": log_table(ego, road_map, *span, repair)}).log
-            copies = [Near(target) for target in targets]
-            files, remark = _files([copy.path for copy in copies], which, Path(scratch), settings, save, one=drawn)
-            if save is not None:
-                say(save)
-            if screenshot is not None:
-                picture(files[-1], screenshot, at or 0.0, layout, tile, size, theme)
-                say(f"{screenshot}{remark}")
-            if video is not None:
-                from replay.draw.recording.pictures import film
+    if layout not in LAYOUTS:
+        raise ConfigError(f"--layout {layout}: there are {', '.join(LAYOUTS)}")
+    if at is not None and screenshot is None:
+        raise ConfigError(
+            "--at is the time of a picture: give --screenshot FILE.png, too; for a video, --from and --to"
+        )
+    drawn = screenshot is not None or video is not None
+    which = (log, planner, None if mode == "both" else mode)
+    with ExitStack() as claims:
+        for place, suffixes in ((save, (".rrd",)), (screenshot, (".png",)), (video, BY_PILLOW + BY_FFMPEG)):
+            if place is not None:
+                claims.enter_context(claimed_file(place, suffixes))
+        scratch = claims.enter_context(tempfile.TemporaryDirectory())
+        span = (None, None) if video is not None else (begin, end)
+        settings = run_config(config, {"log": log_table(ego, road_map, *span, repair)}).log
+        copies = [Near(target) for target in targets]
+        files, remark = _files([copy.path for copy in copies], which, Path(scratch), settings, save, one=drawn)
+        if save is not None:
+            say(save)
+        if screenshot is not None:
+            picture(files[-1], screenshot, at or 0.0, layout, tile, size, theme)
+            say(f"{screenshot}{remark}")
+        if video is not None:
+            from replay.draw.recording.pictures import film
 
-                frames = film(files[-1], video, begin, end, layout=layout, size=size, theme=theme)
-                say(f"{video}{remark}: {counted(frames, 'frame')}")
-            if save is None and not drawn:
-                show(files, memory_limit, web=web, port=port)
+            frames = film(files[-1], video, begin, end, layout=layout, size=size, theme=theme)
+            say(f"{video}{remark}: {counted(frames, 'frame')}")
+        if save is None and not drawn:
+            show(files, memory_limit, web=web, port=port)
 
 
-Which = tuple[str | None, str | None, opt.Loop | None]
-"""Log, planner and loop that the user named; None: any."""
+Which = tuple[str | None, str | None, opt.Loop | None]  # Log, planner and loop that the user named; None: any
 
 
 def _files(
@@ -281,32 +272,31 @@ def plot(
       replan plot results/run-001 --log paper/crossing_pedestrian --at 6.5 --chart st -o st.svg
       replan plot results/run-001 -p dp_qp -p idm --chart curves
     """
-    with handle_errors():
-        from replay.draw.charts.canvas import FORMATS
-        from replay.draw.charts.layout import charts_of, together
-        from replay.draw.charts.subject import subject
-        from replay.draw.drawn_results import load
-        from replay.results.tables import safe_name
-        from replay.run.claim import claimed_files
+    from replay.draw.charts.canvas import FORMATS
+    from replay.draw.charts.layout import charts_of, together
+    from replay.draw.charts.subject import subject
+    from replay.draw.drawn_results import load
+    from replay.results.tables import safe_name
+    from replay.run.claim import claimed_files
 
-        run, planners = load(result), list(dict.fromkeys(planner or ()))
-        chosen = chosen_drive(run, log, next(iter(planners), None), mode)
-        drive = chosen.drive
-        seen = subject(drive, at, [run.drive(drive.log, other, drive.mode) for other in planners[1:]])
-        name = "-".join([safe_name(drive.log), *map(safe_name, planners or [drive.planner]), drive.mode])
-        path = Path(f"{name}-{safe_name(chart)}.png") if out is None else out
-        if path.suffix not in ("", *FORMATS) and not path.is_dir():
-            raise ConfigError(f"{path}: a picture ends with .png or .svg, a folder has no ending")
-        with claimed_files(path, FORMATS) as place:
-            charts = charts_of(seen, chart, width)
-            if path.suffix in FORMATS and not path.is_dir():
-                together(charts, seen.title, seen.says, width).save(path, theme=theme.value, width=width)
-                say(f"{path}  ({seen.title}, {seen.says}){chosen.remark}")
-                return
-            files = [(place(f"{name}-{one.name}{ending}"), one) for one in charts for ending in FORMATS]
-            for file, one in files:
-                one.save(file, theme=theme.value, width=width)
-                say(file)
+    run, planners = load(result), list(dict.fromkeys(planner or ()))
+    chosen = chosen_drive(run, log, next(iter(planners), None), mode)
+    drive = chosen.drive
+    seen = subject(drive, at, [run.drive(drive.log, other, drive.mode) for other in planners[1:]])
+    name = "-".join([safe_name(drive.log), *map(safe_name, planners or [drive.planner]), drive.mode])
+    path = Path(f"{name}-{safe_name(chart)}.png") if out is None else out
+    if path.suffix not in ("", *FORMATS) and not path.is_dir():
+        raise ConfigError(f"{path}: a picture ends with .png or .svg, a folder has no ending")
+    with claimed_files(path, FORMATS) as place:
+        charts = charts_of(seen, chart, width)
+        if path.suffix in FORMATS and not path.is_dir():
+            together(charts, seen.title, seen.says, width).save(path, theme=theme.value, width=width)
+            say(f"{path}  ({seen.title}, {seen.says}){chosen.remark}")
+            return
+        files = [(place(f"{name}-{one.name}{ending}"), one) for one in charts for ending in FORMATS]
+        for file, one in files:
+            one.save(file, theme=theme.value, width=width)
+            say(file)
 
 
 @app.command()
@@ -327,26 +317,25 @@ def explain(
       replan explain results/run-001 --all
       replan explain results/run-001 --log paper/crossing_pedestrian --at 6.5
     """
-    with handle_errors():
-        from replay.draw.drawn_results import load
-        from replay.explain.explanation import explained, lines_of, summary
+    from replay.draw.drawn_results import load
+    from replay.explain.explanation import explained, lines_of, summary
 
-        chosen = chosen_drive(load(result), log, planner, mode)
-        drive = chosen.drive
-        ended = f"{chosen.title}: {drive.info['end']} after {drive.info['t_end_s']:.2f} s{chosen.remark}"
-        if at is None and not every and not as_json:
-            say("\n".join([ended, *map(drive.scenario.short_names, summary(drive))]))
-            say("more: --at T for one instant, --all for every change of a decision")
-            return
-        found = explained(drive, at)
-        if as_json:
-            say_json({"log": drive.log, "planner": drive.planner, "mode": drive.mode, "frames": found})
-            return
-        say(ended)
-        for one in found:
-            say()
-            for line in lines_of(one):
-                say(drive.scenario.short_names(line))
+    chosen = chosen_drive(load(result), log, planner, mode)
+    drive = chosen.drive
+    ended = f"{chosen.title}: {drive.info['end']} after {drive.info['t_end_s']:.2f} s{chosen.remark}"
+    if at is None and not every and not as_json:
+        say("\n".join([ended, *map(drive.scenario.short_names, summary(drive))]))
+        say("more: --at T for one instant, --all for every change of a decision")
+        return
+    found = explained(drive, at)
+    if as_json:
+        say_json({"log": drive.log, "planner": drive.planner, "mode": drive.mode, "frames": found})
+        return
+    say(ended)
+    for one in found:
+        say()
+        for line in lines_of(one):
+            say(drive.scenario.short_names(line))
 
 
 @app.command()
@@ -357,8 +346,7 @@ def frame(
     planner: opt.OfPlanner = None,
     mode: opt.OfMode = None,
     other: Annotated[
-        str | None,
-        option(None, "Plan the frame with this planner instead.", "--with", metavar="NAME", complete="planner"),
+        str | None, option(None, "Plan the frame with this planner instead.", "--with", complete="planner")
     ] = None,
     dump: Annotated[Path | None, opt.output("Write frames, plan and QPs to FILE.msgpack.", "--dump")] = None,
     debug: Annotated[bool, typer.Option("--debug", help="Open the debugger before the frame is planned.")] = False,
@@ -370,25 +358,22 @@ def frame(
       replan frame results/run-001 --at 6.5 --dump frame.msgpack
       replan frame results/run-001 --at 6.5 --with idm
     """
-    with handle_errors():
-        from contextlib import nullcontext
+    from contextlib import nullcontext
 
-        from replay.draw.drawn_results import load
-        from replay.run.claim import claimed_file
-        from replay.run.frame_again import replan_frame, report_of
-        from replay.run.frame_dump import dump as write_dump
+    from replay.draw.drawn_results import load
+    from replay.run.claim import claimed_file
+    from replay.run.frame_dump import dump as write_dump
+    from replay.run.frame_dump import replan_frame, report_of
 
-        results = load(result)
-        if planner is not None and planner not in (there := set(results.drives["planner"])):
-            raise ConfigError(
-                f"no drive of '{planner}' in the run ({', '.join(sorted(there))}); to plan with it: --with"
-            )
-        chosen = chosen_drive(results, log, planner, mode)
-        with nullcontext() if dump is None else claimed_file(dump, (".msgpack",)):
-            again = replan_frame(chosen.drive, at, other, debug=debug)
-            say(f"{chosen.title}{chosen.remark}")
-            for line in report_of(again):
-                say(line)
-            if dump is not None:
-                write_dump(dump, again.dump)
-                say(f"\n{dump}: {dump.stat().st_size / 1e6:.1f} MB; replay.run.frame_dump.load reads it")
+    results = load(result)
+    if planner is not None and planner not in (there := set(results.drives["planner"])):
+        raise ConfigError(f"no drive of '{planner}' in the run ({', '.join(sorted(there))}); to plan with it: --with")
+    chosen = chosen_drive(results, log, planner, mode)
+    with nullcontext() if dump is None else claimed_file(dump, (".msgpack",)):
+        again = replan_frame(chosen.drive, at, other, debug=debug)
+        say(f"{chosen.title}{chosen.remark}")
+        for line in report_of(again):
+            say(line)
+        if dump is not None:
+            write_dump(dump, again.dump)
+            say(f"\n{dump}: {dump.stat().st_size / 1e6:.1f} MB; replay.run.frame_dump.load reads it")

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
-from typer.core import TyperCommand
 
 from logs.errors import ConfigError, unknown_name
 from logs.files import on_this_machine
@@ -50,7 +49,7 @@ def complete_setting(incomplete: str) -> list[str]:
     table, _, rest = incomplete.partition(".")
     for name in tables[table].builtin if table in tables else ():
         if rest.startswith(f"{name}."):  # this one is imported, with its settings
-            from replay.cli.listed_settings import settings_of
+            from replay.cli.listing import settings_of
 
             keys += [f"{one.key}=" for one in settings_of(Part(tables[table], name))]
     for key in dotted_keys(RunConfig):
@@ -67,22 +66,19 @@ LOGS, LOOP, JUDGE, OUTPUT, RUNNING = "Logs", "Drive", "Judge", "Output", "Run"
 def option(panel: str | None, words: str, *names: str, complete: str = "", **more: Any) -> Any:
     """A `typer.Option` in a group of the help.
 
-    Args:
-        panel: The group; None: the default group.
-        words: The help text.
-        names: The spellings of the option; by default made from its parameter.
-        complete: The names for shell completion: the name of a kind of part, or a key of `OTHER_NAMES`.
-        more: Further arguments of `typer.Option`.
+    `panel`: the group; None: the default group. `names`: the spellings of the option; by default made from its
+    parameter. `complete`: the names for shell completion: the name of a kind of part, or a key of `OTHER_NAMES`.
+    `more`: further arguments of `typer.Option`.
     """
     if complete:
-        more["autocompletion"] = completion(complete)
+        more = {"metavar": "NAME", **more, "autocompletion": completion(complete)}
     make: Any = typer.Option
     return make(*names, rich_help_panel=panel, help=words, **more)
 
 
 def planner_option(panel: str | None, words: str) -> Any:
     """The option --planner, -p of a command: planners to drive, or of a run the drives of these planners."""
-    return option(panel, words, "--planner", "-p", metavar="NAME", complete="planner")
+    return option(panel, words, "--planner", "-p", complete="planner")
 
 
 def log_option(panel: str | None, words: str) -> Any:
@@ -132,10 +128,7 @@ Repair = Annotated[
 Begin = Annotated[float | None, option(LOGS, "Begin this many seconds after the log does.", "--from", metavar="S")]
 End = Annotated[float | None, option(LOGS, "End this many seconds after the log begins.", "--to", metavar="S")]
 Suite = Annotated[
-    str | None,
-    option(
-        LOGS, "Built-in logs: smoke, full, nightly, or a family or group.", "--suite", metavar="NAME", complete="suite"
-    ),
+    str | None, option(LOGS, "Built-in logs: smoke, full, nightly, or a family or group.", "--suite", complete="suite")
 ]
 Foxglove = Annotated[bool, option(OUTPUT, "Also write channels that Foxglove can draw.", "--foxglove")]
 Json = Annotated[bool, option(OUTPUT, "Write one JSON document, and nothing else, to stdout.", "--json")]
@@ -190,13 +183,9 @@ def say_agents(scenario: Scenario, *, as_json: bool) -> None:
 def run_config(config: Path | None, options: Mapping[str, Any], words: Sequence[str] = ()) -> RunConfig:
     """The configuration of a run: the file, overridden by the options, overridden by the words of `--set`.
 
-    Args:
-        config: A TOML file, or None.
-        options: A table like that of the file; None and empty lists are options that were not given.
-        words: "KEY=VALUE" each, with a dotted key and a TOML value; a value that is not TOML is taken as text.
-
-    Raises:
-        ConfigError: A key is unknown, a value is wrong, or the file cannot be read.
+    `config`: a TOML file, or None. `options`: a table like that of the file; None and empty lists are options that were
+    not given. `words`: "KEY=VALUE" each, with a dotted key and a TOML value; a value that is not TOML is taken as text.
+    ConfigError if a key is unknown, a value is wrong, or the file cannot be read.
     """
     from replay.config import RunConfig, load_run
     from replay.settings import dotted_keys, merged, set_table
@@ -210,38 +199,14 @@ def run_config(config: Path | None, options: Mapping[str, Any], words: Sequence[
 
 
 def _without_defaults(options: Mapping[str, Any]) -> dict[str, Any]:
-    tables = {key: _without_defaults(value) if isinstance(value, Mapping) else value for key, value in options.items()}
-    return {key: value for key, value in tables.items() if value is not None and value != []}
+    given = {key: value for key, value in options.items() if value is not None and value != []}
+    as_text = {key: str(value) for key, value in given.items() if isinstance(value, Path)}
+    tables = {key: _without_defaults(value) for key, value in given.items() if isinstance(value, Mapping)}
+    return {**given, **as_text, **tables}
 
 
 def log_table(
     ego: str | None, road_map: Path | None, begin: float | None, end: float | None, repair: str | None
 ) -> dict[str, Any]:
     """The options about logs as the table [log] of a run."""
-    place = None if road_map is None else str(road_map)
-    return {"ego": ego, "map": place, "begin": begin, "end": end, "repair": repair}
-
-
-class StrictCommand(TyperCommand):
-    """A command that refuses an option with one value that is given twice."""
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """The words, parsed; UsageError if an option would lose a value."""
-        options: Any = [one for one in self.params if one.param_type_name == "option"]
-        values = {name: one for one in options if not one.is_flag for name in (*one.opts, *one.secondary_opts)}
-        given: list[Any] = []
-        left = iter(args)
-        for word in left:
-            if word == "--":
-                break
-            long = word.startswith("--")
-            name, joined = word.partition("=")[0] if long else word[:2], "=" in word if long else len(word) > 2
-            if name in values:
-                given.append(values[name])
-                if not joined:
-                    next(left, None)
-        for one in given:
-            if not one.multiple and given.count(one) > 1:
-                raise typer.BadParameter(f"takes one value, and is given {given.count(one)} times", ctx, param=one)
-        parsed: list[str] = super().parse_args(ctx, args)
-        return parsed
+    return {"ego": ego, "map": road_map, "begin": begin, "end": end, "repair": repair}

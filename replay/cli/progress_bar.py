@@ -32,29 +32,18 @@ LEAST_S, MOST_S = 5.0, 60.0
 
 @dataclass
 class Pace:
-    """Decides when to print the progress of a run, and makes the line.
-
-    Attributes:
-        total: The number of logs.
-        begin: Time at which the first log was started, s; later by the time in which kernels were compiled.
-        done: Number of logs that have ended.
-        left: Expected cost of the logs that have not ended, in the unit of `step`'s `cost`; None: 1 per log.
-        driven: Number of them that were driven in this run.
-        spent: Expected cost of the logs that were driven.
-        ended: Time at which the last log ended, s.
-        last: Time at which the last line was printed, s.
-        tenth: Number of tenths that were done at that time.
-    """
+    """Decides when to print the progress of a run, and makes the line."""
 
     total: int
-    begin: float
+    begin: float  # Time at which the first log was started, s; later by the time in which kernels were compiled
+    # Expected cost of the logs that have not ended, in the unit of `step`'s `cost`; None: 1 per log
     left: float | None = None
-    done: int = 0
-    driven: int = 0
-    spent: float = 0.0
-    ended: float = 0.0
-    last: float = 0.0
-    tenth: int = 0
+    done: int = 0  # Number of logs that have ended
+    driven: int = 0  # Number of them that were driven in this run
+    spent: float = 0.0  # Expected cost of the logs that were driven
+    ended: float = 0.0  # Time at which the last log ended, s
+    last: float = 0.0  # Time at which the last line was printed, s
+    tenth: int = 0  # Number of tenths that were done at that time
 
     def __post_init__(self) -> None:
         self.last = self.ended = self.begin
@@ -129,12 +118,8 @@ def progress(
 ) -> Iterator[tuple[Callable[[Selection, Path], None], Callable[[LogResult], None]]]:
     """The functions to call when a run begins and when each log ends.
 
-    Args:
-        quiet: Print errors only.
-        verbose: Print each log as it ends, with its time and how its drives ended.
-
-    Raises:
-        KeyboardInterrupt: Re-raised with a message about the finished logs and how to continue.
+    KeyboardInterrupt is raised again with a message about the finished logs and how to continue. `quiet`: print errors
+    only. `verbose`: print each log as it ends, with its time and how its drives ended.
     """
     rest = TextColumn("{task.fields[rest]}")
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), rest

@@ -1,21 +1,25 @@
-"""`replan merge | report`, and the end of a run: reports, output, the exit code."""
+"""`replan merge | report | compare | baseline | score`, and the end of a run: reports, output, the exit code."""
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from logs.errors import ConfigError
 from replay.cli import options as opt
-from replay.cli.app import app, console_of, handle_errors, say, say_json
+from replay.cli.app import app, console_of, progress_lines, say, say_json
 from replay.cli.options import option
 
 if TYPE_CHECKING:
+    from logs.scenario import Scenario
+    from metrics.comparison import Comparison
     from replay.compare import Run
     from replay.config import RunConfig
     from replay.draw.drawn_results import Results
+    from replay.score.score_table import Asked
 
 EXIT_CODES = (
     "Exit codes: 0 all gates pass; 1 a gate failed; 2 wrong usage or configuration; 3 a log or planner could not be"
@@ -26,8 +30,7 @@ EXIT_CODES = (
 def load_baseline(path: Path, run: RunConfig, gates: Path | None, out: Path | None) -> Run:
     """Read the run to compare with, and the rules, before anything is driven, so that an error in them is found first.
 
-    Raises:
-        ConfigError: One of them cannot be read, or the baseline lies in the result folder.
+    ConfigError if one of them cannot be read, or the baseline lies in the result folder.
     """
     from metrics.judge.gates import load_rules
     from replay.compare import read_run
@@ -44,17 +47,10 @@ def finish_run(
 ) -> int:
     """Write the reports of a run, print its report, and return the exit code.
 
-    Args:
-        results: The run.
-        before: The run to compare with.
-        url: The URL to which the results are sent; "" if they stay in their folder.
-        gates: The file of thresholds and rules; None: the packaged ones.
-        as_json: Print one JSON document.
-        quiet: Print only the outcome.
-        report: Write the report files.
+    `url`: the URL to which the results are sent; "" if they stay in their folder. `gates`: the file of thresholds and
+    rules; None: the packaged ones.
     """
     from replay.api import finished
-    from replay.cli.compare import print_tables
     from replay.draw.report.terminal import document, last_line, print_ending, print_report
 
     place, over = url or str(results.path), finished(results, before, gates, report=report)
@@ -97,26 +93,25 @@ def merge(
       replan evaluate my_logs/ --shard 2/2 -o shard-2
       replan merge shard-1 shard-2 -o results/merged
     """
-    with handle_errors():
-        from contextlib import ExitStack
+    from contextlib import ExitStack
 
-        from logs.files import here
-        from replay.config import load_run
-        from replay.run.output import output_location
-        from replay.run.shards import gates_in
-        from replay.run.shards import merge as merged
+    from logs.files import here
+    from replay.config import load_run
+    from replay.run.output import output_location
+    from replay.run.shards import gates_in
+    from replay.run.shards import merge as merged
 
-        with ExitStack() as near:
-            folders = [near.enter_context(here(shard)) for shard in shards]
-            gates = near.enter_context(gates_in(folders[0]))
-            run = load_run(folders[0] / "run.toml")
-            before = None if baseline is None else load_baseline(baseline, run, gates, out)
-            place = near.enter_context(output_location(out))
-            assert place.folder is not None
-            result = merged(folders, place.folder)
-            show = {"as_json": as_json, "quiet": quiet, "report": not no_report}
-            code = finish_run(result, before, place.url, gates, **show)
-        raise typer.Exit(code)
+    with ExitStack() as near:
+        folders = [near.enter_context(here(shard)) for shard in shards]
+        gates = near.enter_context(gates_in(folders[0]))
+        run = load_run(folders[0] / "run.toml")
+        before = None if baseline is None else load_baseline(baseline, run, gates, out)
+        place = near.enter_context(output_location(out))
+        assert place.folder is not None
+        result = merged(folders, place.folder)
+        show = {"as_json": as_json, "quiet": quiet, "report": not no_report}
+        code = finish_run(result, before, place.url, gates, **show)
+    raise typer.Exit(code)
 
 
 @app.command()
@@ -142,29 +137,208 @@ def report(
       replan report results/run-001
       replan report results/run-001 --baseline baseline.parquet -o reports
     """
-    with handle_errors():
-        from logs.files import url_of
-        from replay.compare import compare_runs, read_run
-        from replay.draw.drawn_results import load
-        from replay.draw.report.overview import overview
-        from replay.draw.report.write import write_reports
-        from replay.experiments.findings import read_diagnosis
-        from replay.results.tables import REPORTS
-        from replay.run.claim import FolderContents, claimed_folder
-        from replay.run.output import held
+    from logs.files import url_of
+    from replay.compare import compare_runs, read_run
+    from replay.draw.drawn_results import load
+    from replay.draw.report.overview import overview
+    from replay.draw.report.write import write_reports
+    from replay.experiments.findings import read_diagnosis
+    from replay.results.tables import REPORTS
+    from replay.run.claim import FolderContents, claimed_folder
+    from replay.run.output import held
 
-        if url_of(results) and out is None:
-            raise ConfigError(f"{url_of(results)}: name a folder for its reports with --out")
-        if gates is not None and baseline is None:
-            raise ConfigError("--gates names rules of comparison: give what to compare with, --baseline RUN, too")
-        found = load(results)
-        folder = out or found.path
-        beside = folder.resolve() == found.path.resolve()
-        with held(folder) if beside else claimed_folder(folder, FolderContents("report", REPORTS, resumes=False)):
-            comparison = None if baseline is None else compare_runs(read_run(baseline), found, gates=gates)
-            why = None if diagnosis is None else read_diagnosis(diagnosis, found)
-            written = write_reports(found, overview(found, comparison, why), folder)
-        for name in REPORTS:
-            say(folder / name)
-        for line in written.broken:
-            say(line, err=True)
+    if url_of(results) and out is None:
+        raise ConfigError(f"{url_of(results)}: name a folder for its reports with --out")
+    if gates is not None and baseline is None:
+        raise ConfigError("--gates names rules of comparison: give what to compare with, --baseline RUN, too")
+    found = load(results)
+    folder = out or found.path
+    beside = folder.resolve() == found.path.resolve()
+    with held(folder) if beside else claimed_folder(folder, FolderContents("report", REPORTS, resumes=False)):
+        comparison = None if baseline is None else compare_runs(read_run(baseline), found, gates=gates)
+        why = None if diagnosis is None else read_diagnosis(diagnosis, found)
+        written = write_reports(found, overview(found, comparison, why), folder)
+    for name in REPORTS:
+        say(folder / name)
+    for line in written.broken:
+        say(line, err=True)
+
+
+COMPARE_CODES = (
+    "Exit codes: 0 no rule of comparison is broken; 1 one is; 2 wrong usage; 3 a run cannot be read; 4 inconclusive:"
+    " nothing to compare, or a rule had nothing to judge."
+)
+
+
+@app.command(epilog=COMPARE_CODES)
+def compare(
+    runs: Annotated[
+        list[Path], typer.Argument(help="Baseline and candidate: folders of results, or files of `replan baseline`.")
+    ],
+    planner: Annotated[
+        list[str] | None,
+        opt.planner_option(
+            None, "Drives of this planner; given twice: the first of the baseline, the second of the candidate."
+        ),
+    ] = None,
+    gates: Annotated[
+        Path | None,
+        option(None, "TOML file of thresholds and \\[\\[compare]] rules. Default: the packaged ones.", metavar="FILE"),
+    ] = None,
+    as_json: opt.Json = False,
+    no_first_difference: Annotated[
+        bool,
+        typer.Option("--no-first-difference", help="Do not look for the first difference of drives: read no trace."),
+    ] = False,
+) -> None:
+    """Compare two runs, or two planners of one run: what got better or worse, and the first frame that differs.
+
+    [bold]Examples[/bold]
+
+      replan compare results/main results/mine
+      replan compare baseline.parquet results/mine --gates gates.toml
+      replan compare results/run-001 --planner idm --planner dp_qp
+    """
+    from replay.compare import MOST_PARTINGS, compare_runs, read_run
+    from replay.draw.report.terminal import document
+
+    planners = tuple(planner or ())
+    if len(planners) > 2 or len(runs) > 2 or (len(runs) == 1 and len(planners) != 2):
+        raise ConfigError("name two runs, or one run and two planners: replan compare RESULT -p idm -p dp_qp")
+    most = 0 if no_first_difference else MOST_PARTINGS
+    candidate = read_run(runs[-1])
+    baseline = read_run(runs[0]) if len(runs) == 2 else candidate
+    comparison = compare_runs(baseline, candidate, planners, gates=gates, partings=most)
+    if as_json:
+        say_json(document(comparison))
+    else:
+        print_tables(comparison, candidate)
+    raise typer.Exit(comparison.exit_code)
+
+
+def print_tables(comparison: Comparison, candidate: Run, *, alone: bool = True) -> None:
+    """Print a comparison as tables; `alone`: its exit code is that of the command."""
+    from replay.compare import view_command
+    from replay.draw.report.terminal import print_comparison
+
+    print_comparison(comparison, console_of(130), lambda *drive: view_command(candidate, *drive), alone=alone)
+
+
+@app.command()
+def baseline(
+    results: Annotated[Path, typer.Argument(help="Folder of results.")],
+    out: Annotated[Path, opt.out_option("The file, for example baseline.parquet.")],
+) -> None:
+    """Write what a comparison needs of a run into one small file, for example for git.
+
+    [bold]Example[/bold]
+
+      replan baseline results/run-001 -o baseline.parquet
+    """
+    from replay.compare import is_baseline, read_run, write_baseline
+    from replay.run.claim import claimed_file
+
+    with claimed_file(out, (".parquet",), is_baseline):
+        write_baseline(read_run(results), out)
+    say(f"{out}: {out.stat().st_size / 1e3:.0f} kB")
+
+
+MOST_ROWS = 40  # More rows are not printed
+Names = Literal["nuplan-cls", "navsim-v1", "navsim-v2", "navsim-v2-old-filter"]
+
+
+@app.command()
+def score(
+    targets: Annotated[list[Path], typer.Argument(help="A folder of results, or logs and folders of logs.")],
+    name: Annotated[Names, typer.Option("--as", help="The score.")],
+    trajectories: Annotated[
+        Path | None, typer.Option(help="Score these (FILE.csv, FILE.parquet): log, t_s, x, y, yaw every 0.5 s for 4 s.")
+    ] = None,
+    relative: Annotated[
+        bool, typer.Option("--relative", help="Their poses are relative to the ego at the begin of the window.")
+    ] = False,
+    out: Annotated[Path | None, opt.out_option("Write the table to FILE.csv, FILE.parquet or FILE.json.")] = None,
+    quiet: opt.Quiet = False,
+    as_json: opt.Json = False,
+) -> None:
+    """Score drives and plans as nuPlan and NAVSIM do: a row for each scene, the means, and what cannot be exact.
+
+    nuplan-cls scores the closed loop of a run; the others its plans of the open loop every 0.5 s, or the
+    trajectories of a file in windows of 4 s. Which number compares with what: docs/leaderboards.md.
+
+    [bold]Examples[/bold]
+
+      replan score results/run-001 --as nuplan-cls
+      replan score results/run-001 --as navsim-v2 -o scores.csv
+      replan score my_logs/ --trajectories agent.parquet --as navsim-v2
+    """
+    with ExitStack() as writes:
+        from replay.run.claim import rows_file
+        from replay.score.score_table import AVERAGE, FINAL, NUPLAN_CLS, navsim_table, nuplan_table
+
+        write = writes.enter_context(rows_file(out)) if out is not None else None
+        if name == NUPLAN_CLS:
+            if trajectories is not None:
+                raise ConfigError("--trajectories: nuplan-cls scores drives; take --as navsim-v1 or navsim-v2")
+            table = nuplan_table(_run(targets))
+        else:
+            asked, logs = _plans(targets, trajectories, relative=relative)
+            line, done = progress_lines(quiet=quiet), [0]
+
+            def on_plan() -> None:
+                done[0] += 1
+                if done[0] % 200 == 0:
+                    line(f"scored {done[0]} of {len(asked)} plans")
+
+            table = navsim_table(name, asked, logs, on_plan)
+        if write is not None:
+            write(table.rows)
+        if as_json:
+            say_json({"as": name, "rows": table.rows, "inexact": table.inexact})
+        elif not quiet:
+            means = table.rows[table.rows.iloc[:, 0].isin([AVERAGE, FINAL])]
+            shown = table.rows if len(table.rows) <= MOST_ROWS else means
+            if len(shown) < len(table.rows):
+                say(f"{len(table.rows) - len(means)} rows; --out writes them. The means:")
+            say(shown.to_string(index=False, max_colwidth=60, float_format=lambda value: f"{value:.4f}", na_rep="-"))
+            say("Not exact:")
+            say("\n".join(f"  {note}" for note in table.inexact))
+        if out is not None and not as_json:
+            say(out)
+
+
+def _run(targets: list[Path]) -> Results:
+    """The run to be scored; ConfigError if it is none."""
+    from replay.draw.drawn_results import load
+
+    if len(targets) != 1 or not (targets[0] / "summary.json").is_file():
+        raise ConfigError(f"{targets[0]}: nuplan-cls scores the drives of a run: name a folder of results")
+    return load(targets[0])
+
+
+def _plans(
+    targets: list[Path], trajectories: Path | None, *, relative: bool
+) -> tuple[list[Asked], dict[str, Scenario]]:
+    from replay.draw.drawn_results import load
+    from replay.run.sources import select
+    from replay.score.score_table import of_table, of_trace
+
+    asked: list[Asked] = []
+    logs: dict[str, Scenario] = {}
+    if len(targets) == 1 and (targets[0] / "summary.json").is_file():
+        results = load(targets[0])
+        drives = results.drives[results.drives["mode"] == "open"]
+        if drives.empty:
+            raise ConfigError(f"{targets[0]}: the run has no open loop; evaluate with --mode open or both")
+        for log, planner in drives[["log", "planner"]].itertuples(index=False):
+            if trajectories is None or log not in logs:
+                drive = results.drive(log, planner, "open")
+                logs.setdefault(log, drive.scenario)
+                asked += of_trace(drive.trace, logs[log])
+    elif trajectories is None:
+        raise ConfigError(f"{targets[0]}: is no folder of results; score logs with --trajectories FILE")
+    else:
+        for source in select(targets).sources:
+            scenario = source.read()
+            logs[scenario.name] = scenario
+    return (asked if trajectories is None else of_table(trajectories, logs, relative=relative)), logs

@@ -27,8 +27,7 @@ from logs.repair.detections import Detections
 from logs.scenario import Scenario
 from replay.results.tables import PARTIAL
 
-START_NS = 1_700_000_000_000_000_000
-"""Start time of logs that begin at 0, because a bag's times are wall-clock times."""
+START_NS = 1_700_000_000_000_000_000  # Start time of logs that begin at 0, because a bag's times are wall-clock times
 LABELS = {
     AgentKind.CAR: "car", AgentKind.TRUCK: "truck", AgentKind.BUS: "bus", AgentKind.MOTORCYCLE: "motorcycle",
     AgentKind.BICYCLE: "bicycle", AgentKind.PEDESTRIAN: "pedestrian", AgentKind.OBJECT: "unknown",
@@ -43,16 +42,14 @@ DEFINITIONS = {
     "autoware_msgs/msg/DetectedObjectArray": "std_msgs/Header header\nDetectedObject[] objects\n",
 }
 """Fields of Autoware Mini's messages that replan writes and reads."""
-Row = tuple[str, str, int, dict[str, Any]]
-"""Topic, type, log time ns, fields."""
+Row = tuple[str, str, int, dict[str, Any]]  # Topic, type, log time ns, fields
 
 
 def write_bag(path: Path, scenario: Scenario) -> None:
     """Write the folder of a bag, completely or not at all; only a bag that was written here is replaced.
 
-    Raises:
-        ConfigError: The scenario has no raw detections, or something else has this name.
-        OutputError: The bag cannot be written.
+    ConfigError if the scenario has no raw detections, or something else has this name; OutputError if the bag cannot be
+    written.
     """
     if scenario.detections is None:
         raise ConfigError(f"{scenario.name} has tracks and no raw detections: a bag holds those (synth raw --as ros2)")

@@ -9,11 +9,10 @@ import typer
 
 from logs.errors import ConfigError
 from replay.cli import options as opt
-from replay.cli.app import app, handle_errors, progress_lines, say, say_json, worker_count
+from replay.cli.app import app, progress_lines, say, say_json, worker_count
 from replay.cli.options import JUDGE, LOGS, LOOP, RUNNING, log_table, option, run_config
 
-SHOWN = 20
-"""Largest number of trials of a Pareto front that are printed; pareto.csv has all."""
+SHOWN = 20  # Largest number of trials of a Pareto front that are printed; pareto.csv has all
 FALSIFY_CODES = (
     "Exit codes: 0 no such case found; 1 one is found: falsified; 2 wrong usage or configuration; 3 the recorded case"
     " could not be driven; 130 interrupted."
@@ -27,7 +26,7 @@ def falsify(
     list_agents: opt.ListAgents = False,
     listing: opt.ListAxes = False,
     against: Annotated[
-        str, option(LOOP, "Who must not fail: careful (of UN R157), or a planner.", metavar="NAME", complete="planner")
+        str, option(LOOP, "Who must not fail: careful (of UN R157), or a planner.", complete="planner")
     ] = "careful",
     axis: Annotated[
         list[str] | None,
@@ -65,40 +64,39 @@ def falsify(
       replan falsify unece_r157/cut_in -p idm --axis gap_m=0:60 --axis relative_kmh=-50:-10
       replan falsify my_log.mcap -p my_pkg.mine:MyPlanner --against dp_qp --axis standing_car=15:80
     """
-    with handle_errors():
-        from replay.experiments.falsify import FalsifyQuestion
-        from replay.experiments.falsify import falsify as falsified
-        from replay.experiments.search_subject import agents_of, search_axes, subject_of
+    from replay.experiments.falsify import FalsifyQuestion
+    from replay.experiments.falsify import falsify as falsified
+    from replay.experiments.search_subject import agents_of, search_axes, subject_of
 
-        if listing:
-            opt.say_axes(as_json=as_json)
-            return
-        if log is None or (planner is None and not list_agents):
-            raise ConfigError("name a log or a family, and a planner: replan falsify paper/crossing_pedestrian -p idm")
-        if not resolution > 0.0:
-            raise ConfigError(f"--resolution must be positive, got {resolution:g}")
-        options = {
-            "planners": [planner] if planner else None,
-            "gates": None if gates is None else str(gates),
-            "log": log_table(ego, road_map, begin, end, repair),
-        }
-        run = run_config(config, options, settings or ())
-        subject = subject_of(log, run.log)
-        if list_agents:
-            opt.say_agents(subject.scenario, as_json=as_json)
-            return
-        axes = search_axes(axis or [], scale or [], subject.family, with_agents=len(subject.scenario.tracks) > 0)
-        agents = agents_of(subject, axes, agent or [])
-        question = FalsifyQuestion(subject.of(agents), axes, run, against, budget, seed, resolution)
-        whose, say_progress = ", ".join(question.subject.short_agents), progress_lines(quiet=quiet)
-        say_progress(f"varied: {', '.join(axis.name for axis in axes)}{f' of {whose}' if whose else ''}")
-        result = falsified(question, out, workers=worker_count(workers), resume=resume, say=say_progress)
-        if as_json:
-            say_json({"results": result.out, "exit_code": result.exit_code, "distance": result.found.distance,
-                      "case": result.case, "said": result.lines()})  # fmt: skip
-        else:
-            say("\n".join([*result.lines(), *result.next_steps(), f"written to {result.out}"]))
-        raise typer.Exit(result.exit_code)
+    if listing:
+        opt.say_axes(as_json=as_json)
+        return
+    if log is None or (planner is None and not list_agents):
+        raise ConfigError("name a log or a family, and a planner: replan falsify paper/crossing_pedestrian -p idm")
+    if not resolution > 0.0:
+        raise ConfigError(f"--resolution must be positive, got {resolution:g}")
+    options = {
+        "planners": [planner] if planner else None,
+        "gates": gates,
+        "log": log_table(ego, road_map, begin, end, repair),
+    }
+    run = run_config(config, options, settings or ())
+    subject = subject_of(log, run.log)
+    if list_agents:
+        opt.say_agents(subject.scenario, as_json=as_json)
+        return
+    axes = search_axes(axis or [], scale or [], subject.family, with_agents=len(subject.scenario.tracks) > 0)
+    agents = agents_of(subject, axes, agent or [])
+    question = FalsifyQuestion(subject.of(agents), axes, run, against, budget, seed, resolution)
+    whose, say_progress = ", ".join(question.subject.short_agents), progress_lines(quiet=quiet)
+    say_progress(f"varied: {', '.join(axis.name for axis in axes)}{f' of {whose}' if whose else ''}")
+    result = falsified(question, out, workers=worker_count(workers), resume=resume, say=say_progress)
+    if as_json:
+        say_json({"results": result.out, "exit_code": result.exit_code, "distance": result.found.distance,
+                  "case": result.case, "said": result.lines()})  # fmt: skip
+    else:
+        say("\n".join([*result.lines(), *result.next_steps(), f"written to {result.out}"]))
+    raise typer.Exit(result.exit_code)
 
 
 TUNE_CODES = (
@@ -144,36 +142,35 @@ def tune(
       replan tune -p idm --space space.toml --suite full --trials 100 -o results/tuned
       replan evaluate my_logs/ --config results/tuned/best.toml
     """
-    with handle_errors():
-        from replay.cli.compare import print_tables
-        from replay.cli.evaluate import engine_of
-        from replay.draw.drawn_results import load
-        from replay.experiments.gains import DEFAULT_OBJECTIVES, objectives
-        from replay.experiments.optuna_trials import TuningInputs
-        from replay.experiments.space import load_space
-        from replay.experiments.tune import tune as tuned
-        from replay.run.evaluate import selected
-        from replay.run.one_log import all_metrics
+    from replay.cli.evaluate import engine_of
+    from replay.cli.report import print_tables
+    from replay.draw.drawn_results import load
+    from replay.experiments.gains import DEFAULT_OBJECTIVES, objectives
+    from replay.experiments.optuna_trials import TuningInputs
+    from replay.experiments.space import load_space
+    from replay.experiments.tune import tune as tuned
+    from replay.run.evaluate import selected
+    from replay.run.one_log import all_metrics
 
-        options = {"planners": [planner], "metrics": metric, "gates": None if gates is None else str(gates)}
-        run = run_config(config, options, settings or ())
-        asked = objectives(objective or DEFAULT_OBJECTIVES, all_metrics(run))
-        plan = TuningInputs(run, load_space(space, run), asked, trials, seed, held_out)
-        selection = selected(logs or [], run, None, suite)
-        driven_on = engine_of(engine, address, workers)
-        result = tuned(plan, selection, out, engine=driven_on, resume=resume, say=progress_lines(quiet=quiet))
-        if as_json:
-            say_json({"results": result.out, "exit_code": result.exit_code, "chosen": result.chosen,
-                      "said": result.lines()})  # fmt: skip
-            raise typer.Exit(result.exit_code)
-        if not quiet:
-            front = result.table[result.table["pareto"]].sort_values("total", ascending=False, kind="stable")
-            shown = front.drop(columns=["feasible", "refused", "pareto"]).head(SHOWN)
-            say(shown.to_string(index=False, float_format=lambda value: f"{value:.4g}"))
-            if result.comparison is not None:
-                print_tables(result.comparison, load(result.out / "held_out" / "chosen"), alone=False)
-        say("\n".join([*result.lines(), f"written to {result.out}"]))
+    options = {"planners": [planner], "metrics": metric, "gates": gates}
+    run = run_config(config, options, settings or ())
+    asked = objectives(objective or DEFAULT_OBJECTIVES, all_metrics(run))
+    plan = TuningInputs(run, load_space(space, run), asked, trials, seed, held_out)
+    selection = selected(logs or [], run, None, suite)
+    driven_on = engine_of(engine, address, workers)
+    result = tuned(plan, selection, out, engine=driven_on, resume=resume, say=progress_lines(quiet=quiet))
+    if as_json:
+        say_json({"results": result.out, "exit_code": result.exit_code, "chosen": result.chosen,
+                  "said": result.lines()})  # fmt: skip
         raise typer.Exit(result.exit_code)
+    if not quiet:
+        front = result.table[result.table["pareto"]].sort_values("total", ascending=False, kind="stable")
+        shown = front.drop(columns=["feasible", "refused", "pareto"]).head(SHOWN)
+        say(shown.to_string(index=False, float_format=lambda value: f"{value:.4g}"))
+        if result.comparison is not None:
+            print_tables(result.comparison, load(result.out / "held_out" / "chosen"), alone=False)
+    say("\n".join([*result.lines(), f"written to {result.out}"]))
+    raise typer.Exit(result.exit_code)
 
 
 DIAGNOSE_CODES = (
@@ -210,20 +207,19 @@ def diagnose(
       replan diagnose results/run-001 --log everyday/cut_in --planner idm
       replan diagnose results/run-001 --space space.toml
     """
-    with handle_errors():
-        from replay.draw.drawn_results import load
-        from replay.experiments.changes import load_changes
-        from replay.experiments.diagnose import diagnose as diagnosed
-        from replay.experiments.diagnose import question
-        from replay.experiments.space import load_space
+    from replay.draw.drawn_results import load
+    from replay.experiments.changes import load_changes
+    from replay.experiments.diagnose import diagnose as diagnosed
+    from replay.experiments.diagnose import question
+    from replay.experiments.space import load_space
 
-        asked = question(load(run), planner, log or (), load_changes(changes))
-        settings = () if space is None else load_space(space, asked.run)
-        count, say_progress = worker_count(workers), progress_lines(quiet=quiet)
-        result = diagnosed(asked, out, settings, workers=count, resume=resume, say=say_progress)
-        if as_json:
-            say_json({**result.document(), "results": str(result.out)})
-        else:
-            say("\n".join([*result.lines(), f"written to {result.out}"]))
-        if result.exit_code:
-            raise typer.Exit(result.exit_code)
+    asked = question(load(run), planner, log or (), load_changes(changes))
+    settings = () if space is None else load_space(space, asked.run)
+    count, say_progress = worker_count(workers), progress_lines(quiet=quiet)
+    result = diagnosed(asked, out, settings, workers=count, resume=resume, say=say_progress)
+    if as_json:
+        say_json({**result.document(), "results": str(result.out)})
+    else:
+        say("\n".join([*result.lines(), f"written to {result.out}"]))
+    if result.exit_code:
+        raise typer.Exit(result.exit_code)

@@ -20,8 +20,7 @@ from replay.run.claim import claimed_files
 
 TABLE = "suite.csv"
 NATIVE, ROS2 = "native", "ros2"
-FORMS = (NATIVE, ROS2)
-"""The forms in which logs are written."""
+FORMS = (NATIVE, ROS2)  # The forms in which logs are written
 COLUMNS = ("log", "file", "family", "parameters", "seed", "tags", "accepted_decisions")
 
 
@@ -35,8 +34,7 @@ def _files(out: Path) -> AbstractContextManager[Callable[[str], Path]]:
 def chosen(names: Sequence[str]) -> tuple[Family, ...]:
     """The families of these names; "all" is every one, a group ("paper") all of its own, "module:NAME" a user's.
 
-    Raises:
-        ConfigError: No family or group has the name.
+    ConfigError if no family or group has the name.
     """
     found: dict[str, Family] = {}
     known = families()
@@ -55,10 +53,7 @@ def synthesise(
     """Write one log per family into `out`, as GROUP/NAME.mcap or, of the form ROS2, as the bag GROUP/NAME.
 
     Yields each path when it is written.
-
-    Raises:
-        ConfigError: A family has no such parameter, its values allow no careful drive, or it does not exist in this
-            form.
+    ConfigError if a family has no such parameter, its values allow no careful drive, or it does not exist in this form.
     """
     scenarios = [family.scenario(**parameters) for family in families]
     with _files(out) as place:
@@ -69,8 +64,7 @@ def synthesise(
 def write_suite(name: str, out: Path, form: str = NATIVE) -> Generator[Path]:
     """Write the logs of a suite (or of a family or group, all cells) into `out`, and last their table, `TABLE`.
 
-    Raises:
-        ConfigError: No suite, family or group has this name, or a log does not exist in this form.
+    ConfigError if no suite, family or group has this name, or a log does not exist in this form.
     """
     rows, labels = [], suite(name)
     with _files(out) as place:

@@ -58,8 +58,7 @@ except ModuleNotFoundError:
     raise ConfigError("--foxglove needs foxglove-schemas-protobuf: pip install 'replan[foxglove]'") from None
 
 MAP, BASE = "map", "base_link"
-STEP_S = 0.02
-"""Least interval between samples of the ego and of agents: 50 Hz is more than a screen shows."""
+STEP_S = 0.02  # Least interval between samples of the ego and of agents: 50 Hz is more than a screen shows
 HEIGHT_M = {
     AgentKind.CAR: 1.5, AgentKind.TRUCK: 3.2, AgentKind.BUS: 3.2, AgentKind.MOTORCYCLE: 1.5, AgentKind.BICYCLE: 1.7,
     AgentKind.PEDESTRIAN: 1.75, AgentKind.OBJECT: 1.0,
@@ -69,11 +68,7 @@ LINE_M, LABEL_PX = 0.1, 12.0
 
 
 def scenario_channels(scenario: Scenario, markers: Sequence[Marker] = ()) -> Iterator[Entry]:
-    """The messages of a log, with its markers.
-
-    Raises:
-        LogError: A log time is before the epoch.
-    """
+    """The messages of a log, with its markers; LogError if a log time is before the epoch."""
     start = scenario.start_ns
     begun = sorted(markers, key=lambda one: one.begin)
     times = log_times(np.array([one.begin for one in begun]), start, "/foxglove/events")
@@ -109,8 +104,7 @@ def scenario_channels(scenario: Scenario, markers: Sequence[Marker] = ()) -> Ite
 def trace_channels(trace: Trace, scenario: Scenario) -> Iterator[Entry]:
     """The messages of a drive: those of its log, and its plans.
 
-    Raises:
-        LogError: As `scenario_channels`.
+    LogError as `scenario_channels`.
     """
     start = scenario.start_ns
     yield from scenario_channels(driven_scenario(trace, scenario))

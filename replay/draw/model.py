@@ -57,14 +57,12 @@ def widened(low: float, high: float, least: float, room: float = 0.06) -> Span:
 
 
 JERK = LON_JERK_STATE.name
-SPIKE = 99.5
-"""Percentile of the absolute values of a spiky curve up to which the axis reaches."""
+SPIKE = 99.5  # Percentile of the absolute values of a spiky curve up to which the axis reaches
 BLUE, YELLOW, RED, GREEN, VIOLET, TEAL, PINK, GREY = SERIES = (
     0x4AB8F5FF, 0xE8AC30FF, 0xFF6E64FF, 0x78DC82FF, 0xC896FFFF, 0x50D2C8FF, 0xFF96C8FF, 0x9E9E9EFF,
 )  # fmt: skip
 """Colours of curves in recordings, 0xRRGGBBAA; charts tell curves apart by their order."""
-DIM = 0xFFFFFF78
-"""Mask that makes a colour more transparent: `RED & DIM`."""
+DIM = 0xFFFFFF78  # Mask that makes a colour more transparent: `RED & DIM`
 
 Steps = Callable[[str], tuple[FloatArray, FloatArray]]
 """Maps the name of a metric to its times and values `(n,)`; both are empty if it was not measured."""
@@ -72,29 +70,17 @@ Steps = Callable[[str], tuple[FloatArray, FloatArray]]
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """One curve.
-
-    Attributes:
-        name: One word.
-        legend: Its name in the legend.
-        t: `(n,)` s.
-        values: `(n,)`.
-        colour: Colour in recordings.
-        width: Width in recordings, pixels.
-        steps: Whether a value holds until the next.
-        spiky: Whether the axis may cut off its rarest values.
-        asked: Whether it is what was planned, asked for, allowed or logged, not what was done.
-    """
+    """One curve."""
 
     name: str
     legend: str
-    t: FloatArray
-    values: FloatArray
+    t: FloatArray  # `(n,)` s
+    values: FloatArray  # `(n,)`
     colour: int = BLUE
-    width: float = 2.0
-    steps: bool = False
-    spiky: bool = False
-    asked: bool = False
+    width: float = 2.0  # Width in recordings, pixels
+    steps: bool = False  # Whether a value holds until the next
+    spiky: bool = False  # Whether the axis may cut off its rarest values
+    asked: bool = False  # Whether it is what was planned, asked for, allowed or logged, not what was done
 
     @property
     def known(self) -> FloatArray:
@@ -104,18 +90,12 @@ class Curve:
 
 @dataclass(frozen=True)
 class Marker:
-    """A stretch of a log to look at.
+    """A stretch of a log to look at."""
 
-    Attributes:
-        begin: s since the log's start; `end` likewise.
-        kind: The kind of event, one word.
-        about: Who takes part, and more in words; may be empty.
-    """
-
-    begin: float
+    begin: float  # s since the log's start; `end` likewise
     end: float
     kind: str
-    about: str
+    about: str  # Who takes part, and more in words; may be empty
 
     @property
     def words(self) -> str:
@@ -125,27 +105,16 @@ class Marker:
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """Curves that share an axis.
-
-    Attributes:
-        name: One word.
-        title: The title, with the unit.
-        curves: The curves with a finite value, the most important first: a chart shows at most four.
-        least: The axis is never shorter than this, so that a constant curve looks constant.
-        about: Prefixes of the names of metrics; charts shade the times at which their gates fail.
-        floor: The axis does not go below this.
-        most: The axis does not go above this.
-        charted: Whether charts show it, too; recordings show all.
-    """
+    """Curves that share an axis."""
 
     name: str
     title: str
-    curves: tuple[Curve, ...]
-    least: float
-    about: tuple[str, ...] = ()
-    floor: float = -np.inf
-    most: float = np.inf
-    charted: bool = True
+    curves: tuple[Curve, ...]  # The curves with a finite value, the most important first: a chart shows at most four
+    least: float  # The axis is never shorter than this, so that a constant curve looks constant
+    about: tuple[str, ...] = ()  # Prefixes of the names of metrics; charts shade the times at which their gates fail
+    floor: float = -np.inf  # The axis does not go below this
+    most: float = np.inf  # The axis does not go above this
+    charted: bool = True  # Whether charts show it, too; recordings show all
 
     @property
     def values(self) -> FloatArray:
@@ -361,32 +330,22 @@ def compared_panels(drives: Mapping[str, Sequence[Panel]]) -> list[Panel]:
 
 @dataclass(frozen=True)
 class GraphKind:
-    """A kind of graph: its names and axes.
-
-    Attributes:
-        name: One word.
-        graph: The artefact.
-        title: Title of the graph.
-        x_title: Title of the axis, with the unit; `y_title` likewise.
-        least: The y axis is not shorter than this.
-        scrolls: Whether the graphs of a drive begin at different x.
-    """
+    """A kind of graph: its names and axes."""
 
     name: str
     graph: type[Graph]
     title: str
-    x_title: str
+    x_title: str  # Title of the axis, with the unit; `y_title` likewise
     y_title: str
-    least: float
-    scrolls: bool
+    least: float  # The y axis is not shorter than this
+    scrolls: bool  # Whether the graphs of a drive begin at different x
 
 
 ST = GraphKind("st", StGraph, "S-T graph", "time from the plan [s]", "station along the path [m]", 5.0, False)
 SL = GraphKind(
     "sl", SlGraph, "S-L graph", "station of the reference line [m]", "lateral offset [m], left positive", 4.0, True
 )
-FAR_M = 6.0
-"""Axes show obstacles and bounds up to this far beyond the solutions."""
+FAR_M = 6.0  # Axes show obstacles and bounds up to this far beyond the solutions
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -404,25 +363,15 @@ class DrawnObstacle:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class DrawnGraph:
-    """A graph.
+    """A graph."""
 
-    Attributes:
-        begin: The first x of the QP solution, otherwise of the DP solution, the grid or the corridor.
-        qp: Finite points of the QP solution `(n, 2)`.
-        dp: Finite points of the DP solution `(n, 2)`.
-        knots: Points `(k, 2)` of the DP solution at the columns of its grid.
-        grid: The nodes that the DP searched.
-        corridor: The bounds of the QP; None if there are fewer than two stations or times.
-        obstacles: The obstacles that have an outline.
-    """
-
-    begin: float
-    qp: FloatArray
-    dp: FloatArray
-    knots: FloatArray
-    grid: GridCost | None
-    corridor: Corridor | None
-    obstacles: tuple[DrawnObstacle, ...]
+    begin: float  # The first x of the QP solution, otherwise of the DP solution, the grid or the corridor
+    qp: FloatArray  # Finite points of the QP solution `(n, 2)`
+    dp: FloatArray  # Finite points of the DP solution `(n, 2)`
+    knots: FloatArray  # Points `(k, 2)` of the DP solution at the columns of its grid
+    grid: GridCost | None  # The nodes that the DP searched
+    corridor: Corridor | None  # The bounds of the QP; None if there are fewer than two stations or times
+    obstacles: tuple[DrawnObstacle, ...]  # The obstacles that have an outline
 
     @classmethod
     def of(cls, plan: Plan, kind: GraphKind) -> DrawnGraph | None:
@@ -496,12 +445,7 @@ def in_full(
 ) -> IntArray:
     """Rows of the agents drawn in full, increasing: the `NEAREST` within `NEAR_M`, and those with a decision.
 
-    Args:
-        ids: `(n,)`.
-        x: World coordinate, m, `(n,)`.
-        y: World coordinate, m, `(n,)`.
-        about: The agents that the plan decides about.
-        ego: Position of the ego.
+    `ids`: `(n,)`. `x`: world coordinate, m, `(n,)`. `y`: world coordinate, m, `(n,)`.
     """
     if len(ids) <= NEAREST:
         return np.arange(len(ids))

@@ -24,6 +24,6 @@
     remedy.py          the smallest change of one setting that passes, and the drives of the run that it breaks
     diagnose.py, findings.py   a whole diagnosis, and its sentences, page and tables
 
-`replay.run.study` is the file from which an interrupted experiment goes on; experiment_figures.py draws the pictures.
+`replay.run.resume` is the file from which an interrupted experiment goes on; experiment_figures.py draws the pictures.
 optuna and cmaes are an extra, and are imported when a search begins.
 """

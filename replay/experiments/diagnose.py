@@ -63,8 +63,8 @@ from replay.explain.explanation import Explanation
 from replay.results.load import named_logs
 from replay.run.claim import FolderContents, claimed_folder
 from replay.run.output import scenario_of
-from replay.run.perturb import PERTURBATIONS, perturbed
-from replay.run.study import Study, study_head
+from replay.run.resume import Study, study_head
+from replay.run.sources import PERTURBATIONS, perturbed
 
 KIND = "diagnose"
 CONTENTS = FolderContents(KIND, ("diagnosis.*", "changes.csv", "changes", "logs"))

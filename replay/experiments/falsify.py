@@ -56,7 +56,7 @@ from replay.run import evaluate_logs
 from replay.run.checks import checked
 from replay.run.claim import FolderContents, claimed_folder
 from replay.run.judging import gates_of
-from replay.run.study import Study, study_head
+from replay.run.resume import Study, study_head
 
 KIND = "falsify"
 CONTENTS = FolderContents(KIND, ("falsify.*", "trials.*", "case", "case.mcap"))

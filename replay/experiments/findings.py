@@ -23,7 +23,7 @@ from replay.draw.drawn_results import Results
 from replay.experiments.changes import NOT_FOUND, UNAVOIDABLE, ChangedRun, FailureCause
 from replay.experiments.failure import DriveFailure, Wait
 from replay.experiments.remedy import Remedy
-from replay.results.reading import read_json
+from replay.results.schema import read_json
 from replay.results.tables import write_csv, write_json, write_text
 from replay.results.version import replan_version
 

@@ -19,7 +19,7 @@ from logs.errors import ConfigError
 from replay.config import RunConfig, RunMode
 from replay.experiments.gains import Objective, RunScores, gains, scales
 from replay.experiments.space import Setting, Value
-from replay.run.study import study_head
+from replay.run.resume import study_head
 
 KIND = "tune"
 TRIALS, SHARE = 50, 0.3

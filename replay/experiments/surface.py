@@ -42,7 +42,7 @@ from replay.experiments.trial import Trial, closed, drive_made, one_planner, wri
 from replay.results.tables import LONGEST_SAFE, safe_name, write_csv, write_json
 from replay.results.version import replan_version
 from replay.run.claim import FolderContents, claimed_folder
-from replay.run.study import Study, study_head
+from replay.run.resume import Study, study_head
 
 UNAVOIDABLE = "unavoidable"
 CARD = "vary.json"

@@ -54,10 +54,9 @@ from replay.results.version import replan_version
 from replay.run import evaluate_logs
 from replay.run.checks import checked
 from replay.run.claim import FolderContents, claimed_folder
-from replay.run.engine import Engine, Local
-from replay.run.resume import identity_of
+from replay.run.evaluate import Engine, Local
+from replay.run.resume import Study, identity_of
 from replay.run.sources import Selection
-from replay.run.study import Study
 
 CONTENTS = FolderContents(
     KIND,

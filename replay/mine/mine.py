@@ -35,17 +35,15 @@ from replay.mine.driven_log import DrivenLog, Event, EventKind
 from replay.mine.ego_and_road import crosses_others, in_roundabout, stays
 from replay.mine.event_page import PAGE, PICTURES, draw_events, write_events_page
 from replay.mine.kinds import EVENT_KIND, KINDS, PLAN_KINDS, plan_events
-from replay.results.reading import read_json, read_table
-from replay.results.schema import names_of, typed
+from replay.results.schema import names_of, read_json, read_table, typed
 from replay.results.tables import write_json, write_parquet, write_text
 from replay.results.version import replan_version
 from replay.run.claim import FolderContents, claimed_folder
-from replay.run.engine import longest_first
+from replay.run.evaluate import longest_first
 from replay.run.output import write_origin
 from replay.run.pool import WorkerLost, run_all
-from replay.run.resume import identity_of, stamp_of
+from replay.run.resume import Study, identity_of, stamp_of
 from replay.run.sources import LogSource, Selection, log_hash
-from replay.run.study import Study
 
 EVENTS, LOGS, HEALTH, CARD = "events.parquet", "logs.parquet", "health.parquet", "mined.json"
 CONTENTS = FolderContents(

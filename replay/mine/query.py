@@ -38,7 +38,7 @@ from replay.results.tables import safe_names
 from replay.results.version import replan_version
 from replay.run.claim import FolderContents, claimed_folder
 from replay.run.output import scenario_of
-from replay.run.study import Study
+from replay.run.resume import Study
 
 RUN_VIEWS = (
     "metrics", "verdicts", "groups", "health", "timings", "frames", "logs", "drives", "gates", "failures", "decisions",

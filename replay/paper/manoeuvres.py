@@ -41,8 +41,7 @@ from replay.vehicle.plan_path import PlanPath
 STEP_M = 0.5
 BEFORE_M, AFTER_M = 60.0, 60.0
 JERK_WEIGHT = 100.0
-SPARE_M = 0.1
-"""Space between the path and the cones: the body does not point along the path where the tyres slip."""
+SPARE_M = 0.1  # Space between the path and the cones: the body does not point along the path where the tyres slip
 
 
 def cones_hit(places: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, car: VehicleParameters) -> int:
@@ -56,8 +55,7 @@ def cones_hit(places: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray,
 def cone_path(sections: tuple[iso3888.ConeLane, ...], car: VehicleParameters) -> FloatArray:
     """The path (1) `(n, 2)` of the rear axle, STEP_M apart in x.
 
-    Raises:
-        ConfigError: The vehicle does not fit between the cones.
+    ConfigError if the vehicle does not fit between the cones.
     """
     x = np.arange(-BEFORE_M, sections[-1].end + AFTER_M + 0.5 * STEP_M, STEP_M)
     n = len(x)
@@ -91,8 +89,7 @@ def _differences(n: int, order: int) -> FloatArray:
 
 PERIOD_S = 0.01
 SAMPLE_S = 0.1
-JERK_OVER = 10
-"""Number of control periods over which the jerk is averaged, because gear shifts and pedals are steps."""
+JERK_OVER = 10  # Number of control periods over which the jerk is averaged, because gear shifts and pedals are steps
 ALAT_MPS2 = 3.0
 LOST_M = 5.0
 FASTEST_KMH = 90
@@ -102,18 +99,12 @@ MODELS = ("kinematic_bicycle", "single_track", "multibody")
 
 @dataclass(frozen=True, eq=False)
 class Manoeuvre:
-    """A reference to follow.
-
-    Attributes:
-        name: Name in the table.
-        reference: The plan, at the rear axle.
-        cones: Places `(n, 2)` that must not be touched, m.
-        plant: Plant parameters that are hidden from the controller, such as the road's friction.
-    """
+    """A reference to follow."""
 
     name: str
     reference: Trajectory
-    cones: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
+    cones: FloatArray = field(default_factory=lambda: np.empty((0, 2)))  # Places `(n, 2)` that must not be touched, m
+    # Plant parameters that are hidden from the controller, such as the road's friction
     plant: PlantTable = field(default_factory=dict)
 
 
@@ -227,14 +218,9 @@ def manoeuvres(car: VehicleParameters) -> tuple[Manoeuvre, ...]:
 
 @dataclass(frozen=True, eq=False)
 class FollowedManoeuvre:
-    """A followed manoeuvre, one row per control period.
+    """A followed manoeuvre, one row per control period."""
 
-    Attributes:
-        columns: t, x, y, yaw, lateral, heading, speed, station error, a, wheel angle.
-        notes: Notes of the controller.
-    """
-
-    columns: Mapping[str, FloatArray]
+    columns: Mapping[str, FloatArray]  # t, x, y, yaw, lateral, heading, speed, station error, a, wheel angle
     notes: tuple[str, ...]
 
 

@@ -45,29 +45,21 @@ EGO_KMH = (20.0, 30.0, 40.0, 50.0)
 WALKER_MPS = (0.8, 1.15, 1.5, 1.85, 2.2)
 LATE_S = (-2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5, 2.0)
 REACTION_S = 0.0
-WALK_RAMP_S = 0.4
-"""Time in which the walker of the family reaches its speed, s."""
+WALK_RAMP_S = 0.4  # Time in which the walker of the family reaches its speed, s
 RELEASE_S = 1.0
-JERK_MPS3 = 4.13
-"""Comfort bound of the longitudinal jerk (metrics.comfort)."""
+JERK_MPS3 = 4.13  # Comfort bound of the longitudinal jerk (metrics.comfort)
 PRESSED = 1e-3
-JOINED_S = 0.5
-"""Releases of the brake that are shorter than this do not end the braking."""
+JOINED_S = 0.5  # Releases of the brake that are shorter than this do not end the braking
 
 
 @dataclass(frozen=True)
 class GridCrossing:
-    """One crossing.
-
-    Attributes:
-        ego_kmh: Speed of the ego and of the road.
-        walker_mps: Speed of the walker.
-        late_s: Time at which the walker is in the middle of the lane, minus the time at which the front bumper of an
-            ego that keeps its speed reaches the walker's line.
-    """
+    """One crossing."""
 
     ego_kmh: float
     walker_mps: float
+    # Time at which the walker is in the middle of the lane, minus the time at which the front bumper of an ego that
+    # keeps its speed reaches the walker's line
     late_s: float
 
     @property
@@ -223,8 +215,7 @@ def grid(
 ) -> pd.DataFrame:
     """The table, a row per cell in their order; the same whatever the number of `workers` (0: in this process).
 
-    Raises:
-        PlannerError: A worker died.
+    PlannerError if a worker died.
     """
     rows: dict[int, dict[str, object]] = {}
     found = run_all(measured, cells, workers) if workers else ((i, measured(cell)) for i, cell in enumerate(cells))

@@ -11,9 +11,7 @@
     OUT/paper.md                  all of it on one page
 
 The files contain no measured times except the planner's stage times in the recordings: two runs otherwise give the same
-bytes. Each
-file is written under a temporary name and renamed.
-docs/paper.md compares the results with the paper.
+bytes. Each file is written under a temporary name and renamed. docs/paper.md compares the results with the paper.
 """
 
 from __future__ import annotations
@@ -21,26 +19,147 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from logs.arrays import FloatArray
+from logs.arrays import FloatArray, arc_lengths
 from logs.catalogue import paper
 from logs.errors import ConfigError, unknown_name
 from logs.plan import StGraph
 from logs.scenario import Scenario
+from logs.states import EgoState
 from logs.trace import PlannedFrame, Trace
 from metrics import METRICS, evaluate, evaluate_with_series
+from replay.draw.charts.axes import LEFT_PX, RIGHT_PX, Plane
+from replay.draw.charts.bird_view import View, drawn_road, scene
+from replay.draw.charts.canvas import Chart, stacked
+from replay.draw.charts.curves import KINDS, Span, panel_chart, plan_graph
+from replay.draw.charts.layout import together
+from replay.draw.charts.subject import Moment, SceneSubject
+from replay.draw.model import ST, Curve, Panel
 from replay.draw.recording import write_recording
 from replay.drive import Drive
 from replay.loop.closed_loop import run_closed_loop
-from replay.paper import figures
 from replay.paper.manoeuvres import compare
 from replay.paper.pedestrian_grid import CELLS, LOOP, PLANNER, GridCrossing, braking_for_walker, grid
 from replay.parts import CONTROLLER, VEHICLE
 from replay.results.tables import write_csv, write_text
 from replay.run.claim import FolderContents
+
+WIDTH_PX, CURVE_PX = 800.0, 190.0
+AROUND_M = 10.0
+
+
+def path_figure(traces: Sequence[tuple[str, Trace]], planned: FloatArray, scenario: Scenario) -> Chart:
+    """Fig. 9: planned and driven path, and below them the lateral error over station, because the paths coincide.
+
+    `traces`: controllers and drives; the path of the first drive and the errors of all drives are drawn. `planned`:
+    points `(n, 2)` of the plans of the first drive.
+    """
+    name, first = traces[0]
+    x, y = ((float(v.min()) - AROUND_M, float(v.max()) + AROUND_M) for v in (first.ego.x, first.ego.y))
+    high = (WIDTH_PX - LEFT_PX - RIGHT_PX) * (y[1] - y[0]) / (x[1] - x[0])
+    plane = Plane(x, y, WIDTH_PX, 0.0)
+    plane = replace(plane, height=high - plane.inner[1])
+    inside = drawn_road(View(plane, EgoState(0.0, 0.0, 0.0, 0.0, 0.0)), scenario)
+    inside += plane.line(planned[:, 0], planned[:, 1], "wide") + plane.line(first.ego.x, first.ego.y, "a")
+    entries = [("line", "wide", "planned"), ("line", "a", f"driven ({name})")]
+    titles = dict[str, Any](entries=entries, x_title="x [m]", y_title="y [m]")
+    drawn = [plane.chart("path", "Planned and driven path", inside, **titles)]
+    errors = []
+    for label, trace in traces:
+        if trace.tracking is not None:
+            station = arc_lengths(trace.ego.x, trace.ego.y)
+            errors.append(Curve(label, label, station, 1e3 * trace.tracking.lateral))
+    if errors:
+        panel = Panel("error", "Lateral error, driven minus planned, left positive [mm]", tuple(errors), 0.1)
+        far = max(float(curve.t[-1]) for curve in errors)
+        drawn.append(panel_chart(panel, (0.0, far), x_title="station driven [m]", size=(WIDTH_PX, CURVE_PX)))
+    return stacked(drawn, "path", "Planned and driven path", "Planned and driven path, and the lateral error")
+
+
+def st_figure(frames: Sequence[tuple[str, PlannedFrame]], trace: Trace, scenario: Scenario) -> Chart:
+    """Fig. 10: a row per moment, the scene at the left, the S-T graph at the right."""
+    drawn = list[Chart]()
+    for word, frame in frames:
+        seen = SceneSubject(Moment(frame.t, word), replace(trace, frames=(frame,)), scenario)
+        drawn += [scene(seen, frame.t, word), plan_graph(seen, ST, "no S-T graph")]
+    return together(drawn, "The scene and the S-T graph of the plan", scenario.name, 2.0 * drawn[0].width + 16.0)
+
+
+def pedals_figure(
+    trace: Trace, braking: Sequence[tuple[float, float]], clear: float, limits: tuple[float, float]
+) -> Chart:
+    """Fig. 12: throttle, brake and speed over time; braking intervals shaded, with their duration.
+
+    `braking`: begin and end of each braking interval, s. `clear`: time at which the walker has left the path, s.
+    `limits`: limits of the time axis, s.
+    """
+    asked, done = trace.commands, trace.actuation
+    if asked is None or done is None:
+        raise ConfigError("the drive has no commands to draw")
+    panels = [
+        Panel(name, f"{name.capitalize()} [0 to 1]",
+              (Curve("asked", "commanded", asked.t, getattr(asked, name)),
+               Curve("done", "actuated", done.t, getattr(done, name))), 0.05, floor=0.0)
+        for name in ("throttle", "brake")
+    ]  # fmt: skip
+    speed = Panel("speed", "Speed [m/s]; dashed: the walker has left the path",
+                  (Curve("ego", "ego", trace.ego.t, trace.ego.v),), 1.0, floor=0.0)  # fmt: skip
+    shaded = [Span(begin, end, f"{end - begin:.1f} s", "braking") for begin, end in braking]
+    size = WIDTH_PX, CURVE_PX
+    charts = [panel_chart(panel, limits, shaded, now=clear, size=size, kinds=KINDS) for panel in (*panels, speed)]
+    return stacked(charts, "pedals", "Throttle, brake and speed", "Throttle, brake and speed over time")
+
+
+QUANTITIES = (
+    ("least_gap_m", "Least gap [m]", (-1.0, 3.0)),
+    ("release_after_clear_s", "Brake release after clear [s]", (-2.0, 2.0)),
+    ("peak_jerk_mps3", "Peak jerk [m/s³]", (-1.0, 8.0)),
+    ("braking_s", "Braking [s]", (-1.0, 6.0)),
+)
+"""Column, title, and the values of full red and full blue."""
+MARKS = {
+    "failed": ("F", "the drive failed"),
+    "contact": ("X", "contact, though braking avoids it"),
+    "drive on": ("D", "contact, though driving on avoids it"),
+    "unavoidable": ("u", "unavoidable contact"),
+    "late release": ("L", "late release"),
+    "jerk": ("J", "needless jerk"),
+}
+"""Letters and words for the verdicts of `replay.paper.pedestrian_grid`."""
+MAP_PX = 260.0, 210.0
+
+
+def grid_figure(table: pd.DataFrame) -> Chart:
+    """The pedestrian grid as heat maps: a row per quantity, a column per speed of the ego; letters are verdicts."""
+    speeds, charts = sorted(table["ego_kmh"].unique()), list[Chart]()
+    for column, title, limits in QUANTITIES:
+        for speed in speeds:
+            cells = table[table["ego_kmh"] == speed]
+            walkers, late = (sorted(table[name].unique()) for name in ("walker_mps", "late_s"))
+            x, y = (f"{value:g}" for value in late), [f"{value:g}" for value in walkers]
+            plane = Plane((0.0, float(len(late))), (0.0, float(len(walkers))), *MAP_PX)
+            inside = over = ""
+            for row in cells.itertuples():
+                i, j = late.index(row.late_s), walkers.index(row.walker_mps)
+                value = float(getattr(row, column))
+                if np.isfinite(value):
+                    inside += plane.heat((i, i + 1.0), (j, j + 1.0), value, limits)
+                if row.verdict in MARKS:
+                    over += plane.words(i + 0.5, j + 0.5, MARKS[str(row.verdict)][0], "name mid title")
+            axes = dict[str, Any](
+                x_title="walker comes later by [s]", y_title=f"ego {speed:g} km/h; walker [m/s]", over=over,
+                x_ticks=[(i + 0.5, word) for i, word in enumerate(x)],
+                y_ticks=[(j + 0.5, word) for j, word in enumerate(y)],
+            )  # fmt: skip
+            charts.append(plane.chart(column, f"{title}: 0 to {limits[1]:g}", inside, **axes))
+    marks = ", ".join(f"{letter}: {word}" for letter, word in MARKS.values())
+    wide = len(speeds) * (MAP_PX[0] + 16.0) - 16.0
+    return together(charts, "The pedestrian varied; darker: more, red: below 0, blank: no braking", marks, wide)
+
 
 Say = Callable[[str], None]
 FILES = (
@@ -48,22 +167,20 @@ FILES = (
     "scenarios.csv", "pedestrian_grid.*", "paper.md",
 )  # fmt: skip
 CONTENTS = FolderContents("paper", FILES, resumes=False)
-DIGITS = "%.6g"
-"""The format of numbers in the tables."""
+DIGITS = "%.6g"  # The format of numbers in the tables
 
 
 @dataclass(frozen=True)
 class PaperConfig:
     """The extent of the experiments.
 
+    ConfigError if a vehicle model is unknown, or a number is negative.
+
     Attributes:
         vehicles: Vehicle models of the tables of controllers; the figures use the first one.
         roads: Seeded roads among the manoeuvres.
         cells: Cells of the pedestrian grid.
         workers: Number of processes for the grid; 0: this process. The results are the same.
-
-    Raises:
-        ConfigError: A vehicle model is unknown, or a number is negative.
     """
 
     vehicles: tuple[str, ...] = ("single_track",)
@@ -105,7 +222,7 @@ def reproduce(out: Path, config: PaperConfig = DEFAULT, *, say: Say = lambda lin
 
     cells = grid(config.cells, workers=config.workers, on_cell=count)
     write_csv(out / "pedestrian_grid.csv", cells, float_format=DIGITS)
-    figures.grid_figure(cells).save(out / "pedestrian_grid.png")
+    grid_figure(cells).save(out / "pedestrian_grid.png")
     page = out / "paper.md"
     write_text(page, _page(first, second, scenarios, manoeuvres, cells))
     return page
@@ -121,7 +238,7 @@ def free_road(out: Path, vehicle: str) -> dict[str, str]:
     scenario = paper.free_road.scenario()
     drives = {name: drive(scenario, vehicle, name) for name in ("mpc", "dlqr_pid")}
     traces = [(name, one.trace) for name, one in drives.items()]
-    figures.path_figure(traces, planned_points(drives["mpc"].trace), scenario).save(out / "fig09_path.png")
+    path_figure(traces, planned_points(drives["mpc"].trace), scenario).save(out / "fig09_path.png")
     write_recording(
         out / "free_road.rrd", drives["mpc"], scenario, *evaluate_with_series(drives["mpc"].trace, scenario)
     )
@@ -141,10 +258,10 @@ def crossing_pedestrian(out: Path, vehicle: str) -> dict[str, str]:
     made = drive(scenario, vehicle, "mpc")
     trace = made.trace
     moments = blocked_moments(trace.frames)
-    figures.st_figure(moments, trace, scenario).save(out / "fig10_st.png")
+    st_figure(moments, trace, scenario).save(out / "fig10_st.png")
     clear, braking = braking_for_walker(trace, scenario)
     ends = (paper.crossing_pedestrian.parameters["walk_start_s"] - 2.0, clear + 8.0)
-    figures.pedals_figure(trace, braking, clear, ends).save(out / "fig12_pedals.png")
+    pedals_figure(trace, braking, clear, ends).save(out / "fig12_pedals.png")
     write_recording(out / "crossing_pedestrian.rrd", made, scenario, *evaluate_with_series(trace, scenario))
     return {
         "path blocked in the S-T graph": f"from {moments[0][1].t:.1f} s until {moments[-1][1].t:.1f} s",
@@ -166,8 +283,7 @@ def planned_points(trace: Trace) -> FloatArray:
 def blocked_moments(frames: Sequence[PlannedFrame]) -> list[tuple[str, PlannedFrame]]:
     """The first frame in which an agent is in the S-T graph, the middle one, and the first one after the last.
 
-    Raises:
-        ConfigError: No agent is ever in the S-T graph, or one is until the end.
+    ConfigError if no agent is ever in the S-T graph, or one is until the end.
     """
     graphs = [[one for one in frame.plan.internals if isinstance(one, StGraph)] for frame in frames]
     blocked = [i for i, some in enumerate(graphs) if any(graph.obstacles for graph in some)]

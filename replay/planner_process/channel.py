@@ -19,8 +19,7 @@ T = TypeVar("T")
 HEADER = struct.Struct("<I")
 PIPE_BYTES = 1 << 20
 """Size of a pipe, which holds a whole frame (the default is 64 KiB; Linux allows 1 MiB without privileges)."""
-PRINTED_BYTES = 4096
-"""Number of last bytes of the planner's output that are kept."""
+PRINTED_BYTES = 4096  # Number of last bytes of the planner's output that are kept
 
 
 class LateError(Exception):
@@ -38,12 +37,8 @@ class GarbageError(Exception):
 class Channel(Generic[T]):
     """Sends any message, and receives messages of one type.
 
-    Args:
-        into: Descriptor from which the other side reads.
-        out: Descriptor to which it writes.
-        stderr: Descriptor to which it prints, read meanwhile so that it never blocks; -1: none.
-        kind: Type of the received messages.
-        patient: Whether this side waits without deadlines, as a planner does.
+    `into`: descriptor from which the other side reads. `stderr`: descriptor to which it prints, read meanwhile so that
+    it never blocks; -1: none. `patient`: whether this side waits without deadlines, as a planner does.
     """
 
     def __init__(self, into: int, out: int, kind: Any, stderr: int = -1, *, patient: bool = False) -> None:
@@ -59,10 +54,8 @@ class Channel(Generic[T]):
     def send(self, message: msgspec.Struct, deadline: float = float("inf")) -> None:
         """Send a message before the deadline (of `time.monotonic`).
 
-        Raises:
-            LateError: The other side did not take it in time.
-            GoneError: It has closed the channel.
-            TypeError: A value cannot be sent.
+        LateError if the other side did not take it in time; GoneError if it has closed the channel; TypeError if a
+        value cannot be sent.
         """
         payload = self._encoder.encode(message)
         left = [memoryview(HEADER.pack(len(payload))), memoryview(payload)]
@@ -82,10 +75,8 @@ class Channel(Generic[T]):
     def receive(self, deadline: float = float("inf")) -> T:
         """The next message before the deadline.
 
-        Raises:
-            LateError: It did not come in time, or was not decoded by then.
-            GoneError: The channel was closed.
-            GarbageError: It is not a message of the type.
+        LateError if it did not come in time, or was not decoded by then; GoneError if the channel was closed;
+        GarbageError if it is not a message of the type.
         """
         self._read(HEADER.size, deadline)
         (size,) = HEADER.unpack_from(self._buffer)

@@ -41,9 +41,7 @@ def main() -> None:
 def load(planner: str, settings: bytes) -> None:
     """Load the shared parts of all drives of a planner: its module, and the data that its class prepares (`prepared`).
 
-    Args:
-        planner: "module:Class".
-        settings: Its table in the configuration, MessagePack.
+    `planner`: "module:Class". `settings`: its table in the configuration, MessagePack.
     """
     _redirect_streams()
     try:

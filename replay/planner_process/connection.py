@@ -1,4 +1,11 @@
-"""A planner in another process, as a loop uses it: frames are sent, plans are received, each within a time limit."""
+"""A planner in another process, as a loop uses it: frames are sent, plans are received, each within a time limit.
+
+With `loop.apart.batch`, several logs are in lock step: the frames of one step are sent to one planner's process
+together. Each log is evaluated in a thread. One thread runs at a time, until its drive sends a request to the planner;
+then the next one runs. So code that drives, measures or writes needs no locks, and the results depend on no clock. When
+all logs wait, their requests are answered: first the frames of the current drive (one planner, one loop, the same step
+in each log). If no log waits for a plan, the first of the drives for which logs wait begins.
+"""
 
 from __future__ import annotations
 
@@ -8,8 +15,10 @@ import socket
 import threading
 import time
 import weakref
-from collections.abc import Mapping
-from typing import Any, Protocol
+from collections.abc import Callable, Mapping, Sequence
+from contextvars import copy_context
+from dataclasses import dataclass
+from typing import Any, Generic, Protocol, TypeVar
 from urllib.parse import urlsplit
 
 import msgspec
@@ -49,7 +58,7 @@ class PlannerConnection(Protocol):
 
 
 class CurrentLog(Protocol):
-    """A log that is evaluated in a thread of its own, together with others (`replay.planner_process.batch`)."""
+    """A log that is evaluated in a thread of its own, together with others."""
 
     def connect(self, place: DriveKey, limits: PlannerProcessConfig, load: Load, watch: Stopwatch) -> PlannerConnection:
         """The connection of one of its drives to the planner's process that the logs share."""
@@ -103,15 +112,9 @@ def _open(spec: str, limits: PlannerProcessConfig, load: Load | None = None) -> 
 class Connection:
     """The connection to a planner that is started or reached for one drive, or for a batch of drives.
 
-    Args:
-        spec: "module:Class", "exec:COMMAND" or "tcp://HOST:PORT".
-        limits: Limits of time and memory.
-        load: The module and settings that a Python planner loads.
-        drives: Number of drives that it serves; the time limit of a drive is multiplied by it.
-
-    Raises:
-        ConfigError: The command or address is invalid.
-        FaultError: The node cannot be reached.
+    `spec`: "module:Class", "exec:COMMAND" or "tcp://HOST:PORT". `load`: the module and settings that a Python planner
+    loads. `drives`: number of drives that it serves; the time limit of a drive is multiplied by it. ConfigError if the
+    command or address is invalid; FaultError if the node cannot be reached.
     """
 
     def __init__(self, spec: str, limits: PlannerProcessConfig, load: Load | None = None, drives: int = 1) -> None:
@@ -149,6 +152,9 @@ class Connection:
 class ApartPlanner:
     """A planner in another process.
 
+    ConfigError if the planner does not take such settings; PlannerError if it cannot be loaded; FaultError if it cannot
+    be built.
+
     Args:
         spec: "module:Class", "exec:COMMAND" or "tcp://HOST:PORT".
         context: The context of the planner; its clock is not used.
@@ -157,11 +163,6 @@ class ApartPlanner:
         watch: Receives the stages of a plan and how long they took, s.
         keep_internals: Whether the internals of its plans are kept.
         place: The key of the drive that it plans.
-
-    Raises:
-        ConfigError: The planner does not take such settings.
-        PlannerError: It cannot be loaded.
-        FaultError: It cannot be built.
     """
 
     def __init__(
@@ -230,9 +231,8 @@ class ApartPlanner:
 def describe_planner(spec: str, table: Mapping[str, object], limits: PlannerProcessConfig) -> dict[str, Any]:
     """The planner's table with all defaults; unchanged for programs and nodes, whose defaults are unknown.
 
-    Raises:
-        ConfigError: A key is unknown, a value has the wrong type, the command or address is invalid.
-        PlannerError: The planner cannot be loaded.
+    ConfigError if a key is unknown, a value has the wrong type, the command or address is invalid; PlannerError if the
+    planner cannot be loaded.
     """
     if is_foreign(spec):
         (command_of if spec.startswith("exec:") else address_of)(spec)
@@ -294,3 +294,167 @@ def last_words(printed: bytes) -> str:
 def clean_text(text: str) -> str:
     """A planner's text for messages of replan: one line of limited length, without control characters."""
     return "".join(each if each.isprintable() else "?" for each in " ".join(messages.shortened(text).split()))
+
+
+R = TypeVar("R")
+
+
+class AbandonedError(BaseException):
+    """The run ended before this log; raised in the thread of the log to end it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Request:
+    """A request of the drive of a log."""
+
+    place: DriveKey
+    message: Any  # `schema.Hello` at its begin, or `schema.Frame`
+    limit: float  # Time limit of the answer, s
+    limits: PlannerProcessConfig
+    load: Load
+
+
+class BatchLog(Generic[R]):
+    """A log that is evaluated in a thread, which runs while `run_on` waits for it."""
+
+    request: Request  # The request that it waits for
+    answer: messages.Answer | FaultError
+    result: R
+
+    def __init__(self, task: Callable[[], R]) -> None:
+        self.ended, self.took_s = False, 0.0  # whether its evaluation has returned; duration of the answer, s
+        self._task, self._raised, self._abandoned = task, list[BaseException](), False
+        self._go, self._back = threading.Semaphore(0), threading.Semaphore(0)
+        self._thread = threading.Thread(target=copy_context().run, args=(self._run,), daemon=True)
+
+    def run_on(self) -> None:
+        """Run until the log sends a request or has ended; exceptions of its evaluation are raised here."""
+        if self._thread.ident is None:
+            self._thread.start()
+        else:
+            self._go.release()
+        self._back.acquire()
+        if self._raised:
+            raise self._raised[0]
+
+    def ask(self, request: Request) -> messages.Answer | FaultError:
+        """Wait until all logs wait, and return the answer; called in the log's thread."""
+        self.request = request
+        self._back.release()
+        self._go.acquire()
+        if self._abandoned:
+            raise AbandonedError
+        return self.answer
+
+    def connect(self, place: DriveKey, limits: PlannerProcessConfig, load: Load, watch: Stopwatch) -> PlannerConnection:
+        """The connection of one of the log's drives; `watch` does not count the time that other logs take."""
+
+        def ask(message: Any, limit: float) -> messages.Answer:
+            begin = time.perf_counter()
+            answer = self.ask(Request(place, message, limit, limits, load))
+            watch.waited(time.perf_counter() - begin - self.took_s)
+            if isinstance(answer, FaultError):
+                raise FaultError(str(answer))
+            return answer
+
+        return BatchConnection(ask)
+
+    def abandon(self) -> None:
+        """End the evaluation; its cleanup code runs."""
+        self._abandoned = True
+        if self._thread.is_alive():
+            self._go.release()
+            self._thread.join()
+
+    def _run(self) -> None:
+        set_current_log(self)
+        try:
+            self.result = self._task()
+        except BaseException as error:
+            self._raised.append(error)
+        self.ended = True
+        self._back.release()
+
+
+@dataclass(frozen=True, eq=False)
+class BatchConnection:
+    """The `PlannerConnection` of a drive to a process that it shares: a fault of this drive does not end the others."""
+
+    answer: Callable[[Any, float], messages.Answer]
+
+    def ask(self, message: Any, limit: float, when: str) -> messages.Answer:
+        """See `PlannerConnection.ask`; the step takes the place of `when`, as the logs have different times."""
+        return self.answer(message, limit)
+
+    def fault(self, what: str) -> FaultError:
+        """The error; the process continues."""
+        return FaultError(what)
+
+    def kill(self) -> None:
+        """Do nothing: the process continues."""
+
+
+class BatchSession:
+    """The planner's process for the drives of some logs.
+
+    `logs`: the logs that wait for the begin of their drive.
+    """
+
+    def __init__(self, logs: Sequence[BatchLog[Any]]) -> None:
+        first = logs[0].request
+        self._connection = Connection(first.load.planner, first.limits, first.load, len(logs))
+        self._seats, self._steps = {log: seat for seat, log in enumerate(logs)}, 0
+        self._together = f"for {len(logs)} logs together"
+        hellos = messages.Hellos([log.request.message for log in logs])
+        self._answer(logs, hellos, f"while it was built {self._together}")
+
+    def plan(self, logs: Sequence[BatchLog[Any]]) -> None:
+        """Answer the frames of logs."""
+        self._steps += 1
+        frames = messages.Frames([self._seats[log] for log in logs], [log.request.message for log in logs])
+        self._answer(logs, frames, f"in step {self._steps} of drives {self._together}")
+
+    def _answer(self, logs: Sequence[BatchLog[Any]], message: Any, when: str) -> None:
+        """Send a message for all these logs, and give each its answer; if it fails, all get the failure."""
+        begin = time.perf_counter()
+        answer: messages.Answer | FaultError
+        try:
+            answer = self._connection.ask(message, sum(log.request.limit for log in logs), when)
+            if not isinstance(answer, messages.Failed) and len(getattr(answer, "each", ())) != len(logs):
+                raise self._connection.fault(f"broke its contract {when}: it did not answer every frame")
+        except FaultError as fault:
+            answer = fault
+        answers = answer.each if isinstance(answer, messages.Answers) else [answer] * len(logs)
+        for log, each in zip(logs, answers, strict=True):
+            log.answer, log.took_s = each, time.perf_counter() - begin
+
+    def close(self) -> None:
+        """End the drives."""
+        self._connection.close()
+
+
+def in_lockstep(tasks: Sequence[Callable[[], R]]) -> list[R]:
+    """Run tasks that each evaluate a log, and return their results; shared planners plan for all of them."""
+    logs = [BatchLog(task) for task in tasks]
+    session: BatchSession | None = None
+    try:
+        for log in logs:
+            log.run_on()
+        while waiting := [log for log in logs if not log.ended]:
+            some = [log for log in waiting if isinstance(log.request.message, messages.Frame)]
+            if session is not None and some:
+                session.plan(some)
+            else:
+                if session is not None:
+                    session.close()
+                first = min(log.request.place for log in waiting)
+                some = [log for log in waiting if log.request.place == first]
+                session = BatchSession(some)
+            for log in some:
+                log.run_on()
+    finally:
+        if session is not None:
+            session.close()
+        for log in logs:
+            log.abandon()
+    return [log.result for log in logs]

@@ -46,8 +46,7 @@ from replay.planner_process import child
 
 PDEATHSIG, CHILD_SUBREAPER = 1, 36
 """Options of `prctl` (Linux): the signal when the parent dies; whether orphans become children of the process."""
-ENDING_S = 2.0
-"""Time limit for a template to end with all its processes when this process ends, s."""
+ENDING_S = 2.0  # Time limit for a template to end with all its processes when this process ends, s
 
 
 def main() -> None:
@@ -63,20 +62,13 @@ def main() -> None:
 
 @dataclass(eq=False)
 class ForkServer:
-    """Serves the requests on a control socket: forks processes and kills them.
-
-    Attributes:
-        control: The socket.
-        seed: Whether a fork keeps the state of `random`, which the planner's module may have set, and which Python
-            reseeds.
-        live: The requests of running processes, by process id.
-        given: Received descriptors that are not used yet.
-    """
+    """Serves the requests on a control socket: forks processes and kills them."""
 
     control: socket.socket
+    # Whether a fork keeps the state of `random`, which the planner's module may have set, and which Python reseeds
     seed: bool = False
-    live: dict[int, dict[str, Any]] = field(default_factory=dict)
-    given: list[int] = field(default_factory=list)
+    live: dict[int, dict[str, Any]] = field(default_factory=dict)  # The requests of running processes, by process id
+    given: list[int] = field(default_factory=list)  # Received descriptors that are not used yet
 
     def serve(self) -> None:
         """Serve requests until the socket closes; then end all processes that run."""

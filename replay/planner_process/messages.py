@@ -35,12 +35,9 @@ from logs.vehicle import VehicleParameters
 SCHEMA_VERSION = 1
 LARGEST_BYTES = 64 << 20
 """The largest length of a planner's message: any four text characters, read as a length, exceed it."""
-MOST_POINTS = 10_000
-"""States of a trajectory: 100 s at 100 Hz. A longer plan is refused (`replay.loop.plan_check`)."""
-LONGEST_REASON = 1000
-"""Characters of a reason or an error message. A longer one is cut and marked."""
-MOST_STAGES = 100
-"""Stages of a plan; `dp_qp` has about 10."""
+MOST_POINTS = 10_000  # States of a trajectory: 100 s at 100 Hz. A longer plan is refused (`replay.loop.plan_check`).
+LONGEST_REASON = 1000  # Characters of a reason or an error message. A longer one is cut and marked.
+MOST_STAGES = 100  # Stages of a plan; `dp_qp` has about 10
 LARGEST_INSIDE_BYTES = 8 << 20
 """Largest size of the internals and timings of one plan, as MessagePack; those of `dp_qp` have about 10 KiB."""
 
@@ -297,9 +294,8 @@ def plan_message(plan: nouns.Plan, laps: dict[str, float] | None = None, *, insi
 def plan_of(message: Plan) -> nouns.Plan:
     """The plan of a message.
 
-    Raises:
-        ValueError: `Trajectory` refuses it, its status or start is unknown, it has too many stages, or its inside does
-            not fit or is too large.
+    ValueError if `Trajectory` refuses it, its status or start is unknown, it has too many stages, or its inside does
+    not fit or is too large.
     """
     size = len(msgspec.msgpack.encode((message.laps, message.inside))) if message.laps or message.inside else 0
     if size > LARGEST_INSIDE_BYTES:

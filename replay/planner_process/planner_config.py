@@ -11,8 +11,7 @@ from logs.errors import ConfigError
 from replay.config import PlannerProcessConfig, RunConfig
 from replay.parts import PLANNER, Factory, Part
 
-FOREIGN = ("exec:", "tcp://")
-"""Prefixes of planners that are not Python classes to load."""
+FOREIGN = ("exec:", "tcp://")  # Prefixes of planners that are not Python classes to load
 
 
 def is_built_in(spec: str) -> bool:

@@ -33,8 +33,7 @@ ENVIRONMENT = (
     "LD_LIBRARY_PATH", "DYLD_LIBRARY_PATH", "CUDA_", "VIRTUAL_ENV", "COVERAGE_",
 )  # fmt: skip
 """Environment variables, or prefixes of their names, that are passed on, because programs need them to start."""
-GRACE_S = 1.0
-"""Time limit for a planner to end by itself after its drive, s."""
+GRACE_S = 1.0  # Time limit for a planner to end by itself after its drive, s
 KILLED_S = 10.0
 """Time limit for the system to report the end of a killed process, s; on a busy machine, that takes seconds."""
 ROOT = Path(__file__).parents[2]
@@ -42,26 +41,17 @@ ROOT = Path(__file__).parents[2]
 
 @dataclass(frozen=True)
 class Load:
-    """The planner that a template loads.
+    """The planner that a template loads."""
 
-    Attributes:
-        planner: "module:Class".
-        settings: Its table in the configuration, MessagePack.
-        again: Whether it serves the second drive of a log's start (`replay.loop.planning`). That has a template of
-            its own, as a module may draw or read something else each time it is imported.
-    """
-
-    planner: str
-    settings: bytes
+    planner: str  # "module:Class"
+    settings: bytes  # Its table in the configuration, MessagePack
+    # Whether it serves the second drive of a log's start (`replay.loop.planning`). That has a template of its own, as a
+    # module may draw or read something else each time it is imported.
     again: bool = False
 
 
 class Process:
-    """A planner's process.
-
-    Attributes:
-        channel: The channel to it; its output is read, too.
-    """
+    """A planner's process, with the `channel` to it; its output is read, too."""
 
     def __init__(self, forks: ForkClient, key: int, channel: Channel[Any]) -> None:
         self._forks, self._key, self.channel = forks, key, channel
@@ -98,14 +88,9 @@ class Process:
 def start_process(argv: list[str] | None, kind: Any, limits: PlannerProcessConfig, load: Load | None = None) -> Process:
     """A new process of a program or of a Python planner (`replay.planner_process.child`).
 
-    Args:
-        argv: The program and its arguments; None: a Python planner.
-        kind: The type of its answers.
-        limits: Limits of its memory, and of the time to load its template.
-        load: The planner of its template, within a run; None: it starts without a template.
-
-    Raises:
-        ConfigError: The system cannot pass descriptors between processes.
+    `argv`: the program and its arguments; None: a Python planner. `limits`: limits of its memory, and of the time to
+    load its template. `load`: the planner of its template, within a run; None: it starts without a template.
+    ConfigError if the system cannot pass descriptors between processes.
     """
     if not hasattr(socket, "send_fds"):
         raise ConfigError("planners are kept apart on Linux and macOS only; here give --set loop.apart.trust=true")
@@ -129,9 +114,8 @@ def start_process(argv: list[str] | None, kind: Any, limits: PlannerProcessConfi
 def set_template_run(run: str) -> None:
     """From now on, load a planner's module once in this process for all drives of a run.
 
-    Args:
-        run: Its name. Templates of another run are dropped, as the files may have changed since. "": no run; each
-            drive loads the module itself.
+    `run`: its name. Templates of another run are dropped, as the files may have changed since. "": no run; each drive
+    loads the module itself.
     """
     if _warm.get("run", "") != run:
         _warm["run"] = run
@@ -142,9 +126,7 @@ def set_template_run(run: str) -> None:
 class ForkClient:
     """The other end of a control socket: `replay.planner_process.launcher.ForkServer`.
 
-    Args:
-        control: The socket.
-        key: The key under which the process at the other end was started; 0 for the launcher.
+    `key`: the key under which the process at the other end was started; 0 for the launcher.
     """
 
     def __init__(self, control: socket.socket, key: int = 0) -> None:
@@ -222,12 +204,7 @@ class ForkClient:
 
 
 class Launcher:
-    """The process of `replay.planner_process.launcher`, and its templates.
-
-    Attributes:
-        forks: The end of its control socket.
-        templates: The templates by what they load; None if one cannot be made.
-    """
+    """The process of `replay.planner_process.launcher`, and its templates by what they load."""
 
     def __init__(self, environment: Mapping[str, str]) -> None:
         control, theirs = socket.socketpair()
@@ -237,7 +214,7 @@ class Launcher:
                 stdin=theirs.fileno(), stdout=subprocess.DEVNULL, env=dict(environment), start_new_session=True,
             )  # fmt: skip
         self.forks = ForkClient(control)
-        self.templates: dict[Load, ForkClient | None] = {}
+        self.templates: dict[Load, ForkClient | None] = {}  # None if one cannot be made
         self.close = weakref.finalize(self, _end_launcher, control, self._process, self.templates)
 
     @property
@@ -273,7 +250,6 @@ def _end_launcher(
     process.wait()
 
 
-_starting = threading.Lock()
-"""Held while a process is started: threads that start planners at once share the launcher."""
+_starting = threading.Lock()  # Held while a process is started: threads that start planners at once share the launcher
 _warm: dict[str, Any] = {}
 """State of this process: `launcher`; `for`: the settings that it was started with; `run`: the current run."""

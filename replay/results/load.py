@@ -31,8 +31,7 @@ from metrics.judge.aggregate import LogLabels
 from metrics.judge.gates import Outcome
 from replay.config import RunConfig, load_run
 from replay.results.log_result import Failure, LogCard
-from replay.results.reading import AGAIN, read_json, read_table
-from replay.results.schema import names_of
+from replay.results.schema import AGAIN, names_of, read_json, read_table
 
 Run = TypeVar("Run", bound="StoredRun")
 RECORDINGS = (".rrd",)
@@ -70,8 +69,7 @@ class Summary(msgspec.Struct):
 def stored(near: Near, kind: type[Run]) -> Run:
     """The results of a run in a folder that is here, or has been fetched.
 
-    Raises:
-        ConfigError: The path is not a result folder, or is of another version.
+    ConfigError if the path is not a result folder, or is of another version.
     """
     folder = near.path
     file = folder / "summary.json"
@@ -333,8 +331,7 @@ class StoredDrive:
     def frame(self, at: float) -> PlannedFrame:
         """The last frame not later than `at`, s since the scenario's start.
 
-        Raises:
-            ConfigError: There is no such frame, or the drive had ended.
+        ConfigError if there is no such frame, or the drive had ended.
         """
         if at > self.trace.ego.t[-1] + 1e-6 and isfinite(at):
             ended = f"it ended at {self.trace.ego.t[-1]:.2f} s: {self.trace.end.value}"
@@ -372,9 +369,7 @@ def named_logs(name: str, logs: Iterable[str]) -> list[str]:
     """The logs of a run that a name means: the log of this name, otherwise those with it in their names.
 
     Names are compared as words of letters and digits, so that the name of a log's folder also fits.
-
-    Raises:
-        ConfigError: There is none.
+    ConfigError if there is none.
     """
     known = list(dict.fromkeys(logs))
     if name in known:

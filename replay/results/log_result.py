@@ -28,39 +28,26 @@ import pyarrow.parquet as pq
 from logs.arrays import FloatArray
 from logs.errors import ReplanError, writing
 from metrics import Series
-from replay.results.reading import FileName, Name, Place, read_json, read_table
-from replay.results.schema import METADATA, arrow_schema
+from replay.results.schema import METADATA, FileName, Name, Place, arrow_schema, read_json, read_table
 from replay.results.tables import LOG_CARD, write_file, write_json, write_parquet
 
 METRICS, MEMBERS, HEALTH, TIMINGS = "metrics.parquet", "ensemble.parquet", "health.parquet", "timings.parquet"
 FRAMES = "frames.parquet"
-NOT_OF_A_LOG = ("schema_version",)
-"""Columns that the tables in a log's folder lack."""
-SPOOL_BYTES = 16 * 2**20
-"""The largest number of bytes of steps in memory; more are stored in the file."""
-GROUP_ROWS = 1 << 18
-"""Number of rows that are in memory at once, and the least that a reader of a part reads."""
+NOT_OF_A_LOG = ("schema_version",)  # Columns that the tables in a log's folder lack
+SPOOL_BYTES = 16 * 2**20  # The largest number of bytes of steps in memory; more are stored in the file
+GROUP_ROWS = 1 << 18  # Number of rows that are in memory at once, and the least that a reader of a part reads
 
 
 @dataclass(frozen=True)
 class Failure:
-    """A log, or a drive of it, that could not be evaluated.
-
-    Attributes:
-        log: Label or name of the log.
-        message: One line that names the subject, the place and the remedy.
-        planner: The planner; None for the log itself.
-        mode: The loop; None if it failed before any loop.
-        exit_code: The exit code that it causes.
-        traceback: Traceback of a bug; empty for an error that the user can correct.
-    """
+    """A log, or a drive of it, that could not be evaluated."""
 
     log: str
-    message: str
-    planner: str | None = None
-    mode: str | None = None
-    exit_code: int = 3
-    traceback: str = ""
+    message: str  # One line that names the subject, the place and the remedy
+    planner: str | None = None  # The planner; None for the log itself
+    mode: str | None = None  # The loop; None if it failed before any loop
+    exit_code: int = 3  # The exit code that it causes
+    traceback: str = ""  # Traceback of a bug; empty for an error that the user can correct
 
     @property
     def line(self) -> str:
@@ -109,35 +96,21 @@ class LogFileCard(LogCard, kw_only=True):
 
 @dataclass(frozen=True, eq=False)
 class LogResult:
-    """The result of one log.
+    """The result of one log."""
 
-    Attributes:
-        source: Label of the log: the path as given, or the family's name.
-        name: Name of the scenario; the label of the source if it could not be read.
-        digest: SHA-256 of the log's bytes; empty if it could not be read.
-        folder: Name of its folder in the result folder; empty if there is none.
-        family: Family of the scenario (`Scenario.family`); `dataset` likewise.
-        tags: Tags of the scenario.
-        notes: Assumptions that were made when it was read.
-        drives: The drives, planners in the order of the run, open before closed loop.
-        failures: Drives that failed.
-        seconds: How long the evaluation took, for display only; NaN if the result is from an earlier run.
-        stopped: The reason why the result could not be written, which stops the run; empty if it was written.
-        twin: Whether the folder is that of another log of the run with the same content; this one was not driven.
-    """
-
-    source: str
-    name: str
-    digest: str = ""
-    folder: str = ""
-    family: str = ""
+    source: str  # Label of the log: the path as given, or the family's name
+    name: str  # Name of the scenario; the label of the source if it could not be read
+    digest: str = ""  # SHA-256 of the log's bytes; empty if it could not be read
+    folder: str = ""  # Name of its folder in the result folder; empty if there is none
+    family: str = ""  # Family of the scenario (`Scenario.family`); `dataset` likewise
     dataset: str = ""
     tags: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
-    drives: tuple[DriveRecord, ...] = ()
-    failures: tuple[Failure, ...] = ()
-    seconds: float = nan
-    stopped: str = ""
+    notes: tuple[str, ...] = ()  # Assumptions that were made when it was read
+    drives: tuple[DriveRecord, ...] = ()  # The drives, planners in the order of the run, open before closed loop
+    failures: tuple[Failure, ...] = ()  # Drives that failed
+    seconds: float = nan  # How long the evaluation took, for display only; NaN if the result is from an earlier run
+    stopped: str = ""  # The reason why the result could not be written, which stops the run; empty if it was written
+    # Whether the folder is that of another log of the run with the same content; this one was not driven
     twin: bool = False
 
     def record(self) -> dict[str, Any]:
@@ -157,43 +130,28 @@ class LogResult:
 
 @dataclass(frozen=True, eq=False)
 class LogTables:
-    """The tables of one log; they are only in its folder, so that a run over many logs keeps none of them in memory.
+    """The tables of one log; they are only in its folder, so that a run over many logs keeps none of them in memory."""
 
-    Attributes:
-        metrics: Rows of `metrics.evaluate`.
-        members: Rows of `metrics.evaluate` of the ensemble's drives, with `MEMBER` and `PERTURBATION`; mostly empty.
-        health: Rows of `metrics.health.table`: findings about the log.
-        timings: Rows of timings.parquet.
-    """
-
-    metrics: pd.DataFrame
+    metrics: pd.DataFrame  # Rows of `metrics.evaluate`
+    # Rows of `metrics.evaluate` of the ensemble's drives, with `MEMBER` and `PERTURBATION`; mostly empty
     members: pd.DataFrame
-    health: pd.DataFrame
-    timings: pd.DataFrame
+    health: pd.DataFrame  # Rows of `metrics.health.table`: findings about the log
+    timings: pd.DataFrame  # Rows of timings.parquet
 
 
 @dataclass(frozen=True)
 class Stamp:
-    """Version and code, on which the results of a log depend besides the configuration.
-
-    Attributes:
-        replan: Version.
-        code: Hash of the source of replan and of the user's planners and metrics.
-    """
+    """Version and code, on which the results of a log depend besides the configuration."""
 
     replan: str
-    code: str
+    code: str  # Hash of the source of replan and of the user's planners and metrics
 
 
 def write_result(folder: Path, result: LogResult, tables: LogTables, identity: str, stamp: Stamp) -> None:
     """Write a result into its (still unfinished) folder.
 
-    Args:
-        folder: The folder, which already contains the files of the drives.
-        result: The result.
-        tables: Its tables.
-        identity: Identity of the input (`LogSource.identity`).
-        stamp: Version and code of replan.
+    `folder`: the folder, which already contains the files of the drives. `identity`: identity of the input
+    (`LogSource.identity`).
     """
     write_parquet(folder / METRICS, tables.metrics)
     write_parquet(folder / TIMINGS, tables.timings)
@@ -252,11 +210,7 @@ class Steps:
 class StepsFile:
     """Stores the steps of metrics until all drives of a log are complete.
 
-    Args:
-        folder: The unfinished folder of the log.
-
-    Raises:
-        OutputError: The file cannot be written; every method may raise it.
+    OutputError if the file cannot be written; every method may raise it.
     """
 
     def __init__(self, folder: Path) -> None:

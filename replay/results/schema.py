@@ -1,22 +1,33 @@
-"""The schema of the tables of a run: written tables have these columns, and docs/results.md is made from it.
+"""The schema of the tables of a run: written tables have these columns; reading by it; docs/results.md is made from it.
 
 python -c 'from replay.results.schema import markdown; print(markdown())' > docs/results.md
+
+Files of results are read here only: what passes may be used without further checks. Results may come from another
+person, or be damaged. A JSON file is checked against its type, a table against its schema: version, columns, types,
+values that are missing or infinite, words that are none of the known ones. Names of folders and files are plain names:
+nothing outside of the results is read or written.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from math import nan
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any, NoReturn, TypeVar
 
+import msgspec
 import pandas as pd
 import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
 
-SCHEMA_VERSION = 1
-"""Version of the tables and JSON files; it increases when a column changes its meaning or is removed."""
-VERSION_KEY = "replan_schema_version"
-"""Key of the version in the metadata of a table."""
+from logs.errors import ConfigError, LogError
+from logs.files import check_regular
+from metrics.judge.gates import Outcome
+
+SCHEMA_VERSION = 1  # Version of the tables and JSON files; it increases when a column changes its meaning or is removed
+VERSION_KEY = "replan_schema_version"  # Key of the version in the metadata of a table
 METADATA = {VERSION_KEY: str(SCHEMA_VERSION)}
 
 _TYPES = {"text": pa.large_string(), "number": pa.float64(), "count": pa.int64(), "yes/no": pa.bool_()}
@@ -26,38 +37,32 @@ _TYPES["list"] = pa.list_(pa.large_string())
 
 @dataclass(frozen=True)
 class Column:
-    """One column.
+    """One column."""
 
-    Attributes:
-        name: The name; its last part is the unit of a quantity with one unit.
-        kind: "text", "number" (NaN if there is none), "count", "yes/no", "list" (of texts).
-        meaning: Its meaning.
-        older: Its value in files of before the column; None: all files have it.
-    """
-
-    name: str
-    kind: str
-    meaning: str
-    older: str | float | None = None
+    name: str  # The name; its last part is the unit of a quantity with one unit
+    kind: str  # "text", "number" (NaN if there is none), "count", "yes/no", "list" (of texts)
+    meaning: str  # Its meaning
+    older: str | float | None = None  # Its value in files of before the column; None: all files have it
 
 
 @dataclass(frozen=True)
 class Table:
-    """One table.
+    """One table."""
 
-    Attributes:
-        rows: A description of a row and of the file.
-        same: Whether the same inputs give the same bytes.
-        columns: The columns, in their order.
-    """
-
-    rows: str
-    same: bool
-    columns: tuple[Column, ...]
+    rows: str  # A description of a row and of the file
+    same: bool  # Whether the same inputs give the same bytes
+    columns: tuple[Column, ...]  # The columns, in their order
 
 
-def _columns(*rows: tuple[str, str, str] | tuple[str, str, str, str | float]) -> tuple[Column, ...]:
-    return tuple(Column(*row) for row in rows)
+Row = Column | tuple[str, str, str] | tuple[str, str, str, str | float]
+
+
+def _columns(*rows: Row) -> tuple[Column, ...]:
+    return tuple(row if isinstance(row, Column) else Column(*row) for row in rows)
+
+
+def _table(text: str, *rows: Row, same: bool = True) -> Table:
+    return Table(text, same, _columns(*rows))
 
 
 _DRIVE = _columns(
@@ -65,240 +70,189 @@ _DRIVE = _columns(
     ("planner", "text", "as it was named in the run; of mode `reference`: the reference driver"),
     ("mode", "text", "`open`, `closed`, or `reference`: what the reference drives did or could do"),
 )
-_METRICS = (
+_METRICS = _columns(
     *_DRIVE,
-    *_columns(
-        ("oracle", "yes/no", "whether the planner was given the log's future"),
-        ("metric", "text", "`metric.reduction`, or `metric.part.reduction`: docs/metrics.md"),
-        ("value", "number", "in `unit`; NaN where `available` is false"),
-        ("unit", "text", "SI; `1` a ratio, `count` a number of things"),
-        ("direction", "text", "which is better: `lower`, `higher`, `none`"),
-        ("available", "yes/no", "whether there is a value"),
-        ("reason", "text", "why there is none; else which road user or thing the value is about, or empty"),
-        ("about", "text", "that road user or thing with the whole id, as `reason` has a short name; or empty"),
-        ("time_s", "number", "when the value occurred, s since the log's start; NaN where it belongs to no instant"),
-        ("version", "count", "of the metric: counts up when its numbers change their meaning"),
-        ("source", "text", "where the metric's definition comes from; empty: replan"),
-    ),
+    ("oracle", "yes/no", "whether the planner was given the log's future"),
+    ("metric", "text", "`metric.reduction`, or `metric.part.reduction`: docs/metrics.md"),
+    ("value", "number", "in `unit`; NaN where `available` is false"),
+    ("unit", "text", "SI; `1` a ratio, `count` a number of things"),
+    ("direction", "text", "which is better: `lower`, `higher`, `none`"),
+    ("available", "yes/no", "whether there is a value"),
+    ("reason", "text", "why there is none; else which road user or thing the value is about, or empty"),
+    ("about", "text", "that road user or thing with the whole id, as `reason` has a short name; or empty"),
+    ("time_s", "number", "when the value occurred, s since the log's start; NaN where it belongs to no instant"),
+    ("version", "count", "of the metric: counts up when its numbers change their meaning"),
+    ("source", "text", "where the metric's definition comes from; empty: replan"),
 )
 TABLES: dict[str, Table] = {
-    "metrics.parquet": Table(
+    "metrics.parquet": _table(
         "A row per log, planner, mode and metric. `metrics.csv` is the same. In a log's folder: of that log.",
-        True,
-        (*_columns(("schema_version", "count", "of all these tables; not in a log's folder")), *_METRICS),
+        ("schema_version", "count", "of all these tables; not in a log's folder"),
+        *_METRICS,
     ),
-    "verdicts.parquet": Table(
+    "verdicts.parquet": _table(
         "A row per gate, log, planner and mode: the gate's outcome on this log.",
-        True,
-        (
-            *_columns(("gate", "text", "the rule as text: `collision_at_fault.count <= 0`")),
-            *_DRIVE,
-            *_columns(
-                ("outcome", "text", "`pass`, `fail`, `inconclusive`"),
-                ("value", "number", "of the gate's metric, in its unit; NaN where it has none"),
-                ("time_s", "number", "when the value occurred, s since the log's start"),
-                ("reason", "text", "why it is not passed, or which road user the value is about"),
-                ("metric", "text", "that the gate judges, as in metrics.parquet", ""),
-                ("over", "text", "what must be within the bounds: `worst`: each log; else of all logs", "worst"),
-                ("low", "number", "the gate's lower bound; NaN: none", nan),
-                ("high", "number", "the gate's upper bound; NaN: none", nan),
-            ),
-        ),
+        ("gate", "text", "the rule as text: `collision_at_fault.count <= 0`"),
+        *_DRIVE,
+        ("outcome", "text", "`pass`, `fail`, `inconclusive`"),
+        ("value", "number", "of the gate's metric, in its unit; NaN where it has none"),
+        ("time_s", "number", "when the value occurred, s since the log's start"),
+        ("reason", "text", "why it is not passed, or which road user the value is about"),
+        ("metric", "text", "that the gate judges, as in metrics.parquet", ""),
+        ("over", "text", "what must be within the bounds: `worst`: each log; else of all logs", "worst"),
+        ("low", "number", "the gate's lower bound; NaN: none", nan),
+        ("high", "number", "the gate's upper bound; NaN: none", nan),
     ),
-    "groups.parquet": Table(
+    "groups.parquet": _table(
         "A row per group of logs, planner, mode and metric; metric `pass` is the share of the logs that pass.",
-        True,
-        _columns(
-            ("kind", "text", "of group: `suite` (all logs), `family`, `tag`, `dataset`"),
-            ("group", "text", "its name"),
-            ("planner", "text", "as in metrics.parquet"),
-            ("mode", "text", "`open`, `closed`; `both`: both loops of a log together"),
-            ("metric", "text", "as in metrics.parquet, or `pass`"),
-            ("unit", "text", "of the metric"),
-            ("direction", "text", "of the metric"),
-            ("logs", "count", "in the group"),
-            ("available", "count", "of them with a value"),
-            ("missing", "count", "of them without"),
-            ("mean", "number", "over the logs with a value; of `pass`: the share of all logs"),
-            ("median", "number", "likewise"),
-            ("worst", "number", "by the metric's direction"),
-            ("worst_log", "text", "where that was"),
-            ("total", "number", "sum over the logs with a value"),
-            ("low", "number", "of `pass`: lower end of the Wilson 95 % interval of the share"),
-            ("high", "number", "of `pass`: its upper end"),
-            ("passed", "number", "of `pass`: how many logs"),
-            ("failed", "number", "of `pass`: how many logs"),
-            ("inconclusive", "number", "of `pass`: how many logs"),
-        ),
+        ("kind", "text", "of group: `suite` (all logs), `family`, `tag`, `dataset`"),
+        ("group", "text", "its name"),
+        ("planner", "text", "as in metrics.parquet"),
+        ("mode", "text", "`open`, `closed`; `both`: both loops of a log together"),
+        ("metric", "text", "as in metrics.parquet, or `pass`"),
+        ("unit", "text", "of the metric"),
+        ("direction", "text", "of the metric"),
+        ("logs", "count", "in the group"),
+        ("available", "count", "of them with a value"),
+        ("missing", "count", "of them without"),
+        ("mean", "number", "over the logs with a value; of `pass`: the share of all logs"),
+        ("median", "number", "likewise"),
+        ("worst", "number", "by the metric's direction"),
+        ("worst_log", "text", "where that was"),
+        ("total", "number", "sum over the logs with a value"),
+        ("low", "number", "of `pass`: lower end of the Wilson 95 % interval of the share"),
+        ("high", "number", "of `pass`: its upper end"),
+        ("passed", "number", "of `pass`: how many logs"),
+        ("failed", "number", "of `pass`: how many logs"),
+        ("inconclusive", "number", "of `pass`: how many logs"),
     ),
-    "health.parquet": Table(
+    "health.parquet": _table(
         "A row per finding: what is wrong with the logs. In a log's folder: of that log.",
-        True,
-        _columns(
-            ("log", "text", "name of the log"),
-            ("kind", "text", "of finding"),
-            ("topic", "text", "where: `ego`, `agents`, `road`, `lights`"),
-            ("who", "text", "agent, lane or light, or empty"),
-            ("t_from_s", "number", "begin, s since the log's start"),
-            ("t_to_s", "number", "end, s since the log's start"),
-            ("value", "number", "how much, in `unit`"),
-            ("unit", "text", "`m`, `s`, `rad`, `x` (a factor), `1` (a count or a share)"),
-            ("text", "text", "in words, with the figures"),
-            ("effect", "text", "what it does to which metric"),
-        ),
+        ("log", "text", "name of the log"),
+        ("kind", "text", "of finding"),
+        ("topic", "text", "where: `ego`, `agents`, `road`, `lights`"),
+        ("who", "text", "agent, lane or light, or empty"),
+        ("t_from_s", "number", "begin, s since the log's start"),
+        ("t_to_s", "number", "end, s since the log's start"),
+        ("value", "number", "how much, in `unit`"),
+        ("unit", "text", "`m`, `s`, `rad`, `x` (a factor), `1` (a count or a share)"),
+        ("text", "text", "in words, with the figures"),
+        ("effect", "text", "what it does to which metric"),
     ),
-    "events.parquet": Table(
+    "events.parquet": _table(
         "Written by `replan mine`: a row per event, sorted by log and begin.",
-        True,
-        _columns(
-            ("log", "text", "name of the log"),
-            ("kind", "text", "of event: docs/events.md"),
-            ("t_from_s", "number", "begin, s since the log's start"),
-            ("t_to_s", "number", "end, s since the log's start"),
-            ("agents", "list", "ids of the road users that took part, the main one first"),
-            ("agent_kind", "text", "of the main one (`car`, `pedestrian` ...); `none`: the ego alone"),
-            ("road", "text", "where the ego was: `roundabout`, `junction`, `curve`, `straight`, `no lanes`"),
-            ("speed", "text", "range of the ego's speed at the begin"),
-            ("v_mps", "number", "the ego's speed at the begin, m/s"),
-            ("x_m", "number", "where the ego's rear axle was at the begin, m; y_m likewise"),
-            ("y_m", "number", "see x_m"),
-            ("value", "number", "what the kind measures, in `unit`; NaN: nothing"),
-            ("unit", "text", "SI; `1`: a number"),
-            ("what", "text", "more in words (the side, the stop line); may be empty"),
-            ("doubt", "text", "why it may be none: docs/events.md; empty: nothing speaks against it", ""),
-            ("planner", "text", "whose plans the event is about; empty: of the log alone"),
-        ),
+        ("log", "text", "name of the log"),
+        ("kind", "text", "of event: docs/events.md"),
+        ("t_from_s", "number", "begin, s since the log's start"),
+        ("t_to_s", "number", "end, s since the log's start"),
+        ("agents", "list", "ids of the road users that took part, the main one first"),
+        ("agent_kind", "text", "of the main one (`car`, `pedestrian` ...); `none`: the ego alone"),
+        ("road", "text", "where the ego was: `roundabout`, `junction`, `curve`, `straight`, `no lanes`"),
+        ("speed", "text", "range of the ego's speed at the begin"),
+        ("v_mps", "number", "the ego's speed at the begin, m/s"),
+        ("x_m", "number", "where the ego's rear axle was at the begin, m; y_m likewise"),
+        ("y_m", "number", "see x_m"),
+        ("value", "number", "what the kind measures, in `unit`; NaN: nothing"),
+        ("unit", "text", "SI; `1`: a number"),
+        ("what", "text", "more in words (the side, the stop line); may be empty"),
+        ("doubt", "text", "why it may be none: docs/events.md; empty: nothing speaks against it", ""),
+        ("planner", "text", "whose plans the event is about; empty: of the log alone"),
     ),
-    "logs.parquet": Table(
+    "logs.parquet": _table(
         "Written by `replan mine`: a row per log.",
-        True,
-        _columns(
-            ("log", "text", "name; of logs that share one: with `@` and 8 digits of the hash"),
-            ("source", "text", "the path as it was named, or the catalogue's name"),
-            ("sha256", "text", "of the log's bytes; empty for the catalogue, and where it could not be read"),
-            ("duration_s", "number", "how long it lasts, s"),
-            ("driven_m", "number", "the way that the ego drove, m"),
-            ("agents", "count", "other road users"),
-            ("lanes", "yes/no", "whether the log has lanes"),
-            ("family", "text", "of the catalogue, or what the log says; may be empty"),
-            ("dataset", "text", "where the log is from; may be empty"),
-            ("tags", "list", "words by which gates and reports group"),
-            ("place", "text", "as the log's metadata says; may be empty"),
-            ("weather", "text", "as the log's metadata says; may be empty"),
-            ("parked_breaks", "text", "the first packaged gate that a driver breaks who stops; empty: none, too easy"),
-            ("creeping_breaks", "text", "that a driver at a constant 2 m/s breaks; empty: none, too easy"),
-            ("blind_breaks", "text", "that a driver breaks who ignores road users and lights; empty: no interaction"),
-            ("not_asked", "list", "kinds of events that were not looked for, with the reason"),
-            ("error", "text", "why the log could not be mined; empty: it was"),
-        ),
+        ("log", "text", "name; of logs that share one: with `@` and 8 digits of the hash"),
+        ("source", "text", "the path as it was named, or the catalogue's name"),
+        ("sha256", "text", "of the log's bytes; empty for the catalogue, and where it could not be read"),
+        ("duration_s", "number", "how long it lasts, s"),
+        ("driven_m", "number", "the way that the ego drove, m"),
+        ("agents", "count", "other road users"),
+        ("lanes", "yes/no", "whether the log has lanes"),
+        ("family", "text", "of the catalogue, or what the log says; may be empty"),
+        ("dataset", "text", "where the log is from; may be empty"),
+        ("tags", "list", "words by which gates and reports group"),
+        ("place", "text", "as the log's metadata says; may be empty"),
+        ("weather", "text", "as the log's metadata says; may be empty"),
+        ("parked_breaks", "text", "the first packaged gate that a driver breaks who stops; empty: none, too easy"),
+        ("creeping_breaks", "text", "that a driver at a constant 2 m/s breaks; empty: none, too easy"),
+        ("blind_breaks", "text", "that a driver breaks who ignores road users and lights; empty: no interaction"),
+        ("not_asked", "list", "kinds of events that were not looked for, with the reason"),
+        ("error", "text", "why the log could not be mined; empty: it was"),
     ),
-    "timings.parquet": Table(
+    "timings.parquet": _table(
         "A row per log, planner, mode, plan and stage: wall clock. In a log's folder: of that log.",
-        False,
-        (
-            *_DRIVE,
-            *_columns(
-                ("t_s", "number", "time of the frame, s since the log's start"),
-                ("stage", "text", "of the planner; `total`: the whole plan"),
-                ("seconds", "number", "how long it took, s"),
-            ),
-        ),
+        *_DRIVE,
+        ("t_s", "number", "time of the frame, s since the log's start"),
+        ("stage", "text", "of the planner; `total`: the whole plan"),
+        ("seconds", "number", "how long it took, s"),
+        same=False,
     ),
-    "frames.parquet": Table(
+    "frames.parquet": _table(
         "In a log's folder: a row per planner, mode, metric and step.",
-        True,
-        (
-            *_DRIVE[1:],
-            *_columns(
-                ("t_s", "number", "time of the step, s since the log's start"),
-                ("metric", "text", "`metric`, or `metric.part`"),
-                ("value", "number", "in the metric's unit; NaN: this step has none"),
-            ),
-        ),
+        *_DRIVE[1:],
+        ("t_s", "number", "time of the step, s since the log's start"),
+        ("metric", "text", "`metric`, or `metric.part`"),
+        ("value", "number", "in the metric's unit; NaN: this step has none"),
     ),
-    "ensemble.parquet": Table(
+    "ensemble.parquet": _table(
         "In a log's folder, with `--ensemble N`: the metrics of the log driven again in worlds that should not matter.",
-        True,
-        (
-            *_METRICS,
-            *_columns(
-                ("member", "count", "from 1"), ("perturbation", "text", "what was changed (`replay/run/perturb.py`)")
-            ),
-        ),
+        *_METRICS,
+        ("member", "count", "from 1"),
+        ("perturbation", "text", "what was changed (`replay/run/sources.py`)"),
     ),
 }
 """Tables by file name; the text gives the difference between a file of a run and one of a log with the same name."""
 
 FRAMES: dict[str, Table] = {
-    "logs": Table(
+    "logs": _table(
         "A row per log.",
-        True,
-        _columns(
-            ("log", "text", "name; of logs that share one: with `@` and 8 digits of the hash"),
-            ("source", "text", "the path as given, or the catalogue's name"),
-            ("sha256", "text", "of the log's bytes; empty where it could not be read"),
-            ("folder", "text", "its folder in the result folder; empty where there is none"),
-            ("family", "text", "of the catalogue, or what the log says; may be empty"),
-            ("dataset", "text", "where the log is from; may be empty"),
-            ("tags", "list", "words by which gates and reports group"),
-            ("notes", "list", "what was assumed in reading it, a sentence each"),
-        ),
+        ("log", "text", "name; of logs that share one: with `@` and 8 digits of the hash"),
+        ("source", "text", "the path as given, or the catalogue's name"),
+        ("sha256", "text", "of the log's bytes; empty where it could not be read"),
+        ("folder", "text", "its folder in the result folder; empty where there is none"),
+        ("family", "text", "of the catalogue, or what the log says; may be empty"),
+        ("dataset", "text", "where the log is from; may be empty"),
+        ("tags", "list", "words by which gates and reports group"),
+        ("notes", "list", "what was assumed in reading it, a sentence each"),
     ),
-    "drives": Table(
+    "drives": _table(
         "A row per log, planner and mode.",
-        True,
-        (
-            *_DRIVE,
-            *_columns(
-                ("oracle", "yes/no", "whether the planner was given the log's future"),
-                ("end", "text", "why the drive ended"),
-                ("detail", "text", "which road user it met, or what went wrong; may be empty"),
-                ("t_end_s", "number", "when it ended, s since the log's start"),
-                ("marks", "list", "of the planner: `trusted`, `batched`, `not deterministic`"),
-                ("notes", "list", "what must be known to read it, a sentence each"),
-                ("files", "list", "trace and recording, relative to the result folder"),
-            ),
-        ),
+        *_DRIVE,
+        ("oracle", "yes/no", "whether the planner was given the log's future"),
+        ("end", "text", "why the drive ended"),
+        ("detail", "text", "which road user it met, or what went wrong; may be empty"),
+        ("t_end_s", "number", "when it ended, s since the log's start"),
+        ("marks", "list", "of the planner: `trusted`, `batched`, `not deterministic`"),
+        ("notes", "list", "what must be known to read it, a sentence each"),
+        ("files", "list", "trace and recording, relative to the result folder"),
     ),
-    "gates": Table(
+    "gates": _table(
         "A row per gate, planner and mode: what all logs say together; none where a shard was driven.",
-        True,
-        _columns(
-            ("gate", "text", "the rule as text"),
-            ("planner", "text", "the one that the worst value is of"),
-            ("mode", "text", "likewise"),
-            ("group", "text", "of a gate that is asked per family, tag or dataset: which; else empty"),
-            ("outcome", "text", "`pass`, `fail`, `inconclusive`"),
-            ("value", "number", "the worst, or what the gate asks of all logs (`over`)"),
-            ("log", "text", "where that was"),
-            ("time_s", "number", "when, s since the log's start"),
-            ("reason", "text", "why, in words"),
-        ),
+        ("gate", "text", "the rule as text"),
+        ("planner", "text", "the one that the worst value is of"),
+        ("mode", "text", "likewise"),
+        ("group", "text", "of a gate that is asked per family, tag or dataset: which; else empty"),
+        ("outcome", "text", "`pass`, `fail`, `inconclusive`"),
+        ("value", "number", "the worst, or what the gate asks of all logs (`over`)"),
+        ("log", "text", "where that was"),
+        ("time_s", "number", "when, s since the log's start"),
+        ("reason", "text", "why, in words"),
     ),
-    "failures": Table(
+    "failures": _table(
         "A row per thing that could not be evaluated.",
-        True,
-        _columns(
-            ("log", "text", "name, or the path as given"),
-            ("planner", "text", "none: the log itself"),
-            ("mode", "text", "none: before any loop"),
-            ("message", "text", "what, where, and what to do"),
-            ("exit_code", "count", "what it costs: 2 configuration, 3 else"),
-        ),
+        ("log", "text", "name, or the path as given"),
+        ("planner", "text", "none: the log itself"),
+        ("mode", "text", "none: before any loop"),
+        ("message", "text", "what, where, and what to do"),
+        ("exit_code", "count", "what it costs: 2 configuration, 3 else"),
     ),
-    "decisions": Table(
+    "decisions": _table(
         "A row per frame and decision, read from the traces.",
-        True,
-        (
-            *_DRIVE,
-            *_columns(
-                ("t_s", "number", "time of the frame, s since the log's start"),
-                ("agent", "text", "about which road user, stop or ground"),
-                ("decision", "text", "`follow`, `yield`, `overtake`, `stop`, `nudge left` ..."),
-                ("stage", "text", "of the planner that decided"),
-                ("reason", "text", "why, in words"),
-            ),
-        ),
+        *_DRIVE,
+        ("t_s", "number", "time of the frame, s since the log's start"),
+        ("agent", "text", "about which road user, stop or ground"),
+        ("decision", "text", "`follow`, `yield`, `overtake`, `stop`, `nudge left` ..."),
+        ("stage", "text", "of the planner that decided"),
+        ("reason", "text", "why, in words"),
     ),
 }
 """Tables of `replay.results.load` only, made from summary.json and the traces."""
@@ -317,8 +271,7 @@ def arrow_schema(file: str) -> pa.Schema:
 def arrow(file: str, table: pd.DataFrame) -> pa.Table:
     """The table with the types of its schema, even without rows; other files get the types of pandas.
 
-    Raises:
-        KeyError: It has a column that the schema does not know.
+    KeyError if it has a column that the schema does not know.
     """
     if file not in TABLES:
         return pa.Table.from_pandas(table, preserve_index=False)
@@ -412,3 +365,98 @@ BELOW = """
 
 `replan.load` makes these of `summary.json` and the traces.
 """
+
+
+AGAIN = "evaluate again"
+WORDS: dict[str, Collection[str]] = {
+    "mode": ("open", "closed", "reference", "both", ""),
+    "direction": ("lower", "higher", "none"),
+    "outcome": [one.value for one in Outcome],
+}
+"""The values of columns that have no others."""
+
+Name = Annotated[str, msgspec.Meta(pattern=r"^(?:[A-Za-z0-9_-][A-Za-z0-9._-]*)?\Z")]
+"""A plain name, as `replay.results.tables.safe_name` makes it; may be empty."""
+FileName = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9_-][A-Za-z0-9._-]*/[A-Za-z0-9_-][A-Za-z0-9._-]*\Z")]
+"""The plain name of a file in a log's folder."""
+Place = Annotated[str, msgspec.Meta(pattern=r"^[^\0]*\Z")]  # A path or URL
+
+
+T = TypeVar("T")
+
+
+def read_json(file: Path, kind: type[T], again: str = AGAIN) -> tuple[dict[str, Any], T]:
+    """The contents of a JSON file, as they are and as a type.
+
+    `kind`: the type of its contents, a Struct; further keys are allowed. ConfigError if it cannot be read, is of
+    another version, or not of the type.
+    """
+    try:
+        check_regular(file)
+        content = file.read_bytes()
+        found: Any = msgspec.json.decode(content)
+    except (OSError, ValueError, RecursionError) as error:
+        raise ConfigError(f"{file}: cannot be read: {error}; {again}") from None
+    version = found.get("schema_version") if isinstance(found, dict) else None
+    if isinstance(version, int) and version != SCHEMA_VERSION:
+        raise ConfigError(f"{file}: is of version {version}, this replan reads {SCHEMA_VERSION}; {again}")
+    return checked(file, found, kind, again)
+
+
+def checked(file: Path, found: Any, kind: type[T], again: str) -> tuple[dict[str, Any], T]:
+    """Decoded JSON as it is and as a type; ConfigError as `read_json`."""
+    if not isinstance(found, dict) or found.get("schema_version") != SCHEMA_VERSION:
+        raise ConfigError(f"{file}: is no file of results; {again}")
+    try:
+        return found, msgspec.convert(found, kind)
+    except (ValueError, RecursionError) as error:
+        raise ConfigError(f"{file}: is not as replan writes it: {error}; {again}") from None
+
+
+def read_table(file: Path, without: Sequence[str] = (), again: str = AGAIN, *, words: Sequence[str] = ()) -> pa.Table:
+    """A table, checked by the schema of its name; columns that the schema does not know are left out.
+
+    `words`: columns of few different texts, which are read as dictionaries. LogError if it cannot be read, or is not as
+    replan writes it; ConfigError if it is of another version.
+    """
+    check_regular(file)
+    try:
+        table = pq.read_table(file, partitioning=None, read_dictionary=list(words))
+    except (OSError, ValueError, pa.ArrowException) as error:
+        raise LogError(f"cannot be read: {error}", file=file, remedy=again) from None
+    version = (table.schema.metadata or {}).get(VERSION_KEY.encode(), b"").decode("utf-8", "replace")
+    if version != str(SCHEMA_VERSION):
+        is_of = f"is of version {version}" if version else "has no version"
+        raise ConfigError(f"{file}: {is_of}, this replan reads {SCHEMA_VERSION}; {again}")
+    table = table.replace_schema_metadata(None)
+    check_table(table, file, file.name, without, again)
+    for at, column in enumerate(TABLES[file.name].columns):
+        if column.name not in table.column_names and column.older is not None:
+            table = table.add_column(at, column.name, pa.array([column.older] * len(table), pa_type(column.kind)))
+    return table.select([name for name in names_of(file.name) if name in table.column_names])
+
+
+def check_table(table: pa.Table, file: Path, name: str, without: Sequence[str] = (), again: str = AGAIN) -> None:
+    """Raise LogError unless a table is as the schema of a file's name says; columns `without` may be missing."""
+
+    def refuse(what: str) -> NoReturn:
+        raise LogError(what, file=file, remedy=again)
+
+    try:
+        table.validate(full=True)
+    except (ValueError, pa.ArrowException) as error:
+        refuse(f"is damaged: {error}")
+    for column in TABLES[name].columns:
+        if table.column_names.count(column.name) != 1:
+            if column.name in table.column_names or not (column.name in without or column.older is not None):
+                refuse(f"has no column {column.name}, or several")
+            continue
+        values = table[column.name]
+        if not is_of_kind(values.type, column.kind):
+            refuse(f"column {column.name} is {values.type}, not {column.kind}")
+        if values.null_count and column.kind != "number":
+            refuse(f"column {column.name} has no value in {values.null_count} rows")
+        if column.kind == "number" and pc.any(pc.is_inf(values)).as_py():
+            refuse(f"column {column.name} has infinite values")
+        if column.name in WORDS and (other := set(pc.unique(values).to_pylist()) - {*WORDS[column.name]}):
+            refuse(f"column {column.name} has the value {min(other)!r}, which is unknown")

@@ -41,22 +41,16 @@ from logs.errors import ConfigError, writing
 from replay.config import HEADER
 from replay.results.schema import METADATA, SCHEMA_VERSION, arrow, arrow_schema, names_of
 
-PARTIAL = ".partial-"
-"""Prefix of the names of unfinished files and folders."""
+PARTIAL = ".partial-"  # Prefix of the names of unfinished files and folders
 
-LOG_CARD = "log.json"
-"""A file that replan puts beside the traces of a log: a log beside it is a result, not an input."""
+LOG_CARD = "log.json"  # A file that replan puts beside the traces of a log: a log beside it is a result, not an input
 OUTCOMES = {0: "pass", 1: "fail", 2: "configuration error", 3: "not all could be evaluated", 4: "inconclusive"}
-PNG_MARK = b"tEXtSoftware\0replan"
-"""The chunk of a PNG file that says who wrote it."""
-LOCK = ".lock"
-"""The file by which a run locks its folder (`replay.run.output`)."""
+PNG_MARK = b"tEXtSoftware\0replan"  # The chunk of a PNG file that says who wrote it
+LOCK = ".lock"  # The file by which a run locks its folder (`replay.run.output`)
 
-SHARD_CARD = "shard.json"
-"""The file that identifies a shard of a run (`replay.run.shards`)."""
+SHARD_CARD = "shard.json"  # The file that identifies a shard of a run (`replay.run.shards`)
 
-ORIGIN = "origin.json"
-"""The file with the directory in which the run was started (`replay.run.output`)."""
+ORIGIN = "origin.json"  # The file with the directory in which the run was started (`replay.run.output`)
 
 TABLES = (
     "metrics.parquet",
@@ -71,12 +65,10 @@ TABLES = (
     ORIGIN,
 )
 REPORTS = ("report.md", "junit.xml", "report.html")
-FILES = (*TABLES, *REPORTS)
-"""The files in a result folder beside the folders of the logs."""
+FILES = (*TABLES, *REPORTS)  # The files in a result folder beside the folders of the logs
 KEYS = ["log", "planner", "mode", "metric"]
 TIMING_COLUMNS = names_of("timings.parquet")
-LONGEST_SAFE = 80
-"""Longest name of a file that is made of the name of a log, without the hash."""
+LONGEST_SAFE = 80  # Longest name of a file that is made of the name of a log, without the hash
 
 
 def safe_name(name: str, digest: str = "") -> str:
@@ -190,8 +182,7 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
 def next_free() -> Path:
     """Create the first of `results/run-001`, `results/run-002`, ... that does not exist.
 
-    Raises:
-        ConfigError: The folder cannot be created.
+    ConfigError if the folder cannot be created.
     """
     for number in count(1):
         out = Path("results", f"run-{number:03d}")

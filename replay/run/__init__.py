@@ -1,4 +1,4 @@
-"""Many logs: select (`sources`), evaluate in workers (`engine`, `pool`, `one_log`), judge and write (`judging`).
+"""Many logs: select (`sources`), evaluate in workers (`evaluate`, `pool`, `one_log`), judge and write (`judging`).
 
 `resume` continues an interrupted run; `replay.results.log_result` reads its finished logs from disk.
 Several machines may each drive a part of a run; `shards` merges the parts. The result folder is locked while it is

@@ -22,8 +22,7 @@ from replay.results.log_result import Failure
 from replay.vehicle import build_vehicle, split_plant
 
 SCENE = "paper/crossing_pedestrian"
-REFUSALS = (ValueError, TypeError)
-"""The errors with which a factory refuses a setting."""
+REFUSALS = (ValueError, TypeError)  # The errors with which a factory refuses a setting
 _OF_THE_LOG = ("length", "wheelbase", "rear_overhang")
 """Plant parameters that are not checked here: whether they are consistent depends on the log's vehicle."""
 
@@ -31,10 +30,8 @@ _OF_THE_LOG = ("length", "wheelbase", "rear_overhang")
 def checked(run: RunConfig) -> tuple[RunConfig, tuple[Failure, ...]]:
     """The run with the planners that can be loaded, their settings resolved, and the failures of the others.
 
-    Raises:
-        ConfigError: A name, a planner's keyword or a key of the plant is unknown or missing, a value is refused, or the
-            package for Foxglove is not installed.
-        PlannerError: No planner is left.
+    ConfigError if a name, a planner's keyword or a key of the plant is unknown or missing, a value is refused, or the
+    package for Foxglove is not installed; PlannerError if no planner is left.
     """
     tables: dict[str, Any] = {kind.table: _resolve_choice(kind, run) for kind in OF_LOOP.values()}
     run = replace(run, **tables)

@@ -7,6 +7,8 @@ once the second is refused. A URL is refused, except by `replan evaluate` and `r
 
 If the disk is full or the command is interrupted, the error says how to go on: of folders in folders (a tuning drives
 runs), the outermost one counts, since it is the one that the user named.
+
+`rows_file` is a claimed file of a table: CSV, Parquet or JSON, by the suffix.
 """
 
 from __future__ import annotations
@@ -18,9 +20,13 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+
 from logs.errors import ConfigError, OutputError, writing
 from logs.files import check_named, on_this_machine
-from replay.results.tables import LOCK, ORIGIN, PARTIAL, PNG_MARK, next_free
+from replay.results.tables import LOCK, ORIGIN, PARTIAL, PNG_MARK, next_free, write_file
 from replay.results.tables import is_ours as is_of_a_run
 from replay.run.output import held, locked
 
@@ -30,24 +36,17 @@ MARKS: Mapping[str, bytes] = {
 }  # fmt: skip
 """What files of replan hold, and others of the same kind do not, by the end of their names."""
 STUDY = "study.jsonl"
-"""The file of a study (`replay.run.study`): its first line names the command that wrote the folder."""
+"""The file of a study (`replay.run.resume`): its first line names the command that wrote the folder."""
 
 
 @dataclass(frozen=True)
 class FolderContents:
-    """What a command writes into a folder of its own.
-
-    Attributes:
-        command: The name of the command.
-        names: Patterns of the names of its files and folders, beside `STUDY`.
-        is_ours: Instead of names: whether an entry of the folder is of the command.
-        resumes: Whether the command has the option --resume.
-    """
+    """What a command writes into a folder of its own."""
 
     command: str
-    names: tuple[str, ...] = ()
-    is_ours: Callable[[Path], bool] | None = None
-    resumes: bool = True
+    names: tuple[str, ...] = ()  # Patterns of the names of its files and folders, beside `STUDY`
+    is_ours: Callable[[Path], bool] | None = None  # Instead of names: whether an entry of the folder is of the command
+    resumes: bool = True  # Whether the command has the option --resume
 
     def check(self, out: Path) -> None:
         """Raise ConfigError if a folder has anything that the command did not write."""
@@ -83,10 +82,8 @@ def study_of(out: Path) -> str:
 def claimed_folder(out: Path | str | None, contents: FolderContents, *, resume: bool = False) -> Iterator[Path]:
     """The locked folder of a command; None: the next free one.
 
-    Raises:
-        ConfigError: It must not be written, another command writes it, or `resume` without a folder.
-        OutputError: The disk is full; with the way to go on.
-        KeyboardInterrupt: Likewise.
+    ConfigError if it must not be written, another command writes it, or `resume` without a folder. OutputError if the
+    disk is full, and KeyboardInterrupt, with the way to go on.
     """
     if resume and out is None:
         raise ConfigError("name the folder that is to be resumed with --out")
@@ -140,9 +137,7 @@ def claimed_files(
 def claimed_file(path: Path, suffixes: Sequence[str], is_ours: Callable[[Path], bool] = is_marked) -> Iterator[Path]:
     """The locked file of a command, which the body writes; its folder is created.
 
-    Raises:
-        ConfigError: As `check_file`, or another command writes it.
-        OutputError: It cannot be written.
+    ConfigError as `check_file`, or if another command writes it; OutputError if it cannot be written.
     """
     check_file(path, suffixes, is_ours)
     with locked(path.with_name(f".{path.name}{LOCK}"), path):
@@ -152,11 +147,8 @@ def claimed_file(path: Path, suffixes: Sequence[str], is_ours: Callable[[Path], 
 def check_file(path: Path, suffixes: Sequence[str], is_ours: Callable[[Path], bool]) -> Path:
     """Return the path of a file, of which the folder is created; ConfigError if a command must not write it.
 
-    Args:
-        path: The file.
-        suffixes: Allowed ends of its name.
-        is_ours: Whether an earlier file has the header of the command; it is then replaced. It may raise OSError or
-            ValueError.
+    `is_ours`: whether an earlier file has the header of the command; it is then replaced. It may raise OSError or
+    ValueError.
     """
     path = on_this_machine(path)
     if path.suffix not in suffixes:
@@ -183,3 +175,43 @@ def result_folder_of(path: Path) -> Path | None:
         if study_of(folder) or ((folder / ORIGIN).is_file() and run.is_file() and is_of_a_run(run)):
             return folder
     return None
+
+
+WRITERS: Mapping[str, Callable[[pd.DataFrame, Path], object]] = {
+    ".csv": lambda table, path: table.to_csv(path, index=False, lineterminator="\n"),
+    ".parquet": lambda table, path: table.to_parquet(path, index=False),
+    ".json": lambda table, path: path.write_text(
+        (table.to_json(orient="records", indent=2, double_precision=15) or "[]") + "\n", encoding="utf-8"
+    ),
+}
+"""Functions that write rows, by the suffix of the file."""
+
+
+@contextmanager
+def rows_file(path: Path) -> Iterator[Callable[[pd.DataFrame], None]]:
+    """The function that writes rows as .csv, .parquet or .json, by the suffix of a claimed file.
+
+    An earlier file is replaced if it has the same columns.
+    ConfigError if the file must not be written; OutputError if it cannot be written.
+    """
+    with claimed_file(path, tuple(WRITERS), lambda file: True) as file:
+
+        def write(table: pd.DataFrame) -> None:
+            if file.exists() and _columns_of(file) != table.columns.tolist():
+                raise ConfigError(f"{file}: exists, and has other columns; name another file")
+            write_file(file, lambda partial: WRITERS[file.suffix](table, partial))
+
+        yield write
+
+
+def _columns_of(file: Path) -> list[str] | None:
+    """The columns of a file of rows; None if it is none."""
+    try:
+        if file.suffix == ".parquet":
+            return list(pq.read_schema(file).names)
+        if file.suffix == ".csv":
+            return pd.read_csv(file, nrows=0).columns.tolist()
+        rows = json.loads(file.read_text(encoding="utf-8"))
+        return list(rows[0])
+    except (OSError, ValueError, LookupError, TypeError, RecursionError, pa.ArrowException):
+        return None

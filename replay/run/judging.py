@@ -1,33 +1,44 @@
-"""The end of a run: judges its logs by the gates, and writes its tables and its summary."""
+"""The end of a run: judges its logs by the gates, and writes its tables and its summary.
+
+run.toml is the resolved configuration of a run, each setting with its meaning from the code, as in `replan list NAME`:
+entries of docstrings. Settings of parts that are not built in have none, as their modules may only be loaded where they
+run.
+"""
 
 from __future__ import annotations
 
+import os
 import platform
+import tomllib
 from collections import Counter
-from collections.abc import Iterable, Sequence
-from dataclasses import asdict, replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, is_dataclass, replace
 from enum import Enum
 from math import isfinite
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
 import pandas as pd
+import tomli_w
 
+from logs.vehicle import VehicleParameters
 from metrics import COLUMNS, health
 from metrics.judge import Verdict, judge, outcomes
 from metrics.judge.aggregate import LogLabels, groups, standings
 from metrics.judge.discrimination import with_discrimination
-from metrics.judge.gates import Gates, Outcome, load_gates
+from metrics.judge.gates import PACKAGED, Gates, Outcome, load_gates
 from metrics.judge.verdicts import LATE, judge_deadline, with_asked, with_ensemble
-from replay.config import RunConfig
+from replay.config import HEADER, RunConfig, dump_run
 from replay.draw.drawn_results import Results, load
+from replay.parts import PARTS, config_class
 from replay.results.load import TIMING_WORDS
 from replay.results.log_result import HEALTH, MEMBERS, METRICS, TIMINGS, Failure, LogResult, table_of, timings_of
-from replay.results.reading import read_table
+from replay.results.schema import read_table
 from replay.results.tables import KEYS, OUTCOMES, joined, write_json, write_metrics, write_parquet, write_timings
 from replay.results.version import replan_version
 from replay.run.one_log import all_metrics
 from replay.run.sources import LogSource, Selection
+from replay.settings import dotted, meaning
 
 
 def gates_of(run: RunConfig, path: Path | None) -> Gates:
@@ -49,15 +60,9 @@ def judge_and_write(
 ) -> Results:
     """Judge the results of a run (those of a shard are not judged), and write its tables.
 
-    Args:
-        out: The result folder, which contains the folders of the logs; the tables are written into it.
-        run: The configuration of the drives.
-        selection: The logs.
-        results: The result of each log, in the order of the selection.
-        gates: The thresholds.
-        failures: Failures that are not about a log.
-        resumed: Number of logs whose results are from an interrupted run.
-        shard: The part of the run; "" for the whole run.
+    `out`: the result folder, which contains the folders of the logs; the tables are written into it. `results`: the
+    result of each log, in the order of the selection. `failures`: failures that are not about a log. `resumed`: number
+    of logs whose results are from an interrupted run. `shard`: the part of the run; "" for the whole run.
     """
     selection, results = _without_twins(selection, results)
     names, distinct = Counter(result.name for result in results), list[LogResult]()
@@ -149,9 +154,8 @@ def _write_summary(
 def exit_code_of(failures: Iterable[Failure], outcomes: Iterable[Outcome] | None) -> int:
     """Exit code of a run: 0 pass, 1 a gate failed, 2 configuration, 3 not all could be evaluated, 4 inconclusive.
 
-    Args:
-        failures: Logs and drives that could not be evaluated.
-        outcomes: Outcomes of the gates; None: the run is not judged, and 0 means that it is complete.
+    `failures`: logs and drives that could not be evaluated. `outcomes`: outcomes of the gates; None: the run is not
+    judged, and 0 means that it is complete.
     """
     codes = {failure.exit_code for failure in failures}
     if codes:
@@ -162,3 +166,36 @@ def exit_code_of(failures: Iterable[Failure], outcomes: Iterable[Outcome] | None
     if Outcome.FAIL in asked:
         return 1
     return 4 if Outcome.INCONCLUSIVE in asked or not asked else 0
+
+
+def explained(run: RunConfig, folder: Path) -> str:
+    """The text of run.toml in a folder; `load_run` reads it as that of `dump_run`: a path of gates begins there."""
+    if run.gates not in PACKAGED:
+        run = replace(run, gates=os.path.relpath(run.gates, folder))
+    return f"{HEADER}{chr(10).join(_lines(tomllib.loads(dump_run(run)), RunConfig, ''))}\n"
+
+
+def _lines(table: Mapping[str, Any], of: Any, where: str) -> Iterator[str]:
+    """The lines of a table, whose keys are fields of a dataclass or keywords of a factory; None: they are not known."""
+    for key, value in table.items():
+        if not isinstance(value, Mapping):
+            line, about = tomli_w.dumps({key: value}).rstrip("\n"), "" if of is None else meaning(of, key)
+            yield f"{line}  # {about}" if about and "\n" not in line else f"# {about}\n{line}" if about else line
+    for key, value in table.items():
+        if isinstance(value, Mapping):
+            place = dotted(where, key)
+            if not value or not all(isinstance(item, Mapping) for item in value.values()):
+                yield f"\n[{place}]"
+            yield from _lines(value, _described(of, key, where), place)
+
+
+def _described(of: Any, key: str, where: str) -> Any:
+    """The dataclass or factory that describes a table in a table; None: there is none."""
+    if of is RunConfig and key == "vehicle":
+        return VehicleParameters
+    kinds = {kind.table: kind for kind in PARTS.values()}
+    if where in kinds:
+        factory = kinds[where].builtin.get(key)
+        return None if factory is None else config_class(factory) or factory
+    hint = get_type_hints(of).get(key) if isinstance(of, type) and is_dataclass(of) else None
+    return hint if isinstance(hint, type) and is_dataclass(hint) else None

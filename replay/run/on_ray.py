@@ -35,7 +35,7 @@ from replay.parts import OF_LOOP
 from replay.planner_process.connection import command_of
 from replay.results.log_result import Failure, LogResult, Stamp
 from replay.results.tables import write_folder
-from replay.run.engine import Job, longest_first
+from replay.run.evaluate import Job, longest_first
 from replay.run.pool import WorkerLost, freeze_gc
 from replay.run.resume import stamp_of
 from replay.run.sources import LogSource
@@ -44,8 +44,7 @@ T = TypeVar("T")
 
 RETRIES = 3
 """Retries of a task whose worker or node died (Ray's own default); an error that replan raises is not retried."""
-AHEAD = 2
-"""Tasks in flight per core of the cluster: each core has its next one waiting, and an autoscaler sees a queue."""
+AHEAD = 2  # Tasks in flight per core of the cluster: each core has its next one waiting, and an autoscaler sees a queue
 CONNECT_S = 10.0
 BEGIN = "`ray start --head` begins a cluster; versions of Ray and Python must be the same on all nodes"
 ALONE = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0", "RAY_USAGE_STATS_ENABLED": "0"}
@@ -57,15 +56,10 @@ LEFT_OUT = ("__pycache__", ".*", "*.pyc")
 
 @dataclass(frozen=True)
 class OnRay:
-    """A Ray cluster.
+    """A Ray cluster."""
 
-    Attributes:
-        address: Its address ("auto", "HOST:6379", "ray://HOST:10001"); "": one on this machine, for this run.
-        workers: Largest number of tasks in flight, and cores of a cluster on this machine. None: by the cluster's
-            cores.
-    """
-
-    address: str = ""
+    address: str = ""  # Its address ("auto", "HOST:6379", "ray://HOST:10001"); "": one on this machine, for this run
+    # Largest number of tasks in flight, and cores of a cluster on this machine. None: by the cluster's cores.
     workers: int | None = None
 
     def evaluate(
@@ -73,9 +67,8 @@ class OnRay:
     ) -> Iterator[tuple[int, LogResult | WorkerLost]]:
         """As `Engine.evaluate`.
 
-        Raises:
-            ConfigError: Ray is not installed, the cluster cannot be reached, or its Python differs.
-            OutputError: A folder cannot be written on this machine.
+        ConfigError if Ray is not installed, the cluster cannot be reached, or its Python differs; OutputError if a
+        folder cannot be written on this machine.
         """
         absolute = [
             source if source.path is None else replace(source, path=source.path.absolute()) for source in sources

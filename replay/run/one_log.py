@@ -40,8 +40,7 @@ from replay.loop.reference_drives import discriminating_tables, late_follower, w
 from replay.planner_process.planner_config import drive_keywords, is_built_in
 from replay.results.log_result import DriveRecord, Failure, LogResult, LogTables, Stamp, Steps, StepsFile, write_result
 from replay.results.tables import KEYS, PARTIAL, TIMING_COLUMNS, finish_folder, joined, safe_name
-from replay.run.perturb import perturbed
-from replay.run.sources import LogSource, file_hash
+from replay.run.sources import LogSource, file_hash, perturbed
 
 LOOPS = {Mode.OPEN: run_open_loop, Mode.CLOSED: run_closed_loop}
 
@@ -128,11 +127,7 @@ def evaluate_log(source: LogSource, run: RunConfig, out: Path, stamp: Stamp) -> 
 
 
 def all_metrics(run: RunConfig) -> Mapping[str, Metric]:
-    """The built-in metrics and the run's own.
-
-    Raises:
-        ConfigError: A metric cannot be loaded, or has the name of another.
-    """
+    """The built-in metrics and the run's own; ConfigError if a metric cannot be loaded, or has the name of another."""
     found = dict(METRICS)
     for metric in map(load_metric, run.metrics):
         if metric.name in found:

@@ -43,23 +43,21 @@ from logs.mcap import read_scenario
 from logs.readers import LogSettings
 from logs.scenario import Scenario
 from replay.results.log_result import LogResult
-from replay.results.reading import Place, read_json
+from replay.results.schema import Place, read_json
 from replay.results.tables import FILES, LOCK, LOG_CARD, ORIGIN, PARTIAL, write_json
 from replay.run.sources import LogSource, log_hash, select
 
 _NO_LOCKS = (errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP, errno.EINVAL)
 _CARD_BYTES = 4096
-_FAR = 1 << 30
-"""Windows locks bytes, which then cannot be read: this byte is behind all written bytes."""
+_FAR = 1 << 30  # Windows locks bytes, which then cannot be read: this byte is behind all written bytes
 
 
 @contextmanager
 def held(out: Path) -> Iterator[None]:
     """Lock the folder, and create it if needed; the lock file is removed afterwards.
 
-    Raises:
-        ConfigError: Another run has locked it (with process, host and time), it cannot be created or written to, or it
-            is a URL.
+    ConfigError if another run has locked it (with process, host and time), it cannot be created or written to, or it is
+    a URL.
     """
     on_this_machine(out)
     made = not out.exists()
@@ -172,19 +170,13 @@ def _start_of_process(pid: int) -> str:
 
 @dataclass
 class OutputLocation:
-    """The place to which the results of a run are written.
+    """The place to which the results of a run are written."""
 
-    Attributes:
-        folder: The folder on this machine; None: the next free one.
-        url: The URL to which it is sent; "" if there is none.
-        there: Write times of the files that are at the URL already; they are sent again only if written anew.
-        old: Files at the URL that are removed before anything is sent.
-    """
-
-    folder: Path | None
-    url: str = ""
+    folder: Path | None  # The folder on this machine; None: the next free one
+    url: str = ""  # The URL to which it is sent; "" if there is none
+    # Write times of the files that are at the URL already; they are sent again only if written anew
     there: dict[str, int] = field(default_factory=dict)
-    old: list[str] = field(default_factory=list)
+    old: list[str] = field(default_factory=list)  # Files at the URL that are removed before anything is sent
 
     def check_outside(self, sources: Sequence[LogSource]) -> None:
         """Raise ConfigError if the URL contains a log that is to be driven: it would be removed."""
@@ -221,9 +213,8 @@ class OutputLocation:
 def output_location(out: Path | str | None, *, resume: bool = False) -> Iterator[OutputLocation]:
     """A place for a run's results; a URL is locked, and its contents are fetched (`resume`) or replaced.
 
-    Raises:
-        ConfigError: Another run writes there, its contents are not results, or it cannot be written.
-        OutputError: The connection is lost; finished logs are kept for `resume`.
+    ConfigError if another run writes there, its contents are not results, or it cannot be written. OutputError if the
+    connection is lost; finished logs are kept for `resume`.
     """
     url = "" if out is None else url_of(out)
     if not url:
@@ -301,9 +292,7 @@ def begun_in(out: Path, sources: Iterable[str]) -> Path:
 def scenario_of(out: Path, row: Mapping[Any, Any], settings: LogSettings) -> Scenario:
     """The driven part of the log of a row of `Results.logs`: of the copy in the results, otherwise of the original.
 
-    Raises:
-        ConfigError: The log was moved or changed.
-        LogError: The log cannot be read.
+    ConfigError if the log was moved or changed; LogError if the log cannot be read.
     """
     folder = str(row.get("folder", ""))
     if folder and (out / folder / "log.mcap").is_file():
@@ -316,15 +305,8 @@ def scenario_of(out: Path, row: Mapping[Any, Any], settings: LogSettings) -> Sce
 def log_of(out: Path, source: str, digest: str, settings: LogSettings) -> Scenario:
     """The original log that a run read.
 
-    Args:
-        out: The result folder.
-        source: The log's path or URL as it was given.
-        digest: SHA-256 of its bytes.
-        settings: The settings for reading it.
-
-    Raises:
-        ConfigError: The log was moved or changed.
-        LogError: The log cannot be read.
+    `source`: the log's path or URL as it was given. `digest`: SHA-256 of its bytes. ConfigError if the log was moved or
+    changed; LogError if the log cannot be read.
     """
     if url_of(source):
         found = select([source], settings).sources[0]

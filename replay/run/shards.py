@@ -33,27 +33,21 @@ from replay.config import RunConfig, load_run
 from replay.draw.drawn_results import Results
 from replay.planner_process.planner_config import is_foreign, planner_part
 from replay.results.log_result import Failure, LogResult, Stamp, load_result
-from replay.results.reading import Name, Place, read_json
+from replay.results.schema import Name, Place, read_json
 from replay.results.tables import SHARD_CARD, write_folder, write_json, write_text
 from replay.run.claim import MERGED, claimed_folder, emptied
-from replay.run.judging import gates_of, judge_and_write
+from replay.run.judging import explained, gates_of, judge_and_write
 from replay.run.output import begun_in, write_origin
 from replay.run.resume import changes, identity_of, stamp_of
-from replay.run.run_file import explained
 from replay.run.sources import LogSource, Selection
 
 
 @dataclass(frozen=True)
 class Shard:
-    """A part of a run.
+    """A part of a run."""
 
-    Attributes:
-        number: Number of this shard, from 1.
-        of: Number of all shards.
-    """
-
-    number: int
-    of: int
+    number: int  # Number of this shard, from 1
+    of: int  # Number of all shards
 
     def __post_init__(self) -> None:
         if not 1 <= self.number <= self.of:
@@ -85,14 +79,8 @@ def write_card(
 ) -> None:  # fmt: skip
     """Write `shard.json` into a shard's folder, which marks it as complete.
 
-    Args:
-        out: The folder.
-        shard: Which it is.
-        whole: The logs of all shards.
-        run: The configuration of the drives.
-        stamp: Version and code on which the results depend.
-        failures: Failures that are not about a log.
-        results: Results in the order of the shard's logs, under the names in their own folders.
+    `stamp`: version and code on which the results depend. `results`: results in the order of the shard's logs, under
+    the names in their own folders.
     """
     card: dict[str, Any] = {
         **asdict(shard),
@@ -156,15 +144,10 @@ class ShardContents:
 def merge(folders: Sequence[Path | str], out: Path | str) -> Results:
     """Judge the logs of all shards together and write one result folder.
 
-    Args:
-        folders: Folders of all shards of a run (`evaluate_logs(shard=...)`), in any order.
-        out: Result folder: new, empty, or results of an earlier run, which are replaced.
-
-    Raises:
-        ConfigError: A folder is not a complete shard; the shards are of different runs (logs, configuration, gates,
-            version, code), or of another version or code than this replan; one is duplicate or missing; `out` must not
-            be written, or is in use.
-        OutputError: The disk is full.
+    `folders`: folders of all shards of a run (`evaluate_logs(shard=...)`), in any order. `out`: result folder: new,
+    empty, or results of an earlier run, which are replaced. ConfigError if a folder is not a complete shard; the shards
+    are of different runs (logs, configuration, gates, version, code), or of another version or code than this replan;
+    one is duplicate or missing; `out` must not be written, or is in use. OutputError if the disk is full.
     """
     found, out = _read_parts([Path(folder) for folder in folders]), Path(out)
     for part in found:

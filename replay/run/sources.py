@@ -1,6 +1,18 @@
 """Selects the logs of a run: files, folders, or the built-in suite; and the numbers found, kept and left out.
 
 An empty selection is an error that names the searched formats: it must not look like a run without failures.
+
+The members of an ensemble are worlds in which a verdict should be the same:
+
+    again    the very same log: a planner that is not deterministic drives differently
+    turned   the world turned about the ego's start by a random angle
+    clock    the log's clock set forward, by up to a day
+    tiny     errors of 1e-9 on all measured values
+    start    the ego's log moved by up to 5 cm along each axis
+    noise    Gaussian errors of 2 cm on the agents' positions
+    rate     ego and agents sampled at 5 Hz, the rate of the slowest logs of recorded traffic in use
+
+A member's random numbers are seeded by the log's name and the member's number, so that they are the same in every run.
 """
 
 from __future__ import annotations
@@ -8,11 +20,15 @@ from __future__ import annotations
 import hashlib
 import os
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
+from hashlib import sha256
 from math import inf
 from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
 
 from logs.catalogue import BUILTIN, FAMILY, scenario, suite
 from logs.errors import ConfigError, LogError
@@ -33,6 +49,7 @@ from logs.readers import (
     with_tracks,
 )
 from logs.scenario import Scenario
+from logs.transform import jittered, rotated, sampled, shifted_clock
 from replay.results.tables import LOG_CARD
 
 BYTES_PER_S: Mapping[str, float] = {
@@ -57,23 +74,14 @@ SUITE_HEADER = "# A suite of logs, written by `replan suite`; give it to --suite
 
 @dataclass(frozen=True)
 class LogSource:
-    """The source of a log: a file or folder of any format, or the catalogue.
+    """The source of a log: a file or folder of any format, or the catalogue."""
 
-    Attributes:
-        label: Its name for the user; for the catalogue, the name of a scenario (`logs.catalogue.scenario`).
-        path: The file or folder; None for the catalogue.
-        settings: The settings for reading it.
-        digest: Its `log_hash`, so that a log with many windows is hashed once; "" if unknown.
-        remote: Its files if it is named by URL; `fetched` gives it as a path.
-        format: Format of a remote log, as known from its name.
-    """
-
-    label: str
-    path: Path | None = None
+    label: str  # Its name for the user; for the catalogue, the name of a scenario (`logs.catalogue.scenario`)
+    path: Path | None = None  # The file or folder; None for the catalogue
     settings: LogSettings = field(default_factory=LogSettings)
-    digest: str = ""
-    remote: tuple[RemoteFile, ...] = ()
-    format: str = ""
+    digest: str = ""  # Its `log_hash`, so that a log with many windows is hashed once; "" if unknown
+    remote: tuple[RemoteFile, ...] = ()  # Its files if it is named by URL; `fetched` gives it as a path
+    format: str = ""  # Format of a remote log, as known from its name
 
     def identity(self) -> str:
         """Identifies the input: names and hashes of log and map, or the name; LogError as `read`.
@@ -144,15 +152,10 @@ class LogSource:
 
 @dataclass(frozen=True)
 class Selection:
-    """The logs of a run; as text, the numbers found and kept, and the reasons why others were left out.
+    """The logs of a run; as text, the numbers found and kept, and the reasons why others were left out."""
 
-    Attributes:
-        sources: The kept logs, in the given order (folders: sorted by path).
-        dropped: The reasons why others were left out, one line each.
-    """
-
-    sources: tuple[LogSource, ...]
-    dropped: tuple[str, ...] = ()
+    sources: tuple[LogSource, ...]  # The kept logs, in the given order (folders: sorted by path)
+    dropped: tuple[str, ...] = ()  # The reasons why others were left out, one line each
 
     def __str__(self) -> str:
         counts = f"{len(self.sources) + len(self.dropped)} found, {len(self.sources)} kept"
@@ -172,8 +175,7 @@ def named_suite(name: str) -> Selection:
 def suite_file(path: Path) -> list[Path | str]:
     """The logs that a suite's file names: TOML with one key, `logs`, a list of paths (relative to the file) or URLs.
 
-    Raises:
-        ConfigError: It cannot be read, or has other keys.
+    ConfigError if it cannot be read, or has other keys.
     """
     table = read_toml(path)
     logs = table.get("logs")
@@ -194,9 +196,7 @@ def select(
     are left out: the same bytes, or the same drive in another container or under another name, if the reader knows
     its span without reading it. With `window`, each log is split into windows of this length, s, that begin every
     `every` s (by default `window`).
-
-    Raises:
-        ConfigError: A path does not exist, no reader knows its format, or no log is left.
+    ConfigError if a path does not exist, no reader knows its format, or no log is left.
     """
     settings = settings or LogSettings()
     kept: dict[str, LogSource] = {}
@@ -352,3 +352,46 @@ def file_hash(path: Path) -> str:
         raise error.at(path) from None
     except OSError as error:
         raise LogError(f"cannot be read: {error.strerror}", file=path) from None
+
+
+START_M, NOISE_M, TINY, RATE_HZ = 0.05, 0.02, 1e-9, 5.0
+DAY_NS = 86_400_000_000_000
+
+
+def _turn_world(scenario: Scenario, rng: np.random.Generator) -> Scenario:
+    start = scenario.ego.state(0)
+    return rotated(scenario, float(rng.uniform(-np.pi, np.pi)), (start.x, start.y))
+
+
+def _start(scenario: Scenario, rng: np.random.Generator) -> Scenario:
+    dx, dy = rng.uniform(-START_M, START_M, 2)
+    ego = scenario.ego
+    return replace(scenario, ego=replace(ego, x=ego.x + dx, y=ego.y + dy))
+
+
+def noisy(scenario: Scenario, rng: np.random.Generator, size: float = NOISE_M) -> Scenario:
+    """Gaussian errors of `size` m on the positions of the agents that move."""
+    tracks = scenario.tracks
+    moves = np.repeat(~tracks.static, np.diff(tracks.offsets))
+    x, y = (column + moves * rng.normal(0.0, size, len(tracks.t)) for column in (tracks.x, tracks.y))
+    return replace(scenario, tracks=replace(tracks, x=x, y=y))
+
+
+PERTURBATIONS: Mapping[str, Callable[[Scenario, np.random.Generator], Scenario]] = MappingProxyType(
+    {
+        "again": lambda scenario, rng: scenario,
+        "turned": _turn_world,
+        "clock": lambda scenario, rng: shifted_clock(scenario, int(rng.integers(DAY_NS))),
+        "tiny": lambda scenario, rng: jittered(scenario, TINY, int(rng.integers(2**31))),
+        "start": _start,
+        "noise": noisy,
+        "rate": lambda scenario, rng: sampled(scenario, RATE_HZ),
+    }
+)
+
+
+def perturbed(scenario: Scenario, member: int) -> tuple[str, Scenario]:
+    """Member `member` (from 1) of a log's ensemble: the name of the perturbation and the scenario; kinds alternate."""
+    name = list(PERTURBATIONS)[(member - 1) % len(PERTURBATIONS)]
+    seed = int.from_bytes(sha256(f"{scenario.name} {member}".encode()).digest()[:8], "big")
+    return name, PERTURBATIONS[name](scenario, np.random.default_rng(seed))

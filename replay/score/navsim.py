@@ -1,16 +1,17 @@
 """NAVSIM's scores of a plan of 4 s: PDMS (v1) and EPDMS (v2), part by part as navsim 0a380a90 and its branch v1.1 do.
 
-A window begins at a state of the log's ego. The plan, linear between its eight poses, is driven by `tracker`; so is the
-plan of PDM-Closed (`pdm_closed`). The 41 states at 10 Hz are judged beside the others as logged (`scene`):
+A window begins at a state of the log's ego. The plan, linear between its eight poses, is driven by `simulated`; so is
+the plan of PDM-Closed (`yardstick`). The 41 states at 10 Hz are judged beside the others as logged (`scene`):
 
-    NC   1, 1/2, 0: at-fault contact with an object, with another agent. Kinds and fault as in `metrics.nuplan`, but
-         what stands is what stood when first seen, and astray is: off the road, or the corners in several lanes and
-         all four in none. A contact without fault ends the agent; one at the start does in v2
+    NC   1, 1/2, 0: at-fault contact with an object, with another agent. Kinds and fault as in
+         `metrics.driving_scores`, but what stands is what stood when first seen, and astray is: off the road, or the
+         corners in several lanes and all four in none. A contact without fault ends the agent; one at the start does in
+         v2
     DAC  0 where a corner is on no lane, intersection or other drivable area
     DDC  1, 1/2, 0: in a span of 1 s the centre drives less than 2 m, 6 m, more off the route's lanes and intersections
     TLC  0 where the ego touches a lane of the route behind a red light
     TTC  0 if the ego, moved on along its heading for 0, .3, .6, .9 s, touches an agent where that then is, seen as in
-         `metrics.nuplan`; the first contact with another agent ends that
+         `metrics.driving_scores`; the first contact with another agent ends that
     LK   0 where the centre is above 0.5 m off PDM-Closed's centre line in 20 states in a row, intersections left out
     EP   own way along that line over the greater of the own and PDM-Closed's, both times their multipliers; 1 up to 5 m
     HC   1 where nuPlan's six signals keep their bounds, with 1.5 s of recorded past before (v2)
@@ -20,13 +21,29 @@ plan of PDM-Closed (`pdm_closed`). The 41 states at 10 Hz are judged beside the 
 The boxes that are judged have the size of nuPlan's car (`NUPLAN_CAR`), as in the original, whatever the log's car is.
 Human filter: a part in which the log's driver, tracked alike, has 0 is 1; their EP, HC and EC are never 0. Before
 2025-09-29 the filter changed the columns but not the score ("old filter").
+
+NAVSIM drives a plan by nuPlan's two-stage LQR and a kinematic bicycle with lags, at 10 Hz. The tracker knows a plan's
+poses alone. It fits speeds v_k and curvatures kappa_k to the displacements d_k and turns theta_k between them, h =
+`STEP_S`:
+
+(1) d_k = h v_k (cos yaw_k, sin yaw_k),   v_k = v_0 + h (a_0 + ... + a_(k-1))
+    least squares + `JERK_PENALTY` (a_0^2 + ... + a_(n-4)^2 + (a_(n-2) - a_(n-3))^2): meant are the differences of all,
+    but the original's -1 overwrite its +1 except in the last row
+(2) theta_k = h v_k kappa_k,   kappa_k = kappa_0 + h (c_0 + ...)
+    least squares + `CURVATURE_PENALTY` sum of c_k^2 + 1e-10 kappa_0^2
+
+Then, as in `planners.pdm.planner` (2), (3) with those v and kappa, and its (4) with the Euler rule: positions, heading
+and steering move with the speed, heading and steering before the step. NAVSIM's tracker has the wheelbase of nuPlan's
+car (`NUPLAN_WHEELBASE_M`) whatever the car is.
+
+Source: autonomousvision/navsim 0a380a90, planner/pdm_planner/simulation (Apache-2.0; formulae only).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from math import cos, hypot, prod, sin
+from math import atan2, cos, hypot, pi, prod, sin, tan
 from types import MappingProxyType
 
 import numpy as np
@@ -37,14 +54,16 @@ from logs.kernel import kernel
 from logs.road import RoadSource
 from logs.scenario import Scenario
 from logs.shapes import overlap
+from logs.states import wrapped
 from metrics.boxes import BEHIND, NO_TTC_MPS, STANDING_MPS, EgoOutline
 from metrics.comfort import savgol
-from metrics.drivable_lanes import DrivableLanes, along_line, lane_map
-from metrics.nuplan import AHEAD, comfort_signals, comfortable, corners_of
-from replay.score.navsim_tracker import LATERAL, STEP_S, TURN, TURN_RATE, YAW, A, V, X, Y, simulated
+from metrics.driving_scores import AHEAD, comfort_signals, comfortable, corners_of
+from metrics.lanes import DrivableLanes, along_line, lane_map
+from planners.pdm.planner import ACCEL_LAG_S, Q_HEADING, Q_OFFSET, Q_SPEED, STEER_LAG_S, STOPPING_GAIN, STOPPING_MPS
+from planners.pdm.planner import AHEAD as STEPS_AHEAD
 from replay.score.window import Polyline, RoadblockRoute, WindowAgents, box_on_polygon, center_line, red_lanes, route_of
 
-HORIZON_S, POSES, POSE_S, PAST_S, LEAST_WAY_M = 4.0, 8, 0.5, 1.5, 5.0
+HORIZON_S, STEP_S, POSES, POSE_S, PAST_S, LEAST_WAY_M = 4.0, 0.1, 8, 0.5, 1.5, 5.0
 STEPS = round(HORIZON_S / STEP_S) + 1
 NUPLAN_CAR = EgoOutline(1.461, 5.176, 2.297, 1.461 + 0.5 * 5.176)
 """The Pacifica of nuPlan: rear axle to centre, length, width, rear axle to front, m."""
@@ -56,30 +75,19 @@ NO_LANES = "the log has no lanes: the scores of nuPlan and NAVSIM need them"
 
 @dataclass(frozen=True)
 class Version:
-    """What a version of NAVSIM does.
+    """What a version of NAVSIM does."""
 
-    Attributes:
-        columns: The original's column of each part, in its order.
-        multipliers: Parts that multiply the weighted mean; `weights` by part.
-        filters: Whether the human filter changes the columns; `scores_filtered` whether it changes the score, too.
-        masks: Whether EP is that after the own multipliers.
-        drops: Whether agents that touch the ego at the start are left out.
-        seen_s: For how long others are seen, s; `ttc_steps` is the number of states that TTC looks at.
-        past: Whether comfort begins with the recorded past, and is that of the centre.
-        windows: Filters of acceleration and jerk (`metrics.nuplan.comfort_signals`).
-    """
-
-    columns: Mapping[str, str]
-    multipliers: tuple[str, ...]
+    columns: Mapping[str, str]  # The original's column of each part, in its order
+    multipliers: tuple[str, ...]  # Parts that multiply the weighted mean; `weights` by part
     weights: Mapping[str, float]
-    filters: bool
+    filters: bool  # Whether the human filter changes the columns; `scores_filtered` whether it changes the score, too
     scores_filtered: bool
-    masks: bool
-    drops: bool
-    seen_s: float
+    masks: bool  # Whether EP is that after the own multipliers
+    drops: bool  # Whether agents that touch the ego at the start are left out
+    seen_s: float  # For how long others are seen, s; `ttc_steps` is the number of states that TTC looks at
     ttc_steps: int
-    past: bool
-    windows: tuple[int, int]
+    past: bool  # Whether comfort begins with the recorded past, and is that of the centre
+    windows: tuple[int, int]  # Filters of acceleration and jerk (`metrics.driving_scores.comfort_signals`)
 
 
 _V1 = Version(
@@ -133,8 +141,7 @@ class ScoredWindow:
 def window(scenario: Scenario, t: float) -> ScoredWindow:
     """Return the window of a log that begins at `t`, s.
 
-    Raises:
-        ConfigError: The log has no lanes, its driver is on none of them, or it does not last for 4 s more.
+    ConfigError if the log has no lanes, its driver is on none of them, or it does not last for 4 s more.
     """
     lanes = None if scenario.road.source is RoadSource.DRIVEN_PATH else lane_map(scenario.road)
     if lanes is None:
@@ -301,3 +308,68 @@ def extended_comfort(now: FloatArray, before: FloatArray, steps: int) -> float:
 
     pairs = zip(features(now[:-steps]), features(before[steps:]), EC_BOUNDS, strict=True)
     return float(all(np.sqrt(np.mean((one - two) ** 2)) <= bound for one, two, bound in pairs))
+
+
+JERK_PENALTY, CURVATURE_PENALTY, FIRST_PENALTY = 1e-4, 1e-2, 1e-10
+MAX_STEER, NUPLAN_WHEELBASE_M = pi / 3.0, 3.089
+X, Y, YAW, V, A, LATERAL, STEER, TURN, TURN_RATE = range(9)
+"""Columns of a state: rear axle, speed, acceleration, lateral acceleration, steering angle, yaw rate and its rate."""
+
+
+def fitted(poses: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the speeds (1) and curvatures (2) `(n - 1,)` of poses x, y, yaw `(n, 3)`."""
+    moved, turned = np.diff(poses[:, :2], axis=0), wrapped(np.diff(poses[:, 2]))
+    m, h = len(moved), STEP_S
+    ahead = np.column_stack([np.cos(poses[:-1, 2]), np.sin(poses[:-1, 2])]).reshape(-1, 1)
+    lower = np.repeat(np.tri(m), 2, axis=0)
+    design = ahead * lower * np.r_[h, np.full(m - 1, h * h)]
+    penalty = np.zeros((m - 2, m))
+    penalty[:, 2:] = np.eye(m - 2)
+    penalty[:, 1:-1] = -np.eye(m - 2)  # over the ones of the line above, as in the devkit
+    normal = np.linalg.pinv(design.T @ design + JERK_PENALTY * penalty.T @ penalty)
+    found = normal @ design.T @ moved.reshape(-1)
+    speed = found[0] + np.r_[0.0, np.cumsum(found[1:] * h)]
+    design = np.tri(m)
+    design[:, 0] = speed * h
+    design[1:, 1:] *= (speed * h * h)[1:, None]
+    weights = np.full(m, CURVATURE_PENALTY)
+    weights[0] = FIRST_PENALTY
+    found = np.linalg.pinv(design.T @ design + np.diag(weights)) @ design.T @ turned
+    return speed, found[0] + np.r_[0.0, np.cumsum(found[1:] * h)]
+
+
+def simulated(poses: FloatArray, start: FloatArray, wheelbase: float) -> FloatArray:
+    """Return the states `(n, 9)` of the car that follows poses `(n, 3)` from the state `start` `(9,)`."""
+    speed, kappa = fitted(poses)
+    return _follow(np.ascontiguousarray(poses), speed, kappa, start, wheelbase)
+
+
+@kernel
+def _follow(poses: FloatArray, speed: FloatArray, kappa: FloatArray, start: FloatArray, wheelbase: float) -> FloatArray:
+    out, last, h = np.zeros((len(poses), 9)), len(speed) - 1, STEP_S
+    out[0] = start
+    for k in range(len(poses) - 1):
+        x, y, yaw, v, a, steer = out[k, X], out[k, Y], out[k, YAW], out[k, V], out[k, A], out[k, STEER]
+        then = min(k + STEPS_AHEAD, last)
+        if speed[then] <= STOPPING_MPS and v <= STOPPING_MPS:
+            wanted, rate = STOPPING_GAIN * (speed[then] - v), 0.0
+        else:
+            span = h * STEPS_AHEAD
+            wanted = span * Q_SPEED * (speed[then] - v) / (span * span * Q_SPEED + 1.0)
+            e = (y - poses[k, 1]) * cos(poses[k, 2]) - (x - poses[k, 0]) * sin(poses[k, 2])
+            psi = atan2(sin(yaw - poses[k, 2]), cos(yaw - poses[k, 2]))
+            e1, psi1, steer1 = 0.0, 0.0, 0.0
+            for i in range(STEPS_AHEAD):
+                way = h * (v + i * h * wanted)
+                e, psi = e + way * psi, psi + way * (steer / NUPLAN_WHEELBASE_M - kappa[min(k + i, then)])
+                e1, psi1, steer1 = e1 + way * psi1, psi1 + way * steer1 / NUPLAN_WHEELBASE_M, steer1 + h
+            psi = atan2(sin(psi), cos(psi))
+            rate = -(Q_OFFSET * e1 * e + Q_HEADING * psi1 * psi) / (Q_OFFSET * e1**2 + Q_HEADING * psi1**2 + 1.0)
+        out[k + 1, X], out[k + 1, Y] = x + h * v * cos(yaw), y + h * v * sin(yaw)
+        out[k + 1, YAW] = yaw + h * v * tan(steer) / wheelbase
+        out[k + 1, A] = a + h / (h + ACCEL_LAG_S) * (wanted - a)
+        out[k + 1, V] = v + h * out[k + 1, A]
+        out[k + 1, STEER] = min(max(steer + h / (h + STEER_LAG_S) * h * rate, -MAX_STEER), MAX_STEER)
+        out[k + 1, TURN] = out[k + 1, V] * tan(out[k + 1, STEER]) / wheelbase
+        out[k + 1, TURN_RATE] = (out[k + 1, TURN] - out[k, TURN]) / h
+    return out

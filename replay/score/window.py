@@ -21,8 +21,8 @@ from logs.shapes import distance, overlap
 from logs.states import wrap, wrapped
 from logs.tracks import Tracks
 from metrics.boxes import ego_boxes, others_at
-from metrics.drivable_lanes import DrivableLanes, along_line
-from metrics.nuplan import route_lanes
+from metrics.driving_scores import route_lanes
+from metrics.lanes import DrivableLanes, along_line
 
 STEP_S, SAMPLE_S, NEAR_M, BEYOND_M = 0.1, 0.5, 100.0, 100.0
 
@@ -134,16 +134,11 @@ def _with_headings(lanes: DrivableLanes, i: int) -> tuple[FloatArray, FloatArray
 
 
 class WindowAgents(NamedTuple):
-    """Road users of a window at k steps of 0.1 s.
+    """Road users of a window at k steps of 0.1 s."""
 
-    Attributes:
-        there: `(n, k)`; `pose` `(3, n, k)`: x, y, yaw.
-        speed: `(n,)` when first seen; `agent` `(n,)` whether it can move; `size` `(n, 2)`.
-    """
-
-    there: BoolArray
+    there: BoolArray  # `(n, k)`; `pose` `(3, n, k)`: x, y, yaw
     pose: FloatArray
-    speed: FloatArray
+    speed: FloatArray  # `(n,)` when first seen; `agent` `(n,)` whether it can move; `size` `(n, 2)`
     agent: BoolArray
     size: FloatArray
 

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from logs import AgentKind, EndReason, Mode, Scenario, Trace, Trajectory
 from logs.catalogue import scenario as catalogue
 from logs.readers import read_log
-from metrics.nuplan import PARTS, closed_loop_parts
+from metrics.driving_scores import NUPLAN_CLOSED, closed_loop_parts
 
 VALUES = Path(__file__).parents[1] / "support" / "leaderboards"
 BUILT_IN = {
@@ -39,7 +39,7 @@ def compared(folder: Path, mine: str, logs: object) -> pd.DataFrame:
     rows = {}
     for name, one in trajectories[trajectories.trajectory.str.match(mine)].groupby("trajectory"):
         found = parts(logs(name.rsplit("__", 1)[0]), Trajectory(*(one[c].to_numpy() for c in COLUMNS)))  # type: ignore[operator]
-        rows[name] = {part: abs(found[part] - values.loc[name, part]) for part in PARTS}
+        rows[name] = {part: abs(found[part] - values.loc[name, part]) for part in NUPLAN_CLOSED.names}
     return pd.DataFrame(rows).T
 
 

@@ -9,7 +9,7 @@ from drives import CAR, NOSE, Agent, along, drive, grid, moving, scenario
 
 from logs import AgentKind, Scenario, Trajectory
 from metrics import GROUPS, evaluate, series
-from metrics.rss import lateral_distance, longitudinal_distance
+from metrics.following import lateral_distance, longitudinal_distance
 
 MINE = {metric.name: metric for metric in GROUPS["safety"] if metric.name.startswith("rss")}
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from logs import AgentKind, Scenario, Trajectory
 from metrics import METRICS, evaluate
 from metrics.cut_in import REACT_S
-from metrics.steadiness import JUDGED_S, LEAST_S, RETURN_MPS, SETTLES_S
+from metrics.needless import JUDGED_S, LEAST_S, RETURN_MPS, SETTLES_S
 
 T = grid(30.0, 0.1)
 ROAD = straight_road(lanes=2, limit=15.0)

@@ -24,7 +24,7 @@ from metrics.judge.aggregate import LogLabels, wilson
 from metrics.judge.excuses import INTERVAL, marginal
 from metrics.judge.gates import Gate, Gates, Outcome, load_gates
 from metrics.judge.verdicts import MISS_COLUMNS, deadline_misses, with_ensemble
-from replay.run.perturb import NOISE_M, PERTURBATIONS, START_M, perturbed
+from replay.run.sources import NOISE_M, PERTURBATIONS, START_M, perturbed
 
 PASS, FAIL, INCONCLUSIVE = Outcome.PASS, Outcome.FAIL, Outcome.INCONCLUSIVE
 GAP = "gap.min"

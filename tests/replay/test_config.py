@@ -21,7 +21,7 @@ from replay.config import LoopConfig, RunConfig, dump_run, load_run
 from replay.parts import PLANNER
 from replay.planner_process.planner_config import planner_part
 from replay.run.checks import checked
-from replay.run.run_file import explained
+from replay.run.judging import explained
 from replay.settings import dotted_keys, set_table, strict
 
 WORDS = st.text("abcdefgh_:.", min_size=1, max_size=12)

@@ -30,14 +30,10 @@ from planners.frenet.scene import Bodies, Occupancy, Scene
 
 SIDES = {DecisionKind.NUDGE_LEFT: 1.0, DecisionKind.NUDGE_RIGHT: -1.0}
 """The decisions to pass, and the side in the form that kernels take."""
-TOLERANCE_M = 0.05
-"""Shortfall of a clearance that a solution may have, m."""
-NEAR_PATH_M = 30.0
-"""Standing agents farther from the ego than this plus the path's length are ignored, m."""
-NEAR_ROAD_M = 1.0
-"""An agent that stands off the road by less than this is still an obstacle, m."""
-NOTHING = Borrowed(np.empty((0, 3)), left=True, right=True)
-"""No road beside the lane is used."""
+TOLERANCE_M = 0.05  # Shortfall of a clearance that a solution may have, m
+NEAR_PATH_M = 30.0  # Standing agents farther from the ego than this plus the path's length are ignored, m
+NEAR_ROAD_M = 1.0  # An agent that stands off the road by less than this is still an obstacle, m
+NOTHING = Borrowed(np.empty((0, 3)), left=True, right=True)  # No road beside the lane is used
 
 
 @dataclass(frozen=True)
@@ -71,20 +67,13 @@ class CorridorConfig:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class InTheWay:
-    """The agents in the way, and the road beside the lane that may be used to pass them.
+    """The agents in the way, and the road beside the lane that may be used to pass them."""
 
-    Attributes:
-        obstacles: The agents in the order of their stations.
-        left: Whether the lane to the left is free; `right` likewise.
-        facing: Agents that the ego may pass on the lane of the opposite direction.
-        wait: Station at which to wait until that lane is free, m; inf if there is no need.
-    """
-
-    obstacles: tuple[Occupancy, ...] = ()
-    left: bool = True
+    obstacles: tuple[Occupancy, ...] = ()  # The agents in the order of their stations
+    left: bool = True  # Whether the lane to the left is free; `right` likewise
     right: bool = True
-    facing: frozenset[str] = frozenset()
-    wait: float = np.inf
+    facing: frozenset[str] = frozenset()  # Agents that the ego may pass on the lane of the opposite direction
+    wait: float = np.inf  # Station at which to wait until that lane is free, m; inf if there is no need
 
     def and_moving(self, more: InTheWay) -> InTheWay:
         """Add moving agents to pass; the lanes beside must be free for all."""

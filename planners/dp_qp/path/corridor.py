@@ -44,48 +44,31 @@ KNOT, LIMIT, KAPPA = 0, 1, 2
 S, SWING, LOWER, UPPER, LEAST, MOST = 0, 1, 2, 3, 4, 5
 """Rows of `RoadAhead.points`: stations, m; how far the points swing out (9), m; bounds (1) to (4) of
 their offsets, m; the same without (3), m."""
-MAX_DL = 1.0
-"""Bound of l': 45 degrees off the reference line."""
-FORCED_M = 0.3
-"""Hard steering is considered where comfortable steering would leave the lane by more than this, m."""
-BULGE = 0.03
-"""Half the curvature by which the way of a point ahead differs from that of the rear axle, 1/m."""
-NEARLY_M = 0.5
-"""A goal farther outside the corridor than this is not a goal of this lane, m."""
-LEFT_M = 0.1
-"""Width that the corridor keeps where the goal is outside of it, m."""
+MAX_DL = 1.0  # Bound of l': 45 degrees off the reference line
+FORCED_M = 0.3  # Hard steering is considered where comfortable steering would leave the lane by more than this, m
+BULGE = 0.03  # Half the curvature by which the way of a point ahead differs from that of the rear axle, 1/m
+NEARLY_M = 0.5  # A goal farther outside the corridor than this is not a goal of this lane, m
+LEFT_M = 0.1  # Width that the corridor keeps where the goal is outside of it, m
 NEAR_GOAL_M = 15.0
 """Where an agent stands within this of the goal, the ego passes it as usual and (3) does not apply, m."""
-HERE = np.empty(0)
-"""Argument `near` of `loosen_bounds`: the path is near the reference line."""
+HERE = np.empty(0)  # Argument `near` of `loosen_bounds`: the path is near the reference line
 COMFORT = frozen(np.array([4.0, 3.0, 1.8]))
 """Lateral acceleration that a path may need, braking and acceleration of the expected speed, m/s2 ..."""
-HARD = frozen(np.array([6.0, 5.0, 0.0]))
-"""... and those where comfort would leave the lane by more than `FORCED_M`."""
-SHARPEST = 1.0
-"""Largest rate of the curvature, 1/m2, however slow the ego is."""
-SHARE = 0.8
-"""Share of the bounds that the reach (8) uses; the rest lets the path be smooth."""
-SLOWEST_MPS = 1.0
-"""Least v in (6) and (7), m/s."""
+HARD = frozen(np.array([6.0, 5.0, 0.0]))  # ... and those where comfort would leave the lane by more than `FORCED_M`.
+SHARPEST = 1.0  # Largest rate of the curvature, 1/m2, however slow the ego is
+SHARE = 0.8  # Share of the bounds that the reach (8) uses; the rest lets the path be smooth
+SLOWEST_MPS = 1.0  # Least v in (6) and (7), m/s
 AHEAD = 1.0 / 3.0
 """The swing (9) is that of the curvature at s + lead / 3: exact to second order where the curvature rises linearly."""
 
 
 class EgoInLane(NamedTuple):
-    """The ego and its start, in the lane.
+    """The ego and its start, in the lane."""
 
-    Attributes:
-        start: s, l, l', l'' and speed, m, 1, 1/m, m/s `(5,)`.
-        leads: Distances of its points ahead of the rear axle `(k,)`, the first 0, m.
-        car: The argument `car` of `steering_bounds` `(3,)`.
-        side: Half its width plus the distance to keep to the lane's edge, m.
-    """
-
-    start: FloatArray
-    leads: FloatArray
-    car: FloatArray
-    side: float
+    start: FloatArray  # s, l, l', l'' and speed, m, 1, 1/m, m/s `(5,)`
+    leads: FloatArray  # Distances of its points ahead of the rear axle `(k,)`, the first 0, m
+    car: FloatArray  # The argument `car` of `steering_bounds` `(3,)`
+    side: float  # Half its width plus the distance to keep to the lane's edge, m
 
 
 class Borrowed(NamedTuple):
@@ -101,19 +84,12 @@ class Borrowed(NamedTuple):
 
 
 class RoadAhead(NamedTuple):
-    """The road at the n knots of the path QP, for k points of the ego.
+    """The road at the n knots of the path QP, for k points of the ego."""
 
-    Attributes:
-        along: Rows `KNOT`, `LIMIT`, `KAPPA` `(3, n)`.
-        points: Rows `S` to `MOST` `(6, k, n)`.
-        references: References of the path QP without obstacles `(2, n)` (`PiecewiseJerkProblem`).
-        rows: Its lower and upper bounds `(2, 3 + k, n)`.
-    """
-
-    along: FloatArray
-    points: FloatArray
-    references: FloatArray
-    rows: FloatArray
+    along: FloatArray  # Rows `KNOT`, `LIMIT`, `KAPPA` `(3, n)`
+    points: FloatArray  # Rows `S` to `MOST` `(6, k, n)`
+    references: FloatArray  # References of the path QP without obstacles `(2, n)` (`PiecewiseJerkProblem`)
+    rows: FloatArray  # Its lower and upper bounds `(2, 3 + k, n)`
 
 
 @kernel

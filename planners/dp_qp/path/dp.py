@@ -29,14 +29,10 @@ from logs.arrays import TIE, FloatArray, IntArray
 from logs.kernel import inner_kernel, kernel
 from planners.frenet.path import quintic
 
-COLLISION = 1e4
-"""Cost of a metre of way inside a box (3): more than any detour."""
-OUTSIDE = 1e3
-"""Cost of a metre of way a metre outside of the corridor (2): less than a collision, more than any detour."""
-SAMPLES = 10
-"""Samples of an edge (2)."""
-BESIDES = 3.0 * TIE
-"""An edge that costs this much more than going straight on is neither the cheapest nor a tie."""
+COLLISION = 1e4  # Cost of a metre of way inside a box (3): more than any detour
+OUTSIDE = 1e3  # Cost of a metre of way a metre outside of the corridor (2): less than a collision, more than any detour
+SAMPLES = 10  # Samples of an edge (2)
+BESIDES = 3.0 * TIE  # An edge that costs this much more than going straight on is neither the cheapest nor a tie
 
 
 class PathDpWeights(NamedTuple):

@@ -47,10 +47,8 @@ from planners.frenet.scene import UNLIKELY, AgentsAlong, Bodies, Futures, Occupa
 
 PASSED = among(AgentKind.PEDESTRIAN, AgentKind.BICYCLE)
 """The kinds of agents that the ego passes while they move, by code."""
-SLOW_MPS = 7.0
-"""The ego follows faster agents, m/s."""
-NEAR_M = 2.0
-"""Distance behind an agent from which the ego counts as beside it (1), m."""
+SLOW_MPS = 7.0  # The ego follows faster agents, m/s
+NEAR_M = 2.0  # Distance behind an agent from which the ego counts as beside it (1), m
 ASIDE_M = 0.9
 """Space on both sides of an agent (2), m: with the path's clearance 1.5 m, as German law requires in towns (StVO, 5
 (4)); where there is less space, 1.15 m.
@@ -59,32 +57,19 @@ A plan that passes keeps this space. If the ego keeps its lane, only `caps.passi
 """
 ROAD_RIGHT, ROAD_LEFT = CrossSections._fields.index("road_right"), CrossSections._fields.index("road_left")
 """Rows of `Scene.across`."""
-ALONG_RAD = 0.4
-"""An agent whose heading differs more from the lane crosses it, rad."""
-SLACK = 1.5
-"""Factor by which agents that the ego is passing may exceed `SLOW_MPS` and `ALONG_RAD`."""
-GAIN_MPS2 = 1.2
-"""Assumed acceleration of an ego on a free road, m/s2."""
-PLACE_M = 10.0
-"""The ego is back in its lane this far before a place where it may have to wait, m."""
-REACH_M = 120.0
-"""Agents farther away are ignored, m."""
-SPARE_S = 1.0
-"""Time before the end of the predictions by which the ego must be past agents that it begins to pass, s."""
-PASSING_MPS = 5.0
-"""Least assumed speed while passing (4), m/s."""
-BACK_M = 10.0
-"""The ego is back in its lane this far behind the obstacle (4), m."""
-WAIT_M = 9.0
-"""Gap between the waiting ego's front and the obstacle, m; enough to steer round it."""
-NEARLY_M = 1.0
-"""A gap that is wider than the ego by less than this may be blocked, m."""
-SIGHT_M = 5.0
-"""Distance between two points of the oncoming lane that must be visible, m."""
-QUEUE_M = 25.0
-"""An obstacle nearer than this to another one in the lane stands in a queue, m."""
-ROOM_M = 0.5
-"""The ego waits for the oncoming lane only if that leaves this much space beside it, m."""
+ALONG_RAD = 0.4  # An agent whose heading differs more from the lane crosses it, rad
+SLACK = 1.5  # Factor by which agents that the ego is passing may exceed `SLOW_MPS` and `ALONG_RAD`
+GAIN_MPS2 = 1.2  # Assumed acceleration of an ego on a free road, m/s2
+PLACE_M = 10.0  # The ego is back in its lane this far before a place where it may have to wait, m
+REACH_M = 120.0  # Agents farther away are ignored, m
+SPARE_S = 1.0  # Time before the end of the predictions by which the ego must be past agents that it begins to pass, s
+PASSING_MPS = 5.0  # Least assumed speed while passing (4), m/s
+BACK_M = 10.0  # The ego is back in its lane this far behind the obstacle (4), m
+WAIT_M = 9.0  # Gap between the waiting ego's front and the obstacle, m; enough to steer round it
+NEARLY_M = 1.0  # A gap that is wider than the ego by less than this may be blocked, m
+SIGHT_M = 5.0  # Distance between two points of the oncoming lane that must be visible, m
+QUEUE_M = 25.0  # An obstacle nearer than this to another one in the lane stands in a queue, m
+ROOM_M = 0.5  # The ego waits for the oncoming lane only if that leaves this much space beside it, m
 
 
 @dataclass(frozen=True, eq=False, slots=True)

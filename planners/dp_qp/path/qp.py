@@ -33,10 +33,8 @@ from planners.piecewise_jerk.problem import PiecewiseJerkProblem, Weights, X
 from planners.piecewise_jerk.solvers import DEFAULT, solve
 from planners.solver import QPResult
 
-OUTSIDE = 1e4
-"""Cost of a shift of (6), softened, 1/m2."""
-TOLERANCE = 1e-2
-"""Largest violation of a bound in a solution, in the units of the row."""
+OUTSIDE = 1e4  # Cost of a shift of (6), softened, 1/m2
+TOLERANCE = 1e-2  # Largest violation of a bound in a solution, in the units of the row
 
 
 @dataclass(frozen=True)

@@ -37,18 +37,13 @@ from planners.solver import QPResult
 
 LENGTHS_M = (60.0, 90.0, 130.0, 180.0, 250.0, 340.0)
 """Path lengths, m; the shortest that holds the horizon at the present speed is used, so that weights stay constant."""
-WAITING_MPS2 = 2.0
-"""Deceleration with which the ego stops where it waits for the oncoming lane, m/s2."""
+WAITING_MPS2 = 2.0  # Deceleration with which the ego stops where it waits for the oncoming lane, m/s2
 JUNCTION_M = 40.0
 """An agent that stands within this before a place where lanes part or meet waits, and the ego does not pass it, m."""
-RELINEARISED = 2
-"""Most further solutions of a path that cannot keep its bounds ..."""
-MOVED_M = 0.02
-"""... until one moves it by less than this, m."""
-LOCK_SLACK = 1.05
-"""A path ends where its curvature is more than this multiple of that at the steering lock."""
-NO_ONE = np.empty((0, 2))
-"""The stations of no standing agent."""
+RELINEARISED = 2  # Most further solutions of a path that cannot keep its bounds ...
+MOVED_M = 0.02  # ... until one moves it by less than this, m.
+LOCK_SLACK = 1.05  # A path ends where its curvature is more than this multiple of that at the steering lock
+NO_ONE = np.empty((0, 2))  # The stations of no standing agent
 
 
 @dataclass(frozen=True)

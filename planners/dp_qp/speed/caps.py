@@ -51,26 +51,17 @@ from planners.frenet.scene import Occupancy, Scene, open_end
 from planners.frenet.st_boundaries import StBoundaries
 from planners.rules.zones import TOWARDS_MPS
 
-WORTH_MPS = 0.5
-"""A cap is reported as a decision where it lowers the limit by more than this, m/s."""
-REACTION_S = 0.5
-"""T, s, until the ego brakes: a frame, the sensor's latency, the brake's dead time and lag."""
-LEAST_MPS = 2.5
-"""Least cap (5), at which the ego creeps past, m/s."""
-PERSON_M = 0.3
-"""Radius of a person who steps out of hidden ground, m."""
-LOOK_M = 60.0
-"""Distance ahead within which hidden ground and people beside the path are considered, m ..."""
-STEP_M = 1.0
-"""... in steps of this, m."""
+WORTH_MPS = 0.5  # A cap is reported as a decision where it lowers the limit by more than this, m/s
+REACTION_S = 0.5  # T, s, until the ego brakes: a frame, the sensor's latency, the brake's dead time and lag
+LEAST_MPS = 2.5  # Least cap (5), at which the ego creeps past, m/s
+PERSON_M = 0.3  # Radius of a person who steps out of hidden ground, m
+LOOK_M = 60.0  # Distance ahead within which hidden ground and people beside the path are considered, m ...
+STEP_M = 1.0  # ... in steps of this, m.
 SIDE_M = 0.25 * np.arange(1, 15)
 """Distances from the ego's side at which ground is tested, m; ground beyond the last does not limit a car's speed."""
-ROOM_M = 0.5
-"""Space beside standing agents with which the ego passes at the speed limit (6), m."""
-NUDGE_SHARE = 0.6
-"""Least share of the speed limit in (6)."""
-SWERVE_MPS2 = 1.6
-"""Lateral acceleration of a swerve (7), m/s2."""
+ROOM_M = 0.5  # Space beside standing agents with which the ego passes at the speed limit (6), m
+NUDGE_SHARE = 0.6  # Least share of the speed limit in (6)
+SWERVE_MPS2 = 1.6  # Lateral acceleration of a swerve (7), m/s2
 
 
 @dataclass(frozen=True)
@@ -94,69 +85,42 @@ class CautionConfig:
 
 @dataclass(frozen=True, slots=True)
 class SpeedCap:
-    """A reason to drive slower.
+    """A reason to drive slower."""
 
-    Attributes:
-        s_from: Arc length of the rear axle from which it applies, m; `s_to` to which.
-        v: The speed, m/s.
-        agent: Its cause, as the report names it (an agent, "hidden ground"); empty: it is not reported.
-        reason: The reason in words.
-        is_bound: Whether the profile keeps the speed exactly (2).
-    """
-
-    s_from: float
+    s_from: float  # Arc length of the rear axle from which it applies, m; `s_to` to which
     s_to: float
-    v: float
-    agent: str = ""
+    v: float  # The speed, m/s
+    agent: str = ""  # Its cause, as the report names it (an agent, "hidden ground"); empty: it is not reported
     reason: str = ""
-    is_bound: bool = True
+    is_bound: bool = True  # Whether the profile keeps the speed exactly (2)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SpeedTask:
-    """The input of the speed stage on a path.
+    """The input of the speed stage on a path."""
 
-    Attributes:
-        passed: The space between the path and each standing agent that it passes, m.
-        skip: Which agents follow the ego `(agents,)`.
-        stops: The stops that the rules demand on the path.
-        targets: Agents along the lane that the ego comes beside; `is_pass`: whether the path swings out for them.
-        goal: The goal along the lane; `target`: its demands now.
-    """
-
-    passed: Mapping[str, float]
-    skip: BoolArray
-    stops: tuple[Occupancy, ...]
+    passed: Mapping[str, float]  # The space between the path and each standing agent that it passes, m
+    skip: BoolArray  # Which agents follow the ego `(agents,)`
+    stops: tuple[Occupancy, ...]  # The stops that the rules demand on the path
+    # Agents along the lane that the ego comes beside; `is_pass`: whether the path swings out for them
     targets: tuple[PassTarget, ...]
     is_pass: bool
-    goal: GoalWindow
+    goal: GoalWindow  # The goal along the lane; `target`: its demands now
     target: SpeedTarget
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PathView:
-    """A scene on the chosen path: the input of the producers of caps.
-
-    Attributes:
-        scene: The scene.
-        path: The path.
-        task: The agents that it passes, the stops and the goal.
-        limit: The road's speed limit along it `(m,)`, m/s.
-        taken: When which part of it is taken, and by which agent.
-        came: When each pedestrian or rider was last in the path, s.
-        hard_mps2: Deceleration with which the ego must be able to stop for a person who steps out (b).
-        margin_m: The ego follows an agent that the path comes nearer to than this.
-        caution: How fast agents may come into the way.
-    """
+    """A scene on the chosen path: the input of the producers of caps."""
 
     scene: Scene
     path: Path
-    task: SpeedTask
-    limit: FloatArray
-    taken: StBoundaries
-    came: Mapping[str, float]
-    hard_mps2: float
-    margin_m: float
+    task: SpeedTask  # The agents that it passes, the stops and the goal
+    limit: FloatArray  # The road's speed limit along it `(m,)`, m/s
+    taken: StBoundaries  # When which part of it is taken, and by which agent
+    came: Mapping[str, float]  # When each pedestrian or rider was last in the path, s
+    hard_mps2: float  # Deceleration with which the ego must be able to stop for a person who steps out (b)
+    margin_m: float  # The ego follows an agent that the path comes nearer to than this
     caution: CautionConfig
 
     def arc(self, s: float) -> float:

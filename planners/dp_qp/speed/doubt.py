@@ -39,14 +39,11 @@ from planners.frenet.st_boundaries import ALONG, StBoundaries, SweptPath
 
 CERTAIN, NEGLIGIBLE, SURE = 0.5, 0.05, 0.8
 AGE_S, UNSEEN_S = 0.8, 0.3
-LEAST = 0.1
-"""p_exist of a road user that is seen for the first time: its weight is low, but not 0."""
+LEAST = 0.1  # p_exist of a road user that is seen for the first time: its weight is low, but not 0
 PLACE_M, DRIFT_MPS, TURN_MPS2 = 0.3, 0.5, 1.5
-WALK_MPS = 3.0
-"""A pedestrian or object faster than this does not walk: it is a rider, or an error of the detector."""
+WALK_MPS = 3.0  # A pedestrian or object faster than this does not walk: it is a rider, or an error of the detector
 SHARED_MPS2, SHARED_S = 3.0, 0.5
-ERROR_MPS2, MOST_MPS2 = 0.5, 8.0
-"""Error of a measured deceleration, and the greatest deceleration that is used, m/s2."""
+ERROR_MPS2, MOST_MPS2 = 0.5, 8.0  # Error of a measured deceleration, and the greatest deceleration that is used, m/s2
 WALKERS = among(AgentKind.PEDESTRIAN, AgentKind.OBJECT)
 """Kinds, by code, that walk when they are slow: an agent that a detector cannot classify may be on foot."""
 

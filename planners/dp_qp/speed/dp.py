@@ -27,16 +27,12 @@ import numpy as np
 from logs.arrays import TIE, FloatArray, IntArray
 from logs.kernel import inner_kernel, kernel
 
-COLLISION = 1e5
-"""Cost of a second inside a blocked interval (2): more than all other costs together."""
+COLLISION = 1e5  # Cost of a second inside a blocked interval (2): more than all other costs together
 LIKELY = 300.0
 """The best solution rarely costs more than this: dearer ones are searched only if there is no cheaper one."""
-DT_S = 1.0
-"""Distance between two columns, s."""
-DS_M = 0.5
-"""Distance between two rows, m."""
-SLOWEST_MPS = 0.5
-"""Least speed limit in the computation of lost time, m/s."""
+DT_S = 1.0  # Distance between two columns, s
+DS_M = 0.5  # Distance between two rows, m
+SLOWEST_MPS = 0.5  # Least speed limit in the computation of lost time, m/s
 
 
 class SpeedDpWeights(NamedTuple):

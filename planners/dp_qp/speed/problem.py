@@ -30,61 +30,40 @@ SPEED_ROOM_MPS = 0.8
 """Excess of the bound of v over the limit, m/s, so that the profile is smooth; a cap that is a bound has none."""
 TILT_MPS2 = 4.0
 """Lateral acceleration above which the ego brakes for a curve with comfort's limits, not with `ease_mps2`, m/s2."""
-STAY_M = 0.05
-"""Least upper bound of s, so that standing still is always allowed, m."""
+STAY_M = 0.05  # Least upper bound of s, so that standing still is always allowed, m
 
 
 class PathLimits(NamedTuple):
-    """A path and its speed limits `(m,)`.
+    """A path and its speed limits `(m,)`."""
 
-    Attributes:
-        sigma: Arc lengths, m; `kappa` of the path, 1/m.
-        own: Speed limit on an empty road, m/s; `limit` is that with all road users.
-        is_bound: Where the profile keeps `limit` exactly.
-        is_lowered: Whether `limit` may differ from `own`.
-    """
-
-    sigma: FloatArray
+    sigma: FloatArray  # Arc lengths, m; `kappa` of the path, 1/m
     kappa: FloatArray
-    own: FloatArray
+    own: FloatArray  # Speed limit on an empty road, m/s; `limit` is that with all road users
     limit: FloatArray
-    is_bound: BoolArray
-    is_lowered: bool
+    is_bound: BoolArray  # Where the profile keeps `limit` exactly
+    is_lowered: bool  # Whether `limit` may differ from `own`
 
 
 class Taken(NamedTuple):
-    """When agents take the path, and the stops of the ego.
+    """When agents take the path, and the stops of the ego."""
 
-    Attributes:
-        t: Times of the boundaries `(k,)`, s; `lower`, `upper` `(n, k)`, `speed` `(n,)` as in `StBoundaries`.
-        pace: Speeds of their agents `(n,)`, m/s.
-        may_overtake: `(n,)`; False: the ego yields to the agent instead of overtaking it.
-        stops: Columns station, m, and end time, s, of the stops on the path `(stops, 2)`.
-    """
-
-    t: FloatArray
+    t: FloatArray  # Times of the boundaries `(k,)`, s; `lower`, `upper` `(n, k)`, `speed` `(n,)` as in `StBoundaries`
     lower: FloatArray
     upper: FloatArray
     speed: FloatArray
-    pace: FloatArray
-    may_overtake: BoolArray
-    stops: FloatArray
+    pace: FloatArray  # Speeds of their agents `(n,)`, m/s
+    may_overtake: BoolArray  # `(n,)`; False: the ego yields to the agent instead of overtaking it
+    stops: FloatArray  # Columns station, m, and end time, s, of the stops on the path `(stops, 2)`
 
 
 class Settings(NamedTuple):
-    """Settings of the speed stage for the kernel, as in `SpeedQpConfig` and `SpeedDpConfig`.
+    """Settings of the speed stage for the kernel, as in `SpeedQpConfig` and `SpeedDpConfig`."""
 
-    Attributes:
-        knots: Number of knots of the profile; `curve_accel` and `ease`, m/s2.
-        soft: Limits of comfort.
-        columns: Columns of the speed DP; `weights`, `gap` m, `standstill_gap` m, `w_near` likewise.
-    """
-
-    knots: int
+    knots: int  # Number of knots of the profile; `curve_accel` and `ease`, m/s2
     curve_accel: float
     ease: float
     soft: KnotLimits
-    columns: int
+    columns: int  # Columns of the speed DP; `weights`, `gap` m, `standstill_gap` m, `w_near` likewise
     weights: SpeedDpWeights
     gap: float
     standstill_gap: float
@@ -92,23 +71,15 @@ class Settings(NamedTuple):
 
 
 class BuiltProblem(NamedTuple):
-    """A problem and the data that it was built from.
-
-    Attributes:
-        problem: The problem for the ladder.
-        kinds: Codes of the decisions about the boundaries `(n,)` (`st_boundaries`, (4)).
-        free_m: Distance that the ego would drive with no road user in the way, m.
-        cost: Cost of the speed DP's grid `(columns + 1, rows)`, complete if `is_drawn`; empty where the DP did not run.
-        chosen: The DP's rows `(columns + 1,)`.
-        s_dp: The DP's stations at the profile's knots `(knots,)`, m; zeros where it did not run.
-    """
+    """A problem and the data that it was built from."""
 
     problem: SpeedProblem
-    kinds: IntArray
-    free_m: float
+    kinds: IntArray  # Codes of the decisions about the boundaries `(n,)` (`st_boundaries`, (4))
+    free_m: float  # Distance that the ego would drive with no road user in the way, m
+    # Cost of the speed DP's grid `(columns + 1, rows)`, complete if `is_drawn`; empty where the DP did not run
     cost: FloatArray
-    chosen: IntArray
-    s_dp: FloatArray
+    chosen: IntArray  # The DP's rows `(columns + 1,)`
+    s_dp: FloatArray  # The DP's stations at the profile's knots `(knots,)`, m; zeros where it did not run
 
 
 @kernel

@@ -9,11 +9,22 @@ jerk limits, and the start.
 
 (2) `braking` takes the mildest limits of acceleration and jerk with which braking keeps s_upper, so that the problem
     has a solution. Braking that is harder than comfort may be released with `RELEASE_MPS3`, down to comfort.
+
+How hard to brake is a ladder of limits; the ego drives with the first that keeps the bounds:
+
+(3) Comfortable limits, smoothed by the QP; first with their reserve, then with less, then with half of the gap.
+(4) Hard limits, the mildest with which braking keeps the bounds.
+(5) Full braking (`UTMOST_MPS3`) where it keeps some of the gap or does not touch, else driving on where that does not
+    touch, else full braking.
+
+Where a QP was tried without a solution, only rungs with a QP remain; where an agent is to be overtaken, none remains,
+since another deceleration does not help.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from math import inf, sqrt
 from typing import NamedTuple
 
@@ -21,26 +32,20 @@ import numpy as np
 
 from logs.arrays import FloatArray
 from logs.kernel import kernel
-from logs.plan import CostTerms
+from logs.plan import CostTerms, SolverReport
 from planners.frenet.profiles import COMFORT, EMERGENCY, STEP_S, KnotLimits, SpeedLimits, braking
+from planners.frenet.st_boundaries import StBoundaries, StGraphConfig
 from planners.piecewise_jerk.problem import PiecewiseJerkProblem, Weights
 from planners.piecewise_jerk.solvers import DEFAULT, solve
 from planners.solver import QPResult
 
-Rows = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
-"""The result of `rows_of`."""
-NO_LEADS = np.empty(0)
-"""A speed profile has no points ahead of the rear axle."""
-LIMIT_ROOM_MPS = 0.05
-"""Distance of the speed's bound above the braking profile that must stay below it, m/s."""
-REST_MPS = 1e-3
-"""Speed below which a profile rests, m/s ..."""
-REST_MPS2 = 0.02
-"""... and acceleration, m/s2."""
-TOLERANCE = 0.05
-"""Largest violation of a bound in a solution, in the units of the row."""
-RELEASE_MPS3 = 15.0
-"""Jerk with which braking that is harder than comfort may be released, m/s3."""
+Rows = tuple[FloatArray, FloatArray, FloatArray, FloatArray]  # The result of `rows_of`
+NO_LEADS = np.empty(0)  # A speed profile has no points ahead of the rear axle
+LIMIT_ROOM_MPS = 0.05  # Distance of the speed's bound above the braking profile that must stay below it, m/s
+REST_MPS = 1e-3  # Speed below which a profile rests, m/s ...
+REST_MPS2 = 0.02  # ... and acceleration, m/s2.
+TOLERANCE = 0.05  # Largest violation of a bound in a solution, in the units of the row
+RELEASE_MPS3 = 15.0  # Jerk with which braking that is harder than comfort may be released, m/s3
 
 
 @dataclass(frozen=True)
@@ -93,23 +98,15 @@ class SpeedQpConfig:
 
 
 class SpeedProblem(NamedTuple):
-    """One speed problem; arrays `(knots,)`.
+    """One speed problem; arrays `(knots,)`."""
 
-    Attributes:
-        start: v, a of the ego.
-        lower: Bounds of s, m; `upper` likewise.
-        limit: Upper bound of v, m/s.
-        s_ref: m; `v_ref` m/s.
-        end: Station at which the path ends, m.
-    """
-
-    start: tuple[float, float]
-    lower: FloatArray
+    start: tuple[float, float]  # v, a of the ego
+    lower: FloatArray  # Bounds of s, m; `upper` likewise
     upper: FloatArray
-    limit: FloatArray
-    s_ref: FloatArray
+    limit: FloatArray  # Upper bound of v, m/s
+    s_ref: FloatArray  # m; `v_ref` m/s
     v_ref: FloatArray
-    end: float = inf
+    end: float = inf  # Station at which the path ends, m
 
     @property
     def overtakes(self) -> bool:
@@ -200,3 +197,117 @@ def tidy_profile(x: FloatArray) -> FloatArray:
             if abs(out[2, i]) < REST_MPS2:
                 out[2, i] = 0.0
     return out
+
+
+RESERVE = 0.85  # Share of the limits with which braking must keep the bounds, so that the QP has room to be smooth
+LEAST_RESERVE = 0.97  # The same where braking would otherwise be hard
+TOUCHING = StGraphConfig(margin_m=0.05, vulnerable_margin_m=0.05, passed_margin_m=0.05, early_s=0.0, late_s=0.0)
+"""Nearly the bare footprints: for braking that can do no better than not to touch."""
+BARE = StGraphConfig(margin_m=0.0, vulnerable_margin_m=0.0, passed_margin_m=0.0, early_s=0.0, late_s=0.0)
+"""The footprints as predicted."""
+UTMOST_MPS3 = 30.0  # Jerk of full braking, m/s3
+ONWARD_S = 0.8  # An ego that drives on releases the brake and reaches its acceleration within this time, s ...
+RESTING_MPS = 0.5  # ... and does not come to rest: it stays faster than this, m/s.
+
+
+Attempts = tuple[tuple[SpeedProblem, QPResult], ...]  # QPs that were tried, with their results
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class SolvedSpeed:
+    """The speed found: rows s, v, a `(3, knots)`, or None; the reason why it is not comfortable, or is None.
+
+    Whether it keeps the bounds by (3) or (4), whether no profile avoids a contact, whether it brakes as hard as it can,
+    and the QPs that were tried, with their results.
+    """
+
+    profile: FloatArray | None
+    reason: str
+    keeps: bool = False
+    unavoidable: bool = False
+    is_full: bool = False
+    attempts: Attempts = ()
+
+    @property
+    def reports(self) -> tuple[SolverReport, ...]:
+        """The solver reports of all attempts."""
+        return tuple(result.report for _, result in self.attempts)
+
+
+class Rung(NamedTuple):
+    """A rung: braking with a share of limits keeps the bounds, with the gap reduced by `given`, m; the QP smooths it.
+
+    `after_full`: whether it may follow full braking, which continues until the whole gap is kept.
+    """
+
+    limits: SpeedLimits
+    share: float
+    given: float = 0.0
+    reason: str = ""
+    after_full: bool = True
+
+
+class BrakingLadder:
+    """The rungs of (3) and (4), the loop over them, and (5), for problems whose upper bounds include a gap, m."""
+
+    def __init__(self, config: SpeedQpConfig, gap_m: float, most_mps2: float, solver: str = DEFAULT) -> None:
+        self._config, self._gap = config, gap_m
+        self.program = SpeedQp(config, solver)
+        self._times = STEP_S * np.arange(config.knots)
+        self._utmost = replace(config.emergency, decel_mps2=most_mps2, jerk_mps3=UTMOST_MPS3)
+        comfort, *harder = config.ladder()
+        hardest, half = harder[-1], 0.5 * gap_m
+        words = [f"hard braking, up to {limits.decel_mps2:.1f} m/s2, keeps" for limits in harder]
+        self._rungs = (
+            Rung(comfort, RESERVE),
+            Rung(comfort, LEAST_RESERVE),
+            Rung(comfort, LEAST_RESERVE, half),
+            *(Rung(limits, RESERVE, 0.0, f"{hard} the distance") for limits, hard in zip(harder, words, strict=True)),
+            Rung(hardest, LEAST_RESERVE, 0.0, f"{words[-1]} the distance"),
+            Rung(hardest, LEAST_RESERVE, half, f"{words[-1]} half of the distance", after_full=False),
+        )
+
+    def solve(
+        self, problem: SpeedProblem, taken: Callable[[StGraphConfig], StBoundaries], *, braked_fully: bool = False
+    ) -> SolvedSpeed:
+        """Find the profile of a frame.
+
+        `taken` returns the S-T boundaries with other margins, stops included; `braked_fully`: whether the ego braked as
+        hard as it can in the frame before.
+        """
+        tried: list[tuple[SpeedProblem, QPResult]] = []
+        for rung in self._rungs:
+            if braked_fully and not rung.after_full:
+                continue
+            comfort = self._config.comfort.decel_mps2
+            fits, posed, rows = ease_problem(problem, rung.limits.columns, rung.share, rung.given, comfort)
+            if fits:
+                result = self.program.solve(rows)
+                tried.append((posed, result))
+                if result.report.solved:
+                    return SolvedSpeed(tidy_profile(result.x), rung.reason, keeps=True, attempts=tuple(tried))
+            if tried and problem.overtakes:
+                break
+        if tried:
+            return SolvedSpeed(None, "speed QP: no profile found", attempts=tuple(tried))
+        # (5): full braking where it leaves some of the gap or does not touch; else driving on
+        times, full = self._times, self._utmost.braking(problem.start, self._config.knots)
+        left = self._gap - float((full[0] - problem.upper).max())
+        if left > 0.0:
+            return SolvedSpeed(full, f"full braking, which leaves {left:.1f} m", is_full=True)
+        touching = taken(TOUCHING)
+        if touching.leave(times, full[0], 0.0):
+            return SolvedSpeed(full, "full braking, which just does not touch", is_full=True)
+        short, bare, (v0, a0) = f"full braking comes {-left:.1f} m too far", taken(BARE), problem.start
+        for accel in (0.0, self._config.comfort.accel_mps2):  # driving on, at the present speed or accelerating
+            released = np.minimum(min(a0, 0.0) + RELEASE_MPS3 * times, 0.0)
+            a = released + max(a0, 0.0) + (accel - max(a0, 0.0)) * np.minimum(times / ONWARD_S, 1.0)
+            v = np.maximum(v0 + np.r_[0.0, np.cumsum(0.5 * STEP_S * (a[1:] + a[:-1]))], 0.0)
+            v = np.minimum(v, np.maximum(problem.limit, v0))
+            s = np.r_[0.0, np.cumsum(0.5 * STEP_S * (v[1:] + v[:-1]))]
+            if v[-1] > RESTING_MPS and s[-1] <= problem.end and not bare.meets(times, s):
+                onward = np.vstack([s, v, np.gradient(v, STEP_S)])
+                return SolvedSpeed(onward, f"driving on, which just does not touch: {short}")
+        if not touching.meets(times, full[0]):
+            return SolvedSpeed(full, "full braking, which just does not touch", is_full=True)
+        return SolvedSpeed(full, short, unavoidable=True, is_full=True)

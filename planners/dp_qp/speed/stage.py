@@ -17,7 +17,6 @@ from logs.frame import PlannerContext
 from logs.plan import Artefact, Corridor, Decision, DecisionKind, GridCost, SolverReport, StGraph
 from planners.dp_qp.goal_window import HURRIED_GAP_S
 from planners.dp_qp.speed import doubt
-from planners.dp_qp.speed.braking import RESERVE, Attempts, BrakingLadder, SolvedSpeed
 from planners.dp_qp.speed.caps import (
     OTHERS,
     OWN,
@@ -30,7 +29,7 @@ from planners.dp_qp.speed.caps import (
 )
 from planners.dp_qp.speed.dp import COLLISION, DS_M, DT_S, SpeedDpConfig
 from planners.dp_qp.speed.problem import BuiltProblem, PathLimits, Settings, Taken, build_problem
-from planners.dp_qp.speed.qp import TOLERANCE, SpeedQpConfig
+from planners.dp_qp.speed.qp import RESERVE, TOLERANCE, Attempts, BrakingLadder, SolvedSpeed, SpeedQpConfig
 from planners.frenet.path import Path
 from planners.frenet.profiles import STEP_S
 from planners.frenet.scene import STANDING_MPS, Scene
@@ -47,23 +46,18 @@ from planners.frenet.st_boundaries import (
 )
 from planners.piecewise_jerk.solvers import DEFAULT
 
-CHANGE_S = 0.5
-"""Delay with which the ego must still be first to overtake an agent that it yielded to, s."""
+CHANGE_S = 0.5  # Delay with which the ego must still be first to overtake an agent that it yielded to, s
 FIRST_S = 1.0
 """The same for an agent that crosses, if braking with `LETS_MPS2` is enough to yield: it may come sooner, s."""
-LETS_MPS2 = 3.0, 4.5
-"""Deceleration with which the ego yields to a vehicle, and to a pedestrian or rider, m/s2."""
+LETS_MPS2 = 3.0, 4.5  # Deceleration with which the ego yields to a vehicle, and to a pedestrian or rider, m/s2
 DOUBTED = "that is doubted: comfortable braking is all that is done"
 
 
 ORDERS = {DecisionKind.YIELD: ("yielding", 1e6), DecisionKind.OVERTAKE: ("going first", -1e6)}
 """The orders of passing between which the speed DP decides: name, and the bound (m) that leaves only this order."""
-COLLIDES = 0.01 * COLLISION
-"""A solution of the DP that costs more is inside a blocked interval."""
-NO_STOPS = np.empty((0, 2))
-"""No stops."""
-DRAWN_ROWS = 4
-"""Step between the grid's rows in the S-T graph: a picture does not need more."""
+COLLIDES = 0.01 * COLLISION  # A solution of the DP that costs more is inside a blocked interval
+NO_STOPS = np.empty((0, 2))  # No stops
+DRAWN_ROWS = 4  # Step between the grid's rows in the S-T graph: a picture does not need more
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 canvas.py    style, elements, simplification, `Chart`    axes.py      plot areas with a scale and ticks
 subject.py   the data of a drive's pictures, when to look at it, and when gates broke
-bird_view.py, plan_graphs.py, curves.py                  the pictures of a drive
+bird_view.py, curves.py                                  the pictures of a drive
 layout.py    their names and places, charts of users, several charts as one file, SVG or PNG
 
 Nothing is measured here: the charts show the trace, the tables and the series of the run.
@@ -10,8 +10,7 @@ Nothing is measured here: the charts show the trace, the tables and the series o
 
 from replay.draw.charts.bird_view import scene, scenes
 from replay.draw.charts.canvas import Chart
-from replay.draw.charts.curves import curves, decisions
-from replay.draw.charts.plan_graphs import sl_graph, st_graph
+from replay.draw.charts.curves import curves, decisions, sl_graph, st_graph
 from replay.draw.charts.subject import Moment, Subject, subject, worst_moment
 
 __all__ = [

@@ -26,15 +26,12 @@ from replay.draw.charts.canvas import (
 )
 from replay.draw.model import Span, ticks
 
-Ticks = Sequence[tuple[float, str]]
-"""Words at values."""
+Ticks = Sequence[tuple[float, str]]  # Words at values
 
 LEFT_PX, RIGHT_PX, TOP_PX, BOTTOM_PX = 46.0, 10.0, 38.0, 30.0
 """Margins of a plot area: for y ticks, for the last x tick, for title and legend, for x ticks and their title."""
-FAINT = 0.08
-"""Opacity of a box of the value 0."""
-TICK_PX = 62.0, 30.0
-"""Smallest distance between ticks in x and in y if there are more than two ticks, pixels."""
+FAINT = 0.08  # Opacity of a box of the value 0
+TICK_PX = 62.0, 30.0  # Smallest distance between ticks in x and in y if there are more than two ticks, pixels
 
 
 def number(value: float) -> str:
@@ -44,21 +41,14 @@ def number(value: float) -> str:
 
 @dataclass(frozen=True)
 class Plane:
-    """A plot area.
+    """A plot area."""
 
-    Attributes:
-        x: Range of the values; `y` likewise.
-        width: Width of the whole chart, pixels; `height` likewise.
-        left: Margin at the left for ticks or words, pixels.
-        top: Margin above, pixels.
-    """
-
-    x: tuple[float, float]
+    x: tuple[float, float]  # Range of the values; `y` likewise
     y: tuple[float, float]
-    width: float
+    width: float  # Width of the whole chart, pixels; `height` likewise
     height: float
-    left: float = LEFT_PX
-    top: float = TOP_PX
+    left: float = LEFT_PX  # Margin at the left for ticks or words, pixels
+    top: float = TOP_PX  # Margin above, pixels
 
     @property
     def inner(self) -> tuple[float, float]:

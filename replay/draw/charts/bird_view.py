@@ -40,16 +40,12 @@ BEHIND_M, AHEAD_M, AHEAD_S, MOST_M = 14.0, 46.0, 3.0, 130.0
 """The visible part: `BEHIND_M` behind the ego, and `AHEAD_S` times its speed ahead, from `AHEAD_M` to `MOST_M`."""
 ARROW_S = 1.0
 SLOW_MPS = 0.3
-SMALL_PX = 3.2
-"""An agent that would be smaller is drawn as a dot of this radius."""
+SMALL_PX = 3.2  # An agent that would be smaller is drawn as a dot of this radius
 MAX_NAMES = 6
 NAME_M = 60.0
-NAME_PX = 110.0
-"""Largest width of a name."""
-FAR_M, AROUND_M = 80.0, 8.0
-"""Other egos are in view up to this distance, with so much ground around them."""
-APART_S = 0.05
-"""Instants that are nearer than this are drawn once."""
+NAME_PX = 110.0  # Largest width of a name
+FAR_M, AROUND_M = 80.0, 8.0  # Other egos are in view up to this distance, with so much ground around them
+APART_S = 0.05  # Instants that are nearer than this are drawn once
 
 
 def scene(subject: SceneSubject, t: float, word: str, about: Collection[str] = ()) -> Chart:

@@ -150,12 +150,9 @@ def stylesheet(theme: Theme) -> str:
     return roles(theme) + "".join(filled(RULES, theme).split("\n"))
 
 
-KEPT_PX = 0.4
-"""The largest distance of a simplified line from the exact one: less than half a pixel is invisible."""
-LETTER_PX = 5.9
-"""Mean width of a letter at the font size of charts."""
-FAR_PX = 20_000.0
-"""Coordinates are clipped to +- this value: no picture is taller, and renderers lose digits beyond."""
+KEPT_PX = 0.4  # The largest distance of a simplified line from the exact one: less than half a pixel is invisible
+LETTER_PX = 5.9  # Mean width of a letter at the font size of charts
+FAR_PX = 20_000.0  # Coordinates are clipped to +- this value: no picture is taller, and renderers lose digits beyond
 
 
 FORMATS = (".png", ".svg")
@@ -315,8 +312,7 @@ def simplified(points: FloatArray) -> IntArray:
         begin, end = np.r_[begin[bent], split[bent]], np.r_[split[bent], end[bent]]
 
 
-AROUND_PX = 12.0
-"""Outlines and lines are cut this far outside of a plot area, so that their cut edges are not seen."""
+AROUND_PX = 12.0  # Outlines and lines are cut this far outside of a plot area, so that their cut edges are not seen
 
 
 def cut_line(points: FloatArray, width: float, height: float) -> list[FloatArray]:
@@ -400,8 +396,7 @@ def stacked(charts: Sequence[Chart], name: str, title: str, says: str) -> Chart:
     return Chart(name, title, says, max(one.width for one in charts), y, body)
 
 
-SAMPLE_PX = 34.0
-"""Width of an entry of a legend without its word, pixels."""
+SAMPLE_PX = 34.0  # Width of an entry of a legend without its word, pixels
 
 
 def legend_words(words: Sequence[str], most: float) -> list[str]:
@@ -411,10 +406,8 @@ def legend_words(words: Sequence[str], most: float) -> list[str]:
     return [shortened(word, most / len(words) - SAMPLE_PX) for word in words]
 
 
-LEGEND_PX = 14.0
-"""Height of a row of a legend."""
-Entry = tuple[str, str, str]
-"""An entry of a legend: element ("line", "area", "dot", or a sign), class and word."""
+LEGEND_PX = 14.0  # Height of a row of a legend
+Entry = tuple[str, str, str]  # An entry of a legend: element ("line", "area", "dot", or a sign), class and word
 
 
 def legend_rows(entries: Sequence[Entry], most: float) -> list[list[Entry]]:

@@ -13,8 +13,7 @@ from logs.errors import raised
 from logs.extension import ExtensionKind
 from replay.draw.charts.bird_view import scenes
 from replay.draw.charts.canvas import Chart, group, shortened, text
-from replay.draw.charts.curves import curves, decisions
-from replay.draw.charts.plan_graphs import sl_graph, st_graph
+from replay.draw.charts.curves import curves, decisions, sl_graph, st_graph
 from replay.draw.charts.subject import Subject
 from replay.results.tables import safe_name
 
@@ -29,24 +28,17 @@ LAYOUT: Mapping[str, tuple[str, ...]] = {
     "curves": ("curves",),
 }
 """Names of charts by their place in the page of a drive, from top to bottom."""
-OWN = "pictures"
-"""The place in the page for charts of users."""
+OWN = "pictures"  # The place in the page for charts of users
 TOGETHER = ("scene", "curves")
 """Charts that show several drives in one; the others are drawn for each drive, under its name."""
-BROKEN, BROKEN_PX = "broken", (440.0, 40.0)
-"""Name and size of the placeholder of a chart that could not be drawn."""
+BROKEN, BROKEN_PX = "broken", (440.0, 40.0)  # Name and size of the placeholder of a chart that could not be drawn
 
 
 def placed(subject: Subject, own: Sequence[str] = ()) -> dict[str, list[Chart]]:
     """All charts of a drive by their places.
 
-    Args:
-        subject: The drive.
-        own: Charts of users ("module:NAME"), in addition to those of entry points.
-
-    Raises:
-        ConfigError: A chart of users cannot be loaded.
-        ValueError: A built-in chart has no place in `LAYOUT`, so that it would not be shown.
+    `own`: charts of users ("module:NAME"), in addition to those of entry points. ConfigError if a chart of users cannot
+    be loaded; ValueError if a built-in chart has no place in `LAYOUT`, so that it would not be shown.
     """
     nowhere = set(CHARTS) - {name for names in LAYOUT.values() for name in names}
     if nowhere:

@@ -29,10 +29,8 @@ GRAVE = ("collision_at_fault", "safety", "rules", "progress")
 """Metrics and groups of metrics, the gravest first: their failed gates come before all others."""
 NEAREST = (("ttc.min", "least time to a collision"), ("gap.min", "least distance to another road user"))
 """Metrics that give the moment if no gate failed at a known time."""
-MOST = 4
-"""Most drives in one picture: more lines cannot be told apart (`canvas.DRIVES`)."""
-ASKED = "as asked"
-"""The reason for a moment that was asked for."""
+MOST = 4  # Most drives in one picture: more lines cannot be told apart (`canvas.DRIVES`)
+ASKED = "as asked"  # The reason for a moment that was asked for
 NAMES: tuple[Callable[[StoredDrive], str], ...] = (
     lambda drive: drive.planner.rpartition(":")[2],
     lambda drive: drive.planner,
@@ -53,16 +51,11 @@ class Moment:
 
 @dataclass(frozen=True, eq=False)
 class Violation:
-    """A gate that a drive broke.
-
-    Attributes:
-        gate: The rule.
-        series: The series of its metric ("lon_accel").
-        spans: Intervals in which its steps are out of bounds, s; without steps, the time of its value.
-    """
+    """A gate that a drive broke."""
 
     gate: str
-    series: str
+    series: str  # The series of its metric ("lon_accel")
+    # Intervals in which its steps are out of bounds, s; without steps, the time of its value
     spans: tuple[tuple[float, float], ...]
 
 
@@ -129,7 +122,6 @@ class SceneSubject:
     Attributes:
         moment: The time to look at, and the reason.
         trace: The trace, with only the newest plan at the moment.
-        scenario: Road, goal, vehicle, lights.
     """
 
     moment: Moment
@@ -152,7 +144,6 @@ class Subject(SceneSubject):
     """A drive and the moment to look at.
 
     Attributes:
-        drive: The drive in the results.
         plans: The summaries of all plans.
         beside: Other drives of the log at this moment, or at their end if it was earlier.
     """
@@ -209,10 +200,8 @@ class Subject(SceneSubject):
 def subject(drive: StoredDrive, at: float | None = None, beside: Sequence[StoredDrive] = ()) -> Subject:
     """A drive at a time, or at its worst moment, and other drives of the same log beside it.
 
-    Raises:
-        ConfigError: `at` is outside the time span of the drive; a drive is of another log or given twice, or there are
-            too many.
-        LogError: A trace is damaged.
+    ConfigError if `at` is outside the time span of the drive; a drive is of another log or given twice, or there are
+    too many. LogError if a trace is damaged.
     """
     moment = worst_moment(drive) if at is None else Moment(at, ASKED)
     trace, scenario, plans = read_moment(drive.trace_file, moment.t)

@@ -45,15 +45,9 @@ def write_recording(
 ) -> None:
     """Write one drive as a recording: scene, graphs, curves, decisions and the reasons for them.
 
-    Args:
-        path: The .rrd file; it appears only when it is complete.
-        drive: The trace and the stage times.
-        scenario: The log that was driven.
-        table: Rows of `metrics.evaluate` for this trace; None: no metrics in the summary.
-        steps: Rows of `metrics.series` for this trace; None: no curves of metrics.
-
-    Raises:
-        OutputError: The file cannot be written.
+    `path`: the .rrd file; it appears only when it is complete. `table`: rows of `metrics.evaluate` for this trace;
+    None: no metrics in the summary. `steps`: rows of `metrics.series` for this trace; None: no curves of metrics.
+    OutputError if the file cannot be written.
     """
     whole, trace = drive.trace, replace(drive.trace, frames=light(drive.trace.frames))
     times = scene_times(trace, float(trace.ego.t[-1]))
@@ -117,8 +111,7 @@ def _draw_part(
 def write_log_recording(path: Path, scenario: Scenario, markers: Sequence[Marker] = ()) -> None:
     """Write a log by itself: the scene, the ego's speed, acceleration and steering, and markers on the timeline.
 
-    Raises:
-        OutputError: The file cannot be written.
+    OutputError if the file cannot be written.
     """
     trace = Trace(scenario.name, "log", Mode.OPEN, False, scenario.ego, scenario.tracks, (), EndReason.END_OF_LOG)
     times = scene_times(trace, scenario.duration)

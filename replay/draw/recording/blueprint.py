@@ -46,16 +46,11 @@ class RecordingContents:
         return 0.35 + 0.24 * len(self.lanes)
 
 
-NUMBERS = 0.032
-"""Share of the width of a panel that the numbers of its axis take, in a window of usual size."""
+NUMBERS = 0.032  # Share of the width of a panel that the numbers of its axis take, in a window of usual size
 
 
 def blueprint(contents: RecordingContents) -> rrb.Blueprint:
-    """The layouts as tabs.
-
-    Raises:
-        ValueError: A panel is in no row of `ROWS`, so that it would not be shown.
-    """
+    """The layouts as tabs; ValueError if a panel is in no row of `ROWS`, so that it would not be shown."""
     panels = {panel.name: panel for panel in contents.panels}
     nowhere = set(panels) - {name for rows in ROWS.values() for names, _ in rows for name in names}
     if nowhere:

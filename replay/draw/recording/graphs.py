@@ -25,32 +25,22 @@ from replay.draw.recording.tape import Instants, PlaneWindow, Tape, joined, outl
 
 WIDTH, HEIGHT = 160.0, 96.0
 MARGIN_LEFT, MARGIN_BOTTOM, MARGIN_RIGHT, MARGIN_TOP = 15.0, 14.0, 7.0, 9.0
-LABEL_GAP = 7.0
-"""Labels nearer to each other in height than this are moved apart, view units."""
-LETTER = 1.9
-"""Width of a letter of a label in a window of usual size, view units."""
-STROKE = 0.8
-"""Distance of the strokes that fill an obstacle, view units."""
+LABEL_GAP = 7.0  # Labels nearer to each other in height than this are moved apart, view units
+LETTER = 1.9  # Width of a letter of a label in a window of usual size, view units
+STROKE = 0.8  # Distance of the strokes that fill an obstacle, view units
 MAX_LABELS = 8
 MOST_TICKS = 10
-FEW_LABELS = 3
-"""Ignored obstacles are labelled in frames with at most this many obstacles."""
-MAX_ROWS = 40
-"""A grid with more rows than this is thinned for drawing."""
+FEW_LABELS = 3  # Ignored obstacles are labelled in frames with at most this many obstacles
+MAX_ROWS = 40  # A grid with more rows than this is thinned for drawing
 NO_POINTS = np.empty((0, 2))
 
 
 @dataclass(frozen=True)
 class Axes:
-    """The axes of one graph over a whole recording.
-
-    Attributes:
-        kind: The kind of graph.
-        x: Range, relative to the begin of the graph; `y` likewise.
-    """
+    """The axes of one graph over a whole recording."""
 
     kind: GraphKind
-    x: Span
+    x: Span  # Range, relative to the begin of the graph; `y` likewise
     y: Span
 
     @classmethod
@@ -288,10 +278,7 @@ def _label_style(colour: int | None) -> rr.Points2D:
 def label_position(strokes: FloatArray, letters: int, axes: Axes) -> FloatArray:
     """The position of a label that does not cover its obstacle: above its left end, otherwise below it.
 
-    Args:
-        strokes: Visible part `(k, 2, 2)` of the obstacle, from left to right, x relative to the begin of the graph.
-        letters: Length of the label.
-        axes: The axes of the graph.
+    `strokes`: visible part `(k, 2, 2)` of the obstacle, from left to right, x relative to the begin of the graph.
     """
     kx, ky = axes.scale
     half, tall = 0.5 * LETTER * letters / kx, LABEL_GAP / ky
@@ -306,10 +293,8 @@ def label_position(strokes: FloatArray, letters: int, axes: Axes) -> FloatArray:
 def spread_labels(points: FloatArray, lengths: Sequence[int], axes: Axes) -> FloatArray:
     """Label positions `(n, 2)` moved up, then down from the top, until no two labels cover each other.
 
-    Args:
-        points: The preferred positions, in units of the graph.
-        lengths: The numbers of characters of the labels.
-        axes: The axes, which give the scale and the upper border.
+    `points`: the preferred positions, in units of the graph. `lengths`: the numbers of characters of the labels.
+    `axes`: the axes, which give the scale and the upper border.
     """
     kx, ky = axes.scale
     out, order = points.copy(), np.argsort(points[:, 1], kind="stable")

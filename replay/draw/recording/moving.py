@@ -40,17 +40,13 @@ HEIGHTS = {
     AgentKind.OBJECT: 1.0,
 }
 EGO_HEIGHT = 1.4
-FAINT = 60
-"""Opacity of agents that are not drawn in full, of 255."""
+FAINT = 60  # Opacity of agents that are not drawn in full, of 255
 LABEL_M, EYE_BACK_M, LABEL_RISE = 2.7, 18.0, 0.03
 """Height of a label from above; distance of the eye behind the ego; rise of a name per metre from the eye."""
 PLAN_POINTS = 60
-NEAR_M = 90.0
-"""For agents farther from the ego than this, neither predictions nor missing detections are shown."""
-SHORTEST_M = 0.5
-"""A shorter predicted path is not drawn: the agent stands."""
-SHADOW_STEP = 0.03
-"""Angle between two lines of the hatching of hidden ground, rad."""
+NEAR_M = 90.0  # For agents farther from the ego than this, neither predictions nor missing detections are shown
+SHORTEST_M = 0.5  # A shorter predicted path is not drawn: the agent stands
+SHADOW_STEP = 0.03  # Angle between two lines of the hatching of hidden ground, rad
 ARC_STEP = 0.1
 LOW = 0.06
 FILLED = rr.components.FillMode.TransparentFillMajorWireframe

@@ -23,16 +23,13 @@ from replay.explain.explanation import FREE_DRIVE, NO_NUDGE, STATUS_WORDS, Secti
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-MAX_LINES = 15
-"""Largest number of lines of a section; the page gives the number of further lines."""
+MAX_LINES = 15  # Largest number of lines of a section; the page gives the number of further lines
 MAX_MISSING = 6
 SAME_MPS = 0.05
 HEADINGS = {"decisions": "Decisions (s from now, m along the path)", "costs": "Cost terms"}
 """Headings of sections whose heading differs from their title."""
-NUMBERS = ("costs", "solvers")
-"""Sections of the second page, which is only needed if a plan looks odd."""
-MOST_RECENT = 6
-"""Rows of the page of recent events: all visible in a window of usual size."""
+NUMBERS = ("costs", "solvers")  # Sections of the second page, which is only needed if a plan looks odd
+MOST_RECENT = 6  # Rows of the page of recent events: all visible in a window of usual size
 
 
 def draw_why(tape: Tape, trace: Trace, scenario: Scenario, instants: Instants) -> None:
@@ -56,11 +53,7 @@ def why(
 ) -> list[str]:
     """The page of a frame: the plan and its causes, then decisions, lanes and candidates.
 
-    Args:
-        frame: The plan.
-        explained: Its explanation.
-        missing: Agents that are near but were not shown to the planner, and their distances, m.
-        change: The lane change that is under way.
+    `missing`: agents that are near but were not shown to the planner, and their distances, m.
     """
     plan, course = frame.plan, explained.account.course
     words = [] if plan.status is PlanStatus.PLANNED else [STATUS_WORDS[plan.status]]

@@ -45,8 +45,7 @@ from replay.draw.recording.tape import SIM_TIME
 from replay.results.tables import write_file, write_png
 
 Theme = Literal["dark", "light"]
-LAYOUTS = ("overview", "planner", "control")
-"""The tabs of a recording, each a whole window."""
+LAYOUTS = ("overview", "planner", "control")  # The tabs of a recording, each a whole window
 LOOPBACK = "127.0.0.1"
 CLOSED = f"http://{LOOPBACK}:9"
 """A proxy that does not exist: port 9 (discard, RFC 863) has no server on current systems."""
@@ -91,15 +90,11 @@ def in_use(port: int) -> bool:
     return False
 
 
-TIMEOUT_S = 60.0
-"""Time limit for the start of the viewer, for loading, and for each picture."""
+TIMEOUT_S = 60.0  # Time limit for the start of the viewer, for loading, and for each picture
 PAUSE_S = 0.3
-HEADER_PX = 36
-"""Height of the viewer's header."""
-AWAY = (1, 1)
-"""Final position of the pointer: in the header, which is cut off."""
-FRAMES_PER_S = 10.0
-"""The usual planning rate."""
+HEADER_PX = 36  # Height of the viewer's header
+AWAY = (1, 1)  # Final position of the pointer: in the header, which is cut off
+FRAMES_PER_S = 10.0  # The usual planning rate
 BY_PILLOW, BY_FFMPEG = (".gif",), (".mp4", ".mkv", ".mov", ".webm")
 """Suffixes of videos that Pillow writes, and those that need ffmpeg."""
 EVEN = "pad=ceil(iw/2)*2:ceil(ih/2)*2"
@@ -123,19 +118,12 @@ class ScreenshotError(ReplanError):
 
 @dataclass(frozen=True)
 class Picture:
-    """One picture to take.
-
-    Attributes:
-        out: The PNG file.
-        t: Time in the recording, s.
-        view: Name of one view; None: the whole window.
-        layout: One of `LAYOUTS`; a view that it does not have is taken from another.
-    """
+    """One picture to take."""
 
     out: Path
-    t: float
-    view: str | None = None
-    layout: str = LAYOUTS[0]
+    t: float  # Time in the recording, s
+    view: str | None = None  # Name of one view; None: the whole window
+    layout: str = LAYOUTS[0]  # One of `LAYOUTS`; a view that it does not have is taken from another
 
 
 def take_pictures(
@@ -143,19 +131,13 @@ def take_pictures(
 ) -> list[str]:
     """Take pictures of a recording.
 
-    Args:
-        recording: The .rrd file.
-        pictures: The pictures to take, in this order.
-        size: Size of a picture of the whole window, pixels: WIDTHxHEIGHT.
-        theme: Theme of the viewer.
+    ConfigError if there is no such layout or view, or the size is invalid; ScreenshotError if there is no graphics
+    driver, the viewer died, or a picture never settled; OutputError if a picture cannot be written.
+
+    `size`: size of a picture of the whole window, pixels: WIDTHxHEIGHT.
 
     Returns:
         The viewer's reports about its views after the last picture, one line each; empty for a healthy recording.
-
-    Raises:
-        ConfigError: There is no such layout or view, or the size is invalid.
-        ScreenshotError: No graphics driver, the viewer died, or a picture never settled.
-        OutputError: A picture cannot be written.
     """
     if re.fullmatch(r"[1-9]\d{2,3}x[1-9]\d{2,3}", size) is None:
         raise ConfigError(f"--size {size}: WIDTHxHEIGHT in pixels, for example 1920x1080")
@@ -179,16 +161,12 @@ def take_pictures(
 def arranged(kept: Blueprint, layout: str, view: str | None) -> tuple[Blueprint, str | None]:
     """A blueprint without header and time panel, in which the tabs that hold a layout or a view of it are open.
 
-    Args:
-        kept: The blueprint as the viewer reports it: fields by entity and archetype.
-        layout: One of `LAYOUTS`.
-        view: Name of a view; if several have it, the one in the layout, otherwise the first.
+    `kept`: the blueprint as the viewer reports it: fields by entity and archetype. `layout`: one of `LAYOUTS`. `view`:
+    name of a view; if several have it, the one in the layout, otherwise the first. ConfigError if there is no such
+    layout or view.
 
     Returns:
         The blueprint, and the view's id.
-
-    Raises:
-        ConfigError: There is no such layout or view.
     """
     parts = {name: {kind: dict(fields) for kind, fields in part.items()} for name, part in kept.items()}
     parts["/top_panel"] = {"PanelBlueprint": {"state": "Hidden"}}
@@ -318,12 +296,7 @@ def _connect(port: int, alive: Callable[[], None]) -> Any:
 def click_theme(theme: Theme, binary: Path, port: int, variables: Mapping[str, str], timeout: float) -> str:
     """Click a theme in the settings, which must be visible; returns the error, "" if there is none.
 
-    Args:
-        theme: The theme.
-        binary: The executable of the viewer.
-        port: The port of the running viewer.
-        variables: The environment.
-        timeout: Time limit, s.
+    `timeout`: time limit, s.
     """
     actions = [
         {"name": "wait_for", "args": {"label_contains": theme.title()}},
@@ -372,19 +345,10 @@ def film(
 ) -> int:
     """Write the video of a recording; returns the number of its frames.
 
-    Args:
-        recording: The .rrd file.
-        out: The video file; its suffix gives the format.
-        begin: Start, s; None: that of the recording.
-        end: End, s; None: that of the recording.
-        layout: One of `LAYOUTS`.
-        size: Pixels: WIDTHxHEIGHT.
-        theme: The theme of the viewer.
-
-    Raises:
-        ConfigError: There is no such layout, no time in the span, or no ffmpeg for this ending.
-        ReplanError: ffmpeg fails, or the viewer does.
-        OutputError: The video cannot be written.
+    `out`: the video file; its suffix gives the format. `begin`: start, s; None: that of the recording; `end` likewise.
+    `layout`: one of `LAYOUTS`. `size`: pixels: WIDTHxHEIGHT. ConfigError if there is no such layout, no time in the
+    span, or no ffmpeg for this ending; ReplanError if ffmpeg fails, or the viewer does; OutputError if the video cannot
+    be written.
     """
     if out.suffix not in BY_PILLOW and shutil.which("ffmpeg") is None:
         raise ConfigError(

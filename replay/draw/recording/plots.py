@@ -36,10 +36,8 @@ from replay.explain.explanation import (
 
 Corner = Literal["RightTop", "RightBottom", "LeftTop", "LeftBottom"]
 CORNERS: tuple[Corner, ...] = ("RightTop", "RightBottom", "LeftTop", "LeftBottom")
-LEGEND = 0.16, 0.14
-"""Width of a legend, and height of one of its rows, as shares of a panel of usual size."""
-MOST_NUMBERS = 8.0
-"""Largest number of labels along an axis; the viewer writes multiples of a power of ten."""
+LEGEND = 0.16, 0.14  # Width of a legend, and height of one of its rows, as shares of a panel of usual size
+MOST_NUMBERS = 8.0  # Largest number of labels along an axis; the viewer writes multiples of a power of ten
 
 
 def draw_panels(tape: Tape, panels: Iterable[Panel], frames: FloatArray) -> None:
@@ -104,8 +102,7 @@ LANES = (PLAN, ALONG, ACROSS, CHOICE, LANE, DRIVE) = (
     "Plan", "Decision-along", "Decision-across", "Choice-of-lane", "Lane", "Drive",
 )  # fmt: skip
 """Entities of the rows, at the root: the viewer labels a row with the whole path of its entity."""
-NAMED = (0x5A6478FF, 0x46505FFF)
-"""Alternating colours of states that are not in `STATE_COLOURS`."""
+NAMED = (0x5A6478FF, 0x46505FFF)  # Alternating colours of states that are not in `STATE_COLOURS`
 OFF_LANES, NOTHING = "off the lanes", "none"
 NOT_COMPARED, COMPARED = "keep", "keep: others compared"
 LETTER, MARGIN = 0.0125, 0.015
@@ -197,12 +194,7 @@ class LaneChange:
 
 
 def changes_under_way(frames: Sequence[PlannedFrame], lanes: Sequence[int | None]) -> list[LaneChange | None]:
-    """For each frame the lane change that is under way: from its decision until the ego has left its lane.
-
-    Args:
-        frames: The frames of the trace.
-        lanes: The lane under the ego at each of them.
-    """
+    """For each frame the lane change that is under way: from its decision until the ego has left its lane."""
     out: list[LaneChange | None] = []
     change, left = None, None
     for frame, lane in zip(frames, lanes, strict=True):

@@ -16,8 +16,7 @@ from replay.draw.recording import colours
 from replay.draw.recording.tape import Instants, PlaneWindow, Tape, joined, strips, strokes
 
 DASH_M, GAP_M = 3.0, 6.0
-BESIDE_M = 0.3
-"""Distance beside a boundary at which another lane is looked for."""
+BESIDE_M = 0.3  # Distance beside a boundary at which another lane is looked for
 LIGHTS = {
     Colour.RED: 0xFF4B3CFF,
     Colour.RED_YELLOW: 0xFF963CFF,
@@ -27,8 +26,7 @@ LIGHTS = {
 }
 STOP_SIGN = 0xFF6E64FF
 LAMP_M, LAMP_HEIGHT_M = 0.45, 1.2
-GOAL_NAME_M = 8.0
-"""Height of the goal's name: it appears above the region, as seen from behind the ego."""
+GOAL_NAME_M = 8.0  # Height of the goal's name: it appears above the region, as seen from behind the ego
 
 
 def at_height(points: FloatArray, z: float) -> FloatArray:

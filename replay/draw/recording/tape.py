@@ -108,10 +108,8 @@ def application_name(words: str) -> str:
 
 SIM_TIME = "sim_time"
 FRAME = "frame"
-SPACER = "room"
-"""Entity of an empty text view that reserves layout space."""
-REMOVED = "world/removed"
-"""Entity of the tracks that a repair of the log removed."""
+SPACER = "room"  # Entity of an empty text view that reserves layout space
+REMOVED = "world/removed"  # Entity of the tracks that a repair of the log removed
 NO_NAMES = ShortNames(())
 CHUNK_BYTES = 1 << 20
 
@@ -163,8 +161,7 @@ class Tape:
     ) -> None:
         """Write one row per instant, with `counts` `(n,)` instances (None: one instance per row).
 
-        Raises:
-            ValueError: The counts do not add up to the instances of a column.
+        ValueError if the counts do not add up to the instances of a column.
         """
         kept = list(columns)
         if counts is not None:
@@ -218,10 +215,7 @@ def recording_file(
 ) -> Iterator[Tape]:
     """An open recording under a temporary name, renamed when it is complete; errors of the library are raised.
 
-    Its texts use the names `short`.
-
-    Raises:
-        OutputError: The file cannot be written.
+    Its texts use the names `short`. OutputError if the file cannot be written.
     """
     unfinished = path.with_name(f".{path.name}.part")
     with writing(path):
@@ -306,11 +300,8 @@ def _edges(points: FloatArray, lengths: IntArray) -> tuple[FloatArray, FloatArra
 def strokes(points: FloatArray, lengths: IntArray, window: PlaneWindow, spacing: float) -> tuple[FloatArray, IntArray]:
     """The vertical strokes that fill closed outlines inside a window.
 
-    Args:
-        points: `(m, 2)` corners, outline after outline.
-        lengths: `(n,)` corners of each outline, at least 1.
-        window: The visible part; strokes lie on its vertical lines and end at its borders.
-        spacing: Distance of the lines, in units of x.
+    `points`: `(m, 2)` corners, outline after outline. `lengths`: `(n,)` corners of each outline, at least 1. `window`:
+    the visible part; strokes lie on its vertical lines and end at its borders.
 
     Returns:
         The strokes `(k, 2, 2)` from bottom to top, and the outline `(k,)` of each, sorted by outline, then x, then y.

@@ -23,21 +23,13 @@ BROKEN = "Charts that could not be drawn"
 
 @dataclass(frozen=True)
 class MetricColumn:
-    """One metric of the table of drives.
-
-    Attributes:
-        title: The title with the unit, in short lines.
-        metric: Name of the metric.
-        mode: Loop in which it was measured.
-        show: Formats a value.
-        bad: Whether a value is marked.
-    """
+    """One metric of the table of drives."""
 
     title: str
     metric: str
-    mode: str
+    mode: str  # Loop in which it was measured
     show: Callable[[float], str]
-    bad: Callable[[float], bool] = lambda value: False
+    bad: Callable[[float], bool] = lambda value: False  # Whether a value is marked
 
     @property
     def words(self) -> str:
@@ -70,8 +62,7 @@ COLUMNS = (
 )
 """Columns of the open loop first; the end of the closed loop is shown before the columns of the closed loop."""
 
-FREE = "*"
-"""Mark of a pass without an interaction (`metrics.judge.discrimination`)."""
+FREE = "*"  # Mark of a pass without an interaction (`metrics.judge.discrimination`)
 LEGEND = (
     ("open", "open loop: the log drives, plans are compared with it; ADE 3 s: mean distance of plan and log over 3 s."),
     ("closed", f"{FREE}: no interaction: a blind driver passes this log, too, as nothing was in the way."),
@@ -124,31 +115,21 @@ ANSWERED: tuple[tuple[str, Callable[[list[float]], str]], ...] = (
     ("nuplan_closed.score.final", lambda v: f"nuPlan's score {sum(v) / len(v):.2f}"),
 )
 """Metric of the closed loop, and its values over the logs in words: the answer of a report."""
-MOST_FIRST = 3
-"""Number of drives that a report shows first."""
+MOST_FIRST = 3  # Number of drives that a report shows first
 
 
 @dataclass(frozen=True)
 class Cell:
-    """A cell of a table.
+    """A cell of a table."""
 
-    Attributes:
-        text: The value as text.
-        value: The value as a number; NaN: there is none.
-        bad: Whether it is marked.
-        outcome: The outcome that it states; "" if it states none.
-        drives: Logs and planners of the drives that it names, or of the one that it is about.
-        code: Whether it is a rule or a command.
-        file: The file that shows it, relative to the result folder.
-    """
-
-    text: str = NOTHING
-    value: float = nan
-    bad: bool = False
-    outcome: str = ""
+    text: str = NOTHING  # The value as text
+    value: float = nan  # The value as a number; NaN: there is none
+    bad: bool = False  # Whether it is marked
+    outcome: str = ""  # The outcome that it states; "" if it states none
+    # Logs and planners of the drives that it names, or of the one that it is about
     drives: tuple[tuple[str, str], ...] = ()
-    code: bool = False
-    file: str = ""
+    code: bool = False  # Whether it is a rule or a command
+    file: str = ""  # The file that shows it, relative to the result folder
 
     @property
     def is_list(self) -> bool:
@@ -161,29 +142,18 @@ WEIGHT: Mapping[str, int] = {Outcome.FAIL.value: 0, Outcome.INCONCLUSIVE.value: 
 
 @dataclass(frozen=True)
 class DriveRow:
-    """A log and a planner, both loops.
-
-    Attributes:
-        shown: The name of the planner with its marks: oracle, trusted, batched, not deterministic.
-        verdict: The worst outcome of the gates on this log; "" if no gate applies.
-        gravity: The place of its gravest failed gate among the rules by harm; their number if none fails.
-        asked: The number of gates that apply, of all: "24/41", with a mark where nothing was in the way.
-        end: How the closed loop ended.
-        cells: One per column of `Overview.columns`.
-        files: Traces and recordings, relative to the result folder.
-        folder: Folder of the log, relative to the result folder.
-    """
+    """A log and a planner, both loops."""
 
     log: str
     planner: str
-    shown: str
-    verdict: str
-    gravity: int
-    asked: str
+    shown: str  # The name of the planner with its marks: oracle, trusted, batched, not deterministic
+    verdict: str  # The worst outcome of the gates on this log; "" if no gate applies
+    gravity: int  # The place of its gravest failed gate among the rules by harm; their number if none fails
+    asked: str  # The number of gates that apply, of all: "24/41", with a mark where nothing was in the way
     end: Cell
-    cells: tuple[Cell, ...]
-    files: tuple[str, ...]
-    folder: str
+    cells: tuple[Cell, ...]  # One per column of `Overview.columns`
+    files: tuple[str, ...]  # Traces and recordings, relative to the result folder
+    folder: str  # Folder of the log, relative to the result folder
 
     @property
     def rank(self) -> tuple[int, int, int, str, str]:
@@ -204,57 +174,36 @@ class DriveRow:
 
 @dataclass(frozen=True)
 class GateRow:
-    """The verdict of a gate on one planner in one loop.
+    """The verdict of a gate on one planner in one loop."""
 
-    Attributes:
-        outcome: "pass", "fail" or "inconclusive".
-        rule: "gap.min >= 0.5 [closed]".
-        over: The values that must pass: "worst" (every log), or an aggregate of the logs.
-        found: In short: if it passes, the value nearest to the bound, otherwise the reason.
-        reason: The whole sentence.
-        why: The reason for the gate.
-        planner, mode: "" if there was no drive to judge.
-        group: The group of logs, for a gate over groups; otherwise "".
-        log: The worst log; "" if there is none.
-        value: The judged value; NaN if there is none.
-        unit: Unit of the value.
-        time_s: When it occurred; NaN if it has no time.
-    """
-
-    outcome: str
-    rule: str
-    over: str
-    found: str
+    outcome: str  # "pass", "fail" or "inconclusive"
+    rule: str  # "gap.min >= 0.5 [closed]"
+    over: str  # The values that must pass: "worst" (every log), or an aggregate of the logs
+    found: str  # In short: if it passes, the value nearest to the bound, otherwise the reason
     reason: str
     why: str
-    planner: str
+    planner: str  # planner, mode: "" if there was no drive to judge
     mode: str
-    group: str
-    log: str
-    value: float
+    group: str  # The group of logs, for a gate over groups; otherwise ""
+    log: str  # The worst log; "" if there is none
+    value: float  # The judged value; NaN if there is none
     unit: str
-    time_s: float
+    time_s: float  # When it occurred; NaN if it has no time
 
 
 @dataclass(frozen=True)
 class PassShare:
-    """The number of logs of a group that pass, with the 95 % interval of the share (`metrics.judge.aggregate`).
+    """The number of logs of a group that pass, with the 95 % interval of the share (`metrics.judge.aggregate`)."""
 
-    Attributes:
-        kind: "suite", "family", "tag" or "dataset"; `group` is its name, "" for the suite.
-        mode: "open", "closed", or "both" together.
-        missing: Logs that could not be evaluated; like inconclusive logs, they do not pass.
-    """
-
-    kind: str
+    kind: str  # "suite", "family", "tag" or "dataset"; `group` is its name, "" for the suite
     group: str
     planner: str
-    mode: str
+    mode: str  # "open", "closed", or "both" together
     logs: int
     passed: int
     failed: int
     inconclusive: int
-    missing: int
+    missing: int  # Logs that could not be evaluated; like inconclusive logs, they do not pass
     share: float
     low: float
     high: float
@@ -280,16 +229,10 @@ def over_all_logs(shares: Iterable[PassShare]) -> tuple[PassShare, ...]:
 
 @dataclass(frozen=True)
 class Answer:
-    """How a planner did: the logs that it passes, and `ANSWERED` in the closed loop.
-
-    Attributes:
-        planner: Its name, with marks.
-        share: The logs that it passes; None where nothing was judged.
-        values: Only what is available.
-    """
+    """How a planner did: the logs that it passes, and `ANSWERED` in the closed loop."""
 
     planner: str
-    share: PassShare | None
+    share: PassShare | None  # The logs that it passes; None where nothing was judged
     values: tuple[str, ...]
 
     @property
@@ -360,58 +303,34 @@ class StageQuantiles:
 
 @dataclass(frozen=True)
 class Overview:
-    """The contents of a report, in its order.
+    """The contents of a report, in its order."""
 
-    Attributes:
-        outcome, exit_code: Those of `replan evaluate`.
-        shard: "2/5": the part of a run that this is, which is not judged; otherwise "".
-        replan: Version of replan that ran the drives.
-        config: First 12 hex digits of the SHA-256 of the resolved configuration.
-        logs: The number of requested logs.
-        drives: The drives in the order of the run; `columns` are the columns of their table.
-        planners: Names of the planners, with marks; `answers` has a line about each.
-        compared: A label, and a text per planner.
-        frames: The number of plans behind the latencies.
-        latency: Stage times by planner and stage, the whole plan last.
-        gates: Failed and inconclusive gates first, without gates that apply to no log.
-        not_asked: The gates that do not apply to some logs, with the commonest reason, a line each.
-        shares: Pass shares of the suite, families, tags and datasets.
-        coverage: The time and distance driven, by planner and loop.
-        interactions: The passes that rest on an interaction, by planner; empty without a closed loop.
-        ensembles: The number of verdicts that were tested with perturbed runs.
-        fragile: The verdicts that changed, a sentence each.
-        notes: Assumptions, with the number of logs, the commonest first.
-        failures: Logs and planners that could not be evaluated.
-        comparison: The comparison with a baseline, if there is one.
-        diagnosis: The contents of diagnosis.json, if `replan diagnose` was run.
-        broken: Charts that could not be drawn, a sentence each; known after the page is written.
-    """
-
-    outcome: str
+    outcome: str  # outcome, exit_code: Those of `replan evaluate`
     exit_code: int
-    shard: str
-    replan: str
-    config: str
+    shard: str  # "2/5": the part of a run that this is, which is not judged; otherwise ""
+    replan: str  # Version of replan that ran the drives
+    config: str  # First 12 hex digits of the SHA-256 of the resolved configuration
     logs: int
     columns: tuple[MetricColumn, ...]
-    drives: tuple[DriveRow, ...]
-    planners: tuple[str, ...]
+    drives: tuple[DriveRow, ...]  # The drives in the order of the run; `columns` are the columns of their table
+    planners: tuple[str, ...]  # Names of the planners, with marks; `answers` has a line about each
     answers: tuple[Answer, ...]
     compared: tuple[tuple[str, tuple[str, ...]], ...]
-    frames: int
-    latency: tuple[StageQuantiles, ...]
-    gates: tuple[GateRow, ...]
-    not_asked: tuple[str, ...]
-    shares: tuple[PassShare, ...]
-    coverage: tuple[Coverage, ...]
+    frames: int  # The number of plans behind the latencies
+    latency: tuple[StageQuantiles, ...]  # Stage times by planner and stage, the whole plan last
+    gates: tuple[GateRow, ...]  # Failed and inconclusive gates first, without gates that apply to no log
+    not_asked: tuple[str, ...]  # The gates that do not apply to some logs, with the commonest reason, a line each
+    shares: tuple[PassShare, ...]  # Pass shares of the suite, families, tags and datasets
+    coverage: tuple[Coverage, ...]  # The time and distance driven, by planner and loop
+    # The passes that rest on an interaction, by planner; empty without a closed loop
     interactions: tuple[Interactions, ...]
-    ensembles: int
-    fragile: tuple[str, ...]
-    notes: tuple[str, ...]
-    failures: tuple[str, ...]
-    comparison: Comparison | None
-    diagnosis: Mapping[str, Any] | None = None
-    broken: tuple[str, ...] = ()
+    ensembles: int  # The number of verdicts that were tested with perturbed runs
+    fragile: tuple[str, ...]  # The verdicts that changed, a sentence each
+    notes: tuple[str, ...]  # Assumptions, with the number of logs, the commonest first
+    failures: tuple[str, ...]  # Logs and planners that could not be evaluated
+    comparison: Comparison | None  # The comparison with a baseline, if there is one
+    diagnosis: Mapping[str, Any] | None = None  # The contents of diagnosis.json, if `replan diagnose` was run
+    broken: tuple[str, ...] = ()  # Charts that could not be drawn, a sentence each; known after the page is written
 
     @property
     def ranked(self) -> tuple[DriveRow, ...]:

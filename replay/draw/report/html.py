@@ -1,7 +1,8 @@
 """The report as one HTML file: it opens from disk, makes no request to any network, and is readable without script.
 
-It has an overview, a comparison if there is a baseline, and a page per drive. The page, its style and its script are in
-templates/ (jinja2, everything escaped). An error in one part removes that part, never the report.
+It has an overview, a comparison if there is a baseline, and a page per drive; charts of pass shares, of distributions
+over the logs, and of changes of metrics. The page, its style and its script are in templates/ (jinja2, everything
+escaped). An error in one part removes that part, never the report.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from __future__ import annotations
 import os
 import shlex
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from importlib import resources
@@ -19,6 +20,8 @@ from pathlib import Path
 from typing import Any, TypeVar
 from urllib.parse import quote
 
+import numpy as np
+import pandas as pd
 from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
 
@@ -26,43 +29,37 @@ from logs.errors import ConfigError, LogError, OutputError, ReplanError, raised,
 from logs.names import counted
 from metrics.comparison import Comparison
 from metrics.judge.gates import Outcome
-from replay.draw.charts import Chart, subject
+from replay.draw.charts import subject
+from replay.draw.charts.axes import Plane, Ticks, rows_plane
 from replay.draw.charts.bird_view import place_of_moment
-from replay.draw.charts.canvas import RULES, filled, printable, roles
+from replay.draw.charts.canvas import RULES, Chart, dot, filled, line, printable, rect, roles, text
 from replay.draw.charts.layout import BROKEN, placed
 from replay.draw.charts.subject import Subject
 from replay.draw.drawn_results import DriveResult, Results
-from replay.draw.report.charts import distributions, moved, pass_shares
-from replay.draw.report.contents import DriveRow, Overview
+from replay.draw.model import Span, widened
+from replay.draw.report.contents import DriveRow, MetricColumn, Overview, PassShare
 from replay.draw.report.sections import comparison_sections, run_sections
 from replay.explain.explanation import TimedEvent, events
 from replay.results.tables import safe_name, write_text
 
 T = TypeVar("T")
 
-MOST_MOVED = 6
-"""Largest number of metrics of a comparison that are drawn."""
-MOST_EVENTS = 60
-"""Largest number of events that are listed; the page gives the number of the others."""
+MOST_MOVED = 6  # Largest number of metrics of a comparison that are drawn
+MOST_EVENTS = 60  # Largest number of events that are listed; the page gives the number of the others
 _WEIGHT = {outcome.value: weight for weight, outcome in enumerate(Outcome)}
 
 
 class Attempts:
-    """Makes parts of a report, and records the parts that fail.
-
-    Attributes:
-        broken: A sentence for each part that could not be made.
-    """
+    """Makes parts of a report, and records the parts that fail."""
 
     def __init__(self) -> None:
-        self.broken: list[str] = []
+        self.broken: list[str] = []  # a sentence for each part that could not be made
 
     def __call__(self, what: str, make: Callable[[], T], instead: T) -> T:
         """The result of `make`; if it raises, `instead`, and a sentence in `broken`.
 
-        Raises:
-            ConfigError: As `make`: the user named something that does not exist.
-            OutputError: As `make`: nothing can be written.
+        ConfigError as `make`: the user named something that does not exist; OutputError as `make`: nothing can be
+        written.
         """
         try:
             return make()
@@ -77,17 +74,13 @@ class Attempts:
 def write_html(overview: Overview, results: Results, path: Path, *, drives: int = 100) -> tuple[str, ...]:
     """Write the report as one HTML file; the same run gives the same bytes.
 
-    Args:
-        overview: The overview of the results, with its comparison, if there is one.
-        results: The run.
-        path: The file; links to recordings are relative to it.
-        drives: The number of drives with a page, the worst first; the table has all of them.
+    OutputError if the file cannot be written.
+
+    `overview`: the overview of the results, with its comparison, if there is one. `path`: the file; links to recordings
+    are relative to it. `drives`: the number of drives with a page, the worst first; the table has all of them.
 
     Returns:
         A sentence for each chart that could not be drawn, with the number of drives.
-
-    Raises:
-        OutputError: The file cannot be written.
     """
     broken = Counter[str]()
 
@@ -200,49 +193,28 @@ class Recording:
 
 @dataclass(frozen=True, eq=False)
 class DrivePage:
-    """The contents of the page of a drive.
-
-    Attributes:
-        anchor: Its id in the report.
-        row: Its row in the overview.
-        mode: The loop of the pictures.
-        tags: Tags of the log.
-        time_s: The moment of the pictures; NaN if there are none.
-        why: The reason for this moment; if there are no pictures, the reason for that.
-        because: The action of the plan at this moment, and its reasons, in sentences.
-        end: How the drive ended.
-        verdicts: The rows of `DriveResult.verdicts` of both loops, failed ones first.
-        pictures: Charts of scenes and graphs; `decided` and `curves` follow them.
-        scene: Index of the scene at the moment among them.
-        events: The changes, with their times.
-        more_events: The number of events that are left out.
-        metrics: The rows of the available metrics of each loop.
-        missing: Each reason, and the metrics that are not available because of it.
-        files: Recordings, otherwise traces.
-        plot: The command that draws the same pictures.
-        broken: Charts that could not be drawn, a sentence each.
-    """
+    """The contents of the page of a drive."""
 
     anchor: str
     row: DriveRow
     mode: str = ""
     tags: tuple[str, ...] = ()
-    time_s: float = nan
-    why: str = ""
-    because: tuple[str, ...] = ()
+    time_s: float = nan  # The moment of the pictures; NaN if there are none
+    why: str = ""  # The reason for this moment; if there are no pictures, the reason for that
+    because: tuple[str, ...] = ()  # The action of the plan at this moment, and its reasons, in sentences
     end: str = ""
-    verdicts: tuple[Any, ...] = ()
-    pictures: tuple[Markup, ...] = ()
-    scene: int = 0
+    verdicts: tuple[Any, ...] = ()  # The rows of `DriveResult.verdicts` of both loops, failed ones first
+    pictures: tuple[Markup, ...] = ()  # Charts of scenes and graphs; `decided` and `curves` follow them
+    scene: int = 0  # Index of the scene at the moment among them
     decided: Markup = field(default_factory=Markup)
     curves: tuple[Markup, ...] = ()
-    events: tuple[TimedEvent, ...] = ()
-    more_events: int = 0
-    metrics: tuple[tuple[str, tuple[Any, ...]], ...] = ()
-    missing: tuple[tuple[str, str], ...] = ()
+    events: tuple[TimedEvent, ...] = ()  # The changes, with their times
+    more_events: int = 0  # The number of events that are left out
+    metrics: tuple[tuple[str, tuple[Any, ...]], ...] = ()  # The rows of the available metrics of each loop
+    missing: tuple[tuple[str, str], ...] = ()  # Each reason, and the metrics that are not available because of it
     files: tuple[Recording, ...] = ()
-    plot: str = ""
-    broken: tuple[str, ...] = ()
+    plot: str = ""  # The command that draws the same pictures
+    broken: tuple[str, ...] = ()  # Charts that could not be drawn, a sentence each
 
     @property
     def failed(self) -> tuple[Any, ...]:
@@ -264,11 +236,7 @@ class DrivePage:
 def drive_page(results: Results, row: DriveRow, anchor: str, page: Path) -> DrivePage:
     """The page of a log and a planner; the pictures are of the loop in which a gate failed, the closed one first.
 
-    Args:
-        results: The run.
-        row: Its row in the overview.
-        anchor: Its id in the report.
-        page: The file of the report: links are relative to it.
+    `page`: the file of the report: links are relative to it.
     """
     mine = results.drives[(results.drives["log"] == row.log) & (results.drives["planner"] == row.planner)]
     drives = [results.drive(row.log, row.planner, mode) for mode in ("closed", "open") if mode in set(mine["mode"])]
@@ -329,3 +297,101 @@ def _subject(drive: DriveResult) -> tuple[Subject | None, str]:
 
 def _relative(file: Path, page: Path) -> str:
     return Path(os.path.relpath(file, page.parent)).as_posix()
+
+
+WIDTH_PX, WIDE_PX, ROW_PX = 440.0, 640.0, 19.0
+LABEL_SHARE = 0.4  # The largest share of the width for names
+MAX_SHARES, MAX_PAIRS = 40, 20
+FEW = 5  # A box of quartiles is drawn for more values than this
+
+
+def pass_shares(shares: Sequence[PassShare], planners: int) -> Chart:
+    """The share of logs that pass, with its 95 % interval, by group: a dot, a whisker, and counts."""
+    shown = shares[:MAX_SHARES]
+    names = [f"{share.name}, {share.planner}" if planners > 1 else share.name for share in shown]
+    plane, ticks = _rows(names, (-2.0, 102.0), width=WIDE_PX)
+    marks, counts = [], []
+    for k, share in enumerate(shown):
+        y = ROW_PX * (k + 0.5)
+        low, at, high = plane.at_x(100.0 * np.array([share.low, share.share, share.high])).tolist()
+        kind = "mark" if share.passed == share.logs else "hollow"
+        marks.append(line(low, y, high, y, "whisker") + line(low, y - 4, low, y + 4, "whisker"))
+        marks.append(line(high, y - 4, high, y + 4, "whisker") + dot(at, y, 4.5, kind, f"{share.name}: {share.text}"))
+        words, wide = f"{share.passed}/{share.logs}", plane.inner[0]
+        beside = low - 6.0 if high > wide - 50.0 else high + 6.0
+        counts.append(text(beside, y + 3.5, words, "small end" if high > wide - 50.0 else "small"))
+    title = "Logs that pass, with the 95 % interval of the share"
+    entries = [("dot", "mark", "all pass"), ("dot", "hollow", "some do not")]
+    says = f"{title}: " + "; ".join(f"{name}: {share.text}" for name, share in zip(names, shown, strict=True))
+    axes = dict[str, Any](entries=entries, x_title="share [%]", y_ticks=ticks, over="".join(counts))
+    return plane.chart("pass_shares", title, "".join(marks), says=says, **axes)
+
+
+def distributions(columns: Sequence[MetricColumn], drives: Sequence[DriveRow]) -> list[Chart]:
+    """One chart per column of the table of drives that has at least three different values.
+
+    A row per planner: a dot per log, and the box of the quartiles with the median.
+    """
+    out = []
+    for i, column in enumerate(columns):
+        strips: dict[str, list[tuple[float, str]]] = {drive.shown: [] for drive in drives}
+        for drive in drives:
+            if np.isfinite(drive.cells[i].value):
+                strips[drive.shown].append((drive.cells[i].value, drive.log))
+        strips = {planner: strip for planner, strip in strips.items() if strip}
+        if len({value for strip in strips.values() for value, _ in strip}) < 3:
+            continue
+        names, values = list(strips), [np.array([value for value, _ in strip]) for strip in strips.values()]
+        least, most = float(min(v.min() for v in values)), float(max(v.max() for v in values))
+        low, high = widened(least, most, 1e-3, 0.04)
+        plane, ticks = _rows(names, (min(low, 0.0) if least >= 0.0 and low < 0.0 else low, high), top=22.0)
+        marks = ""
+        for k, (some, strip) in enumerate(zip(values, strips.values(), strict=True)):
+            middle = ROW_PX * (k + 0.5)
+            if len(some) > FEW:
+                left, median, right = plane.at_x(np.percentile(some, (25.0, 50.0, 75.0))).tolist()
+                marks += rect(left, middle - 6.0, right - left, 12.0, "box")
+                marks += line(median, middle - 6.0, median, middle + 6.0, "whisker")
+            order = np.argsort(some, kind="stable")
+            away = np.array([0.0, -3.0, 3.0])[np.arange(len(order)) % 3]
+            for n, x, offset in zip(order, plane.at_x(some[order]).tolist(), away.tolist(), strict=True):
+                marks += dot(x, middle + offset, 2.6, "speck", f"{strip[n][1]}: {some[n]:.4g}")
+        title = f"{column.words}, {column.mode} loop"
+        says = f"{title}: " + "; ".join(
+            f"{name}: {some.min():.3g} to {some.max():.3g}, median {np.median(some):.3g}, {counted(len(some), 'log')}"
+            for name, some in zip(names, values, strict=True)
+        )
+        x_title = f"{column.metric}, a dot a log"
+        out.append(plane.chart(column.metric, title, marks, says=says, x_title=x_title, y_ticks=ticks))
+    return out
+
+
+def moved(pairs: pd.DataFrame, title: str) -> Chart:
+    """One metric from baseline to candidate, the worst regression first.
+
+    `pairs`: rows of `Comparison.pairs` of one metric, with both values. `title`: title of the chart.
+    """
+    shown = pairs.sort_values(["worse", "log"], ascending=[False, True], kind="stable").head(MAX_PAIRS)
+    names = [str(log) for log in shown["log"]]
+    both = shown[["baseline", "candidate"]].to_numpy(np.float64)
+    plane, ticks = _rows(names, widened(float(both.min()), float(both.max()), 1e-6))
+    marks, rows = [], list[Any](shown.itertuples())
+    for k, (row, (before, now)) in enumerate(zip(rows, plane.at_x(both).tolist(), strict=True)):
+        y, kind = ROW_PX * (k + 0.5), "worse" if row.worse > 0.0 else "better"
+        marks.append(line(before, y, now, y, kind) + dot(before, y, 4.0, "hollow", f"baseline {row.baseline:.4g}"))
+        marks.append(dot(now, y, 4.0, "wrong" if row.worse > 0.0 else "mark", f"candidate {row.candidate:.4g}"))
+    unit = str(shown["unit"].iloc[0])
+    x_title = f"{shown['metric'].iloc[0]}{f' [{unit}]' if unit not in ('', '1', 'count') else ''}"
+    says = f"{title}: " + "; ".join(f"{r.log} {r.baseline:.3g} to {r.candidate:.3g}" for r in rows)
+    axes = dict[str, Any](entries=_MOVED, x_title=x_title, y_ticks=ticks)
+    return plane.chart(str(shown["metric"].iloc[0]), title, "".join(marks), says=says, **axes)
+
+
+def _rows(names: Sequence[str], x: Span, *, top: float = 40.0, width: float = WIDTH_PX) -> tuple[Plane, Ticks]:
+    return rows_plane(names, x, width, ROW_PX, top=top, most=LABEL_SHARE * width)
+
+
+_MOVED = (
+    ("dot", "hollow", "baseline"), ("dot", "mark", "candidate"),
+    ("line", "better", "better"), ("line", "worse", "worse"),
+)  # fmt: skip

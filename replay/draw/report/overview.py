@@ -58,8 +58,7 @@ from replay.results.tables import OUTCOMES
 EXIT_WEIGHT = (2, 3, 1, 4, 0)
 """Exit codes by priority: several codes are combined into the first in this order (3 beats 1 beats 4)."""
 
-Key = tuple[str, str]
-"""Log and planner."""
+Key = tuple[str, str]  # Log and planner
 
 
 def overview(
@@ -67,10 +66,8 @@ def overview(
 ) -> Overview:
     """The overview of a finished run.
 
-    Args:
-        results: The results, from `replay.draw.drawn_results.load`.
-        comparison: The comparison with a baseline; outcome and exit code are then the worse of both.
-        diagnosis: The contents of diagnosis.json of the run.
+    `results`: the results, from `replay.draw.drawn_results.load`. `comparison`: the comparison with a baseline; outcome
+    and exit code are then the worse of both. `diagnosis`: the contents of diagnosis.json of the run.
     """
     code = combined((results.exit_code, comparison.exit_code if comparison else 0))
     found = results.metrics[results.metrics["available"].astype(bool)]
@@ -160,10 +157,8 @@ def marked(drives: Sequence[Any]) -> str:
     return " ".join([str(drives[0].planner), *(f"({mark})" for mark in marks)])
 
 
-Values = Mapping[tuple[str, str, str, str], float]
-"""Values by log, planner, mode and metric."""
-OverLogs = Mapping[tuple[str, str, str], list[float]]
-"""The values of all logs by planner, mode and metric."""
+Values = Mapping[tuple[str, str, str, str], float]  # Values by log, planner, mode and metric
+OverLogs = Mapping[tuple[str, str, str], list[float]]  # The values of all logs by planner, mode and metric
 
 
 # drives ---------------------------------------------------------------------------------------------------------------

@@ -21,54 +21,34 @@ from metrics.judge.gates import Outcome
 from metrics.judge.verdicts import DRIVE
 from replay.draw.report.contents import BROKEN, NOTHING, Cell, GateRow, Overview, PassShare, legend, worst_flips
 
-MOST_ROWS = 30
-"""Largest number of drives in a terminal."""
+MOST_ROWS = 30  # Largest number of drives in a terminal
 MOST_PAIRS, MOST_GROUPS = 50, 80
 """Largest numbers of regressions and improvements, and of means over groups of logs, that are kept."""
 
 
 @dataclass(frozen=True)
 class ReportColumn:
-    """A column of a section.
-
-    Attributes:
-        title: Its title in one line.
-        is_number: Whether its cells are numbers: aligned to the right, and sorted by their value.
-        short: The title in short lines, where there is little room; "": `title`.
-        about: More about it, where a pointer can rest on the title.
-    """
+    """A column of a section."""
 
     title: str
-    is_number: bool = False
-    short: str = ""
-    about: str = ""
+    is_number: bool = False  # Whether its cells are numbers: aligned to the right, and sorted by their value
+    short: str = ""  # The title in short lines, where there is little room; "": `title`
+    about: str = ""  # More about it, where a pointer can rest on the title
 
 
 @dataclass(frozen=True)
 class ReportSection:
-    """A part of a report.
-
-    Attributes:
-        title: The title.
-        columns: The columns of its table; none: it has no table.
-        rows: Rows of cells, the ones to look at first.
-        lines: A list, below the table.
-        says: Sentences about the table.
-        folded: Whether it is only for those who look for it: folded where a report can fold.
-        most: Largest number of rows and of lines that a terminal shows.
-        rest: The file that has all rows.
-        key: A name for links, and for what an output adds to the section.
-    """
+    """A part of a report."""
 
     title: str
-    columns: tuple[ReportColumn, ...] = ()
-    rows: tuple[tuple[Cell, ...], ...] = ()
+    columns: tuple[ReportColumn, ...] = ()  # The columns of its table; none: it has no table
+    rows: tuple[tuple[Cell, ...], ...] = ()  # Rows of cells, the ones to look at first
     lines: tuple[str, ...] = ()
     says: tuple[str, ...] = ()
-    folded: bool = False
-    most: int = 30
-    rest: str = ""
-    key: str = ""
+    folded: bool = False  # Whether it is only for those who look for it: folded where a report can fold
+    most: int = 30  # Largest number of rows and of lines that a terminal shows
+    rest: str = ""  # The file that has all rows
+    key: str = ""  # A name for links, and for what an output adds to the section
 
 
 def _columns(*titles: str, numbers: Iterable[str] = ()) -> tuple[ReportColumn, ...]:

@@ -22,8 +22,7 @@ from replay.draw.report.console import grid, titled
 from replay.draw.report.contents import Cell, Overview
 from replay.draw.report.sections import ReportSection, comparison_sections, first_regression, run_sections
 
-OUTCOMES = {0: "pass", 1: "fail", 4: "inconclusive"}
-"""Outcomes of a comparison by exit code."""
+OUTCOMES = {0: "pass", 1: "fail", 4: "inconclusive"}  # Outcomes of a comparison by exit code
 STYLES = {Outcome.PASS.value: "green", Outcome.FAIL.value: "bold red", Outcome.INCONCLUSIVE.value: "yellow"}
 SHORT = {"inconclusive": "inconcl."}
 Watch = Callable[[str, str, str], str]

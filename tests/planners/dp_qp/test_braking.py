@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from logs.arrays import FloatArray
-from planners.dp_qp.speed.braking import BrakingLadder, SolvedSpeed
-from planners.dp_qp.speed.qp import SpeedProblem, SpeedQpConfig
+from planners.dp_qp.speed.qp import BrakingLadder, SolvedSpeed, SpeedProblem, SpeedQpConfig
 from planners.frenet.profiles import STEP_S, SpeedLimits
 from planners.frenet.st_boundaries import StBoundaries
 

@@ -35,13 +35,12 @@ from logs.states import TRAJECTORY_COLUMNS, wrapped
 from logs.transform import mirrored, moved
 from planners.base import Planner
 from planners.dp_qp import DpQp, DpQpConfig
-from planners.dp_qp.lane import LaneMemory, LanePlanner
-from planners.dp_qp.parameters import LaneConfig
+from planners.dp_qp.lane import LaneConfig, LaneMemory, LanePlanner
 from planners.dp_qp.path.qp import PathQp
 from planners.dp_qp.speed.qp import SpeedQp, SpeedQpConfig
 from planners.dp_qp.speed.stage import DOUBTED
-from planners.frenet.fallback import meets
-from planners.frenet.lane_sequence import LaneSequences
+from planners.frenet.profiles import meets
+from planners.frenet.reference_path import LaneSequences
 from planners.solver import QPResult
 from replay.prediction import predict
 

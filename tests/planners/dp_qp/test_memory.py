@@ -15,9 +15,9 @@ from worlds import CAR, PERIOD, Drive, Other, along_x, driving, followed, frame,
 from logs import AgentKind, EgoState, PlannerContext, PlanStatus, SolverReport, StGraph
 from logs.plan import Artefact, Internals
 from planners.dp_qp import DpQpConfig
-from planners.dp_qp.choice import PassMemory, passing
 from planners.dp_qp.lane import LaneMemory, LanePlan, LanePlanner
-from planners.frenet.lane_sequence import LaneSequences
+from planners.dp_qp.planner import PassMemory, passing
+from planners.frenet.reference_path import LaneSequences
 
 TWO, EGO = lanes(along_x(), 2), EgoState(0.0, 0.0, 0.0, 0.0, 9.0)
 

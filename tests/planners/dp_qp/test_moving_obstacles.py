@@ -17,7 +17,6 @@ from logs.arrays import FloatArray
 from logs.frame import Visibility
 from logs.plan import Candidates
 from logs.trace import EndReason, Trace
-from planners.dp_qp.choice import endangered
 from planners.dp_qp.path.bounds import CorridorConfig
 from planners.dp_qp.path.passing import (
     ASIDE_M,
@@ -28,6 +27,7 @@ from planners.dp_qp.path.passing import (
     obstacles_to_pass,
     pass_targets,
 )
+from planners.dp_qp.planner import endangered
 from planners.dp_qp.speed.caps import LEAST_MPS, REACTION_S, CautionConfig, passing_caps
 from planners.frenet.path import make_path
 from replay.config import LoopConfig

@@ -13,7 +13,7 @@ from worlds import CAR, Other, along_x, driving, path_of, reference, scene, stan
 from logs import AgentKind, DecisionKind, EgoState
 from logs.arrays import FloatArray
 from logs.shapes import overlap
-from planners.dp_qp.speed.braking import BARE, TOUCHING
+from planners.dp_qp.speed.qp import BARE, TOUCHING
 from planners.frenet.path import Path
 from planners.frenet.scene import STANDING_MPS, Occupancy, Scene, behind
 from planners.frenet.st_boundaries import ONCOMING_RAD, StBoundaries, StGraphConfig, decide_speed, st_boundaries

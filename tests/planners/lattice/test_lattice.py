@@ -37,8 +37,7 @@ from logs import (
     SlGraph,
     StGraph,
 )
-from planners.frenet.fallback import meets
-from planners.frenet.profiles import HORIZON_STEPS, STEP_S
+from planners.frenet.profiles import HORIZON_STEPS, STEP_S, meets
 from planners.lattice import Lattice, LatticeConfig
 from planners.lattice.candidates import (
     LEAST_M,

@@ -15,7 +15,7 @@ from logs.catalogue import CATALOGUE
 from logs.mcap import read_scenario, write_scenario, write_trace
 from logs.scenario import CENTRE, EGO_POSE
 from logs.vehicle import vehicle_parameters
-from replay.cli.export import commonroad_solution
+from replay.cli.convert import commonroad_solution
 from replay.config import LoopConfig
 from replay.loop.closed_loop import run_closed_loop
 

@@ -7,9 +7,8 @@ from dataclasses import replace
 import pytest
 from command_line import one_error, replan
 
-from planners.dp_qp.parameters import DpQpConfig
-from replay.cli.listed_settings import ListedSetting, accepted, settings_of, unit
-from replay.cli.listing import described
+from planners.dp_qp.lane import DpQpConfig
+from replay.cli.listing import ListedSetting, accepted, described, settings_of, unit
 from replay.cli.options import complete_setting, completion
 from replay.config import RunConfig
 from replay.control.mpc import MpcConfig

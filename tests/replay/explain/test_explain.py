@@ -28,8 +28,7 @@ from replay.explain.planner_input import actual_occupancy
 from replay.loop.closed_loop import run_closed_loop
 from replay.loop.open_loop import run_open_loop
 from replay.run import evaluate_logs
-from replay.run.frame_again import replan_frame
-from replay.run.frame_dump import dump, load
+from replay.run.frame_dump import dump, load, replan_frame
 
 LOG = "paper/crossing_pedestrian"
 

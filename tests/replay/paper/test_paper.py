@@ -28,7 +28,7 @@ from logs.catalogue.paper import crossing_pedestrian
 from logs.shapes import distance
 from planners.frenet.profiles import SpeedLimits
 from replay.config import LoopConfig
-from replay.paper import figures, pedestrian_grid, reproduce
+from replay.paper import pedestrian_grid, reproduce
 from replay.paper.pedestrian_grid import (
     CELLS,
     Avoidable,
@@ -179,7 +179,7 @@ def test_a_cell_is_driven_the_same_twice_and_drawn(tmp_path: Path) -> None:
     assert row["brake_begin_s"] < row["brake_end_s"] <= row["path_clear_s"] + 1.0
     pictures = [tmp_path / f"{i}.png" for i in range(2)]
     for picture in pictures:
-        figures.grid_figure(table).save(picture)
+        reproduce.grid_figure(table).save(picture)
     assert pictures[0].read_bytes() == pictures[1].read_bytes()
 
 
@@ -190,15 +190,15 @@ def test_figures_9_10_and_12_are_drawn(tmp_path: Path) -> None:
     points = reproduce.planned_points(trace)
     np.testing.assert_allclose(points, [[0.0, 0.0], [0.5, 0.0], [1.0, 0.0]])
     drawn = {
-        "9": figures.path_figure([("mpc", trace)], points, scenario),
-        "10": figures.st_figure([("now", trace.frames[0])], trace, scenario),
-        "12": figures.pedals_figure(trace, [(0.1, 0.2)], 0.2, (0.0, 0.2)),
+        "9": reproduce.path_figure([("mpc", trace)], points, scenario),
+        "10": reproduce.st_figure([("now", trace.frames[0])], trace, scenario),
+        "12": reproduce.pedals_figure(trace, [(0.1, 0.2)], 0.2, (0.0, 0.2)),
     }
     for name, figure in drawn.items():
         figure.save(tmp_path / f"{name}.png")
         assert (tmp_path / f"{name}.png").stat().st_size > 5_000
     with pytest.raises(ConfigError, match="no commands"):
-        figures.pedals_figure(replace(trace, commands=None), [], 0.2, (0.0, 0.2))
+        reproduce.pedals_figure(replace(trace, commands=None), [], 0.2, (0.0, 0.2))
 
 
 @pytest.mark.slow

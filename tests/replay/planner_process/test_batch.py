@@ -19,9 +19,9 @@ from logs.mcap import write_scenario
 from replay.config import LoopConfig, PlannerProcessConfig, RunConfig
 from replay.draw.drawn_results import Results
 from replay.drive import Mark
-from replay.planner_process.batch import in_lockstep
+from replay.planner_process.connection import in_lockstep
 from replay.run import evaluate_logs
-from replay.run.engine import teams_of
+from replay.run.evaluate import teams_of
 
 pytestmark = pytest.mark.usefixtures("folder")
 

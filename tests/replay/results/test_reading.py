@@ -22,7 +22,7 @@ from logs.errors import ConfigError
 from replay.compare import BASELINE
 from replay.draw.drawn_results import load
 from replay.mine.mine import read_mined
-from replay.results.reading import read_table
+from replay.results.schema import read_table
 from replay.run.output import begun_in
 
 pytest.importorskip("duckdb")

@@ -13,8 +13,7 @@ from short_logs import QUICK, short
 from logs.mcap import write_scenario
 from replay.config import RunConfig
 from replay.draw.drawn_results import Results
-from replay.results.reading import read_table
-from replay.results.schema import FRAMES, METADATA, TABLES, arrow, arrow_schema, markdown
+from replay.results.schema import FRAMES, METADATA, TABLES, arrow, arrow_schema, markdown, read_table
 from replay.results.tables import TABLES as FILES
 from replay.run import evaluate_logs
 

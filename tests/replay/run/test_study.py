@@ -10,7 +10,7 @@ from logs import ConfigError
 from replay.experiments.tune import CONTENTS
 from replay.run.claim import STUDY as FILE
 from replay.run.claim import claimed_folder
-from replay.run.study import Study
+from replay.run.resume import Study
 
 HEAD = {"study": "tune", "seed": 0}
 

@@ -14,7 +14,7 @@ import pytest
 
 from replay.config import RunConfig
 from replay.parts import PLANNER
-from replay.run.head_start import compile_planning
+from replay.run.evaluate import compile_planning
 from replay.run.pool import run_all
 
 ASK = """

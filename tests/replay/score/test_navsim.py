@@ -19,9 +19,8 @@ from logs.rules import Colour, TrafficLight
 from logs.transform import mirrored, moved
 from replay.config import DEFAULT_LOOP
 from replay.loop.open_loop import run_open_loop
-from replay.score.navsim import VERSIONS, human_poses, window
-from replay.score.navsim_tracker import fitted, simulated
-from replay.score.trajectories import of_trace
+from replay.score.navsim import VERSIONS, fitted, human_poses, simulated, window
+from replay.score.score_table import of_trace
 from replay.score.yardstick import ScoredPlan, scored, total
 
 VALUES = Path(__file__).parents[2] / "support" / "leaderboards"

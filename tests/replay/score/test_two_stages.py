@@ -18,9 +18,7 @@ from logs.catalogue import scenario as catalogue
 from logs.errors import ConfigError
 from logs.transform import moved
 from replay.score.navsim import human_poses, window
-from replay.score.score_table import navsim_table
-from replay.score.trajectories import Asked, of_table
-from replay.score.two_stages import COMBINED, STAGE_ONE, STAGE_TWO, weights
+from replay.score.score_table import COMBINED, STAGE_ONE, STAGE_TWO, Asked, navsim_table, of_table, weights
 
 Place = tuple[float, float]
 PLACES = st.lists(st.tuples(*[st.floats(-3.0, 3.0)] * 2), min_size=1, max_size=6)

@@ -37,10 +37,10 @@ from replay.config import LoopConfig
 from replay.draw.recording import write_log_recording, write_recording
 from replay.draw.recording.moving import futures, hatching, perceived_only, rim, unseen
 from replay.draw.recording.pages import why
-from replay.draw.recording.pair import difference, write_pair
 from replay.draw.recording.pictures import span
 from replay.draw.recording.plots import changes_under_way, choices, lanes_driven
 from replay.draw.recording.road_layer import LIGHTS
+from replay.draw.view import difference, write_pair
 from replay.drive import Drive
 from replay.explain import Explanation, accounts
 from replay.explain.explanation import describe_choice, events, lane_options

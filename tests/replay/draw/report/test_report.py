@@ -30,11 +30,18 @@ from replay.config import RunConfig
 from replay.draw.drawn_results import Results, load
 from replay.draw.report.console import SafeConsole
 from replay.draw.report.contents import MOST_FIRST, Cell
-from replay.draw.report.markdown import STEP_BYTES, append_step_summary, markdown, section_text, shortened
 from replay.draw.report.overview import overview
 from replay.draw.report.sections import ReportColumn, ReportSection
 from replay.draw.report.terminal import print_report
-from replay.draw.report.write import junit, write_reports
+from replay.draw.report.write import (
+    STEP_BYTES,
+    append_step_summary,
+    junit,
+    markdown,
+    section_text,
+    shortened,
+    write_reports,
+)
 from replay.results.tables import REPORTS
 from replay.run import evaluate_logs
 

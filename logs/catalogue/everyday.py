@@ -18,7 +18,6 @@ import numpy as np
 
 from logs.agents import AgentKind
 from logs.arrays import FloatArray
-from logs.catalogue.driver import Ahead, drive
 from logs.catalogue.family import expects, family
 from logs.catalogue.family_parts import (
     BEYOND_M,
@@ -30,7 +29,9 @@ from logs.catalogue.family_parts import (
     START_M,
     WAITS,
     Agent,
+    Ahead,
     bypass,
+    drive,
     finished,
     grid,
     moving,

@@ -11,7 +11,6 @@ from math import radians
 
 import numpy as np
 
-from logs.catalogue.driver import drive, waiting
 from logs.catalogue.family import expects, family
 from logs.catalogue.family_parts import (
     BEYOND_M,
@@ -21,11 +20,13 @@ from logs.catalogue.family_parts import (
     START_M,
     WAITS,
     bypass,
+    drive,
     finished,
     parked,
     pedestrian_across,
     straight_path,
     tenths,
+    waiting,
 )
 from logs.catalogue.roads import curve, one_lane, two_lanes, weaving
 from logs.plan import DecisionKind

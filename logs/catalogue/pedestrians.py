@@ -22,7 +22,6 @@ import numpy as np
 
 from logs.agents import AgentKind
 from logs.arrays import FloatArray
-from logs.catalogue.driver import Ahead, Reaction, drive, waiting
 from logs.catalogue.family import expects, family
 from logs.catalogue.family_parts import (
     ADULT,
@@ -35,11 +34,15 @@ from logs.catalogue.family_parts import (
     START_M,
     WAITS,
     Agent,
+    Ahead,
+    Reaction,
+    drive,
     finished,
     grid,
     moving,
     obstruction,
     straight_path,
+    waiting,
     walked,
 )
 from logs.catalogue.roads import one_lane

@@ -20,7 +20,6 @@ import numpy as np
 
 from logs.agents import AgentKind
 from logs.arrays import FloatArray
-from logs.catalogue.driver import Ahead, Reaction, drive, waiting
 from logs.catalogue.family import before_contact, expects
 from logs.catalogue.family_parts import (
     ADULT,
@@ -32,11 +31,15 @@ from logs.catalogue.family_parts import (
     START_M,
     WAITS,
     Agent,
+    Ahead,
+    Reaction,
+    drive,
     finished,
     grid,
     moving,
     obstruction,
     parked,
+    waiting,
     walked,
 )
 from logs.catalogue.pedestrians import CHILD

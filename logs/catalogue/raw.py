@@ -18,7 +18,6 @@ from logs.agents import AgentKind
 from logs.arrays import FloatArray
 from logs.catalogue import paper
 from logs.catalogue.detector import detected
-from logs.catalogue.driver import Ahead, drive
 from logs.catalogue.family import Family, touches
 from logs.catalogue.family_parts import (
     ADULT,
@@ -28,6 +27,8 @@ from logs.catalogue.family_parts import (
     HALF_LANE,
     START_M,
     Agent,
+    Ahead,
+    drive,
     grid,
     moving,
     parked,

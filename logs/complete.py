@@ -153,7 +153,7 @@ def passed_width(road: Road, tracks: Tracks, notes: list[str]) -> Road:
     offset = ((place[near] - middle[at]) * normal).sum(axis=1)
     along = np.abs((velocity[near] * normal).sum(axis=1)) < np.sin(ALONG_RAD) * pace
     vehicle = (tracks.width >= VEHICLE_M) & ~np.array([kind.is_vulnerable for kind in tracks.kinds], np.bool_)
-    who = np.repeat(np.arange(len(tracks)), np.diff(tracks.offsets))[near]
+    who = tracks.owner[near]
     drives = along & (pace > DRIVES_MPS) & vehicle[who]
     distances = [abs(np.median(offset[drives & (who == i)])) for i in np.unique(who[drives])
                  if np.count_nonzero(drives & (who == i)) >= LEAST_SAMPLES]  # fmt: skip

@@ -246,7 +246,7 @@ def without_ego(scenario: Scenario) -> Scenario:
     ego, tracks, car = scenario.ego, scenario.tracks, scenario.vehicle
     if len(ego) < 2 or not len(tracks):
         return scenario
-    t, starts = np.where(np.repeat(tracks.static, np.diff(tracks.offsets)), ego.t[0], tracks.t), tracks.offsets[:-1]
+    t, starts = np.where(tracks.static[tracks.owner], ego.t[0], tracks.t), tracks.offsets[:-1]
     x, y, yaw, v = (np.interp(t, ego.t, column) for column in (ego.x, ego.y, ego.yaw, np.abs(ego.v)))
     c, s = np.cos(yaw), np.sin(yaw)
     dx, dy = tracks.x - x, tracks.y - y
@@ -274,7 +274,7 @@ def without_ego(scenario: Scenario) -> Scenario:
     keep[found] = False
     names = ", ".join(tracks.ids[i] for i in found)
     note = f"{names} among the road users {'is' if len(found) == 1 else 'are'} the ego itself: left out."
-    spans, left = scenario.traffic_spans, tracks.taken(np.repeat(keep, np.diff(tracks.offsets)))
+    spans, left = scenario.traffic_spans, tracks.taken(keep[tracks.owner])
     return replace(scenario, tracks=left, traffic=spans, notes=(*scenario.notes, note))
 
 

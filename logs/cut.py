@@ -109,12 +109,11 @@ def cut(scenario: Scenario, begin: float, end: float = inf) -> Scenario:
 
 def _samples_within(tracks: Tracks, begin: float, end: float) -> BoolArray:
     """Return which samples `(m,)` belong to the part."""
-    owner = np.repeat(np.arange(len(tracks)), np.diff(tracks.offsets))
     before = np.r_[-inf, tracks.t[:-1]]
     before[tracks.offsets[:-1]] = -inf
     after = (before < end) & np.isfinite(before) & (tracks.t <= end + HISTORY_S)
     keep = (tracks.t >= begin - HISTORY_S) & ((tracks.t <= end) | after)
-    keep |= tracks.static[owner]
+    keep |= tracks.static[tracks.owner]
     return np.asarray(keep)
 
 

@@ -37,7 +37,7 @@ from logs.observed import INTERVALS
 from logs.plan import Candidates, CostTerms, Graph
 from logs.states import TRAJECTORY_COLUMNS, Trajectory
 from logs.trace import PlannedFrame
-from logs.tracks import Tracks
+from logs.tracks import SAMPLE_COLUMNS, Tracks
 
 WHOLE = 600
 """Number of frames that stay whole in memory: a minute at 10 Hz, 28 MB with thirty road users."""
@@ -241,7 +241,7 @@ class NearbyTracks:
                 return tracks
             offsets = np.r_[0, np.cumsum(sizes)]
             at = np.repeat(low - offsets[:-1], sizes) + np.arange(offsets[-1])
-            columns = (getattr(tracks, name)[at] for name in ("t", "x", "y", "yaw", "vx", "vy"))
+            columns = (getattr(tracks, name)[at] for name in SAMPLE_COLUMNS)
             self._part = TrackSamples(*heads(tracks, who), offsets, *columns, source=tracks, at=at)
         return self._part
 

@@ -38,7 +38,7 @@ from logs.road import ReferenceLine, thinned
 from logs.scenario import Scenario
 from logs.shapes import overlap
 from logs.states import Trajectory
-from logs.tracks import Tracks
+from logs.tracks import SAMPLE_COLUMNS, Tracks
 
 VARIED = "varied"
 """Tag of a varied log, and prefix of its metadata entries: `varied.of`, `varied.agents` (JSON), `varied.NAME`."""
@@ -66,7 +66,6 @@ LEAST_MPS = 3.0
 AROUND_S = 60.0
 """The pedestrian's track extends this long beyond the log, s: more than time and speed can remove."""
 COPY = "copy of "
-_COLUMNS = ("t", "x", "y", "yaw", "vx", "vy")
 Change = Callable[[Scenario, Sequence[str], float], Scenario]
 
 
@@ -245,9 +244,9 @@ def _theirs(tracks: Tracks, agents: Sequence[str]) -> BoolArray:
 
 def _with_samples(tracks: Tracks, samples: Mapping[int, FloatArray]) -> Tracks:
     """Replace the samples of some tracks by `(k, 6)`: columns t, x, y, yaw, vx, vy."""
-    rows = np.column_stack([getattr(tracks, name) for name in _COLUMNS])
+    rows = np.column_stack([getattr(tracks, name) for name in SAMPLE_COLUMNS])
     parts = [samples.get(i, rows[tracks.samples(i)]) for i in range(len(tracks))]
-    columns = dict(zip(_COLUMNS, np.vstack([np.empty((0, len(_COLUMNS))), *parts]).T, strict=True))
+    columns = dict(zip(SAMPLE_COLUMNS, np.vstack([np.empty((0, len(SAMPLE_COLUMNS))), *parts]).T, strict=True))
     return replace(tracks, offsets=np.cumsum([0, *map(len, parts)]), **columns)
 
 
@@ -258,18 +257,14 @@ def with_agent(
     tracks = scenario.tracks
     if name in tracks.ids:
         raise LogError(f"there is a {name} already")
-    columns = {column: np.r_[getattr(tracks, column), samples[:, i]] for i, column in enumerate(_COLUMNS)}
-    more = replace(
-        tracks, ids=(*tracks.ids, name), kinds=(*tracks.kinds, kind), length=np.r_[tracks.length, size[0]],
-        width=np.r_[tracks.width, size[1]], static=np.r_[tracks.static, static],
-        offsets=np.r_[tracks.offsets, len(tracks.t) + len(samples)], **columns,
-    )  # fmt: skip
-    return replace(scenario, tracks=more)
+    length, width = np.array(size)[:, None]
+    more = Tracks((name,), (kind,), length, width, np.array([static]), np.array([0, len(samples)]), *samples.T)
+    return replace(scenario, tracks=tracks.with_more(more))
 
 
 def _samples(tracks: Tracks, i: int) -> FloatArray:
     """Return the samples `(k, 6)` of track i."""
-    return np.column_stack([getattr(tracks, name)[tracks.samples(i)] for name in _COLUMNS])
+    return np.column_stack([getattr(tracks, name)[tracks.samples(i)] for name in SAMPLE_COLUMNS])
 
 
 def in_time(scenario: Scenario, agents: Sequence[str], value: float) -> Scenario:
@@ -381,7 +376,7 @@ def continued(was: Scenario, now: Scenario) -> Tracks:
             rows = np.vstack([rows, _straight(rows[-1], vx[-1], vy[-1], after)])
         changed[i] = rows
     carried = _with_samples(tracks, changed)
-    static = np.repeat(carried.static, np.diff(carried.offsets))
+    static = carried.static[carried.owner]
     return carried.taken(static | (carried.t >= -BEFORE_S) & (carried.t <= end + BEFORE_S))
 
 

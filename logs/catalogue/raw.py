@@ -86,11 +86,7 @@ def _crossing(p: Parameters) -> Scenario:
         _moving_agent("walker_1", AgentKind.PEDESTRIAN, ADULT, t, x - 20.0, -6.0, 1.3),
         _moving_agent("walker_2", AgentKind.PEDESTRIAN, ADULT, t, x + 40.0, 6.2, -1.1),
     ]  # fmt: skip
-    one, two = whole.tracks, tracks(bystanders)
-    names = ("length", "width", "static", "t", "x", "y", "yaw", "vx", "vy")
-    columns = {name: np.r_[getattr(one, name), getattr(two, name)] for name in names}
-    offsets = np.r_[one.offsets, one.offsets[-1] + two.offsets[1:]]
-    everyone = Tracks((*one.ids, *two.ids), (*one.kinds, *two.kinds), offsets=offsets, **columns)
+    everyone = whole.tracks.with_more(tracks(bystanders))
     return replace(whole, tracks=everyone, duration=p["duration_s"], goal=_goal(straight, whole.ego))
 
 

@@ -278,7 +278,7 @@ def _tracks(
         return
     table, still, moving = topics
     yield start_ns, table, agent_table(tracks)
-    track = np.repeat(np.arange(len(tracks)), np.diff(tracks.offsets))
+    track = tracks.owner
     times = np.array(log_times(tracks.t, start_ns, moving), dtype=np.int64)
     if ((np.diff(times) <= 0) & (np.diff(track) == 0)).any():
         raise LogError("an agent has two samples on one nanosecond", topic=moving)

@@ -100,7 +100,7 @@ def check_clocks(scenario: Scenario) -> Scenario:
     ego, tracks = scenario.ego, scenario.tracks
     first, last = float(ego.t[0]), float(ego.t[-1]) if len(ego) > 1 else scenario.duration
     spans = list[tuple[str, float, float]]()
-    moving = tracks.t[np.repeat(~tracks.static, np.diff(tracks.offsets))]
+    moving = tracks.t[~tracks.static[tracks.owner]]
     if scenario.repair is not None:
         moving = scenario.repair.detections.t
     if len(moving):
@@ -346,7 +346,7 @@ def repaired(scenario: Scenario, choice: str) -> Scenario:
             found = scenario.repair.detections
         else:
             tracks = scenario.tracks
-            found = detections_of(tracks.taken(np.repeat(~tracks.static, np.diff(tracks.offsets))))
+            found = detections_of(tracks.taken(~tracks.static[tracks.owner]))
     reason = reason_to_repair(choice, found)
     if found is None or reason is None:
         return scenario if scenario.detections is None else replace(scenario, detections=None)
@@ -355,15 +355,9 @@ def repaired(scenario: Scenario, choice: str) -> Scenario:
     if scenario.detections is None and scenario.repair is None:
         # static road users stay, under unused names
         was, taken = scenario.tracks, {*tracks.ids, *made.removed.ids}
-        stay = was.taken(np.repeat(was.static, np.diff(was.offsets)))
-        names = ("length", "width", "static", "t", "x", "y", "yaw", "vx", "vy")
-        tracks = replace(
-            tracks,
-            ids=(*tracks.ids, *(f"{name}~static" if name in taken else name for name in stay.ids)),
-            kinds=(*tracks.kinds, *stay.kinds),
-            offsets=np.r_[tracks.offsets, stay.offsets[1:] + len(tracks.t)],
-            **{name: np.r_[getattr(tracks, name), getattr(stay, name)] for name in names},
-        )
+        stay = was.taken(was.static[was.owner])
+        names = tuple(f"{name}~static" if name in taken else name for name in stay.ids)
+        tracks = tracks.with_more(replace(stay, ids=names))
         made = replace(made, tracks=tracks, extended=np.r_[made.extended, np.zeros(len(stay.t), np.bool_)])
     road, notes = scenario.road, [*scenario.notes, *left_out]
     if road.source is RoadSource.DRIVEN_PATH and scenario.repair is None:

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Protocol, TypeVar
 from uuid import uuid4
 
-from logs.kernel_watch import is_cache_cold
+from logs.kernel import is_cache_cold
 from replay.config import RunConfig
 from replay.planner_process.batch import in_lockstep
 from replay.planner_process.processes import set_template_run

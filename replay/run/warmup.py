@@ -10,7 +10,7 @@ from time import perf_counter
 from typing import Any
 
 from logs.errors import OutputError
-from logs.kernel_watch import cache_folder, compiled_count
+from logs.kernel import cache_folder, compiled_count
 from replay.config import RunConfig
 from replay.parts import OF_LOOP, PLANNER
 from replay.results.log_result import Failure, LogResult

@@ -14,7 +14,7 @@ Modules:
     foreign.py      formats that are not read, and what to do with them
     table.py        pandas frames, CSV and Parquet
     track_table.py  tables of tracks without an ego
-    csv_table.py, columns.py, clocks.py   shared by tables: files, names and units, times
+    csv_table.py, columns.py   shared by tables: files; names, units and times
     ros/            ROS 2 and ROS 1 bags
     arrow123d.py    123D's Arrow logs
     argoverse2.py   Argoverse 2: sensor logs, motion-forecasting scenarios
@@ -64,20 +64,9 @@ LONGEST_S = 7 * 86400.0
 """Longest duration of a log, s: times beyond a week have another unit (and time grids would fill the memory)."""
 
 __all__ = [
-    "BUILTIN",
-    "FORMATS",
-    "READER",
-    "LogSettings",
-    "Reader",
-    "foreign",
-    "known_format",
-    "logs_in",
-    "read_log",
-    "reader_called",
-    "reader_of",
-    "readers",
-    "with_tracks",
-]
+    "BUILTIN", "FORMATS", "READER", "LogSettings", "Reader", "foreign", "known_format", "logs_in", "read_log",
+    "reader_called", "reader_of", "readers", "with_tracks",
+]  # fmt: skip
 
 
 @cache

@@ -3,7 +3,7 @@
     ego      t, x, y, yaw    and, where known, v, a, kappa, steer, throttle, brake          one row per state
     agents   t, id, x, y     and, where known, yaw, vx, vy or v, length, width, kind      one row per agent and time
 
-t is in seconds (any zero), a date and time, or a time of day (`clocks`); it may be given as t_ns, t_us or t_ms.
+t is in seconds (any zero), a date and time, or a time of day (`columns`); it may be given as t_ns, t_us or t_ms.
 Positions are world coordinates in metres, of the ego's rear axle (or its box centre: `ego_point`) and the agents' box
 centres; angles in rad, counter-clockwise from x; speeds in m/s. A quaternion qx, qy, qz, qw may replace yaw. Names and
 units of columns: `columns`. Missing columns are derived and noted (`logs.complete`): the ego's v, the agents' yaw
@@ -30,8 +30,7 @@ from logs.log_settings import EGO_POINTS, LogSettings
 from logs.observed import Spans
 from logs.readers import track_table
 from logs.readers.base import LogContents, Reader, TopicSummary
-from logs.readers.clocks import check_restart, continued
-from logs.readers.columns import NAMES, QUATERNION, NamedColumns, check_names
+from logs.readers.columns import NAMES, QUATERNION, NamedColumns, check_names, check_restart, continued
 from logs.readers.csv_table import SUFFIXES, load_table
 from logs.road import Goal, Road
 from logs.scenario import CENTRE, EGO_POSE, Scenario

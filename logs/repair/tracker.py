@@ -1,7 +1,7 @@
 """A causal tracker: makes road users for planners from raw detections, without later frames (a filter, no smoother).
 
-Detections are joined frame by frame with the same association and filter as in the offline repair (`association`,
-`kalman`); the state at t depends only on the frames up to t.
+Detections are joined frame by frame with the same association and filter as in the offline repair (`association`);
+the state at t depends only on the frames up to t.
 
 (1) a track is reported once it has the evidence that its group requires (`BIRTH_TIME`, `BIRTH_COUNT`, `BIRTH_SCORE`),
     until it was not seen for `KEEP_STILL_S` (standing), `KEEP_S` (moving), or `KEEP_YOUNG_S` (moving, with at most
@@ -24,9 +24,8 @@ import numpy as np
 
 from logs.agents import NUMBERS, OLDEST_S, AgentKind, Agents
 from logs.arrays import FloatArray, frozen
-from logs.repair.association import Association
+from logs.repair.association import ACROSS, ALONG, VX, VY, Association, X, Y
 from logs.repair.detected_boxes import CLUSTER, DENSITY, FAST, NOISE, PERSON, SLIDES, SLOW, Boxes, stronger_twins
-from logs.repair.kalman import ACROSS, ALONG, VX, VY, X, Y
 
 BIRTH_TIME, BIRTH_COUNT, BIRTH_SCORE = frozen([0.15, 0.15, 0.8]), frozen([3, 3, 6]), frozen([1.2, 1.2, 0.0])
 """Evidence (1) by group: time s, detections, sum of scores; later births give

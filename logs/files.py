@@ -103,6 +103,38 @@ def _is_pointer(path: Path) -> bool:
         return False
 
 
+def refuse_doctype(target: object, name: str, public: str | None, system: str | None) -> None:
+    """Refuse a document type declaration, in which entities could grow without bound: a method of a parser's target."""
+    raise LogError("it has a document type declaration, which maps do not need", remedy="remove the declaration")
+
+
+def read_xml(path: Path, what: str = "complete XML", target: Any = None, *, largest: int = 1 << 30) -> Any:
+    """Parse an XML file in pieces; return its root element, or what the `target` of the parser returns.
+
+    Raises:
+        LogError: It cannot be read, has more than `largest` bytes, is not `what`, or has a document type declaration.
+    """
+    from xml.etree.ElementTree import ParseError, TreeBuilder, XMLParser
+
+    class Tree(TreeBuilder):
+        doctype = refuse_doctype
+
+    parser = XMLParser(target=target or Tree())
+    try:
+        if path.stat().st_size > largest:
+            raise LogError(f"larger than {largest >> 20} MiB", remedy="cut the map")
+        with path.open("rb") as stream:
+            while chunk := stream.read(1 << 16):
+                parser.feed(chunk)
+        return parser.close()
+    except OSError as error:
+        raise LogError(f"cannot be read: {error.strerror}", file=path, remedy="check the path") from error
+    except (ParseError, ValueError, LookupError) as error:
+        raise LogError(f"is no {what}: {error}", file=path, remedy="fetch the file again") from error
+    except LogError as error:
+        raise error.at(path) from None
+
+
 def check_named(path: Path) -> None:
     """Check a file that an option names, as `check_regular` does, but raise ConfigError."""
     kind = special_kind(path)

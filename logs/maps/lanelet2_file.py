@@ -17,17 +17,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from xml.etree.ElementTree import ParseError, XMLParser
 
 import numpy as np
 
 from logs.arrays import FloatArray
 from logs.errors import LogError
+from logs.files import read_xml, refuse_doctype
 from logs.maps.projections import UTM_SCALE, Projection, check_on_earth, parse_projection
 
-LARGEST_BYTES = 1 << 30
-"""Largest size of a file, bytes: maps of whole cities have some 100 MB."""
-_CHUNK_BYTES = 1 << 16
 NEW_ID = 10**12
 """Editors number new elements -1, -2 ...; such an id i becomes `NEW_ID` - i, as replan's ids are not negative."""
 PROJECTOR_INFO = "map_projector_info.yaml"
@@ -88,8 +85,7 @@ class _Target:
         self.root = ""
         self.kinds = {"node": self.osm.nodes, "way": self.osm.ways, "relation": self.osm.relations}
 
-    def doctype(self, name: str, pubid: str | None, system: str | None) -> None:
-        raise LogError("it has a document type declaration, which maps do not need", remedy="remove the declaration")
+    doctype = refuse_doctype
 
     def start(self, tag: str, attrib: dict[str, str]) -> None:
         if not self.root:
@@ -136,21 +132,7 @@ def read_osm(path: Path) -> Osm:
     Raises:
         LogError: It cannot be read, is not OSM XML, has a document type declaration, or a number cannot be parsed.
     """
-    parser = XMLParser(target=_Target())
-    try:
-        if path.stat().st_size > LARGEST_BYTES:
-            raise LogError(f"larger than {LARGEST_BYTES >> 20} MiB", file=path, remedy="cut the map")
-        with path.open("rb") as stream:
-            while chunk := stream.read(_CHUNK_BYTES):
-                parser.feed(chunk)
-        osm = parser.close()
-    except OSError as error:
-        raise LogError(f"cannot be read: {error.strerror}", file=path, remedy="check the path") from None
-    except (ParseError, ValueError, LookupError) as error:
-        raise LogError(f"is no complete XML: {error}", file=path, remedy="fetch the file again") from None
-    except LogError as error:
-        raise error.at(path) from None
-    assert isinstance(osm, Osm)
+    osm: Osm = read_xml(path, target=_Target())
     return osm
 
 

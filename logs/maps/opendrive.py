@@ -19,11 +19,12 @@ from dataclasses import dataclass
 from math import inf, isfinite, nan
 from pathlib import Path
 from typing import Any
-from xml.etree.ElementTree import Element, ParseError, SubElement, TreeBuilder, XMLParser
+from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
 from logs.errors import LogError
+from logs.files import read_xml
 from logs.maps.base import MapFile, MapReader
 from logs.road import IN_JUNCTION, Lane, Road
 
@@ -119,31 +120,13 @@ def read_opendrive(path: Path, settings: Mapping[str, str]) -> MapFile:
     return MapFile(road, "as in the file", tuple(notes))
 
 
-class _Tree(TreeBuilder):
-    """Refuses a document type declaration, in which entities could grow without bound."""
-
-    def doctype(self, name: str, pubid: str | None, system: str | None) -> None:
-        raise LogError("it has a document type declaration, which maps do not need", remedy="remove the declaration")
-
-
 def _root(path: Path) -> Element:
     """Return the file's XML after checks of its size."""
-    try:
-        if path.stat().st_size > LARGEST_BYTES:
-            raise LogError(f"larger than {LARGEST_BYTES >> 20} MiB", remedy="cut the map")
-        parser = XMLParser(target=_Tree())
-        parser.feed(path.read_bytes())
-        root = parser.close()
-        for element in root.iter():
-            element.tag = element.tag.rpartition("}")[2]  # without the namespace of ASAM's schema
-        if root.tag != "OpenDRIVE":
-            raise LogError(f"root element is <{root.tag}>", remedy="give an OpenDRIVE map (<OpenDRIVE>)")
-    except OSError as error:
-        raise LogError(f"cannot be read: {error.strerror}", file=path) from None
-    except (ParseError, ValueError, LookupError) as error:
-        raise LogError(f"is no OpenDRIVE: {error}", file=path, remedy="fetch the file again") from None
-    except LogError as error:
-        raise error.at(path) from None
+    root: Element = read_xml(path, "OpenDRIVE", largest=LARGEST_BYTES)
+    for element in root.iter():
+        element.tag = element.tag.rpartition("}")[2]  # without the namespace of ASAM's schema
+    if root.tag != "OpenDRIVE":
+        raise LogError(f"root element is <{root.tag}>", file=path, remedy="give an OpenDRIVE map (<OpenDRIVE>)")
     if not sum(max(_number(part, "length", 0.0), 0.0) for part in root.iter("geometry")) < LONGEST_M:
         raise LogError("its roads are longer than 1000 km", file=path, remedy="cut the map")
     return root

@@ -23,6 +23,7 @@ import numpy as np
 
 from logs.arrays import FloatArray, frozen
 from logs.errors import LogError
+from logs.files import read_xml
 from logs.rules import Colour
 
 if TYPE_CHECKING:
@@ -273,16 +274,8 @@ def parse(path: Path) -> Document:
     Raises:
         LogError: Not XML, not CommonRoad, another version, or an element is missing or no number.
     """
-    from xml.etree import ElementTree
-
     try:
-        root = ElementTree.parse(path).getroot()
-    except OSError as error:
-        raise LogError(f"cannot be read: {error.strerror}", file=path, remedy="check the path") from error
-    except (ElementTree.ParseError, ValueError, LookupError) as error:
-        raise LogError(f"is no complete XML: {error}", file=path, remedy="fetch the file again") from error
-    try:
-        return _document(root)
+        return _document(read_xml(path))
     except LogError as error:
         raise error.at(path) from error
 

@@ -38,8 +38,7 @@ from logs.complete import passed_width
 from logs.cut import framed
 from logs.errors import LogError
 from logs.names import counted, listed, visible_name
-from logs.repair.detections import Detections
-from logs.repair.identities import named_as_tracked, needs_repair
+from logs.repair.detections import Detections, named_as_tracked, needs_repair
 from logs.repair.offline import detections_of, repair
 from logs.road import RoadSource
 from logs.scenario import Scenario
@@ -367,7 +366,7 @@ def repaired(scenario: Scenario, choice: str) -> Scenario:
 
 
 def named(scenario: Scenario) -> Scenario:
-    """Give the repaired tracks the names of the causal tracker's tracks (`logs.repair.identities`)."""
+    """Give the repaired tracks the names of the causal tracker's tracks (`logs.repair.detections`)."""
     made = scenario.repair
     assert made is not None and made.tracks is scenario.tracks
     made = named_as_tracked(made)

@@ -28,8 +28,7 @@ from logs.log_settings import LogSettings
 from logs.observed import Spans, inferred
 from logs.readers.base import Reader
 from logs.readers.commonroad.document import Document, Obstacle, PlanningProblem, parse
-from logs.readers.commonroad.lanelets import road_of
-from logs.readers.commonroad.signs import lights_of, with_rules
+from logs.readers.commonroad.lanelets import lights_of, road_of, with_rules
 from logs.readers.commonroad.tracks import KINDS, ego_log, sized, tracks_of, trimmed, turned, velocities
 from logs.road import Goal, Road
 from logs.scenario import CENTRE, EGO_POSE, Scenario

@@ -1,6 +1,6 @@
 """Finds the identities of objects over time, and makes tracks with one box, kind and front each.
 
-Identities. Where perception numbers the entries of each list anew (`logs.repair.identities`), ids are no identities.
+Identities. Where perception numbers the entries of each list anew (`logs.repair.detections`), ids are no identities.
 Then the objects of a frame are assigned to those known so far, by the least sum of distances to the positions expected
 from earlier samples. Outlines of clusters split and merge: an outline whose size differs from that with which an object
 began is another object, since a box has one size.
@@ -23,8 +23,7 @@ from scipy.optimize import linear_sum_assignment
 from logs.agents import USUAL_SIZE_M, AgentKind, codes_of
 from logs.arrays import BoolArray, FloatArray, IntArray
 from logs.readers.ros.ego import AGENT_WINDOW_S, OBJECT_WINDOW_S, rates, spread
-from logs.repair.detections import Detections
-from logs.repair.identities import no_identities
+from logs.repair.detections import Detections, no_identities
 from logs.tracks import Tracks
 
 NOISE_M = {

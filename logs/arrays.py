@@ -1,4 +1,4 @@
-"""Types of arrays, read-only arrays, lengths along polylines, and the tolerance of comparisons."""
+"""Types of arrays, read-only arrays, lengths and nearest points of polylines, and the tolerance of comparisons."""
 
 from __future__ import annotations
 
@@ -24,6 +24,22 @@ must not lie exactly on them: each comparison is shifted by this, in the directi
 def arc_lengths(x: FloatArray, y: FloatArray) -> FloatArray:
     """Return the length of a polyline from its first point to each of its points `(n,)`, m."""
     return np.r_[0.0, np.cumsum(np.hypot(np.diff(x), np.diff(y)))]
+
+
+def foot_on(line: FloatArray, point: FloatArray) -> tuple[int, FloatArray]:
+    """Return the segment of a polyline `(n, 2)` that is nearest to a point `(2,)`, and the nearest point on it."""
+    steps = np.diff(line, axis=0)
+    squares = np.maximum(np.einsum("ij,ij->i", steps, steps), 1e-18)
+    along = np.clip(np.einsum("ij,ij->i", point - line[:-1], steps) / squares, 0.0, 1.0)
+    feet = line[:-1] + along[:, None] * steps
+    i = int(np.argmin(np.hypot(*(feet - point).T)))
+    return i, feet[i]
+
+
+def station_on(line: FloatArray, point: FloatArray) -> float:
+    """Return the length of a polyline `(n, 2)` up to its point that is nearest to a point `(2,)`, m."""
+    i, foot = foot_on(line, point)
+    return float(np.hypot(*np.diff(line[: i + 1], axis=0).T).sum() + np.hypot(*(foot - line[i])))
 
 
 def frozen(values: object, dtype: Any = np.float64) -> NDArray[Any]:

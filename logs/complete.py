@@ -44,6 +44,13 @@ ONE_LANE, REVERSES = f"{NO_LANES}: one lane", f"{NO_LANES}, and reverses"
 """Begins of the notes on a lane (3)."""
 
 
+def derived_speed(t: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, notes: list[str]) -> FloatArray:
+    """Backward differences of the position along the heading `(n,)`, m/s, with a note; the first is the second."""
+    notes.append("The log has no ego speed: it is derived from the positions by backward differences.")
+    v = (np.diff(x) * np.cos(yaw[1:]) + np.diff(y) * np.sin(yaw[1:])) / np.diff(t)
+    return np.r_[v[:1], v] if len(v) else np.zeros(1)
+
+
 def derived_acceleration(t: FloatArray, v: FloatArray) -> FloatArray:
     """Backward differences (1) of the speed `(n,)`, m/s2."""
     return np.r_[0.0, np.diff(v) / np.diff(t)]

@@ -15,28 +15,20 @@ Modules:
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
 
 from logs.errors import LogError
 from logs.files import check_regular
 from logs.log_settings import LogSettings
-from logs.maps import lanelet2, opendrive
-from logs.maps.arrow123d_map import road_of_map
+from logs.maps import arrow123d_map, lanelet2, opendrive
 from logs.maps.base import MapFile, MapReader, on_map
 from logs.scenario import Scenario
 
 __all__ = ["BUILTIN", "MapFile", "MapReader", "map_files", "map_reader_of", "read_map", "with_map"]
 
 
-def read_123d(path: Path, settings: Mapping[str, str]) -> MapFile:
-    """Read a whole 123D map, of one log or of a place; LogError if the file is not a map."""
-    notes: list[str] = []
-    return MapFile(road_of_map(path, notes=notes), "as in the 123D map", tuple(notes))
-
-
-BUILTIN = (lanelet2.READER, opendrive.READER, MapReader("123D", "*.arrow", ".arrow", read_123d, begin=b"ARROW1"))
+BUILTIN = (lanelet2.READER, opendrive.READER, arrow123d_map.READER)
 """The map readers in the order in which they are tried."""
 
 
@@ -78,12 +70,10 @@ def _read(
 
 
 def with_map(scenario: Scenario, settings: LogSettings) -> Scenario:
-    """Put the scenario on the map of the settings; return it unchanged if they name no map.
+    """Put the scenario on the map that the settings name.
 
     Raises:
         LogError: The map cannot be read, or does not fit the drive.
     """
-    if not settings.map:
-        return scenario
     path = Path(settings.map)
     return on_map(scenario, read_map(path, settings), path, map_reader_of(path).name)

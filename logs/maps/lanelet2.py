@@ -26,7 +26,7 @@ from pathlib import Path
 
 import numpy as np
 
-from logs.arrays import FloatArray
+from logs.arrays import FloatArray, foot_on, station_on
 from logs.errors import LogError
 from logs.maps.base import MapFile, MapReader
 from logs.maps.lanelet2_file import PROJECTOR_INFO, Element, Osm, placed_points, read_osm
@@ -254,23 +254,13 @@ def _stop_lines_of(held: _Map, owners: Sequence[int], ways: Sequence[int]) -> It
             crossed.append(lane.id)
     towards: defaultdict[tuple[int, int], list[int]] = defaultdict(list)
     for owner in owners or crossed:
-        k = min(range(len(lines)), key=lambda k: _nearest(held.lanes[owner], lines[k])[0])
-        begins = _nearest(held.lanes[owner], lines[k])[1] < AT_BEGIN_M
+        center, middles = held.lanes[owner].center, [line.mean(axis=0) for line in lines]
+        k = int(np.argmin([np.hypot(*(foot_on(center, middle)[1] - middle)) for middle in middles]))
+        begins = station_on(center, middles[k]) < AT_BEGIN_M
         for on in (held.before.get(owner, ()) if begins else ()) or (owner,):
             towards[k, on] += [owner] if on != owner and owners else []
     for (k, on), after in towards.items():
         yield StopLine(0, on, clipped(held.lanes[on], lines[k]), towards=tuple(sorted(set(after))))
-
-
-def _nearest(lane: Lane, line: FloatArray) -> tuple[float, float]:
-    """Return the distance of a line's middle from a lane's centre line, and the station of the nearest point, m."""
-    middle, center = line.mean(axis=0), lane.center
-    piece = np.diff(center, axis=0)
-    square = np.maximum((piece**2).sum(axis=1), 1e-18)
-    u = np.clip(((middle - center[:-1]) * piece).sum(axis=1) / square, 0.0, 1.0)
-    away = np.hypot(*(center[:-1] + u[:, None] * piece - middle).T)
-    k = int(np.argmin(away))
-    return float(away[k]), float(np.sqrt(square[:k]).sum() + u[k] * np.sqrt(square[k]))
 
 
 def clipped(lane: Lane, line: FloatArray) -> FloatArray:

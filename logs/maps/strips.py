@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from logs.arrays import FloatArray, arc_lengths
+from logs.arrays import FloatArray, arc_lengths, foot_on
 from logs.road import Lane, paired
 
 LARGEST_M = 1e7
@@ -107,11 +107,8 @@ def _same_way(lane: Lane, other: Lane) -> bool:
     """Return whether two lanes have the same direction: the other one at its point nearest to this one's middle."""
     ahead = lane.center[len(lane.center) // 2] - lane.center[len(lane.center) // 2 - 1]
     middle = 0.5 * (lane.center[len(lane.center) // 2] + lane.center[len(lane.center) // 2 - 1])
-    steps = np.diff(other.center, axis=0)
-    squares = np.maximum((steps * steps).sum(axis=1), 1e-12)
-    along = np.clip(((middle - other.center[:-1]) * steps).sum(axis=1) / squares, 0.0, 1.0)
-    away = np.hypot(*(other.center[:-1] + along[:, None] * steps - middle).T)
-    return bool(steps[int(np.argmin(away))] @ ahead > 0.0)
+    i, _ = foot_on(other.center, middle)
+    return bool((other.center[i + 1] - other.center[i]) @ ahead > 0.0)
 
 
 def dense(line: FloatArray, step: float) -> FloatArray:

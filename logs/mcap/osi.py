@@ -23,12 +23,12 @@ from operator import itemgetter
 from typing import Any
 
 import numpy as np
-from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+from google.protobuf import descriptor_pb2, message_factory
 from google.protobuf.message import DecodeError
 
 from logs.agents import USUAL_SIZE_M, AgentKind
-from logs.arrays import FloatArray, arc_lengths
-from logs.complete import ASSUMED, assumed_limit, completed, derived_curvature, road_along
+from logs.arrays import FloatArray, arc_lengths, foot_on, station_on
+from logs.complete import ASSUMED, assumed_limit, completed, derived_curvature, derived_speed, road_along
 from logs.errors import LogError, reading
 from logs.mcap.container import COPY_AGAIN, Stream
 from logs.observed import of_stream
@@ -36,7 +36,7 @@ from logs.road import Lane, Road, paired
 from logs.scenario import Scenario
 from logs.states import Trajectory
 from logs.tracks import Tracks
-from logs.vehicle import VehicleParameters
+from logs.vehicle import VehicleParameters, car_of
 
 SCHEMAS = ("osi3.GroundTruth", "osi3.SensorView")
 
@@ -178,12 +178,9 @@ def scenario_of(stream: Stream, name: str, ego_id: str = "") -> Scenario:
 def _message_class(stream: Stream) -> type[Any]:
     if stream.encoding != "protobuf" or stream.schema_encoding != "protobuf":
         raise LogError(f"{stream.schema} is encoded as {stream.encoding!r}, expected protobuf", topic=stream.topic)
-    pool = descriptor_pool.DescriptorPool()
     try:
-        files = {f.name: f for f in descriptor_pb2.FileDescriptorSet.FromString(stream.schema_data).file}
-        for name in list(files):
-            _add_file(name, files, pool, set())
-        kind = message_factory.GetMessageClass(pool.FindMessageTypeByName(stream.schema))
+        files = descriptor_pb2.FileDescriptorSet.FromString(stream.schema_data).file
+        kind: type[Any] = message_factory.GetMessages(files)[stream.schema]
     except (DecodeError, TypeError, KeyError, ValueError) as error:
         what = f"the protobuf descriptor in the file cannot be used: {error}"
         raise LogError(what, topic=stream.topic, remedy=COPY_AGAIN) from None
@@ -196,16 +193,6 @@ def _message_class(stream: Stream) -> type[Any]:
                 raise LogError(what, topic=stream.topic, remedy="write the log with OSI 3.5 or newer")
             descriptor = descriptor.fields_by_name[name].message_type
     return kind
-
-
-def _add_file(name: str, files: dict[str, Any], pool: Any, open_files: set[str]) -> None:
-    """Add a file to the pool after the files that it imports."""
-    if name in open_files or name not in files:
-        return
-    open_files.add(name)
-    for imported in files[name].dependency:
-        _add_file(imported, files, pool, open_files)
-    pool.Add(files.pop(name))
 
 
 def _decode_stream(stream: Stream) -> _Seen:
@@ -243,24 +230,19 @@ def _decode_stream(stream: Stream) -> _Seen:
 
 def _vehicle(host: Any, notes: list[str]) -> tuple[VehicleParameters, FloatArray]:
     """The ego's parameters, and the vector from its centre to its rear axle, m."""
-    default, size = VehicleParameters(), host.base.dimension
+    default, size, known = VehicleParameters(), host.base.dimension, host.vehicle_attributes
     length, width = (size.length, size.width) if min(size.length, size.width) > 0.0 else (default.length, default.width)
-    scale = length / default.length
-    wheelbase, overhang = scale * default.wheelbase, scale * default.rear_overhang
-    rear = np.array([overhang - length / 2.0, 0.0])
-    known = host.vehicle_attributes
+    sizes = {"length": length, "width": width}
     if known.HasField("bbcenter_to_rear") and -length / 2.0 < known.bbcenter_to_rear.x < 0.0:
-        rear = np.array([known.bbcenter_to_rear.x, known.bbcenter_to_rear.y])
-        overhang = length / 2.0 + rear[0]
+        rear = known.bbcenter_to_rear
+        overhang, wheelbase = length / 2.0 + rear.x, length / default.length * default.wheelbase
         if known.HasField("bbcenter_to_front"):
-            wheelbase = known.bbcenter_to_front.x - rear[0]
-        wheelbase = min(wheelbase, length - overhang)
-    else:
-        notes.append("The log does not say where the ego's rear axle is: it is placed as in the default car.")
-    notes.append("Masses, tyres and limits of the ego's vehicle are those of the default car.")
-    cog = default.cog_to_front * wheelbase / default.wheelbase
-    sizes: dict[str, Any] = {"length": length, "width": width, "wheelbase": wheelbase, "rear_overhang": overhang}
-    return replace(default, **sizes, cog_to_front=cog), rear
+            wheelbase = known.bbcenter_to_front.x - rear.x
+        sizes |= {"rear_overhang": overhang, "wheelbase": min(wheelbase, length - overhang)}
+        return car_of(sizes, notes), np.array([rear.x, rear.y])
+    notes.append("The log does not say where the ego's rear axle is: it is placed as in the default car.")
+    vehicle = car_of(sizes, notes)
+    return vehicle, np.array([-vehicle.axle_to_center, 0.0])
 
 
 def _ego(rows: FloatArray, t: FloatArray, rear: FloatArray, notes: list[str]) -> Trajectory:
@@ -269,11 +251,9 @@ def _ego(rows: FloatArray, t: FloatArray, rear: FloatArray, notes: list[str]) ->
     cos, sin = np.cos(yaw), np.sin(yaw)
     x, y = rows[:, 1] + rear[0] * cos - rear[1] * sin, rows[:, 2] + rear[0] * sin + rear[1] * cos
     t = t[rows[:, 0].astype(np.int64)]
-    v = rows[:, 4] * cos + rows[:, 5] * sin
+    v: FloatArray = rows[:, 4] * cos + rows[:, 5] * sin
     if not np.isfinite(v).all():
-        notes.append("The log has no ego speed: it is derived from the positions by backward differences.")
-        step = (np.diff(x) * cos[1:] + np.diff(y) * sin[1:]) / np.diff(t)
-        v = np.r_[step[0], step] if len(step) else np.zeros(1)
+        v = derived_speed(t, x, y, yaw, notes)
     kappa = derived_curvature(x, y, yaw, v)
     a = rows[:, 6] * cos + rows[:, 7] * sin - (kappa * v) ** 2 * rear[0]
     if not rows[:, 6:8].any():
@@ -411,7 +391,7 @@ def _lane_between_boundaries(key: int, osi: _OsiMap, center: FloatArray, origin:
         placed = []  # the pieces in driving direction
         for part in (_points((p.position for p in b.boundary_line), origin) for b in found):
             if len(part) > 1:
-                first, last = _station(part[0], center), _station(part[-1], center)
+                first, last = station_on(center, part[0]), station_on(center, part[-1])
                 placed.append((min(first, last), part[::-1] if last < first else part))
         if not placed:
             return None
@@ -448,26 +428,11 @@ def _lateral_offset(line: FloatArray, other: FloatArray) -> tuple[float, bool]:
     k = min(int(np.searchsorted(way, half, side="right")) - 1, len(steps) - 1)
     tangent = steps[k] / np.hypot(*steps[k])
     point = line[k] + (half - way[k]) * tangent
-    i, foot = _foot(point, other)
+    i, foot = foot_on(other, point)
     away = foot - point
     if abs(away @ tangent) > 0.5:
         return float("nan"), True
     return float(tangent[0] * away[1] - tangent[1] * away[0]), bool((other[i + 1] - other[i]) @ tangent > 0.0)
-
-
-def _foot(point: FloatArray, line: FloatArray) -> tuple[int, FloatArray]:
-    """Index of the nearest segment of a polyline without repeated points, and the nearest point on it."""
-    steps = np.diff(line, axis=0)
-    along = np.clip(np.einsum("ij,ij->i", point - line[:-1], steps) / np.einsum("ij,ij->i", steps, steps), 0.0, 1.0)
-    feet = line[:-1] + along[:, None] * steps
-    i = int(np.argmin(np.hypot(*(feet - point).T)))
-    return i, feet[i]
-
-
-def _station(point: FloatArray, line: FloatArray) -> float:
-    """Arc length of the projection of a point, m."""
-    i, foot = _foot(point, line)
-    return float(np.hypot(*np.diff(line[: i + 1], axis=0).T).sum() + np.hypot(*(foot - line[i])))
 
 
 def _beside_each_other(lanes: dict[int, Lane], adjacent: dict[int, list[int]]) -> tuple[dict[int, Lane], bool]:

@@ -112,22 +112,26 @@ def write_log(path: Path, records: Mapping[str, Mapping[str, str]], entries: Ite
 
 def _schema(kind: type[msgspec.Struct | Message]) -> tuple[str, str, bytes]:
     """Name, encoding and bytes of the schema of a kind of message."""
-    if not issubclass(kind, Message):
-        return native.schema_name(kind), "jsonschema", msgspec.json.encode(native.json_schema(kind))
+    if issubclass(kind, Message):
+        return kind.DESCRIPTOR.full_name, "protobuf", descriptor_set(kind.DESCRIPTOR.file)
+    return native.schema_name(kind), "jsonschema", msgspec.json.encode(native.json_schema(kind))
+
+
+def descriptor_set(file: Any) -> bytes:
+    """The descriptor of a protobuf file after those of all files that it imports, as MCAP stores them."""
     files: dict[str, Any] = {}
 
-    def collect(file: Any) -> None:
-        """Add a file's descriptor after those of the files that it imports."""
-        if file.name not in files:
-            for other in file.dependencies:
+    def collect(each: Any) -> None:
+        if each.name not in files:
+            for other in each.dependencies:
                 collect(other)
-            files[file.name] = file
+            files[each.name] = each
 
-    collect(kind.DESCRIPTOR.file)
+    collect(file)
     described = FileDescriptorSet()
-    for file in files.values():
-        file.CopyToProto(described.file.add())
-    return kind.DESCRIPTOR.full_name, "protobuf", described.SerializeToString(deterministic=True)
+    for each in files.values():
+        each.CopyToProto(described.file.add())
+    return described.SerializeToString(deterministic=True)
 
 
 def scenario_records(scenario: Scenario, *, version: int = native.WITHOUT_BLOCKS) -> dict[str, dict[str, str]]:

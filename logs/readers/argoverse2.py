@@ -40,7 +40,6 @@ from logs.readers.arrow123d import AV2_CATEGORIES
 from logs.readers.base import LogContents, Reader, TopicSummary
 from logs.readers.recorded import (
     RecordedBoxes,
-    car_of,
     driven,
     from_second,
     from_start,
@@ -58,6 +57,7 @@ from logs.road import IN_JUNCTION, Road
 from logs.rules import Crosswalk
 from logs.scenario import Scenario
 from logs.states import Trajectory
+from logs.vehicle import car_of
 
 FORD_FUSION = {"length": 4.869, "width": 2.127, "wheelbase": 2.850, "rear_overhang": 0.5 * 4.869 - 1.339}
 """The recording car, m (py123d 0.7.0): the width is with mirrors, the centre 1.339 m ahead of the rear axle."""

@@ -42,7 +42,6 @@ from logs.observed import of_stream
 from logs.readers.base import LogContents, Reader, TopicSummary
 from logs.readers.recorded import (
     RecordedBoxes,
-    car_of,
     driven,
     from_second,
     from_start,
@@ -57,6 +56,7 @@ from logs.readers.recorded import (
 )
 from logs.scenario import Scenario
 from logs.states import Trajectory
+from logs.vehicle import car_of
 
 SYNC, EGO, BOXES = "sync.arrow", "ego_state_se3", "box_detections_se3"
 HEAD_BYTES = 65_536

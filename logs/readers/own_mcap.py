@@ -17,6 +17,7 @@ from logs.log_settings import LogSettings
 from logs.mcap import native, osi
 from logs.mcap.container import COPY_AGAIN, Stream, content_of, read_container
 from logs.mcap.reader import read_scenario
+from logs.mcap.writer import descriptor_set
 from logs.readers.base import LogContents, Reader, TopicSummary, files_named
 from logs.scenario import Scenario
 
@@ -65,7 +66,6 @@ def trace_of(path: Path) -> Stream:
     Raises:
         LogError: The file cannot be read, or is not a sequence of messages.
     """
-    from google.protobuf.descriptor_pb2 import FileDescriptorSet
     from google.protobuf.message import DecodeError
     from osi3 import osi_sensorview_pb2
     from osi3.osi_sensorview_pb2 import SensorView
@@ -87,14 +87,7 @@ def trace_of(path: Path) -> Stream:
         except DecodeError:
             is_view = False
         schema = SENSOR_VIEW if is_view else GROUND_TRUTH
-    found, seen, open_files = FileDescriptorSet(), set[str](), [osi_sensorview_pb2.DESCRIPTOR]  # defines both
-    while open_files:
-        file = open_files.pop()
-        if file.name not in seen:
-            seen.add(file.name)
-            file.CopyToProto(found.file.add())
-            open_files += file.dependencies
-    times, descriptor = list(range(len(payloads))), found.SerializeToString(deterministic=True)
+    times, descriptor = list(range(len(payloads))), descriptor_set(osi_sensorview_pb2.DESCRIPTOR)  # defines both
     return Stream(path.name, "protobuf", schema, "protobuf", descriptor, times, payloads)
 
 

@@ -23,7 +23,6 @@ Rotations are quaternions q = (x, y, z, w) of unit length, rows of `(n, 4)`:
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -34,7 +33,6 @@ from logs.arrays import BoolArray, FloatArray, IntArray
 from logs.complete import completed
 from logs.states import Trajectory
 from logs.tracks import Tracks
-from logs.vehicle import VehicleParameters
 
 ROUNDED = 0.01
 """Tolerance of the length of a stored quaternion, which should be 1."""
@@ -168,32 +166,6 @@ def tracks_of(boxes: RecordedBoxes, notes: list[str]) -> Tracks:
     pose = (boxes.t, boxes.x, boxes.y, boxes.yaw, boxes.vx, boxes.vy)
     offsets = np.r_[0, ends]
     return Tracks(tuple(boxes.names[i] for i in there), kinds, sizes[:, 0], sizes[:, 1], static, offsets, *pose)
-
-
-def car_of(sizes: Mapping[str, float], notes: list[str]) -> VehicleParameters:
-    """Make the ego's vehicle from "length", "width", "wheelbase" and "rear_overhang", m; others scale with length.
-
-    Raises:
-        ValueError: As in `VehicleParameters`.
-    """
-    default = VehicleParameters()
-    length = sizes.get("length", default.length)
-    scale = length / default.length
-    wheelbase = sizes.get("wheelbase", scale * default.wheelbase)
-    overhang = sizes.get("rear_overhang", scale * default.rear_overhang)
-    if not 0.0 < wheelbase < length:
-        notes.append("The ego's wheelbase does not fit its length: it is that of the default car, in proportion.")
-        wheelbase = scale * default.wheelbase
-    if not 0.0 <= overhang <= length - wheelbase:
-        notes.append("The log does not say where the ego's rear axle is in its box: as in the default car, assumed.")
-        overhang = min(scale * default.rear_overhang, length - wheelbase)
-    notes.append("Masses, tyres and limits of the ego's vehicle are those of the default car.")
-    cog = default.cog_to_front * wheelbase / default.wheelbase
-    found: dict[str, Any] = {
-        "length": length, "width": sizes.get("width", default.width), "wheelbase": wheelbase, "rear_overhang": overhang,
-        "cog_to_front": cog,
-    }  # fmt: skip
-    return replace(default, **found)
 
 
 # Poses

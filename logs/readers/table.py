@@ -23,7 +23,7 @@ import pandas as pd
 
 from logs.agents import USUAL_SIZE_M, AgentKind
 from logs.arrays import FloatArray
-from logs.complete import completed, road_along
+from logs.complete import completed, derived_speed, road_along
 from logs.errors import LogError, reading
 from logs.files import beside
 from logs.log_settings import EGO_POINTS, LogSettings
@@ -118,12 +118,7 @@ def from_frames(
     for key in ("v", "a", "kappa"):
         state[key] = table.numbers(key)[order] if table.has(key) else np.full(len(t), np.nan)
     if not table.has("v"):
-        notes.append("The log has no ego speed: it is derived from the positions by backward differences.")
-        state["v"] = np.zeros(len(t))
-        if len(t) > 1:
-            dx, dy, yaw = np.diff(state["x"]), np.diff(state["y"]), state["yaw"][1:]
-            v = (dx * np.cos(yaw) + dy * np.sin(yaw)) / np.diff(t)
-            state["v"] = np.r_[v[0], v]
+        state["v"] = derived_speed(t, state["x"], state["y"], state["yaw"], notes)
     if vehicle is None:
         notes.append(f"{VEHICLE_ASSUMED}.")
     names = "steer", "throttle", "brake"

@@ -30,7 +30,7 @@ from logs.errors import LogError
 from logs.log_settings import LogSettings
 from logs.observed import Spans, of_stream
 from logs.readers.admission import reason_to_repair
-from logs.readers.recorded import car_of, unit_or_identity
+from logs.readers.recorded import unit_or_identity
 from logs.readers.ros import schemas
 from logs.readers.ros.bag import Bag, opened
 from logs.readers.ros.ego import POSITION, BagPart, EgoLog, at_poses, begin_of, read_ego, signal, states
@@ -44,7 +44,7 @@ from logs.rules import Colour, TrafficLight
 from logs.scenario import Scenario
 from logs.states import Controls, OnboardPlan, Trajectory
 from logs.tracks import Tracks
-from logs.vehicle import VEHICLE_ASSUMED, VehicleParameters
+from logs.vehicle import VEHICLE_ASSUMED, VehicleParameters, car_of
 
 HEAD_S = 2.0
 """Time at the log's begin that is read to find t = 0 if only a later part is wanted, s."""

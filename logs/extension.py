@@ -36,25 +36,17 @@ def an_instance(cls: type, called: str) -> Callable[[object], str]:
 
 @dataclass(frozen=True, eq=False)
 class ExtensionKind(Generic[T]):
-    """A kind of extension that is found by name.
+    """A kind of extension that is found by name."""
 
-    Attributes:
-        name: Its name in messages ("controller").
-        plural: Its name in `replan list` and in the group of entry points ("controllers").
-        builtin: The extensions that come with replan, by name.
-        wrong: Function that describes the fault of a loaded object, in words that follow its name; "": no fault.
-        error: Exception to raise if a module cannot be imported or lacks the name.
-        form: How users name an extension of their own.
-        besides: Further valid names, which are in no table.
-    """
-
-    name: str
-    plural: str
-    builtin: Mapping[str, T]
+    name: str  # its name in messages ("controller")
+    plural: str  # its name in `replan list` and in the group of entry points ("controllers")
+    builtin: Mapping[str, T]  # the extensions that come with replan, by name
+    # function that describes the fault of a loaded object, in words that follow its name; "": no fault
     wrong: Callable[[object], str] = a_callable
+    # exception to raise if a module cannot be imported or lacks the name
     error: type[ConfigError] | type[PlannerError] = ConfigError
-    form: str = "module:NAME"
-    besides: tuple[str, ...] = ()
+    form: str = "module:NAME"  # how users name an extension of their own
+    besides: tuple[str, ...] = ()  # further valid names, which are in no table
 
     @property
     def group(self) -> str:

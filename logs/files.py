@@ -181,19 +181,12 @@ def _too_deep(path: Path) -> ConfigError:
 
 @dataclass(frozen=True)
 class RemoteFile:
-    """A file at a URL.
+    """A file at a URL."""
 
-    Attributes:
-        url: Its URL.
-        name: Its path below the listed URL, with "/" between folders.
-        size: Size in bytes.
-        version: Text that changes with the content; "": unknown.
-    """
-
-    url: str
-    name: str
-    size: int
-    version: str
+    url: str  # its URL
+    name: str  # its path below the listed URL, with "/" between folders
+    size: int  # size in bytes
+    version: str  # text that changes with the content; "": unknown
 
 
 def url_of(place: Path | str) -> str:

@@ -248,15 +248,10 @@ class NearbyTracks:
 
 @dataclass(frozen=True, eq=False)
 class TrackSamples(Tracks):
-    """Samples of some tracks, with the properties that depend on whole tracks.
+    """Samples of some tracks, with the properties that depend on whole tracks."""
 
-    Attributes:
-        source: The whole tracks.
-        at: `(m,)` indices of the samples in `source`.
-    """
-
-    source: Tracks = field(kw_only=True)
-    at: IntArray = field(kw_only=True)
+    source: Tracks = field(kw_only=True)  # the whole tracks
+    at: IntArray = field(kw_only=True)  # `(m,)` indices of the samples in `source`
 
     @cached_property
     def patience(self) -> FloatArray:
@@ -272,13 +267,9 @@ class TrackSamples(Tracks):
 
 @dataclass(frozen=True, eq=False)
 class Recent(Tracks):
-    """The recent part of tracks.
+    """The recent part of tracks."""
 
-    Attributes:
-        all_of_them: Function that builds the whole tracks.
-    """
-
-    all_of_them: Callable[[], Tracks] = field(kw_only=True)
+    all_of_them: Callable[[], Tracks] = field(kw_only=True)  # function that builds the whole tracks
 
     @property
     def whole(self) -> Tracks:

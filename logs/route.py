@@ -71,17 +71,11 @@ def find_route(road: Road, ego: EgoState, goal: Goal | None) -> tuple[int, ...]:
 
 @dataclass(frozen=True, slots=True)
 class CostToGo:
-    """The cost from a lane's start to the goal.
+    """The cost from a lane's start to the goal."""
 
-    Attributes:
-        cost: Cost (1), m.
-        changes: Number of lane changes on the way.
-        next: The next lane of the way; None if the lane contains the goal.
-    """
-
-    cost: float
-    changes: int
-    next: int | None
+    cost: float  # cost (1), m
+    changes: int  # number of lane changes on the way
+    next: int | None  # the next lane of the way; None if the lane contains the goal
 
 
 def costs_to_go(road: Road, goal: Goal | None) -> dict[int, CostToGo]:

@@ -34,39 +34,27 @@ class Avoidability(Enum):
 
 @dataclass(frozen=True, slots=True)
 class DriverVerdict:
-    """The verdict of a reference driver ("cc" or "fsm") on a scenario, and its reason.
-
-    Attributes:
-        brakes: When it begins to brake with more than 1 m/s2, s since the scenario's start; NaN: never.
-        meets: When it touches an agent, s; NaN: never.
-        speed: Speed at the touch, else at the end, m/s.
-        agent: Id of the agent that the driver touches, else of the one that it would touch without braking; "": none.
-        margin: (6) of `metrics.reference_drivers`, m; NaN without an agent.
-        marginal: Whether a small change would change the verdict.
-    """
+    """The verdict of a reference driver ("cc" or "fsm") on a scenario, and its reason."""
 
     driver: str
     outcome: Avoidability
     reason: str
-    brakes: float = nan
-    meets: float = nan
-    speed: float = nan
+    brakes: float = nan  # when it begins to brake with more than 1 m/s2, s since the scenario's start; NaN: never
+    meets: float = nan  # when it touches an agent, s; NaN: never
+    speed: float = nan  # speed at the touch, else at the end, m/s
+    # id of the agent that the driver touches, else of the one that it would touch without braking; "": none
     agent: str = ""
-    margin: float = nan
-    marginal: bool = False
+    margin: float = nan  # (6) of `metrics.reference_drivers`, m; NaN without an agent
+    marginal: bool = False  # whether a small change would change the verdict
 
 
 @dataclass(frozen=True, slots=True)
 class References:
-    """The reference drives of a scenario.
+    """The reference drives of a scenario."""
 
-    Attributes:
-        verdicts: By driver ("cc", "fsm"); empty: the drivers did not judge the scenario.
-        follower_gain: How far the route follower gets along the route, m; None: it was not driven.
-    """
-
+    # by driver ("cc", "fsm"); empty: the drivers did not judge the scenario
     verdicts: Mapping[str, DriverVerdict] = field(default_factory=dict)
-    follower_gain: float | None = None
+    follower_gain: float | None = None  # how far the route follower gets along the route, m; None: it was not driven
 
 
 @dataclass(frozen=True, eq=False)

@@ -212,12 +212,7 @@ class Controls:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class OnboardPlan:
-    """A plan that the on-board planner made during the recording.
+    """A plan that the on-board planner made during the recording."""
 
-    Attributes:
-        known: Time from which the plan was available, s since the scenario's start.
-        trajectory: The planned trajectory, in the scenario's time and world.
-    """
-
-    known: float
-    trajectory: Trajectory
+    known: float  # time from which the plan was available, s since the scenario's start
+    trajectory: Trajectory  # the planned trajectory, in the scenario's time and world

@@ -71,28 +71,17 @@ Change = Callable[[Scenario, Sequence[str], float], Scenario]
 
 @dataclass(frozen=True)
 class Variation:
-    """One way of varying a scenario.
+    """One way of varying a scenario."""
 
-    Attributes:
-        name: Its name in `--vary NAME=...`.
-        unit: Unit of its value; "1": a factor or a choice.
-        low: Least value; `high` is the greatest.
-        neutral: The value that changes nothing; NaN: every value changes something.
-        summary: Meaning of a value, in one line.
-        change: (scenario, ids of the agents, value) -> scenario; raises LogError if there is no such scenario.
-        of: The varied object: "agent", "ego", or the id of the agent that it inserts.
-        is_choice: Whether only the two bounds are distinct values.
-    """
-
-    name: str
-    unit: str
-    low: float
+    name: str  # its name in `--vary NAME=...`
+    unit: str  # unit of its value; "1": a factor or a choice
+    low: float  # least value; `high` is the greatest
     high: float
-    neutral: float
-    summary: str
-    change: Change
-    of: str = "agent"
-    is_choice: bool = False
+    neutral: float  # the value that changes nothing; NaN: every value changes something
+    summary: str  # meaning of a value, in one line
+    change: Change  # (scenario, ids of the agents, value) -> scenario; raises LogError if there is no such scenario
+    of: str = "agent"  # the varied object: "agent", "ego", or the id of the agent that it inserts
+    is_choice: bool = False  # whether only the two bounds are distinct values
 
     def __call__(self, scenario: Scenario, agents: Sequence[str], value: float) -> Scenario:
         """Return the varied scenario, with its old name and tags; the scenario itself if the value is neutral.

@@ -173,11 +173,7 @@ def vehicle_names() -> tuple[str, ...]:
 
 
 def vehicle_parameters(name: str) -> VehicleParameters:
-    """Return the parameters of a known vehicle, read from its file.
-
-    Raises:
-        ConfigError: No vehicle has this name.
-    """
+    """Return the parameters of a vehicle, read from its file; ConfigError if none has this name."""
     if name not in vehicle_names():
         raise unknown_name("vehicle", name, vehicle_names())
     text = (files("logs") / "vehicles" / f"{name}.toml").read_text(encoding="utf-8")

@@ -76,11 +76,7 @@ class Leg:
 
 
 def strolled(t: FloatArray, legs: Sequence[Leg]) -> FloatArray:
-    """Distance of a walk of legs at times `(n,)`, m.
-
-    Raises:
-        ValueError: A leg is too short to reach its speed.
-    """
+    """Distance of a walk of legs at times `(n,)`, m; ValueError if a leg is too short to reach its speed."""
     whole = np.zeros(len(t))
     for leg in legs:
         whole += leg.distance * walked(t - leg.begin, abs(leg.distance), leg.speed, RAMP_S)

@@ -170,19 +170,14 @@ def stretch(path: CurveSamples, begin: float, end: float, *, right: float, left:
 
 @dataclass(frozen=True, eq=False)
 class Junction:
-    """The roads, the ego's path of the rear axle, and where on it the junction begins and ends (stations, m).
-
-    Attributes:
-        center: Centre of the junction `(x, y)`, m.
-        radius: Least radius of the path, m; inf if it goes straight on.
-    """
+    """The roads, the ego's path of the rear axle, and where on it the junction begins and ends (stations, m)."""
 
     road: Road
     path: CurveSamples
     begin: float
     end: float
-    center: tuple[float, float]
-    radius: float
+    center: tuple[float, float]  # centre of the junction `(x, y)`, m
+    radius: float  # least radius of the path, m; inf if it goes straight on
 
 
 def junction(begin: float, beyond: float, main: float, *, turn: float, speed_limit: float) -> Junction:

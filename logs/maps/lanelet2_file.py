@@ -45,21 +45,13 @@ class Member:
 
 @dataclass
 class Element:
-    """A node, way or relation.
+    """A node, way or relation."""
 
-    Attributes:
-        id: Unique among its kind.
-        tags: Values by key, without surrounding blanks.
-        place: Latitude and longitude of a node, degrees, or None.
-        nodes: Node ids of a way.
-        members: Members of a relation.
-    """
-
-    id: int
-    tags: dict[str, str] = field(default_factory=dict)
-    place: tuple[float, float] | None = None
-    nodes: list[int] = field(default_factory=list)
-    members: list[Member] = field(default_factory=list)
+    id: int  # unique among its kind
+    tags: dict[str, str] = field(default_factory=dict)  # values by key, without surrounding blanks
+    place: tuple[float, float] | None = None  # latitude and longitude of a node, degrees, or None
+    nodes: list[int] = field(default_factory=list)  # node ids of a way
+    members: list[Member] = field(default_factory=list)  # members of a relation
 
     def named(self, *roles: str, kind: str = "way") -> Iterator[int]:
         """Yield the ids of members of a kind in one of these roles, in the file's order."""

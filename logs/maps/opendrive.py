@@ -52,25 +52,17 @@ _UNITS = {"m/s": 1.0, "km/h": 1.0 / 3.6, "mph": 0.44704}
 
 @dataclass(frozen=True, eq=False)
 class _Piece:
-    """A lane of a lane section: pyxodr's lane, and the road's and section's XML.
-
-    Attributes:
-        index: Place of the section in its road, from 0.
-        place: Its OpenDRIVE id: counted outwards, negative on the right of the reference line.
-        on_right: Whether traffic keeps right on this road.
-        against: Whether its traffic drives against the reference line.
-        drivable: Whether cars may drive on it.
-    """
+    """A lane of a lane section: pyxodr's lane, and the road's and section's XML."""
 
     number: int
     lane: Any
     road: Element
     section: Element
-    index: int
-    place: int
-    on_right: bool
-    against: bool
-    drivable: bool
+    index: int  # place of the section in its road, from 0
+    place: int  # its OpenDRIVE id: counted outwards, negative on the right of the reference line
+    on_right: bool  # whether traffic keeps right on this road
+    against: bool  # whether its traffic drives against the reference line
+    drivable: bool  # whether cars may drive on it
 
 
 def read_opendrive(path: Path, settings: Mapping[str, str]) -> MapFile:

@@ -25,21 +25,15 @@ CAR_WIDTH_M = 2.0
 
 @dataclass(frozen=True, eq=False)
 class LaneStrip:
-    """A lane as stored in a map.
-
-    Attributes:
-        left: Left boundary `(n, 2)` in driving direction, m; `right` `(k, 2)` likewise.
-        beside: Ids of the lanes to the left and to the right, or None.
-        marks: Names of the left and the right marking ("DASH_SOLID_YELLOW"; "": unknown).
-    """
+    """A lane as stored in a map."""
 
     id: int
-    left: FloatArray
+    left: FloatArray  # left boundary `(n, 2)` in driving direction, m; `right` `(k, 2)` likewise
     right: FloatArray
     successors: tuple[int, ...]
-    beside: tuple[int | None, int | None]
+    beside: tuple[int | None, int | None]  # ids of the lanes to the left and to the right, or None
     kind: str
-    marks: tuple[str, str] = ("", "")
+    marks: tuple[str, str] = ("", "")  # names of the left and the right marking ("DASH_SOLID_YELLOW"; "": unknown)
     drivable: bool = True
     speed_limit: float = float("nan")
 

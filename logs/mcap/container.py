@@ -107,11 +107,7 @@ class Container:
     error: LogError | None
 
     def whole(self) -> Container:
-        """Return this container if it is undamaged and has messages.
-
-        Raises:
-            LogError: It is damaged, or has no messages.
-        """
+        """Return this container if it is undamaged and has messages; LogError if it is damaged, or has no messages."""
         if self.error is not None:
             raise self.error
         if not any(map(len, self.streams.values())):

@@ -48,11 +48,7 @@ def read_scenario(path: Path, ego: str = "") -> Scenario:
 
 
 def scenario_of(container: Container, ego: str = "") -> Scenario:
-    """The scenario in a container.
-
-    Raises:
-        LogError: As in `read_scenario`.
-    """
+    """The scenario in a container; LogError as in `read_scenario`."""
     container.whole()
     try:
         with np.errstate(all="ignore"):  # the checks below refuse absurd numbers

@@ -54,11 +54,7 @@ def write_trace(
     path: Path, trace: Trace, scenario: Scenario, *, internals: Internals = "summary",
     beside: Iterable[Entry] = (),
 ) -> None:  # fmt: skip
-    """Write a trace as a native log, and messages `beside` it on other topics.
-
-    Raises:
-        LogError: As in `write_scenario`.
-    """
+    """Write a trace as a native log, and messages `beside` it on other topics; LogError as in `write_scenario`."""
     try:
         driven = driven_scenario(trace, scenario)
         records = {

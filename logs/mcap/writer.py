@@ -204,11 +204,7 @@ def scenario_entries(scenario: Scenario, *, blocks: bool = False) -> Iterator[En
 
 
 def log_times(t: FloatArray, start_ns: int, topic: str) -> list[int]:
-    """Log times (ns) of seconds since the start `(n,)`.
-
-    Raises:
-        LogError: A time is not finite or before the epoch.
-    """
+    """Log times (ns) of seconds since the start `(n,)`; LogError if a time is not finite or before the epoch."""
     if not np.isfinite(t).all():
         raise LogError("a time is not finite", topic=topic)
     times = np.rint(t * 1e9).astype(np.int64) + start_ns
@@ -218,11 +214,7 @@ def log_times(t: FloatArray, start_ns: int, topic: str) -> list[int]:
 
 
 def check_not_infinite(values: FloatArray, topic: str, name: str) -> None:
-    """Check that no value is infinite; NaN means missing.
-
-    Raises:
-        LogError: A value is infinite.
-    """
+    """Raise LogError if a value is infinite; NaN means missing."""
     if np.isinf(values).any():
         where = int(np.flatnonzero(np.isinf(values))[0])
         raise LogError(f"{native.serialised(name)} is infinite at index {where}", topic=topic, remedy="use NaN")
@@ -236,11 +228,7 @@ def column(values: FloatArray, topic: str, name: str) -> list[float]:
 
 
 def check_finite(value: float, name: str) -> float:
-    """Return the number if it is finite.
-
-    Raises:
-        LogError: It is not finite.
-    """
+    """Return the number; LogError if it is not finite."""
     if not np.isfinite(value):
         raise LogError(f"{name} is {value}", remedy="leave out what is not known")
     return float(value)

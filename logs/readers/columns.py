@@ -115,11 +115,7 @@ class NamedColumns:
         return self._columns[ours] is not None
 
     def column(self, ours: str) -> tuple[pd.Series[Any], float]:
-        """Return a column and the factor to replan's unit.
-
-        Raises:
-            LogError: The table has no such column.
-        """
+        """Return a column and the factor to replan's unit; LogError if the table has no such column."""
         found = self._columns[ours]
         if found is None:
             held = ", ".join(map(str, self.frame.columns[:12]))

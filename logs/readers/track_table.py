@@ -36,24 +36,17 @@ from logs.vehicle import VehicleParameters, car_of
 
 
 class DataSet(NamedTuple):
-    """How a data set writes its tables of tracks.
+    """How a data set writes its tables of tracks."""
 
-    Attributes:
-        name: Its name.
-        columns: Its column, with the unit, by replan's name; all must be there for a table to be of this data set.
-        point: Point of the position: "centre", "front" (2) or "corner" (1).
-        sides: Part of the table's name, and what replaces it in that of a file beside it; `META`: frame rate and kinds.
-        recording: Column that tells recordings apart if a table holds several.
-        ego: The road user that is the ego if no other is named.
-        kinds: Kinds by its words, where these are not known from elsewhere; "car" is assumed for "".
-    """
-
-    name: str
+    name: str  # its name
+    # its column, with the unit, by replan's name; all must be there for a table to be of this data set
     columns: Mapping[str, str]
-    point: str = "centre"
+    point: str = "centre"  # point of the position: "centre", "front" (2) or "corner" (1)
+    # part of the table's name, and what replaces it in that of a file beside it; `META`: frame rate and kinds
     sides: tuple[tuple[str, str], ...] = ()
-    recording: str = ""
-    ego: str = ""
+    recording: str = ""  # column that tells recordings apart if a table holds several
+    ego: str = ""  # the road user that is the ego if no other is named
+    # kinds by its words, where these are not known from elsewhere; "car" is assumed for ""
     kinds: Mapping[str, str] = {}
 
 

@@ -108,48 +108,34 @@ _BOXES = tuple(each.name for each in fields(Detections) if each.name not in ("id
 
 @dataclass(frozen=True)
 class TrackChange:
-    """One change that a repair made.
+    """One change that a repair made."""
 
-    Attributes:
-        what: "joined" (detections became a track), "removed" (a track, or boxes that overlap a track), "extended" (a
-            track beyond its detections), "relabelled" (its kind), "turned" (reversed fronts) or "shrunk" (its box).
-        agent: Id in the repaired tracks or in `Repair.removed`.
-        begin: First time of the change, s; `end` is the last.
-        samples: Number of changed detections; for "extended": number of added samples.
-        why: The reason, one sentence with numbers.
-        sources: Ids of these detections in the log, each once; empty if the log has none.
-    """
-
+    # "joined" (detections became a track), "removed" (a track, or boxes that overlap a track), "extended" (a track
+    # beyond its detections), "relabelled" (its kind), "turned" (reversed fronts) or "shrunk" (its box)
     what: str
-    agent: str
-    begin: float
+    agent: str  # id in the repaired tracks or in `Repair.removed`
+    begin: float  # first time of the change, s; `end` is the last
     end: float
-    samples: int
-    why: str
-    sources: tuple[str, ...] = ()
+    samples: int  # number of changed detections; for "extended": number of added samples
+    why: str  # the reason, one sentence with numbers
+    sources: tuple[str, ...] = ()  # ids of these detections in the log, each once; empty if the log has none
 
 
 @dataclass(frozen=True, eq=False)
 class Repair:
     """The input of a repair, and what it removed, added and changed.
 
-    Attributes:
-        detections: The detections as read.
-        removed: Removed tracks, under ids that no repaired track has; for drawing.
-        extended: Whether a sample of the repaired tracks `(m,)` lies before the first or after the last detection of
-            its track. Samples that fill a gap between two detections are not marked.
-        changes: Changes in the order of the repaired tracks, then of the removed ones.
-        tracks: The repaired tracks. A scenario has the same object unless traffic or a variation replaced it.
-
     Raises:
         ValueError: `extended` has not one entry per sample of the tracks.
     """
 
-    detections: Detections
-    removed: Tracks
+    detections: Detections  # the detections as read
+    removed: Tracks  # removed tracks, under ids that no repaired track has; for drawing
+    # Whether a sample of the repaired tracks `(m,)` lies before the first or after the last detection of its track.
+    # Samples that fill a gap between two detections are not marked.
     extended: BoolArray
-    changes: tuple[TrackChange, ...]
-    tracks: Tracks
+    changes: tuple[TrackChange, ...]  # changes in the order of the repaired tracks, then of the removed ones
+    tracks: Tracks  # The repaired tracks. A scenario has the same object unless traffic or a variation replaced it.
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "extended", frozen(self.extended, np.bool_))

@@ -59,21 +59,14 @@ class Topic:
 
 @dataclass
 class Bag:
-    """An open bag.
+    """An open bag."""
 
-    Attributes:
-        topics: Its topics, sorted by name.
-        start_ns: Log time of the first message; `end_ns` of the last.
-        is_ros2: Whether its messages are CDR.
-        notes: How it was opened, one sentence each.
-    """
-
-    topics: tuple[Topic, ...]
-    start_ns: int
+    topics: tuple[Topic, ...]  # its topics, sorted by name
+    start_ns: int  # log time of the first message; `end_ns` of the last
     end_ns: int
-    is_ros2: bool
+    is_ros2: bool  # whether its messages are CDR
     _messages: Callable[..., Iterator[tuple[Any, int, bytes]]]
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # how it was opened, one sentence each
     _types: dict[str, Types] = field(default_factory=dict)
 
     def types_of(self, topic: Topic) -> Types:

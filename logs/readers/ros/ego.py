@@ -67,19 +67,15 @@ POSITION = (*(f"position.{axis}" for axis in "xyz"), *(f"orientation.{axis}" for
 
 @dataclass(frozen=True, eq=False)
 class BagPart:
-    """The messages of a bag that are read: those from `begin` to `end`, log times in ns (None: no bound).
-
-    Attributes:
-        notes: List to which assumptions and omissions are added, one sentence each.
-        drive: Whether the bounds are those of one of several drives in the bag.
-    """
+    """The messages of a bag that are read: those from `begin` to `end`, log times in ns (None: no bound)."""
 
     bag: Bag
     settings: LogSettings
     begin: int | None = None
     end: int | None = None
+    # list to which assumptions and omissions are added, one sentence each
     notes: list[str] = field(default_factory=list)
-    drive: bool = False
+    drive: bool = False  # whether the bounds are those of one of several drives in the bag
 
     def topics(self, kinds: Mapping[str, object] | tuple[str, ...], role: str) -> list[Topic]:
         """Return the topics of these types that have messages, most messages first; or the topic in the settings.
@@ -185,11 +181,7 @@ def _map_frame(edges: Edges, named: str, settings: LogSettings) -> str:
 
 
 def read_ego(part: BagPart) -> EgoLog:
-    """Read the ego's poses.
-
-    Raises:
-        LogError: The log has no poses of the ego.
-    """
+    """Read the ego's poses; LogError if the log has none."""
     edges, settings, notes = read_edges(part), part.settings, part.notes
     wanted = settings.topics.get("ego", "")
     by_transforms = any(topic.name == wanted and topic.kind in schemas.TRANSFORMS for topic in part.bag.topics)

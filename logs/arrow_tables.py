@@ -165,7 +165,6 @@ class Lists:
 
 
 def _one(column: Any) -> Any:
-    """Return a column as one array."""
     if not isinstance(column, pa.ChunkedArray):
         return column
     return column.chunk(0) if column.num_chunks == 1 else pa.concat_arrays(column.chunks) if column.num_chunks else (

@@ -257,7 +257,6 @@ def without_ego(scenario: Scenario) -> Scenario:
     same = asked & (near <= SAME_M)
 
     def extent(values: FloatArray, some: BoolArray) -> FloatArray:
-        """Return the range of the values of each track, of some samples."""
         most = np.maximum.reduceat(np.where(some, values, -np.inf), starts)
         return np.asarray(most - np.minimum.reduceat(np.where(some, values, np.inf), starts))
 

@@ -108,7 +108,6 @@ def cut(scenario: Scenario, begin: float, end: float = inf) -> Scenario:
 
 
 def _samples_within(tracks: Tracks, begin: float, end: float) -> BoolArray:
-    """Return which samples `(m,)` belong to the part."""
     before = np.r_[-inf, tracks.t[:-1]]
     before[tracks.offsets[:-1]] = -inf
     after = (before < end) & np.isfinite(before) & (tracks.t <= end + HISTORY_S)

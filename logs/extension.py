@@ -157,7 +157,6 @@ def _installed_entry_points(group: str, path: tuple[str, ...]) -> tuple[EntryPoi
 
 
 def _search_here() -> None:
-    """Add the working directory to the end of the Python path."""
     here = str(Path.cwd())
     if here not in sys.path:
         sys.path.append(here)

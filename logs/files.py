@@ -316,15 +316,9 @@ def remove(urls: Sequence[str]) -> None:
 
 
 class Near:
-    """A local path for a path or URL; the local copy of a URL is removed together with this object.
+    """A local `path` for a `place`, a path or URL; the local copy of a URL is removed together with this object.
 
-    Args:
-        place: Path or URL.
-        but: Suffixes of files that are not copied from a folder (".rrd").
-
-    Attributes:
-        path: The local path.
-        place: Path or URL, for messages.
+    Of a folder, files with the suffixes `but` (".rrd") are not copied.
 
     Raises:
         ConfigError: Nothing exists at the URL, or it cannot be listed.

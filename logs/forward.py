@@ -39,8 +39,7 @@ BENDS, ABOVE_LOCK, TIGHT_SHARE = 3, 1.2, 0.1
 """Constants of (4): one correction of the localisation is a small share of a drive."""
 
 
-def _way(ego: Trajectory) -> FloatArray:
-    """Return (1), `(n,)`."""
+def _way(ego: Trajectory) -> FloatArray:  # (1)
     yaw = 0.5 * (ego.yaw[1:] + ego.yaw[:-1])
     return np.r_[0.0, np.cumsum(np.diff(ego.x) * np.cos(yaw) + np.diff(ego.y) * np.sin(yaw))]
 

@@ -124,7 +124,6 @@ COLD = 0.1
 
 
 def _is_stored(kernel: Any) -> bool:
-    """Return whether machine code of a kernel for this processor is on disk."""
     return bool(kernel._cache._cache_file.holds(kernel.targetctx.codegen().magic_tuple()))
 
 

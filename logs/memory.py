@@ -122,14 +122,7 @@ def loaded(path: Trajectory) -> Trajectory:
 
 
 class FrameStore(Sequence[PlannedFrame]):
-    """The frames of a drive, in order of time.
-
-    Args:
-        whole: Number of frames that are kept in memory.
-
-    Raises:
-        OutputError: (append) The file cannot be written.
-    """
+    """The frames of a drive, in order of time; `whole` stay in memory. OutputError if the file cannot be written."""
 
     def __init__(self, whole: int = WHOLE) -> None:
         self._whole = whole
@@ -214,11 +207,7 @@ class Spans:
 
 
 class NearbyTracks:
-    """Returns parts of tracks, and reuses the last part while it covers the requested span.
-
-    Args:
-        few: Tracks with no more samples than this are returned whole.
-    """
+    """Returns parts of tracks with more than `few` samples, and reuses the last part while it covers the span."""
 
     def __init__(self, few: int = FEW_SAMPLES) -> None:
         self._few = few

@@ -201,12 +201,7 @@ Artefact = SlGraph | StGraph | Decision | CostTerms | Candidates | LaneOption | 
 
 
 class Internals(Sequence[Artefact]):
-    """Artefacts that are built on first access.
-
-    Args:
-        reports: Reports of the solvers, which are always available.
-        build: Function that builds all artefacts, the reports included.
-    """
+    """Artefacts that `build` makes on first access, the solvers' `reports` included, which are always there."""
 
     def __init__(self, reports: tuple[SolverReport, ...], build: Callable[[], tuple[Artefact, ...]]) -> None:
         self.reports = reports

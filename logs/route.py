@@ -134,11 +134,8 @@ class GoalFault(Enum):
 def goal_fault(road: Road, drive: Trajectory, goal: Goal, ahead: float) -> GoalFault | None:
     """Return why a goal cannot be driven to from the first state of a log's drive; None if it can.
 
-    Args:
-        road: The road.
-        drive: The log's drive; if it comes to the goal again after its start, the goal counts from then on.
-        goal: The goal.
-        ahead: Distance from the rear axle to the middle of the ego's box, m.
+    A drive that comes to the goal again counts from then on; `ahead` is the distance from the rear axle to the middle
+    of the ego's box, m.
     """
     ego, regions = drive.state(0), goal.regions
     x, y = ego.ahead(ahead)
@@ -273,7 +270,6 @@ def _heading(lane: Lane, i: int) -> float:
 
 
 def _turn(lane: Lane, ego: EgoState) -> float:
-    """Heading of the lane at the ego, relative to the ego's, rad."""
     i = min(nearest(lane.center, ego.x, ego.y), len(lane.center) - 2)
     return wrap(_heading(lane, i) - ego.yaw)
 

@@ -136,7 +136,6 @@ def _facts(scenario: Scenario) -> dict[str, Any]:
 
 
 def _describe_facts(found: dict[str, Any]) -> list[str]:
-    """Return the facts (`_facts`) as lines of text."""
     road, agents = found["road"], ", ".join(counted(count, kind) for kind, count in found["agents"].items())
     ego = f"{counted(found['ego_samples'], 'state')} from {found['ego_span'][0]:.2f} to {found['ego_span'][1]:.2f} s"
     if found["ego_samples"] > 1:

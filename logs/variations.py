@@ -111,10 +111,7 @@ class Variation:
 def varied(scenario: Scenario, agents: Sequence[str], values: Mapping[str, float]) -> Scenario:
     """Apply several variations in the order of the table, record them, and keep only the ego's start.
 
-    Args:
-        scenario: The recorded or synthetic scenario.
-        agents: Ids of the agents that are varied together; empty: the agents that the variations insert.
-        values: Value by name of `VARIATIONS`.
+    `agents` are varied together; empty: those whom the variations insert. `values` are by name of `VARIATIONS`.
 
     Raises:
         ConfigError: A name or an agent is unknown, or a value out of range.
@@ -224,7 +221,6 @@ def places(tracks: Tracks, agents: Sequence[str]) -> list[int]:
 
 
 def _theirs(tracks: Tracks, agents: Sequence[str]) -> BoolArray:
-    """Return which samples `(m,)` belong to the agents."""
     mine = np.zeros(len(tracks.t), np.bool_)
     for i in places(tracks, agents):
         mine[tracks.samples(i)] = True
@@ -252,7 +248,6 @@ def with_agent(
 
 
 def _samples(tracks: Tracks, i: int) -> FloatArray:
-    """Return the samples `(k, 6)` of track i."""
     return np.column_stack([getattr(tracks, name)[tracks.samples(i)] for name in SAMPLE_COLUMNS])
 
 

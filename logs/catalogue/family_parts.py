@@ -231,17 +231,10 @@ def finished(
     begin: float | None = None, edges: tuple[float, float] = (-HALF_LANE, HALF_LANE),
     metadata: Mapping[str, str] | None = None,
 ) -> Scenario:  # fmt: skip
-    """The scenario of a drive, without a name.
+    """The scenario of a drive, without a name; a planner has `SPARE_S` more than the drive's `duration`, s.
 
-    Args:
-        path: Path on which the goal lies.
-        driven: States of the logged driver.
-        agents: The other road users.
-        road: Road of the scene.
-        duration: Duration of the drive, s; a planner has `SPARE_S` more.
-        begin: Station at which the goal begins, m; None: 10 m before the x at which the drive ends.
-        edges: Right and left edge of the goal, m to the left of the path.
-        metadata: The accepted decisions, and further entries.
+    The goal lies on the `path`, from station `begin` (None: 10 m before the x at which the drive ends) and between the
+    right and left `edges`, m to the left of the path. `metadata` has the accepted decisions, and further entries.
     """
     first = float(driven.x[-1]) - 10.0 if begin is None else begin
     goal = Goal((stretch(path, first, first + 40.0, right=edges[0], left=edges[1]),))

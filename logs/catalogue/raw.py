@@ -63,7 +63,6 @@ def _moving_agent(
 def _true_scene(
     p: Parameters, others: list[Agent], road: Callable[..., Road], cruise: float, ahead: Callable[..., Ahead | None]
 ) -> Scenario:
-    """The true scene: the ego drives along x."""
     v, duration = p["ego_speed_mps"], p["duration_s"]
     path = curve((max(v, cruise) * duration + BEYOND_M, 0.0, 0.0))
     driven = drive(path, start=START_M, speed=v, cruise=cruise, duration=duration, ahead=ahead)

@@ -181,17 +181,10 @@ class Junction:
 
 
 def junction(begin: float, beyond: float, main: float, *, turn: float, speed_limit: float) -> Junction:
-    """The junction with the ego's path through it.
+    """The junction with the ego's path through it; `turn` is 1 (left), 0 (straight on) or -1 (right), or a ValueError.
 
-    Args:
-        begin: Length of the ego's lane to the stop line, m.
-        beyond: Length of the side road behind the junction, and of the ego's path there, m.
-        main: Length of the main road to each side, m.
-        turn: Turn of the ego: 1 left, 0 straight on, -1 right.
-        speed_limit: Speed limit of all lanes, m/s.
-
-    Raises:
-        ValueError: `turn` is none of these.
+    `begin` is the length of the ego's lane to the stop line, `beyond` that of the side road and of the ego's path
+    behind the junction, `main` that of the main road to each side, m; `speed_limit` that of all lanes, m/s.
     """
     if turn not in (-1, 0, 1):
         raise ValueError(f"turn is {turn:g}: 1 is left, 0 straight on, -1 right")

@@ -77,15 +77,10 @@ def road_of_map(
     path: Path, origin: tuple[float, float] = (0.0, 0.0), near: FloatArray | None = None,
     notes: list[str] | None = None, route: Sequence[int] = (),
 ) -> Road:  # fmt: skip
-    """Read the road of a map file (module docstring).
+    """Read the road of a map file (module docstring), `origin` subtracted from all points, m; with notes.
 
-    Args:
-        path: `map.arrow`, or a place's map.
-        origin: Subtracted from all points, m.
-        near: Places `(k, 2)` in the map's coordinates; objects farther than `REACH_M` outside their bounding box are
-            left out. None: the whole map.
-        notes: List to which assumptions are added.
-        route: Ids of the groups of lanes that the log's route leads through.
+    Objects farther than `REACH_M` outside the bounding box of the places `near` `(k, 2)`, in the map's coordinates, are
+    left out. `route` are the ids of the groups of lanes that the log's route leads through.
 
     Raises:
         LogError: The file is no such map, or has no lanes that can be used.

@@ -69,8 +69,6 @@ class Osm:
 
 
 class _Target:
-    """The target of the XML parser, which fills an `Osm`."""
-
     def __init__(self) -> None:
         self.osm = Osm()
         self.open: Element | None = None

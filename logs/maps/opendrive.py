@@ -113,7 +113,6 @@ def read_opendrive(path: Path, settings: Mapping[str, str]) -> MapFile:
 
 
 def _root(path: Path) -> Element:
-    """Return the file's XML after checks of its size."""
     root: Element = read_xml(path, "OpenDRIVE", largest=LARGEST_BYTES)
     for element in root.iter():
         element.tag = element.tag.rpartition("}")[2]  # without the namespace of ASAM's schema

@@ -245,8 +245,7 @@ def _vehicle(host: Any, notes: list[str]) -> tuple[VehicleParameters, FloatArray
     return vehicle, np.array([-vehicle.axle_to_center, 0.0])
 
 
-def _ego(rows: FloatArray, t: FloatArray, rear: FloatArray, notes: list[str]) -> Trajectory:
-    """The rear axle's states by (1) and (2)."""
+def _ego(rows: FloatArray, t: FloatArray, rear: FloatArray, notes: list[str]) -> Trajectory:  # (1), (2)
     yaw = np.unwrap(rows[:, 3])
     cos, sin = np.cos(yaw), np.sin(yaw)
     x, y = rows[:, 1] + rear[0] * cos - rear[1] * sin, rows[:, 2] + rear[0] * sin + rear[1] * cos

@@ -315,7 +315,6 @@ def _lights(stream: Stream | None, start_ns: int) -> tuple[TrafficLight, ...]:
 
 
 def _onboard(stream: Stream | None, start_ns: int) -> tuple[OnboardPlan, ...]:
-    """The plans of the log's own planner, in order of time."""
     if stream is None:
         return ()
     stream.check_order(strictly=True)

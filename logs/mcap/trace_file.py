@@ -128,7 +128,6 @@ def _trace_entries(trace: Trace, start_ns: int, internals: Internals) -> Iterato
 
 
 def _who(tracks: Tracks) -> dict[str, tuple[object, ...]]:
-    """Kind and size of each track."""
     columns = zip(tracks.kinds, tracks.length.tolist(), tracks.width.tolist(), strict=True)
     return dict(zip(tracks.ids, columns, strict=True))
 

@@ -285,7 +285,6 @@ def _detections_within(scenario: Scenario, found: Detections) -> tuple[Detection
 
 
 def _names_of(tracks: Tracks, whose: BoolArray) -> str:
-    """Describe some road users: their number and the first names."""
     names = [visible_name(tracks.ids[i]) for i in np.flatnonzero(whose)]
     return f"{counted(len(names), 'road user')} ({listed(names, NAMED)})"
 

@@ -227,15 +227,10 @@ _TIME_OF_DAY = r"\d{1,2}:\d{2}:\d{2}(?:[.,]\d+)?"
 
 
 def nanoseconds(column: pd.Series[Any], factor: float, topic: str) -> tuple[IntArray, bool]:
-    """Return the times of a column `(n,)`, ns, and whether they are texts of times of day.
+    """Return the times of a column `(n,)`, ns, and whether they are texts of times of day; LogError for others.
 
-    Args:
-        column: Numbers, dates, durations, or texts (module docstring). A date without a zone is taken as UTC.
-        factor: Seconds per unit of the numbers.
-        topic: The table, for messages.
-
-    Raises:
-        LogError: A time is missing, of another kind, or too great.
+    The column has numbers (`factor` seconds per unit), dates (without a zone: UTC), durations, or texts (module
+    docstring).
     """
     name = column.name
     if pd.api.types.is_datetime64_any_dtype(column) or pd.api.types.is_timedelta64_dtype(column):
@@ -277,13 +272,9 @@ def _of_texts(column: pd.Series[Any], topic: str) -> tuple[IntArray, bool]:
 
 
 def continued(ego: IntArray, agents: IntArray, *, is_text: bool, notes: list[str]) -> tuple[IntArray, IntArray]:
-    """Let the times of a log's rows run on over midnight (1) unless (2), with a note.
+    """Let the times of a log's rows, ns, run on over midnight (1) unless (2), with a note.
 
-    Args:
-        ego: Times of the ego's rows, ns; `agents` likewise.
-        agents: Times of the agents' rows, ns.
-        is_text: Whether they are texts of times of day.
-        notes: Notes of the scenario.
+    `is_text`: they are texts of times of day.
     """
     every = np.unique(np.concatenate([ego, agents]))
     gaps = np.diff(every)
@@ -302,17 +293,10 @@ def continued(ego: IntArray, agents: IntArray, *, is_text: bool, notes: list[str
 
 
 def check_restart(ns: IntArray, x: FloatArray, y: FloatArray, topic: str, names: Any = None) -> None:
-    """Check that the rows of a table are of one clock (3), (4).
+    """Raise LogError if the rows of a table are of several clocks (3), (4).
 
-    Args:
-        ns: Times in the order of the file `(n,)`, ns.
-        x: Position, m; NaN where unknown.
-        y: Position, m.
-        topic: The table, for the message.
-        names: Road user of each row `(n,)`: steps and ways are those of each; None: all rows are of one.
-
-    Raises:
-        LogError: The clock starts again.
+    `ns` are times in the order of the file `(n,)`; x and y positions, m, NaN where unknown; `names` the road user of
+    each row, to whom steps and ways belong (None: all rows are of one).
     """
     of = np.zeros(len(ns), np.int64) if names is None else np.unique(names, return_inverse=True)[1]
     filed, timed = np.argsort(of, kind="stable"), np.lexsort((ns, of))

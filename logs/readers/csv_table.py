@@ -100,7 +100,6 @@ def _fields(stream: TextIO, mark: str) -> Iterator[tuple[int, list[str]]]:
 
 
 def _split(line: str) -> tuple[str, list[str]]:
-    """Return the separator of a header, and its names."""
     parts = {mark: next(csv.reader([line], delimiter=mark, skipinitialspace=True), []) for mark in SEPARATORS}
     mark = max(SEPARATORS, key=lambda each: len(parts[each]))
     if len(parts[mark]) < 2 and len(line.split()) > 1:

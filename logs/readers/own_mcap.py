@@ -27,7 +27,6 @@ def _read(path: Path, settings: LogSettings) -> Scenario:
 
 
 def _contents(path: Path) -> LogContents:
-    """Return the topics up to the file's end or damage."""
     container = read_container(path)
     topics = []
     for stream in container.streams.values():

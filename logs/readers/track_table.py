@@ -118,16 +118,10 @@ class TakenEgo(NamedTuple):
 def taken_ego(
     frame: pd.DataFrame | None, ego: str, given: Mapping[str, str], vehicle: VehicleParameters | None
 ) -> TakenEgo:
-    """Take a road user out of a table of tracks.
+    """Take a road user out of a table of tracks; LogError as in `from_frames`, or with those who drove farthest.
 
-    Args:
-        frame: The table.
-        ego: Id of the road user, or its word for the kind if only one road user has it; "": that of the data set.
-        given: Columns of the table by replan's name; they win over those of the data set.
-        vehicle: The ego's vehicle; None: one of the road user's size.
-
-    Raises:
-        LogError: As in `from_frames`; the error on a missing id names the road users that drove farthest.
+    `ego` is its id, or its word for the kind if only one road user has it; "": that of the data set. The columns that
+    are `given` by replan's name win over those of the data set. `vehicle` None: one of the road user's size.
     """
     if frame is None or not len(frame):
         raise LogError("the table has no rows", topic="agents", remedy="give a table of tracks")

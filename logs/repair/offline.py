@@ -94,7 +94,6 @@ def repair(detections: Detections, ego: Trajectory, vehicle: VehicleParameters) 
     users = [_extend_standing(user, stay, frames, ego, vehicle) for user in stay]
 
     def sources(user: User) -> tuple[str, ...]:
-        """Return the log's ids of a user's detections, in order of time."""
         named = (detections.ids[i] for i in boxes.source[user.piece.rows].tolist())
         return tuple(dict.fromkeys(name for name in named if name))
 

@@ -51,8 +51,7 @@ class _Track:
     size: FloatArray = field(default_factory=lambda: np.zeros((len(_KINDS), 2)))
     window: deque[tuple[float, float, float]] = field(default_factory=deque)
 
-    def see(self, boxes: Boxes, i: int) -> None:
-        """Add the detection i (3)."""
+    def see(self, boxes: Boxes, i: int) -> None:  # (3)
         weight, code, t = float(boxes.weight[i]), int(boxes.codes[i]), float(boxes.t[i])
         self.count += 1
         self.score += weight
@@ -66,8 +65,7 @@ class _Track:
         while t - self.window[0][0] > WINDOW_S + 1e-9:
             self.window.popleft()
 
-    def front(self, group: int, vx: float, vy: float) -> float:
-        """Return the heading (3)."""
+    def front(self, group: int, vx: float, vy: float) -> float:  # (3)
         ahead = self.fronts
         if np.hypot(vx, vy) > FAST[group]:
             if group == PERSON:
@@ -76,8 +74,7 @@ class _Track:
             self.fronts += ahead
         return self.yaw if ahead >= 0.0 else self.yaw + np.pi
 
-    def stands(self, group: int, speed: float, length: float) -> bool:
-        """Return whether the track stands (2)."""
+    def stands(self, group: int, speed: float, length: float) -> bool:  # (2)
         slow = max(SLOW[group], SLIDES * length / WINDOW_S) if group == CLUSTER else SLOW[group]
         t, x, y = np.array(self.window).T
         if t[-1] - t[0] < WINDOW_LEAST_S or speed > FILTER_SLOW * slow:

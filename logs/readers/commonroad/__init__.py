@@ -62,15 +62,10 @@ class _Ego(NamedTuple):
 
 
 def read_commonroad(path: str | Path, *, problem: int | None = None, ego: str | None = None) -> Scenario:
-    """Read a CommonRoad scenario (module docstring).
+    """Read a CommonRoad scenario (module docstring); LogError if there is none, or no such problem or vehicle.
 
-    Args:
-        path: XML file, version 2018b or 2020a.
-        problem: Id of the planning problem, or its place in the file, from 1; default the first.
-        ego: Id of the obstacle to take as ego instead.
-
-    Raises:
-        LogError: The file is no such scenario, or there is no such problem or vehicle.
+    `problem` is the id of the planning problem, or its place in the file, from 1 (default: the first); `ego` the id of
+    the obstacle to take as ego instead.
     """
     path = Path(path)
     document, headings = turned(parse(path))
@@ -106,7 +101,6 @@ def read_commonroad(path: str | Path, *, problem: int | None = None, ego: str | 
 
 
 def _by_problem(document: Document, number: int | None) -> _Ego:
-    """Choose the ego of a planning problem by (2) and (3)."""
     problems = document.problems
     if not problems:
         raise LogError("no planning problem", topic="planningProblem", remedy="name a vehicle of the traffic as ego")

@@ -396,7 +396,6 @@ def _outline(shape: Element, place: str) -> FloatArray:
 
 
 def _rectangle(shape: Element, place: str) -> tuple[float, float, float]:
-    """Length, width (m) and orientation (rad) of a <rectangle>."""
     size = [number(child(shape, tag, place).text, f"{place}/{tag}") for tag in ("length", "width")]
     return size[0], size[1], number(shape.findtext("orientation", "0"), f"{place}/orientation")
 

@@ -76,13 +76,10 @@ _MORE = 1.25
 def road_of(
     document: Document, origin: tuple[float, float], driven: FloatArray, problem: PlanningProblem | None
 ) -> tuple[Road, tuple[str, ...]]:
-    """Make the road, and notes on assumptions.
+    """Make the road, `origin` subtracted from all points, m, and notes on assumptions.
 
-    Args:
-        document: The file.
-        origin: Subtracted from all points, m.
-        driven: Positions and speeds of the traffic at the start `(m, 3)`, file coordinates, m and m/s: see (2).
-        problem: The planning problem, whose goals may ask for a speed: see (3).
+    `driven` are positions and speeds of the traffic at the start `(m, 3)`, file coordinates, m and m/s, for (2); the
+    goals of the `problem` may ask for a speed (3).
     """
     lanes, notes = {}, []
     for lanelet in document.lanelets:
@@ -180,7 +177,6 @@ def _with_defaults(
 
 
 def _rounded_up(speed: float) -> float:
-    """Round a speed up to a multiple of 10 km/h."""
     return ceil(speed / (10.0 * KPH) - 1e-6) * 10.0 * KPH
 
 
@@ -282,7 +278,6 @@ def _turns(document: Document, road: Road) -> dict[tuple[int, int], str]:
 
 
 def _heading(points: FloatArray) -> float:
-    """Direction from the first to the last point, rad."""
     return atan2(points[-1, 1] - points[0, 1], points[-1, 0] - points[0, 0])
 
 

@@ -482,14 +482,10 @@ def spread(t: FloatArray, first: IntArray, window: FloatArray) -> FloatArray:
 def rates(
     t: FloatArray, values: FloatArray, first: IntArray, window: FloatArray, *, parabola: bool
 ) -> tuple[FloatArray, FloatArray]:
-    """Fit (1) at every sample: return rates and their changes `(c, n)` of `values` `(c, n)`; NaN for one sample.
+    """Fit (1), or straight lines, at every sample: return rates and their changes of `values`, all `(c, n)`.
 
-    Args:
-        t: `(n,)` s, rising where `first` is the same.
-        values: Coordinates.
-        first: `(n,)` first sample that may be in the window.
-        window: `(n,)` W, s.
-        parabola: Whether to fit parabolas; else straight lines only.
+    `t` `(n,)`, s, rises where `first`, the first sample that may be in the window, is the same; `window` is W `(n,)`,
+    s. A lone sample has NaN.
     """
     begin = np.maximum(first, _begins(t, first, window))
     rows = np.arange(len(t))

@@ -76,11 +76,7 @@ def sampled(poses: Poses, t: IntArray, how: str) -> Poses:
 
 
 class FrameTree:
-    """The tree of frames.
-
-    Args:
-        edges: (parent, child, poses of the child in the parent), each pair once.
-    """
+    """The tree of frames, of edges (parent, child, poses of the child in the parent), each pair once."""
 
     def __init__(self, edges: Iterable[tuple[str, str, Poses]]) -> None:
         self.edges = {(parent, child): poses for parent, child, poses in edges if len(poses)}

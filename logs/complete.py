@@ -67,11 +67,7 @@ def derived_curvature(x: FloatArray, y: FloatArray, yaw: FloatArray, v: FloatArr
 
 
 def completed(columns: dict[str, FloatArray], notes: list[str]) -> Trajectory:
-    """The trajectory of columns t, x, y, yaw, v, a, kappa; NaN in a and kappa is derived, with a note.
-
-    Raises:
-        ValueError: As in `Trajectory`.
-    """
+    """The trajectory of columns t, x, y, yaw, v, a, kappa; NaN in a and kappa is derived, with a note."""
     t, x, y, yaw, v = (columns[name] for name in ("t", "x", "y", "yaw", "v"))
     derived = {"a": derived_acceleration(t, v), "kappa": derived_curvature(x, y, yaw, v)}
     for name, word in (("a", "acceleration"), ("kappa", "curvature")):
@@ -105,11 +101,7 @@ def driven_limit(ego: Trajectory) -> tuple[float, str]:
 
 
 def road_along(ego: Trajectory, notes: list[str], width: float = 3.5) -> Road:
-    """The road of a log without lanes (3), `width` m wide, with its notes.
-
-    Raises:
-        LogError: The driven path turns back on itself, so that no lane follows it.
-    """
+    """The road of a log without lanes (3), `width` m wide, with its notes; LogError if no lane follows the path."""
     backward = reversals(ego)
     first, last = forward_part(ego, backward) or (0, 0)
     part = Trajectory(*(getattr(ego, name)[first : last + 1] for name in TRAJECTORY_COLUMNS)) if backward else ego

@@ -303,11 +303,7 @@ def in_world_axes(scenario: Scenario) -> Scenario:
 
 
 def checked(scenario: Scenario) -> Scenario:
-    """Check the units and frames of a log as a reader made it.
-
-    Raises:
-        LogError: Positions are degrees, or headings have one of `READINGS`.
-    """
+    """Check units and frames of a log as a reader made it; LogError for degrees, or headings of `READINGS`."""
     ego, tracks = scenario.ego, scenario.tracks
     mine, theirs = Chords.of_ego(ego), Chords.of_tracks(tracks)
     theirs = theirs.taken(_SHOWS_HEADING[tracks.codes][theirs.owner])

@@ -40,11 +40,7 @@ CLOSE_S = 1e-9
 
 
 def cut(scenario: Scenario, begin: float, end: float = inf) -> Scenario:
-    """Cut the part from `begin` to `end`, s after the scenario's start; the whole scenario is returned unchanged.
-
-    Raises:
-        LogError: The ego's log has nothing in that part.
-    """
+    """Cut the part from `begin` to `end`, s after the scenario's start; LogError if the ego's log has nothing in it."""
     ego = scenario.ego
     if begin <= 0.0 and end >= scenario.duration:
         return scenario
@@ -141,11 +137,7 @@ Timed = TypeVar("Timed", Trajectory, Tracks, Controls, TrafficLight)
 
 
 def in_nanoseconds(scenario: Scenario) -> Scenario:
-    """Round the times of all samples to whole nanoseconds (1).
-
-    Raises:
-        LogError: Two samples of the ego, of a road user or of a light fall on one nanosecond.
-    """
+    """Round the times of all samples to whole nanoseconds (1); LogError if two samples of one thing become one."""
     try:
         tracks, onboard, made = _columns_over_time(scenario.tracks), [], scenario.repair
         for plan in scenario.onboard:

@@ -143,11 +143,7 @@ def check_named(path: Path) -> None:
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """The tables of a TOML file.
-
-    Raises:
-        ConfigError: There is no such file, it cannot be read, is not TOML, too large or nested too deeply.
-    """
+    """The tables of a TOML file; ConfigError if it cannot be read, is not TOML, too large or nested too deeply."""
     try:
         check_named(path)
         size = path.stat().st_size
@@ -210,11 +206,7 @@ def on_this_machine(place: Path | str) -> Path:
 
 
 def listed(url: str) -> tuple[RemoteFile, ...]:
-    """Return the file at a URL, or all files under it, sorted; empty if nothing exists.
-
-    Raises:
-        ConfigError: The URL cannot be listed.
-    """
+    """Return the file at a URL, or all files under it, sorted, or none; ConfigError if it cannot be listed."""
     with _errors_as(url, ConfigError):
         system, path = _system(url)
         system.invalidate_cache()
@@ -250,11 +242,7 @@ def heads(files: Sequence[RemoteFile], size: int) -> list[bytes]:
 
 
 def fetch(files: Sequence[RemoteFile], folder: Path) -> None:
-    """Copy files under their names into a local folder.
-
-    Raises:
-        LogError: A file is gone or has changed, or the disk has too little space.
-    """
+    """Copy files under their names into a folder; LogError if one is gone or has changed, or the disk is full."""
     need, free = sum(file.size for file in files), shutil.disk_usage(folder).free
     if need > free:
         what = f"{need / 1e6:.0f} MB have to be fetched, {free / 1e6:.0f} MB are free in {folder.parent}"

@@ -95,12 +95,9 @@ def forward_part(ego: Trajectory, backward: tuple[tuple[int, int], ...]) -> tupl
 
 
 def drivable_part(scenario: Scenario) -> Scenario:
-    """Return the part of a scenario that planners drive and are judged in; times stay as they are.
+    """Return the part of a scenario that planners drive and are judged in; LogError if the ego only reverses.
 
     Only a lane that is made from the drive ends where the ego reverses; on the lanes of a map all is driven.
-
-    Raises:
-        LogError: The ego only reverses.
     """
     ego = scenario.ego
     backward = reversals(ego) if scenario.road.source is RoadSource.DRIVEN_PATH else ()

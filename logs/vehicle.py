@@ -141,11 +141,7 @@ class VehicleParameters:
 
 
 def car_of(sizes: Mapping[str, float], notes: list[str]) -> VehicleParameters:
-    """Make the ego's vehicle from "length", "width", "wheelbase" and "rear_overhang", m; others scale with length.
-
-    Raises:
-        ValueError: As in `VehicleParameters`.
-    """
+    """Make the ego's vehicle of sizes, m; missing ones scale with length. ValueError as in `VehicleParameters`."""
     default = VehicleParameters()
     length = sizes.get("length", default.length)
     scale = length / default.length

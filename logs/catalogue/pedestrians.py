@@ -94,11 +94,7 @@ def walker(
 
 
 def off_lane(walkers: Sequence[Agent]) -> float:
-    """The first sample at which all have left the lane for good, s.
-
-    Raises:
-        ValueError: A pedestrian stays on it, or none comes.
-    """
+    """The first sample at which all have left the lane for good, s; ValueError if one stays on it, or none comes."""
     last = -1
     for one in walkers:
         on = np.flatnonzero(np.abs(one.samples[:, 2]) <= HALF_LANE + 0.5 * max(one.size))

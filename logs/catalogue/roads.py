@@ -78,11 +78,7 @@ class CurveSamples:
 
 
 def curve(*pieces: tuple[float, float, float]) -> CurveSamples:
-    """The path of pieces `(length m, kappa at the begin, kappa at the end)` from the origin along x.
-
-    Raises:
-        ValueError: A length is negative or not finite.
-    """
+    """The path of pieces (length m, kappa at begin and end) from the origin along x; ValueError without lengths."""
     if not all(np.isfinite(length) and length >= 0.0 for length, *_ in pieces):
         raise ValueError(f"a piece of the road has no length: {[round(length, 2) for length, *_ in pieces]} m")
     ends = np.cumsum([0.0, *(length for length, *_ in pieces)])

@@ -50,11 +50,7 @@ def map_files(path: Path) -> tuple[Path, ...]:
 
 
 def read_map(path: Path, settings: LogSettings | None = None) -> MapFile:
-    """Read the map in a file of any format, in its own coordinates.
-
-    Raises:
-        LogError: The file is not a map, or is damaged; no other exception is raised for any bytes.
-    """
+    """Read a map of any format, in its own coordinates; LogError, and nothing else, if it is none or damaged."""
     reader = map_reader_of(path)
     settings = settings or LogSettings()
     stamps = tuple((file, file.stat().st_mtime_ns, file.stat().st_size) for file in reader.files(path))
@@ -70,10 +66,6 @@ def _read(
 
 
 def with_map(scenario: Scenario, settings: LogSettings) -> Scenario:
-    """Put the scenario on the map that the settings name.
-
-    Raises:
-        LogError: The map cannot be read, or does not fit the drive.
-    """
+    """Put the scenario on the map that the settings name; LogError if it cannot be read or does not fit the drive."""
     path = Path(settings.map)
     return on_map(scenario, read_map(path, settings), path, map_reader_of(path).name)

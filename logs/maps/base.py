@@ -69,12 +69,9 @@ class MapReader:
 
 
 def on_map(scenario: Scenario, found: MapFile, path: Path, kind: str) -> Scenario:
-    """Replace the scenario's road by that of the map.
+    """Replace the scenario's road by that of the map; LogError if it does not fit the drive.
 
     Lights that no stop line of the map names are left out, and so are notes that the log has no lanes.
-
-    Raises:
-        LogError: The map does not fit the drive.
     """
     origin = np.array(scenario.origin)
     road = placed_road(found.road, lambda points: points - origin)

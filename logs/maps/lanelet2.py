@@ -47,11 +47,7 @@ _READ = ("traffic_light", "traffic_sign", "right_of_way", "all_way_stop", "speed
 
 
 def read_lanelet2(path: Path, settings: Mapping[str, str]) -> MapFile:
-    """Read a map.
-
-    Raises:
-        LogError: The file is not a Lanelet2 map, has no drivable lane, or its points have no coordinates.
-    """
+    """Read a map; LogError if it is none, has no drivable lane, or its points have no coordinates."""
     osm, notes = read_osm(path), list[str]()
     try:
         nodes, frame, xy = placed_points(osm, path, settings)

@@ -117,11 +117,7 @@ class _Target:
 
 
 def read_osm(path: Path) -> Osm:
-    """Read a file.
-
-    Raises:
-        LogError: It cannot be read, is not OSM XML, has a document type declaration, or a number cannot be parsed.
-    """
+    """Read a file; LogError if it is no OSM XML (`read_xml`), or a number cannot be parsed."""
     osm: Osm = read_xml(path, target=_Target())
     return osm
 

@@ -66,11 +66,7 @@ class _Piece:
 
 
 def read_opendrive(path: Path, settings: Mapping[str, str]) -> MapFile:
-    """Read a map.
-
-    Raises:
-        LogError: pyxodr is not installed, or the file is not OpenDRIVE or has no drivable lane that can be read.
-    """
+    """Read a map; LogError without pyxodr, or if the file is no OpenDRIVE or has no drivable lane."""
     root = _root(path)
     try:
         from pyxodr.road_objects.road import Road as Geometry

@@ -39,11 +39,7 @@ UNSEEN = "agents have no sample and are left out."
 
 
 def read_scenario(path: Path, ego: str = "") -> Scenario:
-    """Read the scenario in a native or OSI log; `ego` selects an object of an OSI log other than its host.
-
-    Raises:
-        LogError: The file is damaged, in another format, or breaks the format; no other error is raised.
-    """
+    """Read a native or OSI log; `ego` selects an object of OSI other than the host; LogError for any other file."""
     return scenario_of(read_container(Path(path)), ego)
 
 

@@ -65,11 +65,7 @@ def is_written_here(path: Path) -> bool:
 
 
 def write_log(path: Path, records: Mapping[str, Mapping[str, str]], entries: Iterable[Entry]) -> None:
-    """Write metadata records and messages, in order of time, then of `native.TOPICS`, then of first occurrence.
-
-    Raises:
-        OutputError: The file cannot be written.
-    """
+    """Write metadata records and messages, in order of time, then of `native.TOPICS`, then of first occurrence."""
     part = path.with_name(f".{path.name}.part")
     try:
         with writing(path), part.open("wb") as file, SpooledTemporaryFile(SPOOL_BYTES, dir=str(path.parent)) as spool:
@@ -242,11 +238,7 @@ def _finite_all(value: float | tuple[float, ...], name: str) -> float | tuple[fl
 def samples(
     table: Any, kind: type[msgspec.Struct], topic: str, start_ns: int, *, blocks: bool = False
 ) -> Iterator[Entry]:
-    """Messages of a struct of arrays with the column t and those of `kind`: one per sample, or one per `BLOCK`.
-
-    Raises:
-        LogError: A value is infinite, or two samples fall on one nanosecond.
-    """
+    """Messages of a struct of arrays: one per sample, or per `BLOCK`; LogError for infinities and equal times."""
     times, names = log_times(table.t, start_ns, topic), kind.__struct_fields__
     for name in names:
         check_not_infinite(getattr(table, name), topic, name)

@@ -73,8 +73,7 @@ __all__ = [
 def readers(first: str = "") -> tuple[Reader, ...]:
     """Return all readers in the order in which they are tried: `first`, those of entry points, the built-in ones.
 
-    Raises:
-        ConfigError: A reader cannot be loaded or is not a `Reader`, or two have the same name.
+    ConfigError if one cannot be loaded or is not a `Reader`, or two have the same name.
     """
     found = (*READER.installed().values(), *BUILTIN)
     found = (*([READER.find(first)] if ":" in first else []), *found)
@@ -169,12 +168,9 @@ def logs_in(folder: Path, settings: LogSettings | None = None) -> Iterator[tuple
 
 
 def windows(path: Path, settings: LogSettings, length: float, every: float | None = None) -> tuple[LogSettings, ...]:
-    """Split a log between `begin` and `end` into parts of `length` s; parts shorter than half of it are left out.
+    """Split a log from `begin` to `end` into parts of `length` s, one every `every` s (by default `length`).
 
-    A part begins every `every` s (by default `length`): if that is less, parts overlap.
-
-    Raises:
-        LogError: The log cannot be read.
+    Parts shorter than half of `length` are left out.
     """
     reader = reader_of(path, settings)
     if reader is not None:

@@ -91,11 +91,7 @@ ONE_CLOCK = 'give both times of one clock (a bag: clock = "log" or "header" in [
 
 
 def check_clocks(scenario: Scenario) -> Scenario:
-    """Check the clocks of a whole scenario, and note road users who are on another clock than the ego.
-
-    Raises:
-        LogError: The times of the agents, lights, controls or plans do not overlap those of the ego.
-    """
+    """Note road users on another clock than the ego; LogError if any times do not overlap those of the ego."""
     ego, tracks = scenario.ego, scenario.tracks
     first, last = float(ego.t[0]), float(ego.t[-1]) if len(ego) > 1 else scenario.duration
     spans = list[tuple[str, float, float]]()
@@ -133,11 +129,7 @@ def _log_times(scenario: Scenario, begin: float, end: float) -> str:
 
 
 def admitted(scenario: Scenario) -> Scenario:
-    """Apply `LIMITS` to the scenario, and make its names printable.
-
-    Raises:
-        LogError: The ego, its vehicle, the goal or a side table of the ego is beyond a limit.
-    """
+    """Apply `LIMITS`, and make names printable; LogError if ego, vehicle, goal, controls or a plan is beyond one."""
     ego = scenario.ego
     _check_columns(scenario, "ego", ego)
     dt, d = np.diff(ego.t), np.hypot(np.diff(ego.x), np.diff(ego.y))
@@ -194,11 +186,7 @@ def _refusal(scenario: Scenario, topic: str, what: str, time: float) -> LogError
 
 
 def check_road(scenario: Scenario) -> Scenario:
-    """Check the road and return the scenario unchanged.
-
-    Raises:
-        LogError: A lane is farther away than `WORLD`, or a speed limit is beyond `SPEED`.
-    """
+    """Return the scenario; LogError if a lane is farther away than `WORLD`, or a speed limit is beyond `SPEED`."""
     road = scenario.road
     for lane in road.lanes.values():
         for side in (lane.left, lane.right):
@@ -224,11 +212,7 @@ def _check_place(scenario: Scenario, topic: str, points: FloatArray) -> None:
 
 
 def _tracks_within(scenario: Scenario, notes: list[str]) -> Tracks:
-    """Leave out or replace samples, velocities and sizes of tracks beyond a limit, with notes.
-
-    Raises:
-        LogError: No sample is left.
-    """
+    """Leave out or replace samples, velocities and sizes beyond a limit, with notes; LogError if none is left."""
     tracks = scenario.tracks
     speed = np.hypot(np.nan_to_num(tracks.vx), np.nan_to_num(tracks.vy))  # NaN: not known
     fast = speed > SPEED.most

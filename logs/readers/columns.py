@@ -135,11 +135,7 @@ class NamedColumns:
             raise LogError(f"{column.name} is not a column of numbers: {error}", topic=self.name) from None
 
     def yaw(self) -> FloatArray | None:
-        """Return the headings `(n,)`, rad, of the column yaw, else of the quaternions; None if it has neither.
-
-        Raises:
-            LogError: A quaternion is not of unit length; NaN stays NaN.
-        """
+        """Return the headings `(n,)`, rad, of yaw, else of unit quaternions (or a LogError); None without either."""
         if self.has("yaw"):
             return self.numbers("yaw")
         if not all(map(self.has, QUATERNION)):

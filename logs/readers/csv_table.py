@@ -40,11 +40,7 @@ class _Layout(NamedTuple):
 
 
 def load_table(path: Path) -> pd.DataFrame:
-    """Load a table; its values and names have no spaces around them.
-
-    Raises:
-        LogError: The file cannot be read, is no such table, has no header, or has rows that do not fit the header.
-    """
+    """Load a table, without spaces around values and names; LogError if its rows do not fit its header."""
     import pyarrow as pa
 
     try:

@@ -60,11 +60,7 @@ NAMED = {"_gt_": GROUND_TRUTH, "_sv_": SENSOR_VIEW}
 
 
 def trace_of(path: Path) -> Stream:
-    """Return the messages of a trace as a topic; log times are message numbers, as OSI messages have timestamps.
-
-    Raises:
-        LogError: The file cannot be read, or is not a sequence of messages.
-    """
+    """Return the messages of a trace as a topic, timed by their numbers; LogError if it is no such sequence."""
     from google.protobuf.message import DecodeError
     from osi3 import osi_sensorview_pb2
     from osi3.osi_sensorview_pb2 import SensorView

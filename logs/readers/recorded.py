@@ -44,11 +44,7 @@ def is_unit(q: FloatArray) -> BoolArray:
 
 
 def unit_of_wxyz(q: FloatArray) -> FloatArray:
-    """Convert stored quaternions (w, x, y, z) to unit quaternions (x, y, z, w), `(n, 4)`.
-
-    Raises:
-        ValueError: The length of a quaternion differs from 1 by more than `ROUNDED`.
-    """
+    """Convert quaternions (w, x, y, z) to unit ones (x, y, z, w), `(n, 4)`; ValueError beyond `ROUNDED`."""
     if not is_unit(q).all():
         raise ValueError("an orientation is not a quaternion of unit length")
     return np.roll(q / np.sqrt((q * q).sum(axis=1, keepdims=True)), -1, axis=1)
@@ -284,11 +280,7 @@ def stands(t: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, v: Floa
 
 
 def driven(t: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, notes: list[str]) -> Trajectory:
-    """Derive the trajectory through poses `(n,)` by (1) to (4); times increase strictly.
-
-    Raises:
-        ValueError: As in `Trajectory`.
-    """
+    """Derive the trajectory through poses `(n,)` by (1) to (4); times increase strictly."""
     yaw = np.unwrap(yaw)
     first, second = fitted(t, np.column_stack([x, y, yaw]))
     ahead = np.column_stack([np.cos(yaw), np.sin(yaw)])

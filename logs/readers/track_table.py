@@ -326,11 +326,7 @@ def files(path: Path) -> tuple[Path, ...]:
 
 
 def load(path: Path, columns: Mapping[str, str]) -> tuple[pd.DataFrame, dict[str, str]]:
-    """Load a table of tracks with the files beside it; return it and `columns`, with the time of a frame.
-
-    Raises:
-        LogError: A file cannot be read, or the frame rate is not known.
-    """
+    """Load a table of tracks with the files beside it, and `columns` with the time of a frame; LogError without."""
     frame, columns = load_table(path), dict(columns)
     data = data_set_of(map(str, frame.columns))
     if data is None:

@@ -78,11 +78,7 @@ class BagPart:
     drive: bool = False  # whether the bounds are those of one of several drives in the bag
 
     def topics(self, kinds: Mapping[str, object] | tuple[str, ...], role: str) -> list[Topic]:
-        """Return the topics of these types that have messages, most messages first; or the topic in the settings.
-
-        Raises:
-            LogError: The settings name a topic that is not in the bag, or not of such a type.
-        """
+        """Return the topics of these types with messages, most first; or that of the settings, or a LogError."""
         wanted = self.settings.topics.get(role, "")
         if wanted == NONE:
             return []
@@ -305,11 +301,7 @@ def _own_frames(frames: FrameTree, world: Set[str]) -> FrameTree:
 
 
 def _base_of(topic: str, child: str, own: FrameTree, settings: LogSettings, notes: list[str]) -> str:
-    """Return the frame of the rear axle: as set, or the first of `BASE_NAMES` that leads to `child`, that of the poses.
-
-    Raises:
-        LogError: The one that is set is another frame than that of the poses, and no transform leads there.
-    """
+    """Return the frame of the rear axle: as set, if transforms lead there (else a LogError), or of `BASE_NAMES`."""
     asked = settings.frames.get("base", "")
     if not child:
         if asked:

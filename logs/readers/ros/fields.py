@@ -55,12 +55,9 @@ def has_field(types: Types, kind: str, path: str) -> bool:
 
 
 def decoder(types: Types, kind: str, wanted: Wanted, *, cdr: bool) -> Callable[[bytes], tuple[Any, ...]]:
-    """Return a function that decodes the wanted fields of messages of type `kind` from bytes.
+    """Return a function that decodes the wanted fields of messages of a type from bytes; LogError if it has none.
 
     The function raises `struct.error`, `IndexError` or `ValueError` on bytes that are not such a message.
-
-    Raises:
-        LogError: The type, or one that it holds, is not known, lacks a wanted field or cannot be walked.
     """
     made: dict[str, Callable[[bytes], tuple[Any, ...]]] = {}
     for end in ("<", ">") if cdr else ("<",):

@@ -101,11 +101,7 @@ class FrameTree:
         return bool(set(self.path(one)) & set(self.path(other)))
 
     def chain(self, above: str, below: str) -> list[tuple[str, str, bool]]:
-        """Return the edges from a frame to another: (parent, child, whether the path goes down to the child).
-
-        Raises:
-            LogError: No transforms connect them.
-        """
+        """Return the edges between frames: (parent, child, whether it goes down); LogError if there are none."""
         up, down = self.path(above), self.path(below)
         meet = next((name for name in up if name in down), None)
         if meet is None:

@@ -207,8 +207,7 @@ def on_this_machine(place: Path | str) -> Path:
 
 def listed(url: str) -> tuple[RemoteFile, ...]:
     """Return the file at a URL, or all files under it, sorted, or none; ConfigError if it cannot be listed."""
-    with _errors_as(url, ConfigError):
-        system, path = _system(url)
+    with _remote(url, ConfigError) as (system, path):
         system.invalidate_cache()
         found: dict[str, Any] = system.find(path, detail=True)
     base = path.rstrip("/")
@@ -226,15 +225,14 @@ def heads(files: Sequence[RemoteFile], size: int) -> list[bytes]:
     """Return the first `size` bytes of each file, fetched together; ConfigError if a file cannot be fetched."""
     if not files:
         return []
-    with _errors_as(files[0].url, ConfigError):
-        system = _system(files[0].url)[0]
+    with _remote(files[0].url, ConfigError) as (system, _):
         ends = [min(size, file.size) for file in files]
         found: list[bytes | Exception] = system.cat_ranges(
             [system._strip_protocol(file.url) for file in files], [0] * len(ends), ends
         )
     out = []
     for file, head in zip(files, found, strict=True):
-        with _errors_as(file.url, ConfigError):
+        with _remote(file.url, ConfigError):
             if isinstance(head, Exception):
                 raise head
             out.append(head)
@@ -250,8 +248,7 @@ def fetch(files: Sequence[RemoteFile], folder: Path) -> None:
     for file in files:
         target = folder / file.name
         target.parent.mkdir(parents=True, exist_ok=True)
-        with _errors_as(file.url, LogError):
-            system, path = _system(file.url)
+        with _remote(file.url, LogError) as (system, path):
             system.get_file(path, str(target))
         if target.stat().st_size != file.size:
             raise LogError("has changed since it was listed", file=file.url, remedy="evaluate again")
@@ -261,8 +258,7 @@ def ranged(file: RemoteFile) -> Callable[[int, int], bytes]:
     """Return a function that fetches the bytes of a file between two offsets; it raises LogError if it fails."""
 
     def fetched(begin: int, end: int) -> bytes:
-        with _errors_as(file.url, LogError):
-            system, path = _system(file.url)
+        with _remote(file.url, LogError) as (system, path):
             found: bytes = system.cat_file(path, start=begin, end=end)
             return found
 
@@ -271,15 +267,13 @@ def ranged(file: RemoteFile) -> Callable[[int, int], bytes]:
 
 def put(content: Path, url: str) -> None:
     """Copy a local file to a URL; OutputError if it cannot be written."""
-    with _errors_as(url, OutputError):
-        system, path = _system(url)
+    with _remote(url, OutputError) as (system, path):
         system.put_file(str(content), path)
 
 
 def put_new(content: bytes, url: str) -> bool:
     """Write bytes to a URL unless a file exists; return whether it wrote. ConfigError if the write fails."""
-    with _errors_as(url, ConfigError):
-        system, path = _system(url)
+    with _remote(url, ConfigError) as (system, path):
         try:
             system.pipe_file(path, content, mode="create")
         except FileExistsError:
@@ -289,8 +283,7 @@ def put_new(content: bytes, url: str) -> bool:
 
 def content(url: str) -> bytes:
     """Return the content of the file at a URL; ConfigError if it cannot be read."""
-    with _errors_as(url, ConfigError):
-        system, path = _system(url)
+    with _remote(url, ConfigError) as (system, path):
         found: bytes = system.cat_file(path)
         return found
 
@@ -298,8 +291,7 @@ def content(url: str) -> bytes:
 def remove(urls: Sequence[str]) -> None:
     """Remove files; OutputError if one cannot be removed."""
     for url in urls:
-        with _errors_as(url, OutputError):
-            system, path = _system(url)
+        with _remote(url, OutputError) as (system, path):
             system.rm_file(path)
 
 
@@ -344,8 +336,9 @@ def here(place: Path | str) -> Iterator[Path]:
         yield near.path
 
 
-def _system(url: str) -> tuple[Any, str]:
-    """The file system of a URL, and the path in it."""
+@contextmanager
+def _remote(url: str, kind: type[ReplanError]) -> Iterator[tuple[Any, str]]:
+    """The file system of a URL, and the path in it; any error of its library becomes a one-line one of class `kind`."""
     try:
         from fsspec.core import url_to_fs
     except ImportError:
@@ -354,14 +347,8 @@ def _system(url: str) -> tuple[Any, str]:
         system, path = url_to_fs(url)
     except (ImportError, ValueError) as error:
         raise ConfigError(f"{url}: {error}; of S3: pip install 'replan[s3]'") from None
-    return system, str(path)
-
-
-@contextmanager
-def _errors_as(url: str, kind: type[ReplanError]) -> Iterator[None]:
-    """Turn any error of a file-system library into a one-line error of class `kind`."""
     try:
-        yield
+        yield system, str(path)
     except (ReplanError, FileExistsError):
         raise
     except FileNotFoundError:

@@ -18,7 +18,7 @@ beside the middle of this one, a successor begins where this one ends (`MAX_GAP`
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from operator import itemgetter
 from typing import Any
 
@@ -82,21 +82,12 @@ CROSSABLE = {"TYPE_UNKNOWN", "TYPE_OTHER", "TYPE_NO_LINE", "TYPE_DASHED_LINE", "
 
 @dataclass
 class _OsiMap:
-    """Messages by id, from all frames; the first message of an id is kept."""
+    """Messages by id, from all frames; the first message of an id is kept. Older descriptors lack the logical lanes."""
 
-    lanes: dict[int, Any] = field(default_factory=dict)
-    boundaries: dict[int, Any] = field(default_factory=dict)
-    logical_lanes: dict[int, Any] = field(default_factory=dict)
-    logical_boundaries: dict[int, Any] = field(default_factory=dict)
-
-    def add(self, truth: Any) -> None:
-        """Add the road of a ground truth; older descriptors lack the logical lanes."""
-        for known, name in (
-            (self.lanes, "lane"), (self.boundaries, "lane_boundary"), (self.logical_lanes, "logical_lane"),
-            (self.logical_boundaries, "logical_lane_boundary"),
-        ):  # fmt: skip
-            for message in getattr(truth, name, ()):
-                known.setdefault(message.id.value, message)
+    lane: dict[int, Any] = field(default_factory=dict)
+    lane_boundary: dict[int, Any] = field(default_factory=dict)
+    logical_lane: dict[int, Any] = field(default_factory=dict)
+    logical_lane_boundary: dict[int, Any] = field(default_factory=dict)
 
 
 @dataclass
@@ -146,9 +137,9 @@ def scenario_of(stream: Stream, name: str, ego_id: str = "") -> Scenario:
         lanes, adjacent = _logical(seen.road, origin)
         if not lanes:
             lanes, adjacent = _classic(seen.road, origin, notes)
-            unused = len(seen.road.lanes) - len(lanes)
+            unused = len(seen.road.lane) - len(lanes)
             if lanes and unused:
-                notes.append(f"{unused} of {len(seen.road.lanes)} lanes have no centre line and are left out.")
+                notes.append(f"{unused} of {len(seen.road.lane)} lanes have no centre line and are left out.")
         lanes, drives_on_right = _beside_each_other(lanes, adjacent)
         if lanes:
             limit = assumed_limit(ego)
@@ -223,7 +214,10 @@ def _decode_stream(stream: Stream) -> _Seen:
         for item in truth.stationary_object:
             seen.standing.setdefault(item.id.value, item)
         seen.lights = max(seen.lights, len(getattr(truth, "traffic_light", ())))
-        seen.road.add(truth)
+        for part in fields(_OsiMap):
+            known = getattr(seen.road, part.name)
+            for item in getattr(truth, part.name, ()):
+                known.setdefault(item.id.value, item)
         seen.times.append(time)
     return seen
 
@@ -312,10 +306,10 @@ def _points(messages: Iterable[Any], origin: FloatArray) -> FloatArray:
 def _logical(osi: _OsiMap, origin: FloatArray) -> tuple[dict[int, Lane], dict[int, list[int]]]:
     """Lanes, and the ids that each lists as adjacent."""
     lanes, adjacent = {}, {}
-    for key, message in osi.logical_lanes.items():
+    for key, message in osi.logical_lane.items():
         sides = []
         for ids in (message.left_boundary_id, message.right_boundary_id):
-            found = [osi.logical_boundaries[i.value] for i in ids if i.value in osi.logical_boundaries]
+            found = [osi.logical_lane_boundary[i.value] for i in ids if i.value in osi.logical_lane_boundary]
             parts = [_points((p.position for p in b.boundary_line), origin) for b in found]
             sides.append(np.vstack([np.empty((0, 2)), *parts]))
         if min(map(len, sides)) < 2:
@@ -336,7 +330,7 @@ def _logical(osi: _OsiMap, origin: FloatArray) -> tuple[dict[int, Lane], dict[in
 def _classic(osi: _OsiMap, origin: FloatArray, notes: list[str]) -> tuple[dict[int, Lane], dict[int, list[int]]]:
     """Lanes, and the ids that each lists as adjacent."""
     centers = {}
-    for key, message in osi.lanes.items():
+    for key, message in osi.lane.items():
         known = message.classification
         center = _points(known.centerline, origin)
         turned = known.HasField("centerline_is_driving_direction") and not known.centerline_is_driving_direction
@@ -354,7 +348,7 @@ def _classic(osi: _OsiMap, origin: FloatArray, notes: list[str]) -> tuple[dict[i
             f" beside them, else {HALF_WIDTH} m from the centre."
         )
     paired_with: dict[int, list[int]] = {}  # by any pairing, in both directions
-    for key, message in osi.lanes.items():
+    for key, message in osi.lane.items():
         for pair in message.classification.lane_pairing:
             for name in ("successor_lane_id", "antecessor_lane_id"):
                 if pair.HasField(name):
@@ -363,7 +357,7 @@ def _classic(osi: _OsiMap, origin: FloatArray, notes: list[str]) -> tuple[dict[i
                     paired_with.setdefault(other, []).append(key)
     adjacent = {}
     for key, lane in lanes.items():
-        known, onward = osi.lanes[key].classification, []
+        known, onward = osi.lane[key].classification, []
         adjacent[key] = [i.value for i in (*known.left_adjacent_lane_id, *known.right_adjacent_lane_id)]
         for i in dict.fromkeys(paired_with.get(key, ())):
             if i in lanes:
@@ -383,10 +377,10 @@ def _facts(message: Any) -> dict[str, Any]:
 
 
 def _lane_between_boundaries(key: int, osi: _OsiMap, center: FloatArray, origin: FloatArray) -> Lane | None:
-    known = osi.lanes[key].classification
+    known = osi.lane[key].classification
     lines, crossable = [], []
     for ids in (known.left_lane_boundary_id, known.right_lane_boundary_id):
-        found = [osi.boundaries[i.value] for i in ids if i.value in osi.boundaries]
+        found = [osi.lane_boundary[i.value] for i in ids if i.value in osi.lane_boundary]
         placed = []  # the pieces in driving direction
         for part in (_points((p.position for p in b.boundary_line), origin) for b in found):
             if len(part) > 1:
@@ -399,11 +393,11 @@ def _lane_between_boundaries(key: int, osi: _OsiMap, center: FloatArray, origin:
     if _lateral_offset(center, lines[0])[0] < 0.0 < _lateral_offset(center, lines[1])[0]:
         lines, crossable = lines[::-1], crossable[::-1]
     left, right = paired(*lines)
-    return Lane(key, left, right, left_crossable=crossable[0], right_crossable=crossable[1], **_facts(osi.lanes[key]))
+    return Lane(key, left, right, left_crossable=crossable[0], right_crossable=crossable[1], **_facts(osi.lane[key]))
 
 
 def _lane_around_center(key: int, osi: _OsiMap, centers: dict[int, FloatArray]) -> Lane:
-    center, known = centers[key], osi.lanes[key].classification
+    center, known = centers[key], osi.lane[key].classification
     near: dict[bool, list[float]] = {True: [], False: []}
     for ids in (known.left_adjacent_lane_id, known.right_adjacent_lane_id):
         for other in (centers[i.value] for i in ids if i.value in centers):
@@ -413,7 +407,7 @@ def _lane_around_center(key: int, osi: _OsiMap, centers: dict[int, FloatArray]) 
     half = [min(near[side], default=min(near[not side], default=HALF_WIDTH)) for side in (True, False)]
     tangent = np.gradient(center, axis=0)
     normal = np.column_stack([-tangent[:, 1], tangent[:, 0]]) / np.maximum(np.hypot(*tangent.T), 1e-9)[:, None]
-    return Lane(key, center + half[0] * normal, center - half[1] * normal, **_facts(osi.lanes[key]))
+    return Lane(key, center + half[0] * normal, center - half[1] * normal, **_facts(osi.lane[key]))
 
 
 def _lateral_offset(line: FloatArray, other: FloatArray) -> tuple[float, bool]:

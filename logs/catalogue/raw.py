@@ -170,36 +170,31 @@ def _family(
     return Family(f"raw/{name}", summary, {**parameters, "seed": 1.0}, ("raw", tag), build, {}, source)
 
 
-CROSSING = _family(
-    "crossing",
-    "a pedestrian crosses between parked cars, others walk along: detections without identities",
-    {
-        "ego_speed_mps": 8.0, "pedestrian_speed_mps": 1.2, "walk_start_s": 5.0, "distance_m": 28.0,
-        "kerb_distance_m": 0.6, "duration_s": 27.0,
-    },
-    "pedestrian", _crossing,
-)  # fmt: skip
-FAMILIES = (
-    CROSSING,
-    _family(
+_SCENES: tuple[tuple[str, str, Mapping[str, float], str, Callable[[Parameters], Scenario]], ...] = (
+    (
+        "crossing", "a pedestrian crosses between parked cars, others walk along: detections without identities",
+        {"ego_speed_mps": 8.0, "pedestrian_speed_mps": 1.2, "walk_start_s": 5.0, "distance_m": 28.0,
+         "kerb_distance_m": 0.6, "duration_s": 27.0}, "pedestrian", _crossing,
+    ),
+    (
         "queue", "a queue stands in the lane and drives on, another stands beside it",
         {"ego_speed_mps": 8.0, "distance_m": 60.0, "stands_s": 10.0, "duration_s": 34.0}, "follow", _queue,
     ),
-    _family("parked", "rows of parked cars on both sides, people behind them",
-            {"ego_speed_mps": 8.0, "duration_s": 25.0}, "static", _parked_rows),
-    _family(
+    (
+        "parked", "rows of parked cars on both sides, people behind them",
+        {"ego_speed_mps": 8.0, "duration_s": 25.0}, "static", _parked_rows,
+    ),
+    (
         "rider", "a rider comes towards the ego, taken for a pedestrian",
         {"ego_speed_mps": 8.0, "distance_m": 90.0, "offset_m": 2.4, "rider_speed_mps": 5.5, "duration_s": 25.0},
         "cyclist", _rider,
     ),
-    _family("clusters", "clusters of points beside the road, a car ahead",
-            {"ego_speed_mps": 8.0, "clusters": 80.0, "duration_s": 25.0}, "static", _clusters),
+    (
+        "clusters", "clusters of points beside the road, a car ahead",
+        {"ego_speed_mps": 8.0, "clusters": 80.0, "duration_s": 25.0}, "static", _clusters,
+    ),
 )  # fmt: skip
-TRUE: Mapping[str, Callable[[Parameters], Scenario]] = {
-    "raw/crossing": _crossing,
-    "raw/queue": _queue,
-    "raw/parked": _parked_rows,
-    "raw/rider": _rider,
-    "raw/clusters": _clusters,
-}
+FAMILIES = tuple(_family(*row) for row in _SCENES)
+CROSSING = FAMILIES[0]
+TRUE: Mapping[str, Callable[[Parameters], Scenario]] = {f"raw/{name}": scene for name, *_, scene in _SCENES}
 """The true scenes by the name of their family."""

@@ -26,7 +26,7 @@ from logs.arrays import TIE, FloatArray
 from logs.errors import LogError
 from logs.forward import described, forward_part, reversals
 from logs.road import Road, thinned
-from logs.states import TRAJECTORY_COLUMNS, Trajectory
+from logs.states import Trajectory
 from logs.tracks import Tracks
 
 MIN_STEP = 0.05
@@ -104,7 +104,7 @@ def road_along(ego: Trajectory, notes: list[str], width: float = 3.5) -> Road:
     """The road of a log without lanes (3), `width` m wide, with its notes; LogError if no lane follows the path."""
     backward = reversals(ego)
     first, last = forward_part(ego, backward) or (0, 0)
-    part = Trajectory(*(getattr(ego, name)[first : last + 1] for name in TRAJECTORY_COLUMNS)) if backward else ego
+    part = ego.taken(slice(first, last + 1)) if backward else ego
     path = np.column_stack([part.x, part.y])
     ahead = np.array([np.cos(part.yaw[0]), np.sin(part.yaw[0])])
     stands = bool(np.hypot(*(path - path[0]).T).max() < MIN_PATH) and way_driven(part) < MIN_PATH

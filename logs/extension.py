@@ -9,7 +9,7 @@ An extension of a kind is named as
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache, reduce
 from importlib import import_module
@@ -53,12 +53,8 @@ class ExtensionKind(Generic[T]):
         """The group of entry points."""
         return f"replan.{self.plural}"
 
-    def find(self, spec: str, *, also: Iterable[str] = ()) -> T:
-        """Return the extension that the user named.
-
-        Args:
-            spec: A built-in name, the name of an entry point, or "module:NAME".
-            also: Further names that the caller accepts, for the error message about an unknown name.
+    def find(self, spec: str) -> T:
+        """Return the extension that the user named: built in, of an entry point, or "module:NAME".
 
         Raises:
             ConfigError: The name is unknown, or two extensions have it.
@@ -66,7 +62,7 @@ class ExtensionKind(Generic[T]):
         """
         if spec in self.builtin:
             return self.builtin[spec]
-        module, name = self.place(spec, also=also)
+        module, name = self.place(spec)
         _search_here()
         try:
             loaded = import_module(module)
@@ -89,12 +85,12 @@ class ExtensionKind(Generic[T]):
             raise self.error(f"{self.name} '{spec}' {wrong}")
         return thing
 
-    def place(self, spec: str, *, also: Iterable[str] = ()) -> tuple[str, str]:
+    def place(self, spec: str) -> tuple[str, str]:
         """Return module and attribute of an extension that is not built in; ConfigError if `spec` is unknown."""
         if ":" not in spec:
             entries = self.entries()
             if spec not in entries:
-                raise unknown_name(self.name, spec, [*self.builtin, *self.besides, *also, *entries, self.form])
+                raise unknown_name(self.name, spec, [*self.builtin, *self.besides, *entries, self.form])
             spec = f"{entries[spec].module}:{entries[spec].attr}"
         module, _, name = (part.strip() for part in spec.partition(":"))
         if not module or not name:

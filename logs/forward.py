@@ -27,7 +27,7 @@ from logs.names import listed
 from logs.once import once
 from logs.road import RoadSource, thinned
 from logs.scenario import Scenario
-from logs.states import TRAJECTORY_COLUMNS, Trajectory, wrapped
+from logs.states import Trajectory, wrapped
 
 REVERSE_M = 1.0
 """A shorter way back leaves no trace in a lane, whose points are 1 m apart (`Road.along`)."""
@@ -108,10 +108,9 @@ def drivable_part(scenario: Scenario) -> Scenario:
         what = f"the log reverses from {described(ego, backward)}: planners drive forward only, so none of it is driven"
         raise LogError(f"{scenario.name}: {what}", remedy="choose a part that goes forward with --from and --to")
     first, last = part
-    rows = (getattr(ego, name)[first : last + 1] for name in TRAJECTORY_COLUMNS)
     goal = scenario.goal if last == len(ego) - 1 else None  # a goal behind a reversal is reached in reverse
     duration = scenario.duration if last == len(ego) - 1 else float(ego.t[last])
-    return replace(scenario, ego=Trajectory(*rows), duration=duration, goal=goal)
+    return replace(scenario, ego=ego.taken(slice(first, last + 1)), duration=duration, goal=goal)
 
 
 @once

@@ -58,20 +58,17 @@ SPEED = Limit(150.0, "m/s")
 """540 km/h: more than any road vehicle has reached in traffic or in a race."""
 HEADING = Limit(1e4, "rad")
 """Unwrapped heading: 1600 turns."""
+_POSE = {"x": WORLD, "y": WORLD, "yaw": HEADING}
+_STATE = {
+    **_POSE,
+    "v": SPEED,
+    "a": Limit(1e4, "m/s2"),  # above the spikes of speeds that are differenced at 100 Hz
+    "kappa": Limit(1e3, "1/m"),  # above the spikes of headings at walking speed
+}
+_CONTROLS = {"steer": Limit(1e3, "rad"), "throttle": Limit(1e3, ""), "brake": Limit(1e3, "")}
 LIMITS: Mapping[str, Mapping[str, Limit]] = MappingProxyType(
-    {
-        "ego": {
-            "x": WORLD, "y": WORLD, "yaw": HEADING, "v": SPEED,
-            "a": Limit(1e4, "m/s2"),  # above the spikes of speeds that are differenced at 100 Hz
-            "kappa": Limit(1e3, "1/m"),  # above the spikes of headings at walking speed
-        },
-        "agents": {"x": WORLD, "y": WORLD, "yaw": HEADING},
-        "controls": {"steer": Limit(1e3, "rad"), "throttle": Limit(1e3, ""), "brake": Limit(1e3, "")},
-        "onboard": {
-            "x": WORLD, "y": WORLD, "yaw": HEADING, "v": SPEED, "a": Limit(1e4, "m/s2"), "kappa": Limit(1e3, "1/m"),
-        },
-    }
-)  # fmt: skip
+    {"ego": _STATE, "agents": _POSE, "controls": _CONTROLS, "onboard": _STATE}
+)
 STEP_M = 100.0
 """Largest displacement between two ego states beyond `SPEED` times the time, m: localisation jumps less."""
 GAP_S = 60.0

@@ -75,8 +75,7 @@ _LICENCES = {
     "nuscenes": "CC BY-NC-SA 4.0 and the terms of nuScenes", "kitti360": "CC BY-NC-SA 3.0",
     "pandaset": "CC BY 4.0 and the terms of PandaSet", "wod": "Waymo's, non-commercial",
 }  # fmt: skip
-_CAR, _TRUCK, _BUS, _MOTORCYCLE = AgentKind.CAR, AgentKind.TRUCK, AgentKind.BUS, AgentKind.MOTORCYCLE
-_BICYCLE, _PEDESTRIAN, _OBJECT = AgentKind.BICYCLE, AgentKind.PEDESTRIAN, AgentKind.OBJECT
+_CAR, _TRUCK, _BUS, _MOTORCYCLE, _BICYCLE, _PEDESTRIAN, _OBJECT = AgentKind
 LONG_M = 6.5
 """A vehicle of unspecified type that is longer is a truck, m."""
 

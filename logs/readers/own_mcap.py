@@ -13,17 +13,11 @@ import struct
 from pathlib import Path
 
 from logs.errors import LogError
-from logs.log_settings import LogSettings
 from logs.mcap import native, osi
 from logs.mcap.container import COPY_AGAIN, Stream, content_of, read_container
 from logs.mcap.reader import read_scenario
 from logs.mcap.writer import descriptor_set
 from logs.readers.base import LogContents, Reader, TopicSummary, files_named
-from logs.scenario import Scenario
-
-
-def _read(path: Path, settings: LogSettings) -> Scenario:
-    return read_scenario(path, settings.ego)
 
 
 def _contents(path: Path) -> LogContents:
@@ -46,7 +40,8 @@ def _contents(path: Path) -> LogContents:
 
 READER = Reader(
     "native", "replan's own MCAP, traces included; ASAM OSI ground truth in MCAP", "*.mcap", (".mcap",),
-    files_named(".mcap"), _read, contents=_contents, settings=("ego",),
+    files_named(".mcap"), lambda path, settings: read_scenario(path, settings.ego),
+    contents=_contents, settings=("ego",),
 )  # fmt: skip
 
 
@@ -86,10 +81,6 @@ def trace_of(path: Path) -> Stream:
     return Stream(path.name, "protobuf", schema, "protobuf", descriptor, times, payloads)
 
 
-def _read_osi(path: Path, settings: LogSettings) -> Scenario:
-    return osi.scenario_of(trace_of(path), path.stem, settings.ego)
-
-
 def _contents_osi(path: Path) -> LogContents:
     try:
         trace = trace_of(path)
@@ -100,6 +91,7 @@ def _contents_osi(path: Path) -> LogContents:
 
 
 OSI_READER = Reader(
-    "osi", "ASAM OSI traces of ground truth or sensor views", "*.osi", (".osi",), files_named(".osi"), _read_osi,
+    "osi", "ASAM OSI traces of ground truth or sensor views", "*.osi", (".osi",), files_named(".osi"),
+    lambda path, settings: osi.scenario_of(trace_of(path), path.stem, settings.ego),
     contents=_contents_osi, settings=("ego",),
 )  # fmt: skip

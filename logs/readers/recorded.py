@@ -257,7 +257,7 @@ def from_start(
 
     Times are rounded to whole nanoseconds, as in logs.
     """
-    ego = Trajectory(*(getattr(whole, name)[index] for name in ("t", "x", "y", "yaw", "v", "a", "kappa")))
+    ego = whole.taken(index)
     start, origin = float(ego.t[0]), np.round([ego.x[0], ego.y[0]])
     ego_t, boxes_t = (np.asarray(np.rint(1e9 * (t - start)) / 1e9) for t in (ego.t, boxes.t))
     ego = replace(ego, t=ego_t, x=ego.x - origin[0], y=ego.y - origin[1])

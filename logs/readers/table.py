@@ -225,10 +225,6 @@ def _claims(path: Path) -> bool:
         return False
 
 
-def _claims_with(path: Path, settings: LogSettings) -> bool:
-    return bool(settings.columns) and not path.is_dir() and track_table.claims(path, settings.columns)
-
-
 def _files(path: Path) -> tuple[Path, ...]:
     if not path.is_dir():
         return track_table.files(path)
@@ -273,5 +269,8 @@ def _contents(path: Path) -> LogContents:
 READER = Reader(
     "table", "tables of ego and agents, or of tracks (highD, inD, INTERACTION, NGSIM ...), CSV or Parquet",
     "folders with ego.csv or ego.parquet, tables of tracks", (), _claims, _read,
-    files=_files, contents=_contents, settings=("ego", "ego_point", "columns", "car"), claims_with=_claims_with,
+    files=_files, contents=_contents, settings=("ego", "ego_point", "columns", "car"),
+    claims_with=lambda path, settings: (
+        bool(settings.columns) and not path.is_dir() and track_table.claims(path, settings.columns)
+    ),
 )  # fmt: skip

@@ -24,7 +24,6 @@ import numpy as np
 from logs.agents import AgentKind
 from logs.arrays import FloatArray
 from logs.errors import LogError
-from logs.log_settings import LogSettings
 from logs.observed import Spans, inferred
 from logs.readers.base import Reader
 from logs.readers.commonroad.document import Document, Obstacle, PlanningProblem, parse
@@ -267,11 +266,8 @@ def _claims(path: Path) -> bool:
         return True  # reading it says why it cannot be read
 
 
-def _read(path: Path, settings: LogSettings) -> Scenario:
-    return read_commonroad(path, ego=settings.ego or None, problem=settings.problem or None)
-
-
 READER = Reader(
-    "commonroad", "CommonRoad scenarios, 2018b and 2020a", "CommonRoad *.xml", (".xml",), _claims, _read,
+    "commonroad", "CommonRoad scenarios, 2018b and 2020a", "CommonRoad *.xml", (".xml",), _claims,
+    lambda path, settings: read_commonroad(path, ego=settings.ego or None, problem=settings.problem or None),
     settings=("ego", "problem"),
 )  # fmt: skip

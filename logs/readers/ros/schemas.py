@@ -12,9 +12,7 @@ from logs.agents import AgentKind
 from logs.rules import Colour
 
 STAMP = ("header.stamp.sec", "header.stamp.nanosec")
-CAR, TRUCK, BUS = AgentKind.CAR, AgentKind.TRUCK, AgentKind.BUS
-MOTORCYCLE, BICYCLE, PEDESTRIAN = AgentKind.MOTORCYCLE, AgentKind.BICYCLE, AgentKind.PEDESTRIAN
-OBJECT = AgentKind.OBJECT
+CAR, TRUCK, BUS, MOTORCYCLE, BICYCLE, PEDESTRIAN, OBJECT = AgentKind
 
 AUTOWARE_LABELS = {
     1: CAR, 2: TRUCK, 3: BUS, 4: TRUCK, 5: MOTORCYCLE, 6: BICYCLE, 7: PEDESTRIAN, 8: PEDESTRIAN,

@@ -1,7 +1,7 @@
 """The decorators of compiled kernels; how much of their machine code is on disk, was compiled, and where it is.
 
 A kernel is a pure module-level function of scalars and arrays. `kernel` compiles it with numba: cached on disk
-(`logs.kernel_cache`), IEEE arithmetic (no fastmath), division by zero gives inf or nan as in NumPy.
+(`logs.kernel_compiler`), IEEE arithmetic (no fastmath), division by zero gives inf or nan as in NumPy.
 `NUMBA_DISABLE_JIT=1` runs the same source as plain Python.
 """
 
@@ -22,8 +22,7 @@ import numba
 from numba import njit
 from numba.core import codegen, event
 
-from logs.kernel_cache import KernelIndex
-from logs.kernel_compiler import compile_less
+from logs.kernel_compiler import KernelIndex, compile_less
 
 PORTABLE = "x86-64-v3"
 """The target processor of kernels if the machine supports it and the user chose none (`NUMBA_CPU_NAME`).

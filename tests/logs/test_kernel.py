@@ -13,7 +13,7 @@ from typing import Any, cast
 
 import pytest
 
-from logs.kernel_cache import KernelIndex
+from logs.kernel_compiler import KernelIndex
 from logs.states import wrap
 
 NO_PLACE = """

@@ -1,8 +1,9 @@
-"""Types of arrays, read-only arrays, lengths and nearest points of polylines, and the tolerance of comparisons."""
+"""Types of arrays, read-only arrays, columns, lengths and nearest points of polylines, the tolerance of comparisons."""
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import fields, replace
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,17 @@ TIE = 1e-6
 It is far above rounding and far below any measurement. Round figures are common in maps and scenarios, so thresholds
 must not lie exactly on them: each comparison is shifted by this, in the direction that its code shows.
 """
+
+
+class Columns:
+    """A data class of columns with a row per sample, arrays and lists `(n,)`; its other fields hold for all rows."""
+
+    def taken(self, rows: Any) -> Self:
+        """Return the rows that an array of indices, or of booleans for arrays only, selects."""
+        held: dict[str, Any] = {each.name: getattr(self, each.name) for each in fields(self)}  # type: ignore[arg-type]
+        columns = {name: column[rows] for name, column in held.items() if isinstance(column, np.ndarray)}
+        lists = {name: [column[i] for i in rows] for name, column in held.items() if isinstance(column, list)}
+        return replace(self, **columns, **lists)  # type: ignore[type-var]
 
 
 def arc_lengths(x: FloatArray, y: FloatArray) -> FloatArray:

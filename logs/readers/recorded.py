@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 
 from logs.agents import USUAL_SIZE_M, AgentKind
-from logs.arrays import BoolArray, FloatArray, IntArray
+from logs.arrays import BoolArray, Columns, FloatArray, IntArray
 from logs.complete import completed
 from logs.states import Trajectory
 from logs.tracks import Tracks
@@ -91,7 +91,7 @@ SOONEST_S = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class RecordedBoxes:
+class RecordedBoxes(Columns):
     """All boxes of a log, `(m,)` each: time s, owner (index into `names`), centre m, rad, m, m/s (NaN: unknown)."""
 
     names: tuple[str, ...]
@@ -111,11 +111,6 @@ class RecordedBoxes:
         """No boxes."""
         none = np.empty(0)
         return cls((), (), none, np.empty(0, np.int64), *(none,) * 7)
-
-    def taken(self, rows: Any) -> RecordedBoxes:
-        """Return the boxes of these rows."""
-        names = ("t", "owner", "x", "y", "yaw", "length", "width", "vx", "vy")
-        return replace(self, **{name: getattr(self, name)[rows] for name in names})
 
 
 def ordered(boxes: RecordedBoxes, notes: list[str]) -> RecordedBoxes:

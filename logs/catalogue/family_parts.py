@@ -32,6 +32,7 @@ from logs.states import Trajectory
 from logs.tracks import Tracks
 
 STEP_S = 0.02
+START_M = 10.0
 SAMPLE_S = 0.1
 MAX_ACCEL, MAX_BRAKE, MAX_JERK = 1.5, 3.0, 2.0
 _EASE = 0.7 * MAX_JERK
@@ -66,28 +67,29 @@ def waiting(line: float, short: float, begin: float, end: float, front: float) -
 def drive(
     path: CurveSamples,
     *,
-    start: float,
     speed: float,
-    cruise: float | Callable[[float], float],
     duration: float,
+    cruise: float | Callable[[float], float] | None = None,
     ahead: Reaction = lambda t, s: None,
+    start: float = START_M,
     thw: float = 1.6,
 ) -> Trajectory:
     """The ego log, sampled at 10 Hz.
 
     Args:
         path: Path of the rear axle.
-        start: Station of the rear axle at t = 0, m.
         speed: Speed at t = 0, m/s.
-        cruise: Wanted speed, m/s; or a function of the rear axle's station.
         duration: Duration, s; a multiple of 0.1.
+        cruise: Wanted speed, m/s; or a function of the rear axle's station. None: `speed`.
         ahead: Returns the object that the driver reacts to.
+        start: Station of the rear axle at t = 0, m.
         thw: Wanted time headway, s.
 
     Raises:
         ValueError: The path is too short.
     """
     t, s, v, a, rows = 0.0, start, speed, 0.0, []
+    cruise = speed if cruise is None else cruise
     every = round(SAMPLE_S / STEP_S)
     for k in range(round(duration / STEP_S) + 1):
         if k % every == 0:
@@ -121,7 +123,6 @@ ADULT = (0.5, 0.6)
 BICYCLE = (1.8, 0.6)
 SMALL_CAR, LARGE_CAR = (4.316, 1.79), (4.418, 1.82)
 """Length and width of the cars of CPNCO, m."""
-START_M = 10.0
 SPARE_S = 10.0
 """Time that a planner may take longer than the logged driver, s."""
 BEYOND_M = 150.0

@@ -132,7 +132,7 @@ def _crossing_scene(
     """The scenario of a driver who reacts to `ahead`; `cruise` None: the ego's speed at the start."""
     v, duration = p["ego_speed_mps"], p["duration_s"]
     path = straight_path(v, duration)
-    driven = drive(path, start=START_M, speed=v, cruise=cruise or v, duration=duration, ahead=ahead)
+    driven = drive(path, speed=v, cruise=cruise, duration=duration, ahead=ahead)
     metadata = {
         **expects(**{one.id: kinds for one in agents if one.kind is AgentKind.PEDESTRIAN}),
         "pedestrian_sets_off_s": repr(sets_off),

@@ -90,7 +90,7 @@ def tested(
     passed, and the goal is the path's end, which is so far that a drive lasts as long as the log.
     """
     v, duration = p["ego_kmh"] * KMH, p["duration_s"]
-    driven = drive(path, start=start, speed=v, cruise=v, duration=duration, ahead=ahead)
+    driven = drive(path, start=start, speed=v, duration=duration, ahead=ahead)
     begin = path.length - GOAL_M if beyond is None else beyond
     return before_contact(finished(path, driven, agents, road, duration, begin=begin, metadata=expects(**expected)))
 

@@ -65,7 +65,7 @@ def _true_scene(
 ) -> Scenario:
     v, duration = p["ego_speed_mps"], p["duration_s"]
     path = curve((max(v, cruise) * duration + BEYOND_M, 0.0, 0.0))
-    driven = drive(path, start=START_M, speed=v, cruise=cruise, duration=duration, ahead=ahead)
+    driven = drive(path, speed=v, cruise=cruise, duration=duration, ahead=ahead)
     return Scenario("", driven, tracks(others), road(path, max(v, cruise)), duration, _goal(path, driven))
 
 

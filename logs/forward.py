@@ -132,6 +132,6 @@ def tighter_than_vehicle(scenario: Scenario) -> str:
     )
 
 
-def described(ego: Trajectory, backward: tuple[tuple[int, int], ...], most: int = 3) -> str:
+def described(ego: Trajectory, backward: tuple[tuple[int, int], ...]) -> str:
     """Return the times of reversals as text: "14.0 to 24.0 s, 31.0 to 33.5 s and 2 more"."""
-    return listed([f"{ego.t[first]:.1f} to {ego.t[last]:.1f} s" for first, last in backward], most)
+    return listed([f"{ego.t[first]:.1f} to {ego.t[last]:.1f} s" for first, last in backward], 3)

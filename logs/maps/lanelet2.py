@@ -19,7 +19,7 @@ junction, the rule applies to their successors.
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
@@ -62,6 +62,8 @@ def read_lanelet2(path: Path, settings: Mapping[str, str]) -> MapFile:
             i: _outline(osm, each, rows) for i, each in osm.relations.items()
             if each.tags.get("type") == "multipolygon" and each.tags.get("subtype") in _AREAS
         }  # fmt: skip
+        outlines = (*shapes, *areas.values())
+        rings = [line[:-1] if len(line) > 1 and line[0] == line[-1] else line for line in outlines]
         # traffic drives on the right if more lanes have the opposite direction on their left
         votes = [lane.left_opposite for lane in lanes.values() if lane.left_opposite != lane.right_opposite]
         road = Road(
@@ -69,7 +71,7 @@ def read_lanelet2(path: Path, settings: Mapping[str, str]) -> MapFile:
             drives_on_right=sum(votes) * 2 >= len(votes),
             stop_lines=rules.stop_lines,
             crosswalks=rules.crosswalks,
-            areas=_grounds([*shapes, *areas.values()], xy),
+            areas=tuple(xy[list(ring)] for ring in rings if len(ring) > 2),
         )
         for key, count in sorted(osm.blanks.items()):
             notes.append(f"{count} tags have blanks around the key '{key}': it is read without.")
@@ -88,12 +90,6 @@ def read_lanelet2(path: Path, settings: Mapping[str, str]) -> MapFile:
         raise error if error.file is not None else error.at(path) from None
     except (ValueError, OverflowError) as error:
         raise LogError(str(error), file=path) from None
-
-
-def _grounds(outlines: Iterable[Sequence[int]], xy: FloatArray) -> tuple[FloatArray, ...]:
-    """Return the polygons `(k, 2)` of outlines with at least three points, without a repeated last point."""
-    rings = (line[:-1] if len(line) > 1 and line[0] == line[-1] else line for line in outlines)
-    return tuple(xy[list(ring)] for ring in rings if len(ring) > 2)
 
 
 def _outline(osm: Osm, area: Element, rows: Mapping[int, int]) -> Sequence[int]:

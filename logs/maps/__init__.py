@@ -1,16 +1,6 @@
 """Reads maps that replace a log's own road (`--map`, `[log] map`), with a table of readers tried in order.
 
 A new format needs one file with a `MapReader` and one line in `BUILTIN`.
-
-Modules:
-    base.py             the classes of map readers and maps; puts a scenario on a map that fits the drive
-    projections.py      latitude and longitude to plane coordinates
-    lanelet2_file.py    Lanelet2 files: their XML as records, the coordinates of their points
-    lanelet2_lanes.py   the lanes of Lanelet2 maps
-    lanelet2.py         the regulatory elements and the road of Lanelet2 maps
-    opendrive.py        OpenDRIVE maps, by pyxodr
-    arrow123d_map.py    maps of 123D
-    strips.py           lanes between two lines
 """
 
 from __future__ import annotations

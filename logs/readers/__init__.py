@@ -5,21 +5,6 @@ A new format needs one file with a `Reader` and one line in `BUILTIN`. A reader 
 
     [project.entry-points."replan.readers"]
     mine = "my_package.reader:READER"
-
-Modules:
-    base.py         the class of readers
-    admission.py    the checks of every log; the repair of raw detections
-    commonroad/     CommonRoad XML
-    comma2k19.py    segments of comma2k19
-    foreign.py      formats that are not read, and what to do with them
-    table.py        pandas frames, CSV and Parquet
-    track_table.py  tables of tracks without an ego
-    csv_table.py, columns.py   shared by tables: files; names, units and times
-    ros/            ROS 2 and ROS 1 bags
-    arrow123d.py    123D's Arrow logs
-    argoverse2.py   Argoverse 2: sensor logs, motion-forecasting scenarios
-    recorded.py     shared by readers of data sets: rotations, boxes as tracks, poses as ego states
-    own_mcap.py     replan's own MCAP, and ASAM OSI
 """
 
 from __future__ import annotations

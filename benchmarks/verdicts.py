@@ -20,9 +20,8 @@ import pandas as pd
 from scipy.interpolate import PchipInterpolator
 
 from logs.catalogue import CATALOGUE
-from logs.references import Avoidability, DriverVerdict
 from logs.road import ReferenceLine
-from logs.scenario import Scenario
+from logs.scenario import Avoidability, DriverVerdict, Scenario
 from logs.tracks import Tracks
 from metrics.reference_drivers import DRIVERS
 from replay.loop.reference_drives import reference_line

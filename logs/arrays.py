@@ -1,8 +1,9 @@
-"""Types of arrays, read-only arrays, lengths along polylines, and the tolerance of comparisons."""
+"""Types of arrays, read-only arrays, columns, lengths and nearest points of polylines, the tolerance of comparisons."""
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import fields, replace
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +22,36 @@ must not lie exactly on them: each comparison is shifted by this, in the directi
 """
 
 
+class Columns:
+    """A data class of columns with a row per sample, arrays and lists `(n,)`; its other fields hold for all rows."""
+
+    def taken(self, rows: Any) -> Self:
+        """Return the rows that an array of indices, or of booleans for arrays only, selects."""
+        held: dict[str, Any] = {each.name: getattr(self, each.name) for each in fields(self)}  # type: ignore[arg-type]
+        columns = {name: column[rows] for name, column in held.items() if isinstance(column, np.ndarray)}
+        lists = {name: [column[i] for i in rows] for name, column in held.items() if isinstance(column, list)}
+        return replace(self, **columns, **lists)  # type: ignore[type-var]
+
+
 def arc_lengths(x: FloatArray, y: FloatArray) -> FloatArray:
     """Return the length of a polyline from its first point to each of its points `(n,)`, m."""
     return np.r_[0.0, np.cumsum(np.hypot(np.diff(x), np.diff(y)))]
+
+
+def foot_on(line: FloatArray, point: FloatArray) -> tuple[int, FloatArray]:
+    """Return the segment of a polyline `(n, 2)` that is nearest to a point `(2,)`, and the nearest point on it."""
+    steps = np.diff(line, axis=0)
+    squares = np.maximum(np.einsum("ij,ij->i", steps, steps), 1e-18)
+    along = np.clip(np.einsum("ij,ij->i", point - line[:-1], steps) / squares, 0.0, 1.0)
+    feet = line[:-1] + along[:, None] * steps
+    i = int(np.argmin(np.hypot(*(feet - point).T)))
+    return i, feet[i]
+
+
+def station_on(line: FloatArray, point: FloatArray) -> float:
+    """Return the length of a polyline `(n, 2)` up to its point that is nearest to a point `(2,)`, m."""
+    i, foot = foot_on(line, point)
+    return float(np.hypot(*np.diff(line[: i + 1], axis=0).T).sum() + np.hypot(*(foot - line[i])))
 
 
 def frozen(values: object, dtype: Any = np.float64) -> NDArray[Any]:

@@ -98,10 +98,13 @@ def array_of(value: Any) -> FloatArray:
 
 def whole(table: Any, name: str) -> IntArray:
     """Return a column of integers `(n,)`; ValueError if one is missing."""
-    column = table[name]
-    if column.null_count or not pa.types.is_integer(column.type):
-        raise ValueError(f"{name} has empty entries or is no column of whole numbers")
-    return column.to_numpy().astype(np.int64)
+    return _integers(_one(table[name]), name)
+
+
+def _integers(array: Any, name: str) -> IntArray:
+    if array.null_count or not pa.types.is_integer(array.type):
+        raise ValueError(f"{name} has empty entries or no whole numbers")
+    return array.to_numpy(zero_copy_only=False).astype(np.int64)
 
 
 def numbers(table: Any, name: str) -> FloatArray:
@@ -154,10 +157,7 @@ class Lists:
 
     def numbers(self, name: str) -> IntArray:
         """Return the items of a column of integers `(m,)`."""
-        items = self.items(name)
-        if items.null_count or not pa.types.is_integer(items.type):
-            raise ValueError(f"{name} has empty entries or no whole numbers")
-        return items.to_numpy(zero_copy_only=False).astype(np.int64)
+        return _integers(self.items(name), name)
 
     def words(self, name: str) -> tuple[IntArray, list[str]]:
         """Return the items of a column of strings as codes `(m,)`, and the strings by code."""
@@ -165,7 +165,6 @@ class Lists:
 
 
 def _one(column: Any) -> Any:
-    """Return a column as one array."""
     if not isinstance(column, pa.ChunkedArray):
         return column
     return column.chunk(0) if column.num_chunks == 1 else pa.concat_arrays(column.chunks) if column.num_chunks else (

@@ -26,7 +26,7 @@ from logs.arrays import TIE, FloatArray
 from logs.errors import LogError
 from logs.forward import described, forward_part, reversals
 from logs.road import Road, thinned
-from logs.states import TRAJECTORY_COLUMNS, Trajectory
+from logs.states import Trajectory
 from logs.tracks import Tracks
 
 MIN_STEP = 0.05
@@ -42,6 +42,13 @@ ASSUMED = "as fast as at the start, at least 50 km/h"
 NO_LANES = "The log has no lanes"
 ONE_LANE, REVERSES = f"{NO_LANES}: one lane", f"{NO_LANES}, and reverses"
 """Begins of the notes on a lane (3)."""
+
+
+def derived_speed(t: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, notes: list[str]) -> FloatArray:
+    """Backward differences of the position along the heading `(n,)`, m/s, with a note; the first is the second."""
+    notes.append("The log has no ego speed: it is derived from the positions by backward differences.")
+    v = (np.diff(x) * np.cos(yaw[1:]) + np.diff(y) * np.sin(yaw[1:])) / np.diff(t)
+    return np.r_[v[:1], v] if len(v) else np.zeros(1)
 
 
 def derived_acceleration(t: FloatArray, v: FloatArray) -> FloatArray:
@@ -60,11 +67,7 @@ def derived_curvature(x: FloatArray, y: FloatArray, yaw: FloatArray, v: FloatArr
 
 
 def completed(columns: dict[str, FloatArray], notes: list[str]) -> Trajectory:
-    """The trajectory of columns t, x, y, yaw, v, a, kappa; NaN in a and kappa is derived, with a note.
-
-    Raises:
-        ValueError: As in `Trajectory`.
-    """
+    """The trajectory of columns t, x, y, yaw, v, a, kappa; NaN in a and kappa is derived, with a note."""
     t, x, y, yaw, v = (columns[name] for name in ("t", "x", "y", "yaw", "v"))
     derived = {"a": derived_acceleration(t, v), "kappa": derived_curvature(x, y, yaw, v)}
     for name, word in (("a", "acceleration"), ("kappa", "curvature")):
@@ -98,14 +101,10 @@ def driven_limit(ego: Trajectory) -> tuple[float, str]:
 
 
 def road_along(ego: Trajectory, notes: list[str], width: float = 3.5) -> Road:
-    """The road of a log without lanes (3), `width` m wide, with its notes.
-
-    Raises:
-        LogError: The driven path turns back on itself, so that no lane follows it.
-    """
+    """The road of a log without lanes (3), `width` m wide, with its notes; LogError if no lane follows the path."""
     backward = reversals(ego)
     first, last = forward_part(ego, backward) or (0, 0)
-    part = Trajectory(*(getattr(ego, name)[first : last + 1] for name in TRAJECTORY_COLUMNS)) if backward else ego
+    part = ego.taken(slice(first, last + 1)) if backward else ego
     path = np.column_stack([part.x, part.y])
     ahead = np.array([np.cos(part.yaw[0]), np.sin(part.yaw[0])])
     stands = bool(np.hypot(*(path - path[0]).T).max() < MIN_PATH) and way_driven(part) < MIN_PATH
@@ -153,7 +152,7 @@ def passed_width(road: Road, tracks: Tracks, notes: list[str]) -> Road:
     offset = ((place[near] - middle[at]) * normal).sum(axis=1)
     along = np.abs((velocity[near] * normal).sum(axis=1)) < np.sin(ALONG_RAD) * pace
     vehicle = (tracks.width >= VEHICLE_M) & ~np.array([kind.is_vulnerable for kind in tracks.kinds], np.bool_)
-    who = np.repeat(np.arange(len(tracks)), np.diff(tracks.offsets))[near]
+    who = tracks.owner[near]
     drives = along & (pace > DRIVES_MPS) & vehicle[who]
     distances = [abs(np.median(offset[drives & (who == i)])) for i in np.unique(who[drives])
                  if np.count_nonzero(drives & (who == i)) >= LEAST_SAMPLES]  # fmt: skip

@@ -246,7 +246,7 @@ def without_ego(scenario: Scenario) -> Scenario:
     ego, tracks, car = scenario.ego, scenario.tracks, scenario.vehicle
     if len(ego) < 2 or not len(tracks):
         return scenario
-    t, starts = np.where(np.repeat(tracks.static, np.diff(tracks.offsets)), ego.t[0], tracks.t), tracks.offsets[:-1]
+    t, starts = np.where(tracks.static[tracks.owner], ego.t[0], tracks.t), tracks.offsets[:-1]
     x, y, yaw, v = (np.interp(t, ego.t, column) for column in (ego.x, ego.y, ego.yaw, np.abs(ego.v)))
     c, s = np.cos(yaw), np.sin(yaw)
     dx, dy = tracks.x - x, tracks.y - y
@@ -257,7 +257,6 @@ def without_ego(scenario: Scenario) -> Scenario:
     same = asked & (near <= SAME_M)
 
     def extent(values: FloatArray, some: BoolArray) -> FloatArray:
-        """Return the range of the values of each track, of some samples."""
         most = np.maximum.reduceat(np.where(some, values, -np.inf), starts)
         return np.asarray(most - np.minimum.reduceat(np.where(some, values, np.inf), starts))
 
@@ -274,7 +273,7 @@ def without_ego(scenario: Scenario) -> Scenario:
     keep[found] = False
     names = ", ".join(tracks.ids[i] for i in found)
     note = f"{names} among the road users {'is' if len(found) == 1 else 'are'} the ego itself: left out."
-    spans, left = scenario.traffic_spans, tracks.taken(np.repeat(keep, np.diff(tracks.offsets)))
+    spans, left = scenario.traffic_spans, tracks.taken(keep[tracks.owner])
     return replace(scenario, tracks=left, traffic=spans, notes=(*scenario.notes, note))
 
 
@@ -304,11 +303,7 @@ def in_world_axes(scenario: Scenario) -> Scenario:
 
 
 def checked(scenario: Scenario) -> Scenario:
-    """Check the units and frames of a log as a reader made it.
-
-    Raises:
-        LogError: Positions are degrees, or headings have one of `READINGS`.
-    """
+    """Check units and frames of a log as a reader made it; LogError for degrees, or headings of `READINGS`."""
     ego, tracks = scenario.ego, scenario.tracks
     mine, theirs = Chords.of_ego(ego), Chords.of_tracks(tracks)
     theirs = theirs.taken(_SHOWS_HEADING[tracks.codes][theirs.owner])

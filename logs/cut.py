@@ -40,11 +40,7 @@ CLOSE_S = 1e-9
 
 
 def cut(scenario: Scenario, begin: float, end: float = inf) -> Scenario:
-    """Cut the part from `begin` to `end`, s after the scenario's start; the whole scenario is returned unchanged.
-
-    Raises:
-        LogError: The ego's log has nothing in that part.
-    """
+    """Cut the part from `begin` to `end`, s after the scenario's start; LogError if the ego's log has nothing in it."""
     ego = scenario.ego
     if begin <= 0.0 and end >= scenario.duration:
         return scenario
@@ -108,13 +104,11 @@ def cut(scenario: Scenario, begin: float, end: float = inf) -> Scenario:
 
 
 def _samples_within(tracks: Tracks, begin: float, end: float) -> BoolArray:
-    """Return which samples `(m,)` belong to the part."""
-    owner = np.repeat(np.arange(len(tracks)), np.diff(tracks.offsets))
     before = np.r_[-inf, tracks.t[:-1]]
     before[tracks.offsets[:-1]] = -inf
     after = (before < end) & np.isfinite(before) & (tracks.t <= end + HISTORY_S)
     keep = (tracks.t >= begin - HISTORY_S) & ((tracks.t <= end) | after)
-    keep |= tracks.static[owner]
+    keep |= tracks.static[tracks.owner]
     return np.asarray(keep)
 
 
@@ -143,11 +137,7 @@ Timed = TypeVar("Timed", Trajectory, Tracks, Controls, TrafficLight)
 
 
 def in_nanoseconds(scenario: Scenario) -> Scenario:
-    """Round the times of all samples to whole nanoseconds (1).
-
-    Raises:
-        LogError: Two samples of the ego, of a road user or of a light fall on one nanosecond.
-    """
+    """Round the times of all samples to whole nanoseconds (1); LogError if two samples of one thing become one."""
     try:
         tracks, onboard, made = _columns_over_time(scenario.tracks), [], scenario.repair
         for plan in scenario.onboard:

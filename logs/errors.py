@@ -119,12 +119,7 @@ def _is_users(file: str) -> bool:
 
 
 def raised(error: BaseException, *, of: Callable[..., Any] | None = None) -> str:
-    """Describe an exception in one line, with the innermost line of the user's code if the traceback contains any.
-
-    Args:
-        error: The exception.
-        of: The user's function to name if the traceback contains no code of the user.
-    """
+    """Describe an exception in one line, with the innermost line of the user's code, else that of the function `of`."""
     try:
         words = " ".join(str(error)[: 10 * LONGEST_MESSAGE].split())
     except Exception:  # the user's exception class may raise in its `__str__`

@@ -9,7 +9,7 @@ An extension of a kind is named as
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache, reduce
 from importlib import import_module
@@ -36,37 +36,25 @@ def an_instance(cls: type, called: str) -> Callable[[object], str]:
 
 @dataclass(frozen=True, eq=False)
 class ExtensionKind(Generic[T]):
-    """A kind of extension that is found by name.
+    """A kind of extension that is found by name."""
 
-    Attributes:
-        name: Its name in messages ("controller").
-        plural: Its name in `replan list` and in the group of entry points ("controllers").
-        builtin: The extensions that come with replan, by name.
-        wrong: Function that describes the fault of a loaded object, in words that follow its name; "": no fault.
-        error: Exception to raise if a module cannot be imported or lacks the name.
-        form: How users name an extension of their own.
-        besides: Further valid names, which are in no table.
-    """
-
-    name: str
-    plural: str
-    builtin: Mapping[str, T]
+    name: str  # its name in messages ("controller")
+    plural: str  # its name in `replan list` and in the group of entry points ("controllers")
+    builtin: Mapping[str, T]  # the extensions that come with replan, by name
+    # function that describes the fault of a loaded object, in words that follow its name; "": no fault
     wrong: Callable[[object], str] = a_callable
+    # exception to raise if a module cannot be imported or lacks the name
     error: type[ConfigError] | type[PlannerError] = ConfigError
-    form: str = "module:NAME"
-    besides: tuple[str, ...] = ()
+    form: str = "module:NAME"  # how users name an extension of their own
+    besides: tuple[str, ...] = ()  # further valid names, which are in no table
 
     @property
     def group(self) -> str:
         """The group of entry points."""
         return f"replan.{self.plural}"
 
-    def find(self, spec: str, *, also: Iterable[str] = ()) -> T:
-        """Return the extension that the user named.
-
-        Args:
-            spec: A built-in name, the name of an entry point, or "module:NAME".
-            also: Further names that the caller accepts, for the error message about an unknown name.
+    def find(self, spec: str) -> T:
+        """Return the extension that the user named: built in, of an entry point, or "module:NAME".
 
         Raises:
             ConfigError: The name is unknown, or two extensions have it.
@@ -74,7 +62,7 @@ class ExtensionKind(Generic[T]):
         """
         if spec in self.builtin:
             return self.builtin[spec]
-        module, name = self.place(spec, also=also)
+        module, name = self.place(spec)
         _search_here()
         try:
             loaded = import_module(module)
@@ -97,12 +85,12 @@ class ExtensionKind(Generic[T]):
             raise self.error(f"{self.name} '{spec}' {wrong}")
         return thing
 
-    def place(self, spec: str, *, also: Iterable[str] = ()) -> tuple[str, str]:
+    def place(self, spec: str) -> tuple[str, str]:
         """Return module and attribute of an extension that is not built in; ConfigError if `spec` is unknown."""
         if ":" not in spec:
             entries = self.entries()
             if spec not in entries:
-                raise unknown_name(self.name, spec, [*self.builtin, *self.besides, *also, *entries, self.form])
+                raise unknown_name(self.name, spec, [*self.builtin, *self.besides, *entries, self.form])
             spec = f"{entries[spec].module}:{entries[spec].attr}"
         module, _, name = (part.strip() for part in spec.partition(":"))
         if not module or not name:
@@ -165,7 +153,6 @@ def _installed_entry_points(group: str, path: tuple[str, ...]) -> tuple[EntryPoi
 
 
 def _search_here() -> None:
-    """Add the working directory to the end of the Python path."""
     here = str(Path.cwd())
     if here not in sys.path:
         sys.path.append(here)

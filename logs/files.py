@@ -103,6 +103,38 @@ def _is_pointer(path: Path) -> bool:
         return False
 
 
+def refuse_doctype(target: object, name: str, public: str | None, system: str | None) -> None:
+    """Refuse a document type declaration, in which entities could grow without bound: a method of a parser's target."""
+    raise LogError("it has a document type declaration, which maps do not need", remedy="remove the declaration")
+
+
+def read_xml(path: Path, what: str = "complete XML", target: Any = None, *, largest: int = 1 << 30) -> Any:
+    """Parse an XML file in pieces; return its root element, or what the `target` of the parser returns.
+
+    Raises:
+        LogError: It cannot be read, has more than `largest` bytes, is not `what`, or has a document type declaration.
+    """
+    from xml.etree.ElementTree import ParseError, TreeBuilder, XMLParser
+
+    class Tree(TreeBuilder):
+        doctype = refuse_doctype
+
+    parser = XMLParser(target=target or Tree())
+    try:
+        if path.stat().st_size > largest:
+            raise LogError(f"larger than {largest >> 20} MiB", remedy="cut the map")
+        with path.open("rb") as stream:
+            while chunk := stream.read(1 << 16):
+                parser.feed(chunk)
+        return parser.close()
+    except OSError as error:
+        raise LogError(f"cannot be read: {error.strerror}", file=path, remedy="check the path") from error
+    except (ParseError, ValueError, LookupError) as error:
+        raise LogError(f"is no {what}: {error}", file=path, remedy="fetch the file again") from error
+    except LogError as error:
+        raise error.at(path) from None
+
+
 def check_named(path: Path) -> None:
     """Check a file that an option names, as `check_regular` does, but raise ConfigError."""
     kind = special_kind(path)
@@ -111,11 +143,7 @@ def check_named(path: Path) -> None:
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """The tables of a TOML file.
-
-    Raises:
-        ConfigError: There is no such file, it cannot be read, is not TOML, too large or nested too deeply.
-    """
+    """The tables of a TOML file; ConfigError if it cannot be read, is not TOML, too large or nested too deeply."""
     try:
         check_named(path)
         size = path.stat().st_size
@@ -149,19 +177,12 @@ def _too_deep(path: Path) -> ConfigError:
 
 @dataclass(frozen=True)
 class RemoteFile:
-    """A file at a URL.
+    """A file at a URL."""
 
-    Attributes:
-        url: Its URL.
-        name: Its path below the listed URL, with "/" between folders.
-        size: Size in bytes.
-        version: Text that changes with the content; "": unknown.
-    """
-
-    url: str
-    name: str
-    size: int
-    version: str
+    url: str  # its URL
+    name: str  # its path below the listed URL, with "/" between folders
+    size: int  # size in bytes
+    version: str  # text that changes with the content; "": unknown
 
 
 def url_of(place: Path | str) -> str:
@@ -185,13 +206,8 @@ def on_this_machine(place: Path | str) -> Path:
 
 
 def listed(url: str) -> tuple[RemoteFile, ...]:
-    """Return the file at a URL, or all files under it, sorted; empty if nothing exists.
-
-    Raises:
-        ConfigError: The URL cannot be listed.
-    """
-    with _errors_as(url, ConfigError):
-        system, path = _system(url)
+    """Return the file at a URL, or all files under it, sorted, or none; ConfigError if it cannot be listed."""
+    with _remote(url, ConfigError) as (system, path):
         system.invalidate_cache()
         found: dict[str, Any] = system.find(path, detail=True)
     base = path.rstrip("/")
@@ -209,15 +225,14 @@ def heads(files: Sequence[RemoteFile], size: int) -> list[bytes]:
     """Return the first `size` bytes of each file, fetched together; ConfigError if a file cannot be fetched."""
     if not files:
         return []
-    with _errors_as(files[0].url, ConfigError):
-        system = _system(files[0].url)[0]
+    with _remote(files[0].url, ConfigError) as (system, _):
         ends = [min(size, file.size) for file in files]
         found: list[bytes | Exception] = system.cat_ranges(
             [system._strip_protocol(file.url) for file in files], [0] * len(ends), ends
         )
     out = []
     for file, head in zip(files, found, strict=True):
-        with _errors_as(file.url, ConfigError):
+        with _remote(file.url, ConfigError):
             if isinstance(head, Exception):
                 raise head
             out.append(head)
@@ -225,11 +240,7 @@ def heads(files: Sequence[RemoteFile], size: int) -> list[bytes]:
 
 
 def fetch(files: Sequence[RemoteFile], folder: Path) -> None:
-    """Copy files under their names into a local folder.
-
-    Raises:
-        LogError: A file is gone or has changed, or the disk has too little space.
-    """
+    """Copy files under their names into a folder; LogError if one is gone or has changed, or the disk is full."""
     need, free = sum(file.size for file in files), shutil.disk_usage(folder).free
     if need > free:
         what = f"{need / 1e6:.0f} MB have to be fetched, {free / 1e6:.0f} MB are free in {folder.parent}"
@@ -237,8 +248,7 @@ def fetch(files: Sequence[RemoteFile], folder: Path) -> None:
     for file in files:
         target = folder / file.name
         target.parent.mkdir(parents=True, exist_ok=True)
-        with _errors_as(file.url, LogError):
-            system, path = _system(file.url)
+        with _remote(file.url, LogError) as (system, path):
             system.get_file(path, str(target))
         if target.stat().st_size != file.size:
             raise LogError("has changed since it was listed", file=file.url, remedy="evaluate again")
@@ -248,8 +258,7 @@ def ranged(file: RemoteFile) -> Callable[[int, int], bytes]:
     """Return a function that fetches the bytes of a file between two offsets; it raises LogError if it fails."""
 
     def fetched(begin: int, end: int) -> bytes:
-        with _errors_as(file.url, LogError):
-            system, path = _system(file.url)
+        with _remote(file.url, LogError) as (system, path):
             found: bytes = system.cat_file(path, start=begin, end=end)
             return found
 
@@ -258,15 +267,13 @@ def ranged(file: RemoteFile) -> Callable[[int, int], bytes]:
 
 def put(content: Path, url: str) -> None:
     """Copy a local file to a URL; OutputError if it cannot be written."""
-    with _errors_as(url, OutputError):
-        system, path = _system(url)
+    with _remote(url, OutputError) as (system, path):
         system.put_file(str(content), path)
 
 
 def put_new(content: bytes, url: str) -> bool:
     """Write bytes to a URL unless a file exists; return whether it wrote. ConfigError if the write fails."""
-    with _errors_as(url, ConfigError):
-        system, path = _system(url)
+    with _remote(url, ConfigError) as (system, path):
         try:
             system.pipe_file(path, content, mode="create")
         except FileExistsError:
@@ -276,8 +283,7 @@ def put_new(content: bytes, url: str) -> bool:
 
 def content(url: str) -> bytes:
     """Return the content of the file at a URL; ConfigError if it cannot be read."""
-    with _errors_as(url, ConfigError):
-        system, path = _system(url)
+    with _remote(url, ConfigError) as (system, path):
         found: bytes = system.cat_file(path)
         return found
 
@@ -285,21 +291,14 @@ def content(url: str) -> bytes:
 def remove(urls: Sequence[str]) -> None:
     """Remove files; OutputError if one cannot be removed."""
     for url in urls:
-        with _errors_as(url, OutputError):
-            system, path = _system(url)
+        with _remote(url, OutputError) as (system, path):
             system.rm_file(path)
 
 
 class Near:
-    """A local path for a path or URL; the local copy of a URL is removed together with this object.
+    """A local `path` for a `place`, a path or URL; the local copy of a URL is removed together with this object.
 
-    Args:
-        place: Path or URL.
-        but: Suffixes of files that are not copied from a folder (".rrd").
-
-    Attributes:
-        path: The local path.
-        place: Path or URL, for messages.
+    Of a folder, files with the suffixes `but` (".rrd") are not copied.
 
     Raises:
         ConfigError: Nothing exists at the URL, or it cannot be listed.
@@ -337,8 +336,9 @@ def here(place: Path | str) -> Iterator[Path]:
         yield near.path
 
 
-def _system(url: str) -> tuple[Any, str]:
-    """The file system of a URL, and the path in it."""
+@contextmanager
+def _remote(url: str, kind: type[ReplanError]) -> Iterator[tuple[Any, str]]:
+    """The file system of a URL, and the path in it; any error of its library becomes a one-line one of class `kind`."""
     try:
         from fsspec.core import url_to_fs
     except ImportError:
@@ -347,14 +347,8 @@ def _system(url: str) -> tuple[Any, str]:
         system, path = url_to_fs(url)
     except (ImportError, ValueError) as error:
         raise ConfigError(f"{url}: {error}; of S3: pip install 'replan[s3]'") from None
-    return system, str(path)
-
-
-@contextmanager
-def _errors_as(url: str, kind: type[ReplanError]) -> Iterator[None]:
-    """Turn any error of a file-system library into a one-line error of class `kind`."""
     try:
-        yield
+        yield system, str(path)
     except (ReplanError, FileExistsError):
         raise
     except FileNotFoundError:

@@ -27,7 +27,7 @@ from logs.names import listed
 from logs.once import once
 from logs.road import RoadSource, thinned
 from logs.scenario import Scenario
-from logs.states import TRAJECTORY_COLUMNS, Trajectory, wrapped
+from logs.states import Trajectory, wrapped
 
 REVERSE_M = 1.0
 """A shorter way back leaves no trace in a lane, whose points are 1 m apart (`Road.along`)."""
@@ -39,8 +39,7 @@ BENDS, ABOVE_LOCK, TIGHT_SHARE = 3, 1.2, 0.1
 """Constants of (4): one correction of the localisation is a small share of a drive."""
 
 
-def _way(ego: Trajectory) -> FloatArray:
-    """Return (1), `(n,)`."""
+def _way(ego: Trajectory) -> FloatArray:  # (1)
     yaw = 0.5 * (ego.yaw[1:] + ego.yaw[:-1])
     return np.r_[0.0, np.cumsum(np.diff(ego.x) * np.cos(yaw) + np.diff(ego.y) * np.sin(yaw))]
 
@@ -96,12 +95,9 @@ def forward_part(ego: Trajectory, backward: tuple[tuple[int, int], ...]) -> tupl
 
 
 def drivable_part(scenario: Scenario) -> Scenario:
-    """Return the part of a scenario that planners drive and are judged in; times stay as they are.
+    """Return the part of a scenario that planners drive and are judged in; LogError if the ego only reverses.
 
     Only a lane that is made from the drive ends where the ego reverses; on the lanes of a map all is driven.
-
-    Raises:
-        LogError: The ego only reverses.
     """
     ego = scenario.ego
     backward = reversals(ego) if scenario.road.source is RoadSource.DRIVEN_PATH else ()
@@ -112,10 +108,9 @@ def drivable_part(scenario: Scenario) -> Scenario:
         what = f"the log reverses from {described(ego, backward)}: planners drive forward only, so none of it is driven"
         raise LogError(f"{scenario.name}: {what}", remedy="choose a part that goes forward with --from and --to")
     first, last = part
-    rows = (getattr(ego, name)[first : last + 1] for name in TRAJECTORY_COLUMNS)
     goal = scenario.goal if last == len(ego) - 1 else None  # a goal behind a reversal is reached in reverse
     duration = scenario.duration if last == len(ego) - 1 else float(ego.t[last])
-    return replace(scenario, ego=Trajectory(*rows), duration=duration, goal=goal)
+    return replace(scenario, ego=ego.taken(slice(first, last + 1)), duration=duration, goal=goal)
 
 
 @once
@@ -137,6 +132,6 @@ def tighter_than_vehicle(scenario: Scenario) -> str:
     )
 
 
-def described(ego: Trajectory, backward: tuple[tuple[int, int], ...], most: int = 3) -> str:
+def described(ego: Trajectory, backward: tuple[tuple[int, int], ...]) -> str:
     """Return the times of reversals as text: "14.0 to 24.0 s, 31.0 to 33.5 s and 2 more"."""
-    return listed([f"{ego.t[first]:.1f} to {ego.t[last]:.1f} s" for first, last in backward], most)
+    return listed([f"{ego.t[first]:.1f} to {ego.t[last]:.1f} s" for first, last in backward], 3)

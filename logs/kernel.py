@@ -1,7 +1,7 @@
-"""The decorators of compiled kernels.
+"""The decorators of compiled kernels; how much of their machine code is on disk, was compiled, and where it is.
 
 A kernel is a pure module-level function of scalars and arrays. `kernel` compiles it with numba: cached on disk
-(`logs.kernel_cache`), IEEE arithmetic (no fastmath), division by zero gives inf or nan as in NumPy.
+(`logs.kernel_compiler`), IEEE arithmetic (no fastmath), division by zero gives inf or nan as in NumPy.
 `NUMBA_DISABLE_JIT=1` runs the same source as plain Python.
 """
 
@@ -9,17 +9,20 @@ from __future__ import annotations
 
 import gc
 import multiprocessing
+import os
 import sys
 from collections.abc import Callable
 from functools import cache
+from itertools import islice
+from math import ceil
+from pathlib import Path
 from typing import Any, ParamSpec, TypeVar, cast
 
 import numba
 from numba import njit
 from numba.core import codegen, event
 
-from logs.kernel_cache import KernelIndex
-from logs.kernel_compiler import compile_less
+from logs.kernel_compiler import KernelIndex, compile_less
 
 PORTABLE = "x86-64-v3"
 """The target processor of kernels if the machine supports it and the user chose none (`NUMBA_CPU_NAME`).
@@ -111,3 +114,54 @@ class _NoCollection(event.Listener):
 
 
 cast("Any", event).register("numba:compile", _NoCollection())
+
+
+# Machine code on disk
+
+COLD = 0.1
+"""Share of the imported kernels below which the cache counts as cold; the smallest runs need more."""
+
+
+def _is_stored(kernel: Any) -> bool:
+    return bool(kernel._cache._cache_file.holds(kernel.targetctx.codegen().magic_tuple()))
+
+
+def is_cache_cold() -> bool:
+    """Return whether the disk holds so little machine code that a run begins with compiling."""
+    enough = ceil(COLD * len(STORED))
+    return sum(1 for _ in islice(filter(_is_stored, STORED), enough)) < enough
+
+
+class KernelWatch:
+    """Counts the imported kernels that are on disk, as this and other processes compile them.
+
+    Attributes:
+        known: The number of imported kernels; a run needs a part of them.
+    """
+
+    def __init__(self) -> None:
+        self.known, self._missing = 0, list[Any]()
+        self.look()
+
+    @property
+    def stored(self) -> int:
+        """The number of those whose machine code was on disk at the last look."""
+        return self.known - len(self._missing)
+
+    def look(self) -> int:
+        """Count again, and return how many of the kernels that were missing have been compiled since the last look."""
+        before, self.known = self.known, len(STORED)
+        left = [each for each in self._missing if not _is_stored(each)]
+        compiled = len(self._missing) - len(left)
+        self._missing = left + [each for each in STORED[before : self.known] if not _is_stored(each)]
+        return compiled
+
+
+def compiled_count() -> int:
+    """Return the number of compilations in this process: one per kernel and argument types."""
+    return sum(sum(compiled.stats.cache_misses.values()) for compiled in STORED)
+
+
+def cache_folder() -> Path | None:
+    """Return the folder with the machine code of all imported kernels; None if it is not stored."""
+    return Path(os.path.commonpath([compiled.stats.cache_path for compiled in STORED])) if STORED else None

@@ -69,11 +69,7 @@ class LogSettings:
             raise ValueError("the sizes in car must be positive")
 
     def vehicle(self) -> VehicleParameters:
-        """Return the default car with the sizes of `car`.
-
-        Raises:
-            LogError: The sizes do not fit each other.
-        """
+        """Return the default car with the sizes of `car`; LogError if the sizes do not fit each other."""
         sizes: dict[str, Any] = dict(self.car)
         with reading(topic="[log]"):
             return replace(VehicleParameters(), **sizes)

@@ -37,7 +37,7 @@ from logs.observed import INTERVALS
 from logs.plan import Candidates, CostTerms, Graph
 from logs.states import TRAJECTORY_COLUMNS, Trajectory
 from logs.trace import PlannedFrame
-from logs.tracks import Tracks
+from logs.tracks import SAMPLE_COLUMNS, Tracks
 
 WHOLE = 600
 """Number of frames that stay whole in memory: a minute at 10 Hz, 28 MB with thirty road users."""
@@ -122,14 +122,7 @@ def loaded(path: Trajectory) -> Trajectory:
 
 
 class FrameStore(Sequence[PlannedFrame]):
-    """The frames of a drive, in order of time.
-
-    Args:
-        whole: Number of frames that are kept in memory.
-
-    Raises:
-        OutputError: (append) The file cannot be written.
-    """
+    """The frames of a drive, in order of time; `whole` stay in memory. OutputError if the file cannot be written."""
 
     def __init__(self, whole: int = WHOLE) -> None:
         self._whole = whole
@@ -214,11 +207,7 @@ class Spans:
 
 
 class NearbyTracks:
-    """Returns parts of tracks, and reuses the last part while it covers the requested span.
-
-    Args:
-        few: Tracks with no more samples than this are returned whole.
-    """
+    """Returns parts of tracks with more than `few` samples, and reuses the last part while it covers the span."""
 
     def __init__(self, few: int = FEW_SAMPLES) -> None:
         self._few = few
@@ -241,22 +230,17 @@ class NearbyTracks:
                 return tracks
             offsets = np.r_[0, np.cumsum(sizes)]
             at = np.repeat(low - offsets[:-1], sizes) + np.arange(offsets[-1])
-            columns = (getattr(tracks, name)[at] for name in ("t", "x", "y", "yaw", "vx", "vy"))
+            columns = (getattr(tracks, name)[at] for name in SAMPLE_COLUMNS)
             self._part = TrackSamples(*heads(tracks, who), offsets, *columns, source=tracks, at=at)
         return self._part
 
 
 @dataclass(frozen=True, eq=False)
 class TrackSamples(Tracks):
-    """Samples of some tracks, with the properties that depend on whole tracks.
+    """Samples of some tracks, with the properties that depend on whole tracks."""
 
-    Attributes:
-        source: The whole tracks.
-        at: `(m,)` indices of the samples in `source`.
-    """
-
-    source: Tracks = field(kw_only=True)
-    at: IntArray = field(kw_only=True)
+    source: Tracks = field(kw_only=True)  # the whole tracks
+    at: IntArray = field(kw_only=True)  # `(m,)` indices of the samples in `source`
 
     @cached_property
     def patience(self) -> FloatArray:
@@ -272,13 +256,9 @@ class TrackSamples(Tracks):
 
 @dataclass(frozen=True, eq=False)
 class Recent(Tracks):
-    """The recent part of tracks.
+    """The recent part of tracks."""
 
-    Attributes:
-        all_of_them: Function that builds the whole tracks.
-    """
-
-    all_of_them: Callable[[], Tracks] = field(kw_only=True)
+    all_of_them: Callable[[], Tracks] = field(kw_only=True)  # function that builds the whole tracks
 
     @property
     def whole(self) -> Tracks:

@@ -201,12 +201,7 @@ Artefact = SlGraph | StGraph | Decision | CostTerms | Candidates | LaneOption | 
 
 
 class Internals(Sequence[Artefact]):
-    """Artefacts that are built on first access.
-
-    Args:
-        reports: Reports of the solvers, which are always available.
-        build: Function that builds all artefacts, the reports included.
-    """
+    """Artefacts that `build` makes on first access, the solvers' `reports` included, which are always there."""
 
     def __init__(self, reports: tuple[SolverReport, ...], build: Callable[[], tuple[Artefact, ...]]) -> None:
         self.reports = reports
@@ -259,16 +254,9 @@ class Plan:
 
 @dataclass(frozen=True, slots=True)
 class PlanSummary:
-    """The result of a plan without its trajectory and search data: time, status, reason, decisions.
+    """The result of a plan without its trajectory and search data: time, status, reason, decisions."""
 
-    Attributes:
-        t: Time of the frame, s.
-        status: The status of the plan.
-        reason: The reason of the plan.
-        internals: Its decisions and compared lanes, among others.
-    """
-
-    t: float
-    status: PlanStatus
-    reason: str
-    internals: Sequence[Artefact]
+    t: float  # time of the frame, s
+    status: PlanStatus  # the status of the plan
+    reason: str  # the reason of the plan
+    internals: Sequence[Artefact]  # its decisions and compared lanes, among others

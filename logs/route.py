@@ -71,17 +71,11 @@ def find_route(road: Road, ego: EgoState, goal: Goal | None) -> tuple[int, ...]:
 
 @dataclass(frozen=True, slots=True)
 class CostToGo:
-    """The cost from a lane's start to the goal.
+    """The cost from a lane's start to the goal."""
 
-    Attributes:
-        cost: Cost (1), m.
-        changes: Number of lane changes on the way.
-        next: The next lane of the way; None if the lane contains the goal.
-    """
-
-    cost: float
-    changes: int
-    next: int | None
+    cost: float  # cost (1), m
+    changes: int  # number of lane changes on the way
+    next: int | None  # the next lane of the way; None if the lane contains the goal
 
 
 def costs_to_go(road: Road, goal: Goal | None) -> dict[int, CostToGo]:
@@ -140,11 +134,8 @@ class GoalFault(Enum):
 def goal_fault(road: Road, drive: Trajectory, goal: Goal, ahead: float) -> GoalFault | None:
     """Return why a goal cannot be driven to from the first state of a log's drive; None if it can.
 
-    Args:
-        road: The road.
-        drive: The log's drive; if it comes to the goal again after its start, the goal counts from then on.
-        goal: The goal.
-        ahead: Distance from the rear axle to the middle of the ego's box, m.
+    A drive that comes to the goal again counts from then on; `ahead` is the distance from the rear axle to the middle
+    of the ego's box, m.
     """
     ego, regions = drive.state(0), goal.regions
     x, y = ego.ahead(ahead)
@@ -279,7 +270,6 @@ def _heading(lane: Lane, i: int) -> float:
 
 
 def _turn(lane: Lane, ego: EgoState) -> float:
-    """Heading of the lane at the ego, relative to the ego's, rad."""
     i = min(nearest(lane.center, ego.x, ego.y), len(lane.center) - 2)
     return wrap(_heading(lane, i) - ego.yaw)
 

@@ -1,17 +1,18 @@
-"""A log: the ego's drive, the tracks of the other road users, the road, and the goal."""
+"""A log: the ego's drive, the tracks of the other road users, the road, the goal; what reference drivers do in it."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from enum import Enum
 from functools import cached_property
+from math import nan
 from types import MappingProxyType
 
 import numpy as np
 
 from logs.names import ShortNames
 from logs.observed import Spans, inferred
-from logs.references import References
 from logs.repair.detections import Detections, Repair
 from logs.road import Goal, Road
 from logs.rules import TrafficLight
@@ -21,6 +22,39 @@ from logs.vehicle import VehicleParameters
 
 EGO_POSE, CENTRE = "ego_pose", "box centre"
 """Metadata entry, and its value if the log has poses of the ego's box centre instead of its rear axle."""
+
+
+class Avoidability(Enum):
+    """Whether a reference driver avoids a collision."""
+
+    AVOIDABLE = "avoidable"
+    UNAVOIDABLE = "unavoidable"
+    NOT_APPLICABLE = "not applicable"
+
+
+@dataclass(frozen=True, slots=True)
+class DriverVerdict:
+    """The verdict of a reference driver ("cc" or "fsm") on a scenario, and its reason."""
+
+    driver: str
+    outcome: Avoidability
+    reason: str
+    brakes: float = nan  # when it begins to brake with more than 1 m/s2, s since the scenario's start; NaN: never
+    meets: float = nan  # when it touches an agent, s; NaN: never
+    speed: float = nan  # speed at the touch, else at the end, m/s
+    # id of the agent that the driver touches, else of the one that it would touch without braking; "": none
+    agent: str = ""
+    margin: float = nan  # (6) of `metrics.reference_drivers`, m; NaN without an agent
+    marginal: bool = False  # whether a small change would change the verdict
+
+
+@dataclass(frozen=True, slots=True)
+class References:
+    """The reference drives of a scenario."""
+
+    # by driver ("cc", "fsm"); empty: the drivers did not judge the scenario
+    verdicts: Mapping[str, DriverVerdict] = field(default_factory=dict)
+    follower_gain: float | None = None  # how far the route follower gets along the route, m; None: it was not driven
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,8 +13,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from math import cos, floor, pi, sin
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from logs.arrays import FloatArray, frozen
 from logs.kernel import kernel
@@ -160,8 +162,11 @@ class Trajectory:
 
     def between(self, t_from: float, t_to: float) -> Trajectory:
         """Return the samples with `t_from <= t <= t_to`; ValueError if there is no such sample."""
-        keep = (self.t >= t_from) & (self.t <= t_to)
-        return Trajectory(*(getattr(self, name)[keep] for name in TRAJECTORY_COLUMNS))
+        return self.taken((self.t >= t_from) & (self.t <= t_to))
+
+    def taken(self, rows: slice | NDArray[Any]) -> Trajectory:
+        """Return these samples; ValueError if there is none."""
+        return Trajectory(*(getattr(self, name)[rows] for name in TRAJECTORY_COLUMNS))
 
 
 TRAJECTORY_COLUMNS = tuple(field.name for field in fields(Trajectory))
@@ -212,12 +217,7 @@ class Controls:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class OnboardPlan:
-    """A plan that the on-board planner made during the recording.
+    """A plan that the on-board planner made during the recording."""
 
-    Attributes:
-        known: Time from which the plan was available, s since the scenario's start.
-        trajectory: The planned trajectory, in the scenario's time and world.
-    """
-
-    known: float
-    trajectory: Trajectory
+    known: float  # time from which the plan was available, s since the scenario's start
+    trajectory: Trajectory  # the planned trajectory, in the scenario's time and world

@@ -6,9 +6,9 @@ For damaged or unknown files, the summary has the topics up to the damage and th
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from logs.files import check_regular
 from logs.forward import described as described_reversals
 from logs.forward import forward_part, reversals
 from logs.names import counted
-from logs.observed import ENOUGH, MAX_AGE_S, Spans, clipped, described
+from logs.observed import ENOUGH, MAX_AGE_S, clipped, described
 from logs.readers import LogSettings, read_log, reader_of
 from logs.readers.base import LogContents, TopicSummary
 from logs.road import Goal, RoadSource
@@ -36,90 +36,14 @@ class Evaluation:
 
 
 @dataclass(frozen=True)
-class RoadSummary:
-    """Summary of the road: its source, its lanes, their length in km, lanes without speed limit, and traffic rules.
-
-    Attributes:
-        stop_lines: Number of stop lines; `with_light` of them obey a light, `must_stop` of them a stop sign.
-        giving_way: Number of lanes that yield to others.
-    """
-
-    source: str
-    lanes: int
-    drivable: int
-    length_km: float
-    without_speed_limit: int
-    default_speed_limit: float
-    stop_lines: int
-    with_light: int
-    must_stop: int
-    crosswalks: int
-    giving_way: int
-
-
-@dataclass(frozen=True)
-class ScenarioSummary:
-    """Summary of the scenario in a log.
-
-    Attributes:
-        traffic: Spans in which the other road users were observed, s.
-        agents: Number of moving road users by kind; `obstacles` is the number of static ones.
-        ego_rate: Ego states per second, NaN for one state.
-        goal: The goal in words, or None.
-    """
-
-    name: str
-    source: str
-    licence: str
-    tags: tuple[str, ...]
-    duration: float
-    traffic: Spans
-    ego_samples: int
-    ego_span: tuple[float, float]
-    ego_rate: float
-    ego_speed: tuple[float, float]
-    agents: Mapping[str, int]
-    obstacles: int
-    road: RoadSummary
-    lights: int
-    goal: str | None
-    controls: int
-    metadata: Mapping[str, str]
-    notes: tuple[str, ...]
-
-    def lines(self) -> list[str]:
-        """Return the scenario as lines of text."""
-        road, agents = self.road, ", ".join(counted(count, kind) for kind, count in self.agents.items())
-        ego = f"{counted(self.ego_samples, 'state')} from {self.ego_span[0]:.2f} to {self.ego_span[1]:.2f} s"
-        if self.ego_samples > 1:
-            ego += f" ({self.ego_rate:.1f} Hz), {self.ego_speed[0]:.1f} to {self.ego_speed[1]:.1f} m/s"
-        return [
-            f"name: {self.name}" + (f" [{', '.join(self.tags)}]" if self.tags else ""),
-            f"source: {self.source or 'not stated'}; licence: {self.licence or 'not stated'}",
-            f"duration: {self.duration:.2f} s",
-            f"ego: {ego}",
-            f"agents: {agents or 'none'}; obstacles: {self.obstacles}; recorded {described(self.traffic)} of"
-            f" {self.duration:.1f} s",
-            f"road: {counted(road.lanes, 'lane')} ({road.drivable} drivable), {road.length_km:.2f} km,"
-            f" {road.without_speed_limit} without speed limit; {road.source}",
-            f"rules: {counted(road.stop_lines, 'stop line')} ({road.with_light} with a light, {road.must_stop} with a"
-            f" stop sign), {counted(self.lights, 'light')}, {counted(road.crosswalks, 'crosswalk')},"
-            f" {counted(road.giving_way, 'lane')} giving way",
-            f"goal: {self.goal or 'none'}",
-            *(f"metadata {key}: {value}" for key, value in self.metadata.items()),
-            *(f"note: {note}" for note in self.notes),
-        ]
-
-
-@dataclass(frozen=True)
 class LogSummary:
-    """Summary of a log; `read` is the scenario. If it cannot be read, `scenario` is None and `error` is the reason."""
+    """Summary of a log; `scenario` has the facts about `read`. If it cannot be read, both are None: `error` is why."""
 
     path: Path
     profile: str
     size_bytes: int
     topics: tuple[TopicSummary, ...]
-    scenario: ScenarioSummary | None
+    scenario: dict[str, Any] | None
     evaluations: tuple[Evaluation, ...]
     error: LogError | None
     read: Scenario | None = None
@@ -133,7 +57,7 @@ class LogSummary:
                 line += f", {topic.first_ns / 1e9:.3f} to {topic.last_ns / 1e9:.3f} s"
             out.append(line)
         if self.scenario is not None:
-            out += self.scenario.lines()
+            out += _describe_facts(self.scenario)
         out += [f"{'yes' if e.possible else 'no ':3}  {e.name}: {e.reason}" for e in self.evaluations]
         if self.error is not None:
             out.append(f"error: {self.error}")
@@ -161,37 +85,78 @@ def summarise(path: Path, settings: LogSettings | None = None) -> LogSummary:
         contents.profile or (reader.summary if reader is not None else ""),
         sum(file.stat().st_size for file in files if file.is_file()),
         contents.topics,
-        None if scenario is None else _summarise_scenario(scenario),
+        None if scenario is None else _facts(scenario),
         () if scenario is None else evaluations(scenario, has_vehicle=has_vehicle),
         error,
         scenario,
     )
 
 
-def _summarise_scenario(scenario: Scenario) -> ScenarioSummary:
+def _facts(scenario: Scenario) -> dict[str, Any]:
+    """Return what a scenario holds; speeds in m/s, times in s, rates in Hz (NaN for one state), lengths of lanes in km.
+
+    `traffic` are the spans in which the others were observed, `agents` the numbers of moving ones by kind, `obstacles`
+    that of static ones. Of the stop lines, `with_light` obey a light, and `must_stop` a stop sign.
+    """
     ego, tracks, road = scenario.ego, scenario.tracks, scenario.road
     lanes, span = road.lanes.values(), float(ego.t[-1] - ego.t[0])
     kinds = Counter(kind.value for kind, static in zip(tracks.kinds, tracks.static, strict=True) if not static)
-    found = RoadSummary(
-        source=road.source.value, lanes=len(lanes), drivable=sum(lane.drivable for lane in lanes),
-        length_km=sum(lane.length for lane in lanes) / 1000.0,
-        without_speed_limit=sum(not np.isfinite(lane.speed_limit) for lane in lanes),
-        default_speed_limit=road.default_speed_limit, stop_lines=len(road.stop_lines),
-        with_light=sum(line.light is not None for line in road.stop_lines),
-        must_stop=sum(line.must_stop for line in road.stop_lines), crosswalks=len(road.crosswalks),
-        giving_way=sum(bool(lane.yields_to) for lane in lanes),
-    )  # fmt: skip
-    return ScenarioSummary(
-        name=scenario.name, source=scenario.source, licence=scenario.licence, tags=scenario.tags,
-        duration=scenario.duration, traffic=scenario.traffic_spans, ego_samples=len(ego),
-        ego_span=(float(ego.t[0]), float(ego.t[-1])),
-        ego_rate=(len(ego) - 1) / span if span > 0.0 else float("nan"),
-        ego_speed=(float(ego.v.min()), float(ego.v.max())), agents=dict(kinds.most_common()),
-        obstacles=int(tracks.static.sum()), road=found, lights=len(scenario.lights),
-        goal=None if scenario.goal is None else _describe_goal(scenario.goal),
-        controls=0 if scenario.controls is None else len(scenario.controls), metadata=scenario.metadata,
-        notes=scenario.notes,
-    )  # fmt: skip
+    return {
+        "name": scenario.name,
+        "source": scenario.source,
+        "licence": scenario.licence,
+        "tags": scenario.tags,
+        "duration": scenario.duration,
+        "traffic": scenario.traffic_spans,
+        "ego_samples": len(ego),
+        "ego_span": (float(ego.t[0]), float(ego.t[-1])),
+        "ego_rate": (len(ego) - 1) / span if span > 0.0 else float("nan"),
+        "ego_speed": (float(ego.v.min()), float(ego.v.max())),
+        "agents": dict(kinds.most_common()),
+        "obstacles": int(tracks.static.sum()),
+        "road": {
+            "source": road.source.value,
+            "lanes": len(lanes),
+            "drivable": sum(lane.drivable for lane in lanes),
+            "length_km": sum(lane.length for lane in lanes) / 1000.0,
+            "without_speed_limit": sum(not np.isfinite(lane.speed_limit) for lane in lanes),
+            "default_speed_limit": road.default_speed_limit,
+            "stop_lines": len(road.stop_lines),
+            "with_light": sum(line.light is not None for line in road.stop_lines),
+            "must_stop": sum(line.must_stop for line in road.stop_lines),
+            "crosswalks": len(road.crosswalks),
+            "giving_way": sum(bool(lane.yields_to) for lane in lanes),
+        },
+        "lights": len(scenario.lights),
+        "goal": None if scenario.goal is None else _describe_goal(scenario.goal),
+        "controls": 0 if scenario.controls is None else len(scenario.controls),
+        "metadata": scenario.metadata,
+        "notes": scenario.notes,
+    }
+
+
+def _describe_facts(found: dict[str, Any]) -> list[str]:
+    road, agents = found["road"], ", ".join(counted(count, kind) for kind, count in found["agents"].items())
+    ego = f"{counted(found['ego_samples'], 'state')} from {found['ego_span'][0]:.2f} to {found['ego_span'][1]:.2f} s"
+    if found["ego_samples"] > 1:
+        ego += f" ({found['ego_rate']:.1f} Hz), {found['ego_speed'][0]:.1f} to {found['ego_speed'][1]:.1f} m/s"
+    signs = f"{road['with_light']} with a light, {road['must_stop']} with a stop sign"
+    return [
+        f"name: {found['name']}" + (f" [{', '.join(found['tags'])}]" if found["tags"] else ""),
+        f"source: {found['source'] or 'not stated'}; licence: {found['licence'] or 'not stated'}",
+        f"duration: {found['duration']:.2f} s",
+        f"ego: {ego}",
+        f"agents: {agents or 'none'}; obstacles: {found['obstacles']}; recorded {described(found['traffic'])} of"
+        f" {found['duration']:.1f} s",
+        f"road: {counted(road['lanes'], 'lane')} ({road['drivable']} drivable), {road['length_km']:.2f} km,"
+        f" {road['without_speed_limit']} without speed limit; {road['source']}",
+        f"rules: {counted(road['stop_lines'], 'stop line')} ({signs}), {counted(found['lights'], 'light')},"
+        f" {counted(road['crosswalks'], 'crosswalk')},"
+        f" {counted(road['giving_way'], 'lane')} giving way",
+        f"goal: {found['goal'] or 'none'}",
+        *(f"metadata {key}: {value}" for key, value in found["metadata"].items()),
+        *(f"note: {note}" for note in found["notes"]),
+    ]
 
 
 def _describe_goal(goal: Goal) -> str:

@@ -38,40 +38,25 @@ class EndReason(Enum):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class TrackingErrors:
-    """Deviation of the ego from its plan, `(n,)` each.
+    """Deviation of the ego from its plan, `(n,)` each."""
 
-    Attributes:
-        t: s since the scenario's start.
-        lateral: Distance of the ego from the plan's path, positive to the left, m.
-        heading: Heading error, rad, principal value.
-        speed: Ego minus plan at this time, m/s.
-        station: Ego minus plan at this time, along the path, m.
-    """
-
-    t: FloatArray
-    lateral: FloatArray
-    heading: FloatArray
-    speed: FloatArray
-    station: FloatArray
+    t: FloatArray  # s since the scenario's start
+    lateral: FloatArray  # distance of the ego from the plan's path, positive to the left, m
+    heading: FloatArray  # heading error, rad, principal value
+    speed: FloatArray  # ego minus plan at this time, m/s
+    station: FloatArray  # ego minus plan at this time, along the path, m
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PlannedFrame:
-    """One frame of a trace: its time, the plan, and the predictions of the agents.
+    """One frame of a trace: its time, the plan, and the predictions of the agents."""
 
-    Attributes:
-        t: s since the scenario's start.
-        plan: The planner's output.
-        agents: Ids of the agents in the frame, in the same order.
-        predictions: Predictions that the planner got, at the step `KEPT_STEP_S`; None: not kept.
-        visibility: The ground that the sensor saw; None: everything.
-    """
-
-    t: float
-    plan: Plan
-    agents: tuple[str, ...] = ()
+    t: float  # s since the scenario's start
+    plan: Plan  # the planner's output
+    agents: tuple[str, ...] = ()  # ids of the agents in the frame, in the same order
+    # predictions that the planner got, at the step `KEPT_STEP_S`; None: not kept
     predictions: Predictions | None = None
-    visibility: Visibility | None = None
+    visibility: Visibility | None = None  # the ground that the sensor saw; None: everything
 
     @property
     def summary(self) -> PlanSummary:

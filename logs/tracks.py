@@ -20,6 +20,8 @@ TREND_S = 1.0
 """Longest span of the backward differences for yaw rate and acceleration, s; rarer samples use one step back."""
 BEGIN_S = 0.1
 """A road user with a sample by this time was present at the scenario's start: one interval at 10 Hz, s."""
+TRACK_COLUMNS, SAMPLE_COLUMNS = ("length", "width", "static"), ("t", "x", "y", "yaw", "vx", "vy")
+"""The arrays of `Tracks` with an entry per track, and per sample."""
 _TURNING = among(*(kind for kind in AgentKind if kind is not AgentKind.PEDESTRIAN))
 _NOT_ASKED = frozen(np.empty(0))
 
@@ -203,20 +205,29 @@ class Tracks:
         """The samples of track `index`."""
         return slice(int(self.offsets[index]), int(self.offsets[index + 1]))
 
+    @cached_property
+    def owner(self) -> IntArray:
+        """The track of each sample `(m,)`."""
+        return np.repeat(np.arange(len(self)), np.diff(self.offsets))
+
     def taken(self, keep: BoolArray) -> Tracks:
         """Return the tracks with only the samples `keep` `(m,)`; tracks without a sample are left out."""
-        owner = np.repeat(np.arange(len(self)), np.diff(self.offsets))
-        sizes = np.bincount(owner[keep], minlength=len(self))
+        sizes = np.bincount(self.owner[keep], minlength=len(self))
         left = np.flatnonzero(sizes)
         ids, kinds = tuple(self.ids[i] for i in left), tuple(self.kinds[i] for i in left)
-        columns = (getattr(self, name)[keep] for name in ("t", "x", "y", "yaw", "vx", "vy"))
+        columns = (getattr(self, name)[keep] for name in SAMPLE_COLUMNS)
         offsets = np.r_[0, np.cumsum(sizes[left])]
         return Tracks(ids, kinds, self.length[left], self.width[left], self.static[left], offsets, *columns)
 
     def only(self, ids: Collection[str]) -> Tracks:
         """Return the tracks of these road users, with all their samples."""
-        kept = np.array([name in ids for name in self.ids], np.bool_)
-        return self.taken(np.repeat(kept, np.diff(self.offsets)))
+        return self.taken(np.array([name in ids for name in self.ids], np.bool_)[self.owner])
+
+    def with_more(self, more: Tracks) -> Tracks:
+        """Return these tracks and then `more`, whose ids are others."""
+        columns = {name: np.r_[getattr(self, name), getattr(more, name)] for name in (*TRACK_COLUMNS, *SAMPLE_COLUMNS)}
+        offsets = np.r_[self.offsets, self.offsets[-1] + more.offsets[1:]]
+        return Tracks((*self.ids, *more.ids), (*self.kinds, *more.kinds), offsets=offsets, **columns)
 
     def shifted(self, seconds: float) -> Tracks:
         """The same tracks, `seconds` later."""

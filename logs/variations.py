@@ -38,7 +38,7 @@ from logs.road import ReferenceLine, thinned
 from logs.scenario import Scenario
 from logs.shapes import overlap
 from logs.states import Trajectory
-from logs.tracks import Tracks
+from logs.tracks import SAMPLE_COLUMNS, Tracks
 
 VARIED = "varied"
 """Tag of a varied log, and prefix of its metadata entries: `varied.of`, `varied.agents` (JSON), `varied.NAME`."""
@@ -66,34 +66,22 @@ LEAST_MPS = 3.0
 AROUND_S = 60.0
 """The pedestrian's track extends this long beyond the log, s: more than time and speed can remove."""
 COPY = "copy of "
-_COLUMNS = ("t", "x", "y", "yaw", "vx", "vy")
 Change = Callable[[Scenario, Sequence[str], float], Scenario]
 
 
 @dataclass(frozen=True)
 class Variation:
-    """One way of varying a scenario.
+    """One way of varying a scenario."""
 
-    Attributes:
-        name: Its name in `--vary NAME=...`.
-        unit: Unit of its value; "1": a factor or a choice.
-        low: Least value; `high` is the greatest.
-        neutral: The value that changes nothing; NaN: every value changes something.
-        summary: Meaning of a value, in one line.
-        change: (scenario, ids of the agents, value) -> scenario; raises LogError if there is no such scenario.
-        of: The varied object: "agent", "ego", or the id of the agent that it inserts.
-        is_choice: Whether only the two bounds are distinct values.
-    """
-
-    name: str
-    unit: str
-    low: float
+    name: str  # its name in `--vary NAME=...`
+    unit: str  # unit of its value; "1": a factor or a choice
+    low: float  # least value; `high` is the greatest
     high: float
-    neutral: float
-    summary: str
-    change: Change
-    of: str = "agent"
-    is_choice: bool = False
+    neutral: float  # the value that changes nothing; NaN: every value changes something
+    summary: str  # meaning of a value, in one line
+    change: Change  # (scenario, ids of the agents, value) -> scenario; raises LogError if there is no such scenario
+    of: str = "agent"  # the varied object: "agent", "ego", or the id of the agent that it inserts
+    is_choice: bool = False  # whether only the two bounds are distinct values
 
     def __call__(self, scenario: Scenario, agents: Sequence[str], value: float) -> Scenario:
         """Return the varied scenario, with its old name and tags; the scenario itself if the value is neutral.
@@ -123,10 +111,7 @@ class Variation:
 def varied(scenario: Scenario, agents: Sequence[str], values: Mapping[str, float]) -> Scenario:
     """Apply several variations in the order of the table, record them, and keep only the ego's start.
 
-    Args:
-        scenario: The recorded or synthetic scenario.
-        agents: Ids of the agents that are varied together; empty: the agents that the variations insert.
-        values: Value by name of `VARIATIONS`.
+    `agents` are varied together; empty: those whom the variations insert. `values` are by name of `VARIATIONS`.
 
     Raises:
         ConfigError: A name or an agent is unknown, or a value out of range.
@@ -236,7 +221,6 @@ def places(tracks: Tracks, agents: Sequence[str]) -> list[int]:
 
 
 def _theirs(tracks: Tracks, agents: Sequence[str]) -> BoolArray:
-    """Return which samples `(m,)` belong to the agents."""
     mine = np.zeros(len(tracks.t), np.bool_)
     for i in places(tracks, agents):
         mine[tracks.samples(i)] = True
@@ -245,9 +229,9 @@ def _theirs(tracks: Tracks, agents: Sequence[str]) -> BoolArray:
 
 def _with_samples(tracks: Tracks, samples: Mapping[int, FloatArray]) -> Tracks:
     """Replace the samples of some tracks by `(k, 6)`: columns t, x, y, yaw, vx, vy."""
-    rows = np.column_stack([getattr(tracks, name) for name in _COLUMNS])
+    rows = np.column_stack([getattr(tracks, name) for name in SAMPLE_COLUMNS])
     parts = [samples.get(i, rows[tracks.samples(i)]) for i in range(len(tracks))]
-    columns = dict(zip(_COLUMNS, np.vstack([np.empty((0, len(_COLUMNS))), *parts]).T, strict=True))
+    columns = dict(zip(SAMPLE_COLUMNS, np.vstack([np.empty((0, len(SAMPLE_COLUMNS))), *parts]).T, strict=True))
     return replace(tracks, offsets=np.cumsum([0, *map(len, parts)]), **columns)
 
 
@@ -258,18 +242,13 @@ def with_agent(
     tracks = scenario.tracks
     if name in tracks.ids:
         raise LogError(f"there is a {name} already")
-    columns = {column: np.r_[getattr(tracks, column), samples[:, i]] for i, column in enumerate(_COLUMNS)}
-    more = replace(
-        tracks, ids=(*tracks.ids, name), kinds=(*tracks.kinds, kind), length=np.r_[tracks.length, size[0]],
-        width=np.r_[tracks.width, size[1]], static=np.r_[tracks.static, static],
-        offsets=np.r_[tracks.offsets, len(tracks.t) + len(samples)], **columns,
-    )  # fmt: skip
-    return replace(scenario, tracks=more)
+    length, width = np.array(size)[:, None]
+    more = Tracks((name,), (kind,), length, width, np.array([static]), np.array([0, len(samples)]), *samples.T)
+    return replace(scenario, tracks=tracks.with_more(more))
 
 
 def _samples(tracks: Tracks, i: int) -> FloatArray:
-    """Return the samples `(k, 6)` of track i."""
-    return np.column_stack([getattr(tracks, name)[tracks.samples(i)] for name in _COLUMNS])
+    return np.column_stack([getattr(tracks, name)[tracks.samples(i)] for name in SAMPLE_COLUMNS])
 
 
 def in_time(scenario: Scenario, agents: Sequence[str], value: float) -> Scenario:
@@ -381,7 +360,7 @@ def continued(was: Scenario, now: Scenario) -> Tracks:
             rows = np.vstack([rows, _straight(rows[-1], vx[-1], vy[-1], after)])
         changed[i] = rows
     carried = _with_samples(tracks, changed)
-    static = np.repeat(carried.static, np.diff(carried.offsets))
+    static = carried.static[carried.owner]
     return carried.taken(static | (carried.t >= -BEFORE_S) & (carried.t <= end + BEFORE_S))
 
 

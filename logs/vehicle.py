@@ -6,6 +6,7 @@ The parameters of known vehicles, with their sources, are files in `logs/vehicle
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from importlib.resources import files
 from math import tan
@@ -139,6 +140,28 @@ class VehicleParameters:
         return replace(self, mass=mass, **scaled)
 
 
+def car_of(sizes: Mapping[str, float], notes: list[str]) -> VehicleParameters:
+    """Make the ego's vehicle of sizes, m; missing ones scale with length. ValueError as in `VehicleParameters`."""
+    default = VehicleParameters()
+    length = sizes.get("length", default.length)
+    scale = length / default.length
+    wheelbase = sizes.get("wheelbase", scale * default.wheelbase)
+    overhang = sizes.get("rear_overhang", scale * default.rear_overhang)
+    if not 0.0 < wheelbase < length:
+        notes.append("The ego's wheelbase does not fit its length: it is that of the default car, in proportion.")
+        wheelbase = scale * default.wheelbase
+    if not 0.0 <= overhang <= length - wheelbase:
+        notes.append("The log does not say where the ego's rear axle is in its box: as in the default car, assumed.")
+        overhang = min(scale * default.rear_overhang, length - wheelbase)
+    notes.append("Masses, tyres and limits of the ego's vehicle are those of the default car.")
+    cog = default.cog_to_front * wheelbase / default.wheelbase
+    found: dict[str, Any] = {
+        "length": length, "width": sizes.get("width", default.width), "wheelbase": wheelbase, "rear_overhang": overhang,
+        "cog_to_front": cog,
+    }  # fmt: skip
+    return replace(default, **found)
+
+
 def vehicle_names() -> tuple[str, ...]:
     """The vehicles of `logs/vehicles`, in alphabetical order."""
     folder = files("logs") / "vehicles"
@@ -146,11 +169,7 @@ def vehicle_names() -> tuple[str, ...]:
 
 
 def vehicle_parameters(name: str) -> VehicleParameters:
-    """Return the parameters of a known vehicle, read from its file.
-
-    Raises:
-        ConfigError: No vehicle has this name.
-    """
+    """Return the parameters of a vehicle, read from its file; ConfigError if none has this name."""
     if name not in vehicle_names():
         raise unknown_name("vehicle", name, vehicle_names())
     text = (files("logs") / "vehicles" / f"{name}.toml").read_text(encoding="utf-8")

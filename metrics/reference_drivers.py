@@ -62,9 +62,8 @@ import numpy as np
 
 from logs.arrays import BoolArray, FloatArray
 from logs.kernel import inner_kernel, kernel
-from logs.references import Avoidability, DriverVerdict
 from logs.road import ReferenceLine, line_frame, line_project
-from logs.scenario import Scenario
+from logs.scenario import Avoidability, DriverVerdict, Scenario
 from logs.shapes import clearance
 from logs.states import EgoState
 from logs.trace import Mode, Trace

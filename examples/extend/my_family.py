@@ -1,7 +1,6 @@
 """A family of the catalogue: cars beside the road."""
 
-from logs.catalogue.driver import drive
-from logs.catalogue.family_parts import parked, tracks
+from logs.catalogue.family_parts import drive, parked, tracks
 from logs.catalogue.roads import curve, one_lane
 from replan import Family, Scenario
 

@@ -87,11 +87,7 @@ def scenario(name: str) -> Scenario:
 
 
 def numbers(words: Iterable[str], where: str) -> dict[str, float]:
-    """Parameters from "key=value" words.
-
-    Raises:
-        ConfigError: A word has no `=`, or its value is not a number.
-    """
+    """Parameters from "key=value" words; ConfigError if a word has no `=`, or its value is not a number."""
     out = {}
     for word in words:
         key, separator, value = word.partition("=")

@@ -43,25 +43,18 @@ _FALSE = AgentKind.CAR, AgentKind.PEDESTRIAN
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """Road users within a detector's range, flat, `(m,)` each, in order of time: their true states.
+    """Road users within a detector's range, flat, `(m,)` each, in order of time: their true states."""
 
-    Attributes:
-        frames: `(k,)` s; `frame` is the index of a frame, `agent` that of a track.
-        x: m; `y` likewise, `yaw` rad, `vx` and `vy` m/s.
-        far: Distance from the ego's rear axle, m.
-        hidden: Whether a vehicle is between.
-    """
-
-    frames: FloatArray
+    frames: FloatArray  # `(k,)` s; `frame` is the index of a frame, `agent` that of a track
     frame: IntArray
     agent: IntArray
-    x: FloatArray
+    x: FloatArray  # m; `y` likewise, `yaw` rad, `vx` and `vy` m/s
     y: FloatArray
     yaw: FloatArray
     vx: FloatArray
     vy: FloatArray
-    far: FloatArray
-    hidden: BoolArray
+    far: FloatArray  # distance from the ego's rear axle, m
+    hidden: BoolArray  # whether a vehicle is between
 
 
 def sight(tracks: Tracks, ego: Trajectory) -> Sight:

@@ -17,9 +17,19 @@ from math import copysign, pi
 
 import numpy as np
 
-from logs.catalogue.driver import Ahead, waiting
 from logs.catalogue.family import Build, Family
-from logs.catalogue.family_parts import BEYOND_M, HALF_LANE, SIDEWALK_M, SPARE_S, START_M, WAITS, grid, moving
+from logs.catalogue.family_parts import (
+    BEYOND_M,
+    HALF_LANE,
+    SIDEWALK_M,
+    SPARE_S,
+    START_M,
+    WAITS,
+    Ahead,
+    grid,
+    moving,
+    waiting,
+)
 from logs.catalogue.protocols import (
     CAR_TARGET,
     CHILD_TARGET,

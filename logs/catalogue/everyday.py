@@ -18,7 +18,6 @@ import numpy as np
 
 from logs.agents import AgentKind
 from logs.arrays import FloatArray
-from logs.catalogue.driver import Ahead, drive
 from logs.catalogue.family import expects, family
 from logs.catalogue.family_parts import (
     BEYOND_M,
@@ -30,7 +29,9 @@ from logs.catalogue.family_parts import (
     START_M,
     WAITS,
     Agent,
+    Ahead,
     bypass,
+    drive,
     finished,
     grid,
     moving,
@@ -79,7 +80,7 @@ def follow(p: Mapping[str, float]) -> Scenario:
 
     path = curve((float(x[-1]) + BEYOND_M, 0.0, 0.0))
     limit = v + p["limit_above_mps"]
-    driven = drive(path, start=START_M, speed=v, cruise=limit, duration=duration, ahead=ahead, thw=thw)
+    driven = drive(path, speed=v, cruise=limit, duration=duration, ahead=ahead, thw=thw)
     metadata = expects(lead=(DecisionKind.FOLLOW, DecisionKind.YIELD))
     return finished(path, driven, [lead], one_lane(path, limit), duration, metadata=metadata)
 
@@ -110,7 +111,7 @@ def cut_in(p: Mapping[str, float]) -> Scenario:
         return Ahead(float(gap), other) if time >= entered + p["reaction_s"] else None
 
     path = curve((float(x[-1]) + BEYOND_M, 0.0, 0.0))
-    driven = drive(path, start=START_M, speed=v, cruise=v, duration=duration, ahead=ahead)
+    driven = drive(path, speed=v, duration=duration, ahead=ahead)
     metadata = {**expects(cutter=(DecisionKind.FOLLOW, *WAITS)), "entered_lane_s": repr(entered)}
     road = two_lanes(path, v, ego_on_right=False)
     return finished(path, driven, [cutter], road, duration, edges=(-3.0 * HALF_LANE, HALF_LANE), metadata=metadata)
@@ -129,7 +130,7 @@ def nudge(p: Mapping[str, float]) -> Scenario:
     end = at + beside + run + 60.0
     path = weaving(end + BEYOND_M, shifts)
     duration = tenths((end - START_M) / v)
-    driven = drive(path, start=START_M, speed=v, cruise=v, duration=duration)
+    driven = drive(path, speed=v, duration=duration)
     straight = curve((path.length, 0.0, 0.0))
     cars, road = [parked("parked", at, edge - 0.5 * CAR[1])], two_lanes(straight, v, ego_on_right=True)
     metadata = expects(parked=(DecisionKind.NUDGE_LEFT,))
@@ -163,7 +164,7 @@ def cyclist(p: Mapping[str, float]) -> Scenario:
     braking = np.clip(t - held / w, 0.0, 0.5 * w)
     gone = np.minimum(w * t, held) + w * braking - braking**2
     oncoming = moving("oncoming", AgentKind.CAR, CAR, t, comes - gone, np.full(len(t), facing), yaw=pi)
-    driven = drive(path, start=START_M, speed=v, cruise=v, duration=duration)
+    driven = drive(path, speed=v, duration=duration)
     straight = curve((path.length, 0.0, 0.0))
     metadata = expects(cyclist=(DecisionKind.NUDGE_LEFT,))
     return finished(straight, driven, [rider, oncoming], two_way(straight, v), duration, metadata=metadata)
@@ -201,7 +202,7 @@ def _at_light(p: Mapping[str, float], changes: Sequence[tuple[float, Colour]]) -
         return None if goes else stopping(line, v, car, s)
 
     path = straight_path(v, duration)
-    driven = drive(path, start=START_M, speed=v, cruise=v, duration=duration, ahead=ahead)
+    driven = drive(path, speed=v, duration=duration, ahead=ahead)
     before, behind = (
         replace(lane_beside(part, i, speed_limit=v), successors=after)
         for i, part, after in ((1, path.part(0.0, line), (2,)), (2, path.part(line, path.length), ()))
@@ -231,7 +232,7 @@ def crosswalk(p: Mapping[str, float]) -> Scenario:
         return None if time >= off_lane + p["reaction_s"] else stopping(near, v, car, s)
 
     path = straight_path(v, duration)
-    driven = drive(path, start=START_M, speed=v, cruise=v, duration=duration, ahead=ahead)
+    driven = drive(path, speed=v, duration=duration, ahead=ahead)
     corners = [(near, -HALF_LANE), (far, -HALF_LANE), (far, HALF_LANE), (near, HALF_LANE)]
     road = replace(one_lane(path, v, sidewalk=SIDEWALK_M), crosswalks=(Crosswalk(1, np.array(corners)),))
     metadata = {**expects(pedestrian=WAITS), "pedestrian_off_lane_s": repr(off_lane)}
@@ -274,7 +275,7 @@ def at_junction(p: Mapping[str, float]) -> Scenario:
             return min(v, sqrt(turning**2 + 2.0 * BRAKE_MPS2 * (place.begin - s)))
         return turning if s < place.end else p["main_speed_mps"]
 
-    driven = drive(place.path, start=START_M, speed=v, cruise=cruise, duration=duration, ahead=ahead)
+    driven = drive(place.path, speed=v, cruise=cruise, duration=duration, ahead=ahead)
     last = float(np.hypot(np.diff(driven.x), np.diff(driven.y)).sum()) + START_M
     metadata = {**expects(left_2=WAITS), "last_passes_s": repr(max(passing))}
     return finished(place.path, driven, cars, place.road, duration, begin=last - 10.0, metadata=metadata)
@@ -320,7 +321,7 @@ def bend(p: Mapping[str, float]) -> Scenario:
     def cruise(s: float) -> float:
         return float(np.interp([s, s + p["look_m"]], path.s, allowed).min())
 
-    driven = drive(path, start=START_M, speed=v, cruise=cruise, duration=p["duration_s"])
+    driven = drive(path, speed=v, cruise=cruise, duration=p["duration_s"])
     last = float(np.hypot(np.diff(driven.x), np.diff(driven.y)).sum()) + START_M
     road, edges = two_lanes(path, v, ego_on_right=True), (-HALF_LANE, 3.0 * HALF_LANE)
     return finished(path, driven, [], road, p["duration_s"], begin=last - 10.0, edges=edges)
@@ -352,7 +353,7 @@ def pull_outs(p: Mapping[str, float]) -> Scenario:
     for k in range(3):  # each car stands behind its van, and pulls out when the driver is `gap_m` behind it
         van, shift = START_M + p["van_m"] + k * p["between_m"], p["shift_m"]
         begin = van - 0.5 * VAN[0] - shift - 0.5 * CAR[0]
-        driven = drive(path, start=START_M, speed=v, cruise=v, duration=duration, ahead=ahead)
+        driven = drive(path, speed=v, duration=duration, ahead=ahead)
         starts = float(np.interp(begin - 0.5 * CAR[0] - p["gap_m"] - car.axle_to_front, driven.x, driven.t))
         way = 4.0 * shift + VAN[0]
         x = begin + way * walked(t - starts, way, u, ramp=3.0)
@@ -362,7 +363,7 @@ def pull_outs(p: Mapping[str, float]) -> Scenario:
         agents += [
             parked(f"van_{k + 1}", van, right, size=VAN), moving(f"car_{k + 1}", AgentKind.CAR, CAR, t, x, y, yaw=0.0)
         ]  # fmt: skip
-    driven = drive(path, start=START_M, speed=v, cruise=v, duration=duration, ahead=ahead)
+    driven = drive(path, speed=v, duration=duration, ahead=ahead)
     behind = np.interp(t, driven.t, driven.x) + np.maximum(t - driven.t[-1], 0.0) * driven.v[-1] - p["follower_m"]
     agents.append(moving("follower", AgentKind.CAR, CAR, t, behind, np.zeros(len(t)), yaw=0.0))
     metadata = expects(**{f"car_{k}": (DecisionKind.FOLLOW, *WAITS) for k in (1, 2, 3)})

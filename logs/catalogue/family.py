@@ -70,11 +70,7 @@ class Family:
         return f"{self.name}@{variant}" if variant else self.name
 
     def scenario(self, **overrides: float) -> Scenario:
-        """The scenario with these parameters changed; a variant's name lists them.
-
-        Raises:
-            ConfigError: A parameter is unknown or not finite, or no careful drive exists with it.
-        """
+        """The scenario with these parameters changed, which its name lists; ConfigError if there is none with them."""
         unknown = sorted(set(overrides) - set(self.parameters))
         if unknown:
             raise ConfigError(f"{self.name} has no parameter {unknown[0]}; it has {', '.join(self.parameters)}")
@@ -139,11 +135,7 @@ def touches(scenario: Scenario) -> str | None:
 
 
 def before_contact(scenario: Scenario) -> Scenario:
-    """The scenario with an ego log that ends before the first contact, which the metadata name; else unchanged.
-
-    Raises:
-        ValueError: The ego touches an agent at the start.
-    """
+    """The scenario, its ego log ended before the first contact, which the metadata name; ValueError at the start."""
     found = _contact(scenario)
     if found is None:
         return scenario

@@ -1,16 +1,29 @@
-"""Common parts of the families: road users, their walks and sample times, and the scenario of a driven scene."""
+"""Parts that the families share: the careful driver, road users and their walks, the scenario of a drive.
+
+The driver of the ego logs is simple, smooth, and none of the planners. Its acceleration is the least of these at each
+step, with bounded acceleration and jerk, so that log and poses agree:
+
+(1) cruise    a = 0.8 (v_cruise - v)
+(2) follow    a = 0.15 (gap - thw v) + 0.7 (v_lead - v)          gap bumper to bumper
+(3) stop      a = -v^2 / (2 distance)                            constant braking to the stopping point
+
+(4) |a| is eased out in time: a standstill or the cruising speed is reached with a = 0, since braking is at most
+    sqrt(2 jerk v) and accelerating at most sqrt(2 jerk (v_cruise - v)), with 0.7 of the bound on jerk. A
+    stopping point is met within 1 m.
+
+The path is given; the rear axle drives on it, so that yaw rate = v kappa.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from math import ceil, copysign
+from math import ceil, copysign, sqrt
 
 import numpy as np
 
 from logs.agents import AgentKind
 from logs.arrays import FloatArray
-from logs.catalogue.driver import SAMPLE_S
 from logs.catalogue.roads import LANE_WIDTH_M, CurveSamples, curve, stretch
 from logs.plan import DecisionKind
 from logs.road import Goal, Road
@@ -18,12 +31,98 @@ from logs.scenario import Scenario
 from logs.states import Trajectory
 from logs.tracks import Tracks
 
+STEP_S = 0.02
+START_M = 10.0
+SAMPLE_S = 0.1
+MAX_ACCEL, MAX_BRAKE, MAX_JERK = 1.5, 3.0, 2.0
+_EASE = 0.7 * MAX_JERK
+
+
+@dataclass(frozen=True, slots=True)
+class Ahead:
+    """The object that the driver reacts to: `gap` from the front bumper, m, its `speed`, whether to `stop` for it."""
+
+    gap: float
+    speed: float = 0.0
+    stop: bool = False
+
+
+Reaction = Callable[[float, float], Ahead | None]
+"""Returns the object that a driver reacts to at time t, s, with the rear axle at station s, m; None without one."""
+
+
+def waiting(line: float, short: float, begin: float, end: float, front: float) -> Reaction:
+    """The reaction of a driver who waits `short` m before station `line`, m, from time `begin` to `end`, s.
+
+    `front` is the distance from the rear axle to the front bumper, m; a driver who is past the line does not wait.
+    """
+
+    def ahead(t: float, s: float) -> Ahead | None:
+        gap = line - short - (s + front)
+        return Ahead(gap, stop=True) if begin <= t < end and gap > -short else None
+
+    return ahead
+
+
+def drive(
+    path: CurveSamples,
+    *,
+    speed: float,
+    duration: float,
+    cruise: float | Callable[[float], float] | None = None,
+    ahead: Reaction = lambda t, s: None,
+    start: float = START_M,
+    thw: float = 1.6,
+) -> Trajectory:
+    """The ego log, sampled at 10 Hz.
+
+    Args:
+        path: Path of the rear axle.
+        speed: Speed at t = 0, m/s.
+        duration: Duration, s; a multiple of 0.1.
+        cruise: Wanted speed, m/s; or a function of the rear axle's station. None: `speed`.
+        ahead: Returns the object that the driver reacts to.
+        start: Station of the rear axle at t = 0, m.
+        thw: Wanted time headway, s.
+
+    Raises:
+        ValueError: The path is too short.
+    """
+    t, s, v, a, rows = 0.0, start, speed, 0.0, []
+    cruise = speed if cruise is None else cruise
+    every = round(SAMPLE_S / STEP_S)
+    for k in range(round(duration / STEP_S) + 1):
+        if k % every == 0:
+            rows.append((k * STEP_S, s, v, a))
+        wanted, seen = cruise(s) if callable(cruise) else cruise, ahead(t, s)
+        wish = 0.8 * (wanted - v)  # (1)
+        if seen is not None and seen.stop:
+            wish = min(wish, -v * v / (2.0 * max(seen.gap, 0.1)))  # (3)
+        elif seen is not None:
+            wish = min(wish, 0.15 * (seen.gap - thw * v) + 0.7 * (seen.speed - v))  # (2)
+        low = max(-MAX_BRAKE, -sqrt(2.0 * _EASE * max(v, 0.0)))  # (4)
+        high = min(MAX_ACCEL, sqrt(2.0 * _EASE * max(wanted - v, 0.0)))
+        jerk = min(max((min(max(wish, low), high) - a) / STEP_S, -MAX_JERK), MAX_JERK)
+        s += (v + (0.5 * a + jerk * STEP_S / 6.0) * STEP_S) * STEP_S
+        v += (a + 0.5 * jerk * STEP_S) * STEP_S
+        a += jerk * STEP_S
+        if v <= 0.0:
+            v, a = 0.0, max(a, 0.0)
+        t = (k + 1) * STEP_S
+    times, stations, speeds, accelerations = np.array(rows).T
+    if stations[-1] > path.length:
+        raise ValueError(f"the drive of {stations[-1] - start:.0f} m leaves its path of {path.length:.0f} m")
+    x, y, yaw, kappa = path.at(stations)
+    return Trajectory(np.round(times, 9), x, y, yaw, speeds, accelerations, kappa)
+
+
+# Road users
+
 CAR = (4.5, 1.8)
 ADULT = (0.5, 0.6)
 BICYCLE = (1.8, 0.6)
 SMALL_CAR, LARGE_CAR = (4.316, 1.79), (4.418, 1.82)
 """Length and width of the cars of CPNCO, m."""
-START_M = 10.0
 SPARE_S = 10.0
 """Time that a planner may take longer than the logged driver, s."""
 BEYOND_M = 150.0
@@ -133,17 +232,10 @@ def finished(
     begin: float | None = None, edges: tuple[float, float] = (-HALF_LANE, HALF_LANE),
     metadata: Mapping[str, str] | None = None,
 ) -> Scenario:  # fmt: skip
-    """The scenario of a drive, without a name.
+    """The scenario of a drive, without a name; a planner has `SPARE_S` more than the drive's `duration`, s.
 
-    Args:
-        path: Path on which the goal lies.
-        driven: States of the logged driver.
-        agents: The other road users.
-        road: Road of the scene.
-        duration: Duration of the drive, s; a planner has `SPARE_S` more.
-        begin: Station at which the goal begins, m; None: 10 m before the x at which the drive ends.
-        edges: Right and left edge of the goal, m to the left of the path.
-        metadata: The accepted decisions, and further entries.
+    The goal lies on the `path`, from station `begin` (None: 10 m before the x at which the drive ends) and between the
+    right and left `edges`, m to the left of the path. `metadata` has the accepted decisions, and further entries.
     """
     first = float(driven.x[-1]) - 10.0 if begin is None else begin
     goal = Goal((stretch(path, first, first + 40.0, right=edges[0], left=edges[1]),))

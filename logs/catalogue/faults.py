@@ -17,9 +17,8 @@ import numpy as np
 
 from logs.arrays import BoolArray, FloatArray, arc_lengths
 from logs.catalogue import everyday, paper
-from logs.catalogue.driver import SAMPLE_S
 from logs.catalogue.family import Family, family
-from logs.catalogue.family_parts import BEYOND_M
+from logs.catalogue.family_parts import BEYOND_M, SAMPLE_S
 from logs.catalogue.roads import LANE_WIDTH_M
 from logs.road import Goal
 from logs.scenario import Scenario

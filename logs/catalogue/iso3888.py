@@ -23,9 +23,8 @@ from itertools import pairwise
 import numpy as np
 
 from logs.arrays import FloatArray
-from logs.catalogue.driver import drive
 from logs.catalogue.family import Family
-from logs.catalogue.family_parts import BEYOND_M, HALF_LANE, SPARE_S, finished, tenths
+from logs.catalogue.family_parts import BEYOND_M, HALF_LANE, SPARE_S, drive, finished, tenths
 from logs.catalogue.protocols import KMH, speeds
 from logs.catalogue.roads import curve, weaving
 from logs.road import Lane, Road

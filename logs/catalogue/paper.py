@@ -11,7 +11,6 @@ from math import radians
 
 import numpy as np
 
-from logs.catalogue.driver import drive, waiting
 from logs.catalogue.family import expects, family
 from logs.catalogue.family_parts import (
     BEYOND_M,
@@ -21,11 +20,13 @@ from logs.catalogue.family_parts import (
     START_M,
     WAITS,
     bypass,
+    drive,
     finished,
     parked,
     pedestrian_across,
     straight_path,
     tenths,
+    waiting,
 )
 from logs.catalogue.roads import curve, one_lane, two_lanes, weaving
 from logs.plan import DecisionKind
@@ -46,7 +47,7 @@ def free_road(p: Mapping[str, float]) -> Scenario:
     entry, exit_ = p["straight_m"] + START_M, p["straight_m"] + 20.0
     path = curve((entry, 0.0, 0.0), *bend, *other, (exit_ + BEYOND_M, 0.0, 0.0))
     duration = tenths((path.length - BEYOND_M - START_M) / v)
-    driven = drive(path, start=START_M, speed=v, cruise=v, duration=duration)
+    driven = drive(path, speed=v, duration=duration)
     return finished(path, driven, [], one_lane(path, v), duration, begin=path.length - BEYOND_M - 10.0)
 
 
@@ -80,7 +81,7 @@ def static_obstacles(p: Mapping[str, float]) -> Scenario:
     last = at[2] + flat
     path = weaving(last + run + 40.0 + BEYOND_M, [*past, (last, last + run, 0.0)])
     duration = tenths((at[2] + spacing + 40.0 - START_M) / v)
-    driven = drive(path, start=START_M, speed=v, cruise=v, duration=duration)
+    driven = drive(path, speed=v, duration=duration)
     straight = curve((path.length, 0.0, 0.0))
     left, right = (DecisionKind.NUDGE_LEFT,), (DecisionKind.NUDGE_RIGHT,)
     road, metadata = two_lanes(straight, v, ego_on_right=True), expects(right_1=left, left=right, right_2=left)
@@ -102,7 +103,7 @@ def crossing_pedestrian(p: Mapping[str, float]) -> Scenario:
     pedestrian, off_lane = pedestrian_across(p, x)
     path = straight_path(v, duration)
     ahead = waiting(x, p["stop_distance_m"], p["walk_start_s"] + p["reaction_s"], off_lane, front)
-    driven = drive(path, start=START_M, speed=v, cruise=v, duration=duration, ahead=ahead)
+    driven = drive(path, speed=v, duration=duration, ahead=ahead)
     metadata = {**expects(pedestrian=WAITS), "pedestrian_off_lane_s": repr(off_lane)}
     return finished(path, driven, [pedestrian], one_lane(path, v, sidewalk=SIDEWALK_M), duration, metadata=metadata)
 

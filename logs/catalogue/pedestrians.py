@@ -22,7 +22,6 @@ import numpy as np
 
 from logs.agents import AgentKind
 from logs.arrays import FloatArray
-from logs.catalogue.driver import Ahead, Reaction, drive, waiting
 from logs.catalogue.family import expects, family
 from logs.catalogue.family_parts import (
     ADULT,
@@ -35,11 +34,15 @@ from logs.catalogue.family_parts import (
     START_M,
     WAITS,
     Agent,
+    Ahead,
+    Reaction,
+    drive,
     finished,
     grid,
     moving,
     obstruction,
     straight_path,
+    waiting,
     walked,
 )
 from logs.catalogue.roads import one_lane
@@ -73,11 +76,7 @@ class Leg:
 
 
 def strolled(t: FloatArray, legs: Sequence[Leg]) -> FloatArray:
-    """Distance of a walk of legs at times `(n,)`, m.
-
-    Raises:
-        ValueError: A leg is too short to reach its speed.
-    """
+    """Distance of a walk of legs at times `(n,)`, m; ValueError if a leg is too short to reach its speed."""
     whole = np.zeros(len(t))
     for leg in legs:
         whole += leg.distance * walked(t - leg.begin, abs(leg.distance), leg.speed, RAMP_S)
@@ -95,11 +94,7 @@ def walker(
 
 
 def off_lane(walkers: Sequence[Agent]) -> float:
-    """The first sample at which all have left the lane for good, s.
-
-    Raises:
-        ValueError: A pedestrian stays on it, or none comes.
-    """
+    """The first sample at which all have left the lane for good, s; ValueError if one stays on it, or none comes."""
     last = -1
     for one in walkers:
         on = np.flatnonzero(np.abs(one.samples[:, 2]) <= HALF_LANE + 0.5 * max(one.size))
@@ -137,7 +132,7 @@ def _crossing_scene(
     """The scenario of a driver who reacts to `ahead`; `cruise` None: the ego's speed at the start."""
     v, duration = p["ego_speed_mps"], p["duration_s"]
     path = straight_path(v, duration)
-    driven = drive(path, start=START_M, speed=v, cruise=cruise or v, duration=duration, ahead=ahead)
+    driven = drive(path, speed=v, cruise=cruise, duration=duration, ahead=ahead)
     metadata = {
         **expects(**{one.id: kinds for one in agents if one.kind is AgentKind.PEDESTRIAN}),
         "pedestrian_sets_off_s": repr(sets_off),

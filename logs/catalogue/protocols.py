@@ -20,7 +20,6 @@ import numpy as np
 
 from logs.agents import AgentKind
 from logs.arrays import FloatArray
-from logs.catalogue.driver import Ahead, Reaction, drive, waiting
 from logs.catalogue.family import before_contact, expects
 from logs.catalogue.family_parts import (
     ADULT,
@@ -32,11 +31,15 @@ from logs.catalogue.family_parts import (
     START_M,
     WAITS,
     Agent,
+    Ahead,
+    Reaction,
+    drive,
     finished,
     grid,
     moving,
     obstruction,
     parked,
+    waiting,
     walked,
 )
 from logs.catalogue.pedestrians import CHILD
@@ -81,21 +84,13 @@ def tested(
     expected: Mapping[str, tuple[DecisionKind, ...]], ahead: Reaction = lambda t, s: None, *,
     beyond: float | None = None, start: float = START_M,
 ) -> Scenario:  # fmt: skip
-    """The scenario of an ego with `ego_kmh` that starts at station `start`.
+    """The scenario of an ego with `ego_kmh` that starts at station `start` of the `path` of its rear axle, m.
 
-    Args:
-        p: Parameters, of which `ego_kmh` and `duration_s` are used.
-        path: Path of the rear axle.
-        road: The road.
-        agents: The other road users.
-        expected: Accepted decisions by agent.
-        ahead: Returns the object that the logged driver reacts to.
-        beyond: Station at which the goal begins; None: the target cannot be passed, and the goal is the path's end,
-            which is so far that a drive lasts as long as the log.
-        start: Station of the rear axle at the start, m.
+    `expected`: accepted decisions by agent. `beyond`: station at which the goal begins; None: the target cannot be
+    passed, and the goal is the path's end, which is so far that a drive lasts as long as the log.
     """
     v, duration = p["ego_kmh"] * KMH, p["duration_s"]
-    driven = drive(path, start=start, speed=v, cruise=v, duration=duration, ahead=ahead)
+    driven = drive(path, start=start, speed=v, duration=duration, ahead=ahead)
     begin = path.length - GOAL_M if beyond is None else beyond
     return before_contact(finished(path, driven, agents, road, duration, begin=begin, metadata=expects(**expected)))
 
@@ -117,16 +112,10 @@ CROSSING: Mapping[str, float] = {
 
 
 def crossing(p: Mapping[str, float], target: Target, *, far: bool = False, hidden: str = "") -> Scenario:
-    """A target that crosses from the near side (right), or the far side.
+    """A target that crosses from the right, or from the `far` side; ValueError if its way is too short.
 
-    Args:
-        p: Parameters as in `CROSSING`; `start_m` is the target's first distance from the ego's path.
-        target: The target that crosses.
-        far: Whether it comes from the left, over an opposite lane.
-        hidden: "cpnco": behind two parked cars; "cbnao": behind a car whose side is `hidden_m` from the ego's path.
-
-    Raises:
-        ValueError: The way is too short for the run-up.
+    `start_m` is its first distance from the ego's path. It is hidden behind two parked cars ("cpnco"), or behind one
+    whose side is `hidden_m` from the ego's path ("cbnao").
     """
     v, u, car, side = p["ego_kmh"] * KMH, p["target_kmh"] * KMH, VehicleParameters(), 1.0 if far else -1.0
     t, ramp = grid(p["duration_s"]), max(2.0 * p["run_up_m"] / u, RAMP_S)
@@ -176,15 +165,9 @@ def beside(overlap_percent: float) -> float:
 
 
 def lead(p: Mapping[str, float], target: Target, y: float) -> Scenario:
-    """A target ahead in the lane: stopped, slower, or braking; the impact is after `TTC_S`, or it is `gap_m` ahead.
+    """A target ahead, y m left of the lane's middle: stopped, slower, or braking; ValueError if it is not met.
 
-    Args:
-        p: Parameters as in `LEAD`; `gap_m` is used if it is positive.
-        target: The target ahead.
-        y: Its offset to the left of the lane's middle, m.
-
-    Raises:
-        ValueError: The ego would not meet it.
+    The impact is after `TTC_S`; or the target is `gap_m` ahead, if that is positive.
     """
     v, u, car = p["ego_kmh"] * KMH, p["target_kmh"] * KMH, VehicleParameters()
     gap = p["gap_m"] if p["gap_m"] > 0.0 else (v - u) * TTC_S

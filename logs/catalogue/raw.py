@@ -18,7 +18,6 @@ from logs.agents import AgentKind
 from logs.arrays import FloatArray
 from logs.catalogue import paper
 from logs.catalogue.detector import detected
-from logs.catalogue.driver import Ahead, drive
 from logs.catalogue.family import Family, touches
 from logs.catalogue.family_parts import (
     ADULT,
@@ -28,6 +27,8 @@ from logs.catalogue.family_parts import (
     HALF_LANE,
     START_M,
     Agent,
+    Ahead,
+    drive,
     grid,
     moving,
     parked,
@@ -62,10 +63,9 @@ def _moving_agent(
 def _true_scene(
     p: Parameters, others: list[Agent], road: Callable[..., Road], cruise: float, ahead: Callable[..., Ahead | None]
 ) -> Scenario:
-    """The true scene: the ego drives along x."""
     v, duration = p["ego_speed_mps"], p["duration_s"]
     path = curve((max(v, cruise) * duration + BEYOND_M, 0.0, 0.0))
-    driven = drive(path, start=START_M, speed=v, cruise=cruise, duration=duration, ahead=ahead)
+    driven = drive(path, speed=v, cruise=cruise, duration=duration, ahead=ahead)
     return Scenario("", driven, tracks(others), road(path, max(v, cruise)), duration, _goal(path, driven))
 
 
@@ -85,11 +85,7 @@ def _crossing(p: Parameters) -> Scenario:
         _moving_agent("walker_1", AgentKind.PEDESTRIAN, ADULT, t, x - 20.0, -6.0, 1.3),
         _moving_agent("walker_2", AgentKind.PEDESTRIAN, ADULT, t, x + 40.0, 6.2, -1.1),
     ]  # fmt: skip
-    one, two = whole.tracks, tracks(bystanders)
-    names = ("length", "width", "static", "t", "x", "y", "yaw", "vx", "vy")
-    columns = {name: np.r_[getattr(one, name), getattr(two, name)] for name in names}
-    offsets = np.r_[one.offsets, one.offsets[-1] + two.offsets[1:]]
-    everyone = Tracks((*one.ids, *two.ids), (*one.kinds, *two.kinds), offsets=offsets, **columns)
+    everyone = whole.tracks.with_more(tracks(bystanders))
     return replace(whole, tracks=everyone, duration=p["duration_s"], goal=_goal(straight, whole.ego))
 
 
@@ -174,36 +170,31 @@ def _family(
     return Family(f"raw/{name}", summary, {**parameters, "seed": 1.0}, ("raw", tag), build, {}, source)
 
 
-CROSSING = _family(
-    "crossing",
-    "a pedestrian crosses between parked cars, others walk along: detections without identities",
-    {
-        "ego_speed_mps": 8.0, "pedestrian_speed_mps": 1.2, "walk_start_s": 5.0, "distance_m": 28.0,
-        "kerb_distance_m": 0.6, "duration_s": 27.0,
-    },
-    "pedestrian", _crossing,
-)  # fmt: skip
-FAMILIES = (
-    CROSSING,
-    _family(
+_SCENES: tuple[tuple[str, str, Mapping[str, float], str, Callable[[Parameters], Scenario]], ...] = (
+    (
+        "crossing", "a pedestrian crosses between parked cars, others walk along: detections without identities",
+        {"ego_speed_mps": 8.0, "pedestrian_speed_mps": 1.2, "walk_start_s": 5.0, "distance_m": 28.0,
+         "kerb_distance_m": 0.6, "duration_s": 27.0}, "pedestrian", _crossing,
+    ),
+    (
         "queue", "a queue stands in the lane and drives on, another stands beside it",
         {"ego_speed_mps": 8.0, "distance_m": 60.0, "stands_s": 10.0, "duration_s": 34.0}, "follow", _queue,
     ),
-    _family("parked", "rows of parked cars on both sides, people behind them",
-            {"ego_speed_mps": 8.0, "duration_s": 25.0}, "static", _parked_rows),
-    _family(
+    (
+        "parked", "rows of parked cars on both sides, people behind them",
+        {"ego_speed_mps": 8.0, "duration_s": 25.0}, "static", _parked_rows,
+    ),
+    (
         "rider", "a rider comes towards the ego, taken for a pedestrian",
         {"ego_speed_mps": 8.0, "distance_m": 90.0, "offset_m": 2.4, "rider_speed_mps": 5.5, "duration_s": 25.0},
         "cyclist", _rider,
     ),
-    _family("clusters", "clusters of points beside the road, a car ahead",
-            {"ego_speed_mps": 8.0, "clusters": 80.0, "duration_s": 25.0}, "static", _clusters),
+    (
+        "clusters", "clusters of points beside the road, a car ahead",
+        {"ego_speed_mps": 8.0, "clusters": 80.0, "duration_s": 25.0}, "static", _clusters,
+    ),
 )  # fmt: skip
-TRUE: Mapping[str, Callable[[Parameters], Scenario]] = {
-    "raw/crossing": _crossing,
-    "raw/queue": _queue,
-    "raw/parked": _parked_rows,
-    "raw/rider": _rider,
-    "raw/clusters": _clusters,
-}
+FAMILIES = tuple(_family(*row) for row in _SCENES)
+CROSSING = FAMILIES[0]
+TRUE: Mapping[str, Callable[[Parameters], Scenario]] = {f"raw/{name}": scene for name, *_, scene in _SCENES}
 """The true scenes by the name of their family."""

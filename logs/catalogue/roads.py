@@ -78,11 +78,7 @@ class CurveSamples:
 
 
 def curve(*pieces: tuple[float, float, float]) -> CurveSamples:
-    """The path of pieces `(length m, kappa at the begin, kappa at the end)` from the origin along x.
-
-    Raises:
-        ValueError: A length is negative or not finite.
-    """
+    """The path of pieces (length m, kappa at begin and end) from the origin along x; ValueError without lengths."""
     if not all(np.isfinite(length) and length >= 0.0 for length, *_ in pieces):
         raise ValueError(f"a piece of the road has no length: {[round(length, 2) for length, *_ in pieces]} m")
     ends = np.cumsum([0.0, *(length for length, *_ in pieces)])
@@ -170,33 +166,21 @@ def stretch(path: CurveSamples, begin: float, end: float, *, right: float, left:
 
 @dataclass(frozen=True, eq=False)
 class Junction:
-    """The roads, the ego's path of the rear axle, and where on it the junction begins and ends (stations, m).
-
-    Attributes:
-        center: Centre of the junction `(x, y)`, m.
-        radius: Least radius of the path, m; inf if it goes straight on.
-    """
+    """The roads, the ego's path of the rear axle, and where on it the junction begins and ends (stations, m)."""
 
     road: Road
     path: CurveSamples
     begin: float
     end: float
-    center: tuple[float, float]
-    radius: float
+    center: tuple[float, float]  # centre of the junction `(x, y)`, m
+    radius: float  # least radius of the path, m; inf if it goes straight on
 
 
 def junction(begin: float, beyond: float, main: float, *, turn: float, speed_limit: float) -> Junction:
-    """The junction with the ego's path through it.
+    """The junction with the ego's path through it; `turn` is 1 (left), 0 (straight on) or -1 (right), or a ValueError.
 
-    Args:
-        begin: Length of the ego's lane to the stop line, m.
-        beyond: Length of the side road behind the junction, and of the ego's path there, m.
-        main: Length of the main road to each side, m.
-        turn: Turn of the ego: 1 left, 0 straight on, -1 right.
-        speed_limit: Speed limit of all lanes, m/s.
-
-    Raises:
-        ValueError: `turn` is none of these.
+    `begin` is the length of the ego's lane to the stop line, `beyond` that of the side road and of the ego's path
+    behind the junction, `main` that of the main road to each side, m; `speed_limit` that of all lanes, m/s.
     """
     if turn not in (-1, 0, 1):
         raise ValueError(f"turn is {turn:g}: 1 is left, 0 straight on, -1 right")

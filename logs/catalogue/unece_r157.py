@@ -16,9 +16,8 @@ from math import pi
 import numpy as np
 
 from logs.agents import AgentKind
-from logs.catalogue.driver import Ahead
 from logs.catalogue.family import Build, Family, family
-from logs.catalogue.family_parts import BEYOND_M, CAR, HALF_LANE, SPARE_S, START_M, grid, moving, parked, walked
+from logs.catalogue.family_parts import BEYOND_M, CAR, HALF_LANE, SPARE_S, START_M, Ahead, grid, moving, parked, walked
 from logs.catalogue.protocols import (
     CROSSING,
     FOLLOWS,

@@ -1,42 +1,24 @@
 """Reads maps that replace a log's own road (`--map`, `[log] map`), with a table of readers tried in order.
 
 A new format needs one file with a `MapReader` and one line in `BUILTIN`.
-
-Modules:
-    base.py             the classes of map readers and maps; puts a scenario on a map that fits the drive
-    projections.py      latitude and longitude to plane coordinates
-    lanelet2_file.py    Lanelet2 files: their XML as records, the coordinates of their points
-    lanelet2_lanes.py   the lanes of Lanelet2 maps
-    lanelet2.py         the regulatory elements and the road of Lanelet2 maps
-    opendrive.py        OpenDRIVE maps, by pyxodr
-    arrow123d_map.py    maps of 123D
-    strips.py           lanes between two lines
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
 
 from logs.errors import LogError
 from logs.files import check_regular
 from logs.log_settings import LogSettings
-from logs.maps import lanelet2, opendrive
-from logs.maps.arrow123d_map import road_of_map
+from logs.maps import arrow123d_map, lanelet2, opendrive
 from logs.maps.base import MapFile, MapReader, on_map
 from logs.scenario import Scenario
 
 __all__ = ["BUILTIN", "MapFile", "MapReader", "map_files", "map_reader_of", "read_map", "with_map"]
 
 
-def read_123d(path: Path, settings: Mapping[str, str]) -> MapFile:
-    """Read a whole 123D map, of one log or of a place; LogError if the file is not a map."""
-    notes: list[str] = []
-    return MapFile(road_of_map(path, notes=notes), "as in the 123D map", tuple(notes))
-
-
-BUILTIN = (lanelet2.READER, opendrive.READER, MapReader("123D", "*.arrow", ".arrow", read_123d, begin=b"ARROW1"))
+BUILTIN = (lanelet2.READER, opendrive.READER, arrow123d_map.READER)
 """The map readers in the order in which they are tried."""
 
 
@@ -58,11 +40,7 @@ def map_files(path: Path) -> tuple[Path, ...]:
 
 
 def read_map(path: Path, settings: LogSettings | None = None) -> MapFile:
-    """Read the map in a file of any format, in its own coordinates.
-
-    Raises:
-        LogError: The file is not a map, or is damaged; no other exception is raised for any bytes.
-    """
+    """Read a map of any format, in its own coordinates; LogError, and nothing else, if it is none or damaged."""
     reader = map_reader_of(path)
     settings = settings or LogSettings()
     stamps = tuple((file, file.stat().st_mtime_ns, file.stat().st_size) for file in reader.files(path))
@@ -78,12 +56,6 @@ def _read(
 
 
 def with_map(scenario: Scenario, settings: LogSettings) -> Scenario:
-    """Put the scenario on the map of the settings; return it unchanged if they name no map.
-
-    Raises:
-        LogError: The map cannot be read, or does not fit the drive.
-    """
-    if not settings.map:
-        return scenario
+    """Put the scenario on the map that the settings name; LogError if it cannot be read or does not fit the drive."""
     path = Path(settings.map)
     return on_map(scenario, read_map(path, settings), path, map_reader_of(path).name)

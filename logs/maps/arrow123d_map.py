@@ -36,6 +36,7 @@ from logs.arrow_tables import COPY_AGAIN, Lists, array_of, ipc_table, metadata_o
 from logs.complete import ASSUMED, assumed_limit, road_along
 from logs.errors import LogError
 from logs.files import beside
+from logs.maps.base import MapFile, MapReader
 from logs.maps.strips import LARGEST_M, LONGEST_M, LaneStrip, dense, lanes_of
 from logs.road import IN_JUNCTION, Lane, Road, inside, predecessors
 from logs.rules import Colour, Crosswalk, StopLine, TrafficLight
@@ -73,21 +74,13 @@ class MapObjects:
 
 
 def road_of_map(
-    path: Path,
-    origin: tuple[float, float] = (0.0, 0.0),
-    near: FloatArray | None = None,
-    notes: list[str] | None = None,
-    route: Sequence[int] = (),
-) -> Road:
-    """Read the road of a map file (module docstring).
+    path: Path, origin: tuple[float, float] = (0.0, 0.0), near: FloatArray | None = None,
+    notes: list[str] | None = None, route: Sequence[int] = (),
+) -> Road:  # fmt: skip
+    """Read the road of a map file (module docstring), `origin` subtracted from all points, m; with notes.
 
-    Args:
-        path: `map.arrow`, or a place's map.
-        origin: Subtracted from all points, m.
-        near: Places `(k, 2)` in the map's coordinates; objects farther than `REACH_M` outside their bounding box are
-            left out. None: the whole map.
-        notes: List to which assumptions are added.
-        route: Ids of the groups of lanes that the log's route leads through.
+    Objects farther than `REACH_M` outside the bounding box of the places `near` `(k, 2)`, in the map's coordinates, are
+    left out. `route` are the ids of the groups of lanes that the log's route leads through.
 
     Raises:
         LogError: The file is no such map, or has no lanes that can be used.
@@ -409,3 +402,11 @@ def _observed_lights(folder: Path, start_us: int, notes: list[str]) -> tuple[Tra
             changes = [k for n, k in enumerate(at) if n == 0 or colours[k] is not colours[at[n - 1]]]
             lights.append(TrafficLight(int(i), t[changes], tuple(colours[k] for k in changes)))
         return tuple(lights)
+
+
+def _read(path: Path, settings: Mapping[str, str]) -> MapFile:
+    notes: list[str] = []
+    return MapFile(road_of_map(path, notes=notes), "as in the 123D map", tuple(notes))
+
+
+READER = MapReader("123D", "*.arrow", ".arrow", _read, begin=b"ARROW1")

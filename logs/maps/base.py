@@ -30,44 +30,28 @@ LEAST_SHARE = 0.5
 
 @dataclass(frozen=True, eq=False)
 class MapFile:
-    """A map in its own world coordinates.
+    """A map in its own world coordinates."""
 
-    Attributes:
-        road: Its road, m; lanes without a speed limit have NaN, and the road's default is not used.
-        frame: Origin of its coordinates, in words.
-        notes: What was assumed or left out in reading, one sentence each.
-        aliases: Other ids of the lights of its stop lines that logs may use, by the light's id.
-        side_known: Whether the map shows on which side traffic drives.
-    """
-
-    road: Road
-    frame: str
-    notes: tuple[str, ...] = ()
+    road: Road  # its road, m; lanes without a speed limit have NaN, and the road's default is not used
+    frame: str  # origin of its coordinates, in words
+    notes: tuple[str, ...] = ()  # what was assumed or left out in reading, one sentence each
+    # other ids of the lights of its stop lines that logs may use, by the light's id
     aliases: Mapping[int, tuple[int, ...]] = field(default_factory=dict)
-    side_known: bool = True
+    side_known: bool = True  # whether the map shows on which side traffic drives
 
 
 @dataclass(frozen=True)
 class MapReader:
-    """The reader of one map format.
+    """The reader of one map format."""
 
-    Attributes:
-        name: Its name in messages and notes ("Lanelet2").
-        looks_for: Its files, in words ("*.osm").
-        suffix: Suffix of its files.
-        read: Reads the map in a file with the settings; raises only LogError on any bytes.
-        begin: First bytes of its files; empty: the suffix suffices.
-        beside: Names of optional files in the same folder that belong to a map.
-        settings: The keys of `LogSettings` that it reads; their values are texts.
-    """
-
-    name: str
-    looks_for: str
-    suffix: str
+    name: str  # its name in messages and notes ("Lanelet2")
+    looks_for: str  # its files, in words ("*.osm")
+    suffix: str  # suffix of its files
+    # reads the map in a file with the settings; raises only LogError on any bytes
     read: Callable[[Path, Mapping[str, str]], MapFile]
-    begin: bytes = b""
-    beside: tuple[str, ...] = ()
-    settings: tuple[str, ...] = ()
+    begin: bytes = b""  # first bytes of its files; empty: the suffix suffices
+    beside: tuple[str, ...] = ()  # names of optional files in the same folder that belong to a map
+    settings: tuple[str, ...] = ()  # the keys of `LogSettings` that it reads; their values are texts
 
     def claims(self, path: Path) -> bool:
         """Return whether a path is a map of this format; fast, and raises nothing on any bytes."""
@@ -85,12 +69,9 @@ class MapReader:
 
 
 def on_map(scenario: Scenario, found: MapFile, path: Path, kind: str) -> Scenario:
-    """Replace the scenario's road by that of the map.
+    """Replace the scenario's road by that of the map; LogError if it does not fit the drive.
 
     Lights that no stop line of the map names are left out, and so are notes that the log has no lanes.
-
-    Raises:
-        LogError: The map does not fit the drive.
     """
     origin = np.array(scenario.origin)
     road = placed_road(found.road, lambda points: points - origin)

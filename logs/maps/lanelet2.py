@@ -19,14 +19,14 @@ junction, the rule applies to their successors.
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 
 import numpy as np
 
-from logs.arrays import FloatArray
+from logs.arrays import FloatArray, foot_on, station_on
 from logs.errors import LogError
 from logs.maps.base import MapFile, MapReader
 from logs.maps.lanelet2_file import PROJECTOR_INFO, Element, Osm, placed_points, read_osm
@@ -47,11 +47,7 @@ _READ = ("traffic_light", "traffic_sign", "right_of_way", "all_way_stop", "speed
 
 
 def read_lanelet2(path: Path, settings: Mapping[str, str]) -> MapFile:
-    """Read a map.
-
-    Raises:
-        LogError: The file is not a Lanelet2 map, has no drivable lane, or its points have no coordinates.
-    """
+    """Read a map; LogError if it is none, has no drivable lane, or its points have no coordinates."""
     osm, notes = read_osm(path), list[str]()
     try:
         nodes, frame, xy = placed_points(osm, path, settings)
@@ -66,6 +62,8 @@ def read_lanelet2(path: Path, settings: Mapping[str, str]) -> MapFile:
             i: _outline(osm, each, rows) for i, each in osm.relations.items()
             if each.tags.get("type") == "multipolygon" and each.tags.get("subtype") in _AREAS
         }  # fmt: skip
+        outlines = (*shapes, *areas.values())
+        rings = [line[:-1] if len(line) > 1 and line[0] == line[-1] else line for line in outlines]
         # traffic drives on the right if more lanes have the opposite direction on their left
         votes = [lane.left_opposite for lane in lanes.values() if lane.left_opposite != lane.right_opposite]
         road = Road(
@@ -73,7 +71,7 @@ def read_lanelet2(path: Path, settings: Mapping[str, str]) -> MapFile:
             drives_on_right=sum(votes) * 2 >= len(votes),
             stop_lines=rules.stop_lines,
             crosswalks=rules.crosswalks,
-            areas=_grounds([*shapes, *areas.values()], xy),
+            areas=tuple(xy[list(ring)] for ring in rings if len(ring) > 2),
         )
         for key, count in sorted(osm.blanks.items()):
             notes.append(f"{count} tags have blanks around the key '{key}': it is read without.")
@@ -92,12 +90,6 @@ def read_lanelet2(path: Path, settings: Mapping[str, str]) -> MapFile:
         raise error if error.file is not None else error.at(path) from None
     except (ValueError, OverflowError) as error:
         raise LogError(str(error), file=path) from None
-
-
-def _grounds(outlines: Iterable[Sequence[int]], xy: FloatArray) -> tuple[FloatArray, ...]:
-    """Return the polygons `(k, 2)` of outlines with at least three points, without a repeated last point."""
-    rings = (line[:-1] if len(line) > 1 and line[0] == line[-1] else line for line in outlines)
-    return tuple(xy[list(ring)] for ring in rings if len(ring) > 2)
 
 
 def _outline(osm: Osm, area: Element, rows: Mapping[int, int]) -> Sequence[int]:
@@ -254,23 +246,13 @@ def _stop_lines_of(held: _Map, owners: Sequence[int], ways: Sequence[int]) -> It
             crossed.append(lane.id)
     towards: defaultdict[tuple[int, int], list[int]] = defaultdict(list)
     for owner in owners or crossed:
-        k = min(range(len(lines)), key=lambda k: _nearest(held.lanes[owner], lines[k])[0])
-        begins = _nearest(held.lanes[owner], lines[k])[1] < AT_BEGIN_M
+        center, middles = held.lanes[owner].center, [line.mean(axis=0) for line in lines]
+        k = int(np.argmin([np.hypot(*(foot_on(center, middle)[1] - middle)) for middle in middles]))
+        begins = station_on(center, middles[k]) < AT_BEGIN_M
         for on in (held.before.get(owner, ()) if begins else ()) or (owner,):
             towards[k, on] += [owner] if on != owner and owners else []
     for (k, on), after in towards.items():
         yield StopLine(0, on, clipped(held.lanes[on], lines[k]), towards=tuple(sorted(set(after))))
-
-
-def _nearest(lane: Lane, line: FloatArray) -> tuple[float, float]:
-    """Return the distance of a line's middle from a lane's centre line, and the station of the nearest point, m."""
-    middle, center = line.mean(axis=0), lane.center
-    piece = np.diff(center, axis=0)
-    square = np.maximum((piece**2).sum(axis=1), 1e-18)
-    u = np.clip(((middle - center[:-1]) * piece).sum(axis=1) / square, 0.0, 1.0)
-    away = np.hypot(*(center[:-1] + u[:, None] * piece - middle).T)
-    k = int(np.argmin(away))
-    return float(away[k]), float(np.sqrt(square[:k]).sum() + u[k] * np.sqrt(square[k]))
 
 
 def clipped(lane: Lane, line: FloatArray) -> FloatArray:

@@ -17,17 +17,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from xml.etree.ElementTree import ParseError, XMLParser
 
 import numpy as np
 
 from logs.arrays import FloatArray
 from logs.errors import LogError
+from logs.files import read_xml, refuse_doctype
 from logs.maps.projections import UTM_SCALE, Projection, check_on_earth, parse_projection
 
-LARGEST_BYTES = 1 << 30
-"""Largest size of a file, bytes: maps of whole cities have some 100 MB."""
-_CHUNK_BYTES = 1 << 16
 NEW_ID = 10**12
 """Editors number new elements -1, -2 ...; such an id i becomes `NEW_ID` - i, as replan's ids are not negative."""
 PROJECTOR_INFO = "map_projector_info.yaml"
@@ -48,21 +45,13 @@ class Member:
 
 @dataclass
 class Element:
-    """A node, way or relation.
+    """A node, way or relation."""
 
-    Attributes:
-        id: Unique among its kind.
-        tags: Values by key, without surrounding blanks.
-        place: Latitude and longitude of a node, degrees, or None.
-        nodes: Node ids of a way.
-        members: Members of a relation.
-    """
-
-    id: int
-    tags: dict[str, str] = field(default_factory=dict)
-    place: tuple[float, float] | None = None
-    nodes: list[int] = field(default_factory=list)
-    members: list[Member] = field(default_factory=list)
+    id: int  # unique among its kind
+    tags: dict[str, str] = field(default_factory=dict)  # values by key, without surrounding blanks
+    place: tuple[float, float] | None = None  # latitude and longitude of a node, degrees, or None
+    nodes: list[int] = field(default_factory=list)  # node ids of a way
+    members: list[Member] = field(default_factory=list)  # members of a relation
 
     def named(self, *roles: str, kind: str = "way") -> Iterator[int]:
         """Yield the ids of members of a kind in one of these roles, in the file's order."""
@@ -80,16 +69,13 @@ class Osm:
 
 
 class _Target:
-    """The target of the XML parser, which fills an `Osm`."""
-
     def __init__(self) -> None:
         self.osm = Osm()
         self.open: Element | None = None
         self.root = ""
         self.kinds = {"node": self.osm.nodes, "way": self.osm.ways, "relation": self.osm.relations}
 
-    def doctype(self, name: str, pubid: str | None, system: str | None) -> None:
-        raise LogError("it has a document type declaration, which maps do not need", remedy="remove the declaration")
+    doctype = refuse_doctype
 
     def start(self, tag: str, attrib: dict[str, str]) -> None:
         if not self.root:
@@ -131,26 +117,8 @@ class _Target:
 
 
 def read_osm(path: Path) -> Osm:
-    """Read a file.
-
-    Raises:
-        LogError: It cannot be read, is not OSM XML, has a document type declaration, or a number cannot be parsed.
-    """
-    parser = XMLParser(target=_Target())
-    try:
-        if path.stat().st_size > LARGEST_BYTES:
-            raise LogError(f"larger than {LARGEST_BYTES >> 20} MiB", file=path, remedy="cut the map")
-        with path.open("rb") as stream:
-            while chunk := stream.read(_CHUNK_BYTES):
-                parser.feed(chunk)
-        osm = parser.close()
-    except OSError as error:
-        raise LogError(f"cannot be read: {error.strerror}", file=path, remedy="check the path") from None
-    except (ParseError, ValueError, LookupError) as error:
-        raise LogError(f"is no complete XML: {error}", file=path, remedy="fetch the file again") from None
-    except LogError as error:
-        raise error.at(path) from None
-    assert isinstance(osm, Osm)
+    """Read a file; LogError if it is no OSM XML (`read_xml`), or a number cannot be parsed."""
+    osm: Osm = read_xml(path, target=_Target())
     return osm
 
 

@@ -19,11 +19,12 @@ from dataclasses import dataclass
 from math import inf, isfinite, nan
 from pathlib import Path
 from typing import Any
-from xml.etree.ElementTree import Element, ParseError, SubElement, TreeBuilder, XMLParser
+from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
 from logs.errors import LogError
+from logs.files import read_xml
 from logs.maps.base import MapFile, MapReader
 from logs.road import IN_JUNCTION, Lane, Road
 
@@ -51,33 +52,21 @@ _UNITS = {"m/s": 1.0, "km/h": 1.0 / 3.6, "mph": 0.44704}
 
 @dataclass(frozen=True, eq=False)
 class _Piece:
-    """A lane of a lane section: pyxodr's lane, and the road's and section's XML.
-
-    Attributes:
-        index: Place of the section in its road, from 0.
-        place: Its OpenDRIVE id: counted outwards, negative on the right of the reference line.
-        on_right: Whether traffic keeps right on this road.
-        against: Whether its traffic drives against the reference line.
-        drivable: Whether cars may drive on it.
-    """
+    """A lane of a lane section: pyxodr's lane, and the road's and section's XML."""
 
     number: int
     lane: Any
     road: Element
     section: Element
-    index: int
-    place: int
-    on_right: bool
-    against: bool
-    drivable: bool
+    index: int  # place of the section in its road, from 0
+    place: int  # its OpenDRIVE id: counted outwards, negative on the right of the reference line
+    on_right: bool  # whether traffic keeps right on this road
+    against: bool  # whether its traffic drives against the reference line
+    drivable: bool  # whether cars may drive on it
 
 
 def read_opendrive(path: Path, settings: Mapping[str, str]) -> MapFile:
-    """Read a map.
-
-    Raises:
-        LogError: pyxodr is not installed, or the file is not OpenDRIVE or has no drivable lane that can be read.
-    """
+    """Read a map; LogError without pyxodr, or if the file is no OpenDRIVE or has no drivable lane."""
     root = _root(path)
     try:
         from pyxodr.road_objects.road import Road as Geometry
@@ -119,31 +108,12 @@ def read_opendrive(path: Path, settings: Mapping[str, str]) -> MapFile:
     return MapFile(road, "as in the file", tuple(notes))
 
 
-class _Tree(TreeBuilder):
-    """Refuses a document type declaration, in which entities could grow without bound."""
-
-    def doctype(self, name: str, pubid: str | None, system: str | None) -> None:
-        raise LogError("it has a document type declaration, which maps do not need", remedy="remove the declaration")
-
-
 def _root(path: Path) -> Element:
-    """Return the file's XML after checks of its size."""
-    try:
-        if path.stat().st_size > LARGEST_BYTES:
-            raise LogError(f"larger than {LARGEST_BYTES >> 20} MiB", remedy="cut the map")
-        parser = XMLParser(target=_Tree())
-        parser.feed(path.read_bytes())
-        root = parser.close()
-        for element in root.iter():
-            element.tag = element.tag.rpartition("}")[2]  # without the namespace of ASAM's schema
-        if root.tag != "OpenDRIVE":
-            raise LogError(f"root element is <{root.tag}>", remedy="give an OpenDRIVE map (<OpenDRIVE>)")
-    except OSError as error:
-        raise LogError(f"cannot be read: {error.strerror}", file=path) from None
-    except (ParseError, ValueError, LookupError) as error:
-        raise LogError(f"is no OpenDRIVE: {error}", file=path, remedy="fetch the file again") from None
-    except LogError as error:
-        raise error.at(path) from None
+    root: Element = read_xml(path, "OpenDRIVE", largest=LARGEST_BYTES)
+    for element in root.iter():
+        element.tag = element.tag.rpartition("}")[2]  # without the namespace of ASAM's schema
+    if root.tag != "OpenDRIVE":
+        raise LogError(f"root element is <{root.tag}>", file=path, remedy="give an OpenDRIVE map (<OpenDRIVE>)")
     if not sum(max(_number(part, "length", 0.0), 0.0) for part in root.iter("geometry")) < LONGEST_M:
         raise LogError("its roads are longer than 1000 km", file=path, remedy="cut the map")
     return root

@@ -95,19 +95,13 @@ def _geocentric(points: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class Projection:
-    """The projection of a map's latitudes and longitudes to plane coordinates.
+    """The projection of a map's latitudes and longitudes to plane coordinates."""
 
-    Attributes:
-        kind: "utm", "tmerc" or "enu", each relative to the origin; or "mgrs".
-        origin: Latitude and longitude, degrees; None: that of the first point, and "utm" is not shifted.
-        square: Square of "mgrs" ("54SUE"); "": that of the map's first point.
-        scale: Scale of "tmerc" along its meridian.
-    """
-
-    kind: str
+    kind: str  # "utm", "tmerc" or "enu", each relative to the origin; or "mgrs"
+    # latitude and longitude, degrees; None: that of the first point, and "utm" is not shifted
     origin: tuple[float, float] | None = None
-    square: str = ""
-    scale: float = 1.0
+    square: str = ""  # square of "mgrs" ("54SUE"); "": that of the map's first point
+    scale: float = 1.0  # scale of "tmerc" along its meridian
 
     def __str__(self) -> str:
         place = "" if self.origin is None else f" {self.origin[0]:.10g}, {self.origin[1]:.10g}"
@@ -140,11 +134,7 @@ _SQUARE = re.compile(r"(\d{1,2})([C-HJ-NP-X])([A-HJ-NP-Z])([A-HJ-NP-V])")
 
 
 def parse_projection(text: str) -> Projection:
-    """Parse the name of a projection (`FORMS`).
-
-    Raises:
-        LogError: The text names no projection.
-    """
+    """Parse the name of a projection (`FORMS`); LogError if it is none."""
     text = text.strip()
     place, square = _PLACE.fullmatch(text), _SQUARE.fullmatch(text.upper())
     if text in ("utm", "mgrs"):

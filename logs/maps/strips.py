@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from logs.arrays import FloatArray, arc_lengths
+from logs.arrays import FloatArray, arc_lengths, foot_on
 from logs.road import Lane, paired
 
 LARGEST_M = 1e7
@@ -25,21 +25,15 @@ CAR_WIDTH_M = 2.0
 
 @dataclass(frozen=True, eq=False)
 class LaneStrip:
-    """A lane as stored in a map.
-
-    Attributes:
-        left: Left boundary `(n, 2)` in driving direction, m; `right` `(k, 2)` likewise.
-        beside: Ids of the lanes to the left and to the right, or None.
-        marks: Names of the left and the right marking ("DASH_SOLID_YELLOW"; "": unknown).
-    """
+    """A lane as stored in a map."""
 
     id: int
-    left: FloatArray
+    left: FloatArray  # left boundary `(n, 2)` in driving direction, m; `right` `(k, 2)` likewise
     right: FloatArray
     successors: tuple[int, ...]
-    beside: tuple[int | None, int | None]
+    beside: tuple[int | None, int | None]  # ids of the lanes to the left and to the right, or None
     kind: str
-    marks: tuple[str, str] = ("", "")
+    marks: tuple[str, str] = ("", "")  # names of the left and the right marking ("DASH_SOLID_YELLOW"; "": unknown)
     drivable: bool = True
     speed_limit: float = float("nan")
 
@@ -107,11 +101,8 @@ def _same_way(lane: Lane, other: Lane) -> bool:
     """Return whether two lanes have the same direction: the other one at its point nearest to this one's middle."""
     ahead = lane.center[len(lane.center) // 2] - lane.center[len(lane.center) // 2 - 1]
     middle = 0.5 * (lane.center[len(lane.center) // 2] + lane.center[len(lane.center) // 2 - 1])
-    steps = np.diff(other.center, axis=0)
-    squares = np.maximum((steps * steps).sum(axis=1), 1e-12)
-    along = np.clip(((middle - other.center[:-1]) * steps).sum(axis=1) / squares, 0.0, 1.0)
-    away = np.hypot(*(other.center[:-1] + along[:, None] * steps - middle).T)
-    return bool(steps[int(np.argmin(away))] @ ahead > 0.0)
+    i, _ = foot_on(other.center, middle)
+    return bool((other.center[i + 1] - other.center[i]) @ ahead > 0.0)
 
 
 def dense(line: FloatArray, step: float) -> FloatArray:

@@ -57,11 +57,7 @@ class Stream:
         return len(self.times)
 
     def decoded(self, kind: type[T]) -> list[T]:
-        """The messages as Structs.
-
-        Raises:
-            LogError: A message is not JSON or does not fit the Struct; the error names the field.
-        """
+        """The messages as Structs; LogError, which names the field, if one does not fit."""
         if self.encoding != "json":
             raise LogError(f"messages are encoded as {self.encoding!r}, expected 'json'", topic=self.topic)
         decoder, out = msgspec.json.Decoder(kind), []
@@ -79,11 +75,7 @@ class Stream:
         return out
 
     def check_order(self, *, strictly: bool) -> None:
-        """Refuse times that go backwards, and equal times if `strictly`.
-
-        Raises:
-            LogError: With the first time that is out of order.
-        """
+        """Raise LogError if times go backwards, or, if `strictly`, two are equal."""
         for before, time in pairwise(self.times):
             if time < before:
                 what = f"time goes backwards, from {before / 1e9:.3f} s"
@@ -107,11 +99,7 @@ class Container:
     error: LogError | None
 
     def whole(self) -> Container:
-        """Return this container if it is undamaged and has messages.
-
-        Raises:
-            LogError: It is damaged, or has no messages.
-        """
+        """Return this container if it is undamaged and has messages; LogError if it is damaged, or has no messages."""
         if self.error is not None:
             raise self.error
         if not any(map(len, self.streams.values())):

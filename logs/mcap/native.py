@@ -508,7 +508,6 @@ def _structs(hint: Any) -> Iterator[type[msgspec.Struct]]:
 
 
 def _type(hint: Any) -> str:
-    """A type in words."""
     origin, args = get_origin(hint), get_args(hint)
     if hint in _NAMES:
         return _NAMES[hint]

@@ -18,17 +18,17 @@ beside the middle of this one, a successor begins where this one ends (`MAX_GAP`
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from operator import itemgetter
 from typing import Any
 
 import numpy as np
-from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+from google.protobuf import descriptor_pb2, message_factory
 from google.protobuf.message import DecodeError
 
 from logs.agents import USUAL_SIZE_M, AgentKind
-from logs.arrays import FloatArray, arc_lengths
-from logs.complete import ASSUMED, assumed_limit, completed, derived_curvature, road_along
+from logs.arrays import FloatArray, arc_lengths, foot_on, station_on
+from logs.complete import ASSUMED, assumed_limit, completed, derived_curvature, derived_speed, road_along
 from logs.errors import LogError, reading
 from logs.mcap.container import COPY_AGAIN, Stream
 from logs.observed import of_stream
@@ -36,7 +36,7 @@ from logs.road import Lane, Road, paired
 from logs.scenario import Scenario
 from logs.states import Trajectory
 from logs.tracks import Tracks
-from logs.vehicle import VehicleParameters
+from logs.vehicle import VehicleParameters, car_of
 
 SCHEMAS = ("osi3.GroundTruth", "osi3.SensorView")
 
@@ -82,21 +82,12 @@ CROSSABLE = {"TYPE_UNKNOWN", "TYPE_OTHER", "TYPE_NO_LINE", "TYPE_DASHED_LINE", "
 
 @dataclass
 class _OsiMap:
-    """Messages by id, from all frames; the first message of an id is kept."""
+    """Messages by id, from all frames; the first message of an id is kept. Older descriptors lack the logical lanes."""
 
-    lanes: dict[int, Any] = field(default_factory=dict)
-    boundaries: dict[int, Any] = field(default_factory=dict)
-    logical_lanes: dict[int, Any] = field(default_factory=dict)
-    logical_boundaries: dict[int, Any] = field(default_factory=dict)
-
-    def add(self, truth: Any) -> None:
-        """Add the road of a ground truth; older descriptors lack the logical lanes."""
-        for known, name in (
-            (self.lanes, "lane"), (self.boundaries, "lane_boundary"), (self.logical_lanes, "logical_lane"),
-            (self.logical_boundaries, "logical_lane_boundary"),
-        ):  # fmt: skip
-            for message in getattr(truth, name, ()):
-                known.setdefault(message.id.value, message)
+    lane: dict[int, Any] = field(default_factory=dict)
+    lane_boundary: dict[int, Any] = field(default_factory=dict)
+    logical_lane: dict[int, Any] = field(default_factory=dict)
+    logical_lane_boundary: dict[int, Any] = field(default_factory=dict)
 
 
 @dataclass
@@ -146,9 +137,9 @@ def scenario_of(stream: Stream, name: str, ego_id: str = "") -> Scenario:
         lanes, adjacent = _logical(seen.road, origin)
         if not lanes:
             lanes, adjacent = _classic(seen.road, origin, notes)
-            unused = len(seen.road.lanes) - len(lanes)
+            unused = len(seen.road.lane) - len(lanes)
             if lanes and unused:
-                notes.append(f"{unused} of {len(seen.road.lanes)} lanes have no centre line and are left out.")
+                notes.append(f"{unused} of {len(seen.road.lane)} lanes have no centre line and are left out.")
         lanes, drives_on_right = _beside_each_other(lanes, adjacent)
         if lanes:
             limit = assumed_limit(ego)
@@ -178,12 +169,9 @@ def scenario_of(stream: Stream, name: str, ego_id: str = "") -> Scenario:
 def _message_class(stream: Stream) -> type[Any]:
     if stream.encoding != "protobuf" or stream.schema_encoding != "protobuf":
         raise LogError(f"{stream.schema} is encoded as {stream.encoding!r}, expected protobuf", topic=stream.topic)
-    pool = descriptor_pool.DescriptorPool()
     try:
-        files = {f.name: f for f in descriptor_pb2.FileDescriptorSet.FromString(stream.schema_data).file}
-        for name in list(files):
-            _add_file(name, files, pool, set())
-        kind = message_factory.GetMessageClass(pool.FindMessageTypeByName(stream.schema))
+        files = descriptor_pb2.FileDescriptorSet.FromString(stream.schema_data).file
+        kind: type[Any] = message_factory.GetMessages(files)[stream.schema]
     except (DecodeError, TypeError, KeyError, ValueError) as error:
         what = f"the protobuf descriptor in the file cannot be used: {error}"
         raise LogError(what, topic=stream.topic, remedy=COPY_AGAIN) from None
@@ -196,16 +184,6 @@ def _message_class(stream: Stream) -> type[Any]:
                 raise LogError(what, topic=stream.topic, remedy="write the log with OSI 3.5 or newer")
             descriptor = descriptor.fields_by_name[name].message_type
     return kind
-
-
-def _add_file(name: str, files: dict[str, Any], pool: Any, open_files: set[str]) -> None:
-    """Add a file to the pool after the files that it imports."""
-    if name in open_files or name not in files:
-        return
-    open_files.add(name)
-    for imported in files[name].dependency:
-        _add_file(imported, files, pool, open_files)
-    pool.Add(files.pop(name))
 
 
 def _decode_stream(stream: Stream) -> _Seen:
@@ -236,44 +214,39 @@ def _decode_stream(stream: Stream) -> _Seen:
         for item in truth.stationary_object:
             seen.standing.setdefault(item.id.value, item)
         seen.lights = max(seen.lights, len(getattr(truth, "traffic_light", ())))
-        seen.road.add(truth)
+        for part in fields(_OsiMap):
+            known = getattr(seen.road, part.name)
+            for item in getattr(truth, part.name, ()):
+                known.setdefault(item.id.value, item)
         seen.times.append(time)
     return seen
 
 
 def _vehicle(host: Any, notes: list[str]) -> tuple[VehicleParameters, FloatArray]:
     """The ego's parameters, and the vector from its centre to its rear axle, m."""
-    default, size = VehicleParameters(), host.base.dimension
+    default, size, known = VehicleParameters(), host.base.dimension, host.vehicle_attributes
     length, width = (size.length, size.width) if min(size.length, size.width) > 0.0 else (default.length, default.width)
-    scale = length / default.length
-    wheelbase, overhang = scale * default.wheelbase, scale * default.rear_overhang
-    rear = np.array([overhang - length / 2.0, 0.0])
-    known = host.vehicle_attributes
+    sizes = {"length": length, "width": width}
     if known.HasField("bbcenter_to_rear") and -length / 2.0 < known.bbcenter_to_rear.x < 0.0:
-        rear = np.array([known.bbcenter_to_rear.x, known.bbcenter_to_rear.y])
-        overhang = length / 2.0 + rear[0]
+        rear = known.bbcenter_to_rear
+        overhang, wheelbase = length / 2.0 + rear.x, length / default.length * default.wheelbase
         if known.HasField("bbcenter_to_front"):
-            wheelbase = known.bbcenter_to_front.x - rear[0]
-        wheelbase = min(wheelbase, length - overhang)
-    else:
-        notes.append("The log does not say where the ego's rear axle is: it is placed as in the default car.")
-    notes.append("Masses, tyres and limits of the ego's vehicle are those of the default car.")
-    cog = default.cog_to_front * wheelbase / default.wheelbase
-    sizes: dict[str, Any] = {"length": length, "width": width, "wheelbase": wheelbase, "rear_overhang": overhang}
-    return replace(default, **sizes, cog_to_front=cog), rear
+            wheelbase = known.bbcenter_to_front.x - rear.x
+        sizes |= {"rear_overhang": overhang, "wheelbase": min(wheelbase, length - overhang)}
+        return car_of(sizes, notes), np.array([rear.x, rear.y])
+    notes.append("The log does not say where the ego's rear axle is: it is placed as in the default car.")
+    vehicle = car_of(sizes, notes)
+    return vehicle, np.array([-vehicle.axle_to_center, 0.0])
 
 
-def _ego(rows: FloatArray, t: FloatArray, rear: FloatArray, notes: list[str]) -> Trajectory:
-    """The rear axle's states by (1) and (2)."""
+def _ego(rows: FloatArray, t: FloatArray, rear: FloatArray, notes: list[str]) -> Trajectory:  # (1), (2)
     yaw = np.unwrap(rows[:, 3])
     cos, sin = np.cos(yaw), np.sin(yaw)
     x, y = rows[:, 1] + rear[0] * cos - rear[1] * sin, rows[:, 2] + rear[0] * sin + rear[1] * cos
     t = t[rows[:, 0].astype(np.int64)]
-    v = rows[:, 4] * cos + rows[:, 5] * sin
+    v: FloatArray = rows[:, 4] * cos + rows[:, 5] * sin
     if not np.isfinite(v).all():
-        notes.append("The log has no ego speed: it is derived from the positions by backward differences.")
-        step = (np.diff(x) * cos[1:] + np.diff(y) * sin[1:]) / np.diff(t)
-        v = np.r_[step[0], step] if len(step) else np.zeros(1)
+        v = derived_speed(t, x, y, yaw, notes)
     kappa = derived_curvature(x, y, yaw, v)
     a = rows[:, 6] * cos + rows[:, 7] * sin - (kappa * v) ** 2 * rear[0]
     if not rows[:, 6:8].any():
@@ -333,10 +306,10 @@ def _points(messages: Iterable[Any], origin: FloatArray) -> FloatArray:
 def _logical(osi: _OsiMap, origin: FloatArray) -> tuple[dict[int, Lane], dict[int, list[int]]]:
     """Lanes, and the ids that each lists as adjacent."""
     lanes, adjacent = {}, {}
-    for key, message in osi.logical_lanes.items():
+    for key, message in osi.logical_lane.items():
         sides = []
         for ids in (message.left_boundary_id, message.right_boundary_id):
-            found = [osi.logical_boundaries[i.value] for i in ids if i.value in osi.logical_boundaries]
+            found = [osi.logical_lane_boundary[i.value] for i in ids if i.value in osi.logical_lane_boundary]
             parts = [_points((p.position for p in b.boundary_line), origin) for b in found]
             sides.append(np.vstack([np.empty((0, 2)), *parts]))
         if min(map(len, sides)) < 2:
@@ -357,7 +330,7 @@ def _logical(osi: _OsiMap, origin: FloatArray) -> tuple[dict[int, Lane], dict[in
 def _classic(osi: _OsiMap, origin: FloatArray, notes: list[str]) -> tuple[dict[int, Lane], dict[int, list[int]]]:
     """Lanes, and the ids that each lists as adjacent."""
     centers = {}
-    for key, message in osi.lanes.items():
+    for key, message in osi.lane.items():
         known = message.classification
         center = _points(known.centerline, origin)
         turned = known.HasField("centerline_is_driving_direction") and not known.centerline_is_driving_direction
@@ -375,7 +348,7 @@ def _classic(osi: _OsiMap, origin: FloatArray, notes: list[str]) -> tuple[dict[i
             f" beside them, else {HALF_WIDTH} m from the centre."
         )
     paired_with: dict[int, list[int]] = {}  # by any pairing, in both directions
-    for key, message in osi.lanes.items():
+    for key, message in osi.lane.items():
         for pair in message.classification.lane_pairing:
             for name in ("successor_lane_id", "antecessor_lane_id"):
                 if pair.HasField(name):
@@ -384,7 +357,7 @@ def _classic(osi: _OsiMap, origin: FloatArray, notes: list[str]) -> tuple[dict[i
                     paired_with.setdefault(other, []).append(key)
     adjacent = {}
     for key, lane in lanes.items():
-        known, onward = osi.lanes[key].classification, []
+        known, onward = osi.lane[key].classification, []
         adjacent[key] = [i.value for i in (*known.left_adjacent_lane_id, *known.right_adjacent_lane_id)]
         for i in dict.fromkeys(paired_with.get(key, ())):
             if i in lanes:
@@ -404,14 +377,14 @@ def _facts(message: Any) -> dict[str, Any]:
 
 
 def _lane_between_boundaries(key: int, osi: _OsiMap, center: FloatArray, origin: FloatArray) -> Lane | None:
-    known = osi.lanes[key].classification
+    known = osi.lane[key].classification
     lines, crossable = [], []
     for ids in (known.left_lane_boundary_id, known.right_lane_boundary_id):
-        found = [osi.boundaries[i.value] for i in ids if i.value in osi.boundaries]
+        found = [osi.lane_boundary[i.value] for i in ids if i.value in osi.lane_boundary]
         placed = []  # the pieces in driving direction
         for part in (_points((p.position for p in b.boundary_line), origin) for b in found):
             if len(part) > 1:
-                first, last = _station(part[0], center), _station(part[-1], center)
+                first, last = station_on(center, part[0]), station_on(center, part[-1])
                 placed.append((min(first, last), part[::-1] if last < first else part))
         if not placed:
             return None
@@ -420,11 +393,11 @@ def _lane_between_boundaries(key: int, osi: _OsiMap, center: FloatArray, origin:
     if _lateral_offset(center, lines[0])[0] < 0.0 < _lateral_offset(center, lines[1])[0]:
         lines, crossable = lines[::-1], crossable[::-1]
     left, right = paired(*lines)
-    return Lane(key, left, right, left_crossable=crossable[0], right_crossable=crossable[1], **_facts(osi.lanes[key]))
+    return Lane(key, left, right, left_crossable=crossable[0], right_crossable=crossable[1], **_facts(osi.lane[key]))
 
 
 def _lane_around_center(key: int, osi: _OsiMap, centers: dict[int, FloatArray]) -> Lane:
-    center, known = centers[key], osi.lanes[key].classification
+    center, known = centers[key], osi.lane[key].classification
     near: dict[bool, list[float]] = {True: [], False: []}
     for ids in (known.left_adjacent_lane_id, known.right_adjacent_lane_id):
         for other in (centers[i.value] for i in ids if i.value in centers):
@@ -434,7 +407,7 @@ def _lane_around_center(key: int, osi: _OsiMap, centers: dict[int, FloatArray]) 
     half = [min(near[side], default=min(near[not side], default=HALF_WIDTH)) for side in (True, False)]
     tangent = np.gradient(center, axis=0)
     normal = np.column_stack([-tangent[:, 1], tangent[:, 0]]) / np.maximum(np.hypot(*tangent.T), 1e-9)[:, None]
-    return Lane(key, center + half[0] * normal, center - half[1] * normal, **_facts(osi.lanes[key]))
+    return Lane(key, center + half[0] * normal, center - half[1] * normal, **_facts(osi.lane[key]))
 
 
 def _lateral_offset(line: FloatArray, other: FloatArray) -> tuple[float, bool]:
@@ -448,26 +421,11 @@ def _lateral_offset(line: FloatArray, other: FloatArray) -> tuple[float, bool]:
     k = min(int(np.searchsorted(way, half, side="right")) - 1, len(steps) - 1)
     tangent = steps[k] / np.hypot(*steps[k])
     point = line[k] + (half - way[k]) * tangent
-    i, foot = _foot(point, other)
+    i, foot = foot_on(other, point)
     away = foot - point
     if abs(away @ tangent) > 0.5:
         return float("nan"), True
     return float(tangent[0] * away[1] - tangent[1] * away[0]), bool((other[i + 1] - other[i]) @ tangent > 0.0)
-
-
-def _foot(point: FloatArray, line: FloatArray) -> tuple[int, FloatArray]:
-    """Index of the nearest segment of a polyline without repeated points, and the nearest point on it."""
-    steps = np.diff(line, axis=0)
-    along = np.clip(np.einsum("ij,ij->i", point - line[:-1], steps) / np.einsum("ij,ij->i", steps, steps), 0.0, 1.0)
-    feet = line[:-1] + along[:, None] * steps
-    i = int(np.argmin(np.hypot(*(feet - point).T)))
-    return i, feet[i]
-
-
-def _station(point: FloatArray, line: FloatArray) -> float:
-    """Arc length of the projection of a point, m."""
-    i, foot = _foot(point, line)
-    return float(np.hypot(*np.diff(line[: i + 1], axis=0).T).sum() + np.hypot(*(foot - line[i])))
 
 
 def _beside_each_other(lanes: dict[int, Lane], adjacent: dict[int, list[int]]) -> tuple[dict[int, Lane], bool]:

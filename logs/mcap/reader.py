@@ -39,20 +39,12 @@ UNSEEN = "agents have no sample and are left out."
 
 
 def read_scenario(path: Path, ego: str = "") -> Scenario:
-    """Read the scenario in a native or OSI log; `ego` selects an object of an OSI log other than its host.
-
-    Raises:
-        LogError: The file is damaged, in another format, or breaks the format; no other error is raised.
-    """
+    """Read a native or OSI log; `ego` selects an object of OSI other than the host; LogError for any other file."""
     return scenario_of(read_container(Path(path)), ego)
 
 
 def scenario_of(container: Container, ego: str = "") -> Scenario:
-    """The scenario in a container.
-
-    Raises:
-        LogError: As in `read_scenario`.
-    """
+    """The scenario in a container; LogError as in `read_scenario`."""
     container.whole()
     try:
         with np.errstate(all="ignore"):  # the checks below refuse absurd numbers
@@ -319,7 +311,6 @@ def _lights(stream: Stream | None, start_ns: int) -> tuple[TrafficLight, ...]:
 
 
 def _onboard(stream: Stream | None, start_ns: int) -> tuple[OnboardPlan, ...]:
-    """The plans of the log's own planner, in order of time."""
     if stream is None:
         return ()
     stream.check_order(strictly=True)

@@ -265,7 +265,6 @@ def _next_chunk(raw: bytes, at: int) -> int:
 
 
 def _summary(raw: bytes, copy: _Copy) -> None:
-    """Add the schemas and channels of the summary if footer and summary are intact."""
     footer = len(raw) - BEGIN - HEAD - 20
     if footer < BEGIN or raw[footer] != Opcode.FOOTER:
         return
@@ -329,7 +328,6 @@ def _records_of_kind(summary: Sequence[McapRecord], kind: type[R]) -> list[R]:
 
 
 def _chosen(summary: Sequence[McapRecord], first_ns: float, last_ns: float) -> list[ChunkIndex]:
-    """The chunks (1) to (4), in the order of the file."""
     chunks = sorted(_records_of_kind(summary, ChunkIndex), key=lambda chunk: chunk.chunk_start_offset)
     rare = {channel.id for channel in _records_of_kind(summary, Channel) if channel.topic not in PERIODIC}
     kept = set(range(len(chunks[:1])))  # (4)

@@ -54,11 +54,7 @@ def write_trace(
     path: Path, trace: Trace, scenario: Scenario, *, internals: Internals = "summary",
     beside: Iterable[Entry] = (),
 ) -> None:  # fmt: skip
-    """Write a trace as a native log, and messages `beside` it on other topics.
-
-    Raises:
-        LogError: As in `write_scenario`.
-    """
+    """Write a trace as a native log, and messages `beside` it on other topics; LogError as in `write_scenario`."""
     try:
         driven = driven_scenario(trace, scenario)
         records = {
@@ -116,13 +112,12 @@ def _trace_entries(trace: Trace, start_ns: int, internals: Internals) -> Iterato
             yield start_ns, "/perceived/table", agent_table(trace.perceived)
         shown = trace.perceived
         at_ns = np.array(log_times(shown.t, start_ns, "/perceived"), dtype=np.int64)
-        track = np.repeat(np.arange(len(shown)), np.diff(shown.offsets))
-        order = np.lexsort((track, at_ns))
+        order = np.lexsort((shown.owner, at_ns))
         ordered = at_ns[order]
         for time in times:  # an empty message where no agent was seen
             at = order[np.searchsorted(ordered, time) : np.searchsorted(ordered, time, side="right")]
             columns = (getattr(shown, name)[at].tolist() for name in COLUMNS)
-            yield time, "/perceived", native.AgentColumns([shown.ids[i] for i in track[at]], *columns)
+            yield time, "/perceived", native.AgentColumns([shown.ids[i] for i in shown.owner[at]], *columns)
     for topic, kind, table in (
         ("/command", native.Controls, trace.commands),
         ("/actuation", native.Controls, trace.actuation),
@@ -133,7 +128,6 @@ def _trace_entries(trace: Trace, start_ns: int, internals: Internals) -> Iterato
 
 
 def _who(tracks: Tracks) -> dict[str, tuple[object, ...]]:
-    """Kind and size of each track."""
     columns = zip(tracks.kinds, tracks.length.tolist(), tracks.width.tolist(), strict=True)
     return dict(zip(tracks.ids, columns, strict=True))
 

@@ -65,11 +65,7 @@ def is_written_here(path: Path) -> bool:
 
 
 def write_log(path: Path, records: Mapping[str, Mapping[str, str]], entries: Iterable[Entry]) -> None:
-    """Write metadata records and messages, in order of time, then of `native.TOPICS`, then of first occurrence.
-
-    Raises:
-        OutputError: The file cannot be written.
-    """
+    """Write metadata records and messages, in order of time, then of `native.TOPICS`, then of first occurrence."""
     part = path.with_name(f".{path.name}.part")
     try:
         with writing(path), part.open("wb") as file, SpooledTemporaryFile(SPOOL_BYTES, dir=str(path.parent)) as spool:
@@ -112,22 +108,26 @@ def write_log(path: Path, records: Mapping[str, Mapping[str, str]], entries: Ite
 
 def _schema(kind: type[msgspec.Struct | Message]) -> tuple[str, str, bytes]:
     """Name, encoding and bytes of the schema of a kind of message."""
-    if not issubclass(kind, Message):
-        return native.schema_name(kind), "jsonschema", msgspec.json.encode(native.json_schema(kind))
+    if issubclass(kind, Message):
+        return kind.DESCRIPTOR.full_name, "protobuf", descriptor_set(kind.DESCRIPTOR.file)
+    return native.schema_name(kind), "jsonschema", msgspec.json.encode(native.json_schema(kind))
+
+
+def descriptor_set(file: Any) -> bytes:
+    """The descriptor of a protobuf file after those of all files that it imports, as MCAP stores them."""
     files: dict[str, Any] = {}
 
-    def collect(file: Any) -> None:
-        """Add a file's descriptor after those of the files that it imports."""
-        if file.name not in files:
-            for other in file.dependencies:
+    def collect(each: Any) -> None:
+        if each.name not in files:
+            for other in each.dependencies:
                 collect(other)
-            files[file.name] = file
+            files[each.name] = each
 
-    collect(kind.DESCRIPTOR.file)
+    collect(file)
     described = FileDescriptorSet()
-    for file in files.values():
-        file.CopyToProto(described.file.add())
-    return kind.DESCRIPTOR.full_name, "protobuf", described.SerializeToString(deterministic=True)
+    for each in files.values():
+        each.CopyToProto(described.file.add())
+    return described.SerializeToString(deterministic=True)
 
 
 def scenario_records(scenario: Scenario, *, version: int = native.WITHOUT_BLOCKS) -> dict[str, dict[str, str]]:
@@ -200,11 +200,7 @@ def scenario_entries(scenario: Scenario, *, blocks: bool = False) -> Iterator[En
 
 
 def log_times(t: FloatArray, start_ns: int, topic: str) -> list[int]:
-    """Log times (ns) of seconds since the start `(n,)`.
-
-    Raises:
-        LogError: A time is not finite or before the epoch.
-    """
+    """Log times (ns) of seconds since the start `(n,)`; LogError if a time is not finite or before the epoch."""
     if not np.isfinite(t).all():
         raise LogError("a time is not finite", topic=topic)
     times = np.rint(t * 1e9).astype(np.int64) + start_ns
@@ -214,11 +210,7 @@ def log_times(t: FloatArray, start_ns: int, topic: str) -> list[int]:
 
 
 def check_not_infinite(values: FloatArray, topic: str, name: str) -> None:
-    """Check that no value is infinite; NaN means missing.
-
-    Raises:
-        LogError: A value is infinite.
-    """
+    """Raise LogError if a value is infinite; NaN means missing."""
     if np.isinf(values).any():
         where = int(np.flatnonzero(np.isinf(values))[0])
         raise LogError(f"{native.serialised(name)} is infinite at index {where}", topic=topic, remedy="use NaN")
@@ -232,11 +224,7 @@ def column(values: FloatArray, topic: str, name: str) -> list[float]:
 
 
 def check_finite(value: float, name: str) -> float:
-    """Return the number if it is finite.
-
-    Raises:
-        LogError: It is not finite.
-    """
+    """Return the number; LogError if it is not finite."""
     if not np.isfinite(value):
         raise LogError(f"{name} is {value}", remedy="leave out what is not known")
     return float(value)
@@ -250,11 +238,7 @@ def _finite_all(value: float | tuple[float, ...], name: str) -> float | tuple[fl
 def samples(
     table: Any, kind: type[msgspec.Struct], topic: str, start_ns: int, *, blocks: bool = False
 ) -> Iterator[Entry]:
-    """Messages of a struct of arrays with the column t and those of `kind`: one per sample, or one per `BLOCK`.
-
-    Raises:
-        LogError: A value is infinite, or two samples fall on one nanosecond.
-    """
+    """Messages of a struct of arrays: one per sample, or per `BLOCK`; LogError for infinities and equal times."""
     times, names = log_times(table.t, start_ns, topic), kind.__struct_fields__
     for name in names:
         check_not_infinite(getattr(table, name), topic, name)
@@ -278,7 +262,7 @@ def _tracks(
         return
     table, still, moving = topics
     yield start_ns, table, agent_table(tracks)
-    track = np.repeat(np.arange(len(tracks)), np.diff(tracks.offsets))
+    track = tracks.owner
     times = np.array(log_times(tracks.t, start_ns, moving), dtype=np.int64)
     if ((np.diff(times) <= 0) & (np.diff(track) == 0)).any():
         raise LogError("an agent has two samples on one nanosecond", topic=moving)

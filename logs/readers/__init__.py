@@ -5,21 +5,6 @@ A new format needs one file with a `Reader` and one line in `BUILTIN`. A reader 
 
     [project.entry-points."replan.readers"]
     mine = "my_package.reader:READER"
-
-Modules:
-    base.py         the class of readers
-    admission.py    the checks of every log; the repair of raw detections
-    commonroad/     CommonRoad XML
-    comma2k19.py    segments of comma2k19
-    foreign.py      formats that are not read, and what to do with them
-    table.py        pandas frames, CSV and Parquet
-    track_table.py  tables of tracks without an ego
-    csv_table.py, columns.py, clocks.py   shared by tables: files, names and units, times
-    ros/            ROS 2 and ROS 1 bags
-    arrow123d.py    123D's Arrow logs
-    argoverse2.py   Argoverse 2: sensor logs, motion-forecasting scenarios
-    recorded.py     shared by readers of data sets: rotations, boxes as tracks, poses as ego states
-    own_mcap.py     replan's own MCAP, and ASAM OSI
 """
 
 from __future__ import annotations
@@ -64,28 +49,16 @@ LONGEST_S = 7 * 86400.0
 """Longest duration of a log, s: times beyond a week have another unit (and time grids would fill the memory)."""
 
 __all__ = [
-    "BUILTIN",
-    "FORMATS",
-    "READER",
-    "LogSettings",
-    "Reader",
-    "foreign",
-    "known_format",
-    "logs_in",
-    "read_log",
-    "reader_called",
-    "reader_of",
-    "readers",
-    "with_tracks",
-]
+    "BUILTIN", "FORMATS", "READER", "LogSettings", "Reader", "foreign", "known_format", "logs_in", "read_log",
+    "reader_called", "reader_of", "readers", "with_tracks",
+]  # fmt: skip
 
 
 @cache
 def readers(first: str = "") -> tuple[Reader, ...]:
     """Return all readers in the order in which they are tried: `first`, those of entry points, the built-in ones.
 
-    Raises:
-        ConfigError: A reader cannot be loaded or is not a `Reader`, or two have the same name.
+    ConfigError if one cannot be loaded or is not a `Reader`, or two have the same name.
     """
     found = (*READER.installed().values(), *BUILTIN)
     found = (*([READER.find(first)] if ":" in first else []), *found)
@@ -180,12 +153,9 @@ def logs_in(folder: Path, settings: LogSettings | None = None) -> Iterator[tuple
 
 
 def windows(path: Path, settings: LogSettings, length: float, every: float | None = None) -> tuple[LogSettings, ...]:
-    """Split a log between `begin` and `end` into parts of `length` s; parts shorter than half of it are left out.
+    """Split a log from `begin` to `end` into parts of `length` s, one every `every` s (by default `length`).
 
-    A part begins every `every` s (by default `length`): if that is less, parts overlap.
-
-    Raises:
-        LogError: The log cannot be read.
+    Parts shorter than half of `length` are left out.
     """
     reader = reader_of(path, settings)
     if reader is not None:

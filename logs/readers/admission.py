@@ -38,8 +38,7 @@ from logs.complete import passed_width
 from logs.cut import framed
 from logs.errors import LogError
 from logs.names import counted, listed, visible_name
-from logs.repair.detections import Detections
-from logs.repair.identities import named_as_tracked, needs_repair
+from logs.repair.detections import Detections, named_as_tracked, needs_repair
 from logs.repair.offline import detections_of, repair
 from logs.road import RoadSource
 from logs.scenario import Scenario
@@ -59,20 +58,17 @@ SPEED = Limit(150.0, "m/s")
 """540 km/h: more than any road vehicle has reached in traffic or in a race."""
 HEADING = Limit(1e4, "rad")
 """Unwrapped heading: 1600 turns."""
+_POSE = {"x": WORLD, "y": WORLD, "yaw": HEADING}
+_STATE = {
+    **_POSE,
+    "v": SPEED,
+    "a": Limit(1e4, "m/s2"),  # above the spikes of speeds that are differenced at 100 Hz
+    "kappa": Limit(1e3, "1/m"),  # above the spikes of headings at walking speed
+}
+_CONTROLS = {"steer": Limit(1e3, "rad"), "throttle": Limit(1e3, ""), "brake": Limit(1e3, "")}
 LIMITS: Mapping[str, Mapping[str, Limit]] = MappingProxyType(
-    {
-        "ego": {
-            "x": WORLD, "y": WORLD, "yaw": HEADING, "v": SPEED,
-            "a": Limit(1e4, "m/s2"),  # above the spikes of speeds that are differenced at 100 Hz
-            "kappa": Limit(1e3, "1/m"),  # above the spikes of headings at walking speed
-        },
-        "agents": {"x": WORLD, "y": WORLD, "yaw": HEADING},
-        "controls": {"steer": Limit(1e3, "rad"), "throttle": Limit(1e3, ""), "brake": Limit(1e3, "")},
-        "onboard": {
-            "x": WORLD, "y": WORLD, "yaw": HEADING, "v": SPEED, "a": Limit(1e4, "m/s2"), "kappa": Limit(1e3, "1/m"),
-        },
-    }
-)  # fmt: skip
+    {"ego": _STATE, "agents": _POSE, "controls": _CONTROLS, "onboard": _STATE}
+)
 STEP_M = 100.0
 """Largest displacement between two ego states beyond `SPEED` times the time, m: localisation jumps less."""
 GAP_S = 60.0
@@ -92,15 +88,11 @@ ONE_CLOCK = 'give both times of one clock (a bag: clock = "log" or "header" in [
 
 
 def check_clocks(scenario: Scenario) -> Scenario:
-    """Check the clocks of a whole scenario, and note road users who are on another clock than the ego.
-
-    Raises:
-        LogError: The times of the agents, lights, controls or plans do not overlap those of the ego.
-    """
+    """Note road users on another clock than the ego; LogError if any times do not overlap those of the ego."""
     ego, tracks = scenario.ego, scenario.tracks
     first, last = float(ego.t[0]), float(ego.t[-1]) if len(ego) > 1 else scenario.duration
     spans = list[tuple[str, float, float]]()
-    moving = tracks.t[np.repeat(~tracks.static, np.diff(tracks.offsets))]
+    moving = tracks.t[~tracks.static[tracks.owner]]
     if scenario.repair is not None:
         moving = scenario.repair.detections.t
     if len(moving):
@@ -134,11 +126,7 @@ def _log_times(scenario: Scenario, begin: float, end: float) -> str:
 
 
 def admitted(scenario: Scenario) -> Scenario:
-    """Apply `LIMITS` to the scenario, and make its names printable.
-
-    Raises:
-        LogError: The ego, its vehicle, the goal or a side table of the ego is beyond a limit.
-    """
+    """Apply `LIMITS`, and make names printable; LogError if ego, vehicle, goal, controls or a plan is beyond one."""
     ego = scenario.ego
     _check_columns(scenario, "ego", ego)
     dt, d = np.diff(ego.t), np.hypot(np.diff(ego.x), np.diff(ego.y))
@@ -195,11 +183,7 @@ def _refusal(scenario: Scenario, topic: str, what: str, time: float) -> LogError
 
 
 def check_road(scenario: Scenario) -> Scenario:
-    """Check the road and return the scenario unchanged.
-
-    Raises:
-        LogError: A lane is farther away than `WORLD`, or a speed limit is beyond `SPEED`.
-    """
+    """Return the scenario; LogError if a lane is farther away than `WORLD`, or a speed limit is beyond `SPEED`."""
     road = scenario.road
     for lane in road.lanes.values():
         for side in (lane.left, lane.right):
@@ -225,11 +209,7 @@ def _check_place(scenario: Scenario, topic: str, points: FloatArray) -> None:
 
 
 def _tracks_within(scenario: Scenario, notes: list[str]) -> Tracks:
-    """Leave out or replace samples, velocities and sizes of tracks beyond a limit, with notes.
-
-    Raises:
-        LogError: No sample is left.
-    """
+    """Leave out or replace samples, velocities and sizes beyond a limit, with notes; LogError if none is left."""
     tracks = scenario.tracks
     speed = np.hypot(np.nan_to_num(tracks.vx), np.nan_to_num(tracks.vy))  # NaN: not known
     fast = speed > SPEED.most
@@ -286,7 +266,6 @@ def _detections_within(scenario: Scenario, found: Detections) -> tuple[Detection
 
 
 def _names_of(tracks: Tracks, whose: BoolArray) -> str:
-    """Describe some road users: their number and the first names."""
     names = [visible_name(tracks.ids[i]) for i in np.flatnonzero(whose)]
     return f"{counted(len(names), 'road user')} ({listed(names, NAMED)})"
 
@@ -346,7 +325,7 @@ def repaired(scenario: Scenario, choice: str) -> Scenario:
             found = scenario.repair.detections
         else:
             tracks = scenario.tracks
-            found = detections_of(tracks.taken(np.repeat(~tracks.static, np.diff(tracks.offsets))))
+            found = detections_of(tracks.taken(~tracks.static[tracks.owner]))
     reason = reason_to_repair(choice, found)
     if found is None or reason is None:
         return scenario if scenario.detections is None else replace(scenario, detections=None)
@@ -355,15 +334,9 @@ def repaired(scenario: Scenario, choice: str) -> Scenario:
     if scenario.detections is None and scenario.repair is None:
         # static road users stay, under unused names
         was, taken = scenario.tracks, {*tracks.ids, *made.removed.ids}
-        stay = was.taken(np.repeat(was.static, np.diff(was.offsets)))
-        names = ("length", "width", "static", "t", "x", "y", "yaw", "vx", "vy")
-        tracks = replace(
-            tracks,
-            ids=(*tracks.ids, *(f"{name}~static" if name in taken else name for name in stay.ids)),
-            kinds=(*tracks.kinds, *stay.kinds),
-            offsets=np.r_[tracks.offsets, stay.offsets[1:] + len(tracks.t)],
-            **{name: np.r_[getattr(tracks, name), getattr(stay, name)] for name in names},
-        )
+        stay = was.taken(was.static[was.owner])
+        names = tuple(f"{name}~static" if name in taken else name for name in stay.ids)
+        tracks = tracks.with_more(replace(stay, ids=names))
         made = replace(made, tracks=tracks, extended=np.r_[made.extended, np.zeros(len(stay.t), np.bool_)])
     road, notes = scenario.road, [*scenario.notes, *left_out]
     if road.source is RoadSource.DRIVEN_PATH and scenario.repair is None:
@@ -373,7 +346,7 @@ def repaired(scenario: Scenario, choice: str) -> Scenario:
 
 
 def named(scenario: Scenario) -> Scenario:
-    """Give the repaired tracks the names of the causal tracker's tracks (`logs.repair.identities`)."""
+    """Give the repaired tracks the names of the causal tracker's tracks (`logs.repair.detections`)."""
     made = scenario.repair
     assert made is not None and made.tracks is scenario.tracks
     made = named_as_tracked(made)

@@ -40,7 +40,6 @@ from logs.readers.arrow123d import AV2_CATEGORIES
 from logs.readers.base import LogContents, Reader, TopicSummary
 from logs.readers.recorded import (
     RecordedBoxes,
-    car_of,
     driven,
     from_second,
     from_start,
@@ -58,6 +57,7 @@ from logs.road import IN_JUNCTION, Road
 from logs.rules import Crosswalk
 from logs.scenario import Scenario
 from logs.states import Trajectory
+from logs.vehicle import car_of
 
 FORD_FUSION = {"length": 4.869, "width": 2.127, "wheelbase": 2.850, "rear_overhang": 0.5 * 4.869 - 1.339}
 """The recording car, m (py123d 0.7.0): the width is with mirrors, the centre 1.339 m ahead of the rear axle."""
@@ -106,11 +106,7 @@ def poses_of(folder: Path) -> tuple[IntArray, FloatArray, FloatArray]:
 
 
 def read_sensor_log(folder: Path, settings: LogSettings) -> Scenario:
-    """Read the scenario in the folder of a sensor log (module docstring).
-
-    Raises:
-        LogError: A file is damaged, a pose of the ego is not finite, or the boxes are on another clock than the poses.
-    """
+    """Read the scenario in the folder of a sensor log; LogError if it is damaged or its boxes are on another clock."""
     notes: list[str] = []
     times, place, turn = poses_of(folder)
     boxes, frames = _boxes(folder, times, place, turn, notes)
@@ -194,11 +190,7 @@ def _kinds(
 
 
 def read_forecasting(path: Path, settings: LogSettings) -> Scenario:
-    """Read the scenario in a Parquet file and the map beside it.
-
-    Raises:
-        LogError: The file is damaged, or has no finite poses of the ego.
-    """
+    """Read the scenario in a Parquet file and the map beside it; LogError if it has no finite poses of the ego."""
     notes: list[str] = []
     table = parquet_table(path, ("track_id", "object_type", "timestep", *STATE))
     with reading(path):
@@ -267,11 +259,7 @@ def map_beside(folder: Path, name: str = "*") -> Path | None:
 
 
 def road_for(path: Path | None, origin: FloatArray, ego: Trajectory, notes: list[str]) -> Road:
-    """Read the road of a map relative to `origin` `(2,)`, with an assumed speed limit; without a map, the driven path.
-
-    Raises:
-        LogError: The file is not such a map, or has no usable lanes.
-    """
+    """Read the road of a map relative to `origin` `(2,)`, with an assumed limit; without a map, the driven path."""
     if path is None:
         return road_along(ego, notes)
     with reading(path):

@@ -42,7 +42,6 @@ from logs.observed import of_stream
 from logs.readers.base import LogContents, Reader, TopicSummary
 from logs.readers.recorded import (
     RecordedBoxes,
-    car_of,
     driven,
     from_second,
     from_start,
@@ -57,6 +56,7 @@ from logs.readers.recorded import (
 )
 from logs.scenario import Scenario
 from logs.states import Trajectory
+from logs.vehicle import car_of
 
 SYNC, EGO, BOXES = "sync.arrow", "ego_state_se3", "box_detections_se3"
 HEAD_BYTES = 65_536
@@ -75,8 +75,7 @@ _LICENCES = {
     "nuscenes": "CC BY-NC-SA 4.0 and the terms of nuScenes", "kitti360": "CC BY-NC-SA 3.0",
     "pandaset": "CC BY 4.0 and the terms of PandaSet", "wod": "Waymo's, non-commercial",
 }  # fmt: skip
-_CAR, _TRUCK, _BUS, _MOTORCYCLE = AgentKind.CAR, AgentKind.TRUCK, AgentKind.BUS, AgentKind.MOTORCYCLE
-_BICYCLE, _PEDESTRIAN, _OBJECT = AgentKind.BICYCLE, AgentKind.PEDESTRIAN, AgentKind.OBJECT
+_CAR, _TRUCK, _BUS, _MOTORCYCLE, _BICYCLE, _PEDESTRIAN, _OBJECT = AgentKind
 LONG_M = 6.5
 """A vehicle of unspecified type that is longer is a truck, m."""
 

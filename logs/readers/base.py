@@ -31,10 +31,6 @@ class LogContents:
     topics: tuple[TopicSummary, ...] = ()
 
 
-def _nothing(path: Path) -> LogContents:
-    return LogContents()
-
-
 def files_named(suffix: str) -> Callable[[Path], bool]:
     """Return a function that claims all files with a suffix."""
 
@@ -42,19 +38,6 @@ def files_named(suffix: str) -> Callable[[Path], bool]:
         return path.suffix.lower() == suffix and path.is_file()
 
     return claims
-
-
-def itself(path: Path) -> tuple[Path, ...]:
-    """Return the files of a log that is a single file."""
-    return (path,)
-
-
-def _never(path: Path, settings: LogSettings) -> bool:
-    return False
-
-
-def _unknown_span(path: Path) -> tuple[float, float] | None:
-    return None
 
 
 @dataclass(frozen=True)
@@ -68,7 +51,7 @@ class Reader:
         suffixes: Suffixes of its files (".bag"): a file with such a suffix that no reader claims is reported.
         claims: Whether a path, file or folder, is a log of this format; fast, and raises nothing on any bytes.
         read: Reads the scenario; raises only LogError on any bytes.
-        files: The files of a log, in a fixed order: the log's identity is their hash.
+        files: The files of a log, in a fixed order: the log's identity is their hash. Default: the file itself.
         span: First and last time of the log, s, if they can be found quickly; else None.
         contents: The topics that can be read; raises nothing.
         settings: The keys of `LogSettings` that it uses, besides `begin`, `end` and `repair`, which apply to all.
@@ -82,9 +65,9 @@ class Reader:
     suffixes: tuple[str, ...]
     claims: Callable[[Path], bool]
     read: Callable[[Path, LogSettings], Scenario]
-    files: Callable[[Path], tuple[Path, ...]] = itself
-    span: Callable[[Path], tuple[float, float] | None] = _unknown_span
-    contents: Callable[[Path], LogContents] = _nothing
+    files: Callable[[Path], tuple[Path, ...]] = lambda path: (path,)
+    span: Callable[[Path], tuple[float, float] | None] = lambda path: None
+    contents: Callable[[Path], LogContents] = lambda path: LogContents()
     settings: tuple[str, ...] = ()
     cuts: bool = False
-    claims_with: Callable[[Path, LogSettings], bool] = _never
+    claims_with: Callable[[Path, LogSettings], bool] = lambda path, settings: False

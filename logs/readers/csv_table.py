@@ -40,11 +40,7 @@ class _Layout(NamedTuple):
 
 
 def load_table(path: Path) -> pd.DataFrame:
-    """Load a table; its values and names have no spaces around them.
-
-    Raises:
-        LogError: The file cannot be read, is no such table, has no header, or has rows that do not fit the header.
-    """
+    """Load a table, without spaces around values and names; LogError if its rows do not fit its header."""
     import pyarrow as pa
 
     try:
@@ -100,7 +96,6 @@ def _fields(stream: TextIO, mark: str) -> Iterator[tuple[int, list[str]]]:
 
 
 def _split(line: str) -> tuple[str, list[str]]:
-    """Return the separator of a header, and its names."""
     parts = {mark: next(csv.reader([line], delimiter=mark, skipinitialspace=True), []) for mark in SEPARATORS}
     mark = max(SEPARATORS, key=lambda each: len(parts[each]))
     if len(parts[mark]) < 2 and len(line.split()) > 1:

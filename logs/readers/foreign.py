@@ -35,7 +35,6 @@ class _Sign(NamedTuple):
 
 
 def _tables(path: Path) -> set[str]:
-    """Return the names of the tables of an SQLite file; empty if it cannot be read."""
     if not path.is_file():
         return set()
     try:

@@ -13,20 +13,14 @@ import struct
 from pathlib import Path
 
 from logs.errors import LogError
-from logs.log_settings import LogSettings
 from logs.mcap import native, osi
 from logs.mcap.container import COPY_AGAIN, Stream, content_of, read_container
 from logs.mcap.reader import read_scenario
+from logs.mcap.writer import descriptor_set
 from logs.readers.base import LogContents, Reader, TopicSummary, files_named
-from logs.scenario import Scenario
-
-
-def _read(path: Path, settings: LogSettings) -> Scenario:
-    return read_scenario(path, settings.ego)
 
 
 def _contents(path: Path) -> LogContents:
-    """Return the topics up to the file's end or damage."""
     container = read_container(path)
     topics = []
     for stream in container.streams.values():
@@ -46,7 +40,8 @@ def _contents(path: Path) -> LogContents:
 
 READER = Reader(
     "native", "replan's own MCAP, traces included; ASAM OSI ground truth in MCAP", "*.mcap", (".mcap",),
-    files_named(".mcap"), _read, contents=_contents, settings=("ego",),
+    files_named(".mcap"), lambda path, settings: read_scenario(path, settings.ego),
+    contents=_contents, settings=("ego",),
 )  # fmt: skip
 
 
@@ -60,12 +55,7 @@ NAMED = {"_gt_": GROUND_TRUTH, "_sv_": SENSOR_VIEW}
 
 
 def trace_of(path: Path) -> Stream:
-    """Return the messages of a trace as a topic; log times are message numbers, as OSI messages have timestamps.
-
-    Raises:
-        LogError: The file cannot be read, or is not a sequence of messages.
-    """
-    from google.protobuf.descriptor_pb2 import FileDescriptorSet
+    """Return the messages of a trace as a topic, timed by their numbers; LogError if it is no such sequence."""
     from google.protobuf.message import DecodeError
     from osi3 import osi_sensorview_pb2
     from osi3.osi_sensorview_pb2 import SensorView
@@ -87,19 +77,8 @@ def trace_of(path: Path) -> Stream:
         except DecodeError:
             is_view = False
         schema = SENSOR_VIEW if is_view else GROUND_TRUTH
-    found, seen, open_files = FileDescriptorSet(), set[str](), [osi_sensorview_pb2.DESCRIPTOR]  # defines both
-    while open_files:
-        file = open_files.pop()
-        if file.name not in seen:
-            seen.add(file.name)
-            file.CopyToProto(found.file.add())
-            open_files += file.dependencies
-    times, descriptor = list(range(len(payloads))), found.SerializeToString(deterministic=True)
+    times, descriptor = list(range(len(payloads))), descriptor_set(osi_sensorview_pb2.DESCRIPTOR)  # defines both
     return Stream(path.name, "protobuf", schema, "protobuf", descriptor, times, payloads)
-
-
-def _read_osi(path: Path, settings: LogSettings) -> Scenario:
-    return osi.scenario_of(trace_of(path), path.stem, settings.ego)
 
 
 def _contents_osi(path: Path) -> LogContents:
@@ -112,6 +91,7 @@ def _contents_osi(path: Path) -> LogContents:
 
 
 OSI_READER = Reader(
-    "osi", "ASAM OSI traces of ground truth or sensor views", "*.osi", (".osi",), files_named(".osi"), _read_osi,
+    "osi", "ASAM OSI traces of ground truth or sensor views", "*.osi", (".osi",), files_named(".osi"),
+    lambda path, settings: osi.scenario_of(trace_of(path), path.stem, settings.ego),
     contents=_contents_osi, settings=("ego",),
 )  # fmt: skip

@@ -23,18 +23,16 @@ Rotations are quaternions q = (x, y, z, w) of unit length, rows of `(n, 4)`:
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from logs.agents import USUAL_SIZE_M, AgentKind
-from logs.arrays import BoolArray, FloatArray, IntArray
+from logs.arrays import BoolArray, Columns, FloatArray, IntArray
 from logs.complete import completed
 from logs.states import Trajectory
 from logs.tracks import Tracks
-from logs.vehicle import VehicleParameters
 
 ROUNDED = 0.01
 """Tolerance of the length of a stored quaternion, which should be 1."""
@@ -46,11 +44,7 @@ def is_unit(q: FloatArray) -> BoolArray:
 
 
 def unit_of_wxyz(q: FloatArray) -> FloatArray:
-    """Convert stored quaternions (w, x, y, z) to unit quaternions (x, y, z, w), `(n, 4)`.
-
-    Raises:
-        ValueError: The length of a quaternion differs from 1 by more than `ROUNDED`.
-    """
+    """Convert quaternions (w, x, y, z) to unit ones (x, y, z, w), `(n, 4)`; ValueError beyond `ROUNDED`."""
     if not is_unit(q).all():
         raise ValueError("an orientation is not a quaternion of unit length")
     return np.roll(q / np.sqrt((q * q).sum(axis=1, keepdims=True)), -1, axis=1)
@@ -97,7 +91,7 @@ SOONEST_S = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class RecordedBoxes:
+class RecordedBoxes(Columns):
     """All boxes of a log, `(m,)` each: time s, owner (index into `names`), centre m, rad, m, m/s (NaN: unknown)."""
 
     names: tuple[str, ...]
@@ -117,11 +111,6 @@ class RecordedBoxes:
         """No boxes."""
         none = np.empty(0)
         return cls((), (), none, np.empty(0, np.int64), *(none,) * 7)
-
-    def taken(self, rows: Any) -> RecordedBoxes:
-        """Return the boxes of these rows."""
-        names = ("t", "owner", "x", "y", "yaw", "length", "width", "vx", "vy")
-        return replace(self, **{name: getattr(self, name)[rows] for name in names})
 
 
 def ordered(boxes: RecordedBoxes, notes: list[str]) -> RecordedBoxes:
@@ -168,32 +157,6 @@ def tracks_of(boxes: RecordedBoxes, notes: list[str]) -> Tracks:
     pose = (boxes.t, boxes.x, boxes.y, boxes.yaw, boxes.vx, boxes.vy)
     offsets = np.r_[0, ends]
     return Tracks(tuple(boxes.names[i] for i in there), kinds, sizes[:, 0], sizes[:, 1], static, offsets, *pose)
-
-
-def car_of(sizes: Mapping[str, float], notes: list[str]) -> VehicleParameters:
-    """Make the ego's vehicle from "length", "width", "wheelbase" and "rear_overhang", m; others scale with length.
-
-    Raises:
-        ValueError: As in `VehicleParameters`.
-    """
-    default = VehicleParameters()
-    length = sizes.get("length", default.length)
-    scale = length / default.length
-    wheelbase = sizes.get("wheelbase", scale * default.wheelbase)
-    overhang = sizes.get("rear_overhang", scale * default.rear_overhang)
-    if not 0.0 < wheelbase < length:
-        notes.append("The ego's wheelbase does not fit its length: it is that of the default car, in proportion.")
-        wheelbase = scale * default.wheelbase
-    if not 0.0 <= overhang <= length - wheelbase:
-        notes.append("The log does not say where the ego's rear axle is in its box: as in the default car, assumed.")
-        overhang = min(scale * default.rear_overhang, length - wheelbase)
-    notes.append("Masses, tyres and limits of the ego's vehicle are those of the default car.")
-    cog = default.cog_to_front * wheelbase / default.wheelbase
-    found: dict[str, Any] = {
-        "length": length, "width": sizes.get("width", default.width), "wheelbase": wheelbase, "rear_overhang": overhang,
-        "cog_to_front": cog,
-    }  # fmt: skip
-    return replace(default, **found)
 
 
 # Poses
@@ -289,7 +252,7 @@ def from_start(
 
     Times are rounded to whole nanoseconds, as in logs.
     """
-    ego = Trajectory(*(getattr(whole, name)[index] for name in ("t", "x", "y", "yaw", "v", "a", "kappa")))
+    ego = whole.taken(index)
     start, origin = float(ego.t[0]), np.round([ego.x[0], ego.y[0]])
     ego_t, boxes_t = (np.asarray(np.rint(1e9 * (t - start)) / 1e9) for t in (ego.t, boxes.t))
     ego = replace(ego, t=ego_t, x=ego.x - origin[0], y=ego.y - origin[1])
@@ -312,11 +275,7 @@ def stands(t: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, v: Floa
 
 
 def driven(t: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, notes: list[str]) -> Trajectory:
-    """Derive the trajectory through poses `(n,)` by (1) to (4); times increase strictly.
-
-    Raises:
-        ValueError: As in `Trajectory`.
-    """
+    """Derive the trajectory through poses `(n,)` by (1) to (4); times increase strictly."""
     yaw = np.unwrap(yaw)
     first, second = fitted(t, np.column_stack([x, y, yaw]))
     ahead = np.column_stack([np.cos(yaw), np.sin(yaw)])

@@ -3,7 +3,7 @@
     ego      t, x, y, yaw    and, where known, v, a, kappa, steer, throttle, brake          one row per state
     agents   t, id, x, y     and, where known, yaw, vx, vy or v, length, width, kind      one row per agent and time
 
-t is in seconds (any zero), a date and time, or a time of day (`clocks`); it may be given as t_ns, t_us or t_ms.
+t is in seconds (any zero), a date and time, or a time of day (`columns`); it may be given as t_ns, t_us or t_ms.
 Positions are world coordinates in metres, of the ego's rear axle (or its box centre: `ego_point`) and the agents' box
 centres; angles in rad, counter-clockwise from x; speeds in m/s. A quaternion qx, qy, qz, qw may replace yaw. Names and
 units of columns: `columns`. Missing columns are derived and noted (`logs.complete`): the ego's v, the agents' yaw
@@ -23,15 +23,14 @@ import pandas as pd
 
 from logs.agents import USUAL_SIZE_M, AgentKind
 from logs.arrays import FloatArray
-from logs.complete import completed, road_along
+from logs.complete import completed, derived_speed, road_along
 from logs.errors import LogError, reading
 from logs.files import beside
 from logs.log_settings import EGO_POINTS, LogSettings
 from logs.observed import Spans
 from logs.readers import track_table
 from logs.readers.base import LogContents, Reader, TopicSummary
-from logs.readers.clocks import check_restart, continued
-from logs.readers.columns import NAMES, QUATERNION, NamedColumns, check_names
+from logs.readers.columns import NAMES, QUATERNION, NamedColumns, check_names, check_restart, continued
 from logs.readers.csv_table import SUFFIXES, load_table
 from logs.road import Goal, Road
 from logs.scenario import CENTRE, EGO_POSE, Scenario
@@ -119,12 +118,7 @@ def from_frames(
     for key in ("v", "a", "kappa"):
         state[key] = table.numbers(key)[order] if table.has(key) else np.full(len(t), np.nan)
     if not table.has("v"):
-        notes.append("The log has no ego speed: it is derived from the positions by backward differences.")
-        state["v"] = np.zeros(len(t))
-        if len(t) > 1:
-            dx, dy, yaw = np.diff(state["x"]), np.diff(state["y"]), state["yaw"][1:]
-            v = (dx * np.cos(yaw) + dy * np.sin(yaw)) / np.diff(t)
-            state["v"] = np.r_[v[0], v]
+        state["v"] = derived_speed(t, state["x"], state["y"], state["yaw"], notes)
     if vehicle is None:
         notes.append(f"{VEHICLE_ASSUMED}.")
     names = "steer", "throttle", "brake"
@@ -231,10 +225,6 @@ def _claims(path: Path) -> bool:
         return False
 
 
-def _claims_with(path: Path, settings: LogSettings) -> bool:
-    return bool(settings.columns) and not path.is_dir() and track_table.claims(path, settings.columns)
-
-
 def _files(path: Path) -> tuple[Path, ...]:
     if not path.is_dir():
         return track_table.files(path)
@@ -279,5 +269,8 @@ def _contents(path: Path) -> LogContents:
 READER = Reader(
     "table", "tables of ego and agents, or of tracks (highD, inD, INTERACTION, NGSIM ...), CSV or Parquet",
     "folders with ego.csv or ego.parquet, tables of tracks", (), _claims, _read,
-    files=_files, contents=_contents, settings=("ego", "ego_point", "columns", "car"), claims_with=_claims_with,
+    files=_files, contents=_contents, settings=("ego", "ego_point", "columns", "car"),
+    claims_with=lambda path, settings: (
+        bool(settings.columns) and not path.is_dir() and track_table.claims(path, settings.columns)
+    ),
 )  # fmt: skip

@@ -29,32 +29,24 @@ from logs.errors import LogError
 from logs.files import beside
 from logs.names import counted
 from logs.observed import Spans, of_stream
-from logs.readers.clocks import check_restart, continued
-from logs.readers.columns import NAMES, TIMES, NamedColumns, check_names, holds
+from logs.readers.columns import NAMES, TIMES, NamedColumns, check_names, check_restart, continued, holds
 from logs.readers.csv_table import SUFFIXES, header_of, load_table
-from logs.readers.recorded import car_of, driven
-from logs.vehicle import VehicleParameters
+from logs.readers.recorded import driven
+from logs.vehicle import VehicleParameters, car_of
 
 
 class DataSet(NamedTuple):
-    """How a data set writes its tables of tracks.
+    """How a data set writes its tables of tracks."""
 
-    Attributes:
-        name: Its name.
-        columns: Its column, with the unit, by replan's name; all must be there for a table to be of this data set.
-        point: Point of the position: "centre", "front" (2) or "corner" (1).
-        sides: Part of the table's name, and what replaces it in that of a file beside it; `META`: frame rate and kinds.
-        recording: Column that tells recordings apart if a table holds several.
-        ego: The road user that is the ego if no other is named.
-        kinds: Kinds by its words, where these are not known from elsewhere; "car" is assumed for "".
-    """
-
-    name: str
+    name: str  # its name
+    # its column, with the unit, by replan's name; all must be there for a table to be of this data set
     columns: Mapping[str, str]
-    point: str = "centre"
+    point: str = "centre"  # point of the position: "centre", "front" (2) or "corner" (1)
+    # part of the table's name, and what replaces it in that of a file beside it; `META`: frame rate and kinds
     sides: tuple[tuple[str, str], ...] = ()
-    recording: str = ""
-    ego: str = ""
+    recording: str = ""  # column that tells recordings apart if a table holds several
+    ego: str = ""  # the road user that is the ego if no other is named
+    # kinds by its words, where these are not known from elsewhere; "car" is assumed for ""
     kinds: Mapping[str, str] = {}
 
 
@@ -126,16 +118,10 @@ class TakenEgo(NamedTuple):
 def taken_ego(
     frame: pd.DataFrame | None, ego: str, given: Mapping[str, str], vehicle: VehicleParameters | None
 ) -> TakenEgo:
-    """Take a road user out of a table of tracks.
+    """Take a road user out of a table of tracks; LogError as in `from_frames`, or with those who drove farthest.
 
-    Args:
-        frame: The table.
-        ego: Id of the road user, or its word for the kind if only one road user has it; "": that of the data set.
-        given: Columns of the table by replan's name; they win over those of the data set.
-        vehicle: The ego's vehicle; None: one of the road user's size.
-
-    Raises:
-        LogError: As in `from_frames`; the error on a missing id names the road users that drove farthest.
+    `ego` is its id, or its word for the kind if only one road user has it; "": that of the data set. The columns that
+    are `given` by replan's name win over those of the data set. `vehicle` None: one of the road user's size.
     """
     if frame is None or not len(frame):
         raise LogError("the table has no rows", topic="agents", remedy="give a table of tracks")
@@ -340,11 +326,7 @@ def files(path: Path) -> tuple[Path, ...]:
 
 
 def load(path: Path, columns: Mapping[str, str]) -> tuple[pd.DataFrame, dict[str, str]]:
-    """Load a table of tracks with the files beside it; return it and `columns`, with the time of a frame.
-
-    Raises:
-        LogError: A file cannot be read, or the frame rate is not known.
-    """
+    """Load a table of tracks with the files beside it, and `columns` with the time of a frame; LogError without."""
     frame, columns = load_table(path), dict(columns)
     data = data_set_of(map(str, frame.columns))
     if data is None:

@@ -7,14 +7,14 @@ detectors of Autoware Mini).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
 from math import cos, hypot, sin
 
 import numpy as np
 
 from logs.agents import USUAL_SIZE_M, AgentKind, among
-from logs.arrays import BoolArray, FloatArray, IntArray, frozen
+from logs.arrays import BoolArray, Columns, FloatArray, IntArray, frozen
 from logs.kernel import kernel
 from logs.shapes import corners
 
@@ -44,7 +44,7 @@ _USUAL = frozen([USUAL_SIZE_M[kind] for kind in AgentKind])
 
 
 @dataclass(frozen=True, eq=False)
-class Boxes:
+class Boxes(Columns):
     """Detections in a defined order within each frame, with missing values filled in: columns of `Detections` `(m,)`.
 
     `source` are indices of the detections, `frame` indices of the frames, `group` is as above, `noise` is the standard
@@ -66,10 +66,6 @@ class Boxes:
 
     def __len__(self) -> int:
         return len(self.t)
-
-    def taken(self, rows: IntArray) -> Boxes:
-        """Return the boxes `rows`, in that order."""
-        return Boxes(**{each.name: getattr(self, each.name)[rows] for each in fields(Boxes)})
 
     @cached_property
     def weight(self) -> FloatArray:

@@ -3,7 +3,7 @@
 1. twins     keep the best of the boxes of a frame that show one object (`boxes`)
 2. join      detections to tracks, frame by frame (`association`)
 3. stitch    tracks whose ends meet across a gap (`users`)
-4. smooth    forward and backward, with less weight for outliers; standing users have no speed (`users`, `kalman`)
+4. smooth    forward and backward, with less weight for outliers; standing users have no speed (`users`)
 5. vote      kind, size, front (`users`)
 6. remove    users seen too rarely, with impossible motion, in the place of a better one, or where the ego drove; a box
              that the ego only grazes, within the noise of boxes, is shrunk; of a track that the ego meets for a moment,
@@ -27,7 +27,7 @@ from logs.repair.detections import Detections, Repair, TrackChange
 from logs.repair.users import Piece, User, fitted, stitched, user_of
 from logs.shapes import clearance
 from logs.states import Trajectory
-from logs.tracks import Tracks
+from logs.tracks import SAMPLE_COLUMNS, Tracks
 from logs.vehicle import VehicleParameters
 
 STEADY, STEADY_MPS = 3, 5.0
@@ -58,10 +58,9 @@ or `RANGE_SIDE_M` aside is assumed to stand there before (after), for `EXTEND_S`
 
 def detections_of(tracks: Tracks) -> Detections:
     """Return the samples of tracks as detections without scores, so that any log can be repaired."""
-    owner = np.repeat(np.arange(len(tracks)), np.diff(tracks.offsets))
-    order = np.lexsort((owner, tracks.t))
-    columns = {name: getattr(tracks, name)[order] for name in ("t", "x", "y", "yaw", "vx", "vy")}
-    who = owner[order]
+    order = np.lexsort((tracks.owner, tracks.t))
+    columns = {name: getattr(tracks, name)[order] for name in SAMPLE_COLUMNS}
+    who = tracks.owner[order]
     return Detections(
         frames=np.unique(tracks.t), ids=tuple(tracks.ids[i] for i in who), codes=codes_of(tracks.kinds)[who],
         length=tracks.length[who], width=tracks.width[who], score=np.full(len(who), np.nan), **columns,
@@ -95,7 +94,6 @@ def repair(detections: Detections, ego: Trajectory, vehicle: VehicleParameters) 
     users = [_extend_standing(user, stay, frames, ego, vehicle) for user in stay]
 
     def sources(user: User) -> tuple[str, ...]:
-        """Return the log's ids of a user's detections, in order of time."""
         named = (detections.ids[i] for i in boxes.source[user.piece.rows].tolist())
         return tuple(dict.fromkeys(name for name in named if name))
 

@@ -1,7 +1,7 @@
 """A causal tracker: makes road users for planners from raw detections, without later frames (a filter, no smoother).
 
-Detections are joined frame by frame with the same association and filter as in the offline repair (`association`,
-`kalman`); the state at t depends only on the frames up to t.
+Detections are joined frame by frame with the same association and filter as in the offline repair (`association`);
+the state at t depends only on the frames up to t.
 
 (1) a track is reported once it has the evidence that its group requires (`BIRTH_TIME`, `BIRTH_COUNT`, `BIRTH_SCORE`),
     until it was not seen for `KEEP_STILL_S` (standing), `KEEP_S` (moving), or `KEEP_YOUNG_S` (moving, with at most
@@ -24,9 +24,8 @@ import numpy as np
 
 from logs.agents import NUMBERS, OLDEST_S, AgentKind, Agents
 from logs.arrays import FloatArray, frozen
-from logs.repair.association import Association
+from logs.repair.association import ACROSS, ALONG, VX, VY, Association, X, Y
 from logs.repair.detected_boxes import CLUSTER, DENSITY, FAST, NOISE, PERSON, SLIDES, SLOW, Boxes, stronger_twins
-from logs.repair.kalman import ACROSS, ALONG, VX, VY, X, Y
 
 BIRTH_TIME, BIRTH_COUNT, BIRTH_SCORE = frozen([0.15, 0.15, 0.8]), frozen([3, 3, 6]), frozen([1.2, 1.2, 0.0])
 """Evidence (1) by group: time s, detections, sum of scores; later births give
@@ -52,8 +51,7 @@ class _Track:
     size: FloatArray = field(default_factory=lambda: np.zeros((len(_KINDS), 2)))
     window: deque[tuple[float, float, float]] = field(default_factory=deque)
 
-    def see(self, boxes: Boxes, i: int) -> None:
-        """Add the detection i (3)."""
+    def see(self, boxes: Boxes, i: int) -> None:  # (3)
         weight, code, t = float(boxes.weight[i]), int(boxes.codes[i]), float(boxes.t[i])
         self.count += 1
         self.score += weight
@@ -67,8 +65,7 @@ class _Track:
         while t - self.window[0][0] > WINDOW_S + 1e-9:
             self.window.popleft()
 
-    def front(self, group: int, vx: float, vy: float) -> float:
-        """Return the heading (3)."""
+    def front(self, group: int, vx: float, vy: float) -> float:  # (3)
         ahead = self.fronts
         if np.hypot(vx, vy) > FAST[group]:
             if group == PERSON:
@@ -77,8 +74,7 @@ class _Track:
             self.fronts += ahead
         return self.yaw if ahead >= 0.0 else self.yaw + np.pi
 
-    def stands(self, group: int, speed: float, length: float) -> bool:
-        """Return whether the track stands (2)."""
+    def stands(self, group: int, speed: float, length: float) -> bool:  # (2)
         slow = max(SLOW[group], SLIDES * length / WINDOW_S) if group == CLUSTER else SLOW[group]
         t, x, y = np.array(self.window).T
         if t[-1] - t[0] < WINDOW_LEAST_S or speed > FILTER_SLOW * slow:

@@ -10,8 +10,8 @@ import numpy as np
 
 from logs.agents import AgentKind
 from logs.arrays import BoolArray, FloatArray, IntArray
+from logs.repair.association import smoothed
 from logs.repair.detected_boxes import CLUSTER, DENSITY, FAST, NOISE, PERSON, SLIDES, SLOW, STILL, VEHICLE, Boxes
-from logs.repair.kalman import smoothed
 from logs.states import Trajectory
 
 SMOOTH_DENSITY = 0.45 * DENSITY
@@ -51,28 +51,19 @@ _KINDS = tuple(AgentKind)
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """A road user's motion on every frame from the first to the last detection, `(k,)`.
+    """A road user's motion on every frame from the first to the last detection, `(k,)`."""
 
-    Attributes:
-        rows: Its boxes, in order of time; `seen` are the indices of their frames, `group` is their group by votes.
-        t: Times of the frames, s.
-        z: Detected centres `(k, 2)`, m, NaN between detections; `variance` of each, m2.
-        path: Smooth x, y, vx, vy `(k, 4)`.
-        scale: Standard deviation of a centre as a share of the group's.
-        net: Distance between its mean places in the first and in the last third, m.
-        still: Whether it never moves.
-    """
-
+    # its boxes, in order of time; `seen` are the indices of their frames, `group` is their group by votes
     rows: IntArray
     seen: IntArray
     group: int
-    t: FloatArray
-    z: FloatArray
+    t: FloatArray  # times of the frames, s
+    z: FloatArray  # detected centres `(k, 2)`, m, NaN between detections; `variance` of each, m2
     variance: FloatArray
-    path: FloatArray
-    scale: float
-    net: float
-    still: bool
+    path: FloatArray  # smooth x, y, vx, vy `(k, 4)`
+    scale: float  # standard deviation of a centre as a share of the group's
+    net: float  # distance between its mean places in the first and in the last third, m
+    still: bool  # whether it never moves
 
     def standing(self) -> FloatArray:
         """Return the path `(k, 4)`, standing where it is slow for at least `STAND_S`."""
@@ -159,25 +150,16 @@ def stitched(pieces: Sequence[Piece], boxes: Boxes, frames: FloatArray) -> list[
 
 @dataclass(frozen=True, eq=False)
 class User:
-    """A road user over the frames `(k,)` in which it is present.
+    """A road user over the frames `(k,)` in which it is present."""
 
-    Attributes:
-        piece: Its detections and smoothed motion.
-        kind: Its kind; `label` is the kind of most detections.
-        length: Length of its box, m; `width` likewise.
-        way: Rows t (s), x, y, yaw of the box, vx, vy `(6, k)`.
-        turned: Number of detections with exchanged front and back.
-        extended: Whether a sample is before the first or after the last detection `(k,)`.
-    """
-
-    piece: Piece
-    kind: AgentKind
+    piece: Piece  # its detections and smoothed motion
+    kind: AgentKind  # its kind; `label` is the kind of most detections
     label: AgentKind
-    length: float
+    length: float  # length of its box, m; `width` likewise
     width: float
-    way: FloatArray
-    turned: int
-    extended: BoolArray
+    way: FloatArray  # rows t (s), x, y, yaw of the box, vx, vy `(6, k)`
+    turned: int  # number of detections with exchanged front and back
+    extended: BoolArray  # whether a sample is before the first or after the last detection `(k,)`
 
     @property
     def t(self) -> FloatArray:

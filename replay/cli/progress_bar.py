@@ -16,7 +16,7 @@ from time import monotonic, perf_counter
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
-from logs.kernel_watch import KernelWatch, is_cache_cold
+from logs.kernel import KernelWatch, is_cache_cold
 from logs.names import counted
 from replay.draw.report.console import SafeConsole
 from replay.results.log_result import LogResult

@@ -20,7 +20,7 @@ import pandas as pd
 
 from logs.arrays import TIE
 from logs.errors import LogError
-from logs.references import Avoidability
+from logs.scenario import Avoidability
 from metrics import METRICS
 from metrics.judge import REFERENCE, Outcome, judge, outcomes
 from metrics.judge.gates import Gate, Gates

@@ -41,7 +41,7 @@ import pandas as pd
 from logs.errors import ConfigError, LogError
 from logs.mcap import write_scenario
 from logs.names import counted
-from logs.references import Avoidability
+from logs.scenario import Avoidability
 from metrics import METRICS
 from metrics.judge import CAREFUL
 from metrics.judge.gates import Gate, Outcome

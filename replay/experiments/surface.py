@@ -28,8 +28,7 @@ from typing import Any
 import pandas as pd
 
 from logs.names import counted
-from logs.references import Avoidability
-from logs.scenario import Scenario
+from logs.scenario import Avoidability, Scenario
 from logs.trace import EndReason
 from logs.variations import VARIATIONS, varied
 from metrics.judge.gates import Outcome

@@ -22,8 +22,7 @@ import pandas as pd
 from logs.errors import ConfigError, LogError
 from logs.log_settings import LogSettings
 from logs.mcap import write_scenario
-from logs.references import Avoidability
-from logs.scenario import Scenario
+from logs.scenario import Avoidability, Scenario
 from metrics.judge import CAREFUL, REFERENCE, worst
 from metrics.judge.gates import Outcome
 from metrics.reference_drivers import APPLIES, AVOIDS

@@ -16,7 +16,7 @@ from logs.errors import LogError
 from logs.frame import Frame, Predictions, Visibility
 from logs.memory import NearbyTracks
 from logs.plan import Plan
-from logs.repair.identities import Owners
+from logs.repair.detections import Owners
 from logs.scenario import Scenario
 from logs.states import wrapped
 from logs.tracks import Tracks
@@ -49,7 +49,7 @@ class Recorded:
     """Shows the agents of one drive as the recorded perception detected them.
 
     The tracker is causal (`logs.repair.tracker`), and so are its names; a repaired track has the name that the tracker
-    uses longest for it (`logs.repair.identities`). The detections are those of the log, but in closed loop the traffic
+    uses longest for it (`logs.repair.detections`). The detections are those of the log, but in closed loop the traffic
     moves the others differently. Known road users are therefore shown at their positions in the world,
 
     (1) shown = tracked + (world - log),   of x, y, yaw, vx, vy at the frame's time; both as `Tracks.perceived`

@@ -31,10 +31,9 @@ import metrics
 from logs.errors import LogError
 from logs.forward import drivable_part
 from logs.once import once
-from logs.references import References
 from logs.road import Goal, ReferenceLine, Road
 from logs.route import find_route
-from logs.scenario import Scenario
+from logs.scenario import References, Scenario
 from logs.states import TRAJECTORY_COLUMNS, EgoState, Trajectory
 from logs.trace import EndReason, Mode, Trace
 from metrics import GROUPS, METRICS

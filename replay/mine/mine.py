@@ -21,7 +21,7 @@ import numpy as np
 import pandas as pd
 
 from logs.errors import ConfigError, LogError, ReplanError, of_users, raised
-from logs.kernel_watch import is_cache_cold
+from logs.kernel import is_cache_cold
 from logs.names import counted
 from logs.road import RoadSource
 from logs.scenario import Scenario

@@ -34,7 +34,7 @@ from uuid import uuid4
 
 from logs.catalogue import scenario
 from logs.errors import ConfigError, OutputError, ReplanError
-from logs.kernel_watch import cache_folder, compiled_count, is_cache_cold
+from logs.kernel import cache_folder, compiled_count, is_cache_cold
 from logs.readers import LogSettings
 from replay.config import RunConfig
 from replay.draw.drawn_results import Results

@@ -13,7 +13,7 @@ from typing import Any, cast
 
 import pytest
 
-from logs.kernel_cache import KernelIndex
+from logs.kernel_compiler import KernelIndex
 from logs.states import wrap
 
 NO_PLACE = """
@@ -48,7 +48,7 @@ OUTER = """
 from constants import RATE
 from inner import times
 from logs.kernel import kernel
-from logs.kernel_watch import compiled_count
+from logs.kernel import compiled_count
 
 @kernel
 def outer(x: float) -> float:
@@ -181,7 +181,7 @@ if os.environ.get("READ_ONLY"):  # stands for file systems that are read-only: r
         raise OSError("read-only file system")
     os.makedirs = os.mkdir = os.replace = tempfile.TemporaryFile = refused
 from logs.kernel import kernel
-from logs.kernel_watch import compiled_count
+from logs.kernel import compiled_count
 
 @kernel
 def times(x: float) -> float:

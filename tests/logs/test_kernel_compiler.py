@@ -103,7 +103,7 @@ def inner(x: float) -> float:
 OUTER = """
 from inner import inner
 from logs.kernel import kernel
-from logs.kernel_watch import compiled_count
+from logs.kernel import compiled_count
 
 @kernel
 def {name}(x: float) -> float:

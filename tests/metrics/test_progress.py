@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from logs import EndReason, Goal, Lane, RoadSource, Scenario, TrackingErrors, Trajectory
-from logs.references import References
+from logs.scenario import References
 from metrics import GROUPS, evaluate
 from metrics.metric import Series
 from metrics.progress import GOAL, gain_along, route_of

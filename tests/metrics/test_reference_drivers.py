@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from logs import AgentKind, EndReason, Mode, Scenario, Trace
 from logs.arrays import FloatArray
 from logs.mcap import read_scenario, write_scenario
-from logs.references import Avoidability, DriverVerdict, References
 from logs.road import ReferenceLine
+from logs.scenario import Avoidability, DriverVerdict, References
 from metrics import evaluate
 from metrics.reference_drivers import (
     CC_BRAKE_MPS2,

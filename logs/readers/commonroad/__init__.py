@@ -24,12 +24,10 @@ import numpy as np
 from logs.agents import AgentKind
 from logs.arrays import FloatArray
 from logs.errors import LogError
-from logs.log_settings import LogSettings
 from logs.observed import Spans, inferred
 from logs.readers.base import Reader
 from logs.readers.commonroad.document import Document, Obstacle, PlanningProblem, parse
-from logs.readers.commonroad.lanelets import road_of
-from logs.readers.commonroad.signs import lights_of, with_rules
+from logs.readers.commonroad.lanelets import lights_of, road_of, with_rules
 from logs.readers.commonroad.tracks import KINDS, ego_log, sized, tracks_of, trimmed, turned, velocities
 from logs.road import Goal, Road
 from logs.scenario import CENTRE, EGO_POSE, Scenario
@@ -63,15 +61,10 @@ class _Ego(NamedTuple):
 
 
 def read_commonroad(path: str | Path, *, problem: int | None = None, ego: str | None = None) -> Scenario:
-    """Read a CommonRoad scenario (module docstring).
+    """Read a CommonRoad scenario (module docstring); LogError if there is none, or no such problem or vehicle.
 
-    Args:
-        path: XML file, version 2018b or 2020a.
-        problem: Id of the planning problem, or its place in the file, from 1; default the first.
-        ego: Id of the obstacle to take as ego instead.
-
-    Raises:
-        LogError: The file is no such scenario, or there is no such problem or vehicle.
+    `problem` is the id of the planning problem, or its place in the file, from 1 (default: the first); `ego` the id of
+    the obstacle to take as ego instead.
     """
     path = Path(path)
     document, headings = turned(parse(path))
@@ -107,7 +100,6 @@ def read_commonroad(path: str | Path, *, problem: int | None = None, ego: str | 
 
 
 def _by_problem(document: Document, number: int | None) -> _Ego:
-    """Choose the ego of a planning problem by (2) and (3)."""
     problems = document.problems
     if not problems:
         raise LogError("no planning problem", topic="planningProblem", remedy="name a vehicle of the traffic as ego")
@@ -274,11 +266,8 @@ def _claims(path: Path) -> bool:
         return True  # reading it says why it cannot be read
 
 
-def _read(path: Path, settings: LogSettings) -> Scenario:
-    return read_commonroad(path, ego=settings.ego or None, problem=settings.problem or None)
-
-
 READER = Reader(
-    "commonroad", "CommonRoad scenarios, 2018b and 2020a", "CommonRoad *.xml", (".xml",), _claims, _read,
+    "commonroad", "CommonRoad scenarios, 2018b and 2020a", "CommonRoad *.xml", (".xml",), _claims,
+    lambda path, settings: read_commonroad(path, ego=settings.ego or None, problem=settings.problem or None),
     settings=("ego", "problem"),
 )  # fmt: skip

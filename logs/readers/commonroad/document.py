@@ -23,6 +23,7 @@ import numpy as np
 
 from logs.arrays import FloatArray, frozen
 from logs.errors import LogError
+from logs.files import read_xml
 from logs.rules import Colour
 
 if TYPE_CHECKING:
@@ -112,18 +113,13 @@ READ_SIGNS = STOP_SIGNS | YIELD_SIGNS | PRIORITY_SIGNS
 
 @dataclass(frozen=True)
 class LightCycle:
-    """A traffic light: its cycle of colours and durations (time steps), (1), and the turns that it is for.
-
-    Attributes:
-        cycle: Colours with durations; empty if the file has none.
-        active: Whether the light is in use; an inactive light is OFF.
-    """
+    """A traffic light: its cycle of colours and durations (time steps), (1), and the turns that it is for."""
 
     id: int
-    cycle: tuple[tuple[Colour, float], ...]
+    cycle: tuple[tuple[Colour, float], ...]  # colours with durations; empty if the file has none
     offset: float
     turns: frozenset[str]
-    active: bool
+    active: bool  # whether the light is in use; an inactive light is OFF
 
     def changes(self, first: float, last: float) -> list[tuple[float, Colour]]:
         """Steps and colours by (1), from `first` on: what it shows then, and each element that begins until `last`."""
@@ -179,12 +175,7 @@ class OccupiedSet(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Lanelet:
-    """One lanelet: boundaries `(n, 2)` as in the file (counts may differ), references, `speed` m/s or NaN.
-
-    Attributes:
-        stop: Its stop line, or None.
-        lights: Traffic lights that it names itself; `signs` likewise.
-    """
+    """One lanelet: boundaries `(n, 2)` as in the file (counts may differ), references, `speed` m/s or NaN."""
 
     id: int
     left: FloatArray
@@ -195,18 +186,14 @@ class Lanelet:
     types: tuple[str, ...]
     users: tuple[str, ...]
     speed: float
-    stop: Stop | None
-    lights: tuple[int, ...]
+    stop: Stop | None  # its stop line, or None
+    lights: tuple[int, ...]  # traffic lights that it names itself; `signs` likewise
     signs: tuple[int, ...]
 
 
 @dataclass(frozen=True, eq=False)
 class Obstacle:
-    """One obstacle: its box and states `(n, 6)` of the box centre: step, x, y, yaw, v, a (NaN where not given).
-
-    Attributes:
-        sets: Where it may be, if the file gives no states but the first: its occupancy set, that state first.
-    """
+    """One obstacle: its box and states `(n, 6)` of the box centre: step, x, y, yaw, v, a (NaN where not given)."""
 
     id: int
     type: str
@@ -214,6 +201,7 @@ class Obstacle:
     length: float
     width: float
     states: FloatArray
+    # where it may be, if the file gives no states but the first: its occupancy set, that state first
     sets: tuple[OccupiedSet, ...] = ()
 
 
@@ -240,11 +228,7 @@ class PlanningProblem:
 
 @dataclass(frozen=True, eq=False)
 class Document:
-    """A whole file; `dt` is the time step, s; `notes` name what the file holds and a Scenario does not.
-
-    Attributes:
-        signs: Kinds of the traffic signs ("206", "R1-1", ...) by the sign's id.
-    """
+    """A whole file; `dt` is the time step, s; `notes` name what the file holds and a Scenario does not."""
 
     benchmark: str
     version: str
@@ -258,7 +242,7 @@ class Document:
     problems: tuple[PlanningProblem, ...]
     notes: tuple[str, ...]
     lights: tuple[LightCycle, ...]
-    signs: Mapping[int, frozenset[str]]
+    signs: Mapping[int, frozenset[str]]  # kinds of the traffic signs ("206", "R1-1", ...) by the sign's id
     intersections: tuple[Intersection, ...]
 
     @property
@@ -268,21 +252,9 @@ class Document:
 
 
 def parse(path: Path) -> Document:
-    """Read a file.
-
-    Raises:
-        LogError: Not XML, not CommonRoad, another version, or an element is missing or no number.
-    """
-    from xml.etree import ElementTree
-
+    """Read a file; LogError if it is not CommonRoad or of another version, or an element is missing or no number."""
     try:
-        root = ElementTree.parse(path).getroot()
-    except OSError as error:
-        raise LogError(f"cannot be read: {error.strerror}", file=path, remedy="check the path") from error
-    except (ElementTree.ParseError, ValueError, LookupError) as error:
-        raise LogError(f"is no complete XML: {error}", file=path, remedy="fetch the file again") from error
-    try:
-        return _document(root)
+        return _document(read_xml(path))
     except LogError as error:
         raise error.at(path) from error
 
@@ -424,7 +396,6 @@ def _outline(shape: Element, place: str) -> FloatArray:
 
 
 def _rectangle(shape: Element, place: str) -> tuple[float, float, float]:
-    """Length, width (m) and orientation (rad) of a <rectangle>."""
     size = [number(child(shape, tag, place).text, f"{place}/{tag}") for tag in ("length", "width")]
     return size[0], size[1], number(shape.findtext("orientation", "0"), f"{place}/orientation")
 

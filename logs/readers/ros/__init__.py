@@ -5,16 +5,6 @@ bags of ROS 2, `.bag` of ROS 1. Message definitions come from the file; if it ha
 and other packages) and from those of the distribution in rosbags. If the file has an index, only the chunks of the
 requested times and topics are read. A SQLite bag whose recorder did not close it has messages in a journal beside it:
 both are read, through a copy.
-
-Modules:
-    bag.py       a bag's topics, and selected fields of their messages by time
-    fields.py    some fields of a serialised message, without objects for the others
-    schemas.py   the known message types and their fields
-    frames.py    the tree of coordinate frames; log times and stamps
-    ego.py       the ego's poses and speed; motion from jittering positions
-    objects.py   the objects of a topic: frames, velocities, sizes
-    tracks.py    samples of objects over time: identities and tracks
-    read.py      all of it as a scenario, with lights, goal, steering and on-board plans
 """
 
 from __future__ import annotations

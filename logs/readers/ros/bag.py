@@ -59,29 +59,18 @@ class Topic:
 
 @dataclass
 class Bag:
-    """An open bag.
+    """An open bag."""
 
-    Attributes:
-        topics: Its topics, sorted by name.
-        start_ns: Log time of the first message; `end_ns` of the last.
-        is_ros2: Whether its messages are CDR.
-        notes: How it was opened, one sentence each.
-    """
-
-    topics: tuple[Topic, ...]
-    start_ns: int
+    topics: tuple[Topic, ...]  # its topics, sorted by name
+    start_ns: int  # log time of the first message; `end_ns` of the last
     end_ns: int
-    is_ros2: bool
+    is_ros2: bool  # whether its messages are CDR
     _messages: Callable[..., Iterator[tuple[Any, int, bytes]]]
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # how it was opened, one sentence each
     _types: dict[str, Types] = field(default_factory=dict)
 
     def types_of(self, topic: Topic) -> Types:
-        """Return the definitions of a topic's type and of the types in it, by name.
-
-        Raises:
-            LogError: Neither the file nor replan has a definition, or it cannot be used.
-        """
+        """Return the definitions of a topic's type and the types in it, by name; LogError if none can be used."""
         from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
         if topic.name in self._types:
@@ -121,11 +110,7 @@ class Bag:
     def read(
         self, topic: Topic, wanted: Wanted, begin: int | None = None, end: int | None = None
     ) -> tuple[IntArray, list[tuple[Any, ...]]]:
-        """Return log times `(n,)` ns, sorted, and the wanted fields of messages from `begin` to `end` (ns, inclusive).
-
-        Raises:
-            LogError: The file is damaged, or a message does not fit its definition.
-        """
+        """Return log times `(n,)` ns, sorted, and wanted fields from `begin` to `end`, ns; LogError if damaged."""
         try:
             walk = decoder(self.types_of(topic), topic.kind, wanted, cdr=self.is_ros2)
         except LogError as error:

@@ -67,26 +67,18 @@ POSITION = (*(f"position.{axis}" for axis in "xyz"), *(f"orientation.{axis}" for
 
 @dataclass(frozen=True, eq=False)
 class BagPart:
-    """The messages of a bag that are read: those from `begin` to `end`, log times in ns (None: no bound).
-
-    Attributes:
-        notes: List to which assumptions and omissions are added, one sentence each.
-        drive: Whether the bounds are those of one of several drives in the bag.
-    """
+    """The messages of a bag that are read: those from `begin` to `end`, log times in ns (None: no bound)."""
 
     bag: Bag
     settings: LogSettings
     begin: int | None = None
     end: int | None = None
+    # list to which assumptions and omissions are added, one sentence each
     notes: list[str] = field(default_factory=list)
-    drive: bool = False
+    drive: bool = False  # whether the bounds are those of one of several drives in the bag
 
     def topics(self, kinds: Mapping[str, object] | tuple[str, ...], role: str) -> list[Topic]:
-        """Return the topics of these types that have messages, most messages first; or the topic in the settings.
-
-        Raises:
-            LogError: The settings name a topic that is not in the bag, or not of such a type.
-        """
+        """Return the topics of these types with messages, most first; or that of the settings, or a LogError."""
         wanted = self.settings.topics.get(role, "")
         if wanted == NONE:
             return []
@@ -185,11 +177,7 @@ def _map_frame(edges: Edges, named: str, settings: LogSettings) -> str:
 
 
 def read_ego(part: BagPart) -> EgoLog:
-    """Read the ego's poses.
-
-    Raises:
-        LogError: The log has no poses of the ego.
-    """
+    """Read the ego's poses; LogError if the log has none."""
     edges, settings, notes = read_edges(part), part.settings, part.notes
     wanted = settings.topics.get("ego", "")
     by_transforms = any(topic.name == wanted and topic.kind in schemas.TRANSFORMS for topic in part.bag.topics)
@@ -313,11 +301,7 @@ def _own_frames(frames: FrameTree, world: Set[str]) -> FrameTree:
 
 
 def _base_of(topic: str, child: str, own: FrameTree, settings: LogSettings, notes: list[str]) -> str:
-    """Return the frame of the rear axle: as set, or the first of `BASE_NAMES` that leads to `child`, that of the poses.
-
-    Raises:
-        LogError: The one that is set is another frame than that of the poses, and no transform leads there.
-    """
+    """Return the frame of the rear axle: as set, if transforms lead there (else a LogError), or of `BASE_NAMES`."""
     asked = settings.frames.get("base", "")
     if not child:
         if asked:
@@ -490,14 +474,10 @@ def spread(t: FloatArray, first: IntArray, window: FloatArray) -> FloatArray:
 def rates(
     t: FloatArray, values: FloatArray, first: IntArray, window: FloatArray, *, parabola: bool
 ) -> tuple[FloatArray, FloatArray]:
-    """Fit (1) at every sample: return rates and their changes `(c, n)` of `values` `(c, n)`; NaN for one sample.
+    """Fit (1), or straight lines, at every sample: return rates and their changes of `values`, all `(c, n)`.
 
-    Args:
-        t: `(n,)` s, rising where `first` is the same.
-        values: Coordinates.
-        first: `(n,)` first sample that may be in the window.
-        window: `(n,)` W, s.
-        parabola: Whether to fit parabolas; else straight lines only.
+    `t` `(n,)`, s, rises where `first`, the first sample that may be in the window, is the same; `window` is W `(n,)`,
+    s. A lone sample has NaN.
     """
     begin = np.maximum(first, _begins(t, first, window))
     rows = np.arange(len(t))

@@ -55,12 +55,9 @@ def has_field(types: Types, kind: str, path: str) -> bool:
 
 
 def decoder(types: Types, kind: str, wanted: Wanted, *, cdr: bool) -> Callable[[bytes], tuple[Any, ...]]:
-    """Return a function that decodes the wanted fields of messages of type `kind` from bytes.
+    """Return a function that decodes the wanted fields of messages of a type from bytes; LogError if it has none.
 
     The function raises `struct.error`, `IndexError` or `ValueError` on bytes that are not such a message.
-
-    Raises:
-        LogError: The type, or one that it holds, is not known, lacks a wanted field or cannot be walked.
     """
     made: dict[str, Callable[[bytes], tuple[Any, ...]]] = {}
     for end in ("<", ">") if cdr else ("<",):
@@ -88,24 +85,18 @@ def decoder(types: Types, kind: str, wanted: Wanted, *, cdr: bool) -> Callable[[
 
 @dataclass
 class _Code:
-    """The text of the function while it is generated.
-
-    Attributes:
-        known: A number of which the position is known to be a multiple.
-        run: Numbers that are not unpacked yet: code, size, name (None: skipped), count.
-        uniforms: Results of `uniform` by message type.
-        fields: Number of fields walked, at most `MOST_FIELDS`.
-    """
+    """The text of the function while it is generated."""
 
     types: Types
     end: str
     cdr: bool
     lines: list[str] = field(default_factory=list)
     depth: int = 0
-    known: int = 8
+    known: int = 8  # A number of which the position is known to be a multiple
+    # numbers that are not unpacked yet: code, size, name (None: skipped), count
     run: list[tuple[str, int, str | None, int]] = field(default_factory=list)
-    uniforms: dict[str, tuple[int, int] | None] = field(default_factory=dict)
-    fields: int = 0
+    uniforms: dict[str, tuple[int, int] | None] = field(default_factory=dict)  # results of `uniform` by message type
+    fields: int = 0  # number of fields walked, at most `MOST_FIELDS`
     constants: dict[str, Any] = field(default_factory=dict)
     names: int = 0
 

@@ -76,11 +76,7 @@ def sampled(poses: Poses, t: IntArray, how: str) -> Poses:
 
 
 class FrameTree:
-    """The tree of frames.
-
-    Args:
-        edges: (parent, child, poses of the child in the parent), each pair once.
-    """
+    """The tree of frames, of edges (parent, child, poses of the child in the parent), each pair once."""
 
     def __init__(self, edges: Iterable[tuple[str, str, Poses]]) -> None:
         self.edges = {(parent, child): poses for parent, child, poses in edges if len(poses)}
@@ -105,11 +101,7 @@ class FrameTree:
         return bool(set(self.path(one)) & set(self.path(other)))
 
     def chain(self, above: str, below: str) -> list[tuple[str, str, bool]]:
-        """Return the edges from a frame to another: (parent, child, whether the path goes down to the child).
-
-        Raises:
-            LogError: No transforms connect them.
-        """
+        """Return the edges between frames: (parent, child, whether it goes down); LogError if there are none."""
         up, down = self.path(above), self.path(below)
         meet = next((name for name in up if name in down), None)
         if meet is None:

@@ -154,7 +154,6 @@ class _Fields:
         return self.columns[self.names[name] + number]
 
     def numbers(self, name: str, count: int) -> FloatArray:
-        """The columns of a group `(n, count)`."""
         return np.array([self.column(name, k) for k in range(count)], dtype=np.float64).T
 
 

@@ -30,7 +30,7 @@ from logs.errors import LogError
 from logs.log_settings import LogSettings
 from logs.observed import Spans, of_stream
 from logs.readers.admission import reason_to_repair
-from logs.readers.recorded import car_of, unit_or_identity
+from logs.readers.recorded import unit_or_identity
 from logs.readers.ros import schemas
 from logs.readers.ros.bag import Bag, opened
 from logs.readers.ros.ego import POSITION, BagPart, EgoLog, at_poses, begin_of, read_ego, signal, states
@@ -44,7 +44,7 @@ from logs.rules import Colour, TrafficLight
 from logs.scenario import Scenario
 from logs.states import Controls, OnboardPlan, Trajectory
 from logs.tracks import Tracks
-from logs.vehicle import VEHICLE_ASSUMED, VehicleParameters
+from logs.vehicle import VEHICLE_ASSUMED, VehicleParameters, car_of
 
 HEAD_S = 2.0
 """Time at the log's begin that is read to find t = 0 if only a later part is wanted, s."""
@@ -53,11 +53,7 @@ MARGIN_S = 1.0
 
 
 def read_bag(path: Path, settings: LogSettings) -> Scenario:
-    """The scenario in a bag, or its part around the time between `settings.begin` and `settings.end`.
-
-    Raises:
-        LogError: The bag is damaged or does not say where the ego is; the line says what it holds.
-    """
+    """The scenario in a bag, or its part around the settings' begin and end; LogError without an ego in it."""
     for key, roles in ROLES.items():
         wrong = sorted(set(getattr(settings, key)) - set(roles))
         if wrong:
@@ -131,11 +127,7 @@ def _scenario(path: Path, bag: Bag, settings: LogSettings) -> Scenario:
 
 
 def _part_to_read(bag: Bag, settings: LogSettings) -> tuple[BagPart, EgoLog, int | None, FloatArray]:
-    """What is read of a bag, and its ego; if it begins later than the log, also the time of t = 0, ns, and the origin.
-
-    Raises:
-        LogError: The part holds several drives, or no pose of the ego.
-    """
+    """What is read of a bag, its ego, and of a later part t = 0, ns, and origin; LogError for several drives."""
     whole = part = BagPart(bag, settings)
     start: int | None = None
     origin: FloatArray = np.zeros(2)
@@ -154,11 +146,7 @@ def _part_to_read(bag: Bag, settings: LogSettings) -> tuple[BagPart, EgoLog, int
 
 
 def _drive_to_read(whole: BagPart, ego: EgoLog) -> BagPart:
-    """Of a bag whose clock restarts, the drive between the settings' begin and end; all of it by log time, if so set.
-
-    Raises:
-        LogError: Several drives are between them.
-    """
+    """Of several drives in a bag, that between the settings' begin and end, or all by log time, or a LogError."""
     bag, settings = whole.bag, whole.settings
     at = ((ego.restarts - bag.start_ns) / 1e9).tolist()
     count = {2: "two", 3: "three", 4: "four"}.get(len(at) + 1, str(len(at) + 1))

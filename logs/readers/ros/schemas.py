@@ -12,9 +12,7 @@ from logs.agents import AgentKind
 from logs.rules import Colour
 
 STAMP = ("header.stamp.sec", "header.stamp.nanosec")
-CAR, TRUCK, BUS = AgentKind.CAR, AgentKind.TRUCK, AgentKind.BUS
-MOTORCYCLE, BICYCLE, PEDESTRIAN = AgentKind.MOTORCYCLE, AgentKind.BICYCLE, AgentKind.PEDESTRIAN
-OBJECT = AgentKind.OBJECT
+CAR, TRUCK, BUS, MOTORCYCLE, BICYCLE, PEDESTRIAN, OBJECT = AgentKind
 
 AUTOWARE_LABELS = {
     1: CAR, 2: TRUCK, 3: BUS, 4: TRUCK, 5: MOTORCYCLE, 6: BICYCLE, 7: PEDESTRIAN, 8: PEDESTRIAN,
@@ -44,35 +42,23 @@ def kind_of_word(label: str) -> AgentKind:
 
 @dataclass(frozen=True)
 class ObjectSchema:
-    """Names of the fields of objects in a message type; "": the type has none; `a|b`: the first that exists.
+    """Names of the fields of objects in a message type; "": the type has none; `a|b`: the first that exists."""
 
-    Attributes:
-        items: List of objects.
-        pose: Pose; `twist` is the velocity, in the frame `twist_frame`: "object", "frame" or "log" (the data decide).
-        id: Id of the object.
-        label: Class of the object; if `classes` is a list of classes, `label` and `score` are fields of its items.
-        size: Vector of length, width, height; `shape` is 0 box, 1 cylinder, 2 polygon.
-        outline: Points of a polygon in `outline_frame`: "object" or "frame".
-        trusted: Flag for whether the velocity is reliable.
-        solid: Shape with a type and a list of dimensions.
-        existence: Confidence of the detector, 0 to 1; types without it use the `score` of the class.
-    """
-
-    items: str
-    pose: str
+    items: str  # list of objects
+    pose: str  # pose; `twist` is the velocity, in the frame `twist_frame`: "object", "frame" or "log" (the data decide)
     twist: str
-    id: str
-    label: str
-    size: str = ""
+    id: str  # id of the object
+    label: str  # class of the object; if `classes` is a list of classes, `label` and `score` are fields of its items
+    size: str = ""  # vector of length, width, height; `shape` is 0 box, 1 cylinder, 2 polygon
     twist_frame: str = "object"
     classes: str = ""
     score: str = ""
     shape: str = ""
-    outline: str = ""
+    outline: str = ""  # points of a polygon in `outline_frame`: "object" or "frame"
     outline_frame: str = "object"
-    trusted: str = ""
-    solid: str = ""
-    existence: str = ""
+    trusted: str = ""  # flag for whether the velocity is reliable
+    solid: str = ""  # shape with a type and a list of dimensions
+    existence: str = ""  # confidence of the detector, 0 to 1; types without it use the `score` of the class
 
 
 def _autoware(prefix: str = "kinematics.") -> ObjectSchema:

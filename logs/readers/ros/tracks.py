@@ -1,6 +1,6 @@
 """Finds the identities of objects over time, and makes tracks with one box, kind and front each.
 
-Identities. Where perception numbers the entries of each list anew (`logs.repair.identities`), ids are no identities.
+Identities. Where perception numbers the entries of each list anew (`logs.repair.detections`), ids are no identities.
 Then the objects of a frame are assigned to those known so far, by the least sum of distances to the positions expected
 from earlier samples. Outlines of clusters split and merge: an outline whose size differs from that with which an object
 began is another object, since a box has one size.
@@ -15,16 +15,14 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from logs.agents import USUAL_SIZE_M, AgentKind, codes_of
-from logs.arrays import BoolArray, FloatArray, IntArray
+from logs.arrays import BoolArray, Columns, FloatArray, IntArray
 from logs.readers.ros.ego import AGENT_WINDOW_S, OBJECT_WINDOW_S, rates, spread
-from logs.repair.detections import Detections
-from logs.repair.identities import no_identities
+from logs.repair.detections import Detections, no_identities
 from logs.tracks import Tracks
 
 NOISE_M = {
@@ -39,7 +37,7 @@ MOVES_MPS = 1.0
 
 
 @dataclass(frozen=True, eq=False)
-class Samples:
+class Samples(Columns):
     """Objects of all frames, `(m,)` each: message, id, kind, pose in the map, velocity, size (NaN: not known).
 
     `ids` are those of the log, "" where it gives none; `score` is 0 to 1, NaN where it is not known; `names` are
@@ -62,13 +60,6 @@ class Samples:
 
     def __len__(self) -> int:
         return len(self.ids)
-
-    def taken(self, keep: IntArray) -> Samples:
-        """Return the samples `keep`, in that order."""
-        of = ("ids", "kinds") if self.names is None else ("ids", "kinds", "names")
-        lists: dict[str, Any] = {name: [getattr(self, name)[i] for i in keep] for name in of}
-        names = ("message", "x", "y", "yaw", "vx", "vy", "length", "width", "turned", "score")
-        return replace(self, **lists | {name: getattr(self, name)[keep] for name in names})
 
     def detections(self, t: FloatArray) -> Detections:
         """All of them as they were reported; t `(k,)` s are the times of the messages."""

@@ -14,8 +14,8 @@ from mcap_cases import differences
 
 from logs import Colour, ConfigError, DecisionKind, Scenario
 from logs.catalogue import CATALOGUE
-from logs.catalogue.driver import MAX_ACCEL, MAX_BRAKE, MAX_JERK, Ahead, drive
 from logs.catalogue.family import touches
+from logs.catalogue.family_parts import MAX_ACCEL, MAX_BRAKE, MAX_JERK, Ahead, drive
 from logs.catalogue.pedestrians import Leg, strolled
 from logs.catalogue.roads import curve, weaving
 from logs.shapes import distance

@@ -15,9 +15,8 @@ from typer.testing import CliRunner
 
 from logs import ConfigError, DecisionKind, Scenario
 from logs.catalogue import CATALOGUE, FAMILIES, SUITES, scenario, spread, suite
-from logs.catalogue.driver import drive
 from logs.catalogue.family import touches
-from logs.catalogue.family_parts import START_M
+from logs.catalogue.family_parts import START_M, drive
 from logs.catalogue.iso3888 import cones, double_lane_change
 from logs.catalogue.roads import curve
 from logs.mcap import write_scenario

@@ -11,8 +11,7 @@ from track_score import repaired_score
 from logs import Scenario
 from logs.catalogue import CATALOGUE, FAMILIES, raw
 from logs.readers import read_log
-from logs.repair.detections import Detections
-from logs.repair.identities import needs_repair
+from logs.repair.detections import Detections, needs_repair
 from replay.cli.synth import ROS2, synthesise
 from replay.run.sources import LogSource
 

@@ -17,10 +17,9 @@ from logs.arrays import BoolArray, FloatArray
 from logs.catalogue import CATALOGUE
 from logs.catalogue.detector import detected
 from logs.readers import read_log
+from logs.repair.association import FIRST_MPS, STAND_MPS, smoothed
 from logs.repair.detected_boxes import Boxes, shared_area, stronger_twins
-from logs.repair.detections import Detections
-from logs.repair.identities import needs_repair
-from logs.repair.kalman import FIRST_MPS, STAND_MPS, smoothed
+from logs.repair.detections import Detections, needs_repair
 from logs.repair.offline import detections_of
 
 Q = 1.6

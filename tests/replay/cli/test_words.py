@@ -18,7 +18,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from logs.catalogue import FAMILIES, SUITES
-from logs.kernel_watch import is_cache_cold
+from logs.kernel import is_cache_cold
 from logs.readers import readers
 from logs.vehicle import vehicle_names
 from metrics import METRICS
@@ -148,8 +148,8 @@ def test_the_time_in_which_kernels_were_compiled_counts_for_nothing(logs_: list[
 
 def test_kernels_that_are_compiled_meanwhile_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     stored: set[str] = {"a"}
-    monkeypatch.setattr("logs.kernel_watch._is_stored", stored.__contains__)
-    monkeypatch.setattr("logs.kernel_watch.STORED", list("abcd") + [str(k) for k in range(16)])
+    monkeypatch.setattr("logs.kernel._is_stored", stored.__contains__)
+    monkeypatch.setattr("logs.kernel.STORED", list("abcd") + [str(k) for k in range(16)])
     clock = iter([0.0, 20.0, 40.0, 60.0, 101.0])
     monkeypatch.setattr("replay.cli.progress_bar.perf_counter", lambda: next(clock))
     words = with_kernels(lambda: "0 of 9 logs")

@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 
 from logs import AgentKind, Agents, ConfigError, Frame, LogError, Scenario, Tracks, VehicleParameters
 from logs.arrays import FloatArray
-from logs.repair.detections import Detections, Repair
-from logs.repair.identities import named_as_tracked
+from logs.repair.detections import Detections, Repair, named_as_tracked
 from logs.repair.offline import detections_of
 from logs.shapes import overlap
 from replay.config import LoopConfig, SensorConfig

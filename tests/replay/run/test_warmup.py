@@ -23,7 +23,7 @@ if os.environ.get("READ_ONLY"):  # stands for a file system that is read-only: r
     def refused(*_, **__):
         raise OSError("read-only file system")
     os.makedirs = os.mkdir = tempfile.TemporaryFile = refused
-import logs.kernel_watch as kernel, logs.shapes as shapes, gc
+import logs.kernel as kernel, logs.shapes as shapes, gc
 watch = kernel.KernelWatch()
 cold, corners = kernel.is_cache_cold(), shapes.corners(1.0, 2.0, 0.5, 4.0, 2.0).tolist()
 print(watch.stored == 0 and cold, corners, kernel.compiled_count() > 0, watch.look() == 0 and watch.stored == 0)

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from logs import Colour, LogError, Scenario, StopLine
 from logs.readers.commonroad import read_commonroad
 from logs.readers.commonroad.document import COLOURS
-from logs.readers.commonroad.signs import meet
+from logs.readers.commonroad.lanelets import meet
 
 LEFT, STRAIGHT, RIGHT = 1, 2, 3
 few = settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

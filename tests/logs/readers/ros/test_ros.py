@@ -33,7 +33,7 @@ from logs.readers.ros.ego import rates
 from logs.readers.ros.fields import MOST_FIELDS, decoder
 from logs.readers.ros.objects import smallest_rectangles
 from logs.readers.ros.tracks import joined
-from logs.repair.identities import no_identities
+from logs.repair.detections import no_identities
 from logs.states import OnboardPlan
 from replay.loop.closed_loop import run_closed_loop
 from replay.loop.open_loop import run_open_loop

@@ -1,7 +1,5 @@
 """docs/architecture.md lists the files on the way of one log; one run is traced to hold it to that."""
 
-from __future__ import annotations
-
 import json
 import re
 import subprocess

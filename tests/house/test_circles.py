@@ -3,8 +3,6 @@
 Imports inside functions and under TYPE_CHECKING count as well.
 """
 
-from __future__ import annotations
-
 from graphlib import TopologicalSorter
 from pathlib import Path
 from tomllib import loads

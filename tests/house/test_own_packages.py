@@ -1,7 +1,5 @@
 """`import replan` gives replan's packages, whatever lies beside a user's script; what clashes names both files."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import time

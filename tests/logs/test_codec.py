@@ -1,7 +1,5 @@
 """The codec of the nouns: what is read is what was written, and the fields of messages on the wire stay."""
 
-from __future__ import annotations
-
 import msgspec
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """Units and frames of a log: refused, or chosen with a note, at any rate; a right log is not touched."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import handmade

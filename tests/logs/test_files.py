@@ -1,7 +1,5 @@
 """What a user names is looked at before it is opened: pipes, devices, tables without end; files of a store."""
 
-from __future__ import annotations
-
 import os
 import signal
 import socket

@@ -1,7 +1,5 @@
 """The part of a drive that a planner can drive. Drives are made of pieces: curvature, way, speed (below 0: reverse)."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Compiling less: the same results, and no machine code for what only kernels call."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """What a long drive keeps in memory: its frames come back as they were, a part of its tracks answers as the whole."""
 
-from __future__ import annotations
-
 import pickle
 from dataclasses import fields, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The estimated motion of the others: laws of noise, rate and frame, and what happens at abrupt changes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from math import cos, sin
 

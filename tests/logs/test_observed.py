@@ -1,7 +1,5 @@
 """When a log's traffic was observed: laws of streams and of inference, then examples, writing and cutting."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path

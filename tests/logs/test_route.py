@@ -1,7 +1,5 @@
 """Route: the cheapest way through the lane graph, as brute force finds it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise

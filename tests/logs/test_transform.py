@@ -1,7 +1,5 @@
 """Scenarios in other worlds: what changes, what must not, there and back, in the mirror."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass, replace

@@ -1,7 +1,5 @@
 """Many logs as one: Wilson's interval against scipy, groups against what pandas says, lost logs count against."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

@@ -1,7 +1,5 @@
 """Arrival: a goal is a place and the way to it; a drive that shows nothing is no pass."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Boxes on a grid in pieces or agent by agent, and phantoms: boxes in which the recorded ego stands."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

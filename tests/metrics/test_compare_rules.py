@@ -1,7 +1,5 @@
 """Run against run: deltas, flips, groups with intervals, and rules that say pass or fail."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Lane entries before a follower: the bound of UN R157, and who is not to blame."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """TTC at constant acceleration, closest encounters, post-encroachment time, TTC to the vulnerable, severity."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

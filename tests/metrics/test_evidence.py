@@ -1,7 +1,5 @@
 """Evidence and divergence: shares against sums by hand; no divergence for the log's own drive."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

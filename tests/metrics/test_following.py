@@ -1,7 +1,5 @@
 """Lead, headway, required braking and steering, the following gap of UN R157: hand-computed, and their laws."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from math import pi
 

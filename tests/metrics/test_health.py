@@ -1,7 +1,5 @@
 """A log's health: each fault that is planted is found, where it was planted, and a clean log has none."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The vocabulary of metrics, their table and pages, and all metrics of drives that hardly are any."""
 
-from __future__ import annotations
-
 import gc
 import weakref
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Needless braking, standing and steering; false braking has no cause, missed braking leaves out what it asks for."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

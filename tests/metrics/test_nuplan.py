@@ -1,7 +1,5 @@
 """nuPlan's closed-loop score: equal to the devkit's own values, and the same in a turned or mirrored world."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Plans against the log and against each other, by hand, and their laws."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from math import pi

@@ -1,7 +1,5 @@
 """Reference drivers against closed forms, the tendencies of the regulation's grids, and what must not count."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

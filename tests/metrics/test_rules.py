@@ -1,7 +1,5 @@
 """Red lights, stop signs, crosswalks and right of way, by drives of which the answer is known."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

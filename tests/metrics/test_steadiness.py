@@ -1,7 +1,5 @@
 """Offsets that are kept, swings of the speed, lane changes for nothing, braking before a follower, fast curves."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

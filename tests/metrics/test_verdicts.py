@@ -1,7 +1,5 @@
 """Verdicts over many logs: means, shares, groups; ensembles, late plans, and marginal values."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import fields

@@ -1,7 +1,5 @@
 """IDM: its equilibrium, its order, and how it drives behind, before and among others."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

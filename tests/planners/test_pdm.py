@@ -1,7 +1,5 @@
 """PDM-Closed: its driver, its tracker, its score, and how it drives."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -3,8 +3,6 @@
 The laws are those of `replay.contract`; for a planner of your own, call `replan.check_planner`.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterator
 from dataclasses import replace

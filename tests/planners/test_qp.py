@@ -1,7 +1,5 @@
 """QP solvers behind one door: answers satisfy the optimality conditions, and what is not solved is not called so."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

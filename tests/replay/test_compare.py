@@ -1,7 +1,5 @@
 """Runs compared from their folders and from a baseline's file; the command line; planted regressions."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

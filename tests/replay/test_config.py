@@ -1,7 +1,5 @@
 """A run's configuration: what is written is read back; what is wrong names file, key and remedy."""
 
-from __future__ import annotations
-
 import tomllib
 from dataclasses import asdict, fields, replace
 from functools import reduce

@@ -1,7 +1,5 @@
 """The checks of contracts: quiet about what keeps its contract, and each rule is named when it is broken alone."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import contract_breakers

@@ -1,7 +1,5 @@
 """The verdict as a whole: adversaries are caught, and what others did is not held against a planner."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

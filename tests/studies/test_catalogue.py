@@ -1,7 +1,5 @@
 """The picture of a suite: what a cell is called, and that every cell is in the table, the page and the picture."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

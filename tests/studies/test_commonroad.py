@@ -1,7 +1,5 @@
 """The table of planners over CommonRoad scenarios: what is counted, of which drives, and whose goal is within reach."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

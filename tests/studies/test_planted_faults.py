@@ -1,7 +1,5 @@
 """The study of planted faults: which drives fail for a fault."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 

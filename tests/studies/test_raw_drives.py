@@ -1,7 +1,5 @@
 """The table of recorded drives: what a run's tables say, a row a drive and a sum a planner."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Recorded roads in windows: folds by recording, starts that are moved, and what a drive costs."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Planners, metrics and readers that break one rule of `replay.contract` each, and are named for it."""
 
-from __future__ import annotations
-
 import os
 import sys
 from dataclasses import replace

@@ -13,8 +13,6 @@ or 3, with one line that says why). It may not
 What may not happen is printed with the seed that makes it again.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import json

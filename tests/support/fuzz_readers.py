@@ -5,8 +5,6 @@ off, cut out, doubled, swapped; where checksums or a parser would keep every cha
 values or columns inside the file.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import struct

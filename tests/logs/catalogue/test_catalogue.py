@@ -1,7 +1,5 @@
 """The catalogue: plausible careful drives, and what each family shows."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from math import pi

@@ -1,7 +1,5 @@
 """Families with published grids, and the suites: what is asked is what the publications say, and always the same."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from itertools import islice

@@ -1,7 +1,5 @@
 """Maps in the place of a log's road: Lanelet2 read as Lanelet2 reads it, projections, and which map fits a drive."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from math import cos, hypot, nan, pi, radians, sin
 from pathlib import Path

@@ -1,7 +1,5 @@
 """OpenDRIVE maps in the place of a log's road, by pyxodr; skipped where the extra `opendrive` is not installed."""
 
-from __future__ import annotations
-
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory

@@ -1,7 +1,5 @@
 """Damaged, foreign and wrong logs: one LogError line with file, topic, time and remedy, and never anything else."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from pathlib import Path

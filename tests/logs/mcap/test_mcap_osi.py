@@ -1,7 +1,5 @@
 """ASAM OSI logs: with a small descriptor made here, and the recorded ones where they are at hand."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 from pathlib import Path

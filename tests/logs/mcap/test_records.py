@@ -1,7 +1,5 @@
 """Salvage keeps what is whole and names what was lost; a part by the index is the scenario of the whole, cut."""
 
-from __future__ import annotations
-
 import struct
 import zlib
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """A trace is a log that we drove: read again it is the drive, and what was planned stands beside it."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

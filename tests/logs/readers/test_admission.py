@@ -1,7 +1,5 @@
 """What every log has to pass after it was read: clocks, magnitudes, names."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Argoverse 2 as published: sensor logs and motion-forecasting scenarios, whole, without parts, and damaged."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

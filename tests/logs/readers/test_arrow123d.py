@@ -1,7 +1,5 @@
 """123D logs and maps: what the files say arrives, nothing of the future does, damage is an error that names it."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

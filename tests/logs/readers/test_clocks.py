@@ -1,7 +1,5 @@
 """Times of rows: dates and times of day, clocks that start again, and rows that are merely unsorted."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """comma2k19: a segment made here goes where it was made to go; the recorded one where it is at hand."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

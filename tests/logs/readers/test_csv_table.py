@@ -1,7 +1,5 @@
 """CSV files as people and programs write them: read as meant, or refused in one line."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

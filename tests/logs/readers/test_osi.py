@@ -1,7 +1,5 @@
 """Bare OSI traces, written here with ASAM's own package; the recorded ones where they are at hand."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 

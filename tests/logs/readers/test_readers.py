@@ -1,7 +1,5 @@
 """The table of readers: one claims a log, foreign ones are sent on, a part of a log is that part."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 from importlib.metadata import EntryPoint

@@ -1,7 +1,5 @@
 """Tables in: from pandas frames, from CSV and Parquet, with other names and units; what is wrong is named."""
 
-from __future__ import annotations
-
 import os
 import re
 from dataclasses import replace

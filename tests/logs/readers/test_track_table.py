@@ -1,7 +1,5 @@
 """Tables of tracks in the shapes of public data sets: one road user becomes the ego, the others stay agents."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The smoother is the least squares that it says; shared areas are those of the boxes; twins; logs that need repair."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Raw detections to tracks: laws, then examples, then recordings made as bad as a detector is."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What could be known by t: no future, the same twice, births after evidence, velocities with their deviation."""
 
-from __future__ import annotations
-
 from dataclasses import fields, replace
 from functools import cache
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Variations of a log: what stays, what changes, and which scenarios there are not."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from math import isfinite
 from pathlib import Path

@@ -1,7 +1,5 @@
 """How hard to brake: bounds are kept, the mildest rung that holds is driven, hard braking waits only where it may."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,7 +1,5 @@
 """Worlds at the edge: whatever they are like, a plan comes back that starts where it says and says what it is."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

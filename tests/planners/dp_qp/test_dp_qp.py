@@ -1,7 +1,5 @@
 """The whole planner: laws of mirrored, moved and truncated worlds; what it does about others, and in trouble."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

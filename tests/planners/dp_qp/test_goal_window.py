@@ -1,7 +1,5 @@
 """Arriving when and as fast as the goal says."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

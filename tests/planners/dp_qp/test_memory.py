@@ -1,7 +1,5 @@
 """Memory goes in and comes out; what a plan came from is built once, and only for who looks."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import fields, is_dataclass, replace

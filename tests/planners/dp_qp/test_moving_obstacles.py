@@ -1,7 +1,5 @@
 """Who goes slowly along the lane is passed with room, at a speed that goes with it; where there is none, followed."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass, replace
 

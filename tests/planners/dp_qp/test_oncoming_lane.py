@@ -1,7 +1,5 @@
 """The oncoming lane: borrowed to pass who blocks the lane, where no one comes and the marking may be crossed."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

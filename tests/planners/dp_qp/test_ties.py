@@ -1,7 +1,5 @@
 """Rounding decides nothing: errors of 1e-9 on everything move a plan by less than 1e-6, round figures or not."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

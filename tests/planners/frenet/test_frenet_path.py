@@ -1,7 +1,5 @@
 """Path: the Frenet transform is exact there and back, and states between its points lie on it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings

@@ -1,7 +1,5 @@
 """Speed profiles: the limit can be driven, cruising follows it, braking keeps its limits and its distance."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import assume, given

@@ -1,7 +1,5 @@
 """Reference path: smoothing that stays within its bound, and the width of known roads."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

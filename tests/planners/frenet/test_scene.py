@@ -1,7 +1,5 @@
 """The scene: its columns are what geometry says, and turn and mirror with the world."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """S-T boundaries: swept boxes = brute force, margins and uncertain times only add, stops are rows."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

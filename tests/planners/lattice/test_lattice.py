@@ -1,7 +1,5 @@
 """Lattice: its polynomials, the states that they stand for, and what a chosen plan may not do."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

@@ -1,7 +1,5 @@
 """Piecewise-jerk QPs: optimal by KKT, infeasible where a linear program says so, the same by every solver."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

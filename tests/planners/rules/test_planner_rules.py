@@ -1,7 +1,5 @@
 """Traffic rules: lights, stop signs, crosswalks, right of way; the rulebook itself, and the planners that obey it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache

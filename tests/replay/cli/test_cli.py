@@ -1,7 +1,5 @@
 """The command line: exit codes, one-line errors, and a report that a stranger can read."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 from collections.abc import Callable

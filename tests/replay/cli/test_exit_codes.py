@@ -1,7 +1,5 @@
 """What the command line ends with, over every case: 0, 1, 2, 3, 4 or 130, and never a traceback."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal

@@ -1,7 +1,5 @@
 """The command line for people and scripts: lists, JSON on stdout, quiet and verbose, progress, completion, speed."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

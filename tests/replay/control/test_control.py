@@ -1,7 +1,5 @@
 """Controllers in closed loop, and the tracking errors that they see."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

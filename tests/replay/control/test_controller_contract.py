@@ -1,7 +1,5 @@
 """What every controller must hold to: the executable contract, for those to come as well."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The lateral model and the DLQR: laws of the linear plant, then the nonlinear one."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The MPC: its reference, its model, its optimum, its limits, and what it does without a solution."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from handmade import drive, s_curve, straight

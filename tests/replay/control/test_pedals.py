@@ -1,7 +1,5 @@
 """Pedals: one at a time, the power train inverted, its lag too; stops that end softly and near, standstill held."""
 
-from __future__ import annotations
-
 import csv
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The steering's delay is learned, the prediction is the model's, nothing is learned from nothing."""
 
-from __future__ import annotations
-
 from collections import deque
 from math import sin
 

@@ -1,7 +1,5 @@
 """From passing changes to a cause, the table of changes, and the smallest change of a setting."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

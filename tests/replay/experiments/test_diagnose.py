@@ -1,7 +1,5 @@
 """`replan diagnose`: planted causes, the files, resume, and wrong words."""
 
-from __future__ import annotations
-
 import json
 import re
 import shlex

@@ -1,7 +1,5 @@
 """What goes wrong in a failing drive: the words are those of the numbers, and the numbers those of the drives."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from math import inf, nan
 

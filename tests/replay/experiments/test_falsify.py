@@ -1,7 +1,5 @@
 """`replan falsify`: a case whose distance is known, its files, resume, and wrong words."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Held-out logs, and gains against the defaults: directions, missing values, and chance."""
 
-from __future__ import annotations
-
 from collections import Counter
 from math import floor
 

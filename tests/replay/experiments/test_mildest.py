@@ -1,7 +1,5 @@
 """The search for the mildest failure, on holes whose mildest point is known."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from math import inf, isnan
 

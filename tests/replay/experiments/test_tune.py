@@ -1,7 +1,5 @@
 """`replan tune`: planted better settings are found, noise is not; trials, files, resume, and wrong words."""
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """`replan vary`: the surface, its edge, its files; what cannot be evaluated costs only itself."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A drive in words, one frame planned again, and where the agents really were: the words match the run."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from dataclasses import replace

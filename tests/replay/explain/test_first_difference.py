@@ -1,7 +1,5 @@
 """Where two drives part: what is changed in one frame is found in that frame, in its stage; where two planners part."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import fields, replace
 from functools import cache

@@ -1,7 +1,5 @@
 """Why a plan slows down: no sentence contradicts the numbers beside it, for whatever planner; and a few by hand."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import fields, replace
 from itertools import product

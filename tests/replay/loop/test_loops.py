@@ -1,7 +1,5 @@
 """The loops: why a drive ends, that it is the same twice, and that the log's own plan has no error."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import fields, replace

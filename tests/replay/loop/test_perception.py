@@ -1,7 +1,5 @@
 """What the planner is shown: nothing of later, all of it with ground truth, and what a sensor leaves of it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The compiled loop: the same as its parts one step after the other; plans that are driven later than made."""
 
-from __future__ import annotations
-
 from functools import cache
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """Where a drive ends does not depend on how many rows are looked at at once, and is what Goal and contact say."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

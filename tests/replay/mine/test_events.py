@@ -1,7 +1,5 @@
 """Kinds of events: each finds what it is made for and nothing beside it, wherever in the world the log lies."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import pairwise

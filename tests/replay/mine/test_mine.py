@@ -1,7 +1,5 @@
 """`replan mine | query | cut | suite | coverage`: tables, moments as logs, refusals in one line."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

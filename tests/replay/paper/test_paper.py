@@ -1,7 +1,5 @@
 """The paper's experiments: laws of the avoidability, the grid's cells, the figures, and the whole command (slow)."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

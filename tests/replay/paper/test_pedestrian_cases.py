@@ -19,8 +19,6 @@ both pedals     throttle and brake are pressed together
 no goal         the drive ends neither at its goal nor in a collision
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from itertools import product
 

@@ -1,7 +1,5 @@
 """Logs in lock step (`loop.apart.batch`): the answers of a planner that plans them one by one do not change."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable
 from dataclasses import replace

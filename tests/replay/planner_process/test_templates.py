@@ -1,7 +1,5 @@
 """What a planner's module loads, it loads once in a worker; the drives still know nothing of each other."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

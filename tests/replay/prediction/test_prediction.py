@@ -1,7 +1,5 @@
 """Predictions: what holds for every method, and the two that need no road."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Lane following and pedestrians: what a future on lanes must keep, and who has which hypotheses."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

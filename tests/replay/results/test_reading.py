@@ -1,7 +1,5 @@
 """Edited results: one line and a documented exit code, and nothing outside of the output is touched."""
 
-from __future__ import annotations
-
 import json
 import random
 import shlex

@@ -1,7 +1,5 @@
 """A result folder read back: its tables are those that were written, its drives those that were driven."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pandas as pd

@@ -1,7 +1,5 @@
 """What docs/results.md says of the tables is what is in the files."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Many logs: the same bytes whatever the number of workers; what fails costs only itself."""
 
-from __future__ import annotations
-
 import signal
 from collections.abc import Callable
 from dataclasses import replace

@@ -4,8 +4,6 @@ A file's columns beside these: which byte of it a full disk cuts (test_full_disk
 test_killed_commands.py, `python -m studies.kills`. URLs that are written: test_urls.py. Locks: test_lock.py.
 """
 
-from __future__ import annotations
-
 import errno
 import os
 import re

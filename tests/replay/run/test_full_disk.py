@@ -1,7 +1,5 @@
 """A full disk, at any byte: one line that names the file, no cut file under a final name, and --resume goes on."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Hostile logs through the command line: judged with a verdict or refused in a line, never anything else."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import fuzz_evaluate

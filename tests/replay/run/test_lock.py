@@ -1,7 +1,5 @@
 """One run at a time writes into a result folder, whatever becomes of the others."""
 
-from __future__ import annotations
-
 import errno
 import json
 import os

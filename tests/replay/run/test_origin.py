@@ -1,7 +1,5 @@
 """Results know where their logs are: read from any directory, moved with or without them; another log is refused."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A run that was interrupted goes on where it was, and its tables are those of a run that was never interrupted."""
 
-from __future__ import annotations
-
 import json
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """A run in shards, merged, is the run without shards, byte for byte; and nothing else is merged."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """The file of a study: what is taken, what is refused, and that nothing foreign is touched."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

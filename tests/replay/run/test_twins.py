@@ -1,7 +1,5 @@
 """A log that is selected twice is driven once, whatever its name and container; logs that differ are all driven."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from dataclasses import replace

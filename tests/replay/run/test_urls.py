@@ -1,7 +1,5 @@
 """Logs and results at an S3-compatible server: the bytes of local ones; what is wrong there is one line."""
 
-from __future__ import annotations
-
 import json
 import socket
 import time

@@ -1,7 +1,5 @@
 """A user's metric or planner that raises or gives nonsense costs itself only, and is named with file and line."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

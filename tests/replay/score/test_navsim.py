@@ -1,7 +1,5 @@
 """NAVSIM's scores: equal to the original's own values; laws; the human's trajectory; the versions."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from pathlib import Path

@@ -1,7 +1,5 @@
 """NAVSIM's two stages: laws of the weights, and a table whose sums are done by hand."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Traffic: the log where nobody disturbs it, nobody drives through the ego, and encounters by the ego's position."""
 
-from __future__ import annotations
-
 import tracemalloc
 from collections.abc import Callable
 from dataclasses import replace

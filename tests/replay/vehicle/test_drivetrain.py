@@ -1,7 +1,5 @@
 """Drive trains: the inverse, gears, overrun, dead time, load."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

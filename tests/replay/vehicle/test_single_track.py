@@ -1,7 +1,5 @@
 """The dynamic single-track model: laws, analytic cornering, limits, standstill, agreement with CommonRoad's models."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from math import atan2, cos, hypot, sin, sqrt, tan
 from typing import Any

@@ -1,7 +1,5 @@
 """Tyres: symmetry, the friction circle, initial slope, peak, load; slip and friction of motions that are known."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from math import atan, hypot, radians, tan
 

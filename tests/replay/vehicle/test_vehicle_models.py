@@ -1,7 +1,5 @@
 """Vehicles: laws of motion first, then limits and standstill."""
 
-from __future__ import annotations
-
 from math import atan, cos, hypot, pi, sin, tan
 
 import numpy as np

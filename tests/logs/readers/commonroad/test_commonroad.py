@@ -1,7 +1,5 @@
 """CommonRoad XML -> Scenario: laws on written snippets, examples of every shape, errors, and the recorded files."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from math import cos, pi, sin
 from pathlib import Path

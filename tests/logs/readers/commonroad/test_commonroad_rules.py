@@ -1,7 +1,5 @@
 """CommonRoad traffic rules: lights against independent arithmetic, who goes first, stop lines, recorded files."""
 
-from __future__ import annotations
-
 from math import cos, pi, sin
 from pathlib import Path
 

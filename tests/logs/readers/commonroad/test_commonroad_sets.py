@@ -1,7 +1,5 @@
 """Occupancy sets: boxes that cover them from outside, closely, and stand as long as their set does."""
 
-from __future__ import annotations
-
 from math import pi
 from pathlib import Path
 

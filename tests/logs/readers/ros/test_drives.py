@@ -1,7 +1,5 @@
 """Bags with several drives (a clock restarts), with journals beside them, and with poses of a sensor's frame."""
 
-from __future__ import annotations
-
 import sqlite3
 from math import pi
 from pathlib import Path

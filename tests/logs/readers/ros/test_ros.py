@@ -1,7 +1,5 @@
 """Bags of ROS 2 and ROS 1: what rosbags wrote comes back as it was driven; whatever the bytes, a log or a LogError."""
 
-from __future__ import annotations
-
 import shutil
 import sqlite3
 import struct

@@ -1,7 +1,5 @@
 """Path DP: it is brute force, mirrored where the world is, smooth, and its ties go to the passing side."""
 
-from __future__ import annotations
-
 from itertools import product
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Path QP: it keeps its bounds at the least cost, leaves a closed corridor as little as it must, and can be steered."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings

@@ -1,7 +1,5 @@
 """Path stage: the room and who stands in it, the side that is taken, and the corridor that the path keeps."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Speed caps: the limit is their minimum, what is said is what is driven, and a new case is one producer."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from math import inf
 

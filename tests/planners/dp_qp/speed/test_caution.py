@@ -1,7 +1,5 @@
 """Speed beside hidden ground, and beside who came to the path and stands: who steps out is avoided."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from math import pi

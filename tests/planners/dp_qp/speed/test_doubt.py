@@ -1,7 +1,5 @@
 """How far the speed stage believes a row, and what it does for one that it doubts."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

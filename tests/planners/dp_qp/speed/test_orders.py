@@ -1,7 +1,5 @@
 """What a decision to yield or to go first says: by how much it stays clear, and what both orders cost."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Speed DP: the map is its definition, dynamic programming = brute force."""
 
-from __future__ import annotations
-
 from itertools import pairwise, product
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Speed QP: it keeps its bounds at the least cost, and reports what it cannot keep."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings

@@ -1,7 +1,5 @@
 """Recordings: laws of text, fills and axes; then what is in the file, read back; then that the viewer shows it."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What a recording tells: the others as the planner was shown them, lanes, why, the road; two drives in one."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

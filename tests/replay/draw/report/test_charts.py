@@ -1,7 +1,5 @@
 """Charts: lines drawn as near as said and no nearer, axes with numbers, moments and violations that the tables have."""
 
-from __future__ import annotations
-
 import re
 import xml.etree.ElementTree as ET
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The HTML report: one file that asks for nothing, whatever logs are called; every drive is in it."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from html.parser import HTMLParser

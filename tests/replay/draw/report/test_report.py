@@ -1,7 +1,5 @@
 """Reports as files: JUnit XML against its schema and an independent parser, Markdown through a Markdown parser."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from collections import Counter

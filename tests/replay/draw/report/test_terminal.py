@@ -1,7 +1,5 @@
 """What a log calls itself reaches no terminal raw, and what a terminal's encoding lacks is no traceback."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -205,8 +205,7 @@ def salvage(
 ) -> None:
     """Keep every intact chunk of a damaged MCAP file, and name what was lost."""
     with handle_errors():
-        from logs.mcap.records import is_salvaged
-        from logs.mcap.records import salvage as save
+        from logs.mcap.records import is_salvaged, salvage as save
         from replay.run.claim import claimed_file
 
         if not damaged.is_file():
@@ -240,8 +239,7 @@ def commonroad_solution(
       replan export commonroad-solution results/us101 -o solutions
     """
     with handle_errors():
-        from replay.cli.export import COSTS, solutions
-        from replay.cli.export import commonroad_solution as solution
+        from replay.cli.export import COSTS, commonroad_solution as solution, solutions
         from replay.results.tables import write_text
         from replay.run.claim import claimed_files
 

@@ -3,8 +3,7 @@
 import msgspec
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from mcap_cases import differences, rich_scenario
 
 from logs import Goal, Road, StopLine, Trajectory

@@ -5,8 +5,7 @@ from dataclasses import replace
 import handmade
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from logs import AgentKind, LogError, Road, Scenario, Trajectory
 from logs.arrays import FloatArray

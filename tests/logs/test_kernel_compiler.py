@@ -9,8 +9,7 @@ from typing import Any, cast
 import numba
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from numba.core.compiler import Flags
 
 from logs.kernel import inner_kernel, kernel

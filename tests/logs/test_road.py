@@ -3,8 +3,7 @@ from math import pi
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from logs import Goal, Lane, ReferenceLine, Road, RoadSource, wrap
 from logs.road import inside, thinned

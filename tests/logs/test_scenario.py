@@ -3,8 +3,7 @@ from math import pi
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from logs import AgentKind, Agents, Road, Scenario, Tracks, Trajectory
 from logs.agents import NUMBERS, OLDEST_S

@@ -2,8 +2,7 @@ from math import pi
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from logs import Controls, Trajectory, wrap
 from logs.states import TRAJECTORY_COLUMNS, wrapped

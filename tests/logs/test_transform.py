@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 from drives import drive
 from handmade import track, tracks
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from mcap_cases import repaired_scenario
 
 from logs import Colour, Controls, Crosswalk, Goal, Lane, Road, Scenario, StopLine, Tracks, TrafficLight, Trajectory

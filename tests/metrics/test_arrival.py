@@ -8,8 +8,7 @@ import pandas as pd
 import pytest
 from drives import along, drive, grid, scenario
 from handmade import square
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from worlds import strip
 
 from logs import EndReason, Goal, Road, Scenario, Trajectory

@@ -7,8 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from gate_rows import row, table
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from logs import ConfigError
 from metrics.comparison import (

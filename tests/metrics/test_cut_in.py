@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from drives import changing, drive, grid, moved, moved_ego, scenario, straight_road
-from hypothesis import assume, given, settings
-from hypothesis import strategies as st
+from hypothesis import assume, given, settings, strategies as st
 
 from logs import AgentKind, RoadSource, Scenario, Trajectory
 from metrics import METRICS

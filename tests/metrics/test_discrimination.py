@@ -5,8 +5,7 @@ import pandas as pd
 import pytest
 from drives import along, grid, moving, scenario, straight_road
 from gate_rows import row, table
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from logs import AgentKind, RoadSource
 from metrics.judge import judge, worst

@@ -4,8 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from drives import along, controls, drive, grid, plans, scenario
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from logs import Mode, Plan, PlannedFrame, PlanStatus, SolverReport
 from metrics import evaluate

@@ -6,8 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from drives import CAR, EGO, NOSE, Agent, along, car, drive, grid, moving, scenario, world
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from logs import AgentKind, Scenario, Tracks
 from logs.shapes import distance

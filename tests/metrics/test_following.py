@@ -6,8 +6,7 @@ from math import pi
 import numpy as np
 import pytest
 from drives import CAR, EGO, NOSE, Agent, along, drive, grid, moved, moving, scenario
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from logs import AgentKind, Scenario, Trajectory
 from metrics import GROUPS, evaluate, series

@@ -6,8 +6,7 @@ import pandas as pd
 import pytest
 from drives import along, drive, grid, scenario
 from gate_rows import row, table
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from logs import ConfigError, LogError
 from metrics import METRICS, evaluate

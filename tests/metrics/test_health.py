@@ -8,8 +8,7 @@ import handmade
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from logs import Road, Scenario
 from logs.agents import AgentKind

@@ -4,8 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from drives import along, changing, drive, grid, moved, moved_ego, moving, scenario, straight_road
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from logs import AgentKind, Lane, Road, Scenario, Trajectory
 from metrics import METRICS, evaluate

@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from drives import along, drive, grid, moving, plans, scenario, straight_road
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from typer.testing import CliRunner
 
 from logs import AgentKind, ConfigError, EndReason, Goal, Mode, RoadSource, Scenario, Trace

@@ -8,8 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from drives import along, grid, moved, moved_ego, moving, scenario, straight_road
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from logs import AgentKind, EndReason, Mode, Scenario, Trace, Trajectory
 from logs.catalogue import scenario as catalogue

@@ -4,8 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from drives import along, drive, grid, moved, moved_ego, scenario, straight_road
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from logs import EndReason, Goal, Lane, RoadSource, Scenario, TrackingErrors, Trajectory
 from logs.references import References

@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from handmade import drive, lanes_along, scenario, straight, track, tracks
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from logs import AgentKind, EndReason, Mode, Scenario, Trace
 from logs.arrays import FloatArray

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from drives import CAR, EGO, NOSE, along, car, changing, drive, grid, moved, moved_ego, scenario, straight_road
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from logs import AgentKind, Scenario, Trajectory
 from metrics import METRICS, evaluate

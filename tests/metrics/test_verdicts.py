@@ -10,8 +10,7 @@ import pandas as pd
 import pytest
 from drives import along, drive, grid, moving, scenario
 from gate_rows import row, table
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from logs import AgentKind
 from logs.errors import ConfigError

@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from worlds import CAR, Drive, Other, along_x, beside, decided, driving, followed, frame, gaps, lanes, standing, strip
 
 from logs import DecisionKind, EgoState, Goal, PlannerContext, PlanStart, Road, StGraph

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from handmade import drive, s_curve, scenario, square, straight, track, tracks
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 import logs.catalogue
 from logs import AgentKind, EgoState, Frame, Goal, Plan, PlannerContext, PlannerError, Scenario

@@ -7,8 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from handmade import drive, lanes_along, scenario, straight, track, tracks
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from logs import Scenario
 from logs.mcap import write_scenario

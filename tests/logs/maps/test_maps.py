@@ -6,8 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
-from hypothesis import strategies as st
+from hypothesis import assume, given, settings, strategies as st
 from lanelet2_cases import MapWriter, crossroads, driven_along
 
 from logs import LogError, Road, Scenario

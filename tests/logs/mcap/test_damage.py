@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 from mcap_cases import RECORD, STATE, TABLE, differences, ego_states, rich_scenario, write_by_hand
 
 from logs import Colour, LogError, RoadSource

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 import zstandard
 from handmade import drive, lanes_along, scenario, straight, track, tracks
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer

@@ -5,8 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from any_bytes import goes_round, read_or_refused, spoiled
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 from recorded_cases import write_av2, write_forecasting
 
 from logs import AgentKind, LogError, RoadSource

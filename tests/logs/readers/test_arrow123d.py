@@ -10,8 +10,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from any_bytes import goes_round, read_or_refused, spoiled
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 from mcap_cases import differences
 from recorded_cases import START_US, lane, packed, street, turn, wkb, write_123d, write_ipc, write_map
 

@@ -5,8 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from any_bytes import CHANGES, changed, read_or_refused
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 
 from logs import LogError
 from logs.readers import read_log, reader_of

@@ -10,8 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from any_bytes import CHANGES, changed, read_or_refused
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 from mcap_cases import differences
 
 import replan

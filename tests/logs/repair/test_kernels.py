@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from crowd import street, street_ego
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from logs import AgentKind
 from logs.agents import codes_of

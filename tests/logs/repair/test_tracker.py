@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from crowd import street, street_ego
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from track_score import near_ego, reported, score, tracked_points, true_points
 
 from logs import Agents, Scenario

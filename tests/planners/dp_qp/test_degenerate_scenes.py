@@ -4,8 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
-from hypothesis import strategies as st
+from hypothesis import assume, given, settings, strategies as st
 from worlds import CAR, Other, along_x, curve, driving, followed, frame, gaps, lanes, planner, standing, strip
 
 from logs import Decision, DecisionKind, EgoState, Frame, Plan, PlanStatus, Road

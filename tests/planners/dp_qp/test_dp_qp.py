@@ -5,8 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from worlds import CAR, PERIOD, Other, along_x, decided, driving, followed, frame, gaps, lanes, planner, standing
 
 from logs import (

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from handmade import track, tracks
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from worlds import CAR, along_x, lanes, reference
 
 from logs import EgoState, Goal, Road, Scenario, Tracks, Trajectory

@@ -6,8 +6,7 @@ from dataclasses import fields, is_dataclass, replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from worlds import CAR, PERIOD, Drive, Other, along_x, driving, followed, frame, lanes, planner, standing, two_way
 
 from logs import AgentKind, EgoState, PlannerContext, PlanStatus, SolverReport, StGraph

@@ -6,8 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 from handmade import track, tracks
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from worlds import CAR, Other, along_x, driving, lanes, limit_of, reference, scene, two_way, view
 
 from logs import AgentKind, Colour, EgoState, Road, Scenario, StopLine, TrafficLight, Trajectory

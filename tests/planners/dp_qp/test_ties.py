@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from drives import along, grid, moving, scenario
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from worlds import PERIOD, along_x, lanes, strip
 
 from logs import AgentKind, EgoState, Frame, Goal, Plan, PlannerContext, Road, Scenario

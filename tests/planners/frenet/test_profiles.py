@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
-from hypothesis import strategies as st
+from hypothesis import assume, given, strategies as st
 
 from logs.arrays import FloatArray
 from planners.frenet.profiles import STEP_S, braking, cruising, limit_profile

@@ -7,8 +7,7 @@ from functools import cache
 import handmade
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from worlds import CAR, PERIOD, Other, agents, along_x, driving, standing, strip
 
 from logs import (

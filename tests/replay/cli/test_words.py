@@ -12,8 +12,7 @@ from typing import Any
 
 import pytest
 from command_line import evaluate, one_error, replan
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from logs.catalogue import FAMILIES, SUITES
 from logs.kernel_watch import is_cache_cold

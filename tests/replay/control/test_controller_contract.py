@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from handmade import drive, s_curve
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from worlds import controlled
 
 from logs import Command, EgoState, Plan, Trajectory, VehicleParameters

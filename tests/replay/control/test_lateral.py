@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from handmade import drive
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from scipy.linalg import solve_discrete_are
 from worlds import controlled
 

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 from handmade import drive, s_curve, straight
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from scipy import sparse
 
 from logs import Command, ConfigError, EgoState, Plan, Trajectory, VehicleParameters

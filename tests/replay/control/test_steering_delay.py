@@ -6,8 +6,7 @@ from math import sin
 import numpy as np
 import pytest
 from handmade import drive, s_curve
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from logs import EgoState, Plan, VehicleParameters
 from replay.control.estimation import LONGEST_S, SteeringDelay, lateral_deviation

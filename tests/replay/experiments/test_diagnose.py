@@ -10,8 +10,7 @@ from typing import Any
 
 import pandas as pd
 import pytest
-from command_line import gates as write_gates
-from command_line import one_error, replan
+from command_line import gates as write_gates, one_error, replan
 from short_logs import free_and_blocked
 
 from logs.mcap import write_scenario

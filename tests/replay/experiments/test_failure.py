@@ -6,8 +6,7 @@ from math import inf, nan
 import numpy as np
 import pytest
 from drives import drive, moved, moved_ego, scenario
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from logs import AgentKind, Trajectory
 from logs.frame import Predictions

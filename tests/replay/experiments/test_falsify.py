@@ -8,11 +8,9 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from command_line import gates as write_gates
-from command_line import one_error, replan
+from command_line import gates as write_gates, one_error, replan
 from handmade import track, tracks
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from short_logs import past_parked
 
 from logs import Scenario

@@ -5,8 +5,7 @@ from math import inf, isnan
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from logs.arrays import FloatArray
 from replay.experiments.mildest import Mildest, Point, ScoredPoint, norm, search

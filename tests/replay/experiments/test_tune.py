@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from command_line import gates as write_gates
-from command_line import one_error, replan
+from command_line import gates as write_gates, one_error, replan
 from handmade import drive, lanes_along, scenario, square, straight
 
 from logs import Goal

@@ -7,11 +7,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from command_line import gates as write_gates
-from command_line import replan
+from command_line import gates as write_gates, replan
 from handmade import track, tracks
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from short_logs import past_parked
 
 from logs import AgentKind, ConfigError, Scenario

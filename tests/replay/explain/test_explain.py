@@ -17,8 +17,7 @@ from logs.errors import LogError, PlannerError
 from logs.mcap import write_scenario
 from planners.piecewise_jerk.solvers import solve
 from replay.config import RunConfig
-from replay.draw.drawn_results import Results
-from replay.draw.drawn_results import load as results_of
+from replay.draw.drawn_results import Results, load as results_of
 from replay.explain import accounts
 from replay.explain.causes import Cause, CauseKind
 from replay.explain.explanation import MOST_PHASES, changes, explained, lines_of, summary

@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import sample_drive
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from logs.catalogue import scenario
 from logs.frame import Predictions

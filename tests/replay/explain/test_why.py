@@ -8,8 +8,7 @@ from math import inf, isfinite, nan
 import numpy as np
 import pytest
 from handmade import drive, lanes_along, scenario, square, straight, track, tracks
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from logs import Decision, DecisionKind, Frame, Goal, Plan, PlannerContext, Scenario, Trajectory
 from logs.arrays import FloatArray

@@ -9,8 +9,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 from handmade import drive, lanes_along, s_curve, scenario, square, straight, track, tracks
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from logs import (
     AgentKind,

@@ -6,8 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from handmade import drive, scenario, straight, track, tracks
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from logs import AgentKind, Agents, ConfigError, Frame, LogError, Scenario, Tracks, VehicleParameters
 from logs.arrays import FloatArray

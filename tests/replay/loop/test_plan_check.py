@@ -4,8 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from drives import along, grid, scenario
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from logs import EgoState, Frame, Plan, PlanStart, PlanStatus, Trajectory
 from logs.catalogue import CATALOGUE

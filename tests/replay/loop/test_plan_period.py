@@ -6,8 +6,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from handmade import drive, s_curve, scenario
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from logs import ConfigError, Plan, VehicleParameters
 from logs.vehicle import vehicle_parameters

@@ -4,8 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 from handmade import drive, lanes_along, scenario, square, straight, track, tracks
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from logs import EndReason
 from logs.road import Goal

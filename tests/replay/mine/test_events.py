@@ -7,8 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from drives import Agent, along, changing, grid, moved, moving, scenario, straight_road
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from logs import AgentKind, Colour, Crosswalk, Lane, Road, Scenario, StopLine, TrafficLight
 from logs.catalogue import scenario as synthesised

@@ -11,8 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from command_line import one_error, replan
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from logs.catalogue import scenario
 from logs.errors import ConfigError

@@ -8,8 +8,7 @@ from textwrap import dedent
 
 import pytest
 from command_line import replan
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from short_logs import short
 
 from logs import ConfigError, EndReason

@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from handmade import track, tracks
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from worlds import curve, lanes
 
 from logs import AgentKind, Agents, Lane, Predictions, Road, wrap

@@ -12,8 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 from command_line import one_error, replan
 from edited import edit
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from short_logs import write_free_and_blocked
 
 from logs.errors import ConfigError

@@ -10,8 +10,7 @@ import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from short_logs import QUICK, identical, run, short
 
 from logs import ConfigError, PlannerError

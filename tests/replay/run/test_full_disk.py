@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 from command_line import replan
 from full_disk import room
-from hypothesis import Phase, given, settings
-from hypothesis import strategies as st
+from hypothesis import Phase, given, settings, strategies as st
 from short_logs import QUICK, identical, run
 
 from logs.errors import OutputError

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 from command_line import gates, one_error, replan
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from short_logs import QUICK, short
 
 from logs import ConfigError

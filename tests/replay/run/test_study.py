@@ -6,8 +6,7 @@ import pytest
 
 from logs import ConfigError
 from replay.experiments.tune import CONTENTS
-from replay.run.claim import STUDY as FILE
-from replay.run.claim import claimed_folder
+from replay.run.claim import STUDY as FILE, claimed_folder
 from replay.run.study import Study
 
 HEAD = {"study": "tune", "seed": 0}

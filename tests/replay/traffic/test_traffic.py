@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from drives import moved as moved_world
 from handmade import drive, scenario, straight, track, tracks
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from worlds import along_x, lanes, strip
 
 from logs import AgentKind, Colour, EgoState, LogError, Road, Scenario, StopLine, Tracks, TrafficLight

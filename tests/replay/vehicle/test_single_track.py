@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
-from hypothesis import strategies as st
+from hypothesis import assume, given, strategies as st
 
 from logs import Command, ConfigError, EgoState, VehicleParameters
 from logs.vehicle import vehicle_names, vehicle_parameters

@@ -6,8 +6,7 @@ from math import atan, hypot, radians, tan
 import numpy as np
 import pytest
 from handmade import drive
-from hypothesis import example, given
-from hypothesis import strategies as st
+from hypothesis import example, given, strategies as st
 
 from logs import Controls, VehicleParameters
 from logs.vehicle import vehicle_parameters

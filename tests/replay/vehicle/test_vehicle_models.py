@@ -4,8 +4,7 @@ from math import atan, cos, hypot, pi, sin, tan
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from logs import Command, ConfigError, EgoState, VehicleParameters
 from replay.parts import VEHICLE

@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commonroad_files import RECTANGLE, driving, exact, lanelet, points, problem, state, straight, vehicle, written
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 
 from logs import AgentKind, LogError, RoadSource, Scenario
 from logs.readers import read_log

@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commonroad_files import lanelet, points, problem, state, straight, written
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 
 from logs import Colour, LogError, Scenario, StopLine
 from logs.readers.commonroad import read_commonroad

@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commonroad_files import RECTANGLE, points, problem, state, straight, written
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from logs import AgentKind
 from logs.readers.commonroad import read_commonroad

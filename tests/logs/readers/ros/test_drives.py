@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import ros_bags as bags
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from ros_bags import SPEED, START_NS, Row, ego_pose, header, message, pose, seconds, stamp
 
 from logs import LogError, Scenario

@@ -4,8 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
-from hypothesis import strategies as st
+from hypothesis import assume, given, settings, strategies as st
 from worlds import CAR, PERIOD, Other, along_x, curve, driving, lanes, reference, scene, standing
 
 from logs import Decision, DecisionKind, EgoState, PlannerContext, SlGraph

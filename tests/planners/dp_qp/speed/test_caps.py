@@ -5,8 +5,7 @@ from math import inf
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from worlds import CAR, Other, along_x, followed, lanes, path_of, reference, scene, view
 
 from logs import AgentKind, Decision, DecisionKind, EgoState, Visibility

@@ -7,8 +7,7 @@ from types import MappingProxyType
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from worlds import CAR, Other, agents, along_x, limit_of, path_of, reference, scene, view
 
 from logs import AgentKind, Decision, EgoState, Visibility

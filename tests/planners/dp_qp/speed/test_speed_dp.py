@@ -4,8 +4,7 @@ from itertools import pairwise, product
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from logs.arrays import FloatArray, IntArray
 from planners.dp_qp.speed.dp import COLLISION, DS_M, SpeedDpWeights, cost_map, speed_dp

@@ -9,8 +9,7 @@ import pandas as pd
 import pyarrow as pa
 import pytest
 import rerun as rr
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from recordings import Recording
 from sample_drive import BLOCKED, LINE, drive, scenario, to_world
 

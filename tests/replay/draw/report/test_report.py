@@ -12,8 +12,7 @@ import pandas as pd
 import pytest
 import xmlschema
 from handmade import drive, lanes_along, scenario, straight, track, tracks
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from junitparser import Error, Failure, JUnitXml, Skipped, TestSuite
 from markdown_it import MarkdownIt
 from short_logs import free_and_blocked

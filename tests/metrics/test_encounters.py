@@ -34,13 +34,6 @@ def first(log: Scenario, name: str) -> float:
 # time to contact at constant acceleration -------------------------------------------------------------------------
 
 
-def touch(gap: float, v: float, a: float, u: float, b: float) -> float:
-    """Two boxes 4 m long in a row, `gap` between them."""
-    return time_to_contact_accelerated(
-        MovingBox(0.0, 0.0, 0.0, 4.0, 2.0, v, 0.0, a), MovingBox(4.0 + gap, 0.0, 0.0, 4.0, 2.0, u, 0.0, b), 10.0
-    )
-
-
 @settings(max_examples=60)
 @given(st.integers(0, 10_000))
 def test_accelerated_contact_is_the_first_touch(seed: int) -> None:

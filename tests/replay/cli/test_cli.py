@@ -3,14 +3,11 @@
 import re
 import subprocess
 from collections.abc import Callable
-from dataclasses import replace
-from io import StringIO
 from pathlib import Path
 from typing import Any
 
 import pytest
 from command_line import evaluate, gates, one_error, replan
-from rich.console import Console
 from typer.main import get_command
 
 from logs.errors import ConfigError
@@ -18,9 +15,8 @@ from logs.mcap import read_scenario
 from replay.cli import app
 from replay.cli.one_drive import matching_drives
 from replay.config import RunConfig
-from replay.draw.drawn_results import Results, load
+from replay.draw.drawn_results import load
 from replay.draw.report.overview import overview
-from replay.draw.report.terminal import print_report
 from replay.draw.view import recordings
 from replay.run import evaluate_logs
 
@@ -397,11 +393,3 @@ def test_view_refuses_what_holds_no_recording(folder: Path, tmp_path: Path) -> N
     for number in range(20):
         (tmp_path / f"{number}.rrd").write_bytes(b"")
     assert "too many" in one_error(replan("view", tmp_path))
-
-
-def report(result: Results, width: int, **changes: Any) -> str:
-    """The report of a run, with other logs in its summary."""
-    written, results = StringIO(), load(result.path)
-    results = replace(results, summary={**results.summary, **changes})
-    print_report(overview(results), Console(width=width, file=written), result.path)
-    return written.getvalue()

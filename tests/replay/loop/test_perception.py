@@ -8,7 +8,7 @@ import pytest
 from handmade import drive, scenario, straight, track, tracks
 from hypothesis import given, settings, strategies as st
 
-from logs import AgentKind, Agents, ConfigError, Frame, LogError, Scenario, Tracks, VehicleParameters
+from logs import AgentKind, Agents, ConfigError, Frame, LogError, Scenario, Tracks
 from logs.arrays import FloatArray
 from logs.repair.detections import Detections, Repair
 from logs.repair.identities import named_as_tracked
@@ -27,7 +27,6 @@ IDEAL = SensorConfig(
     range_m=1e5, occlusion=False, position_noise_m=0.0, yaw_noise_deg=0.0, velocity_noise_mps=0.0, latency_s=0.0,
     dropout=0.0, coast_s=0.0,
 )  # fmt: skip
-CAR = VehicleParameters()
 
 
 def made(*agents: dict[str, object], seconds: float = 6.0) -> Scenario:

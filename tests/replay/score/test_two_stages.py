@@ -19,7 +19,6 @@ from replay.score.score_table import navsim_table
 from replay.score.trajectories import Asked, of_table
 from replay.score.two_stages import COMBINED, STAGE_ONE, STAGE_TWO, weights
 
-Place = tuple[float, float]
 PLACES = st.lists(st.tuples(*[st.floats(-3.0, 3.0)] * 2), min_size=1, max_size=6)
 
 

@@ -89,9 +89,7 @@ def test_sockets_and_devices_are_refused_and_files_and_folders_are_not(tmp_path:
     ids=["lists", "tables", "dotted", "planner", "large"],
 )
 @pytest.mark.parametrize("option", ["--config", "--gates"])
-def test_a_table_that_is_nested_without_end_or_too_large_costs_one_line(
-    tmp_path: Path, text: str, what: str, option: str
-) -> None:
+def test_a_table_that_is_nested_or_too_large_costs_one_line(tmp_path: Path, text: str, what: str, option: str) -> None:
     file = tmp_path / "deep.toml"
     file.write_text(text)
     done = CliRunner(env={"COLUMNS": "500"}).invoke(app, ["evaluate", option, str(file), "-o", str(tmp_path / "out")])

@@ -159,9 +159,7 @@ def velocities(made: Tracks) -> FloatArray:
 @given(
     st.integers(0, 99), st.floats(-3.2, 3.2), st.floats(-1e4, 1e4), st.floats(-1e3, 1e3), st.sampled_from([-1.0, 1.0])
 )
-def test_turned_moved_mirrored_and_later_it_is_the_same(
-    seed: int, angle: float, offset: float, later: float, mirror: float
-) -> None:
+def test_moved_mirrored_and_later_alike(seed: int, angle: float, offset: float, later: float, mirror: float) -> None:
     made = wavy(seed)
     turn = np.array([[cos(angle), -sin(angle)], [sin(angle), cos(angle)]]) @ np.diag([1.0, mirror])
     (x, y), (vx, vy) = turn @ np.stack([made.x, made.y]), turn @ np.stack([made.vx, made.vy])

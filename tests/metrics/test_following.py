@@ -167,9 +167,7 @@ def test_an_empty_path_is_no_value_and_no_time() -> None:
 
 @settings(max_examples=15)
 @given(st.integers(0, 40), st.floats(-3.1, 3.1), st.floats(-90, 90), st.floats(-90, 90), st.booleans())
-def test_turning_shifting_and_mirroring_the_world_changes_nothing(
-    seed: int, turn: float, dx: float, dy: float, mirror: bool
-) -> None:
+def test_a_moved_and_mirrored_world_changes_nothing(seed: int, turn: float, dx: float, dy: float, mirror: bool) -> None:
     log = crowd(seed)
     other = moved(log, turn, dx, dy, mirror=mirror)
     one, two = (series(drive(each), each, metrics=MINE) for each in (log, other))

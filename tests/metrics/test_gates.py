@@ -155,7 +155,7 @@ CONTACT = row("a", 1.0, metric="replay_contact.final", reason="car 7: from behin
         ([reference("driver", 0.5)], FAIL, "car 7"),
     ],
 )
-def test_a_broken_bound_that_is_no_evidence_is_inconclusive(
+def test_a_broken_bound_without_evidence_is_inconclusive(
     rows: list[dict[str, object]], outcome: Outcome, why: str
 ) -> None:
     found = verdict(AT_LEAST, table(row("a", 0.1), *rows))

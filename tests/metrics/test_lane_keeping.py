@@ -101,9 +101,7 @@ def test_lane_keeping_is_the_longest_stretch_beyond_half_a_metre(aside: float, s
 
 @settings(max_examples=20)
 @given(st.floats(-3.0, 3.0), st.floats(-50, 50), st.floats(-50, 50), st.booleans(), st.floats(-0.4, 0.4))
-def test_the_map_may_be_turned_shifted_and_mirrored(
-    turn: float, dx: float, dy: float, mirror: bool, yaw: float
-) -> None:
+def test_the_map_may_be_turned_moved_and_mirrored(turn: float, dx: float, dy: float, mirror: bool, yaw: float) -> None:
     t = grid(4.0, 0.05)
     ego = Trajectory(t, 8 * t, 1.7 + 1.6 * np.sin(t), np.full(len(t), yaw), 8 + 0 * t, 0 * t, 0 * t)
     one = judged(LOG, ego)["value"]

@@ -205,9 +205,7 @@ def crossing(v: float, at: float, speed: float, begins: float, *, sideways: bool
 
 @settings(max_examples=60)
 @given(st.floats(6.0, 16.0), st.floats(40.0, 80.0), st.floats(1.5, 6.0), st.floats(0.0, 4.0))
-def test_who_crosses_is_in_the_way_for_their_length_and_not_their_width(
-    v: float, at: float, speed: float, begins: float
-) -> None:
+def test_who_crosses_is_in_the_way_for_their_length_alone(v: float, at: float, speed: float, begins: float) -> None:
     """The same box on the same way gets the same verdict, whichever of its sides is called its length."""
     long, wide = (careful_driver(crossing(v, at, speed, begins, sideways=one), LINE) for one in (False, True))
     assert long.outcome is wide.outcome
@@ -336,9 +334,7 @@ def test_5_cm_of_noise_leave_verdicts_that_are_not_marginal(rate: float, driver:
         (None,) * 3,
     ],
 )
-def test_the_table_counts_all_three_outcomes(
-    outcome: Avoidability | None, applies: float | None, avoids: float | None
-) -> None:
+def test_the_table_counts_outcomes(outcome: Avoidability | None, applies: float | None, avoids: float | None) -> None:
     made = log(10.0)
     if outcome is not None:
         margin = {Avoidability.AVOIDABLE: 0.8, Avoidability.UNAVOIDABLE: -0.3}.get(outcome, 5.0)

@@ -36,9 +36,7 @@ def at_speed(v: np.ndarray) -> Trajectory:
 
 @settings(max_examples=15, deadline=None)
 @given(st.floats(-0.9, 0.9), st.floats(-3.0, 3.0), st.booleans())
-def test_an_offset_that_is_kept_is_that_offset_wherever_the_road_leads(
-    offset: float, turn: float, mirror: bool
-) -> None:
+def test_an_offset_that_is_kept_is_that_offset_on_any_road(offset: float, turn: float, mirror: bool) -> None:
     ego = beside(offset * np.clip(T / 3.0, 0.0, 1.0))
     world, ego = moved(LOG, turn, 50.0, -90.0, mirror=mirror), moved_ego(ego, turn, 50.0, -90.0, mirror=mirror)
     assert value("lane_offset.kept", ego, world) == pytest.approx(abs(offset), abs=1e-3)

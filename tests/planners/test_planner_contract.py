@@ -83,9 +83,7 @@ class Nosy:
 
 
 @pytest.mark.parametrize("name", [*PLANNER.oracles, "nosy"])
-def test_no_agent_sample_later_than_the_frame_can_change_an_oracles_plan(
-    name: str, all_scenes: dict[str, Scenario]
-) -> None:
+def test_no_later_sample_of_an_agent_changes_an_oracles_plan(name: str, all_scenes: dict[str, Scenario]) -> None:
     oracle: Any = PLANNER.builtin.get(name)
 
     def build(log: Scenario) -> Any:

@@ -32,9 +32,7 @@ def data(tmp_path: Path) -> Path:
     return tmp_path / "data"
 
 
-def test_no_recording_is_in_two_folds_and_windows_overlap(
-    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_recording_is_in_two_folds(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(roads, "SCENES", 0)
     found = tasks([data], tmp_path / "out")
     assert len({task.path for task in found if task.recording == "a"}) == 3, "from 0, 2 and 4 s on"

@@ -205,9 +205,7 @@ def test_a_log_of_ego_states_alone_is_a_scenario(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("v", "limit"), [(2.0, 20.0), (8.0, 35.0), (50.0 / 3.6, 55.0), (33.0, 135.0)])
 @pytest.mark.parametrize("standing", [0, 20])
-def test_the_limit_of_a_road_along_the_path_is_that_of_its_drive(
-    tmp_path: Path, v: float, limit: float, standing: int
-) -> None:
+def test_the_limit_of_a_driven_path_is_that_of_its_drive(tmp_path: Path, v: float, limit: float, standing: int) -> None:
     """10 % above the speed, up to the next 5 km/h; a stop and a moment of speeding do not count."""
     speeds = [v] * 30 + [0.0] * standing + [v] * 25 + [3.0 * v]
     x = [0.0, *itertools.accumulate(0.05 * (a + b) for a, b in itertools.pairwise(speeds))]

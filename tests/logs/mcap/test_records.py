@@ -67,9 +67,7 @@ def damaged(log: Path, tmp_path: Path, raw: bytes) -> Path:
 
 @given(st.lists(st.tuples(st.integers(0, 10**6), st.integers(1, 255)), min_size=1, max_size=6), st.integers(0, 400))
 @settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_whatever_the_damage_only_true_messages_are_kept(
-    log: Path, tmp_path: Path, flips: list[tuple[int, int]], cut: int
-) -> None:
+def test_only_true_messages_are_kept(log: Path, tmp_path: Path, flips: list[tuple[int, int]], cut: int) -> None:
     raw = bytearray(log.read_bytes())
     for place, bits in flips:
         raw[place % len(raw)] ^= bits

@@ -77,9 +77,7 @@ def test_frames_times_and_sizes_are_as_documented() -> None:
     st.permutations(range(len(T))),
 )
 @settings(max_examples=40, deadline=None)
-def test_other_names_units_and_orders_of_rows_give_the_same(
-    column: tuple[str, str], header: str, order: list[int]
-) -> None:
+def test_other_names_units_and_orders_are_the_same(column: tuple[str, str], header: str, order: list[int]) -> None:
     ours, unit = column
     theirs = "theirs" if header == "columns" else header.format(ours, unit)
     table = ego(yaw=0.1).iloc[order].rename(columns={ours: theirs})

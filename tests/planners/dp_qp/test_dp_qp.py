@@ -272,7 +272,7 @@ def test_an_agent_that_the_ego_cannot_pass_first_is_let_go() -> None:
     (12.0, 1.2, DecisionKind.OVERTAKE),  # nothing but full braking would stop before the walker
 ])  # fmt: skip
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_the_ego_goes_first_before_a_walker_only_with_time_to_spare(
+def test_the_ego_goes_first_with_time_to_spare_only(
     x: float, spare: float, expected: DecisionKind, side: float
 ) -> None:
     """`spare`: when the walker takes the ego's strip, s after the ego has left the place at its speed."""

@@ -83,7 +83,7 @@ def assert_same_columns(one: Scene, two: Scene, side: float) -> None:
 
 @given(ROWS, st.floats(-3.0, 3.0))
 @settings(max_examples=20)
-def test_a_turned_world_has_the_same_columns(
+def test_a_turned_world_has_these_columns(
     rows: list[tuple[float, float, float, float, AgentKind]], angle: float
 ) -> None:
     by = turned(angle)

@@ -193,7 +193,7 @@ OTHER = st.tuples(st.floats(8.0, 90.0), st.floats(-4.0, 4.0), st.floats(-3.0, 12
 
 @settings(max_examples=60)
 @given(st.lists(OTHER, max_size=6), st.floats(0.0, 13.0))
-def test_what_is_chosen_touches_no_one_and_keeps_every_bound(
+def test_what_is_chosen_touches_no_one_and_keeps_bounds(
     others: list[tuple[float, float, float, float]], v: float
 ) -> None:
     ego = EgoState(0.0, 0.0, 0.0, 0.0, v)

@@ -376,9 +376,7 @@ STANDS = waiter("p", 102.0, -6.6, yaw=0.5 * np.pi)
         (JUNCTION, 70.0, 8.0, [crossing(-40.0, 1.0, 100.0, 8.0)], Colour.OFF, False),  # turns off before
     ],
 )
-def test_what_is_demanded(
-    road: Road, front: float, v: float, others: list[Other], light: Colour, *, demanded: bool
-) -> None:
+def test_demands(road: Road, front: float, v: float, others: list[Other], light: Colour, *, demanded: bool) -> None:
     found = demands(road, at_front(front, v), others, {9: light, 2: light} if light is not Colour.OFF else {})
     assert bool(found) is demanded
     assert road is not MINE or [stop.agent for stop in found] == ["stop line 7"]

@@ -157,9 +157,7 @@ def test_kernels_that_are_compiled_meanwhile_are_counted(monkeypatch: pytest.Mon
     assert "4 of 20" in words() and "4 of 20" in words() and words() == "0 of 9 logs"
 
 
-def test_progress_is_said_on_stderr_as_lines(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_progress_is_lines_on_stderr(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     from replay.run.sources import LogSource, Selection
 
     clock = iter(range(0, 1000, 10))

@@ -135,9 +135,7 @@ def test_where_the_plan_goes_on_nothing_is_eased() -> None:
 @pytest.mark.parametrize("controller", ["dlqr_pid", "mpc"])
 @pytest.mark.parametrize("soft", [True, False])
 @pytest.mark.parametrize(("v", "decel", "jerk"), [(13.9, 7.5, 15.0), (8.0, 7.5, 15.0), (12.0, 3.0, 3.0)])
-def test_a_hard_stop_is_no_harder_than_planned(
-    controller: str, v: float, decel: float, jerk: float, *, soft: bool
-) -> None:
+def test_a_hard_stop_is_as_hard_as_planned(controller: str, v: float, decel: float, jerk: float, *, soft: bool) -> None:
     """Peak deceleration, jerk as the metric has it, and where it stands; a stop planned without release is released."""
     plan = braked(v, decel, jerk, soft=soft)
     seen = follow(Manoeuvre("stop", plan), controller, "single_track", CAR).columns

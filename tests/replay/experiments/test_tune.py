@@ -112,9 +112,7 @@ def test_pure_noise_fails(folder: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_space_of_which_no_point_is_accepted_is_one_line_and_its_trials_are_kept(
-    folder: Path, tmp_path: Path
-) -> None:
+def test_a_space_of_refused_points_is_one_line_and_its_trials_are_kept(folder: Path, tmp_path: Path) -> None:
     """Both ends are multiples of the control period, and what lies between them is none."""
     (tmp_path / "space.toml").write_text("loop.plan_period_s = { low = 0.2, high = 0.4 }", encoding="utf-8")
     asked = ("--space", tmp_path / "space.toml", "--objective", "wish.mean", "--trials", 3)
@@ -125,9 +123,7 @@ def test_a_space_of_which_no_point_is_accepted_is_one_line_and_its_trials_are_ke
     assert len((tmp_path / "out" / FILE).read_text(encoding="utf-8").splitlines()) == 4
 
 
-def test_without_optuna_or_cmaes_one_line_says_how_to_install_them(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_optuna_or_cmaes_one_line_helps(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "optuna", None)
     monkeypatch.setitem(sys.modules, "cmaes", None)
     falsify = ("falsify", "paper/crossing_pedestrian", "-p", "idm", "-o", tmp_path / "out")

@@ -172,7 +172,7 @@ def test_what_is_no_dump_is_a_clean_error(content: bytes, tmp_path: Path) -> Non
         load(tmp_path / "frame.msgpack")
 
 
-def test_another_planner_that_raises_is_an_error_with_its_place(
+def test_another_planner_that_raises_is_named(
     results: Results, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     text = "class Raises:\n    def __init__(self, _):\n        pass\n\n    def plan(self, _):\n"

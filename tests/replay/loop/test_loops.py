@@ -424,9 +424,7 @@ class Silent(ConstantSpeed):
         (Silent, "without a reason", 0),
     ],
 )
-def test_a_planner_that_fails_ends_the_drive_with_one_line(
-    plugin: ModuleType, run: Run, broken: type, said: str, frames: int
-) -> None:
+def test_a_planner_that_fails_ends_a_drive(plugin: ModuleType, run: Run, broken: type, said: str, frames: int) -> None:
     plugin.Broken = broken  # type: ignore[attr-defined]
     trace: Trace = run(lasting(drive(straight, 10.0, 3.0), 3.0), "plugin:Broken", config=TRUSTED).trace
     assert trace.end is EndReason.PLANNER_FAILURE

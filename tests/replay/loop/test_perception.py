@@ -81,9 +81,7 @@ GRID = [round(0.1 * k, 1) for k in range(31)]
 @pytest.mark.parametrize("prediction", PREDICTION.causal)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 30))
 @settings(max_examples=5)
-def test_no_sample_later_than_the_frame_is_seen_or_predicted(
-    perception: str, prediction: str, seed: int, k: int
-) -> None:
+def test_no_later_sample_is_seen_or_predicted(perception: str, prediction: str, seed: int, k: int) -> None:
     log, config = detected(crowd(seed)), LoopConfig(perception=perception, prediction=prediction)
     assert log.repair is not None
     known = log.repair.detections.between(-np.inf, GRID[k] + 1e-6)

@@ -192,9 +192,7 @@ NAMES_OF_LOGS = st.text(st.characters(codec="utf-8", exclude_categories=["Cs"]),
 
 
 @given(name=NAMES_OF_LOGS, folder=st.sampled_from(["a b", 'a"b', "a'b#", "ä\\b", "a\nb"]))
-def test_a_suite_names_the_logs_whatever_they_are_called(
-    tmp_path_factory: pytest.TempPathFactory, name: str, folder: str
-) -> None:
+def test_a_suite_names_logs_of_any_name(tmp_path_factory: pytest.TempPathFactory, name: str, folder: str) -> None:
     place = tmp_path_factory.mktemp("suite")
     log = place / folder / "log.mcap"
     log.parent.mkdir()
@@ -258,9 +256,7 @@ def test_what_would_begin_too_much_or_nothing_is_one_line(mined: Path, tmp_path:
     assert not list(tmp_path.iterdir())
 
 
-def test_a_mined_log_is_not_mined_again(
-    logs: Path, mined: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_log_is_not_mined_again(logs: Path, mined: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out = Path(shutil.copytree(mined, tmp_path / "out"))
     (out / EVENTS).unlink()
     lines = (out / "study.jsonl").read_text(encoding="utf-8").splitlines(keepends=True)

@@ -58,7 +58,7 @@ def test_the_braking_point_mass_is_the_integral_of_its_deceleration(v: float, li
 
 
 @given(v=speeds, limits=limits, u=st.floats(0.0, 10.0), more=st.floats(0.0, 5.0))
-def test_braking_goes_on_forwards_and_never_further_than_driving(
+def test_braking_goes_forwards_and_no_further_than_driving(
     v: float, limits: SpeedLimits, u: float, more: float
 ) -> None:
     assert 0.0 <= braked(u, v, limits) <= braked(u + more, v, limits) + 1e-9 <= v * (u + more) + 2e-9

@@ -120,7 +120,7 @@ LANES = LaneMap.of(crossing())
 @pytest.mark.parametrize("method", PREDICTION.causal)
 @given(st.integers(0, 2**32 - 1), st.floats(-3.0, 3.0), COORDINATE, COORDINATE, st.sampled_from([1.0, -1.0]))
 @settings(max_examples=15)
-def test_predictions_turn_move_and_mirror_with_the_world(
+def test_predictions_move_with_the_world(
     method: str, seed: int, turn: float, dx: float, dy: float, sign: float
 ) -> None:
     now = crowd(seed)

@@ -112,9 +112,7 @@ def begun(logs: Path, tmp_path: Path) -> Path:
     return out
 
 
-def test_only_what_is_missing_is_evaluated(
-    logs: Path, begun: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_missing_is_evaluated(logs: Path, begun: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     before = {path: path.stat().st_mtime_ns for path in begun.glob("*/*") if ".partial" not in str(path)}
     result = resumed(logs, begun, QUICK)
     assert result.resumed == 2

@@ -116,7 +116,7 @@ def test_merging_twice_and_after_resuming_gives_the_same(logs: Path, tmp_path: P
     ("which", "said"),
     [((0,), "shards are missing: 2/2"), ((0, 0, 1), "are both shard 1/2"), ((1,), "shards are missing: 1/2")],
 )
-def test_missing_and_overlapping_shards_are_refused(
+def test_not_one_of_each_shard_is_refused(
     two: Sequence[Path], tmp_path: Path, which: tuple[int, ...], said: str
 ) -> None:
     with pytest.raises(ConfigError, match=said):

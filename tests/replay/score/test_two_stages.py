@@ -23,9 +23,7 @@ PLACES = st.lists(st.tuples(*[st.floats(-3.0, 3.0)] * 2), min_size=1, max_size=6
 
 
 @given(PLACES, st.tuples(*[st.floats(-3.0, 3.0)] * 2), st.floats(-1e3, 1e3))
-def test_weights_are_of_the_distance_alone(
-    places: list[tuple[float, float]], end: tuple[float, float], by: float
-) -> None:
+def test_weights_are_of_distance_alone(places: list[tuple[float, float]], end: tuple[float, float], by: float) -> None:
     begins, last = np.array(places), np.array(end)
     found = weights(last, begins)
     assert found.sum() == pytest.approx(1.0)

@@ -35,9 +35,7 @@ def tyre(kind: str, **changes: float) -> Tyre:
 
 
 @given(st.sampled_from(LIMITED), SLIP, LOAD, st.floats(-3e4, 3e4), st.floats(0.1, 1.2), st.floats(0.0, 0.3))
-def test_the_friction_circle_is_never_left(
-    kind: str, slip: float, load: float, wanted: float, mu: float, sensitivity: float
-) -> None:
+def test_the_friction_circle(kind: str, slip: float, load: float, wanted: float, mu: float, sensitivity: float) -> None:
     axle = tyre(kind, tyre_friction=mu, tyre_load_sensitivity=sensitivity)
     fx, fy = axle_force(slip, load, wanted, axle)
     assert hypot(fx, fy) <= grip_and_peak(load, axle)[1] * (1.0 + 1e-12)

@@ -27,9 +27,7 @@ from logs.readers.commonroad.tracks import _prediction_error, ego_log, sized, tu
     length=st.floats(3.0, 15.0),
     v=st.floats(1.0, 30.0),
 )
-def test_a_straight_drive_becomes_itself(
-    tmp_path: Path, x: float, y: float, yaw: float, length: float, v: float
-) -> None:
+def test_a_straight_drive_is_itself(tmp_path: Path, x: float, y: float, yaw: float, length: float, v: float) -> None:
     """Box centre = origin + rear axle + axle_to_center along the heading, exactly; v constant, a = kappa = 0."""
     shape = f"<rectangle><length>{length!r}</length><width>2.0</width></rectangle>"
     rows = driving(x, y, v, yaw=yaw)
@@ -400,7 +398,7 @@ def test_ego_by_id_drives_to_where_its_log_ends(tmp_path: Path) -> None:
         ((straight(1), '<planningProblem id="5"/>'), {}, ["planningProblem 5", "<initialState> is missing"]),
     ],
 )
-def test_errors_name_file_element_and_remedy(
+def test_errors_name_elements(
     tmp_path: Path, parts: tuple[str, ...], options: dict[str, object], words: list[str]
 ) -> None:
     with pytest.raises(LogError) as caught:

@@ -99,9 +99,7 @@ def inner(k: int, *turned: int) -> set[int]:
     offset=st.integers(-500, 500),
     first=st.integers(0, 300),
 )
-def test_a_light_shows_what_its_cycle_says(
-    tmp_path: Path, cycle: list[tuple[str, int]], offset: int, first: int
-) -> None:
+def test_a_light_shows_its_cycle(tmp_path: Path, cycle: list[tuple[str, int]], offset: int, first: int) -> None:
     """Against the rule in the format's own words: the cycle is written out step by step, and begins at its offset."""
     written_out = [colour for colour, steps in cycle for _ in range(steps)]
     file = written(tmp_path, straight(1, inner=see(7)), light(7, cycle, offset), problem(5, 0.0, 0.0, 5.0, step=first))

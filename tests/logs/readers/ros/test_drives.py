@@ -256,7 +256,7 @@ IMU = (1.6, 0.4, pi / 2)
         ("base_link", [("base_link", "rear", turned(IMU))], "rear"),
     ],
 )
-def test_poses_of_a_sensor_are_moved_to_the_base(
+def test_poses_of_a_sensor_become_the_bases(
     child: str, edges: list[Any], base: str, twist: bool, tmp_path: Path
 ) -> None:
     for topic in ("/tf_static", "/tf"):

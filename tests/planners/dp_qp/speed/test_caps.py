@@ -39,9 +39,7 @@ def there(cap: SpeedCap) -> np.ndarray:
 
 
 @given(ROADS, CAPS)
-def test_the_limit_is_the_least_of_the_road_and_the_caps_that_hold_there(
-    values: list[float], caps: list[SpeedCap]
-) -> None:
+def test_the_limit_is_the_least_of_road_and_caps_there(values: list[float], caps: list[SpeedCap]) -> None:
     road = road_of(values)
     found = lower_limit(SIGMA, road, caps)
     least = np.min([road.v, *(np.where(there(cap), cap.v, inf) for cap in caps)], axis=0)

@@ -439,9 +439,7 @@ def test_values_that_are_not_finite_are_gaps_or_clipped(tmp_path: Path) -> None:
     assert recording.counts("/graphs/st/window/dp", "LineStrips2D:strips").tolist() == [0]
 
 
-def test_a_failed_writing_leaves_nothing_and_restores_the_library(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_failed_writing_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     done, world = drive()
     monkeypatch.setattr("replay.draw.recording.pages.draw_why", lambda *_: 1 / 0)
     before = rr.strict_mode()

@@ -151,9 +151,7 @@ def test_what_all_logs_say_together_is_a_test_of_its_own(results: Results) -> No
 
 
 @pytest.mark.slow
-def test_a_planner_that_crashes_on_a_log_is_an_error_and_counts_against(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_planner_that_crashes_is_an_error_and_counts_against(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(str(tmp_path))
     (tmp_path / "crashing.py").write_text(
         "from planners.constant_speed import ConstantSpeed\n\n\nclass Crashing(ConstantSpeed):\n"

@@ -72,9 +72,6 @@ def test_where_a_clash_remains_one_message_names_both_files_and_the_way_out(fold
     assert str(ROOT / "metrics" / "__init__.py") in last and str(folder / "metrics.py") in last
 
 
-# --- the page of names
-
-
 def test_every_public_name_is_there_and_on_the_page() -> None:
     on_the_page = [name for names in SECTIONS.values() for name in names.split()]
     assert sorted(on_the_page) == sorted(replan.__all__)

@@ -41,9 +41,6 @@ def ttc(others: Tracks) -> FloatArray:
     return TTC.measure(trace, made).value
 
 
-# --- noise and rate
-
-
 @pytest.mark.parametrize("rate", RATES)
 @pytest.mark.parametrize("closing", [0.0, 2.0, 5.0, 8.0])
 def test_noise_of_5_cm_changes_ttc_by_less_than_a_tenth_at_any_rate(rate: float, closing: float) -> None:
@@ -134,9 +131,6 @@ def test_logged_velocities_are_believed_where_positions_are_noisy_or_disagree() 
     made = tracks(track("a", t, 7.0 * t, np.zeros(len(t)), vx=5.0, vy=1.0))
     for found in (made.motion, noisy(made, 0.5, 1).motion):
         assert found.vx == pytest.approx(5.0, abs=1e-6) and found.vy == pytest.approx(1.0, abs=1e-6)
-
-
-# --- frame, clock, order
 
 
 def wavy(seed: int) -> Tracks:

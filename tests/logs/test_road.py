@@ -105,9 +105,6 @@ def test_lines_without_direction_are_refused(points: list) -> None:
         ReferenceLine.through(np.array(points, float))
 
 
-# thinning ---------------------------------------------------------------------------------------------------------
-
-
 @given(st.lists(st.tuples(st.floats(-9.0, 9.0), st.floats(-9.0, 9.0)), min_size=1, max_size=40), st.floats(0.1, 3.0))
 def test_thinned_keeps_the_ends_and_the_spacing(points: list[tuple[float, float]], spacing: float) -> None:
     out = thinned(np.array(points), spacing)
@@ -118,9 +115,6 @@ def test_thinned_keeps_the_ends_and_the_spacing(points: list[tuple[float, float]
         assert (out[-1] == points[-1]).all()
         assert (steps[:-1] >= 0.5 * spacing).all()
         assert steps[-1] > 0.0
-
-
-# roads ------------------------------------------------------------------------------------------------------------
 
 
 @given(st.integers(0, 20))
@@ -183,9 +177,6 @@ def test_bad_lanes_are_refused() -> None:
         Lane(1, np.zeros((3, 2)), np.zeros((2, 2)))
     with pytest.raises(ValueError, match="not finite"):
         Lane(1, np.array([[0, 0], [np.nan, 0]]), np.ones((2, 2)))
-
-
-# goals ------------------------------------------------------------------------------------------------------------
 
 
 @given(st.floats(-7.0, 7.0), st.floats(0.0, 6.2), st.floats(-0.2, 1.2), st.integers(-2, 2))

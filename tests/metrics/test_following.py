@@ -45,9 +45,6 @@ def at(log: Scenario, name: str, t: float) -> float:
     return float(rows["value"].iloc[0])
 
 
-# the lead ---------------------------------------------------------------------------------------------------------
-
-
 def test_the_lead_is_the_nearest_in_the_band_and_not_who_is_beside_behind_or_coming() -> None:
     """Band: 0.805 m to each side; a car 1.8 m wide at y = 1.70 reaches to 0.80, at 1.71 only to 0.81."""
     behind = ("b", AgentKind.CAR, CAR, moving(-8.0, 0.0, 10.0, 0.0))
@@ -88,9 +85,6 @@ def test_who_crosses_is_a_lead_while_in_the_band() -> None:
     log = world(5.0, walker, seconds=4.0)
     found = ahead_of(drive(log), log)
     assert found.t[found.agent >= 0] == pytest.approx(np.arange(0.9, 3.15, 0.1))
-
-
-# formulae ---------------------------------------------------------------------------------------------------------
 
 
 def test_headway_time_headway_and_drac() -> None:
@@ -150,9 +144,6 @@ def test_who_is_not_followed(agent: Agent) -> None:
     row = evaluate(drive(log := world(5.0, agent, seconds=0.5)), log, metrics=MINE).set_index("metric")
     assert row.loc["following_gap.min", "reason"] == "the ego followed no vehicle"
     assert row.loc["headway.min", "available"]
-
-
-# laws -------------------------------------------------------------------------------------------------------------
 
 
 def test_an_empty_path_is_no_value_and_no_time() -> None:

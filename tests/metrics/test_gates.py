@@ -394,9 +394,6 @@ def test_tables_that_were_put_together_keep_their_rows_apart() -> None:
     assert verdict(AT_LEAST, rows).log == "b"
 
 
-# files ------------------------------------------------------------------------------------------------------------
-
-
 def gates(tmp_path: Path, text: str) -> Gates:
     path = tmp_path / "gates.toml"
     path.write_text(text)

@@ -56,9 +56,6 @@ def stopping_distance(v: float) -> float:
     return v * ramp - JERK_MPS3 * ramp**3 / 6.0 + slower**2 / (2.0 * CC_BRAKE_MPS2)
 
 
-# --- laws
-
-
 @given(st.floats(8.0, 29.0).filter(lambda v: abs(stopping_distance(v) - 2.0 * v) > 1.5 * v * STEP_S))
 def test_cc_begins_to_brake_before_an_obstacle_at_ttc_two_seconds(v: float) -> None:
     verdict = careful_driver(log(v, standing(120.0)), LINE)

@@ -183,9 +183,6 @@ def test_the_page_of_gates_has_every_key_and_no_other() -> None:
     assert {word for row in rows for word in re.findall(r"`(\w+)`", row)} == {field.name for field in fields(Gate)}
 
 
-# files ------------------------------------------------------------------------------------------------------------
-
-
 def test_a_file_may_ask_all_of_it(tmp_path: Path) -> None:
     path = tmp_path / "gates.toml"
     path.write_text(

@@ -19,9 +19,6 @@ def drives(road: Road, ego: EgoState, *others: Other, seconds: float) -> Drive:
     return followed(road, ego, others, seconds=seconds, build=idm)
 
 
-# --- laws
-
-
 @given(st.floats(0.0, 0.98), st.floats(2.0, 40.0))
 def test_in_equilibrium_nothing_accelerates(share: float, v0: float) -> None:
     v = share * v0
@@ -46,9 +43,6 @@ def test_the_free_terms_below_and_above_the_wanted_speed_join(v0: float) -> None
         idm_acceleration(v, v0, 0.0, np.inf, 0.0, A, B, TAU, S0) for v in (v0 * (1 - 1e-9), v0 * (1 + 1e-9))
     )
     assert below == pytest.approx(above, abs=1e-6)
-
-
-# --- driving
 
 
 def test_it_stops_before_what_stands_and_says_so() -> None:

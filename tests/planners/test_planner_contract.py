@@ -112,9 +112,6 @@ def test_no_agent_sample_later_than_the_frame_is_perceived(t: float, seed: int) 
         np.testing.assert_array_equal(getattr(one, column), getattr(two, column))
 
 
-# --- the template
-
-
 @given(st.floats(-5.0, 30.0), st.floats(-0.2, 0.2), st.floats(-4.0, 4.0))
 def test_constant_speed_is_the_arc_of_the_kinematic_equations(v: float, kappa: float, yaw: float) -> None:
     t = np.linspace(0.0, 5.0, 5001)
@@ -126,9 +123,6 @@ def test_constant_speed_is_the_arc_of_the_kinematic_equations(v: float, kappa: f
     np.testing.assert_allclose(way.x, x, atol=1e-4)
     np.testing.assert_allclose(way.y, y, atol=1e-4)
     np.testing.assert_allclose(way.yaw - way.yaw[0], heading - heading[0], atol=1e-9)
-
-
-# --- loading
 
 
 @pytest.fixture

@@ -21,9 +21,6 @@ SCENARIOS = {name: family.scenario() for name, family in CATALOGUE.items()}
 everywhere = pytest.mark.parametrize("name", list(CATALOGUE))
 
 
-# laws
-
-
 @everywhere
 def test_the_logged_drive_is_consistent(name: str) -> None:
     """Poses, speed, acceleration and curvature tell one story, with bounded acceleration and jerk."""
@@ -115,9 +112,6 @@ def test_the_careful_driver_is_smooth_and_stops_where_he_should(v: float, cruise
     assert np.abs(np.diff(ego.a)).max() <= 0.1 * MAX_JERK + 1e-6
     free = drive(path, start=0.0, speed=v, cruise=cruise, duration=40.0)
     assert free.v[-1] == pytest.approx(cruise, abs=0.05)
-
-
-# examples
 
 
 def test_curves_close() -> None:

@@ -184,9 +184,6 @@ def test_foreign_mcap_files_are_refused_by_their_schemas(shared_data: Path) -> N
         assert "nothing in the bag says where the ego is" in summarise(path).lines()[-1]
 
 
-# What may be left out
-
-
 def test_a_log_of_ego_states_alone_is_a_scenario(tmp_path: Path) -> None:
     states = [
         ("/ego", 10**8 * k, {"x_m": 0.5 * k * k, "y_m": 0, "yaw_rad": 0.01 * k, "v_mps": 10.0 * k}) for k in range(9)

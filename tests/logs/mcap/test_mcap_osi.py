@@ -305,9 +305,6 @@ def test_an_old_descriptor_without_logical_lanes_will_do(tmp_path: Path) -> None
         read_scenario(write_osi(tmp_path / "log.mcap", frames(), bare))
 
 
-# Recorded logs
-
-
 @pytest.mark.slow
 def test_the_recorded_osi_log_makes_sense(shared_data: Path, tmp_path: Path) -> None:
     path = shared_data / "osi" / "osi_centerline_example.mcap"

@@ -188,9 +188,6 @@ def test_an_infinite_command_is_refused(tmp_path: Path) -> None:
         write_trace(tmp_path / "log.mcap", trace, rich_scenario())
 
 
-# What a log holds
-
-
 def test_the_summary_tells_what_a_log_holds(tmp_path: Path) -> None:
     write_scenario(tmp_path / "log.mcap", rich_scenario())
     summary = summarise(tmp_path / "log.mcap")

@@ -280,9 +280,6 @@ def test_damage_is_an_error_that_names_the_log(damaged: dict[str, bytes], name: 
         path.write_bytes(damaged[name])
 
 
-# Real samples
-
-
 @pytest.fixture
 def figures(shared_data: Path) -> dict[str, Any]:
     return json.loads((shared_data / "py123d" / "figures.json").read_text())

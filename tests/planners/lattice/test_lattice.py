@@ -68,9 +68,6 @@ def candidates(plan: Plan) -> Candidates:
     return next(item for item in plan.internals if isinstance(item, Candidates))
 
 
-# --- polynomials
-
-
 @given(SPEED, ACCEL, SPEED, st.floats(0.5, 8.0))
 def test_a_kept_speed_is_reached_without_acceleration(v0: float, a0: float, v1: float, T: float) -> None:
     c = np.array([0.0, v0, 0.5 * a0, *keep_speed(v0, a0, v1, T)])
@@ -165,9 +162,6 @@ def test_headway_is_the_missing_share_of_the_wanted_gap() -> None:
     assert missing(3.0) == 0.0, "another track"
 
 
-# --- what a plan may not do
-
-
 def check(plan: Plan, now: Frame, road_half: float = 1.75) -> None:
     """Neither touches an agent nor breaks a bound, and every candidate is accounted for."""
     way, counted = plan.trajectory, candidates(plan)
@@ -202,9 +196,6 @@ def test_what_is_chosen_touches_no_one_and_keeps_bounds(
     plan = lattice(lanes(along_x()), ego).plan(now)
     if plan.status is PlanStatus.PLANNED or candidates(plan):
         check(plan, now)
-
-
-# --- driving
 
 
 @pytest.mark.slow

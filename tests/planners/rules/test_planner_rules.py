@@ -144,8 +144,6 @@ def waiter(name: str, x: float, y: float, yaw: float = 0.0) -> Other:
     return replace(standing(name, x, y, yaw, length=0.5, width=0.5), kind=AgentKind.PEDESTRIAN)
 
 
-# --- laws
-
 LIT, JUNCTION, MIRRORED = straight(LIGHT), junction(), junction(mirror=True)
 speeds = st.floats(0.0, 20.0)
 

@@ -60,9 +60,6 @@ def wave(amplitude: float, pace: float) -> PlanPath:
     return PlanPath.of(Trajectory(t, s, 0 * t, 0 * t, v, a, 0 * t))
 
 
-# --- the lag inverted
-
-
 @settings(max_examples=20)
 @given(st.floats(0.1, 1.5), st.floats(0.5, 4.0))
 def test_the_brake_gives_the_plans_deceleration_at_its_time(amplitude: float, pace: float) -> None:
@@ -91,9 +88,6 @@ def test_the_lead_asks_for_no_other_pedal_than_the_plan(before: float, after: fl
         asked, m = compensated(m, PEDALS, path.times, k * PERIOD, 15.0, PERIOD)
         brakes = path.timed(k * PERIOD + CAR.brake_delay + PERIOD)[2] < coast
         assert asked <= coast if brakes else asked >= coast
-
-
-# --- the end of a stop
 
 
 def point_mass(decel: float, v: float, slope: float = 0.0) -> tuple[float, float, float]:
@@ -173,9 +167,6 @@ def test_standstill_has_hysteresis() -> None:
         assert still is holds
 
 
-# --- one pedal at a time
-
-
 @given(st.lists(st.tuples(st.floats(-12.0, 6.0), st.floats(0.0, 40.0)), min_size=1, max_size=60))
 def test_pedals_are_never_on_together(asked: list[tuple[float, float]]) -> None:
     state = NO_PEDAL
@@ -200,9 +191,6 @@ def test_pedals_do_not_alternate_with_noise() -> None:
     for a in TRAIN.coasting(15.0) + rng.uniform(-0.9, 0.9, 500) * HYSTERESIS_MPS2:
         _, brake, state = press(state, PEDALS, float(a), 15.0)
         assert not brake
-
-
-# --- the calibration table
 
 
 @given(st.floats(0.5, 40.0), st.floats(-8.0, 1.0))

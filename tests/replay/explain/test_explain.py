@@ -122,9 +122,6 @@ def test_explain_states_a_decision_that_every_family_accepts(name: str) -> None:
     check_states_what_is_accepted(name)
 
 
-# ------------------------------------------------------------------------------------------------- one frame again
-
-
 @pytest.mark.parametrize("mode", ["closed", "open"])
 def test_a_dump_gives_the_same_plan_to_the_bit(results: Results, mode: str, tmp_path: Path) -> None:
     again = replan_frame(results.drive(LOG, "dp_qp", mode), 2.0)

@@ -130,8 +130,6 @@ PLANTED: dict[str, tuple[str, Callable[[PlannedFrame], PlannedFrame], str]] = {
 
 ANY_FRAME = st.integers(0, FRAMES - 1)
 
-# laws -------------------------------------------------------------------------------------------------------------
-
 
 @pytest.mark.parametrize("mode", list(Mode))
 def test_a_drive_does_not_part_from_itself(mode: Mode) -> None:
@@ -203,9 +201,6 @@ def test_between_frames_the_controller_and_the_car_act(row: int, stage: str) -> 
 def test_rounding_parts_nothing(size: float) -> None:
     trace = drive()
     assert first_difference(trace, replace(trace, ego=replace(trace.ego, x=trace.ego.x + size))) is None
-
-
-# examples ---------------------------------------------------------------------------------------------------------
 
 
 def test_a_small_cause_is_named_and_not_its_larger_effect() -> None:

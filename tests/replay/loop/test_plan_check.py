@@ -135,9 +135,6 @@ def test_a_plan_may_start_on_the_plan_being_driven_where_that_is_near() -> None:
     assert checked(far, frame(state, far)).status is PlanStatus.REFUSED
 
 
-# in the loops ----------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("planner", ["dp_qp", "idm", "lattice", "pdm", "constant_speed"])
 def test_what_comes_with_replan_is_never_refused(planner: str) -> None:

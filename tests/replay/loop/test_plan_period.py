@@ -79,9 +79,6 @@ def test_every_row_is_complete_and_the_last_command_stands_at_the_end(vehicle: s
     np.testing.assert_array_equal(np.round(rows[:, 0] / PERIOD), np.arange(STEPS + 1))
 
 
-# --- planning takes time
-
-
 @given(st.integers(0, 40), st.integers(1, 12))
 def test_the_plan_driven_is_the_last_that_is_old_enough(delay: int, every: int) -> None:
     latency, made = Latency(delay), {}

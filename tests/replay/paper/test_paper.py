@@ -45,9 +45,6 @@ limits = st.builds(SpeedLimits, st.just(1.8), st.floats(1.0, 9.0), st.floats(1.0
 cells = st.sampled_from(CELLS)
 
 
-# laws
-
-
 @given(v=speeds, limits=limits, u=st.floats(0.0, 15.0))
 def test_the_braking_point_mass_is_the_integral_of_its_deceleration(v: float, limits: SpeedLimits, u: float) -> None:
     t = np.linspace(0.0, u, 20_001)
@@ -95,9 +92,6 @@ def test_the_walker_is_in_the_middle_when_the_cell_says(cell: GridCrossing) -> N
     entry, leave = walker_within(scenario, 0.0)
     assert entry < middle < leave
     assert len(scenario.ego) == 1
-
-
-# examples
 
 
 @pytest.mark.parametrize(

@@ -157,9 +157,6 @@ def test_every_method_keeps_the_form_without_lanes_and_without_agents(method: st
     assert len(nobody) == 0 and nobody.x.shape == (0, 81)
 
 
-# --- constant velocity, constant turn rate
-
-
 @given(st.lists(STATE, max_size=6))
 def test_constant_velocity_keeps_velocity_and_heading(states: list[tuple[float, ...]]) -> None:
     now = agents(states)

@@ -170,9 +170,6 @@ def test_the_kept_result_is_the_result(logs: Path, tmp_path: Path) -> None:
         )
 
 
-# ------------------------------------------------------------------------------------------------------ refusals
-
-
 def refusal(logs: Path | Sequence[Path], out: Path, config: RunConfig = QUICK) -> str:
     """Why a run is not resumed; whatever is in `out` stays there."""
     before = sorted(str(path) for path in out.rglob("*"))

@@ -16,8 +16,6 @@ from logs.readers.commonroad.document import Obstacle, parse
 from logs.readers.commonroad.lanelets import _crossable
 from logs.readers.commonroad.tracks import _prediction_error, ego_log, sized, turned, velocities
 
-# laws
-
 
 @settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
@@ -103,9 +101,6 @@ def test_the_better_velocity_is_taken(tmp_path: Path) -> None:
     np.testing.assert_allclose(found[3], [[8.0, 0.0]] * 21)
     assert "stored speeds" in notes[0]
     assert _prediction_error(document.obstacles, [found[3]], 0.1) < 0.21
-
-
-# examples
 
 
 def test_road_neighbours_types_limits_and_markings(tmp_path: Path) -> None:
@@ -422,9 +417,6 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
     other.write_text('<?xml version="1.0" encoding="UTF-17"?><commonRoad/>')
     with pytest.raises(LogError, match="is no complete XML: unknown encoding"):
         read_commonroad(other)
-
-
-# recorded files
 
 
 def _facts(scenario: Scenario) -> None:

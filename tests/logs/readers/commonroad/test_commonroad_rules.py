@@ -90,9 +90,6 @@ def inner(k: int, *turned: int) -> set[int]:
     return {100 + 10 * (k % 4) + t for t in turned}
 
 
-# laws
-
-
 @few
 @given(
     cycle=st.lists(st.tuples(st.sampled_from(sorted(COLOURS)), st.integers(1, 40)), min_size=1, max_size=6),
@@ -293,9 +290,6 @@ def test_errors_name_the_element(tmp_path: Path, part: str, words: list[str]) ->
         read_commonroad(written(tmp_path, straight(1), part, problem(5, 0.0, 0.0, 5.0)))
     for word in ["test.xml", ";", *words]:
         assert word in str(caught.value)
-
-
-# recorded files
 
 
 def recorded(folder: Path, name: str) -> Scenario:

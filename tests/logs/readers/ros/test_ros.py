@@ -687,9 +687,6 @@ def test_a_frame_that_inflates_beyond_its_index_is_refused(tmp_path: Path) -> No
         read_log(file)
 
 
-# Parts
-
-
 @given(st.floats(-20.0, 20.0), st.floats(-5.0, 5.0), st.integers(0, 5))
 def test_rates_are_exact_for_uniform_acceleration_and_know_no_later_sample(v: float, a: float, seed: int) -> None:
     t = np.cumsum(np.random.default_rng(seed).uniform(0.01, 0.03, 60))
@@ -725,9 +722,6 @@ def test_identities_are_told_from_places_in_a_list() -> None:
     none = np.full((80, 2), np.nan)
     names = joined(frame, t, x, 0.0 * x, [AgentKind.CAR] * 80, none)
     assert names.tolist() == [1, 2] * 40
-
-
-# Recorded drives
 
 
 FEW = ("bot_garden", "pedestrian_crossing_05", "pedestrian_crossing_09", "pedestrian_crossing_15")

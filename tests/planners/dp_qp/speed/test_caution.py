@@ -132,9 +132,6 @@ def test_a_drive_past_parked_cars_is_slower_with_a_sensor_and_says_why() -> None
     assert sensed.trace.end.value == "goal reached"
 
 
-# Who came to the path and stands beside it.
-
-
 Came = Mapping[str, float]
 
 

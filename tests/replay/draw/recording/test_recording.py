@@ -55,8 +55,6 @@ from replay.drive import Drive, StageTime
 from replay.explain import Explanation, accounts
 from replay.explain.explanation import events
 
-# ---------------------------------------------------------------------------------------------------------- laws
-
 
 @given(st.text())
 def test_plain_text_is_one_line_that_the_font_has(text: str) -> None:
@@ -337,9 +335,6 @@ def test_an_open_loop_recording_shows_no_pedals(tmp_path: Path) -> None:
     assert "/world/log/ego" not in recording.moving
     foreseen = recording.scalars("/plots/speed/plan_1s")
     np.testing.assert_allclose(recording.times("/plots/speed/plan_1s"), np.arange(10, len(foreseen) + 10) / 10.0)
-
-
-# ------------------------------------------------------------------------------------------------------- robust
 
 
 def bare(done: Drive, *, frames: int) -> Drive:

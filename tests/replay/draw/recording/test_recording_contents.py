@@ -61,9 +61,6 @@ def agents(count: int) -> Agents:
     return Agents(ids, (AgentKind.CAR,) * count, zero + 4.0, zero + 2.0, zero, zero, zero, zero, zero)
 
 
-# ---------------------------------------------------------------------------------------------------------- laws
-
-
 @given(st.integers(0, 90), st.sampled_from([0.05, 0.1, 0.2, 0.5, 0.7]), st.integers(0, 3))
 def test_kept_predictions_are_those_of_the_frame_more_rarely(steps: int, step: float, rows: int) -> None:
     t = 3.0 + step * np.arange(steps + 1)

@@ -298,9 +298,6 @@ def test_a_comparison_is_reported_and_counts(results: Results) -> None:
     assert overview(results, found).exit_code == 3
 
 
-# files ------------------------------------------------------------------------------------------------------------
-
-
 def test_the_step_summary_of_ci_is_appended_to_and_stands_alone(results: Results, tmp_path: Path) -> None:
     step = tmp_path / "summary.md"
     step.write_text("before\n", encoding="utf-8")

@@ -25,7 +25,6 @@ from logs import (
     SlGraph,
     SolverReport,
     StGraph,
-    Tracks,
 )
 from logs.catalogue import CATALOGUE
 from logs.states import TRAJECTORY_COLUMNS, wrapped
@@ -124,26 +123,12 @@ def test_a_moved_world_has_the_moved_plan(name: str, catalogue: dict[str, tuple[
         assert (one.status, one.start) == (two.status, two.start)
 
 
-def truncated(tracks: Tracks, t: float) -> Tracks:
-    """The tracks without samples later than t."""
-    kept = [np.arange(tracks.offsets[i], tracks.offsets[i + 1]) for i in range(len(tracks))]
-    kept = [index[tracks.t[index] <= t + 1e-9] for index in kept]
-    there = [i for i, index in enumerate(kept) if len(index)]
-    at = np.concatenate([kept[i] for i in there]) if there else np.empty(0, np.int64)
-    sizes = [len(kept[i]) for i in there]
-    return Tracks(
-        tuple(tracks.ids[i] for i in there), tuple(tracks.kinds[i] for i in there),
-        tracks.length[there], tracks.width[there], tracks.static[there], np.r_[0, np.cumsum(sizes)].astype(np.int64),
-        *(getattr(tracks, name)[at] for name in ("t", "x", "y", "yaw", "vx", "vy")),
-    )  # fmt: skip
-
-
 @pytest.mark.parametrize("name", ["paper/crossing_pedestrian", "everyday/cut_in"])
 def test_the_future_of_the_log_changes_nothing(name: str) -> None:
     log = CATALOGUE[name].scenario()
     context = PlannerContext(log.road, log.goal, log.vehicle, PERIOD, log.ego.state(0))
     for t in (0.0, 4.0, 7.3, 12.0):
-        known, less = log.tracks.perceived(t), truncated(log.tracks, t).perceived(t)
+        known, less = log.tracks.perceived(t), log.tracks.taken(log.tracks.t <= t + 1e-9).perceived(t)
         one, two = (DpQp(context).plan(Frame(t, log.ego.at(t), a, predict(a, t))) for a in (known, less))
         assert_same(one, two)
 

@@ -1,11 +1,16 @@
-"""docs/architecture.md lists the files on the way of one log; one run is traced to hold it to that."""
+"""docs/architecture.md lists the files on the way of one log; no circle of modules; names that mean one thing."""
 
+import ast
 import json
 import re
 import subprocess
 import sys
+from collections import defaultdict
+from graphlib import TopologicalSorter
 from pathlib import Path
+from tomllib import loads
 
+import grimp
 from short_logs import short
 
 from logs.mcap import write_scenario
@@ -59,3 +64,76 @@ def test_the_way_of_one_log_is_the_files_that_the_page_lists(tmp_path: Path) -> 
     assert listed <= run["found"].keys()
     on_the_way = {caller for file in listed for caller in run["found"][file]}
     assert on_the_way <= listed, on_the_way - listed
+
+
+LINTER = loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"]
+
+
+def test_no_module_imports_itself_through_others() -> None:
+    graph = grimp.build_graph(*LINTER["root_packages"], cache_dir=None)
+    assert len(graph.modules) > 350
+    imported = {module: graph.find_modules_directly_imported_by(module) for module in graph.modules}
+    TopologicalSorter(imported).prepare()  # CycleError names a circle
+
+
+def test_no_circle_of_packages_is_ignored() -> None:
+    (contract,) = (one for one in LINTER["contracts"] if one["type"] == "acyclic_siblings")
+    assert contract["ancestors"] == LINTER["root_packages"]
+    assert contract.keys() == {"name", "type", "ancestors"}
+
+
+PACKAGES = ("logs", "metrics", "planners", "replay", "replan")
+MESSAGES = ("logs/mcap/native.py", "replay/planner_process/messages.py")
+"""Their classes are nouns on the wire: they have the nouns' names, and are used with the module's name before them."""
+ROLES = {"__init__.py", "base.py", "planner.py", "stage.py", "problem.py", "dp.py", "qp.py", "tracks.py"}
+COMMANDS = "replay/cli/"
+"""A command's file has the name of what it calls."""
+
+
+def sources() -> list[Path]:
+    return [file for package in PACKAGES for file in sorted((ROOT / package).rglob("*.py"))]
+
+
+def repeated(named: dict[str, list[str]]) -> dict[str, list[str]]:
+    return {name: places for name, places in named.items() if len(places) > 1}
+
+
+def test_a_class_name_means_one_thing() -> None:
+    places = defaultdict(list)
+    for file in sources():
+        inside = file.relative_to(ROOT).as_posix()
+        if inside not in MESSAGES:
+            for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+                if isinstance(node, ast.ClassDef):
+                    places[node.name].append(inside)
+    assert len(places) > 500 and not repeated(places)
+
+
+def test_messages_are_used_with_their_module() -> None:
+    of = {inside.removesuffix(".py").replace("/", "."): inside for inside in MESSAGES}
+    nouns = {
+        module: {
+            node.name
+            for node in ast.parse((ROOT / inside).read_text(encoding="utf-8")).body
+            if isinstance(node, ast.ClassDef)
+        }
+        for module, inside in of.items()
+    }
+    bare = [
+        (file.relative_to(ROOT).as_posix(), alias.name)
+        for file in sources()
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
+        if isinstance(node, ast.ImportFrom) and node.module in of
+        for alias in node.names
+        if alias.name in nouns[node.module]
+    ]
+    assert not bare
+
+
+def test_a_file_name_repeats_only_where_it_is_a_role() -> None:
+    places = defaultdict(list)
+    for file in sources():
+        inside = file.relative_to(ROOT).as_posix()
+        if file.name not in ROLES and not inside.startswith(COMMANDS):
+            places[file.name].append(inside)
+    assert len(places) > 200 and not repeated(places)

@@ -16,7 +16,7 @@ SPARSE = {
     "replay/run/test_full_disk.py::test_a_worker_that_finds_a_full_disk_ends_it": 0,  # 13 s
     "replay/run/test_full_disk.py::test_a_run_ends_in_one_line_and_is_resumed": 4,  # 8 s, 4
     "replay/run/test_shards.py::test_merged_shards_are_the_run_byte_for_byte": 2,  # 11 s, 4
-    "replay/run/test_twins.py::test_a_twin_that_is_known_late_costs_no_other_log": 2,  # 7 s, 2
+    "replay/run/test_shards.py::test_a_twin_that_is_known_late_costs_no_other_log": 2,  # 7 s, 2
     "replay/experiments/test_tune.py::test_pure_noise_fails": 0,
     # the command line from outside
     "replay/cli/test_streams.py::test_a_run_with_closed_streams_has_its_results_and_exit_code": 2,  # 29 s, 2
@@ -26,7 +26,7 @@ SPARSE = {
     "test_a_signal_before_and_in_a_command_ends_it_with_130_and_after_it_changes_nothing": 4,  # 12 s, 4
     "replay/cli/test_sockets.py::test_system_calls_of_a_command_name_no_other_machine": 0,  # 22 s
     "replay/results/test_reading.py::test_edited_results_are_one_line_and_nothing_outside_is_written": 0,  # 113 s
-    "replay/draw/report/test_terminal.py::test_an_encoding_that_lacks_a_letter_is_no_traceback": 0,  # 9 s
+    "replay/draw/report/test_report.py::test_an_encoding_that_lacks_a_letter_is_no_traceback": 0,  # 9 s
     "house/test_ci.py::test_the_gitlab_jobs_drive_shards_and_the_merge_judges_and_so_does_githubs": 0,  # 25 s
     # many drives of one law
     "replay/paper/test_pedestrian_cases.py::test_the_laws_hold_over_the_table": 6,  # 123 s, 184
@@ -90,7 +90,7 @@ LATER = {
     "planners/dp_qp/test_moving_obstacles.py::test_no_one_is_passed_where_the_ego_has_to_wait": 2,  # 3 s, 2
     "planners/dp_qp/test_moving_obstacles.py::"
     "test_a_free_lane_beside_is_borrowed_for_them_and_the_record_says_so": 0,  # 2 s
-    "planners/dp_qp/speed/test_orders.py::"
+    "planners/dp_qp/speed/test_caps.py::"
     "test_the_order_that_is_taken_costs_least_and_the_solution_keeps_what_is_said": 2,  # 3 s, 2
     "planners/rules/test_planner_rules.py::test_a_large_gap_is_taken_and_a_small_one_not": 4,  # 4 s, 4
     "planners/rules/test_planner_rules.py::test_the_ego_waits_for_a_pedestrian_and_goes_on": 4,  # 3 s, 4

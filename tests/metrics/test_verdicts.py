@@ -1,4 +1,4 @@
-"""Verdicts over many logs: means, shares, groups; ensembles, late plans, and marginal values."""
+"""Verdicts over many logs: means, shares, groups; ensembles, late plans, marginal values; logs that tell nothing."""
 
 import re
 from collections.abc import Callable, Mapping

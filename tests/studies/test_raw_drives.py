@@ -1,4 +1,4 @@
-"""The table of recorded drives: what a run's tables say, a row a drive and a sum a planner."""
+"""The tables of recorded drives and of planted faults: what a run's tables say."""
 
 import json
 from pathlib import Path

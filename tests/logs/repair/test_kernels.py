@@ -1,4 +1,4 @@
-"""The smoother is the least squares that it says; shared areas are those of the boxes; twins; logs that need repair."""
+"""The smoother is the least squares that it says; shared areas, twins; the tracker on a street of known drives."""
 
 from dataclasses import replace
 from functools import cache

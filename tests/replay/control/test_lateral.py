@@ -1,4 +1,4 @@
-"""The lateral model and the DLQR: laws of the linear plant, then the nonlinear one."""
+"""The lateral model and the DLQR: laws of the linear plant, then the nonlinear one; steering that comes late."""
 
 from collections import deque
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""A run in shards, merged, is the run without shards, byte for byte; and nothing else is merged."""
+"""A run in shards, merged, is the run without shards, byte for byte; a log that is selected twice is driven once."""
 
 import json
 import shutil

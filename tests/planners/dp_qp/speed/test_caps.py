@@ -1,4 +1,4 @@
-"""Speed caps: the limit is their minimum, what is said is what is driven, and a new case is one producer."""
+"""Speed caps: the limit is their minimum, a new case is one producer; what both orders of passing cost."""
 
 import re
 from dataclasses import replace

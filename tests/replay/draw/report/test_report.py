@@ -1,4 +1,4 @@
-"""Reports as files: JUnit XML against its schema and an independent parser, Markdown through a Markdown parser."""
+"""Reports: JUnit XML against its schema and another parser, Markdown through a parser, the terminal with any name."""
 
 import os
 import shutil

@@ -10,7 +10,7 @@ import pytest
 from handmade import drive, lanes_along, scenario, square, straight, track, tracks
 from hypothesis import given, settings, strategies as st
 
-from logs import Decision, DecisionKind, Goal, Plan, Scenario, Trajectory
+from logs import Decision, DecisionKind, Frame, Goal, Plan, PlannerContext, Scenario, Trajectory
 from logs.arrays import FloatArray
 from logs.catalogue import CATALOGUE
 from logs.rules import Colour, StopLine, TrafficLight
@@ -28,6 +28,20 @@ from replay.parts import PLANNER
 
 TRUSTED = LoopConfig(apart=PlannerProcessConfig(trust=True))
 LOOPS = {"open": run_open_loop, "closed": run_closed_loop}
+
+
+class SlowDown:
+    """The README's: brakes gently, straight on; looks at no agent."""
+
+    def __init__(self, context: PlannerContext) -> None:
+        pass
+
+    def plan(self, frame: Frame) -> Plan:
+        ego, t = frame.ego, np.linspace(0.0, 8.0, 81)
+        v = np.maximum(ego.v - t, 0.0)
+        s = np.r_[0.0, np.cumsum(0.05 * (v[1:] + v[:-1]))]
+        x, y = ego.x + s * np.cos(ego.yaw), ego.y + s * np.sin(ego.yaw)
+        return Plan(Trajectory(frame.t + t, x, y, np.full(81, ego.yaw), v, np.where(v > 0.0, -1.0, 0.0), np.zeros(81)))
 
 
 # ------------------------------------------------------------------------------------------------------ the law

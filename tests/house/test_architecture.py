@@ -6,6 +6,7 @@ import re
 import subprocess
 import sys
 from collections import defaultdict
+from functools import cache
 from graphlib import TopologicalSorter
 from pathlib import Path
 from tomllib import loads
@@ -90,50 +91,42 @@ COMMANDS = "replay/cli/"
 """A command's file has the name of what it calls."""
 
 
-def sources() -> list[Path]:
-    return [file for package in PACKAGES for file in sorted((ROOT / package).rglob("*.py"))]
+def sources() -> list[str]:
+    files = (file for package in PACKAGES for file in sorted((ROOT / package).rglob("*.py")))
+    return [file.relative_to(ROOT).as_posix() for file in files]
 
 
 def repeated(named: dict[str, list[str]]) -> dict[str, list[str]]:
     return {name: places for name, places in named.items() if len(places) > 1}
 
 
+@cache
+def syntax(inside: str) -> tuple[list[str], list[tuple[str | None, str]]]:
+    """The classes that a source defines, and modules and names that it imports from."""
+    nodes = list(ast.walk(ast.parse((ROOT / inside).read_text(encoding="utf-8"))))
+    imports = [(node.module, alias.name) for node in nodes if isinstance(node, ast.ImportFrom) for alias in node.names]
+    return [node.name for node in nodes if isinstance(node, ast.ClassDef)], imports
+
+
 def test_a_class_name_means_one_thing() -> None:
     places = defaultdict(list)
-    for file in sources():
-        inside = file.relative_to(ROOT).as_posix()
-        if inside not in MESSAGES:
-            for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
-                if isinstance(node, ast.ClassDef):
-                    places[node.name].append(inside)
+    for inside in sources():
+        for name in syntax(inside)[0] if inside not in MESSAGES else ():
+            places[name].append(inside)
     assert len(places) > 500 and not repeated(places)
 
 
 def test_messages_are_used_with_their_module() -> None:
-    of = {inside.removesuffix(".py").replace("/", "."): inside for inside in MESSAGES}
-    nouns = {
-        module: {
-            node.name
-            for node in ast.parse((ROOT / inside).read_text(encoding="utf-8")).body
-            if isinstance(node, ast.ClassDef)
-        }
-        for module, inside in of.items()
-    }
-    bare = [
-        (file.relative_to(ROOT).as_posix(), alias.name)
-        for file in sources()
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8")))
-        if isinstance(node, ast.ImportFrom) and node.module in of
-        for alias in node.names
-        if alias.name in nouns[node.module]
-    ]
-    assert not bare
+    nouns = {inside.removesuffix(".py").replace("/", "."): syntax(inside)[0] for inside in MESSAGES}
+    for inside in sources():
+        bare = [name for module, name in syntax(inside)[1] if name in nouns.get(module or "", ())]
+        assert not bare, inside
 
 
 def test_a_file_name_repeats_only_where_it_is_a_role() -> None:
     places = defaultdict(list)
-    for file in sources():
-        inside = file.relative_to(ROOT).as_posix()
-        if file.name not in ROLES and not inside.startswith(COMMANDS):
-            places[file.name].append(inside)
+    for inside in sources():
+        name = inside.rpartition("/")[2]
+        if name not in ROLES and not inside.startswith(COMMANDS):
+            places[name].append(inside)
     assert len(places) > 200 and not repeated(places)

@@ -10,7 +10,6 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
-from command_line import evaluate
 from process_tree import are_gone, started
 from short_logs import QUICK, identical, short
 
@@ -227,12 +226,3 @@ def test_what_no_run_wrote_is_refused_and_an_absent_folder_is_a_new_run(logs: Pa
     assert "thesis.tex" in refusal(logs, tmp_path / "new")
     with pytest.raises(ConfigError, match="--out"):
         evaluate_logs([logs], QUICK, resume=True)
-
-
-def test_the_command_line_resumes_and_refuses(logs: Path, begun: Path) -> None:
-    refused = evaluate(logs, "-o", begun, "--resume", "--traffic", "reactive")
-    assert refused.exit_code == 2
-    assert "loop.traffic was 'give_way', is 'reactive'" in refused.stderr
-    done = evaluate(logs, "-o", begun, "--resume")
-    assert done.exit_code in (0, 1, 4)
-    assert "Resumed: 2 of 3 logs" in done.stdout

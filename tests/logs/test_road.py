@@ -117,6 +117,12 @@ def test_thinned_keeps_the_ends_and_the_spacing(points: list[tuple[float, float]
         assert steps[-1] > 0.0
 
 
+@pytest.mark.parametrize(("end", "kept"), [(1.7, [0.0, 1.0, 1.7]), (1.4, [0.0, 1.4]), (1.0, [0.0, 1.0])])
+def test_the_end_takes_the_place_of_a_point_that_is_nearer_than_half_the_spacing(end: float, kept: list) -> None:
+    line = np.array([[0.0, 0.0], [1.0, 0.0], [end, 0.0]])
+    assert thinned(line, 1.0)[:, 0].tolist() == kept
+
+
 @given(st.integers(0, 20))
 def test_a_road_along_a_path_holds_the_path_and_goes_on(seed: int) -> None:
     path = wavy(seed)

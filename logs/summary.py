@@ -14,8 +14,7 @@ import numpy as np
 
 from logs.errors import LogError
 from logs.files import check_regular
-from logs.forward import described as described_reversals
-from logs.forward import forward_part, reversals
+from logs.forward import described as described_reversals, forward_part, reversals
 from logs.names import counted
 from logs.observed import ENOUGH, MAX_AGE_S, clipped, described
 from logs.readers import LogSettings, read_log, reader_of

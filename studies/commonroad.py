@@ -24,8 +24,7 @@ import pandas as pd
 
 from logs.errors import ReplanError
 from logs.trace import EndReason, Mode
-from metrics.judge import CAREFUL, worst
-from metrics.judge import REFERENCE as JUDGED_BY
+from metrics.judge import CAREFUL, REFERENCE as JUDGED_BY, worst
 from metrics.judge.gates import Outcome
 from replay.config import LoopConfig, RunConfig
 from replay.draw.drawn_results import Results

@@ -1,7 +1,5 @@
 """Settings of all tests, and where the recorded data are."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

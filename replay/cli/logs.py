@@ -195,8 +195,7 @@ def salvage(
     out: Annotated[Path, typer.Argument(help="The MCAP file to write.", callback=opt.local_path)],
 ) -> None:
     """Keep every intact chunk of a damaged MCAP file, and name what was lost."""
-    from logs.mcap.records import is_salvaged
-    from logs.mcap.records import salvage as save
+    from logs.mcap.records import is_salvaged, salvage as save
     from replay.run.claim import claimed_file
 
     if not damaged.is_file():
@@ -229,8 +228,7 @@ def commonroad_solution(
       replan evaluate USA_US101-6_1_T-1.xml --vehicle kinematic_bicycle --car bmw_320i -o results/us101
       replan export commonroad-solution results/us101 -o solutions
     """
-    from replay.cli.convert import COSTS, solutions
-    from replay.cli.convert import commonroad_solution as solution
+    from replay.cli.convert import COSTS, commonroad_solution as solution, solutions
     from replay.results.tables import write_text
     from replay.run.claim import claimed_files
 

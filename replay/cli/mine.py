@@ -192,8 +192,7 @@ def coverage(
     """
     from replay.cli.progress_bar import sign_of_life
     from replay.mine.coverage import COVERAGE, cells, gaps, lines, table, write_coverage
-    from replay.mine.mine import mine as mine_logs
-    from replay.mine.mine import read_mined
+    from replay.mine.mine import mine as mine_logs, read_mined
     from replay.run.claim import claimed_folder
     from replay.run.output import held
 

@@ -362,8 +362,7 @@ def frame(
 
     from replay.draw.drawn_results import load
     from replay.run.claim import claimed_file
-    from replay.run.frame_dump import dump as write_dump
-    from replay.run.frame_dump import replan_frame, report_of
+    from replay.run.frame_dump import dump as write_dump, replan_frame, report_of
 
     results = load(result)
     if planner is not None and planner not in (there := set(results.drives["planner"])):

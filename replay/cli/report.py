@@ -98,8 +98,7 @@ def merge(
     from logs.files import here
     from replay.config import load_run
     from replay.run.output import output_location
-    from replay.run.shards import gates_in
-    from replay.run.shards import merge as merged
+    from replay.run.shards import gates_in, merge as merged
 
     with ExitStack() as near:
         folders = [near.enter_context(here(shard)) for shard in shards]

@@ -64,8 +64,7 @@ def falsify(
       replan falsify unece_r157/cut_in -p idm --axis gap_m=0:60 --axis relative_kmh=-50:-10
       replan falsify my_log.mcap -p my_pkg.mine:MyPlanner --against dp_qp --axis standing_car=15:80
     """
-    from replay.experiments.falsify import FalsifyQuestion
-    from replay.experiments.falsify import falsify as falsified
+    from replay.experiments.falsify import FalsifyQuestion, falsify as falsified
     from replay.experiments.search_subject import agents_of, search_axes, subject_of
 
     if listing:
@@ -209,8 +208,7 @@ def diagnose(
     """
     from replay.draw.drawn_results import load
     from replay.experiments.changes import load_changes
-    from replay.experiments.diagnose import diagnose as diagnosed
-    from replay.experiments.diagnose import question
+    from replay.experiments.diagnose import diagnose as diagnosed, question
     from replay.experiments.space import load_space
 
     asked = question(load(run), planner, log or (), load_changes(changes))

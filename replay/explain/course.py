@@ -41,8 +41,7 @@ from logs.shapes import distance
 from logs.states import Trajectory, wrap
 from logs.vehicle import VehicleParameters
 from planners.frenet.reference_path import LaneSequences
-from planners.frenet.scene import STANDING_MPS as AGENT_STANDS_MPS
-from planners.frenet.scene import VULNERABLE, Bodies, Futures
+from planners.frenet.scene import STANDING_MPS as AGENT_STANDS_MPS, VULNERABLE, Bodies, Futures
 from planners.frenet.st_boundaries import ALONG, Roles, Swept, SweptPath, sweep
 
 BRAKES_MPS2 = -0.3

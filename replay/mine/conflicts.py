@@ -23,8 +23,7 @@ from logs.once import once
 from logs.shapes import clearance, overlap, time_to_contact
 from logs.states import wrap
 from metrics.boxes import DEEP_M, NO_TTC_MPS, EgoOutline, is_behind
-from metrics.encounters import CROSSING_RAD
-from metrics.encounters import SERIOUS_S as PET_S
+from metrics.encounters import CROSSING_RAD, SERIOUS_S as PET_S
 from metrics.safety import TAU_S as TTC_S
 from replay.mine.driven_log import JUMPS, DrivenLog, Event, EventKind, Neighbour, runs, steps
 from replay.mine.ego_and_road import HARD_MPS2

@@ -25,8 +25,7 @@ from threading import Timer
 
 import pandas as pd
 
-from logs.cut import cut as cut_scenario
-from logs.cut import in_nanoseconds
+from logs.cut import cut as cut_scenario, in_nanoseconds
 from logs.errors import ConfigError, LogError, unknown_name
 from logs.mcap import write_scenario
 from logs.scenario import Scenario

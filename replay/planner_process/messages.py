@@ -21,8 +21,7 @@ from typing import Any
 
 import msgspec
 
-from logs import agents, frame, states
-from logs import plan as nouns
+from logs import agents, frame, plan as nouns, states
 from logs.agents import AgentKind
 from logs.codec import Column, array_as_bytes, array_of, message_of, noun_of, packed, unpacked
 from logs.mcap import native

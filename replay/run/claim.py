@@ -26,8 +26,7 @@ import pyarrow.parquet as pq
 
 from logs.errors import ConfigError, OutputError, writing
 from logs.files import check_named, on_this_machine
-from replay.results.tables import LOCK, ORIGIN, PARTIAL, PNG_MARK, next_free, write_file
-from replay.results.tables import is_ours as is_of_a_run
+from replay.results.tables import LOCK, ORIGIN, PARTIAL, PNG_MARK, is_ours as is_of_a_run, next_free, write_file
 from replay.run.output import held, locked
 
 MARKS: Mapping[str, bytes] = {

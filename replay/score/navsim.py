@@ -59,8 +59,16 @@ from metrics.boxes import BEHIND, NO_TTC_MPS, STANDING_MPS, EgoOutline
 from metrics.comfort import savgol
 from metrics.driving_scores import AHEAD, comfort_signals, comfortable, corners_of
 from metrics.lanes import DrivableLanes, along_line, lane_map
-from planners.pdm.planner import ACCEL_LAG_S, Q_HEADING, Q_OFFSET, Q_SPEED, STEER_LAG_S, STOPPING_GAIN, STOPPING_MPS
-from planners.pdm.planner import AHEAD as STEPS_AHEAD
+from planners.pdm.planner import (
+    ACCEL_LAG_S,
+    AHEAD as STEPS_AHEAD,
+    Q_HEADING,
+    Q_OFFSET,
+    Q_SPEED,
+    STEER_LAG_S,
+    STOPPING_GAIN,
+    STOPPING_MPS,
+)
 from replay.score.window import Polyline, RoadblockRoute, WindowAgents, box_on_polygon, center_line, red_lanes, route_of
 
 HORIZON_S, STEP_S, POSES, POSE_S, PAST_S, LEAST_WAY_M = 4.0, 0.1, 8, 0.5, 1.5, 5.0

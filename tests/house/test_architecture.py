@@ -1,13 +1,17 @@
-"""docs/architecture.md lists the files on the way of one log; one run is traced to hold it to that."""
+"""docs/architecture.md lists the files on the way of one log; no circle of modules; names that mean one thing."""
 
-from __future__ import annotations
-
+import ast
 import json
 import re
 import subprocess
 import sys
+from collections import defaultdict
+from functools import cache
+from graphlib import TopologicalSorter
 from pathlib import Path
+from tomllib import loads
 
+import grimp
 from short_logs import short
 
 from logs.mcap import write_scenario
@@ -61,3 +65,68 @@ def test_the_way_of_one_log_is_the_files_that_the_page_lists(tmp_path: Path) -> 
     assert listed <= run["found"].keys()
     on_the_way = {caller for file in listed for caller in run["found"][file]}
     assert on_the_way <= listed, on_the_way - listed
+
+
+LINTER = loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"]
+
+
+def test_no_module_imports_itself_through_others() -> None:
+    graph = grimp.build_graph(*LINTER["root_packages"], cache_dir=None)
+    assert len(graph.modules) > 350
+    imported = {module: graph.find_modules_directly_imported_by(module) for module in graph.modules}
+    TopologicalSorter(imported).prepare()  # CycleError names a circle
+
+
+def test_no_circle_of_packages_is_ignored() -> None:
+    (contract,) = (one for one in LINTER["contracts"] if one["type"] == "acyclic_siblings")
+    assert contract["ancestors"] == LINTER["root_packages"]
+    assert contract.keys() == {"name", "type", "ancestors"}
+
+
+PACKAGES = ("logs", "metrics", "planners", "replay", "replan")
+MESSAGES = ("logs/mcap/native.py", "replay/planner_process/messages.py")
+"""Their classes are nouns on the wire: they have the nouns' names, and are used with the module's name before them."""
+ROLES = {"__init__.py", "base.py", "planner.py", "stage.py", "problem.py", "dp.py", "qp.py", "tracks.py"}
+COMMANDS = "replay/cli/"
+"""A command's file has the name of what it calls."""
+
+
+def sources() -> list[str]:
+    files = (file for package in PACKAGES for file in sorted((ROOT / package).rglob("*.py")))
+    return [file.relative_to(ROOT).as_posix() for file in files]
+
+
+def repeated(named: dict[str, list[str]]) -> dict[str, list[str]]:
+    return {name: places for name, places in named.items() if len(places) > 1}
+
+
+@cache
+def syntax(inside: str) -> tuple[list[str], list[tuple[str | None, str]]]:
+    """The classes that a source defines, and modules and names that it imports from."""
+    nodes = list(ast.walk(ast.parse((ROOT / inside).read_text(encoding="utf-8"))))
+    imports = [(node.module, alias.name) for node in nodes if isinstance(node, ast.ImportFrom) for alias in node.names]
+    return [node.name for node in nodes if isinstance(node, ast.ClassDef)], imports
+
+
+def test_a_class_name_means_one_thing() -> None:
+    places = defaultdict(list)
+    for inside in sources():
+        for name in syntax(inside)[0] if inside not in MESSAGES else ():
+            places[name].append(inside)
+    assert len(places) > 500 and not repeated(places)
+
+
+def test_messages_are_used_with_their_module() -> None:
+    nouns = {inside.removesuffix(".py").replace("/", "."): syntax(inside)[0] for inside in MESSAGES}
+    for inside in sources():
+        bare = [name for module, name in syntax(inside)[1] if name in nouns.get(module or "", ())]
+        assert not bare, inside
+
+
+def test_a_file_name_repeats_only_where_it_is_a_role() -> None:
+    places = defaultdict(list)
+    for inside in sources():
+        name = inside.rpartition("/")[2]
+        if name not in ROLES and not inside.startswith(COMMANDS):
+            places[name].append(inside)
+    assert len(places) > 200 and not repeated(places)

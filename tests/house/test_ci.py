@@ -1,7 +1,5 @@
 """The files for CI systems: what their jobs run is run here, in their order, with two small logs and a fake runner."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

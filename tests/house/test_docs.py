@@ -6,8 +6,6 @@ A block that is not run says why in a comment before it, `<!-- not run: REASON -
 exit code than 0 says so behind it, `# exit code 1`. A program is a file whose name is its first line.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shlex

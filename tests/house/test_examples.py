@@ -1,7 +1,5 @@
 """The metric measures what it says; the notebook runs, shows what it says, and is kept without outputs."""
 
-from __future__ import annotations
-
 import ast
 import importlib
 import json

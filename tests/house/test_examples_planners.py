@@ -1,7 +1,5 @@
 """The examples of planners that are programs: over stdin and stdout, over TCP, in Python and in C++."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import sys

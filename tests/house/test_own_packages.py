@@ -1,7 +1,5 @@
 """`import replan` gives replan's packages, whatever lies beside a user's script; what clashes names both files."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import time
@@ -72,9 +70,6 @@ def test_where_a_clash_remains_one_message_names_both_files_and_the_way_out(fold
     last = run(folder, script).stderr.strip().splitlines()[-1]
     assert last.startswith("ImportError: ") and "rename yours" in last
     assert str(ROOT / "metrics" / "__init__.py") in last and str(folder / "metrics.py") in last
-
-
-# --- the page of names
 
 
 def test_every_public_name_is_there_and_on_the_page() -> None:

@@ -1,7 +1,5 @@
 """What README, CHANGELOG and constraints say is so; `test_docs.py` runs what README and documentation show."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

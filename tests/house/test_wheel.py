@@ -1,7 +1,5 @@
 """The wheel with machine code: what `.ci/wheel.py` packs can be installed, and says for which Python it is."""
 
-from __future__ import annotations
-
 import base64
 import csv
 import hashlib

@@ -1,12 +1,9 @@
 """The codec of the nouns: what is read is what was written, and the fields of messages on the wire stay."""
 
-from __future__ import annotations
-
 import msgspec
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from mcap_cases import differences, rich_scenario
 
 from logs import Goal, Road, StopLine, Trajectory

@@ -1,14 +1,11 @@
 """Units and frames of a log: refused, or chosen with a note, at any rate; a right log is not touched."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import handmade
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from logs import AgentKind, LogError, Road, Scenario, Trajectory
 from logs.arrays import FloatArray

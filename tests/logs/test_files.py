@@ -1,7 +1,5 @@
 """What a user names is looked at before it is opened: pipes, devices, tables without end; files of a store."""
 
-from __future__ import annotations
-
 import os
 import signal
 import socket
@@ -10,13 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from command_line import replan
 from short_logs import short
-from typer.testing import CliRunner
 
 from logs.errors import ConfigError, LogError
 from logs.files import DEEPEST_TOML, LARGEST_TOML_BYTES, check_regular, heads, listed, read_toml
 from logs.mcap import read_scenario, write_scenario
-from replay.cli import app
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="the system has no named pipes")
 
@@ -61,7 +58,7 @@ def test_a_pipe_in_place_of_a_file_is_refused_in_one_line(pipe: Path, words: str
     places = {"PIPE": str(pipe), "OUT": str(pipe.parent / "out"), "LOG": str(pipe.parent / "log.mcap")}
     for name, place in places.items():
         words = words.replace(name, place)
-    done = CliRunner(env={"COLUMNS": "500"}).invoke(app, words.split())
+    done = replan(*words.split())
     assert done.exit_code == code, done.output
     (line,) = (line for line in done.output.splitlines() if "error: " in line)
     assert str(pipe) in line and ("is a named pipe, not a file" in line or "no such" in line)
@@ -91,12 +88,10 @@ def test_sockets_and_devices_are_refused_and_files_and_folders_are_not(tmp_path:
     ids=["lists", "tables", "dotted", "planner", "large"],
 )
 @pytest.mark.parametrize("option", ["--config", "--gates"])
-def test_a_table_that_is_nested_without_end_or_too_large_costs_one_line(
-    tmp_path: Path, text: str, what: str, option: str
-) -> None:
+def test_a_table_that_is_nested_or_too_large_costs_one_line(tmp_path: Path, text: str, what: str, option: str) -> None:
     file = tmp_path / "deep.toml"
     file.write_text(text)
-    done = CliRunner(env={"COLUMNS": "500"}).invoke(app, ["evaluate", option, str(file), "-o", str(tmp_path / "out")])
+    done = replan("evaluate", option, file, "-o", tmp_path / "out")
     assert done.exit_code == 2 and done.stderr.count("\n") == 1, done
     assert str(file) in done.stderr and what in done.stderr
 

@@ -1,15 +1,12 @@
 """The part of a drive that a planner can drive. Drives are made of pieces: curvature, way, speed (below 0: reverse)."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from logs import Trajectory
 from logs.complete import ONE_LANE, REVERSES

@@ -1,7 +1,5 @@
 """Kernels without a place for their machine code: they are compiled anew, which is said once."""
 
-from __future__ import annotations
-
 import importlib
 import itertools
 import os

@@ -1,7 +1,5 @@
 """Compiling less: the same results, and no machine code for what only kernels call."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -11,8 +9,7 @@ from typing import Any, cast
 import numba
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from numba.core.compiler import Flags
 
 from logs.kernel import inner_kernel, kernel

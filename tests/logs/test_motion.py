@@ -1,15 +1,12 @@
 """The estimated motion of the others: laws of noise, rate and frame, and what happens at abrupt changes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from math import cos, sin
 
 import numpy as np
 import pytest
 from handmade import drive, scenario, straight, track, tracks
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from logs import AgentKind, EndReason, Mode, Trace, Tracks
 from logs.arrays import FloatArray
@@ -42,9 +39,6 @@ def ttc(others: Tracks) -> FloatArray:
     made = scenario(EGO, agents=others)
     trace = Trace(made.name, "p", Mode.CLOSED, False, made.ego, made.tracks, (), EndReason.END_OF_LOG)
     return TTC.measure(trace, made).value
-
-
-# --- noise and rate
 
 
 @pytest.mark.parametrize("rate", RATES)
@@ -139,9 +133,6 @@ def test_logged_velocities_are_believed_where_positions_are_noisy_or_disagree() 
         assert found.vx == pytest.approx(5.0, abs=1e-6) and found.vy == pytest.approx(1.0, abs=1e-6)
 
 
-# --- frame, clock, order
-
-
 def wavy(seed: int) -> Tracks:
     """Two cars that steer and brake, one with velocities, and a pedestrian; 2 cm of noise."""
     t = times(10.0, 5.0)
@@ -162,9 +153,7 @@ def velocities(made: Tracks) -> FloatArray:
 @given(
     st.integers(0, 99), st.floats(-3.2, 3.2), st.floats(-1e4, 1e4), st.floats(-1e3, 1e3), st.sampled_from([-1.0, 1.0])
 )
-def test_turned_moved_mirrored_and_later_it_is_the_same(
-    seed: int, angle: float, offset: float, later: float, mirror: float
-) -> None:
+def test_moved_mirrored_and_later_alike(seed: int, angle: float, offset: float, later: float, mirror: float) -> None:
     made = wavy(seed)
     turn = np.array([[cos(angle), -sin(angle)], [sin(angle), cos(angle)]]) @ np.diag([1.0, mirror])
     (x, y), (vx, vy) = turn @ np.stack([made.x, made.y]), turn @ np.stack([made.vx, made.vy])

@@ -3,8 +3,7 @@
 import string
 from random import Random
 
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from logs.names import LEAST, LONGEST, ShortNames
 

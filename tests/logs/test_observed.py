@@ -1,7 +1,5 @@
 """When a log's traffic was observed: laws of streams and of inference, then examples, writing and cutting."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -9,10 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from commonroad_files import driving, problem, straight, vehicle, written
-from handmade import drive, scenario, track, tracks
-from handmade import straight as ahead
-from hypothesis import given
-from hypothesis import strategies as st
+from handmade import drive, scenario, straight as ahead, track, tracks
+from hypothesis import given, strategies as st
 
 from logs import Scenario, Tracks
 from logs.catalogue import scenario as built_in

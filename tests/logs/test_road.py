@@ -1,12 +1,9 @@
-from __future__ import annotations
-
 from dataclasses import replace
 from math import pi
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from logs import Goal, Lane, ReferenceLine, Road, RoadSource, wrap
 from logs.road import inside, thinned
@@ -108,9 +105,6 @@ def test_lines_without_direction_are_refused(points: list) -> None:
         ReferenceLine.through(np.array(points, float))
 
 
-# thinning ---------------------------------------------------------------------------------------------------------
-
-
 @given(st.lists(st.tuples(st.floats(-9.0, 9.0), st.floats(-9.0, 9.0)), min_size=1, max_size=40), st.floats(0.1, 3.0))
 def test_thinned_keeps_the_ends_and_the_spacing(points: list[tuple[float, float]], spacing: float) -> None:
     out = thinned(np.array(points), spacing)
@@ -123,7 +117,10 @@ def test_thinned_keeps_the_ends_and_the_spacing(points: list[tuple[float, float]
         assert steps[-1] > 0.0
 
 
-# roads ------------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize(("end", "kept"), [(1.7, [0.0, 1.0, 1.7]), (1.4, [0.0, 1.4]), (1.0, [0.0, 1.0])])
+def test_the_end_takes_the_place_of_a_point_that_is_nearer_than_half_the_spacing(end: float, kept: list) -> None:
+    line = np.array([[0.0, 0.0], [1.0, 0.0], [end, 0.0]])
+    assert thinned(line, 1.0)[:, 0].tolist() == kept
 
 
 @given(st.integers(0, 20))
@@ -186,9 +183,6 @@ def test_bad_lanes_are_refused() -> None:
         Lane(1, np.zeros((3, 2)), np.zeros((2, 2)))
     with pytest.raises(ValueError, match="not finite"):
         Lane(1, np.array([[0, 0], [np.nan, 0]]), np.ones((2, 2)))
-
-
-# goals ------------------------------------------------------------------------------------------------------------
 
 
 @given(st.floats(-7.0, 7.0), st.floats(0.0, 6.2), st.floats(-0.2, 1.2), st.integers(-2, 2))

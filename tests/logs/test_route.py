@@ -1,7 +1,5 @@
 """Route: the cheapest way through the lane graph, as brute force finds it."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
@@ -9,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 from worlds import along_x, curve, lanes, strip

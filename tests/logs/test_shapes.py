@@ -1,11 +1,8 @@
-from __future__ import annotations
-
 from math import cos, inf, sin
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
-from hypothesis import strategies as st
+from hypothesis import assume, given, settings, strategies as st
 
 from logs import shapes
 from logs.shapes import corners, distance, overlap, point_segment

@@ -1,11 +1,8 @@
-from __future__ import annotations
-
 from math import pi
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from logs import Controls, Trajectory, wrap
 from logs.states import TRAJECTORY_COLUMNS, wrapped

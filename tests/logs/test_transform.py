@@ -1,7 +1,5 @@
 """Scenarios in other worlds: what changes, what must not, there and back, in the mirror."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass, replace
@@ -12,8 +10,7 @@ import numpy as np
 import pytest
 from drives import drive
 from handmade import track, tracks
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from mcap_cases import repaired_scenario
 
 from logs import Colour, Controls, Crosswalk, Goal, Lane, Road, Scenario, StopLine, Tracks, TrafficLight, Trajectory

@@ -1,7 +1,5 @@
 """Vehicle parameters: the known vehicles, checks, and the way through a log."""
 
-from __future__ import annotations
-
 import tomllib
 from dataclasses import asdict, fields, replace
 from importlib.resources import files

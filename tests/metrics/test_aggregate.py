@@ -1,12 +1,9 @@
 """Many logs as one: Wilson's interval against scipy, groups against what pandas says, lost logs count against."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from scipy.stats import binomtest
 
 from metrics.judge.aggregate import COLUMNS, LogLabels, groups, membership, pass_shares, standings, wilson

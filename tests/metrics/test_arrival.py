@@ -1,7 +1,5 @@
 """Arrival: a goal is a place and the way to it; a drive that shows nothing is no pass."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,8 +8,7 @@ import pandas as pd
 import pytest
 from drives import along, drive, grid, scenario
 from handmade import square
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from worlds import strip
 
 from logs import EndReason, Goal, Road, Scenario, Trajectory

@@ -1,7 +1,5 @@
 """Boxes on a grid in pieces or agent by agent, and phantoms: boxes in which the recorded ego stands."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -28,9 +26,7 @@ CASES = [
 
 
 @pytest.mark.parametrize(("name", "cells", "steps"), CASES)
-def test_the_size_of_the_pieces_changes_no_bit(
-    monkeypatch: pytest.MonkeyPatch, name: str, cells: int, steps: int
-) -> None:
+def test_the_size_of_pieces_changes_no_bit(monkeypatch: pytest.MonkeyPatch, name: str, cells: int, steps: int) -> None:
     world = catalogue.scenario(name)
     drives = [loop(world, "constant_speed").trace for loop in (run_open_loop, run_closed_loop)]
     whole = [metrics.evaluate_with_series(trace, world) for trace in drives]

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -7,8 +5,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from drives import along, drive, grid, plans, scenario
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from logs import AgentKind, Mode, Plan, PlannedFrame, Trajectory
 from logs.readers import read_log

@@ -1,7 +1,5 @@
 """Run against run: deltas, flips, groups with intervals, and rules that say pass or fail."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,8 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from gate_rows import row, table
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from logs import ConfigError
 from metrics.comparison import (
@@ -55,8 +52,6 @@ RISES = GateRule("gap.min", max_increase=0.0, significant=True)
 FALLS = GateRule("gap.min", max_decrease=0.0, significant=True)
 NO_FLIPS = GateRule(max_flips=0)
 NONE_MISSING = GateRule(max_missing=0)
-
-# laws -------------------------------------------------------------------------------------------------------------
 
 
 @settings(max_examples=6, deadline=None)
@@ -116,9 +111,6 @@ def test_intervals_cover_the_mean_as_often_as_they_say() -> None:
     """500 samples of 20 from a normal distribution: 95 % intervals, of a percentile bootstrap 92 % (Efron 1993)."""
     low, high = intervals(np.random.default_rng(1).normal(0.3, 1.0, (500, 20)))
     assert 0.90 <= np.mean((low <= 0.3) & (high >= 0.3)) <= 0.96
-
-
-# examples ---------------------------------------------------------------------------------------------------------
 
 
 def test_worst_regressions_come_first_with_their_moment() -> None:
@@ -181,9 +173,6 @@ def test_a_missing_log_counts_against_the_candidate_and_no_log_is_inconclusive()
     assert judge_rules((replace(NONE_MISSING, max_missing=1),), found, {}).exit_code == 0
     assert of({"a1": 1.0}, {"b1": 1.0}).exit_code == 4
     assert judge_rules((NONE_MISSING,), of({"a1": 1.0}, {"b1": 1.0}), {}).exit_code == 1
-
-
-# rules ------------------------------------------------------------------------------------------------------------
 
 
 def test_significance_needs_the_logs_to_agree_and_to_be_enough() -> None:

@@ -1,14 +1,11 @@
 """Lane entries before a follower: the bound of UN R157, and who is not to blame."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from drives import changing, drive, grid, moved, moved_ego, scenario, straight_road
-from hypothesis import assume, given, settings
-from hypothesis import strategies as st
+from hypothesis import assume, given, settings, strategies as st
 
 from logs import AgentKind, RoadSource, Scenario, Trajectory
 from metrics import METRICS

@@ -1,13 +1,10 @@
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import pytest
 from drives import along, controls, drive, grid, plans, scenario
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from logs import Mode, Plan, PlannedFrame, PlanStatus, SolverReport
 from metrics import evaluate

@@ -1,15 +1,12 @@
 """TTC at constant acceleration, closest encounters, post-encroachment time, TTC to the vulnerable, severity."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import pytest
 from drives import CAR, EGO, NOSE, Agent, along, car, drive, grid, moving, scenario, world
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from logs import AgentKind, Scenario, Tracks
 from logs.shapes import distance
@@ -32,16 +29,6 @@ def judged(log: Scenario) -> pd.DataFrame:
 def first(log: Scenario, name: str) -> float:
     frames = series(drive(log), log, metrics=MINE)
     return float(frames.loc[frames["metric"] == name, "value"].iloc[0])
-
-
-# time to contact at constant acceleration -------------------------------------------------------------------------
-
-
-def touch(gap: float, v: float, a: float, u: float, b: float) -> float:
-    """Two boxes 4 m long in a row, `gap` between them."""
-    return time_to_contact_accelerated(
-        MovingBox(0.0, 0.0, 0.0, 4.0, 2.0, v, 0.0, a), MovingBox(4.0 + gap, 0.0, 0.0, 4.0, 2.0, u, 0.0, b), 10.0
-    )
 
 
 @settings(max_examples=60)
@@ -82,9 +69,6 @@ def test_accelerated_time_to_contact_sees_the_braking_lead() -> None:
     assert row["ttc"] == pytest.approx(27.125 / 6.5, abs=0.02)
 
 
-# closest encounters -----------------------------------------------------------------------------------------------
-
-
 @settings(max_examples=60)
 @given(st.integers(0, 10_000))
 def test_the_closest_encounter_is_the_least_of_all_times(seed: int) -> None:
@@ -99,9 +83,6 @@ def test_the_closest_encounter_is_the_least_of_all_times(seed: int) -> None:
     assert near == pytest.approx(min(apart), abs=0.1)
     then = distance(*one, x + (u[0] - v[0]) * when, y + (u[1] - v[1]) * when, yaw, 5.0, 1.5)
     assert then == pytest.approx(near, abs=1e-6)
-
-
-# post-encroachment time -------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("start", "part", "word"), [(-14.0, "ego_first", "second"), (1.8, "ego_second", "first")])
@@ -135,9 +116,6 @@ def test_who_follows_has_a_post_encroachment_time_and_does_not_cross() -> None:
     assert not judged(parked).loc["pet.ego_second.min", "available"]
 
 
-# time to collision ------------------------------------------------------------------------------------------------
-
-
 def test_the_vulnerable_have_a_time_to_collision_of_their_own() -> None:
     """The car ahead is nearer in time: (20 - 0) / 10 = 2 s; the pedestrian in front of it: (30 - 0.3) / 10 = 2.97 s."""
     log = world(10.0, car(NOSE + 22.25, 0.0, 0.0, yaw=0.0), walker(NOSE + 30.0, -0.5, 0.1), seconds=0.1)
@@ -163,9 +141,6 @@ def test_time_exposed_and_time_integrated() -> None:
     table = judged(world(10.0, car(NOSE + 2.25 + 35.0, 0.0, 0.0, yaw=0.0), seconds=3.0))
     assert table.loc["ttc.time_below_1500ms", "value"] == pytest.approx(1.0, abs=0.011)
     assert table.loc["ttc.integrated_1500ms", "value"] == pytest.approx(0.5, abs=0.011)
-
-
-# severity ---------------------------------------------------------------------------------------------------------
 
 
 def test_the_severity_of_a_collision() -> None:

@@ -1,21 +1,15 @@
 """Evidence and divergence: shares against sums by hand; no divergence for the log's own drive."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
-from commonroad_files import driving, problem, vehicle, written
-from commonroad_files import straight as lane
+from commonroad_files import driving, problem, straight as lane, vehicle, written
 from drives import along, drive, grid, moved, moved_ego, moving, scenario, straight_road
-from handmade import drive as driven
-from handmade import scenario as handmade
-from handmade import straight
-from hypothesis import given
-from hypothesis import strategies as st
+from handmade import drive as driven, scenario as handmade, straight
+from hypothesis import given, strategies as st
 
 from logs import AgentKind, Colour, Road, RoadSource, Scenario, StopLine, Trace, Tracks, TrafficLight, Trajectory
 from logs.readers.commonroad import read_commonroad

@@ -1,15 +1,12 @@
 """Lead, headway, required braking and steering, the following gap of UN R157: hand-computed, and their laws."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from math import pi
 
 import numpy as np
 import pytest
 from drives import CAR, EGO, NOSE, Agent, along, drive, grid, moved, moving, scenario
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from logs import AgentKind, Scenario, Trajectory
 from metrics import GROUPS, evaluate, series
@@ -46,9 +43,6 @@ def at(log: Scenario, name: str, t: float) -> float:
     frames = series(drive(log), log, metrics=MINE)
     rows = frames[(frames["metric"] == name) & np.isclose(frames["t_s"], t)]
     return float(rows["value"].iloc[0])
-
-
-# the lead ---------------------------------------------------------------------------------------------------------
 
 
 def test_the_lead_is_the_nearest_in_the_band_and_not_who_is_beside_behind_or_coming() -> None:
@@ -91,9 +85,6 @@ def test_who_crosses_is_a_lead_while_in_the_band() -> None:
     log = world(5.0, walker, seconds=4.0)
     found = ahead_of(drive(log), log)
     assert found.t[found.agent >= 0] == pytest.approx(np.arange(0.9, 3.15, 0.1))
-
-
-# formulae ---------------------------------------------------------------------------------------------------------
 
 
 def test_headway_time_headway_and_drac() -> None:
@@ -155,9 +146,6 @@ def test_who_is_not_followed(agent: Agent) -> None:
     assert row.loc["headway.min", "available"]
 
 
-# laws -------------------------------------------------------------------------------------------------------------
-
-
 def test_an_empty_path_is_no_value_and_no_time() -> None:
     table = evaluate(drive(log := world(10.0)), log, metrics=MINE).set_index("metric")
     values = [name for name in table.index if name.split(".")[-1] in ("min", "max")]
@@ -170,9 +158,7 @@ def test_an_empty_path_is_no_value_and_no_time() -> None:
 
 @settings(max_examples=15)
 @given(st.integers(0, 40), st.floats(-3.1, 3.1), st.floats(-90, 90), st.floats(-90, 90), st.booleans())
-def test_turning_shifting_and_mirroring_the_world_changes_nothing(
-    seed: int, turn: float, dx: float, dy: float, mirror: bool
-) -> None:
+def test_a_moved_and_mirrored_world_changes_nothing(seed: int, turn: float, dx: float, dy: float, mirror: bool) -> None:
     log = crowd(seed)
     other = moved(log, turn, dx, dy, mirror=mirror)
     one, two = (series(drive(each), each, metrics=MINE) for each in (log, other))

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,8 +6,7 @@ import pandas as pd
 import pytest
 from drives import along, drive, grid, scenario
 from gate_rows import row, table
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from logs import ConfigError, LogError
 from metrics import METRICS, evaluate
@@ -158,7 +155,7 @@ CONTACT = row("a", 1.0, metric="replay_contact.final", reason="car 7: from behin
         ([reference("driver", 0.5)], FAIL, "car 7"),
     ],
 )
-def test_a_broken_bound_that_is_no_evidence_is_inconclusive(
+def test_a_broken_bound_without_evidence_is_inconclusive(
     rows: list[dict[str, object]], outcome: Outcome, why: str
 ) -> None:
     found = verdict(AT_LEAST, table(row("a", 0.1), *rows))
@@ -395,9 +392,6 @@ def test_a_log_without_any_row_is_missed() -> None:
 def test_tables_that_were_put_together_keep_their_rows_apart() -> None:
     rows = pd.concat([table(row("a", 1.0)), table(row("b", 0.2)), table(row("c", 0.3))])
     assert verdict(AT_LEAST, rows).log == "b"
-
-
-# files ------------------------------------------------------------------------------------------------------------
 
 
 def gates(tmp_path: Path, text: str) -> Gates:

@@ -1,7 +1,5 @@
 """A log's health: each fault that is planted is found, where it was planted, and a clean log has none."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -10,8 +8,7 @@ import handmade
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from logs import Road, Scenario
 from logs.agents import AgentKind

@@ -1,13 +1,10 @@
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import pytest
 from drives import along, changing, drive, grid, moved, moved_ego, moving, scenario, straight_road
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from logs import AgentKind, Lane, Road, Scenario, Trajectory
 from metrics import METRICS, evaluate
@@ -104,9 +101,7 @@ def test_lane_keeping_is_the_longest_stretch_beyond_half_a_metre(aside: float, s
 
 @settings(max_examples=20)
 @given(st.floats(-3.0, 3.0), st.floats(-50, 50), st.floats(-50, 50), st.booleans(), st.floats(-0.4, 0.4))
-def test_the_map_may_be_turned_shifted_and_mirrored(
-    turn: float, dx: float, dy: float, mirror: bool, yaw: float
-) -> None:
+def test_the_map_may_be_turned_moved_and_mirrored(turn: float, dx: float, dy: float, mirror: bool, yaw: float) -> None:
     t = grid(4.0, 0.05)
     ego = Trajectory(t, 8 * t, 1.7 + 1.6 * np.sin(t), np.full(len(t), yaw), 8 + 0 * t, 0 * t, 0 * t)
     one = judged(LOG, ego)["value"]

@@ -1,7 +1,5 @@
 """The vocabulary of metrics, their table and pages, and all metrics of drives that hardly are any."""
 
-from __future__ import annotations
-
 import gc
 import weakref
 from dataclasses import replace
@@ -9,10 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import replan
 from drives import along, drive, grid, moving, plans, scenario, straight_road
-from hypothesis import given
-from hypothesis import strategies as st
-from typer.testing import CliRunner
+from hypothesis import given, strategies as st
 
 from logs import AgentKind, ConfigError, EndReason, Goal, Mode, RoadSource, Scenario, Trace
 from logs.arrays import FloatArray
@@ -38,7 +35,6 @@ from metrics.metric import (
     time_below,
     time_outside,
 )
-from replay.cli import app
 
 values = st.lists(st.floats(-9.0, 9.0), min_size=1, max_size=30)
 
@@ -207,7 +203,7 @@ PAGE = Path(__file__).parents[2] / "docs" / "metrics.md"
 
 
 def said(*words: str) -> str:
-    result = CliRunner().invoke(app, ["metrics", *words])
+    result = replan("metrics", *words)
     assert result.exit_code == 0, result.output
     return result.output
 

@@ -1,7 +1,5 @@
 """Needless braking, standing and steering; false braking has no cause, missed braking leaves out what it asks for."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -171,9 +169,7 @@ def test_mild_braking_is_no_episode_and_two_far_apart_are_two() -> None:
         (130.0, -14.0, 1.2, 0.0), (130.0, -20.0, 1.2, 1.0), (60.0, 0.0, 0.0, 1.0), (240.0, 0.0, 0.0, 1.0),
     ],
 )  # fmt: skip
-def test_braking_is_false_where_nobody_comes_near_the_way_ahead(
-    x: float, y: float, vy: float, false: float, *, mirror: bool
-) -> None:
+def test_braking_is_false_where_nobody_comes_near(x: float, y: float, vy: float, false: float, *, mirror: bool) -> None:
     """At 8 s the ego is at 96 m and has 60 m ahead in 5 s."""
     log = scenario(EGO, [other(x, y, vy)], road=ROAD)
     world, ego = moved(log, 1.0, 50.0, -90.0, mirror=mirror), moved_ego(EGO, 1.0, 50.0, -90.0, mirror=mirror)

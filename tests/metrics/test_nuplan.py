@@ -1,7 +1,5 @@
 """nuPlan's closed-loop score: equal to the devkit's own values, and the same in a turned or mirrored world."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -10,8 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from drives import along, grid, moved, moved_ego, moving, scenario, straight_road
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from logs import AgentKind, EndReason, Mode, Scenario, Trace, Trajectory
 from logs.catalogue import scenario as catalogue

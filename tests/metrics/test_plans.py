@@ -1,7 +1,5 @@
 """Plans against the log and against each other, by hand, and their laws."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from math import pi
@@ -10,8 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from drives import along, drive, grid, moved, moved_ego, plans, scenario
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from logs import Mode, Plan, PlannedFrame, RoadSource, Trajectory
 from metrics import GROUPS, evaluate

@@ -1,7 +1,5 @@
 """Plans judged over their whole horizon (`metrics.proposals`)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

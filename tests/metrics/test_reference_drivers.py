@@ -1,7 +1,5 @@
 """Reference drivers against closed forms, the tendencies of the regulation's grids, and what must not count."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -9,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from handmade import drive, lanes_along, scenario, straight, track, tracks
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from logs import AgentKind, EndReason, Mode, Scenario, Trace
 from logs.arrays import FloatArray
@@ -57,9 +54,6 @@ def stopping_distance(v: float) -> float:
     slower = v - 0.5 * JERK_MPS3 * ramp**2
     assert slower > 0.0
     return v * ramp - JERK_MPS3 * ramp**3 / 6.0 + slower**2 / (2.0 * CC_BRAKE_MPS2)
-
-
-# --- laws
 
 
 @given(st.floats(8.0, 29.0).filter(lambda v: abs(stopping_distance(v) - 2.0 * v) > 1.5 * v * STEP_S))
@@ -208,9 +202,7 @@ def crossing(v: float, at: float, speed: float, begins: float, *, sideways: bool
 
 @settings(max_examples=60)
 @given(st.floats(6.0, 16.0), st.floats(40.0, 80.0), st.floats(1.5, 6.0), st.floats(0.0, 4.0))
-def test_who_crosses_is_in_the_way_for_their_length_and_not_their_width(
-    v: float, at: float, speed: float, begins: float
-) -> None:
+def test_who_crosses_is_in_the_way_for_their_length_alone(v: float, at: float, speed: float, begins: float) -> None:
     """The same box on the same way gets the same verdict, whichever of its sides is called its length."""
     long, wide = (careful_driver(crossing(v, at, speed, begins, sideways=one), LINE) for one in (False, True))
     assert long.outcome is wide.outcome
@@ -339,9 +331,7 @@ def test_5_cm_of_noise_leave_verdicts_that_are_not_marginal(rate: float, driver:
         (None,) * 3,
     ],
 )
-def test_the_table_counts_all_three_outcomes(
-    outcome: Avoidability | None, applies: float | None, avoids: float | None
-) -> None:
+def test_the_table_counts_outcomes(outcome: Avoidability | None, applies: float | None, avoids: float | None) -> None:
     made = log(10.0)
     if outcome is not None:
         margin = {Avoidability.AVOIDABLE: 0.8, Avoidability.UNAVOIDABLE: -0.3}.get(outcome, 5.0)

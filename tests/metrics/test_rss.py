@@ -1,7 +1,5 @@
 """RSS: distances, dangerous situations and proper responses, by hand. Parameters: rho 0.75, 3, 6, 6, 1, 1, 0.3."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 import pytest

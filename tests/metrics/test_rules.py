@@ -1,7 +1,5 @@
 """Red lights, stop signs, crosswalks and right of way, by drives of which the answer is known."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -10,8 +8,7 @@ import pandas as pd
 import pytest
 from drives import along, drive, grid, moved, moved_ego, moving, scenario
 from handmade import crossing_without_a_map, track, tracks
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from logs import AgentKind, Colour, Crosswalk, Lane, Road, Scenario, StopLine, Trace, TrafficLight, Trajectory
 from metrics import METRICS, evaluate, series

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 from math import pi
@@ -8,8 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from drives import CAR, EGO, NOSE, Agent, along, car, drive, grid, moved, moving, plans, scenario, straight_road, world
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from logs import AgentKind, Lane, Mode, Road, Scenario, Tracks, Trajectory
 from logs.arrays import FloatArray
@@ -392,9 +389,7 @@ SAFETY = ("collision", "collision_at_fault", "gap", "gap_vulnerable", "ttc", "of
 
 @settings(max_examples=25)
 @given(st.integers(0, 40), st.floats(-3.1, 3.1), st.floats(-90, 90), st.floats(-90, 90), st.booleans())
-def test_turning_shifting_and_mirroring_the_world_changes_no_metric(
-    seed: int, turn: float, dx: float, dy: float, mirror: bool
-) -> None:
+def test_moved_and_mirrored_worlds_change_no_metric(seed: int, turn: float, dx: float, dy: float, mirror: bool) -> None:
     rng = np.random.default_rng(seed)
     t = grid(3.0, 0.05)
     yaw = 0.2 * np.sin(t)
@@ -467,9 +462,7 @@ def test_the_logs_own_gaps_are_not_in_an_open_loop_table() -> None:
     ("speed", "beside", "away", "near"),
     [(8.0, 0.7, 0.0, True), (8.0, 1.1, 0.0, False), (2.5, 0.7, 0.0, False), (8.0, 0.7, 1.0, False)],
 )
-def test_room_to_a_pedestrian_who_is_passed_grows_with_the_speed(
-    speed: float, beside: float, away: float, near: bool
-) -> None:
+def test_room_to_a_passed_pedestrian_grows_with_speed(speed: float, beside: float, away: float, near: bool) -> None:
     """One who walks away to the side has crossed."""
     y = 0.5 * EGO.width + 0.3 + beside - away * 12.0 / speed
     table = judged(world(speed, walker(12.0 + EGO.axle_to_center, y, away), seconds=6.0))

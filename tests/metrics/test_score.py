@@ -1,13 +1,10 @@
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import pytest
 from drives import along, drive, grid, moved, moved_ego, moving, plans, scenario, straight_road
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from logs import AgentKind, EndReason, Mode, Road, RoadSource, Scenario, Trajectory
 from logs.rules import Colour, StopLine, TrafficLight

@@ -1,14 +1,11 @@
 """Offsets that are kept, swings of the speed, lane changes for nothing, braking before a follower, fast curves."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from drives import CAR, EGO, NOSE, along, car, changing, drive, grid, moved, moved_ego, scenario, straight_road
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from logs import AgentKind, Scenario, Trajectory
 from metrics import METRICS, evaluate
@@ -39,9 +36,7 @@ def at_speed(v: np.ndarray) -> Trajectory:
 
 @settings(max_examples=15, deadline=None)
 @given(st.floats(-0.9, 0.9), st.floats(-3.0, 3.0), st.booleans())
-def test_an_offset_that_is_kept_is_that_offset_wherever_the_road_leads(
-    offset: float, turn: float, mirror: bool
-) -> None:
+def test_an_offset_that_is_kept_is_that_offset_on_any_road(offset: float, turn: float, mirror: bool) -> None:
     ego = beside(offset * np.clip(T / 3.0, 0.0, 1.0))
     world, ego = moved(LOG, turn, 50.0, -90.0, mirror=mirror), moved_ego(ego, turn, 50.0, -90.0, mirror=mirror)
     assert value("lane_offset.kept", ego, world) == pytest.approx(abs(offset), abs=1e-3)

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from drives import along, grid, moving, scenario, straight_road

@@ -1,7 +1,5 @@
 """What every planner that follows a lane does among others: one table of scenes for IDM, PDM and the lattice."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

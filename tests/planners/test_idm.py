@@ -1,11 +1,8 @@
 """IDM: its equilibrium, its order, and how it drives behind, before and among others."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from worlds import CAR, Drive, Other, along_x, beside, decided, driving, followed, frame, gaps, lanes, standing, strip
 
 from logs import DecisionKind, EgoState, Goal, PlannerContext, PlanStart, Road, StGraph
@@ -20,9 +17,6 @@ def idm(road: Road, ego: EgoState, goal: Goal | None = None) -> Idm:
 
 def drives(road: Road, ego: EgoState, *others: Other, seconds: float) -> Drive:
     return followed(road, ego, others, seconds=seconds, build=idm)
-
-
-# --- laws
 
 
 @given(st.floats(0.0, 0.98), st.floats(2.0, 40.0))
@@ -49,9 +43,6 @@ def test_the_free_terms_below_and_above_the_wanted_speed_join(v0: float) -> None
         idm_acceleration(v, v0, 0.0, np.inf, 0.0, A, B, TAU, S0) for v in (v0 * (1 - 1e-9), v0 * (1 + 1e-9))
     )
     assert below == pytest.approx(above, abs=1e-6)
-
-
-# --- driving
 
 
 def test_it_stops_before_what_stands_and_says_so() -> None:

@@ -1,13 +1,10 @@
 """PDM-Closed: its driver, its tracker, its score, and how it drives."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from worlds import (
     CAR,
     Drive,
@@ -63,9 +60,6 @@ def part(found: Scores, name: str) -> float:
     return float(found.parts[PARTS.index(name), 0])
 
 
-# --- the driver
-
-
 @given(st.floats(0.0, 0.98), st.floats(2.0, 40.0))
 def test_in_equilibrium_nothing_accelerates(share: float, v0: float) -> None:
     v = share * v0
@@ -95,9 +89,6 @@ def test_who_wants_to_be_faster_is_never_behind(v: float, speeds: list[float], g
         assert (found[:, 1] >= 0.0).all()
 
 
-# --- the tracker
-
-
 @given(st.floats(-1.5, 1.5), st.floats(-0.1, 0.1), st.floats(3.0, 25.0))
 def test_an_offset_is_undone(l: float, yaw: float, v: float) -> None:  # noqa: E741
     path = path_of(np.zeros(600), 0.5)
@@ -125,9 +116,6 @@ def test_what_is_simulated_is_drivable_and_its_mirror_image_mirrored(
     other = replace(path, y=-path.y, yaw=-path.yaw, kappa=-path.kappa)
     two = track_proposal(other, profile, EgoState(0.0, 0.0, -l, -yaw, v, a), CAR, HORIZON_KNOTS)
     np.testing.assert_allclose(one * np.array([[1], [-1], [-1], [1], [1], [-1]]), two, atol=1e-9)
-
-
-# --- the score
 
 
 def test_a_free_drive_has_the_full_score() -> None:
@@ -199,9 +187,6 @@ def test_comfort_is_nuplans() -> None:
     assert BOUNDS[1, 1] == pytest.approx(4.89)
 
 
-# --- driving
-
-
 def test_the_predictions_of_the_loop_do_not_change_a_plan() -> None:
     """It carries the others on itself."""
     ego = EgoState(0.0, 0.0, 0.0, 0.0, 10.0)
@@ -223,9 +208,6 @@ def test_slowly_before_a_contact_it_brakes() -> None:
     plan = pdm(lanes(along_x()), ego).plan(now)
     assert plan.reason.startswith("emergency brake: the best proposal meets car wall in 0.")
     assert plan.trajectory.a.min() == pytest.approx(-C.brake_mps2, abs=0.1)
-
-
-# --- what it says of itself
 
 
 def test_all_proposals_and_their_scores_are_in_the_plan() -> None:

@@ -3,8 +3,6 @@
 The laws are those of `replay.contract`; for a planner of your own, call `replan.check_planner`.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
@@ -14,8 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from handmade import drive, s_curve, scenario, square, straight, track, tracks
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 import logs.catalogue
 from logs import AgentKind, EgoState, Frame, Goal, Plan, PlannerContext, PlannerError, Scenario
@@ -86,9 +83,7 @@ class Nosy:
 
 
 @pytest.mark.parametrize("name", [*PLANNER.oracles, "nosy"])
-def test_no_agent_sample_later_than_the_frame_can_change_an_oracles_plan(
-    name: str, all_scenes: dict[str, Scenario]
-) -> None:
+def test_no_later_sample_of_an_agent_changes_an_oracles_plan(name: str, all_scenes: dict[str, Scenario]) -> None:
     oracle: Any = PLANNER.builtin.get(name)
 
     def build(log: Scenario) -> Any:
@@ -117,9 +112,6 @@ def test_no_agent_sample_later_than_the_frame_is_perceived(t: float, seed: int) 
         np.testing.assert_array_equal(getattr(one, column), getattr(two, column))
 
 
-# --- the template
-
-
 @given(st.floats(-5.0, 30.0), st.floats(-0.2, 0.2), st.floats(-4.0, 4.0))
 def test_constant_speed_is_the_arc_of_the_kinematic_equations(v: float, kappa: float, yaw: float) -> None:
     t = np.linspace(0.0, 5.0, 5001)
@@ -131,9 +123,6 @@ def test_constant_speed_is_the_arc_of_the_kinematic_equations(v: float, kappa: f
     np.testing.assert_allclose(way.x, x, atol=1e-4)
     np.testing.assert_allclose(way.y, y, atol=1e-4)
     np.testing.assert_allclose(way.yaw - way.yaw[0], heading - heading[0], atol=1e-9)
-
-
-# --- loading
 
 
 @pytest.fixture

@@ -1,11 +1,8 @@
 """QP solvers behind one door: answers satisfy the optimality conditions, and what is not solved is not called so."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from scipy import sparse
 from scipy.optimize import nnls
 
@@ -91,9 +88,7 @@ def test_what_is_called_solved_keeps_its_bounds(matrix: int, vector: int, expone
 @pytest.mark.parametrize("config", [QPConfig(), SURE, FAST], ids=["default", "piqp", "osqp"])
 @given(matrix=SEED, vector=SEED, before=st.lists(SEED, min_size=1, max_size=3))
 @settings(max_examples=20)
-def test_a_fresh_solve_does_not_know_what_was_solved_before(
-    config: QPConfig, matrix: int, vector: int, before: list[int]
-) -> None:
+def test_a_fresh_solve_knows_nothing_of_others(config: QPConfig, matrix: int, vector: int, before: list[int]) -> None:
     used, _, A = program(matrix, config)
     for seed in before:
         used.solve(*vectors(A, seed), fresh=False)
@@ -179,7 +174,7 @@ def other_numbers(A: sparse.csc_matrix, seed: int) -> sparse.csc_matrix:
 @pytest.mark.parametrize("config", [SURE, FAST], ids=["piqp", "osqp"])
 @given(matrix=SEED, vector=SEED, before=st.lists(SEED, max_size=3))
 @settings(max_examples=15)
-def test_new_numbers_in_the_matrix_make_another_problem(
+def test_new_numbers_in_the_matrix_are_a_new_problem(
     config: QPConfig, matrix: int, vector: int, before: list[int]
 ) -> None:
     """With the cost of a program built for it, and the same bits whatever numbers were in it before."""

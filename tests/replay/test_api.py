@@ -1,7 +1,5 @@
 """`replan.evaluate` is the command: the same tables and reports from the same settings."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Runs compared from their folders and from a baseline's file; the command line; planted regressions."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil
@@ -125,9 +123,6 @@ def test_a_damaged_folder_is_an_error_in_one_line(runs: tuple[Path, Path], tmp_p
         assert result.exit_code == code and file in result.stderr and "Traceback" not in result.stderr
 
 
-# the command line -------------------------------------------------------------------------------------------------
-
-
 CASES: dict[str, tuple[int, Callable[[tuple[Path, Path], Path], tuple[object, ...]]]] = {
     "pass": (0, lambda runs, tmp: (runs[0], runs[0])),
     "a rule failed": (1, lambda runs, tmp: (*runs, "--gates", _rule(tmp, "tracking_speed.p95", "max_increase = 0.0"))),
@@ -175,9 +170,6 @@ def test_evaluate_counts_the_rules_against_its_baseline(runs: tuple[Path, Path],
     assert replan(*common, "--out", tmp_path / "a", "--baseline", tmp_path / "a").exit_code == 2
     assert replan(*common, "--out", tmp_path / "c", "--baseline", tmp_path / "no").exit_code == 2
     assert not (tmp_path / "c").exists()
-
-
-# planted regressions ----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.slow

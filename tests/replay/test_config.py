@@ -1,7 +1,5 @@
 """A run's configuration: what is written is read back; what is wrong names file, key and remedy."""
 
-from __future__ import annotations
-
 import tomllib
 from dataclasses import asdict, fields, replace
 from functools import reduce
@@ -10,8 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 import replan
 from logs.errors import ConfigError

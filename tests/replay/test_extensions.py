@@ -1,7 +1,5 @@
 """Whatever is chosen by name may be a user's: examples/extend is run as it stands, and by entry points."""
 
-from __future__ import annotations
-
 import runpy
 import shutil
 import subprocess

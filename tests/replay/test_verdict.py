@@ -1,7 +1,5 @@
 """The verdict as a whole: adversaries are caught, and what others did is not held against a planner."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -111,9 +109,6 @@ def test_an_assumed_limit_is_judged_with_a_margin(v: float, road: Road | None, o
     assert outcome is not Outcome.FAIL or "(assumed limit: 13.9 m/s, the log's driver 11.4 m/s)" in said.reason
 
 
-# what others did --------------------------------------------------------------------------------------------------
-
-
 def followed(**changes: object) -> Scenario:
     """The logged ego drives 12 m/s on a straight road, a car 15 m behind it as well."""
     behind = ("7", AgentKind.CAR, (4.5, 1.8), moving(-20.0, 0.0, 12.0, 0.0))
@@ -164,9 +159,6 @@ def test_where_only_the_start_is_known_the_route_follower_is_the_yardstick() -> 
         assert said.outcome is (Outcome.PASS if passes else Outcome.FAIL), said.reason
 
 
-# reference drives -------------------------------------------------------------------------------------------------
-
-
 def test_reference_drives_end_as_a_planners_would() -> None:
     log = with_avoidability(CATALOGUE["everyday/cut_in"].scenario())
     found = {trace.planner: trace for trace in reference_drives(log)}
@@ -185,9 +177,6 @@ def test_only_a_recorded_driver_says_what_may_be_asked(recorded: bool) -> None:
     driver = rows[rows["planner"] == DRIVER]["metric"]
     assert ("gap.min" in set(driver)) == recorded
     assert {"goal.final", "route_progress.final"} <= set(driver)
-
-
-# progress ---------------------------------------------------------------------------------------------------------
 
 
 def test_a_short_log_before_a_red_light_is_measured_by_a_driver_that_stops_there() -> None:

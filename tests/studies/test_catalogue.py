@@ -1,7 +1,5 @@
 """The picture of a suite: what a cell is called, and that every cell is in the table, the page and the picture."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -47,9 +45,7 @@ def results(folder: Path, logs: dict[str, tuple[dict[str, float], float | None, 
         (MEETS | {CONTACT: 1.0}, 3.0, None, "run into"),
     ],
 )
-def test_what_a_cell_is(
-    own: dict[str, float], careful: float | None, gate: str | None, said: str, tmp_path: Path
-) -> None:
+def test_a_cell(own: dict[str, float], careful: float | None, gate: str | None, said: str, tmp_path: Path) -> None:
     table = table_of(results(tmp_path / "r", {"paper/free_road": (own, careful, gate)}), "dp_qp")
     assert list(table["outcome"]) == [said] and said in OUTCOMES
 

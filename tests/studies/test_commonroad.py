@@ -1,15 +1,12 @@
 """The table of planners over CommonRoad scenarios: what is counted, of which drives, and whose goal is within reach."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from short_logs import short
 
 from logs import Goal, Scenario

@@ -1,7 +1,5 @@
 """Who goes first at a crossing: a made-up drive in which it is known."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from math import inf
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Perturbed drives: the way there and back, what is counted, and a planner that does depend on the compass."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

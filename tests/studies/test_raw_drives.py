@@ -1,13 +1,14 @@
-"""The table of recorded drives: what a run's tables say, a row a drive and a sum a planner."""
-
-from __future__ import annotations
+"""The tables of recorded drives and of planted faults: what a run's tables say."""
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pandas as pd
 import pytest
 
+from studies.diagnosis import broken
 from studies.raw_drives import table
 
 
@@ -40,3 +41,15 @@ def test_a_row_says_what_the_tables_say(tmp_path: Path, outcomes: list[str], ver
     assert rows.loc[("drive", "idm"), "hardest"] == -4.0
     assert rows.loc[("drive", "idm"), "hard, s"] == pytest.approx(0.2)
     assert pd.isna(rows.loc[("drive", "idm"), "gap to people"])
+
+
+def run(**outcomes: tuple[str, str]) -> Any:
+    """The verdicts of two gates by log."""
+    rows = [(log, gate, said) for log, two in outcomes.items() for gate, said in zip("ab", two, strict=True)]
+    return SimpleNamespace(verdicts=pd.DataFrame(rows, columns=["log", "gate", "outcome"]))
+
+
+def test_a_drive_fails_for_a_fault_if_it_passes_all_of_its_gates_without_it() -> None:
+    faulty = run(mended=("fail", "pass"), fails=("fail", "fail"), unsure=("fail", "pass"), well=("pass", "pass"))
+    sound = run(mended=("pass", "fail"), fails=("pass", "fail"), unsure=("inconclusive", "pass"), well=("pass", "pass"))
+    assert broken(faulty, sound) == ["mended"]

@@ -1,7 +1,5 @@
 """Recorded roads in windows: folds by recording, starts that are moved, and what a drive costs."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,8 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from handmade import drive, lanes_along, scenario, straight, track, tracks
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from logs import Scenario
 from logs.mcap import write_scenario
@@ -35,9 +32,7 @@ def data(tmp_path: Path) -> Path:
     return tmp_path / "data"
 
 
-def test_no_recording_is_in_two_folds_and_windows_overlap(
-    data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_recording_is_in_two_folds(data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(roads, "SCENES", 0)
     found = tasks([data], tmp_path / "out")
     assert len({task.path for task in found if task.recording == "a"}) == 3, "from 0, 2 and 4 s on"

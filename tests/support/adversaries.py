@@ -3,8 +3,6 @@
 They may be run as any planner: `replan evaluate -p adversaries:Park` from the folder of this file.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace

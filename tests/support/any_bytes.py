@@ -1,7 +1,5 @@
 """What holds for every reader: any bytes are a scenario or a LogError, and a scenario survives native MCAP."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from time import process_time

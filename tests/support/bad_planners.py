@@ -1,7 +1,5 @@
 """A zoo of planners that must not harm anything but their own drive; run as `bad_planners:NAME`, each kept apart."""
 
-from __future__ import annotations
-
 import gc
 import os
 import signal

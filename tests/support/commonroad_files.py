@@ -1,7 +1,5 @@
 """CommonRoad files by hand."""
 
-from __future__ import annotations
-
 from math import cos, sin
 from pathlib import Path
 

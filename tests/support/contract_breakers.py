@@ -1,7 +1,5 @@
 """Planners, metrics and readers that break one rule of `replay.contract` each, and are named for it."""
 
-from __future__ import annotations
-
 import os
 import sys
 from dataclasses import replace
@@ -124,9 +122,6 @@ PLANNERS = {
 """By the rule that they break."""
 
 
-# --- metrics
-
-
 def _steps(trace: Trace, value: float = 1.0) -> Series:
     return Series(trace.ego.t, np.full(len(trace.ego), value))
 
@@ -160,9 +155,6 @@ METRICS = {
     "pure": replace(GOOD, measure=lambda trace, scenario: _steps(trace, float(next(_calls)))),
 }
 """By the rule that they break."""
-
-
-# --- readers: of lines "t x y yaw"
 
 
 def _read(path: Path, settings: LogSettings) -> Scenario:

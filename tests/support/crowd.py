@@ -1,7 +1,5 @@
 """A street of 20 s: an ego that drives by, cars that drive, turn, stop and stand, people who walk and ride."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

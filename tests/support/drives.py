@@ -1,7 +1,5 @@
 """Hand-made drives and scenarios for the tests of metrics: small builders, no numbers of their own."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import handmade

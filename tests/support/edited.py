@@ -1,7 +1,5 @@
 """Edited results: one change of one file, chosen by a seed."""
 
-from __future__ import annotations
-
 import json
 import random
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Rows of a table of metrics as gates judge them, made by hand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pandas as pd
 

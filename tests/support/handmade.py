@@ -1,7 +1,5 @@
 """Small scenarios made by hand, and planners that do as they are told."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 

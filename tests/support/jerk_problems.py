@@ -1,7 +1,5 @@
 """Piecewise-jerk QPs of every kind, by seed."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from logs.arrays import FloatArray

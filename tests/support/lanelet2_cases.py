@@ -1,7 +1,5 @@
 """Lanelet2 maps written by hand, and drives along their lanes, for the tests of maps."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import count
 from pathlib import Path

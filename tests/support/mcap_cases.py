@@ -1,7 +1,5 @@
 """Scenarios for the tests of logs in MCAP: one with everything in it, random ones, and files written by hand."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterable, Mapping
 from dataclasses import fields, replace

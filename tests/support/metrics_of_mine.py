@@ -1,7 +1,5 @@
 """A metric as a user would write it."""
 
-from __future__ import annotations
-
 from logs import Mode
 from metrics import Metric, Series
 from metrics.metric import MEAN

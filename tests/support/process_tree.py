@@ -1,7 +1,5 @@
 """Processes of this machine that tests have started, and what comes of them."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Small 123D and Argoverse 2 logs as their tools write them, by plain pyarrow: a straight street of two lanes."""
 
-from __future__ import annotations
-
 import json
 import struct
 from collections.abc import Mapping, Sequence

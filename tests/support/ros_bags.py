@@ -1,7 +1,5 @@
 """Bags written by rosbags: a drive on an arc among two cars and a pedestrian, as Autoware and others would log it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from copy import deepcopy
 from importlib.resources import files

@@ -5,8 +5,6 @@ the left and brakes for a pedestrian who is in its path from 9 s to 11.5 s. The 
 other: what the graphs show is what the ego then does.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from logs import (

@@ -1,7 +1,5 @@
 """Logs of two or three seconds, and runs over them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -7,8 +7,6 @@ HOTA (Luiten et al., IJCV 129, 2021) with the similarity 1 - distance / 2 m; IDF
 degrades each log as a detector would, repairs it and prints the scores.
 """
 
-from __future__ import annotations
-
 import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path

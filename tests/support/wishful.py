@@ -4,8 +4,6 @@
 speed is from the best one, `noise` is a number of the log's name alone.
 """
 
-from __future__ import annotations
-
 from hashlib import sha256
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Small worlds for the tests of planners: roads, others that move by a formula, scenes, and a perfect follower."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 

@@ -1,15 +1,12 @@
 """The catalogue: plausible careful drives, and what each family shows."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from math import pi
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from mcap_cases import differences
 
 from logs import Colour, ConfigError, DecisionKind, Scenario
@@ -22,9 +19,6 @@ from logs.shapes import distance
 
 SCENARIOS = {name: family.scenario() for name, family in CATALOGUE.items()}
 everywhere = pytest.mark.parametrize("name", list(CATALOGUE))
-
-
-# laws
 
 
 @everywhere
@@ -118,9 +112,6 @@ def test_the_careful_driver_is_smooth_and_stops_where_he_should(v: float, cruise
     assert np.abs(np.diff(ego.a)).max() <= 0.1 * MAX_JERK + 1e-6
     free = drive(path, start=0.0, speed=v, cruise=cruise, duration=40.0)
     assert free.v[-1] == pytest.approx(cruise, abs=0.05)
-
-
-# examples
 
 
 def test_curves_close() -> None:

@@ -1,7 +1,5 @@
 """Families with published grids, and the suites: what is asked is what the publications say, and always the same."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from itertools import islice
@@ -9,9 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from typer.testing import CliRunner
+from command_line import replan
+from hypothesis import given, settings, strategies as st
 
 from logs import ConfigError, DecisionKind, Scenario
 from logs.catalogue import CATALOGUE, FAMILIES, SUITES, scenario, spread, suite
@@ -23,7 +20,6 @@ from logs.mcap import write_scenario
 from logs.readers import read_log
 from logs.vehicle import VehicleParameters
 from metrics.health import findings
-from replay.cli import app
 from replay.paper.manoeuvres import cones_hit
 
 GRIDS = [name for name, family in FAMILIES.items() if family.grid]
@@ -256,11 +252,11 @@ def test_the_first_cells_of_a_grid_lie_far_apart(name: str) -> None:
 def test_a_suite_is_asked_for_in_one_way(words: list[str], said: str, tmp_path: Path) -> None:
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(tmp_path)
-        result = CliRunner().invoke(app, words)
+        result = replan(*words)
     assert result.exit_code == 2 and said in result.stderr and result.stderr.count("\n") == 1
     assert not list(tmp_path.iterdir())
 
 
 def test_the_page_of_the_catalogue_is_the_tables(tmp_path: Path) -> None:
     page = (Path(__file__).parents[3] / "docs" / "catalogue.md").read_text(encoding="utf-8")
-    assert page == CliRunner().invoke(app, ["synth", "--markdown"]).stdout
+    assert page == replan("synth", "--markdown").stdout

@@ -1,7 +1,5 @@
 """Drives as a detector sees them: what their logs hold, how well they are repaired, the same drive in each form."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

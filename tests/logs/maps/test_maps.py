@@ -1,15 +1,12 @@
 """Maps in the place of a log's road: Lanelet2 read as Lanelet2 reads it, projections, and which map fits a drive."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from math import cos, hypot, nan, pi, radians, sin
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
-from hypothesis import strategies as st
+from hypothesis import assume, given, settings, strategies as st
 from lanelet2_cases import MapWriter, crossroads, driven_along
 
 from logs import LogError, Road, Scenario

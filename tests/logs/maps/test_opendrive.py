@@ -1,15 +1,12 @@
 """OpenDRIVE maps in the place of a log's road, by pyxodr; skipped where the extra `opendrive` is not installed."""
 
-from __future__ import annotations
-
 from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from lanelet2_cases import driven_along, through
 
 from logs import LogError

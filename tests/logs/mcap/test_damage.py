@@ -1,15 +1,12 @@
 """Damaged, foreign and wrong logs: one LogError line with file, topic, time and remedy, and never anything else."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 from mcap_cases import RECORD, STATE, TABLE, differences, ego_states, rich_scenario, write_by_hand
 
 from logs import Colour, LogError, RoadSource
@@ -187,9 +184,6 @@ def test_foreign_mcap_files_are_refused_by_their_schemas(shared_data: Path) -> N
         assert "nothing in the bag says where the ego is" in summarise(path).lines()[-1]
 
 
-# What may be left out
-
-
 def test_a_log_of_ego_states_alone_is_a_scenario(tmp_path: Path) -> None:
     states = [
         ("/ego", 10**8 * k, {"x_m": 0.5 * k * k, "y_m": 0, "yaw_rad": 0.01 * k, "v_mps": 10.0 * k}) for k in range(9)
@@ -208,9 +202,7 @@ def test_a_log_of_ego_states_alone_is_a_scenario(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("v", "limit"), [(2.0, 20.0), (8.0, 35.0), (50.0 / 3.6, 55.0), (33.0, 135.0)])
 @pytest.mark.parametrize("standing", [0, 20])
-def test_the_limit_of_a_road_along_the_path_is_that_of_its_drive(
-    tmp_path: Path, v: float, limit: float, standing: int
-) -> None:
+def test_the_limit_of_a_driven_path_is_that_of_its_drive(tmp_path: Path, v: float, limit: float, standing: int) -> None:
     """10 % above the speed, up to the next 5 km/h; a stop and a moment of speeding do not count."""
     speeds = [v] * 30 + [0.0] * standing + [v] * 25 + [3.0 * v]
     x = [0.0, *itertools.accumulate(0.05 * (a + b) for a, b in itertools.pairwise(speeds))]

@@ -1,7 +1,5 @@
 """ASAM OSI logs: with a small descriptor made here, and the recorded ones where they are at hand."""
 
-from __future__ import annotations
-
 import math
 from itertools import pairwise
 from pathlib import Path
@@ -305,9 +303,6 @@ def test_an_old_descriptor_without_logical_lanes_will_do(tmp_path: Path) -> None
     bare = descriptor(without="lane_pairing").SerializeToString()
     with pytest.raises(LogError, match=r"has no field lane.classification.lane_pairing.antecessor_lane_id.value"):
         read_scenario(write_osi(tmp_path / "log.mcap", frames(), bare))
-
-
-# Recorded logs
 
 
 @pytest.mark.slow

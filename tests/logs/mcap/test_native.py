@@ -1,7 +1,5 @@
 """Laws of the native log: write -> read is the identity, same bytes, no half files, readable by others; its page."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import fields, replace
 from enum import Enum

@@ -1,7 +1,5 @@
 """Salvage keeps what is whole and names what was lost; a part by the index is the scenario of the whole, cut."""
 
-from __future__ import annotations
-
 import struct
 import zlib
 from dataclasses import replace
@@ -12,8 +10,7 @@ import numpy as np
 import pytest
 import zstandard
 from handmade import drive, lanes_along, scenario, straight, track, tracks
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
@@ -70,9 +67,7 @@ def damaged(log: Path, tmp_path: Path, raw: bytes) -> Path:
 
 @given(st.lists(st.tuples(st.integers(0, 10**6), st.integers(1, 255)), min_size=1, max_size=6), st.integers(0, 400))
 @settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_whatever_the_damage_only_true_messages_are_kept(
-    log: Path, tmp_path: Path, flips: list[tuple[int, int]], cut: int
-) -> None:
+def test_only_true_messages_are_kept(log: Path, tmp_path: Path, flips: list[tuple[int, int]], cut: int) -> None:
     raw = bytearray(log.read_bytes())
     for place, bits in flips:
         raw[place % len(raw)] ^= bits

@@ -1,7 +1,5 @@
 """A trace is a log that we drove: read again it is the drive, and what was planned stands beside it."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -188,9 +186,6 @@ def test_an_infinite_command_is_refused(tmp_path: Path) -> None:
     trace = replace(drive(), commands=Controls(t, np.full(len(t), np.inf), t, t))
     with pytest.raises(LogError, match=r"log.mcap, topic /command: steer_rad is infinite at index 0"):
         write_trace(tmp_path / "log.mcap", trace, rich_scenario())
-
-
-# What a log holds
 
 
 def test_the_summary_tells_what_a_log_holds(tmp_path: Path) -> None:

@@ -1,7 +1,5 @@
 """What every log has to pass after it was read: clocks, magnitudes, names."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -9,8 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from mcap_cases import rich_scenario
 
 from logs import LogError, Scenario

@@ -1,14 +1,11 @@
 """Argoverse 2 as published: sensor logs and motion-forecasting scenarios, whole, without parts, and damaged."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
 import pytest
 from any_bytes import goes_round, read_or_refused, spoiled
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 from recorded_cases import write_av2, write_forecasting
 
 from logs import AgentKind, LogError, RoadSource

@@ -1,7 +1,5 @@
 """123D logs and maps: what the files say arrives, nothing of the future does, damage is an error that names it."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -12,8 +10,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 from any_bytes import goes_round, read_or_refused, spoiled
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 from mcap_cases import differences
 from recorded_cases import START_US, lane, packed, street, turn, wkb, write_123d, write_ipc, write_map
 
@@ -281,9 +278,6 @@ def test_damage_is_an_error_that_names_the_log(damaged: dict[str, bytes], name: 
         READER.contents(folder), READER.span(folder), READER.files(folder)
     finally:
         path.write_bytes(damaged[name])
-
-
-# Real samples
 
 
 @pytest.fixture

@@ -1,15 +1,12 @@
 """Times of rows: dates and times of day, clocks that start again, and rows that are merely unsorted."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from logs import LogError
 from logs.readers import read_log

@@ -1,14 +1,11 @@
 """comma2k19: a segment made here goes where it was made to go; the recorded one where it is at hand."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
 import pytest
 from any_bytes import CHANGES, changed, read_or_refused
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 
 from logs import LogError
 from logs.readers import read_log, reader_of

@@ -1,13 +1,10 @@
 """CSV files as people and programs write them: read as meant, or refused in one line."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 
 from logs import LogError
 from logs.readers.csv_table import header_of, load_table

@@ -1,7 +1,5 @@
 """Formats that are not read: named in one sentence, with the remedy."""
 
-from __future__ import annotations
-
 import sqlite3
 from contextlib import closing
 from pathlib import Path

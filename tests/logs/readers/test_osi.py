@@ -1,15 +1,12 @@
 """Bare OSI traces, written here with ASAM's own package; the recorded ones where they are at hand."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 
 import numpy as np
 import pytest
 from any_bytes import CHANGES, changed, goes_round, read_or_refused
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 from osi3.osi_groundtruth_pb2 import GroundTruth
 from osi3.osi_sensorview_pb2 import SensorView
 

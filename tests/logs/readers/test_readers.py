@@ -1,7 +1,5 @@
 """The table of readers: one claims a log, foreign ones are sent on, a part of a log is that part."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 from importlib.metadata import EntryPoint
@@ -12,8 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 from mcap_cases import rich_scenario
 
 from logs import ConfigError, LogError, Scenario, extension

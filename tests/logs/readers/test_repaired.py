@@ -1,7 +1,5 @@
 """`[log] repair` on native logs: raw ones, clean ones, parts of both; and the command that does it."""
 
-from __future__ import annotations
-
 import csv
 from dataclasses import replace
 from functools import cache

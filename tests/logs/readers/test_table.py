@@ -1,7 +1,5 @@
 """Tables in: from pandas frames, from CSV and Parquet, with other names and units; what is wrong is named."""
 
-from __future__ import annotations
-
 import os
 import re
 from dataclasses import replace
@@ -12,8 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from any_bytes import CHANGES, changed, read_or_refused
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 from mcap_cases import differences
 
 import replan
@@ -80,9 +77,7 @@ def test_frames_times_and_sizes_are_as_documented() -> None:
     st.permutations(range(len(T))),
 )
 @settings(max_examples=40, deadline=None)
-def test_other_names_units_and_orders_of_rows_give_the_same(
-    column: tuple[str, str], header: str, order: list[int]
-) -> None:
+def test_other_names_units_and_orders_are_the_same(column: tuple[str, str], header: str, order: list[int]) -> None:
     ours, unit = column
     theirs = "theirs" if header == "columns" else header.format(ours, unit)
     table = ego(yaw=0.1).iloc[order].rename(columns={ours: theirs})

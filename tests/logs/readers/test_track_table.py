@@ -1,7 +1,5 @@
 """Tables of tracks in the shapes of public data sets: one road user becomes the ego, the others stay agents."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -235,7 +233,7 @@ def test_quaternions_give_the_heading_of_both_tables() -> None:
         (lambda table: table.assign(Local_X=1.0, Local_Y=1.0), "moves less than 1 m and has no heading"),
     ],
 )
-def test_tables_that_are_ambiguous_are_refused(
+def test_ambiguous_tables_are_refused(
     tmp_path: Path, change: Callable[[pd.DataFrame], pd.DataFrame], words: str
 ) -> None:
     table = pd.read_csv(ngsim(tmp_path), dtype={"Vehicle_ID": str}).assign(Location="us-101")

@@ -1,7 +1,5 @@
 """Raw detections to tracks: laws, then examples, then recordings made as bad as a detector is."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -9,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from crowd import street, street_ego
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from track_score import repaired_score
 
 from logs import AgentKind, Scenario, Trajectory
@@ -301,7 +298,7 @@ def test_the_driver_of_the_log_meets_no_track(shared_data: Path, name: str) -> N
 
 @given(st.floats(0.01, 0.6), st.sampled_from([(4.5, 1.8), (0.5, 0.5), (2.4, 0.8)]), st.sampled_from([-1.0, 1.0]))
 @settings(max_examples=20)
-def test_what_stands_leaves_the_recorded_driver_room_and_is_not_lost_for_it(
+def test_what_stands_leaves_the_recorded_driver_room_and_stays(
     gap: float, size: tuple[float, float], side: float
 ) -> None:
     y = side * (0.5 * VEHICLE.width + gap + 0.5 * size[1])

@@ -1,7 +1,5 @@
 """Variations of a log: what stays, what changes, and which scenarios there are not."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from math import isfinite
 from pathlib import Path
@@ -9,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from handmade import drive, lanes_along, s_curve, scenario, square, straight, track, tracks
-from hypothesis import assume, given
-from hypothesis import strategies as st
+from hypothesis import assume, given, strategies as st
 
 from logs import AgentKind, ConfigError, Goal, LogError, Scenario
 from logs.arrays import FloatArray

@@ -1,11 +1,8 @@
 """How hard to brake: bounds are kept, the mildest rung that holds is driven, hard braking waits only where it may."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from logs.arrays import FloatArray
 from planners.dp_qp.speed.qp import BrakingLadder, SolvedSpeed, SpeedProblem, SpeedQpConfig

@@ -1,13 +1,10 @@
 """Worlds at the edge: whatever they are like, a plan comes back that starts where it says and says what it is."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
-from hypothesis import strategies as st
+from hypothesis import assume, given, settings, strategies as st
 from worlds import CAR, Other, along_x, curve, driving, followed, frame, gaps, lanes, planner, standing, strip
 
 from logs import Decision, DecisionKind, EgoState, Frame, Plan, PlanStatus, Road

@@ -1,14 +1,11 @@
 """The whole planner: laws of mirrored, moved and truncated worlds; what it does about others, and in trouble."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from worlds import CAR, PERIOD, Other, along_x, decided, driving, followed, frame, gaps, lanes, planner, standing
 
 from logs import (
@@ -28,7 +25,6 @@ from logs import (
     SlGraph,
     SolverReport,
     StGraph,
-    Tracks,
 )
 from logs.catalogue import CATALOGUE
 from logs.states import TRAJECTORY_COLUMNS, wrapped
@@ -126,26 +122,12 @@ def test_a_moved_world_has_the_moved_plan(name: str, catalogue: dict[str, tuple[
         assert (one.status, one.start) == (two.status, two.start)
 
 
-def truncated(tracks: Tracks, t: float) -> Tracks:
-    """The tracks without samples later than t."""
-    kept = [np.arange(tracks.offsets[i], tracks.offsets[i + 1]) for i in range(len(tracks))]
-    kept = [index[tracks.t[index] <= t + 1e-9] for index in kept]
-    there = [i for i, index in enumerate(kept) if len(index)]
-    at = np.concatenate([kept[i] for i in there]) if there else np.empty(0, np.int64)
-    sizes = [len(kept[i]) for i in there]
-    return Tracks(
-        tuple(tracks.ids[i] for i in there), tuple(tracks.kinds[i] for i in there),
-        tracks.length[there], tracks.width[there], tracks.static[there], np.r_[0, np.cumsum(sizes)].astype(np.int64),
-        *(getattr(tracks, name)[at] for name in ("t", "x", "y", "yaw", "vx", "vy")),
-    )  # fmt: skip
-
-
 @pytest.mark.parametrize("name", ["paper/crossing_pedestrian", "everyday/cut_in"])
 def test_the_future_of_the_log_changes_nothing(name: str) -> None:
     log = CATALOGUE[name].scenario()
     context = PlannerContext(log.road, log.goal, log.vehicle, PERIOD, log.ego.state(0))
     for t in (0.0, 4.0, 7.3, 12.0):
-        known, less = log.tracks.perceived(t), truncated(log.tracks, t).perceived(t)
+        known, less = log.tracks.perceived(t), log.tracks.taken(log.tracks.t <= t + 1e-9).perceived(t)
         one, two = (DpQp(context).plan(Frame(t, log.ego.at(t), a, predict(a, t))) for a in (known, less))
         assert_same(one, two)
 
@@ -274,7 +256,7 @@ def test_an_agent_that_the_ego_cannot_pass_first_is_let_go() -> None:
     (12.0, 1.2, DecisionKind.OVERTAKE),  # nothing but full braking would stop before the walker
 ])  # fmt: skip
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_the_ego_goes_first_before_a_walker_only_with_time_to_spare(
+def test_the_ego_goes_first_with_time_to_spare_only(
     x: float, spare: float, expected: DecisionKind, side: float
 ) -> None:
     """`spare`: when the walker takes the ego's strip, s after the ego has left the place at its speed."""

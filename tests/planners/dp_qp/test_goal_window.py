@@ -1,14 +1,11 @@
 """Arriving when and as fast as the goal says."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from handmade import track, tracks
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from worlds import CAR, along_x, lanes, reference
 
 from logs import EgoState, Goal, Road, Scenario, Tracks, Trajectory

@@ -1,7 +1,5 @@
 """Whether speeds from which the ego could stop for others are kept where they are driven."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 

@@ -1,15 +1,12 @@
 """Memory goes in and comes out; what a plan came from is built once, and only for who looks."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from copy import deepcopy
 from dataclasses import fields, is_dataclass, replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from worlds import CAR, PERIOD, Drive, Other, along_x, driving, followed, frame, lanes, planner, standing, two_way
 
 from logs import AgentKind, EgoState, PlannerContext, PlanStatus, SolverReport, StGraph

@@ -1,15 +1,12 @@
 """Who goes slowly along the lane is passed with room, at a speed that goes with it; where there is none, followed."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 from handmade import track, tracks
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from worlds import CAR, Other, along_x, driving, lanes, limit_of, reference, scene, two_way, view
 
 from logs import AgentKind, Colour, EgoState, Road, Scenario, StopLine, TrafficLight, Trajectory
@@ -69,9 +66,7 @@ def test_who_is_not_meant(who: Other) -> None:
 
 
 @given(st.floats(3.0, 50.0), st.floats(0.6, 6.5), st.floats(2.5, 14.0), st.floats(-1.2, 1.2), st.floats(-0.1, 0.1))
-def test_the_box_holds_them_as_long_as_the_ego_is_beside_them(
-    ahead: float, u: float, more: float, y: float, aside: float
-) -> None:
+def test_the_box_holds_them_while_they_are_beside(ahead: float, u: float, more: float, y: float, aside: float) -> None:
     x = EGO.x + CAR.axle_to_front + ahead + 0.5 * LENGTH
     now = scene(COURSE, EGO, [goer(x, y, u, aside * u)])
     t = now.frame.predictions.t
@@ -266,7 +261,7 @@ def test_who_follows_in_the_lane_beside_does_not_have_to_brake() -> None:
 @pytest.mark.slow
 @settings(max_examples=12, deadline=None)
 @given(st.floats(-2.3, -1.2), st.floats(1.2, 2.3), st.floats(-5.0, 25.0), st.floats(7.0, 13.5))
-def test_between_two_who_walk_at_both_edges_it_neither_brakes_hard_nor_swerves(
+def test_between_walkers_at_both_edges_it_neither_brakes_nor_swerves(
     right: float, left: float, gap: float, v: float
 ) -> None:
     goers = [(50.0, right, 1.3), (50.0 + gap, left, 1.2)]
@@ -277,9 +272,7 @@ def test_between_two_who_walk_at_both_edges_it_neither_brakes_hard_nor_swerves(
 
 
 @given(st.floats(1.0, 60.0), st.floats(0.0, 10.0), st.booleans())
-def test_the_lane_beside_is_borrowed_only_before_who_need_not_brake_hard(
-    gap: float, closing: float, left: bool
-) -> None:
+def test_the_lane_beside_is_borrowed_where_no_one_brakes_hard(gap: float, closing: float, left: bool) -> None:
     road = lanes(along_x(-100.0, 400.0), 2)
     lane, beside = (0, 3.5) if left else (1, 0.0)
     ego = EgoState(0.0, 20.0, 3.5 - beside, 0.0, 10.0, 0.0, 0.0)

@@ -1,7 +1,5 @@
 """The oncoming lane: borrowed to pass who blocks the lane, where no one comes and the marking may be crossed."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -67,9 +65,7 @@ def test_a_parked_car_is_passed_once_it_has_stood_for_long() -> None:
 
 @pytest.mark.parametrize("right", [True, False])
 @pytest.mark.parametrize(("aside", "passes"), [(3.5, False), (4.9, True)])
-def test_it_is_not_passed_where_another_stands_in_the_oncoming_lane_without_room(
-    right: bool, aside: float, passes: bool
-) -> None:
+def test_it_is_not_passed_where_another_fills_the_oncoming_lane(right: bool, aside: float, passes: bool) -> None:
     """Behind a car that stands there may be more that it hides; a narrow one at the edge leaves room between."""
     side = aside if right else -aside
     others = [standing("parked", 38.0, 0.0, width=3.0), standing("other", 25.0, side, width=0.9)]

@@ -1,14 +1,11 @@
 """Rounding decides nothing: errors of 1e-9 on everything move a plan by less than 1e-6, round figures or not."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from drives import along, grid, moving, scenario
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from worlds import PERIOD, along_x, lanes, strip
 
 from logs import AgentKind, EgoState, Frame, Goal, Plan, PlannerContext, Road, Scenario

@@ -1,11 +1,8 @@
 """Path: the Frenet transform is exact there and back, and states between its points lie on it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
-from hypothesis import strategies as st
+from hypothesis import assume, given, settings, strategies as st
 from worlds import curve
 
 from logs import EgoState, ReferenceLine

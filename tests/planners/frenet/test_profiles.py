@@ -1,11 +1,8 @@
 """Speed profiles: the limit can be driven, cruising follows it, braking keeps its limits and its distance."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
-from hypothesis import assume, given
-from hypothesis import strategies as st
+from hypothesis import assume, given, strategies as st
 
 from logs.arrays import FloatArray
 from planners.frenet.profiles import STEP_S, braking, cruising, limit_profile

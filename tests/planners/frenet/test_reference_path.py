@@ -1,11 +1,8 @@
 """Reference path: smoothing that stays within its bound, and the width of known roads."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from worlds import CAR, along_x, beside, curve, lanes, strip
 
 from logs import EgoState, Lane, ReferenceLine, Road, VehicleParameters

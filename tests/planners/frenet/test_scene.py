@@ -1,13 +1,10 @@
 """The scene: its columns are what geometry says, and turn and mirror with the world."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from worlds import CAR, Other, curve, lanes, reference, scene
 
 from logs import AgentKind, EgoState
@@ -86,7 +83,7 @@ def assert_same_columns(one: Scene, two: Scene, side: float) -> None:
 
 @given(ROWS, st.floats(-3.0, 3.0))
 @settings(max_examples=20)
-def test_a_turned_world_has_the_same_columns(
+def test_a_turned_world_has_these_columns(
     rows: list[tuple[float, float, float, float, AgentKind]], angle: float
 ) -> None:
     by = turned(angle)

@@ -1,13 +1,10 @@
 """S-T boundaries: swept boxes = brute force, margins and uncertain times only add, stops are rows."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from worlds import CAR, Other, along_x, driving, path_of, reference, scene, standing
 
 from logs import AgentKind, DecisionKind, EgoState

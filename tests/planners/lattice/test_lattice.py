@@ -1,11 +1,8 @@
 """Lattice: its polynomials, the states that they stand for, and what a chosen plan may not do."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from worlds import (
     CAR,
     Drive,
@@ -68,9 +65,6 @@ def drives(road: Road, ego: EgoState, *others: Other, seconds: float) -> Drive:
 
 def candidates(plan: Plan) -> Candidates:
     return next(item for item in plan.internals if isinstance(item, Candidates))
-
-
-# --- polynomials
 
 
 @given(SPEED, ACCEL, SPEED, st.floats(0.5, 8.0))
@@ -167,9 +161,6 @@ def test_headway_is_the_missing_share_of_the_wanted_gap() -> None:
     assert missing(3.0) == 0.0, "another track"
 
 
-# --- what a plan may not do
-
-
 def check(plan: Plan, now: Frame, road_half: float = 1.75) -> None:
     """Neither touches an agent nor breaks a bound, and every candidate is accounted for."""
     way, counted = plan.trajectory, candidates(plan)
@@ -195,7 +186,7 @@ OTHER = st.tuples(st.floats(8.0, 90.0), st.floats(-4.0, 4.0), st.floats(-3.0, 12
 
 @settings(max_examples=60)
 @given(st.lists(OTHER, max_size=6), st.floats(0.0, 13.0))
-def test_what_is_chosen_touches_no_one_and_keeps_every_bound(
+def test_what_is_chosen_touches_no_one_and_keeps_bounds(
     others: list[tuple[float, float, float, float]], v: float
 ) -> None:
     ego = EgoState(0.0, 0.0, 0.0, 0.0, v)
@@ -204,9 +195,6 @@ def test_what_is_chosen_touches_no_one_and_keeps_every_bound(
     plan = lattice(lanes(along_x()), ego).plan(now)
     if plan.status is PlanStatus.PLANNED or candidates(plan):
         check(plan, now)
-
-
-# --- driving
 
 
 @pytest.mark.slow

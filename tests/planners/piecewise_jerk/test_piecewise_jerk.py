@@ -1,7 +1,5 @@
 """Piecewise-jerk QPs: optimal by KKT, infeasible where a linear program says so, the same by every solver."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -12,8 +10,7 @@ from unittest.mock import patch
 import numpy as np
 import piqp
 import pytest
-from hypothesis import assume, given, settings
-from hypothesis import strategies as st
+from hypothesis import assume, given, settings, strategies as st
 from jerk_problems import KINDS, answer, made
 from scipy import sparse
 from scipy.optimize import linprog, nnls

@@ -1,7 +1,5 @@
 """Traffic rules: lights, stop signs, crosswalks, right of way; the rulebook itself, and the planners that obey it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
@@ -9,8 +7,7 @@ from functools import cache
 import handmade
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from worlds import CAR, PERIOD, Other, agents, along_x, driving, standing, strip
 
 from logs import (
@@ -146,8 +143,6 @@ def walker(name: str, x: float, y: float, vy: float) -> Other:
 def waiter(name: str, x: float, y: float, yaw: float = 0.0) -> Other:
     return replace(standing(name, x, y, yaw, length=0.5, width=0.5), kind=AgentKind.PEDESTRIAN)
 
-
-# --- laws
 
 LIT, JUNCTION, MIRRORED = straight(LIGHT), junction(), junction(mirror=True)
 speeds = st.floats(0.0, 20.0)
@@ -379,9 +374,7 @@ STANDS = waiter("p", 102.0, -6.6, yaw=0.5 * np.pi)
         (JUNCTION, 70.0, 8.0, [crossing(-40.0, 1.0, 100.0, 8.0)], Colour.OFF, False),  # turns off before
     ],
 )
-def test_what_is_demanded(
-    road: Road, front: float, v: float, others: list[Other], light: Colour, *, demanded: bool
-) -> None:
+def test_demands(road: Road, front: float, v: float, others: list[Other], light: Colour, *, demanded: bool) -> None:
     found = demands(road, at_front(front, v), others, {9: light, 2: light} if light is not Colour.OFF else {})
     assert bool(found) is demanded
     assert road is not MINE or [stop.agent for stop in found] == ["stop line 7"]

@@ -1,18 +1,13 @@
 """The command line: exit codes, one-line errors, and a report that a stranger can read."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 from collections.abc import Callable
-from dataclasses import replace
-from io import StringIO
 from pathlib import Path
 from typing import Any
 
 import pytest
 from command_line import evaluate, gates, one_error, replan
-from rich.console import Console
 from typer.main import get_command
 
 from logs.errors import ConfigError
@@ -20,9 +15,8 @@ from logs.mcap import read_scenario
 from replay.cli import app
 from replay.cli.one_drive import matching_drives
 from replay.config import RunConfig
-from replay.draw.drawn_results import Results, load
+from replay.draw.drawn_results import load
 from replay.draw.report.overview import overview
-from replay.draw.report.terminal import print_report
 from replay.draw.view import recordings
 from replay.run import evaluate_logs
 
@@ -111,9 +105,7 @@ def test_the_report_says_what_the_exit_code_says_and_why(
         (["synth", "paper/free_road", "-o", "{out}", "--set", "radios_m=1"], "no parameter radios_m"),
     ],
 )
-def test_exit_2_is_one_line(
-    folder: Path, tmp_path: Path, module: Callable[[str, str], str], words: list[str], said: str
-) -> None:
+def test_exit_2(folder: Path, tmp_path: Path, module: Callable[[str, str], str], words: list[str], said: str) -> None:
     module("needy", "class Needy:\n    def __init__(self, context, *, path): ...\n    def plan(self, frame): ...\n")
     (tmp_path / "empty").mkdir()
     (tmp_path / "foreign").mkdir()
@@ -148,9 +140,7 @@ def test_options_win_over_the_configuration(folder: Path, tmp_path: Path) -> Non
         assert line in written
 
 
-def test_without_out_the_folder_is_numbered_and_said(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_out_the_folder_is_numbered(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     for number in (1, 2):
         result = evaluate(folder / "free.mcap", "--mode", "open")
@@ -275,9 +265,7 @@ def recorded(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return evaluate_logs([folder], run, tmp_path_factory.mktemp("recorded")).path
 
 
-def test_view_of_results_opens_an_index_and_the_worst(
-    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_view_of_results_opens_index_and_worst(recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     opened: list[list[str]] = []
 
     def viewer(command: list[str], **_: Any) -> subprocess.CompletedProcess[str]:
@@ -352,9 +340,7 @@ def test_an_option_is_spelled_and_shown_the_same_way_in_every_command() -> None:
     assert {option: shapes[option] for option in shared if len(shapes[option]) > 1} == {}
 
 
-def test_a_picture_of_a_run_is_of_the_worst_drive_and_says_so(
-    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_picture_of_a_run_is_its_worst_drive(recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     drawn: list[Path] = []
     monkeypatch.setattr("replay.draw.view.picture", lambda recording, *rest: drawn.append(recording))
     every = replan("view", recorded, "--screenshot", tmp_path / "x.png")
@@ -386,9 +372,7 @@ def test_view_of_two_drives_writes_them_as_one(recorded: Path, tmp_path: Path) -
         (["--video", "x.gif", "--from", "2", "--to", "1"], "no time between"),
     ],
 )
-def test_view_says_what_cannot_be_drawn(
-    recorded: Path, options: list[str], said: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_view_refuses_in_words(recorded: Path, options: list[str], said: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("replay.draw.recording.pictures.shutil.which", lambda name: None)
     assert said in one_error(replan("view", next(recorded.glob("test_free*/closed.rrd")), *options))
 
@@ -399,11 +383,3 @@ def test_view_refuses_what_holds_no_recording(folder: Path, tmp_path: Path) -> N
     for number in range(20):
         (tmp_path / f"{number}.rrd").write_bytes(b"")
     assert "too many" in one_error(replan("view", tmp_path))
-
-
-def report(result: Results, width: int, **changes: Any) -> str:
-    """The report of a run, with other logs in its summary."""
-    written, results = StringIO(), load(result.path)
-    results = replace(results, summary={**results.summary, **changes})
-    print_report(overview(results), Console(width=width, file=written), result.path)
-    return written.getvalue()

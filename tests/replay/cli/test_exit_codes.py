@@ -1,7 +1,5 @@
 """What the command line ends with, over every case: 0, 1, 2, 3, 4 or 130, and never a traceback."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal
@@ -129,9 +127,7 @@ def test_exit_codes(place: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         assert "error" in done.stderr.lower() and not (tmp_path / "out" / "summary.json").exists()
 
 
-def test_a_bug_ends_with_a_code_of_its_own_in_one_line(
-    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_a_bug_has_its_own_exit_code(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
     def fails(*args: object) -> object:
         raise RuntimeError("two\nlines")
 

@@ -1,7 +1,5 @@
 """A closed drive as a CommonRoad solution: states at the scenario's steps, of a vehicle that CommonRoad knows."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree as ET

@@ -1,7 +1,5 @@
 """Every example of every help text: it runs to its end, or until the first log is driven."""
 
-from __future__ import annotations
-
 import re
 import shlex
 import shutil

@@ -1,7 +1,5 @@
 """`replan score`: runs and files in, tables out; bad input is one line and exit code 2."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pandas as pd

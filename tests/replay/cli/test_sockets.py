@@ -1,7 +1,5 @@
 """Nothing leaves this machine, and nothing of it can be reached from elsewhere: sockets are watched."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil

@@ -1,7 +1,5 @@
 """What becomes of stdout and stderr changes neither results nor exit code, and is no traceback."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The command line for people and scripts: lists, JSON on stdout, quiet and verbose, progress, completion, speed."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess
@@ -14,8 +12,7 @@ from typing import Any
 
 import pytest
 from command_line import evaluate, one_error, replan
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from logs.catalogue import FAMILIES, SUITES
 from logs.kernel import is_cache_cold
@@ -160,9 +157,7 @@ def test_kernels_that_are_compiled_meanwhile_are_counted(monkeypatch: pytest.Mon
     assert "4 of 20" in words() and "4 of 20" in words() and words() == "0 of 9 logs"
 
 
-def test_progress_is_said_on_stderr_as_lines(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_progress_is_lines_on_stderr(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     from replay.run.sources import LogSource, Selection
 
     clock = iter(range(0, 1000, 10))

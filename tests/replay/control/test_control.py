@@ -1,14 +1,11 @@
 """Controllers in closed loop, and the tracking errors that they see."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from handmade import drive, s_curve
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from worlds import controlled
 
 from logs import EgoState, Trajectory, VehicleParameters
@@ -30,9 +27,6 @@ def follow(plan: Trajectory, start: EgoState, seconds: float) -> dict[str, np.nd
     return dict(zip(names, np.column_stack([errors, rows]).T, strict=True))
 
 
-# --- steering in closed loop
-
-
 @pytest.mark.parametrize("v", [0.1, 0.5, 2.0, 5.0, 12.0, 25.0, 40.0])
 def test_closed_loop_comes_back_to_a_straight_plan(v: float) -> None:
     seconds = max(8.0, 25.0 / v)
@@ -52,9 +46,6 @@ def test_steady_lateral_error_on_a_constant_curve_vanishes(radius: float, v: flo
     assert np.abs(seen["lateral"]).max() > 1e-3  # it starts with straight wheels
     assert abs(seen["lateral"][-1]) < 2e-4
     assert abs(seen["heading"][-1]) < 1e-3
-
-
-# --- tracking errors
 
 
 @given(st.floats(0.5, 11.0), st.floats(-1.5, 1.5), st.floats(-0.3, 0.3), st.floats(-1.0, 1.0))
@@ -98,9 +89,6 @@ def test_a_loop_is_followed_where_the_plan_is_and_not_where_it_crosses_itself() 
     late = replace(plan.at(10.0), t=10.0)
     assert path.deviation(late).station == pytest.approx(0.0, abs=0.05)
     assert path.deviation(late).foot > 95.0
-
-
-# --- speed
 
 
 def test_the_integral_does_not_wind_up() -> None:

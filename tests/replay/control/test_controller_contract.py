@@ -1,14 +1,11 @@
 """What every controller must hold to: the executable contract, for those to come as well."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from handmade import drive, s_curve
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from worlds import controlled
 
 from logs import Command, EgoState, Plan, Trajectory, VehicleParameters

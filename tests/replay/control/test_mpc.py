@@ -1,12 +1,9 @@
 """The MPC: its reference, its model, its optimum, its limits, and what it does without a solution."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from handmade import drive, s_curve, straight
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from scipy import sparse
 
 from logs import Command, ConfigError, EgoState, Plan, Trajectory, VehicleParameters
@@ -39,9 +36,6 @@ def wide_open(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return np.full((n, LIMITS), -np.inf), np.full((n, LIMITS), np.inf), np.ones((n, SIDES, 2))
 
 
-# --- the reference
-
-
 @given(st.lists(st.floats(-20.0, 20.0), min_size=6, max_size=6), st.floats(0.05, 2.0))
 def test_the_quintic_matches_position_speed_and_acceleration(ends: list[float], h: float) -> None:
     p0, v0, a0, p1, v1, a1 = ends
@@ -72,9 +66,6 @@ def test_plans_that_stand_or_have_one_sample_are_resampled_too() -> None:
     assert resampled(one, 0.05) is one
 
 
-# --- the model
-
-
 @pytest.mark.parametrize("rigid", [False, True])
 @pytest.mark.parametrize("v", [3.0, 12.0, 30.0])
 def test_the_prediction_is_what_the_continuous_model_does(v: float, rigid: bool) -> None:
@@ -95,9 +86,6 @@ def test_the_prediction_is_what_the_continuous_model_does(v: float, rigid: bool)
         side, spin = (0.0, v / car.wheelbase * rate) if body is None else body[0] @ [v_lat, r] + body[1] * wheel
         x = x + h * np.array([e_v, e_a, (u[0] - e_a) / lag, v_lat + v * e_phi, side, r, spin, u[1]])
     np.testing.assert_allclose(A[0] @ xi + B[0] @ u, x, atol=2e-4)
-
-
-# --- the optimum
 
 
 @settings(max_examples=10)
@@ -171,9 +159,6 @@ def test_new_numbers_in_a_program_are_a_new_program() -> None:
     np.testing.assert_allclose(first.solve(q, *bounds, fresh=True).x, other.solve(q, *bounds, fresh=True).x, atol=1e-5)
     with pytest.raises(ValueError, match="12 entries"):
         first.refill(np.ones(5))
-
-
-# --- without a solution
 
 
 class Halt:

@@ -1,14 +1,11 @@
 """Pedals: one at a time, the power train inverted, its lag too; stops that end softly and near, standstill held."""
 
-from __future__ import annotations
-
 import csv
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from logs import Trajectory, VehicleParameters
 from replay.control.pedals import (
@@ -63,9 +60,6 @@ def wave(amplitude: float, pace: float) -> PlanPath:
     return PlanPath.of(Trajectory(t, s, 0 * t, 0 * t, v, a, 0 * t))
 
 
-# --- the lag inverted
-
-
 @settings(max_examples=20)
 @given(st.floats(0.1, 1.5), st.floats(0.5, 4.0))
 def test_the_brake_gives_the_plans_deceleration_at_its_time(amplitude: float, pace: float) -> None:
@@ -94,9 +88,6 @@ def test_the_lead_asks_for_no_other_pedal_than_the_plan(before: float, after: fl
         asked, m = compensated(m, PEDALS, path.times, k * PERIOD, 15.0, PERIOD)
         brakes = path.timed(k * PERIOD + CAR.brake_delay + PERIOD)[2] < coast
         assert asked <= coast if brakes else asked >= coast
-
-
-# --- the end of a stop
 
 
 def point_mass(decel: float, v: float, slope: float = 0.0) -> tuple[float, float, float]:
@@ -138,9 +129,7 @@ def test_where_the_plan_goes_on_nothing_is_eased() -> None:
 @pytest.mark.parametrize("controller", ["dlqr_pid", "mpc"])
 @pytest.mark.parametrize("soft", [True, False])
 @pytest.mark.parametrize(("v", "decel", "jerk"), [(13.9, 7.5, 15.0), (8.0, 7.5, 15.0), (12.0, 3.0, 3.0)])
-def test_a_hard_stop_is_no_harder_than_planned(
-    controller: str, v: float, decel: float, jerk: float, *, soft: bool
-) -> None:
+def test_a_hard_stop_is_as_hard_as_planned(controller: str, v: float, decel: float, jerk: float, *, soft: bool) -> None:
     """Peak deceleration, jerk as the metric has it, and where it stands; a stop planned without release is released."""
     plan = braked(v, decel, jerk, soft=soft)
     seen = follow(Manoeuvre("stop", plan), controller, "single_track", CAR).columns
@@ -178,9 +167,6 @@ def test_standstill_has_hysteresis() -> None:
         assert still is holds
 
 
-# --- one pedal at a time
-
-
 @given(st.lists(st.tuples(st.floats(-12.0, 6.0), st.floats(0.0, 40.0)), min_size=1, max_size=60))
 def test_pedals_are_never_on_together(asked: list[tuple[float, float]]) -> None:
     state = NO_PEDAL
@@ -205,9 +191,6 @@ def test_pedals_do_not_alternate_with_noise() -> None:
     for a in TRAIN.coasting(15.0) + rng.uniform(-0.9, 0.9, 500) * HYSTERESIS_MPS2:
         _, brake, state = press(state, PEDALS, float(a), 15.0)
         assert not brake
-
-
-# --- the calibration table
 
 
 @given(st.floats(0.5, 40.0), st.floats(-8.0, 1.0))

@@ -3,8 +3,6 @@
 Decoded by the mcap project's own protobuf decoder, from the schemas in the file. Skipped without the extra `foxglove`.
 """
 
-from __future__ import annotations
-
 import sys
 from collections import defaultdict
 from importlib.util import find_spec

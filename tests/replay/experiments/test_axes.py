@@ -1,10 +1,7 @@
 """Axes: their words, origins and scales."""
 
-from __future__ import annotations
-
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from logs import ConfigError
 from logs.catalogue import FAMILIES

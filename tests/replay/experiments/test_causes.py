@@ -1,12 +1,9 @@
 """From passing changes to a cause, the table of changes, and the smallest change of a setting."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from logs.errors import ConfigError
 from replay.config import RunConfig, load_run
@@ -43,9 +40,7 @@ def changed(draw: st.DrawFn) -> list[ChangedRun]:
 
 
 @given(changed(), st.data())
-def test_a_cause_is_named_by_changes_that_pass_and_of_which_no_part_passes(
-    runs: list[ChangedRun], data: st.DataObject
-) -> None:
+def test_a_cause_is_named_by_least_changes_that_pass(runs: list[ChangedRun], data: st.DataObject) -> None:
     passing = set(data.draw(st.lists(st.sampled_from([run.change.name for run in runs]))))
     found = cause_of(runs, passing)
     known = {run.change.name: run for run in runs}
@@ -61,7 +56,7 @@ def test_a_cause_is_named_by_changes_that_pass_and_of_which_no_part_passes(
 
 
 @given(changed())
-def test_nothing_is_found_of_a_fragile_drive_and_unavoidable_is_said_only_where_nothing_passes(
+def test_a_fragile_drive_has_no_cause_and_unavoidable_is_where_nothing_passes(
     runs: list[ChangedRun],
 ) -> None:
     everything = [run.change.name for run in runs]
@@ -113,9 +108,7 @@ def test_a_wrong_row_is_refused_by_name(text: str, said: str, tmp_path: Path) ->
 
 
 @given(st.floats(0.02, 0.98), st.booleans(), st.booleans())
-def test_the_smallest_change_is_within_a_step_of_where_the_drive_begins_to_pass(
-    share: float, along: bool, upward: bool
-) -> None:
+def test_the_smallest_change_is_within_a_step_of_where_drives_pass(share: float, along: bool, upward: bool) -> None:
     setting = Setting(("planner", "idm", "time_gap_s"), 1.0 if upward else 4.0, 1.0, 4.0, log=along)
     asked: list[Value] = []
 

@@ -1,15 +1,12 @@
 """What goes wrong in a failing drive: the words are those of the numbers, and the numbers those of the drives."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from math import inf, nan
 
 import numpy as np
 import pytest
 from drives import drive, moved, moved_ego, scenario
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from logs import AgentKind, Trajectory
 from logs.frame import Predictions
@@ -57,9 +54,7 @@ def compared_drives(failing: Trajectory, passing: Trajectory, until: float = inf
 
 
 @given(st.floats(0.5, 3.0), st.floats(-0.5, 2.0), st.floats(1.0, 4.0), st.floats(0.2, 1.0), st.floats(-3.0, 3.0))
-def test_late_weak_and_missing_braking_are_what_the_drives_do(
-    at: float, late: float, decel: float, share: float, turn: float
-) -> None:
+def test_braking_is_what_the_drives_do(at: float, late: float, decel: float, share: float, turn: float) -> None:
     passing, failing = braked(at, decel), braked(at + late, share * decel)
     found = compared_drives(failing, passing)
     behaviour = found.behaviour[0]
@@ -88,7 +83,7 @@ def test_late_weak_and_missing_braking_are_what_the_drives_do(
         (AS_LOGGED, braked(9.0, 0.0, -0.5), 3.0, "keeps too far left", "drives 0.5 m to the left of where it passes"),
     ],
 )  # fmt: skip
-def test_a_deed_and_its_numbers(
+def test_a_deed_in_numbers(
     failing: Trajectory, passing: Trajectory, until: float, behaviour: str, numbers: str
 ) -> None:
     assert compared_drives(failing, passing, until).behaviour == (behaviour, numbers)
@@ -211,9 +206,7 @@ def test_the_time_lost_from_frame_to_frame_sums_to_the_delay(slow: float, at: fl
 
 
 @given(st.floats(-4.0, 4.0), st.floats(-3.0, 20.0), st.floats(-3.0, 3.0), st.floats(-1e3, 1e3), st.floats(0.0, 6.0))
-def test_where_a_goal_is_missed_is_seen_from_the_ego(
-    left: float, ahead: float, turn: float, shift: float, speed: float
-) -> None:
+def test_a_missed_goal_is_seen_from_the_ego(left: float, ahead: float, turn: float, shift: float, speed: float) -> None:
     middle = LOG.vehicle.axle_to_center
     x, y = AS_LOGGED.x[-1] + middle + ahead, left
     place = np.array([[x, y], [x + 1.0, y], [x + 1.0, y + 1.0], [x, y + 1.0]])
@@ -232,9 +225,7 @@ def test_where_a_goal_is_missed_is_seen_from_the_ego(
 
 
 @given(st.floats(0.0, 4.0), st.floats(-1.0, 1.0))
-def test_a_reaction_is_unseen_where_the_ego_is_as_before_and_the_road_user_as_in_the_log(
-    off: float, aside: float
-) -> None:
+def test_a_reaction_is_unseen_where_ego_and_road_user_are_as_before(off: float, aside: float) -> None:
     places = -20.0 + V * T, 0.0 * T, 0.0 * T
     shifted = places[0] - np.where(T > 2.5, off, 0.0), *places[1:]
     logged, braking = (

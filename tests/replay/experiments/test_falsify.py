@@ -1,20 +1,15 @@
 """`replan falsify`: a case whose distance is known, its files, resume, and wrong words."""
 
-from __future__ import annotations
-
 import json
-import shutil
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
 import pytest
-from command_line import gates as write_gates
-from command_line import one_error, replan
+from command_line import gates as write_gates, one_error, replan
 from handmade import track, tracks
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from short_logs import past_parked
 
 from logs import Scenario
@@ -22,10 +17,8 @@ from logs.mcap import read_scenario, write_scenario
 from metrics.judge.gates import Gate, load_gates
 from replay.draw.drawn_results import load
 from replay.experiments.falsify import BOTH, ERROR, FAIL, PASS, TriedPoint, robustness
-from replay.run.claim import STUDY as FILE
 
 pytest.importorskip("cmaes", reason="the extra improve is not installed: pip install 'replan[improve]'")
-SAME = ("falsify.json", "study.jsonl", "trials.parquet", "trials.csv", "falsify.png", "case.mcap")
 COLLISION = 'metric = "collision_at_fault.count"\nmode = "closed"\nmax = 0'
 GAP = 'metric = "gap.min"\nmode = "closed"\nmin = 0.05'
 """At less, the careful driver fails as well: they pass as near, and brake for who is in their way only."""
@@ -92,23 +85,6 @@ def test_the_case_is_a_log_that_fails_again(found: Path, folder: Path, tmp_path:
     gates, same = (load(run).gates["gate"] for run in (found / "case", tmp_path / "again"))
     assert list(gates) == list(same) and len(gates) == len(load_gates(folder / "gates.toml").gates)
     assert len(list((found / "case").glob("*/closed.rrd"))) == 1
-
-
-@pytest.mark.slow
-def test_an_interrupted_search_ends_with_the_same_bytes(found: Path, folder: Path, tmp_path: Path) -> None:
-    lines = (found / FILE).read_text(encoding="utf-8").splitlines(keepends=True)
-    out = tmp_path / "resumed"
-    out.mkdir()
-    (out / FILE).write_text("".join(lines[:-5]), encoding="utf-8")
-    shutil.copytree(found / "case", out / ".partial-batch")
-    result = replan(*words(folder, out, "--resume", workers=1))
-    assert result.exit_code == 1, result.output
-    for name in SAME:
-        assert (out / name).read_bytes() == (found / name).read_bytes(), name
-    assert not list(out.glob(".partial*"))
-    assert "was started with other settings: seed was 0, is 7" in one_error(
-        replan(*words(folder, out, "--resume", "--seed", 7))
-    )
 
 
 @pytest.mark.slow

@@ -1,14 +1,11 @@
 """Held-out logs, and gains against the defaults: directions, missing values, and chance."""
 
-from __future__ import annotations
-
 from collections import Counter
 from math import floor
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from logs import ConfigError
 from metrics import METRICS

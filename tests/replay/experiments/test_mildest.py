@@ -1,14 +1,11 @@
 """The search for the mildest failure, on holes whose mildest point is known."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from math import inf, isnan
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from logs.arrays import FloatArray
 from replay.experiments.mildest import Mildest, Point, ScoredPoint, norm, search

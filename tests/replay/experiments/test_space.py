@@ -1,7 +1,5 @@
 """Spaces: what is read, what is refused before anything is driven, and the settings as a file."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """`replan tune`: planted better settings are found, noise is not; trials, files, resume, and wrong words."""
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Callable, Sequence
@@ -11,8 +9,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from command_line import gates as write_gates
-from command_line import one_error, replan
+from command_line import gates as write_gates, one_error, replan
 from handmade import drive, lanes_along, scenario, square, straight
 
 from logs import Goal
@@ -24,7 +21,6 @@ from replay.experiments.space import Setting
 from replay.run.claim import STUDY as FILE
 
 pytest.importorskip("optuna", reason="the extra improve is not installed: pip install 'replan[improve]'")
-SAME = ("tune.json", "study.jsonl", "trials.parquet", "trials.csv", "pareto.csv", "pareto.png", "best.toml")
 SPEED, IDLE = ("planner", "wishful:Wishful", "speed_mps"), ("planner", "wishful:Wishful", "idle")
 ONE = (Objective("down.mean", "closed", -1.0),)
 
@@ -107,25 +103,16 @@ def test_planted_better_settings_are_found_and_hold_on_held_out_logs(folder: Pat
 
 
 @pytest.mark.slow
-def test_pure_noise_fails_and_an_interrupted_search_ends_with_the_same_bytes(folder: Path, tmp_path: Path) -> None:
+def test_pure_noise_fails(folder: Path, tmp_path: Path) -> None:
     noise = ("--objective", "noise.mean", "--trials", 2)
     result = replan(*words(folder, tmp_path / "out", *noise))
     assert result.exit_code == 1, result.output
     assert "FAIL: no feasible trial is better than the defaults" in result.stdout
     assert load_run(tmp_path / "out" / "best.toml").planners == ("wishful:Wishful",)
-    lines = (tmp_path / "out" / FILE).read_text(encoding="utf-8").splitlines(keepends=True)
-    out = tmp_path / "resumed"
-    out.mkdir()
-    (out / FILE).write_text("".join(lines[:2]), encoding="utf-8")
-    assert replan(*words(folder, out, *noise, "--resume", "--workers", 1)).exit_code == 1
-    for name in SAME:
-        assert (out / name).read_bytes() == (tmp_path / "out" / name).read_bytes(), name
 
 
 @pytest.mark.slow
-def test_a_space_of_which_no_point_is_accepted_is_one_line_and_its_trials_are_kept(
-    folder: Path, tmp_path: Path
-) -> None:
+def test_a_space_of_refused_points_is_one_line_and_its_trials_are_kept(folder: Path, tmp_path: Path) -> None:
     """Both ends are multiples of the control period, and what lies between them is none."""
     (tmp_path / "space.toml").write_text("loop.plan_period_s = { low = 0.2, high = 0.4 }", encoding="utf-8")
     asked = ("--space", tmp_path / "space.toml", "--objective", "wish.mean", "--trials", 3)
@@ -136,9 +123,7 @@ def test_a_space_of_which_no_point_is_accepted_is_one_line_and_its_trials_are_ke
     assert len((tmp_path / "out" / FILE).read_text(encoding="utf-8").splitlines()) == 4
 
 
-def test_without_optuna_or_cmaes_one_line_says_how_to_install_them(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_optuna_or_cmaes_one_line_helps(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "optuna", None)
     monkeypatch.setitem(sys.modules, "cmaes", None)
     falsify = ("falsify", "paper/crossing_pedestrian", "-p", "idm", "-o", tmp_path / "out")

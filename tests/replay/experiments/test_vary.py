@@ -1,7 +1,5 @@
 """`replan vary`: the surface, its edge, its files; what cannot be evaluated costs only itself."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -9,11 +7,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from command_line import gates as write_gates
-from command_line import replan
+from command_line import gates as write_gates, replan
 from handmade import track, tracks
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from short_logs import past_parked
 
 from logs import AgentKind, ConfigError, Scenario
@@ -27,7 +23,6 @@ from replay.experiments.conflict import conflicting_agent, encounters, lines, op
 from replay.experiments.question import question
 from replay.experiments.surface import VaryResult, vary
 from replay.run import evaluate_logs
-from replay.run.claim import STUDY
 
 RUN = RunConfig(planners=("constant_speed",), recording=False, internals="none")
 COLLISION = 'metric = "collision_at_fault.count"\nmode = "closed"\nmax = 0'
@@ -104,31 +99,6 @@ def test_files_and_parameters(result: VaryResult) -> None:
     assert table["log"].is_unique
     assert (result.out / "surface.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
     assert {"vary.json", "surface.csv", "edges.csv", "grid", "edge-1"} <= {p.name for p in result.out.iterdir()}
-
-
-@pytest.mark.slow
-def test_another_time_the_same_bytes_and_no_foreign_folder_is_touched(result: VaryResult, tmp_path: Path) -> None:
-    out = tmp_path / "again"
-    run = replace(RUN, gates=str(result.out.parent / "gates.toml"))
-    (out / "logs").mkdir(parents=True)
-    for name in ("vary.json", "logs/earlier.mcap"):
-        (out / name).write_text("", encoding="utf-8")
-    (out / STUDY).write_text('{"study": "vary"}\n', encoding="utf-8")
-    vary(prepared(log()), result.question, run, out)
-    assert not (out / "logs" / "earlier.mcap").exists()
-    for name in ("surface.csv", "edges.csv", "surface.png", "surface.parquet"):
-        assert (out / name).read_bytes() == (result.out / name).read_bytes()
-    (tmp_path / "diary.txt").write_text("", encoding="utf-8")
-    with pytest.raises(ConfigError, match="not results of `replan vary`"):
-        vary(prepared(log()), result.question, run, tmp_path)
-
-
-@pytest.mark.slow
-def test_the_same_bytes_whatever_the_number_of_workers(result: VaryResult, tmp_path: Path) -> None:
-    run = replace(RUN, gates=str(result.out.parent / "gates.toml"))
-    vary(prepared(log()), result.question, run, tmp_path / "out", workers=2)
-    for name in ("surface.csv", "edges.csv", "surface.png"):
-        assert (tmp_path / "out" / name).read_bytes() == (result.out / name).read_bytes()
 
 
 @given(st.floats(-4.9, 4.9), st.floats(1e-3, 1.0), st.booleans())

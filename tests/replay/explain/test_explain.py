@@ -1,7 +1,5 @@
 """A drive in words, one frame planned again, and where the agents really were: the words match the run."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from dataclasses import replace
@@ -19,8 +17,7 @@ from logs.errors import LogError, PlannerError
 from logs.mcap import write_scenario
 from planners.piecewise_jerk.solvers import solve
 from replay.config import RunConfig
-from replay.draw.drawn_results import Results
-from replay.draw.drawn_results import load as results_of
+from replay.draw.drawn_results import Results, load as results_of
 from replay.explain import accounts
 from replay.explain.causes import Cause, CauseKind
 from replay.explain.explanation import MOST_PHASES, changes, explained, lines_of, summary
@@ -124,9 +121,6 @@ def test_explain_states_a_decision_that_every_family_accepts(name: str) -> None:
     check_states_what_is_accepted(name)
 
 
-# ------------------------------------------------------------------------------------------------- one frame again
-
-
 @pytest.mark.parametrize("mode", ["closed", "open"])
 def test_a_dump_gives_the_same_plan_to_the_bit(results: Results, mode: str, tmp_path: Path) -> None:
     again = replan_frame(results.drive(LOG, "dp_qp", mode), 2.0)
@@ -174,7 +168,7 @@ def test_what_is_no_dump_is_a_clean_error(content: bytes, tmp_path: Path) -> Non
         load(tmp_path / "frame.msgpack")
 
 
-def test_another_planner_that_raises_is_an_error_with_its_place(
+def test_another_planner_that_raises_is_named(
     results: Results, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     text = "class Raises:\n    def __init__(self, _):\n        pass\n\n    def plan(self, _):\n"

@@ -1,7 +1,5 @@
 """Where two drives part: what is changed in one frame is found in that frame, in its stage; where two planners part."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import fields, replace
 from functools import cache
@@ -10,8 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import sample_drive
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from logs.catalogue import scenario
 from logs.frame import Predictions
@@ -133,8 +130,6 @@ PLANTED: dict[str, tuple[str, Callable[[PlannedFrame], PlannedFrame], str]] = {
 
 ANY_FRAME = st.integers(0, FRAMES - 1)
 
-# laws -------------------------------------------------------------------------------------------------------------
-
 
 @pytest.mark.parametrize("mode", list(Mode))
 def test_a_drive_does_not_part_from_itself(mode: Mode) -> None:
@@ -206,9 +201,6 @@ def test_between_frames_the_controller_and_the_car_act(row: int, stage: str) -> 
 def test_rounding_parts_nothing(size: float) -> None:
     trace = drive()
     assert first_difference(trace, replace(trace, ego=replace(trace.ego, x=trace.ego.x + size))) is None
-
-
-# examples ---------------------------------------------------------------------------------------------------------
 
 
 def test_a_small_cause_is_named_and_not_its_larger_effect() -> None:

@@ -1,7 +1,5 @@
 """Why a plan slows down: no sentence contradicts the numbers beside it, for whatever planner; and a few by hand."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import fields, replace
 from itertools import product
@@ -10,8 +8,7 @@ from math import inf, isfinite, nan
 import numpy as np
 import pytest
 from handmade import drive, lanes_along, scenario, square, straight, track, tracks
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from logs import Decision, DecisionKind, Frame, Goal, Plan, PlannerContext, Scenario, Trajectory
 from logs.arrays import FloatArray

@@ -1,7 +1,5 @@
 """A planner that gives other plans in the same world is marked; one that does not is not."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from math import inf

@@ -1,7 +1,5 @@
 """The loops: why a drive ends, that it is the same twice, and that the log's own plan has no error."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import fields, replace
@@ -11,8 +9,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 from handmade import drive, lanes_along, s_curve, scenario, square, straight, track, tracks
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from logs import (
     AgentKind,
@@ -427,9 +424,7 @@ class Silent(ConstantSpeed):
         (Silent, "without a reason", 0),
     ],
 )
-def test_a_planner_that_fails_ends_the_drive_with_one_line(
-    plugin: ModuleType, run: Run, broken: type, said: str, frames: int
-) -> None:
+def test_a_planner_that_fails_ends_a_drive(plugin: ModuleType, run: Run, broken: type, said: str, frames: int) -> None:
     plugin.Broken = broken  # type: ignore[attr-defined]
     trace: Trace = run(lasting(drive(straight, 10.0, 3.0), 3.0), "plugin:Broken", config=TRUSTED).trace
     assert trace.end is EndReason.PLANNER_FAILURE

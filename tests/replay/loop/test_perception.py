@@ -1,17 +1,14 @@
 """What the planner is shown: nothing of later, all of it with ground truth, and what a sensor leaves of it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from handmade import drive, scenario, straight, track, tracks
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
-from logs import AgentKind, Agents, ConfigError, Frame, LogError, Scenario, Tracks, VehicleParameters
+from logs import AgentKind, Agents, ConfigError, Frame, LogError, Scenario, Tracks
 from logs.arrays import FloatArray
 from logs.repair.detections import Detections, Repair, named_as_tracked
 from logs.repair.offline import detections_of
@@ -29,7 +26,6 @@ IDEAL = SensorConfig(
     range_m=1e5, occlusion=False, position_noise_m=0.0, yaw_noise_deg=0.0, velocity_noise_mps=0.0, latency_s=0.0,
     dropout=0.0, coast_s=0.0,
 )  # fmt: skip
-CAR = VehicleParameters()
 
 
 def made(*agents: dict[str, object], seconds: float = 6.0) -> Scenario:
@@ -84,9 +80,7 @@ GRID = [round(0.1 * k, 1) for k in range(31)]
 @pytest.mark.parametrize("prediction", PREDICTION.causal)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 30))
 @settings(max_examples=5)
-def test_no_sample_later_than_the_frame_is_seen_or_predicted(
-    perception: str, prediction: str, seed: int, k: int
-) -> None:
+def test_no_later_sample_is_seen_or_predicted(perception: str, prediction: str, seed: int, k: int) -> None:
     log, config = detected(crowd(seed)), LoopConfig(perception=perception, prediction=prediction)
     assert log.repair is not None
     known = log.repair.detections.between(-np.inf, GRID[k] + 1e-6)

@@ -1,15 +1,12 @@
 """The compiled loop: the same as its parts one step after the other; plans that are driven later than made."""
 
-from __future__ import annotations
-
 from functools import cache
 from itertools import pairwise
 
 import numpy as np
 import pytest
 from handmade import drive, s_curve, scenario
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from logs import ConfigError, Plan, VehicleParameters
 from logs.vehicle import vehicle_parameters
@@ -80,9 +77,6 @@ def test_every_row_is_complete_and_the_last_command_stands_at_the_end(vehicle: s
     assert rows.shape == (STEPS + 1, COLUMNS) and np.isfinite(rows).all()
     assert rows[-1, COMMAND].tolist() == rows[-2, COMMAND].tolist()
     np.testing.assert_array_equal(np.round(rows[:, 0] / PERIOD), np.arange(STEPS + 1))
-
-
-# --- planning takes time
 
 
 @given(st.integers(0, 40), st.integers(1, 12))

@@ -1,13 +1,10 @@
 """Where a drive ends does not depend on how many rows are looked at at once, and is what Goal and contact say."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 from handmade import drive, lanes_along, scenario, square, straight, track, tracks
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from logs import EndReason
 from logs.road import Goal

@@ -1,7 +1,5 @@
 """Kinds of events: each finds what it is made for and nothing beside it, wherever in the world the log lies."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import pairwise
@@ -9,8 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from drives import Agent, along, changing, grid, moved, moving, scenario, straight_road
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from logs import AgentKind, Colour, Crosswalk, Lane, Road, Scenario, StopLine, TrafficLight
 from logs.catalogue import scenario as synthesised
@@ -221,7 +218,7 @@ def test_near_misses_have_ttc_and_pet() -> None:
 
 
 @pytest.mark.parametrize(("lasts", "room", "times"), [(0.1, 0.4, 0), (0.6, 0.8, 0), (0.6, 0.4, 1)])
-def test_a_car_in_the_next_lane_is_a_near_miss_where_it_comes_close_for_longer_than_a_moment(
+def test_a_car_in_the_next_lane_is_a_near_miss_where_it_comes_close_for_long(
     lasts: float, room: float, times: int
 ) -> None:
     beside = 0.5 * (CAR[1] + scenario(along(T, 10.0)).vehicle.width) + room

@@ -1,7 +1,5 @@
 """`replan mine | query | cut | suite | coverage`: tables, moments as logs, refusals in one line."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil
@@ -13,8 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from command_line import one_error, replan
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from logs.catalogue import scenario
 from logs.errors import ConfigError
@@ -195,9 +192,7 @@ NAMES_OF_LOGS = st.text(st.characters(codec="utf-8", exclude_categories=["Cs"]),
 
 
 @given(name=NAMES_OF_LOGS, folder=st.sampled_from(["a b", 'a"b', "a'b#", "ä\\b", "a\nb"]))
-def test_a_suite_names_the_logs_whatever_they_are_called(
-    tmp_path_factory: pytest.TempPathFactory, name: str, folder: str
-) -> None:
+def test_a_suite_names_logs_of_any_name(tmp_path_factory: pytest.TempPathFactory, name: str, folder: str) -> None:
     place = tmp_path_factory.mktemp("suite")
     log = place / folder / "log.mcap"
     log.parent.mkdir()
@@ -261,9 +256,7 @@ def test_what_would_begin_too_much_or_nothing_is_one_line(mined: Path, tmp_path:
     assert not list(tmp_path.iterdir())
 
 
-def test_a_mined_log_is_not_mined_again(
-    logs: Path, mined: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_log_is_not_mined_again(logs: Path, mined: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     out = Path(shutil.copytree(mined, tmp_path / "out"))
     (out / EVENTS).unlink()
     lines = (out / "study.jsonl").read_text(encoding="utf-8").splitlines(keepends=True)

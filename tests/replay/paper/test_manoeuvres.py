@@ -1,7 +1,5 @@
 """The manoeuvres: tracks that a car fits through, references that are what they say, and the aims of the table."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,15 +1,12 @@
 """The paper's experiments: laws of the avoidability, the grid's cells, the figures, and the whole command (slow)."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from logs import (
     ConfigError,
@@ -48,9 +45,6 @@ limits = st.builds(SpeedLimits, st.just(1.8), st.floats(1.0, 9.0), st.floats(1.0
 cells = st.sampled_from(CELLS)
 
 
-# laws
-
-
 @given(v=speeds, limits=limits, u=st.floats(0.0, 15.0))
 def test_the_braking_point_mass_is_the_integral_of_its_deceleration(v: float, limits: SpeedLimits, u: float) -> None:
     t = np.linspace(0.0, u, 20_001)
@@ -61,7 +55,7 @@ def test_the_braking_point_mass_is_the_integral_of_its_deceleration(v: float, li
 
 
 @given(v=speeds, limits=limits, u=st.floats(0.0, 10.0), more=st.floats(0.0, 5.0))
-def test_braking_goes_on_forwards_and_never_further_than_driving(
+def test_braking_goes_forwards_and_no_further_than_driving(
     v: float, limits: SpeedLimits, u: float, more: float
 ) -> None:
     assert 0.0 <= braked(u, v, limits) <= braked(u + more, v, limits) + 1e-9 <= v * (u + more) + 2e-9
@@ -98,9 +92,6 @@ def test_the_walker_is_in_the_middle_when_the_cell_says(cell: GridCrossing) -> N
     entry, leave = walker_within(scenario, 0.0)
     assert entry < middle < leave
     assert len(scenario.ego) == 1
-
-
-# examples
 
 
 @pytest.mark.parametrize(

@@ -19,8 +19,6 @@ both pedals     throttle and brake are pressed together
 no goal         the drive ends neither at its goal nor in a collision
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -289,9 +287,6 @@ FAST = (
 )  # fmt: skip
 
 
-# laws
-
-
 @pytest.mark.parametrize("case", FAST, ids=str)
 def test_the_laws_hold(case: Case) -> None:
     assert broken(judged(case)) == []
@@ -361,9 +356,6 @@ def test_conflicts_are_counted() -> None:
         (Case("PD-9", "pedestrian/both_sides", (("left_start_s", 8.0),)), 2),
     ):
         assert len(judged(case, planner="idm").conflicts()) == count, str(case)
-
-
-# examples
 
 
 @pytest.mark.parametrize("walker", [0.85, 1.0])

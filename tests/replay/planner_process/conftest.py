@@ -1,7 +1,5 @@
 """Where tests of planners' processes write their planners."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Planners in a process of their own: the same results, and whatever they do costs their own drive only."""
 
-from __future__ import annotations
-
 import signal
 import sys
 import time

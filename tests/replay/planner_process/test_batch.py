@@ -1,7 +1,5 @@
 """Logs in lock step (`loop.apart.batch`): the answers of a planner that plans them one by one do not change."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -10,8 +8,7 @@ from textwrap import dedent
 
 import pytest
 from command_line import replan
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from short_logs import short
 
 from logs import ConfigError, EndReason

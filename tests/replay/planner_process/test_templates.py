@@ -1,7 +1,5 @@
 """What a planner's module loads, it loads once in a worker; the drives still know nothing of each other."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -199,9 +197,7 @@ DRAWN = """
 
 @pytest.mark.slow
 @pytest.mark.parametrize("workers", [0, pytest.param(2, marks=pytest.mark.slow)])
-def test_a_run_loads_it_twice_in_a_worker_and_still_sees_what_is_not_deterministic(
-    workers: int, logs: Path, folder: Path
-) -> None:
+def test_a_run_in_a_worker_still_sees_what_is_not_deterministic(workers: int, logs: Path, folder: Path) -> None:
     name = f"drawn{workers}"
     run = RunConfig(planners=(written(name, DRAWN),), recording=False, internals="none", mode="open", repeat_s=0.2)
     result = evaluate_logs([logs], run, folder / "out", workers=workers)

@@ -1,14 +1,11 @@
 """Predictions: what holds for every method, and the two that need no road."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from handmade import track, tracks
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from worlds import curve, lanes
 
 from logs import AgentKind, Agents, Lane, Predictions, Road, wrap
@@ -123,7 +120,7 @@ LANES = LaneMap.of(crossing())
 @pytest.mark.parametrize("method", PREDICTION.causal)
 @given(st.integers(0, 2**32 - 1), st.floats(-3.0, 3.0), COORDINATE, COORDINATE, st.sampled_from([1.0, -1.0]))
 @settings(max_examples=15)
-def test_predictions_turn_move_and_mirror_with_the_world(
+def test_predictions_move_with_the_world(
     method: str, seed: int, turn: float, dx: float, dy: float, sign: float
 ) -> None:
     now = crowd(seed)
@@ -158,9 +155,6 @@ def test_every_method_keeps_the_form_without_lanes_and_without_agents(method: st
     np.testing.assert_allclose(np.bincount(future.agent, future.probability, len(now)), 1.0)
     nobody = predict(agents([]), 0.0, method=method, lanes=LANES)
     assert len(nobody) == 0 and nobody.x.shape == (0, 81)
-
-
-# --- constant velocity, constant turn rate
 
 
 @given(st.lists(STATE, max_size=6))

@@ -1,13 +1,10 @@
 """Lane following and pedestrians: what a future on lanes must keep, and who has which hypotheses."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from worlds import curve, lanes, strip
 
 from logs import AgentKind, Agents, Lane, Predictions, Road
@@ -37,9 +34,6 @@ def road_of(*found: Lane) -> Road:
     return Road({lane.id: lane for lane in found})
 
 
-# --- the map
-
-
 @given(st.floats(0.0, 99.9), st.floats(-3.0, 3.0))
 def test_projection_inverts_the_point_of_a_lane(s: float, left: float) -> None:
     """Up to the curve within a step: half a sample times the angle between two."""
@@ -65,9 +59,6 @@ def test_jumping_over_samples_misses_no_nearer_one(seed: int) -> None:
     assert np.isinf(lane_project(found, 0, x, y, 0.5 * np.hypot(foot[0] - x, foot[1] - y) - 1.0)[1])
     dense = [lane_point(found, 0, u)[:2] for u in np.linspace(0.0, 80.0, 1601)]
     assert np.hypot(foot[0] - x, foot[1] - y) <= min(np.hypot(px - x, py - y) for px, py in dense) + 1e-2
-
-
-# --- along a lane
 
 
 @given(st.floats(-0.8, 0.8), st.floats(3.0, 15.0), st.floats(-0.01, 0.01))
@@ -169,9 +160,6 @@ def test_500_vehicles_and_a_road_of_loops_end() -> None:
     )  # fmt: skip
     found = future(crowd, road)
     assert len(found) >= 500 and np.isfinite(found.x).all()
-
-
-# --- pedestrians
 
 
 def walker(x: float, y: float, reference: float, v: float, accel: float = 0.0) -> Agents:

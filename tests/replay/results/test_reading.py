@@ -1,7 +1,5 @@
 """Edited results: one line and a documented exit code, and nothing outside of the output is touched."""
 
-from __future__ import annotations
-
 import json
 import random
 import shlex
@@ -14,8 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 from command_line import one_error, replan
 from edited import edit
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from short_logs import write_free_and_blocked
 
 from logs.errors import ConfigError

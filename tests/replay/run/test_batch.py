@@ -1,7 +1,5 @@
 """Many logs: the same bytes whatever the number of workers; what fails costs only itself."""
 
-from __future__ import annotations
-
 import signal
 from collections.abc import Callable
 from dataclasses import replace
@@ -12,8 +10,7 @@ import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from short_logs import QUICK, identical, run, short
 
 from logs import ConfigError, PlannerError

@@ -1,7 +1,5 @@
 """Whose numbers are driven with: a known vehicle by option or by configuration, in a run and in the calibration."""
 
-from __future__ import annotations
-
 import tomllib
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Chaos: killed workers and runs, a full disk, damaged logs and several resumes change no byte of the tables."""
 
-from __future__ import annotations
-
 import json
 import os
 import random

@@ -4,8 +4,6 @@ A file's columns beside these: which byte of it a full disk cuts (test_full_disk
 test_killed_commands.py, `python -m studies.kills`. URLs that are written: test_urls.py. Locks: test_lock.py.
 """
 
-from __future__ import annotations
-
 import errno
 import os
 import re
@@ -204,9 +202,7 @@ def test_the_table_of_the_documentation_has_these_rows() -> None:
 
 
 @pytest.mark.parametrize("name", rows(URL))
-def test_a_url_is_refused_before_any_work(
-    place: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
-) -> None:
+def test_a_url_is_refused_at_once(place: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
     monkeypatch.chdir(tmp_path)
     url = f"s3://bucket/out{ROWS[name].ending}"
     line = one_error(replan(*ROWS[name].given(place, url)))
@@ -353,7 +349,7 @@ def whole(place: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cal
 
 
 @pytest.mark.parametrize("name", rows(WORK))
-def test_a_full_disk_says_the_command_that_helps_and_it_does(
+def test_a_full_disk_says_which_command_helps(
     place: Path, tmp_path: Path, whole: Callable[[str], Whole], name: str
 ) -> None:
     row, out, sound = ROWS[name], target(name, tmp_path), whole(name)
@@ -368,7 +364,7 @@ def test_a_full_disk_says_the_command_that_helps_and_it_does(
 
 
 @pytest.mark.parametrize("name", rows(WORK))
-def test_interrupted_it_leaves_whole_files_and_goes_on(
+def test_interrupted_it_is_whole_and_goes_on(
     place: Path, tmp_path: Path, whole: Callable[[str], Whole], name: str
 ) -> None:
     row, out, sound = ROWS[name], target(name, tmp_path), whole(name)
@@ -381,9 +377,7 @@ def test_interrupted_it_leaves_whole_files_and_goes_on(
 
 
 @pytest.mark.parametrize("name", rows(WORK))
-def test_run_again_it_gives_the_same_bytes_and_leaves_nothing(
-    place: Path, whole: Callable[[str], Whole], name: str
-) -> None:
+def test_run_again_it_gives_the_same_bytes(place: Path, whole: Callable[[str], Whole], name: str) -> None:
     sound = whole(name)
     assert replan(*ROWS[name].given(place, sound.out)).exit_code == sound.code
     assert contents(sound.out) == sound.contents and not left(sound.out.parent)
@@ -397,9 +391,7 @@ def test_other_files_of_the_folder_are_left(place: Path, tmp_path: Path, name: s
     assert (tmp_path / "out" / "thesis.tex").read_text(encoding="utf-8") == "two years of work\n"
 
 
-def test_an_error_while_a_file_is_written_is_not_hidden_by_cleaning_up(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_error_while_writing_is_not_hidden_by_cleaning_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*args: object, **more: object) -> None:
         raise OSError(errno.EROFS, os.strerror(errno.EROFS))
 

@@ -1,7 +1,5 @@
 """A full disk, at any byte: one line that names the file, no cut file under a final name, and --resume goes on."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
@@ -10,8 +8,7 @@ from pathlib import Path
 import pytest
 from command_line import replan
 from full_disk import room
-from hypothesis import Phase, given, settings
-from hypothesis import strategies as st
+from hypothesis import Phase, given, settings, strategies as st
 from short_logs import QUICK, identical, run
 
 from logs.errors import OutputError
@@ -104,9 +101,7 @@ def test_frames_that_find_no_room_are_said_as_they_are_put() -> None:
 
 
 @pytest.mark.slow
-def test_a_worker_that_finds_the_disk_full_ends_the_run(
-    logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_worker_that_finds_a_full_disk_ends_it(logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = run(logs, tmp_path / "whole", replace(QUICK, recording=True))
     with room(9000), pytest.raises(OutputError, match="--resume"):
         evaluate_logs([logs], replace(QUICK, recording=True), tmp_path / "out", workers=2)

@@ -1,7 +1,5 @@
 """Commands that are killed or interrupted at any time, and run again: the same bytes, and nothing is left behind."""
 
-from __future__ import annotations
-
 import random
 import shlex
 import shutil

@@ -1,7 +1,5 @@
 """Ray: the bytes of the local engine; a node that dies costs a retry; what a node lacks is said."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

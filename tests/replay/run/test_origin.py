@@ -1,7 +1,5 @@
 """Results know where their logs are: read from any directory, moved with or without them; another log is refused."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 
@@ -69,9 +67,7 @@ def test_a_log_with_other_bytes_is_refused_and_passed_over_for_the_right_one(run
         found(run, digest)
 
 
-def test_a_frame_is_planned_again_and_a_run_resumed_from_another_directory(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_frames_and_resumed_runs_work_from_another_directory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "work" / SOURCE).parent.mkdir(parents=True)
     write_scenario(tmp_path / "work" / SOURCE, short("test/a"))
     monkeypatch.chdir(tmp_path / "work")

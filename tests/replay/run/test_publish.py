@@ -1,7 +1,5 @@
 """Results at a store that is in memory: what goes there, and when that of an earlier run goes away."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from pathlib import Path

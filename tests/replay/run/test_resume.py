@@ -1,8 +1,7 @@
 """A run that was interrupted goes on where it was, and its tables are those of a run that was never interrupted."""
 
-from __future__ import annotations
-
 import json
+import shutil
 import signal
 import subprocess
 import sys
@@ -12,7 +11,6 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
-from command_line import evaluate
 from process_tree import are_gone, started
 from short_logs import QUICK, identical, short
 
@@ -101,39 +99,41 @@ def test_a_resumed_run_gives_the_bytes_of_one_that_was_never_interrupted(
     assert not list(out.rglob(".partial*"))
 
 
+@pytest.fixture(scope="module")
+def whole(logs: Path, tmp_path_factory: pytest.TempPathFactory) -> Results:
+    """A finished run: to be read only."""
+    return evaluate_logs([logs], QUICK, tmp_path_factory.mktemp("whole") / "out")
+
+
 @pytest.fixture
-def begun(logs: Path, tmp_path: Path) -> Path:
-    """A finished run without its tables and without the last log: what a killed run leaves."""
-    out = tmp_path / "out"
-    result = evaluate_logs([logs], QUICK, out)
-    folder = out / result.logs.iloc[-1].folder
-    folder.rename(out / ".partial-0123-4567")
+def begun(whole: Results, tmp_path: Path) -> Path:
+    """The run without its tables and without the last log: what a killed run leaves."""
+    out = Path(shutil.copytree(whole.path, tmp_path / "out"))
+    (out / whole.logs.iloc[-1].folder).rename(out / ".partial-0123-4567")
     for name in ("metrics.parquet", "metrics.csv", "summary.json"):
         (out / name).unlink()
     (out / "timings.parquet").rename(out / ".partial-timings.parquet")
     return out
 
 
-def test_only_what_is_missing_is_evaluated(
-    logs: Path, begun: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_is_missing_is_evaluated(logs: Path, begun: Path, whole: Results, monkeypatch: pytest.MonkeyPatch) -> None:
     before = {path: path.stat().st_mtime_ns for path in begun.glob("*/*") if ".partial" not in str(path)}
     result = resumed(logs, begun, QUICK)
     assert result.resumed == 2
     assert {path: path.stat().st_mtime_ns for path in before} == before
-    assert identical(evaluate_logs([logs], QUICK, tmp_path / "whole").path, begun)
+    assert identical(whole.path, begun)
     monkeypatch.setattr("replay.run.evaluate.evaluate_log", lambda *_, **__: 1 / 0)
     tables = {name: (begun / name).read_bytes() for name in ("metrics.parquet", "metrics.csv", "summary.json")}
     assert resumed(logs, begun, QUICK).resumed == 3, "a run that is complete is taken whole"
     assert {name: (begun / name).read_bytes() for name in tables} == tables
 
 
-def test_a_folder_that_is_not_whole_is_evaluated_anew(logs: Path, begun: Path, tmp_path: Path) -> None:
+def test_a_folder_that_is_not_whole_is_evaluated_anew(logs: Path, begun: Path, whole: Results) -> None:
     first, second = sorted(path.parent for path in begun.glob("[!.]*/log.json"))
     (first / "closed.mcap").unlink()
     (second / "log.json").write_text("{", encoding="utf-8")
     assert resumed(logs, begun, QUICK).resumed == 0
-    assert identical(evaluate_logs([logs], QUICK, tmp_path / "whole").path, begun)
+    assert identical(whole.path, begun)
 
 
 def test_more_logs_may_be_named_and_in_another_order(logs: Path, begun: Path) -> None:
@@ -172,9 +172,6 @@ def test_the_kept_result_is_the_result(logs: Path, tmp_path: Path) -> None:
         assert asdict(replace(again, seconds=0.0)) == asdict(replace(log, seconds=0.0)) and len(
             timings_of(result.path, again)
         )
-
-
-# ------------------------------------------------------------------------------------------------------ refusals
 
 
 def refusal(logs: Path | Sequence[Path], out: Path, config: RunConfig = QUICK) -> str:
@@ -234,12 +231,3 @@ def test_what_no_run_wrote_is_refused_and_an_absent_folder_is_a_new_run(logs: Pa
     assert "thesis.tex" in refusal(logs, tmp_path / "new")
     with pytest.raises(ConfigError, match="--out"):
         evaluate_logs([logs], QUICK, resume=True)
-
-
-def test_the_command_line_resumes_and_refuses(logs: Path, begun: Path) -> None:
-    refused = evaluate(logs, "-o", begun, "--resume", "--traffic", "reactive")
-    assert refused.exit_code == 2
-    assert "loop.traffic was 'give_way', is 'reactive'" in refused.stderr
-    done = evaluate(logs, "-o", begun, "--resume")
-    assert done.exit_code in (0, 1, 4)
-    assert "Resumed: 2 of 3 logs" in done.stdout

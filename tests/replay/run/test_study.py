@@ -1,15 +1,12 @@
 """The file of a study: what is taken, what is refused, and that nothing foreign is touched."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
 
 from logs import ConfigError
 from replay.experiments.tune import CONTENTS
-from replay.run.claim import STUDY as FILE
-from replay.run.claim import claimed_folder
+from replay.run.claim import STUDY as FILE, claimed_folder
 from replay.run.resume import Study
 
 HEAD = {"study": "tune", "seed": 0}

@@ -1,7 +1,5 @@
 """Logs and results at an S3-compatible server: the bytes of local ones; what is wrong there is one line."""
 
-from __future__ import annotations
-
 import json
 import socket
 import time
@@ -175,9 +173,7 @@ def test_one_run_at_a_time_and_nothing_of_others_is_touched(bucket: Any, logs: P
     assert bucket.find("fleet/out") == ["fleet/out/thesis.tex"]
 
 
-def test_a_log_that_goes_away_costs_itself_only(
-    bucket: Any, logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_log_that_goes_costs_itself(bucket: Any, logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from replay.run import evaluate as run
 
     bucket.put(str(logs), "fleet/logs", recursive=True)

@@ -1,7 +1,5 @@
 """A user's metric or planner that raises or gives nonsense costs itself only, and is named with file and line."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -83,9 +81,7 @@ def test_a_metric_that_fails_costs_itself_only(
     assert found.exit_code == 3 and len(found.drives) == 1 and (found.path / found.drives.iloc[0].files[0]).exists()
 
 
-def test_a_bug_of_our_own_is_called_one_and_costs_its_metric(
-    logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_bug_of_ours_is_called_one(logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def wrong(trace: object, scenario: object) -> None:
         raise KeyError("lane")
 

@@ -1,7 +1,5 @@
 """Kernels compiled beforehand: what a folder of them needs to be of use, and when it is said that there are none."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

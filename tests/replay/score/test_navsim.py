@@ -1,7 +1,5 @@
 """NAVSIM's scores: equal to the original's own values; laws; the human's trajectory; the versions."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -9,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from logs import Scenario
 from logs.catalogue import scenario as catalogue

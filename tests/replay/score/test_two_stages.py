@@ -1,7 +1,5 @@
 """NAVSIM's two stages: laws of the weights, and a table whose sums are done by hand."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -9,8 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from logs import Scenario
 from logs.arrays import FloatArray
@@ -20,14 +17,11 @@ from logs.transform import moved
 from replay.score.navsim import human_poses, window
 from replay.score.score_table import COMBINED, STAGE_ONE, STAGE_TWO, Asked, navsim_table, of_table, weights
 
-Place = tuple[float, float]
 PLACES = st.lists(st.tuples(*[st.floats(-3.0, 3.0)] * 2), min_size=1, max_size=6)
 
 
 @given(PLACES, st.tuples(*[st.floats(-3.0, 3.0)] * 2), st.floats(-1e3, 1e3))
-def test_weights_are_of_the_distance_alone(
-    places: list[tuple[float, float]], end: tuple[float, float], by: float
-) -> None:
+def test_weights_are_of_distance_alone(places: list[tuple[float, float]], end: tuple[float, float], by: float) -> None:
     begins, last = np.array(places), np.array(end)
     found = weights(last, begins)
     assert found.sum() == pytest.approx(1.0)

@@ -1,7 +1,5 @@
 """Traffic: the log where nobody disturbs it, nobody drives through the ego, and encounters by the ego's position."""
 
-from __future__ import annotations
-
 import tracemalloc
 from collections.abc import Callable
 from dataclasses import replace
@@ -11,8 +9,7 @@ import numpy as np
 import pytest
 from drives import moved as moved_world
 from handmade import drive, scenario, straight, track, tracks
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from worlds import along_x, lanes, strip
 
 from logs import AgentKind, Colour, EgoState, LogError, Road, Scenario, StopLine, Tracks, TrafficLight
@@ -375,7 +372,7 @@ def swerving(log: Scenario) -> Egos:
 
 
 @pytest.mark.parametrize("way", [oncoming, from_the_side, swerving])
-def test_who_drives_head_on_or_comes_from_the_side_without_right_is_hit_as_in_the_log(
+def test_who_drives_head_on_or_without_right_of_way_is_hit_as_in_the_log(
     way: Callable[[Scenario], Egos],
 ) -> None:
     log = made(car("b", 0.0))
@@ -425,9 +422,7 @@ def on_the_main_road(arrives: float, v: float = 10.0) -> Egos:
 
 @given(st.floats(-0.6, 0.6), st.floats(5.0, 10.0), st.floats(7.0, 13.0))
 @settings(max_examples=4)
-def test_who_comes_from_a_lane_that_yields_waits_for_the_ego_and_drives_on_behind_it(
-    later: float, v: float, fast: float
-) -> None:
+def test_who_comes_from_a_lane_that_yields_lets_the_ego_pass_and_drives_on(later: float, v: float, fast: float) -> None:
     egos = on_the_main_road(5.5, fast)
     log = from_the_side_road(5.5 + later, v)
     moved = run(log, "give_way", egos)
@@ -507,9 +502,7 @@ def test_who_is_late_waits_before_the_line_until_it_opens(closes: float, seconds
     ("v", "need", "stops"),
     [(10.0, 2.0, True), (10.0, 2.9, True), (28.0, 2.9, True), (10.0, 3.2, False), (10.0, 6.0, False)],
 )
-def test_at_yellow_he_stops_if_he_can_comfortably_and_what_he_decides_stands(
-    v: float, need: float, *, stops: bool
-) -> None:
+def test_at_yellow_they_stop_if_that_is_comfortable_and_keep_to_it(v: float, need: float, *, stops: bool) -> None:
     """`need`: the deceleration that it takes. It is red before he is over the line."""
     log, egos, line = made(car("b", -1.4 * v, v=v), v=v), at_speed(lambda t: 0.8 * v if t < 0.8 else 1.2 * v), 6.0 * v
     free = fronts(run(log, "reactive", egos))

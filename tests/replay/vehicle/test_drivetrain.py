@@ -1,13 +1,10 @@
 """Drive trains: the inverse, gears, overrun, dead time, load."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from logs import Command, EgoState, VehicleParameters
 from logs.vehicle import vehicle_names, vehicle_parameters
@@ -38,9 +35,7 @@ def test_the_inverse_gives_the_acceleration_back(name: str, v: float, share: flo
 
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize(("v", "acceleration"), [(3.0, 1.0), (12.0, 0.6), (15.0, -3.0), (25.0, -0.8)])
-def test_the_vehicle_gives_the_acceleration_that_its_inverse_was_asked_for(
-    name: str, v: float, acceleration: float
-) -> None:
+def test_the_vehicle_gives_the_acceleration_that_was_asked_for(name: str, v: float, acceleration: float) -> None:
     car = SingleTrack(replace(CARS[name], throttle_lag=0.01, brake_lag=0.01), EgoState(0.0, 0.0, 0.0, 0.0, v))
     for _ in range(40):
         beyond = acceleration - car.powertrain.coasting(car.state.v)

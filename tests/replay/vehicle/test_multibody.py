@@ -1,7 +1,5 @@
 """The multi-body plant: it stands, drives, brakes, corners as the single-track model does; says what it needs."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 from math import hypot, sin

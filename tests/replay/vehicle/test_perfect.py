@@ -1,7 +1,5 @@
 """The perfect vehicle: exactly its plan, in the loop as well; and the plant's own numbers."""
 
-from __future__ import annotations
-
 from math import atan
 
 import numpy as np

@@ -1,15 +1,12 @@
 """The dynamic single-track model: laws, analytic cornering, limits, standstill, agreement with CommonRoad's models."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from math import atan2, cos, hypot, sin, sqrt, tan
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
-from hypothesis import strategies as st
+from hypothesis import assume, given, strategies as st
 
 from logs import Command, ConfigError, EgoState, VehicleParameters
 from logs.vehicle import vehicle_names, vehicle_parameters
@@ -115,9 +112,7 @@ def test_loads_add_up_and_shift_against_the_pull(pull: float) -> None:
 
 
 @given(COMMANDS, st.floats(0.0, 30.0), st.sampled_from(["linear", "fiala", "pacejka"]))
-def test_mirrored_commands_drive_the_mirrored_way(
-    commands: list[tuple[float, float, float]], v: float, tyre: str
-) -> None:
+def test_mirrored_commands_drive_mirrored_ways(commands: list[tuple[float, float, float]], v: float, tyre: str) -> None:
     left, right = SingleTrack(BMW, start(v, 0.01), tyre=tyre), SingleTrack(BMW, start(v, -0.01), tyre=tyre)
     for steer, throttle, brake in commands:
         one = left.step(Command(steer, throttle, brake), 0.1)
@@ -132,9 +127,7 @@ def test_mirrored_commands_drive_the_mirrored_way(
     st.lists(st.tuples(STEER, PEDAL), min_size=3, max_size=20), st.floats(0.0, 40.0), st.floats(0.1, 1.1),
     st.sampled_from(sorted(vehicle_names())),
 )  # fmt: skip
-def test_without_throttle_energy_only_falls(
-    commands: list[tuple[float, float]], v: float, mu: float, name: str
-) -> None:
+def test_without_throttle_energy_falls(commands: list[tuple[float, float]], v: float, mu: float, name: str) -> None:
     car = SingleTrack(replace(vehicle_parameters(name), tyre_friction=mu), start(v))
     before = energy(car)
     for steer, brake in commands:

@@ -1,13 +1,10 @@
 """Vehicles: laws of motion first, then limits and standstill."""
 
-from __future__ import annotations
-
 from math import atan, cos, hypot, pi, sin, tan
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from logs import Command, ConfigError, EgoState, VehicleParameters
 from replay.parts import VEHICLE
@@ -137,13 +134,8 @@ def test_every_vehicle_turns_with_its_steering_and_is_deterministic(name: str) -
     assert abs(one[-1].yaw) < pi
 
 
-# --- with rear steering: the corrected equation 1 of the paper
-
-
 @given(st.floats(0.1, 30.0), st.floats(-0.6, 0.6), st.floats(-1.0, 0.9), st.floats(-3.0, 3.0))
-def test_it_is_the_corrected_equation_at_the_centre_of_gravity(
-    v: float, steer: float, ratio: float, yaw: float
-) -> None:
+def test_it_is_the_corrected_equation_at_the_centre_of_mass(v: float, steer: float, ratio: float, yaw: float) -> None:
     """x' = V cos(yaw + beta), y' = V sin(yaw + beta), yaw' = V cos(beta) (tan df - tan dr) / L; no wheel slips."""
     state = BicycleState(0.0, 0.0, yaw, v, steer, 0.0, 0.0)
     rate = derivative(state, (0.0, 0.0, 0.0), True, kinematics_of(CAR, ratio))

@@ -1,15 +1,12 @@
 """CommonRoad traffic rules: lights against independent arithmetic, who goes first, stop lines, recorded files."""
 
-from __future__ import annotations
-
 from math import cos, pi, sin
 from pathlib import Path
 
 import numpy as np
 import pytest
 from commonroad_files import lanelet, points, problem, state, straight, written
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 
 from logs import Colour, LogError, Scenario, StopLine
 from logs.readers.commonroad import read_commonroad
@@ -93,18 +90,13 @@ def inner(k: int, *turned: int) -> set[int]:
     return {100 + 10 * (k % 4) + t for t in turned}
 
 
-# laws
-
-
 @few
 @given(
     cycle=st.lists(st.tuples(st.sampled_from(sorted(COLOURS)), st.integers(1, 40)), min_size=1, max_size=6),
     offset=st.integers(-500, 500),
     first=st.integers(0, 300),
 )
-def test_a_light_shows_what_its_cycle_says(
-    tmp_path: Path, cycle: list[tuple[str, int]], offset: int, first: int
-) -> None:
+def test_a_light_shows_its_cycle(tmp_path: Path, cycle: list[tuple[str, int]], offset: int, first: int) -> None:
     """Against the rule in the format's own words: the cycle is written out step by step, and begins at its offset."""
     written_out = [colour for colour, steps in cycle for _ in range(steps)]
     file = written(tmp_path, straight(1, inner=see(7)), light(7, cycle, offset), problem(5, 0.0, 0.0, 5.0, step=first))
@@ -298,9 +290,6 @@ def test_errors_name_the_element(tmp_path: Path, part: str, words: list[str]) ->
         read_commonroad(written(tmp_path, straight(1), part, problem(5, 0.0, 0.0, 5.0)))
     for word in ["test.xml", ";", *words]:
         assert word in str(caught.value)
-
-
-# recorded files
 
 
 def recorded(folder: Path, name: str) -> Scenario:

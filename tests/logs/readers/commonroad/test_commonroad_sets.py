@@ -1,15 +1,12 @@
 """Occupancy sets: boxes that cover them from outside, closely, and stand as long as their set does."""
 
-from __future__ import annotations
-
 from math import pi
 from pathlib import Path
 
 import numpy as np
 import pytest
 from commonroad_files import RECTANGLE, points, problem, state, straight, written
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from logs import AgentKind
 from logs.readers.commonroad import read_commonroad

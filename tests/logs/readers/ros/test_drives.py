@@ -1,7 +1,5 @@
 """Bags with several drives (a clock restarts), with journals beside them, and with poses of a sensor's frame."""
 
-from __future__ import annotations
-
 import sqlite3
 from math import pi
 from pathlib import Path
@@ -10,8 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import ros_bags as bags
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from ros_bags import SPEED, START_NS, Row, ego_pose, header, message, pose, seconds, stamp
 
 from logs import LogError, Scenario
@@ -259,7 +256,7 @@ IMU = (1.6, 0.4, pi / 2)
         ("base_link", [("base_link", "rear", turned(IMU))], "rear"),
     ],
 )
-def test_poses_of_a_sensor_are_moved_to_the_base(
+def test_poses_of_a_sensor_become_the_bases(
     child: str, edges: list[Any], base: str, twist: bool, tmp_path: Path
 ) -> None:
     for topic in ("/tf_static", "/tf"):

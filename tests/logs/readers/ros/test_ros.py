@@ -1,7 +1,5 @@
 """Bags of ROS 2 and ROS 1: what rosbags wrote comes back as it was driven; whatever the bytes, a log or a LogError."""
 
-from __future__ import annotations
-
 import shutil
 import sqlite3
 import struct
@@ -17,8 +15,7 @@ import numpy as np
 import pytest
 import ros_bags as bags
 from any_bytes import goes_round, read_or_refused
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from mcap_cases import differences
@@ -690,9 +687,6 @@ def test_a_frame_that_inflates_beyond_its_index_is_refused(tmp_path: Path) -> No
         read_log(file)
 
 
-# Parts
-
-
 @given(st.floats(-20.0, 20.0), st.floats(-5.0, 5.0), st.integers(0, 5))
 def test_rates_are_exact_for_uniform_acceleration_and_know_no_later_sample(v: float, a: float, seed: int) -> None:
     t = np.cumsum(np.random.default_rng(seed).uniform(0.01, 0.03, 60))
@@ -728,9 +722,6 @@ def test_identities_are_told_from_places_in_a_list() -> None:
     none = np.full((80, 2), np.nan)
     names = joined(frame, t, x, 0.0 * x, [AgentKind.CAR] * 80, none)
     assert names.tolist() == [1, 2] * 40
-
-
-# Recorded drives
 
 
 FEW = ("bot_garden", "pedestrian_crossing_05", "pedestrian_crossing_09", "pedestrian_crossing_15")

@@ -1,13 +1,10 @@
 """Path DP: it is brute force, mirrored where the world is, smooth, and its ties go to the passing side."""
 
-from __future__ import annotations
-
 from itertools import product
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from logs.arrays import FloatArray
 from planners.dp_qp.path.dp import (

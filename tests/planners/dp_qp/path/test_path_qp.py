@@ -1,11 +1,8 @@
 """Path QP: it keeps its bounds at the least cost, leaves a closed corridor as little as it must, and can be steered."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
-from hypothesis import strategies as st
+from hypothesis import assume, given, settings, strategies as st
 from worlds import CAR
 
 from logs.arrays import FloatArray

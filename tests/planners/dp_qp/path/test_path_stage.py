@@ -1,13 +1,10 @@
 """Path stage: the room and who stands in it, the side that is taken, and the corridor that the path keeps."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
-from hypothesis import strategies as st
+from hypothesis import assume, given, settings, strategies as st
 from worlds import CAR, PERIOD, Other, along_x, curve, driving, lanes, reference, scene, standing
 
 from logs import Decision, DecisionKind, EgoState, PlannerContext, SlGraph

@@ -1,21 +1,22 @@
-"""Speed caps: the limit is their minimum, what is said is what is driven, and a new case is one producer."""
+"""Speed caps: the limit is their minimum, a new case is one producer; what both orders of passing cost."""
 
-from __future__ import annotations
-
+import re
 from dataclasses import replace
 from math import inf
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from worlds import CAR, Other, along_x, followed, lanes, path_of, reference, scene, view
 
 from logs import AgentKind, Decision, DecisionKind, EgoState, Visibility
 from logs.arrays import FloatArray
+from logs.catalogue import scenario
+from logs.plan import StGraph
 from planners.dp_qp.path.passing import free_stations, pass_targets
 from planners.dp_qp.speed import stage
 from planners.dp_qp.speed.caps import OTHERS, WORTH_MPS, LoweredLimit, PathView, SpeedCap, lower_limit, passing_caps
+from replay.loop.closed_loop import run_closed_loop
 
 SIGMA = np.arange(0.0, 60.0, 0.5)
 SPEEDS, STATIONS = st.sampled_from([0.0, 2.5, 4.0, 6.5, 9.0, 20.0]), st.floats(-5.0, 65.0)
@@ -42,9 +43,7 @@ def there(cap: SpeedCap) -> np.ndarray:
 
 
 @given(ROADS, CAPS)
-def test_the_limit_is_the_least_of_the_road_and_the_caps_that_hold_there(
-    values: list[float], caps: list[SpeedCap]
-) -> None:
+def test_the_limit_is_the_least_of_road_and_caps_there(values: list[float], caps: list[SpeedCap]) -> None:
     road = road_of(values)
     found = lower_limit(SIGMA, road, caps)
     least = np.min([road.v, *(np.where(there(cap), cap.v, inf) for cap in caps)], axis=0)
@@ -149,3 +148,39 @@ def test_a_new_special_case_is_one_producer_and_one_line(monkeypatch: pytest.Mon
     assert [item.reason for item in said] == ["children may be about: 5.0 m/s"]
     past = drive[-1][1].internals
     assert not [item for item in past if isinstance(item, Decision) and item.agent == "school"]
+
+
+SAID = re.compile(r"(?:keeps (-?[\d.]+) m, )?(yielding|going first) (.+?), (yielding|going first) (.+)$")
+WORDS = {DecisionKind.YIELD: "yielding", DecisionKind.OVERTAKE: "going first"}
+
+
+def price(words: str) -> float:
+    return float("inf") if words == "would collide" else float(words.removeprefix("costs "))
+
+
+@pytest.mark.parametrize("name", ["everyday/junction", "paper/crossing_pedestrian"])
+def test_the_order_that_is_taken_costs_least_and_the_solution_keeps_what_is_said(name: str) -> None:
+    drive = run_closed_loop(scenario(name), "dp_qp", keep_internals=True)
+    counts = dict.fromkeys(WORDS, 0)
+    for frame in drive.trace.frames:
+        graphs = [item for item in frame.plan.internals if isinstance(item, StGraph)]
+        for item in frame.plan.internals:
+            if not isinstance(item, Decision) or (found := SAID.search(item.reason)) is None:
+                continue
+            keeps, first, cost, second, other = found.groups()
+            assert WORDS[item.kind] == first != second
+            counts[item.kind] += 1
+            if "cannot be there first" not in item.reason:
+                assert price(cost) <= price(other) + 0.1, f"{frame.t:.1f} s: {item.reason}"
+            outlines = [thing.outline for graph in graphs for thing in graph.obstacles if thing.agent == item.agent]
+            if keeps is not None and len(outlines) == 1:
+                assert clear(graphs[0].qp, outlines[0], item.kind) == pytest.approx(float(keeps), abs=0.06)
+    assert counts[DecisionKind.YIELD] > 5, counts
+
+
+def clear(qp: np.ndarray, outline: np.ndarray, kind: DecisionKind) -> float:
+    """By how much the solution is behind (or ahead of) the lower (upper) half of an outline, m."""
+    low, high = outline[: len(outline) // 2], outline[len(outline) // 2 :]
+    side = low if kind is DecisionKind.YIELD else high
+    s = np.interp(side[:, 0], *qp.T)
+    return float((side[:, 1] - s).min() if kind is DecisionKind.YIELD else (s - side[:, 1]).min())

@@ -1,7 +1,5 @@
 """Speed beside hidden ground, and beside who came to the path and stands: who steps out is avoided."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from math import pi
@@ -9,8 +7,7 @@ from types import MappingProxyType
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from worlds import CAR, Other, agents, along_x, limit_of, path_of, reference, scene, view
 
 from logs import AgentKind, Decision, EgoState, Visibility
@@ -133,9 +130,6 @@ def test_a_drive_past_parked_cars_is_slower_with_a_sensor_and_says_why() -> None
     ]
     assert reasons and "could be avoided at" in reasons[0]
     assert sensed.trace.end.value == "goal reached"
-
-
-# Who came to the path and stands beside it.
 
 
 Came = Mapping[str, float]

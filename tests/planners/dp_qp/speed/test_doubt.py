@@ -1,15 +1,11 @@
 """How far the speed stage believes a row, and what it does for one that it doubts."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
-from worlds import Other, along_x, driving, lanes, path_of, planner, reference, scene, standing
-from worlds import frame as frame_of
+from hypothesis import given, strategies as st
+from worlds import Other, along_x, driving, frame as frame_of, lanes, path_of, planner, reference, scene, standing
 
 from logs import AgentKind, EgoState, Frame
 from planners.dp_qp.speed.doubt import CERTAIN, ERROR_MPS2, SURE, extend_braking, from_beside, relax_rows, weights

@@ -1,13 +1,10 @@
 """Speed DP: the map is its definition, dynamic programming = brute force."""
 
-from __future__ import annotations
-
 from itertools import pairwise, product
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from logs.arrays import FloatArray, IntArray
 from planners.dp_qp.speed.dp import COLLISION, DS_M, SpeedDpWeights, cost_map, speed_dp

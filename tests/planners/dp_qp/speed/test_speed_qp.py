@@ -1,11 +1,8 @@
 """Speed QP: it keeps its bounds at the least cost, and reports what it cannot keep."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
-from hypothesis import strategies as st
+from hypothesis import assume, given, settings, strategies as st
 
 from logs.arrays import FloatArray
 from planners.dp_qp.speed.qp import Rows, SpeedProblem, SpeedQp, SpeedQpConfig, rows_of

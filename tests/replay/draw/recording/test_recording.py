@@ -1,7 +1,5 @@
 """Recordings: laws of text, fills and axes; then what is in the file, read back; then that the viewer shows it."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import replace
 from pathlib import Path
@@ -11,8 +9,7 @@ import pandas as pd
 import pyarrow as pa
 import pytest
 import rerun as rr
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from recordings import Recording
 from sample_drive import BLOCKED, LINE, drive, scenario, to_world
 
@@ -57,8 +54,6 @@ from replay.draw.recording.tape import (
 from replay.drive import Drive, StageTime
 from replay.explain import Explanation, accounts
 from replay.explain.explanation import events
-
-# ---------------------------------------------------------------------------------------------------------- laws
 
 
 @given(st.text())
@@ -342,9 +337,6 @@ def test_an_open_loop_recording_shows_no_pedals(tmp_path: Path) -> None:
     np.testing.assert_allclose(recording.times("/plots/speed/plan_1s"), np.arange(10, len(foreseen) + 10) / 10.0)
 
 
-# ------------------------------------------------------------------------------------------------------- robust
-
-
 def bare(done: Drive, *, frames: int) -> Drive:
     """The drive with plans that tell nothing of themselves."""
     plans = tuple(PlannedFrame(f.t, Plan(f.plan.trajectory)) for f in done.trace.frames[:frames])
@@ -442,9 +434,7 @@ def test_values_that_are_not_finite_are_gaps_or_clipped(tmp_path: Path) -> None:
     assert recording.counts("/graphs/st/window/dp", "LineStrips2D:strips").tolist() == [0]
 
 
-def test_a_failed_writing_leaves_nothing_and_restores_the_library(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_failed_writing_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     done, world = drive()
     monkeypatch.setattr("replay.draw.recording.pages.draw_why", lambda *_: 1 / 0)
     before = rr.strict_mode()

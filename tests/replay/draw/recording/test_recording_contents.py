@@ -1,14 +1,11 @@
 """What a recording tells: the others as the planner was shown them, lanes, why, the road; two drives in one."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from recordings import Recording
 from sample_drive import drive, road
 
@@ -62,9 +59,6 @@ def agents(count: int) -> Agents:
     zero = np.zeros(count)
     ids = tuple(f"car {i}" for i in range(count))
     return Agents(ids, (AgentKind.CAR,) * count, zero + 4.0, zero + 2.0, zero, zero, zero, zero, zero)
-
-
-# ---------------------------------------------------------------------------------------------------------- laws
 
 
 @given(st.integers(0, 90), st.sampled_from([0.05, 0.1, 0.2, 0.5, 0.7]), st.integers(0, 3))

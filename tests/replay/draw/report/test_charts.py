@@ -1,7 +1,5 @@
 """Charts: lines drawn as near as said and no nearer, axes with numbers, moments and violations that the tables have."""
 
-from __future__ import annotations
-
 import re
 import xml.etree.ElementTree as ET
 from dataclasses import replace
@@ -14,8 +12,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import assume, given
-from hypothesis import strategies as st
+from hypothesis import assume, given, strategies as st
 from hypothesis.extra import numpy as hnp
 from typer.testing import CliRunner
 

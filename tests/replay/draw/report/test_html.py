@@ -1,7 +1,5 @@
 """The HTML report: one file that asks for nothing, whatever logs are called; every drive is in it."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -165,9 +163,7 @@ def test_a_damaged_trace_costs_its_pictures_only(results: Results, tmp_path: Pat
     assert "no pictures: the file is cut off or damaged" in (tmp_path / "report.html").read_text(encoding="utf-8")
 
 
-def test_what_fails_in_a_report_costs_itself_only(
-    results: Results, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_fails_in_a_report_costs_itself(results: Results, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A chart, an account, a page: each may raise; the page says what failed, the other reports and verdicts stay."""
 
     def fails(*args: object, **keywords: object) -> object:

@@ -1,9 +1,9 @@
-"""Reports as files: JUnit XML against its schema and an independent parser, Markdown through a Markdown parser."""
-
-from __future__ import annotations
+"""Reports: JUnit XML against its schema and another parser, Markdown through a parser, the terminal with any name."""
 
 import os
 import shutil
+import subprocess
+import sys
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
@@ -14,11 +14,12 @@ import pandas as pd
 import pytest
 import xmlschema
 from handmade import drive, lanes_along, scenario, straight, track, tracks
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 from junitparser import Error, Failure, JUnitXml, Skipped, TestSuite
 from markdown_it import MarkdownIt
-from short_logs import free_and_blocked
+from rich.table import Table
+from rich.text import Text
+from short_logs import free_and_blocked, short
 from typer.testing import CliRunner
 
 from logs.mcap import write_scenario
@@ -28,7 +29,7 @@ from metrics.judge.gates import Outcome
 from replay.cli import app
 from replay.config import RunConfig
 from replay.draw.drawn_results import Results, load
-from replay.draw.report.console import SafeConsole
+from replay.draw.report.console import SafeConsole, visible
 from replay.draw.report.contents import MOST_FIRST, Cell
 from replay.draw.report.overview import overview
 from replay.draw.report.sections import ReportColumn, ReportSection
@@ -161,9 +162,7 @@ def test_what_all_logs_say_together_is_a_test_of_its_own(results: Results) -> No
 
 
 @pytest.mark.slow
-def test_a_planner_that_crashes_on_a_log_is_an_error_and_counts_against(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_planner_that_crashes_is_an_error_and_counts_against(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(str(tmp_path))
     (tmp_path / "crashing.py").write_text(
         "from planners.constant_speed import ConstantSpeed\n\n\nclass Crashing(ConstantSpeed):\n"
@@ -310,9 +309,6 @@ def test_a_comparison_is_reported_and_counts(results: Results) -> None:
     assert overview(results, found).exit_code == 3
 
 
-# files ------------------------------------------------------------------------------------------------------------
-
-
 def test_the_step_summary_of_ci_is_appended_to_and_stands_alone(results: Results, tmp_path: Path) -> None:
     step = tmp_path / "summary.md"
     step.write_text("before\n", encoding="utf-8")
@@ -360,3 +356,53 @@ def test_replan_report_writes_them_where_it_is_told(results: Results, tmp_path: 
     assert sorted(path.name for path in (tmp_path / "reports").iterdir()) == ["junit.xml", "report.html", "report.md"]
     assert "](" not in (tmp_path / "reports/report.md").read_text(encoding="utf-8").replace("\\](", "")
     assert CliRunner(env=clean).invoke(app, ["report", str(tmp_path / "nowhere")]).exit_code == 2
+
+
+EVIL = "\x1b[2J\x1b]0;title\x07\r\x9b31mpaper/\u202egnp\x7f"
+RAW = ("\x1b[2J", "\x1b]0", "\x07", "\r", "\x9b", "\u202e", "\x7f")
+
+
+@given(text=st.text())
+def test_nothing_invisible_is_left_and_nothing_else_is_changed(text: str) -> None:
+    seen = visible(text)
+    assert len(seen) == len(text) and visible(seen) == seen
+    assert not any((ord(c) < 32 and c not in "\n\t") or 0x7F <= ord(c) < 0xA0 for c in seen)
+    assert all(a == b for a, b in zip(text, seen, strict=True) if a.isprintable())
+
+
+@pytest.mark.parametrize("colour", [True, False])
+def test_a_console_styles_its_own_words_alone(colour: bool) -> None:
+    written = StringIO()
+    table = Table("log")
+    table.add_row(Text(EVIL, style="red"))
+    console = SafeConsole(file=written, width=100, force_terminal=colour, color_system="standard" if colour else None)
+    console.print(table, EVIL)
+    shown = written.getvalue()
+    assert ("\x1b[31m" in shown) == colour
+    assert not any(raw in shown for raw in RAW)
+    assert "\u241b[2J" in shown
+
+
+def test_no_command_lets_a_name_through(tmp_path: Path) -> None:
+    write_scenario(tmp_path / "log.mcap", replace(short("x"), name=EVIL))
+    evaluate = ["evaluate", str(tmp_path / "log.mcap"), "-p", "constant_speed", "--workers", "0", "--no-recording"]
+    for words in (
+        ["inspect", str(tmp_path / "log.mcap")],
+        ["inspect", str(tmp_path / EVIL.replace("/", ""))],
+        [*evaluate, "-v", "-o", str(tmp_path / "out")],
+        ["compare", str(tmp_path / "out"), str(tmp_path / "out")],
+    ):
+        done = CliRunner().invoke(app, words, color=True)
+        assert not any(raw in done.output for raw in RAW)
+
+
+@pytest.mark.slow
+def test_an_encoding_that_lacks_a_letter_is_no_traceback(tmp_path: Path) -> None:
+    write_scenario(tmp_path / "北.mcap", short("x"))
+    path = os.pathsep.join([str(Path.cwd()), *sys.path])
+    environment = {**os.environ, "PYTHONIOENCODING": "latin-1", "PYTHONPATH": path, "PYTHONUTF8": "1"}
+    command = [sys.executable, "-c", "from replay.cli import main; main()", "inspect", "北.mcap"]
+    for more, said in (([], b"?.mcap"), (["--json"], b"\\u5317.mcap")):
+        done = subprocess.run([*command, *more], env=environment, cwd=tmp_path, capture_output=True, check=False)
+        assert done.returncode == 0 and b"Traceback" not in done.stderr
+        assert said in done.stdout

@@ -21,8 +21,8 @@ With the follower's speed u at the entry and the distance g(t) from its front at
 
 Of two drives of one log, a failing and a passing one, up to the time t_x at which the first fails:
 
-(4) made way = how much harder a road user brakes in the passing one: the greatest fall of their speed beyond that in
-    the failing one within `WAY_S`, per second
+(4) made way = how much harder a road user brakes in the passing one: the greatest fall of their speed within `WAY_S`,
+    per second, less that in the failing one, or less 0 where they accelerate there
 (5) unseen = a reaction that the passing one cannot show: the ego is within `SAME_PLACE_M` of where it is in the failing
     one up to t_x, and the road user within `AS_LOGGED_M` of the log for `HORIZON_S` after it, whatever the ego does
 
@@ -231,9 +231,10 @@ def worst_forced(trace: Trace, stays: Iterable[CutInStay], scenario: Scenario, w
     for stay in stays:
         after = np.arange(stay.t, min(stay.until, stay.t + HORIZON_S) + 1e-9, GRID_S)
         now, name = some_at(trace.agents, np.array([stay.agent]), after), trace.agents.ids[stay.agent]
-        then = some_at(logged, np.array([logged.ids.index(name)]), after) if name in logged.ids else None
-        harder = _harder(now, then)
-        if then is not None:
+        harder = _falls(now)
+        if name in logged.ids:
+            then = some_at(logged, np.array([logged.ids.index(name)]), after)
+            harder -= np.maximum(_falls(then), 0.0)
             harder[~(np.hypot(*(now.pose[:2, 0] - then.pose[:2, 0])) > AS_LOGGED_M)] = np.nan
         reacted = min(_greatest(harder), MOST_MPS2)
         k, forced = int(np.searchsorted(t, stay.t - 1e-9)), max(stay.forced, reacted)
@@ -248,16 +249,14 @@ def made_way(failing: Trace, passing: Trace, who: str, until: float) -> float:
         return 0.0
     t = np.arange(0.0, min(until, float(failing.ego.t[-1]), float(passing.ego.t[-1])) + 1e-9, GRID_S)
     then, now = (some_at(one.agents, np.array([one.agents.ids.index(who)]), t) for one in (failing, passing))
-    return _greatest(_harder(now, then))
+    return _greatest(_falls(now) - np.maximum(_falls(then), 0.0))
 
 
-def _harder(now: OtherBoxes, then: OtherBoxes | None) -> FloatArray:
-    """Return (4) at each step for one road user, m/s2 `(k,)`, against constant speed for None; NaN where unknown."""
-    slower = np.where(now.there[0], -np.hypot(*now.pose[3:5, 0]), np.nan)
-    if then is not None:
-        slower += np.where(then.there[0], np.hypot(*then.pose[3:5, 0]), np.nan)
-    steps, falls = round(WAY_S / GRID_S), np.full(len(slower), np.nan)
-    falls[steps:] = (slower[steps:] - slower[:-steps]) / WAY_S
+def _falls(boxes: OtherBoxes) -> FloatArray:
+    """Return the fall of one road user's speed within `WAY_S`, per second, at each step `(k,)`; NaN where unknown."""
+    v, steps = np.where(boxes.there[0], np.hypot(*boxes.pose[3:5, 0]), np.nan), round(WAY_S / GRID_S)
+    falls = np.full(len(v), np.nan)
+    falls[steps:] = (v[:-steps] - v[steps:]) / WAY_S
     return falls
 
 

@@ -170,7 +170,8 @@ def print_near_misses(recordings: dict[str, tuple[tuple[str, str], ...]], folder
         labelled |= {(name, *sorted(pair)) for pair in pairs}
         for ego, scenario in egos(path):
             drives += 1
-            for event in KINDS["near_miss_ttc"].find(DrivenLog(scenario)):
+            found_here = KINDS["near_miss_ttc"].find(DrivenLog(scenario))
+            for event in () if isinstance(found_here, Unavailable) else found_here:
                 pair = (name, *sorted((ego, event.agents[0])))
                 says = "right" if pair in labelled else "not labelled"
                 sys.stdout.write(f"{says}: {pair}, {event.begin:.1f} s, TTC {event.value:.2f} s {event.doubt}\n")

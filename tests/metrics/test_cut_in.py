@@ -114,7 +114,7 @@ def test_forced_braking_is_what_the_follower_needs() -> None:
     assert not FORCED_BRAKING.measure(drive(alone), alone).known.any()  # type: ignore[union-attr]
 
 
-@given(st.floats(0.0, 5.0), st.floats(0.0, 3.0))
+@given(st.floats(-2.0, 5.0), st.floats(0.0, 3.0))
 def test_what_a_follower_brakes_in_the_log_is_not_forced(logged: float, more: float) -> None:
     def behind(x: float, decel: float) -> tuple:
         def motion(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -124,7 +124,7 @@ def test_what_a_follower_brakes_in_the_log_is_not_forced(logged: float, more: fl
         return ("7", AgentKind.CAR, (LENGTH, WIDTH), motion)
 
     ego = changing(grid(8.0, 0.05), 10.0, 1.0)
-    log, later = log_of(ego, behind(-20.0, logged)), log_of(ego, behind(-21.0, logged + more))
+    log, later = log_of(ego, behind(-20.0, logged)), log_of(ego, behind(-21.0, max(logged, 0.0) + more))
     found = FORCED_BRAKING.measure(drive(later), log)
     assert isinstance(found, Series)
     assert found.value[found.known] == pytest.approx([more], abs=0.1)

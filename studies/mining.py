@@ -1,6 +1,7 @@
 """Mined events against labels: precision and recall of each kind over twenty drives, and of near misses over more.
 
-    python -m studies.mining FOLDER_OF_TARTU_BAGS FOLDER_OF_ARGOVERSE_LOGS FOLDER_OF_COMMONROAD_FILES ...
+    replan evaluate FOLDER_OF_COMMONROAD_FILES --mode closed -p dp_qp -p idm -p lattice -p constant_speed -o RUN
+    python -m studies.mining FOLDER_OF_TARTU_BAGS FOLDER_OF_ARGOVERSE_LOGS FOLDER_OF_COMMONROAD_FILES ... RUN
 
 The labels were made by looking at the drives from above, a picture each second (0.7 s for Argoverse 2), without the
 events: what a person would call so, not what the definitions say. An event is right where a label of its kind has its
@@ -10,7 +11,8 @@ not in doubt: an event in doubt is then as one that was not found. Kinds without
 Near misses are rare. They are labelled by pairs of road users: every pair, with a vehicle that drives 4 s and 15 m,
 that would collide within 2 s at constant velocity, comes within 1 m at a closing speed of 1 m/s, or overlaps, for 0.3 s
 (by a script that shares no code with the events), was looked at from above. A label says that an engineer would want to
-see it as a near miss. The events are those of each such vehicle as the ego in turn.
+see it as a near miss. The events are those of each such vehicle as the ego in turn. The drives of planners over
+CommonRoad's recordings were labelled in the same way, for the ego; a collision counts as well.
 """
 
 from __future__ import annotations
@@ -116,6 +118,32 @@ NEAR_MISSES: dict[str, tuple[tuple[str, str], ...]] = {
     "C-DEU_B471-1_1_T-1.xml": (("206", "207"),),
 }  # fmt: skip
 """The same in others, labelled before they were mined; "" is the recorded ego."""
+NEAR_MISSES_DRIVEN: dict[str, dict[str, tuple[str, ...]]] = {
+    "dp_qp": {
+        "C-DEU_B471-1_3_T-1": ("399",), "DEU_Guetersloh-36_1_T-1": ("38",), "DEU_Lohmar-38_1_T-1": ("34",),
+        "USA_US101-10_1_T-1": ("555",),
+    },
+    "idm": {
+        "C-DEU_B471-1_3_T-1": ("399",), "C-DEU_MONAWest-2_1440_T-1519": ("10992",), "DEU_Guetersloh-36_1_T-1": ("38",),
+        "DEU_Muc-4_2_T-1.cr": ("202", "203"), "OSC_CutIn-1_2_T-1": ("4",), "USA_US101-10_1_T-1": ("555",),
+        "USA_US101-23_1_T-1": ("94", "99"),
+    },
+    "lattice": {
+        "C-DEU_B471-1_3_T-1": ("399",), "C-DEU_MONAWest-2_1440_T-1519": ("10986",), "DEU_Guetersloh-36_1_T-1": ("38",),
+        "DEU_Muc-4_2_T-1.cr": ("202",), "OSC_CutIn-1_2_T-1": ("4",),
+    },
+    "constant_speed": {
+        "C-DEU_B471-1_3_T-1": ("399",), "C-DEU_MONAEast-2_1680_T-1759": ("12573",),
+        "C-DEU_MONAEast-2_960_T-1039": ("11541",), "C-DEU_MONAWest-2_1440_T-1519": ("10982",),
+        "DEU_Flensburg-10_1_T-1": ("321",), "DEU_Guetersloh-36_1_T-1": ("38",), "DEU_Muc-4_2_T-1.cr": ("202",),
+        "OSC_CutIn-1_2_T-1": ("4",), "OSC_Overtake-1_1_T-1": ("257",), "USA_Lanker-1_1_T-1": ("1219",),
+        "USA_US101-10_1_T-1": ("546",), "USA_US101-14_1_T-1": ("49",), "USA_US101-15_1_T-1": ("449",),
+        "USA_US101-6_1_T-1": ("410",), "ZAM_Tjunction-1_18_T-1": ("1",), "ZAM_Tjunction-1_42_T-1": ("7",),
+    },
+}  # fmt: skip
+"""The same in drives of planners, by log: labelled after the rule was changed, before they were mined."""
+SETS = "-set-"
+"""In the names of two files whose road users are sets of possible places: left out."""
 EGO_S, EGO_M = 4.0, 15.0
 """A vehicle is taken as the ego if it drives for this long and this far."""
 
@@ -162,27 +190,43 @@ def egos(path: Path) -> Iterator[tuple[str, Scenario]]:
         )  # fmt: skip
 
 
-def print_near_misses(recordings: dict[str, tuple[tuple[str, str], ...]], folders: list[str]) -> None:
-    """Events and pairs of the kind `near_miss_ttc`, with precision and recall of the pairs."""
-    drives, events, found, labelled = 0, 0, set[tuple[str, ...]](), set[tuple[str, ...]]()
-    for name, pairs in recordings.items():
-        path = next(Path(folder, name) for folder in folders if Path(folder, name).exists())
-        labelled |= {(name, *sorted(pair)) for pair in pairs}
-        for ego, scenario in egos(path):
-            drives += 1
-            found_here = KINDS["near_miss_ttc"].find(DrivenLog(scenario))
-            for event in () if isinstance(found_here, Unavailable) else found_here:
-                pair = (name, *sorted((ego, event.agents[0])))
-                says = "right" if pair in labelled else "not labelled"
-                sys.stdout.write(f"{says}: {pair}, {event.begin:.1f} s, TTC {event.value:.2f} s {event.doubt}\n")
-                events += 1
-                found.add(pair)
-    right = len(found & labelled)
-    sys.stdout.writelines(f"missed: {pair}\n" for pair in sorted(labelled - found))
+Pair = tuple[str, str, str]
+"""A log, and two road users in it, sorted."""
+
+
+def print_near_misses(drives: Iterator[tuple[str, str, Scenario]], labelled: set[Pair]) -> None:
+    """Events of the kind `near_miss_ttc` in drives (log, id of the ego, scenario), and how many pairs are labelled."""
+    number, events, found = 0, 0, set[Pair]()
+    for log, ego, scenario in drives:
+        number += 1
+        listed = KINDS["near_miss_ttc"].find(DrivenLog(scenario))
+        for event in () if isinstance(listed, Unavailable) else listed:
+            one, two = sorted((ego, event.agents[0]))
+            says = "right" if (log, one, two) in labelled else "not labelled"
+            what = f"{event.begin:.1f} s, TTC {event.value:.2f} s {event.doubt}"
+            sys.stdout.write(f"{says}: {log}, '{one}' and '{two}', {what}\n")
+            events += 1
+            found.add((log, one, two))
+    sys.stdout.writelines(f"missed: {', '.join(pair)}\n" for pair in sorted(labelled - found))
     sys.stdout.write(
-        f"{len(recordings)} recordings, {drives} drives, {events} events of {len(found)} pairs, {right} of them right;"
+        f"{number} drives, {events} events of {len(found)} pairs, {len(found & labelled)} of them right;"
         f" {len(labelled)} labels\n"
     )
+
+
+def recorded(names: dict[str, tuple[tuple[str, str], ...]], folders: list[str]) -> Iterator[tuple[str, str, Scenario]]:
+    """The drives of recordings: log, id of the ego, scenario."""
+    for name in names:
+        path = next(Path(folder, name) for folder in folders if Path(folder, name).exists())
+        yield from ((name, ego, scenario) for ego, scenario in egos(path))
+
+
+def driven_by_planners(folders: list[str]) -> Iterator[tuple[str, str, Scenario]]:
+    """The drives of the planners of `NEAR_MISSES_DRIVEN` in folders of results; the log is "PLANNER LOG"."""
+    for path in sorted(path for folder in folders for path in Path(folder).glob("*/closed.*.mcap")):
+        log, planner = path.parent.name.rpartition("-")[0], path.name.split(".")[1]
+        if planner in NEAR_MISSES_DRIVEN and SETS not in log:
+            yield f"{planner} {log}", "", read_log(path, LogSettings())
 
 
 def main(folders: list[str]) -> None:
@@ -197,7 +241,12 @@ def main(folders: list[str]) -> None:
             print_table(drives, folders, doubted=doubted)
     for title, recordings in (("seen", NEAR_MISSES_SEEN), ("labelled before they were mined", NEAR_MISSES)):
         sys.stdout.write(f"\nnear misses, recordings {title}\n")
-        print_near_misses(recordings, folders)
+        labelled = {(name, min(pair), max(pair)) for name, pairs in recordings.items() for pair in pairs}
+        print_near_misses(recorded(recordings, folders), labelled)
+    sys.stdout.write("\nnear misses, drives of planners\n")
+    by_log = [(planner, *item) for planner, logs in NEAR_MISSES_DRIVEN.items() for item in logs.items()]
+    driven_ones = {(f"{planner} {log}", "", who) for planner, log, those in by_log for who in those}
+    print_near_misses(driven_by_planners(folders), driven_ones)
 
 
 def print_table(drives: dict[str, tuple[tuple[str, str], ...]], folders: list[str], *, doubted: bool) -> None:

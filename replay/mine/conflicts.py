@@ -65,7 +65,7 @@ def _near_miss_ttc(log: DrivenLog) -> Iterator[Event]:
             after = slice(first, min(last + steps(NEAR_S), len(one.k) - 1) + 1)
             braked = min(float(np.nanmin(log.accel[one.k[after]], initial=0.0)), float(one.accel[after].min()))
             along = abs(one.along[first]) > ALONG and not one.kind.is_vulnerable
-            beside = along and not one.reaches_into(log.half)[first]
+            beside = along and not one.reaches_into(log.half)[after].any()
             room = _least_room(log, one, after)
             if (braked <= -HARD_MPS2 and not beside) or room < NEAR_M:
                 jumps = log.jumps[one.k[first : last + 1]].any()

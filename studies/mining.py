@@ -1,7 +1,8 @@
 """Mined events against labels: precision and recall of each kind over twenty drives, and of near misses over more.
 
     replan evaluate FOLDER_OF_COMMONROAD_FILES --mode closed -p dp_qp -p idm -p lattice -p constant_speed -o RUN
-    python -m studies.mining FOLDER_OF_TARTU_BAGS FOLDER_OF_ARGOVERSE_LOGS FOLDER_OF_COMMONROAD_FILES ... RUN
+    replan evaluate FOLDER_OF_COMMONROAD_FILES ... --mode closed -p pdm --set loop.traffic=reactive -o PDM
+    python -m studies.mining FOLDER_OF_TARTU_BAGS FOLDER_OF_ARGOVERSE_LOGS FOLDER_OF_COMMONROAD_FILES ... RUN PDM
 
 The labels were made by looking at the drives from above, a picture each second (0.7 s for Argoverse 2), without the
 events: what a person would call so, not what the definitions say. An event is right where a label of its kind has its
@@ -140,8 +141,17 @@ NEAR_MISSES_DRIVEN: dict[str, dict[str, tuple[str, ...]]] = {
         "USA_US101-10_1_T-1": ("546",), "USA_US101-14_1_T-1": ("49",), "USA_US101-15_1_T-1": ("449",),
         "USA_US101-6_1_T-1": ("410",), "ZAM_Tjunction-1_18_T-1": ("1",), "ZAM_Tjunction-1_42_T-1": ("7",),
     },
+    "pdm": {
+        "C-DEU_B471-1_1_T-1": ("399",), "C-DEU_B471-1_3_T-1": ("399",), "C-DEU_MONAWest-2_1440_T-1519": ("10992",),
+        "DEU_Flensburg-10_1_T-1": ("321",), "DEU_Flensburg-2_1_T-1": ("34",), "DEU_Guetersloh-36_1_T-1": ("38",),
+        "DEU_Hennigsdorf-11_1_T-1": ("311",), "DEU_Lohmar-38_1_T-1": ("34",), "DEU_Muc-4_2_T-1.cr": ("202",),
+        "OSC_CutIn-1_2_T-1": ("4",), "ZAM_Tjunction-1_277_T-1": ("5",),
+    },
 }  # fmt: skip
-"""The same in drives of planners, by log: labelled after the rule was changed, before they were mined."""
+"""The same in drives of planners, by log: labelled after the rule was changed, before they were mined.
+
+Those of `pdm`, among reactive traffic, were labelled after one more change.
+"""
 SETS = "-set-"
 """In the names of two files whose road users are sets of possible places: left out."""
 EGO_S, EGO_M = 4.0, 15.0
@@ -221,12 +231,12 @@ def recorded(names: dict[str, tuple[tuple[str, str], ...]], folders: list[str]) 
         yield from ((name, ego, scenario) for ego, scenario in egos(path))
 
 
-def driven_by_planners(folders: list[str]) -> Iterator[tuple[str, str, Scenario]]:
-    """The drives of the planners of `NEAR_MISSES_DRIVEN` in folders of results; the log is "PLANNER LOG"."""
-    for path in sorted(path for folder in folders for path in Path(folder).glob("*/closed.*.mcap")):
-        log, planner = path.parent.name.rpartition("-")[0], path.name.split(".")[1]
-        if planner in NEAR_MISSES_DRIVEN and SETS not in log:
-            yield f"{planner} {log}", "", read_log(path, LogSettings())
+def driven_by(planner: str, folders: list[str]) -> Iterator[tuple[str, str, Scenario]]:
+    """The drives of a planner in folders of results: log, "" for the ego, scenario."""
+    for path in sorted(path for folder in folders for path in Path(folder).glob(f"*/closed.{planner}.mcap")):
+        log = path.parent.name.rpartition("-")[0]
+        if SETS not in log:
+            yield log, "", read_log(path, LogSettings())
 
 
 def main(folders: list[str]) -> None:
@@ -243,10 +253,10 @@ def main(folders: list[str]) -> None:
         sys.stdout.write(f"\nnear misses, recordings {title}\n")
         labelled = {(name, min(pair), max(pair)) for name, pairs in recordings.items() for pair in pairs}
         print_near_misses(recorded(recordings, folders), labelled)
-    sys.stdout.write("\nnear misses, drives of planners\n")
-    by_log = [(planner, *item) for planner, logs in NEAR_MISSES_DRIVEN.items() for item in logs.items()]
-    driven_ones = {(f"{planner} {log}", "", who) for planner, log, those in by_log for who in those}
-    print_near_misses(driven_by_planners(folders), driven_ones)
+    for planner, logs in NEAR_MISSES_DRIVEN.items():
+        sys.stdout.write(f"\nnear misses, drives of {planner}\n")
+        those = {(log, "", who) for log, agents in logs.items() for who in agents}
+        print_near_misses(driven_by(planner, folders), those)
 
 
 def print_table(drives: dict[str, tuple[tuple[str, str], ...]], folders: list[str], *, doubted: bool) -> None:

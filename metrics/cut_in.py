@@ -15,13 +15,14 @@ With the follower's speed u at the entry and the distance g(t) from its front at
 
 (2) forced = the least b >= 0 such that a follower that drives on for `REACT_S` and then brakes with b until it stands
     does not pass g(t) within `HORIZON_S`; where the drive ends earlier, the ego keeps its speed, or keeps braking. If
-    the follower deviates from the log, it reacts: then forced is at least its deceleration after the entry
+    the follower deviates from the log, it reacts: then forced is at least how much harder it brakes (4) after the entry
+    than in the log, or than at constant speed where the log does not have it
 (3) a hit from behind is the ego's fault where the entry before it has forced > `BRAKE_MPS2`
 
 Of two drives of one log, a failing and a passing one, up to the time t_x at which the first fails:
 
-(4) made way = how much harder a road user brakes in the passing one: the greatest fall of their speed beyond that in
-    the failing one within `WAY_S`, per second
+(4) made way = how much harder a road user brakes in the passing one: the greatest fall of their speed within `WAY_S`,
+    per second, less that in the failing one, or less 0 where they accelerate there
 (5) unseen = a reaction that the passing one cannot show: the ego is within `SAME_PLACE_M` of where it is in the failing
     one up to t_x, and the road user within `AS_LOGGED_M` of the log for `HORIZON_S` after it, whatever the ego does
 
@@ -44,7 +45,7 @@ from logs.shapes import corners
 from logs.states import Trajectory, wrap
 from logs.trace import Mode, Trace
 from logs.tracks import Tracks
-from metrics.boxes import GRID_S, each, ego_boxes, name_of, some_at
+from metrics.boxes import GRID_S, OtherBoxes, each, ego_boxes, name_of, some_at
 from metrics.metric import MAX, Measured, Metric, Series, Unavailable
 
 SPACING_M, CHORD_M, BEYOND_M = 2.0, 4.0, 10.0
@@ -225,11 +226,12 @@ def worst_forced(trace: Trace, stays: Iterable[CutInStay], scenario: Scenario, w
     for stay in stays:
         after = np.arange(stay.t, min(stay.until, stay.t + HORIZON_S) + 1e-9, GRID_S)
         now, name = some_at(trace.agents, np.array([stay.agent]), after), trace.agents.ids[stay.agent]
-        reacts = now.there[0]  # while the follower deviates from the log
+        harder = _falls(now)
         if name in logged.ids:
             then = some_at(logged, np.array([logged.ids.index(name)]), after)
-            reacts = reacts & (np.hypot(*(now.pose[:2, 0] - then.pose[:2, 0])) > AS_LOGGED_M)
-        reacted = min(float(np.max(-now.accel[0], initial=0.0, where=reacts)), MOST_MPS2)
+            harder -= np.maximum(_falls(then), 0.0)
+            harder[~(np.hypot(*(now.pose[:2, 0] - then.pose[:2, 0])) > AS_LOGGED_M)] = np.nan
+        reacted = min(_greatest(harder), MOST_MPS2)
         k, forced = int(np.searchsorted(t, stay.t - 1e-9)), max(stay.forced, reacted)
         if not value[k] >= forced:
             value[k], labels[k] = forced, f"{name_of(trace.agents, stay.agent)}: {why}"
@@ -241,13 +243,19 @@ def made_way(failing: Trace, passing: Trace, who: str, until: float) -> float:
     if who not in failing.agents.ids or who not in passing.agents.ids:
         return 0.0
     t = np.arange(0.0, min(until, float(failing.ego.t[-1]), float(passing.ego.t[-1])) + 1e-9, GRID_S)
-    there, speed = [], []
-    for agents in (failing.agents, passing.agents):
-        one = some_at(agents, np.array([agents.ids.index(who)]), t)
-        there.append(one.there[0])
-        speed.append(np.hypot(*one.pose[3:5, 0]))
-    slower, steps = np.where(there[0] & there[1], speed[0] - speed[1], np.nan), round(WAY_S / GRID_S)
-    falls = (slower[steps:] - slower[:-steps]) / WAY_S
+    then, now = (some_at(one.agents, np.array([one.agents.ids.index(who)]), t) for one in (failing, passing))
+    return _greatest(_falls(now) - np.maximum(_falls(then), 0.0))
+
+
+def _falls(boxes: OtherBoxes) -> FloatArray:
+    """Return the fall of one road user's speed within `WAY_S`, per second, at each step `(k,)`; NaN where unknown."""
+    v, steps = np.where(boxes.there[0], np.hypot(*boxes.pose[3:5, 0]), np.nan), round(WAY_S / GRID_S)
+    falls = np.full(len(v), np.nan)
+    falls[steps:] = (v[:-steps] - v[steps:]) / WAY_S
+    return falls
+
+
+def _greatest(falls: FloatArray) -> float:
     return float(np.max(falls, initial=0.0, where=np.isfinite(falls)))
 
 
@@ -275,7 +283,7 @@ def _forced_braking(trace: Trace, scenario: Scenario) -> Measured:
 FORCED_BRAKING = Metric(
     "forced_braking", "m/s2", "lower", (Mode.CLOSED,), _forced_braking, (MAX,),
     "Deceleration that the ego forces on a follower into whose path it comes: what the follower needs to stay behind"
-    " it, and where the traffic reacts at least what the follower did.",
+    " it, and where the traffic reacts at least how much harder than in the log the follower brakes.",
     "UN R79, 5.6.4.7: above 3 m/s2 a lane change is critical; UN R157, 5.2.5.2 for the reaction time",
     formula="least b that keeps a follower, which brakes with b 0.35 s after the entry, behind the ego for 5 s",
     parameters=(f"reaction {REACT_S} s", f"horizon {HORIZON_S:g} s", f"at most {MOST_MPS2} m/s2"),

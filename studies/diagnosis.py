@@ -3,10 +3,10 @@
 python -m studies.diagnosis -o OUT [--suite NAME] [--most N] [--only NAME ...] [--planner NAME] [--workers N]
 
 One fault (`PLANTS`) is planted in a run over a suite of the catalogue. Drives that pass without it all gates that they
-fail with it fail for it; at most N of them, evenly drawn from their sorted names, are diagnosed twice: with all
-changes, where a change back to the defaults undoes the fault; and "hidden", without those changes, where only ideal
-parts (no latency is one, too), wider limits and other planners can show it. A diagnosis is right where it names the
-planted cause, and wrong where it does not; it may name it among others, or say "not found".
+fail with it, and fail no other one, fail for it; at most N of them, evenly drawn from their sorted names, are diagnosed
+twice: with all changes, where a change back to the defaults undoes the fault; and "hidden", without those changes,
+where only ideal parts (no latency is one, too), wider limits and other planners can show it. A diagnosis is right where
+it names the planted cause, and wrong where it does not; it may name it among others, or say "not found".
 
     OUT/diagnosis.csv     a row per fault: failing drives, and how many have each of `ANSWERS`; the same hidden
     OUT/sound/, OUT/NAME/run/, OUT/NAME/all/, OUT/NAME/hidden/    the runs and the diagnoses
@@ -88,12 +88,12 @@ COLUMNS = ("fault", "cause", "drives", *ANSWERS, *(f"hidden_{name}" for name in 
 
 
 def broken(faulty: Results, sound: Results) -> list[str]:
-    """Logs, sorted, whose drives fail gates in a run, all of which they pass in another one."""
+    """Logs, sorted, whose drives fail gates in a run, all of which they pass in another one, and fail none there."""
     names = ["log", "gate"]
-    passed = sound.verdicts.loc[sound.verdicts["outcome"] == "pass", names]
+    passed, unsound = (sound.verdicts.loc[sound.verdicts["outcome"] == said, names] for said in ("pass", "fail"))
     failed = faulty.verdicts.loc[faulty.verdicts["outcome"] == "fail", names]
     both = failed.merge(passed, how="left", on=names, indicator="where")
-    return sorted(set(failed["log"]) - set(both.loc[both["where"] != "both", "log"]))
+    return sorted(set(failed["log"]) - set(both.loc[both["where"] != "both", "log"]) - set(unsound["log"]))
 
 
 def counts(found: Diagnosis, cause: str) -> list[int]:

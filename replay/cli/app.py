@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import errno
 import os
+import shutil
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from enum import Enum
@@ -122,6 +123,15 @@ def say(text: object = "", *, err: bool = False) -> None:
     from replay.draw.report.console import visible
 
     typer.echo(visible(text), err=err)
+
+
+def say_sentences(lines: Iterable[str]) -> None:
+    """Print lines of text to stdout, on a terminal wrapped at spaces."""
+    from replay.draw.report.console import wrapped
+
+    columns = shutil.get_terminal_size().columns if sys.stdout.isatty() else 0
+    for line in "\n".join(lines).split("\n"):
+        say(wrapped(line, columns) if columns else line)
 
 
 def console_of(width: int) -> SafeConsole:

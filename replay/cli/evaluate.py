@@ -9,7 +9,7 @@ import typer
 
 from logs.errors import ConfigError
 from replay.cli import options as opt
-from replay.cli.app import app, progress_lines, say, say_json, worker_count
+from replay.cli.app import app, progress_lines, say, say_json, say_sentences, worker_count
 from replay.cli.options import JUDGE, LOGS, LOOP, OUTPUT, RUNNING, log_table, option, run_config
 from replay.cli.report import EXIT_CODES, finish_run, load_baseline
 
@@ -223,7 +223,7 @@ def vary(
     if as_json:
         say_json({"results": result.out, "exit_code": result.exit_code, "edges": result.edges, "table": result.table})
     else:
-        say("\n".join(result.lines()))
+        say_sentences(result.lines())
     raise typer.Exit(result.exit_code)
 
 

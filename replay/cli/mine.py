@@ -9,7 +9,7 @@ import typer
 
 from logs.errors import ConfigError
 from replay.cli import options as opt
-from replay.cli.app import app, progress_lines, say, say_error, say_json, worker_count
+from replay.cli.app import app, progress_lines, say, say_error, say_json, say_sentences, worker_count
 from replay.cli.options import log_table, option, run_config
 
 if TYPE_CHECKING:
@@ -93,7 +93,7 @@ def mine(
     if as_json:
         say_json({"folder": str(folder), "logs": mined.logs, "events": mined.events, "failures": mined.failures})
     elif not quiet:
-        say("\n".join([*summary(mined), str(folder)]))
+        say_sentences([*summary(mined), str(folder)])
     raise typer.Exit(3 if mined.failures else 0)
 
 
@@ -212,4 +212,4 @@ def coverage(
     if as_json:
         say_json(table(have, missing))
     else:
-        say("\n".join(lines(have, missing, "the catalogue" if against is None else str(against))))
+        say_sentences(lines(have, missing, "the catalogue" if against is None else str(against)))

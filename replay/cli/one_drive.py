@@ -12,7 +12,7 @@ import typer
 from logs.errors import ConfigError, unknown_name
 from logs.names import counted
 from replay.cli import options as opt
-from replay.cli.app import app, say, say_json
+from replay.cli.app import app, say, say_json, say_sentences
 from replay.cli.options import completion, log_table, option, run_config
 
 if TYPE_CHECKING:
@@ -324,7 +324,7 @@ def explain(
     drive = chosen.drive
     ended = f"{chosen.title}: {drive.info['end']} after {drive.info['t_end_s']:.2f} s{chosen.remark}"
     if at is None and not every and not as_json:
-        say("\n".join([ended, *map(drive.scenario.short_names, summary(drive))]))
+        say_sentences([ended, *map(drive.scenario.short_names, summary(drive))])
         say("more: --at T for one instant, --all for every change of a decision")
         return
     found = explained(drive, at)
@@ -333,9 +333,7 @@ def explain(
         return
     say(ended)
     for one in found:
-        say()
-        for line in lines_of(one):
-            say(drive.scenario.short_names(line))
+        say_sentences(["", *map(drive.scenario.short_names, lines_of(one))])
 
 
 @app.command()

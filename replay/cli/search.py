@@ -9,7 +9,7 @@ import typer
 
 from logs.errors import ConfigError
 from replay.cli import options as opt
-from replay.cli.app import app, progress_lines, say, say_json, worker_count
+from replay.cli.app import app, progress_lines, say, say_json, say_sentences, worker_count
 from replay.cli.options import JUDGE, LOGS, LOOP, RUNNING, log_table, option, run_config
 
 SHOWN = 20  # Largest number of trials of a Pareto front that are printed; pareto.csv has all
@@ -94,7 +94,8 @@ def falsify(
         say_json({"results": result.out, "exit_code": result.exit_code, "distance": result.found.distance,
                   "case": result.case, "said": result.lines()})  # fmt: skip
     else:
-        say("\n".join([*result.lines(), *result.next_steps(), f"written to {result.out}"]))
+        say_sentences(result.lines())
+        say("\n".join([*result.next_steps(), f"written to {result.out}"]))
     raise typer.Exit(result.exit_code)
 
 
@@ -168,7 +169,7 @@ def tune(
         say(shown.to_string(index=False, float_format=lambda value: f"{value:.4g}"))
         if result.comparison is not None:
             print_tables(result.comparison, load(result.out / "held_out" / "chosen"), alone=False)
-    say("\n".join([*result.lines(), f"written to {result.out}"]))
+    say_sentences([*result.lines(), f"written to {result.out}"])
     raise typer.Exit(result.exit_code)
 
 
@@ -218,6 +219,6 @@ def diagnose(
     if as_json:
         say_json({**result.document(), "results": str(result.out)})
     else:
-        say("\n".join([*result.lines(), f"written to {result.out}"]))
+        say_sentences([*result.lines(), f"written to {result.out}"])
     if result.exit_code:
         raise typer.Exit(result.exit_code)

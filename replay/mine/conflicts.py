@@ -7,6 +7,13 @@ other's at step j of the grid; for vehicles with headings that differ by 30 degr
 
 and the first one there goes first. The second one has yielded if it slowed down before the first one was there, and at
 the speed that it had before it slowed down it would have come less than `CLOSE_S` after the first one, or before it.
+
+They are on a collision course while the time to collision TTC (`metrics.safety`) is below its critical value. With the
+relative speed u, the braking that just avoids the contact, with boxes that may be off by `DEEP_M`, is
+
+(2) needed = u^2 / (2 (u TTC + DEEP_M))
+
+A short TTC alone is no near miss: in a queue at 3 m/s, 1.2 s of it need 1.1 m/s2.
 """
 
 from __future__ import annotations
@@ -20,20 +27,20 @@ from logs.agents import AgentKind
 from logs.arrays import BoolArray, FloatArray, IntArray, arc_lengths
 from logs.kernel import kernel
 from logs.once import once
-from logs.shapes import clearance, overlap, time_to_contact
+from logs.shapes import clearance, overlap, time_to_contact, time_to_contact_turning
 from logs.states import wrap
-from metrics.boxes import DEEP_M, NO_TTC_MPS, EgoOutline, is_behind
+from metrics.boxes import DEEP_M, NO_TTC_MPS, TURN_S, EgoOutline, is_behind
 from metrics.encounters import CROSSING_RAD, SERIOUS_S as PET_S
 from metrics.safety import TAU_S as TTC_S
 from replay.mine.driven_log import JUMPS, DrivenLog, Event, EventKind, Neighbour, runs, steps
 from replay.mine.ego_and_road import HARD_MPS2
-from replay.mine.road_users import ALONG, PASS_M
+from replay.mine.road_users import ALONG
 
 COURSE_S = 0.3
 """Least duration of a collision course."""
 NEAR_S, NEAR_M = 2.0, 1.0
-"""A collision course is a near miss if the boxes come within NEAR_M (vehicles along the path: `PASS_M`, as
-neighbouring lanes are 1 m apart) in NEAR_S after it, or if one brakes hard."""
+"""A collision course is a near miss if it needs hard braking (2), and in NEAR_S after it they come within NEAR_M or
+one brakes hard."""
 WINDOW_S = 10.0
 """Largest time between two road users at a place that are in conflict."""
 CLOSE_S = 1.0
@@ -48,19 +55,21 @@ TOO_LARGE = "the two hardly move against each other: the boxes may be too large"
 
 
 def _near_miss_ttc(log: DrivenLog) -> Iterator[Event]:
+    turn = log.ego.v * log.ego.kappa
     for one in log.neighbours:
-        found = _contact_times(log.boxes, log.car, one.pose, one.k, np.array(one.size), TTC_S)
-        for first, last in runs(found < TTC_S, one.k, steps(COURSE_S), steps(0.5)):
-            until = min(last + steps(NEAR_S), len(one.k) - 1)
-            after = slice(first, until + 1)
+        ttc, needed = _courses(log.boxes, turn, log.car, one.pose, one.turn, one.k, np.array(one.size), TTC_S)
+        for first, last in runs(ttc < TTC_S, one.k, steps(COURSE_S), steps(0.5)):
+            if needed[first : last + 1].max() < HARD_MPS2:
+                continue
+            after = slice(first, min(last + steps(NEAR_S), len(one.k) - 1) + 1)
             braked = min(float(np.nanmin(log.accel[one.k[after]], initial=0.0)), float(one.accel[after].min()))
-            room = _least_room(log, one, after)
             along = abs(one.along[first]) > ALONG and not one.kind.is_vulnerable
-            beside = along and not one.reaches_into(log.half)[first]
-            if (braked <= -HARD_MPS2 and not beside) or room < (PASS_M if along else NEAR_M):
+            beside = along and not one.reaches_into(log.half)[after].any()
+            room = _least_room(log, one, after)
+            if (braked <= -HARD_MPS2 and not beside) or room < NEAR_M:
                 jumps = log.jumps[one.k[first : last + 1]].any()
                 doubt = JUMPS if jumps else SHALLOW if -DEEP_M < room <= 0.0 else ""
-                yield log.event(one, first, last, found[first : last + 1].min(), doubt=doubt)
+                yield log.event(one, first, last, ttc[first : last + 1].min(), doubt=doubt)
 
 
 def _least_room(log: DrivenLog, one: Neighbour, during: slice) -> float:
@@ -177,25 +186,34 @@ def _least_encroachment(
 
 
 @kernel
-def _contact_times(
-    ego: FloatArray, car: EgoOutline, pose: FloatArray, k: IntArray, size: FloatArray, horizon: float
-) -> FloatArray:
-    """Straight time to collision `(m,)` (`metrics.safety`) with one road user, s; inf beyond the horizon."""
-    out = np.full(len(k), inf)
+def _courses(
+    ego: FloatArray, turn: FloatArray, car: EgoOutline, pose: FloatArray, turns: FloatArray, k: IntArray,
+    size: FloatArray, horizon: float,
+) -> FloatArray:  # fmt: skip
+    """TTC (`metrics.safety`), s, and (2), m/s2, `(2, m)` with one road user; inf and 0 beyond the horizon."""
+    out = np.zeros((2, len(k)))
+    out[0] = inf
     reach = 0.5 * (hypot(car.length, car.width) + hypot(size[0], size[1]))
     for m in range(len(k)):
         x, y, yaw, vx, vy = ego[0, k[m]], ego[1, k[m]], ego[2, k[m]], ego[3, k[m]], ego[4, k[m]]
         if hypot(vx, vy) <= NO_TTC_MPS:
             continue
         rear_x, rear_y = x - car.axle * np.cos(yaw), y - car.axle * np.sin(yaw)
-        away = hypot(pose[0, m] - x, pose[1, m] - y)
-        closing = hypot(pose[3, m] - vx, pose[4, m] - vy)
-        if away - reach > horizon * closing or is_behind(rear_x, rear_y, yaw, pose[0, m], pose[1, m]):
+        px, py, heading, ux, uy = pose[0, m], pose[1, m], pose[2, m], pose[3, m], pose[4, m]
+        away, closing = hypot(px - x, py - y), hypot(ux - vx, uy - vy)
+        if away - reach > horizon * closing or is_behind(rear_x, rear_y, yaw, px, py):
             continue
-        out[m] = time_to_contact(
-            x, y, yaw, car.length, car.width, pose[0, m], pose[1, m], pose[2, m], size[0], size[1],
-            pose[3, m] - vx, pose[4, m] - vy,
+        ttc = time_to_contact(
+            x, y, yaw, car.length, car.width, px, py, heading, size[0], size[1], ux - vx, uy - vy
         )  # fmt: skip
+        if ttc < horizon:
+            turning = time_to_contact_turning(
+                x, y, yaw, car.length, car.width, vx, vy, turn[k[m]], px, py, heading, size[0], size[1], ux, uy,
+                turns[m], TURN_S,
+            )  # fmt: skip
+            ttc = max(ttc, turning)
+        if ttc < horizon:
+            out[0, m], out[1, m] = ttc, closing**2 / (2.0 * (closing * ttc + DEEP_M))
     return out
 
 
@@ -219,11 +237,11 @@ CONFLICTS = (
     ),
     EventKind(
         "near_miss_ttc", _near_miss_ttc,
-        f"The time to collision is below {TTC_S} s at constant velocity vectors for {COURSE_S} s, and until"
-        f" {NEAR_S:g} s later the two come within {NEAR_M:g} m ({PASS_M} m for vehicles along the path), or one of"
-        f" them, but for a vehicle beside the band, brakes with {HARD_MPS2:g} m/s2 or more.",
+        f"For {COURSE_S} s the time to collision is below {TTC_S} s, at constant velocity and as the two turn, and to"
+        f" avoid the contact needs {HARD_MPS2:g} m/s2 of braking or more; until {NEAR_S:g} s later the two come within"
+        f" {NEAR_M:g} m, or one of them, but for a vehicle beside the band, brakes with {HARD_MPS2:g} m/s2 or more.",
         "least TTC", "s",
-        "criticality metrics catalogue, Westhofen et al. 2023", f"{JUMPS}; or {SHALLOW}",
+        "TTC and required deceleration: criticality metrics catalogue, Westhofen et al. 2023", f"{JUMPS}; or {SHALLOW}",
     ),
     EventKind(
         "near_miss_pet", _near_miss_pet,

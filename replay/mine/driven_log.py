@@ -114,7 +114,7 @@ class Neighbour:
         kind: Its kind.
         k: `(m,)` the steps, increasing.
         pose: `(5, m)` x, y (box centre, m), yaw (rad), vx, vy (m/s), world.
-        accel: `(m,)` rate of its speed, m/s2.
+        accel: `(m,)` rate of its speed, m/s2; `turn` of its velocity's direction, rad/s.
         size: Length and width, m.
         s: `(m,)` station of its box centre on the ego's path, m; `l` its offset, positive to the left.
         along: `(m,)` cosine of the angle between its heading and the path.
@@ -127,6 +127,7 @@ class Neighbour:
     k: IntArray
     pose: FloatArray
     accel: FloatArray
+    turn: FloatArray
     size: tuple[float, float]
     s: FloatArray
     l: FloatArray  # noqa: E741
@@ -193,8 +194,8 @@ class DrivenLog:
             length, width = others.size[0].tolist()
             half_s, half_l = np.abs(along) * length + aside * width, aside * length + np.abs(along) * width
             neighbours.append(Neighbour(
-                i, tracks.ids[i], tracks.kinds[i], k, pose, others.accel[0, near], (length, width), frame[0], frame[1],
-                along, 0.5 * half_s, 0.5 * half_l,
+                i, tracks.ids[i], tracks.kinds[i], k, pose, others.accel[0, near], others.turn[0, near],
+                (length, width), frame[0], frame[1], along, 0.5 * half_s, 0.5 * half_l,
             ))  # fmt: skip
         self.neighbours = tuple(neighbours)
 

@@ -109,3 +109,19 @@ def test_forced_braking_is_what_the_follower_needs() -> None:
     assert isinstance(gap_kept, Series)
     assert gap_kept.missing == "no other road user beside or ahead of an ego that drives"
     assert not FORCED_BRAKING.measure(drive(alone), alone).known.any()  # type: ignore[union-attr]
+
+
+@given(st.floats(-2.0, 5.0), st.floats(0.0, 3.0))
+def test_what_a_follower_brakes_in_the_log_is_not_forced(logged: float, more: float) -> None:
+    def behind(x: float, decel: float) -> tuple:
+        def motion(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+            u = np.clip(t - 4.0, 0.0, 1.0)
+            return x + 9.0 * t - decel * (0.5 * u**2 + u * np.maximum(t - 5.0, 0.0)), 3.5 + 0.0 * t, 0.0 * t
+
+        return ("7", AgentKind.CAR, (LENGTH, WIDTH), motion)
+
+    ego = changing(grid(8.0, 0.05), 10.0, 1.0)
+    log, later = log_of(ego, behind(-20.0, logged)), log_of(ego, behind(-21.0, max(logged, 0.0) + more))
+    found = FORCED_BRAKING.measure(drive(later), log)
+    assert isinstance(found, Series)
+    assert found.value[found.known] == pytest.approx([more], abs=0.1)

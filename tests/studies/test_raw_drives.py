@@ -49,7 +49,13 @@ def run(**outcomes: tuple[str, str]) -> Any:
     return SimpleNamespace(verdicts=pd.DataFrame(rows, columns=["log", "gate", "outcome"]))
 
 
-def test_a_drive_fails_for_a_fault_if_it_passes_all_of_its_gates_without_it() -> None:
-    faulty = run(mended=("fail", "pass"), fails=("fail", "fail"), unsure=("fail", "pass"), well=("pass", "pass"))
-    sound = run(mended=("pass", "fail"), fails=("pass", "fail"), unsure=("inconclusive", "pass"), well=("pass", "pass"))
+def test_a_drive_fails_for_a_fault_if_it_passes_without_it() -> None:
+    faulty = run(
+        mended=("fail", "pass"), fails=("fail", "fail"), unsure=("fail", "pass"), well=("pass", "pass"),
+        otherwise=("fail", "pass"),
+    )  # fmt: skip
+    sound = run(
+        mended=("pass", "inconclusive"), fails=("pass", "fail"), unsure=("inconclusive", "pass"), well=("pass", "pass"),
+        otherwise=("pass", "fail"),
+    )  # fmt: skip
     assert broken(faulty, sound) == ["mended"]

@@ -6,6 +6,7 @@ import errno
 import io
 import os
 import sys
+import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from typing import Any
@@ -25,6 +26,12 @@ _TABLE = {code: sign for code, sign in VISIBLE.items() if chr(code) not in "\n\t
 def visible(text: object) -> str:
     """The text with visible characters instead of control characters; line ends and tabs stay."""
     return str(text).translate(_TABLE)
+
+
+def wrapped(line: str, width: int) -> str:
+    """The line, wrapped at spaces to a width, with two more spaces before each further line; words stay whole."""
+    deeper = " " * (len(line) - len(line.lstrip(" ")) + 2)
+    return textwrap.fill(line, width, subsequent_indent=deeper, break_long_words=False, break_on_hyphens=False)
 
 
 class SafeConsole(Console):

@@ -9,7 +9,7 @@ import pytest
 from drives import Agent, along, changing, grid, moved, moving, scenario, straight_road
 from hypothesis import given, settings, strategies as st
 
-from logs import AgentKind, Colour, Crosswalk, Lane, Road, Scenario, StopLine, TrafficLight
+from logs import AgentKind, Colour, Crosswalk, Lane, Road, Scenario, StopLine, TrafficLight, Trajectory
 from logs.catalogue import scenario as synthesised
 from metrics import Unavailable
 from replay.mine.conflicts import SHALLOW
@@ -217,18 +217,25 @@ def test_near_misses_have_ttc_and_pet() -> None:
     assert event.agents == ("wall",) and event.doubt == ""
 
 
-@pytest.mark.parametrize(("lasts", "room", "times"), [(0.1, 0.4, 0), (0.6, 0.8, 0), (0.6, 0.4, 1)])
-def test_a_car_in_the_next_lane_is_a_near_miss_where_it_comes_close_for_long(
-    lasts: float, room: float, times: int
-) -> None:
-    beside = 0.5 * (CAR[1] + scenario(along(T, 10.0)).vehicle.width) + room
+@pytest.mark.parametrize(("v", "decel", "times"), [(3.0, 1.5, 0), (14.0, 2.0, 0), (14.0, 5.0, 1)])
+def test_a_stop_before_a_wall_is_a_near_miss_if_it_needs_hard_braking(v: float, decel: float, times: int) -> None:
+    ego = along(T, stopping(T, v, 2.0, decel))
+    front = float(ego.x[-1]) + scenario(ego).vehicle.axle_to_front
+    wall = car("wall", moving(front + 0.7 + 0.5 * CAR[0], 0.0, 0.0, 0.0, 0.0))
+    assert len(found(scenario(ego, [wall]), "near_miss_ttc").get("near_miss_ttc", [])) == times
 
-    def swerves(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        u = np.clip(t - 4.0, 0.0, lasts)
-        return 4.0 + 10.0 * t, beside + lasts - u, np.zeros(len(t))
 
-    events = found(scenario(along(T, 10.0), [car("7", swerves)]), "near_miss_ttc").get("near_miss_ttc", [])
-    assert len(events) == times
+def test_a_car_that_drifts_towards_the_ego_and_one_outside_of_its_turn_are_no_near_miss() -> None:
+    half = 0.5 * (CAR[1] + scenario(along(T, 10.0)).vehicle.width)
+
+    def drifts(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        return 4.0 + 10.0 * t, half + 1.2 - np.clip(t - 4.0, 0.0, 0.8), np.zeros(len(t))
+
+    turn = T / 2.0
+    ego = Trajectory(T, 10.0 * np.sin(turn), 10.0 * (1.0 - np.cos(turn)), turn, 0 * T + 5.0, 0 * T, 0 * T + 0.1)
+    outside = car("7", moving(12.5, 10.0, 0.0, 0.0, 1.57))
+    for log in (scenario(along(T, 10.0), [car("7", drifts)]), scenario(ego, [outside])):
+        assert found(log, "near_miss_ttc") == {}
 
 
 def test_events_where_the_ego_jumps_are_in_doubt() -> None:

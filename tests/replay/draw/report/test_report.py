@@ -29,7 +29,7 @@ from metrics.judge.gates import Outcome
 from replay.cli import app
 from replay.config import RunConfig
 from replay.draw.drawn_results import Results, load
-from replay.draw.report.console import SafeConsole, visible
+from replay.draw.report.console import SafeConsole, visible, wrapped
 from replay.draw.report.contents import MOST_FIRST, Cell
 from replay.draw.report.overview import overview
 from replay.draw.report.sections import ReportColumn, ReportSection
@@ -368,6 +368,13 @@ def test_nothing_invisible_is_left_and_nothing_else_is_changed(text: str) -> Non
     assert len(seen) == len(text) and visible(seen) == seen
     assert not any((ord(c) < 32 and c not in "\n\t") or 0x7F <= ord(c) < 0xA0 for c in seen)
     assert all(a == b for a, b in zip(text, seen, strict=True) if a.isprintable())
+
+
+@given(words=st.lists(st.text("ab-", min_size=1, max_size=9), max_size=30), indent=st.integers(0, 6))
+def test_a_wrapped_line_has_the_same_words_and_fits(words: list[str], indent: int) -> None:
+    lines = wrapped(" " * indent + " ".join(words), 20).split("\n")
+    assert " ".join(lines).split() == words and all(len(line) <= 20 for line in lines)
+    assert all(line.startswith(" " * (indent + 2)) for line in lines[1:])
 
 
 @pytest.mark.parametrize("colour", [True, False])

@@ -22,7 +22,7 @@ from replay.cli.one_drive import matching_drives
 from replay.config import RunConfig
 from replay.draw.drawn_results import Results, load
 from replay.draw.report.overview import overview
-from replay.draw.report.terminal import print_report
+from replay.draw.report.sections import print_report
 from replay.draw.view import recordings
 from replay.run import evaluate_logs
 

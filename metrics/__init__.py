@@ -105,7 +105,6 @@ COLUMNS = (
     "time_s", "version", "source",
 )  # fmt: skip
 
-
 OnError = Callable[[Metric, str, BaseException], None]  # the metric that raised, the reason as text, and the error
 
 

@@ -85,12 +85,7 @@ def write_recording(
 
 
 def _draw_part(
-    tape: Tape,
-    whole: Trace,
-    scenario: Scenario,
-    instants: Instants,
-    planned: Instants,
-    axes: Mapping[GraphKind, Axes],
+    tape: Tape, whole: Trace, scenario: Scenario, instants: Instants, planned: Instants, axes: Mapping[GraphKind, Axes]
 ) -> None:
     """Draw agents, plans and graphs of some frames, so that only these frames of a long drive are in memory."""
     frames = whole.frames[int(planned.frame[0]) : int(planned.frame[-1]) + 1]

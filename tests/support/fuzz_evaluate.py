@@ -36,7 +36,7 @@ from mcap.writer import CompressionType, Writer
 from logs.mcap import read_scenario
 from logs.readers import read_log
 from replay.cli import main as replan
-from replay.draw.report import overview, terminal, write
+from replay.draw.report import overview, sections, write
 from replay.run import evaluate_logs  # imported here, so that no child has to
 
 MOST_S, ADDRESSES = 60, 12 * 2**30
@@ -177,7 +177,7 @@ def removed(file: Path, rng: np.random.Generator) -> None:
     file.unlink()
 
 
-IMPORTED = evaluate_logs, overview, terminal, write
+IMPORTED = evaluate_logs, overview, sections, write
 FILES: tuple[Replace, ...] = (emptied, made_a_folder, made_a_link, made_a_pipe, renamed, removed)
 
 

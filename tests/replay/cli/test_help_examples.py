@@ -97,7 +97,7 @@ def test_an_example_of_a_help_text_runs(place: Path, monkeypatch: pytest.MonkeyP
     def begun(*args: object, **more: object) -> None:
         raise BegunError
 
-    monkeypatch.setattr("replay.run.engine.Local.evaluate", begun)
+    monkeypatch.setattr("replay.run.evaluate.Local.evaluate", begun)
     shutil.rmtree("results/run-001", ignore_errors=True)
     shutil.copytree("results/both" if "idm" in line else "results/one", "results/run-001")
     shutil.rmtree("new", ignore_errors=True)

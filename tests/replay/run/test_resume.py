@@ -122,7 +122,7 @@ def test_only_what_is_missing_is_evaluated(
     assert result.resumed == 2
     assert {path: path.stat().st_mtime_ns for path in before} == before
     assert identical(evaluate_logs([logs], QUICK, tmp_path / "whole").path, begun)
-    monkeypatch.setattr("replay.run.engine.evaluate_log", lambda *_, **__: 1 / 0)
+    monkeypatch.setattr("replay.run.evaluate.evaluate_log", lambda *_, **__: 1 / 0)
     tables = {name: (begun / name).read_bytes() for name in ("metrics.parquet", "metrics.csv", "summary.json")}
     assert resumed(logs, begun, QUICK).resumed == 3, "a run that is complete is taken whole"
     assert {name: (begun / name).read_bytes() for name in tables} == tables

@@ -56,23 +56,20 @@ __all__ = [
 ]
 
 GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
-    "accuracy": (
-        plans.ADE, plans.FDE, plans.AHE, plans.FHE, plans.ALONG, plans.CROSS,
-        plans.MISS,
-    ),
+    "accuracy": (plans.ADE, plans.FDE, plans.AHE, plans.FHE, plans.ALONG, plans.CROSS, plans.MISS),
     "safety": (
         safety.COLLISION, safety.COLLISION_AT_FAULT, safety.GAP, safety.GAP_VULNERABLE, safety.GAP_KEPT,
-        safety.GAP_KEPT_VULNERABLE, safety.TTC, safety.OFF_ROAD,
-        proposals.PLAN_COLLISION, proposals.PLAN_OFF_ROAD, proposals.PLAN_TTC,
-        safety.TTC_VULNERABLE, safety.COLLISION_SEVERITY, *following.FOLLOWING, encounters.TTC_ACCELERATED,
-        encounters.DCE, encounters.TTCE, encounters.PET, following.RSS_MARGIN, following.RSS_IMPROPER,
+        safety.GAP_KEPT_VULNERABLE, safety.TTC, safety.OFF_ROAD, proposals.PLAN_COLLISION, proposals.PLAN_OFF_ROAD,
+        proposals.PLAN_TTC, safety.TTC_VULNERABLE, safety.COLLISION_SEVERITY, *following.FOLLOWING,
+        encounters.TTC_ACCELERATED, encounters.DCE, encounters.TTCE, encounters.PET, following.RSS_MARGIN,
+        following.RSS_IMPROPER,
     ),
     "rules": (
         traffic_rules.RED_LIGHT, traffic_rules.YELLOW_LIGHT, traffic_rules.STOP_SIGN, traffic_rules.CROSSWALK,
         traffic_rules.PRIORITY_GAP, traffic_rules.PRIORITY_GAP_ASSUMED, traffic_rules.YIELDING,
         cut_in.FORCED_BRAKING, needless.NEEDLESS_BRAKING, needless.NEEDLESS_STANDING, needless.NEEDLESS_STEERING,
-        needless.FALSE_BRAKING, needless.MISSED_BRAKING,
-        safety.PASSING_ROOM, traffic_rules.WRONG_WAY, traffic_rules.LANE_KEEPING, traffic_rules.LANE_LINE,
+        needless.FALSE_BRAKING, needless.MISSED_BRAKING, safety.PASSING_ROOM, traffic_rules.WRONG_WAY,
+        traffic_rules.LANE_KEEPING, traffic_rules.LANE_LINE,
         progress.SPEED_EXCESS, progress.SPEED_RATIO, progress.ASSUMED_LIMIT_EXCESS, *needless.STEADINESS,
     ),
     "comfort": (
@@ -82,26 +79,21 @@ GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
     ),
     "progress": (
         progress.COMPLETED, progress.GOAL, progress.PROGRESS, progress.DISTANCE, progress.SPEED,
-        progress.ROUTE_PROGRESS,
-        progress.COMPLETION,
+        progress.ROUTE_PROGRESS, progress.COMPLETION,
     ),
     "tracking": comfort.TRACKING,
     "effort": comfort.EFFORT,
     "consistency": (
-        plans.PLAN_CHANGE, plans.PLAN_CHANGE_LATERAL,
-        plans.EXTENDED_COMFORT, plans.PLAN_HORIZON, plans.PLAN_COMPLETE,
+        plans.PLAN_CHANGE, plans.PLAN_CHANGE_LATERAL, plans.EXTENDED_COMFORT, plans.PLAN_HORIZON, plans.PLAN_COMPLETE,
     ),
     "plans": (proposals.PLAN_SCORE, proposals.PLAN_PROGRESS, proposals.PLAN_KEPT, proposals.PLAN_KEPT_LATERAL),
     "evidence": (
-        evidence.COVERAGE, progress.COVERED, arrival.GOAL_ROUTE,
-        evidence.EVIDENCE, evidence.AGENT_INTERVAL, evidence.REPLAY_CONTACT, evidence.PLAN_REFUSED,
-        evidence.PLAN_CORRECTED, evidence.ENSEMBLE, evidence.ASKED, evidence.DISCRIMINATION,
-        evidence.PHANTOM, evidence.DIVERGENCE, evidence.WEAK, evidence.DISPLACED,
+        evidence.COVERAGE, progress.COVERED, arrival.GOAL_ROUTE, evidence.EVIDENCE, evidence.AGENT_INTERVAL,
+        evidence.REPLAY_CONTACT, evidence.PLAN_REFUSED, evidence.PLAN_CORRECTED, evidence.ENSEMBLE, evidence.ASKED,
+        evidence.DISCRIMINATION, evidence.PHANTOM, evidence.DIVERGENCE, evidence.WEAK, evidence.DISPLACED,
     ),
     "reference": reference_drivers.REFERENCE,
-    "score": (
-        driving_scores.NUPLAN_CLOSED_SCORE, driving_scores.NUPLAN_OPEN_SCORE, driving_scores.CARLA_SCORE,
-    ),
+    "score": (driving_scores.NUPLAN_CLOSED_SCORE, driving_scores.NUPLAN_OPEN_SCORE, driving_scores.CARLA_SCORE),
 })  # fmt: skip
 """The metrics by topic, in the order of the table."""
 
@@ -112,7 +104,6 @@ COLUMNS = (
     "log", "planner", "mode", "oracle", "metric", "value", "unit", "direction", "available", "reason", "about",
     "time_s", "version", "source",
 )  # fmt: skip
-
 
 OnError = Callable[[Metric, str, BaseException], None]  # the metric that raised, the reason as text, and the error
 
@@ -176,15 +167,12 @@ def rows_of(
     found: Callable[[str, Series], None] = lambda name, series: None,
 ) -> list[tuple[object, ...]]:
     """Return the rows of `evaluate`. All metrics ignore phantom agents."""
-    ours = all(
-        METRICS.get(name) is metric for name, metric in metrics.items()
-    )  # no built-in metric reads graphs or predictions
-    frames = light(trace.frames) if ours else trace.frames
+    ours = all(METRICS.get(name) is metric for name, metric in metrics.items())
+    frames = light(trace.frames) if ours else trace.frames  # no built-in metric reads graphs or predictions
     agents = without_phantoms(trace.agents, phantoms(scenario))
     changed = agents is not trace.agents or frames is not trace.frames
-    judged = (
-        replace(trace, agents=agents, frames=frames) if changed else trace
-    )  # an unchanged trace keeps its cached measurements
+    # an unchanged trace keeps its cached measurements
+    judged = replace(trace, agents=agents, frames=frames) if changed else trace
     drive, short = (scenario.name, trace.planner, trace.mode.value, trace.oracle), scenario.short_names
     rows: list[tuple[object, ...]] = []
     for metric in metrics.values():

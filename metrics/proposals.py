@@ -230,8 +230,6 @@ def _score(trace: Trace, scenario: Scenario) -> Measured:
 _BOTH = (Mode.OPEN, Mode.CLOSED)
 _FOLLOWED = (f"horizon {HORIZON_S:g} s", f"step {STEP_S:g} s")
 _NAVSIM = "after NAVSIM 0a380a90, pdm_scorer"
-
-
 PLAN_COLLISION = Metric(
     "plan_collision", "s", "higher", _BOTH,
     partial(_series, "contact", about="contact_agent", missing=_NO_CONTACT), (metric.HAVING, metric.MIN),

@@ -98,8 +98,6 @@ OFF_ROAD_M = 0.3
 OUTLINE_M = 0.25  # Between two points the outline is at most half of this farther off than at them
 PASSING_MPS, PASSING_M = (3.0, 5.0), (0.5, 1.0)  # Required distance when passing, by the ego's speed, linear between
 LEAVING_MPS = 0.5  # An agent that moves away sideways this fast has crossed and is not being passed
-
-
 PERSON_KG = 75.0  # A driver: Regulation (EU) No 1230/2012
 MASS_KG: Mapping[AgentKind, float] = MappingProxyType({
     AgentKind.CAR: 1500.0,  # EN 1317-1, test vehicle of TB 32

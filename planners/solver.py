@@ -3,11 +3,11 @@
     minimise 1/2 x' P x + q' x    subject to    l <= A x <= u,  the first rows equalities
 
 A workspace is set up once with its matrices and belongs to one owner; each solve gets new vectors, and where A varies
-`refill` replaces its stored entries. OSQP (Stellato et
-al., 2020), an ADMM method, solves most problems in a few warm-started iterations, but a tight corridor can cost it
-thousands. PIQP (Schwan et al., 2023), an interior-point method that needs about ten iterations for the planners'
-problems, solves those that OSQP has not solved within `max_iterations`; the report then names it. A solver may report a
-solution that violates bounds by its own tolerance, so this module checks the bounds again.
+`refill` replaces its stored entries. OSQP (Stellato et al., 2020), an ADMM method, solves most problems in a few
+warm-started iterations, but a tight corridor can cost it thousands. PIQP (Schwan et al., 2023), an interior-point
+method that needs about ten iterations for the planners' problems, solves those that OSQP has not solved within
+`max_iterations`; the report then names it. A solver may report a solution that violates bounds by its own tolerance, so
+this module checks the bounds again.
 """
 
 from __future__ import annotations
@@ -118,9 +118,8 @@ class QuadraticProgram:
         if values.shape != self._A.data.shape or not np.isfinite(values).all():
             raise ValueError(f"A has {len(self._A.data)} entries, got {values.shape}, or one that is not finite")
         if self._refilling is None:
-            places = sparse.csc_matrix(
-                (np.arange(1.0, len(values) + 1.0), self._A.indices, self._A.indptr), self._A.shape
-            ).tocsr()
+            numbered = np.arange(1.0, len(values) + 1.0), self._A.indices, self._A.indptr
+            places = sparse.csc_matrix(numbered, self._A.shape).tocsr()
             columns = np.repeat(np.arange(self._A.shape[1]), np.diff(self._A.indptr))
             scale: FloatArray = self._row_scale[self._A.indices] * self._scale[columns]
             self._refilling = scale, places.data.astype(np.int64) - 1
@@ -135,9 +134,8 @@ class QuadraticProgram:
         """Solve with new vectors; `fresh` forgets the last solution, so that the result does not depend on it."""
         if not (lower <= upper).all():
             row = int(np.argmin(lower <= upper))
-            return self._unsolved_result(
-                f"bounds [{lower[row]:.3g}, {upper[row]:.3g}] in row {row} cross or are not numbers"
-            )
+            bounds = f"bounds [{lower[row]:.3g}, {upper[row]:.3g}]"
+            return self._unsolved_result(f"{bounds} in row {row} cross or are not numbers")
         if not np.isfinite(q).all():
             return self._unsolved_result("cost is not finite")
         q, lower, upper = self._scale * q, self._row_scale * lower, self._row_scale * upper
@@ -149,9 +147,8 @@ class QuadraticProgram:
             self._fast.warm_start(x=self._zero[0], y=self._zero[1])
         answer = self._fast.solve(raise_error=False)
         info, solved = answer.info, answer.info.status_val == SOLVED
-        report = SolverReport(
-            self._stage, solved, str(info.status), int(info.iter), float(info.prim_res), float(info.dual_res)
-        )
+        residuals = float(info.prim_res), float(info.dual_res)
+        report = SolverReport(self._stage, solved, str(info.status), int(info.iter), *residuals)
         result = self._check_answer(np.asarray(answer.x), report, lower, upper)
         if result.report.solved:
             return result
@@ -172,12 +169,9 @@ class QuadraticProgram:
         found, info, solved = self._sure.result, self._sure.result.info, status == piqp.PIQP_SOLVED
         if solved and self._refilling is not None and self._fast is not None:  # the next problem is near this one
             self._fast.warm_start(x=np.array(found.x), y=np.r_[found.y, found.z_u - found.z_l])
-        name = f"{WORDS.get(status, 'numerical trouble')} by PIQP" + (
-            f" after {spent} OSQP iterations" if spent else ""
-        )
-        report = SolverReport(
-            self._stage, solved, name, spent + int(info.iter), float(info.primal_res), float(info.dual_res)
-        )
+        before = f" after {spent} OSQP iterations" if spent else ""
+        name, residuals = f"{WORDS.get(status, 'numerical trouble')} by PIQP{before}", (info.primal_res, info.dual_res)
+        report = SolverReport(self._stage, solved, name, spent + int(info.iter), *map(float, residuals))
         return self._check_answer(np.array(found.x), report, lower, upper)
 
     def _check_answer(self, z: FloatArray, report: SolverReport, lower: FloatArray, upper: FloatArray) -> QPResult:

@@ -8,7 +8,7 @@
     foxglove = false                 # write channels for Foxglove into logs and traces
     metrics = []                     # your own, in addition to the built-in ones: "module:NAME"
     charts = []                      # likewise, in the report
-    ensemble = 0                     # perturbed runs per log (replay.run.perturb)
+    ensemble = 0                     # perturbed runs per log (replay.run.sources)
     repeat_s = 2.0                   # length of the start that is driven twice, to test determinism of planners
     deadline_s = 0.0                 # the longest time of a plan (0.1 at 10 Hz); 0: not judged, as clocks differ
 
@@ -238,7 +238,7 @@ class RunConfig:
         foxglove: Whether the logs and traces that are written get channels for Foxglove (`replay.draw.foxglove`).
         metrics: "module:NAME" of metrics from outside, measured beside the built-in ones.
         charts: "module:NAME" of charts from outside, drawn in the report beside the built-in ones.
-        ensemble: How many times each log is driven again under a perturbation (`replay.run.perturb`).
+        ensemble: How many times each log is driven again under a perturbation (`replay.run.sources`).
         repeat_s: Length of the start of a drive that is driven twice if the planner is not built in
             (`replay.loop.planning`), s; 0: no test.
         deadline_s: At most 1 % of a drive's plans may take longer, s; 0: not judged.

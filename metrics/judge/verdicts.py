@@ -36,7 +36,7 @@ that match no log, and planners that are not in the run, are INCONCLUSIVE even t
 misspelt.
 
 Gates also add rows to the table: whether a verdict is robust or fragile, and the share of gates that were asked. A
-member is the log driven again under one perturbation (`replay.run.perturb`); its verdict on a planner in one mode is
+member is the log driven again under one perturbation (`replay.run.sources`); its verdict on a planner in one mode is
 the worst outcome of the gates. The unperturbed drive is one of the members:
 
 (1) ensemble.pass_share = members that pass / members

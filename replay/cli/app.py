@@ -34,7 +34,6 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # Error numbers of a full disk
 
 

@@ -161,7 +161,6 @@ KINDS: Mapping[str, Callable[[], Iterable[ListedName]]] = {
 }
 """The kinds of names, in the order of `replan list`."""
 
-
 UNITS: Mapping[str, str] = {
     "s": "s", "m": "m", "mps": "m/s", "mps2": "m/s2", "mps3": "m/s3", "kmh": "km/h", "rad": "rad", "deg": "deg",
     "pm": "1/m", "kg": "kg", "gb": "GB",
@@ -171,7 +170,6 @@ UNITS: Mapping[str, str] = {
 SIGNS = {"minimum": ">=", "exclusiveMinimum": ">", "maximum": "<=", "exclusiveMaximum": "<"}
 FAR, FAR_WHOLE, FINE = 1e9, 20_000, 1e-9
 """Largest values that are tried, of numbers and of whole numbers, and the relative error of a bound."""
-
 
 ANY = ExtensionKind[Callable[..., Any]]("extension", "extensions", {})
 """Finds what a user names as module:NAME, of any kind."""

@@ -26,11 +26,6 @@ class ChosenDrive(NamedTuple):
     drive: DriveResult
     remark: str
 
-    @property
-    def title(self) -> str:
-        """Log, planner and loop."""
-        return self.drive.title
-
 
 def matching_drives(results: Results, log: str | None, planner: str | None, mode: opt.Loop | None) -> list[DriveResult]:
     """The drives of a run that fit some options.
@@ -212,7 +207,7 @@ def _files(
     results = load(target)
     there = [drive for drive in matching_drives(results, *which) if drive.trace_file.with_suffix(".rrd") in found]
     worst = worst_drive(results, there, "--log, --planner, --mode, or name a recording")
-    return [worst.drive.trace_file.with_suffix(".rrd")], f"  {worst.title}{worst.remark}"
+    return [worst.drive.trace_file.with_suffix(".rrd")], f"  {worst.drive.title}{worst.remark}"
 
 
 def _recordings(target: Path, which: Which) -> list[Path]:
@@ -322,7 +317,7 @@ def explain(
 
     chosen = chosen_drive(load(result), log, planner, mode)
     drive = chosen.drive
-    ended = f"{chosen.title}: {drive.info['end']} after {drive.info['t_end_s']:.2f} s{chosen.remark}"
+    ended = f"{chosen.drive.title}: {drive.info['end']} after {drive.info['t_end_s']:.2f} s{chosen.remark}"
     if at is None and not every and not as_json:
         say_sentences([ended, *map(drive.scenario.short_names, summary(drive))])
         say("more: --at T for one instant, --all for every change of a decision")
@@ -368,7 +363,7 @@ def frame(
     chosen = chosen_drive(results, log, planner, mode)
     with nullcontext() if dump is None else claimed_file(dump, (".msgpack",)):
         again = replan_frame(chosen.drive, at, other, debug=debug)
-        say(f"{chosen.title}{chosen.remark}")
+        say(f"{chosen.drive.title}{chosen.remark}")
         for line in report_of(again):
             say(line)
         if dump is not None:

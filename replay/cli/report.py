@@ -51,7 +51,7 @@ def finish_run(
     rules; None: the packaged ones.
     """
     from replay.api import finished
-    from replay.draw.report.terminal import document, last_line, print_ending, print_report
+    from replay.draw.report.sections import document, last_line, print_ending, print_report
 
     place, over = url or str(results.path), finished(results, before, gates, report=report)
     comparison = over.comparison
@@ -199,7 +199,7 @@ def compare(
       replan compare results/run-001 --planner idm --planner dp_qp
     """
     from replay.compare import MOST_PARTINGS, compare_runs, read_run
-    from replay.draw.report.terminal import document
+    from replay.draw.report.sections import document
 
     planners = tuple(planner or ())
     if len(planners) > 2 or len(runs) > 2 or (len(runs) == 1 and len(planners) != 2):
@@ -218,7 +218,7 @@ def compare(
 def print_tables(comparison: Comparison, candidate: Run, *, alone: bool = True) -> None:
     """Print a comparison as tables; `alone`: its exit code is that of the command."""
     from replay.compare import view_command
-    from replay.draw.report.terminal import print_comparison
+    from replay.draw.report.sections import print_comparison
 
     print_comparison(comparison, console_of(130), lambda *drive: view_command(candidate, *drive), alone=alone)
 

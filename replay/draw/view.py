@@ -37,9 +37,8 @@ from logs.trace import Trace
 from replay.draw.drawn_results import load
 from replay.draw.model import SERIES, SL, ST, Curve, Marker, Panel
 from replay.draw.recording import write_log_recording
-from replay.draw.recording.blueprint import graph_view, lanes_beside_numbers, scene_behind, state_view, window
 from replay.draw.recording.pictures import LOOPBACK, Picture, Theme, environment, free_port, in_use, take_pictures
-from replay.draw.recording.plots import LANES, plot
+from replay.draw.recording.plots import LANES, graph_view, lanes_beside_numbers, plot, scene_behind, state_view, window
 from replay.draw.recording.tape import MARKDOWN, Instants, cell, document, link, recording_file, table
 from replay.draw.report.overview import overview
 from replay.explain.first_difference import first_difference

@@ -69,7 +69,7 @@ from replay.run.sources import PERTURBATIONS, perturbed
 KIND = "diagnose"
 CONTENTS = FolderContents(KIND, ("diagnosis.*", "changes.csv", "changes", "logs"))
 CONTROLS = ("tiny", "start", "noise")
-"""Perturbations (`replay.run.perturb`) with which a drive must also fail, so that a change is conclusive."""
+"""Perturbations (`replay.run.sources`) with which a drive must also fail, so that a change is conclusive."""
 
 
 @dataclass(frozen=True, eq=False)

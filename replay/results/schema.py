@@ -366,7 +366,6 @@ BELOW = """
 `replan.load` makes these of `summary.json` and the traces.
 """
 
-
 AGAIN = "evaluate again"
 WORDS: dict[str, Collection[str]] = {
     "mode": ("open", "closed", "reference", "both", ""),
@@ -380,8 +379,6 @@ Name = Annotated[str, msgspec.Meta(pattern=r"^(?:[A-Za-z0-9_-][A-Za-z0-9._-]*)?\
 FileName = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9_-][A-Za-z0-9._-]*/[A-Za-z0-9_-][A-Za-z0-9._-]*\Z")]
 """The plain name of a file in a log's folder."""
 Place = Annotated[str, msgspec.Meta(pattern=r"^[^\0]*\Z")]  # A path or URL
-
-
 T = TypeVar("T")
 
 

@@ -109,9 +109,11 @@ class OnRay:
             except OSError as error:
                 what = f"no connection: {error.strerror or error}"
                 raise ConfigError(f"--address {self.address}: {what}; {BEGIN}") from None
+        # paths of Ray's sockets in the folder of its session have at most 107 bytes
+        short = "/tmp" if len(tempfile.gettempdir()) > LONGEST_SESSION_PATH and sys.platform != "win32" else None
         with (
             tempfile.TemporaryDirectory(prefix="replan-") as folder,
-            tempfile.TemporaryDirectory(prefix="replan-", dir=_short_folder(), ignore_cleanup_errors=True) as session,
+            tempfile.TemporaryDirectory(prefix="replan-", dir=short, ignore_cleanup_errors=True) as session,
         ):
             code = code_of(run, Path(folder))
             options: dict[str, Any] = {"address": self.address or "local", "runtime_env": {"working_dir": str(code)}}
@@ -153,11 +155,6 @@ class OnRay:
         finally:
             for reference in flying:
                 ray.cancel(reference, force=True)
-
-
-def _short_folder() -> str | None:
-    """A folder for the session of Ray, whose paths of sockets have at most 107 bytes; None: the usual one."""
-    return "/tmp" if len(tempfile.gettempdir()) > LONGEST_SESSION_PATH and sys.platform != "win32" else None
 
 
 def code_of(run: RunConfig, folder: Path) -> Path:

@@ -23,7 +23,6 @@ import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field, replace
-from hashlib import sha256
 from math import inf
 from pathlib import Path
 from types import MappingProxyType
@@ -393,5 +392,5 @@ PERTURBATIONS: Mapping[str, Callable[[Scenario, np.random.Generator], Scenario]]
 def perturbed(scenario: Scenario, member: int) -> tuple[str, Scenario]:
     """Member `member` (from 1) of a log's ensemble: the name of the perturbation and the scenario; kinds alternate."""
     name = list(PERTURBATIONS)[(member - 1) % len(PERTURBATIONS)]
-    seed = int.from_bytes(sha256(f"{scenario.name} {member}".encode()).digest()[:8], "big")
+    seed = int.from_bytes(hashlib.sha256(f"{scenario.name} {member}".encode()).digest()[:8], "big")
     return name, PERTURBATIONS[name](scenario, np.random.default_rng(seed))

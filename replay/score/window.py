@@ -96,7 +96,11 @@ def center_line(lanes: DrivableLanes, route: RoadblockRoute, x: float, y: float,
     The lane is the best aligned one of the route under the rear axle, else the nearest one; the way is the shortest by
     successors on the route, else the longest chain of them.
     """
-    ends = {i: _with_headings(lanes, i) for i in route.lanes}
+    ends = {}
+    for i in route.lanes:
+        center = lanes.lanes[i].center
+        directions = np.arctan2(*np.diff(center, axis=0).T[::-1])
+        ends[i] = center, np.r_[directions, directions[-1]]
     under = [i for i in sorted(route.lanes) if lanes.under(np.array([x]), np.array([y]))[i, 0]]
 
     def misaligned(i: int) -> float:
@@ -125,12 +129,6 @@ def center_line(lanes: DrivableLanes, route: RoadblockRoute, x: float, y: float,
                 queue += [after] if after not in queue else []
     points, headings = zip(*(ends[i] for i in last), strict=True)
     return start, Polyline.through(np.vstack(points), np.concatenate(headings))
-
-
-def _with_headings(lanes: DrivableLanes, i: int) -> tuple[FloatArray, FloatArray]:
-    points = lanes.lanes[i].center
-    heading = np.arctan2(*np.diff(points, axis=0).T[::-1])
-    return points, np.r_[heading, heading[-1]]
 
 
 class WindowAgents(NamedTuple):

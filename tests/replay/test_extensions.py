@@ -321,7 +321,7 @@ def test_a_chart_or_panel_without_a_place_is_an_error(monkeypatch: pytest.Monkey
 
     from replay.draw.charts import layout
     from replay.draw.model import Panel
-    from replay.draw.recording.blueprint import RecordingContents, blueprint
+    from replay.draw.recording.plots import RecordingContents, blueprint
 
     monkeypatch.setitem(layout.CHARTS, "extra", lambda subject: [])
     with pytest.raises(ValueError, match="the chart 'extra' has no place in LAYOUT"):

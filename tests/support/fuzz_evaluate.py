@@ -43,7 +43,7 @@ from mcap_cases import rich_scenario
 from logs.mcap import read_scenario, write_scenario
 from logs.readers import read_log
 from replay.cli import main as replan
-from replay.draw.report import overview, terminal, write
+from replay.draw.report import overview, write
 from replay.run import evaluate_logs  # imported here, so that no child has to
 
 MOST_S, ADDRESSES = 60, 12 * 2**30
@@ -59,7 +59,7 @@ VALUE = re.compile(rb'-?\b\d+\.?\d*(?:[eE][-+]?\d+)?\b|"[^"<>{}\n]*"')
 Mutation = Callable[[bytes, np.random.Generator], bytes]
 HOSTILE = (*NUMBERS, b"-1e308", b"1e5", b"-1e5", b"1e18", b"1e-300", b"True", b"\xff", b"1,5", b"0x10", b"  ")
 NAMES = (b"a\x1b[31m", b"\xe2\x80\xae", b"\x00", b"x" * 500, b"<b>", b"", b"\t", b"a0", b"'", b"nan")
-IMPORTED = evaluate_logs, overview, terminal, write
+IMPORTED = evaluate_logs, overview, sections, write
 
 
 def place(raw: bytes, rng: np.random.Generator) -> int:

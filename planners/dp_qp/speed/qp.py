@@ -208,8 +208,6 @@ BARE = StGraphConfig(margin_m=0.0, vulnerable_margin_m=0.0, passed_margin_m=0.0,
 UTMOST_MPS3 = 30.0  # Jerk of full braking, m/s3
 ONWARD_S = 0.8  # An ego that drives on releases the brake and reaches its acceleration within this time, s ...
 RESTING_MPS = 0.5  # ... and does not come to rest: it stays faster than this, m/s.
-
-
 Attempts = tuple[tuple[SpeedProblem, QPResult], ...]  # QPs that were tried, with their results
 
 

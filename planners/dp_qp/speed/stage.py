@@ -51,8 +51,6 @@ FIRST_S = 1.0
 """The same for an agent that crosses, if braking with `LETS_MPS2` is enough to yield: it may come sooner, s."""
 LETS_MPS2 = 3.0, 4.5  # Deceleration with which the ego yields to a vehicle, and to a pedestrian or rider, m/s2
 DOUBTED = "that is doubted: comfortable braking is all that is done"
-
-
 ORDERS = {DecisionKind.YIELD: ("yielding", 1e6), DecisionKind.OVERTAKE: ("going first", -1e6)}
 """The orders of passing between which the speed DP decides: name, and the bound (m) that leaves only this order."""
 COLLIDES = 0.01 * COLLISION  # A solution of the DP that costs more is inside a blocked interval

@@ -124,7 +124,6 @@ RULES = """
 .chart .better{stroke:$good;stroke-width:1.6;stroke-dasharray:4 2}
 """.replace("FONT", FONT)
 
-
 DRIVES = ("one", "two", "three", "four")
 """Classes of the drives in one picture: colour and dash of their lines, colour of the ego in a group of the class."""
 
@@ -153,8 +152,6 @@ def stylesheet(theme: Theme) -> str:
 KEPT_PX = 0.4  # The largest distance of a simplified line from the exact one: less than half a pixel is invisible
 LETTER_PX = 5.9  # Mean width of a letter at the font size of charts
 FAR_PX = 20_000.0  # Coordinates are clipped to +- this value: no picture is taller, and renderers lose digits beyond
-
-
 FORMATS = (".png", ".svg")
 
 

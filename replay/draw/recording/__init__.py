@@ -21,9 +21,9 @@ from logs.scenario import Scenario
 from logs.trace import EndReason, Mode, PlannedFrame, Trace
 from replay.draw.model import SL, ST, DrawnGraph, GraphKind, Marker, panels, stage_panel, steps_of
 from replay.draw.recording import pages, plots
-from replay.draw.recording.blueprint import RecordingContents, blueprint
 from replay.draw.recording.graphs import Axes, draw_graph, draw_occupancy
 from replay.draw.recording.moving import draw_moving, draw_others, draw_scene
+from replay.draw.recording.plots import RecordingContents, blueprint
 from replay.draw.recording.tape import Instants, Tape, field_name, path_parts, recording_file
 from replay.explain.explanation import TimedEvent, events
 from replay.explain.planner_input import actual_occupancy
@@ -85,12 +85,7 @@ def write_recording(
 
 
 def _draw_part(
-    tape: Tape,
-    whole: Trace,
-    scenario: Scenario,
-    instants: Instants,
-    planned: Instants,
-    axes: Mapping[GraphKind, Axes],
+    tape: Tape, whole: Trace, scenario: Scenario, instants: Instants, planned: Instants, axes: Mapping[GraphKind, Axes]
 ) -> None:
     """Draw agents, plans and graphs of some frames, so that only these frames of a long drive are in memory."""
     frames = whole.frames[int(planned.frame[0]) : int(planned.frame[-1]) + 1]

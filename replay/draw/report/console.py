@@ -7,15 +7,12 @@ import io
 import os
 import sys
 import textwrap
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable
 from contextlib import suppress
 from typing import Any
 
-from rich import box
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
-from rich.table import Table
-from rich.text import Text
 
 from logs.names import VISIBLE
 
@@ -79,21 +76,6 @@ def lasting_streams() -> None:
         on_line = fd == 2 or raw.isatty()
         encoding = getattr(stream, "encoding", None) or "utf-8"
         setattr(sys, name, io.TextIOWrapper(io.BufferedWriter(raw), encoding, "replace", line_buffering=on_line))
-
-
-def grid(*columns: str, right: Sequence[str] = (), padding: int = 1) -> Table:
-    """A table with a line below its head; the columns `right` are right-aligned."""
-    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, padding, 0, 0))
-    for title in columns:
-        table.add_column(title, overflow="fold", justify="right" if title in right else "left")
-    return table
-
-
-def titled(title: str, *parts: RenderableType) -> Iterator[RenderableType]:
-    """A title, its parts, and an empty line."""
-    yield Text(title, style="bold underline")
-    yield from parts
-    yield Text()
 
 
 def _to_nothing(fd: int) -> None:

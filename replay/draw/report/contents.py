@@ -42,16 +42,17 @@ def percent(value: float) -> str:
     return f"{100.0 * value:.0f}%" if value == 0.0 or value >= 0.01 else "<1%"
 
 
-def _at_most_all(value: float) -> str:
-    """A share as `percent`; ">100%" beyond one."""
-    return percent(value) if value < 1.005 else ">100%"
-
-
 JERK_S = "lon_jerk_nuplan.time_out_of_bounds"
 COLUMNS = (
     MetricColumn("ADE\n3 s\n[m]", "ade.3s.mean", "open", "{:.2f}".format),
     MetricColumn("fall\nback", "fallback.rate", "open", percent, lambda value: value > 0.0),
-    MetricColumn("route\ndone", "route_progress.final", "closed", _at_most_all, lambda value: value < 0.5),
+    MetricColumn(
+        "route\ndone",
+        "route_progress.final",
+        "closed",
+        lambda value: percent(value) if value < 1.005 else ">100%",
+        lambda value: value < 0.5,
+    ),
     MetricColumn("goal", "goal.final", "closed", lambda value: "yes" if value else "no", lambda value: value == 0.0),
     MetricColumn("hits\nat\nfault", "collision_at_fault.count", "closed", "{:.0f}".format, lambda value: value > 0.0),
     MetricColumn("least\ngap\n[m]", "gap.min", "closed", "{:.2f}".format, lambda value: value < 0.2),

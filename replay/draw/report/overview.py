@@ -54,7 +54,6 @@ from replay.draw.report.contents import (
 from replay.drive import Mark
 from replay.results.tables import OUTCOMES
 
-"""Outcomes as reports list them."""
 EXIT_WEIGHT = (2, 3, 1, 4, 0)
 """Exit codes by priority: several codes are combined into the first in this order (3 beats 1 beats 4)."""
 

@@ -32,8 +32,7 @@ from replay.draw.drawn_results import Results, load
 from replay.draw.report.console import SafeConsole, visible, wrapped
 from replay.draw.report.contents import MOST_FIRST, Cell
 from replay.draw.report.overview import overview
-from replay.draw.report.sections import ReportColumn, ReportSection
-from replay.draw.report.terminal import print_report
+from replay.draw.report.sections import ReportColumn, ReportSection, print_report
 from replay.draw.report.write import (
     STEP_BYTES,
     append_step_summary,

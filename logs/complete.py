@@ -85,6 +85,13 @@ def assumed_limit(ego: Trajectory) -> float:
     return max(Road.default_speed_limit, steps * LIMIT_STEP)
 
 
+def with_limit(road: Road, ego: Trajectory, lanes: str, notes: list[str]) -> Road:
+    """Return the road with the speed limit (4) for its `lanes` without one, which the note describes."""
+    limit = assumed_limit(ego)
+    notes.append(f"{lanes}: {limit:.1f} m/s is assumed ({ASSUMED}).")
+    return replace(road, default_speed_limit=limit)
+
+
 def driven_limit(ego: Trajectory) -> tuple[float, str]:
     """The speed limit (5) of a road that is known by one drive only, m/s, and the rule that sets it."""
     v = np.abs(ego.v)

@@ -102,6 +102,15 @@ def reading(kinds: tuple[type[Exception], ...] = (ValueError,), **place: Any) ->
         raise LogError(str(error), **place) from None
 
 
+@contextmanager
+def in_file(path: Path) -> Iterator[None]:
+    """Name the file in a LogError of the `with` block that names none."""
+    try:
+        yield
+    except LogError as error:
+        raise error if error.file is not None else error.at(path) from None
+
+
 OWN_FOLDERS = tuple(
     str(Path(__file__).parents[1] / name) for name in ("logs", "metrics", "planners", "replan", "replay")
 )

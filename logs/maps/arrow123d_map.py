@@ -33,7 +33,7 @@ import numpy as np
 
 from logs.arrays import FloatArray, arc_lengths
 from logs.arrow_tables import COPY_AGAIN, Lists, array_of, ipc_table, metadata_of, reading, whole
-from logs.complete import ASSUMED, assumed_limit, road_along
+from logs.complete import road_along, with_limit
 from logs.errors import LogError
 from logs.files import beside
 from logs.maps.base import MapFile, MapReader
@@ -352,9 +352,7 @@ def road_of(
         return road_along(ego, notes), ()
     lacking = sum(lane.drivable and not np.isfinite(lane.speed_limit) for lane in road.lanes.values())
     if lacking:
-        road = replace(road, default_speed_limit=assumed_limit(ego))
-        limit = f"{road.default_speed_limit:.1f} m/s"
-        notes.append(f"{lacking} of {len(road.lanes)} lanes have no speed limit: {limit} is assumed ({ASSUMED}).")
+        road = with_limit(road, ego, f"{lacking} of {len(road.lanes)} lanes have no speed limit", notes)
     # a light without a stop zone gets a stop line at the ends of its lane's predecessors
     named, feeding = {line.light for line in road.stop_lines}, predecessors(road.lanes)
     lines, lost = list(road.stop_lines), 0

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from logs.arrays import BoolArray, arc_lengths
-from logs.complete import ASSUMED, NO_LANES, assumed_limit
+from logs.complete import NO_LANES, with_limit
 from logs.errors import LogError
 from logs.road import Lane, Road, RoadSource
 from logs.route import on_lane
@@ -100,10 +100,8 @@ def on_map(scenario: Scenario, found: MapFile, path: Path, kind: str) -> Scenari
         notes.append(f"{path.name} does not show on which side traffic drives: the {side} is assumed.")
     missing = sum(not isfinite(lane.speed_limit) for lane in drivable)
     if missing:
-        limit = assumed_limit(scenario.ego)
-        which = f"{missing} of the {len(drivable)} drivable lanes of {path.name}"
-        notes.append(f"{which} have no speed limit: {limit:.1f} m/s is assumed ({ASSUMED}).")
-        road = replace(road, default_speed_limit=limit)
+        which = f"{missing} of the {len(drivable)} drivable lanes of {path.name} have no speed limit"
+        road = with_limit(road, scenario.ego, which, notes)
     lost = len(scenario.lights) - len(lights)
     if lost:
         notes.append(f"{lost} traffic lights of the log are left out: no stop line of {path.name} names them.")

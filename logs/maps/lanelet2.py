@@ -27,7 +27,7 @@ from pathlib import Path
 import numpy as np
 
 from logs.arrays import FloatArray, foot_on, station_on
-from logs.errors import LogError
+from logs.errors import LogError, in_file, reading
 from logs.maps.base import MapFile, MapReader
 from logs.maps.lanelet2_file import PROJECTOR_INFO, Element, Osm, placed_points, read_osm
 from logs.maps.lanelet2_lanes import LONGEST_M, DirectedLanelet, divided, lanes_of, strips_of, way_points
@@ -49,7 +49,7 @@ _READ = ("traffic_light", "traffic_sign", "right_of_way", "all_way_stop", "speed
 def read_lanelet2(path: Path, settings: Mapping[str, str]) -> MapFile:
     """Read a map; LogError if it is none, has no drivable lane, or its points have no coordinates."""
     osm, notes = read_osm(path), list[str]()
-    try:
+    with in_file(path), reading((ValueError, OverflowError)):
         nodes, frame, xy = placed_points(osm, path, settings)
         rows = {node.id: k for k, node in enumerate(nodes)}
         strips = strips_of(osm, rows, xy, notes)
@@ -86,10 +86,6 @@ def read_lanelet2(path: Path, settings: Mapping[str, str]) -> MapFile:
             listed = ", ".join(f"{count} {kind}" for kind, count in sorted(others.items()))
             notes.append(f"Relations that are not read: {listed}.")
         return MapFile(road, frame, tuple(notes), rules.aliases, bool(votes))
-    except LogError as error:
-        raise error if error.file is not None else error.at(path) from None
-    except (ValueError, OverflowError) as error:
-        raise LogError(str(error), file=path) from None
 
 
 def _outline(osm: Osm, area: Element, rows: Mapping[int, int]) -> Sequence[int]:

@@ -28,7 +28,7 @@ from google.protobuf.message import DecodeError
 
 from logs.agents import USUAL_SIZE_M, AgentKind
 from logs.arrays import FloatArray, arc_lengths, foot_on, station_on
-from logs.complete import ASSUMED, assumed_limit, completed, derived_curvature, derived_speed, road_along
+from logs.complete import completed, derived_curvature, derived_speed, road_along, with_limit
 from logs.errors import LogError, reading
 from logs.mcap.container import COPY_AGAIN, Stream
 from logs.observed import of_stream
@@ -142,9 +142,8 @@ def scenario_of(stream: Stream, name: str, ego_id: str = "") -> Scenario:
                 notes.append(f"{unused} of {len(seen.road.lane)} lanes have no centre line and are left out.")
         lanes, drives_on_right = _beside_each_other(lanes, adjacent)
         if lanes:
-            limit = assumed_limit(ego)
-            notes.append(f"The lanes have no speed limits: {limit:.1f} m/s is assumed ({ASSUMED}).")
-            road = Road(lanes, drives_on_right=drives_on_right, default_speed_limit=limit)
+            road = Road(lanes, drives_on_right=drives_on_right)
+            road = with_limit(road, ego, "The lanes have no speed limits", notes)
         else:
             road = road_along(ego, notes)
         if seen.lights:

@@ -20,7 +20,7 @@ from logs.agents import codes_of
 from logs.arrays import BoolArray, FloatArray, IntArray
 from logs.codec import noun_of
 from logs.complete import completed, road_along
-from logs.errors import LogError, reading
+from logs.errors import LogError, in_file, reading
 from logs.mcap import native, osi
 from logs.mcap.container import CONVERT, LAST_TIME_NS, MEND, Container, Stream, read_container
 from logs.names import counted
@@ -46,17 +46,14 @@ def read_scenario(path: Path, ego: str = "") -> Scenario:
 def scenario_of(container: Container, ego: str = "") -> Scenario:
     """The scenario in a container; LogError as in `read_scenario`."""
     container.whole()
-    try:
-        with np.errstate(all="ignore"):  # the checks below refuse absurd numbers
-            if native.SCENARIO_RECORD in container.metadata:
-                if ego:
-                    raise LogError(f"ego {ego} is asked for, but a native log has its ego", remedy="leave ego out")
-                return _native(container)
-            stream = container.of_schema(*osi.SCHEMAS)
-            if stream is not None:
-                return osi.scenario_of(stream, container.path.stem, ego)
-    except LogError as error:
-        raise error.at(container.path) from None
+    with in_file(container.path), np.errstate(all="ignore"):  # the checks below refuse absurd numbers
+        if native.SCENARIO_RECORD in container.metadata:
+            if ego:
+                raise LogError(f"ego {ego} is asked for, but a native log has its ego", remedy="leave ego out")
+            return _native(container)
+        stream = container.of_schema(*osi.SCHEMAS)
+        if stream is not None:
+            return osi.scenario_of(stream, container.path.stem, ego)
     held = ", ".join(sorted({s.schema or f"{s.encoding} without schema" for s in container.streams.values()}))
     what = f"neither a native nor an OSI log; it holds {held}"
     if any(s.schema.startswith("replan.") for s in container.streams.values()):

@@ -23,7 +23,7 @@ import numpy as np
 
 from logs import plan as nouns
 from logs.codec import message_of, noun_of
-from logs.errors import LogError, reading
+from logs.errors import LogError, in_file, reading
 from logs.frame import Predictions
 from logs.mcap import native
 from logs.mcap.container import MEND, Container, Stream, read_container
@@ -55,7 +55,7 @@ def write_trace(
     beside: Iterable[Entry] = (),
 ) -> None:  # fmt: skip
     """Write a trace as a native log, and messages `beside` it on other topics; LogError as in `write_scenario`."""
-    try:
+    with in_file(path):
         driven = driven_scenario(trace, scenario)
         records = {
             **scenario_records(driven, version=native.FORMAT_VERSION),
@@ -63,8 +63,6 @@ def write_trace(
         }
         entries = scenario_entries(driven, blocks=True), _trace_entries(trace, scenario.start_ns, internals)
         write_log(Path(path), records, chain(*entries, beside))
-    except LogError as error:
-        raise error.at(path) from None
 
 
 def driven_scenario(trace: Trace, scenario: Scenario) -> Scenario:
@@ -179,10 +177,8 @@ def read_trace(path: Path) -> tuple[Trace, Scenario]:
     """
     container = read_container(Path(path))
     scenario = scenario_of(container)
-    try:
+    with in_file(path):
         return _trace(container, scenario, _frames(container.streams, scenario.start_ns)), scenario
-    except LogError as error:
-        raise error.at(path) from None
 
 
 def read_moment(path: Path, t: float) -> tuple[Trace, Scenario, tuple[nouns.PlanSummary, ...]]:
@@ -193,7 +189,7 @@ def read_moment(path: Path, t: float) -> tuple[Trace, Scenario, tuple[nouns.Plan
     """
     container = read_container(Path(path))
     scenario = scenario_of(container)
-    try:
+    with in_file(path):
         streams, start = container.streams, scenario.start_ns
         plans, summaries = streams.get("/plan", _none("/plan")), list[nouns.PlanSummary]()
         plans.check_order(strictly=True)
@@ -208,8 +204,6 @@ def read_moment(path: Path, t: float) -> tuple[Trace, Scenario, tuple[nouns.Plan
             kept = [i for i, each in enumerate(stream.times) if each == time]
             some[topic] = replace(stream, times=[time] * len(kept), payloads=[stream.payloads[i] for i in kept])
         return _trace(container, scenario, _frames(some, start)), scenario, tuple(summaries)
-    except LogError as error:
-        raise error.at(path) from None
 
 
 def _trace(container: Container, scenario: Scenario, frames: Iterator[PlannedFrame]) -> Trace:

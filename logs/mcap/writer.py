@@ -25,7 +25,7 @@ from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 
 from logs.arrays import BoolArray, FloatArray
 from logs.codec import message_of, scalar_as_number
-from logs.errors import LogError, writing
+from logs.errors import LogError, in_file, writing
 from logs.mcap import native
 from logs.repair.detections import Detections
 from logs.rules import Colour
@@ -51,10 +51,8 @@ def write_scenario(path: Path, scenario: Scenario, *, beside: Iterable[Entry] = 
         LogError: A value is infinite, two samples fall on one nanosecond, or a log time is negative.
         OutputError: The file cannot be written.
     """
-    try:
+    with in_file(path):
         write_log(Path(path), scenario_records(scenario), chain(scenario_entries(scenario), beside))
-    except LogError as error:
-        raise error.at(path) from None
 
 
 def is_written_here(path: Path) -> bool:

@@ -21,7 +21,6 @@ stop lines, traffic lights or right of way. Drivable areas are not read.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -30,7 +29,7 @@ import numpy as np
 from logs.agents import AgentKind
 from logs.arrays import FloatArray, IntArray
 from logs.arrow_tables import ipc_table, numbers, parquet_table, reading, whole, words
-from logs.complete import ASSUMED, assumed_limit, completed, road_along
+from logs.complete import completed, road_along, with_limit
 from logs.errors import LogError
 from logs.files import beside
 from logs.log_settings import LogSettings
@@ -293,9 +292,7 @@ def road_for(path: Path | None, origin: FloatArray, ego: Trajectory, notes: list
         areas = tuple(ring for ring in rings if len(ring) >= 3 and (np.abs(ring) < LARGEST_M).all())
         road = Road(lanes, drives_on_right=keeps_right, crosswalks=tuple(walks), areas=areas)
     notes.append("The map has no right of way, stop lines or traffic lights: priority is not known.")
-    limit = assumed_limit(ego)
-    notes.append(f"The lanes have no speed limits: {limit:.1f} m/s is assumed ({ASSUMED}).")
-    return replace(road, default_speed_limit=limit)
+    return with_limit(road, ego, "The lanes have no speed limits", notes)
 
 
 def _points(points: list[Mapping[str, float]]) -> FloatArray:

@@ -40,8 +40,8 @@ def _contents(path: Path) -> LogContents:
 
 READER = Reader(
     "native", "replan's own MCAP, traces included; ASAM OSI ground truth in MCAP", "*.mcap", (".mcap",),
-    files_named(".mcap"), lambda path, settings: read_scenario(path, settings.ego),
-    contents=_contents, settings=("ego",),
+    files_named(".mcap"),
+    lambda path, settings: read_scenario(path, settings.ego), contents=_contents, settings=("ego",),
 )  # fmt: skip
 
 

@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from logs.arrays import FloatArray, frozen
-from logs.errors import LogError
+from logs.errors import LogError, in_file
 from logs.files import read_xml
 from logs.rules import Colour
 
@@ -253,10 +253,8 @@ class Document:
 
 def parse(path: Path) -> Document:
     """Read a file; LogError if it is not CommonRoad or of another version, or an element is missing or no number."""
-    try:
+    with in_file(path):
         return _document(read_xml(path))
-    except LogError as error:
-        raise error.at(path) from error
 
 
 def _document(root: Element) -> Document:

@@ -43,7 +43,7 @@ from mcap_cases import rich_scenario
 from logs.mcap import read_scenario, write_scenario
 from logs.readers import read_log
 from replay.cli import main as replan
-from replay.draw.report import overview, write
+from replay.draw.report import overview, sections, write
 from replay.run import evaluate_logs  # imported here, so that no child has to
 
 MOST_S, ADDRESSES = 60, 12 * 2**30

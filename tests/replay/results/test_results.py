@@ -6,7 +6,6 @@ from pathlib import Path
 import pandas as pd
 import pyarrow.parquet as pq
 import pytest
-from replay.results.reading import read_table
 from short_logs import QUICK, short
 
 from logs import ConfigError, StGraph
@@ -14,7 +13,7 @@ from logs.mcap import write_scenario
 from metrics.judge.aggregate import LogLabels, groups, standings
 from replay.config import RunConfig
 from replay.draw.drawn_results import Results, load
-from replay.results.schema import FRAMES, METADATA, TABLES, arrow, arrow_schema, markdown
+from replay.results.schema import FRAMES, METADATA, TABLES, arrow, arrow_schema, markdown, read_table
 from replay.results.tables import TABLES as FILES
 from replay.run import evaluate_logs
 

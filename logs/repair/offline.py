@@ -1,7 +1,7 @@
 """Makes tracks from raw detections with the whole log, for metrics, traffic and drawing (not causal).
 
 1. twins     keep the best of the boxes of a frame that show one object (`boxes`)
-2. join      detections to tracks, frame by frame (`association`)
+2. join      detections to tracks, frame by frame (`tracker`)
 3. stitch    tracks whose ends meet across a gap (`users`)
 4. smooth    forward and backward, with less weight for outliers; standing users have no speed (`users`)
 5. vote      kind, size, front (`users`)
@@ -21,9 +21,9 @@ import numpy as np
 
 from logs.agents import codes_of
 from logs.arrays import FloatArray, IntArray, frozen
-from logs.repair.association import Association
 from logs.repair.detected_boxes import CLUSTER, NOISE, OTHER_PART, PERSON, VEHICLE, Boxes, shares, stronger_twins
 from logs.repair.detections import Detections, Repair, TrackChange
+from logs.repair.tracker import Association
 from logs.repair.users import Piece, User, fitted, stitched, user_of
 from logs.shapes import clearance
 from logs.states import Trajectory

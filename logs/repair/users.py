@@ -10,8 +10,8 @@ import numpy as np
 
 from logs.agents import AgentKind
 from logs.arrays import BoolArray, FloatArray, IntArray
-from logs.repair.association import smoothed
 from logs.repair.detected_boxes import CLUSTER, DENSITY, FAST, NOISE, PERSON, SLIDES, SLOW, STILL, VEHICLE, Boxes
+from logs.repair.tracker import smoothed
 from logs.states import Trajectory
 
 SMOOTH_DENSITY = 0.45 * DENSITY

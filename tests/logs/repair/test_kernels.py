@@ -17,11 +17,10 @@ from logs.arrays import BoolArray, FloatArray
 from logs.catalogue import CATALOGUE
 from logs.catalogue.detector import detected, sight
 from logs.readers import read_log
-from logs.repair.association import FIRST_MPS, STAND_MPS, smoothed
 from logs.repair.detected_boxes import Boxes, shared_area, stronger_twins
 from logs.repair.detections import Detections, needs_repair
 from logs.repair.offline import detections_of
-from logs.repair.tracker import Tracked
+from logs.repair.tracker import FIRST_MPS, STAND_MPS, Tracked, smoothed
 
 Q = 1.6
 

@@ -1,5 +1,6 @@
 """Settings of all tests, and where the recorded data are."""
 
+import gc
 import os
 import signal
 import sys
@@ -41,6 +42,12 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         asked = law._hypothesis_internal_use_settings
         few = min(max(asked.max_examples // divisor, fewest), most, asked.max_examples)
         law._hypothesis_internal_use_settings = settings(asked, max_examples=few)
+
+
+def pytest_collection_finish() -> None:
+    """What is imported and collected by now lives to the end: no collection of garbage looks through it again."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(scope="session")

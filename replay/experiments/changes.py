@@ -69,8 +69,6 @@ class ChangedRun:
     """A run with a change.
 
     Attributes:
-        change: The row of the table.
-        run: The run with it, resolved.
         keys: Keys and values in which it differs from the run.
     """
 

@@ -77,10 +77,8 @@ class DiagnosisQuestion:
     """The inputs of a diagnosis.
 
     Attributes:
-        results: The run.
         planner: The planner whose failing drives are diagnosed.
         logs: Names of logs; empty for all logs.
-        changes: The changes to try.
     """
 
     results: Results

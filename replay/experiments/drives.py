@@ -49,9 +49,7 @@ class DrivenLogs:
     """Logs that were driven by one planner.
 
     Attributes:
-        results: The run.
         names: Name of each log in the run, by its file's name.
-        planner: The planner of the drives.
         gates: The gates that judge them, by their rules as text.
         outcomes: A row per drive and gate: `COLUMNS`; `drive` is the name of the log's file.
     """

@@ -75,12 +75,9 @@ class FalsifyQuestion:
     """The inputs of a falsification.
 
     Attributes:
-        subject: The log or family.
-        axes: The axes of variation.
         run: Planner (one) and settings; only the closed loop is run.
         against: "careful", or another planner.
         budget: Largest number of drives of the search.
-        seed: Seed of the points.
         resolution: Resolution of the distance.
     """
 
@@ -194,9 +191,6 @@ class Falsified:
     """The end of a falsification.
 
     Attributes:
-        out: The folder.
-        question: The inputs.
-        found: The mildest point.
         table: A row per trial.
         case: The row of the mildest case; empty if there is none.
     """

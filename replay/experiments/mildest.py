@@ -65,7 +65,6 @@ class Mildest:
         distance: Its distance; inf if there is none.
         passes: The greatest distance below it, on the line to the origin, at which a point was evaluated and does not
             count; NaN if there is none (the origin itself counts).
-        evaluations: Number of evaluations.
         is_spent: Whether the budget ended the search: too little of it is left for the next evaluations.
     """
 

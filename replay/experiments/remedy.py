@@ -28,7 +28,6 @@ class Remedy:
         log: The log of the drive for which it was searched.
         key: The setting; "" if none was found.
         was: Its value in the run; `now` the changed one.
-        now: The changed value.
         u: The size (1).
         mended: Logs of failing drives that pass with it.
         broken: Logs whose drives did not fail, and fail with it.

@@ -58,8 +58,6 @@ class VaryResult:
     """The result of a surface.
 
     Attributes:
-        out: The folder.
-        question: The question.
         table: A row per point that was evaluated: the grid first, then the points between.
         edges: The brackets in which rows change, to the resolution of the question.
     """

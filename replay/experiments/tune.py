@@ -94,9 +94,6 @@ class Tuned:
     """The end of a tuning.
 
     Attributes:
-        out: The folder.
-        plan: The inputs.
-        logs: The logs and their sets.
         table: A row per trial.
         chosen: The row of the chosen trial; empty if none is better than the defaults.
         values: The chosen settings; empty in that case, too.

@@ -281,7 +281,6 @@ class Meeting:
     """An agent in the way of a plan that is held.
 
     Attributes:
-        agent: Their id.
         away_m: Distance between the boxes now, m.
         time_s: Time of (4) or (5), s from the frame; NaN if neither occurs, and the agent is only in the way.
         distance_m: Distance that the ego would have driven until then, m.

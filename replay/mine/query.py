@@ -142,9 +142,7 @@ class FoundMoment:
     """A part of a log.
 
     Attributes:
-        log: Its name in the tables.
         begin: s since the log's start; `end` likewise.
-        kinds: The kinds of events in it.
     """
 
     log: str

@@ -141,16 +141,9 @@ def diagnose(
 ) -> Diagnosis:
     """Drive the failing drives of a run again with each change, and write the findings into `out`.
 
-    `Diagnosis.not_driven` has the drives that cannot be driven again.
-
-    Args:
-        asked: The inputs.
-        out: A folder that is new, empty, or holds an earlier diagnosis, which is replaced or resumed; None: the next
-            free one.
-        settings: For the first drive of each cluster, the smallest change of one of these with which it passes.
-        workers: Number of processes; 0: this process.
-        resume: Continue the diagnosis in `out`.
-        say: Called with a line after each change.
+    `Diagnosis.not_driven` has the drives that cannot be driven again. For the first drive of each cluster, the smallest
+    change of one of the `settings` with which it passes is searched. The other arguments are those of
+    `replay.experiments`.
 
     Raises:
         ConfigError: The folder must not be written, or there is nothing to resume.

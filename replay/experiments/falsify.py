@@ -257,15 +257,7 @@ def falsify(
     resume: bool = False,
     say: Callable[[str], None] = lambda line: None,
 ) -> Falsified:
-    """Search, and write the result into `out`.
-
-    Args:
-        question: The inputs.
-        out: A folder that is new, empty, or holds an earlier falsification, which is replaced or resumed; None: the
-            next free one.
-        workers: Number of processes; 0: this process.
-        resume: Continue the falsification in `out`.
-        say: Called with a line after each batch.
+    """Search, and write the result into `out`; the arguments are those of `replay.experiments`.
 
     Raises:
         ConfigError: A wrong setting, a folder that must not be written, nothing to resume, or cmaes is not installed.

@@ -156,16 +156,7 @@ def tune(
     resume: bool = False,
     say: Callable[[str], None] = lambda line: None,
 ) -> Tuned:
-    """Search, judge on the held-out logs, and write the results into `out`.
-
-    Args:
-        plan: The inputs.
-        selection: The logs.
-        out: A folder that is new, empty, or holds an earlier tuning, which is replaced or resumed; None: the next free
-            one.
-        engine: The engine that drives the logs; None: this process.
-        resume: Continue the tuning in `out`.
-        say: Called with a line after each trial.
+    """Search, judge on the held-out logs, and write the results into `out`; arguments as in `replay.experiments`.
 
     Raises:
         ConfigError: A wrong setting, too few logs, no point of the space is accepted, a folder that must not be

@@ -6,10 +6,9 @@ The views are the tables of docs/results.md under their names without suffix: fo
 networks and extensions locked: a query can read only these views. Memory, the space of its own temporary folder, time
 and the size of the result are limited.
 
-A row of a query gives a log and a moment: its columns `t_from_s` and `t_to_s`, or `time_s`, or `t_s`. Moments
-of one log that overlap after `before` and `after` are added are
-merged. The cut log is native, ready for `replan evaluate`, with
-its origin in its metadata ("cut.of", "cut.from_s", "cut.to_s", and the kinds of its events in "cut.kinds").
+A row of a query gives a log and a moment: its columns `t_from_s` and `t_to_s`, or `time_s`, or `t_s`. Moments of one
+log that overlap after `before` and `after` are added are merged. The cut log is native, with its origin in its metadata
+("cut.of", "cut.from_s", "cut.to_s", and the kinds of its events in "cut.kinds").
 """
 
 from __future__ import annotations

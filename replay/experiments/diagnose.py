@@ -282,7 +282,7 @@ class _DiagnosisDrives:
             return f"{made.ended(file)} at {made.lasted(file):.1f} s"
         if others := failed_gates(rows):
             return f"fails {others[0]}"
-        if peak := worse_peak(base["peaks"], made.peaks(file, base["gates"])):
+        if peak := worse_peak(base["peaks"], made.peaks(file, base["gates"], base["lasted"])):
             return f"{peak} is worse"
         was, now, until = self._drive_of(name), made.drive(file), base["time_s"] or base["lasted"]
         they, way = was.scenario.short_names(base["about"]), made_way(was.trace, now.trace, who, until)

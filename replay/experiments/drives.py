@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import isfinite
+from math import inf, isfinite
 from pathlib import Path
 from typing import Any
 
@@ -93,11 +93,14 @@ class DrivenLogs:
         """The time at which a drive ended, s; 0 if it was not driven."""
         return float(self.trial(file).drive["t_end_s"]) if file.name in self.driven else 0.0
 
-    def peaks(self, file: Path, gates: Sequence[str]) -> dict[str, float]:
-        """The extreme values of the metrics of some gates, those whose excess is worse: `PEAKS`, by name."""
-        words = {self.gates[gate].metric.partition(".")[0] for gate in gates}
-        found = {}
-        for name, value in self.trial(file).values().items():
+    def peaks(self, file: Path, gates: Sequence[str], until: float = inf) -> dict[str, float]:
+        """The extreme values of the metrics of some gates, those whose excess is worse: `PEAKS`, by name.
+
+        An extreme after `until`, s, is left out.
+        """
+        words, trial, found = {self.gates[gate].metric.partition(".")[0] for gate in gates}, self.trial(file), {}
+        rows = trial.metrics[(trial.metrics["planner"] == self.planner) & ~(trial.metrics["time_s"] > until + TIE)]
+        for name, value in zip(rows["metric"], rows["value"].astype(float), strict=True):
             word, _, reduction = name.partition(".")
             metric = METRICS.get(word) if word in words and isfinite(value) else None
             if metric is not None and PEAKS.get(reduction, metric.direction) != metric.direction:

@@ -172,13 +172,9 @@ def worse_peak(before: Mapping[str, float], now: Mapping[str, float]) -> str:
 
 
 def cut_short(before: str, until: float, now: str, lasted: float) -> bool:
-    """Whether a drive with a change ended too early (`CUT`) to be compared with the one that failed.
+    """Whether a drive with a change, which ended so `now` at `lasted`, s, ended too early (`CUT`) to be compared.
 
-    Args:
-        before: The end of the failing drive.
-        until: The time at which it failed, s.
-        now: The end of the drive with the change; `lasted` its time, s.
-        lasted: The time of that end.
+    The failing drive failed at `until`, s, and ended as `before`.
     """
     return now in CUT and (before not in CUT or lasted < until)
 

@@ -59,9 +59,7 @@ def smallest_change(
 ) -> tuple[Setting, Value, float] | None:
     """The setting and value with the least (1) with which a drive passes; None if there is none.
 
-    Args:
-        settings: The settings, with their ranges.
-        passes: Drives with a setting at a value.
+    `passes` drives with a setting at a value.
     """
     found: list[tuple[Setting, Value, float]] = []
     for setting in settings:

@@ -305,13 +305,7 @@ def meetings(
 ) -> list[Meeting]:
     """One meeting for each agent that occupies a part of the way: the one of its most demanding prediction.
 
-    Args:
-        held: The plan.
-        way: A way that is long enough for the plan.
-        agents: The agents of the frame.
-        futures: Their predictions.
-        car: The ego's vehicle.
-        passed: `(agents,)` whether an agent has no margin.
+    The way is long enough for the plan; agents that are `passed` `(agents,)` have no margin.
     """
     times, poses = fine(futures)
     x, y, yaw = poses

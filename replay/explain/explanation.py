@@ -360,9 +360,7 @@ class TimedEvent:
 def events(trace: Trace, plans: Sequence[PlanSummary] | None = None) -> list[TimedEvent]:
     """Changes of the status, of decisions, of the lane and of the planner's reason, and the end.
 
-    Args:
-        trace: The drive.
-        plans: The summaries of all plans, if the trace does not hold all frames.
+    `plans` are the summaries of all plans, if the trace does not hold all frames.
     """
     found: list[TimedEvent] = []
     status, gist, decided = None, "", dict[str, str]()

@@ -24,6 +24,10 @@
     remedy.py          the smallest change of one setting that passes, and the drives of the run that it breaks
     diagnose.py, findings.py   a whole diagnosis, and its sentences, page and tables
 
+Each takes its question, and `out`, a folder that is new, empty, or holds an earlier result, which is replaced or, with
+`resume`, gone on with (None: the next free one); `workers`, the number of processes, 0 for this one (or an engine, None
+for this process); and `say`, which is called with lines of progress. The results do not depend on `workers`.
+
 `replay.run.resume` is the file from which an interrupted experiment goes on; experiment_figures.py draws the pictures.
 optuna and cmaes are an extra, and are imported when a search begins.
 """

@@ -69,8 +69,6 @@ class ChangedRun:
     """A run with a change.
 
     Attributes:
-        change: The row of the table.
-        run: The run with it, resolved.
         keys: Keys and values in which it differs from the run.
     """
 
@@ -159,13 +157,9 @@ class FailureCause:
 def cause_of(
     runs: Sequence[ChangedRun], passing: Collection[str], fragile: Sequence[str] = (), *, avoidable: bool = True
 ) -> FailureCause:
-    """The cause of a drive.
+    """The cause of a drive, from the changes that were driven, and those and the perturbations with which it passes.
 
-    Args:
-        runs: The changes that were driven.
-        passing: Names of the changes with which it passes.
-        fragile: Perturbations with which it passes.
-        avoidable: Whether the careful driver avoids the contact, or there is none, or the gates hold with a change.
+    `avoidable`: the careful driver avoids the contact, or there is none, or the gates hold with a change.
     """
     if fragile:
         return FailureCause(NOT_FOUND, fragile=tuple(fragile))  # (3)

@@ -47,8 +47,6 @@ class Encounter:
     """One road user and the ego.
 
     Attributes:
-        agent: Their id.
-        kind: Their kind.
         t_from: First time at which they are tracked, s; `t_to` the last; for static objects, those of the log.
         way: Distance from the first to the last position, m.
         least: Least distance between both boxes, m; negative if they overlap.

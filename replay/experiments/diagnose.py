@@ -77,10 +77,8 @@ class DiagnosisQuestion:
     """The inputs of a diagnosis.
 
     Attributes:
-        results: The run.
         planner: The planner whose failing drives are diagnosed.
         logs: Names of logs; empty for all logs.
-        changes: The changes to try.
     """
 
     results: Results
@@ -143,16 +141,9 @@ def diagnose(
 ) -> Diagnosis:
     """Drive the failing drives of a run again with each change, and write the findings into `out`.
 
-    `Diagnosis.not_driven` has the drives that cannot be driven again.
-
-    Args:
-        asked: The inputs.
-        out: A folder that is new, empty, or holds an earlier diagnosis, which is replaced or resumed; None: the next
-            free one.
-        settings: For the first drive of each cluster, the smallest change of one of these with which it passes.
-        workers: Number of processes; 0: this process.
-        resume: Continue the diagnosis in `out`.
-        say: Called with a line after each change.
+    `Diagnosis.not_driven` has the drives that cannot be driven again. For the first drive of each cluster, the smallest
+    change of one of the `settings` with which it passes is searched. The other arguments are those of
+    `replay.experiments`.
 
     Raises:
         ConfigError: The folder must not be written, or there is nothing to resume.
@@ -291,7 +282,7 @@ class _DiagnosisDrives:
             return f"{made.ended(file)} at {made.lasted(file):.1f} s"
         if others := failed_gates(rows):
             return f"fails {others[0]}"
-        if peak := worse_peak(base["peaks"], made.peaks(file, base["gates"])):
+        if peak := worse_peak(base["peaks"], made.peaks(file, base["gates"], base["lasted"])):
             return f"{peak} is worse"
         was, now, until = self._drive_of(name), made.drive(file), base["time_s"] or base["lasted"]
         they, way = was.scenario.short_names(base["about"]), made_way(was.trace, now.trace, who, until)

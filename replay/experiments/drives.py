@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import isfinite
+from math import inf, isfinite
 from pathlib import Path
 from typing import Any
 
@@ -49,9 +49,7 @@ class DrivenLogs:
     """Logs that were driven by one planner.
 
     Attributes:
-        results: The run.
         names: Name of each log in the run, by its file's name.
-        planner: The planner of the drives.
         gates: The gates that judge them, by their rules as text.
         outcomes: A row per drive and gate: `COLUMNS`; `drive` is the name of the log's file.
     """
@@ -95,11 +93,14 @@ class DrivenLogs:
         """The time at which a drive ended, s; 0 if it was not driven."""
         return float(self.trial(file).drive["t_end_s"]) if file.name in self.driven else 0.0
 
-    def peaks(self, file: Path, gates: Sequence[str]) -> dict[str, float]:
-        """The extreme values of the metrics of some gates, those whose excess is worse: `PEAKS`, by name."""
-        words = {self.gates[gate].metric.partition(".")[0] for gate in gates}
-        found = {}
-        for name, value in self.trial(file).values().items():
+    def peaks(self, file: Path, gates: Sequence[str], until: float = inf) -> dict[str, float]:
+        """The extreme values of the metrics of some gates, those whose excess is worse: `PEAKS`, by name.
+
+        An extreme after `until`, s, is left out.
+        """
+        words, trial, found = {self.gates[gate].metric.partition(".")[0] for gate in gates}, self.trial(file), {}
+        rows = trial.metrics[(trial.metrics["planner"] == self.planner) & ~(trial.metrics["time_s"] > until + TIE)]
+        for name, value in zip(rows["metric"], rows["value"].astype(float), strict=True):
             word, _, reduction = name.partition(".")
             metric = METRICS.get(word) if word in words and isfinite(value) else None
             if metric is not None and PEAKS.get(reduction, metric.direction) != metric.direction:
@@ -171,13 +172,9 @@ def worse_peak(before: Mapping[str, float], now: Mapping[str, float]) -> str:
 
 
 def cut_short(before: str, until: float, now: str, lasted: float) -> bool:
-    """Whether a drive with a change ended too early (`CUT`) to be compared with the one that failed.
+    """Whether a drive with a change, which ended so `now` at `lasted`, s, ended too early (`CUT`) to be compared.
 
-    Args:
-        before: The end of the failing drive.
-        until: The time at which it failed, s.
-        now: The end of the drive with the change; `lasted` its time, s.
-        lasted: The time of that end.
+    The failing drive failed at `until`, s, and ended as `before`.
     """
     return now in CUT and (before not in CUT or lasted < until)
 

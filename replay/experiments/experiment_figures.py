@@ -98,11 +98,7 @@ def _recorded_point(question: SurfaceQuestion) -> tuple[float, ...] | None:
 def falsify_figure(table: pd.DataFrame, axes: Sequence[SearchAxis], case: Mapping[str, Any], title: str) -> Chart:
     """The trials over the two axes that the case moves most (without a case: the first two); lines of equal distance.
 
-    Args:
-        table: A row per trial: a column per axis, `outcome`.
-        axes: The axes of the search.
-        case: The row of the mildest case; empty if there is none.
-        title: Title of the picture.
+    The table has a row per trial: a column per axis, `outcome`; `case` is the row of the mildest case, or empty.
     """
     by_step = sorted(axes, key=lambda axis: -abs(case.get(axis.name, axis.origin) - axis.origin) / axis.scale)
     first, second = by_step[0], by_step[1] if len(by_step) > 1 else None
@@ -138,11 +134,8 @@ def _ring(plane: Plane, x: float, y: float) -> str:
 def pareto_figure(table: pd.DataFrame, metrics: Sequence[str], chosen: Mapping[str, Any], title: str) -> Chart:
     """The gains of all trials in the first two objectives; a single objective is drawn over the trial number.
 
-    Args:
-        table: A row per trial: `gain METRIC` for each objective, `feasible`, `pareto`.
-        metrics: The objectives.
-        chosen: The row of the chosen trial; empty if there is none.
-        title: Title of the picture.
+    The table has a row per trial: `gain METRIC` for each objective, `feasible`, `pareto`; `chosen` is the row of the
+    chosen trial, or empty.
     """
     names = [f"gain {name}" for name in metrics]
     x, y = ("trial", names[0]) if len(names) == 1 else (names[0], names[1])

@@ -106,9 +106,7 @@ class DriveDifference:
         ahead_m: Distance of F ahead of P at t_x, m.
         left_m: (5), m.
         brakes_s: t_F; `would_brake_s` is t_P.
-        would_brake_s: t_P.
         hardest_mps2: Hardest braking of F; `would_hardest_mps2` that of P.
-        would_hardest_mps2: Hardest braking of P.
     """
 
     ahead_m: float = 0.0
@@ -182,7 +180,6 @@ class Foresight:
     """The perception and the prediction (6) of a road user; None if a value is unknown.
 
     Attributes:
-        at_s: Time of the frame.
         is_seen: Whether they are in the frame.
         seen_off_m: Distance of the perceived from the true position, m.
         ahead_s: Length of the prediction, s.
@@ -280,7 +277,6 @@ class GoalMiss:
     """Where a drive comes nearest to its goal's place.
 
     Attributes:
-        at_s: The time.
         ahead_m: How far the nearest point of the place is ahead of the middle of the ego; `left_m` to its left.
         left_m: How far it is to the left.
         unmet: What is missed then: "place", "time", "speed", "heading".
@@ -323,7 +319,6 @@ class DriveFailure:
 
     Attributes:
         gate: The first gate that it fails, of `metric`.
-        metric: The metric of the gate.
         who: Kind and short name of the road user that this is about: "pedestrian 17"; "" if there is none.
         lane: "left" or "right": the lane change that is under way then; "" if there is none.
         difference: The difference from the drive that passes.

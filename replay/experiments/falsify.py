@@ -75,12 +75,9 @@ class FalsifyQuestion:
     """The inputs of a falsification.
 
     Attributes:
-        subject: The log or family.
-        axes: The axes of variation.
         run: Planner (one) and settings; only the closed loop is run.
         against: "careful", or another planner.
         budget: Largest number of drives of the search.
-        seed: Seed of the points.
         resolution: Resolution of the distance.
     """
 
@@ -194,9 +191,6 @@ class Falsified:
     """The end of a falsification.
 
     Attributes:
-        out: The folder.
-        question: The inputs.
-        found: The mildest point.
         table: A row per trial.
         case: The row of the mildest case; empty if there is none.
     """
@@ -263,15 +257,7 @@ def falsify(
     resume: bool = False,
     say: Callable[[str], None] = lambda line: None,
 ) -> Falsified:
-    """Search, and write the result into `out`.
-
-    Args:
-        question: The inputs.
-        out: A folder that is new, empty, or holds an earlier falsification, which is replaced or resumed; None: the
-            next free one.
-        workers: Number of processes; 0: this process.
-        resume: Continue the falsification in `out`.
-        say: Called with a line after each batch.
+    """Search, and write the result into `out`; the arguments are those of `replay.experiments`.
 
     Raises:
         ConfigError: A wrong setting, a folder that must not be written, nothing to resume, or cmaes is not installed.

@@ -43,12 +43,8 @@ class Found:
     """The findings about one failing drive.
 
     Attributes:
-        log: Its name in the run.
-        gates: The gates that it fails.
         time_s: Time at which it fails the first of them; NaN if unknown.
         beyond: Excess over the bound of that gate; NaN if unknown.
-        cause: The cause.
-        failure: The description of the failure.
         parts: First difference of the drive with the change that points to the cause: t_s, stage, what.
         because: The reason why the planner slowed down there, from its explanation.
         passing: Names of all changes with which it passes.
@@ -99,9 +95,7 @@ class Diagnosis:
     """The end of a diagnosis.
 
     Attributes:
-        out: The folder.
         run: The result folder of the run.
-        planner: The planner of the drives.
         drives: A row per failing drive.
         not_failing: Logs whose drives no longer fail.
         not_driven: Logs that could not be driven again, with the reasons.

@@ -161,12 +161,7 @@ def is_dominated(one: FloatArray, others: FloatArray) -> bool:
 
 
 def held_out(labels: Mapping[str, LogLabels], share: float) -> frozenset[str]:
-    """The names of the logs that are held out (7).
-
-    Args:
-        labels: Family, dataset and tags of each log, by name.
-        share: Share of the logs, 0 to 1.
-    """
+    """The names of the logs that are held out (7), from the labels of each by name."""
     order = sorted(labels, key=lambda name: (stratum(labels[name]), sha256(name.encode()).digest()))
     return frozenset(name for k, name in enumerate(order) if floor((k + 1) * share + SLACK) > floor(k * share + SLACK))
 

@@ -65,7 +65,6 @@ class Mildest:
         distance: Its distance; inf if there is none.
         passes: The greatest distance below it, on the line to the origin, at which a point was evaluated and does not
             count; NaN if there is none (the origin itself counts).
-        evaluations: Number of evaluations.
         is_spent: Whether the budget ended the search: too little of it is left for the next evaluations.
     """
 
@@ -122,14 +121,10 @@ def norm(point: Sequence[float] | FloatArray) -> float:
 
 
 def search(box: FloatArray, evaluate: Evaluate, *, budget: int, seed: int, resolution: float) -> Mildest:
-    """The mildest point that counts.
+    """The mildest point that counts, with at most `budget` evaluations.
 
-    Args:
-        box: Least and greatest value of each axis `(2, n)`; the origin is within it.
-        evaluate: The function that evaluates points.
-        budget: Largest number of evaluations.
-        seed: Seed of the points.
-        resolution: The bracket on the line to the origin is made as narrow as this.
+    The box has the least and greatest value of each axis `(2, n)`, with the origin within it; the bracket on the line
+    to the origin is made as narrow as the resolution.
 
     Raises:
         ConfigError: The budget is too small, or cmaes is not installed.

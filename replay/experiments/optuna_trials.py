@@ -35,10 +35,6 @@ class TuningInputs:
 
     Attributes:
         run: Planner (one) and settings with which the search begins: the defaults.
-        settings: The settings that are searched.
-        objectives: The metrics to improve.
-        trials: Number of trials.
-        seed: Seed of the trials.
         share: Share of the logs that are held out.
     """
 

@@ -28,7 +28,6 @@ class Remedy:
         log: The log of the drive for which it was searched.
         key: The setting; "" if none was found.
         was: Its value in the run; `now` the changed one.
-        now: The changed value.
         u: The size (1).
         mended: Logs of failing drives that pass with it.
         broken: Logs whose drives did not fail, and fail with it.
@@ -60,9 +59,7 @@ def smallest_change(
 ) -> tuple[Setting, Value, float] | None:
     """The setting and value with the least (1) with which a drive passes; None if there is none.
 
-    Args:
-        settings: The settings, with their ranges.
-        passes: Drives with a setting at a value.
+    `passes` drives with a setting at a value.
     """
     found: list[tuple[Setting, Value, float]] = []
     for setting in settings:

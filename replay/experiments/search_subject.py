@@ -205,7 +205,6 @@ class SearchSubject:
     """The log or family that is searched.
 
     Attributes:
-        name: Name of the log or the family.
         scenario: The recorded scenario, or that of the family with its defaults; prepared for variations.
         family: The family; None for a log.
         agents: Ids of the varied agents; empty if there are none, or if the agent is inserted.

@@ -117,11 +117,7 @@ def _is_number(value: object) -> bool:
 
 
 def load_space(path: Path, run: RunConfig) -> tuple[Setting, ...]:
-    """The settings of a file, in its order.
-
-    Args:
-        path: The file.
-        run: The configuration that is tuned, not resolved.
+    """The settings of a file, in its order; the run is not resolved.
 
     Raises:
         ConfigError: The file is unreadable or empty, or it has an unknown key, an invalid range, or a refused value.

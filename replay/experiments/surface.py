@@ -57,8 +57,6 @@ class VaryResult:
     """The result of a surface.
 
     Attributes:
-        out: The folder.
-        question: The question.
         table: A row per point that was evaluated: the grid first, then the points between.
         edges: The brackets in which rows change, to the resolution of the question.
     """
@@ -97,17 +95,10 @@ def vary(
     resume: bool = False,
     say: Callable[[str], None] = lambda line: None,
 ) -> VaryResult:
-    """Evaluate a surface and write it into `out`; the same tables whatever the number of workers.
+    """Evaluate a surface of a scenario, which is `prepared`, and write it into `out`.
 
-    Args:
-        scenario: The scenario to vary, `prepared`.
-        question: The axes and values.
-        run: Planner (one) and settings; only the closed loop is run, and the log settings are not applied again.
-        out: A folder that is new, empty, or holds an earlier surface, which is replaced or resumed; None: the next free
-            one.
-        workers: Number of processes; 0: this process.
-        resume: Continue the surface in `out`: logs that are driven are not driven again.
-        say: Called with a line before each round.
+    Only the closed loop of one planner is run, and log settings are not applied again. The arguments are those of
+    `replay.experiments`.
 
     Raises:
         ConfigError: A wrong setting, an unknown agent, a folder with foreign files, or in use.

@@ -53,13 +53,7 @@ QUIET: Mapping[str, Any] = {"recording": False, "foxglove": False, "repeat_s": 0
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """The closed-loop drive of a planner on a log of a run.
-
-    Attributes:
-        results: The run.
-        log: Name of the log in its tables.
-        planner: Name of the planner.
-    """
+    """The closed-loop drive of a planner on a log of a run."""
 
     results: Results
     log: str

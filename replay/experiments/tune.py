@@ -93,9 +93,6 @@ class Tuned:
     """The end of a tuning.
 
     Attributes:
-        out: The folder.
-        plan: The inputs.
-        logs: The logs and their sets.
         table: A row per trial.
         chosen: The row of the chosen trial; empty if none is better than the defaults.
         values: The chosen settings; empty in that case, too.
@@ -158,16 +155,7 @@ def tune(
     resume: bool = False,
     say: Callable[[str], None] = lambda line: None,
 ) -> Tuned:
-    """Search, judge on the held-out logs, and write the results into `out`.
-
-    Args:
-        plan: The inputs.
-        selection: The logs.
-        out: A folder that is new, empty, or holds an earlier tuning, which is replaced or resumed; None: the next free
-            one.
-        engine: The engine that drives the logs; None: this process.
-        resume: Continue the tuning in `out`.
-        say: Called with a line after each trial.
+    """Search, judge on the held-out logs, and write the results into `out`; arguments as in `replay.experiments`.
 
     Raises:
         ConfigError: A wrong setting, too few logs, no point of the space is accepted, a folder that must not be

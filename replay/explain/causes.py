@@ -100,7 +100,6 @@ class Cause:
     """A cause, with the numbers of its sentence; NaN if a number does not apply.
 
     Attributes:
-        kind: The kind of the cause.
         who: The agent, stop line or obstacle; FALLBACK: the status; GOAL: "time", "speed" or "place".
         decision: The planner's decision about it ("follow"); empty if there is none.
         reason: The planner's reason for the decision.
@@ -150,7 +149,6 @@ class Account:
     """The action of a plan and its causes: those that the planner named first, then by required deceleration.
 
     Attributes:
-        t: Time of the frame, s.
         course: The action of the plan.
         predicted: Whether the predictions of the other agents were available.
         causes: Causes of slowing down or standing; empty if it does neither. The kind is NONE if no cause was found.

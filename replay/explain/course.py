@@ -280,7 +280,6 @@ class Meeting:
     """An agent in the way of a plan that is held.
 
     Attributes:
-        agent: Their id.
         away_m: Distance between the boxes now, m.
         time_s: Time of (4) or (5), s from the frame; NaN if neither occurs, and the agent is only in the way.
         distance_m: Distance that the ego would have driven until then, m.
@@ -305,13 +304,7 @@ def meetings(
 ) -> list[Meeting]:
     """One meeting for each agent that occupies a part of the way: the one of its most demanding prediction.
 
-    Args:
-        held: The plan.
-        way: A way that is long enough for the plan.
-        agents: The agents of the frame.
-        futures: Their predictions.
-        car: The ego's vehicle.
-        passed: `(agents,)` whether an agent has no margin.
+    The way is long enough for the plan; agents that are `passed` `(agents,)` have no margin.
     """
     times, poses = fine(futures)
     x, y, yaw = poses

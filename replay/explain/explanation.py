@@ -92,10 +92,7 @@ class Explanation:
     """A plan in words and numbers.
 
     Attributes:
-        t: Time of the frame, s.
         does: The action of the plan within the next second.
-        because: The causes, in sentences.
-        account: The numbers of these sentences.
         fallback: Whether the planner failed; then `reason` is part of `because`.
         reason: The planner's own sentence.
         decisions: One for each agent, kind and stage; ignored agents last.
@@ -103,7 +100,6 @@ class Explanation:
         lanes: The lanes that the planner compared: cost by term, and the reason against each.
         candidates: How many candidates there were, and why the others were not taken.
         active: The bounds that the solution touches.
-        solvers: The reports of the solvers.
     """
 
     t: float
@@ -364,9 +360,7 @@ class TimedEvent:
 def events(trace: Trace, plans: Sequence[PlanSummary] | None = None) -> list[TimedEvent]:
     """Changes of the status, of decisions, of the lane and of the planner's reason, and the end.
 
-    Args:
-        trace: The drive.
-        plans: The summaries of all plans, if the trace does not hold all frames.
+    `plans` are the summaries of all plans, if the trace does not hold all frames.
     """
     found: list[TimedEvent] = []
     status, gist, decided = None, "", dict[str, str]()

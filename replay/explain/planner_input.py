@@ -56,11 +56,8 @@ def planner_inputs(
 ) -> Iterator[PlannerInput]:
     """The planner's input at each frame of a trace.
 
-    Args:
-        trace: The drive.
-        scenario: The scenario as it was driven.
-        loop: The settings of the drive, for a trace that was read from a file; None: the trace was made in memory.
-        earlier: Times of frames before those of the trace, s: a sensor model remembers them.
+    A trace that was read from a file needs the settings of its loop, and the times of frames `earlier` than its own, s,
+    which a sensor model remembers.
     """
     perception = None if loop is None else Perception(scenario, loop)
     if perception is not None and loop is not None and not shows_truth(loop.perception, scenario):

@@ -57,7 +57,9 @@ TOO_LARGE = "the two hardly move against each other: the boxes may be too large"
 def _near_miss_ttc(log: DrivenLog) -> Iterator[Event]:
     turn = log.ego.v * log.ego.kappa
     for one in log.neighbours:
-        ttc, needed = _courses(log.boxes, turn, log.car, one.pose, one.turn, one.k, np.array(one.size), TTC_S)
+        size = np.array(one.size)
+        ttc, needed = _courses(log.boxes, turn, log.car, one.pose, one.turn, one.k, size, TTC_S)
+        rooms = _rooms(log.boxes, log.car, one.pose, one.k, size)
         for first, last in runs(ttc < TTC_S, one.k, steps(COURSE_S), steps(0.5)):
             if needed[first : last + 1].max() < HARD_MPS2:
                 continue
@@ -65,32 +67,21 @@ def _near_miss_ttc(log: DrivenLog) -> Iterator[Event]:
             braked = min(float(np.nanmin(log.accel[one.k[after]], initial=0.0)), float(one.accel[after].min()))
             along = abs(one.along[first]) > ALONG and not one.kind.is_vulnerable
             beside = along and not one.reaches_into(log.half)[after].any()
-            room = _least_room(log, one, after)
+            room = rooms[after].min()
             if (braked <= -HARD_MPS2 and not beside) or room < NEAR_M:
                 jumps = log.jumps[one.k[first : last + 1]].any()
                 doubt = JUMPS if jumps else SHALLOW if -DEEP_M < room <= 0.0 else ""
                 yield log.event(one, first, last, ttc[first : last + 1].min(), doubt=doubt)
 
 
-def _least_room(log: DrivenLog, one: Neighbour, during: slice) -> float:
-    """Least distance of the boxes at some places, m; where they overlap, minus how deep."""
-    ego, other = log.boxes[:3, one.k[during]].T.tolist(), one.pose[:3, during].T.tolist()
-    length, width = log.car.length, log.car.width
-    return min(
-        clearance(x, y, yaw, length, width, u, v, turned, *one.size)
-        for (x, y, yaw), (u, v, turned) in zip(ego, other, strict=True)
-    )
-
-
 def _contact(log: DrivenLog) -> Iterator[Event]:
-    size = np.array([log.car.length, log.car.width])
     for one in log.neighbours:
-        touches = _touches(log.boxes, size, one.pose, one.k, np.array(one.size))
+        room = _rooms(log.boxes, log.car, one.pose, one.k, np.array(one.size))
         closing = np.hypot(one.pose[3] - log.boxes[3, one.k], one.pose[4] - log.boxes[4, one.k])
-        for first, last in runs(touches, one.k, hole=steps(0.5)):
+        for first, last in runs(room <= 0.0, one.k, hole=steps(0.5)):
             begins = first == 0 or one.k[first] > one.k[first - 1] + 1
             rests = float(closing[first : last + 1].max()) < MOVES_MPS
-            shallow = _least_room(log, one, slice(first, last + 1)) > -DEEP_M
+            shallow = room[first : last + 1].min() > -DEEP_M
             doubt = SUDDEN if begins else TOO_LARGE if rests else SHALLOW if shallow else ""
             yield log.event(one, first, last, closing[first], doubt=doubt)
 
@@ -218,14 +209,18 @@ def _courses(
 
 
 @kernel
-def _touches(ego: FloatArray, car: FloatArray, pose: FloatArray, k: IntArray, size: FloatArray) -> BoolArray:
-    """Whether the boxes overlap `(m,)`: of the ego `(5, n)` at the steps `k` and of a road user `(5, m)`."""
-    out = np.zeros(len(k), np.bool_)
-    reach = 0.5 * (hypot(car[0], car[1]) + hypot(size[0], size[1]))
+def _rooms(ego: FloatArray, car: EgoOutline, pose: FloatArray, k: IntArray, size: FloatArray) -> FloatArray:
+    """Distance of the boxes of the ego `(5, n)` at the steps `k` and of a road user `(5, m)`, m, `(m,)`.
+
+    Minus how deep they overlap; inf where their circles are more than `NEAR_M` apart.
+    """
+    out = np.full(len(k), inf)
+    reach = 0.5 * (hypot(car.length, car.width) + hypot(size[0], size[1])) + NEAR_M
     for m in range(len(k)):
         x, y, yaw = ego[0, k[m]], ego[1, k[m]], ego[2, k[m]]
-        if hypot(pose[0, m] - x, pose[1, m] - y) <= reach:
-            out[m] = overlap(x, y, yaw, car[0], car[1], pose[0, m], pose[1, m], pose[2, m], size[0], size[1])
+        u, v, turned = pose[0, m], pose[1, m], pose[2, m]
+        if hypot(u - x, v - y) <= reach:
+            out[m] = clearance(x, y, yaw, car.length, car.width, u, v, turned, size[0], size[1])
     return out
 
 

@@ -127,9 +127,7 @@ class ChosenLog:
 def smallest_cover(cells: Mapping[str, frozenset[Cell]], cost: Mapping[str, tuple[bool, float]]) -> list[str]:
     """Logs that together have all cells, in the order in which they are chosen.
 
-    Args:
-        cells: The cells of each log.
-        cost: Of logs that add equally many cells the one with the least is chosen: without interaction, length in s.
+    Of logs that add equally many cells the one with the least cost is chosen: without interaction, length in s.
     """
     left = set().union(*cells.values()) if cells else set()
     chosen: list[str] = []

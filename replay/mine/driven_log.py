@@ -109,9 +109,6 @@ class Neighbour:
     """One road user at the m steps of the grid at which it is near the ego.
 
     Attributes:
-        index: Index of its track.
-        id: Id of its track.
-        kind: Its kind.
         k: `(m,)` the steps, increasing.
         pose: `(5, m)` x, y (box centre, m), yaw (rad), vx, vy (m/s), world.
         accel: `(m,)` rate of its speed, m/s2; `turn` of its velocity's direction, rad/s.
@@ -152,11 +149,8 @@ class DrivenLog:
         scenario: The scenario as it was read; phantoms (`metrics.boxes.phantoms`) are left out.
 
     Attributes:
-        scenario: The log.
         t: `(n,)` s since the scenario's start.
-        ego: The drive at `t`.
         boxes: `(5, n)` the ego's box centre, heading and velocity vector (`metrics.boxes.ego_boxes`).
-        car: The ego's box.
         half: Half of the ego's width, m.
         path: The way of the rear axle.
         station: `(n,)` of the rear axle on it, m.

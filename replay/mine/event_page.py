@@ -95,12 +95,7 @@ def event_picture(scenario: Scenario, trace: Trace, row: Mapping[str, Any]) -> C
 
 
 def write_events_page(folder: Path, events: pd.DataFrame, logs: pd.DataFrame) -> None:
-    """Write events.html: a row per event, the first `MOST_ROWS`.
-
-    Args:
-        folder: The result folder, with the pictures.
-        events: A row per event; `logs` a row per log.
-        logs: As in logs.parquet.
+    """Write events.html into a result folder with the pictures: a row per event, the first `MOST_ROWS`.
 
     Raises:
         OutputError: The page cannot be written.

@@ -6,10 +6,9 @@ The views are the tables of docs/results.md under their names without suffix: fo
 networks and extensions locked: a query can read only these views. Memory, the space of its own temporary folder, time
 and the size of the result are limited.
 
-A row of a query gives a log and a moment: its columns `t_from_s` and `t_to_s`, or `time_s`, or `t_s`. Moments
-of one log that overlap after `before` and `after` are added are
-merged. The cut log is native, ready for `replan evaluate`, with
-its origin in its metadata ("cut.of", "cut.from_s", "cut.to_s", and the kinds of its events in "cut.kinds").
+A row of a query gives a log and a moment: its columns `t_from_s` and `t_to_s`, or `time_s`, or `t_s`. Moments of one
+log that overlap after `before` and `after` are added are merged. The cut log is native, with its origin in its metadata
+("cut.of", "cut.from_s", "cut.to_s", and the kinds of its events in "cut.kinds").
 """
 
 from __future__ import annotations
@@ -75,11 +74,7 @@ def views(folder: Path) -> Mapping[str, Callable[[], pd.DataFrame]]:
 
 
 def query(folder: Path, sql: str) -> pd.DataFrame:
-    """The result rows of one SELECT.
-
-    Args:
-        folder: Result folder of a run or of `replan mine`.
-        sql: The SELECT, over `views`.
+    """The result rows of one SELECT over the `views` of the result folder of a run or of `replan mine`.
 
     Raises:
         ConfigError: DuckDB is not installed, the SQL is invalid or not a SELECT, or it needs access that is locked.
@@ -141,9 +136,7 @@ class FoundMoment:
     """A part of a log.
 
     Attributes:
-        log: Its name in the tables.
         begin: s since the log's start; `end` likewise.
-        kinds: The kinds of events in it.
     """
 
     log: str
@@ -155,14 +148,9 @@ class FoundMoment:
 def moments(
     folder: Path, where: str, table: str = "events", before: float = 5.0, after: float = 8.0
 ) -> list[FoundMoment]:
-    """The moments that a condition selects, sorted by log and begin.
+    """The moments that a condition, in SQL over the columns of a view, selects, sorted by log and begin.
 
-    Args:
-        folder: Result folder of a run or of `replan mine`.
-        where: The condition, in SQL, over the columns of `table`.
-        table: The view that is queried.
-        before: Time that is added before each row's begin, s.
-        after: Time that is added after its end, s.
+    `before` and `after`, s, are added to each row.
 
     Raises:
         ConfigError: As `query`; nothing is selected, or the view has no log and time.
@@ -196,11 +184,8 @@ def moments(
 def cut_logs(folder: Path, found: Sequence[FoundMoment], out: Path, *, resume: bool = False) -> Iterator[Path]:
     """Write a native log per moment into a folder; yields each file when it is written.
 
-    Args:
-        folder: The results that name the logs.
-        found: The moments.
-        out: A folder that is new, empty, or has earlier cuts, which are replaced or resumed.
-        resume: Keep the logs that an interrupted cut of these moments has written.
+    `folder` has the results that name the logs; `out` is new, empty, or has earlier cuts, which are replaced or, with
+    `resume`, gone on with.
 
     Raises:
         ConfigError: A log was moved, the folder must not be written, or there is nothing to resume.

@@ -2,8 +2,11 @@
 
 from dataclasses import replace
 from math import inf, nan
+from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
+import pandas as pd
 import pytest
 from drives import drive, moved, moved_ego, scenario
 from hypothesis import given, strategies as st
@@ -16,7 +19,7 @@ from logs.trace import EndReason, PlannedFrame, Trace
 from metrics.cut_in import AS_LOGGED_M, SAME_PLACE_M, made_way, unseen
 from metrics.judge import Outcome, load_gates
 from metrics.progress import RoutePace
-from replay.experiments.drives import CUT, cut_short, worse_peak
+from replay.experiments.drives import CUT, DrivenLogs, cut_short, worse_peak
 from replay.experiments.failure import (
     LATE_S,
     MISSED_M,
@@ -269,3 +272,15 @@ def test_a_peak_that_is_farther_out_is_worse() -> None:
     assert not worse_peak(before, {"lon_accel.max_abs": 3.2, "lon_accel.min": -3.2, "gap.min": 0.46})
     assert worse_peak(before, {"lon_accel.max_abs": 9.0}) and worse_peak(before, {"lon_accel.min": -9.0})
     assert worse_peak(before, {"gap.min": 0.4}) and not worse_peak(before, {"gap.min": 5.0})
+
+
+@pytest.mark.parametrize(
+    ("until", "counted"), [(inf, {"lon_accel.max", "lon_accel.max_abs"}), (9.0, {"lon_accel.max_abs"})]
+)
+def test_a_peak_after_the_end_of_the_failing_drive_does_not_count(until: float, counted: set[str]) -> None:
+    columns = ["log", "planner", "mode", "metric", "value", "time_s", "available"]
+    peaks = (("lon_accel.max", 4.0, 9.5), ("lon_accel.max_abs", 5.0, 2.0), ("ttc.min", 1.0, 2.0))
+    rows = pd.DataFrame([("log", "idm", "closed", *peak, True) for peak in peaks], columns=columns)
+    results, gate = SimpleNamespace(metrics=rows), SimpleNamespace(metric="lon_accel.worst_episode")
+    made = DrivenLogs(results, {"a.mcap": "log"}, "idm", {"gate": gate}, rows)  # type: ignore[arg-type, dict-item]
+    assert made.peaks(Path("a.mcap"), ["gate"], until).keys() == counted

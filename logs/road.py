@@ -135,7 +135,7 @@ class Road:
             `metrics.driving_scores` and `replay.score` use it.
         route: Lanes of the route that the log names, in its order; empty: it names none.
         assumed_limits: Lanes whose speed limit is assumed, because the log states none.
-        assumed_priority: Lanes that yield by assumption, because neither a sign nor a light says who goes first.
+        assumed_priority: Lanes that yield by assumption, because neither a sign nor a light gives the priority.
 
     Raises:
         ValueError: A stop line lies across a lane that is not in the road, or two stop lines or two crosswalks have the

@@ -111,7 +111,7 @@ class Variation:
 def varied(scenario: Scenario, agents: Sequence[str], values: Mapping[str, float]) -> Scenario:
     """Apply several variations in the order of the table, record them, and keep only the ego's start.
 
-    `agents` are varied together; empty: those whom the variations insert. `values` are by name of `VARIATIONS`.
+    `agents` are varied together; empty: those that the variations insert. `values` are by name of `VARIATIONS`.
 
     Raises:
         ConfigError: A name or an agent is unknown, or a value out of range.

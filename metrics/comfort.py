@@ -24,7 +24,7 @@ UN R79 (lateral jerk of automated lane changes), the drive sampled every 0.01 s:
 (9) lat_jerk = mean of dB/dt over 0.5 s = (B(t) - B(t - 0.5 s)) / 0.5 s
 
 A drive is judged by its time out of bounds and by the longest such stretch: neither depends on the drive's length. Each
-bound is asked of the signal that its source filters: (6) along, (9) across. The drive of a recorded human jitters, and
+bound applies to the signal that its source filters: (6) along, (9) across. The drive of a recorded human jitters, and
 (2) is beyond the bounds for seconds.
 
 Effort of the control: pedals, steering, solver iterations and fallbacks of a drive, and its tracking errors.

@@ -304,7 +304,7 @@ def explain(
     every: Annotated[bool, typer.Option("--all", help="Each change of a decision, in full.")] = False,
     as_json: opt.Json = False,
 ) -> None:
-    """Print why a drive slows down: when, for whom, the alternatives and their costs (docs/why.md).
+    """Print why a drive slows down: when, for which road user, the alternatives and their costs (docs/why.md).
 
     [bold]Examples[/bold]
 

@@ -29,7 +29,7 @@ from replay.results.version import replan_version
 
 AS_IT_WAS = "as_it_was"
 MOST = 3
-"""Largest number of waits that are told."""
+"""Largest number of waits that are listed."""
 MUCH = 0.5
 """A wait of this share of the longest one is long."""
 MOST_KEYS = 4

@@ -48,7 +48,7 @@ def closed(run: RunConfig, **changes: Any) -> RunConfig:
 
 
 QUIET: Mapping[str, Any] = {"recording": False, "foxglove": False, "repeat_s": 0.0, "internals": "none"}
-"""Changes of a run whose files nobody opens."""
+"""Changes of a run whose files are not opened."""
 
 
 @dataclass(frozen=True, eq=False)

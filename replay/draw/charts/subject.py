@@ -29,7 +29,7 @@ GRAVE = ("collision_at_fault", "safety", "rules", "progress")
 """Metrics and groups of metrics, the gravest first: their failed gates come before all others."""
 NEAREST = (("ttc.min", "least time to a collision"), ("gap.min", "least distance to another road user"))
 """Metrics that give the moment if no gate failed at a known time."""
-MOST = 4  # Most drives in one picture: more lines cannot be told apart (`canvas.DRIVES`)
+MOST = 4  # Most drives in one picture: the eye does not tell more lines apart (`canvas.DRIVES`)
 ASKED = "as asked"  # The reason for a moment that was asked for
 NAMES: tuple[Callable[[StoredDrive], str], ...] = (
     lambda drive: drive.planner.rpartition(":")[2],

@@ -292,7 +292,7 @@ def check_restart(ns: IntArray, x: FloatArray, y: FloatArray, topic: str, names:
     """Raise LogError if the rows of a table are of several clocks (3), (4).
 
     `ns` are times in the order of the file `(n,)`; x and y positions, m, NaN where unknown; `names` the road user of
-    each row, to whom steps and ways belong (None: all rows are of one).
+    each row (None: all rows are of one).
     """
     of = np.zeros(len(ns), np.int64) if names is None else np.unique(names, return_inverse=True)[1]
     filed, timed = np.argsort(of, kind="stable"), np.lexsort((ns, of))

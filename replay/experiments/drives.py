@@ -172,9 +172,9 @@ def worse_peak(before: Mapping[str, float], now: Mapping[str, float]) -> str:
 
 
 def cut_short(before: str, until: float, now: str, lasted: float) -> bool:
-    """Whether a drive with a change, which ended so `now` at `lasted`, s, ended too early (`CUT`) to be compared.
+    """Whether a drive with a change, which ended at `lasted`, s, with `now`, ended too early (`CUT`) to be compared.
 
-    The failing drive failed at `until`, s, and ended as `before`.
+    The failing drive failed at `until`, s, and ended with `before`.
     """
     return now in CUT and (before not in CUT or lasted < until)
 

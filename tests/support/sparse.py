@@ -83,7 +83,6 @@ LATER = {
     "metrics/test_metric.py::test_a_metrics_page_says_all_about_it": 12,  # 14 s, 124
     # one law over the whole catalogue, or over all planners
     "replay/paper/test_pedestrian_cases.py::test_the_laws_hold": 2,  # 3 s, 15
-    "replay/control/test_controller_contract.py::test_every_controller_follows_every_logged_drive": 5,  # 3 s, 48
     "replay/loop/test_plan_period.py::test_a_period_is_its_steps_one_after_the_other": 2,  # 2 s, 15
     "replay/score/test_navsim.py::test_extended_comfort_is_that_of_the_original": 0,  # 2 s
     "replay/control/test_controller_contract.py::test_two_drives_are_identical_and_hold_at_the_stop": 5,  # 1 s, 12

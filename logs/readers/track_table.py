@@ -29,7 +29,8 @@ from logs.errors import LogError
 from logs.files import beside
 from logs.names import counted
 from logs.observed import Spans, of_stream
-from logs.readers.columns import NAMES, TIMES, NamedColumns, check_names, check_restart, continued, holds
+from logs.readers.clocks import check_restart, continued
+from logs.readers.columns import NAMES, TIMES, NamedColumns, check_names, holds
 from logs.readers.csv_table import SUFFIXES, header_of, load_table
 from logs.readers.recorded import driven
 from logs.vehicle import VehicleParameters, car_of

@@ -89,7 +89,7 @@ def warmup(
     """
     run = run_config(config, {"planners": planner})
     from replay.cli.progress_bar import sign_of_life, with_kernels
-    from replay.run.evaluate import SCENES, everything, warm_up
+    from replay.run.warmup import SCENES, everything, warm_up
 
     if not quiet:
         say("compiling kernels (a minute or two; seconds if they were compiled before)", err=True)

@@ -18,9 +18,9 @@ is off its log is in its place, and enters no faster than it can brake for its l
 "give_way": vehicles and riders drive as in the log unless they would then hit the ego, or an agent that is late because
 of the ego, and only where the ego may expect them to react:
 
-(1) the ego has been ahead (`following` (5)) for `CC_REACT_S` without a break, the reaction time of the careful driver
+(1) the ego has been ahead (`leaders` (5)) for `CC_REACT_S` without a break, the reaction time of the careful driver
     of UN R157; for an agent that starts or enters behind the ego, this time has passed already
-(2) the agent would drive into it if it went on as in the log (`following` (6))
+(2) the agent would drive into it if it went on as in the log (`leaders` (6))
 (3) or the agent comes from a lane that yields to the ego's (`right_of_way`)
 (4) it brakes as its leader requires, with 0.774 g at most (the same driver)
 

@@ -29,7 +29,7 @@ from metrics.metric import Direction
 from replay.config import RunConfig
 from replay.draw.drawn_results import DriveResult, Results
 from replay.experiments.trial import MODE, Trial
-from replay.explain.explanation import GRAVE
+from replay.explain.drive_events import GRAVE
 from replay.explain.first_difference import first_difference, planners_part
 from replay.run.evaluate import evaluate_logs
 from replay.run.judging import gates_of

@@ -59,7 +59,7 @@ def metrics(
       replan metrics route_progress
     """
     from metrics import GROUPS, load_metric
-    from metrics.metric import list_metrics, metric_facts, metric_page, metrics_markdown
+    from metrics.metric_pages import list_metrics, metric_facts, metric_page, metrics_markdown
 
     if as_json:
         found = [metric_facts(metric) for group in GROUPS.values() for metric in group]

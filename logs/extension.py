@@ -137,7 +137,7 @@ class ExtensionKind(Generic[T]):
         theirs = rival(package, member) if package in PACKAGES else ""
         if theirs:
             return f"{raised(error)}; {clash(package, theirs)}{self._apart}"
-        if f"{module}.".startswith(f"{error.name}."):  # not found by us: no line of theirs is to blame
+        if f"{module}.".startswith(f"{error.name}."):  # the module itself is missing, not one that it imports
             return f"No module named '{error.name}'; run from its folder, or set PYTHONPATH, or install its package"
         return raised(error) + ("" if member else f"; install '{package}' for {sys.executable}, or set PYTHONPATH")
 

@@ -54,6 +54,8 @@ from replay.world import box_center
 EGO_M = 1.0
 """The ego is as in the log where it is no farther than this from where the log has it."""
 BEYOND_M = 100.0
+"""A late agent drives on this far beyond the end of its log."""
+_COLUMNS = ("t", "x", "y", "yaw", "vx", "vy")
 NAMED = 5
 """The greatest number of agents that the notes name."""
 
@@ -80,7 +82,7 @@ GIVE_WAY = ReactionRule((*FOLLOWING, AgentKind.BICYCLE), only_ahead=CC_REACT_S, 
 
 
 class Reactive:
-    """Vehicles keep to their logged paths behind every road user on them, the ego included; late ones stop at red.
+    """Road users that react along their logged paths, as `rule` says; those that are late stop at red lights.
 
     Args:
         scenario: Its tracks, road, lights and ego.
@@ -177,6 +179,3 @@ def _extended(log: Tracks, road: Road) -> Tracks:
     sizes = [row.shape[1] for row in rows]
     offsets = np.r_[0, np.cumsum(sizes)]
     return Tracks(log.ids, log.kinds, log.length, log.width, log.static, offsets, *np.hstack(rows))
-
-
-_COLUMNS = ("t", "x", "y", "yaw", "vx", "vy")

@@ -36,7 +36,7 @@ from replay.run.judging import gates_of
 
 INCONCLUSIVE = Outcome.INCONCLUSIVE.value
 PEAKS: Mapping[str, Direction] = {"max": "higher", "max_abs": "higher", "min": "lower"}
-"""Reductions that are extremes, and the direction in which no value of them is worse than another."""
+"""Reductions that are extremes; of a metric for which this direction is better, an extreme is not a peak."""
 WORSE = 0.1
 """A peak is worse if it is this share farther out."""
 CUT = tuple(end.value for end in GRAVE)
@@ -88,15 +88,15 @@ class DrivenLogs:
         if len(mine):
             return str(mine["end"].iloc[0])
         failures = self.results.failures
-        said = failures.loc[failures["log"].isin([name, str(file)]), "message"]
-        return str(said.iloc[0]) if len(said) else "not driven"
+        messages = failures.loc[failures["log"].isin([name, str(file)]), "message"]
+        return str(messages.iloc[0]) if len(messages) else "not driven"
 
     def lasted(self, file: Path) -> float:
         """The time at which a drive ended, s; 0 if it was not driven."""
         return float(self.trial(file).drive["t_end_s"]) if file.name in self.driven else 0.0
 
     def peaks(self, file: Path, gates: Sequence[str]) -> dict[str, float]:
-        """The extreme values of the metrics of some gates, those whose excess is worse: `PEAKS`, by name."""
+        """The worst values (`PEAKS`) of the metrics of some gates, by name of metric and reduction."""
         words = {self.gates[gate].metric.partition(".")[0] for gate in gates}
         found = {}
         for name, value in self.trial(file).values().items():
@@ -134,7 +134,7 @@ def as_driven(results: Results, planner: str) -> DrivenLogs:
 
 
 def judged(results: Results, names: Mapping[str, str], rules: Gates) -> pd.DataFrame:
-    """The outcomes of a run of one planner, judged as a planner that is not an oracle."""
+    """The `DrivenLogs.outcomes` of a run of one planner, judged as if it were no oracle; `names` as in `DrivenLogs`."""
     planner = results.run.planners[0]
     crashes = results.failures.dropna(subset=["planner", "mode"])
     columns = (crashes[name].astype(str) for name in ("log", "planner", "mode", "message"))
@@ -176,8 +176,8 @@ def cut_short(before: str, until: float, now: str, lasted: float) -> bool:
     Args:
         before: The end of the failing drive.
         until: The time at which it failed, s.
-        now: The end of the drive with the change; `lasted` its time, s.
-        lasted: The time of that end.
+        now: The end of the drive with the change.
+        lasted: The time of that end, s.
     """
     return now in CUT and (before not in CUT or lasted < until)
 

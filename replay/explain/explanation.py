@@ -262,13 +262,13 @@ def _residual(value: float) -> str:
 
 
 def longitudinal(plan: Plan) -> str:
-    """The strongest decision of a plan about the speed."""
+    """The strongest decision of a plan about the speed; `FREE_DRIVE` if there is none."""
     kinds = {decision.kind for decision in _artefacts(plan, Decision)}
     return next((kind.value for kind in LONGITUDINAL if kind in kinds), FREE_DRIVE)
 
 
 def lateral(plan: Plan) -> str:
-    """The decisions of a plan about the side on which obstacles are passed."""
+    """The decisions of a plan about the side on which obstacles are passed; `NO_NUDGE` if there is none."""
     kinds = {decision.kind for decision in _artefacts(plan, Decision)}
     left, right = DecisionKind.NUDGE_LEFT in kinds, DecisionKind.NUDGE_RIGHT in kinds
     if left and right:
@@ -282,7 +282,7 @@ def lane_options(plan: Plan | PlanSummary) -> tuple[LaneOption, ...]:
 
 
 def taken_option(some: Sequence[LaneOption]) -> str:
-    """The name of the option that was taken."""
+    """The name of the option that was taken; `KEEP` if there is none."""
     return next((option.name for option in some if not option.against), KEEP)
 
 

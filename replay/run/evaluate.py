@@ -128,7 +128,7 @@ def evaluate_logs(
 
 
 def _check_batch(engine: Engine, window: float | None, shard: Shard | None) -> None:
-    """Refuse options that do not work with logs in lock step."""
+    """Raise ConfigError for options that do not work with logs in lock step."""
     if not isinstance(engine, Local):
         raise ConfigError("loop.apart.batch drives logs together on this machine only: leave out --engine or the batch")
     if shard is not None:
@@ -166,7 +166,10 @@ def _evaluate_rest(
     done: Mapping[int, LogResult],
     on_log: Callable[[LogResult], None],
 ) -> tuple[LogResult, ...]:
-    """The results in the order of the logs; `on_log` is called for the results in `done` first."""
+    """The results in the order of the logs; `on_log` is called for those in `done` first.
+
+    OutputError if the disk is full.
+    """
     results = dict(done)
     for result in done.values():
         on_log(result)

@@ -40,6 +40,21 @@ SPELLINGS = {
 """Other spellings of units."""
 TIMES = {"t": "s", "t_ms": "ms", "t_us": "us", "t_ns": "ns"}
 """Replan's names of the time column, and their default units."""
+QUATERNION = ("qx", "qy", "qz", "qw")
+"""Columns of an orientation; `yaw` wins over them."""
+COLUMNS = (
+    "x", "y", "yaw", "v", "a", "kappa", "steer", "throttle", "brake", "id", "vx", "vy", "length", "width", "kind",
+    *QUATERNION,
+)  # fmt: skip
+_DIMENSION = (
+    dict.fromkeys(TIMES, "time")
+    | dict.fromkeys(("x", "y", "length", "width"), "length")
+    | dict.fromkeys(("yaw", "steer"), "angle")
+    | dict.fromkeys(("v", "vx", "vy"), "speed")
+    | dict.fromkeys(("throttle", "brake"), "share")
+    | {"a": "acceleration", "kappa": "curvature"}
+)
+"""Dimension of each of replan's columns."""
 _WITH_UNIT = re.compile(r"^(?P<name>.*?)\s*(?:\[(?P<unit>[^\]]*)\]|\((?P<unit2>[^)]*)\))\s*$", re.DOTALL)
 _RATE = re.compile(r"(\d+(?:\.\d+)?) ?(?:Hz|fps)", re.IGNORECASE)
 
@@ -76,22 +91,24 @@ class NamedColumns:
         held, header = "", str(found[0])
         if exact or not whole:  # the unit in the header itself
             held = _split_unit(header)[1] or "".join(unit for _, _, unit in _with_suffix([(header, header)], ours))
-        units, known = [], DIMENSIONS.get(_DIMENSION.get(ours, ""), {})
-        for unit in filter(None, (asked, held)):  # as `UNITS` spells it
-            rate = _RATE.fullmatch(unit) if ours in TIMES else None
-            if rate and float(rate[1]) > 0.0:
-                units.append(1.0 / float(rate[1]))
-                continue
-            plain = SPELLINGS.get(unit, SPELLINGS.get(unit.lower(), unit if unit in UNITS else unit.lower()))
-            if plain not in known:
-                wrong = "is unknown" if plain not in UNITS else f"is none of {ours}"
-                what, names = f"the unit [{unit}] of {header} {wrong}", ", ".join(known) or "none"
-                remedy = f'known: {names}; another name is given as columns = {{{ours} = "NAME [unit]"}}'
-                raise LogError(what, topic=self.name, remedy=remedy)
-            units.append(UNITS[plain])
-        if len(set(units)) > 1:
+        factors = [self._factor(ours, unit, header) for unit in (asked, held) if unit]
+        if len(set(factors)) > 1:
             raise LogError(f"{found[0]} is asked for in [{asked}]", topic=self.name, remedy="leave that unit out")
-        return found[0], units[0] if units else UNITS[TIMES.get(ours, "")]
+        return found[0], factors[0] if factors else UNITS[TIMES.get(ours, "")]
+
+    def _factor(self, ours: str, unit: str, header: str) -> float:
+        """Return the factor from a unit of a column to replan's; LogError if it is not a unit of this column."""
+        rate = _RATE.fullmatch(unit) if ours in TIMES else None
+        if rate and float(rate[1]) > 0.0:
+            return 1.0 / float(rate[1])
+        plain = SPELLINGS.get(unit, SPELLINGS.get(unit.lower(), unit if unit in UNITS else unit.lower()))
+        known = DIMENSIONS.get(_DIMENSION.get(ours, ""), {})
+        if plain not in known:
+            wrong = "is unknown" if plain not in UNITS else f"is none of {ours}"
+            what, names = f"the unit [{unit}] of {header} {wrong}", ", ".join(known) or "none"
+            remedy = f'known: {names}; another name is given as columns = {{{ours} = "NAME [unit]"}}'
+            raise LogError(what, topic=self.name, remedy=remedy)
+        return UNITS[plain]
 
     def has(self, ours: str) -> bool:
         """Return whether the table has this column."""
@@ -133,25 +150,6 @@ class NamedColumns:
     def times(self) -> tuple[IntArray, bool]:
         """Return the time of each row `(n,)`, ns, and whether the times are texts of times of day."""
         return nanoseconds(*self.column(next((name for name in TIMES if self.has(name)), "t")), self.name)
-
-
-QUATERNION = ("qx", "qy", "qz", "qw")
-"""Columns of an orientation; `yaw` wins over them."""
-COLUMNS = (
-    "x", "y", "yaw", "v", "a", "kappa", "steer", "throttle", "brake", "id", "vx", "vy", "length", "width", "kind",
-    *QUATERNION,
-)  # fmt: skip
-
-
-_DIMENSION = (
-    dict.fromkeys(TIMES, "time")
-    | dict.fromkeys(("x", "y", "length", "width"), "length")
-    | dict.fromkeys(("yaw", "steer"), "angle")
-    | dict.fromkeys(("v", "vx", "vy"), "speed")
-    | dict.fromkeys(("throttle", "brake"), "share")
-    | {"a": "acceleration", "kappa": "curvature"}
-)
-"""Dimension of each of replan's columns."""
 
 
 def _split_unit(text: str) -> tuple[str, str]:

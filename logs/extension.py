@@ -16,6 +16,7 @@ from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
 from pathlib import Path
+from types import ModuleType
 from typing import Any, Generic, TypeVar
 
 from logs.errors import ConfigError, PlannerError, raised, unknown_name
@@ -71,19 +72,23 @@ class ExtensionKind(Generic[T]):
         try:
             thing: Any = reduce(getattr, name.split("."), loaded)
         except (AttributeError, ImportError) as error:  # ImportError: `replan.own.missing`
-            there, public = [], getattr(loaded, "__all__", None)
-            for key, offered in vars(loaded).items():  # without `__all__`: its own names, or imports under another name
-                imported = getattr(offered, "__module__", loaded.__name__) != loaded.__name__
-                own = not key.startswith("_") and not (imported and getattr(offered, "__name__", "") == key)
-                if (own if public is None else key in public) and not self.wrong(offered):
-                    there.append(key)
-            nearest = unknown_name(f"{self.name} in {loaded.__name__}", name, there)
+            nearest = unknown_name(f"{self.name} in {loaded.__name__}", name, self._offered(loaded))
             because = f"; {error}{self._apart}" if is_clash(error) else ""
             raise self.error(f"{self.name} '{spec}': {nearest}{because}") from None
         wrong = self.wrong(thing)
         if wrong:
             raise self.error(f"{self.name} '{spec}' {wrong}")
         return thing
+
+    def _offered(self, module: ModuleType) -> list[str]:
+        """Return the extensions in a module: of `__all__`, else its own names, and imports under another name."""
+        there, public = [], getattr(module, "__all__", None)
+        for key, offered in vars(module).items():
+            imported = getattr(offered, "__module__", module.__name__) != module.__name__
+            own = not key.startswith("_") and not (imported and getattr(offered, "__name__", "") == key)
+            if (own if public is None else key in public) and not self.wrong(offered):
+                there.append(key)
+        return there
 
     def place(self, spec: str) -> tuple[str, str]:
         """Return module and attribute of an extension that is not built in; ConfigError if `spec` is unknown."""
@@ -137,7 +142,7 @@ class ExtensionKind(Generic[T]):
         theirs = rival(package, member) if package in PACKAGES else ""
         if theirs:
             return f"{raised(error)}; {clash(package, theirs)}{self._apart}"
-        if f"{module}.".startswith(f"{error.name}."):  # not found by us: no line of theirs is to blame
+        if f"{module}.".startswith(f"{error.name}."):  # the module itself is missing, not one that it imports
             return f"No module named '{error.name}'; run from its folder, or set PYTHONPATH, or install its package"
         return raised(error) + ("" if member else f"; install '{package}' for {sys.executable}, or set PYTHONPATH")
 

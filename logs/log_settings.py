@@ -13,6 +13,7 @@ from logs.vehicle import VehicleParameters
 SIZES = ("length", "width", "wheelbase", "rear_overhang")
 """Keys of `[log.car]`."""
 EGO_POINTS = ("", "rear_axle", "centre")
+"""Values of `ego_point`."""
 
 
 @dataclass(frozen=True)
@@ -21,8 +22,6 @@ class LogSettings:
 
     Attributes:
         ego: Id of the road user to use as the ego; "": the log's ego.
-        ego_point: Point of the ego whose positions a table has: "rear_axle" or "centre" of its box; "": the rear axle,
-            for a road user of a table of tracks the centre.
         problem: Planning problem of a CommonRoad file, by id or by number from 1; 0: the first.
         reader: The reader to try first: a format's name, or "module:NAME" of a reader of your own.
         map: Path of a map that replaces the log's (Lanelet2 .osm, 123D map.arrow, OpenDRIVE .xodr); "": the log's own.
@@ -37,6 +36,11 @@ class LogSettings:
         columns: Name of a table's column by replan's name ("x": "pos_east_m"; for one table "ego.x", "agents.x").
         car: Sizes of the ego, m, if the log has none: "length", "width", "wheelbase", "rear_overhang".
         repair: Whether to make tracks from raw detections: "auto" (if they are not tracks), "on", "off".
+        ego_point: Point of the ego whose positions a table has: "rear_axle" or "centre" of its box; "": the rear axle,
+            but the centre if the ego is a road user of a table of tracks.
+
+    Raises:
+        ValueError: A value is not one of those above, a size is not positive, or `end` is not after `begin`.
     """
 
     ego: str = ""
@@ -75,5 +79,5 @@ class LogSettings:
             return replace(VehicleParameters(), **sizes)
 
     def between(self, begin: float, end: float) -> LogSettings:
-        """Return the settings for another part of the log."""
+        """Return the settings for the part of the log from `begin` to `end`, s."""
         return replace(self, begin=begin, end=end)

@@ -164,7 +164,7 @@ def _noise(t: FloatArray, zx: FloatArray, zy: FloatArray, mine: BoolArray, floor
 def _smooth(
     t: FloatArray, zx: FloatArray, zy: FloatArray, logged: BoolArray, noise: FloatArray, q: float, out: FloatArray
 ) -> None:
-    """Fill `out` `(4, n)`: vx, vy, ax, ay of one part of a track (5)."""
+    """Fill `out` `(4, n)`: vx, vy, ax, ay of one part of a track."""
     n = len(t)
     if n == 1:
         if logged[0]:
@@ -175,7 +175,7 @@ def _smooth(
     scores = np.empty(len(CALM))
     for i in range(len(CALM)):
         scores[i] = _forward(t, zx, zy, logged, noise, CALM[i] * q, means, covs, gains, off, spread)
-    weights = np.exp(scores - scores.max())
+    weights = np.exp(scores - scores.max())  # (5)
     weights /= weights.sum()
     for i in range(len(CALM)):
         if weights[i] > _NEGLIGIBLE:
@@ -214,7 +214,7 @@ def _forward(
         means[k, 0], means[k, 1], means[k, 2] = px, vx, ax
         means[k, 3], means[k, 4], means[k, 5] = py, vy, ay
         covs[k, 0], covs[k, 1], covs[k, 2], covs[k, 3], covs[k, 4], covs[k, 5] = pp, pv, pa, vv, va, aa
-        if logged[k]:
+        if logged[k]:  # (3)
             hp, hv, ha, r, ex, ey = pv, vv, va, noise[1], zx[k] - vx, zy[k] - vy
             s = vv + r
         else:

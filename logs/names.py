@@ -16,6 +16,7 @@ from itertools import pairwise, takewhile
 from operator import eq
 
 LONGEST, LEAST = 8, 4
+"""Characters: a longer code is shortened, to this many at least."""
 _CODE = re.compile(
     rf"(?<![0-9A-Za-z-])(?=[A-Fa-f-]*[0-9])[0-9A-Fa-f][0-9A-Fa-f-]{{{LONGEST - 1},}}[0-9A-Fa-f](?![0-9A-Za-z-])"
 )

@@ -63,6 +63,9 @@ class VehicleParameters:
         motor_overrun: Drag (or recuperation) at closed throttle at those speeds, N m, positive.
         drive_efficiency: Efficiency from motor to wheels, 0 to 1.
         shift_time: Duration of a gear shift, s.
+
+    Raises:
+        ValueError: A value is out of its range, or the motor is described in part only.
     """
 
     length: float = 4.508
@@ -140,8 +143,11 @@ class VehicleParameters:
         return replace(self, mass=mass, **scaled)
 
 
-def car_of(sizes: Mapping[str, float], notes: list[str]) -> VehicleParameters:
-    """Make the ego's vehicle of sizes, m; missing ones scale with length. ValueError as in `VehicleParameters`."""
+def assumed_car(sizes: Mapping[str, float], notes: list[str]) -> VehicleParameters:
+    """Make the ego's vehicle of sizes, m; missing ones scale with length. Appends what it assumes to `notes`.
+
+    ValueError if a size is not positive.
+    """
     default = VehicleParameters()
     length = sizes.get("length", default.length)
     scale = length / default.length

@@ -117,23 +117,8 @@ def route_of(scenario: Scenario) -> ProgressLine:
 def _route(road: Road, log: Trajectory, goal: Goal | None, axle_to_center: float) -> ProgressLine:
     path, end = thinned(np.column_stack([log.x, log.y]), SPACING_M), log.state(len(log) - 1)
     onward = np.array([end.ahead(JOIN_M)])  # straight on
-    if road.lanes:  # along the centre lines of the route, beginning `JOIN_M` after the log's end
-        lanes, beyond = list(find_route(road, end, goal)), 0.0
-        while beyond < BEYOND_M and (after := straight_on(road, lanes[-1])) is not None:
-            beyond += max(road.lanes[after].length, SPACING_M)
-            lanes.append(after)
-        points, skipped, begun = np.empty((0, 2)), JOIN_M, False
-        for k, lane in enumerate(lanes):
-            center = road.lanes[lane].center
-            if k + 1 < len(lanes) and lanes[k + 1] not in road.lanes[lane].successors:  # a lane change: side by side
-                skipped = CHANGE_M
-                continue
-            if not begun:
-                away = np.hypot(center[:, 0] - end.x, center[:, 1] - end.y)
-                center = center[int(np.argmin(away)) if len(log) > 1 else first_nearest(center, end.x, end.y) :]
-            chord, begun = arc_lengths(*center.T), True
-            points, skipped = np.vstack([points, center[chord >= skipped]]), max(skipped - float(chord[-1]), 0.0)
-        onward = thinned(points, SPACING_M) if len(points) else onward
+    if road.lanes and len(points := _points_onward(road, log, goal)):
+        onward = thinned(points, SPACING_M)
     line = ReferenceLine.through(np.vstack([path, onward]), SPACING_M)
     driven = float(np.hypot(*np.diff(path, axis=0).T).sum())
     regions = goal.regions if goal else ()
@@ -151,6 +136,27 @@ def _route(road: Road, log: Trajectory, goal: Goal | None, axle_to_center: float
     return ProgressLine(line, length, way, length)
 
 
+def _points_onward(road: Road, log: Trajectory, goal: Goal | None) -> FloatArray:
+    """Points `(k, 2)` of the centre lines of the route (a), which begin `JOIN_M` after the log's end."""
+    end = log.state(len(log) - 1)
+    lanes, beyond = list(find_route(road, end, goal)), 0.0
+    while beyond < BEYOND_M and (after := straight_on(road, lanes[-1])) is not None:
+        beyond += max(road.lanes[after].length, SPACING_M)
+        lanes.append(after)
+    points, skipped, begun = np.empty((0, 2)), JOIN_M, False
+    for k, lane in enumerate(lanes):
+        center = road.lanes[lane].center
+        if k + 1 < len(lanes) and lanes[k + 1] not in road.lanes[lane].successors:  # a lane change: side by side
+            skipped = CHANGE_M
+            continue
+        if not begun:
+            away = np.hypot(center[:, 0] - end.x, center[:, 1] - end.y)
+            center = center[int(np.argmin(away)) if len(log) > 1 else first_nearest(center, end.x, end.y) :]
+        chord, begun = arc_lengths(*center.T), True
+        points, skipped = np.vstack([points, center[chord >= skipped]]), max(skipped - float(chord[-1]), 0.0)
+    return points
+
+
 def way_of(goal: Goal, log: Trajectory, route: ProgressLine, axle_to_center: float) -> float:
     """Return the gain along a route from which on a goal counts (d), m."""
     if goal.way > 0.0 or (stay := counting_stay(goal, log, axle_to_center)) is None:
@@ -164,7 +170,7 @@ def gain_along(route: ProgressLine, drive: Trajectory, begin: float = 0.0) -> Ga
     station = line_project_many(route.line.s, route.line.coef, drive.x, drive.y, begin, route.window)[:, 0]  # (b)
     step = np.diff(station)
     reach = STRETCH * np.maximum(np.abs(drive.v[1:]), np.abs(drive.v[:-1])) * np.diff(drive.t)
-    counted = np.where(np.abs(step) > reach + SLACK_M, np.copysign(reach, step), step)
+    counted = np.where(np.abs(step) > reach + SLACK_M, np.copysign(reach, step), step)  # (c)
     cut = float(np.maximum(step - counted, 0.0).sum())
     return Gain(np.r_[0.0, np.cumsum(counted)], cut, float(station[-1]))
 
@@ -209,18 +215,18 @@ class RoutePace:
         return np.diff(t) - taken, np.where(speed - np.interp(frames, drive.t, drive.v) > LAGS_MPS, speed, np.nan)
 
 
-FLOOR_M = 2.0
+FLOOR_M = 2.0  # c of (2); a logged drive that gains less is no yardstick
 MISSED_STEPS = 500  # Steps of a drive that are looked at for what it missed
 LEAST_COVERED = 0.2  # A drive that covers less of its log shows almost nothing
-EXCESS_MPS = 2.23  # 5 mph
-OVER_MPS, OVER_RATIO = 1.0, 0.1
+EXCESS_MPS = 2.23  # 5 mph: the mean excess at which (6) is 0
+OVER_MPS, OVER_RATIO = 1.0, 0.1  # Faster than the limit by more is over it
 REACH_MPS2, REACH_MPS = 9.81, 70.0  # No road vehicle exceeds these (adhesion of 1 g)
 EASE_MPS2, SETTLE_S = 1.0, 1.0  # Comfortable deceleration, and a driver's reaction time
 _ALONE = Unavailable("the log holds one ego state only: there is no drive to compare with")
 
 
 def _distance(trace: Trace, scenario: Scenario) -> Measured:
-    return Series(trace.ego.t, arc_lengths(trace.ego.x, trace.ego.y))
+    return Series(trace.ego.t, arc_lengths(trace.ego.x, trace.ego.y))  # (4)
 
 
 @where_followed
@@ -229,10 +235,8 @@ def _route_progress(trace: Trace, scenario: Scenario) -> Measured:
     if len(scenario.ego) > 1:
         in_time = trace.end is EndReason.GOAL and _is_time_only(scenario.goal)  # compare over the same time
         until = trace.ego.t[-1] if in_time else scenario.ego.t[-1]
-        yardstick, who = (
-            float(np.interp(until, scenario.ego.t, gain_along(route, scenario.ego).metres)),
-            "the log's driver",
-        )
+        logged = gain_along(route, scenario.ego).metres
+        yardstick, who = float(np.interp(until, scenario.ego.t, logged)), "the log's driver"
     elif scenario.references.follower_gain is not None:
         yardstick, who = scenario.references.follower_gain, "the route follower"
     else:
@@ -240,7 +244,7 @@ def _route_progress(trace: Trace, scenario: Scenario) -> Measured:
     if yardstick < (FLOOR_M if scenario.road.source is RoadSource.LANES else MIN_PATH):
         return Unavailable(f"{who} gets {yardstick:.1f} m along the route: no yardstick for progress")
     gain = gain_along(route, trace.ego)
-    return Series(trace.ego.t, _full_at_goal(trace, scenario, gain, gain.metres / yardstick))
+    return Series(trace.ego.t, _full_at_goal(trace, scenario, gain, gain.metres / yardstick))  # (1)
 
 
 def _is_time_only(goal: Goal | None) -> bool:
@@ -252,7 +256,7 @@ def _progress(trace: Trace, scenario: Scenario) -> Measured:
         return _ALONE
     route = route_of(scenario)
     yardstick, gain = gain_along(route, scenario.ego).metres[-1], gain_along(route, trace.ego)
-    ratio = np.minimum(np.maximum(gain.metres, FLOOR_M) / max(yardstick, FLOOR_M), 1.0)
+    ratio = np.minimum(np.maximum(gain.metres, FLOOR_M) / max(yardstick, FLOOR_M), 1.0)  # (2)
     return Series(trace.ego.t, _full_at_goal(trace, scenario, gain, np.where(gain.metres < -FLOOR_M, 0.0, ratio)))
 
 
@@ -261,7 +265,8 @@ def _completion(trace: Trace, scenario: Scenario) -> Measured:
     if not np.isfinite(route.length):
         return Unavailable("the log has neither a goal that lanes lead to nor a drive of 10 m")
     gain = gain_along(route, trace.ego)
-    return Series(trace.ego.t, _full_at_goal(trace, scenario, gain, np.clip(gain.metres / route.length, 0.0, 1.0)))
+    share = np.clip(gain.metres / route.length, 0.0, 1.0)  # (3)
+    return Series(trace.ego.t, _full_at_goal(trace, scenario, gain, share))
 
 
 def _full_at_goal(trace: Trace, scenario: Scenario, gain: Gain, share: FloatArray) -> FloatArray:
@@ -294,18 +299,18 @@ def _covered(trace: Trace, scenario: Scenario) -> Measured:
 
 
 def excess(trace: Trace, scenario: Scenario, *, ratio: bool = False) -> Measured:
-    """Measure (5)."""
+    """Speed above the limit of the lane under the ego (5), m/s; with `ratio`, relative to the limit."""
     lanes = stated_lanes(scenario.road)
     if lanes is None or not np.isfinite(lanes.limit).any():
         return Unavailable("the log has no speed limits")
     speed, limit = np.abs(trace.ego.v), limits_at(lanes, *ego_boxes(trace.ego, scenario)[:2])
     if ratio:
-        value = np.where(limit > 0.0, speed / np.where(limit > 0.0, limit, 1.0) - 1.0, np.nan)
+        value = np.where(limit > 0.0, speed / np.where(limit > 0.0, limit, 1.0) - 1.0, np.nan)  # (5)
     else:
         held = 0.0 * limit
         if speed[0] > limit[0]:
             held = speed[0] - EASE_MPS2 * np.maximum(trace.ego.t - trace.ego.t[0] - SETTLE_S, 0.0)
-        value = np.maximum(speed - np.maximum(limit, held), 0.0) + 0.0 * limit
+        value = np.maximum(speed - np.maximum(limit, held), 0.0) + 0.0 * limit  # (5); NaN without a limit
     return Series(trace.ego.t, value, missing="the ego is never on a lane with a speed limit")
 
 
@@ -328,7 +333,7 @@ def _assumed_excess(trace: Trace, scenario: Scenario) -> Measured:
 
 
 def compliance(series: Series) -> tuple[float, int]:
-    """(6)."""
+    """The compliance with speed limits (6), 0 to 1, of a series of (5)."""
     span = metric.durations(series.t)[series.known]
     over = float(np.sum(series.value[series.known] * span))
     return max(0.0, 1.0 - over / (EXCESS_MPS * float(span.sum()))) if span.sum() > 0.0 else float(not over), -1

@@ -1,11 +1,12 @@
-"""Everyday driving: follow a lead, react to a cut-in, pass a parked car, pass a cyclist; and traffic rules.
+"""Everyday driving: a lead, a cut-in, a parked car, a cyclist, bends, cars that pull out; and traffic rules.
 
 Numbers: UN R157 4.3_1 (follow: headway 1.6 s, lead +-5 m/s at 1 m/s2), 4.4_1 (cut-in), 4.2_2 and Euro NCAP practice
 (partly blocked lane); 1.5 m beside a cyclist in towns: StVO, 5 (4).
 
-Rules: a red light that turns green, a pedestrian at a crosswalk, a side road before a main road. A planner that ignores
-the rule runs the red light, drives on before the waiting pedestrian, or violates the right of way of vehicles. The
-logged driver obeys it: they stop `STOP_SHORT_M` before the line, and drive on `reaction_s` after the rule permits it.
+Rules: a red light that turns green, a green one that turns yellow, a pedestrian at a crosswalk, a side road before a
+main road. A planner that ignores the rule runs the red light, drives on before the waiting pedestrian, or violates the
+right of way of vehicles. The logged driver obeys it: they stop `STOP_SHORT_M` before the line, and drive on
+`reaction_s` after the rule permits it.
 """
 
 from __future__ import annotations
@@ -49,10 +50,11 @@ from logs.scenario import Scenario
 from logs.vehicle import VehicleParameters
 
 STOP_SHORT_M = 1.5
+"""Space between the front of a stopped ego and the line."""
 BRAKE_MPS2 = 1.2
 """The driver begins to brake where this deceleration stops them at the line, m/s2."""
-RED_YELLOW_S = 1.0
-VAN = (6.0, 2.0)
+RED_YELLOW_S = 1.0  # Duration of red and yellow before green
+VAN = (6.0, 2.0)  # Length and width, m
 
 
 @family(
@@ -171,9 +173,9 @@ def cyclist(p: Mapping[str, float]) -> Scenario:
 
 
 def stopping(line: float, speed: float, car: VehicleParameters, s: float) -> Ahead | None:
-    """The reaction of a driver at station `s` (rear axle), who arrives at `speed`, to a line with a mandatory stop.
+    """The reaction of a driver at station `s` (rear axle), who arrives at `speed`, to the line at which they must stop.
 
-    None if the line is still far away, or the front is beyond it.
+    Stations in m, `speed` in m/s. None if the line is still far away, or the front is beyond it.
     """
     gap = line - STOP_SHORT_M - (s + car.axle_to_front)
     return Ahead(gap, stop=True) if -STOP_SHORT_M < gap < speed**2 / (2.0 * BRAKE_MPS2) else None

@@ -36,7 +36,7 @@ from logs.road import Lane, Road, paired
 from logs.scenario import Scenario
 from logs.states import Trajectory
 from logs.tracks import Tracks
-from logs.vehicle import VehicleParameters, car_of
+from logs.vehicle import VehicleParameters, assumed_car
 
 SCHEMAS = ("osi3.GroundTruth", "osi3.SensorView")
 
@@ -232,9 +232,9 @@ def _vehicle(host: Any, notes: list[str]) -> tuple[VehicleParameters, FloatArray
         if known.HasField("bbcenter_to_front"):
             wheelbase = known.bbcenter_to_front.x - rear.x
         sizes |= {"rear_overhang": overhang, "wheelbase": min(wheelbase, length - overhang)}
-        return car_of(sizes, notes), np.array([rear.x, rear.y])
+        return assumed_car(sizes, notes), np.array([rear.x, rear.y])
     notes.append("The log does not say where the ego's rear axle is: it is placed as in the default car.")
-    vehicle = car_of(sizes, notes)
+    vehicle = assumed_car(sizes, notes)
     return vehicle, np.array([-vehicle.axle_to_center, 0.0])
 
 

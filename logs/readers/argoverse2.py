@@ -56,7 +56,7 @@ from logs.road import IN_JUNCTION, Road
 from logs.rules import Crosswalk
 from logs.scenario import Scenario
 from logs.states import Trajectory
-from logs.vehicle import car_of
+from logs.vehicle import assumed_car
 
 FORD_FUSION = {"length": 4.869, "width": 2.127, "wheelbase": 2.850, "rear_overhang": 0.5 * 4.869 - 1.339}
 """The recording car, m (py123d 0.7.0): the width is with mirrors, the centre 1.339 m ahead of the rear axle."""
@@ -117,7 +117,7 @@ def read_sensor_log(folder: Path, settings: LogSettings) -> Scenario:
         index = from_second(kept(drive.t, relative), drive.t, relative[:1], notes)
         if not settings.car:
             notes.append("The ego is a Ford Fusion, 4.87 x 2.13 m with mirrors, as the log has no sizes of it.")
-        vehicle = car_of({**FORD_FUSION, **settings.car}, notes)
+        vehicle = assumed_car({**FORD_FUSION, **settings.car}, notes)
         ego, boxes, origin = from_start(drive, index, boxes)
     tracks = tracks_of(ordered(boxes, notes), notes)
     return Scenario(
@@ -209,7 +209,7 @@ def read_forecasting(path: Path, settings: LogSettings) -> Scenario:
         origin = np.round(state[its[0], :2])
         state[:, :2] -= origin
         t = (step - step[its[0]]) / RATE_HZ
-        vehicle = car_of({**FORD_FUSION, **settings.car}, notes)
+        vehicle = assumed_car({**FORD_FUSION, **settings.car}, notes)
         x, y, yaw, vx, vy = state[its].T
         cos, sin = np.cos(yaw), np.sin(yaw)
         x, y = x - vehicle.axle_to_center * cos, y - vehicle.axle_to_center * sin

@@ -56,7 +56,7 @@ from logs.readers.recorded import (
 )
 from logs.scenario import Scenario
 from logs.states import Trajectory
-from logs.vehicle import car_of
+from logs.vehicle import assumed_car
 
 SYNC, EGO, BOXES = "sync.arrow", "ego_state_se3", "box_detections_se3"
 HEAD_BYTES = 65_536
@@ -156,7 +156,7 @@ def read_123d(folder: Path) -> Scenario:
             notes.append(
                 f"The ego's box is {abs(ahead[1]):.2f} m beside its rear axle in the log: taken as centred on it."
             )
-        vehicle = car_of(sizes, notes)
+        vehicle = assumed_car(sizes, notes)
     boxes, own, seen = _boxes(folder, int(rows.time_us[0]), notes)
     frames = (frames_us - rows.time_us[0]) / 1e6
     index = kept(drive.t, frames)

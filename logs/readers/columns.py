@@ -1,24 +1,7 @@
-"""Columns of a table by replan's names and in its units; times of rows, and clocks that start again.
+"""Columns of a table by replan's names and in its units.
 
 `columns` maps replan's names to those of the table, with a unit in brackets if it differs: "heading [deg]",
 "speed [km/h]" (`UNITS`), "frame [25 Hz]". A unit in the table's header is used, too: "v [km/h]", "v (km/h)", "v_kmh".
-
-Times are numbers, dates, ISO 8601 texts, or times of day ("23:59:55.1"). Times of day, and seconds of the day or the
-week, start again at midnight or at the week's end:
-
-(1) the times lie in [0, P), P a day or a week, the largest gap between two of them is longer than P / 2, and the gap
-    across P is at most `GAP_S` (any gap, for texts): the times before the largest gap are P later
-(2) but not if the rows are in order of time
-
-Rows may be in any order. If times go back in the order of the file, either the rows are unsorted, or the clock started
-again, and rows of two drives would interleave. With W the way through the rows, m, in the order of the file, and S the
-way through them in order of time:
-
-(3) the clock started again if S - W > `SHUFFLED` W, and, if fewer than `FEW` of the steps go back, if S > W, or if one
-    goes back by more than `STEPS` median steps and every road user is, after it, where it was before it: within `NEAR`
-    times the way that 95 % of the steps do not exceed
-(4) it also did if, in order of time, more than `BETWEEN` of the rows come alone between two rows that follow each other
-    in the file, and are farther than `OFF` of the way between these two from the line between them (medians)
 """
 
 from __future__ import annotations
@@ -32,7 +15,7 @@ import pandas as pd
 
 from logs.arrays import FloatArray, IntArray
 from logs.errors import LogError
-from logs.readers.admission import GAP_S
+from logs.readers.clocks import nanoseconds
 from logs.readers.recorded import heading, is_unit
 
 NAMES = ("ego", "agents")
@@ -57,6 +40,21 @@ SPELLINGS = {
 """Other spellings of units."""
 TIMES = {"t": "s", "t_ms": "ms", "t_us": "us", "t_ns": "ns"}
 """Replan's names of the time column, and their default units."""
+QUATERNION = ("qx", "qy", "qz", "qw")
+"""Columns of an orientation; `yaw` wins over them."""
+COLUMNS = (
+    "x", "y", "yaw", "v", "a", "kappa", "steer", "throttle", "brake", "id", "vx", "vy", "length", "width", "kind",
+    *QUATERNION,
+)  # fmt: skip
+_DIMENSION = (
+    dict.fromkeys(TIMES, "time")
+    | dict.fromkeys(("x", "y", "length", "width"), "length")
+    | dict.fromkeys(("yaw", "steer"), "angle")
+    | dict.fromkeys(("v", "vx", "vy"), "speed")
+    | dict.fromkeys(("throttle", "brake"), "share")
+    | {"a": "acceleration", "kappa": "curvature"}
+)
+"""Dimension of each of replan's columns."""
 _WITH_UNIT = re.compile(r"^(?P<name>.*?)\s*(?:\[(?P<unit>[^\]]*)\]|\((?P<unit2>[^)]*)\))\s*$", re.DOTALL)
 _RATE = re.compile(r"(\d+(?:\.\d+)?) ?(?:Hz|fps)", re.IGNORECASE)
 
@@ -93,22 +91,24 @@ class NamedColumns:
         held, header = "", str(found[0])
         if exact or not whole:  # the unit in the header itself
             held = _split_unit(header)[1] or "".join(unit for _, _, unit in _with_suffix([(header, header)], ours))
-        units, known = [], DIMENSIONS.get(_DIMENSION.get(ours, ""), {})
-        for unit in filter(None, (asked, held)):  # as `UNITS` spells it
-            rate = _RATE.fullmatch(unit) if ours in TIMES else None
-            if rate and float(rate[1]) > 0.0:
-                units.append(1.0 / float(rate[1]))
-                continue
-            plain = SPELLINGS.get(unit, SPELLINGS.get(unit.lower(), unit if unit in UNITS else unit.lower()))
-            if plain not in known:
-                wrong = "is unknown" if plain not in UNITS else f"is none of {ours}"
-                what, names = f"the unit [{unit}] of {header} {wrong}", ", ".join(known) or "none"
-                remedy = f'known: {names}; another name is given as columns = {{{ours} = "NAME [unit]"}}'
-                raise LogError(what, topic=self.name, remedy=remedy)
-            units.append(UNITS[plain])
-        if len(set(units)) > 1:
+        factors = [self._factor(ours, unit, header) for unit in (asked, held) if unit]
+        if len(set(factors)) > 1:
             raise LogError(f"{found[0]} is asked for in [{asked}]", topic=self.name, remedy="leave that unit out")
-        return found[0], units[0] if units else UNITS[TIMES.get(ours, "")]
+        return found[0], factors[0] if factors else UNITS[TIMES.get(ours, "")]
+
+    def _factor(self, ours: str, unit: str, header: str) -> float:
+        """Return the factor from a unit of a column to replan's; LogError if it is not a unit of this column."""
+        rate = _RATE.fullmatch(unit) if ours in TIMES else None
+        if rate and float(rate[1]) > 0.0:
+            return 1.0 / float(rate[1])
+        plain = SPELLINGS.get(unit, SPELLINGS.get(unit.lower(), unit if unit in UNITS else unit.lower()))
+        known = DIMENSIONS.get(_DIMENSION.get(ours, ""), {})
+        if plain not in known:
+            wrong = "is unknown" if plain not in UNITS else f"is none of {ours}"
+            what, names = f"the unit [{unit}] of {header} {wrong}", ", ".join(known) or "none"
+            remedy = f'known: {names}; another name is given as columns = {{{ours} = "NAME [unit]"}}'
+            raise LogError(what, topic=self.name, remedy=remedy)
+        return UNITS[plain]
 
     def has(self, ours: str) -> bool:
         """Return whether the table has this column."""
@@ -152,25 +152,6 @@ class NamedColumns:
         return nanoseconds(*self.column(next((name for name in TIMES if self.has(name)), "t")), self.name)
 
 
-QUATERNION = ("qx", "qy", "qz", "qw")
-"""Columns of an orientation; `yaw` wins over them."""
-COLUMNS = (
-    "x", "y", "yaw", "v", "a", "kappa", "steer", "throttle", "brake", "id", "vx", "vy", "length", "width", "kind",
-    *QUATERNION,
-)  # fmt: skip
-
-
-_DIMENSION = (
-    dict.fromkeys(TIMES, "time")
-    | dict.fromkeys(("x", "y", "length", "width"), "length")
-    | dict.fromkeys(("yaw", "steer"), "angle")
-    | dict.fromkeys(("v", "vx", "vy"), "speed")
-    | dict.fromkeys(("throttle", "brake"), "share")
-    | {"a": "acceleration", "kappa": "curvature"}
-)
-"""Dimension of each of replan's columns."""
-
-
 def _split_unit(text: str) -> tuple[str, str]:
     """A header, and the unit in brackets behind it ("": none)."""
     match = _WITH_UNIT.match(text)
@@ -208,124 +189,3 @@ def check_names(columns: Mapping[str, str], frames: Mapping[str, pd.DataFrame | 
             raise LogError(what, topic="[log]", remedy=f"known: {', '.join(known)}; of one table: ego.v, agents.v ...")
         if held and not any(table.has(ours) for table in held if of in ("", table.name)):
             raise LogError(f"no table has the column {given} that {key} is read from", topic="[log] columns")
-
-
-# Times
-
-LAST_S = 9e9
-"""Greatest time, s: about the greatest that fits into 64 bits of nanoseconds."""
-PERIODS_S = {"midnight": 86400, "the end of the week": 7 * 86400}
-"""Periods of clocks that start again, by the name of their end."""
-SHUFFLED, FEW, STEPS, NEAR = 0.5, 0.1, 5.0, 3.0
-BETWEEN, OFF = 0.25, 0.1
-"""Constants of (3) and (4)."""
-_TIME_OF_DAY = r"\d{1,2}:\d{2}:\d{2}(?:[.,]\d+)?"
-
-
-def nanoseconds(column: pd.Series[Any], factor: float, topic: str) -> tuple[IntArray, bool]:
-    """Return the times of a column `(n,)`, ns, and whether they are texts of times of day; LogError for others.
-
-    The column has numbers (`factor` seconds per unit), dates (without a zone: UTC), durations, or texts (module
-    docstring).
-    """
-    name = column.name
-    if pd.api.types.is_datetime64_any_dtype(column) or pd.api.types.is_timedelta64_dtype(column):
-        _check_all(column.notna(), f"{name} is not a time in every row", topic)
-        is_date = pd.api.types.is_datetime64_any_dtype(column)
-        return (pd.DatetimeIndex(column) if is_date else pd.TimedeltaIndex(column)).as_unit("ns").asi8, False
-    if not pd.api.types.is_numeric_dtype(column):
-        numbers = pd.to_numeric(column.astype(object), errors="coerce")
-        if numbers.isna().any() and numbers.isna().sum() != column.isna().sum():
-            return _of_texts(column.astype(object), topic)
-        column = numbers
-    seconds = column.to_numpy(dtype=np.float64, na_value=np.nan) * factor
-    _check_all(np.isfinite(seconds), f"{name} is not finite in every row", topic)
-    if np.abs(seconds).max(initial=0.0) > LAST_S:
-        raise LogError(f"{name} is beyond any clock", topic=topic, remedy="give its unit: [ns]")
-    if pd.api.types.is_integer_dtype(column) and factor * 1e9 == round(factor * 1e9):
-        return column.to_numpy().astype(np.int64) * round(factor * 1e9), False
-    return np.round(seconds * 1e9).astype(np.int64), False
-
-
-def _check_all(good: Any, what: str, topic: str) -> None:
-    wrong = np.flatnonzero(~np.asarray(good, np.bool_))
-    if len(wrong):
-        raise LogError(f"{what}: row {wrong[0]}", topic=topic, remedy="leave such rows out")
-
-
-def _of_texts(column: pd.Series[Any], topic: str) -> tuple[IntArray, bool]:
-    """Return the times of texts, ns, and whether they are times of day."""
-    _check_all(column.notna(), f"{column.name} is not a time in every row", topic)
-    words = column.astype(str).str.strip()
-    if words.str.fullmatch(_TIME_OF_DAY).all():
-        return pd.TimedeltaIndex(pd.to_timedelta(words.str.replace(",", "."))).as_unit("ns").asi8, True
-    dates = pd.to_datetime(words.str.replace("/", "-"), format="ISO8601", utc=True, errors="coerce")
-    wrong = np.flatnonzero(dates.isna())
-    if len(wrong):
-        what = f"{column.name} is neither a number nor a date and time in row {wrong[0]}: {words.iloc[wrong[0]]!r}"
-        raise LogError(what[:200], topic=topic, remedy="write seconds, ISO 8601 (2024-05-03T23:59:55), or HH:MM:SS")
-    return pd.DatetimeIndex(dates).as_unit("ns").asi8, False
-
-
-def continued(ego: IntArray, agents: IntArray, *, is_text: bool, notes: list[str]) -> tuple[IntArray, IntArray]:
-    """Let the times of a log's rows, ns, run on over midnight (1) unless (2), with a note.
-
-    `is_text`: they are texts of times of day.
-    """
-    every = np.unique(np.concatenate([ego, agents]))
-    gaps = np.diff(every)
-    if not len(gaps) or every[0] < 0:
-        return ego, agents
-    last = every[int(gaps.argmax())]
-    if (np.diff(ego) >= 0).all() and ego.min() <= last < ego.max():
-        return ego, agents
-    for end, period_s in PERIODS_S.items():
-        period = period_s * 10**9
-        across = int(every[0]) + period - int(every[-1])
-        if every[-1] < period < 2 * int(gaps.max()) and (is_text or across <= GAP_S * 1e9):
-            notes.append(f"The clock starts again at {end}: the times after it are {period_s} s later than stated.")
-            return ego + period * (ego <= last), agents + period * (agents <= last)
-    return ego, agents
-
-
-def check_restart(ns: IntArray, x: FloatArray, y: FloatArray, topic: str, names: Any = None) -> None:
-    """Raise LogError if the rows of a table are of several clocks (3), (4).
-
-    `ns` are times in the order of the file `(n,)`; x and y positions, m, NaN where unknown; `names` the road user of
-    each row (None: all rows are of one).
-    """
-    of = np.zeros(len(ns), np.int64) if names is None else np.unique(names, return_inverse=True)[1]
-    filed, timed = np.argsort(of, kind="stable"), np.lexsort((ns, of))
-    same = np.diff(of[filed]) == 0
-    steps = np.diff(ns[filed])[same]
-    back = steps < 0.0
-    if not back.any():
-        return
-    ways = [np.hypot(np.diff(x[at]), np.diff(y[at]))[same] for at in (filed, timed)]
-    in_file, in_time = (float(np.nansum(way)) for way in ways)
-    more, rounding = in_time - in_file, 1e-9 * (1.0 + in_file)
-    is_few = back.mean() < FEW or back.sum() == 1
-    is_far = -steps.min() > STEPS * float(np.median(np.abs(steps)))
-    is_near = bool((ways[0][back] <= NEAR * np.nanpercentile(ways[0], 95.0) + rounding).all())
-    is_split = is_few and (more > rounding or (is_far and is_near))
-    if more > SHUFFLED * in_file + rounding or is_split or _interleaves(ns, x, y, of, filed, timed):
-        k = int(np.flatnonzero(same)[back.argmax()])
-        before, row = int(filed[k]), int(filed[k + 1])
-        who = "" if names is None else f" of agent {names[row]}"
-        what = f"t goes back at row {row}{who} ({ns[before] / 1e9:.12g} to {ns[row] / 1e9:.12g} s): the clock restarts"
-        raise LogError(what, topic=topic, remedy="split the file there")
-
-
-def _interleaves(ns: IntArray, x: FloatArray, y: FloatArray, of: IntArray, filed: IntArray, timed: IntArray) -> bool:
-    """Return whether the rows, in order of time, alternate between two drives (4)."""
-    run = np.empty(len(ns), np.int64)
-    run[filed] = np.cumsum(np.r_[True, (np.diff(ns[filed]) < 0) | (np.diff(of[filed]) != 0)])
-    before, at, after = timed[:-2], timed[1:-1], timed[2:]
-    alone = (run[before] == run[after]) & (run[at] != run[before]) & (of[at] == of[before]) & (ns[after] > ns[before])
-    if np.count_nonzero(alone) <= BETWEEN * len(ns):
-        return False
-    before, at, after = before[alone], at[alone], after[alone]
-    share = (ns[at] - ns[before]) / (ns[after] - ns[before])
-    off = np.hypot(*(z[at] - z[before] - share * (z[after] - z[before]) for z in (x, y)))
-    way = np.hypot(x[after] - x[before], y[after] - y[before])
-    return bool(np.nanmedian(off) > OFF * np.nanmedian(way) + 1e-6)

@@ -30,7 +30,8 @@ from logs.log_settings import EGO_POINTS, LogSettings
 from logs.observed import Spans
 from logs.readers import track_table
 from logs.readers.base import LogContents, Reader, TopicSummary
-from logs.readers.columns import NAMES, QUATERNION, NamedColumns, check_names, check_restart, continued
+from logs.readers.clocks import check_restart, continued
+from logs.readers.columns import NAMES, QUATERNION, NamedColumns, check_names
 from logs.readers.csv_table import SUFFIXES, load_table
 from logs.road import Goal, Road
 from logs.scenario import CENTRE, EGO_POSE, Scenario

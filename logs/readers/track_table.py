@@ -29,10 +29,11 @@ from logs.errors import LogError
 from logs.files import beside
 from logs.names import counted
 from logs.observed import Spans, of_stream
-from logs.readers.columns import NAMES, TIMES, NamedColumns, check_names, check_restart, continued, holds
+from logs.readers.clocks import check_restart, continued
+from logs.readers.columns import NAMES, TIMES, NamedColumns, check_names, holds
 from logs.readers.csv_table import SUFFIXES, header_of, load_table
 from logs.readers.recorded import driven
-from logs.vehicle import VehicleParameters, car_of
+from logs.vehicle import VehicleParameters, assumed_car
 
 
 class DataSet(NamedTuple):
@@ -156,7 +157,7 @@ def taken_ego(
         notes.append("The log does not say what the agents are: they are taken for cars.")
     length, width = (float(np.median(state[name][its])) for name in ("length", "width"))
     if vehicle is None and np.isfinite(length + width):
-        vehicle = car_of({"length": length, "width": width}, notes)
+        vehicle = assumed_car({"length": length, "width": width}, notes)
         notes.append(
             f"The ego is agent {ego}, {length:.2f} x {width:.2f} m. Its wheelbase of {vehicle.wheelbase:.2f} m and its"
             " rear axle are assumed: as in the default car, in proportion to the length."

@@ -4,8 +4,8 @@ Commands by subject:
 
 evaluate.py    drive: evaluate, vary, paper, calibrate
 search.py      search: falsify, tune, diagnose
-report.py      the end of a run, reports, shards put together, run against run: merge, report, compare, baseline;
-               the scores of nuPlan and NAVSIM: score
+report.py      the end of a run, reports, shards put together, run against run: merge, report, compare, baseline
+score.py       the scores of nuPlan and NAVSIM: score
 logs.py        read and write logs: synth, convert, repair, inspect, salvage, export
 one_drive.py   look at one drive: view, plot, explain, frame
 mine.py        what happened in logs: mine, query, cut, suite, coverage
@@ -14,11 +14,11 @@ options.py     options of several commands, shell completion, old spellings
 app.py         what the commands share
 """
 
-from replay.cli import about, evaluate, logs, mine, one_drive, report, search
+from replay.cli import about, evaluate, logs, mine, one_drive, report, score, search
 from replay.cli.app import app, bug, group_commands
 from replay.interruption import end_at_once
 
-__all__ = ["about", "app", "evaluate", "logs", "main", "mine", "one_drive", "report", "search"]
+__all__ = ["about", "app", "evaluate", "logs", "main", "mine", "one_drive", "report", "score", "search"]
 
 PANELS = {
     "Drive and judge": ("evaluate", "vary", "paper", "calibrate"),

@@ -59,7 +59,7 @@ def metrics(
       replan metrics route_progress
     """
     from metrics import GROUPS, load_metric
-    from metrics.metric import list_metrics, metric_facts, metric_page, metrics_markdown
+    from metrics.metric_pages import list_metrics, metric_facts, metric_page, metrics_markdown
 
     if as_json:
         found = [metric_facts(metric) for group in GROUPS.values() for metric in group]
@@ -89,7 +89,7 @@ def warmup(
     """
     run = run_config(config, {"planners": planner})
     from replay.cli.progress_bar import sign_of_life, with_kernels
-    from replay.run.evaluate import SCENES, everything, warm_up
+    from replay.run.warmup import SCENES, everything, warm_up
 
     if not quiet:
         say("compiling kernels (a minute or two; seconds if they were compiled before)", err=True)

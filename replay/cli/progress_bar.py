@@ -23,7 +23,7 @@ from replay.results.log_result import LogResult
 from replay.run.sources import Selection
 
 QUIET_S, REFRESH_S = 20.0, 2.0
-"""Longest time without output, s; on a terminal, the bar's words are made anew after this time, s."""
+"""Longest time without output, s; on a terminal, the bar's text is renewed after the second time, s."""
 LONGEST_KERNEL_S = 60.0
 """Kernels are taken to be compiled until this time after the last one, s: one may take that long on a busy machine."""
 LEAST_S, MOST_S = 5.0, 60.0
@@ -36,8 +36,7 @@ class Pace:
 
     total: int
     begin: float  # Time at which the first log was started, s; later by the time in which kernels were compiled
-    # Expected cost of the logs that have not ended, in the unit of `step`'s `cost`; None: 1 per log
-    left: float | None = None
+    left: float  # Expected cost of the logs that have not ended, in the unit of `step`'s `cost`
     done: int = 0  # Number of logs that have ended
     driven: int = 0  # Number of them that were driven in this run
     spent: float = 0.0  # Expected cost of the logs that were driven
@@ -47,14 +46,12 @@ class Pace:
 
     def __post_init__(self) -> None:
         self.last = self.ended = self.begin
-        self.left = float(self.total) if self.left is None else self.left
 
     def step(self, now: float, *, driven: bool, cost: float = 1.0, compiled: bool = False) -> str | None:
         """Count a log that ended at `now`, s; return the line to print, if any. The last log has none.
 
         The time since the last log counts for nothing if kernels were `compiled` in it: others do not need it again.
         """
-        assert self.left is not None
         if compiled:
             self.begin, driven = self.begin + now - self.ended, False
         self.ended = now
@@ -68,13 +65,12 @@ class Pace:
         return f"{self.done} of {counted(self.total, 'log')}, {self.rest(now)}"
 
     def rest(self, now: float) -> str:
-        """Rate and remaining time; the time follows from expected costs, since the longest logs come first."""
-        assert self.left is not None
+        """Rate and remaining time, by expected costs as the longest logs come first; "" before a log was driven."""
         if not self.spent:
             return ""
         elapsed = max(now - self.begin, 1e-9)
-        left = elapsed * self.left / self.spent
-        when = f"{left:.0f} s" if left < 90.0 else f"{left / 60.0:.0f} min"
+        rest_s = elapsed * self.left / self.spent
+        when = f"{rest_s:.0f} s" if rest_s < 90.0 else f"{rest_s / 60.0:.0f} min"
         return f"{60.0 * self.driven / elapsed:.3g} logs/min, about {when} left"
 
 

@@ -1,4 +1,4 @@
-"""PID controllers: the dual-loop PID of the speed, and the simplest controller, one PID each for steering and speed.
+"""PID controllers: the dual-loop PID of the speed, and one PID each for steering and speed, the simplest controller.
 
 Dual loop, station error -> speed -> acceleration:
 
@@ -39,7 +39,7 @@ class SpeedLaw(NamedTuple):
         period: Between two commands, s.
         kp: Acceleration per speed error, 1/s.
         ki: Acceleration per integrated speed error, 1/s2.
-        kd: Acceleration per rate of the speed error.
+        kd: Acceleration per rate of the speed error, 1.
         station_gain: Speed per station error, 1/s.
         station_limit: The most speed that the outer loop adds or takes, m/s.
     """
@@ -57,7 +57,7 @@ SINGLE_LOOP_KD = 0.05
 
 
 class SpeedState(NamedTuple):
-    """The integral, m; m of `pedals` (3), m/s2, and the last error, m/s, NaN at first."""
+    """The integral of the speed error, m; m of `pedals` (3), m/s2, and the last error, m/s: both NaN at first."""
 
     integral: float
     m: float
@@ -71,7 +71,7 @@ AT_REST = SpeedState(0.0, nan, nan)
 def accelerate_dual_loop(
     law: SpeedLaw, state: SpeedState, train: PedalMap, now: MotionState, off: Deviation, times: FloatArray
 ) -> tuple[float, SpeedState]:
-    """Acceleration to command, m/s2, and what is remembered then."""
+    """Acceleration to command, m/s2, and the state after it."""
     most = law.station_limit
     v_wanted = timed(times, now.t)[1] - min(max(law.station_gain * off.station, -most), most)  # (1)
     error = v_wanted - now.v  # (2)
@@ -85,7 +85,7 @@ def accelerate_dual_loop(
 def limited(
     wanted: float, error: float, integral: float, train: PedalMap, v: float, period: float
 ) -> tuple[float, float]:
-    """Limit `wanted` to what the vehicle can do at `v`, m/s2; also return the integral after a period of `error`."""
+    """Limit `wanted`, m/s2, to what the vehicle can do at `v`, m/s; also return the integral, m, after a period, s."""
     lowest, highest = reach(train, v)
     if (wanted < highest or error < 0.0) and (wanted > lowest or error > 0.0):
         integral += period * error  # (4)
@@ -105,12 +105,12 @@ class SteeringPidLaw(NamedTuple):
 
 @inner_kernel
 def steer_by_error(law: SteeringPidLaw, integral: float, now: MotionState, off: Deviation) -> tuple[float, float]:
-    """Front wheel angle to command, rad, and the integral after it."""
+    """Front wheel angle to command, rad, and the integral of the lateral error after it, m s."""
     slower = 1.0 + (now.v / law.speed) ** 2
     rate = now.v * sin(off.heading)
     command = -(law.kp * off.lateral + law.ki * integral + law.kd * rate) / slower  # (5)
     if abs(command) < law.max_steer or command * off.lateral > 0.0:
-        integral += law.period * off.lateral
+        integral += law.period * off.lateral  # (4)
     return min(max(command, -law.max_steer), law.max_steer), integral
 
 
@@ -118,7 +118,7 @@ def steer_by_error(law: SteeringPidLaw, integral: float, now: MotionState, off: 
 def accelerate_by_error(
     law: SpeedLaw, state: SpeedState, train: PedalMap, now: MotionState, off: Deviation
 ) -> tuple[float, SpeedState]:
-    """Acceleration to command, m/s2, and what is remembered then."""
+    """Acceleration to command, m/s2, and the state after it."""
     error = -off.speed
     rate = 0.0 if isnan(state.error) else (error - state.error) / law.period
     wanted = law.kp * error + law.ki * state.integral + law.kd * rate  # (6)

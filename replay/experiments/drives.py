@@ -29,14 +29,14 @@ from metrics.metric import Direction
 from replay.config import RunConfig
 from replay.draw.drawn_results import DriveResult, Results
 from replay.experiments.trial import MODE, Trial
-from replay.explain.explanation import GRAVE
+from replay.explain.drive_events import GRAVE
 from replay.explain.first_difference import first_difference, planners_part
 from replay.run.evaluate import evaluate_logs
 from replay.run.judging import gates_of
 
 INCONCLUSIVE = Outcome.INCONCLUSIVE.value
 PEAKS: Mapping[str, Direction] = {"max": "higher", "max_abs": "higher", "min": "lower"}
-"""Reductions that are extremes, and the direction in which no value of them is worse than another."""
+"""Reductions that are extremes; of a metric for which this direction is better, an extreme is not a peak."""
 WORSE = 0.1
 """A peak is worse if it is this share farther out."""
 CUT = tuple(end.value for end in GRAVE)
@@ -86,8 +86,8 @@ class DrivenLogs:
         if len(mine):
             return str(mine["end"].iloc[0])
         failures = self.results.failures
-        said = failures.loc[failures["log"].isin([name, str(file)]), "message"]
-        return str(said.iloc[0]) if len(said) else "not driven"
+        messages = failures.loc[failures["log"].isin([name, str(file)]), "message"]
+        return str(messages.iloc[0]) if len(messages) else "not driven"
 
     def lasted(self, file: Path) -> float:
         """The time at which a drive ended, s; 0 if it was not driven."""
@@ -135,7 +135,7 @@ def as_driven(results: Results, planner: str) -> DrivenLogs:
 
 
 def judged(results: Results, names: Mapping[str, str], rules: Gates) -> pd.DataFrame:
-    """The outcomes of a run of one planner, judged as a planner that is not an oracle."""
+    """The `DrivenLogs.outcomes` of a run of one planner, judged as if it were no oracle; `names` as in `DrivenLogs`."""
     planner = results.run.planners[0]
     crashes = results.failures.dropna(subset=["planner", "mode"])
     columns = (crashes[name].astype(str) for name in ("log", "planner", "mode", "message"))

@@ -1,10 +1,10 @@
-"""Evaluates a surface: cells -> varied logs -> `evaluate_logs` -> table, edges, picture.
+"""Evaluates a surface, the outcome of a drive over a grid of parameters (cells), and the edges where it changes.
 
     OUT/vary.json              the question
     OUT/logs/                  the varied logs: `replan evaluate --mode closed` of one gives the outcome of its cell
     OUT/grid/, OUT/edge-1/ ... results of the cells, and of the points between them, as `replan evaluate` leaves them
     OUT/surface.parquet, .csv  a row per point: parameters, outcome, gates, least gap, contact, careful driver
-    OUT/edges.csv              where rows go from pass to something else
+    OUT/edges.csv              where rows change from pass to another outcome
     OUT/surface.png            the picture
 
 The outcome of a point is the worst outcome of the gates on its log: "pass", "fail" or "inconclusive". An inconclusive
@@ -45,6 +45,7 @@ from replay.run.resume import Study, study_head
 
 UNAVOIDABLE = "unavoidable"
 CARD = "vary.json"
+"""The file of the question."""
 CONTENTS = FolderContents("vary", (CARD, "logs", "grid", "edge-*", "surface.*", "edges.csv"))
 _CONTACTS = (EndReason.COLLISION.value, EndReason.REPLAY_CONTACT.value)
 
@@ -150,12 +151,12 @@ class _Rounds:
         self.count = 0
 
     def between(self, cells: Sequence[Cell]) -> list[str]:
-        """The outcomes of a round of points between cells."""
+        """Evaluate a round of points between cells in a folder of its own; return their outcomes."""
         self.count += 1
         return self.evaluate(cells, f"edge-{self.count}")
 
     def evaluate(self, cells: Sequence[Cell], part: str) -> list[str]:
-        """The outcomes of a round."""
+        """Drive a round of points, add their rows, and return their outcomes."""
         self.say(f"{part}: {counted(len(cells), 'point')}")
         makes = {}
         for cell in cells:

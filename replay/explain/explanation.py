@@ -1,11 +1,10 @@
-"""A plan in words: the causes of slowing down, the decisions about agents, the alternatives, the costs; and events.
+"""A plan in words: the causes of slowing down, the decisions about agents, the alternatives, the costs.
 
 `replan explain`, the page "why" of a recording and the HTML report show the same `Explanation`.
 """
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from math import isfinite
@@ -28,7 +27,7 @@ from logs.plan import (
     StGraph,
 )
 from logs.scenario import Scenario
-from logs.trace import EndReason, PlannedFrame, Trace
+from logs.trace import PlannedFrame, Trace
 from replay.config import LoopConfig
 from replay.explain.causes import KEEP, Account, CauseKind, accounts, not_passed
 from replay.explain.sentences import brief, sentences
@@ -259,13 +258,13 @@ def _residual(value: float) -> str:
 
 
 def longitudinal(plan: Plan) -> str:
-    """The strongest decision of a plan about the speed."""
+    """The strongest decision of a plan about the speed; `FREE_DRIVE` if there is none."""
     kinds = {decision.kind for decision in _artefacts(plan, Decision)}
     return next((kind.value for kind in LONGITUDINAL if kind in kinds), FREE_DRIVE)
 
 
 def lateral(plan: Plan) -> str:
-    """The decisions of a plan about the side on which obstacles are passed."""
+    """The decisions of a plan about the side on which obstacles are passed; `NO_NUDGE` if there is none."""
     kinds = {decision.kind for decision in _artefacts(plan, Decision)}
     left, right = DecisionKind.NUDGE_LEFT in kinds, DecisionKind.NUDGE_RIGHT in kinds
     if left and right:
@@ -279,7 +278,7 @@ def lane_options(plan: Plan | PlanSummary) -> tuple[LaneOption, ...]:
 
 
 def taken_option(some: Sequence[LaneOption]) -> str:
-    """The name of the option that was taken."""
+    """The name of the option that was taken; `KEEP` if there is none."""
     return next((option.name for option in some if not option.against), KEEP)
 
 
@@ -343,47 +342,3 @@ def _beyond(graph: Graph, at: float, edge: float, *, up: bool) -> str:
         if -TOUCH_M <= away < best:
             best, who = away, thing.agent
     return who
-
-
-GRAVE = (EndReason.COLLISION, EndReason.REPLAY_CONTACT, EndReason.OFF_ROAD, EndReason.PLANNER_FAILURE)
-
-
-@dataclass(frozen=True)
-class TimedEvent:
-    """Something that happened at a time, s; the level is "INFO", "WARN" or "ERROR"."""
-
-    t: float
-    level: str
-    words: str
-
-
-def events(trace: Trace, plans: Sequence[PlanSummary] | None = None) -> list[TimedEvent]:
-    """Changes of the status, of decisions, of the lane and of the planner's reason, and the end.
-
-    `plans` are the summaries of all plans, if the trace does not hold all frames.
-    """
-    found: list[TimedEvent] = []
-    status, gist, decided = None, "", dict[str, str]()
-    for plan in [frame.summary for frame in trace.frames] if plans is None else plans:
-        before, gist = gist, re.sub(r"[\d.]+", "#", plan.reason)  # the same reason with other numbers is not an event
-        if plan.status is not status and (status is not None or plan.status.is_fallback):
-            level = "WARN" if plan.status.is_fallback else "INFO"
-            found.append(TimedEvent(plan.t, level, f"{plan.status.value} {f'({plan.reason})' if plan.reason else ''}"))
-        elif not plan.status.is_fallback and plan.reason and gist != before:
-            found.append(TimedEvent(plan.t, "INFO", plan.reason))
-        options = lane_options(plan)
-        if (lane := taken_option(options)) != KEEP:
-            found.append(TimedEvent(plan.t, "INFO", f"changes lane to the {lane}: {describe_choice(options)}"))
-        now = {
-            artefact.agent: f"{artefact.kind.value} ({artefact.reason})"
-            for artefact in plan.internals
-            if isinstance(artefact, Decision) and artefact.kind is not DecisionKind.IGNORE
-        }
-        for agent in dict.fromkeys([*now, *decided]):
-            old, new = decided.get(agent, "no decision ()"), now.get(agent, "no decision ()")
-            if old.split(" (")[0] != new.split(" (")[0]:
-                found.append(TimedEvent(plan.t, "INFO", f"{agent}: {new.removesuffix(' ()')}"))
-        status, decided = plan.status, now
-    detail = f": {trace.detail}" if trace.detail else ""
-    level = "ERROR" if trace.end in GRAVE else "INFO"
-    return [*found, TimedEvent(float(trace.ego.t[-1]), level, f"{trace.end.value}{detail}")]

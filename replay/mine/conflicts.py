@@ -29,7 +29,7 @@ from logs.kernel import kernel
 from logs.once import once
 from logs.shapes import clearance, overlap, time_to_contact, time_to_contact_turning
 from logs.states import wrap
-from metrics.boxes import DEEP_M, NO_TTC_MPS, TURN_S, EgoOutline, is_behind
+from metrics.boxes import DEEP_M, GRID_S, NO_TTC_MPS, TURN_S, EgoOutline, is_behind
 from metrics.encounters import CROSSING_RAD, SERIOUS_S as PET_S
 from metrics.safety import TAU_S as TTC_S
 from replay.mine.driven_log import JUMPS, DrivenLog, Event, EventKind, Neighbour, runs, steps
@@ -44,11 +44,13 @@ one brakes hard."""
 WINDOW_S = 10.0
 """Largest time between two road users at a place that are in conflict."""
 CLOSE_S = 1.0
+"""The second one would have come less than this time after the first one, had it not yielded."""
 BEFORE_S = 10.0
 """A road user that yields slows down within this time before the other one is there."""
 SLOWED_MPS, SLOWED = 1.0, 0.3
 """Least decrease of the speed of a road user that yields: absolute, m/s, and as a share of its speed before."""
 MOVES_MPS = 0.5
+"""Slower road users stand."""
 SUDDEN = "they are first seen as they touch"
 SHALLOW = f"the boxes overlap by less than {DEEP_M:g} m, which boxes may be off by"
 TOO_LARGE = "the two hardly move against each other: the boxes may be too large"
@@ -133,7 +135,7 @@ def _step_of_slowing(v: FloatArray, way: FloatArray, first: int, at: int) -> int
     speed = float(v[fastest])
     if speed < MOVES_MPS or speed - least < max(SLOWED_MPS, SLOWED * speed):
         return -1
-    undisturbed = fastest + float(way[at] - way[fastest]) / speed / 0.1  # in steps
+    undisturbed = fastest + float(way[at] - way[fastest]) / speed / GRID_S  # step at which it would have come
     return fastest if undisturbed < first + steps(CLOSE_S) else -1
 
 
@@ -181,7 +183,7 @@ def _courses(
     ego: FloatArray, turn: FloatArray, car: EgoOutline, pose: FloatArray, turns: FloatArray, k: IntArray,
     size: FloatArray, horizon: float,
 ) -> FloatArray:  # fmt: skip
-    """TTC (`metrics.safety`), s, and (2), m/s2, `(2, m)` with one road user; inf and 0 beyond the horizon."""
+    """TTC (`metrics.safety`), s, and (2), m/s2, `(2, m)` with one road user; inf and 0 beyond the horizon, s."""
     out = np.zeros((2, len(k)))
     out[0] = inf
     reach = 0.5 * (hypot(car.length, car.width) + hypot(size[0], size[1]))
@@ -204,7 +206,7 @@ def _courses(
             )  # fmt: skip
             ttc = max(ttc, turning)
         if ttc < horizon:
-            out[0, m], out[1, m] = ttc, closing**2 / (2.0 * (closing * ttc + DEEP_M))
+            out[0, m], out[1, m] = ttc, closing**2 / (2.0 * (closing * ttc + DEEP_M))  # (2)
     return out
 
 

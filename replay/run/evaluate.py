@@ -1,6 +1,6 @@
 """A run over many logs, from the selection to the tables: `evaluate_logs`, which `replan evaluate` calls.
 
-Engines drive the logs: in this process, in processes of this machine, or on a Ray cluster. Same bytes.
+Engines drive the logs: in this process, in processes of this machine, or on a Ray cluster, with the same results.
 
 An engine applies a function to items and yields the result of each as it ends, in any order; if a worker dies, the
 result of its item is `WorkerLost`, and no other item is affected. The function writes a log's folder into the result
@@ -13,33 +13,30 @@ that are driven in lock step.
 
 While no machine code is on disk, the first log of a run is driven alone, so that kernels that all logs need are
 compiled once. It begins with the reference drives and their metrics; meanwhile a second process plans over some
-built-in scenes (`compile_planning`). `replan warmup` compiles kernels beforehand: it drives, measures and records a few
-built-in logs in a folder that is then deleted.
+built-in scenes (`compile_planning`).
 """
 
 from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from itertools import accumulate
 from pathlib import Path
-from tempfile import TemporaryDirectory
-from time import perf_counter
-from typing import Any, Protocol, TypeVar
+from typing import Protocol, TypeVar
 from uuid import uuid4
 
 from logs.catalogue import scenario
 from logs.errors import ConfigError, OutputError, ReplanError
-from logs.kernel import cache_folder, compiled_count, is_cache_cold
+from logs.kernel import is_cache_cold
 from logs.readers import LogSettings
 from replay.config import RunConfig
 from replay.draw.drawn_results import Results
 from replay.loop.open_loop import run_open_loop
-from replay.parts import OF_LOOP, PLANNER
+from replay.parts import PLANNER
 from replay.planner_process.connection import in_lockstep
 from replay.planner_process.planner_config import drive_keywords
 from replay.planner_process.processes import set_template_run
@@ -131,7 +128,7 @@ def evaluate_logs(
 
 
 def _check_batch(engine: Engine, window: float | None, shard: Shard | None) -> None:
-    """Refuse options that do not work with logs in lock step."""
+    """Raise ConfigError for options that do not work with logs in lock step."""
     if not isinstance(engine, Local):
         raise ConfigError("loop.apart.batch drives logs together on this machine only: leave out --engine or the batch")
     if shard is not None:
@@ -169,7 +166,10 @@ def _evaluate_rest(
     done: Mapping[int, LogResult],
     on_log: Callable[[LogResult], None],
 ) -> tuple[LogResult, ...]:
-    """The results in the order of the logs; `on_log` is called for the results in `done` first."""
+    """The results in the order of the logs; `on_log` is called for those in `done` first.
+
+    OutputError if the disk is full.
+    """
     results = dict(done)
     for result in done.values():
         on_log(result)
@@ -275,65 +275,3 @@ def compile_planning(run: RunConfig) -> None:
                         scenario(name), planner, planner_config=drive_keywords(planner, run), config=run.drive_loop,
                         until_s=UNTIL_S,
                     )  # fmt: skip
-
-
-SCENES = (
-    "paper/crossing_pedestrian",
-    "paper/static_obstacles",
-    "everyday/cyclist",
-    "everyday/crosswalk",
-    "everyday/traffic_light",
-    "everyday/junction",
-    "everyday/pull_outs",
-    "raw/crossing",
-)
-"""Scenes with walkers, cyclists, cars that pull out, obstacles, junctions, lights, raw detections: as in the suite."""
-OF_A_CHOICE = ("everyday/traffic_light", "everyday/junction", "raw/crossing")
-"""Scenes that need all kernels of one choice beside the default: a stop, others from the side, raw detections."""
-
-
-@dataclass(frozen=True)
-class Warmed:
-    """The result of a warm-up."""
-
-    seconds: float  # Its duration, s
-    compiled: int  # The number of compiled kernels; the others were in the cache
-    folder: Path | None  # The folder of their machine code; None if it is not kept
-    failures: tuple[Failure, ...]  # Drives that failed
-
-
-ELSEWHERE = ("multibody", "recorded")
-"""Choices that are left out: the first has no kernels and an optional package; "auto" uses the second for raw logs."""
-
-
-def everything() -> Iterator[tuple[RunConfig, Sequence[str]]]:
-    """Runs, and their scenes, that need all built-in kernels: of all planners, and of each other choice in turn."""
-    yield RunConfig(planners=PLANNER.causal), SCENES
-    apart = RunConfig(mode="closed", recording=False, internals="none")
-    yield replace(apart, planner={"dp_qp": {"solver": "osqp"}}), OF_A_CHOICE
-    for key, kind in OF_LOOP.items():
-        for name in kind.causal:
-            if name not in (getattr(apart.loop, key), *ELSEWHERE):
-                instead: dict[str, Any] = {key: name}
-                yield replace(apart, loop=replace(apart.loop, **instead)), OF_A_CHOICE
-
-
-def warm_up(runs: Iterable[tuple[RunConfig, Sequence[str]]]) -> Warmed:
-    """Compile the kernels that runs need on built-in logs, in this process.
-
-    ConfigError and PlannerError as `replay.run.evaluate_logs`; OutputError if the disk is too full for the files of the
-    drives.
-    """
-    begin = perf_counter()
-    failures: list[Failure] = []
-    for named, scenes in runs:
-        run, refused = checked(named)
-        failures += refused
-        with TemporaryDirectory(prefix="replan-warmup-") as folder:
-            sources = [LogSource(scene) for scene in scenes]
-            ended = [result for _, result in Local().evaluate(sources, run, Path(folder), stamp_of(run))]
-        results = [result for result in ended if isinstance(result, LogResult)]
-        for stopped in filter(None, (result.stopped for result in results)):
-            raise OutputError(stopped)
-        failures += [failure for result in results for failure in result.failures]
-    return Warmed(perf_counter() - begin, compiled_count(), cache_folder(), tuple(failures))

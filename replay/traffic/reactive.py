@@ -18,9 +18,9 @@ is off its log is in its place, and enters no faster than it can brake for its l
 "give_way": vehicles and riders drive as in the log unless they would then hit the ego, or an agent that is late because
 of the ego, and only where the ego may expect them to react:
 
-(1) the ego has been ahead (`following` (5)) for `CC_REACT_S` without a break, the reaction time of the careful driver
+(1) the ego has been ahead (`leaders` (5)) for `CC_REACT_S` without a break, the reaction time of the careful driver
     of UN R157; for an agent that starts or enters behind the ego, this time has passed already
-(2) the agent would drive into it if it went on as in the log (`following` (6))
+(2) the agent would drive into it if it went on as in the log (`leaders` (6))
 (3) or the agent comes from a lane that yields to the ego's (`right_of_way`)
 (4) it brakes as its leader requires, with 0.774 g at most (the same driver)
 
@@ -54,6 +54,8 @@ from replay.world import box_center
 EGO_M = 1.0
 """The ego is as in the log where it is no farther than this from where the log has it."""
 BEYOND_M = 100.0
+"""A late agent drives on this far beyond the end of its log."""
+_COLUMNS = ("t", "x", "y", "yaw", "vx", "vy")
 NAMED = 5
 """The greatest number of agents that the notes name."""
 
@@ -80,7 +82,7 @@ GIVE_WAY = ReactionRule((*FOLLOWING, AgentKind.BICYCLE), only_ahead=CC_REACT_S, 
 
 
 class Reactive:
-    """Vehicles keep to their logged paths behind every road user on them, the ego included; late ones stop at red.
+    """Road users that react along their logged paths, as `rule` says; those that are late stop at red lights.
 
     Args:
         scenario: Its tracks, road, lights and ego.
@@ -177,6 +179,3 @@ def _extended(log: Tracks, road: Road) -> Tracks:
     sizes = [row.shape[1] for row in rows]
     offsets = np.r_[0, np.cumsum(sizes)]
     return Tracks(log.ids, log.kinds, log.length, log.width, log.static, offsets, *np.hstack(rows))
-
-
-_COLUMNS = ("t", "x", "y", "yaw", "vx", "vy")

@@ -47,7 +47,7 @@ def split_plant(plant: PlantTable) -> tuple[dict[str, Any], dict[str, float | st
     """A plant's table as parameters and keywords.
 
     Raises:
-        ConfigError: A parameter is no number.
+        ConfigError: A parameter is not a number.
     """
     numbers: dict[str, Any] = {}
     for key in SCALARS:

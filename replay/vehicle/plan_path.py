@@ -27,12 +27,13 @@ from logs.plan import Plan
 from logs.states import EgoState, Trajectory, wrap
 
 WINDOW_M = 20.0
+"""Largest distance between the foot and where the plan is now, along the path, m."""
 KNOT_SPACING_M = 0.05
-"""Nearer knots are left out: at such distances the heading is more accurate than the positions."""
+"""Nearer knots are left out, m: at such distances the heading is more accurate than the positions."""
 
 
 class Deviation(NamedTuple):
-    """The ego against its plan at one instant (3)-(5): SI units; `foot` is the station of the ego's foot point."""
+    """The ego against its plan at one instant (3)-(5): m, rad, m/s; `foot` is the station of the ego's foot point."""
 
     lateral: float
     heading: float
@@ -101,7 +102,7 @@ class PlanPath:
 
 @kernel
 def timed(times: FloatArray, t: float) -> tuple[float, float, float]:
-    """Station (cubic in time, by the speeds), speed and acceleration (linear) at `t`; constant speed beyond the end."""
+    """Station, m (cubic, by the speeds), speed and acceleration (linear) at `t`; constant speed beyond the end."""
     last = len(times) - 1
     if t >= times[last, 0]:
         return times[last, 1] + times[last, 2] * (t - times[last, 0]), times[last, 2], 0.0
@@ -122,7 +123,7 @@ def hermite(p0: float, p1: float, d0: float, d1: float, u: float) -> float:
 
 @kernel
 def path_point(knots: FloatArray, s: float) -> tuple[float, float, float, float]:
-    """x, y, yaw, kappa at station `s`; straight on beyond the ends (where the curvature is the end's)."""
+    """x, y, yaw, kappa at station `s`, m; straight on beyond the ends (where the curvature is the end's)."""
     last = len(knots) - 1
     if last == 0 or s <= knots[0, 0] or s >= knots[last, 0]:
         k = 0 if last == 0 or s <= knots[0, 0] else last

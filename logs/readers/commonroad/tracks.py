@@ -1,10 +1,10 @@
-"""Makes tracks from CommonRoad obstacles: corrects headings, chooses velocities, covers occupancy sets.
+"""Makes tracks and the ego's log from CommonRoad obstacles: corrects headings, chooses velocities.
 
 Headings. Some recordings give headings against true north and positions on a map grid, so that all vehicles seem to
 drive askew by the same angle (MONA: 1.93 degrees, the grid convergence of UTM zone 32 at Munich).
 
-(1) offset = median over vehicles of median(direction of motion - heading), subtracted where it exceeds 0.5 degrees and
-    four of five vehicles agree with it within 0.5 degrees.
+(1) offset = median over vehicles of median(direction of motion - heading), added where it exceeds `_ASKEW` and four of
+    five vehicles agree with it within `_ASKEW`.
 
 Velocities. Stored speeds agree with the positions in some files and not in others (SUMO co-simulations), and
 differences of positions are noisy (NGSIM). Both candidates use no later sample than their own:
@@ -15,33 +15,23 @@ The one with the smaller mean error of a constant-velocity prediction 1 s ahead,
 for the whole file. A first sample has no difference: its stored speed is used.
 
 Ego log. The rear axle is the box centre minus `axle_to_center` along the heading (positions are exact). Speed and
-acceleration as stored; where the stored speed disagrees with the positions, by central differences. Curvature is the
-slope of heading over distance, and acceleration, where it is not stored, that of speed over time: least squares within
-0.5 s to both sides. An ego log is ground truth and not seen by planners: central windows are allowed.
-
-Occupancy sets. A set is the area that a user may occupy at a step: growing polygons, not a pose. Tracks have boxes of
-one size, so each set becomes boxes of its own, which stand from its time until that of the next set (or over its
-interval). They are objects: replayed by time, never reacting, with no speed. The initial state is the first set.
-
-A polygon is covered from outside, so that a vehicle that touches the set touches a box:
-
-(3) box = the smallest rectangle along one of the edges of the polygon's convex hull (one of these has the least area)
-(4) excess = (area of the box - area of the polygon) / length of the box, m: how much wider than the polygon it is
-(5) where that exceeds `EXCESS_M` and the box is longer than `SHORTEST_M`, the polygon is cut across its middle
+acceleration as stored; where 5 % of the stored speeds are off by more than 1 m/s, by central differences. Curvature is
+the slope of heading over distance, and acceleration, where it is not stored, that of speed over time: least squares
+within `WINDOW_S` to both sides. An ego log is ground truth and not seen by planners: central windows are allowed.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from math import radians
-from typing import NamedTuple
 
 import numpy as np
 
 from logs.agents import AgentKind
 from logs.arrays import FloatArray
-from logs.readers.commonroad.document import Document, Obstacle, OccupiedSet
+from logs.readers.commonroad.document import Document, Obstacle
+from logs.readers.commonroad.occupancy_sets import standing
 from logs.states import Trajectory, wrap
 from logs.tracks import Tracks
 from logs.vehicle import VehicleParameters
@@ -52,7 +42,9 @@ KINDS = {
     "bicycle": AgentKind.BICYCLE, "pedestrian": AgentKind.PEDESTRIAN,
 }  # fmt: skip
 WINDOW_S = 0.5
+"""Half of the window over which the ego log's slopes are fitted."""
 _ASKEW = radians(0.5)
+"""Greatest difference of a heading from the direction of motion that is not corrected, rad."""
 
 
 def turned(document: Document) -> tuple[Document, tuple[str, ...]]:
@@ -110,91 +102,13 @@ def _prediction_error(obstacles: Sequence[Obstacle], velocity: Sequence[FloatArr
     return float(np.mean(np.concatenate(errors))) if errors else float("nan")
 
 
-EXCESS_M = 0.1
-"""A box may be this much wider than the set on average, m."""
-SHORTEST_M = 1.0
-"""A shorter box is not cut, m."""
-DEEPEST = 6
-"""A polygon is cut at most this many times: into 64 boxes."""
-
-
-class Box(NamedTuple):
-    """A rectangle: its centre, m, heading, rad, and size, m."""
-
-    x: float
-    y: float
-    yaw: float
-    length: float
-    width: float
-
-
-def covering(outline: FloatArray, cuts: int = DEEPEST) -> Iterator[Box]:
-    """Boxes that cover a polygon `(k, 2)` (3) to (5); none for a polygon without an area."""
-    box, (x, y) = smallest_box(outline), outline.T
-    area = 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
-    if not min(box.length, box.width, area) > 1e-6:
-        return
-    if (box.length * box.width - area) / box.length <= EXCESS_M or box.length <= SHORTEST_M or not cuts:
-        yield box
-        return
-    along = np.array([np.cos(box.yaw), np.sin(box.yaw)])
-    middle = float(along @ (box.x, box.y))
-    for half in (1.0, -1.0):  # each half: Sutherland and Hodgman 1974
-        side, part = outline @ (half * along) - half * middle, []
-        for i in range(len(outline)):
-            before, after = side[i - 1], side[i]
-            if (before >= 0.0) != (after >= 0.0):
-                part.append(outline[i - 1] + (outline[i] - outline[i - 1]) * before / (before - after))
-            if after >= 0.0:
-                part.append(outline[i])
-        if len(part) >= 3:
-            yield from covering(np.array(part), cuts - 1)
-
-
-def standing(sets: Sequence[OccupiedSet]) -> Iterator[tuple[str, float, float, Box]]:
-    """Name within its road user, first and last time step, and box of each part of its sets (module docstring)."""
-    steps = sorted({one.first for one in sets})
-    usual = steps[-1] - steps[-2] if len(steps) > 1 else 1.0
-    until = dict(zip(steps, [*steps[1:], steps[-1] + usual], strict=True))
-    for k, one in enumerate(sets):
-        boxes = [box for outline in one.outlines for box in covering(outline)]
-        last = one.last if one.last > one.first else until[one.first]
-        yield from ((f"set {k} part {i}", one.first, last, box) for i, box in enumerate(boxes))
-
-
-def smallest_box(points: FloatArray) -> Box:
-    """The smallest rectangle around points `(k, 2)`, k >= 3 (3); its length is the longer side."""
-    ordered, chains = np.unique(points, axis=0).tolist(), []
-    for sequence in (ordered, ordered[::-1]):  # the convex hull, counter-clockwise (Andrew's monotone chain)
-        chain: list[list[float]] = []
-        for x, y in sequence:
-            while len(chain) > 1:
-                (ax, ay), (bx, by) = chain[-2:]
-                if (bx - ax) * (y - ay) - (by - ay) * (x - ax) > 0.0:
-                    break
-                chain.pop()
-            chain.append([x, y])
-        chains.append(chain[:-1])
-    hull = np.array(chains[0] + chains[1]).reshape(-1, 2)
-    edges = np.diff(np.vstack([hull, hull[:1]]), axis=0)
-    best: Box | None = None
-    for yaw in np.unique(np.round(np.arctan2(edges[:, 1], edges[:, 0]) % (0.5 * np.pi), 12)).tolist():
-        axes = np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
-        low, high = (hull @ axes.T).min(axis=0), (hull @ axes.T).max(axis=0)
-        (length, width), (x, y) = (high - low).tolist(), (0.5 * (low + high) @ axes).tolist()
-        box = Box(x, y, yaw, length, width) if length >= width else Box(x, y, yaw + 0.5 * np.pi, width, length)
-        if best is None or length * width < best.length * best.width - 1e-9:
-            best = box
-    assert best is not None
-    return best
-
-
 def tracks_of(
     document: Document, velocity: dict[int, FloatArray], without: int | None, start: float, origin: tuple[float, float]
 ) -> Tracks:
     """The traffic from time step `start` on, which becomes t = 0; obstacle `without` is the ego.
 
-    Samples before `start` are left out (their differences are in the velocities); static obstacles stay.
+    `velocity` is that of `velocities`; `origin`, m, is subtracted from positions. Samples before `start` are left out
+    (their differences are in the velocities); static obstacles stay.
     """
     found: list[tuple[str, AgentKind, float, float, bool, FloatArray]] = []
     for o in document.obstacles:
@@ -240,7 +154,8 @@ def trimmed(obstacle: Obstacle, dt: float) -> tuple[Obstacle, tuple[str, ...]]:
     """Drop a first or last sample whose position contradicts the speed; return the obstacle and notes.
 
     Recordings clip a vehicle's first position to the edge of their view: it then covers the first step at a third of
-    its speed (MONA), or a simulator writes the first state twice.
+    its speed (MONA), or a simulator writes the first state twice. A sample contradicts the speed where the step to it
+    is off by more than 2 m/s, and the next step by less than 1 m/s.
     """
     states, notes = obstacle.states, []
     for where, end in (("first", slice(1, None)), ("last", slice(None, -1))):

@@ -44,7 +44,7 @@ from logs.rules import Colour, TrafficLight
 from logs.scenario import Scenario
 from logs.states import Controls, OnboardPlan, Trajectory
 from logs.tracks import Tracks
-from logs.vehicle import VEHICLE_ASSUMED, VehicleParameters, car_of
+from logs.vehicle import VEHICLE_ASSUMED, VehicleParameters, assumed_car
 
 HEAD_S = 2.0
 """Time at the log's begin that is read to find t = 0 if only a later part is wanted, s."""
@@ -78,7 +78,7 @@ def _scenario(path: Path, bag: Bag, settings: LogSettings) -> Scenario:
     about_car = list(bag.notes)
     vehicle = VehicleParameters()
     if settings.car:
-        vehicle = car_of(settings.car, about_car)
+        vehicle = assumed_car(settings.car, about_car)
     else:
         about_car.append(f"{VEHICLE_ASSUMED} (set log.car).")
     part, ego, start, origin = _part_to_read(bag, settings)

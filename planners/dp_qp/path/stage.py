@@ -40,10 +40,10 @@ LENGTHS_M = (60.0, 90.0, 130.0, 180.0, 250.0, 340.0)
 WAITING_MPS2 = 2.0  # Deceleration with which the ego stops where it waits for the oncoming lane, m/s2
 JUNCTION_M = 40.0
 """An agent that stands within this before a place where lanes part or meet waits, and the ego does not pass it, m."""
-RELINEARISED = 2  # Most further solutions of a path that cannot keep its bounds ...
-MOVED_M = 0.02  # ... until one moves it by less than this, m.
+RELINEARISED = 2  # Greatest number of further solutions of a path that cannot keep its bounds
+MOVED_M = 0.02  # A further solution that moves the path by less than this is the last, m
 LOCK_SLACK = 1.05  # A path ends where its curvature is more than this multiple of that at the steering lock
-NO_ONE = np.empty((0, 2))  # The stations of no standing agent
+NO_ONE = np.empty((0, 2))  # Begin and end of no standing agent, stations
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class ChosenPath:
     """The result of the path stage; where the QP failed, no path, and the reason.
 
     `passed`: the space between the path and each agent that it passes on purpose, m; `shift`: the largest change of
-    the offset from the reference line within `SHIFT_AHEAD_M`, m; `artefacts` makes them when it is called.
+    the offset from the reference line within `SHIFT_AHEAD_M`, m; `artefacts` makes the artefacts of `Plan.internals`.
     """
 
     path: Path | None
@@ -95,9 +95,9 @@ class _Task:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Found:
-    """`offsets` l, l', l'' `(3, knots)` or None; the solver's x; the final decisions, bounds, problem, and reports.
+    """The solution of the path QP: `offsets` l, l', l'' `(3, knots)`, None if it failed, of the solver's `x`.
 
-    `rooms` is that of `bounds.check_clearance`.
+    `narrow` are the bounds of `problem`, the last that was solved; `rooms` is that of `bounds.check_clearance`.
     """
 
     offsets: FloatArray | None

@@ -25,7 +25,7 @@ from replay.draw.recording.graphs import Axes, draw_graph, draw_occupancy
 from replay.draw.recording.moving import draw_moving, draw_others, draw_scene
 from replay.draw.recording.plots import RecordingContents, blueprint
 from replay.draw.recording.tape import Instants, Tape, field_name, path_parts, recording_file
-from replay.explain.explanation import TimedEvent, events
+from replay.explain.drive_events import TimedEvent, events
 from replay.explain.planner_input import actual_occupancy
 
 if TYPE_CHECKING:

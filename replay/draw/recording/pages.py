@@ -18,7 +18,8 @@ from replay.draw.recording.plots import LaneChange, changes_under_way, lanes_dri
 from replay.draw.recording.tape import MARKDOWN, Instants, Tape, cell, document, plain, table
 from replay.explain import Explanation, accounts
 from replay.explain.course import BRAKES_MPS2
-from replay.explain.explanation import FREE_DRIVE, NO_NUDGE, STATUS_WORDS, Section, TimedEvent, lateral, longitudinal
+from replay.explain.drive_events import TimedEvent
+from replay.explain.explanation import FREE_DRIVE, NO_NUDGE, STATUS_WORDS, Section, lateral, longitudinal
 
 if TYPE_CHECKING:
     from pandas import DataFrame

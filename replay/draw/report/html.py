@@ -39,7 +39,7 @@ from replay.draw.drawn_results import DriveResult, Results
 from replay.draw.model import Span, widened
 from replay.draw.report.contents import DriveRow, MetricColumn, Overview, PassShare
 from replay.draw.report.sections import comparison_sections, run_sections
-from replay.explain.explanation import TimedEvent, events
+from replay.explain.drive_events import TimedEvent, events
 from replay.results.tables import safe_name, write_text
 
 T = TypeVar("T")

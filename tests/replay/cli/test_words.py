@@ -112,7 +112,7 @@ def test_what_is_left_goes_by_the_length_of_the_logs() -> None:
 
 @given(st.lists(st.floats(0.01, 40.0), min_size=1, max_size=200))
 def test_lines_off_a_terminal_are_few_and_none_comes_too_soon(steps: list[float]) -> None:
-    pace, now, said = Pace(len(steps), 100.0), 100.0, []
+    pace, now, said = Pace(len(steps), 100.0, len(steps)), 100.0, []
     for step in steps:
         now += step
         line = pace.step(now, driven=True)
@@ -125,7 +125,7 @@ def test_lines_off_a_terminal_are_few_and_none_comes_too_soon(steps: list[float]
 
 
 def test_the_pace_is_that_of_the_logs_that_were_driven() -> None:
-    pace = Pace(300, 0.0)
+    pace = Pace(300, 0.0, 300.0)
     for _ in range(100):
         assert pace.step(1.0, driven=False) is None  # there already
     for index in range(50):
@@ -135,7 +135,7 @@ def test_the_pace_is_that_of_the_logs_that_were_driven() -> None:
 
 @given(st.lists(st.tuples(st.floats(1.0, 300.0), st.booleans()), min_size=1, max_size=30))
 def test_the_time_in_which_kernels_were_compiled_counts_for_nothing(logs_: list[tuple[float, bool]]) -> None:
-    pace, other, now, warm = Pace(100, 0.0), Pace(100, 0.0), 0.0, 0.0
+    pace, other, now, warm = Pace(100, 0.0, 100.0), Pace(100, 0.0, 100.0), 0.0, 0.0
     for seconds, compiled in logs_:
         now, warm = now + seconds, warm + seconds * (not compiled)
         pace.step(now, driven=True, compiled=compiled)

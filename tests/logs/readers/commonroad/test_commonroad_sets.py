@@ -11,7 +11,7 @@ from hypothesis import given, strategies as st
 from logs import AgentKind
 from logs.readers.commonroad import read_commonroad
 from logs.readers.commonroad.document import OccupiedSet
-from logs.readers.commonroad.tracks import EXCESS_M, SHORTEST_M, Box, covering, smallest_box, standing
+from logs.readers.commonroad.occupancy_sets import EXCESS_M, SHORTEST_M, Box, covering, smallest_box, standing
 from logs.road import inside
 from replay.loop.closed_loop import run_closed_loop
 

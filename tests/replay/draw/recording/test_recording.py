@@ -53,7 +53,7 @@ from replay.draw.recording.tape import (
 )
 from replay.drive import Drive, StageTime
 from replay.explain import Explanation, accounts
-from replay.explain.explanation import events
+from replay.explain.drive_events import events
 
 
 @given(st.text())

@@ -40,7 +40,8 @@ from replay.draw.recording.road_layer import LIGHTS
 from replay.draw.view import difference, write_pair
 from replay.drive import Drive
 from replay.explain import Explanation, accounts
-from replay.explain.explanation import describe_choice, events, lane_options
+from replay.explain.drive_events import events
+from replay.explain.explanation import describe_choice, lane_options
 from replay.loop.closed_loop import run_closed_loop
 
 EGO = EgoState(3.0, 0.0, 0.0, 0.0, 10.0)

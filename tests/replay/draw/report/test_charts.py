@@ -41,7 +41,7 @@ from replay.draw.charts.layout import charts_of
 from replay.draw.charts.subject import gravity, violations, worst_moment
 from replay.draw.drawn_results import Results, load
 from replay.draw.model import ticks
-from replay.explain.explanation import events
+from replay.explain.drive_events import events
 from replay.run import evaluate_logs
 
 LOG = "paper/crossing_pedestrian"

@@ -4,12 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from drives import along, grid
 from handmade import drive, s_curve
 from hypothesis import given, settings, strategies as st
 from worlds import controlled
 
 from logs import Command, EgoState, Plan, Trajectory, VehicleParameters
 from logs.catalogue import CATALOGUE
+from replay.control.geometric import StanleyLaw
 from replay.loop.simulation_setup import controller_of
 from replay.parts import CONTROLLER, VEHICLE, Part
 
@@ -54,6 +56,14 @@ def test_two_drives_are_identical_and_hold_at_the_stop(name: str, vehicle: str) 
     assert_lawful(one[0])
     if name != "pid":  # a single loop knows no station: it stops where it stops
         assert max(state.v for state in one[1] if 5.8 < state.t < 6.0) == 0.0
+
+
+@pytest.mark.parametrize(("y", "yaw"), [(0.0, 0.1), (0.3, -0.2), (-0.4, 0.0)])
+def test_stanley_steers_by_where_the_front_axle_is(y: float, yaw: float) -> None:
+    straight, law = along(grid(6.0, 0.1), 10.0), StanleyLaw(CAR.wheelbase, CAR.max_steer)
+    (first, *_), *_ = controlled(straight, "stanley", "kinematic_bicycle", 0.1, EgoState(0.0, 10.0, y, yaw, 10.0))
+    front = y + CAR.wheelbase * np.sin(yaw)
+    assert first.steer == pytest.approx(-yaw - np.arctan(law.gain * front / (law.softening + 10.0)), abs=1e-6)
 
 
 def mirrored(plan: Trajectory) -> Trajectory:

@@ -26,6 +26,12 @@ def one(
     return Agents(("a",), (kind,), *(np.array([value]) for value in columns))
 
 
+@pytest.mark.parametrize(("v", "turns", "rate"), [(10.0, 0.3, 0.3), (10.0, -3.0, -0.5), (2.0, 3.0, 0.4)])
+def test_a_car_goes_on_turning_as_far_as_tyres_and_steering_permit(v: float, turns: float, rate: float) -> None:
+    found = predict(one(0.0, 0.0, 0.0, v, yaw_rate=turns), 0.0, method="constant_turn_rate")
+    np.testing.assert_allclose(found.yaw[0], rate * found.t, atol=1e-9)
+
+
 def future(now: Agents, road: Road, method: str = "lanes_and_pedestrians") -> Predictions:
     return predict(now, 0.0, method=method, lanes=LaneMap.of(road))
 

@@ -26,8 +26,8 @@ sigma = 0 shows how far the boundary is. Then
     the way to the boundary. Its primal and dual lengths differ, which is faster, until the gap is nearly closed; then
     they are equal, so that the residual of (4) falls (always where rows give way: there e = give force couples them)
 
-The first point is the optimum without bounds, which costs one factorisation. In most frames it violates no bound and is
-the solution.
+The first point is the optimum without bounds, which costs one factorisation. In most frames it violates no bound by
+more than the residual of (5) may be, and is the solution.
 
 (10) Stop: at the optimum the duality gap bounds the distance, 1/2 |x - x*|^2 <= sum z f (the cost is that convex in
      x): so sum z f <= 1/2 accuracy^2, and the residuals of (4), (5) are small.
@@ -143,11 +143,11 @@ def solve(problem: PiecewiseJerkProblem, accuracy: float, max_iterations: int) -
     if status == SPENT and max_iterations > 0:
         iteration = 1
         free = _to_free_optimum(rows, point, newton, step)
-        is_inside = True
-        for i in range(len(point.y)):
-            is_inside &= rows.bound[0, i] <= point.y[i] <= rows.bound[1, i]
-        if is_inside and free <= RESIDUAL * accuracy:
-            status, primal, dual, gap = SOLVED, 0.0, free, 0.0
+        primal = 0.0
+        for i in range(size):
+            primal = max(primal, rows.bound[0, i] - point.y[i], point.y[i] - rows.bound[1, i])
+        if primal <= RESIDUAL * accuracy and free <= RESIDUAL * accuracy:  # rounding of a bound decides nothing
+            status, dual, gap = SOLVED, free, 0.0
     if status == SPENT:
         _open(rows, point)
     least = FLOOR * 0.5 * accuracy**2 / point.slack.size

@@ -294,7 +294,7 @@ def test_steady_error_on_tyres_with_a_limit_vanishes(radius: float, v: float) ->
 
 
 def steered(delay_steps: int, seconds: float, *, lag: float = CAR.steer_lag, noise: float = 0.0) -> SteeringDelay:
-    """A wheel that follows wavering commands so many periods late."""
+    """A wheel that follows wavering commands `delay_steps` periods late."""
     steering, rng = SteeringDelay(CAR, PERIOD), np.random.default_rng(5)
     car = KinematicBicycle(VehicleParameters(steer_lag=lag), EgoState(0.0, 0.0, 0.0, 0.0, 8.0))
     coming = deque([0.0] * delay_steps)

@@ -91,7 +91,7 @@ class Trace:
         oracle: Whether the planner knew the log's future.
         ego: The driven states: at the control rate in closed loop, at the frames in open loop.
         agents: The true motion of the agents.
-        frames: The plans, in order of time; a tuple, or a `logs.memory.FrameStore` for a long drive.
+        frames: The plans, in order of time; a tuple, or a `logs.frame_store.FrameStore` for a long drive.
         commands: Commands of the controller at `ego.t`; None in open loop.
         actuation: States of the actuators at `ego.t`; None in open loop.
         tracking: Tracking errors at `ego.t`; None in open loop.

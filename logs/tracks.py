@@ -198,7 +198,7 @@ class Tracks:
 
     @property
     def whole(self) -> Tracks:
-        """The whole tracks, if these are a part of them (`logs.memory.Recent`); here the tracks themselves."""
+        """The whole tracks, if these are a part of them (`logs.nearby_tracks.Recent`); here the tracks themselves."""
         return self
 
     def samples(self, index: int) -> slice:

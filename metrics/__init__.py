@@ -20,7 +20,7 @@ import pandas as pd
 import replan.own
 from logs.errors import raised
 from logs.extension import ExtensionKind, an_instance
-from logs.memory import light
+from logs.frame_store import light
 from logs.scenario import Scenario
 from logs.trace import Trace
 from metrics import (

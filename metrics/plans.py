@@ -44,8 +44,8 @@ import numpy as np
 
 from logs.arrays import FloatArray, IntArray
 from logs.frame import PLAN_HORIZON_S
+from logs.frame_store import light, loaded
 from logs.kernel import kernel
-from logs.memory import light, loaded
 from logs.once import last, once
 from logs.road import RoadSource
 from logs.scenario import Scenario

@@ -25,6 +25,7 @@ from logs import plan as nouns
 from logs.codec import message_of, noun_of
 from logs.errors import LogError, in_file, reading
 from logs.frame import Predictions
+from logs.frame_store import light
 from logs.mcap import native
 from logs.mcap.container import MEND, Container, Stream, read_container
 from logs.mcap.reader import marked_tracks, sampled, scenario_of, seconds
@@ -39,7 +40,6 @@ from logs.mcap.writer import (
     scenario_records,
     write_log,
 )
-from logs.memory import light
 from logs.scenario import Scenario
 from logs.states import TRAJECTORY_COLUMNS, Controls
 from logs.trace import EndReason, Mode, PlannedFrame, Trace, TrackingErrors, kept_samples

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from logs.arrays import FloatArray, IntArray
-from logs.memory import loaded
+from logs.frame_store import loaded
 from logs.plan import Corridor, Decision, DecisionKind, Graph, GraphObstacle, GridCost, Plan, SlGraph, StGraph
 from logs.road import RoadSource
 from logs.scenario import Scenario

@@ -9,7 +9,7 @@ from types import MappingProxyType
 import numpy as np
 
 from logs.errors import PlannerError
-from logs.memory import FrameStore
+from logs.frame_store import FrameStore
 from logs.scenario import Scenario
 from logs.states import TRAJECTORY_COLUMNS, Trajectory
 from logs.trace import EndReason, Mode, PlannedFrame, Trace

@@ -14,7 +14,7 @@ from logs.agents import NUMBERS, Agents
 from logs.arrays import FloatArray, IntArray, frozen
 from logs.errors import LogError
 from logs.frame import Frame, Predictions, Visibility
-from logs.memory import NearbyTracks
+from logs.nearby_tracks import NearbyTracks
 from logs.plan import Plan
 from logs.repair.detections import Owners
 from logs.scenario import Scenario

@@ -24,8 +24,8 @@ import numpy as np
 
 from logs.arrays import FloatArray
 from logs.frame import Frame
+from logs.frame_store import FrameStore
 from logs.kernel import kernel
-from logs.memory import FrameStore
 from logs.plan import Plan
 from logs.states import TRAJECTORY_COLUMNS, Controls, Trajectory
 from logs.trace import PlannedFrame, TrackingErrors

@@ -27,7 +27,7 @@ from logs.agents import NUMBERS, OLDEST_S, Agents, codes_of
 from logs.arrays import BoolArray, FloatArray
 from logs.frame import Visibility
 from logs.kernel import inner_kernel, kernel
-from logs.memory import NearbyTracks
+from logs.nearby_tracks import NearbyTracks
 from logs.scenario import Scenario
 from logs.shapes import corners
 from logs.states import wrap

@@ -13,7 +13,7 @@ import numpy as np
 
 from logs.arrays import FloatArray, IntArray
 from logs.kernel import inner_kernel, kernel
-from logs.memory import NearbyTracks
+from logs.nearby_tracks import NearbyTracks
 from logs.road import Goal, RoadSource, inside
 from logs.scenario import Scenario
 from logs.shapes import point_segment

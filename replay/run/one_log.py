@@ -23,9 +23,10 @@ import pandas as pd
 import metrics
 from logs.errors import ConfigError, OutputError, PlannerError, ReplanError, of_users, raised, writing
 from logs.forward import drivable_part
+from logs.frame_store import FrameStore
 from logs.mcap import write_scenario, write_trace
 from logs.mcap.writer import Entry
-from logs.memory import FrameStore, trim_memory
+from logs.memory import trim_memory
 from logs.scenario import Scenario
 from logs.trace import EndReason, Mode, Trace
 from metrics import METRICS, Metric, health, load_metric

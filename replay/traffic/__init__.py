@@ -31,7 +31,7 @@ class Traffic(Protocol):
         """Return the tracks of the others up to `ego.t`; they may react to the ego's states up to then.
 
         The tracks may reach beyond `ego.t`; readers use only what is known at that time (`Tracks.perceived`). They may
-        contain only the road users around that time (`logs.memory.Recent`); the drive stores their `whole`.
+        contain only the road users around that time (`logs.nearby_tracks.Recent`); the drive stores their `whole`.
         """
         ...
 

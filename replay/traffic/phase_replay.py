@@ -28,7 +28,7 @@ import numpy as np
 from logs.arrays import BoolArray, FloatArray, IntArray, frozen
 from logs.errors import LogError
 from logs.kernel import kernel
-from logs.memory import BACK_S, Recent, Spans, heads
+from logs.nearby_tracks import BACK_S, Recent, Spans, heads
 from logs.once import once
 from logs.road import ReferenceLine, thinned
 from logs.scenario import Scenario

@@ -12,9 +12,10 @@ from mcap_cases import differences
 
 from logs import AgentKind, Tracks
 from logs.catalogue import scenario
+from logs.frame_store import FrameStore, SpilledTrajectory, light
 from logs.mcap import write_trace
 from logs.mcap.trace_file import plan_message
-from logs.memory import BACK_S, SPAN_S, FrameStore, NearbyTracks, Recent, SpilledTrajectory, light
+from logs.nearby_tracks import BACK_S, SPAN_S, NearbyTracks, Recent
 from logs.plan import Graph
 from logs.states import EgoState
 from logs.trace import PlannedFrame

@@ -16,7 +16,9 @@ import numpy as np
 import rerun as rr
 
 from logs.arrays import FloatArray
-from logs.memory import NearbyTracks, light, trim_memory
+from logs.frame_store import light
+from logs.memory import trim_memory
+from logs.nearby_tracks import NearbyTracks
 from logs.scenario import Scenario
 from logs.trace import EndReason, Mode, PlannedFrame, Trace
 from replay.draw.model import SL, ST, DrawnGraph, GraphKind, Marker, panels, stage_panel, steps_of

@@ -130,7 +130,7 @@ def test_around_the_logged_drive_all_drive_as_logged_to_the_bit(mode: str, seed:
 
 @pytest.mark.parametrize("mode", ["give_way", "reactive", "ego_position"])
 def test_those_around_now_are_as_all_have_them(mode: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("logs.memory.BACK_S", 3.0)
+    monkeypatch.setattr("logs.nearby_tracks.BACK_S", 3.0)
     monkeypatch.setattr("replay.traffic.phase_replay.BACK_S", 3.0)
     log, fewer = busy(3), 0
     traffic = TRAFFIC.builtin[mode](log)

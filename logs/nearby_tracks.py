@@ -1,0 +1,123 @@
+"""Cuts tracks to a time span, so that a step of a long log does not process all of them.
+
+For every instant in its span, a part of the tracks gives the same results as the whole (`Tracks.perceived`, positions
+of boxes), to the bit. A part holds the samples within the span, one after it, and those of `BACK_S` before it, at least
+`OWN` of each track. `BACK_S` is longer than the time for which a sample is valid (`logs.observed.MAX_GAP_S`) plus the
+time over which trends are computed (`logs.tracks.TREND_S`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, field, fields
+from functools import cached_property
+
+import numpy as np
+
+from logs.agents import AgentKind
+from logs.arrays import BoolArray, FloatArray, IntArray, frozen
+from logs.motion import Motion
+from logs.observed import INTERVALS
+from logs.tracks import SAMPLE_COLUMNS, Tracks
+
+BACK_S = 15.0
+OWN = INTERVALS + 3
+SPAN_S = 10.0
+"""Shortest time span of a part, s."""
+FEW_SAMPLES = 20_000
+"""Tracks with at most this many samples are not cut: thirty road users for a minute at 10 Hz have 18,000."""
+
+
+class Spans:
+    """Finds the tracks that are present in a time span."""
+
+    def __init__(self, tracks: Tracks) -> None:
+        self._tracks = tracks
+        self._first, self._last = tracks.t[tracks.offsets[:-1]], tracks.t[tracks.offsets[1:] - 1]
+
+    def within(self, first: float, last: float) -> tuple[IntArray, IntArray, IntArray]:
+        """Return the tracks `(k,)` present from `first` to `last`, s, and begin and end of their samples."""
+        tracks = self._tracks
+        there = (self._first <= last + 1e-6) & (self._last >= first - BACK_S)
+        who = np.flatnonzero(there | tracks.static)
+        begin, end = tracks.offsets[who], tracks.offsets[who + 1]
+        low, high = begin.copy(), end.copy()
+        for k in np.flatnonzero(~tracks.static[who]):
+            t = tracks.t[begin[k] : end[k]]
+            back, now, ahead = np.searchsorted(t, (first - BACK_S, first, last + 1e-6))
+            low[k] = begin[k] + max(min(back, now - OWN), 0)
+            high[k] = begin[k] + min(ahead + 1, len(t))
+        return who, low, high
+
+
+class NearbyTracks:
+    """Returns parts of tracks with more than `few` samples, and reuses the last part while it covers the span."""
+
+    def __init__(self, few: int = FEW_SAMPLES) -> None:
+        self._few = few
+        self._whole, self._part = Tracks.empty(), Tracks.empty()
+        self._spans = Spans(self._whole)
+        self._from, self._until = np.inf, -np.inf
+
+    def of(self, tracks: Tracks, first: float, last: float) -> Tracks:
+        """Return the tracks, or a part of them that gives exact results from `first` to `last`, s."""
+        if len(tracks.t) <= self._few:
+            return tracks
+        if tracks is not self._whole:
+            self._whole, self._spans, self._from = tracks, Spans(tracks), np.inf
+        if not self._from <= first <= last <= self._until:
+            self._from, self._until = first, max(last, first + SPAN_S)
+            who, low, high = self._spans.within(self._from, self._until)
+            sizes = high - low
+            if sizes.sum() == len(tracks.t):
+                self._part = tracks
+                return tracks
+            offsets = np.r_[0, np.cumsum(sizes)]
+            at = np.repeat(low - offsets[:-1], sizes) + np.arange(offsets[-1])
+            columns = (getattr(tracks, name)[at] for name in SAMPLE_COLUMNS)
+            self._part = TrackSamples(*heads(tracks, who), offsets, *columns, source=tracks, at=at)
+        return self._part
+
+
+@dataclass(frozen=True, eq=False)
+class TrackSamples(Tracks):
+    """Samples of some tracks, with the properties that depend on whole tracks."""
+
+    source: Tracks = field(kw_only=True)  # the whole tracks
+    at: IntArray = field(kw_only=True)  # `(m,)` indices of the samples in `source`
+
+    @cached_property
+    def patience(self) -> FloatArray:
+        """The patience of the samples in the whole tracks."""
+        return frozen(self.source.patience[self.at])
+
+    @cached_property
+    def motion(self) -> Motion:
+        """The motion of the samples in the whole tracks."""
+        moved = self.source.motion
+        return Motion(*(column[self.at] for column in (moved.vx, moved.vy, moved.ax, moved.ay)))
+
+
+@dataclass(frozen=True, eq=False)
+class Recent(Tracks):
+    """The recent part of tracks."""
+
+    all_of_them: Callable[[], Tracks] = field(kw_only=True)  # function that builds the whole tracks
+
+    @property
+    def whole(self) -> Tracks:
+        """The tracks from the beginning of the drive."""
+        return self.all_of_them()
+
+    def only(self, ids: Collection[str]) -> Tracks:
+        """Return the tracks of these road users, as `Tracks.only`; `whole` is reduced as well."""
+        columns = (getattr(super(Recent, self).only(ids), each.name) for each in fields(Tracks))
+        return Recent(*columns, all_of_them=lambda: self.whole.only(ids))
+
+
+def heads(
+    tracks: Tracks, who: IntArray
+) -> tuple[tuple[str, ...], tuple[AgentKind, ...], FloatArray, FloatArray, BoolArray]:
+    """Return ids, kinds, lengths and widths of the tracks `who` `(k,)`, and which of them never move."""
+    ids, kinds = tuple(tracks.ids[i] for i in who), tuple(tracks.kinds[i] for i in who)
+    return ids, kinds, tracks.length[who], tracks.width[who], tracks.static[who]

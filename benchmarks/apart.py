@@ -15,16 +15,16 @@ from statistics import median
 
 from crowds import CROWDS, LASTS_S, crowded
 
-from logs import Scenario
-from logs.catalogue import CATALOGUE
-from replay.config import LoopConfig
-from replay.loop.open_loop import run_open_loop
-from replay.loop.perception import Perception
-from replay.planner_process.messages import encode, frame_message
-from replay.planner_process.processes import _launcher
-from replay.world import World, logged_ego
+from replan.logs.catalogue import CATALOGUE
+from replan.logs.scenario import Scenario
+from replan.replay.loop.open_loop import run_open_loop
+from replan.replay.loop_config import LoopConfig
+from replan.replay.perception import Perception
+from replan.replay.planner_process.messages import encode, frame_message
+from replan.replay.planner_process.processes import _launcher
+from replan.replay.world import World, logged_ego
 
-BUILT_IN, APART = "constant_speed", "planners.constant_speed:ConstantSpeed"
+BUILT_IN, APART = "constant_speed", "replan.planners.constant_speed:ConstantSpeed"
 
 
 def main() -> None:

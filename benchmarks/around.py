@@ -2,7 +2,7 @@
 
     python benchmarks/around.py [--planner constant_speed] [--family everyday/junction]
 
-The stages are those of `replay.run.one_log`, without recordings, the best of some passes. Then what leaving the road,
+The stages are those of `replan.run.one_log`, without recordings, the best of some passes. Then what leaving the road,
 the speed limit and the lane's direction cost on logs of 28 to 600 s; how much memory is left behind by a drive that is
 over; and how long the imports take in a new process.
 """
@@ -24,18 +24,22 @@ from typing import Any
 
 import numpy as np
 
-import metrics
-from logs import EndReason, Mode, Road, RoadSource, Scenario, Trace, Tracks, Trajectory
-from logs.catalogue import CATALOGUE
-from logs.mcap import read_scenario, write_scenario, write_trace
-from metrics import progress, safety, traffic_rules
-from replay.config import RunConfig
-from replay.loop.closed_loop import run_closed_loop
-from replay.loop.open_loop import run_open_loop
-from replay.loop.reference_drives import reference_table, with_avoidability
-from replay.results.log_result import Stamp
-from replay.run.one_log import evaluate_log
-from replay.run.sources import LogSource
+from replan import metrics
+from replan.config import RunConfig
+from replan.logs.catalogue import CATALOGUE
+from replan.logs.mcap import read_scenario, write_scenario, write_trace
+from replan.logs.road import Road, RoadSource
+from replan.logs.scenario import Scenario
+from replan.logs.states import Trajectory
+from replan.logs.trace import EndReason, Mode, Trace
+from replan.logs.tracks import Tracks
+from replan.metrics import progress, safety, traffic_rules
+from replan.replay.loop.closed_loop import run_closed_loop
+from replan.replay.loop.open_loop import run_open_loop
+from replan.replay.loop.reference_drives import reference_table, with_avoidability
+from replan.results.log_result import Stamp
+from replan.run.one_log import evaluate_log
+from replan.run.sources import LogSource
 
 PASSES = 4
 LENGTHS_S = (28.0, 120.0, 600.0)
@@ -128,7 +132,7 @@ def kept_mb(family: str, planner: str) -> float:
 
 def import_s() -> float:
     """CPU time of a new process that imports the command line, s; best of some."""
-    code = "import time; begin = time.process_time(); import replay.cli; print(time.process_time() - begin)"
+    code = "import time; begin = time.process_time(); import replan.cli; print(time.process_time() - begin)"
     runs = [subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True) for _ in range(3)]
     return min(float(run.stdout) for run in runs)
 

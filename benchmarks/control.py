@@ -20,12 +20,12 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from logs.arrays import FloatArray
-from logs.plan import Plan
-from logs.vehicle import VehicleParameters
-from replay.loop.simulation_setup import controller_of
-from replay.paper.manoeuvres import PERIOD_S, s_curve
-from replay.parts import CONTROLLER, VEHICLE, Part
+from replan.core.arrays import FloatArray
+from replan.logs.plan import Plan
+from replan.logs.vehicle import VehicleParameters
+from replan.paper.manoeuvres import PERIOD_S, s_curve
+from replan.replay.loop.simulation_setup import controller_of
+from replan.replay.parts import CONTROLLER, VEHICLE, Part
 
 SOLVES_EVERY = {"mpc": 5}
 

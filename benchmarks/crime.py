@@ -86,8 +86,8 @@ def _vehicle(number: int, start: float, speed: float) -> Any:
 
 def ours(files: list[Path]) -> pd.DataFrame:
     """A row per file, ego, step and lead; and one per crossing."""
-    from logs.readers.commonroad import read_commonroad
-    from logs.readers.commonroad.document import parse
+    from replan.logs.readers.commonroad import read_commonroad
+    from replan.logs.readers.commonroad.document import parse
 
     rows: list[dict[str, object]] = []
     for path in files:
@@ -101,9 +101,9 @@ def ours(files: list[Path]) -> pd.DataFrame:
 
 
 def _rows(scenario: Any, dt: float) -> Iterator[dict[str, object]]:
-    from logs.trace import EndReason, Mode, Trace
-    from metrics import METRICS
-    from metrics.following import ahead_of
+    from replan.logs.trace import EndReason, Mode, Trace
+    from replan.metrics import METRICS
+    from replan.metrics.following import ahead_of
 
     trace = Trace(
         scenario.name, "log", Mode.CLOSED, True, scenario.ego, scenario.tracks, frames=(), end=EndReason.END_OF_LOG

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from logs.agents import AgentKind
-from logs.scenario import Scenario
-from logs.tracks import Tracks
+from replan.logs.agents import AgentKind
+from replan.logs.scenario import Scenario
+from replan.logs.tracks import Tracks
 
 CROWDS = (50, 200, 500)
 LASTS_S = 3.0

@@ -31,8 +31,8 @@ from numba.core.dispatcher import Dispatcher
 from rich.console import Console
 from rich.table import Table
 
-from replay.config import RunConfig
-from replay.run.evaluate import evaluate_logs
+from replan.config import RunConfig
+from replan.run.evaluate import evaluate_logs
 
 ROOT = Path(__file__).resolve().parents[1]
 LOG_S, PAYS_WITHIN = 20.0, 100.0

@@ -21,16 +21,16 @@ from time import process_time
 import numpy as np
 from rich.console import Console
 
-from logs.agents import AgentKind
-from logs.arrays import FloatArray
-from logs.catalogue.family_parts import ADULT, CAR, Agent, tracks
-from logs.catalogue.roads import LANE_WIDTH_M, CurveSamples, curve, two_way
-from logs.mcap import read_scenario, write_scenario
-from logs.memory import trim_memory
-from logs.road import Lane, Road
-from logs.scenario import Scenario
-from logs.states import Trajectory
-from logs.trace import Mode
+from replan.core.arrays import FloatArray
+from replan.core.memory import trim_memory
+from replan.logs.agents import AgentKind
+from replan.logs.catalogue.family_parts import ADULT, CAR, Agent, tracks
+from replan.logs.catalogue.roads import LANE_WIDTH_M, CurveSamples, curve, two_way
+from replan.logs.mcap import read_scenario, write_scenario
+from replan.logs.road import Lane, Road
+from replan.logs.scenario import Scenario
+from replan.logs.states import Trajectory
+from replan.logs.trace import Mode
 
 SPEED_MPS, SAMPLE_S = 10.0, 0.1
 PIECE_M = 400.0
@@ -136,13 +136,13 @@ def main() -> None:
 
 
 def measured(console: Console, scenario: Scenario, mode: Mode, chosen: argparse.Namespace, folder: File) -> None:
-    """The stages of one drive, as a worker has them (`replay.run.one_log`)."""
-    import metrics
-    from logs.mcap import write_trace
-    from replay.draw.model import MEASURED
-    from replay.loop.reference_drives import reference_table
-    from replay.results.log_result import Steps, StepsFile
-    from replay.run.one_log import LOOPS
+    """The stages of one drive, as a worker has them (`replan.run.one_log`)."""
+    from replan import metrics
+    from replan.draw.model import MEASURED
+    from replan.logs.mcap import write_trace
+    from replan.replay.loop.reference_drives import reference_table
+    from replan.results.log_result import Steps, StepsFile
+    from replan.run.one_log import LOOPS
 
     keep = not chosen.no_recording or chosen.internals != "none"
     if mode is Mode.CLOSED:
@@ -161,7 +161,7 @@ def measured(console: Console, scenario: Scenario, mode: Mode, chosen: argparse.
     with stage(console, f"{mode.value}: trace"):
         write_trace(folder / "drive.mcap", drive.trace, scenario, internals=chosen.internals)
     if not chosen.no_recording:
-        from replay.draw.recording import write_recording
+        from replan.draw.recording import write_recording
 
         with stage(console, f"{mode.value}: recording"):
             write_recording(folder / "drive.rrd", drive, scenario, table, shown)

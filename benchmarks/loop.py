@@ -3,7 +3,7 @@
     python benchmarks/loop.py [--vehicle NAME ...] [--controller NAME ...] [--repeat 5] [LOG ...]
 
 Microseconds of control, vehicle and record per control step on the paper's S-curve, run in plan periods as the closed
-loop does (`replay.loop.plan_period`); then the closed loop with the planner `constant_speed` over logs (none: the
+loop does (`replan.replay.loop.plan_period`); then the closed loop with the planner `constant_speed` over logs (none: the
 built-in suite), as times real time. CPU time of the process, the least of the repetitions; it means this machine on
 this day.
 """
@@ -22,16 +22,16 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from rich.console import Console
 from rich.table import Table
 
-from logs.plan import Plan
-from logs.scenario import Scenario
-from logs.vehicle import VehicleParameters
-from replay.config import LoopConfig
-from replay.loop.closed_loop import run_closed_loop
-from replay.loop.plan_period import PlanPeriod, TraceRecorder
-from replay.loop.simulation_setup import controller_of
-from replay.paper.manoeuvres import PERIOD_S, s_curve
-from replay.parts import CONTROLLER, VEHICLE, Part
-from replay.run.sources import builtin_suite, select
+from replan.logs.plan import Plan
+from replan.logs.scenario import Scenario
+from replan.logs.vehicle import VehicleParameters
+from replan.paper.manoeuvres import PERIOD_S, s_curve
+from replan.replay.loop.closed_loop import run_closed_loop
+from replan.replay.loop.plan_period import PlanPeriod, TraceRecorder
+from replan.replay.loop.simulation_setup import controller_of
+from replan.replay.loop_config import LoopConfig
+from replan.replay.parts import CONTROLLER, VEHICLE, Part
+from replan.run.sources import builtin_suite, select
 
 PERIODS_PER_PLAN = 10
 AIM_US = 5.0

@@ -2,7 +2,7 @@
 
     python benchmarks/many_logs.py [--logs 1000] [--workers 1 --workers 2] [--out FOLDER] [-- OPTIONS OF EVALUATE]
 
-The first cells of the catalogue (`logs.catalogue.ordered`) are written as MCAP files and evaluated by the
+The first cells of the catalogue (`replan.logs.catalogue.ordered`) are written as MCAP files and evaluated by the
 command line. CPU time is that of the run and all its workers, start and first compilation included; memory is the
 resident set, sampled every second. Times mean this machine on this day; the ratio of CPU per log should not.
 """
@@ -24,9 +24,9 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from logs.catalogue import ordered, scenario
-from logs.mcap import write_scenario
-from replay.results.tables import safe_name
+from replan.logs.catalogue import ordered, scenario
+from replan.logs.mcap import write_scenario
+from replan.results.tables import safe_name
 
 QUIET = ("--no-recording", "--set", "internals=none")
 TENTHS = 10
@@ -56,7 +56,7 @@ def synthesise(folder: Path, count: int) -> None:
 
 def run(folder: Path, out: Path, workers: int, options: Sequence[str]) -> list[Sample]:
     """Evaluate the folder's logs; a sample a second until it ends."""
-    main = "from replay.cli import main; main()"
+    main = "from replan.cli import main; main()"
     command = [sys.executable, "-c", main, "evaluate", str(folder), "-q", *options]
     process = subprocess.Popen([*command, "--workers", str(workers), "--out", str(out)], stdout=subprocess.DEVNULL)
     begin, samples, cpu = time.perf_counter(), list[Sample](), dict[int, float]()

@@ -24,10 +24,10 @@ from rich.console import Console
 from rich.table import Table
 from scipy.linalg import cho_factor, cho_solve
 
-from logs.scenario import Scenario
-from replay.config import LoopConfig
-from replay.loop.closed_loop import run_closed_loop
-from replay.run.sources import builtin_suite, select
+from replan.logs.scenario import Scenario
+from replan.replay.loop.closed_loop import run_closed_loop
+from replan.replay.loop_config import LoopConfig
+from replan.run.sources import builtin_suite, select
 
 
 def yardstick(count: int = 50) -> list[float]:

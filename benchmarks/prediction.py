@@ -22,16 +22,16 @@ import numpy as np
 import pandas as pd
 from crowds import CROWDS, crowded
 
-from logs.agents import Agents
-from logs.catalogue import CATALOGUE
-from logs.frame import Predictions
-from logs.readers.commonroad import read_commonroad
-from logs.scenario import Scenario
-from replay.config import DEFAULT_LOOP
-from replay.loop.perception import Perception
-from replay.parts import PREDICTION
-from replay.prediction import LaneMap, predict
-from replay.world import World, logged_ego
+from replan.logs.agents import Agents
+from replan.logs.catalogue import CATALOGUE
+from replan.logs.frame import Predictions
+from replan.logs.readers.commonroad import read_commonroad
+from replan.logs.scenario import Scenario
+from replan.replay.loop_config import DEFAULT_LOOP
+from replan.replay.parts import PREDICTION
+from replan.replay.perception import Perception
+from replan.replay.prediction import LaneMap, predict
+from replan.replay.world import World, logged_ego
 
 HORIZONS_S = (1.0, 2.0, 4.0, 6.0)
 STEP_S = 0.1

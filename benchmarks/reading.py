@@ -25,11 +25,15 @@ from typing import Any
 
 import numpy as np
 
-from logs import AgentKind, Road, Scenario, Tracks, Trajectory
-from logs.mcap import read_scenario, write_scenario
-from logs.readers import LogSettings, read_log
+from replan.logs.agents import AgentKind
+from replan.logs.mcap import read_scenario, write_scenario
+from replan.logs.readers import LogSettings, read_log
+from replan.logs.road import Road
+from replan.logs.scenario import Scenario
+from replan.logs.states import Trajectory
+from replan.logs.tracks import Tracks
 
-sys.path.append(str(Path(__file__).parents[1] / "tests"))
+sys.path.append(str(Path(__file__).parents[1] / "tests" / "support"))
 import ros_bags as bags
 
 FRAMES, OBJECTS, PASSES = 200, 50, 15
@@ -97,7 +101,7 @@ def whole_logs(folder: Path) -> None:
     write_scenario(native, scenario)
     paths = {f"native (bar {NATIVE_MS:.0f} ms)": native}
     if find_spec("foxglove_schemas_protobuf"):
-        from replay.draw.foxglove import scenario_channels
+        from replan.draw.foxglove import scenario_channels
 
         paths["native with Foxglove's channels"] = folder / "foxglove.mcap"
         write_scenario(folder / "foxglove.mcap", scenario, beside=scenario_channels(scenario))

@@ -13,13 +13,13 @@ from pathlib import Path
 
 import pandas as pd
 
-from logs.readers import LogSettings, reader_of
-from metrics.judge import worst
-from metrics.judge.gates import Outcome
-from replay.config import RunConfig
-from replay.draw.drawn_results import Results
-from replay.run import evaluate_logs
-from replay.run.sources import select
+from replan.config import RunConfig
+from replan.draw.drawn_results import Results
+from replan.logs.readers import LogSettings, reader_of
+from replan.metrics.judge import worst
+from replan.metrics.judge.gates import Outcome
+from replan.run import evaluate_logs
+from replan.run.sources import select
 
 PLANNERS = ("dp_qp", "logged")
 HEAD = (

@@ -20,20 +20,20 @@ from typing import Any
 
 import pandas as pd
 
-import metrics
-from logs.catalogue import scenario
-from logs.mcap import write_scenario
-from metrics import health
-from replay.config import RunConfig
-from replay.loop import reference_drives
-from replay.results.log_result import LogResult
-from replay.run import evaluate_logs, one_log
-from replay.run.evaluate import Engine, Local
-from replay.run.judging import gates_of, judge_and_write
-from replay.run.on_ray import OnRay
-from replay.run.pool import run_all
-from replay.run.shards import Shard
-from replay.run.sources import LogSource, Selection
+from replan import metrics
+from replan.config import RunConfig
+from replan.logs.catalogue import scenario
+from replan.logs.mcap import write_scenario
+from replan.metrics import health
+from replan.replay.loop import reference_drives
+from replan.results.log_result import LogResult
+from replan.run import evaluate_logs, one_log
+from replan.run.evaluate import Engine, Local
+from replan.run.judging import gates_of, judge_and_write
+from replan.run.on_ray import OnRay
+from replan.run.pool import run_all
+from replan.run.shards import Shard
+from replan.run.sources import LogSource, Selection
 
 RUN = RunConfig(recording=False, internals="none")
 END = replace(RUN, planners=("constant_speed",))

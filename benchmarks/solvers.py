@@ -3,7 +3,7 @@
     python benchmarks/solvers.py [--no-builtin] [--limit 100] [COMMONROAD_FOLDER ...] [--out table.md]
 
 `dp_qp` drives each log in closed loop; the problems of its path and speed QPs are recorded and solved again, by each
-solver of `planners.piecewise_jerk.solvers` and by the referee: PIQP at 1e-9, and where that finds no solution HiGHS
+solver of `replan.planners.piecewise_jerk.solvers` and by the referee: PIQP at 1e-9, and where that finds no solution HiGHS
 says whether there is one. CPU time, building the solver's input included; it means this machine on this day.
 The outcome is in benchmarks/README.md.
 """
@@ -28,14 +28,14 @@ from rich.console import Console
 from scipy import sparse
 from scipy.optimize import linprog
 
-from logs.arrays import FloatArray
-from planners.dp_qp.path import qp as path_qp
-from planners.dp_qp.speed import qp as speed_qp
-from planners.piecewise_jerk.problem import PiecewiseJerkProblem
-from planners.piecewise_jerk.solvers import SOLVERS, matrices, solve, structure, vectors
-from planners.solver import QPResult
-from replay.loop.closed_loop import run_closed_loop
-from replay.run.sources import LogSource, builtin_suite
+from replan.core.arrays import FloatArray
+from replan.planners.dp_qp.path import qp as path_qp
+from replan.planners.dp_qp.speed import qp as speed_qp
+from replan.planners.piecewise_jerk.problem import PiecewiseJerkProblem
+from replan.planners.piecewise_jerk.solvers import SOLVERS, matrices, solve, structure, vectors
+from replan.planners.solver import QPResult
+from replan.replay.loop.closed_loop import run_closed_loop
+from replan.run.sources import LogSource, builtin_suite
 
 REFERENCE = 1e-9
 Asked = tuple[str, PiecewiseJerkProblem, float]

@@ -10,12 +10,13 @@ from collections.abc import Callable
 from statistics import median
 from time import perf_counter
 
-from logs import Command, ConfigError, EgoState
-from logs.vehicle import vehicle_parameters
-from replay.parts import VEHICLE
-from replay.vehicle.drivetrain import Drivetrain
-from replay.vehicle.single_track import advance, car_of, cornering
-from replay.vehicle.tyres import TYRES
+from replan.core.errors import ConfigError
+from replan.logs.states import Command, EgoState
+from replan.logs.vehicle import vehicle_parameters
+from replan.replay.parts import VEHICLE
+from replan.replay.vehicle.drivetrain import Drivetrain
+from replan.replay.vehicle.single_track import advance, car_of, cornering
+from replan.replay.vehicle.tyres import TYRES
 
 ROUNDS, SUBSTEPS = 50, 1000
 AIM_US = 2.0

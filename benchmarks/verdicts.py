@@ -19,12 +19,12 @@ import numpy as np
 import pandas as pd
 from scipy.interpolate import PchipInterpolator
 
-from logs.catalogue import CATALOGUE
-from logs.road import ReferenceLine
-from logs.scenario import Avoidability, DriverVerdict, Scenario
-from logs.tracks import Tracks
-from metrics.reference_drivers import DRIVERS
-from replay.loop.reference_drives import reference_line
+from replan.logs.catalogue import CATALOGUE
+from replan.logs.road import ReferenceLine
+from replan.logs.scenario import Avoidability, DriverVerdict, Scenario
+from replan.logs.tracks import Tracks
+from replan.metrics.reference_drivers import DRIVERS
+from replan.replay.loop.reference_drives import reference_line
 
 NOISE_M = (0.02, 0.05)
 RATES_HZ = (10.0, 25.0, 100.0)

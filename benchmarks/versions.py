@@ -84,7 +84,7 @@ def serve() -> None:
 
 def _logs(paths: list[str]) -> list[str]:
     """The labels of the logs that paths hold; no path: the built-in suite."""
-    from replay.run.sources import builtin_suite, select
+    from replan.run.sources import builtin_suite, select
 
     chosen = select([Path(path) for path in paths]) if paths else builtin_suite()
     return [str(source.path or source.label) for source in chosen.sources]
@@ -92,12 +92,12 @@ def _logs(paths: list[str]) -> list[str]:
 
 def _driver() -> Callable[..., Measured]:
     """Drives a log by its label, with `crowd` agents in place of its own; what has been read stays."""
-    import replay.drive
-    from replay.loop.closed_loop import run_closed_loop
-    from replay.loop.perception import Perception
-    from replay.run.sources import LogSource
+    from replan.replay import drive
+    from replan.replay.loop.closed_loop import run_closed_loop
+    from replan.replay.perception import Perception
+    from replan.run.sources import LogSource
 
-    replay.drive.perf_counter = time.thread_time  # type: ignore[attr-defined]
+    drive.perf_counter = time.thread_time  # type: ignore[attr-defined]
     chooses = "keep_internals" in inspect.signature(run_closed_loop).parameters
     scenarios: dict[tuple[str, int], Any] = {}
     frames: list[float] = []
@@ -137,8 +137,8 @@ def _laps(timings: Any) -> Measured:
 
 def _evaluated(paths: list[str], recording: bool) -> float:
     """CPU seconds of a whole evaluation: this process and the worker that it starts and waits for."""
-    from replay.config import RunConfig
-    from replay.run import evaluate_logs
+    from replan.config import RunConfig
+    from replan.run import evaluate_logs
 
     with tempfile.TemporaryDirectory() as out:
         begin = sum(os.times()[:4])
@@ -149,8 +149,8 @@ def _evaluated(paths: list[str], recording: bool) -> float:
 
 def _as_file(label: str, folder: Path) -> str:
     """A log of the suite as a file: versions have suites of their own."""
-    from logs.mcap import write_scenario
-    from replay.run.sources import LogSource
+    from replan.logs.mcap import write_scenario
+    from replan.run.sources import LogSource
 
     path = folder / f"{label.replace('/', '_')}.mcap"
     write_scenario(path, LogSource(label, None).read())

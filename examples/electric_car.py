@@ -2,7 +2,7 @@
 
     replan evaluate LOG --vehicle electric_car:Electric --controller mpc
 
-The protocol is `replay.vehicle.base.Vehicle`. SI units; the state is that of the rear axle.
+The protocol is `replan.replay.vehicle.base.Vehicle`. SI units; the state is that of the rear axle.
 """
 
 from math import cos, sin, tan
@@ -10,7 +10,7 @@ from math import cos, sin, tan
 import numpy as np
 
 from replan import Command, EgoState
-from replay.vehicle.pedal_map import SPEED_STEP_MPS, coasting, full_throttle, pedal_map
+from replan.replay.vehicle.pedal_map import SPEED_STEP_MPS, coasting, full_throttle, pedal_map
 
 
 class Motor:

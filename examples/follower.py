@@ -15,8 +15,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from logs import Frame, Lane, Plan, PlannerContext, ReferenceLine, Trajectory
-from logs.arrays import FloatArray
+from replan.core.arrays import FloatArray
+from replan.logs.frame import Frame, PlannerContext
+from replan.logs.plan import Plan
+from replan.logs.road import Lane, ReferenceLine
+from replan.logs.states import Trajectory
 
 STEP_S, STEPS = 0.1, 51
 SIGHT_M = 300.0

@@ -7,7 +7,8 @@ The network is random: it shows where yours goes (docs/planners_apart.md).
 
 import numpy as np
 
-from logs import Plan, Trajectory
+from replan.logs.plan import Plan
+from replan.logs.states import Trajectory
 
 
 class Net:

@@ -7,7 +7,7 @@ from enum import Enum
 
 import numpy as np
 
-from logs.arrays import BoolArray, FloatArray, IntArray, frozen
+from replan.core.arrays import BoolArray, FloatArray, IntArray, frozen
 
 OLDEST_S = 10.0
 """The greatest age, s; older agents get this age."""

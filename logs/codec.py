@@ -28,7 +28,7 @@ from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_
 import msgspec
 import numpy as np
 
-from logs.arrays import FloatArray, IntArray, Points
+from replan.core.arrays import FloatArray, IntArray, Points
 
 M = TypeVar("M")
 N = TypeVar("N")

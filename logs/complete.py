@@ -3,7 +3,7 @@
 (1) a_k = (v_k - v_(k-1)) / (t_k - t_(k-1))                     a_0 = 0: a derived value never uses a later sample
 (2) kappa_k = (yaw_k - yaw_(k-1)) / d,  d = +-|p_k - p_(k-1)|   negative in reverse; below `MIN_STEP` the value before
 (3) no road: one lane along the driven path, from 10 m behind the start. It follows the part that is driven forward
-    (`logs.forward`). A drive of less than `MIN_PATH` that stays within as much has no direction: the heading gives it
+    (`replan.logs.forward`). A drive of less than `MIN_PATH` that stays within as much has no direction: the heading gives it
 (4) no speed limit on lanes: the speed at the start rounded up to 10 km/h, at least `Road.default_speed_limit`. Later
     speeds are not used: otherwise the planner would know how fast the log's driver will be
 (5) no lanes: `MARGIN` x the speed below which `SHARE` of the way was driven, rounded up to `STEP`; at least the speed
@@ -22,12 +22,12 @@ from math import ceil
 
 import numpy as np
 
-from logs.arrays import TIE, FloatArray
-from logs.errors import LogError
-from logs.forward import described, forward_part, reversals
-from logs.road import Road, thinned
-from logs.states import Trajectory
-from logs.tracks import Tracks
+from replan.core.arrays import TIE, FloatArray
+from replan.core.errors import LogError
+from replan.logs.forward import described, forward_part, reversals
+from replan.logs.road import Road, thinned
+from replan.logs.states import Trajectory
+from replan.logs.tracks import Tracks
 
 MIN_STEP = 0.05
 MIN_PATH = 5.0

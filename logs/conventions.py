@@ -21,7 +21,7 @@ All readers pass through `checked`. It changes data only on clear evidence, and 
     ego goes `RIDES_M`; without that way, if it has a name of `EGO_NAMES`, or lies within `SAME_M` of the ego's rear
     axle or box centre for the ego's whole log
 
-What only looks wrong is reported by `metrics.health`.
+What only looks wrong is reported by `replan.metrics.health`.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ from functools import cached_property
 
 import numpy as np
 
-from logs.agents import AgentKind, among
-from logs.arrays import BoolArray, FloatArray, IntArray
-from logs.errors import LogError
-from logs.kernel import kernel
-from logs.scenario import Scenario
-from logs.states import Trajectory, wrapped
-from logs.tracks import Tracks
+from replan.core.arrays import BoolArray, FloatArray, IntArray
+from replan.core.errors import LogError
+from replan.core.kernel import kernel
+from replan.logs.agents import AgentKind, among
+from replan.logs.scenario import Scenario
+from replan.logs.states import Trajectory, wrapped
+from replan.logs.tracks import Tracks
 
 WAY_M = 1.0
 """Least length of a chord, m: more than the noise of positions."""

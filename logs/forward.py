@@ -21,13 +21,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from logs.arrays import FloatArray
-from logs.errors import LogError
-from logs.names import listed
-from logs.once import once
-from logs.road import RoadSource, thinned
-from logs.scenario import Scenario
-from logs.states import Trajectory, wrapped
+from replan.core.arrays import FloatArray
+from replan.core.errors import LogError
+from replan.core.names import listed
+from replan.core.once import once
+from replan.logs.road import RoadSource, thinned
+from replan.logs.scenario import Scenario
+from replan.logs.states import Trajectory, wrapped
 
 REVERSE_M = 1.0
 """A shorter way back leaves no trace in a lane, whose points are 1 m apart (`Road.along`)."""

@@ -11,14 +11,14 @@ from math import atan2, hypot
 
 import numpy as np
 
-from logs.agents import Agents
-from logs.arrays import BoolArray, FloatArray, IntArray, frozen
-from logs.kernel import kernel
-from logs.plan import Plan
-from logs.road import Goal, Road, inside
-from logs.rules import Colour
-from logs.states import EgoState, wrap
-from logs.vehicle import VehicleParameters
+from replan.core.arrays import BoolArray, FloatArray, IntArray, frozen
+from replan.core.kernel import kernel
+from replan.logs.agents import Agents
+from replan.logs.plan import Plan
+from replan.logs.road import Goal, Road, inside
+from replan.logs.rules import Colour
+from replan.logs.states import EgoState, wrap
+from replan.logs.vehicle import VehicleParameters
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -16,12 +16,12 @@ from typing import overload
 
 import numpy as np
 
-from logs.arrays import FloatArray
-from logs.errors import writing
-from logs.memory import Scratch
-from logs.plan import Candidates, CostTerms, Graph
-from logs.states import TRAJECTORY_COLUMNS, Trajectory
-from logs.trace import PlannedFrame
+from replan.core.arrays import FloatArray
+from replan.core.errors import writing
+from replan.core.memory import Scratch
+from replan.logs.plan import Candidates, CostTerms, Graph
+from replan.logs.states import TRAJECTORY_COLUMNS, Trajectory
+from replan.logs.trace import PlannedFrame
 
 WHOLE = 600
 """Number of frames that stay whole in memory: a minute at 10 Hz, 28 MB with thirty road users."""

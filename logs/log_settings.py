@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 from math import inf
 from typing import Any
 
-from logs.errors import reading
-from logs.vehicle import VehicleParameters
+from replan.core.errors import reading
+from replan.logs.vehicle import VehicleParameters
 
 SIZES = ("length", "width", "wheelbase", "rear_overhang")
 """Keys of `[log.car]`."""
@@ -25,7 +25,7 @@ class LogSettings:
         problem: Planning problem of a CommonRoad file, by id or by number from 1; 0: the first.
         reader: The reader to try first: a format's name, or "module:NAME" of a reader of your own.
         map: Path of a map that replaces the log's (Lanelet2 .osm, 123D map.arrow, OpenDRIVE .xodr); "": the log's own.
-        map_origin: Origin of that map's coordinates, if the map does not state it (`logs.maps.projections.FORMS`).
+        map_origin: Origin of that map's coordinates, if the map does not state it (`replan.logs.maps.projections.FORMS`).
         begin: Seconds after the log's first ego state at which the scenario begins.
         end: Seconds after the log's first ego state at which it ends; inf: with the log.
         clock: Times of messages: "log" for times of recording, "header" for stamps of the sender; "": chosen by the

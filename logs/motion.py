@@ -19,7 +19,7 @@ A track without noise is followed exactly, without differences. With 5 cm of noi
 car at constant speed is at most 0.1 m/s; of a car that brakes with 8 m/s2, 0.5 m/s in the second around each change and
 at the track's ends. A pedestrian's stop within 0.4 s is spread over 0.9 s (tests/logs/test_motion.py). Smoothers in
 libraries (SciPy's smoothing splines) do not use measured velocities, and take a millisecond for each track and axis.
-Both sides of a gap (`logs.observed`) are estimated separately.
+Both sides of a gap (`replan.logs.observed`) are estimated separately.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ from math import log
 
 import numpy as np
 
-from logs.agents import AgentKind
-from logs.arrays import BoolArray, FloatArray, IntArray, frozen
-from logs.kernel import inner_kernel, kernel
+from replan.core.arrays import BoolArray, FloatArray, IntArray, frozen
+from replan.core.kernel import inner_kernel, kernel
+from replan.logs.agents import AgentKind
 
 JERK = {
     AgentKind.CAR: 64.0,

@@ -2,8 +2,8 @@
 
 For every instant in its span, a part of the tracks gives the same results as the whole (`Tracks.perceived`, positions
 of boxes), to the bit. A part holds the samples within the span, one after it, and those of `BACK_S` before it, at least
-`OWN` of each track. `BACK_S` is longer than the time for which a sample is valid (`logs.observed.MAX_GAP_S`) plus the
-time over which trends are computed (`logs.tracks.TREND_S`).
+`OWN` of each track. `BACK_S` is longer than the time for which a sample is valid (`replan.logs.observed.MAX_GAP_S`) plus the
+time over which trends are computed (`replan.logs.tracks.TREND_S`).
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from functools import cached_property
 
 import numpy as np
 
-from logs.agents import AgentKind
-from logs.arrays import BoolArray, FloatArray, IntArray, frozen
-from logs.motion import Motion
-from logs.observed import INTERVALS
-from logs.tracks import SAMPLE_COLUMNS, Tracks
+from replan.core.arrays import BoolArray, FloatArray, IntArray, frozen
+from replan.logs.agents import AgentKind
+from replan.logs.motion import Motion
+from replan.logs.observed import INTERVALS
+from replan.logs.tracks import SAMPLE_COLUMNS, Tracks
 
 BACK_S = 15.0
 OWN = INTERVALS + 3

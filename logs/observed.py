@@ -34,7 +34,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from logs.arrays import BoolArray, FloatArray, IntArray
+from replan.core.arrays import BoolArray, FloatArray, IntArray
 
 MAX_AGE_S = 0.5
 """A frequently sampled agent is absent once it was not seen for longer than this, s."""
@@ -85,7 +85,7 @@ _ROUNDING_S = 1e-6
 def of_stream(t: FloatArray) -> Spans:
     """Return the spans of a stream with messages at the times `t` `(n,)`: a span ends where a message is overdue.
 
-    A message is overdue after twice the usual interval (median), within the bounds of `logs.observed`.
+    A message is overdue after twice the usual interval (median), within the bounds of `replan.logs.observed`.
     """
     if not len(t):
         return ()
@@ -97,7 +97,7 @@ def of_stream(t: FloatArray) -> Spans:
 
 
 def inferred(offsets: IntArray, static: BoolArray, t: FloatArray) -> Spans:
-    """Return the span of ragged tracks (`logs.tracks.Tracks`) by (1) and (2); empty if no track moves."""
+    """Return the span of ragged tracks (`replan.logs.tracks.Tracks`) by (1) and (2); empty if no track moves."""
     moving = np.flatnonzero(~static)
     if not len(moving):
         return ()

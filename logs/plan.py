@@ -14,8 +14,8 @@ from typing import ClassVar, overload
 
 import numpy as np
 
-from logs.arrays import FloatArray, IntArray, Points, frozen
-from logs.states import Trajectory
+from replan.core.arrays import FloatArray, IntArray, Points, frozen
+from replan.logs.states import Trajectory
 
 
 class PlanStatus(Enum):

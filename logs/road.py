@@ -22,10 +22,10 @@ from types import MappingProxyType
 
 import numpy as np
 
-from logs.arrays import TIE, FloatArray, IntArray, Points, arc_lengths, frozen
-from logs.kernel import inner_kernel, kernel
-from logs.rules import Crosswalk, StopLine
-from logs.shapes import corners
+from replan.core.arrays import TIE, FloatArray, IntArray, Points, arc_lengths, frozen
+from replan.core.kernel import inner_kernel, kernel
+from replan.logs.rules import Crosswalk, StopLine
+from replan.logs.shapes import corners
 
 IN_JUNCTION = "intersection"
 """The word of `Lane.kind` for a lane in an intersection."""
@@ -132,7 +132,7 @@ class Road:
         stop_lines: Lines at which lights and signs make a car stop.
         crosswalks: Areas in which pedestrians have the right of way.
         areas: Other ground on which a car may drive (drivable areas, car parks), polygons `(k, 2)`; only the scores of
-            `metrics.driving_scores` and `replay.score` use it.
+            `replan.metrics.driving_scores` and `replan.score` use it.
         route: Lanes of the route that the log names, in its order; empty: it names none.
         assumed_limits: Lanes whose speed limit is assumed, because the log states none.
         assumed_priority: Lanes that yield by assumption, because neither a sign nor a light gives the priority.
@@ -224,7 +224,7 @@ class Goal:
         yaw: Heading interval, rad; from `yaw[0]` counter-clockwise to `yaw[1]`.
         alternatives: Goals with bounds of their own; the ego has to reach one of them. The other fields are then
             derived from them: all their regions, and intervals from the least to the greatest bound.
-        way: Gain along the route that a drive needs before the goal counts, m (`metrics.arrival`); 0: none.
+        way: Gain along the route that a drive needs before the goal counts, m (`replan.metrics.arrival`); 0: none.
     """
 
     regions: tuple[Points, ...] = ()

@@ -24,11 +24,11 @@ from math import atan2, cos, hypot, inf, pi, sin
 
 import numpy as np
 
-from logs.arrays import TIE, BoolArray, FloatArray, arc_lengths, frozen
-from logs.kernel import kernel
-from logs.road import Goal, Lane, Road, inside, nearest
-from logs.shapes import point_segment
-from logs.states import EgoState, Trajectory, wrap
+from replan.core.arrays import TIE, BoolArray, FloatArray, arc_lengths, frozen
+from replan.core.kernel import kernel
+from replan.logs.road import Goal, Lane, Road, inside, nearest
+from replan.logs.shapes import point_segment
+from replan.logs.states import EgoState, Trajectory, wrap
 
 LANE_CHANGE_M = 50.0
 """Cost of a lane change, in metres of detour."""

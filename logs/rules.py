@@ -11,7 +11,7 @@ from enum import Enum
 
 import numpy as np
 
-from logs.arrays import FloatArray, Points, frozen
+from replan.core.arrays import FloatArray, Points, frozen
 
 
 class Colour(Enum):

@@ -11,14 +11,14 @@ from types import MappingProxyType
 
 import numpy as np
 
-from logs.names import ShortNames
-from logs.observed import Spans, inferred
-from logs.repair.detections import Detections, Repair
-from logs.road import Goal, Road
-from logs.rules import TrafficLight
-from logs.states import Controls, OnboardPlan, Trajectory
-from logs.tracks import Tracks
-from logs.vehicle import VehicleParameters
+from replan.core.names import ShortNames
+from replan.logs.observed import Spans, inferred
+from replan.logs.repair.detections import Detections, Repair
+from replan.logs.road import Goal, Road
+from replan.logs.rules import TrafficLight
+from replan.logs.states import Controls, OnboardPlan, Trajectory
+from replan.logs.tracks import Tracks
+from replan.logs.vehicle import VehicleParameters
 
 EGO_POSE, CENTRE = "ego_pose", "box centre"
 """Metadata entry, and its value if the log has poses of the ego's box centre instead of its rear axle."""
@@ -44,7 +44,7 @@ class DriverVerdict:
     speed: float = nan  # speed at the touch, else at the end, m/s
     # id of the agent that the driver touches, else of the one that it would touch without braking; "": none
     agent: str = ""
-    margin: float = nan  # (6) of `metrics.reference_drivers`, m; NaN without an agent
+    margin: float = nan  # (6) of `replan.metrics.reference_drivers`, m; NaN without an agent
     marginal: bool = False  # whether a small change would change the verdict
 
 
@@ -80,7 +80,7 @@ class Scenario:
             that is not among them was not observed.
         onboard: Plans of the on-board planner, in order of the times at which they became known.
         traffic: Spans in which the other road users were observed, if the log states them (`traffic_spans`).
-        detections: Raw boxes, of which `logs.readers` makes tracks; None: the tracks are complete.
+        detections: Raw boxes, of which `replan.logs.readers` makes tracks; None: the tracks are complete.
         repair: The repair that made the tracks from detections; None: the tracks are the log's own.
         references: What reference drivers do in it; the replay adds them, no log holds them.
 
@@ -137,7 +137,7 @@ class Scenario:
 
     @cached_property
     def traffic_spans(self) -> Spans:
-        """Spans in which the others were observed: as stated, else inferred from the tracks (`logs.observed`).
+        """Spans in which the others were observed: as stated, else inferred from the tracks (`replan.logs.observed`).
 
         They are empty for a recorded log without road users, or if all traffic ends before t = 0 or begins after the
         log's end. A log with only static road users, or a synthetic one without any, is observed throughout.

@@ -23,8 +23,8 @@ from math import cos, hypot, inf, sin
 
 import numpy as np
 
-from logs.arrays import FloatArray
-from logs.kernel import inner_kernel, kernel
+from replan.core.arrays import FloatArray
+from replan.core.kernel import inner_kernel, kernel
 
 PIECE_S = 0.1
 

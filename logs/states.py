@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from logs.arrays import FloatArray, frozen
-from logs.kernel import kernel
+from replan.core.arrays import FloatArray, frozen
+from replan.core.kernel import kernel
 
 
 @kernel

@@ -12,17 +12,17 @@ from typing import Any
 
 import numpy as np
 
-from logs.errors import LogError
-from logs.files import check_regular
-from logs.forward import described as described_reversals, forward_part, reversals
-from logs.names import counted
-from logs.observed import ENOUGH, MAX_AGE_S, clipped, described
-from logs.readers import LogSettings, read_log, reader_of
-from logs.readers.base import LogContents, TopicSummary
-from logs.road import Goal, RoadSource
-from logs.route import goal_fault
-from logs.scenario import Scenario
-from logs.vehicle import VEHICLE_ASSUMED, VehicleParameters
+from replan.core.errors import LogError
+from replan.core.files import check_regular
+from replan.core.names import counted
+from replan.logs.forward import described as described_reversals, forward_part, reversals
+from replan.logs.observed import ENOUGH, MAX_AGE_S, clipped, described
+from replan.logs.readers import LogSettings, read_log, reader_of
+from replan.logs.readers.base import LogContents, TopicSummary
+from replan.logs.road import Goal, RoadSource
+from replan.logs.route import goal_fault
+from replan.logs.scenario import Scenario
+from replan.logs.vehicle import VEHICLE_ASSUMED, VehicleParameters
 
 
 @dataclass(frozen=True)

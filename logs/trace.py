@@ -8,11 +8,11 @@ from enum import Enum
 
 import numpy as np
 
-from logs.arrays import FloatArray, IntArray, frozen
-from logs.frame import Frame, Predictions, Visibility
-from logs.plan import Plan, PlanSummary
-from logs.states import Controls, Trajectory
-from logs.tracks import Tracks
+from replan.core.arrays import FloatArray, IntArray, frozen
+from replan.logs.frame import Frame, Predictions, Visibility
+from replan.logs.plan import Plan, PlanSummary
+from replan.logs.states import Controls, Trajectory
+from replan.logs.tracks import Tracks
 
 KEPT_STEP_S = 0.5
 """Time step of the predictions in a trace, and of trajectories in a trace file without internals, s."""
@@ -91,7 +91,7 @@ class Trace:
         oracle: Whether the planner knew the log's future.
         ego: The driven states: at the control rate in closed loop, at the frames in open loop.
         agents: The true motion of the agents.
-        frames: The plans, in order of time; a tuple, or a `logs.frame_store.FrameStore` for a long drive.
+        frames: The plans, in order of time; a tuple, or a `replan.logs.frame_store.FrameStore` for a long drive.
         commands: Commands of the controller at `ego.t`; None in open loop.
         actuation: States of the actuators at `ego.t`; None in open loop.
         tracking: Tracking errors at `ego.t`; None in open loop.

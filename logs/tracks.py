@@ -9,12 +9,12 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from logs.agents import OLDEST_S, AgentKind, Agents, among, codes_of
-from logs.arrays import BoolArray, FloatArray, IntArray, frozen
-from logs.kernel import inner_kernel, kernel
-from logs.motion import Motion, estimated
-from logs.observed import MAX_AGE_S, MAX_GAP_S, patience
-from logs.states import MOST_RAD
+from replan.core.arrays import BoolArray, FloatArray, IntArray, frozen
+from replan.core.kernel import inner_kernel, kernel
+from replan.logs.agents import OLDEST_S, AgentKind, Agents, among, codes_of
+from replan.logs.motion import Motion, estimated
+from replan.logs.observed import MAX_AGE_S, MAX_GAP_S, patience
+from replan.logs.states import MOST_RAD
 
 TREND_S = 1.0
 """Longest span of the backward differences for yaw rate and acceleration, s; rarer samples use one step back."""
@@ -198,7 +198,7 @@ class Tracks:
 
     @property
     def whole(self) -> Tracks:
-        """The whole tracks, if these are a part of them (`logs.nearby_tracks.Recent`); here the tracks themselves."""
+        """The whole tracks, if these are a part of them (`replan.logs.nearby_tracks.Recent`); here the tracks themselves."""
         return self
 
     def samples(self, index: int) -> slice:
@@ -235,7 +235,7 @@ class Tracks:
 
     @cached_property
     def patience(self) -> FloatArray:
-        """Time for which each sample is valid `(m,)`, s (`logs.observed`)."""
+        """Time for which each sample is valid `(m,)`, s (`replan.logs.observed`)."""
         return frozen(patience(self.offsets, self.static, self.t))
 
     @cached_property
@@ -254,7 +254,7 @@ class Tracks:
 
     @cached_property
     def codes(self) -> IntArray:
-        """`kinds` as numbers `(n,)` (`logs.agents.among`)."""
+        """`kinds` as numbers `(n,)` (`replan.logs.agents.among`)."""
         return codes_of(self.kinds)
 
     @cached_property

@@ -12,7 +12,7 @@ from importlib.resources import files
 from math import tan
 from typing import Any
 
-from logs.errors import unknown_name
+from replan.core.errors import unknown_name
 
 VEHICLE_ASSUMED = "The log does not describe the ego's vehicle: a mid-size car is assumed"
 """First words of the note on a log that does not describe a vehicle; a converted log keeps the note."""

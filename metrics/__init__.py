@@ -12,18 +12,17 @@ from dataclasses import replace
 from math import isfinite, nan
 from operator import index
 from types import MappingProxyType
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 
-import replan.own
-from logs.errors import raised
-from logs.extension import ExtensionKind, an_instance
-from logs.frame_store import light
-from logs.scenario import Scenario
-from logs.trace import Trace
-from metrics import (
+from replan.core.errors import raised
+from replan.core.extension import ExtensionKind, an_instance
+from replan.core.own_sources import refuse_copy
+from replan.logs.frame_store import light
+from replan.logs.scenario import Scenario
+from replan.logs.trace import Trace
+from replan.metrics import (
     arrival,
     comfort,
     cut_in,
@@ -39,8 +38,10 @@ from metrics import (
     safety,
     traffic_rules,
 )
-from metrics.boxes import phantoms, without_phantoms
-from metrics.metric import Measured, Metric, Reduction, Series, Unavailable
+from replan.metrics.boxes import phantoms, without_phantoms
+from replan.metrics.metric import Measured, Metric, Reduction, Series, Unavailable
+
+refuse_copy(__name__, "replan.metrics")
 
 __all__ = [
     "COLUMNS",
@@ -119,7 +120,7 @@ def evaluate(
     """Return one row per metric and reduction of the trace's mode, with `COLUMNS`; equal input gives equal bits.
 
     `metric` is "gap.min" or, with a part, "ade.3s.mean". Where `available` is False, `value` is NaN and `reason` says
-    why. Otherwise `reason` names the subject of the value ("car 12: from behind"), with short names (`logs.names`), and
+    why. Otherwise `reason` names the subject of the value ("car 12: from behind"), with short names (`replan.core.names`), and
     `about` holds only the kind and full id of that road user or object ("car 12"); both may be empty. `time_s` is the
     time of the value, NaN where it belongs to no instant. If a metric raises, `broken` is called and the metric
     is unavailable; without `broken` the error is raised. `found` is called with each series and its name.
@@ -234,7 +235,3 @@ METRIC: ExtensionKind[Metric] = ExtensionKind("metric", "metrics", METRICS, an_i
 def load_metric(spec: str) -> Metric:
     """Return a built-in metric ("gap") or a user's ("module:NAME", a `Metric`); ConfigError as `ExtensionKind.find`."""
     return METRIC.find(spec)
-
-
-if not TYPE_CHECKING:  # with `__getattr__` visible, a type checker would accept any name of this package
-    __getattr__ = replan.own.missing("metrics")

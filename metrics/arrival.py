@@ -2,10 +2,10 @@
 
 A goal is a place and the way to it: on a ring, a drive passes the place where it ends before it ends there.
 
-(1) arrived = the state satisfies the goal, and gain >= way     (gain (c) and way (d) of `metrics.progress`)
+(1) arrived = the state satisfies the goal, and gain >= way     (gain (c) and way (d) of `replan.metrics.progress`)
 (2) The log names no goal: the place where its drive ended is the goal if its driver's gain L is 10 m or more.
     way = min(`NEARLY` L, L - 5 m), and at least (d)
-(3) goal_route = 0 if the goal cannot be driven to (`logs.route.GoalFault`) and the drive did not drive to it, else 1
+(3) goal_route = 0 if the goal cannot be driven to (`replan.logs.route.GoalFault`) and the drive did not drive to it, else 1
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ from math import cos, sin
 
 import numpy as np
 
-from logs.arrays import FloatArray
-from logs.road import GOAL_LENGTH_M, Goal
-from logs.route import GoalFault, goal_fault, visits
-from logs.scenario import Scenario
-from logs.states import TRAJECTORY_COLUMNS, Trajectory
-from logs.trace import EndReason, Mode, Trace
-from metrics import metric
-from metrics.metric import Measured, Metric, Series, Unavailable
-from metrics.progress import FLOOR_M, LEAST_COVERED, ProgressLine, gain_along, route_of, way_of
+from replan.core.arrays import FloatArray
+from replan.logs.road import GOAL_LENGTH_M, Goal
+from replan.logs.route import GoalFault, goal_fault, visits
+from replan.logs.scenario import Scenario
+from replan.logs.states import TRAJECTORY_COLUMNS, Trajectory
+from replan.logs.trace import EndReason, Mode, Trace
+from replan.metrics import metric
+from replan.metrics.metric import Measured, Metric, Series, Unavailable
+from replan.metrics.progress import FLOOR_M, LEAST_COVERED, ProgressLine, gain_along, route_of, way_of
 
 SHORTEST_DRIVE_M = 10.0
 """The end of a drive becomes the goal only if the log's driver gains at least this along the route."""

@@ -1,14 +1,14 @@
 """The boxes of the ego and of the other road users on a time grid, as they moved: ground truth for all metrics.
 
 One kernel computes the others as `Tracks.truth` does at each time of the grid: logged positions, estimated velocities
-and accelerations (`logs.motion`). An agent is absent during a gap of its track. The size of arrays over (agent, time)
+and accelerations (`replan.logs.motion`). An agent is absent during a gap of its track. The size of arrays over (agent, time)
 grows with the square of the length of a drive. Metrics therefore process pieces of time with the agents present in each
 (`pieces`), or one agent after another (`each`).
 
 Phantoms are boxes that overlap the recorded ego: they cannot have been real. A box that reaches `DEEP_M` into the box
 of the recorded ego is no evidence of a contact. It is removed from the last sample of its track at least `AROUND_S`
 before the overlap to the first sample at least `AROUND_S` after it; a static box is removed from the whole log. Only
-recorded logs have phantoms. `without_phantoms` returns tracks with gaps at these times (`logs.observed`), for metrics
+recorded logs have phantoms. `without_phantoms` returns tracks with gaps at these times (`replan.logs.observed`), for metrics
 and for the contact that ends a drive.
 """
 
@@ -21,14 +21,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.arrays import BoolArray, FloatArray, IntArray, frozen
-from logs.kernel import inner_kernel, kernel
-from logs.once import last, once
-from logs.scenario import Scenario
-from logs.shapes import overlap, time_to_contact_turning
-from logs.states import Trajectory
-from logs.trace import Trace
-from logs.tracks import Tracks
+from replan.core.arrays import BoolArray, FloatArray, IntArray, frozen
+from replan.core.kernel import inner_kernel, kernel
+from replan.core.once import last, once
+from replan.logs.scenario import Scenario
+from replan.logs.shapes import overlap, time_to_contact_turning
+from replan.logs.states import Trajectory
+from replan.logs.trace import Trace
+from replan.logs.tracks import Tracks
 
 GRID_S = 0.1  # Time step of metrics that do not use every step of the drive, s
 MOST_CELLS = 1_000_000  # Most (agent, time) pairs in memory at once: 57 bytes each
@@ -37,7 +37,9 @@ BEHIND = cos(150.0 / 180.0 * np.pi)
 STANDING_MPS = 0.05  # nuPlan devkit e9241677: a road user at this speed or below stands
 NO_TTC_MPS = 0.005  # Likewise: an ego at this speed or below has no time to collision
 TURN_S = 1.5  # Time for which turning road users go on turning: they end their turns, and 1.5 s is a critical TTC
-AROUND_S = 1.0  # Margin before and after a phantom: above `logs.observed.MAX_GAP_S`, so that every track gets a gap
+AROUND_S = (
+    1.0  # Margin before and after a phantom: above `replan.logs.observed.MAX_GAP_S`, so that every track gets a gap
+)
 FINE_S = 0.05  # Time step of the search for phantoms, s
 DEEP_M = 0.3  # Depth that a phantom reaches into the ego's box on each side; a box that only grazes it is no phantom
 

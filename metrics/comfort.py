@@ -41,16 +41,16 @@ from functools import partial
 
 import numpy as np
 
-from logs.arrays import FloatArray
-from logs.plan import SolverReport
-from logs.scenario import Scenario
-from logs.states import Controls, Trajectory
-from logs.trace import Mode, Trace
-from metrics import metric
-from metrics.boxes import phantoms
-from metrics.metric import Direction, Measured, Metric, Reduction, Series, Unavailable, where_followed
-from metrics.plans import NO_PLANS, frame_times
-from metrics.safety import TTC
+from replan.core.arrays import FloatArray
+from replan.logs.plan import SolverReport
+from replan.logs.scenario import Scenario
+from replan.logs.states import Controls, Trajectory
+from replan.logs.trace import Mode, Trace
+from replan.metrics import metric
+from replan.metrics.boxes import phantoms
+from replan.metrics.metric import Direction, Measured, Metric, Reduction, Series, Unavailable, where_followed
+from replan.metrics.plans import NO_PLANS, frame_times
+from replan.metrics.safety import TTC
 
 WINDOW_S = 0.1
 CAUSE_S, CAUSE_TTC_S = 2.0, 4.0  # Labels name the road user of the least TTC in the last CAUSE_S, if below CAUSE_TTC_S

@@ -24,7 +24,7 @@ most differences are exactly 0.
 The same gates and the candidate's reference drives judge both tables. A flip is marginal if the value changed by no
 more than the noise of (1), or if the baseline's ensemble found the drive fragile. Rules do not count marginal flips.
 
-Rules (`metrics.judge.gates.GateRule`) limit how much worse than the baseline a candidate may be. Marginal flips and,
+Rules (`replan.metrics.judge.gates.GateRule`) limit how much worse than the baseline a candidate may be. Marginal flips and,
 with "worst", fragile drives break no rule; the reason states their number. A rule, optional or not, is INCONCLUSIVE
 where the candidate lacks evidence that the baseline has: the metric has another version, or only the baseline has it;
 gates that passed have no value now in more than LOST_SHARE of the logs; or the change exceeds the limit, `significant`
@@ -41,13 +41,13 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from logs.arrays import BoolArray, FloatArray, IntArray
-from logs.names import listed
-from metrics.evidence import ENSEMBLE
-from metrics.judge.aggregate import SUITE, LogLabels, membership
-from metrics.judge.excuses import REFERENCE
-from metrics.judge.gates import GateRule, Gates, Outcome, count_logs, unit_of
-from metrics.judge.verdicts import DRIVE, judge, outcomes
+from replan.core.arrays import BoolArray, FloatArray, IntArray
+from replan.core.names import listed
+from replan.metrics.evidence import ENSEMBLE
+from replan.metrics.judge.aggregate import SUITE, LogLabels, membership
+from replan.metrics.judge.excuses import REFERENCE
+from replan.metrics.judge.gates import GateRule, Gates, Outcome, count_logs, unit_of
+from replan.metrics.judge.verdicts import DRIVE, judge, outcomes
 
 NOISE_ABS, NOISE_REL = 1e-9, 1e-6  # Rounding: sums in another order, the last iterations of a solver
 NAMED = 5  # Messages name at most this many logs, and the number of the others
@@ -80,7 +80,7 @@ class Side:
     """One of two runs."""
 
     label: str
-    table: pd.DataFrame  # Rows of `metrics.evaluate`, reference drives among them
+    table: pd.DataFrame  # Rows of `replan.metrics.evaluate`, reference drives among them
     logs: pd.DataFrame  # A row per log: log, sha256, family, dataset, tags (a list), vehicle (a hash; "" if unknown)
     facts: Mapping[str, str]  # Versions and all keys of the configuration of the run, as text
     failed: Mapping[str, str]  # Reason by log, for logs that could not be evaluated

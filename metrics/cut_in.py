@@ -37,16 +37,16 @@ from math import atan2, cos, inf, pi
 
 import numpy as np
 
-from logs.agents import AgentKind
-from logs.arrays import BoolArray, FloatArray, IntArray
-from logs.road import ReferenceLine, Road, RoadSource, line_project_many, nearest, thinned
-from logs.scenario import Scenario
-from logs.shapes import corners
-from logs.states import Trajectory, wrap
-from logs.trace import Mode, Trace
-from logs.tracks import Tracks
-from metrics.boxes import GRID_S, OtherBoxes, each, ego_boxes, name_of, some_at
-from metrics.metric import MAX, Measured, Metric, Series, Unavailable
+from replan.core.arrays import BoolArray, FloatArray, IntArray
+from replan.logs.agents import AgentKind
+from replan.logs.road import ReferenceLine, Road, RoadSource, line_project_many, nearest, thinned
+from replan.logs.scenario import Scenario
+from replan.logs.shapes import corners
+from replan.logs.states import Trajectory, wrap
+from replan.logs.trace import Mode, Trace
+from replan.logs.tracks import Tracks
+from replan.metrics.boxes import GRID_S, OtherBoxes, each, ego_boxes, name_of, some_at
+from replan.metrics.metric import MAX, Measured, Metric, Series, Unavailable
 
 SPACING_M, CHORD_M, BEYOND_M = 2.0, 4.0, 10.0
 NEAR_M = 60.0

@@ -6,7 +6,7 @@ Every part is in 0 .. 1, and the table shows it beside its score. A multiplier t
 unavailable, unless it is optional (no traffic lights, no stop signs); the row of the score then names it ("without: red
 lights").
 
-The scores of NAVSIM judge plans of 4 s: `replay.score`.
+The scores of NAVSIM judge plans of 4 s: `replan.score`.
 nuPlan, open loop, over the horizons 3, 5 and 8 s that the log allows (devkit e9241677):
 (2) miss x (ade + fde + 2 ahe + 2 fhe) / 6
 CARLA leaderboard 2.x, in 0 .. 1:
@@ -59,17 +59,17 @@ from types import MappingProxyType
 
 import numpy as np
 
-from logs.agents import AgentKind
-from logs.arrays import BoolArray, FloatArray
-from logs.kernel import kernel
-from logs.once import once
-from logs.road import RoadSource
-from logs.scenario import Scenario
-from logs.shapes import overlap
-from logs.states import Trajectory
-from logs.trace import Mode, Trace
-from metrics import plans, progress, safety, traffic_rules
-from metrics.boxes import (
+from replan.core.arrays import BoolArray, FloatArray
+from replan.core.kernel import kernel
+from replan.core.once import once
+from replan.logs.agents import AgentKind
+from replan.logs.road import RoadSource
+from replan.logs.scenario import Scenario
+from replan.logs.shapes import overlap
+from replan.logs.states import Trajectory
+from replan.logs.trace import Mode, Trace
+from replan.metrics import plans, progress, safety, traffic_rules
+from replan.metrics.boxes import (
     NO_TTC_MPS,
     STANDING_MPS,
     EgoOutline,
@@ -80,9 +80,9 @@ from metrics.boxes import (
     pieces,
     touches,
 )
-from metrics.comfort import NUPLAN_BOUNDS, savgol
-from metrics.lanes import DrivableLanes, Route, along_line, lane_map
-from metrics.metric import FINAL, Measured, Metric, Series, Unavailable
+from replan.metrics.comfort import NUPLAN_BOUNDS, savgol
+from replan.metrics.lanes import DrivableLanes, Route, along_line, lane_map
+from replan.metrics.metric import FINAL, Measured, Metric, Series, Unavailable
 
 MISS_SHARE, NEAR_M, NEAR_RAD = 0.3, 8.0, 0.8
 OPEN_HORIZONS_S = (3, 5, 8)

@@ -24,15 +24,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.agents import AgentKind
-from logs.arrays import FloatArray, IntArray
-from logs.kernel import inner_kernel, kernel
-from logs.once import once
-from logs.scenario import Scenario
-from logs.shapes import corners, distance, overlap, time_to_contact
-from logs.states import wrap
-from logs.trace import Mode, Trace
-from metrics.boxes import (
+from replan.core.arrays import FloatArray, IntArray
+from replan.core.kernel import inner_kernel, kernel
+from replan.core.once import once
+from replan.logs.agents import AgentKind
+from replan.logs.scenario import Scenario
+from replan.logs.shapes import corners, distance, overlap, time_to_contact
+from replan.logs.states import wrap
+from replan.logs.trace import Mode, Trace
+from replan.metrics.boxes import (
     GRID_S,
     NO_TTC_MPS,
     EgoOutline,
@@ -47,8 +47,8 @@ from metrics.boxes import (
     name_of,
     nearest,
 )
-from metrics.metric import MIN, Measured, Metric, Series, time_below
-from metrics.safety import CATALOGUE
+from replan.metrics.metric import MIN, Measured, Metric, Series, time_below
+from replan.metrics.safety import CATALOGUE
 
 HORIZON_S = 10.0
 PIECE_S = 0.1

@@ -31,17 +31,17 @@ from functools import partial
 
 import numpy as np
 
-from logs.arrays import BoolArray, FloatArray
-from logs.observed import described, within
-from logs.plan import PlanStatus
-from logs.rules import Colour
-from logs.scenario import Scenario
-from logs.trace import EndReason, Mode, Trace
-from metrics import metric
-from metrics.boxes import each, ego_boxes, name_of, phantoms, some_at
-from metrics.lanes import limits_at, mapped_lanes, off_lanes, points_inside, stated_lanes
-from metrics.metric import Direction, Measured, Metric, Reduction, Series, Unavailable, where_followed
-from metrics.plans import NO_PLANS, frame_times
+from replan.core.arrays import BoolArray, FloatArray
+from replan.logs.observed import described, within
+from replan.logs.plan import PlanStatus
+from replan.logs.rules import Colour
+from replan.logs.scenario import Scenario
+from replan.logs.trace import EndReason, Mode, Trace
+from replan.metrics import metric
+from replan.metrics.boxes import each, ego_boxes, name_of, phantoms, some_at
+from replan.metrics.lanes import limits_at, mapped_lanes, off_lanes, points_inside, stated_lanes
+from replan.metrics.metric import Direction, Measured, Metric, Reduction, Series, Unavailable, where_followed
+from replan.metrics.plans import NO_PLANS, frame_times
 
 AWAY_S, LENGTH_M, WIDTH_M = 1.0, 5.0, 3.5
 OFF_M = 0.5

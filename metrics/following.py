@@ -66,14 +66,14 @@ from math import atan2, cos, hypot, pi, sin
 
 import numpy as np
 
-from logs.agents import AgentKind
-from logs.arrays import BoolArray, FloatArray, IntArray
-from logs.kernel import inner_kernel, kernel
-from logs.once import once
-from logs.scenario import Scenario
-from logs.shapes import corners
-from logs.trace import Mode, Trace
-from metrics.boxes import (
+from replan.core.arrays import BoolArray, FloatArray, IntArray
+from replan.core.kernel import inner_kernel, kernel
+from replan.core.once import once
+from replan.logs.agents import AgentKind
+from replan.logs.scenario import Scenario
+from replan.logs.shapes import corners
+from replan.logs.trace import Mode, Trace
+from replan.metrics.boxes import (
     GRID_S,
     STANDING_MPS,
     EgoOutline,
@@ -85,8 +85,8 @@ from metrics.boxes import (
     name_of,
     nearest,
 )
-from metrics.metric import MAX, MIN, Measured, Metric, Series, Unavailable, share_while, time_below, time_outside
-from metrics.safety import CATALOGUE
+from replan.metrics.metric import MAX, MIN, Measured, Metric, Series, Unavailable, share_while, time_below, time_outside
+from replan.metrics.safety import CATALOGUE
 
 LOOK_M = 150.0
 COMING_MPS = 0.5

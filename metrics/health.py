@@ -1,6 +1,6 @@
 """Checks a log before it is driven: kind of each fault, road user, time, size, and its effect on metrics.
 
-A log with findings is evaluated like any other; only phantoms change the metrics (`metrics.boxes`).
+A log with findings is evaluated like any other; only phantoms change the metrics (`replan.metrics.boxes`).
 
 The ego, between samples k and k + 1, dt apart, d apart, with the speeds v and v':
 
@@ -8,13 +8,13 @@ The ego, between samples k and k + 1, dt apart, d apart, with the speeds v and v
 (2) jump      d - max(|v|, |v'|) dt - b dt^2 / 2 > `EGO_JUMP_M`,  b = `BRAKING_MPS2`
 (3) speed     sum d / sum (|v| + |v'|) dt / 2  off 1 by more than `EGO_SPEED_OFF`, over a way of `EGO_WAY_M` at least
 (4) units     the same near a factor of `FACTORS`, within `NEAR`
-(5) heading   the chords of `logs.conventions`, about 1 m each, are more than `TURNED_RAD` off the axis of the car in
+(5) heading   the chords of `replan.logs.conventions`, about 1 m each, are more than `TURNED_RAD` off the axis of the car in
               the median, or over a way of `ASKEW_M`; or opposite to heading and speed over a way of `AGAINST_M`;
               a step of the yaw of more than `EGO_FLIP_RAD` within `EGO_GAP_S`
 
 The other road users, between samples of a track:
 
-(6) flickering    a gap of the track (`logs.observed`)
+(6) flickering    a gap of the track (`replan.logs.observed`)
 (7) id switch     a track ends before the log does, and within `SWITCH_S` a new track of its kind begins within
     `SWITCH_M` of where the first would be by then
 (8) teleport      d - u dt - `JUMP_M` > 0,  u = `FASTEST_MPS`, or, with logged speeds, max(|v|, |v'|) + b dt / 2
@@ -23,7 +23,7 @@ The other road users, between samples of a track:
 (11) twin boxes   two centres within `TWIN_M` for `TWIN_S` or longer
 (12) size         vehicles beyond `LARGEST_M`, people wider than `PERSON_M`
 (13) units        (9) by the same factor for most moving road users
-(17) not recorded more than `logs.observed.MAX_AGE_S` of the log without observed traffic
+(17) not recorded more than `replan.logs.observed.MAX_AGE_S` of the log without observed traffic
 (18) across       a vehicle goes a step of more than `ACROSS_M` more than `ACROSS_RAD` off the axis of its box
 (20) heading      the chords of a vehicle are more than `TURNED_RAD` off the axis of its box in the median, or opposite
     to its heading at more than `BACKWARD_MPS` over a way of `WAY_M` at least
@@ -36,8 +36,8 @@ The map, the lights and the goal:
 (15) lane graph   a lane follows itself, or begins more than `APART_M` from the end of one that it follows; lanes whose
     successors are all missing in the map are its edge, unless they are more than `EDGE` of all lanes
 (16) lights       a light that no stop line names; on a road without stop lines, all lights are one finding
-(22) goal         it cannot be driven to (`logs.route.GoalFault`), or the log's driver passes it almost at once
-    (`metrics.arrival.passed_early`)
+(22) goal         it cannot be driven to (`replan.logs.route.GoalFault`), or the log's driver passes it almost at once
+    (`replan.metrics.arrival.passed_early`)
 """
 
 from __future__ import annotations
@@ -52,18 +52,18 @@ from math import isfinite
 import numpy as np
 import pandas as pd
 
-from logs.agents import AgentKind, among
-from logs.arrays import BoolArray, FloatArray
-from logs.conventions import ENOUGH, ENOUGH_M, MOVES_MPS, TURNED_RAD, Chords
-from logs.observed import MAX_AGE_S, clipped
-from logs.road import RoadSource
-from logs.scenario import Scenario
-from logs.states import wrapped
-from logs.tracks import Tracks
-from metrics.arrival import fault_of, passed_early
-from metrics.boxes import name_of, phantoms, pieces
+from replan.core.arrays import BoolArray, FloatArray
+from replan.logs.agents import AgentKind, among
+from replan.logs.conventions import ENOUGH, ENOUGH_M, MOVES_MPS, TURNED_RAD, Chords
+from replan.logs.observed import MAX_AGE_S, clipped
+from replan.logs.road import RoadSource
+from replan.logs.scenario import Scenario
+from replan.logs.states import wrapped
+from replan.logs.tracks import Tracks
+from replan.metrics.arrival import fault_of, passed_early
+from replan.metrics.boxes import name_of, phantoms, pieces
 
-EGO_GAP_S = 0.5  # As long as a frequently sampled agent may be unobserved (`logs.observed`), s
+EGO_GAP_S = 0.5  # As long as a frequently sampled agent may be unobserved (`replan.logs.observed`), s
 RARE = 5.0  # In medians of the sampling interval
 EGO_JUMP_M = 0.5  # Errors of a car's localisation change by less between two samples, m
 BRAKING_MPS2 = 12.0  # More than tyres can provide, m/s2

@@ -28,12 +28,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.arrays import BoolArray, FloatArray, IntArray, Points, frozen
-from logs.kernel import inner_kernel, kernel
-from logs.once import once
-from logs.road import IN_JUNCTION, Lane, Road, RoadSource, inside
-from logs.shapes import point_segment
-from metrics.metric import Unavailable
+from replan.core.arrays import BoolArray, FloatArray, IntArray, Points, frozen
+from replan.core.kernel import inner_kernel, kernel
+from replan.core.once import once
+from replan.logs.road import IN_JUNCTION, Lane, Road, RoadSource, inside
+from replan.logs.shapes import point_segment
+from replan.metrics.metric import Unavailable
 
 NO_LANES = Unavailable("the log has no lanes")
 BEYOND_M = 10.0
@@ -162,7 +162,7 @@ def _gap(box: FloatArray, g: int, x: float, y: float) -> float:
 
 @kernel
 def on_lane(lanes: LaneArrays, i: int, x: float, y: float) -> bool:
-    """Return whether a point lies in lane i: `logs.road.inside` with only the edges that a ray from it could cross."""
+    """Return whether a point lies in lane i: `replan.logs.road.inside` with only the edges that a ray from it could cross."""
     polygon, boxes = lanes.points[lanes.offsets[i] : lanes.offsets[i + 1]], lanes.outline
     found = False
     for g in range(boxes.first[i], boxes.first[i + 1]):

@@ -1,6 +1,6 @@
 """The vocabulary of metrics: a Metric measures a trace step by step and reduces the steps to named values.
 
-A metric is one function `(trace, scenario) -> Series | Unavailable` and one entry in `metrics.GROUPS`. The function may
+A metric is one function `(trace, scenario) -> Series | Unavailable` and one entry in `replan.metrics.GROUPS`. The function may
 also return a mapping from parts to these types ("1s", "3s" of the displacement error). A complete example:
 
     def _speed(trace: Trace, scenario: Scenario) -> Measured:
@@ -22,11 +22,11 @@ from typing import Literal, ParamSpec, get_args
 
 import numpy as np
 
-from logs.arrays import BoolArray, FloatArray, frozen
-from logs.forward import tighter_than_vehicle
-from logs.once import last
-from logs.scenario import Scenario
-from logs.trace import Mode, Trace
+from replan.core.arrays import BoolArray, FloatArray, frozen
+from replan.core.once import last
+from replan.logs.forward import tighter_than_vehicle
+from replan.logs.scenario import Scenario
+from replan.logs.trace import Mode, Trace
 
 P = ParamSpec("P")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from metrics.metric import Metric
+from replan.metrics.metric import Metric
 
 Groups = Mapping[str, Sequence[Metric]]
 _BETTER = {"lower": "lower is better", "higher": "higher is better", "none": "neither is better"}

@@ -61,16 +61,16 @@ from math import cos, sin
 
 import numpy as np
 
-from logs.arrays import BoolArray, FloatArray, arc_lengths
-from logs.kernel import kernel
-from logs.once import once
-from logs.road import ReferenceLine, line_project_many
-from logs.rules import Colour
-from logs.scenario import Scenario
-from logs.states import Trajectory
-from logs.trace import Mode, Trace
-from logs.tracks import Tracks
-from metrics.boxes import (
+from replan.core.arrays import BoolArray, FloatArray, arc_lengths
+from replan.core.kernel import kernel
+from replan.core.once import once
+from replan.logs.road import ReferenceLine, line_project_many
+from replan.logs.rules import Colour
+from replan.logs.scenario import Scenario
+from replan.logs.states import Trajectory
+from replan.logs.trace import Mode, Trace
+from replan.logs.tracks import Tracks
+from replan.metrics.boxes import (
     GRID_S,
     EgoOutline,
     OtherBoxes,
@@ -83,11 +83,20 @@ from metrics.boxes import (
     phantoms,
     touches,
 )
-from metrics.comfort import lat_accel
-from metrics.cut_in import HORIZON_S, IN_M, MOST_MPS2, REACT_S, CutInStay, followers, needed_deceleration, worst_forced
-from metrics.following import ahead_of
-from metrics.lanes import NO_LANES, LaneArrays, drivable_lanes, limits_at, mapped_lanes, points_inside, under
-from metrics.metric import (
+from replan.metrics.comfort import lat_accel
+from replan.metrics.cut_in import (
+    HORIZON_S,
+    IN_M,
+    MOST_MPS2,
+    REACT_S,
+    CutInStay,
+    followers,
+    needed_deceleration,
+    worst_forced,
+)
+from replan.metrics.following import ahead_of
+from replan.metrics.lanes import NO_LANES, LaneArrays, drivable_lanes, limits_at, mapped_lanes, points_inside, under
+from replan.metrics.metric import (
     COUNT,
     MAX,
     MAX_ABS,
@@ -101,7 +110,7 @@ from metrics.metric import (
     first_of,
     worst_episode,
 )
-from metrics.progress import WINDOW_M, gain_along, route_of
+from replan.metrics.progress import WINDOW_M, gain_along, route_of
 
 NEAR_M, HEADWAY_S, EASE_MPS2, FARTHEST_M = 10.0, 1.5, 1.5, 150.0
 LINE_M = 6.0

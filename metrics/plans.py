@@ -42,17 +42,17 @@ from types import MappingProxyType
 
 import numpy as np
 
-from logs.arrays import FloatArray, IntArray
-from logs.frame import PLAN_HORIZON_S
-from logs.frame_store import light, loaded
-from logs.kernel import kernel
-from logs.once import last, once
-from logs.road import RoadSource
-from logs.scenario import Scenario
-from logs.states import TRAJECTORY_COLUMNS, wrapped
-from logs.trace import Mode, Trace
-from metrics import metric
-from metrics.metric import Measured, Metric, Series, Unavailable, where_followed
+from replan.core.arrays import FloatArray, IntArray
+from replan.core.kernel import kernel
+from replan.core.once import last, once
+from replan.logs.frame import PLAN_HORIZON_S
+from replan.logs.frame_store import light, loaded
+from replan.logs.road import RoadSource
+from replan.logs.scenario import Scenario
+from replan.logs.states import TRAJECTORY_COLUMNS, wrapped
+from replan.logs.trace import Mode, Trace
+from replan.metrics import metric
+from replan.metrics.metric import Measured, Metric, Series, Unavailable, where_followed
 
 STEP_S = 0.1  # Plans are compared at multiples of this after their frame, s
 SHORT_M = 5.0  # A plan that is shorter in its first 4 s is that of a standing ego (NAVSIM), m

@@ -22,7 +22,7 @@ With the gain of a drive along the route; the yardstick is the whole log, even i
 (1) route_progress(t) = gain(t) / gain of the log's driver at the log's end
     where the log has no drive: over the gain of the route follower (`Scenario.references`);
     unavailable if that yardstick is below 2 m: then it is unknown how far a planner should drive; below 5 m where the
-    log has no lanes: its lane is then not what was driven (`logs.complete`)
+    log has no lanes: its lane is then not what was driven (`replan.logs.complete`)
 (2) progress = min(1, max(gain, c) / max(gain of the log's driver, c)), 0 where gain < -c;  c = 2 m      (nuPlan)
 (3) completion = gain / length of the route, in 0 .. 1                                                   (CARLA)
     all three: at least 1 if the drive ended in the goal's region, unless more than 2 m of its gain were cut, or (8) is
@@ -51,19 +51,19 @@ from math import pi
 
 import numpy as np
 
-from logs.arrays import FloatArray, arc_lengths
-from logs.complete import MIN_PATH
-from logs.once import last
-from logs.road import Goal, ReferenceLine, Road, RoadSource, inside, line_project_many, thinned
-from logs.route import counting_stay, find_route, first_nearest, straight_on
-from logs.scenario import Scenario
-from logs.shapes import point_segment
-from logs.states import Trajectory
-from logs.trace import EndReason, Mode, Trace
-from metrics import metric
-from metrics.boxes import ego_boxes
-from metrics.lanes import drivable_lanes, limits_at, stated_lanes
-from metrics.metric import Measured, Metric, Reduction, Series, Unavailable, where_followed
+from replan.core.arrays import FloatArray, arc_lengths
+from replan.core.once import last
+from replan.logs.complete import MIN_PATH
+from replan.logs.road import Goal, ReferenceLine, Road, RoadSource, inside, line_project_many, thinned
+from replan.logs.route import counting_stay, find_route, first_nearest, straight_on
+from replan.logs.scenario import Scenario
+from replan.logs.shapes import point_segment
+from replan.logs.states import Trajectory
+from replan.logs.trace import EndReason, Mode, Trace
+from replan.metrics import metric
+from replan.metrics.boxes import ego_boxes
+from replan.metrics.lanes import drivable_lanes, limits_at, stated_lanes
+from replan.metrics.metric import Measured, Metric, Reduction, Series, Unavailable, where_followed
 
 SPACING_M, WINDOW_M, BESIDE_M = 1.0, 30.0, 3.0
 STRETCH, SLACK_M = 2.0, 0.1

@@ -31,17 +31,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from logs.agents import AgentKind
-from logs.arrays import BoolArray, FloatArray, IntArray
-from logs.frame import PLAN_HORIZON_S
-from logs.kernel import kernel
-from logs.once import once
-from logs.scenario import Scenario
-from logs.shapes import corners
-from logs.trace import Mode, Trace
-from logs.tracks import Tracks
-from metrics import comfort, metric, plans, safety
-from metrics.boxes import (
+from replan.core.arrays import BoolArray, FloatArray, IntArray
+from replan.core.kernel import kernel
+from replan.core.once import once
+from replan.logs.agents import AgentKind
+from replan.logs.frame import PLAN_HORIZON_S
+from replan.logs.scenario import Scenario
+from replan.logs.shapes import corners
+from replan.logs.trace import Mode, Trace
+from replan.logs.tracks import Tracks
+from replan.metrics import comfort, metric, plans, safety
+from replan.metrics.boxes import (
     NO_TTC_MPS,
     EgoOutline,
     OtherBoxes,
@@ -55,10 +55,10 @@ from metrics.boxes import (
     some_at,
     touches,
 )
-from metrics.lanes import keeps_lane
-from metrics.metric import Measured, Metric, Series, Unavailable
-from metrics.plans import NO_PLANS, SHORT_M, STEP_S, frame_times, plan_columns, plan_way, times_after
-from metrics.safety import contact_kind
+from replan.metrics.lanes import keeps_lane
+from replan.metrics.metric import Measured, Metric, Series, Unavailable
+from replan.metrics.plans import NO_PLANS, SHORT_M, STEP_S, frame_times, plan_columns, plan_way, times_after
+from replan.metrics.safety import contact_kind
 
 HORIZON_S, TTC_HORIZON_S = 4.0, 3.0
 STEPS = round(HORIZON_S / STEP_S)

@@ -46,7 +46,7 @@ The margin of a verdict is the least distance between the driver's box and the a
 A verdict is marginal where its margin, or that of the drive without braking, is within `MARGINAL_M`, or if a driver
 that judges `JUDGED_S` earlier or later has another outcome; this shifts (2), (5) and the reaction time.
 
-`replay.loop.reference_drives`, which knows the line, adds the verdicts to the scenario (`Scenario.references`). Each
+`replan.replay.loop.reference_drives`, which knows the line, adds the verdicts to the scenario (`Scenario.references`). Each
 driver has three rows: `reference_cc.applies` is 1 if an ego that does not brake would touch an agent, else 0; if it is
 1, `reference_cc.avoids` is 1 or 0, and `reference_cc.margin` is the margin in metres (negative: not avoided).
 """
@@ -60,15 +60,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.arrays import BoolArray, FloatArray
-from logs.kernel import inner_kernel, kernel
-from logs.road import ReferenceLine, line_frame, line_project
-from logs.scenario import Avoidability, DriverVerdict, Scenario
-from logs.shapes import clearance
-from logs.states import EgoState
-from logs.trace import Mode, Trace
-from logs.tracks import Tracks
-from metrics.boxes import (
+from replan.core.arrays import BoolArray, FloatArray
+from replan.core.kernel import inner_kernel, kernel
+from replan.logs.road import ReferenceLine, line_frame, line_project
+from replan.logs.scenario import Avoidability, DriverVerdict, Scenario
+from replan.logs.shapes import clearance
+from replan.logs.states import EgoState
+from replan.logs.trace import Mode, Trace
+from replan.logs.tracks import Tracks
+from replan.metrics.boxes import (
     STANDING_MPS,
     EgoOutline,
     OtherBoxes,
@@ -79,7 +79,7 @@ from metrics.boxes import (
     present_between,
     touches,
 )
-from metrics.metric import Measured, Metric, Reduction, Series, Unavailable
+from replan.metrics.metric import Measured, Metric, Reduction, Series, Unavailable
 
 STEP_S = 0.02  # So short that one more step of braking changes less than noise does, s
 MARGINAL_M = 0.5  # Effect of 5 cm of position noise on a margin at 10 Hz (benchmarks/verdicts.py), m

@@ -24,7 +24,7 @@ that a turn enters is a danger yet. TTC is never less than the straight time, wh
 
     straight   both go on with their velocity vectors and headings (`shapes.time_to_contact`)
     turning    both turn as they do now, at constant speed and yaw rate, for `TURN_S`, then go straight on
-               (`shapes.time_to_contact_turning`): the ego at v kappa, the others as estimated (`logs.motion`)
+               (`shapes.time_to_contact_turning`): the ego at v kappa, the others as estimated (`replan.logs.motion`)
 
 Both up to 10 s; agents behind (as above), agents from their first contact on, and a standing ego (<= 0.005 m/s) have
 none. At a collision at fault TTC is 0, also with agents behind. Each step, including the last, has a duration w_k
@@ -56,19 +56,19 @@ from types import MappingProxyType
 
 import numpy as np
 
-from logs.agents import AgentKind
-from logs.arrays import BoolArray, FloatArray, IntArray
-from logs.kernel import kernel
-from logs.once import once
-from logs.road import RoadSource
-from logs.scenario import Scenario
-from logs.shapes import corners, distance, overlap
-from logs.states import Trajectory
-from logs.trace import Mode, Trace
-from logs.tracks import Tracks
-from logs.vehicle import VehicleParameters
-from metrics import metric
-from metrics.boxes import (
+from replan.core.arrays import BoolArray, FloatArray, IntArray
+from replan.core.kernel import kernel
+from replan.core.once import once
+from replan.logs.agents import AgentKind
+from replan.logs.road import RoadSource
+from replan.logs.scenario import Scenario
+from replan.logs.shapes import corners, distance, overlap
+from replan.logs.states import Trajectory
+from replan.logs.trace import Mode, Trace
+from replan.logs.tracks import Tracks
+from replan.logs.vehicle import VehicleParameters
+from replan.metrics import metric
+from replan.metrics.boxes import (
     NO_TTC_MPS,
     STANDING_MPS,
     TURN_S,
@@ -87,9 +87,9 @@ from metrics.boxes import (
     some_at,
     touches,
 )
-from metrics.cut_in import forces_hit
-from metrics.lanes import LaneArrays, drivable_lanes, keeps_lane, off_lanes
-from metrics.metric import Measured, Metric, Reduction, Series, Unavailable
+from replan.metrics.cut_in import forces_hit
+from replan.metrics.lanes import LaneArrays, drivable_lanes, keeps_lane, off_lanes
+from replan.metrics.metric import Measured, Metric, Reduction, Series, Unavailable
 
 TTC_HORIZON_S, CLOSE_S = 10.0, 0.95  # Horizon of the time to collision, and nuPlan's bound on it
 TAU_S = 1.5  # Critical TTC (criticality metrics catalogue, Westhofen et al. 2023)

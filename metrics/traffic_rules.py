@@ -65,19 +65,19 @@ from math import hypot
 
 import numpy as np
 
-from logs.agents import AgentKind
-from logs.arrays import BoolArray, FloatArray, IntArray, arc_lengths
-from logs.kernel import kernel
-from logs.once import once
-from logs.road import inside
-from logs.route import ASIDE_M, BEHIND_M, on_lane
-from logs.rules import RED, Colour, StopLine
-from logs.scenario import Scenario
-from logs.states import Trajectory
-from logs.trace import Mode, Trace
-from logs.tracks import Tracks
-from metrics import metric
-from metrics.boxes import (
+from replan.core.arrays import BoolArray, FloatArray, IntArray, arc_lengths
+from replan.core.kernel import kernel
+from replan.core.once import once
+from replan.logs.agents import AgentKind
+from replan.logs.road import inside
+from replan.logs.route import ASIDE_M, BEHIND_M, on_lane
+from replan.logs.rules import RED, Colour, StopLine
+from replan.logs.scenario import Scenario
+from replan.logs.states import Trajectory
+from replan.logs.trace import Mode, Trace
+from replan.logs.tracks import Tracks
+from replan.metrics import metric
+from replan.metrics.boxes import (
     GRID_S,
     EgoOutline,
     car_of,
@@ -90,10 +90,10 @@ from metrics.boxes import (
     some_at,
     without_phantoms,
 )
-from metrics.encounters import CROSSING_RAD, encroachment, may_meet
-from metrics.lanes import NO_LANES, Under, mapped_lanes, under
-from metrics.metric import COUNT, MIN, Measured, Metric, Reduction, Series, Unavailable, counted
-from metrics.needless import reasons
+from replan.metrics.encounters import CROSSING_RAD, encroachment, may_meet
+from replan.metrics.lanes import NO_LANES, Under, mapped_lanes, under
+from replan.metrics.metric import COUNT, MIN, Measured, Metric, Reduction, Series, Unavailable, counted
+from replan.metrics.needless import reasons
 
 REST_MPS, BEFORE_M = 0.1, 5.0
 YELLOW_S, YELLOW_MPS2 = 1.0, 3.05

@@ -1,13 +1,8 @@
-"""Planners: Frame -> Plan. `replay.parts` has their names.
+"""Planners: Frame -> Plan. `replan.replay.parts` has their names.
 
 To write your own, read `logs/frame.py` (the input of a planner) and `planners/constant_speed.py` (the template).
 """
 
-from __future__ import annotations
+from replan.core.own_sources import refuse_copy
 
-from typing import TYPE_CHECKING
-
-import replan.own
-
-if not TYPE_CHECKING:  # a type checker would accept any name as a member of this package
-    __getattr__ = replan.own.missing("planners")
+refuse_copy(__name__, "replan.planners")

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from logs.frame import Frame
-from logs.plan import Plan
+from replan.logs.frame import Frame
+from replan.logs.plan import Plan
 
 
 class Planner(Protocol):

@@ -1,9 +1,9 @@
 """Two drivers that a log should fail: `blind` looks at nothing but the road, `parked` does not drive.
 
 A log that a parked driver passes cannot tell drivers apart. In a log that a blind driver passes, nothing was in the
-way. `replay.loop.reference_drives` drives both in every log, and `metrics.judge.discrimination` judges them.
+way. `replan.replay.loop.reference_drives` drives both in every log, and `replan.metrics.judge.discrimination` judges them.
 
-`blind` is the Intelligent Driver Model (`planners.idm`) on the same route, within the limits and curves of its lanes,
+`blind` is the Intelligent Driver Model (`replan.planners.idm`) on the same route, within the limits and curves of its lanes,
 without road users, lights, stop lines, crosswalks, and right of way. `parked` follows the same path: with its speed v,
 the desired speed u and t from the frame on,
 
@@ -17,14 +17,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from logs.frame import Frame, PlannerContext, Predictions
-from logs.once import once
-from logs.plan import Plan
-from logs.road import Road
-from planners.frenet.path import path_through
-from planners.frenet.profiles import COMFORT, HORIZON_KNOTS, STEP_S, braking, trajectory_along
-from planners.frenet.scene import start_of
-from planners.idm import Idm, IdmConfig
+from replan.core.once import once
+from replan.logs.frame import Frame, PlannerContext, Predictions
+from replan.logs.plan import Plan
+from replan.logs.road import Road
+from replan.planners.frenet.path import path_through
+from replan.planners.frenet.profiles import COMFORT, HORIZON_KNOTS, STEP_S, braking, trajectory_along
+from replan.planners.frenet.scene import start_of
+from replan.planners.idm import Idm, IdmConfig
 
 GAIN_MPS2 = 1.0  # Acceleration of `parked` up to its desired speed
 NO_AGENTS = np.zeros(0, np.int64)
@@ -37,7 +37,7 @@ def _without_rules(road: Road) -> Road:
 
 
 class Blind:
-    """Drives the route as if the road were empty: (1) to (3) of `planners.idm` without a leader."""
+    """Drives the route as if the road were empty: (1) to (3) of `replan.planners.idm` without a leader."""
 
     def __init__(self, context: PlannerContext, config: IdmConfig | None = None) -> None:
         self._idm = Idm(replace(context, road=_without_rules(context.road)), config)

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from logs.arrays import FloatArray
-from logs.frame import Frame, PlannerContext
-from logs.plan import Plan
-from logs.states import EgoState, Trajectory
+from replan.core.arrays import FloatArray
+from replan.logs.frame import Frame, PlannerContext
+from replan.logs.plan import Plan
+from replan.logs.states import EgoState, Trajectory
 
 
 class ConstantSpeed:

@@ -13,7 +13,7 @@ v0 is the limit of the lane, and of the curve: v0^2 |kappa| <= `curve_accel_mps2
 
 The leader at a time of the roll-out is the nearest agent ahead whose predicted footprint is on the path then or within
 `ahead_s`; it may be a crossing one, whose speed along the path is small. The ego does not pass an agent in its path; it
-stops behind it. A stop that the traffic rules demand is a standing leader (`planners.rules`).
+stops behind it. A stop that the traffic rules demand is a standing leader (`replan.planners.rules`).
 """
 
 from __future__ import annotations
@@ -23,15 +23,22 @@ from math import cos, inf, sin, sqrt
 
 import numpy as np
 
-from logs.arrays import FloatArray, IntArray
-from logs.frame import Frame, PlannerContext
-from logs.kernel import kernel
-from logs.plan import Artefact, Corridor, Internals, Plan, SlGraph, StGraph
-from logs.states import EgoState
-from planners.frenet.path import Path, make_path, quintic
-from planners.frenet.profiles import HORIZON_KNOTS, HORIZON_STEPS, STEP_S, fall_back, limit_profile, trajectory_along
-from planners.frenet.scene import Occupancy, RouteTracker, behind, on_path
-from planners.frenet.st_boundaries import (
+from replan.core.arrays import FloatArray, IntArray
+from replan.core.kernel import kernel
+from replan.logs.frame import Frame, PlannerContext
+from replan.logs.plan import Artefact, Corridor, Internals, Plan, SlGraph, StGraph
+from replan.logs.states import EgoState
+from replan.planners.frenet.path import Path, make_path, quintic
+from replan.planners.frenet.profiles import (
+    HORIZON_KNOTS,
+    HORIZON_STEPS,
+    STEP_S,
+    fall_back,
+    limit_profile,
+    trajectory_along,
+)
+from replan.planners.frenet.scene import Occupancy, RouteTracker, behind, on_path
+from replan.planners.frenet.st_boundaries import (
     StBoundaries,
     StGraphConfig,
     decide_speed,
@@ -39,7 +46,7 @@ from planners.frenet.st_boundaries import (
     st_boundaries,
     stop_outlines,
 )
-from planners.rules import Rulebook, RuleMemory
+from replan.planners.rules import Rulebook, RuleMemory
 
 KNOT_M = 2.0  # Spacing of the knots of the path, m
 TOUCHING_M = 0.1  # Least gap in (1) and (3), m

@@ -19,8 +19,8 @@ import osqp
 import piqp
 from scipy import sparse
 
-from logs.arrays import FloatArray, IntArray
-from logs.plan import SolverReport
+from replan.core.arrays import FloatArray, IntArray
+from replan.logs.plan import SolverReport
 
 SOLVED = 1  # OSQP's status of a solved problem
 RHO = 0.1  # OSQP's first step size (rho), which is its default

@@ -19,37 +19,38 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-import replan.own  # noqa: F401  # our packages before others of their names
+from replan.core.former_names import explain_former_names
 
 if TYPE_CHECKING:
-    from logs.agents import AgentKind, Agents
-    from logs.catalogue.family import Family
-    from logs.errors import ConfigError, LogError, OutputError, PlannerError, ReplanError
-    from logs.frame import Frame, PlannerContext, Predictions, Visibility
-    from logs.mcap.writer import write_scenario as write_log
-    from logs.plan import Decision, DecisionKind, Plan, PlanStatus
-    from logs.readers import LogSettings, Reader, read_log
-    from logs.readers.table import from_frames
-    from logs.road import Goal, Lane, ReferenceLine, Road
-    from logs.scenario import Scenario
-    from logs.states import Command, EgoState, Trajectory
-    from logs.trace import Mode, Trace
-    from logs.tracks import Tracks
-    from logs.vehicle import VehicleParameters
-    from metrics.comparison import Comparison
-    from metrics.metric import Metric, Reduction, Series, Unavailable
-    from planners.base import Planner
-    from replay.api import compare, evaluate
-    from replay.config import LoopConfig, RunConfig
-    from replay.contract import ContractError, check_metric, check_planner, check_reader
-    from replay.draw.charts.canvas import Chart
-    from replay.draw.charts.subject import Subject
-    from replay.draw.drawn_results import DriveResult, Results, load
-    from replay.mine.driven_log import Event, EventKind
-    from replay.prediction import LaneMap
-    from replay.traffic import Traffic
-    from replay.vehicle.base import Controller, Vehicle
-    from replay.world import World
+    from replan.api import compare, evaluate
+    from replan.config import RunConfig
+    from replan.contract import ContractError, check_metric, check_planner, check_reader
+    from replan.core.errors import ConfigError, LogError, OutputError, PlannerError, ReplanError
+    from replan.draw.charts.canvas import Chart
+    from replan.draw.charts.subject import Subject
+    from replan.draw.drawn_results import DriveResult, Results, load
+    from replan.logs.agents import AgentKind, Agents
+    from replan.logs.catalogue.family import Family
+    from replan.logs.frame import Frame, PlannerContext, Predictions, Visibility
+    from replan.logs.mcap.writer import write_scenario as write_log
+    from replan.logs.plan import Decision, DecisionKind, Plan, PlanStatus
+    from replan.logs.readers import LogSettings, Reader, read_log
+    from replan.logs.readers.table import from_frames
+    from replan.logs.road import Goal, Lane, ReferenceLine, Road
+    from replan.logs.scenario import Scenario
+    from replan.logs.states import Command, EgoState, Trajectory
+    from replan.logs.trace import Mode, Trace
+    from replan.logs.tracks import Tracks
+    from replan.logs.vehicle import VehicleParameters
+    from replan.metrics.comparison import Comparison
+    from replan.metrics.metric import Metric, Reduction, Series, Unavailable
+    from replan.mine.driven_log import Event, EventKind
+    from replan.planners.base import Planner
+    from replan.replay.loop_config import LoopConfig
+    from replan.replay.prediction import LaneMap
+    from replan.replay.traffic import Traffic
+    from replan.replay.vehicle.base import Controller, Vehicle
+    from replan.replay.world import World
 
 __all__ = [
     "AgentKind",
@@ -114,36 +115,39 @@ __all__ = [
 ]
 
 _NAMES = {
-    "logs.agents": "AgentKind Agents",
-    "logs.errors": "ConfigError LogError OutputError PlannerError ReplanError",
-    "logs.catalogue.family": "Family",
-    "logs.frame": "Frame PlannerContext Predictions Visibility",
-    "logs.plan": "Decision DecisionKind Plan PlanStatus",
-    "logs.readers": "LogSettings Reader read_log",
-    "logs.readers.table": "from_frames",
-    "logs.road": "Goal Lane ReferenceLine Road",
-    "logs.scenario": "Scenario",
-    "logs.states": "Command EgoState Trajectory",
-    "logs.trace": "Mode Trace",
-    "logs.tracks": "Tracks",
-    "logs.vehicle": "VehicleParameters",
-    "metrics.comparison": "Comparison",
-    "metrics.metric": "Metric Reduction Series Unavailable",
-    "planners.base": "Planner",
-    "replay.api": "compare evaluate",
-    "replay.config": "LoopConfig RunConfig",
-    "replay.contract": "ContractError check_metric check_planner check_reader",
-    "replay.prediction": "LaneMap",
-    "replay.draw.charts.canvas": "Chart",
-    "replay.draw.charts.subject": "Subject",
-    "replay.draw.drawn_results": "DriveResult Results load",
-    "replay.mine.driven_log": "Event EventKind",
-    "replay.traffic": "Traffic",
-    "replay.vehicle.base": "Controller Vehicle",
-    "replay.world": "World",
+    "replan.logs.agents": "AgentKind Agents",
+    "replan.core.errors": "ConfigError LogError OutputError PlannerError ReplanError",
+    "replan.logs.catalogue.family": "Family",
+    "replan.logs.frame": "Frame PlannerContext Predictions Visibility",
+    "replan.logs.plan": "Decision DecisionKind Plan PlanStatus",
+    "replan.logs.readers": "LogSettings Reader read_log",
+    "replan.logs.readers.table": "from_frames",
+    "replan.logs.road": "Goal Lane ReferenceLine Road",
+    "replan.logs.scenario": "Scenario",
+    "replan.logs.states": "Command EgoState Trajectory",
+    "replan.logs.trace": "Mode Trace",
+    "replan.logs.tracks": "Tracks",
+    "replan.logs.vehicle": "VehicleParameters",
+    "replan.metrics.comparison": "Comparison",
+    "replan.metrics.metric": "Metric Reduction Series Unavailable",
+    "replan.planners.base": "Planner",
+    "replan.api": "compare evaluate",
+    "replan.config": "RunConfig",
+    "replan.replay.loop_config": "LoopConfig",
+    "replan.contract": "ContractError check_metric check_planner check_reader",
+    "replan.replay.prediction": "LaneMap",
+    "replan.draw.charts.canvas": "Chart",
+    "replan.draw.charts.subject": "Subject",
+    "replan.draw.drawn_results": "DriveResult Results load",
+    "replan.mine.driven_log": "Event EventKind",
+    "replan.replay.traffic": "Traffic",
+    "replan.replay.vehicle.base": "Controller Vehicle",
+    "replan.replay.world": "World",
 }
 _FROM = {name: (module, name) for module, names in _NAMES.items() for name in names.split()}
-_FROM["write_log"] = ("logs.mcap.writer", "write_scenario")
+_FROM["write_log"] = ("replan.logs.mcap.writer", "write_scenario")
+
+explain_former_names()
 
 
 def __getattr__(name: str) -> Any:

@@ -1,15 +1,19 @@
 """`replan` and `python -m replan`: the command line."""
 
+import sys
+
 
 def main() -> None:
     """Run the command line; SIGINT and SIGTERM are handled before it is imported, which takes a moment."""
-    from replay.interruption import end_at_once
+    from replan.interruption import end_at_once
 
     end_at_once()
-    from replay.cli import main as run
+    from replan.cli import main as run
 
     run()
 
 
 if __name__ == "__main__":
+    if not sys.flags.safe_path:  # the working directory is searched last, as by `replan` (replan.core.extension)
+        del sys.path[0]
     main()

@@ -1,8 +1,5 @@
-"""Drives logs: world, loops, vehicle, controllers, traffic; results, reports and analyses of drives."""
+"""Drives a log: loops, perception, prediction, traffic, controllers, vehicles, and planners in their own process."""
 
-from typing import TYPE_CHECKING
+from replan.core.own_sources import refuse_copy
 
-import replan.own
-
-if not TYPE_CHECKING:  # with `__getattr__` visible, a type checker would accept any name
-    __getattr__ = replan.own.missing("replay")
+refuse_copy(__name__, "replan.replay")

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from enum import Enum
 from time import perf_counter
 
-from logs.trace import Trace
+from replan.logs.trace import Trace
 
 
 class Mark(Enum):
@@ -31,7 +31,7 @@ class DriveKey:
         member: Number in the ensemble; 0: the log itself.
         planner: Index of the planner in the run.
         mode: Index of the loop in the run.
-        again: Whether it repeats the start of a drive, for comparison with the first (`replay.loop.planning`).
+        again: Whether it repeats the start of a drive, for comparison with the first (`replan.replay.loop.planning`).
     """
 
     member: int = 0

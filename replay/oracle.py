@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from logs.errors import PlannerError
-from logs.frame import Frame, PlannerContext
-from logs.plan import Plan, PlanStart, PlanStatus
-from logs.scenario import Scenario
-from logs.states import TRAJECTORY_COLUMNS, Trajectory
-from planners.constant_speed import arc
+from replan.core.errors import PlannerError
+from replan.logs.frame import Frame, PlannerContext
+from replan.logs.plan import Plan, PlanStart, PlanStatus
+from replan.logs.scenario import Scenario
+from replan.logs.states import TRAJECTORY_COLUMNS, Trajectory
+from replan.planners.constant_speed import arc
 
 
 class Logged:

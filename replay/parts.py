@@ -17,9 +17,9 @@ from functools import partial, reduce
 from importlib import import_module
 from typing import Any, get_args, get_type_hints
 
-from logs.errors import ConfigError, PlannerError
-from logs.extension import ExtensionKind
-from replay.settings import Table, converted, dotted, known_keys, strict
+from replan.core.errors import ConfigError, PlannerError
+from replan.core.extension import ExtensionKind
+from replan.core.settings import Table, converted, dotted, known_keys, strict
 
 Factory = Callable[..., Any]
 
@@ -100,15 +100,15 @@ PLANNER = PartKind(
     "planner",
     "planners",
     Places({
-        "dp_qp": "planners.dp_qp:DpQp",
-        "lattice": "planners.lattice:Lattice",
-        "idm": "planners.idm:Idm",
-        "pdm": "planners.pdm:Pdm",
-        "constant_speed": "planners.constant_speed:ConstantSpeed",
-        "blind": "planners.blind:Blind",
-        "parked": "planners.blind:Parked",
-        "logged": "replay.oracle:Logged",
-        "onboard": "replay.oracle:Onboard",
+        "dp_qp": "replan.planners.dp_qp:DpQp",
+        "lattice": "replan.planners.lattice:Lattice",
+        "idm": "replan.planners.idm:Idm",
+        "pdm": "replan.planners.pdm:Pdm",
+        "constant_speed": "replan.planners.constant_speed:ConstantSpeed",
+        "blind": "replan.planners.blind:Blind",
+        "parked": "replan.planners.blind:Parked",
+        "logged": "replan.replay.oracle:Logged",
+        "onboard": "replan.replay.oracle:Onboard",
     }),
     _no_planner,
     PlannerError,
@@ -122,15 +122,15 @@ VEHICLE = PartKind(
     "vehicle",
     "vehicles",
     Places({
-        "kinematic_bicycle": "replay.vehicle.kinematic_bicycle:KinematicBicycle",
-        "kinematic_rear_steer": "replay.vehicle.kinematic_bicycle:rear_steer",
-        "single_track": "replay.vehicle.single_track:SingleTrack",
-        "multibody": "replay.vehicle.multibody:Multibody",
-        "perfect": "replay.vehicle.kinematic_bicycle:Perfect",
+        "kinematic_bicycle": "replan.replay.vehicle.kinematic_bicycle:KinematicBicycle",
+        "kinematic_rear_steer": "replan.replay.vehicle.kinematic_bicycle:rear_steer",
+        "single_track": "replan.replay.vehicle.single_track:SingleTrack",
+        "multibody": "replan.replay.vehicle.multibody:Multibody",
+        "perfect": "replan.replay.vehicle.kinematic_bicycle:Perfect",
     }),
     table="vehicle_model",  # [vehicle] has the VehicleParameters
     given=2,
-    members="replay.vehicle.base:Vehicle",
+    members="replan.replay.vehicle.base:Vehicle",
     method="step",
 )  # fmt: skip
 """`factory(parameters, start, **settings) -> Vehicle`"""
@@ -138,16 +138,16 @@ CONTROLLER = PartKind(
     "controller",
     "controllers",
     Places({
-        "dlqr_pid": "replay.control:dlqr_pid",
-        "dlqr_kinematic_pid": "replay.control:dlqr_kinematic_pid",
-        "mpc": "replay.control:mpc_or_dlqr",
-        "pure_pursuit": "replay.control:pure_pursuit",
-        "stanley": "replay.control:stanley",
-        "pid": "replay.control:pid",
+        "dlqr_pid": "replan.replay.control:dlqr_pid",
+        "dlqr_kinematic_pid": "replan.replay.control:dlqr_kinematic_pid",
+        "mpc": "replan.replay.control:mpc_or_dlqr",
+        "pure_pursuit": "replan.replay.control:pure_pursuit",
+        "stanley": "replan.replay.control:stanley",
+        "pid": "replan.replay.control:pid",
     }),
     table="controller",
     given=3,
-    members="replay.vehicle.base:Controller",
+    members="replan.replay.vehicle.base:Controller",
     method="control",
 )  # fmt: skip
 """`factory(parameters, powertrain, period, **settings) -> Controller`; `period` in s"""
@@ -155,13 +155,13 @@ TRAFFIC = PartKind(
     "traffic",
     "traffic",
     Places({
-        "give_way": "replay.traffic:give_way",
-        "time": "replay.traffic:ReplayedByTime",
-        "ego_position": "replay.traffic:ReplayedByEgoPosition",
-        "reactive": "replay.traffic:Reactive",
+        "give_way": "replan.replay.traffic:give_way",
+        "time": "replan.replay.traffic:ReplayedByTime",
+        "ego_position": "replan.replay.traffic:ReplayedByEgoPosition",
+        "reactive": "replan.replay.traffic:Reactive",
     }),
     table="traffic",
-    members="replay.traffic:Traffic",
+    members="replan.replay.traffic:Traffic",
     method="step",
 )  # fmt: skip
 """`factory(scenario, **settings) -> Traffic`"""
@@ -169,12 +169,12 @@ PREDICTION = PartKind(
     "prediction",
     "predictions",
     Places({
-        "constant_velocity": "replay.prediction:straight_on",
-        "constant_turn_rate": "replay.prediction:round_a_circle",
-        "lane_following": "replay.prediction.lane_following:everybody",
-        "pedestrian": "replay.prediction:pedestrian",
-        "lanes_and_pedestrians": "replay.prediction:lanes_and_pedestrians",
-        "oracle": "replay.loop.perception:logged_futures",
+        "constant_velocity": "replan.replay.prediction:straight_on",
+        "constant_turn_rate": "replan.replay.prediction:round_a_circle",
+        "lane_following": "replan.replay.prediction.lane_following:everybody",
+        "pedestrian": "replan.replay.prediction:pedestrian",
+        "lanes_and_pedestrians": "replan.replay.prediction:lanes_and_pedestrians",
+        "oracle": "replan.replay.perception:logged_futures",
     }),
     table="prediction",
     given=3,
@@ -186,10 +186,10 @@ PERCEPTION = PartKind(
     "perception",
     "perceptions",
     Places({
-        "auto": "replay.loop.perception:auto",
-        "ground_truth": "replay.loop.perception:ground_truth",
-        "recorded": "replay.loop.perception:recorded",
-        "sensor": "replay.loop.perception:sensor",
+        "auto": "replan.replay.perception:auto",
+        "ground_truth": "replan.replay.perception:ground_truth",
+        "recorded": "replan.replay.perception:recorded",
+        "sensor": "replan.replay.perception:sensor",
     }),
     table="perception",
     given=2,

@@ -8,14 +8,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.arrays import BoolArray, FloatArray, IntArray
-from logs.kernel import inner_kernel, kernel
-from logs.shapes import overlap
-from logs.states import EgoState, Trajectory
-from logs.tracks import Tracks
-from logs.vehicle import VehicleParameters
-from metrics.boxes import Phantom
-from planners.constant_speed import arc
+from replan.core.arrays import BoolArray, FloatArray, IntArray
+from replan.core.kernel import inner_kernel, kernel
+from replan.logs.shapes import overlap
+from replan.logs.states import EgoState, Trajectory
+from replan.logs.tracks import Tracks
+from replan.logs.vehicle import VehicleParameters
+from replan.metrics.boxes import Phantom
+from replan.planners.constant_speed import arc
 
 ROUNDING_M = 1e-6
 """Boxes whose centres are farther apart than half of their diagonals and this cannot touch."""

@@ -31,17 +31,17 @@ from typing import Any
 
 import pandas as pd
 
-from logs.catalogue import FAMILIES, SUITES, Family
-from logs.errors import ConfigError, ReplanError
-from metrics.judge import CAREFUL, IMPACT, REFERENCE, REPLAY_CONTACT
-from metrics.judge.gates import Outcome
-from replay.config import RunConfig
-from replay.draw.charts.axes import Plane, rows_plane
-from replay.draw.charts.canvas import Chart, legend
-from replay.draw.charts.layout import GAP_PX, together
-from replay.results.tables import write_file, write_text
-from replay.run import evaluate_logs
-from replay.run.pool import freeze_gc
+from replan.config import RunConfig
+from replan.core.errors import ConfigError, ReplanError
+from replan.draw.charts.axes import Plane, rows_plane
+from replan.draw.charts.canvas import Chart, legend
+from replan.draw.charts.layout import GAP_PX, together
+from replan.logs.catalogue import FAMILIES, SUITES, Family
+from replan.metrics.judge import CAREFUL, IMPACT, REFERENCE, REPLAY_CONTACT
+from replan.metrics.judge.gates import Outcome
+from replan.results.tables import write_file, write_text
+from replan.run import evaluate_logs
+from replan.run.pool import freeze_gc
 
 COLUMNS = (
     "log", "family", "parameters", "outcome", "careful", "careful_margin_m", "end", "detail", "t_end_s", "gap_m",
@@ -61,7 +61,7 @@ OUTCOMES: Mapping[str, str] = {
 PASSED = ("pass", "better", "unavoidable", "run into")
 AT_FAULT = "collision_at_fault.count"
 SLOWER_MPS = 1.0
-"""An impact that is so much harder than the careful driver's is the planner's (as in `metrics.judge`)."""
+"""An impact that is so much harder than the careful driver's is the planner's (as in `replan.metrics.judge`)."""
 ACROSS, PANEL_PX, TOP_PX = 6, (250.0, 190.0), 40.0
 TICKS = 7
 WIDE = 0.85

@@ -7,7 +7,7 @@ python -m studies.commonroad DIR -o OUT [--planner dp_qp ...] [--traffic give_wa
     OUT/give_way, OUT/time      the runs, as `replan evaluate` writes them
 
 The planner `logged` is always among them. A log's goal is within reach where `logged` enters it (in the same traffic)
-or where the careful driver of UN R157 does, among the log's traffic (`replay.loop.reference_drives`): they keep their
+or where the careful driver of UN R157 does, among the log's traffic (`replan.replay.loop.reference_drives`): they keep their
 lane, never accelerate, and a touch ends their drive as it ends a planner's.
 """
 
@@ -22,15 +22,16 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from logs.errors import ReplanError
-from logs.trace import EndReason, Mode
-from metrics.judge import CAREFUL, REFERENCE as JUDGED_BY, worst
-from metrics.judge.gates import Outcome
-from replay.config import LoopConfig, RunConfig
-from replay.draw.drawn_results import Results
-from replay.parts import TRAFFIC
-from replay.results.tables import write_file, write_text
-from replay.run import evaluate_logs
+from replan.config import RunConfig
+from replan.core.errors import ReplanError
+from replan.draw.drawn_results import Results
+from replan.logs.trace import EndReason, Mode
+from replan.metrics.judge import CAREFUL, REFERENCE as JUDGED_BY, worst
+from replan.metrics.judge.gates import Outcome
+from replan.replay.loop_config import LoopConfig
+from replan.replay.parts import TRAFFIC
+from replan.results.tables import write_file, write_text
+from replan.run import evaluate_logs
 
 PLANNERS = ("dp_qp", "idm", "lattice")
 KINDS = ("give_way", "time", "reactive")

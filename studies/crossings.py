@@ -26,18 +26,18 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from logs.agents import AgentKind
-from logs.arrays import FloatArray
-from logs.errors import ReplanError
-from logs.readers import LogSettings
-from logs.road import thinned
-from logs.scenario import Scenario
-from logs.states import Trajectory
-from logs.trace import EndReason, Trace
-from replay.loop.closed_loop import run_closed_loop
-from replay.loop.open_loop import run_open_loop
-from replay.results.tables import write_file, write_text
-from replay.run.sources import select
+from replan.core.arrays import FloatArray
+from replan.core.errors import ReplanError
+from replan.logs.agents import AgentKind
+from replan.logs.readers import LogSettings
+from replan.logs.road import thinned
+from replan.logs.scenario import Scenario
+from replan.logs.states import Trajectory
+from replan.logs.trace import EndReason, Trace
+from replan.replay.loop.closed_loop import run_closed_loop
+from replan.replay.loop.open_loop import run_open_loop
+from replan.results.tables import write_file, write_text
+from replan.run.sources import select
 
 ASIDE_M = 1.6
 """Half of a car's width and of a person's stride."""

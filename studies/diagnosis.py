@@ -25,19 +25,19 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from logs.agents import AgentKind, Agents, among
-from logs.arrays import FloatArray
-from logs.errors import ReplanError
-from logs.frame import Predictions
-from replay.config import load_run
-from replay.draw.drawn_results import Results
-from replay.experiments.changes import NOT_FOUND, load_changes
-from replay.experiments.diagnose import diagnose, question
-from replay.experiments.findings import Diagnosis
-from replay.prediction import LaneMap
-from replay.prediction.lane_following import everybody
-from replay.results.tables import write_file
-from replay.run import evaluate_logs
+from replan.config import load_run
+from replan.core.arrays import FloatArray
+from replan.core.errors import ReplanError
+from replan.draw.drawn_results import Results
+from replan.experiments.changes import NOT_FOUND, load_changes
+from replan.experiments.diagnose import diagnose, question
+from replan.experiments.findings import Diagnosis
+from replan.logs.agents import AgentKind, Agents, among
+from replan.logs.frame import Predictions
+from replan.replay.prediction import LaneMap
+from replan.replay.prediction.lane_following import everybody
+from replan.results.tables import write_file
+from replan.run import evaluate_logs
 
 
 def frozen(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:

@@ -23,7 +23,7 @@ from pathlib import Path
 
 from typer.testing import CliRunner
 
-from replay.cli import app
+from replan.cli import app
 
 sys.path.append(str(Path(__file__).parents[1] / "tests" / "support"))
 from edited import edit

@@ -26,20 +26,20 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from logs.arrays import BoolArray
-from logs.errors import ReplanError
-from logs.frame import Frame, PlannerContext, Predictions
-from logs.plan import Plan
-from logs.readers import LogSettings
-from metrics.judge import CAREFUL
-from planners.idm import Idm, IdmConfig
-from replay.config import load_run
-from replay.experiments.falsify import FalsifyQuestion, SearchDrives, falsify
-from replay.experiments.mildest import BATCH, Point, norm
-from replay.experiments.search_subject import agents_of, box_of, search_axes, subject_of
-from replay.results.tables import write_file, write_text
-from replay.run.output import held
-from replay.run.resume import Study
+from replan.config import load_run
+from replan.core.arrays import BoolArray
+from replan.core.errors import ReplanError
+from replan.experiments.falsify import FalsifyQuestion, SearchDrives, falsify
+from replan.experiments.mildest import BATCH, Point, norm
+from replan.experiments.search_subject import agents_of, box_of, search_axes, subject_of
+from replan.logs.frame import Frame, PlannerContext, Predictions
+from replan.logs.plan import Plan
+from replan.logs.readers import LogSettings
+from replan.metrics.judge import CAREFUL
+from replan.planners.idm import Idm, IdmConfig
+from replan.results.tables import write_file, write_text
+from replan.run.output import held
+from replan.run.resume import Study
 
 GATES = """
 [[gate]]

@@ -6,7 +6,7 @@ Without logs: the built-in suite. OUT/invariance.csv has a row per log, planner 
 printed counts, per planner and perturbation, the logs whose outcome (why the drive ended, the goal, collisions at
 fault) is another, and those whose ego parted from the unperturbed drive, mapped back, by more than 1 cm and 10 cm. Of
 the gates it counts those that pass or fail (`gates`), those that flip to or from a failure, and the flips that are
-marginal (`metrics.judge.excuses`) in neither world (`unmarked`).
+marginal (`replan.metrics.judge.excuses`) in neither world (`unmarked`).
 """
 
 from __future__ import annotations
@@ -24,21 +24,29 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from logs.errors import ReplanError
-from logs.scenario import Scenario
-from logs.states import Trajectory
-from logs.transform import jittered, mirrored, mirrored_trajectory, moved_trajectory, rotated, sampled, shifted_clock
-from metrics import evaluate
-from metrics.judge import judge
-from metrics.judge.aggregate import LogLabels
-from metrics.judge.excuses import marginal
-from metrics.judge.gates import Outcome, load_gates
-from replay.config import LoopConfig
-from replay.loop.closed_loop import run_closed_loop
-from replay.loop.reference_drives import with_avoidability
-from replay.results.tables import write_file
-from replay.run.pool import WorkerLost, run_all
-from replay.run.sources import LogSource, builtin_suite, noisy, select
+from replan.core.errors import ReplanError
+from replan.logs.edit.transform import (
+    jittered,
+    mirrored,
+    mirrored_trajectory,
+    moved_trajectory,
+    rotated,
+    sampled,
+    shifted_clock,
+)
+from replan.logs.scenario import Scenario
+from replan.logs.states import Trajectory
+from replan.metrics import evaluate
+from replan.metrics.judge import judge
+from replan.metrics.judge.aggregate import LogLabels
+from replan.metrics.judge.excuses import marginal
+from replan.metrics.judge.gates import Outcome, load_gates
+from replan.replay.loop.closed_loop import run_closed_loop
+from replan.replay.loop.reference_drives import with_avoidability
+from replan.replay.loop_config import LoopConfig
+from replan.results.tables import write_file
+from replan.run.pool import WorkerLost, run_all
+from replan.run.sources import LogSource, builtin_suite, noisy, select
 
 TURNS_DEG = (30, 45, 60, 90, 120, 150, 180, 210, 240, 270, 300, 330)
 TINY = 1e-9

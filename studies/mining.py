@@ -26,15 +26,15 @@ from pathlib import Path
 
 import numpy as np
 
-from logs.agents import AgentKind
-from logs.arrays import arc_lengths
-from logs.log_settings import LogSettings
-from logs.readers import read_log
-from logs.readers.recorded import driven
-from logs.scenario import Scenario
-from metrics.metric import Unavailable
-from replay.mine.driven_log import DrivenLog
-from replay.mine.kinds import KINDS
+from replan.core.arrays import arc_lengths
+from replan.logs.agents import AgentKind
+from replan.logs.log_settings import LogSettings
+from replan.logs.readers import read_log
+from replan.logs.readers.recorded import driven
+from replan.logs.scenario import Scenario
+from replan.metrics.metric import Unavailable
+from replan.mine.driven_log import DrivenLog
+from replan.mine.kinds import KINDS
 
 LABELS: dict[str, tuple[tuple[str, str], ...]] = {
     "pedestrian_crossing_10": (("pedestrian_crossing", "60"), ("ego_yields", "60"), ("cyclist_along", "165")),

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from replay.paper.reproduce import markdown
+from replan.paper.reproduce import markdown
 
 HARD_MPS2 = 3.5
 COLUMNS = {

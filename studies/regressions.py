@@ -22,21 +22,21 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from logs.agents import AgentKind
-from logs.errors import ReplanError
-from logs.frame import Frame, PlannerContext, Predictions
-from logs.mcap import write_scenario
-from logs.plan import Plan
-from logs.scenario import Scenario
-from metrics.comparison import Comparison
-from metrics.judge.gates import GateRule, Outcome
-from planners.dp_qp.planner import DpQp
-from replay.compare import compare_runs
-from replay.config import RunConfig
-from replay.draw.drawn_results import Results
-from replay.results.tables import safe_name, write_file
-from replay.run import evaluate_logs
-from replay.run.sources import LogSource, builtin_suite, select
+from replan.compare_runs import compare_runs
+from replan.config import RunConfig
+from replan.core.errors import ReplanError
+from replan.draw.drawn_results import Results
+from replan.logs.agents import AgentKind
+from replan.logs.frame import Frame, PlannerContext, Predictions
+from replan.logs.mcap import write_scenario
+from replan.logs.plan import Plan
+from replan.logs.scenario import Scenario
+from replan.metrics.comparison import Comparison
+from replan.metrics.judge.gates import GateRule, Outcome
+from replan.planners.dp_qp.planner import DpQp
+from replan.results.tables import safe_name, write_file
+from replan.run import evaluate_logs
+from replan.run.sources import LogSource, builtin_suite, select
 
 TINY_M = 1e-9
 PLANNER = "dp_qp"

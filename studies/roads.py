@@ -38,24 +38,24 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-import metrics
-from logs.agents import AgentKind
-from logs.arrays import FloatArray
-from logs.catalogue.raw import FAMILIES as RAW
-from logs.cut import cut
-from logs.errors import LogError, ReplanError
-from logs.mcap import read_scenario, write_scenario
-from logs.readers import LogSettings, read_log
-from logs.scenario import Scenario
-from logs.trace import EndReason
-from logs.transform import mirrored
-from metrics.metric import Series
-from metrics.progress import gain_along, route_of
-from replay.loop.closed_loop import run_closed_loop
-from replay.paper.reproduce import markdown
-from replay.results.tables import safe_name, write_file
-from replay.run.pool import WorkerLost, run_all
-from replay.run.sources import LogSource, select
+from replan import metrics
+from replan.core.arrays import FloatArray
+from replan.core.errors import LogError, ReplanError
+from replan.logs.agents import AgentKind
+from replan.logs.catalogue.raw import FAMILIES as RAW
+from replan.logs.edit.cut import cut
+from replan.logs.edit.transform import mirrored
+from replan.logs.mcap import read_scenario, write_scenario
+from replan.logs.readers import LogSettings, read_log
+from replan.logs.scenario import Scenario
+from replan.logs.trace import EndReason
+from replan.metrics.metric import Series
+from replan.metrics.progress import gain_along, route_of
+from replan.paper.reproduce import markdown
+from replan.replay.loop.closed_loop import run_closed_loop
+from replan.results.tables import safe_name, write_file
+from replan.run.pool import WorkerLost, run_all
+from replan.run.sources import LogSource, select
 
 WINDOW_S, EVERY_S, LEAST_S, LEAST_M, NEAR_M = 10.0, 2.0, 4.0, 5.0, 1.0
 """Length and distance of windows; less time, or less way of the person, is no drive."""

@@ -1,6 +1,6 @@
 """A chart: the speed over time."""
 
-from replay.draw.charts.axes import Plane
+from replan.draw.charts.axes import Plane
 
 
 def speed(subject):

@@ -1,8 +1,8 @@
 """A family of the catalogue: cars beside the road."""
 
-from logs.catalogue.family_parts import drive, parked, tracks
-from logs.catalogue.roads import curve, one_lane
 from replan import Family, Scenario
+from replan.logs.catalogue.family_parts import drive, parked, tracks
+from replan.logs.catalogue.roads import curve, one_lane
 
 
 def build(p):

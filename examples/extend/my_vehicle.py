@@ -2,7 +2,7 @@
 
 from collections import deque
 
-from replay.vehicle.kinematic_bicycle import KinematicBicycle
+from replan.replay.vehicle.kinematic_bicycle import KinematicBicycle
 
 
 class Late:

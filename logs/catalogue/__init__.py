@@ -24,11 +24,11 @@ from math import sqrt
 
 import numpy as np
 
-from logs.catalogue import euro_ncap, everyday, faults, iso3888, paper, pedestrians, raw, unece_r157
-from logs.catalogue.family import Family
-from logs.errors import ConfigError, unknown_name
-from logs.extension import ExtensionKind, an_instance
-from logs.scenario import Scenario
+from replan.core.errors import ConfigError, unknown_name
+from replan.core.extension import ExtensionKind, an_instance
+from replan.logs.catalogue import euro_ncap, everyday, faults, iso3888, paper, pedestrians, raw, unece_r157
+from replan.logs.catalogue.family import Family
+from replan.logs.scenario import Scenario
 
 CATALOGUE: dict[str, Family] = {
     family.name: family

@@ -12,13 +12,13 @@ from math import atan2, hypot
 
 import numpy as np
 
-from logs.agents import USUAL_SIZE_M, AgentKind, among, codes_of
-from logs.arrays import BoolArray, FloatArray, IntArray
-from logs.kernel import kernel
-from logs.repair.detections import Detections
-from logs.shapes import overlap
-from logs.states import Trajectory
-from logs.tracks import Tracks
+from replan.core.arrays import BoolArray, FloatArray, IntArray
+from replan.core.kernel import kernel
+from replan.logs.agents import USUAL_SIZE_M, AgentKind, among, codes_of
+from replan.logs.repair.detections import Detections
+from replan.logs.shapes import overlap
+from replan.logs.states import Trajectory
+from replan.logs.tracks import Tracks
 
 STEP_S = 0.1
 AHEAD_M, ASIDE_M = 50.0, 25.0

@@ -17,8 +17,8 @@ from math import copysign, pi
 
 import numpy as np
 
-from logs.catalogue.family import Build, Family
-from logs.catalogue.family_parts import (
+from replan.logs.catalogue.family import Build, Family
+from replan.logs.catalogue.family_parts import (
     BEYOND_M,
     HALF_LANE,
     SIDEWALK_M,
@@ -30,7 +30,7 @@ from logs.catalogue.family_parts import (
     moving,
     waiting,
 )
-from logs.catalogue.protocols import (
+from replan.logs.catalogue.protocols import (
     CAR_TARGET,
     CHILD_TARGET,
     CROSSING,
@@ -51,10 +51,10 @@ from logs.catalogue.protocols import (
     straight,
     tested,
 )
-from logs.catalogue.roads import LANE_WIDTH_M, junction, one_lane, two_way
-from logs.plan import DecisionKind
-from logs.scenario import Scenario
-from logs.vehicle import VehicleParameters
+from replan.logs.catalogue.roads import LANE_WIDTH_M, junction, one_lane, two_way
+from replan.logs.plan import DecisionKind
+from replan.logs.scenario import Scenario
+from replan.logs.vehicle import VehicleParameters
 
 SOURCES = {
     "2023": "Euro NCAP AEB/LSS VRU 4.5.1 and AEB C2C 4.3.1, per vectorgrp/OSC-NCAP-scenarios ee7aa111",

@@ -17,10 +17,10 @@ from math import copysign, pi, radians, sqrt
 
 import numpy as np
 
-from logs.agents import AgentKind
-from logs.arrays import FloatArray
-from logs.catalogue.family import expects, family
-from logs.catalogue.family_parts import (
+from replan.core.arrays import FloatArray
+from replan.logs.agents import AgentKind
+from replan.logs.catalogue.family import expects, family
+from replan.logs.catalogue.family_parts import (
     BEYOND_M,
     BICYCLE,
     CAR,
@@ -42,12 +42,21 @@ from logs.catalogue.family_parts import (
     tenths,
     walked,
 )
-from logs.catalogue.roads import LANE_WIDTH_M, curve, junction, lane_beside, one_lane, two_lanes, two_way, weaving
-from logs.plan import DecisionKind
-from logs.road import Road
-from logs.rules import Colour, Crosswalk, StopLine, TrafficLight
-from logs.scenario import Scenario
-from logs.vehicle import VehicleParameters
+from replan.logs.catalogue.roads import (
+    LANE_WIDTH_M,
+    curve,
+    junction,
+    lane_beside,
+    one_lane,
+    two_lanes,
+    two_way,
+    weaving,
+)
+from replan.logs.plan import DecisionKind
+from replan.logs.road import Road
+from replan.logs.rules import Colour, Crosswalk, StopLine, TrafficLight
+from replan.logs.scenario import Scenario
+from replan.logs.vehicle import VehicleParameters
 
 STOP_SHORT_M = 1.5
 """Space between the front of a stopped ego and the line."""

@@ -17,10 +17,10 @@ from itertools import product
 from math import isfinite
 from types import MappingProxyType
 
-from logs.errors import ConfigError
-from logs.plan import DecisionKind
-from logs.scenario import Scenario
-from logs.shapes import overlap
+from replan.core.errors import ConfigError
+from replan.logs.plan import DecisionKind
+from replan.logs.scenario import Scenario
+from replan.logs.shapes import overlap
 
 VERSION = "1"
 
@@ -61,7 +61,7 @@ class Family:
                 yield cell
 
     def named(self, changed: Mapping[str, float]) -> str:
-        """The name of a variant, from which `logs.catalogue.scenario` builds it, with every number in full."""
+        """The name of a variant, from which `replan.logs.catalogue.scenario` builds it, with every number in full."""
         words = []
         for name, value in sorted(changed.items()):
             short = f"{value:g}"

@@ -22,14 +22,14 @@ from math import ceil, copysign, sqrt
 
 import numpy as np
 
-from logs.agents import AgentKind
-from logs.arrays import FloatArray
-from logs.catalogue.roads import LANE_WIDTH_M, CurveSamples, curve, stretch
-from logs.plan import DecisionKind
-from logs.road import Goal, Road
-from logs.scenario import Scenario
-from logs.states import Trajectory
-from logs.tracks import Tracks
+from replan.core.arrays import FloatArray
+from replan.logs.agents import AgentKind
+from replan.logs.catalogue.roads import LANE_WIDTH_M, CurveSamples, curve, stretch
+from replan.logs.plan import DecisionKind
+from replan.logs.road import Goal, Road
+from replan.logs.scenario import Scenario
+from replan.logs.states import Trajectory
+from replan.logs.tracks import Tracks
 
 STEP_S = 0.02
 START_M = 10.0

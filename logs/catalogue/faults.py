@@ -2,7 +2,7 @@
 
 No public suite has them; the values are replan's own. Faults of perception are in the tracks of a catalogue scene:
 0 the crossing pedestrian, 1 a lead, 2 a cut-in. In the closed loop the log is the world: the planner perceives a track
-with its gap, and the evaluation interpolates it (`logs.observed`); a delayed track is another world there, and is wrong
+with its gap, and the evaluation interpolates it (`replan.logs.observed`); a delayed track is another world there, and is wrong
 relative to the ego in the open loop only. Faults of ego and lanes are in the free road; the log then has the first ego
 state only, since no drive on that road exists.
 """
@@ -15,14 +15,14 @@ from math import cos, radians, sin, tan
 
 import numpy as np
 
-from logs.arrays import BoolArray, FloatArray, arc_lengths
-from logs.catalogue import everyday, paper
-from logs.catalogue.family import Family, family
-from logs.catalogue.family_parts import BEYOND_M, SAMPLE_S
-from logs.catalogue.roads import LANE_WIDTH_M
-from logs.road import Goal
-from logs.scenario import Scenario
-from logs.tracks import Tracks
+from replan.core.arrays import BoolArray, FloatArray, arc_lengths
+from replan.logs.catalogue import everyday, paper
+from replan.logs.catalogue.family import Family, family
+from replan.logs.catalogue.family_parts import BEYOND_M, SAMPLE_S
+from replan.logs.catalogue.roads import LANE_WIDTH_M
+from replan.logs.road import Goal
+from replan.logs.scenario import Scenario
+from replan.logs.tracks import Tracks
 
 SCENES = (paper.crossing_pedestrian, everyday.follow, everyday.cut_in)
 SOURCE = "ours"

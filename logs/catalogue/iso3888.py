@@ -22,14 +22,14 @@ from itertools import pairwise
 
 import numpy as np
 
-from logs.arrays import FloatArray
-from logs.catalogue.family import Family
-from logs.catalogue.family_parts import BEYOND_M, HALF_LANE, SPARE_S, drive, finished, tenths
-from logs.catalogue.protocols import KMH, speeds
-from logs.catalogue.roads import curve, weaving
-from logs.road import Lane, Road
-from logs.scenario import Scenario
-from logs.vehicle import VehicleParameters
+from replan.core.arrays import FloatArray
+from replan.logs.catalogue.family import Family
+from replan.logs.catalogue.family_parts import BEYOND_M, HALF_LANE, SPARE_S, drive, finished, tenths
+from replan.logs.catalogue.protocols import KMH, speeds
+from replan.logs.catalogue.roads import curve, weaving
+from replan.logs.road import Lane, Road
+from replan.logs.scenario import Scenario
+from replan.logs.vehicle import VehicleParameters
 
 CONE_SPACING_M = 3.0
 SOURCE = "ISO 3888-1 and -2, per Project Chrono's double lane change"

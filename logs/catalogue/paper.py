@@ -11,8 +11,8 @@ from math import radians
 
 import numpy as np
 
-from logs.catalogue.family import expects, family
-from logs.catalogue.family_parts import (
+from replan.logs.catalogue.family import expects, family
+from replan.logs.catalogue.family_parts import (
     BEYOND_M,
     CAR,
     HALF_LANE,
@@ -28,10 +28,10 @@ from logs.catalogue.family_parts import (
     tenths,
     waiting,
 )
-from logs.catalogue.roads import curve, one_lane, two_lanes, weaving
-from logs.plan import DecisionKind
-from logs.scenario import Scenario
-from logs.vehicle import VehicleParameters
+from replan.logs.catalogue.roads import curve, one_lane, two_lanes, weaving
+from replan.logs.plan import DecisionKind
+from replan.logs.scenario import Scenario
+from replan.logs.vehicle import VehicleParameters
 
 
 @family(

@@ -20,10 +20,10 @@ from math import copysign, cos, inf, pi, radians, sin, sqrt
 
 import numpy as np
 
-from logs.agents import AgentKind
-from logs.arrays import FloatArray
-from logs.catalogue.family import expects, family
-from logs.catalogue.family_parts import (
+from replan.core.arrays import FloatArray
+from replan.logs.agents import AgentKind
+from replan.logs.catalogue.family import expects, family
+from replan.logs.catalogue.family_parts import (
     ADULT,
     APART_M,
     BESIDE_M,
@@ -45,10 +45,10 @@ from logs.catalogue.family_parts import (
     waiting,
     walked,
 )
-from logs.catalogue.roads import one_lane
-from logs.plan import DecisionKind
-from logs.scenario import Scenario
-from logs.vehicle import VehicleParameters
+from replan.logs.catalogue.roads import one_lane
+from replan.logs.plan import DecisionKind
+from replan.logs.scenario import Scenario
+from replan.logs.vehicle import VehicleParameters
 
 RAMP_S = 0.4
 CHILD = (0.711, 0.298)

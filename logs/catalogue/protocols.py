@@ -18,10 +18,10 @@ from math import copysign, pi
 
 import numpy as np
 
-from logs.agents import AgentKind
-from logs.arrays import FloatArray
-from logs.catalogue.family import before_contact, expects
-from logs.catalogue.family_parts import (
+from replan.core.arrays import FloatArray
+from replan.logs.agents import AgentKind
+from replan.logs.catalogue.family import before_contact, expects
+from replan.logs.catalogue.family_parts import (
     ADULT,
     BESIDE_M,
     BEYOND_M,
@@ -42,12 +42,12 @@ from logs.catalogue.family_parts import (
     waiting,
     walked,
 )
-from logs.catalogue.pedestrians import CHILD
-from logs.catalogue.roads import LANE_WIDTH_M, CurveSamples, curve, one_lane, two_way
-from logs.plan import DecisionKind
-from logs.road import Road
-from logs.scenario import Scenario
-from logs.vehicle import VehicleParameters
+from replan.logs.catalogue.pedestrians import CHILD
+from replan.logs.catalogue.roads import LANE_WIDTH_M, CurveSamples, curve, one_lane, two_way
+from replan.logs.plan import DecisionKind
+from replan.logs.road import Road
+from replan.logs.scenario import Scenario
+from replan.logs.vehicle import VehicleParameters
 
 KMH = 1.0 / 3.6
 TTC_S = 6.0

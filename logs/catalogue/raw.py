@@ -1,7 +1,7 @@
 """Drives whose road users a detector sees: the data of a team's own bag, with known truth.
 
-The careful driver drives through a scene with bystanders, and `logs.catalogue.detector` models the detections from the
-ego. The log has the detections alone: the reader makes tracks of them (`logs.readers.admission`). `TRUE` has the scenes
+The careful driver drives through a scene with bystanders, and `replan.logs.catalogue.detector` models the detections from the
+ego. The log has the detections alone: the reader makes tracks of them (`replan.logs.readers.admission`). `TRUE` has the scenes
 with the true road users, for the evaluation of a repair. The goal begins `EARLY_M` before the end of the drive, so that
 a slower ego still reaches it.
 """
@@ -14,12 +14,12 @@ from math import pi
 
 import numpy as np
 
-from logs.agents import AgentKind
-from logs.arrays import FloatArray
-from logs.catalogue import paper
-from logs.catalogue.detector import detected
-from logs.catalogue.family import Family, touches
-from logs.catalogue.family_parts import (
+from replan.core.arrays import FloatArray
+from replan.logs.agents import AgentKind
+from replan.logs.catalogue import paper
+from replan.logs.catalogue.detector import detected
+from replan.logs.catalogue.family import Family, touches
+from replan.logs.catalogue.family_parts import (
     ADULT,
     BEYOND_M,
     BICYCLE,
@@ -34,12 +34,12 @@ from logs.catalogue.family_parts import (
     parked,
     tracks,
 )
-from logs.catalogue.roads import LANE_WIDTH_M, CurveSamples, curve, one_lane, stretch, two_way
-from logs.road import Goal, Road
-from logs.scenario import Scenario
-from logs.states import Trajectory
-from logs.tracks import Tracks
-from logs.vehicle import VehicleParameters
+from replan.logs.catalogue.roads import LANE_WIDTH_M, CurveSamples, curve, one_lane, stretch, two_way
+from replan.logs.road import Goal, Road
+from replan.logs.scenario import Scenario
+from replan.logs.states import Trajectory
+from replan.logs.tracks import Tracks
+from replan.logs.vehicle import VehicleParameters
 
 EARLY_M = 80.0
 ROW_M = 3.4

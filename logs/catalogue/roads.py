@@ -26,9 +26,9 @@ from math import pi
 
 import numpy as np
 
-from logs.arrays import FloatArray, frozen
-from logs.road import Lane, Road
-from logs.rules import StopLine
+from replan.core.arrays import FloatArray, frozen
+from replan.logs.road import Lane, Road
+from replan.logs.rules import StopLine
 
 STEP_M = 0.05
 LANE_WIDTH_M = 3.5

@@ -15,10 +15,21 @@ from math import pi
 
 import numpy as np
 
-from logs.agents import AgentKind
-from logs.catalogue.family import Build, Family, family
-from logs.catalogue.family_parts import BEYOND_M, CAR, HALF_LANE, SPARE_S, START_M, Ahead, grid, moving, parked, walked
-from logs.catalogue.protocols import (
+from replan.logs.agents import AgentKind
+from replan.logs.catalogue.family import Build, Family, family
+from replan.logs.catalogue.family_parts import (
+    BEYOND_M,
+    CAR,
+    HALF_LANE,
+    SPARE_S,
+    START_M,
+    Ahead,
+    grid,
+    moving,
+    parked,
+    walked,
+)
+from replan.logs.catalogue.protocols import (
     CROSSING,
     FOLLOWS,
     KMH,
@@ -35,10 +46,10 @@ from logs.catalogue.protocols import (
     tested,
     travelled,
 )
-from logs.catalogue.roads import LANE_WIDTH_M, curve, one_lane, two_lanes
-from logs.plan import DecisionKind
-from logs.scenario import Scenario
-from logs.vehicle import VehicleParameters
+from replan.logs.catalogue.roads import LANE_WIDTH_M, curve, one_lane, two_lanes
+from replan.logs.plan import DecisionKind
+from replan.logs.scenario import Scenario
+from replan.logs.vehicle import VehicleParameters
 
 SOURCE = "UN R157 (ALKS), per openMSL/sl-3-1-osc-alks-scenarios b49dc1dd"
 EGO = {"ego_kmh": speeds(5, 60)}

@@ -8,12 +8,12 @@ from __future__ import annotations
 from functools import lru_cache
 from pathlib import Path
 
-from logs.errors import LogError
-from logs.files import check_regular
-from logs.log_settings import LogSettings
-from logs.maps import arrow123d_map, lanelet2, opendrive
-from logs.maps.base import MapFile, MapReader, on_map
-from logs.scenario import Scenario
+from replan.core.errors import LogError
+from replan.core.files import check_regular
+from replan.logs.log_settings import LogSettings
+from replan.logs.maps import arrow123d_map, lanelet2, opendrive
+from replan.logs.maps.base import MapFile, MapReader, on_map
+from replan.logs.scenario import Scenario
 
 __all__ = ["BUILTIN", "MapFile", "MapReader", "map_files", "map_reader_of", "read_map", "with_map"]
 

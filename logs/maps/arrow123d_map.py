@@ -31,16 +31,16 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from logs.arrays import FloatArray, arc_lengths
-from logs.arrow_tables import COPY_AGAIN, Lists, array_of, ipc_table, metadata_of, reading, whole
-from logs.complete import road_along, with_limit
-from logs.errors import LogError
-from logs.files import beside
-from logs.maps.base import MapFile, MapReader
-from logs.maps.strips import LARGEST_M, LONGEST_M, LaneStrip, dense, lanes_of
-from logs.road import IN_JUNCTION, Lane, Road, inside, predecessors
-from logs.rules import Colour, Crosswalk, StopLine, TrafficLight
-from logs.states import Trajectory
+from replan.core.arrays import FloatArray, arc_lengths
+from replan.core.arrow_tables import COPY_AGAIN, Lists, array_of, ipc_table, metadata_of, reading, whole
+from replan.core.errors import LogError
+from replan.core.files import beside
+from replan.logs.complete import road_along, with_limit
+from replan.logs.maps.base import MapFile, MapReader
+from replan.logs.maps.strips import LARGEST_M, LONGEST_M, LaneStrip, dense, lanes_of
+from replan.logs.road import IN_JUNCTION, Lane, Road, inside, predecessors
+from replan.logs.rules import Colour, Crosswalk, StopLine, TrafficLight
+from replan.logs.states import Trajectory
 
 LANE, LANE_GROUP, CROSSWALK, CAR_PARK, DRIVABLE, STOP_ZONE, ROAD_LINE = 0, 1, 3, 5, 6, 7, 9
 LANE_TYPES = ("undefined", "freeway", "surface_street", "bike_lane", "bus_lane")

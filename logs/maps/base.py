@@ -1,7 +1,7 @@
 """The classes of map readers and maps; puts a scenario on a map, and refuses maps that do not fit the drive.
 
 (1) The ego's path is sampled every `STEP_M`, so that a standing car has no more weight than a moving one. A point is on
-    the map if it lies on a drivable lane, and along it if the ego drives along such a lane (`logs.route.on_lane`).
+    the map if it lies on a drivable lane, and along it if the ego drives along such a lane (`replan.logs.route.on_lane`).
 
 The map is refused if less than `LEAST_SHARE` of the points are on it, or less than that share of those are along it.
 """
@@ -15,14 +15,14 @@ from pathlib import Path
 
 import numpy as np
 
-from logs.arrays import BoolArray, arc_lengths
-from logs.complete import NO_LANES, with_limit
-from logs.errors import LogError
-from logs.road import Lane, Road, RoadSource
-from logs.route import on_lane
-from logs.scenario import Scenario
-from logs.states import Trajectory
-from logs.transform import placed_road
+from replan.core.arrays import BoolArray, arc_lengths
+from replan.core.errors import LogError
+from replan.logs.complete import NO_LANES, with_limit
+from replan.logs.edit.transform import placed_road
+from replan.logs.road import Lane, Road, RoadSource
+from replan.logs.route import on_lane
+from replan.logs.scenario import Scenario
+from replan.logs.states import Trajectory
 
 STEP_M = 1.0
 LEAST_SHARE = 0.5

@@ -26,14 +26,14 @@ from pathlib import Path
 
 import numpy as np
 
-from logs.arrays import FloatArray, foot_on, station_on
-from logs.errors import LogError, in_file, reading
-from logs.maps.base import MapFile, MapReader
-from logs.maps.lanelet2_file import PROJECTOR_INFO, Element, Osm, placed_points, read_osm
-from logs.maps.lanelet2_lanes import LONGEST_M, DirectedLanelet, divided, lanes_of, strips_of, way_points
-from logs.maps.strips import CAR_WIDTH_M
-from logs.road import Lane, Road, predecessors
-from logs.rules import Crosswalk, StopLine
+from replan.core.arrays import FloatArray, foot_on, station_on
+from replan.core.errors import LogError, in_file, reading
+from replan.logs.maps.base import MapFile, MapReader
+from replan.logs.maps.lanelet2_file import PROJECTOR_INFO, Element, Osm, placed_points, read_osm
+from replan.logs.maps.lanelet2_lanes import LONGEST_M, DirectedLanelet, divided, lanes_of, strips_of, way_points
+from replan.logs.maps.strips import CAR_WIDTH_M
+from replan.logs.road import Lane, Road, predecessors
+from replan.logs.rules import Crosswalk, StopLine
 
 AT_BEGIN_M = 1.5
 """A stop line nearer to a lane's begin lies across the preceding lanes, m."""

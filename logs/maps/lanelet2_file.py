@@ -5,7 +5,7 @@ files do not have and in which entities could grow without bound, is refused bef
 
 Plane coordinates, the first of these that the map and the settings give:
 
-(1) `[log] map_origin`: latitudes and longitudes in this projection (`logs.maps.projections`);
+(1) `[log] map_origin`: latitudes and longitudes in this projection (`replan.logs.maps.projections`);
 (2) `local_x` and `local_y` of every point, as in Autoware's maps;
 (3) the projection in `map_projector_info.yaml` beside the map, as in Autoware;
 (4) within `NEAR_NULL_DEG` of latitude 0, longitude 0, as in CARLA's towns: transverse Mercator about that place;
@@ -20,10 +20,10 @@ from pathlib import Path
 
 import numpy as np
 
-from logs.arrays import FloatArray
-from logs.errors import LogError
-from logs.files import read_xml, refuse_doctype
-from logs.maps.projections import UTM_SCALE, Projection, check_on_earth, parse_projection
+from replan.core.arrays import FloatArray
+from replan.core.errors import LogError
+from replan.core.files import read_xml, refuse_doctype
+from replan.logs.maps.projections import UTM_SCALE, Projection, check_on_earth, parse_projection
 
 NEW_ID = 10**12
 """Editors number new elements -1, -2 ...; such an id i becomes `NEW_ID` - i, as replan's ids are not negative."""

@@ -27,12 +27,12 @@ from math import hypot, isfinite, nan
 
 import numpy as np
 
-from logs.arrays import FloatArray, IntArray, arc_lengths
-from logs.errors import LogError
-from logs.kernel import kernel
-from logs.maps.lanelet2_file import Element, Osm
-from logs.maps.strips import resampled
-from logs.road import IN_JUNCTION, Lane
+from replan.core.arrays import FloatArray, IntArray, arc_lengths
+from replan.core.errors import LogError
+from replan.core.kernel import kernel
+from replan.logs.maps.lanelet2_file import Element, Osm
+from replan.logs.maps.strips import resampled
+from replan.logs.road import IN_JUNCTION, Lane
 
 SAME_M = 0.05
 """Ends nearer than this are one point, m: less than the distance of the two parts of a double line."""

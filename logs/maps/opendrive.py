@@ -23,10 +23,10 @@ from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 
-from logs.errors import LogError
-from logs.files import read_xml
-from logs.maps.base import MapFile, MapReader
-from logs.road import IN_JUNCTION, Lane, Road
+from replan.core.errors import LogError
+from replan.core.files import read_xml
+from replan.logs.maps.base import MapFile, MapReader
+from replan.logs.road import IN_JUNCTION, Lane, Road
 
 RESOLUTION_M = 0.1
 """Step of pyxodr along the reference line, m; its lanes end within a few cm of the begin of the next ones."""

@@ -25,8 +25,8 @@ from math import sqrt
 
 import numpy as np
 
-from logs.arrays import FloatArray
-from logs.errors import LogError
+from replan.core.arrays import FloatArray
+from replan.core.errors import LogError
 
 A_M, F = 6_378_137.0, 1.0 / 298.257223563
 """WGS 84: semi-major axis and flattening."""

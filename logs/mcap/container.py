@@ -21,8 +21,8 @@ from mcap.records import Channel, Chunk, DataEnd, McapRecord, Message, Metadata,
 from mcap.stream_reader import CRCValidationError, StreamReader, breakup_chunk
 from zstandard import ZstdDecompressor, ZstdError
 
-from logs.errors import LogError
-from logs.files import check_regular
+from replan.core.errors import LogError
+from replan.core.files import check_regular
 
 T = TypeVar("T")
 

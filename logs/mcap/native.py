@@ -47,10 +47,10 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import msgspec
 
-from logs.agents import AgentKind
-from logs.plan import DecisionKind
-from logs.rules import Colour
-from logs.vehicle import VehicleParameters
+from replan.logs.agents import AgentKind
+from replan.logs.plan import DecisionKind
+from replan.logs.rules import Colour
+from replan.logs.vehicle import VehicleParameters
 
 FORMAT_VERSION = 2
 WITHOUT_BLOCKS = 1
@@ -494,7 +494,7 @@ def markdown() -> str:
     return "\n".join([*head, "| topic | message | what |", "|---|---|---|", *rows, "", "## Messages", *tables])
 
 
-_NOTE = """<!-- written by `logs.mcap.native.markdown`; do not edit -->
+_NOTE = """<!-- written by `replan.logs.mcap.native.markdown`; do not edit -->
 
 Any MCAP reader opens a log: its messages are JSON, and their JSON Schema is in the file. The only topic that a log must
 have is `/ego`; `replan inspect` says what is missing for which evaluation."""

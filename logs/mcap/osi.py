@@ -26,17 +26,17 @@ import numpy as np
 from google.protobuf import descriptor_pb2, message_factory
 from google.protobuf.message import DecodeError
 
-from logs.agents import USUAL_SIZE_M, AgentKind
-from logs.arrays import FloatArray, arc_lengths, foot_on, station_on
-from logs.complete import completed, derived_curvature, derived_speed, road_along, with_limit
-from logs.errors import LogError, reading
-from logs.mcap.container import COPY_AGAIN, Stream
-from logs.observed import of_stream
-from logs.road import Lane, Road, paired
-from logs.scenario import Scenario
-from logs.states import Trajectory
-from logs.tracks import Tracks
-from logs.vehicle import VehicleParameters, assumed_car
+from replan.core.arrays import FloatArray, arc_lengths, foot_on, station_on
+from replan.core.errors import LogError, reading
+from replan.logs.agents import USUAL_SIZE_M, AgentKind
+from replan.logs.complete import completed, derived_curvature, derived_speed, road_along, with_limit
+from replan.logs.mcap.container import COPY_AGAIN, Stream
+from replan.logs.observed import of_stream
+from replan.logs.road import Lane, Road, paired
+from replan.logs.scenario import Scenario
+from replan.logs.states import Trajectory
+from replan.logs.tracks import Tracks
+from replan.logs.vehicle import VehicleParameters, assumed_car
 
 SCHEMAS = ("osi3.GroundTruth", "osi3.SensorView")
 

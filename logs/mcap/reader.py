@@ -15,22 +15,22 @@ from typing import Any, TypeVar
 import msgspec
 import numpy as np
 
-from logs import road as nouns
-from logs.agents import codes_of
-from logs.arrays import BoolArray, FloatArray, IntArray
-from logs.codec import noun_of
-from logs.complete import completed, road_along
-from logs.errors import LogError, in_file, reading
-from logs.mcap import native, osi
-from logs.mcap.container import CONVERT, LAST_TIME_NS, MEND, Container, Stream, read_container
-from logs.names import counted
-from logs.observed import of_stream
-from logs.repair.detections import Detections, Repair, TrackChange
-from logs.rules import Colour, TrafficLight
-from logs.scenario import Scenario
-from logs.states import Controls, OnboardPlan, Trajectory
-from logs.tracks import Tracks
-from logs.vehicle import VEHICLE_ASSUMED, VehicleParameters
+from replan.core.arrays import BoolArray, FloatArray, IntArray
+from replan.core.errors import LogError, in_file, reading
+from replan.core.names import counted
+from replan.logs import road as nouns
+from replan.logs.agents import codes_of
+from replan.logs.codec import noun_of
+from replan.logs.complete import completed, road_along
+from replan.logs.mcap import native, osi
+from replan.logs.mcap.container import CONVERT, LAST_TIME_NS, MEND, Container, Stream, read_container
+from replan.logs.observed import of_stream
+from replan.logs.repair.detections import Detections, Repair, TrackChange
+from replan.logs.rules import Colour, TrafficLight
+from replan.logs.scenario import Scenario
+from replan.logs.states import Controls, OnboardPlan, Trajectory
+from replan.logs.tracks import Tracks
+from replan.logs.vehicle import VEHICLE_ASSUMED, VehicleParameters
 
 T = TypeVar("T")
 

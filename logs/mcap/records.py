@@ -15,7 +15,7 @@ end has the begin and end of each chunk, and its topics. Besides summary and met
 (3) with any topic but `PERIODIC`: road, vehicle and goal, lights that changed long ago,
 (4) the first, which has the log's first ego state.
 
-They are written as a file, whose scenario after the cut (`logs.cut`) equals that of the whole file after the
+They are written as a file, whose scenario after the cut (`replan.logs.edit.cut`) equals that of the whole file after the
 cut. Its table of agents is that of the whole file without the agents that have no sample in the part.
 """
 
@@ -47,13 +47,13 @@ from mcap.records import (
 from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 
-from logs.cut import DETECTED_S, HISTORY_S
-from logs.errors import LogError, writing
-from logs.mcap import native
-from logs.mcap.container import COMPRESSIONS, DAMAGE, content_of, opened
-from logs.mcap.reader import UNSEEN, read_scenario
-from logs.mcap.writer import write_scenario
-from logs.names import counted
+from replan.core.errors import LogError, writing
+from replan.core.names import counted
+from replan.logs.edit.cut import DETECTED_S, HISTORY_S
+from replan.logs.mcap import native
+from replan.logs.mcap.container import COMPRESSIONS, DAMAGE, content_of, opened
+from replan.logs.mcap.reader import UNSEEN, read_scenario
+from replan.logs.mcap.writer import write_scenario
 
 BEGIN = 8
 """Bytes of the magic."""

@@ -21,15 +21,15 @@ from typing import Any, Literal
 import msgspec
 import numpy as np
 
-from logs import plan as nouns
-from logs.codec import message_of, noun_of
-from logs.errors import LogError, in_file, reading
-from logs.frame import Predictions
-from logs.frame_store import light
-from logs.mcap import native
-from logs.mcap.container import MEND, Container, Stream, read_container
-from logs.mcap.reader import marked_tracks, sampled, scenario_of, seconds
-from logs.mcap.writer import (
+from replan.core.errors import LogError, in_file, reading
+from replan.logs import plan as nouns
+from replan.logs.codec import message_of, noun_of
+from replan.logs.frame import Predictions
+from replan.logs.frame_store import light
+from replan.logs.mcap import native
+from replan.logs.mcap.container import MEND, Container, Stream, read_container
+from replan.logs.mcap.reader import marked_tracks, sampled, scenario_of, seconds
+from replan.logs.mcap.writer import (
     COLUMNS,
     Entry,
     agent_table,
@@ -40,10 +40,10 @@ from logs.mcap.writer import (
     scenario_records,
     write_log,
 )
-from logs.scenario import Scenario
-from logs.states import TRAJECTORY_COLUMNS, Controls
-from logs.trace import EndReason, Mode, PlannedFrame, Trace, TrackingErrors, kept_samples
-from logs.tracks import Tracks
+from replan.logs.scenario import Scenario
+from replan.logs.states import TRAJECTORY_COLUMNS, Controls
+from replan.logs.trace import EndReason, Mode, PlannedFrame, Trace, TrackingErrors, kept_samples
+from replan.logs.tracks import Tracks
 
 Internals = Literal["none", "summary", "full"]
 SUMMARY_STEP_S = 2.0

@@ -2,7 +2,7 @@
 
 The same scenario gives the same bytes. Messages are encoded one by one and wait in a spool file for their turn,
 so that a long drive takes no more memory than a short one. Besides the native messages a file may have protobuf
-messages for viewers on other topics (`replay.draw.foxglove`), which readers ignore. The file is written under a
+messages for viewers on other topics (`replan.draw.foxglove`), which readers ignore. The file is written under a
 temporary name in the same directory and renamed, so that a killed writer leaves no partial log.
 Times become integer nanoseconds: reading returns the identical scenario if its times are whole nanoseconds (and |t| is
 below 26 days). A repair is not written if the tracks changed after it.
@@ -23,14 +23,14 @@ from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.message import Message
 from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
 
-from logs.arrays import BoolArray, FloatArray
-from logs.codec import message_of, scalar_as_number
-from logs.errors import LogError, in_file, writing
-from logs.mcap import native
-from logs.repair.detections import Detections
-from logs.rules import Colour
-from logs.scenario import Scenario
-from logs.tracks import Tracks
+from replan.core.arrays import BoolArray, FloatArray
+from replan.core.errors import LogError, in_file, writing
+from replan.logs.codec import message_of, scalar_as_number
+from replan.logs.mcap import native
+from replan.logs.repair.detections import Detections
+from replan.logs.rules import Colour
+from replan.logs.scenario import Scenario
+from replan.logs.tracks import Tracks
 
 PROFILE = "replan"
 CHUNK_BYTES = 128 * 1024

@@ -17,18 +17,18 @@ from pathlib import Path
 
 import numpy as np
 
-from logs.conventions import checked
-from logs.cut import cut, in_nanoseconds
-from logs.errors import ConfigError, LogError, unknown_name
-from logs.extension import ExtensionKind, an_instance
-from logs.files import check_regular, local_path, special_kind
-from logs.log_settings import LogSettings
-from logs.maps import with_map
-from logs.readers import argoverse2, arrow123d, comma2k19, commonroad, own_mcap, ros, table
-from logs.readers.admission import admitted, check_clocks, check_road, named, repaired
-from logs.readers.base import Reader
-from logs.readers.foreign import FORMATS, foreign, known_format
-from logs.scenario import Scenario
+from replan.core.errors import ConfigError, LogError, unknown_name
+from replan.core.extension import ExtensionKind, an_instance
+from replan.core.files import check_regular, local_path, special_kind
+from replan.logs.conventions import checked
+from replan.logs.edit.cut import cut, in_nanoseconds
+from replan.logs.log_settings import LogSettings
+from replan.logs.maps import with_map
+from replan.logs.readers import argoverse2, arrow123d, comma2k19, commonroad, own_mcap, ros, table
+from replan.logs.readers.admission import admitted, check_clocks, check_road, named, repaired
+from replan.logs.readers.base import Reader
+from replan.logs.readers.foreign import FORMATS, foreign, known_format
+from replan.logs.scenario import Scenario
 
 BUILTIN = (
     commonroad.READER,
@@ -132,7 +132,7 @@ def read_log(path: Path | str, settings: LogSettings | None = None, reader: Read
 
 
 def with_tracks(scenario: Scenario, settings: LogSettings) -> Scenario:
-    """Check a scenario without a file (`logs.conventions`), and make tracks from its detections."""
+    """Check a scenario without a file (`replan.logs.conventions`), and make tracks from its detections."""
     scenario = checked(scenario)
     made = repaired(scenario, settings.repair)
     return made if made.repair is scenario.repair else named(made)

@@ -7,11 +7,11 @@
 
 An error names the topic, the time and the remedy. The scenario's notes list left out or replaced data. The limits are
 far beyond the motion of vehicles: they separate wrong data from rare data. Data that are only implausible are evaluated
-and reported by `metrics.health`.
+and reported by `replan.metrics.health`.
 
 Repair. `[log] repair` says whether raw detections become tracks:
 
-    "auto"    if a log holds detections that are not tracks (`logs.repair.needs_repair`)
+    "auto"    if a log holds detections that are not tracks (`replan.logs.repair.needs_repair`)
     "on"      always; in a log of tracks, their samples are the detections, and static road users stay unchanged
     "off"     never: the reader makes the tracks
 
@@ -32,17 +32,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from logs.agents import USUAL_SIZE_M
-from logs.arrays import BoolArray, FloatArray
-from logs.complete import passed_width
-from logs.cut import framed
-from logs.errors import LogError
-from logs.names import counted, listed, visible_name
-from logs.repair.detections import Detections, named_as_tracked, needs_repair
-from logs.repair.offline import detections_of, repair
-from logs.road import RoadSource
-from logs.scenario import Scenario
-from logs.tracks import Tracks
+from replan.core.arrays import BoolArray, FloatArray
+from replan.core.errors import LogError
+from replan.core.names import counted, listed, visible_name
+from replan.logs.agents import USUAL_SIZE_M
+from replan.logs.complete import passed_width
+from replan.logs.edit.cut import framed
+from replan.logs.repair.detections import Detections, named_as_tracked, needs_repair
+from replan.logs.repair.offline import detections_of, repair
+from replan.logs.road import RoadSource
+from replan.logs.scenario import Scenario
+from replan.logs.tracks import Tracks
 
 
 class Limit(NamedTuple):
@@ -346,7 +346,7 @@ def repaired(scenario: Scenario, choice: str) -> Scenario:
 
 
 def named(scenario: Scenario) -> Scenario:
-    """Give the repaired tracks the names of the causal tracker's tracks (`logs.repair.detections`)."""
+    """Give the repaired tracks the names of the causal tracker's tracks (`replan.logs.repair.detections`)."""
     made = scenario.repair
     assert made is not None and made.tracks is scenario.tracks
     made = named_as_tracked(made)

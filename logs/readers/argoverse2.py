@@ -26,18 +26,18 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from logs.agents import AgentKind
-from logs.arrays import FloatArray, IntArray
-from logs.arrow_tables import ipc_table, numbers, parquet_table, reading, whole, words
-from logs.complete import completed, road_along, with_limit
-from logs.errors import LogError
-from logs.files import beside
-from logs.log_settings import LogSettings
-from logs.maps.strips import LARGEST_M, LaneStrip, lanes_of
-from logs.observed import of_stream
-from logs.readers.arrow123d import AV2_CATEGORIES
-from logs.readers.base import LogContents, Reader, TopicSummary
-from logs.readers.recorded import (
+from replan.core.arrays import FloatArray, IntArray
+from replan.core.arrow_tables import ipc_table, numbers, parquet_table, reading, whole, words
+from replan.core.errors import LogError
+from replan.core.files import beside
+from replan.logs.agents import AgentKind
+from replan.logs.complete import completed, road_along, with_limit
+from replan.logs.log_settings import LogSettings
+from replan.logs.maps.strips import LARGEST_M, LaneStrip, lanes_of
+from replan.logs.observed import of_stream
+from replan.logs.readers.arrow123d import AV2_CATEGORIES
+from replan.logs.readers.base import LogContents, Reader, TopicSummary
+from replan.logs.readers.recorded import (
     RecordedBoxes,
     driven,
     from_second,
@@ -52,11 +52,11 @@ from logs.readers.recorded import (
     tracks_of,
     unit_of_wxyz,
 )
-from logs.road import IN_JUNCTION, Road
-from logs.rules import Crosswalk
-from logs.scenario import Scenario
-from logs.states import Trajectory
-from logs.vehicle import assumed_car
+from replan.logs.road import IN_JUNCTION, Road
+from replan.logs.rules import Crosswalk
+from replan.logs.scenario import Scenario
+from replan.logs.states import Trajectory
+from replan.logs.vehicle import assumed_car
 
 FORD_FUSION = {"length": 4.869, "width": 2.127, "wheelbase": 2.850, "rear_overhang": 0.5 * 4.869 - 1.339}
 """The recording car, m (py123d 0.7.0): the width is with mirrors, the centre 1.339 m ahead of the rear axle."""

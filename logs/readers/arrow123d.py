@@ -30,17 +30,17 @@ from typing import Any
 
 import numpy as np
 
-from logs.agents import AgentKind
-from logs.arrays import FloatArray, IntArray
-from logs.arrow_tables import Lists, ipc_table, metadata_of, reading, vectors, whole
-from logs.complete import completed
-from logs.errors import LogError
-from logs.files import beside
-from logs.log_settings import LogSettings
-from logs.maps.arrow123d_map import LIGHTS, map_of, road_of
-from logs.observed import of_stream
-from logs.readers.base import LogContents, Reader, TopicSummary
-from logs.readers.recorded import (
+from replan.core.arrays import FloatArray, IntArray
+from replan.core.arrow_tables import Lists, ipc_table, metadata_of, reading, vectors, whole
+from replan.core.errors import LogError
+from replan.core.files import beside
+from replan.logs.agents import AgentKind
+from replan.logs.complete import completed
+from replan.logs.log_settings import LogSettings
+from replan.logs.maps.arrow123d_map import LIGHTS, map_of, road_of
+from replan.logs.observed import of_stream
+from replan.logs.readers.base import LogContents, Reader, TopicSummary
+from replan.logs.readers.recorded import (
     RecordedBoxes,
     driven,
     from_second,
@@ -54,9 +54,9 @@ from logs.readers.recorded import (
     tracks_of,
     unit_of_wxyz,
 )
-from logs.scenario import Scenario
-from logs.states import Trajectory
-from logs.vehicle import assumed_car
+from replan.logs.scenario import Scenario
+from replan.logs.states import Trajectory
+from replan.logs.vehicle import assumed_car
 
 SYNC, EGO, BOXES = "sync.arrow", "ego_state_se3", "box_detections_se3"
 HEAD_BYTES = 65_536

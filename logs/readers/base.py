@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from logs.log_settings import LogSettings
-from logs.scenario import Scenario
+from replan.logs.log_settings import LogSettings
+from replan.logs.scenario import Scenario
 
 
 @dataclass(frozen=True)

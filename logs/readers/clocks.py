@@ -25,9 +25,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from logs.arrays import FloatArray, IntArray
-from logs.errors import LogError
-from logs.readers.admission import GAP_S
+from replan.core.arrays import FloatArray, IntArray
+from replan.core.errors import LogError
+from replan.logs.readers.admission import GAP_S
 
 LAST_S = 9e9
 """Greatest time, s: about the greatest that fits into 64 bits of nanoseconds."""

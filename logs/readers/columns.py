@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from logs.arrays import FloatArray, IntArray
-from logs.errors import LogError
-from logs.readers.clocks import nanoseconds
-from logs.readers.recorded import heading, is_unit
+from replan.core.arrays import FloatArray, IntArray
+from replan.core.errors import LogError
+from replan.logs.readers.clocks import nanoseconds
+from replan.logs.readers.recorded import heading, is_unit
 
 NAMES = ("ego", "agents")
 DIMENSIONS = {

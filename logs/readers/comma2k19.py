@@ -14,13 +14,13 @@ from typing import Any
 
 import numpy as np
 
-from logs.arrays import FloatArray
-from logs.complete import completed, road_along
-from logs.errors import LogError, reading
-from logs.log_settings import LogSettings
-from logs.readers.base import LogContents, Reader, TopicSummary
-from logs.scenario import Scenario
-from logs.tracks import Tracks
+from replan.core.arrays import FloatArray
+from replan.core.errors import LogError, reading
+from replan.logs.complete import completed, road_along
+from replan.logs.log_settings import LogSettings
+from replan.logs.readers.base import LogContents, Reader, TopicSummary
+from replan.logs.scenario import Scenario
+from replan.logs.tracks import Tracks
 
 POSE = "global_pose"
 NAMES = ("frame_positions", "frame_velocities", "frame_orientations", "frame_times", "frame_gps_times")

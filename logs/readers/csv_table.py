@@ -20,7 +20,7 @@ from typing import Any, NamedTuple, TextIO
 
 import pandas as pd
 
-from logs.errors import LogError
+from replan.core.errors import LogError
 
 SUFFIXES = (".csv", ".parquet")
 SEPARATORS = (",", ";", "\t")

@@ -12,10 +12,10 @@ from contextlib import closing
 from pathlib import Path
 from typing import NamedTuple
 
-from logs.errors import LogError
-from logs.files import check_regular
-from logs.names import listed
-from logs.readers.csv_table import SUFFIXES, header_of
+from replan.core.errors import LogError
+from replan.core.files import check_regular
+from replan.core.names import listed
+from replan.logs.readers.csv_table import SUFFIXES, header_of
 
 FORMATS = "`replan convert --formats` lists what replan reads and how a format is added"
 CONVERT = "convert it with py123d (pip install py123d) and read its logs"

@@ -12,12 +12,12 @@ from __future__ import annotations
 import struct
 from pathlib import Path
 
-from logs.errors import LogError
-from logs.mcap import native, osi
-from logs.mcap.container import COPY_AGAIN, Stream, content_of, read_container
-from logs.mcap.reader import read_scenario
-from logs.mcap.writer import descriptor_set
-from logs.readers.base import LogContents, Reader, TopicSummary, files_named
+from replan.core.errors import LogError
+from replan.logs.mcap import native, osi
+from replan.logs.mcap.container import COPY_AGAIN, Stream, content_of, read_container
+from replan.logs.mcap.reader import read_scenario
+from replan.logs.mcap.writer import descriptor_set
+from replan.logs.readers.base import LogContents, Reader, TopicSummary, files_named
 
 
 def _contents(path: Path) -> LogContents:

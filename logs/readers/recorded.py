@@ -28,11 +28,11 @@ from typing import Any
 
 import numpy as np
 
-from logs.agents import USUAL_SIZE_M, AgentKind
-from logs.arrays import BoolArray, Columns, FloatArray, IntArray
-from logs.complete import completed
-from logs.states import Trajectory
-from logs.tracks import Tracks
+from replan.core.arrays import BoolArray, Columns, FloatArray, IntArray
+from replan.logs.agents import USUAL_SIZE_M, AgentKind
+from replan.logs.complete import completed
+from replan.logs.states import Trajectory
+from replan.logs.tracks import Tracks
 
 ROUNDED = 0.01
 """Tolerance of the length of a stored quaternion, which should be 1."""

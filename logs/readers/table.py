@@ -6,7 +6,7 @@
 t is in seconds (any zero), a date and time, or a time of day (`columns`); it may be given as t_ns, t_us or t_ms.
 Positions are world coordinates in metres, of the ego's rear axle (or its box centre: `ego_point`) and the agents' box
 centres; angles in rad, counter-clockwise from x; speeds in m/s. A quaternion qx, qy, qz, qw may replace yaw. Names and
-units of columns: `columns`. Missing columns are derived and noted (`logs.complete`): the ego's v, the agents' yaw
+units of columns: `columns`. Missing columns are derived and noted (`replan.logs.complete`): the ego's v, the agents' yaw
 and velocity by backward differences, sizes by kind.
 
 A log on disk is a folder that holds `ego.csv` or `ego.parquet` and, beside it, `agents.csv` or `agents.parquet`
@@ -21,23 +21,23 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from logs.agents import USUAL_SIZE_M, AgentKind
-from logs.arrays import FloatArray
-from logs.complete import completed, derived_speed, road_along
-from logs.errors import LogError, reading
-from logs.files import beside
-from logs.log_settings import EGO_POINTS, LogSettings
-from logs.observed import Spans
-from logs.readers import track_table
-from logs.readers.base import LogContents, Reader, TopicSummary
-from logs.readers.clocks import check_restart, continued
-from logs.readers.columns import NAMES, QUATERNION, NamedColumns, check_names
-from logs.readers.csv_table import SUFFIXES, load_table
-from logs.road import Goal, Road
-from logs.scenario import CENTRE, EGO_POSE, Scenario
-from logs.states import Controls
-from logs.tracks import Tracks
-from logs.vehicle import VEHICLE_ASSUMED, VehicleParameters
+from replan.core.arrays import FloatArray
+from replan.core.errors import LogError, reading
+from replan.core.files import beside
+from replan.logs.agents import USUAL_SIZE_M, AgentKind
+from replan.logs.complete import completed, derived_speed, road_along
+from replan.logs.log_settings import EGO_POINTS, LogSettings
+from replan.logs.observed import Spans
+from replan.logs.readers import track_table
+from replan.logs.readers.base import LogContents, Reader, TopicSummary
+from replan.logs.readers.clocks import check_restart, continued
+from replan.logs.readers.columns import NAMES, QUATERNION, NamedColumns, check_names
+from replan.logs.readers.csv_table import SUFFIXES, load_table
+from replan.logs.road import Goal, Road
+from replan.logs.scenario import CENTRE, EGO_POSE, Scenario
+from replan.logs.states import Controls
+from replan.logs.tracks import Tracks
+from replan.logs.vehicle import VEHICLE_ASSUMED, VehicleParameters
 
 MOVED_M = 0.2
 """Way over which a heading is derived, m."""

@@ -23,17 +23,17 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from logs.agents import USUAL_SIZE_M, AgentKind
-from logs.arrays import FloatArray
-from logs.errors import LogError
-from logs.files import beside
-from logs.names import counted
-from logs.observed import Spans, of_stream
-from logs.readers.clocks import check_restart, continued
-from logs.readers.columns import NAMES, TIMES, NamedColumns, check_names, holds
-from logs.readers.csv_table import SUFFIXES, header_of, load_table
-from logs.readers.recorded import driven
-from logs.vehicle import VehicleParameters, assumed_car
+from replan.core.arrays import FloatArray
+from replan.core.errors import LogError
+from replan.core.files import beside
+from replan.core.names import counted
+from replan.logs.agents import USUAL_SIZE_M, AgentKind
+from replan.logs.observed import Spans, of_stream
+from replan.logs.readers.clocks import check_restart, continued
+from replan.logs.readers.columns import NAMES, TIMES, NamedColumns, check_names, holds
+from replan.logs.readers.csv_table import SUFFIXES, header_of, load_table
+from replan.logs.readers.recorded import driven
+from replan.logs.vehicle import VehicleParameters, assumed_car
 
 
 class DataSet(NamedTuple):

@@ -13,10 +13,10 @@ from math import cos, hypot, sin
 
 import numpy as np
 
-from logs.agents import USUAL_SIZE_M, AgentKind, among
-from logs.arrays import BoolArray, Columns, FloatArray, IntArray, frozen
-from logs.kernel import kernel
-from logs.shapes import corners
+from replan.core.arrays import BoolArray, Columns, FloatArray, IntArray, frozen
+from replan.core.kernel import kernel
+from replan.logs.agents import USUAL_SIZE_M, AgentKind, among
+from replan.logs.shapes import corners
 
 VEHICLE, PERSON, CLUSTER = 0, 1, 2
 NOISE, ACCEL = frozen([0.30, 0.20, 0.35]), frozen([3.0, 1.5, 1.5])

@@ -18,11 +18,11 @@ from functools import cached_property
 
 import numpy as np
 
-from logs.agents import AgentKind, Agents
-from logs.arrays import BoolArray, FloatArray, IntArray, frozen
-from logs.repair.detected_boxes import Boxes
-from logs.repair.tracker import Tracked, tracked
-from logs.tracks import Tracks
+from replan.core.arrays import BoolArray, FloatArray, IntArray, frozen
+from replan.logs.agents import AgentKind, Agents
+from replan.logs.repair.detected_boxes import Boxes
+from replan.logs.repair.tracker import Tracked, tracked
+from replan.logs.tracks import Tracks
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,16 +19,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from logs.agents import codes_of
-from logs.arrays import FloatArray, IntArray, frozen
-from logs.repair.detected_boxes import CLUSTER, NOISE, OTHER_PART, PERSON, VEHICLE, Boxes, shares, stronger_twins
-from logs.repair.detections import Detections, Repair, TrackChange
-from logs.repair.tracker import Association
-from logs.repair.users import Piece, User, fitted, stitched, user_of
-from logs.shapes import clearance
-from logs.states import Trajectory
-from logs.tracks import SAMPLE_COLUMNS, Tracks
-from logs.vehicle import VehicleParameters
+from replan.core.arrays import FloatArray, IntArray, frozen
+from replan.logs.agents import codes_of
+from replan.logs.repair.detected_boxes import CLUSTER, NOISE, OTHER_PART, PERSON, VEHICLE, Boxes, shares, stronger_twins
+from replan.logs.repair.detections import Detections, Repair, TrackChange
+from replan.logs.repair.tracker import Association
+from replan.logs.repair.users import Piece, User, fitted, stitched, user_of
+from replan.logs.shapes import clearance
+from replan.logs.states import Trajectory
+from replan.logs.tracks import SAMPLE_COLUMNS, Tracks
+from replan.logs.vehicle import VehicleParameters
 
 STEADY, STEADY_MPS = 3, 5.0
 """Index of the group of road users with a constant speed above `STEADY_MPS`, m/s. They are in sight for a few frames

@@ -42,10 +42,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from logs.agents import NUMBERS, OLDEST_S, AgentKind, Agents
-from logs.arrays import BoolArray, FloatArray, IntArray, frozen
-from logs.kernel import inner_kernel, kernel
-from logs.repair.detected_boxes import (
+from replan.core.arrays import BoolArray, FloatArray, IntArray, frozen
+from replan.core.kernel import inner_kernel, kernel
+from replan.logs.agents import NUMBERS, OLDEST_S, AgentKind, Agents
+from replan.logs.repair.detected_boxes import (
     CLUSTER,
     DENSITY,
     FAST,

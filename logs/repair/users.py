@@ -8,11 +8,11 @@ from functools import cached_property
 
 import numpy as np
 
-from logs.agents import AgentKind
-from logs.arrays import BoolArray, FloatArray, IntArray
-from logs.repair.detected_boxes import CLUSTER, DENSITY, FAST, NOISE, PERSON, SLIDES, SLOW, STILL, VEHICLE, Boxes
-from logs.repair.tracker import smoothed
-from logs.states import Trajectory
+from replan.core.arrays import BoolArray, FloatArray, IntArray
+from replan.logs.agents import AgentKind
+from replan.logs.repair.detected_boxes import CLUSTER, DENSITY, FAST, NOISE, PERSON, SLIDES, SLOW, STILL, VEHICLE, Boxes
+from replan.logs.repair.tracker import smoothed
+from replan.logs.states import Trajectory
 
 SMOOTH_DENSITY = 0.45 * DENSITY
 """Density for smoothing: errors of moving speeds are a fifth smaller than with `DENSITY`

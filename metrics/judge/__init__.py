@@ -4,9 +4,9 @@
 plans.
 """
 
-from metrics.judge.excuses import CAREFUL, DRIVER, FOLLOWER, IMPACT, REFERENCE, REPLAY_CONTACT
-from metrics.judge.gates import Gate, Gates, Outcome, load_gates
-from metrics.judge.verdicts import Verdict, judge, outcomes, worst
+from replan.metrics.judge.excuses import CAREFUL, DRIVER, FOLLOWER, IMPACT, REFERENCE, REPLAY_CONTACT
+from replan.metrics.judge.gates import Gate, Gates, Outcome, load_gates
+from replan.metrics.judge.verdicts import Verdict, judge, outcomes, worst
 
 __all__ = [
     "CAREFUL", "DRIVER", "FOLLOWER", "IMPACT", "REFERENCE", "REPLAY_CONTACT", "Gate", "Gates", "Outcome", "Verdict",

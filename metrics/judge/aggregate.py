@@ -133,7 +133,7 @@ def pass_shares(stand: pd.DataFrame, labels: Mapping[str, LogLabels]) -> pd.Data
 def groups(table: pd.DataFrame, stand: pd.DataFrame, labels: Mapping[str, LogLabels]) -> pd.DataFrame:
     """Return `COLUMNS` per group, planner, mode and metric, and the shares that pass; sorted, suite first.
 
-    `table` has rows of `metrics.evaluate` (not of reference drives), `stand` of `standings`. `worst` follows the
+    `table` has rows of `replan.metrics.evaluate` (not of reference drives), `stand` of `standings`. `worst` follows the
     metric's direction, NaN if it has none; `missing` is the number of logs of the group without a value.
     """
     table = table[table["mode"].isin(["open", "closed"]) & table["log"].isin(list(labels))]

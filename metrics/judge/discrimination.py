@@ -1,6 +1,6 @@
 """Whether a log tells drivers apart: bad reference drives, judged by the gates of the run.
 
-A planner that passes a log has shown something only if a bad driver fails it. `replay.loop.reference_drives` drives
+A planner that passes a log has shown something only if a bad driver fails it. `replan.replay.loop.reference_drives` drives
 three in the traffic of each run: `PARKED` brakes to a stop and stays, `CREEPING` goes on at `CREEPS_MPS`, `BLIND`
 drives its route as if the road were empty. With the gates of the run on the metrics of `BAD_DRIVERS`, without excuses,
 since a planner that passes needs none:
@@ -23,17 +23,17 @@ from types import MappingProxyType
 
 import pandas as pd
 
-from logs.trace import Mode
-from metrics.evidence import DISCRIMINATION
-from metrics.judge.aggregate import LogLabels
-from metrics.judge.excuses import REFERENCE
-from metrics.judge.gates import Gate, Gates
-from metrics.judge.verdicts import Values, fill_rows
-from metrics.metric import Metric
-from metrics.needless import NEEDLESS_BRAKING, NEEDLESS_STANDING
-from metrics.progress import COMPLETED, GOAL, ROUTE_PROGRESS
-from metrics.safety import COLLISION_AT_FAULT, GAP_KEPT, GAP_KEPT_VULNERABLE, PASSING_ROOM, TTC, TTC_VULNERABLE
-from metrics.traffic_rules import CROSSWALK, PRIORITY_GAP, RED_LIGHT, STOP_SIGN, YELLOW_LIGHT, YIELDING
+from replan.logs.trace import Mode
+from replan.metrics.evidence import DISCRIMINATION
+from replan.metrics.judge.aggregate import LogLabels
+from replan.metrics.judge.excuses import REFERENCE
+from replan.metrics.judge.gates import Gate, Gates
+from replan.metrics.judge.verdicts import Values, fill_rows
+from replan.metrics.metric import Metric
+from replan.metrics.needless import NEEDLESS_BRAKING, NEEDLESS_STANDING
+from replan.metrics.progress import COMPLETED, GOAL, ROUTE_PROGRESS
+from replan.metrics.safety import COLLISION_AT_FAULT, GAP_KEPT, GAP_KEPT_VULNERABLE, PASSING_ROOM, TTC, TTC_VULNERABLE
+from replan.metrics.traffic_rules import CROSSWALK, PRIORITY_GAP, RED_LIGHT, STOP_SIGN, YELLOW_LIGHT, YIELDING
 
 PARKED, CREEPING, BLIND = "parked", "creeping", "blind"
 PARKED_FAILS, BLIND_FAILS = (f"{DISCRIMINATION.name}.{driver}" for driver in (PARKED, BLIND))

@@ -38,16 +38,16 @@ from math import isfinite, nan
 from types import MappingProxyType
 from typing import NamedTuple
 
-from metrics import GROUPS, METRICS
-from metrics.judge.gates import Gate, unit_of
-from metrics.progress import LEAST_COVERED
-from metrics.safety import CLOSE_S
+from replan.metrics import GROUPS, METRICS
+from replan.metrics.judge.gates import Gate, unit_of
+from replan.metrics.progress import LEAST_COVERED
+from replan.metrics.safety import CLOSE_S
 
 REFERENCE = "reference"  # Mode of the rows of reference drives
 DRIVER, CAREFUL, FOLLOWER = "driver", "careful", "follower"
 REFERENCES = {DRIVER: "the recorded driver", CAREFUL: "the careful driver", FOLLOWER: "the route follower"}
 """Planner names of these rows: the log's own driver; the careful driver of UN R157, which only brakes and ignores
-traffic rules; and the route follower, which steers and obeys the rules (`replay.loop.reference_drives`)."""
+traffic rules; and the route follower, which steers and obeys the rules (`replan.replay.loop.reference_drives`)."""
 NO_COLLISION = Gate("collision_at_fault.count", max=0.0)  # A collision ends a drive: if it is excused, so is progress
 TOO_NEAR = Gate("ttc.min", min=CLOSE_S)
 FALLBACKS = "fallback.rate"

@@ -1,7 +1,7 @@
 """Gates (thresholds on the table) and rules of comparison, from a TOML file; docs/gates.md explains all keys.
 
 The file contains tables [[gate]], whose keys are the attributes of `Gate` (judged by `verdicts`). It may contain tables
-[[compare]] with the attributes of `GateRule`: how much worse than a baseline a candidate may be (`metrics.comparison`).
+[[compare]] with the attributes of `GateRule`: how much worse than a baseline a candidate may be (`replan.metrics.comparison`).
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import msgspec
 
-from logs.errors import ConfigError
-from logs.files import read_toml
-from logs.observed import ENOUGH
-from logs.trace import Mode
-from metrics import METRICS, Metric
-from metrics.judge.aggregate import LogLabels
+from replan.core.errors import ConfigError
+from replan.core.files import read_toml
+from replan.logs.observed import ENOUGH
+from replan.logs.trace import Mode
+from replan.metrics import METRICS, Metric
+from replan.metrics.judge.aggregate import LogLabels
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance

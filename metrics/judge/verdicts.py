@@ -36,7 +36,7 @@ that match no log, and planners that are not in the run, are INCONCLUSIVE even t
 misspelt.
 
 Gates also add rows to the table: whether a verdict is robust or fragile, and the share of gates that were asked. A
-member is the log driven again under one perturbation (`replay.run.sources`); its verdict on a planner in one mode is
+member is the log driven again under one perturbation (`replan.run.sources`); its verdict on a planner in one mode is
 the worst outcome of the gates. The unperturbed drive is one of the members:
 
 (1) ensemble.pass_share = members that pass / members
@@ -57,9 +57,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from metrics.evidence import ASKED, ENSEMBLE
-from metrics.judge.aggregate import LogLabels, wilson
-from metrics.judge.excuses import (
+from replan.metrics.evidence import ASKED, ENSEMBLE
+from replan.metrics.judge.aggregate import LogLabels, wilson
+from replan.metrics.judge.excuses import (
     LAWFUL,
     REFERENCE,
     DrivesTable,
@@ -70,7 +70,7 @@ from metrics.judge.excuses import (
     lacking_evidence,
     marginal,
 )
-from metrics.judge.gates import Gate, Gates, Outcome, count_logs, meant, unit_of
+from replan.metrics.judge.gates import Gate, Gates, Outcome, count_logs, meant, unit_of
 
 _NO_ENTRIES: Mapping[Any, str] = MappingProxyType({})
 MEMBER, PERTURBATION = "member", "perturbation"  # Additional columns of a table of members

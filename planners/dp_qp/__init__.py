@@ -9,13 +9,13 @@
 The speed DP gets obstacles from `frenet.st_boundaries` (when they take the path), `frenet.scene` (stops), `speed.doubt`
 (how far a prediction binds) and `speed.caps` (limits of speed); `speed.problem` joins these.
 
-Cost to go, reference path, start, S-T boundaries and fallback are those of `planners.frenet`. docs/planner.md has the
+Cost to go, reference path, start, S-T boundaries and fallback are those of `replan.planners.frenet`. docs/planner.md has the
 picture.
 
 Source: Zhang, "DP and QP Based Decision-making and Planning for Autonomous Vehicle", section II-F.
 """
 
-from planners.dp_qp.lane import DpQpConfig
-from planners.dp_qp.planner import DpQp
+from replan.planners.dp_qp.lane import DpQpConfig
+from replan.planners.dp_qp.planner import DpQp
 
 __all__ = ["DpQp", "DpQpConfig"]

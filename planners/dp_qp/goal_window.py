@@ -23,12 +23,12 @@ from math import sqrt
 
 import numpy as np
 
-from logs.arrays import FloatArray
-from logs.kernel import kernel
-from logs.road import Goal
-from logs.vehicle import VehicleParameters
-from planners.frenet.profiles import COMFORT
-from planners.frenet.reference_path import ReferencePath
+from replan.core.arrays import FloatArray
+from replan.core.kernel import kernel
+from replan.logs.road import Goal
+from replan.logs.vehicle import VehicleParameters
+from replan.planners.frenet.profiles import COMFORT
+from replan.planners.frenet.reference_path import ReferencePath
 
 LEAST = 0.3  # Share of the speed limit below which (2) does not slow the ego down
 HASTE_S = 3.0  # The ego is in a hurry where it would arrive less than this before the last time (3), s

@@ -18,19 +18,19 @@ from __future__ import annotations
 from dataclasses import astuple, dataclass, field
 from math import inf
 
-from logs.frame import Frame, PlannerContext
-from logs.plan import Artefact, CostTerms, SolverReport
-from logs.states import EgoState
-from planners.dp_qp.goal_window import GoalWindow, SpeedTarget
-from planners.dp_qp.path.bounds import InTheWay
-from planners.dp_qp.path.passing import PassTarget, find_slow_agents, free_stations, pass_targets
-from planners.dp_qp.path.stage import ChosenPath, PathConfig, PathMemory, PathStage
-from planners.dp_qp.speed.caps import SpeedTask
-from planners.dp_qp.speed.stage import ChosenSpeed, SpeedConfig, SpeedMemory, SpeedStage
-from planners.frenet.reference_path import LaneSequence
-from planners.frenet.scene import STITCH_M, STITCH_MPS, TRACK_M, Scene, StartPlace, behind, on_path, scene_of
-from planners.piecewise_jerk.solvers import DEFAULT, check_solver
-from planners.rules import Rulebook, RuleMemory, RulesConfig
+from replan.logs.frame import Frame, PlannerContext
+from replan.logs.plan import Artefact, CostTerms, SolverReport
+from replan.logs.states import EgoState
+from replan.planners.dp_qp.goal_window import GoalWindow, SpeedTarget
+from replan.planners.dp_qp.path.bounds import InTheWay
+from replan.planners.dp_qp.path.passing import PassTarget, find_slow_agents, free_stations, pass_targets
+from replan.planners.dp_qp.path.stage import ChosenPath, PathConfig, PathMemory, PathStage
+from replan.planners.dp_qp.speed.caps import SpeedTask
+from replan.planners.dp_qp.speed.stage import ChosenSpeed, SpeedConfig, SpeedMemory, SpeedStage
+from replan.planners.frenet.reference_path import LaneSequence
+from replan.planners.frenet.scene import STITCH_M, STITCH_MPS, TRACK_M, Scene, StartPlace, behind, on_path, scene_of
+from replan.planners.piecewise_jerk.solvers import DEFAULT, check_solver
+from replan.planners.rules import Rulebook, RuleMemory, RulesConfig
 
 FORGET_S = 0.5  # The memory of a lane that was not planned for this long is dropped, s
 

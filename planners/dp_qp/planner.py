@@ -26,17 +26,17 @@ from math import inf
 
 import numpy as np
 
-from logs.arrays import FloatArray
-from logs.frame import Frame, PlannerContext
-from logs.plan import Artefact, Candidates, CostTerms, Internals, LaneOption, Plan, PlanStatus
-from logs.states import EgoState
-from planners.dp_qp.lane import FORGET_S, DpQpConfig, LaneConfig, LaneMemory, LanePlan, LanePlanner, PassWay
-from planners.dp_qp.path.bounds import CorridorConfig
-from planners.dp_qp.path.passing import find_slow_agents, free_stations, obstacles_to_pass, pass_targets
-from planners.frenet.profiles import STEP_S, Stops, fall_back, trajectory_along
-from planners.frenet.reference_path import LaneSequence, LaneSequences
-from planners.frenet.scene import Scene, start_of
-from planners.rules.rulebook import YIELD_MPS2
+from replan.core.arrays import FloatArray
+from replan.logs.frame import Frame, PlannerContext
+from replan.logs.plan import Artefact, Candidates, CostTerms, Internals, LaneOption, Plan, PlanStatus
+from replan.logs.states import EgoState
+from replan.planners.dp_qp.lane import FORGET_S, DpQpConfig, LaneConfig, LaneMemory, LanePlan, LanePlanner, PassWay
+from replan.planners.dp_qp.path.bounds import CorridorConfig
+from replan.planners.dp_qp.path.passing import find_slow_agents, free_stations, obstacles_to_pass, pass_targets
+from replan.planners.frenet.profiles import STEP_S, Stops, fall_back, trajectory_along
+from replan.planners.frenet.reference_path import LaneSequence, LaneSequences
+from replan.planners.frenet.scene import Scene, start_of
+from replan.planners.rules.rulebook import YIELD_MPS2
 
 
 @dataclass(eq=False)

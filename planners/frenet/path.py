@@ -18,10 +18,10 @@ from math import atan2, ceil, cos, hypot, inf, pi, sin, tan
 
 import numpy as np
 
-from logs.arrays import FloatArray, arc_lengths
-from logs.kernel import inner_kernel, kernel
-from logs.road import ReferenceLine, line_curvature, line_frame
-from logs.states import EgoState, wrap
+from replan.core.arrays import FloatArray, arc_lengths
+from replan.core.kernel import inner_kernel, kernel
+from replan.logs.road import ReferenceLine, line_curvature, line_frame
+from replan.logs.states import EgoState, wrap
 
 FINE_M = 0.5  # Greatest spacing of the points of a path, m
 SHIFT_AHEAD_M = 60.0  # Distance ahead within which the shift of a path is measured, m

@@ -22,14 +22,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.arrays import FloatArray
-from logs.frame import Frame
-from logs.kernel import kernel
-from logs.plan import Artefact, Plan, PlanStart, PlanStatus
-from logs.shapes import overlap
-from logs.states import EgoState, Trajectory
-from logs.vehicle import VehicleParameters
-from planners.frenet.path import Path, path_through, states_on_path
+from replan.core.arrays import FloatArray
+from replan.core.kernel import kernel
+from replan.logs.frame import Frame
+from replan.logs.plan import Artefact, Plan, PlanStart, PlanStatus
+from replan.logs.shapes import overlap
+from replan.logs.states import EgoState, Trajectory
+from replan.logs.vehicle import VehicleParameters
+from replan.planners.frenet.path import Path, path_through, states_on_path
 
 STEP_S = 0.1  # Time between two knots of a speed profile, and between two samples of a plan, s
 

@@ -32,15 +32,15 @@ from typing import NamedTuple
 import numpy as np
 from scipy import sparse
 
-from logs.arrays import TIE, FloatArray, arc_lengths, frozen
-from logs.frame import PlannerContext
-from logs.kernel import inner_kernel, kernel
-from logs.once import once
-from logs.road import Lane, ReferenceLine, Road, nearest, predecessors, thinned
-from logs.route import CostToGo, costs_to_go, start_lanes, straight_on
-from logs.states import EgoState
-from logs.vehicle import VehicleParameters
-from planners.solver import QuadraticProgram
+from replan.core.arrays import TIE, FloatArray, arc_lengths, frozen
+from replan.core.kernel import inner_kernel, kernel
+from replan.core.once import once
+from replan.logs.frame import PlannerContext
+from replan.logs.road import Lane, ReferenceLine, Road, nearest, predecessors, thinned
+from replan.logs.route import CostToGo, costs_to_go, start_lanes, straight_on
+from replan.logs.states import EgoState
+from replan.logs.vehicle import VehicleParameters
+from replan.planners.solver import QuadraticProgram
 
 SPACING_M = 2.0  # Spacing of the points of (1), m
 BENDING_WEIGHT = 50.0  # w of (1)

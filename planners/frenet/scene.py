@@ -20,17 +20,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.agents import AgentKind, among
-from logs.arrays import BoolArray, FloatArray, IntArray
-from logs.frame import Frame, PlannerContext
-from logs.kernel import kernel
-from logs.plan import Decision, DecisionKind, PlanStart
-from logs.road import line_frame, line_project
-from logs.route import find_route
-from logs.states import EgoState, wrap
-from logs.vehicle import VehicleParameters
-from planners.frenet.path import Path, frenet_start, interpolated, out_of_frame
-from planners.frenet.reference_path import CrossSections, ReferencePath, make_reference_path, write_sections
+from replan.core.arrays import BoolArray, FloatArray, IntArray
+from replan.core.kernel import kernel
+from replan.logs.agents import AgentKind, among
+from replan.logs.frame import Frame, PlannerContext
+from replan.logs.plan import Decision, DecisionKind, PlanStart
+from replan.logs.road import line_frame, line_project
+from replan.logs.route import find_route
+from replan.logs.states import EgoState, wrap
+from replan.logs.vehicle import VehicleParameters
+from replan.planners.frenet.path import Path, frenet_start, interpolated, out_of_frame
+from replan.planners.frenet.reference_path import CrossSections, ReferencePath, make_reference_path, write_sections
 
 STITCH_M = 0.5  # A plan starts on the previous one where the ego is nearer to it than this, m ...
 STITCH_MPS = 1.0  # ... and its speed nearer than this, m/s.

@@ -27,13 +27,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.arrays import BoolArray, FloatArray, IntArray
-from logs.kernel import inner_kernel, kernel
-from logs.plan import Decision, DecisionKind, GraphObstacle
-from logs.shapes import axis_gap
-from logs.states import wrap
-from planners.frenet.path import Path
-from planners.frenet.scene import STANDING_MPS, Bodies, Futures, Occupancy, Scene
+from replan.core.arrays import BoolArray, FloatArray, IntArray
+from replan.core.kernel import inner_kernel, kernel
+from replan.logs.plan import Decision, DecisionKind, GraphObstacle
+from replan.logs.shapes import axis_gap
+from replan.logs.states import wrap
+from replan.planners.frenet.path import Path
+from replan.planners.frenet.scene import STANDING_MPS, Bodies, Futures, Occupancy, Scene
 
 ALONG = 0.8
 """An agent with this share of its speed along the path is followed, not yielded to; at 45 degrees it crosses."""
@@ -350,7 +350,7 @@ def _touch(
     x: float, y: float, c: float, s: float, length: float, width: float,
     other: tuple[float, float, float, float, float, float],
 ) -> bool:  # fmt: skip
-    """Whether boxes x, y, cos yaw, sin yaw, half length, half width touch (`logs.shapes`, (1))."""
+    """Whether boxes x, y, cos yaw, sin yaw, half length, half width touch (`replan.logs.shapes`, (1))."""
     dx, dy = other[0] - x, other[1] - y
     straight, across = abs(c * other[2] + s * other[3]), abs(c * other[3] - s * other[2])
     return bool(

@@ -7,6 +7,6 @@ Source: Werling, Ziegler, Kammel, Thrun, "Optimal Trajectory Generation for Dyna
 ICRA 2010.
 """
 
-from planners.lattice.planner import Lattice, LatticeConfig
+from replan.planners.lattice.planner import Lattice, LatticeConfig
 
 __all__ = ["Lattice", "LatticeConfig"]

@@ -33,13 +33,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.arrays import BoolArray, FloatArray, IntArray
-from logs.kernel import inner_kernel, kernel
-from logs.road import line_curvature, line_frame, line_project
-from logs.shapes import overlap
-from logs.states import wrap
-from planners.frenet.path import MAX_TURN, MIN_REGULAR, quintic
-from planners.frenet.profiles import HORIZON_STEPS, STEP_S
+from replan.core.arrays import BoolArray, FloatArray, IntArray
+from replan.core.kernel import inner_kernel, kernel
+from replan.logs.road import line_curvature, line_frame, line_project
+from replan.logs.shapes import overlap
+from replan.logs.states import wrap
+from replan.planners.frenet.path import MAX_TURN, MIN_REGULAR, quintic
+from replan.planners.frenet.profiles import HORIZON_STEPS, STEP_S
 
 LEAST_M = 8.0  # Least length of a lateral move (3), m: at low speeds a shorter one would be too sharp to steer
 REST_MPS = 0.05  # Below this speed the ego stands: an agent that then runs into it is not the ego's fault
@@ -140,7 +140,7 @@ def lateral_polynomial(start: FloatArray, l1: float, D: float) -> FloatArray:
 def states(
     knots: FloatArray, coef: FloatArray, s0: float, lateral: FloatArray, D: float, motion: FloatArray
 ) -> FloatArray:
-    """Rows x, y, yaw, v, a, kappa, l, turn, 1 - kappa l `(9, k)` of a candidate (`planners.frenet.path`, (1) to (3)).
+    """Rows x, y, yaw, v, a, kappa, l, turn, 1 - kappa l `(9, k)` of a candidate (`replan.planners.frenet.path`, (1) to (3)).
 
     a = s_ddot R / cos d + s_dot^2 / cos d (R tan d (kappa R / cos d - kappa_r) - (kappa_r' l + kappa_r l'))
     with R = 1 - kappa_r l and d the heading off the line.

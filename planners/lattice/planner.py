@@ -11,9 +11,9 @@ from math import cos, floor, tan
 
 import numpy as np
 
-from logs.arrays import FloatArray, IntArray, arc_lengths
-from logs.frame import Frame, PlannerContext
-from logs.plan import (
+from replan.core.arrays import FloatArray, IntArray, arc_lengths
+from replan.logs.frame import Frame, PlannerContext
+from replan.logs.plan import (
     Artefact,
     Candidates,
     Corridor,
@@ -26,15 +26,24 @@ from logs.plan import (
     SlGraph,
     StGraph,
 )
-from logs.shapes import overlap
-from logs.states import Trajectory, wrap
-from logs.vehicle import VehicleParameters
-from planners.frenet.path import Path, path_through
-from planners.frenet.profiles import HORIZON_KNOTS, HORIZON_STEPS, STEP_S, braking, fall_back, limit_profile
-from planners.frenet.reference_path import ReferencePath
-from planners.frenet.scene import TRACK_M, Occupancy, RouteTracker, Scene, behind, on_reference, open_end, upper_bound
-from planners.frenet.st_boundaries import StGraphConfig, decide_speed, outlines, st_boundaries
-from planners.lattice.candidates import (
+from replan.logs.shapes import overlap
+from replan.logs.states import Trajectory, wrap
+from replan.logs.vehicle import VehicleParameters
+from replan.planners.frenet.path import Path, path_through
+from replan.planners.frenet.profiles import HORIZON_KNOTS, HORIZON_STEPS, STEP_S, braking, fall_back, limit_profile
+from replan.planners.frenet.reference_path import ReferencePath
+from replan.planners.frenet.scene import (
+    TRACK_M,
+    Occupancy,
+    RouteTracker,
+    Scene,
+    behind,
+    on_reference,
+    open_end,
+    upper_bound,
+)
+from replan.planners.frenet.st_boundaries import StGraphConfig, decide_speed, outlines, st_boundaries
+from replan.planners.lattice.candidates import (
     COST_PARTS,
     REASONS,
     REST_MPS,
@@ -58,7 +67,7 @@ from planners.lattice.candidates import (
     squared_jerks,
     states,
 )
-from planners.rules import Rulebook, RuleMemory
+from replan.planners.rules import Rulebook, RuleMemory
 
 SHORT = 4.0  # Weight of each metre short of a stop that the rules require, so that the ego stops visibly at that place
 STOP_S = 1.0  # The ego brakes for a stop that the rules demand from this time, s ...
@@ -299,7 +308,7 @@ class Sampler:
 class Lattice:
     """Chooses among pairs of polynomials; its memory is the last station and the memory of the rules.
 
-    Where no pair is feasible, it uses the ladder of `planners.frenet.profiles`: the rest of the previous plan, else a
+    Where no pair is feasible, it uses the ladder of `replan.planners.frenet.profiles`: the rest of the previous plan, else a
     comfortable stop, else a hard one. Agents behind are ignored while the ego keeps its track.
     """
 

@@ -16,7 +16,7 @@ Lateral: e and psi are the offset and the heading from the proposal's pose, kapp
 (3) e_k+1 = e_k + h v_k psi_k,   psi_k+1 = psi_k + h v_k (steer_k / L - kappa_k),   steer_k+1 = steer_k + h u
     the constant rate u minimises  e_N^2 + 10 psi_N^2 + u^2  after `AHEAD` steps
 
-The car is a kinematic bicycle with lags (the planner's own model; `replay.vehicle` has those of the simulation):
+The car is a kinematic bicycle with lags (the planner's own model; `replan.replay.vehicle` has those of the simulation):
 
 (4) a <- a + h / (h + 0.2 s) (a_wanted - a),   steer <- steer + h / (h + 0.05 s) h u,   v <- v + h a >= 0
     yaw' = v tan(steer) / L, x and y by the midpoint rule
@@ -34,14 +34,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.arrays import BoolArray, FloatArray
-from logs.frame import Frame, PlannerContext, Predictions
-from logs.kernel import kernel
-from logs.plan import Artefact, Candidates, Corridor, CostTerms, Internals, Plan, SlGraph, StGraph
-from logs.states import EgoState, Trajectory, wrap
-from logs.vehicle import VehicleParameters
-from planners.frenet.path import Path, make_path, states_on_path
-from planners.frenet.profiles import (
+from replan.core.arrays import BoolArray, FloatArray
+from replan.core.kernel import kernel
+from replan.logs.frame import Frame, PlannerContext, Predictions
+from replan.logs.plan import Artefact, Candidates, Corridor, CostTerms, Internals, Plan, SlGraph, StGraph
+from replan.logs.states import EgoState, Trajectory, wrap
+from replan.logs.vehicle import VehicleParameters
+from replan.planners.frenet.path import Path, make_path, states_on_path
+from replan.planners.frenet.profiles import (
     EMERGENCY,
     HORIZON_KNOTS,
     HORIZON_STEPS,
@@ -50,8 +50,8 @@ from planners.frenet.profiles import (
     fall_back,
     trajectory_along,
 )
-from planners.frenet.scene import Occupancy, RouteTracker, Scene, on_path
-from planners.frenet.st_boundaries import (
+from replan.planners.frenet.scene import Occupancy, RouteTracker, Scene, on_path
+from replan.planners.frenet.st_boundaries import (
     StBoundaries,
     StGraphConfig,
     decide_speed,
@@ -59,8 +59,8 @@ from planners.frenet.st_boundaries import (
     st_boundaries,
     stop_outlines,
 )
-from planners.pdm.proposal_score import PARTS, WHY_NOT, Scores, scores
-from planners.rules import Rulebook, RuleMemory
+from replan.planners.pdm.proposal_score import PARTS, WHY_NOT, Scores, scores
+from replan.planners.rules import Rulebook, RuleMemory
 
 KNOT_M, BEYOND_M, LOOKED_UP_S = 2.0, 30.0, 0.2
 """Spacing of the knots of a track, m; length of a track beyond the way at the speed limit, m; time step of the

@@ -28,14 +28,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.agents import AgentKind, among
-from logs.arrays import BoolArray, FloatArray, IntArray, frozen
-from logs.kernel import inner_kernel, kernel
-from logs.road import line_frame, line_project
-from logs.shapes import overlap
-from planners.frenet.profiles import STEP_S
-from planners.frenet.reference_path import sections
-from planners.frenet.scene import Scene
+from replan.core.arrays import BoolArray, FloatArray, IntArray, frozen
+from replan.core.kernel import inner_kernel, kernel
+from replan.logs.agents import AgentKind, among
+from replan.logs.road import line_frame, line_project
+from replan.logs.shapes import overlap
+from replan.planners.frenet.profiles import STEP_S
+from replan.planners.frenet.reference_path import sections
+from replan.planners.frenet.scene import Scene
 
 OFF_M = 0.3  # nuPlan's tolerance for leaving the road, m
 AGAINST_M = 2.0, 6.0  # Distances driven beside the lanes of the ego's direction above which `direction` is 1/2 and 0, m

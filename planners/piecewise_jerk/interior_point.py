@@ -44,9 +44,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.arrays import FloatArray
-from logs.kernel import inner_kernel, kernel
-from planners.piecewise_jerk.problem import (
+from replan.core.arrays import FloatArray
+from replan.core.kernel import inner_kernel, kernel
+from replan.planners.piecewise_jerk.problem import (
     DDDX,
     PiecewiseJerkProblem,
     Rows,

@@ -40,8 +40,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.arrays import FloatArray
-from logs.kernel import inner_kernel, kernel
+from replan.core.arrays import FloatArray
+from replan.core.kernel import inner_kernel, kernel
 
 X, DX, DDX, DDDX, LEADS = 0, 1, 2, 3, 4  # Rows of the bounds; rows x + lead x' from `LEADS` on
 NARROW_M = 1e-6  # Bounds less than twice this apart are moved to twice this apart: the method needs an interior

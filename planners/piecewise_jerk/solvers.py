@@ -1,6 +1,6 @@
 """The interface to the solvers of piecewise-jerk QPs. They start cold: an answer depends on its problem alone.
 
-`interior_point` is replan's own (default). `osqp` and `piqp` solve the sparse form through `planners.solver`: OSQP
+`interior_point` is replan's own (default). `osqp` and `piqp` solve the sparse form through `replan.planners.solver`: OSQP
 (ADMM), with PIQP where OSQP runs out of iterations, or PIQP alone.
 """
 
@@ -18,12 +18,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy import sparse
 
-from logs.arrays import FloatArray
-from logs.errors import unknown_name
-from logs.plan import SolverReport
-from planners.piecewise_jerk import interior_point
-from planners.piecewise_jerk.problem import DDX, PiecewiseJerkProblem, Weights
-from planners.solver import QPConfig, QPResult, QuadraticProgram
+from replan.core.arrays import FloatArray
+from replan.core.errors import unknown_name
+from replan.logs.plan import SolverReport
+from replan.planners.piecewise_jerk import interior_point
+from replan.planners.piecewise_jerk.problem import DDX, PiecewiseJerkProblem, Weights
+from replan.planners.solver import QPConfig, QPResult, QuadraticProgram
 
 DEFAULT = "interior_point"  # Name of the default solver
 OSQP_EPS = 1e-5  # Tolerance of OSQP: at 1e-4 its answers are up to 0.5 m off ...
@@ -79,7 +79,7 @@ def _interior_point(problem: PiecewiseJerkProblem, stage: str, tolerance: float)
 
 
 def _sparse(config: QPConfig, problem: PiecewiseJerkProblem, stage: str, tolerance: float) -> QPResult:
-    """Solve the sparse form by `planners.solver`."""
+    """Solve the sparse form by `replan.planners.solver`."""
     program = _program(structure(problem), stage, replace(config, tolerance=tolerance))
     result = program.solve(*vectors(problem), fresh=True)
     return QPResult(result.x[: 3 * problem.lower.shape[1]], result.report)

@@ -13,6 +13,6 @@ ego stops at a yellow where it comfortably can (ITE, "Determining Vehicle Signal
 Right of way: StVO 8; no stop where lanes cross (StVO 11 (1)) or on a crosswalk (StVO 26 (2)).
 """
 
-from planners.rules.rulebook import Rulebook, RuleMemory, RulesConfig
+from replan.planners.rules.rulebook import Rulebook, RuleMemory, RulesConfig
 
 __all__ = ["RuleMemory", "Rulebook", "RulesConfig"]

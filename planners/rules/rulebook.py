@@ -33,15 +33,15 @@ from math import inf, isfinite
 
 import numpy as np
 
-from logs.arrays import TIE, FloatArray
-from logs.plan import DecisionKind
-from logs.road import Road
-from logs.rules import RED, Colour
-from logs.vehicle import VehicleParameters
-from planners.frenet.profiles import HORIZON_KNOTS, STEP_S, braking, cruising, limit_profile
-from planners.frenet.reference_path import ReferencePath
-from planners.frenet.scene import Occupancy, Scene
-from planners.rules.zones import (
+from replan.core.arrays import TIE, FloatArray
+from replan.logs.plan import DecisionKind
+from replan.logs.road import Road
+from replan.logs.rules import RED, Colour
+from replan.logs.vehicle import VehicleParameters
+from replan.planners.frenet.profiles import HORIZON_KNOTS, STEP_S, braking, cruising, limit_profile
+from replan.planners.frenet.reference_path import ReferencePath
+from replan.planners.frenet.scene import Occupancy, Scene
+from replan.planners.rules.zones import (
     ASKEW_RAD,
     ROOM_M,
     Priority,

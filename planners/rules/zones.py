@@ -30,17 +30,17 @@ from math import hypot, inf
 
 import numpy as np
 
-from logs.agents import AgentKind
-from logs.arrays import BoolArray, FloatArray, arc_lengths
-from logs.frame import Frame
-from logs.kernel import kernel
-from logs.road import Lane, ReferenceLine, Road, inside, line_project_many, predecessors
-from logs.rules import RED, Crosswalk, StopLine
-from logs.shapes import overlap, point_segment
-from logs.states import wrap
-from logs.vehicle import VehicleParameters
-from planners.frenet.reference_path import ReferencePath
-from planners.frenet.scene import STANDING_MPS, UNLIKELY
+from replan.core.arrays import BoolArray, FloatArray, arc_lengths
+from replan.core.kernel import kernel
+from replan.logs.agents import AgentKind
+from replan.logs.frame import Frame
+from replan.logs.road import Lane, ReferenceLine, Road, inside, line_project_many, predecessors
+from replan.logs.rules import RED, Crosswalk, StopLine
+from replan.logs.shapes import overlap, point_segment
+from replan.logs.states import wrap
+from replan.logs.vehicle import VehicleParameters
+from replan.planners.frenet.reference_path import ReferencePath
+from replan.planners.frenet.scene import STANDING_MPS, UNLIKELY
 
 SIDE_M = 0.3  # Space beside the ego's body in (1) and (2), m
 HALF_CAR_M = 1.0  # Half the width of agents that go first in (2), m

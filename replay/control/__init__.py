@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from logs.vehicle import VehicleParameters
-from replay.control.estimation import SteeringDelay
-from replay.control.mpc import Mpc, MpcConfig
-from replay.control.split import (
+from replan.logs.vehicle import VehicleParameters
+from replan.replay.control.estimation import SteeringDelay
+from replan.replay.control.mpc import Mpc, MpcConfig
+from replan.replay.control.split import (
     DLQR,
     DUAL_LOOP,
     KINEMATIC_DLQR,
@@ -22,7 +22,7 @@ from replay.control.split import (
     SplitController,
     split_law,
 )
-from replay.vehicle.base import Controller, Powertrain
+from replan.replay.vehicle.base import Controller, Powertrain
 
 ControllerFactory = Callable[..., Controller]
 

@@ -17,7 +17,7 @@ equation take a hundred times longer when the threads of their linear algebra co
 
 Where the tyres slip, the model is the paper's four-state error model with the steering's lag: state x = (e_d m, e_d'
 m/s, e_phi rad, e_phi' rad/s, e_steer rad) at the rear axle, input u = commanded steer, each minus that of exact
-following; (2)-(3) of `replay.control.lateral_model` with (steer)' = (u - steer) / lag.
+following; (2)-(3) of `replan.replay.control.lateral_model` with (steer)' = (u - steer) / lag.
 
 (5) x[k+1] = A x[k] + B u[k]          exact for an input held over a period (ZOH); other forms can be compared
 (6) command = feed-forward - K x, both for when the command takes effect, where the steering is late (`estimation`)
@@ -50,13 +50,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.arrays import FloatArray, frozen
-from logs.errors import ConfigError, unknown_name
-from logs.kernel import inner_kernel, kernel
-from logs.vehicle import VehicleParameters
-from replay.control import estimation
-from replay.control.estimation import DelayModel, DelayState, SlipModel, SlipState
-from replay.control.lateral_model import (
+from replan.core.arrays import FloatArray, frozen
+from replan.core.errors import ConfigError, unknown_name
+from replan.core.kernel import inner_kernel, kernel
+from replan.logs.vehicle import VehicleParameters
+from replan.replay.control import estimation
+from replan.replay.control.estimation import DelayModel, DelayState, SlipModel, SlipState
+from replan.replay.control.lateral_model import (
     DISCRETISATIONS,
     at_rear_axle,
     at_speed,
@@ -70,9 +70,9 @@ from replay.control.lateral_model import (
     with_rigid_tyres,
     with_steering,
 )
-from replay.vehicle.base import MotionState
-from replay.vehicle.drivetrain import SHORTEST_LAG_S
-from replay.vehicle.plan_path import Deviation, path_kappa
+from replan.replay.vehicle.base import MotionState
+from replan.replay.vehicle.drivetrain import SHORTEST_LAG_S
+from replan.replay.vehicle.plan_path import Deviation, path_kappa
 
 MAX_ROUNDS = 60
 
@@ -88,7 +88,7 @@ class DlqrConfig:
         heading_rate_weight: (s/rad)2.
         steer_weight: Of u, 1/rad2.
         speed_mps: v_0 of the regulator's R.
-        discretisation: Name in `replay.control.lateral_model.DISCRETISATIONS`.
+        discretisation: Name in `replan.replay.control.lateral_model.DISCRETISATIONS`.
     """
 
     lateral_weight: float = 1.0

@@ -33,13 +33,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.arrays import FloatArray
-from logs.kernel import inner_kernel, kernel
-from logs.vehicle import VehicleParameters
-from replay.control.lateral_model import SteerSeries, at_speed, kappa_rate, lateral_table, steer_for
-from replay.vehicle.base import MotionState
-from replay.vehicle.drivetrain import SHORTEST_LAG_S
-from replay.vehicle.plan_path import Deviation, path_kappa
+from replan.core.arrays import FloatArray
+from replan.core.kernel import inner_kernel, kernel
+from replan.logs.vehicle import VehicleParameters
+from replan.replay.control.lateral_model import SteerSeries, at_speed, kappa_rate, lateral_table, steer_for
+from replan.replay.vehicle.base import MotionState
+from replan.replay.vehicle.drivetrain import SHORTEST_LAG_S
+from replan.replay.vehicle.plan_path import Deviation, path_kappa
 
 SLIP_GAIN_PER_S = 16.0
 PHI_0_RAD = 0.005

@@ -13,7 +13,7 @@ the path:
 
 Sources of (1)-(3): Coulter, Implementation of the Pure Pursuit Path Tracking Algorithm, CMU-RI-TR-92-01; look-ahead by
 speed as in Snider, Automatic Steering Methods for Autonomous Automobile Path Tracking, CMU-RI-TR-09-08. The distance
-is the shortest, in steps of 0.1 s of driving, that keeps every manoeuvre of `replay.paper.manoeuvres` stable on the
+is the shortest, in steps of 0.1 s of driving, that keeps every manoeuvre of `replan.paper.manoeuvres` stable on the
 single-track vehicle. Of (4): Thrun et al., Stanley: The Robot that Won the DARPA Grand Challenge, J. Field Robotics 23
 (2006), eq. 5; the softening: Hoffmann et al., Autonomous Automobile Trajectory Tracking for Off-Road Driving, ACC 2007.
 Of the gains 1, 1.5, 2 and 2.5, tried on the same manoeuvres, 2 is the best (2.5 loses ISO 3888-2).
@@ -24,11 +24,11 @@ from __future__ import annotations
 from math import atan, atan2, cos, hypot, sin
 from typing import NamedTuple
 
-from logs.arrays import FloatArray
-from logs.kernel import inner_kernel
-from logs.states import wrap
-from replay.vehicle.base import MotionState
-from replay.vehicle.plan_path import Deviation, path_foot, path_point
+from replan.core.arrays import FloatArray
+from replan.core.kernel import inner_kernel
+from replan.logs.states import wrap
+from replan.replay.vehicle.base import MotionState
+from replan.replay.vehicle.plan_path import Deviation, path_foot, path_point
 
 
 class PursuitLaw(NamedTuple):

@@ -40,10 +40,10 @@ from math import inf, isfinite
 import numpy as np
 from scipy.linalg import expm
 
-from logs.arrays import FloatArray, frozen
-from logs.kernel import kernel
-from logs.vehicle import VehicleParameters
-from replay.vehicle.plan_path import path_kappa
+from replan.core.arrays import FloatArray, frozen
+from replan.core.kernel import kernel
+from replan.logs.vehicle import VehicleParameters
+from replan.replay.vehicle.plan_path import path_kappa
 
 SPEED_STEP_MPS = 0.5
 MAX_SPEED_MPS = 60.0

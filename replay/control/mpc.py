@@ -2,7 +2,7 @@
 
 (1) J = sum over k of |xi_k|^2_Q + |u_k|^2_R_u + |u_k - u_(k-1)|^2_R_du        the paper's eq. 17
     The paper calls R_u the weight of the change and R_u_rate that of the magnitude; the names here say what they weigh.
-(2) subject to the prediction and limits of `replay.control.mpc_model` (deviations from exact following of the plan)
+(2) subject to the prediction and limits of `replan.replay.control.mpc_model` (deviations from exact following of the plan)
 
 The plan is resampled by quintic polynomials (`mpc_model` (7)). The weights apply to the differences from the inputs of
 exact following, because weights on the inputs themselves would pull the ego off a plan that accelerates.
@@ -30,16 +30,16 @@ from math import nan
 import numpy as np
 from scipy import sparse
 
-from logs.arrays import FloatArray, IntArray
-from logs.errors import ConfigError
-from logs.plan import Plan
-from logs.states import Command, EgoState
-from logs.vehicle import VehicleParameters
-from planners.solver import QPConfig, QPResult, QuadraticProgram
-from replay.control import pedals
-from replay.control.estimation import NO_SLIP, SteeringDelay, lateral_deviation, learned, slip_model
-from replay.control.lateral_model import command_series, following_at, lateral_table, slip_table, steer_for
-from replay.control.mpc_model import (
+from replan.core.arrays import FloatArray, IntArray
+from replan.core.errors import ConfigError
+from replan.logs.plan import Plan
+from replan.logs.states import Command, EgoState
+from replan.logs.vehicle import VehicleParameters
+from replan.planners.solver import QPConfig, QPResult, QuadraticProgram
+from replan.replay.control import pedals
+from replan.replay.control.estimation import NO_SLIP, SteeringDelay, lateral_deviation, learned, slip_model
+from replan.replay.control.lateral_model import command_series, following_at, lateral_table, slip_table, steer_for
+from replan.replay.control.mpc_model import (
     INPUTS,
     LIMITS,
     PATTERN_A,
@@ -53,10 +53,10 @@ from replay.control.mpc_model import (
     predicted,
     resampled,
 )
-from replay.vehicle.base import Controller, Powertrain, motion_of
-from replay.vehicle.drivetrain import SHORTEST_LAG_S
-from replay.vehicle.plan_path import Deviation, PlanPath, Tracker
-from replay.vehicle.tyres import GRAVITY
+from replan.replay.vehicle.base import Controller, Powertrain, motion_of
+from replan.replay.vehicle.drivetrain import SHORTEST_LAG_S
+from replan.replay.vehicle.plan_path import Deviation, PlanPath, Tracker
+from replan.replay.vehicle.tyres import GRAVITY
 
 RESAMPLED_S = 0.05
 WIDTH = INPUTS + STATES
@@ -216,7 +216,7 @@ def _pattern(n: int) -> tuple[sparse.csc_matrix, IntArray]:
 
 
 class Mpc:
-    """(1)-(4). See `replay.vehicle.base.Controller`.
+    """(1)-(4). See `replan.replay.vehicle.base.Controller`.
 
     Args:
         parameters: Of the ego.

@@ -31,12 +31,12 @@ from math import atan2, cos, exp, hypot, pi, sin
 
 import numpy as np
 
-from logs.arrays import FloatArray, IntArray, frozen
-from logs.kernel import kernel
-from logs.states import Trajectory, wrap
-from replay.control.lateral_model import at_speed, following_at, steer_for
-from replay.vehicle.pedal_map import PedalMap, reach
-from replay.vehicle.plan_path import path_kappa, timed
+from replan.core.arrays import FloatArray, IntArray, frozen
+from replan.core.kernel import kernel
+from replan.logs.states import Trajectory, wrap
+from replan.replay.control.lateral_model import at_speed, following_at, steer_for
+from replan.replay.vehicle.pedal_map import PedalMap, reach
+from replan.replay.vehicle.plan_path import path_kappa, timed
 
 STATES, INPUTS, SIDES = 8, 2, 8
 LIMITS = 3 + SIDES

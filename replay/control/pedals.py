@@ -39,11 +39,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.arrays import FloatArray, frozen
-from logs.kernel import kernel
-from replay.vehicle.base import Powertrain
-from replay.vehicle.pedal_map import PedalMap, coasting, full_throttle
-from replay.vehicle.plan_path import timed
+from replan.core.arrays import FloatArray, frozen
+from replan.core.kernel import kernel
+from replan.replay.vehicle.base import Powertrain
+from replan.replay.vehicle.pedal_map import PedalMap, coasting, full_throttle
+from replan.replay.vehicle.plan_path import timed
 
 HYSTERESIS_MPS2 = 0.15
 HOLDING_BRAKE = 0.2

@@ -15,7 +15,7 @@ One PID each, without a model or feed-forward:
 
 Their integrals are frozen as in (4). Source: Astrom and Hagglund, Advanced PID Control, 3.5; the gain of (5) falls
 with speed as the curvature that a lateral acceleration allows. The gains are a compromise of a few tried on
-`replay.paper.manoeuvres` with the single-track vehicle: (0.6, 0.4, 0.25) loses ISO 3888-1 as well as -2, (0.2, 0.15,
+`replan.paper.manoeuvres` with the single-track vehicle: (0.6, 0.4, 0.25) loses ISO 3888-1 as well as -2, (0.2, 0.15,
 0.3) loses none but is twice as far off on roads.
 """
 
@@ -24,12 +24,12 @@ from __future__ import annotations
 from math import isnan, nan, sin
 from typing import NamedTuple
 
-from logs.arrays import FloatArray
-from logs.kernel import inner_kernel, kernel
-from replay.control.pedals import compensated
-from replay.vehicle.base import MotionState
-from replay.vehicle.pedal_map import PedalMap, reach
-from replay.vehicle.plan_path import Deviation, timed
+from replan.core.arrays import FloatArray
+from replan.core.kernel import inner_kernel, kernel
+from replan.replay.control.pedals import compensated
+from replan.replay.vehicle.base import MotionState
+from replan.replay.vehicle.pedal_map import PedalMap, reach
+from replan.replay.vehicle.plan_path import Deviation, timed
 
 
 class SpeedLaw(NamedTuple):

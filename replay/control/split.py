@@ -1,7 +1,7 @@
 """A controller of two laws: one steers, the other controls speed; at a standstill neither is used.
 
 It is one compiled step, so that the loop can run it for a whole plan period without coming back to Python
-(`replay.loop.plan_period`). `SplitLaw` selects the laws and holds their parameters. To add a law, write its kernel, add
+(`replan.replay.loop.plan_period`). `SplitLaw` selects the laws and holds their parameters. To add a law, write its kernel, add
 its parameters here, and add a branch to `steer` or `control`.
 """
 
@@ -11,12 +11,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.arrays import FloatArray, frozen
-from logs.kernel import inner_kernel, kernel
-from logs.plan import Plan
-from logs.states import Command, EgoState
-from logs.vehicle import VehicleParameters
-from replay.control.dlqr import (
+from replan.core.arrays import FloatArray, frozen
+from replan.core.kernel import inner_kernel, kernel
+from replan.logs.plan import Plan
+from replan.logs.states import Command, EgoState
+from replan.logs.vehicle import VehicleParameters
+from replan.replay.control.dlqr import (
     DlqrLaw,
     DlqrState,
     KinematicLaw,
@@ -26,11 +26,11 @@ from replay.control.dlqr import (
     steer_rolling,
     steer_slipping,
 )
-from replay.control.estimation import DelayModel, DelayState, SlipModel, SlipState, SteeringDelay, slip_model
-from replay.control.geometric import PursuitLaw, StanleyLaw, steer_at_front, steer_pursuing
-from replay.control.lateral_model import has_rigid_tyres
-from replay.control.pedals import NO_PEDAL, NO_STOP, PedalState, StopState, eased, hold, press, stands
-from replay.control.pid import (
+from replan.replay.control.estimation import DelayModel, DelayState, SlipModel, SlipState, SteeringDelay, slip_model
+from replan.replay.control.geometric import PursuitLaw, StanleyLaw, steer_at_front, steer_pursuing
+from replan.replay.control.lateral_model import has_rigid_tyres
+from replan.replay.control.pedals import NO_PEDAL, NO_STOP, PedalState, StopState, eased, hold, press, stands
+from replan.replay.control.pid import (
     AT_REST,
     SINGLE_LOOP_KD,
     SpeedLaw,
@@ -40,7 +40,7 @@ from replay.control.pid import (
     accelerate_dual_loop,
     steer_by_error,
 )
-from replay.vehicle.base import (
+from replan.replay.vehicle.base import (
     COLUMNS,
     MOTION,
     MotionState,
@@ -51,8 +51,8 @@ from replay.vehicle.base import (
     plain,
     write_command,
 )
-from replay.vehicle.pedal_map import PedalMap
-from replay.vehicle.plan_path import Deviation, Tracker, deviation
+from replan.replay.vehicle.pedal_map import PedalMap
+from replan.replay.vehicle.plan_path import Deviation, Tracker, deviation
 
 DLQR, KINEMATIC_DLQR, PURE_PURSUIT, STANLEY, STEERING_PID = range(5)
 DUAL_LOOP, SPEED_PID = range(2)
@@ -150,7 +150,7 @@ def remember(m: FloatArray, s: SplitState) -> None:
 
 @inner_kernel
 def named_law(p: Plain) -> SplitLaw:
-    """Return the law from plain tuples (`replay.vehicle.base.plain`)."""
+    """Return the law from plain tuples (`replan.replay.vehicle.base.plain`)."""
     d = p[2]
     dlqr = DlqrLaw(d[0], d[1], SlipModel(*d[2]), DelayModel(*d[3]), d[4], d[5], d[6], d[7])
     others = KinematicLaw(*p[3]), PursuitLaw(*p[4]), StanleyLaw(*p[5]), SteeringPidLaw(*p[6])
@@ -179,7 +179,7 @@ def control_once(
 
 
 class SplitController:
-    """Steering by one law, pedals by another. See `replay.vehicle.base.Controller`.
+    """Steering by one law, pedals by another. See `replan.replay.vehicle.base.Controller`.
 
     Args:
         law: The laws for steering and speed.

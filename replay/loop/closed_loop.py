@@ -6,19 +6,19 @@ from collections.abc import Mapping
 from math import inf
 from types import MappingProxyType
 
-from logs.arrays import FloatArray
-from logs.errors import PlannerError
-from logs.plan import Plan
-from logs.scenario import Scenario
-from logs.trace import EndReason, Mode, Trace
-from logs.tracks import Tracks
-from replay.config import DEFAULT_LOOP, LoopConfig
-from replay.drive import Drive
-from replay.loop.perception import Perception
-from replay.loop.plan_period import Latency, TraceRecorder
-from replay.loop.planning import Planning, Seat
-from replay.loop.simulation_setup import SimulationSetup
-from replay.loop.termination import Ended, Termination
+from replan.core.arrays import FloatArray
+from replan.core.errors import PlannerError
+from replan.logs.plan import Plan
+from replan.logs.scenario import Scenario
+from replan.logs.trace import EndReason, Mode, Trace
+from replan.logs.tracks import Tracks
+from replan.replay.drive import Drive
+from replan.replay.loop.plan_period import Latency, TraceRecorder
+from replan.replay.loop.planning import Planning, Seat
+from replan.replay.loop.simulation_setup import SimulationSetup
+from replan.replay.loop.termination import Ended, Termination
+from replan.replay.loop_config import DEFAULT_LOOP, LoopConfig
+from replan.replay.perception import Perception
 
 
 def run_closed_loop(

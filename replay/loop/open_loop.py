@@ -8,16 +8,16 @@ from types import MappingProxyType
 
 import numpy as np
 
-from logs.errors import PlannerError
-from logs.frame_store import FrameStore
-from logs.scenario import Scenario
-from logs.states import TRAJECTORY_COLUMNS, Trajectory
-from logs.trace import EndReason, Mode, PlannedFrame, Trace
-from replay.config import DEFAULT_LOOP, LoopConfig
-from replay.drive import Drive
-from replay.loop.perception import Perception
-from replay.loop.planning import Planning, Seat
-from replay.world import World, logged_ego
+from replan.core.errors import PlannerError
+from replan.logs.frame_store import FrameStore
+from replan.logs.scenario import Scenario
+from replan.logs.states import TRAJECTORY_COLUMNS, Trajectory
+from replan.logs.trace import EndReason, Mode, PlannedFrame, Trace
+from replan.replay.drive import Drive
+from replan.replay.loop.planning import Planning, Seat
+from replan.replay.loop_config import DEFAULT_LOOP, LoopConfig
+from replan.replay.perception import Perception
+from replan.replay.world import World, logged_ego
 
 
 def run_open_loop(

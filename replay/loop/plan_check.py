@@ -26,12 +26,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.arrays import FloatArray
-from logs.frame import Frame
-from logs.kernel import kernel
-from logs.plan import Plan, PlanStart, PlanStatus
-from logs.states import EgoState, Trajectory, wrap
-from replay.planner_process.messages import LONGEST_REASON, MOST_POINTS, shortened
+from replan.core.arrays import FloatArray
+from replan.core.kernel import kernel
+from replan.logs.frame import Frame
+from replan.logs.plan import Plan, PlanStart, PlanStatus
+from replan.logs.states import EgoState, Trajectory, wrap
+from replan.replay.planner_process.messages import LONGEST_REASON, MOST_POINTS, shortened
 
 START_M, START_MPS = 0.03, 0.05
 SWING_MPS = 0.3

@@ -1,10 +1,10 @@
 """The compiled inner loop of a closed-loop drive: controller and vehicle run from plan to plan and fill the trace.
 
 Planning time is modelled without a clock, so that repeated drives are equal (`Latency`). A step reads
-row k of the trace (`replay.vehicle.base`) and writes row k + 1:
+row k of the trace (`replan.replay.vehicle.base`) and writes row k + 1:
 
 (1) errors = the motion of row k against the plan
-(2) command, memory = control(law, memory, motion, errors, plan)            `replay.control.split.control_row`
+(2) command, memory = control(law, memory, motion, errors, plan)            `replan.replay.control.split.control_row`
 (3) row k: command, errors
 (4) motion, state = step(state, command, dt)                                the vehicle's own kernel
 (5) row k + 1: motion, actuation
@@ -22,16 +22,16 @@ from typing import Any
 
 import numpy as np
 
-from logs.arrays import FloatArray
-from logs.frame import Frame
-from logs.frame_store import FrameStore
-from logs.kernel import kernel
-from logs.plan import Plan
-from logs.states import TRAJECTORY_COLUMNS, Controls, Trajectory
-from logs.trace import PlannedFrame, TrackingErrors
-from replay.control.split import SplitController, control_row, named_law
-from replay.vehicle import kinematic_bicycle, single_track
-from replay.vehicle.base import (
+from replan.core.arrays import FloatArray
+from replan.core.kernel import kernel
+from replan.logs.frame import Frame
+from replan.logs.frame_store import FrameStore
+from replan.logs.plan import Plan
+from replan.logs.states import TRAJECTORY_COLUMNS, Controls, Trajectory
+from replan.logs.trace import PlannedFrame, TrackingErrors
+from replan.replay.control.split import SplitController, control_row, named_law
+from replan.replay.vehicle import kinematic_bicycle, single_track
+from replan.replay.vehicle.base import (
     ACTUATION,
     COLUMNS,
     COMMAND,
@@ -43,10 +43,10 @@ from replay.vehicle.base import (
     write_motion,
     write_state,
 )
-from replay.vehicle.drivetrain import Gearbox, Pending, with_room
-from replay.vehicle.kinematic_bicycle import KinematicBicycle, Kinematics
-from replay.vehicle.plan_path import PlanPath, Tracker
-from replay.vehicle.single_track import SingleTrack, named_car
+from replan.replay.vehicle.drivetrain import Gearbox, Pending, with_room
+from replan.replay.vehicle.kinematic_bicycle import KinematicBicycle, Kinematics
+from replan.replay.vehicle.plan_path import PlanPath, Tracker
+from replan.replay.vehicle.single_track import SingleTrack, named_car
 
 UNLIMITED_STEPS = 1 << 30
 NO_STEP = 1 << 62

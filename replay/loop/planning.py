@@ -15,21 +15,21 @@ from itertools import zip_longest
 
 import numpy as np
 
-from logs.errors import ConfigError, PlannerError, ReplanError, raised
-from logs.frame import Frame, PlannerContext
-from logs.plan import Plan
-from logs.road import RoadSource
-from logs.scenario import Scenario
-from logs.states import TRAJECTORY_COLUMNS, EgoState
-from logs.trace import EndReason, Trace
-from metrics.arrival import goal_of
-from planners.base import Planner
-from replay.config import LoopConfig
-from replay.drive import FIRST, Drive, DriveKey, Mark, StageTime, Stopwatch
-from replay.loop.plan_check import checked
-from replay.parts import PLANNER
-from replay.planner_process.connection import ApartPlanner, FaultError, current_log
-from replay.planner_process.planner_config import is_apart, is_built_in, planner_part, prepared
+from replan.core.errors import ConfigError, PlannerError, ReplanError, raised
+from replan.logs.frame import Frame, PlannerContext
+from replan.logs.plan import Plan
+from replan.logs.road import RoadSource
+from replan.logs.scenario import Scenario
+from replan.logs.states import TRAJECTORY_COLUMNS, EgoState
+from replan.logs.trace import EndReason, Trace
+from replan.metrics.arrival import goal_of
+from replan.planners.base import Planner
+from replan.replay.drive import FIRST, Drive, DriveKey, Mark, StageTime, Stopwatch
+from replan.replay.loop.plan_check import checked
+from replan.replay.loop_config import LoopConfig
+from replan.replay.parts import PLANNER
+from replan.replay.planner_process.connection import ApartPlanner, FaultError, current_log
+from replan.replay.planner_process.planner_config import is_apart, is_built_in, planner_part, prepared
 
 DRIVEN_PATH_NOTE = (
     "the road is the driven path: the planner knows where the log's driver went; open-loop errors across the path say"
@@ -42,7 +42,7 @@ class Planning:
 
     Args:
         scenario: The scenario; only an oracle receives it.
-        spec: A name in `replay.parts.PLANNER`, "module:Class", "exec:COMMAND" or "tcp://HOST:PORT".
+        spec: A name in `replan.replay.parts.PLANNER`, "module:Class", "exec:COMMAND" or "tcp://HOST:PORT".
         planner_config: Keywords of the planner; its configuration table where it runs in a process of its own.
         config: Configuration of the loop.
         start: The ego at the first frame.
@@ -112,7 +112,7 @@ class Planning:
         return self._watch.times
 
     def plan(self, frame: Frame) -> Plan:
-        """Return the checked plan for a frame (`replay.loop.plan_check`), with the internals to keep.
+        """Return the checked plan for a frame (`replan.replay.loop.plan_check`), with the internals to keep.
 
         The builders of internals refer to the frame, and the frame to the previous plan: they are resolved or dropped
         here.

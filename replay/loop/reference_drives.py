@@ -1,18 +1,18 @@
 """Reference drives: how other drivers drive a log, measured like every other drive.
 
     "driver"     the ego as logged, among the others as logged, if the log holds a drive
-    "careful"    the careful driver of UN R157 (`metrics.reference_drivers`) from the log's first state along the lane
+    "careful"    the careful driver of UN R157 (`replan.metrics.reference_drivers`) from the log's first state along the lane
     "follower"   the route follower: the planner `idm` in a perfect car, which accelerates, steers along its route,
                  follows others and obeys the rules, among the traffic of the run
 
 They end like a planner's drive: in the goal, or when a road user touches them. Their rows have the mode "reference" and
-are marked as oracles; `metrics.judge` uses them to decide whether a broken bound is evidence against a planner. For the
+are marked as oracles; `replan.metrics.judge` uses them to decide whether a broken bound is evidence against a planner. For the
 driver of a synthesised log only progress is measured, so such a log excuses no collision. The follower excuses none
-either. Its progress is measured until its time to collision falls below `metrics.safety.CLOSE_S`; after that it is no
+either. Its progress is measured until its time to collision falls below `replan.metrics.safety.CLOSE_S`; after that it is no
 yardstick. Because it takes time, the follower is driven only if the log holds no drive as a yardstick of progress, or
 if a planner of the run misses the goal.
 
-The reference drivers of `metrics.reference_drivers.DRIVERS` also judge each scenario; their verdicts go into its
+The reference drivers of `replan.metrics.reference_drivers.DRIVERS` also judge each scenario; their verdicts go into its
 `references` (`with_avoidability`). Their line is the reference line of the planners' route up to its first lane change;
 from there on the driver keeps its lane, like that of UN R157.
 """
@@ -27,31 +27,31 @@ from types import MappingProxyType
 import numpy as np
 import pandas as pd
 
-import metrics
-from logs.errors import LogError
-from logs.forward import drivable_part
-from logs.once import once
-from logs.road import Goal, ReferenceLine, Road
-from logs.route import find_route
-from logs.scenario import References, Scenario
-from logs.states import TRAJECTORY_COLUMNS, EgoState, Trajectory
-from logs.trace import EndReason, Mode, Trace
-from metrics import GROUPS, METRICS
-from metrics.arrival import Arrival, goal_of
-from metrics.boxes import ego_boxes, name_of, phantoms, without_phantoms
-from metrics.evidence import EVIDENCE
-from metrics.judge import CAREFUL, DRIVER, FOLLOWER, REFERENCE
-from metrics.judge.aggregate import LogLabels
-from metrics.judge.discrimination import BAD_DRIVERS, Discrimination, discrimination
-from metrics.judge.excuses import CLEAN, needs_follower
-from metrics.judge.gates import load_gates
-from metrics.metric import Series
-from metrics.progress import gain_along, route_of
-from metrics.reference_drivers import DRIVERS, RETURN_S, STEP_S, careful_drive
-from metrics.safety import CLOSE_S, TTC, contacts
-from planners.frenet.reference_path import make_line
-from replay.config import DEFAULT_LOOP, LoopConfig
-from replay.loop.closed_loop import run_closed_loop
+from replan import metrics
+from replan.core.errors import LogError
+from replan.core.once import once
+from replan.logs.forward import drivable_part
+from replan.logs.road import Goal, ReferenceLine, Road
+from replan.logs.route import find_route
+from replan.logs.scenario import References, Scenario
+from replan.logs.states import TRAJECTORY_COLUMNS, EgoState, Trajectory
+from replan.logs.trace import EndReason, Mode, Trace
+from replan.metrics import GROUPS, METRICS
+from replan.metrics.arrival import Arrival, goal_of
+from replan.metrics.boxes import ego_boxes, name_of, phantoms, without_phantoms
+from replan.metrics.evidence import EVIDENCE
+from replan.metrics.judge import CAREFUL, DRIVER, FOLLOWER, REFERENCE
+from replan.metrics.judge.aggregate import LogLabels
+from replan.metrics.judge.discrimination import BAD_DRIVERS, Discrimination, discrimination
+from replan.metrics.judge.excuses import CLEAN, needs_follower
+from replan.metrics.judge.gates import load_gates
+from replan.metrics.metric import Series
+from replan.metrics.progress import gain_along, route_of
+from replan.metrics.reference_drivers import DRIVERS, RETURN_S, STEP_S, careful_drive
+from replan.metrics.safety import CLOSE_S, TTC, contacts
+from replan.planners.frenet.reference_path import make_line
+from replan.replay.loop.closed_loop import run_closed_loop
+from replan.replay.loop_config import DEFAULT_LOOP, LoopConfig
 
 SHORTEST = 2
 """A log with fewer ego states holds no drive."""
@@ -118,7 +118,7 @@ def _drive_in_traffic(
 
 
 def discriminating_tables(scenario: Scenario, loop: LoopConfig) -> list[pd.DataFrame]:
-    """Return the rows of the drives that a log should fail (`metrics.judge.discrimination.BAD_DRIVERS`), in order.
+    """Return the rows of the drives that a log should fail (`replan.metrics.judge.discrimination.BAD_DRIVERS`), in order.
 
     A log that is shorter than their control period has none.
     """
@@ -183,7 +183,7 @@ def _measure_drives(drives: Iterable[tuple[Trace, tuple[str, ...]]], scenario: S
 
 
 def reference_table(scenario: Scenario) -> pd.DataFrame:
-    """Return the rows of the log's own and the careful driver; columns as of `metrics.evaluate`."""
+    """Return the rows of the log's own and the careful driver; columns as of `replan.metrics.evaluate`."""
     groups = {
         DRIVER: ("safety", "rules", "progress") if scenario.is_recorded else ("progress",),
         CAREFUL: ("safety", "progress", "comfort"),  # the careful driver knows no rules

@@ -5,19 +5,19 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from math import ceil, floor, inf
 
-from logs.errors import LogError
-from logs.observed import observed_until
-from logs.road import RoadSource
-from logs.scenario import Scenario
-from logs.vehicle import VehicleParameters
-from replay.config import LoopConfig
-from replay.control.lateral_model import with_rigid_tyres
-from replay.loop.plan_period import PlanPeriod
-from replay.parts import Part
-from replay.traffic import TRAFFIC_NOTES, Traffic
-from replay.vehicle import build_vehicle
-from replay.vehicle.base import Controller, Vehicle
-from replay.world import World, box_center, logged_ego
+from replan.core.errors import LogError
+from replan.logs.observed import observed_until
+from replan.logs.road import RoadSource
+from replan.logs.scenario import Scenario
+from replan.logs.vehicle import VehicleParameters
+from replan.replay.control.lateral_model import with_rigid_tyres
+from replan.replay.loop.plan_period import PlanPeriod
+from replan.replay.loop_config import LoopConfig
+from replan.replay.parts import Part
+from replan.replay.traffic import TRAFFIC_NOTES, Traffic
+from replan.replay.vehicle import build_vehicle
+from replan.replay.vehicle.base import Controller, Vehicle
+from replan.replay.world import World, box_center, logged_ego
 
 ROUNDING = 1e-7
 """Tolerance in control periods: times that differ by less are equal."""

@@ -1,6 +1,6 @@
 """Ends a closed loop: goal, collision, off the road. The loop itself ends at the log's end or a planner failure.
 
-The metrics' rule of fault (`metrics.safety.classify`) decides whether a contact is a collision of the ego or a replayed
+The metrics' rule of fault (`replan.metrics.safety.classify`) decides whether a contact is a collision of the ego or a replayed
 agent ran into it. Of several simultaneous contacts, one at fault makes it a collision.
 """
 
@@ -11,21 +11,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.arrays import FloatArray, IntArray
-from logs.kernel import inner_kernel, kernel
-from logs.nearby_tracks import NearbyTracks
-from logs.road import Goal, RoadSource, inside
-from logs.scenario import Scenario
-from logs.shapes import point_segment
-from logs.states import TRAJECTORY_COLUMNS, EgoState, Trajectory
-from logs.trace import EndReason
-from logs.tracks import Tracks
-from metrics.arrival import Arrival
-from metrics.boxes import name_of, phantoms, without_phantoms
-from metrics.cut_in import LOOK_BACK_S
-from metrics.safety import classify
-from replay.vehicle.base import state_at
-from replay.world import AgentBoxes, EgoBox, agent_boxes, box_center, ego_box, touched
+from replan.core.arrays import FloatArray, IntArray
+from replan.core.kernel import inner_kernel, kernel
+from replan.logs.nearby_tracks import NearbyTracks
+from replan.logs.road import Goal, RoadSource, inside
+from replan.logs.scenario import Scenario
+from replan.logs.shapes import point_segment
+from replan.logs.states import TRAJECTORY_COLUMNS, EgoState, Trajectory
+from replan.logs.trace import EndReason
+from replan.logs.tracks import Tracks
+from replan.metrics.arrival import Arrival
+from replan.metrics.boxes import name_of, phantoms, without_phantoms
+from replan.metrics.cut_in import LOOK_BACK_S
+from replan.metrics.safety import classify
+from replan.replay.vehicle.base import state_at
+from replan.replay.world import AgentBoxes, EgoBox, agent_boxes, box_center, ego_box, touched
 
 CRACK_M = 0.5
 """A car farther than this from every drivable lane is off the road; adjoining lanes may leave small gaps."""
@@ -99,11 +99,11 @@ class Ended(NamedTuple):
 class Termination:
     """Judges the rows of one drive's trace, in order.
 
-    Phantoms (`metrics.boxes`) are ignored.
+    Phantoms (`replan.metrics.boxes`) are ignored.
 
     Args:
         scenario: The scenario.
-        goal: Where the drive should end, and its way (`metrics.arrival.goal_of`); None: nowhere.
+        goal: Where the drive should end, and its way (`replan.metrics.arrival.goal_of`); None: nowhere.
         start: The ego at the start, so that it is known whether it begins on the road.
     """
 

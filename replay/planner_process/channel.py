@@ -11,8 +11,8 @@ from typing import Any, Generic, TypeVar
 
 import msgspec
 
-from logs.codec import array_as_bytes, array_of, scalar_as_number
-from replay.planner_process.messages import LARGEST_BYTES
+from replan.logs.codec import array_as_bytes, array_of, scalar_as_number
+from replan.replay.planner_process.messages import LARGEST_BYTES
 
 T = TypeVar("T")
 

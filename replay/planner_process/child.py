@@ -1,6 +1,6 @@
 """A Python planner in its process: it is built from a context, and answers frames with plans.
 
-Its stdin and stdout carry the messages of `replay.planner_process.messages`. The planner's code cannot use them: its
+Its stdin and stdout carry the messages of `replan.replay.planner_process.messages`. The planner's code cannot use them: its
 output goes to stderr, whose last lines are shown if it fails.
 """
 
@@ -15,15 +15,15 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from logs.errors import ConfigError, ReplanError, raised
-from logs.frame import Frame
-from logs.plan import Plan
-from logs.states import Trajectory
-from planners.base import Planner
-from replay.drive import Stopwatch
-from replay.planner_process import messages
-from replay.planner_process.channel import Channel, GoneError
-from replay.planner_process.planner_config import of_class, planner_part, prepared
+from replan.core.errors import ConfigError, ReplanError, raised
+from replan.logs.frame import Frame
+from replan.logs.plan import Plan
+from replan.logs.states import Trajectory
+from replan.planners.base import Planner
+from replan.replay.drive import Stopwatch
+from replan.replay.planner_process import messages
+from replan.replay.planner_process.channel import Channel, GoneError
+from replan.replay.planner_process.planner_config import of_class, planner_part, prepared
 
 
 def main() -> None:

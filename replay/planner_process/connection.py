@@ -23,15 +23,15 @@ from urllib.parse import urlsplit
 
 import msgspec
 
-from logs.errors import ConfigError, PlannerError
-from logs.frame import Frame, PlannerContext
-from logs.plan import Plan
-from replay.config import PlannerProcessConfig
-from replay.drive import FIRST, DriveKey, Stopwatch
-from replay.planner_process import messages
-from replay.planner_process.channel import Channel, GarbageError, GoneError, LateError
-from replay.planner_process.planner_config import is_foreign
-from replay.planner_process.processes import Load, Process, start_process
+from replan.core.errors import ConfigError, PlannerError
+from replan.logs.frame import Frame, PlannerContext
+from replan.logs.plan import Plan
+from replan.replay.drive import FIRST, DriveKey, Stopwatch
+from replan.replay.loop_config import PlannerProcessConfig
+from replan.replay.planner_process import messages
+from replan.replay.planner_process.channel import Channel, GarbageError, GoneError, LateError
+from replan.replay.planner_process.planner_config import is_foreign
+from replan.replay.planner_process.processes import Load, Process, start_process
 
 LAST_CHARACTERS, LAST_LINES = 300, 3
 """Number of last characters and lines of a planner's output that are shown if it fails."""

@@ -1,7 +1,7 @@
 """A small process with loaded modules and without logs, from which the planners' processes are forked.
 
-    python -P -m replay.planner_process.launcher      its control socket is its stdin; replan starts it
-    (`replay.planner_process.processes`)
+    python -P -m replan.replay.planner_process.launcher      its control socket is its stdin; replan starts it
+    (`replan.replay.planner_process.processes`)
 
 It has imported what every Python planner needs, and never holds a frame, so that a process for a drive starts in
 milliseconds and has no data of earlier drives. The control socket carries JSON, one message a line:
@@ -11,7 +11,7 @@ milliseconds and has no data of earlier drives. The control socket carries JSON,
     {"kill": KEY}                                    the process and its group
     {"ended": KEY, "status": wait status}            the reply, once for each process that was started
 
-`argv` null is a Python planner (`replay.planner_process.child`), else a program. When the control socket closes, all
+`argv` null is a Python planner (`replan.replay.planner_process.child`), else a program. When the control socket closes, all
 are killed.
 
 A template is a fork of this process that has also loaded a planner's module (`child.load`): it sends `{"unfit":
@@ -41,8 +41,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NoReturn
 
-from logs.errors import raised
-from replay.planner_process import child
+from replan.core.errors import raised
+from replan.replay.planner_process import child
 
 PDEATHSIG, CHILD_SUBREAPER = 1, 36
 """Options of `prctl` (Linux): the signal when the parent dies; whether orphans become children of the process."""

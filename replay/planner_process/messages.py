@@ -11,7 +11,7 @@ after one another. Frames, units and signs are those of `logs`: world frame, SI,
 axle, an agent's the centre of its box. A reader skips the fields that it does not know, and a planner should, too.
 
 Lanes, stop lines, crosswalks, goals, the ego's state, the vehicle and the visibility are the nouns themselves, with
-arrays as columns (`logs.codec`). The other nouns have a message here, because some of their fields are not sent.
+arrays as columns (`replan.logs.codec`). The other nouns have a message here, because some of their fields are not sent.
 """
 
 from __future__ import annotations
@@ -21,20 +21,22 @@ from typing import Any
 
 import msgspec
 
-from logs import agents, frame, plan as nouns, states
-from logs.agents import AgentKind
-from logs.codec import Column, array_as_bytes, array_of, message_of, noun_of, packed, unpacked
-from logs.mcap import native
-from logs.mcap.trace_file import artefacts_of, inside_of
-from logs.road import Goal, Lane
-from logs.rules import Colour, Crosswalk, StopLine
-from logs.states import TRAJECTORY_COLUMNS, EgoState
-from logs.vehicle import VehicleParameters
+from replan.logs import agents, frame, plan as nouns, states
+from replan.logs.agents import AgentKind
+from replan.logs.codec import Column, array_as_bytes, array_of, message_of, noun_of, packed, unpacked
+from replan.logs.mcap import native
+from replan.logs.mcap.trace_file import artefacts_of, inside_of
+from replan.logs.road import Goal, Lane
+from replan.logs.rules import Colour, Crosswalk, StopLine
+from replan.logs.states import TRAJECTORY_COLUMNS, EgoState
+from replan.logs.vehicle import VehicleParameters
 
 SCHEMA_VERSION = 1
 LARGEST_BYTES = 64 << 20
 """The largest length of a planner's message: any four text characters, read as a length, exceed it."""
-MOST_POINTS = 10_000  # States of a trajectory: 100 s at 100 Hz. A longer plan is refused (`replay.loop.plan_check`).
+MOST_POINTS = (
+    10_000  # States of a trajectory: 100 s at 100 Hz. A longer plan is refused (`replan.replay.loop.plan_check`).
+)
 LONGEST_REASON = 1000  # Characters of a reason or an error message. A longer one is cut and marked.
 MOST_STAGES = 100  # Stages of a plan; `dp_qp` has about 10
 LARGEST_INSIDE_BYTES = 8 << 20
@@ -42,7 +44,7 @@ LARGEST_INSIDE_BYTES = 8 << 20
 
 
 class Road(msgspec.Struct):
-    """`logs.road.Road`; `source` is "lanes" or "driven_path"."""
+    """`replan.logs.road.Road`; `source` is "lanes" or "driven_path"."""
 
     lanes: list[Lane]
     source: str
@@ -53,7 +55,7 @@ class Road(msgspec.Struct):
 
 
 class Context(msgspec.Struct):
-    """`logs.frame.PlannerContext`: constant in a drive. Older planners do not read `goal.alternatives`."""
+    """`replan.logs.frame.PlannerContext`: constant in a drive. Older planners do not read `goal.alternatives`."""
 
     road: Road
     goal: Goal | None
@@ -82,7 +84,7 @@ class Describe(msgspec.Struct, tag="describe"):
 
 
 class Agents(msgspec.Struct):
-    """`logs.agents.Agents`: columns `(n,)`; the last three are empty if they are unknown for all agents.
+    """`replan.logs.agents.Agents`: columns `(n,)`; the last three are empty if they are unknown for all agents.
 
     Versions of replan before `age` did not send them, and planners of that time do not read them.
     """
@@ -104,7 +106,7 @@ class Agents(msgspec.Struct):
 
 
 class Predictions(msgspec.Struct):
-    """`logs.frame.Predictions`: x, y, yaw row by row `(n, k)`; `agent` are places in `Agents`."""
+    """`replan.logs.frame.Predictions`: x, y, yaw row by row `(n, k)`; `agent` are places in `Agents`."""
 
     t: bytes
     agent: list[int]
@@ -123,7 +125,7 @@ class Light(msgspec.Struct):
 
 
 class Trajectory(msgspec.Struct):
-    """`logs.states.Trajectory`: columns `(n,)`, n >= 1."""
+    """`replan.logs.states.Trajectory`: columns `(n,)`, n >= 1."""
 
     t: Column
     x: Column
@@ -146,7 +148,7 @@ class Inside(msgspec.Struct, omit_defaults=True):
 
 
 class Plan(msgspec.Struct, tag="plan", omit_defaults=True):
-    """`logs.plan.Plan`: only the trajectory is required.
+    """`replan.logs.plan.Plan`: only the trajectory is required.
 
     Attributes:
         trajectory: The trajectory from the frame's time on.
@@ -166,7 +168,7 @@ class Plan(msgspec.Struct, tag="plan", omit_defaults=True):
 
 
 class Frame(msgspec.Struct, tag="frame"):
-    """`logs.frame.Frame`: answered by `Plan`; `previous` is the plan being driven, without its internals."""
+    """`replan.logs.frame.Frame`: answered by `Plan`; `previous` is the plan being driven, without its internals."""
 
     t: float
     ego: EgoState

@@ -7,9 +7,9 @@ from inspect import getattr_static
 from types import MappingProxyType
 from typing import Any
 
-from logs.errors import ConfigError
-from replay.config import PlannerProcessConfig, RunConfig
-from replay.parts import PLANNER, Factory, Part
+from replan.core.errors import ConfigError
+from replan.replay.loop_config import PlannerProcessConfig
+from replan.replay.parts import PLANNER, Factory, Part
 
 FOREIGN = ("exec:", "tcp://")  # Prefixes of planners that are not Python classes to load
 
@@ -59,9 +59,3 @@ def prepared(spec: str, keywords: Mapping[str, Any]) -> Factory:
         prepare(**keywords)
         _prepared[factory] = keywords
     return factory
-
-
-def drive_keywords(spec: str, run: RunConfig) -> Mapping[str, Any]:
-    """The keywords with which a loop builds a planner of a run: its table, where it runs in a process of its own."""
-    table = run.planner.get(spec, {})
-    return table if is_apart(spec, run.loop.apart) else planner_part(spec, table).keywords()

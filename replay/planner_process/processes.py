@@ -24,9 +24,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from logs.errors import ConfigError
-from replay.config import PlannerProcessConfig
-from replay.planner_process.channel import Channel
+from replan.core.errors import ConfigError
+from replan.replay.loop_config import PlannerProcessConfig
+from replan.replay.planner_process.channel import Channel
 
 ENVIRONMENT = (
     "PATH", "HOME", "USER", "LANG", "LC_", "TZ", "TMPDIR", "XDG_CACHE_HOME", "NUMBA_", "OMP_", "OPENBLAS_", "MKL_",
@@ -36,7 +36,6 @@ ENVIRONMENT = (
 GRACE_S = 1.0  # Time limit for a planner to end by itself after its drive, s
 KILLED_S = 10.0
 """Time limit for the system to report the end of a killed process, s; on a busy machine, that takes seconds."""
-ROOT = Path(__file__).parents[2]
 
 
 @dataclass(frozen=True)
@@ -45,7 +44,7 @@ class Load:
 
     planner: str  # "module:Class"
     settings: bytes  # Its table in the configuration, MessagePack
-    # Whether it serves the second drive of a log's start (`replay.loop.planning`). That has a template of its own, as a
+    # Whether it serves the second drive of a log's start (`replan.replay.loop.planning`). That has a template of its own, as a
     # module may draw or read something else each time it is imported.
     again: bool = False
 
@@ -86,7 +85,7 @@ class Process:
 
 
 def start_process(argv: list[str] | None, kind: Any, limits: PlannerProcessConfig, load: Load | None = None) -> Process:
-    """A new process of a program or of a Python planner (`replay.planner_process.child`).
+    """A new process of a program or of a Python planner (`replan.replay.planner_process.child`).
 
     `argv`: the program and its arguments; None: a Python planner. `limits`: limits of its memory, and of the time to
     load its template. `load`: the planner of its template, within a run; None: it starts without a template.
@@ -96,7 +95,7 @@ def start_process(argv: list[str] | None, kind: Any, limits: PlannerProcessConfi
         raise ConfigError("planners are kept apart on Linux and macOS only; here give --set loop.apart.trust=true")
     names = set(limits.environment)
     environment = {name: value for name, value in os.environ.items() if name.startswith(ENVIRONMENT) or name in names}
-    path = dict.fromkeys([*(str(Path(entry).absolute()) for entry in sys.path if "://" not in entry), str(ROOT)])
+    path = dict.fromkeys(str(Path(entry).absolute()) for entry in sys.path if "://" not in entry)
     environment |= {"PYTHONPATH": os.pathsep.join(path), "PYTHONHASHSEED": "0"}
     wanted = os.getpid(), str(Path.cwd()), environment
     with _starting:
@@ -124,7 +123,7 @@ def set_template_run(run: str) -> None:
 
 
 class ForkClient:
-    """The other end of a control socket: `replay.planner_process.launcher.ForkServer`.
+    """The other end of a control socket: `replan.replay.planner_process.launcher.ForkServer`.
 
     `key`: the key under which the process at the other end was started; 0 for the launcher.
     """
@@ -204,13 +203,13 @@ class ForkClient:
 
 
 class Launcher:
-    """The process of `replay.planner_process.launcher`, and its templates by what they load."""
+    """The process of `replan.replay.planner_process.launcher`, and its templates by what they load."""
 
     def __init__(self, environment: Mapping[str, str]) -> None:
         control, theirs = socket.socketpair()
         with theirs:
             self._process = subprocess.Popen(
-                [sys.executable, "-P", "-m", "replay.planner_process.launcher"],
+                [sys.executable, "-P", "-m", "replan.replay.planner_process.launcher"],
                 stdin=theirs.fileno(), stdout=subprocess.DEVNULL, env=dict(environment), start_new_session=True,
             )  # fmt: skip
         self.forks = ForkClient(control)

@@ -1,8 +1,8 @@
 """Predicts the futures of the other road users at a frame; the loop puts them into `Frame.predictions`.
 
 A predictor receives only the lanes and the agents as perceived at one instant: it has no memory and no access to the
-log. Its settings are keywords. To add one, write a function and list it in `replay.parts`; `replan list predictions`
-shows the first line of its docstring. "oracle", the log's own future, is made by `replay.loop.perception`.
+log. Its settings are keywords. To add one, write a function and list it in `replan.replay.parts`; `replan list predictions`
+shows the first line of its docstring. "oracle", the log's own future, is made by `replan.replay.perception`.
 """
 
 from __future__ import annotations
@@ -12,20 +12,20 @@ from dataclasses import replace
 
 import numpy as np
 
-from logs.agents import Agents
-from logs.arrays import FloatArray
-from logs.errors import ConfigError
-from logs.frame import Predictions
-from replay.parts import PREDICTION
-from replay.prediction.lane_following import everybody
-from replay.prediction.lane_map import LaneMap
-from replay.prediction.off_lanes import constant_velocity, walkers
+from replan.core.arrays import FloatArray
+from replan.core.errors import ConfigError
+from replan.logs.agents import Agents
+from replan.logs.frame import Predictions
+from replan.replay.parts import PREDICTION
+from replan.replay.prediction.lane_following import everybody
+from replan.replay.prediction.lane_map import LaneMap
+from replan.replay.prediction.off_lanes import constant_velocity, walkers
 
 __all__ = ["NO_LANES", "LaneMap", "Predictor", "predict"]
 
 NO_LANES = LaneMap.unknown()
 Predictor = Callable[..., Predictions]
-"""As `replay.parts.PREDICTION`."""
+"""As `replan.replay.parts.PREDICTION`."""
 
 
 def straight_on(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:

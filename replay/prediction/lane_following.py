@@ -25,13 +25,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.agents import AgentKind, Agents, among
-from logs.arrays import TIE, FloatArray, IntArray, frozen
-from logs.frame import Predictions
-from logs.kernel import inner_kernel, kernel
-from logs.states import wrap
-from replay.prediction.lane_map import LaneMap, LaneSamples, lane_point, lane_project, matches
-from replay.prediction.off_lanes import ACCEL, RATE, VX, VY, WIDTH, YAW, X, Y, turn_rate, turned
+from replan.core.arrays import TIE, FloatArray, IntArray, frozen
+from replan.core.kernel import inner_kernel, kernel
+from replan.logs.agents import AgentKind, Agents, among
+from replan.logs.frame import Predictions
+from replan.logs.states import wrap
+from replan.replay.prediction.lane_map import LaneMap, LaneSamples, lane_point, lane_project, matches
+from replan.replay.prediction.off_lanes import ACCEL, RATE, VX, VY, WIDTH, YAW, X, Y, turn_rate, turned
 
 CHANGE_S = 1.5
 DRIFTING_MPS = 0.3

@@ -13,11 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.arrays import TIE, FloatArray, IntArray, arc_lengths, frozen
-from logs.kernel import kernel
-from logs.once import once
-from logs.road import Road
-from logs.states import wrap
+from replan.core.arrays import TIE, FloatArray, IntArray, arc_lengths, frozen
+from replan.core.kernel import kernel
+from replan.core.once import once
+from replan.logs.road import Road
+from replan.logs.states import wrap
 
 SPACING_M = 1.0
 BEND_M = 5.0

@@ -27,11 +27,11 @@ from math import cos, pi, sin
 
 import numpy as np
 
-from logs.agents import AgentKind, Agents, among
-from logs.arrays import FloatArray
-from logs.frame import Predictions
-from logs.kernel import inner_kernel
-from replay.prediction.lane_map import LaneMap, road_ahead
+from replan.core.arrays import FloatArray
+from replan.core.kernel import inner_kernel
+from replan.logs.agents import AgentKind, Agents, among
+from replan.logs.frame import Predictions
+from replan.replay.prediction.lane_map import LaneMap, road_ahead
 
 COLUMNS = X, Y, YAW, VX, VY, RATE, WIDTH, ACCEL, COURSE = range(9)
 """Columns of road users in kernels: pose, velocity, yaw rate, width, acceleration, direction of the velocity."""

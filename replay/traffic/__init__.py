@@ -5,11 +5,11 @@ from __future__ import annotations
 from math import inf
 from typing import Protocol
 
-from logs.scenario import Scenario
-from logs.states import EgoState
-from logs.tracks import Tracks
-from replay.traffic.phase_replay import ReplayedByEgoPosition
-from replay.traffic.reactive import GIVE_WAY, Reactive
+from replan.logs.scenario import Scenario
+from replan.logs.states import EgoState
+from replan.logs.tracks import Tracks
+from replan.replay.traffic.phase_replay import ReplayedByEgoPosition
+from replan.replay.traffic.reactive import GIVE_WAY, Reactive
 
 __all__ = ["TRAFFIC_NOTES", "Reactive", "ReplayedByEgoPosition", "ReplayedByTime", "Traffic"]
 
@@ -31,7 +31,7 @@ class Traffic(Protocol):
         """Return the tracks of the others up to `ego.t`; they may react to the ego's states up to then.
 
         The tracks may reach beyond `ego.t`; readers use only what is known at that time (`Tracks.perceived`). They may
-        contain only the road users around that time (`logs.nearby_tracks.Recent`); the drive stores their `whole`.
+        contain only the road users around that time (`replan.logs.nearby_tracks.Recent`); the drive stores their `whole`.
         """
         ...
 

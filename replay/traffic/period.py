@@ -1,6 +1,6 @@
 """One period of the reacting traffic as one kernel: leaders, which agents become late, and how far each one drives.
 
-`replay.traffic.reactive` explains the model. The kernels write the arrays of `Phases` in place. `n` counts the agents
+`replan.replay.traffic.reactive` explains the model. The kernels write the arrays of `Phases` in place. `n` counts the agents
 that may be in the scene (`Coming`): in a long log, a step computes these only.
 
 (1) who = road users whose log has begun, and static ones, without those that have left for good: not in the scene,
@@ -16,9 +16,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from logs.arrays import BoolArray, FloatArray, IntArray
-from logs.kernel import inner_kernel, kernel
-from replay.traffic.leaders import (
+from replan.core.arrays import BoolArray, FloatArray, IntArray
+from replan.core.kernel import inner_kernel, kernel
+from replan.replay.traffic.leaders import (
     ACCEL_MPS2,
     DECEL_MPS2,
     STANDING_MPS,
@@ -35,7 +35,7 @@ from replay.traffic.leaders import (
     moved_on,
     taken,
 )
-from replay.traffic.phase_replay import PERIOD_S, LoggedTracks, play, played
+from replan.replay.traffic.phase_replay import PERIOD_S, LoggedTracks, play, played
 
 SAME_MPS = 1e-6
 """Tolerance when speeds are compared."""

@@ -25,16 +25,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from logs.arrays import BoolArray, FloatArray, IntArray, frozen
-from logs.errors import LogError
-from logs.kernel import kernel
-from logs.nearby_tracks import BACK_S, Recent, Spans, heads
-from logs.once import once
-from logs.road import ReferenceLine, thinned
-from logs.scenario import Scenario
-from logs.states import EgoState
-from logs.tracks import Tracks
-from metrics.boxes import present_between
+from replan.core.arrays import BoolArray, FloatArray, IntArray, frozen
+from replan.core.errors import LogError
+from replan.core.kernel import kernel
+from replan.core.once import once
+from replan.logs.nearby_tracks import BACK_S, Recent, Spans, heads
+from replan.logs.road import ReferenceLine, thinned
+from replan.logs.scenario import Scenario
+from replan.logs.states import EgoState
+from replan.logs.tracks import Tracks
+from replan.metrics.boxes import present_between
 
 PERIOD_S = 0.1
 ROOM = 1024
@@ -171,7 +171,7 @@ def _with_velocities(path: Tracks) -> tuple[LoggedTracks, Tracks]:
 def played(log: LoggedTracks, i: int, phase: float) -> tuple[float, float, float, float, float, bool]:
     """x, y, yaw (interpolated), vx, vy (of the last sample) of a track at a phase, and whether it has a log there.
 
-    In a gap of a track (`logs.observed`) its agent is not present.
+    In a gap of a track (`replan.logs.observed`) its agent is not present.
     """
     t, columns, first, end = log.t, log.columns, log.first[i], log.end[i]
     there = log.static[i] or (t[first] <= phase + 1e-9 and phase <= t[end - 1] + 1e-9)

@@ -9,7 +9,7 @@ and never ahead of its log.
 Undisturbed, tau_i = t: the log's own samples, to the bit. An agent is disturbed once its leader requires a lower speed
 than the log's. Pairs of agents that are both on their logs are ignored, because real drivers keep other gaps than a
 model does; the ego is on its log while it is within `EGO_M` of it. A late agent makes up time while its log stands.
-`replay.traffic.leaders` defines leader and acceleration. Late agents also stop at closed lights (`right_of_way`);
+`replan.replay.traffic.leaders` defines leader and acceleration. Late agents also stop at closed lights (`right_of_way`);
 agents on their logs pass them as they did, red ones included. An agent that enters the scene waits while an agent that
 is off its log is in its place, and enters no faster than it can brake for its leader.
 
@@ -35,21 +35,21 @@ from math import cos, hypot, inf, nan, sin
 
 import numpy as np
 
-from logs.agents import AgentKind, Agents
-from logs.arrays import arc_lengths
-from logs.once import once
-from logs.road import Road
-from logs.scenario import Scenario
-from logs.states import EgoState
-from logs.tracks import Tracks
-from metrics.boxes import name_of
-from metrics.reference_drivers import CC_REACT_S
-from replay.prediction import LaneMap
-from replay.prediction.lane_following import FOLLOWING, followers
-from replay.traffic.period import Coming, Ego, ReplayedAgents, advance, enter
-from replay.traffic.phase_replay import PERIOD_S, PhaseReplay
-from replay.traffic.right_of_way import RedLights, Yielding
-from replay.world import box_center
+from replan.core.arrays import arc_lengths
+from replan.core.once import once
+from replan.logs.agents import AgentKind, Agents
+from replan.logs.road import Road
+from replan.logs.scenario import Scenario
+from replan.logs.states import EgoState
+from replan.logs.tracks import Tracks
+from replan.metrics.boxes import name_of
+from replan.metrics.reference_drivers import CC_REACT_S
+from replan.replay.prediction import LaneMap
+from replan.replay.prediction.lane_following import FOLLOWING, followers
+from replan.replay.traffic.period import Coming, Ego, ReplayedAgents, advance, enter
+from replan.replay.traffic.phase_replay import PERIOD_S, PhaseReplay
+from replan.replay.traffic.right_of_way import RedLights, Yielding
+from replan.replay.world import box_center
 
 EGO_M = 1.0
 """The ego is as in the log where it is no farther than this from where the log has it."""

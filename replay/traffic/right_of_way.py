@@ -7,21 +7,21 @@ the deceleration
 (1) b = v^2 / (2 s)
 
 At yellow, a vehicle stops if that takes no more than `DECEL_MPS2`; at red, and at red and yellow, no more than
-`HARDEST_MPS2`. It stops by `replay.traffic.leaders` (4) until the light opens (green, off). A vehicle that could not
+`HARDEST_MPS2`. It stops by `replan.replay.traffic.leaders` (4) until the light opens (green, off). A vehicle that could not
 stop drives on, whatever the light shows next, unless something else slows it down until `DECEL_MPS2` suffices.
 
 Until the log leaves its own last standstill before a line, the vehicle stops there as logged, and no line keeps it from
 being on time again. Stop signs are as in the log: the late vehicle slows down where it did.
 
 An agent on a lane that yields (`Lane.yields_to`) waits for the ego on a lane with priority. The ego is predicted along
-its lanes (`replay.prediction`, every way that it may take) for `LOOK_AHEAD_S`. It has the right of way at its boxes on
+its lanes (`replan.replay.prediction`, every way that it may take) for `LOOK_AHEAD_S`. It has the right of way at its boxes on
 a lane with priority. An agent that is on the yielding lane, or comes to it, goes on as in its log, but no
 faster than its speed v allows: with the distance s from here and a = `leaders.ACCEL_MPS2`, it arrives after
 
 (2) tau(s) = max(time of the log to there, (sqrt(v^2 + 2 a s) - v) / a)
 
 It waits where its box would reach such a place within `SERIOUS_S` before or after the ego (a post-encroachment time
-below 1 s violates the right of way: `metrics.traffic_rules`), if it can stop with `leaders.HARDEST_MPS2` before all of
+below 1 s violates the right of way: `replan.metrics.traffic_rules`), if it can stop with `leaders.HARDEST_MPS2` before all of
 the ego's way, held by right or not: a standing leader is placed there. An agent that cannot stop, or is there already,
 drives on.
 """
@@ -33,25 +33,34 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.agents import AgentKind, Agents
-from logs.arrays import BoolArray, FloatArray, IntArray, arc_lengths
-from logs.kernel import inner_kernel, kernel
-from logs.once import once
-from logs.road import Road
-from logs.route import ASIDE_M, ASKEW_RAD, BEHIND_M, on_lane
-from logs.rules import RED, Colour, TrafficLight
-from logs.scenario import Scenario
-from logs.shapes import overlap_turned
-from logs.states import EgoState
-from logs.tracks import Tracks
-from metrics.traffic_rules import SERIOUS_S
-from planners.rules.zones import turned
-from replay.prediction import LaneMap
-from replay.prediction.lane_following import followers
-from replay.traffic import leaders
-from replay.traffic.leaders import ACCEL_MPS2, DECEL_MPS2, FINE_M, HARDEST_MPS2, Leaders, Paths, places, sample_at
-from replay.traffic.phase_replay import PERIOD_S
-from replay.world import ROUNDING_M, box_center
+from replan.core.arrays import BoolArray, FloatArray, IntArray, arc_lengths
+from replan.core.kernel import inner_kernel, kernel
+from replan.core.once import once
+from replan.logs.agents import AgentKind, Agents
+from replan.logs.road import Road
+from replan.logs.route import ASIDE_M, ASKEW_RAD, BEHIND_M, on_lane
+from replan.logs.rules import RED, Colour, TrafficLight
+from replan.logs.scenario import Scenario
+from replan.logs.shapes import overlap_turned
+from replan.logs.states import EgoState
+from replan.logs.tracks import Tracks
+from replan.metrics.traffic_rules import SERIOUS_S
+from replan.planners.rules.zones import turned
+from replan.replay.prediction import LaneMap
+from replan.replay.prediction.lane_following import followers
+from replan.replay.traffic import leaders
+from replan.replay.traffic.leaders import (
+    ACCEL_MPS2,
+    DECEL_MPS2,
+    FINE_M,
+    HARDEST_MPS2,
+    Leaders,
+    Paths,
+    places,
+    sample_at,
+)
+from replan.replay.traffic.phase_replay import PERIOD_S
+from replan.replay.world import ROUNDING_M, box_center
 
 LOOK_AHEAD_S, STEP_S = 6.0, 0.25
 """Horizon of the ego's prediction (a stop from 13.9 m/s with 3 m/s2 takes 4.6 s), and the time between two boxes."""

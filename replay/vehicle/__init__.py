@@ -12,11 +12,11 @@ from collections.abc import Mapping
 from dataclasses import fields, replace
 from typing import Any
 
-from logs.errors import ConfigError, unknown_name
-from logs.states import EgoState
-from logs.vehicle import VehicleParameters
-from replay.parts import Part
-from replay.vehicle.base import Vehicle
+from replan.core.errors import ConfigError, unknown_name
+from replan.logs.states import EgoState
+from replan.logs.vehicle import VehicleParameters
+from replan.replay.parts import Part
+from replan.replay.vehicle.base import Vehicle
 
 PlantTable = Mapping[str, float | str]
 SCALARS = tuple(item.name for item in fields(VehicleParameters) if item.type == "float")

@@ -13,12 +13,12 @@ from __future__ import annotations
 from math import nan
 from typing import Any, NamedTuple, Protocol
 
-from logs.arrays import FloatArray
-from logs.kernel import inner_kernel
-from logs.plan import Plan
-from logs.states import Command, EgoState
-from replay.vehicle.pedal_map import PedalMap
-from replay.vehicle.plan_path import Deviation
+from replan.core.arrays import FloatArray
+from replan.core.kernel import inner_kernel
+from replan.logs.plan import Plan
+from replan.logs.states import Command, EgoState
+from replan.replay.vehicle.pedal_map import PedalMap
+from replan.replay.vehicle.plan_path import Deviation
 
 Plain = tuple[Any, ...]
 """Named tuples as plain ones: a named one costs a microsecond each time that it goes into a kernel or comes out."""
@@ -30,7 +30,7 @@ def plain(named: Any) -> Any:
 
 
 class MotionState(NamedTuple):
-    """`logs.states.EgoState` as kernels take it, and as the rows of a trace store it."""
+    """`replan.logs.states.EgoState` as kernels take it, and as the rows of a trace store it."""
 
     t: float
     x: float

@@ -29,10 +29,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.arrays import FloatArray, IntArray, frozen
-from logs.kernel import kernel
-from logs.vehicle import VehicleParameters
-from replay.vehicle.pedal_map import SPEED_STEP_MPS, PedalMap, at_speed, coasting, full_throttle, pedal_map
+from replan.core.arrays import FloatArray, IntArray, frozen
+from replan.core.kernel import kernel
+from replan.logs.vehicle import VehicleParameters
+from replan.replay.vehicle.pedal_map import SPEED_STEP_MPS, PedalMap, at_speed, coasting, full_throttle, pedal_map
 
 MAX_SPEED_MPS = 90.0
 RESERVE, CRUISE, LUG, MIN_HOLD_S = 1.15, 1.6, 1.2, 1.0
@@ -208,7 +208,7 @@ def spans(line: Pending, command: float, dt: float) -> tuple[list[tuple[float, f
 
 @dataclass(frozen=True)
 class Drivetrain:
-    """The drive train of `VehicleParameters` in steady state; see `replay.vehicle.base.Powertrain`.
+    """The drive train of `VehicleParameters` in steady state; see `replan.replay.vehicle.base.Powertrain`.
 
     It assumes a level road; grades are not part of the drive train.
     """

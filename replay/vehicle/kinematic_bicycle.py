@@ -5,8 +5,8 @@ With front and rear wheel angles df and dr, speed v along the body, wheelbase L;
 (1) dx/dt   = v cos(yaw) - v_lat sin(yaw)
 (2) dy/dt   = v sin(yaw) + v_lat cos(yaw),        v_lat = v tan(dr) at the rear axle, the reference point
 (3) dyaw/dt = v (tan(df) - tan(dr)) / L
-(4) d(df)/dt                                      replay.vehicle.drivetrain (7)
-(5) dv/dt, d(throttle)/dt, d(brake)/dt            replay.vehicle.pedal_map
+(4) d(df)/dt                                      replan.replay.vehicle.drivetrain (7)
+(5) dv/dt, d(throttle)/dt, d(brake)/dt            replan.replay.vehicle.pedal_map
 (6) dr = rear_ratio df                            geared: 0 for a car; negative: against each other, turns more tightly
 (7) kappa = cos(dr) (tan(df) - tan(dr)) / L       of the path driven with the wheels held where they are
 
@@ -31,16 +31,16 @@ from functools import partial
 from math import atan, ceil, cos, sin, tan
 from typing import NamedTuple
 
-from logs.arrays import FloatArray
-from logs.errors import ConfigError
-from logs.kernel import inner_kernel, kernel
-from logs.plan import Plan
-from logs.states import Command, EgoState
-from logs.vehicle import VehicleParameters
-from replay.vehicle.base import Controller, MotionState, Plain, plain, steady_pedals
-from replay.vehicle.drivetrain import SHORTEST_LAG_S, Steering, steer_rate
-from replay.vehicle.pedal_map import Limits, PedalPowertrain, is_rolling, rolling_acceleration
-from replay.vehicle.plan_path import PlanPath, Tracker, path_point
+from replan.core.arrays import FloatArray
+from replan.core.errors import ConfigError
+from replan.core.kernel import inner_kernel, kernel
+from replan.logs.plan import Plan
+from replan.logs.states import Command, EgoState
+from replan.logs.vehicle import VehicleParameters
+from replan.replay.vehicle.base import Controller, MotionState, Plain, plain, steady_pedals
+from replan.replay.vehicle.drivetrain import SHORTEST_LAG_S, Steering, steer_rate
+from replan.replay.vehicle.pedal_map import Limits, PedalPowertrain, is_rolling, rolling_acceleration
+from replan.replay.vehicle.plan_path import PlanPath, Tracker, path_point
 
 MAX_SUBSTEP_S = 0.01
 KAPPA_TOLERANCE_PM = 1e-12
@@ -156,7 +156,7 @@ def step(
 class KinematicBicycle:
     """A kinematic bicycle whose steering and pedals lag.
 
-    A `replay.vehicle.base.Vehicle`.
+    A `replan.replay.vehicle.base.Vehicle`.
 
     Args:
         parameters: Of the ego.
@@ -231,7 +231,7 @@ def _kappa(steer: float, car: Kinematics) -> float:
 class Perfect:
     """Moves exactly along its plan.
 
-    Both a `replay.vehicle.base.Vehicle` and a `replay.vehicle.base.Controller`.
+    Both a `replan.replay.vehicle.base.Vehicle` and a `replan.replay.vehicle.base.Controller`.
 
     Args:
         parameters: Of the ego; they limit nothing.

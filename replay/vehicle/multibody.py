@@ -30,11 +30,11 @@ from importlib import import_module
 from math import atan, ceil, cos, exp, hypot, isfinite, nan, sin, sqrt
 from typing import Any
 
-from logs.errors import ConfigError
-from logs.states import Command, EgoState
-from logs.vehicle import VehicleParameters
-from replay.vehicle.base import Controller
-from replay.vehicle.drivetrain import (
+from replan.core.errors import ConfigError
+from replan.logs.states import Command, EgoState
+from replan.logs.vehicle import VehicleParameters
+from replan.replay.vehicle.base import Controller
+from replan.replay.vehicle.drivetrain import (  # fmt: skip
     Drivetrain,
     Gearbox,
     drive_force,
@@ -43,10 +43,18 @@ from replay.vehicle.drivetrain import (
     spans,
     steer_rate,
     throttle_target,
-)  # fmt: skip
-from replay.vehicle.kinematic_bicycle import MAX_SUBSTEP_S
-from replay.vehicle.single_track import SingleTrackCar, SingleTrackState, advance, car_of, cornering, motion, substeps
-from replay.vehicle.tyres import GRAVITY
+)
+from replan.replay.vehicle.kinematic_bicycle import MAX_SUBSTEP_S
+from replan.replay.vehicle.single_track import (
+    SingleTrackCar,
+    SingleTrackState,
+    advance,
+    car_of,
+    cornering,
+    motion,
+    substeps,
+)
+from replan.replay.vehicle.tyres import GRAVITY
 
 SLOW_MPS, LEAVE_MPS, CALM = 1.0, 1.5, 0.1
 SUBSTEP_S = 1e-3
@@ -63,7 +71,7 @@ Rates = Callable[[list[float], list[float], Any], list[float]]
 class Multibody:
     """The multi-body model of 29 states of commonroad-vehicle-models.
 
-    A `replay.vehicle.base.Vehicle`.
+    A `replan.replay.vehicle.base.Vehicle`.
 
     Args:
         parameters: Of the ego.

@@ -24,9 +24,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.arrays import FloatArray, frozen
-from logs.kernel import inner_kernel, kernel
-from logs.vehicle import VehicleParameters
+from replan.core.arrays import FloatArray, frozen
+from replan.core.kernel import inner_kernel, kernel
+from replan.logs.vehicle import VehicleParameters
 
 SPEED_STEP_MPS = 0.25
 NO_MOTOR = frozen(np.empty(0))
@@ -128,7 +128,7 @@ def rolling_acceleration(v: float, throttle: float, brake: float, limits: Limits
 
 @dataclass(frozen=True)
 class PedalPowertrain:
-    """The powertrain of `VehicleParameters` in steady state (5)-(7); see `replay.vehicle.base.Powertrain`."""
+    """The powertrain of `VehicleParameters` in steady state (5)-(7); see `replan.replay.vehicle.base.Powertrain`."""
 
     parameters: VehicleParameters
 

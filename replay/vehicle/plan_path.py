@@ -21,10 +21,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.arrays import FloatArray
-from logs.kernel import inner_kernel, kernel
-from logs.plan import Plan
-from logs.states import EgoState, Trajectory, wrap
+from replan.core.arrays import FloatArray
+from replan.core.kernel import inner_kernel, kernel
+from replan.logs.plan import Plan
+from replan.logs.states import EgoState, Trajectory, wrap
 
 WINDOW_M = 20.0
 """Largest distance between the foot and where the plan is now, along the path, m."""

@@ -31,11 +31,11 @@ from __future__ import annotations
 from math import atan, atan2, ceil, cos, sin, sqrt, tan
 from typing import NamedTuple
 
-from logs.kernel import inner_kernel, kernel
-from logs.states import Command, EgoState
-from logs.vehicle import VehicleParameters
-from replay.vehicle.base import Controller, MotionState, Plain, plain, steady_pedals
-from replay.vehicle.drivetrain import (
+from replan.core.kernel import inner_kernel, kernel
+from replan.logs.states import Command, EgoState
+from replan.logs.vehicle import VehicleParameters
+from replan.replay.vehicle.base import Controller, MotionState, Plain, plain, steady_pedals
+from replan.replay.vehicle.drivetrain import (  # fmt: skip
     SHORTEST_LAG_S,
     DriveTables,
     Drivetrain,
@@ -50,9 +50,9 @@ from replay.vehicle.drivetrain import (
     steer_rate,
     throttle_target,
     with_room,
-)  # fmt: skip
-from replay.vehicle.kinematic_bicycle import MAX_SUBSTEP_S
-from replay.vehicle.tyres import GRAVITY, Tyre, axle_force, axle_tyres, slip_for
+)
+from replan.replay.vehicle.kinematic_bicycle import MAX_SUBSTEP_S
+from replan.replay.vehicle.tyres import GRAVITY, Tyre, axle_force, axle_tyres, slip_for
 
 SLIP_MPS = 1.0
 SLIDING_MPS = 0.5
@@ -101,7 +101,7 @@ class SingleTrackCar(NamedTuple):
 
 @inner_kernel
 def named_car(p: Plain) -> SingleTrackCar:
-    """The car that plain tuples hold (`replay.vehicle.base.plain`)."""
+    """The car that plain tuples hold (`replan.replay.vehicle.base.plain`)."""
     front, rear, drive = Tyre(*p[5]), Tyre(*p[6]), DriveTables(*p[8])
     return SingleTrackCar(
         p[0], p[1], p[2], p[3], p[4], front, rear, p[7], drive, p[9], p[10], p[11], p[12], p[13], p[14]
@@ -308,14 +308,14 @@ def step(
 class SingleTrack:
     """A single track with tyres, load transfer and drive train.
 
-    A `replay.vehicle.base.Vehicle`.
+    A `replan.replay.vehicle.base.Vehicle`.
 
     Args:
         parameters: Of the ego.
         start: Where and how fast it moves at first. It corners steadily along the start's curvature (as far as the
             tyres allow), so steering, slip and yaw rate come from the model and not from the start. It is not driven in
             reverse: a negative speed is taken as 0.
-        tyre: Name in `replay.vehicle.tyres.TYRES`.
+        tyre: Name in `replan.replay.vehicle.tyres.TYRES`.
         tyre_stiffness: Factor on the cornering stiffness.
         grade: Rise over run, positive uphill.
 

@@ -34,11 +34,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.arrays import FloatArray
-from logs.errors import ConfigError, unknown_name
-from logs.kernel import kernel
-from logs.states import Controls, Trajectory
-from logs.vehicle import VehicleParameters
+from replan.core.arrays import FloatArray
+from replan.core.errors import ConfigError, unknown_name
+from replan.core.kernel import kernel
+from replan.logs.states import Controls, Trajectory
+from replan.logs.vehicle import VehicleParameters
 
 GRAVITY = 9.81
 LINEAR, FIALA, PACEJKA = 0, 1, 2

@@ -14,14 +14,14 @@ from tomllib import loads
 import grimp
 from short_logs import short
 
-from logs.mcap import write_scenario
+from replan.logs.mcap import write_scenario
 
 ROOT = Path(__file__).parents[2]
 MOST_FILES = 25
 TRACED = """
 import json, sys
-import replay.draw.recording, replay.draw.report, replay.run
-from replay.cli import app
+import replan.draw.recording, replan.draw.report, replan.run
+from replan.cli import app
 
 ROOT, found = sys.argv[1], {}
 PACKAGES = ("logs/", "metrics/", "planners/", "replay/")
@@ -87,7 +87,7 @@ PACKAGES = ("logs", "metrics", "planners", "replay", "replan")
 MESSAGES = ("logs/mcap/native.py", "replay/planner_process/messages.py")
 """Their classes are nouns on the wire: they have the nouns' names, and are used with the module's name before them."""
 ROLES = {"__init__.py", "base.py", "planner.py", "stage.py", "problem.py", "dp.py", "qp.py", "tracks.py"}
-COMMANDS = "replay/cli/"
+COMMANDS = "replan/cli/"
 """A command's file has the name of what it calls."""
 
 

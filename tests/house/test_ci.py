@@ -14,8 +14,8 @@ import pytest
 import yaml
 from short_logs import short
 
-from logs.mcap import write_scenario
-from replay.results.tables import OUTCOMES
+from replan.logs.mcap import write_scenario
+from replan.results.tables import OUTCOMES
 
 ROOT = Path(__file__).parents[2]
 GITHUB, GITLAB, OWN = (
@@ -45,7 +45,6 @@ def runner(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         (tmp_path / "bin" / name).write_text(PYTHON, encoding="utf-8")
         (tmp_path / "bin" / name).chmod(0o755)
     monkeypatch.setenv("PATH", f"{tmp_path / 'bin'}{os.pathsep}{os.environ['PATH']}")
-    monkeypatch.setenv("PYTHONPATH", str(ROOT))
     monkeypatch.setenv("INSTALLED", str(tmp_path / "installed"))
     return tmp_path
 

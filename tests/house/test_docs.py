@@ -6,7 +6,6 @@ A block that is not run says why in a comment before it, `<!-- not run: REASON -
 exit code than 0 says so behind it, `# exit code 1`. A program is a file whose name is its first line.
 """
 
-import os
 import re
 import shlex
 import shutil
@@ -23,8 +22,8 @@ import pytest
 from command_line import replan
 from typer.main import get_command
 
-from logs.readers import readers
-from replay.cli import app
+from replan.cli import app
+from replan.logs.readers import readers
 
 ROOT = Path(__file__).parents[2]
 PAGES = (
@@ -85,7 +84,6 @@ def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     for example in (ROOT / "examples").glob("*.py"):
         (tmp_path / example.name).write_bytes(example.read_bytes())
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("PYTHONPATH", f"{ROOT}{os.pathsep}{os.environ.get('PYTHONPATH', '')}")
     monkeypatch.syspath_prepend(str(tmp_path))
     return tmp_path
 

@@ -12,8 +12,8 @@ import pytest
 import yaml
 from drives import along, drive, grid, moving, scenario
 
-from logs import AgentKind
-from metrics import Unavailable
+from replan.logs.agents import AgentKind
+from replan.metrics import Unavailable
 
 NOTEBOOK_FILE = Path(__file__).parents[2] / "examples" / "results.ipynb"
 NOTEBOOK = json.loads(NOTEBOOK_FILE.read_text(encoding="utf-8"))

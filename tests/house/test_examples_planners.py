@@ -9,11 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from logs import EndReason, PlannerError, Scenario, Trace
-from logs.catalogue import CATALOGUE
-from logs.states import TRAJECTORY_COLUMNS
-from replay.loop.closed_loop import run_closed_loop
-from replay.run.one_log import LOOPS
+from replan.core.errors import PlannerError
+from replan.logs.catalogue import CATALOGUE
+from replan.logs.scenario import Scenario
+from replan.logs.states import TRAJECTORY_COLUMNS
+from replan.logs.trace import EndReason, Trace
+from replan.replay.loop.closed_loop import run_closed_loop
+from replan.run.one_log import LOOPS
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 PYTHON = f"exec:{sys.executable} {EXAMPLES / 'planner_exec.py'}"

@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 from sparse import LATER, SPARSE
 
-from metrics import METRICS
-from replay.cli.app import INTERNAL
-from replay.config import load_run
-from replay.parts import PARTS
-from replay.planner_process.planner_config import planner_part
-from replay.results.tables import OUTCOMES
-from replay.run.sources import builtin_suite
+from replan.cli.app import INTERNAL
+from replan.config import load_run
+from replan.metrics import METRICS
+from replan.replay.parts import PARTS
+from replan.replay.planner_process.planner_config import planner_part
+from replan.results.tables import OUTCOMES
+from replan.run.sources import builtin_suite
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")

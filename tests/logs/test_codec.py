@@ -6,12 +6,14 @@ import pytest
 from hypothesis import given, strategies as st
 from mcap_cases import differences, rich_scenario
 
-from logs import Goal, Road, StopLine, Trajectory
-from logs.codec import array_as_bytes, array_of, message_of, noun_of
-from logs.frame import PlannerContext
-from logs.mcap import native
-from logs.plan import Corridor, GridCost
-from replay.planner_process import messages
+from replan.logs.codec import array_as_bytes, array_of, message_of, noun_of
+from replan.logs.frame import PlannerContext
+from replan.logs.mcap import native
+from replan.logs.plan import Corridor, GridCost
+from replan.logs.road import Goal, Road
+from replan.logs.rules import StopLine
+from replan.logs.states import Trajectory
+from replan.replay.planner_process import messages
 
 FIELDS = {
     "Road": "lanes source drives_on_right default_speed_limit stop_lines crosswalks",

@@ -7,9 +7,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from logs import AgentKind, LogError, Road, Scenario, Trajectory
-from logs.arrays import FloatArray
-from logs.conventions import READINGS, Chords, checked
+from replan.core.arrays import FloatArray
+from replan.core.errors import LogError
+from replan.logs.agents import AgentKind
+from replan.logs.conventions import READINGS, Chords, checked
+from replan.logs.road import Road
+from replan.logs.scenario import Scenario
+from replan.logs.states import Trajectory
 
 RATES = st.sampled_from([1.0, 2.0, 5.0, 10.0, 50.0, 200.0])
 ROAD = Road.along(np.array([[0.0, 0.0], [100.0, 0.0]]), speed_limit=14.0)

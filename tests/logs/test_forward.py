@@ -8,16 +8,16 @@ import pandas as pd
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from logs import Trajectory
-from logs.complete import ONE_LANE, REVERSES
-from logs.errors import LogError
-from logs.forward import drivable_part, forward_part, reversals, tighter_than_vehicle
-from logs.mcap import write_scenario
-from logs.readers import LogSettings, read_log
-from logs.readers.table import from_frames
-from logs.road import Road, RoadSource
-from logs.scenario import Scenario
-from logs.summary import evaluations
+from replan.core.errors import LogError
+from replan.logs.complete import ONE_LANE, REVERSES
+from replan.logs.forward import drivable_part, forward_part, reversals, tighter_than_vehicle
+from replan.logs.mcap import write_scenario
+from replan.logs.readers import LogSettings, read_log
+from replan.logs.readers.table import from_frames
+from replan.logs.road import Road, RoadSource
+from replan.logs.scenario import Scenario
+from replan.logs.states import Trajectory
+from replan.logs.summary import evaluations
 
 STAND = (0.0, 0.0, 0.0)
 """A piece: stands for 3 s."""

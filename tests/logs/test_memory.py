@@ -10,20 +10,21 @@ import pytest
 from hypothesis import given, strategies as st
 from mcap_cases import differences
 
-from logs import AgentKind, Tracks
-from logs.catalogue import scenario
-from logs.frame_store import FrameStore, SpilledTrajectory, light
-from logs.mcap import write_trace
-from logs.mcap.trace_file import plan_message
-from logs.nearby_tracks import BACK_S, SPAN_S, NearbyTracks, Recent
-from logs.plan import Graph
-from logs.states import EgoState
-from logs.trace import PlannedFrame
-from logs.vehicle import VehicleParameters
-from metrics import evaluate
-from replay.drive import Drive
-from replay.loop.closed_loop import run_closed_loop
-from replay.world import World, contact
+from replan.logs.agents import AgentKind
+from replan.logs.catalogue import scenario
+from replan.logs.frame_store import FrameStore, SpilledTrajectory, light
+from replan.logs.mcap import write_trace
+from replan.logs.mcap.trace_file import plan_message
+from replan.logs.nearby_tracks import BACK_S, SPAN_S, NearbyTracks, Recent
+from replan.logs.plan import Graph
+from replan.logs.states import EgoState
+from replan.logs.trace import PlannedFrame
+from replan.logs.tracks import Tracks
+from replan.logs.vehicle import VehicleParameters
+from replan.metrics import evaluate
+from replan.replay.drive import Drive
+from replan.replay.loop.closed_loop import run_closed_loop
+from replan.replay.world import World, contact
 
 
 @pytest.fixture(scope="module")

@@ -8,10 +8,12 @@ import pytest
 from handmade import drive, scenario, straight, track, tracks
 from hypothesis import given, settings, strategies as st
 
-from logs import AgentKind, EndReason, Mode, Trace, Tracks
-from logs.arrays import FloatArray
-from metrics.boxes import others_at
-from metrics.safety import TTC
+from replan.core.arrays import FloatArray
+from replan.logs.agents import AgentKind
+from replan.logs.trace import EndReason, Mode, Trace
+from replan.logs.tracks import Tracks
+from replan.metrics.boxes import others_at
+from replan.metrics.safety import TTC
 
 RATES = (5.0, 10.0, 25.0, 50.0, 100.0)
 EGO = drive(straight, 12.0, 6.0, step=0.05)

@@ -10,10 +10,11 @@ from commonroad_files import driving, problem, straight, vehicle, written
 from handmade import drive, scenario, straight as ahead, track, tracks
 from hypothesis import given, strategies as st
 
-from logs import Scenario, Tracks
-from logs.catalogue import scenario as built_in
-from logs.observed import described, of_stream, within
-from logs.readers.commonroad import read_commonroad
+from replan.logs.catalogue import scenario as built_in
+from replan.logs.observed import described, of_stream, within
+from replan.logs.readers.commonroad import read_commonroad
+from replan.logs.scenario import Scenario
+from replan.logs.tracks import Tracks
 
 LOG = drive(ahead, 10.0, 12.0)
 

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from logs import Goal, Lane, ReferenceLine, Road, RoadSource, wrap
-from logs.road import inside, thinned
-from logs.shapes import point_segment
+from replan.logs.road import Goal, Lane, ReferenceLine, Road, RoadSource, inside, thinned
+from replan.logs.shapes import point_segment
+from replan.logs.states import wrap
 
 
 def circle(radius: float, turns: float, pitch: float = 0.0, start: float = 0.0) -> np.ndarray:

@@ -12,9 +12,10 @@ from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 from worlds import along_x, curve, lanes, strip
 
-from logs import EgoState, Goal, Lane, Road
-from logs.readers.commonroad import read_commonroad
-from logs.route import LANE_CHANGE_M, costs_to_go, find_route, goal_lanes, start_lanes, straight_on
+from replan.logs.readers.commonroad import read_commonroad
+from replan.logs.road import Goal, Lane, Road
+from replan.logs.route import LANE_CHANGE_M, costs_to_go, find_route, goal_lanes, start_lanes, straight_on
+from replan.logs.states import EgoState
 
 EGO = EgoState(0.0, 0.0, 0.0, 0.0, 5.0)
 

@@ -6,13 +6,15 @@ import pytest
 from hypothesis import given, strategies as st
 from mcap_cases import differences
 
-from logs import AgentKind, Road, Scenario, Tracks, Trajectory
-from logs.agents import OLDEST_S
-from logs.observed import MAX_AGE_S, MAX_GAP_S
-from logs.states import EgoState
-from logs.vehicle import VehicleParameters
-from metrics.boxes import others_at
-from replay.world import World, contact
+from replan.logs.agents import OLDEST_S, AgentKind
+from replan.logs.observed import MAX_AGE_S, MAX_GAP_S
+from replan.logs.road import Road
+from replan.logs.scenario import Scenario
+from replan.logs.states import EgoState, Trajectory
+from replan.logs.tracks import Tracks
+from replan.logs.vehicle import VehicleParameters
+from replan.metrics.boxes import others_at
+from replan.replay.world import World, contact
 
 CAR = VehicleParameters()
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings, strategies as st
 
-from logs import shapes
-from logs.shapes import corners, distance, overlap, point_segment
+from replan.logs import shapes
+from replan.logs.shapes import corners, distance, overlap, point_segment
 
 place, angle, side, rate = st.floats(-8.0, 8.0), st.floats(-7.0, 7.0), st.floats(0.3, 6.0), st.floats(-5.0, 5.0)
 box = st.tuples(place, place, angle, side, side)

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from logs import Controls, Trajectory, wrap
-from logs.states import TRAJECTORY_COLUMNS, wrapped
+from replan.logs.states import TRAJECTORY_COLUMNS, Controls, Trajectory, wrap, wrapped
 
 angles = st.floats(-1000.0, 1000.0)
 

@@ -8,10 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from logs import VehicleParameters
-from logs.catalogue import CATALOGUE
-from logs.mcap import read_scenario, write_scenario
-from logs.vehicle import vehicle_names, vehicle_parameters
+from replan.logs.catalogue import CATALOGUE
+from replan.logs.mcap import read_scenario, write_scenario
+from replan.logs.vehicle import VehicleParameters, vehicle_names, vehicle_parameters
 
 
 @pytest.mark.parametrize("name", vehicle_names())

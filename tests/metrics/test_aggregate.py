@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from scipy.stats import binomtest
 
-from metrics.judge.aggregate import COLUMNS, LogLabels, groups, membership, pass_shares, standings, wilson
+from replan.metrics.judge.aggregate import COLUMNS, LogLabels, groups, membership, pass_shares, standings, wilson
 
 ASKED = [("dp_qp", "open"), ("dp_qp", "closed")]
 LABELS = {

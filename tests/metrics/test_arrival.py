@@ -11,19 +11,20 @@ from handmade import square
 from hypothesis import given, settings, strategies as st
 from worlds import strip
 
-from logs import EndReason, Goal, Road, Scenario, Trajectory
-from logs.cut import cut
-from logs.mcap import read_scenario, write_scenario
-from logs.road import GOAL_LENGTH_M
-from logs.states import TRAJECTORY_COLUMNS
-from logs.variations import varied
-from metrics import METRICS, evaluate
-from metrics.arrival import Arrival, fault_of, goal_of, passed_early
-from metrics.health import FaultKind, findings
-from metrics.judge import Outcome, judge, load_gates, worst
-from metrics.judge.aggregate import LogLabels
-from metrics.judge.excuses import COVERED, GOAL_ROUTE
-from metrics.progress import gain_along, route_of
+from replan.logs.edit.cut import cut
+from replan.logs.edit.variations import varied
+from replan.logs.mcap import read_scenario, write_scenario
+from replan.logs.road import GOAL_LENGTH_M, Goal, Road
+from replan.logs.scenario import Scenario
+from replan.logs.states import TRAJECTORY_COLUMNS, Trajectory
+from replan.logs.trace import EndReason
+from replan.metrics import METRICS, evaluate
+from replan.metrics.arrival import Arrival, fault_of, goal_of, passed_early
+from replan.metrics.health import FaultKind, findings
+from replan.metrics.judge import Outcome, judge, load_gates, worst
+from replan.metrics.judge.aggregate import LogLabels
+from replan.metrics.judge.excuses import COVERED, GOAL_ROUTE
+from replan.metrics.progress import gain_along, route_of
 
 NAMES = "goal", "route_progress", "completed", "coverage", "covered", "goal_route"
 PROGRESS = {name: METRICS[name] for name in NAMES}

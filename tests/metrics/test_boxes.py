@@ -7,14 +7,16 @@ import pandas as pd
 import pytest
 from handmade import drive, scenario, straight, track, tracks
 
-import metrics
-from logs import AgentKind, Scenario, catalogue
-from logs.states import EgoState
-from metrics import boxes
-from metrics.boxes import AROUND_S, each, others_at, phantoms, pieces, without_phantoms
-from replay.loop.closed_loop import run_closed_loop
-from replay.loop.open_loop import run_open_loop
-from replay.world import World, contact
+from replan import metrics
+from replan.logs import catalogue
+from replan.logs.agents import AgentKind
+from replan.logs.scenario import Scenario
+from replan.logs.states import EgoState
+from replan.metrics import boxes
+from replan.metrics.boxes import AROUND_S, each, others_at, phantoms, pieces, without_phantoms
+from replan.replay.loop.closed_loop import run_closed_loop
+from replan.replay.loop.open_loop import run_open_loop
+from replan.replay.world import World, contact
 
 LOGS = ("everyday/junction", "everyday/crosswalk", "pedestrian/group", "everyday/cyclist")
 SIZES = ((40, 7), (1, 1), (900, 250))
@@ -32,7 +34,7 @@ def test_the_size_of_pieces_changes_no_bit(monkeypatch: pytest.MonkeyPatch, name
     whole = [metrics.evaluate_with_series(trace, world) for trace in drives]
     monkeypatch.setattr(boxes, "MOST_CELLS", cells)
     monkeypatch.setattr(boxes, "PIECE_STEPS", steps)
-    monkeypatch.setattr("metrics.proposals.PIECE", steps)
+    monkeypatch.setattr("replan.metrics.proposals.PIECE", steps)
     for trace, (table, series) in zip(drives, whole, strict=True):
         again = catalogue.scenario(name)  # the caches of the first know what was measured at once
         table_again, series_again = metrics.evaluate_with_series(trace, again)

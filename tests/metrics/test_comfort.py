@@ -7,10 +7,13 @@ import pytest
 from drives import along, drive, grid, plans, scenario
 from hypothesis import given, settings, strategies as st
 
-from logs import AgentKind, Mode, Plan, PlannedFrame, Trajectory
-from logs.readers import read_log
-from metrics import GROUPS, evaluate
-from metrics.judge.gates import load_gates
+from replan.logs.agents import AgentKind
+from replan.logs.plan import Plan
+from replan.logs.readers import read_log
+from replan.logs.states import Trajectory
+from replan.logs.trace import Mode, PlannedFrame
+from replan.metrics import GROUPS, evaluate
+from replan.metrics.judge.gates import load_gates
 
 COMFORT = {metric.name: metric for metric in GROUPS["comfort"]}
 JERK_GATES = [gate for gate in load_gates(None).gates if "jerk" in gate.metric]

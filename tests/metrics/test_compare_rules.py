@@ -9,8 +9,8 @@ import pytest
 from gate_rows import row, table
 from hypothesis import given, settings, strategies as st
 
-from logs import ConfigError
-from metrics.comparison import (
+from replan.core.errors import ConfigError
+from replan.metrics.comparison import (
     MIN_PAIRS,
     MIN_SIGNIFICANT,
     Comparison,
@@ -21,8 +21,8 @@ from metrics.comparison import (
     judge_rules,
     noise,
 )
-from metrics.judge.aggregate import LogLabels
-from metrics.judge.gates import Gate, GateRule, Gates, Outcome, load_gates, load_rules
+from replan.metrics.judge.aggregate import LogLabels
+from replan.metrics.judge.gates import Gate, GateRule, Gates, Outcome, load_gates, load_rules
 
 GAP = Gate("gap.min", min=0.5)
 

@@ -7,11 +7,14 @@ import pytest
 from drives import changing, drive, grid, moved, moved_ego, scenario, straight_road
 from hypothesis import assume, given, settings, strategies as st
 
-from logs import AgentKind, RoadSource, Scenario, Trajectory
-from metrics import METRICS
-from metrics.cut_in import BRAKE_MPS2, FORCED_BRAKING, REACT_S, entries
-from metrics.metric import Series
-from metrics.safety import ContactKind, contacts
+from replan.logs.agents import AgentKind
+from replan.logs.road import RoadSource
+from replan.logs.scenario import Scenario
+from replan.logs.states import Trajectory
+from replan.metrics import METRICS
+from replan.metrics.cut_in import BRAKE_MPS2, FORCED_BRAKING, REACT_S, entries
+from replan.metrics.metric import Series
+from replan.metrics.safety import ContactKind, contacts
 
 LENGTH, WIDTH = 4.5, 1.8
 

@@ -6,8 +6,9 @@ import pytest
 from drives import along, controls, drive, grid, plans, scenario
 from hypothesis import given, strategies as st
 
-from logs import Mode, Plan, PlannedFrame, PlanStatus, SolverReport
-from metrics import evaluate
+from replan.logs.plan import Plan, PlanStatus, SolverReport
+from replan.logs.trace import Mode, PlannedFrame
+from replan.metrics import evaluate
 
 LOG = scenario(along(grid(5.0, 0.1), 10.0))
 T = LOG.ego.t

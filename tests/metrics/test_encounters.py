@@ -8,11 +8,13 @@ import pytest
 from drives import CAR, EGO, NOSE, Agent, along, car, drive, grid, moving, scenario, world
 from hypothesis import given, settings, strategies as st
 
-from logs import AgentKind, Scenario, Tracks
-from logs.shapes import distance
-from metrics import GROUPS, evaluate, series
-from metrics.encounters import MovingBox, closest_encounter, time_to_contact_accelerated
-from metrics.safety import MASS_KG, delta_v
+from replan.logs.agents import AgentKind
+from replan.logs.scenario import Scenario
+from replan.logs.shapes import distance
+from replan.logs.tracks import Tracks
+from replan.metrics import GROUPS, evaluate, series
+from replan.metrics.encounters import MovingBox, closest_encounter, time_to_contact_accelerated
+from replan.metrics.safety import MASS_KG, delta_v
 
 MINE = {metric.name: metric for metric in GROUPS["safety"]}
 TAIL = EGO.rear_overhang

@@ -11,11 +11,17 @@ from drives import along, drive, grid, moved, moved_ego, moving, scenario, strai
 from handmade import drive as driven, scenario as handmade, straight
 from hypothesis import given, strategies as st
 
-from logs import AgentKind, Colour, Road, RoadSource, Scenario, StopLine, Trace, Tracks, TrafficLight, Trajectory
-from logs.readers.commonroad import read_commonroad
-from metrics import METRICS, evaluate
-from replay.config import LoopConfig
-from replay.loop.closed_loop import run_closed_loop
+from replan.logs.agents import AgentKind
+from replan.logs.readers.commonroad import read_commonroad
+from replan.logs.road import Road, RoadSource
+from replan.logs.rules import Colour, StopLine, TrafficLight
+from replan.logs.scenario import Scenario
+from replan.logs.states import Trajectory
+from replan.logs.trace import Trace
+from replan.logs.tracks import Tracks
+from replan.metrics import METRICS, evaluate
+from replan.replay.loop.closed_loop import run_closed_loop
+from replan.replay.loop_config import LoopConfig
 
 T = grid(10.0)
 SLOW_THEN_FAST = along(T, np.where(T < 5.0, 2.0, 8.0))

@@ -8,10 +8,12 @@ import pytest
 from drives import CAR, EGO, NOSE, Agent, along, drive, grid, moved, moving, scenario
 from hypothesis import given, settings, strategies as st
 
-from logs import AgentKind, Scenario, Trajectory
-from metrics import GROUPS, evaluate, series
-from metrics.following import ahead_of, required_decel, required_gap
-from metrics.metric import Metric
+from replan.logs.agents import AgentKind
+from replan.logs.scenario import Scenario
+from replan.logs.states import Trajectory
+from replan.metrics import GROUPS, evaluate, series
+from replan.metrics.following import ahead_of, required_decel, required_gap
+from replan.metrics.metric import Metric
 
 NEW = (
     "ttc", "ttc_vulnerable", "collision_severity", "headway", "thw", "drac", "required_decel", "btn", "stn",

@@ -8,12 +8,12 @@ from drives import along, drive, grid, scenario
 from gate_rows import row, table
 from hypothesis import given, strategies as st
 
-from logs import ConfigError, LogError
-from metrics import METRICS, evaluate
-from metrics.judge import Verdict, judge, outcomes, worst
-from metrics.judge.aggregate import LogLabels
-from metrics.judge.gates import PACKAGED, Gate, Gates, Outcome, load_gates
-from metrics.judge.verdicts import with_asked
+from replan.core.errors import ConfigError, LogError
+from replan.metrics import METRICS, evaluate
+from replan.metrics.judge import Verdict, judge, outcomes, worst
+from replan.metrics.judge.aggregate import LogLabels
+from replan.metrics.judge.gates import PACKAGED, Gate, Gates, Outcome, load_gates
+from replan.metrics.judge.verdicts import with_asked
 
 PASS, FAIL, INCONCLUSIVE = Outcome.PASS, Outcome.FAIL, Outcome.INCONCLUSIVE
 

@@ -10,18 +10,18 @@ import pandas as pd
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from logs import Road, Scenario
-from logs.agents import AgentKind
-from logs.catalogue import CATALOGUE
-from logs.conventions import checked
-from logs.mcap import write_scenario
-from logs.road import Lane, RoadSource
-from logs.rules import Colour, StopLine, TrafficLight
-from logs.states import Trajectory
-from logs.tracks import Tracks
-from metrics.health import CHECKS, FaultKind, findings, report
-from replay.config import RunConfig
-from replay.run import evaluate_logs
+from replan.config import RunConfig
+from replan.logs.agents import AgentKind
+from replan.logs.catalogue import CATALOGUE
+from replan.logs.conventions import checked
+from replan.logs.mcap import write_scenario
+from replan.logs.road import Lane, Road, RoadSource
+from replan.logs.rules import Colour, StopLine, TrafficLight
+from replan.logs.scenario import Scenario
+from replan.logs.states import Trajectory
+from replan.logs.tracks import Tracks
+from replan.metrics.health import CHECKS, FaultKind, findings, report
+from replan.run import evaluate_logs
 
 T = np.arange(0.0, 8.01, 0.1)
 AT = 40

@@ -6,8 +6,11 @@ import pytest
 from drives import along, changing, drive, grid, moved, moved_ego, moving, scenario, straight_road
 from hypothesis import given, settings, strategies as st
 
-from logs import AgentKind, Lane, Road, Scenario, Trajectory
-from metrics import METRICS, evaluate
+from replan.logs.agents import AgentKind
+from replan.logs.road import Lane, Road
+from replan.logs.scenario import Scenario
+from replan.logs.states import Trajectory
+from replan.metrics import METRICS, evaluate
 
 ASKED = {name: METRICS[name] for name in ("wrong_way", "lane_keeping", "lane_line")}
 WIDTH = 3.5

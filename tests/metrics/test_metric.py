@@ -11,11 +11,15 @@ from command_line import replan
 from drives import along, drive, grid, moving, plans, scenario, straight_road
 from hypothesis import given, strategies as st
 
-from logs import AgentKind, ConfigError, EndReason, Goal, Mode, RoadSource, Scenario, Trace
-from logs.arrays import FloatArray
-from logs.once import last, once
-from metrics import COLUMNS, METRICS, evaluate, evaluate_with_series, load_metric, series
-from metrics.metric import (
+from replan.core.arrays import FloatArray
+from replan.core.errors import ConfigError
+from replan.core.once import last, once
+from replan.logs.agents import AgentKind
+from replan.logs.road import Goal, RoadSource
+from replan.logs.scenario import Scenario
+from replan.logs.trace import EndReason, Mode, Trace
+from replan.metrics import COLUMNS, METRICS, evaluate, evaluate_with_series, load_metric, series
+from replan.metrics.metric import (
     COUNT,
     FINAL,
     MAX,

@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 from drives import along, changing, drive, grid, moved, moved_ego, scenario, straight_road
 
-from logs import AgentKind, Scenario, Trajectory
-from logs.road import Goal
-from logs.rules import Colour, StopLine, TrafficLight
-from metrics import METRICS, evaluate
-from metrics.needless import CAUSE_M, HARD_MPS2, hard_episodes, turning_points
+from replan.logs.agents import AgentKind
+from replan.logs.road import Goal
+from replan.logs.rules import Colour, StopLine, TrafficLight
+from replan.logs.scenario import Scenario
+from replan.logs.states import Trajectory
+from replan.metrics import METRICS, evaluate
+from replan.metrics.needless import CAUSE_M, HARD_MPS2, hard_episodes, turning_points
 
 NAMES = ("needless_braking.max", "needless_standing.worst_episode", "needless_steering.count")
 ROAD = straight_road(limit=15.0)

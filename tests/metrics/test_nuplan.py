@@ -10,10 +10,13 @@ import pytest
 from drives import along, grid, moved, moved_ego, moving, scenario, straight_road
 from hypothesis import given, settings, strategies as st
 
-from logs import AgentKind, EndReason, Mode, Scenario, Trace, Trajectory
-from logs.catalogue import scenario as catalogue
-from logs.readers import read_log
-from metrics.driving_scores import NUPLAN_CLOSED, closed_loop_parts
+from replan.logs.agents import AgentKind
+from replan.logs.catalogue import scenario as catalogue
+from replan.logs.readers import read_log
+from replan.logs.scenario import Scenario
+from replan.logs.states import Trajectory
+from replan.logs.trace import EndReason, Mode, Trace
+from replan.metrics.driving_scores import NUPLAN_CLOSED, closed_loop_parts
 
 VALUES = Path(__file__).parents[1] / "support" / "leaderboards"
 BUILT_IN = {

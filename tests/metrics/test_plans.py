@@ -10,8 +10,11 @@ import pytest
 from drives import along, drive, grid, moved, moved_ego, plans, scenario
 from hypothesis import given, settings, strategies as st
 
-from logs import Mode, Plan, PlannedFrame, RoadSource, Trajectory
-from metrics import GROUPS, evaluate
+from replan.logs.plan import Plan
+from replan.logs.road import RoadSource
+from replan.logs.states import Trajectory
+from replan.logs.trace import Mode, PlannedFrame
+from replan.metrics import GROUPS, evaluate
 
 LOG = scenario(along(grid(12.0, 0.1), 10.0))
 CURVE = 0.1 * grid(12.0, 0.1)

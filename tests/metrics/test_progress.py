@@ -6,11 +6,13 @@ import pytest
 from drives import along, drive, grid, moved, moved_ego, scenario, straight_road
 from hypothesis import given, settings, strategies as st
 
-from logs import EndReason, Goal, Lane, RoadSource, Scenario, TrackingErrors, Trajectory
-from logs.scenario import References
-from metrics import GROUPS, evaluate
-from metrics.metric import Series
-from metrics.progress import GOAL, gain_along, route_of
+from replan.logs.road import Goal, Lane, RoadSource
+from replan.logs.scenario import References, Scenario
+from replan.logs.states import Trajectory
+from replan.logs.trace import EndReason, TrackingErrors
+from replan.metrics import GROUPS, evaluate
+from replan.metrics.metric import Series
+from replan.metrics.progress import GOAL, gain_along, route_of
 
 ASKED = {metric.name: metric for group in ("progress", "rules", "tracking") for metric in GROUPS[group]}
 

@@ -1,4 +1,4 @@
-"""Plans judged over their whole horizon (`metrics.proposals`)."""
+"""Plans judged over their whole horizon (`replan.metrics.proposals`)."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -8,11 +8,14 @@ import pandas as pd
 import pytest
 from drives import along, drive, grid, moved, moved_ego, moving, plans, scenario, straight_road
 
-from logs import AgentKind, Mode, PlannedFrame, Scenario, Trajectory
-from logs.frame import PLAN_HORIZON_S
-from metrics import METRICS, evaluate
-from metrics.judge.gates import load_gates
-from metrics.plans import SHORT_M
+from replan.logs.agents import AgentKind
+from replan.logs.frame import PLAN_HORIZON_S
+from replan.logs.scenario import Scenario
+from replan.logs.states import Trajectory
+from replan.logs.trace import Mode, PlannedFrame
+from replan.metrics import METRICS, evaluate
+from replan.metrics.judge.gates import load_gates
+from replan.metrics.plans import SHORT_M
 
 ASKED = {name: metric for name, metric in METRICS.items() if name.startswith("plan_") or name == "extended_comfort"}
 GATES = [gate for gate in load_gates(None).gates if gate.metric.partition(".")[0] in ASKED]

@@ -9,13 +9,14 @@ import pytest
 from handmade import drive, lanes_along, scenario, straight, track, tracks
 from hypothesis import given, settings, strategies as st
 
-from logs import AgentKind, EndReason, Mode, Scenario, Trace
-from logs.arrays import FloatArray
-from logs.mcap import read_scenario, write_scenario
-from logs.road import ReferenceLine
-from logs.scenario import Avoidability, DriverVerdict, References
-from metrics import evaluate
-from metrics.reference_drivers import (
+from replan.core.arrays import FloatArray
+from replan.logs.agents import AgentKind
+from replan.logs.mcap import read_scenario, write_scenario
+from replan.logs.road import ReferenceLine
+from replan.logs.scenario import Avoidability, DriverVerdict, References, Scenario
+from replan.logs.trace import EndReason, Mode, Trace
+from replan.metrics import evaluate
+from replan.metrics.reference_drivers import (
     CC_BRAKE_MPS2,
     JERK_MPS3,
     MARGINAL_M,
@@ -26,7 +27,7 @@ from metrics.reference_drivers import (
     fsm_proactive,
     fuzzy_driver,
 )
-from replay.loop.reference_drives import reference_line, with_avoidability
+from replan.replay.loop.reference_drives import reference_line, with_avoidability
 
 CAR = scenario(drive(straight, 10.0, 1.0)).vehicle
 NOSE = CAR.axle_to_front

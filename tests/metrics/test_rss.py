@@ -5,9 +5,11 @@ import pandas as pd
 import pytest
 from drives import CAR, NOSE, Agent, along, drive, grid, moving, scenario
 
-from logs import AgentKind, Scenario, Trajectory
-from metrics import GROUPS, evaluate, series
-from metrics.following import lateral_distance, longitudinal_distance
+from replan.logs.agents import AgentKind
+from replan.logs.scenario import Scenario
+from replan.logs.states import Trajectory
+from replan.metrics import GROUPS, evaluate, series
+from replan.metrics.following import lateral_distance, longitudinal_distance
 
 MINE = {metric.name: metric for metric in GROUPS["safety"] if metric.name.startswith("rss")}
 

@@ -10,11 +10,16 @@ from drives import along, drive, grid, moved, moved_ego, moving, scenario
 from handmade import crossing_without_a_map, track, tracks
 from hypothesis import given, settings, strategies as st
 
-from logs import AgentKind, Colour, Crosswalk, Lane, Road, Scenario, StopLine, Trace, TrafficLight, Trajectory
-from metrics import METRICS, evaluate, series
-from metrics.judge import judge
-from metrics.judge.aggregate import LogLabels
-from metrics.judge.gates import Outcome, load_gates
+from replan.logs.agents import AgentKind
+from replan.logs.road import Lane, Road
+from replan.logs.rules import Colour, Crosswalk, StopLine, TrafficLight
+from replan.logs.scenario import Scenario
+from replan.logs.states import Trajectory
+from replan.logs.trace import Trace
+from replan.metrics import METRICS, evaluate, series
+from replan.metrics.judge import judge
+from replan.metrics.judge.aggregate import LogLabels
+from replan.metrics.judge.gates import Outcome, load_gates
 
 LINE_X = 50.0
 PED, CAR = AgentKind.PEDESTRIAN, AgentKind.CAR

@@ -8,14 +8,18 @@ import pytest
 from drives import CAR, EGO, NOSE, Agent, along, car, drive, grid, moved, moving, plans, scenario, straight_road, world
 from hypothesis import given, settings, strategies as st
 
-from logs import AgentKind, Lane, Mode, Road, Scenario, Tracks, Trajectory
-from logs.arrays import FloatArray
-from logs.road import inside
-from logs.shapes import distance, point_segment, time_to_contact
-from metrics import evaluate, series
-from metrics.boxes import ego_boxes, others_at
-from metrics.lanes import drivable_lanes, limits_at, off_lanes, under
-from metrics.safety import OUTLINE_M, ContactKind, contacts, least_contact_times
+from replan.core.arrays import FloatArray
+from replan.logs.agents import AgentKind
+from replan.logs.road import Lane, Road, inside
+from replan.logs.scenario import Scenario
+from replan.logs.shapes import distance, point_segment, time_to_contact
+from replan.logs.states import Trajectory
+from replan.logs.trace import Mode
+from replan.logs.tracks import Tracks
+from replan.metrics import evaluate, series
+from replan.metrics.boxes import ego_boxes, others_at
+from replan.metrics.lanes import drivable_lanes, limits_at, off_lanes, under
+from replan.metrics.safety import OUTLINE_M, ContactKind, contacts, least_contact_times
 
 TAIL = -EGO.rear_overhang
 

@@ -6,11 +6,15 @@ import pytest
 from drives import along, drive, grid, moved, moved_ego, moving, plans, scenario, straight_road
 from hypothesis import given, strategies as st
 
-from logs import AgentKind, EndReason, Mode, Road, RoadSource, Scenario, Trajectory
-from logs.rules import Colour, StopLine, TrafficLight
-from metrics import GROUPS, evaluate
-from metrics.driving_scores import CARLA, NUPLAN_CLOSED, PARTS, Formula, combined
-from metrics.metric import Unavailable
+from replan.logs.agents import AgentKind
+from replan.logs.road import Road, RoadSource
+from replan.logs.rules import Colour, StopLine, TrafficLight
+from replan.logs.scenario import Scenario
+from replan.logs.states import Trajectory
+from replan.logs.trace import EndReason, Mode
+from replan.metrics import GROUPS, evaluate
+from replan.metrics.driving_scores import CARLA, NUPLAN_CLOSED, PARTS, Formula, combined
+from replan.metrics.metric import Unavailable
 
 ASKED = {metric.name: metric for metric in GROUPS["score"]}
 T = grid(10.0, 0.1)

@@ -7,10 +7,12 @@ import pytest
 from drives import CAR, EGO, NOSE, along, car, changing, drive, grid, moved, moved_ego, scenario, straight_road
 from hypothesis import given, settings, strategies as st
 
-from logs import AgentKind, Scenario, Trajectory
-from metrics import METRICS, evaluate
-from metrics.cut_in import REACT_S
-from metrics.needless import JUDGED_S, LEAST_S, RETURN_MPS, SETTLES_S
+from replan.logs.agents import AgentKind
+from replan.logs.scenario import Scenario
+from replan.logs.states import Trajectory
+from replan.metrics import METRICS, evaluate
+from replan.metrics.cut_in import REACT_S
+from replan.metrics.needless import JUDGED_S, LEAST_S, RETURN_MPS, SETTLES_S
 
 T = grid(30.0, 0.1)
 ROAD = straight_road(lanes=2, limit=15.0)

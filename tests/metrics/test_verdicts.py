@@ -12,18 +12,19 @@ from drives import along, drive, grid, moving, scenario, straight_road
 from gate_rows import row, table
 from hypothesis import given, strategies as st
 
-from logs import AgentKind, RoadSource
-from logs.errors import ConfigError
-from logs.transform import sampled
-from metrics import METRICS, evaluate
-from metrics.judge import Verdict, judge, outcomes, worst
-from metrics.judge.aggregate import LogLabels, wilson
-from metrics.judge.discrimination import BLIND, BLIND_FAILS, PARKED, PARKED_FAILS, with_discrimination
-from metrics.judge.excuses import INTERVAL, marginal
-from metrics.judge.gates import Gate, Gates, Outcome, load_gates
-from metrics.judge.verdicts import MISS_COLUMNS, deadline_misses, with_ensemble
-from replay.loop.reference_drives import discriminate
-from replay.run.sources import NOISE_M, PERTURBATIONS, START_M, perturbed
+from replan.core.errors import ConfigError
+from replan.logs.agents import AgentKind
+from replan.logs.edit.transform import sampled
+from replan.logs.road import RoadSource
+from replan.metrics import METRICS, evaluate
+from replan.metrics.judge import Verdict, judge, outcomes, worst
+from replan.metrics.judge.aggregate import LogLabels, wilson
+from replan.metrics.judge.discrimination import BLIND, BLIND_FAILS, PARKED, PARKED_FAILS, with_discrimination
+from replan.metrics.judge.excuses import INTERVAL, marginal
+from replan.metrics.judge.gates import Gate, Gates, Outcome, load_gates
+from replan.metrics.judge.verdicts import MISS_COLUMNS, deadline_misses, with_ensemble
+from replan.replay.loop.reference_drives import discriminate
+from replan.run.sources import NOISE_M, PERTURBATIONS, START_M, perturbed
 
 PASS, FAIL, INCONCLUSIVE = Outcome.PASS, Outcome.FAIL, Outcome.INCONCLUSIVE
 GAP = "gap.min"

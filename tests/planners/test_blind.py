@@ -2,11 +2,12 @@ import numpy as np
 import pytest
 from drives import along, grid, moving, scenario, straight_road
 
-from logs import AgentKind, EndReason
-from logs.plan import PlanStatus
-from replay.config import LoopConfig
-from replay.loop.closed_loop import run_closed_loop
-from replay.loop.reference_drives import BAD_PERIODS_S
+from replan.logs.agents import AgentKind
+from replan.logs.plan import PlanStatus
+from replan.logs.trace import EndReason
+from replan.replay.loop.closed_loop import run_closed_loop
+from replan.replay.loop.reference_drives import BAD_PERIODS_S
+from replan.replay.loop_config import LoopConfig
 
 LOOP = LoopConfig(*BAD_PERIODS_S, vehicle="perfect")
 

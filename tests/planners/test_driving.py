@@ -20,12 +20,16 @@ from worlds import (
     standing,
 )
 
-from logs import AgentKind, DecisionKind, EgoState, Goal, PlannerContext, Road
-from logs.catalogue import CATALOGUE
-from planners.base import Planner
-from planners.idm import Idm
-from planners.lattice import Lattice
-from planners.pdm import Pdm
+from replan.logs.agents import AgentKind
+from replan.logs.catalogue import CATALOGUE
+from replan.logs.frame import PlannerContext
+from replan.logs.plan import DecisionKind
+from replan.logs.road import Goal, Road
+from replan.logs.states import EgoState
+from replan.planners.base import Planner
+from replan.planners.idm import Idm
+from replan.planners.lattice import Lattice
+from replan.planners.pdm import Pdm
 
 Kind = Callable[[PlannerContext], Planner]
 every = pytest.mark.parametrize("kind", [Idm, Pdm, Lattice])

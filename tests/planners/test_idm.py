@@ -5,8 +5,11 @@ import pytest
 from hypothesis import given, strategies as st
 from worlds import CAR, Drive, Other, along_x, beside, decided, driving, followed, frame, gaps, lanes, standing, strip
 
-from logs import DecisionKind, EgoState, Goal, PlannerContext, PlanStart, Road, StGraph
-from planners.idm import Idm, IdmConfig, idm_acceleration
+from replan.logs.frame import PlannerContext
+from replan.logs.plan import DecisionKind, PlanStart, StGraph
+from replan.logs.road import Goal, Road
+from replan.logs.states import EgoState
+from replan.planners.idm import Idm, IdmConfig, idm_acceleration
 
 A, B, TAU, S0 = (IdmConfig().accel_mps2, IdmConfig().decel_mps2, IdmConfig().time_gap_s, IdmConfig().standstill_gap_m)
 

@@ -22,14 +22,17 @@ from worlds import (
     two_way,
 )
 
-from logs import AgentKind, Candidates, CostTerms, EgoState, Goal, PlannerContext, Road
-from logs.arrays import FloatArray
-from logs.plan import SlGraph, StGraph
-from planners.frenet.profiles import HORIZON_KNOTS, STEP_S
-from planners.pdm import Pdm, PdmConfig
-from planners.pdm.planner import Driver, drive_track, idm_acceleration, track_proposal
-from planners.pdm.proposal_score import BOUNDS, PARTS, Scores, comfortable, scores
-from replay.planner_process.planner_config import planner_part
+from replan.core.arrays import FloatArray
+from replan.logs.agents import AgentKind
+from replan.logs.frame import PlannerContext
+from replan.logs.plan import Candidates, CostTerms, SlGraph, StGraph
+from replan.logs.road import Goal, Road
+from replan.logs.states import EgoState
+from replan.planners.frenet.profiles import HORIZON_KNOTS, STEP_S
+from replan.planners.pdm import Pdm, PdmConfig
+from replan.planners.pdm.planner import Driver, drive_track, idm_acceleration, track_proposal
+from replan.planners.pdm.proposal_score import BOUNDS, PARTS, Scores, comfortable, scores
+from replan.replay.planner_process.planner_config import planner_part
 
 C = PdmConfig()
 DRIVER = Driver(C.accel_mps2, C.decel_mps2, C.headway_s, C.min_gap_m, C.exponent)

@@ -1,6 +1,6 @@
 """The contract of a planner, executable: every planner of the table, on scenarios made by hand and of the catalogue.
 
-The laws are those of `replay.contract`; for a planner of your own, call `replan.check_planner`.
+The laws are those of `replan.contract`; for a planner of your own, call `replan.check_planner`.
 """
 
 import sys
@@ -14,13 +14,18 @@ import pytest
 from handmade import drive, s_curve, scenario, square, straight, track, tracks
 from hypothesis import given, strategies as st
 
-import logs.catalogue
-from logs import AgentKind, EgoState, Frame, Goal, Plan, PlannerContext, PlannerError, Scenario
-from logs.states import OnboardPlan
-from planners.constant_speed import arc
-from replay.contract import check_planner, context_of, frame_times_of, future_changes, until
-from replay.parts import PLANNER
-from replay.planner_process.planner_config import planner_part
+from replan.contract import check_planner, context_of, frame_times_of, future_changes, until
+from replan.core.errors import PlannerError
+from replan.logs.agents import AgentKind
+from replan.logs.catalogue import CATALOGUE
+from replan.logs.frame import Frame, PlannerContext
+from replan.logs.plan import Plan
+from replan.logs.road import Goal
+from replan.logs.scenario import Scenario
+from replan.logs.states import EgoState, OnboardPlan
+from replan.planners.constant_speed import arc
+from replan.replay.parts import PLANNER
+from replan.replay.planner_process.planner_config import planner_part
 
 
 def busy_street() -> Scenario:
@@ -51,8 +56,7 @@ SCENES = {
 
 def scenes() -> dict[str, Scenario]:
     made = {name: build() for name, build in SCENES.items()}
-    families = getattr(logs.catalogue, "CATALOGUE", {})
-    return made | {name: family.scenario() for name, family in families.items()}
+    return made | {name: family.scenario() for name, family in CATALOGUE.items()}
 
 
 @pytest.fixture(scope="module")
@@ -137,7 +141,7 @@ def own_module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path
 
 
 def test_a_planner_of_the_users_own_is_found_in_the_working_directory(own_module: Path) -> None:
-    (own_module / "mine_a.py").write_text("from planners.constant_speed import ConstantSpeed as MyPlanner\n")
+    (own_module / "mine_a.py").write_text("from replan.planners.constant_speed import ConstantSpeed as MyPlanner\n")
     assert planner_part("mine_a:MyPlanner").factory.__name__ == "ConstantSpeed"
     with pytest.raises(PlannerError, match="did you mean 'MyPlanner'"):
         _ = planner_part("mine_a:MyPlaner").factory

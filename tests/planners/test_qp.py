@@ -6,8 +6,8 @@ from hypothesis import given, settings, strategies as st
 from scipy import sparse
 from scipy.optimize import nnls
 
-from logs.arrays import FloatArray
-from planners.solver import QPConfig, QPResult, QuadraticProgram
+from replan.core.arrays import FloatArray
+from replan.planners.solver import QPConfig, QPResult, QuadraticProgram
 
 FAST = QPConfig(eps=1e-6, max_iterations=20_000)
 SURE = QPConfig(max_iterations=1, check_every=1)  # OSQP gives up at once: PIQP answers

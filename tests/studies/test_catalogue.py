@@ -6,8 +6,8 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from logs.catalogue import suite
-from replay.results.schema import SCHEMA_VERSION
+from replan.logs.catalogue import suite
+from replan.results.schema import SCHEMA_VERSION
 from studies.catalogue import OUTCOMES, main, table_of
 
 AT_FAULT, CONTACT, IMPACT = "collision_at_fault.count", "replay_contact.final", "collision_severity.impact_speed.max"

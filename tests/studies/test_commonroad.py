@@ -9,10 +9,11 @@ import pytest
 from hypothesis import given, strategies as st
 from short_logs import short
 
-from logs import Goal, Scenario
-from logs.mcap import write_scenario
-from metrics.judge import CAREFUL
-from replay.loop.reference_drives import reference_table
+from replan.logs.mcap import write_scenario
+from replan.logs.road import Goal
+from replan.logs.scenario import Scenario
+from replan.metrics.judge import CAREFUL
+from replan.replay.loop.reference_drives import reference_table
 from studies.commonroad import COLUMNS, HAND_MADE, SOURCES, compare, main, source_of
 
 FILES = ("C-DEU_MONAWest-2_720_T-799", "ZAM_Tutorial-1_1_T-1", "USA_US101-6_1_T-1")

@@ -7,9 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from logs import AgentKind, Road, Scenario
-from logs.states import Trajectory
-from logs.tracks import Tracks
+from replan.logs.agents import AgentKind
+from replan.logs.road import Road
+from replan.logs.scenario import Scenario
+from replan.logs.states import Trajectory
+from replan.logs.tracks import Tracks
 from studies.crossings import DrivenPath, compared, crossing_of, main
 
 T = np.arange(0.0, 16.0, 0.1)
@@ -57,7 +59,7 @@ def test_who_waits_yields_and_who_does_not_goes_first() -> None:
 
 
 def test_the_command_writes_a_row_a_log_and_names_others(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from logs.mcap import write_scenario
+    from replan.logs.mcap import write_scenario
 
     write_scenario(tmp_path / "a.mcap", scene(PATIENT))
     write_scenario(tmp_path / "b.mcap", scene(np.full_like(T, 10.0), walks_at=400.0))

@@ -7,9 +7,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from logs.catalogue import CATALOGUE
-from logs.mcap import write_scenario
-from replay.run.sources import LogSource
+from replan.logs.catalogue import CATALOGUE
+from replan.logs.mcap import write_scenario
+from replan.run.sources import LogSource
 from studies.invariance import COLUMNS, PERTURBATIONS, Job, compare, counted, main, parted
 
 
@@ -40,7 +40,7 @@ def test_a_planner_that_follows_the_compass_is_found_out(
 ) -> None:
     (tmp_path / "compass_planner.py").write_text(
         "from dataclasses import replace\n"
-        "from planners.constant_speed import ConstantSpeed\n"
+        "from replan.planners.constant_speed import ConstantSpeed\n"
         "class Compass(ConstantSpeed):\n"
         "    def plan(self, frame):\n"
         "        return super().plan(replace(frame, ego=replace(frame.ego, yaw=0.0)))\n"

@@ -9,8 +9,8 @@ import pytest
 from handmade import drive, lanes_along, scenario, straight, track, tracks
 from hypothesis import given, settings, strategies as st
 
-from logs import Scenario
-from logs.mcap import write_scenario
+from replan.logs.mcap import write_scenario
+from replan.logs.scenario import Scenario
 from studies import roads
 from studies.roads import SHOWN, VARIANTS, changes, interval, main, tasks, worse
 

@@ -11,15 +11,19 @@ from functools import partial
 import numpy as np
 from drives import along, grid, moving, scenario, straight_road
 
-from logs import AgentKind, EgoState, Frame, Plan, PlannerContext, Predictions, Road, Scenario, Trajectory
-from logs.arrays import FloatArray
-from logs.catalogue import CATALOGUE
-from logs.road import ReferenceLine
-from logs.rules import Colour, StopLine
-from planners.constant_speed import arc
-from planners.frenet.scene import RouteTracker
-from planners.idm import Idm, IdmConfig
-from replay.loop.plan_check import of_positions
+from replan.core.arrays import FloatArray
+from replan.logs.agents import AgentKind
+from replan.logs.catalogue import CATALOGUE
+from replan.logs.frame import Frame, PlannerContext, Predictions
+from replan.logs.plan import Plan
+from replan.logs.road import ReferenceLine, Road
+from replan.logs.rules import Colour, StopLine
+from replan.logs.scenario import Scenario
+from replan.logs.states import EgoState, Trajectory
+from replan.planners.constant_speed import arc
+from replan.planners.frenet.scene import RouteTracker
+from replan.planners.idm import Idm, IdmConfig
+from replan.replay.loop.plan_check import of_positions
 
 STEPS = 0.1 * np.arange(81)
 

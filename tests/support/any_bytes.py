@@ -8,9 +8,10 @@ import numpy as np
 from hypothesis import strategies as st
 from mcap_cases import differences
 
-from logs import LogError, Scenario
-from logs.mcap import read_scenario, write_scenario
-from logs.readers import read_log
+from replan.core.errors import LogError
+from replan.logs.mcap import read_scenario, write_scenario
+from replan.logs.readers import read_log
+from replan.logs.scenario import Scenario
 
 CHANGES = st.lists(st.tuples(st.integers(0, 10**6), st.integers(0, 255)), max_size=8)
 """Places and the bytes that are written there."""

@@ -12,8 +12,9 @@ from pathlib import Path
 
 import numpy as np
 
-from logs import Decision, DecisionKind, Frame, Plan, PlannerContext, PlanStatus
-from planners.constant_speed import ConstantSpeed, arc
+from replan.logs.frame import Frame, PlannerContext
+from replan.logs.plan import Decision, DecisionKind, Plan, PlanStatus
+from replan.planners.constant_speed import ConstantSpeed, arc
 
 AT_S = 0.5
 """When they turn bad."""

@@ -1,4 +1,4 @@
-"""Planners, metrics and readers that break one rule of `replay.contract` each, and are named for it."""
+"""Planners, metrics and readers that break one rule of `replan.contract` each, and are named for it."""
 
 import os
 import sys
@@ -10,13 +10,18 @@ from typing import Self
 import numpy as np
 import pandas as pd
 
-from logs import Frame, LogError, Mode, Plan, PlannerContext, PlanStatus, Scenario, Trace, Trajectory
-from logs.readers import LogSettings, Reader
-from logs.readers.base import LogContents
-from logs.readers.table import from_frames
-from logs.rules import Colour
-from metrics.metric import MEAN, Metric, Reduction, Series, Unavailable
-from planners.constant_speed import ConstantSpeed, arc
+from replan.core.errors import LogError
+from replan.logs.frame import Frame, PlannerContext
+from replan.logs.plan import Plan, PlanStatus
+from replan.logs.readers import LogSettings, Reader
+from replan.logs.readers.base import LogContents
+from replan.logs.readers.table import from_frames
+from replan.logs.rules import Colour
+from replan.logs.scenario import Scenario
+from replan.logs.states import Trajectory
+from replan.logs.trace import Mode, Trace
+from replan.metrics.metric import MEAN, Metric, Reduction, Series, Unavailable
+from replan.planners.constant_speed import ConstantSpeed, arc
 
 AHEAD = np.arange(0.0, 8.0, 0.1)
 

@@ -4,9 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from logs import AgentKind, Trajectory
-from logs.arrays import FloatArray
-from logs.tracks import Tracks
+from replan.core.arrays import FloatArray
+from replan.logs.agents import AgentKind
+from replan.logs.states import Trajectory
+from replan.logs.tracks import Tracks
 
 T = np.round(0.1 * np.arange(201), 6)
 

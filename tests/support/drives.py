@@ -5,22 +5,15 @@ from collections.abc import Callable, Sequence
 import handmade
 import numpy as np
 
-from logs import (
-    AgentKind,
-    Controls,
-    EndReason,
-    Lane,
-    Mode,
-    Plan,
-    PlannedFrame,
-    Road,
-    Scenario,
-    Trace,
-    Tracks,
-    Trajectory,
-    VehicleParameters,
-    transform,
-)
+from replan.logs.agents import AgentKind
+from replan.logs.edit import transform
+from replan.logs.plan import Plan
+from replan.logs.road import Lane, Road
+from replan.logs.scenario import Scenario
+from replan.logs.states import Controls, Trajectory
+from replan.logs.trace import EndReason, Mode, PlannedFrame, Trace
+from replan.logs.tracks import Tracks
+from replan.logs.vehicle import VehicleParameters
 
 Agent = tuple[str, AgentKind, Sequence[float], Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]]
 """Id, kind, (length, width), motion: t -> x, y, yaw."""

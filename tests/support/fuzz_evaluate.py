@@ -40,11 +40,11 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from mcap_cases import rich_scenario
 
-from logs.mcap import read_scenario, write_scenario
-from logs.readers import read_log
-from replay.cli import main as replan
-from replay.draw.report import overview, sections, write
-from replay.run import evaluate_logs  # imported here, so that no child has to
+from replan.cli import main as replan
+from replan.draw.report import overview, sections, write
+from replan.logs.mcap import read_scenario, write_scenario
+from replan.logs.readers import read_log
+from replan.run import evaluate_logs  # imported here, so that no child has to
 
 MOST_S, ADDRESSES = 60, 12 * 2**30
 OUTCOMES = ("judged", "refused", "crashed", "hung", "lost")

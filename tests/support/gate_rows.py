@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 
-from metrics import COLUMNS
+from replan.metrics import COLUMNS
 
 
 def row(log: str, value: float, **changes: object) -> dict[str, object]:

@@ -5,8 +5,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from logs import AgentKind, Frame, Goal, Plan, PlannerContext, Road, Scenario, Tracks, Trajectory, VehicleParameters
-from logs.arrays import FloatArray
+from replan.core.arrays import FloatArray
+from replan.logs.agents import AgentKind
+from replan.logs.frame import Frame, PlannerContext
+from replan.logs.plan import Plan
+from replan.logs.road import Goal, Road
+from replan.logs.scenario import Scenario
+from replan.logs.states import Trajectory
+from replan.logs.tracks import Tracks
+from replan.logs.vehicle import VehicleParameters
 
 Curvature = Callable[[FloatArray], FloatArray]
 

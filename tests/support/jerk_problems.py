@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from logs.arrays import FloatArray
-from planners.piecewise_jerk import interior_point
-from planners.piecewise_jerk.interior_point import ACCURACY_M, MAX_ITERATIONS, Solution
-from planners.piecewise_jerk.problem import PiecewiseJerkProblem, Weights
+from replan.core.arrays import FloatArray
+from replan.planners.piecewise_jerk import interior_point
+from replan.planners.piecewise_jerk.interior_point import ACCURACY_M, MAX_ITERATIONS, Solution
+from replan.planners.piecewise_jerk.problem import PiecewiseJerkProblem, Weights
 
 KINDS = {"roomy": 1.0, "tight": 0.02, "nearly infeasible": 1e-5, "soft": 0.02}
 """Room on either side of a curve that keeps all bounds, m."""

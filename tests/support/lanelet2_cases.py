@@ -7,8 +7,11 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from logs import ReferenceLine, Road, Scenario, Tracks, Trajectory
-from logs.arrays import FloatArray
+from replan.core.arrays import FloatArray
+from replan.logs.road import ReferenceLine, Road
+from replan.logs.scenario import Scenario
+from replan.logs.states import Trajectory
+from replan.logs.tracks import Tracks
 
 NORTH, EAST = 110_574.27582, 111_319.49079
 """Metres of a degree at latitude 0, longitude 0."""

@@ -10,22 +10,14 @@ import numpy as np
 from hypothesis import strategies as st
 from mcap.writer import CompressionType, Writer
 
-from logs import (
-    AgentKind,
-    Colour,
-    Controls,
-    Crosswalk,
-    Goal,
-    Lane,
-    Road,
-    Scenario,
-    StopLine,
-    Tracks,
-    TrafficLight,
-    Trajectory,
-    VehicleParameters,
-)
-from logs.repair.detections import Detections, Repair, TrackChange
+from replan.logs.agents import AgentKind
+from replan.logs.repair.detections import Detections, Repair, TrackChange
+from replan.logs.road import Goal, Lane, Road
+from replan.logs.rules import Colour, Crosswalk, StopLine, TrafficLight
+from replan.logs.scenario import Scenario
+from replan.logs.states import Controls, Trajectory
+from replan.logs.tracks import Tracks
+from replan.logs.vehicle import VehicleParameters
 
 START_NS = 1_700_000_000_123_456_789
 RECORD = {"replan.scenario": {"format_version": "1", "name": "by hand"}}

@@ -1,8 +1,8 @@
 """A metric as a user would write it."""
 
-from logs import Mode
-from metrics import Metric, Series
-from metrics.metric import MEAN
+from replan.logs.trace import Mode
+from replan.metrics import Metric, Series
+from replan.metrics.metric import MEAN
 
 MINE = Metric(
     "mine",

@@ -16,7 +16,7 @@ def started(*words: object, cwd: Path, **more: Any) -> subprocess.Popen[str]:
     return subprocess.Popen(
         [sys.executable, "-m", "replan", *map(str, words)], cwd=cwd, text=True, start_new_session=True,
         stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path])}, **more,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}, **more,
     )  # fmt: skip
 
 

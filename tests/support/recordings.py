@@ -7,7 +7,7 @@ import numpy as np
 import pyarrow as pa
 from rerun.chunk import RrdReader
 
-from logs.arrays import FloatArray
+from replan.core.arrays import FloatArray
 
 
 class Recording:

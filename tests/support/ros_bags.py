@@ -12,7 +12,7 @@ from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from replay.cli import ros_bag
+from replan.cli import ros_bag
 
 START_NS = 1_700_000_000_000_000_000
 SPEED, RADIUS, CENTRE = 8.0, 100.0, (89_000.0, 43_100.0)
@@ -24,7 +24,7 @@ Row = tuple[str, str, int, Any]
 def store(*, ros1: bool = False) -> Any:
     """A type store with all message types that the tests write."""
     types = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
-    text = files("logs.readers.ros").joinpath("definitions.msg").read_text()
+    text = files("replan.logs.readers.ros").joinpath("definitions.msg").read_text()
     found: dict[str, Any] = {}
     for part in text.split("=" * 20 + "\n")[1:]:
         name, _, body = part.partition("\n")

@@ -7,36 +7,28 @@ other: what the graphs show is what the ego then does.
 
 import numpy as np
 
-from logs import (
-    AgentKind,
-    Controls,
+from replan.core.arrays import FloatArray
+from replan.logs.agents import AgentKind
+from replan.logs.plan import (
     Corridor,
     CostTerms,
     Decision,
     DecisionKind,
-    EndReason,
-    Goal,
     GraphObstacle,
     GridCost,
-    Lane,
-    Mode,
     Plan,
-    PlannedFrame,
     PlanStart,
     PlanStatus,
-    ReferenceLine,
-    Road,
-    Scenario,
     SlGraph,
     SolverReport,
     StGraph,
-    Trace,
-    TrackingErrors,
-    Tracks,
-    Trajectory,
 )
-from logs.arrays import FloatArray
-from replay.drive import Drive, StageTime
+from replan.logs.road import Goal, Lane, ReferenceLine, Road
+from replan.logs.scenario import Scenario
+from replan.logs.states import Controls, Trajectory
+from replan.logs.trace import EndReason, Mode, PlannedFrame, Trace, TrackingErrors
+from replan.logs.tracks import Tracks
+from replan.replay.drive import Drive, StageTime
 
 END_S = 20.0
 HORIZON_S = 8.0

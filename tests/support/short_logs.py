@@ -6,11 +6,12 @@ from pathlib import Path
 
 from handmade import drive, lanes_along, scenario, square, straight, track, tracks
 
-from logs import Goal, Scenario
-from logs.mcap import write_scenario
-from replay.config import RunConfig
-from replay.draw.drawn_results import Results
-from replay.run import evaluate_logs
+from replan.config import RunConfig
+from replan.draw.drawn_results import Results
+from replan.logs.mcap import write_scenario
+from replan.logs.road import Goal
+from replan.logs.scenario import Scenario
+from replan.run import evaluate_logs
 
 QUICK = RunConfig(planners=("constant_speed",), recording=False)
 

@@ -14,15 +14,16 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from logs import AgentKind, Scenario
-from logs.arrays import BoolArray, FloatArray, IntArray
-from logs.catalogue.detector import Sight, detected, sight
-from logs.readers import read_log
-from logs.repair.detections import Detections
-from logs.repair.offline import repair
-from logs.repair.tracker import Tracked
-from logs.states import Trajectory
-from logs.tracks import Tracks
+from replan.core.arrays import BoolArray, FloatArray, IntArray
+from replan.logs.agents import AgentKind
+from replan.logs.catalogue.detector import Sight, detected, sight
+from replan.logs.readers import read_log
+from replan.logs.repair.detections import Detections
+from replan.logs.repair.offline import repair
+from replan.logs.repair.tracker import Tracked
+from replan.logs.scenario import Scenario
+from replan.logs.states import Trajectory
+from replan.logs.tracks import Tracks
 
 REACH_M, NEAR_M = 2.0, 15.0
 LEAST_FRAMES = 10

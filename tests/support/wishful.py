@@ -8,10 +8,13 @@ from hashlib import sha256
 
 import numpy as np
 
-from logs import Frame, Plan, PlannerContext, Scenario, Trace, Trajectory
-from logs.trace import Mode
-from metrics import Metric, Series
-from metrics.metric import MEAN
+from replan.logs.frame import Frame, PlannerContext
+from replan.logs.plan import Plan
+from replan.logs.scenario import Scenario
+from replan.logs.states import Trajectory
+from replan.logs.trace import Mode, Trace
+from replan.metrics import Metric, Series
+from replan.metrics.metric import MEAN
 
 BEST_MPS = 7.0
 STEPS = 0.1 * np.arange(41)

@@ -5,44 +5,33 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from logs import (
-    AgentKind,
-    Agents,
-    Command,
-    Decision,
-    DecisionKind,
-    EgoState,
-    Frame,
-    Goal,
-    Lane,
-    Plan,
-    PlannerContext,
-    Road,
-    Scenario,
-    Trajectory,
-    VehicleParameters,
-    Visibility,
-)
-from logs.arrays import FloatArray
-from logs.route import find_route
-from logs.shapes import distance
-from logs.transform import mirrored
-from planners.base import Planner
-from planners.dp_qp import DpQp
-from planners.dp_qp.goal_window import GoalWindow, SpeedTarget
-from planners.dp_qp.path.passing import PassTarget
-from planners.dp_qp.speed.caps import CautionConfig, LoweredLimit, PathView, SpeedCap, SpeedTask, lower_limit
-from planners.frenet.path import Path
-from planners.frenet.reference_path import ReferencePath, make_reference_path
-from planners.frenet.scene import Scene, scene_of
-from planners.frenet.st_boundaries import StGraphConfig, st_boundaries
-from replay.config import DEFAULT_LOOP, LoopConfig
-from replay.loop.perception import GroundTruth
-from replay.loop.simulation_setup import controller_of
-from replay.parts import CONTROLLER, VEHICLE, Part
-from replay.prediction import predict
-from replay.vehicle.plan_path import PlanPath
-from replay.world import World, logged_ego
+from replan.core.arrays import FloatArray
+from replan.logs.agents import AgentKind, Agents
+from replan.logs.edit.transform import mirrored
+from replan.logs.frame import Frame, PlannerContext, Visibility
+from replan.logs.plan import Decision, DecisionKind, Plan
+from replan.logs.road import Goal, Lane, Road
+from replan.logs.route import find_route
+from replan.logs.scenario import Scenario
+from replan.logs.shapes import distance
+from replan.logs.states import Command, EgoState, Trajectory
+from replan.logs.vehicle import VehicleParameters
+from replan.planners.base import Planner
+from replan.planners.dp_qp import DpQp
+from replan.planners.dp_qp.goal_window import GoalWindow, SpeedTarget
+from replan.planners.dp_qp.path.passing import PassTarget
+from replan.planners.dp_qp.speed.caps import CautionConfig, LoweredLimit, PathView, SpeedCap, SpeedTask, lower_limit
+from replan.planners.frenet.path import Path
+from replan.planners.frenet.reference_path import ReferencePath, make_reference_path
+from replan.planners.frenet.scene import Scene, scene_of
+from replan.planners.frenet.st_boundaries import StGraphConfig, st_boundaries
+from replan.replay.loop.simulation_setup import controller_of
+from replan.replay.loop_config import DEFAULT_LOOP, LoopConfig
+from replan.replay.parts import CONTROLLER, VEHICLE, Part
+from replan.replay.perception import GroundTruth
+from replan.replay.prediction import predict
+from replan.replay.vehicle.plan_path import PlanPath
+from replan.replay.world import World, logged_ego
 
 PERIOD = 0.1
 CAR = VehicleParameters()

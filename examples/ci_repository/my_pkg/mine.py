@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from logs import Frame, Plan, PlannerContext, ReferenceLine, Trajectory
+from replan.logs.frame import Frame, PlannerContext
+from replan.logs.plan import Plan
+from replan.logs.road import ReferenceLine
+from replan.logs.states import Trajectory
 
 STEP_S, STEPS = 0.1, 51
 HEADWAY_S, STANDSTILL_M, BESIDE_M = 1.5, 4.0, 1.8

@@ -21,18 +21,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.agents import AgentKind
-from logs.arrays import FloatArray
-from logs.errors import LogError
-from logs.observed import Spans, inferred
-from logs.readers.base import Reader
-from logs.readers.commonroad.document import Document, Obstacle, PlanningProblem, parse
-from logs.readers.commonroad.lanelets import lights_of, road_of, with_rules
-from logs.readers.commonroad.tracks import KINDS, ego_log, sized, tracks_of, trimmed, turned, velocities
-from logs.road import Goal, Road
-from logs.scenario import CENTRE, EGO_POSE, Scenario
-from logs.states import Trajectory
-from logs.vehicle import VehicleParameters
+from replan.core.arrays import FloatArray
+from replan.core.errors import LogError
+from replan.logs.agents import AgentKind
+from replan.logs.observed import Spans, inferred
+from replan.logs.readers.base import Reader
+from replan.logs.readers.commonroad.document import Document, Obstacle, PlanningProblem, parse
+from replan.logs.readers.commonroad.lanelets import lights_of, road_of, with_rules
+from replan.logs.readers.commonroad.tracks import KINDS, ego_log, sized, tracks_of, trimmed, turned, velocities
+from replan.logs.road import Goal, Road
+from replan.logs.scenario import CENTRE, EGO_POSE, Scenario
+from replan.logs.states import Trajectory
+from replan.logs.vehicle import VehicleParameters
 
 SAME_PLACE_M = 0.05
 MONA_PROBLEM_OFFSET = 90_000

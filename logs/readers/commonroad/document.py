@@ -21,10 +21,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from logs.arrays import FloatArray, frozen
-from logs.errors import LogError, in_file
-from logs.files import read_xml
-from logs.rules import Colour
+from replan.core.arrays import FloatArray, frozen
+from replan.core.errors import LogError, in_file
+from replan.core.files import read_xml
+from replan.logs.rules import Colour
 
 if TYPE_CHECKING:
     from xml.etree.ElementTree import Element

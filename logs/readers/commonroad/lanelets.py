@@ -41,9 +41,9 @@ from math import atan2, ceil, radians
 
 import numpy as np
 
-from logs.arrays import FloatArray
-from logs.maps.strips import CAR_WIDTH_M, dense, resampled
-from logs.readers.commonroad.document import (
+from replan.core.arrays import FloatArray
+from replan.logs.maps.strips import CAR_WIDTH_M, dense, resampled
+from replan.logs.readers.commonroad.document import (
     PRIORITY_SIGNS,
     STOP_SIGNS,
     YIELD_SIGNS,
@@ -52,9 +52,9 @@ from logs.readers.commonroad.document import (
     Lanelet,
     PlanningProblem,
 )
-from logs.road import Lane, Road
-from logs.rules import Colour, Crosswalk, StopLine, TrafficLight
-from logs.states import wrap
+from replan.logs.road import Lane, Road
+from replan.logs.rules import Colour, Crosswalk, StopLine, TrafficLight
+from replan.logs.states import wrap
 
 NOT_DRIVABLE = {"sidewalk", "crosswalk", "bicycleLane", "shoulder", "busLane", "busStop", "border", "restricted"}
 NOT_CROSSABLE = {"solid", "broad_solid", "solid_solid", "curb"}

@@ -18,8 +18,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.arrays import FloatArray
-from logs.readers.commonroad.document import OccupiedSet
+from replan.core.arrays import FloatArray
+from replan.logs.readers.commonroad.document import OccupiedSet
 
 EXCESS_M = 0.1
 """A box may be this much wider than the set on average, m."""

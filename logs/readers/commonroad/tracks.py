@@ -28,13 +28,13 @@ from math import radians
 
 import numpy as np
 
-from logs.agents import AgentKind
-from logs.arrays import FloatArray
-from logs.readers.commonroad.document import Document, Obstacle
-from logs.readers.commonroad.occupancy_sets import standing
-from logs.states import Trajectory, wrap
-from logs.tracks import Tracks
-from logs.vehicle import VehicleParameters
+from replan.core.arrays import FloatArray
+from replan.logs.agents import AgentKind
+from replan.logs.readers.commonroad.document import Document, Obstacle
+from replan.logs.readers.commonroad.occupancy_sets import standing
+from replan.logs.states import Trajectory, wrap
+from replan.logs.tracks import Tracks
+from replan.logs.vehicle import VehicleParameters
 
 KINDS = {
     "car": AgentKind.CAR, "taxi": AgentKind.CAR, "priorityVehicle": AgentKind.CAR, "parkedVehicle": AgentKind.CAR,

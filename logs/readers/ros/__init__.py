@@ -11,11 +11,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from logs.errors import LogError
-from logs.log_settings import LogSettings
-from logs.readers.base import LogContents, Reader, TopicSummary
-from logs.readers.ros.bag import BAG, LISTED_BYTES, MAGIC, METADATA, bag_files, opened
-from logs.scenario import Scenario
+from replan.core.errors import LogError
+from replan.logs.log_settings import LogSettings
+from replan.logs.readers.base import LogContents, Reader, TopicSummary
+from replan.logs.readers.ros.bag import BAG, LISTED_BYTES, MAGIC, METADATA, bag_files, opened
+from replan.logs.scenario import Scenario
 
 
 def _claims(path: Path) -> bool:
@@ -36,7 +36,7 @@ def _claims(path: Path) -> bool:
 
 
 def _read(path: Path, settings: LogSettings) -> Scenario:
-    from logs.readers.ros.read import read_bag  # here: it loads SciPy, which takes long
+    from replan.logs.readers.ros.read import read_bag  # here: it loads SciPy, which takes long
 
     return read_bag(path, settings)
 

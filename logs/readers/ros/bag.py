@@ -17,9 +17,9 @@ from typing import Any
 import numpy as np
 from zstandard import ZstdError, frame_content_size
 
-from logs.arrays import IntArray
-from logs.errors import LogError
-from logs.readers.ros.fields import SIMPLIFY, Types, Wanted, decoder, has_field
+from replan.core.arrays import IntArray
+from replan.core.errors import LogError
+from replan.logs.readers.ros.fields import SIMPLIFY, Types, Wanted, decoder, has_field
 
 MAGIC = {".bag": b"#ROSBAG V", ".db3": b"SQLite format 3\0", ".mcap": b"\x89MCAP0\r\n"}
 METADATA = "metadata.yaml"
@@ -79,7 +79,7 @@ class Bag:
         own = next((c.msgdef for c in topic.connections if c.msgdef.data), None)
         if own is None:  # what rosbags and replan know
             types = dict(get_typestore(Stores.ROS2_HUMBLE if self.is_ros2 else Stores.ROS1_NOETIC).fielddefs)
-            text = files("logs.readers.ros").joinpath("definitions.msg").read_text()
+            text = files("replan.logs.readers.ros").joinpath("definitions.msg").read_text()
             for part in text.split("=" * 20 + "\n")[1:]:
                 name, _, body = part.partition("\n")
                 types |= get_types_from_msg(body, name.removeprefix("MSG: ").strip())

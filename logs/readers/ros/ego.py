@@ -32,14 +32,14 @@ from typing import Any
 
 import numpy as np
 
-from logs.arrays import FloatArray, IntArray
-from logs.errors import LogError
-from logs.log_settings import LogSettings
-from logs.readers.recorded import held_curvature, rotated, stands, unit_or_identity
-from logs.readers.ros import schemas
-from logs.readers.ros.bag import Bag, Topic
-from logs.readers.ros.fields import Wanted
-from logs.readers.ros.frames import (
+from replan.core.arrays import FloatArray, IntArray
+from replan.core.errors import LogError
+from replan.logs.log_settings import LogSettings
+from replan.logs.readers.recorded import held_curvature, rotated, stands, unit_or_identity
+from replan.logs.readers.ros import schemas
+from replan.logs.readers.ros.bag import Bag, Topic
+from replan.logs.readers.ros.fields import Wanted
+from replan.logs.readers.ros.frames import (
     HELD,
     Clock,
     FrameTree,
@@ -51,7 +51,7 @@ from logs.readers.ros.frames import (
     restarts,
     times_of,
 )
-from logs.readers.ros.schemas import STAMP
+from replan.logs.readers.ros.schemas import STAMP
 
 NONE = "-"
 """Name of a topic in the settings that means: use no topic."""

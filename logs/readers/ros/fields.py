@@ -19,7 +19,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from logs.errors import LogError
+from replan.core.errors import LogError
 
 Wanted = tuple[Any, ...]
 """Names, and pairs (name, Wanted)."""
@@ -37,7 +37,7 @@ _DEEPEST = 24
 MOST_FIELDS = 10_000
 """Greatest number of fields of a message, nested messages included: Autoware's largest types have some 100."""
 MOST_FIXED_BYTES = 1 << 30
-"""Largest list of fixed length, bytes: no message is longer (`logs.readers.ros.bag.MAX_CHUNK_BYTES`)."""
+"""Largest list of fixed length, bytes: no message is longer (`replan.logs.readers.ros.bag.MAX_CHUNK_BYTES`)."""
 SIMPLIFY = "record the topic with a simpler message type, or leave it out of the bag"
 ENDS = {0: ">", 1: "<"}
 """Byte order by the second byte of the encapsulation header of plain XCDR1."""

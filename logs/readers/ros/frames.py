@@ -1,6 +1,6 @@
 """The tree of coordinate frames of a bag, and the clock of its messages.
 
-Frames. `/tf` and `/tf_static` are the edges. With q the rotation (`logs.readers.recorded`) and p the translation of
+Frames. `/tf` and `/tf_static` are the edges. With q the rotation (`replan.logs.readers.recorded`) and p the translation of
 a child in its parent, a chain of two edges is
 
 (1) p = p1 + q1 p2 q1*,   q = q1 q2
@@ -26,10 +26,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from logs.arrays import FloatArray, IntArray
-from logs.errors import LogError
-from logs.names import listed
-from logs.readers.recorded import heading, product, rotated, unit_or_identity
+from replan.core.arrays import FloatArray, IntArray
+from replan.core.errors import LogError
+from replan.core.names import listed
+from replan.logs.readers.recorded import heading, product, rotated, unit_or_identity
 
 HELD, BETWEEN = "held", "between"
 

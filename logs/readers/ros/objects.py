@@ -2,7 +2,7 @@
 
 (1) p_map = T_map,frame(t) p_frame with the transform at the time of the message; heading that of the rotated x axis
 (2) velocity: rotated from the object's frame or the message's into the map. If the type does not define the frame, or
-    the data contradict it, the frame that fits the displacement (`logs.conventions`) is used; if neither fits, no
+    the data contradict it, the frame that fits the displacement (`replan.logs.conventions`) is used; if neither fits, no
     velocity is
 
 An outline without a box (cluster, polygon) becomes the smallest rectangle around it, one side of which lies along an
@@ -16,16 +16,16 @@ from typing import Any
 
 import numpy as np
 
-from logs.agents import AgentKind
-from logs.arrays import BoolArray, FloatArray, IntArray
-from logs.conventions import Chords
-from logs.readers.recorded import heading, rotated, unit_or_identity
-from logs.readers.ros import schemas
-from logs.readers.ros.bag import Bag, Topic
-from logs.readers.ros.ego import POSITION, BagPart
-from logs.readers.ros.frames import BETWEEN, FrameTree, Poses, composed
-from logs.readers.ros.schemas import ObjectSchema
-from logs.readers.ros.tracks import Samples, identified
+from replan.core.arrays import BoolArray, FloatArray, IntArray
+from replan.logs.agents import AgentKind
+from replan.logs.conventions import Chords
+from replan.logs.readers.recorded import heading, rotated, unit_or_identity
+from replan.logs.readers.ros import schemas
+from replan.logs.readers.ros.bag import Bag, Topic
+from replan.logs.readers.ros.ego import POSITION, BagPart
+from replan.logs.readers.ros.frames import BETWEEN, FrameTree, Poses, composed
+from replan.logs.readers.ros.schemas import ObjectSchema
+from replan.logs.readers.ros.tracks import Samples, identified
 
 MISFIT = 0.5
 """Logged velocities whose median difference exceeds this share of the speed are not used."""

@@ -23,28 +23,37 @@ from pathlib import Path
 
 import numpy as np
 
-from logs.arrays import FloatArray
-from logs.complete import derived_acceleration, derived_curvature, road_along
-from logs.cut import DETECTED_S, HISTORY_S
-from logs.errors import LogError
-from logs.log_settings import LogSettings
-from logs.observed import Spans, of_stream
-from logs.readers.admission import reason_to_repair
-from logs.readers.recorded import unit_or_identity
-from logs.readers.ros import schemas
-from logs.readers.ros.bag import Bag, opened
-from logs.readers.ros.ego import POSITION, BagPart, EgoLog, at_poses, begin_of, read_ego, signal, states
-from logs.readers.ros.frames import HELD, LASTS_S, LOG_CLOCK, OTHER_CLOCK_S, Clock, Poses, describe_timing, times_of
-from logs.readers.ros.objects import read_messages, samples_of
-from logs.readers.ros.schemas import STAMP
-from logs.readers.ros.tracks import identified, tracks_of
-from logs.repair.detections import Detections
-from logs.road import GOAL_LENGTH_M, GOAL_WIDTH_M, Goal
-from logs.rules import Colour, TrafficLight
-from logs.scenario import Scenario
-from logs.states import Controls, OnboardPlan, Trajectory
-from logs.tracks import Tracks
-from logs.vehicle import VEHICLE_ASSUMED, VehicleParameters, assumed_car
+from replan.core.arrays import FloatArray
+from replan.core.errors import LogError
+from replan.logs.complete import derived_acceleration, derived_curvature, road_along
+from replan.logs.edit.cut import DETECTED_S, HISTORY_S
+from replan.logs.log_settings import LogSettings
+from replan.logs.observed import Spans, of_stream
+from replan.logs.readers.admission import reason_to_repair
+from replan.logs.readers.recorded import unit_or_identity
+from replan.logs.readers.ros import schemas
+from replan.logs.readers.ros.bag import Bag, opened
+from replan.logs.readers.ros.ego import POSITION, BagPart, EgoLog, at_poses, begin_of, read_ego, signal, states
+from replan.logs.readers.ros.frames import (
+    HELD,
+    LASTS_S,
+    LOG_CLOCK,
+    OTHER_CLOCK_S,
+    Clock,
+    Poses,
+    describe_timing,
+    times_of,
+)
+from replan.logs.readers.ros.objects import read_messages, samples_of
+from replan.logs.readers.ros.schemas import STAMP
+from replan.logs.readers.ros.tracks import identified, tracks_of
+from replan.logs.repair.detections import Detections
+from replan.logs.road import GOAL_LENGTH_M, GOAL_WIDTH_M, Goal
+from replan.logs.rules import Colour, TrafficLight
+from replan.logs.scenario import Scenario
+from replan.logs.states import Controls, OnboardPlan, Trajectory
+from replan.logs.tracks import Tracks
+from replan.logs.vehicle import VEHICLE_ASSUMED, VehicleParameters, assumed_car
 
 HEAD_S = 2.0
 """Time at the log's begin that is read to find t = 0 if only a later part is wanted, s."""

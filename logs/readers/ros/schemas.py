@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from logs.agents import AgentKind
-from logs.rules import Colour
+from replan.logs.agents import AgentKind
+from replan.logs.rules import Colour
 
 STAMP = ("header.stamp.sec", "header.stamp.nanosec")
 CAR, TRUCK, BUS, MOTORCYCLE, BICYCLE, PEDESTRIAN, OBJECT = AgentKind

@@ -1,6 +1,6 @@
 """Finds the identities of objects over time, and makes tracks with one box, kind and front each.
 
-Identities. Where perception numbers the entries of each list anew (`logs.repair.detections`), ids are no identities.
+Identities. Where perception numbers the entries of each list anew (`replan.logs.repair.detections`), ids are no identities.
 Then the objects of a frame are assigned to those known so far, by the least sum of distances to the positions expected
 from earlier samples. Outlines of clusters split and merge: an outline whose size differs from that with which an object
 began is another object, since a box has one size.
@@ -19,11 +19,11 @@ from itertools import pairwise
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from logs.agents import USUAL_SIZE_M, AgentKind, codes_of
-from logs.arrays import BoolArray, Columns, FloatArray, IntArray
-from logs.readers.ros.ego import AGENT_WINDOW_S, OBJECT_WINDOW_S, rates, spread
-from logs.repair.detections import Detections, no_identities
-from logs.tracks import Tracks
+from replan.core.arrays import BoolArray, Columns, FloatArray, IntArray
+from replan.logs.agents import USUAL_SIZE_M, AgentKind, codes_of
+from replan.logs.readers.ros.ego import AGENT_WINDOW_S, OBJECT_WINDOW_S, rates, spread
+from replan.logs.repair.detections import Detections, no_identities
+from replan.logs.tracks import Tracks
 
 NOISE_M = {
     AgentKind.PEDESTRIAN: 0.07, AgentKind.BICYCLE: 0.07, AgentKind.MOTORCYCLE: 0.17, AgentKind.TRUCK: 0.17,

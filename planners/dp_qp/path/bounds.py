@@ -18,15 +18,15 @@ from math import hypot
 
 import numpy as np
 
-from logs.arrays import BoolArray, FloatArray, IntArray
-from logs.kernel import kernel
-from logs.plan import Decision, DecisionKind
-from logs.road import line_project
-from logs.shapes import corners
-from logs.vehicle import VehicleParameters
-from planners.dp_qp.path.corridor import Borrowed, lane_edges, narrowed_beside, room_beside
-from planners.frenet.reference_path import ReferencePath
-from planners.frenet.scene import Bodies, Occupancy, Scene
+from replan.core.arrays import BoolArray, FloatArray, IntArray
+from replan.core.kernel import kernel
+from replan.logs.plan import Decision, DecisionKind
+from replan.logs.road import line_project
+from replan.logs.shapes import corners
+from replan.logs.vehicle import VehicleParameters
+from replan.planners.dp_qp.path.corridor import Borrowed, lane_edges, narrowed_beside, room_beside
+from replan.planners.frenet.reference_path import ReferencePath
+from replan.planners.frenet.scene import Bodies, Occupancy, Scene
 
 SIDES = {DecisionKind.NUDGE_LEFT: 1.0, DecisionKind.NUDGE_RIGHT: -1.0}
 """The decisions to pass, and the side in the form that kernels take."""

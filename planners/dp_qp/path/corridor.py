@@ -33,11 +33,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.arrays import TIE, BoolArray, FloatArray, frozen
-from logs.kernel import inner_kernel, kernel
-from planners.frenet.path import MIN_REGULAR, quintic
-from planners.frenet.reference_path import CrossSections, sections
-from planners.piecewise_jerk.problem import DDDX, DDX, DX, LEADS, X
+from replan.core.arrays import TIE, BoolArray, FloatArray, frozen
+from replan.core.kernel import inner_kernel, kernel
+from replan.planners.frenet.path import MIN_REGULAR, quintic
+from replan.planners.frenet.reference_path import CrossSections, sections
+from replan.planners.piecewise_jerk.problem import DDDX, DDX, DX, LEADS, X
 
 KNOT, LIMIT, KAPPA = 0, 1, 2
 """Rows of `RoadAhead.along`: station of a knot, m; speed limit, m/s; curvature of the reference line, 1/m."""

@@ -25,9 +25,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.arrays import TIE, FloatArray, IntArray
-from logs.kernel import inner_kernel, kernel
-from planners.frenet.path import quintic
+from replan.core.arrays import TIE, FloatArray, IntArray
+from replan.core.kernel import inner_kernel, kernel
+from replan.planners.frenet.path import quintic
 
 COLLISION = 1e4  # Cost of a metre of way inside a box (3): more than any detour
 OUTSIDE = 1e3  # Cost of a metre of way a metre outside of the corridor (2): less than a collision, more than any detour

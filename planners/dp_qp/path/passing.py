@@ -34,16 +34,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.agents import AgentKind, among
-from logs.arrays import BoolArray, FloatArray
-from logs.kernel import kernel
-from logs.road import line_project, line_project_many
-from logs.vehicle import VehicleParameters
-from planners.dp_qp.path.bounds import CorridorConfig, InTheWay, PathBounds, side_gaps, swing_span
-from planners.frenet.path import interpolated
-from planners.frenet.profiles import STEP_S
-from planners.frenet.reference_path import CrossSections, ReferencePath
-from planners.frenet.scene import UNLIKELY, AgentsAlong, Bodies, Futures, Occupancy, Scene
+from replan.core.arrays import BoolArray, FloatArray
+from replan.core.kernel import kernel
+from replan.logs.agents import AgentKind, among
+from replan.logs.road import line_project, line_project_many
+from replan.logs.vehicle import VehicleParameters
+from replan.planners.dp_qp.path.bounds import CorridorConfig, InTheWay, PathBounds, side_gaps, swing_span
+from replan.planners.frenet.path import interpolated
+from replan.planners.frenet.profiles import STEP_S
+from replan.planners.frenet.reference_path import CrossSections, ReferencePath
+from replan.planners.frenet.scene import UNLIKELY, AgentsAlong, Bodies, Futures, Occupancy, Scene
 
 PASSED = among(AgentKind.PEDESTRIAN, AgentKind.BICYCLE)
 """The kinds of agents that the ego passes while they move, by code."""

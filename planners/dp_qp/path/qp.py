@@ -1,6 +1,6 @@
 """Path QP: the smoothest path in the corridor (paper, eq. 18, with the squares inside the sums).
 
-Unknown l, l', l'' at knots s_i, step h, piecewise-constant l''' (`planners.piecewise_jerk`).
+Unknown l, l', l'' at knots s_i, step h, piecewise-constant l''' (`replan.planners.piecewise_jerk`).
 Minimise J_1 + ... + J_5 with
 
 (1) J_1 = w_ref  sum l_i^2                       the reference line
@@ -27,11 +27,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from logs.arrays import FloatArray
-from logs.plan import CostTerms
-from planners.piecewise_jerk.problem import PiecewiseJerkProblem, Weights, X
-from planners.piecewise_jerk.solvers import DEFAULT, solve
-from planners.solver import QPResult
+from replan.core.arrays import FloatArray
+from replan.logs.plan import CostTerms
+from replan.planners.piecewise_jerk.problem import PiecewiseJerkProblem, Weights, X
+from replan.planners.piecewise_jerk.solvers import DEFAULT, solve
+from replan.planners.solver import QPResult
 
 OUTSIDE = 1e4  # Cost of a shift of (6), softened, 1/m2
 TOLERANCE = 1e-2  # Largest violation of a bound in a solution, in the units of the row
@@ -64,7 +64,7 @@ class PathQp:
     """The path QP over one length, m, with weights for a speed, m/s.
 
     `leads` are those of (6), m before the rear axle; the first is 0. `solver` is one of
-    `planners.piecewise_jerk.solvers`.
+    `replan.planners.piecewise_jerk.solvers`.
     """
 
     def __init__(

@@ -7,14 +7,14 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from logs.agents import AgentKind
-from logs.arrays import TIE, FloatArray
-from logs.frame import PlannerContext
-from logs.plan import Artefact, Corridor, Decision, DecisionKind, GraphObstacle, GridCost, SlGraph, SolverReport
-from planners.dp_qp.goal_window import GoalWindow
-from planners.dp_qp.path import bounds
-from planners.dp_qp.path.bounds import SIDES, CorridorConfig, InTheWay, PathBounds
-from planners.dp_qp.path.corridor import (
+from replan.core.arrays import TIE, FloatArray
+from replan.logs.agents import AgentKind
+from replan.logs.frame import PlannerContext
+from replan.logs.plan import Artefact, Corridor, Decision, DecisionKind, GraphObstacle, GridCost, SlGraph, SolverReport
+from replan.planners.dp_qp.goal_window import GoalWindow
+from replan.planners.dp_qp.path import bounds
+from replan.planners.dp_qp.path.bounds import SIDES, CorridorConfig, InTheWay, PathBounds
+from replan.planners.dp_qp.path.corridor import (
     HERE,
     KNOT,
     LOWER,
@@ -26,14 +26,14 @@ from planners.dp_qp.path.corridor import (
     loosen_bounds,
     road_ahead,
 )
-from planners.dp_qp.path.dp import PathDpConfig, SlGrid, solve_path_dp
-from planners.dp_qp.path.passing import find_blocking, may_block, passed_by_oncoming_lane, waiting_place
-from planners.dp_qp.path.qp import PathQp, PathQpConfig
-from planners.frenet.path import Path, drivable_path
-from planners.frenet.scene import Occupancy, Scene
-from planners.piecewise_jerk.problem import LEADS, PiecewiseJerkProblem, X
-from planners.piecewise_jerk.solvers import DEFAULT
-from planners.solver import QPResult
+from replan.planners.dp_qp.path.dp import PathDpConfig, SlGrid, solve_path_dp
+from replan.planners.dp_qp.path.passing import find_blocking, may_block, passed_by_oncoming_lane, waiting_place
+from replan.planners.dp_qp.path.qp import PathQp, PathQpConfig
+from replan.planners.frenet.path import Path, drivable_path
+from replan.planners.frenet.scene import Occupancy, Scene
+from replan.planners.piecewise_jerk.problem import LEADS, PiecewiseJerkProblem, X
+from replan.planners.piecewise_jerk.solvers import DEFAULT
+from replan.planners.solver import QPResult
 
 LENGTHS_M = (60.0, 90.0, 130.0, 180.0, 250.0, 340.0)
 """Path lengths, m; the shortest that holds the horizon at the present speed is used, so that weights stay constant."""

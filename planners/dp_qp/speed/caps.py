@@ -38,18 +38,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.agents import AgentKind, Agents
-from logs.arrays import TIE, BoolArray, FloatArray
-from logs.frame import Visibility
-from logs.kernel import kernel
-from logs.plan import Decision, DecisionKind
-from logs.vehicle import VehicleParameters
-from planners.dp_qp.goal_window import GoalWindow, SpeedTarget
-from planners.dp_qp.path.passing import NEAR_M, PassTarget
-from planners.frenet.path import Path
-from planners.frenet.scene import Occupancy, Scene, open_end
-from planners.frenet.st_boundaries import StBoundaries
-from planners.rules.zones import TOWARDS_MPS
+from replan.core.arrays import TIE, BoolArray, FloatArray
+from replan.core.kernel import kernel
+from replan.logs.agents import AgentKind, Agents
+from replan.logs.frame import Visibility
+from replan.logs.plan import Decision, DecisionKind
+from replan.logs.vehicle import VehicleParameters
+from replan.planners.dp_qp.goal_window import GoalWindow, SpeedTarget
+from replan.planners.dp_qp.path.passing import NEAR_M, PassTarget
+from replan.planners.frenet.path import Path
+from replan.planners.frenet.scene import Occupancy, Scene, open_end
+from replan.planners.frenet.st_boundaries import StBoundaries
+from replan.planners.rules.zones import TOWARDS_MPS
 
 WORTH_MPS = 0.5  # A cap is reported as a decision where it lowers the limit by more than this, m/s
 REACTION_S = 0.5  # T, s, until the ego brakes: a frame, the sensor's latency, the brake's dead time and lag

@@ -29,13 +29,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.agents import AgentKind, among
-from logs.arrays import TIE, BoolArray, FloatArray, IntArray
-from logs.kernel import kernel
-from logs.road import line_frame
-from planners.frenet.path import Path
-from planners.frenet.scene import STANDING_MPS, UNLIKELY, AgentsAlong, Bodies, Scene
-from planners.frenet.st_boundaries import ALONG, StBoundaries, SweptPath
+from replan.core.arrays import TIE, BoolArray, FloatArray, IntArray
+from replan.core.kernel import kernel
+from replan.logs.agents import AgentKind, among
+from replan.logs.road import line_frame
+from replan.planners.frenet.path import Path
+from replan.planners.frenet.scene import STANDING_MPS, UNLIKELY, AgentsAlong, Bodies, Scene
+from replan.planners.frenet.st_boundaries import ALONG, StBoundaries, SweptPath
 
 CERTAIN, NEGLIGIBLE, SURE = 0.5, 0.05, 0.8
 AGE_S, UNSEEN_S = 0.8, 0.3

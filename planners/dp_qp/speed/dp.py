@@ -24,8 +24,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.arrays import TIE, FloatArray, IntArray
-from logs.kernel import inner_kernel, kernel
+from replan.core.arrays import TIE, FloatArray, IntArray
+from replan.core.kernel import inner_kernel, kernel
 
 COLLISION = 1e5  # Cost of a second inside a blocked interval (2): more than all other costs together
 LIKELY = 300.0

@@ -17,14 +17,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.arrays import BoolArray, FloatArray, IntArray
-from logs.kernel import inner_kernel, kernel
-from planners.dp_qp.speed.dp import DS_M, DT_S, LIKELY, SpeedDpWeights, cost_map, occupied_rows, speed_dp
-from planners.dp_qp.speed.qp import SpeedProblem
-from planners.frenet.path import interpolated
-from planners.frenet.profiles import STEP_S, KnotLimits, braking, cruising, limit_profile
-from planners.frenet.scene import STANDING_MPS
-from planners.frenet.st_boundaries import OVERTAKE, YIELD, decide
+from replan.core.arrays import BoolArray, FloatArray, IntArray
+from replan.core.kernel import inner_kernel, kernel
+from replan.planners.dp_qp.speed.dp import DS_M, DT_S, LIKELY, SpeedDpWeights, cost_map, occupied_rows, speed_dp
+from replan.planners.dp_qp.speed.qp import SpeedProblem
+from replan.planners.frenet.path import interpolated
+from replan.planners.frenet.profiles import STEP_S, KnotLimits, braking, cruising, limit_profile
+from replan.planners.frenet.scene import STANDING_MPS
+from replan.planners.frenet.st_boundaries import OVERTAKE, YIELD, decide
 
 SPEED_ROOM_MPS = 0.8
 """Excess of the bound of v over the limit, m/s, so that the profile is smooth; a cap that is a bound has none."""

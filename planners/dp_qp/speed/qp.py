@@ -1,10 +1,10 @@
 """Speed QP: the smoothest speed profile between the bounds that the speed DP decided.
 
-Unknown s, v, a at knots every 0.1 s, piecewise-constant jerk (`planners.piecewise_jerk`). Minimise
+Unknown s, v, a at knots every 0.1 s, piecewise-constant jerk (`replan.planners.piecewise_jerk`). Minimise
 
 (1) sum w_s (s - s_ref)^2 + w_v (v - v_ref)^2 + w_a a^2 + w_j jerk^2
 
-subject to s_lower(t) <= s <= s_upper(t) from the decisions, 0 <= v <= v_limit (`planners.frenet.profiles`, (1)), a and
+subject to s_lower(t) <= s <= s_upper(t) from the decisions, 0 <= v <= v_limit (`replan.planners.frenet.profiles`, (1)), a and
 jerk limits, and the start.
 
 (2) `braking` takes the mildest limits of acceleration and jerk with which braking keeps s_upper, so that the problem
@@ -30,14 +30,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.arrays import FloatArray
-from logs.kernel import kernel
-from logs.plan import CostTerms, SolverReport
-from planners.frenet.profiles import COMFORT, EMERGENCY, STEP_S, KnotLimits, SpeedLimits, braking
-from planners.frenet.st_boundaries import StBoundaries, StGraphConfig
-from planners.piecewise_jerk.problem import PiecewiseJerkProblem, Weights
-from planners.piecewise_jerk.solvers import DEFAULT, solve
-from planners.solver import QPResult
+from replan.core.arrays import FloatArray
+from replan.core.kernel import kernel
+from replan.logs.plan import CostTerms, SolverReport
+from replan.planners.frenet.profiles import COMFORT, EMERGENCY, STEP_S, KnotLimits, SpeedLimits, braking
+from replan.planners.frenet.st_boundaries import StBoundaries, StGraphConfig
+from replan.planners.piecewise_jerk.problem import PiecewiseJerkProblem, Weights
+from replan.planners.piecewise_jerk.solvers import DEFAULT, solve
+from replan.planners.solver import QPResult
 
 Rows = tuple[FloatArray, FloatArray, FloatArray, FloatArray]  # The result of `rows_of`
 NO_LEADS = np.empty(0)  # A speed profile has no points ahead of the rear axle
@@ -115,7 +115,7 @@ class SpeedProblem(NamedTuple):
 
 
 class SpeedQp:
-    """The speed QP, for a solver of `planners.piecewise_jerk.solvers`."""
+    """The speed QP, for a solver of `replan.planners.piecewise_jerk.solvers`."""
 
     def __init__(self, config: SpeedQpConfig, solver: str = DEFAULT) -> None:
         self._config, self._solver = config, solver

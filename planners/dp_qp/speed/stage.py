@@ -12,12 +12,12 @@ from functools import partial
 
 import numpy as np
 
-from logs.arrays import BoolArray, FloatArray, IntArray
-from logs.frame import PlannerContext
-from logs.plan import Artefact, Corridor, Decision, DecisionKind, GridCost, SolverReport, StGraph
-from planners.dp_qp.goal_window import HURRIED_GAP_S
-from planners.dp_qp.speed import doubt
-from planners.dp_qp.speed.caps import (
+from replan.core.arrays import BoolArray, FloatArray, IntArray
+from replan.logs.frame import PlannerContext
+from replan.logs.plan import Artefact, Corridor, Decision, DecisionKind, GridCost, SolverReport, StGraph
+from replan.planners.dp_qp.goal_window import HURRIED_GAP_S
+from replan.planners.dp_qp.speed import doubt
+from replan.planners.dp_qp.speed.caps import (
     OTHERS,
     OWN,
     CautionConfig,
@@ -27,13 +27,13 @@ from planners.dp_qp.speed.caps import (
     came_to_path,
     lower_limit,
 )
-from planners.dp_qp.speed.dp import COLLISION, DS_M, DT_S, SpeedDpConfig
-from planners.dp_qp.speed.problem import BuiltProblem, PathLimits, Settings, Taken, build_problem
-from planners.dp_qp.speed.qp import RESERVE, TOLERANCE, Attempts, BrakingLadder, SolvedSpeed, SpeedQpConfig
-from planners.frenet.path import Path
-from planners.frenet.profiles import STEP_S
-from planners.frenet.scene import STANDING_MPS, Scene
-from planners.frenet.st_boundaries import (
+from replan.planners.dp_qp.speed.dp import COLLISION, DS_M, DT_S, SpeedDpConfig
+from replan.planners.dp_qp.speed.problem import BuiltProblem, PathLimits, Settings, Taken, build_problem
+from replan.planners.dp_qp.speed.qp import RESERVE, TOLERANCE, Attempts, BrakingLadder, SolvedSpeed, SpeedQpConfig
+from replan.planners.frenet.path import Path
+from replan.planners.frenet.profiles import STEP_S
+from replan.planners.frenet.scene import STANDING_MPS, Scene
+from replan.planners.frenet.st_boundaries import (
     ALONG,
     OVERTAKE,
     YIELD,
@@ -44,7 +44,7 @@ from planners.frenet.st_boundaries import (
     st_boundaries,
     stop_outlines,
 )
-from planners.piecewise_jerk.solvers import DEFAULT
+from replan.planners.piecewise_jerk.solvers import DEFAULT
 
 CHANGE_S = 0.5  # Delay with which the ego must still be first to overtake an agent that it yielded to, s
 FIRST_S = 1.0

@@ -9,13 +9,16 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from mcap_cases import differences
 
-from logs import Colour, ConfigError, DecisionKind, Scenario
-from logs.catalogue import CATALOGUE
-from logs.catalogue.family import touches
-from logs.catalogue.family_parts import MAX_ACCEL, MAX_BRAKE, MAX_JERK, Ahead, drive
-from logs.catalogue.pedestrians import Leg, strolled
-from logs.catalogue.roads import curve, weaving
-from logs.shapes import distance
+from replan.core.errors import ConfigError
+from replan.logs.catalogue import CATALOGUE
+from replan.logs.catalogue.family import touches
+from replan.logs.catalogue.family_parts import MAX_ACCEL, MAX_BRAKE, MAX_JERK, Ahead, drive
+from replan.logs.catalogue.pedestrians import Leg, strolled
+from replan.logs.catalogue.roads import curve, weaving
+from replan.logs.plan import DecisionKind
+from replan.logs.rules import Colour
+from replan.logs.scenario import Scenario
+from replan.logs.shapes import distance
 
 SCENARIOS = {name: family.scenario() for name, family in CATALOGUE.items()}
 everywhere = pytest.mark.parametrize("name", list(CATALOGUE))

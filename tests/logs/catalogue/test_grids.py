@@ -10,17 +10,19 @@ import pytest
 from command_line import replan
 from hypothesis import given, settings, strategies as st
 
-from logs import ConfigError, DecisionKind, Scenario
-from logs.catalogue import CATALOGUE, FAMILIES, SUITES, scenario, spread, suite
-from logs.catalogue.family import touches
-from logs.catalogue.family_parts import START_M, drive
-from logs.catalogue.iso3888 import cones, double_lane_change
-from logs.catalogue.roads import curve
-from logs.mcap import write_scenario
-from logs.readers import read_log
-from logs.vehicle import VehicleParameters
-from metrics.health import findings
-from replay.paper.manoeuvres import cones_hit
+from replan.core.errors import ConfigError
+from replan.logs.catalogue import CATALOGUE, FAMILIES, SUITES, scenario, spread, suite
+from replan.logs.catalogue.family import touches
+from replan.logs.catalogue.family_parts import START_M, drive
+from replan.logs.catalogue.iso3888 import cones, double_lane_change
+from replan.logs.catalogue.roads import curve
+from replan.logs.mcap import write_scenario
+from replan.logs.plan import DecisionKind
+from replan.logs.readers import read_log
+from replan.logs.scenario import Scenario
+from replan.logs.vehicle import VehicleParameters
+from replan.metrics.health import findings
+from replan.paper.manoeuvres import cones_hit
 
 GRIDS = [name for name, family in FAMILIES.items() if family.grid]
 CAR = VehicleParameters()

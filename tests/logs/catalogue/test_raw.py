@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from track_score import repaired_score
 
-from logs import Scenario
-from logs.catalogue import CATALOGUE, FAMILIES, raw
-from logs.readers import read_log
-from logs.repair.detections import Detections, needs_repair
-from replay.cli.synth import ROS2, synthesise
-from replay.run.sources import LogSource
+from replan.cli.synth import ROS2, synthesise
+from replan.logs.catalogue import CATALOGUE, FAMILIES, raw
+from replan.logs.readers import read_log
+from replan.logs.repair.detections import Detections, needs_repair
+from replan.logs.scenario import Scenario
+from replan.run.sources import LogSource
 
 
 def detections(name: str, **parameters: float) -> Detections:

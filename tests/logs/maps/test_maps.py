@@ -9,15 +9,16 @@ import pytest
 from hypothesis import assume, given, settings, strategies as st
 from lanelet2_cases import MapWriter, crossroads, driven_along
 
-from logs import LogError, Road, Scenario
-from logs.maps import MapFile, lanelet2, read_map
-from logs.maps.lanelet2_file import placed_points, read_osm
-from logs.maps.lanelet2_lanes import Bound, crossable, oriented, paired, speed_in, strips_of
-from logs.maps.projections import Projection, parse_projection, utm
-from logs.mcap import read_scenario, write_scenario
-from logs.readers import LogSettings, read_log
-from logs.road import IN_JUNCTION
-from replay.run.sources import LogSource
+from replan.core.errors import LogError
+from replan.logs.maps import MapFile, lanelet2, read_map
+from replan.logs.maps.lanelet2_file import placed_points, read_osm
+from replan.logs.maps.lanelet2_lanes import Bound, crossable, oriented, paired, speed_in, strips_of
+from replan.logs.maps.projections import Projection, parse_projection, utm
+from replan.logs.mcap import read_scenario, write_scenario
+from replan.logs.readers import LogSettings, read_log
+from replan.logs.road import IN_JUNCTION, Road
+from replan.logs.scenario import Scenario
+from replan.run.sources import LogSource
 
 MAP, NAMES = crossroads()
 CALLED = {number: name for name, number in NAMES.items()}

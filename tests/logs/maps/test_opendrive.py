@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from lanelet2_cases import driven_along, through
 
-from logs import LogError
-from logs.maps import MapFile, read_map
-from logs.mcap import write_scenario
-from logs.readers import LogSettings, read_log
-from logs.road import IN_JUNCTION
+from replan.core.errors import LogError
+from replan.logs.maps import MapFile, read_map
+from replan.logs.mcap import write_scenario
+from replan.logs.readers import LogSettings, read_log
+from replan.logs.road import IN_JUNCTION
 
 needs_pyxodr = pytest.mark.skipif(find_spec("pyxodr") is None, reason="pyxodr (extra opendrive) is not installed")
 CURVATURE = 0.02
@@ -143,7 +143,7 @@ def test_a_curve_that_is_a_simpler_one_is_read_as_that(shape: str, simple: str, 
 )
 @settings(max_examples=30, deadline=None)
 def test_any_spiral_ends_where_its_curvature_leads(first: float, change: float, length: float) -> None:
-    from logs.maps.opendrive import read_opendrive
+    from replan.logs.maps.opendrive import read_opendrive
 
     s = np.linspace(0.0, length, 20_001)
     yaw = first * s + change * s**2 / (2.0 * length)

@@ -9,9 +9,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 from mcap_cases import RECORD, STATE, TABLE, differences, ego_states, rich_scenario, write_by_hand
 
-from logs import Colour, LogError, RoadSource
-from logs.mcap import read_scenario, write_scenario
-from logs.summary import summarise
+from replan.core.errors import LogError
+from replan.logs.mcap import read_scenario, write_scenario
+from replan.logs.road import RoadSource
+from replan.logs.rules import Colour
+from replan.logs.summary import summarise
 
 fuzz = settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 

@@ -11,9 +11,11 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from mcap.writer import Writer
 from mcap_cases import differences
 
-from logs import AgentKind, LogError, RoadSource
-from logs.mcap import read_scenario, write_scenario
-from logs.summary import summarise
+from replan.core.errors import LogError
+from replan.logs.agents import AgentKind
+from replan.logs.mcap import read_scenario, write_scenario
+from replan.logs.road import RoadSource
+from replan.logs.summary import summarise
 
 ENUMS = {
     "Kind": ["TYPE_UNKNOWN", "TYPE_OTHER", "TYPE_VEHICLE", "TYPE_PEDESTRIAN"],

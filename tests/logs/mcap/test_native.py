@@ -12,10 +12,13 @@ from hypothesis import HealthCheck, given, settings
 from mcap.reader import make_reader
 from mcap_cases import START_NS, differences, rich_scenario, scenarios
 
-import logs
-from logs import Lane, LogError, Road, Scenario, Trajectory, VehicleParameters
-from logs.errors import OutputError
-from logs.mcap import native, read_scenario, write_scenario
+from replan import logs
+from replan.core.errors import LogError, OutputError
+from replan.logs.mcap import native, read_scenario, write_scenario
+from replan.logs.road import Lane, Road
+from replan.logs.scenario import Scenario
+from replan.logs.states import Trajectory
+from replan.logs.vehicle import VehicleParameters
 
 once = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
@@ -130,7 +133,9 @@ PAGE = (Path(__file__).parents[3] / "docs" / "log_format.md").read_text(encoding
 
 
 def test_the_page_is_written_from_the_types() -> None:
-    assert native.markdown() + "\n" == PAGE, "python -c 'from logs.mcap.native import markdown; print(markdown())'"
+    assert native.markdown() + "\n" == PAGE, (
+        "python -c 'from replan.logs.mcap.native import markdown; print(markdown())'"
+    )
 
 
 def test_every_field_of_every_topic_is_on_the_page() -> None:

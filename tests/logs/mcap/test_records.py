@@ -16,14 +16,15 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from mcap_cases import differences
 
-from logs import LogError, Scenario
-from logs.cut import cut, in_nanoseconds
-from logs.mcap import read_scenario, write_scenario
-from logs.mcap.container import read_container
-from logs.mcap.records import BEGIN, HEAD, salvage, write_part
-from logs.readers import LogSettings, read_log
-from logs.repair.detections import Repair
-from logs.repair.offline import detections_of
+from replan.core.errors import LogError
+from replan.logs.edit.cut import cut, in_nanoseconds
+from replan.logs.mcap import read_scenario, write_scenario
+from replan.logs.mcap.container import read_container
+from replan.logs.mcap.records import BEGIN, HEAD, salvage, write_part
+from replan.logs.readers import LogSettings, read_log
+from replan.logs.repair.detections import Repair
+from replan.logs.repair.offline import detections_of
+from replan.logs.scenario import Scenario
 
 Messages = dict[str, list[tuple[int, bytes]]]
 

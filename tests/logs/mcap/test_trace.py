@@ -10,33 +10,29 @@ import pytest
 from mcap.reader import make_reader
 from mcap_cases import START_NS, differences, rich_scenario, seconds
 
-from logs import (
-    Controls,
+from replan.core.errors import LogError
+from replan.logs.frame import Predictions
+from replan.logs.mcap import native, read_scenario, read_trace, write_scenario, write_trace
+from replan.logs.mcap.writer import BLOCK, scenario_entries, scenario_records, write_log
+from replan.logs.plan import (
     Corridor,
     CostTerms,
     Decision,
     DecisionKind,
-    EndReason,
     GraphObstacle,
     GridCost,
     LaneOption,
-    LogError,
-    Mode,
     Plan,
-    PlannedFrame,
     PlanStart,
     PlanStatus,
-    Predictions,
     SlGraph,
     SolverReport,
     StGraph,
-    Trace,
-    TrackingErrors,
-    Tracks,
 )
-from logs.mcap import native, read_scenario, read_trace, write_scenario, write_trace
-from logs.mcap.writer import BLOCK, scenario_entries, scenario_records, write_log
-from logs.summary import summarise
+from replan.logs.states import Controls
+from replan.logs.summary import summarise
+from replan.logs.trace import EndReason, Mode, PlannedFrame, Trace, TrackingErrors
+from replan.logs.tracks import Tracks
 
 
 def drive() -> Trace:

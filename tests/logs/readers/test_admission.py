@@ -10,12 +10,13 @@ import pytest
 from hypothesis import given, strategies as st
 from mcap_cases import rich_scenario
 
-from logs import LogError, Scenario
-from logs.mcap import write_scenario
-from logs.names import visible_name
-from logs.readers import LogSettings, read_log
-from logs.readers.admission import LIMITS, admitted, check_clocks, check_road, printable
-from logs.vehicle import VehicleParameters
+from replan.core.errors import LogError
+from replan.core.names import visible_name
+from replan.logs.mcap import write_scenario
+from replan.logs.readers import LogSettings, read_log
+from replan.logs.readers.admission import LIMITS, admitted, check_clocks, check_road, printable
+from replan.logs.scenario import Scenario
+from replan.logs.vehicle import VehicleParameters
 
 LOG = rich_scenario(20)
 

@@ -8,9 +8,11 @@ from any_bytes import goes_round, read_or_refused, spoiled
 from hypothesis import HealthCheck, given, settings, strategies as st
 from recorded_cases import write_av2, write_forecasting
 
-from logs import AgentKind, LogError, RoadSource
-from logs.readers import LogSettings, logs_in, read_log, reader_of
-from logs.readers.argoverse2 import POSES, READER
+from replan.core.errors import LogError
+from replan.logs.agents import AgentKind
+from replan.logs.readers import LogSettings, logs_in, read_log, reader_of
+from replan.logs.readers.argoverse2 import POSES, READER
+from replan.logs.road import RoadSource
 
 LOGS = ("3b3570b4-7b0b-3268-a571-b0889dbf40b6", "7fab2350-7eaf-3b7e-a39d-6937a4c1bede")
 

@@ -14,14 +14,18 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 from mcap_cases import differences
 from recorded_cases import START_US, lane, packed, street, turn, wkb, write_123d, write_ipc, write_map
 
-from logs import AgentKind, Colour, LogError, RoadSource, Scenario
-from logs.arrow_tables import Lists, array_of, ipc_table, metadata_of, vectors
-from logs.maps.arrow123d_map import LANE, read_objects, road_of_map
-from logs.maps.strips import crossable
-from logs.readers import read_log, reader_of
-from logs.readers.arrow123d import BOXES, READER, read_ego, read_frames
-from logs.readers.recorded import fitted, heading, kept, product, rotated, unit_of_wxyz
-from replay.run.sources import select
+from replan.core.arrow_tables import Lists, array_of, ipc_table, metadata_of, vectors
+from replan.core.errors import LogError
+from replan.logs.agents import AgentKind
+from replan.logs.maps.arrow123d_map import LANE, read_objects, road_of_map
+from replan.logs.maps.strips import crossable
+from replan.logs.readers import read_log, reader_of
+from replan.logs.readers.arrow123d import BOXES, READER, read_ego, read_frames
+from replan.logs.readers.recorded import fitted, heading, kept, product, rotated, unit_of_wxyz
+from replan.logs.road import RoadSource
+from replan.logs.rules import Colour
+from replan.logs.scenario import Scenario
+from replan.run.sources import select
 
 SAMPLES = ("av2_sync", "av2_async", "av2_v010", "madeup")
 A, B = "3b3570b4-7b0b-3268-a571-b0889dbf40b6", "7fab2350-7eaf-3b7e-a39d-6937a4c1bede"

@@ -8,9 +8,9 @@ import pandas as pd
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from logs import LogError
-from logs.readers import read_log
-from logs.readers.table import from_frames
+from replan.core.errors import LogError
+from replan.logs.readers import read_log
+from replan.logs.readers.table import from_frames
 
 T = np.arange(120) / 10
 START = pd.Timestamp("2024-05-03T23:59:55")
@@ -61,7 +61,7 @@ def test_times_that_only_others_have_after_midnight_run_on_too() -> None:
 
 def test_rows_in_order_are_never_moved_to_another_day() -> None:
     with pytest.raises(LogError, match="no state for"):
-        from logs.readers.admission import admitted
+        from replan.logs.readers.admission import admitted
 
         admitted(from_frames(ego(t=np.where(T < 6.0, T, 86380.0 + T))))
 

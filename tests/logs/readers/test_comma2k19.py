@@ -7,9 +7,9 @@ import pytest
 from any_bytes import CHANGES, changed, read_or_refused
 from hypothesis import HealthCheck, given, settings, strategies as st
 
-from logs import LogError
-from logs.readers import read_log, reader_of
-from logs.readers.comma2k19 import SEMI_MAJOR_M, _east_north
+from replan.core.errors import LogError
+from replan.logs.readers import read_log, reader_of
+from replan.logs.readers.comma2k19 import SEMI_MAJOR_M, _east_north
 
 T = np.arange(0.0, 5.0, 0.05)
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 
-from logs import LogError
-from logs.readers.csv_table import header_of, load_table
+from replan.core.errors import LogError
+from replan.logs.readers.csv_table import header_of, load_table
 
 NAMES = ["t", "x", "y", "yaw", "v"]
 ROWS = np.column_stack(

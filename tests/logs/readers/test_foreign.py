@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from logs import ConfigError, LogError
-from logs.readers import LogSettings, foreign, read_log
-from replay.run.sources import select
+from replan.core.errors import ConfigError, LogError
+from replan.logs.readers import LogSettings, foreign, read_log
+from replan.run.sources import select
 
 POINTER = f"version https://git-lfs.github.com/spec/v1\noid sha256:{'0' * 64}\nsize 3434\n"
 

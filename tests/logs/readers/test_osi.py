@@ -10,8 +10,8 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 from osi3.osi_groundtruth_pb2 import GroundTruth
 from osi3.osi_sensorview_pb2 import SensorView
 
-from logs import LogError
-from logs.readers import LogSettings, read_log, reader_of
+from replan.core.errors import LogError
+from replan.logs.readers import LogSettings, read_log, reader_of
 
 STEPS = 20
 

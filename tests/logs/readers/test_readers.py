@@ -13,14 +13,16 @@ import pytest
 from hypothesis import HealthCheck, given, settings, strategies as st
 from mcap_cases import rich_scenario
 
-from logs import ConfigError, LogError, Scenario, extension
-from logs.catalogue import CATALOGUE
-from logs.cut import cut
-from logs.mcap import read_scenario, write_scenario
-from logs.readers import LogSettings, Reader, logs_in, read_log, reader_of, readers, windows
-from replay.config import RunConfig
-from replay.run import evaluate_logs
-from replay.run.sources import LogSource, select
+from replan.config import RunConfig
+from replan.core import extension
+from replan.core.errors import ConfigError, LogError
+from replan.logs.catalogue import CATALOGUE
+from replan.logs.edit.cut import cut
+from replan.logs.mcap import read_scenario, write_scenario
+from replan.logs.readers import LogSettings, Reader, logs_in, read_log, reader_of, readers, windows
+from replan.logs.scenario import Scenario
+from replan.run import evaluate_logs
+from replan.run.sources import LogSource, select
 
 SCENARIO = CATALOGUE["everyday/cut_in"].scenario()
 

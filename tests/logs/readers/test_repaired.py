@@ -12,14 +12,17 @@ from command_line import replan
 from crowd import street, street_ego
 from mcap_cases import differences, repaired_scenario, rich_scenario
 
-from logs import AgentKind, LogError, Road, Scenario
-from logs.catalogue.detector import detected
-from logs.complete import passed_width
-from logs.cut import DETECTED_S, cut
-from logs.mcap import read_scenario, write_scenario
-from logs.readers import LogSettings, read_log, with_tracks
-from logs.repair.detections import Detections
-from logs.tracks import Tracks
+from replan.core.errors import LogError
+from replan.logs.agents import AgentKind
+from replan.logs.catalogue.detector import detected
+from replan.logs.complete import passed_width
+from replan.logs.edit.cut import DETECTED_S, cut
+from replan.logs.mcap import read_scenario, write_scenario
+from replan.logs.readers import LogSettings, read_log, with_tracks
+from replan.logs.repair.detections import Detections
+from replan.logs.road import Road
+from replan.logs.scenario import Scenario
+from replan.logs.tracks import Tracks
 
 EGO = street_ego()
 

@@ -14,15 +14,16 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 from mcap_cases import differences
 
 import replan
-from logs import AgentKind, LogError
-from logs.mcap import read_scenario, write_scenario
-from logs.readers import LogSettings, read_log, reader_of
-from logs.readers.columns import DIMENSIONS, UNITS
-from logs.readers.table import from_frames
-from logs.summary import summarise
-from logs.vehicle import VehicleParameters
-from replay.config import RunConfig
-from replay.run import evaluate_logs
+from replan.config import RunConfig
+from replan.core.errors import LogError
+from replan.logs.agents import AgentKind
+from replan.logs.mcap import read_scenario, write_scenario
+from replan.logs.readers import LogSettings, read_log, reader_of
+from replan.logs.readers.columns import DIMENSIONS, UNITS
+from replan.logs.readers.table import from_frames
+from replan.logs.summary import summarise
+from replan.logs.vehicle import VehicleParameters
+from replan.run import evaluate_logs
 
 T = np.arange(0.0, 6.01, 0.1)
 

@@ -10,10 +10,11 @@ import pytest
 from any_bytes import CHANGES, changed, read_or_refused
 from hypothesis import HealthCheck, given, settings
 
-from logs import AgentKind, LogError, Scenario
-from logs.readers import LogSettings, logs_in, read_log, reader_of
-from logs.readers.table import from_frames
-from logs.scenario import CENTRE, EGO_POSE
+from replan.core.errors import LogError
+from replan.logs.agents import AgentKind
+from replan.logs.readers import LogSettings, logs_in, read_log, reader_of
+from replan.logs.readers.table import from_frames
+from replan.logs.scenario import CENTRE, EGO_POSE, Scenario
 
 SIZES = {"1": (4.5, 1.8), "2": (12.0, 2.5), "3": (4.0, 1.7)}
 

@@ -11,16 +11,16 @@ from hypothesis import given, settings, strategies as st
 from mcap_cases import differences
 from track_score import near_ego, reported, score, tracked_points, true_points
 
-from logs import AgentKind, Scenario
-from logs.agents import OLDEST_S, codes_of
-from logs.arrays import BoolArray, FloatArray
-from logs.catalogue import CATALOGUE
-from logs.catalogue.detector import detected, sight
-from logs.readers import read_log
-from logs.repair.detected_boxes import Boxes, shared_area, stronger_twins
-from logs.repair.detections import Detections, needs_repair
-from logs.repair.offline import detections_of
-from logs.repair.tracker import FIRST_MPS, STAND_MPS, Tracked, smoothed
+from replan.core.arrays import BoolArray, FloatArray
+from replan.logs.agents import OLDEST_S, AgentKind, codes_of
+from replan.logs.catalogue import CATALOGUE
+from replan.logs.catalogue.detector import detected, sight
+from replan.logs.readers import read_log
+from replan.logs.repair.detected_boxes import Boxes, shared_area, stronger_twins
+from replan.logs.repair.detections import Detections, needs_repair
+from replan.logs.repair.offline import detections_of
+from replan.logs.repair.tracker import FIRST_MPS, STAND_MPS, Tracked, smoothed
+from replan.logs.scenario import Scenario
 
 Q = 1.6
 

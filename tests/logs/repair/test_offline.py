@@ -10,16 +10,17 @@ from crowd import street, street_ego
 from hypothesis import given, settings, strategies as st
 from track_score import repaired_score
 
-from logs import AgentKind, Scenario, Trajectory
-from logs.agents import codes_of
-from logs.arrays import FloatArray, IntArray
-from logs.catalogue.detector import detected
-from logs.readers import read_log
-from logs.repair.detections import Detections, Repair
-from logs.repair.offline import detections_of, repair
-from logs.shapes import overlap
-from logs.tracks import Tracks
-from logs.vehicle import VehicleParameters
+from replan.core.arrays import FloatArray, IntArray
+from replan.logs.agents import AgentKind, codes_of
+from replan.logs.catalogue.detector import detected
+from replan.logs.readers import read_log
+from replan.logs.repair.detections import Detections, Repair
+from replan.logs.repair.offline import detections_of, repair
+from replan.logs.scenario import Scenario
+from replan.logs.shapes import overlap
+from replan.logs.states import Trajectory
+from replan.logs.tracks import Tracks
+from replan.logs.vehicle import VehicleParameters
 
 VEHICLE = VehicleParameters()
 EGO = street_ego()

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from logs.arrays import FloatArray
-from planners.dp_qp.speed.qp import BrakingLadder, SolvedSpeed, SpeedProblem, SpeedQpConfig
-from planners.frenet.profiles import STEP_S, SpeedLimits
-from planners.frenet.st_boundaries import StBoundaries
+from replan.core.arrays import FloatArray
+from replan.planners.dp_qp.speed.qp import BrakingLadder, SolvedSpeed, SpeedProblem, SpeedQpConfig
+from replan.planners.frenet.profiles import STEP_S, SpeedLimits
+from replan.planners.frenet.st_boundaries import StBoundaries
 
 CONFIG, GAP, MOST = SpeedQpConfig(), 1.0, 9.0
 T = STEP_S * np.arange(CONFIG.knots)

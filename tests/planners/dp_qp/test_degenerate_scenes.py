@@ -7,8 +7,11 @@ import pytest
 from hypothesis import assume, given, settings, strategies as st
 from worlds import CAR, Other, along_x, curve, driving, followed, frame, gaps, lanes, planner, standing, strip
 
-from logs import Decision, DecisionKind, EgoState, Frame, Plan, PlanStatus, Road
-from logs.arrays import FloatArray
+from replan.core.arrays import FloatArray
+from replan.logs.frame import Frame
+from replan.logs.plan import Decision, DecisionKind, Plan, PlanStatus
+from replan.logs.road import Road
+from replan.logs.states import EgoState
 
 LOCK_SLACK = 1.05
 

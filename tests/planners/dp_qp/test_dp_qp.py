@@ -8,37 +8,34 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from worlds import CAR, PERIOD, Other, along_x, decided, driving, followed, frame, gaps, lanes, planner, standing
 
-from logs import (
-    AgentKind,
+from replan.logs.agents import AgentKind
+from replan.logs.catalogue import CATALOGUE
+from replan.logs.edit.transform import mirrored, moved
+from replan.logs.frame import Frame, PlannerContext, Predictions
+from replan.logs.plan import (
     CostTerms,
     Decision,
     DecisionKind,
-    EgoState,
-    Frame,
     Plan,
-    PlannerContext,
     PlanStart,
     PlanStatus,
-    Predictions,
-    Road,
-    Scenario,
     SlGraph,
     SolverReport,
     StGraph,
 )
-from logs.catalogue import CATALOGUE
-from logs.states import TRAJECTORY_COLUMNS, wrapped
-from logs.transform import mirrored, moved
-from planners.base import Planner
-from planners.dp_qp import DpQp, DpQpConfig
-from planners.dp_qp.lane import LaneConfig, LaneMemory, LanePlanner
-from planners.dp_qp.path.qp import PathQp
-from planners.dp_qp.speed.qp import SpeedQp, SpeedQpConfig
-from planners.dp_qp.speed.stage import DOUBTED
-from planners.frenet.profiles import meets
-from planners.frenet.reference_path import LaneSequences
-from planners.solver import QPResult
-from replay.prediction import predict
+from replan.logs.road import Road
+from replan.logs.scenario import Scenario
+from replan.logs.states import TRAJECTORY_COLUMNS, EgoState, wrapped
+from replan.planners.base import Planner
+from replan.planners.dp_qp import DpQp, DpQpConfig
+from replan.planners.dp_qp.lane import LaneConfig, LaneMemory, LanePlanner
+from replan.planners.dp_qp.path.qp import PathQp
+from replan.planners.dp_qp.speed.qp import SpeedQp, SpeedQpConfig
+from replan.planners.dp_qp.speed.stage import DOUBTED
+from replan.planners.frenet.profiles import meets
+from replan.planners.frenet.reference_path import LaneSequences
+from replan.planners.solver import QPResult
+from replan.replay.prediction import predict
 
 ONE, TWO = lanes(along_x()), lanes(along_x(), 2)
 EGO = EgoState(0.0, 0.0, 0.0, 0.0, 8.0)

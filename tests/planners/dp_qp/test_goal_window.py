@@ -8,12 +8,15 @@ from handmade import track, tracks
 from hypothesis import given, strategies as st
 from worlds import CAR, along_x, lanes, reference
 
-from logs import EgoState, Goal, Road, Scenario, Tracks, Trajectory
-from logs.arrays import FloatArray
-from logs.catalogue import CATALOGUE
-from logs.trace import EndReason, Trace
-from planners.dp_qp.goal_window import LEAST, GoalWindow, SpeedTarget
-from replay.loop.closed_loop import run_closed_loop
+from replan.core.arrays import FloatArray
+from replan.logs.catalogue import CATALOGUE
+from replan.logs.road import Goal, Road
+from replan.logs.scenario import Scenario
+from replan.logs.states import EgoState, Trajectory
+from replan.logs.trace import EndReason, Trace
+from replan.logs.tracks import Tracks
+from replan.planners.dp_qp.goal_window import LEAST, GoalWindow, SpeedTarget
+from replan.replay.loop.closed_loop import run_closed_loop
 
 EGO = EgoState(0.0, 20.0, 0.0, 0.0, 10.0, 0.0, 0.0)
 ROAD = lanes(along_x(0.0, 400.0))

@@ -6,15 +6,15 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from logs.arrays import FloatArray
-from logs.catalogue import CATALOGUE
-from planners.dp_qp.speed import stage
-from planners.dp_qp.speed.caps import LEAST_MPS, OTHERS, LoweredLimit, PathView, Producer, SpeedCap, lower_limit
-from planners.dp_qp.speed.qp import SpeedQpConfig
-from planners.frenet.path import Path
-from planners.frenet.profiles import STEP_S, braking
-from replay.config import LoopConfig
-from replay.loop.closed_loop import run_closed_loop
+from replan.core.arrays import FloatArray
+from replan.logs.catalogue import CATALOGUE
+from replan.planners.dp_qp.speed import stage
+from replan.planners.dp_qp.speed.caps import LEAST_MPS, OTHERS, LoweredLimit, PathView, Producer, SpeedCap, lower_limit
+from replan.planners.dp_qp.speed.qp import SpeedQpConfig
+from replan.planners.frenet.path import Path
+from replan.planners.frenet.profiles import STEP_S, braking
+from replan.replay.loop.closed_loop import run_closed_loop
+from replan.replay.loop_config import LoopConfig
 
 SOON_S, SOON_MPS = 2.0, 0.06
 """What is driven soon keeps the speed, but for the QP's tolerance."""

@@ -9,12 +9,14 @@ import pytest
 from hypothesis import given, strategies as st
 from worlds import CAR, PERIOD, Drive, Other, along_x, driving, followed, frame, lanes, planner, standing, two_way
 
-from logs import AgentKind, EgoState, PlannerContext, PlanStatus, SolverReport, StGraph
-from logs.plan import Artefact, Internals
-from planners.dp_qp import DpQpConfig
-from planners.dp_qp.lane import LaneMemory, LanePlan, LanePlanner
-from planners.dp_qp.planner import PassMemory, passing
-from planners.frenet.reference_path import LaneSequences
+from replan.logs.agents import AgentKind
+from replan.logs.frame import PlannerContext
+from replan.logs.plan import Artefact, Internals, PlanStatus, SolverReport, StGraph
+from replan.logs.states import EgoState
+from replan.planners.dp_qp import DpQpConfig
+from replan.planners.dp_qp.lane import LaneMemory, LanePlan, LanePlanner
+from replan.planners.dp_qp.planner import PassMemory, passing
+from replan.planners.frenet.reference_path import LaneSequences
 
 TWO, EGO = lanes(along_x(), 2), EgoState(0.0, 0.0, 0.0, 0.0, 9.0)
 

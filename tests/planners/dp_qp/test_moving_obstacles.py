@@ -9,13 +9,17 @@ from handmade import track, tracks
 from hypothesis import given, settings, strategies as st
 from worlds import CAR, Other, along_x, driving, lanes, limit_of, reference, scene, two_way, view
 
-from logs import AgentKind, Colour, EgoState, Road, Scenario, StopLine, TrafficLight, Trajectory
-from logs.arrays import FloatArray
-from logs.frame import Visibility
-from logs.plan import Candidates
-from logs.trace import EndReason, Trace
-from planners.dp_qp.path.bounds import CorridorConfig
-from planners.dp_qp.path.passing import (
+from replan.core.arrays import FloatArray
+from replan.logs.agents import AgentKind
+from replan.logs.frame import Visibility
+from replan.logs.plan import Candidates
+from replan.logs.road import Road
+from replan.logs.rules import Colour, StopLine, TrafficLight
+from replan.logs.scenario import Scenario
+from replan.logs.states import EgoState, Trajectory
+from replan.logs.trace import EndReason, Trace
+from replan.planners.dp_qp.path.bounds import CorridorConfig
+from replan.planners.dp_qp.path.passing import (
     ASIDE_M,
     NEAR_M,
     SPARE_S,
@@ -24,11 +28,11 @@ from planners.dp_qp.path.passing import (
     obstacles_to_pass,
     pass_targets,
 )
-from planners.dp_qp.planner import endangered
-from planners.dp_qp.speed.caps import LEAST_MPS, REACTION_S, CautionConfig, passing_caps
-from planners.frenet.path import make_path
-from replay.config import LoopConfig
-from replay.loop.closed_loop import run_closed_loop
+from replan.planners.dp_qp.planner import endangered
+from replan.planners.dp_qp.speed.caps import LEAST_MPS, REACTION_S, CautionConfig, passing_caps
+from replan.planners.frenet.path import make_path
+from replan.replay.loop.closed_loop import run_closed_loop
+from replan.replay.loop_config import LoopConfig
 
 LENGTH, WIDTH = 1.8, 0.6
 EGO = EgoState(0.0, 20.0, 0.0, 0.0, 10.0, 0.0, 0.0)

@@ -7,9 +7,12 @@ import numpy as np
 import pytest
 from worlds import Drive, Other, driving, followed, gaps, reference, scene, standing, strip, two_way
 
-from logs import AgentKind, DecisionKind, EgoState, PlanStatus, Road
-from planners.dp_qp.path.bounds import CorridorConfig, standing_obstacles
-from planners.dp_qp.path.passing import passed_by_oncoming_lane
+from replan.logs.agents import AgentKind
+from replan.logs.plan import DecisionKind, PlanStatus
+from replan.logs.road import Road
+from replan.logs.states import EgoState
+from replan.planners.dp_qp.path.bounds import CorridorConfig, standing_obstacles
+from replan.planners.dp_qp.path.passing import passed_by_oncoming_lane
 
 EGO = EgoState(0.0, 0.0, 0.0, 0.0, 8.0)
 THING = Other("thing", lambda t: (60.0, 0.0, 0.0, 0.0, 0.0), AgentKind.OBJECT, 5.0, 3.0)

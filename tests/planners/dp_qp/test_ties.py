@@ -8,15 +8,19 @@ from drives import along, grid, moving, scenario
 from hypothesis import example, given, settings, strategies as st
 from worlds import PERIOD, along_x, lanes, strip
 
-from logs import AgentKind, EgoState, Frame, Goal, Plan, PlannerContext, Road, Scenario
-from logs.catalogue import CATALOGUE
-from logs.road import ReferenceLine, nearest, thinned
-from logs.route import find_route, goal_lanes, start_lanes, straight_on
-from logs.transform import jittered, rotated
-from planners.dp_qp import DpQp
-from planners.dp_qp.path.dp import PathDpConfig, path_dp
-from planners.frenet.reference_path import make_reference_path
-from replay.prediction import predict
+from replan.logs.agents import AgentKind
+from replan.logs.catalogue import CATALOGUE
+from replan.logs.edit.transform import jittered, rotated
+from replan.logs.frame import Frame, PlannerContext
+from replan.logs.plan import Plan
+from replan.logs.road import Goal, ReferenceLine, Road, nearest, thinned
+from replan.logs.route import find_route, goal_lanes, start_lanes, straight_on
+from replan.logs.scenario import Scenario
+from replan.logs.states import EgoState
+from replan.planners.dp_qp import DpQp
+from replan.planners.dp_qp.path.dp import PathDpConfig, path_dp
+from replan.planners.frenet.reference_path import make_reference_path
+from replan.replay.prediction import predict
 
 TINY, SAME = 1e-9, 1e-6
 

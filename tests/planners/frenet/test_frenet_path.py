@@ -5,9 +5,10 @@ import pytest
 from hypothesis import assume, given, settings, strategies as st
 from worlds import curve
 
-from logs import EgoState, ReferenceLine
-from logs.arrays import FloatArray
-from planners.frenet.path import Path, frenet_start, make_path, out_of_frame, quintic, states_on_path
+from replan.core.arrays import FloatArray
+from replan.logs.road import ReferenceLine
+from replan.logs.states import EgoState
+from replan.planners.frenet.path import Path, frenet_start, make_path, out_of_frame, quintic, states_on_path
 
 SEED = st.integers(0, 2**32 - 1)
 OFFSET, SLOPE, BEND = st.floats(-3.0, 3.0), st.floats(-0.5, 0.5), st.floats(-0.1, 0.1)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, strategies as st
 
-from logs.arrays import FloatArray
-from planners.frenet.profiles import STEP_S, braking, cruising, limit_profile
+from replan.core.arrays import FloatArray
+from replan.planners.frenet.profiles import STEP_S, braking, cruising, limit_profile
 
 KAPPA = st.lists(st.floats(-0.2, 0.2), min_size=2, max_size=8)
 LIMIT = st.lists(st.floats(0.0, 20.0), min_size=2, max_size=8)

@@ -5,10 +5,12 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from worlds import CAR, along_x, beside, curve, lanes, strip
 
-from logs import EgoState, Lane, ReferenceLine, Road, VehicleParameters
-from logs.arrays import FloatArray
-from logs.route import find_route
-from planners.frenet.reference_path import (
+from replan.core.arrays import FloatArray
+from replan.logs.road import Lane, ReferenceLine, Road
+from replan.logs.route import find_route
+from replan.logs.states import EgoState
+from replan.logs.vehicle import VehicleParameters
+from replan.planners.frenet.reference_path import (
     BENDING_WEIGHT,
     MAX_SHIFT_M,
     SPACING_M,

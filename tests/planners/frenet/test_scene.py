@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from worlds import CAR, Other, curve, lanes, reference, scene
 
-from logs import AgentKind, EgoState
-from logs.arrays import FloatArray
-from logs.states import wrapped
-from planners.frenet.reference_path import ReferencePath
-from planners.frenet.scene import STANDING_MPS, Scene, behind
+from replan.core.arrays import FloatArray
+from replan.logs.agents import AgentKind
+from replan.logs.states import EgoState, wrapped
+from replan.planners.frenet.reference_path import ReferencePath
+from replan.planners.frenet.scene import STANDING_MPS, Scene, behind
 
 POINTS = curve((60.0, 0.0), (60.0, 1.0 / 40.0), (40.0, -1.0 / 60.0), (60.0, 0.0))
 KINDS = st.sampled_from([AgentKind.CAR, AgentKind.PEDESTRIAN, AgentKind.BICYCLE, AgentKind.OBJECT])

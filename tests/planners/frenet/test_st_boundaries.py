@@ -7,13 +7,15 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from worlds import CAR, Other, along_x, driving, path_of, reference, scene, standing
 
-from logs import AgentKind, DecisionKind, EgoState
-from logs.arrays import FloatArray
-from logs.shapes import overlap
-from planners.dp_qp.speed.qp import BARE, TOUCHING
-from planners.frenet.path import Path
-from planners.frenet.scene import STANDING_MPS, Occupancy, Scene, behind
-from planners.frenet.st_boundaries import ONCOMING_RAD, StBoundaries, StGraphConfig, decide_speed, st_boundaries
+from replan.core.arrays import FloatArray
+from replan.logs.agents import AgentKind
+from replan.logs.plan import DecisionKind
+from replan.logs.shapes import overlap
+from replan.logs.states import EgoState
+from replan.planners.dp_qp.speed.qp import BARE, TOUCHING
+from replan.planners.frenet.path import Path
+from replan.planners.frenet.scene import STANDING_MPS, Occupancy, Scene, behind
+from replan.planners.frenet.st_boundaries import ONCOMING_RAD, StBoundaries, StGraphConfig, decide_speed, st_boundaries
 
 AS_PREDICTED = StGraphConfig(early_s=0.0, late_s=0.0)
 EGO = EgoState(0.0, 0.0, 0.0, 0.0, 8.0)

@@ -20,23 +20,13 @@ from worlds import (
     standing,
 )
 
-from logs import (
-    Candidates,
-    CostTerms,
-    DecisionKind,
-    EgoState,
-    Frame,
-    Goal,
-    Plan,
-    PlannerContext,
-    PlanStatus,
-    Road,
-    SlGraph,
-    StGraph,
-)
-from planners.frenet.profiles import HORIZON_STEPS, STEP_S, meets
-from planners.lattice import Lattice, LatticeConfig
-from planners.lattice.candidates import (
+from replan.logs.frame import Frame, PlannerContext
+from replan.logs.plan import Candidates, CostTerms, DecisionKind, Plan, PlanStatus, SlGraph, StGraph
+from replan.logs.road import Goal, Road
+from replan.logs.states import EgoState
+from replan.planners.frenet.profiles import HORIZON_STEPS, STEP_S, meets
+from replan.planners.lattice import Lattice, LatticeConfig
+from replan.planners.lattice.candidates import (
     LEAST_M,
     REST_MPS,
     evaluate_polynomial,
@@ -49,7 +39,7 @@ from planners.lattice.candidates import (
     states,
     third_square,
 )
-from planners.lattice.planner import ego_frenet
+from replan.planners.lattice.planner import ego_frenet
 
 SPEED = st.floats(0.0, 30.0)
 ACCEL = st.floats(-4.0, 3.0)

@@ -15,16 +15,16 @@ from jerk_problems import KINDS, answer, made
 from scipy import sparse
 from scipy.optimize import linprog, nnls
 
-from logs.arrays import FloatArray
-from planners.dp_qp.path import qp as path_qp
-from planners.dp_qp.speed import qp as speed_qp
-from planners.piecewise_jerk import interior_point
-from planners.piecewise_jerk.interior_point import ACCURACY_M, INFEASIBLE, SOLVED, STATUS
-from planners.piecewise_jerk.problem import PiecewiseJerkProblem, Weights, largest_violation
-from planners.piecewise_jerk.solvers import SOLVERS, matrices, solve, structure, vectors
-from planners.solver import QPResult
-from replay.loop.open_loop import run_open_loop
-from replay.run.sources import LogSource
+from replan.core.arrays import FloatArray
+from replan.planners.dp_qp.path import qp as path_qp
+from replan.planners.dp_qp.speed import qp as speed_qp
+from replan.planners.piecewise_jerk import interior_point
+from replan.planners.piecewise_jerk.interior_point import ACCURACY_M, INFEASIBLE, SOLVED, STATUS
+from replan.planners.piecewise_jerk.problem import PiecewiseJerkProblem, Weights, largest_violation
+from replan.planners.piecewise_jerk.solvers import SOLVERS, matrices, solve, structure, vectors
+from replan.planners.solver import QPResult
+from replan.replay.loop.open_loop import run_open_loop
+from replan.run.sources import LogSource
 
 SEED = st.integers(0, 2**32 - 1)
 

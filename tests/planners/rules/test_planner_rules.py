@@ -10,30 +10,20 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from worlds import CAR, PERIOD, Other, agents, along_x, driving, standing, strip
 
-from logs import (
-    AgentKind,
-    Colour,
-    Crosswalk,
-    Decision,
-    DecisionKind,
-    EgoState,
-    Frame,
-    Lane,
-    Plan,
-    PlannerContext,
-    Road,
-    StopLine,
-    TrafficLight,
-    Trajectory,
-)
-from logs.arrays import FloatArray
-from logs.route import find_route
-from planners.frenet.reference_path import ReferencePath, make_reference_path
-from planners.frenet.scene import Occupancy, Scene, scene_of
-from planners.rules import Rulebook, RuleMemory
-from replay.loop.closed_loop import run_closed_loop
-from replay.parts import PLANNER
-from replay.prediction import predict
+from replan.core.arrays import FloatArray
+from replan.logs.agents import AgentKind
+from replan.logs.frame import Frame, PlannerContext
+from replan.logs.plan import Decision, DecisionKind, Plan
+from replan.logs.road import Lane, Road
+from replan.logs.route import find_route
+from replan.logs.rules import Colour, Crosswalk, StopLine, TrafficLight
+from replan.logs.states import EgoState, Trajectory
+from replan.planners.frenet.reference_path import ReferencePath, make_reference_path
+from replan.planners.frenet.scene import Occupancy, Scene, scene_of
+from replan.planners.rules import Rulebook, RuleMemory
+from replan.replay.loop.closed_loop import run_closed_loop
+from replan.replay.parts import PLANNER
+from replan.replay.prediction import predict
 
 LINE_X = 100.0
 ACROSS = np.array([[LINE_X, 1.75], [LINE_X, -1.75]])

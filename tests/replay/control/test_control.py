@@ -8,11 +8,12 @@ from handmade import drive, s_curve
 from hypothesis import given, strategies as st
 from worlds import controlled
 
-from logs import EgoState, Trajectory, VehicleParameters
-from replay.control.pid import AT_REST, SpeedLaw, accelerate_dual_loop
-from replay.vehicle.base import motion_of
-from replay.vehicle.pedal_map import PedalPowertrain
-from replay.vehicle.plan_path import PlanPath
+from replan.logs.states import EgoState, Trajectory
+from replan.logs.vehicle import VehicleParameters
+from replan.replay.control.pid import AT_REST, SpeedLaw, accelerate_dual_loop
+from replan.replay.vehicle.base import motion_of
+from replan.replay.vehicle.pedal_map import PedalPowertrain
+from replan.replay.vehicle.plan_path import PlanPath
 
 CAR = VehicleParameters()
 TRAIN = PedalPowertrain(CAR)

@@ -9,11 +9,13 @@ from handmade import drive, s_curve
 from hypothesis import given, settings, strategies as st
 from worlds import controlled
 
-from logs import Command, EgoState, Plan, Trajectory, VehicleParameters
-from logs.catalogue import CATALOGUE
-from replay.control.geometric import StanleyLaw
-from replay.loop.simulation_setup import controller_of
-from replay.parts import CONTROLLER, VEHICLE, Part
+from replan.logs.catalogue import CATALOGUE
+from replan.logs.plan import Plan
+from replan.logs.states import Command, EgoState, Trajectory
+from replan.logs.vehicle import VehicleParameters
+from replan.replay.control.geometric import StanleyLaw
+from replan.replay.loop.simulation_setup import controller_of
+from replan.replay.parts import CONTROLLER, VEHICLE, Part
 
 CAR = VehicleParameters()
 PERIOD = 0.01

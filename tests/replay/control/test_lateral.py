@@ -11,10 +11,21 @@ from hypothesis import given, settings, strategies as st
 from scipy.linalg import solve_discrete_are
 from worlds import controlled
 
-from logs import ConfigError, EgoState, Plan, Trajectory, VehicleParameters
-from replay.control.dlqr import DlqrConfig, Regulators, gain, gain_table, regulators, rolling_model, solve_riccati
-from replay.control.estimation import LONGEST_S, NO_SLIP, SteeringDelay, lateral_deviation, learned, slip_model
-from replay.control.lateral_model import (
+from replan.core.errors import ConfigError
+from replan.logs.plan import Plan
+from replan.logs.states import EgoState, Trajectory
+from replan.logs.vehicle import VehicleParameters
+from replan.replay.control.dlqr import (
+    DlqrConfig,
+    Regulators,
+    gain,
+    gain_table,
+    regulators,
+    rolling_model,
+    solve_riccati,
+)
+from replan.replay.control.estimation import LONGEST_S, NO_SLIP, SteeringDelay, lateral_deviation, learned, slip_model
+from replan.replay.control.lateral_model import (
     DISCRETISATIONS,
     at_rear_axle,
     body_model,
@@ -29,11 +40,11 @@ from replay.control.lateral_model import (
     with_rigid_tyres,
     with_steering,
 )
-from replay.control.split import DLQR, SplitController, split_law
-from replay.vehicle.base import motion_of
-from replay.vehicle.drivetrain import Drivetrain
-from replay.vehicle.kinematic_bicycle import KinematicBicycle
-from replay.vehicle.plan_path import PlanPath
+from replan.replay.control.split import DLQR, SplitController, split_law
+from replan.replay.vehicle.base import motion_of
+from replan.replay.vehicle.drivetrain import Drivetrain
+from replan.replay.vehicle.kinematic_bicycle import KinematicBicycle
+from replan.replay.vehicle.plan_path import PlanPath
 
 CAR = VehicleParameters()
 ROLLING = with_rigid_tyres(CAR)

@@ -6,15 +6,28 @@ from handmade import drive, s_curve, straight
 from hypothesis import given, settings, strategies as st
 from scipy import sparse
 
-from logs import Command, ConfigError, EgoState, Plan, Trajectory, VehicleParameters
-from planners.solver import QPConfig, QuadraticProgram
-from replay.control.lateral_model import body_model, lateral_table, slip_table, with_rigid_tyres
-from replay.control.mpc import Mpc, MpcConfig, TrackingProgram
-from replay.control.mpc_model import INPUTS, LIMITS, SIDES, STATES, entered, limits, predicted, quintic, resampled
-from replay.vehicle.drivetrain import Drivetrain
-from replay.vehicle.pedal_map import NO_MOTOR, PedalMap
-from replay.vehicle.plan_path import PlanPath
-from replay.vehicle.tyres import GRAVITY
+from replan.core.errors import ConfigError
+from replan.logs.plan import Plan
+from replan.logs.states import Command, EgoState, Trajectory
+from replan.logs.vehicle import VehicleParameters
+from replan.planners.solver import QPConfig, QuadraticProgram
+from replan.replay.control.lateral_model import body_model, lateral_table, slip_table, with_rigid_tyres
+from replan.replay.control.mpc import Mpc, MpcConfig, TrackingProgram
+from replan.replay.control.mpc_model import (
+    INPUTS,
+    LIMITS,
+    SIDES,
+    STATES,
+    entered,
+    limits,
+    predicted,
+    quintic,
+    resampled,
+)
+from replan.replay.vehicle.drivetrain import Drivetrain
+from replan.replay.vehicle.pedal_map import NO_MOTOR, PedalMap
+from replan.replay.vehicle.plan_path import PlanPath
+from replan.replay.vehicle.tyres import GRAVITY
 
 CAR = VehicleParameters()
 TRAIN = Drivetrain(CAR)

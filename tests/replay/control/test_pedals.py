@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from logs import Trajectory, VehicleParameters
-from replay.control.pedals import (
+from replan.logs.states import Trajectory
+from replan.logs.vehicle import VehicleParameters
+from replan.paper.manoeuvres import JERK_OVER, Manoeuvre, follow
+from replan.replay.control.pedals import (
     GENTLE_MPS3,
     HOLDING_BRAKE,
     HYSTERESIS_MPS2,
@@ -22,10 +24,9 @@ from replay.control.pedals import (
     press,
     stands,
 )
-from replay.paper.manoeuvres import JERK_OVER, Manoeuvre, follow
-from replay.run.calibrate import picture
-from replay.vehicle.drivetrain import Drivetrain
-from replay.vehicle.plan_path import PlanPath
+from replan.replay.vehicle.drivetrain import Drivetrain
+from replan.replay.vehicle.plan_path import PlanPath
+from replan.run.calibrate import picture
 
 CAR = VehicleParameters()
 TRAIN = Drivetrain(CAR)

@@ -8,21 +8,20 @@ from pathlib import Path
 import pytest
 from short_logs import QUICK, short
 
-from logs import Mode
-from logs.mcap import write_scenario
-from logs.trace import EndReason
-from replay.config import LoopConfig, PlannerProcessConfig
-from replay.draw.drawn_results import load
-from replay.draw.report.overview import overview
-from replay.drive import Mark
-from replay.loop.planning import nondeterminism
-from replay.run import evaluate_logs
-from replay.run.one_log import LOOPS
+from replan.draw.drawn_results import load
+from replan.draw.report.overview import overview
+from replan.logs.mcap import write_scenario
+from replan.logs.trace import EndReason, Mode
+from replan.replay.drive import Mark
+from replan.replay.loop.planning import nondeterminism
+from replan.replay.loop_config import LoopConfig, PlannerProcessConfig
+from replan.run import evaluate_logs
+from replan.run.one_log import LOOPS
 
 PLANNERS = '''
 import os
 from dataclasses import replace
-from planners.constant_speed import ConstantSpeed
+from replan.planners.constant_speed import ConstantSpeed
 
 class Steady(ConstantSpeed):
     pass

@@ -11,40 +11,25 @@ import pytest
 from handmade import drive, lanes_along, s_curve, scenario, square, straight, track, tracks
 from hypothesis import given, settings, strategies as st
 
-from logs import (
-    AgentKind,
-    ConfigError,
-    CostTerms,
-    EgoState,
-    EndReason,
-    Frame,
-    Goal,
-    Lane,
-    LogError,
-    Mode,
-    Plan,
-    PlannerContext,
-    PlanStatus,
-    Road,
-    RoadSource,
-    Scenario,
-    SolverReport,
-    Trace,
-    Trajectory,
-    VehicleParameters,
-)
-from logs.catalogue import CATALOGUE
-from logs.plan import Artefact, Internals
-from logs.readers.commonroad import read_commonroad
-from logs.shapes import overlap
-from logs.states import TRAJECTORY_COLUMNS
-from metrics.safety import contacts
-from planners.constant_speed import ConstantSpeed
-from replay.config import LoopConfig, PlannerProcessConfig
-from replay.drive import Drive, Stopwatch
-from replay.loop.closed_loop import run_closed_loop
-from replay.loop.open_loop import frame_times, run_open_loop
-from replay.world import World, box_center, contact, logged_ego
+from replan.core.errors import ConfigError, LogError
+from replan.logs.agents import AgentKind
+from replan.logs.catalogue import CATALOGUE
+from replan.logs.frame import Frame, PlannerContext
+from replan.logs.plan import Artefact, CostTerms, Internals, Plan, PlanStatus, SolverReport
+from replan.logs.readers.commonroad import read_commonroad
+from replan.logs.road import Goal, Lane, Road, RoadSource
+from replan.logs.scenario import Scenario
+from replan.logs.shapes import overlap
+from replan.logs.states import TRAJECTORY_COLUMNS, EgoState, Trajectory
+from replan.logs.trace import EndReason, Mode, Trace
+from replan.logs.vehicle import VehicleParameters
+from replan.metrics.safety import contacts
+from replan.planners.constant_speed import ConstantSpeed
+from replan.replay.drive import Drive, Stopwatch
+from replan.replay.loop.closed_loop import run_closed_loop
+from replan.replay.loop.open_loop import frame_times, run_open_loop
+from replan.replay.loop_config import LoopConfig, PlannerProcessConfig
+from replan.replay.world import World, box_center, contact, logged_ego
 
 BY_TIME = LoopConfig(traffic="time")
 TRUSTED = LoopConfig(apart=PlannerProcessConfig(trust=True))  # so that tests can see into planners

@@ -6,17 +6,18 @@ import pytest
 from drives import along, grid, scenario
 from hypothesis import given, strategies as st
 
-from logs import EgoState, Frame, Plan, PlanStart, PlanStatus, Trajectory
-from logs.catalogue import CATALOGUE
-from logs.states import wrapped
-from logs.tracks import Tracks
-from planners.constant_speed import arc
-from replay.config import LoopConfig, PlannerProcessConfig
-from replay.loop.closed_loop import run_closed_loop
-from replay.loop.open_loop import run_open_loop
-from replay.loop.plan_check import checked, of_positions
-from replay.planner_process.messages import LONGEST_REASON, MOST_POINTS
-from replay.prediction import predict
+from replan.logs.catalogue import CATALOGUE
+from replan.logs.frame import Frame
+from replan.logs.plan import Plan, PlanStart, PlanStatus
+from replan.logs.states import EgoState, Trajectory, wrapped
+from replan.logs.tracks import Tracks
+from replan.planners.constant_speed import arc
+from replan.replay.loop.closed_loop import run_closed_loop
+from replan.replay.loop.open_loop import run_open_loop
+from replan.replay.loop.plan_check import checked, of_positions
+from replan.replay.loop_config import LoopConfig, PlannerProcessConfig
+from replan.replay.planner_process.messages import LONGEST_REASON, MOST_POINTS
+from replan.replay.prediction import predict
 
 AHEAD = 0.1 * np.arange(51)
 NOBODY = Tracks.empty().perceived(0.0)

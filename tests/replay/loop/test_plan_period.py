@@ -8,15 +8,16 @@ import pytest
 from handmade import drive, s_curve, scenario
 from hypothesis import given, settings, strategies as st
 
-from logs import ConfigError, Plan, VehicleParameters
-from logs.vehicle import vehicle_parameters
-from replay.config import LoopConfig
-from replay.loop.closed_loop import run_closed_loop
-from replay.loop.plan_period import Latency, PlanPeriod, TraceRecorder
-from replay.loop.simulation_setup import controller_of
-from replay.parts import CONTROLLER, VEHICLE, Part
-from replay.vehicle.base import COLUMNS, COMMAND, ERRORS, MOTION
-from replay.vehicle.plan_path import PlanPath
+from replan.core.errors import ConfigError
+from replan.logs.plan import Plan
+from replan.logs.vehicle import VehicleParameters, vehicle_parameters
+from replan.replay.loop.closed_loop import run_closed_loop
+from replan.replay.loop.plan_period import Latency, PlanPeriod, TraceRecorder
+from replan.replay.loop.simulation_setup import controller_of
+from replan.replay.loop_config import LoopConfig
+from replan.replay.parts import CONTROLLER, VEHICLE, Part
+from replan.replay.vehicle.base import COLUMNS, COMMAND, ERRORS, MOTION
+from replan.replay.vehicle.plan_path import PlanPath
 
 PERIOD = 0.01
 STEPS = 900

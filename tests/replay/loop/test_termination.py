@@ -6,13 +6,13 @@ import numpy as np
 from handmade import drive, lanes_along, scenario, square, straight, track, tracks
 from hypothesis import given, settings, strategies as st
 
-from logs import EndReason
-from logs.road import Goal
-from replay.config import LoopConfig
-from replay.loop.closed_loop import run_closed_loop
-from replay.loop.termination import Ended, Termination
-from replay.vehicle.base import COLUMNS, state_at
-from replay.world import World, box_center, contact
+from replan.logs.road import Goal
+from replan.logs.trace import EndReason
+from replan.replay.loop.closed_loop import run_closed_loop
+from replan.replay.loop.termination import Ended, Termination
+from replan.replay.loop_config import LoopConfig
+from replan.replay.vehicle.base import COLUMNS, state_at
+from replan.replay.world import World, box_center, contact
 
 WAY = drive(straight, 10.0, 6.0)
 N = 300

@@ -14,23 +14,28 @@ from handmade import drive, lanes_along, scenario, straight, track, tracks
 from process_tree import are_gone, descendants, started
 from worlds import perceive
 
-from logs import ConfigError, EndReason, Goal, PlannerContext, PlannerError, Scenario, Trace
-from logs.agents import NUMBERS, OPTIONAL
-from logs.catalogue import CATALOGUE
-from logs.mcap import write_scenario
-from logs.mcap.trace_file import plan_message
-from logs.states import TRAJECTORY_COLUMNS
-from metrics import evaluate
-from replay.config import LoopConfig, PlannerProcessConfig, RunConfig
-from replay.loop.closed_loop import run_closed_loop
-from replay.loop.open_loop import run_open_loop
-from replay.planner_process import messages
-from replay.planner_process.connection import clean_text, describe_planner
-from replay.planner_process.messages import context_message, context_of, decode, encode, frame_message, frame_of
-from replay.planner_process.processes import _warm, set_template_run
-from replay.run.one_log import LOOPS
-from replay.run.resume import stamp_of
-from replay.world import World
+from replan.config import RunConfig
+from replan.core.errors import ConfigError, PlannerError
+from replan.logs.agents import NUMBERS, OPTIONAL
+from replan.logs.catalogue import CATALOGUE
+from replan.logs.frame import PlannerContext
+from replan.logs.mcap import write_scenario
+from replan.logs.mcap.trace_file import plan_message
+from replan.logs.road import Goal
+from replan.logs.scenario import Scenario
+from replan.logs.states import TRAJECTORY_COLUMNS
+from replan.logs.trace import EndReason, Trace
+from replan.metrics import evaluate
+from replan.replay.loop.closed_loop import run_closed_loop
+from replan.replay.loop.open_loop import run_open_loop
+from replan.replay.loop_config import LoopConfig, PlannerProcessConfig
+from replan.replay.planner_process import messages
+from replan.replay.planner_process.connection import clean_text, describe_planner
+from replan.replay.planner_process.messages import context_message, context_of, decode, encode, frame_message, frame_of
+from replan.replay.planner_process.processes import _warm, set_template_run
+from replan.replay.world import World
+from replan.run.one_log import LOOPS
+from replan.run.resume import stamp_of
 
 SHORT = LoopConfig(apart=PlannerProcessConfig(plan_timeout_s=0.4, memory_gb=2.0))
 
@@ -55,9 +60,9 @@ def nothing_is_left() -> bool:
 @pytest.mark.parametrize(
     ("name", "built_in", "apart"),
     [
-        ("paper/free_road", "idm", "planners.idm:Idm"),
-        pytest.param("everyday/nudge", "dp_qp", "planners.dp_qp:DpQp", marks=pytest.mark.slow),
-        pytest.param("everyday/junction", "idm", "planners.idm:Idm", marks=pytest.mark.slow),
+        ("paper/free_road", "idm", "replan.planners.idm:Idm"),
+        pytest.param("everyday/nudge", "dp_qp", "replan.planners.dp_qp:DpQp", marks=pytest.mark.slow),
+        pytest.param("everyday/junction", "idm", "replan.planners.idm:Idm", marks=pytest.mark.slow),
     ],
 )
 def test_what_is_driven_does_not_depend_on_the_process(name: str, built_in: str, apart: str) -> None:
@@ -76,7 +81,7 @@ def test_what_is_driven_does_not_depend_on_the_process(name: str, built_in: str,
 
 def test_threads_that_start_planners_at_once_share_one_launcher(monkeypatch: pytest.MonkeyPatch) -> None:
     """Before, each of the first threads had a launcher of its own, which ended as the next one began."""
-    monkeypatch.setattr("replay.planner_process.processes._warm", {})
+    monkeypatch.setattr("replan.replay.planner_process.processes._warm", {})
     program = f"exec:{sys.executable} {Path(__file__).parents[3] / 'examples' / 'planner_exec.py'}"
     with ThreadPoolExecutor(12) as pool:
         traces = list(pool.map(lambda planner: ended(planner, LoopConfig()), [program] * 12))
@@ -125,7 +130,7 @@ def test_the_time_to_read_an_answer_counts(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr(messages, "plan_of", slowly)
     assert (
         "needed more than 0.4 s, reading of its plan included, at t = "
-        in ended("planners.constant_speed:ConstantSpeed").detail
+        in ended("replan.planners.constant_speed:ConstantSpeed").detail
     )
 
 
@@ -206,7 +211,7 @@ def test_a_planner_that_cannot_be_built_or_loaded_is_an_error() -> None:
 
 
 def test_settings_are_asked_of_the_planner_and_reach_it() -> None:
-    spec = "planners.constant_speed:ConstantSpeed"
+    spec = "replan.planners.constant_speed:ConstantSpeed"
     assert describe_planner(spec, {"step_s": 0.2}, PlannerProcessConfig()) == {"horizon_s": 8.0, "step_s": 0.2}
     with pytest.raises(ConfigError, match="horizon"):
         describe_planner(spec, {"horizon": 4.0}, PlannerProcessConfig())

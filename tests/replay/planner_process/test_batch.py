@@ -11,19 +11,21 @@ from command_line import replan
 from hypothesis import given, settings, strategies as st
 from short_logs import short
 
-from logs import ConfigError, EndReason
-from logs.mcap import write_scenario
-from replay.config import LoopConfig, PlannerProcessConfig, RunConfig
-from replay.draw.drawn_results import Results
-from replay.drive import Mark
-from replay.planner_process.connection import in_lockstep
-from replay.run import evaluate_logs
-from replay.run.evaluate import teams_of
+from replan.config import RunConfig
+from replan.core.errors import ConfigError
+from replan.draw.drawn_results import Results
+from replan.logs.mcap import write_scenario
+from replan.logs.trace import EndReason
+from replan.replay.drive import Mark
+from replan.replay.loop_config import LoopConfig, PlannerProcessConfig
+from replan.replay.planner_process.connection import in_lockstep
+from replan.run import evaluate_logs
+from replan.run.evaluate import teams_of
 
 pytestmark = pytest.mark.usefixtures("folder")
 
 PLANNER = """
-from planners.constant_speed import ConstantSpeed
+from replan.planners.constant_speed import ConstantSpeed
 from pathlib import Path
 
 class Mine(ConstantSpeed):
@@ -169,7 +171,7 @@ def test_what_does_not_go_together_is_refused(logs: Path, tmp_path: Path) -> Non
         ["--window", "1"],
         ["--shard", "1/2"],
         ["--set", "loop.apart.trust=true"],
-        ["-p", "planners.idm:Idm"],
+        ["-p", "replan.planners.idm:Idm"],
         ["-p", "exec:true"],
     ):
         ended = replan(

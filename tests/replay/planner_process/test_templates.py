@@ -12,21 +12,23 @@ import pytest
 from process_tree import are_gone
 from short_logs import short
 
-from logs import EndReason, PlannerError, Trace
-from logs.states import TRAJECTORY_COLUMNS
-from replay.config import DEFAULT_LOOP, LoopConfig, PlannerProcessConfig, RunConfig
-from replay.drive import DriveKey
-from replay.loop.open_loop import run_open_loop
-from replay.loop.planning import Planning
-from replay.planner_process.launcher import ENDING_S
-from replay.planner_process.processes import _warm, set_template_run
-from replay.run.evaluate import evaluate_logs
-from replay.run.one_log import LOOPS
+from replan.config import RunConfig
+from replan.core.errors import PlannerError
+from replan.logs.states import TRAJECTORY_COLUMNS
+from replan.logs.trace import EndReason, Trace
+from replan.replay.drive import DriveKey
+from replan.replay.loop.open_loop import run_open_loop
+from replan.replay.loop.planning import Planning
+from replan.replay.loop_config import DEFAULT_LOOP, LoopConfig, PlannerProcessConfig
+from replan.replay.planner_process.launcher import ENDING_S
+from replan.replay.planner_process.processes import _warm, set_template_run
+from replan.run.evaluate import evaluate_logs
+from replan.run.one_log import LOOPS
 
 pytestmark = pytest.mark.usefixtures("folder")
 
 COUNTED = """
-from planners.constant_speed import ConstantSpeed
+from replan.planners.constant_speed import ConstantSpeed
 with open("loads.{name}", "a") as file:
     file.write("x")
 {more}
@@ -214,8 +216,8 @@ def test_a_worker_that_is_killed_takes_its_templates_along() -> None:
     code = """
         import os, time
         from short_logs import short
-        from replay.planner_process.processes import _warm, set_template_run
-        from replay.loop.open_loop import run_open_loop
+        from replan.replay.planner_process.processes import _warm, set_template_run
+        from replan.replay.loop.open_loop import run_open_loop
         set_template_run("a run")
         run_open_loop(short("test/a"), "orphans:Mine")
         print(_warm["launcher"]._process.pid, flush=True)

@@ -8,11 +8,13 @@ from handmade import track, tracks
 from hypothesis import given, settings, strategies as st
 from worlds import curve, lanes
 
-from logs import AgentKind, Agents, Lane, Predictions, Road, wrap
-from logs.arrays import FloatArray
-from logs.states import wrapped
-from replay.parts import PREDICTION
-from replay.prediction import LaneMap, predict
+from replan.core.arrays import FloatArray
+from replan.logs.agents import AgentKind, Agents
+from replan.logs.frame import Predictions
+from replan.logs.road import Lane, Road
+from replan.logs.states import wrap, wrapped
+from replan.replay.parts import PREDICTION
+from replan.replay.prediction import LaneMap, predict
 
 COORDINATE = st.floats(-500.0, 500.0)
 STATE = st.tuples(COORDINATE, COORDINATE, st.floats(-4.0, 4.0), st.floats(-30.0, 30.0), st.floats(-30.0, 30.0))

@@ -7,12 +7,14 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from worlds import curve, lanes, strip
 
-from logs import AgentKind, Agents, Lane, Predictions, Road
-from logs.arrays import FloatArray
-from replay.prediction import LaneMap, predict
-from replay.prediction.lane_following import CURVE_MPS2
-from replay.prediction.lane_map import lane_point, lane_project
-from replay.prediction.off_lanes import BRAKE_MPS2, KERB_M, walked
+from replan.core.arrays import FloatArray
+from replan.logs.agents import AgentKind, Agents
+from replan.logs.frame import Predictions
+from replan.logs.road import Lane, Road
+from replan.replay.prediction import LaneMap, predict
+from replan.replay.prediction.lane_following import CURVE_MPS2
+from replan.replay.prediction.lane_map import lane_point, lane_project
+from replan.replay.prediction.off_lanes import BRAKE_MPS2, KERB_M, walked
 
 STRAIGHT = curve((400.0, 0.0))
 

@@ -12,17 +12,23 @@ from handmade import drive, scenario, straight, track, tracks
 from hypothesis import given, settings, strategies as st
 from worlds import along_x, lanes, strip
 
-from logs import AgentKind, Colour, EgoState, LogError, Road, Scenario, StopLine, Tracks, TrafficLight
-from logs.arrays import FloatArray
-from logs.catalogue.roads import junction
-from logs.readers.commonroad import read_commonroad
-from replay.config import LoopConfig
-from replay.loop.closed_loop import run_closed_loop
-from replay.parts import TRAFFIC
-from replay.traffic import Reactive
-from replay.traffic.leaders import ACCEL_MPS2, HARDEST_MPS2, STANDSTILL_M, TIME_GAP_S, enhanced_idm
-from replay.traffic.phase_replay import PERIOD_S, PhaseReplay
-from replay.world import World, contact, logged_ego
+from replan.core.arrays import FloatArray
+from replan.core.errors import LogError
+from replan.logs.agents import AgentKind
+from replan.logs.catalogue.roads import junction
+from replan.logs.readers.commonroad import read_commonroad
+from replan.logs.road import Road
+from replan.logs.rules import Colour, StopLine, TrafficLight
+from replan.logs.scenario import Scenario
+from replan.logs.states import EgoState
+from replan.logs.tracks import Tracks
+from replan.replay.loop.closed_loop import run_closed_loop
+from replan.replay.loop_config import LoopConfig
+from replan.replay.parts import TRAFFIC
+from replan.replay.traffic import Reactive
+from replan.replay.traffic.leaders import ACCEL_MPS2, HARDEST_MPS2, STANDSTILL_M, TIME_GAP_S, enhanced_idm
+from replan.replay.traffic.phase_replay import PERIOD_S, PhaseReplay
+from replan.replay.world import World, contact, logged_ego
 
 T = np.round(np.arange(0.0, 12.01, 0.1), 9)
 Egos = list[EgoState]
@@ -130,8 +136,8 @@ def test_around_the_logged_drive_all_drive_as_logged_to_the_bit(mode: str, seed:
 
 @pytest.mark.parametrize("mode", ["give_way", "reactive", "ego_position"])
 def test_those_around_now_are_as_all_have_them(mode: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("logs.nearby_tracks.BACK_S", 3.0)
-    monkeypatch.setattr("replay.traffic.phase_replay.BACK_S", 3.0)
+    monkeypatch.setattr("replan.logs.nearby_tracks.BACK_S", 3.0)
+    monkeypatch.setattr("replan.replay.traffic.phase_replay.BACK_S", 3.0)
     log, fewer = busy(3), 0
     traffic = TRAFFIC.builtin[mode](log)
     for ego in at_speed(lambda t: max(10.0 - 2.0 * t, 1.0)):

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from logs import Command, EgoState, VehicleParameters
-from logs.vehicle import vehicle_names, vehicle_parameters
-from replay.vehicle.drivetrain import MIN_HOLD_S, Drivetrain, Gearbox, drive_force, pending, shifted, spans
-from replay.vehicle.pedal_map import PedalPowertrain
-from replay.vehicle.single_track import SingleTrack
+from replan.logs.states import Command, EgoState
+from replan.logs.vehicle import VehicleParameters, vehicle_names, vehicle_parameters
+from replan.replay.vehicle.drivetrain import MIN_HOLD_S, Drivetrain, Gearbox, drive_force, pending, shifted, spans
+from replan.replay.vehicle.pedal_map import PedalPowertrain
+from replan.replay.vehicle.single_track import SingleTrack
 
 CARS = {"default": VehicleParameters(), **{name: vehicle_parameters(name) for name in vehicle_names()}}
 NAMES = sorted(CARS)

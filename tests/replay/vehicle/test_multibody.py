@@ -7,10 +7,11 @@ from math import hypot, sin
 import numpy as np
 import pytest
 
-from logs import Command, ConfigError, EgoState, VehicleParameters
-from logs.vehicle import vehicle_parameters
-from replay.vehicle.multibody import Multibody, package_parameters, slowest_wheel
-from replay.vehicle.single_track import SingleTrack
+from replan.core.errors import ConfigError
+from replan.logs.states import Command, EgoState
+from replan.logs.vehicle import VehicleParameters, vehicle_parameters
+from replan.replay.vehicle.multibody import Multibody, package_parameters, slowest_wheel
+from replan.replay.vehicle.single_track import SingleTrack
 
 BMW = vehicle_parameters("bmw_320i")
 

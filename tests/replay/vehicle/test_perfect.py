@@ -5,13 +5,16 @@ from math import atan
 import numpy as np
 import pytest
 
-from logs import Command, ConfigError, EgoState, Plan, Trajectory, VehicleParameters
-from logs.catalogue import CATALOGUE
-from replay.config import LoopConfig
-from replay.loop.closed_loop import run_closed_loop
-from replay.parts import VEHICLE, Part
-from replay.vehicle import build_vehicle
-from replay.vehicle.kinematic_bicycle import Perfect
+from replan.core.errors import ConfigError
+from replan.logs.catalogue import CATALOGUE
+from replan.logs.plan import Plan
+from replan.logs.states import Command, EgoState, Trajectory
+from replan.logs.vehicle import VehicleParameters
+from replan.replay.loop.closed_loop import run_closed_loop
+from replan.replay.loop_config import LoopConfig
+from replan.replay.parts import VEHICLE, Part
+from replan.replay.vehicle import build_vehicle
+from replan.replay.vehicle.kinematic_bicycle import Perfect
 
 CAR = VehicleParameters()
 START = EgoState(0.0, 0.0, 0.0, 0.0, 8.0, 0.5, 0.02)

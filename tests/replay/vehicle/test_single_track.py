@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, strategies as st
 
-from logs import Command, ConfigError, EgoState, VehicleParameters
-from logs.vehicle import vehicle_names, vehicle_parameters
-from replay.vehicle.drivetrain import Drivetrain
-from replay.vehicle.single_track import (
+from replan.core.errors import ConfigError
+from replan.logs.states import Command, EgoState
+from replan.logs.vehicle import VehicleParameters, vehicle_names, vehicle_parameters
+from replan.replay.vehicle.drivetrain import Drivetrain
+from replan.replay.vehicle.single_track import (
     Gearbox,
     SingleTrack,
     SingleTrackCar,
@@ -21,7 +22,7 @@ from replay.vehicle.single_track import (
     loads,
     wheel_forces,
 )
-from replay.vehicle.tyres import GRAVITY
+from replan.replay.vehicle.tyres import GRAVITY
 
 CAR = VehicleParameters()
 FREE = replace(CAR, drag=0.0, rolling=0.0)

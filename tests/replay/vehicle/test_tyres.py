@@ -8,9 +8,9 @@ import pytest
 from handmade import drive
 from hypothesis import example, given, strategies as st
 
-from logs import Controls, VehicleParameters
-from logs.vehicle import vehicle_parameters
-from replay.vehicle.tyres import (
+from replan.logs.states import Controls
+from replan.logs.vehicle import VehicleParameters, vehicle_parameters
+from replan.replay.vehicle.tyres import (
     GRAVITY,
     SLOWEST_MPS,
     TYRES,

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from logs import Command, ConfigError, EgoState, VehicleParameters
-from replay.parts import VEHICLE
-from replay.vehicle.kinematic_bicycle import (
+from replan.core.errors import ConfigError
+from replan.logs.states import Command, EgoState
+from replan.logs.vehicle import VehicleParameters
+from replan.replay.parts import VEHICLE
+from replan.replay.vehicle.kinematic_bicycle import (
     REAR_RATIO,
     BicycleState,
     KinematicBicycle,

@@ -9,12 +9,15 @@ import pytest
 from commonroad_files import RECTANGLE, driving, exact, lanelet, points, problem, state, straight, vehicle, written
 from hypothesis import HealthCheck, given, settings, strategies as st
 
-from logs import AgentKind, LogError, RoadSource, Scenario
-from logs.readers import read_log
-from logs.readers.commonroad import read_commonroad
-from logs.readers.commonroad.document import Obstacle, parse
-from logs.readers.commonroad.lanelets import _crossable
-from logs.readers.commonroad.tracks import _prediction_error, ego_log, sized, turned, velocities
+from replan.core.errors import LogError
+from replan.logs.agents import AgentKind
+from replan.logs.readers import read_log
+from replan.logs.readers.commonroad import read_commonroad
+from replan.logs.readers.commonroad.document import Obstacle, parse
+from replan.logs.readers.commonroad.lanelets import _crossable
+from replan.logs.readers.commonroad.tracks import _prediction_error, ego_log, sized, turned, velocities
+from replan.logs.road import RoadSource
+from replan.logs.scenario import Scenario
 
 
 @settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])

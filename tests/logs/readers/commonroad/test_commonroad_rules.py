@@ -8,10 +8,12 @@ import pytest
 from commonroad_files import lanelet, points, problem, state, straight, written
 from hypothesis import HealthCheck, given, settings, strategies as st
 
-from logs import Colour, LogError, Scenario, StopLine
-from logs.readers.commonroad import read_commonroad
-from logs.readers.commonroad.document import COLOURS
-from logs.readers.commonroad.lanelets import meet
+from replan.core.errors import LogError
+from replan.logs.readers.commonroad import read_commonroad
+from replan.logs.readers.commonroad.document import COLOURS
+from replan.logs.readers.commonroad.lanelets import meet
+from replan.logs.rules import Colour, StopLine
+from replan.logs.scenario import Scenario
 
 LEFT, STRAIGHT, RIGHT = 1, 2, 3
 few = settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -8,12 +8,12 @@ import pytest
 from commonroad_files import RECTANGLE, points, problem, state, straight, written
 from hypothesis import given, strategies as st
 
-from logs import AgentKind
-from logs.readers.commonroad import read_commonroad
-from logs.readers.commonroad.document import OccupiedSet
-from logs.readers.commonroad.occupancy_sets import EXCESS_M, SHORTEST_M, Box, covering, smallest_box, standing
-from logs.road import inside
-from replay.loop.closed_loop import run_closed_loop
+from replan.logs.agents import AgentKind
+from replan.logs.readers.commonroad import read_commonroad
+from replan.logs.readers.commonroad.document import OccupiedSet
+from replan.logs.readers.commonroad.occupancy_sets import EXCESS_M, SHORTEST_M, Box, covering, smallest_box, standing
+from replan.logs.road import inside
+from replan.replay.loop.closed_loop import run_closed_loop
 
 
 def within(box: Box, p: np.ndarray) -> np.ndarray:

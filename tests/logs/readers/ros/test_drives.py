@@ -11,9 +11,10 @@ import ros_bags as bags
 from hypothesis import given, strategies as st
 from ros_bags import SPEED, START_NS, Row, ego_pose, header, message, pose, seconds, stamp
 
-from logs import LogError, Scenario
-from logs.readers import LogSettings, read_log
-from logs.readers.ros.frames import OTHER_CLOCK_S, restarts
+from replan.core.errors import LogError
+from replan.logs.readers import LogSettings, read_log
+from replan.logs.readers.ros.frames import OTHER_CLOCK_S, restarts
+from replan.logs.scenario import Scenario
 
 TRACKED = "autoware_perception_msgs/msg/TrackedObjects"
 TOPIC = "/perception/object_recognition/tracking/objects"

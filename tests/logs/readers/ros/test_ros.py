@@ -21,19 +21,22 @@ from mcap.writer import Writer
 from mcap_cases import differences
 from ros_bags import RATE_HZ, SPEED, START_NS, Row, ego_pose, header, message, objects_at, pose, seconds, stamp
 
-from logs import AgentKind, Colour, LogError, Scenario
-from logs.cut import cut
-from logs.mcap import write_scenario
-from logs.readers import LogSettings, read_log, reader_of
-from logs.readers.ros import bag as door
-from logs.readers.ros.ego import rates
-from logs.readers.ros.fields import MOST_FIELDS, decoder
-from logs.readers.ros.objects import smallest_rectangles
-from logs.readers.ros.tracks import joined
-from logs.repair.detections import no_identities
-from logs.states import OnboardPlan
-from replay.loop.closed_loop import run_closed_loop
-from replay.loop.open_loop import run_open_loop
+from replan.core.errors import LogError
+from replan.logs.agents import AgentKind
+from replan.logs.edit.cut import cut
+from replan.logs.mcap import write_scenario
+from replan.logs.readers import LogSettings, read_log, reader_of
+from replan.logs.readers.ros import bag as door
+from replan.logs.readers.ros.ego import rates
+from replan.logs.readers.ros.fields import MOST_FIELDS, decoder
+from replan.logs.readers.ros.objects import smallest_rectangles
+from replan.logs.readers.ros.tracks import joined
+from replan.logs.repair.detections import no_identities
+from replan.logs.rules import Colour
+from replan.logs.scenario import Scenario
+from replan.logs.states import OnboardPlan
+from replan.replay.loop.closed_loop import run_closed_loop
+from replan.replay.loop.open_loop import run_open_loop
 
 TRACKED = "autoware_perception_msgs/msg/TrackedObjects"
 TOPIC = "/perception/object_recognition/tracking/objects"

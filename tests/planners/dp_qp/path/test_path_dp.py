@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from logs.arrays import FloatArray
-from planners.dp_qp.path.dp import (
+from replan.core.arrays import FloatArray
+from replan.planners.dp_qp.path.dp import (
     COLLISION,
     OUTSIDE,
     SAMPLES,
@@ -18,7 +18,7 @@ from planners.dp_qp.path.dp import (
     path_dp_to_go,
     side_costs,
 )
-from planners.frenet.path import quintic
+from replan.planners.frenet.path import quintic
 
 SEED = st.integers(0, 2**32 - 1)
 WEIGHTS = PathDpWeights(ref=0.05, dl=20.0, ddl=500.0, near=2.0, reach=1.0, switch=1.0)

@@ -5,11 +5,11 @@ import pytest
 from hypothesis import assume, given, settings, strategies as st
 from worlds import CAR
 
-from logs.arrays import FloatArray
-from planners.dp_qp.path.corridor import COMFORT, MAX_DL, expected_speed, steering_bounds
-from planners.dp_qp.path.qp import PathQp, PathQpConfig
-from planners.piecewise_jerk.problem import DDDX, DDX, DX, LEADS, PiecewiseJerkProblem, X
-from planners.piecewise_jerk.solvers import DEFAULT
+from replan.core.arrays import FloatArray
+from replan.planners.dp_qp.path.corridor import COMFORT, MAX_DL, expected_speed, steering_bounds
+from replan.planners.dp_qp.path.qp import PathQp, PathQpConfig
+from replan.planners.piecewise_jerk.problem import DDDX, DDX, DX, LEADS, PiecewiseJerkProblem, X
+from replan.planners.piecewise_jerk.solvers import DEFAULT
 
 SEED = st.integers(0, 2**32 - 1)
 OFFSET, SLOPE, BEND = st.floats(-3.0, 3.0), st.floats(-0.5, 0.5), st.floats(-0.1, 0.1)

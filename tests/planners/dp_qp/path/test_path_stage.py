@@ -7,10 +7,12 @@ import pytest
 from hypothesis import assume, given, settings, strategies as st
 from worlds import CAR, PERIOD, Other, along_x, curve, driving, lanes, reference, scene, standing
 
-from logs import Decision, DecisionKind, EgoState, PlannerContext, SlGraph
-from logs.arrays import FloatArray
-from planners.dp_qp.goal_window import GoalWindow
-from planners.dp_qp.path.bounds import (
+from replan.core.arrays import FloatArray
+from replan.logs.frame import PlannerContext
+from replan.logs.plan import Decision, DecisionKind, SlGraph
+from replan.logs.states import EgoState
+from replan.planners.dp_qp.goal_window import GoalWindow
+from replan.planners.dp_qp.path.bounds import (
     NOTHING,
     SIDES,
     InTheWay,
@@ -21,12 +23,12 @@ from planners.dp_qp.path.bounds import (
     side_choices,
     standing_obstacles,
 )
-from planners.dp_qp.path.corridor import LOWER, UPPER, EgoInLane, S, expected_speed, road_ahead
-from planners.dp_qp.path.dp import PathDpConfig
-from planners.dp_qp.path.stage import ChosenPath, PathConfig, PathMemory, PathStage
-from planners.frenet.path import MIN_REGULAR
-from planners.frenet.reference_path import ReferencePath
-from planners.frenet.scene import Occupancy
+from replan.planners.dp_qp.path.corridor import LOWER, UPPER, EgoInLane, S, expected_speed, road_ahead
+from replan.planners.dp_qp.path.dp import PathDpConfig
+from replan.planners.dp_qp.path.stage import ChosenPath, PathConfig, PathMemory, PathStage
+from replan.planners.frenet.path import MIN_REGULAR
+from replan.planners.frenet.reference_path import ReferencePath
+from replan.planners.frenet.scene import Occupancy
 
 OFFSET, SLOPE, BEND = st.floats(-3.0, 3.0), st.floats(-0.5, 0.5), st.floats(-0.1, 0.1)
 

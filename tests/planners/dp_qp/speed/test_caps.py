@@ -9,14 +9,24 @@ import pytest
 from hypothesis import given, strategies as st
 from worlds import CAR, Other, along_x, followed, lanes, path_of, reference, scene, view
 
-from logs import AgentKind, Decision, DecisionKind, EgoState, Visibility
-from logs.arrays import FloatArray
-from logs.catalogue import scenario
-from logs.plan import StGraph
-from planners.dp_qp.path.passing import free_stations, pass_targets
-from planners.dp_qp.speed import stage
-from planners.dp_qp.speed.caps import OTHERS, WORTH_MPS, LoweredLimit, PathView, SpeedCap, lower_limit, passing_caps
-from replay.loop.closed_loop import run_closed_loop
+from replan.core.arrays import FloatArray
+from replan.logs.agents import AgentKind
+from replan.logs.catalogue import scenario
+from replan.logs.frame import Visibility
+from replan.logs.plan import Decision, DecisionKind, StGraph
+from replan.logs.states import EgoState
+from replan.planners.dp_qp.path.passing import free_stations, pass_targets
+from replan.planners.dp_qp.speed import stage
+from replan.planners.dp_qp.speed.caps import (
+    OTHERS,
+    WORTH_MPS,
+    LoweredLimit,
+    PathView,
+    SpeedCap,
+    lower_limit,
+    passing_caps,
+)
+from replan.replay.loop.closed_loop import run_closed_loop
 
 SIGMA = np.arange(0.0, 60.0, 0.5)
 SPEEDS, STATIONS = st.sampled_from([0.0, 2.5, 4.0, 6.5, 9.0, 20.0]), st.floats(-5.0, 65.0)

@@ -10,9 +10,12 @@ import pytest
 from hypothesis import given, strategies as st
 from worlds import CAR, Other, agents, along_x, limit_of, path_of, reference, scene, view
 
-from logs import AgentKind, Decision, EgoState, Visibility
-from logs.catalogue import CATALOGUE
-from planners.dp_qp.speed.caps import (
+from replan.logs.agents import AgentKind
+from replan.logs.catalogue import CATALOGUE
+from replan.logs.frame import Visibility
+from replan.logs.plan import Decision
+from replan.logs.states import EgoState
+from replan.planners.dp_qp.speed.caps import (
     LEAST_MPS,
     PERSON_M,
     REACTION_S,
@@ -25,9 +28,9 @@ from planners.dp_qp.speed.caps import (
     hidden_beside,
     hidden_ground_caps,
 )
-from replay.config import LoopConfig
-from replay.drive import Drive
-from replay.loop.closed_loop import run_closed_loop
+from replan.replay.drive import Drive
+from replan.replay.loop.closed_loop import run_closed_loop
+from replan.replay.loop_config import LoopConfig
 
 CAUTION = CautionConfig()
 WALK_MPS, DECEL, SIZE = CAUTION.walk_mps, 6.0, 0.5

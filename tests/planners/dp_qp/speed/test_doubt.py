@@ -7,11 +7,21 @@ import pytest
 from hypothesis import given, strategies as st
 from worlds import Other, along_x, driving, frame as frame_of, lanes, path_of, planner, reference, scene, standing
 
-from logs import AgentKind, EgoState, Frame
-from planners.dp_qp.speed.doubt import CERTAIN, ERROR_MPS2, SURE, extend_braking, from_beside, relax_rows, weights
-from planners.frenet.path import Path
-from planners.frenet.scene import Scene, behind
-from planners.frenet.st_boundaries import StBoundaries, StGraphConfig, st_boundaries
+from replan.logs.agents import AgentKind
+from replan.logs.frame import Frame
+from replan.logs.states import EgoState
+from replan.planners.dp_qp.speed.doubt import (
+    CERTAIN,
+    ERROR_MPS2,
+    SURE,
+    extend_braking,
+    from_beside,
+    relax_rows,
+    weights,
+)
+from replan.planners.frenet.path import Path
+from replan.planners.frenet.scene import Scene, behind
+from replan.planners.frenet.st_boundaries import StBoundaries, StGraphConfig, st_boundaries
 
 EGO = EgoState(0.0, 0.0, 0.0, 0.0, 10.0)
 ROAD, PATH = reference(along_x()), path_of(np.zeros(301), 0.4)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from logs.arrays import FloatArray, IntArray
-from planners.dp_qp.speed.dp import COLLISION, DS_M, SpeedDpWeights, cost_map, speed_dp
+from replan.core.arrays import FloatArray, IntArray
+from replan.planners.dp_qp.speed.dp import COLLISION, DS_M, SpeedDpWeights, cost_map, speed_dp
 
 SEED = st.integers(0, 2**32 - 1)
 WEIGHTS = SpeedDpWeights(time=30.0, over=3.0, accel=1.0, jerk=0.5, max_accel=2.0, max_decel=7.0)

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings, strategies as st
 
-from logs.arrays import FloatArray
-from planners.dp_qp.speed.qp import Rows, SpeedProblem, SpeedQp, SpeedQpConfig, rows_of
-from planners.frenet.profiles import STEP_S, SpeedLimits, braking
+from replan.core.arrays import FloatArray
+from replan.planners.dp_qp.speed.qp import Rows, SpeedProblem, SpeedQp, SpeedQpConfig, rows_of
+from replan.planners.frenet.profiles import STEP_S, SpeedLimits, braking
 
 SEED = st.integers(0, 2**32 - 1)
 CONFIG = SpeedQpConfig()

@@ -1,0 +1,182 @@
+"""Cuts a part of a scenario by time, and rounds times to whole nanoseconds.
+
+The begin of a part becomes t = 0, and data outside are left out. The ego's first and last state are interpolated at the
+begin and end. Tracks keep the samples from `HISTORY_S` before the begin, which show who is present and how they move,
+to the first after the end, if that is at most `HISTORY_S` later. Lights keep their colour at the begin. Detections are
+kept from `DETECTED_S` before the begin, longer than the memory of a tracker. A lane along the driven path is made anew
+from the states of the part.
+
+Native MCAP holds whole nanoseconds. Every scenario has such times, so that a log and its conversion are the same bit
+for bit:
+
+(1) t -> rint(1e9 t) / 1e9,   t in s since the scenario's start; at most half a nanosecond away
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import inf
+from typing import TypeVar
+
+import numpy as np
+
+from replan.core.arrays import BoolArray, FloatArray
+from replan.core.errors import LogError
+from replan.logs.complete import ONE_LANE, REVERSES, road_along
+from replan.logs.observed import clipped
+from replan.logs.repair.detections import Detections, Repair
+from replan.logs.road import RoadSource
+from replan.logs.rules import TrafficLight
+from replan.logs.scenario import Scenario
+from replan.logs.states import Controls, OnboardPlan, Trajectory
+from replan.logs.tracks import Tracks
+
+HISTORY_S = 2.0
+"""Tracks keep this time before a part, s: longer than any sample is valid (`replan.logs.observed.MAX_GAP_S`)."""
+DETECTED_S = 10.0
+"""Detections keep this time before a part, s: a repair joins across gaps up to 8 s, a tracker up to 2 s."""
+CLOSE_S = 1e-9
+"""A sample this close to the begin or end is at it, s: logs hold whole nanoseconds."""
+
+
+def cut(scenario: Scenario, begin: float, end: float = inf) -> Scenario:
+    """Cut the part from `begin` to `end`, s after the scenario's start; LogError if the ego's log has nothing in it."""
+    ego = scenario.ego
+    if begin <= 0.0 and end >= scenario.duration:
+        return scenario
+    first, last = max(begin, float(ego.t[0])), min(end, float(ego.t[-1]))
+    if not first < last:
+        if len(ego) == 1:
+            raise LogError("the log has one ego state, its start: there is no part to choose", remedy="drive all of it")
+        part = f"after {begin:g} s" if end == inf else f"between {begin:g} s and {end:g} s"
+        what = f"no ego states {part}: they are from {ego.t[0]:g} s to {ego.t[-1]:g} s"
+        raise LogError(what, remedy="choose begin and end within the log")
+    t = np.r_[first, ego.t[(ego.t > first + CLOSE_S) & (ego.t < last - CLOSE_S)], last]
+    moved = ego.resampled(t)
+    columns = (getattr(moved, name) for name in ("x", "y", "yaw", "v", "a", "kappa"))
+    kept = _samples_within(scenario.tracks, begin, end)
+    tracks = scenario.tracks.taken(kept).shifted(-begin)
+    goal = scenario.goal
+    if goal is not None:
+        goal = goal.changed(lambda one: replace(one, t=one.t and (one.t[0] - begin, one.t[1] - begin)))
+        past = ego.between(-inf, first)
+        goal = goal.after(float(np.hypot(np.diff(past.x), np.diff(past.y)).sum()))
+    controls = scenario.controls
+    if controls is not None:
+        keep = (controls.t >= begin) & (controls.t <= end)
+        shifted = (controls.t[keep] - begin, controls.steer[keep], controls.throttle[keep], controls.brake[keep])
+        controls = Controls(*shifted) if keep.any() else None
+    newest = max(sum(plan.known <= begin for plan in scenario.onboard) - 1, 0)  # the newest plan at the begin
+    onboard = []
+    for plan in scenario.onboard[newest:]:
+        if plan.known <= end:
+            moved_plan = replace(plan.trajectory, t=plan.trajectory.t - begin)
+            onboard.append(OnboardPlan(plan.known - begin, moved_plan))
+    lights = []  # from the last change before the begin on; lights first observed after the end are left out
+    for light in scenario.lights:
+        before = max(int(np.searchsorted(light.t, begin, side="right")) - 1, 0)
+        shown = np.flatnonzero(light.t <= end)
+        shown = shown[shown >= before]
+        if len(shown):
+            lights.append(TrafficLight(light.id, light.t[shown] - begin, tuple(light.colours[i] for i in shown)))
+    driven, notes, road = Trajectory(t - begin, *columns), list(scenario.notes), scenario.road
+    if road.source is RoadSource.DRIVEN_PATH:  # a lane of the part alone, as wide as that of the log
+        notes = [note for note in notes if not note.startswith((ONE_LANE, REVERSES))]
+        lane = next(iter(road.lanes.values()))
+        road = road_along(driven, notes, round(float(np.hypot(*(lane.left[0] - lane.right[0]))), 6))
+    return replace(
+        scenario,
+        name=f"{scenario.name}@{begin:g}",
+        ego=driven,
+        road=road,
+        tracks=tracks,
+        duration=min(end, scenario.duration) - begin,
+        goal=goal,
+        controls=controls,
+        start_ns=scenario.start_ns + round(1e9 * begin),
+        notes=(*notes, f"This is the part from {begin:g} s to {min(end, scenario.duration):g} s of the log."),
+        onboard=tuple(onboard),
+        lights=tuple(lights),
+        traffic=clipped(scenario.traffic_spans, begin, min(end, scenario.duration)),
+        detections=None if scenario.detections is None else _detections(scenario.detections, begin, end),
+        repair=None if scenario.repair is None else _repair(scenario, begin, end, kept, tracks),
+    )
+
+
+def _samples_within(tracks: Tracks, begin: float, end: float) -> BoolArray:
+    before = np.r_[-inf, tracks.t[:-1]]
+    before[tracks.offsets[:-1]] = -inf
+    after = (before < end) & np.isfinite(before) & (tracks.t <= end + HISTORY_S)
+    keep = (tracks.t >= begin - HISTORY_S) & ((tracks.t <= end) | after)
+    keep |= tracks.static[tracks.owner]
+    return np.asarray(keep)
+
+
+def _detections(found: Detections, begin: float, end: float) -> Detections:
+    return found.between(begin - DETECTED_S, end + HISTORY_S).shifted(-begin)
+
+
+def _repair(scenario: Scenario, begin: float, end: float, kept: BoolArray, tracks: Tracks) -> Repair:
+    """Cut the repair to the part, whose `tracks` are the samples `kept` of the scenario's."""
+    made = scenario.repair
+    assert made is not None
+    if made.tracks is not scenario.tracks:
+        kept = _samples_within(made.tracks, begin, end)
+        tracks = made.tracks.taken(kept).shifted(-begin)
+    changes = (replace(each, begin=each.begin - begin, end=each.end - begin) for each in made.changes)
+    return Repair(
+        _detections(made.detections, begin, end),
+        made.removed.taken(_samples_within(made.removed, begin, end)).shifted(-begin),
+        made.extended[kept],
+        tuple(each for each in changes if each.end >= -DETECTED_S and each.begin <= end - begin + HISTORY_S),
+        tracks,
+    )
+
+
+Timed = TypeVar("Timed", Trajectory, Tracks, Controls, TrafficLight)
+
+
+def in_nanoseconds(scenario: Scenario) -> Scenario:
+    """Round the times of all samples to whole nanoseconds (1); LogError if two samples of one thing become one."""
+    try:
+        tracks, onboard, made = _columns_over_time(scenario.tracks), [], scenario.repair
+        for plan in scenario.onboard:
+            known = float(_round_times(np.array(plan.known)))
+            onboard.append(plan if known == plan.known else replace(plan, known=known))
+        if made is not None:
+            changes = []
+            for each in made.changes:
+                begin, end = _round_times(np.array([each.begin, each.end])).tolist()
+                changes.append(replace(each, begin=begin, end=end))
+            shown = tracks if made.tracks is scenario.tracks else _columns_over_time(made.tracks)
+            made = Repair(
+                framed(made.detections), _columns_over_time(made.removed), made.extended, tuple(changes), shown
+            )
+        return replace(
+            scenario,
+            ego=_columns_over_time(scenario.ego),
+            tracks=tracks,
+            controls=None if scenario.controls is None else _columns_over_time(scenario.controls),
+            lights=tuple(map(_columns_over_time, scenario.lights)),
+            onboard=tuple(onboard),
+            detections=None if scenario.detections is None else framed(scenario.detections),
+            repair=made,
+        )
+    except ValueError as error:
+        raise LogError(f"in whole nanoseconds: {error}", remedy="keep one of the samples") from None
+
+
+def _round_times(t: FloatArray) -> FloatArray:
+    return np.asarray(np.rint(1e9 * t) / 1e9)  # (1)
+
+
+def _columns_over_time(table: Timed) -> Timed:
+    t = _round_times(table.t)
+    return table if np.array_equal(t, table.t) else replace(table, t=t)
+
+
+def framed(found: Detections) -> Detections:
+    """Round the frames of detections to whole nanoseconds (1); frames at the same nanosecond become one."""
+    t, frames = _round_times(found.t), np.unique(_round_times(found.frames))
+    same = np.array_equal(t, found.t) and np.array_equal(frames, found.frames)
+    return found if same else replace(found, t=t, frames=frames)

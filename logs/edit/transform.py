@@ -1,0 +1,248 @@
+"""Changes a scenario in ways that should not change results: turned, shifted, mirrored, other clock, noise of 1e-9.
+
+(1) p' = R(dyaw) p + d       for every point of the log; velocities p_dot' = R(dyaw) p_dot, headings yaw' = yaw + dyaw
+(2) (x, y)' = (x, -y)        yaw' = -yaw, kappa' = -kappa, steer' = -steer; left and right change places
+
+(3) p(u) = (1 + 2 u)(1 - u)^2 p_k + u (1 - u)^2 d v_k + u^2 (3 - 2 u) p_(k+1) - u^2 (1 - u) d v_(k+1),  0 <= u <= 1
+    between two samples of a track, d s apart, with the velocities v of `Tracks.motion`: the log at another rate
+
+The points include the log's own coordinates, so `Scenario.origin` is turned and mirrored, but not shifted by d. Tests
+of planners and metrics use these changes, and `studies.invariance` drives the changed scenarios.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from math import cos, sin
+from typing import Any, TypeVar
+
+import numpy as np
+
+from replan.core.arrays import FloatArray
+from replan.logs.repair.detections import Detections
+from replan.logs.road import Goal, Road
+from replan.logs.scenario import Scenario
+from replan.logs.states import Controls, OnboardPlan, Trajectory
+from replan.logs.tracks import Tracks
+
+MIRRORED = "~mirrored"
+_FLIP = np.array([1.0, -1.0])
+Boxes = TypeVar("Boxes", Tracks, Detections)
+Placed = TypeVar("Placed", Tracks, Detections, Trajectory)
+_Points = Callable[[FloatArray], FloatArray]
+
+
+def moved(scenario: Scenario, dx: float, dy: float, dyaw: float) -> Scenario:
+    """The scenario turned by `dyaw` (rad) about (0, 0), then shifted by (dx, dy) m: a rigid motion (1) of the world."""
+    turn = _turn(dyaw)
+    ego, goal = scenario.ego, scenario.goal
+
+    def turned_boxes(one: Boxes) -> Boxes:
+        vx, vy = (np.column_stack([one.vx, one.vy]) @ turn).T
+        return replace(one, yaw=one.yaw + dyaw, vx=vx, vy=vy)
+
+    if goal is not None:
+        goal = goal.changed(lambda one: replace(one, yaw=one.yaw and (one.yaw[0] + dyaw, one.yaw[1] + dyaw)))
+    x, y = np.array(scenario.origin) @ turn
+    turned = replace(
+        scenario,
+        ego=replace(ego, yaw=ego.yaw + dyaw),
+        onboard=_with_trajectories(scenario.onboard, lambda one: replace(one, yaw=one.yaw + dyaw)),
+        **_with_boxes(scenario, turned_boxes),
+        goal=goal,
+        origin=(float(x), float(y)),
+    )
+    return _with_points(turned, lambda points: points @ turn + np.array([dx, dy]))
+
+
+def rotated(scenario: Scenario, angle: float, about: tuple[float, float] = (0.0, 0.0)) -> Scenario:
+    """The scenario turned counter-clockwise by `angle` (rad) about a point, m."""
+    dx, dy = np.array(about) - np.array(about) @ _turn(angle)
+    return moved(scenario, float(dx), float(dy), angle)
+
+
+def shifted_clock(scenario: Scenario, ns: int) -> Scenario:
+    """The scenario as if the clock of the log had been set forward by `ns` nanoseconds."""
+    return replace(scenario, start_ns=scenario.start_ns + ns)
+
+
+def sampled(scenario: Scenario, rate_hz: float) -> Scenario:
+    """The scenario as if it had been recorded at `rate_hz`: ego and moving tracks at multiples of 1 / `rate_hz` s.
+
+    Positions between two samples follow (3); all else is linear. The ego keeps its first and last state. A track
+    begins with its first multiple and ends with its last, and keeps its gaps; one that holds no multiple keeps its
+    first sample.
+    """
+    tracks, ego, moved = scenario.tracks, scenario.ego, scenario.tracks.motion
+    times, columns = [], []
+    for i in range(len(tracks)):
+        mine = tracks.samples(i)
+        old, t = tracks.t[mine], tracks.t[mine]
+        if not tracks.static[i]:  # static tracks are not resampled
+            t = _multiples(old, rate_hz)
+            k = np.searchsorted(old, t + 1e-9, side="right") - 1
+            kept = t[~(tracks.gap_after[mine][k] & (t > old[k] + 1e-9))]
+            t = kept if len(kept) else old[:1]
+        k = np.clip(np.searchsorted(old, t + 1e-9, side="right") - 1, 0, max(len(old) - 2, 0))
+        after = np.minimum(k + 1, len(old) - 1)
+        d = old[after] - old[k]
+        u = np.clip(np.divide(t - old[k], d, out=np.zeros(len(t)), where=d > 0.0), 0.0, 1.0)
+        curves = [
+            (1.0 + 2.0 * u) * (1.0 - u) ** 2 * p[k] + u * (1.0 - u) ** 2 * d * v[k]
+            + u * u * (3.0 - 2.0 * u) * p[after] - u * u * (1.0 - u) * d * v[after]
+            for p, v in ((tracks.x[mine], moved.vx[mine]), (tracks.y[mine], moved.vy[mine]))
+        ]  # (3)  # fmt: skip
+        lines = [p[k] + u * (p[after] - p[k]) for p in (tracks.yaw[mine], tracks.vx[mine], tracks.vy[mine])]
+        times.append(t)
+        columns.append(np.stack([*curves, *lines]))
+    x, y, yaw, vx, vy = np.hstack(columns) if columns else np.empty((5, 0))
+    offsets = np.r_[0, np.cumsum([len(t) for t in times])].astype(np.int64)
+    t = np.concatenate([np.empty(0), *times])
+    kept_t = np.unique(np.r_[ego.t[0], _multiples(ego.t, rate_hz), ego.t[-1]])
+    return replace(
+        scenario,
+        ego=ego.resampled(kept_t[np.r_[True, np.diff(kept_t) > 1e-6]]) if len(ego) > 1 else ego,
+        tracks=replace(tracks, offsets=offsets, t=t, x=x, y=y, yaw=yaw, vx=vx, vy=vy),
+    )
+
+
+def _multiples(t: FloatArray, rate_hz: float) -> FloatArray:
+    """The multiples of 1 / `rate_hz` within the span of the times `t`."""
+    found = np.arange(np.ceil(t[0] * rate_hz - 1e-6), np.floor(t[-1] * rate_hz + 1e-6) + 1.0) / rate_hz
+    return np.clip(found, t[0], t[-1])
+
+
+def jittered(scenario: Scenario, size: float, seed: int = 0) -> Scenario:
+    """Add independent errors, uniform in +-`size`, to all measured values.
+
+    On each coordinate (m) of ego, others, lanes, stop lines, crosswalks and goal, and on speeds (m/s), accelerations
+    (m/s2), headings (rad) and curvatures (1/m). No decision should depend on sizes like 1e-9. Lanes that share a
+    boundary no longer share it exactly.
+    """
+    rng = np.random.default_rng(seed)
+
+    def off(values: FloatArray) -> FloatArray:
+        return np.asarray(values + rng.uniform(-size, size, np.shape(values)))
+
+    ego = scenario.ego
+
+    def noisy_boxes(one: Boxes) -> Boxes:
+        return replace(one, yaw=off(one.yaw), vx=off(one.vx), vy=off(one.vy))
+
+    noisy = replace(
+        scenario,
+        ego=replace(ego, yaw=off(ego.yaw), v=off(ego.v), a=off(ego.a), kappa=off(ego.kappa)),
+        **_with_boxes(scenario, noisy_boxes),
+    )
+    return _with_points(noisy, off)
+
+
+def mirrored(scenario: Scenario) -> Scenario:
+    """The scenario reflected at the x axis (2), driving side included; mirroring twice gives the original.
+
+    Left and right change places everywhere: yaw, curvature and steering change their signs; boundaries, neighbours,
+    markings, the ends of stop lines, and the words "nudge left" and "nudge right" in the expected decisions swap.
+    Sizes, times, speeds, right of way, lights, and the name except for its suffix do not change.
+    """
+    goal, controls, name, road = scenario.goal, scenario.controls, scenario.name, scenario.road
+
+    def flipped(one: Goal) -> Goal:
+        yaw = None if one.yaw is None else (-one.yaw[1], -one.yaw[0])
+        return replace(one, regions=tuple(region[::-1] * _FLIP for region in one.regions), yaw=yaw)
+
+    lanes = {
+        lane.id: replace(
+            lane, left=lane.right * _FLIP, right=lane.left * _FLIP,
+            left_neighbour=lane.right_neighbour, right_neighbour=lane.left_neighbour,
+            left_opposite=lane.right_opposite, right_opposite=lane.left_opposite,
+            left_crossable=lane.right_crossable, right_crossable=lane.left_crossable,
+        )
+        for lane in road.lanes.values()
+    }  # fmt: skip
+    road = replace(
+        road,
+        lanes=lanes,
+        drives_on_right=not road.drives_on_right,
+        stop_lines=tuple(replace(line, points=line.points[::-1] * _FLIP) for line in road.stop_lines),
+        crosswalks=tuple(replace(each, polygon=each.polygon[::-1] * _FLIP) for each in road.crosswalks),
+        areas=tuple(area[::-1] * _FLIP for area in road.areas),
+    )
+    metadata = dict(scenario.metadata)
+    if "expected_decisions" in metadata:
+        text = metadata["expected_decisions"].replace("nudge left", "nudge\0").replace("nudge right", "nudge left")
+        metadata["expected_decisions"] = text.replace("nudge\0", "nudge right")
+    return replace(
+        scenario,
+        name=name.removesuffix(MIRRORED) if name.endswith(MIRRORED) else name + MIRRORED,
+        ego=mirrored_trajectory(scenario.ego),
+        onboard=_with_trajectories(scenario.onboard, mirrored_trajectory),
+        **_with_boxes(scenario, lambda one: replace(one, y=-one.y, yaw=-one.yaw, vy=-one.vy)),
+        road=road,
+        goal=None if goal is None else goal.changed(flipped),
+        controls=None if controls is None else Controls(controls.t, -controls.steer, controls.throttle, controls.brake),
+        origin=(scenario.origin[0], -scenario.origin[1]),
+        metadata=metadata,
+    )
+
+
+def moved_trajectory(ego: Trajectory, dx: float, dy: float, dyaw: float) -> Trajectory:
+    """Return the trajectory moved by (1)."""
+    x, y = (np.column_stack([ego.x, ego.y]) @ _turn(dyaw) + np.array([dx, dy])).T
+    return replace(ego, x=x, y=y, yaw=ego.yaw + dyaw)
+
+
+def mirrored_trajectory(ego: Trajectory) -> Trajectory:
+    """Return the trajectory mirrored by (2)."""
+    return replace(ego, y=-ego.y, yaw=-ego.yaw, kappa=-ego.kappa)
+
+
+def _turn(angle: float) -> FloatArray:
+    """Return the matrix `(2, 2)` of R(angle), for row vectors: `points @ matrix`."""
+    c, s = cos(angle), sin(angle)
+    return np.array([[c, s], [-s, c]])
+
+
+def _with_points(scenario: Scenario, points: _Points) -> Scenario:
+    """Apply `points` to all points `(k, 2)` of the scenario, and change nothing else."""
+    goal = scenario.goal
+
+    def elsewhere(one: Placed) -> Placed:
+        x, y = points(np.column_stack([one.x, one.y])).T
+        return replace(one, x=x, y=y)
+
+    boxes = _with_boxes(scenario, elsewhere)  # before the ego: the order of the random numbers in `jittered`
+    return replace(
+        scenario,
+        ego=elsewhere(scenario.ego),
+        onboard=_with_trajectories(scenario.onboard, elsewhere),
+        **boxes,
+        road=placed_road(scenario.road, points),
+        goal=None if goal is None else goal.changed(lambda one: replace(one, regions=tuple(map(points, one.regions)))),
+    )
+
+
+def _with_boxes(scenario: Scenario, changed: Callable[[Any], Any]) -> dict[str, Any]:
+    """Apply `changed` to all boxes of a scenario: tracks, detections and repair; return them as fields."""
+    tracks, found, made = changed(scenario.tracks), scenario.detections, scenario.repair
+    if made is not None:
+        own = tracks if made.tracks is scenario.tracks else changed(made.tracks)
+        made = replace(made, detections=changed(made.detections), removed=changed(made.removed), tracks=own)
+    return {"tracks": tracks, "detections": None if found is None else changed(found), "repair": made}
+
+
+def _with_trajectories(
+    plans: tuple[OnboardPlan, ...], changed: Callable[[Trajectory], Trajectory]
+) -> tuple[OnboardPlan, ...]:
+    return tuple(replace(plan, trajectory=changed(plan.trajectory)) for plan in plans)
+
+
+def placed_road(road: Road, points: _Points) -> Road:
+    """Apply `points` to all points `(k, 2)` of the road, and change nothing else."""
+    return replace(
+        road,
+        lanes={i: replace(lane, left=points(lane.left), right=points(lane.right)) for i, lane in road.lanes.items()},
+        stop_lines=tuple(replace(line, points=points(line.points)) for line in road.stop_lines),
+        crosswalks=tuple(replace(each, polygon=points(each.polygon)) for each in road.crosswalks),
+        areas=tuple(map(points, road.areas)),
+    )

@@ -1,0 +1,277 @@
+"""Lists all that replan knows by name, each with one line and its place in the code. `replan list` prints it.
+
+The lines come from the code: for a class or function, the first line of its docstring; for a metric, family, reader or
+suite, its summary; for a car, the first comment of its file.
+
+The settings of a planner, controller, vehicle model ... come from its code, too:
+
+key, default    the field of its dataclass, or its keyword; the key is that of `--set`
+unit            from the last part of the name (`UNITS`)
+range           the numbers that the dataclass accepts, with all other settings at their defaults: found by trying
+meaning         the entry of the docstring: under "Attributes" of the dataclass, "Args" of a class or function
+"""
+
+from __future__ import annotations
+
+import inspect
+import json
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
+from functools import partial
+from importlib.resources import files
+from typing import Any
+
+from replan.core.errors import ConfigError, ReplanError, unknown_name
+from replan.core.extension import ExtensionKind
+from replan.core.settings import dotted, meaning
+from replan.draw.charts.layout import CHART
+from replan.logs.catalogue import SUITES, families
+from replan.logs.readers import readers
+from replan.logs.vehicle import vehicle_names
+from replan.metrics import METRIC
+from replan.replay.loop_config import DEFAULT_LOOP
+from replan.replay.parts import PARTS, Part, config_class
+
+
+@dataclass(frozen=True)
+class ListedName:
+    """A name."""
+
+    name: str
+    says: str
+    where: str  # "package.module:line", or a file
+
+
+@dataclass(frozen=True)
+class DescribedName:
+    """A name of a kind, with its settings; None for a kind without settings."""
+
+    kind: str
+    name: str
+    says: str
+    where: str
+    settings: tuple[ListedSetting, ...] | None
+
+
+def entries(kind: str) -> tuple[ListedName, ...]:
+    """All names of a kind, in the order of its table; ConfigError if there is no such kind."""
+    if kind not in KINDS:
+        raise unknown_name("kind", kind, KINDS)
+    return tuple(KINDS[kind]())
+
+
+def described(name: str) -> list[DescribedName]:
+    """A name in each kind that has it, or a planner, controller ... "module:NAME" of a user.
+
+    ConfigError if nothing has this name; PlannerError if the user's module cannot be imported.
+    """
+    if all(name.partition(":")):
+        thing = ANY.find(name)
+        found = {kind.plural: _entries_of_code({name: thing}) for kind in PARTS.values() if kind.fits(thing)}
+    else:
+        found = {kind: (one for one in entries(kind) if one.name == name) for kind in KINDS}
+    parts = {kind.plural: Part(kind, name) for kind in PARTS.values()}
+    all_of = [
+        DescribedName(kind, one.name, one.says, one.where, settings_of(parts[kind]) if kind in parts else None)
+        for kind, some in found.items()
+        for one in some
+    ]
+    if not all_of:
+        if ":" in name:
+            raise ConfigError(f"'{name}' takes the arguments of no {', '.join(PARTS)}")
+        raise unknown_name("kind or name", name, [*KINDS, *(one.name for kind in parts for one in entries(kind))])
+    return all_of
+
+
+def page(found: Iterable[DescribedName]) -> list[str]:
+    """Names with their settings for a terminal."""
+    shown = list[str]()
+    for one in found:
+        settings = ["no settings"] if one.settings == () else setting_lines(one.settings or ())
+        shown += [f"{one.name} ({one.kind}): {one.says}", f"    {one.where}", *settings]
+    return shown
+
+
+def lines(found: Iterable[ListedName]) -> list[str]:
+    """The entries for a terminal: a line each, and its place in the code below it."""
+    return [line for one in found for line in (f"{one.name}: {one.says}", f"    {one.where}")]
+
+
+def counts() -> list[str]:
+    """The number of names of each kind, a line each."""
+    width = max(map(len, KINDS))
+    return [f"{kind:{width}}  {len(entries(kind)):4d}" for kind in KINDS]
+
+
+def _parts(kind: str) -> Iterator[ListedName]:
+    for one in _entries_of_code(_all(PARTS[kind])):
+        oracle = one.name in PARTS[kind].oracles
+        yield ListedName(one.name, f"{one.says} (oracle)" if oracle else one.says, one.where)
+
+
+def _entries_of_code(table: Mapping[str, Callable[..., Any]]) -> Iterator[ListedName]:
+    for name, thing in table.items():
+        yield ListedName(name, _first_line(thing), _where(thing))
+
+
+def _all(kind: ExtensionKind[Any]) -> dict[str, Any]:
+    """The built-in names, then those of other distributions."""
+    return {**kind.builtin, **kind.installed()}
+
+
+def _cars() -> Iterator[ListedName]:
+    for name in vehicle_names():
+        file = f"logs/vehicles/{name}.toml"
+        comment = (files("logs") / "vehicles" / f"{name}.toml").read_text(encoding="utf-8").partition("\n")[0]
+        yield ListedName(name, f"{comment.removeprefix('#').partition('.')[0].strip()}.", file)
+
+
+def _first_line(thing: Callable[..., Any]) -> str:
+    """The first docstring line of a class or function; settings of a `partial` are appended."""
+    if isinstance(thing, partial):
+        settings = ", ".join(f"{key} {value}" for key, value in thing.keywords.items())
+        return f"{_first_line(thing.func)} With {settings}."
+    return (inspect.getdoc(thing) or "").partition("\n")[0]
+
+
+def _where(thing: Any) -> str:
+    while isinstance(thing, partial):
+        thing = thing.func
+    if not inspect.isroutine(thing) and not isinstance(thing, type):
+        thing = type(thing)
+    try:
+        return f"{thing.__module__}:{inspect.getsourcelines(thing)[1]}"
+    except (OSError, TypeError):  # code without source
+        return str(thing.__module__)
+
+
+KINDS: Mapping[str, Callable[[], Iterable[ListedName]]] = {
+    "planners": lambda: _parts("planner"),
+    "controllers": lambda: _parts("controller"),
+    "vehicles": lambda: _parts("vehicle"),
+    "cars": _cars,
+    "traffic": lambda: _parts("traffic"),
+    "predictions": lambda: _parts("prediction"),
+    "perceptions": lambda: _parts("perception"),
+    "charts": lambda: _entries_of_code(_all(CHART)),
+    "metrics": lambda: (ListedName(name, one.meaning, _where(one.measure)) for name, one in _all(METRIC).items()),
+    "families": lambda: (ListedName(name, one.summary, _where(one.build)) for name, one in families().items()),
+    "suites": lambda: (ListedName(name, one.summary, "replan.logs.catalogue") for name, one in SUITES.items()),
+    "readers": lambda: (ListedName(one.name, one.summary, _where(one.read)) for one in readers()),
+}
+"""The kinds of names, in the order of `replan list`."""
+
+UNITS: Mapping[str, str] = {
+    "s": "s", "m": "m", "mps": "m/s", "mps2": "m/s2", "mps3": "m/s3", "kmh": "km/h", "rad": "rad", "deg": "deg",
+    "pm": "1/m", "kg": "kg", "gb": "GB",
+}  # fmt: skip
+"""Units by the last part of a name (`time_gap_s`); a weight (`w_s`) has the unit of its cost, which no name gives."""
+
+SIGNS = {"minimum": ">=", "exclusiveMinimum": ">", "maximum": "<=", "exclusiveMaximum": "<"}
+FAR, FAR_WHOLE, FINE = 1e9, 20_000, 1e-9
+"""Largest values that are tried, of numbers and of whole numbers, and the relative error of a bound."""
+
+ANY = ExtensionKind[Callable[..., Any]]("extension", "extensions", {})
+"""Finds what a user names as module:NAME, of any kind."""
+
+
+@dataclass(frozen=True)
+class ListedSetting:
+    """A setting."""
+
+    key: str  # Its key for `--set`
+    default: Any  # Its value if it is not set; None also if it has to be set
+    unit: str  # Its unit; "" for a number without one, a weight, a text
+    # Its bounds, named as in JSON Schema ("minimum", "exclusiveMinimum", ...); empty: none is checked
+    range: Mapping[str, float]
+    meaning: str
+    group: str = ""  # What its table is for; "" without one
+
+
+def settings_of(part: Part) -> tuple[ListedSetting, ...]:
+    """The settings of a part; errors as `ExtensionKind.find`."""
+    where, name, factory = part.where, part.name, part.factory
+    if is_dataclass(getattr(DEFAULT_LOOP, name, None)):  # perception "sensor"
+        return tuple(_of_dataclass(getattr(DEFAULT_LOOP, name), dotted("loop", name)))
+    config = config_class(factory)
+    if config is not None:
+        needed = any(f.default is MISSING and f.default_factory is MISSING for f in fields(config))
+        return tuple(_of_dataclass(config if needed else config(), where))
+    keywords = [p for p in inspect.signature(factory).parameters.values() if p.kind is p.KEYWORD_ONLY]
+    return tuple(
+        ListedSetting(
+            dotted(where, p.name), None if p.default is p.empty else p.default, unit(p.name), {},
+            meaning(factory, p.name),
+        )
+        for p in keywords
+    )  # fmt: skip
+
+
+def _of_dataclass(config: Any, where: str, group: str = "") -> Iterator[ListedSetting]:
+    """The settings of a dataclass, then those of its tables; a class instead of an instance has no defaults."""
+    items = [item for item in fields(config) if item.metadata.get("key", item.init)]
+    values = [(item.name, getattr(config, item.name, None), dotted(where, item.name)) for item in items]
+    for name, value, key in values:
+        if not is_dataclass(value):
+            yield ListedSetting(key, value, unit(name), accepted(config, name), meaning(config, name), group)
+    for name, value, key in values:
+        if is_dataclass(value):
+            about = meaning(config, name) or (inspect.getdoc(value) or "").partition("\n")[0]
+            yield from _of_dataclass(value, key, about)
+
+
+def unit(name: str) -> str:
+    """The unit in a name; "" if there is none."""
+    return "" if name.startswith("w_") else UNITS.get(name.rpartition("_")[2] if "_" in name else "", "")
+
+
+def accepted(config: Any, name: str) -> dict[str, float]:
+    """The bounds of a number, or of each number of a tuple, that the dataclass checks; see `ListedSetting.range`."""
+    default = getattr(config, name, None)
+    good, several = (default[0], len(default)) if isinstance(default, tuple) and default else (default, 0)
+    if isinstance(config, type) or isinstance(good, bool) or not isinstance(good, int | float):
+        return {}
+
+    def accepts(value: float) -> bool:
+        try:
+            replace(config, **{name: (value,) * several if several else value})
+        except (ReplanError, ValueError, ArithmeticError, TypeError):
+            return False
+        return True
+
+    edges = {"inimum": _edge(accepts, good, -1), "aximum": _edge(accepts, good, 1)}
+    found = {key: edge for key, edge in edges.items() if edge is not None}
+    return {f"m{key}" if accepts(edge) else f"exclusiveM{key}": edge for key, edge in found.items()}
+
+
+def _edge(accepts: Callable[[float], bool], good: float, sign: int) -> float | None:
+    """The last number below or above a good one that is accepted, or the first that is not; None if there is none.
+
+    It is found by bisection; whole numbers go in steps of two, as some must be odd.
+    """
+    whole = isinstance(good, int)
+    bad = good + 2 * sign * FAR_WHOLE if whole else sign * FAR
+    if accepts(bad) or not accepts(good):
+        return None
+    while abs(bad - good) > (2 if whole else FINE * max(1.0, abs(good))):
+        middle = good + 2 * ((bad - good) // 4) if whole else 0.5 * (good + bad)
+        good, bad = (middle, bad) if accepts(middle) else (good, middle)
+    if whole:
+        return good + sign if accepts(good + sign) else good
+    return float(f"{round(good, 8):.7g}") + 0.0
+
+
+def setting_lines(found: Iterable[ListedSetting]) -> list[str]:
+    """The settings for a terminal: key and default as `--set` takes them, unit and range; below, the meaning."""
+    shown, group = list[str](), ""
+    for one in found:
+        if one.group != group:
+            group = one.group
+            shown += ["", group]
+        value = "..." if one.default is None else json.dumps(one.default)
+        about = ", ".join(filter(None, (one.unit, *(f"{SIGNS[name]} {edge:.10g}" for name, edge in one.range.items()))))
+        shown += [
+            f"{one.key}={value}" + (f"  [{about}]" if about else ""),
+            *([f"    {one.meaning}"] if one.meaning else ()),
+        ]
+    return shown

@@ -1,0 +1,41 @@
+"""The names of before version 0.2, when `logs`, `metrics`, `planners` and `replay` were packages of their own.
+
+Files of that time name a built-in part by its module ("planners.idm:Idm"), and scripts import from it.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from importlib.abc import MetaPathFinder
+from importlib.util import find_spec
+
+from replan.core.own_sources import BESIDE
+
+
+def present_name(module: str) -> str:
+    """Return the present name of a module that had this one; "" if replan has none."""
+    if module.partition(".")[0] not in BESIDE:
+        return ""
+    try:
+        found = find_spec(f"replan.{module}")
+    except ImportError:  # its package is a module now, or gone
+        return ""
+    return f"replan.{module}" if found else ""
+
+
+class FormerNames(MetaPathFinder):
+    """Finds nothing. Asked after all other finders, it adds the present name to the error of an import that fails."""
+
+    def find_spec(self, fullname: str, path: Sequence[str] | None = None, target: object = None) -> None:
+        """Return None; ModuleNotFoundError, with the remedy, for a former name of a module of replan."""
+        name = present_name(fullname)
+        if name:
+            remedy = f"it is '{name}' now; import its names from replan (from replan import Plan, Trajectory)"
+            raise ModuleNotFoundError(f"No module named '{fullname}': {remedy}", name=fullname)
+
+
+def explain_former_names() -> None:
+    """Let failing imports of former names say the present ones; imports that succeed are not touched."""
+    if not any(isinstance(finder, FormerNames) for finder in sys.meta_path):
+        sys.meta_path.append(FormerNames())

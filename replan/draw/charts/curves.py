@@ -1,0 +1,288 @@
+"""Charts over time, and the graphs of a plan.
+
+Over time: panels of curves, in which the times of failed gates are shaded, and rows of the plan's status, each road
+user with a decision, and each broken gate. S-T and S-L graph: the corridor, the obstacles and the solutions.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from replan.core.names import ShortNames
+from replan.draw.charts.axes import LEFT_PX, Plane, rows_plane
+from replan.draw.charts.canvas import DRIVES, LETTER_PX, Chart, legend_words, line, rect, shortened, text
+from replan.draw.charts.subject import SceneSubject, Subject
+from replan.draw.model import SL, ST, DrawnGraph, GraphKind, Panel, compared_panels, graph_axes, panels
+from replan.explain.explanation import STATUS_WORDS
+from replan.logs.plan import Decision, DecisionKind, PlanStatus, PlanSummary
+
+WIDTH_PX, HEIGHT_PX = 440.0, 168.0
+KINDS = ("a", "b", "c", "d")  # Classes of the curves of a panel, in their order: solid, long dashes, dots, thin
+LEAST_PX = 3.0
+BOLD_PX = 6.8  # Width of a letter of a warning, pixels
+NAME_PX = 90.0  # Largest width of a drive's name before a warning, pixels
+
+
+def curves(subject: Subject) -> list[Chart]:
+    """All panels of a drive that have something to show; of several drives, a panel for each of their curves."""
+    charts, drives = [], subject.drives
+    found = {  # the trace has one plan only
+        name: [p for p in panels(replace(one.trace, frames=()), one.scenario, one.drive.steps) if p.charted]
+        for name, one in drives.items()
+    }
+    several, (first, *_) = len(drives) > 1, found.values()
+    kinds = dict(zip(drives, DRIVES, strict=False))
+    begins, ends = zip(*(one.span for one in drives.values()), strict=True)
+    for panel in compared_panels(found) if several else first:
+        shaded = [
+            Span(begin, end, f"\u26a0 {of}{some.series}", f"{of}{some.gate}")
+            for name, one in drives.items()
+            for of in [f"{shortened(name, NAME_PX)}: " if several else ""]
+            for some in one.violations
+            if some.series.startswith(panel.about) and panel.about
+            for begin, end in some.spans
+        ]
+        classes = [kinds[curve.name] for curve in panel.curves] if several else KINDS
+        charts.append(panel_chart(panel, (min(begins), max(ends)), shaded, now=subject.moment.t, kinds=classes))
+    return charts
+
+
+def panel_chart(
+    panel: Panel, x: tuple[float, float], shaded: Sequence[Span] = (), *, now: float | None = None,
+    kinds: Sequence[str] = KINDS, shade: str = "broken", x_title: str = "time [s]",
+    size: tuple[float, float] = (WIDTH_PX, HEIGHT_PX),
+) -> Chart:  # fmt: skip
+    """The curves of a panel.
+
+    `panel`: the panel; curves without a class are not drawn. `shaded`: intervals that are shaded, each with a word
+    above, and in a tooltip why. `size`: pixels.
+    """
+    plane = Plane(x, panel.range, *size)
+    shown = list(zip(panel.curves, kinds, strict=False))
+    wide, high = plane.inner
+    inside, words, until = "", "", -np.inf
+    for span in sorted(shaded, key=lambda one: (one.begin, one.end, one.why)):
+        left, right = plane.at_x(np.array([span.begin, span.end])).tolist()
+        left = min(max(left, 0.0), wide - LEAST_PX)
+        right = max(right, left + LEAST_PX)
+        inside += rect(left, 0.0, right - left, high, shade, span.why)
+        inside += line(left, 0.0, left, high, "edge") if span.word else ""
+        room = BOLD_PX * len(span.word) + 2.0
+        at = min(left + 2.0, wide - room)
+        if at > until:
+            words += text(at, 9.0, span.word, "warn")
+            until = at + room
+    inside += "".join(plane.line(curve.t, curve.values, kind) for curve, kind in shown[::-1])  # the first on top
+    inside += "" if now is None else now_line(plane, now)
+    head, largest = panel.title, float(np.abs(panel.values).max())
+    if any(curve.spiky for curve in panel.curves) and largest > 1.2 * max(map(abs, panel.range)):
+        head += f", up to {largest:.0f} in single steps"
+    named = legend_words([curve.legend for curve, _ in shown], size[0] - LEFT_PX)
+    entries = [("line", kind, word) for (_, kind), word in zip(shown, named, strict=True)]
+    spans = [f"{c.legend} {c.known.min():.3g} to {c.known.max():.3g}" for c in panel.curves]
+    failed = f"; breaks {', '.join(dict.fromkeys(span.why for span in shaded))}" if shade == "broken" and shaded else ""
+    says = f"{panel.title} over time: {', '.join(spans)}{failed}"
+    return plane.chart(
+        panel.name, panel.title, inside, head=head, says=says, entries=entries, over=words, x_title=x_title
+    )
+
+
+def now_line(plane: Plane, t: float) -> str:
+    """A vertical line at the moment of the subject."""
+    x = min(max(float(plane.at_x(t)), 1.0), plane.inner[0] - 1.0)
+    return line(x, 0.0, x, plane.inner[1], "now")
+
+
+ROWS_PX, ROW_PX, TOP_PX = 900.0, 20.0, 22.0
+LABEL_PX = 210.0
+MAX_ROWS = 12  # Largest number of rows of road users; the list of events beside the picture has all of them
+CALM = tuple(STATUS_WORDS[status] for status in (PlanStatus.PLANNED, PlanStatus.CORRECTED))
+"""Statuses that are not drawn as alarms."""
+
+
+@dataclass(frozen=True)
+class Span:
+    """A state from one time to another, s."""
+
+    begin: float
+    end: float
+    word: str
+    why: str = ""
+
+
+@dataclass(frozen=True)
+class SpanRow:
+    """The spans of one road user, one gate, or the plan."""
+
+    name: str
+    spans: tuple[Span, ...]
+    kind: str = "bar"
+
+
+def decided(plans: Sequence[PlanSummary], end: float, short: Callable[[str], str]) -> list[SpanRow]:
+    """The decisions other than "ignore" about each agent, in the order of the first decision.
+
+    A decision holds until the next frame; consecutive frames with the same decision are one span with the first reason.
+    `short` shortens the names of agents.
+    """
+    rows: dict[str, list[Span]] = {}
+    for plan, stop in _until(plans, end):
+        now = [some for some in plan.internals if isinstance(some, Decision)]
+        for one in {some.agent: some for some in now if some.kind is not DecisionKind.IGNORE}.values():
+            _extend(rows.setdefault(one.agent, []), Span(plan.t, stop, one.kind.value, short(one.reason)))
+    return [SpanRow(short(agent), tuple(spans)) for agent, spans in rows.items()]
+
+
+def statuses(plans: Sequence[PlanSummary], end: float) -> SpanRow:
+    """The statuses of the plans."""
+    spans: list[Span] = []
+    for plan, stop in _until(plans, end):
+        _extend(spans, Span(plan.t, stop, STATUS_WORDS[plan.status], plan.reason))
+    return SpanRow("plan", tuple(spans), "calm")
+
+
+def _until(plans: Sequence[PlanSummary], end: float) -> Iterable[tuple[PlanSummary, float]]:
+    """Each plan and the time until which it holds."""
+    return zip(plans, [*(plan.t for plan in plans[1:]), max(end, plans[-1].t)] if plans else [], strict=True)
+
+
+def _extend(spans: list[Span], one: Span) -> None:
+    """Add a span, or extend the last one if it continues."""
+    if spans and spans[-1].word == one.word and abs(spans[-1].end - one.begin) < 1e-6:
+        spans[-1] = Span(spans[-1].begin, one.end, one.word, spans[-1].why)
+    else:
+        spans.append(one)
+
+
+def decisions(subject: Subject, width: float = ROWS_PX) -> Chart:
+    """Decisions, plan statuses and broken gates as rows over time; `width` in pixels."""
+    plans, end = subject.plans, subject.span[1]
+    agents = decided(plans, end, subject.scenario.short_names)
+    longest = sorted(agents, key=lambda row: -sum(span.end - span.begin for span in row.spans))[:MAX_ROWS]
+    broken: dict[str, SpanRow] = {}
+    for some in subject.violations:  # gates of one series (episode and total time, say) are one row
+        spans = tuple(Span(begin, stop, "fails", some.gate) for begin, stop in some.spans)
+        before = broken[some.series].spans if some.series in broken else ()
+        if spans:
+            spans = tuple(dict.fromkeys((*before, *spans))) if before else spans
+            broken[some.series] = SpanRow(some.series, spans, "alarm")
+    status = [statuses(plans, end)] if plans else []
+    rows = [*status, *(row for row in agents if row in longest), *broken.values()]
+    title = "Decisions, plans and broken gates over time"
+    if not rows:
+        body = text(2.0, 13.0, title, "title") + text(0.5 * width, 40.0, "the drive has no plans", "says")
+        return Chart("decisions", title, f"{title}: the drive has no plans", width, 56.0, body)
+    plane, names = rows_plane([row.name for row in rows], subject.span, width, ROW_PX, top=TOP_PX, most=LABEL_PX)
+    bars = "".join(_bars(plane, row, k) for k, row in enumerate(rows)) + now_line(plane, subject.moment.t)
+    silent = not any(row.kind == "bar" for row in rows)
+    says = "; ".join(
+        f"{row.name}: " + ", ".join(f"{span.word} {span.begin:.1f} to {span.end:.1f} s" for span in row.spans[:6])
+        for row in rows
+    )
+    head = title + (": the planner reports none" if silent else "")
+    return plane.chart("decisions", title, bars, head=head, says=says, x_title="time [s]", y_ticks=names)
+
+
+def _bars(plane: Plane, row: SpanRow, k: int) -> str:
+    out, until = [], 0.0
+    ends = plane.at_x(np.array([[span.begin, span.end] for span in row.spans]))
+    for i, (span, (left, right)) in enumerate(zip(row.spans, ends.tolist(), strict=True)):
+        left = min(left, plane.inner[0] - LEAST_PX)
+        wide, y = max(right - left, LEAST_PX), ROW_PX * k
+        why = f" ({span.why})" if span.why else ""
+        about = f"{row.name}: {span.word}, {span.begin:.2f} to {span.end:.2f} s{why}"
+        kind = "alarm" if row.kind == "calm" and span.word not in CALM else row.kind
+        out.append(rect(left, y + 3.0, wide, ROW_PX - 6.0, kind, about))
+        needed = LETTER_PX * len(span.word) + 6.0
+        after = ends[i + 1, 0] if i + 1 < len(row.spans) else plane.inner[0]
+        if wide >= needed or after - left - wide >= needed:
+            at = left + 4.0 if wide >= needed else left + wide + 2.0
+            out.append(text(at, y + 14.0, span.word))
+            until = at + needed
+        elif left - until >= needed:
+            out.append(text(left - 3.0, y + 14.0, span.word, "end"))
+        until = max(until, left + wide)
+    return "".join(out)
+
+
+GRAPH_PX = 440.0, 250.0
+MAX_LABELS = 6
+NAME_APART_PX = 12.0  # Smallest vertical distance between two labels
+
+
+def st_graph(subject: Subject) -> Chart:
+    """Station over time: obstacles with their decisions, DP and QP speed, corridor."""
+    return _graph_of(subject, ST)
+
+
+def sl_graph(subject: Subject) -> Chart:
+    """Lateral offset over station: obstacles, DP and QP path, corridor."""
+    return _graph_of(subject, SL)
+
+
+def _graph_of(subject: Subject, kind: GraphKind) -> Chart:
+    frame, why = subject.frame, f"{subject.drive.planner} reports no internals"
+    if frame is None:
+        why = "no plan yet at this time"
+    elif frame.plan.internals or any(plan.internals for plan in subject.plans):
+        why = f"this plan has no {kind.title}"
+    elif subject.drive.result.run.internals == "none":
+        why = "the internals of the plan were not kept (--set internals=none)"
+    return plan_graph(subject, kind, why)
+
+
+def plan_graph(subject: SceneSubject, kind: GraphKind, why: str) -> Chart:
+    """A graph of the newest plan; `why`: the reason if it has none."""
+    frame, short = subject.frame, subject.scenario.short_names
+    title = f"{kind.title} of the plan at {subject.moment.t if frame is None else frame.t:.1f} s"
+    graph = None if frame is None else DrawnGraph.of(frame.plan, kind)
+    if graph is None:
+        body = text(2.0, 13.0, title, "title") + text(GRAPH_PX[0] / 2.0, 44.0, why, "says")
+        return Chart(kind.name, title, f"{title}: {why}", GRAPH_PX[0], 64.0, body)
+    x, y = graph_axes([graph], kind) or ((0.0, 1.0), (0.0, kind.least))
+    plane, inside = Plane((x[0] + graph.begin, x[1] + graph.begin), y, GRAPH_PX[0], GRAPH_PX[1]), ""
+    if graph.corridor is not None:
+        margin = 0.1 * (plane.y[1] - plane.y[0])  # edges out there are clipped
+        bounds = plane.y[0] - margin, plane.y[1] + margin
+        low, high = (np.clip(bound, *bounds) for bound in (graph.corridor.lower, graph.corridor.upper))
+        inside += plane.area(np.r_[graph.corridor.first, graph.corridor.first[::-1]], np.r_[low, high[::-1]], "room")
+    for some in graph.obstacles:
+        if len(some.outline) > 2:
+            inside += plane.area(some.outline[:, 0], some.outline[:, 1], "ignored" if some.is_ignored else "thing")
+    inside += "".join(
+        plane.line(line[:, 0], line[:, 1], name) for line, name in ((graph.dp, "dp"), (graph.qp, "qp")) if len(line)
+    )
+    entries = (
+        (len(graph.qp), ("line", "qp", "QP")), (len(graph.dp), ("line", "dp", "DP")),
+        (graph.corridor, ("area", "room", "corridor")), (graph.obstacles, ("area", "thing", "obstacle")),
+    )  # fmt: skip
+    named = ", ".join(f"{some.of.agent}: {some.of.decision.value}" for some in graph.obstacles)
+    return plane.chart(
+        kind.name, title, inside, says=f"{title}: {short(named) or 'no agent in the way'}",
+        entries=[entry for shown, entry in entries if shown], over=_labels(plane, graph, short),
+        x_title=kind.x_title, y_title=kind.y_title,
+    )  # fmt: skip
+
+
+def _labels(plane: Plane, graph: DrawnGraph, short: ShortNames) -> str:
+    """Labels with agent and decision at the visible part of each outline, ignored agents last; overlaps move down."""
+    wide, high = plane.inner
+    out, taken = [], list[float]()
+    for some in sorted(graph.obstacles, key=lambda one: one.is_ignored)[:MAX_LABELS]:
+        outline = some.outline
+        x, y = np.clip(plane.at_x(outline[:, 0]), 0.0, wide), np.clip(plane.at_y(outline[:, 1]), 0.0, high)
+        seen = (outline[:, 0] >= plane.x[0]) & (outline[:, 0] <= plane.x[1])
+        if not seen.any() or y[seen].min() >= high or y[seen].max() <= 0.0:
+            continue
+        words = shortened(f"{short(some.of.agent)}: {some.of.decision.value}", wide)
+        at_y = 0.5 * (float(y[seen].min()) + float(y[seen].max())) + 4.0
+        while any(abs(at_y - other) < NAME_APART_PX for other in taken):
+            at_y += NAME_APART_PX
+        taken.append(at_y)
+        half = 0.5 * LETTER_PX * len(words)
+        at_x = min(max(0.5 * (float(x[seen].min()) + float(x[seen].max())), half + 2.0), wide - half)
+        out.append(text(at_x, min(max(at_y, 11.0), high - 3.0), words, "name mid"))
+    return "".join(out)

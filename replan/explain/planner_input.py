@@ -1,0 +1,136 @@
+"""The input of the planner in each frame of a drive, and the actual motion of the agents in its S-T graph.
+
+A trace in memory keeps the predictions at `KEPT_STEP_S`; its file keeps fewer, without headings. For a trace that was
+read from a file, the predictions are therefore made again with the settings of the loop, and thinned as in memory: the
+numbers are the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from replan.core.arrays import FloatArray, frozen
+from replan.explain.course import path_rows
+from replan.logs.agents import Agents
+from replan.logs.frame import Predictions
+from replan.logs.plan import DecisionKind, StGraph
+from replan.logs.rules import Colour
+from replan.logs.scenario import Scenario
+from replan.logs.trace import PlannedFrame, Trace
+from replan.logs.tracks import Tracks
+from replan.planners.frenet.scene import Bodies, Futures
+from replan.planners.frenet.st_boundaries import Roles, Swept, SweptPath, sweep
+from replan.replay.loop_config import LoopConfig
+from replan.replay.perception import Perception, shows_truth
+from replan.replay.world import World
+
+SAME_TIME_S = 1e-6
+STEP_S = 0.25
+"""Interval between two times at which a box is compared with the path."""
+BEYOND_M = 15.0
+"""The path is extended by this length: a plan that stops for an agent ends before it."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class PlannerInput:
+    """A frame of a trace, with the data that explain its plan.
+
+    Attributes:
+        planned: The frame.
+        agents: The agents as they were shown to the planner.
+        predictions: The predictions of these agents; None if they were not kept.
+        lights: The colour of each traffic light.
+    """
+
+    planned: PlannedFrame
+    agents: Agents
+    predictions: Predictions | None
+    lights: Mapping[int, Colour]
+
+
+def planner_inputs(
+    trace: Trace, scenario: Scenario, loop: LoopConfig | None = None, earlier: Iterable[float] = ()
+) -> Iterator[PlannerInput]:
+    """The planner's input at each frame of a trace.
+
+    A trace that was read from a file needs the settings of its loop, and the times of frames `earlier` than its own, s,
+    which a sensor model remembers.
+    """
+    perception = None if loop is None else Perception(scenario, loop)
+    if perception is not None and loop is not None and not shows_truth(loop.perception, scenario):
+        for t in earlier:
+            perception.frame(World(trace.ego.at(t), trace.agents), None)
+    for frame in trace.frames:
+        lights = {light.id: light.at(frame.t) for light in scenario.lights}
+        if perception is None:
+            shown = agents_shown(trace, frame.t)
+            row = {name: i for i, name in enumerate(shown.ids)}
+            agents = shown.some(np.array([row[name] for name in frame.agents], dtype=np.int64))
+            yield PlannerInput(frame, agents, frame.predictions, lights)
+            continue
+        made = perception.frame(World(trace.ego.at(frame.t), trace.agents), None)
+        yield PlannerInput(frame, made.agents, PlannedFrame.of(made, frame.plan).predictions, lights)
+
+
+def agents_shown(trace: Trace, t: float) -> Agents:
+    """The agents as they were shown to the planner in the frame at `t`; their order is not that of the frame."""
+    some = trace.perceived
+    if some is None:
+        return trace.agents.perceived(t)
+    at = np.flatnonzero(np.abs(some.t - t) < SAME_TIME_S)
+    rows = np.searchsorted(some.offsets, at, side="right") - 1
+    poses = (getattr(some, name)[at] for name in ("x", "y", "yaw", "vx", "vy"))
+    ids, kinds = (tuple(names[i] for i in rows) for names in (some.ids, some.kinds))
+    return Agents(ids, kinds, some.length[rows], some.width[rows], *poses)
+
+
+def actual_occupancy(trace: Trace, scenario: Scenario) -> Iterator[list[FloatArray]]:
+    """For each frame, where the agents that its S-T graph decides about were on the path, as they really drove.
+
+    The boxes of the trace (linear between its samples) are swept against the ego's box along the path of the plan and
+    `BEYOND_M` straight on from its end, without any margin. A difference from an obstacle of the graph is therefore an
+    error of the prediction, or the margin of the planner.
+
+    Yields:
+        Outlines `(k, 2)`: time from the frame, s, and station along the path from the ego, m.
+    """
+    car, rows = scenario.vehicle, {name: i for i, name in enumerate(trace.agents.ids)}
+    ego = Swept(car.axle_to_center, car.length, car.width, 0.0, 0.0, 0.0, 0.0, 0.0)
+    end = float(trace.ego.t[-1])
+    beyond = np.arange(0.5, BEYOND_M + 0.5, 0.5)
+    for frame in trace.frames:
+        graph = next((each for each in frame.plan.internals if isinstance(each, StGraph)), None)
+        things = [thing for thing in graph.obstacles if thing.decision is not DecisionKind.IGNORE] if graph else []
+        names = dict.fromkeys(thing.agent for thing in things if thing.agent in rows)
+        if not names:
+            yield []
+            continue
+        own = path_rows(frame.plan.trajectory)[:4]
+        yaw = own[3, -1]
+        ahead = np.stack([beyond, beyond * np.cos(yaw), beyond * np.sin(yaw), 0.0 * beyond])
+        way = np.ascontiguousarray(np.hstack([own, own[:, -1:] + ahead]))
+        found = (_outline(trace.agents, rows[name], frame, way, end, ego) for name in names)
+        yield [outline for outline in found if outline is not None]
+
+
+def _outline(tracks: Tracks, i: int, frame: PlannedFrame, way: FloatArray, end: float, ego: Swept) -> FloatArray | None:
+    """The outline of an agent on the path until the drive, its log or the plan ends; None if it is never on it."""
+    own = slice(int(tracks.offsets[i]), int(tracks.offsets[i + 1]))
+    last = min(end, float(frame.plan.trajectory.t[-1]), np.inf if tracks.static[i] else float(tracks.t[own][-1]))
+    times = frame.t + STEP_S * np.arange(int(np.floor((last - frame.t) / STEP_S + 1e-9)) + 1)
+    if len(times) < 2:
+        return None
+    columns = tracks.x[own], tracks.y[own], np.unwrap(tracks.yaw[own])
+    x, y, yaw = (np.interp(times, tracks.t[own], column)[None] for column in columns)
+    one, zero, no = np.zeros(1, np.int64), np.zeros(1), np.zeros(1, np.bool_)
+    futures = Futures(frozen(times), one, *map(frozen, (zero, x, y, yaw)))
+    bodies = Bodies(*map(frozen, (zero, zero, zero, zero, zero, tracks.length[[i]], tracks.width[[i]])))
+    t, _, lower, upper, _, _ = sweep(SweptPath(*way), futures, bodies, Roles(no, no, no), ego, float(frame.t), 1)
+    if not len(lower):
+        return None
+    there = np.isfinite(lower[0])
+    low, high = np.column_stack([t, lower[0]])[there], np.column_stack([t, upper[0]])[there]
+    return np.vstack([low, high[::-1]])

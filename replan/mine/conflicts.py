@@ -1,0 +1,259 @@
+"""Events of two road users that use the same place: near misses, and which of them yields.
+
+A road user and the ego conflict where their boxes take the same place at different times, the ego's at step i and the
+other's at step j of the grid; for vehicles with headings that differ by 30 degrees or more. With the pair of least time
+
+(1) PET = |t_j - t_i|
+
+and the first one there goes first. The second one has yielded if it slowed down before the first one was there, and at
+the speed that it had before it slowed down it would have come less than `CLOSE_S` after the first one, or before it.
+
+They are on a collision course while the time to collision TTC (`replan.metrics.safety`) is below its critical value. With the
+relative speed u, the braking that just avoids the contact, with boxes that may be off by `DEEP_M`, is
+
+(2) needed = u^2 / (2 (u TTC + DEEP_M))
+
+A short TTC alone is no near miss: in a queue at 3 m/s, 1.2 s of it need 1.1 m/s2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from math import hypot, inf
+
+import numpy as np
+
+from replan.core.arrays import BoolArray, FloatArray, IntArray, arc_lengths
+from replan.core.kernel import kernel
+from replan.core.once import once
+from replan.logs.agents import AgentKind
+from replan.logs.shapes import clearance, overlap, time_to_contact, time_to_contact_turning
+from replan.logs.states import wrap
+from replan.metrics.boxes import DEEP_M, GRID_S, NO_TTC_MPS, TURN_S, EgoOutline, is_behind
+from replan.metrics.encounters import CROSSING_RAD, SERIOUS_S as PET_S
+from replan.metrics.safety import TAU_S as TTC_S
+from replan.mine.driven_log import JUMPS, DrivenLog, Event, EventKind, Neighbour, runs, steps
+from replan.mine.ego_and_road import HARD_MPS2
+from replan.mine.road_users import ALONG
+
+COURSE_S = 0.3
+"""Least duration of a collision course."""
+NEAR_S, NEAR_M = 2.0, 1.0
+"""A collision course is a near miss if it needs hard braking (2), and in NEAR_S after it they come within NEAR_M or
+one brakes hard."""
+WINDOW_S = 10.0
+"""Largest time between two road users at a place that are in conflict."""
+CLOSE_S = 1.0
+"""The second one would have come less than this time after the first one, had it not yielded."""
+BEFORE_S = 10.0
+"""A road user that yields slows down within this time before the other one is there."""
+SLOWED_MPS, SLOWED = 1.0, 0.3
+"""Least decrease of the speed of a road user that yields: absolute, m/s, and as a share of its speed before."""
+MOVES_MPS = 0.5
+"""Slower road users stand."""
+SUDDEN = "they are first seen as they touch"
+SHALLOW = f"the boxes overlap by less than {DEEP_M:g} m, which boxes may be off by"
+TOO_LARGE = "the two hardly move against each other: the boxes may be too large"
+
+
+def _near_miss_ttc(log: DrivenLog) -> Iterator[Event]:
+    turn = log.ego.v * log.ego.kappa
+    for one in log.neighbours:
+        size = np.array(one.size)
+        ttc, needed = _courses(log.boxes, turn, log.car, one.pose, one.turn, one.k, size, TTC_S)
+        rooms = _rooms(log.boxes, log.car, one.pose, one.k, size)
+        for first, last in runs(ttc < TTC_S, one.k, steps(COURSE_S), steps(0.5)):
+            if needed[first : last + 1].max() < HARD_MPS2:
+                continue
+            after = slice(first, min(last + steps(NEAR_S), len(one.k) - 1) + 1)
+            braked = min(float(np.nanmin(log.accel[one.k[after]], initial=0.0)), float(one.accel[after].min()))
+            along = abs(one.along[first]) > ALONG and not one.kind.is_vulnerable
+            beside = along and not one.reaches_into(log.half)[after].any()
+            room = rooms[after].min()
+            if (braked <= -HARD_MPS2 and not beside) or room < NEAR_M:
+                jumps = log.jumps[one.k[first : last + 1]].any()
+                doubt = JUMPS if jumps else SHALLOW if -DEEP_M < room <= 0.0 else ""
+                yield log.event(one, first, last, ttc[first : last + 1].min(), doubt=doubt)
+
+
+def _contact(log: DrivenLog) -> Iterator[Event]:
+    for one in log.neighbours:
+        room = _rooms(log.boxes, log.car, one.pose, one.k, np.array(one.size))
+        closing = np.hypot(one.pose[3] - log.boxes[3, one.k], one.pose[4] - log.boxes[4, one.k])
+        for first, last in runs(room <= 0.0, one.k, hole=steps(0.5)):
+            begins = first == 0 or one.k[first] > one.k[first - 1] + 1
+            rests = float(closing[first : last + 1].max()) < MOVES_MPS
+            shallow = room[first : last + 1].min() > -DEEP_M
+            doubt = SUDDEN if begins else TOO_LARGE if rests else SHALLOW if shallow else ""
+            yield log.event(one, first, last, closing[first], doubt=doubt)
+
+
+def _near_miss_pet(log: DrivenLog) -> Iterator[Event]:
+    for one, i, j in _conflicts(log):
+        pet = abs(float(log.t[j] - log.t[i]))
+        moving = abs(float(log.ego.v[i])) > MOVES_MPS
+        if pet <= PET_S and moving:
+            who = "the ego was there first" if i <= j else "the ego was there second"
+            yield log.event_at(one, min(i, j), max(i, j), pet, who)
+
+
+def _ego_yields(log: DrivenLog) -> Iterator[Event]:
+    for one, i, j in _conflicts(log):
+        slowed = _step_of_slowing(log.ego.v, log.station, j, i) if j < i else -1
+        if slowed >= 0:
+            yield log.event_at(one, slowed, i, float(log.t[i] - log.t[j]))
+
+
+def _ego_is_yielded_to(log: DrivenLog) -> Iterator[Event]:
+    for one, i, j in _conflicts(log):
+        at = int(np.searchsorted(one.k, j))
+        whole = one.k[at] - one.k[0] == at  # seen without a gap until then
+        if i >= j or not whole:
+            continue
+        way = arc_lengths(*one.pose[:2])
+        first = int(np.searchsorted(one.k, i))
+        slowed = _step_of_slowing(one.speed, way, min(first, at), at)
+        if slowed >= 0:
+            yield log.event_at(one, int(one.k[slowed]), j, float(log.t[j] - log.t[i]))
+
+
+def _step_of_slowing(v: FloatArray, way: FloatArray, first: int, at: int) -> int:
+    """The step at which the second one begins to slow down for the first one; -1 if it does not.
+
+    Args:
+        v: `(n,)` its speed, m/s.
+        way: `(n,)` distance that it has moved, m.
+        first: The step at which the first one is at the place.
+        at: The step at which the second one is there.
+    """
+    begin = max(first - steps(BEFORE_S), 0)
+    if first <= begin:
+        return -1
+    before = v[begin : first + 1]
+    fastest = begin + int(len(before) - 1 - np.argmax(before[::-1]))
+    least = float(v[fastest : at + 1].min())
+    speed = float(v[fastest])
+    if speed < MOVES_MPS or speed - least < max(SLOWED_MPS, SLOWED * speed):
+        return -1
+    undisturbed = fastest + float(way[at] - way[fastest]) / speed / GRID_S  # step at which it would have come
+    return fastest if undisturbed < first + steps(CLOSE_S) else -1
+
+
+@once
+def _conflicts(log: DrivenLog) -> tuple[tuple[Neighbour, int, int], ...]:
+    """Each road user in conflict with the ego, with the steps of the ego and of the other at the least PET."""
+    found = []
+    size = np.array([log.car.length, log.car.width])
+    low, high = log.boxes[:2].min(axis=1) - 10.0, log.boxes[:2].max(axis=1) + 10.0
+    for one in log.neighbours:
+        moves = one.speed > MOVES_MPS
+        if not moves.any():
+            continue
+        near: BoolArray = ((one.pose[:2] >= low[:, None]) & (one.pose[:2] <= high[:, None])).all(axis=0)
+        angle = 0.0 if one.kind is AgentKind.PEDESTRIAN else CROSSING_RAD
+        use = near & moves
+        pose = np.ascontiguousarray(one.pose[:, use])
+        i, j = _least_encroachment(log.boxes, size, pose, one.k[use], np.array(one.size), angle, steps(WINDOW_S))
+        if i >= 0:
+            found.append((one, i, j))
+    return tuple(found)
+
+
+@kernel
+def _least_encroachment(
+    ego: FloatArray, car: FloatArray, pose: FloatArray, k: IntArray, size: FloatArray, angle: float, window: int
+) -> tuple[int, int]:
+    """(1): the ego's step i and the other's step j of the least |i - j| <= window, the first of equals; -1: none."""
+    best, found_i, found_j = window + 1, -1, -1
+    reach = 0.5 * (hypot(car[0], car[1]) + hypot(size[0], size[1]))
+    for m in range(len(k)):
+        j = k[m]
+        for i in range(max(j - best + 1, 0), min(j + best, ego.shape[1])):
+            if abs(i - j) >= best or hypot(pose[0, m] - ego[0, i], pose[1, m] - ego[1, i]) > reach:
+                continue
+            if abs(wrap(pose[2, m] - ego[2, i])) >= angle and overlap(
+                ego[0, i], ego[1, i], ego[2, i], car[0], car[1], pose[0, m], pose[1, m], pose[2, m], size[0], size[1]
+            ):
+                best, found_i, found_j = abs(i - j), i, j
+    return found_i, found_j
+
+
+@kernel
+def _courses(
+    ego: FloatArray, turn: FloatArray, car: EgoOutline, pose: FloatArray, turns: FloatArray, k: IntArray,
+    size: FloatArray, horizon: float,
+) -> FloatArray:  # fmt: skip
+    """TTC (`replan.metrics.safety`), s, and (2), m/s2, `(2, m)` with one road user; inf and 0 beyond the horizon, s."""
+    out = np.zeros((2, len(k)))
+    out[0] = inf
+    reach = 0.5 * (hypot(car.length, car.width) + hypot(size[0], size[1]))
+    for m in range(len(k)):
+        x, y, yaw, vx, vy = ego[0, k[m]], ego[1, k[m]], ego[2, k[m]], ego[3, k[m]], ego[4, k[m]]
+        if hypot(vx, vy) <= NO_TTC_MPS:
+            continue
+        rear_x, rear_y = x - car.axle * np.cos(yaw), y - car.axle * np.sin(yaw)
+        px, py, heading, ux, uy = pose[0, m], pose[1, m], pose[2, m], pose[3, m], pose[4, m]
+        away, closing = hypot(px - x, py - y), hypot(ux - vx, uy - vy)
+        if away - reach > horizon * closing or is_behind(rear_x, rear_y, yaw, px, py):
+            continue
+        ttc = time_to_contact(
+            x, y, yaw, car.length, car.width, px, py, heading, size[0], size[1], ux - vx, uy - vy
+        )  # fmt: skip
+        if ttc < horizon:
+            turning = time_to_contact_turning(
+                x, y, yaw, car.length, car.width, vx, vy, turn[k[m]], px, py, heading, size[0], size[1], ux, uy,
+                turns[m], TURN_S,
+            )  # fmt: skip
+            ttc = max(ttc, turning)
+        if ttc < horizon:
+            out[0, m], out[1, m] = ttc, closing**2 / (2.0 * (closing * ttc + DEEP_M))  # (2)
+    return out
+
+
+@kernel
+def _rooms(ego: FloatArray, car: EgoOutline, pose: FloatArray, k: IntArray, size: FloatArray) -> FloatArray:
+    """Distance of the boxes of the ego `(5, n)` at the steps `k` and of a road user `(5, m)`, m, `(m,)`.
+
+    Minus how deep they overlap; inf where their circles are more than `NEAR_M` apart.
+    """
+    out = np.full(len(k), inf)
+    reach = 0.5 * (hypot(car.length, car.width) + hypot(size[0], size[1])) + NEAR_M
+    for m in range(len(k)):
+        x, y, yaw = ego[0, k[m]], ego[1, k[m]], ego[2, k[m]]
+        u, v, turned = pose[0, m], pose[1, m], pose[2, m]
+        if hypot(u - x, v - y) <= reach:
+            out[m] = clearance(x, y, yaw, car.length, car.width, u, v, turned, size[0], size[1])
+    return out
+
+
+CONFLICTS = (
+    EventKind(
+        "contact", _contact,
+        "The boxes of the ego and a road user overlap, but for phantoms (docs/verdict.md). While they do.",
+        "speed of the two against each other at first", "m/s", "", f"{SUDDEN}; or {TOO_LARGE}; or {SHALLOW}",
+    ),
+    EventKind(
+        "near_miss_ttc", _near_miss_ttc,
+        f"For {COURSE_S} s the time to collision is below {TTC_S} s, at constant velocity and as the two turn, and to"
+        f" avoid the contact needs {HARD_MPS2:g} m/s2 of braking or more; until {NEAR_S:g} s later the two come within"
+        f" {NEAR_M:g} m, or one of them, but for a vehicle beside the band, brakes with {HARD_MPS2:g} m/s2 or more.",
+        "least TTC", "s",
+        "TTC and required deceleration: criticality metrics catalogue, Westhofen et al. 2023", f"{JUMPS}; or {SHALLOW}",
+    ),
+    EventKind(
+        "near_miss_pet", _near_miss_pet,
+        f"The ego, moving, and another road user take the same place within {PET_S:g} s. From the first to the second.",
+        "PET", "s", "Allen, Shin, Cooper, Transp. Res. Rec. 667 (1978); the bound is that of the metric pet",
+    ),
+    EventKind(
+        "ego_yields", _ego_yields,
+        f"The ego slows down by {SLOWED_MPS:g} m/s and {SLOWED:.0%} or more before another road user takes a place on"
+        f" its way, and comes there up to {WINDOW_S:g} s later; at the speed before it would have come before the other"
+        f" or less than {CLOSE_S:g} s after. From when it begins to slow down until it is there.",
+        "PET", "s", "",
+    ),
+    EventKind(
+        "ego_is_yielded_to", _ego_is_yielded_to,
+        "The same with the roles exchanged: another road user slows down, and the ego goes first.", "PET", "s", "",
+    ),
+)  # fmt: skip

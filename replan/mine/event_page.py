@@ -1,0 +1,116 @@
+"""The events of mined logs to look at: events.html, a table with a picture of each, which sorts and filters.
+
+A picture shows the scene at the middle of the event, with the road users that took part in red, and below it the speeds
+of the ego and of the main one around it. The pictures are files in events/, drawn as a log is mined: at most
+`MOST_OF_A_KIND` of a log and kind.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
+from math import isfinite
+from pathlib import Path
+from shlex import join
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from replan.core.errors import writing
+from replan.draw.charts.bird_view import scene
+from replan.draw.charts.canvas import Chart, stacked
+from replan.draw.charts.curves import Span, panel_chart
+from replan.draw.charts.subject import Moment, SceneSubject
+from replan.draw.model import Curve, Panel
+from replan.draw.report.html import rendered
+from replan.logs.scenario import Scenario
+from replan.logs.trace import EndReason, Mode, Trace
+from replan.results.tables import safe_name, write_text
+
+PAGE, PICTURES = "events.html", "events"
+MOST_OF_A_KIND = 5
+"""Largest number of events of one kind in one log that are drawn: the first."""
+MOST_ROWS = 2000
+"""Largest number of events on the page; events.parquet has all."""
+AROUND_S = 3.0
+"""The speeds are drawn, and the shown command drives, from this long before the event to as long after it."""
+
+
+def draw_events(folder: Path, scenario: Scenario, digest: str, rows: Iterable[Mapping[str, Any]]) -> None:
+    """Draw the events of a log: rows of events.parquet; `digest` of its bytes, "" if it has none.
+
+    Raises:
+        OutputError: A picture cannot be written.
+    """
+    trace = Trace(
+        scenario.name, "logged", Mode.OPEN, True, scenario.ego, scenario.tracks, (), EndReason.END_OF_LOG
+    )  # fmt: skip
+    for row in drawn(rows):
+        path = folder / picture_of(row, digest)
+        with writing(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_text(path, event_picture(scenario, trace, row).alone("light"))
+
+
+def drawn(rows: Iterable[Mapping[str, Any]]) -> Iterator[Mapping[str, Any]]:
+    """The rows of one log that have a picture."""
+    count: Counter[str] = Counter()
+    for row in sorted(rows, key=lambda row: (str(row["kind"]), float(row["t_from_s"]))):
+        count[row["kind"]] += 1
+        if count[row["kind"]] <= MOST_OF_A_KIND:
+            yield row
+
+
+def picture_of(row: Mapping[str, Any], digest: str) -> str:
+    """The file of an event's picture in the result folder."""
+    parts = (row["kind"], f"{row['t_from_s']:.2f}", *row["agents"][:1], row["planner"])
+    name = safe_name("-".join(str(part) for part in parts if part))
+    return f"{PICTURES}/{digest[:12] or safe_name(str(row['log']))}/{name}.svg"
+
+
+def event_picture(scenario: Scenario, trace: Trace, row: Mapping[str, Any]) -> Chart:
+    """The scene at the middle of an event, and the speeds around it."""
+    begin, end, first, last = (float(t) for t in (row["t_from_s"], row["t_to_s"], trace.ego.t[0], trace.ego.t[-1]))
+    middle = min(max(0.5 * (begin + end), first), last)
+    agents = list(row["agents"])
+    words, shown = str(row["kind"]).replace("_", " "), SceneSubject(Moment(middle, "as asked"), trace, scenario)
+    above = scene(shown, middle, words, agents)
+
+    inside = (trace.ego.t >= begin - AROUND_S) & (trace.ego.t <= end + AROUND_S)
+    curves = [Curve("ego", "ego", trace.ego.t[inside], np.abs(trace.ego.v[inside]))]
+    if agents and agents[0] in scenario.tracks.ids:
+        mine, motion = scenario.tracks.samples(scenario.tracks.ids.index(agents[0])), scenario.tracks.motion
+        t, speed = scenario.tracks.t[mine], np.hypot(motion.vx[mine], motion.vy[mine])
+        near = (t >= begin - AROUND_S) & (t <= end + AROUND_S)
+        curves.append(Curve("other", scenario.short_names(agents[0]), t[near], speed[near]))
+    panel = Panel("speed", "Speed [m/s]", tuple(curve for curve in curves if len(curve.known)), 2.0, floor=0.0)
+    says = f"{row['kind']} at {begin:.1f} s, of {', '.join(map(str, agents)) or 'the ego alone'}"
+    if not panel.curves:
+        return replace(above, name=str(row["kind"]), title=words, says=says)
+    span = max(begin - AROUND_S, first), max(min(end + AROUND_S, last), first + 0.1)
+    below = panel_chart(panel, span, [Span(begin, end, "", words)], shade="calm")
+    return stacked([above, below], str(row["kind"]), words, says)
+
+
+def write_events_page(folder: Path, events: pd.DataFrame, logs: pd.DataFrame) -> None:
+    """Write events.html into a result folder with the pictures: a row per event, the first `MOST_ROWS`.
+
+    Raises:
+        OutputError: The page cannot be written.
+    """
+    about = {row["log"]: row for row in logs.to_dict("records")}
+    rows = []
+    for row in list[Any](events.head(MOST_ROWS).to_dict("records")):
+        log = about[row["log"]]
+        picture = picture_of(row, str(log["sha256"]))
+        begin, end = max(row["t_from_s"] - AROUND_S, 0.0), min(row["t_to_s"] + AROUND_S, log["duration_s"])
+        part = [str(log["source"]), "--from", f"{begin:.1f}", "--to", f"{end:.1f}"]
+        commands = [join(["replan", word, *part]) for word in ("evaluate", *(["view"] if log["sha256"] else []))]
+        value = f"{row['value']:.3g} {row['unit'] if row['unit'] != '1' else ''}" if isfinite(row["value"]) else ""
+        shown = picture if (folder / picture).is_file() else ""
+        rows.append({**row, "picture": shown, "commands": commands, "shown": value})
+    page = rendered("events.html", rows=rows, more=max(len(events) - MOST_ROWS, 0), logs=len(logs), most=MOST_OF_A_KIND)
+    with writing(folder / PAGE):
+        write_text(folder / PAGE, page)

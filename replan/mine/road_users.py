@@ -1,0 +1,298 @@
+"""Events with another road user, as it moves in the frame of the ego's path (`DrivenLog`).
+
+A road user that follows, overtakes or cuts in moves along the path: its heading is within 45 degrees of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from functools import partial
+
+import numpy as np
+
+from replan.core.arrays import BoolArray
+from replan.logs.agents import AgentKind
+from replan.metrics.lanes import points_inside
+from replan.metrics.metric import Unavailable
+from replan.mine.driven_log import (
+    FELT_S,
+    JUMPS,
+    MOTOR_MPS2,
+    TYRES_MPS2,
+    DrivenLog,
+    Event,
+    EventKind,
+    Neighbour,
+    runs,
+    steps,
+)
+
+ALONG = float(np.cos(np.pi / 4.0))
+MOVES_MPS, WALKS_MPS = 1.0, 0.3
+HOLE_S = 0.5
+"""Longest interruption of one event."""
+AROUND_S = 1.0
+"""Time for which a cut-in is out of the band before and in it afterwards; for cut-outs the other way round."""
+HEADWAY_S, HEADWAY_M = 3.0, 10.0
+"""Largest distance ahead of a moving ego of a cut-in or cut-out: as a time, or in m at low speed."""
+BRAKES_MPS2, BRAKES_S = 3.0, 0.3
+SLOWS_MPS2, SLOWS_S = 0.5, 1.0
+SLOWED_MPS, SLOWED = 1.0, 0.3
+"""Least decrease of the ego's speed behind a lead: absolute, m/s, and as a share of its speed before."""
+LEAD_S, LEAD_M = 4.0, 15.0
+QUEUE, QUEUE_MPS, QUEUE_GAP_M, QUEUE_AHEAD_M, QUEUE_S = 3, 0.5, 15.0, 60.0, 2.0
+ONCOMING_AHEAD_M, ONCOMING_S, HEAD_ON = 60.0, 1.0, float(np.cos(np.pi / 9.0))
+CYCLIST_BESIDE_M, CYCLIST_AHEAD_M, CYCLIST_S = 2.0, 30.0, 1.0
+PASS_MPS, PASS_M, PASS_VULNERABLE_M = 3.0, 0.5, 1.5
+CROSSING_S, CROSSING_AHEAD_M, WAITS_MPS = 8.0, 15.0, 2.0
+"""A crossing concerns the ego if it gets there within CROSSING_S, or waits within CROSSING_AHEAD_M before it."""
+BESIDE_CROSSWALK_M = 2.0
+
+_VEHICLES = (AgentKind.CAR, AgentKind.TRUCK, AgentKind.BUS, AgentKind.MOTORCYCLE)
+
+
+def _changes(flags: BoolArray, one: Neighbour, before: int, after: int) -> Iterator[int]:
+    """Places at which a mark begins, after `before` unmarked steps and with `after` marked ones, all consecutive.
+
+    For a road user that is lost before `after` steps, half of them are enough.
+    """
+    ends = dict(runs(flags, one.k))
+    for first, last in runs(~flags, one.k, before):
+        start = last + 1
+        if start not in ends or one.k[start] != one.k[last] + 1 or last - first + 1 < before:
+            continue
+        stay, lost = ends[start] - start + 1, ends[start] == len(one.k) - 1
+        if stay >= after or (lost and 2 * stay >= after):
+            yield start
+
+
+def _near_ahead(log: DrivenLog, one: Neighbour, j: int) -> bool:
+    """Whether a road user is near enough ahead of the moving ego that its change of lane concerns the ego."""
+    gap, v = float(log.gap_to(one)[j]), float(log.ego.v[one.k[j]])
+    return 0.0 < gap <= max(HEADWAY_S * v, HEADWAY_M) and v > MOVES_MPS and float(one.speed[j]) > MOVES_MPS
+
+
+def _moved_aside(one: Neighbour, j: int) -> bool:
+    """Whether it was its own motion that changed its place in the band: more than half a metre across its heading.
+
+    A change because the path bends away from a road user that goes straight on is ignored.
+    """
+    low, high = max(j - steps(2.0), 0), min(j + steps(1.0), len(one.k) - 1)
+    yaw = np.unwrap(one.pose[2, low : high + 1])
+    dx, dy = one.pose[0, high] - one.pose[0, low], one.pose[1, high] - one.pose[1, low]
+    aside = abs(dy * np.cos(yaw[0]) - dx * np.sin(yaw[0]))
+    return bool(abs(one.l[high] - one.l[low]) > 0.5 and (aside > 0.5 or abs(yaw[-1] - yaw[0]) > 0.1))
+
+
+def _cut_in(log: DrivenLog) -> Iterator[Event]:
+    for one in log.neighbours:
+        if one.kind not in (*_VEHICLES, AgentKind.BICYCLE):
+            continue
+        back = steps(AROUND_S)
+        for j in _changes(one.reaches_into(log.half), one, back, back):
+            turned = (one.along[j - back : j + 1] < ALONG).any()
+            if not turned and _near_ahead(log, one, j) and _moved_aside(one, j):
+                last = min(j + back, len(one.k) - 1)
+                yield log.event(one, j, last, log.gap_to(one)[j])
+
+
+def _cut_out(log: DrivenLog) -> Iterator[Event]:
+    for one in log.neighbours:
+        if one.kind not in _VEHICLES:
+            continue
+        back = steps(AROUND_S)
+        for j in _changes(~one.reaches_into(log.half), one, back, back):
+            was_lead = log.lead[0][one.k[j - 1]]
+            mine = was_lead >= 0 and log.neighbours[was_lead] is one
+            if mine and one.along[j] > 0.5 and _near_ahead(log, one, j) and _moved_aside(one, j):
+                yield log.event(one, j - back, j, log.gap_to(one)[j])
+
+
+def _lead_braking(log: DrivenLog) -> Iterator[Event]:
+    who, gap = log.lead
+    for place in np.unique(who[who >= 0]).tolist():
+        one = log.neighbours[place]
+        near = gap[one.k] <= np.maximum(LEAD_S * log.ego.v[one.k], LEAD_M)
+        possible = one.accel >= -TYRES_MPS2
+        braking = (who[one.k] == place) & near & (one.accel <= -BRAKES_MPS2)
+        for first, last in runs(braking & possible, one.k, steps(BRAKES_S), steps(HOLE_S)):
+            around = slice(max(first - steps(FELT_S), 0), last + steps(FELT_S) + 1)
+            sound = (possible & (one.accel <= MOTOR_MPS2))[around].all()
+            least = one.accel[first : last + 1][possible[first : last + 1]].min()
+            yield log.event(one, first, last, least, doubt="" if sound else JUMPS)
+
+
+def _ego_slows(log: DrivenLog) -> Iterator[Event]:
+    who, gap = log.lead
+    near = (who >= 0) & (gap <= np.maximum(LEAD_S * log.ego.v, LEAD_M))
+    for first, last in runs(log.accel <= -SLOWS_MPS2, least=steps(SLOWS_S), hole=steps(HOLE_S)):
+        begin = max(first - steps(FELT_S), 0)  # where the mean over `FELT_S` begins
+        before, slower = float(log.ego.v[begin]), float(log.ego.v[begin] - log.ego.v[last])
+        for_whom = who[begin : last + 1][near[begin : last + 1]]
+        if slower < max(SLOWED_MPS, SLOWED * before) or 2 * len(for_whom) < last - begin + 1:
+            continue
+        names, times = np.unique(for_whom, return_counts=True)
+        yield log.event_at(log.neighbours[int(names[np.argmax(times)])], begin, last, slower)
+
+
+def _standing_queue(log: DrivenLog) -> Iterator[Event]:
+    standing: dict[int, list[tuple[float, float, str]]] = {}
+    for one in log.neighbours:
+        if one.kind not in _VEHICLES:
+            continue
+        gap = log.gap_to(one)
+        ahead = (gap > 0.0) & (gap < QUEUE_AHEAD_M) & (one.speed < QUEUE_MPS)
+        for j in np.flatnonzero(ahead & one.reaches_into(log.half) & (one.along > ALONG)).tolist():
+            rear = float(one.s[j] - one.half_s[j])
+            standing.setdefault(int(one.k[j]), []).append((rear, rear + 2.0 * float(one.half_s[j]), one.id))
+    members: list[tuple[str, ...]] = [()] * len(log.t)
+    for k, row in standing.items():
+        row.sort()
+        close = [row[i + 1][0] - row[i][1] < QUEUE_GAP_M for i in range(len(row) - 1)]
+        length = close.index(False) + 1 if False in close else len(row)
+        if length >= QUEUE:
+            members[k] = tuple(name for _, _, name in row[:length])
+    for first, last in runs(np.array([bool(row) for row in members]), least=steps(QUEUE_S)):
+        longest = max(members[first : last + 1], key=len)
+        yield Event(float(log.t[first]), float(log.t[last]), float(len(longest)), longest)
+
+
+def _oncoming(log: DrivenLog) -> Iterator[Event]:
+    for one in log.neighbours:
+        if one.kind in (AgentKind.PEDESTRIAN, AgentKind.OBJECT):
+            continue
+        gap = log.gap_to(one)
+        coming = (one.along < -HEAD_ON) & (one.speed > MOVES_MPS) & (gap > 0.0) & (gap < ONCOMING_AHEAD_M)
+        for first, last in runs(coming & one.reaches_into(log.half), one.k, steps(ONCOMING_S), steps(HOLE_S)):
+            yield log.event(one, first, last, gap[first : last + 1].min())
+
+
+def _cyclist_along(log: DrivenLog) -> Iterator[Event]:
+    for one in log.neighbours:
+        if one.kind is not AgentKind.BICYCLE:
+            continue
+        gap = log.gap_to(one)
+        beside = np.abs(one.l) - one.half_l - log.half < CYCLIST_BESIDE_M
+        near = (gap > -log.car.length) & (gap < CYCLIST_AHEAD_M) & beside
+        for first, last in runs(
+            near & (one.along > ALONG) & (one.speed > MOVES_MPS), one.k, steps(CYCLIST_S), steps(HOLE_S)
+        ):
+            yield log.event(one, first, last, (np.abs(one.l) - one.half_l - log.half)[first : last + 1].min())
+
+
+def _close_pass(log: DrivenLog) -> Iterator[Event]:
+    for one in log.neighbours:
+        room = np.abs(one.l) - one.half_l - log.half
+        bound = PASS_VULNERABLE_M if one.kind.is_vulnerable else PASS_M
+        beside = (one.s + one.half_s > log.back[one.k]) & (one.s - one.half_s < log.front[one.k])
+        along = np.abs(one.along) > ALONG
+        if one.kind in (AgentKind.PEDESTRIAN, AgentKind.OBJECT):
+            along = np.ones(len(one.k), np.bool_)  # the heading of a pedestrian or object is not meaningful
+            along &= one.speed < MOVES_MPS if one.kind is AgentKind.OBJECT else one.speed < 3.0
+        passed = beside & along & (room < bound) & (room >= 0.0) & (log.ego.v[one.k] > PASS_MPS)
+        for first, last in runs(passed, one.k, hole=steps(HOLE_S)):
+            yield log.event(one, first, last, room[first : last + 1].min())
+
+
+def _crossing(
+    log: DrivenLog, who: AgentKind = AgentKind.PEDESTRIAN, *, off_crosswalks: bool = False
+) -> Iterable[Event] | Unavailable:
+    if off_crosswalks and not log.scenario.road.crosswalks:
+        return Unavailable("the log's map has no crosswalk")
+    if log.scenario.tracks.kinds and set(log.scenario.tracks.kinds) == {AgentKind.OBJECT}:
+        return Unavailable("the log does not say what its road users are")
+    found = []
+    for one in log.neighbours:
+        if one.kind is not who:
+            continue
+        for first, last in runs(one.reaches_into(log.half), one.k):  # the road user is in the band ahead of the ego
+            low, high = max(first - steps(1.0), 0), min(last + steps(1.0), len(one.k) - 1)
+            aside = abs(float(one.l[high] - one.l[low]))
+            walked = aside > max(log.half, WALKS_MPS * 0.1 * (high - low))
+            if who is not AgentKind.PEDESTRIAN:  # who rides along the path, and swerves, does not cross it
+                walked &= float(np.median(np.abs(one.along[low : high + 1]))) < ALONG
+            comes = log.reached(one.s[first : last + 1] - one.half_s[first : last + 1]) - log.t[one.k[first : last + 1]]
+            gap = log.gap_to(one)[first : last + 1]
+            waits = log.ego.v[one.k[first : last + 1]] < WAITS_MPS
+            concerns = (np.abs(comes) <= CROSSING_S) | ((gap > 0.0) & (gap < CROSSING_AHEAD_M) & waits)
+            if not (walked and (gap > 0.0).any() and concerns.any()):
+                continue
+            on = np.zeros(last - first + 1, np.bool_)  # a crosswalk, or within `BESIDE_CROSSWALK_M` of one
+            x, y = one.pose[0, first : last + 1], one.pose[1, first : last + 1]
+            for crosswalk in log.scenario.road.crosswalks if off_crosswalks else ():
+                center = crosswalk.polygon.mean(axis=0)
+                away = np.hypot(*(crosswalk.polygon - center).T)[:, None]
+                wider = center + (crosswalk.polygon - center) * (1.0 + BESIDE_CROSSWALK_M / np.maximum(away, 1.0))
+                on |= points_inside(wider, x, y)
+            if 2 * on.sum() < len(on):
+                found.append(log.event(one, first, last, max(float(gap.min()), 0.0)))
+    return found
+
+
+_NEAR = f"within {HEADWAY_S:g} s or {HEADWAY_M:g} m"
+ROAD_USERS = (
+    EventKind(
+        "cut_in", _cut_in,
+        f"A vehicle or cyclist that moves along the ego's path comes sideways into the ego's band ahead of it, {_NEAR},"
+        f" after {AROUND_S:g} s outside, and stays for {AROUND_S:g} s. From then, for {AROUND_S:g} s.",
+        "gap when it comes in", "m", "UN R157 (cutting-in vehicle); Waymo's scenario tags (cut-ins)",
+    ),
+    EventKind(
+        "cut_out", _cut_out,
+        f"The lead, {_NEAR} ahead, leaves the band sideways after {AROUND_S:g} s in it, and stays out for"
+        f" {AROUND_S:g} s. From {AROUND_S:g} s before it is out.",
+        "gap when it is out", "m", "UN R157 (cut-out)",
+    ),
+    EventKind(
+        "lead_braking", _lead_braking,
+        f"The lead, within {LEAD_S:g} s or {LEAD_M:g} m, brakes with {BRAKES_MPS2:g} m/s2 or more for {BRAKES_S} s.",
+        "its least acceleration", "m/s2", "UN R157 (braking lead); the bound is ours", JUMPS,
+    ),
+    EventKind(
+        "ego_slows", _ego_slows,
+        f"The ego slows down by {SLOWED_MPS:g} m/s and {SLOWED:.0%} or more, with {SLOWS_MPS2:g} m/s2 for"
+        f" {SLOWS_S:g} s, behind a lead within {LEAD_S:g} s or {LEAD_M:g} m for most of it.",
+        "decrease of its speed", "m/s", "",
+    ),
+    EventKind(
+        "standing_queue", _standing_queue,
+        f"{QUEUE} vehicles or more stand (below {QUEUE_MPS} m/s) one behind the other in the band, less than"
+        f" {QUEUE_GAP_M:g} m apart, the first within {QUEUE_AHEAD_M:g} m ahead, for {QUEUE_S:g} s.",
+        "how many", "1", "",
+    ),
+    EventKind(
+        "oncoming", _oncoming,
+        f"A vehicle or cyclist comes towards the ego in its band, heading within 20 degrees of the opposite direction,"
+        f" less than {ONCOMING_AHEAD_M:g} m ahead, for {ONCOMING_S:g} s.",
+        "least gap", "m", "",
+    ),
+    EventKind(
+        "cyclist_along", _cyclist_along,
+        f"A cyclist rides in the ego's direction, beside it or up to {CYCLIST_AHEAD_M:g} m ahead, less than"
+        f" {CYCLIST_BESIDE_M:g} m beside the band, for {CYCLIST_S:g} s.",
+        "least room to the side", "m", "nuPlan's scenario tags (behind_bike); Waymo's (cyclists)",
+    ),
+    EventKind(
+        "close_pass", _close_pass,
+        f"The ego passes, faster than {PASS_MPS:g} m/s, with less than {PASS_M} m of room to the side, or less than"
+        f" {PASS_VULNERABLE_M} m to a pedestrian or rider.",
+        "least room", "m", "StVO 5 (4): 1.5 m in towns beside pedestrians and cyclists; 0.5 m is ours",
+    ),
+    EventKind(
+        "pedestrian_crossing", _crossing,
+        f"A pedestrian walks into the band ahead of the ego, which comes there within {CROSSING_S:g} s, or waits"
+        f" (below {WAITS_MPS:g} m/s) less than {CROSSING_AHEAD_M:g} m before it. While they are in the band.",
+        "least gap", "m", "nuPlan's scenario tags (near_pedestrian_on_crosswalk, waiting_for_pedestrian_to_cross)",
+    ),
+    EventKind(
+        "cyclist_crossing", partial(_crossing, who=AgentKind.BICYCLE),
+        "The same of a cyclist, who moves across the ego's path, by 45 degrees or more.",
+        "least gap", "m", "",
+    ),
+    EventKind(
+        "jaywalking", partial(_crossing, off_crosswalks=True),
+        f"A pedestrian crossing with the pedestrian more than {BESIDE_CROSSWALK_M:g} m from any crosswalk for most of"
+        " it; asked where the map has crosswalks.",
+        "least gap", "m", "RefAV (Argoverse 2 scenario mining: jaywalking)",
+    ),
+)  # fmt: skip

@@ -1,0 +1,294 @@
+"""One planning frame: as a file (input of the planner since the start of its drive, plan, QPs), and planned again.
+
+A dump is one MessagePack map with the fields of `File`. Context, frames and plan are the messages of
+`replan.replay.planner_process.messages` (docs/planners_apart.md): little-endian float64 columns, so that values are read back
+to the bit. A planner has memory, so a dump contains all frames up to the one of interest; in open loop, where each
+frame starts with fresh memory, it contains only that one.
+
+    dump = load(Path("frame.msgpack"))
+    dump.frame.agents.ids, dump.problems[0].lower
+    assert (dump.planned().trajectory.x == dump.plan.trajectory.x).all()
+
+`replan frame` plans a frame of a run again in this process: the drive up to it, its plan, times and QPs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from math import inf
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from replan.core.errors import ConfigError, LogError, PlannerError, ReplanError, of_users, raised
+from replan.core.names import counted
+from replan.draw.drawn_results import DriveResult
+from replan.explain.causes import Explainer
+from replan.explain.explanation import Explanation, lines_of
+from replan.explain.planner_input import PlannerInput
+from replan.logs.codec import WIRE, packed
+from replan.logs.frame import Frame, PlannerContext
+from replan.logs.plan import Plan, SolverReport
+from replan.logs.scenario import Scenario
+from replan.logs.trace import PlannedFrame
+from replan.planners.piecewise_jerk.problem import PiecewiseJerkProblem, Weights
+from replan.planners.piecewise_jerk.solvers import SolvedProblem, record_problems
+from replan.planners.solver import QPResult
+from replan.replay.drive import Drive, Stopwatch
+from replan.replay.loop.plan_check import checked
+from replan.replay.loop.planning import Planning
+from replan.replay.parts import PLANNER
+from replan.replay.planner_process import messages
+from replan.replay.planner_process.planner_config import is_foreign, planner_part
+from replan.results.tables import write_file
+from replan.run.one_log import LOOPS
+from replan.run.output import scenario_of
+
+VERSION = 1
+
+
+class DumpedProblem(msgspec.Struct):
+    """`replan.planners.piecewise_jerk.problem.PiecewiseJerkProblem`, and the curve x, x', x'' `(3 n,)` that solves it."""
+
+    report: SolverReport  # The solver's report; its stage names the caller
+    numbers: list[float]  # step, soft, and the weights x, dx, ddx, dddx
+    leads: bytes  # `(k,)`
+    start: bytes  # `(3,)`
+    references: bytes  # `(2, n)` row by row
+    lower: bytes  # `(4 + k, n)` row by row; `upper` likewise
+    upper: bytes
+    x: bytes
+
+
+class File(msgspec.Struct):
+    """The contents of the file."""
+
+    version: int
+    log: str  # Name; `planner` and `config` (its table) are as in a run's configuration
+    planner: str
+    config: dict[str, Any]
+    context: messages.Context  # The context with which the planner was built
+    frames: list[messages.Frame]  # The frames in order of time; the last is the one of interest
+    plan: messages.Plan  # The plan of the last frame, with its internals
+    problems: list[DumpedProblem]  # The QPs that were solved for it, in their order
+
+
+@dataclass(frozen=True, eq=False)
+class FrameDump:
+    """A dump as objects, with the attributes of `File`; the clock of the context measures nothing."""
+
+    log: str
+    planner: str
+    config: Mapping[str, Any]
+    context: PlannerContext
+    frames: tuple[Frame, ...]
+    plan: Plan
+    problems: tuple[SolvedProblem, ...]
+
+    @property
+    def frame(self) -> Frame:
+        """The frame of interest: the last one."""
+        return self.frames[-1]
+
+    def planned(self) -> Plan:
+        """The plan made anew in this process, by a planner that gets all frames; its errors are not caught."""
+        planner = planner_part(self.planner, self.config).build(self.context)
+        for frame in self.frames[:-1]:
+            planner.plan(frame)
+        return checked(planner.plan(self.frame), self.frame).recorded(keep=True)
+
+
+def dump(path: Path, one: FrameDump) -> None:
+    """Write a dump; OutputError if the file cannot be written."""
+    problems = []
+    for problem, result in one.problems:
+        arrays = {name: packed(getattr(problem, name)) for name in ("leads", "start", "references", "lower", "upper")}
+        numbers = [problem.step, problem.soft, *problem.weights]
+        problems.append(DumpedProblem(report=result.report, numbers=numbers, x=packed(result.x), **arrays))
+    file = File(
+        version=VERSION,
+        log=one.log,
+        planner=one.planner,
+        config=dict(one.config),
+        context=messages.context_message(one.context),
+        frames=[messages.frame_message(frame) for frame in one.frames],
+        plan=messages.plan_message(one.plan, inside=True),
+        problems=problems,
+    )
+    data = messages.encode(file)
+    write_file(path, lambda partial: partial.write_bytes(data))
+
+
+def load(path: Path) -> FrameDump:
+    """Read a dump; LogError if the file is damaged, or is not a dump."""
+    try:
+        file: File = messages.decode(path.read_bytes(), File)
+        if file.version != VERSION:
+            raise ValueError(f"a dump of version {file.version}, this replan reads {VERSION}")
+        return FrameDump(
+            log=file.log,
+            planner=file.planner,
+            config=file.config,
+            context=messages.context_of(file.context, lambda stage: None),
+            frames=tuple(map(messages.frame_of, file.frames)),
+            plan=messages.plan_of(file.plan),
+            problems=tuple(map(_problem_of, file.problems)),
+        )
+    except (OSError, ValueError, KeyError, msgspec.MsgspecError) as error:
+        raise LogError(f"is not a dump of a frame: {error}", file=path) from None
+
+
+def _problem_of(message: DumpedProblem) -> SolvedProblem:
+    step, soft, *weights = message.numbers
+    columns = (message.leads, message.start, message.references, message.lower, message.upper, message.x)
+    leads, start, references, lower, upper, x = (np.frombuffer(column, WIRE).copy() for column in columns)
+    problem = PiecewiseJerkProblem(
+        step=step,
+        leads=leads,
+        start=start,
+        weights=Weights(*weights),
+        references=references.reshape(2, -1),
+        lower=lower.reshape(4 + len(leads), -1),
+        upper=upper.reshape(4 + len(leads), -1),
+        soft=soft,
+    )
+    return SolvedProblem(problem, QPResult(x, message.report))
+
+
+SAME_TIME_S = 1e-6
+
+
+class WatchedPlanning(Planning):
+    """A planning that keeps its frames, and the QPs of the last; a debugger opens at the frame of `stop_s`."""
+
+    def __init__(self, stop_s: float, *arguments: Any, **keywords: Any) -> None:
+        super().__init__(*arguments, **keywords)
+        self.frames: list[Frame] = []
+        self.asked: list[SolvedProblem] = []
+        self._stop_s = stop_s
+
+    def plan(self, frame: Frame) -> Plan:
+        """As `Planning.plan`."""
+        self.frames.append(frame)
+        if frame.t >= self._stop_s - SAME_TIME_S:
+            breakpoint()
+        with record_problems() as self.asked:
+            return super().plan(frame)
+
+
+@dataclass(frozen=True, eq=False)
+class ReplannedFrame:
+    """A frame planned again."""
+
+    scenario: Scenario
+    dump: FrameDump  # The frames up to it, the plan, the QPs
+    seconds: Mapping[str, float]  # Duration of each stage, and "total", s
+    is_same: bool | None  # Whether the trajectory is the one in the results, to the bit; None for another planner
+
+
+def replan_frame(drive: DriveResult, at: float, planner: str | None = None, *, debug: bool = False) -> ReplannedFrame:
+    """Drive up to a frame as the run did, in this process, and plan it again.
+
+    `at`: time, s; the last frame that is not later is planned again. `planner`: another planner, which gets this frame
+    only; None: the drive's own. `debug`: open the debugger before the frame is planned. ConfigError if there is no such
+    frame, the log was moved or changed, or the planner is a program or an oracle; PlannerError if the planner raised.
+    """
+    run, recorded = drive.result.run, drive.frame(at)
+    for spec in (drive.planner, planner or drive.planner):
+        if is_foreign(spec) or spec in PLANNER.oracles:
+            raise ConfigError(f"planner '{spec}': only Python planners that are not oracles can plan a frame again")
+    row = drive.result.logs.set_index("log").loc[drive.log].to_dict()
+    scenario = scenario_of(drive.result.path, row, run.log)
+    scenario, table = scenario.in_vehicle(run.driven(scenario.vehicle)), run.planner.get(drive.planner, {})
+    watch, made = _drive_up_to(drive, scenario, recorded.t, debug=debug and planner is None)
+    if planner is not None:
+        return _plan_with(drive, scenario, watch, planner, debug=debug)
+    last = watch.frames[-1]
+    frames = tuple(watch.frames) if last.previous is not None else (last,)
+    plan = made.trace.frames[-1].plan
+    dump = FrameDump(drive.log, drive.planner, table, watch.context, frames, plan, tuple(watch.asked))
+    seconds = {time.stage: time.seconds for time in made.timings if abs(time.t - last.t) < SAME_TIME_S}
+    new, old = plan.trajectory, recorded.plan.trajectory
+    rows = [int(abs(new.t - t).argmin()) for t in old.t]  # a trace without internals has only every few samples
+    same = all((getattr(new, name)[rows] == getattr(old, name)).all() for name in ("x", "y", "yaw", "v", "a"))
+    return ReplannedFrame(scenario, dump, seconds, same)
+
+
+def _drive_up_to(
+    drive: DriveResult, scenario: Scenario, until_s: float, *, debug: bool
+) -> tuple[WatchedPlanning, Drive]:
+    """The drive up to a frame, in this process."""
+    run, seats = drive.result.run, list[WatchedPlanning]()
+
+    def seat(*arguments: Any, **keywords: Any) -> WatchedPlanning:
+        seats.append(WatchedPlanning(until_s if debug else inf, *arguments, **keywords))
+        return seats[0]
+
+    keywords = planner_part(drive.planner, run.planner.get(drive.planner, {})).keywords()
+    config = replace(run.drive_loop, apart=replace(run.loop.apart, trust=True))
+    loop = LOOPS[drive.trace.mode]
+    made = loop(scenario, drive.planner, planner_config=keywords, config=config, until_s=until_s, seat=seat)
+    if not made.trace.frames or abs(made.trace.frames[-1].t - until_s) > SAME_TIME_S:
+        reason = made.trace.detail or made.trace.end.value
+        raise PlannerError(f"{drive.log}: there is no plan at {until_s:.2f} s: {reason}")
+    return seats[0], made
+
+
+def _plan_with(
+    drive: DriveResult, scenario: Scenario, watch: WatchedPlanning, planner: str, *, debug: bool
+) -> ReplannedFrame:
+    """Plan the last frame with a new instance of another planner."""
+    clock, frame = Stopwatch(), replace(watch.frames[-1], previous=None)
+    context, table = replace(watch.context, lap=clock.lap), drive.result.run.planner.get(planner, {})
+    build = planner_part(planner, table).configured()
+    try:
+        made = build(context)
+        if debug:
+            breakpoint()
+        with record_problems() as asked:
+            clock.start()
+            plan = checked(made.plan(frame), frame).recorded(keep=True)
+            clock.stop(frame.t)
+    except Exception as error:
+        if isinstance(error, ReplanError) or not of_users(error):
+            raise
+        raise PlannerError(f"planner '{planner}' raised at {frame.t:.2f} s: {raised(error)}") from error
+    dump = FrameDump(drive.log, planner, table, context, (frame,), plan, tuple(asked))
+    return ReplannedFrame(scenario, dump, {time.stage: time.seconds for time in clock.times}, None)
+
+
+def report_of(again: ReplannedFrame) -> Iterator[str]:
+    """The report for debugging the frame."""
+    dump, frame, plan = again.dump, again.dump.frame, again.dump.plan
+    yield f"{dump.log}, {dump.planner}, frame at {frame.t:.3f} s ({len(dump.frames)} since the planner was built)"
+    if again.is_same is not None:
+        yield "  the plan is the one in the results" + (", to the bit" if again.is_same else ": NO, it is another")
+    futures = frame.predictions
+    yield (
+        f"  ego {frame.ego.x:.2f}, {frame.ego.y:.2f} m, {frame.ego.v:.2f} m/s, {frame.ego.a:.2f} m/s²; "
+        f"{counted(len(frame.agents), 'agent')}, {counted(len(futures), 'prediction')} of"
+        f" {counted(len(futures.t), 'sample')} ({futures.method})"
+    )
+    stages = ", ".join(f"{stage} {1e3 * seconds:.2f}" for stage, seconds in again.seconds.items())
+    yield f"  stages [ms, with compiling]: {stages}"
+    for asked in dump.problems:
+        problem, report = asked.problem, asked.result.report
+        knots, leads = problem.lower.shape[1], len(problem.leads)
+        bounds = int((abs(problem.lower) < 1e9).sum() + (abs(problem.upper) < 1e9).sum())
+        outcome = "solved" if report.solved else "NOT SOLVED"
+        yield (
+            f"  {report.stage}: {3 * knots} unknowns, {2 * (knots - 1) + 3} equalities,"
+            f" {counted(bounds, 'finite bound')}, {counted(leads, 'lead')}; {outcome} ({report.status}),"
+            f" {counted(report.iterations, 'iteration')}, residuals {report.primal_residual:.1e},"
+            f" {report.dual_residual:.1e}"
+        )
+    for report in (each for each in plan.internals if isinstance(each, SolverReport) and not dump.problems):
+        yield f"  {report.stage}: {report.status}, {counted(report.iterations, 'iteration')}"
+    yield ""
+    planned = PlannedFrame.of(frame, plan)
+    shown = PlannerInput(planned, frame.agents, planned.predictions, frame.lights)
+    lines = lines_of(Explanation.of(planned, Explainer(again.scenario).account(shown)))
+    yield from map(again.scenario.short_names, lines)

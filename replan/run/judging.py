@@ -1,0 +1,201 @@
+"""The end of a run: judges its logs by the gates, and writes its tables and its summary.
+
+run.toml is the resolved configuration of a run, each setting with its meaning from the code, as in `replan list NAME`:
+entries of docstrings. Settings of parts that are not built in have none, as their modules may only be loaded where they
+run.
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+import tomllib
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, is_dataclass, replace
+from enum import Enum
+from math import isfinite
+from pathlib import Path
+from typing import Any, get_type_hints
+
+import pandas as pd
+import tomli_w
+
+from replan.config import HEADER, RunConfig, dump_run
+from replan.core.settings import dotted, meaning
+from replan.draw.drawn_results import Results, load
+from replan.logs.vehicle import VehicleParameters
+from replan.metrics import COLUMNS, health
+from replan.metrics.judge import Verdict, judge, outcomes
+from replan.metrics.judge.aggregate import LogLabels, groups, standings
+from replan.metrics.judge.discrimination import with_discrimination
+from replan.metrics.judge.gates import PACKAGED, Gates, Outcome, load_gates
+from replan.metrics.judge.verdicts import LATE, judge_deadline, with_asked, with_ensemble
+from replan.replay.parts import PARTS, config_class
+from replan.results.load import TIMING_WORDS
+from replan.results.log_result import HEALTH, MEMBERS, METRICS, TIMINGS, Failure, LogResult, table_of, timings_of
+from replan.results.schema import read_table
+from replan.results.tables import KEYS, OUTCOMES, joined, write_json, write_metrics, write_parquet, write_timings
+from replan.results.version import replan_version
+from replan.run.one_log import all_metrics
+from replan.run.sources import LogSource, Selection
+
+
+def gates_of(run: RunConfig, path: Path | None) -> Gates:
+    """The gates in a file, or the packaged gates for the loops of the run; ConfigError as `load_gates`."""
+    gates = load_gates(path, metrics=all_metrics(run))
+    return gates.asked_of(mode.value for mode in run.modes) if path is None else gates
+
+
+def judge_and_write(
+    out: Path,
+    run: RunConfig,
+    selection: Selection,
+    results: Sequence[LogResult],
+    gates: Gates,
+    failures: Sequence[Failure],
+    *,
+    resumed: int = 0,
+    shard: str = "",
+) -> Results:
+    """Judge the results of a run (those of a shard are not judged), and write its tables.
+
+    `out`: the result folder, which contains the folders of the logs; the tables are written into it. `results`: the
+    result of each log, in the order of the selection. `failures`: failures that are not about a log. `resumed`: number
+    of logs whose results are from an interrupted run. `shard`: the part of the run; "" for the whole run.
+    """
+    selection, results = _without_twins(selection, results)
+    names, distinct = Counter(result.name for result in results), list[LogResult]()
+    for result in results:  # the hash of its content is appended to a name that several logs share
+        if names[result.name] > 1 and result.digest:
+            name = f"{result.name}@{result.digest[:8]}"
+            driven = tuple(replace(drive, log=name) for drive in result.drives)
+            failed = tuple(replace(failure, log=name) for failure in result.failures)
+            distinct.append(replace(result, name=name, drives=driven, failures=failed))
+        else:
+            distinct.append(result)
+    results = tuple(distinct)
+    table = joined([table_of(out, results, METRICS)], KEYS, COLUMNS).astype({"value": float, "time_s": float})
+    labels = {log.name: LogLabels(log.family, log.dataset, log.tags) for log in results}
+    read = {log.name: labels[log.name] for log in results if log.digest}
+    members = joined([table_of(out, results, MEMBERS)], KEYS, COLUMNS)
+    table = with_discrimination(with_ensemble(table, members, gates, read), gates, read)
+    table = with_asked(table, gates, read)
+    sorted_ = sorted((result for result in results if result.folder), key=lambda result: result.name)
+    write_timings(out / TIMINGS, (timings_of(out, result) for result in sorted_))
+    verdicts: tuple[Verdict, ...] = ()
+    errors = [failure for result in results for failure in result.failures]
+    if not shard:
+        unread = {result.name: "see the errors" for result in results if not result.digest}
+        crashed = {(one.log, one.planner, one.mode): one.message for one in errors if one.planner and one.mode}
+        verdicts = tuple(judge(gates, table, read, failed=unread, crashed=crashed))
+        if run.deadline_s > 0.0:
+            verdicts += tuple(
+                judge_deadline(read_table(out / TIMINGS, words=TIMING_WORDS).to_pandas(), run.deadline_s, read)
+            )
+    errors = [*failures, *errors]
+    write_metrics(out, table)
+    found = table_of(out, results, HEALTH)
+    write_parquet(out / HEALTH, found if len(found) else health.table("", ()))
+    rows = outcomes([verdict for verdict in verdicts if verdict.gate.metric != LATE])
+    write_parquet(out / "verdicts.parquet", rows)
+    records = [asdict(drive) for result in results for drive in result.drives]
+    drives = pd.DataFrame(records, columns=["log", "planner", "mode", "oracle"])
+    stand = standings(rows, drives, list(labels), run.drives, [(one.log, one.planner, one.mode) for one in errors])
+    write_parquet(out / "groups.parquet", groups(table, stand, labels))
+    _write_summary(out, selection, results, verdicts, errors, shard)
+    return replace(load(out), resumed=resumed)
+
+
+def _without_twins(selection: Selection, results: Sequence[LogResult]) -> tuple[Selection, tuple[LogResult, ...]]:
+    """Leave out logs whose folder is that of an earlier one: their content is the same, and one was driven for both."""
+    driven = {result.folder: result for result in results if not result.twin}
+    first: dict[str, str] = {}
+    kept, sources, dropped = list[LogResult](), list[LogSource](), list(selection.dropped)
+    for source, result in zip(selection.sources, results, strict=True):
+        if result.folder in first:
+            dropped.append(f"{source.label}: the same log as {first[result.folder]}")
+            continue
+        if result.folder:
+            first[result.folder] = source.label
+            result = replace(driven.get(result.folder, result), source=source.label)
+        kept.append(result)
+        sources.append(source)
+    return Selection(tuple(sources), tuple(dropped)), tuple(kept)
+
+
+def _write_summary(
+    out: Path, selection: Selection, results: Sequence[LogResult], verdicts: Sequence[Verdict],
+    errors: Sequence[Failure], shard: str,
+) -> None:  # fmt: skip
+    """Write summary.json; its verdicts have no rows by log, which are in verdicts.parquet; NaN is null."""
+    code = exit_code_of(errors, None if shard else [verdict.outcome for verdict in verdicts])
+    gates: list[dict[str, Any]] = []
+    for verdict in verdicts:
+        gates.append({"rule": str(verdict.gate)})
+        for key, value in asdict(verdict).items():
+            if key != "logs":
+                plain = value.value if isinstance(value, Enum) else value
+                gates[-1][key] = None if isinstance(plain, float) and not isfinite(plain) else plain
+    summary = {
+        "replan": replan_version(),
+        "python": platform.python_version(),
+        **({"shard": shard} if shard else {}),
+        "outcome": "not judged" if shard and code == 0 else OUTCOMES[code],
+        "exit_code": code,
+        "logs_left_out": list(selection.dropped),
+        "logs": [log.record() for log in results],
+        "gates": gates,
+        "failures": [asdict(failure) for failure in errors],
+    }
+    write_json(out / "summary.json", summary)
+
+
+def exit_code_of(failures: Iterable[Failure], outcomes: Iterable[Outcome] | None) -> int:
+    """Exit code of a run: 0 pass, 1 a gate failed, 2 configuration, 3 not all could be evaluated, 4 inconclusive.
+
+    `failures`: logs and drives that could not be evaluated. `outcomes`: outcomes of the gates; None: the run is not
+    judged, and 0 means that it is complete.
+    """
+    codes = {failure.exit_code for failure in failures}
+    if codes:
+        return 2 if 2 in codes else 3
+    if outcomes is None:
+        return 0
+    asked = set(outcomes) - {Outcome.NOT_ASKED}
+    if Outcome.FAIL in asked:
+        return 1
+    return 4 if Outcome.INCONCLUSIVE in asked or not asked else 0
+
+
+def explained(run: RunConfig, folder: Path) -> str:
+    """The text of run.toml in a folder; `load_run` reads it as that of `dump_run`: a path of gates begins there."""
+    if run.gates not in PACKAGED:
+        run = replace(run, gates=os.path.relpath(run.gates, folder))
+    return f"{HEADER}{chr(10).join(_lines(tomllib.loads(dump_run(run)), RunConfig, ''))}\n"
+
+
+def _lines(table: Mapping[str, Any], of: Any, where: str) -> Iterator[str]:
+    """The lines of a table, whose keys are fields of a dataclass or keywords of a factory; None: they are not known."""
+    for key, value in table.items():
+        if not isinstance(value, Mapping):
+            line, about = tomli_w.dumps({key: value}).rstrip("\n"), "" if of is None else meaning(of, key)
+            yield f"{line}  # {about}" if about and "\n" not in line else f"# {about}\n{line}" if about else line
+    for key, value in table.items():
+        if isinstance(value, Mapping):
+            place = dotted(where, key)
+            if not value or not all(isinstance(item, Mapping) for item in value.values()):
+                yield f"\n[{place}]"
+            yield from _lines(value, _described(of, key, where), place)
+
+
+def _described(of: Any, key: str, where: str) -> Any:
+    """The dataclass or factory that describes a table in a table; None: there is none."""
+    if of is RunConfig and key == "vehicle":
+        return VehicleParameters
+    kinds = {kind.table: kind for kind in PARTS.values()}
+    if where in kinds:
+        factory = kinds[where].builtin.get(key)
+        return None if factory is None else config_class(factory) or factory
+    hint = get_type_hints(of).get(key) if isinstance(of, type) and is_dataclass(of) else None
+    return hint if isinstance(hint, type) and is_dataclass(hint) else None

@@ -15,11 +15,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from replan.core.arrays import FloatArray
-from replan.logs.frame import Frame, PlannerContext
-from replan.logs.plan import Plan
-from replan.logs.road import Lane, ReferenceLine
-from replan.logs.states import Trajectory
+from replan import Frame, Lane, Plan, PlannerContext, ReferenceLine, Trajectory
 
 STEP_S, STEPS = 0.1, 51
 SIGHT_M = 300.0
@@ -103,7 +99,7 @@ class Follower:
                 speed = max(0.0, agents.vx[i] * np.cos(yaw) + agents.vy[i] * np.sin(yaw))
         return nearest, speed
 
-    def along(self, rows: FloatArray, yaw: float, side: float) -> Trajectory:
+    def along(self, rows: np.ndarray, yaw: float, side: float) -> Trajectory:
         """The rows (t, s, v, a) in the world, with the offset from the line given up over RETURN_M."""
         t, s, v, a = rows.T
         fade = np.clip(1.0 - (s - s[0]) / RETURN_M, 0.0, 1.0)

@@ -7,8 +7,7 @@ The network is random: it shows where yours goes (docs/planners_apart.md).
 
 import numpy as np
 
-from replan.logs.plan import Plan
-from replan.logs.states import Trajectory
+from replan import Plan, Trajectory
 
 
 class Net:

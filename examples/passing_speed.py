@@ -10,10 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from replan.logs.scenario import Scenario
-from replan.logs.trace import Mode, Trace
-from replan.metrics import Metric, Series, Unavailable
-from replan.metrics.metric import MAX
+from replan import MAX, Metric, Mode, Scenario, Series, Trace, Unavailable
 
 REACH_M = 3.0
 """Half of a car's width and the 2 m that German law asks for beside riders out of town (StVO, 5 (4))."""

@@ -170,7 +170,7 @@ def assumed_car(sizes: Mapping[str, float], notes: list[str]) -> VehicleParamete
 
 def vehicle_names() -> tuple[str, ...]:
     """The vehicles of `logs/vehicles`, in alphabetical order."""
-    folder = files("logs") / "vehicles"
+    folder = files("replan.logs") / "vehicles"
     return tuple(sorted(entry.name[:-5] for entry in folder.iterdir() if entry.name.endswith(".toml")))
 
 
@@ -178,7 +178,7 @@ def vehicle_parameters(name: str) -> VehicleParameters:
     """Return the parameters of a vehicle, read from its file; ConfigError if none has this name."""
     if name not in vehicle_names():
         raise unknown_name("vehicle", name, vehicle_names())
-    text = (files("logs") / "vehicles" / f"{name}.toml").read_text(encoding="utf-8")
+    text = (files("replan.logs") / "vehicles" / f"{name}.toml").read_text(encoding="utf-8")
     table = tomllib.loads(text)
     numbers: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else float(v) for key, v in table.items()}
     return VehicleParameters(**numbers)

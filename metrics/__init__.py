@@ -228,7 +228,7 @@ def _reduce(reduction: Reduction, steps: Measured) -> tuple[float, bool, str, fl
     return value, True, label, float(steps.t[step]) if step >= 0 else nan
 
 
-METRIC: ExtensionKind[Metric] = ExtensionKind("metric", "metrics", METRICS, an_instance(Metric, "metrics.Metric"))
+METRIC: ExtensionKind[Metric] = ExtensionKind("metric", "metrics", METRICS, an_instance(Metric, "replan.Metric"))
 """Finds metrics by name: the built-in ones and those of users."""
 
 

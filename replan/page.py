@@ -11,20 +11,22 @@ import replan
 
 HEAD = """# `import replan`
 
-The public names, on one page. Everything has types (`py.typed`); `help(replan.evaluate)` says all about one. The
-packages behind (`logs`, `metrics`, `planners`, `replay`) may be imported as well; only the names here stay as they are.
-Their fields and arguments are in the [API reference](reference.md).
-`import replan` first: then your own `metrics.py` or `logs/` is not mistaken for one of them. This page is made from the
-code (`replan/page.py`).
+The public names, on one page. Everything has types (`py.typed`); `help(replan.evaluate)` describes one of them. The
+modules behind (`replan.logs`, `replan.metrics` ...) may be imported as well; only the names here stay as they are. Their
+fields and arguments are in the [API reference](reference.md). `replan` is the only name that replan installs: your own
+`logs/`, `metrics.py` or `planners/` stay yours. This page is made from the code (`replan/page.py`).
 """
 SECTIONS = {
     "Drive, judge, compare": "evaluate compare load Results DriveResult Comparison RunConfig LoopConfig",
     "Logs": "read_log from_frames write_log Scenario Trace LogSettings",
     "What a planner sees and answers": "Planner PlannerContext Frame Plan Trajectory EgoState Agents AgentKind Tracks "
-    "Predictions Visibility Road Lane Goal ReferenceLine VehicleParameters PlanStatus Decision "
-    "DecisionKind",
-    "What a metric is": "Metric Series Reduction Unavailable Mode",
-    "What else can be added (docs/extend.md)": "Vehicle Controller Command Traffic World LaneMap Reader Chart Subject "
+    "Predictions Visibility Road RoadSource Lane Goal ReferenceLine StopLine Crosswalk TrafficLight Colour "
+    "VehicleParameters PlanStart PlanStatus Decision DecisionKind",
+    "What a plan may hold for the recording": "GridCost SlGraph StGraph GraphObstacle Corridor Candidates CostTerms "
+    "LaneOption SolverReport",
+    "What a metric is": "Metric Series Reduction MEAN MIN MAX RMS FINAL COUNT RATE SHARE Unavailable Mode PlannedFrame "
+    "EndReason",
+    "What else can be added (docs/extend.md)": "Vehicle Controller Command Controls Traffic World LaneMap Reader Chart Subject "
     "Family Event EventKind",
     "Check your own": "check_planner check_metric check_reader ContractError",
     "Errors": "ReplanError ConfigError LogError PlannerError OutputError",
@@ -45,6 +47,8 @@ def markdown() -> str:
                     arguments.append(argument)
             called = f"({', '.join(arguments)})" if inspect.isfunction(thing) else ""
             first_line = (inspect.getdoc(thing) or "").partition("\n")[0]
+            if isinstance(thing, replan.Reduction):
+                first_line = f"The reduction `{thing.name}` of a series."
             lines.append(f"- `{name}{called}`: {first_line}")
         lines.append("")
     return "\n".join(lines)

@@ -121,8 +121,8 @@ def _all(kind: ExtensionKind[Any]) -> dict[str, Any]:
 
 def _cars() -> Iterator[ListedName]:
     for name in vehicle_names():
-        file = f"logs/vehicles/{name}.toml"
-        comment = (files("logs") / "vehicles" / f"{name}.toml").read_text(encoding="utf-8").partition("\n")[0]
+        file = f"replan/logs/vehicles/{name}.toml"
+        comment = (files("replan.logs") / "vehicles" / f"{name}.toml").read_text(encoding="utf-8").partition("\n")[0]
         yield ListedName(name, f"{comment.removeprefix('#').partition('.')[0].strip()}.", file)
 
 

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from replan.logs.frame import Frame, PlannerContext
-from replan.logs.plan import Plan
-from replan.logs.road import ReferenceLine
-from replan.logs.states import Trajectory
+from replan import Frame, Plan, PlannerContext, ReferenceLine, Trajectory
 
 STEP_S, STEPS = 0.1, 51
 HEADWAY_S, STANDSTILL_M, BESIDE_M = 1.5, 4.0, 1.8

@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 from dataclasses import replace
+from importlib.util import find_spec
 from itertools import pairwise
 from pathlib import Path
 from threading import Event
@@ -57,8 +58,10 @@ def test_every_name_of_every_table_is_listed_with_a_line_and_a_place() -> None:
             assert one.says.strip(), one
             assert "\n" not in one.says
             module, _, line = one.where.partition(":")
-            file = ROOT / (module if module.endswith(".toml") else module.replace(".", "/"))
-            source = next(path for path in (file, file.with_suffix(".py"), file / "__init__.py") if path.is_file())
+            if module.endswith(".toml"):
+                source = ROOT / module.removeprefix("replan/")
+            else:
+                source = Path(str(find_spec(module).origin))  # type: ignore[union-attr]
             text = source.read_text(encoding="utf-8").splitlines()
             assert not line or text[int(line) - 1].lstrip().startswith(("def ", "class ", "@", '"', "lambda ")), one
 

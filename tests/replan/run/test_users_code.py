@@ -13,8 +13,7 @@ from replan.metrics import METRICS
 
 HEAD = """
 import numpy as np
-from logs import Mode
-from metrics import Metric, Reduction, Series, Unavailable
+from replan import Metric, Mode, Reduction, Series, Unavailable
 from replan.metrics.metric import MAX, MEAN
 
 def metric(name, measure, reductions=(MEAN, MAX), **more):
@@ -96,14 +95,14 @@ def test_a_bug_of_ours_is_called_one(logs: Path, tmp_path: Path, monkeypatch: py
 @pytest.mark.parametrize(
     ("body", "said"),
     [
-        ("def broken(:\n    pass", r"SyntaxError: .*\(refused_\d+\.py:12\)"),
-        ("1 / 0", r"ZeroDivisionError: .*\(refused_\d+\.py:12\)"),
-        ("raise SystemExit(0)", r"SystemExit: 0 \(refused_\d+\.py:12\)"),
-        ("BAD = metric('two words', None)", r"name: one word \(refused_\d+\.py:8\)"),
-        ("BAD = metric('bad', None)", r"measure: a function .*\(refused_\d+\.py:8\)"),
-        ("BAD = metric('bad', print, ())", r"reductions: at least one.*\(refused_\d+\.py:8\)"),
+        ("def broken(:\n    pass", r"SyntaxError: .*\(refused_\d+\.py:11\)"),
+        ("1 / 0", r"ZeroDivisionError: .*\(refused_\d+\.py:11\)"),
+        ("raise SystemExit(0)", r"SystemExit: 0 \(refused_\d+\.py:11\)"),
+        ("BAD = metric('two words', None)", r"name: one word \(refused_\d+\.py:7\)"),
+        ("BAD = metric('bad', None)", r"measure: a function .*\(refused_\d+\.py:7\)"),
+        ("BAD = metric('bad', print, ())", r"reductions: at least one.*\(refused_\d+\.py:7\)"),
         ("BAD = metric('gap', print)", "two metrics called 'gap'"),
-        ("BAD = 7", "is a int, not a metrics.Metric"),
+        ("BAD = 7", "is a int, not a replan.Metric"),
         ("", "no metric in .* is called 'BAD'"),
     ],
 )

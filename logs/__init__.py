@@ -15,6 +15,6 @@ tables). Time: integer nanoseconds in logs and loops, seconds since the scenario
     VehicleParameters                              the ego's vehicle
 """
 
-from replan.core.own_sources import refuse_copy
+from replan.core.former_names import refuse_copy
 
 refuse_copy(__name__, "replan.logs")

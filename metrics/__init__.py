@@ -18,7 +18,7 @@ import pandas as pd
 
 from replan.core.errors import raised
 from replan.core.extension import ExtensionKind, an_instance
-from replan.core.own_sources import refuse_copy
+from replan.core.former_names import refuse_copy
 from replan.logs.frame_store import light
 from replan.logs.scenario import Scenario
 from replan.logs.trace import Trace

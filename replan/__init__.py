@@ -206,13 +206,15 @@ _FROM["write_log"] = ("replan.logs.mcap.writer", "write_scenario")
 explain_former_names()
 
 
-def __getattr__(name: str) -> Any:
-    """A public name, from where it stands."""
-    if name not in _FROM:
-        raise AttributeError(f"module 'replan' has no attribute {name!r}")
-    module, own = _FROM[name]
-    globals()[name] = value = getattr(import_module(module), own)
-    return value
+if not TYPE_CHECKING:  # with `__getattr__` visible, a type checker would accept any name
+
+    def __getattr__(name: str) -> Any:
+        """Import a public name at its first use."""
+        if name not in _FROM:
+            raise AttributeError(f"module 'replan' has no attribute {name!r}")
+        module, own = _FROM[name]
+        globals()[name] = value = getattr(import_module(module), own)
+        return value
 
 
 def __dir__() -> list[str]:

@@ -31,11 +31,24 @@ class FormerNames(MetaPathFinder):
         """Return None; ModuleNotFoundError, with the remedy, for a former name of a module of replan."""
         name = present_name(fullname)
         if name:
-            remedy = f"it is '{name}' now; import its names from replan (from replan import Plan, Trajectory)"
-            raise ModuleNotFoundError(f"No module named '{fullname}': {remedy}", name=fullname)
+            raise _error(fullname, name)
 
 
 def explain_former_names() -> None:
     """Let failing imports of former names say the present ones; imports that succeed are not touched."""
     if not any(isinstance(finder, FormerNames) for finder in sys.meta_path):
         sys.meta_path.append(FormerNames())
+
+
+def refuse_copy(name: str, package: str) -> None:
+    """Raise ModuleNotFoundError if a package of replan is imported under another name.
+
+    In the root of a clone Python finds the folder `logs` as `logs`; that would give every class of `replan.logs` twice.
+    """
+    if name != package:
+        raise _error(name, package)
+
+
+def _error(former: str, present: str) -> ModuleNotFoundError:
+    remedy = f"it is '{present}' now; import its names from replan (from replan import Plan, Trajectory)"
+    return ModuleNotFoundError(f"No module named '{former}': {remedy}", name=former)

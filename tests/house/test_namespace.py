@@ -198,7 +198,7 @@ def test_the_folders_of_a_clone_are_never_a_second_copy(repository: Path) -> Non
     """In the clone's root `import logs` is one line that names the package; in a user's folder it is theirs."""
     for name in OURS:
         shown = run(ROOT, sys.executable, "-c", f"import {name}", code=1).strip().splitlines()[-1]
-        assert shown == f"ImportError: this folder is the package replan.{name}: write `import replan.{name}`"
+        assert shown.startswith(f"ModuleNotFoundError: No module named '{name}': it is 'replan.{name}' now;")
     assert "." not in TOOLS["pytest"]["ini_options"]["pythonpath"]
     same = "import replan; from replan.logs.plan import Plan; assert Plan is replan.Plan; import logs; print(*logs.__path__)"
     assert run(repository, sys.executable, "-c", same).split() == [str(repository / "logs")]

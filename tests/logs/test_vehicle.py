@@ -15,7 +15,7 @@ from replan.logs.vehicle import VehicleParameters, vehicle_names, vehicle_parame
 
 @pytest.mark.parametrize("name", vehicle_names())
 def test_a_vehicle_file_tells_every_number_and_where_it_comes_from(name: str) -> None:
-    text = (files("logs") / "vehicles" / f"{name}.toml").read_text(encoding="utf-8")
+    text = (files("replan.logs") / "vehicles" / f"{name}.toml").read_text(encoding="utf-8")
     assert set(tomllib.loads(text)) == {item.name for item in fields(VehicleParameters)}
     assert "measured" in text
 

@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from mcap.reader import make_reader
 from mcap_cases import START_NS, differences, rich_scenario, scenarios
 
-from replan import logs
+import replan
 from replan.core.errors import LogError, OutputError
 from replan.logs.mcap import native, read_scenario, write_scenario
 from replan.logs.road import Lane, Road
@@ -47,11 +47,11 @@ def test_same_scenario_same_bytes(tmp_path: Path) -> None:
     (Lane, native.LaneColumns, {"left": ("left_x", "left_y"), "right": ("right_x", "right_y")}),
     (VehicleParameters, native.Vehicle, {}),
     (Road, native.Road, {}),
-    (logs.StopLine, native.StopLine, {"points": ("x", "y")}),
-    (logs.Crosswalk, native.Crosswalk, {"polygon": ("x", "y")}),
-    (logs.Goal, native.Goal, {}),
-    (logs.Decision, native.Decision, {}),
-    (logs.SolverReport, native.SolverReport, {}),
+    (replan.StopLine, native.StopLine, {"points": ("x", "y")}),
+    (replan.Crosswalk, native.Crosswalk, {"polygon": ("x", "y")}),
+    (replan.Goal, native.Goal, {}),
+    (replan.Decision, native.Decision, {}),
+    (replan.SolverReport, native.SolverReport, {}),
     (Trajectory, native.TrajectoryColumns, {}),
 ])  # fmt: skip
 def test_a_message_has_every_field_of_its_noun(noun: type, message: type, split: dict[str, tuple[str, str]]) -> None:
@@ -97,13 +97,13 @@ def test_lights_that_change_together_share_a_message(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("change", "words"), [
-    ({"controls": logs.Controls(np.zeros(1), np.array([np.inf]), np.zeros(1), np.zeros(1))}, "steer_rad is infinite"),
-    ({"goal": logs.Goal(t=(0.0, np.inf))}, "goal t is inf"),
+    ({"controls": replan.Controls(np.zeros(1), np.array([np.inf]), np.zeros(1), np.zeros(1))}, "steer_rad is infinite"),
+    ({"goal": replan.Goal(t=(0.0, np.inf))}, "goal t is inf"),
     ({"road": Road({}, default_speed_limit=np.inf)}, "default speed limit is inf"),
     ({"start_ns": -1}, "start_ns is negative"),
-    ({"lights": (logs.TrafficLight(3, np.array([0.0, 1e-10]), (logs.Colour.RED, logs.Colour.GREEN)),)},
+    ({"lights": (replan.TrafficLight(3, np.array([0.0, 1e-10]), (replan.Colour.RED, replan.Colour.GREEN)),)},
      "light 3 changes twice on one nanosecond"),
-    ({"lights": (logs.TrafficLight(3, np.array([-2e9]), (logs.Colour.RED,)),)}, "before log time 0"),
+    ({"lights": (replan.TrafficLight(3, np.array([-2e9]), (replan.Colour.RED,)),)}, "before log time 0"),
     ({"ego": Trajectory(np.array([0.0, 1e-10]), *np.zeros((6, 2)))}, "one nanosecond"),
     ({"ego": Trajectory(np.array([-1.0]), *np.zeros((6, 1))), "start_ns": 0}, "before log time 0"),
 ])  # fmt: skip
@@ -120,7 +120,7 @@ def test_a_failed_write_leaves_the_old_log(tmp_path: Path) -> None:
     write_scenario(path, rich_scenario())
     before = path.read_bytes()
     with pytest.raises(LogError):
-        write_scenario(path, replace(rich_scenario(), goal=logs.Goal(v=(0.0, np.nan))))
+        write_scenario(path, replace(rich_scenario(), goal=replan.Goal(v=(0.0, np.nan))))
     assert path.read_bytes() == before and list(tmp_path.iterdir()) == [path]
 
 

@@ -226,7 +226,7 @@ def test_a_planner_with_settings_is_mined_and_one_that_cannot_be_built_costs_its
     def refuse(*args: object) -> None:
         raise ConfigError("planner 'dp_qp' cannot be built: no")
 
-    monkeypatch.setattr("replan.mine.kinds.drive_keywords", refuse)
+    monkeypatch.setattr("replan.config.RunConfig.planner_keywords", refuse)
     result = replan(*words, "-o", tmp_path / "out")
     assert result.exit_code == 3 and "cannot be built" in one_error(result)
     assert len(pd.read_parquet(tmp_path / "out" / LOGS)) == 1

@@ -1,6 +1,5 @@
 """Many logs: the same bytes whatever the number of workers; what fails costs only itself."""
 
-import signal
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import product
@@ -12,6 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, strategies as st
 from short_logs import QUICK, identical, run, short
+from worker_tasks import square_of
 
 from replan.config import load_run
 from replan.core.errors import ConfigError, PlannerError
@@ -262,13 +262,6 @@ def test_safe_names_are_safe(name: str) -> None:
     assert Path(safe).name == safe
     assert safe.isascii()
     assert safe_name(safe) == safe
-
-
-def square_of(number: int) -> int:
-    """For the pool: 13 dies."""
-    if number == 13:
-        signal.raise_signal(signal.SIGKILL)
-    return number * number
 
 
 @pytest.mark.slow

@@ -4,11 +4,11 @@ import os
 import shutil
 import subprocess
 import sys
-import time
 from functools import partial
 from pathlib import Path
 
 import pytest
+from worker_tasks import count_files, touch, wait_for_beside
 
 from replan.config import RunConfig
 from replan.replay.parts import PLANNER
@@ -32,8 +32,8 @@ print(gc.isenabled())
 def _asked(folder: Path, **more: str) -> tuple[list[str], str]:
     """What a fresh process says with its kernels in a folder, none beside the sources: its lines, and stderr."""
     copy = folder.parent / "copy"
-    for package in ("logs", "replan"):
-        shutil.copytree(package, copy / package, ignore=shutil.ignore_patterns("__pycache__"), dirs_exist_ok=True)
+    for source, package in (("replan", "replan"), ("logs", "replan/logs")):
+        shutil.copytree(source, copy / package, ignore=shutil.ignore_patterns("__pycache__"), dirs_exist_ok=True)
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(copy), *sys.path]), **more}
     environment.pop("NUMBA_DISABLE_JIT", None)
     done = subprocess.run(
@@ -59,7 +59,7 @@ def test_kernels_are_compiled_once_for_a_processor_and_read_where_nothing_can_be
 
 @pytest.mark.slow
 def test_of_work_that_all_need_one_worker_does_the_first(tmp_path: Path) -> None:
-    ended = [index for index, _ in run_all(_marked, [tmp_path / str(k) for k in range(4)], 4, one_first=True)]
+    ended = [index for index, _ in run_all(count_files, [tmp_path / str(k) for k in range(4)], 4, one_first=True)]
     others = {int((tmp_path / str(k)).read_text()) for k in range(3)}
     assert ended[0] == 3 and sorted(ended) == [0, 1, 2, 3]
     assert (tmp_path / "3").read_text() == "0" and others <= {1, 2, 3}
@@ -68,21 +68,9 @@ def test_of_work_that_all_need_one_worker_does_the_first(tmp_path: Path) -> None
 @pytest.mark.slow
 @pytest.mark.parametrize("workers", [1, 2])
 def test_beside_the_first_item_another_process_does_other_work(tmp_path: Path, workers: int) -> None:
-    beside, first = partial(_write, tmp_path / "beside"), [tmp_path / "other", tmp_path / "first"]
-    ended = [index for index, _ in run_all(_waited, first, workers, one_first=True, meanwhile=beside)]
+    beside, first = partial(touch, tmp_path / "beside"), [tmp_path / "other", tmp_path / "first"]
+    ended = [index for index, _ in run_all(wait_for_beside, first, workers, one_first=True, meanwhile=beside)]
     assert sorted(ended) == [0, 1] and (tmp_path / "beside").exists()
-
-
-def _waited(path: Path) -> None:
-    """Wait for the work beside it, at most some seconds."""
-    for _ in range(100 if path.name == "first" else 0):
-        if (path.parent / "beside").exists():
-            return
-        time.sleep(0.05)
-
-
-def _write(path: Path) -> None:
-    path.touch()
 
 
 @pytest.mark.slow
@@ -90,8 +78,3 @@ def test_the_head_start_compiles_what_a_plan_needs() -> None:
     """Without an error, of all built-in planners; a planner of a user is left to its own process."""
     names = (*PLANNER.causal, "nobody:Knows", "logged")
     compile_planning(RunConfig(planners=names))
-
-
-def _marked(path: Path) -> None:
-    """Write how many files there were before."""
-    path.write_text(str(len(list(path.parent.iterdir()))))

@@ -17,14 +17,19 @@ def link(root: Path, into: Path) -> None:
     """Make the links to the packages of a clone below a folder, and remove links to what is gone."""
     config = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))
     folders = config["tool"]["setuptools"]["package-dir"]
-    places = {into / "ns" / "studies": root / "studies", into / "studies" / "studies": root / "studies"}
+    places = {
+        into / "ns" / "studies": root / "studies",
+        into / "studies" / "studies": root / "studies",
+    }
     into = into / "ns"
     for package, folder in folders.items():
         if "." in package:
             places[into / package.replace(".", "/")] = root / folder
         else:
             places |= {into / package / member.name: member for member in (root / folder).iterdir()}
-    for old in (link for folder in (into, into / "replan") if folder.is_dir() for link in folder.iterdir()):
+    for old in (
+        link for folder in (into, into / "replan") if folder.is_dir() for link in folder.iterdir()
+    ):
         if old.is_symlink() and places.get(old) != old.readlink():
             old.unlink()
     for place, source in places.items():

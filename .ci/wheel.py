@@ -22,7 +22,15 @@ def main(out: Path) -> Path:
     """Build it into a folder; its path."""
     with TemporaryDirectory() as work:
         pure, tree = Path(work, "pure"), Path(work, "tree")
-        pip = (sys.executable, "-m", "pip", "wheel", "--quiet", "--disable-pip-version-check", "--no-deps")
+        pip = (
+            sys.executable,
+            "-m",
+            "pip",
+            "wheel",
+            "--quiet",
+            "--disable-pip-version-check",
+            "--no-deps",
+        )
         subprocess.run([*pip, "--wheel-dir", str(pure), "."], check=True)
         (wheel,) = pure.glob("*.whl")
         with ZipFile(wheel) as packed:
@@ -33,10 +41,14 @@ def main(out: Path) -> Path:
 
 def warm(tree: Path) -> None:
     """Compile all kernels of an unpacked wheel, beside its sources."""
-    environment = {name: value for name, value in os.environ.items() if not name.startswith("NUMBA_")}
+    environment = {
+        name: value for name, value in os.environ.items() if not name.startswith("NUMBA_")
+    }
     environment |= {"PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1"}
     command = [sys.executable, "-m", "replan", "warmup", "--all", "--json"]
-    said = subprocess.run(command, cwd=tree, env=environment, check=True, stdout=subprocess.PIPE, text=True).stdout
+    said = subprocess.run(
+        command, cwd=tree, env=environment, check=True, stdout=subprocess.PIPE, text=True
+    ).stdout
     done = json.loads(said)
     if not (done["compiled"] and Path(done["folder"]).is_relative_to(tree.resolve())):
         raise SystemExit(f"error: no kernels beside the sources: {said}")
@@ -47,7 +59,11 @@ def pack(tree: Path, out: Path) -> Path:
     (info,) = tree.glob("*.dist-info")
     python = f"cp{sys.version_info.major}{sys.version_info.minor}"
     tag = f"{python}-{python}-{sysconfig.get_platform().replace('-', '_').replace('.', '_')}"
-    kept = [line for line in (info / "WHEEL").read_text().splitlines() if not line.startswith(("Root-", "Tag:"))]
+    kept = [
+        line
+        for line in (info / "WHEEL").read_text().splitlines()
+        if not line.startswith(("Root-", "Tag:"))
+    ]
     about = "\n".join([*filter(None, kept), "Root-Is-Purelib: false", f"Tag: {tag}", ""])
     (info / "WHEEL").write_text(about)
     (info / "RECORD").unlink()
@@ -64,7 +80,9 @@ def pack(tree: Path, out: Path) -> Path:
 def _added(packed: ZipFile, file: Path, name: str) -> str:
     """Add a file; its row of RECORD."""
     packed.write(file, name)
-    digest = base64.urlsafe_b64encode(hashlib.sha256(file.read_bytes()).digest()).rstrip(b"=").decode()
+    digest = (
+        base64.urlsafe_b64encode(hashlib.sha256(file.read_bytes()).digest()).rstrip(b"=").decode()
+    )
     return f"{name},sha256={digest},{file.stat().st_size}"
 
 

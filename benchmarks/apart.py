@@ -29,7 +29,9 @@ BUILT_IN, APART = "constant_speed", "replan.planners.constant_speed:ConstantSpee
 
 def main() -> None:
     """Print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--rounds", type=int, default=5)
     rounds = parser.parse_args().rounds
     log = CATALOGUE["everyday/junction"].scenario()
@@ -46,7 +48,9 @@ def main() -> None:
         p95 = sorted(outside)[int(0.95 * len(outside))] - median(inside)
         gap = median(outside) - median(inside)
         here, there = median(inside), median(outside)
-        print(f"{agents:6d}  {size_kb(made):10.0f}  {here:15.3f}  {there:10.3f}  {gap:17.3f}  {p95:8.3f}")
+        print(
+            f"{agents:6d}  {size_kb(made):10.0f}  {here:15.3f}  {there:10.3f}  {gap:17.3f}  {p95:8.3f}"
+        )
     costs = [drive_s(log, APART) - drive_s(log, BUILT_IN) for _ in range(4 * rounds)]
     print(f"a drive of one frame more: {1e3 * median(costs):.1f} ms (warm)")
     assert _launcher(()).alive

@@ -100,14 +100,20 @@ def long_drive(seconds: float) -> tuple[Trace, Scenario]:
     x, y = 13.0 * t, 20.0 * np.sin(13.0 * t / 150.0)
     yaw = np.arctan2(np.gradient(y), np.gradient(x))
     ego = Trajectory(t, x, y, yaw, 13.0 + 0.0 * t, 0.0 * t, 0.0 * t)
-    road = replace(Road.along(np.column_stack([x, y])[::10], speed_limit=13.9), source=RoadSource.LANES)
-    trace = Trace("long", "nobody", Mode.CLOSED, False, ego, Tracks.empty(), (), EndReason.END_OF_LOG)
+    road = replace(
+        Road.along(np.column_stack([x, y])[::10], speed_limit=13.9), source=RoadSource.LANES
+    )
+    trace = Trace(
+        "long", "nobody", Mode.CLOSED, False, ego, Tracks.empty(), (), EndReason.END_OF_LOG
+    )
     return trace, Scenario("long", ego, Tracks.empty(), road, float(t[-1]))
 
 
 def growing(trace: Trace, scenario: Scenario) -> dict[str, float]:
     """Ms of each metric of `GROWING`; each time of a new trace, of which nothing is known yet."""
-    return {m.name: best_ms(partial(lambda m: m.measure(replace(trace), scenario), m)) for m in GROWING}
+    return {
+        m.name: best_ms(partial(lambda m: m.measure(replace(trace), scenario), m)) for m in GROWING
+    }
 
 
 def kept_mb(family: str, planner: str) -> float:
@@ -133,13 +139,18 @@ def kept_mb(family: str, planner: str) -> float:
 def import_s() -> float:
     """CPU time of a new process that imports the command line, s; best of some."""
     code = "import time; begin = time.process_time(); import replan.cli; print(time.process_time() - begin)"
-    runs = [subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True) for _ in range(3)]
+    runs = [
+        subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+        for _ in range(3)
+    ]
     return min(float(run.stdout) for run in runs)
 
 
 def main() -> None:
     """Print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--planner", default="constant_speed")
     parser.add_argument("--family", default="everyday/junction")
     asked = parser.parse_args()
@@ -149,7 +160,10 @@ def main() -> None:
     print("\nms for each second of a drive:")
     for seconds in LENGTHS_S:
         found = growing(*long_drive(seconds))
-        print(f"{seconds:6.0f} s", "  ".join(f"{name} {took / seconds:.3f}" for name, took in found.items()))
+        print(
+            f"{seconds:6.0f} s",
+            "  ".join(f"{name} {took / seconds:.3f}" for name, took in found.items()),
+        )
     print(f"\nleft behind by a drive: {kept_mb(asked.family, asked.planner):.3f} MB")
     print(f"imports: {import_s():.2f} s")
 

@@ -34,7 +34,11 @@ def step_times(controller: str, vehicle: str) -> FloatArray:
     """Seconds of each command of one drive `(n,)`."""
     car, reference = VehicleParameters(), s_curve(50.0, 12.0, "").reference
     ego = VEHICLE.builtin[vehicle](car, reference.state(0))
-    driver, plan, times = controller_of(ego, car, Part(CONTROLLER, controller), PERIOD_S), Plan(reference), []
+    driver, plan, times = (
+        controller_of(ego, car, Part(CONTROLLER, controller), PERIOD_S),
+        Plan(reference),
+        [],
+    )
     for _ in range(round(float(reference.t[-1]) / PERIOD_S)):
         state = ego.state
         begin = thread_time()

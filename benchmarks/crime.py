@@ -75,11 +75,20 @@ def _vehicle(number: int, start: float, speed: float) -> Any:
     shape, states = Rectangle(4.5, 1.8), []
     for k in range(1, 41):
         place = np.array([start + 0.1 * k * speed, 0.0])
-        states.append(KSState(time_step=k, position=place, orientation=0.0, velocity=speed, steering_angle=0.0))
+        states.append(
+            KSState(
+                time_step=k, position=place, orientation=0.0, velocity=speed, steering_angle=0.0
+            )
+        )
     first = InitialState(
-        time_step=0, position=np.array([start, 0.0]), orientation=0.0, velocity=speed, acceleration=0.0,
-        yaw_rate=0.0, slip_angle=0.0,
-    )  # fmt: skip
+        time_step=0,
+        position=np.array([start, 0.0]),
+        orientation=0.0,
+        velocity=speed,
+        acceleration=0.0,
+        yaw_rate=0.0,
+        slip_angle=0.0,
+    )
     drive = TrajectoryPrediction(Trajectory(1, states), shape)
     return DynamicObstacle(number, ObstacleType.CAR, shape, first, drive)
 
@@ -92,8 +101,14 @@ def ours(files: list[Path]) -> pd.DataFrame:
     rows: list[dict[str, object]] = []
     for path in files:
         document = parse(path)
-        vehicles = [o for o in document.obstacles if not o.static and o.type in ("car", "truck", "bus")]
-        egos = [str(o.id) for o in vehicles if len(o.states) > 2.0 / document.dt and o.states[0, 4] > 2.0]
+        vehicles = [
+            o for o in document.obstacles if not o.static and o.type in ("car", "truck", "bus")
+        ]
+        egos = [
+            str(o.id)
+            for o in vehicles
+            if len(o.states) > 2.0 / document.dt and o.states[0, 4] > 2.0
+        ]
         for ego in egos[:VEHICLES]:
             scenario = read_commonroad(path, ego=ego)
             rows += [{"file": str(path), "ego": ego, **row} for row in _rows(scenario, document.dt)]
@@ -106,9 +121,19 @@ def _rows(scenario: Any, dt: float) -> Iterator[dict[str, object]]:
     from replan.metrics.following import ahead_of
 
     trace = Trace(
-        scenario.name, "log", Mode.CLOSED, True, scenario.ego, scenario.tracks, frames=(), end=EndReason.END_OF_LOG
+        scenario.name,
+        "log",
+        Mode.CLOSED,
+        True,
+        scenario.ego,
+        scenario.tracks,
+        frames=(),
+        end=EndReason.END_OF_LOG,
     )
-    ahead, names = ahead_of(trace, scenario), ("thw", "drac", "required_decel", "ttc_accelerated", "headway")
+    ahead, names = (
+        ahead_of(trace, scenario),
+        ("thw", "drac", "required_decel", "ttc_accelerated", "headway"),
+    )
     found = {name: METRICS[name].measure(trace, scenario) for name in names}
     start = scenario.start_ns / 1e9 / dt
     for k in np.flatnonzero(ahead.agent >= 0):
@@ -157,13 +182,18 @@ def _asked(path: Path, ego: int, row: pd.Series, turn: float) -> dict[str, float
     from commonroad_crime.data_structure.configuration import CriMeConfiguration
     from commonroad_crime.measure import HW, PET, THW, TTC, ALongReq
 
-    measures = {"pet": PET} if row["kind"] == "crossing" else {"headway": HW, "thw": THW, "ttc": TTC, "drac": ALongReq}
+    measures = (
+        {"pet": PET}
+        if row["kind"] == "crossing"
+        else {"headway": HW, "thw": THW, "ttc": TTC, "drac": ALongReq}
+    )
     scenario, _ = CommonRoadFileReader(str(path)).open()
     pair = (ego, int(row["other"]))
     scenario.remove_obstacle([o for o in scenario.obstacles if o.obstacle_id not in pair])
     if turn:
         scenario.translate_rotate(np.zeros(2), math.atan2(math.sin(turn), math.cos(turn)))
-        lanes = LaneletNetwork.create_from_lanelet_list(scenario.lanelet_network.lanelets)  # its index did not turn
+        # Its index did not turn
+        lanes = LaneletNetwork.create_from_lanelet_list(scenario.lanelet_network.lanelets)
         scenario.replace_lanelet_network(lanes)
     scenario.assign_obstacles_to_lanelets()
     found: dict[str, float] = {}
@@ -173,11 +203,14 @@ def _asked(path: Path, ego: int, row: pd.Series, turn: float) -> dict[str, float
         config.update(sce=scenario)
         try:
             value = measure(config).compute(int(row["other"]), int(row["step"]), verbose=False)
-        except Exception:  # what it raises is not documented: projections, lanelets that are not there
+        # What it raises is not documented: projections, lanelets that are not there
+        except Exception:
             value = None
         found[name] = math.nan if value is None else abs(float(value))
         if turn and name == "headway" and math.isfinite(found[name]) and found[name] > 0.0:
-            found |= _mended(float(value), *_motion(measure(config), int(row["other"]), int(row["step"])))
+            found |= _mended(
+                float(value), *_motion(measure(config), int(row["other"]), int(row["step"]))
+            )
     return found
 
 
@@ -199,9 +232,10 @@ def _mended(gap: float, closing: float, ego_accel: float, lead_accel: float) -> 
         accelerated = (-closing + math.sqrt(square)) / nearing
     ttc = gap / closing if closing > 0.0 else math.nan
     return {
-        "ttc_mended": ttc, "drac_mended": max(closing, 0.0) ** 2 / (2.0 * gap),
+        "ttc_mended": ttc,
+        "drac_mended": max(closing, 0.0) ** 2 / (2.0 * gap),
         "ttc_accelerated_mended": accelerated,
-    }  # fmt: skip
+    }
 
 
 def compared(rows: pd.DataFrame) -> pd.DataFrame:
@@ -211,25 +245,52 @@ def compared(rows: pd.DataFrame) -> pd.DataFrame:
     for group, part in (("real logs", rows[~made]), ("the straight scene", rows[made])):
         for name in ("headway", "thw", "ttc", "ttc_accelerated", "drac", "pet"):
             for suffix in ("", "_turned", "_mended"):
-                theirs_name = name if suffix == "_mended" else {"ttc_accelerated": "ttc"}.get(name, name)
+                theirs_name = (
+                    name if suffix == "_mended" else {"ttc_accelerated": "ttc"}.get(name, name)
+                )
                 column = f"crime_{theirs_name}{suffix}"
                 if column not in part or not len(part):
                     continue
                 kind = part[part["kind"] == ("crossing" if name == "pet" else "lead")]
                 mine, other = kind[name].to_numpy(), kind[column].to_numpy()
                 both = np.isfinite(mine) & np.isfinite(other)
-                near = np.abs(mine - other) <= np.maximum(EQUAL.get(theirs_name, 0.05) * np.abs(mine), 0.05)
+                near = np.abs(mine - other) <= np.maximum(
+                    EQUAL.get(theirs_name, 0.05) * np.abs(mine), 0.05
+                )
                 gap = np.median(np.abs(mine - other)[both]) if both.any() else math.nan
                 none = int(np.sum(np.isfinite(mine) & ~np.isfinite(other)))
-                out.append((group, name, suffix[1:] or "as filed", len(kind), int(both.sum()), int((near & both).sum()),
-                            gap, none, int(np.sum(~np.isfinite(mine) & np.isfinite(other)))))  # fmt: skip
-    names = ["where", "quantity", "frame", "pairs", "both", "agree", "median_difference", "only_replan", "only_crime"]
+                out.append(
+                    (
+                        group,
+                        name,
+                        suffix[1:] or "as filed",
+                        len(kind),
+                        int(both.sum()),
+                        int((near & both).sum()),
+                        gap,
+                        none,
+                        int(np.sum(~np.isfinite(mine) & np.isfinite(other))),
+                    )
+                )
+    names = [
+        "where",
+        "quantity",
+        "frame",
+        "pairs",
+        "both",
+        "agree",
+        "median_difference",
+        "only_replan",
+        "only_crime",
+    ]
     return pd.DataFrame(out, columns=names)
 
 
 def main() -> None:
     """One step of the comparison."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("step", choices=("scene", "replan", "crime", "compare"))
     parser.add_argument("paths", nargs="+", type=Path)
     parser.add_argument("--out", type=Path)

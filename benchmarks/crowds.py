@@ -24,9 +24,17 @@ def crowded(scenario: Scenario, n: int) -> Scenario:
         heading = np.arctan2(*(lane.center[k + 1] - lane.center[k])[::-1]) + rng.normal(0.0, 0.05)
         vx, vy = rng.uniform(0.0, 12.0) * np.array([np.cos(heading), np.sin(heading)])
         x, y = lane.center[k] + rng.normal(0.0, 0.6, 2)
-        rows.append(np.vstack([t, x + vx * t, y + vy * t, *np.array([[heading], [vx], [vy]]) + 0.0 * t]))
-    kinds = tuple(AgentKind.CAR if on_wheels else AgentKind.PEDESTRIAN for on_wheels in rng.uniform(size=n) > 0.1)
+        rows.append(
+            np.vstack([t, x + vx * t, y + vy * t, *np.array([[heading], [vx], [vy]]) + 0.0 * t])
+        )
+    kinds = tuple(
+        AgentKind.CAR if on_wheels else AgentKind.PEDESTRIAN
+        for on_wheels in rng.uniform(size=n) > 0.1
+    )
     sizes, offsets = (np.full(n, 4.5), np.full(n, 1.8)), len(t) * np.arange(n + 1)
     return replace(
-        scenario, tracks=Tracks(tuple(map(str, range(n))), kinds, *sizes, np.zeros(n, bool), offsets, *np.hstack(rows))
+        scenario,
+        tracks=Tracks(
+            tuple(map(str, range(n))), kinds, *sizes, np.zeros(n, bool), offsets, *np.hstack(rows)
+        ),
     )

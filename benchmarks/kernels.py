@@ -71,7 +71,14 @@ class Counted:
     """Stands for a kernel in the modules that call it from Python; keeps evenly spaced calls."""
 
     def __init__(self, kernel: Any, most: int) -> None:
-        self.kernel, self.most, self.calls, self.seconds, self.kept, self.spaced = kernel, most, 0, 0.0, list[Any](), 1
+        self.kernel, self.most, self.calls, self.seconds, self.kept, self.spaced = (
+            kernel,
+            most,
+            0,
+            0.0,
+            list[Any](),
+            1,
+        )
 
     def __call__(self, *args: Any, **named: Any) -> Any:
         """Call the kernel."""
@@ -110,9 +117,14 @@ def count(logs: Sequence[str], out: Path, most: int) -> None:
             setattr(module, name, counted.setdefault(id(value), Counted(value, most)))
     drive(logs)
     rows = {
-        f"{each.kernel.py_func.__module__}.{each.kernel.py_func.__qualname__}": (each.calls, each.seconds, each.kept)
-        for each in counted.values() if each.calls
-    }  # fmt: skip
+        f"{each.kernel.py_func.__module__}.{each.kernel.py_func.__qualname__}": (
+            each.calls,
+            each.seconds,
+            each.kept,
+        )
+        for each in counted.values()
+        if each.calls
+    }
     out.write_bytes(pickle.dumps((seconds, rows)))
 
 
@@ -135,45 +147,89 @@ def repeat(found: Path, out: Path) -> None:
 
 def main() -> None:
     """Run the three processes, and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("logs", nargs="*")
-    parser.add_argument("--calls", type=int, default=20, help="calls of each kernel that are repeated in Python")
+    parser.add_argument(
+        "--calls", type=int, default=20, help="calls of each kernel that are repeated in Python"
+    )
     parser.add_argument("--part", nargs="+", help=argparse.SUPPRESS)
     asked = parser.parse_args()
     if asked.part:
         part, *files = asked.part
-        {"compile": lambda: compile_all(asked.logs, Path(files[0])),
-         "count": lambda: count(asked.logs, Path(files[0]), asked.calls),
-         "repeat": lambda: repeat(Path(files[0]), Path(files[1]))}[part]()  # fmt: skip
+        {
+            "compile": lambda: compile_all(asked.logs, Path(files[0])),
+            "count": lambda: count(asked.logs, Path(files[0]), asked.calls),
+            "repeat": lambda: repeat(Path(files[0]), Path(files[1])),
+        }[part]()
         return
     with tempfile.TemporaryDirectory() as folder:
-        compiled, counted, python = (Path(folder) / name for name in ("compiled", "counted", "python"))
+        compiled, counted, python = (
+            Path(folder) / name for name in ("compiled", "counted", "python")
+        )
         for room in ROOMS:
-            shutil.copytree(ROOT / room, Path(folder) / room, ignore=shutil.ignore_patterns("__pycache__"))
-        parts = (["compile", str(compiled)], ["count", str(counted)], ["repeat", str(counted), str(python)])
+            shutil.copytree(
+                ROOT / room, Path(folder) / room, ignore=shutil.ignore_patterns("__pycache__")
+            )
+        parts = (
+            ["compile", str(compiled)],
+            ["count", str(counted)],
+            ["repeat", str(counted), str(python)],
+        )
         for part, disabled in zip(parts, "001", strict=True):
             environment = {**os.environ, "PYTHONPATH": folder, "NUMBA_DISABLE_JIT": disabled}
-            command = [sys.executable, __file__, *asked.logs, "--calls", str(asked.calls), "--part", *part]
+            command = [
+                sys.executable,
+                __file__,
+                *asked.logs,
+                "--calls",
+                str(asked.calls),
+                "--part",
+                *part,
+            ]
             subprocess.run(command, check=True, env=environment)
         cost: dict[str, float] = pickle.loads(compiled.read_bytes())
         seconds, rows = pickle.loads(counted.read_bytes())
         plain: dict[str, float] = pickle.loads(python.read_bytes())
-    table = Table(title=f"{seconds:.0f} s of logs; all per 20 s of driving in both loops; CPU times")
-    for head in ("kernel", "compiling, s", "calls", "compiled, ms", "Python, ms", "pays after, logs"):
+    table = Table(
+        title=f"{seconds:.0f} s of logs; all per 20 s of driving in both loops; CPU times"
+    )
+    for head in (
+        "kernel",
+        "compiling, s",
+        "calls",
+        "compiled, ms",
+        "Python, ms",
+        "pays after, logs",
+    ):
         table.add_column(head, justify="left" if head == "kernel" else "right", no_wrap=True)
     share, found = LOG_S / seconds, []
     for name, (calls, spent, _) in rows.items():
         saved = share * (calls * plain[name] - spent)
         found.append(
-            (cost.get(name, 0.0) / saved if saved > 0.0 else inf, name, calls * share, spent * share, plain[name])
+            (
+                cost.get(name, 0.0) / saved if saved > 0.0 else inf,
+                name,
+                calls * share,
+                spent * share,
+                plain[name],
+            )
         )
     for pays, name, calls, spent, each in sorted(found, reverse=True):
-        row = f"{cost.get(name, 0.0):.2f}", f"{calls:.0f}", f"{1e3 * spent:.1f}", f"{1e3 * calls * each:.1f}"
+        row = (
+            f"{cost.get(name, 0.0):.2f}",
+            f"{calls:.0f}",
+            f"{1e3 * spent:.1f}",
+            f"{1e3 * calls * each:.1f}",
+        )
         table.add_row(name, *row, f"{pays:.2g}" if pays < inf else "never")
     Console(width=140).print(table)
     late = [cost.get(name, 0.0) for pays, name, *_ in found if pays > PAYS_WITHIN]
-    print(f"{len(found)} kernels, {sum(cost.get(row[1], 0.0) for row in found):.0f} CPU-s to compile;"
-          f" {len(late)} of them, {sum(late):.1f} s, pay after more than {PAYS_WITHIN:.0f} logs")  # fmt: skip
+    print(
+        f"{len(found)} kernels, {sum(cost.get(row[1], 0.0) for row in found):.0f} CPU-s to compile;"
+        f" {len(late)} of them, {sum(late):.1f} s, pay after more than {PAYS_WITHIN:.0f} logs"
+    )
 
 
 if __name__ == "__main__":

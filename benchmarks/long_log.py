@@ -62,26 +62,43 @@ def _road(path: CurveSamples) -> Road:
 
 def _numbered(lane: Lane, name: int, beside: int, successors: tuple[int, ...]) -> Lane:
     return Lane(
-        name, lane.left, lane.right, successors=successors, left_neighbour=beside, left_opposite=True,
-        left_crossable=True, speed_limit=SPEED_MPS,
-    )  # fmt: skip
+        name,
+        lane.left,
+        lane.right,
+        successors=successors,
+        left_neighbour=beside,
+        left_opposite=True,
+        left_crossable=True,
+        speed_limit=SPEED_MPS,
+    )
 
 
 def _others(path: CurveSamples, t: FloatArray, denser: float) -> Iterator[Agent]:
     """Who is within `SEEN_M` of the ego is in the log; each comes and goes once."""
     ego = 50.0 + SPEED_MPS * t
     for k, start in enumerate(np.arange(100.0, 2.0 * ego[-1], CARS_M / denser)):
-        yield from _seen(path, f"car{k}", AgentKind.CAR, CAR, t, start - SPEED_MPS * t, ego, LANE_WIDTH_M, pi)
+        yield from _seen(
+            path, f"car{k}", AgentKind.CAR, CAR, t, start - SPEED_MPS * t, ego, LANE_WIDTH_M, pi
+        )
     for k, start in enumerate(np.arange(80.0, ego[-1], PEDESTRIANS_M / denser)):
         aside = BESIDE_M if k % 2 else -BESIDE_M
         left = aside + (LANE_WIDTH_M if k % 2 else 0.0)
-        yield from _seen(path, f"walker{k}", AgentKind.PEDESTRIAN, ADULT, t, start + 0.0 * t, ego, left, 0.0)
+        yield from _seen(
+            path, f"walker{k}", AgentKind.PEDESTRIAN, ADULT, t, start + 0.0 * t, ego, left, 0.0
+        )
 
 
 def _seen(
-    path: CurveSamples, name: str, kind: AgentKind, size: tuple[float, float], t: FloatArray, s: FloatArray,
-    ego: FloatArray, left: float, turned: float,
-) -> Iterator[Agent]:  # fmt: skip
+    path: CurveSamples,
+    name: str,
+    kind: AgentKind,
+    size: tuple[float, float],
+    t: FloatArray,
+    s: FloatArray,
+    ego: FloatArray,
+    left: float,
+    turned: float,
+) -> Iterator[Agent]:
     there = (np.abs(s - ego) <= SEEN_M) & (s > 0.0) & (s < path.length)
     if np.count_nonzero(there) < 2:
         return
@@ -99,7 +116,9 @@ def stage(console: Console, name: str) -> Iterator[None]:
     begin = process_time()
     yield
     took, lines = process_time() - begin, dict(_status())
-    console.print(f"{name:34} peak {lines['VmHWM']:6.0f} MB  after {lines['VmRSS']:6.0f} MB  CPU {took:6.1f} s")
+    console.print(
+        f"{name:34} peak {lines['VmHWM']:6.0f} MB  after {lines['VmRSS']:6.0f} MB  CPU {took:6.1f} s"
+    )
 
 
 def _status() -> Iterator[tuple[str, float]]:
@@ -116,7 +135,9 @@ def main() -> None:
     parser.add_argument("--mode", action="append", choices=[mode.value for mode in Mode])
     parser.add_argument("--internals", default="summary")
     parser.add_argument("--no-recording", action="store_true")
-    parser.add_argument("--denser", type=float, default=1.0, help="so many times as many road users")
+    parser.add_argument(
+        "--denser", type=float, default=1.0, help="so many times as many road users"
+    )
     parser.add_argument("--write", type=File, help="write the log there, and no more")
     chosen = parser.parse_args()
     if chosen.write:
@@ -135,7 +156,9 @@ def main() -> None:
             measured(console, scenario, Mode(mode), chosen, File(folder))
 
 
-def measured(console: Console, scenario: Scenario, mode: Mode, chosen: argparse.Namespace, folder: File) -> None:
+def measured(
+    console: Console, scenario: Scenario, mode: Mode, chosen: argparse.Namespace, folder: File
+) -> None:
     """The stages of one drive, as a worker has them (`replan.run.one_log`)."""
     from replan import metrics
     from replan.draw.model import MEASURED
@@ -165,7 +188,9 @@ def measured(console: Console, scenario: Scenario, mode: Mode, chosen: argparse.
 
         with stage(console, f"{mode.value}: recording"):
             write_recording(folder / "drive.rrd", drive, scenario, table, shown)
-    sizes = ", ".join(f"{file.name} {file.stat().st_size / 1e6:.1f} MB" for file in sorted(folder.glob("drive.*")))
+    sizes = ", ".join(
+        f"{file.name} {file.stat().st_size / 1e6:.1f} MB" for file in sorted(folder.glob("drive.*"))
+    )
     console.print(f"{drive.trace.end.value} at {drive.trace.ego.t[-1]:.0f} s; {sizes}")
 
 

@@ -45,7 +45,9 @@ def step_us(vehicle: str, controller: str) -> float:
     ego = VEHICLE.builtin[vehicle](car, reference.state(0))
     steps = round(float(reference.t[-1]) / PERIOD_S) // PERIODS_PER_PLAN * PERIODS_PER_PLAN
     recorder, plan = TraceRecorder(steps, ego), Plan(reference)
-    period = PlanPeriod(controller_of(ego, car, Part(CONTROLLER, controller), PERIOD_S), ego, PERIOD_S)
+    period = PlanPeriod(
+        controller_of(ego, car, Part(CONTROLLER, controller), PERIOD_S), ego, PERIOD_S
+    )
     at_once = min(PERIODS_PER_PLAN, period.most_steps)
     begin = process_time()
     for first in range(0, steps, at_once):
@@ -62,7 +64,10 @@ def times_real_time(scenarios: Sequence[Scenario], vehicle: str, repeat: int) ->
             begin = process_time()
             drive = run_closed_loop(scenario, "constant_speed", config=LoopConfig(vehicle=vehicle))
             took.append(process_time() - begin)
-        driven, spent = driven + float(drive.trace.ego.t[-1] - drive.trace.ego.t[0]), spent + min(took)
+        driven, spent = (
+            driven + float(drive.trace.ego.t[-1] - drive.trace.ego.t[0]),
+            spent + min(took),
+        )
     return driven / spent
 
 
@@ -74,10 +79,14 @@ def main() -> None:
     parser.add_argument("--controller", action="append", choices=list(CONTROLLER.builtin))
     parser.add_argument("--repeat", type=int, default=5)
     chosen = parser.parse_args()
-    console, table = Console(), Table("vehicle", "controller", "us per step", title=f"aim {AIM_US} us")
+    console, table = (
+        Console(),
+        Table("vehicle", "controller", "us per step", title=f"aim {AIM_US} us"),
+    )
     for vehicle in chosen.vehicle or [name for name in VEHICLE.builtin if name not in SLOW]:
         for controller in chosen.controller or CONTROLLER.builtin:
-            took = min(step_us(vehicle, controller) for _ in range(chosen.repeat + 1))  # the first may compile
+            # The first may compile
+            took = min(step_us(vehicle, controller) for _ in range(chosen.repeat + 1))
             table.add_row(vehicle, controller, f"{took:.1f}")
     console.print(table)
     sources = select(chosen.logs) if chosen.logs else builtin_suite()

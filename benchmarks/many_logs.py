@@ -58,7 +58,9 @@ def run(folder: Path, out: Path, workers: int, options: Sequence[str]) -> list[S
     """Evaluate the folder's logs; a sample a second until it ends."""
     main = "from replan.cli import main; main()"
     command = [sys.executable, "-c", main, "evaluate", str(folder), "-q", *options]
-    process = subprocess.Popen([*command, "--workers", str(workers), "--out", str(out)], stdout=subprocess.DEVNULL)
+    process = subprocess.Popen(
+        [*command, "--workers", str(workers), "--out", str(out)], stdout=subprocess.DEVNULL
+    )
     begin, samples, cpu = time.perf_counter(), list[Sample](), dict[int, float]()
     while process.poll() is None:
         family = [process.pid, *_children(process.pid)]
@@ -67,7 +69,11 @@ def run(folder: Path, out: Path, workers: int, options: Sequence[str]) -> list[S
         memory = {pid: resident for pid, (_, resident) in found.items()}
         parent = memory.pop(process.pid, 0.0)
         done = sum(1 for _ in out.glob("*/log.json")) if out.exists() else 0
-        samples.append(Sample(time.perf_counter() - begin, done, sum(cpu.values()), parent, tuple(memory.values())))
+        samples.append(
+            Sample(
+                time.perf_counter() - begin, done, sum(cpu.values()), parent, tuple(memory.values())
+            )
+        )
         time.sleep(1.0)
     return samples
 
@@ -96,9 +102,20 @@ def tenths(samples: Sequence[Sample]) -> Table:
     for first, last in pairwise(edges):
         a, b, part = samples[first], samples[last], samples[first : last + 1]
         if b.done > a.done:
-            count, largest = b.done - a.done, max((mb for one in part for mb in one.workers), default=0.0)
-            cells = 60.0 * count / (b.t - a.t), (b.cpu - a.cpu) / count, max(one.parent for one in part), largest
-            table.add_row(f"{a.done}-{b.done}", *(f"{cell:.{2 if k == 1 else 0}f}" for k, cell in enumerate(cells)))
+            count, largest = (
+                b.done - a.done,
+                max((mb for one in part for mb in one.workers), default=0.0),
+            )
+            cells = (
+                60.0 * count / (b.t - a.t),
+                (b.cpu - a.cpu) / count,
+                max(one.parent for one in part),
+                largest,
+            )
+            table.add_row(
+                f"{a.done}-{b.done}",
+                *(f"{cell:.{2 if k == 1 else 0}f}" for k, cell in enumerate(cells)),
+            )
     return table
 
 
@@ -108,7 +125,9 @@ def main() -> None:
     parser.add_argument("--logs", type=int, default=1000)
     parser.add_argument("--workers", type=int, action="append")
     parser.add_argument("--out", type=Path)
-    parser.add_argument("options", nargs="*", help=f"of replan evaluate; without: {' '.join(QUIET)}")
+    parser.add_argument(
+        "options", nargs="*", help=f"of replan evaluate; without: {' '.join(QUIET)}"
+    )
     chosen = parser.parse_args()
     console, out = Console(), chosen.out or Path(tempfile.mkdtemp())
     folder = out / f"logs-{chosen.logs}"

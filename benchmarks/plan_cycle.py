@@ -43,7 +43,9 @@ def yardstick(count: int = 50) -> list[float]:
     return times
 
 
-def measured(scenarios: Sequence[Scenario], planner: str, repeat: int) -> tuple[pd.DataFrame, float]:
+def measured(
+    scenarios: Sequence[Scenario], planner: str, repeat: int
+) -> tuple[pd.DataFrame, float]:
     """One row per stage of each plan (log, stage, seconds), and the yardstick's median, s."""
     for scenario in scenarios:
         run_closed_loop(scenario, planner)
@@ -61,7 +63,15 @@ def table(title: str, rows: pd.DataFrame, by: str, unit: float, period: float) -
     """Quantiles and ratios of each group."""
     out = Table(title=title, title_justify="left", box=None, padding=(0, 2, 0, 0))
     out.add_column(by)
-    for head in ("plans", "p50 ms", "p95 ms", "p99 ms", "p50 / yardstick", "p99 / p50", "p99 of period"):
+    for head in (
+        "plans",
+        "p50 ms",
+        "p95 ms",
+        "p99 ms",
+        "p50 / yardstick",
+        "p99 / p50",
+        "p99 of period",
+    ):
         out.add_column(head, justify="right")
     for name, seconds in rows.groupby(by, sort=False)["seconds"]:
         p50, p95, p99 = (float(seconds.quantile(q)) for q in (0.5, 0.95, 0.99))
@@ -74,7 +84,9 @@ def table(title: str, rows: pd.DataFrame, by: str, unit: float, period: float) -
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description="How long a plan takes, stage by stage.")
-    parser.add_argument("logs", nargs="*", type=Path, help="logs or folders; none: the built-in suite")
+    parser.add_argument(
+        "logs", nargs="*", type=Path, help="logs or folders; none: the built-in suite"
+    )
     parser.add_argument("--planner", default="dp_qp")
     parser.add_argument("--repeat", type=int, default=3)
     options = parser.parse_args()
@@ -83,7 +95,9 @@ def main() -> None:
     rows, unit = measured(scenarios, options.planner, options.repeat)
     period = LoopConfig().plan_period_s
     console = Console(width=None if Console().is_terminal else 120)
-    console.print(f"{options.planner}, {len(scenarios)} logs, closed loop; yardstick {1e3 * unit:.3f} ms")
+    console.print(
+        f"{options.planner}, {len(scenarios)} logs, closed loop; yardstick {1e3 * unit:.3f} ms"
+    )
     console.print(table("\nby stage", rows, "stage", unit, period))
     console.print(table("\nwhole plan by log", rows[rows["stage"] == "total"], "log", unit, period))
 

@@ -55,7 +55,9 @@ def movers(scenario: Scenario) -> frozenset[str]:
     )
 
 
-def errors(agents: Agents, future: Predictions, later: Agents, ahead: float) -> Iterator[tuple[str, float, float]]:
+def errors(
+    agents: Agents, future: Predictions, later: Agents, ahead: float
+) -> Iterator[tuple[str, float, float]]:
     """Id, error of the most probable and of the best hypothesis, of each agent that is still there, m."""
     k = round(ahead / STEP_S)
     where = {name: i for i, name in enumerate(later.ids)}
@@ -63,11 +65,15 @@ def errors(agents: Agents, future: Predictions, later: Agents, ahead: float) -> 
         if name not in where:
             continue
         mine = np.flatnonzero(future.agent == i)
-        off = np.hypot(future.x[mine, k] - later.x[where[name]], future.y[mine, k] - later.y[where[name]])
+        off = np.hypot(
+            future.x[mine, k] - later.x[where[name]], future.y[mine, k] - later.y[where[name]]
+        )
         yield name, float(off[np.argmax(future.probability[mine])]), float(off.min())
 
 
-def rows(scenario: Scenario, method: str, every: float) -> Iterator[tuple[str, str, float, str, float, float, float]]:
+def rows(
+    scenario: Scenario, method: str, every: float
+) -> Iterator[tuple[str, str, float, str, float, float, float]]:
     """Source, method, horizon, kind, both errors and the milliseconds of the frame's prediction."""
     lanes, moving = LaneMap.of(scenario.road), movers(scenario)
     kinds = dict(zip(scenario.tracks.ids, scenario.tracks.kinds, strict=True))
@@ -77,7 +83,9 @@ def rows(scenario: Scenario, method: str, every: float) -> Iterator[tuple[str, s
         future = predict(agents, float(t), horizon=8.0, step=STEP_S, method=method, lanes=lanes)
         took = 1e3 * (time.perf_counter() - begin)
         for ahead in HORIZONS_S:
-            for name, likely, best in errors(agents, future, scenario.tracks.truth(float(t) + ahead), ahead):
+            for name, likely, best in errors(
+                agents, future, scenario.tracks.truth(float(t) + ahead), ahead
+            ):
                 if name in moving:
                     yield source_of(scenario), method, ahead, kinds[name].value, likely, best, took
 
@@ -86,7 +94,9 @@ def frame_us(scenario: Scenario) -> float:
     """CPU time of a frame of the first seconds of a log, us: the best of some passes."""
     perception = Perception(scenario, DEFAULT_LOOP)
     times = np.arange(0.0, min(scenario.duration, 3.0), 0.1)
-    worlds = [World(logged_ego(scenario.ego, scenario.vehicle, float(t)), scenario.tracks) for t in times]
+    worlds = [
+        World(logged_ego(scenario.ego, scenario.vehicle, float(t)), scenario.tracks) for t in times
+    ]
     found = []
     for _ in range(PASSES):
         begin = time.process_time()
@@ -99,17 +109,25 @@ def frame_us(scenario: Scenario) -> float:
 def print_frames(folder: Path) -> None:
     """The table of `--frames`."""
     suite = pd.Series({name: frame_us(family.scenario()) for name, family in CATALOGUE.items()})
-    print(f"us a frame, built-in suite: median {suite.median():.0f}, most {suite.max():.0f} ({suite.idxmax()})")
+    print(
+        f"us a frame, built-in suite: median {suite.median():.0f}, most {suite.max():.0f} ({suite.idxmax()})"
+    )
     roads = [read_commonroad(path) for path in sorted(folder.glob("*.xml"))]
     made = {road.name: [frame_us(crowded(road, n)) for n in CROWDS] for road in roads}
     print(
-        pd.DataFrame(made, index=[f"{n} agents" for n in CROWDS]).T.describe().loc[["50%", "max"]].round(0).to_string()
+        pd.DataFrame(made, index=[f"{n} agents" for n in CROWDS])
+        .T.describe()
+        .loc[["50%", "max"]]
+        .round(0)
+        .to_string()
     )
 
 
 def main() -> None:
     """Print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("folder", type=Path)
     parser.add_argument("--every", type=float, default=1.0, help="seconds between two frames")
     parser.add_argument("--kind", help="only road users of this kind")
@@ -119,18 +137,35 @@ def main() -> None:
         print_frames(told.folder)
         return
     scenarios = [read_commonroad(path) for path in sorted(told.folder.glob("*.xml"))]
-    found = [row for s in scenarios for method in PREDICTION.causal for row in rows(s, method, told.every)]
+    found = [
+        row
+        for s in scenarios
+        for method in PREDICTION.causal
+        for row in rows(s, method, told.every)
+    ]
     names = ["source", "method", "ahead_s", "kind", "likely_m", "best_m", "ms"]
     table = pd.DataFrame(found, columns=names)
     if told.kind:
         table = table[table.kind == told.kind]
-    means = table.groupby(["source", "method", "ahead_s"], sort=False)[["likely_m", "best_m"]].mean()
+    means = table.groupby(["source", "method", "ahead_s"], sort=False)[
+        ["likely_m", "best_m"]
+    ].mean()
     print(means.unstack("ahead_s").round(2).to_string())
     print("\nagents and frames compared:")
-    print(table.groupby(["source", "ahead_s"]).size().unstack().div(len(PREDICTION.causal)).astype(int).to_string())
+    print(
+        table.groupby(["source", "ahead_s"])
+        .size()
+        .unstack()
+        .div(len(PREDICTION.causal))
+        .astype(int)
+        .to_string()
+    )
     print("\nmilliseconds per frame:")
     print(
-        table.groupby("method", sort=False)["ms"].describe(percentiles=[0.5, 0.99])[["50%", "99%"]].round(2).to_string()
+        table.groupby("method", sort=False)["ms"]
+        .describe(percentiles=[0.5, 0.99])[["50%", "99%"]]
+        .round(2)
+        .to_string()
     )
 
 

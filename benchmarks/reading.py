@@ -39,7 +39,9 @@ import ros_bags as bags
 FRAMES, OBJECTS, PASSES = 200, 50, 15
 NATIVE_MS, CDR_MS = 30.0, 150.0
 HOUR_S, CAMERA_BYTES = 3600, 8000
-TRACKED, PREDICTED = (f"autoware_perception_msgs/msg/{name}Objects" for name in ("Tracked", "Predicted"))
+TRACKED, PREDICTED = (
+    f"autoware_perception_msgs/msg/{name}Objects" for name in ("Tracked", "Predicted")
+)
 PARTS = ({}, {"end": 30.0}, {"begin": 1800.0, "end": 1830.0}, {"begin": 3570.0, "end": 3600.0})
 
 
@@ -51,9 +53,19 @@ def crowd() -> Scenario:
     (x, y), (vx, vy) = (start + v * t).reshape(2, -1), np.repeat(v, FRAMES, axis=2).reshape(2, -1)
     ids = tuple(f"{i:032x}" for i in range(OBJECTS))
     tracks = Tracks(
-        ids, (AgentKind.CAR,) * OBJECTS, np.full(OBJECTS, 4.5), np.full(OBJECTS, 1.8), np.zeros(OBJECTS, np.bool_),
-        FRAMES * np.arange(OBJECTS + 1), np.tile(t, OBJECTS), x, y, np.arctan2(vy, vx), vx, vy,
-    )  # fmt: skip
+        ids,
+        (AgentKind.CAR,) * OBJECTS,
+        np.full(OBJECTS, 4.5),
+        np.full(OBJECTS, 1.8),
+        np.zeros(OBJECTS, np.bool_),
+        FRAMES * np.arange(OBJECTS + 1),
+        np.tile(t, OBJECTS),
+        x,
+        y,
+        np.arctan2(vy, vx),
+        vx,
+        vy,
+    )
     ego = Trajectory(t, 8.0 * t, 0 * t, 0 * t, 8.0 + 0 * t, 0 * t, 0 * t)
     road = Road.along(np.column_stack([ego.x, ego.y]), speed_limit=13.9)
     return Scenario("crowd", ego, tracks, road, float(t[-1]))
@@ -75,12 +87,20 @@ def objects_of(scenario: Scenario, kind: str) -> Iterator[bags.Row]:
             if prefix:
                 path = {"path": [bags.pose(x + k, y, yaw) for k in range(21)], "confidence": 0.5}
                 kinematics["predicted_paths"] = [path, path]
-            items.append({
-                "object_id": {"uuid": np.frombuffer(bytes.fromhex(tracks.ids[i]), np.uint8)},
-                "classification": [{"label": 1, "probability": 0.9}],
-                "kinematics": kinematics, "shape": {"dimensions": {"x": 4.5, "y": 1.8, "z": 1.5}},
-            })  # fmt: skip
-        yield "/perception/objects", kind, ns, bags.message(kind, header=bags.header(ns), objects=items)
+            items.append(
+                {
+                    "object_id": {"uuid": np.frombuffer(bytes.fromhex(tracks.ids[i]), np.uint8)},
+                    "classification": [{"label": 1, "probability": 0.9}],
+                    "kinematics": kinematics,
+                    "shape": {"dimensions": {"x": 4.5, "y": 1.8, "z": 1.5}},
+                }
+            )
+        yield (
+            "/perception/objects",
+            kind,
+            ns,
+            bags.message(kind, header=bags.header(ns), objects=items),
+        )
 
 
 def cpu_ms(act: Callable[[], Any]) -> float:
@@ -116,7 +136,10 @@ def whole_logs(folder: Path) -> None:
         files = [path] if path.is_file() else list(path.glob("*.mcap"))
         held = len(read(path).tracks.t)
         assert held == FRAMES * OBJECTS, (name, held)
-        took, size = cpu_ms(lambda read=read, path=path: read(path)), sum(each.stat().st_size for each in files)
+        took, size = (
+            cpu_ms(lambda read=read, path=path: read(path)),
+            sum(each.stat().st_size for each in files),
+        )
         print(f"    {name:36} {took:7.1f} ms {size / 1e6:8.2f} MB", flush=True)
 
 
@@ -131,12 +154,19 @@ def write_hour(path: Path) -> None:
     picture = np.random.default_rng(2).integers(0, 256, CAMERA_BYTES, dtype=np.uint8)
     boxes = next(iter(objects_of(crowd(), TRACKED)))[3]
     boxes.objects[:] = boxes.objects[:10]
-    same = {"/camera": (camera, bags.message(camera, header=bags.header(0, "camera"), data=picture)),
-            "/objects": (TRACKED, boxes)}  # fmt: skip
+    same = {
+        "/camera": (camera, bags.message(camera, header=bags.header(0, "camera"), data=picture)),
+        "/objects": (TRACKED, boxes),
+    }
     types, pose = bags.STORE, "geometry_msgs/msg/PoseStamped"
     with bags.Writer(path, version=9, storage_plugin=bags.StoragePlugin.MCAP) as writer:
-        lines = {topic: writer.add_connection(topic, kind, typestore=types) for topic, (kind, _) in same.items()}
-        raw = {topic: bytes(types.serialize_cdr(each, kind)) for topic, (kind, each) in same.items()}
+        lines = {
+            topic: writer.add_connection(topic, kind, typestore=types)
+            for topic, (kind, _) in same.items()
+        }
+        raw = {
+            topic: bytes(types.serialize_cdr(each, kind)) for topic, (kind, each) in same.items()
+        }
         ego = writer.add_connection("/pose", pose, typestore=types)
         for k in range(HOUR_S * 50):
             ns, turn = bags.START_NS + k * 20_000_000, 0.016 * k / 200.0
@@ -193,14 +223,22 @@ def parts_of_an_hour(folder: Path) -> None:
     print(f"a bag of an hour, {size / 1e6:.0f} MB")
     for part in (PARTS[1], PARTS[2], PARTS[3], PARTS[0]):
         command = [sys.executable, __file__, "--part", str(path), json.dumps(part)]
-        said = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
-        print(f"    {part or 'all of it'!s:36}", ", ".join(f"{k} {v:.2f}" for k, v in said.items()), flush=True)
+        said = json.loads(
+            subprocess.run(command, capture_output=True, text=True, check=True).stdout
+        )
+        print(
+            f"    {part or 'all of it'!s:36}",
+            ", ".join(f"{k} {v:.2f}" for k, v in said.items()),
+            flush=True,
+        )
 
 
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--hour", action="store_true", help="the hour-long bag too (600 MB on disk)")
+    parser.add_argument(
+        "--hour", action="store_true", help="the hour-long bag too (600 MB on disk)"
+    )
     parser.add_argument("--part", nargs=2, metavar=("BAG", "JSON"), help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.part:

@@ -23,9 +23,18 @@ from replan.run.sources import select
 
 PLANNERS = ("dp_qp", "logged")
 HEAD = (
-    "log", "format", "s", "ego states", "road users", "lanes", "findings", "dp_qp open: ADE 3 s, fallback",
-    "dp_qp closed", "verdict", "logged closed",
-)  # fmt: skip
+    "log",
+    "format",
+    "s",
+    "ego states",
+    "road users",
+    "lanes",
+    "findings",
+    "dp_qp open: ADE 3 s, fallback",
+    "dp_qp closed",
+    "verdict",
+    "logged closed",
+)
 
 
 def held(paths: list[Path], settings: LogSettings) -> dict[str, list[str]]:
@@ -35,7 +44,12 @@ def held(paths: list[Path], settings: LogSettings) -> dict[str, list[str]]:
         scenario, reader = source.read(), reader_of(source.path) if source.path else None
         kinds = Counter(kind.value for kind in scenario.tracks.kinds)
         users = ", ".join(f"{count} {kind}" for kind, count in kinds.most_common()) or "none"
-        row = [reader.name if reader else "", f"{scenario.duration:.1f}", str(len(scenario.ego)), users]
+        row = [
+            reader.name if reader else "",
+            f"{scenario.duration:.1f}",
+            str(len(scenario.ego)),
+            users,
+        ]
         out[source.label] = [*row, str(len(scenario.road.lanes))]
     return out
 
@@ -46,16 +60,26 @@ def row(name: str, about: list[str], result: Results) -> list[str]:
     findings = ", ".join(f"{count} {kind}" for kind, count in found.items()) or "none"
     table = result.metrics[(result.metrics["log"] == name) & (result.metrics["planner"] == "dp_qp")]
     value = table.set_index(["mode", "metric"])["value"]
-    ends = {(drive.planner, drive.mode): drive for drive in result.drives[result.drives["log"] == name].itertuples()}
+    ends = {
+        (drive.planner, drive.mode): drive
+        for drive in result.drives[result.drives["log"] == name].itertuples()
+    }
     done = value.get(("closed", "route_progress.final"), float("nan"))
     closed = ends.get(("dp_qp", "closed"))
     opened = f"{value.get(('open', 'ade.3s.mean'), float('nan')):.2f} m, {value.get(('open', 'fallback.rate'), 0):.0%}"
-    verdict = worst(map(Outcome, result.verdicts.query("log == @name and planner == 'dp_qp'")["outcome"])).value
+    verdict = worst(
+        map(Outcome, result.verdicts.query("log == @name and planner == 'dp_qp'")["outcome"])
+    ).value
     logged = ends.get(("logged", "closed"))
     return [
-        name, *about, findings, opened, f"{closed.end}, {done:.0%}" if closed else "failed", str(verdict),
+        name,
+        *about,
+        findings,
+        opened,
+        f"{closed.end}, {done:.0%}" if closed else "failed",
+        str(verdict),
         logged.end if logged else "failed",
-    ]  # fmt: skip
+    ]
 
 
 def main() -> None:
@@ -69,7 +93,9 @@ def main() -> None:
     run = RunConfig(PLANNERS, recording=False, internals="none", log=settings)
     result = evaluate_logs(told.logs, run, told.out / "run", workers=1)
     about = held(told.logs, settings)
-    rows = [row(log.log, about[log.source], result) for log in result.logs.itertuples() if log.sha256]
+    rows = [
+        row(log.log, about[log.source], result) for log in result.logs.itertuples() if log.sha256
+    ]
     frame = pd.DataFrame(rows, columns=list(HEAD))
     lines = ["| " + " | ".join(HEAD) + " |", "|" + "---|" * len(HEAD)]
     lines += ["| " + " | ".join(map(str, cells)) + " |" for cells in frame.itertuples(index=False)]

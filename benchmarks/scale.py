@@ -40,9 +40,14 @@ END = replace(RUN, planners=("constant_speed",))
 SUITE = "smoke"
 ITEMS = 200
 JUDGING = (
-    (metrics, "evaluate"), (health, "findings"), (one_log, "with_avoidability"), (one_log, "with_references"),
-    (one_log, "discriminating_tables"), (one_log, "late_follower"), (reference_drives, "with_follower"),
-)  # fmt: skip
+    (metrics, "evaluate"),
+    (health, "findings"),
+    (one_log, "with_avoidability"),
+    (one_log, "with_references"),
+    (one_log, "discriminating_tables"),
+    (one_log, "late_follower"),
+    (reference_drives, "with_follower"),
+)
 
 
 def main(word: str, *logs: str) -> None:
@@ -85,7 +90,9 @@ def curve() -> None:
 def _evaluated(engine: Engine, folder: Path) -> list[LogResult]:
     """The logs of a quarter of the suite, driven."""
     logs: list[LogResult] = []
-    evaluate_logs((), END, folder, suite=SUITE, engine=engine, shard=Shard(1, 4), on_log=logs.append)
+    evaluate_logs(
+        (), END, folder, suite=SUITE, engine=engine, shard=Shard(1, 4), on_log=logs.append
+    )
     return logs
 
 
@@ -117,7 +124,9 @@ def share(*logs: str) -> None:
 
 def answer(_: int) -> tuple[Any, dict[str, bytes]]:
     """As much as the task of a log returns: its metrics, and 300 kB in 6 files."""
-    return pd.DataFrame({"metric": ["gap.min"] * 400, "value": 1.0}), {str(k): bytes(50_000) for k in range(6)}
+    return pd.DataFrame({"metric": ["gap.min"] * 400, "value": 1.0}), {
+        str(k): bytes(50_000) for k in range(6)
+    }
 
 
 def overhead() -> None:
@@ -127,7 +136,9 @@ def overhead() -> None:
         task = ray.remote(answer).options(max_retries=3, num_cpus=1)
         list(one._stream_results(ray, task.remote, range(20)))
         wall, cpu, _ = timed(lambda: list(one._stream_results(ray, task.remote, range(ITEMS))))
-    print(f"ray:   {1e3 * wall / ITEMS:.1f} ms wall, {1e3 * cpu / ITEMS:.1f} ms CPU of the driver a log")
+    print(
+        f"ray:   {1e3 * wall / ITEMS:.1f} ms wall, {1e3 * cpu / ITEMS:.1f} ms CPU of the driver a log"
+    )
     stream = run_all(answer, range(ITEMS + 20), 2)
     for _ in range(20):
         next(stream)
@@ -149,18 +160,31 @@ def end() -> None:
             logs = [_named(log, name) for name in named]
             selection = Selection(tuple(LogSource(name) for name in named))
             wall, _, _ = timed(
-                lambda logs=logs, s=selection: judge_and_write(out, END, s, logs, gates_of(END, None), ())
+                lambda logs=logs, s=selection: judge_and_write(
+                    out, END, s, logs, gates_of(END, None), ()
+                )
             )
             peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
-            sizes = {name: (out / name).stat().st_size / count for name in ("metrics.parquet", "timings.parquet")}
+            sizes = {
+                name: (out / name).stat().st_size / count
+                for name in ("metrics.parquet", "timings.parquet")
+            }
             sizes["summary.json"] = (out / "summary.json").stat().st_size / count
             said = ", ".join(f"{name} {size:.0f} B" for name, size in sizes.items())
-            print(f"{count} logs: {1e3 * wall / count:.1f} ms a log, peak {peak:.0f} MB; a log: {said}")
+            print(
+                f"{count} logs: {1e3 * wall / count:.1f} ms a log, peak {peak:.0f} MB; a log: {said}"
+            )
 
 
 def _named(log: LogResult, name: str) -> LogResult:
     drives = tuple(replace(drive, log=name) for drive in log.drives)
-    return replace(log, name=name, drives=drives, table=log.table.assign(log=name), health=log.health.assign(log=name))
+    return replace(
+        log,
+        name=name,
+        drives=drives,
+        table=log.table.assign(log=name),
+        health=log.health.assign(log=name),
+    )
 
 
 if __name__ == "__main__":

@@ -45,7 +45,9 @@ def problems_of(source: LogSource) -> list[Asked]:
     """Stage, problem and tolerance of every QP of one drive."""
     asked: list[Asked] = []
 
-    def recorded(problem: PiecewiseJerkProblem, solver: str, *, stage: str, tolerance: float) -> QPResult:
+    def recorded(
+        problem: PiecewiseJerkProblem, solver: str, *, stage: str, tolerance: float
+    ) -> QPResult:
         asked.append((stage, problem, tolerance))
         return solve(problem, solver, stage=stage, tolerance=tolerance)
 
@@ -105,7 +107,11 @@ def summary(rows: pd.DataFrame) -> dict[str, Any]:
     off = possible.off.dropna()
 
     def quantiles(values: pd.Series, *shares: float, digits: str = ".0f") -> str:
-        return " / ".join(format(values.quantile(share), digits) for share in shares) if len(values) else "-"
+        return (
+            " / ".join(format(values.quantile(share), digits) for share in shares)
+            if len(values)
+            else "-"
+        )
 
     return {
         "n": len(rows),
@@ -137,11 +143,16 @@ def main() -> None:
     table = pd.DataFrame(
         [
             {"problems": problems, "solver": solver, **summary(each)}
-            for (problems, solver), each in pd.DataFrame(rows).groupby(["problems", "solver"], sort=False)
+            for (problems, solver), each in pd.DataFrame(rows).groupby(
+                ["problems", "solver"], sort=False
+            )
         ]
     )
     text = "\n".join(
-        ["| " + " | ".join(map(str, line)) + " |" for line in (table.columns, ["---"] * len(table.columns))]
+        [
+            "| " + " | ".join(map(str, line)) + " |"
+            for line in (table.columns, ["---"] * len(table.columns))
+        ]
         + ["| " + " | ".join(map(str, line)) + " |" for line in table.itertuples(index=False)]
     )
     Console(width=240).print(text, markup=False, highlight=False, soft_wrap=True)

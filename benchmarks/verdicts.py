@@ -28,7 +28,10 @@ from replan.replay.loop.reference_drives import reference_line
 
 NOISE_M = (0.02, 0.05)
 RATES_HZ = (10.0, 25.0, 100.0)
-PEDESTRIANS = ("ego_speed_mps", (8.0, 11.0, 14.0)), ("distance_m", (6.0, 10.0, 14.0, 18.0, 22.0, 27.0, 33.0))
+PEDESTRIANS = (
+    ("ego_speed_mps", (8.0, 11.0, 14.0)),
+    ("distance_m", (6.0, 10.0, 14.0, 18.0, 22.0, 27.0, 33.0)),
+)
 CUT_INS = (
     ("ego_speed_mps", (14.0, 18.0, 22.0)),
     ("gap_m", (3.0, 5.0, 7.0, 10.0, 14.0, 20.0)),
@@ -48,15 +51,23 @@ def grid() -> Iterator[Scenario]:
             changed = {axis: value for (axis, _), value in zip(axes, values, strict=True)}
             try:
                 made = family.build({**family.parameters, **changed})
-            except ValueError:  # the walker is not off the lane, or the driver not at the goal, before the log ends
+            # The walker is not off the lane, or the driver not at the goal, before the log ends
+            except ValueError:
                 continue
-            yield replace(made, name=f"{name}@{','.join(f'{axis}={value:g}' for axis, value in changed.items())}")
+            yield replace(
+                made,
+                name=f"{name}@{','.join(f'{axis}={value:g}' for axis, value in changed.items())}",
+            )
 
 
 def drives(count: int) -> list[Drive]:
     """`count` of the grid's drives, evenly spread, in which the careful driver's verdict applies."""
     found = [(scenario, reference_line(scenario)) for scenario in grid()]
-    found = [pair for pair in found if DRIVERS["cc"](*pair, None).outcome is not Avoidability.NOT_APPLICABLE]
+    found = [
+        pair
+        for pair in found
+        if DRIVERS["cc"](*pair, None).outcome is not Avoidability.NOT_APPLICABLE
+    ]
     return [found[i] for i in np.unique(np.linspace(0, len(found) - 1, count).astype(int))]
 
 
@@ -66,24 +77,46 @@ def sampled(tracks: Tracks, rate: float, noise: float, seed: int, *, velocities:
     rows = []
     for i in range(len(tracks)):
         span = tracks.samples(i)
-        t, columns = tracks.t[span], [getattr(tracks, name)[span] for name in ("x", "y", "yaw", "vx", "vy")]
+        t, columns = (
+            tracks.t[span],
+            [getattr(tracks, name)[span] for name in ("x", "y", "yaw", "vx", "vy")],
+        )
         if not tracks.static[i]:
             fine = np.round(np.arange(t[0], t[-1] + 1e-9, 1.0 / rate), 9)
             columns = [PchipInterpolator(t, column)(fine) for column in columns]
-            columns[:2] = [column + noise * rng.standard_normal(len(fine)) for column in columns[:2]]
+            columns[:2] = [
+                column + noise * rng.standard_normal(len(fine)) for column in columns[:2]
+            ]
             t = fine
         rows.append(np.vstack([t, *columns]))
     t, x, y, yaw, vx, vy = np.hstack(rows)
     if not velocities:
         vx, vy = np.full((2, len(t)), np.nan)
     offsets = np.r_[0, np.cumsum([row.shape[1] for row in rows])]
-    return Tracks(tracks.ids, tracks.kinds, tracks.length, tracks.width, tracks.static, offsets, t, x, y, yaw, vx, vy)
+    return Tracks(
+        tracks.ids,
+        tracks.kinds,
+        tracks.length,
+        tracks.width,
+        tracks.static,
+        offsets,
+        t,
+        x,
+        y,
+        yaw,
+        vx,
+        vy,
+    )
 
 
-def verdicts(drive: Drive, rate: float, noise: float, seed: int, *, velocities: bool) -> dict[str, DriverVerdict]:
+def verdicts(
+    drive: Drive, rate: float, noise: float, seed: int, *, velocities: bool
+) -> dict[str, DriverVerdict]:
     """The verdict of each driver on one drive, resampled."""
     scenario, line = drive
-    made = replace(scenario, tracks=sampled(scenario.tracks, rate, noise, seed, velocities=velocities))
+    made = replace(
+        scenario, tracks=sampled(scenario.tracks, rate, noise, seed, velocities=velocities)
+    )
     return {name: driver(made, line, None) for name, driver in DRIVERS.items()}
 
 
@@ -100,10 +133,18 @@ def flips(chosen: list[Drive], seeds: int) -> pd.DataFrame:
                 flipped = one.outcome is not two.outcome
                 marked = flipped and (one.marginal or two.marginal)
                 margins = {"margin_clean": one.margin, "margin_noisy": two.margin}
-                what = {"drive": drive[0].name, "outcome": one.outcome.value, "noisy": two.outcome.value}
+                what = {
+                    "drive": drive[0].name,
+                    "outcome": one.outcome.value,
+                    "noisy": two.outcome.value,
+                }
                 rows.append(
                     key
-                    | {"flipped": flipped, "unmarked": flipped and not marked, "marginal": two.marginal}
+                    | {
+                        "flipped": flipped,
+                        "unmarked": flipped and not marked,
+                        "marginal": two.marginal,
+                    }
                     | margins
                     | what
                 )
@@ -112,7 +153,9 @@ def flips(chosen: list[Drive], seeds: int) -> pd.DataFrame:
 
 def main() -> None:
     """Measure and print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--drives", type=int, default=98)
     parser.add_argument("--seeds", type=int, default=1)
     options = parser.parse_args()
@@ -121,7 +164,9 @@ def main() -> None:
     keys = ["velocities", "noise_m", "rate_hz", "driver"]
     once = table[table["rate_hz"] == RATES_HZ[0]]
     print(f"{len(chosen)} drives, noiseless:")
-    print(once.groupby(["driver", "outcome"]).size().div(2 * len(NOISE_M) * options.seeds).to_string())
+    print(
+        once.groupby(["driver", "outcome"]).size().div(2 * len(NOISE_M) * options.seeds).to_string()
+    )
     print(table.groupby(keys)[["flipped", "unmarked"]].sum().unstack("driver").to_string())
     for share in ("flipped", "unmarked", "marginal"):
         print(f"{share}: {table[share].mean():.2%}")

@@ -35,7 +35,17 @@ from rich.console import Console
 from rich.table import Table
 
 SUITE = "built-in suite"
-STAGES = ("start", "path DP", "path QP", "S-T graph", "speed DP", "speed QP", "passing", "lane choice", "total")
+STAGES = (
+    "start",
+    "path DP",
+    "path QP",
+    "S-T graph",
+    "speed DP",
+    "speed QP",
+    "passing",
+    "lane choice",
+    "total",
+)
 QUANTILES = (50, 95, 99)
 FRAME = "perception, prediction"
 LOOPS = {"closed loop": "spent", "closed loop, internals kept": "kept"}
@@ -48,7 +58,9 @@ class Version:
     """A checkout, measured by its own copy of this file in a process that answers a line with a line."""
 
     def __init__(self, checkout: Path) -> None:
-        threads = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
+        threads = dict.fromkeys(
+            ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
+        )
         self._process = subprocess.Popen(
             [sys.executable, str(checkout / "benchmarks" / "versions.py"), "--serve"],
             env={**os.environ, **threads, "PYTHONPATH": str(checkout)},
@@ -122,7 +134,13 @@ def _driver() -> Callable[..., Measured]:
             made = run_closed_loop(scenarios[log, crowd], "dp_qp", **choice)
             spent.append(time.thread_time() - begin)
         driven = [float(made.trace.ego.t[-1] - made.trace.ego.t[0])]
-        return {**_laps(made.timings), FRAME: list(frames), "driven": driven, "kept": spent[:1], "spent": spent[-1:]}
+        return {
+            **_laps(made.timings),
+            FRAME: list(frames),
+            "driven": driven,
+            "kept": spent[:1],
+            "spent": spent[-1:],
+        }
 
     return drive
 
@@ -172,13 +190,21 @@ def one_round(versions: list[Version], logs: list[str], crowd: int) -> list[dict
     ]
 
 
-def compared(rounds: list[list[dict[str, list[float]]]]) -> Iterator[tuple[str, int, float, float, float]]:
+def compared(
+    rounds: list[list[dict[str, list[float]]]],
+) -> Iterator[tuple[str, int, float, float, float]]:
     """What, which quantile of it, before, after, ratio after / before."""
     for name, values in rounds[0][0].items():
         for q in range(len(values)):
             pairs = np.array([[version[name][q] for version in both] for both in rounds])
             before, after = np.median(pairs, axis=0)
-            yield name, q, before, after, float(np.median(pairs[:, 1] / np.maximum(pairs[:, 0], 1e-12)))
+            yield (
+                name,
+                q,
+                before,
+                after,
+                float(np.median(pairs[:, 1] / np.maximum(pairs[:, 0], 1e-12))),
+            )
 
 
 def print_table(title: str, rounds: list[list[dict[str, list[float]]]]) -> None:
@@ -190,9 +216,13 @@ def print_table(title: str, rounds: list[list[dict[str, list[float]]]]) -> None:
     rows: dict[str, list[str]] = {}
     for name, _, before, after, ratio in compared(rounds):
         digits = 3 if name in (*STAGES, FRAME) else 1
-        rows.setdefault(name, []).extend((f"{before:.{digits}f}", f"{after:.{digits}f}", f"{ratio:.2f}"))
+        rows.setdefault(name, []).extend(
+            (f"{before:.{digits}f}", f"{after:.{digits}f}", f"{ratio:.2f}")
+        )
     for name, cells in rows.items():
-        unit = {"closed loop": "x real time", "plans": "number", "evaluation": "CPU s"}.get(name.split(",")[0], "ms")
+        unit = {"closed loop": "x real time", "plans": "number", "evaluation": "CPU s"}.get(
+            name.split(",")[0], "ms"
+        )
         table.add_row(f"{name}, {unit}", *cells)
     Console(width=140).print(table)
     sys.stdout.flush()
@@ -200,7 +230,9 @@ def print_table(title: str, rounds: list[list[dict[str, list[float]]]]) -> None:
 
 def main() -> None:
     """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("old", type=Path)
     parser.add_argument("new", type=Path, nargs="?", default=Path(__file__).resolve().parents[1])
     parser.add_argument("--logs", type=Path, nargs="+", default=[])

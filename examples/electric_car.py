@@ -21,8 +21,10 @@ class Motor:
 
     def __init__(self, parameters):
         v = SPEED_STEP_MPS * np.arange(240)  # m/s; the last entry holds beyond
-        most, overrun = np.minimum(3.0, 25.0 / np.maximum(v, 1e-3)), np.minimum(0.5, 0.1 * v)  # m/s2
-        self.pedal_map = pedal_map(parameters, most, overrun, 0.0)  # rolling, drag, brakes and lags: the parameters'
+        # m/s2
+        most, overrun = np.minimum(3.0, 25.0 / np.maximum(v, 1e-3)), np.minimum(0.5, 0.1 * v)
+        # rolling, drag, brakes and lags: the parameters'
+        self.pedal_map = pedal_map(parameters, most, overrun, 0.0)
 
     def coasting(self, v):
         """Acceleration without pedals at the speed v."""
@@ -50,10 +52,16 @@ class Electric:
         """The state after dt with this command."""
         now, car, motor = self.state, self.parameters, self.powertrain
         steer = min(max(command.steer, -car.max_steer), car.max_steer)
-        pedals = command.throttle * motor.full_throttle(now.v) - command.brake * motor.full_brake(now.v)
+        pedals = command.throttle * motor.full_throttle(now.v) - command.brake * motor.full_brake(
+            now.v
+        )
         v = max(now.v + (motor.coasting(now.v) + pedals) * dt, 0.0)
         a, kappa = (v - now.v) / dt, tan(steer) / car.wheelbase
-        x, y, yaw = now.x + v * cos(now.yaw) * dt, now.y + v * sin(now.yaw) * dt, now.yaw + v * kappa * dt
+        x, y, yaw = (
+            now.x + v * cos(now.yaw) * dt,
+            now.y + v * sin(now.yaw) * dt,
+            now.yaw + v * kappa * dt,
+        )
         t = round((now.t + dt) * 1e9) / 1e9  # a whole nanosecond
         self.actuation = Command(steer, command.throttle, command.brake)
         self.state = EgoState(t, x, y, yaw, v, a, kappa, steer, v * kappa)

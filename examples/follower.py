@@ -57,7 +57,9 @@ class Follower:
     def lanes_ahead(context: PlannerContext) -> list[Lane]:
         """The lane under the ego and what follows it, always by the first successor."""
         road, start = context.road, context.start
-        here = [lane for lane in road.lanes_at(start.x, start.y) if lane.drivable] or list(road.lanes.values())
+        here = [lane for lane in road.lanes_at(start.x, start.y) if lane.drivable] or list(
+            road.lanes.values()
+        )
         lanes = [min(here, key=lambda lane: abs(off(lane, start.x, start.y, start.yaw)))]
         while sum(lane.length for lane in lanes) < SIGHT_M and lanes[-1].successors:
             follower = road.lanes[lanes[-1].successors[0]]
@@ -73,7 +75,9 @@ class Follower:
         v, rows = max(frame.ego.v, 0.0), []
         for i in range(STEPS):
             wanted = min(self.limit, self.bend_limit(s, v))
-            pull = self.gap + max(0.0, v * self.headway + v * (v - v_lead) / (2.0 * (self.accel * self.brake) ** 0.5))
+            pull = self.gap + max(
+                0.0, v * self.headway + v * (v - v_lead) / (2.0 * (self.accel * self.brake) ** 0.5)
+            )
             a = self.accel * (1.0 - (v / wanted) ** 4 - (pull / max(gap, 0.1)) ** 2)  # (1), (2)
             a = max(a, -self.car.max_decel, -v / STEP_S)
             rows.append((frame.t + i * STEP_S, s, v, a))
@@ -103,7 +107,12 @@ class Follower:
         """The rows (t, s, v, a) in the world, with the offset from the line given up over RETURN_M."""
         t, s, v, a = rows.T
         fade = np.clip(1.0 - (s - s[0]) / RETURN_M, 0.0, 1.0)
-        x, y = np.array([self.line.point(si, side * f * f * (3.0 - 2.0 * f)) for si, f in zip(s, fade, strict=True)]).T
+        x, y = np.array(
+            [
+                self.line.point(si, side * f * f * (3.0 - 2.0 * f))
+                for si, f in zip(s, fade, strict=True)
+            ]
+        ).T
         frames = np.array([self.line.frame(si) for si in s])
         return Trajectory(t, x, y, frames[:, 2], v, a, frames[:, 3])
 

@@ -34,7 +34,10 @@ class Net:
         first, last = cls.weights
         seen = np.array([[frame.ego.v, frame.ego.a, len(frame.agents.ids)] for frame in frames])
         accel = np.tanh(np.tanh(0.1 * seen @ first) @ last)
-        return [planner.rolled(frame, a) for planner, frame, a in zip(planners, frames, accel, strict=True)]
+        return [
+            planner.rolled(frame, a)
+            for planner, frame, a in zip(planners, frames, accel, strict=True)
+        ]
 
     def rolled(self, frame, accel):
         """The plan with a constant acceleration, m/s2, until the ego stands."""
@@ -42,4 +45,6 @@ class Net:
         v = np.maximum(ego.v + accel * t, 0.0)
         s = np.r_[0.0, np.cumsum(0.5 * (v[1:] + v[:-1]) * np.diff(t))]
         x, y = ego.x + s * np.cos(ego.yaw), ego.y + s * np.sin(ego.yaw)
-        return Plan(Trajectory(frame.t + t, x, y, still + ego.yaw, v, np.where(v > 0.0, accel, 0.0), still))
+        return Plan(
+            Trajectory(frame.t + t, x, y, still + ego.yaw, v, np.where(v > 0.0, accel, 0.0), still)
+        )

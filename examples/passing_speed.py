@@ -31,7 +31,12 @@ def _passing_speed(trace: Trace, scenario: Scenario) -> Series | Unavailable:
         ahead = dx * np.cos(ego.yaw[i]) + dy * np.sin(ego.yaw[i])
         side = dy * np.cos(ego.yaw[i]) - dx * np.sin(ego.yaw[i])
         soft = np.array([kind.is_vulnerable for kind in agents.kinds], bool)
-        near = soft & (ahead > -car.rear_overhang) & (ahead < car.axle_to_front) & (np.abs(side) < REACH_M)
+        near = (
+            soft
+            & (ahead > -car.rear_overhang)
+            & (ahead < car.axle_to_front)
+            & (np.abs(side) < REACH_M)
+        )
         if near.any():  # (1)
             value[step] = ego.v[i]
             labels[step] = agents.ids[int(np.flatnonzero(near)[0])]

@@ -43,7 +43,13 @@ def plan(frame: dict[str, Any]) -> dict[str, Any]:
         t = i * STEP_S
         moving = min(t, ego["v"] / brake) if brake > 0.0 else t
         s, v = ego["v"] * moving - 0.5 * brake * moving**2, ego["v"] - brake * moving
-        state = (frame["t"] + t, ego["x"] + s * forward[0], ego["y"] + s * forward[1], ego["yaw"], v)
+        state = (
+            frame["t"] + t,
+            ego["x"] + s * forward[0],
+            ego["y"] + s * forward[1],
+            ego["yaw"],
+            v,
+        )
         for name, value in zip(rows, (*state, -brake if moving == t else 0.0, 0.0), strict=True):
             rows[name].append(value)
     return {"type": "plan", "trajectory": rows}
@@ -54,8 +60,12 @@ def serve(inward: BinaryIO, outward: BinaryIO) -> None:
     while len(header := inward.read(4)) == 4:
         message = msgspec.msgpack.decode(inward.read(struct.unpack("<I", header)[0]))
         if message["type"] == "hello" and message["schema"] != 1:
-            answer = {"type": "failed", "message": f"version {message['schema']} of the messages is not known"}
-        elif message["type"] == "hello":  # message["context"]: road, goal, vehicle; message["config"]: settings
+            answer = {
+                "type": "failed",
+                "message": f"version {message['schema']} of the messages is not known",
+            }
+        # message["context"]: road, goal, vehicle; message["config"]: settings
+        elif message["type"] == "hello":
             answer = {"type": "ready", "schema": 1}
         else:
             answer = plan(message)

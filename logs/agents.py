@@ -33,10 +33,14 @@ class AgentKind(Enum):
 
 
 USUAL_SIZE_M = {
-    AgentKind.CAR: (4.5, 1.8), AgentKind.TRUCK: (8.0, 2.5), AgentKind.BUS: (12.0, 2.5),
-    AgentKind.MOTORCYCLE: (2.2, 0.8), AgentKind.BICYCLE: (1.8, 0.7), AgentKind.PEDESTRIAN: (0.5, 0.5),
+    AgentKind.CAR: (4.5, 1.8),
+    AgentKind.TRUCK: (8.0, 2.5),
+    AgentKind.BUS: (12.0, 2.5),
+    AgentKind.MOTORCYCLE: (2.2, 0.8),
+    AgentKind.BICYCLE: (1.8, 0.7),
+    AgentKind.PEDESTRIAN: (0.5, 0.5),
     AgentKind.OBJECT: (1.0, 1.0),
-}  # fmt: skip
+}
 """Length and width of agents whose log states none, m."""
 _CODE = {kind: code for code, kind in enumerate(AgentKind)}
 
@@ -98,7 +102,9 @@ class Agents:
             object.__setattr__(self, name, frozen(getattr(self, name)))
 
     @classmethod
-    def of_rows(cls, ids: tuple[str, ...], kinds: tuple[AgentKind, ...], rows: FloatArray, codes: IntArray) -> Agents:
+    def of_rows(
+        cls, ids: tuple[str, ...], kinds: tuple[AgentKind, ...], rows: FloatArray, codes: IntArray
+    ) -> Agents:
         """Make agents whose columns `NUMBERS` are the rows `(12, n)`, which are copied once."""
         made = object.__new__(cls)
         for name, value in zip(_COLUMNS, (ids, kinds, *frozen(rows), codes), strict=True):

@@ -40,7 +40,10 @@ Column = bytes | list[float]
 """A column of a message, read in either form."""
 ABSENT = {"cost": np.inf, "lower": -np.inf, "upper": np.inf}
 """Meaning of null in the arrays of a graph, by field: a node that is not reached, a free bound; elsewhere NaN."""
-_AXES: dict[str, Convert] = {"x": lambda points: points[:, 0].tolist(), "y": lambda points: points[:, 1].tolist()}
+_AXES: dict[str, Convert] = {
+    "x": lambda points: points[:, 0].tolist(),
+    "y": lambda points: points[:, 1].tolist(),
+}
 
 
 def packed(values: FloatArray) -> Any:
@@ -51,7 +54,9 @@ def packed(values: FloatArray) -> Any:
 
 def unpacked(column: Column) -> FloatArray:
     """Return the numbers of a column `(n,)`; ValueError if the bytes are not a multiple of 8."""
-    return np.frombuffer(column, WIRE) if isinstance(column, bytes) else np.array(column, np.float64)
+    return (
+        np.frombuffer(column, WIRE) if isinstance(column, bytes) else np.array(column, np.float64)
+    )
 
 
 def scalar_as_number(value: object) -> object:
@@ -157,12 +162,16 @@ def _readers(noun: Any, kind: Any) -> tuple[Row, ...]:
 def _columns(noun: type, kind: Any, x: str, y: str) -> Convert:
     """Return a function that makes points from two columns of a message."""
     serialised = {each.name: each.encode_name for each in msgspec.structs.fields(kind)}
-    what = "".join(f" {letter.lower()}" if letter.isupper() else letter for letter in noun.__name__).strip()
+    what = "".join(
+        f" {letter.lower()}" if letter.isupper() else letter for letter in noun.__name__
+    ).strip()
 
     def read(message: Any) -> FloatArray:
         xs, ys = getattr(message, x), getattr(message, y)
         if len(xs) != len(ys):
-            raise ValueError(f"{what} {message.id} has {len(xs)} {serialised[x]} and {len(ys)} {serialised[y]}")
+            raise ValueError(
+                f"{what} {message.id} has {len(xs)} {serialised[x]} and {len(ys)} {serialised[y]}"
+            )
         return np.column_stack([xs, ys])
 
     return read
@@ -180,7 +189,9 @@ def _read(hint: Any, absent: float | None = None) -> Convert | None:
     if hint == FloatArray:
         if absent is None:
             return unpacked
-        return lambda values: np.nan_to_num(np.array(values, np.float64), nan=absent, posinf=np.inf, neginf=-np.inf)
+        return lambda values: np.nan_to_num(
+            np.array(values, np.float64), nan=absent, posinf=np.inf, neginf=-np.inf
+        )
     if hint == IntArray:
         return lambda values: np.array(values, np.int64)
     if _is_enum(hint):
@@ -189,7 +200,9 @@ def _read(hint: Any, absent: float | None = None) -> Convert | None:
         return frozenset
     if origin is tuple and args[-1] is ...:
         if get_origin(args[0]) is tuple:
-            return lambda pairs: tuple((key, np.nan if value is None else value) for key, value in pairs.items())
+            return lambda pairs: tuple(
+                (key, np.nan if value is None else value) for key, value in pairs.items()
+            )
         item = None if _is_enum(args[0]) else _read(args[0])
         return tuple if item is None else lambda values: tuple(map(item, values))
     if isinstance(origin, type) and issubclass(origin, Mapping):

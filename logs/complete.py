@@ -44,9 +44,13 @@ ONE_LANE, REVERSES = f"{NO_LANES}: one lane", f"{NO_LANES}, and reverses"
 """Begins of the notes on a lane (3)."""
 
 
-def derived_speed(t: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, notes: list[str]) -> FloatArray:
+def derived_speed(
+    t: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, notes: list[str]
+) -> FloatArray:
     """Backward differences of the position along the heading `(n,)`, m/s, with a note; the first is the second."""
-    notes.append("The log has no ego speed: it is derived from the positions by backward differences.")
+    notes.append(
+        "The log has no ego speed: it is derived from the positions by backward differences."
+    )
     v = (np.diff(x) * np.cos(yaw[1:]) + np.diff(y) * np.sin(yaw[1:])) / np.diff(t)
     return np.r_[v[:1], v] if len(v) else np.zeros(1)
 
@@ -102,7 +106,10 @@ def driven_limit(ego: Trajectory) -> tuple[float, str]:
     usual = MARGIN * float(pace[order][np.searchsorted(np.cumsum(way[order]), SHARE * way.sum())])
     limit = ceil(max(usual, float(v[0])) / STEP - TIE) * STEP
     if limit < LEAST:
-        return LEAST, f"the least that is assumed, as {SHARE:.0%} of the way was driven at {usual / MARGIN:.1f} m/s"
+        return (
+            LEAST,
+            f"the least that is assumed, as {SHARE:.0%} of the way was driven at {usual / MARGIN:.1f} m/s",
+        )
     rule = f"{MARGIN - 1.0:.0%} above what {SHARE:.0%} of the way was driven at"
     return limit, rule if usual >= v[0] else "the speed at the start"
 
@@ -123,8 +130,16 @@ def road_along(ego: Trajectory, notes: list[str], width: float = 3.5) -> Road:
     way = way if last or not backward else "its heading, as it does not drive forward"
     notes.append(f"{ONE_LANE} along {way}. Its speed limit is assumed: {limit:.1f} m/s, {rule}.")
     if backward:
-        unsigned = " (at a speed that is not negative)" if min(ego.v[a:b].mean() for a, b in backward) > 0.0 else ""
-        driven = f"only the part from {part.t[0]:.1f} to {part.t[-1]:.1f} s has a lane and" if last else "no part"
+        unsigned = (
+            " (at a speed that is not negative)"
+            if min(ego.v[a:b].mean() for a, b in backward) > 0.0
+            else ""
+        )
+        driven = (
+            f"only the part from {part.t[0]:.1f} to {part.t[-1]:.1f} s has a lane and"
+            if last
+            else "no part"
+        )
         notes.append(
             f"{REVERSES} from {described(ego, backward)}{unsigned}. Planners drive forward only: {driven} is driven."
         )
@@ -134,7 +149,9 @@ def road_along(ego: Trajectory, notes: list[str], width: float = 3.5) -> Road:
             return replace(road, assumed_limits=frozenset(road.lanes))
     except ValueError as error:
         remedy = "give the log a road"
-        raise LogError(f"no road can be made along the driven path: {error}", topic="/ego", remedy=remedy) from None
+        raise LogError(
+            f"no road can be made along the driven path: {error}", topic="/ego", remedy=remedy
+        ) from None
 
 
 def way_driven(ego: Trajectory) -> float:
@@ -158,11 +175,16 @@ def passed_width(road: Road, tracks: Tracks, notes: list[str]) -> Road:
     normal, pace = across[at], np.hypot(*velocity[near].T)
     offset = ((place[near] - middle[at]) * normal).sum(axis=1)
     along = np.abs((velocity[near] * normal).sum(axis=1)) < np.sin(ALONG_RAD) * pace
-    vehicle = (tracks.width >= VEHICLE_M) & ~np.array([kind.is_vulnerable for kind in tracks.kinds], np.bool_)
+    vehicle = (tracks.width >= VEHICLE_M) & ~np.array(
+        [kind.is_vulnerable for kind in tracks.kinds], np.bool_
+    )
     who = tracks.owner[near]
     drives = along & (pace > DRIVES_MPS) & vehicle[who]
-    distances = [abs(np.median(offset[drives & (who == i)])) for i in np.unique(who[drives])
-                 if np.count_nonzero(drives & (who == i)) >= LEAST_SAMPLES]  # fmt: skip
+    distances = [
+        abs(np.median(offset[drives & (who == i)]))
+        for i in np.unique(who[drives])
+        if np.count_nonzero(drives & (who == i)) >= LEAST_SAMPLES
+    ]
     beside = [each for each in distances if BESIDE_M[0] < each < BESIDE_M[1]]
     if len(beside) < LEAST_USERS:
         return road

@@ -87,7 +87,8 @@ class Chords:
     @classmethod
     def of(cls, offsets: IntArray, t: FloatArray, x: FloatArray, y: FloatArray) -> Chords:
         """Return the chords of paths with the samples `offsets[i] : offsets[i + 1]`; their times do not decrease."""
-        owner, a, b = _chords(np.array(offsets), np.array(t), np.array(x), np.array(y))  # writable: compiled once
+        # writable: compiled once
+        owner, a, b = _chords(np.array(offsets), np.array(t), np.array(x), np.array(y))
         return cls(owner, a, b, np.stack([x[b] - x[a], y[b] - y[a]]), t[b] - t[a])
 
     @classmethod
@@ -102,7 +103,9 @@ class Chords:
 
     def taken(self, keep: BoolArray) -> Chords:
         """Return some of the chords."""
-        return Chords(self.owner[keep], self.first[keep], self.last[keep], self.d[:, keep], self.dt[keep])
+        return Chords(
+            self.owner[keep], self.first[keep], self.last[keep], self.d[:, keep], self.dt[keep]
+        )
 
     @cached_property
     def way(self) -> FloatArray:
@@ -125,7 +128,9 @@ class Chords:
 
     def off(self, yaw: FloatArray) -> FloatArray:
         """Return by how much the headings (2) of samples `(n,)` are off the direction of each chord `(k,)`, rad."""
-        return wrapped(yaw[self.first] + 0.5 * wrapped(yaw[self.last] - yaw[self.first]) - self.direction)
+        return wrapped(
+            yaw[self.first] + 0.5 * wrapped(yaw[self.last] - yaw[self.first]) - self.direction
+        )
 
     def misfits(self, velocities: Mapping[str, FloatArray]) -> dict[str, float] | None:
         """Return the median misfit (3) of velocities `(2, n)` by frame; None if too few chords show it.
@@ -181,7 +186,10 @@ def reading_of(yaw: FloatArray, chords: Chords, reverse: BoolArray) -> str:
         sure = beyond and abs(factor) != 1.0
         if sure or spread >= SPREAD_RAD:
             off = np.abs(wrapped(chords.off(offset + factor * yaw) + turned))
-            if np.mean(off[against] < (FITS_RAD if sure else min(FITS_RAD, CLOSE * spread))) > AGREED:
+            if (
+                np.mean(off[against] < (FITS_RAD if sure else min(FITS_RAD, CLOSE * spread)))
+                > AGREED
+            ):
                 return name
     return ""
 
@@ -198,7 +206,9 @@ SAME_WAY = 2.0
 """Two ways are the same within this factor."""
 
 
-def are_degrees(paths: Trajectory | Tracks, offsets: IntArray, v: FloatArray, origin: tuple[float, float]) -> bool:
+def are_degrees(
+    paths: Trajectory | Tracks, offsets: IntArray, v: FloatArray, origin: tuple[float, float]
+) -> bool:
     """Return whether positions are degrees of longitude and latitude, in any order.
 
     Path i has the samples `offsets[i] : offsets[i + 1]`; the speeds `v` `(n,)` are not negative, or NaN; positions are
@@ -216,13 +226,18 @@ def are_degrees(paths: Trajectory | Tracks, offsets: IntArray, v: FloatArray, or
     for (east, to_east), (north, to_north) in (places, places[::-1]):
         if not (np.abs(north).max() <= 90.0 and np.abs(east).max() <= 180.0):
             continue
-        chords = Chords.of(offsets, t, DEGREE_M * np.cos(np.radians(north)) * to_east, DEGREE_M * to_north)
+        chords = Chords.of(
+            offsets, t, DEGREE_M * np.cos(np.radians(north)) * to_east, DEGREE_M * to_north
+        )
         if not chords.shows or not (chords.way <= FASTEST_MPS * chords.dt).all():
             continue
         way = float(chords.way.sum())
         if way / SAME_WAY < by_speed < way * SAME_WAY:
             return True
-        headings = [paths.yaw, *(offset + factor * paths.yaw for factor, offset in READINGS.values())]
+        headings = [
+            paths.yaw,
+            *(offset + factor * paths.yaw for factor, offset in READINGS.values()),
+        ]
         along = max(float(np.mean(np.abs(chords.off(each)) < FITS_RAD)) for each in headings)
         if (
             along >= MOST and by_speed != 0.0 and not by_speed > SAME_WAY * in_metres
@@ -247,12 +262,18 @@ def without_ego(scenario: Scenario) -> Scenario:
     if len(ego) < 2 or not len(tracks):
         return scenario
     t, starts = np.where(tracks.static[tracks.owner], ego.t[0], tracks.t), tracks.offsets[:-1]
-    x, y, yaw, v = (np.interp(t, ego.t, column) for column in (ego.x, ego.y, ego.yaw, np.abs(ego.v)))
+    x, y, yaw, v = (
+        np.interp(t, ego.t, column) for column in (ego.x, ego.y, ego.yaw, np.abs(ego.v))
+    )
     c, s = np.cos(yaw), np.sin(yaw)
     dx, dy = tracks.x - x, tracks.y - y
     along, aside = c * dx + s * dy - car.axle_to_center, c * dy - s * dx
     asked = (t >= ego.t[0]) & (t <= ego.t[-1])
-    inside = asked & (np.abs(along) <= 0.5 * car.length + LATE_S * v) & (np.abs(aside) <= 0.5 * car.width)
+    inside = (
+        asked
+        & (np.abs(along) <= 0.5 * car.length + LATE_S * v)
+        & (np.abs(aside) <= 0.5 * car.width)
+    )
     near = np.minimum(np.hypot(dx, dy), np.hypot(along, aside))
     same = asked & (near <= SAME_M)
 
@@ -265,7 +286,9 @@ def without_ego(scenario: Scenario) -> Scenario:
     rides = mostly & (extent(x, inside) + extent(y, inside) >= RIDES_M) & (lasts >= RIDES_S)
     stays = mostly & (np.add.reduceat(same, starts, dtype=np.int64) >= MOST * count)
     stays &= tracks.static | (lasts >= MOST * float(np.ptp(ego.t)))
-    named = np.array(["".join(filter(str.isalpha, name.lower())) in EGO_NAMES for name in tracks.ids], np.bool_)
+    named = np.array(
+        ["".join(filter(str.isalpha, name.lower())) in EGO_NAMES for name in tracks.ids], np.bool_
+    )
     found = np.flatnonzero(rides | stays | (mostly & named))
     if not len(found):
         return scenario
@@ -291,8 +314,12 @@ def in_world_axes(scenario: Scenario) -> Scenario:
         return scenario
     c, s = np.cos(tracks.yaw), np.sin(tracks.yaw)
     rotated = np.stack([c * tracks.vx - s * tracks.vy, s * tracks.vx + c * tracks.vy])
-    fits = Chords.of_tracks(tracks).misfits({"world": np.stack([tracks.vx, tracks.vy]), "own": rotated})
-    if fits is None or not fits["own"] < min(FITS_ALONE * fits["world"], fits["world"] - CLEARLY, FITS_ALONE):
+    fits = Chords.of_tracks(tracks).misfits(
+        {"world": np.stack([tracks.vx, tracks.vy]), "own": rotated}
+    )
+    if fits is None or not fits["own"] < min(
+        FITS_ALONE * fits["world"], fits["world"] - CLEARLY, FITS_ALONE
+    ):
         return scenario
     note = (
         "The velocities of the road users are in their own axes (forward, left) and are rotated into the world: they"
@@ -313,7 +340,9 @@ def checked(scenario: Scenario) -> Scenario:
     ):
         if are_degrees(some, offsets, np.abs(v), scenario.origin):
             remedy = "project them to metres (UTM, or a plane at the start)"
-            raise LogError("the positions are degrees of latitude and longitude", topic=topic, remedy=remedy)
+            raise LogError(
+                "the positions are degrees of latitude and longitude", topic=topic, remedy=remedy
+            )
         reading = reading_of(some.yaw, chords, chords.mean(v) < 0.0)
         if reading:
             what = f"the headings look like {reading}: they fit the direction of motion so, and not in rad"

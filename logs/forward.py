@@ -64,7 +64,9 @@ def reversals(ego: Trajectory) -> tuple[tuple[int, int], ...]:
             found.append((begin, bottom))
             begin, top = -1, k
     found += [(begin, bottom)] if begin >= 0 else []
-    return tuple((first, min(_standing(ego, w, last, first), default=last)) for first, last in found)
+    return tuple(
+        (first, min(_standing(ego, w, last, first), default=last)) for first, last in found
+    )
 
 
 def _standing(ego: Trajectory, w: FloatArray, extreme: int, until: int) -> list[int]:
@@ -79,8 +81,12 @@ def _is_reverse(ego: Trajectory, w: FloatArray, top: int, k: int) -> bool:
     dt, v = np.diff(ego.t), np.abs(ego.v)
     half = int(np.flatnonzero(w[top:k] >= w[k] + 0.5 * REVERSE_M)[-1]) + top
     moved = float((0.5 * (v[half + 1 : k + 1] + v[half:k]) * dt[half:k]).sum())
-    stood = w[top] - w[0] < REVERSE_M or v[top : k + 1].min() <= max(SLOW_MPS, BRAKING_MPS2 * float(np.median(dt)))
-    return bool(stood and ego.t[k] - ego.t[half] <= max(LONGEST_S, dt[half]) and moved >= 0.25 * REVERSE_M)
+    stood = w[top] - w[0] < REVERSE_M or v[top : k + 1].min() <= max(
+        SLOW_MPS, BRAKING_MPS2 * float(np.median(dt))
+    )
+    return bool(
+        stood and ego.t[k] - ego.t[half] <= max(LONGEST_S, dt[half]) and moved >= 0.25 * REVERSE_M
+    )
 
 
 def forward_part(ego: Trajectory, backward: tuple[tuple[int, int], ...]) -> tuple[int, int] | None:
@@ -88,7 +94,10 @@ def forward_part(ego: Trajectory, backward: tuple[tuple[int, int], ...]) -> tupl
     if not backward:
         return 0, len(ego) - 1
     w = _way(ego)
-    begins, ends = (0, *(last for _, last in backward)), (*(first for first, _ in backward), len(ego) - 1)
+    begins, ends = (
+        (0, *(last for _, last in backward)),
+        (*(first for first, _ in backward), len(ego) - 1),
+    )
     gains = [float(w[end] - w[begin]) for begin, end in zip(begins, ends, strict=True)]
     best = next((k for k, gain in enumerate(gains) if gain >= FORWARD_M), int(np.argmax(gains)))
     return (begins[best], ends[best]) if gains[best] >= REVERSE_M else None
@@ -106,9 +115,13 @@ def drivable_part(scenario: Scenario) -> Scenario:
     part = forward_part(ego, backward)
     if part is None:
         what = f"the log reverses from {described(ego, backward)}: planners drive forward only, so none of it is driven"
-        raise LogError(f"{scenario.name}: {what}", remedy="choose a part that goes forward with --from and --to")
+        raise LogError(
+            f"{scenario.name}: {what}",
+            remedy="choose a part that goes forward with --from and --to",
+        )
     first, last = part
-    goal = scenario.goal if last == len(ego) - 1 else None  # a goal behind a reversal is reached in reverse
+    # A goal behind a reversal is reached in reverse
+    goal = scenario.goal if last == len(ego) - 1 else None
     duration = scenario.duration if last == len(ego) - 1 else float(ego.t[last])
     return replace(scenario, ego=ego.taken(slice(first, last + 1)), duration=duration, goal=goal)
 

@@ -56,7 +56,9 @@ class SpilledTrajectory(Trajectory):
         return made
 
     def _rows(self) -> FloatArray:
-        return np.frombuffer(self._file.get(self._begin, self._size)).reshape(len(TRAJECTORY_COLUMNS), -1)
+        return np.frombuffer(self._file.get(self._begin, self._size)).reshape(
+            len(TRAJECTORY_COLUMNS), -1
+        )
 
     def __getattr__(self, name: str) -> FloatArray:
         if name not in COLUMN:
@@ -83,7 +85,9 @@ class FrameStore(Sequence[PlannedFrame]):
         if len(self._frames) < self._whole:
             self._frames.append(frame)
             return
-        data = pickle.dumps((frame.plan.internals, frame.predictions, frame.visibility), pickle.HIGHEST_PROTOCOL)
+        data = pickle.dumps(
+            (frame.plan.internals, frame.predictions, frame.visibility), pickle.HIGHEST_PROTOCOL
+        )
         with writing(Path(tempfile.gettempdir())):
             self._file = self._file or Scratch()
             path = SpilledTrajectory.put(frame.plan.trajectory, self._file)

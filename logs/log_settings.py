@@ -60,7 +60,9 @@ class LogSettings:
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.begin < self.end:
-            raise ValueError(f"a log from {self.begin} s to {self.end} s is empty: end must be after begin, both >= 0")
+            raise ValueError(
+                f"a log from {self.begin} s to {self.end} s is empty: end must be after begin, both >= 0"
+            )
         if self.clock not in ("", "log", "header"):
             raise ValueError(f"clock is {self.clock!r}: log or header")
         if self.ego_point not in EGO_POINTS:
@@ -68,7 +70,9 @@ class LogSettings:
         if self.repair not in ("auto", "on", "off"):
             raise ValueError(f"repair is {self.repair!r}: auto, on or off")
         if not set(self.car) <= set(SIZES):
-            raise ValueError(f"car has no {min(set(self.car) - set(SIZES))}: its keys are {', '.join(SIZES)}")
+            raise ValueError(
+                f"car has no {min(set(self.car) - set(SIZES))}: its keys are {', '.join(SIZES)}"
+            )
         if not all(value > 0.0 for value in self.car.values()):
             raise ValueError("the sizes in car must be positive")
 

@@ -86,13 +86,18 @@ class Motion:
         square = self.vx**2 + self.vy**2
         across = self.vx * self.ay - self.vy * self.ax
         most = np.sqrt(square) / TIGHTEST_M
-        return np.clip(np.divide(across, square, out=np.zeros(len(square)), where=square > 0.0), -most, most)
+        return np.clip(
+            np.divide(across, square, out=np.zeros(len(square)), where=square > 0.0), -most, most
+        )
 
 
 def estimated(
-    kinds: tuple[AgentKind, ...], moves: BoolArray, parts: IntArray, owner: IntArray,
+    kinds: tuple[AgentKind, ...],
+    moves: BoolArray,
+    parts: IntArray,
+    owner: IntArray,
     columns: tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray],
-) -> Motion:  # fmt: skip
+) -> Motion:
     """Estimate the motion of parts without gaps: part i has the samples `parts[i] : parts[i + 1]` of agent `owner[i]`.
 
     `kinds` and `moves` `(n,)` are per agent: those that never move have velocity 0. `owner` `(p,)` increases. `columns`
@@ -106,9 +111,16 @@ def estimated(
 
 @kernel
 def _smooth_all(
-    parts: IntArray, owner: IntArray, jerk: FloatArray, t: FloatArray, x: FloatArray, y: FloatArray, vx: FloatArray,
-    vy: FloatArray, out: FloatArray,
-) -> None:  # fmt: skip
+    parts: IntArray,
+    owner: IntArray,
+    jerk: FloatArray,
+    t: FloatArray,
+    x: FloatArray,
+    y: FloatArray,
+    vx: FloatArray,
+    vy: FloatArray,
+    out: FloatArray,
+) -> None:
     """Fill `out` `(4, m)`: vx, vy, ax, ay."""
     i = 0
     while i < len(owner):
@@ -125,17 +137,27 @@ def _smooth_all(
             unknown = POSITION_UNKNOWN_M, VELOCITY_UNKNOWN_MPS
             noise = np.empty(2)
             for c in range(2):
-                noise[c] = _noise(t[begin:end], zx, zy, logged == (c == 1), floors[c], unknown[c]) ** 2
+                noise[c] = (
+                    _noise(t[begin:end], zx, zy, logged == (c == 1), floors[c], unknown[c]) ** 2
+                )
             for part in range(i, j):
                 a, b = parts[part] - begin, parts[part + 1] - begin
                 _smooth(
-                    t[begin + a : begin + b], zx[a:b], zy[a:b], logged[a:b], noise, q, out[:, begin + a : begin + b]
+                    t[begin + a : begin + b],
+                    zx[a:b],
+                    zy[a:b],
+                    logged[a:b],
+                    noise,
+                    q,
+                    out[:, begin + a : begin + b],
                 )
         i = j
 
 
 @inner_kernel
-def _noise(t: FloatArray, zx: FloatArray, zy: FloatArray, mine: BoolArray, floor: float, unknown: float) -> float:
+def _noise(
+    t: FloatArray, zx: FloatArray, zy: FloatArray, mine: BoolArray, floor: float, unknown: float
+) -> float:
     """Return the standard deviation of the noise (4) of the samples that `mine` marks."""
     found = np.empty(max(len(t) - 3, 0))
     count = 0
@@ -162,7 +184,13 @@ def _noise(t: FloatArray, zx: FloatArray, zy: FloatArray, mine: BoolArray, floor
 
 @inner_kernel
 def _smooth(
-    t: FloatArray, zx: FloatArray, zy: FloatArray, logged: BoolArray, noise: FloatArray, q: float, out: FloatArray
+    t: FloatArray,
+    zx: FloatArray,
+    zy: FloatArray,
+    logged: BoolArray,
+    noise: FloatArray,
+    q: float,
+    out: FloatArray,
 ) -> None:
     """Fill `out` `(4, n)`: vx, vy, ax, ay of one part of a track."""
     n = len(t)
@@ -185,9 +213,18 @@ def _smooth(
 
 @kernel
 def _forward(
-    t: FloatArray, zx: FloatArray, zy: FloatArray, logged: BoolArray, noise: FloatArray, q: float,
-    means: FloatArray, covs: FloatArray, gains: FloatArray, off: FloatArray, spread: FloatArray,
-) -> float:  # fmt: skip
+    t: FloatArray,
+    zx: FloatArray,
+    zy: FloatArray,
+    logged: BoolArray,
+    noise: FloatArray,
+    q: float,
+    means: FloatArray,
+    covs: FloatArray,
+    gains: FloatArray,
+    off: FloatArray,
+    spread: FloatArray,
+) -> float:
     """Run the filter (1) to (3) and return the logarithm of its likelihood.
 
     Fills the predictions per sample: `means` (p, v, a of x, then of y), `covs` (pp, pv, pa, vv, va, aa: the same for
@@ -204,8 +241,17 @@ def _forward(
         if k > 0:
             d = t[k] - t[k - 1]
             h = 0.5 * d * d
-            px, py, vx, vy = px + d * vx + h * ax, py + d * vy + h * ay, vx + d * ax, vy + d * ay  # (1)
-            pp += 2.0 * d * pv + 2.0 * h * pa + d * d * vv + 2.0 * d * h * va + h * h * aa + q * d**5 / 20.0  # (2)
+            # (1)
+            px, py, vx, vy = px + d * vx + h * ax, py + d * vy + h * ay, vx + d * ax, vy + d * ay
+            # (2)
+            pp += (
+                2.0 * d * pv
+                + 2.0 * h * pa
+                + d * d * vv
+                + 2.0 * d * h * va
+                + h * h * aa
+                + q * d**5 / 20.0
+            )
             pv += d * pa + d * vv + (d * d + h) * va + d * h * aa + q * d**4 / 8.0
             pa += d * va + h * aa + q * d**3 / 6.0
             vv += 2.0 * d * va + d * d * aa + q * d**3 / 3.0
@@ -213,7 +259,14 @@ def _forward(
             aa += q * d
         means[k, 0], means[k, 1], means[k, 2] = px, vx, ax
         means[k, 3], means[k, 4], means[k, 5] = py, vy, ay
-        covs[k, 0], covs[k, 1], covs[k, 2], covs[k, 3], covs[k, 4], covs[k, 5] = pp, pv, pa, vv, va, aa
+        covs[k, 0], covs[k, 1], covs[k, 2], covs[k, 3], covs[k, 4], covs[k, 5] = (
+            pp,
+            pv,
+            pa,
+            vv,
+            va,
+            aa,
+        )
         if logged[k]:  # (3)
             hp, hv, ha, r, ex, ey = pv, vv, va, noise[1], zx[k] - vx, zy[k] - vy
             s = vv + r
@@ -237,9 +290,16 @@ def _forward(
 
 @inner_kernel
 def _backward(
-    t: FloatArray, logged: BoolArray, means: FloatArray, covs: FloatArray, gains: FloatArray, off: FloatArray,
-    spread: FloatArray, weight: float, out: FloatArray,
-) -> None:  # fmt: skip
+    t: FloatArray,
+    logged: BoolArray,
+    means: FloatArray,
+    covs: FloatArray,
+    gains: FloatArray,
+    off: FloatArray,
+    spread: FloatArray,
+    weight: float,
+    out: FloatArray,
+) -> None:
     """(6): add `weight` times the smoothed velocity and acceleration to `out` `(4, n)`."""
     back = np.zeros((2, 3))
     for k in range(len(t) - 1, -1, -1):
@@ -251,5 +311,9 @@ def _backward(
             change = gains[k, 0] * p + gains[k, 1] * v + gains[k, 2] * a + off[k, c] / spread[k]
             p, v = (p, v - change) if measured == 1 else (p - change, v)
             back[c, 0], back[c, 1], back[c, 2] = p, v, a
-            out[c, k] += weight * (means[k, 3 * c + 1] - covs[k, 1] * p - covs[k, 3] * v - covs[k, 4] * a)
-            out[2 + c, k] += weight * (means[k, 3 * c + 2] - covs[k, 2] * p - covs[k, 4] * v - covs[k, 5] * a)
+            out[c, k] += weight * (
+                means[k, 3 * c + 1] - covs[k, 1] * p - covs[k, 3] * v - covs[k, 4] * a
+            )
+            out[2 + c, k] += weight * (
+                means[k, 3 * c + 2] - covs[k, 2] * p - covs[k, 4] * v - covs[k, 5] * a
+            )

@@ -93,7 +93,9 @@ def of_stream(t: FloatArray) -> Spans:
     apart = np.diff(t)
     usual = float(np.median(apart)) if len(apart) else 0.0
     breaks = np.flatnonzero(apart > min(max(MISSED * usual, MAX_AGE_S), MAX_GAP_S))
-    return tuple(zip(t[np.r_[0, breaks + 1]].tolist(), t[np.r_[breaks, len(t) - 1]].tolist(), strict=True))
+    return tuple(
+        zip(t[np.r_[0, breaks + 1]].tolist(), t[np.r_[breaks, len(t) - 1]].tolist(), strict=True)
+    )
 
 
 def inferred(offsets: IntArray, static: BoolArray, t: FloatArray) -> Spans:

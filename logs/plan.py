@@ -140,7 +140,9 @@ class GridCost:
     def __post_init__(self) -> None:
         for name in ("first", "second"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
-        object.__setattr__(self, "cost", frozen(np.reshape(self.cost, (len(self.first), len(self.second)))))
+        object.__setattr__(
+            self, "cost", frozen(np.reshape(self.cost, (len(self.first), len(self.second))))
+        )
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -203,7 +205,9 @@ Artefact = SlGraph | StGraph | Decision | CostTerms | Candidates | LaneOption | 
 class Internals(Sequence[Artefact]):
     """Artefacts that `build` makes on first access, the solvers' `reports` included, which are always there."""
 
-    def __init__(self, reports: tuple[SolverReport, ...], build: Callable[[], tuple[Artefact, ...]]) -> None:
+    def __init__(
+        self, reports: tuple[SolverReport, ...], build: Callable[[], tuple[Artefact, ...]]
+    ) -> None:
         self.reports = reports
         self._build = build
         self._all: tuple[Artefact, ...] | None = None
@@ -248,7 +252,11 @@ class Plan:
         """Return the plan as a trace keeps it: with all internals if `keep`, else only with those already built."""
         if isinstance(self.internals, tuple):
             return self
-        kept = tuple(self.internals) if keep or not isinstance(self.internals, Internals) else self.internals.reports
+        kept = (
+            tuple(self.internals)
+            if keep or not isinstance(self.internals, Internals)
+            else self.internals.reports
+        )
         return replace(self, internals=kept)
 
 

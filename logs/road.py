@@ -77,7 +77,9 @@ class Lane:
         for name in ("left", "right"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
         if self.left.shape != self.right.shape or self.left.ndim != 2 or len(self.left) < 2:
-            raise ValueError(f"lane {self.id}: boundaries have shapes {self.left.shape} and {self.right.shape}")
+            raise ValueError(
+                f"lane {self.id}: boundaries have shapes {self.left.shape} and {self.right.shape}"
+            )
         if not (np.isfinite(self.left).all() and np.isfinite(self.right).all()):
             raise ValueError(f"lane {self.id}: a boundary point is not finite")
 
@@ -158,7 +160,9 @@ class Road:
         object.__setattr__(self, "areas", tuple(frozen(area) for area in self.areas))
         for line in self.stop_lines:
             if line.lane not in self.lanes:
-                raise ValueError(f"stop line {line.id} lies across lane {line.lane}, which is not in the road")
+                raise ValueError(
+                    f"stop line {line.id} lies across lane {line.lane}, which is not in the road"
+                )
         for name, marks in (("stop lines", self.stop_lines), ("crosswalks", self.crosswalks)):
             if len({mark.id for mark in marks}) < len(marks):
                 raise ValueError(f"two {name} have the same id")
@@ -190,7 +194,9 @@ class Road:
         return self.lanes[lane_id].speed_limit if given else float("nan")
 
     @classmethod
-    def along(cls, path: FloatArray, *, width: float = 3.5, speed_limit: float, beyond: float = 250.0) -> Road:
+    def along(
+        cls, path: FloatArray, *, width: float = 3.5, speed_limit: float, beyond: float = 250.0
+    ) -> Road:
         """A road of one lane along a driven path `(n, 2)`, straight for `beyond` m after its end.
 
         Raises:
@@ -202,10 +208,13 @@ class Road:
         heading = (points[-1] - points[-2]) / np.hypot(*(points[-1] - points[-2]))
         points = np.vstack([points, points[-1] + np.arange(2.0, beyond, 2.0)[:, None] * heading])
         tangent = np.gradient(points, axis=0)
-        turning = np.hypot(*tangent.T) < 1e-6  # the path reverses here: use the direction of the incoming piece
+        # The path reverses here: use the direction of the incoming piece
+        turning = np.hypot(*tangent.T) < 1e-6
         tangent[1:][turning[1:]] = np.diff(points, axis=0)[turning[1:]]
         normal = np.column_stack([-tangent[:, 1], tangent[:, 0]]) / np.hypot(*tangent.T)[:, None]
-        lane = Lane(0, points + 0.5 * width * normal, points - 0.5 * width * normal, speed_limit=speed_limit)
+        lane = Lane(
+            0, points + 0.5 * width * normal, points - 0.5 * width * normal, speed_limit=speed_limit
+        )
         return cls({0: lane}, RoadSource.DRIVEN_PATH, default_speed_limit=speed_limit)
 
 
@@ -237,11 +246,19 @@ class Goal:
     def __post_init__(self) -> None:
         if self.alternatives:
             anywhere = any(not one.regions for one in self.alternatives)
-            regions = () if anywhere else tuple(region for one in self.alternatives for region in one.regions)
+            regions = (
+                ()
+                if anywhere
+                else tuple(region for one in self.alternatives for region in one.regions)
+            )
             object.__setattr__(self, "regions", regions)
             for name in ("t", "v", "yaw"):
                 bounds = [getattr(one, name) for one in self.alternatives]
-                hull = None if None in bounds else (min(b[0] for b in bounds), max(b[1] for b in bounds))
+                hull = (
+                    None
+                    if None in bounds
+                    else (min(b[0] for b in bounds), max(b[1] for b in bounds))
+                )
                 object.__setattr__(self, name, hull)
         object.__setattr__(self, "regions", tuple(frozen(region) for region in self.regions))
 
@@ -258,11 +275,19 @@ class Goal:
             before = merged.get(bounds := (goal.t, goal.v, goal.yaw), goal)
             regions = (*before.regions, *goal.regions) if before.regions and goal.regions else ()
             merged[bounds] = goal if before is goal else replace(goal, regions=regions)
-        return next(iter(merged.values())) if len(merged) == 1 else cls(alternatives=tuple(merged.values()))
+        return (
+            next(iter(merged.values()))
+            if len(merged) == 1
+            else cls(alternatives=tuple(merged.values()))
+        )
 
     def changed(self, change: Callable[[Goal], Goal]) -> Goal:
         """Return the goal with `change` applied to each alternative, or to itself if it has none."""
-        return replace(self, alternatives=tuple(map(change, self.alternatives))) if self.alternatives else change(self)
+        return (
+            replace(self, alternatives=tuple(map(change, self.alternatives)))
+            if self.alternatives
+            else change(self)
+        )
 
     def after(self, driven: float) -> Goal:
         """Return the goal for a drive that begins after `driven` m of the way."""
@@ -348,7 +373,9 @@ def _far_apart(points: FloatArray, spacing: float) -> IntArray:
 
 
 @inner_kernel
-def line_point(knots: FloatArray, coef: FloatArray, s: float) -> tuple[float, float, float, float, float, float]:
+def line_point(
+    knots: FloatArray, coef: FloatArray, s: float
+) -> tuple[float, float, float, float, float, float]:
     """r, r', r'' of the spline at station `s` (m): x, y, x', y', x'', y''.
 
     Args:
@@ -485,7 +512,8 @@ class ReferenceLine:
         points = points[np.r_[True, np.hypot(*np.diff(points, axis=0).T) > 1e-6]]
         if len(points) < 2:
             raise ValueError("a reference line needs two distinct points")
-        from scipy.interpolate import CubicSpline  # imported late: SciPy takes as long to load as all of `logs`
+        # Imported late: SciPy takes as long to load as all of `logs`
+        from scipy.interpolate import CubicSpline
 
         for _ in range(3):
             chord = arc_lengths(*points.T)
@@ -513,10 +541,14 @@ class ReferenceLine:
         """Return x, y, yaw, kappa at station `s`; beyond its ends, the line continues straight."""
         return line_frame(self.s, self.coef, float(s))
 
-    def project(self, x: float, y: float, near: float | None = None, window: float = 30.0) -> tuple[float, float]:
+    def project(
+        self, x: float, y: float, near: float | None = None, window: float = 30.0
+    ) -> tuple[float, float]:
         """Return Frenet coordinates (s, l) of a point; the foot lies within `window` m of `near` (None: anywhere)."""
         if near is None:
-            return line_project(self.s, self.coef, float(x), float(y), 0.5 * self.length, self.length)
+            return line_project(
+                self.s, self.coef, float(x), float(y), 0.5 * self.length, self.length
+            )
         return line_project(self.s, self.coef, float(x), float(y), float(near), float(window))
 
     def point(self, s: float, l: float) -> tuple[float, float]:  # noqa: E741

@@ -48,7 +48,9 @@ def start_lanes(road: Road, ego: EgoState) -> tuple[int, ...]:
     drivable = [lane for lane in road.lanes.values() if lane.drivable] or list(road.lanes.values())
 
     def away(lane: Lane) -> float:
-        distance = float(np.hypot(*(lane.center[nearest(lane.center, ego.x, ego.y)] - (ego.x, ego.y))))
+        distance = float(
+            np.hypot(*(lane.center[nearest(lane.center, ego.x, ego.y)] - (ego.x, ego.y)))
+        )
         return _level(distance + 5.0 * abs(_turn(lane, ego)))
 
     return (min(drivable, key=lambda lane: (away(lane), lane.id)).id,)
@@ -83,7 +85,10 @@ def costs_to_go(road: Road, goal: Goal | None) -> dict[int, CostToGo]:
     into: dict[int, list[tuple[int, float]]] = {}
     for lane in road.lanes.values():
         onward = [(i, lane.length) for i in lane.successors]
-        beside = [(lane.left_neighbour, lane.left_crossable), (lane.right_neighbour, lane.right_crossable)]
+        beside = [
+            (lane.left_neighbour, lane.left_crossable),
+            (lane.right_neighbour, lane.right_crossable),
+        ]
         sideways = [(i, LANE_CHANGE_M) for i, crossable in beside if i is not None and crossable]
         for step, price in onward + sideways if lane.drivable else ():
             if step in road.lanes and road.lanes[step].drivable:
@@ -98,7 +103,10 @@ def costs_to_go(road: Road, goal: Goal | None) -> dict[int, CostToGo]:
         best[lane_id] = CostToGo(cost, changes, None if after == lane_id else after)
         for before, price in into.get(lane_id, ()):
             changed = lane_id not in road.lanes[before].successors
-            heapq.heappush(queue, (_level(cost + price), changes + changed, before, lane_id, cost + price))  # (1)
+            # (1)
+            heapq.heappush(
+                queue, (_level(cost + price), changes + changed, before, lane_id, cost + price)
+            )
     return best
 
 
@@ -106,9 +114,12 @@ def goal_lanes(road: Road, goal: Goal | None) -> frozenset[int]:
     """Return the lanes whose centre line meets a goal region; if no line meets a region, the lanes at its middle."""
     found: set[int] = set()
     for region in goal.regions if goal is not None else ():
-        through = []  # lanes whose centre line, sampled every 1 m, has a point inside the region, not on its edge
+        # Lanes whose centre line, sampled every 1 m, has a point inside the region, not on its edge
+        through = []
         for lane in road.lanes.values():
-            near = (lane.polygon.max(axis=0) >= region.min(axis=0)) & (lane.polygon.min(axis=0) <= region.max(axis=0))
+            near = (lane.polygon.max(axis=0) >= region.min(axis=0)) & (
+                lane.polygon.min(axis=0) <= region.max(axis=0)
+            )
             if lane.drivable and near.all():
                 through += [lane.id] if _meets(sampled(lane.center), (region,)) else []
         middle = road.lanes_at(*region.mean(axis=0))
@@ -146,9 +157,17 @@ def goal_fault(road: Road, drive: Trajectory, goal: Goal, ahead: float) -> GoalF
     if not regions or returns or goal.holds_place(x, y):
         return None
     beside, onward = list(start_lanes(road, ego)), set[int]()
-    for lane in (road.lanes[i] for i in beside):  # the list grows: lanes that are side by side with the ego's
-        sides = (lane.left_neighbour, lane.left_crossable), (lane.right_neighbour, lane.right_crossable)
-        near = [i for i, crossable in sides if i is not None and crossable and i in road.lanes and i not in beside]
+    # The list grows: lanes that are side by side with the ego's
+    for lane in (road.lanes[i] for i in beside):
+        sides = (
+            (lane.left_neighbour, lane.left_crossable),
+            (lane.right_neighbour, lane.right_crossable),
+        )
+        near = [
+            i
+            for i, crossable in sides
+            if i is not None and crossable and i in road.lanes and i not in beside
+        ]
         beside += [i for i in near if road.lanes[i].drivable]
         onward |= set(lane.successors)
     lanes = goal_lanes(road, goal)
@@ -156,7 +175,9 @@ def goal_fault(road: Road, drive: Trajectory, goal: Goal, ahead: float) -> GoalF
         return None
     for line in (sampled(road.lanes[i].center) for i in beside if i in lanes):
         here = first_nearest(line, x, y)
-        if _meets(line[here:], regions) or any(nearest(line, *region.mean(axis=0)) > here for region in regions):
+        if _meets(line[here:], regions) or any(
+            nearest(line, *region.mean(axis=0)) > here for region in regions
+        ):
             return None
     corners = np.vstack(regions) - (ego.x, ego.y)
     if lanes & set(beside) or (corners @ (cos(ego.yaw), sin(ego.yaw))).max() < 0.0:
@@ -204,7 +225,11 @@ def counting_stay(goal: Goal, drive: Trajectory, ahead: float) -> tuple[int, int
     first stay counts, or it has none.
     """
     stays = visits(goal, drive, ahead)
-    again = [k for k, (_, _, here) in enumerate(stays) if any(here & before for _, _, before in stays[:k])]
+    again = [
+        k
+        for k, (_, _, here) in enumerate(stays)
+        if any(here & before for _, _, before in stays[:k])
+    ]
     begins = [1] if len(stays) > 1 and stays[0][0] == 0 else []
     k = max((*again, *begins), default=0)
     return (stays[k - 1][1], stays[k][0]) if k else None
@@ -255,7 +280,9 @@ def straight_on(road: Road, lane_id: int) -> int | None:
     if not onward:
         return None
     heading = _heading(lane, -2)
-    return min(onward, key=lambda after: (_level(abs(wrap(_heading(after, -2) - heading))), after.id)).id
+    return min(
+        onward, key=lambda after: (_level(abs(wrap(_heading(after, -2) - heading))), after.id)
+    ).id
 
 
 def _level(value: float) -> float:
@@ -288,18 +315,28 @@ def on_lane(lane: Lane, x: FloatArray, y: FloatArray, yaw: FloatArray) -> BoolAr
 
 
 @kernel
-def _on_lane(center: FloatArray, polygon: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray) -> BoolArray:
+def _on_lane(
+    center: FloatArray, polygon: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray
+) -> BoolArray:
     out = np.zeros(len(x), np.bool_)
     low_x, high_x = polygon[:, 0].min(), polygon[:, 0].max()
     low_y, high_y = polygon[:, 1].min(), polygon[:, 1].max()
     for k in range(len(x)):
-        if not (low_x <= x[k] <= high_x and low_y <= y[k] <= high_y) or not inside(x[k], y[k], polygon):
+        if not (low_x <= x[k] <= high_x and low_y <= y[k] <= high_y) or not inside(
+            x[k], y[k], polygon
+        ):
             continue
         nearest, heading = inf, 0.0
         for i in range(len(center) - 1):
-            middle_x, middle_y = 0.5 * (center[i + 1, 0] + center[i, 0]), 0.5 * (center[i + 1, 1] + center[i, 1])
+            middle_x, middle_y = (
+                0.5 * (center[i + 1, 0] + center[i, 0]),
+                0.5 * (center[i + 1, 1] + center[i, 1]),
+            )
             away = hypot(middle_x - x[k], middle_y - y[k])
             if away < nearest:
-                nearest, heading = away, atan2(center[i + 1, 1] - center[i, 1], center[i + 1, 0] - center[i, 0])
+                nearest, heading = (
+                    away,
+                    atan2(center[i + 1, 1] - center[i, 1], center[i + 1, 0] - center[i, 0]),
+                )
         out[k] = abs(wrap(yaw[k] - heading)) < ASKEW_RAD
     return out

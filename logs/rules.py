@@ -45,8 +45,14 @@ class TrafficLight:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "t", frozen(self.t))
-        if self.t.shape != (len(self.colours),) or not len(self.t) or (np.diff(self.t) <= 0.0).any():
-            raise ValueError(f"traffic light {self.id}: {len(self.colours)} colours need as many increasing times")
+        if (
+            self.t.shape != (len(self.colours),)
+            or not len(self.t)
+            or (np.diff(self.t) <= 0.0).any()
+        ):
+            raise ValueError(
+                f"traffic light {self.id}: {len(self.colours)} colours need as many increasing times"
+            )
         if not np.isfinite(self.t).all():
             raise ValueError(f"traffic light {self.id}: a time is not finite")
 

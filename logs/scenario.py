@@ -39,7 +39,8 @@ class DriverVerdict:
     driver: str
     outcome: Avoidability
     reason: str
-    brakes: float = nan  # when it begins to brake with more than 1 m/s2, s since the scenario's start; NaN: never
+    # When it begins to brake with more than 1 m/s2, s since the scenario's start; NaN: never
+    brakes: float = nan
     meets: float = nan  # when it touches an agent, s; NaN: never
     speed: float = nan  # speed at the touch, else at the end, m/s
     # id of the agent that the driver touches, else of the one that it would touch without braking; "": none
@@ -54,7 +55,8 @@ class References:
 
     # by driver ("cc", "fsm"); empty: the drivers did not judge the scenario
     verdicts: Mapping[str, DriverVerdict] = field(default_factory=dict)
-    follower_gain: float | None = None  # how far the route follower gets along the route, m; None: it was not driven
+    # How far the route follower gets along the route, m; None: it was not driven
+    follower_gain: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +115,9 @@ class Scenario:
     def __post_init__(self) -> None:
         object.__setattr__(self, "metadata", MappingProxyType(dict(self.metadata)))
         if self.duration < self.ego.t[-1] - 1e-9:
-            raise ValueError(f"scenario lasts {self.duration} s, shorter than its ego log ({self.ego.t[-1]} s)")
+            raise ValueError(
+                f"scenario lasts {self.duration} s, shorter than its ego log ({self.ego.t[-1]} s)"
+            )
         object.__setattr__(self, "lights", tuple(sorted(self.lights, key=lambda light: light.id)))
         if len({light.id for light in self.lights}) < len(self.lights):
             raise ValueError("two traffic lights have the same id")
@@ -168,4 +172,6 @@ class Scenario:
         """
         if "recorded" in self.tags or "synthetic" in self.tags:
             return "synthetic" not in self.tags
-        return "generator" not in self.metadata and "commonroad" not in self.tags and len(self.ego) > 1
+        return (
+            "generator" not in self.metadata and "commonroad" not in self.tags and len(self.ego) > 1
+        )

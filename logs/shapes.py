@@ -61,27 +61,57 @@ def _axis(
 
 @kernel
 def overlap(
-    x1: float, y1: float, yaw1: float, length1: float, width1: float,
-    x2: float, y2: float, yaw2: float, length2: float, width2: float,
-) -> bool:  # fmt: skip
+    x1: float,
+    y1: float,
+    yaw1: float,
+    length1: float,
+    width1: float,
+    x2: float,
+    y2: float,
+    yaw2: float,
+    length2: float,
+    width2: float,
+) -> bool:
     """Whether two boxes touch or overlap (1)."""
-    return overlap_turned(x1, y1, cos(yaw1), sin(yaw1), length1, width1, x2, y2, cos(yaw2), sin(yaw2), length2, width2)
+    return overlap_turned(
+        x1, y1, cos(yaw1), sin(yaw1), length1, width1, x2, y2, cos(yaw2), sin(yaw2), length2, width2
+    )
 
 
 @inner_kernel
 def overlap_turned(
-    x1: float, y1: float, c1: float, s1: float, length1: float, width1: float,
-    x2: float, y2: float, c2: float, s2: float, length2: float, width2: float,
-) -> bool:  # fmt: skip
+    x1: float,
+    y1: float,
+    c1: float,
+    s1: float,
+    length1: float,
+    width1: float,
+    x2: float,
+    y2: float,
+    c2: float,
+    s2: float,
+    length2: float,
+    width2: float,
+) -> bool:
     """`overlap` of boxes whose headings have the cosines c1, c2 and the sines s1, s2."""
     return axis_gap(x1, y1, c1, s1, length1, width1, x2, y2, c2, s2, length2, width2) <= 0.0
 
 
 @inner_kernel
 def axis_gap(
-    x1: float, y1: float, c1: float, s1: float, length1: float, width1: float,
-    x2: float, y2: float, c2: float, s2: float, length2: float, width2: float,
-) -> float:  # fmt: skip
+    x1: float,
+    y1: float,
+    c1: float,
+    s1: float,
+    length1: float,
+    width1: float,
+    x2: float,
+    y2: float,
+    c2: float,
+    s2: float,
+    length2: float,
+    width2: float,
+) -> float:
     """A lower bound of the distance of two boxes (see `overlap_turned`), m; not positive where they overlap (1)."""
     dx, dy = x2 - x1, y2 - y1
     gap = hypot(dx, dy) - 0.5 * (hypot(length1, width1) + hypot(length2, width2))
@@ -90,7 +120,9 @@ def axis_gap(
     for i in range(4):
         c, s = (c1, s1) if i < 2 else (c2, s2)
         ax, ay = (-s, c) if i % 2 == 0 else (c, s)  # side by side is the usual case
-        reach = _axis_reach(ax, ay, c1, s1, length1, width1) + _axis_reach(ax, ay, c2, s2, length2, width2)
+        reach = _axis_reach(ax, ay, c1, s1, length1, width1) + _axis_reach(
+            ax, ay, c2, s2, length2, width2
+        )
         gap = abs(dx * ax + dy * ay) - reach
         if gap > 0.0:
             return gap
@@ -108,9 +140,17 @@ def point_segment(px: float, py: float, ax: float, ay: float, bx: float, by: flo
 
 @kernel
 def distance(
-    x1: float, y1: float, yaw1: float, length1: float, width1: float,
-    x2: float, y2: float, yaw2: float, length2: float, width2: float,
-) -> float:  # fmt: skip
+    x1: float,
+    y1: float,
+    yaw1: float,
+    length1: float,
+    width1: float,
+    x2: float,
+    y2: float,
+    yaw2: float,
+    length2: float,
+    width2: float,
+) -> float:
     """Smallest distance between two boxes, m; 0 where they overlap."""
     if overlap(x1, y1, yaw1, length1, width1, x2, y2, yaw2, length2, width2):
         return 0.0
@@ -119,16 +159,30 @@ def distance(
     for i in range(4):
         for j in range(4):
             k = (j + 1) % 4
-            best = min(best, point_segment(one[i, 0], one[i, 1], two[j, 0], two[j, 1], two[k, 0], two[k, 1]))
-            best = min(best, point_segment(two[i, 0], two[i, 1], one[j, 0], one[j, 1], one[k, 0], one[k, 1]))
+            best = min(
+                best,
+                point_segment(one[i, 0], one[i, 1], two[j, 0], two[j, 1], two[k, 0], two[k, 1]),
+            )
+            best = min(
+                best,
+                point_segment(two[i, 0], two[i, 1], one[j, 0], one[j, 1], one[k, 0], one[k, 1]),
+            )
     return best
 
 
 @kernel
 def clearance(
-    x1: float, y1: float, yaw1: float, length1: float, width1: float,
-    x2: float, y2: float, yaw2: float, length2: float, width2: float,
-) -> float:  # fmt: skip
+    x1: float,
+    y1: float,
+    yaw1: float,
+    length1: float,
+    width1: float,
+    x2: float,
+    y2: float,
+    yaw2: float,
+    length2: float,
+    width2: float,
+) -> float:
     """Smallest distance between two boxes, m; where they overlap, minus the shortest shift that separates them (1)."""
     depth = inf
     for i in range(4):
@@ -141,9 +195,19 @@ def clearance(
 
 @kernel
 def time_to_contact(
-    x1: float, y1: float, yaw1: float, length1: float, width1: float,
-    x2: float, y2: float, yaw2: float, length2: float, width2: float, dvx: float, dvy: float,
-) -> float:  # fmt: skip
+    x1: float,
+    y1: float,
+    yaw1: float,
+    length1: float,
+    width1: float,
+    x2: float,
+    y2: float,
+    yaw2: float,
+    length2: float,
+    width2: float,
+    dvx: float,
+    dvy: float,
+) -> float:
     """Time until two boxes touch at constant velocity vectors and headings (2), s; inf if they never do.
 
     `dvx` and `dvy` are the velocity of the second box less that of the first, m/s.
@@ -168,25 +232,56 @@ def time_to_contact(
 
 @kernel
 def time_to_contact_turning(
-    x1: float, y1: float, yaw1: float, length1: float, width1: float, vx1: float, vy1: float, w1: float,
-    x2: float, y2: float, yaw2: float, length2: float, width2: float, vx2: float, vy2: float, w2: float, lasts: float,
-) -> float:  # fmt: skip
+    x1: float,
+    y1: float,
+    yaw1: float,
+    length1: float,
+    width1: float,
+    vx1: float,
+    vy1: float,
+    w1: float,
+    x2: float,
+    y2: float,
+    yaw2: float,
+    length2: float,
+    width2: float,
+    vx2: float,
+    vy2: float,
+    w2: float,
+    lasts: float,
+) -> float:
     """Time until two boxes touch that turn at the rates w1 and w2 for `lasts` s, then go on as in (2) (3), s; or inf.
 
     `lasts` is a multiple of `PIECE_S`.
     """
     if lasts == 0.0 or (w1 == 0.0 and w2 == 0.0):
-        return time_to_contact(x1, y1, yaw1, length1, width1, x2, y2, yaw2, length2, width2, vx2 - vx1, vy2 - vy1)
+        return time_to_contact(
+            x1, y1, yaw1, length1, width1, x2, y2, yaw2, length2, width2, vx2 - vx1, vy2 - vy1
+        )
     dx, dy, pieces = x2 - x1, y2 - y1, round(lasts / PIECE_S)
     for i in range(pieces + 1):
-        middle, span = (i + 0.5) * PIECE_S if i < pieces else pieces * PIECE_S, PIECE_S if i < pieces else inf
+        middle, span = (
+            (i + 0.5) * PIECE_S if i < pieces else pieces * PIECE_S,
+            PIECE_S if i < pieces else inf,
+        )
         half1, half2 = (0.5 * w1 * PIECE_S, 0.5 * w2 * PIECE_S) if i < pieces else (0.0, 0.0)
         short1, short2 = sin(half1) / half1 if half1 else 1.0, sin(half2) / half2 if half2 else 1.0
         c1, s1, c2, s2 = cos(w1 * middle), sin(w1 * middle), cos(w2 * middle), sin(w2 * middle)
         dvx = short2 * (vx2 * c2 - vy2 * s2) - short1 * (vx1 * c1 - vy1 * s1)
         dvy = short2 * (vx2 * s2 + vy2 * c2) - short1 * (vx1 * s1 + vy1 * c1)
         found = time_to_contact(
-            0.0, 0.0, yaw1 + w1 * middle, length1, width1, dx, dy, yaw2 + w2 * middle, length2, width2, dvx, dvy
+            0.0,
+            0.0,
+            yaw1 + w1 * middle,
+            length1,
+            width1,
+            dx,
+            dy,
+            yaw2 + w2 * middle,
+            length2,
+            width2,
+            dvx,
+            dvy,
         )
         if found <= span:
             return i * PIECE_S + found

@@ -103,7 +103,9 @@ class Trajectory:
         columns = [np.asarray(getattr(self, name), dtype=np.float64) for name in TRAJECTORY_COLUMNS]
         for name, column in zip(TRAJECTORY_COLUMNS, columns, strict=True):
             if column.shape != (len(columns[0]),) or not len(column):
-                raise ValueError(f"{name} has shape {column.shape}, expected ({len(columns[0])},) and not empty")
+                raise ValueError(
+                    f"{name} has shape {column.shape}, expected ({len(columns[0])},) and not empty"
+                )
         self._keep(np.array(columns))
 
     @classmethod
@@ -121,7 +123,10 @@ class Trajectory:
         """Check the rows `(7, n)` and store a copy of them."""
         turns, not_finite, still = _looked_through(rows)
         if not_finite >= 0:
-            name, index = TRAJECTORY_COLUMNS[not_finite // rows.shape[1]], not_finite % rows.shape[1]
+            name, index = (
+                TRAJECTORY_COLUMNS[not_finite // rows.shape[1]],
+                not_finite % rows.shape[1],
+            )
             raise ValueError(f"{name} is not finite at index {index} (t = {rows[0, index]:g} s)")
         if still >= 0:
             raise ValueError(f"time does not increase after {rows[0, still]} s")
@@ -129,7 +134,9 @@ class Trajectory:
             k = int(np.argmax(np.abs(rows[YAW_ROW])))
             if not abs(rows[YAW_ROW, k]) <= MOST_RAD:  # unwrapping would turn it into any angle
                 where = f"at index {k} (t = {rows[0, k]:g} s)"
-                raise ValueError(f"yaw is {rows[YAW_ROW, k]:g} rad {where}, beyond {MOST_RAD:g} rad")
+                raise ValueError(
+                    f"yaw is {rows[YAW_ROW, k]:g} rad {where}, beyond {MOST_RAD:g} rad"
+                )
             rows[YAW_ROW] = np.unwrap(rows[YAW_ROW])
         for name, row in zip(TRAJECTORY_COLUMNS, frozen(rows), strict=True):
             object.__setattr__(self, name, row)
@@ -151,14 +158,18 @@ class Trajectory:
             return EgoState(t, *[column.item(max(i, 0)) for column in self._columns()[1:]])
         begin, step = self.t.item(i), self.t.item(i + 1) - self.t.item(i)
         pairs = [(column.item(i), column.item(i + 1)) for column in self._columns()[1:]]
-        return EgoState(t, *[(after - before) / step * (t - begin) + before for before, after in pairs])
+        return EgoState(
+            t, *[(after - before) / step * (t - begin) + before for before, after in pairs]
+        )
 
     def _columns(self) -> tuple[FloatArray, ...]:
         return self.t, self.x, self.y, self.yaw, self.v, self.a, self.kappa
 
     def resampled(self, t: FloatArray) -> Trajectory:
         """Interpolate linearly at the times `t` `(m,)`, which increase and lie within the span."""
-        return Trajectory(t, *(np.interp(t, self.t, getattr(self, name)) for name in TRAJECTORY_COLUMNS[1:]))
+        return Trajectory(
+            t, *(np.interp(t, self.t, getattr(self, name)) for name in TRAJECTORY_COLUMNS[1:])
+        )
 
     def between(self, t_from: float, t_to: float) -> Trajectory:
         """Return the samples with `t_from <= t <= t_to`; ValueError if there is no such sample."""
@@ -208,7 +219,9 @@ class Controls:
         for field in fields(self):
             column = frozen(getattr(self, field.name))
             if column.shape != (len(self.t),):
-                raise ValueError(f"{field.name} has shape {column.shape}, expected ({len(self.t)},)")
+                raise ValueError(
+                    f"{field.name} has shape {column.shape}, expected ({len(self.t)},)"
+                )
             object.__setattr__(self, field.name, column)
 
     def __len__(self) -> int:

@@ -57,7 +57,9 @@ class LogSummary:
             out.append(line)
         if self.scenario is not None:
             out += _describe_facts(self.scenario)
-        out += [f"{'yes' if e.possible else 'no ':3}  {e.name}: {e.reason}" for e in self.evaluations]
+        out += [
+            f"{'yes' if e.possible else 'no ':3}  {e.name}: {e.reason}" for e in self.evaluations
+        ]
         if self.error is not None:
             out.append(f"error: {self.error}")
         return out
@@ -76,7 +78,9 @@ def summarise(path: Path, settings: LogSettings | None = None) -> LogSummary:
     except LogError as refusal:
         error = refusal if refusal.file is not None else refusal.at(path)
     has_vehicle = False
-    if scenario is not None and not any(note.startswith(VEHICLE_ASSUMED) for note in scenario.notes):
+    if scenario is not None and not any(
+        note.startswith(VEHICLE_ASSUMED) for note in scenario.notes
+    ):
         in_log = any(topic.topic == "/vehicle" for topic in contents.topics)
         has_vehicle = in_log or scenario.vehicle != VehicleParameters()
     return LogSummary(
@@ -99,7 +103,9 @@ def _facts(scenario: Scenario) -> dict[str, Any]:
     """
     ego, tracks, road = scenario.ego, scenario.tracks, scenario.road
     lanes, span = road.lanes.values(), float(ego.t[-1] - ego.t[0])
-    kinds = Counter(kind.value for kind, static in zip(tracks.kinds, tracks.static, strict=True) if not static)
+    kinds = Counter(
+        kind.value for kind, static in zip(tracks.kinds, tracks.static, strict=True) if not static
+    )
     return {
         "name": scenario.name,
         "source": scenario.source,
@@ -135,7 +141,10 @@ def _facts(scenario: Scenario) -> dict[str, Any]:
 
 
 def _describe_facts(found: dict[str, Any]) -> list[str]:
-    road, agents = found["road"], ", ".join(counted(count, kind) for kind, count in found["agents"].items())
+    road, agents = (
+        found["road"],
+        ", ".join(counted(count, kind) for kind, count in found["agents"].items()),
+    )
     ego = f"{counted(found['ego_samples'], 'state')} from {found['ego_span'][0]:.2f} to {found['ego_span'][1]:.2f} s"
     if found["ego_samples"] > 1:
         ego += f" ({found['ego_rate']:.1f} Hz), {found['ego_speed'][0]:.1f} to {found['ego_speed'][1]:.1f} m/s"
@@ -162,7 +171,11 @@ def _describe_goal(goal: Goal) -> str:
     if goal.alternatives:
         return "; or ".join(map(_describe_goal, goal.alternatives))
     parts = [f"in {len(goal.regions)} region(s)" if goal.regions else "at any place"]
-    for word, interval, unit in (("time", goal.t, "s"), ("speed", goal.v, "m/s"), ("heading", goal.yaw, "rad")):
+    for word, interval, unit in (
+        ("time", goal.t, "s"),
+        ("speed", goal.v, "m/s"),
+        ("heading", goal.yaw, "rad"),
+    ):
         if interval is not None:
             parts.append(f"{word} {interval[0]:g} to {interval[1]:g} {unit}")
     return ", ".join(parts)
@@ -173,8 +186,14 @@ def evaluations(scenario: Scenario, *, has_vehicle: bool) -> tuple[Evaluation, .
     ego, tracks, road = scenario.ego, scenario.tracks, scenario.road
     lanes = road.source is RoadSource.LANES
     unlimited = sum(not np.isfinite(lane.speed_limit) for lane in road.lanes.values())
-    compared = f"{len(ego)} ego states to compare with" if len(ego) > 1 else "one ego state only: nothing to compare"
-    lasting = f"{scenario.duration:.1f} s to drive" if scenario.duration > 0.0 else "the log lasts 0 s"
+    compared = (
+        f"{len(ego)} ego states to compare with"
+        if len(ego) > 1
+        else "one ego state only: nothing to compare"
+    )
+    lasting = (
+        f"{scenario.duration:.1f} s to drive" if scenario.duration > 0.0 else "the log lasts 0 s"
+    )
     backward = reversals(ego) if road.source is RoadSource.DRIVEN_PATH else ()
     part = forward_part(ego, backward)
     if backward:
@@ -198,7 +217,9 @@ def evaluations(scenario: Scenario, *, has_vehicle: bool) -> tuple[Evaluation, .
         "lane": sum(bool(lane.yields_to) for lane in road.lanes.values()),
     }
     detail = {"stop line": " with a light", "lane": " giving way"}
-    rules = ", ".join(f"{counted(count, name)}{detail.get(name, '')}" for name, count in counts.items() if count)
+    rules = ", ".join(
+        f"{counted(count, name)}{detail.get(name, '')}" for name, count in counts.items() if count
+    )
     goal = scenario.goal
     fault = goal and goal_fault(road, ego, goal, scenario.vehicle.axle_to_center)
     named = "no goal" if goal is None else fault.value if fault else "named in the log"
@@ -208,8 +229,18 @@ def evaluations(scenario: Scenario, *, has_vehicle: bool) -> tuple[Evaluation, .
         Evaluation("collisions, gaps, time to collision", len(tracks) > 0 and met, others),
         Evaluation("goal reached", goal is not None and fault is None, named),
         Evaluation("off road, lane keeping", lanes, road.source.value),
-        Evaluation("speed limits", lanes and unlimited < len(road.lanes), limits if lanes else "no lanes"),
-        Evaluation("lights, stop signs, crosswalks, right of way", bool(rules), rules or "the log names none"),
+        Evaluation(
+            "speed limits", lanes and unlimited < len(road.lanes), limits if lanes else "no lanes"
+        ),
+        Evaluation(
+            "lights, stop signs, crosswalks, right of way",
+            bool(rules),
+            rules or "the log names none",
+        ),
         Evaluation("tracking", scenario.duration > 0.0, vehicle),
-        Evaluation("steering and pedals against the log", controls, "logged" if controls else "no /controls"),
+        Evaluation(
+            "steering and pedals against the log",
+            controls,
+            "logged" if controls else "no /controls",
+        ),
     )

@@ -67,7 +67,8 @@ class PlannedFrame:
     def of(cls, frame: Frame, plan: Plan) -> PlannedFrame:
         """Make the record of a frame from the plan as kept (`Plan.recorded`) and the frame's kept part."""
         some, kept = frame.predictions, kept_samples(frame.predictions.t)
-        x, y, yaw = frozen(np.array([some.x[:, kept], some.y[:, kept], some.yaw[:, kept]]))  # frozen once for all
+        # Frozen once for all
+        x, y, yaw = frozen(np.array([some.x[:, kept], some.y[:, kept], some.yaw[:, kept]]))
         thinned = type(some)(some.t[kept], some.agent, some.probability, x, y, yaw, some.method)
         return cls(frame.t, plan, frame.agents.ids, thinned, frame.visibility)
 

@@ -38,9 +38,17 @@ def _last_samples(offsets: IntArray, t: FloatArray, time: float) -> IntArray:
 
 @kernel
 def _trends(
-    seen: IntArray, at: IntArray, offsets: IntArray, t: FloatArray, yaw: FloatArray, x: FloatArray, y: FloatArray,
-    vx: FloatArray, vy: FloatArray, speed: FloatArray,
-) -> FloatArray:  # fmt: skip
+    seen: IntArray,
+    at: IntArray,
+    offsets: IntArray,
+    t: FloatArray,
+    yaw: FloatArray,
+    x: FloatArray,
+    y: FloatArray,
+    vx: FloatArray,
+    vy: FloatArray,
+    speed: FloatArray,
+) -> FloatArray:
     """`_trend` of tracks `seen` at samples `at`, `(2, n)`; `speed` `(n,)` is the speed at those samples."""
     out = np.empty((2, len(seen)))
     for i in range(len(seen)):
@@ -50,9 +58,16 @@ def _trends(
 
 @inner_kernel
 def _trend(
-    first: int, last: int, t: FloatArray, yaw: FloatArray, x: FloatArray, y: FloatArray, vx: FloatArray,
-    vy: FloatArray, speed: float,
-) -> tuple[float, float]:  # fmt: skip
+    first: int,
+    last: int,
+    t: FloatArray,
+    yaw: FloatArray,
+    x: FloatArray,
+    y: FloatArray,
+    vx: FloatArray,
+    vy: FloatArray,
+    speed: float,
+) -> tuple[float, float]:
     """Return yaw rate and acceleration over the last `TREND_S` before sample `last`; 0 if unknown.
 
     The earlier speed is the logged one, else a backward difference.
@@ -74,9 +89,19 @@ def _trend(
 
 @kernel
 def _perceived_rows(
-    offsets: IntArray, static: BoolArray, turns: BoolArray, size: tuple[FloatArray, FloatArray], t: FloatArray,
-    x: FloatArray, y: FloatArray, yaw: FloatArray, vx: FloatArray, vy: FloatArray, patience: FloatArray, time: float,
-) -> tuple[IntArray, FloatArray, bool]:  # fmt: skip
+    offsets: IntArray,
+    static: BoolArray,
+    turns: BoolArray,
+    size: tuple[FloatArray, FloatArray],
+    t: FloatArray,
+    x: FloatArray,
+    y: FloatArray,
+    yaw: FloatArray,
+    vx: FloatArray,
+    vy: FloatArray,
+    patience: FloatArray,
+    time: float,
+) -> tuple[IntArray, FloatArray, bool]:
     """Compute `Tracks.perceived`: tracks seen `(k,)`, rows as in `Agents.of_rows`, whether `patience` is needed.
 
     `patience` `(m,)` may be empty: it is needed only if an agent's last sample is older than `MAX_AGE_S`.
@@ -168,8 +193,19 @@ class Tracks:
         object.__setattr__(self, "static", frozen(self.static, np.bool_))
         object.__setattr__(self, "offsets", frozen(self.offsets, np.int64))
         n, m = len(self.ids), len(self.t)
-        shapes = {len(self.kinds), len(self.length), len(self.width), len(self.static), len(self.offsets) - 1}
-        if shapes != {n} or self.offsets[0] != 0 or self.offsets[-1] != m or (np.diff(self.offsets) < 1).any():
+        shapes = {
+            len(self.kinds),
+            len(self.length),
+            len(self.width),
+            len(self.static),
+            len(self.offsets) - 1,
+        }
+        if (
+            shapes != {n}
+            or self.offsets[0] != 0
+            or self.offsets[-1] != m
+            or (np.diff(self.offsets) < 1).any()
+        ):
             raise ValueError("tracks: per-agent columns or offsets disagree")
         if len(set(self.ids)) != n:
             raise ValueError("tracks: two agents have the same id")
@@ -179,7 +215,15 @@ class Tracks:
         for name in ("vx", "vy"):
             if getattr(self, name).shape != (m,) or np.isinf(getattr(self, name)).any():
                 raise ValueError(f"tracks: {name} has a wrong length or is infinite")
-        if n and not (np.isfinite(self.length) & (self.length > 0) & np.isfinite(self.width) & (self.width > 0)).all():
+        if (
+            n
+            and not (
+                np.isfinite(self.length)
+                & (self.length > 0)
+                & np.isfinite(self.width)
+                & (self.width > 0)
+            ).all()
+        ):
             raise ValueError("tracks: length and width must be positive")
         rising = np.diff(self.t) > 0.0
         rising[self.offsets[1:-1] - 1] = True
@@ -217,7 +261,9 @@ class Tracks:
         ids, kinds = tuple(self.ids[i] for i in left), tuple(self.kinds[i] for i in left)
         columns = (getattr(self, name)[keep] for name in SAMPLE_COLUMNS)
         offsets = np.r_[0, np.cumsum(sizes[left])]
-        return Tracks(ids, kinds, self.length[left], self.width[left], self.static[left], offsets, *columns)
+        return Tracks(
+            ids, kinds, self.length[left], self.width[left], self.static[left], offsets, *columns
+        )
 
     def only(self, ids: Collection[str]) -> Tracks:
         """Return the tracks of these road users, with all their samples."""
@@ -225,9 +271,14 @@ class Tracks:
 
     def with_more(self, more: Tracks) -> Tracks:
         """Return these tracks and then `more`, whose ids are others."""
-        columns = {name: np.r_[getattr(self, name), getattr(more, name)] for name in (*TRACK_COLUMNS, *SAMPLE_COLUMNS)}
+        columns = {
+            name: np.r_[getattr(self, name), getattr(more, name)]
+            for name in (*TRACK_COLUMNS, *SAMPLE_COLUMNS)
+        }
         offsets = np.r_[self.offsets, self.offsets[-1] + more.offsets[1:]]
-        return Tracks((*self.ids, *more.ids), (*self.kinds, *more.kinds), offsets=offsets, **columns)
+        return Tracks(
+            (*self.ids, *more.ids), (*self.kinds, *more.kinds), offsets=offsets, **columns
+        )
 
     def shifted(self, seconds: float) -> Tracks:
         """The same tracks, `seconds` later."""
@@ -250,7 +301,9 @@ class Tracks:
         """Velocity and acceleration at each sample, estimated from the whole track: for metrics, never for planners."""
         parts = np.union1d(self.offsets, np.flatnonzero(self.gap_after) + 1)
         owner = np.searchsorted(self.offsets, parts[:-1], side="right") - 1
-        return estimated(self.kinds, ~self.static, parts, owner, (self.t, self.x, self.y, self.vx, self.vy))
+        return estimated(
+            self.kinds, ~self.static, parts, owner, (self.t, self.x, self.y, self.vx, self.vy)
+        )
 
     @cached_property
     def codes(self) -> IntArray:
@@ -295,16 +348,31 @@ class Tracks:
         at = np.where(self.static[seen], self.offsets[seen], before[seen])
         after = np.where(self.static[seen] | self.gap_after[at], at, np.minimum(at + 1, last[seen]))
         span = self.t[after] - self.t[at]
-        u = np.clip(np.divide(time - self.t[at], span, out=np.zeros(len(at)), where=span > 0.0), 0.0, 1.0)
+        u = np.clip(
+            np.divide(time - self.t[at], span, out=np.zeros(len(at)), where=span > 0.0), 0.0, 1.0
+        )
         moved = self.motion
         columns = (self.x, self.y, self.yaw, moved.vx, moved.vy, moved.accel)
-        x, y, yaw, vx, vy, accel = (values[at] + u * (values[after] - values[at]) for values in columns)
+        x, y, yaw, vx, vy, accel = (
+            values[at] + u * (values[after] - values[at]) for values in columns
+        )
         speed = np.hypot(vx, vy)
-        trends = _trends(seen, at, self.offsets, self.t, self.yaw, self.x, self.y, self.vx, self.vy, speed)
+        trends = _trends(
+            seen, at, self.offsets, self.t, self.yaw, self.x, self.y, self.vx, self.vy, speed
+        )
         return Agents(
-            tuple(self.ids[i] for i in seen), tuple(self.kinds[i] for i in seen), self.length[seen], self.width[seen],
-            x, y, yaw, vx, vy, yaw_rate=self._turns[seen] * trends[0], accel=np.where(self.static[seen], 0.0, accel),
-        )  # fmt: skip
+            tuple(self.ids[i] for i in seen),
+            tuple(self.kinds[i] for i in seen),
+            self.length[seen],
+            self.width[seen],
+            x,
+            y,
+            yaw,
+            vx,
+            vy,
+            yaw_rate=self._turns[seen] * trends[0],
+            accel=np.where(self.static[seen], 0.0, accel),
+        )
 
     def ids_at(self, time: float) -> tuple[str, ...]:
         """Return the ids of the agents in `truth(time)`."""
@@ -315,7 +383,9 @@ class Tracks:
         before = _last_samples(self.offsets, self.t, time)
         last = self.offsets[1:] - 1
         gone = self.gap_after[before] & (time > self.t[before] + 1e-9)
-        return np.flatnonzero(self.static | ((before >= 0) & (self.t[last] >= time - 1e-9) & ~gone)), before
+        return np.flatnonzero(
+            self.static | ((before >= 0) & (self.t[last] >= time - 1e-9) & ~gone)
+        ), before
 
     def velocity(self, seen: IntArray, at: IntArray) -> tuple[FloatArray, FloatArray]:
         """Return vx and vy `(k,)` of the tracks `seen` at their samples `at`: logged, else backward differences."""
@@ -323,6 +393,8 @@ class Tracks:
         span = self.t[at] - self.t[before]
         found = []
         for values, logged in ((self.x, self.vx[at]), (self.y, self.vy[at])):
-            step = np.divide(values[at] - values[before], span, out=np.zeros(len(at)), where=span > 0.0)
+            step = np.divide(
+                values[at] - values[before], span, out=np.zeros(len(at)), where=span > 0.0
+            )
             found.append(np.where(np.isfinite(logged), logged, step) * ~self.static[seen])
         return found[0], found[1]

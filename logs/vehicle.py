@@ -103,18 +103,43 @@ class VehicleParameters:
     shift_time: float = 0.2
 
     def __post_init__(self) -> None:
-        for name in ("length", "width", "wheelbase", "mass", "max_steer", "max_decel", "tyre_friction", "wheel_radius"):
+        for name in (
+            "length",
+            "width",
+            "wheelbase",
+            "mass",
+            "max_steer",
+            "max_decel",
+            "tyre_friction",
+            "wheel_radius",
+        ):
             if not getattr(self, name) > 0.0:
                 raise ValueError(f"vehicle {name} must be positive, got {getattr(self, name)}")
         if not 0.0 <= self.rear_overhang <= self.length - self.wheelbase:
             raise ValueError("vehicle rear_overhang must lie between 0 and length - wheelbase")
         n = len(self.motor_speed)
-        if (len(self.motor_torque), len(self.motor_overrun)) != (n, n) or bool(self.gears) != bool(n):
-            raise ValueError("vehicle gears, motor_speed, motor_torque and motor_overrun: give all of them or none")
-        if n and (n < 2 or not all(a < b for a, b in zip((0.0, *self.motor_speed), self.motor_speed, strict=False))):
-            raise ValueError("vehicle motor_speed must have at least two values, positive and increasing")
-        if min((*self.gears, 1.0)) <= 0.0 or min((*self.motor_torque, *self.motor_overrun, 0.0)) < 0.0:
-            raise ValueError("vehicle gears must be positive, motor_torque and motor_overrun not negative")
+        if (len(self.motor_torque), len(self.motor_overrun)) != (n, n) or bool(self.gears) != bool(
+            n
+        ):
+            raise ValueError(
+                "vehicle gears, motor_speed, motor_torque and motor_overrun: give all of them or none"
+            )
+        if n and (
+            n < 2
+            or not all(
+                a < b for a, b in zip((0.0, *self.motor_speed), self.motor_speed, strict=False)
+            )
+        ):
+            raise ValueError(
+                "vehicle motor_speed must have at least two values, positive and increasing"
+            )
+        if (
+            min((*self.gears, 1.0)) <= 0.0
+            or min((*self.motor_torque, *self.motor_overrun, 0.0)) < 0.0
+        ):
+            raise ValueError(
+                "vehicle gears must be positive, motor_torque and motor_overrun not negative"
+            )
 
     @property
     def axle_to_front(self) -> float:
@@ -139,7 +164,10 @@ class VehicleParameters:
     def loaded(self, mass: float) -> VehicleParameters:
         """Return the vehicle with another mass, kg; the forces of motor, brakes and drag stay the same."""
         ratio = self.mass / mass
-        scaled = {name: ratio * getattr(self, name) for name in ("max_accel", "max_power", "max_decel", "drag")}
+        scaled = {
+            name: ratio * getattr(self, name)
+            for name in ("max_accel", "max_power", "max_decel", "drag")
+        }
         return replace(self, mass=mass, **scaled)
 
 
@@ -154,24 +182,33 @@ def assumed_car(sizes: Mapping[str, float], notes: list[str]) -> VehicleParamete
     wheelbase = sizes.get("wheelbase", scale * default.wheelbase)
     overhang = sizes.get("rear_overhang", scale * default.rear_overhang)
     if not 0.0 < wheelbase < length:
-        notes.append("The ego's wheelbase does not fit its length: it is that of the default car, in proportion.")
+        notes.append(
+            "The ego's wheelbase does not fit its length: it is that of the default car, in proportion."
+        )
         wheelbase = scale * default.wheelbase
     if not 0.0 <= overhang <= length - wheelbase:
-        notes.append("The log does not say where the ego's rear axle is in its box: as in the default car, assumed.")
+        notes.append(
+            "The log does not say where the ego's rear axle is in its box: as in the default car, assumed."
+        )
         overhang = min(scale * default.rear_overhang, length - wheelbase)
     notes.append("Masses, tyres and limits of the ego's vehicle are those of the default car.")
     cog = default.cog_to_front * wheelbase / default.wheelbase
     found: dict[str, Any] = {
-        "length": length, "width": sizes.get("width", default.width), "wheelbase": wheelbase, "rear_overhang": overhang,
+        "length": length,
+        "width": sizes.get("width", default.width),
+        "wheelbase": wheelbase,
+        "rear_overhang": overhang,
         "cog_to_front": cog,
-    }  # fmt: skip
+    }
     return replace(default, **found)
 
 
 def vehicle_names() -> tuple[str, ...]:
     """The vehicles of `logs/vehicles`, in alphabetical order."""
     folder = files("replan.logs") / "vehicles"
-    return tuple(sorted(entry.name[:-5] for entry in folder.iterdir() if entry.name.endswith(".toml")))
+    return tuple(
+        sorted(entry.name[:-5] for entry in folder.iterdir() if entry.name.endswith(".toml"))
+    )
 
 
 def vehicle_parameters(name: str) -> VehicleParameters:
@@ -180,5 +217,7 @@ def vehicle_parameters(name: str) -> VehicleParameters:
         raise unknown_name("vehicle", name, vehicle_names())
     text = (files("replan.logs") / "vehicles" / f"{name}.toml").read_text(encoding="utf-8")
     table = tomllib.loads(text)
-    numbers: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else float(v) for key, v in table.items()}
+    numbers: dict[str, Any] = {
+        key: tuple(v) if isinstance(v, list) else float(v) for key, v in table.items()
+    }
     return VehicleParameters(**numbers)

@@ -56,57 +56,152 @@ __all__ = [
     "series",
 ]
 
-GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
-    "accuracy": (plans.ADE, plans.FDE, plans.AHE, plans.FHE, plans.ALONG, plans.CROSS, plans.MISS),
-    "safety": (
-        safety.COLLISION, safety.COLLISION_AT_FAULT, safety.GAP, safety.GAP_VULNERABLE, safety.GAP_KEPT,
-        safety.GAP_KEPT_VULNERABLE, safety.TTC, safety.OFF_ROAD, proposals.PLAN_COLLISION, proposals.PLAN_OFF_ROAD,
-        proposals.PLAN_TTC, safety.TTC_VULNERABLE, safety.COLLISION_SEVERITY, *following.FOLLOWING,
-        encounters.TTC_ACCELERATED, encounters.DCE, encounters.TTCE, encounters.PET, following.RSS_MARGIN,
-        following.RSS_IMPROPER,
-    ),
-    "rules": (
-        traffic_rules.RED_LIGHT, traffic_rules.YELLOW_LIGHT, traffic_rules.STOP_SIGN, traffic_rules.CROSSWALK,
-        traffic_rules.PRIORITY_GAP, traffic_rules.PRIORITY_GAP_ASSUMED, traffic_rules.YIELDING,
-        cut_in.FORCED_BRAKING, needless.NEEDLESS_BRAKING, needless.NEEDLESS_STANDING, needless.NEEDLESS_STEERING,
-        needless.FALSE_BRAKING, needless.MISSED_BRAKING, safety.PASSING_ROOM, traffic_rules.WRONG_WAY,
-        traffic_rules.LANE_KEEPING, traffic_rules.LANE_LINE,
-        progress.SPEED_EXCESS, progress.SPEED_RATIO, progress.ASSUMED_LIMIT_EXCESS, *needless.STEADINESS,
-    ),
-    "comfort": (
-        comfort.LON_ACCEL, comfort.LAT_ACCEL, comfort.LON_JERK_STATE, comfort.LAT_JERK_STATE, comfort.YAW_RATE,
-        proposals.PLAN_COMFORT, proposals.PLAN_LON_ACCEL, proposals.PLAN_LAT_ACCEL, proposals.PLAN_LON_JERK,
-        comfort.JERK_STATE, comfort.YAW_ACCEL, *comfort.NUPLAN, comfort.LAT_JERK_R79,
-    ),
-    "progress": (
-        progress.COMPLETED, progress.GOAL, progress.PROGRESS, progress.DISTANCE, progress.SPEED,
-        progress.ROUTE_PROGRESS, progress.COMPLETION,
-    ),
-    "tracking": comfort.TRACKING,
-    "effort": comfort.EFFORT,
-    "consistency": (
-        plans.PLAN_CHANGE, plans.PLAN_CHANGE_LATERAL, plans.EXTENDED_COMFORT, plans.PLAN_HORIZON, plans.PLAN_COMPLETE,
-    ),
-    "plans": (proposals.PLAN_SCORE, proposals.PLAN_PROGRESS, proposals.PLAN_KEPT, proposals.PLAN_KEPT_LATERAL),
-    "evidence": (
-        evidence.COVERAGE, progress.COVERED, arrival.GOAL_ROUTE, evidence.EVIDENCE, evidence.AGENT_INTERVAL,
-        evidence.REPLAY_CONTACT, evidence.PLAN_REFUSED, evidence.PLAN_CORRECTED, evidence.ENSEMBLE, evidence.ASKED,
-        evidence.DISCRIMINATION, evidence.PHANTOM, evidence.DIVERGENCE, evidence.WEAK, evidence.DISPLACED,
-    ),
-    "reference": reference_drivers.REFERENCE,
-    "score": (driving_scores.NUPLAN_CLOSED_SCORE, driving_scores.NUPLAN_OPEN_SCORE, driving_scores.CARLA_SCORE),
-})  # fmt: skip
+GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType(
+    {
+        "accuracy": (
+            plans.ADE,
+            plans.FDE,
+            plans.AHE,
+            plans.FHE,
+            plans.ALONG,
+            plans.CROSS,
+            plans.MISS,
+        ),
+        "safety": (
+            safety.COLLISION,
+            safety.COLLISION_AT_FAULT,
+            safety.GAP,
+            safety.GAP_VULNERABLE,
+            safety.GAP_KEPT,
+            safety.GAP_KEPT_VULNERABLE,
+            safety.TTC,
+            safety.OFF_ROAD,
+            proposals.PLAN_COLLISION,
+            proposals.PLAN_OFF_ROAD,
+            proposals.PLAN_TTC,
+            safety.TTC_VULNERABLE,
+            safety.COLLISION_SEVERITY,
+            *following.FOLLOWING,
+            encounters.TTC_ACCELERATED,
+            encounters.DCE,
+            encounters.TTCE,
+            encounters.PET,
+            following.RSS_MARGIN,
+            following.RSS_IMPROPER,
+        ),
+        "rules": (
+            traffic_rules.RED_LIGHT,
+            traffic_rules.YELLOW_LIGHT,
+            traffic_rules.STOP_SIGN,
+            traffic_rules.CROSSWALK,
+            traffic_rules.PRIORITY_GAP,
+            traffic_rules.PRIORITY_GAP_ASSUMED,
+            traffic_rules.YIELDING,
+            cut_in.FORCED_BRAKING,
+            needless.NEEDLESS_BRAKING,
+            needless.NEEDLESS_STANDING,
+            needless.NEEDLESS_STEERING,
+            needless.FALSE_BRAKING,
+            needless.MISSED_BRAKING,
+            safety.PASSING_ROOM,
+            traffic_rules.WRONG_WAY,
+            traffic_rules.LANE_KEEPING,
+            traffic_rules.LANE_LINE,
+            progress.SPEED_EXCESS,
+            progress.SPEED_RATIO,
+            progress.ASSUMED_LIMIT_EXCESS,
+            *needless.STEADINESS,
+        ),
+        "comfort": (
+            comfort.LON_ACCEL,
+            comfort.LAT_ACCEL,
+            comfort.LON_JERK_STATE,
+            comfort.LAT_JERK_STATE,
+            comfort.YAW_RATE,
+            proposals.PLAN_COMFORT,
+            proposals.PLAN_LON_ACCEL,
+            proposals.PLAN_LAT_ACCEL,
+            proposals.PLAN_LON_JERK,
+            comfort.JERK_STATE,
+            comfort.YAW_ACCEL,
+            *comfort.NUPLAN,
+            comfort.LAT_JERK_R79,
+        ),
+        "progress": (
+            progress.COMPLETED,
+            progress.GOAL,
+            progress.PROGRESS,
+            progress.DISTANCE,
+            progress.SPEED,
+            progress.ROUTE_PROGRESS,
+            progress.COMPLETION,
+        ),
+        "tracking": comfort.TRACKING,
+        "effort": comfort.EFFORT,
+        "consistency": (
+            plans.PLAN_CHANGE,
+            plans.PLAN_CHANGE_LATERAL,
+            plans.EXTENDED_COMFORT,
+            plans.PLAN_HORIZON,
+            plans.PLAN_COMPLETE,
+        ),
+        "plans": (
+            proposals.PLAN_SCORE,
+            proposals.PLAN_PROGRESS,
+            proposals.PLAN_KEPT,
+            proposals.PLAN_KEPT_LATERAL,
+        ),
+        "evidence": (
+            evidence.COVERAGE,
+            progress.COVERED,
+            arrival.GOAL_ROUTE,
+            evidence.EVIDENCE,
+            evidence.AGENT_INTERVAL,
+            evidence.REPLAY_CONTACT,
+            evidence.PLAN_REFUSED,
+            evidence.PLAN_CORRECTED,
+            evidence.ENSEMBLE,
+            evidence.ASKED,
+            evidence.DISCRIMINATION,
+            evidence.PHANTOM,
+            evidence.DIVERGENCE,
+            evidence.WEAK,
+            evidence.DISPLACED,
+        ),
+        "reference": reference_drivers.REFERENCE,
+        "score": (
+            driving_scores.NUPLAN_CLOSED_SCORE,
+            driving_scores.NUPLAN_OPEN_SCORE,
+            driving_scores.CARLA_SCORE,
+        ),
+    }
+)
 """The metrics by topic, in the order of the table."""
 
-METRICS: Mapping[str, Metric] = MappingProxyType({metric.name: metric for group in GROUPS.values() for metric in group})
+METRICS: Mapping[str, Metric] = MappingProxyType(
+    {metric.name: metric for group in GROUPS.values() for metric in group}
+)
 """The metrics by name, in the order of the table."""
 
 COLUMNS = (
-    "log", "planner", "mode", "oracle", "metric", "value", "unit", "direction", "available", "reason", "about",
-    "time_s", "version", "source",
-)  # fmt: skip
+    "log",
+    "planner",
+    "mode",
+    "oracle",
+    "metric",
+    "value",
+    "unit",
+    "direction",
+    "available",
+    "reason",
+    "about",
+    "time_s",
+    "version",
+    "source",
+)
 
-OnError = Callable[[Metric, str, BaseException], None]  # the metric that raised, the reason as text, and the error
+# The metric that raised, the reason as text, and the error
+OnError = Callable[[Metric, str, BaseException], None]
 
 
 def evaluate(
@@ -128,7 +223,9 @@ def evaluate(
     return as_table(rows_of(trace, scenario, metrics=metrics, broken=broken, found=found))
 
 
-def series(trace: Trace, scenario: Scenario, *, metrics: Mapping[str, Metric] = METRICS) -> pd.DataFrame:
+def series(
+    trace: Trace, scenario: Scenario, *, metrics: Mapping[str, Metric] = METRICS
+) -> pd.DataFrame:
     """Return the steps behind the table in long form: `t_s`, `metric` ("gap", "ade.3s"), `value` (NaN: no value).
 
     Sorted by metric, then by time.
@@ -147,7 +244,9 @@ def evaluate_with_series(
     return table, pd.DataFrame(
         {
             "t_s": np.concatenate([none, *(steps.t for _, steps in found)]),
-            "metric": np.repeat(np.array([name for name, _ in found], object), [len(steps.t) for _, steps in found]),
+            "metric": np.repeat(
+                np.array([name for name, _ in found], object), [len(steps.t) for _, steps in found]
+            ),
             "value": np.concatenate([none, *(steps.value for _, steps in found)]),
         }
     )
@@ -156,7 +255,9 @@ def evaluate_with_series(
 def as_table(rows: Sequence[tuple[object, ...]]) -> pd.DataFrame:
     """Convert the rows of `rows_of` to a table. One call for several drives is cheaper than joining their tables."""
     columns = {name: [row[k] for row in rows] for k, name in enumerate(COLUMNS)}
-    return pd.DataFrame({**columns, **{name: np.array(columns[name], np.float64) for name in ("value", "time_s")}})
+    return pd.DataFrame(
+        {**columns, **{name: np.array(columns[name], np.float64) for name in ("value", "time_s")}}
+    )
 
 
 def rows_of(
@@ -169,12 +270,16 @@ def rows_of(
 ) -> list[tuple[object, ...]]:
     """Return the rows of `evaluate`. All metrics ignore phantom agents."""
     ours = all(METRICS.get(name) is metric for name, metric in metrics.items())
-    frames = light(trace.frames) if ours else trace.frames  # no built-in metric reads graphs or predictions
+    # No built-in metric reads graphs or predictions
+    frames = light(trace.frames) if ours else trace.frames
     agents = without_phantoms(trace.agents, phantoms(scenario))
     changed = agents is not trace.agents or frames is not trace.frames
     # an unchanged trace keeps its cached measurements
     judged = replace(trace, agents=agents, frames=frames) if changed else trace
-    drive, short = (scenario.name, trace.planner, trace.mode.value, trace.oracle), scenario.short_names
+    drive, short = (
+        (scenario.name, trace.planner, trace.mode.value, trace.oracle),
+        scenario.short_names,
+    )
     rows: list[tuple[object, ...]] = []
     for metric in metrics.values():
         if trace.mode not in metric.modes:
@@ -182,25 +287,43 @@ def rows_of(
         try:
             parts = metric.measured(judged, scenario)
         except (Exception, SystemExit) as error:
-            parts = metric.unavailable(Unavailable(_report_error(metric, metric.measure, error, broken)))
+            parts = metric.unavailable(
+                Unavailable(_report_error(metric, metric.measure, error, broken))
+            )
         for name, steps in parts.items():
             if isinstance(steps, Series):
                 found(name, steps)
             for reduction in metric.reductions:
-                unit, better = reduction.unit or metric.unit, reduction.direction or metric.direction
+                unit, better = (
+                    reduction.unit or metric.unit,
+                    reduction.direction or metric.direction,
+                )
                 try:
                     value, available, reason, time_s = _reduce(reduction, steps)
                 except (Exception, SystemExit) as error:
                     reason = _report_error(metric, reduction.reduce, error, broken)
                     value, available, time_s = nan, False, nan
-                rows.append((
-                    *drive, f"{name}.{reduction.name}", value, unit, better, available, short(reason) if reason else "",
-                    reason.partition(":")[0] if available else "", time_s, metric.version, metric.source,
-                ))  # fmt: skip
+                rows.append(
+                    (
+                        *drive,
+                        f"{name}.{reduction.name}",
+                        value,
+                        unit,
+                        better,
+                        available,
+                        short(reason) if reason else "",
+                        reason.partition(":")[0] if available else "",
+                        time_s,
+                        metric.version,
+                        metric.source,
+                    )
+                )
     return rows
 
 
-def _report_error(metric: Metric, function: Callable[..., object], error: BaseException, broken: OnError | None) -> str:
+def _report_error(
+    metric: Metric, function: Callable[..., object], error: BaseException, broken: OnError | None
+) -> str:
     """Call `broken` and return the reason of an error in a metric's function; without `broken`, raise it again."""
     if broken is None:
         raise error
@@ -217,7 +340,11 @@ def _reduce(reduction: Reduction, steps: Measured) -> tuple[float, bool, str, fl
     if isinstance(steps, Unavailable):
         return nan, False, steps.reason, nan
     if not steps.known.any():
-        return (nan, False, steps.missing, nan) if reduction.empty is None else (reduction.empty, True, "", nan)
+        return (
+            (nan, False, steps.missing, nan)
+            if reduction.empty is None
+            else (reduction.empty, True, "", nan)
+        )
     value, step = reduction.reduce(steps)
     value, step = float(value), index(step)
     if not -1 <= step < len(steps.t):
@@ -228,7 +355,9 @@ def _reduce(reduction: Reduction, steps: Measured) -> tuple[float, bool, str, fl
     return value, True, label, float(steps.t[step]) if step >= 0 else nan
 
 
-METRIC: ExtensionKind[Metric] = ExtensionKind("metric", "metrics", METRICS, an_instance(Metric, "replan.Metric"))
+METRIC: ExtensionKind[Metric] = ExtensionKind(
+    "metric", "metrics", METRICS, an_instance(Metric, "replan.Metric")
+)
 """Finds metrics by name: the built-in ones and those of users."""
 
 

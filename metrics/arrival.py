@@ -23,7 +23,14 @@ from replan.logs.states import TRAJECTORY_COLUMNS, Trajectory
 from replan.logs.trace import EndReason, Mode, Trace
 from replan.metrics import metric
 from replan.metrics.metric import Measured, Metric, Series, Unavailable
-from replan.metrics.progress import FLOOR_M, LEAST_COVERED, ProgressLine, gain_along, route_of, way_of
+from replan.metrics.progress import (
+    FLOOR_M,
+    LEAST_COVERED,
+    ProgressLine,
+    gain_along,
+    route_of,
+    way_of,
+)
 
 SHORTEST_DRIVE_M = 10.0
 """The end of a drive becomes the goal only if the log's driver gains at least this along the route."""
@@ -43,7 +50,9 @@ def goal_of(scenario: Scenario) -> tuple[Goal | None, str]:
         return None, ""
     last, ahead = scenario.ego.state(len(scenario.ego) - 1), scenario.vehicle.axle_to_center
     place = Goal.around(*last.ahead(ahead), last.yaw)
-    way = max(way_of(place, scenario.ego, route, ahead), min(NEARLY * gained, gained - GOAL_LENGTH_M))
+    way = max(
+        way_of(place, scenario.ego, route, ahead), min(NEARLY * gained, gained - GOAL_LENGTH_M)
+    )
     return replace(place, way=way), NO_GOAL_NOTE
 
 
@@ -84,13 +93,19 @@ class Arrival:
     def at(self, rows: FloatArray, k: int) -> bool:
         """Return whether the drive has arrived at row `k`; columns of the rows: `TRAJECTORY_COLUMNS` first."""
         t, x, y, yaw, v = rows[k, :5].tolist()
-        if not self._goal.reached(t, x + self._ahead * cos(yaw), y + self._ahead * sin(yaw), yaw, v):
+        if not self._goal.reached(
+            t, x + self._ahead * cos(yaw), y + self._ahead * sin(yaw), yaw, v
+        ):
             return False
         if self._route is None:
             return True
         new = Trajectory(*rows[self._row : k + 1, : len(TRAJECTORY_COLUMNS)].T)
         found = gain_along(self._route, new, self._station)
-        self._row, self._station, self._gain = k, found.station, self._gain + float(found.metres[-1])
+        self._row, self._station, self._gain = (
+            k,
+            found.station,
+            self._gain + float(found.metres[-1]),
+        )
         return self._gain >= self._goal.way
 
 
@@ -99,12 +114,20 @@ def _goal_route(trace: Trace, scenario: Scenario) -> Measured:
         return Unavailable("the log names no goal")
     fault = fault_of(scenario)
     there = fault is None or (trace.end is EndReason.GOAL and fault is not GoalFault.AT_START)
-    return Series(trace.ego.t[-1:], np.array([float(there)]), ("" if fault is None else fault.value,))
+    return Series(
+        trace.ego.t[-1:], np.array([float(there)]), ("" if fault is None else fault.value,)
+    )
 
 
 GOAL_ROUTE = Metric(
-    "goal_route", "1", "higher", (Mode.CLOSED,), _goal_route, (metric.FINAL,),
+    "goal_route",
+    "1",
+    "higher",
+    (Mode.CLOSED,),
+    _goal_route,
+    (metric.FINAL,),
     "1 if lanes lead from the ego's start to the goal that the log names, or if the drive arrived there; 0 if not, or"
     " if the drive begins at the goal.",
-    formula="1 if there is a way to drive, else 0", needs="a log that names a goal",
-)  # fmt: skip
+    formula="1 if there is a way to drive, else 0",
+    needs="a log that names a goal",
+)

@@ -36,12 +36,17 @@ PIECE_STEPS = 4096  # Steps of a piece of a longer drive, unless that exceeds `M
 BEHIND = cos(150.0 / 180.0 * np.pi)
 STANDING_MPS = 0.05  # nuPlan devkit e9241677: a road user at this speed or below stands
 NO_TTC_MPS = 0.005  # Likewise: an ego at this speed or below has no time to collision
-TURN_S = 1.5  # Time for which turning road users go on turning: they end their turns, and 1.5 s is a critical TTC
+# Time for which turning road users go on turning: they end their turns, and 1.5 s is a critical TTC
+TURN_S = 1.5
 AROUND_S = (
-    1.0  # Margin before and after a phantom: above `replan.logs.observed.MAX_GAP_S`, so that every track gets a gap
+    # Margin before and after a phantom: above `replan.logs.observed.MAX_GAP_S`, so that every track
+    # gets a gap
+    1.0
 )
 FINE_S = 0.05  # Time step of the search for phantoms, s
-DEEP_M = 0.3  # Depth that a phantom reaches into the ego's box on each side; a box that only grazes it is no phantom
+# Depth that a phantom reaches into the ego's box on each side; a box that only grazes it is no
+# phantom
+DEEP_M = 0.3
 
 
 class OtherBoxes(NamedTuple):
@@ -79,8 +84,12 @@ def some_at(tracks: Tracks, agents: IntArray, t: FloatArray) -> OtherBoxes:
     at = np.repeat(tracks.offsets[agents] - offsets[:-1], lengths) + np.arange(offsets[-1])
     moves = (moved.vx, moved.vy, moved.accel, moved.turn)
     columns = np.stack([some[at] for some in (tracks.x, tracks.y, tracks.yaw, *moves)])
-    there, found = _on_grid(offsets, tracks.static[agents], tracks.t[at], tracks.gap_after[at], columns, frozen(t))
-    return OtherBoxes(there, found[:5], found[5], found[6], np.column_stack([tracks.length, tracks.width])[agents])
+    there, found = _on_grid(
+        offsets, tracks.static[agents], tracks.t[at], tracks.gap_after[at], columns, frozen(t)
+    )
+    return OtherBoxes(
+        there, found[:5], found[5], found[6], np.column_stack([tracks.length, tracks.width])[agents]
+    )
 
 
 def pieces(tracks: Tracks, t: FloatArray) -> Iterator[tuple[slice, IntArray, OtherBoxes]]:
@@ -121,7 +130,9 @@ def in_spans(tracks: Tracks, t: FloatArray) -> Iterator[tuple[int, slice, OtherB
 
 
 def nearest(
-    tracks: Tracks, t: FloatArray, measure: Callable[[slice, IntArray, OtherBoxes], tuple[FloatArray, IntArray]]
+    tracks: Tracks,
+    t: FloatArray,
+    measure: Callable[[slice, IntArray, OtherBoxes], tuple[FloatArray, IntArray]],
 ) -> tuple[FloatArray, IntArray]:
     """Join the results of a kernel over all `pieces`: values `(..., k)` and tracks `(k,)`, -1 where there is no row."""
     found = [(seen, *measure(steps, seen, others)) for steps, seen, others in pieces(tracks, t)]
@@ -136,7 +147,9 @@ def indices_of(agents: IntArray, rows: IntArray) -> IntArray:
 
 def present_between(tracks: Tracks, first: float, last: float) -> IntArray:
     """Return the tracks whose samples reach into `first` to `last`, s, and the static ones, in order."""
-    spans = (tracks.t[tracks.offsets[:-1]] <= last + 1e-9) & (tracks.t[tracks.offsets[1:] - 1] >= first - 1e-9)
+    spans = (tracks.t[tracks.offsets[:-1]] <= last + 1e-9) & (
+        tracks.t[tracks.offsets[1:] - 1] >= first - 1e-9
+    )
     return np.flatnonzero(spans | tracks.static)
 
 
@@ -153,7 +166,12 @@ def labels_of(trace: Trace, agents: IntArray) -> tuple[str, ...]:
 
 @kernel
 def _on_grid(
-    offsets: IntArray, static: BoolArray, t: FloatArray, gap_after: BoolArray, columns: FloatArray, times: FloatArray
+    offsets: IntArray,
+    static: BoolArray,
+    t: FloatArray,
+    gap_after: BoolArray,
+    columns: FloatArray,
+    times: FloatArray,
 ) -> tuple[BoolArray, FloatArray]:
     """Return which agents are present `(n, k)`, and the `columns` `(7, m)` interpolated to `(7, n, k)`, else NaN."""
     n, k = len(offsets) - 1, len(times)
@@ -191,7 +209,9 @@ class EgoOutline(NamedTuple):
 def car_of(scenario: Scenario) -> EgoOutline:
     """The ego's box."""
     car = scenario.vehicle
-    return EgoOutline(float(car.axle_to_center), float(car.length), float(car.width), float(car.axle_to_front))
+    return EgoOutline(
+        float(car.axle_to_center), float(car.length), float(car.width), float(car.axle_to_front)
+    )
 
 
 def ego_boxes(ego: Trajectory, scenario: Scenario) -> FloatArray:
@@ -201,22 +221,47 @@ def ego_boxes(ego: Trajectory, scenario: Scenario) -> FloatArray:
     """
     ahead = scenario.vehicle.axle_to_center
     c, s, aside = np.cos(ego.yaw), np.sin(ego.yaw), ahead * ego.kappa * ego.v
-    return np.stack([ego.x + ahead * c, ego.y + ahead * s, ego.yaw, ego.v * c - aside * s, ego.v * s + aside * c])
+    return np.stack(
+        [
+            ego.x + ahead * c,
+            ego.y + ahead * s,
+            ego.yaw,
+            ego.v * c - aside * s,
+            ego.v * s + aside * c,
+        ]
+    )
 
 
 @inner_kernel
-def distance_bound(x: float, y: float, car: EgoOutline, others: OtherBoxes, i: int, k: int) -> float:
+def distance_bound(
+    x: float, y: float, car: EgoOutline, others: OtherBoxes, i: int, k: int
+) -> float:
     """Return a lower bound of the distance between box i at step k and the ego's box with the centre (x, y), m."""
     size, reach = others.size, 0.5 * hypot(car.length, car.width)
-    return hypot(others.pose[0, i, k] - x, others.pose[1, i, k] - y) - reach - 0.5 * hypot(size[i, 0], size[i, 1])
+    return (
+        hypot(others.pose[0, i, k] - x, others.pose[1, i, k] - y)
+        - reach
+        - 0.5 * hypot(size[i, 0], size[i, 1])
+    )
 
 
 @inner_kernel
-def touches(x: float, y: float, yaw: float, car: EgoOutline, others: OtherBoxes, i: int, k: int) -> bool:
+def touches(
+    x: float, y: float, yaw: float, car: EgoOutline, others: OtherBoxes, i: int, k: int
+) -> bool:
     """Whether box i at step k and the ego's box with this centre and heading touch."""
     pose, size = others.pose, others.size
     return overlap(
-        x, y, yaw, car.length, car.width, pose[0, i, k], pose[1, i, k], pose[2, i, k], size[i, 0], size[i, 1]
+        x,
+        y,
+        yaw,
+        car.length,
+        car.width,
+        pose[0, i, k],
+        pose[1, i, k],
+        pose[2, i, k],
+        size[i, 0],
+        size[i, 1],
     )
 
 
@@ -233,9 +278,24 @@ def contact_time(
     """`shapes.time_to_contact_turning` of box i at step k and the ego's box (x, y, yaw, vx, vy), yaw rate `turn`, s."""
     pose, size = others.pose, others.size
     return time_to_contact_turning(
-        ego[0], ego[1], ego[2], car.length, car.width, ego[3], ego[4], turn, pose[0, i, k], pose[1, i, k],
-        pose[2, i, k], size[i, 0], size[i, 1], pose[3, i, k], pose[4, i, k], others.turn[i, k], lasts,
-    )  # fmt: skip
+        ego[0],
+        ego[1],
+        ego[2],
+        car.length,
+        car.width,
+        ego[3],
+        ego[4],
+        turn,
+        pose[0, i, k],
+        pose[1, i, k],
+        pose[2, i, k],
+        size[i, 0],
+        size[i, 1],
+        pose[3, i, k],
+        pose[4, i, k],
+        others.turn[i, k],
+        lasts,
+    )
 
 
 @inner_kernel
@@ -273,14 +333,31 @@ def phantoms(scenario: Scenario) -> tuple[Phantom, ...]:
         inside = others.there[0] & (np.hypot(pose[0] - ego_box[0], pose[1] - ego_box[1]) <= reach)
         for k in np.flatnonzero(inside):
             (x1, y1, yaw1), (x2, y2, yaw2) = ego_box[:, k], pose[:, k]
-            inside[k] = overlap(x1, y1, yaw1, car.length - 2.0 * DEEP_M, car.width - 2.0 * DEEP_M, x2, y2, yaw2, *size)
+            inside[k] = overlap(
+                x1,
+                y1,
+                yaw1,
+                car.length - 2.0 * DEEP_M,
+                car.width - 2.0 * DEEP_M,
+                x2,
+                y2,
+                yaw2,
+                *size,
+            )
         if not inside.any():
             continue
         sampled = np.empty(0) if tracks.static[i] else tracks.t[tracks.samples(i)]
         seen = t[steps][inside]
-        for run in np.split(seen, np.flatnonzero(np.diff(seen) > 2.0 * AROUND_S) + 1):  # join runs if margins meet
-            before, after = sampled[sampled <= run[0] - AROUND_S], sampled[sampled >= run[-1] + AROUND_S]
-            begin, end = (float(before[-1]) if len(before) else -inf), (float(after[0]) if len(after) else inf)
+        # Join runs if margins meet
+        for run in np.split(seen, np.flatnonzero(np.diff(seen) > 2.0 * AROUND_S) + 1):
+            before, after = (
+                sampled[sampled <= run[0] - AROUND_S],
+                sampled[sampled >= run[-1] + AROUND_S],
+            )
+            begin, end = (
+                (float(before[-1]) if len(before) else -inf),
+                (float(after[0]) if len(after) else inf),
+            )
             found.append(Phantom(tracks.ids[i], name_of(tracks, i), begin, end))
     return tuple(dict.fromkeys(found))
 

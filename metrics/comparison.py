@@ -49,30 +49,64 @@ from replan.metrics.judge.excuses import REFERENCE
 from replan.metrics.judge.gates import GateRule, Gates, Outcome, count_logs, unit_of
 from replan.metrics.judge.verdicts import DRIVE, judge, outcomes
 
-NOISE_ABS, NOISE_REL = 1e-9, 1e-6  # Rounding: sums in another order, the last iterations of a solver
+# Rounding: sums in another order, the last iterations of a solver
+NOISE_ABS, NOISE_REL = 1e-9, 1e-6
 NAMED = 5  # Messages name at most this many logs, and the number of the others
 MIN_PAIRS = 3  # Fewer logs cannot be resampled meaningfully
-MIN_SIGNIFICANT = 6  # Fewer logs all change in one direction by chance in more than 5 % (sign test: 2 / 2^5 = 6 %)
+# Fewer logs all change in one direction by chance in more than 5 % (sign test: 2 / 2^5 = 6 %)
+MIN_SIGNIFICANT = 6
 CONFIDENCE, RESAMPLES, SEED = 0.95, 2000, 20260101
 BATCH = 250  # Draws at a time: limits memory; the draws depend on it
 
 SCORE = ["planner", "mode", "metric"]
 KEYS = [*DRIVE, "metric"]
 PAIR_COLUMNS = (
-    *KEYS, "unit", "direction", "baseline", "candidate", "delta", "worse", "relative", "asked", "fragile",
-    "time_s", "reason",
-)  # fmt: skip
+    *KEYS,
+    "unit",
+    "direction",
+    "baseline",
+    "candidate",
+    "delta",
+    "worse",
+    "relative",
+    "asked",
+    "fragile",
+    "time_s",
+    "reason",
+)
 FLIP_COLUMNS = (
-    *DRIVE, "gate", "metric", "before", "after", "value_before", "value_after", "time_s", "reason", "marginal",
-)  # fmt: skip
+    *DRIVE,
+    "gate",
+    "metric",
+    "before",
+    "after",
+    "value_before",
+    "value_after",
+    "time_s",
+    "reason",
+    "marginal",
+)
 GROUP_COLUMNS = (
-    "kind", "group", *SCORE, "unit", "direction", "logs", "baseline", "candidate", "delta", "low", "high", "better",
-    "worse", "significant",
-)  # fmt: skip
+    "kind",
+    "group",
+    *SCORE,
+    "unit",
+    "direction",
+    "logs",
+    "baseline",
+    "candidate",
+    "delta",
+    "low",
+    "high",
+    "better",
+    "worse",
+    "significant",
+)
 PARTING_COLUMNS = (*DRIVE, "t_s", "stage", "what")
 BY_LOG = ("worst", "pass_share")  # `over` of the gates that each log passes or fails by itself
 SEVERITY = (Outcome.PASS, Outcome.INCONCLUSIVE, Outcome.FAIL)
-LOST_SHARE = 0.1  # Share of the logs that passed a gate and may lose their value: as `Gate.max_missing`
+# Share of the logs that passed a gate and may lose their value: as `Gate.max_missing`
+LOST_SHARE = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +115,8 @@ class Side:
 
     label: str
     table: pd.DataFrame  # Rows of `replan.metrics.evaluate`, reference drives among them
-    logs: pd.DataFrame  # A row per log: log, sha256, family, dataset, tags (a list), vehicle (a hash; "" if unknown)
+    # A row per log: log, sha256, family, dataset, tags (a list), vehicle (a hash; "" if unknown)
+    logs: pd.DataFrame
     facts: Mapping[str, str]  # Versions and all keys of the configuration of the run, as text
     failed: Mapping[str, str]  # Reason by log, for logs that could not be evaluated
     # Drives (log, planner, mode) in which the planner failed; the table holds their beginning
@@ -131,7 +166,9 @@ class Comparison:
     flips: pd.DataFrame  # `FLIP_COLUMNS`: gates whose outcome on a log changed
     groups: pd.DataFrame  # `GROUP_COLUMNS`: means over the suite, its families, tags and datasets
     # `PARTING_COLUMNS`: first differences of two drives; empty without traces
-    partings: pd.DataFrame = field(default_factory=lambda: pd.DataFrame(columns=list(PARTING_COLUMNS)))
+    partings: pd.DataFrame = field(
+        default_factory=lambda: pd.DataFrame(columns=list(PARTING_COLUMNS))
+    )
     verdicts: tuple[RuleVerdict, ...] = ()
     not_looked_at: int = 0  # Number of differing drives whose first difference was not searched
     # Metrics of gates or rules that the baseline has in another version, or that only the baseline has
@@ -175,27 +212,37 @@ class Comparison:
         return better[better.groupby(DRIVE).cumcount() < 2].head(most)
 
 
-def compare(baseline: Side, candidate: Side, gates: Gates, also: Collection[str] = ()) -> Comparison:
+def compare(
+    baseline: Side, candidate: Side, gates: Gates, also: Collection[str] = ()
+) -> Comparison:
     """Compare the tables of two runs, judged by the same gates; `judge_rules` adds the verdicts of rules.
 
     `also` are the metrics of rules; like those of gates, they come first among the regressions.
     """
     tables = baseline.table, candidate.table
     before, now = (dict(zip(table["metric"], table["version"], strict=True)) for table in tables)
-    changed = {name: f"{before[name]} -> {now[name]}" for name in before if name in now and before[name] != now[name]}
+    changed = {
+        name: f"{before[name]} -> {now[name]}"
+        for name in before
+        if name in now and before[name] != now[name]
+    }
     alone = set(baseline.driven["metric"]) ^ set(candidate.driven["metric"])
     valued = set(baseline.driven.loc[baseline.driven["available"].astype(bool), "metric"])
     ensemble = baseline.table[baseline.table["metric"] == f"{ENSEMBLE.name}.fragile"]
     fragile = pd.MultiIndex.from_frame(ensemble.loc[ensemble["value"] > 0.0, DRIVE])
     bounds = dict.fromkeys(also, 0.0)
     for gate in gates.gates:
-        bounds[gate.metric] = max(bounds.get(gate.metric, 0.0), abs(gate.min or 0.0), abs(gate.max or 0.0))
+        bounds[gate.metric] = max(
+            bounds.get(gate.metric, 0.0), abs(gate.min or 0.0), abs(gate.max or 0.0)
+        )
     pairs = _pairs(baseline.driven, candidate.driven, changed, bounds)
     pairs["fragile"] = pd.MultiIndex.from_frame(pairs[DRIVE]).isin(fragile)
     flips = _flips(baseline, candidate, gates, changed.keys() | alone)
     flips["marginal"] |= pd.MultiIndex.from_frame(flips[DRIVE]).isin(fragile)
     old, new = baseline.facts, candidate.facts
-    differences = [f"{key}: {old[key]} -> {new[key]}" for key in old if key in new and old[key] != new[key]]
+    differences = [
+        f"{key}: {old[key]} -> {new[key]}" for key in old if key in new and old[key] != new[key]
+    ]
     metrics = [list(dict.fromkeys(side.driven["metric"])) for side in (baseline, candidate)]
     other_logs = _differing_logs(baseline, candidate, "sha256")
     for what, names in (
@@ -203,19 +250,27 @@ def compare(baseline: Side, candidate: Side, gates: Gates, also: Collection[str]
         ("settings of the candidate only", [key for key in new if key not in old]),
         ("logs with another SHA-256", other_logs),
         ("logs with another vehicle", _differing_logs(baseline, candidate, "vehicle")),
-        ("metrics of another version, not compared", [f"{name} ({both})" for name, both in changed.items()]),
+        (
+            "metrics of another version, not compared",
+            [f"{name} ({both})" for name, both in changed.items()],
+        ),
         ("metrics in the baseline only", [name for name in metrics[0] if name not in metrics[1]]),
         ("metrics in the candidate only", [name for name in metrics[1] if name not in metrics[0]]),
     ):
         if names:
             differences.append(f"{what}: {listed(names, NAMED)}")
     return Comparison(
-        baseline.label, candidate.label, tuple(differences),
-        _missing_drives(baseline, candidate), _missing_drives(candidate, baseline), pairs, flips,
+        baseline.label,
+        candidate.label,
+        tuple(differences),
+        _missing_drives(baseline, candidate),
+        _missing_drives(candidate, baseline),
+        pairs,
+        flips,
         group_deltas(pairs, candidate.labels),
         not_compared=tuple(sorted(bounds.keys() & (changed.keys() | alone & valued))),
         other_logs=tuple(other_logs),
-    )  # fmt: skip
+    )
 
 
 def _missing_drives(one: Side, two: Side) -> tuple[str, ...]:
@@ -229,11 +284,16 @@ def _missing_drives(one: Side, two: Side) -> tuple[str, ...]:
 
 
 def _pairs(
-    baseline: pd.DataFrame, candidate: pd.DataFrame, left_out: Collection[str], bounds: Mapping[str, float]
+    baseline: pd.DataFrame,
+    candidate: pd.DataFrame,
+    left_out: Collection[str],
+    bounds: Mapping[str, float],
 ) -> pd.DataFrame:
     """Return `PAIR_COLUMNS` of the rows of both runs without the metrics `left_out`; `bounds` of gates by metric."""
     both = baseline.merge(candidate, on=KEYS, suffixes=("_b", "_c"))
-    both = both[~both["metric"].isin(left_out) & (both["available_b"] | both["available_c"]).astype(bool)]
+    both = both[
+        ~both["metric"].isin(left_out) & (both["available_b"] | both["available_c"]).astype(bool)
+    ]
     before, now = both["value_b"].to_numpy(float), both["value_c"].to_numpy(float)
     delta = np.where(noise(before, now), 0.0, now - before)  # (1)
     sign = both["direction_c"].map({"lower": 1.0, "higher": -1.0}).to_numpy(float)
@@ -241,16 +301,29 @@ def _pairs(
     lost = "only in the baseline; candidate: " + both["reason_c"].astype(object)
     new = "only in the candidate; baseline: " + both["reason_b"].astype(object)
     pairs = both[KEYS].assign(
-        unit=both["unit_c"], direction=both["direction_c"], baseline=before, candidate=now, delta=delta,
+        unit=both["unit_c"],
+        direction=both["direction_c"],
+        baseline=before,
+        candidate=now,
+        delta=delta,
         worse=sign * delta + 0.0,  # (2)
-        asked=both["metric"].isin(list(bounds)), fragile=False, time_s=both["time_s_c"].fillna(both["time_s_b"]),
+        asked=both["metric"].isin(list(bounds)),
+        fragile=False,
+        time_s=both["time_s_c"].fillna(both["time_s_b"]),
         reason=np.select([there[0] & there[1], there[1]], [both["reason_c"], new], lost),
-    )  # fmt: skip
-    size = pairs[["baseline", "candidate"]].abs().mean(axis=1).groupby([pairs[key] for key in SCORE])
-    scale = np.maximum(size.transform("mean").to_numpy(float), pairs["metric"].map(bounds).fillna(0.0).to_numpy(float))
+    )
+    size = (
+        pairs[["baseline", "candidate"]].abs().mean(axis=1).groupby([pairs[key] for key in SCORE])
+    )
+    scale = np.maximum(
+        size.transform("mean").to_numpy(float),
+        pairs["metric"].map(bounds).fillna(0.0).to_numpy(float),
+    )
     pairs["relative"] = pairs["worse"] / np.where(scale > 0.0, scale, np.nan)  # (3)
     order = pairs.assign(hurts=pairs["worse"] > 0.0).sort_values(
-        ["hurts", "asked", "relative", *KEYS], ascending=[False, False, False, True, True, True, True], kind="stable"
+        ["hurts", "asked", "relative", *KEYS],
+        ascending=[False, False, False, True, True, True, True],
+        kind="stable",
     )
     return order[list(PAIR_COLUMNS)].reset_index(drop=True)
 
@@ -271,15 +344,23 @@ class _LogOutcome(NamedTuple):
     reason: str = ""
 
 
-def _flips(baseline: Side, candidate: Side, gates: Gates, left_out: Collection[str]) -> pd.DataFrame:
+def _flips(
+    baseline: Side, candidate: Side, gates: Gates, left_out: Collection[str]
+) -> pd.DataFrame:
     """Return `FLIP_COLUMNS` of drives of both runs. A change between PASS and NOT ASKED is no flip."""
-    rules = Gates(tuple(g for g in gates.gates if g.over in BY_LOG and g.metric not in left_out), gates.source)
+    rules = Gates(
+        tuple(g for g in gates.gates if g.over in BY_LOG and g.metric not in left_out), gates.source
+    )
     metric = {str(gate): gate.metric for gate in rules.gates}
     judged = []  # by run: outcomes by log, planner, mode and gate
     for side in (baseline, candidate):  # uses the reference drives of the candidate, if it has any
-        mine = candidate.table[(candidate.table["mode"] == REFERENCE) & candidate.table["log"].isin(side.logs["log"])]
+        mine = candidate.table[
+            (candidate.table["mode"] == REFERENCE) & candidate.table["log"].isin(side.logs["log"])
+        ]
         own = side.table[(side.table["mode"] != REFERENCE) | ~side.table["log"].isin(mine["log"])]
-        found = outcomes(judge(rules, pd.concat([own, mine], ignore_index=True), side.labels, failed=side.failed))
+        found = outcomes(
+            judge(rules, pd.concat([own, mine], ignore_index=True), side.labels, failed=side.failed)
+        )
         fields = found[[*DRIVE, "gate", *_LogOutcome._fields]].itertuples(index=False, name=None)
         judged.append({row[:4]: _LogOutcome(*row[4:]) for row in fields})
     old, new = judged
@@ -287,11 +368,23 @@ def _flips(baseline: Side, candidate: Side, gates: Gates, left_out: Collection[s
     for key in dict.fromkeys([*old, *new]):
         before, now = old.get(key, _LogOutcome()), new.get(key, _LogOutcome())
         change = {before.outcome, now.outcome}
-        if key[:3] not in both or len(change) == 1 or change == {Outcome.NOT_ASKED.value, Outcome.PASS.value}:
+        if (
+            key[:3] not in both
+            or len(change) == 1
+            or change == {Outcome.NOT_ASKED.value, Outcome.PASS.value}
+        ):
             continue
         marginal = bool(noise(np.array(before.value), np.array(now.value)))
         when = now.time_s if np.isfinite(now.time_s) else before.time_s
-        values = (before.outcome, now.outcome, before.value, now.value, when, now.reason or before.reason, marginal)
+        values = (
+            before.outcome,
+            now.outcome,
+            before.value,
+            now.value,
+            when,
+            now.reason or before.reason,
+            marginal,
+        )
         rows.append((*key, metric[key[3]], *values))
     kinds = {"value_before": float, "value_after": float, "time_s": float, "marginal": bool}
     return pd.DataFrame(rows, columns=list(FLIP_COLUMNS)).astype(kinds)
@@ -312,13 +405,22 @@ def group_deltas(pairs: pd.DataFrame, labels: Mapping[str, LogLabels]) -> pd.Dat
         if not (kind == SUITE or 1 < len(logs) < len(there)):
             continue
         mine = known[known["log"].isin(logs)]
-        by = mine.assign(better=mine["worse"] < 0.0, worse=mine["worse"] > 0.0).groupby(SCORE, sort=True)
+        by = mine.assign(better=mine["worse"] < 0.0, worse=mine["worse"] > 0.0).groupby(
+            SCORE, sort=True
+        )
         table = by.agg(
-            unit=("unit", "first"), direction=("direction", "first"), logs=("log", "size"),
-            baseline=("baseline", "mean"), candidate=("candidate", "mean"), delta=("delta", "mean"),
-            better=("better", "sum"), worse=("worse", "sum"),
-        )  # fmt: skip
-        deltas = mine.pivot_table(index=SCORE, columns="log", values="delta", sort=True).loc[table.index]
+            unit=("unit", "first"),
+            direction=("direction", "first"),
+            logs=("log", "size"),
+            baseline=("baseline", "mean"),
+            candidate=("candidate", "mean"),
+            delta=("delta", "mean"),
+            better=("better", "sum"),
+            worse=("worse", "sum"),
+        )
+        deltas = mine.pivot_table(index=SCORE, columns="log", values="delta", sort=True).loc[
+            table.index
+        ]
         deltas = by_recording(deltas)
         low, high = intervals(deltas.to_numpy(float))
         clear = significant(low, high, deltas.notna().sum(axis=1).to_numpy())
@@ -355,9 +457,16 @@ def intervals(deltas: FloatArray) -> tuple[FloatArray, FloatArray]:
     for pattern in np.unique(there[moved], axis=0):
         rows = moved & (there == pattern).all(axis=1)
         found = bootstrap(
-            (deltas[rows][:, pattern],), np.mean, axis=-1, vectorized=True, confidence_level=CONFIDENCE,
-            n_resamples=RESAMPLES, batch=BATCH, method="percentile", rng=np.random.default_rng(SEED),
-        ).confidence_interval  # fmt: skip
+            (deltas[rows][:, pattern],),
+            np.mean,
+            axis=-1,
+            vectorized=True,
+            confidence_level=CONFIDENCE,
+            n_resamples=RESAMPLES,
+            batch=BATCH,
+            method="percentile",
+            rng=np.random.default_rng(SEED),
+        ).confidence_interval
         low[rows], high[rows] = found.low, found.high
     return low, high
 
@@ -367,7 +476,9 @@ def significant(low: FloatArray, high: FloatArray, logs: IntArray) -> BoolArray:
     return np.asarray(((low > 0.0) | (high < 0.0)) & (logs >= MIN_SIGNIFICANT))
 
 
-def judge_rules(rules: tuple[GateRule, ...], comparison: Comparison, labels: Mapping[str, LogLabels]) -> Comparison:
+def judge_rules(
+    rules: tuple[GateRule, ...], comparison: Comparison, labels: Mapping[str, LogLabels]
+) -> Comparison:
     """Add the verdicts of the rules to a comparison of logs with these labels; an optional rule may have none."""
     verdicts = []
     for rule in rules:
@@ -379,14 +490,18 @@ def judge_rules(rules: tuple[GateRule, ...], comparison: Comparison, labels: Map
     return replace(comparison, verdicts=tuple(verdicts))
 
 
-def _judge_rule(rule: GateRule, comparison: Comparison, labels: Mapping[str, LogLabels]) -> tuple[Outcome, str] | None:
+def _judge_rule(
+    rule: GateRule, comparison: Comparison, labels: Mapping[str, LogLabels]
+) -> tuple[Outcome, str] | None:
     """Return outcome and reason; None if an optional rule has nothing to judge."""
     if rule.max_missing is not None:
         gone, other = comparison.only_in_baseline, comparison.other_logs
         reason = f"missing in the candidate: {len(gone)} of the baseline's drives"
         reason += f": {_first_three(gone, '; ')}" if gone else ""
         if len(gone) <= rule.limit and other:
-            reason += f"; with another content (SHA-256), so no longer the same: {_first_three(other)}"
+            reason += (
+                f"; with another content (SHA-256), so no longer the same: {_first_three(other)}"
+            )
             return Outcome.INCONCLUSIVE, reason
         return Outcome.FAIL if len(gone) > rule.limit else Outcome.PASS, reason
     tables = []
@@ -399,7 +514,9 @@ def _judge_rule(rule: GateRule, comparison: Comparison, labels: Mapping[str, Log
         tables.append(table[selected])
     pairs, flips = tables
     names = [name for name in comparison.not_compared if (rule.metric or rule.gate) in ("", name)]
-    incomparable = f"of another version, or in the baseline only: {_first_three(names)}" if names else ""
+    incomparable = (
+        f"of another version, or in the baseline only: {_first_three(names)}" if names else ""
+    )
     if rule.max_flips is not None:
         if len(pairs):
             return _judge_flips(rule, flips, pairs, incomparable)
@@ -407,10 +524,14 @@ def _judge_rule(rule: GateRule, comparison: Comparison, labels: Mapping[str, Log
     elif incomparable:
         return Outcome.INCONCLUSIVE, f"nothing to judge: {incomparable}"
     else:
-        measured = pairs[(pairs["metric"] == rule.metric) & pairs["baseline"].notna()].sort_values("log")
+        measured = pairs[(pairs["metric"] == rule.metric) & pairs["baseline"].notna()].sort_values(
+            "log"
+        )
         if len(measured):  # sorted by log, as in the groups: the draws depend on the order
             by = measured.groupby(["planner", "mode"], sort=True)
-            found = [_judge_change(rule, f"{planner}, {mode} loop", rows) for (planner, mode), rows in by]
+            found = [
+                _judge_change(rule, f"{planner}, {mode} loop", rows) for (planner, mode), rows in by
+            ]
             return max(found, key=lambda one: (SEVERITY.index(one[1]), one[0]))[1:]
         nothing = f"{rule.metric} has a value in both runs on none of the selected logs"
     return None if rule.optional else (Outcome.INCONCLUSIVE, f"nothing to judge: {nothing}")
@@ -420,24 +541,37 @@ def _first_three(names: Sequence[str], between: str = ", ") -> str:
     return between.join([*names[:3], *(["..."] if len(names) > 3 else [])])
 
 
-def _judge_flips(rule: GateRule, flips: pd.DataFrame, pairs: pd.DataFrame, incomparable: str) -> tuple[Outcome, str]:
+def _judge_flips(
+    rule: GateRule, flips: pd.DataFrame, pairs: pd.DataFrame, incomparable: str
+) -> tuple[Outcome, str]:
     flips = flips[flips["metric"] == rule.gate] if rule.gate else flips
     bad = flips[
-        (flips["after"] == Outcome.FAIL.value) & flips["before"].isin([Outcome.PASS.value, Outcome.NOT_ASKED.value])
+        (flips["after"] == Outcome.FAIL.value)
+        & flips["before"].isin([Outcome.PASS.value, Outcome.NOT_ASKED.value])
     ]
     clear, marginal = bad[~bad["marginal"]], int(bad["marginal"].sum())
-    names = _first_three([f"{row.log} ({row.mode} loop): {row.gate}" for row in clear.itertuples()], "; ")
+    names = _first_three(
+        [f"{row.log} ({row.mode} loop): {row.gate}" for row in clear.itertuples()], "; "
+    )
     count = "1 flip" if len(clear) == 1 else f"{len(clear)} flips"
     reason = f"{count}{f': {names}' if names else ''}{f'; {marginal} marginal' if marginal else ''}"
     if len(clear) > rule.limit:
         return Outcome.FAIL, reason
     lost = []
-    passed = flips[(flips["before"] == Outcome.PASS.value) & (flips["after"] == Outcome.INCONCLUSIVE.value)]
-    for (planner, mode, gate), rows in passed[passed["value_after"].isna()].groupby(["planner", "mode", "gate"]):
+    passed = flips[
+        (flips["before"] == Outcome.PASS.value) & (flips["after"] == Outcome.INCONCLUSIVE.value)
+    ]
+    for (planner, mode, gate), rows in passed[passed["value_after"].isna()].groupby(
+        ["planner", "mode", "gate"]
+    ):
         logs = pairs.loc[(pairs["planner"] == planner) & (pairs["mode"] == mode), "log"].nunique()
         lost += [f"{gate} ({len(rows)} of {logs})"] if len(rows) > LOST_SHARE * logs else []
     missing = [f"gates not compared, {incomparable}"] if incomparable else []
-    missing += [f"gates that passed before have no value in too many logs: {_first_three(lost, '; ')}"] if lost else []
+    missing += (
+        [f"gates that passed before have no value in too many logs: {_first_three(lost, '; ')}"]
+        if lost
+        else []
+    )
     return Outcome.INCONCLUSIVE if missing else Outcome.PASS, "; ".join([reason, *missing])
 
 
@@ -454,7 +588,9 @@ def _judge_change(rule: GateRule, drives: str, rows: pd.DataFrame) -> tuple[floa
         over, reason = -np.inf, f"no drive that is not fragile{left_out}"
         if len(held):
             row = held.iloc[int(np.argmax(rule.sign * held["delta"].to_numpy(float)))]
-            where = f"on {row['log']}" + (f" at {row['time_s']:.2f} s" if isfinite(row["time_s"]) else "")
+            where = f"on {row['log']}" + (
+                f" at {row['time_s']:.2f} s" if isfinite(row["time_s"]) else ""
+            )
             over = rule.sign * float(row["delta"]) - rule.limit
             reason = f"{rule.metric} {row['baseline']:.4g} -> {row['candidate']:.4g}{unit} {where}{left_out}"
         outcome = Outcome.FAIL if over > 0.0 else Outcome.PASS
@@ -464,7 +600,9 @@ def _judge_change(rule: GateRule, drives: str, rows: pd.DataFrame) -> tuple[floa
         of = by_recording(pd.DataFrame([delta], columns=rows["log"])).to_numpy(float)
         low, high = intervals(of) if rule.over == "mean" else np.full((2, 1), np.nan)
         inside = f" [{low[0]:+.4g}, {high[0]:+.4g}]" if isfinite(low[0]) else ""
-        means = " -> ".join(f"{rows[side].agg(rule.over):.4g}" for side in ("baseline", "candidate"))
+        means = " -> ".join(
+            f"{rows[side].agg(rule.over):.4g}" for side in ("baseline", "candidate")
+        )
         reason = f"{rule.over} {rule.metric} {means}{unit}, {value:+.4g}{inside} over {count_logs(len(delta))}"
         over = rule.sign * value - rule.limit
         if over <= 0.0:
@@ -472,7 +610,10 @@ def _judge_change(rule: GateRule, drives: str, rows: pd.DataFrame) -> tuple[floa
         elif not rule.significant or significant(low, high, np.array([of.shape[1]]))[0]:
             outcome = Outcome.FAIL
         elif of.shape[1] < MIN_SIGNIFICANT:
-            outcome, reason = Outcome.INCONCLUSIVE, f"{reason}: too few logs to decide whether this is chance"
+            outcome, reason = (
+                Outcome.INCONCLUSIVE,
+                f"{reason}: too few logs to decide whether this is chance",
+            )
         else:
             outcome, reason = Outcome.PASS, f"{reason}: not significant"
     aside = f"; no value any more in {count_logs(len(lost))}" if len(lost) else ""

@@ -53,10 +53,12 @@ NEAR_M = 60.0
 OUT_M, IN_M = 0.3, 0.1
 SAME_WAY = cos(0.25 * pi)
 REACT_S, BRAKE_MPS2, HORIZON_S = 0.35, 6.0, 5.0
-LOOK_BACK_S = 15.0  # Time before a hit that is searched for an entry: from 50 m/s, (3) gives a follower 9 s
+# Time before a hit that is searched for an entry: from 50 m/s, (3) gives a follower 9 s
+LOOK_BACK_S = 15.0
 MOST_MPS2 = 9.81  # Forced braking is computed up to this
 AS_LOGGED_M, SAME_PLACE_M, WAY_S = 0.5, 0.3, 0.5
-ALONGSIDE_M = 10.0  # A road user whose centre is farther ahead of the ego's centre does not follow the ego, m
+# A road user whose centre is farther ahead of the ego's centre does not follow the ego, m
+ALONGSIDE_M = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +81,9 @@ def forces_hit(drive: Trajectory, agents: Tracks, agent: int, scenario: Scenario
 
 def entries(drive: Trajectory, agents: Tracks, scenario: Scenario) -> list[CutInStay]:
     """Return the entries of a drive of two or more states, by follower, in order of time."""
-    return [entry for seen in followers(drive, agents, scenario) for entry in _entries(seen, scenario)]
+    return [
+        entry for seen in followers(drive, agents, scenario) for entry in _entries(seen, scenario)
+    ]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -87,7 +91,8 @@ class Follower:
     """The ego on the path of a follower (index of its track), at the k steps at which the follower is present."""
 
     agent: int
-    ego: Trajectory  # The ego's drive and its boxes at these steps; `goes_on`: they end with the drive
+    # The ego's drive and its boxes at these steps; `goes_on`: they end with the drive
+    ego: Trajectory
     boxes: FloatArray
     goes_on: bool
     path: ReferenceLine
@@ -102,12 +107,18 @@ class Follower:
 
     def needed(self, first: int, last: int) -> float:
         """Return (2) for a stay from step `first` to `last`."""
-        t, g = self.ego.t[first : last + 1] - self.ego.t[first], self.rear[first : last + 1] - self.front[first]
+        t, g = (
+            self.ego.t[first : last + 1] - self.ego.t[first],
+            self.rear[first : last + 1] - self.front[first],
+        )
         if self.goes_on and last == len(self.ego) - 1:
             more, end = np.arange(GRID_S, HORIZON_S - t[-1], GRID_S), self.ego.state(last)
             brake = max(-end.a, 0.0)
             braked = np.minimum(more, end.v / brake) if brake > 0.0 else more
-            t, g = np.r_[t, t[-1] + more], np.r_[g, g[-1] + (end.v * braked - 0.5 * brake * braked**2)]
+            t, g = (
+                np.r_[t, t[-1] + more],
+                np.r_[g, g[-1] + (end.v * braked - 0.5 * brake * braked**2)],
+            )
         return needed_deceleration(t, g, float(self.u[first]))
 
 
@@ -116,11 +127,17 @@ def followers(drive: Trajectory, agents: Tracks, scenario: Scenario) -> Iterator
     first, last = float(drive.t[0]), float(drive.t[-1])
     ego = drive.resampled(np.append(np.arange(first, last - 1e-6, GRID_S), last))
     boxes, car = ego_boxes(ego, scenario), scenario.vehicle
-    outline = np.stack([corners(x, y, yaw, car.length, car.width) for x, y, yaw in boxes[:3].T], axis=-1)
+    outline = np.stack(
+        [corners(x, y, yaw, car.length, car.width) for x, y, yaw in boxes[:3].T], axis=-1
+    )
     c, s = np.cos(boxes[2]), np.sin(boxes[2])
     for i, others, row in each(agents, ego.t):
         pose, there = others.pose[:, row], np.flatnonzero(others.there[row])
-        if not len(there) or agents.static[i] or agents.kinds[i] in (AgentKind.PEDESTRIAN, AgentKind.OBJECT):
+        if (
+            not len(there)
+            or agents.static[i]
+            or agents.kinds[i] in (AgentKind.PEDESTRIAN, AgentKind.OBJECT)
+        ):
             continue
         dx, dy = pose[:2] - boxes[:2]
         oncoming = pose[3] * c + pose[4] * s <= -0.2 * np.hypot(pose[3], pose[4])
@@ -131,25 +148,46 @@ def followers(drive: Trajectory, agents: Tracks, scenario: Scenario) -> Iterator
 
 
 def _follow(
-    agent: int, ego: Trajectory, boxes: FloatArray, outline: FloatArray, there: IntArray, points: FloatArray,
-    pose: FloatArray, size: FloatArray,
-) -> Follower:  # fmt: skip
+    agent: int,
+    ego: Trajectory,
+    boxes: FloatArray,
+    outline: FloatArray,
+    there: IntArray,
+    points: FloatArray,
+    pose: FloatArray,
+    size: FloatArray,
+) -> Follower:
     path, (length, width) = ReferenceLine.through(points, SPACING_M), size
     front = _on_path(path, *pose[:2, there])[0] + 0.5 * length
     s, l = np.stack([_on_path(path, *xy) for xy in outline[:, :, there]], axis=1)  # noqa: E741
     deep = 0.5 * width - np.maximum(l.min(axis=0), -l.max(axis=0))
-    ahead = (s.max(axis=0) > front) & (s.min(axis=0) < np.minimum(front + NEAR_M, path.length + BEYOND_M))
-    rear = np.where(np.abs(l) <= 0.5 * width, s, inf)  # of the part inside the strip; else of the box
+    ahead = (s.max(axis=0) > front) & (
+        s.min(axis=0) < np.minimum(front + NEAR_M, path.length + BEYOND_M)
+    )
+    # Of the part inside the strip; else of the box
+    rear = np.where(np.abs(l) <= 0.5 * width, s, inf)
     next_s, next_l = np.roll(s, 1, axis=0), np.roll(l, 1, axis=0)
     for edge in (-0.5 * width, 0.5 * width):
         with np.errstate(divide="ignore", invalid="ignore"):
             share = (edge - l) / (next_l - l)
-            rear = np.minimum(rear, np.where((share >= 0.0) & (share <= 1.0), s + share * (next_s - s), inf))
+            rear = np.minimum(
+                rear, np.where((share >= 0.0) & (share <= 1.0), s + share * (next_s - s), inf)
+            )
     least, u = rear.min(axis=0), np.hypot(*pose[3:, there])
     rear = np.where(np.isfinite(least), least, s.min(axis=0))
     goes_on = bool(there[-1] == len(ego) - 1)
     return Follower(
-        agent, ego.resampled(ego.t[there]), boxes[:, there], goes_on, path, length, u, front, rear, deep, ahead
+        agent,
+        ego.resampled(ego.t[there]),
+        boxes[:, there],
+        goes_on,
+        path,
+        length,
+        u,
+        front,
+        rear,
+        deep,
+        ahead,
     )
 
 
@@ -203,7 +241,9 @@ def _crosses_over(road: Road, box: FloatArray, path: float, follower: float) -> 
             at = min(nearest(lane.center, x, y), len(lane.center) - 2)
             dx, dy = lane.center[at + 1] - lane.center[at]
             refs.append(atan2(dy, dx))
-    ego_angle, path_angle = (min(abs(wrap(yaw - ref)) for ref in refs or [follower]) for yaw in (yaw, path))
+    ego_angle, path_angle = (
+        min(abs(wrap(yaw - ref)) for ref in refs or [follower]) for yaw in (yaw, path)
+    )
     return ego_angle > path_angle
 
 
@@ -215,17 +255,24 @@ def needed_deceleration(t: FloatArray, g: FloatArray, u: float) -> float:
     if (u * t > g)[braked <= 0.0].any() or (room[late] <= 0.0).any():
         return MOST_MPS2
     braked, room = braked[late], room[late]
-    needed = np.where(2.0 * room <= u * braked, u**2 / (2.0 * room), 2.0 * (u * braked - room) / braked**2)
+    needed = np.where(
+        2.0 * room <= u * braked, u**2 / (2.0 * room), 2.0 * (u * braked - room) / braked**2
+    )
     return min(float(needed.max(initial=0.0)), MOST_MPS2)
 
 
-def worst_forced(trace: Trace, stays: Iterable[CutInStay], scenario: Scenario, why: str, missing: str) -> Series:
+def worst_forced(
+    trace: Trace, stays: Iterable[CutInStay], scenario: Scenario, why: str, missing: str
+) -> Series:
     """Return the braking that stays ahead of followers force, at their begins; at least how a follower reacted."""
     t, value, labels = trace.ego.t, np.full(len(trace.ego), np.nan), [""] * len(trace.ego)
     logged = scenario.tracks
     for stay in stays:
         after = np.arange(stay.t, min(stay.until, stay.t + HORIZON_S) + 1e-9, GRID_S)
-        now, name = some_at(trace.agents, np.array([stay.agent]), after), trace.agents.ids[stay.agent]
+        now, name = (
+            some_at(trace.agents, np.array([stay.agent]), after),
+            trace.agents.ids[stay.agent],
+        )
         harder = _falls(now)
         if name in logged.ids:
             then = some_at(logged, np.array([logged.ids.index(name)]), after)
@@ -242,14 +289,21 @@ def made_way(failing: Trace, passing: Trace, who: str, until: float) -> float:
     """Return the braking (4) of a road user, m/s2; 0 if one of the drives does not have them."""
     if who not in failing.agents.ids or who not in passing.agents.ids:
         return 0.0
-    t = np.arange(0.0, min(until, float(failing.ego.t[-1]), float(passing.ego.t[-1])) + 1e-9, GRID_S)
-    then, now = (some_at(one.agents, np.array([one.agents.ids.index(who)]), t) for one in (failing, passing))
+    t = np.arange(
+        0.0, min(until, float(failing.ego.t[-1]), float(passing.ego.t[-1])) + 1e-9, GRID_S
+    )
+    then, now = (
+        some_at(one.agents, np.array([one.agents.ids.index(who)]), t) for one in (failing, passing)
+    )
     return _greatest(_falls(now) - np.maximum(_falls(then), 0.0))
 
 
 def _falls(boxes: OtherBoxes) -> FloatArray:
     """Return the fall of one road user's speed within `WAY_S`, per second, at each step `(k,)`; NaN where unknown."""
-    v, steps = np.where(boxes.there[0], np.hypot(*boxes.pose[3:5, 0]), np.nan), round(WAY_S / GRID_S)
+    v, steps = (
+        np.where(boxes.there[0], np.hypot(*boxes.pose[3:5, 0]), np.nan),
+        round(WAY_S / GRID_S),
+    )
     falls = np.full(len(v), np.nan)
     falls[steps:] = (v[:-steps] - v[steps:]) / WAY_S
     return falls
@@ -264,11 +318,15 @@ def unseen(failing: Trace, passing: Trace, logged: Tracks, who: str, until: floa
     if who not in passing.agents.ids or who not in logged.ids or passing.ego.t[-1] < until:
         return False
     t = np.arange(0.0, until + 1e-9, GRID_S)
-    egos = [np.interp(t, ego.t, row) for ego in (failing.ego, passing.ego) for row in (ego.x, ego.y)]
+    egos = [
+        np.interp(t, ego.t, row) for ego in (failing.ego, passing.ego) for row in (ego.x, ego.y)
+    ]
     if np.hypot(egos[0] - egos[2], egos[1] - egos[3]).max() > SAME_PLACE_M:
         return False
     t = np.arange(until, min(until + HORIZON_S, float(passing.ego.t[-1])) + 1e-9, GRID_S)
-    now, then = (some_at(agents, np.array([agents.ids.index(who)]), t) for agents in (passing.agents, logged))
+    now, then = (
+        some_at(agents, np.array([agents.ids.index(who)]), t) for agents in (passing.agents, logged)
+    )
     both = now.there[0] & then.there[0]
     return bool((np.hypot(*(now.pose[:2, 0] - then.pose[:2, 0]))[both] <= AS_LOGGED_M).all())
 
@@ -277,15 +335,22 @@ def _forced_braking(trace: Trace, scenario: Scenario) -> Measured:
     if len(trace.ego) < 2:
         return Unavailable("the drive holds one ego state only")
     found = entries(trace.ego, trace.agents, scenario)
-    return worst_forced(trace, found, scenario, "the ego entered its path", "the ego entered no follower's path")
+    return worst_forced(
+        trace, found, scenario, "the ego entered its path", "the ego entered no follower's path"
+    )
 
 
 FORCED_BRAKING = Metric(
-    "forced_braking", "m/s2", "lower", (Mode.CLOSED,), _forced_braking, (MAX,),
+    "forced_braking",
+    "m/s2",
+    "lower",
+    (Mode.CLOSED,),
+    _forced_braking,
+    (MAX,),
     "Deceleration that the ego forces on a follower into whose path it comes: what the follower needs to stay behind"
     " it, and where the traffic reacts at least how much harder than in the log the follower brakes.",
     "UN R79, 5.6.4.7: above 3 m/s2 a lane change is critical; UN R157, 5.2.5.2 for the reaction time",
     formula="least b that keeps a follower, which brakes with b 0.35 s after the entry, behind the ego for 5 s",
     parameters=(f"reaction {REACT_S} s", f"horizon {HORIZON_S:g} s", f"at most {MOST_MPS2} m/s2"),
     needs="a follower whose path the ego enters",
-)  # fmt: skip
+)

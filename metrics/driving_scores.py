@@ -98,7 +98,8 @@ class Formula:
 
     multipliers: tuple[str, ...]  # Names in `PARTS`
     weights: Mapping[str, float]  # Weight by name in `PARTS`; empty: the score is the product
-    optional: frozenset[str] = frozenset()  # Multipliers that are left out where they cannot be measured
+    # Multipliers that are left out where they cannot be measured
+    optional: frozenset[str] = frozenset()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -107,12 +108,18 @@ class Formula:
 
 
 def _penalties(trace: Trace, scenario: Scenario) -> Value:
-    met = [c for c in safety.contacts(trace, scenario) if c.kind is not safety.ContactKind.FROM_START]
-    return prod((CARLA_HITS.get(trace.agents.kinds[c.agent], CARLA_VEHICLE) for c in met), start=1.0)
+    met = [
+        c for c in safety.contacts(trace, scenario) if c.kind is not safety.ContactKind.FROM_START
+    ]
+    return prod(
+        (CARLA_HITS.get(trace.agents.kinds[c.agent], CARLA_VEHICLE) for c in met), start=1.0
+    )
 
 
 def _inside_lanes(trace: Trace, scenario: Scenario) -> Value:
-    off, against = (metric.found(trace, scenario) for metric in (safety.OFF_ROAD, traffic_rules.WRONG_WAY))
+    off, against = (
+        metric.found(trace, scenario) for metric in (safety.OFF_ROAD, traffic_rules.WRONG_WAY)
+    )
     if not isinstance(off, Series) or not isinstance(against, Series):
         return next(found for found in (off, against) if isinstance(found, Unavailable))
     wrong = (off.value > safety.OFF_ROAD_M) | (against.value > traffic_rules.AGAINST_MPS)
@@ -127,7 +134,9 @@ def _part_of(metric: Metric, judge: Callable[[list[Series]], float]) -> Part:
         found = metric.found(trace, scenario)
         if not isinstance(found, Mapping):
             return found if isinstance(found, Unavailable) else float(judge([found]))
-        allowed = [one for one in (found[f"{h}s"] for h in OPEN_HORIZONS_S) if isinstance(one, Series)]
+        allowed = [
+            one for one in (found[f"{h}s"] for h in OPEN_HORIZONS_S) if isinstance(one, Series)
+        ]
         nothing = Unavailable(f"the log ends less than {OPEN_HORIZONS_S[0]} s after every frame")
         return float(judge(allowed)) if allowed else nothing
 
@@ -139,18 +148,27 @@ def _mean_within(bound: float, found: list[Series]) -> bool:
     return len(values) > 0 and float(values.mean()) <= bound
 
 
-PARTS: Mapping[str, Part] = MappingProxyType({
-    "completion": _part_of(progress.COMPLETION, lambda found: found[0].value[-1]),
-    "penalties": _penalties,
-    "red_lights": _part_of(traffic_rules.RED_LIGHT, lambda found: CARLA_RED ** float(np.nansum(found[0].value))),
-    "stop_signs": _part_of(traffic_rules.STOP_SIGN, lambda found: CARLA_STOP ** float(np.nansum(found[0].value))),
-    "inside_lanes": _inside_lanes,
-    "miss": _part_of(plans.MISS, lambda found: all(np.mean(~(one.value == 0.0)) <= MISS_SHARE for one in found)),
-    "ade": _part_of(plans.ADE, partial(_mean_within, NEAR_M)),
-    "fde": _part_of(plans.FDE, partial(_mean_within, NEAR_M)),
-    "ahe": _part_of(plans.AHE, partial(_mean_within, NEAR_RAD)),
-    "fhe": _part_of(plans.FHE, partial(_mean_within, NEAR_RAD)),
-})  # fmt: skip
+PARTS: Mapping[str, Part] = MappingProxyType(
+    {
+        "completion": _part_of(progress.COMPLETION, lambda found: found[0].value[-1]),
+        "penalties": _penalties,
+        "red_lights": _part_of(
+            traffic_rules.RED_LIGHT, lambda found: CARLA_RED ** float(np.nansum(found[0].value))
+        ),
+        "stop_signs": _part_of(
+            traffic_rules.STOP_SIGN, lambda found: CARLA_STOP ** float(np.nansum(found[0].value))
+        ),
+        "inside_lanes": _inside_lanes,
+        "miss": _part_of(
+            plans.MISS,
+            lambda found: all(np.mean(~(one.value == 0.0)) <= MISS_SHARE for one in found),
+        ),
+        "ade": _part_of(plans.ADE, partial(_mean_within, NEAR_M)),
+        "fde": _part_of(plans.FDE, partial(_mean_within, NEAR_M)),
+        "ahe": _part_of(plans.AHE, partial(_mean_within, NEAR_RAD)),
+        "fhe": _part_of(plans.FHE, partial(_mean_within, NEAR_RAD)),
+    }
+)
 
 NUPLAN_CLOSED = Formula(
     ("collisions", "drivable", "direction", "making_progress"),
@@ -158,9 +176,10 @@ NUPLAN_CLOSED = Formula(
 )
 NUPLAN_OPEN = Formula(("miss",), {"ade": 1.0, "fde": 1.0, "ahe": 2.0, "fhe": 2.0})
 CARLA = Formula(
-    ("completion", "penalties", "red_lights", "stop_signs", "inside_lanes"), {},
+    ("completion", "penalties", "red_lights", "stop_signs", "inside_lanes"),
+    {},
     frozenset({"red_lights", "stop_signs"}),
-)  # fmt: skip
+)
 
 
 def combined(formula: Formula, parts: Mapping[str, Value]) -> tuple[Value, str]:
@@ -172,7 +191,9 @@ def combined(formula: Formula, parts: Mapping[str, Value]) -> tuple[Value, str]:
     weight = sum(weight for name, weight in formula.weights.items() if name in known)
     if formula.weights and not weight:
         return Unavailable("no part of the weighted mean can be measured"), ""
-    mean = sum(weight * known[name] for name, weight in formula.weights.items() if name in known) / (weight or 1.0)
+    mean = sum(
+        weight * known[name] for name, weight in formula.weights.items() if name in known
+    ) / (weight or 1.0)
     product = prod((known[name] for name in formula.multipliers if name in known), start=1.0)
     left_out = ", ".join(name.replace("_", " ") for name in formula.names if name not in known)
     return product * (mean if formula.weights else 1.0), f"without: {left_out}" if left_out else ""
@@ -181,50 +202,81 @@ def combined(formula: Formula, parts: Mapping[str, Value]) -> tuple[Value, str]:
 def _scores(formula: Formula, trace: Trace, scenario: Scenario) -> Mapping[str, Measured]:
     if formula is NUPLAN_CLOSED:
         found = closed_loop_parts(trace, scenario)
-        parts = {name: found if isinstance(found, Unavailable) else found[name] for name in formula.names}
+        parts = {
+            name: found if isinstance(found, Unavailable) else found[name] for name in formula.names
+        }
     else:
         parts = {name: PARTS[name](trace, scenario) for name in formula.names}
     total, label = combined(formula, parts)
     rows = {"score": (total, label), **{name: (value, "") for name, value in parts.items()}}
     return {
-        name: value if isinstance(value, Unavailable) else Series(trace.ego.t[-1:], np.array([value]), (words,))
+        name: value
+        if isinstance(value, Unavailable)
+        else Series(trace.ego.t[-1:], np.array([value]), (words,))
         for name, (value, words) in rows.items()
     }
 
 
 def _score_metric(
-    name: str, formula: Formula, mode: Mode, meaning: str, source: str, text: str, needs: str, version: int = 1
+    name: str,
+    formula: Formula,
+    mode: Mode,
+    meaning: str,
+    source: str,
+    text: str,
+    needs: str,
+    version: int = 1,
 ) -> Metric:
     return Metric(
-        name, "1", "higher", (mode,), partial(_scores, formula), (FINAL,), meaning, source, version,
-        parts=("score", *formula.names), formula=text, needs=needs,
-        parameters=tuple(f"weight of {part} {weight:g}" for part, weight in formula.weights.items()),
-    )  # fmt: skip
+        name,
+        "1",
+        "higher",
+        (mode,),
+        partial(_scores, formula),
+        (FINAL,),
+        meaning,
+        source,
+        version,
+        parts=("score", *formula.names),
+        formula=text,
+        needs=needs,
+        parameters=tuple(
+            f"weight of {part} {weight:g}" for part, weight in formula.weights.items()
+        ),
+    )
 
 
 NUPLAN_CLOSED_SCORE = _score_metric(
-    "nuplan_closed", NUPLAN_CLOSED, Mode.CLOSED,
+    "nuplan_closed",
+    NUPLAN_CLOSED,
+    Mode.CLOSED,
     "nuPlan's closed-loop score, as its devkit computes it for the same drive. A drive that ends early is judged until"
     " then, and by the progress of the whole log.",
     "nuPlan devkit e9241677, closed_loop_nonreactive_agents_weighted_average",
     "collisions x drivable x direction x making_progress x (5 progress + 5 ttc + 4 speed_limit + 2 comfort) / 16",
-    "lanes, a logged drive", version=2,
-)  # fmt: skip
+    "lanes, a logged drive",
+    version=2,
+)
 NUPLAN_OPEN_SCORE = _score_metric(
-    "nuplan_open", NUPLAN_OPEN, Mode.OPEN,
+    "nuplan_open",
+    NUPLAN_OPEN,
+    Mode.OPEN,
     "nuPlan's open-loop score. It differs: plans are compared at 10 Hz and at the rear axle, a plan that does not reach"
     " a horizon misses there, horizons beyond the log are left out.",
-    "nuPlan devkit e9241677, open_loop_boxes_weighted_average", "miss x (ade + fde + 2 ahe + 2 fhe) / 6",
+    "nuPlan devkit e9241677, open_loop_boxes_weighted_average",
+    "miss x (ade + fde + 2 ahe + 2 fhe) / 6",
     "a logged drive of 3 s after some frame",
-)  # fmt: skip
+)
 CARLA_SCORE = _score_metric(
-    "carla", CARLA, Mode.CLOSED,
+    "carla",
+    CARLA,
+    Mode.CLOSED,
     "CARLA's driving score, in 0 .. 1. It differs: the drive ends at a collision; no penalties for a time-out, for"
     " yielding to emergency vehicles and for too little speed; outside are the lanes' edge and oncoming lanes.",
     "CARLA leaderboard 2.x aec81319, statistics_manager.py",
     "completion x 0.5^pedestrians x 0.6^vehicles x 0.65^objects x 0.7^red lights x 0.8^stop signs x inside_lanes",
     "lanes, a route with a goal or a logged drive of 10 m",
-)  # fmt: skip
+)
 
 
 AHEAD = cos(30.0 / 180.0 * np.pi)
@@ -237,10 +289,14 @@ LEAST_STATES, STEP_S = 6, 0.1
 SHORT = Unavailable(f"the drive or the log's has fewer than {LEAST_STATES} states at 10 Hz")
 
 
-def corners_of(x: FloatArray, y: FloatArray, yaw: FloatArray, car: EgoOutline) -> tuple[FloatArray, FloatArray]:
+def corners_of(
+    x: FloatArray, y: FloatArray, yaw: FloatArray, car: EgoOutline
+) -> tuple[FloatArray, FloatArray]:
     """Return the corners `(4, k)` of boxes with these centres."""
     ahead, left = CORNERS[:, :1] * car.length, CORNERS[:, 1:] * car.width
-    return x + ahead * np.cos(yaw) - left * np.sin(yaw), y + ahead * np.sin(yaw) + left * np.cos(yaw)
+    return x + ahead * np.cos(yaw) - left * np.sin(yaw), y + ahead * np.sin(yaw) + left * np.cos(
+        yaw
+    )
 
 
 @once
@@ -284,7 +340,9 @@ def _at_10_hz(ego: Trajectory) -> Trajectory:
     """Return a drive as nuPlan's loop steps; a drive with steps of more than half of 0.1 s as it is."""
     steps = int((ego.t[-1] - ego.t[0]) / STEP_S + 1e-6) + 1
     fine = len(ego) > 1 and float(np.mean(np.diff(ego.t))) < 0.5 * STEP_S
-    return ego.resampled(np.minimum(ego.t[0] + STEP_S * np.arange(steps), ego.t[-1])) if fine else ego
+    return (
+        ego.resampled(np.minimum(ego.t[0] + STEP_S * np.arange(steps), ego.t[-1])) if fine else ego
+    )
 
 
 def collision_score(hit: Sequence[AgentKind]) -> float:
@@ -296,9 +354,15 @@ def collision_score(hit: Sequence[AgentKind]) -> float:
 
 @kernel
 def _meetings(
-    rear: FloatArray, box: FloatArray, car: EgoOutline, others: OtherBoxes, objects: BoolArray, astray: BoolArray,
-    wide: BoolArray, met: BoolArray,
-) -> tuple[BoolArray, BoolArray, bool]:  # fmt: skip
+    rear: FloatArray,
+    box: FloatArray,
+    car: EgoOutline,
+    others: OtherBoxes,
+    objects: BoolArray,
+    astray: BoolArray,
+    wide: BoolArray,
+    met: BoolArray,
+) -> tuple[BoolArray, BoolArray, bool]:
     """Return which agents the ego hits at fault and has met `(n,)`, and whether it comes too close in time to one.
 
     `rear` is x, y, yaw of the rear axle and the speed `(4, k)`; `wide`: where agents up to 150 degrees count for ttc;
@@ -319,9 +383,22 @@ def _meetings(
                     nose_x, nose_y = x + car.front * cos(yaw), y + car.front * sin(yaw)
                     fault[i] = u <= STANDING_MPS or (
                         not is_behind(x, y, yaw, px, py)
-                        and (overlap(nose_x, nose_y, yaw, 0.0, car.width, px, py, heading, size[i, 0], size[i, 1])
-                             or astray[k])
-                    )  # fmt: skip
+                        and (
+                            overlap(
+                                nose_x,
+                                nose_y,
+                                yaw,
+                                0.0,
+                                car.width,
+                                px,
+                                py,
+                                heading,
+                                size[i, 0],
+                                size[i, 1],
+                            )
+                            or astray[k]
+                        )
+                    )
                 break
             ahead, away = (px - x) * cos(yaw) + (py - y) * sin(yaw), hypot(px - x, py - y)
             if close or v <= NO_TTC_MPS or (v + u) < away - 20.0 - size[i, 0]:
@@ -331,9 +408,17 @@ def _meetings(
             for step in range(1, 10):
                 mine, theirs = 0.1 * step * v, 0.1 * step * u
                 if overlap(
-                    box[0, k] + mine * cos(yaw), box[1, k] + mine * sin(yaw), yaw, car.length, car.width,
-                    px + theirs * cos(heading), py + theirs * sin(heading), heading, size[i, 0], size[i, 1],
-                ):  # fmt: skip
+                    box[0, k] + mine * cos(yaw),
+                    box[1, k] + mine * sin(yaw),
+                    yaw,
+                    car.length,
+                    car.width,
+                    px + theirs * cos(heading),
+                    py + theirs * sin(heading),
+                    heading,
+                    size[i, 0],
+                    size[i, 1],
+                ):
                     close = True
                     break
     return fault, met, close
@@ -345,7 +430,10 @@ def _leaves_road(
     """Return whether a corner `(4, k)` that is on no lane is `OFF_M` off the road."""
     for corner in range(4):
         lost = np.array([not four[corner] for four in found])
-        if lost.any() and not np.isfinite(lanes.off_road(x[corner, lost], y[corner, lost], OFF_M)).all():
+        if (
+            lost.any()
+            and not np.isfinite(lanes.off_road(x[corner, lost], y[corner, lost], OFF_M)).all()
+        ):
             return True
     return False
 
@@ -354,7 +442,9 @@ def _station(line: FloatArray, x: float, y: float) -> float:
     return float(along_line(line, np.array([x]), np.array([y]))[0][0])
 
 
-def _direction(lanes: DrivableLanes, route: Route, x: FloatArray, y: FloatArray, t: FloatArray) -> float:
+def _direction(
+    lanes: DrivableLanes, route: Route, x: FloatArray, y: FloatArray, t: FloatArray
+) -> float:
     gained, lane, before = np.zeros(len(x)), route[0][:1], np.nan
     for k, here in enumerate(route):
         if not here:
@@ -377,7 +467,11 @@ def route_lanes(lanes: DrivableLanes, x: FloatArray, y: FloatArray) -> list[int]
     for here in lanes.route(x, y):
         if here and not (simple and set(here) & set(simple[-1])):
             simple.append(here)
-    return [one[0] for k, one in enumerate(simple) if not k or lanes.block[one[0]] != lanes.block[simple[k - 1][0]]]
+    return [
+        one[0]
+        for k, one in enumerate(simple)
+        if not k or lanes.block[one[0]] != lanes.block[simple[k - 1][0]]
+    ]
 
 
 def _progress(lanes: DrivableLanes, log: FloatArray, x: FloatArray, y: FloatArray) -> float:
@@ -403,15 +497,25 @@ def _gain(lanes: DrivableLanes, first: Sequence[int], x: FloatArray, y: FloatArr
         for then in range(now + 1, len(first)):
             if inside[then][k]:
                 here = _station(lines[then], x[k], y[k])
-                total += lanes.lanes[first[now]].length - last + skipped + here - _station(lines[then], *lines[now][-1])
+                total += (
+                    lanes.lanes[first[now]].length
+                    - last
+                    + skipped
+                    + here
+                    - _station(lines[then], *lines[now][-1])
+                )
                 now, last = then, here
                 break
             if then + 1 < len(first):
-                skipped += _station(lines[then], *lines[then + 1][0]) - _station(lines[then], *lines[then - 1][-1])
+                skipped += _station(lines[then], *lines[then + 1][0]) - _station(
+                    lines[then], *lines[then - 1][-1]
+                )
     return total
 
 
-def _speed_limit(lanes: DrivableLanes, scenario: Scenario, route: Route, speed: FloatArray, t: FloatArray) -> float:
+def _speed_limit(
+    lanes: DrivableLanes, scenario: Scenario, route: Route, speed: FloatArray, t: FloatArray
+) -> float:
     over = np.zeros(len(t))
     for k, here in enumerate(route):
         joined = [j for i in here for j in (*lanes.after[i], *lanes.before[i])]
@@ -425,11 +529,18 @@ def _speed_limit(lanes: DrivableLanes, scenario: Scenario, route: Route, speed: 
 def _signals(ego: Trajectory, ahead: float) -> Mapping[str, FloatArray]:
     turn = ego.v * ego.kappa
     lon = ego.a + ahead * (turn**2 + np.gradient(turn, ego.t))
-    return comfort_signals(lon, np.zeros(len(ego)), np.abs(ego.a), ego.yaw, float(np.mean(np.diff(ego.t))))
+    return comfort_signals(
+        lon, np.zeros(len(ego)), np.abs(ego.a), ego.yaw, float(np.mean(np.diff(ego.t)))
+    )
 
 
 def comfort_signals(
-    lon: FloatArray, lat: FloatArray, size: FloatArray, yaw: FloatArray, step: float, windows: tuple[int, int] = (8, 15)
+    lon: FloatArray,
+    lat: FloatArray,
+    size: FloatArray,
+    yaw: FloatArray,
+    step: float,
+    windows: tuple[int, int] = (8, 15),
 ) -> Mapping[str, FloatArray]:
     """Return the six signals of nuPlan's comfort from accelerations along, across and as a whole, and the yaw.
 
@@ -437,10 +548,13 @@ def comfort_signals(
     """
     accel, jerk = windows
     return {
-        "lon_accel": savgol(lon, accel, 2), "lat_accel": savgol(lat, accel, 2),
-        "jerk": savgol(savgol(size, 8, 2), jerk, 2, 1, step), "lon_jerk": savgol(savgol(lon, 8, 2), jerk, 2, 1, step),
-        "yaw_rate": savgol(yaw, 5, 2, 1, step), "yaw_accel": savgol(yaw, 5, 3, 2, step),
-    }  # fmt: skip
+        "lon_accel": savgol(lon, accel, 2),
+        "lat_accel": savgol(lat, accel, 2),
+        "jerk": savgol(savgol(size, 8, 2), jerk, 2, 1, step),
+        "lon_jerk": savgol(savgol(lon, 8, 2), jerk, 2, 1, step),
+        "yaw_rate": savgol(yaw, 5, 2, 1, step),
+        "yaw_accel": savgol(yaw, 5, 3, 2, step),
+    }
 
 
 def comfortable(signals: Mapping[str, FloatArray]) -> bool:

@@ -94,7 +94,18 @@ def time_to_contact_accelerated(one: MovingBox, two: MovingBox, horizon: float) 
         if hypot(dx, dy) - reach <= (e1 - d1) + (e2 - d2):
             u1, u2 = (e1 - d1) / PIECE_S, (e2 - d2) / PIECE_S
             found = time_to_contact(
-                0.0, 0.0, yaw1, length1, width1, dx, dy, yaw2, length2, width2, u2 * c2 - u1 * c1, u2 * s2 - u1 * s1
+                0.0,
+                0.0,
+                yaw1,
+                length1,
+                width1,
+                dx,
+                dy,
+                yaw2,
+                length2,
+                width2,
+                u2 * c2 - u1 * c1,
+                u2 * s2 - u1 * s1,
             )
             if found <= PIECE_S:
                 return i * PIECE_S + found
@@ -112,16 +123,23 @@ def closest_encounter(one: MovingBox, two: MovingBox, horizon: float) -> tuple[f
     if contact <= horizon:
         return 0.0, contact
     best, when = distance(x1, y1, yaw1, length1, width1, x2, y2, yaw2, length2, width2), 0.0
-    later = distance(x1, y1, yaw1, length1, width1, x2 + horizon * vx, y2 + horizon * vy, yaw2, length2, width2)
+    later = distance(
+        x1, y1, yaw1, length1, width1, x2 + horizon * vx, y2 + horizon * vy, yaw2, length2, width2
+    )
     square = vx * vx + vy * vy
     if square > 0.0:
-        mine, theirs = corners(x1, y1, yaw1, length1, width1), corners(x2, y2, yaw2, length2, width2)
+        mine, theirs = (
+            corners(x1, y1, yaw1, length1, width1),
+            corners(x2, y2, yaw2, length2, width2),
+        )
         for i in range(4):
             for j in range(4):
                 dx, dy = theirs[j, 0] - mine[i, 0], theirs[j, 1] - mine[i, 1]
                 t = -(dx * vx + dy * vy) / square
                 apart = hypot(dx + t * vx, dy + t * vy)
-                if 0.0 < t < horizon and (apart < best - 1e-9 or (apart < best + 1e-9 and t < when)):
+                if 0.0 < t < horizon and (
+                    apart < best - 1e-9 or (apart < best + 1e-9 and t < when)
+                ):
                     best, when = min(apart, best), t
     return (later, horizon) if later < best - 1e-9 else (best, when)
 
@@ -142,11 +160,18 @@ def _least_with_acceleration(
     least, agent = np.full(steps, np.nan), np.full(steps, -1, np.int64)
     for k in range(steps):
         x, y, yaw, vx, vy = ego[0, k], ego[1, k], ego[2, k], ego[3, k], ego[4, k]
-        rear_x, rear_y, best, v = x - car.axle * cos(yaw), y - car.axle * sin(yaw), HORIZON_S, hypot(vx, vy)
+        rear_x, rear_y, best, v = (
+            x - car.axle * cos(yaw),
+            y - car.axle * sin(yaw),
+            HORIZON_S,
+            hypot(vx, vy),
+        )
         if v <= NO_TTC_MPS:
             continue
         for i in range(len(size)):
-            if not others.there[i, k] or is_behind(rear_x, rear_y, yaw, pose[0, i, k], pose[1, i, k]):
+            if not others.there[i, k] or is_behind(
+                rear_x, rear_y, yaw, pose[0, i, k], pose[1, i, k]
+            ):
                 continue
             u, a = hypot(pose[3, i, k], pose[4, i, k]), others.accel[i, k]
             a = a if np.isfinite(a) else 0.0
@@ -165,14 +190,23 @@ def _least_with_acceleration(
 def _closest(ego: FloatArray, car: EgoOutline, others: OtherBoxes) -> tuple[FloatArray, IntArray]:
     """Return for each step the least DCE and its TTCE `(2, k)` (NaN: no other agent), and the agent's index (-1)."""
     pose, size, steps = others.pose, others.size, others.there.shape[1]
-    found, agent, reach = np.full((2, steps), np.nan), np.full(steps, -1, np.int64), 0.5 * hypot(car.length, car.width)
+    found, agent, reach = (
+        np.full((2, steps), np.nan),
+        np.full(steps, -1, np.int64),
+        0.5 * hypot(car.length, car.width),
+    )
     for k in range(steps):
         x, y, yaw, vx, vy = ego[0, k], ego[1, k], ego[2, k], ego[3, k], ego[4, k]
         best, when = inf, inf
         for i in range(len(size)):
             if not others.there[i, k]:
                 continue
-            dx, dy, du, dv = pose[0, i, k] - x, pose[1, i, k] - y, pose[3, i, k] - vx, pose[4, i, k] - vy
+            dx, dy, du, dv = (
+                pose[0, i, k] - x,
+                pose[1, i, k] - y,
+                pose[3, i, k] - vx,
+                pose[4, i, k] - vy,
+            )
             square = du * du + dv * dv
             t = min(max(-(dx * du + dy * dv) / square, 0.0), HORIZON_S) if square > 0.0 else 0.0
             if hypot(dx + t * du, dy + t * dv) - reach - 0.5 * hypot(size[i, 0], size[i, 1]) > best:
@@ -187,7 +221,12 @@ def _closest(ego: FloatArray, car: EgoOutline, others: OtherBoxes) -> tuple[Floa
 
 @kernel
 def encroachment(
-    ego: FloatArray, mine: IntArray, other: FloatArray, theirs: IntArray, sizes: FloatArray, angle: float
+    ego: FloatArray,
+    mine: IntArray,
+    other: FloatArray,
+    theirs: IntArray,
+    sizes: FloatArray,
+    angle: float,
 ) -> IntArray:
     """Return (3) in steps `(4, steps of the ego)`, for increasing steps `mine` of the ego and `theirs` of an agent.
 
@@ -202,9 +241,17 @@ def encroachment(
             if hypot(other[0, j] - ego[0, i], other[1, j] - ego[1, i]) > reach:
                 continue
             if abs(wrap(other[2, j] - ego[2, i])) < angle or not overlap(
-                ego[0, i], ego[1, i], ego[2, i], sizes[0, 0], sizes[0, 1],
-                other[0, j], other[1, j], other[2, j], sizes[1, 0], sizes[1, 1],
-            ):  # fmt: skip
+                ego[0, i],
+                ego[1, i],
+                ego[2, i],
+                sizes[0, 0],
+                sizes[0, 1],
+                other[0, j],
+                other[1, j],
+                other[2, j],
+                sizes[1, 0],
+                sizes[1, 1],
+            ):
                 continue
             order, steps = (0, j - i) if j >= i else (1, i - j)
             out[2 + order, i] += 1
@@ -217,22 +264,32 @@ def _ttc_accelerated(trace: Trace, scenario: Scenario) -> Measured:
     ego, car = grid_of(trace), car_of(scenario)
     boxes, forth = ego_boxes(ego, scenario), ego.a * np.where(ego.v < 0.0, -1.0, 1.0)
     least, agent = nearest(
-        trace.agents, ego.t, lambda k, seen, others: _least_with_acceleration(boxes[:, k], forth[k], car, others)
+        trace.agents,
+        ego.t,
+        lambda k, seen, others: _least_with_acceleration(boxes[:, k], forth[k], car, others),
     )
-    return Series(ego.t, least, labels_of(trace, agent), f"never on a course to touch within {HORIZON_S:g} s")
+    return Series(
+        ego.t, least, labels_of(trace, agent), f"never on a course to touch within {HORIZON_S:g} s"
+    )
 
 
 @once
 def _encounters(trace: Trace, scenario: Scenario) -> tuple[FloatArray, IntArray]:
     """Return `_closest` over all road users present, and the index of the nearest one."""
     boxes, car = ego_boxes(grid_of(trace), scenario), car_of(scenario)
-    return nearest(trace.agents, grid_of(trace).t, lambda k, seen, others: _closest(boxes[:, k], car, others))
+    return nearest(
+        trace.agents, grid_of(trace).t, lambda k, seen, others: _closest(boxes[:, k], car, others)
+    )
 
 
 def _encounter(trace: Trace, scenario: Scenario, *, row: int) -> Measured:
     found, agent = _encounters(trace, scenario)
     value = found[row] if row == 0 else np.where(found[1] > 0.0, found[1], np.nan)
-    nothing = "no other road user in the scene" if row == 0 or not (agent >= 0).any() else "no other came nearer"
+    nothing = (
+        "no other road user in the scene"
+        if row == 0 or not (agent >= 0).any()
+        else "no other came nearer"
+    )
     return Series(grid_of(trace).t, value, labels_of(trace, agent), nothing)
 
 
@@ -247,9 +304,15 @@ def _pet(trace: Trace, scenario: Scenario) -> Mapping[str, Measured]:
         name, sizes = name_of(trace.agents, i), np.array([car[1:3], others.size[row]])
         poses = np.ascontiguousarray(others.pose[:, row])
         across = 0.0 if trace.agents.kinds[i] is AgentKind.PEDESTRIAN else CROSSING_RAD
-        for angle, after, before in ((0.0, "ego_first", "ego_second"), (across, "crossing", "crossing")):
+        for angle, after, before in (
+            (0.0, "ego_first", "ego_second"),
+            (across, "crossing", "crossing"),
+        ):
             found = encroachment(boxes, mine, poses, theirs, sizes, angle)
-            for part, steps, sign, order in ((after, found[0], 1, "second"), (before, found[1], -1, "first")):
+            for part, steps, sign, order in (
+                (after, found[0], 1, "second"),
+                (before, found[1], -1, "first"),
+            ):
                 at = np.flatnonzero(steps >= 0)
                 for k, pet in zip(at, np.abs(t[at + sign * steps[at]] - t[at]), strict=True):
                     if not best[part][k] <= pet:
@@ -257,7 +320,9 @@ def _pet(trace: Trace, scenario: Scenario) -> Mapping[str, Measured]:
     return {part: Series(t, best[part], tuple(labels[part]), PET_PARTS[part]) for part in PET_PARTS}
 
 
-def may_meet(boxes: FloatArray, car: EgoOutline, others: OtherBoxes, i: int) -> tuple[IntArray, IntArray]:
+def may_meet(
+    boxes: FloatArray, car: EgoOutline, others: OtherBoxes, i: int
+) -> tuple[IntArray, IntArray]:
     """Return the steps of the ego, and of the agent in row i, that lie in the bounding box of the other's drive."""
     ego, other = boxes[:2].T, others.pose[:2, i].T
     if not others.there[i].any():
@@ -277,33 +342,61 @@ PET_PARTS = {
 """The parts of PET, and the reason if a part has no value."""
 _GRID = f"every {GRID_S:g} s"
 TTC_ACCELERATED = Metric(
-    "ttc_accelerated", "s", "higher", (Mode.CLOSED,), _ttc_accelerated, (MIN, time_below(1.5, "time_below_1500ms")),
+    "ttc_accelerated",
+    "s",
+    "higher",
+    (Mode.CLOSED,),
+    _ttc_accelerated,
+    (MIN, time_below(1.5, "time_below_1500ms")),
     "Least time until boxes touch when all go on along their velocity vectors with their accelerations, none into "
     "reverse; not to those behind.",
-    f"{CATALOGUE}; commonroad-crime asks it of a lead in a lane", formula="v(t) = max(v + a t, 0) of each",
+    f"{CATALOGUE}; commonroad-crime asks it of a lead in a lane",
+    formula="v(t) = max(v + a t, 0) of each",
     parameters=(f"horizon {HORIZON_S:g} s", f"pieces of {PIECE_S:g} s", "bound 1.5 s", _GRID),
     needs="another on a course to touch an ego that drives",
-)  # fmt: skip
+)
 DCE = Metric(
-    "dce", "m", "higher", (Mode.CLOSED,), partial(_encounter, row=0), (MIN,),
+    "dce",
+    "m",
+    "higher",
+    (Mode.CLOSED,),
+    partial(_encounter, row=0),
+    (MIN,),
     "Distance of the closest encounter: the least distance of the boxes within 10 s at constant velocity vectors.",
-    f"Eggert, Proc. IEEE ITSC 2014; {CATALOGUE}", formula="min over 0 <= t <= horizon of distance(t)",
-    parameters=(f"horizon {HORIZON_S:g} s", _GRID), needs="another road user",
-)  # fmt: skip
+    f"Eggert, Proc. IEEE ITSC 2014; {CATALOGUE}",
+    formula="min over 0 <= t <= horizon of distance(t)",
+    parameters=(f"horizon {HORIZON_S:g} s", _GRID),
+    needs="another road user",
+)
 TTCE = Metric(
-    "ttce", "s", "higher", (Mode.CLOSED,), partial(_encounter, row=1), (MIN,),
+    "ttce",
+    "s",
+    "higher",
+    (Mode.CLOSED,),
+    partial(_encounter, row=1),
+    (MIN,),
     "Time to the closest encounter (of dce) where that is still to come.",
-    f"Eggert, Proc. IEEE ITSC 2014; {CATALOGUE}", formula="argmin over 0 < t <= horizon of distance(t)",
-    parameters=(f"horizon {HORIZON_S:g} s", _GRID), needs="another who comes nearer",
-)  # fmt: skip
+    f"Eggert, Proc. IEEE ITSC 2014; {CATALOGUE}",
+    formula="argmin over 0 < t <= horizon of distance(t)",
+    parameters=(f"horizon {HORIZON_S:g} s", _GRID),
+    needs="another who comes nearer",
+)
 PET = Metric(
-    "pet", "s", "higher", (Mode.CLOSED,), _pet, (MIN, time_below(SERIOUS_S, "time_below_1s")),
+    "pet",
+    "s",
+    "higher",
+    (Mode.CLOSED,),
+    _pet,
+    (MIN, time_below(SERIOUS_S, "time_below_1s")),
     "Post-encroachment time: from one leaving a place to the other taking it; the ego first, second, or either at a "
     "crossing.",
     f"Allen, Shin, Cooper, Transp. Res. Rec. 667 (1978); {CATALOGUE}",
     formula="min |t_j - t_i| over overlapping boxes",
     parameters=(
-        _GRID, "crossing: pedestrians, and headings 30 degrees or more apart", f"serious below {SERIOUS_S:g} s",
+        _GRID,
+        "crossing: pedestrians, and headings 30 degrees or more apart",
+        f"serious below {SERIOUS_S:g} s",
     ),
-    parts=tuple(PET_PARTS), needs="a place that both take",
-)  # fmt: skip
+    parts=tuple(PET_PARTS),
+    needs="a place that both take",
+)

@@ -40,7 +40,15 @@ from replan.logs.trace import EndReason, Mode, Trace
 from replan.metrics import metric
 from replan.metrics.boxes import each, ego_boxes, name_of, phantoms, some_at
 from replan.metrics.lanes import limits_at, mapped_lanes, off_lanes, points_inside, stated_lanes
-from replan.metrics.metric import Direction, Measured, Metric, Reduction, Series, Unavailable, where_followed
+from replan.metrics.metric import (
+    Direction,
+    Measured,
+    Metric,
+    Reduction,
+    Series,
+    Unavailable,
+    where_followed,
+)
 from replan.metrics.plans import NO_PLANS, frame_times
 
 AWAY_S, LENGTH_M, WIDTH_M = 1.0, 5.0, 3.5
@@ -53,7 +61,8 @@ def _coverage(trace: Trace, scenario: Scenario) -> Mapping[str, Measured] | Unav
         return Unavailable("the log holds one ego state only: there is no drive to plan along")
     start, end = float(scenario.ego.t[0]), trace.ego.t[-1:]
     last = scenario.duration if trace.mode is Mode.CLOSED else float(scenario.ego.t[-1])
-    if trace.mode is Mode.CLOSED and trace.end is EndReason.END_OF_LOG and trace.detail:  # `end_with_evidence` ended it
+    # `end_with_evidence` ended it
+    if trace.mode is Mode.CLOSED and trace.end is EndReason.END_OF_LOG and trace.detail:
         last = float(trace.ego.t[-1])
     return {"log_s": Series(end, np.array([last - start])), "driven_s": Series(end, end - start)}
 
@@ -68,25 +77,42 @@ class Evidence(Series):
 def _evidence(trace: Trace, scenario: Scenario) -> Mapping[str, Measured]:
     (x, y), t, spans = ego_boxes(trace.ego, scenario)[:2], trace.ego.t, scenario.traffic_spans
     observed = f"traffic is recorded {described(spans)}, the drive lasts from {t[0]:.1f} s to {t[-1]:.1f} s"
-    stated, mapped, none = stated_lanes(scenario.road), mapped_lanes(scenario.road), np.zeros(len(t), np.bool_)
+    stated, mapped, none = (
+        stated_lanes(scenario.road),
+        mapped_lanes(scenario.road),
+        np.zeros(len(t), np.bool_),
+    )
     limit = none if stated is None else np.isfinite(limits_at(stated, x, y))
     lane = none if mapped is None else off_lanes(mapped, x, y) == 0.0
-    no_lane = "the log has no lanes for cars" if mapped is None else "no lane of the log's map lies under the ego"
+    no_lane = (
+        "the log has no lanes for cars"
+        if mapped is None
+        else "no lane of the log's map lies under the ego"
+    )
     return {
         "traffic": _series_of(trace, within(spans, t), observed),
         "lights": _lights(trace, scenario, x, y),
-        "limit": _series_of(trace, limit, "the log has no speed limit here: it is assumed, or not asked for"),
+        "limit": _series_of(
+            trace, limit, "the log has no speed limit here: it is assumed, or not asked for"
+        ),
         "lane": _series_of(trace, lane, no_lane),
     }
 
 
-def _series_of(trace: Trace, known: BoolArray, why: str, needed: BoolArray | None = None) -> Evidence:
+def _series_of(
+    trace: Trace, known: BoolArray, why: str, needed: BoolArray | None = None
+) -> Evidence:
     """Return the series of one kind of evidence; `why` is the label of steps that need evidence and have none."""
     ego = trace.ego
     needed = np.ones(len(known), np.bool_) if needed is None else needed
     value = np.where(needed, known.astype(np.float64), np.nan)
     labels = tuple(why if lacking else "" for lacking in (needed & ~known).tolist())
-    return Evidence(ego.t, value, labels, way=metric.split_to_neighbours(np.hypot(np.diff(ego.x), np.diff(ego.y))))
+    return Evidence(
+        ego.t,
+        value,
+        labels,
+        way=metric.split_to_neighbours(np.hypot(np.diff(ego.x), np.diff(ego.y))),
+    )
 
 
 def _lights(trace: Trace, scenario: Scenario, x: FloatArray, y: FloatArray) -> Measured:
@@ -107,7 +133,12 @@ def _lights(trace: Trace, scenario: Scenario, x: FloatArray, y: FloatArray) -> M
         needed, known = needed | near, known & (shown | ~near)
     if not needed.any():
         return Unavailable("no stop line with a traffic light lies on the driven way")
-    return _series_of(trace, known, f"traffic light {', '.join(map(str, sorted(lacking)))} is not observed", needed)
+    return _series_of(
+        trace,
+        known,
+        f"traffic light {', '.join(map(str, sorted(lacking)))} is not observed",
+        needed,
+    )
 
 
 def _share(series: Series, *, of_way: bool = False) -> tuple[float, int]:
@@ -116,7 +147,9 @@ def _share(series: Series, *, of_way: bool = False) -> tuple[float, int]:
     weight = series.way if of_way and isinstance(series, Evidence) else metric.durations(series.t)
     weight = weight if weight[known].sum() > 0.0 else metric.durations(series.t)
     weight = weight if weight[known].sum() > 0.0 else np.ones(len(known))
-    return float(np.average(series.value[known], weights=weight[known])), metric.first_of(series.value == 0.0)
+    return float(np.average(series.value[known], weights=weight[known])), metric.first_of(
+        series.value == 0.0
+    )
 
 
 def _replay_contact(trace: Trace, scenario: Scenario) -> Measured:
@@ -130,7 +163,9 @@ def _by_status(status: PlanStatus, trace: Trace, scenario: Scenario) -> Measured
         return NO_PLANS
     plans = [frame.plan for frame in trace.frames]
     flags = np.array([float(plan.status is status) for plan in plans])
-    return Series(frame_times(trace), flags, tuple(p.reason if p.status is status else "" for p in plans))
+    return Series(
+        frame_times(trace), flags, tuple(p.reason if p.status is status else "" for p in plans)
+    )
 
 
 def _phantom(trace: Trace, scenario: Scenario) -> Measured:
@@ -143,7 +178,9 @@ def _agent_interval(trace: Trace, scenario: Scenario) -> Measured:
     tracks = scenario.tracks
     apart = np.diff(tracks.t, append=np.inf)
     apart[tracks.offsets[1:] - 1] = np.inf
-    apart = apart[np.isfinite(apart) & ~np.repeat(tracks.static, np.diff(tracks.offsets)) & ~tracks.gap_after]
+    apart = apart[
+        np.isfinite(apart) & ~np.repeat(tracks.static, np.diff(tracks.offsets)) & ~tracks.gap_after
+    ]
     if not len(apart):
         return Unavailable("the log has no road user that is sampled twice")
     return Series(trace.ego.t[-1:], np.array([float(np.median(apart))]))
@@ -179,7 +216,10 @@ def _divergence_weak(trace: Trace, scenario: Scenario) -> Measured:
     if len(scenario.ego) < 2:
         return _NO_DRIVE
     t, (_, along, across) = trace.ego.t, _distances(trace, scenario)
-    ways = ("the ego along its way", np.abs(along) > 1.0), ("the ego across its way", np.abs(across) > 1.0)
+    ways = (
+        ("the ego along its way", np.abs(along) > 1.0),
+        ("the ego across its way", np.abs(across) > 1.0),
+    )
     parted = {name: off for name, off in (*ways, *_displaced_agents(trace, scenario)) if off.any()}
     first = min((int(np.argmax(off)) for off in parted.values()), default=len(t))
     why = "; ".join(name for name, off in parted.items() if off[first])
@@ -188,97 +228,166 @@ def _divergence_weak(trace: Trace, scenario: Scenario) -> Measured:
 
 
 COVERAGE = Metric(
-    "coverage", "s", "higher", (Mode.OPEN, Mode.CLOSED), _coverage, (metric.FINAL,),
+    "coverage",
+    "s",
+    "higher",
+    (Mode.OPEN, Mode.CLOSED),
+    _coverage,
+    (metric.FINAL,),
     "Time that the log lasts from the ego's first state on (log_s; open loop: as long as the log has an ego; where the"
     " drive ends with the evidence: as long as that), and that"
     " was driven or planned (driven_s).",
-    parts=("log_s", "driven_s"), formula="last time - first time",
+    parts=("log_s", "driven_s"),
+    formula="last time - first time",
     needs="open loop: a log that holds a drive",
-)  # fmt: skip
+)
 EVIDENCE = Metric(
-    "evidence", "1", "higher", (Mode.OPEN, Mode.CLOSED), _evidence,
+    "evidence",
+    "1",
+    "higher",
+    (Mode.OPEN, Mode.CLOSED),
+    _evidence,
     (Reduction("share", _share), Reduction("way_share", partial(_share, of_way=True))),
     "Share of the driven time, and of the driven way, with what verdicts rest on: the other road users observed"
     " (traffic), the light ahead known (lights), a speed limit of the log's own (limit), a lane of its map (lane).",
-    parts=("traffic", "lights", "limit", "lane"), formula="time or way with evidence / time or way that needs it",
+    parts=("traffic", "lights", "limit", "lane"),
+    formula="time or way with evidence / time or way that needs it",
     needs="lights: a stop line with a traffic light on the driven way",
-)  # fmt: skip
+)
 AGENT_INTERVAL = Metric(
-    "agent_interval", "s", "none", (Mode.OPEN, Mode.CLOSED), _agent_interval, (metric.FINAL,),
+    "agent_interval",
+    "s",
+    "none",
+    (Mode.OPEN, Mode.CLOSED),
+    _agent_interval,
+    (metric.FINAL,),
     "Time between two samples of a road user in the log, the median over all that are not static: how near to its bound"
     " a value is marginal.",
-    formula="median of t_k - t_(k-1), gaps left out", needs="a road user with two samples",
-)  # fmt: skip
+    formula="median of t_k - t_(k-1), gaps left out",
+    needs="a road user with two samples",
+)
 REPLAY_CONTACT = Metric(
-    "replay_contact", "1", "lower", (Mode.CLOSED,), _replay_contact, (metric.FINAL,),
+    "replay_contact",
+    "1",
+    "lower",
+    (Mode.CLOSED,),
+    _replay_contact,
+    (metric.FINAL,),
     "1 if a replayed road user ran into the ego without its fault and so ended the drive.",
     formula="[the drive ended by the replay]",
-)  # fmt: skip
+)
 PLAN_REFUSED = Metric(
-    "plan_refused", "1", "lower", (Mode.OPEN, Mode.CLOSED), partial(_by_status, PlanStatus.REFUSED), (metric.RATE,),
+    "plan_refused",
+    "1",
+    "lower",
+    (Mode.OPEN, Mode.CLOSED),
+    partial(_by_status, PlanStatus.REFUSED),
+    (metric.RATE,),
     "Share of the frames whose plan does not start at the ego, or is impossible for a road car: it is not driven.",
     formula="refused plans / plans; bounds: replay/loop/plan_check.py",
     needs="a plan, and lanes or a path that the vehicle can follow",
-)  # fmt: skip
+)
 PLAN_CORRECTED = Metric(
-    "plan_corrected", "1", "lower", (Mode.OPEN, Mode.CLOSED), partial(_by_status, PlanStatus.CORRECTED),
+    "plan_corrected",
+    "1",
+    "lower",
+    (Mode.OPEN, Mode.CLOSED),
+    partial(_by_status, PlanStatus.CORRECTED),
     (metric.RATE,),
     "Share of the frames whose plan says another speed, heading, curvature or acceleration than its positions have.",
     formula="corrected plans / plans; bounds: replay/loop/plan_check.py",
     needs="a plan, and lanes or a path that the vehicle can follow",
-)  # fmt: skip
+)
 _MEMBERS: tuple[tuple[str, Direction], ...] = (("pass_share", "higher"), ("fragile", "lower"))
 ENSEMBLE = Metric(
-    "ensemble", "1", "none", (Mode.OPEN, Mode.CLOSED),
+    "ensemble",
+    "1",
+    "none",
+    (Mode.OPEN, Mode.CLOSED),
     lambda trace, scenario: Unavailable("the run has no ensemble (--ensemble N)"),
     tuple(replace(metric.FINAL, name=name, direction=better) for name, better in _MEMBERS),
     "Whether the verdict on a log holds where it is driven again in worlds that should not matter: share of them in"
     " which it passes, and 1 where one of them has another verdict.",
-    formula="members that pass / members; [a member has another verdict]", needs="--ensemble N",
-)  # fmt: skip
+    formula="members that pass / members; [a member has another verdict]",
+    needs="--ensemble N",
+)
 ASKED = Metric(
-    "asked", "1", "none", (Mode.OPEN, Mode.CLOSED), lambda trace, scenario: Unavailable("no gates were judged"),
+    "asked",
+    "1",
+    "none",
+    (Mode.OPEN, Mode.CLOSED),
+    lambda trace, scenario: Unavailable("no gates were judged"),
     (replace(metric.FINAL, name="share", direction="higher"),),
     "Share of the gates of this loop that were asked of this log: the others had nothing to judge.",
-    formula="gates that pass, fail or are inconclusive / gates of the loop", needs="a run with gates",
-)  # fmt: skip
+    formula="gates that pass, fail or are inconclusive / gates of the loop",
+    needs="a run with gates",
+)
 DISCRIMINATION = Metric(
-    "discrimination", "1", "higher", (Mode.CLOSED,), lambda trace, scenario: Unavailable("no gates were judged"),
+    "discrimination",
+    "1",
+    "higher",
+    (Mode.CLOSED,),
+    lambda trace, scenario: Unavailable("no gates were judged"),
     tuple(replace(metric.FINAL, name=name) for name in ("parked", "creeping", "blind")),
     "Whether the log tells drivers apart: 1 where a gate of the run fails a driver that brakes to a stop and stays"
     " (parked), one that goes on at 2 m/s (creeping), and one that drives its route as if the road were empty (blind).",
-    formula="[a gate on safety, rules or progress fails the reference drive]", needs="a run with gates",
-)  # fmt: skip
+    formula="[a gate on safety, rules or progress fails the reference drive]",
+    needs="a run with gates",
+)
 PHANTOM = Metric(
-    "phantom", "count", "none", (Mode.OPEN, Mode.CLOSED), _phantom, (metric.COUNT,),
+    "phantom",
+    "count",
+    "none",
+    (Mode.OPEN, Mode.CLOSED),
+    _phantom,
+    (metric.COUNT,),
     "Boxes in which the recorded ego stood: they are left out of all metrics and end no drive, from 1 s before to 1 s"
     " after.",
     formula="number of boxes that overlap the recorded ego's; 0 in synthesised logs",
-)  # fmt: skip
-FROM = Reduction("from", lambda series: (float(series.value[series.known][0]), int(np.argmax(series.known))))
+)
+FROM = Reduction(
+    "from", lambda series: (float(series.value[series.known][0]), int(np.argmax(series.known)))
+)
 DIVERGENCE = Metric(
-    "divergence", "m", "none", (Mode.CLOSED,),
+    "divergence",
+    "m",
+    "none",
+    (Mode.CLOSED,),
     lambda trace, scenario: (
         Series(trace.ego.t, _distances(trace, scenario)[0]) if len(scenario.ego) > 1 else _NO_DRIVE
-    ), (metric.MAX,),
+    ),
+    (metric.MAX,),
     "Distance between the ego and where the log has it at the same time, while the log's ego lasts.",
-    formula="|p - q|", needs="a log that holds the ego's drive",
-)  # fmt: skip
+    formula="|p - q|",
+    needs="a log that holds the ego's drive",
+)
 WEAK = Metric(
-    "divergence_weak", "s", "none", (Mode.CLOSED,), _divergence_weak,
+    "divergence_weak",
+    "s",
+    "none",
+    (Mode.CLOSED,),
+    _divergence_weak,
     (FROM, Reduction("share", metric.HAVING.reduce, unit="1", direction="none", empty=0.0)),
     "From when on the drive has parted from its log, so that the replay is weak evidence, and the share after that.",
     parameters=(
-        f"along {AWAY_S:g} s of way, at least {LENGTH_M:g} m", f"across {WIDTH_M:g} m", f"a road user {OFF_M:g} m",
+        f"along {AWAY_S:g} s of way, at least {LENGTH_M:g} m",
+        f"across {WIDTH_M:g} m",
+        f"a road user {OFF_M:g} m",
     ),
     formula=f"first t: |along| > max({AWAY_S:g} s v, {LENGTH_M:g} m) or |across| > {WIDTH_M:g} m or a road user off",
     needs="a log that holds the ego's drive",
-)  # fmt: skip
+)
 DISPLACED = Metric(
-    "displaced", "count", "none", (Mode.CLOSED,),
+    "displaced",
+    "count",
+    "none",
+    (Mode.CLOSED,),
     lambda trace, scenario: metric.counted(
-        trace.ego.t, ((int(np.argmax(off)), name) for name, off in _displaced_agents(trace, scenario))
-    ), (metric.COUNT,),
+        trace.ego.t,
+        ((int(np.argmax(off)), name) for name, off in _displaced_agents(trace, scenario)),
+    ),
+    (metric.COUNT,),
     "Road users who were not where the log has them, each once: who gave way, and who was held up by them.",
-    formula="number of road users farther than this from where the log has them", parameters=(f"{OFF_M:g} m",),
-)  # fmt: skip
+    formula="number of road users farther than this from where the log has them",
+    parameters=(f"{OFF_M:g} m",),
+)

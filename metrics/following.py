@@ -85,7 +85,17 @@ from replan.metrics.boxes import (
     name_of,
     nearest,
 )
-from replan.metrics.metric import MAX, MIN, Measured, Metric, Series, Unavailable, share_while, time_below, time_outside
+from replan.metrics.metric import (
+    MAX,
+    MIN,
+    Measured,
+    Metric,
+    Series,
+    Unavailable,
+    share_while,
+    time_below,
+    time_outside,
+)
 from replan.metrics.safety import CATALOGUE
 
 LOOK_M = 150.0
@@ -124,7 +134,9 @@ def ahead_of(trace: Trace, scenario: Scenario) -> EgoAndLead:
     """Return the lead at each step of `grid_of(trace)`."""
     ego, car = grid_of(trace), car_of(scenario)
     states = np.stack([ego.x, ego.y, ego.yaw, ego.v, ego.kappa])
-    rows, agent = nearest(trace.agents, ego.t, lambda k, seen, others: _leads(states[:, k], car, others))
+    rows, agent = nearest(
+        trace.agents, ego.t, lambda k, seen, others: _leads(states[:, k], car, others)
+    )
     return EgoAndLead(ego.t, ego.v, ego.a, agent, *rows)
 
 
@@ -176,7 +188,9 @@ def extent(
 
 
 @inner_kernel
-def within_look(x: float, y: float, yaw: float, kappa: float, other_x: float, other_y: float, reach: float) -> bool:
+def within_look(
+    x: float, y: float, yaw: float, kappa: float, other_x: float, other_y: float, reach: float
+) -> bool:
     """Return whether a box of half diagonal `reach` may lie along the path: near, and not past the circle's centre."""
     dx, dy = other_x - x, other_y - y
     return hypot(dx, dy) <= LOOK_M + reach and kappa * (dy * cos(yaw) - dx * sin(yaw)) < 1.0
@@ -194,7 +208,9 @@ def _leads(ego: FloatArray, car: EgoOutline, others: OtherBoxes) -> tuple[FloatA
             continue
         for i in range(len(size)):
             reach = 0.5 * hypot(size[i, 0], size[i, 1])
-            if not others.there[i, k] or not within_look(x, y, yaw, kappa, pose[0, i, k], pose[1, i, k], reach):
+            if not others.there[i, k] or not within_look(
+                x, y, yaw, kappa, pose[0, i, k], pose[1, i, k], reach
+            ):
                 continue
             dx, dy = pose[0, i, k] - x, pose[1, i, k] - y
             ahead, left = dx * cos(yaw) + dy * sin(yaw), dy * cos(yaw) - dx * sin(yaw)
@@ -205,7 +221,11 @@ def _leads(ego: FloatArray, car: EgoOutline, others: OtherBoxes) -> tuple[FloatA
             if not car.axle < near < min(best, front + LOOK_M) or abs(kappa * near) > 0.5 * pi:
                 continue
             path, vx, vy = yaw + kappa * near, pose[3, i, k], pose[4, i, k]
-            u, w, speed = vx * cos(path) + vy * sin(path), vy * cos(path) - vx * sin(path), hypot(vx, vy)
+            u, w, speed = (
+                vx * cos(path) + vy * sin(path),
+                vy * cos(path) - vx * sin(path),
+                hypot(vx, vy),
+            )
             if u < -COMING_MPS:
                 continue
             best, agent[k] = near, i
@@ -223,13 +243,16 @@ def required_decel(gap: FloatArray, v: FloatArray, u: FloatArray, decel: FloatAr
     with np.errstate(divide="ignore", invalid="ignore"):
         rest = np.where(decel > 0.0, u**2 / (2.0 * decel), np.where(u > 0.0, np.inf, 0.0))
         meet_first = (closing > 0.0) & (2.0 * gap * decel <= u * closing)
-        required = np.where(meet_first, decel + closing**2 / (2.0 * gap), v**2 / (2.0 * (gap + rest)))
+        required = np.where(
+            meet_first, decel + closing**2 / (2.0 * gap), v**2 / (2.0 * (gap + rest))
+        )
     return np.where(gap > 0.0, required, np.nan)
 
 
 def required_lateral(ahead: EgoAndLead, half: float) -> FloatArray:
     """Return (6) `(n,)`, m/s2; NaN where the gap is 0 or unknown."""
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # tiny closing speed: infinite time, 0
+    # Tiny closing speed: infinite time, 0
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         time = ahead.gap / np.maximum(ahead.v - ahead.u, 0.0)
         left, right = ahead.high + ahead.w * time + half, half - ahead.low - ahead.w * time
         needed = 2.0 * np.maximum(np.minimum(left, right), 0.0) / time**2
@@ -256,85 +279,148 @@ def _following_margin(ahead: EgoAndLead, scenario: Scenario) -> FloatArray:
 
 
 def _of_lead(
-    trace: Trace, scenario: Scenario, *, value: Callable[[EgoAndLead, Scenario], FloatArray], missing: str = _ALONE,
+    trace: Trace,
+    scenario: Scenario,
+    *,
+    value: Callable[[EgoAndLead, Scenario], FloatArray],
+    missing: str = _ALONE,
     vehicles: bool = False,
-) -> Measured:  # fmt: skip
+) -> Measured:
     ahead = ahead_of(trace, scenario)
     found = value(ahead, scenario)
     if vehicles:
         no_vehicle = (AgentKind.PEDESTRIAN, AgentKind.OBJECT)
-        vehicle = np.array([*(kind not in no_vehicle for kind in trace.agents.kinds), False], np.bool_)
+        vehicle = np.array(
+            [*(kind not in no_vehicle for kind in trace.agents.kinds), False], np.bool_
+        )
         found = np.where(vehicle[ahead.agent], found, np.nan)
     return Series(ahead.t, found, labels_of(trace, ahead.agent), missing)
 
 
-_PATH = (f"path: the arc of the ego's curvature, {LOOK_M:g} m ahead, at most a quarter turn", f"every {GRID_S:g} s")
+_PATH = (
+    f"path: the arc of the ego's curvature, {LOOK_M:g} m ahead, at most a quarter turn",
+    f"every {GRID_S:g} s",
+)
 _LEAD = "a lead in the ego's path"
 FOLLOWING = (
     Metric(
-        "headway", "m", "higher", (Mode.CLOSED,), partial(_of_lead, value=lambda ahead, scenario: ahead.gap), (MIN,),
-        "Gap along the ego's path from its front bumper to the lead.", CATALOGUE,
-        formula="s_lead - s_front", parameters=_PATH, needs=_LEAD,
+        "headway",
+        "m",
+        "higher",
+        (Mode.CLOSED,),
+        partial(_of_lead, value=lambda ahead, scenario: ahead.gap),
+        (MIN,),
+        "Gap along the ego's path from its front bumper to the lead.",
+        CATALOGUE,
+        formula="s_lead - s_front",
+        parameters=_PATH,
+        needs=_LEAD,
     ),
     Metric(
-        "thw", "s", "higher", (Mode.CLOSED,),
+        "thw",
+        "s",
+        "higher",
+        (Mode.CLOSED,),
         partial(
-            _of_lead, value=lambda ahead, scenario: _quotient(ahead.gap, ahead.v, ahead.v > STANDING_MPS),
+            _of_lead,
+            value=lambda ahead, scenario: _quotient(ahead.gap, ahead.v, ahead.v > STANDING_MPS),
             missing=f"{_ALONE} while it drove",
         ),
         (MIN, time_below(SHORT_THW_S, "time_below_900ms")),
-        "Time headway: until the ego's front is where the lead's rear is now, at constant speed.", CATALOGUE,
-        formula="gap / v", parameters=(f"bound {SHORT_THW_S:g} s (fined in Germany)", *_PATH),
+        "Time headway: until the ego's front is where the lead's rear is now, at constant speed.",
+        CATALOGUE,
+        formula="gap / v",
+        parameters=(f"bound {SHORT_THW_S:g} s (fined in Germany)", *_PATH),
         needs="a lead in the path of an ego that drives",
     ),
     Metric(
-        "drac", "m/s2", "lower", (Mode.CLOSED,),
-        partial(_of_lead, value=lambda ahead, scenario: _quotient(
-            np.maximum(ahead.v - ahead.u, 0.0) ** 2, 2.0 * ahead.gap, ahead.gap > 0.0
-        )), (MAX,),
-        "Deceleration rate to avoid a crash with a lead that holds its speed.", CATALOGUE,
-        formula="(v - u)^2 / (2 gap) where v > u, else 0", parameters=_PATH, needs=_LEAD,
+        "drac",
+        "m/s2",
+        "lower",
+        (Mode.CLOSED,),
+        partial(
+            _of_lead,
+            value=lambda ahead, scenario: _quotient(
+                np.maximum(ahead.v - ahead.u, 0.0) ** 2, 2.0 * ahead.gap, ahead.gap > 0.0
+            ),
+        ),
+        (MAX,),
+        "Deceleration rate to avoid a crash with a lead that holds its speed.",
+        CATALOGUE,
+        formula="(v - u)^2 / (2 gap) where v > u, else 0",
+        parameters=_PATH,
+        needs=_LEAD,
     ),
     Metric(
-        "required_decel", "m/s2", "lower", (Mode.CLOSED,), partial(_of_lead, value=_required_decel),
+        "required_decel",
+        "m/s2",
+        "lower",
+        (Mode.CLOSED,),
+        partial(_of_lead, value=_required_decel),
         (MAX, time_outside(-np.inf, EMERGENCY_MPS2, "time_in_emergency")),
         "Least constant deceleration that avoids a lead that goes on braking as it does until it stands.",
         f"{CATALOGUE}; emergency: UN R157",
         formula="b_o + (v - u)^2 / (2 gap) where the speeds meet before the lead stands, else"
         " v^2 / (2 (gap + u^2 / (2 b_o)))",
-        parameters=(f"emergency above {EMERGENCY_MPS2:g} m/s2", *_PATH), needs=_LEAD,
+        parameters=(f"emergency above {EMERGENCY_MPS2:g} m/s2", *_PATH),
+        needs=_LEAD,
     ),
     Metric(
-        "btn", "1", "lower", (Mode.CLOSED,),
-        partial(_of_lead, value=lambda ahead, scenario: _required_decel(ahead, scenario) / scenario.vehicle.max_decel),
+        "btn",
+        "1",
+        "lower",
+        (Mode.CLOSED,),
+        partial(
+            _of_lead,
+            value=lambda ahead, scenario: (
+                _required_decel(ahead, scenario) / scenario.vehicle.max_decel
+            ),
+        ),
         (MAX, time_outside(-np.inf, 1.0, "time_above_1")),
         "Brake threat number: required over greatest deceleration; above 1 braking alone does not suffice.",
-        CATALOGUE, formula="a_req / a_max", parameters=("a_max: the vehicle's max_decel", *_PATH), needs=_LEAD,
+        CATALOGUE,
+        formula="a_req / a_max",
+        parameters=("a_max: the vehicle's max_decel", *_PATH),
+        needs=_LEAD,
     ),
     Metric(
-        "stn", "1", "lower", (Mode.CLOSED,),
-        partial(_of_lead, value=lambda ahead, scenario: (
-            required_lateral(ahead, 0.5 * scenario.vehicle.width) / STEER_MPS2
-        )),
+        "stn",
+        "1",
+        "lower",
+        (Mode.CLOSED,),
+        partial(
+            _of_lead,
+            value=lambda ahead, scenario: (
+                required_lateral(ahead, 0.5 * scenario.vehicle.width) / STEER_MPS2
+            ),
+        ),
         (MAX, time_outside(-np.inf, 1.0, "time_above_1")),
         "Steer threat number: lateral acceleration that is required to pass the lead, over what is available.",
         "commonroad-crime 0.4.5",
         formula="2 max(min(l_high + w T + h, h - l_low - w T), 0) / T^2 / a_lat,max, T = gap / (v - u)",
-        parameters=(f"a_lat,max {STEER_MPS2:g} m/s2", *_PATH), needs=_LEAD,
+        parameters=(f"a_lat,max {STEER_MPS2:g} m/s2", *_PATH),
+        needs=_LEAD,
     ),
     Metric(
-        "following_gap", "m", "higher", (Mode.CLOSED,),
-        partial(_of_lead, value=_following_margin, missing="the ego followed no vehicle", vehicles=True),
+        "following_gap",
+        "m",
+        "higher",
+        (Mode.CLOSED,),
+        partial(
+            _of_lead, value=_following_margin, missing="the ego followed no vehicle", vehicles=True
+        ),
         (MIN, time_below(0.0, "time_too_near")),
-        "Gap to the vehicle that the ego follows, less the minimum following gap of UN R157.", "UN R157, 5.2.3.3",
+        "Gap to the vehicle that the ego follows, less the minimum following gap of UN R157.",
+        "UN R157, 5.2.3.3",
         formula="gap - max(v t_front(v), 2 m)",
         parameters=(
             "t_front 1.0, 1.1, 1.2, 1.3, 1.4, 1.5, 1.6 s at 7.2, 10, 20, 30, 40, 50, 60 km/h, linear between, 1.6 s"
-            " beyond", *_PATH,
+            " beyond",
+            *_PATH,
         ),
         needs="a vehicle that drives on in the ego's path, or stands where the ego stands",
     ),
-)  # fmt: skip
+)
 
 
 RHO_S = 0.75
@@ -371,7 +457,9 @@ def lateral_distance(w: float, swerves: bool) -> float:
 
 
 @kernel
-def _margins(ego: FloatArray, car: EgoOutline, others: OtherBoxes, i: int, movable: bool) -> FloatArray:
+def _margins(
+    ego: FloatArray, car: EgoOutline, others: OtherBoxes, i: int, movable: bool
+) -> FloatArray:
     """Return d_lon - d_lon,min, d_lat - d_lat,min, side (1 left, -1 right) of agent i, `(3, k)`; NaN: not judged."""
     there, pose, size = others.there[i], others.pose[:, i], others.size[i]
     steps, half = len(there), 0.5 * car.width
@@ -380,7 +468,11 @@ def _margins(ego: FloatArray, car: EgoOutline, others: OtherBoxes, i: int, movab
     reach = 0.5 * hypot(size[0], size[1])
     for k in range(steps):
         x, y, yaw, v, kappa = ego[0, k], ego[1, k], ego[2, k], ego[3, k], ego[4, k]
-        if not there[k] or v <= STANDING_MPS or not within_look(x, y, yaw, kappa, pose[0, k], pose[1, k], reach):
+        if (
+            not there[k]
+            or v <= STANDING_MPS
+            or not within_look(x, y, yaw, kappa, pose[0, k], pose[1, k], reach)
+        ):
             continue
         outline = corners(pose[0, k], pose[1, k], pose[2, k], size[0], size[1])
         _, s_low, s_high, l_low, l_high = extent(x, y, yaw, kappa, half, outline)
@@ -397,7 +489,9 @@ def _margins(ego: FloatArray, car: EgoOutline, others: OtherBoxes, i: int, movab
 
 
 @kernel
-def _improper_response(t: FloatArray, ego: FloatArray, accel: FloatArray, margins: FloatArray) -> BoolArray:
+def _improper_response(
+    t: FloatArray, ego: FloatArray, accel: FloatArray, margins: FloatArray
+) -> BoolArray:
     """Return at which steps `(k,)` the response to one agent is not proper (12)."""
     out = np.zeros(len(t), np.bool_)
     start, lateral, allowed = -1, False, np.nan
@@ -406,7 +500,11 @@ def _improper_response(t: FloatArray, ego: FloatArray, accel: FloatArray, margin
             start = -1
             continue
         if start < 0:
-            start, lateral, allowed = k, k > 0 and margins[0, k - 1] < 0.0 and margins[1, k - 1] >= 0.0, np.nan
+            start, lateral, allowed = (
+                k,
+                k > 0 and margins[0, k - 1] < 0.0 and margins[1, k - 1] >= 0.0,
+                np.nan,
+            )
         waited = t[k] - t[start] - RHO_S
         if accel[k] > A_MAX_MPS2 + _EPS:
             out[k] = True
@@ -444,28 +542,54 @@ def _rss(trace: Trace, scenario: Scenario) -> tuple[Series, Series]:
 
 def _response(trace: Trace, scenario: Scenario) -> Measured:
     margin, improper = _rss(trace, scenario)
-    return improper if (margin.value < 0.0).any() else Unavailable("no dangerous situation: no response was due")
+    return (
+        improper
+        if (margin.value < 0.0).any()
+        else Unavailable("no dangerous situation: no response was due")
+    )
 
 
 _SOURCE = "Shalev-Shwartz et al., arXiv 1708.06374; parameters: JRC-FSM 01b05c29"
 _PARAMETERS = (
-    f"rho {RHO_S:g} s", f"a_max {A_MAX_MPS2:g} m/s2", f"b_min {B_MIN_MPS2:g} m/s2", f"b_max {B_MAX_MPS2:g} m/s2",
-    f"a_lat {A_LAT_MPS2:g} m/s2", f"b_lat {B_LAT_MPS2:g} m/s2", f"mu {MU_M:g} m",
-    f"along the arc of the ego's curvature, {LOOK_M:g} m ahead", f"every {GRID_S:g} s",
-)  # fmt: skip
+    f"rho {RHO_S:g} s",
+    f"a_max {A_MAX_MPS2:g} m/s2",
+    f"b_min {B_MIN_MPS2:g} m/s2",
+    f"b_max {B_MAX_MPS2:g} m/s2",
+    f"a_lat {A_LAT_MPS2:g} m/s2",
+    f"b_lat {B_LAT_MPS2:g} m/s2",
+    f"mu {MU_M:g} m",
+    f"along the arc of the ego's curvature, {LOOK_M:g} m ahead",
+    f"every {GRID_S:g} s",
+)
 RSS_MARGIN = Metric(
-    "rss_margin", "m", "higher", (Mode.CLOSED,), lambda trace, scenario: _rss(trace, scenario)[0],
-    (MIN, time_below(0.0, "time_dangerous"), share_while(lambda value: value < 0.0, "share_dangerous")),
+    "rss_margin",
+    "m",
+    "higher",
+    (Mode.CLOSED,),
+    lambda trace, scenario: _rss(trace, scenario)[0],
+    (
+        MIN,
+        time_below(0.0, "time_dangerous"),
+        share_while(lambda value: value < 0.0, "share_dangerous"),
+    ),
     "Distance from a dangerous situation of RSS: the greater of the longitudinal and the lateral surplus, the least of "
     "all agents ahead or beside; negative: dangerous.",
-    _SOURCE, formula="min over agents of max(d_lon - d_lon,min, d_lat - d_lat,min)", parameters=_PARAMETERS,
+    _SOURCE,
+    formula="min over agents of max(d_lon - d_lon,min, d_lat - d_lat,min)",
+    parameters=_PARAMETERS,
     needs="another ahead or beside, and an ego that drives",
-)  # fmt: skip
+)
 RSS_IMPROPER = Metric(
-    "rss_improper", "1", "lower", (Mode.CLOSED,), _response,
+    "rss_improper",
+    "1",
+    "lower",
+    (Mode.CLOSED,),
+    _response,
     (time_outside(-np.inf, 0.5, "time"), share_while(lambda value: value > 0.5, "share")),
     "Where the ego does not give the proper response of RSS: rho after the danger began it brakes with less than "
     "b_min, or goes on nearing sideways, or it accelerates with more than a_max.",
-    _SOURCE, formula="dangerous, and after rho a > -b_min (lateral danger last: v_lat > max(v_lat(rho) - b_lat t, 0))",
-    parameters=_PARAMETERS, needs="a dangerous situation",
-)  # fmt: skip
+    _SOURCE,
+    formula="dangerous, and after rho a > -b_min (lateral danger last: v_lat > max(v_lat(rho) - b_lat t, 0))",
+    parameters=_PARAMETERS,
+    needs="a dangerous situation",
+)

@@ -63,11 +63,13 @@ from replan.logs.tracks import Tracks
 from replan.metrics.arrival import fault_of, passed_early
 from replan.metrics.boxes import name_of, phantoms, pieces
 
-EGO_GAP_S = 0.5  # As long as a frequently sampled agent may be unobserved (`replan.logs.observed`), s
+# As long as a frequently sampled agent may be unobserved (`replan.logs.observed`), s
+EGO_GAP_S = 0.5
 RARE = 5.0  # In medians of the sampling interval
 EGO_JUMP_M = 0.5  # Errors of a car's localisation change by less between two samples, m
 BRAKING_MPS2 = 12.0  # More than tyres can provide, m/s2
-EGO_SPEED_OFF, EGO_WAY_M = 0.1, 10.0  # Wheel speeds are within a few per cent; over a shorter way noise hides a factor
+# Wheel speeds are within a few per cent; over a shorter way noise hides a factor
+EGO_SPEED_OFF, EGO_WAY_M = 0.1, 10.0
 FACTORS = {
     3.6: "the speeds look like km/h",
     2.237: "the speeds look like mph",
@@ -80,26 +82,34 @@ FACTORS = {
 """Distance by speed over distance by positions, if one of them has a wrong unit."""
 NEAR = 0.04  # Tolerance of a factor, as a share
 CLOSE_S = 0.09  # Speeds and positions are compared at 10 Hz at most
-AGAINST_M, ASKEW_M = 2.0, 10.0  # Longer than a jump of a localisation; than a tight turn about another point, m
+# Longer than a jump of a localisation; than a tight turn about another point, m
+AGAINST_M, ASKEW_M = 2.0, 10.0
 EGO_FLIP_RAD = 1.0  # No car turns by more between two samples, rad
 
-SWITCH_S, SWITCH_M = 0.6, 2.0  # A tracker that loses an agent finds it again within this time, s, and this distance, m
+# A tracker that loses an agent finds it again within this time, s, and this distance, m
+SWITCH_S, SWITCH_M = 0.6, 2.0
 FASTEST_MPS = 70.0  # No road user is faster, m/s
-JUMP_M = 1.5  # Perceived boxes move by this between two samples when another part of the car is visible, m
+# Perceived boxes move by this between two samples when another part of the car is visible, m
+JUMP_M = 1.5
 BACKWARD_MPS = 5.0  # Vehicles reverse more slowly
-SPEED_OFF, WAY_M = 0.25, 20.0  # Largest error of estimated speeds, as a share, over a track of at least this length, m
+# Largest error of estimated speeds, as a share, over a track of at least this length, m
+SPEED_OFF, WAY_M = 0.25, 20.0
 FLIP_RAD, FLIP_S = 2.0, 1.0  # A reversed box turns by about pi, rad
-TWIN_M, TWIN_S, GRID_S = 0.4, 0.5, 0.25  # Two centres cannot be so near for so long; tested every `GRID_S`
-LARGEST_M, PERSON_M = (30.0, 4.5), 2.5  # Longest and widest vehicle on public roads; wider than any person
+# Two centres cannot be so near for so long; tested every `GRID_S`
+TWIN_M, TWIN_S, GRID_S = 0.4, 0.5, 0.25
+# Longest and widest vehicle on public roads; wider than any person
+LARGEST_M, PERSON_M = (30.0, 4.5), 2.5
 MOST = 0.6  # Share of the moving tracks that must have the same factor
 ACROSS_M, ACROSS_RAD = 2.5, 0.61  # No wheels slip so much: the boxes belong to two cars
-SHORT, SHORT_SHARE = 3, 0.1  # Passing road users are visible longer; some appear just before a log ends
+# Passing road users are visible longer; some appear just before a log ends
+SHORT, SHORT_SHARE = 3, 0.1
 SMALL = (AgentKind.PEDESTRIAN, AgentKind.BICYCLE)
 LONG = (AgentKind.CAR, AgentKind.TRUCK, AgentKind.BUS, AgentKind.MOTORCYCLE)
 
 OFF_SHARE = 0.1  # A tenth of a drive may be off the lanes: cut corners, car parks
 APART_M = 3.0  # Less than a lane's width, m
-EDGE = 0.5  # If more than this share of the lanes ends in missing lanes, the map is incomplete, not only cut
+# If more than this share of the lanes ends in missing lanes, the map is incomplete, not only cut
+EDGE = 0.5
 SAMPLES = 200
 SHOWN = 5  # Findings of one kind that a report lists
 COLUMNS = ("log", "kind", "topic", "who", "t_from_s", "t_to_s", "value", "unit", "text", "effect")
@@ -110,33 +120,64 @@ class FaultKind(Enum):
 
     effect: str
 
-    PHANTOM = "phantom", "left out of contacts, gaps and times to collision meanwhile; a drive that meets one is marked"
+    PHANTOM = (
+        "phantom",
+        "left out of contacts, gaps and times to collision meanwhile; a drive that meets one is marked",
+    )
     EGO_GAP = "ego gap", "plans are compared with an interpolated drive there"
     EGO_JUMP = (
-        "ego jump", "open loop starts from states that were not driven; accuracy and comfort of the log are wrong there"
-    )  # fmt: skip
-    EGO_SPEED = "ego speed", "speed errors, comfort and starts of plans use a speed that contradicts the positions"
-    EGO_HEADING = "ego heading", "lateral errors, and every plan that starts there, rest on a wrong heading"
-    AGENT_GAP = "flickering", "they are not in the scene in between, neither for planners nor for metrics"
+        "ego jump",
+        "open loop starts from states that were not driven; accuracy and comfort of the log are wrong there",
+    )
+    EGO_SPEED = (
+        "ego speed",
+        "speed errors, comfort and starts of plans use a speed that contradicts the positions",
+    )
+    EGO_HEADING = (
+        "ego heading",
+        "lateral errors, and every plan that starts there, rest on a wrong heading",
+    )
+    AGENT_GAP = (
+        "flickering",
+        "they are not in the scene in between, neither for planners nor for metrics",
+    )
     ID_SWITCH = (
         "id switch",
         "one road user counts as two, who appear and vanish; following and encounters are cut in two",
     )
     TELEPORT = "teleport", "time to collision, predictions and contacts are wrong around the jump"
-    AGENT_SPEED = "agent speed", "predictions, times to collision and RSS use a speed that contradicts the positions"
-    HEADING_FLIP = "heading flip", "their box turns on the spot: contacts and predictions are wrong for a moment"
-    AGENT_HEADING = "agent heading", "predictions, lanes, gaps and contacts of these boxes rest on a wrong heading"
+    AGENT_SPEED = (
+        "agent speed",
+        "predictions, times to collision and RSS use a speed that contradicts the positions",
+    )
+    HEADING_FLIP = (
+        "heading flip",
+        "their box turns on the spot: contacts and predictions are wrong for a moment",
+    )
+    AGENT_HEADING = (
+        "agent heading",
+        "predictions, lanes, gaps and contacts of these boxes rest on a wrong heading",
+    )
     VELOCITY = "velocity direction", "predictions and times to collision go where no road user went"
     ACROSS = "motion across the axis", "predictions cross the ego's way where no road user went"
-    SHORT = "short tracks", "the motion of briefly visible road users is unknown; many may be false detections"
+    SHORT = (
+        "short tracks",
+        "the motion of briefly visible road users is unknown; many may be false detections",
+    )
     TWIN = "twin boxes", "one road user is counted twice in gaps and in the number of road users"
     SIZE = "size", "contacts and gaps with them use a box that is probably wrong"
     UNITS = "units", "all that has metres or seconds in it is off by that factor"
     OFF_MAP = "off the map", "lanes, limits, off road and rules do not fit what was driven"
     LANE_GRAPH = "lane graph", "routes may end early or go in a circle"
     LIGHT = "light without a lane", "no car is asked to stop at it: red lights run are not counted"
-    GOAL = "goal", "a drive shows nothing about the way to it, or almost nothing: the verdict is inconclusive"
-    TRAFFIC = "traffic not recorded", "gaps and contacts of what is driven then are no evidence of safety"
+    GOAL = (
+        "goal",
+        "a drive shows nothing about the way to it, or almost nothing: the verdict is inconclusive",
+    )
+    TRAFFIC = (
+        "traffic not recorded",
+        "gaps and contacts of what is driven then are no evidence of safety",
+    )
 
     def __new__(cls, word: str, effect: str) -> FaultKind:
         """The word is the value."""
@@ -166,7 +207,9 @@ class Finding:
 def findings(scenario: Scenario) -> tuple[Finding, ...]:
     """Return all faults, in the order of `CHECKS`."""
     short = scenario.short_names
-    return tuple(replace(found, text=short(found.text)) for check in CHECKS for found in check(scenario))
+    return tuple(
+        replace(found, text=short(found.text)) for check in CHECKS for found in check(scenario)
+    )
 
 
 def sentences(found: Iterable[Finding]) -> tuple[str, ...]:
@@ -185,7 +228,9 @@ def report(scenario: Scenario, raw: Scenario | None = None) -> list[str]:
     `raw` is the same log without the repair of its tracks, for comparison.
     """
     found = findings(scenario)
-    out = [f"health: {len(found) or 'nothing'} {'findings' if found else 'found'} by {len(CHECKS)} checks"]
+    out = [
+        f"health: {len(found) or 'nothing'} {'findings' if found else 'found'} by {len(CHECKS)} checks"
+    ]
     if raw is not None:
         was = Counter(one.kind.value for one in findings(raw))
         out += [
@@ -195,7 +240,10 @@ def report(scenario: Scenario, raw: Scenario | None = None) -> list[str]:
         ]
     for kind, same in _by_kind(found).items():
         out.append(f"  {kind.value}: {kind.effect}")
-        out += [f"    {one.t_from:.2f} to {one.t_to:.2f} s, {one.topic}: {one.text}" for one in same[:SHOWN]]
+        out += [
+            f"    {one.t_from:.2f} to {one.t_to:.2f} s, {one.topic}: {one.text}"
+            for one in same[:SHOWN]
+        ]
         out += [f"    and {len(same) - SHOWN} more"] if len(same) > SHOWN else []
     return out
 
@@ -203,10 +251,23 @@ def report(scenario: Scenario, raw: Scenario | None = None) -> list[str]:
 def table(log: str, found: Iterable[Finding]) -> pd.DataFrame:
     """Return the findings as a table with `COLUMNS`."""
     rows = [
-        (log, one.kind.value, one.topic, one.who, one.t_from, one.t_to, one.value, one.unit, one.text, one.kind.effect)
+        (
+            log,
+            one.kind.value,
+            one.topic,
+            one.who,
+            one.t_from,
+            one.t_to,
+            one.value,
+            one.unit,
+            one.text,
+            one.kind.effect,
+        )
         for one in found
     ]
-    return pd.DataFrame(rows, columns=list(COLUMNS)).astype({"t_from_s": float, "t_to_s": float, "value": float})
+    return pd.DataFrame(rows, columns=list(COLUMNS)).astype(
+        {"t_from_s": float, "t_to_s": float, "value": float}
+    )
 
 
 def _by_kind(found: Iterable[Finding]) -> dict[FaultKind, list[Finding]]:
@@ -223,14 +284,25 @@ def ghosts(scenario: Scenario) -> Iterator[Finding]:
         begin = phantom.t_from if isfinite(phantom.t_from) else 0.0
         end = phantom.t_to if isfinite(phantom.t_to) else scenario.duration
         text = f"the logged ego stands in {phantom.name}, which is left out for {end - begin:.1f} s"
-        yield Finding(FaultKind.PHANTOM, "agents", phantom.agent, begin, end, end - begin, "s", text)
+        yield Finding(
+            FaultKind.PHANTOM, "agents", phantom.agent, begin, end, end - begin, "s", text
+        )
 
 
 def ego_gaps(scenario: Scenario) -> Iterator[Finding]:
     """Gaps in the samples of the ego (1)."""
     t, dt = scenario.ego.t, np.diff(scenario.ego.t)
     for k in np.flatnonzero((dt > EGO_GAP_S) & (dt > RARE * np.median(dt))) if len(dt) else ():
-        yield Finding(FaultKind.EGO_GAP, "ego", "", t[k], t[k + 1], dt[k], "s", f"no ego state for {dt[k]:.2f} s")
+        yield Finding(
+            FaultKind.EGO_GAP,
+            "ego",
+            "",
+            t[k],
+            t[k + 1],
+            dt[k],
+            "s",
+            f"no ego state for {dt[k]:.2f} s",
+        )
 
 
 def ego_jumps(scenario: Scenario) -> Iterator[Finding]:
@@ -250,10 +322,16 @@ def ego_speed(scenario: Scenario) -> Iterator[Finding]:
     if max(way, by_speed) < EGO_WAY_M or abs(way - by_speed) <= EGO_SPEED_OFF * max(way, by_speed):
         return
     factor = by_speed / way if way > 0.0 else np.inf
-    text = f"the ego's positions go {way:.1f} m, its speed {by_speed:.1f} m: {factor:.3g} times as far"
-    unit = next((meaning for known, meaning in FACTORS.items() if abs(factor / known - 1.0) < NEAR), "")
+    text = (
+        f"the ego's positions go {way:.1f} m, its speed {by_speed:.1f} m: {factor:.3g} times as far"
+    )
+    unit = next(
+        (meaning for known, meaning in FACTORS.items() if abs(factor / known - 1.0) < NEAR), ""
+    )
     kind = FaultKind.UNITS if unit else FaultKind.EGO_SPEED
-    yield Finding(kind, "ego", "", ego.t[0], ego.t[-1], factor, "x", f"{text}; {unit}" if unit else text)
+    yield Finding(
+        kind, "ego", "", ego.t[0], ego.t[-1], factor, "x", f"{text}; {unit}" if unit else text
+    )
 
 
 def ego_heading(scenario: Scenario) -> Iterator[Finding]:
@@ -274,13 +352,19 @@ def ego_heading(scenario: Scenario) -> Iterator[Finding]:
         begin, end = float(ego.t[chords.first[run][0]]), float(ego.t[chords.last[run][-1]])
         text = f"the ego's heading is {by:.2f} rad off the way it goes, in the median{_degrees(ego.yaw)}"
         if least == AGAINST_M:
-            sign = "reverse gear without a signed speed?" if np.median(v[run]) >= 0.0 else "is the speed's sign wrong?"
+            sign = (
+                "reverse gear without a signed speed?"
+                if np.median(v[run]) >= 0.0
+                else "is the speed's sign wrong?"
+            )
             text = f"the ego's heading and speed point against the way it goes for {end - begin:.1f} s: {sign}"
         yield Finding(FaultKind.EGO_HEADING, "ego", "", begin, end, by, "rad", text)
     turn, dt = np.abs(wrapped(np.diff(ego.yaw))), np.diff(ego.t)
     for k in np.flatnonzero((turn > EGO_FLIP_RAD) & (dt < EGO_GAP_S)):
         text = f"the ego's heading turns by {turn[k]:.2f} rad in {dt[k]:.2f} s"
-        yield Finding(FaultKind.EGO_HEADING, "ego", "", ego.t[k], ego.t[k + 1], turn[k], "rad", text)
+        yield Finding(
+            FaultKind.EGO_HEADING, "ego", "", ego.t[k], ego.t[k + 1], turn[k], "rad", text
+        )
 
 
 def _degrees(yaw: FloatArray) -> str:
@@ -294,7 +378,9 @@ def _runs(mask: BoolArray) -> list[slice]:
     return list(map(slice, edges[::2], edges[1::2]))
 
 
-def _ways(t: FloatArray, x: FloatArray, y: FloatArray, v: FloatArray, gap_after: BoolArray) -> tuple[float, float]:
+def _ways(
+    t: FloatArray, x: FloatArray, y: FloatArray, v: FloatArray, gap_after: BoolArray
+) -> tuple[float, float]:
     """Return the way by positions and by the speeds `v` `(n,)` >= 0, m, without the steps with a gap.
 
     Samples closer than `CLOSE_S` are left out: their steps are noise.
@@ -326,7 +412,9 @@ def flickering(scenario: Scenario) -> Iterator[Finding]:
         if len(holes := np.flatnonzero(tracks.gap_after[mine])):
             times = "once" if len(holes) == 1 else f"{len(holes)} times"
             text = f"is lost {times}, {float((t[holes + 1] - t[holes]).sum()):.1f} s together"
-            yield _of_track(tracks, i, FaultKind.AGENT_GAP, t[holes[0]], t[holes[-1] + 1], len(holes), "1", text)
+            yield _of_track(
+                tracks, i, FaultKind.AGENT_GAP, t[holes[0]], t[holes[-1] + 1], len(holes), "1", text
+            )
 
 
 def id_switches(scenario: Scenario) -> Iterator[Finding]:
@@ -334,19 +422,31 @@ def id_switches(scenario: Scenario) -> Iterator[Finding]:
     tracks = scenario.tracks
     first, last = tracks.offsets[:-1], tracks.offsets[1:] - 1
     begins, ends = tracks.t[first], tracks.t[last]
-    ending, later = (np.flatnonzero(~tracks.static & some) for some in (ends < scenario.duration - SWITCH_S, True))
+    ending, later = (
+        np.flatnonzero(~tracks.static & some)
+        for some in (ends < scenario.duration - SWITCH_S, True)
+    )
     later = later[np.argsort(begins[later], kind="stable")]
     starts, until = begins[later], ends[ending] + SWITCH_S
-    parts = np.searchsorted(starts, ends[ending], side="right"), np.searchsorted(starts, until, side="right")
-    for i, u, w, low, high in zip(ending, *tracks.velocity(ending, last[ending]), *parts, strict=True):
+    parts = (
+        np.searchsorted(starts, ends[ending], side="right"),
+        np.searchsorted(starts, until, side="right"),
+    )
+    for i, u, w, low, high in zip(
+        ending, *tracks.velocity(ending, last[ending]), *parts, strict=True
+    ):
         others, k = np.sort(later[low:high]), last[i]  # tracks that begin within `SWITCH_S`
         wait, at = begins[others] - ends[i], first[others]
-        away = np.hypot(tracks.x[at] - tracks.x[k] - wait * u, tracks.y[at] - tracks.y[k] - wait * w)
+        away = np.hypot(
+            tracks.x[at] - tracks.x[k] - wait * u, tracks.y[at] - tracks.y[k] - wait * w
+        )
         same = (away < SWITCH_M) & (tracks.codes[others] == tracks.codes[i])
         if same.any():
             j = int(np.argmin(np.where(same, away, np.inf)))
             text = f"goes on as {tracks.ids[others[j]]}, {away[j]:.1f} m from where it was expected"
-            yield _of_track(tracks, int(i), FaultKind.ID_SWITCH, ends[i], begins[others[j]], away[j], "m", text)
+            yield _of_track(
+                tracks, int(i), FaultKind.ID_SWITCH, ends[i], begins[others[j]], away[j], "m", text
+            )
 
 
 def teleports(scenario: Scenario) -> Iterator[Finding]:
@@ -356,7 +456,11 @@ def teleports(scenario: Scenario) -> Iterator[Finding]:
         v = np.hypot(tracks.vx[mine], tracks.vy[mine])
         dt, d = np.diff(t), np.hypot(np.diff(tracks.x[mine]), np.diff(tracks.y[mine]))
         fastest = np.maximum(v[:-1], v[1:]) + 0.5 * BRAKING_MPS2 * dt
-        excess = d - np.where(np.isfinite(fastest), np.minimum(fastest, FASTEST_MPS), FASTEST_MPS) * dt - JUMP_M
+        excess = (
+            d
+            - np.where(np.isfinite(fastest), np.minimum(fastest, FASTEST_MPS), FASTEST_MPS) * dt
+            - JUMP_M
+        )
         if len(excess) and excess.max() > 0.0:
             k, count = int(np.argmax(excess)), int((excess > 0.0).sum())
             more = f", and {count - 1} more times" if count > 1 else ""
@@ -377,12 +481,23 @@ def speeds(scenario: Scenario) -> Iterator[Finding]:
         ratios.append(by_speed / way if way > 0.0 else np.inf)
         if abs(way - by_speed) > SPEED_OFF * max(way, by_speed):
             text = f"goes {way:.1f} m by positions, {by_speed:.1f} m by speed"
-            found.append(_of_track(tracks, i, FaultKind.AGENT_SPEED, t[0], t[-1], ratios[-1], "x", text))
+            found.append(
+                _of_track(tracks, i, FaultKind.AGENT_SPEED, t[0], t[-1], ratios[-1], "x", text)
+            )
     for known, meaning in FACTORS.items():
         near = [ratio for ratio in ratios if abs(ratio / known - 1.0) < NEAR]
         if len(near) > max(1.0, MOST * len(ratios)):
             text = f"the speeds of {len(near)} of {len(ratios)} agents are {known:.3g} times those of their positions"
-            yield Finding(FaultKind.UNITS, "agents", "", 0.0, scenario.duration, known, "x", f"{text}; {meaning}")
+            yield Finding(
+                FaultKind.UNITS,
+                "agents",
+                "",
+                0.0,
+                scenario.duration,
+                known,
+                "x",
+                f"{text}; {meaning}",
+            )
             return
     yield from found
 
@@ -422,7 +537,9 @@ def velocity_directions(scenario: Scenario) -> Iterator[Finding]:
     known = np.hypot(vx, vy) > MOVES_MPS
     chords = chords.taken(known)
     off = np.abs(wrapped(np.arctan2(vy, vx)[known] - chords.direction))
-    yield from _directions(scenario, FaultKind.VELOCITY, "velocity", chords, lambda mine: float(np.median(off[mine])))
+    yield from _directions(
+        scenario, FaultKind.VELOCITY, "velocity", chords, lambda mine: float(np.median(off[mine]))
+    )
 
 
 def _directions(
@@ -432,14 +549,18 @@ def _directions(
     tracks, found = scenario.tracks, []
     owners, first = np.unique(chords.owner, return_index=True)
     asked = 0
-    for i, mine in zip(owners.tolist(), starmap(slice, pairwise([*first.tolist(), len(chords.owner)])), strict=True):
+    for i, mine in zip(
+        owners.tolist(), starmap(slice, pairwise([*first.tolist(), len(chords.owner)])), strict=True
+    ):
         if mine.stop - mine.start < ENOUGH or chords.way[mine].sum() < ENOUGH_M:
             continue
         asked += 1
         if (by := amount(mine)) > TURNED_RAD:
             a, b = tracks.t[chords.first[mine][0]], tracks.t[chords.last[mine][-1]]
             text = f"has a {word} {by:.2f} rad off the way it goes, {chords.way[mine].sum():.1f} m, in the median"
-            text += _degrees(tracks.yaw[tracks.samples(i)]) if kind is FaultKind.AGENT_HEADING else ""
+            text += (
+                _degrees(tracks.yaw[tracks.samples(i)]) if kind is FaultKind.AGENT_HEADING else ""
+            )
             found.append(_of_track(tracks, i, kind, a, b, by, "rad", text))
     if len(found) > max(1.0, MOST * asked):
         by = float(np.median([one.value for one in found]))
@@ -456,8 +577,13 @@ def across(scenario: Scenario) -> Iterator[Finding]:
             continue
         yaw = tracks.yaw[mine]
         dx, dy = np.diff(tracks.x[mine]), np.diff(tracks.y[mine])
-        turn = wrapped(2.0 * (np.arctan2(dy, dx) - yaw[:-1] - 0.5 * np.diff(yaw)))  # doubled: backward motion is fine
-        far = (np.hypot(dx, dy) > ACROSS_M) & (np.abs(turn) > 2.0 * ACROSS_RAD) & ~tracks.gap_after[mine][:-1]
+        # doubled: backward motion is fine
+        turn = wrapped(2.0 * (np.arctan2(dy, dx) - yaw[:-1] - 0.5 * np.diff(yaw)))
+        far = (
+            (np.hypot(dx, dy) > ACROSS_M)
+            & (np.abs(turn) > 2.0 * ACROSS_RAD)
+            & ~tracks.gap_after[mine][:-1]
+        )
         if far.any():
             k, count = int(np.argmax(far)), int(far.sum())
             more = f", and {count - 1} more times" if count > 1 else ""
@@ -472,7 +598,9 @@ def short_tracks(scenario: Scenario) -> Iterator[Finding]:
     vehicles = among(*LONG)[tracks.codes] & ~tracks.static
     short = int((np.diff(tracks.offsets)[vehicles] < SHORT).sum())
     if short > max(1.0, SHORT_SHARE * vehicles.sum()):
-        text = f"{short} of {int(vehicles.sum())} tracks of vehicles have fewer than {SHORT} samples"
+        text = (
+            f"{short} of {int(vehicles.sum())} tracks of vehicles have fewer than {SHORT} samples"
+        )
         yield Finding(FaultKind.SHORT, "agents", "", 0.0, scenario.duration, short, "1", text)
 
 
@@ -492,7 +620,9 @@ def twins(scenario: Scenario) -> Iterator[Finding]:
         lasting = GRID_S * (len(steps) - 1)
         if lasting >= TWIN_S and not (tracks.static[i] and tracks.static[j]):
             text = f"and {name_of(tracks, j)} are in one place for {lasting:.1f} s"
-            yield _of_track(tracks, i, FaultKind.TWIN, t[steps[0]], t[steps[-1]], lasting, "s", text)
+            yield _of_track(
+                tracks, i, FaultKind.TWIN, t[steps[0]], t[steps[-1]], lasting, "s", text
+            )
 
 
 def _near_pairs(places: FloatArray) -> Iterator[tuple[int, int]]:
@@ -524,7 +654,16 @@ def sizes(scenario: Scenario) -> Iterator[Finding]:
         odd = kind in LONG and (length > LARGEST_M[0] or width > LARGEST_M[1])
         if odd or (kind in SMALL and min(length, width) > PERSON_M):
             t = tracks.t[tracks.samples(i)]
-            yield _of_track(tracks, i, FaultKind.SIZE, t[0], t[-1], length, "m", f"is {length:.1f} m by {width:.1f} m")
+            yield _of_track(
+                tracks,
+                i,
+                FaultKind.SIZE,
+                t[0],
+                t[-1],
+                length,
+                "m",
+                f"is {length:.1f} m by {width:.1f} m",
+            )
 
 
 def off_map(scenario: Scenario) -> Iterator[Finding]:
@@ -537,7 +676,9 @@ def off_map(scenario: Scenario) -> Iterator[Finding]:
     share = len(off) / len(at)
     if share <= OFF_SHARE:
         return
-    points = np.vstack([lane.center for lane in road.lanes.values() if lane.drivable] or [np.full((1, 2), np.inf)])
+    points = np.vstack(
+        [lane.center for lane in road.lanes.values() if lane.drivable] or [np.full((1, 2), np.inf)]
+    )
     away = max(float(np.hypot(points[:, 0] - ego.x[k], points[:, 1] - ego.y[k]).min()) for k in off)
     text = f"{share:.0%} of the ego's states are on no drivable lane, up to {away:.1f} m from the nearest centre line"
     yield Finding(FaultKind.OFF_MAP, "road", "", ego.t[off[0]], ego.t[off[-1]], share, "1", text)
@@ -548,7 +689,11 @@ def lane_graph(scenario: Scenario) -> Iterator[Finding]:
     lanes, end = scenario.road.lanes, scenario.duration
     if scenario.road.source is not RoadSource.LANES:
         return
-    missing = [lane.id for lane in lanes.values() if lane.successors and lanes.keys().isdisjoint(lane.successors)]
+    missing = [
+        lane.id
+        for lane in lanes.values()
+        if lane.successors and lanes.keys().isdisjoint(lane.successors)
+    ]
     if len(missing) > EDGE * len(lanes):
         text = f"{len(missing)} of {len(lanes)} lanes are followed only by lanes that are not in the map"
         yield Finding(FaultKind.LANE_GRAPH, "road", "", 0.0, end, len(missing), "1", text)
@@ -560,8 +705,12 @@ def lane_graph(scenario: Scenario) -> Iterator[Finding]:
             elif name in lanes:
                 gap = float(np.hypot(*(lanes[name].center[0] - lane.center[-1])))
                 if gap > APART_M:
-                    text = f"lane {name} follows lane {lane.id}, but begins {gap:.1f} m from its end"
-                    yield Finding(FaultKind.LANE_GRAPH, "road", str(lane.id), 0.0, end, gap, "m", text)
+                    text = (
+                        f"lane {name} follows lane {lane.id}, but begins {gap:.1f} m from its end"
+                    )
+                    yield Finding(
+                        FaultKind.LANE_GRAPH, "road", str(lane.id), 0.0, end, gap, "m", text
+                    )
 
 
 def lights(scenario: Scenario) -> Iterator[Finding]:
@@ -589,8 +738,26 @@ def goals(scenario: Scenario) -> Iterator[Finding]:
 
 
 CHECKS: tuple[Callable[[Scenario], Iterable[Finding]], ...] = (
-    ghosts, ego_gaps, ego_jumps, ego_speed, ego_heading, flickering, id_switches, teleports, speeds, heading_flips,
-    agent_headings, velocity_directions, across, short_tracks, twins, sizes, unrecorded, off_map, lane_graph, lights,
+    ghosts,
+    ego_gaps,
+    ego_jumps,
+    ego_speed,
+    ego_heading,
+    flickering,
+    id_switches,
+    teleports,
+    speeds,
+    heading_flips,
+    agent_headings,
+    velocity_directions,
+    across,
+    short_tracks,
+    twins,
+    sizes,
+    unrecorded,
+    off_map,
+    lane_graph,
+    lights,
     goals,
-)  # fmt: skip
+)
 """All checks, in the order of the report."""

@@ -39,7 +39,8 @@ NO_LANES = Unavailable("the log has no lanes")
 BEYOND_M = 10.0
 SURE_M = 1e-6  # Tolerance of the test that skips boxes, m: rounding must not change results
 FEW = 16  # Least number of edges per box (except the last of a polyline)
-CROSSING = cos(30.0 / 180.0 * pi)  # Lanes cross where their directions differ by more than this, in either sense
+# Lanes cross where their directions differ by more than this, in either sense
+CROSSING = cos(30.0 / 180.0 * pi)
 
 
 class EdgeBoxes(NamedTuple):
@@ -68,7 +69,9 @@ def points_inside(polygon: FloatArray, x: FloatArray, y: FloatArray) -> BoolArra
     """Return which points `(n,)` lie in a polygon `(k, 2)`; its bounding box excludes most points early."""
     (x_lo, y_lo), (x_hi, y_hi) = polygon.min(axis=0), polygon.max(axis=0)
     found = (x >= x_lo) & (x <= x_hi) & (y >= y_lo) & (y <= y_hi)
-    found[found] = [inside(*point, polygon) for point in zip(x[found].tolist(), y[found].tolist(), strict=True)]
+    found[found] = [
+        inside(*point, polygon) for point in zip(x[found].tolist(), y[found].tolist(), strict=True)
+    ]
     return np.asarray(found)
 
 
@@ -105,17 +108,28 @@ def lane_arrays(road: Road, beyond: float) -> LaneArrays | None:
         for longer, way in ((ends, forth), (begins, back)):
             length = float(np.hypot(*way[0]))
             way *= beyond / length if longer and length > 0.0 else 0.0
-        sides = [np.vstack([side[:1] + back, side, side[-1:] + forth]) for side in (lane.left, lane.right)]
+        sides = [
+            np.vstack([side[:1] + back, side, side[-1:] + forth])
+            for side in (lane.left, lane.right)
+        ]
         outlines.append(np.vstack([sides[0], sides[1][::-1]]))
     box = [(*outline.min(axis=0), *outline.max(axis=0)) for outline in outlines]
     offsets = np.r_[0, np.cumsum([len(outline) for outline in outlines])]
-    centers = [0.5 * (outline[: len(outline) // 2] + outline[: len(outline) // 2 - 1 : -1]) for outline in outlines]
+    centers = [
+        0.5 * (outline[: len(outline) // 2] + outline[: len(outline) // 2 - 1 : -1])
+        for outline in outlines
+    ]
     edges = [np.hstack([np.roll(outline, 1, axis=0), outline]) for outline in outlines]
     pieces = [np.hstack([center[:-1], center[1:]]) for center in centers]
     return LaneArrays(
-        frozen(np.vstack(outlines)), frozen(offsets, np.int64), frozen(np.vstack(centers)), frozen(box),
-        frozen([lane.speed_limit for lane in lanes]), _boxes(edges), _boxes(pieces),
-    )  # fmt: skip
+        frozen(np.vstack(outlines)),
+        frozen(offsets, np.int64),
+        frozen(np.vstack(centers)),
+        frozen(box),
+        frozen([lane.speed_limit for lane in lanes]),
+        _boxes(edges),
+        _boxes(pieces),
+    )
 
 
 def _boxes(polylines: Sequence[FloatArray]) -> EdgeBoxes:
@@ -141,7 +155,9 @@ def keeps_lane(road: Road, x: float, y: float, corners: FloatArray) -> bool:
         return False
     before = (other.id for other in road.lanes.values() if under[0].id in other.successors)
     strip = {under[0].id, *under[0].successors, *before}
-    return all(any(lane.id in strip for lane in road.lanes_at(*corner)) for corner in corners.tolist())
+    return all(
+        any(lane.id in strip for lane in road.lanes_at(*corner)) for corner in corners.tolist()
+    )
 
 
 class Under(NamedTuple):
@@ -149,7 +165,8 @@ class Under(NamedTuple):
 
     # Cosine of the angle between heading and lane; of several lanes, the best aligned one. -1: against the lane.
     along: FloatArray
-    left: FloatArray  # Distance from the nearest centre line of a lane there, m, positive to the left of the lane
+    # Distance from the nearest centre line of a lane there, m, positive to the left of the lane
+    left: FloatArray
     half: FloatArray  # Half of that lane's width there, m
 
 
@@ -209,7 +226,12 @@ def under(lanes: LaneArrays, x: FloatArray, y: FloatArray, yaw: FloatArray) -> U
                 continue
             cx, cy, aside, wide = _on_center(lanes, i, x[k], y[k])
             if not np.isfinite(along[k]):
-                first_x, first_y, along[k], left[k] = cx, cy, cx * cos(yaw[k]) + cy * sin(yaw[k]), aside
+                first_x, first_y, along[k], left[k] = (
+                    cx,
+                    cy,
+                    cx * cos(yaw[k]) + cy * sin(yaw[k]),
+                    aside,
+                )
                 half[k] = wide
                 continue
             crossing = crossing or abs(first_x * cx + first_y * cy) < CROSSING
@@ -230,7 +252,10 @@ def edge_distance(lanes: LaneArrays, i: int, x: float, y: float, best: float) ->
             continue
         for k in range(boxes.edges[g, 0], boxes.edges[g, 1]):
             j = k - 1
-            best = min(best, point_segment(x, y, polygon[j, 0], polygon[j, 1], polygon[k, 0], polygon[k, 1]))
+            best = min(
+                best,
+                point_segment(x, y, polygon[j, 0], polygon[j, 1], polygon[k, 0], polygon[k, 1]),
+            )
     return best
 
 
@@ -247,7 +272,9 @@ def off_lanes(lanes: LaneArrays, x: FloatArray, y: FloatArray) -> FloatArray:
             i = (start + turn) % n
             if _gap(lanes.box, i, x[k], y[k]) >= best:
                 continue
-            found = 0.0 if on_lane(lanes, i, x[k], y[k]) else edge_distance(lanes, i, x[k], y[k], best)
+            found = (
+                0.0 if on_lane(lanes, i, x[k], y[k]) else edge_distance(lanes, i, x[k], y[k], best)
+            )
             if found < best:
                 best, recent = found, i
             if best == 0.0:
@@ -280,7 +307,9 @@ def lane_distances(lanes: LaneArrays, x: FloatArray, y: FloatArray, reach: float
     for i in range(len(lanes.box)):
         box = lanes.box[i]
         for k in range(len(x)):
-            gap = hypot(max(box[0] - x[k], 0.0, x[k] - box[2]), max(box[1] - y[k], 0.0, y[k] - box[3]))
+            gap = hypot(
+                max(box[0] - x[k], 0.0, x[k] - box[2]), max(box[1] - y[k], 0.0, y[k] - box[3])
+            )
             if gap > reach:
                 continue
             if gap == 0.0 and on_lane(lanes, i, x[k], y[k]):
@@ -341,7 +370,9 @@ class DrivableLanes:
         away = lane_distances(self.arrays, x, y, reach).min(axis=0)
         for area in self.areas:
             ring = np.vstack([area, area[:1]])
-            away = np.minimum(away, np.where(points_inside(area, x, y), 0.0, along_line(ring, x, y)[1]))
+            away = np.minimum(
+                away, np.where(points_inside(area, x, y), 0.0, along_line(ring, x, y)[1])
+            )
         return np.where(away < reach, away, inf)
 
     def under(self, x: FloatArray, y: FloatArray) -> BoolArray:
@@ -357,7 +388,9 @@ class DrivableLanes:
     def continued(self, last: Sequence[int], under: BoolArray) -> tuple[int, ...]:
         """Return which of the last lanes are still under a point; if none is, of a single one its successors."""
         still = tuple(i for i in last if under[i])
-        return still or (tuple(i for i in self.after[last[0]] if under[i]) if len(last) == 1 else ())
+        return still or (
+            tuple(i for i in self.after[last[0]] if under[i]) if len(last) == 1 else ()
+        )
 
     def route(self, x: FloatArray, y: FloatArray) -> Route:
         """Return the lane or connectors of each of the points `(k,)` of a drive (module docstring)."""
@@ -369,7 +402,13 @@ class DrivableLanes:
             now = self.continued(now, under) if now else ()
             if not now:
                 now = self.search(under)
-                if k > 1 and out[-1] and self.connector[out[-1][0]] and now and self.connector[now[0]]:
+                if (
+                    k > 1
+                    and out[-1]
+                    and self.connector[out[-1][0]]
+                    and now
+                    and self.connector[now[0]]
+                ):
                     now = tuple(i for i in out[-1] if away[i, k] < NEAR_M) or now
             out.append(now)
         for k in range(len(out) - 2, -1, -1):
@@ -411,7 +450,9 @@ class DrivableLanes:
         right, left = rr | self._of(self.after, rr), rl | self._of(self.after, rl)
         if not (rl & right or rr & left):
             return False
-        return bool((fl | self._of(self.before, fl)) & right & (fr | self._of(self.before, fr)) & left)
+        return bool(
+            (fl | self._of(self.before, fl)) & right & (fr | self._of(self.before, fr)) & left
+        )
 
     @staticmethod
     def _of(table: Sequence[tuple[int, ...]], lanes: Iterable[int]) -> set[int]:
@@ -426,11 +467,20 @@ def lane_map(road: Road) -> DrivableLanes | None:
     lanes = tuple(lane for lane in road.lanes.values() if lane.drivable)
     index = {lane.id: i for i, lane in enumerate(lanes)}
     after = tuple(tuple(index[j] for j in lane.successors if j in index) for lane in lanes)
-    before = tuple(tuple(i for i, those in enumerate(after) if j in those) for j in range(len(lanes)))
-    beside = [[index[j] for j in (lane.left_neighbour, lane.right_neighbour) if j in index] for lane in lanes]
+    before = tuple(
+        tuple(i for i, those in enumerate(after) if j in those) for j in range(len(lanes))
+    )
+    beside = [
+        [index[j] for j in (lane.left_neighbour, lane.right_neighbour) if j in index]
+        for lane in lanes
+    ]
     block = list(range(len(lanes)))
-    while (joined := [min(block[i], *(block[j] for j in those)) if those else block[i]
-                      for i, those in enumerate(beside)]) != block:  # fmt: skip
+    while (
+        joined := [
+            min(block[i], *(block[j] for j in those)) if those else block[i]
+            for i, those in enumerate(beside)
+        ]
+    ) != block:
         block = joined
     return DrivableLanes(lanes, arrays, tuple(block), after, before, _connectors(lanes), road.areas)
 
@@ -443,8 +493,14 @@ def _connectors(lanes: Sequence[Lane]) -> tuple[bool, ...]:
     found = [False] * len(lanes)
     for i, j in combinations(range(len(lanes)), 2):
         (a, b), (c, d) = ((lane.center[:-1], lane.center[1:]) for lane in (lanes[i], lanes[j]))
-        low, high = np.maximum(a.min(axis=0), c.min(axis=0)), np.minimum(b.max(axis=0), d.max(axis=0))
-        if not ((low <= np.maximum(high, np.minimum(a.max(axis=0), c.max(axis=0)))).all() and _cross(a, b, c, d)):
+        low, high = (
+            np.maximum(a.min(axis=0), c.min(axis=0)),
+            np.minimum(b.max(axis=0), d.max(axis=0)),
+        )
+        if not (
+            (low <= np.maximum(high, np.minimum(a.max(axis=0), c.max(axis=0)))).all()
+            and _cross(a, b, c, d)
+        ):
             continue
         found[i] = found[j] = True
     return tuple(found)
@@ -455,7 +511,9 @@ def _cross(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray) -> bool:
 
     def side(p: FloatArray, q: FloatArray, r: FloatArray) -> FloatArray:
         (px, py), (qx, qy), (rx, ry) = p.T, q.T, r.T
-        return np.asarray((qx - px)[:, None] * (ry - py[:, None]) - (qy - py)[:, None] * (rx - px[:, None]))
+        return np.asarray(
+            (qx - px)[:, None] * (ry - py[:, None]) - (qy - py)[:, None] * (rx - px[:, None])
+        )
 
     apart = side(a, b, c) * side(a, b, d) < 0.0
     return bool((apart & (side(c, d, a) * side(c, d, b) < 0.0).T).any())

@@ -151,10 +151,14 @@ class Metric:
         rules = {
             "name: one word": isinstance(self.name, str) and self.name.split() == [self.name],
             "unit: a word": isinstance(self.unit, str),
-            f"direction: one of {', '.join(get_args(Direction))}": self.direction in get_args(Direction),
-            "modes: a tuple of Mode": bool(self.modes) and all(isinstance(mode, Mode) for mode in self.modes),
+            f"direction: one of {', '.join(get_args(Direction))}": self.direction
+            in get_args(Direction),
+            "modes: a tuple of Mode": bool(self.modes)
+            and all(isinstance(mode, Mode) for mode in self.modes),
             "measure: a function (trace, scenario)": callable(self.measure),
-            "reductions: a tuple of Reduction": all(isinstance(one, Reduction) for one in self.reductions),
+            "reductions: a tuple of Reduction": all(
+                isinstance(one, Reduction) for one in self.reductions
+            ),
             "reductions: at least one, with names of their own": len({*names}) == len(names) > 0,
         }
         broken = next((rule for rule, holds in rules.items() if not holds), None)
@@ -163,7 +167,9 @@ class Metric:
 
     def found(self, trace: Trace, scenario: Scenario) -> Measured | Mapping[str, Measured]:
         """Return the cached result of `measure` for reuse by scores; a long drive caches only the newest results."""
-        return (_remember_all if len(trace.ego) <= LONG_STEPS else _remember_newest)(trace, scenario, self.measure)
+        return (_remember_all if len(trace.ego) <= LONG_STEPS else _remember_newest)(
+            trace, scenario, self.measure
+        )
 
     def measured(self, trace: Trace, scenario: Scenario) -> dict[str, Measured]:
         """Return its series by full name ("gap", "ade.3s"); an unavailable metric has the names of its parts too.
@@ -172,8 +178,12 @@ class Metric:
         """
         found = self.found(trace, scenario)
         for one in found.values() if isinstance(found, Mapping) else (found,):
-            if not isinstance(one, Series) and not (isinstance(one, Unavailable) and isinstance(one.reason, str)):
-                raise TypeError(f"it returned {type(one).__name__}, not a Series, Unavailable, or a mapping to these")
+            if not isinstance(one, Series) and not (
+                isinstance(one, Unavailable) and isinstance(one.reason, str)
+            ):
+                raise TypeError(
+                    f"it returned {type(one).__name__}, not a Series, Unavailable, or a mapping to these"
+                )
         if isinstance(found, Mapping):
             return {f"{self.name}.{part}": series for part, series in found.items()}
         return self.unavailable(found) if isinstance(found, Unavailable) else {self.name: found}
@@ -184,7 +194,9 @@ class Metric:
         return {f"{self.name}.{part}": found for part in parts} or {self.name: found}
 
 
-def _measure(trace: Trace, scenario: Scenario, measure: Measure) -> Measured | Mapping[str, Measured]:
+def _measure(
+    trace: Trace, scenario: Scenario, measure: Measure
+) -> Measured | Mapping[str, Measured]:
     return measure(trace, scenario)
 
 
@@ -224,7 +236,9 @@ def _percentile(q: float) -> Callable[[Series], tuple[float, int]]:
         at = (len(value) - 1) * (q / 100.0)
         low, share = float(value[int(at)]), at - int(at)
         high = float(value[min(int(at) + 1, len(value) - 1)])
-        return low + (high - low) * share if share < 0.5 else high - (high - low) * (1.0 - share), -1
+        return low + (high - low) * share if share < 0.5 else high - (high - low) * (
+            1.0 - share
+        ), -1
 
     return reduce
 
@@ -257,23 +271,37 @@ def longest(series: Series, flags: BoolArray) -> tuple[float, int]:
 MEAN = Reduction("mean", lambda series: (float(np.mean(series.value[series.known])), -1))
 MIN = Reduction("min", lambda series: _extreme(series, -series.value, series.value))
 MAX = Reduction("max", lambda series: _extreme(series, series.value, series.value))
-MAX_ABS = Reduction("max_abs", lambda series: _extreme(series, np.abs(series.value), np.abs(series.value)))
-RMS = Reduction("rms", lambda series: (float(np.sqrt(np.mean(series.value[series.known] ** 2))), -1))
+MAX_ABS = Reduction(
+    "max_abs", lambda series: _extreme(series, np.abs(series.value), np.abs(series.value))
+)
+RMS = Reduction(
+    "rms", lambda series: (float(np.sqrt(np.mean(series.value[series.known] ** 2))), -1)
+)
 P95 = Reduction("p95", _percentile(95.0))  # of the absolute value, linear between order statistics
 P99 = Reduction("p99", _percentile(99.0))  # 99th percentile, likewise
-FINAL = Reduction("final", lambda series: _extreme(series, np.arange(len(series.t), dtype=float), series.value))
+FINAL = Reduction(
+    "final", lambda series: _extreme(series, np.arange(len(series.t), dtype=float), series.value)
+)
 COUNT = Reduction(
     "count",
-    lambda series: (float(np.sum(series.value[series.known])), first_of((series.value != 0.0) & series.known)),
-    unit="count", empty=0.0,
-)  # fmt: skip
+    lambda series: (
+        float(np.sum(series.value[series.known])),
+        first_of((series.value != 0.0) & series.known),
+    ),
+    unit="count",
+    empty=0.0,
+)
 """Sum over the steps; its time is that of the first step that is not 0."""
 RATE = Reduction(
-    "rate", lambda series: (float(np.mean(series.value[series.known])), first_of(series.value > 0.0)),
-    unit="1", empty=0.0,
-)  # fmt: skip
+    "rate",
+    lambda series: (float(np.mean(series.value[series.known])), first_of(series.value > 0.0)),
+    unit="1",
+    empty=0.0,
+)
 """Mean over the steps of a 0/1 series; its time is the first 1."""
-HAVING = Reduction("rate", lambda series: (float(np.mean(series.known)), first_of(series.known)), "1", "lower", 0.0)
+HAVING = Reduction(
+    "rate", lambda series: (float(np.mean(series.known)), first_of(series.known)), "1", "lower", 0.0
+)
 """Share of the steps that have a value; its time is that of the first such step."""
 SHARE = Reduction("share", lambda series: (float(np.mean(series.known)), -1), "1", "higher", 0.0)
 """Share of the steps that have a value, where every step should have one; below 1, the mean is over a part only."""
@@ -292,14 +320,18 @@ def _marked_time(
         if not flags.any():
             return 0.0, -1
         total = whole(series, weight) if whole else 1.0
-        return float(np.sum(weight[flags])) / total if total > 0.0 else float(flags[0]), int(np.argmax(flags))
+        return float(np.sum(weight[flags])) / total if total > 0.0 else float(flags[0]), int(
+            np.argmax(flags)
+        )
 
     return Reduction(name, reduce, "1" if whole else "s", "lower", 0.0, bounds)
 
 
 def time_outside(low: float, high: float, name: str) -> Reduction:
     """Seconds during which the value is below `low` or above `high`; 0 where no step has a value."""
-    return _marked_time(name, lambda series: (series.value < low) | (series.value > high), bounds=(low, high))
+    return _marked_time(
+        name, lambda series: (series.value < low) | (series.value > high), bounds=(low, high)
+    )
 
 
 def time_below(bound: float, name: str) -> Reduction:
@@ -315,15 +347,21 @@ def time_above(bound: float, name: str) -> Reduction:
 def worst_episode(low: float, high: float) -> Reduction:
     """Longest unbroken stretch below `low` or above `high`, s; its time is the stretch's first step."""
     return Reduction(
-        "worst_episode", lambda series: longest(series, (series.value < low) | (series.value > high)),
-        "s", "lower", 0.0, (low, high),
-    )  # fmt: skip
+        "worst_episode",
+        lambda series: longest(series, (series.value < low) | (series.value > high)),
+        "s",
+        "lower",
+        0.0,
+        (low, high),
+    )
 
 
 def share_while(condition: Callable[[FloatArray], BoolArray], name: str) -> Reduction:
     """Share of the drive's time during which a condition holds; 0 if no step has a value."""
     return _marked_time(
-        name, lambda series: condition(series.value) & series.known, lambda series, weight: float(weight.sum())
+        name,
+        lambda series: condition(series.value) & series.known,
+        lambda series, weight: float(weight.sum()),
     )
 
 

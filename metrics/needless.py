@@ -95,7 +95,15 @@ from replan.metrics.cut_in import (
     worst_forced,
 )
 from replan.metrics.following import ahead_of
-from replan.metrics.lanes import NO_LANES, LaneArrays, drivable_lanes, limits_at, mapped_lanes, points_inside, under
+from replan.metrics.lanes import (
+    NO_LANES,
+    LaneArrays,
+    drivable_lanes,
+    limits_at,
+    mapped_lanes,
+    points_inside,
+    under,
+)
 from replan.metrics.metric import (
     COUNT,
     MAX,
@@ -134,7 +142,8 @@ class Reasons:
     l: FloatArray  # noqa: E741
     slow: BoolArray  # Whether it has a reason to be slower
     stand: BoolArray  # Whether it has a reason to stand
-    steer: BoolArray  # Whether it has a reason to change its offset; `beside`: a road user is one; `change`: its lane
+    # Whether it has a reason to change its offset; `beside`: a road user is one; `change`: its lane
+    steer: BoolArray
     beside: BoolArray
     change: BoolArray
 
@@ -153,10 +162,13 @@ def reasons(trace: Trace, scenario: Scenario) -> Reasons:
     ghosts = {phantom.agent for phantom in phantoms(scenario)}
     shown = (trace.agents, trace.perceived, scenario.tracks.only(ghosts) if ghosts else None)
     for tracks in filter(None, shown):
-        for brakes, stands, beside, far in _agents_as_reasons(tracks, ego.t, s, l, ego.v, line, scenario):
+        for brakes, stands, beside, far in _agents_as_reasons(
+            tracks, ego.t, s, l, ego.v, line, scenario
+        ):
             slow, stand, steer, change = slow | brakes, stand | stands, steer | beside, change | far
     goal, early = scenario.goal, np.zeros(len(s), np.bool_)
-    if goal is not None and goal.t is not None:  # at its speed it would leave the goal before the goal's time
+    # At its speed it would leave the goal before the goal's time
+    if goal is not None and goal.t is not None:
         early = s + np.maximum(ego.v, STANDS_MPS) * (goal.t[0] - ego.t) > route_of(scenario).far
     flags = np.stack([slow | early, stand | early, steer, change])
     since = np.maximum.accumulate(np.where(flags, ego.t, -np.inf), axis=1)
@@ -164,17 +176,28 @@ def reasons(trace: Trace, scenario: Scenario) -> Reasons:
     off = np.abs(l) > ASIDE_M
     lanes, default = drivable_lanes(scenario.road), scenario.road.default_speed_limit
     x, y = np.ascontiguousarray(line.xy[:, 0]), np.ascontiguousarray(line.xy[:, 1])
-    limit = np.nan_to_num(limits_at(lanes, x, y), nan=default) if lanes is not None else np.full(len(x), default)
+    limit = (
+        np.nan_to_num(limits_at(lanes, x, y), nan=default)
+        if lanes is not None
+        else np.full(len(x), default)
+    )
     caps = np.minimum(limit, np.sqrt(CURVE_MPS2 / np.maximum(np.abs(line.kappa), 1e-9)))
     if scenario.is_recorded and len(scenario.ego) > 1:
         logged = scenario.ego
         passed = line_project_many(line.s, line.coef, logged.x, logged.y, 0.0, WINDOW_M)[:, 0]
-        np.minimum.at(caps, np.clip(np.searchsorted(line.s, passed), 0, len(caps) - 1), np.abs(logged.v))
+        np.minimum.at(
+            caps, np.clip(np.searchsorted(line.s, passed), 0, len(caps) - 1), np.abs(logged.v)
+        )
     ease = NEAR_M + HEADWAY_S * ego.v  # and the distance to slow down to a cap with `EASE_MPS2`
     first, end = np.searchsorted(line.s, [s, s + FARTHEST_M + NEAR_M])
     for k, v in enumerate(ego.v.tolist()):
         some = slice(max(int(first[k]) - 1, 0), int(end[k]))
-        far = line.s[some] - s[k] - ease[k] - np.maximum(v**2 - caps[some] ** 2, 0.0) / (2.0 * EASE_MPS2)
+        far = (
+            line.s[some]
+            - s[k]
+            - ease[k]
+            - np.maximum(v**2 - caps[some] ** 2, 0.0) / (2.0 * EASE_MPS2)
+        )
         slow[k] |= off[k] or bool(((v > caps[some] + SLACK_MPS) & (far <= 0.0)).any())
     curved = np.interp(s, line.s, np.abs(line.kappa)) > 1.0 / CURVE_RADIUS_M
     return Reasons(ego.t, ego.v, l, slow, stand | off, steer | curved, steer, change | off)
@@ -182,13 +205,20 @@ def reasons(trace: Trace, scenario: Scenario) -> Reasons:
 
 def _look_ahead(v: FloatArray, u: FloatArray | float) -> FloatArray:
     """Return (1), at most `FARTHEST_M`."""
-    return np.minimum(NEAR_M + HEADWAY_S * v + np.maximum(v - u, 0.0) ** 2 / (2.0 * EASE_MPS2), FARTHEST_M)
+    return np.minimum(
+        NEAR_M + HEADWAY_S * v + np.maximum(v - u, 0.0) ** 2 / (2.0 * EASE_MPS2), FARTHEST_M
+    )
 
 
 def _agents_as_reasons(
-    tracks: Tracks, t: FloatArray, s: FloatArray, l: FloatArray, v: FloatArray, line: ReferenceLine,  # noqa: E741
+    tracks: Tracks,
+    t: FloatArray,
+    s: FloatArray,
+    l: FloatArray,
+    v: FloatArray,
+    line: ReferenceLine,  # noqa: E741
     scenario: Scenario,
-) -> Iterator[BoolArray]:  # fmt: skip
+) -> Iterator[BoolArray]:
     """Yield for each road user the steps at which it is a reason to brake, to stand, to steer, to change lanes."""
     car, place = scenario.vehicle, np.stack([np.interp(s, line.s, column) for column in line.xy.T])
     for i, others, row in each(tracks, t):
@@ -199,7 +229,9 @@ def _agents_as_reasons(
         flags = np.zeros((4, len(t)), np.bool_)
         if len(steps):
             guess = float(s[steps[0]])
-            at, aside = line_project_many(line.s, line.coef, x[steps], y[steps], guess, FARTHEST_M).T
+            at, aside = line_project_many(
+                line.s, line.coef, x[steps], y[steps], guess, FARTHEST_M
+            ).T
             road = np.interp(at, line.s, line.yaw)
             turn = yaw[steps] - road
             u = vx[steps] * np.cos(road) + vy[steps] * np.sin(road)
@@ -232,16 +264,23 @@ def _places_to_stop(
         at, aside = line.project(*mark.points.mean(axis=0).tolist())
         if abs(aside) < 0.5 * float(np.hypot(*np.diff(mark.points, axis=0)[0])) + ACROSS_M:
             light = lights.get(mark.light) if mark.light is not None else None
-            shut = always if light is None else np.array([light.at(now) is not Colour.GREEN for now in t])
+            shut = (
+                always
+                if light is None
+                else np.array([light.at(now) is not Colour.GREEN for now in t])
+            )
             yield at, at + ACROSS_M, shut, LINE_M
     zones = []
-    for walk in scenario.road.crosswalks:  # active while a pedestrian or rider is within `NEAR_M` of its bounding box
+    # Active while a pedestrian or rider is within `NEAR_M` of its bounding box
+    for walk in scenario.road.crosswalks:
         low, high = walk.polygon.min(axis=0) - NEAR_M, walk.polygon.max(axis=0) + NEAR_M
         walked = np.zeros(len(t), np.bool_)
         for i, others, row in each(trace.agents, t):
             if trace.agents.kinds[i].is_vulnerable:
                 x, y = others.pose[:2, row]
-                walked |= others.there[row] & (x > low[0]) & (x < high[0]) & (y > low[1]) & (y < high[1])
+                walked |= (
+                    others.there[row] & (x > low[0]) & (x < high[0]) & (y > low[1]) & (y < high[1])
+                )
         zones.append((walk.polygon, walked))
     zones += [(lane.polygon, always) for lane in scenario.road.lanes.values() if lane.yields_to]
     for polygon, active in zones:
@@ -249,10 +288,16 @@ def _places_to_stop(
         if len(on):
             yield float(on[0]), float(on[-1]), active, NEAR_M
     yield line.length, np.inf, always, NEAR_M
-    if goal is not None and np.isfinite(route.length):  # a goal that asks for no speed is driven through
+    # A goal that asks for no speed is driven through
+    if goal is not None and np.isfinite(route.length):
         yield (route.far if goal.v is None else route.length), np.inf, always, NEAR_M
     elif scenario.is_recorded:
-        yield float(line.project(scenario.ego.x[-1], scenario.ego.y[-1], route.length)[0]), np.inf, always, NEAR_M
+        yield (
+            float(line.project(scenario.ego.x[-1], scenario.ego.y[-1], route.length)[0]),
+            np.inf,
+            always,
+            NEAR_M,
+        )
 
 
 def _braking(trace: Trace, scenario: Scenario) -> Measured:
@@ -272,7 +317,8 @@ def _standing(trace: Trace, scenario: Scenario) -> Measured:
 def _steering(trace: Trace, scenario: Scenario) -> Measured:
     found, counts = reasons(trace, scenario), np.zeros(len(reasons(trace, scenario).t))
     for a, b in pairwise(turning_points(found.l, SWING_M)):
-        if abs(found.l[b] - found.l[a]) < CHANGE_M and not found.steer[a : (a + b) // 2 + 1].any():  # (4)
+        # (4)
+        if abs(found.l[b] - found.l[a]) < CHANGE_M and not found.steer[a : (a + b) // 2 + 1].any():
             counts[b] += 1.0
     return Series(found.t, counts)
 
@@ -306,37 +352,65 @@ def turning_points(value: FloatArray, least: float) -> list[int]:
 
 _ALWAYS = "something called for it all the time"
 _SHARED = (
-    f"look {NEAR_M:g} m + {HEADWAY_S:g} s v + (v - u)^2 / {2.0 * EASE_MPS2:g} m/s2", f"coming within {COMING_S:g} s",
+    f"look {NEAR_M:g} m + {HEADWAY_S:g} s v + (v - u)^2 / {2.0 * EASE_MPS2:g} m/s2",
+    f"coming within {COMING_S:g} s",
     f"a reason lasts {AFTER_S:g} s longer",
-)  # fmt: skip
+)
 NEEDLESS_BRAKING = Metric(
-    "needless_braking", "m/s", "lower", (Mode.CLOSED,), _braking, (MAX,),
+    "needless_braking",
+    "m/s",
+    "lower",
+    (Mode.CLOSED,),
+    _braking,
+    (MAX,),
     "Speed that the ego lost while no road user, rule, limit, curve, goal or end of the route ahead called for it.",
-    formula="highest speed since the last reason - v", parameters=_SHARED, needs="a time without a reason to brake",
-)  # fmt: skip
+    formula="highest speed since the last reason - v",
+    parameters=_SHARED,
+    needs="a time without a reason to brake",
+)
 NEEDLESS_STANDING = Metric(
-    "needless_standing", "1", "lower", (Mode.CLOSED,), _standing, (worst_episode(-np.inf, 0.5),),
+    "needless_standing",
+    "1",
+    "lower",
+    (Mode.CLOSED,),
+    _standing,
+    (worst_episode(-np.inf, 0.5),),
     "1 while the ego stands and no reason to stand is near.",
-    formula="[v < 0.5 m/s and no reason within 10 m ahead, no stop line within 6 m]", parameters=_SHARED,
-)  # fmt: skip
+    formula="[v < 0.5 m/s and no reason within 10 m ahead, no stop line within 6 m]",
+    parameters=_SHARED,
+)
 NEEDLESS_STEERING = Metric(
-    "needless_steering", "count", "lower", (Mode.CLOSED,), _steering, (COUNT,),
+    "needless_steering",
+    "count",
+    "lower",
+    (Mode.CLOSED,),
+    _steering,
+    (COUNT,),
     "Swings of the ego's offset from the route by 0.5 m to 2 m with no road user and no curve near.",
-    formula="sum of the changes between two turning points", parameters=_SHARED,
-)  # fmt: skip
+    formula="sum of the changes between two turning points",
+    parameters=_SHARED,
+)
 
 
 def hard_episodes(ego: Trajectory) -> list[int]:
     """The steps at which the episodes (5) begin."""
     hard = np.flatnonzero(ego.a < -HARD_MPS2)
-    return [int(k) for i, k in enumerate(hard) if i == 0 or ego.t[k] - ego.t[hard[i - 1]] > APART_S + 1e-9]
+    return [
+        int(k)
+        for i, k in enumerate(hard)
+        if i == 0 or ego.t[k] - ego.t[hard[i - 1]] > APART_S + 1e-9
+    ]
 
 
 @kernel
 def _any_touches(way: FloatArray, car: EgoOutline, others: OtherBoxes) -> bool:
     """Return whether any of the boxes `(n, k)` overlaps the ego at any pose of its rear axle: x, y, yaw `(3, m)`."""
     for j in range(way.shape[1]):
-        x, y, yaw = way[0, j] + car.axle * cos(way[2, j]), way[1, j] + car.axle * sin(way[2, j]), way[2, j]
+        x, y, yaw = (
+            way[0, j] + car.axle * cos(way[2, j]),
+            way[1, j] + car.axle * sin(way[2, j]),
+            way[2, j],
+        )
         for i in range(others.there.shape[0]):
             for k in range(others.there.shape[1]):
                 if others.there[i, k] and touches(x, y, yaw, car, others, i, k):
@@ -369,20 +443,34 @@ def _missed_braking(trace: Trace, scenario: Scenario) -> Measured:
 
 
 FALSE_BRAKING = Metric(
-    "false_braking", "1", "lower", (Mode.CLOSED,), _false_braking, (RATE, COUNT),
+    "false_braking",
+    "1",
+    "lower",
+    (Mode.CLOSED,),
+    _false_braking,
+    (RATE, COUNT),
     "1 where a hard braking begins after which no road user comes near the ego's way, 0 where one does.",
     formula="[no road user within 0.3 m of the way ahead within 5 s]",
     parameters=(
-        f"hard below -{HARD_MPS2:g} m/s2", f"apart {APART_S:g} s", f"near {CAUSE_M:g} m", f"within {CAUSE_S:g} s",
+        f"hard below -{HARD_MPS2:g} m/s2",
+        f"apart {APART_S:g} s",
+        f"near {CAUSE_M:g} m",
+        f"within {CAUSE_S:g} s",
     ),
     needs="a hard braking",
-)  # fmt: skip
+)
 MISSED_BRAKING = Metric(
-    "missed_braking", "m/s2", "lower", (Mode.CLOSED,), _missed_braking, (MAX,),
+    "missed_braking",
+    "m/s2",
+    "lower",
+    (Mode.CLOSED,),
+    _missed_braking,
+    (MAX,),
     "Deceleration that a steady approach behind the one ahead in the path asks beyond the ego's.",
-    formula="max((v - u)^2 / (2 gap) - b, 0)", parameters=(f"gap at least {TOUCHING_M:g} m",),
+    formula="max((v - u)^2 / (2 gap) - b, 0)",
+    parameters=(f"gap at least {TOUCHING_M:g} m",),
     needs="a road user ahead in the path",
-)  # fmt: skip
+)
 
 
 SETTLES_S, KEPT_S, JUDGED_S, RETURN_MPS = 4.0, 10.0, 8.0, 0.1
@@ -400,7 +488,9 @@ def _lane_offset(trace: Trace, scenario: Scenario) -> Measured:
     passed = ego.t - np.maximum.accumulate(np.where(found.beside, ego.t, -np.inf)) > KEPT_S
     judged = settled & passed & ~found.steer & (np.abs(ego.v) >= STANDS_MPS) & np.isfinite(left)
     if judged.sum() * GRID_S < JUDGED_S:
-        return Unavailable(f"less than {JUDGED_S:g} s on a lane without a reason to leave its middle")
+        return Unavailable(
+            f"less than {JUDGED_S:g} s on a lane without a reason to leave its middle"
+        )
     return Series(ego.t, np.where(judged, left, np.nan))
 
 
@@ -431,7 +521,9 @@ def _lane_change(trace: Trace, scenario: Scenario) -> Measured:
         return NO_LANES
     ego, found, line = grid_of(trace), reasons(trace, scenario), route_of(scenario).line
     s, counts = gain_along(route_of(scenario), ego).metres, np.zeros(len(ego.t))
-    route = [(line.s[k], side) for k, side in _crossings(lanes, line.xy[:, 0], line.xy[:, 1], line.yaw)]
+    route = [
+        (line.s[k], side) for k, side in _crossings(lanes, line.xy[:, 0], line.xy[:, 1], line.yaw)
+    ]
     x, y, yaw = ego_boxes(ego, scenario)[:3]
     for k, side in _crossings(lanes, x, y, yaw):
         called = found.change[(ego.t >= ego.t[k] - CALLED_S) & (ego.t <= ego.t[k])].any()
@@ -440,11 +532,17 @@ def _lane_change(trace: Trace, scenario: Scenario) -> Measured:
     return Series(ego.t, counts)
 
 
-def _crossings(lanes: LaneArrays, x: FloatArray, y: FloatArray, yaw: FloatArray) -> list[tuple[int, float]]:
+def _crossings(
+    lanes: LaneArrays, x: FloatArray, y: FloatArray, yaw: FloatArray
+) -> list[tuple[int, float]]:
     """Return where a drive crosses into the lane beside: the first step in it, and the side, 1 left, -1 right."""
-    found = under(lanes, np.ascontiguousarray(x), np.ascontiguousarray(y), np.ascontiguousarray(yaw))
+    found = under(
+        lanes, np.ascontiguousarray(x), np.ascontiguousarray(y), np.ascontiguousarray(yaw)
+    )
     share = np.nan_to_num(found.left / found.half)
-    steps = np.flatnonzero((share[:-1] * share[1:] < 0.0) & (np.minimum(abs(share[:-1]), abs(share[1:])) > CROSSED))
+    steps = np.flatnonzero(
+        (share[:-1] * share[1:] < 0.0) & (np.minimum(abs(share[:-1]), abs(share[1:])) > CROSSED)
+    )
     return [(k + 1, float(np.sign(share[k]))) for k in steps.tolist()]
 
 
@@ -456,53 +554,92 @@ def _braked_behind(trace: Trace, scenario: Scenario) -> Measured:
         for begin, end in spans:
             first, last = np.searchsorted(seen.ego.t, [begin - 1e-6, end + HORIZON_S]).tolist()
             if first < len(seen.ego) and seen.ahead[first] and seen.deep[first] >= IN_M:
-                forced, t = seen.needed(first, min(last, len(seen.ego)) - 1), np.arange(0.0, HORIZON_S, GRID_S)
+                forced, t = (
+                    seen.needed(first, min(last, len(seen.ego)) - 1),
+                    np.arange(0.0, HORIZON_S, GRID_S),
+                )
                 kept = seen.rear[first] - seen.front[first] + float(seen.ego.v[first]) * t
                 anyway = needed_deceleration(t, kept, float(seen.u[first]))
                 stays.append(CutInStay(begin, end + AFTER_S, seen.agent, max(forced - anyway, 0.0)))
     missing = "the ego never slowed down without a reason before a follower"
-    return worst_forced(trace, stays, scenario, "the ego slowed down before it without a reason", missing)
+    return worst_forced(
+        trace, stays, scenario, "the ego slowed down before it without a reason", missing
+    )
 
 
 def _curve_accel(trace: Trace, scenario: Scenario) -> Measured:
     t, accel = trace.ego.t, lat_accel(trace.ego)
     total = np.r_[0.0, np.cumsum(0.5 * np.diff(t) * (accel[1:] + accel[:-1]))]
     mean = (total - np.interp(t - MEAN_S, t, total)) / MEAN_S
-    return Series(t, np.where(t - MEAN_S >= t[0] - 1e-9, np.abs(mean), np.nan), missing="the drive is shorter than 1 s")
+    return Series(
+        t,
+        np.where(t - MEAN_S >= t[0] - 1e-9, np.abs(mean), np.nan),
+        missing="the drive is shorter than 1 s",
+    )
 
 
 _CLOSED, _LANES = (Mode.CLOSED,), "lanes in the log"
 LANE_OFFSET = Metric(
-    "lane_offset", "m", "lower", _CLOSED, _lane_offset, (Reduction("kept", _kept), MAX_ABS),
+    "lane_offset",
+    "m",
+    "lower",
+    _CLOSED,
+    _lane_offset,
+    (Reduction("kept", _kept), MAX_ABS),
     "Offset from the middle of the lane that the ego keeps while nothing calls for it.",
     "NAVSIM's lane keeping (EPDMS): 0.5 m for 2 s",
-    formula="the largest d with |l| >= d on one side in three quarters of the judged time", needs=_LANES,
+    formula="the largest d with |l| >= d on one side in three quarters of the judged time",
+    needs=_LANES,
     parameters=(f"judged for {JUDGED_S:g} s", f"an offset of the start goes with {RETURN_MPS} m/s"),
-)  # fmt: skip
+)
 SPEED_SWING = Metric(
-    "speed_swing", "count", "lower", _CLOSED, _swing,
+    "speed_swing",
+    "count",
+    "lower",
+    _CLOSED,
+    _swing,
     (Reduction("per_minute", _per_minute, "1/min", empty=0.0), COUNT),
     "Falls of the ego's speed by 0.5 m/s or more: all of them, and those while nothing called for slowing down.",
     formula="sum of the falls; per minute, of the time without a reason for the needless ones",
-    parameters=(f"fall {FALL_MPS} m/s", f"at least {LEAST_S:g} s"), parts=("all", "needless"),
-)  # fmt: skip
+    parameters=(f"fall {FALL_MPS} m/s", f"at least {LEAST_S:g} s"),
+    parts=("all", "needless"),
+)
 NEEDLESS_LANE_CHANGE = Metric(
-    "needless_lane_change", "count", "lower", _CLOSED, _lane_change, (COUNT,),
+    "needless_lane_change",
+    "count",
+    "lower",
+    _CLOSED,
+    _lane_change,
+    (COUNT,),
     "Lane changes of the ego away from its route while no road user was in its way.",
     formula="sum of the crossings of a line between lanes that nothing called for",
-    parameters=(f"a road user in the way in the last {CALLED_S:g} s",), needs=_LANES,
-)  # fmt: skip
+    parameters=(f"a road user in the way in the last {CALLED_S:g} s",),
+    needs=_LANES,
+)
 BRAKED_BEHIND = Metric(
-    "braked_behind", "m/s2", "lower", _CLOSED, _braked_behind, (MAX,),
+    "braked_behind",
+    "m/s2",
+    "lower",
+    _CLOSED,
+    _braked_behind,
+    (MAX,),
     "Deceleration that the ego forces on a follower by slowing down without a reason.",
     "UN R79, 5.6.4.7: 3 m/s2; UN R157, 5.2.5.2 for the reaction time",
     formula="as forced_braking, from the begin of each needless fall of speed_swing",
     parameters=(f"reaction {REACT_S} s", f"horizon {HORIZON_S:g} s", f"at most {MOST_MPS2} m/s2"),
     needs="a fall of the speed by 0.5 m/s without a reason, and a follower",
-)  # fmt: skip
+)
 CURVE_ACCEL = Metric(
-    "curve_accel", "m/s2", "lower", _CLOSED, _curve_accel, (MAX,),
-    "Lateral acceleration that lasts: its mean over 1 s.", "UN R79, 5.6.2.1.3 and ISO 11270: 3 m/s2",
-    formula="|mean of v^2 kappa over 1 s|", parameters=(f"mean over {MEAN_S:g} s",), needs="a drive of 1 s",
-)  # fmt: skip
+    "curve_accel",
+    "m/s2",
+    "lower",
+    _CLOSED,
+    _curve_accel,
+    (MAX,),
+    "Lateral acceleration that lasts: its mean over 1 s.",
+    "UN R79, 5.6.2.1.3 and ISO 11270: 3 m/s2",
+    formula="|mean of v^2 kappa over 1 s|",
+    parameters=(f"mean over {MEAN_S:g} s",),
+    needs="a drive of 1 s",
+)
 STEADINESS = (LANE_OFFSET, SPEED_SWING, NEEDLESS_LANE_CHANGE, BRAKED_BEHIND, CURVE_ACCEL)

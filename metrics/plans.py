@@ -59,7 +59,8 @@ SHORT_M = 5.0  # A plan that is shorter in its first 4 s is that of a standing e
 PIECE = 1000  # Plans that are joined at a time: all plans of an hour take 80 MB
 NO_PLANS = Unavailable("the drive has no plans")
 APART_S, COMPARED_S = 0.5, 4.0
-EC_BOUNDS = (("acceleration", 0.7), ("jerk", 0.5), ("yaw rate", 0.1), ("yaw acceleration", 0.1))  # (3), SI
+# (3), SI
+EC_BOUNDS = (("acceleration", 0.7), ("jerk", 0.5), ("yaw rate", 0.1), ("yaw acceleration", 0.1))
 _STANDS = f"successive plans never overlap, or are never longer than {SHORT_M:g} m"
 
 
@@ -74,7 +75,9 @@ def times_after(trace: Trace, first: int, last: int) -> FloatArray:
     return np.asarray(np.rint(times * 1e9) / 1e9)
 
 
-def plan_columns(trace: Trace, times: FloatArray, names: tuple[str, ...], which: IntArray | None = None) -> FloatArray:
+def plan_columns(
+    trace: Trace, times: FloatArray, names: tuple[str, ...], which: IntArray | None = None
+) -> FloatArray:
     """Return columns `(c, f, k)` of the plans of the frames `which` `(f,)` (None: all) at the times `(f, k)`.
 
     Values are linear between the plan's samples, NaN outside the plan.
@@ -86,21 +89,28 @@ def plan_columns(trace: Trace, times: FloatArray, names: tuple[str, ...], which:
         some = (which >= begin) & (which < begin + PIECE)
         if some.any():
             out[:, some] = _interpolate(
-                *_plan_rows(trace, begin), wanted, which[some] - begin, np.ascontiguousarray(times[some])
+                *_plan_rows(trace, begin),
+                wanted,
+                which[some] - begin,
+                np.ascontiguousarray(times[some]),
             )
     return out
 
 
 def plan_way(x: FloatArray, y: FloatArray) -> FloatArray:
     """Return the distance along each row of positions `(f, k)` from its first, m; NaN from its first NaN on."""
-    return np.concatenate([0.0 * x[:, :1], np.cumsum(np.hypot(np.diff(x), np.diff(y)), axis=1)], axis=1)
+    return np.concatenate(
+        [0.0 * x[:, :1], np.cumsum(np.hypot(np.diff(x), np.diff(y)), axis=1)], axis=1
+    )
 
 
 @last(1)  # for a drive of up to `PIECE` frames, this caches all
 def _plan_rows(trace: Trace, begin: int) -> tuple[IntArray, FloatArray]:
     """Return the offsets `(f + 1,)` and `TRAJECTORY_COLUMNS` `(7, m)` of `PIECE` plans, beginning at a frame."""
     plans = [loaded(frame.plan.trajectory) for frame in light(trace.frames)[begin : begin + PIECE]]
-    rows = np.stack([np.concatenate([getattr(plan, name) for plan in plans]) for name in TRAJECTORY_COLUMNS])
+    rows = np.stack(
+        [np.concatenate([getattr(plan, name) for plan in plans]) for name in TRAJECTORY_COLUMNS]
+    )
     return np.cumsum([0, *map(len, plans)]), rows
 
 
@@ -122,7 +132,9 @@ def _interpolate(
                 column = rows[wanted[c], first:end]
                 out[c, f, k] = column[j]
                 if t[j] < now:
-                    out[c, f, k] = (column[j + 1] - column[j]) / (t[j + 1] - t[j]) * (now - t[j]) + column[j]
+                    out[c, f, k] = (column[j + 1] - column[j]) / (t[j + 1] - t[j]) * (
+                        now - t[j]
+                    ) + column[j]
     return out
 
 
@@ -138,32 +150,45 @@ def _differences(trace: Trace) -> tuple[FloatArray, FloatArray]:
     """Return (1) and (2) `(f - 1,)`; NaN where the plans do not overlap, or both are of a standing ego."""
     times = times_after(trace, 0, round(COMPARED_S / STEP_S))[1:]
     all_ = np.arange(len(trace.frames))
-    now, before = (plan_columns(trace, times, ("x", "y", "yaw"), some) for some in (all_[1:], all_[:-1]))
+    now, before = (
+        plan_columns(trace, times, ("x", "y", "yaw"), some) for some in (all_[1:], all_[:-1])
+    )
     dx, dy = now[:2] - before[:2]
     way = np.fmax.reduce([np.fmax.reduce(plan_way(*plan[:2]), axis=1) for plan in (now, before)])
     both = np.isfinite(dx) & (way > SHORT_M)[:, None]
     change = np.where(both, np.hypot(dx, dy), 0.0).sum(axis=1) / np.maximum(both.sum(axis=1), 1)
     aside = np.abs(dy * np.cos(before[2]) - dx * np.sin(before[2]))
     known = both.any(axis=1)
-    return np.where(known, change, np.nan), np.where(known, np.fmax.reduce(np.where(both, aside, 0.0), axis=1), np.nan)
+    return np.where(known, change, np.nan), np.where(
+        known, np.fmax.reduce(np.where(both, aside, 0.0), axis=1), np.nan
+    )
 
 
 def _endpoint_errors(trace: Trace, scenario: Scenario) -> Measured:
     """Measure (3) at the frames that have another frame 0.5 s before them."""
     t = frame_times(trace)
     earlier = np.searchsorted(t, t - APART_S - 1e-6)
-    later = np.flatnonzero((t >= APART_S + t[:1] - 1e-6) & (np.abs(t[earlier] - (t - APART_S)) < 1e-6))
+    later = np.flatnonzero(
+        (t >= APART_S + t[:1] - 1e-6) & (np.abs(t[earlier] - (t - APART_S)) < 1e-6)
+    )
     if not len(later):
         return Unavailable(f"no two plans are {APART_S} s apart")
     times = times_after(trace, 0, round(COMPARED_S / STEP_S))[later]
-    difference = _comfort_quantities(trace, later, times) - _comfort_quantities(trace, earlier[later], times)
+    difference = _comfort_quantities(trace, later, times) - _comfort_quantities(
+        trace, earlier[later], times
+    )
     both, bounds = np.isfinite(difference), np.array([[bound] for _, bound in EC_BOUNDS])
     count = both.sum(axis=2)
     mean = (np.where(both, difference, 0.0) ** 2).sum(axis=2) / np.maximum(count, 1)
     ratio = np.where(count > 0, np.sqrt(mean), np.nan) / bounds
     known = np.isfinite(ratio).all(axis=0)
     labels = tuple(EC_BOUNDS[q][0] for q in np.argmax(np.where(known, ratio, 0.0), axis=0))
-    return Series(times[:, 0], np.where(known, ratio.max(axis=0), np.nan), labels, "plans 0.5 s apart never overlap")
+    return Series(
+        times[:, 0],
+        np.where(known, ratio.max(axis=0), np.nan),
+        labels,
+        "plans 0.5 s apart never overlap",
+    )
 
 
 def _comfort_quantities(trace: Trace, which: IntArray, times: FloatArray) -> FloatArray:
@@ -178,7 +203,10 @@ def _comfort_quantities(trace: Trace, which: IntArray, times: FloatArray) -> Flo
 def _horizon(trace: Trace, scenario: Scenario) -> Measured:
     if not trace.frames:
         return NO_PLANS
-    return Series(frame_times(trace), np.array([frame.plan.trajectory.t[-1] - frame.t for frame in trace.frames]))
+    return Series(
+        frame_times(trace),
+        np.array([frame.plan.trajectory.t[-1] - frame.t for frame in trace.frames]),
+    )
 
 
 def _complete(trace: Trace, scenario: Scenario) -> Measured:
@@ -188,53 +216,104 @@ def _complete(trace: Trace, scenario: Scenario) -> Measured:
     covered = (reach.t + PLAN_HORIZON_S <= log.t[-1] + 1e-6) | (len(log) < 2)
     if not covered.any():
         return Unavailable(f"the log ends less than {PLAN_HORIZON_S:g} s after every frame")
-    return Series(reach.t[covered], np.where(reach.value[covered] >= PLAN_HORIZON_S - 1e-6, 1.0, 0.0))
+    return Series(
+        reach.t[covered], np.where(reach.value[covered] >= PLAN_HORIZON_S - 1e-6, 1.0, 0.0)
+    )
 
 
 _BOTH = (Mode.OPEN, Mode.CLOSED)
-_COMPARED = (f"compared {COMPARED_S:g} s", f"step {STEP_S:g} s", f"not of plans up to {SHORT_M:g} m")
+_COMPARED = (
+    f"compared {COMPARED_S:g} s",
+    f"step {STEP_S:g} s",
+    f"not of plans up to {SHORT_M:g} m",
+)
 PLAN_CHANGE, PLAN_CHANGE_LATERAL = (
     Metric(
-        name, "m", "lower", _BOTH, partial(_plan_change, which=which),
-        (metric.MEAN, metric.P95, metric.MAX, metric.share_beyond(1.0, "share_beyond_1m")), meaning, source, 2,
-        formula=formula, parameters=_COMPARED, needs="two successive plans that overlap in time",
+        name,
+        "m",
+        "lower",
+        _BOTH,
+        partial(_plan_change, which=which),
+        (metric.MEAN, metric.P95, metric.MAX, metric.share_beyond(1.0, "share_beyond_1m")),
+        meaning,
+        source,
+        2,
+        formula=formula,
+        parameters=_COMPARED,
+        needs="two successive plans that overlap in time",
     )
-    for which, (name, source, meaning, formula) in enumerate((
-        ("plan_change", "after NAVSIM's extended comfort", "Mean distance of successive plans at the same times.",
-         "mean |p_i - p_(i-1)| over t_i .. t_i + 4 s"),
-        ("plan_change_lateral", "after Autoware's stability",
-         "Largest lateral distance of successive plans at the same times.",
-         "max |(p_i - p_(i-1)) across the heading of plan i-1| over t_i .. t_i + 4 s"),
-    ))
-)  # fmt: skip
+    for which, (name, source, meaning, formula) in enumerate(
+        (
+            (
+                "plan_change",
+                "after NAVSIM's extended comfort",
+                "Mean distance of successive plans at the same times.",
+                "mean |p_i - p_(i-1)| over t_i .. t_i + 4 s",
+            ),
+            (
+                "plan_change_lateral",
+                "after Autoware's stability",
+                "Largest lateral distance of successive plans at the same times.",
+                "max |(p_i - p_(i-1)) across the heading of plan i-1| over t_i .. t_i + 4 s",
+            ),
+        )
+    )
+)
 EXTENDED_COMFORT = Metric(
-    "extended_comfort", "1", "lower", _BOTH, _endpoint_errors, (metric.MEAN, metric.P95, metric.MAX),
+    "extended_comfort",
+    "1",
+    "lower",
+    _BOTH,
+    _endpoint_errors,
+    (metric.MEAN, metric.P95, metric.MAX),
     "Difference of two plans 0.5 s apart as one would feel it, over its bound: the worst of four; above 1 is a change"
-    " of mind.", "NAVSIM 0a380a90, extended comfort of EPDMS; there of filtered signals and of one pair",
+    " of mind.",
+    "NAVSIM 0a380a90, extended comfort of EPDMS; there of filtered signals and of one pair",
     formula="max over q of rms(q_i - q_j) / bound(q), t_i - t_j = 0.5 s, q = |A|, d|A|/dt, yaw rate, yaw acceleration",
-    parameters=(*(f"bound of {name} {bound:g}" for name, bound in EC_BOUNDS), "compared 4 s", "step 0.1 s"),
+    parameters=(
+        *(f"bound of {name} {bound:g}" for name, bound in EC_BOUNDS),
+        "compared 4 s",
+        "step 0.1 s",
+    ),
     needs="two plans 0.5 s apart that overlap in time",
-)  # fmt: skip
+)
 PLAN_HORIZON = Metric(
-    "plan_horizon", "s", "higher", _BOTH, _horizon, (metric.MIN, metric.MEAN),
-    "How far the plans reach after their frames.", formula="t_last - t_i", needs="plans",
-)  # fmt: skip
+    "plan_horizon",
+    "s",
+    "higher",
+    _BOTH,
+    _horizon,
+    (metric.MIN, metric.MEAN),
+    "How far the plans reach after their frames.",
+    formula="t_last - t_i",
+    needs="plans",
+)
 PLAN_COMPLETE = Metric(
-    "plan_complete", "1", "higher", _BOTH, _complete, (replace(metric.RATE, empty=None),),
+    "plan_complete",
+    "1",
+    "higher",
+    _BOTH,
+    _complete,
+    (replace(metric.RATE, empty=None),),
     "Share of the frames whose plan reaches 3 s at least, where the log lasts so long after them.",
-    formula="1 where t_last - t_i >= 3 s, else 0", parameters=(f"least {PLAN_HORIZON_S:g} s",),
+    formula="1 where t_last - t_i >= 3 s, else 0",
+    parameters=(f"least {PLAN_HORIZON_S:g} s",),
     needs="plans, and a logged drive of 3 s after some frame or none at all",
-)  # fmt: skip
+)
 
 
 HORIZONS_S = (1, 3, 5, 8)
-MISS_M = MappingProxyType({1: 2.0, 2: 4.0, 3: 6.0, 5: 8.0, 8: 16.0})  # (9), m by s; nuPlan's from 3 s on
-Pick = Callable[[FloatArray], FloatArray]  # Returns the value of each frame from its errors `(f, k)` up to a horizon
+# (9), m by s; nuPlan's from 3 s on
+MISS_M = MappingProxyType({1: 2.0, 2: 4.0, 3: 6.0, 5: 8.0, 8: 16.0})
+# Returns the value of each frame from its errors `(f, k)` up to a horizon
+Pick = Callable[[FloatArray], FloatArray]
 _ACROSS = (1, 3)  # Indices in `_errors` of the errors across the path: lateral and heading
 
 
 @once
-def _errors(trace: Trace, scenario: Scenario) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+def _errors(
+    trace: Trace, scenario: Scenario
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return errors along and across (m), |e| (m), |heading error| (rad), each `(f, 10 h)` for the longest horizon."""
     log = scenario.ego
     times = times_after(trace, 1, round(max(HORIZONS_S) / STEP_S))
@@ -242,7 +321,10 @@ def _errors(trace: Trace, scenario: Scenario) -> tuple[FloatArray, FloatArray, F
     beyond = (times < log.t[0] - 1e-6) | (times > log.t[-1] + 1e-6)
     log_x, log_y, log_yaw = (np.interp(times, log.t, column) for column in (log.x, log.y, log.yaw))
     dx, dy = np.where(beyond, np.nan, x - log_x), np.where(beyond, np.nan, y - log_y)
-    along, cross = dx * np.cos(log_yaw) + dy * np.sin(log_yaw), dy * np.cos(log_yaw) - dx * np.sin(log_yaw)
+    along, cross = (
+        dx * np.cos(log_yaw) + dy * np.sin(log_yaw),
+        dy * np.cos(log_yaw) - dx * np.sin(log_yaw),
+    )
     return along, cross, np.hypot(dx, dy), np.abs(wrapped(np.where(beyond, np.nan, yaw - log_yaw)))
 
 
@@ -254,14 +336,18 @@ def _per_horizon(
     if not trace.frames:
         return NO_PLANS
     if which in _ACROSS and scenario.road.source is RoadSource.DRIVEN_PATH:
-        return Unavailable("the log has no lanes: the road is the driven path, which the planner is given")
+        return Unavailable(
+            "the log has no lanes: the road is the driven path, which the planner is given"
+        )
     errors, t = _errors(trace, scenario)[which], frame_times(trace)
     found: dict[str, Measured] = {}
     for h in horizons:
         covered, missing = t + h <= scenario.ego.t[-1] + 1e-6, f"every plan ends before {h} s"
         found[f"{h}s"] = Unavailable(f"the log ends less than {h} s after every frame")
         if covered.any():
-            found[f"{h}s"] = Series(t[covered], pick(errors[covered, : round(h / STEP_S)]), missing=missing)
+            found[f"{h}s"] = Series(
+                t[covered], pick(errors[covered, : round(h / STEP_S)]), missing=missing
+            )
     return found
 
 
@@ -277,30 +363,68 @@ def _missed_frames(errors: FloatArray) -> FloatArray:
 _NEEDS = "a logged drive that lasts to the horizon after some frame, and plans that reach it"
 ADE, FDE, AHE, FHE, ALONG, CROSS = (
     Metric(
-        name, unit, "lower", (Mode.OPEN,), partial(_per_horizon, pick, which, HORIZONS_S),
+        name,
+        unit,
+        "lower",
+        (Mode.OPEN,),
+        partial(_per_horizon, pick, which, HORIZONS_S),
         (metric.MEAN, metric.MAX, metric.SHARE) if name == "ade" else (metric.MEAN, metric.MAX),
-        f"{meaning}, at the rear axle, up to the horizon.", "nuPlan open loop, at 10 Hz instead of 1 Hz", 2,
-        parts=tuple(f"{h}s" for h in HORIZONS_S), formula=formula,
-        parameters=(f"horizons {', '.join(map(str, HORIZONS_S))} s", f"step {STEP_S} s"), needs=_NEEDS,
+        f"{meaning}, at the rear axle, up to the horizon.",
+        "nuPlan open loop, at 10 Hz instead of 1 Hz",
+        2,
+        parts=tuple(f"{h}s" for h in HORIZONS_S),
+        formula=formula,
+        parameters=(f"horizons {', '.join(map(str, HORIZONS_S))} s", f"step {STEP_S} s"),
+        needs=_NEEDS,
     )
     for name, unit, pick, which, meaning, formula in (
         ("ade", "m", _average, 2, "Mean distance of plan and log", "mean_k |e_k|, k = 1 .. 10 h"),
         ("fde", "m", _at_end, 2, "Final distance of plan and log", "|e_10h|"),
-        ("ahe", "rad", _average, 3, "Mean heading difference of plan and log, principal value",
-         "mean_k |wrap(yaw_plan - yaw_log)|"),
-        ("fhe", "rad", _at_end, 3, "Final heading difference of plan and log, principal value",
-         "|wrap(yaw_plan - yaw_log)| at h"),
-        ("along_error", "m", _at_end, 0, "Final distance of plan and log along the log's heading",
-         "|e_10h . (cos, sin)|"),
-        ("cross_error", "m", _at_end, 1, "Final distance of plan and log across the log's heading",
-         "|e_10h . (-sin, cos)|"),
+        (
+            "ahe",
+            "rad",
+            _average,
+            3,
+            "Mean heading difference of plan and log, principal value",
+            "mean_k |wrap(yaw_plan - yaw_log)|",
+        ),
+        (
+            "fhe",
+            "rad",
+            _at_end,
+            3,
+            "Final heading difference of plan and log, principal value",
+            "|wrap(yaw_plan - yaw_log)| at h",
+        ),
+        (
+            "along_error",
+            "m",
+            _at_end,
+            0,
+            "Final distance of plan and log along the log's heading",
+            "|e_10h . (cos, sin)|",
+        ),
+        (
+            "cross_error",
+            "m",
+            _at_end,
+            1,
+            "Final distance of plan and log across the log's heading",
+            "|e_10h . (-sin, cos)|",
+        ),
     )
-)  # fmt: skip
+)
 MISS = Metric(
-    "miss", "1", "lower", (Mode.OPEN,), partial(_per_horizon, _missed_frames, 2, tuple(MISS_M)),
+    "miss",
+    "1",
+    "lower",
+    (Mode.OPEN,),
+    partial(_per_horizon, _missed_frames, 2, tuple(MISS_M)),
     (replace(metric.RATE, empty=None), metric.SHARE),
     "Share of the frames whose plan is anywhere up to the horizon farther from the log than the bound.",
     "nuPlan devkit e9241677, planner_miss_rate_within_bound (3, 5, 8 s), at 10 Hz and at the rear axle",
-    parts=tuple(f"{h}s" for h in MISS_M), formula="1 where max_k |e_k| > bound, else 0", needs=_NEEDS,
+    parts=tuple(f"{h}s" for h in MISS_M),
+    formula="1 where max_k |e_k| > bound, else 0",
+    needs=_NEEDS,
     parameters=tuple(f"bound at {h} s: {bound:g} m" for h, bound in MISS_M.items()),
-)  # fmt: skip
+)

@@ -54,7 +54,15 @@ import numpy as np
 from replan.core.arrays import FloatArray, arc_lengths
 from replan.core.once import last
 from replan.logs.complete import MIN_PATH
-from replan.logs.road import Goal, ReferenceLine, Road, RoadSource, inside, line_project_many, thinned
+from replan.logs.road import (
+    Goal,
+    ReferenceLine,
+    Road,
+    RoadSource,
+    inside,
+    line_project_many,
+    thinned,
+)
 from replan.logs.route import counting_stay, find_route, first_nearest, straight_on
 from replan.logs.scenario import Scenario
 from replan.logs.shapes import point_segment
@@ -68,7 +76,8 @@ from replan.metrics.metric import Measured, Metric, Reduction, Series, Unavailab
 SPACING_M, WINDOW_M, BESIDE_M = 1.0, 30.0, 3.0
 STRETCH, SLACK_M = 2.0, 0.1
 JOIN_M, CHANGE_M = 10.0, 20.0  # Length of the transition to a lane, and to a neighbouring lane
-BEYOND_M = 200.0  # The line follows lanes for this distance beyond the path or goal, then goes straight
+# The line follows lanes for this distance beyond the path or goal, then goes straight
+BEYOND_M = 200.0
 AHEAD_M, BEYOND_END_M, SAME_M, LAGS_MPS = 5.0, 1000.0, 1e-6, 0.5
 SHORTEST_M = 10.0  # A shorter drive defines no route
 
@@ -124,7 +133,11 @@ def _route(road: Road, log: Trajectory, goal: Goal | None, axle_to_center: float
     regions = goal.regions if goal else ()
     way = way_of(goal, log, ProgressLine(line, np.nan), axle_to_center) if goal else 0.0
     enters = np.nan
-    for s, (x, y) in zip((line.s[1:] - axle_to_center).tolist(), line.xy[1:].tolist(), strict=True) if regions else ():
+    for s, (x, y) in (
+        zip((line.s[1:] - axle_to_center).tolist(), line.xy[1:].tolist(), strict=True)
+        if regions
+        else ()
+    ):
         within = any(inside(x, y, region) for region in regions)
         if np.isnan(enters):
             enters = s if within and s >= way else enters
@@ -146,14 +159,20 @@ def _points_onward(road: Road, log: Trajectory, goal: Goal | None) -> FloatArray
     points, skipped, begun = np.empty((0, 2)), JOIN_M, False
     for k, lane in enumerate(lanes):
         center = road.lanes[lane].center
-        if k + 1 < len(lanes) and lanes[k + 1] not in road.lanes[lane].successors:  # a lane change: side by side
+        # A lane change: side by side
+        if k + 1 < len(lanes) and lanes[k + 1] not in road.lanes[lane].successors:
             skipped = CHANGE_M
             continue
         if not begun:
             away = np.hypot(center[:, 0] - end.x, center[:, 1] - end.y)
-            center = center[int(np.argmin(away)) if len(log) > 1 else first_nearest(center, end.x, end.y) :]
+            center = center[
+                int(np.argmin(away)) if len(log) > 1 else first_nearest(center, end.x, end.y) :
+            ]
         chord, begun = arc_lengths(*center.T), True
-        points, skipped = np.vstack([points, center[chord >= skipped]]), max(skipped - float(chord[-1]), 0.0)
+        points, skipped = (
+            np.vstack([points, center[chord >= skipped]]),
+            max(skipped - float(chord[-1]), 0.0),
+        )
     return points
 
 
@@ -167,7 +186,10 @@ def way_of(goal: Goal, log: Trajectory, route: ProgressLine, axle_to_center: flo
 @last(2)  # the log's drive and the one that is judged
 def gain_along(route: ProgressLine, drive: Trajectory, begin: float = 0.0) -> Gain:
     """Return the gain (c) of a drive along a route; the search for its first station begins at `begin`, m."""
-    station = line_project_many(route.line.s, route.line.coef, drive.x, drive.y, begin, route.window)[:, 0]  # (b)
+    # (b)
+    station = line_project_many(
+        route.line.s, route.line.coef, drive.x, drive.y, begin, route.window
+    )[:, 0]
     step = np.diff(station)
     reach = STRETCH * np.maximum(np.abs(drive.v[1:]), np.abs(drive.v[:-1])) * np.diff(drive.t)
     counted = np.where(np.abs(step) > reach + SLACK_M, np.copysign(reach, step), step)  # (c)
@@ -190,7 +212,9 @@ class RoutePace:
         last = last[np.unique(np.r_[np.arange(0, len(last), 10), len(last) - 1])]
         g, t = gain[last], drive.t[last]
         slope = (t[-1] - drive.t[0]) / max(float(g[-1]), SAME_M)
-        rows = np.round([np.r_[g, g[-1] + BEYOND_END_M], np.r_[t, t[-1] + BEYOND_END_M * slope]], 6).tolist()
+        rows = np.round(
+            [np.r_[g, g[-1] + BEYOND_END_M], np.r_[t, t[-1] + BEYOND_END_M * slope]], 6
+        ).tolist()
         return cls(tuple(rows[0]), tuple(rows[1]))
 
     @classmethod
@@ -202,17 +226,25 @@ class RoutePace:
         end = min(scenario.duration, goal.t[1] if goal is not None and goal.t else np.inf)
         return cls((0.0, way), (0.0, end)) if way > 0.0 and end > 0.0 else None
 
-    def lost(self, drive: Trajectory, scenario: Scenario, frames: Sequence[float]) -> tuple[FloatArray, FloatArray]:
+    def lost(
+        self, drive: Trajectory, scenario: Scenario, frames: Sequence[float]
+    ) -> tuple[FloatArray, FloatArray]:
         """Return the time (9) that a drive loses from each frame to the next, s, and the speed of this pace, m/s.
 
         The speed is NaN where the drive is not slower by `LAGS_MPS`.
         """
         t = np.r_[frames, drive.t[-1]]
-        gain: FloatArray = np.asarray(np.interp(t, drive.t, gain_along(route_of(scenario), drive).metres))
+        gain: FloatArray = np.asarray(
+            np.interp(t, drive.t, gain_along(route_of(scenario), drive).metres)
+        )
         taken = np.diff(np.interp(gain, self.gain, self.t))
-        ahead = np.interp(gain[:-1] + AHEAD_M, self.gain, self.t) - np.interp(gain[:-1], self.gain, self.t)
+        ahead = np.interp(gain[:-1] + AHEAD_M, self.gain, self.t) - np.interp(
+            gain[:-1], self.gain, self.t
+        )
         speed = AHEAD_M / np.maximum(ahead, SAME_M)
-        return np.diff(t) - taken, np.where(speed - np.interp(frames, drive.t, drive.v) > LAGS_MPS, speed, np.nan)
+        return np.diff(t) - taken, np.where(
+            speed - np.interp(frames, drive.t, drive.v) > LAGS_MPS, speed, np.nan
+        )
 
 
 FLOOR_M = 2.0  # c of (2); a logged drive that gains less is no yardstick
@@ -233,7 +265,8 @@ def _distance(trace: Trace, scenario: Scenario) -> Measured:
 def _route_progress(trace: Trace, scenario: Scenario) -> Measured:
     route = route_of(scenario)
     if len(scenario.ego) > 1:
-        in_time = trace.end is EndReason.GOAL and _is_time_only(scenario.goal)  # compare over the same time
+        # Compare over the same time
+        in_time = trace.end is EndReason.GOAL and _is_time_only(scenario.goal)
         until = trace.ego.t[-1] if in_time else scenario.ego.t[-1]
         logged = gain_along(route, scenario.ego).metres
         yardstick, who = float(np.interp(until, scenario.ego.t, logged)), "the log's driver"
@@ -242,7 +275,9 @@ def _route_progress(trace: Trace, scenario: Scenario) -> Measured:
     else:
         return Unavailable("the log holds one ego state only, and no route follower was driven")
     if yardstick < (FLOOR_M if scenario.road.source is RoadSource.LANES else MIN_PATH):
-        return Unavailable(f"{who} gets {yardstick:.1f} m along the route: no yardstick for progress")
+        return Unavailable(
+            f"{who} gets {yardstick:.1f} m along the route: no yardstick for progress"
+        )
     gain = gain_along(route, trace.ego)
     return Series(trace.ego.t, _full_at_goal(trace, scenario, gain, gain.metres / yardstick))  # (1)
 
@@ -257,7 +292,10 @@ def _progress(trace: Trace, scenario: Scenario) -> Measured:
     route = route_of(scenario)
     yardstick, gain = gain_along(route, scenario.ego).metres[-1], gain_along(route, trace.ego)
     ratio = np.minimum(np.maximum(gain.metres, FLOOR_M) / max(yardstick, FLOOR_M), 1.0)  # (2)
-    return Series(trace.ego.t, _full_at_goal(trace, scenario, gain, np.where(gain.metres < -FLOOR_M, 0.0, ratio)))
+    return Series(
+        trace.ego.t,
+        _full_at_goal(trace, scenario, gain, np.where(gain.metres < -FLOOR_M, 0.0, ratio)),
+    )
 
 
 def _completion(trace: Trace, scenario: Scenario) -> Measured:
@@ -305,12 +343,14 @@ def excess(trace: Trace, scenario: Scenario, *, ratio: bool = False) -> Measured
         return Unavailable("the log has no speed limits")
     speed, limit = np.abs(trace.ego.v), limits_at(lanes, *ego_boxes(trace.ego, scenario)[:2])
     if ratio:
-        value = np.where(limit > 0.0, speed / np.where(limit > 0.0, limit, 1.0) - 1.0, np.nan)  # (5)
+        # (5)
+        value = np.where(limit > 0.0, speed / np.where(limit > 0.0, limit, 1.0) - 1.0, np.nan)
     else:
         held = 0.0 * limit
         if speed[0] > limit[0]:
             held = speed[0] - EASE_MPS2 * np.maximum(trace.ego.t - trace.ego.t[0] - SETTLE_S, 0.0)
-        value = np.maximum(speed - np.maximum(limit, held), 0.0) + 0.0 * limit  # (5); NaN without a limit
+        # (5); NaN without a limit
+        value = np.maximum(speed - np.maximum(limit, held), 0.0) + 0.0 * limit
     return Series(trace.ego.t, value, missing="the ego is never on a lane with a speed limit")
 
 
@@ -328,7 +368,10 @@ def _assumed_excess(trace: Trace, scenario: Scenario) -> Measured:
     lasted = float(scenario.ego.t[-1] - scenario.ego.t[0])
     fastest = float(np.quantile(logged, max(1.0 - 1.0 / max(lasted, 1.0), 0.5), method="lower"))
     over = np.abs(ego.v) - (1.0 + OVER_RATIO) * np.maximum(there, fastest)
-    labels = tuple(f"assumed limit: {limit:.1f} m/s, the log's driver {fastest:.1f} m/s" for limit in there.tolist())
+    labels = tuple(
+        f"assumed limit: {limit:.1f} m/s, the log's driver {fastest:.1f} m/s"
+        for limit in there.tolist()
+    )
     return Series(ego.t, np.where(assumed, np.maximum(over, 0.0), np.nan), labels)
 
 
@@ -336,7 +379,9 @@ def compliance(series: Series) -> tuple[float, int]:
     """The compliance with speed limits (6), 0 to 1, of a series of (5)."""
     span = metric.durations(series.t)[series.known]
     over = float(np.sum(series.value[series.known] * span))
-    return max(0.0, 1.0 - over / (EXCESS_MPS * float(span.sum()))) if span.sum() > 0.0 else float(not over), -1
+    return max(0.0, 1.0 - over / (EXCESS_MPS * float(span.sum()))) if span.sum() > 0.0 else float(
+        not over
+    ), -1
 
 
 def _share_over(series: Series) -> tuple[float, int]:
@@ -355,7 +400,10 @@ def _missed(trace: Trace, scenario: Scenario, goal: Goal) -> Series:
     x, y = ego_boxes(trace.ego, scenario)[:2]
     steps = np.unique(np.linspace(0, len(x) - 1, MISSED_STEPS).round().astype(int))
     states = np.stack([trace.ego.t, x, y, trace.ego.yaw, trace.ego.v], axis=1)[steps]
-    missed = min((goal.unmet(*state) for state in states.tolist()), key=lambda names: (len(names), "place" in names))
+    missed = min(
+        (goal.unmet(*state) for state in states.tolist()),
+        key=lambda names: (len(names), "place" in names),
+    )
     label = f"{trace.end.value}: {' and '.join(missed) or 'the way to it'} of the goal missed"
     return Series(trace.ego.t[-1:], np.zeros(1), (label,))
 
@@ -370,93 +418,177 @@ def _goal(trace: Trace, scenario: Scenario) -> Measured:
     goal, start, first = scenario.goal, scenario.ego.state(0), float(scenario.ego.t[0])
     last = min(scenario.duration, goal.t[1] if goal.t else scenario.duration)
     if goal.t and goal.t[0] > scenario.duration:
-        return Unavailable(f"the log ends at {scenario.duration:.1f} s, and the goal begins at {goal.t[0]:.1f} s")
+        return Unavailable(
+            f"the log ends at {scenario.duration:.1f} s, and the goal begins at {goal.t[0]:.1f} s"
+        )
     x, y = start.ahead(scenario.vehicle.axle_to_center)
     if not goal.regions or goal.holds_place(x, y):
         return _missed(trace, scenario, goal)
-    edges = [(a, b) for region in goal.regions for a, b in zip(region, np.roll(region, -1, axis=0), strict=True)]
+    edges = [
+        (a, b)
+        for region in goal.regions
+        for a, b in zip(region, np.roll(region, -1, axis=0), strict=True)
+    ]
     away = min(point_segment(x, y, *a, *b) for a, b in edges)
     top, time = max(start.v, REACH_MPS), last - first
     faster = min(time, (top - start.v) / REACH_MPS2)
     reach = start.v * faster + 0.5 * REACH_MPS2 * faster**2 + top * (time - faster)  # (7)
     if away <= reach:
         return _missed(trace, scenario, goal)
-    return Unavailable(f"no vehicle reaches the goal: {away:.0f} m in {time:.1f} s from {start.v:.1f} m/s")
+    return Unavailable(
+        f"no vehicle reaches the goal: {away:.0f} m in {time:.1f} s from {start.v:.1f} m/s"
+    )
 
 
 _CLOSED = (Mode.CLOSED,)
 COVERED = Metric(
-    "covered", "1", "higher", _CLOSED, _covered, (metric.FINAL,),
+    "covered",
+    "1",
+    "higher",
+    _CLOSED,
+    _covered,
+    (metric.FINAL,),
     "Share of the log that the drive covers, by time or by distance, whichever is more; 1 where it ended with the log.",
     formula="max(duration / duration of the log, gain / gain of the log's driver, else / length of the route)",
     needs="a drive that ended at the goal or with the log",
-)  # fmt: skip
+)
 _LIMITS = "lanes with speed limits under the ego"
 DISTANCE = Metric(
-    "distance", "m", "none", _CLOSED, _distance, (metric.FINAL,), "Distance driven by the rear axle.",
+    "distance",
+    "m",
+    "none",
+    _CLOSED,
+    _distance,
+    (metric.FINAL,),
+    "Distance driven by the rear axle.",
     formula="sum of |p_k - p_(k-1)|",
-)  # fmt: skip
+)
 ROUTE_PROGRESS = Metric(
-    "route_progress", "1", "higher", _CLOSED, _route_progress, (metric.FINAL,),
+    "route_progress",
+    "1",
+    "higher",
+    _CLOSED,
+    _route_progress,
+    (metric.FINAL,),
     "Gain along the route over that of the log's driver in the whole log, else of the route follower; not capped.",
     version=2,
     formula="gain(t) / gain of the log's driver at the log's end, else of the route follower; 1 at the goal",
-    parameters=("floor 2 m", "5 m without lanes", "a step counts at most 2 |v| dt, where it is more than 0.1 m above"),
+    parameters=(
+        "floor 2 m",
+        "5 m without lanes",
+        "a step counts at most 2 |v| dt, where it is more than 0.1 m above",
+    ),
     needs="a logged drive, else the route follower's, of 2 m; without lanes 5 m, on a path that the vehicle can follow",
-)  # fmt: skip
+)
 PROGRESS = Metric(
-    "progress", "1", "higher", _CLOSED, _progress, (metric.FINAL,),
+    "progress",
+    "1",
+    "higher",
+    _CLOSED,
+    _progress,
+    (metric.FINAL,),
     "Gain along the route over that of the log's driver in the whole log, capped at 1.",
-    "nuPlan devkit e9241677, ego_progress_along_expert_route; along the driven path, 1 at the goal", 2,
+    "nuPlan devkit e9241677, ego_progress_along_expert_route; along the driven path, 1 at the goal",
+    2,
     formula="min(1, max(gain, c) / max(gain of the log's driver, c)), 0 where gain < -c",
-    parameters=("c 2 m",), needs="a logged drive",
-)  # fmt: skip
+    parameters=("c 2 m",),
+    needs="a logged drive",
+)
 COMPLETION = Metric(
-    "completion", "1", "higher", _CLOSED, _completion, (metric.FINAL,),
+    "completion",
+    "1",
+    "higher",
+    _CLOSED,
+    _completion,
+    (metric.FINAL,),
     "Share of the route that was driven: to the goal, else to the end of the log's drive.",
     "CARLA leaderboard 2.x, route completion, here in 0 .. 1",
     formula="gain(t) / length of the route, in 0 .. 1; 1 where the drive ended at the goal",
     needs="a goal that lanes or the log's path lead to, or a logged drive of 10 m",
-)  # fmt: skip
+)
 SPEED = Metric(
-    "speed", "m/s", "none", _CLOSED, lambda trace, scenario: Series(trace.ego.t, trace.ego.v),
-    (metric.MEAN, metric.MAX), "Speed of the rear axle, mean over the steps.", formula="v",
-)  # fmt: skip
+    "speed",
+    "m/s",
+    "none",
+    _CLOSED,
+    lambda trace, scenario: Series(trace.ego.t, trace.ego.v),
+    (metric.MEAN, metric.MAX),
+    "Speed of the rear axle, mean over the steps.",
+    formula="v",
+)
 SPEED_EXCESS = Metric(
-    "speed_excess", "m/s", "lower", _CLOSED, excess,
+    "speed_excess",
+    "m/s",
+    "lower",
+    _CLOSED,
+    excess,
     (
-        metric.MAX, metric.MEAN, metric.time_above(OVER_MPS, "time_above_1mps"),
+        metric.MAX,
+        metric.MEAN,
+        metric.time_above(OVER_MPS, "time_above_1mps"),
         Reduction("share_above_1mps", _share_over, unit="1"),
         Reduction("compliance", compliance, unit="1", direction="higher"),
     ),
     "Speed above the limit of the lane under the ego's centre, the larger one where lanes overlap, less what the drive"
     " began with and brings down; compliance is like nuPlan's, share that of the time on lanes with a limit.",
-    "compliance: nuPlan devkit e9241677, speed_limit_compliance", 3,
+    "compliance: nuPlan devkit e9241677, speed_limit_compliance",
+    3,
     formula="max(|v| - max(limit, held), 0), held = v_0 - 1 m/s2 (t - t_0 - 1 s) after a start above the limit, else 0;"
     " compliance = max(0, 1 - integral / (2.23 m/s T))",
-    parameters=("2.23 m/s (5 mph)", f"over: {OVER_MPS:g} m/s", f"comfortable deceleration {EASE_MPS2:g} m/s2",
-                f"reaction {SETTLE_S:g} s"), needs=_LIMITS,
-)  # fmt: skip
+    parameters=(
+        "2.23 m/s (5 mph)",
+        f"over: {OVER_MPS:g} m/s",
+        f"comfortable deceleration {EASE_MPS2:g} m/s2",
+        f"reaction {SETTLE_S:g} s",
+    ),
+    needs=_LIMITS,
+)
 SPEED_RATIO = Metric(
-    "speed_ratio", "1", "lower", _CLOSED, partial(excess, ratio=True),
+    "speed_ratio",
+    "1",
+    "lower",
+    _CLOSED,
+    partial(excess, ratio=True),
     (metric.MAX, metric.time_outside(-np.inf, OVER_RATIO, "time_above_10pct")),
     "Speed over the limit, less 1: 0.1 is 10 % too fast.",
-    formula="|v| / limit - 1", parameters=("over: 0.1",), needs=_LIMITS,
-)  # fmt: skip
+    formula="|v| / limit - 1",
+    parameters=("over: 0.1",),
+    needs=_LIMITS,
+)
 ASSUMED_LIMIT_EXCESS = Metric(
-    "assumed_limit_excess", "m/s", "lower", _CLOSED, _assumed_excess,
+    "assumed_limit_excess",
+    "m/s",
+    "lower",
+    _CLOSED,
+    _assumed_excess,
     (metric.MAX, metric.time_above(OVER_MPS, "time_above_1mps")),
     "Speed above 1.1 times the larger of the assumed limit and the log's driver's speed, where the log has no limit.",
     formula="max(|v| - 1.1 max(assumed limit, speed that the log's driver exceeds for 1 s in all), 0)",
-    parameters=("margin 10 %", f"over: {OVER_MPS:g} m/s"), needs="lanes without a speed limit under the ego, or no map",
-)  # fmt: skip
+    parameters=("margin 10 %", f"over: {OVER_MPS:g} m/s"),
+    needs="lanes without a speed limit under the ego, or no map",
+)
 GOAL = Metric(
-    "goal", "1", "higher", _CLOSED, _goal, (metric.FINAL,), "1 if the drive ended at the goal.", version=2,
-    formula="1 if it ended there, else 0", parameters=(f"reach {REACH_MPS2} m/s2 up to {REACH_MPS:g} m/s",),
+    "goal",
+    "1",
+    "higher",
+    _CLOSED,
+    _goal,
+    (metric.FINAL,),
+    "1 if the drive ended at the goal.",
+    version=2,
+    formula="1 if it ended there, else 0",
+    parameters=(f"reach {REACH_MPS2} m/s2 up to {REACH_MPS:g} m/s",),
     needs="a goal that is a place, and that a vehicle can reach in the time",
-)  # fmt: skip
+)
 COMPLETED = Metric(
-    "completed", "1", "higher", _CLOSED,
-    lambda trace, scenario: _at_end(trace, good=trace.end in (EndReason.GOAL, EndReason.END_OF_LOG)), (metric.FINAL,),
-    "1 if the drive ended at the goal or the log's end.", formula="1 if it ended so, else 0",
-)  # fmt: skip
+    "completed",
+    "1",
+    "higher",
+    _CLOSED,
+    lambda trace, scenario: _at_end(
+        trace, good=trace.end in (EndReason.GOAL, EndReason.END_OF_LOG)
+    ),
+    (metric.FINAL,),
+    "1 if the drive ended at the goal or the log's end.",
+    formula="1 if it ended so, else 0",
+)

@@ -57,7 +57,15 @@ from replan.metrics.boxes import (
 )
 from replan.metrics.lanes import keeps_lane
 from replan.metrics.metric import Measured, Metric, Series, Unavailable
-from replan.metrics.plans import NO_PLANS, SHORT_M, STEP_S, frame_times, plan_columns, plan_way, times_after
+from replan.metrics.plans import (
+    NO_PLANS,
+    SHORT_M,
+    STEP_S,
+    frame_times,
+    plan_columns,
+    plan_way,
+    times_after,
+)
 from replan.metrics.safety import contact_kind
 
 HORIZON_S, TTC_HORIZON_S = 4.0, 3.0
@@ -66,7 +74,9 @@ PIECE = 500  # Plans that are sampled at a time: 1 MB per column
 _COLUMNS = ("x", "y", "yaw", "v", "a", "kappa")
 _NOT_DRIVEN = f"no plan of more than {SHORT_M:g} m is followed by {PLAN_HORIZON_S:g} s of driving"
 _NO_CONTACT = f"no plan has a contact at fault within {HORIZON_S:g} s"
-STOOD, FRONT, SIDE = (safety.KINDS.index(safety.ContactKind[k]) for k in ("STOPPED_TRACK", "ACTIVE_FRONT", "LATERAL"))
+STOOD, FRONT, SIDE = (
+    safety.KINDS.index(safety.ContactKind[k]) for k in ("STOPPED_TRACK", "ACTIVE_FRONT", "LATERAL")
+)
 Rows = Mapping[str, NDArray[Any]]
 
 
@@ -93,13 +103,20 @@ def _measure_plans(trace: Trace, scenario: Scenario) -> Rows:
         best = np.maximum(planned, driven)
         aside = np.abs(dy * np.cos(yaw) - dx * np.sin(yaw))
         lasting = (best > SHORT_M) & (times[:, 0] + PLAN_HORIZON_S <= drive.t[-1] + 1e-6)
-        kept, lateral = (np.where(lasting, np.fmax.reduce(d, axis=1), np.nan) for d in (np.hypot(dx, dy), aside))
+        kept, lateral = (
+            np.where(lasting, np.fmax.reduce(d, axis=1), np.nan) for d in (np.hypot(dx, dy), aside)
+        )
         progress = np.where(best > SHORT_M, planned / np.maximum(best, SHORT_M), 1.0)
-        found.append({
-            "off": off.max(axis=1) - off[:, 0], **_comfort_signals(plan),
-            "progress": progress, "kept": kept, "kept_lateral": lateral,  # (5), (6)
-            **_contacts_and_ttc(times, witnessed, trace.agents, scenario),
-        })  # fmt: skip
+        found.append(
+            {
+                "off": off.max(axis=1) - off[:, 0],
+                **_comfort_signals(plan),
+                "progress": progress,
+                "kept": kept,
+                "kept_lateral": lateral,  # (5), (6)
+                **_contacts_and_ttc(times, witnessed, trace.agents, scenario),
+            }
+        )
     return {name: np.concatenate([piece[name] for piece in found]) for name in found[0]}
 
 
@@ -115,12 +132,17 @@ def _comfort_signals(plan: FloatArray) -> Rows:
         ratio.append(np.fmax.reduce(np.where(signal < 0.0, signal / low, signal / high), axis=1))
     largest = [np.fmax.reduce(np.abs(signal), axis=1) for signal in signals[:3]]
     return {
-        "lon_accel": largest[0], "lat_accel": largest[1], "lon_jerk": largest[2],
-        "comfort": np.fmax.reduce(ratio), "signal": np.argmax(np.nan_to_num(ratio), axis=0),
-    }  # fmt: skip
+        "lon_accel": largest[0],
+        "lat_accel": largest[1],
+        "lon_jerk": largest[2],
+        "comfort": np.fmax.reduce(ratio),
+        "signal": np.argmax(np.nan_to_num(ratio), axis=0),
+    }
 
 
-def _contacts_and_ttc(times: FloatArray, plan: FloatArray, agents: Tracks, scenario: Scenario) -> Rows:
+def _contacts_and_ttc(
+    times: FloatArray, plan: FloatArray, agents: Tracks, scenario: Scenario
+) -> Rows:
     """Return (1) and (3), each with its agent."""
     grid_ns, column = np.unique(np.rint(times * 1e9).astype(np.int64), return_inverse=True)
     seen = present_between(agents, grid_ns[0] / 1e9, grid_ns[-1] / 1e9)
@@ -130,13 +152,17 @@ def _contacts_and_ttc(times: FloatArray, plan: FloatArray, agents: Tracks, scena
     for f in np.flatnonzero((step[1] >= 0) & ((step[0] < 0) | (step[1] < step[0]))).tolist():
         x, y, yaw = plan[:3, f, step[1, f]]
         x, y = x + car.axle * np.cos(yaw), y + car.axle * np.sin(yaw)
-        if not keeps_lane(scenario.road, float(x), float(y), corners(x, y, yaw, car.length, car.width)):
+        if not keeps_lane(
+            scenario.road, float(x), float(y), corners(x, y, yaw, car.length, car.width)
+        ):
             step[0, f], hit[0, f] = step[1, f], hit[1, f]
     at_fault = step[0] >= 0
     return {
-        "contact": np.where(at_fault, STEP_S * step[0], np.nan), "contact_agent": indices_of(seen, hit[0]),
-        "ttc": np.where(at_fault, 0.0, ttc), "ttc_agent": indices_of(seen, np.where(at_fault, hit[0], near)),
-    }  # fmt: skip
+        "contact": np.where(at_fault, STEP_S * step[0], np.nan),
+        "contact_agent": indices_of(seen, hit[0]),
+        "ttc": np.where(at_fault, 0.0, ttc),
+        "ttc_agent": indices_of(seen, np.where(at_fault, hit[0], near)),
+    }
 
 
 @kernel
@@ -155,26 +181,44 @@ def _meet_agents(
         best = TTC_HORIZON_S
         for i in range(len(there)):
             for j in range(column.shape[1]):
-                k, rear_x, rear_y, yaw, v = column[f, j], plan[0, f, j], plan[1, f, j], plan[2, f, j], plan[3, f, j]
+                k, rear_x, rear_y, yaw, v = (
+                    column[f, j],
+                    plan[0, f, j],
+                    plan[1, f, j],
+                    plan[2, f, j],
+                    plan[3, f, j],
+                )
                 if not np.isfinite(rear_x):
                     break
                 if not there[i, k]:
                     continue
                 c, s, turn = cos(yaw), sin(yaw), car.axle * plan[5, f, j] * v
-                x, y, vx, vy = rear_x + car.axle * c, rear_y + car.axle * s, v * c - turn * s, v * s + turn * c
-                gap, closing = distance_bound(x, y, car, others, i, k), hypot(pose[3, i, k] - vx, pose[4, i, k] - vy)
+                x, y, vx, vy = (
+                    rear_x + car.axle * c,
+                    rear_y + car.axle * s,
+                    v * c - turn * s,
+                    v * s + turn * c,
+                )
+                gap, closing = (
+                    distance_bound(x, y, car, others, i, k),
+                    hypot(pose[3, i, k] - vx, pose[4, i, k] - vy),
+                )
                 if gap > closing * best:
                     continue
                 if gap <= 0.0 and touches(x, y, yaw, car, others, i, k):
                     before = column[f, max(j - 1, 0)]
                     if j > 0 and there[i, before]:
                         was, size = pose[:, i, before], others.size[i]
-                        kind = contact_kind(plan[:4, f, j], car, was, pose[:, i, k], size, objects[i])
+                        kind = contact_kind(
+                            plan[:4, f, j], car, was, pose[:, i, k], size, objects[i]
+                        )
                         row = 0 if kind in (STOOD, FRONT) else 1
                         if (row == 0 or kind == SIDE) and (step[row, f] < 0 or j < step[row, f]):
                             step[row, f], hit[row, f] = j, i
                     break
-                if abs(v) <= NO_TTC_MPS or is_behind(rear_x, rear_y, yaw, pose[0, i, k], pose[1, i, k]):
+                if abs(v) <= NO_TTC_MPS or is_behind(
+                    rear_x, rear_y, yaw, pose[0, i, k], pose[1, i, k]
+                ):
                     continue
                 found = contact_time((x, y, yaw, vx, vy), 0.0, car, others, i, k, 0.0)
                 if found < best:
@@ -183,9 +227,14 @@ def _meet_agents(
 
 
 def _series(
-    name: str, trace: Trace, scenario: Scenario, *, about: str = "", missing: str = "no plan has a second state",
+    name: str,
+    trace: Trace,
+    scenario: Scenario,
+    *,
+    about: str = "",
+    missing: str = "no plan has a second state",
     followed: bool = True,
-) -> Measured:  # fmt: skip
+) -> Measured:
     """Return a row of `_measure_plans` as a series; `followed`: it needs the drive after the frames."""
     if followed and trace.mode is Mode.OPEN and len(scenario.ego) < 2:
         return Unavailable("the log holds one ego state only: there is no drive to plan along")
@@ -198,14 +247,18 @@ def _series(
 
 def _off_road_series(trace: Trace, scenario: Scenario) -> Measured:
     lanes = safety.known_lanes(scenario)
-    return lanes if isinstance(lanes, Unavailable) else _series("off", trace, scenario, followed=False)
+    return (
+        lanes if isinstance(lanes, Unavailable) else _series("off", trace, scenario, followed=False)
+    )
 
 
 def _comfort(trace: Trace, scenario: Scenario) -> Measured:
     if not trace.frames:
         return NO_PLANS
     found, names = _measure_plans(trace, scenario), tuple(comfort.NUPLAN_BOUNDS)
-    return Series(frame_times(trace), found["comfort"], tuple(names[q] for q in found["signal"].tolist()))
+    return Series(
+        frame_times(trace), found["comfort"], tuple(names[q] for q in found["signal"].tolist())
+    )
 
 
 def _score(trace: Trace, scenario: Scenario) -> Measured:
@@ -214,82 +267,159 @@ def _score(trace: Trace, scenario: Scenario) -> Measured:
         return lacking
     found, t = _measure_plans(trace, scenario), times_after(trace, 0, 0)[:, 0]
     objects = np.array([kind is AgentKind.OBJECT for kind in trace.agents.kinds] + [False])
-    multiplier = np.where(np.isnan(found["contact"]), 1.0, np.where(objects[found["contact_agent"]], 0.5, 0.0))
+    multiplier = np.where(
+        np.isnan(found["contact"]), 1.0, np.where(objects[found["contact_agent"]], 0.5, 0.0)
+    )
     multiplier = np.where(found["off"] > safety.OFF_ROAD_M, 0.0, multiplier)
     steady = np.full(len(t), np.nan)
     extended = plans.EXTENDED_COMFORT.found(trace, scenario)
     if isinstance(extended, Series):
         steady[np.isin(t, extended.t)] = np.where(extended.known, extended.value <= 1.0, np.nan)
     parts = np.array(
-        [~(found["ttc"] <= safety.CLOSE_S), found["progress"], found["comfort"] <= 1.0, steady], np.float64
+        [~(found["ttc"] <= safety.CLOSE_S), found["progress"], found["comfort"] <= 1.0, steady],
+        np.float64,
     )
     weights = np.where(np.isfinite(parts), np.array([[5.0], [5.0], [2.0], [2.0]]), 0.0)
-    return Series(t, multiplier * (weights * np.nan_to_num(parts)).sum(axis=0) / weights.sum(axis=0))
+    return Series(
+        t, multiplier * (weights * np.nan_to_num(parts)).sum(axis=0) / weights.sum(axis=0)
+    )
 
 
 _BOTH = (Mode.OPEN, Mode.CLOSED)
 _FOLLOWED = (f"horizon {HORIZON_S:g} s", f"step {STEP_S:g} s")
 _NAVSIM = "after NAVSIM 0a380a90, pdm_scorer"
 PLAN_COLLISION = Metric(
-    "plan_collision", "s", "higher", _BOTH,
-    partial(_series, "contact", about="contact_agent", missing=_NO_CONTACT), (metric.HAVING, metric.MIN),
+    "plan_collision",
+    "s",
+    "higher",
+    _BOTH,
+    partial(_series, "contact", about="contact_agent", missing=_NO_CONTACT),
+    (metric.HAVING, metric.MIN),
     "Time until a plan has a contact at fault with a road user as it then moved; fault as in collision_at_fault.",
-    _NAVSIM, 2, formula="least t - t_i with a contact at fault", parameters=_FOLLOWED, needs="plans",
-)  # fmt: skip
+    _NAVSIM,
+    2,
+    formula="least t - t_i with a contact at fault",
+    parameters=_FOLLOWED,
+    needs="plans",
+)
 PLAN_OFF_ROAD = Metric(
-    "plan_off_road", "m", "lower", _BOTH, _off_road_series,
+    "plan_off_road",
+    "m",
+    "lower",
+    _BOTH,
+    _off_road_series,
     (metric.MAX, metric.share_beyond(safety.OFF_ROAD_M, "share_beyond_30cm")),
-    "How much farther off the drivable lanes than at its start a plan leads.", _NAVSIM,
+    "How much farther off the drivable lanes than at its start a plan leads.",
+    _NAVSIM,
     formula="max over t of off(t) - off(t_i), off the greatest distance of a corner to the lanes",
-    parameters=_FOLLOWED, needs="plans, lanes in the log",
-)  # fmt: skip
+    parameters=_FOLLOWED,
+    needs="plans, lanes in the log",
+)
 PLAN_TTC = Metric(
-    "plan_ttc", "s", "higher", _BOTH,
+    "plan_ttc",
+    "s",
+    "higher",
+    _BOTH,
     partial(_series, "ttc", about="ttc_agent", missing="no plan is on a course to touch anyone"),
     (metric.MIN, metric.share_while(lambda ttc: ttc <= safety.CLOSE_S, "share_below_950ms")),
-    "Least time to contact along a plan, straight on; 0 where the plan has a contact at fault.", _NAVSIM,
-    formula="min over t of the time to contact at constant velocity vectors", parameters=_FOLLOWED, needs="plans",
-)  # fmt: skip
+    "Least time to contact along a plan, straight on; 0 where the plan has a contact at fault.",
+    _NAVSIM,
+    formula="min over t of the time to contact at constant velocity vectors",
+    parameters=_FOLLOWED,
+    needs="plans",
+)
 PLAN_COMFORT = Metric(
-    "plan_comfort", "1", "lower", _BOTH, _comfort,
+    "plan_comfort",
+    "1",
+    "lower",
+    _BOTH,
+    _comfort,
     (metric.MEAN, metric.P95, metric.share_beyond(1.0, "share_above_1")),
-    "The worst of nuPlan's six comfort signals of a plan, over its bound.", _NAVSIM,
-    formula="max over t and q of q / bound(q)", parameters=_FOLLOWED, needs="plans",
-)  # fmt: skip
+    "The worst of nuPlan's six comfort signals of a plan, over its bound.",
+    _NAVSIM,
+    formula="max over t and q of q / bound(q)",
+    parameters=_FOLLOWED,
+    needs="plans",
+)
 PLAN_PROGRESS = Metric(
-    "plan_progress", "1", "higher", _BOTH, partial(_series, "progress"), (metric.MEAN, metric.MIN),
-    "Planned distance over the greater of planned and then driven distance.", _NAVSIM,
-    formula="s / max(s, d); 1 up to 5 m", parameters=_FOLLOWED, needs="plans",
-)  # fmt: skip
+    "plan_progress",
+    "1",
+    "higher",
+    _BOTH,
+    partial(_series, "progress"),
+    (metric.MEAN, metric.MIN),
+    "Planned distance over the greater of planned and then driven distance.",
+    _NAVSIM,
+    formula="s / max(s, d); 1 up to 5 m",
+    parameters=_FOLLOWED,
+    needs="plans",
+)
 PLAN_KEPT, PLAN_KEPT_LATERAL = (
     Metric(
-        f"plan_{name}", "m", "lower", (Mode.CLOSED,), partial(_series, name, missing=_NOT_DRIVEN),
-        (metric.MEAN, metric.P95, metric.MAX, metric.share_beyond(bound, f"share_beyond_{bound:g}m")),
-        f"Greatest {distance} of a plan's states from where the ego then was.", _NAVSIM, formula=formula,
+        f"plan_{name}",
+        "m",
+        "lower",
+        (Mode.CLOSED,),
+        partial(_series, name, missing=_NOT_DRIVEN),
+        (
+            metric.MEAN,
+            metric.P95,
+            metric.MAX,
+            metric.share_beyond(bound, f"share_beyond_{bound:g}m"),
+        ),
+        f"Greatest {distance} of a plan's states from where the ego then was.",
+        _NAVSIM,
+        formula=formula,
         parameters=_FOLLOWED,
         needs=f"a plan that leads, or is followed by, more than {SHORT_M:g} m within {HORIZON_S:g} s, and a drive that"
         f" goes on for {PLAN_HORIZON_S:g} s after it",
     )
     for name, bound, distance, formula in (
         ("kept", 5.0, "distance", "max over t of |p_i(t) - p(t)|"),
-        ("kept_lateral", 2.0, "lateral distance", "max over t of |p_i(t) - p(t)| across the ego's heading"),
+        (
+            "kept_lateral",
+            2.0,
+            "lateral distance",
+            "max over t of |p_i(t) - p(t)| across the ego's heading",
+        ),
     )
-)  # fmt: skip
+)
 PLAN_SCORE = Metric(
-    "plan_score", "1", "higher", _BOTH, _score, (metric.MEAN, metric.MIN),
-    "A score of each plan's own columns, made after NAVSIM's EPDMS; EPDMS itself: replan score.", _NAVSIM,
+    "plan_score",
+    "1",
+    "higher",
+    _BOTH,
+    _score,
+    (metric.MEAN, metric.MIN),
+    "A score of each plan's own columns, made after NAVSIM's EPDMS; EPDMS itself: replan score.",
+    _NAVSIM,
     formula="contact x drivable x (5 ttc + 5 progress + 2 comfort + 2 extended_comfort) / 14",
-    parameters=_FOLLOWED, needs="plans",
-)  # fmt: skip
+    parameters=_FOLLOWED,
+    needs="plans",
+)
 PLAN_LON_ACCEL, PLAN_LAT_ACCEL, PLAN_LON_JERK = (
     Metric(
-        f"plan_{name}", unit, "lower", _BOTH, partial(_series, name, followed=False),
-        (metric.MEAN, metric.P95, metric.MAX), meaning, _NAVSIM, 2, formula=formula, parameters=_FOLLOWED,
+        f"plan_{name}",
+        unit,
+        "lower",
+        _BOTH,
+        partial(_series, name, followed=False),
+        (metric.MEAN, metric.P95, metric.MAX),
+        meaning,
+        _NAVSIM,
+        2,
+        formula=formula,
+        parameters=_FOLLOWED,
         needs="plans",
     )
     for name, unit, meaning, formula in (
         ("lon_accel", "m/s2", "Largest planned acceleration or braking.", "max |a|"),
         ("lat_accel", "m/s2", "Largest planned lateral acceleration.", "max |v^2 kappa|"),
-        ("lon_jerk", "m/s3", "Largest planned longitudinal jerk, over 0.1 s.", "max |a(t) - a(t - W)| / W"),
+        (
+            "lon_jerk",
+            "m/s3",
+            "Largest planned longitudinal jerk, over 0.1 s.",
+            "max |a(t) - a(t - W)| / W",
+        ),
     )
-)  # fmt: skip
+)

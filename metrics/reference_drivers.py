@@ -82,7 +82,8 @@ from replan.metrics.boxes import (
 from replan.metrics.metric import Measured, Metric, Reduction, Series, Unavailable
 
 STEP_S = 0.02  # So short that one more step of braking changes less than noise does, s
-MARGINAL_M = 0.5  # Effect of 5 cm of position noise on a margin at 10 Hz (benchmarks/verdicts.py), m
+# Effect of 5 cm of position noise on a margin at 10 Hz (benchmarks/verdicts.py), m
+MARGINAL_M = 0.5
 JUDGED_S = 0.15  # A fifth of both drivers' reaction time
 LONGEST_S = 60.0  # Longest drive, s
 RETURN_S = 3.0
@@ -124,18 +125,27 @@ class ReferenceCourse:
     @staticmethod
     def of(scenario: Scenario, line: ReferenceLine, start: EgoState) -> ReferenceCourse:
         """Return the course of an ego that starts at a state, at most `LONGEST_S` long."""
-        t, tracks = np.arange(start.t, min(scenario.duration, start.t + LONGEST_S) + 1e-9, STEP_S), scenario.tracks
+        t, tracks = (
+            np.arange(start.t, min(scenario.duration, start.t + LONGEST_S) + 1e-9, STEP_S),
+            scenario.tracks,
+        )
         there = present_between(tracks, t[0], t[-1])
         if len(there) < len(tracks):
-            tracks = tracks.taken(np.isin(np.repeat(np.arange(len(tracks)), np.diff(tracks.offsets)), there))
+            tracks = tracks.taken(
+                np.isin(np.repeat(np.arange(len(tracks)), np.diff(tracks.offsets)), there)
+            )
         eased = SpeedLine(line.s, line.coef, curve_speeds(line.s, line.kappa))
         ego = np.array([*line.project(start.x, start.y), start.v])
         vulnerable = np.array([kind.is_vulnerable for kind in tracks.kinds], np.bool_)
-        return ReferenceCourse(eased, ego, car_of(scenario), t, tracks, others_at(tracks, t), vulnerable)
+        return ReferenceCourse(
+            eased, ego, car_of(scenario), t, tracks, others_at(tracks, t), vulnerable
+        )
 
     def drive(self, driver: int, about: int = ANY, late: float = 0.0) -> ReferenceDrive:
         """Drive to the first touch; `least` is the distance to the agent `about`; the driver judges `late` s later."""
-        rows, *found = _drive(driver, self.line, self.start, self.car, self.others, self.vulnerable, about, late)
+        rows, *found = _drive(
+            driver, self.line, self.start, self.car, self.others, self.vulnerable, about, late
+        )
         return ReferenceDrive(*rows, *found)
 
 
@@ -149,19 +159,28 @@ def _verdict(
 ) -> DriverVerdict:
     start = scenario.ego.state(0) if start is None else start
     if start.v <= STANDING_MPS:
-        return DriverVerdict(name, Avoidability.NOT_APPLICABLE, "the ego does not drive at the start")
+        return DriverVerdict(
+            name, Avoidability.NOT_APPLICABLE, "the ego does not drive at the start"
+        )
     course = ReferenceCourse.of(scenario, line, start)
     t, passive = course.t, course.drive(PASSIVE)
     if passive.meets < 0:
         marginal = passive.least < MARGINAL_M
         by = f", by {passive.least:.1f} m, marginal" if marginal else ""
         reason = f"at constant speed the ego has no collision{by}"
-        return DriverVerdict(name, Avoidability.NOT_APPLICABLE, reason, margin=passive.least, marginal=marginal)
+        return DriverVerdict(
+            name, Avoidability.NOT_APPLICABLE, reason, margin=passive.least, marginal=marginal
+        )
     found = course.drive(driver, about=passive.agent)
     agent, margin, end = passive.agent if found.meets < 0 else found.agent, found.least, found.meets
     near = min(abs(margin), abs(passive.least)) < MARGINAL_M
-    marginal = near or any((course.drive(driver, late=late).meets < 0) != (end < 0) for late in (-JUDGED_S, JUDGED_S))
-    about, by = name_of(course.tracks, agent), f"by {abs(margin):.1f} m{', marginal' if marginal else ''}"
+    marginal = near or any(
+        (course.drive(driver, late=late).meets < 0) != (end < 0) for late in (-JUDGED_S, JUDGED_S)
+    )
+    about, by = (
+        name_of(course.tracks, agent),
+        f"by {abs(margin):.1f} m{', marginal' if marginal else ''}",
+    )
     if end < 0:
         met = f"which it would meet after {t[passive.meets] - t[0]:.1f} s"
         outcome, reason = Avoidability.AVOIDABLE, f"avoidable {by}: stays clear of {about}, {met}"
@@ -169,14 +188,20 @@ def _verdict(
         met = f"meets {about} after {t[end] - t[0]:.1f} s at {found.v[end]:.1f} m/s"
         outcome, reason = Avoidability.UNAVOIDABLE, f"unavoidable {by}: {met}"
     braking = np.flatnonzero(found.a < -1.0)
-    brakes, meets = float(t[braking[0]]) if len(braking) else nan, float(t[end]) if end >= 0 else nan
+    brakes, meets = (
+        float(t[braking[0]]) if len(braking) else nan,
+        float(t[end]) if end >= 0 else nan,
+    )
     speed, who = float(found.v[end]), course.tracks.ids[agent]
-    return DriverVerdict(name, outcome, reason, brakes, meets, speed, who, margin, marginal=marginal)
+    return DriverVerdict(
+        name, outcome, reason, brakes, meets, speed, who, margin, marginal=marginal
+    )
 
 
 careful_driver = partial(_verdict, "cc", CC)
 """Returns the verdict of "cc" on a scenario along a line, for an ego that starts at a state (None: the log's first)."""
-fuzzy_driver = partial(_verdict, "fsm", FSM)  # Returns the verdict of "fsm"; arguments as `careful_driver`
+# Returns the verdict of "fsm"; arguments as `careful_driver`
+fuzzy_driver = partial(_verdict, "fsm", FSM)
 DRIVERS = {"cc": careful_driver, "fsm": fuzzy_driver}
 
 
@@ -258,9 +283,15 @@ def _comes_in(seen: FloatArray, v: float, car: EgoOutline, slack: float, late: f
 
 @inner_kernel
 def _cc_acceleration(
-    seen: FloatArray, accel: FloatArray, car: EgoOutline, v: float, clock: FloatArray, nearer: FloatArray, late: float,
+    seen: FloatArray,
+    accel: FloatArray,
+    car: EgoOutline,
+    v: float,
+    clock: FloatArray,
+    nearer: FloatArray,
+    late: float,
     braking: bool,
-) -> float:  # fmt: skip
+) -> float:
     """Return the acceleration of "cc"; update `clock` (how long each agent has been a hazard) and `nearer` (1)."""
     wish, held = 0.0, False
     for i in range(len(seen)):
@@ -317,7 +348,9 @@ def fsm_critical(gap: float, v: float, u: float, a: float) -> float:
         return 1.0 if gap < (v - u) ** 2 / (2.0 * abs(a)) else 0.0
     reach = (v + 0.5 * a * FSM_REACT_S - u) * FSM_REACT_S
     square = (v_then - u) ** 2
-    return fsm_fuzzy(gap, reach + square / (2.0 * FSM_COMFORT_MPS2), reach + square / (2.0 * FSM_HARDEST_MPS2))
+    return fsm_fuzzy(
+        gap, reach + square / (2.0 * FSM_COMFORT_MPS2), reach + square / (2.0 * FSM_HARDEST_MPS2)
+    )
 
 
 @inner_kernel
@@ -326,9 +359,14 @@ def _fsm_acceleration(seen: FloatArray, car: EgoOutline, v: float, a: float, lat
     hardest = 0.0
     for i in range(len(seen)):
         gap, u = seen[i, 0], seen[i, 1]
-        if not np.isfinite(gap) or not (seen[i, 2] < 0.0 or _comes_in(seen[i], v, car, FSM_AHEAD_S, late)):
+        if not np.isfinite(gap) or not (
+            seen[i, 2] < 0.0 or _comes_in(seen[i], v, car, FSM_AHEAD_S, late)
+        ):
             continue
-        deceleration, critical = FSM_COMFORT_MPS2 * fsm_proactive(gap, v, u), fsm_critical(gap, v, u, a)
+        deceleration, critical = (
+            FSM_COMFORT_MPS2 * fsm_proactive(gap, v, u),
+            fsm_critical(gap, v, u, a),
+        )
         if critical > 0.0:
             deceleration = FSM_COMFORT_MPS2 + (FSM_HARDEST_MPS2 - FSM_COMFORT_MPS2) * critical
         hardest = max(hardest, deceleration)  # (7)
@@ -337,7 +375,11 @@ def _fsm_acceleration(seen: FloatArray, car: EgoOutline, v: float, a: float, lat
 
 @inner_kernel
 def _first_touch(
-    rear: tuple[float, float, float, float], k: int, car: EgoOutline, others: OtherBoxes, left_out: BoolArray
+    rear: tuple[float, float, float, float],
+    k: int,
+    car: EgoOutline,
+    others: OtherBoxes,
+    left_out: BoolArray,
 ) -> int:
     """Return the first counted agent that touches the ego (rear axle x, y, yaw, v) at step k, -1; update `left_out`."""
     x, y, yaw, v = rear
@@ -355,14 +397,22 @@ def _first_touch(
 
 @inner_kernel
 def _least_clearance(
-    least: float, x: float, y: float, yaw: float, car: EgoOutline, pose: FloatArray, size: FloatArray
+    least: float,
+    x: float,
+    y: float,
+    yaw: float,
+    car: EgoOutline,
+    pose: FloatArray,
+    size: FloatArray,
 ) -> float:
     """Return the lesser of `least` (NaN: none yet) and the distance (6) of the ego (rear axle x, y) to an agent."""
     cx, cy = x + car.axle * cos(yaw), y + car.axle * sin(yaw)
     reach = 0.5 * (hypot(car.length, car.width) + hypot(size[0], size[1]))
     if hypot(pose[0] - cx, pose[1] - cy) - reach >= least:
         return least
-    found = clearance(cx, cy, yaw, car.length, car.width, pose[0], pose[1], pose[2], size[0], size[1])
+    found = clearance(
+        cx, cy, yaw, car.length, car.width, pose[0], pose[1], pose[2], size[0], size[1]
+    )
     return least if least <= found else found
 
 
@@ -441,18 +491,31 @@ def _reference(trace: Trace, scenario: Scenario, *, driver: str) -> Measured:
 
 REFERENCE = tuple(
     Metric(
-        f"reference_{driver}", "m", "higher", (Mode.CLOSED,), partial(_reference, driver=driver),
-        (AVOIDS, APPLIES, MARGIN), meaning, source, 2,
+        f"reference_{driver}",
+        "m",
+        "higher",
+        (Mode.CLOSED,),
+        partial(_reference, driver=driver),
+        (AVOIDS, APPLIES, MARGIN),
+        meaning,
+        source,
+        2,
         formula="the reference driver, braking on the ego's line among the tracks as logged",
         needs="avoids and margin: an agent that the ego would meet at constant speed",
     )
     for driver, source, meaning in (
-        ("cc", "UN R157, Annex 4, Appendix 3",
-         "Least distance that the competent and careful driver leaves to the agent that one who does not brake would "
-         "touch, negative where it touches it; it evaluates a cut-in from 0.375 m on, JRC's code from the ego's width "
-         "on."),
-        ("fsm", "Mattas et al., Accid. Anal. Prev. 148 (2020) 105794",
-         "Least distance that the driver of the fuzzy safety model leaves to the agent that one who does not brake "
-         "would touch, negative where it touches it."),
+        (
+            "cc",
+            "UN R157, Annex 4, Appendix 3",
+            "Least distance that the competent and careful driver leaves to the agent that one who does not brake would "
+            "touch, negative where it touches it; it evaluates a cut-in from 0.375 m on, JRC's code from the ego's width "
+            "on.",
+        ),
+        (
+            "fsm",
+            "Mattas et al., Accid. Anal. Prev. 148 (2020) 105794",
+            "Least distance that the driver of the fuzzy safety model leaves to the agent that one who does not brake "
+            "would touch, negative where it touches it.",
+        ),
     )
-)  # fmt: skip
+)

@@ -92,7 +92,16 @@ from replan.metrics.boxes import (
 )
 from replan.metrics.encounters import CROSSING_RAD, encroachment, may_meet
 from replan.metrics.lanes import NO_LANES, Under, mapped_lanes, under
-from replan.metrics.metric import COUNT, MIN, Measured, Metric, Reduction, Series, Unavailable, counted
+from replan.metrics.metric import (
+    COUNT,
+    MIN,
+    Measured,
+    Metric,
+    Reduction,
+    Series,
+    Unavailable,
+    counted,
+)
 from replan.metrics.needless import reasons
 
 REST_MPS, BEFORE_M = 0.1, 5.0
@@ -101,7 +110,8 @@ HALF_LANE_M = 1.75
 AROUND_S = 1.0
 SERIOUS_S, CRITICAL_S = 1.0, 1.5
 FINE_S = 0.05  # Grid of (2)
-WITHIN_S = 3.0  # A road user that arrives later has no encounter with the ego: twice the critical gap, s
+# A road user that arrives later has no encounter with the ego: twice the critical gap, s
+WITHIN_S = 3.0
 MOVES_MPS = 0.5
 SEEN_S = 0.3
 WRONG_WAY_S = 1.0
@@ -112,7 +122,9 @@ _NEVER = "the ego is never on a lane, or only where lanes cross"
 
 def _light(trace: Trace, scenario: Scenario, *, yellow: bool) -> Measured:
     lights = {light.id: light for light in scenario.lights}
-    lines = [(line, lights[line.light]) for line in scenario.road.stop_lines if line.light in lights]
+    lines = [
+        (line, lights[line.light]) for line in scenario.road.stop_lines if line.light in lights
+    ]
     if not lines:
         return Unavailable("the log shows no traffic light with a stop line")
     ego, events = trace.ego, []
@@ -124,7 +136,9 @@ def _light(trace: Trace, scenario: Scenario, *, yellow: bool) -> Measured:
             if yellow:
                 k = min(int(np.searchsorted(ego.t, since - 1e-9)), step)
                 needed = ego.v[k] * YELLOW_S + ego.v[k] ** 2 / (2.0 * YELLOW_MPS2)  # (0)
-                runs = light.at(now) is Colour.YELLOW and -_ahead(line, ego, scenario)[0][k] >= needed
+                runs = (
+                    light.at(now) is Colour.YELLOW and -_ahead(line, ego, scenario)[0][k] >= needed
+                )
             if runs:
                 shown = f"light {light.id} {light.at(now).value} since {since:.1f} s"
                 events.append((step, f"stop line {line.id}: {shown}"))
@@ -168,14 +182,23 @@ def _crossings(line: StopLine, trace: Trace, scenario: Scenario) -> Iterator[int
     over = (ahead[:-1] < 0.0) & (ahead[1:] >= 0.0) & (np.abs(beside[1:]) <= half)
     for step in (np.flatnonzero(over) + 1).tolist():
         driven = arc_lengths(ego.x[step:], ego.y[step:])
-        at = step + np.unique(np.searchsorted(driven, np.arange(0.0, min(float(driven[-1]), BEHIND_M), 1.0)))
+        at = step + np.unique(
+            np.searchsorted(driven, np.arange(0.0, min(float(driven[-1]), BEHIND_M), 1.0))
+        )
         x, y = ego_boxes(ego, scenario)[:2, at]
         on = {way.id: int(on_lane(way, x, y, ego.yaw[at]).sum()) for way in ways}
         if any(on.values()):
             counts = not line.towards or max(on, key=lambda way: (on[way], -way)) in line.towards
         else:
-            beyond = any(on_lane(lane, x[-1:], y[-1:], ego.yaw[at[-1:]]).any() for lane in road.lanes.values())
-            counts = not ways or not beyond or road.lanes[line.lane] in road.lanes_at(float(x[-1]), float(y[-1]))
+            beyond = any(
+                on_lane(lane, x[-1:], y[-1:], ego.yaw[at[-1:]]).any()
+                for lane in road.lanes.values()
+            )
+            counts = (
+                not ways
+                or not beyond
+                or road.lanes[line.lane] in road.lanes_at(float(x[-1]), float(y[-1]))
+            )
         if counts:
             yield step
 
@@ -193,20 +216,31 @@ def _crosswalk(trace: Trace, scenario: Scenario) -> Measured:
             if first == 0:  # under way when the drive begins
                 continue
             way = np.ascontiguousarray(ego[:2, first:end])
-            dx, dy = way[:, -1] - way[:, 0]  # as a straight line: the path over a crosswalk is short
+            # As a straight line: the path over a crosswalk is short
+            dx, dy = way[:, -1] - way[:, 0]
             length = hypot(dx, dy)
             seen = np.intersect1d(walkers, present_between(trace.agents, t[first], t[end - 1]))
             others = some_at(trace.agents, seen, t[first:end])
             for row, i in enumerate(seen.tolist()):
                 who, on = others.pose[:2, row], np.zeros(end - first, np.bool_)
-                for k in np.flatnonzero(np.isfinite(who[0])):  # on the crosswalk and near the ego's path
+                # On the crosswalk and near the ego's path
+                for k in np.flatnonzero(np.isfinite(who[0])):
                     x, y = float(who[0, k]), float(who[1, k])
                     ahead, aside = x - way[0, 0], y - way[1, 0]
-                    beside = hypot(ahead, aside) if length < 1e-6 else abs(ahead * dy - aside * dx) / length
+                    beside = (
+                        hypot(ahead, aside)
+                        if length < 1e-6
+                        else abs(ahead * dy - aside * dx) / length
+                    )
                     on[k] = inside(x, y, crosswalk.polygon) and beside <= HALF_LANE_M
                 on &= others.there[row] & (np.abs(trace.ego.v[first:end]) > REST_MPS)
                 if on.any():
-                    events.append((first + int(np.argmax(on)), f"crosswalk {crosswalk.id}: {name_of(trace.agents, i)}"))
+                    events.append(
+                        (
+                            first + int(np.argmax(on)),
+                            f"crosswalk {crosswalk.id}: {name_of(trace.agents, i)}",
+                        )
+                    )
     return counted(trace.ego.t, events)
 
 
@@ -229,12 +263,18 @@ def _priority_gap(trace: Trace, scenario: Scenario, *, assumed: bool) -> Measure
     yields = (lane for lane in lanes.values() if (lane.id in guessed) is assumed)
     pairs = [(lane, lanes[i]) for lane in yields for i in lane.yields_to if i in lanes]
     if not pairs:
-        return Unavailable("no right of way is assumed" if assumed else "the log names no right of way")
+        return Unavailable(
+            "no right of way is assumed" if assumed else "the log names no right of way"
+        )
     if len(trace.ego) < 2:
         return Unavailable("the drive holds one ego state only")
     t = np.arange(float(trace.ego.t[0]), float(trace.ego.t[-1]), GRID_S)
     ego = trace.ego.resampled(t)
-    boxes, car, no_drivers = ego_boxes(ego, scenario), car_of(scenario), (AgentKind.PEDESTRIAN, AgentKind.OBJECT)
+    boxes, car, no_drivers = (
+        ego_boxes(ego, scenario),
+        car_of(scenario),
+        (AgentKind.PEDESTRIAN, AgentKind.OBJECT),
+    )
     gap, labels = np.full(len(t), np.nan), [""] * len(t)
     for lane, first in pairs:
         mine = _steps_around(on_lane(lane, boxes[0], boxes[1], ego.yaw))
@@ -268,11 +308,15 @@ class _Meetings:
 
     agent: int
     step: IntArray
-    left: FloatArray  # `(m,)` s since the drive last left the place of the box; NaN if it was not there before
-    taken: FloatArray  # `(m,)` s until the drive reaches the place, 0 in a contact; NaN if it never does
+    # `(m,)` s since the drive last left the place of the box; NaN if it was not there before
+    left: FloatArray
+    # `(m,)` s until the drive reaches the place, 0 in a contact; NaN if it never does
+    taken: FloatArray
 
 
-def _meetings(drive: Trajectory, tracks: Tracks, scenario: Scenario, t: FloatArray) -> Iterator[_Meetings]:
+def _meetings(
+    drive: Trajectory, tracks: Tracks, scenario: Scenario, t: FloatArray
+) -> Iterator[_Meetings]:
     """Yield the meetings with pedestrians, and with other kinds (not objects) that cross the drive, at `t` `(k,)`."""
     first, end = np.searchsorted(t, [drive.t[0] - 1e-9, drive.t[-1] + 1e-9])
     boxes = ego_boxes(drive.resampled(np.clip(t[first:end], drive.t[0], drive.t[-1])), scenario)
@@ -298,7 +342,8 @@ def _yielding(trace: Trace, scenario: Scenario) -> Mapping[str, Measured]:
     recorded: Measured = Unavailable("the log has no recorded driver")
     if scenario.is_recorded and len(scenario.ego) > 1:
         tracks = without_phantoms(scenario.tracks, phantoms(scenario))
-        let = {}  # by agent: steps at which the recorded driver let it pass first, and the text with the time
+        # By agent: steps at which the recorded driver let it pass first, and the text with the time
+        let = {}
         for one in _meetings(scenario.ego, tracks, scenario, t):
             second = (one.taken > 0.0) & np.isnan(one.left)
             if second.any():
@@ -307,11 +352,17 @@ def _yielding(trace: Trace, scenario: Scenario) -> Mapping[str, Measured]:
         recorded = Unavailable("the recorded driver let no road user with a kind go first")
         if let:
             mine = _meetings(trace.ego, tracks, scenario, t)
-            recorded = _gaps(t, [(one, *let[one.agent]) for one in mine if one.agent in let], tracks)
+            recorded = _gaps(
+                t, [(one, *let[one.agent]) for one in mine if one.agent in let], tracks
+            )
     walkers = {i for i, kind in enumerate(trace.agents.kinds) if kind is AgentKind.PEDESTRIAN}
     if not walkers:
         return {"recorded": recorded, "pedestrian": Unavailable("the log names no pedestrian")}
-    met = [(one, one.step, "") for one in _meetings(trace.ego, trace.agents, scenario, t) if one.agent in walkers]
+    met = [
+        (one, one.step, "")
+        for one in _meetings(trace.ego, trace.agents, scenario, t)
+        if one.agent in walkers
+    ]
     none = Unavailable("the ego and the pedestrians took no place in common")
     return {"recorded": recorded, "pedestrian": _gaps(t, met, trace.agents) if met else none}
 
@@ -319,8 +370,13 @@ def _yielding(trace: Trace, scenario: Scenario) -> Mapping[str, Measured]:
 def _gaps(t: FloatArray, met: Sequence[tuple[_Meetings, IntArray, str]], tracks: Tracks) -> Series:
     """Return the least (2) over the boxes at the given steps, at the time at which the ego left their place."""
     gap, labels = np.full(len(t), np.nan), [""] * len(t)
-    within = [(one, (one.left <= WITHIN_S + 1e-9) & np.isin(one.step, steps), why) for one, steps, why in met]
-    seen = t[np.unique(np.concatenate([np.empty(0, np.int64), *(one.step[at] for one, at, _ in within)]))]
+    within = [
+        (one, (one.left <= WITHIN_S + 1e-9) & np.isin(one.step, steps), why)
+        for one, steps, why in met
+    ]
+    seen = t[
+        np.unique(np.concatenate([np.empty(0, np.int64), *(one.step[at] for one, at, _ in within)]))
+    ]
     for one, at, why in within:
         who = name_of(tracks, one.agent)
         for j, left in zip(one.step[at].tolist(), one.left[at].tolist(), strict=True):
@@ -350,7 +406,8 @@ def _under(trace: Trace, scenario: Scenario) -> Under | None:
 def _wrong_way(trace: Trace, scenario: Scenario) -> Measured:
     if (found := _under(trace, scenario)) is None:
         return NO_LANES
-    against = np.maximum(-trace.ego.v * found.along, 0.0)  # (3); the reference point moves along the ego's heading
+    # (3); the reference point moves along the ego's heading
+    against = np.maximum(-trace.ego.v * found.along, 0.0)
     return Series(trace.ego.t, against, missing=_NEVER)
 
 
@@ -365,7 +422,11 @@ def _lane_line(trace: Trace, scenario: Scenario) -> Measured:
     ego, steer = grid_of(trace), reasons(trace, scenario).steer
     found = under(lanes, *ego_boxes(ego, scenario)[:3])
     over = np.abs(found.left) + 0.5 * scenario.vehicle.width - found.half  # (6)
-    return Series(ego.t, np.where(steer, np.nan, over), missing=f"{_NEVER}, or something called for leaving the middle")
+    return Series(
+        ego.t,
+        np.where(steer, np.nan, over),
+        missing=f"{_NEVER}, or something called for leaving the middle",
+    )
 
 
 def _metres(series: Series) -> FloatArray:
@@ -384,36 +445,65 @@ def worst_metres(series: Series) -> tuple[float, int]:
 
 _CLOSED = (Mode.CLOSED,)
 RED_LIGHT = Metric(
-    "red_light", "count", "lower", _CLOSED, partial(_light, yellow=False), (COUNT,),
+    "red_light",
+    "count",
+    "lower",
+    _CLOSED,
+    partial(_light, yellow=False),
+    (COUNT,),
     "Stop lines that the front came over while their light showed red, or red and yellow.",
     "as CARLA leaderboard 2.x counts red lights; nuPlan has none",
-    formula="sum of crossings at red, or red and yellow", parameters=(f"beside the line's ends {ASIDE_M} m",),
+    formula="sum of crossings at red, or red and yellow",
+    parameters=(f"beside the line's ends {ASIDE_M} m",),
     needs="a traffic light with a stop line",
-)  # fmt: skip
+)
 YELLOW_LIGHT = Metric(
-    "yellow_light", "count", "lower", _CLOSED, partial(_light, yellow=True), (COUNT,),
+    "yellow_light",
+    "count",
+    "lower",
+    _CLOSED,
+    partial(_light, yellow=True),
+    (COUNT,),
     "Stop lines that the front came over at a yellow for which the ego could have stopped comfortably.",
     "StVO 37; ITE, Determining Vehicle Signal Change and Clearance Intervals: 1 s and 3.05 m/s2",
     formula="sum of crossings at yellow, if it began farther away than v * 1 s + v^2 / (2 * 3.05 m/s2)",
-    parameters=(f"reaction {YELLOW_S:g} s", f"stop {YELLOW_MPS2} m/s2"), needs="a traffic light with a stop line",
-)  # fmt: skip
+    parameters=(f"reaction {YELLOW_S:g} s", f"stop {YELLOW_MPS2} m/s2"),
+    needs="a traffic light with a stop line",
+)
 STOP_SIGN = Metric(
-    "stop_sign", "count", "lower", _CLOSED, _stop_sign, (COUNT,),
+    "stop_sign",
+    "count",
+    "lower",
+    _CLOSED,
+    _stop_sign,
+    (COUNT,),
     "Stop signs passed without a speed below 0.1 m/s in the last 5 m before their line.",
     "bounds: nuPlan devkit e9241677, ego_stop_at_stop_line (5 m, 0.1 m/s)",
     formula="sum of crossings with min |v| >= 0.1 m/s over the last 5 m",
-    parameters=(f"at rest below {REST_MPS} m/s", f"before the line {BEFORE_M:g} m"), needs="a stop sign",
-)  # fmt: skip
+    parameters=(f"at rest below {REST_MPS} m/s", f"before the line {BEFORE_M:g} m"),
+    needs="a stop sign",
+)
 CROSSWALK = Metric(
-    "crosswalk", "count", "lower", _CLOSED, _crosswalk, (COUNT,),
+    "crosswalk",
+    "count",
+    "lower",
+    _CLOSED,
+    _crosswalk,
+    (COUNT,),
     "Pedestrians who were on the ego's half of a crosswalk while it drove over it.",
     "StVO 26 (1): who evidently wants to cross is let cross",
     formula="sum over passages of the pedestrians on the ego's half",
-    parameters=(f"half a lane {HALF_LANE_M} m", f"drives above {REST_MPS} m/s"), needs="a crosswalk",
-)  # fmt: skip
+    parameters=(f"half a lane {HALF_LANE_M} m", f"drives above {REST_MPS} m/s"),
+    needs="a crosswalk",
+)
 PRIORITY_GAP, PRIORITY_GAP_ASSUMED = (
     Metric(
-        name, "s", "higher", _CLOSED, partial(_priority_gap, assumed=assumed), (MIN, _fewer(SERIOUS_S, "below_1s")),
+        name,
+        "s",
+        "higher",
+        _CLOSED,
+        partial(_priority_gap, assumed=assumed),
+        (MIN, _fewer(SERIOUS_S, "below_1s")),
         f"Time between the ego leaving a spot and a road user with {priority} reaching it (post-encroachment time).",
         "PET below 1 s: serious; 1.5 s: critical (criticality metrics catalogue, Westhofen et al. 2023)",
         formula="least t_j - t_i >= 0 over boxes i of the ego and j of the other that overlap",
@@ -424,45 +514,81 @@ PRIORITY_GAP, PRIORITY_GAP_ASSUMED = (
         ("priority_gap", False, "priority", "yield by a sign or a rule of the log"),
         ("priority_gap_assumed", True, "assumed priority", "yield by assumption"),
     )
-)  # fmt: skip
+)
 YIELDING = Metric(
-    "yielding", "s", "higher", _CLOSED, _yielding,
+    "yielding",
+    "s",
+    "higher",
+    _CLOSED,
+    _yielding,
     (MIN, _fewer(SERIOUS_S, "below_1s"), _fewer(CRITICAL_S, "below_1500ms")),
     "Time by which the ego crosses before a road user that comes to the same place: of those that the recorded driver "
     "let go first (as logged), and of pedestrians (as they moved). Needs no map.",
     "PET below 1 s: serious; 1.5 s: critical (criticality metrics catalogue, Westhofen et al. 2023)",
     formula="least t_j - t_i over boxes j of the other and the last box i of the ego that overlaps it before t_j",
     parameters=(
-        f"grid {FINE_S} s", f"at most {WITHIN_S:g} s", f"moves at {MOVES_MPS} m/s or more", "across: 30 degrees",
-        f"on the ego's way for {SEEN_S} s", f"serious {SERIOUS_S:g} s", f"critical {CRITICAL_S:g} s",
+        f"grid {FINE_S} s",
+        f"at most {WITHIN_S:g} s",
+        f"moves at {MOVES_MPS} m/s or more",
+        "across: 30 degrees",
+        f"on the ego's way for {SEEN_S} s",
+        f"serious {SERIOUS_S:g} s",
+        f"critical {CRITICAL_S:g} s",
     ),
-    parts=("recorded", "pedestrian"), needs="a recorded driver that let another go first; a pedestrian",
-)  # fmt: skip
+    parts=("recorded", "pedestrian"),
+    needs="a recorded driver that let another go first; a pedestrian",
+)
 _NEEDS = "lanes in the log"
 WRONG_WAY = Metric(
-    "wrong_way", "m/s", "lower", _CLOSED, _wrong_way,
+    "wrong_way",
+    "m/s",
+    "lower",
+    _CLOSED,
+    _wrong_way,
     (
         Reduction("worst_1s", worst_metres, unit="m", empty=0.0),
-        Reduction("distance", lambda series: (float(_metres(series).sum()), -1), unit="m", empty=0.0),
-        metric.time_above(AGAINST_MPS, "time"), metric.worst_episode(-AGAINST_MPS, AGAINST_MPS),
+        Reduction(
+            "distance", lambda series: (float(_metres(series).sum()), -1), unit="m", empty=0.0
+        ),
+        metric.time_above(AGAINST_MPS, "time"),
+        metric.worst_episode(-AGAINST_MPS, AGAINST_MPS),
     ),
     "Speed against the direction of the lane under the ego's centre; worst_1s are the most metres within 1 s.",
     "nuPlan devkit e9241677, driving_direction_compliance (below 2 m: 1, below 6 m: 0.5); there along the route",
     formula="max(-v cos(angle to the best aligned lane), 0); worst_1s = max over t of its integral over (t - 1 s, t]",
-    parameters=(f"window {WRONG_WAY_S:g} s", f"against above {AGAINST_MPS} m/s", "lanes cross above 30 degrees"),
+    parameters=(
+        f"window {WRONG_WAY_S:g} s",
+        f"against above {AGAINST_MPS} m/s",
+        "lanes cross above 30 degrees",
+    ),
     needs=_NEEDS,
-)  # fmt: skip
+)
 LANE_KEEPING = Metric(
-    "lane_keeping", "m", "lower", _CLOSED, _lane_keeping,
-    (metric.MAX_ABS, metric.time_above(KEEPING_M, "time_beyond_50cm"), metric.worst_episode(-KEEPING_M, KEEPING_M)),
+    "lane_keeping",
+    "m",
+    "lower",
+    _CLOSED,
+    _lane_keeping,
+    (
+        metric.MAX_ABS,
+        metric.time_above(KEEPING_M, "time_beyond_50cm"),
+        metric.worst_episode(-KEEPING_M, KEEPING_M),
+    ),
     "Distance of the ego's centre from the nearest centre line of a lane under it; changing lanes counts too.",
     "NAVSIM 0a380a90, lane keeping of EPDMS: an episode of 2 s is a failure",
     formula="signed distance from the centre line; worst_episode: the longest stretch beyond 0.5 m",
-    parameters=(f"beyond {KEEPING_M} m", "lanes cross above 30 degrees"), needs=_NEEDS,
-)  # fmt: skip
+    parameters=(f"beyond {KEEPING_M} m", "lanes cross above 30 degrees"),
+    needs=_NEEDS,
+)
 LANE_LINE = Metric(
-    "lane_line", "m", "lower", _CLOSED, _lane_line, (metric.MAX, metric.worst_episode(-np.inf, OVER_M)),
+    "lane_line",
+    "m",
+    "lower",
+    _CLOSED,
+    _lane_line,
+    (metric.MAX, metric.worst_episode(-np.inf, OVER_M)),
     "How far the ego's box is over the line of its lane while nothing calls for it.",
     formula="|distance from the centre line| + half of the ego's width - half of the lane's width",
-    parameters=(f"over by {OVER_M} m",), needs=_NEEDS,
-)  # fmt: skip
+    parameters=(f"over by {OVER_M} m",),
+    needs=_NEEDS,
+)

@@ -22,7 +22,13 @@ from replan.logs.frame import Frame, PlannerContext, Predictions
 from replan.logs.plan import Plan
 from replan.logs.road import Road
 from replan.planners.frenet.path import path_through
-from replan.planners.frenet.profiles import COMFORT, HORIZON_KNOTS, STEP_S, braking, trajectory_along
+from replan.planners.frenet.profiles import (
+    COMFORT,
+    HORIZON_KNOTS,
+    STEP_S,
+    braking,
+    trajectory_along,
+)
 from replan.planners.frenet.scene import start_of
 from replan.planners.idm import Idm, IdmConfig
 
@@ -47,7 +53,9 @@ class Blind:
         seen, t = frame.predictions, frame.predictions.t
         empty = np.empty((0, len(t)))
         nothing = Predictions(t, NO_AGENTS, np.empty(0), empty, empty, empty, seen.method)
-        return self._idm.plan(replace(frame, agents=frame.agents.some(NO_AGENTS), predictions=nothing, lights={}))
+        return self._idm.plan(
+            replace(frame, agents=frame.agents.some(NO_AGENTS), predictions=nothing, lights={})
+        )
 
 
 class Parked:
@@ -73,8 +81,13 @@ class Parked:
         start = start_of(frame)[0]  # `blind` begins with an acceleration of its own
         excess = start.v - self._desired
         if excess > 0.0:
-            slower = braking(excess, start.a, COMFORT.decel_mps2, COMFORT.jerk_mps3, STEP_S, HORIZON_KNOTS)
-            profile = slower + np.stack([self._desired * t, np.full(len(t), self._desired), np.zeros(len(t))])  # (1)
+            slower = braking(
+                excess, start.a, COMFORT.decel_mps2, COMFORT.jerk_mps3, STEP_S, HORIZON_KNOTS
+            )
+            # (1)
+            profile = slower + np.stack(
+                [self._desired * t, np.full(len(t), self._desired), np.zeros(len(t))]
+            )
         else:
             v = np.minimum(self._desired, max(start.v, 0.0) + GAIN_MPS2 * t)  # (2)
             s = np.r_[0.0, np.cumsum(0.5 * STEP_S * (v[1:] + v[:-1]))]

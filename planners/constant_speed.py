@@ -27,7 +27,9 @@ class ConstantSpeed:
     with its unit, and a line above, which `replan list NAME` prints.
     """
 
-    def __init__(self, context: PlannerContext, *, horizon_s: float = 8.0, step_s: float = 0.1) -> None:
+    def __init__(
+        self, context: PlannerContext, *, horizon_s: float = 8.0, step_s: float = 0.1
+    ) -> None:
         # A planner is built once per scenario. Memory (warm starts, hysteresis) belongs in the object; set it here.
         self.lap = context.lap
         self.ahead = step_s * np.arange(round(horizon_s / step_s) + 1)
@@ -40,7 +42,8 @@ class ConstantSpeed:
         plan. A planner that fails returns its fallback, with a PlanStatus and a reason; it does not raise.
         """
         trajectory = arc(frame.ego, frame.t + self.ahead)
-        self.lap("arc")  # optional: the time since the last lap appears under this name in the timings
+        # optional: the time since the last lap appears under this name in the timings
+        self.lap("arc")
         return Plan(trajectory)
 
 

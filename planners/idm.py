@@ -98,9 +98,12 @@ class Idm:
         self._tracker = RouteTracker(context)
         c = self._config
         self._rules = Rulebook(
-            context.road, self._tracker.reference, context.vehicle,
-            curve_accel_mps2=c.curve_accel_mps2, ease_mps2=c.ease_mps2,
-        )  # fmt: skip
+            context.road,
+            self._tracker.reference,
+            context.vehicle,
+            curve_accel_mps2=c.curve_accel_mps2,
+            ease_mps2=c.ease_mps2,
+        )
         self._memory = RuleMemory()
 
     def plan(self, frame: Frame) -> Plan:
@@ -115,12 +118,17 @@ class Idm:
         d, (l0, dl0, ddl0) = KNOT_M * np.arange(int(reach / KNOT_M) + 2), scene.frenet
         span = max(15.0, self._config.return_s * scene.v)
         back = np.polynomial.Polynomial([l0, dl0, 0.5 * ddl0, *quintic(l0, dl0, ddl0, 0.0, span)])
-        offsets = np.array([np.where(d < span, part(d), 0.0) for part in (back, back.deriv(), back.deriv(2))])
+        offsets = np.array(
+            [np.where(d < span, part(d), 0.0) for part in (back, back.deriv(), back.deriv(2))]
+        )
         path = make_path(scene.reference.line, scene.s, KNOT_M, offsets)
         self._lap("path")
         x, y = agents.x - start.x, agents.y - start.y
-        aside = x * cos(start.yaw) + y * sin(start.yaw) < car.wheelbase  # behind the front axle: not followed
-        skip = behind(scene, keeps_track=True) | (aside & (np.hypot(x, y) < car.length + 0.5 * agents.length))
+        # Behind the front axle: not followed
+        aside = x * cos(start.yaw) + y * sin(start.yaw) < car.wheelbase
+        skip = behind(scene, keeps_track=True) | (
+            aside & (np.hypot(x, y) < car.length + 0.5 * agents.length)
+        )
         blocks = st_boundaries(scene, path, skip, frozenset(), EXACT)
         demanded, self._memory = self._rules.stops(scene, self._memory)
         stops = on_path(demanded, path, car)
@@ -140,10 +148,21 @@ class Idm:
             free, driven = Corridor(t, np.zeros(len(t)), upper), np.column_stack([t, profile[0]])
             at = np.arange(0, len(path.s), 8)  # every few metres
             s, side, lane = path.s[at], 0.5 * scene.vehicle.width, scene.reference
-            right, left = (np.interp(s, lane.line.s, edge) for edge in (lane.lane_right, lane.lane_left))
-            offset = np.array([lane.line.project(path.x[i], path.y[i], path.s[i], 2.0)[1] for i in at])
-            sl_graph = SlGraph(None, Corridor(s, right + side, left - side), nothing, np.column_stack([s, offset]), ())
-            by_agent = {decision.agent: decision for decision in leads}  # several hypotheses of an agent may lead
+            right, left = (
+                np.interp(s, lane.line.s, edge) for edge in (lane.lane_right, lane.lane_left)
+            )
+            offset = np.array(
+                [lane.line.project(path.x[i], path.y[i], path.s[i], 2.0)[1] for i in at]
+            )
+            sl_graph = SlGraph(
+                None,
+                Corridor(s, right + side, left - side),
+                nothing,
+                np.column_stack([s, offset]),
+                (),
+            )
+            # Several hypotheses of an agent may lead
+            by_agent = {decision.agent: decision for decision in leads}
             st_graph = StGraph(None, free, nothing, driven, shown)
             return (st_graph, sl_graph, *by_agent.values(), *(stop.decision for stop in stops))
 
@@ -157,16 +176,37 @@ class Idm:
         c, line = self._config, self._tracker.reference.line
         limit = np.interp(path.s, line.s, self._tracker.reference.limit)
         v0 = limit_profile(path.sigma, path.kappa, limit, c.curve_accel_mps2, c.ease_mps2)
-        driver = np.array([c.accel_mps2, c.decel_mps2, c.time_gap_s, c.standstill_gap_m, c.hardest_mps2, c.jerk_mps3])
+        driver = np.array(
+            [
+                c.accel_mps2,
+                c.decel_mps2,
+                c.time_gap_s,
+                c.standstill_gap_m,
+                c.hardest_mps2,
+                c.jerk_mps3,
+            ]
+        )
         ahead = round(c.ahead_s / blocks.step) if np.isfinite(blocks.step) else 0
         state = np.array([max(start.v, 0.0), start.a])
-        lead = blocks.with_stops([replace(stop, s_from=stop.aim + c.standstill_gap_m) for stop in stops])
-        return _rolled_out(path.sigma, v0, lead.t, lead.lower, lead.upper, lead.speed, ahead, state, driver)
+        lead = blocks.with_stops(
+            [replace(stop, s_from=stop.aim + c.standstill_gap_m) for stop in stops]
+        )
+        return _rolled_out(
+            path.sigma, v0, lead.t, lead.lower, lead.upper, lead.speed, ahead, state, driver
+        )
 
 
 @kernel
 def idm_acceleration(
-    v: float, v0: float, slope: float, gap: float, v_lead: float, a: float, b: float, time_gap: float, s0: float
+    v: float,
+    v0: float,
+    slope: float,
+    gap: float,
+    v_lead: float,
+    a: float,
+    b: float,
+    time_gap: float,
+    s0: float,
 ) -> float:
     """Acceleration (1) to (3), m/s2; `slope` is dv0/ds, an infinite gap is a free road."""
     v0 = max(v0, SLOWEST_MPS)
@@ -180,9 +220,16 @@ def idm_acceleration(
 
 @kernel
 def _rolled_out(
-    sigma: FloatArray, limit: FloatArray, t: FloatArray, lower: FloatArray, upper: FloatArray, speed: FloatArray,
-    ahead: int, start: FloatArray, driver: FloatArray,
-) -> tuple[FloatArray, IntArray]:  # fmt: skip
+    sigma: FloatArray,
+    limit: FloatArray,
+    t: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+    speed: FloatArray,
+    ahead: int,
+    start: FloatArray,
+    driver: FloatArray,
+) -> tuple[FloatArray, IntArray]:
     """Simulate the driver (a, b, T, s0, hardest, jerk) from `start` (v, a); returns what `Idm._profile` returns."""
     out, led = np.zeros((3, HORIZON_KNOTS)), np.full(HORIZON_KNOTS, -1)
     s, v, a, here, k = 0.0, start[0], start[1], 0, 0
@@ -192,7 +239,9 @@ def _rolled_out(
             here += 1
         while k < len(t) - 1 and t[k + 1] <= n * STEP_S + 1e-9:
             k += 1
-        gap = inf  # to the nearest block ahead, 0 inside one; blocks that begin later behind the ego are skipped
+        # To the nearest block ahead, 0 inside one; blocks that begin later behind the ego are
+        # skipped
+        gap = inf
         for i in range(len(lower)):
             for j in range(k, min(k + ahead + 1, lower.shape[1])):
                 if not np.isfinite(lower[i, j]) or upper[i, j] <= s or (j > k and lower[i, j] <= s):
@@ -202,7 +251,9 @@ def _rolled_out(
                 break
         v_lead = max(speed[led[n]], 0.0) if led[n] >= 0 else 0.0
         slope = (limit[here + 1] - limit[here]) / (sigma[here + 1] - sigma[here])
-        wanted = idm_acceleration(v, limit[here], slope, gap, v_lead, driver[0], driver[1], driver[2], driver[3])
+        wanted = idm_acceleration(
+            v, limit[here], slope, gap, v_lead, driver[0], driver[1], driver[2], driver[3]
+        )
         change = driver[5] * STEP_S
         a = min(max(wanted, -driver[4], a - change), a + change)
         v_next = v + a * STEP_S

@@ -50,7 +50,12 @@ class QPConfig:
     tolerance: float = 2e-2
 
     def __post_init__(self) -> None:
-        if not (self.eps > 0.0 and self.max_iterations >= 0 and self.check_every > 0 and self.tolerance > 0.0):
+        if not (
+            self.eps > 0.0
+            and self.max_iterations >= 0
+            and self.check_every > 0
+            and self.tolerance > 0.0
+        ):
             raise ValueError("QP settings must be positive, max_iterations not negative")
 
 
@@ -101,11 +106,21 @@ class QuadraticProgram:
         self._fast = osqp.OSQP(algebra="builtin") if self._config.max_iterations else None
         if self._fast is not None:
             self._fast.setup(
-                P=sparse.triu(self._P, format="csc"), q=np.zeros(columns), A=self._A, l=-np.ones(rows),
-                u=np.ones(rows), rho=RHO, eps_abs=self._config.eps, eps_rel=self._config.eps,
-                max_iter=self._config.max_iterations, check_termination=self._config.check_every,
-                adaptive_rho_interval=50, scaling=0, polishing=False, verbose=False,
-            )  # fmt: skip
+                P=sparse.triu(self._P, format="csc"),
+                q=np.zeros(columns),
+                A=self._A,
+                l=-np.ones(rows),
+                u=np.ones(rows),
+                rho=RHO,
+                eps_abs=self._config.eps,
+                eps_rel=self._config.eps,
+                max_iter=self._config.max_iterations,
+                check_termination=self._config.check_every,
+                adaptive_rho_interval=50,
+                scaling=0,
+                polishing=False,
+                verbose=False,
+            )
         self._sure: piqp.SparseSolver | None = None
         self._refilling: tuple[FloatArray, IntArray] | None = None
 
@@ -116,7 +131,9 @@ class QuadraticProgram:
         ValueError if the number of entries differs, or one is not finite.
         """
         if values.shape != self._A.data.shape or not np.isfinite(values).all():
-            raise ValueError(f"A has {len(self._A.data)} entries, got {values.shape}, or one that is not finite")
+            raise ValueError(
+                f"A has {len(self._A.data)} entries, got {values.shape}, or one that is not finite"
+            )
         if self._refilling is None:
             numbered = np.arange(1.0, len(values) + 1.0), self._A.indices, self._A.indptr
             places = sparse.csc_matrix(numbered, self._A.shape).tocsr()
@@ -130,7 +147,9 @@ class QuadraticProgram:
             self._fast.update(Ax=self._A.data)
         self._sure = None  # each of its updates of A loses accuracy
 
-    def solve(self, q: FloatArray, lower: FloatArray, upper: FloatArray, *, fresh: bool) -> QPResult:
+    def solve(
+        self, q: FloatArray, lower: FloatArray, upper: FloatArray, *, fresh: bool
+    ) -> QPResult:
         """Solve with new vectors; `fresh` forgets the last solution, so that the result does not depend on it."""
         if not (lower <= upper).all():
             row = int(np.argmin(lower <= upper))
@@ -159,7 +178,8 @@ class QuadraticProgram:
         self, q: FloatArray, lower: FloatArray, upper: FloatArray, spent: int, *, fresh: bool
     ) -> QPResult:
         k = self._equalities
-        if fresh or self._sure is None:  # an update rounds the matrices once more: the last bits differ
+        # An update rounds the matrices once more: the last bits differ
+        if fresh or self._sure is None:
             self._sure = piqp.SparseSolver()
             equal, between = self._rows[:k].tocsc(), self._rows[k:].tocsc()
             self._sure.setup(self._P, q, equal, lower[:k], between, lower[k:], upper[k:])
@@ -167,14 +187,22 @@ class QuadraticProgram:
             self._sure.update(c=q, b=lower[:k], h_l=lower[k:], h_u=upper[k:])
         status = self._sure.solve()
         found, info, solved = self._sure.result, self._sure.result.info, status == piqp.PIQP_SOLVED
-        if solved and self._refilling is not None and self._fast is not None:  # the next problem is near this one
+        # The next problem is near this one
+        if solved and self._refilling is not None and self._fast is not None:
             self._fast.warm_start(x=np.array(found.x), y=np.r_[found.y, found.z_u - found.z_l])
         before = f" after {spent} OSQP iterations" if spent else ""
-        name, residuals = f"{WORDS.get(status, 'numerical trouble')} by PIQP{before}", (info.primal_res, info.dual_res)
-        report = SolverReport(self._stage, solved, name, spent + int(info.iter), *map(float, residuals))
+        name, residuals = (
+            f"{WORDS.get(status, 'numerical trouble')} by PIQP{before}",
+            (info.primal_res, info.dual_res),
+        )
+        report = SolverReport(
+            self._stage, solved, name, spent + int(info.iter), *map(float, residuals)
+        )
         return self._check_answer(np.array(found.x), report, lower, upper)
 
-    def _check_answer(self, z: FloatArray, report: SolverReport, lower: FloatArray, upper: FloatArray) -> QPResult:
+    def _check_answer(
+        self, z: FloatArray, report: SolverReport, lower: FloatArray, upper: FloatArray
+    ) -> QPResult:
         """Scale an answer back; it is not solved where it violates a bound by more than the tolerance."""
         if report.solved:
             value = self._rows @ z

@@ -14,6 +14,7 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    if not sys.flags.safe_path:  # the working directory is searched last, as by `replan` (replan.core.extension)
+    # The working directory is searched last, as by `replan` (replan.core.extension)
+    if not sys.flags.safe_path:
         del sys.path[0]
     main()

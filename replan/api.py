@@ -106,9 +106,17 @@ def evaluate(
     places = [logs] if isinstance(logs, (str, Path)) else list(logs)
     before = None if baseline is None else _run(baseline)
     found = evaluate_logs(
-        places, run, out, workers=workers, engine=engine, resume=resume, window=window, every=every, suite=suite,
+        places,
+        run,
+        out,
+        workers=workers,
+        engine=engine,
+        resume=resume,
+        window=window,
+        every=every,
+        suite=suite,
         shard=None if shard is None else Shard.parsed(shard),
-    )  # fmt: skip
+    )
     if report:
         finished(found, before, run.gates_path)
     return found
@@ -143,7 +151,12 @@ def compare(
         ConfigError: The results do not exist, or do not contain the planner.
         LogError: The results are damaged.
     """
-    return compare_runs(_run(baseline), _run(candidate), tuple(planners), gates=None if gates is None else Path(gates))
+    return compare_runs(
+        _run(baseline),
+        _run(candidate),
+        tuple(planners),
+        gates=None if gates is None else Path(gates),
+    )
 
 
 def _run(of: Results | Path | str) -> Run:
@@ -169,4 +182,7 @@ def _over(config: Any, given: dict[str, Any], where: str = "") -> Any:
     """Return a configuration with keys replaced; ConfigError if a key is unknown, or a value has the wrong type."""
     known_keys(given, [item.name for item in fields(config)], where)
     kinds = get_type_hints(type(config))
-    return replace(config, **{key: converted(value, kinds[key], dotted(where, key)) for key, value in given.items()})
+    return replace(
+        config,
+        **{key: converted(value, kinds[key], dotted(where, key)) for key, value in given.items()},
+    )

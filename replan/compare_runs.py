@@ -41,9 +41,18 @@ MOST_PARTINGS = 20
 BASELINE = b"replan_baseline"
 """Key of the metadata of a baseline's file."""
 NOT_INPUTS = (
-    "recording", "foxglove", "internals", "gates", "planners", "mode", "metrics", "charts", "deadline_s", "ensemble",
+    "recording",
+    "foxglove",
+    "internals",
+    "gates",
+    "planners",
+    "mode",
+    "metrics",
+    "charts",
+    "deadline_s",
+    "ensemble",
     "repeat_s",
-)  # fmt: skip
+)
 """Keys of a run that change no drive, or whose changes are visible in the set of drives."""
 UNKNOWN = "not known"
 """Stage of the first difference if a trace cannot be read."""
@@ -117,10 +126,13 @@ def side_of(run: Run) -> Side:
     try:
         table = run.logs
         logs = table[["log", "sha256", "family", "dataset", "tags"]].copy()
-        vehicles = []  # for each log, the hash of the vehicle in a trace of its drives; "" without a trace
+        # For each log, the hash of the vehicle in a trace of its drives; "" without a trace
+        vehicles = []
         for log in run.summary["logs"]:
             named = (run.path / file for drive in log.get("drives", ()) for file in drive["files"])
-            trace = next((file for file in named if file.suffix == ".mcap" and file.is_file()), None)
+            trace = next(
+                (file for file in named if file.suffix == ".mcap" and file.is_file()), None
+            )
             stream = read_container(trace).streams.get("/vehicle") if trace else None
             vehicles.append(hashlib.sha256(stream.payloads[0]).hexdigest()[:12] if stream else "")
         logs["vehicle"] = vehicles
@@ -128,7 +140,10 @@ def side_of(run: Run) -> Side:
         failed = {log: messages.get(log, "not evaluated") for log in sorted(run.unread)}
         rows = run.failures[["log", "planner", "mode"]].dropna().drop_duplicates()
         crashed = tuple(rows.itertuples(index=False, name=None))
-        facts = {"replan": str(run.summary.get("replan", "")), "Python": str(run.summary.get("python", ""))}
+        facts = {
+            "replan": str(run.summary.get("replan", "")),
+            "Python": str(run.summary.get("python", "")),
+        }
         cards = (run.path / str(folder) / LOG_CARD for folder in table["folder"] if folder)
         if (card := next((card for card in cards if card.is_file()), None)) is not None:
             facts["code (SHA-256)"] = read_json(card, LogFileCard)[1].code[:12]
@@ -161,8 +176,13 @@ def write_baseline(run: Run, path: Path) -> None:
         "metrics": list(side.metrics),
     }
     table = pa.Table.from_pandas(side.table.drop(columns="source"), preserve_index=False)
-    table = table.replace_schema_metadata({BASELINE: json.dumps(head, ensure_ascii=False, sort_keys=True)})
-    write_file(path, lambda partial: pq.write_table(table, partial, compression="zstd", compression_level=19))
+    table = table.replace_schema_metadata(
+        {BASELINE: json.dumps(head, ensure_ascii=False, sort_keys=True)}
+    )
+    write_file(
+        path,
+        lambda partial: pq.write_table(table, partial, compression="zstd", compression_level=19),
+    )
 
 
 # comparing --------------------------------------------------------------------------------------------------------
@@ -198,18 +218,30 @@ def compare_runs(
     common = set(_driven_planners(one)) & set(_driven_planners(two))
     if pair is not None:  # under one name that both sides share
         if one.label == two.label:
-            one, two = replace(one, label=f"{one.label}: {pair[0]}"), replace(two, label=f"{two.label}: {pair[1]}")
+            one, two = (
+                replace(one, label=f"{one.label}: {pair[0]}"),
+                replace(two, label=f"{two.label}: {pair[1]}"),
+            )
         name = pair[0] if pair[0] == pair[1] else " -> ".join(pair)
         one, two = _select_planner(one, pair[0], name), _select_planner(two, pair[1], name)
         common = {pair[0]} & {pair[1]}
-    settings = tuple(f"planner.{planner}." for planner in common)  # without settings of planners of only one side
+    # Without settings of planners of only one side
+    settings = tuple(f"planner.{planner}." for planner in common)
     one, two = (
-        replace(side, facts={key: value for key, value in side.facts.items()
-                             if not key.startswith("planner.") or key.startswith(settings)})
+        replace(
+            side,
+            facts={
+                key: value
+                for key, value in side.facts.items()
+                if not key.startswith("planner.") or key.startswith(settings)
+            },
+        )
         for side in (one, two)
-    )  # fmt: skip
+    )
     rules = (*load_rules(gates, metrics=known), *more)
-    comparison = compare(one, two, load_gates(gates, metrics=known), {rule.metric for rule in rules} - {""})
+    comparison = compare(
+        one, two, load_gates(gates, metrics=known), {rule.metric for rule in rules} - {""}
+    )
     comparison = judge_rules(rules, comparison, one.labels | two.labels)
     if not (isinstance(baseline, Results) and isinstance(candidate, Results) and partings):
         return comparison
@@ -241,7 +273,10 @@ def _with_first_differences(
     looked = 0
     for log, planner, mode in order.itertuples(index=False, name=None):
         names = pair or (planner, planner)
-        files = [results.drive(log, name, mode).trace_file for results, name in zip(both, names, strict=True)]
+        files = [
+            results.drive(log, name, mode).trace_file
+            for results, name in zip(both, names, strict=True)
+        ]
         if all(file.is_file() for file in files) and files[0].read_bytes() == files[1].read_bytes():
             continue
         looked += 1
@@ -252,9 +287,16 @@ def _with_first_differences(
         except LogError as error:
             rows.append((log, planner, mode, nan, UNKNOWN, f"a trace cannot be read: {error}"))
             continue
-        found, parted = first_difference(one, two), planners_part(one, two) if names[0] != names[1] else None
+        found, parted = (
+            first_difference(one, two),
+            planners_part(one, two) if names[0] != names[1] else None,
+        )
         if found is not None:  # for two planners, at the time at which their drives differ
-            at, what = (parted.t, f"{parted.what}; first difference: {found.what}") if parted else (found.t, found.what)
+            at, what = (
+                (parted.t, f"{parted.what}; first difference: {found.what}")
+                if parted
+                else (found.t, found.what)
+            )
             rows.append((log, planner, mode, at, found.stage, what))
     table = pd.DataFrame(rows, columns=list(PARTING_COLUMNS)).astype({"t_s": float})
     return replace(comparison, partings=table, not_looked_at=max(looked - most, 0))

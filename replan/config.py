@@ -103,21 +103,30 @@ class RunConfig:
         if not self.planners:
             raise ConfigError("planners: name at least one planner")
         if len(set(self.planners)) < len(self.planners):
-            raise ConfigError(f"planners: the same planner is named twice: {', '.join(self.planners)}")
+            raise ConfigError(
+                f"planners: the same planner is named twice: {', '.join(self.planners)}"
+            )
         for name in self.planners:
             if visible_name(name, inf) != name:
                 raise ConfigError(f"planners: {visible_name(name)} has control characters in it")
         for name in ("ensemble", "deadline_s"):
             if not 0.0 <= getattr(self, name) < 1e6:
                 raise ConfigError(f"{name} must not be negative, got {getattr(self, name)}")
-        known_keys(self.vehicle, ("set", *(item.name for item in fields(VehicleParameters))), "vehicle")
+        known_keys(
+            self.vehicle, ("set", *(item.name for item in fields(VehicleParameters))), "vehicle"
+        )
         self.driven(VehicleParameters())
 
     @property
     def drive_loop(self) -> LoopConfig:
         """`loop` with the settings of the parts that it names, as the loops expect it."""
-        chosen = {key: getattr(self, kind.table).get(getattr(self.loop, key), {}) for key, kind in OF_LOOP.items()}
-        return replace(self.loop, settings={key: dict(table) for key, table in chosen.items() if table})
+        chosen = {
+            key: getattr(self, kind.table).get(getattr(self.loop, key), {})
+            for key, kind in OF_LOOP.items()
+        }
+        return replace(
+            self.loop, settings={key: dict(table) for key, table in chosen.items() if table}
+        )
 
     @property
     def modes(self) -> tuple[Mode, ...]:
@@ -132,7 +141,9 @@ class RunConfig:
     def planner_keywords(self, planner: str) -> Mapping[str, Any]:
         """The keywords with which a loop builds a planner: its table, where it runs in a process of its own."""
         table = self.planner.get(planner, {})
-        return table if is_apart(planner, self.loop.apart) else planner_part(planner, table).keywords()
+        return (
+            table if is_apart(planner, self.loop.apart) else planner_part(planner, table).keywords()
+        )
 
     @property
     def keep_internals(self) -> bool:

@@ -87,9 +87,13 @@ READER_RULES: Mapping[str, str] = {
 }
 """The rules for readers, likewise."""
 SCENARIOS = (
-    "paper/free_road", "paper/crossing_pedestrian", "everyday/follow", "everyday/cut_in", "everyday/traffic_light",
+    "paper/free_road",
+    "paper/crossing_pedestrian",
+    "everyday/follow",
+    "everyday/cut_in",
+    "everyday/traffic_light",
     "everyday/junction",
-)  # fmt: skip
+)
 """The scenarios of the catalogue on which planners and metrics are checked by default."""
 SHARES = (0.0, 0.35, 0.7)
 """The frames that are examined one by one, as shares of the logged drive."""
@@ -127,10 +131,14 @@ class _Findings:
     def report(self, subject: str) -> None:
         """Raise the ContractError, with the rules in the order of their table, if any is broken."""
         if self.found:
-            raise ContractError(subject, {rule: self.found[rule] for rule in self._rules if rule in self.found})
+            raise ContractError(
+                subject, {rule: self.found[rule] for rule in self._rules if rule in self.found}
+            )
 
 
-def _call(found: _Findings, rule: str, where: str, function: Callable[..., T], *arguments: Any) -> T | None:
+def _call(
+    found: _Findings, rule: str, where: str, function: Callable[..., T], *arguments: Any
+) -> T | None:
     """Call a function of the user's; None if it raises, which breaks the rule."""
     try:
         return function(*arguments)
@@ -164,7 +172,12 @@ def _leaves(thing: object, at: str = "") -> Iterator[tuple[str, object]]:
     elif isinstance(thing, float | np.floating):
         yield at, float(thing).hex()
     else:
-        yield at, thing if isinstance(thing, str | bytes | int | Enum | None) else type(thing).__qualname__
+        yield (
+            at,
+            thing
+            if isinstance(thing, str | bytes | int | Enum | None)
+            else type(thing).__qualname__,
+        )
 
 
 def _scenarios(given: Iterable[Scenario] | None) -> list[Scenario]:
@@ -198,20 +211,27 @@ def check_planner(planner: Factory | str, *, scenarios: Iterable[Scenario] | Non
         prepare()
     for scenario in _scenarios(scenarios):
         _check_frames(factory, scenario, found)
-        if not {"build", "answer", "time", "reason"} & found.found.keys():  # with these no drive goes on
+        # With these no drive goes on
+        if not {"build", "answer", "time", "reason"} & found.found.keys():
             _check_closed_loop(factory, scenario, found)
             _check_batch(factory, scenario, found)
     found.report(f"planner {_name_of(planner)}")
 
 
 def _name_of(extension: object) -> str:
-    return extension if isinstance(extension, str) else getattr(extension, "__qualname__", repr(extension))
+    return (
+        extension
+        if isinstance(extension, str)
+        else getattr(extension, "__qualname__", repr(extension))
+    )
 
 
 def context_of(scenario: Scenario) -> PlannerContext:
     """Return the context of a planner for a scenario."""
     start = logged_ego(scenario.ego, scenario.vehicle, float(scenario.ego.t[0]))
-    return PlannerContext(scenario.road, goal_of(scenario)[0], scenario.vehicle, _CONFIG.plan_period_s, start)
+    return PlannerContext(
+        scenario.road, goal_of(scenario)[0], scenario.vehicle, _CONFIG.plan_period_s, start
+    )
 
 
 def frame_of(scenario: Scenario, t: float) -> Frame:
@@ -256,15 +276,23 @@ def _check_frames(factory: Factory, scenario: Scenario, found: _Findings) -> Non
             return
         differs = _plans_differ(plan, other)
         if differs:
-            found.add("deterministic", where, f"two planners with the same frames differ: {differs}")
+            found.add(
+                "deterministic", where, f"two planners with the same frames differ: {differs}"
+            )
         if "deterministic" not in found.found:
             new = _call(found, "memory", where, _plan_anew, build, scenario, t)
             differs = _plans_differ(plan, new, ROUNDING) if new else ""
             if differs:
-                found.add("memory", where, f"a planner that saw earlier frames and a new one differ: {differs}")
+                found.add(
+                    "memory",
+                    where,
+                    f"a planner that saw earlier frames and a new one differ: {differs}",
+                )
             changes = _call(found, "future", where, future_changes, build, scenario, t)
             if changes:
-                found.add("future", where, f"samples of agents after the frame change the plan: {changes}")
+                found.add(
+                    "future", where, f"samples of agents after the frame change the plan: {changes}"
+                )
 
 
 def _plan_anew(build: Build, scenario: Scenario, t: float) -> Plan:
@@ -284,7 +312,10 @@ def _plans_differ(one: Plan, two: Plan, tolerance: float = 0.0) -> str:
     a, b = one.trajectory, two.trajectory
     if len(a) != len(b):
         return f"the plans have {len(a)} and {len(b)} states"
-    worst = {name: float(np.max(np.abs(getattr(a, name) - getattr(b, name)))) for name in TRAJECTORY_COLUMNS}
+    worst = {
+        name: float(np.max(np.abs(getattr(a, name) - getattr(b, name))))
+        for name in TRAJECTORY_COLUMNS
+    }
     name = next((name for name, most in worst.items() if most > tolerance), "")
     return f"{name} by up to {worst[name]:.3g}" if name else ""
 
@@ -307,7 +338,8 @@ def check_plan(plan: object, frame: Frame, where: str, found: _Findings) -> None
             return
         begins, on = frame.previous.trajectory.at(frame.t), "the previous plan"
     away, faster = hypot(way.x[0] - begins.x, way.y[0] - begins.y), float(way.v[0]) - begins.v
-    stopped = way.v[0] == 0.0 and -SWING_MPS <= begins.v < 0.0  # as `replan.replay.loop.plan_check` (1)
+    # As `replan.replay.loop.plan_check` (1)
+    stopped = way.v[0] == 0.0 and -SWING_MPS <= begins.v < 0.0
     if away > START_M or (abs(faster) > START_MPS and not stopped):
         found.add("start", where, f"it starts {away:.2f} m and {faster:+.2f} m/s off {on}")
         return
@@ -340,7 +372,9 @@ def _check_closed_loop(factory: Factory, scenario: Scenario, found: _Findings) -
             self._planner = _WatchedPlanner(factory(self.context), scenario.name, found)
 
     before = dict(found.found)
-    trace = run_closed_loop(scenario, "constant_speed", config=_CONFIG, until_s=CLOSED_S, seat=Seat).trace
+    trace = run_closed_loop(
+        scenario, "constant_speed", config=_CONFIG, until_s=CLOSED_S, seat=Seat
+    ).trace
     if trace.end is EndReason.PLANNER_FAILURE and found.found == before:
         found.add("answer", f"{scenario.name}, closed loop", trace.detail)
 
@@ -352,11 +386,15 @@ def _check_batch(factory: Factory, scenario: Scenario, found: _Findings) -> None
         return
     frames = [frame_of(scenario, t) for t in frame_times_of(scenario)[:2]]
     where = f"{scenario.name}, plan_batch of {len(frames)} frames"
-    plans = _call(found, "batch", where, together, frames, [factory(context_of(scenario)) for _ in frames])
+    plans = _call(
+        found, "batch", where, together, frames, [factory(context_of(scenario)) for _ in frames]
+    )
     if plans is None:
         return
     if not isinstance(plans, list) or len(plans) != len(frames):
-        found.add("batch", where, f"it returned {type(plans).__name__}, not a list of {len(frames)} plans")
+        found.add(
+            "batch", where, f"it returned {type(plans).__name__}, not a list of {len(frames)} plans"
+        )
         return
     for plan, frame in zip(plans, frames, strict=True):
         check_plan(plan, frame, f"{where}, {frame.t:.2f} s", found)
@@ -381,7 +419,10 @@ def check_metric(metric: Metric | str, *, scenarios: Iterable[Scenario] | None =
         ContractError: A rule is broken.
         ConfigError: The metric cannot be loaded.
     """
-    check_metric_on(load_metric(metric) if isinstance(metric, str) else metric, metric_drives(_scenarios(scenarios)))
+    check_metric_on(
+        load_metric(metric) if isinstance(metric, str) else metric,
+        metric_drives(_scenarios(scenarios)),
+    )
 
 
 def metric_drives(scenarios: Iterable[Scenario]) -> list[MetricDrive]:
@@ -390,7 +431,9 @@ def metric_drives(scenarios: Iterable[Scenario]) -> list[MetricDrive]:
 
     def drive(run: Loop, log: Scenario, seat: Seat = Planning, until_s: float = inf) -> None:
         copy = replace(log)  # a metric that writes does not reach the caller's
-        drives.append((run(copy, "constant_speed", config=_CONFIG, seat=seat, until_s=until_s).trace, copy))
+        drives.append(
+            (run(copy, "constant_speed", config=_CONFIG, seat=seat, until_s=until_s).trace, copy)
+        )
 
     for k, scenario in enumerate(scenarios):
         bare = replace(scenario, tracks=Tracks.empty(), goal=None, lights=())
@@ -434,7 +477,9 @@ def check_metric_on(metric: Metric, drives: Sequence[MetricDrive]) -> None:
         try:
             measured = metric.measure(trace, scenario)
         except (Exception, SystemExit) as error:
-            failed.setdefault(trace.mode, {})[where] = f"it raised {raised(error, of=metric.measure)}"
+            failed.setdefault(trace.mode, {})[where] = (
+                f"it raised {raised(error, of=metric.measure)}"
+            )
             measured = None
         else:
             _check_measured(metric, measured, trace, where, found)
@@ -442,7 +487,9 @@ def check_metric_on(metric: Metric, drives: Sequence[MetricDrive]) -> None:
             found.add("inputs", where, "it changed the trace or the scenario")
         results.append(measured)
     for mode, places in failed.items():
-        never = len(failed) < len(metric.modes) and len(places) == sum(trace.mode is mode for trace, _ in judged)
+        never = len(failed) < len(metric.modes) and len(places) == sum(
+            trace.mode is mode for trace, _ in judged
+        )
         found.add("modes" if never else "answer", *next(iter(places.items())))
     if not {"answer", "modes", "inputs"} & found.found.keys():
         for (trace, scenario), first in zip(reversed(judged), reversed(results), strict=True):
@@ -454,7 +501,9 @@ def check_metric_on(metric: Metric, drives: Sequence[MetricDrive]) -> None:
     found.report(f"metric {metric.name}")
 
 
-def _check_measured(metric: Metric, measured: object, trace: Trace, where: str, found: _Findings) -> None:
+def _check_measured(
+    metric: Metric, measured: object, trace: Trace, where: str, found: _Findings
+) -> None:
     parts: Mapping[Any, object] = measured if isinstance(measured, Mapping) else {"": measured}
     strange = set(parts) - set(metric.parts) if metric.parts != ("*",) else set()
     if isinstance(measured, Mapping) and strange:
@@ -473,10 +522,16 @@ def _check_measured(metric: Metric, measured: object, trace: Trace, where: str, 
             found.add("needs", place, f"it is unavailable: {one.reason}")
 
 
-def _check_series(metric: Metric, series: Series, trace: Trace, where: str, found: _Findings) -> None:
+def _check_series(
+    metric: Metric, series: Series, trace: Trace, where: str, found: _Findings
+) -> None:
     first, last = float(trace.ego.t[0]), float(trace.ego.t[-1])
     if series.t[0] < first - 1e-6 or series.t[-1] > last + 1e-6 or (np.diff(series.t) <= 0.0).any():
-        found.add("times", where, f"its times are {series.t[0]:.2f} to {series.t[-1]:.2f} s, the drive's {last:.2f} s")
+        found.add(
+            "times",
+            where,
+            f"its times are {series.t[0]:.2f} to {series.t[-1]:.2f} s, the drive's {last:.2f} s",
+        )
     if not series.known.any():
         if not series.missing.strip():
             found.add("reason", where, "no step has a value, and `missing` is empty")
@@ -497,7 +552,9 @@ MOST_DAMAGED = 8
 """Of a log of many files, the number of those that are damaged in turn."""
 
 
-def check_reader(reader: Reader | str, path: Path | str, settings: LogSettings | None = None) -> None:
+def check_reader(
+    reader: Reader | str, path: Path | str, settings: LogSettings | None = None
+) -> None:
     """Check the contract of a reader on a log of its format, and on damaged copies of it.
 
     The rules are those of `replan.contract.READER_RULES`.
@@ -520,7 +577,11 @@ def check_reader(reader: Reader | str, path: Path | str, settings: LogSettings |
         found.add("claims", path.name, "it does not claim the log")
     files = _call(found, "files", path.name, reader.files, path) or ()
     if not files or not all(file.is_file() for file in files) or reader.files(path) != files:
-        found.add("files", path.name, f"its {len(files)} files do not all exist, or differ when asked again")
+        found.add(
+            "files",
+            path.name,
+            f"its {len(files)} files do not all exist, or differ when asked again",
+        )
         files = ()
     _call(found, "contents", path.name, reader.contents, path)
     _check_read(reader, path, settings, found)
@@ -529,7 +590,9 @@ def check_reader(reader: Reader | str, path: Path | str, settings: LogSettings |
     for file in files[:: max(1, len(files) // MOST_DAMAGED)]:
         for share in (0.0, 0.5):
             with TemporaryDirectory() as folder:
-                _check_damaged(reader, _damaged(path, files, file, share, Path(folder)), share, settings, found)
+                _check_damaged(
+                    reader, _damaged(path, files, file, share, Path(folder)), share, settings, found
+                )
     changed = sorted({name for name, _ in beside ^ _entries(path)})
     if changed:
         found.add("beside", path.name, f"it wrote {changed[0]}")
@@ -568,7 +631,9 @@ def _damaged(path: Path, files: Sequence[Path], file: Path, share: float, folder
     return folder / path.relative_to(root)
 
 
-def _check_damaged(reader: Reader, path: Path, share: float, settings: LogSettings, found: _Findings) -> None:
+def _check_damaged(
+    reader: Reader, path: Path, share: float, settings: LogSettings, found: _Findings
+) -> None:
     """Check what is raised for a damaged copy of the log, and that nothing is written beside it."""
     where, before = f"{path.name} with {share:.0%} of a file", _entries(path)
     _call(found, "claims", where, reader.claims, path)
@@ -589,4 +654,8 @@ def _check_damaged(reader: Reader, path: Path, share: float, settings: LogSettin
 
 def _entries(path: Path) -> set[tuple[str, int]]:
     within = path.rglob("*") if path.is_dir() else ()
-    return {(str(each), each.stat().st_size) for each in (*path.parent.iterdir(), *within) if each.is_file()}
+    return {
+        (str(each), each.stat().st_size)
+        for each in (*path.parent.iterdir(), *within)
+        if each.is_file()
+    }

@@ -51,9 +51,17 @@ class SensorConfig:
         for name in ("range_m", "field_of_view_deg", "dropout_s"):
             if not 0.0 < getattr(self, name) < 1e6:
                 raise ConfigError(f"loop.sensor.{name} must be positive, got {getattr(self, name)}")
-        for name in ("position_noise_m", "yaw_noise_deg", "velocity_noise_mps", "latency_s", "coast_s"):
+        for name in (
+            "position_noise_m",
+            "yaw_noise_deg",
+            "velocity_noise_mps",
+            "latency_s",
+            "coast_s",
+        ):
             if not 0.0 <= getattr(self, name) < 1e6:
-                raise ConfigError(f"loop.sensor.{name} must not be negative, got {getattr(self, name)}")
+                raise ConfigError(
+                    f"loop.sensor.{name} must not be negative, got {getattr(self, name)}"
+                )
         if not 0.0 <= self.dropout <= 1.0:
             raise ConfigError(f"loop.sensor.dropout is a probability, got {self.dropout}")
 
@@ -85,13 +93,17 @@ class PlannerProcessConfig:
 
     def __post_init__(self) -> None:
         if not 0 <= self.batch <= MOST_TOGETHER:
-            raise ConfigError(f"loop.apart.batch must be from 0 to {MOST_TOGETHER}, got {self.batch}")
+            raise ConfigError(
+                f"loop.apart.batch must be from 0 to {MOST_TOGETHER}, got {self.batch}"
+            )
         for name in ("plan_timeout_s", "start_timeout_s"):
             if not 1e-3 <= getattr(self, name) < 1e6:
                 raise ConfigError(f"loop.apart.{name} must be positive, got {getattr(self, name)}")
         for name in ("log_timeout_s", "memory_gb"):
             if not 0.0 <= getattr(self, name) < 1e6:
-                raise ConfigError(f"loop.apart.{name} must not be negative, got {getattr(self, name)}")
+                raise ConfigError(
+                    f"loop.apart.{name} must not be negative, got {getattr(self, name)}"
+                )
 
 
 @dataclass(frozen=True)
@@ -140,7 +152,12 @@ class LoopConfig:
     settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict, metadata={"key": False})
 
     def __post_init__(self) -> None:
-        for name in ("plan_period_s", "control_period_s", "prediction_horizon_s", "prediction_step_s"):
+        for name in (
+            "plan_period_s",
+            "control_period_s",
+            "prediction_horizon_s",
+            "prediction_step_s",
+        ):
             if not 1e-9 <= getattr(self, name) < 1e6:
                 raise ConfigError(f"loop.{name} must be positive, got {getattr(self, name)}")
         if self.prediction == "oracle" and self.traffic != "time":

@@ -30,7 +30,9 @@ class Logged:
         horizon_s: How far the plan reaches, s.
     """
 
-    def __init__(self, context: PlannerContext, scenario: Scenario, *, horizon_s: float = 8.0) -> None:
+    def __init__(
+        self, context: PlannerContext, scenario: Scenario, *, horizon_s: float = 8.0
+    ) -> None:
         self._log = scenario.ego
         self._horizon = horizon_s
 
@@ -39,9 +41,16 @@ class Logged:
         start = PlanStart.EGO if frame.previous is None else PlanStart.PREVIOUS_PLAN
         if frame.t >= self._log.t[-1] - 1e-6:
             last = self._log.state(len(self._log) - 1)
-            state = [np.array([frame.t if name == "t" else getattr(last, name)]) for name in TRAJECTORY_COLUMNS]
-            rest = Trajectory(*state) if frame.t <= last.t + 1e-6 else arc(last, np.array([frame.t]))
-            return Plan(rest, reason="the log has ended: its last state is extrapolated", start=start)
+            state = [
+                np.array([frame.t if name == "t" else getattr(last, name)])
+                for name in TRAJECTORY_COLUMNS
+            ]
+            rest = (
+                Trajectory(*state) if frame.t <= last.t + 1e-6 else arc(last, np.array([frame.t]))
+            )
+            return Plan(
+                rest, reason="the log has ended: its last state is extrapolated", start=start
+            )
         end = min(frame.t + self._horizon, float(self._log.t[-1]))
         within = self._log.t[(self._log.t > frame.t) & (self._log.t < end)]
         return Plan(self._log.resampled(np.r_[frame.t, within, end]), start=start)
@@ -59,9 +68,13 @@ class Onboard:
         PlannerError: The log has no on-board plans.
     """
 
-    def __init__(self, context: PlannerContext, scenario: Scenario, *, oldest_s: float = 1.0) -> None:
+    def __init__(
+        self, context: PlannerContext, scenario: Scenario, *, oldest_s: float = 1.0
+    ) -> None:
         if not scenario.onboard:
-            raise PlannerError(f"{scenario.name} has no on-board plans: 'onboard' needs a log that holds them")
+            raise PlannerError(
+                f"{scenario.name} has no on-board plans: 'onboard' needs a log that holds them"
+            )
         self._plans = scenario.onboard
         self._known = np.array([plan.known for plan in scenario.onboard])
         self._oldest = oldest_s
@@ -76,7 +89,9 @@ class Onboard:
             return self._none(frame, f"the last on-board plan is {age:.1f} s old")
         planned = self._plans[newest].trajectory
         t = np.r_[frame.t, planned.t[planned.t > frame.t + 1e-6]]
-        columns = [np.interp(t, planned.t, getattr(planned, name)) for name in TRAJECTORY_COLUMNS[1:]]
+        columns = [
+            np.interp(t, planned.t, getattr(planned, name)) for name in TRAJECTORY_COLUMNS[1:]
+        ]
         return Plan(Trajectory(t, *columns))
 
     @staticmethod

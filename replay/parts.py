@@ -87,116 +87,134 @@ class PartKind(ExtensionKind[Factory]):
             return False
         bare = sum(p.default is p.empty and p.kind <= p.POSITIONAL_OR_KEYWORD for p in parameters)
         bases = thing.__mro__ if isinstance(thing, type) else ()
-        return bare == self.given and (not bases or any(self.method in vars(base) for base in bases))
+        return bare == self.given and (
+            not bases or any(self.method in vars(base) for base in bases)
+        )
 
 
 def _no_planner(thing: object) -> str:
     """Describe why an object cannot build planners; empty if it can."""
-    fits = callable(thing) and (not isinstance(thing, type) or callable(getattr(thing, "plan", None)))
+    fits = callable(thing) and (
+        not isinstance(thing, type) or callable(getattr(thing, "plan", None))
+    )
     return "" if fits else "is not a planner: it needs a method plan(frame) -> Plan"
 
 
 PLANNER = PartKind(
     "planner",
     "planners",
-    Places({
-        "dp_qp": "replan.planners.dp_qp:DpQp",
-        "lattice": "replan.planners.lattice:Lattice",
-        "idm": "replan.planners.idm:Idm",
-        "pdm": "replan.planners.pdm:Pdm",
-        "constant_speed": "replan.planners.constant_speed:ConstantSpeed",
-        "blind": "replan.planners.blind:Blind",
-        "parked": "replan.planners.blind:Parked",
-        "logged": "replan.replay.oracle:Logged",
-        "onboard": "replan.replay.oracle:Onboard",
-    }),
+    Places(
+        {
+            "dp_qp": "replan.planners.dp_qp:DpQp",
+            "lattice": "replan.planners.lattice:Lattice",
+            "idm": "replan.planners.idm:Idm",
+            "pdm": "replan.planners.pdm:Pdm",
+            "constant_speed": "replan.planners.constant_speed:ConstantSpeed",
+            "blind": "replan.planners.blind:Blind",
+            "parked": "replan.planners.blind:Parked",
+            "logged": "replan.replay.oracle:Logged",
+            "onboard": "replan.replay.oracle:Onboard",
+        }
+    ),
     _no_planner,
     PlannerError,
     "module:Class",
     table="planner",
     method="plan",
     oracles=("logged", "onboard"),
-)  # fmt: skip
+)
 """`factory(context, **settings) -> Planner`; an oracle gets the scenario after the context."""
 VEHICLE = PartKind(
     "vehicle",
     "vehicles",
-    Places({
-        "kinematic_bicycle": "replan.replay.vehicle.kinematic_bicycle:KinematicBicycle",
-        "kinematic_rear_steer": "replan.replay.vehicle.kinematic_bicycle:rear_steer",
-        "single_track": "replan.replay.vehicle.single_track:SingleTrack",
-        "multibody": "replan.replay.vehicle.multibody:Multibody",
-        "perfect": "replan.replay.vehicle.kinematic_bicycle:Perfect",
-    }),
+    Places(
+        {
+            "kinematic_bicycle": "replan.replay.vehicle.kinematic_bicycle:KinematicBicycle",
+            "kinematic_rear_steer": "replan.replay.vehicle.kinematic_bicycle:rear_steer",
+            "single_track": "replan.replay.vehicle.single_track:SingleTrack",
+            "multibody": "replan.replay.vehicle.multibody:Multibody",
+            "perfect": "replan.replay.vehicle.kinematic_bicycle:Perfect",
+        }
+    ),
     table="vehicle_model",  # [vehicle] has the VehicleParameters
     given=2,
     members="replan.replay.vehicle.base:Vehicle",
     method="step",
-)  # fmt: skip
+)
 """`factory(parameters, start, **settings) -> Vehicle`"""
 CONTROLLER = PartKind(
     "controller",
     "controllers",
-    Places({
-        "dlqr_pid": "replan.replay.control:dlqr_pid",
-        "dlqr_kinematic_pid": "replan.replay.control:dlqr_kinematic_pid",
-        "mpc": "replan.replay.control:mpc_or_dlqr",
-        "pure_pursuit": "replan.replay.control:pure_pursuit",
-        "stanley": "replan.replay.control:stanley",
-        "pid": "replan.replay.control:pid",
-    }),
+    Places(
+        {
+            "dlqr_pid": "replan.replay.control:dlqr_pid",
+            "dlqr_kinematic_pid": "replan.replay.control:dlqr_kinematic_pid",
+            "mpc": "replan.replay.control:mpc_or_dlqr",
+            "pure_pursuit": "replan.replay.control:pure_pursuit",
+            "stanley": "replan.replay.control:stanley",
+            "pid": "replan.replay.control:pid",
+        }
+    ),
     table="controller",
     given=3,
     members="replan.replay.vehicle.base:Controller",
     method="control",
-)  # fmt: skip
+)
 """`factory(parameters, powertrain, period, **settings) -> Controller`; `period` in s"""
 TRAFFIC = PartKind(
     "traffic",
     "traffic",
-    Places({
-        "give_way": "replan.replay.traffic:give_way",
-        "time": "replan.replay.traffic:ReplayedByTime",
-        "ego_position": "replan.replay.traffic:ReplayedByEgoPosition",
-        "reactive": "replan.replay.traffic:Reactive",
-    }),
+    Places(
+        {
+            "give_way": "replan.replay.traffic:give_way",
+            "time": "replan.replay.traffic:ReplayedByTime",
+            "ego_position": "replan.replay.traffic:ReplayedByEgoPosition",
+            "reactive": "replan.replay.traffic:Reactive",
+        }
+    ),
     table="traffic",
     members="replan.replay.traffic:Traffic",
     method="step",
-)  # fmt: skip
+)
 """`factory(scenario, **settings) -> Traffic`"""
 PREDICTION = PartKind(
     "prediction",
     "predictions",
-    Places({
-        "constant_velocity": "replan.replay.prediction:straight_on",
-        "constant_turn_rate": "replan.replay.prediction:round_a_circle",
-        "lane_following": "replan.replay.prediction.lane_following:everybody",
-        "pedestrian": "replan.replay.prediction:pedestrian",
-        "lanes_and_pedestrians": "replan.replay.prediction:lanes_and_pedestrians",
-        "oracle": "replan.replay.perception:logged_futures",
-    }),
+    Places(
+        {
+            "constant_velocity": "replan.replay.prediction:straight_on",
+            "constant_turn_rate": "replan.replay.prediction:round_a_circle",
+            "lane_following": "replan.replay.prediction.lane_following:everybody",
+            "pedestrian": "replan.replay.prediction:pedestrian",
+            "lanes_and_pedestrians": "replan.replay.prediction:lanes_and_pedestrians",
+            "oracle": "replan.replay.perception:logged_futures",
+        }
+    ),
     table="prediction",
     given=3,
     oracles=("oracle",),
-)  # fmt: skip
+)
 """`predictor(agents, t, lanes, **settings) -> Predictions`: futures of the agents on a time grid `(k,)`, s, whose first
 entry is the time at which they were perceived; "oracle" gets the log's tracks, the agents and the grid."""
 PERCEPTION = PartKind(
     "perception",
     "perceptions",
-    Places({
-        "auto": "replan.replay.perception:auto",
-        "ground_truth": "replan.replay.perception:ground_truth",
-        "recorded": "replan.replay.perception:recorded",
-        "sensor": "replan.replay.perception:sensor",
-    }),
+    Places(
+        {
+            "auto": "replan.replay.perception:auto",
+            "ground_truth": "replan.replay.perception:ground_truth",
+            "recorded": "replan.replay.perception:recorded",
+            "sensor": "replan.replay.perception:sensor",
+        }
+    ),
     table="perception",
     given=2,
-)  # fmt: skip
+)
 """`factory(scenario, config, **settings) -> Sight`, once per drive"""
 
-OF_LOOP: Mapping[str, PartKind] = {kind.name: kind for kind in (CONTROLLER, VEHICLE, TRAFFIC, PREDICTION, PERCEPTION)}
+OF_LOOP: Mapping[str, PartKind] = {
+    kind.name: kind for kind in (CONTROLLER, VEHICLE, TRAFFIC, PREDICTION, PERCEPTION)
+}
 """The kinds whose names are keys of [loop]."""
 PARTS: Mapping[str, PartKind] = {PLANNER.name: PLANNER, **OF_LOOP}
 """All kinds by name."""
@@ -239,7 +257,9 @@ class Part:
         parameters = inspect.signature(factory).parameters.values()
         if not any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters):
             known_keys(table, [p.name for p in parameters if p.kind is p.KEYWORD_ONLY], self.where)
-        kinds = {p.name: PLAIN.get(getattr(p.annotation, "__name__", p.annotation)) for p in parameters}
+        kinds = {
+            p.name: PLAIN.get(getattr(p.annotation, "__name__", p.annotation)) for p in parameters
+        }
         for name, kind in kinds.items():
             if name in table and kind is not None:
                 converted(table[name], kind, dotted(self.where, name))
@@ -266,7 +286,11 @@ class Part:
         if config is not None:
             return asdict(keywords.get("config") or config())
         parameters = inspect.signature(factory).parameters.values()
-        defaults = {p.name: p.default for p in parameters if p.kind is p.KEYWORD_ONLY and p.default is not p.empty}
+        defaults = {
+            p.name: p.default
+            for p in parameters
+            if p.kind is p.KEYWORD_ONLY and p.default is not p.empty
+        }
         return {**defaults, **keywords}
 
     def configured(self) -> Factory:
@@ -303,5 +327,7 @@ def config_class(factory: Factory) -> type | None:
         hint = get_type_hints(target).get("config")
     except (NameError, TypeError):  # annotations only for type checkers; a callable object
         return None
-    found = [kind for kind in (hint, *get_args(hint)) if isinstance(kind, type) and is_dataclass(kind)]
+    found = [
+        kind for kind in (hint, *get_args(hint)) if isinstance(kind, type) and is_dataclass(kind)
+    ]
     return found[0] if found else None

@@ -43,7 +43,9 @@ def logged_ego(log: Trajectory, vehicle: VehicleParameters, t: float) -> EgoStat
     state = log.state(index)
     if abs(t - state.t) > 1e-6:
         state = replace(arc(state, np.array([t])).state(0), a=state.a)
-    return replace(state, t=t, steer=atan(vehicle.wheelbase * state.kappa), yaw_rate=state.v * state.kappa)
+    return replace(
+        state, t=t, steer=atan(vehicle.wheelbase * state.kappa), yaw_rate=state.v * state.kappa
+    )
 
 
 class EgoBox(NamedTuple):
@@ -92,9 +94,17 @@ def agent_boxes(tracks: Tracks, left_out: tuple[Phantom, ...] = ()) -> AgentBoxe
     place = {agent: i for i, agent in enumerate(tracks.ids)} if left_out else {}
     absent = [(place[one.agent], one.t_from, one.t_to) for one in left_out if one.agent in place]
     return AgentBoxes(
-        tracks.offsets, tracks.static, tracks.t, tracks.gap_after, tracks.x, tracks.y, tracks.yaw,
-        tracks.length, tracks.width, np.array(absent, float).reshape(-1, 3),
-    )  # fmt: skip
+        tracks.offsets,
+        tracks.static,
+        tracks.t,
+        tracks.gap_after,
+        tracks.x,
+        tracks.y,
+        tracks.yaw,
+        tracks.length,
+        tracks.width,
+        np.array(absent, float).reshape(-1, 3),
+    )
 
 
 def contact(world: World, vehicle: VehicleParameters, left_out: tuple[Phantom, ...] = ()) -> int:
@@ -108,7 +118,9 @@ def contact(world: World, vehicle: VehicleParameters, left_out: tuple[Phantom, .
 
 
 @kernel
-def touched(rows: FloatArray, first: int, end: int, car: EgoBox, agents: AgentBoxes) -> tuple[int, int]:
+def touched(
+    rows: FloatArray, first: int, end: int, car: EgoBox, agents: AgentBoxes
+) -> tuple[int, int]:
     """Return the first row (t, x, y, yaw) from `first` to before `end` with a touch of an agent, and its index.
 
     Returns row `end` and agent -1 if there is no touch; of several agents at one row, the first.
@@ -123,9 +135,21 @@ def touched(rows: FloatArray, first: int, end: int, car: EgoBox, agents: AgentBo
             there, x, y, yaw = agent_at(agents, i, rows[r, 0])
             if not there:
                 continue
-            ex, ey = rows[r, 1] + car.ahead * cos(rows[r, 3]), rows[r, 2] + car.ahead * sin(rows[r, 3])
+            ex, ey = (
+                rows[r, 1] + car.ahead * cos(rows[r, 3]),
+                rows[r, 2] + car.ahead * sin(rows[r, 3]),
+            )
             if (x - ex) ** 2 + (y - ey) ** 2 <= near * near and overlap(
-                ex, ey, rows[r, 3], car.length, car.width, x, y, yaw, agents.length[i], agents.width[i]
+                ex,
+                ey,
+                rows[r, 3],
+                car.length,
+                car.width,
+                x,
+                y,
+                yaw,
+                agents.length[i],
+                agents.width[i],
             ):
                 end, who = r, i
                 break

@@ -44,9 +44,20 @@ from replan.run import evaluate_logs
 from replan.run.pool import freeze_gc
 
 COLUMNS = (
-    "log", "family", "parameters", "outcome", "careful", "careful_margin_m", "end", "detail", "t_end_s", "gap_m",
-    "impact_mps", "careful_impact_mps", "failed_gates",
-)  # fmt: skip
+    "log",
+    "family",
+    "parameters",
+    "outcome",
+    "careful",
+    "careful_margin_m",
+    "end",
+    "detail",
+    "t_end_s",
+    "gap_m",
+    "impact_mps",
+    "careful_impact_mps",
+    "failed_gates",
+)
 """`careful`: "avoids", "meets", or "meets no one anyway" at constant speed."""
 OUTCOMES: Mapping[str, str] = {
     "pass": "green",
@@ -76,17 +87,29 @@ def table_of(results: Path, planner: str) -> pd.DataFrame:
     """
     try:
         summary = json.loads((results / "summary.json").read_text(encoding="utf-8"))
-        measured = pd.read_parquet(results / "metrics.parquet", columns=["log", "planner", "mode", "metric", "value"])
+        measured = pd.read_parquet(
+            results / "metrics.parquet", columns=["log", "planner", "mode", "metric", "value"]
+        )
         verdicts = pd.read_parquet(results / "verdicts.parquet")
     except (OSError, ValueError) as error:
         raise ConfigError(f"{results}: no results of replan evaluate: {error}") from None
     own = measured[(measured["planner"] == planner) & (measured["mode"] == "closed")]
     careful = measured[(measured["planner"] == CAREFUL) & (measured["mode"] == REFERENCE)]
-    failed = verdicts[(verdicts["planner"] == planner) & (verdicts["outcome"] == Outcome.FAIL.value)]
+    failed = verdicts[
+        (verdicts["planner"] == planner) & (verdicts["outcome"] == Outcome.FAIL.value)
+    ]
     values, others = _values(own), _values(careful)
     gates = {str(log): "; ".join(rows) for log, rows in failed.groupby("log")["gate"]}
-    drives = {drive["log"]: drive for log in summary["logs"] for drive in log["drives"] if drive["planner"] == planner}
-    rows = [_row(log["log"], drives.get(log["log"], {}), values, others, gates) for log in summary["logs"]]
+    drives = {
+        drive["log"]: drive
+        for log in summary["logs"]
+        for drive in log["drives"]
+        if drive["planner"] == planner
+    }
+    rows = [
+        _row(log["log"], drives.get(log["log"], {}), values, others, gates)
+        for log in summary["logs"]
+    ]
     return pd.DataFrame(rows, columns=list(COLUMNS))
 
 
@@ -96,21 +119,31 @@ def _values(rows: pd.DataFrame) -> dict[tuple[str, str], float]:
 
 
 def _row(
-    log: str, drive: Mapping[str, object], values: Mapping[tuple[str, str], float],
-    others: Mapping[tuple[str, str], float], gates: Mapping[str, str],
-) -> dict[str, object]:  # fmt: skip
+    log: str,
+    drive: Mapping[str, object],
+    values: Mapping[tuple[str, str], float],
+    others: Mapping[tuple[str, str], float],
+    gates: Mapping[str, str],
+) -> dict[str, object]:
     family, _, parameters = log.partition("@")
-    applies, avoids = (values.get((log, f"reference_cc.{name}"), nan) for name in ("applies", "avoids"))
+    applies, avoids = (
+        values.get((log, f"reference_cc.{name}"), nan) for name in ("applies", "avoids")
+    )
     careful = "meets no one anyway" if not applies > 0.0 else "avoids" if avoids > 0.0 else "meets"
     impacts = values.get((log, IMPACT), nan), others.get((log, IMPACT), nan)
-    contact, ran = values.get((log, AT_FAULT), 0.0) > 0.0, values.get((log, REPLAY_CONTACT), 0.0) > 0.0
+    contact, ran = (
+        values.get((log, AT_FAULT), 0.0) > 0.0,
+        values.get((log, REPLAY_CONTACT), 0.0) > 0.0,
+    )
     harder = impacts[0] > impacts[1] + SLOWER_MPS
     failed = gates.get(log, "")
     return {
         "log": log,
         "family": family,
         "parameters": parameters,
-        "outcome": _outcome(careful, failed, driven=bool(drive), contact=contact, ran=ran, harder=harder),
+        "outcome": _outcome(
+            careful, failed, driven=bool(drive), contact=contact, ran=ran, harder=harder
+        ),
         "careful": careful,
         "careful_margin_m": values.get((log, "reference_cc.margin"), nan),
         "end": drive.get("end", ""),
@@ -123,7 +156,9 @@ def _row(
     }
 
 
-def _outcome(careful: str, failed: str, *, driven: bool, contact: bool, ran: bool, harder: bool) -> str:
+def _outcome(
+    careful: str, failed: str, *, driven: bool, contact: bool, ran: bool, harder: bool
+) -> str:
     """The module docstring's list."""
     if not driven:
         return "not evaluated"
@@ -139,9 +174,13 @@ def _outcome(careful: str, failed: str, *, driven: bool, contact: bool, ran: boo
 def counted(table: pd.DataFrame) -> pd.DataFrame:
     """How many cells of each family came out how, all families of the table; the last row is their sum."""
     names = list(dict.fromkeys(table["family"]))
-    counts = pd.crosstab(table["family"], table["outcome"]).reindex(index=names, columns=list(OUTCOMES), fill_value=0)
+    counts = pd.crosstab(table["family"], table["outcome"]).reindex(
+        index=names, columns=list(OUTCOMES), fill_value=0
+    )
     counts.insert(0, "cells", counts.sum(axis=1))
-    counts["careful meets"] = [int(((table["family"] == n) & (table["careful"] == "meets")).sum()) for n in names]
+    counts["careful meets"] = [
+        int(((table["family"] == n) & (table["careful"] == "meets")).sum()) for n in names
+    ]
     counts = counts.sort_index()
     counts.loc["all"] = counts.sum()
     return counts
@@ -150,10 +189,29 @@ def counted(table: pd.DataFrame) -> pd.DataFrame:
 def written(table: pd.DataFrame, suite: str, planner: str) -> str:
     """catalogue.md."""
     counts = counted(table)
-    lines = [f"# `{planner}` on `{suite}`, closed loop", "", *_markdown(counts.reset_index(names="family"))]
+    lines = [
+        f"# `{planner}` on `{suite}`, closed loop",
+        "",
+        *_markdown(counts.reset_index(names="family")),
+    ]
     left = table[~table["outcome"].isin(PASSED)]
-    columns = ["log", "outcome", "careful", "end", "detail", "t_end_s", "gap_m", "impact_mps", "failed_gates"]
-    lines += ["", f"## {len(left)} cells not passed", "", *_markdown(left.sort_values(["outcome", "log"])[columns])]
+    columns = [
+        "log",
+        "outcome",
+        "careful",
+        "end",
+        "detail",
+        "t_end_s",
+        "gap_m",
+        "impact_mps",
+        "failed_gates",
+    ]
+    lines += [
+        "",
+        f"## {len(left)} cells not passed",
+        "",
+        *_markdown(left.sort_values(["outcome", "log"])[columns]),
+    ]
     return "\n".join([*lines, ""])
 
 
@@ -162,7 +220,10 @@ def _markdown(table: pd.DataFrame) -> list[str]:
         return "" if value != value else f"{value:.3g}" if isinstance(value, float) else str(value)
 
     rows = [[shown(value) for value in row] for row in table.itertuples(index=False)]
-    return [f"| {' | '.join(row)} |" for row in ([str(c) for c in table.columns], ["---"] * len(table.columns), *rows)]
+    return [
+        f"| {' | '.join(row)} |"
+        for row in ([str(c) for c in table.columns], ["---"] * len(table.columns), *rows)
+    ]
 
 
 def picture(table: pd.DataFrame, title: str) -> Chart:
@@ -171,10 +232,16 @@ def picture(table: pd.DataFrame, title: str) -> Chart:
     charts = [_panel(FAMILIES[name], table[table["family"] == name]) for name in grids]
     single = table[~table["family"].isin(grids)]
     if len(single):  # the families of a single cell below each other
-        plane, names = rows_plane([str(log) for log in single["log"]], (0.0, 4.0), 300.0, 14.0, top=TOP_PX, most=220.0)
+        plane, names = rows_plane(
+            [str(log) for log in single["log"]], (0.0, 4.0), 300.0, 14.0, top=TOP_PX, most=220.0
+        )
         rows = [row for _, row in single.iterrows()]
-        inside = "".join(_mark(plane, 0.5, at, row, 0.7) for row, (at, _) in zip(rows, names, strict=True))
-        charts.append(plane.chart("single", "families of one cell", inside, x_ticks=(), y_ticks=names))
+        inside = "".join(
+            _mark(plane, 0.5, at, row, 0.7) for row, (at, _) in zip(rows, names, strict=True)
+        )
+        charts.append(
+            plane.chart("single", "families of one cell", inside, x_ticks=(), y_ticks=names)
+        )
     entries = [
         *(("area", kind, name) for name, kind in OUTCOMES.items()),
         ("area", "ring", "UN R157's driver meets someone"),
@@ -196,13 +263,17 @@ def _panel(family: Family, rows: pd.DataFrame) -> Chart:
     x, y = (family.grid.get(name, ()) for name in (along, up))
     plane = Plane((-0.6, len(x) - 0.4), (-0.6, max(len(y), 1) - 0.4), *PANEL_PX, top=TOP_PX)
     cells = [_numbers(words) for words in rows["parameters"]]
-    places = [tuple(family.grid[name].index(cell[name]) if name else 0 for name in (along, up)) for cell in cells]
+    places = [
+        tuple(family.grid[name].index(cell[name]) if name else 0 for name in (along, up))
+        for cell in cells
+    ]
     used, inside = dict[tuple[int, ...], int](), ""
     for place, (_, row) in zip(places, rows.iterrows(), strict=True):
         nth, side = used.get(place, 0), ceil(places.count(place) ** 0.5)
         used[place] = nth + 1
         at_x, at_y = (
-            v + WIDE * ((k + 0.5) / side - 0.5) for v, k in zip(place, (nth % side, nth // side), strict=True)
+            v + WIDE * ((k + 0.5) / side - 0.5)
+            for v, k in zip(place, (nth % side, nth // side), strict=True)
         )
         inside += _mark(plane, at_x, at_y, row, WIDE / side)
     hidden = ", ".join(name for name in family.grid if name not in (along, up))
@@ -224,27 +295,47 @@ def _mark(plane: Plane, x: float, y: float, row: pd.Series, size: float) -> str:
 
 
 def _numbers(words: str) -> dict[str, float]:
-    return {key: float(value) for key, _, value in (word.partition("=") for word in words.split(",") if word)}
+    return {
+        key: float(value)
+        for key, _, value in (word.partition("=") for word in words.split(",") if word)
+    }
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Write table and picture, print the counts; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m studies.catalogue", description="A suite as a picture.")
-    parser.add_argument("-o", "--out", required=True, type=Path, help="folder for table and picture")
-    parser.add_argument("--suite", default="full", help=f"{', '.join(SUITES)}, or a family or group. Default: full")
+    parser = argparse.ArgumentParser(
+        prog="python -m studies.catalogue", description="A suite as a picture."
+    )
+    parser.add_argument(
+        "-o", "--out", required=True, type=Path, help="folder for table and picture"
+    )
+    parser.add_argument(
+        "--suite", default="full", help=f"{', '.join(SUITES)}, or a family or group. Default: full"
+    )
     parser.add_argument("-p", "--planner", default="dp_qp")
-    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes; 0: in this one")
-    parser.add_argument("--results", type=Path, help="take the results of this run instead of driving")
+    parser.add_argument(
+        "--workers", type=int, default=os.cpu_count() or 1, help="processes; 0: in this one"
+    )
+    parser.add_argument(
+        "--results", type=Path, help="take the results of this run instead of driving"
+    )
     chosen = parser.parse_args(arguments)
     try:
-        results = chosen.results or _driven(chosen.suite, chosen.planner, chosen.out / "results", chosen.workers)
+        results = chosen.results or _driven(
+            chosen.suite, chosen.planner, chosen.out / "results", chosen.workers
+        )
         table = table_of(results, chosen.planner)
     except ReplanError as error:
         parser.error(str(error))
     chosen.out.mkdir(parents=True, exist_ok=True)
-    write_file(chosen.out / "catalogue.csv", lambda partial: table.to_csv(partial, index=False, lineterminator="\n"))
+    write_file(
+        chosen.out / "catalogue.csv",
+        lambda partial: table.to_csv(partial, index=False, lineterminator="\n"),
+    )
     write_text(chosen.out / "catalogue.md", written(table, chosen.suite, chosen.planner))
-    picture(table, f"{chosen.planner} on the suite {chosen.suite}, closed loop").save(chosen.out / "catalogue.png")
+    picture(table, f"{chosen.planner} on the suite {chosen.suite}, closed loop").save(
+        chosen.out / "catalogue.png"
+    )
     print(counted(table).to_string())  # noqa: T201
     return 0
 

@@ -89,13 +89,18 @@ def source_of(tags: Sequence[str]) -> str:
 def drives(result: Results, traffic: str) -> pd.DataFrame:
     """A row per log and planner of a run; `frames` is how many plans were made."""
     driven = result.metrics["available"] & (result.metrics["mode"] == Mode.CLOSED.value)
-    found = result.metrics[driven].pivot_table(index=["log", "planner"], columns="metric", values="value", dropna=False)
+    found = result.metrics[driven].pivot_table(
+        index=["log", "planner"], columns="metric", values="value", dropna=False
+    )
     rows = found.reindex(columns=list(ROWS.values())).set_axis(list(ROWS), axis=1).reset_index()
     tags = dict(zip(result.logs["log"], result.logs["tags"], strict=True))
     rows.insert(0, "traffic", traffic)
     rows.insert(1, "source", [source_of(tags[log]) for log in rows["log"]])
     text = result.drives[["log", "planner", "end", "detail"]].to_dict("records")
-    ends = {(row["log"], row["planner"]): ": ".join(filter(None, (row["end"], row["detail"]))) for row in text}
+    ends = {
+        (row["log"], row["planner"]): ": ".join(filter(None, (row["end"], row["detail"])))
+        for row in text
+    }
     rows["end"] = [ends[key] for key in zip(rows["log"], rows["planner"], strict=True)]
     rows["verdict"] = np.select(
         [rows["applies"] == 0.0, rows["avoids"] == 1.0, rows["avoids"] == 0.0],
@@ -104,17 +109,25 @@ def drives(result: Results, traffic: str) -> pd.DataFrame:
     )
     totals = result.timings[result.timings["stage"] == "total"]
     frames = totals.groupby(["log", "planner"], observed=True)["seconds"].size()
-    rows["frames"] = [int(frames.get(key, 0)) for key in zip(rows["log"], rows["planner"], strict=True)]
-    rows["comfort"] = ~((rows["jerk_p99_mps3"] > JERK_MPS3) | (rows["lat_accel_max_mps2"] > LATERAL_MPS2))
+    rows["frames"] = [
+        int(frames.get(key, 0)) for key in zip(rows["log"], rows["planner"], strict=True)
+    ]
+    rows["comfort"] = ~(
+        (rows["jerk_p99_mps3"] > JERK_MPS3) | (rows["lat_accel_max_mps2"] > LATERAL_MPS2)
+    )
     logged = rows[(rows["planner"] == REFERENCE) & (rows["goal"] == 1.0)]["log"]
     careful = (result.metrics["mode"] == JUDGED_BY) & (result.metrics["planner"] == CAREFUL)
-    entered = result.metrics[careful & (result.metrics["metric"] == ROWS["goal"]) & (result.metrics["value"] == 1.0)][
-        "log"
-    ]
+    entered = result.metrics[
+        careful & (result.metrics["metric"] == ROWS["goal"]) & (result.metrics["value"] == 1.0)
+    ]["log"]
     rows["reachable"] = rows["log"].isin({*logged, *entered})
     outcomes = result.verdicts.groupby(["log", "planner"])["outcome"]
-    verdicts = {(str(log), str(who)): worst(map(Outcome, each)).value for (log, who), each in outcomes}
-    rows["gates"] = [verdicts.get(key, "") for key in zip(rows["log"], rows["planner"], strict=True)]
+    verdicts = {
+        (str(log), str(who)): worst(map(Outcome, each)).value for (log, who), each in outcomes
+    }
+    rows["gates"] = [
+        verdicts.get(key, "") for key in zip(rows["log"], rows["planner"], strict=True)
+    ]
     return rows.drop(columns=["applies", "avoids"])
 
 
@@ -131,9 +144,20 @@ def table_of(result: Results, rows: pd.DataFrame, planners: Sequence[str]) -> pd
             mine = [part[part["planner"] == planner] for part in (rows, seconds)]
             if source != ALL:
                 mine = [part[part["source"] == source] for part in mine]
-            failed = {log for log, who in lost if who in (planner, None) and source in (ALL, tags.get(log))}
+            failed = {
+                log
+                for log, who in lost
+                if who in (planner, None) and source in (ALL, tags.get(log))
+            }
             if len(mine[0]) or failed:
-                out.append({"source": source, "planner": planner, **_counted(*mine), "not_evaluated": len(failed)})
+                out.append(
+                    {
+                        "source": source,
+                        "planner": planner,
+                        **_counted(*mine),
+                        "not_evaluated": len(failed),
+                    }
+                )
     return pd.DataFrame(out)
 
 
@@ -149,7 +173,11 @@ def _counted(rows: pd.DataFrame, seconds: pd.DataFrame) -> dict[str, float]:
         "goal_of_reachable": int(((rows["goal"] == 1.0) & rows["reachable"]).sum()),
         **{
             column: int((rows["gates"] == outcome).sum())
-            for column, outcome in (("passed", "pass"), ("failed", "fail"), ("inconclusive", "inconclusive"))
+            for column, outcome in (
+                ("passed", "pass"),
+                ("failed", "fail"),
+                ("inconclusive", "inconclusive"),
+            )
         },
         "run_into": int(rows["end"].str.startswith(EndReason.REPLAY_CONTACT.value).sum()),
         "collisions": int((rows["collision"] > 0.0).sum()),
@@ -170,8 +198,16 @@ def markdown(table: pd.DataFrame) -> str:
     lines = ["# Planners over CommonRoad scenarios", ""]
     names = ["source", "planner", *COLUMNS]
     for traffic, rows in table.groupby("traffic", sort=False):
-        lines += [f"## Traffic: {traffic}", "", f"| {' | '.join(names)} |", "|" + " --- |" * len(names)]
-        lines += [f"| {' | '.join(_cell(name, row[name]) for name in names)} |" for row in rows.to_dict("records")]
+        lines += [
+            f"## Traffic: {traffic}",
+            "",
+            f"| {' | '.join(names)} |",
+            "|" + " --- |" * len(names),
+        ]
+        lines += [
+            f"| {' | '.join(_cell(name, row[name]) for name in names)} |"
+            for row in rows.to_dict("records")
+        ]
         lines += [""]
     return "\n".join([*lines, *(f"- `{name}`: {meaning}" for name, meaning in COLUMNS.items()), ""])
 
@@ -204,7 +240,9 @@ def compare(
     parts: list[pd.DataFrame] = []
     for kind in traffic:
         loop = LoopConfig(traffic=kind)
-        run = RunConfig(planners=chosen, mode="closed", recording=False, internals="none", loop=loop)
+        run = RunConfig(
+            planners=chosen, mode="closed", recording=False, internals="none", loop=loop
+        )
         result = evaluate_logs(logs, run, out / kind, workers=workers, resume=resume)
         for failure in result.failures.itertuples():
             say(f"traffic {kind}: {failure.message}")
@@ -227,16 +265,26 @@ def _write_csv(path: Path, table: pd.DataFrame) -> None:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Write the tables and print the page; returns the exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m studies.commonroad", description="Compare planners over CommonRoad scenarios."
+        prog="python -m studies.commonroad",
+        description="Compare planners over CommonRoad scenarios.",
     )
     parser.add_argument("logs", nargs="+", type=Path, help="CommonRoad files, or folders of them")
-    parser.add_argument("-o", "--out", required=True, type=Path, help="folder for the tables and the runs")
+    parser.add_argument(
+        "-o", "--out", required=True, type=Path, help="folder for the tables and the runs"
+    )
     parser.add_argument("-p", "--planner", action="append", help=f"default: {', '.join(PLANNERS)}")
     parser.add_argument(
-        "--traffic", action="append", choices=list(TRAFFIC.builtin), help=f"default: {', '.join(KINDS)}"
+        "--traffic",
+        action="append",
+        choices=list(TRAFFIC.builtin),
+        help=f"default: {', '.join(KINDS)}",
     )
-    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes; 0: in this one")
-    parser.add_argument("--resume", action="store_true", help="go on with an interrupted run in OUT")
+    parser.add_argument(
+        "--workers", type=int, default=os.cpu_count() or 1, help="processes; 0: in this one"
+    )
+    parser.add_argument(
+        "--resume", action="store_true", help="go on with an interrupted run in OUT"
+    )
     chosen = parser.parse_args(arguments)
     try:
         table = compare(
@@ -251,7 +299,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except ReplanError as error:
         parser.error(str(error))
     except KeyboardInterrupt:
-        print("interrupted: finished logs are kept; to go on give the same command with --resume", file=sys.stderr)  # noqa: T201
+        print(
+            "interrupted: finished logs are kept; to go on give the same command with --resume",
+            file=sys.stderr,
+        )  # noqa: T201
         return 130
     print(markdown(table))  # noqa: T201
     return 0

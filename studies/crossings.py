@@ -133,7 +133,13 @@ def crossing_of(scenario: Scenario, path: DrivenPath) -> Crossing | None:
     times, s = np.array(found).T
     near = [(np.abs(s - place) < AROUND_M) for place in np.unique(np.round(s))]
     best = max(near, key=lambda mask: int(mask.sum()))
-    return Crossing(float(np.median(s[best])), float(times[best].min()), float(times[best].max()), times[best], s[best])
+    return Crossing(
+        float(np.median(s[best])),
+        float(times[best].min()),
+        float(times[best].max()),
+        times[best],
+        s[best],
+    )
 
 
 def _on_path(scenario: Scenario, path: DrivenPath) -> Iterator[tuple[float, float]]:
@@ -156,7 +162,9 @@ def _front(scenario: Scenario) -> float:
     return scenario.vehicle.length - scenario.vehicle.rear_overhang
 
 
-def _passes(driven: Trajectory, path: DrivenPath, crossing: Crossing, front: float) -> tuple[float, float]:
+def _passes(
+    driven: Trajectory, path: DrivenPath, crossing: Crossing, front: float
+) -> tuple[float, float]:
     """When a drive's front is at the crossing, s (inf: never), and its least gap (4), m."""
     t, s = path.stations(driven)
     past = np.flatnonzero(s + front > crossing.place)
@@ -166,7 +174,9 @@ def _passes(driven: Trajectory, path: DrivenPath, crossing: Crossing, front: flo
     return float(t[past[0]]) if len(past) else inf, float(ahead.min()) if len(ahead) else inf
 
 
-def _plans(trace: Trace, path: DrivenPath, crossing: Crossing, front: float, until: float) -> tuple[int, int]:
+def _plans(
+    trace: Trace, path: DrivenPath, crossing: Crossing, front: float, until: float
+) -> tuple[int, int]:
     """How many plans (5) there are, and how many yield."""
     count = yielding = 0
     for planned in trace.frames:
@@ -199,15 +209,29 @@ def compared(scenario: Scenario, planner: str) -> Row | None:
     opened = run_open_loop(scenario, planner, keep_internals=False).trace
     count, yielding = _plans(opened, path, crossing, front, min(crossing.end, passed))
     return Row(
-        scenario.name, crossing.begin, crossing.end, float(scenario.ego.v.min()), passed,
-        passed > crossing.end - SLACK_S, gap, float(closed.ego.v.min()), goes, _said(goes, crossing, closed), its_gap,
-        goes - passed if np.isfinite(goes) and np.isfinite(passed) else inf, closed.end.value, count, yielding,
-    )  # fmt: skip
+        scenario.name,
+        crossing.begin,
+        crossing.end,
+        float(scenario.ego.v.min()),
+        passed,
+        passed > crossing.end - SLACK_S,
+        gap,
+        float(closed.ego.v.min()),
+        goes,
+        _said(goes, crossing, closed),
+        its_gap,
+        goes - passed if np.isfinite(goes) and np.isfinite(passed) else inf,
+        closed.end.value,
+        count,
+        yielding,
+    )
 
 
 def main(argv: Sequence[str] | None = None) -> None:
     """Compare, write the tables, print them."""
-    parser = argparse.ArgumentParser(prog="python -m studies.crossings", description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(
+        prog="python -m studies.crossings", description=__doc__.splitlines()[0]
+    )
     parser.add_argument("logs", nargs="+", type=Path, help="logs of any format, or folders of them")
     parser.add_argument("-o", "--out", type=Path, required=True, help="folder for the tables")
     parser.add_argument("-p", "--planner", default="dp_qp")
@@ -225,7 +249,10 @@ def main(argv: Sequence[str] | None = None) -> None:
     table = pd.DataFrame(rows).round(2)
     told.out.mkdir(parents=True, exist_ok=True)
     write_file(told.out / "crossings.csv", lambda path: table.to_csv(path, index=False))
-    lines = ["| " + " | ".join(map(str, table.columns)) + " |", "| " + " | ".join("---" for _ in table.columns) + " |"]
+    lines = [
+        "| " + " | ".join(map(str, table.columns)) + " |",
+        "| " + " | ".join("---" for _ in table.columns) + " |",
+    ]
     lines += ["| " + " | ".join(map(str, row)) + " |" for row in table.itertuples(index=False)]
     lines += ["", *(f"No one on the path ahead of the driver: {label}" for label in without)]
     write_text(told.out / "crossings.md", "\n".join(lines) + "\n")

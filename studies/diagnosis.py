@@ -64,22 +64,43 @@ PLANTS = {
     "frozen pedestrians": Plant("prediction", {"loop": {"prediction": "studies.diagnosis:frozen"}}),
     "late by 0.3 s": Plant("latency", {"loop": {"plan_delay_s": 0.3}}),
     "slow actuators": Plant(
-        "control", {"loop": {"plant": {"brake_lag": 0.8, "brake_delay": 0.4, "throttle_lag": 0.8, "steer_lag": 0.4}}}
+        "control",
+        {
+            "loop": {
+                "plant": {
+                    "brake_lag": 0.8,
+                    "brake_delay": 0.4,
+                    "throttle_lag": 0.8,
+                    "steer_lag": 0.4,
+                }
+            }
+        },
     ),
     "weak braking": Plant(
         "comfort bound",
-        {"planner": {
-            "dp_qp": {"speed": {"qp": {"comfort": _limits(1.0), "emergency": _limits(1.5)}}},
-            "idm": {"decel_mps2": 1.0, "hardest_mps2": 1.5, "jerk_mps3": 1.0},
-        }},
+        {
+            "planner": {
+                "dp_qp": {"speed": {"qp": {"comfort": _limits(1.0), "emergency": _limits(1.5)}}},
+                "idm": {"decel_mps2": 1.0, "hardest_mps2": 1.5, "jerk_mps3": 1.0},
+            }
+        },
     ),
     "noisy perception": Plant(
         "perception",
-        {"loop": {"perception": "sensor", "sensor": {
-            "range_m": 25.0, "position_noise_m": 0.6, "velocity_noise_mps": 1.0, "latency_s": 0.4, "dropout": 0.3,
-        }}},
+        {
+            "loop": {
+                "perception": "sensor",
+                "sensor": {
+                    "range_m": 25.0,
+                    "position_noise_m": 0.6,
+                    "velocity_noise_mps": 1.0,
+                    "latency_s": 0.4,
+                    "dropout": 0.3,
+                },
+            }
+        },
     ),
-}  # fmt: skip
+}
 """By name."""
 IDEAL = "no_latency"
 """A change to a default that is an ideal part as well."""
@@ -90,10 +111,14 @@ COLUMNS = ("fault", "cause", "drives", *ANSWERS, *(f"hidden_{name}" for name in 
 def broken(faulty: Results, sound: Results) -> list[str]:
     """Logs, sorted, whose drives fail gates in a run, all of which they pass in another one, and fail none there."""
     names = ["log", "gate"]
-    passed, unsound = (sound.verdicts.loc[sound.verdicts["outcome"] == said, names] for said in ("pass", "fail"))
+    passed, unsound = (
+        sound.verdicts.loc[sound.verdicts["outcome"] == said, names] for said in ("pass", "fail")
+    )
     failed = faulty.verdicts.loc[faulty.verdicts["outcome"] == "fail", names]
     both = failed.merge(passed, how="left", on=names, indicator="where")
-    return sorted(set(failed["log"]) - set(both.loc[both["where"] != "both", "log"]) - set(unsound["log"]))
+    return sorted(
+        set(failed["log"]) - set(both.loc[both["where"] != "both", "log"]) - set(unsound["log"])
+    )
 
 
 def counts(found: Diagnosis, cause: str) -> list[int]:
@@ -108,20 +133,33 @@ def counts(found: Diagnosis, cause: str) -> list[int]:
 
 def row(name: str, asked: argparse.Namespace, sound: Results) -> dict[str, Any]:
     """What came of a fault: `COLUMNS`."""
-    plant, folder, planner, workers = PLANTS[name], asked.out / name.replace(" ", "_"), asked.planner, asked.workers
+    plant, folder, planner, workers = (
+        PLANTS[name],
+        asked.out / name.replace(" ", "_"),
+        asked.planner,
+        asked.workers,
+    )
     folder.mkdir(parents=True, exist_ok=True)
-    planners = {key: table for key, table in plant.table.get("planner", {}).items() if key == planner}
+    planners = {
+        key: table for key, table in plant.table.get("planner", {}).items() if key == planner
+    }
     run = load_run(None, {**plant.table, "planner": planners, **_asked(planner)})
     faulty = evaluate_logs(run=run, out=folder / "run", workers=workers, suite=asked.suite)
     mine = broken(faulty, sound)
     mine = mine[:: -(-len(mine) // asked.most)] if mine else mine
     found: list[int] = []
-    hidden = [change for change in load_changes() if change.rank != "default" or change.name == IDEAL]
+    hidden = [
+        change for change in load_changes() if change.rank != "default" or change.name == IDEAL
+    ]
     for kind, changes in (("all", load_changes()), ("hidden", hidden)) if mine else ():
         result = diagnose(question(faulty, None, mine, changes), folder / kind, workers=workers)
         sys.stdout.write("\n".join([f"{name}, {kind}", *result.lines()]) + "\n")
         found += counts(result, plant.cause)
-    return dict(zip(COLUMNS, (name, plant.cause, len(mine), *(found or [0] * 2 * len(ANSWERS))), strict=True))
+    return dict(
+        zip(
+            COLUMNS, (name, plant.cause, len(mine), *(found or [0] * 2 * len(ANSWERS))), strict=True
+        )
+    )
 
 
 def _asked(planner: str) -> dict[str, Any]:
@@ -141,7 +179,9 @@ def main(words: Sequence[str] | None = None) -> None:
     rows = []
     try:
         run = load_run(None, _asked(asked.planner))
-        sound = evaluate_logs(run=run, out=asked.out / "sound", workers=asked.workers, suite=asked.suite)
+        sound = evaluate_logs(
+            run=run, out=asked.out / "sound", workers=asked.workers, suite=asked.suite
+        )
         for name in asked.only:
             rows.append(row(name, asked, sound))
             sys.stdout.write(f"{rows[-1]}\n\n")
@@ -149,7 +189,10 @@ def main(words: Sequence[str] | None = None) -> None:
     except ReplanError as error:
         sys.exit(f"error: {error}")
     table = pd.DataFrame(rows, columns=list(COLUMNS))
-    write_file(asked.out / "diagnosis.csv", lambda partial: table.to_csv(partial, index=False, lineterminator="\n"))
+    write_file(
+        asked.out / "diagnosis.csv",
+        lambda partial: table.to_csv(partial, index=False, lineterminator="\n"),
+    )
 
 
 if __name__ == "__main__":

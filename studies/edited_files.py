@@ -57,7 +57,8 @@ FILES = {
     "changes.toml": '[[change]]\nname = "a"\nwords = "b"\ncause = "comfort bound"\nrank = "limits"\n'
     'default = ["loop.traffic"]\n'
     "set.planner.idm = { time_gap_s = 2.0 }\n",
-    "poses.csv": "log,t_s,x,y,yaw\n" + "".join(f"everyday/cut_in,0.5,{5 * k}.0,0.0,0.0\n" for k in range(1, 9)),
+    "poses.csv": "log,t_s,x,y,yaw\n"
+    + "".join(f"everyday/cut_in,0.5,{5 * k}.0,0.0,0.0\n" for k in range(1, 9)),
 }
 COMMANDS = {
     "run": f"""
@@ -96,10 +97,14 @@ def one(name: str, rng: random.Random, number: str) -> tuple[object, str]:
     it = Path(f"edited-{number}-{Path(name).name}")
     (shutil.copy if Path(name).is_file() else shutil.copytree)(name, it)
     change, out = edit(rng, it), f"out-{number}"
-    words = rng.choice([each for line in COMMANDS[name].strip().splitlines() for each in line.split(" | ")])
+    words = rng.choice(
+        [each for line in COMMANDS[name].strip().splitlines() for each in line.split(" | ")]
+    )
     signal.alarm(LONGEST_S)
     try:
-        result = RUNNER.invoke(app, [word.replace("IT", str(it)).replace("OUT", out) for word in shlex.split(words)])
+        result = RUNNER.invoke(
+            app, [word.replace("IT", str(it)).replace("OUT", out) for word in shlex.split(words)]
+        )
     finally:
         signal.alarm(0)
     errors = [line for line in result.stderr.splitlines() if line.startswith("error:")]
@@ -121,7 +126,9 @@ def late(number: int, frame: object) -> None:
 
 def main() -> None:
     """Make the inputs, edit and run, print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("out", type=Path)
     parser.add_argument("--edits", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=0)
@@ -145,7 +152,9 @@ def main() -> None:
             sys.stdout.write(f"{k}: {said!r}\n")
             sys.stdout.flush()
     for name, count in seen.items():
-        sys.stdout.write(f"{name:18} " + ", ".join(f"{end}: {count[end]}" for end in (*CODES, "other")) + "\n")
+        sys.stdout.write(
+            f"{name:18} " + ", ".join(f"{end}: {count[end]}" for end in (*CODES, "other")) + "\n"
+        )
     sys.stdout.write(f"{asked.edits} edits, {fell} fell\n")
 
 

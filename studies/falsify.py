@@ -55,7 +55,19 @@ optional = true
 """
 SIGHT_M = 30.0
 LATE_S = 0.5
-COLUMNS = ("hole", "subject", "axes", "without", "distance", "drives", "grid", "grid_drives", "ratio", "case", "gates")
+COLUMNS = (
+    "hole",
+    "subject",
+    "axes",
+    "without",
+    "distance",
+    "drives",
+    "grid",
+    "grid_drives",
+    "ratio",
+    "case",
+    "gates",
+)
 
 
 class Blind:
@@ -89,7 +101,9 @@ def seen(frame: Frame, keep: BoolArray) -> Frame:
     rows, of = np.flatnonzero(keep), frame.predictions
     mine = np.isin(of.agent, rows)
     index = np.searchsorted(rows, of.agent[mine])
-    left = Predictions(of.t, index, of.probability[mine], of.x[mine], of.y[mine], of.yaw[mine], of.method)
+    left = Predictions(
+        of.t, index, of.probability[mine], of.x[mine], of.y[mine], of.yaw[mine], of.method
+    )
     return replace(frame, agents=frame.agents.some(rows), predictions=left)
 
 
@@ -121,7 +135,11 @@ HOLES = {
 
 def question(hole: Hole, gates: Path, *, planted: bool, budget: int, seed: int) -> FalsifyQuestion:
     """The falsification of a hole, or of the planner without it."""
-    drives = {"planners": [hole.planner], "loop": {"apart": {"trust": True}}} if planted else {"planners": ["idm"]}
+    drives = (
+        {"planners": [hole.planner], "loop": {"apart": {"trust": True}}}
+        if planted
+        else {"planners": ["idm"]}
+    )
     table = {**drives, "gates": str(gates)}
     against = hole.against if planted else CAREFUL
     subject = subject_of(hole.subject, LogSettings())
@@ -134,18 +152,28 @@ def grid(asked: FalsifyQuestion, count: int, out: Path, workers: int) -> tuple[f
     """The mildest distance of a grid of count x count points (inf: none counts), and how many were driven."""
     low, high = box_of(asked.axes)
     sides = [np.linspace(a, b, count) for a, b in zip(low, high, strict=True)]
-    points: list[Point] = sorted((tuple(float(u) for u in point) for point in product(*sides)), key=norm)
+    points: list[Point] = sorted(
+        (tuple(float(u) for u in point) for point in product(*sides)), key=norm
+    )
     with held(out):
-        drives = SearchDrives(asked, out, Study(out, asked.head(), resume=False), workers, lambda line: None)
+        drives = SearchDrives(
+            asked, out, Study(out, asked.head(), resume=False), workers, lambda line: None
+        )
         for begin in range(0, len(points), BATCH):
             batch = points[begin : begin + BATCH]
-            found = [norm(point) for point, one in zip(batch, drives(batch, "grid"), strict=True) if one.counts]
+            found = [
+                norm(point)
+                for point, one in zip(batch, drives(batch, "grid"), strict=True)
+                if one.counts
+            ]
             if found:
                 return min(found), begin + len(batch)
     return inf, len(points)
 
 
-def row(name: str, out: Path, *, count: int, budget: int, seed: int, workers: int) -> dict[str, Any]:
+def row(
+    name: str, out: Path, *, count: int, budget: int, seed: int, workers: int
+) -> dict[str, Any]:
     """What came of a hole: `COLUMNS`."""
     hole, folder = HOLES[name], out / name.replace(" ", "_")
     folder.mkdir(parents=True, exist_ok=True)
@@ -159,9 +187,18 @@ def row(name: str, out: Path, *, count: int, budget: int, seed: int, workers: in
     case = ", ".join(axis.shown(found.case[axis.name]) for axis in asked.axes) if found.case else ""
     away = found.found.distance
     values = (
-        name, hole.subject, " ".join(hole.axes), without.found.distance, away, len(found.table), mildest, driven,
-        away / mildest, case, found.case.get("gates", ""),
-    )  # fmt: skip
+        name,
+        hole.subject,
+        " ".join(hole.axes),
+        without.found.distance,
+        away,
+        len(found.table),
+        mildest,
+        driven,
+        away / mildest,
+        case,
+        found.case.get("gates", ""),
+    )
     return dict(zip(COLUMNS, values, strict=True))
 
 
@@ -178,14 +215,24 @@ def main(words: Sequence[str] | None = None) -> None:
     rows = []
     try:
         for name in asked.only:
-            options = {"count": asked.grid, "budget": asked.budget, "seed": asked.seed, "workers": asked.workers}
+            options = {
+                "count": asked.grid,
+                "budget": asked.budget,
+                "seed": asked.seed,
+                "workers": asked.workers,
+            }
             rows.append(row(name, asked.out, **options))
-            sys.stdout.write("\n".join(f"{key}: {value}" for key, value in rows[-1].items()) + "\n\n")
+            sys.stdout.write(
+                "\n".join(f"{key}: {value}" for key, value in rows[-1].items()) + "\n\n"
+            )
             sys.stdout.flush()
     except ReplanError as error:
         sys.exit(f"error: {error}")
     table = pd.DataFrame(rows, columns=list(COLUMNS))
-    write_file(asked.out / "falsify.csv", lambda partial: table.to_csv(partial, index=False, lineterminator="\n"))
+    write_file(
+        asked.out / "falsify.csv",
+        lambda partial: table.to_csv(partial, index=False, lineterminator="\n"),
+    )
 
 
 if __name__ == "__main__":

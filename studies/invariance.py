@@ -56,9 +56,20 @@ RATES_HZ, NOISE_M = (5.0, 10.0, 20.0), (0.02, 0.05)
 PARTED_M = (0.01, 0.1)
 
 COLUMNS = (
-    "log", "planner", "perturbation", "end", "detail", "end_s", "goal", "at_fault", "gap_m", "failed_gates",
-    "marginal_gates", "gates", "parted_m",
-)  # fmt: skip
+    "log",
+    "planner",
+    "perturbation",
+    "end",
+    "detail",
+    "end_s",
+    "goal",
+    "at_fault",
+    "gap_m",
+    "failed_gates",
+    "marginal_gates",
+    "gates",
+    "parted_m",
+)
 """`gap_m`: smallest gap; `parted_m`: largest distance of the ego to where it was, unperturbed, at the same time."""
 
 
@@ -72,7 +83,9 @@ class Perturbation:
 
 
 def _turn(name: str, angle: float) -> Perturbation:
-    return Perturbation(name, partial(rotated, angle=angle), lambda ego: moved_trajectory(ego, 0.0, 0.0, -angle))
+    return Perturbation(
+        name, partial(rotated, angle=angle), lambda ego: moved_trajectory(ego, 0.0, 0.0, -angle)
+    )
 
 
 def _noisy(log: Scenario, size: float) -> Scenario:
@@ -85,11 +98,16 @@ PERTURBATIONS: dict[str, Perturbation] = {
         Perturbation("none", lambda log: log),
         _turn("turn_1e-12_rad", 1e-12),
         *(_turn(f"turn_{degrees}", radians(degrees)) for degrees in TURNS_DEG),
-        Perturbation("mirror", lambda log: replace(mirrored(log), name=log.name), mirrored_trajectory),
+        Perturbation(
+            "mirror", lambda log: replace(mirrored(log), name=log.name), mirrored_trajectory
+        ),
         Perturbation("clock", lambda log: shifted_clock(log, CLOCK_NS)),
         Perturbation("jitter_1e-9", lambda log: jittered(log, TINY)),
         *(Perturbation(f"{rate:g}_hz", partial(sampled, rate_hz=rate)) for rate in RATES_HZ),
-        *(Perturbation(f"noise_{100.0 * size:g}_cm", partial(_noisy, size=size)) for size in NOISE_M),
+        *(
+            Perturbation(f"noise_{100.0 * size:g}_cm", partial(_noisy, size=size))
+            for size in NOISE_M
+        ),
     )
 }
 
@@ -156,16 +174,34 @@ def counted(table: pd.DataFrame) -> pd.DataFrame:
     still = table[table["perturbation"] == "none"].set_index(keys)
     out = []
     for (planner, name), rows in table.groupby(["planner", "perturbation"], sort=False):
-        here, there = rows.set_index(keys), still.loc[list(rows[keys].itertuples(index=False, name=None))]
+        here, there = (
+            rows.set_index(keys),
+            still.loc[list(rows[keys].itertuples(index=False, name=None))],
+        )
         flips = pd.Series(False, index=here.index)
         for column in ("end", "goal", "at_fault"):
-            flips |= ~((here[column] == there[column]) | (here[column].isna() & there[column].isna()))
-        counts = {f"beyond_{limit:g}_m": int((here["parted_m"] > limit).sum()) for limit in PARTED_M}
-        changed = {key: _words(here, "failed_gates", key) ^ _words(there, "failed_gates", key) for key in here.index}
-        near = {key: _words(here, "marginal_gates", key) | _words(there, "marginal_gates", key) for key in here.index}
+            flips |= ~(
+                (here[column] == there[column]) | (here[column].isna() & there[column].isna())
+            )
+        counts = {
+            f"beyond_{limit:g}_m": int((here["parted_m"] > limit).sum()) for limit in PARTED_M
+        }
+        changed = {
+            key: _words(here, "failed_gates", key) ^ _words(there, "failed_gates", key)
+            for key in here.index
+        }
+        near = {
+            key: _words(here, "marginal_gates", key) | _words(there, "marginal_gates", key)
+            for key in here.index
+        }
         gates = {"gates": int(here["gates"].sum()), "gate_flips": sum(map(len, changed.values()))}
         gates["unmarked"] = sum(len(changed[key] - near[key]) for key in changed)
-        row = {"planner": planner, "perturbation": name, "logs": len(here), "outcome_flips": int(flips.sum())}
+        row = {
+            "planner": planner,
+            "perturbation": name,
+            "logs": len(here),
+            "outcome_flips": int(flips.sum()),
+        }
         out.append(row | gates | counts)
     return pd.DataFrame(out)
 
@@ -174,30 +210,47 @@ def _words(table: pd.DataFrame, column: str, key: Hashable) -> set[str]:
     return set(str(table.at[key, column]).split())
 
 
-def compare(jobs: Sequence[Job], out: Path, *, workers: int, say: Callable[[str], None]) -> pd.DataFrame:
+def compare(
+    jobs: Sequence[Job], out: Path, *, workers: int, say: Callable[[str], None]
+) -> pd.DataFrame:
     """Drive all jobs and write OUT/invariance.csv; returns its rows."""
     found: dict[int, list[dict[str, object]]] = {}
-    ended = run_all(driven, jobs, workers) if workers else ((i, driven(job)) for i, job in enumerate(jobs))
+    ended = (
+        run_all(driven, jobs, workers)
+        if workers
+        else ((i, driven(job)) for i, job in enumerate(jobs))
+    )
     for index, rows in ended:
         label = jobs[index].source.label
         lost: dict[str, object] = {"log": label, "planner": "", "perturbation": "none"}
         found[index] = [lost | {"end": rows.reason}] if isinstance(rows, WorkerLost) else rows
         say(f"{len(found)} of {len(jobs)}: {label}")
-    table = pd.DataFrame([row for index in sorted(found) for row in found[index]], columns=list(COLUMNS))
+    table = pd.DataFrame(
+        [row for index in sorted(found) for row in found[index]], columns=list(COLUMNS)
+    )
     out.mkdir(parents=True, exist_ok=True)
-    write_file(out / "invariance.csv", lambda partial: table.to_csv(partial, index=False, lineterminator="\n"))
+    write_file(
+        out / "invariance.csv",
+        lambda partial: table.to_csv(partial, index=False, lineterminator="\n"),
+    )
     return table
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Write the table and print the counts; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m studies.invariance", description="Perturbed drives.")
-    parser.add_argument("logs", nargs="*", type=Path, help="files or folders; none: the built-in suite")
+    parser = argparse.ArgumentParser(
+        prog="python -m studies.invariance", description="Perturbed drives."
+    )
+    parser.add_argument(
+        "logs", nargs="*", type=Path, help="files or folders; none: the built-in suite"
+    )
     parser.add_argument("-o", "--out", required=True, type=Path, help="folder for the table")
     parser.add_argument("-p", "--planner", action="append", help="default: dp_qp")
     parser.add_argument("--only", action="append", choices=list(PERTURBATIONS), help="default: all")
     parser.add_argument("--traffic", default=LoopConfig().traffic)
-    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes; 0: in this one")
+    parser.add_argument(
+        "--workers", type=int, default=os.cpu_count() or 1, help="processes; 0: in this one"
+    )
     chosen = parser.parse_args(arguments)
     planners, names = tuple(chosen.planner or ["dp_qp"]), tuple(chosen.only or PERTURBATIONS)
     try:

@@ -29,7 +29,8 @@ MARK = "REPLAN_KILLS"
 PRELUDE = (
     "from replan.interruption import end_at_once; end_at_once();"
     "import replan.paper.reproduce as r; from functools import partial; from replan.cli import main;"
-    "r.PaperConfig = partial(r.PaperConfig, cells=r.CELLS[:2]); main()"  # the paper with two pedestrians
+    # The paper with two pedestrians
+    "r.PaperConfig = partial(r.PaperConfig, cells=r.CELLS[:2]); main()"
 )
 SOLVED = (
     "from replan.logs.catalogue import scenario as s; from replan.logs.mcap import write_scenario; from dataclasses import replace;"
@@ -85,7 +86,9 @@ def begun(place: Path, words: str, code: str = PRELUDE) -> subprocess.Popen[str]
     """A command in a session of its own, with a mark in its environment by which its processes are found."""
     env, to = {**os.environ, MARK: str(place), "TMPDIR": str(place / "tmp")}, subprocess.PIPE
     command = [sys.executable, "-c", code, *shlex.split(words)]
-    return subprocess.Popen(command, cwd=place, env=env, text=True, start_new_session=True, stdout=to, stderr=to)
+    return subprocess.Popen(
+        command, cwd=place, env=env, text=True, start_new_session=True, stdout=to, stderr=to
+    )
 
 
 def fresh(words: str) -> str:
@@ -99,8 +102,13 @@ def finished(place: Path, words: str, code: str = PRELUDE) -> Done:
     errors = run.communicate(timeout=600)[1]
     if run.returncode == 2 and "no study to resume" in errors:
         return finished(place, fresh(words))
-    files = [file for out in place.glob("*out*") for file in (out, *out.rglob("*")) if file.is_file()]
-    held = {str(file.relative_to(place)): b"" if file.name.endswith(CLOCKS) else file.read_bytes() for file in files}
+    files = [
+        file for out in place.glob("*out*") for file in (out, *out.rglob("*")) if file.is_file()
+    ]
+    held = {
+        str(file.relative_to(place)): b"" if file.name.endswith(CLOCKS) else file.read_bytes()
+        for file in files
+    }
     return run.returncode, held, errors
 
 
@@ -132,11 +140,19 @@ def cleared(place: Path) -> int:
 
 def left(place: Path) -> list[str]:
     """Locks and unfinished files."""
-    return [f"left: {path.relative_to(place)}" for path in place.rglob("*") if path.name.startswith(".")]
+    return [
+        f"left: {path.relative_to(place)}" for path in place.rglob("*") if path.name.startswith(".")
+    ]
 
 
 def one_round(
-    place: Path, words: str, rng: random.Random, number: signal.Signals, whole: Done, whole_s: float, seen: Counter[str]
+    place: Path,
+    words: str,
+    rng: random.Random,
+    number: signal.Signals,
+    whole: Done,
+    whole_s: float,
+    seen: Counter[str],
 ) -> None:
     """Kill a command one to three times, run it to its end, and compare; counts `seen`."""
     for _ in range(rng.randint(1, 3)):
@@ -149,11 +165,19 @@ def one_round(
             seen["kills"] += 1
             if number != signal.SIGKILL and run.returncode != 130:
                 late = run.returncode == whole[0]
-                seen["ended by itself" if late else f"interrupted: exit code {run.returncode}: {said[-300:]}"] += 1
+                seen[
+                    "ended by itself"
+                    if late
+                    else f"interrupted: exit code {run.returncode}: {said[-300:]}"
+                ] += 1
             seen.update(left(place) if number != signal.SIGKILL else ())
         seen.update(f"orphan: {one}" for one in alive(place))
     code, files, errors = finished(place, words)
-    names = [name for name in sorted(files.keys() | whole[1].keys()) if files.get(name) != whole[1].get(name)]
+    names = [
+        name
+        for name in sorted(files.keys() | whole[1].keys())
+        if files.get(name) != whole[1].get(name)
+    ]
     if code != whole[0] or names:
         seen[f"exit code {code} for {whole[0]}, other bytes: {names[:4]} {errors[-300:]}"] += 1
     seen.update(left(place))
@@ -164,7 +188,9 @@ def one_round(
 def make_inputs(place: Path) -> None:
     """Make what the commands read; AssertionError if a command fails."""
     (place / "tmp").mkdir(parents=True)
-    (place / "space.toml").write_text("[planner.idm]\ntime_gap_s = { low = 1.0, high = 2.0 }\n", encoding="utf-8")
+    (place / "space.toml").write_text(
+        "[planner.idm]\ntime_gap_s = { low = 1.0, high = 2.0 }\n", encoding="utf-8"
+    )
     assert finished(place, "", SOLVED)[0] == 0
     for words in SETUP.strip().splitlines():
         code, _, errors = finished(place, words)
@@ -174,34 +200,55 @@ def make_inputs(place: Path) -> None:
 
 def main() -> None:
     """Make the inputs, then kill until the count or the time is reached."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("out", type=Path)
     parser.add_argument("--kills", type=int, default=300)
     parser.add_argument("--seconds", type=float, default=1800.0)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--signal", choices=["KILL", "INT", "TERM"], default="KILL")
-    parser.add_argument("--only", nargs="*", default=["."], help="Patterns, of which a command has one.")
+    parser.add_argument(
+        "--only", nargs="*", default=["."], help="Patterns, of which a command has one."
+    )
     asked = parser.parse_args()
-    for one in (signal.SIGINT, signal.SIGTERM):  # a shell ignores them for what it starts in the background
+    # A shell ignores them for what it starts in the background
+    for one in (signal.SIGINT, signal.SIGTERM):
         signal.signal(one, signal.default_int_handler)
     place, rng = asked.out.resolve(), random.Random(asked.seed)
     if not (place / "cut_off.mcap").exists():
         make_inputs(place)
     cleared(place)
-    commands = [words for words in COMMANDS.strip().splitlines() if any(re.search(one, words) for one in asked.only)]
+    commands = [
+        words
+        for words in COMMANDS.strip().splitlines()
+        if any(re.search(one, words) for one in asked.only)
+    ]
     until = time.monotonic() + asked.seconds
-    spent, whole, seen = dict.fromkeys(commands, 0.0), dict[str, tuple[Done, float]](), dict[str, Counter[str]]()
+    spent, whole, seen = (
+        dict.fromkeys(commands, 0.0),
+        dict[str, tuple[Done, float]](),
+        dict[str, Counter[str]](),
+    )
     while sum(count["kills"] for count in seen.values()) < asked.kills and time.monotonic() < until:
         words, begin = min(commands, key=spent.__getitem__), time.monotonic()
         if words not in whole:
             first = finished(place, fresh(words))  # it compiles kernels
             cleared(place)
             again = time.monotonic()
-            whole[words], seen[words] = (finished(place, fresh(words)), time.monotonic() - again), Counter()
-            assert whole[words][0][0] in (0, 1, 4) and first[:2] == whole[words][0][:2], (words, first[2])
+            whole[words], seen[words] = (
+                (finished(place, fresh(words)), time.monotonic() - again),
+                Counter(),
+            )
+            assert whole[words][0][0] in (0, 1, 4) and first[:2] == whole[words][0][:2], (
+                words,
+                first[2],
+            )
             cleared(place)
         else:
-            one_round(place, words, rng, signal.Signals[f"SIG{asked.signal}"], *whole[words], seen[words])
+            one_round(
+                place, words, rng, signal.Signals[f"SIG{asked.signal}"], *whole[words], seen[words]
+            )
         spent[words] += time.monotonic() - begin
         sys.stdout.write(f"{words.split(' -')[0]} ({spent[words]:.0f} s): {dict(seen[words])}\n")
         sys.stdout.flush()

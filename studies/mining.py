@@ -37,24 +37,43 @@ from replan.mine.driven_log import DrivenLog
 from replan.mine.kinds import KINDS
 
 LABELS: dict[str, tuple[tuple[str, str], ...]] = {
-    "pedestrian_crossing_10": (("pedestrian_crossing", "60"), ("ego_yields", "60"), ("cyclist_along", "165")),
+    "pedestrian_crossing_10": (
+        ("pedestrian_crossing", "60"),
+        ("ego_yields", "60"),
+        ("cyclist_along", "165"),
+    ),
     "pedestrian_crossing_14": (
-        ("pedestrian_crossing", "25"), ("pedestrian_crossing", "30"), ("ego_yields", "25"), ("ego_yields", "30"),
+        ("pedestrian_crossing", "25"),
+        ("pedestrian_crossing", "30"),
+        ("ego_yields", "25"),
+        ("ego_yields", "30"),
     ),
     "pedestrian_crossing_15": (
-        ("pedestrian_crossing", "28"), ("pedestrian_crossing", "67"), ("ego_yields", "28"), ("ego_yields", "67"),
+        ("pedestrian_crossing", "28"),
+        ("pedestrian_crossing", "67"),
+        ("ego_yields", "28"),
+        ("ego_yields", "67"),
     ),
     "kaubamaja_sfa_2": (
-        ("pedestrian_crossing", "9"), ("pedestrian_crossing", "10"), ("pedestrian_crossing", "106"),
-        ("close_pass", "354"), ("close_pass", "254"),
+        ("pedestrian_crossing", "9"),
+        ("pedestrian_crossing", "10"),
+        ("pedestrian_crossing", "106"),
+        ("close_pass", "354"),
+        ("close_pass", "254"),
     ),
     "3b3570b4-7b0b-3268-a571-b0889dbf40b6": (
-        ("unprotected_turn", "left"), ("crosswalk", "2348546"), ("crosswalk", "2348347"), ("ego_yields", "2357"),
+        ("unprotected_turn", "left"),
+        ("crosswalk", "2348546"),
+        ("crosswalk", "2348347"),
+        ("ego_yields", "2357"),
     ),
     "7fab2350-7eaf-3b7e-a39d-6937a4c1bede": (
-        ("unprotected_turn", "left"), ("crosswalk", "2356430"), ("ego_yields", "7f57"), ("ego_yields", "3c6c"),
+        ("unprotected_turn", "left"),
+        ("crosswalk", "2356430"),
+        ("ego_yields", "7f57"),
+        ("ego_yields", "3c6c"),
     ),
-}  # fmt: skip
+}
 APART: dict[str, tuple[tuple[str, str], ...]] = {
     "pedestrian_crossing_05": (("pedestrian_crossing", "30"), ("ego_yields", "30")),
     "pedestrian_crossing_09": (("pedestrian_crossing", "72"), ("ego_yields", "72")),
@@ -67,15 +86,22 @@ FRESH: dict[str, tuple[tuple[str, str], ...]] = {
     "pedestrian_crossing_02": (("ego_yields", "1052"), ("ego_yields", "1503")),
     "pedestrian_crossing_06": (("pedestrian_crossing", "24"), ("ego_yields", "24")),
     "pedestrian_crossing_07": (
-        ("pedestrian_crossing", "165"), ("ego_yields", "165"), ("ego_slows", "131"), ("standing_queue", "131"),
+        ("pedestrian_crossing", "165"),
+        ("ego_yields", "165"),
+        ("ego_slows", "131"),
+        ("standing_queue", "131"),
     ),
     "pedestrian_crossing_13": (("ego_yields", "1339"), ("ego_yields", "1340")),
-    "USA_Lanker-2_23_T-1.xml@21248": (("cut_out", "21247"), ("ego_slows", "21241"), ("hard_braking", "")),
+    "USA_Lanker-2_23_T-1.xml@21248": (
+        ("cut_out", "21247"),
+        ("ego_slows", "21241"),
+        ("hard_braking", ""),
+    ),
     "USA_US101-23_1_T-1.xml@91": (("cut_out", "79"),),
     "USA_US101-15_1_T-1.xml@446": (),
     "C-DEU_MONAEast-2_480_T-559.xml": (),
     "USA_US101-23_1_T-1.xml@84": (),
-}  # fmt: skip
+}
 """Five of Tartu and five of CommonRoad, after "@" the road user taken as the ego.
 
 They were labelled before they were mined; some rules were changed afterwards.
@@ -98,56 +124,104 @@ NEAR_MISSES_SEEN: dict[str, tuple[tuple[str, str], ...]] = {
 NEAR_MISSES: dict[str, tuple[tuple[str, str], ...]] = {
     **dict.fromkeys(
         (
-            "USA_Lanker-1_8_T-1.xml", "USA_Lanker-2_6_T-1.xml",
-            "C-DEU_MONAEast-2_1680_T-1759.xml", "C-DEU_MONAEast-2_1_T-79.xml", "C-DEU_MONAEast-2_240_T-319.xml",
-            "C-DEU_MONAEast-2_480_T-559.xml", "C-DEU_MONAEast-2_960_T-1039.xml", "C-DEU_MONAMerge-2_1_T-299.xml",
-            "C-DEU_MONAMerge-2_480_T-559.xml", "C-DEU_MONAWest-2_1200_T-1279.xml", "C-DEU_MONAWest-2_1440_T-1519.xml",
+            "USA_Lanker-1_8_T-1.xml",
+            "USA_Lanker-2_6_T-1.xml",
+            "C-DEU_MONAEast-2_1680_T-1759.xml",
+            "C-DEU_MONAEast-2_1_T-79.xml",
+            "C-DEU_MONAEast-2_240_T-319.xml",
+            "C-DEU_MONAEast-2_480_T-559.xml",
+            "C-DEU_MONAEast-2_960_T-1039.xml",
+            "C-DEU_MONAMerge-2_1_T-299.xml",
+            "C-DEU_MONAMerge-2_480_T-559.xml",
+            "C-DEU_MONAWest-2_1200_T-1279.xml",
+            "C-DEU_MONAWest-2_1440_T-1519.xml",
             "C-DEU_MONAWest-2_720_T-799.xml",
-            "DEU_Flensburg-10_1_T-1.xml", "DEU_Flensburg-15_1_T-1.xml", "DEU_Flensburg-2_1_T-1.xml",
-            "DEU_Flensburg-68_1_T-1.xml", "DEU_Goeppingen-37_1_T-4.xml", "DEU_Lohmar-20_1_T-1.xml",
-            "DEU_Lohmar-38_1_T-1.xml", "DEU_Lohmar-55_1_T-1.xml", "OSC_Overtake-1_1_T-1.xml",
-            "ZAM_Tjunction-1_18_T-1.xml", "ZAM_Intersection-1_1_T-1.xml",
-            "3b3570b4-7b0b-3268-a571-b0889dbf40b6", "7fab2350-7eaf-3b7e-a39d-6937a4c1bede",
-            "bot_garden", "kaubamaja_sfa_2", "pedestrian_crossing_05", "pedestrian_crossing_06",
-            "pedestrian_crossing_07", "pedestrian_crossing_09", "pedestrian_crossing_10", "pedestrian_crossing_14",
-            "pedestrian_crossing_15", "raekoda",
+            "DEU_Flensburg-10_1_T-1.xml",
+            "DEU_Flensburg-15_1_T-1.xml",
+            "DEU_Flensburg-2_1_T-1.xml",
+            "DEU_Flensburg-68_1_T-1.xml",
+            "DEU_Goeppingen-37_1_T-4.xml",
+            "DEU_Lohmar-20_1_T-1.xml",
+            "DEU_Lohmar-38_1_T-1.xml",
+            "DEU_Lohmar-55_1_T-1.xml",
+            "OSC_Overtake-1_1_T-1.xml",
+            "ZAM_Tjunction-1_18_T-1.xml",
+            "ZAM_Intersection-1_1_T-1.xml",
+            "3b3570b4-7b0b-3268-a571-b0889dbf40b6",
+            "7fab2350-7eaf-3b7e-a39d-6937a4c1bede",
+            "bot_garden",
+            "kaubamaja_sfa_2",
+            "pedestrian_crossing_05",
+            "pedestrian_crossing_06",
+            "pedestrian_crossing_07",
+            "pedestrian_crossing_09",
+            "pedestrian_crossing_10",
+            "pedestrian_crossing_14",
+            "pedestrian_crossing_15",
+            "raekoda",
         ),
         (),
     ),
     "DEU_Flensburg-29_1_T-1.xml": (("325", "328"),),
     "OSC_CutIn-1_2_T-1.xml": (("4", ""),),
     "C-DEU_B471-1_1_T-1.xml": (("206", "207"),),
-}  # fmt: skip
+}
 """The same in others, labelled before they were mined; "" is the recorded ego."""
 NEAR_MISSES_DRIVEN: dict[str, dict[str, tuple[str, ...]]] = {
     "dp_qp": {
-        "C-DEU_B471-1_3_T-1": ("399",), "DEU_Guetersloh-36_1_T-1": ("38",), "DEU_Lohmar-38_1_T-1": ("34",),
+        "C-DEU_B471-1_3_T-1": ("399",),
+        "DEU_Guetersloh-36_1_T-1": ("38",),
+        "DEU_Lohmar-38_1_T-1": ("34",),
         "USA_US101-10_1_T-1": ("555",),
     },
     "idm": {
-        "C-DEU_B471-1_3_T-1": ("399",), "C-DEU_MONAWest-2_1440_T-1519": ("10992",), "DEU_Guetersloh-36_1_T-1": ("38",),
-        "DEU_Muc-4_2_T-1.cr": ("202", "203"), "OSC_CutIn-1_2_T-1": ("4",), "USA_US101-10_1_T-1": ("555",),
+        "C-DEU_B471-1_3_T-1": ("399",),
+        "C-DEU_MONAWest-2_1440_T-1519": ("10992",),
+        "DEU_Guetersloh-36_1_T-1": ("38",),
+        "DEU_Muc-4_2_T-1.cr": ("202", "203"),
+        "OSC_CutIn-1_2_T-1": ("4",),
+        "USA_US101-10_1_T-1": ("555",),
         "USA_US101-23_1_T-1": ("94", "99"),
     },
     "lattice": {
-        "C-DEU_B471-1_3_T-1": ("399",), "C-DEU_MONAWest-2_1440_T-1519": ("10986",), "DEU_Guetersloh-36_1_T-1": ("38",),
-        "DEU_Muc-4_2_T-1.cr": ("202",), "OSC_CutIn-1_2_T-1": ("4",),
+        "C-DEU_B471-1_3_T-1": ("399",),
+        "C-DEU_MONAWest-2_1440_T-1519": ("10986",),
+        "DEU_Guetersloh-36_1_T-1": ("38",),
+        "DEU_Muc-4_2_T-1.cr": ("202",),
+        "OSC_CutIn-1_2_T-1": ("4",),
     },
     "constant_speed": {
-        "C-DEU_B471-1_3_T-1": ("399",), "C-DEU_MONAEast-2_1680_T-1759": ("12573",),
-        "C-DEU_MONAEast-2_960_T-1039": ("11541",), "C-DEU_MONAWest-2_1440_T-1519": ("10982",),
-        "DEU_Flensburg-10_1_T-1": ("321",), "DEU_Guetersloh-36_1_T-1": ("38",), "DEU_Muc-4_2_T-1.cr": ("202",),
-        "OSC_CutIn-1_2_T-1": ("4",), "OSC_Overtake-1_1_T-1": ("257",), "USA_Lanker-1_1_T-1": ("1219",),
-        "USA_US101-10_1_T-1": ("546",), "USA_US101-14_1_T-1": ("49",), "USA_US101-15_1_T-1": ("449",),
-        "USA_US101-6_1_T-1": ("410",), "ZAM_Tjunction-1_18_T-1": ("1",), "ZAM_Tjunction-1_42_T-1": ("7",),
+        "C-DEU_B471-1_3_T-1": ("399",),
+        "C-DEU_MONAEast-2_1680_T-1759": ("12573",),
+        "C-DEU_MONAEast-2_960_T-1039": ("11541",),
+        "C-DEU_MONAWest-2_1440_T-1519": ("10982",),
+        "DEU_Flensburg-10_1_T-1": ("321",),
+        "DEU_Guetersloh-36_1_T-1": ("38",),
+        "DEU_Muc-4_2_T-1.cr": ("202",),
+        "OSC_CutIn-1_2_T-1": ("4",),
+        "OSC_Overtake-1_1_T-1": ("257",),
+        "USA_Lanker-1_1_T-1": ("1219",),
+        "USA_US101-10_1_T-1": ("546",),
+        "USA_US101-14_1_T-1": ("49",),
+        "USA_US101-15_1_T-1": ("449",),
+        "USA_US101-6_1_T-1": ("410",),
+        "ZAM_Tjunction-1_18_T-1": ("1",),
+        "ZAM_Tjunction-1_42_T-1": ("7",),
     },
     "pdm": {
-        "C-DEU_B471-1_1_T-1": ("399",), "C-DEU_B471-1_3_T-1": ("399",), "C-DEU_MONAWest-2_1440_T-1519": ("10992",),
-        "DEU_Flensburg-10_1_T-1": ("321",), "DEU_Flensburg-2_1_T-1": ("34",), "DEU_Guetersloh-36_1_T-1": ("38",),
-        "DEU_Hennigsdorf-11_1_T-1": ("311",), "DEU_Lohmar-38_1_T-1": ("34",), "DEU_Muc-4_2_T-1.cr": ("202",),
-        "OSC_CutIn-1_2_T-1": ("4",), "ZAM_Tjunction-1_277_T-1": ("5",),
+        "C-DEU_B471-1_1_T-1": ("399",),
+        "C-DEU_B471-1_3_T-1": ("399",),
+        "C-DEU_MONAWest-2_1440_T-1519": ("10992",),
+        "DEU_Flensburg-10_1_T-1": ("321",),
+        "DEU_Flensburg-2_1_T-1": ("34",),
+        "DEU_Guetersloh-36_1_T-1": ("38",),
+        "DEU_Hennigsdorf-11_1_T-1": ("311",),
+        "DEU_Lohmar-38_1_T-1": ("34",),
+        "DEU_Muc-4_2_T-1.cr": ("202",),
+        "OSC_CutIn-1_2_T-1": ("4",),
+        "ZAM_Tjunction-1_277_T-1": ("5",),
     },
-}  # fmt: skip
+}
 """The same in drives of planners, by log: labelled after the rule was changed, before they were mined.
 
 Those of `pdm`, among reactive traffic, were labelled after one more change.
@@ -179,7 +253,11 @@ def egos(path: Path) -> Iterator[tuple[str, Scenario]]:
     for i, name in enumerate(tracks.ids):
         at = tracks.samples(i)
         t, x, y = tracks.t[at], tracks.x[at], tracks.y[at]
-        cannot = tracks.static[i] or tracks.kinds[i] in (AgentKind.PEDESTRIAN, AgentKind.BICYCLE, AgentKind.OBJECT)
+        cannot = tracks.static[i] or tracks.kinds[i] in (
+            AgentKind.PEDESTRIAN,
+            AgentKind.BICYCLE,
+            AgentKind.OBJECT,
+        )
         if cannot or t[-1] - t[0] < EGO_S or arc_lengths(x, y)[-1] < EGO_M:
             continue
         if path.suffix == ".xml":
@@ -188,16 +266,31 @@ def egos(path: Path) -> Iterator[tuple[str, Scenario]]:
         car, yaw = scenario.vehicle, tracks.yaw[at]
         ratio = float(tracks.length[i]) / car.length
         car = replace(
-            car, length=float(tracks.length[i]), width=float(tracks.width[i]), wheelbase=car.wheelbase * ratio,
+            car,
+            length=float(tracks.length[i]),
+            width=float(tracks.width[i]),
+            wheelbase=car.wheelbase * ratio,
             rear_overhang=car.rear_overhang * ratio,
-        )  # fmt: skip
+        )
         axle = car.axle_to_center
         ego = driven(t - t[0], x - axle * np.cos(yaw), y - axle * np.sin(yaw), yaw, [])
         others = tracks.only(set(tracks.ids) - {name}).shifted(-float(t[0]))
-        yield name, replace(
-            scenario, ego=ego, tracks=others, vehicle=car, duration=float(ego.t[-1]), goal=None, controls=None,
-            lights=(), traffic=None, detections=None, onboard=(),
-        )  # fmt: skip
+        yield (
+            name,
+            replace(
+                scenario,
+                ego=ego,
+                tracks=others,
+                vehicle=car,
+                duration=float(ego.t[-1]),
+                goal=None,
+                controls=None,
+                lights=(),
+                traffic=None,
+                detections=None,
+                onboard=(),
+            ),
+        )
 
 
 Pair = tuple[str, str, str]
@@ -224,7 +317,9 @@ def print_near_misses(drives: Iterator[tuple[str, str, Scenario]], labelled: set
     )
 
 
-def recorded(names: dict[str, tuple[tuple[str, str], ...]], folders: list[str]) -> Iterator[tuple[str, str, Scenario]]:
+def recorded(
+    names: dict[str, tuple[tuple[str, str], ...]], folders: list[str]
+) -> Iterator[tuple[str, str, Scenario]]:
     """The drives of recordings: log, id of the ego, scenario."""
     for name in names:
         path = next(Path(folder, name) for folder in folders if Path(folder, name).exists())
@@ -233,7 +328,9 @@ def recorded(names: dict[str, tuple[tuple[str, str], ...]], folders: list[str]) 
 
 def driven_by(planner: str, folders: list[str]) -> Iterator[tuple[str, str, Scenario]]:
     """The drives of a planner in folders of results: log, "" for the ego, scenario."""
-    for path in sorted(path for folder in folders for path in Path(folder).glob(f"*/closed.{planner}.mcap")):
+    for path in sorted(
+        path for folder in folders for path in Path(folder).glob(f"*/closed.{planner}.mcap")
+    ):
         log = path.parent.name.rpartition("-")[0]
         if SETS not in log:
             yield log, "", read_log(path, LogSettings())
@@ -247,11 +344,18 @@ def main(folders: list[str]) -> None:
         ("drives labelled last", FRESH),
     ):
         for doubted in (True, False):
-            sys.stdout.write(f"\n{title}, {'all events' if doubted else 'events that are not in doubt'}\n")
+            sys.stdout.write(
+                f"\n{title}, {'all events' if doubted else 'events that are not in doubt'}\n"
+            )
             print_table(drives, folders, doubted=doubted)
-    for title, recordings in (("seen", NEAR_MISSES_SEEN), ("labelled before they were mined", NEAR_MISSES)):
+    for title, recordings in (
+        ("seen", NEAR_MISSES_SEEN),
+        ("labelled before they were mined", NEAR_MISSES),
+    ):
         sys.stdout.write(f"\nnear misses, recordings {title}\n")
-        labelled = {(name, min(pair), max(pair)) for name, pairs in recordings.items() for pair in pairs}
+        labelled = {
+            (name, min(pair), max(pair)) for name, pairs in recordings.items() for pair in pairs
+        }
         print_near_misses(recorded(recordings, folders), labelled)
     for planner, logs in NEAR_MISSES_DRIVEN.items():
         sys.stdout.write(f"\nnear misses, drives of {planner}\n")
@@ -259,7 +363,9 @@ def main(folders: list[str]) -> None:
         print_near_misses(driven_by(planner, folders), those)
 
 
-def print_table(drives: dict[str, tuple[tuple[str, str], ...]], folders: list[str], *, doubted: bool) -> None:
+def print_table(
+    drives: dict[str, tuple[tuple[str, str], ...]], folders: list[str], *, doubted: bool
+) -> None:
     """Precision and recall by kind, of all events or of those that are not in doubt."""
     right, wrong, missed = Counter[str](), Counter[str](), Counter[str]()
     for name, labels in drives.items():
@@ -271,10 +377,16 @@ def print_table(drives: dict[str, tuple[tuple[str, str], ...]], folders: list[st
             table = right if both else wrong if events[kind, about] else missed
             table[kind] += 1
             if not both:
-                sys.stdout.write(f"{'not labelled' if events[kind, about] else 'missed'}: {name}, {kind} {about}\n")
-    sys.stdout.write("| kind | right | not labelled | missed | precision | recall |\n|---|---|---|---|---|---|\n")
+                sys.stdout.write(
+                    f"{'not labelled' if events[kind, about] else 'missed'}: {name}, {kind} {about}\n"
+                )
+    sys.stdout.write(
+        "| kind | right | not labelled | missed | precision | recall |\n|---|---|---|---|---|---|\n"
+    )
     for kind in [*sorted(right | wrong | missed), "all"]:
-        r, w, m = (table.total() if kind == "all" else table[kind] for table in (right, wrong, missed))
+        r, w, m = (
+            table.total() if kind == "all" else table[kind] for table in (right, wrong, missed)
+        )
         precision = f"{r / (r + w):.2f}" if r + w else "-"
         recall = f"{r / (r + m):.2f}" if r + m else "-"
         sys.stdout.write(f"| {kind} | {r} | {w} | {m} | {precision} | {recall} |\n")

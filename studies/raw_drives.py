@@ -20,10 +20,14 @@ from replan.paper.reproduce import markdown
 
 HARD_MPS2 = 3.5
 COLUMNS = {
-    "goal": "goal.final", "hardest": "lon_accel.min", "jerk beyond 4.13, s": "lon_jerk_state.time_out_of_bounds",
-    "TTC": "ttc.min", "gap to people": "gap_vulnerable.min", "false": "false_braking.count",
+    "goal": "goal.final",
+    "hardest": "lon_accel.min",
+    "jerk beyond 4.13, s": "lon_jerk_state.time_out_of_bounds",
+    "TTC": "ttc.min",
+    "gap to people": "gap_vulnerable.min",
+    "false": "false_braking.count",
     "missed": "missed_braking.max",
-}  # fmt: skip
+}
 
 
 def outcome(verdicts: pd.DataFrame) -> str:
@@ -37,10 +41,14 @@ def hard_seconds(run: Path) -> dict[tuple[str, str], float]:
     out = {}
     for path in sorted(run.glob("*/frames.parquet")):
         log = json.loads((path.parent / "log.json").read_text(encoding="utf-8"))["log"]
-        frames = pd.read_parquet(path, filters=[("metric", "==", "lon_accel"), ("mode", "==", "closed")])
+        frames = pd.read_parquet(
+            path, filters=[("metric", "==", "lon_accel"), ("mode", "==", "closed")]
+        )
         for planner, rows in frames.groupby("planner"):
             t = rows["t_s"].to_numpy()
-            out[log, str(planner)] = float(np.diff(t, append=t[-1])[rows["value"] < -HARD_MPS2].sum())
+            out[log, str(planner)] = float(
+                np.diff(t, append=t[-1])[rows["value"] < -HARD_MPS2].sum()
+            )
     return out
 
 
@@ -48,7 +56,9 @@ def table(run: Path) -> pd.DataFrame:
     """A row per log and planner."""
     metrics = pd.read_parquet(run / "metrics.parquet").query("mode == 'closed'")
     verdicts = pd.read_parquet(run / "verdicts.parquet").query("mode == 'closed'")
-    values = metrics.pivot_table(index=["log", "planner"], columns="metric", values="value", aggfunc="first")
+    values = metrics.pivot_table(
+        index=["log", "planner"], columns="metric", values="value", aggfunc="first"
+    )
     out = values.reindex(columns=list(COLUMNS.values()))
     out.columns = pd.Index(COLUMNS)
     judged = {key: outcome(rows) for key, rows in verdicts.groupby(["log", "planner"])}
@@ -60,19 +70,29 @@ def table(run: Path) -> pd.DataFrame:
 
 def main() -> None:
     """Print the rows, and a sum per planner."""
-    parser = argparse.ArgumentParser(prog="python -m studies.raw_drives", description="Recorded drives in a run.")
+    parser = argparse.ArgumentParser(
+        prog="python -m studies.raw_drives", description="Recorded drives in a run."
+    )
     parser.add_argument("run", type=Path)
     parser.add_argument("--planner", help="rows of this one only; sums are of all")
     chosen = parser.parse_args()
     rows = table(chosen.run)
-    shown = rows if chosen.planner is None else rows.xs(chosen.planner, level="planner", drop_level=False)
+    shown = (
+        rows
+        if chosen.planner is None
+        else rows.xs(chosen.planner, level="planner", drop_level=False)
+    )
     print(markdown(shown.reset_index()))
     sums = rows.groupby("planner").agg(
-        drives=("verdict", "size"), goals=("goal", "sum"), passes=("verdict", lambda one: int((one == "pass").sum())),
-        hardest=("hardest", "min"), median_hardest=("hardest", "median"),
-        beyond_45=("hardest", lambda one: int((one < -4.5).sum())), hard_s=("hard, s", "sum"),
+        drives=("verdict", "size"),
+        goals=("goal", "sum"),
+        passes=("verdict", lambda one: int((one == "pass").sum())),
+        hardest=("hardest", "min"),
+        median_hardest=("hardest", "median"),
+        beyond_45=("hardest", lambda one: int((one < -4.5).sum())),
+        hard_s=("hard, s", "sum"),
         false=("false", lambda one: one.sum(min_count=1)),
-    )  # fmt: skip
+    )
     print()
     print(markdown(sums.reset_index()))
 

@@ -42,7 +42,16 @@ TINY_M = 1e-9
 PLANNER = "dp_qp"
 BASE = RunConfig(recording=False)
 BLIND = f"{__name__ if __name__ != '__main__' else 'studies.regressions'}:BlindToPedestrians"
-COLUMNS = ("change", "exit_code", "broken_rules", "to_fail", "values_worse", "parted", "stage", "first")
+COLUMNS = (
+    "change",
+    "exit_code",
+    "broken_rules",
+    "to_fail",
+    "values_worse",
+    "parted",
+    "stage",
+    "first",
+)
 
 
 class BlindToPedestrians:
@@ -65,7 +74,13 @@ def without(frame: Frame, kind: AgentKind) -> Frame:
     rows = keep[some.agent]
     place = np.cumsum(keep) - 1
     predictions = Predictions(
-        some.t, place[some.agent[rows]], some.probability[rows], some.x[rows], some.y[rows], some.yaw[rows], some.method
+        some.t,
+        place[some.agent[rows]],
+        some.probability[rows],
+        some.x[rows],
+        some.y[rows],
+        some.yaw[rows],
+        some.method,
     )
     return replace(frame, agents=left, predictions=predictions)
 
@@ -75,7 +90,9 @@ def _same(scenario: Scenario) -> Scenario:
 
 
 def _off(scenario: Scenario) -> Scenario:
-    return replace(scenario, ego=replace(scenario.ego, x=scenario.ego.x + TINY_M, y=scenario.ego.y + TINY_M))
+    return replace(
+        scenario, ego=replace(scenario.ego, x=scenario.ego.x + TINY_M, y=scenario.ego.y + TINY_M)
+    )
 
 
 @dataclass(frozen=True)
@@ -96,15 +113,24 @@ def _planner(table: Mapping[str, Any]) -> RunConfig:
 
 
 CHANGES: Mapping[str, Change] = {
-    "weight": Change("the speed DP's weight of nearness, 30 -> 0", _planner({"speed": {"dp": {"w_near": 0.0}}})),
+    "weight": Change(
+        "the speed DP's weight of nearness, 30 -> 0", _planner({"speed": {"dp": {"w_near": 0.0}}})
+    ),
     "delay": Change("plans are driven 100 ms late", _loop(plan_delay_s=0.1)),
     "class": Change("the planner is not shown pedestrians", replace(BASE, planners=(BLIND,))),
-    "prediction": Change("everybody goes on at constant velocity", _loop(prediction="constant_velocity")),
+    "prediction": Change(
+        "everybody goes on at constant velocity", _loop(prediction="constant_velocity")
+    ),
     "again": Change("nothing", BASE),
     "tiny": Change("the ego's log moved by 1e-9 m", BASE, _off),
-    "solver": Change("PIQP instead of the built-in interior point method", _planner({"solver": "piqp"})),
+    "solver": Change(
+        "PIQP instead of the built-in interior point method", _planner({"solver": "piqp"})
+    ),
 }
-STRICT = (GateRule("ttc.min", max_decrease=1.0, over="worst"), GateRule("thw.min", max_decrease=0.3, over="worst"))
+STRICT = (
+    GateRule("ttc.min", max_decrease=1.0, over="worst"),
+    GateRule("thw.min", max_decrease=0.3, over="worst"),
+)
 """What changes a few logs of eighteen cannot be significant: no log may come nearer to a collision by a second, or
 follow nearer by 0.3 s; the latter has a value where no collision course is near."""
 HARMLESS = ("again", "tiny", "solver")
@@ -132,7 +158,8 @@ def compared(
         change = CHANGES[name]
         candidate = _run(out, name, change, logs, workers)
         planners = (PLANNER, change.run.planners[0])
-        if change.logs is not _same:  # their hashes say that they are others: asked is what 1e-9 m alone does
+        # Their hashes say that they are others: asked is what 1e-9 m alone does
+        if change.logs is not _same:
             hashes = {log["log"]: log["sha256"] for log in baseline.summary["logs"]}
             logs_now = [{**log, "sha256": hashes[log["log"]]} for log in candidate.summary["logs"]]
             candidate = replace(candidate, summary={**candidate.summary, "logs": logs_now})
@@ -165,7 +192,9 @@ def row(name: str, comparison: Comparison) -> dict[str, Any]:
                 int((comparison.pairs["worse"] > 0.0).sum()),
                 len(partings),
                 f"{stage} ({count})" if count else "",
-                f"{first['log']}, {first['mode']} loop: {first['what']}" if first is not None else "",
+                f"{first['log']}, {first['mode']} loop: {first['what']}"
+                if first is not None
+                else "",
             ),
             strict=True,
         )
@@ -183,14 +212,21 @@ def main() -> None:
     asked = parser.parse_args()
     rows = []
     try:
-        for name, comparison in compared(asked.out, asked.logs, asked.only, asked.workers, asked.ensemble):
+        for name, comparison in compared(
+            asked.out, asked.logs, asked.only, asked.workers, asked.ensemble
+        ):
             rows.append(row(name, comparison))
-            sys.stdout.write("\n".join(f"{key}: {value}" for key, value in rows[-1].items()) + "\n\n")
+            sys.stdout.write(
+                "\n".join(f"{key}: {value}" for key, value in rows[-1].items()) + "\n\n"
+            )
             sys.stdout.flush()
     except ReplanError as error:
         sys.exit(f"error: {error}")
     table = pd.DataFrame(rows, columns=list(COLUMNS))
-    write_file(asked.out / "regressions.csv", lambda partial: table.to_csv(partial, index=False, lineterminator="\n"))
+    write_file(
+        asked.out / "regressions.csv",
+        lambda partial: table.to_csv(partial, index=False, lineterminator="\n"),
+    )
 
 
 if __name__ == "__main__":

@@ -129,8 +129,19 @@ class Row:
     cost: float
 
 
-SHOWN = ("progress", "touched", "at_fault", "hard_s", "hardest", "false", "stands_s", "delay_s", "jerk_s",
-         "gap_people_m", "cost")  # fmt: skip
+SHOWN = (
+    "progress",
+    "touched",
+    "at_fault",
+    "hard_s",
+    "hardest",
+    "false",
+    "stands_s",
+    "delay_s",
+    "jerk_s",
+    "gap_people_m",
+    "cost",
+)
 
 
 @dataclass(frozen=True)
@@ -229,7 +240,11 @@ def _recordings(data: Sequence[Path]) -> Iterator[tuple[str, str, list[Scenario]
             yield name, kind, [part for one in _egos(source, scenario) for part in _windows(one)]
     for seed in range(1, SCENES + 1):
         for family in RAW:
-            yield f"{family.name}@seed={seed}", "raw scenes", [LogSource(f"{family.name}@seed={seed}").read()]
+            yield (
+                f"{family.name}@seed={seed}",
+                "raw scenes",
+                [LogSource(f"{family.name}@seed={seed}").read()],
+            )
 
 
 def tasks(data: Sequence[Path], out: Path) -> list[Task]:
@@ -249,16 +264,27 @@ def tasks(data: Sequence[Path], out: Path) -> list[Task]:
     found, starts = list[Task](), list(STARTS)
     columns = (table[name].tolist() for name in ("path", "recording", "kind", "fold"))
     for k, (file, name, kind, fold) in enumerate(zip(*columns, strict=True)):
-        variants = ["as recorded"] if kind == "raw scenes" else ["as recorded", "mirrored", starts[k % len(starts)]]
+        variants = (
+            ["as recorded"]
+            if kind == "raw scenes"
+            else ["as recorded", "mirrored", starts[k % len(starts)]]
+        )
         found += [Task(out / "logs" / file, name, kind, fold, variant) for variant in variants]
     return found
 
 
 # the rows -------------------------------------------------------------------------------------------------------------
 
-MEASURED = {name: metrics.METRICS[name] for name in (
-    "collision_at_fault", "lon_accel", "false_braking", "lon_jerk_state", "gap_vulnerable",
-)}  # fmt: skip
+MEASURED = {
+    name: metrics.METRICS[name]
+    for name in (
+        "collision_at_fault",
+        "lon_accel",
+        "false_braking",
+        "lon_jerk_state",
+        "gap_vulnerable",
+    )
+}
 
 
 def drive(planner: str, task: Task) -> Row | str:
@@ -273,10 +299,15 @@ def drive(planner: str, task: Task) -> Row | str:
     def keep(name: str, one: Series) -> None:
         series[name] = one.value
 
-    table = metrics.evaluate(trace, scenario, metrics=MEASURED, found=keep).set_index("metric")["value"]
+    table = metrics.evaluate(trace, scenario, metrics=MEASURED, found=keep).set_index("metric")[
+        "value"
+    ]
     ego, person, route = trace.ego, scenario.ego, route_of(scenario)
     hers, its = (gain_along(route, one).metres for one in (person, ego))
-    way, until = float(np.interp(ego.t[-1], person.t, hers)), min(float(ego.t[-1]), float(person.t[-1]))
+    way, until = (
+        float(np.interp(ego.t[-1], person.t, hers)),
+        min(float(ego.t[-1]), float(person.t[-1])),
+    )
     passed = np.flatnonzero(np.maximum.accumulate(hers) >= its[-1] + NEAR_M)
     delay = max(until - float(person.t[passed[0]]), 0.0) if len(passed) else 0.0
     step = np.diff(ego.t, append=ego.t[-1])
@@ -305,10 +336,14 @@ def driven(planner: str, asked: Sequence[Task], workers: int) -> pd.DataFrame:
         if isinstance(row, Row):
             rows[i] = row
         else:
-            print(f"not driven: {row.reason if isinstance(row, WorkerLost) else row}", file=sys.stderr)
+            print(
+                f"not driven: {row.reason if isinstance(row, WorkerLost) else row}", file=sys.stderr
+            )
         if k % 50 == 49:
             print(f"{planner}: {k + 1} of {len(asked)}", file=sys.stderr)
-    return pd.DataFrame([asdict(rows[i]) for i in sorted(rows)], columns=[each.name for each in fields(Row)])
+    return pd.DataFrame(
+        [asdict(rows[i]) for i in sorted(rows)], columns=[each.name for each in fields(Row)]
+    )
 
 
 # the tables -----------------------------------------------------------------------------------------------------------
@@ -337,28 +372,44 @@ def summary(rows: pd.DataFrame, by: Sequence[str]) -> pd.DataFrame:
 def worse(rows: pd.DataFrame, planner: str) -> pd.DataFrame:
     """The drives in which a planner costs more than the best other one, most costly first."""
     keys = ["log", "variant"]
-    others = rows[rows["planner"] != planner].sort_values("cost", kind="stable").drop_duplicates(keys)
-    both = rows[rows["planner"] == planner].merge(others[[*keys, "planner", "cost"]], on=keys, suffixes=("", "_best"))
-    both = both.assign(more=both["cost"] - both["cost_best"]).sort_values("more", ascending=False, kind="stable")
+    others = (
+        rows[rows["planner"] != planner].sort_values("cost", kind="stable").drop_duplicates(keys)
+    )
+    both = rows[rows["planner"] == planner].merge(
+        others[[*keys, "planner", "cost"]], on=keys, suffixes=("", "_best")
+    )
+    both = both.assign(more=both["cost"] - both["cost_best"]).sort_values(
+        "more", ascending=False, kind="stable"
+    )
     return both[both["more"] > 0.0]
 
 
 def changes(before: pd.DataFrame, now: pd.DataFrame) -> pd.DataFrame:
     """What changed in the drives that both have, over all folds and by fold."""
     both = before.merge(now, on=["log", "variant"], suffixes=("_before", ""))
-    delta = both[["recording", "kind", "fold"]].assign(**{name: both[name] - both[f"{name}_before"] for name in SHOWN})
+    delta = both[["recording", "kind", "fold"]].assign(
+        **{name: both[name] - both[f"{name}_before"] for name in SHOWN}
+    )
     return pd.concat([summary(delta.assign(fold="all"), ["fold"]), summary(delta, ["fold"])])
 
 
 def main(argv: Sequence[str] | None = None) -> None:
     """Drive, and print the tables."""
-    parser = argparse.ArgumentParser(prog="python -m studies.roads", description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(
+        prog="python -m studies.roads", description=__doc__.splitlines()[0]
+    )
     parser.add_argument("data", type=Path, nargs="+", help="folders of recorded logs")
-    parser.add_argument("-o", "--out", type=Path, required=True, help="folder for windows and tables")
+    parser.add_argument(
+        "-o", "--out", type=Path, required=True, help="folder for windows and tables"
+    )
     parser.add_argument("-p", "--planner", nargs="*", default=["dp_qp"])
-    parser.add_argument("--fold", nargs="*", type=int, default=list(range(FOLDS)), help="these folds only")
+    parser.add_argument(
+        "--fold", nargs="*", type=int, default=list(range(FOLDS)), help="these folds only"
+    )
     parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--against", type=Path, help="rows of an earlier version of the first planner")
+    parser.add_argument(
+        "--against", type=Path, help="rows of an earlier version of the first planner"
+    )
     options = parser.parse_args(argv)
     try:
         asked = [task for task in tasks(options.data, options.out) if task.fold in options.fold]
@@ -368,7 +419,11 @@ def main(argv: Sequence[str] | None = None) -> None:
     except ReplanError as error:
         sys.exit(f"error: {error}")
     there = pd.concat(
-        [pd.read_csv(file) for file in sorted(options.out.glob("*.csv")) if file.stem not in ("logs", "worse")]
+        [
+            pd.read_csv(file)
+            for file in sorted(options.out.glob("*.csv"))
+            if file.stem not in ("logs", "worse")
+        ]
     )
     there = there[there["fold"].isin(options.fold)]
     print(markdown(summary(there, ["planner"])))
@@ -377,7 +432,11 @@ def main(argv: Sequence[str] | None = None) -> None:
     write_file(options.out / "worse.csv", partial(costly.to_csv, index=False))
     print(markdown(costly.head(30)[["log", "variant", "end", "more", "planner_best", *COST]]))
     if options.against is not None:
-        print(markdown(changes(pd.read_csv(options.against), there[there["planner"] == options.planner[0]])))
+        print(
+            markdown(
+                changes(pd.read_csv(options.against), there[there["planner"] == options.planner[0]])
+            )
+        )
 
 
 if __name__ == "__main__":

@@ -12,13 +12,16 @@ import pytest
 from hypothesis import is_hypothesis_test, settings
 from sparse import LATER, SPARSE
 
-sys.dont_write_bytecode = False  # the tests start some hundred processes, each of which imports the packages
+# The tests start some hundred processes, each of which imports the packages
+sys.dont_write_bytecode = False
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
-if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # a background job: its children would ignore Ctrl-C, too
+# A background job: its children would ignore Ctrl-C, too
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-settings.register_profile("replan", deadline=None, derandomize=True)  # kernels compile when first called
+# Kernels compile when first called
+settings.register_profile("replan", deadline=None, derandomize=True)
 settings.load_profile("replan")
 EXAMPLES = {"not slow": (4, 3, 10), "not nightly": (2, 5, 50)}
 """Of the examples that a law asks for: the divisor, the fewest and the most; by what `-m` selects. At night, all."""
@@ -39,7 +42,11 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     if config.option.markexpr not in EXAMPLES:
         return
     divisor, fewest, most = EXAMPLES[config.option.markexpr]
-    for law in {item.obj for item in items if isinstance(item, pytest.Function) and is_hypothesis_test(item.obj)}:
+    for law in {
+        item.obj
+        for item in items
+        if isinstance(item, pytest.Function) and is_hypothesis_test(item.obj)
+    }:
         asked = law._hypothesis_internal_use_settings
         few = min(max(asked.max_examples // divisor, fewest), most, asked.max_examples)
         law._hypothesis_internal_use_settings = settings(asked, max_examples=few)
@@ -69,7 +76,10 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     folder = tmp_path_factory.mktemp("logs")
     for name in ("c", "a", "b"):
-        write_scenario(folder / f"{name}.mcap", short(f"test/{name}", v=8.0 + ord(name) % 7, parked=name == "b"))
+        write_scenario(
+            folder / f"{name}.mcap",
+            short(f"test/{name}", v=8.0 + ord(name) % 7, parked=name == "b"),
+        )
     return folder
 
 

@@ -29,7 +29,15 @@ OUTWARD = re.compile(r"\]\(((?:\.\./)+[^)#\s]+)(#[^)\s]*)?\)")
 LOADED = re.compile(
     r"""<(?:script|img|iframe|source|link rel="(?:stylesheet|preconnect)")[^>]*(?:src|href)="?(?:https?:)?//[^>]*>"""
 )
-FENCES = {".py": "python", ".toml": "toml", ".yml": "yaml", ".cpp": "cpp", ".hpp": "cpp", ".json": "json", ".txt": ""}
+FENCES = {
+    ".py": "python",
+    ".toml": "toml",
+    ".yml": "yaml",
+    ".cpp": "cpp",
+    ".hpp": "cpp",
+    ".json": "json",
+    ".txt": "",
+}
 
 
 class Mathematics(InlineProcessor):
@@ -44,7 +52,9 @@ class MathematicsExtension(Extension):
 
     def extendMarkdown(self, md: Any) -> None:  # noqa: N802, D102
         md.inlinePatterns.register(
-            Mathematics(r"(?<![\\$\w])\$(?![\s$])([^$\n]+?)(?<![\s\\])\$(?!\w)", md), "mathematics", 185
+            Mathematics(r"(?<![\\$\w])\$(?![\s$])([^$\n]+?)(?<![\s\\])\$(?!\w)", md),
+            "mathematics",
+            185,
         )
 
 
@@ -74,7 +84,11 @@ def page_of(path: str) -> str:
 
 def first_line(path: Path) -> str:
     """What a module says it is."""
-    doc = ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) if path.suffix == ".py" else None
+    doc = (
+        ast.get_docstring(ast.parse(path.read_text(encoding="utf-8")))
+        if path.suffix == ".py"
+        else None
+    )
     return (doc or "").partition("\n")[0]
 
 
@@ -95,7 +109,10 @@ def source_page(path: str) -> str:
     head = f"---\ntitle: {path}\nsearch:\n  exclude: true\n---\n# {path}\n\n"
     place = ROOT / path
     if place.is_dir():
-        rows = [f"| {p.relative_to(place)} | {first_line(p).replace('|', '/')} |" for p in sorted(place.rglob("*.py"))]
+        rows = [
+            f"| {p.relative_to(place)} | {first_line(p).replace('|', '/')} |"
+            for p in sorted(place.rglob("*.py"))
+        ]
         return head + "\n".join(["| file | what |", "|---|---|", *rows]) + "\n"
     text = place.read_text(encoding="utf-8")
     if place.suffix == ".md":
@@ -103,7 +120,9 @@ def source_page(path: str) -> str:
     if place.suffix == ".ipynb":
         cells = json.loads(text)["cells"]
         parts = [(cell["cell_type"], "".join(cell["source"])) for cell in cells]
-        body = "\n\n".join(said if kind == "markdown" else f"```python\n{said}\n```" for kind, said in parts)
+        body = "\n\n".join(
+            said if kind == "markdown" else f"```python\n{said}\n```" for kind, said in parts
+        )
         return head + rooted(body, path) + "\n"
     return f"{head}`````{FENCES.get(place.suffix, '')}\n{text}\n`````\n"
 
@@ -117,7 +136,12 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     }
     for path in sorted(wanted):
         if (ROOT / path).exists():
-            file = File.generated(config, page_of(path), content=source_page(path), inclusion=InclusionLevel.NOT_IN_NAV)
+            file = File.generated(
+                config,
+                page_of(path),
+                content=source_page(path),
+                inclusion=InclusionLevel.NOT_IN_NAV,
+            )
             files.append(file)
     return files
 

@@ -19,5 +19,9 @@ class Proportional:
         left = (state.y - want.y) * sin(want.yaw + 1.5708) + (state.x - want.x) * sin(-want.yaw)
         steer = atan(self.wheelbase * want.kappa) - self.gain * left - (state.yaw - want.yaw)
         a = want.a + 2.0 * (want.v - state.v) - self.powertrain.coasting(state.v)
-        pedal = a / (self.powertrain.full_throttle(state.v) if a > 0.0 else self.powertrain.full_brake(state.v))
+        pedal = a / (
+            self.powertrain.full_throttle(state.v)
+            if a > 0.0
+            else self.powertrain.full_brake(state.v)
+        )
         return Command(steer, min(max(pedal, 0.0), 1.0), min(max(-pedal, 0.0), 1.0))

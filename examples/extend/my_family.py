@@ -14,5 +14,10 @@ def build(p):
 
 
 PARKED = Family(
-    "team/parked", "cars beside the road", {"speed_mps": 10.0}, ("parked",), build, grid={"speed_mps": (8.0, 10.0)}
+    "team/parked",
+    "cars beside the road",
+    {"speed_mps": 10.0},
+    ("parked",),
+    build,
+    grid={"speed_mps": (8.0, 10.0)},
 )

@@ -14,4 +14,6 @@ def read(path, settings):
     return from_frames(table, name=path.stem)
 
 
-READER = Reader("txy", "t x y yaw, a line each", "*.txy", (".txy",), lambda path: path.suffix == ".txy", read)
+READER = Reader(
+    "txy", "t x y yaw, a line each", "*.txy", (".txy",), lambda path: path.suffix == ".txy", read
+)

@@ -18,5 +18,7 @@ class Late:
     def step(self, command, dt):
         """Drive `dt` seconds, with the command of `delay_s` ago."""
         self.waiting.append(command)
-        late = self.waiting.popleft() if len(self.waiting) * dt > self.delay_s else self.car.actuation
+        late = (
+            self.waiting.popleft() if len(self.waiting) * dt > self.delay_s else self.car.actuation
+        )
         return self.car.step(late, dt)

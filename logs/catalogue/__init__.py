@@ -26,13 +26,28 @@ import numpy as np
 
 from replan.core.errors import ConfigError, unknown_name
 from replan.core.extension import ExtensionKind, an_instance
-from replan.logs.catalogue import euro_ncap, everyday, faults, iso3888, paper, pedestrians, raw, unece_r157
+from replan.logs.catalogue import (
+    euro_ncap,
+    everyday,
+    faults,
+    iso3888,
+    paper,
+    pedestrians,
+    raw,
+    unece_r157,
+)
 from replan.logs.catalogue.family import Family
 from replan.logs.scenario import Scenario
 
 CATALOGUE: dict[str, Family] = {
     family.name: family
-    for family in (*paper.FAMILIES, *everyday.FAMILIES, *everyday.RULES, *pedestrians.FAMILIES, raw.CROSSING)
+    for family in (
+        *paper.FAMILIES,
+        *everyday.FAMILIES,
+        *everyday.RULES,
+        *pedestrians.FAMILIES,
+        raw.CROSSING,
+    )
 }
 """The families without published grids by name, in the order of lists."""
 _ALIKE = ("turns_back", "hesitates", "group", "both_sides")
@@ -40,10 +55,18 @@ BUILTIN = tuple(name for name in CATALOGUE if name not in {f"pedestrian/{one}" f
 """The logs of the built-in suite. What fails with the pedestrians that are left out fails with the others, too."""
 FAMILIES: dict[str, Family] = CATALOGUE | {
     family.name: family
-    for family in (*euro_ncap.FAMILIES, *unece_r157.FAMILIES, *iso3888.FAMILIES, *faults.FAMILIES, *raw.FAMILIES)
+    for family in (
+        *euro_ncap.FAMILIES,
+        *unece_r157.FAMILIES,
+        *iso3888.FAMILIES,
+        *faults.FAMILIES,
+        *raw.FAMILIES,
+    )
 }
 """All built-in families: those of `CATALOGUE` and those with published grids."""
-FAMILY: ExtensionKind[Family] = ExtensionKind("family", "families", FAMILIES, an_instance(Family, "replan.Family"))
+FAMILY: ExtensionKind[Family] = ExtensionKind(
+    "family", "families", FAMILIES, an_instance(Family, "replan.Family")
+)
 """Finds families by name: the built-in ones and those of users."""
 
 
@@ -70,7 +93,9 @@ def families() -> dict[str, Family]:
     found = FAMILY.installed()
     for name, family in found.items():
         if family.name != name:
-            raise ConfigError(f"the entry point of the family '{family.name}' is called '{name}'; give them one name")
+            raise ConfigError(
+                f"the entry point of the family '{family.name}' is called '{name}'; give them one name"
+            )
     return FAMILIES | found
 
 
@@ -129,14 +154,18 @@ def groups() -> dict[str, list[Family]]:
 
 def ordered(seed: int = SEED) -> Iterator[str]:
     """All cells of all families in the order of the module docstring, as names."""
-    turns = zip_longest(*(sorted(group, key=lambda one: _draw(seed, one.name)) for group in groups().values()))
+    turns = zip_longest(
+        *(sorted(group, key=lambda one: _draw(seed, one.name)) for group in groups().values())
+    )
     in_turn = [family for family in chain.from_iterable(turns) if family is not None]
 
     def placed(turn: int, family: Family) -> Iterator[tuple[float, int, str]]:
         rate = sqrt(sum(1 for _ in family.cells()))
         return ((k / rate, turn, name) for k, name in enumerate(spread(family, seed)))  # (1)
 
-    return (name for _, _, name in merge(*(placed(turn, family) for turn, family in enumerate(in_turn))))
+    return (
+        name for _, _, name in merge(*(placed(turn, family) for turn, family in enumerate(in_turn)))
+    )
 
 
 def spread(family: Family, seed: int = SEED) -> Iterator[str]:
@@ -145,7 +174,9 @@ def spread(family: Family, seed: int = SEED) -> Iterator[str]:
     cells = sorted(by_name, key=lambda name: _draw(seed, name))
     places = np.empty((len(cells), len(family.grid)))
     for column, (key, values) in enumerate(family.grid.items()):
-        places[:, column] = [values.index(by_name[name][key]) / max(len(values) - 1, 1) for name in cells]
+        places[:, column] = [
+            values.index(by_name[name][key]) / max(len(values) - 1, 1) for name in cells
+        ]
     far = np.full(len(cells), np.inf)
     for _ in cells:
         k = int(np.argmax(far))
@@ -159,6 +190,19 @@ def _draw(seed: int, name: str) -> bytes:
 
 
 __all__ = [
-    "BUILTIN", "CATALOGUE", "FAMILIES", "FAMILY", "SEED", "SUITES", "Family", "Suite", "families", "groups", "numbers",
-    "ordered", "scenario", "spread", "suite",
-]  # fmt: skip
+    "BUILTIN",
+    "CATALOGUE",
+    "FAMILIES",
+    "FAMILY",
+    "SEED",
+    "SUITES",
+    "Family",
+    "Suite",
+    "families",
+    "groups",
+    "numbers",
+    "ordered",
+    "scenario",
+    "spread",
+    "suite",
+]

@@ -65,12 +65,22 @@ def sight(tracks: Tracks, ego: Trajectory) -> Sight:
     for k, t in enumerate(frames.tolist()):
         own, agents = ego.at(t), tracks.truth(t)
         dx, dy = agents.x - own.x, agents.y - own.y
-        ahead, aside = dx * np.cos(own.yaw) + dy * np.sin(own.yaw), dy * np.cos(own.yaw) - dx * np.sin(own.yaw)
+        ahead, aside = (
+            dx * np.cos(own.yaw) + dy * np.sin(own.yaw),
+            dy * np.cos(own.yaw) - dx * np.sin(own.yaw),
+        )
         near = np.flatnonzero((np.abs(ahead) <= AHEAD_M) & (np.abs(aside) <= ASIDE_M))
         who = np.array([place[agents.ids[i]] for i in near], np.int64)
         boxes = np.column_stack([agents.x, agents.y, agents.yaw, agents.length, agents.width])[near]
         hidden = _hidden(own.x, own.y, boxes, _VEHICLES[agents.codes[near]])
-        columns = np.full(len(near), k), who, boxes[:, :3], agents.vx[near], agents.vy[near], np.hypot(dx, dy)[near]
+        columns = (
+            np.full(len(near), k),
+            who,
+            boxes[:, :3],
+            agents.vx[near],
+            agents.vy[near],
+            np.hypot(dx, dy)[near],
+        )
         parts.append(np.column_stack([*columns, hidden]))
     rows = np.vstack(parts)
     x, y, yaw, vx, vy, far = rows[:, 2:8].T
@@ -89,7 +99,9 @@ def _hidden(x: float, y: float, boxes: FloatArray, opaque: BoolArray) -> BoolArr
             b = boxes[j]
             if j != i and opaque[j] and hypot(b[0] - x, b[1] - y) < far:
                 line = 0.5 * (boxes[i, 0] + x), 0.5 * (boxes[i, 1] + y)
-                crossed = overlap(line[0], line[1], atan2(dy, dx), far, 0.1, b[0], b[1], b[2], b[3], b[4])
+                crossed = overlap(
+                    line[0], line[1], atan2(dy, dx), far, 0.1, b[0], b[1], b[2], b[3], b[4]
+                )
                 out[i] = out[i] or crossed
     return out
 
@@ -98,15 +110,20 @@ def detected(tracks: Tracks, ego: Trajectory, seed: int) -> Detections:
     """The detections of these road users by a detector on the ego; another seed gives another drive."""
     rng = np.random.default_rng(seed)
     seen = sight(tracks, ego)
-    boxes = np.vstack([np.empty((0, _WIDTH)), *(_of_agent(tracks, i, seen, rng) for i in range(len(tracks)))])
-    twins = boxes[rng.random(len(boxes)) < TWINS].copy()  # second boxes of some objects, with lower scores
+    boxes = np.vstack(
+        [np.empty((0, _WIDTH)), *(_of_agent(tracks, i, seen, rng) for i in range(len(tracks)))]
+    )
+    # Second boxes of some objects, with lower scores
+    twins = boxes[rng.random(len(boxes)) < TWINS].copy()
     twins[:, 2:4] += rng.normal(0.0, 0.5, (len(twins), 2))
     twins[:, 7] = np.minimum(twins[:, 7], 0.25)
     false, count = [], len(seen.frames)
-    for first in rng.integers(0, count, rng.poisson(CLUTTER * count)).tolist():  # for a frame or a few
+    # For a frame or a few
+    for first in rng.integers(0, count, rng.poisson(CLUTTER * count)).tolist():
         last = min(first + int(rng.geometric(CLUTTER_END)), count)
         false.append(_nothing(np.arange(first, last), seen.frames, ego, 0.4, rng))
-    for first in rng.integers(0, count, rng.poisson(STEP_S * count / GHOST_EVERY_S)).tolist():  # ghosts, for seconds
+    # ghosts, for seconds
+    for first in rng.integers(0, count, rng.poisson(STEP_S * count / GHOST_EVERY_S)).tolist():
         last = min(first + round(rng.uniform(*GHOST_S) / STEP_S), count)
         there = first + np.flatnonzero(rng.random(last - first) < GHOST_SEEN)
         false.append(_nothing(there, seen.frames, ego, 0.35, rng))
@@ -116,10 +133,19 @@ def detected(tracks: Tracks, ego: Trajectory, seed: int) -> Detections:
     places = np.arange(len(frame)) - np.searchsorted(frame, frame)
     nothing = np.full(len(frame), np.nan)
     return Detections(
-        t=seen.frames[frame], frames=seen.frames, ids=tuple(map(str, places.tolist())), codes=codes,
-        x=rows[:, 2], y=rows[:, 3], yaw=rows[:, 4], length=rows[:, 5], width=rows[:, 6], vx=nothing, vy=nothing,
+        t=seen.frames[frame],
+        frames=seen.frames,
+        ids=tuple(map(str, places.tolist())),
+        codes=codes,
+        x=rows[:, 2],
+        y=rows[:, 3],
+        yaw=rows[:, 4],
+        length=rows[:, 5],
+        width=rows[:, 6],
+        vx=nothing,
+        vy=nothing,
         score=rows[:, 7],
-    )  # fmt: skip
+    )
 
 
 _WIDTH = 8
@@ -143,8 +169,14 @@ def _of_agent(tracks: Tracks, i: int, seen: Sight, rng: np.random.Generator) -> 
     width = np.abs(tracks.width[i] + rng.normal(0.0, 0.04, n))
     codes = np.full(n, code)
     flicker = vehicle & (rng.random(n) < FLICKER)
-    codes[flicker] = rng.choice([_CODES[AgentKind.TRUCK], _CODES[AgentKind.BUS]], int(flicker.sum()))
-    score = np.clip(0.75 - 0.008 * seen.far[rows] - 0.1 * (not vehicle) + rng.normal(0.0, 0.12, n), LEAST_SCORE, 0.9)
+    codes[flicker] = rng.choice(
+        [_CODES[AgentKind.TRUCK], _CODES[AgentKind.BUS]], int(flicker.sum())
+    )
+    score = np.clip(
+        0.75 - 0.008 * seen.far[rows] - 0.1 * (not vehicle) + rng.normal(0.0, 0.12, n),
+        LEAST_SCORE,
+        0.9,
+    )
     share = np.interp(seen.far[rows], FAR_M, SEEN)
     mean = SHORT_GAPS / SHORT_END + (1.0 - SHORT_GAPS) / LONG_END
     begins = (1.0 - share) / share / mean
@@ -156,22 +188,44 @@ def _of_agent(tracks: Tracks, i: int, seen: Sight, rng: np.random.Generator) -> 
             end = SHORT_END if rng.random() < SHORT_GAPS else LONG_END
         shown[k] = end == 0.0
     boxes = np.column_stack(
-        [seen.frame[rows], codes, seen.x[rows] + c * u - s * v, seen.y[rows] + s * u + c * v, yaw, length, width,
-         np.full(n, np.nan) if cluster else score]
-    )  # fmt: skip
+        [
+            seen.frame[rows],
+            codes,
+            seen.x[rows] + c * u - s * v,
+            seen.y[rows] + s * u + c * v,
+            yaw,
+            length,
+            width,
+            np.full(n, np.nan) if cluster else score,
+        ]
+    )
     return boxes[shown & ~seen.hidden[rows]]
 
 
-def _nothing(rows: IntArray, frames: FloatArray, ego: Trajectory, most: float, rng: np.random.Generator) -> FloatArray:
+def _nothing(
+    rows: IntArray, frames: FloatArray, ego: Trajectory, most: float, rng: np.random.Generator
+) -> FloatArray:
     """Boxes `(k, _WIDTH)` of one false object at a random position in range in the first frame; 0.3 m rms."""
     kind = _FALSE[rng.integers(len(_FALSE))]
     own = ego.at(float(frames[rows[0]])) if len(rows) else ego.state(0)
-    ahead, aside, yaw = rng.uniform(-10.0, AHEAD_M), rng.uniform(-ASIDE_M, ASIDE_M), rng.uniform(-np.pi, np.pi)
+    ahead, aside, yaw = (
+        rng.uniform(-10.0, AHEAD_M),
+        rng.uniform(-ASIDE_M, ASIDE_M),
+        rng.uniform(-np.pi, np.pi),
+    )
     n, jitter = len(rows), rng.normal(0.0, 0.3, (len(rows), 2))
     x = own.x + ahead * np.cos(own.yaw) - aside * np.sin(own.yaw) + jitter[:, 0]
     y = own.y + ahead * np.sin(own.yaw) + aside * np.cos(own.yaw) + jitter[:, 1]
     length, width = USUAL_SIZE_M[kind]
     return np.column_stack(
-        [rows, np.full(n, _CODES[kind]), x, y, yaw + rng.normal(0.0, 0.1, n), np.full(n, length), np.full(n, width),
-         rng.uniform(LEAST_SCORE, most, n)]
-    )  # fmt: skip
+        [
+            rows,
+            np.full(n, _CODES[kind]),
+            x,
+            y,
+            yaw + rng.normal(0.0, 0.1, n),
+            np.full(n, length),
+            np.full(n, width),
+            rng.uniform(LEAST_SCORE, most, n),
+        ]
+    )

@@ -68,7 +68,9 @@ def _target_ahead(p: Mapping[str, float], target: Target) -> Scenario:
     """A target that moves along the lane ahead; the ego would meet it after `TTC_S`."""
     v, u, car = p["ego_kmh"] * KMH, p["target_kmh"] * KMH, VehicleParameters()
     if not v > u:
-        raise ValueError(f"the ego's {p['ego_kmh']:g} km/h do not reach a target with {p['target_kmh']:g} km/h")
+        raise ValueError(
+            f"the ego's {p['ego_kmh']:g} km/h do not reach a target with {p['target_kmh']:g} km/h"
+        )
     t, half = grid(p["duration_s"]), 0.5 * target.size[0]
     x = START_M + car.axle_to_front + (v - u) * TTC_S + half + u * t
     beside = np.full(len(t), impact(p["overlap_percent"]))
@@ -105,13 +107,20 @@ def _at_junction(p: Mapping[str, float], target: Target, *, turn: float) -> Scen
 
     If the ego turns left, the target comes towards it; else it is on the main road, from right or left (`from_left`).
     """
-    v, u, car, t = p["ego_kmh"] * KMH, p["target_kmh"] * KMH, VehicleParameters(), grid(p["duration_s"])
+    v, u, car, t = (
+        p["ego_kmh"] * KMH,
+        p["target_kmh"] * KMH,
+        VehicleParameters(),
+        grid(p["duration_s"]),
+    )
     reach = max(u, v) * (p["duration_s"] + SPARE_S) + BEYOND_M
     place = junction(START_M + v * TTC_S + 30.0, reach, reach, turn=turn, speed_limit=v)
     if turn:
         stations = np.linspace(place.begin, place.end, 200)
         turned_x, turned_y, _, _ = place.path.at(stations)
-        cross, at = (float(np.interp(LANE_WIDTH_M, turned_y, column)) for column in (stations, turned_x))
+        cross, at = (
+            float(np.interp(LANE_WIDTH_M, turned_y, column)) for column in (stations, turned_x)
+        )
         x, y, yaw = at + u * (TTC_S - t), np.full(len(t), LANE_WIDTH_M), pi
     else:
         side = 1.0 if p["from_left"] > 0.0 else -1.0
@@ -122,27 +131,50 @@ def _at_junction(p: Mapping[str, float], target: Target, *, turn: float) -> Scen
     passes = TTC_S + (0.5 * target.size[0] + HALF_LANE) / u
     ahead = waiting(cross - HALF_LANE, STOP_M, p["reaction_s"], passes, car.axle_to_front)
     start, beyond = middle - v * TTC_S, place.end + 15.0
-    return tested(p, place.path, place.road, [other], {target.id: WAITS}, ahead, beyond=beyond, start=start)
+    return tested(
+        p, place.path, place.road, [other], {target.id: WAITS}, ahead, beyond=beyond, start=start
+    )
 
 
 ALONG: Mapping[str, float] = {
-    "ego_kmh": 40.0, "target_kmh": 5.0, "overlap_percent": 50.0, "reaction_s": 0.4, "duration_s": 18.0,
-}  # fmt: skip
-MEETING: Mapping[str, float] = {"ego_kmh": 50.0, "target_kmh": 50.0, "reaction_s": 0.4, "duration_s": 18.0}
-TURNING: Mapping[str, float] = {"ego_kmh": 15.0, "target_kmh": 45.0, "reaction_s": 0.4, "duration_s": 20.0}
+    "ego_kmh": 40.0,
+    "target_kmh": 5.0,
+    "overlap_percent": 50.0,
+    "reaction_s": 0.4,
+    "duration_s": 18.0,
+}
+MEETING: Mapping[str, float] = {
+    "ego_kmh": 50.0,
+    "target_kmh": 50.0,
+    "reaction_s": 0.4,
+    "duration_s": 18.0,
+}
+TURNING: Mapping[str, float] = {
+    "ego_kmh": 15.0,
+    "target_kmh": 45.0,
+    "reaction_s": 0.4,
+    "duration_s": 20.0,
+}
 AHEAD: Mapping[str, float] = {**MEETING, "target_kmh": 20.0, "overlap_percent": 100.0}
 CROSSED: Mapping[str, float] = {**TURNING, "ego_kmh": 40.0, "target_kmh": 40.0, "from_left": 0.0}
 OVERLAPS = (-50.0, -75.0, 100.0, 75.0, 50.0)
 
 
 def _family(
-    name: str, year: str, summary: str, build: Build, defaults: Mapping[str, float],
-    grid: Mapping[str, tuple[float, ...]], holds: Callable[[Mapping[str, float]], bool] = lambda p: True,
-) -> Family:  # fmt: skip
+    name: str,
+    year: str,
+    summary: str,
+    build: Build,
+    defaults: Mapping[str, float],
+    grid: Mapping[str, tuple[float, ...]],
+    holds: Callable[[Mapping[str, float]], bool] = lambda p: True,
+) -> Family:
     """A family; where a parameter has a grid, its default is in the middle of it."""
     parameters = {**defaults, **{key: values[len(values) // 2] for key, values in grid.items()}}
     tags = "euro_ncap", year, name.partition("_")[0]
-    return Family(f"euro_ncap/{name}_{year}", summary, parameters, tags, build, grid, SOURCES[year], holds)
+    return Family(
+        f"euro_ncap/{name}_{year}", summary, parameters, tags, build, grid, SOURCES[year], holds
+    )
 
 
 def _vulnerable(year: str) -> tuple[Family, ...]:
@@ -153,27 +185,76 @@ def _vulnerable(year: str) -> tuple[Family, ...]:
     far = {"overlap_percent": (25.0, 50.0) if later else (50.0,)}
     own = partial(_family, year=year)
     return (
-        own("cpna", summary="an adult walks onto the road from the near side", build=walks, defaults=CROSSING,
-            grid={**ego, "overlap_percent": (25.0, 50.0, 75.0) if later else (25.0, 75.0)}),
-        own("cpfa", summary="an adult runs onto the road from the far side", build=partial(walks, far=True),
-            defaults={**CROSSING, "target_kmh": 8.0, "start_m": 6.0, "run_up_m": 1.5}, grid=ego),
-        own("cpnco", summary="a child runs out from behind two parked cars",
-            build=partial(crossing, target=CHILD_TARGET, hidden="cpnco"), defaults=CROSSING, grid=ego),
-        own("cbna", summary="a cyclist crosses from the near side", build=rides,
-            defaults={**CROSSING, "target_kmh": 15.0, "start_m": 20.5, "run_up_m": 3.5}, grid={**ego, **overlaps}),
-        own("cbnao", summary="a cyclist comes out from behind a parked car",
-            build=partial(crossing, target=CYCLIST, hidden="cbnao"), grid={**ego, **overlaps},
-            defaults={**CROSSING, "target_kmh": 10.0, "start_m": 6.05, "run_up_m": 1.55, "hidden_m": 3.55}),
-        own("cbfa", summary="a cyclist crosses from the far side", build=partial(rides, far=True),
-            defaults={**CROSSING, "target_kmh": 20.0, "start_m": 28.2, "run_up_m": 6.2}, grid={**ego, **far}),
-        own("cpla", summary="an adult walks along the lane ahead", build=partial(_target_ahead, target=PEDESTRIAN),
-            defaults=ALONG, grid={"ego_kmh": speeds(10 if later else 20, 60, step)}),
-        own("cpla_warning", summary="an adult walks along at the lane's side, the ego is fast",
-            build=partial(_target_ahead, target=PEDESTRIAN), defaults={**ALONG, "overlap_percent": 25.0},
-            grid={"ego_kmh": speeds(50, 80, step)}),
-        own("cbla", summary="a cyclist rides along the lane ahead", build=partial(_target_ahead, target=CYCLIST),
-            defaults={**ALONG, "target_kmh": 15.0}, grid={"ego_kmh": speeds(20 if later else 25, 60, step)}),
-    )  # fmt: skip
+        own(
+            "cpna",
+            summary="an adult walks onto the road from the near side",
+            build=walks,
+            defaults=CROSSING,
+            grid={**ego, "overlap_percent": (25.0, 50.0, 75.0) if later else (25.0, 75.0)},
+        ),
+        own(
+            "cpfa",
+            summary="an adult runs onto the road from the far side",
+            build=partial(walks, far=True),
+            defaults={**CROSSING, "target_kmh": 8.0, "start_m": 6.0, "run_up_m": 1.5},
+            grid=ego,
+        ),
+        own(
+            "cpnco",
+            summary="a child runs out from behind two parked cars",
+            build=partial(crossing, target=CHILD_TARGET, hidden="cpnco"),
+            defaults=CROSSING,
+            grid=ego,
+        ),
+        own(
+            "cbna",
+            summary="a cyclist crosses from the near side",
+            build=rides,
+            defaults={**CROSSING, "target_kmh": 15.0, "start_m": 20.5, "run_up_m": 3.5},
+            grid={**ego, **overlaps},
+        ),
+        own(
+            "cbnao",
+            summary="a cyclist comes out from behind a parked car",
+            build=partial(crossing, target=CYCLIST, hidden="cbnao"),
+            grid={**ego, **overlaps},
+            defaults={
+                **CROSSING,
+                "target_kmh": 10.0,
+                "start_m": 6.05,
+                "run_up_m": 1.55,
+                "hidden_m": 3.55,
+            },
+        ),
+        own(
+            "cbfa",
+            summary="a cyclist crosses from the far side",
+            build=partial(rides, far=True),
+            defaults={**CROSSING, "target_kmh": 20.0, "start_m": 28.2, "run_up_m": 6.2},
+            grid={**ego, **far},
+        ),
+        own(
+            "cpla",
+            summary="an adult walks along the lane ahead",
+            build=partial(_target_ahead, target=PEDESTRIAN),
+            defaults=ALONG,
+            grid={"ego_kmh": speeds(10 if later else 20, 60, step)},
+        ),
+        own(
+            "cpla_warning",
+            summary="an adult walks along at the lane's side, the ego is fast",
+            build=partial(_target_ahead, target=PEDESTRIAN),
+            defaults={**ALONG, "overlap_percent": 25.0},
+            grid={"ego_kmh": speeds(50, 80, step)},
+        ),
+        own(
+            "cbla",
+            summary="a cyclist rides along the lane ahead",
+            build=partial(_target_ahead, target=CYCLIST),
+            defaults={**ALONG, "target_kmh": 15.0},
+            grid={"ego_kmh": speeds(20 if later else 25, 60, step)},
+        ),
+    )
 
 
 def _cars(year: str) -> tuple[Family, ...]:
@@ -186,17 +267,40 @@ def _cars(year: str) -> tuple[Family, ...]:
         else {"ego_kmh": speeds(30, 80, step)}
     )
     braking: dict[str, tuple[float, ...]] = (
-        {"ego_kmh": speeds(30, 80, 10)} if later else {"gap_m": (12.0, 40.0), "brake_mps2": (2.0, 6.0)}
+        {"ego_kmh": speeds(30, 80, 10)}
+        if later
+        else {"gap_m": (12.0, 40.0), "brake_mps2": (2.0, 6.0)}
     )
     return (
-        own("ccrs", summary="a stopped car ahead", build=_ahead, defaults={**AHEAD, "target_kmh": 0.0},
-            grid={**ego, **overlap}),
-        own("ccrm", summary="a slower car ahead", build=_ahead, defaults=AHEAD, grid={**slower, **overlap},
-            holds=lambda p: p["ego_kmh"] > p["target_kmh"]),
-        own("ccrb", summary="the car ahead brakes to 2 km/h", build=_braking, grid=braking,
-            defaults={**LEAD, "gap_m": 12.0, "headway_s": 1.0 if later else 0.0, "brake_mps2": 4.0,
-                      "brake_to_kmh": 2.0}),
-    )  # fmt: skip
+        own(
+            "ccrs",
+            summary="a stopped car ahead",
+            build=_ahead,
+            defaults={**AHEAD, "target_kmh": 0.0},
+            grid={**ego, **overlap},
+        ),
+        own(
+            "ccrm",
+            summary="a slower car ahead",
+            build=_ahead,
+            defaults=AHEAD,
+            grid={**slower, **overlap},
+            holds=lambda p: p["ego_kmh"] > p["target_kmh"],
+        ),
+        own(
+            "ccrb",
+            summary="the car ahead brakes to 2 km/h",
+            build=_braking,
+            grid=braking,
+            defaults={
+                **LEAD,
+                "gap_m": 12.0,
+                "headway_s": 1.0 if later else 0.0,
+                "brake_mps2": 4.0,
+                "brake_to_kmh": 2.0,
+            },
+        ),
+    )
 
 
 def _ahead(p: Mapping[str, float]) -> Scenario:
@@ -211,33 +315,64 @@ def _braking(p: Mapping[str, float]) -> Scenario:
 
 
 CBLA_WARNING = _family(
-    "cbla_warning", "2023", "a cyclist rides along at the lane's side, the ego is fast",
-    partial(_target_ahead, target=CYCLIST), {**ALONG, "target_kmh": 20.0, "overlap_percent": 25.0},
+    "cbla_warning",
+    "2023",
+    "a cyclist rides along at the lane's side, the ego is fast",
+    partial(_target_ahead, target=CYCLIST),
+    {**ALONG, "target_kmh": 20.0, "overlap_percent": 25.0},
     {"ego_kmh": speeds(50, 80)},
-)  # fmt: skip
+)
 TURNS = {"ego_kmh": (10.0, 15.0, 20.0), "target_kmh": (30.0, 45.0, 60.0)}
 CCFTAP = _family(
-    "ccftap", "2023", "the ego turns left across the way of an oncoming car",
-    partial(_at_junction, target=CAR_TARGET, turn=1.0), TURNING, TURNS,
-)  # fmt: skip
+    "ccftap",
+    "2023",
+    "the ego turns left across the way of an oncoming car",
+    partial(_at_junction, target=CAR_TARGET, turn=1.0),
+    TURNING,
+    TURNS,
+)
 CMFTAP = _family(
-    "cmftap", "2023", "the ego turns left across the way of an oncoming motorcycle",
-    partial(_at_junction, target=MOTORCYCLE, turn=1.0), TURNING, TURNS,
-)  # fmt: skip
+    "cmftap",
+    "2023",
+    "the ego turns left across the way of an oncoming motorcycle",
+    partial(_at_junction, target=MOTORCYCLE, turn=1.0),
+    TURNING,
+    TURNS,
+)
 CCFHOS_2023 = _family(
-    "ccfhos", "2023", "a car comes towards the ego in its lane, as fast", partial(_head_on, target=CAR_TARGET), MEETING,
-    {"ego_kmh": (50.0, 70.0), "target_kmh": (50.0, 70.0)}, lambda p: p["ego_kmh"] == p["target_kmh"],
-)  # fmt: skip
+    "ccfhos",
+    "2023",
+    "a car comes towards the ego in its lane, as fast",
+    partial(_head_on, target=CAR_TARGET),
+    MEETING,
+    {"ego_kmh": (50.0, 70.0), "target_kmh": (50.0, 70.0)},
+    lambda p: p["ego_kmh"] == p["target_kmh"],
+)
 CCFHOS_2026 = _family(
-    "ccfhos", "2026", "a car comes towards the ego in its lane", partial(_head_on, target=CAR_TARGET), MEETING,
+    "ccfhos",
+    "2026",
+    "a car comes towards the ego in its lane",
+    partial(_head_on, target=CAR_TARGET),
+    MEETING,
     {"ego_kmh": speeds(30, 80, 10), "target_kmh": (50.0, 70.0)},
-)  # fmt: skip
+)
 CCCSCP = _family(
-    "cccscp", "2026", "a car crosses on the main road, from the right (from_left 0) or from the left (1)",
-    partial(_at_junction, target=CAR_TARGET, turn=0.0), CROSSED,
+    "cccscp",
+    "2026",
+    "a car crosses on the main road, from the right (from_left 0) or from the left (1)",
+    partial(_at_junction, target=CAR_TARGET, turn=0.0),
+    CROSSED,
     {"ego_kmh": speeds(20, 60, 10), "target_kmh": speeds(20, 60, 10), "from_left": (0.0, 1.0)},
-)  # fmt: skip
+)
 FAMILIES = (
-    *_vulnerable("2023"), CBLA_WARNING, *_cars("2023"), CCFTAP, CMFTAP, CCFHOS_2023,
-    *_vulnerable("2026"), *_cars("2026"), CCFHOS_2026, CCCSCP,
-)  # fmt: skip
+    *_vulnerable("2023"),
+    CBLA_WARNING,
+    *_cars("2023"),
+    CCFTAP,
+    CMFTAP,
+    CCFHOS_2023,
+    *_vulnerable("2026"),
+    *_cars("2026"),
+    CCFHOS_2026,
+    CCCSCP,
+)

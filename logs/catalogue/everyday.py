@@ -67,12 +67,19 @@ VAN = (6.0, 2.0)  # Length and width, m
 
 
 @family(
-    "everyday/follow", "follow a lead that slows by 5 m/s and speeds up again", ("everyday", "follow"),
+    "everyday/follow",
+    "follow a lead that slows by 5 m/s and speeds up again",
+    ("everyday", "follow"),
     {
-        "ego_speed_mps": 13.9, "headway_s": 1.6, "lead_change_mps": 5.0, "lead_accel_mps2": 1.0, "hold_s": 5.0,
-        "limit_above_mps": 2.8, "duration_s": 28.0,
+        "ego_speed_mps": 13.9,
+        "headway_s": 1.6,
+        "lead_change_mps": 5.0,
+        "lead_accel_mps2": 1.0,
+        "hold_s": 5.0,
+        "limit_above_mps": 2.8,
+        "duration_s": 28.0,
     },
-)  # fmt: skip
+)
 def follow(p: Mapping[str, float]) -> Scenario:
     v, duration, thw, car = p["ego_speed_mps"], p["duration_s"], p["headway_s"], VehicleParameters()
     t = grid(duration)
@@ -97,12 +104,19 @@ def follow(p: Mapping[str, float]) -> Scenario:
 
 
 @family(
-    "everyday/cut_in", "a slower car cuts in from the neighbour lane", ("everyday", "cut_in"),
+    "everyday/cut_in",
+    "a slower car cuts in from the neighbour lane",
+    ("everyday", "cut_in"),
     {
-        "ego_speed_mps": 16.7, "gap_m": 25.0, "relative_speed_mps": -5.0, "cut_in_start_s": 4.0,
-        "cut_in_duration_s": 3.5, "reaction_s": 0.4, "duration_s": 22.0,
+        "ego_speed_mps": 16.7,
+        "gap_m": 25.0,
+        "relative_speed_mps": -5.0,
+        "cut_in_start_s": 4.0,
+        "cut_in_duration_s": 3.5,
+        "reaction_s": 0.4,
+        "duration_s": 22.0,
     },
-)  # fmt: skip
+)
 def cut_in(p: Mapping[str, float]) -> Scenario:
     v, duration, car = p["ego_speed_mps"], p["duration_s"], VehicleParameters()
     other = v + p["relative_speed_mps"]
@@ -125,13 +139,29 @@ def cut_in(p: Mapping[str, float]) -> Scenario:
     driven = drive(path, speed=v, duration=duration, ahead=ahead)
     metadata = {**expects(cutter=(DecisionKind.FOLLOW, *WAITS)), "entered_lane_s": repr(entered)}
     road = two_lanes(path, v, ego_on_right=False)
-    return finished(path, driven, [cutter], road, duration, edges=(-3.0 * HALF_LANE, HALF_LANE), metadata=metadata)
+    return finished(
+        path,
+        driven,
+        [cutter],
+        road,
+        duration,
+        edges=(-3.0 * HALF_LANE, HALF_LANE),
+        metadata=metadata,
+    )
 
 
 @family(
-    "everyday/nudge", "a parked car reaches into the lane from the right", ("everyday", "static"),
-    {"ego_speed_mps": 10.0, "distance_m": 80.0, "intrusion_m": 0.7, "clearance_m": 0.6, "shift_m": 30.0},
-)  # fmt: skip
+    "everyday/nudge",
+    "a parked car reaches into the lane from the right",
+    ("everyday", "static"),
+    {
+        "ego_speed_mps": 10.0,
+        "distance_m": 80.0,
+        "intrusion_m": 0.7,
+        "clearance_m": 0.6,
+        "shift_m": 30.0,
+    },
+)
 def nudge(p: Mapping[str, float]) -> Scenario:
     v, width, at = p["ego_speed_mps"], VehicleParameters().width, START_M + p["distance_m"]
     edge = p["intrusion_m"] - HALF_LANE
@@ -143,9 +173,20 @@ def nudge(p: Mapping[str, float]) -> Scenario:
     duration = tenths((end - START_M) / v)
     driven = drive(path, speed=v, duration=duration)
     straight = curve((path.length, 0.0, 0.0))
-    cars, road = [parked("parked", at, edge - 0.5 * CAR[1])], two_lanes(straight, v, ego_on_right=True)
+    cars, road = (
+        [parked("parked", at, edge - 0.5 * CAR[1])],
+        two_lanes(straight, v, ego_on_right=True),
+    )
     metadata = expects(parked=(DecisionKind.NUDGE_LEFT,))
-    return finished(straight, driven, cars, road, duration, edges=(-HALF_LANE, 3.0 * HALF_LANE), metadata=metadata)
+    return finished(
+        straight,
+        driven,
+        cars,
+        road,
+        duration,
+        edges=(-HALF_LANE, 3.0 * HALF_LANE),
+        metadata=metadata,
+    )
 
 
 @family(
@@ -153,32 +194,59 @@ def nudge(p: Mapping[str, float]) -> Scenario:
     "a cyclist rides in the lane, a car comes on the facing one: pass them after it",
     ("everyday", "cyclist"),
     {
-        "ego_speed_mps": 10.0, "cyclist_speed_mps": 4.0, "distance_m": 45.0, "offset_m": -1.0, "clearance_m": 1.5,
-        "shift_m": 40.0, "room_m": 2.0, "oncoming_m": 90.0, "oncoming_speed_mps": 10.0,
+        "ego_speed_mps": 10.0,
+        "cyclist_speed_mps": 4.0,
+        "distance_m": 45.0,
+        "offset_m": -1.0,
+        "clearance_m": 1.5,
+        "shift_m": 40.0,
+        "room_m": 2.0,
+        "oncoming_m": 90.0,
+        "oncoming_speed_mps": 10.0,
     },
-)  # fmt: skip
+)
 def cyclist(p: Mapping[str, float]) -> Scenario:
-    v, u, car, facing = p["ego_speed_mps"], p["cyclist_speed_mps"], VehicleParameters(), LANE_WIDTH_M
+    v, u, car, facing = (
+        p["ego_speed_mps"],
+        p["cyclist_speed_mps"],
+        VehicleParameters(),
+        LANE_WIDTH_M,
+    )
     if not v > u:
         raise ValueError("the cyclist would not be reached")
-    ahead, run, room = p["distance_m"] + car.axle_to_front + 0.5 * BICYCLE[0], p["shift_m"], p["room_m"]
-    first, last = (v * (ahead + side * (car.length + BICYCLE[0])) / (v - u) + START_M for side in (-1.0, 1.0))
+    ahead, run, room = (
+        p["distance_m"] + car.axle_to_front + 0.5 * BICYCLE[0],
+        p["shift_m"],
+        p["room_m"],
+    )
+    first, last = (
+        v * (ahead + side * (car.length + BICYCLE[0])) / (v - u) + START_M for side in (-1.0, 1.0)
+    )
     offset = max(0.0, bypass(p["offset_m"] + 0.5 * BICYCLE[1], p["clearance_m"], car.width))
     end = last + room + run + 40.0
-    path = weaving(end + BEYOND_M, [(first - room - run, first - room, offset), (last + room, last + room + run, 0.0)])
+    path = weaving(
+        end + BEYOND_M,
+        [(first - room - run, first - room, offset), (last + room, last + room + run, 0.0)],
+    )
     duration = tenths((end - START_M) / v)
     t = grid(duration)
     beside = np.full(len(t), p["offset_m"])
-    rider = moving("cyclist", AgentKind.BICYCLE, BICYCLE, t, START_M + ahead + u * t, beside, yaw=0.0)
+    rider = moving(
+        "cyclist", AgentKind.BICYCLE, BICYCLE, t, START_M + ahead + u * t, beside, yaw=0.0
+    )
     comes, w = START_M + p["oncoming_m"], p["oncoming_speed_mps"]
     held = comes - CAR[0] - 0.25 * w**2  # then it brakes with 2 m/s2, to a stand at the road's end
     braking = np.clip(t - held / w, 0.0, 0.5 * w)
     gone = np.minimum(w * t, held) + w * braking - braking**2
-    oncoming = moving("oncoming", AgentKind.CAR, CAR, t, comes - gone, np.full(len(t), facing), yaw=pi)
+    oncoming = moving(
+        "oncoming", AgentKind.CAR, CAR, t, comes - gone, np.full(len(t), facing), yaw=pi
+    )
     driven = drive(path, speed=v, duration=duration)
     straight = curve((path.length, 0.0, 0.0))
     metadata = expects(cyclist=(DecisionKind.NUDGE_LEFT,))
-    return finished(straight, driven, [rider, oncoming], two_way(straight, v), duration, metadata=metadata)
+    return finished(
+        straight, driven, [rider, oncoming], two_way(straight, v), duration, metadata=metadata
+    )
 
 
 def stopping(line: float, speed: float, car: VehicleParameters, s: float) -> Ahead | None:
@@ -194,11 +262,19 @@ def stopping(line: float, speed: float, car: VehicleParameters, s: float) -> Ahe
     "everyday/traffic_light",
     "a red light ahead that turns green: stop at the line, then drive on",
     ("everyday", "rules", "light"),
-    {"ego_speed_mps": 13.9, "distance_m": 120.0, "green_s": 18.0, "reaction_s": 0.6, "duration_s": 34.0},
-)  # fmt: skip
+    {
+        "ego_speed_mps": 13.9,
+        "distance_m": 120.0,
+        "green_s": 18.0,
+        "reaction_s": 0.6,
+        "duration_s": 34.0,
+    },
+)
 def traffic_light(p: Mapping[str, float]) -> Scenario:
     green = p["green_s"]
-    return _at_light(p, ((0.0, Colour.RED), (green - RED_YELLOW_S, Colour.RED_YELLOW), (green, Colour.GREEN)))
+    return _at_light(
+        p, ((0.0, Colour.RED), (green - RED_YELLOW_S, Colour.RED_YELLOW), (green, Colour.GREEN))
+    )
 
 
 def _at_light(p: Mapping[str, float], changes: Sequence[tuple[float, Colour]]) -> Scenario:
@@ -216,11 +292,18 @@ def _at_light(p: Mapping[str, float], changes: Sequence[tuple[float, Colour]]) -
     driven = drive(path, speed=v, duration=duration, ahead=ahead)
     before, behind = (
         replace(lane_beside(part, i, speed_limit=v), successors=after)
-        for i, part, after in ((1, path.part(0.0, line), (2,)), (2, path.part(line, path.length), ()))
+        for i, part, after in (
+            (1, path.part(0.0, line), (2,)),
+            (2, path.part(line, path.length), ()),
+        )
     )
     stop = StopLine(1, 1, np.vstack([before.right[-1], before.left[-1]]), light=light.id)
     road = Road({1: before, 2: behind}, default_speed_limit=v, stop_lines=(stop,))
-    metadata = expects(**{f"stop line {stop.id}": (DecisionKind.STOP,)}) if p["distance_m"] / v < changes[-1][0] else {}
+    metadata = (
+        expects(**{f"stop line {stop.id}": (DecisionKind.STOP,)})
+        if p["distance_m"] / v < changes[-1][0]
+        else {}
+    )
     return replace(finished(path, driven, [], road, duration, metadata=metadata), lights=(light,))
 
 
@@ -229,10 +312,17 @@ def _at_light(p: Mapping[str, float], changes: Sequence[tuple[float, Colour]]) -
     "a pedestrian waits at a crosswalk and crosses when the car has slowed down: let them go first",
     ("everyday", "rules", "pedestrian"),
     {
-        "ego_speed_mps": 10.0, "distance_m": 80.0, "crosswalk_width_m": 3.0, "pedestrian_speed_mps": 1.2,
-        "walk_start_s": 6.0, "kerb_distance_m": 0.6, "rest_distance_m": 2.5, "reaction_s": 0.4, "duration_s": 28.0,
+        "ego_speed_mps": 10.0,
+        "distance_m": 80.0,
+        "crosswalk_width_m": 3.0,
+        "pedestrian_speed_mps": 1.2,
+        "walk_start_s": 6.0,
+        "kerb_distance_m": 0.6,
+        "rest_distance_m": 2.5,
+        "reaction_s": 0.4,
+        "duration_s": 28.0,
     },
-)  # fmt: skip
+)
 def crosswalk(p: Mapping[str, float]) -> Scenario:
     v, duration, car = p["ego_speed_mps"], p["duration_s"], VehicleParameters()
     near = START_M + car.axle_to_front + p["distance_m"]
@@ -245,7 +335,9 @@ def crosswalk(p: Mapping[str, float]) -> Scenario:
     path = straight_path(v, duration)
     driven = drive(path, speed=v, duration=duration, ahead=ahead)
     corners = [(near, -HALF_LANE), (far, -HALF_LANE), (far, HALF_LANE), (near, HALF_LANE)]
-    road = replace(one_lane(path, v, sidewalk=SIDEWALK_M), crosswalks=(Crosswalk(1, np.array(corners)),))
+    road = replace(
+        one_lane(path, v, sidewalk=SIDEWALK_M), crosswalks=(Crosswalk(1, np.array(corners)),)
+    )
     metadata = {**expects(pedestrian=WAITS), "pedestrian_off_lane_s": repr(off_lane)}
     return finished(path, driven, [pedestrian], road, duration, metadata=metadata)
 
@@ -255,10 +347,19 @@ def crosswalk(p: Mapping[str, float]) -> Scenario:
     "out of a side road over a main road: let both sides pass, then cross (turn 0), or turn left (1) or right (-1)",
     ("everyday", "rules", "junction"),
     {
-        "ego_speed_mps": 8.3, "distance_m": 50.0, "turn": 0.0, "main_speed_mps": 13.9, "first_s": 6.0, "between_s": 2.5,
-        "gap_s": 5.0, "behind_s": 0.6, "lateral_mps2": 1.3, "reaction_s": 0.4, "duration_s": 32.0,
+        "ego_speed_mps": 8.3,
+        "distance_m": 50.0,
+        "turn": 0.0,
+        "main_speed_mps": 13.9,
+        "first_s": 6.0,
+        "between_s": 2.5,
+        "gap_s": 5.0,
+        "behind_s": 0.6,
+        "lateral_mps2": 1.3,
+        "reaction_s": 0.4,
+        "duration_s": 32.0,
     },
-)  # fmt: skip
+)
 def at_junction(p: Mapping[str, float]) -> Scenario:
     v, duration, car = p["ego_speed_mps"], p["duration_s"], VehicleParameters()
     reach = max(v, p["main_speed_mps"]) * (duration + SPARE_S) + BEYOND_M
@@ -266,7 +367,8 @@ def at_junction(p: Mapping[str, float]) -> Scenario:
     place = junction(begin, reach, reach, turn=p["turn"], speed_limit=p["main_speed_mps"])
     t, (x, y) = grid(duration), place.center
     cars, passing = [], []
-    for k, name in enumerate(("left_1", "right_1", "left_2", "right_2")):  # on the main road, from both sides in turn
+    # On the main road, from both sides in turn
+    for k, name in enumerate(("left_1", "right_1", "left_2", "right_2")):
         at, side = p["first_s"] + k * p["between_s"], copysign(1.0, -(k % 2) + 0.5)
         way = y - side * p["main_speed_mps"] * (t - at)
         lane = np.full(len(t), x - side * HALF_LANE)
@@ -289,7 +391,9 @@ def at_junction(p: Mapping[str, float]) -> Scenario:
     driven = drive(place.path, speed=v, cruise=cruise, duration=duration, ahead=ahead)
     last = float(np.hypot(np.diff(driven.x), np.diff(driven.y)).sum()) + START_M
     metadata = {**expects(left_2=WAITS), "last_passes_s": repr(max(passing))}
-    return finished(place.path, driven, cars, place.road, duration, begin=last - 10.0, metadata=metadata)
+    return finished(
+        place.path, driven, cars, place.road, duration, begin=last - 10.0, metadata=metadata
+    )
 
 
 @family(
@@ -297,15 +401,22 @@ def at_junction(p: Mapping[str, float]) -> Scenario:
     "a light turns yellow where the car can just stop comfortably: stop, then drive on at green",
     ("everyday", "rules", "light"),
     {
-        "ego_speed_mps": 13.9, "distance_m": 110.0, "yellow_s": 4.2, "yellow_lasts_s": 3.0, "red_lasts_s": 5.0,
-        "reaction_s": 0.6, "duration_s": 26.0,
+        "ego_speed_mps": 13.9,
+        "distance_m": 110.0,
+        "yellow_s": 4.2,
+        "yellow_lasts_s": 3.0,
+        "red_lasts_s": 5.0,
+        "reaction_s": 0.6,
+        "duration_s": 26.0,
     },
-)  # fmt: skip
+)
 def yellow_light(p: Mapping[str, float]) -> Scenario:
     red = p["yellow_s"] + p["yellow_lasts_s"]
     green = red + p["red_lasts_s"]
     changes = ((0.0, Colour.GREEN), (p["yellow_s"], Colour.YELLOW), (red, Colour.RED))
-    return _at_light(p, (*changes, (green - RED_YELLOW_S, Colour.RED_YELLOW), (green, Colour.GREEN)))
+    return _at_light(
+        p, (*changes, (green - RED_YELLOW_S, Colour.RED_YELLOW), (green, Colour.GREEN))
+    )
 
 
 @family(
@@ -313,20 +424,34 @@ def yellow_light(p: Mapping[str, float]) -> Scenario:
     "two tight curves on a fast road of two empty lanes: slow down before them, keep the lane",
     ("everyday", "curve"),
     {
-        "ego_speed_mps": 13.9, "distance_m": 60.0, "radius_m": 25.0, "clothoid_m": 16.0, "turn_deg": 90.0,
-        "between_m": 25.0, "lateral_mps2": 1.6, "look_m": 10.0, "duration_s": 27.0,
+        "ego_speed_mps": 13.9,
+        "distance_m": 60.0,
+        "radius_m": 25.0,
+        "clothoid_m": 16.0,
+        "turn_deg": 90.0,
+        "between_m": 25.0,
+        "lateral_mps2": 1.6,
+        "look_m": 10.0,
+        "duration_s": 27.0,
     },
-)  # fmt: skip
+)
 def bend(p: Mapping[str, float]) -> Scenario:
     v, kappa, clothoid = p["ego_speed_mps"], 1.0 / p["radius_m"], p["clothoid_m"]
     arc = radians(p["turn_deg"]) / kappa - clothoid
     turn = [(clothoid, 0.0, kappa), (arc, kappa, kappa), (clothoid, kappa, 0.0)]
     back = [(length, -one, -two) for length, one, two in turn]
     beyond = v * (p["duration_s"] + SPARE_S)
-    path = curve((START_M + p["distance_m"], 0.0, 0.0), *turn, (p["between_m"], 0.0, 0.0), *back, (beyond, 0.0, 0.0))
+    path = curve(
+        (START_M + p["distance_m"], 0.0, 0.0),
+        *turn,
+        (p["between_m"], 0.0, 0.0),
+        *back,
+        (beyond, 0.0, 0.0),
+    )
     slow = np.minimum(v, np.sqrt(p["lateral_mps2"] / np.maximum(np.abs(path.kappa), 1e-9)))
     allowed = np.sqrt(  # it brakes gently towards each curve
-        np.minimum.accumulate((slow**2 + 2.0 * BRAKE_MPS2 * path.s)[::-1])[::-1] - 2.0 * BRAKE_MPS2 * path.s
+        np.minimum.accumulate((slow**2 + 2.0 * BRAKE_MPS2 * path.s)[::-1])[::-1]
+        - 2.0 * BRAKE_MPS2 * path.s
     )
 
     def cruise(s: float) -> float:
@@ -343,12 +468,23 @@ def bend(p: Mapping[str, float]) -> Scenario:
     "cars pull out before the ego, one after the other, to pass vans that stand on the right lane",
     ("everyday", "traffic"),
     {
-        "ego_speed_mps": 13.9, "car_speed_mps": 7.0, "van_m": 110.0, "between_m": 100.0, "gap_m": 55.0,
-        "shift_m": 16.0, "follower_m": 25.0, "duration_s": 36.0,
+        "ego_speed_mps": 13.9,
+        "car_speed_mps": 7.0,
+        "van_m": 110.0,
+        "between_m": 100.0,
+        "gap_m": 55.0,
+        "shift_m": 16.0,
+        "follower_m": 25.0,
+        "duration_s": 36.0,
     },
-)  # fmt: skip
+)
 def pull_outs(p: Mapping[str, float]) -> Scenario:
-    v, u, duration, car = p["ego_speed_mps"], p["car_speed_mps"], p["duration_s"], VehicleParameters()
+    v, u, duration, car = (
+        p["ego_speed_mps"],
+        p["car_speed_mps"],
+        p["duration_s"],
+        VehicleParameters(),
+    )
     t, right = grid(duration), -LANE_WIDTH_M
     path = straight_path(v, duration)
     agents: list[Agent] = []
@@ -357,28 +493,45 @@ def pull_outs(p: Mapping[str, float]) -> Scenario:
     def ahead(time: float, s: float) -> Ahead | None:
         gaps = [
             (float(np.interp(time, t, x)) - 0.5 * CAR[0] - s - car.axle_to_front, u)
-            for x, y in lanes if float(np.interp(time, t, y)) + 0.5 * CAR[1] > -HALF_LANE
-        ]  # fmt: skip
-        return Ahead(*min(gap for gap in gaps if gap[0] > 0.0)) if any(gap > 0.0 for gap, _ in gaps) else None
+            for x, y in lanes
+            if float(np.interp(time, t, y)) + 0.5 * CAR[1] > -HALF_LANE
+        ]
+        return (
+            Ahead(*min(gap for gap in gaps if gap[0] > 0.0))
+            if any(gap > 0.0 for gap, _ in gaps)
+            else None
+        )
 
-    for k in range(3):  # each car stands behind its van, and pulls out when the driver is `gap_m` behind it
+    # Each car stands behind its van, and pulls out when the driver is `gap_m` behind it
+    for k in range(3):
         van, shift = START_M + p["van_m"] + k * p["between_m"], p["shift_m"]
         begin = van - 0.5 * VAN[0] - shift - 0.5 * CAR[0]
         driven = drive(path, speed=v, duration=duration, ahead=ahead)
-        starts = float(np.interp(begin - 0.5 * CAR[0] - p["gap_m"] - car.axle_to_front, driven.x, driven.t))
+        starts = float(
+            np.interp(begin - 0.5 * CAR[0] - p["gap_m"] - car.axle_to_front, driven.x, driven.t)
+        )
         way = 4.0 * shift + VAN[0]
         x = begin + way * walked(t - starts, way, u, ramp=3.0)
-        out, home = (np.clip((x - begin - far) / shift, 0.0, 1.0) for far in (0.0, 2.0 * shift + VAN[0]))
+        out, home = (
+            np.clip((x - begin - far) / shift, 0.0, 1.0) for far in (0.0, 2.0 * shift + VAN[0])
+        )
         y = right - right * (out**2 * (3.0 - 2.0 * out) - home**2 * (3.0 - 2.0 * home))
         lanes.append((x, y))
         agents += [
-            parked(f"van_{k + 1}", van, right, size=VAN), moving(f"car_{k + 1}", AgentKind.CAR, CAR, t, x, y, yaw=0.0)
-        ]  # fmt: skip
+            parked(f"van_{k + 1}", van, right, size=VAN),
+            moving(f"car_{k + 1}", AgentKind.CAR, CAR, t, x, y, yaw=0.0),
+        ]
     driven = drive(path, speed=v, duration=duration, ahead=ahead)
-    behind = np.interp(t, driven.t, driven.x) + np.maximum(t - driven.t[-1], 0.0) * driven.v[-1] - p["follower_m"]
+    behind = (
+        np.interp(t, driven.t, driven.x)
+        + np.maximum(t - driven.t[-1], 0.0) * driven.v[-1]
+        - p["follower_m"]
+    )
     agents.append(moving("follower", AgentKind.CAR, CAR, t, behind, np.zeros(len(t)), yaw=0.0))
     metadata = expects(**{f"car_{k}": (DecisionKind.FOLLOW, *WAITS) for k in (1, 2, 3)})
-    return finished(path, driven, agents, two_lanes(path, v, ego_on_right=False), duration, metadata=metadata)
+    return finished(
+        path, driven, agents, two_lanes(path, v, ego_on_right=False), duration, metadata=metadata
+    )
 
 
 FAMILIES = (follow, cut_in, nudge, cyclist, bend, pull_outs)

@@ -73,7 +73,9 @@ class Family:
         """The scenario with these parameters changed, which its name lists; ConfigError if there is none with them."""
         unknown = sorted(set(overrides) - set(self.parameters))
         if unknown:
-            raise ConfigError(f"{self.name} has no parameter {unknown[0]}; it has {', '.join(self.parameters)}")
+            raise ConfigError(
+                f"{self.name} has no parameter {unknown[0]}; it has {', '.join(self.parameters)}"
+            )
         changed = {name: float(value) for name, value in overrides.items()}
         for name, value in changed.items():
             if not isfinite(value):
@@ -82,10 +84,14 @@ class Family:
         try:
             scenario = self.build(parameters)
         except ValueError as error:
-            raise ConfigError(f"{self.name}: {error}; change {', '.join(changed) or 'a parameter'}") from error
+            raise ConfigError(
+                f"{self.name}: {error}; change {', '.join(changed) or 'a parameter'}"
+            ) from error
         touched = touches(scenario)
         if touched is not None:
-            raise ConfigError(f"{self.name}: with these parameters the logged driver touches {touched}")
+            raise ConfigError(
+                f"{self.name}: with these parameters the logged driver touches {touched}"
+            )
         metadata = {
             "generator": "replan catalogue",
             "generator_version": VERSION,
@@ -109,10 +115,14 @@ Build = Callable[[Mapping[str, float]], Scenario]
 
 
 def family(
-    name: str, summary: str, tags: tuple[str, ...], parameters: Mapping[str, float],
-    grid: Mapping[str, tuple[float, ...]] | None = None, source: str = "",
+    name: str,
+    summary: str,
+    tags: tuple[str, ...],
+    parameters: Mapping[str, float],
+    grid: Mapping[str, tuple[float, ...]] | None = None,
+    source: str = "",
     holds: Callable[[Mapping[str, float]], bool] = lambda p: True,
-) -> Callable[[Build], Family]:  # fmt: skip
+) -> Callable[[Build], Family]:
     """Decorator that makes a `Family` of a function that builds its scenarios."""
 
     def made(build: Build) -> Family:
@@ -124,7 +134,9 @@ def family(
 def expects(**kinds: tuple[DecisionKind, ...]) -> dict[str, str]:
     """The metadata entry `expected_decisions` (module docstring)."""
     return {
-        "expected_decisions": json.dumps({agent: [kind.value for kind in wanted] for agent, wanted in kinds.items()})
+        "expected_decisions": json.dumps(
+            {agent: [kind.value for kind in wanted] for agent, wanted in kinds.items()}
+        )
     }
 
 

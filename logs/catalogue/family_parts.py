@@ -111,7 +111,9 @@ def drive(
         t = (k + 1) * STEP_S
     times, stations, speeds, accelerations = np.array(rows).T
     if stations[-1] > path.length:
-        raise ValueError(f"the drive of {stations[-1] - start:.0f} m leaves its path of {path.length:.0f} m")
+        raise ValueError(
+            f"the drive of {stations[-1] - start:.0f} m leaves its path of {path.length:.0f} m"
+        )
     x, y, yaw, kappa = path.at(stations)
     return Trajectory(np.round(times, 9), x, y, yaw, speeds, accelerations, kappa)
 
@@ -154,13 +156,24 @@ def obstruction(x: float, side: float) -> tuple[Agent, Agent]:
     small_front = x - APART_M
     large_front = small_front - SMALL_CAR[0] - APART_M
     return (
-        parked("small_car", small_front - 0.5 * SMALL_CAR[0], side - 0.5 * SMALL_CAR[1], size=SMALL_CAR),
-        parked("large_car", large_front - 0.5 * LARGE_CAR[0], side - 0.5 * LARGE_CAR[1], size=LARGE_CAR),
+        parked(
+            "small_car", small_front - 0.5 * SMALL_CAR[0], side - 0.5 * SMALL_CAR[1], size=SMALL_CAR
+        ),
+        parked(
+            "large_car", large_front - 0.5 * LARGE_CAR[0], side - 0.5 * LARGE_CAR[1], size=LARGE_CAR
+        ),
     )
 
 
 def moving(
-    name: str, kind: AgentKind, size: tuple[float, float], t: FloatArray, x: FloatArray, y: FloatArray, *, yaw: float
+    name: str,
+    kind: AgentKind,
+    size: tuple[float, float],
+    t: FloatArray,
+    x: FloatArray,
+    y: FloatArray,
+    *,
+    yaw: float,
 ) -> Agent:
     """A road user at positions `(n,)` at times `(n,)`, uniformly spaced.
 
@@ -183,7 +196,15 @@ def tracks(agents: Sequence[Agent]) -> Tracks:
     length, width = np.array([agent.size for agent in agents]).T
     static = np.array([agent.static for agent in agents])
     offsets = np.cumsum([0, *(len(agent.samples) for agent in agents)])
-    return Tracks(ids, kinds, length, width, static, offsets, *np.vstack([agent.samples for agent in agents]).T)
+    return Tracks(
+        ids,
+        kinds,
+        length,
+        width,
+        static,
+        offsets,
+        *np.vstack([agent.samples for agent in agents]).T,
+    )
 
 
 def grid(duration: float) -> FloatArray:
@@ -218,7 +239,9 @@ def pedestrian_across(p: Mapping[str, float], x: float) -> tuple[Agent, float]:
     y0, y1 = -(HALF_LANE + p["kerb_distance_m"]), HALF_LANE + p["rest_distance_m"]
     t = grid(p["duration_s"])
     y = y0 + (y1 - y0) * walked(t - p["walk_start_s"], y1 - y0, p["pedestrian_speed_mps"])
-    agent = moving("pedestrian", AgentKind.PEDESTRIAN, ADULT, t, np.full(len(t), x), y, yaw=0.5 * np.pi)
+    agent = moving(
+        "pedestrian", AgentKind.PEDESTRIAN, ADULT, t, np.full(len(t), x), y, yaw=0.5 * np.pi
+    )
     return agent, float(t[np.argmax(y > HALF_LANE + 0.5 * max(ADULT))])
 
 
@@ -228,10 +251,16 @@ def straight_path(speed: float, duration: float) -> CurveSamples:
 
 
 def finished(
-    path: CurveSamples, driven: Trajectory, agents: Sequence[Agent], road: Road, duration: float, *,
-    begin: float | None = None, edges: tuple[float, float] = (-HALF_LANE, HALF_LANE),
+    path: CurveSamples,
+    driven: Trajectory,
+    agents: Sequence[Agent],
+    road: Road,
+    duration: float,
+    *,
+    begin: float | None = None,
+    edges: tuple[float, float] = (-HALF_LANE, HALF_LANE),
     metadata: Mapping[str, str] | None = None,
-) -> Scenario:  # fmt: skip
+) -> Scenario:
     """The scenario of a drive, without a name; a planner has `SPARE_S` more than the drive's `duration`, s.
 
     The goal lies on the `path`, from station `begin` (None: 10 m before the x at which the drive ends) and between the
@@ -239,4 +268,6 @@ def finished(
     """
     first = float(driven.x[-1]) - 10.0 if begin is None else begin
     goal = Goal((stretch(path, first, first + 40.0, right=edges[0], left=edges[1]),))
-    return Scenario("", driven, tracks(agents), road, duration + SPARE_S, goal, metadata=dict(metadata or {}))
+    return Scenario(
+        "", driven, tracks(agents), road, duration + SPARE_S, goal, metadata=dict(metadata or {})
+    )

@@ -69,7 +69,9 @@ def cones(sections: tuple[ConeLane, ...]) -> FloatArray:
     """Positions of the cones `(n, 2)`, m, along both edges of each section."""
     rows: list[FloatArray] = []
     for section in sections:
-        x = np.linspace(section.begin, section.end, round((section.end - section.begin) / CONE_SPACING_M) + 1)
+        x = np.linspace(
+            section.begin, section.end, round((section.end - section.begin) / CONE_SPACING_M) + 1
+        )
         edges = [section.offset + side * section.width for side in (-0.5, 0.5)]
         rows.extend(np.column_stack([x, np.full(len(x), edge)]) for edge in edges)
     return np.vstack(rows)
@@ -87,9 +89,16 @@ APPROACH_M, BRAKE_MPS2, LATERAL_MPS2 = 40.0, 1.2, 2.0
 def _track(p: Mapping[str, float], sections: Callable[..., tuple[ConeLane, ...]]) -> Scenario:
     v, car = p["ego_kmh"] * KMH, VehicleParameters()
     approach = APPROACH_M + 0.5 * v * v / BRAKE_MPS2
-    there = sections(car.width, edge_based=p["edge_based"] > 0.0) if "edge_based" in p else sections(car.width)
+    there = (
+        sections(car.width, edge_based=p["edge_based"] > 0.0)
+        if "edge_based" in p
+        else sections(car.width)
+    )
     ahead = car.axle_to_center
-    shifts = [(approach + one.end - ahead, approach + two.begin - ahead, two.offset) for one, two in pairwise(there)]
+    shifts = [
+        (approach + one.end - ahead, approach + two.begin - ahead, two.offset)
+        for one, two in pairwise(there)
+    ]
     last = approach + there[-1].end
     path = weaving(LONGER * (last + BEYOND_M), shifts)
     slow = min(v, (LATERAL_MPS2 / float(np.abs(path.kappa).max())) ** 0.5)
@@ -102,7 +111,8 @@ def _track(p: Mapping[str, float], sections: Callable[..., tuple[ConeLane, ...]]
     driven = drive(path, start=0.0, speed=v, cruise=cruise, duration=tenths(last / slow + SPARE_S))
     driven = driven.between(0.0, float(driven.t[np.argmax(driven.x > last + 2.0 * TAPER_M)]))
     duration = float(driven.t[-1])
-    begin, end = -approach - car.length, path.length - approach  # stations of the lane through the sections
+    # Stations of the lane through the sections
+    begin, end = -approach - car.length, path.length - approach
     knots = [(begin, HALF_LANE, -HALF_LANE), (there[0].begin - TAPER_M, HALF_LANE, -HALF_LANE)]
     for i, section in enumerate(there):
         edges = section.offset + 0.5 * section.width, section.offset - 0.5 * section.width
@@ -114,21 +124,33 @@ def _track(p: Mapping[str, float], sections: Callable[..., tuple[ConeLane, ...]]
     knots += [(there[-1].end + TAPER_M, HALF_LANE, -HALF_LANE), (end, HALF_LANE, -HALF_LANE)]
     at, left, right = np.array(knots).T
     x = np.union1d(at, np.arange(begin, end, LANE_STEP_M))
-    left, right = (np.column_stack([x, np.interp(x, at, y)]) + np.array([approach, 0.0]) for y in (left, right))
+    left, right = (
+        np.column_stack([x, np.interp(x, at, y)]) + np.array([approach, 0.0]) for y in (left, right)
+    )
     lane = Lane(1, left, right, speed_limit=v, kind="urban")
     road = Road({1: lane}, default_speed_limit=v)
-    return finished(curve((path.length, 0.0, 0.0)), driven, [], road, duration, begin=last + TAPER_M)
+    return finished(
+        curve((path.length, 0.0, 0.0)), driven, [], road, duration, begin=last + TAPER_M
+    )
 
 
 FAMILIES = (
     Family(
-        "iso3888/double_lane_change", "ISO 3888-1: to the left lane and back between cones",
-        {"ego_kmh": 60.0, "edge_based": 0.0}, ("iso3888", "free"), partial(_track, sections=double_lane_change),
-        {"ego_kmh": speeds(30, 80, 10), "edge_based": (0.0, 1.0)}, SOURCE,
+        "iso3888/double_lane_change",
+        "ISO 3888-1: to the left lane and back between cones",
+        {"ego_kmh": 60.0, "edge_based": 0.0},
+        ("iso3888", "free"),
+        partial(_track, sections=double_lane_change),
+        {"ego_kmh": speeds(30, 80, 10), "edge_based": (0.0, 1.0)},
+        SOURCE,
     ),
     Family(
-        "iso3888/obstacle_avoidance", "ISO 3888-2: round an obstacle and back between cones",
-        {"ego_kmh": 50.0}, ("iso3888", "free"), partial(_track, sections=obstacle_avoidance),
-        {"ego_kmh": speeds(20, 70, 10)}, SOURCE,
+        "iso3888/obstacle_avoidance",
+        "ISO 3888-2: round an obstacle and back between cones",
+        {"ego_kmh": 50.0},
+        ("iso3888", "free"),
+        partial(_track, sections=obstacle_avoidance),
+        {"ego_kmh": speeds(20, 70, 10)},
+        SOURCE,
     ),
-)  # fmt: skip
+)

@@ -35,9 +35,17 @@ from replan.logs.vehicle import VehicleParameters
 
 
 @family(
-    "paper/free_road", "S-curve left then right, no obstacle: tracking", ("paper", "free"),
-    {"ego_speed_mps": 12.0, "radius_m": 50.0, "turn_deg": 60.0, "clothoid_m": 20.0, "straight_m": 60.0},
-)  # fmt: skip
+    "paper/free_road",
+    "S-curve left then right, no obstacle: tracking",
+    ("paper", "free"),
+    {
+        "ego_speed_mps": 12.0,
+        "radius_m": 50.0,
+        "turn_deg": 60.0,
+        "clothoid_m": 20.0,
+        "straight_m": 60.0,
+    },
+)
 def free_road(p: Mapping[str, float]) -> Scenario:
     radius, clothoid, v = p["radius_m"], p["clothoid_m"], p["ego_speed_mps"]
     kappa = 1.0 / radius
@@ -48,7 +56,9 @@ def free_road(p: Mapping[str, float]) -> Scenario:
     path = curve((entry, 0.0, 0.0), *bend, *other, (exit_ + BEYOND_M, 0.0, 0.0))
     duration = tenths((path.length - BEYOND_M - START_M) / v)
     driven = drive(path, speed=v, duration=duration)
-    return finished(path, driven, [], one_lane(path, v), duration, begin=path.length - BEYOND_M - 10.0)
+    return finished(
+        path, driven, [], one_lane(path, v), duration, begin=path.length - BEYOND_M - 10.0
+    )
 
 
 @family(
@@ -56,10 +66,14 @@ def free_road(p: Mapping[str, float]) -> Scenario:
     "parked cars reach into the lane from the right, from the left and from the right: bypass left and right",
     ("paper", "static"),
     {
-        "ego_speed_mps": 8.0, "first_m": 60.0, "spacing_m": 50.0, "intrusion_right_m": 1.0, "intrusion_left_m": 0.85,
+        "ego_speed_mps": 8.0,
+        "first_m": 60.0,
+        "spacing_m": 50.0,
+        "intrusion_right_m": 1.0,
+        "intrusion_left_m": 0.85,
         "clearance_m": 0.7,
     },
-)  # fmt: skip
+)
 def static_obstacles(p: Mapping[str, float]) -> Scenario:
     v, spacing, width = p["ego_speed_mps"], p["spacing_m"], VehicleParameters().width
     at = START_M + p["first_m"] + spacing * np.arange(3)
@@ -73,7 +87,8 @@ def static_obstacles(p: Mapping[str, float]) -> Scenario:
     )
     to_left = max(0.0, bypass(from_right, p["clearance_m"], width))
     to_right = min(0.0, bypass(from_left, -p["clearance_m"], width))
-    run, flat = 0.6 * spacing, 0.2 * spacing  # length of each shift, and of the straight beside each car
+    # Length of each shift, and of the straight beside each car
+    run, flat = 0.6 * spacing, 0.2 * spacing
     past = [
         (station - flat - run, station - flat, left)
         for station, left in zip(at, (to_left, to_right, to_left), strict=True)
@@ -84,8 +99,19 @@ def static_obstacles(p: Mapping[str, float]) -> Scenario:
     driven = drive(path, speed=v, duration=duration)
     straight = curve((path.length, 0.0, 0.0))
     left, right = (DecisionKind.NUDGE_LEFT,), (DecisionKind.NUDGE_RIGHT,)
-    road, metadata = two_lanes(straight, v, ego_on_right=True), expects(right_1=left, left=right, right_2=left)
-    return finished(straight, driven, cars, road, duration, edges=(-HALF_LANE, 3.0 * HALF_LANE), metadata=metadata)
+    road, metadata = (
+        two_lanes(straight, v, ego_on_right=True),
+        expects(right_1=left, left=right, right_2=left),
+    )
+    return finished(
+        straight,
+        driven,
+        cars,
+        road,
+        duration,
+        edges=(-HALF_LANE, 3.0 * HALF_LANE),
+        metadata=metadata,
+    )
 
 
 @family(
@@ -93,10 +119,17 @@ def static_obstacles(p: Mapping[str, float]) -> Scenario:
     "a pedestrian crosses from the right, leaves the lane and stands still: brake, then drive on",
     ("paper", "pedestrian"),
     {
-        "ego_speed_mps": 10.0, "pedestrian_speed_mps": 0.85, "walk_start_s": 5.0, "distance_m": 33.0,
-        "kerb_distance_m": 0.6, "rest_distance_m": 2.5, "stop_distance_m": 3.0, "reaction_s": 0.4, "duration_s": 26.0,
+        "ego_speed_mps": 10.0,
+        "pedestrian_speed_mps": 0.85,
+        "walk_start_s": 5.0,
+        "distance_m": 33.0,
+        "kerb_distance_m": 0.6,
+        "rest_distance_m": 2.5,
+        "stop_distance_m": 3.0,
+        "reaction_s": 0.4,
+        "duration_s": 26.0,
     },
-)  # fmt: skip
+)
 def crossing_pedestrian(p: Mapping[str, float]) -> Scenario:
     v, duration, front = p["ego_speed_mps"], p["duration_s"], VehicleParameters().axle_to_front
     x = START_M + front + v * p["walk_start_s"] + p["distance_m"]
@@ -105,7 +138,14 @@ def crossing_pedestrian(p: Mapping[str, float]) -> Scenario:
     ahead = waiting(x, p["stop_distance_m"], p["walk_start_s"] + p["reaction_s"], off_lane, front)
     driven = drive(path, speed=v, duration=duration, ahead=ahead)
     metadata = {**expects(pedestrian=WAITS), "pedestrian_off_lane_s": repr(off_lane)}
-    return finished(path, driven, [pedestrian], one_lane(path, v, sidewalk=SIDEWALK_M), duration, metadata=metadata)
+    return finished(
+        path,
+        driven,
+        [pedestrian],
+        one_lane(path, v, sidewalk=SIDEWALK_M),
+        duration,
+        metadata=metadata,
+    )
 
 
 FAMILIES = (free_road, static_obstacles, crossing_pedestrian)

@@ -84,9 +84,14 @@ def strolled(t: FloatArray, legs: Sequence[Leg]) -> FloatArray:
 
 
 def walker(
-    name: str, t: FloatArray, at: tuple[float, float], legs: Sequence[Leg],
-    *, towards: float = 0.5 * pi, size: tuple[float, float] = ADULT,
-) -> Agent:  # fmt: skip
+    name: str,
+    t: FloatArray,
+    at: tuple[float, float],
+    legs: Sequence[Leg],
+    *,
+    towards: float = 0.5 * pi,
+    size: tuple[float, float] = ADULT,
+) -> Agent:
     """A pedestrian who walks legs from a point in one direction (rad), backwards for legs of negative distance."""
     way = strolled(t, legs)
     x, y = at[0] + way * cos(towards), at[1] + way * sin(towards)
@@ -107,7 +112,12 @@ def off_lane(walkers: Sequence[Agent]) -> float:
 
 def _station(p: Mapping[str, float], sets_off: float) -> float:
     """Station of the walker's line, m, from `distance_m`."""
-    return START_M + VehicleParameters().axle_to_front + p["ego_speed_mps"] * sets_off + p["distance_m"]
+    return (
+        START_M
+        + VehicleParameters().axle_to_front
+        + p["ego_speed_mps"] * sets_off
+        + p["distance_m"]
+    )
 
 
 def _kerbs(p: Mapping[str, float]) -> tuple[float, float]:
@@ -116,9 +126,15 @@ def _kerbs(p: Mapping[str, float]) -> tuple[float, float]:
 
 
 def _waiting_driver(
-    p: Mapping[str, float], walkers: Sequence[Agent], x: float, sets_off: float,
-    *, cars: Sequence[Agent] = (), cruise: Callable[[float], float] | None = None, noticed: float | None = None,
-) -> Scenario:  # fmt: skip
+    p: Mapping[str, float],
+    walkers: Sequence[Agent],
+    x: float,
+    sets_off: float,
+    *,
+    cars: Sequence[Agent] = (),
+    cruise: Callable[[float], float] | None = None,
+    noticed: float | None = None,
+) -> Scenario:
     """The scenario with a driver who waits before x until all are off the lane."""
     begin, clear = sets_off + p["reaction_s"] if noticed is None else noticed, off_lane(walkers)
     ahead = waiting(x, p["stop_distance_m"], begin, clear, VehicleParameters().axle_to_front)
@@ -126,9 +142,15 @@ def _waiting_driver(
 
 
 def _crossing_scene(
-    p: Mapping[str, float], agents: Sequence[Agent], sets_off: float, clear: float,
-    ahead: Reaction, *, cruise: Callable[[float], float] | None = None, kinds: tuple[DecisionKind, ...] = WAITS,
-) -> Scenario:  # fmt: skip
+    p: Mapping[str, float],
+    agents: Sequence[Agent],
+    sets_off: float,
+    clear: float,
+    ahead: Reaction,
+    *,
+    cruise: Callable[[float], float] | None = None,
+    kinds: tuple[DecisionKind, ...] = WAITS,
+) -> Scenario:
     """The scenario of a driver who reacts to `ahead`; `cruise` None: the ego's speed at the start."""
     v, duration = p["ego_speed_mps"], p["duration_s"]
     path = straight_path(v, duration)
@@ -138,7 +160,9 @@ def _crossing_scene(
         "pedestrian_sets_off_s": repr(sets_off),
         "pedestrian_off_lane_s": repr(clear),
     }
-    return finished(path, driven, agents, one_lane(path, v, sidewalk=SIDEWALK_M), duration, metadata=metadata)
+    return finished(
+        path, driven, agents, one_lane(path, v, sidewalk=SIDEWALK_M), duration, metadata=metadata
+    )
 
 
 @family(
@@ -146,11 +170,19 @@ def _crossing_scene(
     "a pedestrian walks onto the lane, stands there, and walks back: wait, do not creep, then drive on",
     ("pedestrian",),
     {
-        "ego_speed_mps": 10.0, "pedestrian_speed_mps": 1.2, "return_speed_mps": 1.5, "stop_lateral_m": 0.0,
-        "dwell_s": 2.5, "walk_start_s": 3.0, "distance_m": 33.0, "kerb_distance_m": 0.6, "stop_distance_m": 3.0,
-        "reaction_s": 0.4, "duration_s": 22.0,
+        "ego_speed_mps": 10.0,
+        "pedestrian_speed_mps": 1.2,
+        "return_speed_mps": 1.5,
+        "stop_lateral_m": 0.0,
+        "dwell_s": 2.5,
+        "walk_start_s": 3.0,
+        "distance_m": 33.0,
+        "kerb_distance_m": 0.6,
+        "stop_distance_m": 3.0,
+        "reaction_s": 0.4,
+        "duration_s": 22.0,
     },
-)  # fmt: skip
+)
 def turns_back(p: Mapping[str, float]) -> Scenario:
     y0 = -(HALF_LANE + p["kerb_distance_m"])
     way = p["stop_lateral_m"] - y0
@@ -162,13 +194,24 @@ def turns_back(p: Mapping[str, float]) -> Scenario:
 
 
 @family(
-    "pedestrian/hesitates", "a pedestrian comes to the kerb, stops there, and then crosses after all", ("pedestrian",),
+    "pedestrian/hesitates",
+    "a pedestrian comes to the kerb, stops there, and then crosses after all",
+    ("pedestrian",),
     {
-        "ego_speed_mps": 8.3, "approach_m": 2.0, "approach_speed_mps": 1.4, "pedestrian_speed_mps": 1.4, "dwell_s": 2.0,
-        "walk_start_s": 1.0, "distance_m": 20.0, "kerb_distance_m": 0.6, "rest_distance_m": 2.5, "stop_distance_m": 3.0,
-        "reaction_s": 0.4, "duration_s": 22.0,
+        "ego_speed_mps": 8.3,
+        "approach_m": 2.0,
+        "approach_speed_mps": 1.4,
+        "pedestrian_speed_mps": 1.4,
+        "dwell_s": 2.0,
+        "walk_start_s": 1.0,
+        "distance_m": 20.0,
+        "kerb_distance_m": 0.6,
+        "rest_distance_m": 2.5,
+        "stop_distance_m": 3.0,
+        "reaction_s": 0.4,
+        "duration_s": 22.0,
     },
-)  # fmt: skip
+)
 def hesitates(p: Mapping[str, float]) -> Scenario:
     y0, y1 = _kerbs(p)
     to_kerb = Leg(p["walk_start_s"], p["approach_m"], p["approach_speed_mps"])
@@ -179,10 +222,17 @@ def hesitates(p: Mapping[str, float]) -> Scenario:
 
 
 RUNS_OUT: Mapping[str, float] = {
-    "ego_speed_mps": 8.3, "pedestrian_speed_mps": 1.39, "passing_speed_mps": 4.0, "start_lateral_m": 4.0,
-    "walk_start_s": 3.0, "distance_m": 25.6, "rest_distance_m": 2.5, "stop_distance_m": 3.0, "reaction_s": 0.4,
+    "ego_speed_mps": 8.3,
+    "pedestrian_speed_mps": 1.39,
+    "passing_speed_mps": 4.0,
+    "start_lateral_m": 4.0,
+    "walk_start_s": 3.0,
+    "distance_m": 25.6,
+    "rest_distance_m": 2.5,
+    "stop_distance_m": 3.0,
+    "reaction_s": 0.4,
     "duration_s": 22.0,
-}  # fmt: skip
+}
 
 
 @family(
@@ -201,13 +251,18 @@ def runs_out(p: Mapping[str, float]) -> Scenario:
     t = grid(p["duration_s"])
     child = walker("child", t, (x, y0), (leg,), size=CHILD)
     emerges = float(t[np.argmax(child.samples[:, 2] + 0.5 * CHILD[0] > side)])
-    slow, begin = p["passing_speed_mps"], large_front - LARGE_CAR[0] - SLOW_BEFORE_M - car.axle_to_front
+    slow, begin = (
+        p["passing_speed_mps"],
+        large_front - LARGE_CAR[0] - SLOW_BEFORE_M - car.axle_to_front,
+    )
 
     def cruise(s: float) -> float:
         wanted = sqrt(slow**2 + 2.0 * SLOWING_MPS2 * max(begin - s, 0.0))
         return min(p["ego_speed_mps"], wanted if s + car.axle_to_front < x else inf)
 
-    return _waiting_driver(p, [child], x, leg.begin, cars=cars, cruise=cruise, noticed=emerges + p["reaction_s"])
+    return _waiting_driver(
+        p, [child], x, leg.begin, cars=cars, cruise=cruise, noticed=emerges + p["reaction_s"]
+    )
 
 
 @family(
@@ -215,17 +270,30 @@ def runs_out(p: Mapping[str, float]) -> Scenario:
     "a pedestrian walks diagonally over the lane and hurries halfway (above 90 degrees: towards the car)",
     ("pedestrian",),
     {
-        "ego_speed_mps": 10.0, "pedestrian_speed_mps": 1.4, "hurry_speed_mps": 2.2, "angle_deg": 45.0,
-        "step_lateral_m": -0.5, "walk_start_s": 3.0, "distance_m": 26.0, "kerb_distance_m": 0.6, "rest_distance_m": 2.5,
-        "stop_distance_m": 3.0, "reaction_s": 0.4, "duration_s": 21.0,
+        "ego_speed_mps": 10.0,
+        "pedestrian_speed_mps": 1.4,
+        "hurry_speed_mps": 2.2,
+        "angle_deg": 45.0,
+        "step_lateral_m": -0.5,
+        "walk_start_s": 3.0,
+        "distance_m": 26.0,
+        "kerb_distance_m": 0.6,
+        "rest_distance_m": 2.5,
+        "stop_distance_m": 3.0,
+        "reaction_s": 0.4,
+        "duration_s": 21.0,
     },
-)  # fmt: skip
+)
 def jaywalker(p: Mapping[str, float]) -> Scenario:
     y0, y1 = _kerbs(p)
     angle = radians(p["angle_deg"])
     if not 0.1 < angle < pi - 0.1:
-        raise ValueError(f"angle_deg is {p['angle_deg']:g}: between the lane and the walk, above 6 and below 174")
-    begin = Leg(p["walk_start_s"], (p["step_lateral_m"] - y0) / sin(angle), p["pedestrian_speed_mps"])
+        raise ValueError(
+            f"angle_deg is {p['angle_deg']:g}: between the lane and the walk, above 6 and below 174"
+        )
+    begin = Leg(
+        p["walk_start_s"], (p["step_lateral_m"] - y0) / sin(angle), p["pedestrian_speed_mps"]
+    )
     hurry = Leg(begin.slows, (y1 - p["step_lateral_m"]) / sin(angle), p["hurry_speed_mps"])
     x = _station(p, begin.begin)
     one = walker("pedestrian", grid(p["duration_s"]), (x, y0), (begin, hurry), towards=angle)
@@ -234,19 +302,32 @@ def jaywalker(p: Mapping[str, float]) -> Scenario:
 
 
 @family(
-    "pedestrian/group", "three pedestrians cross one after the other: drive on after the last", ("pedestrian",),
+    "pedestrian/group",
+    "three pedestrians cross one after the other: drive on after the last",
+    ("pedestrian",),
     {
-        "ego_speed_mps": 10.0, "pedestrian_speed_mps": 1.2, "between_s": 0.5, "beside_m": 0.8, "walk_start_s": 3.0,
-        "distance_m": 31.0, "kerb_distance_m": 0.6, "rest_distance_m": 2.5, "stop_distance_m": 3.0, "reaction_s": 0.4,
+        "ego_speed_mps": 10.0,
+        "pedestrian_speed_mps": 1.2,
+        "between_s": 0.5,
+        "beside_m": 0.8,
+        "walk_start_s": 3.0,
+        "distance_m": 31.0,
+        "kerb_distance_m": 0.6,
+        "rest_distance_m": 2.5,
+        "stop_distance_m": 3.0,
+        "reaction_s": 0.4,
         "duration_s": 22.0,
     },
-)  # fmt: skip
+)
 def group(p: Mapping[str, float]) -> Scenario:
     y0, y1 = _kerbs(p)
     t, begin = grid(p["duration_s"]), p["walk_start_s"]
     x = _station(p, begin)
     legs = [Leg(begin + k * p["between_s"], y1 - y0, p["pedestrian_speed_mps"]) for k in range(3)]
-    walkers = [walker(f"pedestrian_{k + 1}", t, (x + k * p["beside_m"], y0), [leg]) for k, leg in enumerate(legs)]
+    walkers = [
+        walker(f"pedestrian_{k + 1}", t, (x + k * p["beside_m"], y0), [leg])
+        for k, leg in enumerate(legs)
+    ]
     return _waiting_driver(p, walkers, x, begin)
 
 
@@ -255,15 +336,29 @@ def group(p: Mapping[str, float]) -> Scenario:
     "a pedestrian walks along the lane ahead (CPLA) and leaves it: follow them, then drive on",
     ("pedestrian",),
     {
-        "ego_speed_mps": 10.0, "pedestrian_speed_mps": 1.39, "lateral_m": 0.0, "distance_m": 45.0, "leave_s": 10.0,
-        "rest_distance_m": 1.0, "stop_distance_m": 1.0, "reaction_s": 0.4, "duration_s": 22.0,
+        "ego_speed_mps": 10.0,
+        "pedestrian_speed_mps": 1.39,
+        "lateral_m": 0.0,
+        "distance_m": 45.0,
+        "leave_s": 10.0,
+        "rest_distance_m": 1.0,
+        "stop_distance_m": 1.0,
+        "reaction_s": 0.4,
+        "duration_s": 22.0,
     },
-)  # fmt: skip
+)
 def along(p: Mapping[str, float]) -> Scenario:
     """The pedestrian already walks before t = 0, turns right where they slow down along the lane, and leaves it."""
-    v, duration, front = p["pedestrian_speed_mps"], p["duration_s"], VehicleParameters().axle_to_front
+    v, duration, front = (
+        p["pedestrian_speed_mps"],
+        p["duration_s"],
+        VehicleParameters().axle_to_front,
+    )
     t = grid(duration)
-    along, aside = Leg(-RAMP_S, v * (p["leave_s"] + RAMP_S), v), p["lateral_m"] + HALF_LANE + p["rest_distance_m"]
+    along, aside = (
+        Leg(-RAMP_S, v * (p["leave_s"] + RAMP_S), v),
+        p["lateral_m"] + HALF_LANE + p["rest_distance_m"],
+    )
     begun = float(strolled(np.zeros(1), (along,))[0])
     x = START_M + front + p["distance_m"] - begun + strolled(t, (along,))
     y = p["lateral_m"] - strolled(t, (Leg(p["leave_s"], aside, v),))
@@ -282,11 +377,20 @@ def along(p: Mapping[str, float]) -> Scenario:
     "two pedestrians cross from both sides, each at a time of its own: drive on after the last",
     ("pedestrian",),
     {
-        "ego_speed_mps": 10.0, "right_speed_mps": 1.4, "left_speed_mps": 1.2, "right_start_s": 3.0, "left_start_s": 4.5,
-        "beside_m": 1.2, "distance_m": 31.0, "kerb_distance_m": 0.6, "rest_distance_m": 2.5, "stop_distance_m": 3.0,
-        "reaction_s": 0.4, "duration_s": 22.0,
+        "ego_speed_mps": 10.0,
+        "right_speed_mps": 1.4,
+        "left_speed_mps": 1.2,
+        "right_start_s": 3.0,
+        "left_start_s": 4.5,
+        "beside_m": 1.2,
+        "distance_m": 31.0,
+        "kerb_distance_m": 0.6,
+        "rest_distance_m": 2.5,
+        "stop_distance_m": 3.0,
+        "reaction_s": 0.4,
+        "duration_s": 22.0,
     },
-)  # fmt: skip
+)
 def both_sides(p: Mapping[str, float]) -> Scenario:
     y0, y1 = _kerbs(p)
     t, sets_off = grid(p["duration_s"]), min(p["right_start_s"], p["left_start_s"])
@@ -294,12 +398,16 @@ def both_sides(p: Mapping[str, float]) -> Scenario:
     walkers = []
     for name, side, beyond in (("right", -1.0, 0.0), ("left", 1.0, p["beside_m"])):
         leg = Leg(p[f"{name}_start_s"], y1 - y0, p[f"{name}_speed_mps"])
-        walkers.append(walker(name, t, (x + beyond, copysign(y0, side)), [leg], towards=-0.5 * pi * side))
+        walkers.append(
+            walker(name, t, (x + beyond, copysign(y0, side)), [leg], towards=-0.5 * pi * side)
+        )
     return _waiting_driver(p, walkers, x, sets_off)
 
 
 runs_fast = family(
-    "pedestrian/runs_fast", "as runs_out, nearer: who sees them half a second late brakes with 8 m/s2",
-    ("pedestrian", "occlusion"), {**RUNS_OUT, "pedestrian_speed_mps": 1.5, "start_lateral_m": 3.2, "distance_m": 18.0},
-)(runs_out.build)  # fmt: skip
+    "pedestrian/runs_fast",
+    "as runs_out, nearer: who sees them half a second late brakes with 8 m/s2",
+    ("pedestrian", "occlusion"),
+    {**RUNS_OUT, "pedestrian_speed_mps": 1.5, "start_lateral_m": 3.2, "distance_m": 18.0},
+)(runs_out.build)
 FAMILIES = (turns_back, hesitates, runs_out, runs_fast, jaywalker, group, along, both_sides)

@@ -80,10 +80,16 @@ def speeds(first: int, last: int, step: int = 5) -> tuple[float, ...]:
 
 
 def tested(
-    p: Mapping[str, float], path: CurveSamples, road: Road, agents: Sequence[Agent],
-    expected: Mapping[str, tuple[DecisionKind, ...]], ahead: Reaction = lambda t, s: None, *,
-    beyond: float | None = None, start: float = START_M,
-) -> Scenario:  # fmt: skip
+    p: Mapping[str, float],
+    path: CurveSamples,
+    road: Road,
+    agents: Sequence[Agent],
+    expected: Mapping[str, tuple[DecisionKind, ...]],
+    ahead: Reaction = lambda t, s: None,
+    *,
+    beyond: float | None = None,
+    start: float = START_M,
+) -> Scenario:
     """The scenario of an ego with `ego_kmh` that starts at station `start` of the `path` of its rear axle, m.
 
     `expected`: accepted decisions by agent. `beyond`: station at which the goal begins; None: the target cannot be
@@ -92,7 +98,9 @@ def tested(
     v, duration = p["ego_kmh"] * KMH, p["duration_s"]
     driven = drive(path, start=start, speed=v, duration=duration, ahead=ahead)
     begin = path.length - GOAL_M if beyond is None else beyond
-    return before_contact(finished(path, driven, agents, road, duration, begin=begin, metadata=expects(**expected)))
+    return before_contact(
+        finished(path, driven, agents, road, duration, begin=begin, metadata=expects(**expected))
+    )
 
 
 def straight(p: Mapping[str, float]) -> CurveSamples:
@@ -106,25 +114,45 @@ def impact(overlap_percent: float) -> float:
 
 
 CROSSING: Mapping[str, float] = {
-    "ego_kmh": 40.0, "target_kmh": 5.0, "overlap_percent": 50.0, "start_m": 4.0, "run_up_m": 1.0, "reaction_s": 0.4,
+    "ego_kmh": 40.0,
+    "target_kmh": 5.0,
+    "overlap_percent": 50.0,
+    "start_m": 4.0,
+    "run_up_m": 1.0,
+    "reaction_s": 0.4,
     "duration_s": 18.0,
-}  # fmt: skip
+}
 
 
-def crossing(p: Mapping[str, float], target: Target, *, far: bool = False, hidden: str = "") -> Scenario:
+def crossing(
+    p: Mapping[str, float], target: Target, *, far: bool = False, hidden: str = ""
+) -> Scenario:
     """A target that crosses from the right, or from the `far` side; ValueError if its way is too short.
 
     `start_m` is its first distance from the ego's path. It is hidden behind two parked cars ("cpnco"), or behind one
     whose side is `hidden_m` from the ego's path ("cbnao").
     """
-    v, u, car, side = p["ego_kmh"] * KMH, p["target_kmh"] * KMH, VehicleParameters(), 1.0 if far else -1.0
+    v, u, car, side = (
+        p["ego_kmh"] * KMH,
+        p["target_kmh"] * KMH,
+        VehicleParameters(),
+        1.0 if far else -1.0,
+    )
     t, ramp = grid(p["duration_s"]), max(2.0 * p["run_up_m"] / u, RAMP_S)
     way = p["start_m"] - side * impact(p["overlap_percent"])
     off = TTC_S - 0.5 * ramp - way / u  # (2)
     whole = p["start_m"] + HALF_LANE + REST_M + 0.5 * u * ramp + (LANE_WIDTH_M if far else 0.0)
     y = side * (p["start_m"] - whole * walked(t - off, whole, u, ramp))
     line = START_M + car.axle_to_front + v * TTC_S + 0.5 * target.size[1]
-    crosser = moving(target.id, target.kind, target.size, t, np.full(len(t), line), y, yaw=copysign(0.5 * pi, -side))
+    crosser = moving(
+        target.id,
+        target.kind,
+        target.size,
+        t,
+        np.full(len(t), line),
+        y,
+        yaw=copysign(0.5 * pi, -side),
+    )
     reach = 0.5 * target.size[0]
     on = np.flatnonzero(np.abs(y) <= HALF_LANE + reach)
     hiding, noticed = [], max(off, float(t[0])) + p["reaction_s"]
@@ -136,13 +164,21 @@ def crossing(p: Mapping[str, float], target: Target, *, far: bool = False, hidde
     ahead = waiting(line, STOP_M, noticed, clear, car.axle_to_front)
     path = straight(p)
     road = two_way(path, v) if far else one_lane(path, v, sidewalk=SIDEWALK_M)
-    return tested(p, path, road, [crosser, *hiding], {target.id: WAITS}, ahead, beyond=line + BEYOND_LINE_M)
+    return tested(
+        p, path, road, [crosser, *hiding], {target.id: WAITS}, ahead, beyond=line + BEYOND_LINE_M
+    )
 
 
 LEAD: Mapping[str, float] = {
-    "ego_kmh": 50.0, "target_kmh": 20.0, "gap_m": 0.0, "brake_s": 2.0, "brake_mps2": 0.0,
-    "brake_to_kmh": 0.0, "reaction_s": 0.4, "duration_s": 18.0,
-}  # fmt: skip
+    "ego_kmh": 50.0,
+    "target_kmh": 20.0,
+    "gap_m": 0.0,
+    "brake_s": 2.0,
+    "brake_mps2": 0.0,
+    "brake_to_kmh": 0.0,
+    "reaction_s": 0.4,
+    "duration_s": 18.0,
+}
 FOLLOWS = (DecisionKind.FOLLOW, *WAITS)
 
 
@@ -172,7 +208,9 @@ def lead(p: Mapping[str, float], target: Target, y: float) -> Scenario:
     v, u, car = p["ego_kmh"] * KMH, p["target_kmh"] * KMH, VehicleParameters()
     gap = p["gap_m"] if p["gap_m"] > 0.0 else (v - u) * TTC_S
     if not gap > 0.0:
-        raise ValueError(f"the ego's {p['ego_kmh']:g} km/h do not reach a target with {p['target_kmh']:g} km/h")
+        raise ValueError(
+            f"the ego's {p['ego_kmh']:g} km/h do not reach a target with {p['target_kmh']:g} km/h"
+        )
     t = grid(p["duration_s"])
     speed = lead_speed(t, p["brake_s"], u, p["brake_mps2"], p["brake_to_kmh"] * KMH)
     half, front = 0.5 * target.size[0], car.axle_to_front
@@ -189,4 +227,6 @@ def lead(p: Mapping[str, float], target: Target, y: float) -> Scenario:
         return None if time < shows + p["reaction_s"] else Ahead(distance, now, stop=now == 0.0)
 
     path = straight(p)
-    return tested(p, path, one_lane(path, v, sidewalk=SIDEWALK_M), [other], {target.id: FOLLOWS}, ahead)
+    return tested(
+        p, path, one_lane(path, v, sidewalk=SIDEWALK_M), [other], {target.id: FOLLOWS}, ahead
+    )

@@ -34,7 +34,14 @@ from replan.logs.catalogue.family_parts import (
     parked,
     tracks,
 )
-from replan.logs.catalogue.roads import LANE_WIDTH_M, CurveSamples, curve, one_lane, stretch, two_way
+from replan.logs.catalogue.roads import (
+    LANE_WIDTH_M,
+    CurveSamples,
+    curve,
+    one_lane,
+    stretch,
+    two_way,
+)
 from replan.logs.road import Goal, Road
 from replan.logs.scenario import Scenario
 from replan.logs.states import Trajectory
@@ -50,23 +57,39 @@ Parameters = Mapping[str, float]
 
 def _row(name: str, first: float, last: float, y: float, *, spacing: float = 6.5) -> list[Agent]:
     """Cars parked one behind the other, at y."""
-    return [parked(f"{name}_{k}", x, y) for k, x in enumerate(np.arange(first, last, spacing).tolist())]
+    return [
+        parked(f"{name}_{k}", x, y) for k, x in enumerate(np.arange(first, last, spacing).tolist())
+    ]
 
 
 def _moving_agent(
-    name: str, kind: AgentKind, size: tuple[float, float], t: FloatArray, x: float, y: float, speed: float
+    name: str,
+    kind: AgentKind,
+    size: tuple[float, float],
+    t: FloatArray,
+    x: float,
+    y: float,
+    speed: float,
 ) -> Agent:
     """A road user along the road at a constant speed, which is backwards where it is negative."""
-    return moving(name, kind, size, t, x + speed * t, np.full(len(t), y), yaw=0.0 if speed > 0.0 else pi)
+    return moving(
+        name, kind, size, t, x + speed * t, np.full(len(t), y), yaw=0.0 if speed > 0.0 else pi
+    )
 
 
 def _true_scene(
-    p: Parameters, others: list[Agent], road: Callable[..., Road], cruise: float, ahead: Callable[..., Ahead | None]
+    p: Parameters,
+    others: list[Agent],
+    road: Callable[..., Road],
+    cruise: float,
+    ahead: Callable[..., Ahead | None],
 ) -> Scenario:
     v, duration = p["ego_speed_mps"], p["duration_s"]
     path = curve((max(v, cruise) * duration + BEYOND_M, 0.0, 0.0))
     driven = drive(path, speed=v, cruise=cruise, duration=duration, ahead=ahead)
-    return Scenario("", driven, tracks(others), road(path, max(v, cruise)), duration, _goal(path, driven))
+    return Scenario(
+        "", driven, tracks(others), road(path, max(v, cruise)), duration, _goal(path, driven)
+    )
 
 
 def _goal(path: CurveSamples, driven: Trajectory) -> Goal:
@@ -77,16 +100,21 @@ def _goal(path: CurveSamples, driven: Trajectory) -> Goal:
 def _crossing(p: Parameters) -> Scenario:
     """The paper's crossing pedestrian, between rows of parked cars and people on the sidewalks."""
     scene = paper.crossing_pedestrian
-    whole = scene.build({**scene.parameters, **{name: p[name] for name in scene.parameters if name in p}})
+    whole = scene.build(
+        {**scene.parameters, **{name: p[name] for name in scene.parameters if name in p}}
+    )
     t, x = grid(p["duration_s"]), float(whole.tracks.x[0])
     straight = curve((float(whole.ego.x[-1]) + BEYOND_M, 0.0, 0.0))
     bystanders = [
-        *_row("right", START_M, x - 12.0, -ROW_M), *_row("left", x + 12.0, x + 60.0, ROW_M),
+        *_row("right", START_M, x - 12.0, -ROW_M),
+        *_row("left", x + 12.0, x + 60.0, ROW_M),
         _moving_agent("walker_1", AgentKind.PEDESTRIAN, ADULT, t, x - 20.0, -6.0, 1.3),
         _moving_agent("walker_2", AgentKind.PEDESTRIAN, ADULT, t, x + 40.0, 6.2, -1.1),
-    ]  # fmt: skip
+    ]
     everyone = whole.tracks.with_more(tracks(bystanders))
-    return replace(whole, tracks=everyone, duration=p["duration_s"], goal=_goal(straight, whole.ego))
+    return replace(
+        whole, tracks=everyone, duration=p["duration_s"], goal=_goal(straight, whole.ego)
+    )
 
 
 def _queue(p: Parameters) -> Scenario:
@@ -107,21 +135,32 @@ def _queue(p: Parameters) -> Scenario:
         return Ahead(gap - 3.0, speed, stop=speed < 0.1)
 
     beside = _row("beside", last - 40.0, last + 40.0, LANE_WIDTH_M, spacing=6.8)
-    turned = [replace(each, samples=each.samples + np.array([0.0, 0.0, 0.0, pi, 0.0, 0.0])) for each in beside]
+    turned = [
+        replace(each, samples=each.samples + np.array([0.0, 0.0, 0.0, pi, 0.0, 0.0]))
+        for each in beside
+    ]
     return _true_scene(p, [*queue, *turned], two_way, v, ahead)
 
 
 def _parked_rows(p: Parameters) -> Scenario:
     """Rows of parked cars on both sides, a truck among them, and people behind them."""
     t, end = grid(p["duration_s"]), START_M + p["ego_speed_mps"] * p["duration_s"] + 40.0
-    truck = Agent("truck", AgentKind.TRUCK, TRUCK, np.array([[0.0, 90.0, -ROW_M - 0.3, 0.0, 0.0, 0.0]]), static=True)
+    truck = Agent(
+        "truck",
+        AgentKind.TRUCK,
+        TRUCK,
+        np.array([[0.0, 90.0, -ROW_M - 0.3, 0.0, 0.0, 0.0]]),
+        static=True,
+    )
     walkers = [
-        _moving_agent(f"walker_{k}", AgentKind.PEDESTRIAN, ADULT, t, 40.0 + 30.0 * k, -6.5, 1.2) for k in range(3)
+        _moving_agent(f"walker_{k}", AgentKind.PEDESTRIAN, ADULT, t, 40.0 + 30.0 * k, -6.5, 1.2)
+        for k in range(3)
     ]
     rows = [
-        *_row("right", START_M, 82.0, -ROW_M), *_row("right_on", 99.0, end, -ROW_M),
+        *_row("right", START_M, 82.0, -ROW_M),
+        *_row("right_on", 99.0, end, -ROW_M),
         *_row("left", START_M, end, ROW_M, spacing=7.5),
-    ]  # fmt: skip
+    ]
     return _true_scene(p, [*rows, truck, *walkers], one_lane, p["ego_speed_mps"], lambda t, s: None)
 
 
@@ -129,10 +168,17 @@ def _rider(p: Parameters) -> Scenario:
     """A rider comes towards the ego in the lane beside, detected as a pedestrian; cars come, too."""
     t = grid(p["duration_s"])
     rider = _moving_agent(
-        "rider", AgentKind.PEDESTRIAN, BICYCLE, t, p["distance_m"], p["offset_m"], -p["rider_speed_mps"]
+        "rider",
+        AgentKind.PEDESTRIAN,
+        BICYCLE,
+        t,
+        p["distance_m"],
+        p["offset_m"],
+        -p["rider_speed_mps"],
     )
     cars = [
-        _moving_agent(f"oncoming_{k}", AgentKind.CAR, CAR, t, 160.0 + 60.0 * k, LANE_WIDTH_M, -8.0) for k in range(2)
+        _moving_agent(f"oncoming_{k}", AgentKind.CAR, CAR, t, 160.0 + 60.0 * k, LANE_WIDTH_M, -8.0)
+        for k in range(2)
     ]
     side = _row("right", START_M, 140.0, -ROW_M, spacing=9.0)
     return _true_scene(p, [rider, *cars, *side], two_way, p["ego_speed_mps"], lambda t, s: None)
@@ -142,19 +188,32 @@ def _clusters(p: Parameters) -> Scenario:
     """Bushes, poles and walls beside the road, as clusters of points; a car ahead."""
     t, v, rng = grid(p["duration_s"]), p["ego_speed_mps"], np.random.default_rng(int(p["seed"]))
     count, end = int(p["clusters"]), START_M + v * p["duration_s"] + 40.0
-    x, y, yaw = rng.uniform(0.0, end, count), rng.uniform(3.5, 14.0, count), rng.uniform(-pi, pi, count)
+    x, y, yaw = (
+        rng.uniform(0.0, end, count),
+        rng.uniform(3.5, 14.0, count),
+        rng.uniform(-pi, pi, count),
+    )
     size, side = rng.uniform(0.3, 2.0, (count, 2)), rng.choice([-1.0, 1.0], count)
     things = [
-        Agent(f"thing_{k}", AgentKind.OBJECT, (float(size[k].max()), float(size[k].min())),
-              np.array([[0.0, x[k], side[k] * y[k], yaw[k], 0.0, 0.0]]), static=True)
+        Agent(
+            f"thing_{k}",
+            AgentKind.OBJECT,
+            (float(size[k].max()), float(size[k].min())),
+            np.array([[0.0, x[k], side[k] * y[k], yaw[k], 0.0, 0.0]]),
+            static=True,
+        )
         for k in range(count)
-    ]  # fmt: skip
+    ]
     lead = _moving_agent("lead", AgentKind.CAR, CAR, t, START_M + 30.0, 0.0, v)
     return _true_scene(p, [lead, *things], one_lane, v, lambda t, s: None)
 
 
 def _family(
-    name: str, summary: str, parameters: Mapping[str, float], tag: str, scene: Callable[[Parameters], Scenario]
+    name: str,
+    summary: str,
+    parameters: Mapping[str, float],
+    tag: str,
+    scene: Callable[[Parameters], Scenario],
 ) -> Family:
     """The family of a true scene, as the detector sees it."""
 
@@ -166,35 +225,67 @@ def _family(
         found = detected(true.tracks, true.ego, int(p["seed"]))
         return replace(true, tracks=Tracks.empty(), detections=found, metadata={})
 
-    source = "ours; errors of the detector as measured on 13 city drives (logs/catalogue/detector.py)"
-    return Family(f"raw/{name}", summary, {**parameters, "seed": 1.0}, ("raw", tag), build, {}, source)
+    source = (
+        "ours; errors of the detector as measured on 13 city drives (logs/catalogue/detector.py)"
+    )
+    return Family(
+        f"raw/{name}", summary, {**parameters, "seed": 1.0}, ("raw", tag), build, {}, source
+    )
 
 
 _SCENES: tuple[tuple[str, str, Mapping[str, float], str, Callable[[Parameters], Scenario]], ...] = (
     (
-        "crossing", "a pedestrian crosses between parked cars, others walk along: detections without identities",
-        {"ego_speed_mps": 8.0, "pedestrian_speed_mps": 1.2, "walk_start_s": 5.0, "distance_m": 28.0,
-         "kerb_distance_m": 0.6, "duration_s": 27.0}, "pedestrian", _crossing,
+        "crossing",
+        "a pedestrian crosses between parked cars, others walk along: detections without identities",
+        {
+            "ego_speed_mps": 8.0,
+            "pedestrian_speed_mps": 1.2,
+            "walk_start_s": 5.0,
+            "distance_m": 28.0,
+            "kerb_distance_m": 0.6,
+            "duration_s": 27.0,
+        },
+        "pedestrian",
+        _crossing,
     ),
     (
-        "queue", "a queue stands in the lane and drives on, another stands beside it",
-        {"ego_speed_mps": 8.0, "distance_m": 60.0, "stands_s": 10.0, "duration_s": 34.0}, "follow", _queue,
+        "queue",
+        "a queue stands in the lane and drives on, another stands beside it",
+        {"ego_speed_mps": 8.0, "distance_m": 60.0, "stands_s": 10.0, "duration_s": 34.0},
+        "follow",
+        _queue,
     ),
     (
-        "parked", "rows of parked cars on both sides, people behind them",
-        {"ego_speed_mps": 8.0, "duration_s": 25.0}, "static", _parked_rows,
+        "parked",
+        "rows of parked cars on both sides, people behind them",
+        {"ego_speed_mps": 8.0, "duration_s": 25.0},
+        "static",
+        _parked_rows,
     ),
     (
-        "rider", "a rider comes towards the ego, taken for a pedestrian",
-        {"ego_speed_mps": 8.0, "distance_m": 90.0, "offset_m": 2.4, "rider_speed_mps": 5.5, "duration_s": 25.0},
-        "cyclist", _rider,
+        "rider",
+        "a rider comes towards the ego, taken for a pedestrian",
+        {
+            "ego_speed_mps": 8.0,
+            "distance_m": 90.0,
+            "offset_m": 2.4,
+            "rider_speed_mps": 5.5,
+            "duration_s": 25.0,
+        },
+        "cyclist",
+        _rider,
     ),
     (
-        "clusters", "clusters of points beside the road, a car ahead",
-        {"ego_speed_mps": 8.0, "clusters": 80.0, "duration_s": 25.0}, "static", _clusters,
+        "clusters",
+        "clusters of points beside the road, a car ahead",
+        {"ego_speed_mps": 8.0, "clusters": 80.0, "duration_s": 25.0},
+        "static",
+        _clusters,
     ),
-)  # fmt: skip
+)
 FAMILIES = tuple(_family(*row) for row in _SCENES)
 CROSSING = FAMILIES[0]
-TRUE: Mapping[str, Callable[[Parameters], Scenario]] = {f"raw/{name}": scene for name, *_, scene in _SCENES}
+TRUE: Mapping[str, Callable[[Parameters], Scenario]] = {
+    f"raw/{name}": scene for name, *_, scene in _SCENES
+}
 """The true scenes by the name of their family."""

@@ -62,7 +62,8 @@ class CurveSamples:
     def at(self, s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Columns x, y, yaw, kappa at stations `(k,)` within the path."""
         x, y, yaw, kappa = (
-            np.asarray(np.interp(s, self.s, column)) for column in (self.x, self.y, self.yaw, self.kappa)
+            np.asarray(np.interp(s, self.s, column))
+            for column in (self.x, self.y, self.yaw, self.kappa)
         )
         return x, y, yaw, kappa
 
@@ -80,7 +81,9 @@ class CurveSamples:
 def curve(*pieces: tuple[float, float, float]) -> CurveSamples:
     """The path of pieces (length m, kappa at begin and end) from the origin along x; ValueError without lengths."""
     if not all(np.isfinite(length) and length >= 0.0 for length, *_ in pieces):
-        raise ValueError(f"a piece of the road has no length: {[round(length, 2) for length, *_ in pieces]} m")
+        raise ValueError(
+            f"a piece of the road has no length: {[round(length, 2) for length, *_ in pieces]} m"
+        )
     ends = np.cumsum([0.0, *(length for length, *_ in pieces)])
     count = round(ends[-1] / STEP_M)
     fine = np.linspace(0.0, ends[-1], 2 * count + 1)
@@ -94,7 +97,8 @@ def curve(*pieces: tuple[float, float, float]) -> CurveSamples:
         turned += 0.5 * (first + last) * length
     columns = []
     for rate in (np.cos(yaw), np.sin(yaw)):  # `fine` holds each step's ends and its middle
-        step = (fine[2::2] - fine[:-2:2]) * (rate[:-2:2] + 4.0 * rate[1::2] + rate[2::2]) / 6.0  # (2)
+        # (2)
+        step = (fine[2::2] - fine[:-2:2]) * (rate[:-2:2] + 4.0 * rate[1::2] + rate[2::2]) / 6.0
         columns.append(np.r_[0.0, np.cumsum(step)])
     return CurveSamples(fine[::2], columns[0], columns[1], yaw[::2], kappa[::2])
 
@@ -116,16 +120,28 @@ def weaving(length: float, shifts: Sequence[tuple[float, float, float]]) -> Curv
 
 
 def lane_beside(
-    path: CurveSamples, lane_id: int, *, speed_limit: float, left: float = 0.0, width: float = LANE_WIDTH_M,
-    left_neighbour: int | None = None, right_neighbour: int | None = None,
-) -> Lane:  # fmt: skip
+    path: CurveSamples,
+    lane_id: int,
+    *,
+    speed_limit: float,
+    left: float = 0.0,
+    width: float = LANE_WIDTH_M,
+    left_neighbour: int | None = None,
+    right_neighbour: int | None = None,
+) -> Lane:
     """A lane along the whole path, its middle `left` m to the left of it; cross-sections about every 2 m."""
     stations = np.linspace(0.0, path.length, round(path.length / 2.0) + 1)
     return Lane(
-        lane_id, path.beside(stations, left + 0.5 * width), path.beside(stations, left - 0.5 * width),
-        left_neighbour=left_neighbour, right_neighbour=right_neighbour, left_crossable=left_neighbour is not None,
-        right_crossable=right_neighbour is not None, speed_limit=speed_limit, kind="urban",
-    )  # fmt: skip
+        lane_id,
+        path.beside(stations, left + 0.5 * width),
+        path.beside(stations, left - 0.5 * width),
+        left_neighbour=left_neighbour,
+        right_neighbour=right_neighbour,
+        left_crossable=left_neighbour is not None,
+        right_crossable=right_neighbour is not None,
+        speed_limit=speed_limit,
+        kind="urban",
+    )
 
 
 def one_lane(path: CurveSamples, speed_limit: float, *, sidewalk: float = 0.0) -> Road:
@@ -154,11 +170,19 @@ def two_way(path: CurveSamples, speed_limit: float) -> Road:
     own = lane_beside(path, 1, speed_limit=speed_limit)
     beside = lane_beside(path, 2, left=LANE_WIDTH_M, speed_limit=speed_limit)
     own = replace(own, left_opposite=True, left_crossable=True)
-    back = replace(beside, left=beside.right[::-1], right=beside.left[::-1], left_opposite=True, left_crossable=True)
+    back = replace(
+        beside,
+        left=beside.right[::-1],
+        right=beside.left[::-1],
+        left_opposite=True,
+        left_crossable=True,
+    )
     return Road({1: own, 2: back}, default_speed_limit=speed_limit)
 
 
-def stretch(path: CurveSamples, begin: float, end: float, *, right: float, left: float) -> FloatArray:
+def stretch(
+    path: CurveSamples, begin: float, end: float, *, right: float, left: float
+) -> FloatArray:
     """Outline `(k, 2)` of the strip from station `begin` to `end`, from `right` to `left` of the path (m, signed)."""
     stations = np.linspace(begin, end, max(2, round((end - begin) / 2.0) + 1))
     return np.vstack([path.beside(stations, left), path.beside(stations, right)[::-1]])
@@ -176,7 +200,9 @@ class Junction:
     radius: float  # least radius of the path, m; inf if it goes straight on
 
 
-def junction(begin: float, beyond: float, main: float, *, turn: float, speed_limit: float) -> Junction:
+def junction(
+    begin: float, beyond: float, main: float, *, turn: float, speed_limit: float
+) -> Junction:
     """The junction with the ego's path through it; `turn` is 1 (left), 0 (straight on) or -1 (right), or a ValueError.
 
     `begin` is the length of the ego's lane to the stop line, `beyond` that of the side road and of the ego's path
@@ -206,27 +232,45 @@ def junction(begin: float, beyond: float, main: float, *, turn: float, speed_lim
         8: ((x + _HALF, y + HALF_BOX_M), (x + _HALF, y + main)),
     }
     own = {1.0: 18, 0.0: 13, -1.0: 16}[turn]
-    inner = {13: (56, 78), 42: (56, 78), 56: (), 78: ()} | {own: {18: (42, 56, 78), 13: (56, 78), 16: (56,)}[own]}
+    inner = {13: (56, 78), 42: (56, 78), 56: (), 78: ()} | {
+        own: {18: (42, 56, 78), 13: (56, 78), 16: (56,)}[own]
+    }
     lanes = [
-        _straight(i, *each, speed_limit, successors=tuple(k for k in inner if k // 10 == i), beside=True)
+        _straight(
+            i, *each, speed_limit, successors=tuple(k for k in inner if k // 10 == i), beside=True
+        )
         for i, each in ends.items()
     ]
     for i, first in inner.items():
         if i == own and turn:
             turning = path.part(begin, end)
             s = np.linspace(0.0, turning.length, max(2, round(turning.length) + 1))
-            half = _HALF + 0.5 * WIDENING_M * np.sin(pi * s / turning.length)  # wider in its middle, for the front
-            lanes.append(Lane(
-                i, turning.beside(s, half), turning.beside(s, -half), (i % 10,), left_crossable=False,
-                right_crossable=False, speed_limit=speed_limit, kind="urban", yields_to=first,
-            ))  # fmt: skip
+            # Wider in its middle, for the front
+            half = _HALF + 0.5 * WIDENING_M * np.sin(pi * s / turning.length)
+            lanes.append(
+                Lane(
+                    i,
+                    turning.beside(s, half),
+                    turning.beside(s, -half),
+                    (i % 10,),
+                    left_crossable=False,
+                    right_crossable=False,
+                    speed_limit=speed_limit,
+                    kind="urban",
+                    yields_to=first,
+                )
+            )
         else:
-            lanes.append(_straight(i, ends[i // 10][1], ends[i % 10][0], speed_limit, (i % 10,), first))
+            lanes.append(
+                _straight(i, ends[i // 10][1], ends[i % 10][0], speed_limit, (i % 10,), first)
+            )
     stop_lines = tuple(
         StopLine(number, lane.id, np.vstack([lane.right[-1], lane.left[-1]]))
         for number, lane in enumerate((each for each in lanes if each.id in (1, 4)), start=1)
     )
-    road = Road({lane.id: lane for lane in lanes}, default_speed_limit=speed_limit, stop_lines=stop_lines)
+    road = Road(
+        {lane.id: lane for lane in lanes}, default_speed_limit=speed_limit, stop_lines=stop_lines
+    )
     return Junction(road, path, begin, end, (x, y), 1.0 / kappa if kappa else float("inf"))
 
 
@@ -253,6 +297,14 @@ def _straight(
     u = np.linspace(0.0, length, max(2, round(length / SPACING_M) + 1))[:, None]
     line, left = first + u * along, _HALF * np.array([-along[1], along[0]])
     return Lane(
-        i, line + left, line - left, successors, left_opposite=beside, left_crossable=False, right_crossable=False,
-        speed_limit=speed_limit, kind="urban", yields_to=yields_to,
-    )  # fmt: skip
+        i,
+        line + left,
+        line - left,
+        successors,
+        left_opposite=beside,
+        left_crossable=False,
+        right_crossable=False,
+        speed_limit=speed_limit,
+        kind="urban",
+        yields_to=yields_to,
+    )

@@ -47,7 +47,10 @@ def cut(scenario: Scenario, begin: float, end: float = inf) -> Scenario:
     first, last = max(begin, float(ego.t[0])), min(end, float(ego.t[-1]))
     if not first < last:
         if len(ego) == 1:
-            raise LogError("the log has one ego state, its start: there is no part to choose", remedy="drive all of it")
+            raise LogError(
+                "the log has one ego state, its start: there is no part to choose",
+                remedy="drive all of it",
+            )
         part = f"after {begin:g} s" if end == inf else f"between {begin:g} s and {end:g} s"
         what = f"no ego states {part}: they are from {ego.t[0]:g} s to {ego.t[-1]:g} s"
         raise LogError(what, remedy="choose begin and end within the log")
@@ -58,29 +61,43 @@ def cut(scenario: Scenario, begin: float, end: float = inf) -> Scenario:
     tracks = scenario.tracks.taken(kept).shifted(-begin)
     goal = scenario.goal
     if goal is not None:
-        goal = goal.changed(lambda one: replace(one, t=one.t and (one.t[0] - begin, one.t[1] - begin)))
+        goal = goal.changed(
+            lambda one: replace(one, t=one.t and (one.t[0] - begin, one.t[1] - begin))
+        )
         past = ego.between(-inf, first)
         goal = goal.after(float(np.hypot(np.diff(past.x), np.diff(past.y)).sum()))
     controls = scenario.controls
     if controls is not None:
         keep = (controls.t >= begin) & (controls.t <= end)
-        shifted = (controls.t[keep] - begin, controls.steer[keep], controls.throttle[keep], controls.brake[keep])
+        shifted = (
+            controls.t[keep] - begin,
+            controls.steer[keep],
+            controls.throttle[keep],
+            controls.brake[keep],
+        )
         controls = Controls(*shifted) if keep.any() else None
-    newest = max(sum(plan.known <= begin for plan in scenario.onboard) - 1, 0)  # the newest plan at the begin
+    # The newest plan at the begin
+    newest = max(sum(plan.known <= begin for plan in scenario.onboard) - 1, 0)
     onboard = []
     for plan in scenario.onboard[newest:]:
         if plan.known <= end:
             moved_plan = replace(plan.trajectory, t=plan.trajectory.t - begin)
             onboard.append(OnboardPlan(plan.known - begin, moved_plan))
-    lights = []  # from the last change before the begin on; lights first observed after the end are left out
+    # From the last change before the begin on; lights first observed after the end are left out
+    lights = []
     for light in scenario.lights:
         before = max(int(np.searchsorted(light.t, begin, side="right")) - 1, 0)
         shown = np.flatnonzero(light.t <= end)
         shown = shown[shown >= before]
         if len(shown):
-            lights.append(TrafficLight(light.id, light.t[shown] - begin, tuple(light.colours[i] for i in shown)))
+            lights.append(
+                TrafficLight(
+                    light.id, light.t[shown] - begin, tuple(light.colours[i] for i in shown)
+                )
+            )
     driven, notes, road = Trajectory(t - begin, *columns), list(scenario.notes), scenario.road
-    if road.source is RoadSource.DRIVEN_PATH:  # a lane of the part alone, as wide as that of the log
+    # A lane of the part alone, as wide as that of the log
+    if road.source is RoadSource.DRIVEN_PATH:
         notes = [note for note in notes if not note.startswith((ONE_LANE, REVERSES))]
         lane = next(iter(road.lanes.values()))
         road = road_along(driven, notes, round(float(np.hypot(*(lane.left[0] - lane.right[0]))), 6))
@@ -94,11 +111,16 @@ def cut(scenario: Scenario, begin: float, end: float = inf) -> Scenario:
         goal=goal,
         controls=controls,
         start_ns=scenario.start_ns + round(1e9 * begin),
-        notes=(*notes, f"This is the part from {begin:g} s to {min(end, scenario.duration):g} s of the log."),
+        notes=(
+            *notes,
+            f"This is the part from {begin:g} s to {min(end, scenario.duration):g} s of the log.",
+        ),
         onboard=tuple(onboard),
         lights=tuple(lights),
         traffic=clipped(scenario.traffic_spans, begin, min(end, scenario.duration)),
-        detections=None if scenario.detections is None else _detections(scenario.detections, begin, end),
+        detections=None
+        if scenario.detections is None
+        else _detections(scenario.detections, begin, end),
         repair=None if scenario.repair is None else _repair(scenario, begin, end, kept, tracks),
     )
 
@@ -116,19 +138,27 @@ def _detections(found: Detections, begin: float, end: float) -> Detections:
     return found.between(begin - DETECTED_S, end + HISTORY_S).shifted(-begin)
 
 
-def _repair(scenario: Scenario, begin: float, end: float, kept: BoolArray, tracks: Tracks) -> Repair:
+def _repair(
+    scenario: Scenario, begin: float, end: float, kept: BoolArray, tracks: Tracks
+) -> Repair:
     """Cut the repair to the part, whose `tracks` are the samples `kept` of the scenario's."""
     made = scenario.repair
     assert made is not None
     if made.tracks is not scenario.tracks:
         kept = _samples_within(made.tracks, begin, end)
         tracks = made.tracks.taken(kept).shifted(-begin)
-    changes = (replace(each, begin=each.begin - begin, end=each.end - begin) for each in made.changes)
+    changes = (
+        replace(each, begin=each.begin - begin, end=each.end - begin) for each in made.changes
+    )
     return Repair(
         _detections(made.detections, begin, end),
         made.removed.taken(_samples_within(made.removed, begin, end)).shifted(-begin),
         made.extended[kept],
-        tuple(each for each in changes if each.end >= -DETECTED_S and each.begin <= end - begin + HISTORY_S),
+        tuple(
+            each
+            for each in changes
+            if each.end >= -DETECTED_S and each.begin <= end - begin + HISTORY_S
+        ),
         tracks,
     )
 
@@ -150,7 +180,11 @@ def in_nanoseconds(scenario: Scenario) -> Scenario:
                 changes.append(replace(each, begin=begin, end=end))
             shown = tracks if made.tracks is scenario.tracks else _columns_over_time(made.tracks)
             made = Repair(
-                framed(made.detections), _columns_over_time(made.removed), made.extended, tuple(changes), shown
+                framed(made.detections),
+                _columns_over_time(made.removed),
+                made.extended,
+                tuple(changes),
+                shown,
             )
         return replace(
             scenario,

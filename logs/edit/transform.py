@@ -43,7 +43,9 @@ def moved(scenario: Scenario, dx: float, dy: float, dyaw: float) -> Scenario:
         return replace(one, yaw=one.yaw + dyaw, vx=vx, vy=vy)
 
     if goal is not None:
-        goal = goal.changed(lambda one: replace(one, yaw=one.yaw and (one.yaw[0] + dyaw, one.yaw[1] + dyaw)))
+        goal = goal.changed(
+            lambda one: replace(one, yaw=one.yaw and (one.yaw[0] + dyaw, one.yaw[1] + dyaw))
+        )
     x, y = np.array(scenario.origin) @ turn
     turned = replace(
         scenario,
@@ -89,11 +91,16 @@ def sampled(scenario: Scenario, rate_hz: float) -> Scenario:
         d = old[after] - old[k]
         u = np.clip(np.divide(t - old[k], d, out=np.zeros(len(t)), where=d > 0.0), 0.0, 1.0)
         curves = [
-            (1.0 + 2.0 * u) * (1.0 - u) ** 2 * p[k] + u * (1.0 - u) ** 2 * d * v[k]
-            + u * u * (3.0 - 2.0 * u) * p[after] - u * u * (1.0 - u) * d * v[after]
+            (1.0 + 2.0 * u) * (1.0 - u) ** 2 * p[k]
+            + u * (1.0 - u) ** 2 * d * v[k]
+            + u * u * (3.0 - 2.0 * u) * p[after]
+            - u * u * (1.0 - u) * d * v[after]
             for p, v in ((tracks.x[mine], moved.vx[mine]), (tracks.y[mine], moved.vy[mine]))
-        ]  # (3)  # fmt: skip
-        lines = [p[k] + u * (p[after] - p[k]) for p in (tracks.yaw[mine], tracks.vx[mine], tracks.vy[mine])]
+        ]  # (3)
+        lines = [
+            p[k] + u * (p[after] - p[k])
+            for p in (tracks.yaw[mine], tracks.vx[mine], tracks.vy[mine])
+        ]
         times.append(t)
         columns.append(np.stack([*curves, *lines]))
     x, y, yaw, vx, vy = np.hstack(columns) if columns else np.empty((5, 0))
@@ -109,7 +116,9 @@ def sampled(scenario: Scenario, rate_hz: float) -> Scenario:
 
 def _multiples(t: FloatArray, rate_hz: float) -> FloatArray:
     """The multiples of 1 / `rate_hz` within the span of the times `t`."""
-    found = np.arange(np.ceil(t[0] * rate_hz - 1e-6), np.floor(t[-1] * rate_hz + 1e-6) + 1.0) / rate_hz
+    found = (
+        np.arange(np.ceil(t[0] * rate_hz - 1e-6), np.floor(t[-1] * rate_hz + 1e-6) + 1.0) / rate_hz
+    )
     return np.clip(found, t[0], t[-1])
 
 
@@ -153,24 +162,37 @@ def mirrored(scenario: Scenario) -> Scenario:
 
     lanes = {
         lane.id: replace(
-            lane, left=lane.right * _FLIP, right=lane.left * _FLIP,
-            left_neighbour=lane.right_neighbour, right_neighbour=lane.left_neighbour,
-            left_opposite=lane.right_opposite, right_opposite=lane.left_opposite,
-            left_crossable=lane.right_crossable, right_crossable=lane.left_crossable,
+            lane,
+            left=lane.right * _FLIP,
+            right=lane.left * _FLIP,
+            left_neighbour=lane.right_neighbour,
+            right_neighbour=lane.left_neighbour,
+            left_opposite=lane.right_opposite,
+            right_opposite=lane.left_opposite,
+            left_crossable=lane.right_crossable,
+            right_crossable=lane.left_crossable,
         )
         for lane in road.lanes.values()
-    }  # fmt: skip
+    }
     road = replace(
         road,
         lanes=lanes,
         drives_on_right=not road.drives_on_right,
-        stop_lines=tuple(replace(line, points=line.points[::-1] * _FLIP) for line in road.stop_lines),
-        crosswalks=tuple(replace(each, polygon=each.polygon[::-1] * _FLIP) for each in road.crosswalks),
+        stop_lines=tuple(
+            replace(line, points=line.points[::-1] * _FLIP) for line in road.stop_lines
+        ),
+        crosswalks=tuple(
+            replace(each, polygon=each.polygon[::-1] * _FLIP) for each in road.crosswalks
+        ),
         areas=tuple(area[::-1] * _FLIP for area in road.areas),
     )
     metadata = dict(scenario.metadata)
     if "expected_decisions" in metadata:
-        text = metadata["expected_decisions"].replace("nudge left", "nudge\0").replace("nudge right", "nudge left")
+        text = (
+            metadata["expected_decisions"]
+            .replace("nudge left", "nudge\0")
+            .replace("nudge right", "nudge left")
+        )
         metadata["expected_decisions"] = text.replace("nudge\0", "nudge right")
     return replace(
         scenario,
@@ -180,7 +202,9 @@ def mirrored(scenario: Scenario) -> Scenario:
         **_with_boxes(scenario, lambda one: replace(one, y=-one.y, yaw=-one.yaw, vy=-one.vy)),
         road=road,
         goal=None if goal is None else goal.changed(flipped),
-        controls=None if controls is None else Controls(controls.t, -controls.steer, controls.throttle, controls.brake),
+        controls=None
+        if controls is None
+        else Controls(controls.t, -controls.steer, controls.throttle, controls.brake),
         origin=(scenario.origin[0], -scenario.origin[1]),
         metadata=metadata,
     )
@@ -211,14 +235,17 @@ def _with_points(scenario: Scenario, points: _Points) -> Scenario:
         x, y = points(np.column_stack([one.x, one.y])).T
         return replace(one, x=x, y=y)
 
-    boxes = _with_boxes(scenario, elsewhere)  # before the ego: the order of the random numbers in `jittered`
+    # Before the ego: the order of the random numbers in `jittered`
+    boxes = _with_boxes(scenario, elsewhere)
     return replace(
         scenario,
         ego=elsewhere(scenario.ego),
         onboard=_with_trajectories(scenario.onboard, elsewhere),
         **boxes,
         road=placed_road(scenario.road, points),
-        goal=None if goal is None else goal.changed(lambda one: replace(one, regions=tuple(map(points, one.regions)))),
+        goal=None
+        if goal is None
+        else goal.changed(lambda one: replace(one, regions=tuple(map(points, one.regions)))),
     )
 
 
@@ -227,8 +254,14 @@ def _with_boxes(scenario: Scenario, changed: Callable[[Any], Any]) -> dict[str, 
     tracks, found, made = changed(scenario.tracks), scenario.detections, scenario.repair
     if made is not None:
         own = tracks if made.tracks is scenario.tracks else changed(made.tracks)
-        made = replace(made, detections=changed(made.detections), removed=changed(made.removed), tracks=own)
-    return {"tracks": tracks, "detections": None if found is None else changed(found), "repair": made}
+        made = replace(
+            made, detections=changed(made.detections), removed=changed(made.removed), tracks=own
+        )
+    return {
+        "tracks": tracks,
+        "detections": None if found is None else changed(found),
+        "repair": made,
+    }
 
 
 def _with_trajectories(
@@ -241,7 +274,10 @@ def placed_road(road: Road, points: _Points) -> Road:
     """Apply `points` to all points `(k, 2)` of the road, and change nothing else."""
     return replace(
         road,
-        lanes={i: replace(lane, left=points(lane.left), right=points(lane.right)) for i, lane in road.lanes.items()},
+        lanes={
+            i: replace(lane, left=points(lane.left), right=points(lane.right))
+            for i, lane in road.lanes.items()
+        },
         stop_lines=tuple(replace(line, points=points(line.points)) for line in road.stop_lines),
         crosswalks=tuple(replace(each, polygon=points(each.polygon)) for each in road.crosswalks),
         areas=tuple(map(points, road.areas)),

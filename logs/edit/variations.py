@@ -79,7 +79,8 @@ class Variation:
     high: float
     neutral: float  # the value that changes nothing; NaN: every value changes something
     summary: str  # meaning of a value, in one line
-    change: Change  # (scenario, ids of the agents, value) -> scenario; raises LogError if there is no such scenario
+    # (scenario, ids of the agents, value) -> scenario; raises LogError if there is no such scenario
+    change: Change
     of: str = "agent"  # the varied object: "agent", "ego", or the id of the agent that it inserts
     is_choice: bool = False  # whether only the two bounds are distinct values
 
@@ -96,7 +97,9 @@ class Variation:
     def check(self, value: float) -> None:
         """Raise ConfigError if the value is out of range."""
         if not self.low <= value <= self.high:
-            raise ConfigError(f"{self.name} is {value:g}, it must be from {self.low:g} to {self.shown(self.high)}")
+            raise ConfigError(
+                f"{self.name} is {value:g}, it must be from {self.low:g} to {self.shown(self.high)}"
+            )
 
     def shown(self, value: float) -> str:
         """The value with its unit."""
@@ -121,14 +124,18 @@ def varied(scenario: Scenario, agents: Sequence[str], values: Mapping[str, float
         if name not in VARIATIONS:
             raise unknown_name("variation", name, VARIATIONS)
     ordered = {name: values[name] for name in VARIATIONS if name in values}
-    agents = agents or tuple(VARIATIONS[name].inserts for name in ordered if VARIATIONS[name].inserts)
+    agents = agents or tuple(
+        VARIATIONS[name].inserts for name in ordered if VARIATIONS[name].inserts
+    )
     was = now = scenario
     for name, value in ordered.items():
         now = VARIATIONS[name](now, agents, value)
         was = now if VARIATIONS[name].inserts else was
     now = replace(now, tracks=continued(was, now), ego=start_of(now.ego))
     check_start(scenario, now)
-    changes = ", ".join(f"{name} {VARIATIONS[name].shown(value)}" for name, value in ordered.items())
+    changes = ", ".join(
+        f"{name} {VARIATIONS[name].shown(value)}" for name, value in ordered.items()
+    )
     agents = agents if any(VARIATIONS[name].of != "ego" for name in ordered) else ()
     about = f" of {', '.join(agents)}" if agents else ""
     notes = (
@@ -138,7 +145,8 @@ def varied(scenario: Scenario, agents: Sequence[str], values: Mapping[str, float
     )
     entries = {f"{VARIED}.{name}": repr(float(value)) for name, value in ordered.items()}
     kept = {key: text for key, text in scenario.metadata.items() if key != "expected_decisions"}
-    early = -min(0, now.start_ns + round(1e9 * float(now.tracks.t.min(initial=0.0))))  # no sample before log time 0
+    # No sample before log time 0
+    early = -min(0, now.start_ns + round(1e9 * float(now.tracks.t.min(initial=0.0))))
     return replace(
         now,
         start_ns=now.start_ns + early,
@@ -146,7 +154,12 @@ def varied(scenario: Scenario, agents: Sequence[str], values: Mapping[str, float
         controls=None,
         onboard=(),
         tags=tuple(dict.fromkeys((*(tag for tag in scenario.tags if tag != "recorded"), VARIED))),
-        metadata={**kept, f"{VARIED}.of": scenario.name, f"{VARIED}.agents": json.dumps(list(agents)), **entries},
+        metadata={
+            **kept,
+            f"{VARIED}.of": scenario.name,
+            f"{VARIED}.agents": json.dumps(list(agents)),
+            **entries,
+        },
         notes=(*scenario.notes, *notes),
     )
 
@@ -180,7 +193,8 @@ def ego_start(scenario: Scenario, agents: Sequence[str], value: float) -> Scenar
         x, y, yaw, kappa = driven_line(scenario).frame(value)
     columns, goal = (start.t, x, y, yaw, start.v, 0.0, kappa), scenario.goal
     goal = goal and goal.after(value)
-    return replace(scenario, ego=Trajectory(*(np.array([value]) for value in columns)), goal=goal)  # (4)
+    # (4)
+    return replace(scenario, ego=Trajectory(*(np.array([value]) for value in columns)), goal=goal)
 
 
 def ego_speed(scenario: Scenario, agents: Sequence[str], value: float) -> Scenario:
@@ -196,7 +210,9 @@ def check_start(was: Scenario, now: Scenario) -> None:
         raise LogError("the ego would start off the road", remedy="keep ego_start on it")
     lateral = start.v**2 * abs(start.kappa)
     if lateral > max(LATERAL_MPS2, before.v**2 * abs(before.kappa)):
-        raise LogError(f"the ego would start at {start.v:.1f} m/s in a curve of {1.0 / abs(start.kappa):.0f} m radius")
+        raise LogError(
+            f"the ego would start at {start.v:.1f} m/s in a curve of {1.0 / abs(start.kappa):.0f} m radius"
+        )
     stands_in = [name for name in _touched_agents(now) if name not in _touched_agents(was)]
     if stands_in:
         raise LogError(f"{stands_in[0]} would stand in the ego at the start")
@@ -231,19 +247,29 @@ def _with_samples(tracks: Tracks, samples: Mapping[int, FloatArray]) -> Tracks:
     """Replace the samples of some tracks by `(k, 6)`: columns t, x, y, yaw, vx, vy."""
     rows = np.column_stack([getattr(tracks, name) for name in SAMPLE_COLUMNS])
     parts = [samples.get(i, rows[tracks.samples(i)]) for i in range(len(tracks))]
-    columns = dict(zip(SAMPLE_COLUMNS, np.vstack([np.empty((0, len(SAMPLE_COLUMNS))), *parts]).T, strict=True))
+    columns = dict(
+        zip(SAMPLE_COLUMNS, np.vstack([np.empty((0, len(SAMPLE_COLUMNS))), *parts]).T, strict=True)
+    )
     return replace(tracks, offsets=np.cumsum([0, *map(len, parts)]), **columns)
 
 
 def with_agent(
-    scenario: Scenario, name: str, kind: AgentKind, size: tuple[float, float], samples: FloatArray, *, static: bool
+    scenario: Scenario,
+    name: str,
+    kind: AgentKind,
+    size: tuple[float, float],
+    samples: FloatArray,
+    *,
+    static: bool,
 ) -> Scenario:
     """Add a road user to the scenario; LogError if the id is in use."""
     tracks = scenario.tracks
     if name in tracks.ids:
         raise LogError(f"there is a {name} already")
     length, width = np.array(size)[:, None]
-    more = Tracks((name,), (kind,), length, width, np.array([static]), np.array([0, len(samples)]), *samples.T)
+    more = Tracks(
+        (name,), (kind,), length, width, np.array([static]), np.array([0, len(samples)]), *samples.T
+    )
     return replace(scenario, tracks=tracks.with_more(more))
 
 
@@ -254,7 +280,8 @@ def _samples(tracks: Tracks, i: int) -> FloatArray:
 def in_time(scenario: Scenario, agents: Sequence[str], value: float) -> Scenario:
     """The scenario with the agents shifted in time (1)."""
     tracks = scenario.tracks
-    return replace(scenario, tracks=replace(tracks, t=tracks.t + value * _theirs(tracks, agents)))  # (1)
+    # (1)
+    return replace(scenario, tracks=replace(tracks, t=tracks.t + value * _theirs(tracks, agents)))
 
 
 def in_speed(scenario: Scenario, agents: Sequence[str], value: float) -> Scenario:
@@ -265,18 +292,24 @@ def in_speed(scenario: Scenario, agents: Sequence[str], value: float) -> Scenari
     mean = np.bincount(which, weights=speed[mine]) / np.bincount(which)
     slow = min(max(0.5 * float(mean.max()), STANDING_MPS), GOING_MPS)
     moves = 0.5 * (mean[1:] + mean[:-1]) >= slow
-    clock = times[0] + np.r_[0.0, np.cumsum(np.where(moves, np.diff(times) / value, np.diff(times)))]  # (2)
+    # (2)
+    clock = (
+        times[0] + np.r_[0.0, np.cumsum(np.where(moves, np.diff(times) / value, np.diff(times)))]
+    )
     changed = {}
     for i in places(tracks, agents):
         rows, gaps = _samples(tracks, i), tracks.gap_after[tracks.samples(i)]
         own = np.interp(rows[:, 0], times, clock)
         rows[:, 4:] *= np.where(speed[tracks.samples(i)] >= slow, value, 1.0)[:, None]
         spacing, rows = np.diff(rows[:, 0]), np.column_stack([own, rows[:, 1:]])
-        if len(rows) > 1:  # more samples between two that are further apart than before, but not in gaps
+        # More samples between two that are further apart than before, but not in gaps
+        if len(rows) > 1:
             parts = np.where(gaps[:-1], 1, np.ceil(np.diff(own) / spacing - 1e-9)).astype(np.int64)
             fine = [k + np.arange(n) / n for k, n in enumerate(np.maximum(parts, 1))]
             at = np.concatenate([*fine, [len(rows) - 1.0]])
-            rows = np.column_stack([np.interp(at, np.arange(len(rows)), column) for column in rows.T])
+            rows = np.column_stack(
+                [np.interp(at, np.arange(len(rows)), column) for column in rows.T]
+            )
         changed[i] = rows
     return replace(scenario, tracks=_with_samples(tracks, changed))
 
@@ -284,7 +317,8 @@ def in_speed(scenario: Scenario, agents: Sequence[str], value: float) -> Scenari
 def sideways(scenario: Scenario, agents: Sequence[str], value: float) -> Scenario:
     """The scenario with the agents shifted to the side (3)."""
     tracks, ego, mine = scenario.tracks, scenario.ego, _theirs(scenario.tracks, agents)
-    nearest = []  # per agent: least distance from the ego, m, and course there (heading if it stands), rad
+    # Per agent: least distance from the ego, m, and course there (heading if it stands), rad
+    nearest = []
     for i in places(tracks, agents):
         rows = _samples(tracks, i)
         to_x = rows[:, 1] - np.interp(rows[:, 0], ego.t, ego.x)
@@ -293,7 +327,9 @@ def sideways(scenario: Scenario, agents: Sequence[str], value: float) -> Scenari
         at = int(np.argmin(away))
         near = np.flatnonzero(np.abs(rows[:, 0] - rows[at, 0]) <= COURSE_S)
         dx, dy = (rows[near[-1], 1:3] - rows[near[0], 1:3]).tolist()
-        nearest.append((float(away[at]), atan2(dy, dx) if hypot(dx, dy) >= COURSE_M else float(rows[at, 3])))
+        nearest.append(
+            (float(away[at]), atan2(dy, dx) if hypot(dx, dy) >= COURSE_M else float(rows[at, 3]))
+        )
     _, course = min(nearest)
     x, y = tracks.x - value * sin(course) * mine, tracks.y + value * cos(course) * mine  # (3)
     return replace(scenario, tracks=replace(tracks, x=x, y=y))
@@ -324,9 +360,18 @@ def pedestrian(scenario: Scenario, agents: Sequence[str], value: float) -> Scena
     t = np.arange(-AROUND_S, scenario.duration + AROUND_S, RATE_S)
     l = np.clip(WALK_MPS * (t - meet), -KERB_M, KERB_M)  # noqa: E741
     v = np.where(np.abs(l) < KERB_M, WALK_MPS, 0.0)
-    rows = [t, x - l * sin(yaw), y + l * cos(yaw), np.full(len(t), yaw + 0.5 * pi), -v * sin(yaw), v * cos(yaw)]
+    rows = [
+        t,
+        x - l * sin(yaw),
+        y + l * cos(yaw),
+        np.full(len(t), yaw + 0.5 * pi),
+        -v * sin(yaw),
+        v * cos(yaw),
+    ]
     kind = AgentKind.PEDESTRIAN
-    return with_agent(scenario, WALKER, kind, USUAL_SIZE_M[kind], np.column_stack(rows), static=False)
+    return with_agent(
+        scenario, WALKER, kind, USUAL_SIZE_M[kind], np.column_stack(rows), static=False
+    )
 
 
 def standing_car(scenario: Scenario, agents: Sequence[str], value: float) -> Scenario:
@@ -334,7 +379,9 @@ def standing_car(scenario: Scenario, agents: Sequence[str], value: float) -> Sce
     kind = AgentKind.CAR
     size = USUAL_SIZE_M[kind]
     x, y, yaw = on_path(scenario, value + 0.5 * size[0])
-    return with_agent(scenario, STANDER, kind, size, np.array([[0.0, x, y, yaw, 0.0, 0.0]]), static=True)
+    return with_agent(
+        scenario, STANDER, kind, size, np.array([[0.0, x, y, yaw, 0.0, 0.0]]), static=True
+    )
 
 
 def continued(was: Scenario, now: Scenario) -> Tracks:
@@ -347,7 +394,9 @@ def continued(was: Scenario, now: Scenario) -> Tracks:
     known = {name: i for i, name in enumerate(was.tracks.ids)}
     for i in np.flatnonzero(~tracks.static).tolist():
         name = tracks.ids[i]
-        recorded = was.tracks.t[was.tracks.samples(known[name if name in known else name.removeprefix(COPY)])]
+        recorded = was.tracks.t[
+            was.tracks.samples(known[name if name in known else name.removeprefix(COPY)])
+        ]
         rows, mine = _samples(tracks, i), tracks.samples(i)
         if np.array_equal(recorded, rows[:, 0]):
             continue
@@ -368,26 +417,79 @@ def _straight(row: FloatArray, vx: float, vy: float, t: FloatArray) -> FloatArra
     """Return samples at `t` `(k,)` of an agent that passes a sample (6,) at constant velocity, or stands."""
     vx, vy = (vx, vy) if hypot(vx, vy) >= STANDING_MPS else (0.0, 0.0)
     one, late = np.ones(len(t)), t - row[0]
-    return np.column_stack([t, row[1] + vx * late, row[2] + vy * late, row[3] * one, vx * one, vy * one])
+    return np.column_stack(
+        [t, row[1] + vx * late, row[2] + vy * late, row[3] * one, vx * one, vy * one]
+    )
 
 
 _TABLE = (
     Variation(
-        "pedestrian", "m", 1.0, 500.0, nan,
+        "pedestrian",
+        "m",
+        1.0,
+        500.0,
+        nan,
         "an adult crosses the ego's path from the right at this distance from its start, and is in its middle when "
-        "the front of an ego at constant speed arrives", pedestrian, of=WALKER,
+        "the front of an ego at constant speed arrives",
+        pedestrian,
+        of=WALKER,
     ),
     Variation(
-        "standing_car", "m", 1.0, 500.0, nan, "a car stands on the ego's path, its rear at this distance ahead of the "
-        "ego's rear axle at the start", standing_car, of=STANDER,
+        "standing_car",
+        "m",
+        1.0,
+        500.0,
+        nan,
+        "a car stands on the ego's path, its rear at this distance ahead of the "
+        "ego's rear axle at the start",
+        standing_car,
+        of=STANDER,
     ),
-    Variation("copy", "s", -LONGEST_S, LONGEST_S, nan, "each agent is followed by a copy, later by this time", copied),
-    Variation("side", "m", -50.0, 50.0, 0.0, "the agents are shifted left of their course by this", sideways),
-    Variation("speed", "1", 0.2, 5.0, 1.0, "factor of the agents' speed along their path", in_speed),
-    Variation("time", "s", -LONGEST_S, LONGEST_S, 0.0, "the agents come later by this time", in_time),
+    Variation(
+        "copy",
+        "s",
+        -LONGEST_S,
+        LONGEST_S,
+        nan,
+        "each agent is followed by a copy, later by this time",
+        copied,
+    ),
+    Variation(
+        "side",
+        "m",
+        -50.0,
+        50.0,
+        0.0,
+        "the agents are shifted left of their course by this",
+        sideways,
+    ),
+    Variation(
+        "speed", "1", 0.2, 5.0, 1.0, "factor of the agents' speed along their path", in_speed
+    ),
+    Variation(
+        "time", "s", -LONGEST_S, LONGEST_S, 0.0, "the agents come later by this time", in_time
+    ),
     Variation("remove", "1", 0.0, 1.0, 0.0, "1: the agents are removed", removed, is_choice=True),
-    Variation("ego_start", "m", -200.0, 200.0, 0.0, "the ego starts this far along its path", ego_start, of="ego"),
-    Variation("ego_speed", "1", 0.0, 3.0, 1.0, "factor of the ego's speed at the start", ego_speed, of="ego"),
-)  # fmt: skip
+    Variation(
+        "ego_start",
+        "m",
+        -200.0,
+        200.0,
+        0.0,
+        "the ego starts this far along its path",
+        ego_start,
+        of="ego",
+    ),
+    Variation(
+        "ego_speed",
+        "1",
+        0.0,
+        3.0,
+        1.0,
+        "factor of the ego's speed at the start",
+        ego_speed,
+        of="ego",
+    ),
+)
 VARIATIONS: Mapping[str, Variation] = MappingProxyType({each.name: each for each in _TABLE})
 """The variations by name, in the order in which they are applied."""

@@ -43,13 +43,20 @@ def read_map(path: Path, settings: LogSettings | None = None) -> MapFile:
     """Read a map of any format, in its own coordinates; LogError, and nothing else, if it is none or damaged."""
     reader = map_reader_of(path)
     settings = settings or LogSettings()
-    stamps = tuple((file, file.stat().st_mtime_ns, file.stat().st_size) for file in reader.files(path))
-    return _read(reader, path, stamps, tuple((key, str(getattr(settings, key))) for key in reader.settings))
+    stamps = tuple(
+        (file, file.stat().st_mtime_ns, file.stat().st_size) for file in reader.files(path)
+    )
+    return _read(
+        reader, path, stamps, tuple((key, str(getattr(settings, key))) for key in reader.settings)
+    )
 
 
 @lru_cache(maxsize=2)
 def _read(
-    reader: MapReader, path: Path, stamps: tuple[tuple[Path, int, int], ...], settings: tuple[tuple[str, str], ...]
+    reader: MapReader,
+    path: Path,
+    stamps: tuple[tuple[Path, int, int], ...],
+    settings: tuple[tuple[str, str], ...],
 ) -> MapFile:
     """Read the map once for all logs and windows, as long as its files and the settings do not change."""
     return reader.read(path, dict(settings))

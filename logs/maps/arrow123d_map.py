@@ -32,7 +32,15 @@ import msgspec
 import numpy as np
 
 from replan.core.arrays import FloatArray, arc_lengths
-from replan.core.arrow_tables import COPY_AGAIN, Lists, array_of, ipc_table, metadata_of, reading, whole
+from replan.core.arrow_tables import (
+    COPY_AGAIN,
+    Lists,
+    array_of,
+    ipc_table,
+    metadata_of,
+    reading,
+    whole,
+)
 from replan.core.errors import LogError
 from replan.core.files import beside
 from replan.logs.complete import road_along, with_limit
@@ -46,10 +54,22 @@ LANE, LANE_GROUP, CROSSWALK, CAR_PARK, DRIVABLE, STOP_ZONE, ROAD_LINE = 0, 1, 3,
 LANE_TYPES = ("undefined", "freeway", "surface_street", "bike_lane", "bus_lane")
 NOT_DRIVABLE = ("bike_lane", "bus_lane")
 MARKS = (
-    "NONE", "UNKNOWN", "DASH_SOLID_YELLOW", "DASH_SOLID_WHITE", "DASHED_WHITE", "DASHED_YELLOW", "DOUBLE_SOLID_YELLOW",
-    "DOUBLE_SOLID_WHITE", "DOUBLE_DASH_YELLOW", "DOUBLE_DASH_WHITE", "SOLID_YELLOW", "SOLID_WHITE", "SOLID_DASH_WHITE",
-    "SOLID_DASH_YELLOW", "SOLID_BLUE",
-)  # fmt: skip
+    "NONE",
+    "UNKNOWN",
+    "DASH_SOLID_YELLOW",
+    "DASH_SOLID_WHITE",
+    "DASHED_WHITE",
+    "DASHED_YELLOW",
+    "DOUBLE_SOLID_YELLOW",
+    "DOUBLE_SOLID_WHITE",
+    "DOUBLE_DASH_YELLOW",
+    "DOUBLE_DASH_WHITE",
+    "SOLID_YELLOW",
+    "SOLID_WHITE",
+    "SOLID_DASH_WHITE",
+    "SOLID_DASH_YELLOW",
+    "SOLID_BLUE",
+)
 """Types of road lines; the index is their number."""
 ZONE_LIGHT, ZONE_STOP = 1, 2
 REACH_M = 300.0
@@ -74,9 +94,12 @@ class MapObjects:
 
 
 def road_of_map(
-    path: Path, origin: tuple[float, float] = (0.0, 0.0), near: FloatArray | None = None,
-    notes: list[str] | None = None, route: Sequence[int] = (),
-) -> Road:  # fmt: skip
+    path: Path,
+    origin: tuple[float, float] = (0.0, 0.0),
+    near: FloatArray | None = None,
+    notes: list[str] | None = None,
+    route: Sequence[int] = (),
+) -> Road:
     """Read the road of a map file (module docstring), `origin` subtracted from all points, m; with notes.
 
     Objects farther than `REACH_M` outside the bounding box of the places `near` `(k, 2)`, in the map's coordinates, are
@@ -96,17 +119,30 @@ def road_of_map(
                 f"Of the map's {len(objects.of(LANE))} lanes those within {REACH_M:.0f} m are read: {len(chosen)}."
             )
         marks = _marks(objects, chosen, near, notes)
-        version = tuple(int(n) for n in str(objects.about.get("version") or "").split(".")[:2] if n.isdigit())
-        swapped = str(objects.about.get("dataset") or "").startswith("nuplan") and () < version < CONNECTORS_RIGHT
+        version = tuple(
+            int(n) for n in str(objects.about.get("version") or "").split(".")[:2] if n.isdigit()
+        )
+        swapped = (
+            str(objects.about.get("dataset") or "").startswith("nuplan")
+            and () < version < CONNECTORS_RIGHT
+        )
         if swapped:
             notes.append(
                 "Lanes inside crossings have predecessors and successors swapped before py123d 0.5.0: put right."
             )
-        crossing = {i for i, group, _ in objects.of(LANE_GROUP) if _id(group.get("intersection_id")) is not None}
+        crossing = {
+            i
+            for i, group, _ in objects.of(LANE_GROUP)
+            if _id(group.get("intersection_id")) is not None
+        }
         strips = []
         for i, f in chosen:
             kind, limit = f.get("lane_type"), f.get("speed_limit_mps")
-            word = LANE_TYPES[kind] if isinstance(kind, int) and 0 <= kind < len(LANE_TYPES) else "undefined"
+            word = (
+                LANE_TYPES[kind]
+                if isinstance(kind, int) and 0 <= kind < len(LANE_TYPES)
+                else "undefined"
+            )
             onward = f.get("predecessor_ids" if swapped and kind == 0 else "successor_ids")
             left, right = (array_of(f[name])[:, :2] for name in ("left_boundary", "right_boundary"))
             strips.append(
@@ -124,22 +160,43 @@ def road_of_map(
             )
         lanes, keeps_right = lanes_of(strips, notes)
         if not lanes:
-            raise LogError("the map has no lanes here that can be used", remedy="choose another map")
+            raise LogError(
+                "the map has no lanes here that can be used", remedy="choose another map"
+            )
         if str(objects.about.get("location") or "").lower().startswith(KEEPS_LEFT):
             keeps_right = False
             notes.append("Traffic drives on the left in Singapore.")
-        outlines = ((i, _ring(f, zero)) for i, f, _ in objects.of(CROSSWALK) if _is_near(f.get("outline"), near))
+        outlines = (
+            (i, _ring(f, zero))
+            for i, f, _ in objects.of(CROSSWALK)
+            if _is_near(f.get("outline"), near)
+        )
         walks = tuple(Crosswalk(i, ring) for i, ring in outlines if len(ring) >= 3)
-        ground = (_ring(f, zero) for layer in (CAR_PARK, DRIVABLE) for _, f, _ in objects.of(layer)
-                  if _is_near(f.get("outline"), near))  # fmt: skip
+        ground = (
+            _ring(f, zero)
+            for layer in (CAR_PARK, DRIVABLE)
+            for _, f, _ in objects.of(layer)
+            if _is_near(f.get("outline"), near)
+        )
         areas = tuple(ring for ring in ground if len(ring) >= 3)
-        zones = [(f, _ring(f, zero)) for _, f, _ in objects.of(STOP_ZONE) if _is_near(f.get("outline"), near)]
+        zones = [
+            (f, _ring(f, zero))
+            for _, f, _ in objects.of(STOP_ZONE)
+            if _is_near(f.get("outline"), near)
+        ]
         lines = stop_lines(zones, lanes, notes)
         if any(len(lane.successors) > 1 for lane in lanes.values()):
             notes.append("The map has no right of way: priority where lanes meet is not known.")
         grouped = [(f.get("lane_group_id"), i) for i, f in chosen if i in lanes]
         way = tuple(i for group in route for of, i in grouped if of == group)
-        return Road(lanes, drives_on_right=keeps_right, stop_lines=lines, crosswalks=walks, areas=areas, route=way)
+        return Road(
+            lanes,
+            drives_on_right=keeps_right,
+            stop_lines=lines,
+            crosswalks=walks,
+            areas=areas,
+            route=way,
+        )
 
 
 def read_objects(path: Path) -> MapObjects:
@@ -148,7 +205,12 @@ def read_objects(path: Path) -> MapObjects:
     with reading(path):
         layers: dict[int, list[tuple[int, dict[Any, Any], bytes]]] = {}
         columns = table["features"].to_pylist(), table["wkb"].to_pylist()
-        rows = zip(whole(table, "object_id").tolist(), whole(table, "map_layer").tolist(), *columns, strict=True)
+        rows = zip(
+            whole(table, "object_id").tolist(),
+            whole(table, "map_layer").tolist(),
+            *columns,
+            strict=True,
+        )
         for i, layer, features, geometry in rows:
             found = msgspec.msgpack.decode(features)
             if not isinstance(found, dict):
@@ -198,13 +260,24 @@ def line_of_wkb(geometry: bytes) -> FloatArray:
 
 
 def _marks(
-    objects: MapObjects, lanes: Sequence[tuple[int, Mapping[str, Any]]], near: FloatArray | None, notes: list[str]
+    objects: MapObjects,
+    lanes: Sequence[tuple[int, Mapping[str, Any]]],
+    near: FloatArray | None,
+    notes: list[str],
 ) -> dict[Any, str]:
     """Return the marking by (lane, side): that of the boundary's own line, else the commonest along most of it."""
-    lines = [(line_of_wkb(g), int(f.get("road_line_type") or 0)) for _, f, g in objects.of(ROAD_LINE)]
-    lines = [(line, kind) for line, kind in lines if _is_line(line) and 0 <= kind < len(MARKS) and _is_near(line, near)]
+    lines = [
+        (line_of_wkb(g), int(f.get("road_line_type") or 0)) for _, f, g in objects.of(ROAD_LINE)
+    ]
+    lines = [
+        (line, kind)
+        for line, kind in lines
+        if _is_line(line) and 0 <= kind < len(MARKS) and _is_near(line, near)
+    ]
     if not lines:
-        notes.append("The map has no road lines: all markings are taken as such that may be crossed.")
+        notes.append(
+            "The map has no road lines: all markings are taken as such that may be crossed."
+        )
         return {}
     exact: dict[bytes, int] = {}
     for line, kind in lines:
@@ -215,10 +288,14 @@ def _marks(
         for i, f in lanes
         for side in ("left", "right")
     }
-    found = {key: MARKS[exact[line.tobytes()]] for key, line in sides.items() if line.tobytes() in exact}
+    found = {
+        key: MARKS[exact[line.tobytes()]] for key, line in sides.items() if line.tobytes() in exact
+    }
     if len({sides[key].tobytes() for key in found}) >= 0.5 * len(exact):
         return found
-    notes.append(f"Lanes have the markings of the map's road lines within {MARK_M} m of their edges.")
+    notes.append(
+        f"Lanes have the markings of the map's road lines within {MARK_M} m of their edges."
+    )
     from scipy.spatial import cKDTree
 
     close = [(dense(line, STEP_M), kind) for line, kind in lines]
@@ -247,19 +324,27 @@ def _is_line(points: FloatArray) -> bool:
 def ends_at(lane: Lane, part: float) -> FloatArray:
     """Return the ends `(2, 2)` of a line across a lane at a relative length of 0 to 1."""
     way = arc_lengths(*lane.center.T) / lane.length
-    return np.array([[np.interp(part, way, side[:, k]) for k in (0, 1)] for side in (lane.left, lane.right)])
+    return np.array(
+        [[np.interp(part, way, side[:, k]) for k in (0, 1)] for side in (lane.left, lane.right)]
+    )
 
 
 def stop_lines(
-    zones: Sequence[tuple[Mapping[str, Any], FloatArray]], lanes: Mapping[int, Lane], notes: list[str]
+    zones: Sequence[tuple[Mapping[str, Any], FloatArray]],
+    lanes: Mapping[int, Lane],
+    notes: list[str],
 ) -> tuple[StopLine, ...]:
     """Return the stop lines of stop zones (module docstring); a zone that lies on none of its lanes is left out."""
     feeding, found, lost = predecessors(lanes), list[StopLine](), 0
     for f, ring in zones:
         named = [lanes[i] for i in _ids(f.get("lane_ids")) if i in lanes]
-        placed = list[tuple[int, float, tuple[int, ...]]]()  # lane, relative length, lanes that it applies to
+        # lane, relative length, lanes that it applies to
+        placed = list[tuple[int, float, tuple[int, ...]]]()
         for lane in named if len(ring) > 2 else ():
-            ahead, part = [lanes[i] for i in feeding.get(lane.id, ())], _entry_into_outline(lane, ring)
+            ahead, part = (
+                [lanes[i] for i in feeding.get(lane.id, ())],
+                _entry_into_outline(lane, ring),
+            )
             if part is not None and (part * lane.length > STEP_M or not ahead):
                 placed.append((lane.id, part, ()))
                 continue
@@ -272,16 +357,22 @@ def stop_lines(
         for across, part, towards in placed:
             lights: list[tuple[int | None, tuple[int, ...]]] = [(None, towards)]
             if kind == ZONE_LIGHT:  # a light has the id of its lane
-                lights = [(after, (after,)) for after in towards or lanes[across].successors] or [(across, ())]
+                lights = [(after, (after,)) for after in towards or lanes[across].successors] or [
+                    (across, ())
+                ]
             for light, ways in lights:
                 ends = ends_at(lanes[across], part)
                 found.append(StopLine(len(found), across, ends, light, kind == ZONE_STOP, ways))
     if lost:
-        notes.append(f"{lost} of {len(zones)} stop zones lie on none of the lanes that they name and are left out.")
+        notes.append(
+            f"{lost} of {len(zones)} stop zones lie on none of the lanes that they name and are left out."
+        )
     joined: dict[Any, StopLine] = {}  # equal lines at the same place are merged
     for line in found:
         key = (line.lane, line.points.tobytes(), line.light, line.must_stop)
-        known = joined.setdefault(key, replace(line, id=len(joined), towards=tuple(dict.fromkeys(line.towards))))
+        known = joined.setdefault(
+            key, replace(line, id=len(joined), towards=tuple(dict.fromkeys(line.towards)))
+        )
         ways = (*known.towards, *line.towards) if known.towards and line.towards else ()
         joined[key] = replace(known, towards=tuple(dict.fromkeys(ways)))
     return tuple(joined.values())
@@ -307,9 +398,17 @@ def map_of(folder: Path, about: Mapping[Any, Any]) -> Path | None:
     if own is not None:
         return own
     dataset, place = str(about.get("dataset") or ""), str(about.get("location") or "")
-    if not dataset or not place or {"/", "\\", "\0"} & set(dataset + place) or dataset.startswith("."):
+    if (
+        not dataset
+        or not place
+        or {"/", "\\", "\0"} & set(dataset + place)
+        or dataset.startswith(".")
+    ):
         return None
-    above = [parent / "maps" / dataset / f"{dataset}_{place}.arrow" for parent in folder.resolve().parents[:UP]]
+    above = [
+        parent / "maps" / dataset / f"{dataset}_{place}.arrow"
+        for parent in folder.resolve().parents[:UP]
+    ]
     return next((path for path in above if path.is_file()), None)
 
 
@@ -322,7 +421,9 @@ def _route_of(folder: Path) -> tuple[int, ...]:
     with reading(path):
         said = msgspec.msgpack.decode(table[f"{path.stem}.data"][0].as_py()) if len(table) else {}
         names = said.get("route_roadblock_ids") if isinstance(said, dict) else None
-        return tuple(int(name) for name in map(str, names or ()) if name.isdecimal() and len(name) < 19)
+        return tuple(
+            int(name) for name in map(str, names or ()) if name.isdecimal() and len(name) < 19
+        )
 
 
 def road_of(
@@ -350,9 +451,13 @@ def road_of(
                 f"The log's {len(lights)} traffic lights are left out, as there are no lanes that they are for."
             )
         return road_along(ego, notes), ()
-    lacking = sum(lane.drivable and not np.isfinite(lane.speed_limit) for lane in road.lanes.values())
+    lacking = sum(
+        lane.drivable and not np.isfinite(lane.speed_limit) for lane in road.lanes.values()
+    )
     if lacking:
-        road = with_limit(road, ego, f"{lacking} of {len(road.lanes)} lanes have no speed limit", notes)
+        road = with_limit(
+            road, ego, f"{lacking} of {len(road.lanes)} lanes have no speed limit", notes
+        )
     # a light without a stop zone gets a stop line at the ends of its lane's predecessors
     named, feeding = {line.light for line in road.stop_lines}, predecessors(road.lanes)
     lines, lost = list(road.stop_lines), 0
@@ -362,18 +467,28 @@ def road_of(
             lost += light.id not in road.lanes
             continue
         own = [line for line in road.stop_lines if line.lane == light.id]
-        places: list[tuple[int, FloatArray, tuple[int, ...]]] = [(line.lane, line.points, ()) for line in own[:1]]
-        places = places or [(i, ends_at(road.lanes[i], 1.0), (light.id,)) for i in feeding.get(light.id, ())]
+        places: list[tuple[int, FloatArray, tuple[int, ...]]] = [
+            (line.lane, line.points, ()) for line in own[:1]
+        ]
+        places = places or [
+            (i, ends_at(road.lanes[i], 1.0), (light.id,)) for i in feeding.get(light.id, ())
+        ]
         places = places or [(light.id, ends_at(road.lanes[light.id], 0.0), ())]
         for across, ends, towards in places:
             lines.append(StopLine(number, across, ends, light.id, towards=towards))
             number += 1
     if lost:
-        notes.append(f"{lost} of {len(lights)} traffic lights are for lanes that are not in the map and are left out.")
+        notes.append(
+            f"{lost} of {len(lights)} traffic lights are for lanes that are not in the map and are left out."
+        )
     if lights:
-        notes.append("A light stands where the lanes end that lead to its lane, or at the stop zone that lies on them.")
+        notes.append(
+            "A light stands where the lanes end that lead to its lane, or at the stop zone that lies on them."
+        )
     wanted = {line.light for line in lines}
-    return replace(road, stop_lines=tuple(lines)), tuple(light for light in lights if light.id in wanted)
+    return replace(road, stop_lines=tuple(lines)), tuple(
+        light for light in lights if light.id in wanted
+    )
 
 
 def _observed_lights(folder: Path, start_us: int, notes: list[str]) -> tuple[TrafficLight, ...]:
@@ -397,7 +512,9 @@ def _observed_lights(folder: Path, start_us: int, notes: list[str]) -> tuple[Tra
         for i in np.unique(lane):
             at = np.flatnonzero(lane == i)
             at = at[np.unique(t[at], return_index=True)[1]]
-            changes = [k for n, k in enumerate(at) if n == 0 or colours[k] is not colours[at[n - 1]]]
+            changes = [
+                k for n, k in enumerate(at) if n == 0 or colours[k] is not colours[at[n - 1]]
+            ]
             lights.append(TrafficLight(int(i), t[changes], tuple(colours[k] for k in changes)))
         return tuple(lights)
 

@@ -32,7 +32,8 @@ LEAST_SHARE = 0.5
 class MapFile:
     """A map in its own world coordinates."""
 
-    road: Road  # its road, m; lanes without a speed limit have NaN, and the road's default is not used
+    # Its road, m; lanes without a speed limit have NaN, and the road's default is not used
+    road: Road
     frame: str  # origin of its coordinates, in words
     notes: tuple[str, ...] = ()  # what was assumed or left out in reading, one sentence each
     # other ids of the lights of its stop lines that logs may use, by the light's id
@@ -51,7 +52,8 @@ class MapReader:
     read: Callable[[Path, Mapping[str, str]], MapFile]
     begin: bytes = b""  # first bytes of its files; empty: the suffix suffices
     beside: tuple[str, ...] = ()  # names of optional files in the same folder that belong to a map
-    settings: tuple[str, ...] = ()  # the keys of `LogSettings` that it reads; their values are texts
+    # The keys of `LogSettings` that it reads; their values are texts
+    settings: tuple[str, ...] = ()
 
     def claims(self, path: Path) -> bool:
         """Return whether a path is a map of this format; fast, and raises nothing on any bytes."""
@@ -85,26 +87,43 @@ def on_map(scenario: Scenario, found: MapFile, path: Path, kind: str) -> Scenari
         line if line.light is None else replace(line, light=called.get(line.light, line.light))
         for line in road.stop_lines
     )
-    road, lights = replace(road, stop_lines=lines), {line.light for line in lines if line.light is not None} & shown
+    road, lights = (
+        replace(road, stop_lines=lines),
+        {line.light for line in lines if line.light is not None} & shown,
+    )
     own = scenario.road
     notes = [note for note in scenario.notes if not note.startswith(NO_LANES)]
-    lanes = "the driven path" if own.source is RoadSource.DRIVEN_PATH else f"the log's own {len(own.lanes)} lanes"
-    notes.append(f"The road is the {kind} map {path.name} ({len(road.lanes)} lanes, {found.frame}) instead of {lanes}.")
+    lanes = (
+        "the driven path"
+        if own.source is RoadSource.DRIVEN_PATH
+        else f"the log's own {len(own.lanes)} lanes"
+    )
+    notes.append(
+        f"The road is the {kind} map {path.name} ({len(road.lanes)} lanes, {found.frame}) instead of {lanes}."
+    )
     notes += [f"{path.name}: {note}" for note in found.notes]
     if not on.all():
-        notes.append(f"{path.name}: {100.0 * on.mean():.0f} % of the driven path lies on its drivable lanes.")
+        notes.append(
+            f"{path.name}: {100.0 * on.mean():.0f} % of the driven path lies on its drivable lanes."
+        )
     if not found.side_known:
         kept = own.drives_on_right if own.source is RoadSource.LANES else True
         road = replace(road, drives_on_right=kept)
         side = "right" if kept else "left"
-        notes.append(f"{path.name} does not show on which side traffic drives: the {side} is assumed.")
+        notes.append(
+            f"{path.name} does not show on which side traffic drives: the {side} is assumed."
+        )
     missing = sum(not isfinite(lane.speed_limit) for lane in drivable)
     if missing:
-        which = f"{missing} of the {len(drivable)} drivable lanes of {path.name} have no speed limit"
+        which = (
+            f"{missing} of the {len(drivable)} drivable lanes of {path.name} have no speed limit"
+        )
         road = with_limit(road, scenario.ego, which, notes)
     lost = len(scenario.lights) - len(lights)
     if lost:
-        notes.append(f"{lost} traffic lights of the log are left out: no stop line of {path.name} names them.")
+        notes.append(
+            f"{lost} traffic lights of the log are left out: no stop line of {path.name} names them."
+        )
     return replace(
         scenario,
         road=road,
@@ -124,7 +143,9 @@ def _check_fit(found: MapFile, path: Path, lanes: list[Lane], ego: Trajectory) -
     for k in range(len(x)):
         there = road.lanes_at(float(x[k]), float(y[k]))
         on[k] = bool(there)
-        along[k] = any(on_lane(lane, x[k : k + 1], y[k : k + 1], yaw[k : k + 1])[0] for lane in there)
+        along[k] = any(
+            on_lane(lane, x[k : k + 1], y[k : k + 1], yaw[k : k + 1])[0] for lane in there
+        )
     if on.mean() < LEAST_SHARE:
         from scipy.spatial import cKDTree  # imported late: slow to load
 

@@ -30,7 +30,14 @@ from replan.core.arrays import FloatArray, foot_on, station_on
 from replan.core.errors import LogError, in_file, reading
 from replan.logs.maps.base import MapFile, MapReader
 from replan.logs.maps.lanelet2_file import PROJECTOR_INFO, Element, Osm, placed_points, read_osm
-from replan.logs.maps.lanelet2_lanes import LONGEST_M, DirectedLanelet, divided, lanes_of, strips_of, way_points
+from replan.logs.maps.lanelet2_lanes import (
+    LONGEST_M,
+    DirectedLanelet,
+    divided,
+    lanes_of,
+    strips_of,
+    way_points,
+)
 from replan.logs.maps.strips import CAR_WIDTH_M
 from replan.logs.road import Lane, Road, predecessors
 from replan.logs.rules import Crosswalk, StopLine
@@ -43,7 +50,15 @@ ASIDE_M = 1.0
 _STOP = ("stop", "stop_sign", "de206", "206", "usR1-1", "R1-1")
 _YIELD = ("yield", "give_way", "de205", "205", "usR1-2", "R1-2")
 _GROUND, _AREAS = ("parking_lot", "intersection_area"), ("parking", "freespace")
-_READ = ("traffic_light", "traffic_sign", "right_of_way", "all_way_stop", "speed_limit", "crosswalk", "road_marking")
+_READ = (
+    "traffic_light",
+    "traffic_sign",
+    "right_of_way",
+    "all_way_stop",
+    "speed_limit",
+    "crosswalk",
+    "road_marking",
+)
 
 
 def read_lanelet2(path: Path, settings: Mapping[str, str]) -> MapFile:
@@ -53,19 +68,31 @@ def read_lanelet2(path: Path, settings: Mapping[str, str]) -> MapFile:
         nodes, frame, xy = placed_points(osm, path, settings)
         rows = {node.id: k for k, node in enumerate(nodes)}
         strips = strips_of(osm, rows, xy, notes)
-        lanes = lanes_of(osm, strips, np.column_stack([xy, [_height(node) for node in nodes]]), notes)
+        lanes = lanes_of(
+            osm, strips, np.column_stack([xy, [_height(node) for node in nodes]]), notes
+        )
         if not any(lane.drivable for lane in lanes.values()):
-            raise LogError("no lanelet on which a car may drive", remedy="give a map of lanelets with subtype road")
+            raise LogError(
+                "no lanelet on which a car may drive",
+                remedy="give a map of lanelets with subtype road",
+            )
         rules = rules_of(osm, strips, lanes, rows, xy, notes)
-        shapes = (way_points(way, rows) for way in osm.ways.values() if way.tags.get("type") in _GROUND)
+        shapes = (
+            way_points(way, rows) for way in osm.ways.values() if way.tags.get("type") in _GROUND
+        )
         areas = {
-            i: _outline(osm, each, rows) for i, each in osm.relations.items()
+            i: _outline(osm, each, rows)
+            for i, each in osm.relations.items()
             if each.tags.get("type") == "multipolygon" and each.tags.get("subtype") in _AREAS
-        }  # fmt: skip
+        }
         outlines = (*shapes, *areas.values())
         rings = [line[:-1] if len(line) > 1 and line[0] == line[-1] else line for line in outlines]
         # traffic drives on the right if more lanes have the opposite direction on their left
-        votes = [lane.left_opposite for lane in lanes.values() if lane.left_opposite != lane.right_opposite]
+        votes = [
+            lane.left_opposite
+            for lane in lanes.values()
+            if lane.left_opposite != lane.right_opposite
+        ]
         road = Road(
             {i: replace(lane, yields_to=rules.yields.get(i, ())) for i, lane in lanes.items()},
             drives_on_right=sum(votes) * 2 >= len(votes),
@@ -77,7 +104,9 @@ def read_lanelet2(path: Path, settings: Mapping[str, str]) -> MapFile:
             notes.append(f"{count} tags have blanks around the key '{key}': it is read without.")
         drawn = sum(1 for each in osm.relations.values() for _ in each.named("centerline"))
         if drawn:
-            notes.append(f"{drawn} drawn centre lines are not read: the middle between the boundaries counts.")
+            notes.append(
+                f"{drawn} drawn centre lines are not read: the middle between the boundaries counts."
+            )
         unread = (each for name, each in osm.relations.items() if not areas.get(name))
         others = Counter(each.tags.get("type", "without type") for each in unread)
         for kind in ("lanelet", "regulatory_element"):
@@ -144,9 +173,13 @@ class _Map:
 
 
 def rules_of(
-    osm: Osm, strips: Sequence[DirectedLanelet], lanes: Mapping[int, Lane], rows: Mapping[int, int], xy: FloatArray,
+    osm: Osm,
+    strips: Sequence[DirectedLanelet],
+    lanes: Mapping[int, Lane],
+    rows: Mapping[int, int],
+    xy: FloatArray,
     notes: list[str],
-) -> Rules:  # fmt: skip
+) -> Rules:
     """Make the rules of a map; `rows` are the rows of `xy` by node, `xy` the map's points."""
     before, by_rule = predecessors(lanes), defaultdict[int, list[int]](list)
     for strip in strips:
@@ -154,7 +187,9 @@ def rules_of(
             if strip.id in lanes:
                 by_rule[rule].append(strip.id)
     held = _Map(osm, rows, xy, lanes, before, by_rule)
-    elements = [each for each in osm.relations.values() if each.tags.get("type") == "regulatory_element"]
+    elements = [
+        each for each in osm.relations.values() if each.tags.get("type") == "regulatory_element"
+    ]
     unread = Counter(e.tags.get("subtype", "without subtype") for e in elements)
     for subtype in _READ:
         del unread[subtype]
@@ -168,7 +203,9 @@ def rules_of(
             for number, line in enumerate(placed, start=len(stop_lines) + 1):
                 stop_lines.append(replace(line, id=number, light=light, must_stop=must_stop))
     if unnamed:
-        notes.append(f"{unnamed} regulatory elements with a stop line are named by no lanelet: placed by their lines.")
+        notes.append(
+            f"{unnamed} regulatory elements with a stop line are named by no lanelet: placed by their lines."
+        )
     if lost:
         notes.append(f"{lost} stop lines of regulatory elements lie across no lane: left out.")
     if unread:
@@ -179,21 +216,36 @@ def rules_of(
         by_kind[element.tags.get("subtype", "")].append(element)
     yields = defaultdict[int, set[int]](set)
     for element in by_kind["right_of_way"]:
-        for one, first in product(held.lanelets(element, "yield"), held.lanelets(element, "right_of_way")):
+        for one, first in product(
+            held.lanelets(element, "yield"), held.lanelets(element, "right_of_way")
+        ):
             if meet(lanes[one], lanes[first]):
                 yields[one].add(first)
                 continue
-            for lane, other in product(lanes[one].successors, lanes[first].successors):  # what follows on the two
-                if lane != other and lane in lanes and other in lanes and meet(lanes[lane], lanes[other]):
+            # What follows on the two
+            for lane, other in product(lanes[one].successors, lanes[first].successors):
+                if (
+                    lane != other
+                    and lane in lanes
+                    and other in lanes
+                    and meet(lanes[lane], lanes[other])
+                ):
                     yields[lane].add(other)
     aliases = {}
     for element in by_kind["traffic_light"]:
         ways = list(element.named("refers", "ref_line", "light_bulbs"))
         tags = (held.tag(ref, "traffic_light_id")[:18] for ref in ways)
-        aliases[element.id] = tuple(dict.fromkeys([*ways, *(int(text) for text in tags if text.isdecimal())]))
+        aliases[element.id] = tuple(
+            dict.fromkeys([*ways, *(int(text) for text in tags if text.isdecimal())])
+        )
     outlines = {lane.id: lane.polygon for lane in lanes.values() if lane.kind == "crosswalk"}
-    for element in by_kind["crosswalk"]:  # the drawn outline of an Autoware crosswalk, if there is one
-        drawn = [points for ref in element.named("crosswalk_polygon") if (points := held.line(ref)) is not None]
+    # The drawn outline of an Autoware crosswalk, if there is one
+    for element in by_kind["crosswalk"]:
+        drawn = [
+            points
+            for ref in element.named("crosswalk_polygon")
+            if (points := held.line(ref)) is not None
+        ]
         refers = [lane for lane in held.lanelets(element, "refers") if lane in outlines]
         if len(drawn) == 1 and len(drawn[0]) > 2 and len(refers) == 1:
             outlines[refers[0]] = drawn[0]
@@ -202,7 +254,9 @@ def rules_of(
     return Rules(tuple(stop_lines), crosswalks, waiting, aliases)
 
 
-def _demands(held: _Map, element: Element) -> Iterator[tuple[Sequence[int], list[int], int | None, bool]]:
+def _demands(
+    held: _Map, element: Element
+) -> Iterator[tuple[Sequence[int], list[int], int | None, bool]]:
     """Yield the demands of an element: the lanes that name it, its stop lines, its light, whether all must stop."""
     subtype, lines = element.tags.get("subtype"), list(element.named("ref_line"))
     owners = held.by_rule.get(element.id, ())
@@ -230,9 +284,12 @@ def _stop_lines_of(held: _Map, owners: Sequence[int], ways: Sequence[int]) -> It
     lines = [line[[0, -1]] for line in map(held.line, ways) if line is not None]
     if not lines:
         for owner in owners:
-            yield StopLine(0, owner, np.array([held.lanes[owner].left[-1], held.lanes[owner].right[-1]]))
+            yield StopLine(
+                0, owner, np.array([held.lanes[owner].left[-1], held.lanes[owner].right[-1]])
+            )
         return
-    crossed = []  # without owners: drivable lanes whose centre line a line crosses in the second half
+    # Without owners: drivable lanes whose centre line a line crosses in the second half
+    crossed = []
     for line, lane in product(lines, () if owners else held.lanes.values()):
         along = (line[1] - line[0]) / max(float(np.hypot(*(line[1] - line[0]))), 1e-9) * ASIDE_M
         ahead = lane.center[-1] - lane.center[max(0, len(lane.center) - 4)]
@@ -280,4 +337,6 @@ def meet(one: Lane, other: Lane) -> bool:
     return bool(away.min() < CAR_WIDTH_M)
 
 
-READER = MapReader("Lanelet2", "*.osm", ".osm", read_lanelet2, beside=(PROJECTOR_INFO,), settings=("map_origin",))
+READER = MapReader(
+    "Lanelet2", "*.osm", ".osm", read_lanelet2, beside=(PROJECTOR_INFO,), settings=("map_origin",)
+)

@@ -55,7 +55,9 @@ class Element:
 
     def named(self, *roles: str, kind: str = "way") -> Iterator[int]:
         """Yield the ids of members of a kind in one of these roles, in the file's order."""
-        return (member.ref for member in self.members if member.kind == kind and member.role in roles)
+        return (
+            member.ref for member in self.members if member.kind == kind and member.role in roles
+        )
 
 
 @dataclass
@@ -87,7 +89,9 @@ class _Target:
             if attrib.get("action") == "delete" or attrib.get("visible") == "false":
                 return
             if self.open.id in self.kinds[tag]:
-                raise LogError(f"two elements <{tag}> have the id {self.open.id}", remedy="number them anew")
+                raise LogError(
+                    f"two elements <{tag}> have the id {self.open.id}", remedy="number them anew"
+                )
             if "lat" in attrib and "lon" in attrib:
                 place = f"{tag} {self.open.id}"
                 self.open.place = real(attrib["lat"], place), real(attrib["lon"], place)
@@ -144,16 +148,24 @@ def real(text: str, place: str) -> float:
     return value
 
 
-def placed_points(osm: Osm, path: Path, settings: Mapping[str, str]) -> tuple[list[Element], str, FloatArray]:
+def placed_points(
+    osm: Osm, path: Path, settings: Mapping[str, str]
+) -> tuple[list[Element], str, FloatArray]:
     """Return the points of all ways, the origin of their coordinates in words, and the coordinates `(n, 2)`, m."""
-    used = dict.fromkeys(node for way in osm.ways.values() for node in way.nodes if node in osm.nodes)
+    used = dict.fromkeys(
+        node for way in osm.ways.values() for node in way.nodes if node in osm.nodes
+    )
     nodes = [osm.nodes[node] for node in used]
     if len(nodes) < 4:
         raise LogError("its ways have less than four points", remedy="give a Lanelet2 map")
     local = all(key in node.tags for node in nodes for key in _LOCAL)
     if local and not settings.get("map_origin"):
         texts = ((node.tags[key] for key in _LOCAL) for node in nodes)
-        return nodes, "local_x and local_y", np.array([[real(text, "local_x") for text in row] for row in texts])
+        return (
+            nodes,
+            "local_x and local_y",
+            np.array([[real(text, "local_x") for text in row] for row in texts]),
+        )
     places = [node.place for node in nodes if node.place is not None]
     if len(places) < len(nodes):
         raise LogError(
@@ -171,7 +183,11 @@ def placed_points(osm: Osm, path: Path, settings: Mapping[str, str]) -> tuple[li
         projection, why = Projection("mgrs"), "assumed: the map does not say"
     xy = projection(np.array([check_on_earth(*place) for place in places]))
     if not (np.abs(xy) < LARGEST_M).all():
-        raise LogError(f"points have no place under {projection}", topic="[log] map_origin", remedy="name its origin")
+        raise LogError(
+            f"points have no place under {projection}",
+            topic="[log] map_origin",
+            remedy="name its origin",
+        )
     return nodes, f"{projection} ({why})", xy
 
 

@@ -46,7 +46,9 @@ MOST_HERE = 100
 MOST = 1000
 """Greatest number of pieces of a boundary: time and memory of (3) grow with the product of both sides' pieces."""
 _DRIVABLE = frozenset({"road", "highway", "play_street", "exit"})
-_OPEN = frozenset({"", "virtual", "stop_line", "pedestrian_marking", "bike_marking", "zebra_marking", "keepout"})
+_OPEN = frozenset(
+    {"", "virtual", "stop_line", "pedestrian_marking", "bike_marking", "zebra_marking", "keepout"}
+)
 _CAR = ("vehicle", "car")
 _SPEED = re.compile(r"(\d+(?:\.\d+)?)\s*(km/h|kmh|kph|mph|m/s|mps)?")
 _UNITS = {"mph": 0.44704, "m/s": 1.0, "mps": 1.0}
@@ -83,7 +85,11 @@ class DirectedLanelet:
     @property
     def drivable(self) -> bool:
         """Whether a car may drive on it."""
-        named = {key.removeprefix("participant:"): v for key, v in self.tags.items() if key.startswith("participant:")}
+        named = {
+            key.removeprefix("participant:"): v
+            for key, v in self.tags.items()
+            if key.startswith("participant:")
+        }
         if named:
             ways = (":".join(_CAR), *_CAR)
             return next((named[way] in ("yes", "true", "1") for way in ways if way in named), False)
@@ -109,14 +115,18 @@ def joined(xyz: FloatArray, ends: Sequence[int]) -> dict[int, int]:
     cells, cell = np.unique(np.round(5.0 / SAME_M * xyz[rows]), axis=0, return_inverse=True)
     tree = cKDTree(cells * (SAME_M / 5.0))
     if tree.count_neighbors(tree, SAME_M) > len(cells) * MOST_HERE:
-        raise LogError("ends of boundaries lie on top of each other by the hundreds", remedy="correct the map")
+        raise LogError(
+            "ends of boundaries lie on top of each other by the hundreds", remedy="correct the map"
+        )
     pairs = tree.query_pairs(SAME_M, output_type="ndarray")
     graph = coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(len(cells), len(cells)))
     labels = connected_components(graph, directed=False)[1]
     return dict(zip(rows, labels[cell.ravel()].tolist(), strict=True))
 
 
-def strips_of(osm: Osm, rows: Mapping[int, int], xy: FloatArray, notes: list[str]) -> list[DirectedLanelet]:
+def strips_of(
+    osm: Osm, rows: Mapping[int, int], xy: FloatArray, notes: list[str]
+) -> list[DirectedLanelet]:
     """Return the lanelets in the file's order, followed by reversed copies of those for both directions."""
     strips, broken = [], 0
     lanelets = [each for each in osm.relations.values() if each.tags.get("type") == "lanelet"]
@@ -130,13 +140,19 @@ def strips_of(osm: Osm, rows: Mapping[int, int], xy: FloatArray, notes: list[str
             broken += 1
             continue
         rules = tuple(lanelet.named("regulatory_element", kind="relation"))
-        strips.append(DirectedLanelet(lanelet.id, *oriented(bounds[0], bounds[1], xy), lanelet.tags, rules))
+        strips.append(
+            DirectedLanelet(lanelet.id, *oriented(bounds[0], bounds[1], xy), lanelet.tags, rules)
+        )
     if broken:
-        notes.append(f"{broken} of {len(lanelets)} lanelets are dropped: they lack a left or a right boundary.")
+        notes.append(
+            f"{broken} of {len(lanelets)} lanelets are dropped: they lack a left or a right boundary."
+        )
     free = 1 + max((strip.id for strip in strips), default=0)
     both = [strip for strip in strips if strip.two_way]
     if both:
-        notes.append(f"{len(both)} lanelets are for both directions: each is two lanes on the same ground.")
+        notes.append(
+            f"{len(both)} lanelets are for both directions: each is two lanes on the same ground."
+        )
     return strips + [strip.reverse(free + k) for k, strip in enumerate(both)]
 
 
@@ -149,7 +165,9 @@ def way_points(way: Element, rows: Mapping[int, int]) -> Points:
 def oriented(left: Bound, right: Bound, xy: FloatArray) -> tuple[Bound, Bound]:
     """Return the boundaries in the direction of the lane, by (1) and (2)."""
     l, r = xy[list(left.points)], xy[list(right.points)]  # noqa: E741
-    if hypot(*(l[0] - r[0])) + hypot(*(l[-1] - r[-1])) > hypot(*(l[0] - r[-1])) + hypot(*(l[-1] - r[0])):
+    if hypot(*(l[0] - r[0])) + hypot(*(l[-1] - r[-1])) > hypot(*(l[0] - r[-1])) + hypot(
+        *(l[-1] - r[0])
+    ):
         right, r = right.turned(), r[::-1]
     outline = np.vstack([l, r[::-1]]) - l[0]
     x, y = outline.T
@@ -217,7 +235,12 @@ def divided(line: FloatArray, longest: float, most: float) -> FloatArray:
     if parts.sum() > most:
         at = np.linspace(0.0, s[-1], int(most))
     else:
-        at = np.r_[np.concatenate([np.linspace(s[k], s[k + 1], int(n) + 1)[:-1] for k, n in enumerate(parts)]), s[-1]]
+        at = np.r_[
+            np.concatenate(
+                [np.linspace(s[k], s[k + 1], int(n) + 1)[:-1] for k, n in enumerate(parts)]
+            ),
+            s[-1],
+        ]
     return np.column_stack([np.interp(at, s, line[:, 0]), np.interp(at, s, line[:, 1])])
 
 
@@ -243,7 +266,9 @@ class _Beside:
             found.right[ends[right[0]], ends[right[-1]], strip.drivable].append(strip)
         for places in (found.begins, found.left, found.right):
             if max(map(len, places.values()), default=0) > MOST_HERE:
-                raise LogError(f"more than {MOST_HERE} lanelets begin at one place", remedy="correct the map")
+                raise LogError(
+                    f"more than {MOST_HERE} lanelets begin at one place", remedy="correct the map"
+                )
         return found
 
     def after(self, strip: DirectedLanelet) -> tuple[int, ...]:
@@ -268,7 +293,9 @@ class _Beside:
         return None
 
 
-def lanes_of(osm: Osm, strips: Sequence[DirectedLanelet], xyz: FloatArray, notes: list[str]) -> dict[int, Lane]:
+def lanes_of(
+    osm: Osm, strips: Sequence[DirectedLanelet], xyz: FloatArray, notes: list[str]
+) -> dict[int, Lane]:
     """Make the lanes by id; `xyz`: the map's points `(n, 3)`."""
     unread: Counter[str] = Counter()
     beside, lanes = _Beside.of(strips, xyz), {}
@@ -286,7 +313,9 @@ def lanes_of(osm: Osm, strips: Sequence[DirectedLanelet], xyz: FloatArray, notes
                 texts += own or [tags["subtype"] for tags in ways if "subtype" in tags]
         texts = texts or [strip.tags[key] for key in _keys("speed_limit") if key in strip.tags][:1]
         limits = [speed_in(text) for text in texts]
-        unread["speed limits that are no number with a unit"] += sum(not isfinite(limit) for limit in limits)
+        unread["speed limits that are no number with a unit"] += sum(
+            not isfinite(limit) for limit in limits
+        )
         lanes[strip.id] = Lane(
             strip.id,
             left,
@@ -294,18 +323,23 @@ def lanes_of(osm: Osm, strips: Sequence[DirectedLanelet], xyz: FloatArray, notes
             successors=beside.after(strip),
             left_neighbour=beside.neighbour(strip, "left", same=True),
             right_neighbour=beside.neighbour(strip, "right", same=True),
-            left_opposite=strip.drivable and beside.neighbour(strip, "left", same=False) is not None,
-            right_opposite=strip.drivable and beside.neighbour(strip, "right", same=False) is not None,
+            left_opposite=strip.drivable
+            and beside.neighbour(strip, "left", same=False) is not None,
+            right_opposite=strip.drivable
+            and beside.neighbour(strip, "right", same=False) is not None,
             speed_limit=min(filter(isfinite, limits), default=nan),
             drivable=strip.drivable,
             left_crossable=crossable(strip.left, near=-1),
             right_crossable=crossable(strip.right, near=0),
-            kind=strip.tags.get("subtype", "lanelet") + f"+{IN_JUNCTION}" * ("intersection_area" in strip.tags),
+            kind=strip.tags.get("subtype", "lanelet")
+            + f"+{IN_JUNCTION}" * ("intersection_area" in strip.tags),
         )
     notes += [f"{count} {what} are ignored." for what, count in sorted((+unread).items())]
     doubled = len(beside.ends) - len(set(beside.ends.values()))
     if doubled:
-        notes.append(f"{doubled} ends of boundaries lie within {SAME_M} m of another one: they are taken as the same.")
+        notes.append(
+            f"{doubled} ends of boundaries lie within {SAME_M} m of another one: they are taken as the same."
+        )
     return lanes
 
 

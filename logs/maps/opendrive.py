@@ -43,10 +43,23 @@ NARROWEST_M = 0.1
 LARGEST_BYTES, LONGEST_M = 1 << 28, 1e6
 FARTHEST = 100.0
 """Largest reach of a polynomial over its length: pyxodr steps along it by `RESOLUTION_M`."""
-_DRIVABLE = {"driving", "entry", "exit", "onRamp", "offRamp", "connectingRamp", "slipLane", "bidirectional"}
+_DRIVABLE = {
+    "driving",
+    "entry",
+    "exit",
+    "onRamp",
+    "offRamp",
+    "connectingRamp",
+    "slipLane",
+    "bidirectional",
+}
 _SHAPES = ("line", "arc", "spiral", "poly3", "paramPoly3")
 _CROSSABLE = {"none", "broken", "broken broken", "botts dots"}
-_LEFT_OUT = {"signal": "signals and signs", "object": "objects", "priority": "priorities of junctions"}
+_LEFT_OUT = {
+    "signal": "signals and signs",
+    "object": "objects",
+    "priority": "priorities of junctions",
+}
 _UNITS = {"m/s": 1.0, "km/h": 1.0 / 3.6, "mph": 0.44704}
 
 
@@ -71,7 +84,9 @@ def read_opendrive(path: Path, settings: Mapping[str, str]) -> MapFile:
     try:
         from pyxodr.road_objects.road import Road as Geometry
     except ImportError:
-        raise LogError("OpenDRIVE needs pyxodr", file=path, remedy="pip install 'replan[opendrive]'") from None
+        raise LogError(
+            "OpenDRIVE needs pyxodr", file=path, remedy="pip install 'replan[opendrive]'"
+        ) from None
     left_out = [(tag, sum(1 for _ in root.iter(tag))) for tag in _LEFT_OUT]
     pieces, lines = list[_Piece](), dict[str, Any]()
     unread, lacking = list[str](), list[str]()
@@ -113,8 +128,13 @@ def _root(path: Path) -> Element:
     for element in root.iter():
         element.tag = element.tag.rpartition("}")[2]  # without the namespace of ASAM's schema
     if root.tag != "OpenDRIVE":
-        raise LogError(f"root element is <{root.tag}>", file=path, remedy="give an OpenDRIVE map (<OpenDRIVE>)")
-    if not sum(max(_number(part, "length", 0.0), 0.0) for part in root.iter("geometry")) < LONGEST_M:
+        raise LogError(
+            f"root element is <{root.tag}>", file=path, remedy="give an OpenDRIVE map (<OpenDRIVE>)"
+        )
+    if (
+        not sum(max(_number(part, "length", 0.0), 0.0) for part in root.iter("geometry"))
+        < LONGEST_M
+    ):
         raise LogError("its roads are longer than 1000 km", file=path, remedy="cut the map")
     return root
 
@@ -154,15 +174,23 @@ def _normalise(road: Element) -> list[str]:
                 plan.remove(part)
             else:
                 _simplify(part)
-    ends = [_station(section) for section in road.findall("lanes/laneSection")[1:]] + [_length(road)]
+    ends = [_station(section) for section in road.findall("lanes/laneSection")[1:]] + [
+        _length(road)
+    ]
     if not road.findall("lanes/laneSection") or not ends[-1] > 0.0:
-        raise LogError("it has no length" if ends[:-1] or road.find("lanes/laneSection") else "it has no lanes")
+        raise LogError(
+            "it has no length" if ends[:-1] or road.find("lanes/laneSection") else "it has no lanes"
+        )
     least = PER_SECTION * min(RESOLUTION_M, _length(road) / MOST_POINTS)
     for section, end in zip(road.findall("lanes/laneSection"), ends, strict=True):
         if end - _station(section) < least:
             _remove_section(road, section)
     lacking = []
-    for lane in (lane for side in ("left", "right") for lane in road.findall(f"lanes/laneSection/{side}/lane")):
+    for lane in (
+        lane
+        for side in ("left", "right")
+        for lane in road.findall(f"lanes/laneSection/{side}/lane")
+    ):
         lacks = [key for key in ("type",) if key not in lane.attrib]
         lane.attrib.setdefault("type", "none")
         widths, borders = lane.findall("width"), lane.findall("border")
@@ -187,13 +215,18 @@ def _simplify(part: Element) -> None:
         first, last = (float(curve.get(key, "nan")) for key in ("curvStart", "curvEnd"))
         if abs(last - first) * length**2 / 12.0 < SLIGHT_M:  # (1)
             curve.tag, curve.attrib = "arc", {"curvature": repr(0.5 * (first + last))}
-    if curve.tag == "arc" and abs(float(curve.get("curvature", "nan"))) * length**2 / 2.0 < SLIGHT_M:  # (2)
+    # (2)
+    if (
+        curve.tag == "arc"
+        and abs(float(curve.get("curvature", "nan"))) * length**2 / 2.0 < SLIGHT_M
+    ):
         curve.tag, curve.attrib = "line", {}
     if curve.tag in ("poly3", "paramPoly3"):
         whole = curve.tag == "paramPoly3" and curve.get("pRange", "normalized") == "normalized"
         p = 1.0 if whole else length
         keys = ((k, key) for k, one in enumerate("abcd") for key in (one, one + "U", one + "V"))
-        reach = sum(abs(float(curve.get(key, "0"))) * p**k for k, key in keys)  # upper bound at its end, m
+        # Upper bound at its end, m
+        reach = sum(abs(float(curve.get(key, "0"))) * p**k for k, key in keys)
         if not reach <= FARTHEST * length:
             raise LogError(f"{place} leads more than {FARTHEST:.0f} times its length away")
 
@@ -205,10 +238,15 @@ def _remove_section(road: Element, section: Element) -> None:
     k = sections.index(section)
     if k == 0 and len(sections) > 1:
         sections[1].set("s", section.get("s", "0"))
-    for beside, tag in ((sections[k - 1 : k], "successor"), (sections[k + 1 : k + 2], "predecessor")):
+    for beside, tag in (
+        (sections[k - 1 : k], "successor"),
+        (sections[k + 1 : k + 2], "predecessor"),
+    ):
         onward = {lane.get("id"): lane.findall(f"link/{tag}") for lane in section.iter("lane")}
         for link in (link for each in beside for link in each.iter("link")):
-            through = [next_one for one in link.findall(tag) for next_one in onward.get(one.get("id"), ())]
+            through = [
+                next_one for one in link.findall(tag) for next_one in onward.get(one.get("id"), ())
+            ]
             link[:] = [*(one for one in link if one.tag != tag), *through]
     lanes.remove(section)
 
@@ -222,7 +260,9 @@ def _resolution(road: Element) -> float:
     length = _length(road)
     stations = [*map(_station, road.findall("lanes/laneSection")), length]
     bends = [_number(arc, "curvature") for arc in road.iter("arc")]
-    bends += [_number(spiral, key) for spiral in road.iter("spiral") for key in ("curvStart", "curvEnd")]
+    bends += [
+        _number(spiral, key) for spiral in road.iter("spiral") for key in ("curvStart", "curvEnd")
+    ]
     bend = max(map(abs, bends), default=0.0)
     needed = min(np.diff(stations).min() / PER_SECTION, STEP_RAD / bend if bend else inf)
     return float(min(RESOLUTION_M, max(needed, length / MOST_POINTS)))
@@ -252,29 +292,43 @@ def _pieces(road: Any, before: int) -> Iterator[_Piece]:
         for lane in sorted(section.lanes, key=lambda lane: -int(lane.id)):
             lines = lane.lane_reference_line[:, :2], lane.boundary_line[:, :2]
             if not np.isfinite(lines).all():
-                raise LogError(f"its lane {lane.id} at s = {section.lane_section_xml.get('s')} is not finite")
+                raise LogError(
+                    f"its lane {lane.id} at s = {section.lane_section_xml.get('s')} is not finite"
+                )
             if lane.type is not None and np.hypot(*(lines[0] - lines[1]).T).max() > NARROWEST_M:
                 number += 1
                 place, on_right = int(lane.id), bool(lane.traffic_orientation.name == "RIGHT")
                 against, drivable = (place < 0) != on_right, lane.type in _DRIVABLE
                 part = section.lane_section_xml
-                yield _Piece(number, lane, road.road_xml, part, index, place, on_right, against, drivable)
+                yield _Piece(
+                    number, lane, road.road_xml, part, index, place, on_right, against, drivable
+                )
 
 
 Joints = Mapping[tuple[int, bool], set[tuple[int, bool]]]
 """What touches an end of a lane: number of the lane, and whether it is the end in the direction of s."""
 
 
-def _joints(pieces: Sequence[_Piece], root: Element, lines: Mapping[str, Any]) -> tuple[Joints, list[str]]:
+def _joints(
+    pieces: Sequence[_Piece], root: Element, lines: Mapping[str, Any]
+) -> tuple[Joints, list[str]]:
     """Return what the links join, in both directions, and the links that lead to no lane of a road that was read.
 
     A link to a road without `contactPoint` is one to its nearer end.
     """
-    sections = {road.get("id", ""): road.findall("lanes/laneSection") for road in root.findall("road")}
-    by_place = {(piece.road.get("id", ""), piece.index, piece.place): piece.number for piece in pieces}
+    sections = {
+        road.get("id", ""): road.findall("lanes/laneSection") for road in root.findall("road")
+    }
+    by_place = {
+        (piece.road.get("id", ""), piece.index, piece.place): piece.number for piece in pieces
+    }
     there = set()
     for name, of in sections.items():
-        there |= {(name, k, lane.get("id")) for k, section in enumerate(of) for lane in section.iter("lane")}
+        there |= {
+            (name, k, lane.get("id"))
+            for k, section in enumerate(of)
+            for lane in section.iter("lane")
+        }
     joints: dict[tuple[int, bool], set[tuple[int, bool]]] = defaultdict(set)
     loose = []
     for piece in pieces:
@@ -288,12 +342,18 @@ def _joints(pieces: Sequence[_Piece], root: Element, lines: Mapping[str, Any]) -
                 name = link.get("elementId", "")
                 contact = link.get("contactPoint") == "end"
                 if name in lines and link.get("contactPoint") not in ("start", "end"):
-                    away = np.hypot(*(lines[name][[0, -1], :2] - lines[own][-1 if at_end else 0, :2]).T)
+                    away = np.hypot(
+                        *(lines[name][[0, -1], :2] - lines[own][-1 if at_end else 0, :2]).T
+                    )
                     contact = bool(away[1] < away[0])
                 index = len(sections.get(name, ())) - 1 if contact else 0
-            for place in (each.get("id", "") for each in piece.lane.lane_xml.findall(f"link/{tag}")):
+            for place in (
+                each.get("id", "") for each in piece.lane.lane_xml.findall(f"link/{tag}")
+            ):
                 if (name, index, place) not in there:
-                    loose.append(f"from lane {piece.place} of road {own} to lane {place} of road {name}")
+                    loose.append(
+                        f"from lane {piece.place} of road {own} to lane {place} of road {name}"
+                    )
                 elif (name, index, int(place)) in by_place:
                     other = by_place[name, index, int(place)]
                     joints[piece.number, at_end].add((other, contact))
@@ -312,7 +372,8 @@ def _lanes(pieces: Sequence[_Piece], joints: Joints) -> Iterator[tuple[int, Lane
         step = 1 if piece.place > 0 else -1
         beside = by_place.get((id(piece.section), piece.place + step))
         middle = by_place.get((id(piece.section), piece.place - step or -step))
-        sides: list[tuple[int | None, bool]] = []  # the lane in the same direction; whether there is an opposite one
+        # The lane in the same direction; whether there is an opposite one
+        sides: list[tuple[int | None, bool]] = []
         for other in (middle, beside) if piece.on_right else (beside, middle):
             if other is None or not (piece.drivable and other.drivable):
                 sides.append((None, False))
@@ -329,7 +390,9 @@ def _lanes(pieces: Sequence[_Piece], joints: Joints) -> Iterator[tuple[int, Lane
                 piece.number,
                 left[rows],
                 right[rows],
-                successors=tuple(sorted(each.number for each, at_end in after if at_end == each.against)),
+                successors=tuple(
+                    sorted(each.number for each, at_end in after if at_end == each.against)
+                ),
                 left_neighbour=sides[0][0],
                 right_neighbour=sides[1][0],
                 left_opposite=sides[0][1],
@@ -338,7 +401,8 @@ def _lanes(pieces: Sequence[_Piece], joints: Joints) -> Iterator[tuple[int, Lane
                 drivable=piece.drivable,
                 left_crossable=near if piece.on_right else far,
                 right_crossable=far if piece.on_right else near,
-                kind=f"{piece.lane.type}" + f"+{IN_JUNCTION}" * (piece.road.get("junction", "-1") != "-1"),
+                kind=f"{piece.lane.type}"
+                + f"+{IN_JUNCTION}" * (piece.road.get("junction", "-1") != "-1"),
             ),
         )
 
@@ -351,7 +415,8 @@ def _crossable(piece: _Piece, *, inner: bool) -> bool:
     mark = None if lane is None else lane.find("roadMark")
     kind = "none" if mark is None else mark.get("type", "none")
     parts = kind.split()
-    if set(parts) == {"solid", "broken"}:  # named from the middle outwards; that of the middle from left to right
+    # Named from the middle outwards; that of the middle from left to right
+    if set(parts) == {"solid", "broken"}:
         own = 0 if (piece.place > 0 if name == 0 else not inner) else -1
         return parts[own] == "broken"
     return kind in _CROSSABLE
@@ -362,7 +427,9 @@ def _limit(piece: _Piece) -> float:
     lane = next((e for e in piece.section.iter("lane") if e.get("id") == str(piece.place)), None)
     own = [] if lane is None else lane.findall("speed")
     start = float(piece.section.get("s", "0"))
-    types = [each for each in piece.road.findall("type") if float(each.get("s", "0")) <= start + 1e-6]
+    types = [
+        each for each in piece.road.findall("type") if float(each.get("s", "0")) <= start + 1e-6
+    ]
     for element in (*own[:1], *(each for kind in types[-1:] for each in kind.findall("speed"))):
         try:
             speed = float(element.get("max", "")) * _UNITS.get(element.get("unit", "m/s"), nan)

@@ -55,7 +55,9 @@ def mercator(points: FloatArray, meridian: float, scale: float) -> FloatArray:
     e, tau = sqrt(_E2), np.tan(phi)
     sigma = np.sinh(e * np.arctanh(e * tau / np.hypot(1.0, tau)))
     conformal = tau * np.hypot(1.0, sigma) - sigma * np.hypot(1.0, tau)
-    zeta = np.arctan2(conformal, np.cos(lam)) + 1j * np.arcsinh(np.sin(lam) / np.hypot(conformal, np.cos(lam)))
+    zeta = np.arctan2(conformal, np.cos(lam)) + 1j * np.arcsinh(
+        np.sin(lam) / np.hypot(conformal, np.cos(lam))
+    )
     zeta = zeta + sum(alpha * np.sin(2.0 * j * zeta) for j, alpha in enumerate(_ALPHA, start=1))
     return np.column_stack([zeta.imag, zeta.real]) * (scale * _RADIUS)
 
@@ -90,7 +92,9 @@ def _geocentric(points: FloatArray) -> FloatArray:
     phi, lam = np.radians(points).T
     normal = A_M / np.sqrt(1.0 - _E2 * np.sin(phi) ** 2)
     ring = normal * np.cos(phi)
-    return np.column_stack([ring * np.cos(lam), ring * np.sin(lam), normal * (1.0 - _E2) * np.sin(phi)])
+    return np.column_stack(
+        [ring * np.cos(lam), ring * np.sin(lam), normal * (1.0 - _E2) * np.sin(phi)]
+    )
 
 
 @dataclass(frozen=True)
@@ -109,7 +113,9 @@ class Projection:
 
     def __call__(self, points: FloatArray) -> FloatArray:
         """Project latitudes and longitudes `(n, 2)`, degrees, to plane points `(n, 2)`, m."""
-        first = self.origin if self.origin is not None else (float(points[0, 0]), float(points[0, 1]))
+        first = (
+            self.origin if self.origin is not None else (float(points[0, 0]), float(points[0, 1]))
+        )
         zero = np.array([first])
         if self.kind == "enu":
             return tangent(points, *first)
@@ -120,7 +126,8 @@ class Projection:
         plane = utm(points, zone, north=north)
         if self.kind != "mgrs":
             return plane - utm(zero, zone, north=north) if self.origin is not None else plane
-        corner = SQUARE_M * np.floor(plane[0] / SQUARE_M)  # (5), of the square that holds the first point
+        # (5), of the square that holds the first point
+        corner = SQUARE_M * np.floor(plane[0] / SQUARE_M)
         if self.square:
             row = _ROWS.index(self.square[-1]) - (5 if zone % 2 == 0 else 0)
             cycles = round((float(corner[1]) / SQUARE_M - row) / len(_ROWS))
@@ -141,7 +148,11 @@ def parse_projection(text: str) -> Projection:
         return Projection(text)
     if place is not None:
         return Projection(place[1] or "utm", check_on_earth(float(place[2]), float(place[3])))
-    if square is not None and 1 <= int(square[1]) <= 60 and square[3] in _COLUMNS[(int(square[1]) - 1) % 3]:
+    if (
+        square is not None
+        and 1 <= int(square[1]) <= 60
+        and square[3] in _COLUMNS[(int(square[1]) - 1) % 3]
+    ):
         return Projection("mgrs", square=square[0])
     raise LogError(f"no map origin: {text!r}", topic="[log] map_origin", remedy=f"give {FORMS}")
 

@@ -33,7 +33,8 @@ class LaneStrip:
     successors: tuple[int, ...]
     beside: tuple[int | None, int | None]  # ids of the lanes to the left and to the right, or None
     kind: str
-    marks: tuple[str, str] = ("", "")  # names of the left and the right marking ("DASH_SOLID_YELLOW"; "": unknown)
+    # Names of the left and the right marking ("DASH_SOLID_YELLOW"; "": unknown)
+    marks: tuple[str, str] = ("", "")
     drivable: bool = True
     speed_limit: float = float("nan")
 
@@ -47,7 +48,10 @@ def lanes_of(strips: Sequence[LaneStrip], notes: list[str]) -> tuple[dict[int, L
             if points.ndim != 2 or len(points) < 2 or not (np.abs(points) < LARGEST_M).all():
                 break
             points = points[np.r_[True, np.hypot(*np.diff(points, axis=0).T) > 1e-6]]
-            if len(points) < 2 or not SHORTEST_M < np.hypot(*np.diff(points, axis=0).T).sum() < LONGEST_M:
+            if (
+                len(points) < 2
+                or not SHORTEST_M < np.hypot(*np.diff(points, axis=0).T).sum() < LONGEST_M
+            ):
                 break
             sides.append(points)
         if len(sides) < 2:
@@ -68,7 +72,9 @@ def lanes_of(strips: Sequence[LaneStrip], notes: list[str]) -> tuple[dict[int, L
             kind=strip.kind,
         )
     if len(lanes) < len(strips):
-        notes.append(f"{len(strips) - len(lanes)} of {len(strips)} lanes are left out: their boundaries are no strip.")
+        notes.append(
+            f"{len(strips) - len(lanes)} of {len(strips)} lanes are left out: their boundaries are no strip."
+        )
     out, balance = {}, 0
     for strip in strips:
         if strip.id not in lanes:
@@ -76,7 +82,9 @@ def lanes_of(strips: Sequence[LaneStrip], notes: list[str]) -> tuple[dict[int, L
         lane = lanes[strip.id]
         left, right = (lanes.get(i) if i is not None else None for i in strip.beside)
         same = [other is not None and _same_way(lane, other) for other in (left, right)]
-        opposite = [other is not None and not way for other, way in zip((left, right), same, strict=True)]
+        opposite = [
+            other is not None and not way for other, way in zip((left, right), same, strict=True)
+        ]
         balance += opposite[0] - opposite[1]
         out[lane.id] = replace(
             lane,

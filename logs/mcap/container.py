@@ -59,17 +59,26 @@ class Stream:
     def decoded(self, kind: type[T]) -> list[T]:
         """The messages as Structs; LogError, which names the field, if one does not fit."""
         if self.encoding != "json":
-            raise LogError(f"messages are encoded as {self.encoding!r}, expected 'json'", topic=self.topic)
+            raise LogError(
+                f"messages are encoded as {self.encoding!r}, expected 'json'", topic=self.topic
+            )
         decoder, out = msgspec.json.Decoder(kind), []
         for time, payload in zip(self.times, self.payloads, strict=True):
             try:
                 out.append(decoder.decode(payload))
             except (msgspec.MsgspecError, UnicodeError, RecursionError) as error:
                 what = f"message does not fit: {error}".replace("`", "")
-                malformed = isinstance(error, msgspec.DecodeError) and not isinstance(error, msgspec.ValidationError)
+                malformed = isinstance(error, msgspec.DecodeError) and not isinstance(
+                    error, msgspec.ValidationError
+                )
                 bare = next((word for word in (b"NaN", b"Infinity") if word in payload), b"")
                 if malformed and bare:
-                    name = payload.partition(bare)[0].rpartition(b'":')[0].rpartition(b'"')[2].decode(errors="replace")
+                    name = (
+                        payload.partition(bare)[0]
+                        .rpartition(b'":')[0]
+                        .rpartition(b'"')[2]
+                        .decode(errors="replace")
+                    )
                     what = f"{name} is {bare.decode()}, which is not JSON: a missing value is null"
                 raise LogError(what, topic=self.topic, time_ns=time, remedy=MEND) from None
         return out
@@ -79,7 +88,12 @@ class Stream:
         for before, time in pairwise(self.times):
             if time < before:
                 what = f"time goes backwards, from {before / 1e9:.3f} s"
-                raise LogError(what, topic=self.topic, time_ns=time, remedy="write the messages in order of time")
+                raise LogError(
+                    what,
+                    topic=self.topic,
+                    time_ns=time,
+                    remedy="write the messages in order of time",
+                )
             if strictly and time == before:
                 what = "two messages have the same time"
                 raise LogError(what, topic=self.topic, time_ns=time, remedy="keep one of them")
@@ -132,7 +146,11 @@ def read_container(path: Path) -> Container:
             elif isinstance(record, Channel):
                 topic, schema = record.topic, schemas.get(record.schema_id)
                 if schema is None and record.schema_id != 0:
-                    raise LogError(f"schema {record.schema_id} is not in the file", topic=topic, remedy=COPY_AGAIN)
+                    raise LogError(
+                        f"schema {record.schema_id} is not in the file",
+                        topic=topic,
+                        remedy=COPY_AGAIN,
+                    )
                 parts = (schema.name, schema.encoding, schema.data) if schema else ("", "", b"")
                 stream = streams.setdefault(topic, Stream(topic, record.message_encoding, *parts))
                 if (stream.encoding, stream.schema) != (record.message_encoding, parts[0]):
@@ -143,7 +161,9 @@ def read_container(path: Path) -> Container:
                 metadata[record.name] = record.metadata
             elif isinstance(record, Message):
                 if record.channel_id not in channels:
-                    raise LogError(f"channel {record.channel_id} is not in the file", remedy=COPY_AGAIN)
+                    raise LogError(
+                        f"channel {record.channel_id} is not in the file", remedy=COPY_AGAIN
+                    )
                 stream = channels[record.channel_id]
                 if record.log_time > LAST_TIME_NS:
                     what = f"log time {record.log_time} ns is beyond any clock"
@@ -181,13 +201,20 @@ def _records(raw: bytes, streams: dict[str, Stream]) -> Iterator[McapRecord]:
             else:
                 yield record
     except DAMAGE as error:
-        at, last = buffer.tell(), max(((s.times[-1], s.topic) for s in streams.values() if len(s)), default=None)
+        at, last = (
+            buffer.tell(),
+            max(((s.times[-1], s.topic) for s in streams.values() if len(s)), default=None),
+        )
         time, topic = last if last is not None else (None, None)
         if isinstance(error, InvalidMagic) and at <= 8:
             raise LogError("not an MCAP file (wrong magic)", remedy=CONVERT) from None
         what = f"the file is damaged near byte {at} ({_name(error)})"
-        if isinstance(error, (EndOfFile, RecordLengthLimitExceeded, InvalidMagic)) or at >= len(raw):
-            what = "the file is cut off or damaged" + (": these are the last messages before it" if last else "")
+        if isinstance(error, (EndOfFile, RecordLengthLimitExceeded, InvalidMagic)) or at >= len(
+            raw
+        ):
+            what = "the file is cut off or damaged" + (
+                ": these are the last messages before it" if last else ""
+            )
         raise LogError(what, topic=topic, time_ns=time, remedy=SALVAGE) from None
 
 
@@ -199,20 +226,32 @@ def opened(chunk: Chunk) -> list[McapRecord]:
     time, remedy = chunk.message_start_time, SALVAGE
     if chunk.compression not in COMPRESSIONS:
         remedy = "compress with zstd or lz4, or not at all"
-        raise LogError(f"a chunk has the unknown compression {chunk.compression!r}", time_ns=time, remedy=remedy)
+        raise LogError(
+            f"a chunk has the unknown compression {chunk.compression!r}",
+            time_ns=time,
+            remedy=remedy,
+        )
     if chunk.uncompressed_size > MOST_CHUNK_BYTES:
         what = f"a chunk of {len(chunk.data)} bytes would inflate to {chunk.uncompressed_size / 2**20:.0f} MiB"
-        raise LogError(what, time_ns=time, remedy=f"the bound is {MOST_CHUNK_BYTES / 2**20:.0f} MiB; {SPLIT}")
+        raise LogError(
+            what, time_ns=time, remedy=f"the bound is {MOST_CHUNK_BYTES / 2**20:.0f} MiB; {SPLIT}"
+        )
     size = chunk.uncompressed_size
     try:
         if chunk.compression == "zstd":
-            data: bytes = ZstdDecompressor().stream_reader(BytesIO(chunk.data), read_across_frames=True).read(size + 1)
+            data: bytes = (
+                ZstdDecompressor()
+                .stream_reader(BytesIO(chunk.data), read_across_frames=True)
+                .read(size + 1)
+            )
         elif chunk.compression == "lz4":
             data = LZ4FrameDecompressor().decompress(chunk.data, max_length=size + 1)
         else:
             data = chunk.data
         if len(data) != size:
-            raise ValueError(f"it states {size} bytes and holds {'more' if len(data) > size else len(data)}")
+            raise ValueError(
+                f"it states {size} bytes and holds {'more' if len(data) > size else len(data)}"
+            )
         return breakup_chunk(replace(chunk, compression="", data=data), validate_crc=True)
     except DAMAGE as error:
         what = f"the chunk that begins there is damaged ({_name(error)})"

@@ -55,21 +55,64 @@ from replan.logs.vehicle import VehicleParameters
 FORMAT_VERSION = 2
 WITHOUT_BLOCKS = 1
 """The version that is written where there are no blocks, so that an older replan reads it."""
-SCENARIO_RECORD, FREE_RECORD, TRACE_RECORD = "replan.scenario", "replan.scenario.metadata", "replan.trace"
+SCENARIO_RECORD, FREE_RECORD, TRACE_RECORD = (
+    "replan.scenario",
+    "replan.scenario.metadata",
+    "replan.trace",
+)
 
 UNITS = {
     "log_time": "ns",
-    "t": "s", "x": "m", "y": "m", "yaw": "rad", "v": "mps", "a": "mps2", "kappa": "per_m", "vx": "mps", "vy": "mps",
-    "length": "m", "width": "m", "left_x": "m", "left_y": "m", "right_x": "m", "right_y": "m",
-    "speed_limit": "mps", "default_speed_limit": "mps", "steer": "rad",
-    "lateral": "m", "heading": "rad", "speed": "mps", "station": "m",
-    "wheelbase": "m", "rear_overhang": "m", "mass": "kg", "yaw_inertia": "kgm2", "cog_to_front": "m",
-    "cornering_front": "n_per_rad", "cornering_rear": "n_per_rad", "max_steer": "rad", "max_steer_rate": "radps",
-    "steer_lag": "s", "max_accel": "mps2", "max_power": "w_per_kg", "max_decel": "mps2", "throttle_lag": "s",
-    "brake_lag": "s", "drag": "per_m", "rolling": "mps2", "cog_height": "m", "brake_delay": "s", "wheel_radius": "m",
-    "motor_speed": "radps", "motor_torque": "nm", "motor_overrun": "nm", "shift_time": "s", "begin": "s", "end": "s",
+    "t": "s",
+    "x": "m",
+    "y": "m",
+    "yaw": "rad",
+    "v": "mps",
+    "a": "mps2",
+    "kappa": "per_m",
+    "vx": "mps",
+    "vy": "mps",
+    "length": "m",
+    "width": "m",
+    "left_x": "m",
+    "left_y": "m",
+    "right_x": "m",
+    "right_y": "m",
+    "speed_limit": "mps",
+    "default_speed_limit": "mps",
+    "steer": "rad",
+    "lateral": "m",
+    "heading": "rad",
+    "speed": "mps",
+    "station": "m",
+    "wheelbase": "m",
+    "rear_overhang": "m",
+    "mass": "kg",
+    "yaw_inertia": "kgm2",
+    "cog_to_front": "m",
+    "cornering_front": "n_per_rad",
+    "cornering_rear": "n_per_rad",
+    "max_steer": "rad",
+    "max_steer_rate": "radps",
+    "steer_lag": "s",
+    "max_accel": "mps2",
+    "max_power": "w_per_kg",
+    "max_decel": "mps2",
+    "throttle_lag": "s",
+    "brake_lag": "s",
+    "drag": "per_m",
+    "rolling": "mps2",
+    "cog_height": "m",
+    "brake_delay": "s",
+    "wheel_radius": "m",
+    "motor_speed": "radps",
+    "motor_torque": "nm",
+    "motor_overrun": "nm",
+    "shift_time": "s",
+    "begin": "s",
+    "end": "s",
     "way": "m",
-}  # fmt: skip
+}
 """Unit of each name in code; a name that is not here has none."""
 
 
@@ -253,7 +296,10 @@ class Goal(msgspec.Struct, rename=serialised):
 
 Vehicle = msgspec.defstruct(
     "Vehicle",
-    [(f.name, get_type_hints(VehicleParameters)[f.name], f.default) for f in fields(VehicleParameters)],
+    [
+        (f.name, get_type_hints(VehicleParameters)[f.name], f.default)
+        for f in fields(VehicleParameters)
+    ],
     rename=serialised,
     namespace={"__doc__": "Parameters of the ego's vehicle."},
     module=__name__,
@@ -275,10 +321,14 @@ def _block(kind: type[msgspec.Struct]) -> type[msgspec.Struct]:
     columns: list[tuple[str, Any]] = [(name, list[hints[name]]) for name in kind.__struct_fields__]  # type: ignore[valid-type]
     doc = {"__doc__": f"Many samples: {kind.__doc__}"}
     fields_ = [("log_time", list[int]), *columns]
-    return msgspec.defstruct(f"{kind.__name__}Block", fields_, rename=serialised, namespace=doc, module=__name__)
+    return msgspec.defstruct(
+        f"{kind.__name__}Block", fields_, rename=serialised, namespace=doc, module=__name__
+    )
 
 
-BLOCKS: dict[type[msgspec.Struct], type[msgspec.Struct]] = {kind: _block(kind) for kind in (Ego, Controls, Tracking)}
+BLOCKS: dict[type[msgspec.Struct], type[msgspec.Struct]] = {
+    kind: _block(kind) for kind in (Ego, Controls, Tracking)
+}
 """What a message of a kind may be instead."""
 
 
@@ -463,12 +513,24 @@ def _written_out(part: Any, components: dict[str, Any]) -> Any:
         return part
     if "$ref" in part:
         return _written_out(components[part["$ref"].rpartition("/")[2]], components)
-    worded = isinstance(part.get("description"), str)  # a docstring; a field of this name has a schema
-    kept = {key: _written_out(value, components) for key, value in part.items() if key != "description" or not worded}
+    # A docstring; a field of this name has a schema
+    worded = isinstance(part.get("description"), str)
+    kept = {
+        key: _written_out(value, components)
+        for key, value in part.items()
+        if key != "description" or not worded
+    }
     return {**kept, "type": "string"} if "enum" in part else kept
 
 
-_NAMES = {float: "number", int: "integer", str: "text", bool: "boolean", type(None): "null", Any: "any"}
+_NAMES = {
+    float: "number",
+    int: "integer",
+    str: "text",
+    bool: "boolean",
+    type(None): "null",
+    Any: "any",
+}
 
 
 def markdown() -> str:
@@ -481,17 +543,24 @@ def markdown() -> str:
     for kind in kinds:
         tables += ["", f"### {kind.__name__}", "", kind.__doc__ or ""]
         if kind in BLOCKS:
-            tables.append(f"As `{BLOCKS[kind].__name__}`: `log_time_ns`, and a list of each of these.")
+            tables.append(
+                f"As `{BLOCKS[kind].__name__}`: `log_time_ns`, and a list of each of these."
+            )
         tables += ["", "| field | type | |", "|---|---|---|"]
         for field in msgspec.structs.fields(kind):
             needed = "needed" if field.required else "optional"
-            tables.append(f"| `{field.encode_name}` | {_type(get_type_hints(kind)[field.name])} | {needed} |")
+            tables.append(
+                f"| `{field.encode_name}` | {_type(get_type_hints(kind)[field.name])} | {needed} |"
+            )
     rows = [
-        f"| `{topic}` | {_link(kind)} | {' '.join((kind.__doc__ or '').split())} |" for topic, kind in TOPICS.items()
+        f"| `{topic}` | {_link(kind)} | {' '.join((kind.__doc__ or '').split())} |"
+        for topic, kind in TOPICS.items()
     ]
     described = ["```text", (__doc__ or "").strip(), "```"]
     head = ["# The native log format", "", _NOTE, "", *described, "", "## Topics", ""]
-    return "\n".join([*head, "| topic | message | what |", "|---|---|---|", *rows, "", "## Messages", *tables])
+    return "\n".join(
+        [*head, "| topic | message | what |", "|---|---|---|", *rows, "", "## Messages", *tables]
+    )
 
 
 _NOTE = """<!-- written by `replan.logs.mcap.native.markdown`; do not edit -->

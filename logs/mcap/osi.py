@@ -41,12 +41,19 @@ from replan.logs.vehicle import VehicleParameters, assumed_car
 SCHEMAS = ("osi3.GroundTruth", "osi3.SensorView")
 
 KINDS = {
-    "TYPE_HEAVY_TRUCK": AgentKind.TRUCK, "TYPE_SEMITRAILER": AgentKind.TRUCK, "TYPE_TRAILER": AgentKind.TRUCK,
-    "TYPE_SEMITRACTOR": AgentKind.TRUCK, "TYPE_DELIVERY_VAN": AgentKind.TRUCK, "TYPE_BUS": AgentKind.BUS,
-    "TYPE_TRAM": AgentKind.BUS, "TYPE_TRAIN": AgentKind.BUS, "TYPE_MOTORBIKE": AgentKind.MOTORCYCLE,
-    "TYPE_BICYCLE": AgentKind.BICYCLE, "TYPE_STANDUP_SCOOTER": AgentKind.BICYCLE,
+    "TYPE_HEAVY_TRUCK": AgentKind.TRUCK,
+    "TYPE_SEMITRAILER": AgentKind.TRUCK,
+    "TYPE_TRAILER": AgentKind.TRUCK,
+    "TYPE_SEMITRACTOR": AgentKind.TRUCK,
+    "TYPE_DELIVERY_VAN": AgentKind.TRUCK,
+    "TYPE_BUS": AgentKind.BUS,
+    "TYPE_TRAM": AgentKind.BUS,
+    "TYPE_TRAIN": AgentKind.BUS,
+    "TYPE_MOTORBIKE": AgentKind.MOTORCYCLE,
+    "TYPE_BICYCLE": AgentKind.BICYCLE,
+    "TYPE_STANDUP_SCOOTER": AgentKind.BICYCLE,
     "TYPE_WHEELCHAIR": AgentKind.PEDESTRIAN,
-}  # fmt: skip
+}
 MOST_NAMED = 20
 """Greatest number of objects that an error message lists."""
 NOT_IN_THE_WAY = {"TYPE_BRIDGE", "TYPE_OVERHEAD_STRUCTURE", "TYPE_SPEED_BUMP", "TYPE_CURBSTONE"}
@@ -55,7 +62,13 @@ REQUIRED = {
     "host_vehicle_id": ("value",),
     "moving_object": ("id.value", "type", "vehicle_classification.type"),
     "moving_object.vehicle_attributes": ("bbcenter_to_rear.x", "bbcenter_to_front.x"),
-    "moving_object.base": ("dimension.length", "position.x", "orientation.yaw", "velocity.x", "acceleration.x"),
+    "moving_object.base": (
+        "dimension.length",
+        "position.x",
+        "orientation.yaw",
+        "velocity.x",
+        "acceleration.x",
+    ),
     "stationary_object": ("id.value", "classification.type"),
     "stationary_object.base": ("dimension.length", "position.x", "orientation.yaw"),
     "lane.id": ("value",),
@@ -114,7 +127,11 @@ def scenario_of(stream: Stream, name: str, ego_id: str = "") -> Scenario:
     if ego_id:
         seen.host = next((key for key in seen.rows if str(key) == ego_id), None)
     if seen.host is None or seen.host not in seen.rows:
-        what = "no host_vehicle_id" if seen.host is None else f"host vehicle {seen.host} is not among the objects"
+        what = (
+            "no host_vehicle_id"
+            if seen.host is None
+            else f"host vehicle {seen.host} is not among the objects"
+        )
         what = f"no moving object {ego_id}" if ego_id else what
         held = ", ".join(map(str, list(seen.rows)[:MOST_NAMED])) or "none"
         remedy = f"name one of the moving objects ({held}) with --ego"
@@ -125,7 +142,9 @@ def scenario_of(stream: Stream, name: str, ego_id: str = "") -> Scenario:
     for key, values in rows.items():
         for k, column in np.argwhere(~np.isfinite(values[:, 1:4])).tolist():
             what = f"{('x', 'y', 'yaw')[column]} of moving object {key} is {values[k, 1 + column]}"
-            raise LogError(what, topic=stream.topic, time_ns=stream.times[int(values[k, 0])], remedy=COPY_AGAIN)
+            raise LogError(
+                what, topic=stream.topic, time_ns=stream.times[int(values[k, 0])], remedy=COPY_AGAIN
+            )
     origin = np.round(rows[seen.host][0, 1:3])
     for values in rows.values():
         values[:, 1:3] -= origin
@@ -139,7 +158,9 @@ def scenario_of(stream: Stream, name: str, ego_id: str = "") -> Scenario:
             lanes, adjacent = _classic(seen.road, origin, notes)
             unused = len(seen.road.lane) - len(lanes)
             if lanes and unused:
-                notes.append(f"{unused} of {len(seen.road.lane)} lanes have no centre line and are left out.")
+                notes.append(
+                    f"{unused} of {len(seen.road.lane)} lanes have no centre line and are left out."
+                )
         lanes, drives_on_right = _beside_each_other(lanes, adjacent)
         if lanes:
             road = Road(lanes, drives_on_right=drives_on_right)
@@ -167,7 +188,10 @@ def scenario_of(stream: Stream, name: str, ego_id: str = "") -> Scenario:
 
 def _message_class(stream: Stream) -> type[Any]:
     if stream.encoding != "protobuf" or stream.schema_encoding != "protobuf":
-        raise LogError(f"{stream.schema} is encoded as {stream.encoding!r}, expected protobuf", topic=stream.topic)
+        raise LogError(
+            f"{stream.schema} is encoded as {stream.encoding!r}, expected protobuf",
+            topic=stream.topic,
+        )
     try:
         files = descriptor_pb2.FileDescriptorSet.FromString(stream.schema_data).file
         kind: type[Any] = message_factory.GetMessages(files)[stream.schema]
@@ -180,7 +204,9 @@ def _message_class(stream: Stream) -> type[Any]:
         for name in (*above, *path.split(".")):
             if descriptor is None or name not in descriptor.fields_by_name:
                 what = f"the protobuf descriptor in the file has no field {path}"
-                raise LogError(what, topic=stream.topic, remedy="write the log with OSI 3.5 or newer")
+                raise LogError(
+                    what, topic=stream.topic, remedy="write the log with OSI 3.5 or newer"
+                )
             descriptor = descriptor.fields_by_name[name].message_type
     return kind
 
@@ -195,9 +221,13 @@ def _decode_stream(stream: Stream) -> _Seen:
             raise LogError(what, topic=stream.topic, time_ns=log_time, remedy=COPY_AGAIN) from None
         truth = message.global_ground_truth if stream.schema == "osi3.SensorView" else message
         stamp = truth.timestamp
-        time = stamp.seconds * 1_000_000_000 + stamp.nanos if truth.HasField("timestamp") else log_time
+        time = (
+            stamp.seconds * 1_000_000_000 + stamp.nanos if truth.HasField("timestamp") else log_time
+        )
         if seen.times and time <= seen.times[-1]:
-            what = f"time does not increase, from {seen.times[-1] / 1e9:.3f} s to {time / 1e9:.3f} s"
+            what = (
+                f"time does not increase, from {seen.times[-1] / 1e9:.3f} s to {time / 1e9:.3f} s"
+            )
             remedy = "write each frame once, in order of time"
             raise LogError(what, topic=stream.topic, time_ns=log_time, remedy=remedy)
         if seen.host is None and truth.HasField("host_vehicle_id"):
@@ -224,7 +254,11 @@ def _decode_stream(stream: Stream) -> _Seen:
 def _vehicle(host: Any, notes: list[str]) -> tuple[VehicleParameters, FloatArray]:
     """The ego's parameters, and the vector from its centre to its rear axle, m."""
     default, size, known = VehicleParameters(), host.base.dimension, host.vehicle_attributes
-    length, width = (size.length, size.width) if min(size.length, size.width) > 0.0 else (default.length, default.width)
+    length, width = (
+        (size.length, size.width)
+        if min(size.length, size.width) > 0.0
+        else (default.length, default.width)
+    )
     sizes = {"length": length, "width": width}
     if known.HasField("bbcenter_to_rear") and -length / 2.0 < known.bbcenter_to_rear.x < 0.0:
         rear = known.bbcenter_to_rear
@@ -233,12 +267,15 @@ def _vehicle(host: Any, notes: list[str]) -> tuple[VehicleParameters, FloatArray
             wheelbase = known.bbcenter_to_front.x - rear.x
         sizes |= {"rear_overhang": overhang, "wheelbase": min(wheelbase, length - overhang)}
         return assumed_car(sizes, notes), np.array([rear.x, rear.y])
-    notes.append("The log does not say where the ego's rear axle is: it is placed as in the default car.")
+    notes.append(
+        "The log does not say where the ego's rear axle is: it is placed as in the default car."
+    )
     vehicle = assumed_car(sizes, notes)
     return vehicle, np.array([-vehicle.axle_to_center, 0.0])
 
 
-def _ego(rows: FloatArray, t: FloatArray, rear: FloatArray, notes: list[str]) -> Trajectory:  # (1), (2)
+# (1), (2)
+def _ego(rows: FloatArray, t: FloatArray, rear: FloatArray, notes: list[str]) -> Trajectory:
     yaw = np.unwrap(rows[:, 3])
     cos, sin = np.cos(yaw), np.sin(yaw)
     x, y = rows[:, 1] + rear[0] * cos - rear[1] * sin, rows[:, 2] + rear[0] * sin + rear[1] * cos
@@ -254,7 +291,9 @@ def _ego(rows: FloatArray, t: FloatArray, rear: FloatArray, notes: list[str]) ->
     return completed(columns, notes)
 
 
-def _tracks(seen: _Seen, rows: dict[int, FloatArray], t: FloatArray, origin: FloatArray, notes: list[str]) -> Tracks:
+def _tracks(
+    seen: _Seen, rows: dict[int, FloatArray], t: FloatArray, origin: FloatArray, notes: list[str]
+) -> Tracks:
     standing = {
         key: item
         for key, item in seen.standing.items()
@@ -262,7 +301,9 @@ def _tracks(seen: _Seen, rows: dict[int, FloatArray], t: FloatArray, origin: Flo
     }
     if len(standing) < len(seen.standing):
         left_out = len(seen.standing) - len(standing)
-        notes.append(f"{left_out} of {len(seen.standing)} stationary objects are not in the way (bridges, kerbs, ...).")
+        notes.append(
+            f"{left_out} of {len(seen.standing)} stationary objects are not in the way (bridges, kerbs, ...)."
+        )
     others = {key: values for key, values in rows.items() if key != seen.host}
     for key, item in standing.items():
         place, yaw = item.base.position, item.base.orientation.yaw
@@ -274,9 +315,13 @@ def _tracks(seen: _Seen, rows: dict[int, FloatArray], t: FloatArray, origin: Flo
         group = "" if key in standing else _enum_name(seen.moving[key], "type")
         kind = AgentKind.PEDESTRIAN if group == "TYPE_PEDESTRIAN" else AgentKind.OBJECT
         if group == "TYPE_VEHICLE":
-            kind = KINDS.get(_enum_name(seen.moving[key].vehicle_classification, "type"), AgentKind.CAR)
+            kind = KINDS.get(
+                _enum_name(seen.moving[key].vehicle_classification, "type"), AgentKind.CAR
+            )
         kinds.append(kind)
-    boxes = [(standing[key] if key in standing else seen.moving[key]).base.dimension for key in others]
+    boxes = [
+        (standing[key] if key in standing else seen.moving[key]).base.dimension for key in others
+    ]
     sizes = [
         (box.length, box.width) if min(box.length, box.width) > 0.0 else USUAL_SIZE_M[kind]
         for box, kind in zip(boxes, kinds, strict=True)
@@ -299,7 +344,9 @@ def _points(messages: Iterable[Any], origin: FloatArray) -> FloatArray:
     """The finite points `(n, 2)`, without repetitions."""
     points = np.array([(p.x, p.y) for p in messages], dtype=np.float64).reshape(-1, 2) - origin
     points = points[np.isfinite(points).all(axis=1)]
-    return points[np.r_[True, np.hypot(*np.diff(points, axis=0).T) > 1e-6]] if len(points) else points
+    return (
+        points[np.r_[True, np.hypot(*np.diff(points, axis=0).T) > 1e-6]] if len(points) else points
+    )
 
 
 def _logical(osi: _OsiMap, origin: FloatArray) -> tuple[dict[int, Lane], dict[int, list[int]]]:
@@ -308,7 +355,11 @@ def _logical(osi: _OsiMap, origin: FloatArray) -> tuple[dict[int, Lane], dict[in
     for key, message in osi.logical_lane.items():
         sides = []
         for ids in (message.left_boundary_id, message.right_boundary_id):
-            found = [osi.logical_lane_boundary[i.value] for i in ids if i.value in osi.logical_lane_boundary]
+            found = [
+                osi.logical_lane_boundary[i.value]
+                for i in ids
+                if i.value in osi.logical_lane_boundary
+            ]
             parts = [_points((p.position for p in b.boundary_line), origin) for b in found]
             sides.append(np.vstack([np.empty((0, 2)), *parts]))
         if min(map(len, sides)) < 2:
@@ -326,13 +377,18 @@ def _logical(osi: _OsiMap, origin: FloatArray) -> tuple[dict[int, Lane], dict[in
     return lanes, adjacent
 
 
-def _classic(osi: _OsiMap, origin: FloatArray, notes: list[str]) -> tuple[dict[int, Lane], dict[int, list[int]]]:
+def _classic(
+    osi: _OsiMap, origin: FloatArray, notes: list[str]
+) -> tuple[dict[int, Lane], dict[int, list[int]]]:
     """Lanes, and the ids that each lists as adjacent."""
     centers = {}
     for key, message in osi.lane.items():
         known = message.classification
         center = _points(known.centerline, origin)
-        turned = known.HasField("centerline_is_driving_direction") and not known.centerline_is_driving_direction
+        turned = (
+            known.HasField("centerline_is_driving_direction")
+            and not known.centerline_is_driving_direction
+        )
         if len(center) > 1:  # a line without a stated direction is not reversed
             centers[key] = center[::-1] if turned else center
     lanes, assumed = {}, 0
@@ -357,10 +413,14 @@ def _classic(osi: _OsiMap, origin: FloatArray, notes: list[str]) -> tuple[dict[i
     adjacent = {}
     for key, lane in lanes.items():
         known, onward = osi.lane[key].classification, []
-        adjacent[key] = [i.value for i in (*known.left_adjacent_lane_id, *known.right_adjacent_lane_id)]
+        adjacent[key] = [
+            i.value for i in (*known.left_adjacent_lane_id, *known.right_adjacent_lane_id)
+        ]
         for i in dict.fromkeys(paired_with.get(key, ())):
             if i in lanes:
-                begin, end = (float(np.hypot(*(lanes[i].center[k] - lane.center[-1]))) for k in (0, -1))
+                begin, end = (
+                    float(np.hypot(*(lanes[i].center[k] - lane.center[-1]))) for k in (0, -1)
+                )
                 onward += [i] if begin <= MAX_GAP and begin < end else []
         lanes[key] = replace(lane, successors=tuple(onward))
     return lanes, adjacent
@@ -375,7 +435,9 @@ def _facts(message: Any) -> dict[str, Any]:
     return {"drivable": kind in ("driving", "intersection"), "kind": word}
 
 
-def _lane_between_boundaries(key: int, osi: _OsiMap, center: FloatArray, origin: FloatArray) -> Lane | None:
+def _lane_between_boundaries(
+    key: int, osi: _OsiMap, center: FloatArray, origin: FloatArray
+) -> Lane | None:
     known = osi.lane[key].classification
     lines, crossable = [], []
     for ids in (known.left_lane_boundary_id, known.right_lane_boundary_id):
@@ -392,7 +454,14 @@ def _lane_between_boundaries(key: int, osi: _OsiMap, center: FloatArray, origin:
     if _lateral_offset(center, lines[0])[0] < 0.0 < _lateral_offset(center, lines[1])[0]:
         lines, crossable = lines[::-1], crossable[::-1]
     left, right = paired(*lines)
-    return Lane(key, left, right, left_crossable=crossable[0], right_crossable=crossable[1], **_facts(osi.lane[key]))
+    return Lane(
+        key,
+        left,
+        right,
+        left_crossable=crossable[0],
+        right_crossable=crossable[1],
+        **_facts(osi.lane[key]),
+    )
 
 
 def _lane_around_center(key: int, osi: _OsiMap, centers: dict[int, FloatArray]) -> Lane:
@@ -403,9 +472,14 @@ def _lane_around_center(key: int, osi: _OsiMap, centers: dict[int, FloatArray]) 
             offset, _ = _lateral_offset(center, other)
             if BESIDE[0] <= abs(offset) <= BESIDE[1]:
                 near[offset > 0.0].append(0.5 * abs(offset))
-    half = [min(near[side], default=min(near[not side], default=HALF_WIDTH)) for side in (True, False)]
+    half = [
+        min(near[side], default=min(near[not side], default=HALF_WIDTH)) for side in (True, False)
+    ]
     tangent = np.gradient(center, axis=0)
-    normal = np.column_stack([-tangent[:, 1], tangent[:, 0]]) / np.maximum(np.hypot(*tangent.T), 1e-9)[:, None]
+    normal = (
+        np.column_stack([-tangent[:, 1], tangent[:, 0]])
+        / np.maximum(np.hypot(*tangent.T), 1e-9)[:, None]
+    )
     return Lane(key, center + half[0] * normal, center - half[1] * normal, **_facts(osi.lane[key]))
 
 
@@ -424,25 +498,35 @@ def _lateral_offset(line: FloatArray, other: FloatArray) -> tuple[float, bool]:
     away = foot - point
     if abs(away @ tangent) > 0.5:
         return float("nan"), True
-    return float(tangent[0] * away[1] - tangent[1] * away[0]), bool((other[i + 1] - other[i]) @ tangent > 0.0)
+    return float(tangent[0] * away[1] - tangent[1] * away[0]), bool(
+        (other[i + 1] - other[i]) @ tangent > 0.0
+    )
 
 
-def _beside_each_other(lanes: dict[int, Lane], adjacent: dict[int, list[int]]) -> tuple[dict[int, Lane], bool]:
+def _beside_each_other(
+    lanes: dict[int, Lane], adjacent: dict[int, list[int]]
+) -> tuple[dict[int, Lane], bool]:
     """The lanes with their neighbours, and whether traffic drives on the right: opposite lanes are mostly left."""
     out, balance = {}, 0
     for key, lane in lanes.items():
-        nearest: dict[bool, tuple[int | None, bool]] = {True: (None, False), False: (None, False)}  # left, right
+        # left, right
+        nearest: dict[bool, tuple[int | None, bool]] = {True: (None, False), False: (None, False)}
         distance = {True: BESIDE[1], False: BESIDE[1]}
         for other in (lanes[i] for i in adjacent[key] if i in lanes):
             offset, same = _lateral_offset(lane.center, other.center)
             if 0.5 * BESIDE[0] <= abs(offset) <= distance[offset > 0.0]:
                 nearest[offset > 0.0], distance[offset > 0.0] = (other.id, same), abs(offset)
         (left, left_same), (right, right_same) = nearest[True], nearest[False]
-        left_opposite, right_opposite = left is not None and not left_same, right is not None and not right_same
+        left_opposite, right_opposite = (
+            left is not None and not left_same,
+            right is not None and not right_same,
+        )
         balance += left_opposite - right_opposite
         beside: dict[str, Any] = {
             "left_neighbour": left if left_same else None,
             "right_neighbour": right if right_same else None,
         }
-        out[key] = replace(lane, **beside, left_opposite=left_opposite, right_opposite=right_opposite)
+        out[key] = replace(
+            lane, **beside, left_opposite=left_opposite, right_opposite=right_opposite
+        )
     return out, balance >= 0

@@ -23,7 +23,14 @@ from replan.logs.agents import codes_of
 from replan.logs.codec import noun_of
 from replan.logs.complete import completed, road_along
 from replan.logs.mcap import native, osi
-from replan.logs.mcap.container import CONVERT, LAST_TIME_NS, MEND, Container, Stream, read_container
+from replan.logs.mcap.container import (
+    CONVERT,
+    LAST_TIME_NS,
+    MEND,
+    Container,
+    Stream,
+    read_container,
+)
 from replan.logs.observed import of_stream
 from replan.logs.repair.detections import Detections, Repair, TrackChange
 from replan.logs.rules import Colour, TrafficLight
@@ -46,15 +53,20 @@ def read_scenario(path: Path, ego: str = "") -> Scenario:
 def scenario_of(container: Container, ego: str = "") -> Scenario:
     """The scenario in a container; LogError as in `read_scenario`."""
     container.whole()
-    with in_file(container.path), np.errstate(all="ignore"):  # the checks below refuse absurd numbers
+    # The checks below refuse absurd numbers
+    with in_file(container.path), np.errstate(all="ignore"):
         if native.SCENARIO_RECORD in container.metadata:
             if ego:
-                raise LogError(f"ego {ego} is asked for, but a native log has its ego", remedy="leave ego out")
+                raise LogError(
+                    f"ego {ego} is asked for, but a native log has its ego", remedy="leave ego out"
+                )
             return _native(container)
         stream = container.of_schema(*osi.SCHEMAS)
         if stream is not None:
             return osi.scenario_of(stream, container.path.stem, ego)
-    held = ", ".join(sorted({s.schema or f"{s.encoding} without schema" for s in container.streams.values()}))
+    held = ", ".join(
+        sorted({s.schema or f"{s.encoding} without schema" for s in container.streams.values()})
+    )
     what = f"neither a native nor an OSI log; it holds {held}"
     if any(s.schema.startswith("replan.") for s in container.streams.values()):
         what = f"a native log without its metadata record {native.SCENARIO_RECORD}"
@@ -65,7 +77,11 @@ def _native(container: Container) -> Scenario:
     record, streams = container.metadata[native.SCENARIO_RECORD], container.streams
     version = record.get("format_version", "")
     if not (version.isdecimal() and len(version) < 9):
-        raise LogError(f"format_version is {version!r}", topic=native.SCENARIO_RECORD, remedy="expected a whole number")
+        raise LogError(
+            f"format_version is {version!r}",
+            topic=native.SCENARIO_RECORD,
+            remedy="expected a whole number",
+        )
     if int(version) > native.FORMAT_VERSION:
         what = f"format version {version} is newer than {native.FORMAT_VERSION}, the newest that this replan reads"
         raise LogError(what, topic=native.SCENARIO_RECORD, remedy="update replan")
@@ -74,7 +90,11 @@ def _native(container: Container) -> Scenario:
     notes: list[str] = []
     start_ns = _from_record(record, "start_ns", int, streams["/ego"].times[0])
     if not 0 <= start_ns <= LAST_TIME_NS:
-        raise LogError(f"start_ns is {start_ns}", topic=native.SCENARIO_RECORD, remedy="a log time, nanoseconds")
+        raise LogError(
+            f"start_ns is {start_ns}",
+            topic=native.SCENARIO_RECORD,
+            remedy="a log time, nanoseconds",
+        )
     with reading(topic="/ego", remedy=MEND):
         ego = completed(sampled(streams["/ego"], native.Ego, start_ns), notes)
     tracks, extended = marked_tracks(streams, start_ns, notes)
@@ -91,14 +111,25 @@ def _native(container: Container) -> Scenario:
     if parameters is None:
         notes.append(f"{VEHICLE_ASSUMED}.")
     with reading(topic="/vehicle"):
-        vehicle = VehicleParameters(**msgspec.structs.asdict(parameters)) if parameters else VehicleParameters()
+        vehicle = (
+            VehicleParameters(**msgspec.structs.asdict(parameters))
+            if parameters
+            else VehicleParameters()
+        )
     controls, agents = streams.get("/controls", streams.get("/actuation")), streams.get("/agents")
     traffic = _from_record(record, "traffic_s", tuple[tuple[float, float], ...], None)
-    if traffic is None and agents and not all(message.id for message in agents.decoded(native.AgentColumns)):
+    if (
+        traffic is None
+        and agents
+        and not all(message.id for message in agents.decoded(native.AgentColumns))
+    ):
         traffic = of_stream(seconds(agents.times, start_ns))  # including empty messages
     noted = _from_record(record, "notes", list[str], [])
     free = container.metadata.get(native.FREE_RECORD, {})
-    driven = {f"trace_{key}": value for key, value in container.metadata.get(native.TRACE_RECORD, {}).items()}
+    driven = {
+        f"trace_{key}": value
+        for key, value in container.metadata.get(native.TRACE_RECORD, {}).items()
+    }
     with reading():
         return Scenario(
             name=record.get("name", container.path.stem),
@@ -112,7 +143,10 @@ def _native(container: Container) -> Scenario:
             tags=tuple(_from_record(record, "tags", list[str], [])),
             source=record.get("source", ""),
             licence=record.get("licence", ""),
-            origin=(_from_record(record, "origin_x_m", float, 0.0), _from_record(record, "origin_y_m", float, 0.0)),
+            origin=(
+                _from_record(record, "origin_x_m", float, 0.0),
+                _from_record(record, "origin_y_m", float, 0.0),
+            ),
             start_ns=start_ns,
             metadata={**free, **driven},
             notes=(*noted, *(note for note in notes if note not in noted)),
@@ -141,7 +175,9 @@ def _one(streams: dict[str, Stream], topic: str, kind: type[T]) -> T | None:
         return None
     if len(streams[topic]) > 1:
         what = f"{counted(len(streams[topic]), 'message')}, expected one"
-        raise LogError(what, topic=topic, time_ns=streams[topic].times[1], remedy="keep one of them")
+        raise LogError(
+            what, topic=topic, time_ns=streams[topic].times[1], remedy="keep one of them"
+        )
     return streams[topic].decoded(kind)[0]
 
 
@@ -169,7 +205,10 @@ def sampled(stream: Stream, kind: type[msgspec.Struct], start_ns: int) -> dict[s
     if not 0 <= min(times) <= max(times) <= LAST_TIME_NS:
         raise LogError("a log time is beyond any clock", topic=stream.topic, remedy=MEND)
     replace(stream, times=times).check_order(strictly=True)
-    return {"t": seconds(times, start_ns), **{name: np.array(some, np.float64) for name, some in joined.items()}}
+    return {
+        "t": seconds(times, start_ns),
+        **{name: np.array(some, np.float64) for name, some in joined.items()},
+    }
 
 
 AGENTS = ("/agents/table", "/obstacles", "/agents")
@@ -182,10 +221,15 @@ def marked_tracks(
     """Tracks from a table and columns of samples, and which of the samples are marked as extended."""
     who = topics[0]
     table = _one(streams, who, native.AgentTable)
-    moving = [streams[topic] for topic in dict.fromkeys(topics[:0:-1]) if len(streams.get(topic, ()))]
+    moving = [
+        streams[topic] for topic in dict.fromkeys(topics[:0:-1]) if len(streams.get(topic, ()))
+    ]
     if table is None:
         if moving:
-            what, remedy = "there are agents, but no table of them", "name each with its kind, length and width"
+            what, remedy = (
+                "there are agents, but no table of them",
+                "name each with its kind, length and width",
+            )
             raise LogError(what, topic=who, remedy=remedy)
         return Tracks.empty(), np.empty(0, np.bool_)
     _equal_lengths(table, who, streams[who].times[0])
@@ -198,7 +242,9 @@ def marked_tracks(
     twice = np.flatnonzero((np.diff(row) == 0) & (np.diff(times) == 0))
     if len(twice):
         what = f"agent '{table.id[row[twice[0]]]}' has two samples at one time"
-        raise LogError(what, topic=topics[-1], time_ns=int(times[twice[0]]), remedy="keep one of them")
+        raise LogError(
+            what, topic=topics[-1], time_ns=int(times[twice[0]]), remedy="keep one of them"
+        )
     there = np.unique(row)
     if len(there) < len(rows):
         notes.append(f"{len(rows) - len(there)} of {len(rows)} {UNSEEN}")
@@ -206,10 +252,15 @@ def marked_tracks(
     *values, extended = (np.array(column, dtype=np.float64)[order] for column in columns)
     with reading(topic=who, remedy=MEND):
         tracks = Tracks(
-            tuple(table.id[i] for i in there), tuple(table.kind[i] for i in there), np.array(table.length)[there],
-            np.array(table.width)[there], np.array(table.static, dtype=np.bool_)[there], offsets,
-            (times - start_ns) / 1e9, *values,
-        )  # fmt: skip
+            tuple(table.id[i] for i in there),
+            tuple(table.kind[i] for i in there),
+            np.array(table.length)[there],
+            np.array(table.width)[there],
+            np.array(table.static, dtype=np.bool_)[there],
+            offsets,
+            (times - start_ns) / 1e9,
+            *values,
+        )
     return tracks, extended.astype(np.bool_)
 
 
@@ -229,7 +280,9 @@ def _samples(
                 row.extend([rows[name] for name in message.id])
             except KeyError as error:
                 what = f"agent {error} is not in {who}"
-                raise LogError(what, topic=stream.topic, time_ns=time, remedy="add it there") from None
+                raise LogError(
+                    what, topic=stream.topic, time_ns=time, remedy="add it there"
+                ) from None
             times.extend([time] * len(message.id))
             for column, name in zip(columns, ("x", "y", "yaw", "vx", "vy"), strict=False):
                 column.extend(getattr(message, name) or [None] * len(message.id))
@@ -253,7 +306,9 @@ def _detections(
         t = np.repeat(frames, [len(each.id) for each in messages])
         columns = {name: np.array(some, np.float64) for name, some in joined.items()}
         with reading(topic=stream.topic, remedy=MEND):
-            found = Detections(t=t, frames=frames, ids=tuple(ids), codes=codes_of(tuple(kinds)), **columns)
+            found = Detections(
+                t=t, frames=frames, ids=tuple(ids), codes=codes_of(tuple(kinds)), **columns
+            )
     message = _one(streams, "/repair", native.Repair)
     if message is None:
         return found, None
@@ -263,20 +318,31 @@ def _detections(
     _equal_lengths(message, "/repair", streams["/repair"].times[0])
     *rows, sources = msgspec.structs.astuple(message)
     changes = tuple(TrackChange(*row) for row in zip(*rows, map(tuple, sources), strict=True))
-    return None, Repair(found, marked_tracks(streams, start_ns, [], REMOVED)[0], extended, changes, tracks)
+    return None, Repair(
+        found, marked_tracks(streams, start_ns, [], REMOVED)[0], extended, changes, tracks
+    )
 
 
-def _join_columns(messages: Sequence[msgspec.Struct], kind: type[msgspec.Struct]) -> dict[str, list[Any]]:
+def _join_columns(
+    messages: Sequence[msgspec.Struct], kind: type[msgspec.Struct]
+) -> dict[str, list[Any]]:
     return {
-        name: list(chain.from_iterable(getattr(each, name) for each in messages)) for name in kind.__struct_fields__
+        name: list(chain.from_iterable(getattr(each, name) for each in messages))
+        for name in kind.__struct_fields__
     }
 
 
 def _equal_lengths(message: msgspec.Struct, topic: str, time: int) -> None:
     lengths = {len(column) for column in msgspec.structs.astuple(message) if column is not None}
     if len(lengths) > 1:
-        columns = {native.serialised(n): len(c) for n, c in msgspec.structs.asdict(message).items() if c is not None}
-        what = "columns differ in length: " + ", ".join(f"{name} {count}" for name, count in columns.items())
+        columns = {
+            native.serialised(n): len(c)
+            for n, c in msgspec.structs.asdict(message).items()
+            if c is not None
+        }
+        what = "columns differ in length: " + ", ".join(
+            f"{name} {count}" for name, count in columns.items()
+        )
         raise LogError(what, topic=topic, time_ns=time, remedy="an entry for each in every column")
 
 
@@ -286,7 +352,9 @@ def _road(message: native.Road | None, ego: Trajectory, notes: list[str]) -> nou
     if not message.default_speed_limit > 0.0:
         raise LogError("default_speed_limit_mps must be positive", topic="/road", remedy=MEND)
     if len({lane.id for lane in message.lanes}) < len(message.lanes):
-        raise LogError("two lanes have the same id", topic="/road", remedy="ids are unique in a road")
+        raise LogError(
+            "two lanes have the same id", topic="/road", remedy="ids are unique in a road"
+        )
     with reading(topic="/road", remedy=MEND):
         return noun_of(nouns.Road, message)
 
@@ -304,7 +372,10 @@ def _lights(stream: Stream | None, start_ns: int) -> tuple[TrafficLight, ...]:
                 what = f"light {light} has two colours at one time"
                 raise LogError(what, topic=stream.topic, time_ns=time, remedy="keep one of them")
             shown[light][time] = colour
-    return tuple(TrafficLight(i, seconds(list(c), start_ns), tuple(c.values())) for i, c in sorted(shown.items()))
+    return tuple(
+        TrafficLight(i, seconds(list(c), start_ns), tuple(c.values()))
+        for i, c in sorted(shown.items())
+    )
 
 
 def _onboard(stream: Stream | None, start_ns: int) -> tuple[OnboardPlan, ...]:
@@ -313,7 +384,9 @@ def _onboard(stream: Stream | None, start_ns: int) -> tuple[OnboardPlan, ...]:
     stream.check_order(strictly=True)
     known = seconds(stream.times, start_ns).tolist()
     out = []
-    for at, time, message in zip(known, stream.times, stream.decoded(native.OnboardPlan), strict=True):
+    for at, time, message in zip(
+        known, stream.times, stream.decoded(native.OnboardPlan), strict=True
+    ):
         _equal_lengths(message.trajectory, stream.topic, time)
         with reading(topic=stream.topic, time_ns=time, remedy=MEND):
             out.append(noun_of(OnboardPlan, message, known=at))
@@ -325,5 +398,7 @@ def _goal(message: native.Goal | None) -> nouns.Goal | None:
         return None
     for region in chain(message.regions, *(one.regions for one in message.alternatives)):
         if len(region.x) != len(region.y) or len(region.x) < 3:
-            raise LogError("a region needs as many x_m as y_m, three or more", topic="/goal", remedy=MEND)
+            raise LogError(
+                "a region needs as many x_m as y_m, three or more", topic="/goal", remedy=MEND
+            )
     return noun_of(nouns.Goal, message)

@@ -108,7 +108,11 @@ class Salvage:
     def lines(self) -> list[str]:
         """The report, one line each."""
         kept = f"kept {counted(self.messages, 'message')} in {counted(self.chunks, 'intact chunk')}"
-        nameless = [f"left out {counted(self.nameless, 'message')} whose channel was lost"] if self.nameless else []
+        nameless = (
+            [f"left out {counted(self.nameless, 'message')} whose channel was lost"]
+            if self.nameless
+            else []
+        )
         unsure = f"{self.unchecked} of the chunks have no checksum: bytes that changed in their messages are not seen"
         unchecked = [unsure] if self.unchecked else []
         if not self.lost:
@@ -134,7 +138,9 @@ def salvage(source: Path, target: Path) -> Salvage:
     while at < len(raw):
         if broken is None and raw[at] == Opcode.DATA_END:
             break
-        records = _records_at(raw, at, in_step=broken is None, undamaged=not report.lost and broken is None)
+        records = _records_at(
+            raw, at, in_step=broken is None, undamaged=not report.lost and broken is None
+        )
         if records is None:
             broken = at if broken is None else broken
             at = _next_chunk(raw, at + 1)
@@ -194,7 +200,9 @@ class _Copy:
         with path.open("wb") as file:
             writer: Any = Writer(file, CHUNK_BYTES, CompressionType.ZSTD, enable_data_crcs=True)
             encodings = {schema.encoding for schema in self.schemas.values()}
-            writer.start(self.profile or ("ros2" if encodings & ROS2_SCHEMAS else ""), library=SALVAGED)
+            writer.start(
+                self.profile or ("ros2" if encodings & ROS2_SCHEMAS else ""), library=SALVAGED
+            )
             for record in self.metadata:
                 writer.add_metadata(record.name, record.metadata)
             schemas, channels = {0: 0}, {}
@@ -202,7 +210,9 @@ class _Copy:
                 schemas[old] = writer.register_schema(schema.name, schema.encoding, schema.data)
             for old, each in sorted(self.channels.items()):
                 schema_id = schemas.get(each.schema_id, 0)
-                channels[old] = writer.register_channel(each.topic, each.message_encoding, schema_id, each.metadata)
+                channels[old] = writer.register_channel(
+                    each.topic, each.message_encoding, schema_id, each.metadata
+                )
             for message in self.messages:
                 sent = message.log_time, message.data, message.publish_time
                 writer.add_message(channels[message.channel_id], *sent, message.sequence)
@@ -227,7 +237,11 @@ def _records_at(
             chunk = Chunk.read(body)
             found = opened(chunk)
             begin, end = chunk.message_start_time, chunk.message_end_time
-            if any(not begin <= record.log_time <= end for record in found if isinstance(record, Message)):
+            if any(
+                not begin <= record.log_time <= end
+                for record in found
+                if isinstance(record, Message)
+            ):
                 return None  # the stated times are not those of its messages
             return size, found, True
         if not in_step or (code == Opcode.MESSAGE and not undamaged):
@@ -256,7 +270,8 @@ def _next_chunk(raw: bytes, at: int) -> int:
     names = {name.encode() for name in COMPRESSIONS}
     at = raw.find(bytes([Opcode.CHUNK]), at)
     while 0 <= at <= len(raw) - HEAD - 32:
-        place = at + HEAD + 32  # of its compression's name, which is cheap to check before the chunk is opened
+        # Of its compression's name, which is cheap to check before the chunk is opened
+        place = at + HEAD + 32
         (size,) = struct.unpack_from("<I", raw, place - 4)
         if size <= 4 and raw[place : place + size] in names and _records_at(raw, at) is not None:
             return at
@@ -276,7 +291,11 @@ def _summary(raw: bytes, copy: _Copy) -> None:
             return
         if raw[at] in (Opcode.SCHEMA, Opcode.CHANNEL):
             try:
-                copy.take(_KNOWN[raw[at]](ReadDataStream(BytesIO(raw[at + HEAD : at + HEAD + size])), size))
+                copy.take(
+                    _KNOWN[raw[at]](
+                        ReadDataStream(BytesIO(raw[at + HEAD : at + HEAD + size])), size
+                    )
+                )
             except DAMAGE:
                 return
         at += HEAD + size
@@ -297,15 +316,23 @@ def write_part(ranged: Ranged, size: int, begin: float, end: float, path: Path) 
         if footer.summary_start < at:
             tail, at = ranged(footer.summary_start, at) + tail, footer.summary_start
         summary = list(_records(tail[footer.summary_start - at :]))
-        index = next(each for each in _records_of_kind(summary, MetadataIndex) if each.name == native.SCENARIO_RECORD)
+        index = next(
+            each
+            for each in _records_of_kind(summary, MetadataIndex)
+            if each.name == native.SCENARIO_RECORD
+        )
         found = next(iter(_records(ranged(index.offset, index.offset + index.length))))
         record = found.metadata if isinstance(found, Metadata) else {}
         if "start_ns" not in record:
             return False
         start_ns = msgspec.json.decode(record["start_ns"], type=int)
-        detected = any(channel.topic == "/detections" for channel in _records_of_kind(summary, Channel))
+        detected = any(
+            channel.topic == "/detections" for channel in _records_of_kind(summary, Channel)
+        )
         around = DETECTED_S if detected else HISTORY_S
-        chunks = _chosen(summary, start_ns + 1e9 * (begin - around), start_ns + 1e9 * (end + around))
+        chunks = _chosen(
+            summary, start_ns + 1e9 * (begin - around), start_ns + 1e9 * (end + around)
+        )
         if not chunks:
             return False
         path.write_bytes(b"".join(_pieces(ranged, summary, chunks)))
@@ -328,8 +355,14 @@ def _records_of_kind(summary: Sequence[McapRecord], kind: type[R]) -> list[R]:
 
 
 def _chosen(summary: Sequence[McapRecord], first_ns: float, last_ns: float) -> list[ChunkIndex]:
-    chunks = sorted(_records_of_kind(summary, ChunkIndex), key=lambda chunk: chunk.chunk_start_offset)
-    rare = {channel.id for channel in _records_of_kind(summary, Channel) if channel.topic not in PERIODIC}
+    chunks = sorted(
+        _records_of_kind(summary, ChunkIndex), key=lambda chunk: chunk.chunk_start_offset
+    )
+    rare = {
+        channel.id
+        for channel in _records_of_kind(summary, Channel)
+        if channel.topic not in PERIODIC
+    }
     kept = set(range(len(chunks[:1])))  # (4)
     for k, chunk in enumerate(chunks):
         if chunk.message_start_time <= last_ns and first_ns <= chunk.message_end_time:
@@ -342,15 +375,20 @@ def _chosen(summary: Sequence[McapRecord], first_ns: float, last_ns: float) -> l
     return [chunks[k] for k in sorted(kept)]
 
 
-def _pieces(ranged: Ranged, summary: Sequence[McapRecord], chunks: Sequence[ChunkIndex]) -> Iterator[bytes]:
+def _pieces(
+    ranged: Ranged, summary: Sequence[McapRecord], chunks: Sequence[ChunkIndex]
+) -> Iterator[bytes]:
     """The pieces of a file without index: head, metadata, schemas and channels, the chunks unchanged, its end."""
     indices = _records_of_kind(summary, MetadataIndex)
-    first = min([index.offset for index in indices] + [chunk.chunk_start_offset for chunk in chunks])
+    first = min(
+        [index.offset for index in indices] + [chunk.chunk_start_offset for chunk in chunks]
+    )
     yield ranged(0, first)
     for index in indices:
         yield ranged(index.offset, index.offset + index.length)
     yield _written([*_records_of_kind(summary, Schema), *_records_of_kind(summary, Channel)])
-    runs, behind = list[tuple[int, int]](), -1  # neighbours are one request, with the indices between
+    # Neighbours are one request, with the indices between
+    runs, behind = list[tuple[int, int]](), -1
     for chunk in chunks:
         begin = chunk.chunk_start_offset
         end = begin + chunk.chunk_length
@@ -360,7 +398,12 @@ def _pieces(ranged: Ranged, summary: Sequence[McapRecord], chunks: Sequence[Chun
         behind = end + chunk.message_index_length
     for begin, end in runs:
         yield ranged(begin, end)
-    yield _written([DataEnd(data_section_crc=0), Footer(summary_start=0, summary_offset_start=0, summary_crc=0)])
+    yield _written(
+        [
+            DataEnd(data_section_crc=0),
+            Footer(summary_start=0, summary_offset_start=0, summary_crc=0),
+        ]
+    )
     yield MCAP0_MAGIC
 
 

@@ -51,9 +51,13 @@ SUMMARY_STEP_S = 2.0
 
 
 def write_trace(
-    path: Path, trace: Trace, scenario: Scenario, *, internals: Internals = "summary",
+    path: Path,
+    trace: Trace,
+    scenario: Scenario,
+    *,
+    internals: Internals = "summary",
     beside: Iterable[Entry] = (),
-) -> None:  # fmt: skip
+) -> None:
     """Write a trace as a native log, and messages `beside` it on other topics; LogError as in `write_scenario`."""
     with in_file(path):
         driven = driven_scenario(trace, scenario)
@@ -61,7 +65,10 @@ def write_trace(
             **scenario_records(driven, version=native.FORMAT_VERSION),
             native.TRACE_RECORD: trace_record(trace, internals),
         }
-        entries = scenario_entries(driven, blocks=True), _trace_entries(trace, scenario.start_ns, internals)
+        entries = (
+            scenario_entries(driven, blocks=True),
+            _trace_entries(trace, scenario.start_ns, internals),
+        )
         write_log(Path(path), records, chain(*entries, beside))
 
 
@@ -102,8 +109,13 @@ def _trace_entries(trace: Trace, start_ns: int, internals: Internals) -> Iterato
             ids = [frame.agents[i] for i in futures.agent]
             probability = column(futures.probability, "/predictions", "probability")
             kept = slice(None) if internals == "full" else kept_samples(futures.t, SUMMARY_STEP_S)
-            x, y = ([column(row[kept], "/predictions", name) for row in getattr(futures, name)] for name in ("x", "y"))
-            message = native.Predictions(futures.method, futures.t[kept].tolist(), ids, probability, x, y)
+            x, y = (
+                [column(row[kept], "/predictions", name) for row in getattr(futures, name)]
+                for name in ("x", "y")
+            )
+            message = native.Predictions(
+                futures.method, futures.t[kept].tolist(), ids, probability, x, y
+            )
             yield time, "/predictions", message
     if trace.perceived is not None:
         if not _who(trace.perceived).items() <= _who(trace.agents).items():
@@ -113,9 +125,15 @@ def _trace_entries(trace: Trace, start_ns: int, internals: Internals) -> Iterato
         order = np.lexsort((shown.owner, at_ns))
         ordered = at_ns[order]
         for time in times:  # an empty message where no agent was seen
-            at = order[np.searchsorted(ordered, time) : np.searchsorted(ordered, time, side="right")]
+            at = order[
+                np.searchsorted(ordered, time) : np.searchsorted(ordered, time, side="right")
+            ]
             columns = (getattr(shown, name)[at].tolist() for name in COLUMNS)
-            yield time, "/perceived", native.AgentColumns([shown.ids[i] for i in shown.owner[at]], *columns)
+            yield (
+                time,
+                "/perceived",
+                native.AgentColumns([shown.ids[i] for i in shown.owner[at]], *columns),
+            )
     for topic, kind, table in (
         ("/command", native.Controls, trace.commands),
         ("/actuation", native.Controls, trace.actuation),
@@ -134,7 +152,9 @@ def plan_message(plan: nouns.Plan, internals: Internals) -> native.Plan:
     """The message of a plan, with the part of its internals that `internals` selects."""
     planned = plan.trajectory
     kept = kept_samples(planned.t) if internals == "none" else slice(None)
-    columns = native.TrajectoryColumns(*(getattr(planned, name)[kept].tolist() for name in TRAJECTORY_COLUMNS))
+    columns = native.TrajectoryColumns(
+        *(getattr(planned, name)[kept].tolist() for name in TRAJECTORY_COLUMNS)
+    )
     inside = {} if internals == "none" else inside_of(plan.internals, full=internals == "full")
     return message_of(native.Plan, plan, trajectory=columns, **inside)
 
@@ -194,22 +214,33 @@ def read_moment(path: Path, t: float) -> tuple[Trace, Scenario, tuple[nouns.Plan
         plans, summaries = streams.get("/plan", _none("/plan")), list[nouns.PlanSummary]()
         plans.check_order(strictly=True)
         times = seconds(plans.times, start).tolist()
-        for time, at, message in zip(plans.times, times, plans.decoded(native.PlanHead), strict=True):
+        for time, at, message in zip(
+            plans.times, times, plans.decoded(native.PlanHead), strict=True
+        ):
             with reading((KeyError,), topic="/plan", time_ns=time, remedy=MEND):
-                summaries.append(noun_of(nouns.PlanSummary, message, t=at, internals=tuple(artefacts_of(message))))
+                summaries.append(
+                    noun_of(
+                        nouns.PlanSummary, message, t=at, internals=tuple(artefacts_of(message))
+                    )
+                )
         newest = int(np.searchsorted([one.t for one in summaries], t + 1e-9, side="right")) - 1
         some = {}
         for topic in ("/plan", "/predictions") if newest >= 0 else ():
             stream, time = streams.get(topic, _none(topic)), plans.times[newest]
             kept = [i for i, each in enumerate(stream.times) if each == time]
-            some[topic] = replace(stream, times=[time] * len(kept), payloads=[stream.payloads[i] for i in kept])
+            some[topic] = replace(
+                stream, times=[time] * len(kept), payloads=[stream.payloads[i] for i in kept]
+            )
         return _trace(container, scenario, _frames(some, start)), scenario, tuple(summaries)
 
 
 def _trace(container: Container, scenario: Scenario, frames: Iterator[PlannedFrame]) -> Trace:
     record = container.metadata.get(native.TRACE_RECORD)
     if record is None:
-        raise LogError("a log, and no drive of a planner", remedy="name a trace: open.mcap or closed.mcap of a result")
+        raise LogError(
+            "a log, and no drive of a planner",
+            remedy="name a trace: open.mcap or closed.mcap of a result",
+        )
     streams, start = container.streams, scenario.start_ns
     try:
         mode, end = Mode(record["mode"]), EndReason[record["end"].upper()]
@@ -219,11 +250,15 @@ def _trace(container: Container, scenario: Scenario, frames: Iterator[PlannedFra
         Controls(**sampled(streams[name], native.Controls, start)) if name in streams else None
         for name in ("/command", "/actuation")
     )
-    tracking = TrackingErrors(**sampled(streams["/tracking"], native.Tracking, start)) if done else None
+    tracking = (
+        TrackingErrors(**sampled(streams["/tracking"], native.Tracking, start)) if done else None
+    )
     perceived = Tracks.empty() if "/perceived" in streams else None
     table = streams.get("/perceived/table", streams.get("/agents/table"))
     if "/perceived" in streams and table is not None:
-        perceived, _ = marked_tracks({"/agents/table": table, "/agents": streams["/perceived"]}, start, [])
+        perceived, _ = marked_tracks(
+            {"/agents/table": table, "/agents": streams["/perceived"]}, start, []
+        )
     return Trace(
         scenario=record.get("scenario", scenario.name),
         planner=record.get("planner", ""),
@@ -252,7 +287,10 @@ def _frames(streams: dict[str, Stream], start_ns: int) -> Iterator[PlannedFrame]
     expected = streams.get("/predictions", _none("/predictions"))
     predictions = dict(zip(expected.times, expected.decoded(native.Predictions), strict=True))
     for time, t, message in zip(
-        plans.times, seconds(plans.times, start_ns).tolist(), plans.decoded(native.Plan), strict=True
+        plans.times,
+        seconds(plans.times, start_ns).tolist(),
+        plans.decoded(native.Plan),
+        strict=True,
     ):
         with reading((KeyError, ValueError), topic="/plan", time_ns=time, remedy=MEND):
             shown, agents, futures = predictions.get(time), tuple[str, ...](), None
@@ -262,6 +300,8 @@ def _frames(streams: dict[str, Stream], start_ns: int) -> Iterator[PlannedFrame]
                 rows = np.array([row[name] for name in shown.id], dtype=np.int64)
                 shape = (len(rows), len(shown.t))
                 x, y = (np.array(some, np.float64).reshape(shape) for some in (shown.x, shown.y))
-                futures = noun_of(Predictions, shown, agent=rows, x=x, y=y, yaw=np.full(shape, np.nan))
+                futures = noun_of(
+                    Predictions, shown, agent=rows, x=x, y=y, yaw=np.full(shape, np.nan)
+                )
             plan = noun_of(nouns.Plan, message, internals=tuple(artefacts_of(message)))
             yield PlannedFrame(t, plan, agents, futures)

@@ -59,14 +59,23 @@ def is_written_here(path: Path) -> bool:
     """Return whether a file is an MCAP file that replan wrote; OSError if it cannot be read."""
     profile = len(PROFILE).to_bytes(4, "little") + PROFILE.encode()
     with path.open("rb") as stream:
-        return stream.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC and stream.read(9 + len(profile))[9:] == profile
+        return (
+            stream.read(len(MCAP0_MAGIC)) == MCAP0_MAGIC
+            and stream.read(9 + len(profile))[9:] == profile
+        )
 
 
-def write_log(path: Path, records: Mapping[str, Mapping[str, str]], entries: Iterable[Entry]) -> None:
+def write_log(
+    path: Path, records: Mapping[str, Mapping[str, str]], entries: Iterable[Entry]
+) -> None:
     """Write metadata records and messages, in order of time, then of `native.TOPICS`, then of first occurrence."""
     part = path.with_name(f".{path.name}.part")
     try:
-        with writing(path), part.open("wb") as file, SpooledTemporaryFile(SPOOL_BYTES, dir=str(path.parent)) as spool:
+        with (
+            writing(path),
+            part.open("wb") as file,
+            SpooledTemporaryFile(SPOOL_BYTES, dir=str(path.parent)) as spool,
+        ):
             writer: Any = Writer(file, CHUNK_BYTES, CompressionType.ZSTD, enable_data_crcs=True)
             writer.start(profile=PROFILE, library="replan")
             for name, record in records.items():
@@ -74,7 +83,8 @@ def write_log(path: Path, records: Mapping[str, Mapping[str, str]], entries: Ite
             encoder = msgspec.json.Encoder(enc_hook=scalar_as_number)
             kinds: dict[str, type[msgspec.Struct | Message]] = {}
             places, end = list[tuple[int, str, int, int]](), 0
-            for time, topic, message in entries:  # encoded messages wait in the spool until all are known
+            # Encoded messages wait in the spool until all are known
+            for time, topic, message in entries:
                 if isinstance(message, Message):
                     data = message.SerializeToString(deterministic=True)
                 else:
@@ -83,7 +93,9 @@ def write_log(path: Path, records: Mapping[str, Mapping[str, str]], entries: Ite
                 places.append((time, topic, end, len(data)))
                 spool.write(data)
                 end += len(data)
-            rank = {topic: index for index, topic in enumerate(dict.fromkeys((*native.TOPICS, *kinds)))}
+            rank = {
+                topic: index for index, topic in enumerate(dict.fromkeys((*native.TOPICS, *kinds)))
+            }
             schemas: dict[type[msgspec.Struct | Message], int] = {}
             channels: dict[str, int] = {}
             for topic in sorted(kinds, key=rank.__getitem__):
@@ -93,7 +105,9 @@ def write_log(path: Path, records: Mapping[str, Mapping[str, str]], entries: Ite
                 encoding = "protobuf" if issubclass(kind, Message) else "json"
                 channels[topic] = writer.register_channel(topic, encoding, schemas[kind])
             sequence = dict.fromkeys(channels, 0)
-            for time, topic, begin, size in sorted(places, key=lambda place: (place[0], rank[place[1]])):
+            for time, topic, begin, size in sorted(
+                places, key=lambda place: (place[0], rank[place[1]])
+            ):
                 spool.seek(begin)
                 writer.add_message(channels[topic], time, spool.read(size), time, sequence[topic])
                 sequence[topic] += 1
@@ -128,7 +142,9 @@ def descriptor_set(file: Any) -> bytes:
     return described.SerializeToString(deterministic=True)
 
 
-def scenario_records(scenario: Scenario, *, version: int = native.WITHOUT_BLOCKS) -> dict[str, dict[str, str]]:
+def scenario_records(
+    scenario: Scenario, *, version: int = native.WITHOUT_BLOCKS
+) -> dict[str, dict[str, str]]:
     """The metadata records of a scenario."""
     if scenario.start_ns < 0:
         raise LogError("start_ns is negative", remedy="log times are nanoseconds since an epoch")
@@ -154,7 +170,10 @@ def scenario_records(scenario: Scenario, *, version: int = native.WITHOUT_BLOCKS
 def scenario_entries(scenario: Scenario, *, blocks: bool = False) -> Iterator[Entry]:
     """The messages of a scenario, topic by topic; ego and controls in blocks if `blocks` is set."""
     start = scenario.start_ns
-    vehicle = {name: _finite_all(value, f"vehicle {name}") for name, value in asdict(scenario.vehicle).items()}
+    vehicle = {
+        name: _finite_all(value, f"vehicle {name}")
+        for name, value in asdict(scenario.vehicle).items()
+    }
     yield start, "/vehicle", native.Vehicle(**vehicle)
     if scenario.goal is not None:
         for one in (scenario.goal, *scenario.goal.alternatives):
@@ -167,23 +186,36 @@ def scenario_entries(scenario: Scenario, *, blocks: bool = False) -> Iterator[En
     check_finite(scenario.road.default_speed_limit, "default speed limit")
     for lane in scenario.road.lanes.values():
         if np.isinf(lane.speed_limit):
-            raise LogError(f"lane {lane.id}: the speed limit is infinite", topic="/road", remedy="use NaN for no limit")
+            raise LogError(
+                f"lane {lane.id}: the speed limit is infinite",
+                topic="/road",
+                remedy="use NaN for no limit",
+            )
     yield start, "/road", message_of(native.Road, scenario.road)
-    shown: dict[int, tuple[list[int], list[Colour]]] = {}  # for each time a message with the lights that change then
+    # For each time a message with the lights that change then
+    shown: dict[int, tuple[list[int], list[Colour]]] = {}
     for light in scenario.lights:
         at = log_times(light.t, start, "/traffic_lights")
         if any(time <= before for before, time in pairwise(at)):
-            raise LogError(f"light {light.id} changes twice on one nanosecond", topic="/traffic_lights")
+            raise LogError(
+                f"light {light.id} changes twice on one nanosecond", topic="/traffic_lights"
+            )
         for time, colour in zip(at, light.colours, strict=True):
             ids, colours = shown.setdefault(time, ([], []))
             ids.append(light.id)
             colours.append(colour)
     for time, columns in shown.items():
         yield time, "/traffic_lights", native.LightColumns(*columns)
-    made = None if scenario.repair is None or scenario.repair.tracks is not scenario.tracks else scenario.repair
+    made = (
+        None
+        if scenario.repair is None or scenario.repair.tracks is not scenario.tracks
+        else scenario.repair
+    )
     yield from _tracks(scenario.tracks, start, extended=None if made is None else made.extended)
     if made is not None:
-        changes = (list(column) for column in zip(*(astuple(each) for each in made.changes), strict=True))
+        changes = (
+            list(column) for column in zip(*(astuple(each) for each in made.changes), strict=True)
+        )
         yield start, "/repair", native.Repair(*changes)
         yield from _tracks(made.removed, start, ("/removed/table", "/removed", "/removed"))
     found = scenario.detections if made is None else made.detections
@@ -203,7 +235,9 @@ def log_times(t: FloatArray, start_ns: int, topic: str) -> list[int]:
         raise LogError("a time is not finite", topic=topic)
     times = np.rint(t * 1e9).astype(np.int64) + start_ns
     if len(times) and times.min() < 0:
-        raise LogError("a sample is before log time 0", topic=topic, remedy="set start_ns to a later time")
+        raise LogError(
+            "a sample is before log time 0", topic=topic, remedy="set start_ns to a later time"
+        )
     return [int(time) for time in times]
 
 
@@ -211,7 +245,9 @@ def check_not_infinite(values: FloatArray, topic: str, name: str) -> None:
     """Raise LogError if a value is infinite; NaN means missing."""
     if np.isinf(values).any():
         where = int(np.flatnonzero(np.isinf(values))[0])
-        raise LogError(f"{native.serialised(name)} is infinite at index {where}", topic=topic, remedy="use NaN")
+        raise LogError(
+            f"{native.serialised(name)} is infinite at index {where}", topic=topic, remedy="use NaN"
+        )
 
 
 def column(values: FloatArray, topic: str, name: str) -> list[float]:
@@ -230,7 +266,11 @@ def check_finite(value: float, name: str) -> float:
 
 def _finite_all(value: float | tuple[float, ...], name: str) -> float | tuple[float, ...]:
     """The number or numbers; LogError as in `check_finite`."""
-    return tuple(check_finite(item, name) for item in value) if isinstance(value, tuple) else check_finite(value, name)
+    return (
+        tuple(check_finite(item, name) for item in value)
+        if isinstance(value, tuple)
+        else check_finite(value, name)
+    )
 
 
 def samples(
@@ -242,19 +282,29 @@ def samples(
         check_not_infinite(getattr(table, name), topic, name)
     late = np.flatnonzero(np.diff(np.array(times, np.int64)) <= 0)
     if len(late):
-        raise LogError("two samples on one nanosecond, or out of order", topic=topic, time_ns=times[late[0] + 1])
+        raise LogError(
+            "two samples on one nanosecond, or out of order",
+            topic=topic,
+            time_ns=times[late[0] + 1],
+        )
     for k in range(0, len(times), BLOCK):
         part = [getattr(table, name)[k : k + BLOCK].tolist() for name in names]
         if blocks:
             yield times[k], topic, native.BLOCKS[kind](times[k : k + BLOCK], *part)
         else:
-            yield from ((time, topic, kind(*values)) for time, *values in zip(times[k : k + BLOCK], *part, strict=True))
+            yield from (
+                (time, topic, kind(*values))
+                for time, *values in zip(times[k : k + BLOCK], *part, strict=True)
+            )
 
 
 def _tracks(
-    tracks: Tracks, start_ns: int, topics: tuple[str, str, str] = ("/agents/table", "/obstacles", "/agents"), *,
+    tracks: Tracks,
+    start_ns: int,
+    topics: tuple[str, str, str] = ("/agents/table", "/obstacles", "/agents"),
+    *,
     extended: BoolArray | None = None,
-) -> Iterator[Entry]:  # fmt: skip
+) -> Iterator[Entry]:
     """Tracks on three topics: agent table, obstacles, moving agents."""
     if not len(tracks):
         return
@@ -273,10 +323,14 @@ def _tracks(
             if not len(group):
                 continue
             names = [tracks.ids[i] for i in track[group].tolist()]
-            columns: dict[str, Any] = {name: getattr(tracks, name)[group].tolist() for name in COLUMNS}
+            columns: dict[str, Any] = {
+                name: getattr(tracks, name)[group].tolist() for name in COLUMNS
+            }
             message = native.AgentColumns(names, **columns)
             if extended is not None:
-                message = native.RepairedColumns(names, **columns, extended=extended[group].tolist())
+                message = native.RepairedColumns(
+                    names, **columns, extended=extended[group].tolist()
+                )
             yield int(times[group[0]]), topic, message
 
 
@@ -291,8 +345,15 @@ def _detections(found: Detections, start_ns: int) -> Iterator[Entry]:
     kinds = found.kinds
     for time, first, end in zip(times, [0, *ends], ends, strict=False):
         part = slice(first, end)
-        columns = (getattr(found, name)[part].tolist() for name in native.DetectionColumns.__struct_fields__[2:])
-        yield time, "/detections", native.DetectionColumns(list(found.ids[part]), list(kinds[part]), *columns)
+        columns = (
+            getattr(found, name)[part].tolist()
+            for name in native.DetectionColumns.__struct_fields__[2:]
+        )
+        yield (
+            time,
+            "/detections",
+            native.DetectionColumns(list(found.ids[part]), list(kinds[part]), *columns),
+        )
 
 
 def agent_table(tracks: Tracks) -> native.AgentTable:

@@ -49,9 +49,20 @@ LONGEST_S = 7 * 86400.0
 """Longest duration of a log, s: times beyond a week have another unit (and time grids would fill the memory)."""
 
 __all__ = [
-    "BUILTIN", "FORMATS", "READER", "LogSettings", "Reader", "foreign", "known_format", "logs_in", "read_log",
-    "reader_called", "reader_of", "readers", "with_tracks",
-]  # fmt: skip
+    "BUILTIN",
+    "FORMATS",
+    "READER",
+    "LogSettings",
+    "Reader",
+    "foreign",
+    "known_format",
+    "logs_in",
+    "read_log",
+    "reader_called",
+    "reader_of",
+    "readers",
+    "with_tracks",
+]
 
 
 @cache
@@ -85,10 +96,14 @@ def reader_of(path: Path, settings: LogSettings | None = None) -> Reader | None:
         return None
     known = readers(settings.reader if settings else "")
     found = next((reader for reader in known if reader.claims(path)), None)
-    return found or next((reader for reader in known if settings and reader.claims_with(path, settings)), None)
+    return found or next(
+        (reader for reader in known if settings and reader.claims_with(path, settings)), None
+    )
 
 
-def read_log(path: Path | str, settings: LogSettings | None = None, reader: Reader | None = None) -> Scenario:
+def read_log(
+    path: Path | str, settings: LogSettings | None = None, reader: Reader | None = None
+) -> Scenario:
     """Read the scenario in a log of any format; `path` is local, `reader` None is the one that claims it.
 
     Raises:
@@ -103,7 +118,9 @@ def read_log(path: Path | str, settings: LogSettings | None = None, reader: Read
         for key in ("ego", "problem", "ego_point"):
             asked = getattr(settings, key)
             if asked and key not in reader.settings:
-                what = f"{key} {asked} is asked for, but the format {reader.name} has no choice of it"
+                what = (
+                    f"{key} {asked} is asked for, but the format {reader.name} has no choice of it"
+                )
                 raise LogError(what, topic="[log]", remedy=f"leave {key} out")
         check_regular(*(reader.files(path) if path.exists() else ()))
         with np.errstate(all="ignore"):  # absurd numbers are refused as such
@@ -128,7 +145,9 @@ def read_log(path: Path | str, settings: LogSettings | None = None, reader: Read
         if reader in BUILTIN:
             raise
         what = f"the reader {reader.name} raised {type(error).__name__}: {error}"
-        raise LogError(what, file=path, remedy="its author: raise LogError for a log that cannot be read") from error
+        raise LogError(
+            what, file=path, remedy="its author: raise LogError for a log that cannot be read"
+        ) from error
 
 
 def with_tracks(scenario: Scenario, settings: LogSettings) -> Scenario:
@@ -138,21 +157,33 @@ def with_tracks(scenario: Scenario, settings: LogSettings) -> Scenario:
     return made if made.repair is scenario.repair else named(made)
 
 
-def logs_in(folder: Path, settings: LogSettings | None = None) -> Iterator[tuple[Path, Reader | None]]:
+def logs_in(
+    folder: Path, settings: LogSettings | None = None
+) -> Iterator[tuple[Path, Reader | None]]:
     """Yield the logs under a folder, sorted, with their readers; None for files that only have a log's suffix.
 
     A claimed folder is one log and is not searched.
     """
     for root, folders, files in os.walk(folder):
-        found = {Path(root, name): reader_of(Path(root, name), settings) for name in (*folders, *files)}
+        found = {
+            Path(root, name): reader_of(Path(root, name), settings) for name in (*folders, *files)
+        }
         folders[:] = sorted(name for name in folders if found[Path(root, name)] is None)
-        suffixes = {suffix for reader in readers(settings.reader if settings else "") for suffix in reader.suffixes}
+        suffixes = {
+            suffix
+            for reader in readers(settings.reader if settings else "")
+            for suffix in reader.suffixes
+        }
         for path in sorted(found):
-            if found[path] is not None or (path.name not in folders and path.suffix.lower() in suffixes):
+            if found[path] is not None or (
+                path.name not in folders and path.suffix.lower() in suffixes
+            ):
                 yield path, found[path]
 
 
-def windows(path: Path, settings: LogSettings, length: float, every: float | None = None) -> tuple[LogSettings, ...]:
+def windows(
+    path: Path, settings: LogSettings, length: float, every: float | None = None
+) -> tuple[LogSettings, ...]:
     """Split a log from `begin` to `end` into parts of `length` s, one every `every` s (by default `length`).
 
     Parts shorter than half of `length` are left out.

@@ -103,7 +103,13 @@ def check_clocks(scenario: Scenario) -> Scenario:
     if scenario.controls is not None and len(scenario.controls):
         spans.append(("controls", float(scenario.controls.t[0]), float(scenario.controls.t[-1])))
     if scenario.onboard:
-        spans.append(("onboard plans", scenario.onboard[0].known, scenario.onboard[-1].known + SHOWN_BEFORE_S))
+        spans.append(
+            (
+                "onboard plans",
+                scenario.onboard[0].known,
+                scenario.onboard[-1].known + SHOWN_BEFORE_S,
+            )
+        )
     for topic, begin, end in spans:
         if end < first or begin > last:
             theirs, own = _log_times(scenario, begin, end), _log_times(scenario, first, last)
@@ -114,9 +120,7 @@ def check_clocks(scenario: Scenario) -> Scenario:
     apart = ~tracks.static & (late | (ends < first - OTHER_CLOCK_S))
     if not apart.any():
         return scenario
-    note = (
-        f"{_names_of(tracks, apart)} have no sample within {OTHER_CLOCK_S:.0f} s of the ego's log: never in the scene."
-    )
+    note = f"{_names_of(tracks, apart)} have no sample within {OTHER_CLOCK_S:.0f} s of the ego's log: never in the scene."
     return replace(scenario, notes=(*scenario.notes, note))
 
 
@@ -138,17 +142,23 @@ def admitted(scenario: Scenario) -> Scenario:
     long = np.flatnonzero(dt > GAP_S)
     if len(long):
         k = int(long[0])
-        raise _refusal(scenario, "ego", f"no state for {dt[k]:g} s, longer than {GAP_S:g} s", float(ego.t[k]))
+        raise _refusal(
+            scenario, "ego", f"no state for {dt[k]:g} s, longer than {GAP_S:g} s", float(ego.t[k])
+        )
     if scenario.controls is not None:
         _check_columns(scenario, "controls", scenario.controls)
     for plan in scenario.onboard:
         _check_columns(scenario, "onboard", plan.trajectory)
     for item in fields(scenario.vehicle):
-        limit = VEHICLE_M if item.name in ("length", "width", "wheelbase", "rear_overhang") else VEHICLE
+        limit = (
+            VEHICLE_M if item.name in ("length", "width", "wheelbase", "rear_overhang") else VEHICLE
+        )
         values = np.atleast_1d(getattr(scenario.vehicle, item.name))
         if not (np.abs(values) <= limit.most).all():
             what = f"{item.name} is {np.max(np.abs(values)):g}, beyond {limit.most:g} {limit.unit}".rstrip()
-            raise LogError(what, topic="vehicle", remedy="correct it, or name the vehicle with --car")
+            raise LogError(
+                what, topic="vehicle", remedy="correct it, or name the vehicle with --car"
+            )
     for region in scenario.goal.regions if scenario.goal else ():
         _check_place(scenario, "goal", np.asarray(region, dtype=np.float64))
     notes: list[str] = []
@@ -166,7 +176,10 @@ def _check_columns(scenario: Scenario, topic: str, table: Any) -> None:
         wrong = np.flatnonzero(~((away <= limit.most) | np.isnan(column)))
         if len(wrong):
             value, time = float(column[wrong[0]]), float(table.t[wrong[0]])
-            what = f"{name} is {value:g} {limit.unit}".rstrip() + f", beyond {limit.most:g} {limit.unit}".rstrip()
+            what = (
+                f"{name} is {value:g} {limit.unit}".rstrip()
+                + f", beyond {limit.most:g} {limit.unit}".rstrip()
+            )
             raise _refusal(scenario, topic, what, time)
 
 
@@ -219,24 +232,36 @@ def _tracks_within(scenario: Scenario, notes: list[str]) -> Tracks:
             f"The velocity of {_names_of(tracks, whose)} is up to {speed.max():g} m/s, beyond {SPEED.most:g} m/s, at"
             f" {counted(int(fast.sum()), 'sample')}: taken as not known there."
         )
-        tracks = replace(tracks, vx=np.where(fast, np.nan, tracks.vx), vy=np.where(fast, np.nan, tracks.vy))
+        tracks = replace(
+            tracks, vx=np.where(fast, np.nan, tracks.vx), vy=np.where(fast, np.nan, tracks.vy)
+        )
     low, high = SIZES_M
-    odd = ~((np.minimum(tracks.length, tracks.width) >= low) & (np.maximum(tracks.length, tracks.width) <= high))
+    odd = ~(
+        (np.minimum(tracks.length, tracks.width) >= low)
+        & (np.maximum(tracks.length, tracks.width) <= high)
+    )
     if odd.any():
         what = f"not between {low:g} and {high:g} m: usual for the kind, assumed"
         notes.append(f"The size of {_names_of(tracks, odd)} is {what}.")
         usual = np.array([USUAL_SIZE_M[kind] for kind in tracks.kinds])
-        length, width = np.where(odd, usual[:, 0], tracks.length), np.where(odd, usual[:, 1], tracks.width)
+        length, width = (
+            np.where(odd, usual[:, 0], tracks.length),
+            np.where(odd, usual[:, 1], tracks.width),
+        )
         tracks = replace(tracks, length=length, width=width)
     columns = {name: getattr(tracks, name) - _zero(scenario, name) for name in LIMITS["agents"]}
-    beyond = {name: ~(np.abs(column) <= LIMITS["agents"][name].most) for name, column in columns.items()}
+    beyond = {
+        name: ~(np.abs(column) <= LIMITS["agents"][name].most) for name, column in columns.items()
+    }
     bad = np.logical_or.reduce(list(beyond.values()))
     if not bad.any():
         return tracks
     k = int(np.argmax(bad))
     name = next(name for name, mask in beyond.items() if mask[k])
     limit = LIMITS["agents"][name]
-    value = f"{name} is {getattr(tracks, name)[k]:g} {limit.unit}, beyond {limit.most:g} {limit.unit}"
+    value = (
+        f"{name} is {getattr(tracks, name)[k]:g} {limit.unit}, beyond {limit.most:g} {limit.unit}"
+    )
     if bad.all():
         remedy = "give agents and ego in the same coordinates and units"
         raise LogError(f"no pose of an agent can be used: {value}", topic="agents", remedy=remedy)
@@ -250,14 +275,23 @@ def _tracks_within(scenario: Scenario, notes: list[str]) -> Tracks:
 
 def _detections_within(scenario: Scenario, found: Detections) -> tuple[Detections, tuple[str, ...]]:
     """Return the detections within the limits of agents, with printable names, and notes on those left out."""
-    beyond = [~(np.abs(getattr(found, name) - _zero(scenario, name)) <= limit.most)
-              for name, limit in LIMITS["agents"].items()]  # fmt: skip
+    beyond = [
+        ~(np.abs(getattr(found, name) - _zero(scenario, name)) <= limit.most)
+        for name, limit in LIMITS["agents"].items()
+    ]
     bad = np.logical_or.reduce(beyond)
-    notes = (f"{counted(int(bad.sum()), 'detection')} beyond the limits of poses are left out.",) if bad.any() else ()
+    notes = (
+        (f"{counted(int(bad.sum()), 'detection')} beyond the limits of poses are left out.",)
+        if bad.any()
+        else ()
+    )
     found = found.taken(~bad) if bad.any() else found
     with np.errstate(all="ignore"):
         fast = np.hypot(np.nan_to_num(found.vx), np.nan_to_num(found.vy)) > SPEED.most
-        odd = [~((size >= SIZES_M[0]) & (size <= SIZES_M[1])) & ~np.isnan(size) for size in (found.length, found.width)]
+        odd = [
+            ~((size >= SIZES_M[0]) & (size <= SIZES_M[1])) & ~np.isnan(size)
+            for size in (found.length, found.width)
+        ]
     vx, vy = np.where(fast, np.nan, found.vx), np.where(fast, np.nan, found.vy)
     length, width = np.where(odd[0], np.nan, found.length), np.where(odd[1], np.nan, found.width)
     printable_name = {name: visible_name(name) for name in set(found.ids)}
@@ -284,7 +318,9 @@ def printable(scenario: Scenario) -> Scenario:
     changed: dict[str, Any] = {
         "name": visible_name(scenario.name),
         "tags": tuple(map(visible_name, scenario.tags)),
-        "metadata": {visible_name(key): visible_name(text, inf) for key, text in scenario.metadata.items()},
+        "metadata": {
+            visible_name(key): visible_name(text, inf) for key, text in scenario.metadata.items()
+        },
         "notes": tuple(visible_name(note, inf) for note in scenario.notes),
         **texts,
     }
@@ -292,8 +328,11 @@ def printable(scenario: Scenario) -> Scenario:
     if ids != scenario.tracks.ids:
         changed["tracks"] = replace(scenario.tracks, ids=ids)
     road = scenario.road
-    odd = {i: replace(lane, kind=visible_name(lane.kind)) for i, lane in road.lanes.items()
-           if visible_name(lane.kind) != lane.kind}  # fmt: skip
+    odd = {
+        i: replace(lane, kind=visible_name(lane.kind))
+        for i, lane in road.lanes.items()
+        if visible_name(lane.kind) != lane.kind
+    }
     if odd:
         changed["road"] = replace(road, lanes={**road.lanes, **odd})
     if not changed:
@@ -337,12 +376,18 @@ def repaired(scenario: Scenario, choice: str) -> Scenario:
         stay = was.taken(was.static[was.owner])
         names = tuple(f"{name}~static" if name in taken else name for name in stay.ids)
         tracks = tracks.with_more(replace(stay, ids=names))
-        made = replace(made, tracks=tracks, extended=np.r_[made.extended, np.zeros(len(stay.t), np.bool_)])
+        made = replace(
+            made, tracks=tracks, extended=np.r_[made.extended, np.zeros(len(stay.t), np.bool_)]
+        )
     road, notes = scenario.road, [*scenario.notes, *left_out]
     if road.source is RoadSource.DRIVEN_PATH and scenario.repair is None:
         road = passed_width(road, tracks, notes)
-    notes.append(" ".join((f"The road users are made of {len(found)} detections. {reason}", *made.summary())))
-    return replace(scenario, tracks=tracks, road=road, detections=None, repair=made, notes=tuple(notes))
+    notes.append(
+        " ".join((f"The road users are made of {len(found)} detections. {reason}", *made.summary()))
+    )
+    return replace(
+        scenario, tracks=tracks, road=road, detections=None, repair=made, notes=tuple(notes)
+    )
 
 
 def named(scenario: Scenario) -> Scenario:

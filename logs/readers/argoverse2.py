@@ -58,7 +58,12 @@ from replan.logs.scenario import Scenario
 from replan.logs.states import Trajectory
 from replan.logs.vehicle import assumed_car
 
-FORD_FUSION = {"length": 4.869, "width": 2.127, "wheelbase": 2.850, "rear_overhang": 0.5 * 4.869 - 1.339}
+FORD_FUSION = {
+    "length": 4.869,
+    "width": 2.127,
+    "wheelbase": 2.850,
+    "rear_overhang": 0.5 * 4.869 - 1.339,
+}
 """The recording car, m (py123d 0.7.0): the width is with mirrors, the centre 1.339 m ahead of the rear axle."""
 LICENCE = "CC BY-NC-SA 4.0 and the terms of Argoverse 2"
 EGO_CATEGORY = "EGO_VEHICLE"
@@ -68,9 +73,13 @@ POSE_APART_NS = 20_000_000
 EGO, RATE_HZ, MOST_STEPS = "AV", 10.0, 1_000_000
 STATE = ("position_x", "position_y", "heading", "velocity_x", "velocity_y")
 OBJECT_TYPES = {
-    "vehicle": AgentKind.CAR, "bus": AgentKind.BUS, "pedestrian": AgentKind.PEDESTRIAN, "cyclist": AgentKind.BICYCLE,
-    "motorcyclist": AgentKind.MOTORCYCLE, "riderless_bicycle": AgentKind.BICYCLE,
-}  # fmt: skip
+    "vehicle": AgentKind.CAR,
+    "bus": AgentKind.BUS,
+    "pedestrian": AgentKind.PEDESTRIAN,
+    "cyclist": AgentKind.BICYCLE,
+    "motorcyclist": AgentKind.MOTORCYCLE,
+    "riderless_bicycle": AgentKind.BICYCLE,
+}
 """Kinds by object type; others ("static", "background", "construction", "unknown") are objects."""
 LANE_TYPES = {"VEHICLE": "surface_street", "BIKE": "bike_lane", "BUS": "bus_lane"}
 """123D's names of lane types, by Argoverse's."""
@@ -84,7 +93,8 @@ SCENARIO = "scenario_*.parquet"
 def annotations_of(folder: Path) -> Path | None:
     """Return the file of the boxes: annotations.feather, else the first of annotations*.feather."""
     found = sorted(
-        folder.glob("annotations*.feather"), key=lambda path: (path.name != "annotations.feather", path.name)
+        folder.glob("annotations*.feather"),
+        key=lambda path: (path.name != "annotations.feather", path.name),
     )
     return found[0] if found else None
 
@@ -97,7 +107,9 @@ def poses_of(folder: Path) -> tuple[IntArray, FloatArray, FloatArray]:
         times, at = np.unique(whole(table, "timestamp_ns"), return_index=True)
         if not len(times):
             raise LogError("the log has no ego poses")
-        place, turn = (np.column_stack([numbers(table, name)[at] for name in names]) for names in (PLACE, TURN))
+        place, turn = (
+            np.column_stack([numbers(table, name)[at] for name in names]) for names in (PLACE, TURN)
+        )
         if not (np.isfinite(place).all() and np.isfinite(turn).all()):
             k = int(np.argmin(np.isfinite(np.hstack([place, turn])).all(axis=1)))
             raise LogError("a pose of the ego is not finite", time_ns=int(times[k]))
@@ -116,7 +128,9 @@ def read_sensor_log(folder: Path, settings: LogSettings) -> Scenario:
         relative = (frames - times[0]) / 1e9
         index = from_second(kept(drive.t, relative), drive.t, relative[:1], notes)
         if not settings.car:
-            notes.append("The ego is a Ford Fusion, 4.87 x 2.13 m with mirrors, as the log has no sizes of it.")
+            notes.append(
+                "The ego is a Ford Fusion, 4.87 x 2.13 m with mirrors, as the log has no sizes of it."
+            )
         vehicle = assumed_car({**FORD_FUSION, **settings.car}, notes)
         ego, boxes, origin = from_start(drive, index, boxes)
     tracks = tracks_of(ordered(boxes, notes), notes)
@@ -148,31 +162,56 @@ def _boxes(
         return RecordedBoxes.empty(), np.empty(0, np.int64)
     table = ipc_table(path, ("timestamp_ns", "track_uuid", "category", *SIZE, *TURN, *PLACE))
     with reading(path):
-        (owner, names), (category, categories) = words(table, "track_uuid"), words(table, "category")
+        (owner, names), (category, categories) = (
+            words(table, "track_uuid"),
+            words(table, "category"),
+        )
         stamps = whole(table, "timestamp_ns")
         length, width = (numbers(table, name) for name in SIZE)
-        local, part = (np.column_stack([numbers(table, name) for name in names]) for names in (PLACE, TURN))
+        local, part = (
+            np.column_stack([numbers(table, name) for name in names]) for names in (PLACE, TURN)
+        )
         at = nearest(times, stamps)
         near = np.abs(times[at] - stamps) <= POSE_APART_NS
         if len(stamps) and not near.any():
-            spans = [f"{some.min() / 1e9:.3f} to {some.max() / 1e9:.3f} s" for some in (stamps, times)]
+            spans = [
+                f"{some.min() / 1e9:.3f} to {some.max() / 1e9:.3f} s" for some in (stamps, times)
+            ]
             what = f"times from {spans[0]}, the ego's are from {spans[1]}: they do not overlap"
-            raise LogError(what, file=folder, topic=path.name, remedy="give both times of one clock")
+            raise LogError(
+                what, file=folder, topic=path.name, remedy="give both times of one clock"
+            )
         usable = near & np.isfinite(local).all(axis=1) & is_unit(part)
         if not usable.all():
             notes.append(
                 f"{(~usable).sum()} of {len(usable)} boxes have no ego pose or no pose of their own: left out."
             )
-        foreign = sorted(name for name in categories if name not in AV2_CATEGORIES and name != EGO_CATEGORY)
-        keep = usable & (np.array([name != EGO_CATEGORY for name in categories], dtype=bool)[category])
+        foreign = sorted(
+            name for name in categories if name not in AV2_CATEGORIES and name != EGO_CATEGORY
+        )
+        keep = (
+            usable & (np.array([name != EGO_CATEGORY for name in categories], dtype=bool)[category])
+        )
         at = at[keep]
         centre = place[at] + rotated(turn[at], local[keep])
         yaw = heading(product(turn[at], unit_of_wxyz(part[keep])))
         t, unknown = (stamps[keep] - times[0]) / 1e9, np.full(len(at), np.nan)
         if foreign:
-            notes.append(f"Categories that are not known are taken as objects: {', '.join(foreign)[:200]}.")
+            notes.append(
+                f"Categories that are not known are taken as objects: {', '.join(foreign)[:200]}."
+            )
         kinds = _kinds(owner, category, categories, len(names), AV2_CATEGORIES)
-        found = (t, owner[keep], centre[:, 0], centre[:, 1], yaw, length[keep], width[keep], unknown, unknown)
+        found = (
+            t,
+            owner[keep],
+            centre[:, 0],
+            centre[:, 1],
+            yaw,
+            length[keep],
+            width[keep],
+            unknown,
+            unknown,
+        )
         return RecordedBoxes(tuple(names), kinds, *found), np.unique(stamps)
 
 
@@ -201,7 +240,11 @@ def read_forecasting(path: Path, settings: LogSettings) -> Scenario:
         name = settings.ego or EGO
         if name not in names:
             some = ", ".join(names[:8]) or "none"
-            raise LogError(f"there is no track '{name}'", topic="track_id", remedy=f"name the ego; there are {some}")
+            raise LogError(
+                f"there is no track '{name}'",
+                topic="track_id",
+                remedy=f"name the ego; there are {some}",
+            )
         its = np.flatnonzero(owner == names.index(name))
         its = its[np.unique(step[its], return_index=True)[1]]
         if not np.isfinite(state[its, :3]).all():
@@ -215,7 +258,15 @@ def read_forecasting(path: Path, settings: LogSettings) -> Scenario:
         x, y = x - vehicle.axle_to_center * cos, y - vehicle.axle_to_center * sin
         v, unknown = vx * cos + vy * sin, np.full(len(its), np.nan)
         if np.isfinite(v).all():
-            columns = {"t": t[its], "x": x, "y": y, "yaw": yaw, "v": v, "a": unknown, "kappa": unknown}
+            columns = {
+                "t": t[its],
+                "x": x,
+                "y": y,
+                "yaw": yaw,
+                "v": v,
+                "a": unknown,
+                "kappa": unknown,
+            }
             ego = completed(columns, notes)
         else:
             ego = driven(t[its], x, y, yaw, notes)
@@ -253,7 +304,12 @@ def scenario_id(table: Path) -> str:
 
 def map_beside(folder: Path, name: str = "*") -> Path | None:
     """Return the map in a log's folder or in its subfolder `map`; None if there is none."""
-    found = sorted((*folder.glob(f"map/log_map_archive_{name}.json"), *folder.glob(f"log_map_archive_{name}.json")))
+    found = sorted(
+        (
+            *folder.glob(f"map/log_map_archive_{name}.json"),
+            *folder.glob(f"log_map_archive_{name}.json"),
+        )
+    )
     return found[0] if found else None
 
 
@@ -283,15 +339,23 @@ def road_for(path: Path | None, origin: FloatArray, ego: Trajectory, notes: list
             raise LogError("the map has no lanes that can be used")
         for walk in found.get("pedestrian_crossings", {}).values():  # the area between two edges
             one, other = (_points(walk[name]) - origin for name in ("edge1", "edge2"))
-            if min(len(one), len(other)) < 2 or not (np.abs(np.vstack([one, other])) < LARGEST_M).all():
+            if (
+                min(len(one), len(other)) < 2
+                or not (np.abs(np.vstack([one, other])) < LARGEST_M).all()
+            ):
                 continue
             if (other[-1] - other[0]) @ (one[-1] - one[0]) > 0.0:
                 other = other[::-1]
             walks.append(Crosswalk(int(walk["id"]), np.vstack([one, other])))
-        rings = [_points(area["area_boundary"]) - origin for area in found.get("drivable_areas", {}).values()]
+        rings = [
+            _points(area["area_boundary"]) - origin
+            for area in found.get("drivable_areas", {}).values()
+        ]
         areas = tuple(ring for ring in rings if len(ring) >= 3 and (np.abs(ring) < LARGEST_M).all())
         road = Road(lanes, drives_on_right=keeps_right, crosswalks=tuple(walks), areas=areas)
-    notes.append("The map has no right of way, stop lines or traffic lights: priority is not known.")
+    notes.append(
+        "The map has no right of way, stop lines or traffic lights: priority is not known."
+    )
     return with_limit(road, ego, "The lanes have no speed limits", notes)
 
 
@@ -307,7 +371,8 @@ def _claims(path: Path) -> bool:
         if path.is_dir():
             return (path / POSES).is_file() or len(list(path.glob(SCENARIO))) == 1
         return path.name == POSES or (
-            path.match(SCENARIO) and (path.parent / f"log_map_archive_{scenario_id(path)}.json").is_file()
+            path.match(SCENARIO)
+            and (path.parent / f"log_map_archive_{scenario_id(path)}.json").is_file()
         )
     except OSError:
         return False
@@ -328,7 +393,10 @@ def _read(path: Path, settings: LogSettings) -> Scenario:
         if not is_sensor_log:
             return read_forecasting(log, settings)
         if settings.ego:
-            raise LogError(f"ego {settings.ego} is asked for, but a sensor log has its ego", remedy="leave ego out")
+            raise LogError(
+                f"ego {settings.ego} is asked for, but a sensor log has its ego",
+                remedy="leave ego out",
+            )
         return read_sensor_log(log, settings)
 
 
@@ -363,7 +431,13 @@ def _contents(path: Path) -> LogContents:
 
 
 READER = Reader(
-    "argoverse2", "Argoverse 2 sensor logs and motion-forecasting scenarios",
-    f"folders with {POSES} or {SCENARIO}", (), _claims, _read, files=_files, contents=_contents,
+    "argoverse2",
+    "Argoverse 2 sensor logs and motion-forecasting scenarios",
+    f"folders with {POSES} or {SCENARIO}",
+    (),
+    _claims,
+    _read,
+    files=_files,
+    contents=_contents,
     settings=("ego", "car"),
-)  # fmt: skip
+)

@@ -66,49 +66,100 @@ SAME_MPS = 1e-5
 TELLING_MPS = 1e-4
 """Differences to both sides that are closer than this do not show how a velocity was computed, m/s."""
 _RECORDED = (
-    "av2", "nuplan", "nuscenes", "wod", "kitti360", "pandaset", "physical-ai-av", "ncore", "nureasoning", "truckdrive",
-)  # fmt: skip
+    "av2",
+    "nuplan",
+    "nuscenes",
+    "wod",
+    "kitti360",
+    "pandaset",
+    "physical-ai-av",
+    "ncore",
+    "nureasoning",
+    "truckdrive",
+)
 _ABOUT = ("dataset", "split", "log_name", "location", "version")
 _SIMULATED = ("carla", "lead", "griffin", "opendrive")
 _LICENCES = {
-    "av2": "CC BY-NC-SA 4.0 and the terms of Argoverse 2", "nuplan": "CC BY-NC-SA 4.0 and the terms of nuPlan",
-    "nuscenes": "CC BY-NC-SA 4.0 and the terms of nuScenes", "kitti360": "CC BY-NC-SA 3.0",
-    "pandaset": "CC BY 4.0 and the terms of PandaSet", "wod": "Waymo's, non-commercial",
-}  # fmt: skip
+    "av2": "CC BY-NC-SA 4.0 and the terms of Argoverse 2",
+    "nuplan": "CC BY-NC-SA 4.0 and the terms of nuPlan",
+    "nuscenes": "CC BY-NC-SA 4.0 and the terms of nuScenes",
+    "kitti360": "CC BY-NC-SA 3.0",
+    "pandaset": "CC BY 4.0 and the terms of PandaSet",
+    "wod": "Waymo's, non-commercial",
+}
 _CAR, _TRUCK, _BUS, _MOTORCYCLE, _BICYCLE, _PEDESTRIAN, _OBJECT = AgentKind
 LONG_M = 6.5
 """A vehicle of unspecified type that is longer is a truck, m."""
 
 AV2_CATEGORIES = {
-    "ANIMAL": _OBJECT, "ARTICULATED_BUS": _BUS, "BICYCLE": _BICYCLE, "BICYCLIST": _BICYCLE, "BOLLARD": _OBJECT,
-    "BOX_TRUCK": _TRUCK, "BUS": _BUS, "CONSTRUCTION_BARREL": _OBJECT, "CONSTRUCTION_CONE": _OBJECT, "DOG": _OBJECT,
-    "LARGE_VEHICLE": _TRUCK, "MESSAGE_BOARD_TRAILER": _OBJECT, "MOBILE_PEDESTRIAN_CROSSING_SIGN": _OBJECT,
-    "MOTORCYCLE": _MOTORCYCLE, "MOTORCYCLIST": _MOTORCYCLE, "OFFICIAL_SIGNALER": _PEDESTRIAN,
-    "PEDESTRIAN": _PEDESTRIAN, "RAILED_VEHICLE": _BUS, "REGULAR_VEHICLE": _CAR, "SCHOOL_BUS": _BUS, "SIGN": _OBJECT,
-    "STOP_SIGN": _OBJECT, "STROLLER": _PEDESTRIAN, "TRAFFIC_LIGHT_TRAILER": _OBJECT, "TRUCK": _TRUCK,
-    "TRUCK_CAB": _TRUCK, "VEHICULAR_TRAILER": _TRUCK, "WHEELCHAIR": _PEDESTRIAN, "WHEELED_DEVICE": _BICYCLE,
+    "ANIMAL": _OBJECT,
+    "ARTICULATED_BUS": _BUS,
+    "BICYCLE": _BICYCLE,
+    "BICYCLIST": _BICYCLE,
+    "BOLLARD": _OBJECT,
+    "BOX_TRUCK": _TRUCK,
+    "BUS": _BUS,
+    "CONSTRUCTION_BARREL": _OBJECT,
+    "CONSTRUCTION_CONE": _OBJECT,
+    "DOG": _OBJECT,
+    "LARGE_VEHICLE": _TRUCK,
+    "MESSAGE_BOARD_TRAILER": _OBJECT,
+    "MOBILE_PEDESTRIAN_CROSSING_SIGN": _OBJECT,
+    "MOTORCYCLE": _MOTORCYCLE,
+    "MOTORCYCLIST": _MOTORCYCLE,
+    "OFFICIAL_SIGNALER": _PEDESTRIAN,
+    "PEDESTRIAN": _PEDESTRIAN,
+    "RAILED_VEHICLE": _BUS,
+    "REGULAR_VEHICLE": _CAR,
+    "SCHOOL_BUS": _BUS,
+    "SIGN": _OBJECT,
+    "STOP_SIGN": _OBJECT,
+    "STROLLER": _PEDESTRIAN,
+    "TRAFFIC_LIGHT_TRAILER": _OBJECT,
+    "TRUCK": _TRUCK,
+    "TRUCK_CAB": _TRUCK,
+    "VEHICULAR_TRAILER": _TRUCK,
+    "WHEELCHAIR": _PEDESTRIAN,
+    "WHEELED_DEVICE": _BICYCLE,
     "WHEELED_RIDER": _BICYCLE,
-}  # fmt: skip
+}
 """Argoverse 2's categories; 123D numbers them in this order."""
 
 KINDS: dict[str, dict[AgentKind, tuple[int, ...]]] = {
     "NuPlanBoxDetectionLabel": {_CAR: (0,), _BICYCLE: (1,), _PEDESTRIAN: (2,)},
     "NuScenesBoxDetectionLabel": {
-        _CAR: (0, 6), _TRUCK: (1, 4, 5, 7), _BUS: (2, 3), _BICYCLE: (8,), _MOTORCYCLE: (9,),
+        _CAR: (0, 6),
+        _TRUCK: (1, 4, 5, 7),
+        _BUS: (2, 3),
+        _BICYCLE: (8,),
+        _MOTORCYCLE: (9,),
         _PEDESTRIAN: (10, 11, 12, 13, 14, 15, 16),
     },
     "WODMotionBoxDetectionLabel": {_CAR: (1,), _PEDESTRIAN: (2,), _BICYCLE: (3,)},
     "WODPerceptionBoxDetectionLabel": {_CAR: (1,), _PEDESTRIAN: (2,), _BICYCLE: (4,)},
     "PandasetBoxDetectionLabel": {
-        _CAR: (3, 4, 7, 8, 11, 12, 13, 17, 21, 24), _BUS: (25, 26), _BICYCLE: (2, 9, 10), _PEDESTRIAN: (14, 15),
+        _CAR: (3, 4, 7, 8, 11, 12, 13, 17, 21, 24),
+        _BUS: (25, 26),
+        _BICYCLE: (2, 9, 10),
+        _PEDESTRIAN: (14, 15),
     },
-    "KITTI360BoxDetectionLabel": {_CAR: (2, 3, 4, 14, 17), _BUS: (15,), _BICYCLE: (0, 6), _PEDESTRIAN: (7, 9)},
-    "PhysicalAIAVBoxDetectionLabel": {_CAR: (0, 2, 3, 4, 8, 11), _BUS: (10,), _BICYCLE: (6,), _PEDESTRIAN: (1,)},
+    "KITTI360BoxDetectionLabel": {
+        _CAR: (2, 3, 4, 14, 17),
+        _BUS: (15,),
+        _BICYCLE: (0, 6),
+        _PEDESTRIAN: (7, 9),
+    },
+    "PhysicalAIAVBoxDetectionLabel": {
+        _CAR: (0, 2, 3, 4, 8, 11),
+        _BUS: (10,),
+        _BICYCLE: (6,),
+        _PEDESTRIAN: (1,),
+    },
     "NureasoningBoxDetectionLabel": {_CAR: (0, 7, 8), _BICYCLE: (1, 9, 10), _PEDESTRIAN: (2, 11)},
     "GriffinBoxDetectionLabel": {_CAR: (1, 2, 3), _BICYCLE: (4, 5), _PEDESTRIAN: (0,)},
     "TruckDriveBoxDetectionLabel": {_CAR: (1, 4, 5, 6, 8), _BICYCLE: (0,), _PEDESTRIAN: (2,)},
     "DefaultBoxDetectionLabel": {_CAR: (1,), _BUS: (2,), _BICYCLE: (3,), _PEDESTRIAN: (4,)},
-}  # fmt: skip
+}
 """Label numbers by kind and label class; numbers that are not listed are objects."""
 _AV2 = "AV2SensorBoxDetectionLabel"
 
@@ -165,11 +216,19 @@ def read_123d(folder: Path) -> Scenario:
     ego, boxes, origin = from_start(drive, index, boxes)
     start, start_us = float(drive.t[index[0]]), int(rows.time_us[index[0]])
     tracks = tracks_of(boxes, notes)
-    road, lights = road_of(folder, about, ego, (float(origin[0]), float(origin[1])), start_us, notes)
+    road, lights = road_of(
+        folder, about, ego, (float(origin[0]), float(origin[1])), start_us, notes
+    )
     if (folder / "route_position.arrow").exists():
         notes.append("route_position is the ego's own later path: not read.")
     dataset = str(about.get("dataset") or "")
-    how = ("recorded",) if dataset.startswith(_RECORDED) else ("synthetic",) if dataset.startswith(_SIMULATED) else ()
+    how = (
+        ("recorded",)
+        if dataset.startswith(_RECORDED)
+        else ("synthetic",)
+        if dataset.startswith(_SIMULATED)
+        else ()
+    )
     return Scenario(
         name=str(about.get("log_name") or folder.name),
         ego=ego,
@@ -179,14 +238,17 @@ def read_123d(folder: Path) -> Scenario:
         vehicle=vehicle,
         tags=("123d", *how, *((dataset,) if dataset else ())),
         source=f"123D log of {dataset or 'an unnamed data set'}, written by py123d {about.get('version') or '?'}",
-        licence=next((words for key, words in _LICENCES.items() if dataset.startswith(key)), "that of the data set"),
+        licence=next(
+            (words for key, words in _LICENCES.items() if dataset.startswith(key)),
+            "that of the data set",
+        ),
         origin=(float(origin[0]), float(origin[1])),
         start_ns=1000 * start_us,
         metadata={key: str(about[key]) for key in _ABOUT if about.get(key)},
         notes=tuple(notes),
         lights=lights,
         traffic=of_stream(seen - start),
-    )  # fmt: skip
+    )
 
 
 # Tables
@@ -205,7 +267,9 @@ def read_ego(folder: Path) -> EgoRows:
     path = folder / f"{EGO}.arrow"
     if not path.is_file():
         raise LogError(
-            "the log has no ego: ego_state_se3.arrow is missing", file=folder, remedy="convert it with its ego"
+            "the log has no ego: ego_state_se3.arrow is missing",
+            file=folder,
+            remedy="convert it with its ego",
         )
     table = ipc_table(path, (f"{EGO}.timestamp_us", f"{EGO}.imu_se3"))
     with reading(path):
@@ -216,7 +280,9 @@ def read_ego(folder: Path) -> EgoRows:
         poses = vectors(table[f"{EGO}.imu_se3"], 7)[at]
         if not np.isfinite(poses).all():
             k = int(np.argmin(np.isfinite(poses).all(axis=1)))
-            raise LogError("a pose of the ego is missing or not finite", time_ns=1000 * int(times[k]))
+            raise LogError(
+                "a pose of the ego is missing or not finite", time_ns=1000 * int(times[k])
+            )
         name = f"{EGO}.dynamic_state_se3"
         there = name in table.schema.names
         dynamic = vectors(table[name], 9)[at] if there else np.full((len(at), 9), np.nan)
@@ -231,18 +297,31 @@ def _ego(rows: EgoRows, notes: list[str]) -> tuple[Trajectory, bool]:
     t = (rows.time_us - rows.time_us[0]) / 1e6
     axle = rows.part("rear_axle_to_imu_se3")
     place, yaw = rows.world(axle)[:, :2], np.unwrap(heading(rows.q))
-    stored, moving = rows.dynamic[:, :3], np.isfinite(rows.dynamic[:, [0, 8]]).all() and rows.dynamic[:, :3].any()
+    stored, moving = (
+        rows.dynamic[:, :3],
+        np.isfinite(rows.dynamic[:, [0, 8]]).all() and rows.dynamic[:, :3].any(),
+    )
     owner = np.zeros(len(t), np.int64)
     if not moving or _is_differenced(t, rows.position, rotated(rows.q, stored), owner):
         return driven(t, place[:, 0], place[:, 1], yaw, notes), False
     rate = rows.dynamic[:, 8]
     v = rows.dynamic[:, 0] - rate * axle[1]
     a = rows.dynamic[:, 3] - rate**2 * axle[0]
-    columns = {"t": t, "x": place[:, 0], "y": place[:, 1], "yaw": yaw, "v": v, "a": a, "kappa": held_curvature(rate, v)}
+    columns = {
+        "t": t,
+        "x": place[:, 0],
+        "y": place[:, 1],
+        "yaw": yaw,
+        "v": v,
+        "a": a,
+        "kappa": held_curvature(rate, v),
+    }
     return completed(columns, notes), True
 
 
-def _is_differenced(t: FloatArray, place: FloatArray, velocity: FloatArray, owner: IntArray) -> bool:
+def _is_differenced(
+    t: FloatArray, place: FloatArray, velocity: FloatArray, owner: IntArray
+) -> bool:
     """Return whether most world velocities are central differences of the places `(m, 3)`, and first ones forward.
 
     Samples are ordered by owner and time.
@@ -262,7 +341,9 @@ def _is_differenced(t: FloatArray, place: FloatArray, velocity: FloatArray, owne
     return bool(np.median(away) < SAME_MPS and np.median(begin) < SAME_MPS)
 
 
-def _differences(t: FloatArray, place: FloatArray, after: IntArray, earlier: IntArray) -> FloatArray:
+def _differences(
+    t: FloatArray, place: FloatArray, after: IntArray, earlier: IntArray
+) -> FloatArray:
     span = np.maximum(t[after] - t[earlier], 1e-6)
     return np.asarray((place[after] - place[earlier]) / span[:, None])
 
@@ -276,7 +357,9 @@ def _boxes(folder: Path, first_us: int, notes: list[str]) -> tuple[RecordedBoxes
     if path is None:
         notes.append("The log has no boxes: there are no other road users.")
         return RecordedBoxes.empty(), True, np.empty(0)
-    columns = [f"{BOXES}.{name}" for name in ("timestamp_us", "bounding_box_se3", "track_token", "label")]
+    columns = [
+        f"{BOXES}.{name}" for name in ("timestamp_us", "bounding_box_se3", "track_token", "label")
+    ]
     table = ipc_table(path, columns)
     with reading(path):
         lists = Lists(table, columns[1])
@@ -286,11 +369,15 @@ def _boxes(folder: Path, first_us: int, notes: list[str]) -> tuple[RecordedBoxes
         t = frames[lists.row]
         stored = f"{BOXES}.velocity_3d"
         has_velocity = stored in table.schema.names
-        velocity: FloatArray = vectors(lists.items(stored), 3) if has_velocity else np.full((len(t), 3), np.nan)
+        velocity: FloatArray = (
+            vectors(lists.items(stored), 3) if has_velocity else np.full((len(t), 3), np.nan)
+        )
         known, order = np.asarray(np.isfinite(velocity).all(axis=1)), np.lexsort((t, owner))
         own = False
         if not np.isfinite(velocity).any() or not velocity[np.isfinite(velocity)].any():
-            notes.append("The log has no velocities of the other road users: backward differences of their places.")
+            notes.append(
+                "The log has no velocities of the other road users: backward differences of their places."
+            )
         elif _is_differenced(t[order], box[order, :3], velocity[order], owner[order]):
             notes.append(
                 "The velocities of the other road users are differences to the frame after: backward ones are taken."
@@ -300,27 +387,34 @@ def _boxes(folder: Path, first_us: int, notes: list[str]) -> tuple[RecordedBoxes
         velocity[~known | (not own)] = np.nan
         usable = np.isfinite(box).all(axis=1) & is_unit(box[:, 3:7])
         box[~usable, :3], box[~usable, 3:7] = np.nan, (1.0, 0.0, 0.0, 0.0)
-        label, size = np.full(len(names), -1), np.zeros(len(names))  # the first label and the median length of each
+        # The first label and the median length of each
+        label, size = np.full(len(names), -1), np.zeros(len(names))
         there, first = np.unique(owner, return_index=True)
         label[there] = labels[first]
         order = np.argsort(owner, kind="stable")
         parts = np.split(box[order, 7], np.unique(owner[order], return_index=True)[1][1:])
         size[there] = [np.median(lengths) for lengths in parts]
-        kinds = kinds_of(str(metadata_of(table).get("box_detection_label_class") or ""), label, size, notes)
+        kinds = kinds_of(
+            str(metadata_of(table).get("box_detection_label_class") or ""), label, size, notes
+        )
         place, yaw = box[:, :2], heading(unit_of_wxyz(box[:, 3:7]))
         x, y, length, width, vx, vy = *place.T, *box[:, 7:9].T, *velocity[:, :2].T
         found = RecordedBoxes(tuple(names), kinds, t, owner, x, y, yaw, length, width, vx, vy)
         return ordered(found, notes), own, frames
 
 
-def kinds_of(label_class: str, labels: IntArray, length: FloatArray, notes: list[str]) -> tuple[AgentKind, ...]:
+def kinds_of(
+    label_class: str, labels: IntArray, length: FloatArray, notes: list[str]
+) -> tuple[AgentKind, ...]:
     """Return the kinds of road users `(n,)` by label and, if the label is only "vehicle", by length in m."""
     key = label_class.rsplit(".", 1)[-1]
     if key == _AV2:
         names = list(AV2_CATEGORIES.values())
         return tuple(names[i] if 0 <= i < len(names) else _OBJECT for i in labels)
     if key not in KINDS:
-        notes.append(f"The labels '{key[:60]}' are not known: the kinds of road users are derived from their lengths.")
+        notes.append(
+            f"The labels '{key[:60]}' are not known: the kinds of road users are derived from their lengths."
+        )
         sized = [_OBJECT, _PEDESTRIAN, _BICYCLE, _CAR, _TRUCK]
         return tuple(sized[int(np.searchsorted([0.0, 1.2, 2.7, LONG_M], size))] for size in length)
     by_number = {number: kind for kind, numbers in KINDS[key].items() for number in numbers}
@@ -344,7 +438,8 @@ def _claims(path: Path) -> bool:
             return True
         with path.open("rb") as stream:
             head = stream.read(HEAD_BYTES)
-        return head.startswith(b"ARROW1") and b"log_metadata" in head  # a log of py123d 0.0.8 or 0.0.9
+        # A log of py123d 0.0.8 or 0.0.9
+        return head.startswith(b"ARROW1") and b"log_metadata" in head
     except OSError:
         return False
 
@@ -357,7 +452,9 @@ def folder_of(path: Path) -> Path:
 def _read(path: Path, settings: LogSettings) -> Scenario:
     if path.is_file() and path.name != SYNC:
         what = "a 123D log of py123d 0.0.8 or 0.0.9: one file with other tables"
-        raise LogError(what, file=path, remedy="convert the data set again with py123d 0.1.0 or newer")
+        raise LogError(
+            what, file=path, remedy="convert the data set again with py123d 0.1.0 or newer"
+        )
     with reading(folder_of(path)):
         return read_123d(folder_of(path))
 
@@ -392,7 +489,11 @@ def _contents(path: Path) -> LogContents:
         for key in (name for name in table.schema.names if not name.startswith("sync.")):
             own = times[~np.asarray(table[key].is_null())]
             first, last = (1000 * int(own[0]), 1000 * int(own[-1])) if len(own) else (None, None)
-            topics.append(TopicSummary(key, key.split(".", maxsplit=1)[0], "arrow", "arrow", len(own), first, last))
+            topics.append(
+                TopicSummary(
+                    key, key.split(".", maxsplit=1)[0], "arrow", "arrow", len(own), first, last
+                )
+            )
         what = f"123D log of {about.get('dataset')}, py123d {about.get('version')}, {len(times)} frames"
         return LogContents(what, tuple(topics))
     except (LogError, ValueError, TypeError, KeyError):
@@ -400,6 +501,13 @@ def _contents(path: Path) -> LogContents:
 
 
 READER = Reader(
-    "123d", "123D logs (py123d 0.1.0 and newer): nuPlan, Waymo, nuScenes, Argoverse 2 ...", "folders with sync.arrow",
-    (), _claims, _read, files=_files, span=_span, contents=_contents,
-)  # fmt: skip
+    "123d",
+    "123D logs (py123d 0.1.0 and newer): nuPlan, Waymo, nuScenes, Argoverse 2 ...",
+    "folders with sync.arrow",
+    (),
+    _claims,
+    _read,
+    files=_files,
+    span=_span,
+    contents=_contents,
+)

@@ -49,7 +49,9 @@ def nanoseconds(column: pd.Series[Any], factor: float, topic: str) -> tuple[IntA
     if pd.api.types.is_datetime64_any_dtype(column) or pd.api.types.is_timedelta64_dtype(column):
         _check_all(column.notna(), f"{name} is not a time in every row", topic)
         is_date = pd.api.types.is_datetime64_any_dtype(column)
-        return (pd.DatetimeIndex(column) if is_date else pd.TimedeltaIndex(column)).as_unit("ns").asi8, False
+        return (pd.DatetimeIndex(column) if is_date else pd.TimedeltaIndex(column)).as_unit(
+            "ns"
+        ).asi8, False
     if not pd.api.types.is_numeric_dtype(column):
         numbers = pd.to_numeric(column.astype(object), errors="coerce")
         if numbers.isna().any() and numbers.isna().sum() != column.isna().sum():
@@ -75,16 +77,24 @@ def _of_texts(column: pd.Series[Any], topic: str) -> tuple[IntArray, bool]:
     _check_all(column.notna(), f"{column.name} is not a time in every row", topic)
     words = column.astype(str).str.strip()
     if words.str.fullmatch(_TIME_OF_DAY).all():
-        return pd.TimedeltaIndex(pd.to_timedelta(words.str.replace(",", "."))).as_unit("ns").asi8, True
+        return pd.TimedeltaIndex(pd.to_timedelta(words.str.replace(",", "."))).as_unit(
+            "ns"
+        ).asi8, True
     dates = pd.to_datetime(words.str.replace("/", "-"), format="ISO8601", utc=True, errors="coerce")
     wrong = np.flatnonzero(dates.isna())
     if len(wrong):
         what = f"{column.name} is neither a number nor a date and time in row {wrong[0]}: {words.iloc[wrong[0]]!r}"
-        raise LogError(what[:200], topic=topic, remedy="write seconds, ISO 8601 (2024-05-03T23:59:55), or HH:MM:SS")
+        raise LogError(
+            what[:200],
+            topic=topic,
+            remedy="write seconds, ISO 8601 (2024-05-03T23:59:55), or HH:MM:SS",
+        )
     return pd.DatetimeIndex(dates).as_unit("ns").asi8, False
 
 
-def continued(ego: IntArray, agents: IntArray, *, is_text: bool, notes: list[str]) -> tuple[IntArray, IntArray]:
+def continued(
+    ego: IntArray, agents: IntArray, *, is_text: bool, notes: list[str]
+) -> tuple[IntArray, IntArray]:
     """Let the times of a log's rows, ns, run on over midnight (1) unless (2), with a note.
 
     `is_text`: they are texts of times of day.
@@ -100,12 +110,16 @@ def continued(ego: IntArray, agents: IntArray, *, is_text: bool, notes: list[str
         period = period_s * 10**9
         across = int(every[0]) + period - int(every[-1])
         if every[-1] < period < 2 * int(gaps.max()) and (is_text or across <= GAP_S * 1e9):
-            notes.append(f"The clock starts again at {end}: the times after it are {period_s} s later than stated.")
+            notes.append(
+                f"The clock starts again at {end}: the times after it are {period_s} s later than stated."
+            )
             return ego + period * (ego <= last), agents + period * (agents <= last)
     return ego, agents
 
 
-def check_restart(ns: IntArray, x: FloatArray, y: FloatArray, topic: str, names: Any = None) -> None:
+def check_restart(
+    ns: IntArray, x: FloatArray, y: FloatArray, topic: str, names: Any = None
+) -> None:
     """Raise LogError if the rows of a table are of several clocks (3), (4).
 
     `ns` are times in the order of the file `(n,)`; x and y positions, m, NaN where unknown; `names` the road user of
@@ -133,12 +147,19 @@ def check_restart(ns: IntArray, x: FloatArray, y: FloatArray, topic: str, names:
         raise LogError(what, topic=topic, remedy="split the file there")
 
 
-def _interleaves(ns: IntArray, x: FloatArray, y: FloatArray, of: IntArray, filed: IntArray, timed: IntArray) -> bool:
+def _interleaves(
+    ns: IntArray, x: FloatArray, y: FloatArray, of: IntArray, filed: IntArray, timed: IntArray
+) -> bool:
     """Return whether the rows, in order of time, alternate between two drives (4)."""
     run = np.empty(len(ns), np.int64)
     run[filed] = np.cumsum(np.r_[True, (np.diff(ns[filed]) < 0) | (np.diff(of[filed]) != 0)])
     before, at, after = timed[:-2], timed[1:-1], timed[2:]
-    alone = (run[before] == run[after]) & (run[at] != run[before]) & (of[at] == of[before]) & (ns[after] > ns[before])
+    alone = (
+        (run[before] == run[after])
+        & (run[at] != run[before])
+        & (of[at] == of[before])
+        & (ns[after] > ns[before])
+    )
     if np.count_nonzero(alone) <= BETWEEN * len(ns):
         return False
     before, at, after = before[alone], at[alone], after[alone]

@@ -28,24 +28,67 @@ DIMENSIONS = {
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0},
     "share": {"1": 1.0, "%": 0.01},
 }
-UNITS = {"": 1.0} | {unit: factor for units in DIMENSIONS.values() for unit, factor in units.items()}
+UNITS = {"": 1.0} | {
+    unit: factor for units in DIMENSIONS.values() for unit, factor in units.items()
+}
 """Factor to replan's unit, by the unit in brackets after a column's name."""
 SPELLINGS = {
-    "mps": "m/s", "kmh": "km/h", "kph": "km/h", "km/hr": "km/h", "kmph": "km/h", "mps2": "m/s2", "m/s^2": "m/s2",
-    "m/s\u00b2": "m/s2", "m/s/s": "m/s2", "ms2": "m/s2", "\u00b5s": "us", "\u03bcs": "us", "sec": "s", "msec": "ms",
-    "usec": "us", "nsec": "ns", "degree": "deg", "degrees": "deg", "\u00b0": "deg", "radian": "rad", "radians": "rad",
-    "meter": "m", "meters": "m", "metre": "m", "metres": "m", "seconds": "s", "m^-1": "1/m", "rad/m": "1/m",
-    "per_m": "1/m", "knots": "kn", "percent": "%", "-": "1",
-}  # fmt: skip
+    "mps": "m/s",
+    "kmh": "km/h",
+    "kph": "km/h",
+    "km/hr": "km/h",
+    "kmph": "km/h",
+    "mps2": "m/s2",
+    "m/s^2": "m/s2",
+    "m/s\u00b2": "m/s2",
+    "m/s/s": "m/s2",
+    "ms2": "m/s2",
+    "\u00b5s": "us",
+    "\u03bcs": "us",
+    "sec": "s",
+    "msec": "ms",
+    "usec": "us",
+    "nsec": "ns",
+    "degree": "deg",
+    "degrees": "deg",
+    "\u00b0": "deg",
+    "radian": "rad",
+    "radians": "rad",
+    "meter": "m",
+    "meters": "m",
+    "metre": "m",
+    "metres": "m",
+    "seconds": "s",
+    "m^-1": "1/m",
+    "rad/m": "1/m",
+    "per_m": "1/m",
+    "knots": "kn",
+    "percent": "%",
+    "-": "1",
+}
 """Other spellings of units."""
 TIMES = {"t": "s", "t_ms": "ms", "t_us": "us", "t_ns": "ns"}
 """Replan's names of the time column, and their default units."""
 QUATERNION = ("qx", "qy", "qz", "qw")
 """Columns of an orientation; `yaw` wins over them."""
 COLUMNS = (
-    "x", "y", "yaw", "v", "a", "kappa", "steer", "throttle", "brake", "id", "vx", "vy", "length", "width", "kind",
+    "x",
+    "y",
+    "yaw",
+    "v",
+    "a",
+    "kappa",
+    "steer",
+    "throttle",
+    "brake",
+    "id",
+    "vx",
+    "vy",
+    "length",
+    "width",
+    "kind",
     *QUATERNION,
-)  # fmt: skip
+)
 _DIMENSION = (
     dict.fromkeys(TIMES, "time")
     | dict.fromkeys(("x", "y", "length", "width"), "length")
@@ -55,7 +98,9 @@ _DIMENSION = (
     | {"a": "acceleration", "kappa": "curvature"}
 )
 """Dimension of each of replan's columns."""
-_WITH_UNIT = re.compile(r"^(?P<name>.*?)\s*(?:\[(?P<unit>[^\]]*)\]|\((?P<unit2>[^)]*)\))\s*$", re.DOTALL)
+_WITH_UNIT = re.compile(
+    r"^(?P<name>.*?)\s*(?:\[(?P<unit>[^\]]*)\]|\((?P<unit2>[^)]*)\))\s*$", re.DOTALL
+)
 _RATE = re.compile(r"(\d+(?:\.\d+)?) ?(?:Hz|fps)", re.IGNORECASE)
 
 
@@ -65,7 +110,10 @@ class NamedColumns:
     def __init__(self, frame: pd.DataFrame, name: str, columns: Mapping[str, str]) -> None:
         self.frame, self.name = frame, name
         self._headers = [(str(header), header) for header in frame.columns]
-        given = {ours: columns.get(f"{name}.{ours}", columns.get(ours, ours)) for ours in (*TIMES, *COLUMNS)}
+        given = {
+            ours: columns.get(f"{name}.{ours}", columns.get(ours, ours))
+            for ours in (*TIMES, *COLUMNS)
+        }
         self._columns = {ours: self._find_column(ours, theirs) for ours, theirs in given.items()}
         if not len(frame):
             raise LogError("the table has no rows", topic=name, remedy="give at least one")
@@ -81,19 +129,29 @@ class NamedColumns:
         whole = [header for text, header in self._headers if text == name]
         parts = [(header, *_split_unit(text)) for text, header in self._headers]
         short = [header for header, base, unit in parts if unit and base == name]
-        short += [header for header, base, unit in _with_suffix(self._headers, ours) if base == name]
+        short += [
+            header for header, base, unit in _with_suffix(self._headers, ours) if base == name
+        ]
         found = list(dict.fromkeys(exact or whole or short))
         if not found:
             return None
         if len(found) > 1:
             what = f"{name} may be {' or '.join(map(str, found))}"
-            raise LogError(what, topic=self.name, remedy=f'name one: columns = {{{ours} = "{found[0]}"}}')
+            raise LogError(
+                what, topic=self.name, remedy=f'name one: columns = {{{ours} = "{found[0]}"}}'
+            )
         held, header = "", str(found[0])
         if exact or not whole:  # the unit in the header itself
-            held = _split_unit(header)[1] or "".join(unit for _, _, unit in _with_suffix([(header, header)], ours))
+            held = _split_unit(header)[1] or "".join(
+                unit for _, _, unit in _with_suffix([(header, header)], ours)
+            )
         factors = [self._factor(ours, unit, header) for unit in (asked, held) if unit]
         if len(set(factors)) > 1:
-            raise LogError(f"{found[0]} is asked for in [{asked}]", topic=self.name, remedy="leave that unit out")
+            raise LogError(
+                f"{found[0]} is asked for in [{asked}]",
+                topic=self.name,
+                remedy="leave that unit out",
+            )
         return found[0], factors[0] if factors else UNITS[TIMES.get(ours, "")]
 
     def _factor(self, ours: str, unit: str, header: str) -> float:
@@ -101,12 +159,16 @@ class NamedColumns:
         rate = _RATE.fullmatch(unit) if ours in TIMES else None
         if rate and float(rate[1]) > 0.0:
             return 1.0 / float(rate[1])
-        plain = SPELLINGS.get(unit, SPELLINGS.get(unit.lower(), unit if unit in UNITS else unit.lower()))
+        plain = SPELLINGS.get(
+            unit, SPELLINGS.get(unit.lower(), unit if unit in UNITS else unit.lower())
+        )
         known = DIMENSIONS.get(_DIMENSION.get(ours, ""), {})
         if plain not in known:
             wrong = "is unknown" if plain not in UNITS else f"is none of {ours}"
             what, names = f"the unit [{unit}] of {header} {wrong}", ", ".join(known) or "none"
-            remedy = f'known: {names}; another name is given as columns = {{{ours} = "NAME [unit]"}}'
+            remedy = (
+                f'known: {names}; another name is given as columns = {{{ours} = "NAME [unit]"}}'
+            )
             raise LogError(what, topic=self.name, remedy=remedy)
         return UNITS[plain]
 
@@ -132,7 +194,9 @@ class NamedColumns:
         try:
             return np.asarray(pd.to_numeric(column), dtype=np.float64) * factor
         except (ValueError, TypeError) as error:
-            raise LogError(f"{column.name} is not a column of numbers: {error}", topic=self.name) from None
+            raise LogError(
+                f"{column.name} is not a column of numbers: {error}", topic=self.name
+            ) from None
 
     def yaw(self) -> FloatArray | None:
         """Return the headings `(n,)`, rad, of yaw, else of unit quaternions (or a LogError); None without either."""
@@ -143,13 +207,18 @@ class NamedColumns:
         turns = np.column_stack([self.numbers(name) for name in QUATERNION])
         wrong = np.flatnonzero(~is_unit(turns) & np.isfinite(turns).all(axis=1))
         if len(wrong):
-            what, remedy = f"the quaternion of row {wrong[0]} is not of unit length", "check the order of its columns"
+            what, remedy = (
+                f"the quaternion of row {wrong[0]} is not of unit length",
+                "check the order of its columns",
+            )
             raise LogError(what, topic=self.name, remedy=remedy)
         return heading(turns)
 
     def times(self) -> tuple[IntArray, bool]:
         """Return the time of each row `(n,)`, ns, and whether the times are texts of times of day."""
-        return nanoseconds(*self.column(next((name for name in TIMES if self.has(name)), "t")), self.name)
+        return nanoseconds(
+            *self.column(next((name for name in TIMES if self.has(name)), "t")), self.name
+        )
 
 
 def _split_unit(text: str) -> tuple[str, str]:
@@ -172,7 +241,9 @@ def holds(header: Sequence[str], names: Sequence[str], columns: Mapping[str, str
     if not header or len(set(header)) < len(header):
         return False
     try:
-        table = NamedColumns(pd.DataFrame([[0] * len(header)], columns=list(header)), "agents", columns)
+        table = NamedColumns(
+            pd.DataFrame([[0] * len(header)], columns=list(header)), "agents", columns
+        )
     except LogError:  # reading it would name the unit
         return False
     return all(map(table.has, names))
@@ -181,11 +252,21 @@ def holds(header: Sequence[str], names: Sequence[str], columns: Mapping[str, str
 def check_names(columns: Mapping[str, str], frames: Mapping[str, pd.DataFrame | None]) -> None:
     """Raise LogError for unknown names, and for columns that no table has, which would silently be derived."""
     known = (*TIMES, *COLUMNS)
-    held = [NamedColumns(frame, name, columns) for name, frame in frames.items() if frame is not None and len(frame)]
+    held = [
+        NamedColumns(frame, name, columns)
+        for name, frame in frames.items()
+        if frame is not None and len(frame)
+    ]
     for key, given in columns.items():
         of, _, ours = key.rpartition(".")
         if ours not in known or of not in ("", *NAMES):
             what = f"columns has {key}, which is not a known name"
-            raise LogError(what, topic="[log]", remedy=f"known: {', '.join(known)}; of one table: ego.v, agents.v ...")
+            raise LogError(
+                what,
+                topic="[log]",
+                remedy=f"known: {', '.join(known)}; of one table: ego.v, agents.v ...",
+            )
         if held and not any(table.has(ours) for table in held if of in ("", table.name)):
-            raise LogError(f"no table has the column {given} that {key} is read from", topic="[log] columns")
+            raise LogError(
+                f"no table has the column {given} that {key} is read from", topic="[log] columns"
+            )

@@ -23,7 +23,13 @@ from replan.logs.scenario import Scenario
 from replan.logs.tracks import Tracks
 
 POSE = "global_pose"
-NAMES = ("frame_positions", "frame_velocities", "frame_orientations", "frame_times", "frame_gps_times")
+NAMES = (
+    "frame_positions",
+    "frame_velocities",
+    "frame_orientations",
+    "frame_times",
+    "frame_gps_times",
+)
 COLUMNS = (3, 3, 4, 1, 2)
 SEMI_MAJOR_M, FLATTENING = 6378137.0, 1.0 / 298.257223563
 """WGS 84."""
@@ -50,32 +56,55 @@ def _array(path: Path, name: str, columns: int) -> FloatArray:
             what = f"the array has {file.stat().st_size} bytes"
             raise LogError(what, topic=name, remedy="a segment has poses of one minute")
         found: Any = np.load(file, allow_pickle=False)
-    except (OSError, ValueError, EOFError, SyntaxError, MemoryError, OverflowError, TypeError, TokenError) as error:
+    except (
+        OSError,
+        ValueError,
+        EOFError,
+        SyntaxError,
+        MemoryError,
+        OverflowError,
+        TypeError,
+        TokenError,
+    ) as error:
         what = f"the array cannot be read: {' '.join(str(error).split())[:120]}"
         raise LogError(what, topic=name, remedy="download the segment again") from None
     array = np.asarray(found)
     array = array[:, None] if array.ndim == 1 else array
-    if array.ndim != 2 or array.shape[1] != columns or array.dtype.kind not in "fi" or not len(array):
-        raise LogError(f"the array is {array.shape} of {array.dtype}, expected (n, {columns}) numbers", topic=name)
+    if (
+        array.ndim != 2
+        or array.shape[1] != columns
+        or array.dtype.kind not in "fi"
+        or not len(array)
+    ):
+        raise LogError(
+            f"the array is {array.shape} of {array.dtype}, expected (n, {columns}) numbers",
+            topic=name,
+        )
     return array.astype(np.float64)
 
 
 def _read(path: Path, settings: LogSettings) -> Scenario:
     arrays = [_array(path, name, columns) for name, columns in zip(NAMES, COLUMNS, strict=True)]
     if len({len(array) for array in arrays}) > 1:
-        raise LogError(f"the arrays have {', '.join(str(len(array)) for array in arrays)} rows", topic=POSE)
+        raise LogError(
+            f"the arrays have {', '.join(str(len(array)) for array in arrays)} rows", topic=POSE
+        )
     for name, array in zip(NAMES, arrays, strict=True):
         if not np.isfinite(array).all():
             raise LogError("a value is not finite", topic=name)
     place, velocity, turn, frames, gps = arrays
     if not (np.hypot.reduce(place[0]) > 1.0 and (np.abs(turn).sum(axis=1) > 0.0).all()):
-        raise LogError("a position is not on the earth, or an orientation is not a quaternion", topic=POSE)
+        raise LogError(
+            "a position is not on the earth, or an orientation is not a quaternion", topic=POSE
+        )
     t = frames[:, 0] - frames[0, 0]
     plane = _east_north(place[0])
     x, y = plane @ (place - place[0]).T
     # the camera's forward axis in ECEF: the first row of the transposed matrix of the quaternion (scalar first)
     qw, qx, qy, qz = (turn / np.linalg.norm(turn, axis=1, keepdims=True)).T
-    forward = np.column_stack([1.0 - 2.0 * (qy * qy + qz * qz), 2.0 * (qx * qy + qw * qz), 2.0 * (qx * qz - qw * qy)])
+    forward = np.column_stack(
+        [1.0 - 2.0 * (qy * qy + qz * qz), 2.0 * (qx * qy + qw * qz), 2.0 * (qx * qz - qw * qy)]
+    )
     yaw = np.unwrap(np.arctan2(forward @ plane[1], forward @ plane[0]))
     notes = [
         "The poses are the camera's: they are taken for the rear axle's, about 1.5 m behind it.",
@@ -109,7 +138,10 @@ def _east_north(place: FloatArray) -> FloatArray:
     minor, radius = SEMI_MAJOR_M * (1.0 - FLATTENING), np.hypot(x, y)
     theta = np.arctan2(z * SEMI_MAJOR_M, radius * minor)
     second = e2 / (1.0 - e2)
-    above, aside = z + second * minor * np.sin(theta) ** 3, radius - e2 * SEMI_MAJOR_M * np.cos(theta) ** 3
+    above, aside = (
+        z + second * minor * np.sin(theta) ** 3,
+        radius - e2 * SEMI_MAJOR_M * np.cos(theta) ** 3,
+    )
     latitude = np.arctan2(above, aside)  # Bowring
     longitude = np.arctan2(y, x)
     sin, cos = np.sin(latitude), np.cos(latitude)
@@ -129,6 +161,13 @@ def _contents(path: Path) -> LogContents:
 
 
 READER = Reader(
-    "comma2k19", "comma2k19 segments: the driven poses", "folders with global_pose/frame_positions", (), _claims, _read,
-    files=_files, contents=_contents, settings=("car",),
-)  # fmt: skip
+    "comma2k19",
+    "comma2k19 segments: the driven poses",
+    "folders with global_pose/frame_positions",
+    (),
+    _claims,
+    _read,
+    files=_files,
+    contents=_contents,
+    settings=("car",),
+)

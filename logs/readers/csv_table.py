@@ -49,19 +49,40 @@ def load_table(path: Path) -> pd.DataFrame:
         layout = _layout(path)
         names = [*layout.names, *(["(trailing)"] if layout.is_longer else [])]
         table = pd.read_csv(
-            path, sep=r"\s+" if layout.mark == " " else layout.mark, encoding="utf-8-sig", header=None, names=names,
-            skiprows=layout.skipped, index_col=False, skipinitialspace=True, low_memory=False,
-        )  # fmt: skip
+            path,
+            sep=r"\s+" if layout.mark == " " else layout.mark,
+            encoding="utf-8-sig",
+            header=None,
+            names=names,
+            skiprows=layout.skipped,
+            index_col=False,
+            skipinitialspace=True,
+            low_memory=False,
+        )
         table = table[layout.names]
         for name in table.columns:
             if table[name].dtype.kind in "OTU" or isinstance(table[name].dtype, pd.StringDtype):
-                table[name] = table[name].str.strip() if layout.mark == "," else _decimals(table[name])
+                table[name] = (
+                    table[name].str.strip() if layout.mark == "," else _decimals(table[name])
+                )
         return table
     except UnicodeDecodeError as error:
-        raise LogError(f"the table is no UTF-8: {error}", topic=path.name, remedy="write it as UTF-8") from None
-    except (OSError, ValueError, LookupError, TypeError, csv.Error, pa.ArrowException, OverflowError) as error:
+        raise LogError(
+            f"the table is no UTF-8: {error}", topic=path.name, remedy="write it as UTF-8"
+        ) from None
+    except (
+        OSError,
+        ValueError,
+        LookupError,
+        TypeError,
+        csv.Error,
+        pa.ArrowException,
+        OverflowError,
+    ) as error:
         what = " ".join(str(error).split())[:200]
-        raise LogError(f"the table cannot be read: {what}", topic=path.name, remedy="write it again") from None
+        raise LogError(
+            f"the table cannot be read: {what}", topic=path.name, remedy="write it again"
+        ) from None
 
 
 def header_of(path: Path) -> list[str]:
@@ -92,11 +113,16 @@ def _fields(stream: TextIO, mark: str) -> Iterator[tuple[int, list[str]]]:
         yield from ((k, line.split()) for k, line in enumerate(stream) if line.strip())
         return
     rows = csv.reader(stream, delimiter=mark, skipinitialspace=True)
-    yield from ((rows.line_num - 1, row) for row in rows if len(row) > 1 or (row and row[0].strip()))
+    yield from (
+        (rows.line_num - 1, row) for row in rows if len(row) > 1 or (row and row[0].strip())
+    )
 
 
 def _split(line: str) -> tuple[str, list[str]]:
-    parts = {mark: next(csv.reader([line], delimiter=mark, skipinitialspace=True), []) for mark in SEPARATORS}
+    parts = {
+        mark: next(csv.reader([line], delimiter=mark, skipinitialspace=True), [])
+        for mark in SEPARATORS
+    }
     mark = max(SEPARATORS, key=lambda each: len(parts[each]))
     if len(parts[mark]) < 2 and len(line.split()) > 1:
         return " ", line.split()
@@ -138,7 +164,10 @@ def _layout(path: Path) -> _Layout:
             if row[0].startswith("#") and len(row) != count:
                 skipped.append(line)
                 continue
-            more, less = len(row) == count + 1 and not row[-1].strip(), len(row) == count - 1 and not names[-1]
+            more, less = (
+                len(row) == count + 1 and not row[-1].strip(),
+                len(row) == count - 1 and not names[-1],
+            )
             is_longer = is_longer or more
             if len(row) != count and not (more or less):
                 what = f"rows have {len(row)} fields, the header {count}: line {line + 1}"
@@ -146,6 +175,8 @@ def _layout(path: Path) -> _Layout:
                 raise LogError(what, topic=path.name, remedy=remedy)
     twice = sorted({name for name in names if name and names.count(name) > 1})
     if twice:
-        raise LogError(f"two columns are called {twice[0]}", topic=path.name, remedy="rename one of them")
+        raise LogError(
+            f"two columns are called {twice[0]}", topic=path.name, remedy="rename one of them"
+        )
     names = [name or f"Unnamed: {k}" for k, name in enumerate(names)]  # as pandas names them
     return _Layout(names, mark, skipped, is_longer)

@@ -38,8 +38,13 @@ def _tables(path: Path) -> set[str]:
     if not path.is_file():
         return set()
     try:
-        with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro&immutable=1", uri=True)) as file:
-            return {str(row[0]) for row in file.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+        with closing(
+            sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro&immutable=1", uri=True)
+        ) as file:
+            return {
+                str(row[0])
+                for row in file.execute("SELECT name FROM sqlite_master WHERE type = 'table'")
+            }
     except (sqlite3.Error, UnicodeError):
         return set()
 
@@ -56,21 +61,46 @@ def _named(pattern: str) -> Callable[[Path, bytes, Sequence[str]], bool]:
 
 
 SIGNS = (
-    _Sign("a nuPlan database", lambda path, begin, names: begin.startswith(_SQLITE) and bool(_tables(path) & _NUPLAN),
-          CONVERT),
-    _Sign("a folder of nuPlan databases", lambda path, begin, names: bool(
-          _tables(path / next((name for name in names if name.endswith(".db")), "")) & _NUPLAN), CONVERT),
-    _Sign("nuScenes", lambda path, begin, names: bool({*_NUSCENES} & {*names})
-          or any(re.fullmatch(r"v1\.0-\w+", name) for name in names) or path.name in _NUSCENES, CONVERT),
+    _Sign(
+        "a nuPlan database",
+        lambda path, begin, names: begin.startswith(_SQLITE) and bool(_tables(path) & _NUPLAN),
+        CONVERT,
+    ),
+    _Sign(
+        "a folder of nuPlan databases",
+        lambda path, begin, names: bool(
+            _tables(path / next((name for name in names if name.endswith(".db")), "")) & _NUPLAN
+        ),
+        CONVERT,
+    ),
+    _Sign(
+        "nuScenes",
+        lambda path, begin, names: (
+            bool({*_NUSCENES} & {*names})
+            or any(re.fullmatch(r"v1\.0-\w+", name) for name in names)
+            or path.name in _NUSCENES
+        ),
+        CONVERT,
+    ),
     _Sign("Waymo Open Dataset records", _named(r"\.tfrecord(\W|$)"), CONVERT),
-    _Sign("an Apollo record", _named(r"\.record(\.\w+)*$"),
-          f"read it with cyber_record (pip install cyber-record), {FRAMES}"),
-    _Sign("an openpilot log", _named(r"(^|--)[rq]log(\.(bz2|zst))?$"),
-          f"read it with openpilot's tools/lib/logreader.py, {FRAMES}"),
-    _Sign("a rosbag2 folder without metadata.yaml",
-          lambda path, begin, names: "metadata.yaml" not in names and any(name.endswith(".db3") for name in names),
-          "write it with `ros2 bag reindex`, or name one .db3 file"),
-)  # fmt: skip
+    _Sign(
+        "an Apollo record",
+        _named(r"\.record(\.\w+)*$"),
+        f"read it with cyber_record (pip install cyber-record), {FRAMES}",
+    ),
+    _Sign(
+        "an openpilot log",
+        _named(r"(^|--)[rq]log(\.(bz2|zst))?$"),
+        f"read it with openpilot's tools/lib/logreader.py, {FRAMES}",
+    ),
+    _Sign(
+        "a rosbag2 folder without metadata.yaml",
+        lambda path, begin, names: (
+            "metadata.yaml" not in names and any(name.endswith(".db3") for name in names)
+        ),
+        "write it with `ros2 bag reindex`, or name one .db3 file",
+    ),
+)
 """The formats that are known and not read; the first that fits is named."""
 
 
@@ -85,8 +115,12 @@ def known_format(path: Path) -> LogError | None:
                 begin = stream.read(len(_SQLITE))
     except OSError:
         return None
-    found = next((sign for sign in SIGNS if (names or begin) and sign.fits(path, begin, names)), None)
-    return found and LogError(f"{found.what}, which replan does not read", file=path, remedy=found.remedy)
+    found = next(
+        (sign for sign in SIGNS if (names or begin) and sign.fits(path, begin, names)), None
+    )
+    return found and LogError(
+        f"{found.what}, which replan does not read", file=path, remedy=found.remedy
+    )
 
 
 def foreign(path: Path) -> LogError:

@@ -33,16 +33,23 @@ def _contents(path: Path) -> LogContents:
         profile = f"ASAM OSI log, {of_osi.schema}"
     if native.SCENARIO_RECORD in container.metadata:
         version = container.metadata[native.SCENARIO_RECORD].get("format_version", "?")
-        what_it_is = "trace of a drive" if native.TRACE_RECORD in container.metadata else "scenario log"
+        what_it_is = (
+            "trace of a drive" if native.TRACE_RECORD in container.metadata else "scenario log"
+        )
         profile = f"{what_it_is}, native format {version}"
     return LogContents(profile, tuple(topics))
 
 
 READER = Reader(
-    "native", "replan's own MCAP, traces included; ASAM OSI ground truth in MCAP", "*.mcap", (".mcap",),
+    "native",
+    "replan's own MCAP, traces included; ASAM OSI ground truth in MCAP",
+    "*.mcap",
+    (".mcap",),
     files_named(".mcap"),
-    lambda path, settings: read_scenario(path, settings.ego), contents=_contents, settings=("ego",),
-)  # fmt: skip
+    lambda path, settings: read_scenario(path, settings.ego),
+    contents=_contents,
+    settings=("ego",),
+)
 
 
 LENGTH = 4
@@ -77,7 +84,8 @@ def trace_of(path: Path) -> Stream:
         except DecodeError:
             is_view = False
         schema = SENSOR_VIEW if is_view else GROUND_TRUTH
-    times, descriptor = list(range(len(payloads))), descriptor_set(osi_sensorview_pb2.DESCRIPTOR)  # defines both
+    # Defines both
+    times, descriptor = list(range(len(payloads))), descriptor_set(osi_sensorview_pb2.DESCRIPTOR)
     return Stream(path.name, "protobuf", schema, "protobuf", descriptor, times, payloads)
 
 
@@ -91,7 +99,12 @@ def _contents_osi(path: Path) -> LogContents:
 
 
 OSI_READER = Reader(
-    "osi", "ASAM OSI traces of ground truth or sensor views", "*.osi", (".osi",), files_named(".osi"),
+    "osi",
+    "ASAM OSI traces of ground truth or sensor views",
+    "*.osi",
+    (".osi",),
+    files_named(".osi"),
     lambda path, settings: osi.scenario_of(trace_of(path), path.stem, settings.ego),
-    contents=_contents_osi, settings=("ego",),
-)  # fmt: skip
+    contents=_contents_osi,
+    settings=("ego",),
+)

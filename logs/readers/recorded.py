@@ -53,7 +53,9 @@ def unit_of_wxyz(q: FloatArray) -> FloatArray:
 def unit_or_identity(q: FloatArray) -> FloatArray:
     """Normalise quaternions `(n, 4)`; those of length 0, which senders leave empty, become the identity."""
     size = np.linalg.norm(q, axis=1, keepdims=True)
-    return np.where(size > 1e-9, q / np.where(size > 1e-9, size, 1.0), np.array([0.0, 0.0, 0.0, 1.0]))
+    return np.where(
+        size > 1e-9, q / np.where(size > 1e-9, size, 1.0), np.array([0.0, 0.0, 0.0, 1.0])
+    )
 
 
 def heading(q: FloatArray) -> FloatArray:
@@ -115,16 +117,22 @@ class RecordedBoxes(Columns):
 
 def ordered(boxes: RecordedBoxes, notes: list[str]) -> RecordedBoxes:
     """Sort boxes by track and time, and leave out unusable boxes, with notes."""
-    finite = np.logical_and.reduce([np.isfinite(getattr(boxes, name)) for name in ("t", "x", "y", "yaw")])
+    finite = np.logical_and.reduce(
+        [np.isfinite(getattr(boxes, name)) for name in ("t", "x", "y", "yaw")]
+    )
     if not finite.all():
-        notes.append(f"{(~finite).sum()} of {len(finite)} boxes have a pose that is not finite and are left out.")
+        notes.append(
+            f"{(~finite).sum()} of {len(finite)} boxes have a pose that is not finite and are left out."
+        )
     boxes = boxes.taken(finite)
     boxes = boxes.taken(np.lexsort((boxes.t, boxes.owner)))
     if not len(boxes.t):
         return boxes
     again = np.r_[False, (np.diff(boxes.owner) == 0) & (np.diff(boxes.t) < SOONEST_S)]
     if again.any():
-        notes.append(f"{again.sum()} boxes have the id of another one at the same time and are left out.")
+        notes.append(
+            f"{again.sum()} boxes have the id of another one at the same time and are left out."
+        )
     return boxes.taken(~again)
 
 
@@ -148,15 +156,27 @@ def tracks_of(boxes: RecordedBoxes, notes: list[str]) -> Tracks:
     boxes, ends = boxes.taken(np.concatenate(rows)), np.cumsum([len(part) for part in rows])
     unsized = ~np.isfinite(sizes).all(axis=1)
     if unsized.any():
-        notes.append(f"{unsized.sum()} of {len(there)} road users have no size: that usual for their kind is assumed.")
-        sizes[unsized] = [USUAL_SIZE_M[kind] for kind, lacks in zip(kinds, unsized, strict=True) if lacks]
+        notes.append(
+            f"{unsized.sum()} of {len(there)} road users have no size: that usual for their kind is assumed."
+        )
+        sizes[unsized] = [
+            USUAL_SIZE_M[kind] for kind, lacks in zip(kinds, unsized, strict=True) if lacks
+        ]
     if static.any():
         notes.append(
             f"{static.sum()} objects (cones, barriers, signs) stay within {STAYS_M} m and are taken as standing there."
         )
     pose = (boxes.t, boxes.x, boxes.y, boxes.yaw, boxes.vx, boxes.vy)
     offsets = np.r_[0, ends]
-    return Tracks(tuple(boxes.names[i] for i in there), kinds, sizes[:, 0], sizes[:, 1], static, offsets, *pose)
+    return Tracks(
+        tuple(boxes.names[i] for i in there),
+        kinds,
+        sizes[:, 0],
+        sizes[:, 1],
+        static,
+        offsets,
+        *pose,
+    )
 
 
 # Poses
@@ -202,7 +222,9 @@ def fitted(t: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
     line = ~curved & (moments[0] >= 2)
     for chosen, size in ((curved, 3), (line, 2)):
         if chosen.any():
-            matrix = np.array([[moments[i + j, chosen] for j in range(size)] for i in range(size)]).transpose(2, 0, 1)
+            matrix = np.array(
+                [[moments[i + j, chosen] for j in range(size)] for i in range(size)]
+            ).transpose(2, 0, 1)
             found = np.linalg.solve(matrix, sums[:size, chosen].transpose(1, 0, 2))
             first[chosen] = found[:, 1] / WINDOW_S
             if size == 3:
@@ -236,12 +258,16 @@ def kept(times: FloatArray, frames: FloatArray) -> IntArray:
     return np.array(out, dtype=np.int64)
 
 
-def from_second(index: IntArray, times: FloatArray, first: FloatArray, notes: list[str]) -> IntArray:
+def from_second(
+    index: IntArray, times: FloatArray, first: FloatArray, notes: list[str]
+) -> IntArray:
     """Return the states after the first frame; `first` holds its time, s, and is empty without frames."""
     begin = int(np.argmin(np.abs(times[index] - first[0]))) + 1 if len(first) else 1
     if begin + 1 >= len(index):
         return index
-    notes.append("The scenario begins at the second frame: velocities are derived from what was before.")
+    notes.append(
+        "The scenario begins at the second frame: velocities are derived from what was before."
+    )
     return index[begin:]
 
 
@@ -267,14 +293,18 @@ def held_curvature(rate: FloatArray, v: FloatArray) -> FloatArray:
     return np.where(held >= 0, kappa[held], 0.0)
 
 
-def stands(t: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, v: FloatArray) -> BoolArray:
+def stands(
+    t: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, v: FloatArray
+) -> BoolArray:
     """Return which of the states `(n,)` with derived speeds v stand (3)."""
     earlier = np.maximum(np.searchsorted(t, t - STILL_S + 1e-6, side="right") - 1, 0)
     moved = (x - x[earlier]) * np.cos(yaw) + (y - y[earlier]) * np.sin(yaw)
     return (t - t[earlier] >= STILL_S - 1e-6) & ((np.abs(moved) < STILL_M) | (moved * v < 0.0))
 
 
-def driven(t: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, notes: list[str]) -> Trajectory:
+def driven(
+    t: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, notes: list[str]
+) -> Trajectory:
     """Derive the trajectory through poses `(n,)` by (1) to (4); times increase strictly."""
     yaw = np.unwrap(yaw)
     first, second = fitted(t, np.column_stack([x, y, yaw]))
@@ -285,7 +315,15 @@ def driven(t: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, notes: 
         f"The ego's speed, acceleration and curvature are derived: parabolas fitted to the poses of the {WINDOW_S} s"
         " before each state."
     )
-    columns = {"t": t, "x": x, "y": y, "yaw": yaw, "v": v, "a": a, "kappa": held_curvature(first[:, 2], v)}
+    columns = {
+        "t": t,
+        "x": x,
+        "y": y,
+        "yaw": yaw,
+        "v": v,
+        "a": a,
+        "kappa": held_curvature(first[:, 2], v),
+    }
     if np.isfinite(a).any():
         still = stands(t, x, y, yaw, v)
         columns["v"] = np.where(still, 0.0, v)

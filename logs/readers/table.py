@@ -89,10 +89,18 @@ def from_frames(
         columns, ego_point, source = {}, ego_point or "centre", source or chosen.data_set
         traffic = chosen.traffic if traffic is None else traffic
     if ego_point not in EGO_POINTS:
-        raise LogError(f"ego_point is {ego_point!r}", topic="[log]", remedy=f"known: {', '.join(EGO_POINTS[1:])}")
+        raise LogError(
+            f"ego_point is {ego_point!r}",
+            topic="[log]",
+            remedy=f"known: {', '.join(EGO_POINTS[1:])}",
+        )
     check_names(columns or {}, {"ego": ego, "agents": agents})
     table = NamedColumns(ego, "ego", columns or {})
-    others = NamedColumns(agents, "agents", columns or {}) if agents is not None and len(agents) else None
+    others = (
+        NamedColumns(agents, "agents", columns or {})
+        if agents is not None and len(agents)
+        else None
+    )
     ns, is_text = table.times()
     theirs = others.times()[0] if others is not None else np.empty(0, np.int64)
     ns, theirs = continued(ns, theirs, is_text=is_text, notes=notes)
@@ -100,12 +108,16 @@ def from_frames(
     t = (ns - start_ns) / 1e9
     check_restart(ns, table.numbers("x"), table.numbers("y"), "ego")
     if others is not None:
-        check_restart(theirs, others.numbers("x"), others.numbers("y"), "agents", track_table.names_of(others))
+        check_restart(
+            theirs, others.numbers("x"), others.numbers("y"), "agents", track_table.names_of(others)
+        )
     order = np.argsort(t, kind="stable")
     t = t[order]
     twice = np.flatnonzero(np.diff(t) <= 0.0)
     if len(twice):
-        raise LogError(f"two rows have the time {t[twice[0]]:g} s", topic="ego", remedy="keep one of them")
+        raise LogError(
+            f"two rows have the time {t[twice[0]]:g} s", topic="ego", remedy="keep one of them"
+        )
     origin = np.zeros(2)
     if road is None and goal is None:
         origin = np.round([table.numbers("x")[order[0]], table.numbers("y")[order[0]]])
@@ -127,8 +139,12 @@ def from_frames(
         with np.errstate(all="ignore"):  # absurd numbers are refused as such
             driven = completed({"t": t, **state}, notes)
         tracks = _tracks(others, (theirs - start_ns) / 1e9, origin, notes)
-        pedals = (table.numbers(key)[order] if table.has(key) else np.full(len(t), np.nan) for key in names)
-        start_ns -= min(0, start_ns + min(0, round(1e9 * float(tracks.t.min(initial=0.0)))))  # no log time before 0
+        pedals = (
+            table.numbers(key)[order] if table.has(key) else np.full(len(t), np.nan)
+            for key in names
+        )
+        # No log time before 0
+        start_ns -= min(0, start_ns + min(0, round(1e9 * float(tracks.t.min(initial=0.0)))))
         return Scenario(
             name=name,
             ego=driven,
@@ -149,17 +165,27 @@ def from_frames(
         )
 
 
-def _tracks(table: NamedColumns | None, t: FloatArray, origin: FloatArray, notes: list[str]) -> Tracks:
+def _tracks(
+    table: NamedColumns | None, t: FloatArray, origin: FloatArray, notes: list[str]
+) -> Tracks:
     """Make the tracks of a table with the times `t` `(n,)`, s."""
     if table is None:
         return Tracks.empty()
     for name in filter(table.has, ("x", "y", "yaw", *QUATERNION)):
         wrong = np.flatnonzero(~np.isfinite(table.numbers(name)))
         if len(wrong):
-            raise LogError(f"{name} is not finite in row {wrong[0]}", topic="agents", remedy="leave such rows out")
+            raise LogError(
+                f"{name} is not finite in row {wrong[0]}",
+                topic="agents",
+                remedy="leave such rows out",
+            )
     for name in ("length", "width"):
         if table.has(name) and (table.numbers(name) <= 0.0).any():
-            raise LogError(f"a {name} is not positive", topic="agents", remedy="leave it empty where it is not known")
+            raise LogError(
+                f"a {name} is not positive",
+                topic="agents",
+                remedy="leave it empty where it is not known",
+            )
     names = track_table.names_of(table)
     x, y = table.numbers("x") - origin[0], table.numbers("y") - origin[1]
     order = np.lexsort((t, names))
@@ -191,10 +217,13 @@ def _tracks(table: NamedColumns | None, t: FloatArray, origin: FloatArray, notes
         notes.append("The log does not say what the agents are: they are taken for cars.")
         kinds = (AgentKind.CAR,) * len(first)
     sizes = []
-    for column, name in enumerate(("length", "width")):  # median of the agent's rows, else usual size
+    # Median of the agent's rows, else usual size
+    for column, name in enumerate(("length", "width")):
         size = np.array([USUAL_SIZE_M[kind][column] for kind in kinds])
         if table.has(name):
-            given = np.array([np.median(part) for part in np.split(table.numbers(name)[order], first[1:])])
+            given = np.array(
+                [np.median(part) for part in np.split(table.numbers(name)[order], first[1:])]
+            )
             size = np.where(np.isfinite(given) & (given > 0.0), given, size)
         else:
             notes.append(f"The log has no {name} of the agents: it is assumed by their kind.")
@@ -210,7 +239,9 @@ def _file(folder: Path, name: str) -> Path | None:
     A file of that name with another suffix raises LogError, as its content would silently be left out.
     """
     path = beside(folder, [f"{name}{suffix}" for suffix in SUFFIXES])
-    others = sorted(each.name for each in folder.iterdir() if each.name.casefold().partition(".")[0] == name)
+    others = sorted(
+        each.name for each in folder.iterdir() if each.name.casefold().partition(".")[0] == name
+    )
     if path is None and others:
         what = f"{others[0]} is not read: a table is {' or '.join(f'{name}{suffix}' for suffix in SUFFIXES)}"
         raise LogError(what, topic=others[0], remedy="convert it, or remove it from the folder")
@@ -239,15 +270,31 @@ def _read(path: Path, settings: LogSettings) -> Scenario:
         frame, columns = track_table.load(agents, settings.columns)
         name = f"{path.stem if agents == path else path.name}{'_ego' * bool(settings.ego)}{settings.ego}"
         tags = ("recorded", "table")
-        return from_frames(settings.ego, frame, name=name, columns=columns, vehicle=vehicle, tags=tags, ego_point=point)
+        return from_frames(
+            settings.ego,
+            frame,
+            name=name,
+            columns=columns,
+            vehicle=vehicle,
+            tags=tags,
+            ego_point=point,
+        )
     if ego is None:
-        raise LogError("there is no ego.csv or ego.parquet in it", remedy="a table of the ego is what a log needs")
+        raise LogError(
+            "there is no ego.csv or ego.parquet in it",
+            remedy="a table of the ego is what a log needs",
+        )
     if settings.ego:
         what = f"ego {settings.ego} is asked for, but {ego.name} has the ego"
         raise LogError(what, topic="[log]", remedy="leave ego out, or move that file away")
     frames = load_table(ego), None if agents is None else load_table(agents)
     return from_frames(
-        *frames, name=path.name, columns=settings.columns, vehicle=vehicle, tags=("recorded", "table"), ego_point=point
+        *frames,
+        name=path.name,
+        columns=settings.columns,
+        vehicle=vehicle,
+        tags=("recorded", "table"),
+        ego_point=point,
     )
 
 
@@ -268,10 +315,16 @@ def _contents(path: Path) -> LogContents:
 
 
 READER = Reader(
-    "table", "tables of ego and agents, or of tracks (highD, inD, INTERACTION, NGSIM ...), CSV or Parquet",
-    "folders with ego.csv or ego.parquet, tables of tracks", (), _claims, _read,
-    files=_files, contents=_contents, settings=("ego", "ego_point", "columns", "car"),
+    "table",
+    "tables of ego and agents, or of tracks (highD, inD, INTERACTION, NGSIM ...), CSV or Parquet",
+    "folders with ego.csv or ego.parquet, tables of tracks",
+    (),
+    _claims,
+    _read,
+    files=_files,
+    contents=_contents,
+    settings=("ego", "ego_point", "columns", "car"),
     claims_with=lambda path, settings: (
         bool(settings.columns) and not path.is_dir() and track_table.claims(path, settings.columns)
     ),
-)  # fmt: skip
+)

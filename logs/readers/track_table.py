@@ -57,44 +57,84 @@ DATA_SETS = (
     DataSet(
         "highD",
         {
-            "t": "frame", "id": "id", "x": "x", "y": "y", "length": "width", "width": "height", "vx": "xVelocity",
+            "t": "frame",
+            "id": "id",
+            "x": "x",
+            "y": "y",
+            "length": "width",
+            "width": "height",
+            "vx": "xVelocity",
             "vy": "yVelocity",
         },
-        point="corner", sides=META,
+        point="corner",
+        sides=META,
     ),
     DataSet(
         "inD, rounD, exiD or uniD",
         {
-            "t": "frame", "id": "trackId", "x": "xCenter", "y": "yCenter", "yaw": "heading [deg]", "length": "length",
-            "width": "width", "vx": "xVelocity", "vy": "yVelocity",
+            "t": "frame",
+            "id": "trackId",
+            "x": "xCenter",
+            "y": "yCenter",
+            "yaw": "heading [deg]",
+            "length": "length",
+            "width": "width",
+            "vx": "xVelocity",
+            "vy": "yVelocity",
         },
-        sides=META, recording="recordingId",
+        sides=META,
+        recording="recordingId",
     ),
     DataSet(
         "INTERACTION",
-        {**_OURS, "t": "timestamp_ms [ms]", "id": "track_id", "kind": "agent_type", "yaw": "psi_rad [rad]"},
-        sides=(("vehicle_tracks", "pedestrian_tracks"),), recording="case_id",
+        {
+            **_OURS,
+            "t": "timestamp_ms [ms]",
+            "id": "track_id",
+            "kind": "agent_type",
+            "yaw": "psi_rad [rad]",
+        },
+        sides=(("vehicle_tracks", "pedestrian_tracks"),),
+        recording="case_id",
     ),
     DataSet(
         "NGSIM",
         {
-            "t": "Global_Time [ms]", "id": "Vehicle_ID", "x": "Local_X [ft]", "y": "Local_Y [ft]", "v": "v_Vel [ft/s]",
-            "length": "v_Length [ft]", "width": "v_Width [ft]", "kind": "v_Class",
+            "t": "Global_Time [ms]",
+            "id": "Vehicle_ID",
+            "x": "Local_X [ft]",
+            "y": "Local_Y [ft]",
+            "v": "v_Vel [ft/s]",
+            "length": "v_Length [ft]",
+            "width": "v_Width [ft]",
+            "kind": "v_Class",
         },
-        point="front", recording="Location", kinds={"1": "motorcycle", "2": "car", "3": "truck"},
+        point="front",
+        recording="Location",
+        kinds={"1": "motorcycle", "2": "car", "3": "truck"},
     ),
     DataSet(
         "Argoverse 1",
         {"t": "TIMESTAMP [s]", "id": "TRACK_ID", "x": "X [m]", "y": "Y [m]", "kind": "OBJECT_TYPE"},
-        ego="AV", kinds=dict.fromkeys(("av", "agent", "others"), "car"),
+        ego="AV",
+        kinds=dict.fromkeys(("av", "agent", "others"), "car"),
     ),
-)  # fmt: skip
+)
 """The data sets: NGSIM's positions are of the front centre, in feet (FHWA-HRT-06-137); Argoverse 1's have no sizes."""
 ALIASES = {
-    "vehicle": "car", "person": "pedestrian", "cyclist": "bicycle", "motorcyclist": "motorcycle", "van": "car",
-    "bike": "bicycle", "motorbike": "motorcycle", "unknown": "object", "static": "object", "trailer": "truck",
-    "truck_bus": "truck", "pedestrian/bicycle": "pedestrian",
-}  # fmt: skip
+    "vehicle": "car",
+    "person": "pedestrian",
+    "cyclist": "bicycle",
+    "motorcyclist": "motorcycle",
+    "van": "car",
+    "bike": "bicycle",
+    "motorbike": "motorcycle",
+    "unknown": "object",
+    "static": "object",
+    "trailer": "truck",
+    "truck_bus": "truck",
+    "pedestrian/bicycle": "pedestrian",
+}
 """Kinds by other common words."""
 HEADED_M = 1.0
 """Constant of (3), m: positions from images are uncertain by 0.1 m, 6 degrees over it."""
@@ -117,7 +157,10 @@ class TakenEgo(NamedTuple):
 
 
 def taken_ego(
-    frame: pd.DataFrame | None, ego: str, given: Mapping[str, str], vehicle: VehicleParameters | None
+    frame: pd.DataFrame | None,
+    ego: str,
+    given: Mapping[str, str],
+    vehicle: VehicleParameters | None,
 ) -> TakenEgo:
     """Take a road user out of a table of tracks; LogError as in `from_frames`, or with those who drove farthest.
 
@@ -127,14 +170,21 @@ def taken_ego(
     if frame is None or not len(frame):
         raise LogError("the table has no rows", topic="agents", remedy="give a table of tracks")
     data = data_set_of(map(str, frame.columns)) or DataSet("", {})
-    known = {column.partition(" [")[0].lower(): column.partition(" [")[0] for column in data.columns.values()}
-    frame = frame.rename(columns={name: known.get(str(name).lower(), name) for name in frame.columns})
+    known = {
+        column.partition(" [")[0].lower(): column.partition(" [")[0]
+        for column in data.columns.values()
+    }
+    frame = frame.rename(
+        columns={name: known.get(str(name).lower(), name) for name in frame.columns}
+    )
     check_names(given, {"agents": frame})
     if data.recording in frame and frame[data.recording].nunique() > 1:
         what = f"the table holds {frame[data.recording].nunique()} recordings, whose ids differ ({data.recording})"
         raise LogError(what, topic="agents", remedy=f"keep the rows of one {data.recording}")
     table = NamedColumns(
-        frame, "agents", {**data.columns, **{key.rpartition(".")[2]: name for key, name in given.items()}}
+        frame,
+        "agents",
+        {**data.columns, **{key.rpartition(".")[2]: name for key, name in given.items()}},
     )
     names, notes = names_of(table), list[str]()
     ns, is_text = table.times()
@@ -144,7 +194,9 @@ def taken_ego(
     names, ns = names[order], ns[order]
     first = np.flatnonzero(np.r_[True, names[1:] != names[:-1]])
     offsets = np.r_[first, len(names)]
-    words = _texts(table.column("kind")[0])[order] if table.has("kind") else np.full(len(names), "car")
+    words = (
+        _texts(table.column("kind")[0])[order] if table.has("kind") else np.full(len(names), "car")
+    )
     kinds = [kind_of(data.kinds.get(str(word).lower(), word)) for word in words[first]]
     state = _states(table, data, order, offsets, kinds, notes)
     ego = _id(ego or data.ego, names, words, first, kinds, state)
@@ -164,42 +216,73 @@ def taken_ego(
         )
     shown = (t >= -BEFORE_S) & (t <= t[its[-1]])
     if not shown.all():
-        notes.append(f"The table lasts {np.ptp(t):.1f} s: the {t[its[-1]]:.1f} s of agent {ego} are read.")
+        notes.append(
+            f"The table lasts {np.ptp(t):.1f} s: the {t[its[-1]]:.1f} s of agent {ego} are read."
+        )
     others = np.flatnonzero(shown & (names != ego))
-    kind = np.array(kinds, dtype=object)[np.searchsorted(first, np.arange(len(names)), side="right") - 1]
-    agents = pd.DataFrame({name: column[others] for name, column in state.items()} | {
-        "t_ns": ns[others], "id": names[others], "kind": kind[others]})  # fmt: skip
+    kind = np.array(kinds, dtype=object)[
+        np.searchsorted(first, np.arange(len(names)), side="right") - 1
+    ]
+    agents = pd.DataFrame(
+        {name: column[others] for name, column in state.items()}
+        | {"t_ns": ns[others], "id": names[others], "kind": kind[others]}
+    )
     return TakenEgo(
-        _ego_states(table, ns[its], t[its], {name: column[its] for name, column in state.items()}, notes),
-        agents, vehicle, tuple(notes), of_stream(t[shown]), ego, data.name,
-    )  # fmt: skip
+        _ego_states(
+            table, ns[its], t[its], {name: column[its] for name, column in state.items()}, notes
+        ),
+        agents,
+        vehicle,
+        tuple(notes),
+        of_stream(t[shown]),
+        ego,
+        data.name,
+    )
 
 
 def _states(
-    table: NamedColumns, data: DataSet, order: Any, offsets: Any, kinds: list[AgentKind], notes: list[str]
+    table: NamedColumns,
+    data: DataSet,
+    order: Any,
+    offsets: Any,
+    kinds: list[AgentKind],
+    notes: list[str],
 ) -> dict[str, FloatArray]:
     """Return position of the box centre, heading, velocity and size of each row, `(n,)`; NaN where unknown."""
     unknown = np.full(len(order), np.nan)
     names = ("x", "y", "vx", "vy", "length", "width")
-    state = {name: table.numbers(name)[order] if table.has(name) else unknown.copy() for name in names}
+    state = {
+        name: table.numbers(name)[order] if table.has(name) else unknown.copy() for name in names
+    }
     for name in ("length", "width"):
         state[name][state[name] == 0.0] = np.nan  # inD: people and riders
     usual = np.repeat([USUAL_SIZE_M[kind] for kind in kinds], np.diff(offsets), axis=0)
-    length, width = (np.where(np.isfinite(state[k]), state[k], usual[:, i]) for i, k in enumerate(("length", "width")))
+    length, width = (
+        np.where(np.isfinite(state[k]), state[k], usual[:, i])
+        for i, k in enumerate(("length", "width"))
+    )
     if data.point == "corner":  # (1)
         state["x"] = state["x"] + 0.5 * length
         state["y"], state["vy"] = -(state["y"] + 0.5 * width), -state["vy"]
-        notes.append("Positions are the upper left corners of boxes in image axes: x stays, y is turned up.")
+        notes.append(
+            "Positions are the upper left corners of boxes in image axes: x stays, y is turned up."
+        )
     yaw = table.yaw()
     state["yaw"] = unknown if yaw is None else yaw[order]
     lacking = ~np.isfinite(state["yaw"])
     if lacking.any():  # (3)
-        notes.append(f"Headings that the table lacks are the direction of the last {HEADED_M:g} m of the way.")
-        state["yaw"] = np.where(lacking, headings(offsets, state["x"], state["y"], HEADED_M), state["yaw"])
+        notes.append(
+            f"Headings that the table lacks are the direction of the last {HEADED_M:g} m of the way."
+        )
+        state["yaw"] = np.where(
+            lacking, headings(offsets, state["x"], state["y"], HEADED_M), state["yaw"]
+        )
     cos, sin = np.cos(state["yaw"]), np.sin(state["yaw"])
     if data.point == "front":  # (2)
         state["x"], state["y"] = state["x"] - 0.5 * length * cos, state["y"] - 0.5 * length * sin
-        notes.append("Positions are the middles of the front bumpers: they are moved back to the centres of the boxes.")
+        notes.append(
+            "Positions are the middles of the front bumpers: they are moved back to the centres of the boxes."
+        )
     if table.has("v") and not (table.has("vx") and table.has("vy")):
         v = table.numbers("v")[order]
         state["vx"], state["vy"] = v * cos, v * sin
@@ -223,13 +306,27 @@ def _ego_states(
         f"The ego's {'' if np.isfinite(v).all() else 'speed, '}acceleration and curvature are derived: parabolas fitted"
         " to its positions before each state."
     )
-    return pd.DataFrame({
-        "t_ns": ns, "x": state["x"], "y": state["y"], "yaw": state["yaw"], "v": np.where(np.isfinite(v), v, fit.v),
-        "a": fit.a, "kappa": fit.kappa,
-    })  # fmt: skip
+    return pd.DataFrame(
+        {
+            "t_ns": ns,
+            "x": state["x"],
+            "y": state["y"],
+            "yaw": state["yaw"],
+            "v": np.where(np.isfinite(v), v, fit.v),
+            "a": fit.a,
+            "kappa": fit.kappa,
+        }
+    )
 
 
-def _id(ego: str, names: Any, words: Any, first: Any, kinds: list[AgentKind], state: dict[str, FloatArray]) -> str:
+def _id(
+    ego: str,
+    names: Any,
+    words: Any,
+    first: Any,
+    kinds: list[AgentKind],
+    state: dict[str, FloatArray],
+) -> str:
     """Return the id of the road user that `ego` names; LogError lists those who drove farthest."""
     ids, can = names[first], np.array([kind not in _NO_DRIVERS for kind in kinds])
     by_word = np.flatnonzero(words[first] == ego)
@@ -243,17 +340,25 @@ def _id(ego: str, names: Any, words: Any, first: Any, kinds: list[AgentKind], st
     way = np.add.reduceat(np.nan_to_num(step), first)
     best = [i for i in np.lexsort((ids, -way)) if can[i]][:_SHOWN]
     drove = ", ".join(f"{ids[i]} ({way[i]:.0f} m)" for i in best) or "no vehicle"
-    what = f"there is no agent {ego}" if ego else f"the table has no ego, but {counted(len(ids), 'road user')}"
+    what = (
+        f"there is no agent {ego}"
+        if ego
+        else f"the table has no ego, but {counted(len(ids), 'road user')}"
+    )
     if len(at):
         what = f"agent {ego} is a {kinds[at[0]].value}, and cannot be the ego"
-    raise LogError(what, topic="agents", remedy=f"name the ego with --ego ID; these drove farthest: {drove}")
+    raise LogError(
+        what, topic="agents", remedy=f"name the ego with --ego ID; these drove farthest: {drove}"
+    )
 
 
 def _texts(column: pd.Series[Any]) -> Any:
     """Return the values of a column as texts `(n,)`, whole numbers without a point."""
     if pd.api.types.is_float_dtype(column) and (column.dropna() % 1.0 == 0.0).all():
         column = column.astype("Int64")
-    return np.array([word.value if isinstance(word, AgentKind) else str(word) for word in column], dtype=str)
+    return np.array(
+        [word.value if isinstance(word, AgentKind) else str(word) for word in column], dtype=str
+    )
 
 
 def names_of(table: NamedColumns) -> Any:
@@ -289,7 +394,9 @@ def kind_of(word: Any) -> AgentKind:
         return AgentKind(ALIASES.get(name, name))
     except ValueError:
         known = ", ".join(kind.value for kind in AgentKind)
-        raise LogError(f"an agent is a {str(word)!r}", topic="agents", remedy=f"known kinds: {known}") from None
+        raise LogError(
+            f"an agent is a {str(word)!r}", topic="agents", remedy=f"known kinds: {known}"
+        ) from None
 
 
 # Files
@@ -298,7 +405,10 @@ def kind_of(word: Any) -> AgentKind:
 def data_set_of(header: Iterable[str]) -> DataSet | None:
     """Return the data set whose columns a table has; None if there is none."""
     held = {name.strip().lower() for name in header}
-    needed = ((data, {column.partition(" [")[0].lower() for column in data.columns.values()}) for data in DATA_SETS)
+    needed = (
+        (data, {column.partition(" [")[0].lower() for column in data.columns.values()})
+        for data in DATA_SETS
+    )
     return next((data for data, columns in needed if columns <= held), None)
 
 
@@ -310,8 +420,10 @@ def claims(path: Path, columns: Mapping[str, str] | None = None) -> bool:
     if path.suffix not in SUFFIXES or not path.is_file():
         return False
     header = header_of(path)
-    return data_set_of(header) is not None or (holds(header, ("id", "x", "y"), columns or {})
-        and any(holds(header, (name,), columns or {}) for name in TIMES))  # fmt: skip
+    return data_set_of(header) is not None or (
+        holds(header, ("id", "x", "y"), columns or {})
+        and any(holds(header, (name,), columns or {}) for name in TIMES)
+    )
 
 
 def _side_file(path: Path, old: str, new: str) -> Path | None:
@@ -332,16 +444,25 @@ def load(path: Path, columns: Mapping[str, str]) -> tuple[pd.DataFrame, dict[str
     data = data_set_of(map(str, frame.columns))
     if data is None:
         return frame, columns
-    sides = [load_table(file) if (file := _side_file(path, *pair)) else pd.DataFrame() for pair in data.sides]
+    sides = [
+        load_table(file) if (file := _side_file(path, *pair)) else pd.DataFrame()
+        for pair in data.sides
+    ]
     if data.sides != META:
         return pd.concat([frame, *sides], ignore_index=True), columns
     rates, kinds = sides
     key = data.columns["id"] if data.columns["id"] in kinds else "id"
     if {key, "class"} <= {*kinds}:
-        frame["class"] = frame[data.columns["id"]].map(kinds.drop_duplicates(key).set_index(key)["class"])
+        frame["class"] = frame[data.columns["id"]].map(
+            kinds.drop_duplicates(key).set_index(key)["class"]
+        )
         columns.setdefault("kind", "class")
     if not {"t", *(f"{name}.t" for name in NAMES)} & {*columns}:
-        rate = pd.to_numeric(rates["frameRate"], errors="coerce").iloc[0] if "frameRate" in rates else np.nan
+        rate = (
+            pd.to_numeric(rates["frameRate"], errors="coerce").iloc[0]
+            if "frameRate" in rates
+            else np.nan
+        )
         if not rate > 0.0:
             what = f"the frame rate of {data.name} is in ..._recordingMeta.csv beside the table, which does not have it"
             remedy = 'copy that file there, or name the rate: [log.columns] t = "frame [25 Hz]"'

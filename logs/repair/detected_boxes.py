@@ -38,7 +38,10 @@ TWIN_SHARE, TWIN_PART, OTHER_PART = 0.1, 0.5, 0.7
 """Two boxes show one object if they share more than `TWIN_SHARE` of their union, or `TWIN_PART` of the smaller box
 (SimpleTrack removes at 0.25). For two persons, who walk close together, only the part of the smaller box decides; for a
 person and a vehicle, only `OTHER_PART`."""
-_PERSONS, _CLUSTERS = among(*(kind for kind in AgentKind if kind.is_vulnerable)), among(AgentKind.OBJECT)
+_PERSONS, _CLUSTERS = (
+    among(*(kind for kind in AgentKind if kind.is_vulnerable)),
+    among(AgentKind.OBJECT),
+)
 _GROUP = frozen(np.where(_CLUSTERS, CLUSTER, np.where(_PERSONS, PERSON, VEHICLE)), np.int64)
 _USUAL = frozen([USUAL_SIZE_M[kind] for kind in AgentKind])
 
@@ -74,9 +77,17 @@ class Boxes(Columns):
 
     @classmethod
     def of(
-        cls, frames: FloatArray, t: FloatArray, codes: IntArray, x: FloatArray, y: FloatArray, yaw: FloatArray,
-        length: FloatArray, width: FloatArray, score: FloatArray,
-    ) -> Boxes:  # fmt: skip
+        cls,
+        frames: FloatArray,
+        t: FloatArray,
+        codes: IntArray,
+        x: FloatArray,
+        y: FloatArray,
+        yaw: FloatArray,
+        length: FloatArray,
+        width: FloatArray,
+        score: FloatArray,
+    ) -> Boxes:
         """Make the boxes of the columns of detections, in an order that does not depend on theirs within a frame."""
         order = np.lexsort((length, yaw, y, x, codes, t))
         t, x, y, yaw, score = (column[order] for column in (t, x, y, yaw, score))
@@ -86,7 +97,10 @@ class Boxes(Columns):
         lying = (group == CLUSTER) & (sizes[:, 0] < sizes[:, 1])
         length, width = np.where(lying, sizes[:, ::-1].T, sizes.T)
         score = np.where(score > 0.0, score, np.nan)
-        noise, yaw = NOISE[group] * np.where(score < SURE, UNSURE_NOISE, 1.0), yaw + np.where(lying, 0.5 * np.pi, 0.0)
+        noise, yaw = (
+            NOISE[group] * np.where(score < SURE, UNSURE_NOISE, 1.0),
+            yaw + np.where(lying, 0.5 * np.pi, 0.0),
+        )
         frame = np.searchsorted(frames, t)
         return cls(order, frame, t, x, y, yaw, length, width, score, codes, group, noise)
 
@@ -120,7 +134,9 @@ def shared_area(one: FloatArray, two: FloatArray) -> float:
 
 
 @kernel
-def shares(t: FloatArray, boxes: FloatArray, times: FloatArray, others: FloatArray, part: float) -> BoolArray:
+def shares(
+    t: FloatArray, boxes: FloatArray, times: FloatArray, others: FloatArray, part: float
+) -> BoolArray:
     """Return at which t `(k,)` the boxes in `boxes` `(k, 5)` and `others` share more than `part` of the smaller."""
     out, j = np.zeros(len(t), np.bool_), 0
     for i in range(len(t)):
@@ -155,10 +171,16 @@ def _stronger(order: IntArray, frame: IntArray, pose: FloatArray, group: IntArra
                 break
             if out[b] >= 0:
                 continue
-            both, one, two = shared_area(pose[a], pose[b]), pose[a, 3] * pose[a, 4], pose[b, 3] * pose[b, 4]
+            both, one, two = (
+                shared_area(pose[a], pose[b]),
+                pose[a, 3] * pose[a, 4],
+                pose[b, 3] * pose[b, 4],
+            )
             share, part = both / (one + two - both), both / min(one, two)
             apart = group[a] != group[b] and group[a] + group[b] == PERSON
             close = group[a] == PERSON and group[b] == PERSON
-            if part > (OTHER_PART if apart else TWIN_PART) or (share > TWIN_SHARE and not (apart or close)):
+            if part > (OTHER_PART if apart else TWIN_PART) or (
+                share > TWIN_SHARE and not (apart or close)
+            ):
                 out[b] = a
     return out

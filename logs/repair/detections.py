@@ -58,7 +58,9 @@ class Detections:
 
     def __post_init__(self) -> None:
         for name in ("frames", *_BOXES):
-            object.__setattr__(self, name, frozen(getattr(self, name), np.int64 if name == "codes" else np.float64))
+            object.__setattr__(
+                self, name, frozen(getattr(self, name), np.int64 if name == "codes" else np.float64)
+            )
         if {getattr(self, name).shape for name in _BOXES} != {(len(self.ids),)}:
             raise ValueError("detections: columns differ in length")
         if (np.diff(self.t) < 0.0).any() or (np.diff(self.frames) <= 0.0).any():
@@ -118,7 +120,8 @@ class TrackChange:
     end: float
     samples: int  # number of changed detections; for "extended": number of added samples
     why: str  # the reason, one sentence with numbers
-    sources: tuple[str, ...] = ()  # ids of these detections in the log, each once; empty if the log has none
+    # Ids of these detections in the log, each once; empty if the log has none
+    sources: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,8 +137,10 @@ class Repair:
     # Whether a sample of the repaired tracks `(m,)` lies before the first or after the last detection of its track.
     # Samples that fill a gap between two detections are not marked.
     extended: BoolArray
-    changes: tuple[TrackChange, ...]  # changes in the order of the repaired tracks, then of the removed ones
-    tracks: Tracks  # The repaired tracks. A scenario has the same object unless traffic or a variation replaced it.
+    # Changes in the order of the repaired tracks, then of the removed ones
+    changes: tuple[TrackChange, ...]
+    # The repaired tracks. A scenario has the same object unless traffic or a variation replaced it.
+    tracks: Tracks
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "extended", frozen(self.extended, np.bool_))
@@ -156,9 +161,13 @@ class Repair:
 
 
 _SENTENCES = {
-    "joined": ("detections", "to"), "removed": ("detections", "with"), "extended": ("samples beyond sight", "of"),
-    "relabelled": ("detections", "of"), "turned": ("reversed fronts", "of"), "shrunk": ("boxes", "of"),
-}  # fmt: skip
+    "joined": ("detections", "to"),
+    "removed": ("detections", "with"),
+    "extended": ("samples beyond sight", "of"),
+    "relabelled": ("detections", "of"),
+    "turned": ("reversed fronts", "of"),
+    "shrunk": ("boxes", "of"),
+}
 
 
 # Identities and names
@@ -186,7 +195,9 @@ def needs_repair(detections: Detections) -> str | None:
     np.maximum.at(end, codes, detections.t)
     short = int((end - begin < SHORT_S).sum())
     if len(begin) >= LEAST_IDS and short > FLICKER * len(begin):
-        return f"Road users flicker: {short} of {len(begin)} ids are seen for less than {SHORT_S:g} s."
+        return (
+            f"Road users flicker: {short} of {len(begin)} ids are seen for less than {SHORT_S:g} s."
+        )
     return None
 
 
@@ -197,7 +208,9 @@ def no_identities(ids: Sequence[str], t: FloatArray, x: FloatArray, y: FloatArra
     same, dt = np.diff(codes[order]) == 0, np.diff(t[order])
     twice = int((same & (dt == 0.0)).sum())
     if twice > JUMPS * len(ids):
-        return f"Ids of detections are no identities: {twice / len(ids):.0%} stand twice in a frame."
+        return (
+            f"Ids of detections are no identities: {twice / len(ids):.0%} stand twice in a frame."
+        )
     near = same & (dt > 0.0) & (dt <= STEP_S)
     step = np.hypot(np.diff(x[order]), np.diff(y[order]))
     jumps = int((near & (step > FASTEST_MPS * np.maximum(dt, 0.02))).sum())

@@ -21,7 +21,16 @@ import numpy as np
 
 from replan.core.arrays import FloatArray, IntArray, frozen
 from replan.logs.agents import codes_of
-from replan.logs.repair.detected_boxes import CLUSTER, NOISE, OTHER_PART, PERSON, VEHICLE, Boxes, shares, stronger_twins
+from replan.logs.repair.detected_boxes import (
+    CLUSTER,
+    NOISE,
+    OTHER_PART,
+    PERSON,
+    VEHICLE,
+    Boxes,
+    shares,
+    stronger_twins,
+)
 from replan.logs.repair.detections import Detections, Repair, TrackChange
 from replan.logs.repair.tracker import Association
 from replan.logs.repair.users import Piece, User, fitted, stitched, user_of
@@ -62,12 +71,19 @@ def detections_of(tracks: Tracks) -> Detections:
     columns = {name: getattr(tracks, name)[order] for name in SAMPLE_COLUMNS}
     who = tracks.owner[order]
     return Detections(
-        frames=np.unique(tracks.t), ids=tuple(tracks.ids[i] for i in who), codes=codes_of(tracks.kinds)[who],
-        length=tracks.length[who], width=tracks.width[who], score=np.full(len(who), np.nan), **columns,
-    )  # fmt: skip
+        frames=np.unique(tracks.t),
+        ids=tuple(tracks.ids[i] for i in who),
+        codes=codes_of(tracks.kinds)[who],
+        length=tracks.length[who],
+        width=tracks.width[who],
+        score=np.full(len(who), np.nan),
+        **columns,
+    )
 
 
-def repair(detections: Detections, ego: Trajectory, vehicle: VehicleParameters) -> tuple[Tracks, Repair]:
+def repair(
+    detections: Detections, ego: Trajectory, vehicle: VehicleParameters
+) -> tuple[Tracks, Repair]:
     """Make tracks from raw detections, and record all changes. Not causal: it uses the whole log.
 
     `ego` is the drive of the log (rear axle): far boxes have less weight, and objects in its way are removed. A track
@@ -76,12 +92,16 @@ def repair(detections: Detections, ego: Trajectory, vehicle: VehicleParameters) 
     every, frames = detections.boxes, detections.frames
     twin_of = stronger_twins(every)
     boxes = every.taken(np.flatnonzero(twin_of < 0))
-    names = np.concatenate([np.empty(0, np.int64), *(found for _, _, found in Association().steps(boxes, frames))])
+    names = np.concatenate(
+        [np.empty(0, np.int64), *(found for _, _, found in Association().steps(boxes, frames))]
+    )
     order = np.argsort(names, kind="stable")
     parts = np.split(order, np.flatnonzero(np.diff(names[order])) + 1) if len(names) else []
     pieces = [fitted(rows, boxes, frames) for rows in parts]
     several = stitched([piece for piece in pieces if len(piece.rows) > 1], boxes, frames)
-    users, removed = _road_users([*several, *(piece for piece in pieces if len(piece.rows) == 1)], boxes, frames, ego)
+    users, removed = _road_users(
+        [*several, *(piece for piece in pieces if len(piece.rows) == 1)], boxes, frames, ego
+    )
     stay, notes = [], []
     for user in sorted(users, key=_birth):
         kept, note = _beside_ego(user, ego, vehicle)
@@ -98,7 +118,9 @@ def repair(detections: Detections, ego: Trajectory, vehicle: VehicleParameters) 
         return tuple(dict.fromkeys(name for name in named if name))
 
     everywhere = Counter(detections.ids[i] for i in boxes.source.tolist())
-    numbers = (str(k) for k in range(1, len(users) + len(everywhere) + 1) if str(k) not in everywhere)
+    numbers = (
+        str(k) for k in range(1, len(users) + len(everywhere) + 1) if str(k) not in everywhere
+    )
     weaker = np.bincount(every.source[twin_of[twin_of >= 0]], minlength=len(every))[boxes.source]
     ids, changes = list[str](), list[TrackChange]()
     for user, note in zip(users, notes, strict=True):
@@ -109,10 +131,14 @@ def repair(detections: Detections, ego: Trajectory, vehicle: VehicleParameters) 
     gone = [f"removed {k + 1}" for k in range(len(removed))]
     for (user, why), name in zip(removed, gone, strict=True):
         span = float(user.t[0]), float(user.t[-1])
-        changes.append(TrackChange("removed", name, *span, len(user.piece.rows), why, sources(user)))
+        changes.append(
+            TrackChange("removed", name, *span, len(user.piece.rows), why, sources(user))
+        )
     added = np.concatenate([np.empty(0, np.bool_), *(user.extended for user in users)])
     tracks = _tracks(users, ids)
-    return tracks, Repair(detections, _tracks([user for user, _ in removed], gone), added, tuple(changes), tracks)
+    return tracks, Repair(
+        detections, _tracks([user for user, _ in removed], gone), added, tuple(changes), tracks
+    )
 
 
 def _birth(user: User) -> tuple[float, int]:
@@ -132,7 +158,9 @@ def _road_users(
     users = [user for user, why in zip(every, reasons, strict=True) if not why]
     # better evidence: not a cluster, then the larger sum of weights
     group = np.array([user.piece.group for user in users])
-    proof = np.array([boxes.weight[user.piece.rows].sum() for user in users]) + len(boxes) * (group != CLUSTER)
+    proof = np.array([boxes.weight[user.piece.rows].sum() for user in users]) + len(boxes) * (
+        group != CLUSTER
+    )
     reach = np.array([0.5 * np.hypot(user.length, user.width) for user in users])[:, None]
     low, high = (
         np.array([end(user.poses[:, :2], axis=0) for user in users]).reshape(-1, 2) + sign * reach
@@ -146,7 +174,10 @@ def _road_users(
             part = OTHER_PART if PERSON in (group[a], group[b]) else SAME_PART
             if b == a or b in better:
                 continue
-            if shares(users[a].t, users[a].poses, users[b].t, users[b].poses, part).mean() > SAME_SHARE:
+            if (
+                shares(users[a].t, users[a].poses, users[b].t, users[b].poses, part).mean()
+                > SAME_SHARE
+            ):
                 better[a] = b
                 break
     gained: dict[int, list[IntArray]] = {}
@@ -159,8 +190,14 @@ def _road_users(
         outside = ((t < two.t[0]) | (t > two.t[-1])) & (one.group == two.group)
         gained.setdefault(b, []).append(one.rows[outside])
         if not outside.all():
-            inside = user_of(fitted(one.rows[~outside], boxes, frames), boxes, ego) if outside.any() else users[a]
-            removed.append((inside, f"In the place of another {users[b].kind.value} that is seen better."))
+            inside = (
+                user_of(fitted(one.rows[~outside], boxes, frames), boxes, ego)
+                if outside.any()
+                else users[a]
+            )
+            removed.append(
+                (inside, f"In the place of another {users[b].kind.value} that is seen better.")
+            )
     for b, more in gained.items():
         rows = np.concatenate([users[b].piece.rows, *more])
         rows = rows[np.unique(boxes.frame[rows], return_index=True)[1]]
@@ -168,12 +205,16 @@ def _road_users(
     return [user for i, user in enumerate(users) if i not in better], removed
 
 
-def _changes(user: User, name: str, note: str, twins: int, sources: tuple[str, ...]) -> list[TrackChange]:
+def _changes(
+    user: User, name: str, note: str, twins: int, sources: tuple[str, ...]
+) -> list[TrackChange]:
     t, count = user.piece.t, len(user.piece.rows)
     out = []
 
     def add(what: str, samples: int, why: str, times: FloatArray = t) -> None:
-        out.append(TrackChange(what, name, float(times[0]), float(times[-1]), samples, why, sources))
+        out.append(
+            TrackChange(what, name, float(times[0]), float(times[-1]), samples, why, sources)
+        )
 
     if sources != (name,) or len(t) > count:
         under = f"under {len(sources)} ids" if sources else "without ids"
@@ -182,7 +223,11 @@ def _changes(user: User, name: str, note: str, twins: int, sources: tuple[str, .
     if twins:
         add("removed", twins, f"{twins} boxes overlap better ones of the same object.")
     if user.turned:
-        add("turned", user.turned, f"{user.turned} of {count} detections have front and back exchanged.")
+        add(
+            "turned",
+            user.turned,
+            f"{user.turned} of {count} detections have front and back exchanged.",
+        )
     if user.kind is not user.label:
         add("relabelled", count, f"Detected as a {user.label.value}, moves as a {user.kind.value}.")
     if note:
@@ -200,7 +245,9 @@ def _tracks(users: Sequence[User], ids: Sequence[str]) -> Tracks:
     offsets = np.r_[0, np.cumsum([len(user.t) for user in users], dtype=np.int64)]
     columns = np.hstack([np.empty((6, 0)), *(user.way for user in users)])
     kinds = tuple(user.kind for user in users)
-    return Tracks(tuple(ids), kinds, length, width, np.zeros(len(users), np.bool_), offsets, *columns)
+    return Tracks(
+        tuple(ids), kinds, length, width, np.zeros(len(users), np.bool_), offsets, *columns
+    )
 
 
 def _trouble(user: User, boxes: Boxes) -> str | None:
@@ -245,7 +292,9 @@ def _depths(
     x, y = x + vehicle.axle_to_center * np.cos(yaw), y + vehicle.axle_to_center * np.sin(yaw)
     long, wide = vehicle.length + 2.0 * room, vehicle.width + 2.0 * room
     reach = 0.5 * (np.hypot(long, wide) + np.hypot(boxes[:, 3], boxes[:, 4]))
-    near = (t >= ego.t[0]) & (t <= ego.t[-1]) & (np.hypot(x - boxes[:, 0], y - boxes[:, 1]) <= reach)
+    near = (
+        (t >= ego.t[0]) & (t <= ego.t[-1]) & (np.hypot(x - boxes[:, 0], y - boxes[:, 1]) <= reach)
+    )
     out = np.zeros(len(t))
     for i in np.flatnonzero(near).tolist():
         out[i] = max(0.0, -clearance(x[i], y[i], yaw[i], long, wide, *boxes[i]))
@@ -260,25 +309,41 @@ def _beside_ego(user: User, ego: Trajectory, vehicle: VehicleParameters) -> tupl
         boxes = np.repeat(boxes[:1], len(t), axis=0)
     depth = _depths(t, boxes, ego, vehicle)
     deepest = float(depth.max(initial=0.0))
-    short = float(_depths(t, boxes, ego, vehicle, ROOM_M).max(initial=0.0)) if user.piece.still else deepest
+    short = (
+        float(_depths(t, boxes, ego, vehicle, ROOM_M).max(initial=0.0))
+        if user.piece.still
+        else deepest
+    )
     if short == 0.0:
         return user, ""
     most = 0.5 * (1.0 - LEAST_SIDE) * min(user.length, user.width)
     if deepest <= min(GRAZE_M, most):
         by = min(short, most)
-        near = f"reached {deepest:.2f} m into the ego's" if deepest > 0.0 else f"came within {ROOM_M:g} m of the ego's"
-        return replace(user, length=user.length - 2.0 * by, width=user.width - 2.0 * by), f"Its box {near}."
+        near = (
+            f"reached {deepest:.2f} m into the ego's"
+            if deepest > 0.0
+            else f"came within {ROOM_M:g} m of the ego's"
+        )
+        return replace(
+            user, length=user.length - 2.0 * by, width=user.width - 2.0 * by
+        ), f"Its box {near}."
     share = float((depth > 0.0).mean())
     if user.piece.still or share > MOMENT:
         return None, f"The ego drove through it: their boxes overlap by {deepest:.2f} m."
     ends = np.flatnonzero(np.diff(np.r_[False, depth == 0.0, False]))
-    first, last = max(zip(ends[::2].tolist(), ends[1::2].tolist(), strict=True), key=lambda run: run[1] - run[0])
+    first, last = max(
+        zip(ends[::2].tolist(), ends[1::2].tolist(), strict=True), key=lambda run: run[1] - run[0]
+    )
     longest = replace(user, way=user.way[:, first:last], extended=user.extended[first:last])
     return longest, f"Its box was {deepest:.2f} m within the ego's for {share:.0%} of its time."
 
 
 def _extend_standing(
-    user: User, users: Sequence[User], frames: FloatArray, ego: Trajectory, vehicle: VehicleParameters
+    user: User,
+    users: Sequence[User],
+    frames: FloatArray,
+    ego: Trajectory,
+    vehicle: VehicleParameters,
 ) -> User:
     """Extend a user who stands at the edge of sight to times before the first (after the last) detection.
 
@@ -290,7 +355,10 @@ def _extend_standing(
         end, near = user.way[:, at], np.abs(user.t - user.t[at]) <= 1.0
         x, y, yaw = (float(np.interp(end[0], ego.t, column)) for column in (ego.x, ego.y, ego.yaw))
         dx, dy = end[1] - x, end[2] - y
-        ahead, aside = abs(dx * np.cos(yaw) + dy * np.sin(yaw)), abs(dy * np.cos(yaw) - dx * np.sin(yaw))
+        ahead, aside = (
+            abs(dx * np.cos(yaw) + dy * np.sin(yaw)),
+            abs(dy * np.cos(yaw) - dx * np.sin(yaw)),
+        )
         since = side * (frames - end[0])
         times = frames[(since > 1e-6) & (since <= EXTEND_S)]
         moves = np.hypot(*user.way[4:, near]).max() > EXTEND_STILL_MPS

@@ -108,7 +108,9 @@ def update_one(state: FloatArray, x: float, y: float, r: float) -> None:
 
 
 @kernel
-def smoothed(t: FloatArray, z: FloatArray, r: FloatArray, q: float, stands: BoolArray) -> FloatArray:
+def smoothed(
+    t: FloatArray, z: FloatArray, r: FloatArray, q: float, stands: BoolArray
+) -> FloatArray:
     """Smooth positions z `(n, 2)` (NaN: not seen) with variances r `(n,)` at t `(n,)`; return x, y, vx, vy `(n, 4)`.
 
     `stands` `(n,)` marks times at which the velocity is 0. The first row of z must be a position.
@@ -143,7 +145,10 @@ def smoothed(t: FloatArray, z: FloatArray, r: FloatArray, q: float, stands: Bool
         g00, g01 = (fp0 * vv - fp1 * pv) / det, (fp1 * pp - fp0 * pv) / det
         g10, g11 = (fv0 * vv - fv1 * pv) / det, (fv1 * pp - fv0 * pv) / det
         for axis in range(2):
-            ep, ev = after[i + 1, axis] - before[i + 1, axis], after[i + 1, 2 + axis] - before[i + 1, 2 + axis]
+            ep, ev = (
+                after[i + 1, axis] - before[i + 1, axis],
+                after[i + 1, 2 + axis] - before[i + 1, 2 + axis],
+            )
             after[i, axis] += g00 * ep + g01 * ev
             after[i, 2 + axis] += g10 * ep + g11 * ev
     return after
@@ -168,9 +173,16 @@ AGE_S, YOUNG_AGE_S, YOUNG = 2.0, 0.35, 3
 was detected in the previous frame does not end."""
 _NEVER = 1e6
 _TRACK = np.dtype(
-    [("state", np.float64, WIDTH), ("group", np.int64), ("size", np.float64, 2), ("name", np.int64),
-     ("last", np.float64), ("hits", np.int64), ("missed", np.int64)]
-)  # fmt: skip
+    [
+        ("state", np.float64, WIDTH),
+        ("group", np.int64),
+        ("size", np.float64, 2),
+        ("name", np.int64),
+        ("last", np.float64),
+        ("hits", np.int64),
+        ("missed", np.int64),
+    ]
+)
 """Filter, group, size (shorter side first), number in order of birth, last time seen, detections, frames missed
 since."""
 
@@ -189,19 +201,36 @@ class Association:
         for k, t in enumerate(frames.tolist()):
             rows = slice(int(ends[k]), int(ends[k + 1]))
             most = np.where(self.tracks["hits"] > YOUNG, AGE_S, YOUNG_AGE_S)
-            tracks = self.tracks[(t - self.tracks["last"] <= most + 1e-9) | (self.tracks["missed"] < 1)]
+            tracks = self.tracks[
+                (t - self.tracks["last"] <= most + 1e-9) | (self.tracks["missed"] < 1)
+            ]
             predict_all(tracks["state"], t - self.time, DENSITY[tracks["group"]])
             # each detection may begin a track
-            found, group, variance = np.zeros(rows.stop - rows.start, _TRACK), boxes.group[rows], boxes.noise[rows] ** 2
+            found, group, variance = (
+                np.zeros(rows.stop - rows.start, _TRACK),
+                boxes.group[rows],
+                boxes.noise[rows] ** 2,
+            )
             state = found["state"]
             place = state[:, :ALONG]
             state[:, X], state[:, Y] = boxes.x[rows], boxes.y[rows]
             state[:, COS], state[:, SIN] = np.cos(boxes.yaw[rows]), np.sin(boxes.yaw[rows])
             state[:, ALONG] = state[:, ACROSS] = variance
-            state[:, ALONG + 2], state[:, ACROSS + 2] = FIRST_ALONG[group] ** 2, FIRST_ACROSS[group] ** 2
+            state[:, ALONG + 2], state[:, ACROSS + 2] = (
+                FIRST_ALONG[group] ** 2,
+                FIRST_ACROSS[group] ** 2,
+            )
             found["size"] = np.sort(np.column_stack([boxes.length[rows], boxes.width[rows]]))
             found["group"], found["last"], found["hits"] = group, t, 1
-            cost = _costs(tracks["state"], tracks["group"], tracks["size"], place, group, found["size"], variance)
+            cost = _costs(
+                tracks["state"],
+                tracks["group"],
+                tracks["size"],
+                place,
+                group,
+                found["size"],
+                variance,
+            )
             from scipy.optimize import linear_sum_assignment  # here: it takes long to load
 
             old, new = linear_sum_assignment(cost)
@@ -210,20 +239,34 @@ class Association:
             tracks["missed"] += 1
             for j, i in zip(old, new, strict=True):
                 update_one(tracks["state"][j], place[i, X], place[i, Y], variance[i])
-            tracks["size"][old] = SIZE_MEMORY * tracks["size"][old] + (1.0 - SIZE_MEMORY) * found["size"][new]
+            tracks["size"][old] = (
+                SIZE_MEMORY * tracks["size"][old] + (1.0 - SIZE_MEMORY) * found["size"][new]
+            )
             tracks["missed"][old], tracks["last"][old] = 0, t
             tracks["hits"][old] += 1
             born = np.setdiff1d(np.arange(len(found)), new)
-            found["name"][new], found["name"][born] = tracks["name"][old], self.count + np.arange(len(born))
-            self.tracks, self.time, self.count = np.concatenate([tracks, found[born]]), t, self.count + len(born)
+            found["name"][new], found["name"][born] = (
+                tracks["name"][old],
+                self.count + np.arange(len(born)),
+            )
+            self.tracks, self.time, self.count = (
+                np.concatenate([tracks, found[born]]),
+                t,
+                self.count + len(born),
+            )
             yield t, rows, found["name"]
 
 
 @kernel
 def _costs(
-    states: FloatArray, known: IntArray, sizes: FloatArray,
-    place: FloatArray, seen: IntArray, seen_sizes: FloatArray, variance: FloatArray,
-) -> FloatArray:  # fmt: skip
+    states: FloatArray,
+    known: IntArray,
+    sizes: FloatArray,
+    place: FloatArray,
+    seen: IntArray,
+    seen_sizes: FloatArray,
+    variance: FloatArray,
+) -> FloatArray:
     """Return the cost (6) of each pair of track and detection `(n, k)`; `_NEVER` if they are different objects.
 
     Tracks: `states`, their groups `known`, `sizes`; detections: `place`, their groups `seen`, `seen_sizes`, `variance`.
@@ -234,12 +277,20 @@ def _costs(
             ex, ey = place[j, X] - states[i, X], place[j, Y] - states[i, Y]
             other = known[i] != seen[j]
             most = max(REACH[known[i]], REACH[seen[j]])
-            if ex * ex + ey * ey > most * most or (other and (known[i] == VEHICLE or seen[j] == VEHICLE)):
+            if ex * ex + ey * ey > most * most or (
+                other and (known[i] == VEHICLE or seen[j] == VEHICLE)
+            ):
                 continue
-            along, across = states[i, COS] * ex + states[i, SIN] * ey, states[i, COS] * ey - states[i, SIN] * ex
+            along, across = (
+                states[i, COS] * ex + states[i, SIN] * ey,
+                states[i, COS] * ey - states[i, SIN] * ex,
+            )
             sa, sc = states[i, ALONG] + variance[j], states[i, ACROSS] + variance[j]
             m = along * along / sa + across * across / sc
-            growth = max(abs(np.log(sizes[i, 0] / seen_sizes[j, 0])), abs(np.log(sizes[i, 1] / seen_sizes[j, 1])))
+            growth = max(
+                abs(np.log(sizes[i, 0] / seen_sizes[j, 0])),
+                abs(np.log(sizes[i, 1] / seen_sizes[j, 1])),
+            )
             if m <= GATE and growth <= MOST_GROWTH:
                 out[i, j] = m + np.log(sa * sc) + OTHER_GROUP * other + OTHER_SIZE * growth
     return out
@@ -247,7 +298,11 @@ def _costs(
 
 # Tracker
 
-BIRTH_TIME, BIRTH_COUNT, BIRTH_SCORE = frozen([0.15, 0.15, 0.8]), frozen([3, 3, 6]), frozen([1.2, 1.2, 0.0])
+BIRTH_TIME, BIRTH_COUNT, BIRTH_SCORE = (
+    frozen([0.15, 0.15, 0.8]),
+    frozen([3, 3, 6]),
+    frozen([1.2, 1.2, 0.0]),
+)
 """Evidence (7) by group: time s, detections, sum of scores; later births give
 fewer ghosts (tests/support/track_score.py)."""
 KEEP_STILL_S, KEEP_S, KEEP_YOUNG_S, FEW = 2.0, 0.8, 0.35, 10
@@ -323,10 +378,13 @@ class Tracked:
             return _agents([], [], [])
         known, since = self.agents[k], max(t - self.frames[k], 0.0)
         carried = replace(
-            known, x=known.x + since * known.vx, y=known.y + since * known.vy, unseen=known.unseen + since,
+            known,
+            x=known.x + since * known.vx,
+            y=known.y + since * known.vy,
+            unseen=known.unseen + since,
             age=np.minimum(known.age + since, OLDEST_S),
             velocity_sigma=np.sqrt(known.velocity_sigma**2 + since * self.growth[k]),
-        )  # fmt: skip
+        )
         return carried.some(np.flatnonzero(carried.unseen <= self.patience[k] + 1e-9))
 
 
@@ -340,7 +398,8 @@ def tracked(every: Boxes, frames: FloatArray) -> Tracked:
                 tracks[name] = _Track(t, t > frames[0], float(boxes.yaw[i]))
             tracks[name].see(boxes, i)
         tracks = {name: tracks[name] for name in joining.tracks["name"].tolist()}
-        ids, codes, columns, growth, patience = [], [], [], [], []  # of the tracks reported at t (7)
+        # Of the tracks reported at t (7)
+        ids, codes, columns, growth, patience = [], [], [], [], []
         for (name, track), row in zip(tracks.items(), joining.tracks, strict=True):
             state, group = row["state"], int(row["group"])
             early = t - track.first < BIRTH_TIME[group] - 1e-9
@@ -369,6 +428,10 @@ def tracked(every: Boxes, frames: FloatArray) -> Tracked:
     return Tracked(tuple(frames.tolist()), agents, growths, patiences)
 
 
-def _agents(ids: Sequence[str], codes: Sequence[int], columns: Sequence[tuple[float, ...]]) -> Agents:
+def _agents(
+    ids: Sequence[str], codes: Sequence[int], columns: Sequence[tuple[float, ...]]
+) -> Agents:
     numbers = np.array(columns).reshape(-1, len(NUMBERS)).T
-    return Agents.of_rows(tuple(ids), tuple(_KINDS[code] for code in codes), numbers, frozen(codes, np.int64))
+    return Agents.of_rows(
+        tuple(ids), tuple(_KINDS[code] for code in codes), numbers, frozen(codes, np.int64)
+    )

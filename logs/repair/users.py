@@ -10,7 +10,18 @@ import numpy as np
 
 from replan.core.arrays import BoolArray, FloatArray, IntArray
 from replan.logs.agents import AgentKind
-from replan.logs.repair.detected_boxes import CLUSTER, DENSITY, FAST, NOISE, PERSON, SLIDES, SLOW, STILL, VEHICLE, Boxes
+from replan.logs.repair.detected_boxes import (
+    CLUSTER,
+    DENSITY,
+    FAST,
+    NOISE,
+    PERSON,
+    SLIDES,
+    SLOW,
+    STILL,
+    VEHICLE,
+    Boxes,
+)
 from replan.logs.repair.tracker import smoothed
 from replan.logs.states import Trajectory
 
@@ -30,7 +41,10 @@ lie within `SPREAD` times `STILL`."""
 STITCH_S, STITCH_STILL_S, STANDS_S = 3.0, 8.0, 0.6
 """Longest gap between two pieces of one road user, s; the same for two standing pieces. For standing pieces, the
 allowed miss grows for `STANDS_S` only: beyond, it would reach the next car in a queue."""
-MEET, TURN = np.array([(1.0, 0.8), (0.7, 0.5), (0.7, 0.3)]), np.array([(3.0, 2.0), (1.5, 1.0), (1.5, 0.5)])
+MEET, TURN = (
+    np.array([(1.0, 0.8), (0.7, 0.5), (0.7, 0.3)]),
+    np.array([(3.0, 2.0), (1.5, 1.0), (1.5, 0.5)]),
+)
 """By group: two pieces are one if they meet within this distance in the middle of their gap, m, plus m per second of
 gap, and if their velocities differ by less than this, m/s, plus m/s per second of gap."""
 STITCH_GROWTH, CHANGE_MPS, GAP_WORTH = 0.8, 0.3, 0.1
@@ -92,16 +106,22 @@ def fitted(rows: IntArray, boxes: Boxes, frames: FloatArray) -> Piece:
         bent = xy[1:-1] - xy[:-2] - share * (xy[2:] - xy[:-2])
         # sum of two squares of normal variables of variance r (1 + share^2 + (1 - share)^2): median 2 ln 2 of it
         squares = (bent**2).sum(axis=1) / (1.0 + share**2 + (1.0 - share) ** 2)[:, 0]
-        noise = float(np.clip(DRIFT * np.sqrt(np.median(squares) / (2.0 * np.log(2.0))), LEAST_NOISE_M, noise))
+        noise = float(
+            np.clip(DRIFT * np.sqrt(np.median(squares) / (2.0 * np.log(2.0))), LEAST_NOISE_M, noise)
+        )
     z, variance = np.full((len(t), 2), np.nan), np.full(len(t), noise**2)
     trust, moving = boxes.noise[rows] / NOISE[boxes.group[rows]], np.zeros(len(t), np.bool_)
     z[seen], variance[seen] = xy, (noise * trust) ** 2
     for _ in range(2):
         path = smoothed(t, z, variance, SMOOTH_DENSITY[group], moving)
         off = np.hypot(*(xy - path[seen, :2]).T) / noise
-        variance[seen] = (noise * np.maximum(trust, np.where(off > OUTLIER, OUTLIER_WEIGHT * off / OUTLIER, 1.0))) ** 2
+        variance[seen] = (
+            noise * np.maximum(trust, np.where(off > OUTLIER, OUTLIER_WEIGHT * off / OUTLIER, 1.0))
+        ) ** 2
     scale, third = noise / NOISE[group], max(1, len(xy) // 3)
-    early, late, middle = (np.average(xy[part], 0, weight[part]) for part in (np.s_[:third], np.s_[-third:], np.s_[:]))
+    early, late, middle = (
+        np.average(xy[part], 0, weight[part]) for part in (np.s_[:third], np.s_[-third:], np.s_[:])
+    )
     net = float(np.hypot(*(late - early)))
     spread = np.percentile(np.hypot(*(xy - middle).T), 90)
     most, slow = STILL[group] * scale, SLOW[group] * scale * max(t[-1] - t[0], 0.5)
@@ -116,17 +136,25 @@ def stitched(pieces: Sequence[Piece], boxes: Boxes, frames: FloatArray) -> list[
     if len(pieces) < 2:
         return list(pieces)
     begin, end = (np.array([[piece.t[at], *piece.path[at]] for piece in pieces]) for at in (0, -1))
-    group, still = np.array([piece.group for piece in pieces]), np.array([piece.still for piece in pieces])
+    group, still = (
+        np.array([piece.group for piece in pieces]),
+        np.array([piece.still for piece in pieces]),
+    )
     sides = [(boxes.length[piece.rows], boxes.width[piece.rows]) for piece in pieces]
     size = np.log([(np.median(np.maximum(*each)), np.median(np.minimum(*each))) for each in sides])
     gaps = begin[:, 0] - end[:, :1]
-    i, j = np.nonzero((gaps > 1e-6) & (gaps <= STITCH_STILL_S))  # piece i ends before piece j begins
+    # Piece i ends before piece j begins
+    i, j = np.nonzero((gaps > 1e-6) & (gaps <= STITCH_STILL_S))
     gap, few = gaps[i, j], np.array([len(piece.rows) < FEW for piece in pieces])
     before, after = (np.where(still[:, None], 0.0, each[:, 3:]) for each in (end, begin))
     out = np.where((few[i] & ~few[j])[:, None], after[j], before[i])
     back = np.where((few[j] & ~few[i])[:, None], before[i], after[j])
     off = end[i, 1:3] - begin[j, 1:3] + 0.5 * gap[:, None] * (out + back)
-    miss, change, growth = np.hypot(*off.T), np.hypot(*(out - back).T), np.abs(size[i] - size[j]).max(axis=1)
+    miss, change, growth = (
+        np.hypot(*off.T),
+        np.hypot(*(out - back).T),
+        np.abs(size[i] - size[j]).max(axis=1),
+    )
     (meet, growing), (turn, turning) = MEET[group[i]].T, TURN[group[i]].T
     most = meet + growing * np.minimum(gap, np.where(still[i] & still[j], STANDS_S, STITCH_S))
     fits = (miss < most) & (change < turn + turning * gap) & (growth < STITCH_GROWTH)
@@ -169,7 +197,9 @@ class User:
     @cached_property
     def poses(self) -> FloatArray:
         """Boxes `(k, 5)`: x, y, yaw, length, width."""
-        return np.column_stack([*self.way[1:4], *np.outer([self.length, self.width], np.ones(len(self.t)))])
+        return np.column_stack(
+            [*self.way[1:4], *np.outer([self.length, self.width], np.ones(len(self.t)))]
+        )
 
 
 def user_of(piece: Piece, boxes: Boxes, ego: Trajectory) -> User:
@@ -180,9 +210,12 @@ def user_of(piece: Piece, boxes: Boxes, ego: Trajectory) -> User:
     weight = boxes.weight[rows] / (1.0 + (far / FAR_M) ** 2)
     code = int(np.bincount(codes, np.where(boxes.group[rows] == piece.group, weight, 0.0)).argmax())
     sides = []
-    for values in (boxes.length[rows], boxes.width[rows]):  # weighted medians of the detections of this kind
+    # Weighted medians of the detections of this kind
+    for values in (boxes.length[rows], boxes.width[rows]):
         order, same = np.argsort(values), np.where(codes == code, weight, 0.0)
-        sides.append(float(values[order[np.searchsorted(np.cumsum(same[order]), 0.5 * same.sum())]]))
+        sides.append(
+            float(values[order[np.searchsorted(np.cumsum(same[order]), 0.5 * same.sum())]])
+        )
     path = piece.standing()
     if piece.still:
         path = np.zeros_like(path)
@@ -192,10 +225,14 @@ def user_of(piece: Piece, boxes: Boxes, ego: Trajectory) -> User:
     rides = label is AgentKind.PEDESTRIAN and piece.net > RIDES_M and speed > RIDES_MPS
     way = np.array([piece.t, path[:, 0], path[:, 1], yaw, path[:, 2], path[:, 3]])
     kind = AgentKind.BICYCLE if rides else label
-    return User(piece, kind, label, sides[0], sides[1], way, turned, np.zeros(len(piece.t), np.bool_))
+    return User(
+        piece, kind, label, sides[0], sides[1], way, turned, np.zeros(len(piece.t), np.bool_)
+    )
 
 
-def _headings(piece: Piece, path: FloatArray, yaw: FloatArray, weight: FloatArray) -> tuple[FloatArray, int]:
+def _headings(
+    piece: Piece, path: FloatArray, yaw: FloatArray, weight: FloatArray
+) -> tuple[FloatArray, int]:
     """Return the heading at each time `(k,)`, and the number of detected headings `yaw` with front and back exchanged.
 
     The axis is that of the boxes. The front is the direction of motion; without motion, that of most headings. A
@@ -214,7 +251,11 @@ def _headings(piece: Piece, path: FloatArray, yaw: FloatArray, weight: FloatArra
         return goes, 0
     rides = piece.group == CLUSTER and np.median(speed[fast]) > RIDES_MPS
     # the front is the same end of the box at all times, although the object may reverse
-    axis = np.unwrap(goes, period=np.pi) if rides or piece.group == VEHICLE else np.full(len(path), middle)
+    axis = (
+        np.unwrap(goes, period=np.pi)
+        if rides or piece.group == VEHICLE
+        else np.full(len(path), middle)
+    )
     ahead = np.cos(axis[fast] - goes[fast]).sum() >= 0.0
     agree = float(np.average(np.cos(yaw - axis[piece.seen]) >= 0.0, weights=weight))
     if speed.max() < REVERSE_MPS and max(agree, 1.0 - agree) >= HEADINGS_AGREE:
@@ -231,5 +272,7 @@ def _headings(piece: Piece, path: FloatArray, yaw: FloatArray, weight: FloatArra
     share = near.sum(axis=1)
     # the offsets from the axis are averaged about the detections' own axis, as both turn in a curve
     measured = axis[piece.seen] + off - axis[:, None]
-    mean = np.divide((near * measured).sum(axis=1), share, out=np.zeros(len(path)), where=share > 1e-9)
+    mean = np.divide(
+        (near * measured).sum(axis=1), share, out=np.zeros(len(path)), where=share > 1e-9
+    )
     return axis + mean, turned

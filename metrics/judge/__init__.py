@@ -4,11 +4,30 @@
 plans.
 """
 
-from replan.metrics.judge.excuses import CAREFUL, DRIVER, FOLLOWER, IMPACT, REFERENCE, REPLAY_CONTACT
+from replan.metrics.judge.excuses import (
+    CAREFUL,
+    DRIVER,
+    FOLLOWER,
+    IMPACT,
+    REFERENCE,
+    REPLAY_CONTACT,
+)
 from replan.metrics.judge.gates import Gate, Gates, Outcome, load_gates
 from replan.metrics.judge.verdicts import Verdict, judge, outcomes, worst
 
 __all__ = [
-    "CAREFUL", "DRIVER", "FOLLOWER", "IMPACT", "REFERENCE", "REPLAY_CONTACT", "Gate", "Gates", "Outcome", "Verdict",
-    "judge", "load_gates", "outcomes", "worst",
-]  # fmt: skip
+    "CAREFUL",
+    "DRIVER",
+    "FOLLOWER",
+    "IMPACT",
+    "REFERENCE",
+    "REPLAY_CONTACT",
+    "Gate",
+    "Gates",
+    "Outcome",
+    "Verdict",
+    "judge",
+    "load_gates",
+    "outcomes",
+    "worst",
+]

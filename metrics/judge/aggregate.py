@@ -28,13 +28,32 @@ Z = 1.959963984540054  # 95 % of the normal distribution lie within +-Z
 PASS = "pass"  # Name of the rows about the share of logs that pass; not a metric
 SUITE = "suite"
 BOTH = "both"  # Mode of the rows that combine open and closed loop of a log
-STANDINGS = ("failed", "missing", "inconclusive", "passed")  # of several loops, the first of these applies
+# Of several loops, the first of these applies
+STANDINGS = ("failed", "missing", "inconclusive", "passed")
 _STANDS = {"fail": "failed", "inconclusive": "inconclusive", "pass": "passed"}
 
 COLUMNS = (
-    "kind", "group", "planner", "mode", "metric", "unit", "direction", "logs", "available", "missing", "mean", "median",
-    "worst", "worst_log", "total", "low", "high", "passed", "failed", "inconclusive",
-)  # fmt: skip
+    "kind",
+    "group",
+    "planner",
+    "mode",
+    "metric",
+    "unit",
+    "direction",
+    "logs",
+    "available",
+    "missing",
+    "mean",
+    "median",
+    "worst",
+    "worst_log",
+    "total",
+    "low",
+    "high",
+    "passed",
+    "failed",
+    "inconclusive",
+)
 _KEY = ["kind", "group", "planner", "mode", "metric"]
 
 
@@ -54,7 +73,8 @@ def wilson(passed: int, n: int) -> tuple[float, float]:
     share, width = passed / n, 1.0 + Z * Z / n
     middle = share + Z * Z / (2 * n)
     half = Z * sqrt(share * (1.0 - share) / n + Z * Z / (4.0 * n * n))
-    low = 0.0 if passed == 0 else (middle - half) / width  # (1), which is exactly 0 and 1 at the ends
+    # (1), which is exactly 0 and 1 at the ends
+    low = 0.0 if passed == 0 else (middle - half) / width
     return low, 1.0 if passed == n else (middle + half) / width
 
 
@@ -93,7 +113,9 @@ def standings(
             outcomes.setdefault((log, planner, mode), set()).add(_STANDS[outcome])
     driven = set(_rows(drives, "log", "planner", "mode"))
     judged = {planner for _, planner, _ in outcomes}
-    unjudged = {planner for planner, oracle in _rows(drives, "planner", "oracle") if oracle} - judged
+    unjudged = {
+        planner for planner, oracle in _rows(drives, "planner", "oracle") if oracle
+    } - judged
     loops = {*verdicts["mode"], *(mode for *_, mode in crashed)}
     rows = []
     for planner in dict.fromkeys(planner for planner, _ in asked if planner not in unjudged):
@@ -122,15 +144,30 @@ def pass_shares(stand: pd.DataFrame, labels: Mapping[str, LogLabels]) -> pd.Data
             count = {word: sum(found[log] == word for log in logs) for word in STANDINGS}
             low, high = wilson(count["passed"], len(logs))
             share = count["passed"] / len(logs) if logs else np.nan
-            rows.append({
-                "kind": kind, "group": group, "planner": planner, "mode": mode, "metric": PASS, "unit": "1",
-                "direction": "higher", "logs": len(logs), "available": len(logs) - count["missing"], "mean": share,
-                "worst_log": "", "low": low, "high": high, **count,
-            })  # fmt: skip
+            rows.append(
+                {
+                    "kind": kind,
+                    "group": group,
+                    "planner": planner,
+                    "mode": mode,
+                    "metric": PASS,
+                    "unit": "1",
+                    "direction": "higher",
+                    "logs": len(logs),
+                    "available": len(logs) - count["missing"],
+                    "mean": share,
+                    "worst_log": "",
+                    "low": low,
+                    "high": high,
+                    **count,
+                }
+            )
     return _with_types(pd.DataFrame(rows, columns=list(COLUMNS)))
 
 
-def groups(table: pd.DataFrame, stand: pd.DataFrame, labels: Mapping[str, LogLabels]) -> pd.DataFrame:
+def groups(
+    table: pd.DataFrame, stand: pd.DataFrame, labels: Mapping[str, LogLabels]
+) -> pd.DataFrame:
     """Return `COLUMNS` per group, planner, mode and metric, and the shares that pass; sorted, suite first.
 
     `table` has rows of `replan.metrics.evaluate` (not of reference drives), `stand` of `standings`. `worst` follows the
@@ -139,8 +176,11 @@ def groups(table: pd.DataFrame, stand: pd.DataFrame, labels: Mapping[str, LogLab
     table = table[table["mode"].isin(["open", "closed"]) & table["log"].isin(list(labels))]
     row, logs = pd.factorize(table["log"], sort=True)
     by = table.groupby(["planner", "mode", "metric"], sort=True, observed=True)
-    value = np.full((len(logs), by.ngroups), np.nan)  # a row per log, a column per planner, mode and metric
-    value[row, by.ngroup()] = table["value"].where(table["available"].astype(bool) & np.isfinite(table["value"]))
+    # A row per log, a column per planner, mode and metric
+    value = np.full((len(logs), by.ngroups), np.nan)
+    value[row, by.ngroup()] = table["value"].where(
+        table["available"].astype(bool) & np.isfinite(table["value"])
+    )
     columns = by[["unit", "direction"]].first().reset_index()
     sign = columns["direction"].map({"lower": 1.0, "higher": -1.0, "none": np.nan}).to_numpy(float)
     parts = [pass_shares(stand, labels)]
@@ -153,24 +193,45 @@ def groups(table: pd.DataFrame, stand: pd.DataFrame, labels: Mapping[str, LogLab
         mean, median, worst = (np.full(len(some), np.nan) for _ in range(3))
         worst_log = np.full(len(some), "", dtype=object)
         if some.any():
-            mean[some], median[some] = total[some] / count[some], np.nanmedian(mine[:, some], axis=0)
+            mean[some], median[some] = (
+                total[some] / count[some],
+                np.nanmedian(mine[:, some], axis=0),
+            )
         ranked = np.flatnonzero(some & np.isfinite(sign))
         if len(ranked):
             at = np.where(there[:, ranked], mine[:, ranked] * sign[ranked], -np.inf).argmax(axis=0)
             worst[ranked], worst_log[ranked] = mine[at, ranked], named[at]
-        parts.append(columns.assign(
-            kind=kind, group=group, logs=len(members), available=count, missing=len(members) - count, mean=mean,
-            median=median, worst=worst, worst_log=worst_log, total=np.where(some, total, np.nan),
-        ))  # fmt: skip
-    found = _with_types(pd.concat([part.reindex(columns=list(COLUMNS)) for part in parts], ignore_index=True))
+        parts.append(
+            columns.assign(
+                kind=kind,
+                group=group,
+                logs=len(members),
+                available=count,
+                missing=len(members) - count,
+                mean=mean,
+                median=median,
+                worst=worst,
+                worst_log=worst_log,
+                total=np.where(some, total, np.nan),
+            )
+        )
+    found = _with_types(
+        pd.concat([part.reindex(columns=list(COLUMNS)) for part in parts], ignore_index=True)
+    )
     order = {kind: i for i, kind in enumerate((SUITE, "family", "tag", "dataset"))}
-    return found.sort_values(_KEY, key=lambda c: c.map(order) if c.name == "kind" else c, ignore_index=True)
+    return found.sort_values(
+        _KEY, key=lambda c: c.map(order) if c.name == "kind" else c, ignore_index=True
+    )
 
 
 def _with_types(rows: pd.DataFrame) -> pd.DataFrame:
-    kinds = dict.fromkeys(("logs", "available", "missing"), "int64") | dict.fromkeys(COLUMNS[10:13], "float64")
+    kinds = dict.fromkeys(("logs", "available", "missing"), "int64") | dict.fromkeys(
+        COLUMNS[10:13], "float64"
+    )
     kinds |= dict.fromkeys(COLUMNS[14:], "float64")
-    words: dict[str, Any] = {name: rows[name].fillna("").astype(str) for name in COLUMNS if name not in kinds}
+    words: dict[str, Any] = {
+        name: rows[name].fillna("").astype(str) for name in COLUMNS if name not in kinds
+    }
     return rows.assign(**words).astype(kinds)
 
 

@@ -32,8 +32,22 @@ from replan.metrics.judge.verdicts import Values, fill_rows
 from replan.metrics.metric import Metric
 from replan.metrics.needless import NEEDLESS_BRAKING, NEEDLESS_STANDING
 from replan.metrics.progress import COMPLETED, GOAL, ROUTE_PROGRESS
-from replan.metrics.safety import COLLISION_AT_FAULT, GAP_KEPT, GAP_KEPT_VULNERABLE, PASSING_ROOM, TTC, TTC_VULNERABLE
-from replan.metrics.traffic_rules import CROSSWALK, PRIORITY_GAP, RED_LIGHT, STOP_SIGN, YELLOW_LIGHT, YIELDING
+from replan.metrics.safety import (
+    COLLISION_AT_FAULT,
+    GAP_KEPT,
+    GAP_KEPT_VULNERABLE,
+    PASSING_ROOM,
+    TTC,
+    TTC_VULNERABLE,
+)
+from replan.metrics.traffic_rules import (
+    CROSSWALK,
+    PRIORITY_GAP,
+    RED_LIGHT,
+    STOP_SIGN,
+    YELLOW_LIGHT,
+    YIELDING,
+)
 
 PARKED, CREEPING, BLIND = "parked", "creeping", "blind"
 PARKED_FAILS, BLIND_FAILS = (f"{DISCRIMINATION.name}.{driver}" for driver in (PARKED, BLIND))
@@ -52,14 +66,26 @@ class BadDriver:
 
 _DRIVES = (COMPLETED, GOAL, ROUTE_PROGRESS, NEEDLESS_BRAKING, NEEDLESS_STANDING)
 _LOOKS = (
-    COLLISION_AT_FAULT, GAP_KEPT, GAP_KEPT_VULNERABLE, TTC, TTC_VULNERABLE, PASSING_ROOM,
-    RED_LIGHT, YELLOW_LIGHT, STOP_SIGN, CROSSWALK, PRIORITY_GAP, YIELDING,
-)  # fmt: skip
-BAD_DRIVERS: Mapping[str, BadDriver] = MappingProxyType({
-    PARKED: BadDriver("parked", {}, _DRIVES, "too easy"),
-    CREEPING: BadDriver("parked", {"speed_mps": CREEPS_MPS}, _DRIVES, "too easy"),
-    BLIND: BadDriver("blind", {}, _LOOKS, "no interaction"),
-})  # fmt: skip
+    COLLISION_AT_FAULT,
+    GAP_KEPT,
+    GAP_KEPT_VULNERABLE,
+    TTC,
+    TTC_VULNERABLE,
+    PASSING_ROOM,
+    RED_LIGHT,
+    YELLOW_LIGHT,
+    STOP_SIGN,
+    CROSSWALK,
+    PRIORITY_GAP,
+    YIELDING,
+)
+BAD_DRIVERS: Mapping[str, BadDriver] = MappingProxyType(
+    {
+        PARKED: BadDriver("parked", {}, _DRIVES, "too easy"),
+        CREEPING: BadDriver("parked", {"speed_mps": CREEPS_MPS}, _DRIVES, "too easy"),
+        BLIND: BadDriver("blind", {}, _LOOKS, "no interaction"),
+    }
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,24 +103,34 @@ class Discrimination:
         return f"a {self.driver} driver breaks {self.breaks}"
 
 
-def discrimination(driver: str, gates: Gates, labels: LogLabels, values: Mapping[str, float]) -> Discrimination:
+def discrimination(
+    driver: str, gates: Gates, labels: LogLabels, values: Mapping[str, float]
+) -> Discrimination:
     """Judge the drive of a reference driver by its values of metrics; NaN where it has none."""
     names = {metric.name for metric in BAD_DRIVERS[driver].judged_by}
     asked = (
-        gate for gate in gates.gates
-        if gate.planner is None and gate.mode in (None, Mode.CLOSED.value) and gate.selects(labels)
+        gate
+        for gate in gates.gates
+        if gate.planner is None
+        and gate.mode in (None, Mode.CLOSED.value)
+        and gate.selects(labels)
         and gate.metric.partition(".")[0] in names
-    )  # fmt: skip
+    )
     return Discrimination(
-        driver, next((gate for gate in asked if gate.margin(values.get(gate.metric, nan)) < 0.0), None)
+        driver,
+        next((gate for gate in asked if gate.margin(values.get(gate.metric, nan)) < 0.0), None),
     )
 
 
-def with_discrimination(table: pd.DataFrame, gates: Gates, labels: Mapping[str, LogLabels]) -> pd.DataFrame:
+def with_discrimination(
+    table: pd.DataFrame, gates: Gates, labels: Mapping[str, LogLabels]
+) -> pd.DataFrame:
     """Fill in (1) and (2) of each closed drive of the table, from the reference drives in it."""
     bad = table[(table["mode"] == REFERENCE) & table["planner"].isin(list(BAD_DRIVERS))]
     known: dict[tuple[str, str], dict[str, float]] = {}
-    for log, driver, metric, value in zip(*(bad[name] for name in ("log", "planner", "metric", "value")), strict=True):
+    for log, driver, metric, value in zip(
+        *(bad[name] for name in ("log", "planner", "metric", "value")), strict=True
+    ):
         known.setdefault((log, driver), {})[metric] = value
     found: dict[str, list[Discrimination]] = {}
     for (log, driver), of in known.items():

@@ -45,10 +45,15 @@ from replan.metrics.safety import CLOSE_S
 
 REFERENCE = "reference"  # Mode of the rows of reference drives
 DRIVER, CAREFUL, FOLLOWER = "driver", "careful", "follower"
-REFERENCES = {DRIVER: "the recorded driver", CAREFUL: "the careful driver", FOLLOWER: "the route follower"}
+REFERENCES = {
+    DRIVER: "the recorded driver",
+    CAREFUL: "the careful driver",
+    FOLLOWER: "the route follower",
+}
 """Planner names of these rows: the log's own driver; the careful driver of UN R157, which only brakes and ignores
 traffic rules; and the route follower, which steers and obeys the rules (`replan.replay.loop.reference_drives`)."""
-NO_COLLISION = Gate("collision_at_fault.count", max=0.0)  # A collision ends a drive: if it is excused, so is progress
+# A collision ends a drive: if it is excused, so is progress
+NO_COLLISION = Gate("collision_at_fault.count", max=0.0)
 TOO_NEAR = Gate("ttc.min", min=CLOSE_S)
 FALLBACKS = "fallback.rate"
 CLEAN = (NO_COLLISION, TOO_NEAR, Gate(FALLBACKS, max=0.0), Gate("goal.final", min=1.0))
@@ -57,7 +62,11 @@ SAME_S, SLOWER_MPS, WORSE = 2.0, 1.0, 1.5
 """A value at another time (`CC_TTC_S` of the careful driver), or a clearly harder impact, is another event. A value
 that is more than `WORSE` times as far out of bounds as the reference drive's is not explained by the same event."""
 COVERED, GOAL_ROUTE = Gate("covered.final", min=LEAST_COVERED), Gate("goal_route.final", min=1.0)
-REPLAY_CONTACT, IMPACT, PHANTOMS = "replay_contact.final", "collision_severity.impact_speed.max", "phantom.count"
+REPLAY_CONTACT, IMPACT, PHANTOMS = (
+    "replay_contact.final",
+    "collision_severity.impact_speed.max",
+    "phantom.count",
+)
 TRAFFIC = "evidence.traffic.share"
 EXCUSED: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {"safety": (DRIVER, CAREFUL), "rules": (DRIVER,), "comfort": (CAREFUL,)}
@@ -127,7 +136,9 @@ class GateCase:
 
     def reference(self, planner: str, metric: str) -> MetricRow:
         """Return a row of a reference drive of the log; `NOTHING` if the table has none, or it is not asked for."""
-        if planner == FOLLOWER and not needs_follower({gate.metric: self.value(gate.metric) for gate in CLEAN}):
+        if planner == FOLLOWER and not needs_follower(
+            {gate.metric: self.value(gate.metric) for gate in CLEAN}
+        ):
             return NOTHING
         return self.drives.rows.get((planner, REFERENCE), {}).get(self.log, {}).get(metric, NOTHING)
 
@@ -158,7 +169,9 @@ def lacking_evidence(case: GateCase) -> str:
     if not share.known or share.value >= gate.min_evidence:
         return ""
     known = f"evidence about {gate.evidence} covers {100.0 * share.value:.3g} % of the drive"
-    return f"{known}, less than {100.0 * gate.min_evidence:g} %" + (f" ({share.reason})" if share.reason else "")
+    return f"{known}, less than {100.0 * gate.min_evidence:g} %" + (
+        f" ({share.reason})" if share.reason else ""
+    )
 
 
 def excuse(case: GateCase) -> str:
@@ -172,7 +185,9 @@ def excuse(case: GateCase) -> str:
             return found.reason
     if gate.reachable and not _any_yardstick_holds(case):
         return "no yardstick stays within it: neither the recorded driver nor the route follower"
-    contact, crash, phantom = (case.row(name) for name in (REPLAY_CONTACT, NO_COLLISION.metric, PHANTOMS))
+    contact, crash, phantom = (
+        case.row(name) for name in (REPLAY_CONTACT, NO_COLLISION.metric, PHANTOMS)
+    )
     concerned = group == "progress" or (group == "safety" and row.about == contact.about)
     if concerned and contact.known and contact.value > 0.0:
         return f"the replay ran into the ego ({contact.reason})"
@@ -185,7 +200,12 @@ def excuse(case: GateCase) -> str:
     if crash.known and NO_COLLISION.margin(crash.value) < 0.0:
         return _excuse_by_reference(NO_COLLISION, case)
     follower = case.reference(FOLLOWER, gate.metric)
-    if follower.known and gate.margin(follower.value) < 0.0 and phantom.known and phantom.value > 0.0:
+    if (
+        follower.known
+        and gate.margin(follower.value) < 0.0
+        and phantom.known
+        and phantom.value > 0.0
+    ):
         return f"a phantom of the log ({phantom.reason}) also stops the route follower"
     return ""
 
@@ -194,9 +214,16 @@ def _any_yardstick_holds(case: GateCase) -> bool:
     """Return whether a yardstick stays within the bound in this log (module docstring)."""
     for planner in (DRIVER, FOLLOWER):
         rules = () if planner == DRIVER else case.drives.lawful
-        values = {rule: case.reference(planner, rule.metric).value for rule in rules if rule.mode in (None, case.mode)}
+        values = {
+            rule: case.reference(planner, rule.metric).value
+            for rule in rules
+            if rule.mode in (None, case.mode)
+        }
         lawful = all(rule.margin(value) >= 0.0 for rule, value in values.items() if isfinite(value))
-        traffic, reached = case.reference(planner, TRAFFIC), case.reference(planner, case.gate.metric)
+        traffic, reached = (
+            case.reference(planner, TRAFFIC),
+            case.reference(planner, case.gate.metric),
+        )
         seen = not traffic.known or traffic.value >= case.gate.min_evidence
         if lawful and seen and reached.known and case.gate.margin(reached.value) >= 0.0:
             return True
@@ -214,10 +241,18 @@ def _excuse_by_reference(gate: Gate, case: GateCase) -> str:
     avoided = group == "safety" and follower.known and gate.margin(follower.value) >= 0.0
     for planner in (*EXCUSED[group], *((FOLLOWER,) if row.time_s <= SAME_S else ())):
         found = case.reference(planner, gate.metric)
-        if not found.known or gate.margin(found.value) >= 0.0 or (planner != DRIVER and (harder or avoided)):
+        if (
+            not found.known
+            or gate.margin(found.value) >= 0.0
+            or (planner != DRIVER and (harder or avoided))
+        ):
             continue
         same = row.about == found.about and abs(row.time_s - found.time_s) <= SAME_S
-        if same and (row.about or group != "comfort") and gate.margin(row.value) >= WORSE * gate.margin(found.value):
+        if (
+            same
+            and (row.about or group != "comfort")
+            and gate.margin(row.value) >= WORSE * gate.margin(found.value)
+        ):
             about = f" ({found.reason})" if found.reason else ""
             return f"{REFERENCES[planner]} breaks {gate} too: {found.value:.4g}{unit_of(found.unit)}{about}"
     return ""
@@ -233,14 +268,21 @@ def _met_by_careful(gate: Gate, case: GateCase) -> str:
     collides = met.known and NO_COLLISION.margin(met.value) < 0.0 and met.about == row.about
     same = collides and abs(row.time_s - met.time_s) <= SAME_S
     smooth = driver.known and gate.margin(driver.value) >= 0.0
-    return f"{REFERENCES[CAREFUL]} collides ({met.reason})" if same and row.about and not smooth else ""
+    return (
+        f"{REFERENCES[CAREFUL]} collides ({met.reason})"
+        if same and row.about and not smooth
+        else ""
+    )
 
 
 def _excuse_fallback(case: GateCase) -> str:
     """Return the reason if the careful driver and the route follower come too near to a road user at that time."""
     when = case.row(FALLBACKS).time_s
     rows = [case.reference(planner, TOO_NEAR.metric) for planner in (CAREFUL, FOLLOWER)]
-    if all(row.known and TOO_NEAR.margin(row.value) < 0.0 and abs(row.time_s - when) <= SAME_S for row in rows):
+    if all(
+        row.known and TOO_NEAR.margin(row.value) < 0.0 and abs(row.time_s - when) <= SAME_S
+        for row in rows
+    ):
         return f"{REFERENCES[CAREFUL]} and {REFERENCES[FOLLOWER]} break {TOO_NEAR} then, too ({rows[0].reason})"
     return ""
 
@@ -259,7 +301,8 @@ def marginal(gate: Gate, value_of: Callable[[str], float]) -> str:
     bound = gate.max if gate.min is None else gate.min
     if bound == 0.0 and reduction.bounds is not None and metric.name in OF_OTHERS:
         value, unit, bound = value_of(f"{name}.min"), metric.unit, reduction.bounds[0]
-    near = {"s": AGE * interval, "m": 0.5 * HARD_MPS2 * (AGE * interval) ** 2}.get(unit, 0.0)  # (1), (2)
+    # (1), (2)
+    near = {"s": AGE * interval, "m": 0.5 * HARD_MPS2 * (AGE * interval) ** 2}.get(unit, 0.0)
     if bound is None or near == 0.0 or value == 0.0 or not abs(value - bound) <= near:
         return ""
     found = f"the bound of {bound:g} {unit} is within {near:.2g} {unit} of {value:.3g} {unit}"

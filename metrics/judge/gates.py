@@ -40,7 +40,8 @@ R = TypeVar("R", bound="DataclassInstance")
 EVIDENCE = ("traffic", "lights", "limit", "lane")  # The parts of the metric `evidence`
 OVER = ("worst", "mean", "median", "sum", "pass_share")
 RULE_OVER = ("mean", "median", "worst")
-RULE_KINDS = ("max_increase", "max_decrease", "max_flips", "max_missing")  # A rule has exactly one of these
+# A rule has exactly one of these
+RULE_KINDS = ("max_increase", "max_decrease", "max_flips", "max_missing")
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,21 +92,31 @@ class Gate:
         share = 1.0 if self.min_share is None else self.min_share
         rules = {
             "has neither min nor max": bool(bounds),
-            f"min {' is above max '.join(f'{b:g}' for b in bounds)}": not (len(bounds) == 2 and bounds[0] > bounds[1]),
+            f"min {' is above max '.join(f'{b:g}' for b in bounds)}": not (
+                len(bounds) == 2 and bounds[0] > bounds[1]
+            ),
             "a bound is not finite": all(map(isfinite, bounds)),
-            f'mode is {self.mode!r}, not "open" or "closed"': self.mode in (None, *(mode.value for mode in Mode)),
+            f'mode is {self.mode!r}, not "open" or "closed"': self.mode
+            in (None, *(mode.value for mode in Mode)),
             f"over is {self.over!r}, not one of {', '.join(OVER)}": self.over in OVER,
-            'over = "pass_share" needs min_share; min_share and confident need over = "pass_share"':
-                shared is (self.min_share is not None) and (shared or not self.confident),
+            'over = "pass_share" needs min_share; min_share and confident need over = "pass_share"': shared
+            is (self.min_share is not None)
+            and (shared or not self.confident),
             f"min_share is {share:g}, not a share above 0": 0.0 < share <= 1.0,
-            "confident: no number of logs makes a share of 1 sure": not self.confident or share < 1.0,
-            f'per is {self.per!r}, not "family", "tag" or "dataset"': self.per in (None, "family", "tag", "dataset"),
+            "confident: no number of logs makes a share of 1 sure": not self.confident
+            or share < 1.0,
+            f'per is {self.per!r}, not "family", "tag" or "dataset"': self.per
+            in (None, "family", "tag", "dataset"),
             "min_logs is below 1: a gate with nothing to judge is no pass": self.min_logs >= 1,
-            f"max_missing is {missing:g}, not a share of at least 0 and below 1": 0.0 <= missing < 1.0,
-            f"evidence is {self.evidence!r}, not one of {', '.join(EVIDENCE)}": self.evidence in (None, *EVIDENCE),
+            f"max_missing is {missing:g}, not a share of at least 0 and below 1": 0.0
+            <= missing
+            < 1.0,
+            f"evidence is {self.evidence!r}, not one of {', '.join(EVIDENCE)}": self.evidence
+            in (None, *EVIDENCE),
             f"min_evidence is {self.min_evidence:g}, not a share": 0.0 <= self.min_evidence <= 1.0,
-            f'broken is {self.broken!r}, not "fail" or "inconclusive"': self.broken in ("fail", "inconclusive"),
-        }  # fmt: skip
+            f'broken is {self.broken!r}, not "fail" or "inconclusive"': self.broken
+            in ("fail", "inconclusive"),
+        }
         for complaint, holds in rules.items():
             if not holds:
                 raise ValueError(complaint)
@@ -114,10 +125,17 @@ class Gate:
         """The rule: "gap.min >= 0.5 [closed] [pedestrian]"."""
         share = ""
         if self.min_share is not None:
-            share = f" in {100.0 * self.min_share:g} % of logs{', surely' if self.confident else ''}"
-        kinds = (*(f"family {word}" for word in self.families), *(f"dataset {word}" for word in self.datasets))
+            share = (
+                f" in {100.0 * self.min_share:g} % of logs{', surely' if self.confident else ''}"
+            )
+        kinds = (
+            *(f"family {word}" for word in self.families),
+            *(f"dataset {word}" for word in self.datasets),
+        )
         each = f"per {self.per}" if self.per else ""
-        scope = "".join(f" [{word}]" for word in (self.mode, *self.tags, *kinds, self.planner, each) if word)
+        scope = "".join(
+            f" [{word}]" for word in (self.mode, *self.tags, *kinds, self.planner, each) if word
+        )
         return f"{self.bound}{share}{scope}"
 
     @property
@@ -134,7 +152,9 @@ class Gate:
 
     def selects(self, labels: LogLabels) -> bool:
         """Return whether the gate applies to a log with these labels."""
-        named = (not self.families or labels.family in self.families) and set(self.tags) <= set(labels.tags)
+        named = (not self.families or labels.family in self.families) and set(self.tags) <= set(
+            labels.tags
+        )
         return named and (not self.datasets or labels.dataset in self.datasets)
 
     def margin(self, value: float) -> float:
@@ -154,7 +174,9 @@ class Gates:
     def asked_of(self, modes: Iterable[str]) -> Gates:
         """Return the gates for one of these modes, or for all modes."""
         wanted = set(modes)
-        return replace(self, gates=tuple(gate for gate in self.gates if not gate.mode or gate.mode in wanted))
+        return replace(
+            self, gates=tuple(gate for gate in self.gates if not gate.mode or gate.mode in wanted)
+        )
 
 
 @dataclass(frozen=True)
@@ -190,16 +212,22 @@ class GateRule:
     def __post_init__(self) -> None:
         kinds = [kind for kind in RULE_KINDS if getattr(self, kind) is not None]
         if len(kinds) != 1:
-            raise ValueError(f"needs one of {', '.join(RULE_KINDS)}, has {' and '.join(kinds) or 'none'}")
+            raise ValueError(
+                f"needs one of {', '.join(RULE_KINDS)}, has {' and '.join(kinds) or 'none'}"
+            )
         scoped, kind = self.mode or self.planner or self.tags, kinds[0]
         rules = {
-            f"{kind} is {self.limit:g}, not a number of at least 0": isfinite(self.limit) and self.limit >= 0.0,
-            f"{kind} {'has no' if self.metric else 'needs a'} metric": bool(self.metric) == (kind in RULE_KINDS[:2]),
+            f"{kind} is {self.limit:g}, not a number of at least 0": isfinite(self.limit)
+            and self.limit >= 0.0,
+            f"{kind} {'has no' if self.metric else 'needs a'} metric": bool(self.metric)
+            == (kind in RULE_KINDS[:2]),
             "gate goes with max_flips": not self.gate or self.max_flips is not None,
-            "max_missing counts all drives: no mode, planner or tags": self.max_missing is None or not scoped,
+            "max_missing counts all drives: no mode, planner or tags": self.max_missing is None
+            or not scoped,
             f"over is {self.over!r}, not one of {', '.join(RULE_OVER)}": self.over in RULE_OVER,
             'significant goes with over = "mean"': not self.significant or self.over == "mean",
-            f'mode is {self.mode!r}, not "open" or "closed"': self.mode in (None, *(mode.value for mode in Mode)),
+            f'mode is {self.mode!r}, not "open" or "closed"': self.mode
+            in (None, *(mode.value for mode in Mode)),
         }
         for complaint, holds in rules.items():
             if not holds:
@@ -208,7 +236,9 @@ class GateRule:
     @property
     def limit(self) -> float:
         """The number that must not be exceeded."""
-        return float(next(value for kind in RULE_KINDS if (value := getattr(self, kind)) is not None))
+        return float(
+            next(value for kind in RULE_KINDS if (value := getattr(self, kind)) is not None)
+        )
 
     @property
     def sign(self) -> float:
@@ -227,7 +257,10 @@ class GateRule:
         return f"{self.over} {self.metric} {word} by at most {self.limit:g}{sure}{scope}"
 
 
-PACKAGED: Mapping[str, Path | None] = {"default": None, "safety": Path(__file__).with_name("safety_gates.toml")}
+PACKAGED: Mapping[str, Path | None] = {
+    "default": None,
+    "safety": Path(__file__).with_name("safety_gates.toml"),
+}
 """The packaged sets of gates by name, and their files; None: as `load_gates`."""
 
 
@@ -243,12 +276,17 @@ def load_gates(path: Path | None, *, metrics: Mapping[str, Metric] = METRICS) ->
     return Gates(gates, source)
 
 
-def load_rules(path: Path | None, *, metrics: Mapping[str, Metric] = METRICS) -> tuple[GateRule, ...]:
+def load_rules(
+    path: Path | None, *, metrics: Mapping[str, Metric] = METRICS
+) -> tuple[GateRule, ...]:
     """Load the rules of a TOML file; the packaged rules if it has none, or for None.
 
     ConfigError if the file cannot be read, a key or metric is unknown, or a rule is contradictory; names file and rule.
     """
-    return _read_tables(path, "compare", GateRule, metrics)[1] or _read_tables(None, "compare", GateRule, metrics)[1]
+    return (
+        _read_tables(path, "compare", GateRule, metrics)[1]
+        or _read_tables(None, "compare", GateRule, metrics)[1]
+    )
 
 
 def _read_tables(
@@ -292,7 +330,9 @@ def _read_tables(
 def _check_keys(table: Mapping[str, Any], keys: Sequence[str], place: str) -> None:
     for key in table:
         if key not in keys:
-            raise ConfigError(f"{place}: unknown key {key!r}{meant(key, keys)}; known: {', '.join(keys)}")
+            raise ConfigError(
+                f"{place}: unknown key {key!r}{meant(key, keys)}; known: {', '.join(keys)}"
+            )
 
 
 def unit_of(unit: str) -> str:

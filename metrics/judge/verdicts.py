@@ -78,10 +78,22 @@ LATE = "deadline.share"
 MAX_LATE = 0.01  # The share of a drive's plans that may be late
 MISS_COLUMNS = ("log", "planner", "mode", "plans", "misses", "share", "worst_s", "worst_t_s")
 OUTCOME_COLUMNS = (
-    "gate", "log", "planner", "mode", "outcome", "value", "time_s", "reason", "metric", "over", "low", "high",
-)  # fmt: skip
+    "gate",
+    "log",
+    "planner",
+    "mode",
+    "outcome",
+    "value",
+    "time_s",
+    "reason",
+    "metric",
+    "over",
+    "low",
+    "high",
+)
 Drive = tuple[str, str, str]  # Log, planner, mode
-Values = dict[tuple[str, str, str, str], tuple[float, str]]  # Value and reason by log, planner, mode and metric
+# Value and reason by log, planner, mode and metric
+Values = dict[tuple[str, str, str, str], tuple[float, str]]
 DRIVE = ["log", "planner", "mode"]
 
 
@@ -138,27 +150,46 @@ def judge(
     rows: dict[tuple[str, str], dict[str, dict[str, MetricRow]]] = {}
     columns = ("planner", "mode", "log", "metric", *MetricRow._fields)
     about = table.get("about", table["reason"]).astype(object)
-    about = about.where(about.notna(), table["reason"])  # reasons of older versions of replan contain full ids
+    # Reasons of older versions of replan contain full ids
+    about = about.where(about.notna(), table["reason"])
     table = table.assign(about=[str(each).partition(":")[0] for each in about])
     for planner, mode, log, metric, *rest in zip(*(table[name] for name in columns), strict=True):
         rows.setdefault((planner, mode), {}).setdefault(log, {})[metric] = MetricRow(*rest)
-    lawful = tuple(gate for gate in gates.gates if gate.over == "worst" and group_of(gate) in LAWFUL)
-    oracles = frozenset(table.loc[table["oracle"].astype(bool) & (table["mode"] != REFERENCE), "planner"])
+    lawful = tuple(
+        gate for gate in gates.gates if gate.over == "worst" and group_of(gate) in LAWFUL
+    )
+    oracles = frozenset(
+        table.loc[table["oracle"].astype(bool) & (table["mode"] != REFERENCE), "planner"]
+    )
     drives = DrivesTable(rows, oracles, crashed, lawful)
     known = list(dict.fromkeys([*labels, *table["log"], *failed]))
-    return tuple(verdict for gate in gates.gates for verdict in _judge_gate(gate, drives, known, labels, failed))
+    return tuple(
+        verdict
+        for gate in gates.gates
+        for verdict in _judge_gate(gate, drives, known, labels, failed)
+    )
 
 
 def outcomes(verdicts: Sequence[Verdict]) -> pd.DataFrame:
     """Return the outcome of each gate on each log as `OUTCOME_COLUMNS`; one row even if a log is in several groups."""
     found = [
         (
-            str(v.gate), log.log, v.planner, v.mode, log.outcome.value, log.value, log.time_s, log.why,
-            v.gate.metric, v.gate.over, v.gate.min, v.gate.max,
+            str(v.gate),
+            log.log,
+            v.planner,
+            v.mode,
+            log.outcome.value,
+            log.value,
+            log.time_s,
+            log.why,
+            v.gate.metric,
+            v.gate.over,
+            v.gate.min,
+            v.gate.max,
         )
         for v in verdicts
         for log in v.logs
-    ]  # fmt: skip
+    ]
     rows = pd.DataFrame(found, columns=list(OUTCOME_COLUMNS))
     rows = rows.astype(dict.fromkeys(("value", "time_s", "low", "high"), "float64"))
     twice = [str(v.gate) for v in verdicts if v.gate.per == "tag"]
@@ -173,11 +204,20 @@ def worst(found: Iterable[Outcome]) -> Outcome:
 
 
 def _judge_gate(
-    gate: Gate, drives: DrivesTable, known: Sequence[str], labels: Mapping[str, LogLabels], failed: Mapping[str, str]
+    gate: Gate,
+    drives: DrivesTable,
+    known: Sequence[str],
+    labels: Mapping[str, LogLabels],
+    failed: Mapping[str, str],
 ) -> list[Verdict]:
     """The verdicts of a gate, by planner, mode and group."""
-    unknown = LogLabels()  # labels of a log that failed before they were known: any gate may select it
-    logs = [log for log in known if gate.selects(labels.get(log, unknown)) or (log in failed and log not in labels)]
+    # Labels of a log that failed before they were known: any gate may select it
+    unknown = LogLabels()
+    logs = [
+        log
+        for log in known
+        if gate.selects(labels.get(log, unknown)) or (log in failed and log not in labels)
+    ]
     if not logs:
         known_words = {
             "tags": {tag for mine in labels.values() for tag in mine.tags},
@@ -199,16 +239,29 @@ def _judge_gate(
         if (planner not in drives.oracles if gate.planner is None else planner == gate.planner)
         if mode != REFERENCE and gate.mode in (None, mode)
     ]
-    modes = {mode for planner, mode in asked if any(gate.metric in log for log in drives.rows[planner, mode].values())}
+    modes = {
+        mode
+        for planner, mode in asked
+        if any(gate.metric in log for log in drives.rows[planner, mode].values())
+    }
     groups: dict[str, list[str]] = {} if gate.per else {"": logs}
     for log in logs if gate.per else ():
         mine = labels.get(log, unknown)
-        words = {"family": (mine.family,), "dataset": (mine.dataset,), "tag": mine.tags}[gate.per or ""]
+        words = {"family": (mine.family,), "dataset": (mine.dataset,), "tag": mine.tags}[
+            gate.per or ""
+        ]
         for word in words or ("",):
-            groups.setdefault(f"{gate.per} {word}" if word else f"{gate.per} not known", []).append(log)
+            groups.setdefault(f"{gate.per} {word}" if word else f"{gate.per} not known", []).append(
+                log
+            )
     if modes:
         return [
-            _judge_drive(gate, drive, [_judge_log(GateCase(gate, log, *drive, drives), failed) for log in mine], group)
+            _judge_drive(
+                gate,
+                drive,
+                [_judge_log(GateCase(gate, log, *drive, drives), failed) for log in mine],
+                group,
+            )
             for drive in asked
             if drive[1] in modes
             for group, mine in sorted(groups.items())
@@ -217,8 +270,12 @@ def _judge_gate(
     near = meant(gate.planner, planners) if gate.planner and gate.planner not in planners else ""
     planner = f"planner {gate.planner}{near}" if gate.planner else "a planner that is no oracle"
     loop = f" in {gate.mode} loop" if gate.mode else ""
-    lost = "".join(f"; {log} could not be evaluated: {failed[log]}" for log in logs if log in failed)
-    reason = f"nothing to judge: {gate.metric} was not measured for {planner}{loop} in this run{lost}"
+    lost = "".join(
+        f"; {log} could not be evaluated: {failed[log]}" for log in logs if log in failed
+    )
+    reason = (
+        f"nothing to judge: {gate.metric} was not measured for {planner}{loop} in this run{lost}"
+    )
     misspelt = gate.planner is not None and all(gate.planner != name for name, _ in drives.rows)
     return [Verdict(gate, Outcome.INCONCLUSIVE, reason)] if misspelt or not gate.optional else []
 
@@ -246,7 +303,9 @@ def _judge_log(case: GateCase, failed: Mapping[str, str]) -> LogOutcome:
     return LogOutcome(log, outcome, why, row.value, row.unit, row.time_s)
 
 
-def _judge_drive(gate: Gate, drive: tuple[str, str], logs: Sequence[LogOutcome], group: str) -> Verdict:
+def _judge_drive(
+    gate: Gate, drive: tuple[str, str], logs: Sequence[LogOutcome], group: str
+) -> Verdict:
     """Return the verdict on one planner and mode; NOT ASKED if the gate is optional and no log was asked."""
     planner, mode = drive
     who = f"{planner}, {mode} loop" + (f", {group}" if group else "")
@@ -255,8 +314,14 @@ def _judge_drive(gate: Gate, drive: tuple[str, str], logs: Sequence[LogOutcome],
     if not found:
         why = Counter(log.why for log in logs).most_common(1)
         reason = f"{who}: no log was asked" + (f" ({why[0][0]})" if why else "")
-        return replace(nothing, outcome=Outcome.NOT_ASKED if gate.optional else Outcome.INCONCLUSIVE, reason=reason)
-    judged = [log for log in found if isfinite(log.value) and log.outcome is not Outcome.INCONCLUSIVE]
+        return replace(
+            nothing,
+            outcome=Outcome.NOT_ASKED if gate.optional else Outcome.INCONCLUSIVE,
+            reason=reason,
+        )
+    judged = [
+        log for log in found if isfinite(log.value) and log.outcome is not Outcome.INCONCLUSIVE
+    ]
     missing = [log for log in found if not log.evaluated]
     without = [log for log in found if log.outcome is Outcome.INCONCLUSIVE and log.evaluated]
     aside = ""  # text about logs that could not be judged
@@ -268,28 +333,47 @@ def _judge_drive(gate: Gate, drive: tuple[str, str], logs: Sequence[LogOutcome],
     unclear = next(iter((*without, *missing)), None)
     if not judged:
         where = found[0] if unclear is None else unclear
-        return replace(nothing, reason=f"{who}: nothing to judge{aside}", log=where.log, time_s=where.time_s)
+        return replace(
+            nothing, reason=f"{who}: nothing to judge{aside}", log=where.log, time_s=where.time_s
+        )
     bad = min(judged, key=lambda log: gate.margin(log.value))
-    few = f"; {count_logs(len(judged))} judged, {gate.min_logs} must be" if len(judged) < gate.min_logs else ""
-    lacking = len(judged) < gate.min_logs or len(found) - len(judged) > gate.max_missing * len(found) + 1e-9
+    few = (
+        f"; {count_logs(len(judged))} judged, {gate.min_logs} must be"
+        if len(judged) < gate.min_logs
+        else ""
+    )
+    lacking = (
+        len(judged) < gate.min_logs
+        or len(found) - len(judged) > gate.max_missing * len(found) + 1e-9
+    )
     if gate.over == "pass_share":
         value, outcome, what = _judge_share(gate, found, bad, lacking=lacking)
     else:
         value, outcome, what = _judge_value(gate, judged, bad, lacking=bool(lacking or missing))
     reason = f"{who}: {what}{few}{aside}"
     where = bad if outcome is not Outcome.INCONCLUSIVE or unclear is None else unclear
-    return replace(nothing, outcome=outcome, reason=reason, value=value, log=where.log, time_s=where.time_s)
+    return replace(
+        nothing, outcome=outcome, reason=reason, value=value, log=where.log, time_s=where.time_s
+    )
 
 
 def _judge_value(
     gate: Gate, judged: Sequence[LogOutcome], bad: LogOutcome, *, lacking: bool
 ) -> tuple[float, Outcome, str]:
     """Return value, outcome and reason: "gap.min = 0.31 m, below 0.5, on log X at 3.20 s (car 7)"."""
-    how: Mapping[str, Callable[[list[float]], Any]] = {"mean": np.mean, "median": np.median, "sum": np.sum}
+    how: Mapping[str, Callable[[list[float]], Any]] = {
+        "mean": np.mean,
+        "median": np.median,
+        "sum": np.sum,
+    }
     reduced = how.get(gate.over)
     value = float(reduced([log.value for log in judged])) if reduced else bad.value
     broken = sum(gate.margin(log.value) < 0.0 for log in judged)
-    share = f"; broken in {broken} of {count_logs(len(judged))}" if gate.over == "worst" and broken else ""
+    share = (
+        f"; broken in {broken} of {count_logs(len(judged))}"
+        if gate.over == "worst" and broken
+        else ""
+    )
     unit, bound, outcome = unit_of(bad.unit), ", within bounds,", Outcome(gate.broken)
     if gate.min is not None and value < gate.min:
         bound = f", below {gate.min:g},"
@@ -322,7 +406,11 @@ def _judge_share(
         outcome = Outcome.PASS
     interval = f"95 % interval {100.0 * low:.3g} to {100.0 * high:.3g} %"
     share = f"holds in {passed} of {count_logs(n)} ({100.0 * passed / n:.3g} %, {interval}), {how}"
-    return passed / n, outcome, f"{gate.bound} {share}; worst {bad.value:.4g}{unit_of(bad.unit)} {bad.place}"
+    return (
+        passed / n,
+        outcome,
+        f"{gate.bound} {share}; worst {bad.value:.4g}{unit_of(bad.unit)} {bad.place}",
+    )
 
 
 def with_ensemble(
@@ -334,24 +422,36 @@ def with_ensemble(
     """
     if members.empty:
         return table
-    rules = replace(gates, gates=tuple(gate for gate in gates.gates if not gate.metric.startswith(ENSEMBLE.name)))
+    rules = replace(
+        gates,
+        gates=tuple(gate for gate in gates.gates if not gate.metric.startswith(ENSEMBLE.name)),
+    )
     plain = _drive_outcomes(rules, table, labels)
     found: dict[Drive, list[tuple[Outcome, str]]] = {}
     for (_, name), rows in members.groupby([MEMBER, PERTURBATION], sort=True):
         logs = set(rows["log"])
-        members_of = _drive_outcomes(rules, rows, {log: mine for log, mine in labels.items() if log in logs})
+        members_of = _drive_outcomes(
+            rules, rows, {log: mine for log, mine in labels.items() if log in logs}
+        )
         for drive, base in plain.items():
             if drive[0] not in logs:
                 continue
             now, change = Outcome.INCONCLUSIVE, f"{name}: not evaluated"
             if (member := members_of.get(drive)) is not None:
                 before, now = worst(base.values()), worst(member.values())
-                gates_of = ", ".join(gate for gate, outcome in base.items() if member.get(gate) is not outcome)
-                change = "" if before is now else f"{name}: {before.value} -> {now.value} ({gates_of})"
+                gates_of = ", ".join(
+                    gate for gate, outcome in base.items() if member.get(gate) is not outcome
+                )
+                change = (
+                    "" if before is now else f"{name}: {before.value} -> {now.value} ({gates_of})"
+                )
             found.setdefault(drive, []).append((now, change))
     values: Values = {}
     for drive, others in found.items():
-        passed = sum(one is Outcome.PASS for one in (worst(plain[drive].values()), *(one for one, _ in others)))
+        passed = sum(
+            one is Outcome.PASS
+            for one in (worst(plain[drive].values()), *(one for one, _ in others))
+        )
         changes = [change for _, change in others if change]
         values[*drive, f"{ENSEMBLE.name}.pass_share"] = passed / (len(others) + 1.0), ""  # (1)
         values[*drive, f"{ENSEMBLE.name}.fragile"] = float(bool(changes)), "; ".join(changes)  # (2)
@@ -360,7 +460,9 @@ def with_ensemble(
 
 def with_asked(table: pd.DataFrame, gates: Gates, labels: Mapping[str, LogLabels]) -> pd.DataFrame:
     """Add the row `asked.share` of each drive to the table: the share of the other gates that were asked."""
-    rules = replace(gates, gates=tuple(gate for gate in gates.gates if not gate.metric.startswith(ASKED.name)))
+    rules = replace(
+        gates, gates=tuple(gate for gate in gates.gates if not gate.metric.startswith(ASKED.name))
+    )
     values: Values = {}
     for drive, found in _drive_outcomes(rules, table, labels).items():
         missing = [gate for gate, outcome in found.items() if outcome is Outcome.NOT_ASKED]
@@ -375,7 +477,10 @@ def fill_rows(table: pd.DataFrame, values: Values) -> pd.DataFrame:
     at = table.index[[i for i, key in enumerate(keys) if key in values]]
     found = [values[key] for key in keys if key in values]
     out = table.copy()
-    out.loc[at, "value"], out.loc[at, "reason"] = [value for value, _ in found], [reason for _, reason in found]
+    out.loc[at, "value"], out.loc[at, "reason"] = (
+        [value for value, _ in found],
+        [reason for _, reason in found],
+    )
     out.loc[at, "available"] = True
     return out
 
@@ -386,7 +491,9 @@ def _drive_outcomes(
     """Return the outcomes by gate, for each log, planner and mode."""
     found: dict[Drive, dict[str, Outcome]] = {}
     table = outcomes(judge(gates, table, labels))
-    for *drive, gate, outcome in zip(*(table[name] for name in (*DRIVE, "gate", "outcome")), strict=True):
+    for *drive, gate, outcome in zip(
+        *(table[name] for name in (*DRIVE, "gate", "outcome")), strict=True
+    ):
         found.setdefault((drive[0], drive[1], drive[2]), {})[gate] = Outcome(outcome)
     return found
 
@@ -404,13 +511,26 @@ def deadline_misses(timings: pd.DataFrame, deadline_s: float) -> pd.DataFrame:
     if not deadline_s > 0.0:
         raise ValueError(f"a deadline of {deadline_s} s")
     rows = []
-    for drive, plans in timings[timings["stage"] == "total"].groupby(DRIVE, sort=False, observed=True):
+    for drive, plans in timings[timings["stage"] == "total"].groupby(
+        DRIVE, sort=False, observed=True
+    ):
         late, worst = plans["seconds"] > deadline_s, plans.iloc[int(plans["seconds"].argmax())]
-        rows.append((*drive, len(plans), int(late.sum()), float(late.mean()), worst["seconds"], worst["t_s"]))
+        rows.append(
+            (
+                *drive,
+                len(plans),
+                int(late.sum()),
+                float(late.mean()),
+                worst["seconds"],
+                worst["t_s"],
+            )
+        )
     return pd.DataFrame(rows, columns=list(MISS_COLUMNS))
 
 
-def judge_deadline(timings: pd.DataFrame, deadline_s: float, labels: Mapping[str, LogLabels]) -> tuple[Verdict, ...]:
+def judge_deadline(
+    timings: pd.DataFrame, deadline_s: float, labels: Mapping[str, LogLabels]
+) -> tuple[Verdict, ...]:
     """The verdicts on the share of late plans, at most `MAX_LATE` in each drive; arguments as of `deadline_misses`."""
     late = deadline_misses(timings, deadline_s)
     why = [
@@ -418,7 +538,15 @@ def judge_deadline(timings: pd.DataFrame, deadline_s: float, labels: Mapping[str
         for row in late.itertuples()
     ]
     table = late[DRIVE].assign(
-        oracle=False, metric=LATE, value=late["share"], unit="1", available=True, reason=why, time_s=late["worst_t_s"]
+        oracle=False,
+        metric=LATE,
+        value=late["share"],
+        unit="1",
+        available=True,
+        reason=why,
+        time_s=late["worst_t_s"],
     )
-    gate = Gate(LATE, max=MAX_LATE, reason=f"plans are made within {deadline_s:g} s on this machine")
+    gate = Gate(
+        LATE, max=MAX_LATE, reason=f"plans are made within {deadline_s:g} s on this machine"
+    )
     return judge(Gates((gate,), "deadline"), table, labels)

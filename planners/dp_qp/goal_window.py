@@ -31,18 +31,22 @@ from replan.planners.frenet.profiles import COMFORT
 from replan.planners.frenet.reference_path import ReferencePath
 
 LEAST = 0.3  # Share of the speed limit below which (2) does not slow the ego down
-HASTE_S = 3.0  # The ego is in a hurry where it would arrive less than this before the last time (3), s
+# The ego is in a hurry where it would arrive less than this before the last time (3), s
+HASTE_S = 3.0
 ROOM_MPS = 1.0  # Reserve to the goal's greatest speed (1), m/s
 ROOM_S = 0.2  # Reserve to its first time (2), s
 END_M = 3.0  # Reserve to the end of the road where a goal has no region, m
 HURRIED_GAP_S = 0.8  # Time gap of an ego in a hurry, s
 BESIDE_M = 8.0  # A region farther beside the line than this is not a goal of this lane, m
-SIDE_M = 0.3  # Distance of the ego's middle to a region's sides, m; at most a quarter of the region's width
+# Distance of the ego's middle to a region's sides, m; at most a quarter of the region's width
+SIDE_M = 0.3
 ALONG_M = 0.5  # Spacing of the stations at which a region's sides are measured, m ...
 ROWS = 400  # ... and their greatest number.
 STEPS = 32  # Number of steps in the integration of the time to a region
 JOINED_M = 0.1  # Regions nearer to each other than this are one, m
-NARROW = 0.5  # (4) does not apply where a region is narrower than this share of its greatest width: at its corners
+# (4) does not apply where a region is narrower than this share of its greatest width: at its
+# corners
+NARROW = 0.5
 NO_SIDES = np.empty((3, 0))  # (4) where there is no region
 
 
@@ -65,12 +69,17 @@ class GoalWindow:
     """The goal along one reference line, for a comfortable acceleration; without a `goal` it demands nothing."""
 
     def __init__(
-        self, goal: Goal | None, reference: ReferencePath, vehicle: VehicleParameters,
+        self,
+        goal: Goal | None,
+        reference: ReferencePath,
+        vehicle: VehicleParameters,
         accel_mps2: float = COMFORT.accel_mps2,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._goal, self._accel = goal, accel_mps2
         self._region, (self._begins, _) = (
-            _region(goal, reference, beside) - vehicle.axle_to_center if goal else np.array([np.nan, np.nan])
+            _region(goal, reference, beside) - vehicle.axle_to_center
+            if goal
+            else np.array([np.nan, np.nan])
             for beside in (BESIDE_M, np.inf)
         )
         self._limit = reference.line.s, reference.limit
@@ -116,7 +125,9 @@ class GoalWindow:
         late = self._late(t, s, v, begin, last)
         return SpeedTarget(hurried=late > -HASTE_S, missed_s=max(late, 0.0))  # (3)
 
-    def _slow(self, t: float, s: float, v: float, inner: float, end: float, opens: float) -> SpeedTarget:
+    def _slow(
+        self, t: float, s: float, v: float, inner: float, end: float, opens: float
+    ) -> SpeedTarget:
         """(2), so that the ego is not beyond `inner` before `opens`."""
         if t + self._least_time(s, inner, v) >= opens:
             return SpeedTarget()
@@ -133,7 +144,9 @@ class GoalWindow:
 
 
 @kernel
-def _least_time(knots: FloatArray, limit: FloatArray, s: float, to: float, v: float, accel: float) -> float:
+def _least_time(
+    knots: FloatArray, limit: FloatArray, s: float, to: float, v: float, accel: float
+) -> float:
     """Integrate the time, s, in equal steps; `limit` at knots `(n,)`, m/s. It adds in eight sums, as NumPy does."""
     step, last, sums = (to - s) / STEPS, len(knots) - 1, np.zeros(8)
     before = s
@@ -151,7 +164,9 @@ def _least_time(knots: FloatArray, limit: FloatArray, s: float, to: float, v: fl
 
 def _region(goal: Goal, reference: ReferencePath, beside: float) -> FloatArray:
     """First and last station of the goal's regions, m; NaN where all are farther than `beside` from the line."""
-    found = [reference.line.project(float(x), float(y)) for region in goal.regions for x, y in region]
+    found = [
+        reference.line.project(float(x), float(y)) for region in goal.regions for x, y in region
+    ]
     stations = [along for along, aside in found if abs(aside) < beside]
     return np.array([min(stations), max(stations)] if stations else [np.nan, np.nan])
 
@@ -174,11 +189,15 @@ def _sides(goal: Goal, reference: ReferencePath) -> FloatArray:
             along = (region - (x, y)) @ (np.cos(yaw), np.sin(yaw))
             aside = (region - (x, y)) @ (-np.sin(yaw), np.cos(yaw))
             after, then = np.roll(along, -1), np.roll(aside, -1)
-            cut = (along > 0.0) != (after > 0.0)  # where the normal of the line runs through the region
+            # Where the normal of the line runs through the region
+            cut = (along > 0.0) != (after > 0.0)
             at = np.sort(aside[cut] + (then - aside)[cut] * along[cut] / (along - after)[cut])
-            pieces[k] += [(float(low), float(high)) for low, high in zip(at[::2], at[1::2], strict=True)]
+            pieces[k] += [
+                (float(low), float(high)) for low, high in zip(at[::2], at[1::2], strict=True)
+            ]
     across = []
-    for row in pieces:  # join pieces that touch; then take the one around the line, or nearest to it
+    # Join pieces that touch; then take the one around the line, or nearest to it
+    for row in pieces:
         joined: list[tuple[float, float]] = []
         for right, left in sorted(row):
             if joined and right <= joined[-1][1] + JOINED_M:

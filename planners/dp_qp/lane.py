@@ -23,12 +23,26 @@ from replan.logs.plan import Artefact, CostTerms, SolverReport
 from replan.logs.states import EgoState
 from replan.planners.dp_qp.goal_window import GoalWindow, SpeedTarget
 from replan.planners.dp_qp.path.bounds import InTheWay
-from replan.planners.dp_qp.path.passing import PassTarget, find_slow_agents, free_stations, pass_targets
+from replan.planners.dp_qp.path.passing import (
+    PassTarget,
+    find_slow_agents,
+    free_stations,
+    pass_targets,
+)
 from replan.planners.dp_qp.path.stage import ChosenPath, PathConfig, PathMemory, PathStage
 from replan.planners.dp_qp.speed.caps import SpeedTask
 from replan.planners.dp_qp.speed.stage import ChosenSpeed, SpeedConfig, SpeedMemory, SpeedStage
 from replan.planners.frenet.reference_path import LaneSequence
-from replan.planners.frenet.scene import STITCH_M, STITCH_MPS, TRACK_M, Scene, StartPlace, behind, on_path, scene_of
+from replan.planners.frenet.scene import (
+    STITCH_M,
+    STITCH_MPS,
+    TRACK_M,
+    Scene,
+    StartPlace,
+    behind,
+    on_path,
+    scene_of,
+)
 from replan.planners.piecewise_jerk.solvers import DEFAULT, check_solver
 from replan.planners.rules import Rulebook, RuleMemory, RulesConfig
 
@@ -110,19 +124,31 @@ class LanePlan:
 class LanePlanner:
     """Plans in one lane sequence; the caller keeps its memory."""
 
-    def __init__(self, lane: LaneSequence, context: PlannerContext, config: DpQpConfig | None = None) -> None:
+    def __init__(
+        self, lane: LaneSequence, context: PlannerContext, config: DpQpConfig | None = None
+    ) -> None:
         config = config or DpQpConfig()
         qp, self._vehicle = config.speed.qp, context.vehicle
         self.lane, self._config, self._horizon = lane, config.lane, qp.horizon
         self._rules = Rulebook(
-            context.road, lane.reference, context.vehicle,
-            curve_accel_mps2=qp.curve_accel_mps2, ease_mps2=qp.ease_mps2, config=config.rules,
-        )  # fmt: skip
-        self._goal = GoalWindow(context.goal, lane.reference, context.vehicle, qp.comfort.accel_mps2)
+            context.road,
+            lane.reference,
+            context.vehicle,
+            curve_accel_mps2=qp.curve_accel_mps2,
+            ease_mps2=qp.ease_mps2,
+            config=config.rules,
+        )
+        self._goal = GoalWindow(
+            context.goal, lane.reference, context.vehicle, qp.comfort.accel_mps2
+        )
         self._path = PathStage(
-            context, config.path, self._goal, horizon=qp.horizon, curve_accel_mps2=qp.curve_accel_mps2,
+            context,
+            config.path,
+            self._goal,
+            horizon=qp.horizon,
+            curve_accel_mps2=qp.curve_accel_mps2,
             solver=config.solver,
-        )  # fmt: skip
+        )
         self._speed = SpeedStage(context, config.speed, config.solver)
 
     @property
@@ -155,7 +181,9 @@ class LanePlanner:
             stops = on_path(demanded, path.path, self._vehicle)
             skip = behind(scene, keeps_track=path.shift < TRACK_M and past is None)
             who, beside = [] if past else find_slow_agents(scene), past.targets if past else ()
-            if who:  # passing them is planned for an ego at the limit, which gets there soonest; else it follows them
+            # Passing them is planned for an ego at the limit, which gets there soonest; else it
+            # follows them
+            if who:
                 expected = free_stations(scene.frame.predictions.t, scene.s, start.v, scene.limit)
                 beside = pass_targets(scene, who, expected)
             task = SpeedTask(standing, skip, stops, beside, past is not None, self._goal, target)
@@ -163,9 +191,14 @@ class LanePlanner:
         lost, braking = self._horizon, config.failed_s
         if speed is not None and speed.profile is not None:
             lost = (speed.free_m - float(speed.profile[0, -1])) / max(scene.limit, 1.0)  # (1)
-            braking = config.failed_s if speed.unavoidable else config.hard_s if speed.reason else 0.0  # (4)
+            # (4)
+            braking = (
+                config.failed_s if speed.unavoidable else config.hard_s if speed.reason else 0.0
+            )
         changes, change, late = self.least_costs(name, scene, target).terms
-        costs = CostTerms(f"lane {name}", (("time lost", lost), changes, change, ("braking", braking), late))
+        costs = CostTerms(
+            f"lane {name}", (("time lost", lost), changes, change, ("braking", braking), late)
+        )
         plan = LanePlan(name, self.lane, scene, path, speed, costs)
         return plan, LaneMemory(t, scene.place, path_memory, speed_memory, rules)
 
@@ -175,11 +208,18 @@ class LanePlanner:
         target = target or self._goal.target(scene.frame.t, scene.s, start.v)
         route = 0.0 if lane.changes == 0 else config.dead_end_s
         if lane.changes:
-            seconds = min((lane.change_by - scene.s) / max(start.v, 5.0), self._goal.time_left(start.t))
+            seconds = min(
+                (lane.change_by - scene.s) / max(start.v, 5.0), self._goal.time_left(start.t)
+            )
             left = seconds / (config.due_s * lane.changes)
-            route = lane.changes * (config.route_s + config.urgency_s * min(max(1.0 - left, 0.0), 1.0))  # (2)
+            # (2)
+            route = lane.changes * (
+                config.route_s + config.urgency_s * min(max(1.0 - left, 0.0), 1.0)
+            )
         change = config.change_s if name in ("left", "right") else 0.0  # (3)
-        return CostTerms(f"lane {name}", (("lane changes", route), ("change", change), ("late", target.missed_s)))
+        return CostTerms(
+            f"lane {name}", (("lane changes", route), ("change", change), ("late", target.missed_s))
+        )
 
 
 @dataclass(frozen=True)

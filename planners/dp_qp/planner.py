@@ -28,11 +28,32 @@ import numpy as np
 
 from replan.core.arrays import FloatArray
 from replan.logs.frame import Frame, PlannerContext
-from replan.logs.plan import Artefact, Candidates, CostTerms, Internals, LaneOption, Plan, PlanStatus
+from replan.logs.plan import (
+    Artefact,
+    Candidates,
+    CostTerms,
+    Internals,
+    LaneOption,
+    Plan,
+    PlanStatus,
+)
 from replan.logs.states import EgoState
-from replan.planners.dp_qp.lane import FORGET_S, DpQpConfig, LaneConfig, LaneMemory, LanePlan, LanePlanner, PassWay
+from replan.planners.dp_qp.lane import (
+    FORGET_S,
+    DpQpConfig,
+    LaneConfig,
+    LaneMemory,
+    LanePlan,
+    LanePlanner,
+    PassWay,
+)
 from replan.planners.dp_qp.path.bounds import CorridorConfig
-from replan.planners.dp_qp.path.passing import find_slow_agents, free_stations, obstacles_to_pass, pass_targets
+from replan.planners.dp_qp.path.passing import (
+    find_slow_agents,
+    free_stations,
+    obstacles_to_pass,
+    pass_targets,
+)
 from replan.planners.frenet.profiles import STEP_S, Stops, fall_back, trajectory_along
 from replan.planners.frenet.reference_path import LaneSequence, LaneSequences
 from replan.planners.frenet.scene import Scene, start_of
@@ -79,20 +100,38 @@ class DpQp:
         internals = Internals(chosen.reports, lambda: (*chosen.artefacts(), *considered))
         path, speed = chosen.path.path, chosen.speed
         if path is None or speed is None or speed.profile is None:
-            qp, reason = self._config.speed.qp, chosen.path.reason or (speed.reason if speed else "")
+            qp, reason = (
+                self._config.speed.qp,
+                chosen.path.reason or (speed.reason if speed else ""),
+            )
             stops = Stops(qp.comfort, qp.emergency, qp.knots)
-            return fall_back(frame, start, start_kind, path, reason, internals, self._vehicle, stops)
+            return fall_back(
+                frame, start, start_kind, path, reason, internals, self._vehicle, stops
+            )
         status = PlanStatus.HARD_STOP if speed.unavoidable else PlanStatus.PLANNED
-        return Plan(trajectory_along(path, speed.profile, frame.t), status, speed.reason, start_kind, internals)
+        return Plan(
+            trajectory_along(path, speed.profile, frame.t),
+            status,
+            speed.reason,
+            start_kind,
+            internals,
+        )
 
     def _choose(self, frame: Frame, start: EgoState) -> tuple[LanePlan, tuple[Artefact, ...]]:
         """The plan in the best lane; neighbouring lanes are planned only where they may be cheaper."""
         memory, config = self._memory, self._config
-        planner, before = self._planner(memory.driven), memory.lanes.get(memory.driven, LaneMemory())
-        keep, memory.lanes[memory.driven] = planner.plan("keep", planner.scene(frame, start, before), before)
+        planner, before = (
+            self._planner(memory.driven),
+            memory.lanes.get(memory.driven, LaneMemory()),
+        )
+        keep, memory.lanes[memory.driven] = planner.plan(
+            "keep", planner.scene(frame, start, before), before
+        )
         past = memory.passing.get(keep.lane, PassMemory())
         passes_left = self._context.road.drives_on_right
-        keep, considered, memory.passing[keep.lane] = passing(keep, planner, past, config, passes_left=passes_left)
+        keep, considered, memory.passing[keep.lane] = passing(
+            keep, planner, past, config, passes_left=passes_left
+        )
         self._lap("passing")
         if not worth_looking(keep, config.lane, since_change=frame.t - memory.changed):
             return keep, considered
@@ -127,7 +166,8 @@ class DpQp:
 MIN_GAP_M = 2.0  # Least gap to a follower (1) or an agent beside the ego (2), m
 REACTION_S = 1.0  # Reaction time of a follower before it brakes with `YIELD_MPS2` (1), s
 INSIDE_M = 1.0  # An ego nearer than this to a lane's reference line drives in that lane, m
-SLOWEST_CHANGE_MPS = 1.0  # A slower ego does not begin a lane change, m/s: it would stop across the marking
+# A slower ego does not begin a lane change, m/s: it would stop across the marking
+SLOWEST_CHANGE_MPS = 1.0
 TURNS = 3  # Most turns of path and speed in one frame
 SETTLED_M = 1.0  # The turns end when the last one has moved each box by less than this, m
 
@@ -140,7 +180,9 @@ def worth_looking(keep: LanePlan, config: LaneConfig, *, since_change: float) ->
     return keep.lane.changes != 0 or slow or not keep.is_comfortable
 
 
-def hopeless(name: str, scene: Scene, least: CostTerms, keep: LanePlan, hysteresis_s: float) -> LaneOption | None:
+def hopeless(
+    name: str, scene: Scene, least: CostTerms, keep: LanePlan, hysteresis_s: float
+) -> LaneOption | None:
     """Why a neighbouring lane that costs `least` or more need not be planned; None if it must be."""
     cost = sum(value for _, value in least.terms)
     against = ""
@@ -151,7 +193,9 @@ def hopeless(name: str, scene: Scene, least: CostTerms, keep: LanePlan, hysteres
     return LaneOption(name, least.terms, against) if against else None
 
 
-def choose(keep: LanePlan, others: list[LanePlan], hysteresis_s: float) -> tuple[LanePlan, tuple[Artefact, ...]]:
+def choose(
+    keep: LanePlan, others: list[LanePlan], hysteresis_s: float
+) -> tuple[LanePlan, tuple[Artefact, ...]]:
     """The cheapest permitted plan, and the options that were compared."""
     best, rejected = keep, dict[str, str]()
     for other in others:
@@ -170,7 +214,9 @@ def choose(keep: LanePlan, others: list[LanePlan], hysteresis_s: float) -> tuple
         best = other
     if best is not keep:
         rejected[keep.name] = f"costs {keep.cost:.1f} s, {best.name} {best.cost:.1f} s"
-    compared = (LaneOption(one.name, one.costs.terms, rejected.get(one.name, "")) for one in (keep, *others))
+    compared = (
+        LaneOption(one.name, one.costs.terms, rejected.get(one.name, "")) for one in (keep, *others)
+    )
     return best, tuple(compared)
 
 
@@ -223,7 +269,12 @@ class PassMemory:
 
 
 def passing(
-    keep: LanePlan, planner: LanePlanner, memory: PassMemory, config: DpQpConfig, *, passes_left: bool
+    keep: LanePlan,
+    planner: LanePlanner,
+    memory: PassMemory,
+    config: DpQpConfig,
+    *,
+    passes_left: bool,
 ) -> tuple[LanePlan, tuple[Artefact, ...], PassMemory]:
     """The plan that passes slower agents if it is better, else `keep`; the options considered; the memory."""
     scene, t, hysteresis = keep.scene, keep.scene.frame.t, config.lane.hysteresis_s
@@ -234,7 +285,9 @@ def passing(
     who, ids = find_slow_agents(scene, memory.passed), scene.frame.agents.ids
     if not who and not memory.passed:
         return keep, (), PassMemory(t, given_up=memory.given_up, lane=memory.lane)
-    past, names, after = _plan_past(keep, planner, memory, who, config.path.corridor, passes_left=passes_left)
+    past, names, after = _plan_past(
+        keep, planner, memory, who, config.path.corridor, passes_left=passes_left
+    )
     under_way = bool(names & memory.passed)
     against = ""
     if past is None:
@@ -242,30 +295,43 @@ def passing(
     elif not past.is_comfortable and (keep.is_comfortable or not under_way):
         against = past.trouble
     elif not past.cost < keep.cost - (-hysteresis if under_way else hysteresis):
-        against = f"costs {past.cost:.1f} s, keep {keep.cost:.1f} s" + (" and it is not begun" if not under_way else "")
-    if not under_way and any(t - memory.given_up.get(name, -inf) < config.lane.dwell_s for name in names):
+        against = f"costs {past.cost:.1f} s, keep {keep.cost:.1f} s" + (
+            " and it is not begun" if not under_way else ""
+        )
+    if not under_way and any(
+        t - memory.given_up.get(name, -inf) < config.lane.dwell_s for name in names
+    ):
         against = "abandoned a moment ago"
     going = frozenset() if against else names
     given_up = {**memory.given_up, **{ids[i]: t for i in who if ids[i] in memory.passed - going}}
     memory = replace(after, t=t, passed=going, given_up=given_up)
     if past is None:
         return keep, (), memory
-    rejected = f"pass: {against}" if against else f"keep: costs {keep.cost:.1f} s, pass {past.cost:.1f} s"
+    rejected = (
+        f"pass: {against}" if against else f"keep: costs {keep.cost:.1f} s, pass {past.cost:.1f} s"
+    )
     considered = (keep.costs, past.costs, Candidates("passing", 2, ((rejected, 1),)))
     return keep if against else past, considered, memory
 
 
 def _plan_past(
-    keep: LanePlan, planner: LanePlanner, memory: PassMemory, who: list[int], config: CorridorConfig, *,
+    keep: LanePlan,
+    planner: LanePlanner,
+    memory: PassMemory,
+    who: list[int],
+    config: CorridorConfig,
+    *,
     passes_left: bool,
-) -> tuple[LanePlan | None, frozenset[str], PassMemory]:  # fmt: skip
+) -> tuple[LanePlan | None, frozenset[str], PassMemory]:
     """The plan past the nearest agent, all agents that it passes, the memory; None where there is no such plan."""
     scene, t, lane = keep.scene, keep.scene.frame.predictions.t, memory.lane
     if not who:
         return None, frozenset(), replace(memory, stations=None)
     course, passing_side = scene.reference, "left" if passes_left else "right"
     aside, edge = (scene.l, course.lane_left) if passes_left else (-scene.l, -course.lane_right)
-    over_marking = aside + 0.5 * scene.vehicle.width > float(np.interp(scene.s, course.line.s, edge))
+    over_marking = aside + 0.5 * scene.vehicle.width > float(
+        np.interp(scene.s, course.line.s, edge)
+    )
     free = over_marking or not endangered(scene, passing_side)
     sides, stations = (free and passes_left, free and not passes_left), memory.stations
     if stations is None or len(stations) != len(t):
@@ -274,7 +340,9 @@ def _plan_past(
         stations = _carried_on(t - t[0], stations, t - memory.t)
     found = pass_targets(scene, who, stations, memory.passed)
     for turn in range(TURNS):
-        way = obstacles_to_pass(scene, found, stations, sides, config, planner.places, memory.passed)
+        way = obstacles_to_pass(
+            scene, found, stations, sides, config, planner.places, memory.passed
+        )
         if not way.obstacles:
             return None, frozenset(), replace(memory, stations=None, lane=lane)
         plan, lane = planner.plan("pass", scene, lane, PassWay(found, way))
@@ -286,12 +354,17 @@ def _plan_past(
         stations = _carried_on(STEP_S * np.arange(len(sigma)), reached, t - t[0])
         before, found = found, pass_targets(scene, who, stations, memory.passed)
         moved = [
-            abs(a.box.s_from - b.box.s_from) + abs(a.box.s_to - b.box.s_to) for a, b in zip(before, found, strict=False)
+            abs(a.box.s_from - b.box.s_from) + abs(a.box.s_to - b.box.s_to)
+            for a, b in zip(before, found, strict=False)
         ]
         same = [one.agent for one in before] == [one.agent for one in found]
         if turn + 1 == TURNS or (same and max(moved, default=inf) < SETTLED_M):
             break
-    names = frozenset(plan.path.passed) & {box.agent for box in way.obstacles} & {one.box.agent for one in found}
+    names = (
+        frozenset(plan.path.passed)
+        & {box.agent for box in way.obstacles}
+        & {one.box.agent for one in found}
+    )
     if way.obstacles[0].agent not in names:
         return None, frozenset(), replace(memory, stations=None, lane=lane)
     return plan, names, replace(memory, stations=stations, lane=lane)

@@ -25,9 +25,12 @@ from replan.logs.states import EgoState, wrap
 
 FINE_M = 0.5  # Greatest spacing of the points of a path, m
 SHIFT_AHEAD_M = 60.0  # Distance ahead within which the shift of a path is measured, m
-AT_START_M = 5.0  # Within this distance of its start, a path may bend more than the steering lock permits, m
-MAX_TURN = 1.2  # Heading off the reference line, rad, above which a path is no longer a function of its station
-MIN_REGULAR = 0.1  # Least 1 - kappa l: nearer to the centre of the turn the Frenet frame is not defined
+# Within this distance of its start, a path may bend more than the steering lock permits, m
+AT_START_M = 5.0
+# Heading off the reference line, rad, above which a path is no longer a function of its station
+MAX_TURN = 1.2
+# Least 1 - kappa l: nearer to the centre of the turn the Frenet frame is not defined
+MIN_REGULAR = 0.1
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -49,9 +52,15 @@ class Path:
 
 @kernel
 def _fine_path(
-    knots: FloatArray, coef: FloatArray, s0: float, step: float, offsets: FloatArray, parts: int, sharpest: float,
+    knots: FloatArray,
+    coef: FloatArray,
+    s0: float,
+    step: float,
+    offsets: FloatArray,
+    parts: int,
+    sharpest: float,
     until: float,
-) -> tuple[FloatArray, float]:  # fmt: skip
+) -> tuple[FloatArray, float]:
     """Rows sigma, x, y, yaw, kappa, s `(6, m)` of the path with knots `(3, n)` of l, l', l''; its shift, m."""
     n, shift = offsets.shape[1], 0.0
     for i in range(n):
@@ -94,7 +103,9 @@ def drivable_path(
     The shift is the largest change of the offset within `SHIFT_AHEAD_M`.
     """
     parts = max(1, ceil(step / FINE_M))
-    rows, shift = _fine_path(line.s, line.coef, s0, step, np.ascontiguousarray(offsets), parts, sharpest, until)
+    rows, shift = _fine_path(
+        line.s, line.coef, s0, step, np.ascontiguousarray(offsets), parts, sharpest, until
+    )
     return Path(*rows), shift
 
 
@@ -122,7 +133,9 @@ def out_of_frame(line: ReferenceLine, state: EgoState, s: float, l: float) -> st
     return ""
 
 
-def frenet_start(line: ReferenceLine, state: EgoState, s: float, l: float) -> tuple[float, float, float]:  # noqa: E741
+def frenet_start(
+    line: ReferenceLine, state: EgoState, s: float, l: float
+) -> tuple[float, float, float]:  # noqa: E741
     """l, l', l'' of a state whose foot point is (s, l): the inverse of (2) and (3).
 
     Only for states for which `out_of_frame` is empty.
@@ -139,7 +152,12 @@ def frenet_start(line: ReferenceLine, state: EgoState, s: float, l: float) -> tu
 
 @kernel
 def states_on_path(
-    sigma: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, kappa: FloatArray, stations: FloatArray
+    sigma: FloatArray,
+    x: FloatArray,
+    y: FloatArray,
+    yaw: FloatArray,
+    kappa: FloatArray,
+    stations: FloatArray,
 ) -> FloatArray:
     """Rows x, y, yaw, kappa `(4, n)` at arc lengths `(n,)`: cubic Hermite in the position, linear in yaw and kappa.
 
@@ -166,7 +184,9 @@ def states_on_path(
 
 
 @kernel
-def quintic(l0: float, dl0: float, ddl0: float, l1: float, length: float) -> tuple[float, float, float]:
+def quintic(
+    l0: float, dl0: float, ddl0: float, l1: float, length: float
+) -> tuple[float, float, float]:
     """Coefficients c3, c4, c5 of (4), over `length` m."""
     h = length
     delta = l1 - l0 - dl0 * h - 0.5 * ddl0 * h * h

@@ -63,7 +63,9 @@ class SpeedLimits:
 
     def braking(self, start: tuple[float, float], knots: int, *, share: float = 1.0) -> FloatArray:
         """Rows s, v, a `(3, knots)` of braking with a share of these limits."""
-        return braking(start[0], start[1], share * self.decel_mps2, share * self.jerk_mps3, STEP_S, knots)
+        return braking(
+            start[0], start[1], share * self.decel_mps2, share * self.jerk_mps3, STEP_S, knots
+        )
 
 
 COMFORT = SpeedLimits(1.8, 3.0, 3.0)  # Limits of a comfortable profile
@@ -96,7 +98,8 @@ def braking(v0: float, a0: float, decel: float, jerk: float, step: float, knots:
     s, v, a, half = 0.0, v0, a0, 0.5 * jerk * step
     for i in range(knots):
         out[0, i], out[1, i], out[2, i] = s, v, a
-        wanted = -min(decel, sqrt(half * half + 2.0 * jerk * max(v + 0.5 * step * a, 0.0)) - half)  # (3)
+        # (3)
+        wanted = -min(decel, sqrt(half * half + 2.0 * jerk * max(v + 0.5 * step * a, 0.0)) - half)
         a_next = max(wanted, a - jerk * step) if wanted < a else min(wanted, a + jerk * step)
         v_next = v + 0.5 * step * (a + a_next)
         if v_next <= 1e-6:
@@ -110,9 +113,16 @@ def braking(v0: float, a0: float, decel: float, jerk: float, step: float, knots:
 
 @kernel
 def cruising(
-    sigma: FloatArray, limit: FloatArray, v0: float, a0: float, accel: float, decel: float, jerk: float,
-    step: float, knots: int,
-) -> FloatArray:  # fmt: skip
+    sigma: FloatArray,
+    limit: FloatArray,
+    v0: float,
+    a0: float,
+    accel: float,
+    decel: float,
+    jerk: float,
+    step: float,
+    knots: int,
+) -> FloatArray:
     """Rows s, v `(2, knots)` of driving at the limit `(m,)` along the path, on a free road."""
     out = np.zeros((2, knots))
     s, v, a, i = 0.0, v0, a0, 0
@@ -134,13 +144,21 @@ MIN_REST_S = 3.0  # The ego drives the rest of the previous plan if it lasts at 
 
 def trajectory_along(path: Path, profile: FloatArray, t: float) -> Trajectory:
     """The trajectory of a speed profile, rows s, v, a `(3, n)` every 0.1 s from time `t`, along a path."""
-    rows = _trajectory_rows(path.sigma, path.x, path.y, path.yaw, path.kappa, np.ascontiguousarray(profile), t)
+    rows = _trajectory_rows(
+        path.sigma, path.x, path.y, path.yaw, path.kappa, np.ascontiguousarray(profile), t
+    )
     return Trajectory.of_rows(rows)
 
 
 @kernel
 def _trajectory_rows(
-    sigma: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, kappa: FloatArray, profile: FloatArray, t: float
+    sigma: FloatArray,
+    x: FloatArray,
+    y: FloatArray,
+    yaw: FloatArray,
+    kappa: FloatArray,
+    profile: FloatArray,
+    t: float,
 ) -> FloatArray:
     """`trajectory_along` as rows t, x, y, yaw, v, a, kappa `(7, n)`."""
     out = np.empty((7, profile.shape[1]))
@@ -164,9 +182,15 @@ USUAL_STOPS = Stops()
 
 
 def fall_back(
-    frame: Frame, start: EgoState, start_kind: PlanStart, path: Path | None, reason: str,
-    artefacts: Sequence[Artefact], vehicle: VehicleParameters, stops: Stops = USUAL_STOPS,
-) -> Plan:  # fmt: skip
+    frame: Frame,
+    start: EgoState,
+    start_kind: PlanStart,
+    path: Path | None,
+    reason: str,
+    artefacts: Sequence[Artefact],
+    vehicle: VehicleParameters,
+    stops: Stops = USUAL_STOPS,
+) -> Plan:
     """The fallback ladder of the module docstring; `path` is that of this frame, if there is one."""
     rest, old = None, frame.previous.trajectory if frame.previous is not None else None
     if old is not None and old.t[-1] - frame.t >= MIN_REST_S and old.t[0] <= frame.t:
@@ -183,7 +207,9 @@ def fall_back(
         path = Path(sigma, x, y, still + start.yaw, still, sigma)
     status = PlanStatus.COMFORTABLE_STOP
     for limits in (stops.comfortable, stops.hardest):
-        profile = braking(max(start.v, 0.0), start.a, limits.decel_mps2, limits.jerk_mps3, STEP_S, stops.knots)
+        profile = braking(
+            max(start.v, 0.0), start.a, limits.decel_mps2, limits.jerk_mps3, STEP_S, stops.knots
+        )
         stop = trajectory_along(path, profile, frame.t)
         if limits is stops.hardest or not meets(stop, frame, vehicle):
             break
@@ -197,17 +223,40 @@ def meets(trajectory: Trajectory, frame: Frame, vehicle: VehicleParameters) -> b
     if not len(futures):
         return False
     t = futures.t[(futures.t >= trajectory.t[0]) & (futures.t <= trajectory.t[-1])]
-    ego = np.array([np.interp(t, trajectory.t, column) for column in (trajectory.x, trajectory.y, trajectory.yaw)])
+    ego = np.array(
+        [
+            np.interp(t, trajectory.t, column)
+            for column in (trajectory.x, trajectory.y, trajectory.yaw)
+        ]
+    )
     sizes = np.vstack([frame.agents.length[futures.agent], frame.agents.width[futures.agent]])
     car = np.array([vehicle.axle_to_center, vehicle.length, vehicle.width])
     return _meets(ego, futures.x, futures.y, futures.yaw, sizes, car)
 
 
 @kernel
-def _meets(ego: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, sizes: FloatArray, car: FloatArray) -> bool:
+def _meets(
+    ego: FloatArray,
+    x: FloatArray,
+    y: FloatArray,
+    yaw: FloatArray,
+    sizes: FloatArray,
+    car: FloatArray,
+) -> bool:
     for k in range(ego.shape[1]):
         cx, cy = ego[0, k] + car[0] * np.cos(ego[2, k]), ego[1, k] + car[0] * np.sin(ego[2, k])
         for i in range(len(x)):
-            if overlap(cx, cy, ego[2, k], car[1], car[2], x[i, k], y[i, k], yaw[i, k], sizes[0, i], sizes[1, i]):
+            if overlap(
+                cx,
+                cy,
+                ego[2, k],
+                car[1],
+                car[2],
+                x[i, k],
+                y[i, k],
+                yaw[i, k],
+                sizes[0, i],
+                sizes[1, i],
+            ):
                 return True
     return False

@@ -47,13 +47,16 @@ BENDING_WEIGHT = 50.0  # w of (1)
 MAX_SHIFT_M = 0.3
 """Largest shift, m: about the mean over all headings that bounds of 0.25 m on x and y permit across a line (0.32)."""
 BEND = np.array([1.0, -2.0, 1.0])  # Coefficients of three points in the bending term of (1)
-ACROSS = 0.97  # Share of the shift that a point may make across the line; the rest is along it, as a sharp corner needs
+# Share of the shift that a point may make across the line; the rest is along it, as a sharp corner
+# needs
+ACROSS = 0.97
 HARDER = ((0.5, 200.0), (0.75, 1000.0), (1.0, 1000.0), (1.5, 3000.0))
 """Shift (m) and bending weight of further attempts, where the line bends more than a car can steer."""
 LOCK_SHARE = 0.9  # Share of the steering lock that a reference line may need
 EDGE_M = 0.1  # Distance of the car to the lane's edge that a shift keeps, m
 BEYOND_M = 300.0  # Length of the line after the route, m; a plan of 8 s at 130 km/h is shorter
-HALF_LANE_M = 1.75  # Half the width of a lane without a width in the map, m; the least half width is half of that
+# Half the width of a lane without a width in the map, m; the least half width is half of that
+HALF_LANE_M = 1.75
 REACH_M = 16.0  # Lane edges farther beside the line than this are ignored, m: about four lanes
 JOINT_M = 0.6  # Boundaries nearer than this are one marking, m
 
@@ -79,7 +82,8 @@ class ReferencePath:
     # Left edge of the route's own lane (of both lanes during a lane change); `lane_right` < 0 likewise
     lane_left: FloatArray
     lane_right: FloatArray
-    road_left: FloatArray  # Left edge of the same-direction lanes that can be reached from there; `road_right` likewise
+    # Left edge of the same-direction lanes that can be reached from there; `road_right` likewise
+    road_left: FloatArray
     road_right: FloatArray
     limit: FloatArray  # Speed limit, m/s
     lanes: tuple[int, ...] = ()  # The lanes that it leads along, in driving order
@@ -87,13 +91,22 @@ class ReferencePath:
     # `road_left`; `facing_right` likewise; None without such a lane
     facing_left: FloatArray | None = None
     facing_right: FloatArray | None = None
-    waits: tuple[float, ...] = ()  # Stations before which traffic may have to wait: where lanes part or meet, m
+    # Stations before which traffic may have to wait: where lanes part or meet, m
+    waits: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("facing_left", "facing_right"):
             if getattr(self, name) is None:
                 object.__setattr__(self, name, getattr(self, name.replace("facing", "road")))
-        for name in ("lane_left", "lane_right", "road_left", "road_right", "limit", "facing_left", "facing_right"):
+        for name in (
+            "lane_left",
+            "lane_right",
+            "road_left",
+            "road_right",
+            "limit",
+            "facing_left",
+            "facing_right",
+        ):
             object.__setattr__(self, name, frozen(getattr(self, name)))
 
     @cached_property
@@ -139,16 +152,34 @@ def make_reference_path(
     extents = _lane_extents(road, line)
     lane_left, lane_right, limit = _own_lane(road, line, lanes, extents)
     own = [(road.lanes[i], left, right) for i, (left, right) in extents.items()]
-    to_left = [(right, left, lane.right_crossable, lane.left_crossable) for lane, left, right in own]
-    to_right = [(-left, -right, lane.left_crossable, lane.right_crossable) for lane, left, right in own]
+    to_left = [
+        (right, left, lane.right_crossable, lane.left_crossable) for lane, left, right in own
+    ]
+    to_right = [
+        (-left, -right, lane.left_crossable, lane.right_crossable) for lane, left, right in own
+    ]
     road_left, road_right = lane_left, -lane_right
     for _ in range(3):
-        road_left, road_right = _one_lane_further(road_left, to_left), _one_lane_further(road_right, to_right)
-    against = [(road.lanes[i], *edges) for i, edges in _lane_extents(road, line, opposite=True).items()]
-    to_left += [(left, right, lane.left_crossable, lane.right_crossable) for lane, left, right in against]
-    to_right += [(-right, -left, lane.right_crossable, lane.left_crossable) for lane, left, right in against]
-    facing_left, facing_right = _one_lane_further(road_left, to_left), -_one_lane_further(road_right, to_right)
-    into = Counter(after for lane in road.lanes.values() if lane.drivable for after in lane.successors)
+        road_left, road_right = (
+            _one_lane_further(road_left, to_left),
+            _one_lane_further(road_right, to_right),
+        )
+    against = [
+        (road.lanes[i], *edges) for i, edges in _lane_extents(road, line, opposite=True).items()
+    ]
+    to_left += [
+        (left, right, lane.left_crossable, lane.right_crossable) for lane, left, right in against
+    ]
+    to_right += [
+        (-right, -left, lane.right_crossable, lane.left_crossable) for lane, left, right in against
+    ]
+    facing_left, facing_right = (
+        _one_lane_further(road_left, to_left),
+        -_one_lane_further(road_right, to_right),
+    )
+    into = Counter(
+        after for lane in road.lanes.values() if lane.drivable for after in lane.successors
+    )
     waits, s = list[float](), 0.0
     for now, then in pairwise(lanes):
         onward = road.lanes[now].successors
@@ -177,11 +208,19 @@ def make_line(
         beyond += road.lanes[onward].length
     groups: list[list[Lane]] = []  # each of lanes side by side
     for before, now in zip((None, *lanes), lanes, strict=False):
-        if before is not None and now in (road.lanes[before].left_neighbour, road.lanes[before].right_neighbour):
+        if before is not None and now in (
+            road.lanes[before].left_neighbour,
+            road.lanes[before].right_neighbour,
+        ):
             groups[-1].append(road.lanes[now])
         else:
             groups.append([road.lanes[now]])
-    points = thinned(np.vstack([_blend_centers(group, ego if i == 0 else None) for i, group in enumerate(groups)]), 1.0)
+    points = thinned(
+        np.vstack(
+            [_blend_centers(group, ego if i == 0 else None) for i, group in enumerate(groups)]
+        ),
+        1.0,
+    )
     across = (road.lanes[lane].left - road.lanes[lane].right for lane in lanes)
     width = min(float(np.median(np.hypot(*each.T))) for each in across)
     line = ReferenceLine.through(smooth_points(points))
@@ -189,7 +228,11 @@ def make_line(
     for shift, weight in HARDER:
         if car is None or _sharpest(line) <= LOCK_SHARE * car.max_kappa or room <= MAX_SHIFT_M:
             break
-        line = min(line, ReferenceLine.through(smooth_points(points, min(shift, room), weight)), key=_sharpest)
+        line = min(
+            line,
+            ReferenceLine.through(smooth_points(points, min(shift, room), weight)),
+            key=_sharpest,
+        )
     return tuple(lanes), line
 
 
@@ -197,7 +240,9 @@ def _sharpest(line: ReferenceLine) -> float:
     return float(np.abs(line.kappa).max())
 
 
-def smooth_points(points: FloatArray, max_shift: float = MAX_SHIFT_M, weight: float = BENDING_WEIGHT) -> FloatArray:
+def smooth_points(
+    points: FloatArray, max_shift: float = MAX_SHIFT_M, weight: float = BENDING_WEIGHT
+) -> FloatArray:
     """The polyline `(n, 2)`, equally spaced and smoothed by (1); unchanged if it is too short or the QP fails."""
     chord = arc_lengths(*points.T)
     count = floor(chord[-1] / SPACING_M + 0.5 - TIE) + 1
@@ -211,10 +256,13 @@ def smooth_points(points: FloatArray, max_shift: float = MAX_SHIFT_M, weight: fl
     three = np.arange(count - 2)[:, None] + np.arange(3)
     places = np.hstack([three, three + count]).ravel(), np.arange(0, 6 * count - 11, 6)
     bends = [
-        sparse.csr_matrix((np.hstack([BEND * axis[three, k] for axis in (normal, tangent)]).ravel(), *places))
+        sparse.csr_matrix(
+            (np.hstack([BEND * axis[three, k] for axis in (normal, tangent)]).ravel(), *places)
+        )
         for k in (0, 1)
     ]
-    P = (weight * (bends[0].T @ bends[0] + bends[1].T @ bends[1]) + sparse.eye(2 * count)).tocsc()  # (1)
+    # (1)
+    P = (weight * (bends[0].T @ bends[0] + bends[1].T @ bends[1]) + sparse.eye(2 * count)).tocsc()
     solver = QuadraticProgram("reference line", P, sparse.eye(2 * count, format="csc"))
     shift = np.full(count, max_shift)
     shift[[0, -1]] = 0.0
@@ -236,7 +284,9 @@ def _blend_centers(group: list[Lane], ego: EgoState | None) -> FloatArray:
     resampled = []
     for points in (group[0].center, group[-1].center):
         chord = arc_lengths(*points.T)
-        resampled.append(np.column_stack([np.interp(u * chord[-1], chord, points[:, k]) for k in (0, 1)]))
+        resampled.append(
+            np.column_stack([np.interp(u * chord[-1], chord, points[:, k]) for k in (0, 1)])
+        )
     first, last = resampled
     begin = 0.0
     if ego is not None:
@@ -265,7 +315,8 @@ def _crossings(xy: FloatArray, yaw: FloatArray, boundary: FloatArray, reach: flo
         for i in range(1, len(boundary)):
             along_next = (boundary[i, 0] - x) * c + (boundary[i, 1] - y) * s
             left_next = (boundary[i, 1] - y) * c - (boundary[i, 0] - x) * s
-            crosses = min(along, along_next) <= TIE and max(along, along_next) >= -TIE  # its end, too
+            # Its end, too
+            crosses = min(along, along_next) <= TIE and max(along, along_next) >= -TIE
             if crosses and abs(along - along_next) > TIE:
                 offset = left + (left_next - left) * along / (along - along_next)
                 if abs(offset) <= reach and not abs(offset) >= abs(best):
@@ -286,9 +337,15 @@ def _lane_extents(
     extents = {}
     for lane in road.lanes.values():
         outline = lane.polygon
-        if not lane.drivable or (outline.max(axis=0) < low).any() or (outline.min(axis=0) > high).any():
+        if (
+            not lane.drivable
+            or (outline.max(axis=0) < low).any()
+            or (outline.min(axis=0) > high).any()
+        ):
             continue
-        left, right = (_crossings(line.xy, line.yaw, side, REACH_M) for side in (lane.left, lane.right))
+        left, right = (
+            _crossings(line.xy, line.yaw, side, REACH_M) for side in (lane.left, lane.right)
+        )
         asked = left < right if opposite else left > right
         if asked.any():
             extents[lane.id] = np.where(asked, left, np.nan), np.where(asked, right, np.nan)
@@ -296,7 +353,10 @@ def _lane_extents(
 
 
 def _own_lane(
-    road: Road, line: ReferenceLine, lanes: tuple[int, ...], extents: dict[int, tuple[FloatArray, FloatArray]]
+    road: Road,
+    line: ReferenceLine,
+    lanes: tuple[int, ...],
+    extents: dict[int, tuple[FloatArray, FloatArray]],
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Left and right edge and speed limit `(n,)` of the route's lanes that contain the line."""
     count = len(line.s)
@@ -317,7 +377,9 @@ def _own_lane(
     )
 
 
-def _one_lane_further(edge: FloatArray, beside: list[tuple[FloatArray, FloatArray, bool, bool]]) -> FloatArray:
+def _one_lane_further(
+    edge: FloatArray, beside: list[tuple[FloatArray, FloatArray, bool, bool]]
+) -> FloatArray:
     """The edge `(n,)` moved out over the adjoining lanes, where both lanes permit crossing their common marking.
 
     `beside` has the inner and outer edge `(n,)` of each lane, and whether each may be crossed.
@@ -341,7 +403,9 @@ def _fill_nan(values: FloatArray, default: float) -> FloatArray:
     return np.interp(index, index[known], values[known])
 
 
-BEHIND_M = 60.0  # Length of a sequence behind the lane that it was made for, m, so that it contains agents that follow
+# Length of a sequence behind the lane that it was made for, m, so that it contains agents that
+# follow
+BEHIND_M = 60.0
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -361,7 +425,9 @@ class LaneSequences:
     def __init__(self, context: PlannerContext) -> None:
         self._road = context.road
         self._to_go = costs_to_go(context.road, context.goal)
-        self._before = predecessors({i: lane for i, lane in context.road.lanes.items() if lane.drivable})
+        self._before = predecessors(
+            {i: lane for i, lane in context.road.lanes.items() if lane.drivable}
+        )
         self._sequences: dict[int, LaneSequence] = {}
         self._start, self._car = context.start, context.vehicle
 
@@ -379,7 +445,9 @@ class LaneSequences:
                 self._sequences.setdefault(each, sequence)
         return self._sequences[lane]
 
-    def beside(self, sequence: LaneSequence, station: float) -> tuple[tuple[str, LaneSequence], ...]:
+    def beside(
+        self, sequence: LaneSequence, station: float
+    ) -> tuple[tuple[str, LaneSequence], ...]:
         """The neighbours ("left" or "right") of a sequence at a station whose marking may be crossed."""
         ends = np.cumsum([self._road.lanes[lane].length for lane in sequence.lanes])
         here = min(int(np.searchsorted(ends, station + TIE)), len(sequence.lanes) - 1)
@@ -392,7 +460,10 @@ class LaneSequences:
         return tuple(
             (side, self.of(other))
             for side, other, crossable in ordered
-            if other is not None and crossable and other in self._road.lanes and self._road.lanes[other].drivable
+            if other is not None
+            and crossable
+            and other in self._road.lanes
+            and self._road.lanes[other].drivable
         )
 
     def _make_sequence(self, lane: int) -> LaneSequence:
@@ -410,7 +481,10 @@ class LaneSequences:
         length = 0.0
         while length < BEHIND_M:
             first = (behind or onward)[0]
-            before = min((i for i in self._before.get(first, ()) if straight_on(self._road, i) == first), default=None)
+            before = min(
+                (i for i in self._before.get(first, ()) if straight_on(self._road, i) == first),
+                default=None,
+            )
             if before is None or before in behind or before in onward:
                 break
             behind.insert(0, before)

@@ -30,7 +30,12 @@ from replan.logs.route import find_route
 from replan.logs.states import EgoState, wrap
 from replan.logs.vehicle import VehicleParameters
 from replan.planners.frenet.path import Path, frenet_start, interpolated, out_of_frame
-from replan.planners.frenet.reference_path import CrossSections, ReferencePath, make_reference_path, write_sections
+from replan.planners.frenet.reference_path import (
+    CrossSections,
+    ReferencePath,
+    make_reference_path,
+    write_sections,
+)
 
 STITCH_M = 0.5  # A plan starts on the previous one where the ego is nearer to it than this, m ...
 STITCH_MPS = 1.0  # ... and its speed nearer than this, m/s.
@@ -103,7 +108,9 @@ class Scene:
     trouble: str  # Why the start has no l', l'' in the Frenet frame; empty if it has
     frenet: tuple[float, float, float]  # l, l', l'' of the start; zeros where there is `trouble`
     limit: float  # The lane's speed limit at the start, m/s
-    bodies: Bodies  # The agents' boxes; `agents` these along the reference path; `across` the rows of `road` `(8, n)`
+    # The agents' boxes; `agents` these along the reference path; `across` the rows of `road`
+    # `(8, n)`
+    bodies: Bodies
     agents: AgentsAlong
     across: FloatArray
     # Speeds of the agents `(n,)`, m/s; which of them are `standing`, and which `vulnerable` (walk or ride)
@@ -148,11 +155,17 @@ class Scene:
 
 
 def scene_of(
-    frame: Frame, start: EgoState, reference: ReferencePath, vehicle: VehicleParameters, last: StartPlace | None = None
+    frame: Frame,
+    start: EgoState,
+    reference: ReferencePath,
+    vehicle: VehicleParameters,
+    last: StartPlace | None = None,
 ) -> Scene:
     """The scene of a frame for a plan from `start`; its foot point is searched as far on from `last` as it moved."""
     line, agents = reference.line, frame.agents
-    bodies = Bodies(agents.x, agents.y, agents.yaw, agents.vx, agents.vy, agents.length, agents.width)
+    bodies = Bodies(
+        agents.x, agents.y, agents.yaw, agents.vx, agents.vy, agents.length, agents.width
+    )
     search = (0.5 * line.length, line.length)
     if last is not None:
         moved = hypot(start.x - last.x, start.y - last.y)
@@ -164,16 +177,35 @@ def scene_of(
     frenet = (0.0, 0.0, 0.0) if trouble else frenet_start(line, start, s, l)
     speed = rows[5]
     return Scene(
-        frame, start, reference, vehicle, s, l, trouble, frenet, limit, bodies, AgentsAlong(*rows[:5]), rows[6:],
-        speed, speed < STANDING_MPS, VULNERABLE[agents.codes],
-    )  # fmt: skip
+        frame,
+        start,
+        reference,
+        vehicle,
+        s,
+        l,
+        trouble,
+        frenet,
+        limit,
+        bodies,
+        AgentsAlong(*rows[:5]),
+        rows[6:],
+        speed,
+        speed < STANDING_MPS,
+        VULNERABLE[agents.codes],
+    )
 
 
 @kernel
 def place_agents(
-    knots: FloatArray, coef: FloatArray, table: FloatArray, limits: FloatArray, bodies: Bodies,
-    ego: tuple[float, float], near: float, within: float,
-) -> tuple[float, float, float, FloatArray]:  # fmt: skip
+    knots: FloatArray,
+    coef: FloatArray,
+    table: FloatArray,
+    limits: FloatArray,
+    bodies: Bodies,
+    ego: tuple[float, float],
+    near: float,
+    within: float,
+) -> tuple[float, float, float, FloatArray]:
     """Station and offset of the ego, the speed limit there, and rows `AgentsAlong`, speed, `CrossSections` `(14, n)`.
 
     The ego's foot point is searched up to `within` m from the station `near`; `table` is that of a reference path.
@@ -205,9 +237,13 @@ def behind(scene: Scene, *, keeps_track: bool) -> BoolArray:
 
 @kernel
 def _follow(
-    s: FloatArray, l: FloatArray, bodies: Bodies, standing: BoolArray,  # noqa: E741
-    ego: tuple[float, float, float, float], keeps_track: bool,
-) -> BoolArray:  # fmt: skip
+    s: FloatArray,
+    l: FloatArray,
+    bodies: Bodies,
+    standing: BoolArray,  # noqa: E741
+    ego: tuple[float, float, float, float],
+    keeps_track: bool,
+) -> BoolArray:
     """`behind` of agents at these stations and offsets; the ego's station of the rear, offset, yaw and width."""
     out = np.zeros(len(s), np.bool_)
     rear, l_ego, yaw_ego, width = ego
@@ -219,7 +255,9 @@ def _follow(
     return out
 
 
-def start_of(frame: Frame, stitch_m: float = STITCH_M, stitch_mps: float = STITCH_MPS) -> tuple[EgoState, PlanStart]:
+def start_of(
+    frame: Frame, stitch_m: float = STITCH_M, stitch_mps: float = STITCH_MPS
+) -> tuple[EgoState, PlanStart]:
     """The state at which the plan of a frame begins: on the previous plan if the ego is near it, else at the ego."""
     if frame.previous is not None:
         old = frame.previous.trajectory.at(frame.t)
@@ -258,7 +296,8 @@ class Occupancy:
     l_to: float = inf
     aside: float = 0.0  # Width of the box on either side that is space beside the agent, m
     until: float = inf  # Time until which it lasts, s from the frame; inf: not known to end
-    aim: float = inf  # Station at which the ego's front should come to rest before it, m; inf: it is not a stop
+    # Station at which the ego's front should come to rest before it, m; inf: it is not a stop
+    aim: float = inf
     kind: DecisionKind = DecisionKind.IGNORE  # The decision about it; IGNORE: none yet
     reason: str = ""  # The reason for the decision
 
@@ -273,13 +312,20 @@ class Occupancy:
         return Decision(self.agent, self.kind, "speed", self.reason)
 
 
-def on_reference(stops: tuple[Occupancy, ...], s: float, vehicle: VehicleParameters) -> tuple[Occupancy, ...]:
+def on_reference(
+    stops: tuple[Occupancy, ...], s: float, vehicle: VehicleParameters
+) -> tuple[Occupancy, ...]:
     """Stops as distances ahead of a rear axle at station `s` that keeps to the reference line, m, not negative."""
     here = s + vehicle.axle_to_front
-    return tuple(replace(stop, s_from=max(stop.s_from - here, 0.0), aim=max(stop.aim - here, 0.0)) for stop in stops)
+    return tuple(
+        replace(stop, s_from=max(stop.s_from - here, 0.0), aim=max(stop.aim - here, 0.0))
+        for stop in stops
+    )
 
 
-def on_path(stops: tuple[Occupancy, ...], path: Path, vehicle: VehicleParameters) -> tuple[Occupancy, ...]:
+def on_path(
+    stops: tuple[Occupancy, ...], path: Path, vehicle: VehicleParameters
+) -> tuple[Occupancy, ...]:
     """The stops that lie on a path, as arc lengths of the rear axle, m, not negative."""
     found = []
     for stop in stops:

@@ -37,13 +37,16 @@ from replan.planners.frenet.scene import STANDING_MPS, Bodies, Futures, Occupanc
 
 ALONG = 0.8
 """An agent with this share of its speed along the path is followed, not yielded to; at 45 degrees it crosses."""
-ONCOMING_RAD = 0.75 * pi  # A vehicle that is turned against the lane by more than this comes towards the ego, rad
-HALVINGS = 4  # Halvings of the path's spacing, about 0.4 m, in the search for the edge of an interval
+# A vehicle that is turned against the lane by more than this comes towards the ego, rad
+ONCOMING_RAD = 0.75 * pi
+# Halvings of the path's spacing, about 0.4 m, in the search for the edge of an interval
+HALVINGS = 4
 JUMP = 0.999  # Share of a gap that the search skips, so that rounding does not skip a touch
 PART, SAMPLES = 16, 8
 """Number of points of the path, and of samples of a prediction, in one envelope; envelopes are tested first."""
 ROUNDING_M = 1e-6  # Envelopes nearer than this touch, m
-KINDS = (DecisionKind.OVERTAKE, DecisionKind.STOP, DecisionKind.FOLLOW, DecisionKind.YIELD)  # The decisions (4) ...
+# The decisions (4) ...
+KINDS = (DecisionKind.OVERTAKE, DecisionKind.STOP, DecisionKind.FOLLOW, DecisionKind.YIELD)
 OVERTAKE, STOP, FOLLOW, YIELD = range(len(KINDS))  # ... and their codes.
 
 
@@ -77,8 +80,10 @@ class StBoundaries:
     """The intervals (1) of `n` predictions at `k` times; NaN where the path is free."""
 
     t: FloatArray  # `(k,)` s from the frame
-    agent: IntArray  # `(n,)` index into the frame's agents; -1 for a stop, which belongs to no agent
-    lower: FloatArray  # `(n, k)` m along the path, extended in time by the uncertainty (2); `upper` likewise
+    # `(n,)` index into the frame's agents; -1 for a stop, which belongs to no agent
+    agent: IntArray
+    # `(n, k)` m along the path, extended in time by the uncertainty (2); `upper` likewise
+    lower: FloatArray
     upper: FloatArray
     speed: FloatArray  # `(n,)` the agent's speed along the path where it enters (3), m/s
     probability: FloatArray  # `(n,)` probability of the prediction
@@ -89,7 +94,12 @@ class StBoundaries:
     def only(self, rows: BoolArray) -> StBoundaries:
         """The boundaries of some rows; `rows` is a mask `(n,)`."""
         return StBoundaries(
-            self.t, self.agent[rows], self.lower[rows], self.upper[rows], self.speed[rows], self.probability[rows]
+            self.t,
+            self.agent[rows],
+            self.lower[rows],
+            self.upper[rows],
+            self.speed[rows],
+            self.probability[rows],
         )
 
     def meets(self, t: FloatArray, s: FloatArray) -> bool:
@@ -115,9 +125,16 @@ class StBoundaries:
         """Add a row for each stop on the path; its agent is -1."""
         if not stops:
             return self
-        n, lower = len(stops), np.array([np.where(self.t < stop.until, stop.s_from, np.nan) for stop in stops])
+        n, lower = (
+            len(stops),
+            np.array([np.where(self.t < stop.until, stop.s_from, np.nan) for stop in stops]),
+        )
         upper = np.where(np.isfinite(lower), np.inf, np.nan)
-        agent, speed, sure = np.r_[self.agent, np.full(n, -1)], np.r_[self.speed, np.zeros(n)], np.ones(n)
+        agent, speed, sure = (
+            np.r_[self.agent, np.full(n, -1)],
+            np.r_[self.speed, np.zeros(n)],
+            np.ones(n),
+        )
         lowest, highest = np.vstack([self.lower, lower]), np.vstack([self.upper, upper])
         return StBoundaries(self.t, agent, lowest, highest, speed, np.r_[self.probability, sure])
 
@@ -130,8 +147,13 @@ def st_boundaries(
     Agents that the path passes on purpose (`passed`, their ids) have the smallest margin, and oncoming vehicles (5).
     """
     agents, futures, car = scene.frame.agents, scene.futures, scene.vehicle
-    stride = max(1, round(config.step_s / float(futures.t[1] - futures.t[0]))) if len(futures.t) > 1 else 1
-    is_passed = (np.abs(scene.agents.turn) > ONCOMING_RAD) & ~scene.standing & ~scene.vulnerable  # (5)
+    stride = (
+        max(1, round(config.step_s / float(futures.t[1] - futures.t[0])))
+        if len(futures.t) > 1
+        else 1
+    )
+    # (5)
+    is_passed = (np.abs(scene.agents.turn) > ONCOMING_RAD) & ~scene.standing & ~scene.vulnerable
     if passed:
         is_passed |= np.array([name in passed for name in agents.ids], np.bool_)
     margins = config.margin_m, config.vulnerable_margin_m, config.passed_margin_m
@@ -142,7 +164,9 @@ def st_boundaries(
 
 
 @kernel
-def decide(lower: FloatArray, upper: FloatArray, speed: FloatArray, total: FloatArray, s: FloatArray) -> IntArray:
+def decide(
+    lower: FloatArray, upper: FloatArray, speed: FloatArray, total: FloatArray, s: FloatArray
+) -> IntArray:
     """Codes of (4) `(n,)` for intervals `(n, k)` and a profile `(k,)` at their times.
 
     `speed` is that along the path, `total` the speed of the agents `(n,)`, m/s.
@@ -180,7 +204,9 @@ def outlines(blocks: StBoundaries, decisions: Sequence[Decision]) -> tuple[Graph
     return tuple(found)
 
 
-def stop_outlines(stops: Sequence[Occupancy], horizon: float, length: float) -> tuple[GraphObstacle, ...]:
+def stop_outlines(
+    stops: Sequence[Occupancy], horizon: float, length: float
+) -> tuple[GraphObstacle, ...]:
     """The stops on a path as rectangles of the S-T graph, to the path's end."""
     found = []
     for stop in stops:
@@ -210,7 +236,8 @@ class Roles(NamedTuple):
 class Swept(NamedTuple):
     """The ego's box and the settings of a sweep, for the kernel."""
 
-    rear_to_center: float  # Distance from the rear axle to the box's centre, m; `length` and `width` of the box
+    # Distance from the rear axle to the box's centre, m; `length` and `width` of the box
+    rear_to_center: float
     length: float
     width: float
     margin: float  # As in `StGraphConfig`, m; `vulnerable_margin` and `passed_margin` likewise
@@ -222,7 +249,13 @@ class Swept(NamedTuple):
 
 @kernel
 def sweep(
-    way: SweptPath, futures: Futures, bodies: Bodies, roles: Roles, ego: Swept, now: float, stride: int
+    way: SweptPath,
+    futures: Futures,
+    bodies: Bodies,
+    roles: Roles,
+    ego: Swept,
+    now: float,
+    stride: int,
 ) -> tuple[FloatArray, IntArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     """The fields of `StBoundaries` for the predictions that take the path, at times `stride` samples apart."""
     t = futures.t[::stride] - now
@@ -241,7 +274,10 @@ def sweep(
         margin = ego.vulnerable_margin if roles.vulnerable[who] else ego.margin
         if roles.passed[who]:
             margin = ego.passed_margin
-        ego_size, other_size = (ego.length, ego.width + 2.0 * margin), (bodies.length[who], bodies.width[who])
+        ego_size, other_size = (
+            (ego.length, ego.width + 2.0 * margin),
+            (bodies.length[who], bodies.width[who]),
+        )
         reach = abs(ego.rear_to_center) + 0.5 * (hypot(*ego_size) + hypot(*other_size))
         is_near = False
         for k in range(0, x.shape[1], stride):
@@ -256,11 +292,14 @@ def sweep(
         for k in range(len(t)):
             other[0, k], other[1, k] = x[i, k * stride], y[i, k * stride]
             other[2, k], other[3, k] = cos(yaw[i, k * stride]), sin(yaw[i, k * stride])
-        if _takes(way.sigma, boxes, moved, parts, ego_size, other, other_size, lower[count], upper[count]):
+        if _takes(
+            way.sigma, boxes, moved, parts, ego_size, other, other_size, lower[count], upper[count]
+        ):
             rows[count] = i
             entry = _drawn_out(t, lower[count], upper[count], ego.early, ego.late)  # (2)
             at = min(int(np.searchsorted(way.sigma, entry)), len(way.sigma) - 1)
-            speed[count] = bodies.vx[who] * cos(way.yaw[at]) + bodies.vy[who] * sin(way.yaw[at])  # (3)
+            # (3)
+            speed[count] = bodies.vx[who] * cos(way.yaw[at]) + bodies.vy[who] * sin(way.yaw[at])
             count += 1
     found = rows[:count]
     lower, upper = lower[:count].copy(), upper[:count].copy()
@@ -269,9 +308,16 @@ def sweep(
 
 @inner_kernel
 def _takes(
-    sigma: FloatArray, boxes: FloatArray, moved: float, parts: FloatArray, ego_size: tuple[float, float],
-    other: FloatArray, other_size: tuple[float, float], lower: FloatArray, upper: FloatArray,
-) -> bool:  # fmt: skip
+    sigma: FloatArray,
+    boxes: FloatArray,
+    moved: float,
+    parts: FloatArray,
+    ego_size: tuple[float, float],
+    other: FloatArray,
+    other_size: tuple[float, float],
+    lower: FloatArray,
+    upper: FloatArray,
+) -> bool:
     """Write the intervals (1) `(k,)` of one prediction; return whether there are any.
 
     Boxes are tested only on those parts of the path whose envelope meets that of some samples of the prediction; an
@@ -280,7 +326,8 @@ def _takes(
     taken = False
     around = _envelopes(other, np.int64(SAMPLES), other_size[0], other_size[1])
     for group in range(around.shape[1]):
-        begin, end = 0, 0  # the points of the parts whose envelopes meet that of these samples; 0, 0: none
+        # The points of the parts whose envelopes meet that of these samples; 0, 0: none
+        begin, end = 0, 0
         x, y, c, s = around[0, group], around[1, group], around[2, group], around[3, group]
         length, width = around[4, group] + ROUNDING_M, around[5, group] + ROUNDING_M
         for e in range(parts.shape[1]):
@@ -288,7 +335,9 @@ def _takes(
             if _touch(x, y, c, s, length, width, part):
                 begin, end = (begin if end else e * PART), (e + 1) * PART
         end = min(end, boxes.shape[1])
-        for k in range(group * SAMPLES, min((group + 1) * SAMPLES, len(lower)) if begin < end else 0):
+        for k in range(
+            group * SAMPLES, min((group + 1) * SAMPLES, len(lower)) if begin < end else 0
+        ):
             before = max(k - 1, 0)
             stays = k > 0 and other[0, k] == other[0, before] and other[1, k] == other[1, before]
             if stays and other[2, k] == other[2, before] and other[3, k] == other[3, before]:
@@ -305,7 +354,9 @@ def _takes(
 
 
 @inner_kernel
-def _ego_boxes(way: SweptPath, count: int, rear_to_center: float, radius: float) -> tuple[FloatArray, float]:
+def _ego_boxes(
+    way: SweptPath, count: int, rear_to_center: float, radius: float
+) -> tuple[FloatArray, float]:
     """Rows x, y, cos yaw, sin yaw, yaw `(5, count)` of the ego's box along a path; the greatest step of a point."""
     out = np.empty((5, count))
     moved = 1e-6
@@ -335,21 +386,37 @@ def _envelopes(boxes: FloatArray, every: np.int64, length: float, width: float) 
         for j in range(begin, end):
             dx, dy = boxes[0, j] - x, boxes[1, j] - y
             along, aside = c * dx + s * dy, c * dy - s * dx
-            straight, across = abs(c * boxes[2, j] + s * boxes[3, j]), abs(c * boxes[3, j] - s * boxes[2, j])
-            half = 0.5 * (length * straight + width * across), 0.5 * (length * across + width * straight)
+            straight, across = (
+                abs(c * boxes[2, j] + s * boxes[3, j]),
+                abs(c * boxes[3, j] - s * boxes[2, j]),
+            )
+            half = (
+                0.5 * (length * straight + width * across),
+                0.5 * (length * across + width * straight),
+            )
             rear, front = min(rear, along - half[0]), max(front, along + half[0])
             right, left = min(right, aside - half[1]), max(left, aside + half[1])
         along, aside = 0.5 * (rear + front), 0.5 * (right + left)
         out[0, e], out[1, e] = x + c * along - s * aside, y + s * along + c * aside
-        out[2, e], out[3, e], out[4, e], out[5, e] = c, s, 0.5 * (front - rear), 0.5 * (left - right)
+        out[2, e], out[3, e], out[4, e], out[5, e] = (
+            c,
+            s,
+            0.5 * (front - rear),
+            0.5 * (left - right),
+        )
     return out
 
 
 @inner_kernel
 def _touch(
-    x: float, y: float, c: float, s: float, length: float, width: float,
+    x: float,
+    y: float,
+    c: float,
+    s: float,
+    length: float,
+    width: float,
     other: tuple[float, float, float, float, float, float],
-) -> bool:  # fmt: skip
+) -> bool:
     """Whether boxes x, y, cos yaw, sin yaw, half length, half width touch (`replan.logs.shapes`, (1))."""
     dx, dy = other[0] - x, other[1] - y
     straight, across = abs(c * other[2] + s * other[3]), abs(c * other[3] - s * other[2])
@@ -363,9 +430,13 @@ def _touch(
 
 @inner_kernel
 def _first_met(
-    boxes: FloatArray, begin: int, end: int, moved: float, size: tuple[float, float],
+    boxes: FloatArray,
+    begin: int,
+    end: int,
+    moved: float,
+    size: tuple[float, float],
     other: tuple[float, float, float, float, float, float],
-) -> int:  # fmt: skip
+) -> int:
     """The first point from `begin` to `end`, exclusive, forwards or backwards, at which the ego meets a box; -1: none.
 
     It skips points at which the gap cannot have closed: from one to the next no point of the ego's box moves farther
@@ -374,9 +445,19 @@ def _first_met(
     j, step = begin, 1 if end > begin else -1
     while (end - j) * step > 0:
         gap = axis_gap(
-            boxes[0, j], boxes[1, j], boxes[2, j], boxes[3, j], size[0], size[1],
-            other[0], other[1], other[2], other[3], other[4], other[5],
-        )  # fmt: skip
+            boxes[0, j],
+            boxes[1, j],
+            boxes[2, j],
+            boxes[3, j],
+            size[0],
+            size[1],
+            other[0],
+            other[1],
+            other[2],
+            other[3],
+            other[4],
+            other[5],
+        )
         if gap <= 0.0:
             return j
         j += step * (1 + int(JUMP * gap / moved))
@@ -385,9 +466,13 @@ def _first_met(
 
 @inner_kernel
 def _edge(
-    sigma: FloatArray, boxes: FloatArray, met: int, free: int, size: tuple[float, float],
+    sigma: FloatArray,
+    boxes: FloatArray,
+    met: int,
+    free: int,
+    size: tuple[float, float],
     other: tuple[float, float, float, float, float, float],
-) -> float:  # fmt: skip
+) -> float:
     """The station next to point `met`, which overlaps, towards point `free`, at which the ego does not overlap."""
     if free < 0 or free >= boxes.shape[1]:
         return sigma[met]
@@ -407,7 +492,9 @@ def _edge(
 
 
 @inner_kernel
-def _drawn_out(t: FloatArray, lower: FloatArray, upper: FloatArray, early: float, late: float) -> float:
+def _drawn_out(
+    t: FloatArray, lower: FloatArray, upper: FloatArray, early: float, late: float
+) -> float:
     """Extend an interval `(k,)` in time (2); return the station at which the agent enters."""
     first, last = 0, len(t) - 1
     while isnan(lower[first]):

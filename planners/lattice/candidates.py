@@ -41,10 +41,13 @@ from replan.logs.states import wrap
 from replan.planners.frenet.path import MAX_TURN, MIN_REGULAR, quintic
 from replan.planners.frenet.profiles import HORIZON_STEPS, STEP_S
 
-LEAST_M = 8.0  # Least length of a lateral move (3), m: at low speeds a shorter one would be too sharp to steer
-REST_MPS = 0.05  # Below this speed the ego stands: an agent that then runs into it is not the ego's fault
+# Least length of a lateral move (3), m: at low speeds a shorter one would be too sharp to steer
+LEAST_M = 8.0
+# Below this speed the ego stands: an agent that then runs into it is not the ego's fault
+REST_MPS = 0.05
 SIDE_M = 0.1  # An agent nearer than this beside a track is on it
-COST_PARTS = ("jerk along", "time", "speed", "sideways", "gap")  # The names of the terms of (4) in traces
+# The names of the terms of (4) in traces
+COST_PARTS = ("jerk along", "time", "speed", "sideways", "gap")
 STRIDE = 4  # Samples of the plan per sample of the agents' Frenet coordinates
 
 
@@ -97,7 +100,10 @@ def reach_point(v0: float, a0: float, s1: float, v1: float, T: float) -> tuple[f
 def third_square(c3: float, c4: float, c5: float, T: float) -> float:
     """Integral of the squared third derivative over [0, T]."""
     a, b, c = 6.0 * c3, 24.0 * c4, 60.0 * c5
-    return T * (a * a + T * (a * b + T * ((b * b + 2.0 * a * c) / 3.0 + T * (0.5 * b * c + T * 0.2 * c * c))))
+    return T * (
+        a * a
+        + T * (a * b + T * ((b * b + 2.0 * a * c) / 3.0 + T * (0.5 * b * c + T * 0.2 * c * c)))
+    )
 
 
 @kernel
@@ -138,7 +144,12 @@ def lateral_polynomial(start: FloatArray, l1: float, D: float) -> FloatArray:
 
 @kernel
 def states(
-    knots: FloatArray, coef: FloatArray, s0: float, lateral: FloatArray, D: float, motion: FloatArray
+    knots: FloatArray,
+    coef: FloatArray,
+    s0: float,
+    lateral: FloatArray,
+    D: float,
+    motion: FloatArray,
 ) -> FloatArray:
     """Rows x, y, yaw, v, a, kappa, l, turn, 1 - kappa l `(9, k)` of a candidate (`replan.planners.frenet.path`, (1) to (3)).
 
@@ -151,7 +162,9 @@ def states(
         l, dl, ddl = evaluate_polynomial(lateral, D, ahead)  # noqa: E741
         x, y, yaw_r, kappa_r = line_frame(knots, coef, s0 + ahead)
         s = s0 + ahead
-        dkappa_r = 2.0 * (line_curvature(knots, coef, s + 0.25) - line_curvature(knots, coef, s - 0.25))
+        dkappa_r = 2.0 * (
+            line_curvature(knots, coef, s + 0.25) - line_curvature(knots, coef, s - 0.25)
+        )
         out[8, k] = 1.0 - kappa_r * l
         R = max(out[8, k], MIN_REGULAR)
         turn = atan2(dl, R)
@@ -169,9 +182,14 @@ def states(
 
 @kernel
 def speed_faults(
-    motion: FloatArray, s0: float, grid: FloatArray, limit: FloatArray, allowed: FloatArray, upper: FloatArray,
+    motion: FloatArray,
+    s0: float,
+    grid: FloatArray,
+    limit: FloatArray,
+    allowed: FloatArray,
+    upper: FloatArray,
     bounds: FloatArray,
-) -> IntArray:  # fmt: skip
+) -> IntArray:
     """Per longitudinal candidate, s from the start, s_dot, s_ddot `(m, 3, k)`, its first fault.
 
     `limit` is that at stations `grid`, uniform; `allowed` a speed that is always allowed at each time `(k,)`, since an
@@ -219,11 +237,13 @@ class NearFutures(NamedTuple):
     """The n predictions near the ego, on the plan's grid of `HORIZON_KNOTS` times."""
 
     agent: IntArray  # `(n,)` index into the frame's agents
-    pose: FloatArray  # x, y, yaw `(3, n, HORIZON_KNOTS)`; beyond the predictions' horizon all agents stay
+    # x, y, yaw `(3, n, HORIZON_KNOTS)`; beyond the predictions' horizon all agents stay
+    pose: FloatArray
     frenet: FloatArray  # `futures_frenet` of every `STRIDE`-th time `(4, n, m)`
     speed: FloatArray  # Speed along the line at the first time `(n,)`, m/s
     sizes: FloatArray  # Length, width, margin `(3, n)`, m
-    behind: BoolArray  # `(2, n)` which the ego ignores: when it keeps its track, and when it changes it
+    # `(2, n)` which the ego ignores: when it keeps its track, and when it changes it
+    behind: BoolArray
 
 
 class Longitudinal(NamedTuple):
@@ -249,7 +269,9 @@ class Pairs(NamedTuple):
     length: FloatArray
     changes: BoolArray  # `(n,)` whether they end on another track
     costs: FloatArray  # Cost by `COST_PARTS` `(5, n)`
-    faults: IntArray  # Number of pairs, by fault, that were not made since their longitudinal polynomial breaks a limit
+    # Number of pairs, by fault, that were not made since their longitudinal polynomial breaks a
+    # limit
+    faults: IntArray
 
 
 class Room(NamedTuple):
@@ -275,23 +297,39 @@ class EgoLimits(NamedTuple):
 
 
 @inner_kernel
-def _met(x: float, y: float, yaw: float, k: int, others: NearFutures, skip: BoolArray, ego: EgoLimits) -> bool:
+def _met(
+    x: float, y: float, yaw: float, k: int, others: NearFutures, skip: BoolArray, ego: EgoLimits
+) -> bool:
     """Whether the ego's box, grown by each agent's margin, meets an agent at sample k."""
     cx, cy = x + ego.rear_to_center * cos(yaw), y + ego.rear_to_center * sin(yaw)
     pose, sizes = others.pose, others.sizes
     for j in range(pose.shape[1]):
         margin = 2.0 * sizes[2, j]
         if not skip[j] and overlap(
-            cx, cy, yaw, ego.length + margin, ego.width + margin,
-            pose[0, j, k], pose[1, j, k], pose[2, j, k], sizes[0, j], sizes[1, j],
-        ):  # fmt: skip
+            cx,
+            cy,
+            yaw,
+            ego.length + margin,
+            ego.width + margin,
+            pose[0, j, k],
+            pose[1, j, k],
+            pose[2, j, k],
+            sizes[0, j],
+            sizes[1, j],
+        ):
             return True
     return False
 
 
 @inner_kernel
 def drive_fault(
-    at: FloatArray, motion: FloatArray, s0: float, room: Room, others: NearFutures, skip: BoolArray, ego: EgoLimits
+    at: FloatArray,
+    motion: FloatArray,
+    s0: float,
+    room: Room,
+    others: NearFutures,
+    skip: BoolArray,
+    ego: EgoLimits,
 ) -> int:
     """The first fault of a candidate's `states` `(9, k)` and s, s_dot, s_ddot `(3, k)` over time, 0 without one.
 
@@ -309,20 +347,31 @@ def drive_fault(
             return Fault.LATERAL_ACCELERATION.value
         if _outside(at[6, k], s0 + motion[0, k], room.knots, room.left, room.right) > out:
             return Fault.CORRIDOR.value
-        if k > 0 and at[3, k] > REST_MPS and _met(at[0, k], at[1, k], at[2, k], k, others, skip, ego):
+        if (
+            k > 0
+            and at[3, k] > REST_MPS
+            and _met(at[0, k], at[1, k], at[2, k], k, others, skip, ego)
+        ):
             return Fault.COLLISION.value
     return Fault.NONE.value
 
 
 @kernel
 def first_feasible(
-    pairs: Pairs, order: IntArray, ego: FrenetStart, room: Room, others: NearFutures, body: EgoLimits
+    pairs: Pairs,
+    order: IntArray,
+    ego: FrenetStart,
+    room: Room,
+    others: NearFutures,
+    body: EgoLimits,
 ) -> tuple[int, IntArray]:
     """The first pair in `order` without a fault, -1 if there is none, and the number of pairs found with each fault."""
     found, start = np.zeros(FAULTS, np.int64), np.array(ego.lateral)
     for pair in order:
         i = pairs.row[pair]
-        motion = sample_polynomials(pairs.lon.coef[i : i + 1], pairs.lon.T[i : i + 1], HORIZON_STEPS)[0]
+        motion = sample_polynomials(
+            pairs.lon.coef[i : i + 1], pairs.lon.T[i : i + 1], HORIZON_STEPS
+        )[0]
         lateral = lateral_polynomial(start, pairs.l1[pair], pairs.length[pair])
         at = states(room.knots, room.coef, ego.s, lateral, pairs.length[pair], motion)
         unseen = others.behind[1] if pairs.changes[pair] else others.behind[0]
@@ -335,7 +384,13 @@ def first_feasible(
 
 @kernel
 def futures_frenet(
-    knots: FloatArray, coef: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, sizes: FloatArray, s_ego: float
+    knots: FloatArray,
+    coef: FloatArray,
+    x: FloatArray,
+    y: FloatArray,
+    yaw: FloatArray,
+    sizes: FloatArray,
+    s_ego: float,
 ) -> FloatArray:
     """Predictions `(n, k)` in the Frenet frame: s, l, half length along s, half width along l `(4, n, k)`."""
     out = np.empty((4, x.shape[0], x.shape[1]))
@@ -354,9 +409,16 @@ def futures_frenet(
 
 @kernel
 def headway(
-    motion: FloatArray, s0: float, others: FloatArray, speed: FloatArray, behind: BoolArray, l1: float,
-    box: FloatArray, wanted: FloatArray, changes: bool,
-) -> FloatArray:  # fmt: skip
+    motion: FloatArray,
+    s0: float,
+    others: FloatArray,
+    speed: FloatArray,
+    behind: BoolArray,
+    l1: float,
+    box: FloatArray,
+    wanted: FloatArray,
+    changes: bool,
+) -> FloatArray:
     """(5) of longitudinal candidates `(m, 3, k)`, as in `sample_polynomials`, on the track at offset `l1`: `(m,)`.
 
     `others` are `futures_frenet`, `behind` is as in `NearFutures`; `box` has the distances from the rear axle to front

@@ -30,7 +30,14 @@ from replan.logs.shapes import overlap
 from replan.logs.states import Trajectory, wrap
 from replan.logs.vehicle import VehicleParameters
 from replan.planners.frenet.path import Path, path_through
-from replan.planners.frenet.profiles import HORIZON_KNOTS, HORIZON_STEPS, STEP_S, braking, fall_back, limit_profile
+from replan.planners.frenet.profiles import (
+    HORIZON_KNOTS,
+    HORIZON_STEPS,
+    STEP_S,
+    braking,
+    fall_back,
+    limit_profile,
+)
 from replan.planners.frenet.reference_path import ReferencePath
 from replan.planners.frenet.scene import (
     TRACK_M,
@@ -42,7 +49,12 @@ from replan.planners.frenet.scene import (
     open_end,
     upper_bound,
 )
-from replan.planners.frenet.st_boundaries import StGraphConfig, decide_speed, outlines, st_boundaries
+from replan.planners.frenet.st_boundaries import (
+    StGraphConfig,
+    decide_speed,
+    outlines,
+    st_boundaries,
+)
 from replan.planners.lattice.candidates import (
     COST_PARTS,
     REASONS,
@@ -69,7 +81,9 @@ from replan.planners.lattice.candidates import (
 )
 from replan.planners.rules import Rulebook, RuleMemory
 
-SHORT = 4.0  # Weight of each metre short of a stop that the rules require, so that the ego stops visibly at that place
+# Weight of each metre short of a stop that the rules require, so that the ego stops visibly at that
+# place
+SHORT = 4.0
 STOP_S = 1.0  # The ego brakes for a stop that the rules demand from this time, s ...
 STOP_M = 2.0  # ... and this distance, m, before gentle braking would have to begin.
 NEAR_M = 30.0  # Agents that stay farther than this from the ego's reach are left out, m
@@ -131,7 +145,12 @@ class LatticeConfig:
     edge_m: float = 0.1
 
     def __post_init__(self) -> None:
-        if self.speeds < 2 or not self.durations_s or not self.lateral_durations_s or not self.offset_spacing_m > 0.0:
+        if (
+            self.speeds < 2
+            or not self.durations_s
+            or not self.lateral_durations_s
+            or not self.offset_spacing_m > 0.0
+        ):
             raise ValueError("lattice needs two speeds, durations and a positive offset_spacing_m")
         if min((*self.durations_s, *self.lateral_durations_s)) < STEP_S:
             raise ValueError(f"lattice durations must be at least {STEP_S} s")
@@ -147,7 +166,9 @@ def ego_frenet(scene: Scene) -> FrenetStart:
     R, turn = 1.0 - kappa_r * l0, wrap(start.yaw - yaw_r)
     speed = max(start.v, 0.0) * cos(turn) / R
     dkappa_r = 2.0 * (line.frame(s0 + 0.25)[3] - line.frame(s0 - 0.25)[3])
-    turning = R * tan(turn) * (start.kappa * R / cos(turn) - kappa_r) - (dkappa_r * l0 + kappa_r * lateral[1])
+    turning = R * tan(turn) * (start.kappa * R / cos(turn) - kappa_r) - (
+        dkappa_r * l0 + kappa_r * lateral[1]
+    )
     accel = (start.a - speed**2 / cos(turn) * turning) * cos(turn) / R
     return FrenetStart(s0, lateral, speed, max(accel, -6.0 * speed))
 
@@ -157,7 +178,9 @@ def futures_of(scene: Scene, ego: FrenetStart, config: LatticeConfig) -> NearFut
     frame, start, line, car = scene.frame, scene.start, scene.reference.line, scene.vehicle
     agents, futures = frame.agents, frame.predictions
     reach = HORIZON_STEPS * STEP_S * (ego.speed + 3.0) + NEAR_M  # farther than the ego can get
-    way = np.vstack([line.xy[(line.s > ego.s - NEAR_M) & (line.s < ego.s + reach)], [[start.x, start.y]]])
+    way = np.vstack(
+        [line.xy[(line.s > ego.s - NEAR_M) & (line.s < ego.s + reach)], [[start.x, start.y]]]
+    )
     low, high = way.min(axis=0) - NEAR_M, way.max(axis=0) + NEAR_M
     near = np.zeros(len(futures), np.bool_)
     if len(futures):
@@ -183,7 +206,9 @@ def futures_of(scene: Scene, ego: FrenetStart, config: LatticeConfig) -> NearFut
     frenet = futures_frenet(line.s, line.coef, thin[0], thin[1], thin[2], sizes, ego.s)
     speed = (frenet[0, :, 1] - frenet[0, :, 0]) / (STRIDE * STEP_S)
     follow = [behind(scene, keeps_track=keeps) for keeps in (True, False)]
-    return NearFutures(agent, pose, frenet, speed, sizes, np.array([rows[agent] for rows in follow]))
+    return NearFutures(
+        agent, pose, frenet, speed, sizes, np.array([rows[agent] for rows in follow])
+    )
 
 
 class Sampler:
@@ -193,34 +218,59 @@ class Sampler:
     """
 
     def __init__(
-        self, reference: ReferencePath, vehicle: VehicleParameters, config: LatticeConfig, *, passes_left: bool
+        self,
+        reference: ReferencePath,
+        vehicle: VehicleParameters,
+        config: LatticeConfig,
+        *,
+        passes_left: bool,
     ) -> None:
         self._reference, self._vehicle, self._config = reference, vehicle, config
         self._first_side = 1.0 if passes_left else -1.0
         line = reference.line
-        self.limit = limit_profile(line.s, line.kappa, reference.limit, config.curve_accel_mps2, config.ease_mps2)
-        side, middle = 0.5 * vehicle.width + config.edge_m, 0.5 * (reference.road_left + reference.road_right)
+        self.limit = limit_profile(
+            line.s, line.kappa, reference.limit, config.curve_accel_mps2, config.ease_mps2
+        )
+        side, middle = (
+            0.5 * vehicle.width + config.edge_m,
+            0.5 * (reference.road_left + reference.road_right),
+        )
         self.left = np.maximum(reference.road_left - side, middle)
         self.right = np.minimum(reference.road_right + side, middle)
 
-    def pairs(self, ego: FrenetStart, futures: NearFutures, stops: Sequence[Occupancy] = ()) -> Pairs:
+    def pairs(
+        self, ego: FrenetStart, futures: NearFutures, stops: Sequence[Occupancy] = ()
+    ) -> Pairs:
         """All longitudinal polynomials that keep limits and stops, each with all lateral ones of its tracks."""
         config, stations, aim = self._config, self._reference.line.s, open_end(stops)
         spacing, there = config.offset_spacing_m, ego.s + 2.0 * ego.speed + 10.0
         left, right = (float(np.interp(there, stations, edge)) for edge in (self.left, self.right))
         count = max(floor(left / spacing), floor(-right / spacing), 0)
-        both = [side * k * spacing for k in range(1, count + 1) for side in (self._first_side, -self._first_side)]
-        offsets = np.array([0.0, *(offset for offset in both if right <= offset <= left)])  # the middle first
+        both = [
+            side * k * spacing
+            for k in range(1, count + 1)
+            for side in (self._first_side, -self._first_side)
+        ]
+        # The middle first
+        offsets = np.array([0.0, *(offset for offset in both if right <= offset <= left)])
         rests = aim < ego.speed * STOP_S + 0.5 * ego.speed**2 / config.ease_mps2 + STOP_M
         soon = np.linspace(ego.s, ego.s + 3.0 * ego.speed + 5.0, 8)  # within the next 3 s
         wanted = 0.0 if rests else float(np.interp(soon, stations, self.limit).min())
-        rows = [*self._keeping(ego, wanted, aim if rests else np.inf), *self._reaching(ego, futures, offsets)]
+        rows = [
+            *self._keeping(ego, wanted, aim if rests else np.inf),
+            *self._reaching(ego, futures, offsets),
+        ]
         columns = np.array(rows).T.copy()
         coef = np.array([(0.0, ego.speed, 0.5 * ego.accel, *row[:3]) for row in rows])
         lon = Longitudinal(coef, columns[3], columns[4], columns[5], columns[6].astype(np.int64))
         motion = sample_polynomials(lon.coef, lon.T, HORIZON_STEPS)
-        allowed = braking(ego.speed, ego.accel, config.ease_mps2, 3.0, STEP_S, HORIZON_KNOTS)[1] + 0.3
-        bounds, t = np.array([config.accel_mps2, config.decel_mps2, 0.5]), STEP_S * np.arange(HORIZON_KNOTS)
+        allowed = (
+            braking(ego.speed, ego.accel, config.ease_mps2, 3.0, STEP_S, HORIZON_KNOTS)[1] + 0.3
+        )
+        bounds, t = (
+            np.array([config.accel_mps2, config.decel_mps2, 0.5]),
+            STEP_S * np.arange(HORIZON_KNOTS),
+        )
         upper = upper_bound(stops, t, np.inf)  # the greatest station that the rules permit
         if not rests:  # a far, open stop binds for `STOP_S`
             timed = upper_bound([stop for stop in stops if stop.until < np.inf], t, np.inf)
@@ -242,13 +292,19 @@ class Sampler:
         speeds = [*np.linspace(0.0, wanted, config.speeds), min(ego.speed, wanted)]
         decels = (0.4 * config.ease_mps2, config.ease_mps2, 3.0, 5.0, 0.95 * config.decel_mps2)
         ends = [(v1, T) for v1 in speeds for T in config.durations_s]
-        ends += [(0.0, max(1.5 * ego.speed / decel, 0.5)) for decel in decels]  # a cubic s_dot: 1.5 times the mean
+        # A cubic s_dot: 1.5 times the mean
+        ends += [(0.0, max(1.5 * ego.speed / decel, 0.5)) for decel in decels]
         for v1, T in ends:
             c3, c4, c5 = keep_speed(ego.speed, ego.accel, v1, T)
             end = T * (ego.speed + T * (0.5 * ego.accel + T * (c3 + T * (c4 + T * c5))))
-            rows.append((c3, c4, c5, T, v1, SHORT * max(aim - end, 0.0) if aim < np.inf else 0.0, -1.0))
+            rows.append(
+                (c3, c4, c5, T, v1, SHORT * max(aim - end, 0.0) if aim < np.inf else 0.0, -1.0)
+            )
         if 0.0 < aim < np.inf:
-            rows += [(*reach_point(ego.speed, ego.accel, aim, 0.0, T), T, 0.0, 0.0, -1.0) for T in config.durations_s]
+            rows += [
+                (*reach_point(ego.speed, ego.accel, aim, 0.0, T), T, 0.0, 0.0, -1.0)
+                for T in config.durations_s
+            ]
         return rows
 
     def _reaching(self, ego: FrenetStart, futures: NearFutures, offsets: FloatArray) -> list[Row]:
@@ -256,13 +312,18 @@ class Sampler:
         config, car, rows = self._config, self._vehicle, list[Row]()
         if not len(futures.agent):
             return rows
-        samples = [min(round(T / (STRIDE * STEP_S)), futures.frenet.shape[2] - 1) for T in config.durations_s]
+        samples = [
+            min(round(T / (STRIDE * STEP_S)), futures.frenet.shape[2] - 1)
+            for T in config.durations_s
+        ]
         s, l, half_s, half_l = futures.frenet[:, :, samples]  # noqa: E741
         is_ahead = ((futures.frenet[0, :, 0] > ego.s) & ~futures.behind[0])[:, None]
         for track, offset in enumerate(offsets.tolist()):
             on_track = np.abs(l - offset) < half_l + (0.5 * car.width + config.margin_m)
             rears = np.where(on_track & is_ahead, s - half_s, np.inf)
-            for T, leader, rear in zip(config.durations_s, np.argmin(rears, axis=0), rears.min(axis=0), strict=True):
+            for T, leader, rear in zip(
+                config.durations_s, np.argmin(rears, axis=0), rears.min(axis=0), strict=True
+            ):
                 if not np.isfinite(rear):
                     continue
                 v1 = max(float(futures.speed[leader]), 0.0)
@@ -275,31 +336,56 @@ class Sampler:
         return rows
 
     def _pair_candidates(
-        self, ego: FrenetStart, futures: NearFutures, lon: Longitudinal, motion: FloatArray, offsets: FloatArray,
-        wanted: float, faults: IntArray,
-    ) -> Pairs:  # fmt: skip
+        self,
+        ego: FrenetStart,
+        futures: NearFutures,
+        lon: Longitudinal,
+        motion: FloatArray,
+        offsets: FloatArray,
+        wanted: float,
+        faults: IntArray,
+    ) -> Pairs:
         """The pairs with their costs (`candidates`, (4))."""
         c, car = self._config, self._vehicle
         T = np.array(c.lateral_durations_s)
         jerk = squared_jerks(lon.coef, lon.T)
         own = np.array(
-            [c.w_jerk * jerk, c.w_time * lon.T, c.w_speed * (lon.v1 - wanted) ** 2 + c.w_point * lon.missed**2]
+            [
+                c.w_jerk * jerk,
+                c.w_time * lon.T,
+                c.w_speed * (lon.v1 - wanted) ** 2 + c.w_point * lon.missed**2,
+            ]
         )
         box = np.array([car.axle_to_front, car.rear_overhang, 0.5 * car.width])
-        gaps, weights = np.array([c.standstill_gap_m, c.time_gap_s]), np.array([c.w_jerk, c.w_lateral_time, c.w_offset])
+        gaps, weights = (
+            np.array([c.standstill_gap_m, c.time_gap_s]),
+            np.array([c.w_jerk, c.w_lateral_time, c.w_offset]),
+        )
         row, l1, length, changes, costs = [], [], [], [], []
         for track, offset in enumerate(offsets):
             rows = np.flatnonzero((lon.track < 0) | (lon.track == track))
             moves = abs(float(offset) - ego.lateral[0]) > TRACK_M
             tracked = motion[rows]
-            missing = headway(tracked, ego.s, futures.frenet, futures.speed, futures.behind, offset, box, gaps, moves)
+            missing = headway(
+                tracked,
+                ego.s,
+                futures.frenet,
+                futures.speed,
+                futures.behind,
+                offset,
+                box,
+                gaps,
+                moves,
+            )
             sideways, D = lateral_costs(tracked, np.array(ego.lateral), offset, T, weights)
             n = len(rows) * len(T)
             row.append(np.repeat(rows, len(T)))
             l1.append(np.full(n, offset))
             length.append(D.ravel())
             changes.append(np.full(n, moves))
-            lateral = np.array([c.w_lateral * sideways.ravel(), np.repeat(c.w_gap * missing, len(T))])
+            lateral = np.array(
+                [c.w_lateral * sideways.ravel(), np.repeat(c.w_gap * missing, len(T))]
+            )
             costs.append(np.vstack([np.repeat(own[:, rows], len(T), axis=1), lateral]))
         flat = [np.concatenate(part) for part in (row, l1, length, changes)]
         return Pairs(lon, flat[0], flat[1], flat[2], flat[3], np.concatenate(costs, axis=1), faults)
@@ -319,7 +405,9 @@ class Lattice:
         self._rules = Rulebook(context.road, self._tracker.reference, context.vehicle)
         self._memory = RuleMemory()
         passes_left = context.road.drives_on_right
-        self._sampler = Sampler(self._tracker.reference, self._vehicle, self._config, passes_left=passes_left)
+        self._sampler = Sampler(
+            self._tracker.reference, self._vehicle, self._config, passes_left=passes_left
+        )
 
     def plan(self, frame: Frame) -> Plan:
         """Return the cheapest feasible pair (the first of equals); else the fallback and the reason."""
@@ -338,7 +426,9 @@ class Lattice:
         car, line = self._vehicle, self._tracker.reference.line
         order = np.argsort(np.round(pairs.costs.sum(axis=0), 9), kind="stable")
         room = Room(line.s, line.coef, self._sampler.left, self._sampler.right)
-        body = EgoLimits(car.axle_to_center, car.length, car.width, car.max_kappa, self._config.lat_accel_mps2)
+        body = EgoLimits(
+            car.axle_to_center, car.length, car.width, car.max_kappa, self._config.lat_accel_mps2
+        )
         chosen, faults = first_feasible(pairs, order, ego, room, futures, body)
         dearer = len(pairs.row) - int(faults.sum()) - 1 if chosen >= 0 else 0
         counts = [(why, int((pairs.faults + faults)[fault])) for fault, why in REASONS.items()]
@@ -346,18 +436,34 @@ class Lattice:
         counted = Candidates("lattice", len(pairs.row) + int(pairs.faults.sum()), tuple(counts))
         self._lap("choice")
         if chosen < 0:
-            reason = "no candidate can be driven: " + ", ".join(f"{n} {why}" for why, n in counted.rejected)
-            return fall_back(frame, scene.start, start_kind, None, reason, (counted,), self._vehicle)
+            reason = "no candidate can be driven: " + ", ".join(
+                f"{n} {why}" for why, n in counted.rejected
+            )
+            return fall_back(
+                frame, scene.start, start_kind, None, reason, (counted,), self._vehicle
+            )
         row = int(pairs.row[chosen])
-        motion = sample_polynomials(pairs.lon.coef[row, None], pairs.lon.T[row, None], HORIZON_STEPS)[0]
+        motion = sample_polynomials(
+            pairs.lon.coef[row, None], pairs.lon.T[row, None], HORIZON_STEPS
+        )[0]
         lateral = lateral_polynomial(np.array(ego.lateral), pairs.l1[chosen], pairs.length[chosen])
         at = states(line.s, line.coef, scene.s, lateral, pairs.length[chosen], motion)
         x, y, yaw, v, a, kappa = at[:6]
         t, rest = frame.t + STEP_S * np.arange(at.shape[1]), v < 1e-3  # standstill is exact
-        way = Trajectory(t, x, y, yaw, np.where(rest, 0.0, v), np.where(rest & (np.abs(a) < REST_MPS), 0.0, a), kappa)
+        way = Trajectory(
+            t,
+            x,
+            y,
+            yaw,
+            np.where(rest, 0.0, v),
+            np.where(rest & (np.abs(a) < REST_MPS), 0.0, a),
+            kappa,
+        )
 
         def internals() -> tuple[Artefact, ...]:
-            shown = artefacts(ChosenPair(scene, ego, futures, pairs, chosen, at, motion), self._config)
+            shown = artefacts(
+                ChosenPair(scene, ego, futures, pairs, chosen, at, motion), self._config
+            )
             return (*shown, *(stop.decision for stop in stops), counted)
 
         return Plan(way, start=start_kind, internals=Internals((), internals))
@@ -391,20 +497,36 @@ def artefacts(chosen: ChosenPair, config: LatticeConfig) -> tuple[Artefact, ...]
             kind = DecisionKind.NUDGE_LEFT if beside > l else DecisionKind.NUDGE_RIGHT
             gap = abs(beside - l) - half_l - half
             reason = f"stands in the middle of the lane: passed with {gap:.2f} m at the end offset {l1:.1f} m"
-            passed[scene.frame.agents.ids[i]] = Decision(scene.frame.agents.ids[i], kind, "path", reason)
+            passed[scene.frame.agents.ids[i]] = Decision(
+                scene.frame.agents.ids[i], kind, "path", reason
+            )
     decided, boxes = tuple(passed.values()), []
     lane, s = scene.reference, ego.s + motion[0, ::EVERY]
     line = np.column_stack([s, chosen.at[6, ::EVERY]])[np.r_[True, np.diff(s) > 1e-3]]
     grid = ego.s + np.arange(0.0, max(float(motion[0, -1]), 10.0), 4.0)
-    edges = [np.interp(grid, lane.line.s, edge) for edge in (lane.road_right + half, lane.road_left - half)]
+    edges = [
+        np.interp(grid, lane.line.s, edge)
+        for edge in (lane.road_right + half, lane.road_left - half)
+    ]
     for j, i in enumerate(chosen.futures.agent):
         s_mid, l, half_s, half_l = chosen.futures.frenet[:, j, 0]  # noqa: E741
         if scene.standing[i] and abs(l) < 10.0:
             name = scene.frame.agents.ids[i]
-            outline = np.array([(s_mid + a * half_s, l + b * half_l) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
-            boxes.append(GraphObstacle(name, outline, passed[name].kind if name in passed else DecisionKind.IGNORE))
+            outline = np.array(
+                [
+                    (s_mid + a * half_s, l + b * half_l)
+                    for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))
+                ]
+            )
+            boxes.append(
+                GraphObstacle(
+                    name, outline, passed[name].kind if name in passed else DecisionKind.IGNORE
+                )
+            )
     sl_graph = SlGraph(None, Corridor(grid, *edges), np.empty((0, 2)), line, tuple(boxes))
-    costs = CostTerms("lattice", tuple(zip(COST_PARTS, chosen.pairs.costs[:, chosen.pair].tolist(), strict=True)))
+    costs = CostTerms(
+        "lattice", tuple(zip(COST_PARTS, chosen.pairs.costs[:, chosen.pair].tolist(), strict=True))
+    )
     return (sl_graph, *_graph_along(chosen, config), *decided, costs)
 
 
@@ -423,5 +545,7 @@ def _graph_along(chosen: ChosenPair, config: LatticeConfig) -> tuple[Artefact, .
     t = STEP_S * np.arange(at.shape[1])
     driven = arc_lengths(at[0], at[1])
     decisions = decide_speed(blocks, scene, np.interp(blocks.t, t, driven))
-    graph = StGraph(None, None, np.empty((0, 2)), np.column_stack([t, driven]), outlines(blocks, decisions))
+    graph = StGraph(
+        None, None, np.empty((0, 2)), np.column_stack([t, driven]), outlines(blocks, decisions)
+    )
     return (graph, *({decision.agent: decision for decision in decisions}.values()))

@@ -37,7 +37,16 @@ import numpy as np
 from replan.core.arrays import BoolArray, FloatArray
 from replan.core.kernel import kernel
 from replan.logs.frame import Frame, PlannerContext, Predictions
-from replan.logs.plan import Artefact, Candidates, Corridor, CostTerms, Internals, Plan, SlGraph, StGraph
+from replan.logs.plan import (
+    Artefact,
+    Candidates,
+    Corridor,
+    CostTerms,
+    Internals,
+    Plan,
+    SlGraph,
+    StGraph,
+)
 from replan.logs.states import EgoState, Trajectory, wrap
 from replan.logs.vehicle import VehicleParameters
 from replan.planners.frenet.path import Path, make_path, states_on_path
@@ -65,10 +74,13 @@ from replan.planners.rules import Rulebook, RuleMemory
 KNOT_M, BEYOND_M, LOOKED_UP_S = 2.0, 30.0, 0.2
 """Spacing of the knots of a track, m; length of a track beyond the way at the speed limit, m; time step of the
 predictions of agents, s."""
-BODIES = StGraphConfig(margin_m=0.0, vulnerable_margin_m=0.0, step_s=LOOKED_UP_S, early_s=0.0, late_s=0.0)
+BODIES = StGraphConfig(
+    margin_m=0.0, vulnerable_margin_m=0.0, step_s=LOOKED_UP_S, early_s=0.0, late_s=0.0
+)
 """S-T boundaries without margins: a track is as wide as the ego."""
 AHEAD = 10  # Steps that (2) and (3) look ahead
-Q_SPEED, Q_OFFSET, Q_HEADING = 10.0, 1.0, 10.0  # Weights of (2) and (3); the weight of the input is 1
+# Weights of (2) and (3); the weight of the input is 1
+Q_SPEED, Q_OFFSET, Q_HEADING = 10.0, 1.0, 10.0
 STOPPING_MPS, STOPPING_GAIN, ACCEL_LAG_S, STEER_LAG_S = 0.2, 0.5, 0.2, 0.05
 """Speed up to which (2) only stops, m/s, and its gain there, 1/s; lags of (4), s."""
 
@@ -113,8 +125,12 @@ class PdmConfig:
 
     def __post_init__(self) -> None:
         numbers = {name: value for name, value in vars(self).items() if isinstance(value, float)}
-        if not (self.speed_shares and min(*numbers.values(), *self.speed_shares, *self.offsets_m) > 0.0):
-            raise ValueError("pdm settings must be positive, and there must be a share of the speed limit")
+        if not (
+            self.speed_shares and min(*numbers.values(), *self.speed_shares, *self.offsets_m) > 0.0
+        ):
+            raise ValueError(
+                "pdm settings must be positive, and there must be a share of the speed limit"
+            )
         if not 1.0 <= self.horizon_s <= HORIZON_STEPS * STEP_S:
             raise ValueError(f"pdm's horizon_s must be 1 to {HORIZON_STEPS * STEP_S:g} s")
 
@@ -146,7 +162,9 @@ class Pdm:
     def plan(self, frame: Frame) -> Plan:
         """Return the simulated drive along the best proposal (the first of equals), or a stop off the route's frame."""
         c, car = self._config, self._vehicle
-        scene, start_kind = self._tracker.scene(replace(frame, predictions=constant_velocity(frame)))
+        scene, start_kind = self._tracker.scene(
+            replace(frame, predictions=constant_velocity(frame))
+        )
         if frame.previous is None:
             self._memory = RuleMemory()
         if scene.trouble:
@@ -159,7 +177,9 @@ class Pdm:
         self._lap("proposals")
         steps = round(c.horizon_s / STEP_S) + 1
         profiles = [(each.path, profile) for each in tracks for profile in each.profiles]
-        drives = [track_proposal(path, profile, scene.start, car, steps) for path, profile in profiles]
+        drives = [
+            track_proposal(path, profile, scene.start, car, steps) for path, profile in profiles
+        ]
         self._lap("simulation")
         weights = c.w_progress, c.w_ttc, c.w_comfort
         found = scores(np.array(drives), scene, np.flatnonzero(near), weights)
@@ -170,36 +190,62 @@ class Pdm:
         if found.contact[chosen] <= c.brake_within_s and frame.ego.v <= c.brake_below_mps:
             start, sigma = scene.start, np.linspace(0.0, BEYOND_M, 61)  # with the present curvature
             half = 0.5 * start.kappa * sigma
-            x, y = (sigma * np.sinc(half / np.pi) * turn(start.yaw + half) for turn in (np.cos, np.sin))
+            x, y = (
+                sigma * np.sinc(half / np.pi) * turn(start.yaw + half) for turn in (np.cos, np.sin)
+            )
             bent = np.full(len(sigma), start.kappa)
             arc = Path(sigma, start.x + x, start.y + y, start.yaw + 2.0 * half, bent, sigma)
-            profile = braking(scene.v, start.a, c.brake_mps2, EMERGENCY.jerk_mps3, STEP_S, HORIZON_KNOTS)
+            profile = braking(
+                scene.v, start.a, c.brake_mps2, EMERGENCY.jerk_mps3, STEP_S, HORIZON_KNOTS
+            )
             name, within = scene.name(int(found.agent[chosen])), found.contact[chosen]
             reason = f"emergency brake: the best proposal meets {name} in {within:.1f} s"
-            return Plan(trajectory_along(arc, profile, frame.t), reason=reason, start=start_kind, internals=internals)
-        x, y, yaw, v, a, kappa = track_proposal(track.path, track.profiles[row], scene.start, car, HORIZON_KNOTS)
+            return Plan(
+                trajectory_along(arc, profile, frame.t),
+                reason=reason,
+                start=start_kind,
+                internals=internals,
+            )
+        x, y, yaw, v, a, kappa = track_proposal(
+            track.path, track.profiles[row], scene.start, car, HORIZON_KNOTS
+        )
         way = Trajectory(frame.t + STEP_S * np.arange(HORIZON_KNOTS), x, y, yaw, v, a, kappa)
         return Plan(way, start=start_kind, internals=internals)
 
-    def _track(self, scene: Scene, demanded: tuple[Occupancy, ...], near: BoolArray, offset: float) -> Track:
+    def _track(
+        self, scene: Scene, demanded: tuple[Occupancy, ...], near: BoolArray, offset: float
+    ) -> Track:
         """A path `offset` m beside the middle of the route, and the drivers on it."""
         c = self._config
         knots = ceil((HORIZON_STEPS * STEP_S * max(scene.v, scene.limit) + BEYOND_M) / KNOT_M) + 1
-        path = make_path(scene.reference.line, scene.s, KNOT_M, np.outer([offset, 0.0, 0.0], np.ones(knots)))
+        path = make_path(
+            scene.reference.line, scene.s, KNOT_M, np.outer([offset, 0.0, 0.0], np.ones(knots))
+        )
         blocks = st_boundaries(scene, path, ~near, frozenset(), BODIES)
         stops = on_path(demanded, path, self._vehicle)
         lead = blocks.with_stops([replace(stop, s_from=stop.aim + c.min_gap_m) for stop in stops])
         speeds = scene.limit * np.array(c.speed_shares)
         center = self._vehicle.axle_to_center
-        profiles = drive_track(speeds, lead.t, lead.lower, lead.upper, lead.speed, scene.v, center, self._driver)
+        profiles = drive_track(
+            speeds, lead.t, lead.lower, lead.upper, lead.speed, scene.v, center, self._driver
+        )
         return Track(offset, path, blocks, stops, profiles)
 
-    def _artefacts(self, scene: Scene, track: Track, row: int, found: Scores, chosen: int) -> tuple[Artefact, ...]:
+    def _artefacts(
+        self, scene: Scene, track: Track, row: int, found: Scores, chosen: int
+    ) -> tuple[Artefact, ...]:
         """Both graphs of the chosen proposal, its leaders, the score terms of all, why others were not chosen."""
-        named = [f"{share:g} of the limit, {at:+g} m" for at in self._offsets for share in self._config.speed_shares]
+        named = [
+            f"{share:g} of the limit, {at:+g} m"
+            for at in self._offsets
+            for share in self._config.speed_shares
+        ]
         t, driven_m = STEP_S * np.arange(HORIZON_KNOTS), track.profiles[row, 0]
         decisions = decide_speed(track.blocks, scene, np.interp(track.blocks.t, t, driven_m))
-        shown = (*outlines(track.blocks, decisions), *stop_outlines(track.stops, float(t[-1]), track.path.length))
+        shown = (
+            *outlines(track.blocks, decisions),
+            *stop_outlines(track.stops, float(t[-1]), track.path.length),
+        )
         st_graph = StGraph(None, None, np.empty((0, 2)), np.column_stack([t, driven_m]), shown)
         s, side, reference = track.path.s[::8], 0.5 * scene.vehicle.width, scene.reference
         edges = (reference.facing_right, reference.facing_left)
@@ -209,19 +255,43 @@ class Pdm:
         near = {decision.agent: decision for decision in decisions}.values()
         rows = [chosen, *(n for n in range(len(named)) if n != chosen)]
         terms = [tuple(zip(PARTS[3:], found.weighted[:, n].tolist(), strict=True)) for n in rows]
-        costs = [CostTerms("taken: " * (n == chosen) + named[n], some) for n, some in zip(rows, terms, strict=True)]
+        costs = [
+            CostTerms("taken: " * (n == chosen) + named[n], some)
+            for n, some in zip(rows, terms, strict=True)
+        ]
         worse = (found.parts < found.parts[:, chosen, None] - 1e-9)[:, rows[1:]].T
         why = Counter(WHY_NOT[np.argmax(parts)] if parts.any() else "not better" for parts in worse)
         counted = Candidates("proposals", len(named), tuple(why.items()))
-        return (st_graph, sl_graph, *near, *(stop.decision for stop in track.stops), *costs, counted)
+        return (
+            st_graph,
+            sl_graph,
+            *near,
+            *(stop.decision for stop in track.stops),
+            *costs,
+            counted,
+        )
 
 
 def constant_velocity(frame: Frame) -> Predictions:
     """Predict the agents at constant velocity for the horizon of a plan."""
-    agents, ahead = frame.agents, LOOKED_UP_S * np.arange(round(HORIZON_STEPS * STEP_S / LOOKED_UP_S) + 1)
-    x, y = agents.x[:, None] + agents.vx[:, None] * ahead, agents.y[:, None] + agents.vy[:, None] * ahead
+    agents, ahead = (
+        frame.agents,
+        LOOKED_UP_S * np.arange(round(HORIZON_STEPS * STEP_S / LOOKED_UP_S) + 1),
+    )
+    x, y = (
+        agents.x[:, None] + agents.vx[:, None] * ahead,
+        agents.y[:, None] + agents.vy[:, None] * ahead,
+    )
     yaw = np.repeat(agents.yaw[:, None], len(ahead), axis=1)
-    return Predictions(frame.t + ahead, np.arange(len(agents)), np.ones(len(agents)), x, y, yaw, "constant velocity")
+    return Predictions(
+        frame.t + ahead,
+        np.arange(len(agents)),
+        np.ones(len(agents)),
+        x,
+        y,
+        yaw,
+        "constant velocity",
+    )
 
 
 class Driver(NamedTuple):
@@ -239,14 +309,23 @@ def idm_acceleration(v: float, v0: float, gap: float, v_lead: float, driver: Dri
     """Acceleration (1), m/s2; an infinite gap is a free road."""
     a, b = driver.accel, driver.decel
     wanted = driver.min_gap + v * driver.headway + v * (v - v_lead) / (2.0 * sqrt(a * b))
-    return min(max(a * (1.0 - (v / v0) ** driver.exponent - (wanted / max(gap, driver.min_gap)) ** 2), -b), a)
+    return min(
+        max(a * (1.0 - (v / v0) ** driver.exponent - (wanted / max(gap, driver.min_gap)) ** 2), -b),
+        a,
+    )
 
 
 @kernel
 def drive_track(
-    speeds: FloatArray, t: FloatArray, lower: FloatArray, upper: FloatArray, speed: FloatArray, start_v: float,
-    center: float, driver: Driver,
-) -> FloatArray:  # fmt: skip
+    speeds: FloatArray,
+    t: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+    speed: FloatArray,
+    start_v: float,
+    center: float,
+    driver: Driver,
+) -> FloatArray:
     """Rows s, v `(n, 2, HORIZON_KNOTS)` of a driver per wanted speed `(n,)`, m/s, along one track.
 
     `t` `(k,)`, `lower`, `upper` `(m, k)` and `speed` `(m,)` are those of `StBoundaries`; `center` is the distance from
@@ -268,16 +347,27 @@ def drive_track(
     return out
 
 
-def track_proposal(path: Path, profile: FloatArray, start: EgoState, car: VehicleParameters, knots: int) -> FloatArray:
+def track_proposal(
+    path: Path, profile: FloatArray, start: EgoState, car: VehicleParameters, knots: int
+) -> FloatArray:
     """Simulate the ego on a proposal (`follow_proposal`): a profile s, v `(2, HORIZON_KNOTS)` on a path."""
-    pose = states_on_path(path.sigma, path.x, path.y, path.yaw, path.kappa, np.ascontiguousarray(profile[0]))
-    state = np.array([start.x, start.y, start.yaw, max(start.v, 0.0), start.a, atan(car.wheelbase * start.kappa)])
+    pose = states_on_path(
+        path.sigma, path.x, path.y, path.yaw, path.kappa, np.ascontiguousarray(profile[0])
+    )
+    state = np.array(
+        [start.x, start.y, start.yaw, max(start.v, 0.0), start.a, atan(car.wheelbase * start.kappa)]
+    )
     return follow_proposal(pose, profile[1], state, car.wheelbase, car.max_steer, knots)
 
 
 @kernel
 def follow_proposal(
-    pose: FloatArray, speed: FloatArray, start: FloatArray, wheelbase: float, max_steer: float, knots: int
+    pose: FloatArray,
+    speed: FloatArray,
+    start: FloatArray,
+    wheelbase: float,
+    max_steer: float,
+    knots: int,
 ) -> FloatArray:
     """Rows x, y, yaw, v, a, kappa `(6, knots)` of the ego that follows a proposal.
 
@@ -286,7 +376,14 @@ def follow_proposal(
     out, last = np.empty((6, knots)), pose.shape[1] - 1
     x, y, yaw, v, a, steer = start
     for k in range(knots):
-        out[0, k], out[1, k], out[2, k], out[3, k], out[4, k], out[5, k] = x, y, yaw, v, a, tan(steer) / wheelbase
+        out[0, k], out[1, k], out[2, k], out[3, k], out[4, k], out[5, k] = (
+            x,
+            y,
+            yaw,
+            v,
+            a,
+            tan(steer) / wheelbase,
+        )
         at, then = min(k, last), min(k + AHEAD, last)
         if speed[then] <= STOPPING_MPS and v <= STOPPING_MPS:
             wanted, rate = STOPPING_GAIN * (speed[then] - v), 0.0
@@ -295,7 +392,8 @@ def follow_proposal(
             wanted = N * Q_SPEED * (speed[then] - v) / (N * N * Q_SPEED + 1.0)  # (2)
             e = (y - pose[1, at]) * cos(pose[2, at]) - (x - pose[0, at]) * sin(pose[2, at])
             psi = wrap(yaw - pose[2, at])
-            e1, psi1, steer1 = 0.0, 0.0, 0.0  # the response to a rate of 1; e and psi become that to a rate of 0
+            # The response to a rate of 1; e and psi become that to a rate of 0
+            e1, psi1, steer1 = 0.0, 0.0, 0.0
             for i in range(AHEAD):
                 way = STEP_S * max(v + i * STEP_S * wanted, 0.0)
                 e, psi = e + way * psi, psi + way * (steer / wheelbase - pose[3, min(at + i, last)])
@@ -311,5 +409,7 @@ def follow_proposal(
         x += STEP_S * 0.5 * (v + v_next) * cos(yaw + 0.5 * turn)
         y += STEP_S * 0.5 * (v + v_next) * sin(yaw + 0.5 * turn)
         yaw, v = yaw + turn, v_next
-        steer = min(max(steer + STEP_S / (STEP_S + STEER_LAG_S) * STEP_S * rate, -max_steer), max_steer)
+        steer = min(
+            max(steer + STEP_S / (STEP_S + STEER_LAG_S) * STEP_S * rate, -max_steer), max_steer
+        )
     return out

@@ -38,20 +38,35 @@ from replan.planners.frenet.reference_path import sections
 from replan.planners.frenet.scene import Scene
 
 OFF_M = 0.3  # nuPlan's tolerance for leaving the road, m
-AGAINST_M = 2.0, 6.0  # Distances driven beside the lanes of the ego's direction above which `direction` is 1/2 and 0, m
-LEAST_WAY_M = 0.1  # Where the best proposal does not progress more than this, progress is not compared, m
+# Distances driven beside the lanes of the ego's direction above which `direction` is 1/2 and 0, m
+AGAINST_M = 2.0, 6.0
+# Where the best proposal does not progress more than this, progress is not compared, m
+LEAST_WAY_M = 0.1
 STOPPED_MPS = 0.05
 """Agents up to this speed stand, as nuPlan judges contacts, m/s; below a tenth of it the ego's `ttc` is 1."""
 BEHIND = cos(np.deg2rad(150.0))
 """An agent more than 150 degrees off the heading, seen from the rear axle, is behind: cosine."""
 CARRIED = (0, 3, 6, 9)  # Steps by which `ttc` extrapolates the ego straight ahead
-BOUNDS = frozen([(-4.05, 2.40), (-4.89, 4.89), (-8.37, 8.37), (-4.13, 4.13), (-1.93, 1.93), (-0.95, 0.95)])
+BOUNDS = frozen(
+    [(-4.05, 2.40), (-4.89, 4.89), (-8.37, 8.37), (-4.13, 4.13), (-1.93, 1.93), (-0.95, 0.95)]
+)
 """Bounds of a, v^2 kappa (m/s2), the rates of their norm, of a (m/s3), of the yaw rate (rad/s2), the yaw (rad/s)."""
-PARTS = ("no collision", "driving direction", "drivable area", "progress", "time to collision", "comfort")
+PARTS = (
+    "no collision",
+    "driving direction",
+    "drivable area",
+    "progress",
+    "time to collision",
+    "comfort",
+)
 WHY_NOT = (
-    "collides at fault", "drives beside the lanes of its direction", "leaves the road", "makes less progress",
-    "comes too close in time", "uncomfortable",
-)  # fmt: skip
+    "collides at fault",
+    "drives beside the lanes of its direction",
+    "leaves the road",
+    "makes less progress",
+    "comes too close in time",
+    "uncomfortable",
+)
 """The reasons why a proposal is worse, in words, in the order of `PARTS`."""
 OBJECTS = among(AgentKind.OBJECT)
 
@@ -83,13 +98,18 @@ class EgoSize(NamedTuple):
     front: float
 
 
-def scores(states: FloatArray, scene: Scene, near: IntArray, weights: tuple[float, float, float]) -> Scores:
+def scores(
+    states: FloatArray, scene: Scene, near: IntArray, weights: tuple[float, float, float]
+) -> Scores:
     """Score proposals: x, y, yaw, v, a, kappa of the rear axle `(n, 6, k)`, every 0.1 s from the scene's start.
 
     `near` are the indices of the agents to consider, `weights` those of progress, ttc and comfort.
     """
     agents, reference, car = scene.frame.agents, scene.reference, scene.vehicle
-    line, body = reference.line, EgoSize(car.length, car.width, car.axle_to_center, car.axle_to_front)
+    line, body = (
+        reference.line,
+        EgoSize(car.length, car.width, car.axle_to_center, car.axle_to_front),
+    )
     off, beside, against, way = _on_road(states, line.s, line.coef, reference.table, scene.s, body)
     drivable = (off - off[:, :1]).max(axis=1) <= OFF_M
     direction = 1.0 - 0.5 * (against > AGAINST_M[0]) - 0.5 * (against > AGAINST_M[1])
@@ -98,7 +118,9 @@ def scores(states: FloatArray, scene: Scene, near: IntArray, weights: tuple[floa
     step, hit, collision, ttc = _meetings(states, moving, objects, beside | (off > 0.0), body)
     factor = collision * direction * drivable
     best = float((way * factor).max())
-    progress = np.maximum(way * factor, 0.0) / best if best > LEAST_WAY_M else (factor > 0.0).astype(float)
+    progress = (
+        np.maximum(way * factor, 0.0) / best if best > LEAST_WAY_M else (factor > 0.0).astype(float)
+    )
     parts = np.vstack([collision, direction, drivable, progress, ttc, comfortable(states)])
     weighted = factor * (np.array(weights)[:, None] / sum(weights)) * parts[3:]
     who = np.where(step < 0, -1, near[hit]) if len(near) else hit
@@ -107,7 +129,12 @@ def scores(states: FloatArray, scene: Scene, near: IntArray, weights: tuple[floa
 
 @kernel
 def _on_road(
-    states: FloatArray, knots: FloatArray, coef: FloatArray, table: FloatArray, s_start: float, ego: EgoSize
+    states: FloatArray,
+    knots: FloatArray,
+    coef: FloatArray,
+    table: FloatArray,
+    s_start: float,
+    ego: EgoSize,
 ) -> tuple[FloatArray, BoolArray, FloatArray, FloatArray]:
     """Per proposal and step `(n, k)`: the distance off the road, m, and whether the ego is out of its lane.
 
@@ -126,9 +153,16 @@ def _on_road(
             _, _, yaw_r, kappa_r = line_frame(knots, coef, guess)
             c, d = cos(yaw - yaw_r), sin(yaw - yaw_r)
             for j in range(4):
-                ahead, left = (0.5 if j < 2 else -0.5) * ego.length, (0.5 if j % 2 else -0.5) * ego.width
+                ahead, left = (
+                    (0.5 if j < 2 else -0.5) * ego.length,
+                    (0.5 if j % 2 else -0.5) * ego.width,
+                )
                 along = ahead * c - left * d
-                at[j], l[j] = guess + along, l[4] + ahead * d + left * c - 0.5 * kappa_r * along * along  # (2)
+                # (2)
+                at[j], l[j] = (
+                    guess + along,
+                    l[4] + ahead * d + left * c - 0.5 * kappa_r * along * along,
+                )
             road = sections(knots, table, at)
             for j in range(4):
                 off[n, k] = max(off[n, k], l[j] - road.facing_left[j], road.facing_right[j] - l[j])
@@ -153,7 +187,12 @@ def _meetings(
     `moving` is x, y, yaw, vx, vy, length, width of the agents `(7, m)`; `astray` where the ego is out of its lane.
     """
     count = len(states)
-    step, hit, collision, ttc = np.full(count, -1), np.full(count, -1), np.ones(count), np.ones(count)
+    step, hit, collision, ttc = (
+        np.full(count, -1),
+        np.full(count, -1),
+        np.ones(count),
+        np.ones(count),
+    )
     for n in range(count):
         for i in range(moving.shape[1]):
             if _meets(states[n], 0, 0, moving[:, i], ego):
@@ -171,7 +210,12 @@ def _meetings(
 @inner_kernel
 def _meets(states: FloatArray, k: int, ahead: int, other: FloatArray, ego: EgoSize) -> int:
     """Whether the ego, extrapolated from step k by `ahead` steps, touches an agent: 1; -1 if it is behind; else 0."""
-    c, s, t, way = cos(states[2, k]), sin(states[2, k]), STEP_S * (k + ahead), STEP_S * ahead * states[3, k]
+    c, s, t, way = (
+        cos(states[2, k]),
+        sin(states[2, k]),
+        STEP_S * (k + ahead),
+        STEP_S * ahead * states[3, k],
+    )
     x, y = states[0, k] + (ego.center + way) * c, states[1, k] + (ego.center + way) * s
     px, py = other[0] + t * other[3], other[1] + t * other[4]
     if hypot(px - x, py - y) > 0.5 * (hypot(ego.length, ego.width) + hypot(other[5], other[6])):
@@ -183,7 +227,9 @@ def _meets(states: FloatArray, k: int, ahead: int, other: FloatArray, ego: EgoSi
 
 
 @inner_kernel
-def _contact_at_fault(states: FloatArray, other: FloatArray, is_object: bool, astray: BoolArray, ego: EgoSize) -> int:
+def _contact_at_fault(
+    states: FloatArray, other: FloatArray, is_object: bool, astray: BoolArray, ego: EgoSize
+) -> int:
     """The step of the first contact with an agent if it is the ego's fault; else -1."""
     for k in range(1, states.shape[1]):
         met = _meets(states, k, 0, other, ego)
@@ -218,8 +264,17 @@ def comfortable(states: FloatArray) -> BoolArray:
     smooth, slope, whole, rate, bend = _filters(states.shape[2])
     aside = v * v * kappa
     size = np.hypot(a, aside)
-    signals = (a @ whole, aside @ whole, size @ smooth @ slope, a @ smooth @ slope, yaw @ bend, yaw @ rate)
-    kept = [((x > low) & (x < high)).all(axis=1) for x, (low, high) in zip(signals, BOUNDS, strict=True)]
+    signals = (
+        a @ whole,
+        aside @ whole,
+        size @ smooth @ slope,
+        a @ smooth @ slope,
+        yaw @ bend,
+        yaw @ rate,
+    )
+    kept = [
+        ((x > low) & (x < high)).all(axis=1) for x, (low, high) in zip(signals, BOUNDS, strict=True)
+    ]
     return np.all(kept, axis=0)
 
 
@@ -230,10 +285,13 @@ def _filters(k: int) -> tuple[FloatArray, ...]:
     They smooth an acceleration, give its slope over the whole proposal, smooth an acceleration over the whole proposal,
     and give the first and second derivative of the yaw.
     """
-    from scipy.signal import savgol_filter  # imported here: it takes longer to import than all planners
+    # Imported here: it takes longer to import than all planners
+    from scipy.signal import savgol_filter
 
     made = ((8, 2, 0), (k, 2, 1), (k, 2, 0), (5, 2, 1), (5, 3, 2))
     return tuple(
-        frozen(savgol_filter(np.eye(k), min(window, k), degree, deriv=derivative, delta=STEP_S, axis=1))
+        frozen(
+            savgol_filter(np.eye(k), min(window, k), degree, deriv=derivative, delta=STEP_S, axis=1)
+        )
         for window, degree, derivative in made
     )

@@ -61,7 +61,8 @@ from replan.planners.piecewise_jerk.problem import (
     rows_of,
 )
 
-SOLVED, SPENT, INFEASIBLE, BROKEN, CROSSED, NOT_FINITE = 1, 2, 3, 4, 5, 6  # Status codes; `STATUS` has them in words
+# Status codes; `STATUS` has them in words
+SOLVED, SPENT, INFEASIBLE, BROKEN, CROSSED, NOT_FINITE = 1, 2, 3, 4, 5, 6
 STATUS = {
     SOLVED: "solved",
     SPENT: "iterations spent",
@@ -74,17 +75,20 @@ STATUS = {
 ACCURACY_M = 1e-4
 """Distance from the optimum in (10), far below what a car can steer. Where bounds are nearly equal, residuals and
 `NARROW_M` add to it (measured: benchmarks/README.md)."""
-MAX_ITERATIONS = 60  # Several times the iterations that problems from roads need (benchmarks/README.md)
+# Several times the iterations that problems from roads need (benchmarks/README.md)
+MAX_ITERATIONS = 60
 RESIDUAL = 1e-2  # Greatest residuals of (4) and (5) in a solution, as a share of the accuracy
 FARKAS = 1e-7
 """Residual of the forces in (11), as a share of the contradiction, which holds for coefficients up to 1 / this, m."""
 TO_BOUNDARY = 0.995  # Share of the way to the boundary that a step goes (9)
 NEARLY = 1e3  # The gap is nearly closed where it is less than this multiple of the accuracy squared
-FLOOR = 0.1  # Least target of the products z f, as a share of what (10) needs: smaller ones only lose digits
+# Least target of the products z f, as a share of what (10) needs: smaller ones only lose digits
+FLOOR = 0.1
 PROXIMAL = 1e-10
 """The give of every row in a step: the matrix stays positive definite in floating point, and the solution is the same
 (proximal method of multipliers) ..."""
-PROXIMAL_M = 1e-6  # ... it is smaller where its product with the largest multiplier would exceed this, m.
+# ... it is smaller where its product with the largest multiplier would exceed this, m.
+PROXIMAL_M = 1e-6
 START_SHARE = 0.1  # First slacks are at least this share of the distance between two bounds ...
 START_LEAST_M = 0.01  # ... which is taken as at least this, m ...
 START_MOST_M = 2.0  # ... and at most this, m.
@@ -124,7 +128,8 @@ class Solution(NamedTuple):
     primal: float  # Largest residual of (5), m; `dual` of (4), m
     dual: float
     gap: float  # Sum of the products (6), m2
-    violation: float  # Largest violation of the problem's bounds, in the units of the row (`largest_violation`)
+    # Largest violation of the problem's bounds, in the units of the row (`largest_violation`)
+    violation: float
 
 
 @kernel
@@ -134,9 +139,16 @@ def solve(problem: PiecewiseJerkProblem, accuracy: float, max_iterations: int) -
     point, step = _blank(rows), _blank(rows)
     size, ends = len(point.y), len(point.c)
     newton = Newton(
-        np.empty((2, size)), np.empty((2, size)), np.empty((2, size)), np.empty(size), np.empty(size), np.empty(size),
-        np.empty(ends), np.empty(ends), np.empty((4, ends)),
-    )  # fmt: skip
+        np.empty((2, size)),
+        np.empty((2, size)),
+        np.empty((2, size)),
+        np.empty(size),
+        np.empty(size),
+        np.empty(size),
+        np.empty(ends),
+        np.empty(ends),
+        np.empty((4, ends)),
+    )
     coast(problem, point.c)
     apply(rows.stencil, point.c, point.y)
     status, iteration, primal, dual, gap = _fault(problem), 0, np.nan, np.nan, np.nan
@@ -146,7 +158,8 @@ def solve(problem: PiecewiseJerkProblem, accuracy: float, max_iterations: int) -
         primal = 0.0
         for i in range(size):
             primal = max(primal, rows.bound[0, i] - point.y[i], point.y[i] - rows.bound[1, i])
-        if primal <= RESIDUAL * accuracy and free <= RESIDUAL * accuracy:  # rounding of a bound decides nothing
+        # Rounding of a bound decides nothing
+        if primal <= RESIDUAL * accuracy and free <= RESIDUAL * accuracy:
             status, dual, gap = SOLVED, free, 0.0
     if status == SPENT:
         _open(rows, point)
@@ -157,7 +170,9 @@ def solve(problem: PiecewiseJerkProblem, accuracy: float, max_iterations: int) -
         if status != SPENT or iteration == max_iterations:
             break
         iteration += 1
-        proximal = min(PROXIMAL, PROXIMAL_M / max(_largest(point.multiplier[0]), _largest(point.multiplier[1])))
+        proximal = min(
+            PROXIMAL, PROXIMAL_M / max(_largest(point.multiplier[0]), _largest(point.multiplier[1]))
+        )
         together = problem.soft > 0.0 or gap <= NEARLY * accuracy**2  # (9)
         _assemble(rows, point, newton, proximal)
         if not factorise(newton.band):
@@ -243,7 +258,9 @@ def _open(rows: Rows, point: Point) -> None:
 def _blank(rows: Rows) -> Point:
     size = len(rows.cost)
     ends = size // len(rows.stencil) + 3
-    return Point(np.zeros(ends), np.zeros(size), np.zeros(size), np.zeros((2, size)), np.zeros((2, size)))
+    return Point(
+        np.zeros(ends), np.zeros(size), np.zeros(size), np.zeros((2, size)), np.zeros((2, size))
+    )
 
 
 @inner_kernel
@@ -281,11 +298,20 @@ def _residuals(rows: Rows, point: Point, newton: Newton) -> tuple[float, float, 
 
 
 @inner_kernel
-def _verdict(rows: Rows, point: Point, newton: Newton, primal: float, dual: float, gap: float, accuracy: float) -> int:
+def _verdict(
+    rows: Rows,
+    point: Point,
+    newton: Newton,
+    primal: float,
+    dual: float,
+    gap: float,
+    accuracy: float,
+) -> int:
     """`SOLVED` by (10), `INFEASIBLE` by (11), else `SPENT`."""
     left, small = _largest(newton.pull[3:]), RESIDUAL * accuracy
     if primal <= small:
-        return SOLVED if gap <= 0.5 * accuracy**2 and dual <= small * (1.0 + left) else SPENT  # (10)
+        # (10)
+        return SOLVED if gap <= 0.5 * accuracy**2 and dual <= small * (1.0 + left) else SPENT
     force, multiplier, give, bound = point.force, point.multiplier, rows.give, rows.bound
     excess, size = 0.0, len(force)
     for i in range(size):
@@ -335,17 +361,22 @@ def _direction(rows: Rows, point: Point, newton: Newton, step: Point, proximal: 
     apply(rows.stencil, step.c, step.y)
     dy, slack, change = step.y, step.slack, step.multiplier
     for i in range(size):
-        push[i] = dy[i] + (give[i] + proximal) * (push[i] - stiffness[i] * dy[i])  # (8): dy + give d force
+        # (8): dy + give d force
+        push[i] = dy[i] + (give[i] + proximal) * (push[i] - stiffness[i] * dy[i])
     for i in range(size):
         slack[0, i] = push[i] + primal[0, i]
         slack[1, i] = -push[i] + primal[1, i]
     for side in range(2):
         for i in range(size):
-            change[side, i] = -(product[side, i] + multiplier[side, i] * slack[side, i]) * inverse[side, i]
+            change[side, i] = (
+                -(product[side, i] + multiplier[side, i] * slack[side, i]) * inverse[side, i]
+            )
 
 
 @inner_kernel
-def _step_lengths(point: Point, newton: Newton, step: Point, share: float, together: bool) -> tuple[float, float]:
+def _step_lengths(
+    point: Point, newton: Newton, step: Point, share: float, together: bool
+) -> tuple[float, float]:
     """Primal and dual share of a step up to which slacks and multipliers stay positive, times `share`; 1 at most."""
     slack, multiplier, inverse = step.slack, step.multiplier, newton.inverse
     below, above, pull, push = 0.5, 0.5, 0.5, 0.5  # four independent chains of operations

@@ -44,7 +44,8 @@ from replan.core.arrays import FloatArray
 from replan.core.kernel import inner_kernel, kernel
 
 X, DX, DDX, DDDX, LEADS = 0, 1, 2, 3, 4  # Rows of the bounds; rows x + lead x' from `LEADS` on
-NARROW_M = 1e-6  # Bounds less than twice this apart are moved to twice this apart: the method needs an interior
+# Bounds less than twice this apart are moved to twice this apart: the method needs an interior
+NARROW_M = 1e-6
 FAR_M = 1e6  # Scaled bounds are clipped to +- this, m
 ROUNDING, HUGE = 1e-15, 1e128
 """Pivots that are less than this share of their diagonal are rounding errors; a huge one replaces them."""
@@ -82,13 +83,24 @@ def largest_violation(problem: PiecewiseJerkProblem, curve: FloatArray) -> float
     """
     h, lower, upper = problem.step, problem.lower, problem.upper
     x, dx, ddx = curve[0], curve[1], curve[2]
-    worst = max(abs(x[0] - problem.start[0]), abs(dx[0] - problem.start[1]), abs(ddx[0] - problem.start[2]))
+    worst = max(
+        abs(x[0] - problem.start[0]), abs(dx[0] - problem.start[1]), abs(ddx[0] - problem.start[2])
+    )
     for i in range(1, curve.shape[1]):
         jerk = (ddx[i] - ddx[i - 1]) / h  # (3)
         worst = max(worst, lower[DDDX, i - 1] - jerk, jerk - upper[DDDX, i - 1])
         worst = max(worst, abs(dx[i] - dx[i - 1] - 0.5 * h * (ddx[i - 1] + ddx[i])))  # (1)
-        worst = max(worst, abs(x[i] - x[i - 1] - h * dx[i - 1] - h * h * (ddx[i - 1] / 3.0 + ddx[i] / 6.0)))  # (2)
-        worst = max(worst, lower[DX, i] - dx[i], dx[i] - upper[DX, i], lower[DDX, i] - ddx[i], ddx[i] - upper[DDX, i])
+        # (2)
+        worst = max(
+            worst, abs(x[i] - x[i - 1] - h * dx[i - 1] - h * h * (ddx[i - 1] / 3.0 + ddx[i] / 6.0))
+        )
+        worst = max(
+            worst,
+            lower[DX, i] - dx[i],
+            dx[i] - upper[DX, i],
+            lower[DDX, i] - ddx[i],
+            ddx[i] - upper[DDX, i],
+        )
         if problem.soft == 0.0:
             worst = max(worst, lower[X, i] - x[i], x[i] - upper[X, i])
             for k in range(len(problem.leads)):

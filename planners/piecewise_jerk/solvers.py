@@ -27,7 +27,8 @@ from replan.planners.solver import QPConfig, QPResult, QuadraticProgram
 
 DEFAULT = "interior_point"  # Name of the default solver
 OSQP_EPS = 1e-5  # Tolerance of OSQP: at 1e-4 its answers are up to 0.5 m off ...
-OSQP_ITERATIONS = 4000  # ... and the iterations in which it solves nearly all problems from a cold start.
+# ... and the iterations in which it solves nearly all problems from a cold start.
+OSQP_ITERATIONS = 4000
 
 
 def check_solver(name: str) -> None:
@@ -36,7 +37,9 @@ def check_solver(name: str) -> None:
         raise unknown_name("solver", name, SOLVERS)
 
 
-def solve(problem: PiecewiseJerkProblem, solver: str = DEFAULT, *, stage: str, tolerance: float) -> QPResult:
+def solve(
+    problem: PiecewiseJerkProblem, solver: str = DEFAULT, *, stage: str, tolerance: float
+) -> QPResult:
     """Solve a problem: its curve x = (x, x', x'') `(3 n,)`, and the solver's report, which names the `stage`.
 
     `tolerance` is the largest violation of a bound in a solution, in the units of the row.
@@ -78,7 +81,9 @@ def _interior_point(problem: PiecewiseJerkProblem, stage: str, tolerance: float)
     return QPResult(found.curve.ravel(), report)
 
 
-def _sparse(config: QPConfig, problem: PiecewiseJerkProblem, stage: str, tolerance: float) -> QPResult:
+def _sparse(
+    config: QPConfig, problem: PiecewiseJerkProblem, stage: str, tolerance: float
+) -> QPResult:
     """Solve the sparse form by `replan.planners.solver`."""
     program = _program(structure(problem), stage, replace(config, tolerance=tolerance))
     result = program.solve(*vectors(problem), fresh=True)
@@ -89,15 +94,19 @@ def _sparse(config: QPConfig, problem: PiecewiseJerkProblem, stage: str, toleran
 def _program(kind: Structure, stage: str, config: QPConfig) -> QuadraticProgram:
     """The workspace of a structure; each solve in it is fresh, so that it does not depend on earlier ones."""
     form = matrices(kind)
-    return QuadraticProgram(stage, form.P, form.A, equalities=form.equalities, scale=form.sizes, config=config)
+    return QuadraticProgram(
+        stage, form.P, form.A, equalities=form.equalities, scale=form.sizes, config=config
+    )
 
 
-SOLVERS: MappingProxyType[str, Callable[[PiecewiseJerkProblem, str, float], QPResult]] = MappingProxyType(
-    {
-        "interior_point": _interior_point,
-        "osqp": partial(_sparse, QPConfig(OSQP_EPS, OSQP_ITERATIONS)),
-        "piqp": partial(_sparse, QPConfig(max_iterations=0)),
-    }
+SOLVERS: MappingProxyType[str, Callable[[PiecewiseJerkProblem, str, float], QPResult]] = (
+    MappingProxyType(
+        {
+            "interior_point": _interior_point,
+            "osqp": partial(_sparse, QPConfig(OSQP_EPS, OSQP_ITERATIONS)),
+            "piqp": partial(_sparse, QPConfig(max_iterations=0)),
+        }
+    )
 )
 """The solvers by the names that `[planner.dp_qp] solver` takes."""
 
@@ -124,7 +133,9 @@ class Matrices(NamedTuple):
 def structure(problem: PiecewiseJerkProblem) -> Structure:
     """The structure of a problem."""
     leads = tuple(float(lead) for lead in problem.leads)
-    return Structure(problem.lower.shape[1], float(problem.step), leads, problem.weights, float(problem.soft))
+    return Structure(
+        problem.lower.shape[1], float(problem.step), leads, problem.weights, float(problem.soft)
+    )
 
 
 @lru_cache(maxsize=64)
@@ -154,8 +165,12 @@ def matrices(kind: Structure) -> Matrices:
     sizes = np.repeat([np.sqrt(unit / w) if w > 0.0 else 1.0 for w in weights[:3]], n)
     equalities = 2 * (n - 1) + 3
     if kind.soft > 0.0:
-        gives = np.r_[np.arange(n - 1), np.arange(4 * (n - 1), A.shape[0] - equalities)] + equalities
-        shifts = sparse.csc_matrix((np.ones(len(gives)), (gives, np.arange(len(gives)))), (A.shape[0], len(gives)))
+        gives = (
+            np.r_[np.arange(n - 1), np.arange(4 * (n - 1), A.shape[0] - equalities)] + equalities
+        )
+        shifts = sparse.csc_matrix(
+            (np.ones(len(gives)), (gives, np.arange(len(gives)))), (A.shape[0], len(gives))
+        )
         A = sparse.hstack([A, shifts], format="csc")
         squares.append(kind.soft * sparse.eye(len(gives)))
         sizes = np.r_[sizes, np.full(len(gives), np.sqrt(unit / kind.soft))]
@@ -167,10 +182,14 @@ def vectors(problem: PiecewiseJerkProblem) -> tuple[FloatArray, FloatArray, Floa
     """q, l and u of the sparse form."""
     n, weights = problem.lower.shape[1], problem.weights
     q = np.zeros(len(matrices(structure(problem)).sizes))
-    q[: 2 * n] = (-2.0 / (weights.x or 1.0) * np.array([[weights.x], [weights.dx]]) * problem.references).ravel()
+    q[: 2 * n] = (
+        -2.0 / (weights.x or 1.0) * np.array([[weights.x], [weights.dx]]) * problem.references
+    ).ravel()
     dynamics = np.zeros(2 * (n - 1))
 
     def bounds(of: FloatArray) -> FloatArray:
-        return np.concatenate([dynamics, problem.start, of[:3, 1:].ravel(), of[3, :-1], of[4:, 1:].ravel()])
+        return np.concatenate(
+            [dynamics, problem.start, of[:3, 1:].ravel(), of[3, :-1], of[4:, 1:].ravel()]
+        )
 
     return q, bounds(problem.lower), bounds(problem.upper)

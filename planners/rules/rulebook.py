@@ -58,22 +58,29 @@ COMFORT = 2.8, 2.8
 """Deceleration (m/s2) and jerk (m/s3) with which the ego stops where it comfortably can; below ITE's 3.05 m/s2."""
 HARD = 7.0, 12.0  # Deceleration (m/s2) and jerk (m/s3) with which the ego stops where it must
 REST_MPS = 0.1  # The ego is at rest below this, m/s
-NEAR_M = 3.0  # The ego has stopped at a stop sign if it came to rest within this distance before the line, m
+# The ego has stopped at a stop sign if it came to rest within this distance before the line, m
+NEAR_M = 3.0
 SHORT_M = 0.8  # Distance from the front to a line where a comfortable stop can keep it, m
 AIM_M = 0.5  # Distance before that point at which the ego aims to come to rest, m
 OVER_M = 1.0  # An ego that stops for a line and is over it by less than this still waits, m
 CLEAR_S = 1.5  # c of (4) before a vehicle, s; its sources are in the module docstring
 WALK_CLEAR_S = 2.0  # c of (4) before a pedestrian, s
 AFTER_S = 0.5  # Time after a vehicle has left a zone until the ego may enter it (4), s
-FOLLOW_S = 1.0  # Where lanes merge: time after a vehicle has entered the zone until the ego may follow it (4), s
+# Where lanes merge: time after a vehicle has entered the zone until the ego may follow it (4), s
+FOLLOW_S = 1.0
 KEPT_S = 0.5  # A gap that the ego has taken is kept while (4) holds with this much less, s
-YIELD_MPS2 = 2.0  # Deceleration that the ego may demand of an agent from behind, m/s2: comfortable (b of IDM)
+# Deceleration that the ego may demand of an agent from behind, m/s2: comfortable (b of IDM)
+YIELD_MPS2 = 2.0
 GO_MPS2 = 1.5  # Acceleration with which the ego is assumed to go, m/s2 ...
 GO_MPS3 = 2.0  # ... and its jerk, m/s3.
-CURVE_MPS2 = 3.0  # Assumed lateral acceleration of the ego in curves, m/s2, for planners that do not set their own
+# Assumed lateral acceleration of the ego in curves, m/s2, for planners that do not set their own
+CURVE_MPS2 = 3.0
 EASE_MPS2 = 1.5  # Assumed deceleration towards a lower limit, m/s2, likewise
-LOOK_M = 10.0  # Zones are considered from this distance before the place where gentle braking for them would begin, m
-ROLLING_MPS = 1.0  # A leader slower than this makes no room behind a zone, an ego slower has not left a crosswalk, m/s
+# Zones are considered from this distance before the place where gentle braking for them would
+# begin, m
+LOOK_M = 10.0
+# A leader slower than this makes no room behind a zone, an ego slower has not left a crosswalk, m/s
+ROLLING_MPS = 1.0
 
 
 @dataclass(frozen=True)
@@ -141,10 +148,15 @@ class Rulebook:
     """The rules along one reference path (module docstring), for an ego with the planner's accelerations in curves."""
 
     def __init__(
-        self, road: Road, reference: ReferencePath, vehicle: VehicleParameters, *,
-        curve_accel_mps2: float = CURVE_MPS2, ease_mps2: float = EASE_MPS2,
+        self,
+        road: Road,
+        reference: ReferencePath,
+        vehicle: VehicleParameters,
+        *,
+        curve_accel_mps2: float = CURVE_MPS2,
+        ease_mps2: float = EASE_MPS2,
         config: RulesConfig | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._ease, self._config = ease_mps2, config or RulesConfig()
         self._road, self._reference, self._vehicle = road, reference, vehicle
         self._lines = lines_along(road, reference, vehicle.width)
@@ -152,7 +164,9 @@ class Rulebook:
         line = reference.line
         has_zones = bool(self._zones)
         self._limit = (
-            limit_profile(line.s, line.kappa, reference.limit, curve_accel_mps2, ease_mps2) if has_zones else line.s
+            limit_profile(line.s, line.kappa, reference.limit, curve_accel_mps2, ease_mps2)
+            if has_zones
+            else line.s
         )
 
     @property
@@ -170,7 +184,14 @@ class Rulebook:
         """
         if not self._lines and not self._zones:
             return (), memory
-        visit = _Visit(scene, passed, memory.stopping, set(memory.rested), set(memory.taken), dict(memory.since))
+        visit = _Visit(
+            scene,
+            passed,
+            memory.stopping,
+            set(memory.rested),
+            set(memory.taken),
+            dict(memory.since),
+        )
         found = [stop for line in self._lines if (stop := self._at_line(line, visit)) is not None]
         found += self._at_zones(visit, min((stop.s_from for stop in found), default=inf))
         return tuple(sorted(found, key=lambda stop: stop.s_from)), visit.remembered(found)
@@ -191,7 +212,11 @@ class Rulebook:
         else:
             if visit.scene.frame.ego.v < REST_MPS and ahead <= NEAR_M:
                 visit.rested.add(line.id)
-            stops, reason = line.id not in visit.rested and (held or visit.hard <= ahead), "stop sign"  # (3)
+            # (3)
+            stops, reason = (
+                line.id not in visit.rested and (held or visit.hard <= ahead),
+                "stop sign",
+            )
         return _stop(line.s, visit, inf, name, DecisionKind.STOP, reason) if stops else None
 
     def _at_zones(self, visit: _Visit, barrier: float) -> Iterator[Occupancy]:
@@ -210,13 +235,19 @@ class Rulebook:
             return
         agents, along, accel = scene.frame.agents, scene.agents, scene.start.a
         rears = along.s - 0.5 * agents.length
-        in_way = (np.abs(along.turn) < ASKEW_RAD) & (np.abs(along.l) < 0.5 * (agents.width + self._vehicle.width))
-        in_way &= np.array([name not in visit.passed for name in agents.ids], bool) & (rears > front - 1.0)
+        in_way = (np.abs(along.turn) < ASKEW_RAD) & (
+            np.abs(along.l) < 0.5 * (agents.width + self._vehicle.width)
+        )
+        in_way &= np.array([name not in visit.passed for name in agents.ids], bool) & (
+            rears > front - 1.0
+        )
         if in_way.any():
             i = int(np.argmin(np.where(in_way, rears, inf)))
             visit.leader = float(rears[i]), float(scene.speed[i]), i
         rear, speed, _ = visit.leader
-        sooner, later = (self._drive_profile(scene.s, scene.v, at_first) for at_first in (max(accel, 0.0), accel))
+        sooner, later = (
+            self._drive_profile(scene.s, scene.v, at_first) for at_first in (max(accel, 0.0), accel)
+        )
         if isfinite(rear):  # the ego stays behind its leader
             behind = rear - front - ROOM_M + speed * STEP_S * np.arange(HORIZON_KNOTS)
             for motion in (sooner, later):
@@ -227,7 +258,9 @@ class Rulebook:
                 visit.taken.discard(zone.name)
                 yield stop
 
-    def _at_zone(self, zone: Zone, visit: _Visit, sooner: FloatArray, later: FloatArray) -> Occupancy | None:
+    def _at_zone(
+        self, zone: Zone, visit: _Visit, sooner: FloatArray, later: FloatArray
+    ) -> Occupancy | None:
         """The stop before a zone (4); the ego enters as in the motion `sooner`, leaves as in `later` (rows s, v)."""
         scene, front = visit.scene, visit.scene.front
         held, late = zone.name in visit.stopping, isinstance(zone.by, Walk)
@@ -238,10 +271,13 @@ class Rulebook:
         elif isfinite(t_in):
             taken = windows(zone, self._reference.line, self._road, scene.frame)
             less = KEPT_S if zone.name in visit.taken else 0.0
-            against = [each for each in taken if not self._passes(zone, each, t_in, t_out, later, less)]
+            against = [
+                each for each in taken if not self._passes(zone, each, t_in, t_out, later, less)
+            ]
             waits, has_waited, ego = all(each.waits for each in against), False, scene.frame.ego
             late = late and not waits
-            if against and waits:  # only standing pedestrians: the ego goes first after it has stood long enough
+            # Only standing pedestrians: the ego goes first after it has stood long enough
+            if against and waits:
                 if ego.v < REST_MPS:
                     visit.since.setdefault(zone.name, scene.frame.t)
                 elif ego.v > ROLLING_MPS and zone.name not in visit.taken:
@@ -279,15 +315,28 @@ class Rulebook:
         end = zone.s_in if _merges(zone) else zone.s_out
         return _when(motion, zone.s_in - front), _when(motion, end + self._vehicle.length - front)
 
-    def _passes(self, zone: Zone, window: ZoneTime, t_in: float, t_out: float, motion: FloatArray, less: float) -> bool:
+    def _passes(
+        self,
+        zone: Zone,
+        window: ZoneTime,
+        t_in: float,
+        t_out: float,
+        motion: FloatArray,
+        less: float,
+    ) -> bool:
         """Whether (4) holds for one window, with the margin reduced by `less`, s."""
         extra, clear = 0.0, CLEAR_S if isinstance(zone.by, Priority) else WALK_CLEAR_S
         if _merges(zone) and isfinite(t_out) and window.speed > 0.0:
             own = float(np.interp(t_out, STEP_S * np.arange(HORIZON_KNOTS), motion[1]))
             extra = max(window.speed - own, 0.0) ** 2 / (2.0 * window.speed * YIELD_MPS2)
-        return t_out + clear - less + extra <= window.begin + TIE or _gone(zone, window) <= t_in + TIE  # (4)
+        # (4)
+        return (
+            t_out + clear - less + extra <= window.begin + TIE or _gone(zone, window) <= t_in + TIE
+        )
 
-    def _release(self, zone: Zone, visit: _Visit, taken: tuple[ZoneTime, ...], motion: FloatArray) -> float:
+    def _release(
+        self, zone: Zone, visit: _Visit, taken: tuple[ZoneTime, ...], motion: FloatArray
+    ) -> float:
         """When the ego may pass the place where it waits, s: (4) holds for all windows, at speed and from rest.
 
         inf if it does not within the horizon.
@@ -297,8 +346,12 @@ class Rulebook:
         fastest = float(np.interp(hold, self._reference.line.s, self._limit))
         enters, leaves = (zone.s_in - hold) / max(fastest, 1.0), self._passage(zone, hold, go)[1]
         arrives = _when(motion, hold - visit.scene.front)
-        for wait in sorted({arrives, *(max(_gone(zone, window) - enters, arrives) for window in taken)}):
-            if isfinite(wait) and all(self._passes(zone, w, wait + enters, wait + leaves, go, 0.0) for w in taken):
+        for wait in sorted(
+            {arrives, *(max(_gone(zone, window) - enters, arrives) for window in taken)}
+        ):
+            if isfinite(wait) and all(
+                self._passes(zone, w, wait + enters, wait + leaves, go, 0.0) for w in taken
+            ):
                 return wait
         return inf
 
@@ -314,9 +367,13 @@ def _gone(zone: Zone, window: ZoneTime) -> float:
     return window.end + (AFTER_S if isinstance(zone.by, Priority) else 0.0)
 
 
-def _stop(line: float, visit: _Visit, until: float, name: str, kind: DecisionKind, reason: str) -> Occupancy:
+def _stop(
+    line: float, visit: _Visit, until: float, name: str, kind: DecisionKind, reason: str
+) -> Occupancy:
     """The stop at a line: `SHORT_M` before it; nearer, or over it, only where braking needs it."""
-    bound = max(line - SHORT_M, min(visit.scene.front + visit.soft, line), visit.scene.front + visit.hard)
+    bound = max(
+        line - SHORT_M, min(visit.scene.front + visit.soft, line), visit.scene.front + visit.hard
+    )
     return Occupancy(name, bound, until=until, aim=bound - AIM_M, kind=kind, reason=reason)
 
 

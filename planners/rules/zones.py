@@ -45,15 +45,21 @@ from replan.planners.frenet.scene import STANDING_MPS, UNLIKELY
 SIDE_M = 0.3  # Space beside the ego's body in (1) and (2), m
 HALF_CAR_M = 1.0  # Half the width of agents that go first in (2), m
 STEP_M = 0.5  # Spacing of the stations that are tried, m
-ROOM_M = 1.0  # Space that a waiting ego keeps before and behind itself, to zones and to the agent ahead, m
-LINE_BEFORE_M = 15.0  # The ego waits for a zone at a stop line that is nearer than this before it, m
-FEED_M = 100.0  # An agent nearer than this to a priority lane, on lanes that lead to it, may claim it, m
+# Space that a waiting ego keeps before and behind itself, to zones and to the agent ahead, m
+ROOM_M = 1.0
+# The ego waits for a zone at a stop line that is nearer than this before it, m
+LINE_BEFORE_M = 15.0
+# An agent nearer than this to a priority lane, on lanes that lead to it, may claim it, m
+FEED_M = 100.0
 ASIDE_M = 1.0  # A stop line applies where the reference line runs within this of it, m
 MERGED_M = 1.5  # Two lanes whose ends are nearer than this merge, m
 EDGE_M = 1.5  # A pedestrian who stands within this of a crosswalk may want to cross, m
-TOWARDS_MPS = 0.3  # A pedestrian whose distance to it falls faster than this walks towards it; a slower one stands, m/s
+# A pedestrian whose distance to it falls faster than this walks towards it; a slower one stands,
+# m/s
+TOWARDS_MPS = 0.3
 KEPT_M = 0.3  # Width by which the ego's half of a crosswalk is extended on each side, m
-START_MPS = 1.2  # Speed with which a standing pedestrian sets off, m/s: that of the clearing times in RiLSA 2010
+# Speed with which a standing pedestrian sets off, m/s: that of the clearing times in RiLSA 2010
+START_MPS = 1.2
 ASKEW_RAD = 1.0  # A vehicle drives along a lane where its heading differs less than this, rad
 
 
@@ -85,7 +91,8 @@ class Priority:
     feeds: Mapping[int, tuple[int, ...]]
     p_in: float  # Station on its centre line where the zone begins, m; `p_out` where it ends
     p_out: float
-    boxes: FloatArray  # The zone as boxes along the reference line: x, y, yaw, length, width `(k, 5)`
+    # The zone as boxes along the reference line: x, y, yaw, length, width `(k, 5)`
+    boxes: FloatArray
     merges: bool  # Whether it ends where the ego's lane ends
 
 
@@ -103,7 +110,9 @@ class Zone:
 
 def lines_along(road: Road, reference: ReferencePath, width: float) -> tuple[StopLineAhead, ...]:
     """The stop lines of a reference path that lights or stop signs may make the ego stop at, in driving order."""
-    found = [(mark, _stop_station(mark, reference.line, width)) for mark in _marks(road, reference.lanes)]
+    found = [
+        (mark, _stop_station(mark, reference.line, width)) for mark in _marks(road, reference.lanes)
+    ]
     binding = [
         StopLineAhead(mark.id, s, mark.light, mark.must_stop)
         for mark, s in found
@@ -112,7 +121,9 @@ def lines_along(road: Road, reference: ReferencePath, width: float) -> tuple[Sto
     return tuple(sorted(binding, key=lambda line: (line.s, line.id)))
 
 
-def zones_along(road: Road, reference: ReferencePath, vehicle: VehicleParameters) -> tuple[Zone, ...]:
+def zones_along(
+    road: Road, reference: ReferencePath, vehicle: VehicleParameters
+) -> tuple[Zone, ...]:
     """The zones of a reference path in driving order, with their `holds`.
 
     These are the stop lines before the group of zones, the begin of the group, and that of the zone.
@@ -129,9 +140,12 @@ def zones_along(road: Road, reference: ReferencePath, vehicle: VehicleParameters
         near = (low[0] <= x) & (x <= high[0]) & (low[1] <= y) & (y <= high[1])
         c, d = np.cos(yaw), np.sin(yaw)
         over = [
-            s[k] for k in np.flatnonzero(near)
-            if any(inside(x[k] - l * d[k], y[k] + l * c[k], polygon) for l in (0.0, half, -half))  # (1)  # noqa: E741
-        ]  # fmt: skip
+            s[k]
+            for k in np.flatnonzero(near)
+            if any(
+                inside(x[k] - l * d[k], y[k] + l * c[k], polygon) for l in (0.0, half, -half)
+            )  # (1)  # noqa: E741
+        ]
         if over:
             middle = 0.5 * (over[0] + over[-1])
             edges = reference.lane_right, reference.lane_left
@@ -189,8 +203,12 @@ def _priorities(road: Road, reference: ReferencePath, vehicle: VehicleParameters
         if zone is None:
             continue
         assert isinstance(zone.by, Priority)
-        zone = replace(zone, by=replace(zone.by, feeds=_feeds(road, first, before, reference.lanes)))
-        same = [old for old in found if old.name == zone.name and zone.s_in - old.s_out < vehicle.length]
+        zone = replace(
+            zone, by=replace(zone.by, feeds=_feeds(road, first, before, reference.lanes))
+        )
+        same = [
+            old for old in found if old.name == zone.name and zone.s_in - old.s_out < vehicle.length
+        ]
         if not same:
             found.append(zone)
             continue
@@ -219,15 +237,26 @@ def _conflict(line: ReferenceLine, lane: Lane, other: Lane, width: float) -> Zon
     chord = arc_lengths(*other.center.T)
     p = np.arange(0.0, chord[-1] + STEP_M, STEP_M)
     points = np.column_stack([np.interp(p, chord, other.center[:, k]) for k in (0, 1)])
-    theirs = np.flatnonzero(distances(points, np.ascontiguousarray(frames[first : last + 1, :2])) < reach)
+    theirs = np.flatnonzero(
+        distances(points, np.ascontiguousarray(frames[first : last + 1, :2])) < reach
+    )
     kept = frames[np.unique(np.r_[np.arange(first, last, 4), last])]
-    boxes = np.column_stack([kept[:, :3], np.full(len(kept), 4.0 * STEP_M), np.full(len(kept), width + 2.0 * SIDE_M)])
+    boxes = np.column_stack(
+        [kept[:, :3], np.full(len(kept), 4.0 * STEP_M), np.full(len(kept), width + 2.0 * SIDE_M)]
+    )
     merges = hypot(*(lane.center[-1] - other.center[-1])) < MERGED_M
     ends = (float(p[theirs[0]]), float(p[theirs[-1]])) if len(theirs) else (0.0, float(chord[-1]))
-    return Zone(f"lane {other.id}", Priority(other, {}, *ends, boxes, merges), float(s[first]), float(s[last]))
+    return Zone(
+        f"lane {other.id}",
+        Priority(other, {}, *ends, boxes, merges),
+        float(s[first]),
+        float(s[last]),
+    )
 
 
-def _feeds(road: Road, lane: int, before: Mapping[int, list[int]], own: Iterable[int]) -> dict[int, tuple[int, ...]]:
+def _feeds(
+    road: Road, lane: int, before: Mapping[int, list[int]], own: Iterable[int]
+) -> dict[int, tuple[int, ...]]:
     """The lanes that lead to a lane within `FEED_M`, but not the ego's own, with the lights on the way to it."""
     found: dict[int, tuple[int, ...]] = {lane: ()}
     queue, taken = [(lane, 0.0)], set(own)
@@ -239,7 +268,9 @@ def _feeds(road: Road, lane: int, before: Mapping[int, list[int]], own: Iterable
             lights = (
                 mark.light
                 for mark in road.stop_lines
-                if mark.lane == previous and mark.light is not None and (not mark.towards or at in mark.towards)
+                if mark.lane == previous
+                and mark.light is not None
+                and (not mark.towards or at in mark.towards)
             )
             found[previous] = (*found[at], *lights)
             queue.append((previous, length + road.lanes[previous].length))
@@ -248,7 +279,10 @@ def _feeds(road: Road, lane: int, before: Mapping[int, list[int]], own: Iterable
 
 def turned(lane: Lane, x: float, y: float, yaw: float) -> float:
     """Angle between a heading and the lane's at the centre point nearest to (x, y), rad, not negative."""
-    i = min(int(np.argmin((lane.center[:, 0] - x) ** 2 + (lane.center[:, 1] - y) ** 2)), len(lane.center) - 2)
+    i = min(
+        int(np.argmin((lane.center[:, 0] - x) ** 2 + (lane.center[:, 1] - y) ** 2)),
+        len(lane.center) - 2,
+    )
     dx, dy = lane.center[i + 1] - lane.center[i]
     return abs(wrap(yaw - float(np.arctan2(dy, dx))))
 
@@ -261,7 +295,9 @@ def distances(points: FloatArray, line: FloatArray) -> FloatArray:
         x, y = points[i, 0], points[i, 1]
         out[i] = hypot(x - line[0, 0], y - line[0, 1])
         for k in range(1, len(line)):
-            out[i] = min(out[i], point_segment(x, y, line[k - 1, 0], line[k - 1, 1], line[k, 0], line[k, 1]))
+            out[i] = min(
+                out[i], point_segment(x, y, line[k - 1, 0], line[k - 1, 1], line[k, 0], line[k, 1])
+            )
     return out
 
 
@@ -273,12 +309,17 @@ class ZoneTime:
     end: float
     agent: int  # Index into the frame's agents; `speed` of it, m/s
     speed: float
-    waits: bool = False  # Whether it is a pedestrian who stands at the crosswalk and may begin to cross
+    # Whether it is a pedestrian who stands at the crosswalk and may begin to cross
+    waits: bool = False
 
 
 def windows(zone: Zone, line: ReferenceLine, road: Road, frame: Frame) -> tuple[ZoneTime, ...]:
     """The windows in which agents take a zone, in order of their begin."""
-    found = _walking(zone, zone.by, line, frame) if isinstance(zone.by, Walk) else _driving(zone.by, road, frame)
+    found = (
+        _walking(zone, zone.by, line, frame)
+        if isinstance(zone.by, Walk)
+        else _driving(zone.by, road, frame)
+    )
     return tuple(sorted(found, key=lambda window: (window.begin, window.end, window.agent)))
 
 
@@ -297,7 +338,9 @@ def _walking(zone: Zone, walk: Walk, line: ReferenceLine, frame: Frame) -> Itera
         if agents.kinds[i] is not AgentKind.PEDESTRIAN:
             continue
         x, y, stands = float(agents.x[i]), float(agents.y[i]), agents.speed[i] < TOWARDS_MPS
-        now, soon = distances(np.array([[x, y], [x + 0.1 * agents.vx[i], y + 0.1 * agents.vy[i]]]), edge)
+        now, soon = distances(
+            np.array([[x, y], [x + 0.1 * agents.vx[i], y + 0.1 * agents.vy[i]]]), edge
+        )
         comes = now - soon > 0.1 * TOWARDS_MPS or stands
         if not (inside(x, y, polygon) or (now < EDGE_M and comes)):
             continue
@@ -305,15 +348,21 @@ def _walking(zone: Zone, walk: Walk, line: ReferenceLine, frame: Frame) -> Itera
         found = [
             window
             for row in rows
-            for window in _span(_on_half(zone, walk, line, futures.x[row], futures.y[row]), ahead, i, frame)
+            for window in _span(
+                _on_half(zone, walk, line, futures.x[row], futures.y[row]), ahead, i, frame
+            )
         ]
         if stands and not found:
-            taken = _on_half(zone, walk, line, agents.x[i] + way * np.cos(yaw), agents.y[i] + way * np.sin(yaw))
+            taken = _on_half(
+                zone, walk, line, agents.x[i] + way * np.cos(yaw), agents.y[i] + way * np.sin(yaw)
+            )
             found = list(_span(taken, ahead, i, frame))
         yield from (replace(window, end=inf, waits=True) if stands else window for window in found)
 
 
-def _on_half(zone: Zone, walk: Walk, line: ReferenceLine, x: FloatArray, y: FloatArray) -> BoolArray:
+def _on_half(
+    zone: Zone, walk: Walk, line: ReferenceLine, x: FloatArray, y: FloatArray
+) -> BoolArray:
     """Which points `(k,)` of a way lie on the ego's half of a crosswalk."""
     frenet = line_project_many(line.s, line.coef, x, y, zone.s_in, 30.0)
     s, l = frenet[:, 0], frenet[:, 1]  # noqa: E741
@@ -330,7 +379,12 @@ def _driving(priority: Priority, road: Road, frame: Frame) -> Iterator[ZoneTime]
             continue
         lane = road.lanes[lane_id]
         low, high = lane.polygon.min(axis=0), lane.polygon.max(axis=0)
-        near = (agents.x >= low[0]) & (agents.x <= high[0]) & (agents.y >= low[1]) & (agents.y <= high[1])
+        near = (
+            (agents.x >= low[0])
+            & (agents.x <= high[0])
+            & (agents.y >= low[1])
+            & (agents.y <= high[1])
+        )
         for i in np.flatnonzero(near).tolist():
             x, y = float(agents.x[i]), float(agents.y[i])
             drives = agents.kinds[i] not in (AgentKind.PEDESTRIAN, AgentKind.OBJECT)
@@ -341,8 +395,13 @@ def _driving(priority: Priority, road: Road, frame: Frame) -> Iterator[ZoneTime]
             taken.add(i)
             if lane_id == priority.lane.id:
                 yield from _passage(priority, i, frame)
-            rows, size = np.flatnonzero(futures.agent == i), np.array([agents.length[i], agents.width[i]])
-            touches = _boxes_touched(priority.boxes, futures.x[rows], futures.y[rows], futures.yaw[rows], size)
+            rows, size = (
+                np.flatnonzero(futures.agent == i),
+                np.array([agents.length[i], agents.width[i]]),
+            )
+            touches = _boxes_touched(
+                priority.boxes, futures.x[rows], futures.y[rows], futures.yaw[rows], size
+            )
             if futures.probability[rows][touches.any(axis=1)].sum() >= UNLIKELY:  # (3)
                 for mine in touches:
                     yield from _span(mine, futures.t - frame.t, i, frame)
@@ -353,7 +412,9 @@ def _passage(priority: Priority, i: int, frame: Frame) -> Iterator[ZoneTime]:
     agents, center = frame.agents, priority.lane.center
     x, y, step = float(agents.x[i]), float(agents.y[i]), np.diff(center, axis=0)
     length = np.hypot(*step.T)
-    u = ((x - center[:-1, 0]) * step[:, 0] + (y - center[:-1, 1]) * step[:, 1]) / np.maximum(length, 1e-9) ** 2
+    u = ((x - center[:-1, 0]) * step[:, 0] + (y - center[:-1, 1]) * step[:, 1]) / np.maximum(
+        length, 1e-9
+    ) ** 2
     u = np.clip(u, 0.0, 1.0)
     away = np.hypot(center[:-1, 0] + u * step[:, 0] - x, center[:-1, 1] + u * step[:, 1] - y)
     k = int(np.argmin(away))
@@ -362,7 +423,10 @@ def _passage(priority: Priority, i: int, frame: Frame) -> Iterator[ZoneTime]:
     if p - half > priority.p_out:
         return
     if v >= STANDING_MPS:
-        yield ZoneTime(max(priority.p_in - p - half, 0.0) / v, (priority.p_out - p + half) / v, i, v)  # (4)
+        # (4)
+        yield ZoneTime(
+            max(priority.p_in - p - half, 0.0) / v, (priority.p_out - p + half) / v, i, v
+        )
     elif p + half > priority.p_in:
         yield ZoneTime(0.0, inf, i, v)
 
@@ -376,16 +440,26 @@ def _span(taken: BoolArray, ahead: FloatArray, i: int, frame: Frame) -> Iterator
 
 
 @kernel
-def _boxes_touched(boxes: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, size: FloatArray) -> BoolArray:
+def _boxes_touched(
+    boxes: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, size: FloatArray
+) -> BoolArray:
     """Which boxes at `(n, k)` poses of one size (length, width) overlap any of the `boxes` `(m, 5)`."""
     out = np.zeros(x.shape, np.bool_)
     for i in range(x.shape[0]):
         for k in range(x.shape[1]):
             for j in range(len(boxes)):
                 if overlap(
-                    boxes[j, 0], boxes[j, 1], boxes[j, 2], boxes[j, 3], boxes[j, 4],
-                    x[i, k], y[i, k], yaw[i, k], size[0], size[1],
-                ):  # fmt: skip
+                    boxes[j, 0],
+                    boxes[j, 1],
+                    boxes[j, 2],
+                    boxes[j, 3],
+                    boxes[j, 4],
+                    x[i, k],
+                    y[i, k],
+                    yaw[i, k],
+                    size[0],
+                    size[1],
+                ):
                     out[i, k] = True
                     break
     return out

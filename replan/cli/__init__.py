@@ -18,11 +18,31 @@ from replan.cli import about, evaluate, logs, mine, one_drive, report, score, se
 from replan.cli.app import app, bug, group_commands
 from replan.interruption import end_at_once
 
-__all__ = ["about", "app", "evaluate", "logs", "main", "mine", "one_drive", "report", "score", "search"]
+__all__ = [
+    "about",
+    "app",
+    "evaluate",
+    "logs",
+    "main",
+    "mine",
+    "one_drive",
+    "report",
+    "score",
+    "search",
+]
 
 PANELS = {
     "Drive and judge": ("evaluate", "vary", "paper", "calibrate"),
-    "Look, explain, compare": ("view", "plot", "explain", "frame", "report", "compare", "baseline", "score"),
+    "Look, explain, compare": (
+        "view",
+        "plot",
+        "explain",
+        "frame",
+        "report",
+        "compare",
+        "baseline",
+        "score",
+    ),
     "Find failures and improve": ("diagnose", "falsify", "tune"),
     "Find moments in logs": ("mine", "query", "cut", "coverage", "suite"),
     "Logs": ("inspect", "synth", "convert", "repair", "salvage", "export"),

@@ -37,7 +37,9 @@ def listed(
     from replan.cli import listing
 
     if name is None:
-        found: Any = {kind: listing.entries(kind) for kind in listing.KINDS} if as_json else listing.counts()
+        found: Any = (
+            {kind: listing.entries(kind) for kind in listing.KINDS} if as_json else listing.counts()
+        )
     elif name in listing.KINDS:
         found = listing.entries(name) if as_json else listing.lines(listing.entries(name))
     else:
@@ -47,7 +49,9 @@ def listed(
 
 @app.command()
 def metrics(
-    name: Annotated[str | None, typer.Argument(help='Name of a metric, or "module:NAME" of your own.')] = None,
+    name: Annotated[
+        str | None, typer.Argument(help='Name of a metric, or "module:NAME" of your own.')
+    ] = None,
     markdown: Annotated[bool, typer.Option("--markdown", help="Print docs/metrics.md.")] = False,
     as_json: opt.Json = False,
 ) -> None:
@@ -59,7 +63,12 @@ def metrics(
       replan metrics route_progress
     """
     from replan.metrics import GROUPS, load_metric
-    from replan.metrics.metric_pages import list_metrics, metric_facts, metric_page, metrics_markdown
+    from replan.metrics.metric_pages import (
+        list_metrics,
+        metric_facts,
+        metric_page,
+        metrics_markdown,
+    )
 
     if as_json:
         found = [metric_facts(metric) for group in GROUPS.values() for metric in group]
@@ -72,9 +81,15 @@ def metrics(
 
 @app.command()
 def warmup(
-    planner: Annotated[list[str] | None, opt.planner_option(None, "Repeatable. Default: dp_qp.")] = None,
-    config: Annotated[Path | None, opt.config_option("TOML file of a run, for its kernels.")] = None,
-    every: Annotated[bool, typer.Option("--all", help="Compile the kernels of all that is built in.")] = False,
+    planner: Annotated[
+        list[str] | None, opt.planner_option(None, "Repeatable. Default: dp_qp.")
+    ] = None,
+    config: Annotated[
+        Path | None, opt.config_option("TOML file of a run, for its kernels.")
+    ] = None,
+    every: Annotated[
+        bool, typer.Option("--all", help="Compile the kernels of all that is built in.")
+    ] = False,
     as_json: opt.Json = False,
     quiet: opt.Quiet = False,
 ) -> None:
@@ -99,7 +114,14 @@ def warmup(
         say_error(failure.message)
     where = "nowhere: no folder can be written" if done.folder is None else done.folder
     if as_json:
-        say_json({"seconds": done.seconds, "compiled": done.compiled, "folder": done.folder, "failures": done.failures})
+        say_json(
+            {
+                "seconds": done.seconds,
+                "compiled": done.compiled,
+                "folder": done.folder,
+                "failures": done.failures,
+            }
+        )
     elif not quiet:
         say(f"{done.compiled} kernels compiled, {done.seconds:.1f} s; kept in: {where}")
     if done.failures:

@@ -67,21 +67,31 @@ class StrictCommand(TyperCommand):
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """The words, parsed; UsageError if an option would lose a value."""
         options: Any = [one for one in self.params if one.param_type_name == "option"]
-        values = {name: one for one in options if not one.is_flag for name in (*one.opts, *one.secondary_opts)}
+        values = {
+            name: one
+            for one in options
+            if not one.is_flag
+            for name in (*one.opts, *one.secondary_opts)
+        }
         given: list[Any] = []
         left = iter(args)
         for word in left:
             if word == "--":
                 break
             long = word.startswith("--")
-            name, joined = word.partition("=")[0] if long else word[:2], "=" in word if long else len(word) > 2
+            name, joined = (
+                word.partition("=")[0] if long else word[:2],
+                "=" in word if long else len(word) > 2,
+            )
             if name in values:
                 given.append(values[name])
                 if not joined:
                     next(left, None)
         for one in given:
             if not one.multiple and given.count(one) > 1:
-                raise typer.BadParameter(f"takes one value, and is given {given.count(one)} times", ctx, param=one)
+                raise typer.BadParameter(
+                    f"takes one value, and is given {given.count(one)} times", ctx, param=one
+                )
         parsed: list[str] = super().parse_args(ctx, args)
         return parsed
 
@@ -102,8 +112,10 @@ def _name_of(command: CommandInfo | TyperInfo) -> str:
     return command.name or command.callback.__name__  # type: ignore[union-attr]
 
 
-INTERNAL = 70  # Exit code of a bug in replan (EX_SOFTWARE of sysexits.h); 1 always means that a gate failed
-TRACEBACK = "REPLAN_TRACEBACK"  # Environment variable: if it is set, the traceback of a bug is printed
+# Exit code of a bug in replan (EX_SOFTWARE of sysexits.h); 1 always means that a gate failed
+INTERNAL = 70
+# Environment variable: if it is set, the traceback of a bug is printed
+TRACEBACK = "REPLAN_TRACEBACK"
 
 
 def bug(error: Exception) -> NoReturn:
@@ -193,7 +205,10 @@ def _print_version(asked: bool) -> None:
 @app.callback()
 def _root(
     version: Annotated[
-        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
+        bool,
+        typer.Option(
+            "--version", callback=_print_version, is_eager=True, help="Print the version."
+        ),
     ] = False,
 ) -> None:
     pass

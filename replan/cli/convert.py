@@ -29,7 +29,16 @@ from replan.core.errors import ConfigError, LogError
 from replan.draw.drawn_results import load
 from replan.logs.mcap import is_written_here, read_scenario, write_scenario
 from replan.logs.mcap.writer import Entry
-from replan.logs.readers import READER, LogSettings, Reader, logs_in, read_log, reader_called, reader_of, readers
+from replan.logs.readers import (
+    READER,
+    LogSettings,
+    Reader,
+    logs_in,
+    read_log,
+    reader_called,
+    reader_of,
+    readers,
+)
 from replan.logs.repair.detections import TrackChange
 from replan.logs.scenario import Scenario
 from replan.logs.states import TRAJECTORY_COLUMNS, Trajectory
@@ -38,7 +47,9 @@ from replan.logs.vehicle import vehicle_parameters
 from replan.results.tables import safe_names, write_text
 from replan.run.claim import claimed_file, claimed_files
 
-CHANGE_COLUMNS = tuple({"begin": "t_from_s", "end": "t_to_s"}.get(each.name, each.name) for each in fields(TrackChange))
+CHANGE_COLUMNS = tuple(
+    {"begin": "t_from_s", "end": "t_to_s"}.get(each.name, each.name) for each in fields(TrackChange)
+)
 """Columns of the table: the fields of `replan.logs.repair.detections.TrackChange`."""
 CHANGES_HEADER = ",".join(CHANGE_COLUMNS) + "\n"
 
@@ -92,10 +103,14 @@ def convert_all(
     last = dict(zip(names, found, strict=True))
     for name, log in zip(names, found, strict=True):
         if last[name] != log:
-            raise ConfigError(f"{log} and {last[name]} would both become {out / name}; convert them into two folders")
+            raise ConfigError(
+                f"{log} and {last[name]} would both become {out / name}; convert them into two folders"
+            )
     channels = _channels(foxglove=foxglove)
     all_read = True
-    with claimed_files(out, (".mcap",), _is_ours((log, reader_of(log, settings)) for log in found)) as place:
+    with claimed_files(
+        out, (".mcap",), _is_ours((log, reader_of(log, settings)) for log in found)
+    ) as place:
         targets = [place(name) for name in names]
         for log, target in zip(found, targets, strict=True):
             try:
@@ -119,7 +134,9 @@ def _channels(*, foxglove: bool) -> Callable[[Scenario], Iterable[Entry]]:
     return lambda scenario: scenario_channels(scenario, markers(scenario))
 
 
-def _logs_at(path: Path, asked: Reader | None, settings: LogSettings, say: Callable[[str], None]) -> Iterator[Path]:
+def _logs_at(
+    path: Path, asked: Reader | None, settings: LogSettings, say: Callable[[str], None]
+) -> Iterator[Path]:
     """The log, or those of a folder; files named like logs that no reader claims are named as left out."""
     if not path.exists():
         raise ConfigError(f"{path}: no such file or folder")
@@ -136,7 +153,9 @@ def _logs_at(path: Path, asked: Reader | None, settings: LogSettings, say: Calla
 def _is_ours(logs: Iterable[tuple[Path, Reader | None]]) -> Callable[[Path], bool]:
     """Whether an earlier file is a log of replan, and none of these logs, which are read."""
     read = {
-        os.path.realpath(file) for log, reader in logs for file in ((log,) if reader is None else reader.files(log))
+        os.path.realpath(file)
+        for log, reader in logs
+        for file in ((log,) if reader is None else reader.files(log))
     }
     return lambda file: os.path.realpath(file) not in read and is_written_here(file)
 
@@ -160,7 +179,9 @@ def repair_log(log: Path, target: Path, table: Path | None, settings: LogSetting
             rows = (astuple(change) for change in changes(scenario))
             text = StringIO(CHANGES_HEADER)
             text.seek(0, 2)
-            csv.writer(text, lineterminator="\n").writerows((*values, " ".join(sources)) for *values, sources in rows)
+            csv.writer(text, lineterminator="\n").writerows(
+                (*values, " ".join(sources)) for *values, sources in rows
+            )
             write_text(table, text.getvalue())
     return scenario
 
@@ -187,7 +208,8 @@ def unrepaired(log: Path, settings: LogSettings, scenario: Scenario) -> Scenario
     return raw if raw.repair is None and len(raw.tracks) else None
 
 
-TYPES = {"bmw_320i": 2, "vw_vanagon": 3}  # Vehicle type in a benchmark id, by the vehicle's name in replan
+# Vehicle type in a benchmark id, by the vehicle's name in replan
+TYPES = {"bmw_320i": 2, "vw_vanagon": 3}
 COSTS = ("JB1", "SA1", "WX1", "SM1", "SM2", "SM3", "MW1", "TR1")
 """Cost functions of CommonRoad: the file only names them, and CommonRoad computes the cost."""
 VERSION = "2020a"
@@ -214,7 +236,10 @@ def solutions(run: Path, cost: str = COSTS[0]) -> tuple[dict[str, str], list[str
     results, found, skipped = load(run), dict[str, str](), list[str]()
     closed = results.drives.loc[results.drives["mode"] == "closed", ["log", "planner"]]
     several = closed["planner"].nunique() > 1
-    labels = {key: ".".join(key if several else key[:1]) for key in closed.itertuples(index=False, name=None)}
+    labels = {
+        key: ".".join(key if several else key[:1])
+        for key in closed.itertuples(index=False, name=None)
+    }
     names = safe_names(labels.values())
     for (log, planner), label in labels.items():
         try:
@@ -233,23 +258,37 @@ def _solution(scenario: Scenario, cost: str) -> str:
     car, dt = scenario.vehicle, float(facts["time_step_s"])
     sizes = ((vehicle_parameters(name), number) for name, number in TYPES.items())
     size = (car.length, car.width, car.wheelbase)
-    kind = next((number for one, number in sizes if (one.length, one.width, one.wheelbase) == size), None)
+    kind = next(
+        (number for one, number in sizes if (one.length, one.width, one.wheelbase) == size), None
+    )
     if kind is None:
         remedy = f"drive with --vehicle kinematic_bicycle --car {' or '.join(TYPES)}"
         raise LogError("the vehicle is not one of CommonRoad's", topic="/vehicle", remedy=remedy)
     first = round(scenario.start_ns / 1e9 / dt)
-    driven = _carried_on(scenario, dt) if facts.get("trace_end") == EndReason.GOAL.name.lower() else scenario.ego
+    driven = (
+        _carried_on(scenario, dt)
+        if facts.get("trace_end") == EndReason.GOAL.name.lower()
+        else scenario.ego
+    )
     steps = np.arange(int(driven.t[-1] / dt + 1e-6) + 1)
     ego = driven.resampled(np.minimum(dt * steps, driven.t[-1]))
     steer = np.interp(dt * steps, scenario.controls.t, np.nan_to_num(scenario.controls.steer))
     behind = car.wheelbase - car.cog_to_front
     x = ego.x + behind * np.cos(ego.yaw) + scenario.origin[0]  # (1)
     y = ego.y + behind * np.sin(ego.yaw) + scenario.origin[1]
-    root = ET.Element("CommonRoadSolution", benchmark_id=f"KS{kind}:{cost}:{facts['benchmark']}:{VERSION}")
+    root = ET.Element(
+        "CommonRoadSolution", benchmark_id=f"KS{kind}:{cost}:{facts['benchmark']}:{VERSION}"
+    )
     path = ET.SubElement(root, "ksTrajectory", planningProblem=facts["planning_problem"])
     for k in steps:
         state = ET.SubElement(path, "ksState")
-        values = {"x": x[k], "y": y[k], "steeringAngle": steer[k], "velocity": ego.v[k], "orientation": ego.yaw[k]}
+        values = {
+            "x": x[k],
+            "y": y[k],
+            "steeringAngle": steer[k],
+            "velocity": ego.v[k],
+            "orientation": ego.yaw[k],
+        }
         for name, value in values.items():
             ET.SubElement(state, name).text = repr(float(value))
         ET.SubElement(state, "time").text = str(first + int(k))
@@ -267,7 +306,14 @@ def _carried_on(scenario: Scenario, dt: float) -> Trajectory:
     yaw = last.yaw + s * last.kappa
     middle = 0.5 * (last.yaw + yaw)
     state = (
-        last.t + left, last.x + s * np.cos(middle), last.y + s * np.sin(middle), yaw, max(last.v + last.a * left, 0.0),
-        last.a, last.kappa,
-    )  # fmt: skip
-    return Trajectory(*(np.r_[getattr(ego, name), x] for name, x in zip(TRAJECTORY_COLUMNS, state, strict=True)))
+        last.t + left,
+        last.x + s * np.cos(middle),
+        last.y + s * np.sin(middle),
+        yaw,
+        max(last.v + last.a * left, 0.0),
+        last.a,
+        last.kappa,
+    )
+    return Trajectory(
+        *(np.r_[getattr(ego, name), x] for name, x in zip(TRAJECTORY_COLUMNS, state, strict=True))
+    )

@@ -29,23 +29,31 @@ def evaluate(
     ] = None,
     planner: Annotated[
         list[str] | None,
-        opt.planner_option(LOOP, "A name, module:Class, exec:COMMAND or tcp://HOST:PORT; repeatable. Default: dp_qp."),
+        opt.planner_option(
+            LOOP,
+            "A name, module:Class, exec:COMMAND or tcp://HOST:PORT; repeatable. Default: dp_qp.",
+        ),
     ] = None,
     mode: Annotated[opt.Loop | None, option(LOOP, "Loops to run. Default: both.")] = None,
     vehicle: Annotated[
-        str | None, option(LOOP, "kinematic_bicycle, single_track, multibody or perfect.", complete="vehicle")
+        str | None,
+        option(LOOP, "kinematic_bicycle, single_track, multibody or perfect.", complete="vehicle"),
     ] = None,
     car: Annotated[
-        str | None, option(LOOP, "Vehicle parameters in place of the log's: bmw_320i ...", complete="car")
+        str | None,
+        option(LOOP, "Vehicle parameters in place of the log's: bmw_320i ...", complete="car"),
     ] = None,
     controller: Annotated[
-        str | None, option(LOOP, "dlqr_pid, mpc, pure_pursuit, stanley, pid ...", complete="controller")
+        str | None,
+        option(LOOP, "dlqr_pid, mpc, pure_pursuit, stanley, pid ...", complete="controller"),
     ] = None,
     traffic: Annotated[
-        str | None, option(LOOP, "The others: give_way, time (as logged), reactive ...", complete="traffic")
+        str | None,
+        option(LOOP, "The others: give_way, time (as logged), reactive ...", complete="traffic"),
     ] = None,
     prediction: Annotated[
-        str | None, option(LOOP, "lane_following, constant_velocity, ..., oracle.", complete="prediction")
+        str | None,
+        option(LOOP, "lane_following, constant_velocity, ..., oracle.", complete="prediction"),
     ] = None,
     perception: Annotated[
         str | None, option(LOOP, "ground_truth, recorded, sensor or auto.", complete="perception")
@@ -57,35 +65,47 @@ def evaluate(
     end: opt.End = None,
     repair: opt.Repair = None,
     window: Annotated[
-        float | None, option(LOGS, "Split each log into windows of S seconds.", min=1.0, metavar="S")
+        float | None,
+        option(LOGS, "Split each log into windows of S seconds.", min=1.0, metavar="S"),
     ] = None,
     every: Annotated[
-        float | None, option(LOGS, "Begin a window every S seconds: they may overlap.", min=0.1, metavar="S")
+        float | None,
+        option(LOGS, "Begin a window every S seconds: they may overlap.", min=0.1, metavar="S"),
     ] = None,
     gates: opt.Gates = None,
     baseline: opt.Baseline = None,
     ensemble: Annotated[
-        int | None, option(JUDGE, "Perturbed runs per log: do the verdicts hold?", min=0, metavar="N")
+        int | None,
+        option(JUDGE, "Perturbed runs per log: do the verdicts hold?", min=0, metavar="N"),
     ] = None,
     metric: opt.Metric = None,
     out: opt.Out = None,
     chart: Annotated[
-        list[str] | None, option(OUTPUT, "A report chart of your own, module:NAME; repeatable.", metavar="NAME")
+        list[str] | None,
+        option(OUTPUT, "A report chart of your own, module:NAME; repeatable.", metavar="NAME"),
     ] = None,
     foxglove: opt.Foxglove = False,
-    no_recording: Annotated[bool, option(OUTPUT, "Write no .rrd files: faster.", "--no-recording")] = False,
+    no_recording: Annotated[
+        bool, option(OUTPUT, "Write no .rrd files: faster.", "--no-recording")
+    ] = False,
     no_report: opt.NoReport = False,
     as_json: opt.Json = False,
     quiet: opt.Quiet = False,
     verbose: Annotated[
-        bool, option(OUTPUT, "Print each log as it ends: its time, how its drives ended.", "--verbose", "-v")
+        bool,
+        option(
+            OUTPUT, "Print each log as it ends: its time, how its drives ended.", "--verbose", "-v"
+        ),
     ] = False,
     config: opt.Config = None,
     settings: opt.Set = None,
     workers: opt.Workers = None,
-    resume: Annotated[bool, option(RUNNING, "Continue the interrupted run in --out.", "--resume")] = False,
+    resume: Annotated[
+        bool, option(RUNNING, "Continue the interrupted run in --out.", "--resume")
+    ] = False,
     shard: Annotated[
-        str | None, option(RUNNING, "Drive every N-th log, from the I-th: replan merge.", metavar="I/N")
+        str | None,
+        option(RUNNING, "Drive every N-th log, from the I-th: replan merge.", metavar="I/N"),
     ] = None,
     engine: opt.Engine = "local",
     address: opt.Address = None,
@@ -145,9 +165,18 @@ def evaluate(
                 location.keep(result)
 
             result = evaluate_logs(
-                logs or [], run, location.folder, engine=driven_on, resume=resume, shard=part, window=window,
-                every=every, suite=suite, on_start=check_and_start, on_log=log_and_send,
-            )  # fmt: skip
+                logs or [],
+                run,
+                location.folder,
+                engine=driven_on,
+                resume=resume,
+                shard=part,
+                window=window,
+                every=every,
+                suite=suite,
+                on_start=check_and_start,
+                on_log=log_and_send,
+            )
         show = {"as_json": as_json, "quiet": quiet, "report": not no_report}
         code = finish_run(result, before, location.url, run.gates_path, **show)
     if location.url and not quiet:
@@ -157,26 +186,34 @@ def evaluate(
 
 @app.command()
 def vary(
-    log: Annotated[str | None, typer.Argument(help="A log of any format, or a family of the catalogue.")] = None,
+    log: Annotated[
+        str | None, typer.Argument(help="A log of any format, or a family of the catalogue.")
+    ] = None,
     variation: Annotated[
         list[str] | None,
-        option(None, "NAME=LOW:HIGH:COUNT, an axis (one or two), or NAME=VALUE; see --list.", "--vary"),
+        option(
+            None, "NAME=LOW:HIGH:COUNT, an axis (one or two), or NAME=VALUE; see --list.", "--vary"
+        ),
     ] = None,
     agent: Annotated[
-        list[str] | None, option(None, "Agent to vary, repeatable. Default: the one in conflict.", "--agent")
+        list[str] | None,
+        option(None, "Agent to vary, repeatable. Default: the one in conflict.", "--agent"),
     ] = None,
     planner: Annotated[str | None, opt.planner_option(None, "Default: dp_qp.")] = None,
     out: opt.Out = None,
     resume: opt.Resume = False,
     resolution: Annotated[
-        float | None, option(None, "Width to which edges are bisected. Default: an eighth of a cell.")
+        float | None,
+        option(None, "Width to which edges are bisected. Default: an eighth of a cell."),
     ] = None,
     list_agents: opt.ListAgents = False,
     listing: opt.ListAxes = False,
     config: opt.Config = None,
     settings: opt.Set = None,
     gates: opt.Gates = None,
-    recording: Annotated[bool, typer.Option("--recording", help="Write the .rrd file of each drive.")] = False,
+    recording: Annotated[
+        bool, typer.Option("--recording", help="Write the .rrd file of each drive.")
+    ] = False,
     workers: opt.Workers = None,
     ego: opt.Ego = None,
     road_map: opt.Map = None,
@@ -202,7 +239,9 @@ def vary(
         opt.say_axes(as_json=as_json)
         return
     if log is None:
-        raise ConfigError("name a log or a family: replan vary paper/crossing_pedestrian --vary time=-2:2:9")
+        raise ConfigError(
+            "name a log or a family: replan vary paper/crossing_pedestrian --vary time=-2:2:9"
+        )
     options = {
         "planners": [planner] if planner else None,
         "gates": gates,
@@ -219,9 +258,18 @@ def vary(
     say_progress = progress_lines(quiet=quiet)
     if asked.agents:
         say_progress(f"varied: {', '.join(map(scenario.short_names, asked.agents))}")
-    result = evaluate_surface(scenario, asked, run, out, workers=worker_count(workers), resume=resume, say=say_progress)
+    result = evaluate_surface(
+        scenario, asked, run, out, workers=worker_count(workers), resume=resume, say=say_progress
+    )
     if as_json:
-        say_json({"results": result.out, "exit_code": result.exit_code, "edges": result.edges, "table": result.table})
+        say_json(
+            {
+                "results": result.out,
+                "exit_code": result.exit_code,
+                "edges": result.edges,
+                "table": result.table,
+            }
+        )
     else:
         say_sentences(result.lines())
     raise typer.Exit(result.exit_code)
@@ -253,7 +301,9 @@ def paper(
             help="Vehicle model of figures and tables, repeatable: the first has the figures. Default: single_track."
         ),
     ] = None,
-    roads: Annotated[int, typer.Option(min=0, help="Seeded roads in the table of controllers.")] = 50,
+    roads: Annotated[
+        int, typer.Option(min=0, help="Seeded roads in the table of controllers.")
+    ] = 50,
     workers: opt.Workers = None,
 ) -> None:
     """Run the experiments of the paper: its figures 9, 10 and 12, recordings, controllers compared, pedestrians.
@@ -263,7 +313,9 @@ def paper(
     from replan.paper.reproduce import CONTENTS, PaperConfig, reproduce
     from replan.run.claim import claimed_folder
 
-    config = PaperConfig(tuple(vehicle or ("single_track",)), roads=roads, workers=worker_count(workers))
+    config = PaperConfig(
+        tuple(vehicle or ("single_track",)), roads=roads, workers=worker_count(workers)
+    )
     with claimed_folder(out, CONTENTS):
         say(reproduce(out, config, say=progress_lines()))
 
@@ -273,9 +325,14 @@ def calibrate(
     out: Annotated[Path, opt.out_option("Folder for calibration.csv and calibration.png.")],
     vehicle: Annotated[str, typer.Option(help="Vehicle model.")] = "single_track",
     car: Annotated[
-        str | None, typer.Option(help="Whose numbers: bmw_320i, small_electric, vw_vanagon. Default: the default car.")
+        str | None,
+        typer.Option(
+            help="Whose numbers: bmw_320i, small_electric, vw_vanagon. Default: the default car."
+        ),
     ] = None,
-    config: Annotated[Path | None, opt.config_option("TOML file of a run: its \\[vehicle].")] = None,
+    config: Annotated[
+        Path | None, opt.config_option("TOML file of a run: its \\[vehicle].")
+    ] = None,
 ) -> None:
     """Write and plot the table acceleration x speed -> throttle or brake, from the vehicle's own model."""
     from replan.run.calibrate import calibrate as write

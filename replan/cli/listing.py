@@ -67,19 +67,27 @@ def described(name: str) -> list[DescribedName]:
     """
     if all(name.partition(":")):
         thing = ANY.find(name)
-        found = {kind.plural: _entries_of_code({name: thing}) for kind in PARTS.values() if kind.fits(thing)}
+        found = {
+            kind.plural: _entries_of_code({name: thing})
+            for kind in PARTS.values()
+            if kind.fits(thing)
+        }
     else:
         found = {kind: (one for one in entries(kind) if one.name == name) for kind in KINDS}
     parts = {kind.plural: Part(kind, name) for kind in PARTS.values()}
     all_of = [
-        DescribedName(kind, one.name, one.says, one.where, settings_of(parts[kind]) if kind in parts else None)
+        DescribedName(
+            kind, one.name, one.says, one.where, settings_of(parts[kind]) if kind in parts else None
+        )
         for kind, some in found.items()
         for one in some
     ]
     if not all_of:
         if ":" in name:
             raise ConfigError(f"'{name}' takes the arguments of no {', '.join(PARTS)}")
-        raise unknown_name("kind or name", name, [*KINDS, *(one.name for kind in parts for one in entries(kind))])
+        raise unknown_name(
+            "kind or name", name, [*KINDS, *(one.name for kind in parts for one in entries(kind))]
+        )
     return all_of
 
 
@@ -122,7 +130,11 @@ def _all(kind: ExtensionKind[Any]) -> dict[str, Any]:
 def _cars() -> Iterator[ListedName]:
     for name in vehicle_names():
         file = f"replan/logs/vehicles/{name}.toml"
-        comment = (files("replan.logs") / "vehicles" / f"{name}.toml").read_text(encoding="utf-8").partition("\n")[0]
+        comment = (
+            (files("replan.logs") / "vehicles" / f"{name}.toml")
+            .read_text(encoding="utf-8")
+            .partition("\n")[0]
+        )
         yield ListedName(name, f"{comment.removeprefix('#').partition('.')[0].strip()}.", file)
 
 
@@ -154,17 +166,32 @@ KINDS: Mapping[str, Callable[[], Iterable[ListedName]]] = {
     "predictions": lambda: _parts("prediction"),
     "perceptions": lambda: _parts("perception"),
     "charts": lambda: _entries_of_code(_all(CHART)),
-    "metrics": lambda: (ListedName(name, one.meaning, _where(one.measure)) for name, one in _all(METRIC).items()),
-    "families": lambda: (ListedName(name, one.summary, _where(one.build)) for name, one in families().items()),
-    "suites": lambda: (ListedName(name, one.summary, "replan.logs.catalogue") for name, one in SUITES.items()),
+    "metrics": lambda: (
+        ListedName(name, one.meaning, _where(one.measure)) for name, one in _all(METRIC).items()
+    ),
+    "families": lambda: (
+        ListedName(name, one.summary, _where(one.build)) for name, one in families().items()
+    ),
+    "suites": lambda: (
+        ListedName(name, one.summary, "replan.logs.catalogue") for name, one in SUITES.items()
+    ),
     "readers": lambda: (ListedName(one.name, one.summary, _where(one.read)) for one in readers()),
 }
 """The kinds of names, in the order of `replan list`."""
 
 UNITS: Mapping[str, str] = {
-    "s": "s", "m": "m", "mps": "m/s", "mps2": "m/s2", "mps3": "m/s3", "kmh": "km/h", "rad": "rad", "deg": "deg",
-    "pm": "1/m", "kg": "kg", "gb": "GB",
-}  # fmt: skip
+    "s": "s",
+    "m": "m",
+    "mps": "m/s",
+    "mps2": "m/s2",
+    "mps3": "m/s3",
+    "kmh": "km/h",
+    "rad": "rad",
+    "deg": "deg",
+    "pm": "1/m",
+    "kg": "kg",
+    "gb": "GB",
+}
 """Units by the last part of a name (`time_gap_s`); a weight (`w_s`) has the unit of its cost, which no name gives."""
 
 SIGNS = {"minimum": ">=", "exclusiveMinimum": ">", "maximum": "<=", "exclusiveMaximum": "<"}
@@ -197,23 +224,32 @@ def settings_of(part: Part) -> tuple[ListedSetting, ...]:
     if config is not None:
         needed = any(f.default is MISSING and f.default_factory is MISSING for f in fields(config))
         return tuple(_of_dataclass(config if needed else config(), where))
-    keywords = [p for p in inspect.signature(factory).parameters.values() if p.kind is p.KEYWORD_ONLY]
+    keywords = [
+        p for p in inspect.signature(factory).parameters.values() if p.kind is p.KEYWORD_ONLY
+    ]
     return tuple(
         ListedSetting(
-            dotted(where, p.name), None if p.default is p.empty else p.default, unit(p.name), {},
+            dotted(where, p.name),
+            None if p.default is p.empty else p.default,
+            unit(p.name),
+            {},
             meaning(factory, p.name),
         )
         for p in keywords
-    )  # fmt: skip
+    )
 
 
 def _of_dataclass(config: Any, where: str, group: str = "") -> Iterator[ListedSetting]:
     """The settings of a dataclass, then those of its tables; a class instead of an instance has no defaults."""
     items = [item for item in fields(config) if item.metadata.get("key", item.init)]
-    values = [(item.name, getattr(config, item.name, None), dotted(where, item.name)) for item in items]
+    values = [
+        (item.name, getattr(config, item.name, None), dotted(where, item.name)) for item in items
+    ]
     for name, value, key in values:
         if not is_dataclass(value):
-            yield ListedSetting(key, value, unit(name), accepted(config, name), meaning(config, name), group)
+            yield ListedSetting(
+                key, value, unit(name), accepted(config, name), meaning(config, name), group
+            )
     for name, value, key in values:
         if is_dataclass(value):
             about = meaning(config, name) or (inspect.getdoc(value) or "").partition("\n")[0]
@@ -222,13 +258,19 @@ def _of_dataclass(config: Any, where: str, group: str = "") -> Iterator[ListedSe
 
 def unit(name: str) -> str:
     """The unit in a name; "" if there is none."""
-    return "" if name.startswith("w_") else UNITS.get(name.rpartition("_")[2] if "_" in name else "", "")
+    return (
+        ""
+        if name.startswith("w_")
+        else UNITS.get(name.rpartition("_")[2] if "_" in name else "", "")
+    )
 
 
 def accepted(config: Any, name: str) -> dict[str, float]:
     """The bounds of a number, or of each number of a tuple, that the dataclass checks; see `ListedSetting.range`."""
     default = getattr(config, name, None)
-    good, several = (default[0], len(default)) if isinstance(default, tuple) and default else (default, 0)
+    good, several = (
+        (default[0], len(default)) if isinstance(default, tuple) and default else (default, 0)
+    )
     if isinstance(config, type) or isinstance(good, bool) or not isinstance(good, int | float):
         return {}
 
@@ -269,7 +311,12 @@ def setting_lines(found: Iterable[ListedSetting]) -> list[str]:
             group = one.group
             shown += ["", group]
         value = "..." if one.default is None else json.dumps(one.default)
-        about = ", ".join(filter(None, (one.unit, *(f"{SIGNS[name]} {edge:.10g}" for name, edge in one.range.items()))))
+        about = ", ".join(
+            filter(
+                None,
+                (one.unit, *(f"{SIGNS[name]} {edge:.10g}" for name, edge in one.range.items())),
+            )
+        )
         shown += [
             f"{one.key}={value}" + (f"  [{about}]" if about else ""),
             *([f"    {one.meaning}"] if one.meaning else ()),

@@ -20,13 +20,19 @@ def synth(
     ] = None,
     out: Annotated[Path | None, opt.out_option("Folder to write to.")] = None,
     settings: Annotated[
-        list[str] | None, typer.Option("--set", help="parameter=number; may be repeated.", metavar="KEY=VALUE")
+        list[str] | None,
+        typer.Option("--set", help="parameter=number; may be repeated.", metavar="KEY=VALUE"),
     ] = None,
     suite: opt.Suite = None,
     form: Annotated[
-        str, typer.Option("--as", help="native, or ros2: a bag of raw detections (group raw).", metavar="FORM")
+        str,
+        typer.Option(
+            "--as", help="native, or ros2: a bag of raw detections (group raw).", metavar="FORM"
+        ),
     ] = "native",
-    listing: Annotated[bool, typer.Option("--list", help="List the families and their parameters.")] = False,
+    listing: Annotated[
+        bool, typer.Option("--list", help="List the families and their parameters.")
+    ] = False,
     markdown: Annotated[bool, typer.Option("--markdown", help="Print docs/catalogue.md.")] = False,
     as_json: opt.Json = False,
 ) -> None:
@@ -42,7 +48,15 @@ def synth(
     """
     from contextlib import closing
 
-    from replan.cli.synth import FORMS, chosen, listed, markdown_page, synthesise, table, write_suite
+    from replan.cli.synth import (
+        FORMS,
+        chosen,
+        listed,
+        markdown_page,
+        synthesise,
+        table,
+        write_suite,
+    )
     from replan.logs.catalogue import numbers
 
     if as_json:
@@ -54,13 +68,21 @@ def synth(
         say(markdown_page() if markdown else "\n".join(listed()))
         return
     if bool(names) == bool(suite) or out is None:
-        raise ConfigError("name a family (or all) or a --suite, and a folder: replan synth all -o my_logs; see --list")
+        raise ConfigError(
+            "name a family (or all) or a --suite, and a folder: replan synth all -o my_logs; see --list"
+        )
     if suite and settings:
-        raise ConfigError("--set changes families that are named; the logs of a suite have their parameters")
+        raise ConfigError(
+            "--set changes families that are named; the logs of a suite have their parameters"
+        )
     if form not in FORMS:
         raise unknown_name("form", form, FORMS)
     changed = numbers(settings or [], "--set")
-    logs = write_suite(suite, out, form) if suite else synthesise(chosen(names or ()), out, changed, form)
+    logs = (
+        write_suite(suite, out, form)
+        if suite
+        else synthesise(chosen(names or ()), out, changed, form)
+    )
     with closing(logs) as written:
         for path in written:
             say(path)
@@ -69,12 +91,14 @@ def synth(
 @app.command()
 def convert(
     logs: Annotated[
-        list[Path] | None, typer.Argument(help="Logs of any format; a format's name before them chooses it.")
+        list[Path] | None,
+        typer.Argument(help="Logs of any format; a format's name before them chooses it."),
     ] = None,
     out: Annotated[Path | None, opt.out_option("FILE.mcap for one log, else a folder.")] = None,
     ego: opt.Ego = None,
     problem: Annotated[
-        int | None, typer.Option(help="CommonRoad: the planning problem, its id or its place from 1.")
+        int | None,
+        typer.Option(help="CommonRoad: the planning problem, its id or its place from 1."),
     ] = None,
     road_map: opt.Map = None,
     begin: opt.Begin = None,
@@ -82,7 +106,9 @@ def convert(
     repair: opt.Repair = None,
     config: opt.Settings = None,
     foxglove: opt.Foxglove = False,
-    formats: Annotated[bool, typer.Option("--formats", help="List the formats that replan reads.")] = False,
+    formats: Annotated[
+        bool, typer.Option("--formats", help="List the formats that replan reads.")
+    ] = False,
     as_json: opt.Json = False,
 ) -> None:
     """Convert logs of other formats to replan's own MCAP.
@@ -106,7 +132,9 @@ def convert(
         say("\n".join(listing()))
         return
     if not logs or out is None:
-        raise ConfigError("name logs and where to write them: replan convert LOG ... -o FOLDER; see --formats")
+        raise ConfigError(
+            "name logs and where to write them: replan convert LOG ... -o FOLDER; see --formats"
+        )
     options = log_table(ego, road_map, begin, end, repair)
     settings = run_config(config, {"log": {**options, "problem": problem}}).log
     with sign_of_life(progress_lines(), lambda: "converting"):
@@ -119,7 +147,9 @@ def convert(
 def repair(
     log: Annotated[Path, typer.Argument(help="A log of raw detections, of any format.")],
     out: Annotated[Path, opt.out_option("The FILE.mcap to write.")],
-    table: Annotated[Path | None, opt.output("Write the changes as FILE.csv, not to stdout.", "--table")] = None,
+    table: Annotated[
+        Path | None, opt.output("Write the changes as FILE.csv, not to stdout.", "--table")
+    ] = None,
     ego: opt.Ego = None,
     road_map: opt.Map = None,
     begin: opt.Begin = None,
@@ -174,7 +204,11 @@ def inspect(
         health = None if summary.read is None else findings(summary.read)
         before = None if raw is None else {"agents": len(raw.tracks), "health": findings(raw)}
         document = {key: value for key, value in vars(summary).items() if key != "read"}
-        document |= {"error": summary.error and str(summary.error), "health": health, "before_repair": before}
+        document |= {
+            "error": summary.error and str(summary.error),
+            "health": health,
+            "before_repair": before,
+        }
         document |= {"discrimination": {one.driver: str(one.breaks or "") for one in apart}}
         say_json(document)
         raise typer.Exit(0 if summary.error is None else 3)
@@ -200,11 +234,15 @@ def salvage(
 
     if not damaged.is_file():
         raise ConfigError(f"{damaged}: no such file")
-    with claimed_file(out, (".mcap",), lambda file: is_salvaged(file) and not file.samefile(damaged)):
+    with claimed_file(
+        out, (".mcap",), lambda file: is_salvaged(file) and not file.samefile(damaged)
+    ):
         say("\n".join([str(out), *(f"    {line}" for line in save(damaged, out).lines())]))
 
 
-export_app = typer.Typer(help="Write drives in the formats of other projects.", no_args_is_help=True)
+export_app = typer.Typer(
+    help="Write drives in the formats of other projects.", no_args_is_help=True
+)
 app.add_typer(export_app, name="export")
 
 
@@ -215,8 +253,12 @@ def _export() -> None:
 
 @export_app.command("commonroad-solution", cls=StrictCommand)
 def commonroad_solution(
-    run: Annotated[Path, typer.Argument(help="A result folder, or closed.mcap of one drive in it.")],
-    out: Annotated[Path, opt.out_option("Folder for the files of a run; of one drive also FILE.xml.")],
+    run: Annotated[
+        Path, typer.Argument(help="A result folder, or closed.mcap of one drive in it.")
+    ],
+    out: Annotated[
+        Path, opt.out_option("Folder for the files of a run; of one drive also FILE.xml.")
+    ],
     cost: Annotated[str, typer.Option(help="Cost function that the benchmark id names.")] = "JB1",
 ) -> None:
     """Write the closed drives over CommonRoad scenarios as CommonRoad solutions, for CommonRoad's own checker.

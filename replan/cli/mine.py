@@ -8,7 +8,15 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from replan.cli import options as opt
-from replan.cli.app import app, progress_lines, say, say_error, say_json, say_sentences, worker_count
+from replan.cli.app import (
+    app,
+    progress_lines,
+    say,
+    say_error,
+    say_json,
+    say_sentences,
+    worker_count,
+)
 from replan.cli.options import log_table, option, run_config
 from replan.core.errors import ConfigError
 
@@ -16,19 +24,26 @@ if TYPE_CHECKING:
     from replan.mine.mine import MinedLog
 
 Mined = Annotated[Path, typer.Argument(help="A folder that replan mine wrote.", metavar="RUN")]
-Run = Annotated[Path, typer.Argument(help="A folder that replan mine or replan evaluate wrote.", metavar="RUN")]
+Run = Annotated[
+    Path, typer.Argument(help="A folder that replan mine or replan evaluate wrote.", metavar="RUN")
+]
 
 
 @app.command()
 def mine(
-    logs: Annotated[list[Path] | None, typer.Argument(help="Logs of any format, or folders of them.")] = None,
+    logs: Annotated[
+        list[Path] | None, typer.Argument(help="Logs of any format, or folders of them.")
+    ] = None,
     out: opt.Out = None,
     kind: Annotated[
-        list[str] | None, option(None, "A kind of your own, module:NAME; repeatable.", "--kind", metavar="NAME")
+        list[str] | None,
+        option(None, "A kind of your own, module:NAME; repeatable.", "--kind", metavar="NAME"),
     ] = None,
     planner: Annotated[
         list[str] | None,
-        opt.planner_option(None, "Also find where this planner's plans differ from the drive, fall back or flip."),
+        opt.planner_option(
+            None, "Also find where this planner's plans differ from the drive, fall back or flip."
+        ),
     ] = None,
     suite: opt.Suite = None,
     ego: opt.Ego = None,
@@ -54,7 +69,7 @@ def mine(
       replan mine my_bags/ -o results/mined
       replan mine my_bags/ -o results/mined -p dp_qp
       replan query results/mined "SELECT kind, count(*) FROM events GROUP BY kind"
-    """  # fmt: skip
+    """
     if markdown:
         from replan.mine.kinds import page
 
@@ -65,7 +80,9 @@ def mine(
     from replan.run.evaluate import selected
 
     if not logs and suite is None:
-        raise ConfigError("name logs, or logs of the catalogue with --suite: replan mine my_bags/ -o results/mined")
+        raise ConfigError(
+            "name logs, or logs of the catalogue with --suite: replan mine my_bags/ -o results/mined"
+        )
 
     planners = list(dict.fromkeys(planner or []))
     options = {"log": log_table(ego, road_map, begin, end, repair), "planners": planners or None}
@@ -88,10 +105,24 @@ def mine(
     kinds, count = tuple(kind or ()), worker_count(workers)
     with sign_of_life(progress_lines(quiet=quiet), with_kernels(progress)):
         folder, mined = mine_into(
-            out, selection, run, kinds=kinds, planners=planners, workers=count, resume=resume, on_log=ended
+            out,
+            selection,
+            run,
+            kinds=kinds,
+            planners=planners,
+            workers=count,
+            resume=resume,
+            on_log=ended,
         )
     if as_json:
-        say_json({"folder": str(folder), "logs": mined.logs, "events": mined.events, "failures": mined.failures})
+        say_json(
+            {
+                "folder": str(folder),
+                "logs": mined.logs,
+                "events": mined.events,
+                "failures": mined.failures,
+            }
+        )
     elif not quiet:
         say_sentences([*summary(mined), str(folder)])
     raise typer.Exit(3 if mined.failures else 0)
@@ -101,7 +132,9 @@ def mine(
 def query(
     run: Run,
     sql: Annotated[str, typer.Argument(help="One SELECT.")],
-    out: Annotated[Path | None, opt.out_option("Write the rows to FILE.csv, .parquet or .json.")] = None,
+    out: Annotated[
+        Path | None, opt.out_option("Write the rows to FILE.csv, .parquet or .json.")
+    ] = None,
     as_json: opt.Json = False,
 ) -> None:
     r"""Ask a result folder in SQL: events, metrics, verdicts, frames, health and more as views, read only.
@@ -131,7 +164,9 @@ def query(
 @app.command()
 def cut(
     run: Run,
-    where: Annotated[str, typer.Option("--where", help="Condition in SQL over the view's columns.")],
+    where: Annotated[
+        str, typer.Option("--where", help="Condition in SQL over the view's columns.")
+    ],
     out: Annotated[Path, opt.out_option("Folder for the logs.")],
     table: Annotated[str, typer.Option("--table", help="The view.")] = "events",
     before: Annotated[float, typer.Option(help="Seconds before each moment.", min=0.0)] = 5.0,
@@ -170,17 +205,23 @@ def suite(run: Mined, out: Annotated[Path, opt.out_option("The FILE.toml to writ
         chosen = suite_of(mined)
         write(chosen, begun_in(run, [one.source for one in chosen]))
     cells = sum(one.adds for one in chosen)
-    say(f"{out}: {counted(len(chosen), 'log')} of {len(mined.logs)} with all {counted(cells, 'cell')}")
+    say(
+        f"{out}: {counted(len(chosen), 'log')} of {len(mined.logs)} with all {counted(cells, 'cell')}"
+    )
 
 
 @app.command()
 def coverage(
     run: Mined,
     against: Annotated[
-        Path | None, typer.Option(help="Compare with another mined folder. Default: the catalogue.", metavar="RUN")
+        Path | None,
+        typer.Option(
+            help="Compare with another mined folder. Default: the catalogue.", metavar="RUN"
+        ),
     ] = None,
     out: Annotated[
-        Path | None, opt.out_option("Folder for coverage.csv and coverage.png. Default: the mined folder.")
+        Path | None,
+        opt.out_option("Folder for coverage.csv and coverage.png. Default: the mined folder."),
     ] = None,
     workers: opt.Workers = None,
     as_json: opt.Json = False,

@@ -27,7 +27,9 @@ class ChosenDrive(NamedTuple):
     remark: str
 
 
-def matching_drives(results: Results, log: str | None, planner: str | None, mode: opt.Loop | None) -> list[DriveResult]:
+def matching_drives(
+    results: Results, log: str | None, planner: str | None, mode: opt.Loop | None
+) -> list[DriveResult]:
     """The drives of a run that fit some options.
 
     `log`: name of a log, or a part of it (`named_logs`); None: any. `planner`: name of a planner; None: any. `mode`:
@@ -44,14 +46,21 @@ def matching_drives(results: Results, log: str | None, planner: str | None, mode
             elif value in set(table[column]):
                 allowed = [value]
             else:
-                raise unknown_name(f"{column} (in the run)", value, list(dict.fromkeys(table[column])))
+                raise unknown_name(
+                    f"{column} (in the run)", value, list(dict.fromkeys(table[column]))
+                )
             table = table[table[column].isin(allowed)]
     if table.empty:
         raise ConfigError(f"{results.path}: no drive with these options")
-    return [results.drive(*key) for key in table[["log", "planner", "mode"]].itertuples(index=False, name=None)]
+    return [
+        results.drive(*key)
+        for key in table[["log", "planner", "mode"]].itertuples(index=False, name=None)
+    ]
 
 
-def chosen_drive(results: Results, log: str | None, planner: str | None, mode: opt.Loop | None) -> ChosenDrive:
+def chosen_drive(
+    results: Results, log: str | None, planner: str | None, mode: opt.Loop | None
+) -> ChosenDrive:
     """The worst of the matching drives (`matching_drives`), as `worst_drive`."""
     asked = {"log": log, "planner": planner, "mode": mode}
     others = ", ".join(f"--{name}" for name, value in asked.items() if value is None)
@@ -74,36 +83,55 @@ def worst_drive(results: Results, drives: Sequence[DriveResult], options: str) -
         failed = bool((drive.verdicts["outcome"] == "fail").any())
         return rows[drive.log, drive.planner], not failed, drive.mode != "closed"
 
-    return ChosenDrive(min(drives, key=rank), f" (the worst of {len(drives)} drives; another: {options})")
+    return ChosenDrive(
+        min(drives, key=rank), f" (the worst of {len(drives)} drives; another: {options})"
+    )
 
 
 @app.command()
 def view(
     targets: Annotated[
-        list[Path], typer.Argument(help="A log, a recording (.rrd), or a folder of results; or two drives of one log.")
+        list[Path],
+        typer.Argument(
+            help="A log, a recording (.rrd), or a folder of results; or two drives of one log."
+        ),
     ],
     log: opt.OfLog = None,
     planner: opt.OfPlanner = None,
     mode: opt.OfMode = None,
     save: Annotated[
         Path | None,
-        opt.output("Write the recording (FILE.rrd) of the log, or of both drives, and open nothing.", "--save"),
+        opt.output(
+            "Write the recording (FILE.rrd) of the log, or of both drives, and open nothing.",
+            "--save",
+        ),
     ] = None,
     screenshot: Annotated[
-        Path | None, opt.output("Write a picture (PNG) and open nothing; of a run: of the worst drive.", "--screenshot")
+        Path | None,
+        opt.output(
+            "Write a picture (PNG) and open nothing; of a run: of the worst drive.", "--screenshot"
+        ),
     ] = None,
     video: Annotated[
-        Path | None, opt.output("Write a video: FILE.gif, or with ffmpeg FILE.mp4; --from, --to.", "--video")
+        Path | None,
+        opt.output("Write a video: FILE.gif, or with ffmpeg FILE.mp4; --from, --to.", "--video"),
     ] = None,
     at: Annotated[float | None, opt.at_option("For --screenshot. Default: 0.")] = None,
-    layout: Annotated[str, typer.Option(help="Layout of picture and video: overview, planner, control.")] = "overview",
-    tile: Annotated[str | None, typer.Option("--tile", help="A picture of this view only, by its title.")] = None,
+    layout: Annotated[
+        str, typer.Option(help="Layout of picture and video: overview, planner, control.")
+    ] = "overview",
+    tile: Annotated[
+        str | None, typer.Option("--tile", help="A picture of this view only, by its title.")
+    ] = None,
     size: Annotated[str, typer.Option(help="Size of picture and video, pixels.")] = "1920x1080",
-    theme: Annotated[Literal["dark", "light"], typer.Option(help="Theme of picture and video.")] = "dark",
+    theme: Annotated[
+        Literal["dark", "light"], typer.Option(help="Theme of picture and video.")
+    ] = "dark",
     memory_limit: Annotated[str, typer.Option(help="Memory limit of the viewer.")] = "2GB",
     web: Annotated[bool, typer.Option("--web", help="Show it in a browser.")] = False,
     port: Annotated[
-        int, typer.Option(min=1, max=65535, help="Port of the page, with --web; on this machine only.")
+        int,
+        typer.Option(min=1, max=65535, help="Port of the page, with --web; on this machine only."),
     ] = 9090,
     ego: opt.Ego = None,
     road_map: opt.Map = None,
@@ -140,14 +168,20 @@ def view(
     drawn = screenshot is not None or video is not None
     which = (log, planner, None if mode == "both" else mode)
     with ExitStack() as claims:
-        for place, suffixes in ((save, (".rrd",)), (screenshot, (".png",)), (video, BY_PILLOW + BY_FFMPEG)):
+        for place, suffixes in (
+            (save, (".rrd",)),
+            (screenshot, (".png",)),
+            (video, BY_PILLOW + BY_FFMPEG),
+        ):
             if place is not None:
                 claims.enter_context(claimed_file(place, suffixes))
         scratch = claims.enter_context(tempfile.TemporaryDirectory())
         span = (None, None) if video is not None else (begin, end)
         settings = run_config(config, {"log": log_table(ego, road_map, *span, repair)}).log
         copies = [Near(target) for target in targets]
-        files, remark = _files([copy.path for copy in copies], which, Path(scratch), settings, save, one=drawn)
+        files, remark = _files(
+            [copy.path for copy in copies], which, Path(scratch), settings, save, one=drawn
+        )
         if save is not None:
             say(save)
         if screenshot is not None:
@@ -162,11 +196,18 @@ def view(
             show(files, memory_limit, web=web, port=port)
 
 
-Which = tuple[str | None, str | None, opt.Loop | None]  # Log, planner and loop that the user named; None: any
+# Log, planner and loop that the user named; None: any
+Which = tuple[str | None, str | None, opt.Loop | None]
 
 
 def _files(
-    targets: list[Path], which: Which, scratch: Path, settings: LogSettings, save: Path | None, *, one: bool
+    targets: list[Path],
+    which: Which,
+    scratch: Path,
+    settings: LogSettings,
+    save: Path | None,
+    *,
+    one: bool,
 ) -> tuple[list[Path], str]:
     """The recordings to open, made as `save` or in `scratch`; with `one` only the worst, and a remark that names it."""
     from replan.core.files import check_named
@@ -184,7 +225,9 @@ def _files(
     if any(which) and all(target.is_file() for target in targets):
         raise ConfigError("--log, --planner and --mode choose drives of a folder of results")
     if len(targets) == 2:
-        both = choose_pair(targets[0], targets[1], *(_recordings(target, which) for target in targets))
+        both = choose_pair(
+            targets[0], targets[1], *(_recordings(target, which) for target in targets)
+        )
         recording = save or scratch / "pair.rrd"
         save_pair(recording, both)
         return [recording], ""
@@ -194,7 +237,9 @@ def _files(
         save_log(target, recording, settings, markers)
         return [recording], ""
     if save is not None:
-        raise ConfigError(f"--save writes the recording of a log or of two drives; {target} has its recordings already")
+        raise ConfigError(
+            f"--save writes the recording of a log or of two drives; {target} has its recordings already"
+        )
     if target.is_file():
         return [target], ""
     found, judged = _recordings(target, which), (target / "summary.json").is_file()
@@ -205,7 +250,11 @@ def _files(
     if not judged:
         raise ConfigError(f"{target}: {len(found)} recordings; name one, for example {found[0]}")
     results = load(target)
-    there = [drive for drive in matching_drives(results, *which) if drive.trace_file.with_suffix(".rrd") in found]
+    there = [
+        drive
+        for drive in matching_drives(results, *which)
+        if drive.trace_file.with_suffix(".rrd") in found
+    ]
     worst = worst_drive(results, there, "--log, --planner, --mode, or name a recording")
     return [worst.drive.trace_file.with_suffix(".rrd")], f"  {worst.drive.title}{worst.remark}"
 
@@ -219,9 +268,13 @@ def _recordings(target: Path, which: Which) -> list[Path]:
         return [target]
     if not any(which) or not (target / "summary.json").is_file():
         if which[1] or which[2]:
-            raise ConfigError(f"--planner and --mode choose drives of a result folder, and {target} is none")
+            raise ConfigError(
+                f"--planner and --mode choose drives of a result folder, and {target} is none"
+            )
         return recordings(target, which[0])
-    files = [drive.trace_file.with_suffix(".rrd") for drive in matching_drives(load(target), *which)]
+    files = [
+        drive.trace_file.with_suffix(".rrd") for drive in matching_drives(load(target), *which)
+    ]
     found = sorted(file for file in files if file.is_file())
     if not found:
         raise ConfigError(
@@ -244,7 +297,9 @@ def plot(
     log: opt.OfLog = None,
     planner: Annotated[
         list[str] | None,
-        opt.planner_option(None, "Drives of this planner; repeatable: the log's drives of all in one picture."),
+        opt.planner_option(
+            None, "Drives of this planner; repeatable: the log's drives of all in one picture."
+        ),
     ] = None,
     mode: opt.OfMode = None,
     at: Annotated[float | None, opt.at_option("Default: the worst moment.")] = None,
@@ -255,9 +310,15 @@ def plot(
             help="What is drawn: scene, st, sl, curves, decisions, all, or module:NAME of your own.",
         ),
     ] = "all",
-    out: Annotated[Path | None, opt.out_option("FILE.png, FILE.svg, or a folder: each by itself.")] = None,
-    theme: Annotated[Look, typer.Option(help="Auto: an SVG follows its reader's system, a PNG is light.")] = Look.auto,
-    width: Annotated[int, typer.Option(min=200, max=8000, help="Width of the picture, pixels.")] = 1400,
+    out: Annotated[
+        Path | None, opt.out_option("FILE.png, FILE.svg, or a folder: each by itself.")
+    ] = None,
+    theme: Annotated[
+        Look, typer.Option(help="Auto: an SVG follows its reader's system, a PNG is light.")
+    ] = Look.auto,
+    width: Annotated[
+        int, typer.Option(min=200, max=8000, help="Width of the picture, pixels.")
+    ] = 1400,
 ) -> None:
     """Draw a drive as SVG or PNG: scene, S-T and S-L graph, curves, decisions. Or several of one log together.
 
@@ -278,14 +339,18 @@ def plot(
     chosen = chosen_drive(run, log, next(iter(planners), None), mode)
     drive = chosen.drive
     seen = subject(drive, at, [run.drive(drive.log, other, drive.mode) for other in planners[1:]])
-    name = "-".join([safe_name(drive.log), *map(safe_name, planners or [drive.planner]), drive.mode])
+    name = "-".join(
+        [safe_name(drive.log), *map(safe_name, planners or [drive.planner]), drive.mode]
+    )
     path = Path(f"{name}-{safe_name(chart)}.png") if out is None else out
     if path.suffix not in ("", *FORMATS) and not path.is_dir():
         raise ConfigError(f"{path}: a picture ends with .png or .svg, a folder has no ending")
     with claimed_files(path, FORMATS) as place:
         charts = charts_of(seen, chart, width)
         if path.suffix in FORMATS and not path.is_dir():
-            together(charts, seen.title, seen.says, width).save(path, theme=theme.value, width=width)
+            together(charts, seen.title, seen.says, width).save(
+                path, theme=theme.value, width=width
+            )
             say(f"{path}  ({seen.title}, {seen.says}){chosen.remark}")
             return
         files = [(place(f"{name}-{one.name}{ending}"), one) for one in charts for ending in FORMATS]
@@ -300,8 +365,12 @@ def explain(
     log: opt.OfLog = None,
     planner: opt.OfPlanner = None,
     mode: opt.OfMode = None,
-    at: Annotated[float | None, opt.at_option("Default: the phases of the drive in ten lines.")] = None,
-    every: Annotated[bool, typer.Option("--all", help="Each change of a decision, in full.")] = False,
+    at: Annotated[
+        float | None, opt.at_option("Default: the phases of the drive in ten lines.")
+    ] = None,
+    every: Annotated[
+        bool, typer.Option("--all", help="Each change of a decision, in full.")
+    ] = False,
     as_json: opt.Json = False,
 ) -> None:
     """Print why a drive slows down: when, for which road user, the alternatives and their costs (docs/why.md).
@@ -339,10 +408,15 @@ def frame(
     planner: opt.OfPlanner = None,
     mode: opt.OfMode = None,
     other: Annotated[
-        str | None, option(None, "Plan the frame with this planner instead.", "--with", complete="planner")
+        str | None,
+        option(None, "Plan the frame with this planner instead.", "--with", complete="planner"),
     ] = None,
-    dump: Annotated[Path | None, opt.output("Write frames, plan and QPs to FILE.msgpack.", "--dump")] = None,
-    debug: Annotated[bool, typer.Option("--debug", help="Open the debugger before the frame is planned.")] = False,
+    dump: Annotated[
+        Path | None, opt.output("Write frames, plan and QPs to FILE.msgpack.", "--dump")
+    ] = None,
+    debug: Annotated[
+        bool, typer.Option("--debug", help="Open the debugger before the frame is planned.")
+    ] = False,
 ) -> None:
     """Drive up to a frame again, in one process, and plan it with a report: stages, times, sizes, residuals.
 
@@ -359,7 +433,9 @@ def frame(
 
     results = load(result)
     if planner is not None and planner not in (there := set(results.drives["planner"])):
-        raise ConfigError(f"no drive of '{planner}' in the run ({', '.join(sorted(there))}); to plan with it: --with")
+        raise ConfigError(
+            f"no drive of '{planner}' in the run ({', '.join(sorted(there))}); to plan with it: --with"
+        )
     chosen = chosen_drive(results, log, planner, mode)
     with nullcontext() if dump is None else claimed_file(dump, (".msgpack",)):
         again = replan_frame(chosen.drive, at, other, debug=debug)
@@ -368,4 +444,6 @@ def frame(
             say(line)
         if dump is not None:
             write_dump(dump, again.dump)
-            say(f"\n{dump}: {dump.stat().st_size / 1e6:.1f} MB; replan.run.frame_dump.load reads it")
+            say(
+                f"\n{dump}: {dump.stat().st_size / 1e6:.1f} MB; replan.run.frame_dump.load reads it"
+            )

@@ -24,7 +24,9 @@ OTHER_NAMES: Mapping[str, Callable[[], Iterable[str]]] = {
     "chart": lambda: (*loaded("replan.draw.charts.layout:CHARTS"), "all"),
     "suite": lambda: loaded("replan.logs.catalogue:SUITES"),
     "kind": lambda: loaded("replan.cli.listing:KINDS"),
-    "listed": lambda: [name for option in (*PARTS, "car", "chart", "suite", "kind") for name in names(option)],
+    "listed": lambda: [
+        name for option in (*PARTS, "car", "chart", "suite", "kind") for name in names(option)
+    ],
 }
 """The names that are of no kind of part; each table is imported when it is asked for, as this takes long."""
 
@@ -95,7 +97,8 @@ def local_path(place: Path | None) -> Path | None:
     """The callback of an option or argument that names what a command writes: a URL ends the command."""
     try:
         return None if place is None else on_this_machine(place)
-    except ConfigError as error:  # not by `handle_errors`: what follows it is not interrupted any more
+    # Not by `handle_errors`: what follows it is not interrupted any more
+    except ConfigError as error:
         say_error(str(error))
         raise typer.Exit(2) from None
 
@@ -116,50 +119,91 @@ def config_option(words: str) -> Any:
 
 
 Loop = Literal["both", "open", "closed"]
-OfLog = Annotated[str | None, log_option(None, "Drives of this log, or of the logs with this in the name.")]
+OfLog = Annotated[
+    str | None, log_option(None, "Drives of this log, or of the logs with this in the name.")
+]
 OfPlanner = Annotated[str | None, planner_option(None, "Drives of this planner.")]
 OfMode = Annotated[Loop | None, option(None, "Drives in this loop. Default: both.", "--mode")]
-Ego = Annotated[str | None, option(LOGS, "Take this road user of the log as the ego.", "--ego", metavar="ID")]
-Map = Annotated[Path | None, option(LOGS, "A map that replaces that of the log.", "--map", metavar="FILE")]
+Ego = Annotated[
+    str | None, option(LOGS, "Take this road user of the log as the ego.", "--ego", metavar="ID")
+]
+Map = Annotated[
+    Path | None, option(LOGS, "A map that replaces that of the log.", "--map", metavar="FILE")
+]
 Repair = Annotated[
     Literal["auto", "on", "off"] | None,
     option(LOGS, "Make tracks of raw detections: auto (if it has no tracks).", "--repair"),
 ]
-Begin = Annotated[float | None, option(LOGS, "Begin this many seconds after the log does.", "--from", metavar="S")]
-End = Annotated[float | None, option(LOGS, "End this many seconds after the log begins.", "--to", metavar="S")]
-Suite = Annotated[
-    str | None, option(LOGS, "Built-in logs: smoke, full, nightly, or a family or group.", "--suite", complete="suite")
+Begin = Annotated[
+    float | None, option(LOGS, "Begin this many seconds after the log does.", "--from", metavar="S")
 ]
-Foxglove = Annotated[bool, option(OUTPUT, "Also write channels that Foxglove can draw.", "--foxglove")]
-Json = Annotated[bool, option(OUTPUT, "Write one JSON document, and nothing else, to stdout.", "--json")]
+End = Annotated[
+    float | None, option(LOGS, "End this many seconds after the log begins.", "--to", metavar="S")
+]
+Suite = Annotated[
+    str | None,
+    option(
+        LOGS,
+        "Built-in logs: smoke, full, nightly, or a family or group.",
+        "--suite",
+        complete="suite",
+    ),
+]
+Foxglove = Annotated[
+    bool, option(OUTPUT, "Also write channels that Foxglove can draw.", "--foxglove")
+]
+Json = Annotated[
+    bool, option(OUTPUT, "Write one JSON document, and nothing else, to stdout.", "--json")
+]
 Quiet = Annotated[bool, option(OUTPUT, "Print errors and the outcome only.", "--quiet", "-q")]
 Settings = Annotated[Path | None, config_option("TOML file of a run: its \\[log] table.")]
 Set = Annotated[
     list[str] | None,
     option(
-        RUNNING, "Any other setting, by its key in the file; repeatable.", "--set", metavar="KEY=VALUE",
+        RUNNING,
+        "Any other setting, by its key in the file; repeatable.",
+        "--set",
+        metavar="KEY=VALUE",
         autocompletion=complete_setting,
     ),
-]  # fmt: skip
-Gates = Annotated[Path | None, option(JUDGE, "TOML file of gates, or safety. Default: all packaged.", metavar="FILE")]
-Workers = Annotated[int | None, option(RUNNING, "Processes; 0: this one. Default: one per core.", min=0, metavar="N")]
-Config = Annotated[Path | None, option(RUNNING, "TOML file of settings; options win over it.", metavar="FILE")]
+]
+Gates = Annotated[
+    Path | None,
+    option(JUDGE, "TOML file of gates, or safety. Default: all packaged.", metavar="FILE"),
+]
+Workers = Annotated[
+    int | None,
+    option(RUNNING, "Processes; 0: this one. Default: one per core.", min=0, metavar="N"),
+]
+Config = Annotated[
+    Path | None, option(RUNNING, "TOML file of settings; options win over it.", metavar="FILE")
+]
 Out = Annotated[
-    Path | None, option(OUTPUT, "Result folder. Default: results/run-NNN.", "--out", "-o", metavar="FOLDER")
+    Path | None,
+    option(OUTPUT, "Result folder. Default: results/run-NNN.", "--out", "-o", metavar="FOLDER"),
 ]
 Seed = Annotated[int, option(RUNNING, "Another seed, another search.", min=0, metavar="N")]
 Resume = Annotated[bool, option(RUNNING, "Continue the interrupted search in --out.", "--resume")]
-Metric = Annotated[list[str] | None, option(JUDGE, "A metric of your own, module:NAME; repeatable.", metavar="NAME")]
+Metric = Annotated[
+    list[str] | None,
+    option(JUDGE, "A metric of your own, module:NAME; repeatable.", metavar="NAME"),
+]
 Engine = Annotated[
-    Literal["local", "ray"], option(RUNNING, "Where logs are driven. Default: local.", show_default=False)
+    Literal["local", "ray"],
+    option(RUNNING, "Where logs are driven. Default: local.", show_default=False),
 ]
 Address = Annotated[
-    str | None, option(RUNNING, "Ray cluster (or auto). Default: one for this run.", metavar="HOST:PORT")
+    str | None,
+    option(RUNNING, "Ray cluster (or auto). Default: one for this run.", metavar="HOST:PORT"),
 ]
-Baseline = Annotated[Path | None, option(JUDGE, "A run, or file of replan baseline, to compare with.", metavar="RUN")]
+Baseline = Annotated[
+    Path | None, option(JUDGE, "A run, or file of replan baseline, to compare with.", metavar="RUN")
+]
 ListAgents = Annotated[bool, option(None, "List the agents, the nearest first.", "--list-agents")]
 ListAxes = Annotated[bool, option(None, "List what can be varied.", "--list")]
-NoReport = Annotated[bool, option(OUTPUT, "Write no report.html, report.md and junit.xml.", "--no-report")]
+NoReport = Annotated[
+    bool, option(OUTPUT, "Write no report.html, report.md and junit.xml.", "--no-report")
+]
 
 
 def say_axes(*, as_json: bool) -> None:
@@ -180,7 +224,9 @@ def say_agents(scenario: Scenario, *, as_json: bool) -> None:
 # options as a run's configuration ------------------------------------------------------------------------------------
 
 
-def run_config(config: Path | None, options: Mapping[str, Any], words: Sequence[str] = ()) -> RunConfig:
+def run_config(
+    config: Path | None, options: Mapping[str, Any], words: Sequence[str] = ()
+) -> RunConfig:
     """The configuration of a run: the file, overridden by the options, overridden by the words of `--set`.
 
     `config`: a TOML file, or None. `options`: a table like that of the file; None and empty lists are options that were
@@ -201,12 +247,18 @@ def run_config(config: Path | None, options: Mapping[str, Any], words: Sequence[
 def _without_defaults(options: Mapping[str, Any]) -> dict[str, Any]:
     given = {key: value for key, value in options.items() if value is not None and value != []}
     as_text = {key: str(value) for key, value in given.items() if isinstance(value, Path)}
-    tables = {key: _without_defaults(value) for key, value in given.items() if isinstance(value, Mapping)}
+    tables = {
+        key: _without_defaults(value) for key, value in given.items() if isinstance(value, Mapping)
+    }
     return {**given, **as_text, **tables}
 
 
 def log_table(
-    ego: str | None, road_map: Path | None, begin: float | None, end: float | None, repair: str | None
+    ego: str | None,
+    road_map: Path | None,
+    begin: float | None,
+    end: float | None,
+    repair: str | None,
 ) -> dict[str, Any]:
     """The options about logs as the table [log] of a run."""
     return {"ego": ego, "map": road_map, "begin": begin, "end": end, "repair": repair}

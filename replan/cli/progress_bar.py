@@ -35,7 +35,8 @@ class Pace:
     """Decides when to print the progress of a run, and makes the line."""
 
     total: int
-    begin: float  # Time at which the first log was started, s; later by the time in which kernels were compiled
+    # Time at which the first log was started, s; later by the time in which kernels were compiled
+    begin: float
     left: float  # Expected cost of the logs that have not ended, in the unit of `step`'s `cost`
     done: int = 0  # Number of logs that have ended
     driven: int = 0  # Number of them that were driven in this run
@@ -47,7 +48,9 @@ class Pace:
     def __post_init__(self) -> None:
         self.last = self.ended = self.begin
 
-    def step(self, now: float, *, driven: bool, cost: float = 1.0, compiled: bool = False) -> str | None:
+    def step(
+        self, now: float, *, driven: bool, cost: float = 1.0, compiled: bool = False
+    ) -> str | None:
         """Count a log that ended at `now`, s; return the line to print, if any. The last log has none.
 
         The time since the last log counts for nothing if kernels were `compiled` in it: others do not need it again.
@@ -55,7 +58,11 @@ class Pace:
         if compiled:
             self.begin, driven = self.begin + now - self.ended, False
         self.ended = now
-        self.done, self.driven, self.left = self.done + 1, self.driven + driven, max(self.left - cost, 0.0)
+        self.done, self.driven, self.left = (
+            self.done + 1,
+            self.driven + driven,
+            max(self.left - cost, 0.0),
+        )
         self.spent += cost * driven
         tenth = 10 * self.done // self.total
         due = now - self.last >= (LEAST_S if tenth > self.tenth else MOST_S)
@@ -75,7 +82,9 @@ class Pace:
 
 
 @contextmanager
-def sign_of_life(say: Callable[[str], None], words: Callable[[], str], every_s: float = QUIET_S) -> Iterator[None]:
+def sign_of_life(
+    say: Callable[[str], None], words: Callable[[], str], every_s: float = QUIET_S
+) -> Iterator[None]:
     """While the body runs, `say` the words and the elapsed time every `every_s` seconds."""
     ended, began = Event(), perf_counter()
 
@@ -102,7 +111,9 @@ def with_kernels(words: Callable[[], str]) -> Callable[[], str]:
         grown = now if watch.look() else grown
         compiling = now - grown < LONGEST_KERNEL_S
         return (
-            f"compiling kernels (once): {watch.stored} of {watch.known} are ready, {words()}" if compiling else words()
+            f"compiling kernels (once): {watch.stored} of {watch.known} are ready, {words()}"
+            if compiling
+            else words()
         )
 
     return line
@@ -124,7 +135,9 @@ def progress(
     watches: list[KernelWatch] = []
     costs: dict[str, float] = {}
     on_terminal = sys.stderr.isatty()
-    with Progress(*columns, console=console, transient=True, disable=quiet or not on_terminal) as bar:
+    with Progress(
+        *columns, console=console, transient=True, disable=quiet or not on_terminal
+    ) as bar:
         task = bar.add_task("evaluating", total=None, rest="")
 
         def say(line: str | None, *, always: bool = False) -> None:
@@ -149,12 +162,16 @@ def progress(
                 say(f"error: {failure.line}", always=True)
             pace = begun[0][1]
             now, driven = monotonic(), isfinite(result.seconds) or not result.folder
-            line = pace.step(now, driven=driven, cost=costs[result.source], compiled=bool(watches[0].look()))
+            line = pace.step(
+                now, driven=driven, cost=costs[result.source], compiled=bool(watches[0].look())
+            )
             bar.update(task, advance=1, rest=pace.rest(now))
             if verbose:
                 took = f"{result.seconds:.1f} s" if isfinite(result.seconds) else "finished before"
                 ends = [f"{drive.planner} {drive.mode}: {drive.end}" for drive in result.drives]
-                ends += [f"{len(result.failures)} could not be evaluated"] if result.failures else []
+                ends += (
+                    [f"{len(result.failures)} could not be evaluated"] if result.failures else []
+                )
                 say(f"{pace.done} of {pace.total}  {result.name}  {took}  {'; '.join(ends)}")
             elif not on_terminal:
                 say(line)
@@ -167,7 +184,9 @@ def progress(
         def describe(line: str) -> None:
             bar.update(task, description=line)
 
-        show, words, every_s = (describe, lambda: "evaluating", REFRESH_S) if on_terminal else (say, state, QUIET_S)
+        show, words, every_s = (
+            (describe, lambda: "evaluating", REFRESH_S) if on_terminal else (say, state, QUIET_S)
+        )
         try:
             with sign_of_life(show, with_kernels(words), every_s):
                 yield on_start, on_log

@@ -41,7 +41,14 @@ def load_baseline(path: Path, run: RunConfig, gates: Path | None, out: Path | No
 
 
 def finish_run(
-    results: Results, before: Run | None, url: str, gates: Path | None, *, as_json: bool, quiet: bool, report: bool
+    results: Results,
+    before: Run | None,
+    url: str,
+    gates: Path | None,
+    *,
+    as_json: bool,
+    quiet: bool,
+    report: bool,
 ) -> int:
     """Write the reports of a run, print its report, and return the exit code.
 
@@ -63,7 +70,9 @@ def finish_run(
     else:
         console = console_of(110)
         if results.resumed:
-            say(f"Resumed: {results.resumed} of {len(results.logs)} logs are those of the interrupted run")
+            say(
+                f"Resumed: {results.resumed} of {len(results.logs)} logs are those of the interrupted run"
+            )
         print_report(over, console, results.path, ending=False)
         if comparison is not None:
             print_tables(comparison, results, alone=False)
@@ -73,7 +82,9 @@ def finish_run(
 
 @app.command(epilog=EXIT_CODES)
 def merge(
-    shards: Annotated[list[Path], typer.Argument(help="Result folders of all shards of a run, in any order.")],
+    shards: Annotated[
+        list[Path], typer.Argument(help="Result folders of all shards of a run, in any order.")
+    ],
     out: Annotated[Path, option(None, "Result folder.", "--out", "-o", metavar="PATH")],
     baseline: opt.Baseline = None,
     no_report: opt.NoReport = False,
@@ -113,12 +124,20 @@ def merge(
 def report(
     results: Annotated[Path, typer.Argument(help="Folder of results.")],
     baseline: opt.Baseline = None,
-    diagnosis: Annotated[Path | None, typer.Option(help="Folder that `replan diagnose` wrote of this run.")] = None,
+    diagnosis: Annotated[
+        Path | None, typer.Option(help="Folder that `replan diagnose` wrote of this run.")
+    ] = None,
     gates: Annotated[
         Path | None,
-        option(None, "TOML file with the \\[\\[compare]] rules. Default: the packaged ones.", metavar="FILE"),
+        option(
+            None,
+            "TOML file with the \\[\\[compare]] rules. Default: the packaged ones.",
+            metavar="FILE",
+        ),
     ] = None,
-    out: Annotated[Path | None, opt.out_option("Folder for the reports. Default: the results'.")] = None,
+    out: Annotated[
+        Path | None, opt.out_option("Folder for the reports. Default: the results'.")
+    ] = None,
 ) -> None:
     """Write the reports of a finished run: report.html, report.md, and junit.xml (a test per log and gate).
 
@@ -145,12 +164,20 @@ def report(
     if url_of(results) and out is None:
         raise ConfigError(f"{url_of(results)}: name a folder for its reports with --out")
     if gates is not None and baseline is None:
-        raise ConfigError("--gates names rules of comparison: give what to compare with, --baseline RUN, too")
+        raise ConfigError(
+            "--gates names rules of comparison: give what to compare with, --baseline RUN, too"
+        )
     found = load(results)
     folder = out or found.path
     beside = folder.resolve() == found.path.resolve()
-    with held(folder) if beside else claimed_folder(folder, FolderContents("report", REPORTS, resumes=False)):
-        comparison = None if baseline is None else compare_runs(read_run(baseline), found, gates=gates)
+    with (
+        held(folder)
+        if beside
+        else claimed_folder(folder, FolderContents("report", REPORTS, resumes=False))
+    ):
+        comparison = (
+            None if baseline is None else compare_runs(read_run(baseline), found, gates=gates)
+        )
         why = None if diagnosis is None else read_diagnosis(diagnosis, found)
         written = write_reports(found, overview(found, comparison, why), folder)
     for name in REPORTS:
@@ -168,22 +195,33 @@ COMPARE_CODES = (
 @app.command(epilog=COMPARE_CODES)
 def compare(
     runs: Annotated[
-        list[Path], typer.Argument(help="Baseline and candidate: folders of results, or files of `replan baseline`.")
+        list[Path],
+        typer.Argument(
+            help="Baseline and candidate: folders of results, or files of `replan baseline`."
+        ),
     ],
     planner: Annotated[
         list[str] | None,
         opt.planner_option(
-            None, "Drives of this planner; given twice: the first of the baseline, the second of the candidate."
+            None,
+            "Drives of this planner; given twice: the first of the baseline, the second of the candidate.",
         ),
     ] = None,
     gates: Annotated[
         Path | None,
-        option(None, "TOML file of thresholds and \\[\\[compare]] rules. Default: the packaged ones.", metavar="FILE"),
+        option(
+            None,
+            "TOML file of thresholds and \\[\\[compare]] rules. Default: the packaged ones.",
+            metavar="FILE",
+        ),
     ] = None,
     as_json: opt.Json = False,
     no_first_difference: Annotated[
         bool,
-        typer.Option("--no-first-difference", help="Do not look for the first difference of drives: read no trace."),
+        typer.Option(
+            "--no-first-difference",
+            help="Do not look for the first difference of drives: read no trace.",
+        ),
     ] = False,
 ) -> None:
     """Compare two runs, or two planners of one run: what got better or worse, and the first frame that differs.
@@ -199,7 +237,9 @@ def compare(
 
     planners = tuple(planner or ())
     if len(planners) > 2 or len(runs) > 2 or (len(runs) == 1 and len(planners) != 2):
-        raise ConfigError("name two runs, or one run and two planners: replan compare RESULT -p idm -p dp_qp")
+        raise ConfigError(
+            "name two runs, or one run and two planners: replan compare RESULT -p idm -p dp_qp"
+        )
     most = 0 if no_first_difference else MOST_PARTINGS
     candidate = read_run(runs[-1])
     baseline = read_run(runs[0]) if len(runs) == 2 else candidate
@@ -216,7 +256,9 @@ def print_tables(comparison: Comparison, candidate: Run, *, alone: bool = True) 
     from replan.compare_runs import view_command
     from replan.draw.report.sections import print_comparison
 
-    print_comparison(comparison, console_of(130), lambda *drive: view_command(candidate, *drive), alone=alone)
+    print_comparison(
+        comparison, console_of(130), lambda *drive: view_command(candidate, *drive), alone=alone
+    )
 
 
 @app.command()

@@ -27,11 +27,17 @@ from replan.logs.repair.detections import Detections
 from replan.logs.scenario import Scenario
 from replan.results.tables import PARTIAL
 
-START_NS = 1_700_000_000_000_000_000  # Start time of logs that begin at 0, because a bag's times are wall-clock times
+# Start time of logs that begin at 0, because a bag's times are wall-clock times
+START_NS = 1_700_000_000_000_000_000
 LABELS = {
-    AgentKind.CAR: "car", AgentKind.TRUCK: "truck", AgentKind.BUS: "bus", AgentKind.MOTORCYCLE: "motorcycle",
-    AgentKind.BICYCLE: "bicycle", AgentKind.PEDESTRIAN: "pedestrian", AgentKind.OBJECT: "unknown",
-}  # fmt: skip
+    AgentKind.CAR: "car",
+    AgentKind.TRUCK: "truck",
+    AgentKind.BUS: "bus",
+    AgentKind.MOTORCYCLE: "motorcycle",
+    AgentKind.BICYCLE: "bicycle",
+    AgentKind.PEDESTRIAN: "pedestrian",
+    AgentKind.OBJECT: "unknown",
+}
 HEIGHT_M = 1.6
 DEFINITIONS = {
     "autoware_msgs/msg/DetectedObject": (
@@ -52,7 +58,9 @@ def write_bag(path: Path, scenario: Scenario) -> None:
     written.
     """
     if scenario.detections is None:
-        raise ConfigError(f"{scenario.name} has tracks and no raw detections: a bag holds those (synth raw --as ros2)")
+        raise ConfigError(
+            f"{scenario.name} has tracks and no raw detections: a bag holds those (synth raw --as ros2)"
+        )
     card = path / "metadata.yaml"
     if path.exists() and not (card.is_file() and b"replan synth" in card.read_bytes()):
         raise ConfigError(f"{path}: exists, and this command did not write it; name another folder")
@@ -72,7 +80,11 @@ def write_bag(path: Path, scenario: Scenario) -> None:
                 for topic, kind, time, values in rows:
                     if topic not in topics:
                         topics[topic] = writer.add_connection(topic, kind, typestore=types)
-                    writer.write(topics[topic], time, types.serialize_cdr(message(kind, types, **values), kind))
+                    writer.write(
+                        topics[topic],
+                        time,
+                        types.serialize_cdr(message(kind, types, **values), kind),
+                    )
             if path.exists():
                 shutil.rmtree(path)
             (partial / path.name).replace(path)
@@ -82,7 +94,9 @@ def write_bag(path: Path, scenario: Scenario) -> None:
 
 def message(kind: str, types: Any, **values: Any) -> Any:
     """A message with some fields set (nested messages as dicts, arrays as lists), all others zero."""
-    fields = {name: _value(desc, values.pop(name, None), types) for name, desc in types.fielddefs[kind][1]}
+    fields = {
+        name: _value(desc, values.pop(name, None), types) for name, desc in types.fielddefs[kind][1]
+    }
     if values:
         raise ValueError(f"{kind} has no {', '.join(values)}")
     return types.types[kind](**fields)
@@ -119,7 +133,10 @@ def _rows(scenario: Scenario, found: Detections) -> Iterator[Row]:
     """The messages of the ego, of the detected objects, and of the goal if the drive reaches it."""
     for i in range(len(scenario.ego)):
         state, ns = scenario.ego.state(i), _ns(scenario, float(scenario.ego.t[i]))
-        where = {"pose": {"pose": pose(state.x, state.y, state.yaw)}, "twist": {"twist": {"linear": {"x": state.v}}}}
+        where = {
+            "pose": {"pose": pose(state.x, state.y, state.yaw)},
+            "twist": {"twist": {"linear": {"x": state.v}}},
+        }
         named = {"header": _header(ns), "child_frame_id": "base_link", **where}
         yield "/localization/kinematic_state", "nav_msgs/msg/Odometry", ns, named
         yield "/clock", "rosgraph_msgs/msg/Clock", ns, {"clock": _header(ns)["stamp"]}
@@ -128,11 +145,17 @@ def _rows(scenario: Scenario, found: Detections) -> Iterator[Row]:
         ns, items = _ns(scenario, t), []
         for i in range(int(np.searchsorted(found.t, t)), int(ends[k])):
             score = float(found.score[i])
-            items.append({
-                "header": _header(ns), "id": int(found.ids[i]), "label": LABELS[kinds[i]], "valid": True,
-                "score": score if isfinite(score) else 0.0, "pose": pose(found.x[i], found.y[i], found.yaw[i]),
-                "dimensions": {"x": found.length[i], "y": found.width[i], "z": HEIGHT_M},
-            })  # fmt: skip
+            items.append(
+                {
+                    "header": _header(ns),
+                    "id": int(found.ids[i]),
+                    "label": LABELS[kinds[i]],
+                    "valid": True,
+                    "score": score if isfinite(score) else 0.0,
+                    "pose": pose(found.x[i], found.y[i], found.yaw[i]),
+                    "dimensions": {"x": found.length[i], "y": found.width[i], "z": HEIGHT_M},
+                }
+            )
         values = {"header": _header(ns), "objects": items}
         yield "/detection/detected_objects", "autoware_msgs/msg/DetectedObjectArray", ns, values
     goal, ahead = scenario.goal, scenario.vehicle.axle_to_center

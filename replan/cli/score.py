@@ -23,15 +23,25 @@ Names = Literal["nuplan-cls", "navsim-v1", "navsim-v2", "navsim-v2-old-filter"]
 
 @app.command()
 def score(
-    targets: Annotated[list[Path], typer.Argument(help="A folder of results, or logs and folders of logs.")],
+    targets: Annotated[
+        list[Path], typer.Argument(help="A folder of results, or logs and folders of logs.")
+    ],
     name: Annotated[Names, typer.Option("--as", help="The score.")],
     trajectories: Annotated[
-        Path | None, typer.Option(help="Score these (FILE.csv, FILE.parquet): log, t_s, x, y, yaw every 0.5 s for 4 s.")
+        Path | None,
+        typer.Option(
+            help="Score these (FILE.csv, FILE.parquet): log, t_s, x, y, yaw every 0.5 s for 4 s."
+        ),
     ] = None,
     relative: Annotated[
-        bool, typer.Option("--relative", help="Their poses are relative to the ego at the begin of the window.")
+        bool,
+        typer.Option(
+            "--relative", help="Their poses are relative to the ego at the begin of the window."
+        ),
     ] = False,
-    out: Annotated[Path | None, opt.out_option("Write the table to FILE.csv, FILE.parquet or FILE.json.")] = None,
+    out: Annotated[
+        Path | None, opt.out_option("Write the table to FILE.csv, FILE.parquet or FILE.json.")
+    ] = None,
     quiet: opt.Quiet = False,
     as_json: opt.Json = False,
 ) -> None:
@@ -53,7 +63,9 @@ def score(
         write = writes.enter_context(rows_file(out)) if out is not None else None
         if name == NUPLAN_CLS:
             if trajectories is not None:
-                raise ConfigError("--trajectories: nuplan-cls scores drives; take --as navsim-v1 or navsim-v2")
+                raise ConfigError(
+                    "--trajectories: nuplan-cls scores drives; take --as navsim-v1 or navsim-v2"
+                )
             table = nuplan_table(_run(targets))
         else:
             asked, logs = _plans(targets, trajectories, relative=relative)
@@ -74,7 +86,14 @@ def score(
             shown = table.rows if len(table.rows) <= MOST_ROWS else means
             if len(shown) < len(table.rows):
                 say(f"{len(table.rows) - len(means)} rows; --out writes them. The means:")
-            say(shown.to_string(index=False, max_colwidth=60, float_format=lambda value: f"{value:.4f}", na_rep="-"))
+            say(
+                shown.to_string(
+                    index=False,
+                    max_colwidth=60,
+                    float_format=lambda value: f"{value:.4f}",
+                    na_rep="-",
+                )
+            )
             say("Not exact:")
             say("\n".join(f"  {note}" for note in table.inexact))
         if out is not None and not as_json:
@@ -86,7 +105,9 @@ def _run(targets: list[Path]) -> Results:
     from replan.draw.drawn_results import load
 
     if len(targets) != 1 or not (targets[0] / "summary.json").is_file():
-        raise ConfigError(f"{targets[0]}: nuplan-cls scores the drives of a run: name a folder of results")
+        raise ConfigError(
+            f"{targets[0]}: nuplan-cls scores the drives of a run: name a folder of results"
+        )
     return load(targets[0])
 
 
@@ -104,16 +125,22 @@ def _plans(
         results = load(targets[0])
         drives = results.drives[results.drives["mode"] == "open"]
         if drives.empty:
-            raise ConfigError(f"{targets[0]}: the run has no open loop; evaluate with --mode open or both")
+            raise ConfigError(
+                f"{targets[0]}: the run has no open loop; evaluate with --mode open or both"
+            )
         for log, planner in drives[["log", "planner"]].itertuples(index=False):
             if trajectories is None or log not in logs:
                 drive = results.drive(log, planner, "open")
                 logs.setdefault(log, drive.scenario)
                 asked += of_trace(drive.trace, logs[log])
     elif trajectories is None:
-        raise ConfigError(f"{targets[0]}: is no folder of results; score logs with --trajectories FILE")
+        raise ConfigError(
+            f"{targets[0]}: is no folder of results; score logs with --trajectories FILE"
+        )
     else:
         for source in select(targets).sources:
             scenario = source.read()
             logs[scenario.name] = scenario
-    return (asked if trajectories is None else of_table(trajectories, logs, relative=relative)), logs
+    return (
+        asked if trajectories is None else of_table(trajectories, logs, relative=relative)
+    ), logs

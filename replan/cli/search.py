@@ -21,26 +21,38 @@ FALSIFY_CODES = (
 
 @app.command(epilog=FALSIFY_CODES)
 def falsify(
-    log: Annotated[str | None, typer.Argument(help="A log of any format, or a family of the catalogue.")] = None,
-    planner: Annotated[str | None, opt.planner_option(LOOP, "The planner that is searched.")] = None,
+    log: Annotated[
+        str | None, typer.Argument(help="A log of any format, or a family of the catalogue.")
+    ] = None,
+    planner: Annotated[
+        str | None, opt.planner_option(LOOP, "The planner that is searched.")
+    ] = None,
     list_agents: opt.ListAgents = False,
     listing: opt.ListAxes = False,
     against: Annotated[
-        str, option(LOOP, "Who must not fail: careful (of UN R157), or a planner.", complete="planner")
+        str,
+        option(LOOP, "Who must not fail: careful (of UN R157), or a planner.", complete="planner"),
     ] = "careful",
     axis: Annotated[
         list[str] | None,
-        option(LOGS, "NAME=LOW:HIGH, repeatable: what replan vary --list names, or a parameter of the family."),
+        option(
+            LOGS,
+            "NAME=LOW:HIGH, repeatable: what replan vary --list names, or a parameter of the family.",
+        ),
     ] = None,
     scale: Annotated[
-        list[str] | None, option(LOGS, "NAME=VALUE, repeatable: what counts as distance 1 on an axis.")
+        list[str] | None,
+        option(LOGS, "NAME=VALUE, repeatable: what counts as distance 1 on an axis."),
     ] = None,
     agent: Annotated[
-        list[str] | None, option(LOGS, "Agent to vary, repeatable. Default: the one in conflict.", metavar="ID")
+        list[str] | None,
+        option(LOGS, "Agent to vary, repeatable. Default: the one in conflict.", metavar="ID"),
     ] = None,
     budget: Annotated[int, option(RUNNING, "The most drives of the search.", metavar="N")] = 200,
     seed: opt.Seed = 0,
-    resolution: Annotated[float, option(RUNNING, "Of the distance, at the end.", metavar="D")] = 0.02,
+    resolution: Annotated[
+        float, option(RUNNING, "Of the distance, at the end.", metavar="D")
+    ] = 0.02,
     out: opt.Out = None,
     resume: opt.Resume = False,
     config: opt.Config = None,
@@ -71,7 +83,9 @@ def falsify(
         opt.say_axes(as_json=as_json)
         return
     if log is None or (planner is None and not list_agents):
-        raise ConfigError("name a log or a family, and a planner: replan falsify paper/crossing_pedestrian -p idm")
+        raise ConfigError(
+            "name a log or a family, and a planner: replan falsify paper/crossing_pedestrian -p idm"
+        )
     if not resolution > 0.0:
         raise ConfigError(f"--resolution must be positive, got {resolution:g}")
     options = {
@@ -84,15 +98,28 @@ def falsify(
     if list_agents:
         opt.say_agents(subject.scenario, as_json=as_json)
         return
-    axes = search_axes(axis or [], scale or [], subject.family, with_agents=len(subject.scenario.tracks) > 0)
+    axes = search_axes(
+        axis or [], scale or [], subject.family, with_agents=len(subject.scenario.tracks) > 0
+    )
     agents = agents_of(subject, axes, agent or [])
     question = FalsifyQuestion(subject.of(agents), axes, run, against, budget, seed, resolution)
     whose, say_progress = ", ".join(question.subject.short_agents), progress_lines(quiet=quiet)
-    say_progress(f"varied: {', '.join(axis.name for axis in axes)}{f' of {whose}' if whose else ''}")
-    result = falsified(question, out, workers=worker_count(workers), resume=resume, say=say_progress)
+    say_progress(
+        f"varied: {', '.join(axis.name for axis in axes)}{f' of {whose}' if whose else ''}"
+    )
+    result = falsified(
+        question, out, workers=worker_count(workers), resume=resume, say=say_progress
+    )
     if as_json:
-        say_json({"results": result.out, "exit_code": result.exit_code, "distance": result.found.distance,
-                  "case": result.case, "said": result.lines()})  # fmt: skip
+        say_json(
+            {
+                "results": result.out,
+                "exit_code": result.exit_code,
+                "distance": result.found.distance,
+                "case": result.case,
+                "said": result.lines(),
+            }
+        )
     else:
         say_sentences(result.lines())
         say("\n".join([*result.next_steps(), f"written to {result.out}"]))
@@ -110,16 +137,31 @@ def tune(
     planner: Annotated[str, opt.planner_option(LOOP, "The planner that is tuned.")],
     space: Annotated[Path, option(LOOP, "TOML file: settings with their ranges.", metavar="FILE")],
     logs: Annotated[
-        list[Path] | None, typer.Argument(help="Logs of any format, or folders of them. Default: the built-in suite.")
+        list[Path] | None,
+        typer.Argument(help="Logs of any format, or folders of them. Default: the built-in suite."),
     ] = None,
     objective: Annotated[
         list[str] | None,
-        option(JUDGE, "A metric of the table, ttc.min for example; repeatable.", "--objective", metavar="METRIC"),
+        option(
+            JUDGE,
+            "A metric of the table, ttc.min for example; repeatable.",
+            "--objective",
+            metavar="METRIC",
+        ),
     ] = None,
-    trials: Annotated[int, option(RUNNING, "How many settings are tried.", min=1, metavar="N")] = 50,
+    trials: Annotated[
+        int, option(RUNNING, "How many settings are tried.", min=1, metavar="N")
+    ] = 50,
     seed: opt.Seed = 0,
     held_out: Annotated[
-        float, option(LOGS, "Share of the logs that judge, and are not searched.", "--held-out", min=0.0, max=1.0)
+        float,
+        option(
+            LOGS,
+            "Share of the logs that judge, and are not searched.",
+            "--held-out",
+            min=0.0,
+            max=1.0,
+        ),
     ] = 0.3,
     suite: opt.Suite = None,
     out: opt.Out = None,
@@ -158,13 +200,23 @@ def tune(
     plan = TuningInputs(run, load_space(space, run), asked, trials, seed, held_out)
     selection = selected(logs or [], run, None, suite)
     driven_on = engine_of(engine, address, workers)
-    result = tuned(plan, selection, out, engine=driven_on, resume=resume, say=progress_lines(quiet=quiet))
+    result = tuned(
+        plan, selection, out, engine=driven_on, resume=resume, say=progress_lines(quiet=quiet)
+    )
     if as_json:
-        say_json({"results": result.out, "exit_code": result.exit_code, "chosen": result.chosen,
-                  "said": result.lines()})  # fmt: skip
+        say_json(
+            {
+                "results": result.out,
+                "exit_code": result.exit_code,
+                "chosen": result.chosen,
+                "said": result.lines(),
+            }
+        )
         raise typer.Exit(result.exit_code)
     if not quiet:
-        front = result.table[result.table["pareto"]].sort_values("total", ascending=False, kind="stable")
+        front = result.table[result.table["pareto"]].sort_values(
+            "total", ascending=False, kind="stable"
+        )
         shown = front.drop(columns=["feasible", "refused", "pareto"]).head(SHOWN)
         say(shown.to_string(index=False, float_format=lambda value: f"{value:.4g}"))
         if result.comparison is not None:
@@ -183,15 +235,23 @@ DIAGNOSE_CODES = (
 def diagnose(
     run: Annotated[Path, typer.Argument(help="A result folder of replan evaluate.", metavar="RUN")],
     log: Annotated[
-        list[str] | None, opt.log_option(LOGS, "Only this log, or the logs with this in the name; repeatable.")
+        list[str] | None,
+        opt.log_option(LOGS, "Only this log, or the logs with this in the name; repeatable."),
     ] = None,
-    planner: Annotated[str | None, opt.planner_option(LOOP, "Whose drives. Default: the run's only planner.")] = None,
+    planner: Annotated[
+        str | None, opt.planner_option(LOOP, "Whose drives. Default: the run's only planner.")
+    ] = None,
     changes: Annotated[
-        Path | None, option(LOOP, "TOML file of further changes to try (docs/diagnose.md).", metavar="FILE")
+        Path | None,
+        option(LOOP, "TOML file of further changes to try (docs/diagnose.md).", metavar="FILE"),
     ] = None,
     space: Annotated[
         Path | None,
-        option(LOOP, "TOML file: settings with ranges; finds the smallest change that passes.", metavar="FILE"),
+        option(
+            LOOP,
+            "TOML file: settings with ranges; finds the smallest change that passes.",
+            metavar="FILE",
+        ),
     ] = None,
     out: opt.Out = None,
     resume: opt.Resume = False,

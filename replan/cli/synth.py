@@ -27,7 +27,9 @@ COLUMNS = ("log", "file", "family", "parameters", "seed", "tags", "accepted_deci
 def _files(out: Path) -> AbstractContextManager[Callable[[str], Path]]:
     """The claimed files of a folder: logs of replan, and the table of a suite."""
     return claimed_files(
-        out, (".mcap", ".csv"), lambda file: is_written_here(file) or file.read_text().startswith(",".join(COLUMNS))
+        out,
+        (".mcap", ".csv"),
+        lambda file: is_written_here(file) or file.read_text().startswith(",".join(COLUMNS)),
     )
 
 
@@ -40,7 +42,9 @@ def chosen(names: Sequence[str]) -> tuple[Family, ...]:
     known = families()
     for name in names:
         own = {name: FAMILY.find(name)} if ":" in name else {}
-        matches = own or {key: one for key, one in known.items() if name in ("all", key, key.partition("/")[0])}
+        matches = own or {
+            key: one for key, one in known.items() if name in ("all", key, key.partition("/")[0])
+        }
         if not matches:
             raise unknown_name("family", name, [*known, "all"])
         found.update(matches)
@@ -75,7 +79,9 @@ def write_suite(name: str, out: Path, form: str = NATIVE) -> Generator[Path]:
             family, _, words = label.partition("@")
             file, seed = path.relative_to(out).as_posix(), one.metadata.get("parameter.seed", "")
             accepted = one.metadata.get("expected_decisions", "{}")
-            rows.append((label, file, family, words.replace(",", " "), seed, " ".join(one.tags), accepted))
+            rows.append(
+                (label, file, family, words.replace(",", " "), seed, " ".join(one.tags), accepted)
+            )
             yield path
         text = io.StringIO()
         csv.writer(text, lineterminator="\n").writerows([COLUMNS, *rows])
@@ -107,8 +113,13 @@ def listed() -> Iterator[str]:
 def table() -> dict[str, Any]:
     """The content of `listed`, as data."""
     keys = ("name", "summary", "parameters", "grid", "tags", "source")
-    found = [{key: getattr(one, key) for key in keys} | {"cells": _count(one)} for one in families().values()]
-    suites = [{"name": name, "size": one.size, "summary": one.summary} for name, one in SUITES.items()]
+    found = [
+        {key: getattr(one, key) for key in keys} | {"cells": _count(one)}
+        for one in families().values()
+    ]
+    suites = [
+        {"name": name, "size": one.size, "summary": one.summary} for name, one in SUITES.items()
+    ]
     return {"families": found, "suites": suites}
 
 
@@ -123,7 +134,9 @@ def _grid(family: Family) -> str:
         steps = {round(b - a, 9) for a, b in pairwise(values)}
         shown = [f"{value:g}" for value in values]
         few = len(values) < 5 or len(steps) > 1
-        parts.append(f"{key} {', '.join(shown) if few else f'{shown[0]}, {shown[1]} ... {shown[-1]}'}")
+        parts.append(
+            f"{key} {', '.join(shown) if few else f'{shown[0]}, {shown[1]} ... {shown[-1]}'}"
+        )
     return "; ".join(parts)
 
 
@@ -132,13 +145,26 @@ def markdown_page() -> str:
     parts = [INTRODUCTION]
     for name, group in groups().items():
         lines = [f"## {name}", "", ABOUT[name], ""]
-        lines += ["| family | what happens | cells | grid (else the defaults) |", "|---|---|---|---|"]
+        lines += [
+            "| family | what happens | cells | grid (else the defaults) |",
+            "|---|---|---|---|",
+        ]
         for one in group:
-            lines.append(f"| `{one.name}` | {one.summary} | {_count(one)} | {_grid(one) or _defaults(one)} |")
+            lines.append(
+                f"| `{one.name}` | {one.summary} | {_count(one)} | {_grid(one) or _defaults(one)} |"
+            )
         sources = dict.fromkeys(one.source for one in group if one.source)
         parts.append("\n".join([*lines, "", *(f"Source: {source}." for source in sources)]))
     rows = [f"| `{name}` | {one.size} | {one.summary} |" for name, one in SUITES.items()]
-    suites = ["## Suites", "", SUITES_SAID.format(seed=SEED), "", "| suite | logs | for |", "|---|---|---|", *rows]
+    suites = [
+        "## Suites",
+        "",
+        SUITES_SAID.format(seed=SEED),
+        "",
+        "| suite | logs | for |",
+        "|---|---|---|",
+        *rows,
+    ]
     return "\n\n".join(part.strip() for part in (*parts, "\n".join(suites)))
 
 

@@ -23,9 +23,20 @@ LARGEST = 1e8
 """A larger length, speed or position, in m and s, is not valid and read as NaN."""
 COPY_AGAIN = "copy the log again from its source"
 _WRONG = (
-    pa.ArrowException, msgspec.MsgspecError, OSError, EOFError, MemoryError, ValueError, TypeError, KeyError,
-    IndexError, AttributeError, OverflowError, NotImplementedError, RecursionError,
-)  # fmt: skip
+    pa.ArrowException,
+    msgspec.MsgspecError,
+    OSError,
+    EOFError,
+    MemoryError,
+    ValueError,
+    TypeError,
+    KeyError,
+    IndexError,
+    AttributeError,
+    OverflowError,
+    NotImplementedError,
+    RecursionError,
+)
 """The exceptions of pyarrow, msgspec and NumPy for damaged or unknown bytes."""
 
 
@@ -36,10 +47,16 @@ def reading(path: Path) -> Iterator[None]:
         yield
     except LogError as error:
         if error.topic is None:
-            error = LogError(error.what, time_ns=error.time_ns, topic=path.name, remedy=error.remedy)
+            error = LogError(
+                error.what, time_ns=error.time_ns, topic=path.name, remedy=error.remedy
+            )
         raise error from None
     except _WRONG as error:
-        what = str(error) if isinstance(error, OSError | pa.ArrowException) else f"{type(error).__name__}: {error}"
+        what = (
+            str(error)
+            if isinstance(error, OSError | pa.ArrowException)
+            else f"{type(error).__name__}: {error}"
+        )
         what = f"cannot be read: {' '.join(what.split())[:200]}"
         raise LogError(what, topic=path.name, remedy=COPY_AGAIN) from None
 
@@ -60,7 +77,10 @@ def parquet_table(path: Path, columns: Sequence[str]) -> Any:
     with reading(path):
         with pq.ParquetFile(str(path)) as file:
             _demand(path, columns, file.schema_arrow.names)
-            if sum(file.metadata.row_group(i).total_byte_size for i in range(file.num_row_groups)) > LARGEST_BYTES:
+            if (
+                sum(file.metadata.row_group(i).total_byte_size for i in range(file.num_row_groups))
+                > LARGEST_BYTES
+            ):
                 raise LogError(f"it would take more than {LARGEST_BYTES} bytes")
             table = file.read(columns=list(columns), use_threads=False)
         return _checked_table(table)
@@ -69,7 +89,10 @@ def parquet_table(path: Path, columns: Sequence[str]) -> Any:
 def _demand(path: Path, columns: Sequence[str], there: Sequence[str]) -> None:
     lacking = [name for name in columns if name not in there]
     if lacking:
-        raise LogError(f"column {lacking[0]} is missing; there are {', '.join(there[:12]) or 'none'}", topic=path.name)
+        raise LogError(
+            f"column {lacking[0]} is missing; there are {', '.join(there[:12]) or 'none'}",
+            topic=path.name,
+        )
 
 
 def _checked_table(table: Any) -> Any:
@@ -109,7 +132,9 @@ def _integers(array: Any, name: str) -> IntArray:
 
 def numbers(table: Any, name: str) -> FloatArray:
     """Return a column of numbers `(n,)`; NaN where one is missing or beyond `LARGEST`."""
-    values = np.array(table[name].cast(pa.float64()).to_numpy(zero_copy_only=False), dtype=np.float64)
+    values = np.array(
+        table[name].cast(pa.float64()).to_numpy(zero_copy_only=False), dtype=np.float64
+    )
     values[~(np.abs(values) <= LARGEST)] = np.nan
     return values
 
@@ -129,7 +154,9 @@ def vectors(column: Any, size: int) -> FloatArray:
         raise ValueError(f"lists of {size} numbers were expected, found {array.type}")
     out = np.full((len(array), size), np.nan)
     there = ~np.asarray(array.is_null())
-    out[there] = np.asarray(array.flatten().cast(pa.float64()).to_numpy(zero_copy_only=False)).reshape(-1, size)
+    out[there] = np.asarray(
+        array.flatten().cast(pa.float64()).to_numpy(zero_copy_only=False)
+    ).reshape(-1, size)
     out[~(np.abs(out) <= LARGEST)] = np.nan
     return out
 
@@ -147,7 +174,11 @@ class Lists:
         self.row: IntArray = np.repeat(np.arange(len(table)), self._sizes)
 
     def _lengths(self, name: str) -> IntArray:
-        return pc.fill_null(pc.list_value_length(_one(self._table[name])), 0).to_numpy().astype(np.int64)
+        return (
+            pc.fill_null(pc.list_value_length(_one(self._table[name])), 0)
+            .to_numpy()
+            .astype(np.int64)
+        )
 
     def items(self, name: str) -> Any:
         """Return the items of a column, all rows in one array."""
@@ -167,13 +198,21 @@ class Lists:
 def _one(column: Any) -> Any:
     if not isinstance(column, pa.ChunkedArray):
         return column
-    return column.chunk(0) if column.num_chunks == 1 else pa.concat_arrays(column.chunks) if column.num_chunks else (
-        pa.array([], type=column.type)
-    )  # fmt: skip
+    return (
+        column.chunk(0)
+        if column.num_chunks == 1
+        else pa.concat_arrays(column.chunks)
+        if column.num_chunks
+        else (pa.array([], type=column.type))
+    )
 
 
 def _codes_and_names(array: Any) -> tuple[IntArray, list[str]]:
-    if array.null_count or not (pa.types.is_string(array.type) or pa.types.is_large_string(array.type)):
+    if array.null_count or not (
+        pa.types.is_string(array.type) or pa.types.is_large_string(array.type)
+    ):
         raise ValueError("names are missing or are no text")
     coded = array.dictionary_encode()
-    return coded.indices.to_numpy(zero_copy_only=False).astype(np.int64), coded.dictionary.to_pylist()
+    return coded.indices.to_numpy(zero_copy_only=False).astype(
+        np.int64
+    ), coded.dictionary.to_pylist()

@@ -48,7 +48,13 @@ class LogError(ReplanError):
         time_ns: int | None = None,
         remedy: str | None = None,
     ) -> None:
-        self.what, self.file, self.topic, self.time_ns, self.remedy = what, file, topic, time_ns, remedy
+        self.what, self.file, self.topic, self.time_ns, self.remedy = (
+            what,
+            file,
+            topic,
+            time_ns,
+            remedy,
+        )
         super().__init__(what)
 
     def __str__(self) -> str:
@@ -62,7 +68,9 @@ class LogError(ReplanError):
 
     def at(self, file: str | Path) -> LogError:
         """Return a copy of the error that names the file: the code that decodes a message does not know the file."""
-        return LogError(self.what, file=file, topic=self.topic, time_ns=self.time_ns, remedy=self.remedy)
+        return LogError(
+            self.what, file=file, topic=self.topic, time_ns=self.time_ns, remedy=self.remedy
+        )
 
 
 class PlannerError(ReplanError):
@@ -92,7 +100,9 @@ def writing(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise OutputError(f"{path}: cannot be written: {os.strerror(error.errno) if error.errno else error}") from error
+        raise OutputError(
+            f"{path}: cannot be written: {os.strerror(error.errno) if error.errno else error}"
+        ) from error
 
 
 @contextmanager
@@ -133,7 +143,8 @@ def raised(error: BaseException, *, of: Callable[..., Any] | None = None) -> str
         words = " ".join(str(error)[: 10 * LONGEST_MESSAGE].split())
     except Exception:  # the user's exception class may raise in its `__str__`
         words = "(its message cannot be read)"
-    words = re.sub(r"\b0x[0-9a-f]{6,}\b", "0x...", words)[:LONGEST_MESSAGE]  # addresses differ from run to run
+    # Addresses differ from run to run
+    words = re.sub(r"\b0x[0-9a-f]{6,}\b", "0x...", words)[:LONGEST_MESSAGE]
     places = [(place.filename, place.lineno) for place in extract_tb(error.__traceback__)]
     theirs = [place for place in places if _is_users(place[0])]
     code = getattr(of, "__code__", None)
@@ -148,5 +159,7 @@ def unknown_name(kind: str, name: str, known: Iterable[str], within: str = "") -
     """Return the error for an unknown name, with the nearest or all known names; `within`: prefix ("loop.")."""
     names = sorted(known)
     near = get_close_matches(name, names, n=1, cutoff=0.6)
-    hint = f"did you mean '{within}{near[0]}'?" if near else f"known are: {', '.join(names) or 'none'}"
+    hint = (
+        f"did you mean '{within}{near[0]}'?" if near else f"known are: {', '.join(names) or 'none'}"
+    )
     return ConfigError(f"no {kind} is called '{within}{name}'; {hint}")

@@ -43,7 +43,9 @@ def a_callable(thing: object) -> str:
 
 def an_instance(cls: type, called: str) -> Callable[[object], str]:
     """Return a check that a value is an instance of a class; `called` is the name under which users import it."""
-    return lambda thing: "" if isinstance(thing, cls) else f"is a {type(thing).__name__}, not a {called}"
+    return lambda thing: (
+        "" if isinstance(thing, cls) else f"is a {type(thing).__name__}, not a {called}"
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +81,9 @@ class ExtensionKind(Generic[T]):
         try:
             loaded = import_module(module)
         except (Exception, SystemExit) as error:
-            raise self.error(f"{self.name} '{spec}' cannot be loaded: {self._cause(error, module)}") from error
+            raise self.error(
+                f"{self.name} '{spec}' cannot be loaded: {self._cause(error, module)}"
+            ) from error
         try:
             thing: Any = reduce(getattr, name.split("."), loaded)
         except AttributeError:
@@ -95,7 +99,9 @@ class ExtensionKind(Generic[T]):
         there, public = [], getattr(module, "__all__", None)
         for key, offered in vars(module).items():
             imported = getattr(offered, "__module__", module.__name__) != module.__name__
-            own = not key.startswith("_") and not (imported and getattr(offered, "__name__", "") == key)
+            own = not key.startswith("_") and not (
+                imported and getattr(offered, "__name__", "") == key
+            )
             if (own if public is None else key in public) and not self.wrong(offered):
                 there.append(key)
         return there
@@ -105,11 +111,15 @@ class ExtensionKind(Generic[T]):
         if ":" not in spec:
             entries = self.entries()
             if spec not in entries:
-                raise unknown_name(self.name, spec, [*self.builtin, *self.besides, *entries, self.form])
+                raise unknown_name(
+                    self.name, spec, [*self.builtin, *self.besides, *entries, self.form]
+                )
             spec = f"{entries[spec].module}:{entries[spec].attr}"
         module, _, name = (part.strip() for part in spec.partition(":"))
         if not module or not name:
-            raise ConfigError(f"{self.name} '{spec}': write it as {self.form}, for example my_package.mine:Mine")
+            raise ConfigError(
+                f"{self.name} '{spec}': write it as {self.form}, for example my_package.mine:Mine"
+            )
         return _present(module), name
 
     def entries(self) -> dict[str, EntryPoint]:
@@ -140,16 +150,23 @@ class ExtensionKind(Generic[T]):
             found = find_spec(self.place(spec)[0])
         except ImportError:
             return None
-        return Path(found.origin) if found is not None and found.origin and Path(found.origin).is_file() else None
+        return (
+            Path(found.origin)
+            if found is not None and found.origin and Path(found.origin).is_file()
+            else None
+        )
 
     def _cause(self, error: BaseException, module: str) -> str:
         """Return why the user's module cannot be imported, and the remedy if a module is missing."""
         if not isinstance(error, ModuleNotFoundError) or not error.name or present_name(error.name):
             return raised(error)
-        if f"{module}.".startswith(f"{error.name}."):  # the module itself is missing, not one that it imports
+        # The module itself is missing, not one that it imports
+        if f"{module}.".startswith(f"{error.name}."):
             return f"No module named '{error.name}' in {_places_tried(error.name)}; set PYTHONPATH or install its package"
         package, _, member = error.name.partition(".")
-        return raised(error) + ("" if member else f"; install '{package}' for {sys.executable}, or set PYTHONPATH")
+        return raised(error) + (
+            "" if member else f"; install '{package}' for {sys.executable}, or set PYTHONPATH"
+        )
 
 
 @cache
@@ -185,4 +202,6 @@ def _places_tried(module: str) -> str:
     library = tuple(sysconfig.get_path(name) for name in ("stdlib", "platstdlib"))
     places = (str(Path(entry).absolute()) for entry in sys.path if not entry.endswith(".zip"))
     packages = ("site-packages", "dist-packages")
-    return ", ".join(place for place in places if not place.startswith(library) or place.endswith(packages))
+    return ", ".join(
+        place for place in places if not place.startswith(library) or place.endswith(packages)
+    )

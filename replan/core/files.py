@@ -39,7 +39,8 @@ SPECIAL = (
 POINTER, MOST_POINTER_BYTES = b"version https://git-lfs.github.com/spec/", 1024
 """First bytes and largest size of a Git LFS pointer (its specification)."""
 WRITE_A_FILE = "write its content to a file and name that"
-_URL = re.compile(r"([a-z][a-z0-9+.-]+):/+(.*)", re.IGNORECASE | re.DOTALL)  # not a Windows drive: one letter
+# Not a Windows drive: one letter
+_URL = re.compile(r"([a-z][a-z0-9+.-]+):/+(.*)", re.IGNORECASE | re.DOTALL)
 _VERSIONS = ("ETag", "etag", "md5Hash", "LastModified", "last_modified", "mtime", "created")
 """Keys under which file systems state a version of the content, the most reliable first."""
 
@@ -72,13 +73,19 @@ def beside(folder: Path, names: Sequence[str]) -> Path | None:
             what = f"{name} is not read: the file's name is {meant}"
             raise LogError(what, topic=name, remedy=f"rename it to {meant}")
     if len(found) > 1:
-        raise LogError(f"{' and '.join(found)} are both there", topic=found[0], remedy="keep one of them")
+        raise LogError(
+            f"{' and '.join(found)} are both there", topic=found[0], remedy="keep one of them"
+        )
     if not found:
         return None
     path = folder / found[0]
     if not path.is_file():
         remedy = "put a file there, or remove it if there is none"
-        raise LogError(f"{path.name} is {special_kind(path) or 'a folder'}, not a file", topic=path.name, remedy=remedy)
+        raise LogError(
+            f"{path.name} is {special_kind(path) or 'a folder'}, not a file",
+            topic=path.name,
+            remedy=remedy,
+        )
     return path
 
 
@@ -89,7 +96,11 @@ def check_regular(*paths: Path) -> None:
         if kind:
             raise LogError(f"is {kind}, not a file", file=path, remedy=WRITE_A_FILE)
         if _is_pointer(path):
-            raise LogError("is a Git LFS pointer, not the file", file=path, remedy="fetch the file with `git lfs pull`")
+            raise LogError(
+                "is a Git LFS pointer, not the file",
+                file=path,
+                remedy="fetch the file with `git lfs pull`",
+            )
 
 
 def _is_pointer(path: Path) -> bool:
@@ -105,10 +116,15 @@ def _is_pointer(path: Path) -> bool:
 
 def refuse_doctype(target: object, name: str, public: str | None, system: str | None) -> None:
     """Refuse a document type declaration, in which entities could grow without bound: a method of a parser's target."""
-    raise LogError("it has a document type declaration, which maps do not need", remedy="remove the declaration")
+    raise LogError(
+        "it has a document type declaration, which maps do not need",
+        remedy="remove the declaration",
+    )
 
 
-def read_xml(path: Path, what: str = "complete XML", target: Any = None, *, largest: int = 1 << 30) -> Any:
+def read_xml(
+    path: Path, what: str = "complete XML", target: Any = None, *, largest: int = 1 << 30
+) -> Any:
     """Parse an XML file in pieces; return its root element, or what the `target` of the parser returns.
 
     Raises:
@@ -128,9 +144,13 @@ def read_xml(path: Path, what: str = "complete XML", target: Any = None, *, larg
                 parser.feed(chunk)
         return parser.close()
     except OSError as error:
-        raise LogError(f"cannot be read: {error.strerror}", file=path, remedy="check the path") from error
+        raise LogError(
+            f"cannot be read: {error.strerror}", file=path, remedy="check the path"
+        ) from error
     except (ParseError, ValueError, LookupError) as error:
-        raise LogError(f"is no {what}: {error}", file=path, remedy="fetch the file again") from error
+        raise LogError(
+            f"is no {what}: {error}", file=path, remedy="fetch the file again"
+        ) from error
     except LogError as error:
         raise error.at(path) from None
 
@@ -148,7 +168,9 @@ def read_toml(path: Path) -> dict[str, Any]:
         check_named(path)
         size = path.stat().st_size
         if size > LARGEST_TOML_BYTES:
-            raise ConfigError(f"{path}: has {size} bytes, at most {LARGEST_TOML_BYTES} are read; shorten it")
+            raise ConfigError(
+                f"{path}: has {size} bytes, at most {LARGEST_TOML_BYTES} are read; shorten it"
+            )
         text = path.read_text(encoding="utf-8")
         if _LONG_KEY.search(text):
             raise _too_deep(path)
@@ -188,7 +210,11 @@ class RemoteFile:
 def url_of(place: Path | str) -> str:
     """Return the URL of a path or URL; "" if it is a local path."""
     found = _URL.fullmatch(str(place).replace("\\", "/"))
-    return f"{found[1].lower()}://{found[2]}".rstrip("/") if found and found[1].lower() != "file" else ""
+    return (
+        f"{found[1].lower()}://{found[2]}".rstrip("/")
+        if found and found[1].lower() != "file"
+        else ""
+    )
 
 
 def local_path(place: Path | str) -> Path:
@@ -215,9 +241,15 @@ def listed(url: str) -> tuple[RemoteFile, ...]:
     for key, info in sorted(found.items()):
         name = key.removeprefix(base).lstrip("/") or Path(base).name
         if ".." in name.split("/"):
-            raise ConfigError(f"{url}/{name}: has '..' in its name, which would lead out of a folder; rename it")
+            raise ConfigError(
+                f"{url}/{name}: has '..' in its name, which would lead out of a folder; rename it"
+            )
         version = next((str(info[word]).strip('"') for word in _VERSIONS if info.get(word)), "")
-        files.append(RemoteFile(url if key == base else f"{url}/{name}", name, int(info.get("size") or 0), version))
+        files.append(
+            RemoteFile(
+                url if key == base else f"{url}/{name}", name, int(info.get("size") or 0), version
+            )
+        )
     return tuple(file for file in files if not file.url.endswith("/"))
 
 
@@ -244,14 +276,18 @@ def fetch(files: Sequence[RemoteFile], folder: Path) -> None:
     need, free = sum(file.size for file in files), shutil.disk_usage(folder).free
     if need > free:
         what = f"{need / 1e6:.0f} MB have to be fetched, {free / 1e6:.0f} MB are free in {folder.parent}"
-        raise LogError(what, file=files[0].url, remedy="set TMPDIR to a folder with enough free space")
+        raise LogError(
+            what, file=files[0].url, remedy="set TMPDIR to a folder with enough free space"
+        )
     for file in files:
         target = folder / file.name
         target.parent.mkdir(parents=True, exist_ok=True)
         with _remote(file.url, LogError) as (system, path):
             system.get_file(path, str(target))
         if target.stat().st_size != file.size:
-            raise LogError("has changed since it was listed", file=file.url, remedy="evaluate again")
+            raise LogError(
+                "has changed since it was listed", file=file.url, remedy="evaluate again"
+            )
 
 
 def ranged(file: RemoteFile) -> Callable[[int, int], bytes]:
@@ -354,8 +390,11 @@ def _remote(url: str, kind: type[ReplanError]) -> Iterator[tuple[Any, str]]:
     except FileNotFoundError:
         raise kind(f"{url}: not there; look at bucket and key") from None
     except Exception as error:
-        if isinstance(error, PermissionError) or "Credentials" in type(error).__name__:  # those of botocore
+        # Those of botocore
+        if isinstance(error, PermissionError) or "Credentials" in type(error).__name__:
             hint = "set what fsspec documents for it in the environment (S3: AWS_ACCESS_KEY_ID, AWS_PROFILE)"
             raise kind(f"{url}: no permission: {error}; {hint}") from None
         what = " ".join(str(error).split())[:200]
-        raise kind(f"{url}: no connection or an error there: {type(error).__name__}: {what}; try again") from None
+        raise kind(
+            f"{url}: no connection or an error there: {type(error).__name__}: {what}; try again"
+        ) from None

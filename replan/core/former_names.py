@@ -27,7 +27,9 @@ def present_name(module: str) -> str:
 class FormerNames(MetaPathFinder):
     """Finds nothing. Asked after all other finders, it adds the present name to the error of an import that fails."""
 
-    def find_spec(self, fullname: str, path: Sequence[str] | None = None, target: object = None) -> None:
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None = None, target: object = None
+    ) -> None:
         """Return None; ModuleNotFoundError, with the remedy, for a former name of a module of replan."""
         name = present_name(fullname)
         if name:
@@ -50,5 +52,7 @@ def refuse_copy(name: str, package: str) -> None:
 
 
 def _error(former: str, present: str) -> ModuleNotFoundError:
-    remedy = f"it is '{present}' now; import its names from replan (from replan import Plan, Trajectory)"
+    remedy = (
+        f"it is '{present}' now; import its names from replan (from replan import Plan, Trajectory)"
+    )
     return ModuleNotFoundError(f"No module named '{former}': {remedy}", name=former)

@@ -153,7 +153,9 @@ class KernelWatch:
         before, self.known = self.known, len(STORED)
         left = [each for each in self._missing if not _is_stored(each)]
         compiled = len(self._missing) - len(left)
-        self._missing = left + [each for each in STORED[before : self.known] if not _is_stored(each)]
+        self._missing = left + [
+            each for each in STORED[before : self.known] if not _is_stored(each)
+        ]
         return compiled
 
 
@@ -164,4 +166,8 @@ def compiled_count() -> int:
 
 def cache_folder() -> Path | None:
     """Return the folder with the machine code of all imported kernels; None if it is not stored."""
-    return Path(os.path.commonpath([compiled.stats.cache_path for compiled in STORED])) if STORED else None
+    return (
+        Path(os.path.commonpath([compiled.stats.cache_path for compiled in STORED]))
+        if STORED
+        else None
+    )

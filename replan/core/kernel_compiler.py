@@ -108,7 +108,10 @@ class KernelLibrary(_Library):  # type: ignore[misc]
     def has_dynamic_globals(self) -> bool:
         """Whether it contains addresses of this process, so that it cannot be stored."""
         self._link()
-        return any(each.name.startswith("numba.dynamic.globals") for each in self._final_module.global_variables)
+        return any(
+            each.name.startswith("numba.dynamic.globals")
+            for each in self._final_module.global_variables
+        )
 
     def _optimize_functions(self, ll_module: Any) -> None:
         ll_module.data_layout = self._codegen._data_layout
@@ -162,7 +165,7 @@ def _same_options(one: Any, other: Any) -> Any:
     return ours == theirs or all(
         ours.get(name, options[name].default) == theirs.get(name, options[name].default)
         for name in {**ours, **theirs}
-    )  # fmt: skip
+    )
 
 
 def _variables(instruction: Any, value: Any) -> Any:
@@ -179,7 +182,11 @@ def _drop_events() -> None:
         callbacks[:] = [each for each in callbacks if each[0].__module__ != base.__name__]
 
 
-_set_env, _run_pass, _rec_list_vars = _Generator.set_env, _Lowering.run_pass, cast("Any", ir.Inst)._rec_list_vars
+_set_env, _run_pass, _rec_list_vars = (
+    _Generator.set_env,
+    _Lowering.run_pass,
+    cast("Any", ir.Inst)._rec_list_vars,
+)
 _PLAIN = (str, int, float, type(None), ir.Loc)
 
 
@@ -215,14 +222,24 @@ def _parts_of_kernel(function: FunctionType, seen: set[Any]) -> Iterator[str]:
     """Yield a function's code and the values of its globals; kernels in `seen` are skipped, new ones added."""
     # numba finds machine code by this name
     yield f"{function.__module__}.{function.__qualname__} {_as_text(function.__defaults__)}"
-    yield from (_as_text(each) for each in _hinted_classes(function.__annotations__, function.__globals__))
+    yield from (
+        _as_text(each) for each in _hinted_classes(function.__annotations__, function.__globals__)
+    )
     for code in _codes(function.__code__):
         said = function.__doc__
         constants = [_as_text(None if said and each == said else each) for each in code.co_consts]
         yield f"{code.co_code.hex()} {code.co_names} {code.co_varnames} {constants}"
-        held = [function.__globals__[name] for name in code.co_names if name in function.__globals__]
-        ours = [each for each in held if isinstance(each, ModuleType) and each.__name__.partition(".")[0] == "replan"]
-        attributes = (vars(each)[name] for each in ours for name in code.co_names if name in vars(each))
+        held = [
+            function.__globals__[name] for name in code.co_names if name in function.__globals__
+        ]
+        ours = [
+            each
+            for each in held
+            if isinstance(each, ModuleType) and each.__name__.partition(".")[0] == "replan"
+        ]
+        attributes = (
+            vars(each)[name] for each in ours for name in code.co_names if name in vars(each)
+        )
         for value in (*held, *attributes):
             if not isinstance(value, Dispatcher):
                 yield _as_text(value)
@@ -243,7 +260,9 @@ def _hinted_classes(hints: dict[str, Any], names: dict[str, Any]) -> Iterator[ty
     """Yield the classes in annotations: a kernel's machine code depends on the layout of their fields."""
     for hint in hints.values():
         text = getattr(hint, "__forward_arg__", hint)
-        found = [names.get(word) for word in _WORD.findall(text)] if isinstance(text, str) else [text]
+        found = (
+            [names.get(word) for word in _WORD.findall(text)] if isinstance(text, str) else [text]
+        )
         yield from (each for each in found if isinstance(each, type))
 
 
@@ -262,7 +281,9 @@ def _as_text(value: Any) -> str:
         if issubclass(value, Enum):
             held = str([_as_text(member) for member in value])
         elif columns is not None:  # a named tuple
-            within = _hinted_classes(getattr(value, "__annotations__", {}), vars(sys.modules[value.__module__]))
+            within = _hinted_classes(
+                getattr(value, "__annotations__", {}), vars(sys.modules[value.__module__])
+            )
             defaults = tuple(value._field_defaults.values())  # type: ignore[attr-defined]
             held = f"{columns} {_as_text(defaults)} {[*map(_as_text, within)]}"
         return f"{value.__module__}.{value.__qualname__} {held}"
@@ -299,12 +320,15 @@ class KernelIndex(IndexDataCacheFile):
     def holds(self, processor: Any) -> bool:
         """Return whether machine code for a processor (numba's `magic_tuple`) is stored."""
         kept = self._load_index()
-        return any(key[1] == processor for key in kept) or (self._beside is not None and self._beside.holds(processor))
+        return any(key[1] == processor for key in kept) or (
+            self._beside is not None and self._beside.holds(processor)
+        )
 
     def _load_index(self) -> Any:
         try:
             return super()._load_index()  # type: ignore[no-untyped-call]
-        except (ImportError, AttributeError):  # an older replan wrote it: a class that it names has moved
+        # An older replan wrote it: a class that it names has moved
+        except (ImportError, AttributeError):
             return {}
 
     def save(self, key: Any, data: Any) -> None:
@@ -312,7 +336,9 @@ class KernelIndex(IndexDataCacheFile):
         kept = self._load_index()
         if not kept:
             self._clear()
-        kept[key] = f"{self._base}.{sha256(f'{self._source_stamp} {key!r}'.encode()).hexdigest()[:16]}.nbc"
+        kept[key] = (
+            f"{self._base}.{sha256(f'{self._source_stamp} {key!r}'.encode()).hexdigest()[:16]}.nbc"
+        )
         self._save_data(kept[key], data)  # type: ignore[no-untyped-call]
         self._save_index(kept)  # type: ignore[no-untyped-call]
 
@@ -322,7 +348,8 @@ class KernelIndex(IndexDataCacheFile):
 
     @property
     def _source_stamp(self) -> str:
-        return stamp(self._kernel)  # computed on first use, when everything that the kernel calls is defined
+        # Computed on first use, when everything that the kernel calls is defined
+        return stamp(self._kernel)
 
     @_source_stamp.setter
     def _source_stamp(self, _: object) -> None:
@@ -344,12 +371,18 @@ def _check_folder(folder: str) -> None:
     It must be writable. A `NUMBA_CACHE_DIR` that holds kernels need only be readable (a read-only container image).
     """
     chosen = cast("Any", numba.config).CACHE_DIR
-    if chosen and Path(folder).is_relative_to(chosen) and next(Path(folder).glob("*.nbi"), None) is not None:
+    if (
+        chosen
+        and Path(folder).is_relative_to(chosen)
+        and next(Path(folder).glob("*.nbi"), None) is not None
+    ):
         return
     Path(folder).mkdir(parents=True, exist_ok=True)
     tempfile.TemporaryFile(dir=folder).close()
 
 
-cast("Any", caching)._CacheLocator.ensure_cache_path = lambda self: _check_folder(self.get_cache_path())
+cast("Any", caching)._CacheLocator.ensure_cache_path = lambda self: _check_folder(
+    self.get_cache_path()
+)
 """Numba's check, but once per folder instead of once per kernel."""
 cast("Any", caching).CacheImpl._locator_classes.append(_ShippedLocator)

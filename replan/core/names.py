@@ -44,19 +44,29 @@ class ShortNames:
 
     def whole(self, name: str) -> str:
         """Return the id that has this short name; the name itself if it is an id or is unknown."""
-        return name if name in self._ids else next((each for each in self._ids if self(each) == name), name)
+        return (
+            name
+            if name in self._ids
+            else next((each for each in self._ids if self(each) == name), name)
+        )
 
 
 def _prefixes(words: list[str]) -> dict[str, str]:
     """Map each code among the sorted words to its shortest prefix with which no other word begins."""
     shared = [0, *(sum(takewhile(bool, map(eq, *pair))) for pair in pairwise(words)), 0]
     least = [max(LEAST, 1 + max(pair)) for pair in pairwise(shared)]
-    return {word: word[:size] for word, size in zip(words, least, strict=False) if _CODE.fullmatch(word)}
+    return {
+        word: word[:size] for word, size in zip(words, least, strict=False) if _CODE.fullmatch(word)
+    }
 
 
 def counted(count: int, thing: str) -> str:
     """Return a count with its noun: "1 agent", "2 agents", "0 buses"."""
-    return f"{count} {thing}" if count == 1 else f"{count} {thing}{'es' if thing.endswith(('s', 'x', 'ch')) else 's'}"
+    return (
+        f"{count} {thing}"
+        if count == 1
+        else f"{count} {thing}{'es' if thing.endswith(('s', 'x', 'ch')) else 's'}"
+    )
 
 
 def listed(texts: Sequence[str], most: int) -> str:
@@ -64,8 +74,18 @@ def listed(texts: Sequence[str], most: int) -> str:
     return ", ".join(texts[:most]) + (f" and {len(texts) - most} more" if len(texts) > most else "")
 
 
-_UNSEEN = [*range(0x80, 0xA0), 0x61C, 0x200E, 0x200F, *range(0x2028, 0x202F), *range(0x2066, 0x206A), 0xFEFF]
-VISIBLE = {code: 0x2400 + code for code in range(32)} | {0x7F: 0x2421} | dict.fromkeys(_UNSEEN, 0xFFFD)
+_UNSEEN = [
+    *range(0x80, 0xA0),
+    0x61C,
+    0x200E,
+    0x200F,
+    *range(0x2028, 0x202F),
+    *range(0x2066, 0x206A),
+    0xFEFF,
+]
+VISIBLE = (
+    {code: 0x2400 + code for code in range(32)} | {0x7F: 0x2421} | dict.fromkeys(_UNSEEN, 0xFFFD)
+)
 """Maps control characters to their pictures (escape: U+241B); those of C1 and of text direction to U+FFFD."""
 LONGEST_NAME = 120
 """Greatest number of characters of a name; longer names are cut."""

@@ -39,7 +39,11 @@ def _with_defaults(cls: type, table: Mapping[str, Any]) -> dict[str, Any]:
     filled = dict(table)
     for item in fields(cls):
         default = item.default if item.default_factory is MISSING else item.default_factory()
-        if is_dataclass(default) and not isinstance(default, type) and isinstance(table.get(item.name), Mapping):
+        if (
+            is_dataclass(default)
+            and not isinstance(default, type)
+            and isinstance(table.get(item.name), Mapping)
+        ):
             filled[item.name] = asdict(default) | _with_defaults(type(default), table[item.name])
     return filled
 
@@ -62,12 +66,18 @@ def converted(value: Any, kind: type[T], where: str) -> T:
 def _choices(kind: Any, place: str) -> tuple[Any, ...]:
     """The values that a type allows at a place ("loop.mode"), if they are listed."""
     for name in filter(None, place.split(".")):
-        kind = get_type_hints(kind).get(name) if isinstance(kind, type) and is_dataclass(kind) else None
+        kind = (
+            get_type_hints(kind).get(name)
+            if isinstance(kind, type) and is_dataclass(kind)
+            else None
+        )
     return get_args(kind) if get_origin(kind) is Literal else ()
 
 
 def _known_tree(cls: type, table: Mapping[str, Any], where: str) -> None:
-    known_keys(table, (item.name for item in fields(cls) if item.metadata.get("key", item.init)), where)
+    known_keys(
+        table, (item.name for item in fields(cls) if item.metadata.get("key", item.init)), where
+    )
     hints = get_type_hints(cls)
     for key, value in table.items():
         kind = hints[key]
@@ -84,7 +94,9 @@ def known_keys(table: Mapping[str, Any], known: Iterable[str], where: str) -> No
     names = list(known)
     for key in table:
         if key not in names:
-            raise unknown_name("key", dotted("", key), [dotted("", name) for name in names], where and f"{where}.")
+            raise unknown_name(
+                "key", dotted("", key), [dotted("", name) for name in names], where and f"{where}."
+            )
 
 
 def dotted(where: str, key: str) -> str:
@@ -99,7 +111,9 @@ def dotted_keys(cls: type, where: str = "") -> Iterator[str]:
     for item in fields(cls):
         if item.metadata.get("key", item.init):
             key, kind = dotted(where, item.name), hints[item.name]
-            yield from dotted_keys(kind, key) if isinstance(kind, type) and is_dataclass(kind) else (key,)
+            yield from (
+                dotted_keys(kind, key) if isinstance(kind, type) and is_dataclass(kind) else (key,)
+            )
 
 
 def merged(table: Table, changes: Table) -> dict[str, Any]:
@@ -107,7 +121,9 @@ def merged(table: Table, changes: Table) -> dict[str, Any]:
     result = dict(table)
     for key, value in changes.items():
         old = result.get(key)
-        result[key] = merged(old, value) if isinstance(old, Mapping) and isinstance(value, Mapping) else value
+        result[key] = (
+            merged(old, value) if isinstance(old, Mapping) and isinstance(value, Mapping) else value
+        )
     return result
 
 
@@ -150,7 +166,9 @@ def meaning(thing: Any, name: str) -> str:
     cls = thing if isinstance(thing, type) else type(thing) if is_dataclass(thing) else None
     places = [thing] if cls is None else [*cls.__mro__, cls.__init__]  # type: ignore[misc]
     for doc in map(inspect.getdoc, places):
-        found = re.search(rf"^ +{name}(?: \([^)\n]*\))?: (.*(?:\n {{8,}}.*)*)", doc or "", re.MULTILINE)
+        found = re.search(
+            rf"^ +{name}(?: \([^)\n]*\))?: (.*(?:\n {{8,}}.*)*)", doc or "", re.MULTILINE
+        )
         if found:
             return " ".join(found[1].split())
     return ""

@@ -69,7 +69,12 @@ class DriveResult(StoredDrive):
     """
 
     def plot(
-        self, at: float | None = None, chart: str = "all", width: int = 1400, *, beside: Sequence[DriveResult] = ()
+        self,
+        at: float | None = None,
+        chart: str = "all",
+        width: int = 1400,
+        *,
+        beside: Sequence[DriveResult] = (),
     ) -> Chart:
         """A picture of the drive, which shows itself in a notebook; `str(chart.alone("light"))` is SVG.
 
@@ -82,7 +87,8 @@ class DriveResult(StoredDrive):
         Raises:
             ConfigError: There is no such chart, or no plan at this time; or the others are of another log, or too many.
         """
-        from replan.draw.charts.layout import charts_of, together  # here: the tables are read sooner without
+        # here: the tables are read sooner without
+        from replan.draw.charts.layout import charts_of, together
         from replan.draw.charts.subject import subject
 
         seen = subject(self, at, beside)

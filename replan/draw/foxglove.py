@@ -55,14 +55,22 @@ try:
     from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
     from google.protobuf.timestamp_pb2 import Timestamp
 except ModuleNotFoundError:
-    raise ConfigError("--foxglove needs foxglove-schemas-protobuf: pip install 'replan[foxglove]'") from None
+    raise ConfigError(
+        "--foxglove needs foxglove-schemas-protobuf: pip install 'replan[foxglove]'"
+    ) from None
 
 MAP, BASE = "map", "base_link"
-STEP_S = 0.02  # Least interval between samples of the ego and of agents: 50 Hz is more than a screen shows
+# Least interval between samples of the ego and of agents: 50 Hz is more than a screen shows
+STEP_S = 0.02
 HEIGHT_M = {
-    AgentKind.CAR: 1.5, AgentKind.TRUCK: 3.2, AgentKind.BUS: 3.2, AgentKind.MOTORCYCLE: 1.5, AgentKind.BICYCLE: 1.7,
-    AgentKind.PEDESTRIAN: 1.75, AgentKind.OBJECT: 1.0,
-}  # fmt: skip
+    AgentKind.CAR: 1.5,
+    AgentKind.TRUCK: 3.2,
+    AgentKind.BUS: 3.2,
+    AgentKind.MOTORCYCLE: 1.5,
+    AgentKind.BICYCLE: 1.7,
+    AgentKind.PEDESTRIAN: 1.75,
+    AgentKind.OBJECT: 1.0,
+}
 """Typical heights, for drawing only: a log has none."""
 LINE_M, LABEL_PX = 0.1, 12.0
 
@@ -73,32 +81,55 @@ def scenario_channels(scenario: Scenario, markers: Sequence[Marker] = ()) -> Ite
     begun = sorted(markers, key=lambda one: one.begin)
     times = log_times(np.array([one.begin for one in begun]), start, "/foxglove/events")
     for time, one in zip(times, begun, strict=True):
-        yield time, "/foxglove/events", Log(timestamp=_stamp(time), level=Log.INFO, message=one.words, name=one.kind)
+        yield (
+            time,
+            "/foxglove/events",
+            Log(timestamp=_stamp(time), level=Log.INFO, message=one.words, name=one.kind),
+        )
     yield from _road(scenario)
     # write agents that never move once, the others at each time at which one of them was sampled and at the end
-    tracks, ego, vehicle, short = scenario.tracks, scenario.ego, scenario.vehicle, scenario.short_names
+    tracks, ego, vehicle, short = (
+        scenario.tracks,
+        scenario.ego,
+        scenario.vehicle,
+        scenario.short_names,
+    )
     still = np.repeat(tracks.static, np.diff(tracks.offsets))
     if still.any():
         yield start, "/foxglove/obstacles", _boxes(tracks.taken(still).truth(0.0), start, short)
     if not still.all():
         moving = tracks.taken(~still)
         instants = _thin_times(np.unique(np.r_[moving.t, scenario.duration]))
-        for t, time in zip(instants.tolist(), log_times(instants, start, "/foxglove/agents"), strict=True):
+        for t, time in zip(
+            instants.tolist(), log_times(instants, start, "/foxglove/agents"), strict=True
+        ):
             yield time, "/foxglove/agents", _boxes(moving.truth(t), time, short)
     kept = np.isin(ego.t, _thin_times(ego.t))
     states = zip(ego.x[kept].tolist(), ego.y[kept].tolist(), ego.yaw[kept].tolist(), strict=True)
-    for time, (x, y, yaw) in zip(log_times(ego.t[kept], start, "/foxglove/tf"), states, strict=True):
+    for time, (x, y, yaw) in zip(
+        log_times(ego.t[kept], start, "/foxglove/tf"), states, strict=True
+    ):
         at: dict[str, Any] = {"translation": Vector3(x=x, y=y), "rotation": _quaternion_of_yaw(yaw)}
         stamp = _stamp(time)
-        yield time, "/foxglove/tf", FrameTransform(timestamp=stamp, parent_frame_id=MAP, child_frame_id=BASE, **at)
+        yield (
+            time,
+            "/foxglove/tf",
+            FrameTransform(timestamp=stamp, parent_frame_id=MAP, child_frame_id=BASE, **at),
+        )
     height = HEIGHT_M[AgentKind.CAR]
     size = Vector3(x=vehicle.length, y=vehicle.width, z=height)
     pose = _pose(vehicle.axle_to_center, 0.0, 0.0, 0.5 * height)
     box = CubePrimitive(pose=pose, size=size, color=_colour(colours.EGO))
     known = [KeyValuePair(key=f.name, value=str(getattr(vehicle, f.name))) for f in fields(vehicle)]
     bound: dict[str, Any] = {"frame_id": BASE, "id": "ego", "frame_locked": True, "metadata": known}
-    yield start, "/foxglove/ego", SceneUpdate(entities=[SceneEntity(timestamp=_stamp(start), cubes=[box], **bound)])
-    yield from _plans("/foxglove/onboard", [(plan.known, plan.trajectory) for plan in scenario.onboard], start)
+    yield (
+        start,
+        "/foxglove/ego",
+        SceneUpdate(entities=[SceneEntity(timestamp=_stamp(start), cubes=[box], **bound)]),
+    )
+    yield from _plans(
+        "/foxglove/onboard", [(plan.known, plan.trajectory) for plan in scenario.onboard], start
+    )
 
 
 def trace_channels(trace: Trace, scenario: Scenario) -> Iterator[Entry]:
@@ -132,11 +163,17 @@ def _road(scenario: Scenario) -> Iterator[Entry]:
         entities.append(_entity(f"lane {lane.id}", start, sides, known))
     for crosswalk in road.crosswalks:
         entities.append(
-            _entity(f"crosswalk {crosswalk.id}", start, [_line(crosswalk.polygon, colours.EDGE, closed=True)])
+            _entity(
+                f"crosswalk {crosswalk.id}",
+                start,
+                [_line(crosswalk.polygon, colours.EDGE, closed=True)],
+            )
         )
     regions = scenario.goal.regions if scenario.goal else ()
     if regions:
-        entities.append(_entity("goal", start, [_line(region, colours.GOAL, closed=True) for region in regions]))
+        entities.append(
+            _entity("goal", start, [_line(region, colours.GOAL, closed=True) for region in regions])
+        )
     yield start, "/foxglove/road", _scene(start, entities)
     if not road.stop_lines:
         return
@@ -156,15 +193,23 @@ def _boxes(agents: Agents, time: int, short: ShortNames) -> SceneUpdate:
     columns = (agents.x, agents.y, agents.yaw, agents.length, agents.width, agents.vx, agents.vy)
     rows = np.column_stack(columns).tolist()
     entities = []
-    for name, kind, (x, y, yaw, length, width, vx, vy) in zip(agents.ids, agents.kinds, rows, strict=True):
+    for name, kind, (x, y, yaw, length, width, vx, vy) in zip(
+        agents.ids, agents.kinds, rows, strict=True
+    ):
         height = HEIGHT_M[kind]
         size = Vector3(x=length, y=width, z=height)
         colour = _colour(colours.with_alpha(colours.KINDS[kind], 200))
-        entity = _entity(name, time, [], {"kind": kind.value, "speed_mps": f"{np.hypot(vx, vy):.1f}"})
-        entity.cubes.append(CubePrimitive(pose=_pose(x, y, yaw, 0.5 * height), size=size, color=colour))
+        entity = _entity(
+            name, time, [], {"kind": kind.value, "speed_mps": f"{np.hypot(vx, vy):.1f}"}
+        )
+        entity.cubes.append(
+            CubePrimitive(pose=_pose(x, y, yaw, 0.5 * height), size=size, color=colour)
+        )
         label: dict[str, Any] = {"billboard": True, "scale_invariant": True, "font_size": LABEL_PX}
         above = _pose(x, y, 0.0, height + 0.3)
-        entity.texts.append(TextPrimitive(pose=above, text=short(name), color=_colour(colours.TICK), **label))
+        entity.texts.append(
+            TextPrimitive(pose=above, text=short(name), color=_colour(colours.TICK), **label)
+        )
         entities.append(entity)
     return _scene(time, entities)
 
@@ -174,7 +219,9 @@ def _plans(topic: str, plans: Sequence[tuple[float, Trajectory]], start: int) ->
     times = log_times(np.array([known for known, _ in plans]), start, topic)
     for time, (_, plan) in zip(times, plans, strict=True):
         kept = kept_samples(plan.t)
-        states = zip(plan.x[kept].tolist(), plan.y[kept].tolist(), plan.yaw[kept].tolist(), strict=True)
+        states = zip(
+            plan.x[kept].tolist(), plan.y[kept].tolist(), plan.yaw[kept].tolist(), strict=True
+        )
         poses = [_pose(x, y, yaw, 0.0) for x, y, yaw in states]
         yield time, topic, PosesInFrame(timestamp=_stamp(time), frame_id=MAP, poses=poses)
 
@@ -206,7 +253,11 @@ def _line(points: FloatArray, colour: int, *, closed: bool = False) -> LinePrimi
     kind = LinePrimitive.LINE_LOOP if closed else LinePrimitive.LINE_STRIP
     drawn = [Point3(x=x, y=y) for x, y in points.tolist()]
     return LinePrimitive(
-        type=kind, pose=_pose(0.0, 0.0, 0.0, 0.0), thickness=LINE_M, points=drawn, color=_colour(colour)
+        type=kind,
+        pose=_pose(0.0, 0.0, 0.0, 0.0),
+        thickness=LINE_M,
+        points=drawn,
+        color=_colour(colour),
     )
 
 

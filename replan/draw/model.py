@@ -16,7 +16,17 @@ import numpy as np
 
 from replan.core.arrays import FloatArray, IntArray
 from replan.logs.frame_store import loaded
-from replan.logs.plan import Corridor, Decision, DecisionKind, Graph, GraphObstacle, GridCost, Plan, SlGraph, StGraph
+from replan.logs.plan import (
+    Corridor,
+    Decision,
+    DecisionKind,
+    Graph,
+    GraphObstacle,
+    GridCost,
+    Plan,
+    SlGraph,
+    StGraph,
+)
 from replan.logs.road import RoadSource
 from replan.logs.scenario import Scenario
 from replan.logs.states import Controls
@@ -34,7 +44,13 @@ def nice_step(span: float, most: int) -> float:
     """The smallest of 1, 2, 2.5, 5 times a power of ten that divides a span into at most `most` parts."""
     rough = max(span, 1e-9) / most
     unit = 10.0 ** floor(log10(rough))
-    return float(next(unit * factor for factor in (1.0, 2.0, 2.5, 5.0, 10.0) if unit * factor >= rough * (1.0 - 1e-9)))
+    return float(
+        next(
+            unit * factor
+            for factor in (1.0, 2.0, 2.5, 5.0, 10.0)
+            if unit * factor >= rough * (1.0 - 1e-9)
+        )
+    )
 
 
 def ticks(low: float, high: float, most: int) -> FloatArray:
@@ -59,8 +75,15 @@ def widened(low: float, high: float, least: float, room: float = 0.06) -> Span:
 JERK = LON_JERK_STATE.name
 SPIKE = 99.5  # Percentile of the absolute values of a spiky curve up to which the axis reaches
 BLUE, YELLOW, RED, GREEN, VIOLET, TEAL, PINK, GREY = SERIES = (
-    0x4AB8F5FF, 0xE8AC30FF, 0xFF6E64FF, 0x78DC82FF, 0xC896FFFF, 0x50D2C8FF, 0xFF96C8FF, 0x9E9E9EFF,
-)  # fmt: skip
+    0x4AB8F5FF,
+    0xE8AC30FF,
+    0xFF6E64FF,
+    0x78DC82FF,
+    0xC896FFFF,
+    0x50D2C8FF,
+    0xFF96C8FF,
+    0x9E9E9EFF,
+)
 """Colours of curves in recordings, 0xRRGGBBAA; charts tell curves apart by their order."""
 DIM = 0xFFFFFF78  # Mask that makes a colour more transparent: `RED & DIM`
 
@@ -80,7 +103,8 @@ class Curve:
     width: float = 2.0  # Width in recordings, pixels
     steps: bool = False  # Whether a value holds until the next
     spiky: bool = False  # Whether the axis may cut off its rarest values
-    asked: bool = False  # Whether it is what was planned, asked for, allowed or logged, not what was done
+    # Whether it is what was planned, asked for, allowed or logged, not what was done
+    asked: bool = False
 
     @property
     def known(self) -> FloatArray:
@@ -109,9 +133,11 @@ class Panel:
 
     name: str
     title: str
-    curves: tuple[Curve, ...]  # The curves with a finite value, the most important first: a chart shows at most four
+    # The curves with a finite value, the most important first: a chart shows at most four
+    curves: tuple[Curve, ...]
     least: float  # The axis is never shorter than this, so that a constant curve looks constant
-    about: tuple[str, ...] = ()  # Prefixes of the names of metrics; charts shade the times at which their gates fail
+    # Prefixes of the names of metrics; charts shade the times at which their gates fail
+    about: tuple[str, ...] = ()
     floor: float = -np.inf  # The axis does not go below this
     most: float = np.inf  # The axis does not go above this
     charted: bool = True  # Whether charts show it, too; recordings show all
@@ -134,11 +160,16 @@ class Panel:
 
 def _panels_with_values(*panels: Panel) -> list[Panel]:
     """The panels with only those curves that have a finite value; panels without such a curve are omitted."""
-    kept = (replace(panel, curves=tuple(curve for curve in panel.curves if len(curve.known))) for panel in panels)
+    kept = (
+        replace(panel, curves=tuple(curve for curve in panel.curves if len(curve.known)))
+        for panel in panels
+    )
     return [panel for panel in kept if panel.curves]
 
 
-def _columns(some: object | None, *curves: tuple[str, str, str, int], asked: bool = False) -> tuple[Curve, ...]:
+def _columns(
+    some: object | None, *curves: tuple[str, str, str, int], asked: bool = False
+) -> tuple[Curve, ...]:
     """Curves of an object with columns, each as name, legend, column and colour; empty if the object is None."""
     if some is None:
         return ()
@@ -163,9 +194,22 @@ def steps_of(table: DataFrame | None) -> Steps:
 
 
 MEASURED = (
-    "route_progress", "lon_accel", "lat_accel", JERK, "lat_jerk_state", "gap", "gap_vulnerable", "ttc",
-    "ade.1s", "ade.3s", "ade.5s", "plan_lon_accel", "plan_lat_accel", "plan_lon_jerk", "plan_change",
-)  # fmt: skip
+    "route_progress",
+    "lon_accel",
+    "lat_accel",
+    JERK,
+    "lat_jerk_state",
+    "gap",
+    "gap_vulnerable",
+    "ttc",
+    "ade.1s",
+    "ade.3s",
+    "ade.5s",
+    "plan_lon_accel",
+    "plan_lat_accel",
+    "plan_lon_jerk",
+    "plan_change",
+)
 """The metrics of which panels show the steps; a run hands a recording the steps of these alone."""
 
 
@@ -177,7 +221,9 @@ def panels(trace: Trace, scenario: Scenario, steps: Steps) -> list[Panel]:
     the drive, as in the scenario of a trace file.
     """
 
-    def measured(legend: str, metric: str, colour: int = BLUE, *, gaps: bool = False, spiky: bool = False) -> Curve:
+    def measured(
+        legend: str, metric: str, colour: int = BLUE, *, gaps: bool = False, spiky: bool = False
+    ) -> Curve:
         """A metric per step, without missing values; `gaps` breaks the curve where values are missing for over 1 s."""
         t, values = steps(metric)
         known = np.isfinite(values)
@@ -187,7 +233,13 @@ def panels(trace: Trace, scenario: Scenario, steps: Steps) -> list[Panel]:
             t, values = np.insert(t, far + 1, t[far]), np.insert(values, far + 1, np.nan)
         return Curve(metric, legend, t, values, colour, spiky=spiky)
 
-    ego, done, asked, errors, logged = trace.ego, trace.actuation, trace.commands, trace.tracking, scenario.controls
+    ego, done, asked, errors, logged = (
+        trace.ego,
+        trace.actuation,
+        trace.commands,
+        trace.tracking,
+        scenario.controls,
+    )
     end, is_open = float(ego.t[-1]), trace.mode is Mode.OPEN
     log = None if is_open else scenario.ego.between(-np.inf, end)
     log = log if log is not None and len(log) > 1 and not np.array_equal(log.v, ego.v) else None
@@ -195,7 +247,9 @@ def panels(trace: Trace, scenario: Scenario, steps: Steps) -> list[Panel]:
         logged = None
     if logged is not None:
         kept = logged.t <= end
-        logged = Controls(*(getattr(logged, name)[kept] for name in ("t", "steer", "throttle", "brake")))
+        logged = Controls(
+            *(getattr(logged, name)[kept] for name in ("t", "steer", "throttle", "brake"))
+        )
     plan = _predicted(trace, "v")
     if not plan and errors is not None:
         planned = np.interp(errors.t, ego.t, ego.v) - errors.speed
@@ -205,57 +259,179 @@ def panels(trace: Trace, scenario: Scenario, steps: Steps) -> list[Panel]:
     slips, friction = list[Curve](), list[Curve]()
     if done is not None and len(ego) > 1:
         use = tyre_use(ego, done, scenario.vehicle)
-        slips = [Curve("front", "front", ego.t, use.front), Curve("rear", "rear", ego.t, use.rear, YELLOW)]
+        slips = [
+            Curve("front", "front", ego.t, use.front),
+            Curve("rear", "rear", ego.t, use.rear, YELLOW),
+        ]
         friction = [Curve("friction", "of the tyres", ego.t, use.friction, RED)]
     of_plans = (
-        Panel("displacement", "Mean distance of plan and log [m]",
-              (measured("within 1s", "ade.1s"), measured("within 3s", "ade.3s", YELLOW),
-               measured("within 5s", "ade.5s", VIOLET)), 0.5, ("ade", "fde"), 0.0),
-        Panel("plan_acceleration", "Largest acceleration of each plan [m/s²]",
-              (measured("along", "plan_lon_accel"), measured("across", "plan_lat_accel", TEAL)), 1.0, ("plan_l",), 0.0),
-        Panel("plan_jerk", "Largest jerk of each plan [m/s³]", (measured("along", "plan_lon_jerk", RED, spiky=True),),
-              2.0, ("plan_lon_jerk",), 0.0),
-        Panel("change", "Change from plan to plan [m]", (measured("from plan to plan", "plan_change"),), 0.2,
-              ("plan_change",), 0.0),
-    )  # fmt: skip
+        Panel(
+            "displacement",
+            "Mean distance of plan and log [m]",
+            (
+                measured("within 1s", "ade.1s"),
+                measured("within 3s", "ade.3s", YELLOW),
+                measured("within 5s", "ade.5s", VIOLET),
+            ),
+            0.5,
+            ("ade", "fde"),
+            0.0,
+        ),
+        Panel(
+            "plan_acceleration",
+            "Largest acceleration of each plan [m/s²]",
+            (measured("along", "plan_lon_accel"), measured("across", "plan_lat_accel", TEAL)),
+            1.0,
+            ("plan_l",),
+            0.0,
+        ),
+        Panel(
+            "plan_jerk",
+            "Largest jerk of each plan [m/s³]",
+            (measured("along", "plan_lon_jerk", RED, spiky=True),),
+            2.0,
+            ("plan_lon_jerk",),
+            0.0,
+        ),
+        Panel(
+            "change",
+            "Change from plan to plan [m]",
+            (measured("from plan to plan", "plan_change"),),
+            0.2,
+            ("plan_change",),
+            0.0,
+        ),
+    )
     table = (
-        Panel("speed", "Speed [m/s]",
-              (Curve("ego", "ego", ego.t, ego.v), *plan, *_columns(log, ("log", "log", "v", GREY), asked=True),
-               _limit(trace, scenario)), 2.0, ("speed",), -0.5),
-        Panel("progress", "Progress along the route [share of the log's]", (measured("ego", "route_progress"),), 0.2,
-              ("route_progress",), 0.0),
-        Panel("acceleration", "Acceleration [m/s²]",
-              (along, measured("across", "lat_accel", TEAL), *_predicted(trace, "a"),
-               *_columns(log, ("log", "log", "a", GREY), asked=True)), 1.0, ("lon_accel", "lat_accel")),
-        Panel("jerk", "Jerk [m/s³]",
-              (measured("along", JERK, RED, spiky=True), measured("across", "lat_jerk_state", PINK, spiky=True)), 2.0,
-              ("lon_jerk", "lat_jerk", "jerk")),
-        Panel("gap", "Distance to the nearest [m]",
-              (measured("all", "gap", gaps=True), measured("pedestrians, riders", "gap_vulnerable", PINK, gaps=True)),
-              2.0, ("gap", "collision"), 0.0),
-        Panel("ttc", "Time to a collision [s]", (measured("TTC", "ttc", RED, gaps=True),), 2.0, ("ttc",), 0.0),
+        Panel(
+            "speed",
+            "Speed [m/s]",
+            (
+                Curve("ego", "ego", ego.t, ego.v),
+                *plan,
+                *_columns(log, ("log", "log", "v", GREY), asked=True),
+                _limit(trace, scenario),
+            ),
+            2.0,
+            ("speed",),
+            -0.5,
+        ),
+        Panel(
+            "progress",
+            "Progress along the route [share of the log's]",
+            (measured("ego", "route_progress"),),
+            0.2,
+            ("route_progress",),
+            0.0,
+        ),
+        Panel(
+            "acceleration",
+            "Acceleration [m/s²]",
+            (
+                along,
+                measured("across", "lat_accel", TEAL),
+                *_predicted(trace, "a"),
+                *_columns(log, ("log", "log", "a", GREY), asked=True),
+            ),
+            1.0,
+            ("lon_accel", "lat_accel"),
+        ),
+        Panel(
+            "jerk",
+            "Jerk [m/s³]",
+            (
+                measured("along", JERK, RED, spiky=True),
+                measured("across", "lat_jerk_state", PINK, spiky=True),
+            ),
+            2.0,
+            ("lon_jerk", "lat_jerk", "jerk"),
+        ),
+        Panel(
+            "gap",
+            "Distance to the nearest [m]",
+            (
+                measured("all", "gap", gaps=True),
+                measured("pedestrians, riders", "gap_vulnerable", PINK, gaps=True),
+            ),
+            2.0,
+            ("gap", "collision"),
+            0.0,
+        ),
+        Panel(
+            "ttc",
+            "Time to a collision [s]",
+            (measured("TTC", "ttc", RED, gaps=True),),
+            2.0,
+            ("ttc",),
+            0.0,
+        ),
         *(of_plans if is_open else ()),
-        Panel("steer", "Steering [rad]",
-              (*_columns(done, ("done", "done", "steer", BLUE)),
-               *_columns(asked, ("asked", "asked", "steer", YELLOW), asked=True),
-               *_columns(logged, ("log", "log", "steer", GREY), asked=True)), 0.05, ("steer_rate",)),
-        Panel("pedals", "Pedals [0 to 1]",
-              (*_columns(done, ("throttle", "throttle", "throttle", GREEN), ("brake", "brake", "brake", RED)),
-               *_columns(asked, ("throttle_asked", "throttle asked", "throttle", GREEN & DIM),
-                         ("brake_asked", "brake asked", "brake", RED & DIM), asked=True),
-               *_columns(logged, ("throttle_log", "throttle log", "throttle", GREY),
-                         ("brake_log", "brake log", "brake", YELLOW), asked=True)),
-              0.3, ("throttle", "brake", "pedals_together"), 0.0, 1.0),
-        Panel("tracking", "Tracking error [m]",
-              _columns(errors, ("lateral", "lateral", "lateral", YELLOW), ("station", "station", "station", VIOLET)),
-              0.1, ("tracking_lateral", "tracking_station")),
-        Panel("tracking_speed", "Tracking error of the speed [m/s]",
-              _columns(errors, ("speed", "speed", "speed", GREEN)), 0.2, ("tracking_speed",)),
-        Panel("tracking_heading", "Tracking error of the heading [rad]",
-              _columns(errors, ("heading", "heading", "heading", TEAL)), 0.02, ("tracking_heading",)),
+        Panel(
+            "steer",
+            "Steering [rad]",
+            (
+                *_columns(done, ("done", "done", "steer", BLUE)),
+                *_columns(asked, ("asked", "asked", "steer", YELLOW), asked=True),
+                *_columns(logged, ("log", "log", "steer", GREY), asked=True),
+            ),
+            0.05,
+            ("steer_rate",),
+        ),
+        Panel(
+            "pedals",
+            "Pedals [0 to 1]",
+            (
+                *_columns(
+                    done,
+                    ("throttle", "throttle", "throttle", GREEN),
+                    ("brake", "brake", "brake", RED),
+                ),
+                *_columns(
+                    asked,
+                    ("throttle_asked", "throttle asked", "throttle", GREEN & DIM),
+                    ("brake_asked", "brake asked", "brake", RED & DIM),
+                    asked=True,
+                ),
+                *_columns(
+                    logged,
+                    ("throttle_log", "throttle log", "throttle", GREY),
+                    ("brake_log", "brake log", "brake", YELLOW),
+                    asked=True,
+                ),
+            ),
+            0.3,
+            ("throttle", "brake", "pedals_together"),
+            0.0,
+            1.0,
+        ),
+        Panel(
+            "tracking",
+            "Tracking error [m]",
+            _columns(
+                errors,
+                ("lateral", "lateral", "lateral", YELLOW),
+                ("station", "station", "station", VIOLET),
+            ),
+            0.1,
+            ("tracking_lateral", "tracking_station"),
+        ),
+        Panel(
+            "tracking_speed",
+            "Tracking error of the speed [m/s]",
+            _columns(errors, ("speed", "speed", "speed", GREEN)),
+            0.2,
+            ("tracking_speed",),
+        ),
+        Panel(
+            "tracking_heading",
+            "Tracking error of the heading [rad]",
+            _columns(errors, ("heading", "heading", "heading", TEAL)),
+            0.02,
+            ("tracking_heading",),
+        ),
         Panel("slip", "Tyre slip angles [rad]", tuple(slips), 0.02, charted=False),
         Panel("friction", "Friction used [0..1]", tuple(friction), 0.2, charted=False),
-    )  # fmt: skip
+    )
     return _panels_with_values(*table)
 
 
@@ -268,7 +444,9 @@ def _limit(trace: Trace, scenario: Scenario) -> Curve:
     t = np.arange(ego.t[0], ego.t[-1] + 1e-9, LIMIT_STEP_S)
     limits = np.full(len(t), np.nan)
     if scenario.road.source is RoadSource.LANES:
-        for i, (x, y) in enumerate(zip(np.interp(t, ego.t, ego.x), np.interp(t, ego.t, ego.y), strict=True)):
+        for i, (x, y) in enumerate(
+            zip(np.interp(t, ego.t, ego.x), np.interp(t, ego.t, ego.y), strict=True)
+        ):
             lanes = scenario.road.lanes_at(float(x), float(y))
             limits[i] = next((lane.speed_limit for lane in lanes if lane.drivable), np.nan)
     return Curve("limit", "limit", t, limits, RED, 1.0, steps=True, asked=True)
@@ -290,7 +468,11 @@ def _predicted(trace: Trace, column: str) -> list[Curve]:
     curves = []
     for lag, colour in ((1.0, YELLOW), (3.0, VIOLET)):
         plans = ((frame.t + lag, loaded(frame.plan.trajectory)) for frame in trace.frames)
-        found = [(t, np.interp(t, p.t, getattr(p, column))) for t, p in plans if t <= min(p.t[-1], end) + 1e-9]
+        found = [
+            (t, np.interp(t, p.t, getattr(p, column)))
+            for t, p in plans
+            if t <= min(p.t[-1], end) + 1e-9
+        ]
         older = np.array(found, dtype=np.float64).reshape(-1, 2)
         name = f"plan_{lag:.0f}s", f"plan {lag:.0f} s before"
         curves.append(Curve(*name, older[:, 0], older[:, 1], colour, 1.2, asked=True))
@@ -305,7 +487,9 @@ def stage_panel(timings: Sequence[StageTime], names: dict[str, str]) -> list[Pan
         t, seconds = np.array(some).T
         colour, width = (GREY, 2.0) if stage == "total" else (SERIES[k % 7], 1.2)
         curves.append(Curve(name, stage, t, 1e3 * seconds, colour, width, spiky=True))
-    return _panels_with_values(Panel("stages", "Stage times [ms]", tuple(curves), 0.2, charted=False))
+    return _panels_with_values(
+        Panel("stages", "Stage times [ms]", tuple(curves), 0.2, charted=False)
+    )
 
 
 def compared_panels(drives: Mapping[str, Sequence[Panel]]) -> list[Panel]:
@@ -322,7 +506,9 @@ def compared_panels(drives: Mapping[str, Sequence[Panel]]) -> list[Panel]:
         if curves[title] > 1:
             what, bracket, unit = title.partition(" [")
             title, part = f"{what}, {one.legend}{bracket}{unit}", f"{part}_{one.name}"
-        before = panels.get((panel.title, one.name), replace(panel, name=part, title=title, curves=()))
+        before = panels.get(
+            (panel.title, one.name), replace(panel, name=part, title=title, curves=())
+        )
         mine = replace(one, name=name, legend=name)
         panels[panel.title, one.name] = replace(before, curves=(*before.curves, mine))
     return list(panels.values())
@@ -341,9 +527,17 @@ class GraphKind:
     scrolls: bool  # Whether the graphs of a drive begin at different x
 
 
-ST = GraphKind("st", StGraph, "S-T graph", "time from the plan [s]", "station along the path [m]", 5.0, False)
+ST = GraphKind(
+    "st", StGraph, "S-T graph", "time from the plan [s]", "station along the path [m]", 5.0, False
+)
 SL = GraphKind(
-    "sl", SlGraph, "S-L graph", "station of the reference line [m]", "lateral offset [m], left positive", 4.0, True
+    "sl",
+    SlGraph,
+    "S-L graph",
+    "station of the reference line [m]",
+    "lateral offset [m], left positive",
+    4.0,
+    True,
 )
 FAR_M = 6.0  # Axes show obstacles and bounds up to this far beyond the solutions
 
@@ -365,18 +559,22 @@ class DrawnObstacle:
 class DrawnGraph:
     """A graph."""
 
-    begin: float  # The first x of the QP solution, otherwise of the DP solution, the grid or the corridor
+    # The first x of the QP solution, otherwise of the DP solution, the grid or the corridor
+    begin: float
     qp: FloatArray  # Finite points of the QP solution `(n, 2)`
     dp: FloatArray  # Finite points of the DP solution `(n, 2)`
     knots: FloatArray  # Points `(k, 2)` of the DP solution at the columns of its grid
     grid: GridCost | None  # The nodes that the DP searched
-    corridor: Corridor | None  # The bounds of the QP; None if there are fewer than two stations or times
+    # The bounds of the QP; None if there are fewer than two stations or times
+    corridor: Corridor | None
     obstacles: tuple[DrawnObstacle, ...]  # The obstacles that have an outline
 
     @classmethod
     def of(cls, plan: Plan, kind: GraphKind) -> DrawnGraph | None:
         """The first graph of a kind in a plan; None if there is none."""
-        graph = next((artefact for artefact in plan.internals if isinstance(artefact, kind.graph)), None)
+        graph = next(
+            (artefact for artefact in plan.internals if isinstance(artefact, kind.graph)), None
+        )
         if graph is None:
             return None
         qp, dp, grid, corridor = finite(graph.qp), finite(graph.dp), graph.grid, graph.corridor
@@ -387,10 +585,14 @@ class DrawnGraph:
             knots = np.column_stack([x, np.interp(x, dp[:, 0], dp[:, 1])])
         outlines = ((each, finite(each.outline)) for each in graph.obstacles)
         return cls(
-            next((float(x[0]) for x in firsts if len(x)), 0.0), qp, dp, knots, grid,
+            next((float(x[0]) for x in firsts if len(x)), 0.0),
+            qp,
+            dp,
+            knots,
+            grid,
             corridor if corridor is not None and len(corridor.first) > 1 else None,
             tuple(DrawnObstacle(each, outline) for each, outline in outlines if len(outline)),
-        )  # fmt: skip
+        )
 
 
 def graph_axes(graphs: Sequence[DrawnGraph], kind: GraphKind) -> tuple[Span, Span] | None:
@@ -398,8 +600,15 @@ def graph_axes(graphs: Sequence[DrawnGraph], kind: GraphKind) -> tuple[Span, Spa
 
     They may cut off far obstacles and bounds of the corridor. None if there is neither solution nor obstacle.
     """
-    solved = [line - [graph.begin, 0.0] for graph in graphs for line in (graph.qp, graph.dp) if len(line)]
-    around = [some.outline - [graph.begin, 0.0] for graph in graphs for some in graph.obstacles if not some.is_ignored]
+    solved = [
+        line - [graph.begin, 0.0] for graph in graphs for line in (graph.qp, graph.dp) if len(line)
+    ]
+    around = [
+        some.outline - [graph.begin, 0.0]
+        for graph in graphs
+        for some in graph.obstacles
+        if not some.is_ignored
+    ]
     if not solved and not around:
         return None
     points = np.concatenate(solved or around)
@@ -408,13 +617,20 @@ def graph_axes(graphs: Sequence[DrawnGraph], kind: GraphKind) -> tuple[Span, Spa
     seen = (outline[(outline[:, 0] >= x[0]) & (outline[:, 0] <= x[1]), 1] for outline in around)
     near: list[FloatArray] = [some for some in seen if len(some)]
     if kind is ST:
-        top = max(high, min(max([high, *(float(some.min()) + FAR_M for some in near)]), 1.6 * high + 10.0), kind.least)
+        top = max(
+            high,
+            min(max([high, *(float(some.min()) + FAR_M for some in near)]), 1.6 * high + 10.0),
+            kind.least,
+        )
         return x, (min(low, 0.0), 1.05 * top)
     for graph in graphs:
         near += [graph.grid.second] if graph.grid else []
         if graph.corridor is not None:
             inside = graph.corridor.first <= graph.begin + x[1]
-            sides = (side[inside & np.isfinite(side)] for side in (graph.corridor.lower, graph.corridor.upper))
+            sides = (
+                side[inside & np.isfinite(side)]
+                for side in (graph.corridor.lower, graph.corridor.upper)
+            )
             near += [side for side in sides if len(side)]
     low = max(min([low, *(float(some.min()) for some in near if len(some))]), low - FAR_M)
     high = min(max([high, *(float(some.max()) for some in near if len(some))]), high + FAR_M)
@@ -441,7 +657,11 @@ def decided(plan: Plan) -> dict[str, Decision]:
 
 
 def in_full(
-    ids: Sequence[str], x: FloatArray, y: FloatArray, about: Container[str], ego: tuple[float, float]
+    ids: Sequence[str],
+    x: FloatArray,
+    y: FloatArray,
+    about: Container[str],
+    ego: tuple[float, float],
 ) -> IntArray:
     """Rows of the agents drawn in full, increasing: the `NEAREST` within `NEAR_M`, and those with a decision.
 
@@ -451,7 +671,9 @@ def in_full(
         return np.arange(len(ids))
     away = np.hypot(x - ego[0], y - ego[1])
     near = {int(i) for i in np.argsort(away, kind="stable")[:NEAREST] if away[i] <= NEAR_M}
-    return np.array(sorted(near | {i for i, name in enumerate(ids) if name in about}), dtype=np.int64)
+    return np.array(
+        sorted(near | {i for i, name in enumerate(ids) if name in about}), dtype=np.int64
+    )
 
 
 def plan_seconds(plan: Plan) -> FloatArray:

@@ -33,9 +33,33 @@ from replan.core.names import counted
 from replan.draw.drawn_results import load
 from replan.draw.model import SERIES, SL, ST, Curve, Marker, Panel
 from replan.draw.recording import write_log_recording
-from replan.draw.recording.pictures import LOOPBACK, Picture, Theme, environment, free_port, in_use, take_pictures
-from replan.draw.recording.plots import LANES, graph_view, lanes_beside_numbers, plot, scene_behind, state_view, window
-from replan.draw.recording.tape import MARKDOWN, Instants, cell, document, link, recording_file, table
+from replan.draw.recording.pictures import (
+    LOOPBACK,
+    Picture,
+    Theme,
+    environment,
+    free_port,
+    in_use,
+    take_pictures,
+)
+from replan.draw.recording.plots import (
+    LANES,
+    graph_view,
+    lanes_beside_numbers,
+    plot,
+    scene_behind,
+    state_view,
+    window,
+)
+from replan.draw.recording.tape import (
+    MARKDOWN,
+    Instants,
+    cell,
+    document,
+    link,
+    recording_file,
+    table,
+)
 from replan.draw.report.overview import overview
 from replan.explain.first_difference import first_difference
 from replan.logs.mcap import read_trace
@@ -44,9 +68,7 @@ from replan.logs.scenario import Scenario
 from replan.logs.trace import Trace
 from replan.results.load import named_logs
 
-ELSEWHERE = (
-    "copy the .rrd to a machine with one and open it there with `rerun FILE.rrd`, or add --web to see it in a browser"
-)
+ELSEWHERE = "copy the .rrd to a machine with one and open it there with `rerun FILE.rrd`, or add --web to see it in a browser"
 MOST = 12  # Recordings opened at once: each takes memory in the viewer; the index has links to all
 
 
@@ -65,19 +87,33 @@ def write_index(path: Path, folder: Path, most: int) -> list[Path]:
     beside = f"Open beside this page: {len(opened)} of {counted(there, 'recording')}, those of the worst drives."
     lines.append(beside + click)
     if there > len(opened):
-        lines += ["", f"Both loops of one: `replan view {document([shlex.quote(str(folder))])} --log LOG`."]
+        lines += [
+            "",
+            f"Both loops of one: `replan view {document([shlex.quote(str(folder))])} --log LOG`.",
+        ]
     if there < len(rows):
         lines += ["", f"Without recording: {counted(len(rows) - there, 'drive')}."]
     names = [column.title.replace("\n", " ") for column in over.columns]
     body = []
     for row in rows:
         name = link(row.log, (folder / row.recording).resolve()) if row.recording else row.log
-        body.append((name, row.shown, row.verdict or "not judged", row.end.text, *(c.text for c in row.cells)))
+        body.append(
+            (
+                name,
+                row.shown,
+                row.verdict or "not judged",
+                row.end.text,
+                *(c.text for c in row.cells),
+            )
+        )
     lines += table(("log", "planner", "gates", "end", *names), body)
     digest = sha256("".join(lines).encode()).hexdigest()[:32]
     view = rrb.TextDocumentView(origin="/index", name="Index")
     layout = rrb.Blueprint(
-        view, rrb.BlueprintPanel(state="expanded"), rrb.SelectionPanel(state="hidden"), rrb.TimePanel(state="hidden")
+        view,
+        rrb.BlueprintPanel(state="expanded"),
+        rrb.SelectionPanel(state="hidden"),
+        rrb.TimePanel(state="hidden"),
     )
     with recording_file(path, "replan index", "index", digest, layout) as tape:
         tape.static("index", rr.TextDocument(document(lines), media_type=MARKDOWN))
@@ -92,7 +128,9 @@ def recordings(target: Path, log: str | None = None) -> list[Path]:
     """
     found = sorted(target.rglob("*.rrd"))
     if not found:
-        raise ConfigError(f"{target}: no recording (*.rrd) in it; `replan evaluate` without --no-recording writes them")
+        raise ConfigError(
+            f"{target}: no recording (*.rrd) in it; `replan evaluate` without --no-recording writes them"
+        )
     named = {file.relative_to(target).as_posix(): file for file in found}
     return found if log is None else [named[name] for name in named_logs(log, named)]
 
@@ -123,7 +161,10 @@ def choose_pair(one: Path, two: Path, found: list[Path], others: list[Path]) -> 
         return one, two
     if one.is_file() or two.is_file():
         raise ConfigError("name two recordings, or two folders of results")
-    first, second = ({file.relative_to(each): file for file in files} for each, files in ((one, found), (two, others)))
+    first, second = (
+        {file.relative_to(each): file for file in files}
+        for each, files in ((one, found), (two, others))
+    )
     both = sorted(first.keys() & second.keys())
     if not both:
         raise ConfigError(f"{one} and {two} have no recording in common")
@@ -139,16 +180,23 @@ def save_pair(out: Path, files: tuple[Path, Path]) -> None:
     """Write two recordings of one log as one; ConfigError if their traces are not beside them."""
     for file in files:
         if not file.with_suffix(".mcap").is_file():
-            raise ConfigError(f"{file}: its trace ({file.with_suffix('.mcap').name}) is not beside it")
+            raise ConfigError(
+                f"{file}: its trace ({file.with_suffix('.mcap').name}) is not beside it"
+            )
     one, two = (read_trace(file.with_suffix(".mcap"))[0] for file in files)
     names = [f"{trace.planner}, {trace.mode.value} loop" for trace in (one, two)]
     if names[0] == names[1]:
-        names = [f"{name} ({file.parent.parent.name})" for name, file in zip(names, files, strict=True)]
+        names = [
+            f"{name} ({file.parent.parent.name})" for name, file in zip(names, files, strict=True)
+        ]
     write_pair(out, files, (one, two), (names[0], names[1]))
 
 
 def save_log(
-    log: Path, out: Path, settings: LogSettings | None, markers: Callable[[Scenario], Sequence[Marker]]
+    log: Path,
+    out: Path,
+    settings: LogSettings | None,
+    markers: Callable[[Scenario], Sequence[Marker]],
 ) -> None:
     """Write a log of any format as a recording, with its markers.
 
@@ -164,20 +212,32 @@ def show(files: list[Path], memory_limit: str, *, web: bool = False, port: int =
     `memory_limit`: memory of the viewer ("2GB", "50%"). `port`: port of the page, with `web`. ConfigError if the port
     is in use; ReplanError if there is no display, or the viewer ended with an error (no graphics driver).
     """
-    if not web and sys.platform == "linux" and not {"DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"} & {*os.environ}:
-        raise ReplanError(f"there is no display here (DISPLAY and WAYLAND_DISPLAY are not set); {ELSEWHERE}")
+    if (
+        not web
+        and sys.platform == "linux"
+        and not {"DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"} & {*os.environ}
+    ):
+        raise ReplanError(
+            f"there is no display here (DISPLAY and WAYLAND_DISPLAY are not set); {ELSEWHERE}"
+        )
     if web and in_use(port):
-        raise ConfigError(f"port {port} is in use; close what uses it (another viewer?), or name another with --port")
+        raise ConfigError(
+            f"port {port} is in use; close what uses it (another viewer?), or name another with --port"
+        )
     command = [sys.executable, "-m", "rerun", "--bind", LOOPBACK, "--port", str(free_port())]
     command += ["--memory-limit", memory_limit]
     command += ["--web-viewer", "--web-viewer-port", str(port)] if web else []
     with environment() as variables:
         code = subprocess.run([*command, *map(str, files)], env=variables, check=False).returncode
     if code:
-        raise ReplanError(f"the viewer ended with an error (above); without a display or graphics driver, {ELSEWHERE}")
+        raise ReplanError(
+            f"the viewer ended with an error (above); without a display or graphics driver, {ELSEWHERE}"
+        )
 
 
-def picture(recording: Path, out: Path, at: float, layout: str, tile: str | None, size: str, theme: Theme) -> None:
+def picture(
+    recording: Path, out: Path, at: float, layout: str, tile: str | None, size: str, theme: Theme
+) -> None:
     """A picture of a recording at a time, s; ConfigError if it has no such layout or tile."""
     take_pictures(recording, [Picture(out, at, tile, layout)], size=size, theme=theme)
 
@@ -195,14 +255,18 @@ APART_M = 0.5  # Drives that are farther apart than this look different
 MARK = 0xFF463CFF
 
 
-def write_pair(path: Path, recordings: tuple[Path, Path], traces: tuple[Trace, Trace], names: tuple[str, str]) -> None:
+def write_pair(
+    path: Path, recordings: tuple[Path, Path], traces: tuple[Trace, Trace], names: tuple[str, str]
+) -> None:
     """Write two recordings as one.
 
     ConfigError if the drives are of different logs; OutputError if the file cannot be written.
     """
     one, two = traces
     if one.scenario != two.scenario:
-        raise ConfigError(f"both drives must be of the same log, not of {one.scenario} and {two.scenario}")
+        raise ConfigError(
+            f"both drives must be of the same log, not of {one.scenario} and {two.scenario}"
+        )
     chunks = [
         [
             chunk.with_entity_path(f"/{side}{chunk.entity_path}")
@@ -215,17 +279,24 @@ def write_pair(path: Path, recordings: tuple[Path, Path], traces: tuple[Trace, T
     paths = {chunk.entity_path for some in chunks for chunk in some}
     digest = sha256("".join([*map(str, recordings), *names]).encode()).hexdigest()[:32]
     layout = _blueprint(paths, names, traces, t, values)
-    with recording_file(path, f"replan pair {one.scenario}", " and ".join(names), digest, layout) as tape:
+    with recording_file(
+        path, f"replan pair {one.scenario}", " and ".join(names), digest, layout
+    ) as tape:
         for some in chunks:
             tape.stream.send_chunks(some)
         frames = np.array([frame.t for frame in one.frames]) if one.frames else t
         instants = Instants.among(t, frames)
         for (name, legend), colour in zip(LEGENDS.items(), SERIES, strict=False):
-            tape.static(f"difference/{name}", rr.SeriesLines(colors=[colour], names=[legend], widths=[1.5]))
+            tape.static(
+                f"difference/{name}", rr.SeriesLines(colors=[colour], names=[legend], widths=[1.5])
+            )
             tape.rows(f"difference/{name}", instants, rr.Scalars.columns(scalars=values[name]))
         where = first_difference(one, two)
         words = [f"- **{side}**: {cell(name)}" for side, name in zip(SIDES, names, strict=True)]
-        words += ["", f"**First difference: {cell(where.what)}**" if where else "The drives do not differ."]
+        words += [
+            "",
+            f"**First difference: {cell(where.what)}**" if where else "The drives do not differ.",
+        ]
         far = np.flatnonzero(values["gap"] > APART_M)
         sentence = f"The egos are never more than {APART_M:g} m apart."
         if len(far):
@@ -234,9 +305,15 @@ def write_pair(path: Path, recordings: tuple[Path, Path], traces: tuple[Trace, T
         words += ["", sentence]
         tape.static("parting", rr.TextDocument(document(words), media_type=MARKDOWN))
         if where is not None:  # a mark on the curves of the difference
-            style = rr.SeriesPoints(colors=[MARK], markers=["Diamond"], marker_sizes=[7.0], names=["first difference"])
+            style = rr.SeriesPoints(
+                colors=[MARK], markers=["Diamond"], marker_sizes=[7.0], names=["first difference"]
+            )
             tape.static("parts", style)
-            tape.rows("parts", Instants.among(np.array([where.t]), frames), rr.Scalars.columns(scalars=[0.0]))
+            tape.rows(
+                "parts",
+                Instants.among(np.array([where.t]), frames),
+                rr.Scalars.columns(scalars=[0.0]),
+            )
 
 
 def difference(one: Trace, two: Trace) -> tuple[FloatArray, dict[str, FloatArray]]:
@@ -244,35 +321,52 @@ def difference(one: Trace, two: Trace) -> tuple[FloatArray, dict[str, FloatArray
     a, b = one.ego, two.ego
     t = a.t if a.t[-1] >= b.t[-1] else b.t
     first, second = (
-        {name: np.interp(t, ego.t, getattr(ego, name), nan, nan) for name in ("x", "y", "v", "a")} for ego in (a, b)
+        {name: np.interp(t, ego.t, getattr(ego, name), nan, nan) for name in ("x", "y", "v", "a")}
+        for ego in (a, b)
     )
     apart = {name: second[name] - first[name] for name in first}
     return t, {"gap": np.hypot(apart["x"], apart["y"]), "v": apart["v"], "a": apart["a"]}
 
 
 def _blueprint(
-    paths: set[str], names: tuple[str, str], traces: tuple[Trace, Trace], t: FloatArray, values: dict[str, FloatArray]
+    paths: set[str],
+    names: tuple[str, str],
+    traces: tuple[Trace, Trace],
+    t: FloatArray,
+    values: dict[str, FloatArray],
 ) -> rrb.Blueprint:
     """Scenes and graphs of both side by side on the left, words and curves on the right."""
-    scenes = [scene_behind(f"{side}: {name}", f"/{side}") for side, name in zip(SIDES, names, strict=True)]
+    scenes = [
+        scene_behind(f"{side}: {name}", f"/{side}") for side, name in zip(SIDES, names, strict=True)
+    ]
     graphs = [  # a tab for each kind of graph that both have
         rrb.Horizontal(
-            *(graph_view(f"{side}: {kind.title}", f"/{side}/graphs", f"/{side}/graphs/{kind.name}") for side in SIDES),
+            *(
+                graph_view(
+                    f"{side}: {kind.title}", f"/{side}/graphs", f"/{side}/graphs/{kind.name}"
+                )
+                for side in SIDES
+            ),
             name=kind.title,
         )
         for kind in (ST, SL)
-        if all(any(path.startswith(f"/{side}/graphs/{kind.name}") for path in paths) for side in SIDES)
+        if all(
+            any(path.startswith(f"/{side}/graphs/{kind.name}") for path in paths) for side in SIDES
+        )
     ]
     left: list[rrb.Container | rrb.View] = [rrb.Horizontal(*scenes), *_tabs(graphs)]
     pages = [rrb.TextDocumentView(origin=f"/{side}/why", name=f"{side}: why") for side in SIDES]
-    words = rrb.Tabs(rrb.TextDocumentView(origin="/parting", name="First difference"), *pages, active_tab=0)
+    words = rrb.Tabs(
+        rrb.TextDocumentView(origin="/parting", name="First difference"), *pages, active_tab=0
+    )
     states = [
         state_view(f"{side}: decisions and status", lanes, f"/{side}")
         for side in SIDES
         if (lanes := [lane for lane in LANES if f"/{side}/{lane}" in paths])
     ]
     curves, apart = list[rrb.View](), list[rrb.View]()
-    for name, title, column, least in CURVES:  # curves of both egos, which are in the recordings already
+    # Curves of both egos, which are in the recordings already
+    for name, title, column, least in CURVES:
         egos = tuple(
             Curve(side, side, trace.ego.t, getattr(trace.ego, column))
             for side, trace in zip(SIDES, traces, strict=True)
@@ -282,11 +376,25 @@ def _blueprint(
             for side, shade in zip(SIDES, SHADES, strict=True)
             if (path := f"/{side}/plots/{name}/ego") in paths
         }
-        curves.append(plot(Panel(name, title, egos, least), origin="/", contents=list(there), overrides=there))
+        curves.append(
+            plot(Panel(name, title, egos, least), origin="/", contents=list(there), overrides=there)
+        )
     for title, shown in DIFFERENCES:
-        panel = Panel("difference", title, tuple(Curve(one, LEGENDS[one], t, values[one]) for one in shown), 1.0)
-        apart.append(plot(panel, origin="/", contents=[*(f"/difference/{one}" for one in shown), "/parts"]))
-    right = [words, *_tabs(curves), *_tabs(apart), *(lanes_beside_numbers(part, "/A") for part in _tabs(states))]
+        panel = Panel(
+            "difference",
+            title,
+            tuple(Curve(one, LEGENDS[one], t, values[one]) for one in shown),
+            1.0,
+        )
+        apart.append(
+            plot(panel, origin="/", contents=[*(f"/difference/{one}" for one in shown), "/parts"])
+        )
+    right = [
+        words,
+        *_tabs(curves),
+        *_tabs(apart),
+        *(lanes_beside_numbers(part, "/A") for part in _tabs(states)),
+    ]
     columns = (
         rrb.Vertical(*left, row_shares=[1.35, 1.0][: len(left)]),
         rrb.Vertical(*right, row_shares=[0.9, 1.3, 1.3, 1.3][: len(right)]),

@@ -60,7 +60,11 @@ def bisect_brackets(
     """The brackets halved until they are no wider than `resolution`; `evaluate` gives the outcomes of cells."""
     current = list(found)
     while True:
-        wide = [k for k, one in enumerate(current) if one.is_open and one.high - one.low > resolution * (1.0 + 1e-9)]
+        wide = [
+            k
+            for k, one in enumerate(current)
+            if one.is_open and one.high - one.low > resolution * (1.0 + 1e-9)
+        ]
         if not wide:
             return tuple(current)
         outcomes = evaluate([(current[k].middle, *current[k].row) for k in wide])

@@ -57,9 +57,13 @@ class TriedChange:
 
     def __post_init__(self) -> None:
         if self.rank not in RANKS:
-            raise ConfigError(f"change '{self.name}': rank is one of {', '.join(RANKS)}, got '{self.rank}'")
+            raise ConfigError(
+                f"change '{self.name}': rank is one of {', '.join(RANKS)}, got '{self.rank}'"
+            )
         if not self.name or safe_name(self.name) != self.name:
-            raise ConfigError(f"change '{self.name}': the name must be valid for a folder: letters, digits and _")
+            raise ConfigError(
+                f"change '{self.name}': the name must be valid for a folder: letters, digits and _"
+            )
         if not (self.default or self.set):
             raise ConfigError(f"change '{self.name}': needs default or set")
 
@@ -110,7 +114,9 @@ def driven(run: RunConfig, planner: str) -> RunConfig:
     return closed(run, planners=(planner,), planner=own, **{**QUIET, "internals": "summary"})
 
 
-def changed_runs(changes: Sequence[TriedChange], run: RunConfig) -> tuple[tuple[ChangedRun, ...], dict[str, str]]:
+def changed_runs(
+    changes: Sequence[TriedChange], run: RunConfig
+) -> tuple[tuple[ChangedRun, ...], dict[str, str]]:
     """The changes that alter a run of one planner, each once, and the reasons why others cannot be applied."""
     run = checked(run)[0]
     table = dump_run(run)
@@ -133,7 +139,9 @@ def changed_runs(changes: Sequence[TriedChange], run: RunConfig) -> tuple[tuple[
             refused[change.name] = str(error)
             continue
         now = dict(flat(tomllib.loads(dump_run(made))))
-        keys = frozenset((key, repr(now.get(key))) for key in {*base, *now} if base.get(key) != now.get(key))
+        keys = frozenset(
+            (key, repr(now.get(key))) for key in {*base, *now} if base.get(key) != now.get(key)
+        )
         if keys and all(keys != other.keys for other in found):
             found.append(ChangedRun(change, made, keys))
     return tuple(found), refused
@@ -155,7 +163,11 @@ class FailureCause:
 
 
 def cause_of(
-    runs: Sequence[ChangedRun], passing: Collection[str], fragile: Sequence[str] = (), *, avoidable: bool = True
+    runs: Sequence[ChangedRun],
+    passing: Collection[str],
+    fragile: Sequence[str] = (),
+    *,
+    avoidable: bool = True,
 ) -> FailureCause:
     """The cause of a drive, from the changes that were driven, and those and the perturbations with which it passes.
 
@@ -167,7 +179,9 @@ def cause_of(
     counts = [
         run.change
         for run in passed
-        if not any(part.is_part_of(run) and part.change.cause != run.change.cause for part in passed)
+        if not any(
+            part.is_part_of(run) and part.change.cause != run.change.cause for part in passed
+        )
     ]  # (1)
     for rank in RANKS:
         found = [change for change in counts if change.rank == rank]

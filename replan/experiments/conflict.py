@@ -98,7 +98,9 @@ def opened(name: str, settings: LogSettings) -> tuple[Scenario, Family | None]:
         if path.exists():
             return prepared(LogSource(name, path, settings).read()), None
     if ":" not in name and name not in families():
-        raise ConfigError(f"{name}: no such file or folder, and no family of the catalogue (replan synth --list)")
+        raise ConfigError(
+            f"{name}: no such file or folder, and no family of the catalogue (replan synth --list)"
+        )
     family = FAMILY.find(name)
     return prepared(family.scenario()), family
 
@@ -111,12 +113,18 @@ def encounters(scenario: Scenario) -> tuple[Encounter, ...]:
     tracks = scenario.tracks
     ego = scenario.ego if len(scenario.ego) > 1 else next(reference_drives(scenario)).ego
     t = np.arange(ego.t[0], ego.t[-1] + 1e-9, GRID_S)
-    others, boxes, car = others_at(tracks, t), ego_boxes(ego.resampled(t), scenario), scenario.vehicle
+    others, boxes, car = (
+        others_at(tracks, t),
+        ego_boxes(ego.resampled(t), scenario),
+        scenario.vehicle,
+    )
     found, own_box = [], car_of(scenario)
     for i in np.flatnonzero(others.there.any(axis=1)).tolist():
         there = np.flatnonzero(others.there[i])
         length, width = others.size[i].tolist()
-        away = np.hypot(others.pose[0, i, there] - boxes[0, there], others.pose[1, i, there] - boxes[1, there])
+        away = np.hypot(
+            others.pose[0, i, there] - boxes[0, there], others.pose[1, i, there] - boxes[1, there]
+        )
         spread = 0.5 * (hypot(car.length, car.width) + hypot(length, width))
         near = there[away <= away.min() + spread]  # the nearest one by its box is among these
         pairs = zip(boxes[:3, near].T.tolist(), others.pose[:3, i, near].T.tolist(), strict=True)
@@ -126,22 +134,35 @@ def encounters(scenario: Scenario) -> tuple[Encounter, ...]:
         ]
         best, own = int(np.argmin(gaps)), tracks.samples(i)
         way = hypot(tracks.x[own][-1] - tracks.x[own][0], tracks.y[own][-1] - tracks.y[own][0])
-        begin, end = (float(ego.t[0]), scenario.duration) if tracks.static[i] else tracks.t[own][[0, -1]].tolist()
+        begin, end = (
+            (float(ego.t[0]), scenario.duration)
+            if tracks.static[i]
+            else tracks.t[own][[0, -1]].tolist()
+        )
         walks = tracks.kinds[i] is AgentKind.PEDESTRIAN
         conflict = _conflict(boxes, t, own_box, others, i, 0.0 if walks else CROSSING_RAD)
         least, at = float(gaps[best]), float(t[near[best]])
-        found.append(Encounter(tracks.ids[i], tracks.kinds[i].value, begin, end, way, least, at, conflict))
+        found.append(
+            Encounter(tracks.ids[i], tracks.kinds[i].value, begin, end, way, least, at, conflict)
+        )
     return tuple(sorted(found, key=lambda one: (one.least, one.agent)))
 
 
-def _conflict(boxes: FloatArray, t: FloatArray, car: EgoOutline, others: OtherBoxes, i: int, angle: float) -> float:
+def _conflict(
+    boxes: FloatArray, t: FloatArray, car: EgoOutline, others: OtherBoxes, i: int, angle: float
+) -> float:
     """Conflict (3) of the ego's boxes at times t and agent i, whose heading must differ by `angle` to cross."""
     pose, (length, width), least = others.pose[:, i], others.size[i].tolist(), inf
     mine, theirs = may_meet(boxes, car, others, i)
     if len(mine) and len(theirs) and np.ptp(pose[0, theirs]) + np.ptp(pose[1, theirs]) > 0.0:
-        steps = encroachment(boxes, mine, pose, theirs, np.array([car[1:3], others.size[i]]), angle)[:2]
+        steps = encroachment(
+            boxes, mine, pose, theirs, np.array([car[1:3], others.size[i]]), angle
+        )[:2]
         least = min((GRID_S * float(k) for k in steps[steps >= 0]), default=inf)  # (1)
-    speed, reach = np.hypot(boxes[3], boxes[4]), 0.5 * (hypot(car.length, car.width) + hypot(length, width))
+    speed, reach = (
+        np.hypot(boxes[3], boxes[4]),
+        0.5 * (hypot(car.length, car.width) + hypot(length, width)),
+    )
     away = np.hypot(pose[0] - boxes[0], pose[1] - boxes[1]) - reach
     soon = away <= min(least, SOON_S) * (speed + np.hypot(pose[3], pose[4]))
     for k in np.flatnonzero(others.there[i] & (speed > NO_TTC_MPS) & soon).tolist():
@@ -149,7 +170,9 @@ def _conflict(boxes: FloatArray, t: FloatArray, car: EgoOutline, others: OtherBo
         x2, y2, yaw2, vx2, vy2 = pose[:5, k].tolist()
         if (x2 - x) * cos(yaw) + (y2 - y) * sin(yaw) + car.axle < 0.0:
             continue  # behind the rear axle
-        contact = time_to_contact(x, y, yaw, car.length, car.width, x2, y2, yaw2, length, width, vx2 - vx, vy2 - vy)
+        contact = time_to_contact(
+            x, y, yaw, car.length, car.width, x2, y2, yaw2, length, width, vx2 - vx, vy2 - vy
+        )
         least = min(least, contact) if contact <= SOON_S else least  # (2)
     return float(least) if least < inf else nan
 
@@ -164,7 +187,9 @@ def conflicting_agent(scenario: Scenario) -> str:
     """
     seen = [one for one in encounters(scenario) if one.t_to - one.t_from >= SEEN_S]
     if not seen:
-        raise ConfigError(f"{scenario.name}: there is no agent to vary; vary the ego's start, or insert an agent")
+        raise ConfigError(
+            f"{scenario.name}: there is no agent to vary; vary the ego's start, or insert an agent"
+        )
     going = [one for one in seen if one.way >= GOING_M] or seen
     return min(going, key=lambda one: inf if isnan(one.conflict) else one.conflict).agent
 
@@ -178,7 +203,11 @@ def question_about(
         ConfigError: As `replan.experiments.question.question` and `conflicting_agent`.
     """
     found = question(words, [*map(scenario.short_names.whole, agents)], resolution)
-    return found if agents or not found.varies_agents else replace(found, agents=(conflicting_agent(scenario),))
+    return (
+        found
+        if agents or not found.varies_agents
+        else replace(found, agents=(conflicting_agent(scenario),))
+    )
 
 
 def lines(found: tuple[Encounter, ...], short: ShortNames) -> list[str]:

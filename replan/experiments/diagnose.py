@@ -94,9 +94,13 @@ class DiagnosisQuestion:
     def failing(self, mode: str = MODE) -> Mapping[str, tuple[str, ...]]:
         """The logs whose drives fail gates in a loop, sorted, and these gates."""
         rows = self.results.verdicts
-        mine = rows[(rows["planner"] == self.planner) & (rows["mode"] == mode) & (rows["outcome"] == "fail")]
+        mine = rows[
+            (rows["planner"] == self.planner) & (rows["mode"] == mode) & (rows["outcome"] == "fail")
+        ]
         gates = mine.groupby("log")["gate"].agg(tuple)
-        return {str(log): gates[log] for log in sorted(gates.index) if not self.logs or log in self.logs}
+        return {
+            str(log): gates[log] for log in sorted(gates.index) if not self.logs or log in self.logs
+        }
 
     def head(self) -> dict[str, Any]:
         """The inputs that identify a diagnosis."""
@@ -152,20 +156,34 @@ def diagnose(
     runs, refused = changed_runs(asked.changes, asked.run)
     with claimed_folder(out, CONTENTS, resume=resume) as out:
         trials = _DiagnosisDrives(asked, out, Study(out, asked.head(), resume=resume), workers)
-        lost = f", {len(trials.not_driven)} more cannot be driven again" if trials.not_driven else ""
+        lost = (
+            f", {len(trials.not_driven)} more cannot be driven again" if trials.not_driven else ""
+        )
         failing = trials.failing
-        say(f"{counted(len(failing), 'failing drive')} of {asked.planner}{lost}, {counted(len(runs), 'change')}")
+        say(
+            f"{counted(len(failing), 'failing drive')} of {asked.planner}{lost}, {counted(len(runs), 'change')}"
+        )
         for k, run in enumerate(runs if failing else ()):
             passing = sum(one["passes"] for one in trials.drive(run).values())
             say(f"{k + 1} of {len(runs)}: {run.change.name}: {passing} of {len(failing)} pass")
         gone = tuple(name for name in trials.files if name not in {*failing, *trials.not_driven})
         result = Diagnosis(
-            out, asked.results.path, asked.planner, tuple(trials.found(name, runs) for name in failing), gone,
-            trials.not_driven, runs, refused, trials.answers, open_loop=asked.failing(Mode.OPEN.value),
-        )  # fmt: skip
+            out,
+            asked.results.path,
+            asked.planner,
+            tuple(trials.found(name, runs) for name in failing),
+            gone,
+            trials.not_driven,
+            runs,
+            refused,
+            trials.answers,
+            open_loop=asked.failing(Mode.OPEN.value),
+        )
         if settings:
             first = [some[0].log for some in result.clusters() if not some[0].cause.fragile]
-            result = replace(result, remedies=tuple(trials.remedy(log, settings, say) for log in first))
+            result = replace(
+                result, remedies=tuple(trials.remedy(log, settings, say) for log in first)
+            )
         result.write()
     return result
 
@@ -195,7 +213,9 @@ class _DiagnosisDrives:
             study.add([{"key": AS_IT_WAS, "drives": rows}])
         self._base_rows: dict[str, Any] = (study.known(AS_IT_WAS) or {"drives": {}})["drives"]
         self.failing = [name for name, row in self._base_rows.items() if row["gates"]]
-        self.not_driven = {name: row["lost"] for name, row in self._base_rows.items() if "lost" in row}
+        self.not_driven = {
+            name: row["lost"] for name, row in self._base_rows.items() if "lost" in row
+        }
         self.answers: dict[str, dict[str, Any]] = {}
 
     def _file(self, name: str) -> Path:
@@ -213,7 +233,11 @@ class _DiagnosisDrives:
         if self._study.known(AS_IT_WAS) is not None:
             return as_driven(load(place), planner)
         written = [file for file in self.files.values() if file.is_file()]
-        files = [each for file in written for each in (file, *(_control(file, name) for name in CONTROLS))]
+        files = [
+            each
+            for file in written
+            for each in (file, *(_control(file, name) for name in CONTROLS))
+        ]
         return drive_again(files, self._asked.run, planner, place, workers=self._workers)
 
     def _base_row(self, name: str) -> dict[str, Any]:
@@ -238,10 +262,11 @@ class _DiagnosisDrives:
             "peaks": made.peaks(file, gates),
         }
         row["fragile"] = [
-            one for one in CONTROLS
+            one
+            for one in CONTROLS
             for control in [_control(file, one)]
             if passes(gates, made.of(control)) and not _is_cut(row, made, control)
-        ]  # fmt: skip
+        ]
         return row
 
     def _drive_of(self, name: str) -> DriveResult:
@@ -257,7 +282,10 @@ class _DiagnosisDrives:
         return self.answers[run.change.name]
 
     def _drive_failing(self, run: ChangedRun) -> dict[str, dict[str, Any]]:
-        files, place = [self.files[name] for name in self.failing], self._out / "changes" / run.change.name
+        files, place = (
+            [self.files[name] for name in self.failing],
+            self._out / "changes" / run.change.name,
+        )
         made = drive_again(files, run.run, self._asked.planner, place, workers=self._workers)
         answers: dict[str, dict[str, Any]] = {}
         for name, file in zip(self.failing, files, strict=True):
@@ -265,8 +293,14 @@ class _DiagnosisDrives:
             answers[name] = {"passes": against == "", "gates": list(failed_gates(made.of(file)))}
             answers[name].update(against=against or "", end=made.ended(file), parts={})
             if answers[name]["passes"]:
-                was, now, until = self._drive_of(name), made.drive(file), self._base_rows[name]["time_s"]
-                difference = DriveDifference.of(was.trace, now.trace, inf if until is None else until)
+                was, now, until = (
+                    self._drive_of(name),
+                    made.drive(file),
+                    self._base_rows[name]["time_s"],
+                )
+                difference = DriveDifference.of(
+                    was.trace, now.trace, inf if until is None else until
+                )
                 answers[name].update(parts=parting(was, now), difference=asdict(difference))
                 if self._base_rows[name]["metric"].partition(".")[0] in PROGRESS:
                     answers[name]["pace"] = asdict(RoutePace.of(now.trace.ego, now.scenario))
@@ -285,7 +319,10 @@ class _DiagnosisDrives:
         if peak := worse_peak(base["peaks"], made.peaks(file, base["gates"], base["lasted"])):
             return f"{peak} is worse"
         was, now, until = self._drive_of(name), made.drive(file), base["time_s"] or base["lasted"]
-        they, way = was.scenario.short_names(base["about"]), made_way(was.trace, now.trace, who, until)
+        they, way = (
+            was.scenario.short_names(base["about"]),
+            made_way(was.trace, now.trace, who, until),
+        )
         if way > FORCED_MPS2:
             return f"{they} brakes by {way:.1f} m/s² more"
         reacts = base["metric"].partition(".")[0] in REACTIONS
@@ -301,8 +338,14 @@ class _DiagnosisDrives:
         base, drive = self._base_rows[name], self._drive_of(name)
         answers = {run.change.name: self.answers[run.change.name][name] for run in runs}
         passing = tuple(change for change, answer in answers.items() if answer["passes"])
-        almost = {change: str(answer["against"]) for change, answer in answers.items() if answer["against"]}
-        cause = cause_of(runs, passing, base["fragile"], avoidable=base["avoidable"] or bool(almost))
+        almost = {
+            change: str(answer["against"])
+            for change, answer in answers.items()
+            if answer["against"]
+        }
+        cause = cause_of(
+            runs, passing, base["fragile"], avoidable=base["avoidable"] or bool(almost)
+        )
         shows = answers[cause.changes[0]] if cause.changes else {"parts": {}}
         difference, parts = DriveDifference(**shows.get("difference", {})), shows["parts"]
         time, beyond = (nan if base[key] is None else base[key] for key in ("time_s", "beyond"))
@@ -311,11 +354,19 @@ class _DiagnosisDrives:
         explained = list(accounts(drive.trace, drive.scenario, drive.result.run.drive_loop))
         at = parts.get("t_s", time)
         k = _frame_at(frames, at)
-        because = Explanation.of(frames[k], explained[k], bounds=False).because if frames and isfinite(at) else ()
+        because = (
+            Explanation.of(frames[k], explained[k], bounds=False).because
+            if frames and isfinite(at)
+            else ()
+        )
         late = base["metric"].partition(".")[0] in PROGRESS
         kind, _, agent = base["about"].partition(" ")
         known = kind in {one.value for one in AgentKind} and agent in drive.trace.agents.ids
-        begun = None if difference.brakes_s is None or not frames else explained[_frame_at(frames, difference.brakes_s)]
+        begun = (
+            None
+            if difference.brakes_s is None or not frames
+            else explained[_frame_at(frames, difference.brakes_s)]
+        )
         fails = time if isfinite(time) else last
         seen = (
             max(fails - AHEAD_S, frames[0].t if frames else 0.0)
@@ -323,22 +374,43 @@ class _DiagnosisDrives:
             else difference.would_brake_s
         )
         failure = DriveFailure(
-            base["gates"][0], base["metric"], drive.scenario.short_names(base["about"]) if known else "",
-            lane_change(drive.trace, fails), difference,
+            base["gates"][0],
+            base["metric"],
+            drive.scenario.short_names(base["about"]) if known else "",
+            lane_change(drive.trace, fails),
+            difference,
             begun is not None and any(one.who == agent for one in begun.causes),
             Foresight.of(drive.trace, agent, seen) if known else Foresight(),
             GoalMiss.of(drive.trace, drive.scenario) if late else None,
-        )  # fmt: skip
+        )
         first = drive.scenario.short_names(because[0]) if because else ""
         slow: list[Wait] = []
-        pace = RoutePace(**shows["pace"]) if "pace" in shows else RoutePace.needed(drive.scenario) if late else None
+        pace = (
+            RoutePace(**shows["pace"])
+            if "pace" in shows
+            else RoutePace.needed(drive.scenario)
+            if late
+            else None
+        )
         if pace is not None:
             lost, wanted = pace.lost(drive.trace.ego, drive.scenario, [frame.t for frame in frames])
             loop = drive.result.run.drive_loop
-            slow = waits(list(accounts(drive.trace, drive.scenario, loop, wanted=wanted)), lost.tolist())
+            slow = waits(
+                list(accounts(drive.trace, drive.scenario, loop, wanted=wanted)), lost.tolist()
+            )
         slow = [replace(one, who=drive.scenario.short_names(one.who)) for one in slow]
         return Found(
-            name, tuple(base["gates"]), time, beyond, cause, failure, parts, first, passing, tuple(slow), almost
+            name,
+            tuple(base["gates"]),
+            time,
+            beyond,
+            cause,
+            failure,
+            parts,
+            first,
+            passing,
+            tuple(slow),
+            almost,
         )
 
     def remedy(self, name: str, settings: Sequence[Setting], say: Callable[[str], None]) -> Remedy:
@@ -352,8 +424,12 @@ class _DiagnosisDrives:
 
         def mends(setting: Setting, value: Value) -> bool:
             key = f"{name}: {setting.key} = {value!r}"
-            row = self._study.row(key, lambda: {"passes": self._mended(name, drives(setting, value, [file]))})
-            say(f"{name}: {'passes' if row['passes'] else 'fails'} with {setting.key} = {shown(value)}")
+            row = self._study.row(
+                key, lambda: {"passes": self._mended(name, drives(setting, value, [file]))}
+            )
+            say(
+                f"{name}: {'passes' if row['passes'] else 'fails'} with {setting.key} = {shown(value)}"
+            )
             return bool(row["passes"])
 
         def everywhere(setting: Setting, value: Value) -> dict[str, Any]:
@@ -380,7 +456,9 @@ class _DiagnosisDrives:
             if found is None:
                 return Remedy(name)
             setting, value, u = found
-            row = self._study.row(f"all logs: {setting.key} = {value!r}", lambda: everywhere(setting, value))
+            row = self._study.row(
+                f"all logs: {setting.key} = {value!r}", lambda: everywhere(setting, value)
+            )
         mended, broken = tuple(row["mended"]), tuple(row["broken"])
         return Remedy(name, setting.key, setting.default, value, u, mended, broken, row["drives"])
 

@@ -98,8 +98,14 @@ class DrivenLogs:
 
         An extreme after `until`, s, is left out.
         """
-        words, trial, found = {self.gates[gate].metric.partition(".")[0] for gate in gates}, self.trial(file), {}
-        rows = trial.metrics[(trial.metrics["planner"] == self.planner) & ~(trial.metrics["time_s"] > until + TIE)]
+        words, trial, found = (
+            {self.gates[gate].metric.partition(".")[0] for gate in gates},
+            self.trial(file),
+            {},
+        )
+        rows = trial.metrics[
+            (trial.metrics["planner"] == self.planner) & ~(trial.metrics["time_s"] > until + TIE)
+        ]
         for name, value in zip(rows["metric"], rows["value"].astype(float), strict=True):
             word, _, reduction = name.partition(".")
             metric = METRICS.get(word) if word in words and isfinite(value) else None
@@ -118,7 +124,9 @@ class DrivenLogs:
         return self.trial(file).careful is not Avoidability.UNAVOIDABLE
 
 
-def drive_again(files: Sequence[Path], run: RunConfig, planner: str, out: Path, *, workers: int) -> DrivenLogs:
+def drive_again(
+    files: Sequence[Path], run: RunConfig, planner: str, out: Path, *, workers: int
+) -> DrivenLogs:
     """Drive logs, and judge them by the gates for `planner`; errors as `evaluate_logs`."""
     return as_driven(evaluate_logs(list(files), run, out, workers=workers), planner)
 
@@ -129,9 +137,13 @@ def as_driven(results: Results, planner: str) -> DrivenLogs:
     files = (Path(source).name for source in results.logs["source"])
     names = dict(zip(files, results.logs["log"], strict=True))
     gates = gates_of(run, run.gates_path)
-    asked = tuple(replace(gate, planner=None) for gate in gates.gates if gate.planner in (None, planner))
+    asked = tuple(
+        replace(gate, planner=None) for gate in gates.gates if gate.planner in (None, planner)
+    )
     rules = {str(gate): gate for gate in asked}
-    return DrivenLogs(results, names, run.planners[0], rules, judged(results, names, replace(gates, gates=asked)))
+    return DrivenLogs(
+        results, names, run.planners[0], rules, judged(results, names, replace(gates, gates=asked))
+    )
 
 
 def judged(results: Results, names: Mapping[str, str], rules: Gates) -> pd.DataFrame:
@@ -156,7 +168,9 @@ def failed_gates(rows: pd.DataFrame) -> tuple[str, ...]:
 def still_failing(before: Sequence[str], rows: pd.DataFrame) -> tuple[str, ...]:
     """The gates of `before` that a drive fails, or that are inconclusive on it."""
     now = dict(zip(rows["gate"], rows["outcome"], strict=True))
-    return tuple(gate for gate in before if now.get(gate, INCONCLUSIVE) in (INCONCLUSIVE, Outcome.FAIL.value))
+    return tuple(
+        gate for gate in before if now.get(gate, INCONCLUSIVE) in (INCONCLUSIVE, Outcome.FAIL.value)
+    )
 
 
 def passes(before: Sequence[str], rows: pd.DataFrame) -> bool:
@@ -168,7 +182,9 @@ def worse_peak(before: Mapping[str, float], now: Mapping[str, float]) -> str:
     """The first peak (`DrivenLogs.peaks`) that is farther out than before by `WORSE` of it; "" if none is."""
     out = {name: now[name] - value for name, value in before.items() if name in now}
     signs = {name: -1.0 if name.endswith(".min") else 1.0 for name in out}
-    return next((name for name in out if signs[name] * out[name] > WORSE * abs(before[name]) + TIE), "")
+    return next(
+        (name for name in out if signs[name] * out[name] > WORSE * abs(before[name]) + TIE), ""
+    )
 
 
 def cut_short(before: str, until: float, now: str, lasted: float) -> bool:
@@ -186,4 +202,8 @@ def parting(one: DriveResult, two: DriveResult) -> dict[str, Any]:
         found = part(one.trace, two.trace)
     except LogError as error:
         return {"stage": "not known", "what": f"a trace cannot be read: {error}"}
-    return {} if found is None else {"t_s": float(np.round(found.t, 9)), "stage": found.stage, "what": found.what}
+    return (
+        {}
+        if found is None
+        else {"t_s": float(np.round(found.t, 9)), "stage": found.stage, "what": found.what}
+    )

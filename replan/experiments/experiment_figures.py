@@ -39,16 +39,22 @@ SHADE = 0.45
 CELL_PX, WIDE_PX, HIGH_PX = (96.0, 48.0), 620.0, 420.0
 
 
-def surface_figure(table: pd.DataFrame, edges: Sequence[Bracket], question: SurfaceQuestion, title: str) -> Chart:
+def surface_figure(
+    table: pd.DataFrame, edges: Sequence[Bracket], question: SurfaceQuestion, title: str
+) -> Chart:
     """The surface; each cell with its letter, the least gap, an x if the drive ended in a contact, and a gate."""
     cells, x = table[table["part"] == "grid"], question.axes[0]
     y = question.axes[1] if len(question.axes) > 1 else None
     ys, half_x = y.values if y else (0.0,), 0.5 * x.spacing
     half_y = 0.5 * y.spacing if y else 0.5
     size = max(CELL_PX[0] * len(x.values), WIDE_PX), CELL_PX[1] * len(ys) + 80.0
-    plane = Plane((x.values[0] - half_x, x.values[-1] + half_x), (ys[0] - half_y, ys[-1] + half_y), *size)
+    plane = Plane(
+        (x.values[0] - half_x, x.values[-1] + half_x), (ys[0] - half_y, ys[-1] + half_y), *size
+    )
     inside = over = ""
-    for row, (_, cell) in zip(cells[y.name] if y else [0.0] * len(cells), cells.iterrows(), strict=True):
+    for row, (_, cell) in zip(
+        cells[y.name] if y else [0.0] * len(cells), cells.iterrows(), strict=True
+    ):
         at, (letter, colour, _) = float(cell[x.name]), CELLS[cell["outcome"]]
         box = (at - half_x, at + half_x), (row - half_y, row + half_y)
         inside += plane.box(*box, colour, str(cell["gates"]), SHADE, 0.5)
@@ -56,7 +62,9 @@ def surface_figure(table: pd.DataFrame, edges: Sequence[Bracket], question: Surf
         warned = " !" if cell["careful"] == "unavoidable" else ""
         gate = cell["gates"].partition(".")[0].rpartition(" ")[2]
         said = f"{letter}{gap}{' x' if cell['contact'] else ''}{warned}"
-        over += plane.words(at, row, said, "mid", -2.0 if gate else 4.0) + plane.words(at, row, gate, "small mid", 11.0)
+        over += plane.words(at, row, said, "mid", -2.0 if gate else 4.0) + plane.words(
+            at, row, gate, "small mid", 11.0
+        )
     for edge in edges:
         row = edge.row[0] if edge.row else 0.0
         both = np.array([row - half_y, row + half_y])
@@ -75,11 +83,21 @@ def surface_figure(table: pd.DataFrame, edges: Sequence[Bracket], question: Surf
         entries.append(("!", "", "the careful driver of UN R157 collides"))
     if edges:
         unit = x.label.partition(" ")[2].strip("[]")
-        entries.append(("line", "bound", f"edge of pass, to {question.resolution:.3g} {unit}".rstrip()))
+        entries.append(
+            ("line", "bound", f"edge of pass, to {question.resolution:.3g} {unit}".rstrip())
+        )
     entries += [(RING, "", "as recorded")] if point is not None else []
     entries.append(("x", "", "contact; the number: least gap [m]; below it: the first gate"))
     axes = dict[str, Any](x_title=x.label, x_ticks=_words(x.values), y_title=y.label if y else "")
-    return plane.chart("surface", title, inside, entries=entries, over=over, y_ticks=_words(ys) if y else (), **axes)
+    return plane.chart(
+        "surface",
+        title,
+        inside,
+        entries=entries,
+        over=over,
+        y_ticks=_words(ys) if y else (),
+        **axes,
+    )
 
 
 def _words(values: Sequence[float]) -> list[tuple[float, str]]:
@@ -95,20 +113,28 @@ def _recorded_point(question: SurfaceQuestion) -> tuple[float, ...] | None:
     return point if inside else None
 
 
-def falsify_figure(table: pd.DataFrame, axes: Sequence[SearchAxis], case: Mapping[str, Any], title: str) -> Chart:
+def falsify_figure(
+    table: pd.DataFrame, axes: Sequence[SearchAxis], case: Mapping[str, Any], title: str
+) -> Chart:
     """The trials over the two axes that the case moves most (without a case: the first two); lines of equal distance.
 
     The table has a row per trial: a column per axis, `outcome`; `case` is the row of the mildest case, or empty.
     """
-    by_step = sorted(axes, key=lambda axis: -abs(case.get(axis.name, axis.origin) - axis.origin) / axis.scale)
+    by_step = sorted(
+        axes, key=lambda axis: -abs(case.get(axis.name, axis.origin) - axis.origin) / axis.scale
+    )
     first, second = by_step[0], by_step[1] if len(by_step) > 1 else None
     y = widened(second.low, second.high, 0.0, 0.03) if second else (-1.0, 1.0)
-    plane = Plane(widened(first.low, first.high, 0.0, 0.03), y, WIDE_PX, HIGH_PX if second else 180.0)
+    plane = Plane(
+        widened(first.low, first.high, 0.0, 0.03), y, WIDE_PX, HIGH_PX if second else 180.0
+    )
     entries, inside, over = list[Entry](), "", ""
     for name, (sign, colour, meaning) in POINTS.items():
         mine = table[table["outcome"] == name]
         across = mine[second.name] if second else [0.0] * len(mine)
-        inside += "".join(plane.sign(*at, sign, colour) for at in zip(mine[first.name], across, strict=True))
+        inside += "".join(
+            plane.sign(*at, sign, colour) for at in zip(mine[first.name], across, strict=True)
+        )
         entries += [(sign, colour, f"{meaning} ({len(mine)})")] if len(mine) else []
     over += _ring(plane, first.origin, second.origin if second else 0.0)
     entries.append((RING, "", "as recorded"))
@@ -124,14 +150,24 @@ def falsify_figure(table: pd.DataFrame, axes: Sequence[SearchAxis], case: Mappin
             for end in (first.origin - first.scale * away, first.origin + first.scale * away):
                 inside += plane.line(np.full(2, end), np.array(y), "now")
     titles = dict[str, Any](x_title=first.label, y_title=second.label if second else "")
-    return plane.chart("falsify", title, inside, entries=entries, over=over, y_ticks=None if second else (), **titles)
+    return plane.chart(
+        "falsify",
+        title,
+        inside,
+        entries=entries,
+        over=over,
+        y_ticks=None if second else (),
+        **titles,
+    )
 
 
 def _ring(plane: Plane, x: float, y: float) -> str:
     return dot(float(plane.at_x(x)), float(plane.at_y(y)), 9.0, "ring")
 
 
-def pareto_figure(table: pd.DataFrame, metrics: Sequence[str], chosen: Mapping[str, Any], title: str) -> Chart:
+def pareto_figure(
+    table: pd.DataFrame, metrics: Sequence[str], chosen: Mapping[str, Any], title: str
+) -> Chart:
     """The gains of all trials in the first two objectives; a single objective is drawn over the trial number.
 
     The table has a row per trial: `gain METRIC` for each objective, `feasible`, `pareto`; `chosen` is the row of the
@@ -145,11 +181,19 @@ def pareto_figure(table: pd.DataFrame, metrics: Sequence[str], chosen: Mapping[s
     entries, inside, over = list[Entry](), "", ""
     for name, mine, sign, colour in (
         ("feasible", table["feasible"] & ~table["pareto"], "\u25cf", "blue"),
-        ("fails more gates than the defaults", ~table["feasible"] & table["total"].notna(), "\u25a0", "grey"),
+        (
+            "fails more gates than the defaults",
+            ~table["feasible"] & table["total"].notna(),
+            "\u25a0",
+            "grey",
+        ),
         ("no other trial is better in all objectives", table["pareto"], "\u25c6", "red"),
     ):
         if mine.any():
-            inside += "".join(plane.sign(*at, sign, colour) for at in zip(table[x][mine], table[y][mine], strict=True))
+            inside += "".join(
+                plane.sign(*at, sign, colour)
+                for at in zip(table[x][mine], table[y][mine], strict=True)
+            )
             entries.append((sign, colour, f"{name} ({mine.sum()})"))
     if len(names) == 2:
         front = table[table["pareto"]].sort_values([x, y], kind="stable")

@@ -137,7 +137,9 @@ class DriveDifference:
             would = _braking(p, since, last)
         if would is not None:
             does = _braking(f, would, inf)  # (3)
-            hardest = [float(d.a[(d.t >= would) & (d.t <= last + SAME_S)].min(initial=0.0)) for d in (f, p)]
+            hardest = [
+                float(d.a[(d.t >= would) & (d.t <= last + SAME_S)].min(initial=0.0)) for d in (f, p)
+            ]
         numbers = (ahead, left, does, would, *hardest)
         return cls(*(None if one is None else round(one, 6) for one in numbers))  # type: ignore[arg-type]
 
@@ -155,11 +157,16 @@ class DriveDifference:
                 return BRAKES[2], f"brakes with {hardest:.1f} m/s² instead of {needed:.1f} m/s²"
         if abs(self.left_m) > APART_M:  # (5)
             side = "right" if self.left_m > 0.0 else "left"
-            return f"keeps too far {side}", f"drives {abs(self.left_m):.1f} m to the {side} of where it passes"
+            return (
+                f"keeps too far {side}",
+                f"drives {abs(self.left_m):.1f} m to the {side} of where it passes",
+            )
         return "", ""
 
 
-def _relative(ego: EgoState, x: float | FloatArray, y: float | FloatArray) -> tuple[FloatArray, FloatArray]:
+def _relative(
+    ego: EgoState, x: float | FloatArray, y: float | FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Places in the frame of an ego: ahead and to the left, m."""
     dx, dy, c, sn = x - ego.x, y - ego.y, np.cos(ego.yaw), np.sin(ego.yaw)
     return np.asarray(dx * c + dy * sn), np.asarray(dy * c - dx * sn)
@@ -208,17 +215,24 @@ class Foresight:
         if who not in frame.agents:
             return cls(frame.t, False)
         some, track = frame.predictions, trace.agents.only([who])
-        row = max(np.flatnonzero(some.agent == frame.agents.index(who)), key=lambda i: some.probability[i])
+        row = max(
+            np.flatnonzero(some.agent == frame.agents.index(who)), key=lambda i: some.probability[i]
+        )
         end = np.inf if track.static[0] else float(track.t[-1])
-        known = np.flatnonzero(some.t <= min(frame.t + AHEAD_S, float(trace.ego.t[-1]), end) + SAME_S)
+        known = np.flatnonzero(
+            some.t <= min(frame.t + AHEAD_S, float(trace.ego.t[-1]), end) + SAME_S
+        )
         then = track.truth(float(some.t[known[-1]]))
         i = now.ids.index(who)
         dx, dy = some.x[row, known[-1]] - some.x[row, 0], some.y[row, known[-1]] - some.y[row, 0]
         mx, my = then.x[0] - now.x[i], then.y[0] - now.y[i]
         numbers = (
-            hypot(some.x[row, 0] - now.x[i], some.y[row, 0] - now.y[i]), some.t[known[-1]] - frame.t,
-            hypot(dx, dy), hypot(mx, my), hypot(dx - mx, dy - my),
-        )  # fmt: skip
+            hypot(some.x[row, 0] - now.x[i], some.y[row, 0] - now.y[i]),
+            some.t[known[-1]] - frame.t,
+            hypot(dx, dy),
+            hypot(mx, my),
+            hypot(dx - mx, dy - my),
+        )
         return cls(frame.t, True, *(round(float(one), 6) for one in numbers))
 
     @property
@@ -227,14 +241,22 @@ class Foresight:
         if not self.is_seen:
             return " not seen", f"not seen at {self.at_s:.1f} s"
         if self.seen_off_m > MISSED_M:
-            return " seen elsewhere", f"seen {self.seen_off_m:.1f} m from where they are at {self.at_s:.1f} s"
+            return (
+                " seen elsewhere",
+                f"seen {self.seen_off_m:.1f} m from where they are at {self.at_s:.1f} s",
+            )
         if self.off_m <= MISSED_M:
             return "", ""
         moves = f"predicted to move {self.predicted_m:.1f} m in {self.ahead_s:.1f} s, moves {self.moved_m:.1f} m"
         numbers = f"{moves}, {self.off_m:.1f} m from there"
         if self.predicted_m < STAYS_M:
             return " predicted to stand", numbers
-        return " predicted to move although they stand" if self.moved_m < STAYS_M else " predicted elsewhere", numbers
+        return (
+            " predicted to move although they stand"
+            if self.moved_m < STAYS_M
+            else " predicted elsewhere",
+            numbers,
+        )
 
 
 PROGRESS = ("goal", "route_progress")
@@ -265,11 +287,20 @@ def waits(found: Sequence[Account], lost: Sequence[float]) -> list[Wait]:
     for one, seconds in zip(found, lost, strict=True):
         cause = one.causes[0] if one.causes else None
         if seconds > 0.0 and cause is not None:
-            last = NOTHING if cause.kind is CauseKind.NONE else NAMES.get(cause.kind, cause.who) or cause.kind.value
+            last = (
+                NOTHING
+                if cause.kind is CauseKind.NONE
+                else NAMES.get(cause.kind, cause.who) or cause.kind.value
+            )
             spent.setdefault(last, Wait(last, 0.0, one.t))
         if last and (seconds < 0.0 or cause is not None):
-            spent[last] = replace(spent[last], seconds=round(max(spent[last].seconds + seconds, 0.0), 6))
-    return sorted((one for one in spent.values() if one.seconds >= FEW_S), key=lambda one: (-one.seconds, one.since_s))
+            spent[last] = replace(
+                spent[last], seconds=round(max(spent[last].seconds + seconds, 0.0), 6)
+            )
+    return sorted(
+        (one for one in spent.values() if one.seconds >= FEW_S),
+        key=lambda one: (-one.seconds, one.since_s),
+    )
 
 
 @dataclass(frozen=True)
@@ -299,18 +330,29 @@ class GoalMiss:
         i = min(range(len(steps)), key=lambda i: hypot(*to[i]))
         at, k = ego.state(steps[i]), steps[i]
         ahead, left = _relative(at, at.x + to[i][0], at.y + to[i][1])
-        return cls(at.t, float(ahead), float(left), goal.unmet(at.t, float(x[k]), float(y[k]), at.yaw, at.v))
+        return cls(
+            at.t,
+            float(ahead),
+            float(left),
+            goal.unmet(at.t, float(x[k]), float(y[k]), at.yaw, at.v),
+        )
 
     @property
     def behaviour(self) -> tuple[str, str]:
         """The miss in words, and the numbers."""
         if "place" not in self.unmet:
             missed = " and ".join(self.unmet)
-            return f"misses the {missed} of its goal", f"is at its goal's place at {self.at_s:.1f} s, not by {missed}"
+            return (
+                f"misses the {missed} of its goal",
+                f"is at its goal's place at {self.at_s:.1f} s, not by {missed}",
+            )
         if abs(self.ahead_m) >= abs(self.left_m):
             return "is too slow", f"is {self.ahead_m:.1f} m before its goal at {self.at_s:.1f} s"
         side, other = ("right", "left") if self.left_m > 0.0 else ("left", "right")
-        return f"keeps too far {side}", f"has its goal {abs(self.left_m):.1f} m to its {other} at {self.at_s:.1f} s"
+        return (
+            f"keeps too far {side}",
+            f"has its goal {abs(self.left_m):.1f} m to its {other} at {self.at_s:.1f} s",
+        )
 
 
 @dataclass(frozen=True)
@@ -357,7 +399,11 @@ class DriveFailure:
         """The failure without names and numbers: the same sentence for all drives that fail in this way."""
         template = OUTCOMES.get(self.metric.partition(".")[0], f"fails {self.gate}")
         behaviour, them = self.behaviour[0], "it" if self.kind == "object" else "them"
-        who = f"{'an' if self.kind == 'object' else 'a'} {self.kind}{self.foresight.error[0]}" if self.who else SOMEONE
+        who = (
+            f"{'an' if self.kind == 'object' else 'a'} {self.kind}{self.foresight.error[0]}"
+            if self.who
+            else SOMEONE
+        )
         lane = f" while changing to the {self.lane} lane" if self.lane else ""
         if not behaviour:
             return f"{template.replace('{}', who)}{lane}"

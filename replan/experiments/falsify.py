@@ -44,7 +44,15 @@ from replan.core.names import counted
 from replan.experiments.experiment_figures import falsify_figure
 from replan.experiments.mildest import Mildest, Point, ScoredPoint, cma_class, norm, search
 from replan.experiments.search_subject import SearchAxis, SearchSubject, box_of, values_at
-from replan.experiments.trial import QUIET, Trial, closed, drive_made, one_planner, scratch_folder, write_table
+from replan.experiments.trial import (
+    QUIET,
+    Trial,
+    closed,
+    drive_made,
+    one_planner,
+    scratch_folder,
+    write_table,
+)
 from replan.logs.mcap import write_scenario
 from replan.logs.scenario import Avoidability
 from replan.metrics import METRICS
@@ -67,7 +75,11 @@ POWER = 4.0
 """The exponent of (5)."""
 FAIL, PASS, INCONCLUSIVE, BOTH, ERROR = "fail", "pass", "inconclusive", "both fail", "error"
 """Outcomes of a point; `BOTH`: the reference driver fails, too."""
-WORDS = {FAIL: "fail", BOTH: "fail, as does the reference driver", ERROR: "cannot be made or driven"}
+WORDS = {
+    FAIL: "fail",
+    BOTH: "fail, as does the reference driver",
+    ERROR: "cannot be made or driven",
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,16 +109,21 @@ class FalsifyQuestion:
     @cached_property
     def driven(self) -> RunConfig:
         """The configuration of the run of each case."""
-        planners = self.run.planners if self.against == CAREFUL else (*self.run.planners, self.against)
+        planners = (
+            self.run.planners if self.against == CAREFUL else (*self.run.planners, self.against)
+        )
         return closed(self.run, planners=planners, **QUIET)
 
     @property
     def inputs(self) -> dict[str, Any]:
         """The inputs that identify a falsification with its run, except the budget and the resolution."""
         return {
-            "log": self.subject.name, "agents": list(self.subject.agents), "against": self.against, "seed": self.seed,
+            "log": self.subject.name,
+            "agents": list(self.subject.agents),
+            "against": self.against,
+            "seed": self.seed,
             "axes": [asdict(axis) for axis in self.axes],
-        }  # fmt: skip
+        }
 
     def head(self) -> dict[str, Any]:
         """The head of the study."""
@@ -144,7 +161,12 @@ class TriedPoint:
 
 def judged(trial: Trial, gates: Sequence[Gate], against: str) -> TriedPoint:
     """The case of a trial in a run of the planner and of `against`, unless that is "careful"."""
-    verdicts, outcome, own, careful = trial.verdicts, trial.outcome, trial.values(), trial.values(CAREFUL)
+    verdicts, outcome, own, careful = (
+        trial.verdicts,
+        trial.outcome,
+        trial.values(),
+        trial.values(CAREFUL),
+    )
     failed = verdicts[verdicts["outcome"] == Outcome.FAIL.value]
     if against != CAREFUL:
         other = replace(trial, planner=against).verdicts
@@ -154,10 +176,18 @@ def judged(trial: Trial, gates: Sequence[Gate], against: str) -> TriedPoint:
         counts = ()
     else:
         known_gates = {str(gate): gate for gate in gates}
-        breaks = {rule for rule, gate in known_gates.items() if gate.margin(careful.get(gate.metric, nan)) < 0.0}
+        breaks = {
+            rule
+            for rule, gate in known_gates.items()
+            if gate.margin(careful.get(gate.metric, nan)) < 0.0
+        }
         counts = tuple(rule for rule in failed["gate"] if rule not in breaks)
     shown = counts or tuple(failed["gate"])
-    about = failed[failed["gate"].isin(shown)] if shown else verdicts[verdicts["outcome"] == outcome.value]
+    about = (
+        failed[failed["gate"].isin(shown)]
+        if shown
+        else verdicts[verdicts["outcome"] == outcome.value]
+    )
     why = next(filter(None, about["reason"]), "") if outcome is not Outcome.PASS else ""
     kind = FAIL if counts else BOTH if len(failed) else outcome.value
     value = float(about["value"].iloc[0]) if len(about) else nan
@@ -173,12 +203,21 @@ def robustness(gates: Sequence[Gate], values: Mapping[str, float]) -> float:
         if bound == 0.0:
             name, _, reduced = gate.metric.rpartition(".")
             metric = METRICS.get(name.partition(".")[0])
-            bounds = next((one.bounds for one in metric.reductions if one.name == reduced), None) if metric else None
+            bounds = (
+                next((one.bounds for one in metric.reductions if one.name == reduced), None)
+                if metric
+                else None
+            )
             if bounds is None:
                 continue  # there is no m: the gate is left out
             below = isfinite(bounds[0])
-            bound, value = bounds[0 if below else 1], values.get(f"{name}.{'min' if below else 'max'}", nan)
-            within = max((value - bound if below else bound - value) / abs(bound), 0.0) if bound else nan
+            bound, value = (
+                bounds[0 if below else 1],
+                values.get(f"{name}.{'min' if below else 'max'}", nan),
+            )
+            within = (
+                max((value - bound if below else bound - value) / abs(bound), 0.0) if bound else nan
+            )
         else:
             within = max(gate.margin(value) / abs(bound), 0.0) if isfinite(value) else nan
         if isfinite(within):
@@ -220,7 +259,11 @@ class Falsified:
                 f"No case found in which {asked.planner} fails and {asked_of(asked.against)} does not ({over}).",
                 tried,
             ]
-        moved = [axis.shown(self.case[axis.name]) for axis, u in zip(asked.axes, found.point, strict=True) if u]
+        moved = [
+            axis.shown(self.case[axis.name])
+            for axis, u in zip(asked.axes, found.point, strict=True)
+            if u
+        ]
         place = f"at {', '.join(moved)}" if moved else "as recorded"
         said = [
             f"{asked.planner} fails at distance {found.distance:.3f} from {asked.subject.name}, {place}, and"
@@ -240,7 +283,9 @@ class Falsified:
         """Commands that show the case; empty if there is none."""
         if self.found.point is None:
             return []
-        again = f"replan evaluate {self.out / 'case.mcap'} --config {self.out / 'case' / 'run.toml'}"
+        again = (
+            f"replan evaluate {self.out / 'case.mcap'} --config {self.out / 'case' / 'run.toml'}"
+        )
         return [f"drive it again: {again}", f"look at it: replan view {self.out / 'case'}"]
 
 
@@ -275,9 +320,17 @@ def falsify(
         study = Study(out, question.head(), resume=resume)
         trials = SearchDrives(question, out, study, workers, say)
         found = search(
-            box_of(question.axes), trials, budget=question.budget, seed=question.seed, resolution=question.resolution
+            box_of(question.axes),
+            trials,
+            budget=question.budget,
+            seed=question.seed,
+            resolution=question.resolution,
         )
-        table = pd.DataFrame(trials.rows).drop(columns="key").astype({"robustness": float, "value": float})
+        table = (
+            pd.DataFrame(trials.rows)
+            .drop(columns="key")
+            .astype({"robustness": float, "value": float})
+        )
         result = Falsified(out, question, found, table, trials.row_of(found.point))
         _write(result, workers)
     return result
@@ -287,9 +340,20 @@ class SearchDrives:
     """Evaluates points batch by batch (`replan.experiments.mildest.Evaluate`), and keeps their rows."""
 
     def __init__(
-        self, question: FalsifyQuestion, out: Path, study: Study, workers: int, say: Callable[[str], None]
+        self,
+        question: FalsifyQuestion,
+        out: Path,
+        study: Study,
+        workers: int,
+        say: Callable[[str], None],
     ) -> None:
-        self._question, self._out, self._study, self._workers, self._say = question, out, study, workers, say
+        self._question, self._out, self._study, self._workers, self._say = (
+            question,
+            out,
+            study,
+            workers,
+            say,
+        )
         self._gates = gates_of(question.driven, question.driven.gates_path).gates
         self._farthest = norm(abs(box_of(question.axes)).max(axis=0))
         self.rows: list[dict[str, Any]] = []
@@ -301,22 +365,37 @@ class SearchDrives:
             cases = zip(new, self._drive_points(new), strict=True)
             self._study.add(
                 {
-                    "key": _key(point), "part": part, **values_at(self._question.axes, point), "distance": norm(point),
-                    "outcome": case.outcome, "score": case.score(norm(point) / self._farthest),
+                    "key": _key(point),
+                    "part": part,
+                    **values_at(self._question.axes, point),
+                    "distance": norm(point),
+                    "outcome": case.outcome,
+                    "score": case.score(norm(point) / self._farthest),
                     "robustness": case.robustness if isfinite(case.robustness) else None,
-                    "gates": "; ".join(case.gates), "value": case.value if isfinite(case.value) else None,
-                    "why": case.why, "end": case.end,
+                    "gates": "; ".join(case.gates),
+                    "value": case.value if isfinite(case.value) else None,
+                    "why": case.why,
+                    "end": case.end,
                 }
                 for point, case in cases
-            )  # fmt: skip
+            )
         rows = [self._study.known(_key(point)) or {} for point in points]
         self.rows += [{"trial": len(self.rows) + k, **row} for k, row in enumerate(rows)]
         first = self.rows[0]
         if first["outcome"] == ERROR:
-            raise LogError(f"the recorded case could not be driven: {first['why']}", file=self._question.subject.name)
+            raise LogError(
+                f"the recorded case could not be driven: {first['why']}",
+                file=self._question.subject.name,
+            )
         least = min((row["distance"] for row in self.rows if row["outcome"] == FAIL), default=inf)
-        best = f"mildest failure at distance {least:.3f}" if least < inf else "no failure that counts yet"
-        self._say(f"{part}: {len(self.rows)} of at most {counted(self._question.budget, 'drive')}, {best}")
+        best = (
+            f"mildest failure at distance {least:.3f}"
+            if least < inf
+            else "no failure that counts yet"
+        )
+        self._say(
+            f"{part}: {len(self.rows)} of at most {counted(self._question.budget, 'drive')}, {best}"
+        )
         return [ScoredPoint(row["score"], row["outcome"] == FAIL) for row in rows]
 
     def row_of(self, point: Point | None) -> Mapping[str, Any]:
@@ -329,12 +408,16 @@ class SearchDrives:
         with scratch_folder(self._out, "batch") as scratch:
             (scratch / "logs").mkdir(parents=True)
             makes = {
-                scratch / "logs" / f"{k}.mcap": partial(asked.subject.at, asked.axes, values_at(asked.axes, point))
+                scratch / "logs" / f"{k}.mcap": partial(
+                    asked.subject.at, asked.axes, values_at(asked.axes, point)
+                )
                 for k, point in enumerate(points)
             }
             found = drive_made(makes, asked.driven, scratch / "results", workers=self._workers)
             return [
-                TriedPoint(ERROR, why=one) if isinstance(one, str) else judged(one, self._gates, asked.against)
+                TriedPoint(ERROR, why=one)
+                if isinstance(one, str)
+                else judged(one, self._gates, asked.against)
                 for one in found
             ]
 
@@ -352,19 +435,26 @@ def _write(result: Falsified, workers: int) -> None:
         path = out / old
         shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
     if found.point is not None:
-        write_scenario(out / "case.mcap", asked.subject.at(asked.axes, values_at(asked.axes, found.point)))
+        write_scenario(
+            out / "case.mcap", asked.subject.at(asked.axes, values_at(asked.axes, found.point))
+        )
         shown = replace(asked.driven, recording=True, internals="summary")
         evaluate_logs([out / "case.mcap"], shown, out / "case", workers=min(workers, 1))
     card = {
         "replan": replan_version(),
         **asked.inputs,
-        "planner": asked.planner, "budget": asked.budget, "resolution": asked.resolution,
-        "falsified": found.point is not None, "distance": found.distance if isfinite(found.distance) else None,
+        "planner": asked.planner,
+        "budget": asked.budget,
+        "resolution": asked.resolution,
+        "falsified": found.point is not None,
+        "distance": found.distance if isfinite(found.distance) else None,
         "passes_at": found.passes if isfinite(found.passes) else None,
         "case": {axis.name: result.case[axis.name] for axis in asked.axes} if result.case else None,
-        "gates": result.case.get("gates", "").split("; ") if result.case else [], "drives": len(result.table),
+        "gates": result.case.get("gates", "").split("; ") if result.case else [],
+        "drives": len(result.table),
         "budget_spent": result.found.is_spent,
-        "outcomes": dict(Counter(result.table["outcome"])), "said": result.lines(),
+        "outcomes": dict(Counter(result.table["outcome"])),
+        "said": result.lines(),
         "exit_code": result.exit_code,
-    }  # fmt: skip
+    }
     write_json(out / "falsify.json", card)

@@ -34,8 +34,30 @@ MUCH = 0.5
 """A wait of this share of the longest one is long."""
 MOST_KEYS = 4
 """Largest number of settings of a change in a sentence; diagnosis.json has all."""
-DRIVES = ("log", "cause", "why", "happens", "gates", "about", "time_s", "parts_s", "parts_stage", "passes_with")
-ANSWERS = ("log", "change", "cause", "rank", "passes", "fails", "against", "end", "parts_s", "parts_stage")
+DRIVES = (
+    "log",
+    "cause",
+    "why",
+    "happens",
+    "gates",
+    "about",
+    "time_s",
+    "parts_s",
+    "parts_stage",
+    "passes_with",
+)
+ANSWERS = (
+    "log",
+    "change",
+    "cause",
+    "rank",
+    "passes",
+    "fails",
+    "against",
+    "end",
+    "parts_s",
+    "parts_stage",
+)
 
 
 @dataclass(frozen=True)
@@ -68,8 +90,14 @@ class Found:
     def look_s(self) -> float:
         """The time to look at first: of a drive that gets too little far, when it first loses much time, or parts."""
         if self.waits:
-            return min(one.since_s for one in self.waits if one.seconds >= MUCH * self.waits[0].seconds)
-        return self.time_s if self.failure.missed is None else float(self.parts.get("t_s", self.time_s))
+            return min(
+                one.since_s for one in self.waits if one.seconds >= MUCH * self.waits[0].seconds
+            )
+        return (
+            self.time_s
+            if self.failure.missed is None
+            else float(self.parts.get("t_s", self.time_s))
+        )
 
     @property
     def place(self) -> str:
@@ -78,7 +106,10 @@ class Found:
         parts = f"; it parts at {self.parts['what']}" if self.parts else ""
         because = f" {self.because}" if self.because else ""
         details = f": {self.failure.details}" if self.failure.details else ""
-        slow = ", ".join(f"{one.seconds:.1f} s to {one.who} from {one.since_s:.1f} s on" for one in self.waits[:MOST])
+        slow = ", ".join(
+            f"{one.seconds:.1f} s to {one.who} from {one.since_s:.1f} s on"
+            for one in self.waits[:MOST]
+        )
         went = f" Loses {slow}." if slow else ""
         return f"{self.log}{at}{details}{parts}.{because}{went}"
 
@@ -86,7 +117,11 @@ class Found:
 def settings_of(run: ChangedRun) -> str:
     """The settings that a change sets, with their values; of another planner, not its own ones."""
     other = any(key == "planners" for key, _ in run.keys)
-    keys = [f"{key} = {value}" for key, value in sorted(run.keys) if not (other and key.startswith("planner."))]
+    keys = [
+        f"{key} = {value}"
+        for key, value in sorted(run.keys)
+        if not (other and key.startswith("planner."))
+    ]
     return listed(keys, MOST_KEYS)
 
 
@@ -127,7 +162,9 @@ class Diagnosis:
         """Groups of drives with the same cause, changes and failure: the largest first, in each the worst first."""
         found: dict[tuple[Any, ...], list[Found]] = {}
         for one in self.drives:
-            found.setdefault((one.cause.name, one.cause.changes, one.failure.sentence), []).append(one)
+            found.setdefault((one.cause.name, one.cause.changes, one.failure.sentence), []).append(
+                one
+            )
         for some in found.values():
             some.sort(key=lambda one: (-one.beyond if isfinite(one.beyond) else 1.0, one.log))
         return sorted(map(tuple, found.values()), key=lambda some: (-len(some), some[0].log))
@@ -151,7 +188,9 @@ class Diagnosis:
             share = f"{len(some)} of {counted(len(self.drives), 'failing drive')}"
             gates = ", ".join(dict.fromkeys(one.gates[0] for one in some))
             said.append(f"{share}: {first.failure.sentence}.")
-            said.append(f"  Cause: {first.cause.name}; {self.words_of(first.cause)}; fails {gates}.")
+            said.append(
+                f"  Cause: {first.cause.name}; {self.words_of(first.cause)}; fails {gates}."
+            )
             said.append(f"  Look first at {first.place}")
             if first.almost and not first.cause.changes:
                 words = {run.change.name: run.change.words for run in self.runs}
@@ -160,13 +199,19 @@ class Diagnosis:
             if first.cause.name == NOT_FOUND and not first.cause.fragile:
                 at = f" --at {first.look_s:.1f}" if isfinite(first.look_s) else ""
                 look = f"replan explain {self.run} --log {first.log} -p {self.planner}{at}"
-                said.append(f"  Next: {look}; try its settings (--space FILE) or your own changes (--changes FILE).")
+                said.append(
+                    f"  Next: {look}; try its settings (--space FILE) or your own changes (--changes FILE)."
+                )
         if not self.drives and not self.not_driven:
             gone = f" ({counted(len(self.not_failing), 'drive')} of the run failed and passes now)"
-            said.append(f"No closed-loop drive of {self.planner} fails{gone if self.not_failing else ''}.")
+            said.append(
+                f"No closed-loop drive of {self.planner} fails{gone if self.not_failing else ''}."
+            )
         elif self.not_failing:
             said.append(f"Fails no more, evaluate the run again: {', '.join(self.not_failing)}.")
-        said += [f"Could not be driven again: {name}: {why}." for name, why in self.not_driven.items()]
+        said += [
+            f"Could not be driven again: {name}: {why}." for name, why in self.not_driven.items()
+        ]
         said += [one.line() for one in self.remedies]
         said += [
             f"Fails in the open loop, which is not diagnosed: {name}: {', '.join(gates)}; look at it: replan explain"
@@ -178,37 +223,70 @@ class Diagnosis:
     def document(self) -> dict[str, Any]:
         """The diagnosis as JSON types; unknown numbers are null."""
         clusters = [
-            {"cause": some[0].cause.name, "why": self.words_of(some[0].cause), "happens": some[0].failure.sentence,
-             "about": some[0].failure.kind, "gates": sorted({one.gates[0] for one in some}),
-             "drives": [one.log for one in some]}
+            {
+                "cause": some[0].cause.name,
+                "why": self.words_of(some[0].cause),
+                "happens": some[0].failure.sentence,
+                "about": some[0].failure.kind,
+                "gates": sorted({one.gates[0] for one in some}),
+                "drives": [one.log for one in some],
+            }
             for some in self.clusters()
-        ]  # fmt: skip
+        ]
         drives = [{**asdict(one), "happens": one.failure.sentence} for one in self.drives]
         for row in drives:
             row.update({name: None for name in ("time_s", "beyond") if not isfinite(row[name])})
         return {
-            "replan": replan_version(), "run": str(self.run), "planner": self.planner, "clusters": clusters,
-            "drives": drives, "fails_no_more": list(self.not_failing),
-            "open_loop": dict(self.open_loop), "not_driven": dict(self.not_driven),
-            "changes": [{**asdict(run.change), "settings": dict(sorted(run.keys))} for run in self.runs],
+            "replan": replan_version(),
+            "run": str(self.run),
+            "planner": self.planner,
+            "clusters": clusters,
+            "drives": drives,
+            "fails_no_more": list(self.not_failing),
+            "open_loop": dict(self.open_loop),
+            "not_driven": dict(self.not_driven),
+            "changes": [
+                {**asdict(run.change), "settings": dict(sorted(run.keys))} for run in self.runs
+            ],
             "not_tried": dict(self.refused),
-            "remedies": [asdict(one) for one in self.remedies], "said": self.lines(),
-        }  # fmt: skip
+            "remedies": [asdict(one) for one in self.remedies],
+            "said": self.lines(),
+        }
 
     def write(self) -> None:
         """Write the files that the docstring of the module lists."""
         drives = [
-            (one.log, one.cause.name, self.words_of(one.cause), one.failure.sentence, "; ".join(one.gates),
-             one.failure.kind, one.time_s, one.parts.get("t_s"), one.parts.get("stage", ""), " ".join(one.passing))
+            (
+                one.log,
+                one.cause.name,
+                self.words_of(one.cause),
+                one.failure.sentence,
+                "; ".join(one.gates),
+                one.failure.kind,
+                one.time_s,
+                one.parts.get("t_s"),
+                one.parts.get("stage", ""),
+                " ".join(one.passing),
+            )
             for one in self.drives
-        ]  # fmt: skip
+        ]
         answers = [
-            (found.log, run.change.name, run.change.cause, run.change.rank, one["passes"], "; ".join(one["gates"]),
-             one["against"], one["end"], one["parts"].get("t_s"), one["parts"].get("stage", ""))
+            (
+                found.log,
+                run.change.name,
+                run.change.cause,
+                run.change.rank,
+                one["passes"],
+                "; ".join(one["gates"]),
+                one["against"],
+                one["end"],
+                one["parts"].get("t_s"),
+                one["parts"].get("stage", ""),
+            )
             for found in self.drives
             for run in self.runs
             for one in [self.answers[run.change.name][found.log]]
-        ]  # fmt: skip
+        ]
         for name, rows, columns in (("diagnosis", drives, DRIVES), ("changes", answers, ANSWERS)):
             write_csv(self.out / f"{name}.csv", pd.DataFrame(rows, columns=list(columns)))
         write_json(self.out / "diagnosis.json", self.document())
@@ -217,7 +295,10 @@ class Diagnosis:
     def _page(self) -> Iterator[str]:
         """The diagnosis as Markdown."""
         yield f"# Why {self.planner} fails\n"
-        yield from (f"- {line}" if not line.startswith(" ") else f"  {line.strip()}" for line in self.lines())
+        yield from (
+            f"- {line}" if not line.startswith(" ") else f"  {line.strip()}"
+            for line in self.lines()
+        )
         if not self.drives:
             return
         changes = [run.change for run in self.runs]
@@ -265,7 +346,9 @@ def read_diagnosis(folder: Path, results: Results) -> dict[str, Any]:
     """
     file = folder / "diagnosis.json"
     if not file.exists():
-        raise ConfigError(f"{file}: is not a diagnosis; `replan diagnose RUN -o {folder}` writes one")
+        raise ConfigError(
+            f"{file}: is not a diagnosis; `replan diagnose RUN -o {folder}` writes one"
+        )
     found, card = read_json(file, DiagnosisSummary, f"`replan diagnose RUN -o {folder}` writes one")
     logs = {log for cluster in card.clusters for log in cluster.drives}
     if found["planner"] not in results.run.planners or not logs <= set(results.logs["log"]):

@@ -82,7 +82,9 @@ def objectives(names: Sequence[str], metrics: Mapping[str, Metric]) -> tuple[Obj
             raise unknown_name("metric (of --objective)", name, known)
         objective = known[name]
         if objective is None:
-            raise ConfigError(f"--objective {name}: neither more nor less is better; replan metrics lists others")
+            raise ConfigError(
+                f"--objective {name}: neither more nor less is better; replan metrics lists others"
+            )
         found.append(objective)
     if len(set(names)) < len(names):
         raise ConfigError(f"--objective: a metric is named twice: {', '.join(names)}")
@@ -110,16 +112,23 @@ def run_scores(results: Results, logs: Sequence[str], asked: Sequence[Objective]
     known = dict(zip(keys, table["value"], strict=True))
     values = [[float(known.get((log, one.metric, one.mode), nan)) for log in logs] for one in asked]
     broken = int((results.verdicts["outcome"] == Outcome.FAIL.value).sum())
-    return RunScores(np.array(values, dtype=float).reshape(len(asked), len(logs)), broken + len(results.failures))
+    return RunScores(
+        np.array(values, dtype=float).reshape(len(asked), len(logs)), broken + len(results.failures)
+    )
 
 
 def scales(default: FloatArray) -> FloatArray:
     """The scales (2) of the defaults' values `(j, n)`."""
-    found = [float(np.mean(np.abs(row[np.isfinite(row)]))) if np.isfinite(row).any() else 0.0 for row in default]
+    found = [
+        float(np.mean(np.abs(row[np.isfinite(row)]))) if np.isfinite(row).any() else 0.0
+        for row in default
+    ]
     return np.array([scale if scale > 0.0 else 1.0 for scale in found])
 
 
-def gains(values: FloatArray, default: FloatArray, scale: FloatArray, asked: Sequence[Objective]) -> FloatArray:
+def gains(
+    values: FloatArray, default: FloatArray, scale: FloatArray, asked: Sequence[Objective]
+) -> FloatArray:
     """The gains (1) of values `(j, n)` against those of the defaults."""
     signs = np.array([one.sign for one in asked])[:, None]
     with np.errstate(invalid="ignore"):
@@ -163,7 +172,11 @@ def is_dominated(one: FloatArray, others: FloatArray) -> bool:
 def held_out(labels: Mapping[str, LogLabels], share: float) -> frozenset[str]:
     """The names of the logs that are held out (7), from the labels of each by name."""
     order = sorted(labels, key=lambda name: (stratum(labels[name]), sha256(name.encode()).digest()))
-    return frozenset(name for k, name in enumerate(order) if floor((k + 1) * share + SLACK) > floor(k * share + SLACK))
+    return frozenset(
+        name
+        for k, name in enumerate(order)
+        if floor((k + 1) * share + SLACK) > floor(k * share + SLACK)
+    )
 
 
 def stratum(labels: LogLabels) -> str:

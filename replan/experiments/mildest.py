@@ -85,7 +85,9 @@ class _EvaluatedPoints:
 
     def ask(self, points: FloatArray, part: str) -> list[ScoredPoint | None]:
         """The scores of points `(k, n)`; each is evaluated once, None if the budget is spent."""
-        asked = [tuple(point) for point in (np.clip(points, *self.box).round(DIGITS) + 0.0).tolist()]
+        asked = [
+            tuple(point) for point in (np.clip(points, *self.box).round(DIGITS) + 0.0).tolist()
+        ]
         new = [point for point in dict.fromkeys(asked) if point not in self.found][: self.left]
         if new:
             self.found.update(zip(new, self._evaluate(new, part), strict=True))
@@ -94,7 +96,9 @@ class _EvaluatedPoints:
 
     def mildest(self) -> Point | None:
         """The nearest of the points that count; of equal ones, the first."""
-        return min((point for point, one in self.found.items() if one.counts), key=norm, default=None)
+        return min(
+            (point for point, one in self.found.items() if one.counts), key=norm, default=None
+        )
 
     @property
     def best(self) -> FloatArray:
@@ -120,7 +124,9 @@ def norm(point: Sequence[float] | FloatArray) -> float:
     return float(np.linalg.norm(point))
 
 
-def search(box: FloatArray, evaluate: Evaluate, *, budget: int, seed: int, resolution: float) -> Mildest:
+def search(
+    box: FloatArray, evaluate: Evaluate, *, budget: int, seed: int, resolution: float
+) -> Mildest:
     """The mildest point that counts, with at most `budget` evaluations.
 
     The box has the least and greatest value of each axis `(2, n)`, with the origin within it; the bracket on the line
@@ -136,10 +142,13 @@ def search(box: FloatArray, evaluate: Evaluate, *, budget: int, seed: int, resol
         from scipy.stats.qmc import Halton  # here: it takes long to load
 
         (low, high), count = box, round(SPREAD * budget)
-        points = low + (high - low) * Halton(len(low), scramble=True, rng=np.random.default_rng(seed)).random(count)
+        points = low + (high - low) * Halton(
+            len(low), scramble=True, rng=np.random.default_rng(seed)
+        ).random(count)
         for begin in range(0, count, BATCH):
             trials.ask(trials.pulled(points[begin : begin + BATCH]), "spread")
-        for reserve in (min(3 * BATCH + box.shape[1], budget // 3), BATCH, 0):  # kept for the parts after a find
+        # Kept for the parts after a find
+        for reserve in (min(3 * BATCH + box.shape[1], budget // 3), BATCH, 0):
             runs = 0
             while trials.left - reserve >= BATCH and runs < trials.left:
                 left = trials.left
@@ -158,7 +167,11 @@ def search(box: FloatArray, evaluate: Evaluate, *, budget: int, seed: int, resol
     if length > 0.0:
         along = np.array(point) / length
         others = [np.array(one) for one, scored in trials.found.items() if not scored.counts]
-        near = [float(one @ along) for one in others if norm(one - (one @ along) * along) <= 2.0 * 10.0**-DIGITS]
+        near = [
+            float(one @ along)
+            for one in others
+            if norm(one - (one @ along) * along) <= 2.0 * 10.0**-DIGITS
+        ]
         passes = max((s for s in near if 0.0 <= s < length), default=np.nan)
     return Mildest(point, length, passes, len(trials.found), not trials.left)
 
@@ -177,7 +190,9 @@ def cma_class(budget: int) -> Any:
 def _generations(trials: _EvaluatedPoints, cma: Any, seed: int, reserve: int) -> None:
     """One run of CMA-ES: until it finds nothing better, or a first point counts (then the next one is narrower)."""
     counted = trials.mildest() is not None
-    sides = np.full(trials.box.shape[1], trials.distance) if counted else trials.box[1] - trials.box[0]
+    sides = (
+        np.full(trials.box.shape[1], trials.distance) if counted else trials.box[1] - trials.box[0]
+    )
     evolution = cma(
         mean=trials.best / sides,
         sigma=NARROW if counted else WIDE,
@@ -210,6 +225,10 @@ def _approach_origin(trials: _EvaluatedPoints, resolution: float) -> None:
         count = min(BATCH, trials.left)
         shares = low + (high - low) * np.arange(1, count + 1) / (count + 1.0)
         found = trials.ask(shares[:, None] * point, "line")
-        known = [(share, one.counts) for share, one in zip(shares.tolist(), found, strict=True) if one is not None]
+        known = [
+            (share, one.counts)
+            for share, one in zip(shares.tolist(), found, strict=True)
+            if one is not None
+        ]
         high = min((share for share, counts in known if counts), default=high)
         low = max((share for share, counts in known if not counts and share < high), default=low)

@@ -49,15 +49,21 @@ class TuningInputs:
     def driven(self) -> RunConfig:
         """The defaults as they are driven: the loops that the objectives need, without recordings."""
         mode: RunMode = "both" if any(one.mode == "open" for one in self.objectives) else "closed"
-        return replace(self.run, mode=mode, recording=False, internals="none", deadline_s=0.0, ensemble=0)
+        return replace(
+            self.run, mode=mode, recording=False, internals="none", deadline_s=0.0, ensemble=0
+        )
 
     def head(self, logs: Mapping[str, str]) -> dict[str, Any]:
         """The inputs that identify a tuning, except the number of trials; `logs` are the identities by name."""
         inputs = {
-            "seed": self.seed, "share": self.share, "objectives": [one.metric for one in self.objectives],
+            "seed": self.seed,
+            "share": self.share,
+            "objectives": [one.metric for one in self.objectives],
             "settings": {one.key: repr(one) for one in self.settings},
-            "logs": {name: sha256(identity.encode()).hexdigest()[:16] for name, identity in logs.items()},
-        }  # fmt: skip
+            "logs": {
+                name: sha256(identity.encode()).hexdigest()[:16] for name, identity in logs.items()
+            },
+        }
         return study_head(KIND, self.driven, inputs)
 
 
@@ -79,9 +85,11 @@ class OptunaTrials:
         self._optuna = optuna_module()
         with _quiet():
             sampler = self._optuna.samplers.TPESampler(
-                seed=plan.seed, n_startup_trials=STARTUP, multivariate=True,
+                seed=plan.seed,
+                n_startup_trials=STARTUP,
+                multivariate=True,
                 constraints_func=lambda trial: (trial.user_attrs["violation"],),
-            )  # fmt: skip
+            )
             self._study: Any = self._optuna.create_study(
                 directions=["maximize"] * len(plan.objectives), sampler=sampler
             )
@@ -94,9 +102,13 @@ class OptunaTrials:
             assert low is not None and high is not None
             if one.is_whole:
                 step = int(one.step or 1)
-                self._distributions[one.key] = kinds.IntDistribution(int(low), int(high), log=one.log, step=step)
+                self._distributions[one.key] = kinds.IntDistribution(
+                    int(low), int(high), log=one.log, step=step
+                )
                 continue
-            self._distributions[one.key] = kinds.FloatDistribution(float(low), float(high), log=one.log, step=one.step)
+            self._distributions[one.key] = kinds.FloatDistribution(
+                float(low), float(high), log=one.log, step=one.step
+            )
         self._trial: Any = None
         if all(one.holds_default for one in plan.settings):
             self._study.enqueue_trial({one.key: one.default for one in plan.settings})
@@ -114,7 +126,9 @@ class OptunaTrials:
                 self._study.tell(self._trial, state=self._optuna.trial.TrialState.FAIL)
                 return
             self._trial.set_user_attr("violation", float(row["failed"] - self._default.failed))
-            self._study.tell(self._trial, [row[f"gain {one.metric}"] for one in self._plan.objectives])
+            self._study.tell(
+                self._trial, [row[f"gain {one.metric}"] for one in self._plan.objectives]
+            )
 
     def row(self, values: Values, found: RunScores | str) -> dict[str, Any]:
         """The row of a trial: its gains, or the reason why its settings are refused together."""
@@ -123,11 +137,17 @@ class OptunaTrials:
         if isinstance(found, str):
             refused = {"total": None, "failed": None, "feasible": False, "refused": found}
             return {**row, **dict.fromkeys(names), **refused}
-        mean = gains(found.values, self._default.values, self._scale, self._plan.objectives).mean(axis=1)
+        mean = gains(found.values, self._default.values, self._scale, self._plan.objectives).mean(
+            axis=1
+        )
         return {
-            **row, **dict(zip(names, mean.tolist(), strict=True)), "total": float(mean.sum()), "failed": found.failed,
-            "feasible": found.failed <= self._default.failed, "refused": "",
-        }  # fmt: skip
+            **row,
+            **dict(zip(names, mean.tolist(), strict=True)),
+            "total": float(mean.sum()),
+            "failed": found.failed,
+            "feasible": found.failed <= self._default.failed,
+            "refused": "",
+        }
 
 
 def _quiet() -> warnings.catch_warnings[None]:

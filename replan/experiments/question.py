@@ -61,7 +61,10 @@ class SurfaceQuestion:
 
     def values(self, cell: Sequence[float]) -> dict[str, float]:
         """The values of all parameters in a cell, by name."""
-        return {**self.fixed, **{axis.name: value for axis, value in zip(self.axes, cell, strict=True)}}
+        return {
+            **self.fixed,
+            **{axis.name: value for axis, value in zip(self.axes, cell, strict=True)},
+        }
 
     @property
     def recorded(self) -> tuple[float, ...] | None:
@@ -89,7 +92,9 @@ def check_agents(agents: Sequence[str], known: Collection[str], *, required: boo
         raise ConfigError(f"{what}; `replan vary LOG --list-agents` lists them")
 
 
-def question(words: Sequence[str], agents: Sequence[str] = (), resolution: float | None = None) -> SurfaceQuestion:
+def question(
+    words: Sequence[str], agents: Sequence[str] = (), resolution: float | None = None
+) -> SurfaceQuestion:
     """Parse the words of `--vary`.
 
     Raises:
@@ -110,9 +115,16 @@ def question(words: Sequence[str], agents: Sequence[str] = (), resolution: float
             raise ConfigError(f"--vary {word}: '{text}' is no number; {FORM}") from None
         if len(numbers) == 1:
             values: tuple[float, ...] = (numbers[0],)
-        elif len(numbers) == 3 and numbers[0] < numbers[1] and numbers[2] >= 2 and numbers[2] == int(numbers[2]):
+        elif (
+            len(numbers) == 3
+            and numbers[0] < numbers[1]
+            and numbers[2] >= 2
+            and numbers[2] == int(numbers[2])
+        ):
             if numbers[2] > MOST_CELLS:
-                raise ConfigError(f"--vary {word}: a surface has at most {MOST_CELLS} cells; lower COUNT")
+                raise ConfigError(
+                    f"--vary {word}: a surface has at most {MOST_CELLS} cells; lower COUNT"
+                )
             values = tuple(np.linspace(numbers[0], numbers[1], int(numbers[2])).round(12).tolist())
         else:
             raise ConfigError(f"--vary {word}: {FORM}; LOW below HIGH, COUNT 2 or more")
@@ -125,7 +137,9 @@ def question(words: Sequence[str], agents: Sequence[str] = (), resolution: float
         else:
             fixed[name] = values[0]
     if not 1 <= len(axes) <= MOST_AXES:
-        raise ConfigError(f"a surface has one or two axes, got {len(axes)}: --vary NAME=LOW:HIGH:COUNT")
+        raise ConfigError(
+            f"a surface has one or two axes, got {len(axes)}: --vary NAME=LOW:HIGH:COUNT"
+        )
     if (count := prod(len(axis.values) for axis in axes)) > MOST_CELLS:
         raise ConfigError(f"--vary: {count} cells, a surface has at most {MOST_CELLS}; lower COUNT")
     if resolution is not None and not resolution > 0.0:

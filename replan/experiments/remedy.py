@@ -86,7 +86,11 @@ def between(setting: Setting, end: Value, share: float) -> Value:
     if share == 1.0:
         return end
     begin, last = float(setting.default), float(end)
-    value = exp(log(begin) + share * log(last / begin)) if setting.log else begin + share * (last - begin)
+    value = (
+        exp(log(begin) + share * log(last / begin))
+        if setting.log
+        else begin + share * (last - begin)
+    )
     if setting.step is not None and setting.low is not None:
         value = setting.low + setting.step * round((value - setting.low) / setting.step)
     return round(value) if setting.is_whole else float(f"{value:.6g}")

@@ -45,18 +45,45 @@ FORM = "write it as NAME=LOW:HIGH, for example time=-3:3"
 TIME_S, SPEED, EGO_SPEED, LATERAL_M, ALONG_M, AHEAD_M = 1.0, 0.2, 0.1, 0.375, 5.0, 10.0
 ACCEL_MPS2, ANGLE_DEG, PERCENT = 1.0, 10.0, 25.0
 SCALES: Mapping[str, float] = {
-    "time": TIME_S, "copy": TIME_S, "speed": SPEED, "side": LATERAL_M, "ego_start": ALONG_M, "ego_speed": EGO_SPEED,
-    "pedestrian": AHEAD_M, "standing_car": AHEAD_M,
-}  # fmt: skip
+    "time": TIME_S,
+    "copy": TIME_S,
+    "speed": SPEED,
+    "side": LATERAL_M,
+    "ego_start": ALONG_M,
+    "ego_speed": EGO_SPEED,
+    "pedestrian": AHEAD_M,
+    "standing_car": AHEAD_M,
+}
 """Scales of the variations, by name."""
-_LATERAL = ("lateral", "offset", "side", "intrusion", "kerb", "clearance", "room", "marking", "width", "swing")
+_LATERAL = (
+    "lateral",
+    "offset",
+    "side",
+    "intrusion",
+    "kerb",
+    "clearance",
+    "room",
+    "marking",
+    "width",
+    "swing",
+)
 """Words in the names of parameters that are lateral distances."""
 UNITS = {
-    "s": "s", "m": "m", "deg": "deg", "mps": "m/s", "kmh": "km/h", "mps2": "m/s2", "percent": "%",
-}  # fmt: skip
+    "s": "s",
+    "m": "m",
+    "deg": "deg",
+    "mps": "m/s",
+    "kmh": "km/h",
+    "mps2": "m/s2",
+    "percent": "%",
+}
 """Units by the last part of a parameter's name."""
 _BY_ENDING = {"s": TIME_S, "mps2": ACCEL_MPS2, "deg": ANGLE_DEG, "percent": PERCENT}
-DEFAULT_RANGES: Mapping[str, tuple[float, float]] = {"time": (-3.0, 3.0), "speed": (0.5, 2.0), "ego_speed": (0.7, 1.3)}
+DEFAULT_RANGES: Mapping[str, tuple[float, float]] = {
+    "time": (-3.0, 3.0),
+    "speed": (0.5, 2.0),
+    "ego_speed": (0.7, 1.3),
+}
 """Default axes and ranges for a log; only `ego_speed` if it has no agents."""
 MOST_AXES = 8
 """Largest number of axes: with more, 200 drives are too few."""
@@ -150,11 +177,15 @@ def search_axes(
         if name not in ranges:
             raise unknown_name("axis (of --scale)", name, ranges)
     if len(ranges) > MOST_AXES:
-        raise ConfigError(f"--axis: {len(ranges)} axes; at most {MOST_AXES} can be searched at once")
+        raise ConfigError(
+            f"--axis: {len(ranges)} axes; at most {MOST_AXES} can be searched at once"
+        )
     return tuple(_axis(name, *ends, given.get(name), family) for name, ends in ranges.items())
 
 
-def _axis(name: str, low: float, high: float, scale: float | None, family: Family | None) -> SearchAxis:
+def _axis(
+    name: str, low: float, high: float, scale: float | None, family: Family | None
+) -> SearchAxis:
     """One axis; ConfigError as `search_axes`."""
     parameters: Mapping[str, float] = {} if family is None else family.parameters
     if name in parameters:
@@ -162,11 +193,15 @@ def _axis(name: str, low: float, high: float, scale: float | None, family: Famil
         unit = UNITS.get(ending, "1")
         usual = _parameter_scale(name, origin)
         if scale is None and usual is None:
-            raise ConfigError(f"--axis {name}: it has no scale by its name; say how large a step is: --scale {name}=1")
+            raise ConfigError(
+                f"--axis {name}: it has no scale by its name; say how large a step is: --scale {name}=1"
+            )
     elif name in VARIATIONS:
         variation = VARIATIONS[name]
         if variation.is_choice:
-            raise ConfigError(f"--axis {name}: is a choice and has no distance; use replan vary --vary {name}=0:1:2")
+            raise ConfigError(
+                f"--axis {name}: is a choice and has no distance; use replan vary --vary {name}=0:1:2"
+            )
         for value in (low, high):
             variation.check(value)
         origin, unit = (variation.neutral if isfinite(variation.neutral) else high), variation.unit
@@ -174,7 +209,9 @@ def _axis(name: str, low: float, high: float, scale: float | None, family: Famil
     else:
         raise unknown_name("axis", name, [*VARIATIONS, *parameters])
     if not low <= origin <= high:
-        raise ConfigError(f"--axis {name}={low:g}:{high:g}: does not hold the recorded value, {origin:g}")
+        raise ConfigError(
+            f"--axis {name}={low:g}:{high:g}: does not hold the recorded value, {origin:g}"
+        )
     step = scale if scale is not None else usual
     assert step is not None
     return SearchAxis(name, low, high, origin, step, unit, name not in parameters)
@@ -249,7 +286,9 @@ def subject_of(name: str, settings: LogSettings) -> SearchSubject:
     return SearchSubject(name if family else scenario.name, scenario, family)
 
 
-def agents_of(subject: SearchSubject, axes: Sequence[SearchAxis], named: Sequence[str]) -> tuple[str, ...]:
+def agents_of(
+    subject: SearchSubject, axes: Sequence[SearchAxis], named: Sequence[str]
+) -> tuple[str, ...]:
     """The agents to vary: the named ones, otherwise the one in conflict with the ego, if an axis needs one.
 
     Raises:

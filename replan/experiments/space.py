@@ -54,27 +54,36 @@ class Setting:
         numbers = [value for value in (self.low, self.high, self.step) if value is not None]
         ends = len(numbers) - (self.step is not None)
         finite = [_is_number(value) and isfinite(value) for value in numbers]
-        self._hold({
-            "needs low and high, or choices": bool(self.choices) != (ends == 2) and ends != 1,
-            f"is no number ({self.default!r}): give choices": bool(self.choices) or _is_number(self.default),
-            "low, high and step must be finite numbers": all(finite),
-        })  # fmt: skip
+        self._hold(
+            {
+                "needs low and high, or choices": bool(self.choices) != (ends == 2) and ends != 1,
+                f"is no number ({self.default!r}): give choices": bool(self.choices)
+                or _is_number(self.default),
+                "low, high and step must be finite numbers": all(finite),
+            }
+        )
         if self.choices:
             different = len(set(self.choices)) == len(self.choices) > 1
             plain = not self.log and self.step is None
-            self._hold({"choices: give at least two, all different": different,
-                        "choices go without log and step": plain})  # fmt: skip
+            self._hold(
+                {
+                    "choices: give at least two, all different": different,
+                    "choices go without log and step": plain,
+                }
+            )
             return
         assert self.low is not None and self.high is not None
-        self._hold({
-            f"low ({self.low:g}) must be below high ({self.high:g})": self.low < self.high,
-            f"log needs a positive low, got {self.low:g}": not self.log or self.low > 0.0,
-            "log and step do not go together": not self.log or self.step is None,
-            "step must be positive and at most high - low":
-                self.step is None or 0.0 < self.step <= self.high - self.low,
-            f"its default is the whole number {self.default!r}: low, high and step must be whole, too":
-                not self.is_whole or all(float(value).is_integer() for value in numbers),
-        })  # fmt: skip
+        self._hold(
+            {
+                f"low ({self.low:g}) must be below high ({self.high:g})": self.low < self.high,
+                f"log needs a positive low, got {self.low:g}": not self.log or self.low > 0.0,
+                "log and step do not go together": not self.log or self.step is None,
+                "step must be positive and at most high - low": self.step is None
+                or 0.0 < self.step <= self.high - self.low,
+                f"its default is the whole number {self.default!r}: low, high and step must be whole, too": not self.is_whole
+                or all(float(value).is_integer() for value in numbers),
+            }
+        )
 
     def _hold(self, rules: Mapping[str, bool]) -> None:
         """Raise ConfigError with the text of the first rule that is False."""
@@ -93,14 +102,20 @@ class Setting:
     @property
     def is_whole(self) -> bool:
         """Whether it takes whole numbers."""
-        return isinstance(self.default, int) and not isinstance(self.default, bool) and not self.choices
+        return (
+            isinstance(self.default, int)
+            and not isinstance(self.default, bool)
+            and not self.choices
+        )
 
     @property
     def holds_default(self) -> bool:
         """Whether the default is in the range, on its steps."""
         if self.choices:
             return self.default in self.choices
-        assert self.low is not None and self.high is not None and isinstance(self.default, int | float)
+        assert (
+            self.low is not None and self.high is not None and isinstance(self.default, int | float)
+        )
         steps = (self.default - self.low) / self.step if self.step else 0.0
         return self.low <= self.default <= self.high and abs(steps - round(steps)) < 1e-9
 
@@ -109,7 +124,11 @@ class Setting:
         """The values that are checked beforehand."""
         if self.choices:
             return self.choices
-        return tuple(int(end) if self.is_whole else float(end) for end in (self.low, self.high) if end is not None)
+        return tuple(
+            int(end) if self.is_whole else float(end)
+            for end in (self.low, self.high)
+            if end is not None
+        )
 
 
 def _is_number(value: object) -> bool:
@@ -139,14 +158,18 @@ def load_space(path: Path, run: RunConfig) -> tuple[Setting, ...]:
     return settings
 
 
-def _settings(table: Mapping[str, Any], resolved: Mapping[str, Any], where: tuple[str, ...]) -> Iterator[Setting]:
+def _settings(
+    table: Mapping[str, Any], resolved: Mapping[str, Any], where: tuple[str, ...]
+) -> Iterator[Setting]:
     for name, entry in table.items():
         path = (*where, name)
         key = ".".join(path)
         if name not in resolved:
             raise unknown_name("setting", name, resolved, "".join(f"{part}." for part in where))
         if not isinstance(entry, Mapping):
-            raise ConfigError(f"{key} is {entry!r}; write {{ low = ..., high = ... }} or {{ choices = [...] }}")
+            raise ConfigError(
+                f"{key} is {entry!r}; write {{ low = ..., high = ... }} or {{ choices = [...] }}"
+            )
         default = resolved[name]
         if isinstance(default, Mapping):
             yield from _settings(entry, default, path)
@@ -155,9 +178,13 @@ def _settings(table: Mapping[str, Any], resolved: Mapping[str, Any], where: tupl
             if word not in KEYS:
                 raise unknown_name("key of a range", word, KEYS, f"{key}.")
         choices = entry.get("choices", [])
-        plain = isinstance(choices, list) and all(isinstance(choice, (str, int, float)) for choice in choices)
+        plain = isinstance(choices, list) and all(
+            isinstance(choice, (str, int, float)) for choice in choices
+        )
         if not plain or not isinstance(entry.get("log", False), bool):
-            raise ConfigError(f"{key}: choices is a list of numbers, texts or true and false, and log is true or false")
+            raise ConfigError(
+                f"{key}: choices is a list of numbers, texts or true and false, and log is true or false"
+            )
         yield Setting(path, default, **{**entry, "choices": tuple(choices)})
 
 
@@ -191,7 +218,11 @@ def chosen_table(run: RunConfig) -> dict[str, Any]:
     found = difference(table, tomllib.loads(dump_run(RunConfig())))
     place = run.gates if run.gates in PACKAGED else str(Path(run.gates).absolute())
     gates = {} if run.gates == "default" else {"gates": place}
-    return {"planners": list(run.planners), **gates, **{key: found[key] for key in found if key != "planners"}}
+    return {
+        "planners": list(run.planners),
+        **gates,
+        **{key: found[key] for key in found if key != "planners"},
+    }
 
 
 def listed(settings: Sequence[Setting], values: Mapping[tuple[str, ...], Value]) -> str:

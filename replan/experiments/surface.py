@@ -78,11 +78,20 @@ class VaryResult:
         counts = self.table.loc[self.table["part"] == "grid", "outcome"].value_counts()
         lines = [f"cells: {', '.join(f'{n} {name}' for name, n in counts.items())}"]
         for edge in self.edges:
-            row = "".join(f"{axis.name} {v:.4g}: " for axis, v in zip(self.question.axes[1:], edge.row, strict=True))
-            between = f"{first.name} {edge.low:.6g} ({edge.at_low}) and {edge.high:.6g} ({edge.at_high})"
-            lines.append(f"edge at {row}between {between}{'' if edge.is_open else ', not narrower: an error between'}")
+            row = "".join(
+                f"{axis.name} {v:.4g}: "
+                for axis, v in zip(self.question.axes[1:], edge.row, strict=True)
+            )
+            between = (
+                f"{first.name} {edge.low:.6g} ({edge.at_low}) and {edge.high:.6g} ({edge.at_high})"
+            )
+            lines.append(
+                f"edge at {row}between {between}{'' if edge.is_open else ', not narrower: an error between'}"
+            )
         broken = self.table[self.table["outcome"] == ERROR]
-        lines += [f"error: {name}: {why}" for name, why in zip(broken["log"], broken["why"], strict=True)]
+        lines += [
+            f"error: {name}: {why}" for name, why in zip(broken["log"], broken["why"], strict=True)
+        ]
         return [*lines, f"written to {self.out}"]
 
 
@@ -106,7 +115,9 @@ def vary(
     """
     planner, run = one_planner(run, "a surface"), closed(run)
     inserted = (VARIATIONS[name].inserts for name in question.values(next(question.cells)))
-    check_agents(question.agents, [*scenario.tracks.ids, *inserted], required=question.varies_agents)
+    check_agents(
+        question.agents, [*scenario.tracks.ids, *inserted], required=question.varies_agents
+    )
     card = {
         "log": scenario.name,
         "planner": planner,
@@ -161,12 +172,18 @@ class _Rounds:
         makes = {}
         for cell in cells:
             values = self.question.values(cell)
-            makes[self.out / "logs" / _file_name(values)] = partial(varied, self.scenario, self.question.agents, values)
-        trials = drive_made(makes, self.run, self.out / part, workers=self.workers, resume=self.resume)
+            makes[self.out / "logs" / _file_name(values)] = partial(
+                varied, self.scenario, self.question.agents, values
+            )
+        trials = drive_made(
+            makes, self.run, self.out / part, workers=self.workers, resume=self.resume
+        )
         for cell, trial in zip(cells, trials, strict=True):
             outcome = _error_row(trial) if isinstance(trial, str) else _judge_cell(trial)
             log = _file_name(self.question.values(cell))
-            self.rows.append({"cell": cell, **self.question.values(cell), "part": part, **outcome, "log": log})
+            self.rows.append(
+                {"cell": cell, **self.question.values(cell), "part": part, **outcome, "log": log}
+            )
         return [row["outcome"] for row in self.rows[-len(cells) :]]
 
 
@@ -178,9 +195,17 @@ def _file_name(values: Mapping[str, float]) -> str:
 
 def _error_row(why: str) -> dict[str, Any]:
     return {
-        "outcome": ERROR, "gates": "", "why": why, "end": "", "contact": "", "contact_s": nan,
-        "least_gap_m": nan, "least_gap_s": nan, "careful": "", "careful_margin_m": nan,
-    }  # fmt: skip
+        "outcome": ERROR,
+        "gates": "",
+        "why": why,
+        "end": "",
+        "contact": "",
+        "contact_s": nan,
+        "least_gap_m": nan,
+        "least_gap_s": nan,
+        "careful": "",
+        "careful_margin_m": nan,
+    }
 
 
 def _judge_cell(trial: Trial) -> dict[str, Any]:
@@ -211,10 +236,25 @@ def _judge_cell(trial: Trial) -> dict[str, Any]:
 def _write(result: VaryResult, scenario: Scenario, planner: str) -> None:
     out, table, question = result.out, result.table, result.question
     write_table(out, "surface", table)
-    columns = [*(axis.name for axis in question.axes[1:]), "low", "high", "at_low", "at_high", "edge"]
-    rows = [(*one.row, one.low, one.high, one.at_low, one.at_high, one.middle) for one in result.edges]
+    columns = [
+        *(axis.name for axis in question.axes[1:]),
+        "low",
+        "high",
+        "at_low",
+        "at_high",
+        "edge",
+    ]
+    rows = [
+        (*one.row, one.low, one.high, one.at_low, one.at_high, one.middle) for one in result.edges
+    ]
     write_csv(out / "edges.csv", pd.DataFrame(rows, columns=columns))
-    about = f"; varied: {', '.join(map(scenario.short_names, question.agents))}" if question.agents else ""
-    fixed = "".join(f", {name} {VARIATIONS[name].shown(value)}" for name, value in question.fixed.items())
+    about = (
+        f"; varied: {', '.join(map(scenario.short_names, question.agents))}"
+        if question.agents
+        else ""
+    )
+    fixed = "".join(
+        f", {name} {VARIATIONS[name].shown(value)}" for name, value in question.fixed.items()
+    )
     title = f"{scenario.name}: {planner}{fixed}{about}"
     surface_figure(table, result.edges, question, title).save(out / "surface.png")

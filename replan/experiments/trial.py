@@ -47,7 +47,12 @@ def closed(run: RunConfig, **changes: Any) -> RunConfig:
     return replace(bare, **changes)
 
 
-QUIET: Mapping[str, Any] = {"recording": False, "foxglove": False, "repeat_s": 0.0, "internals": "none"}
+QUIET: Mapping[str, Any] = {
+    "recording": False,
+    "foxglove": False,
+    "repeat_s": 0.0,
+    "internals": "none",
+}
 """Changes of a run whose files are not opened."""
 
 
@@ -65,7 +70,11 @@ class Trial:
         rows = self.results.failures[self.results.failures["log"] == self.log]
         if len(rows):
             first = rows.iloc[0]
-            return f"{first.message} [{first.planner}, {first.mode} loop]" if first.planner else str(first.message)
+            return (
+                f"{first.message} [{first.planner}, {first.mode} loop]"
+                if first.planner
+                else str(first.message)
+            )
         return "" if len(self._mine(self.results.drives)) else "not driven"
 
     @cached_property
@@ -99,7 +108,9 @@ class Trial:
     @property
     def careful(self) -> Avoidability:
         """Whether the careful driver of UN R157 avoids the contact of the drive."""
-        applies, avoids = (self.values().get(f"reference_cc.{one.name}", nan) for one in (APPLIES, AVOIDS))
+        applies, avoids = (
+            self.values().get(f"reference_cc.{one.name}", nan) for one in (APPLIES, AVOIDS)
+        )
         if not applies > 0.0:
             return Avoidability.NOT_APPLICABLE
         return Avoidability.AVOIDABLE if avoids > 0.0 else Avoidability.UNAVOIDABLE
@@ -109,7 +120,12 @@ class Trial:
 
 
 def drive_made(
-    makes: Mapping[Path, Callable[[], Scenario]], run: RunConfig, out: Path, *, workers: int, resume: bool = False
+    makes: Mapping[Path, Callable[[], Scenario]],
+    run: RunConfig,
+    out: Path,
+    *,
+    workers: int,
+    resume: bool = False,
 ) -> list[Trial | str]:
     """Write scenarios, drive them, and return for each its trial, or the reason why it could not be made or driven.
 
@@ -130,9 +146,13 @@ def drive_made(
     logs = [path for path, why in made.items() if not why]
     if not logs:
         return list(made.values())
-    results = evaluate_logs(logs, run, out, workers=workers, resume=resume and (out / "run.toml").is_file())
+    results = evaluate_logs(
+        logs, run, out, workers=workers, resume=resume and (out / "run.toml").is_file()
+    )
     names = dict(zip(results.logs["source"], results.logs["log"], strict=True))
-    trials = [why or Trial(results, names[str(path)], run.planners[0]) for path, why in made.items()]
+    trials = [
+        why or Trial(results, names[str(path)], run.planners[0]) for path, why in made.items()
+    ]
     return [one if isinstance(one, str) else one.missing or one for one in trials]
 
 

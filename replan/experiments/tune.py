@@ -31,7 +31,7 @@ from replan.core.errors import ConfigError
 from replan.core.names import counted
 from replan.draw.drawn_results import Results
 from replan.experiments.experiment_figures import pareto_figure
-from replan.experiments.gains import (  # fmt: skip
+from replan.experiments.gains import (
     LEAST_LOGS,
     MeanGain,
     RunScores,
@@ -43,7 +43,14 @@ from replan.experiments.gains import (  # fmt: skip
     scales,
     stratum,
 )
-from replan.experiments.optuna_trials import KIND, OptunaTrials, TuningInputs, Values, key_of, optuna_module
+from replan.experiments.optuna_trials import (
+    KIND,
+    OptunaTrials,
+    TuningInputs,
+    Values,
+    key_of,
+    optuna_module,
+)
 from replan.experiments.space import chosen_table, listed, with_values
 from replan.experiments.trial import one_planner, scratch_folder, write_table
 from replan.logs.mcap import write_scenario
@@ -129,13 +136,18 @@ class Tuned:
         aside = f", {refused} refused by the configuration" if refused else ""
         said = [f"{tried}: {feasible} feasible{aside}."]
         if self.better is None or self.comparison is None:
-            return [*said, "FAIL: no feasible trial is better than the defaults on the training logs."]
+            return [
+                *said,
+                "FAIL: no feasible trial is better than the defaults on the training logs.",
+            ]
         gain = float(self.chosen["total"])
         said.append(
             f"Chosen is trial {self.chosen['trial']}: {listed(self.plan.settings, self.values)}; gain {gain:+.4f}."
         )
         said.append(f"Held out: {self.better}.")
-        broken = [verdict for verdict in self.comparison.verdicts if verdict.outcome.value == "fail"]
+        broken = [
+            verdict for verdict in self.comparison.verdicts if verdict.outcome.value == "fail"
+        ]
         said += [f"Broken: {verdict.rule}: {verdict.reason}." for verdict in broken]
         if self.passed:
             word = "PASS: the chosen settings are better on the held-out logs, and no rule of comparison is broken."
@@ -197,7 +209,9 @@ def _sorted_logs(selection: Selection, out: Path, share: float) -> Logs:
             scenario = near.read()
         name = scenario.name
         if name in labels:
-            raise ConfigError(f"two logs are called '{name}' ({places[name]}, {source.label}); leave one of them out")
+            raise ConfigError(
+                f"two logs are called '{name}' ({places[name]}, {source.label}); leave one of them out"
+            )
         labels[name] = LogLabels(scenario.family, scenario.dataset, scenario.tags)
         synthesised = out / "logs" / f"{sha256(name.encode()).hexdigest()[:16]}.mcap"
         places[name] = source.path or (source.label if source.remote else synthesised)
@@ -210,7 +224,9 @@ def _sorted_logs(selection: Selection, out: Path, share: float) -> Logs:
             f" {LEAST_LOGS} no difference is more than chance: name more logs, or hold out more of them"
         )
     if not logs.training:
-        raise ConfigError(f"--held-out {share:g} of {counted(len(labels), 'log')} leaves none to search on")
+        raise ConfigError(
+            f"--held-out {share:g} of {counted(len(labels), 'log')} leaves none to search on"
+        )
     return logs
 
 
@@ -227,10 +243,16 @@ class _Driver:
         place = self.out / folder
         place.parent.mkdir(parents=True, exist_ok=True)
         return evaluate_logs(
-            logs, run, place, engine=self.engine, resume=self.resume and (place / "run.toml").is_file()
+            logs,
+            run,
+            place,
+            engine=self.engine,
+            resume=self.resume and (place / "run.toml").is_file(),
         )
 
-    def passing(self, logs: Sequence[Path | str], run: RunConfig, asked: Callable[[Results], RunScores]) -> RunScores:
+    def passing(
+        self, logs: Sequence[Path | str], run: RunConfig, asked: Callable[[Results], RunScores]
+    ) -> RunScores:
         """The value of `asked` for a run whose files are removed."""
         with scratch_folder(self.out, "trial") as scratch:
             return asked(evaluate_logs(logs, run, scratch, engine=self.engine))
@@ -239,8 +261,12 @@ class _Driver:
 # trials -----------------------------------------------------------------------------------------------------------
 
 
-def _run_search(plan: TuningInputs, logs: Logs, study: Study, driver: _Driver, say: Callable[[str], None]) -> Tuned:
-    say(f"{counted(len(logs.training), 'training log')}, {len(logs.held)} held out; first the defaults")
+def _run_search(
+    plan: TuningInputs, logs: Logs, study: Study, driver: _Driver, say: Callable[[str], None]
+) -> Tuned:
+    say(
+        f"{counted(len(logs.training), 'training log')}, {len(logs.held)} held out; first the defaults"
+    )
     names, where = logs.training, logs.at(logs.training)
     default = run_scores(driver.kept(where, plan.driven, "training"), names, plan.objectives)
     search = OptunaTrials(plan, default)
@@ -252,7 +278,9 @@ def _run_search(plan: TuningInputs, logs: Logs, study: Study, driver: _Driver, s
             checked(run)
         except ConfigError as error:
             return search.row(values, str(error))
-        found = driver.passing(where, run, lambda results: run_scores(results, names, plan.objectives))
+        found = driver.passing(
+            where, run, lambda results: run_scores(results, names, plan.objectives)
+        )
         return search.row(values, found)
 
     rows: list[dict[str, Any]] = []
@@ -265,7 +293,9 @@ def _run_search(plan: TuningInputs, logs: Logs, study: Study, driver: _Driver, s
         what = "no feasible one yet" if best is None else f"best gain {best:+.4f}"
         say(f"{trial + 1} of {counted(plan.trials, 'trial')}, {what}")
     if all(row["refused"] for row in rows):
-        raise ConfigError(f"no trial of {len(rows)} is accepted by the configuration: {rows[0]['refused']}")
+        raise ConfigError(
+            f"no trial of {len(rows)} is accepted by the configuration: {rows[0]['refused']}"
+        )
     table = pd.DataFrame(rows)
     columns = [f"gain {one.metric}" for one in plan.objectives]
     table = table.astype({**dict.fromkeys([*columns, "total", "failed"], float), "feasible": bool})
@@ -281,7 +311,12 @@ def _run_search(plan: TuningInputs, logs: Logs, study: Study, driver: _Driver, s
 
 
 def _judge_held_out(
-    plan: TuningInputs, logs: Logs, table: pd.DataFrame, scale: np.ndarray, driver: _Driver, say: Callable[[str], None]
+    plan: TuningInputs,
+    logs: Logs,
+    table: pd.DataFrame,
+    scale: np.ndarray,
+    driver: _Driver,
+    say: Callable[[str], None],
 ) -> Tuned:
     """Choose, and drive the held-out logs with the chosen settings and the defaults."""
     good = table[table["feasible"] & (table["total"] > 0.0)]
@@ -309,21 +344,41 @@ def _write(result: Tuned, default: RunScores) -> None:
     front = table[table["pareto"]].sort_values("total", ascending=False, kind="stable")
     write_csv(out / "pareto.csv", front)
     title = f"{plan.run.planners[0]}: {counted(len(table), 'trial')} on {counted(len(result.logs.training), 'log')}"
-    pareto_figure(table, [one.metric for one in plan.objectives], result.chosen, title).save(out / "pareto.png")
+    pareto_figure(table, [one.metric for one in plan.objectives], result.chosen, title).save(
+        out / "pareto.png"
+    )
     chosen = with_values(plan.run, result.values)
-    note = "the chosen settings" if result.passed else "NOT better than the defaults on the held-out logs"
-    write_text(out / "best.toml", f"# Written by `replan tune`: {note}.\n{tomli_w.dumps(chosen_table(chosen))}")
+    note = (
+        "the chosen settings"
+        if result.passed
+        else "NOT better than the defaults on the held-out logs"
+    )
+    write_text(
+        out / "best.toml",
+        f"# Written by `replan tune`: {note}.\n{tomli_w.dumps(chosen_table(chosen))}",
+    )
     gain = result.better
     card = {
-        "replan": replan_version(), "planner": plan.run.planners[0],
-        "objectives": [one.metric for one in plan.objectives], "seed": plan.seed, "trials": len(table),
-        "training": list(result.logs.training), "held_out": list(result.logs.held_out),
-        "strata": dict(result.logs.strata), "failed_by_default": default.failed,
-        "chosen": {one.key: result.values[one.path] for one in plan.settings} if result.values else None,
-        "gain": None if gain is None else {
-            "mean": gain.mean, "interval": [end if isfinite(end) else None for end in (gain.low, gain.high)],
+        "replan": replan_version(),
+        "planner": plan.run.planners[0],
+        "objectives": [one.metric for one in plan.objectives],
+        "seed": plan.seed,
+        "trials": len(table),
+        "training": list(result.logs.training),
+        "held_out": list(result.logs.held_out),
+        "strata": dict(result.logs.strata),
+        "failed_by_default": default.failed,
+        "chosen": {one.key: result.values[one.path] for one in plan.settings}
+        if result.values
+        else None,
+        "gain": None
+        if gain is None
+        else {
+            "mean": gain.mean,
+            "interval": [end if isfinite(end) else None for end in (gain.low, gain.high)],
             "logs": gain.logs,
         },
-        "said": result.lines(), "exit_code": result.exit_code,
-    }  # fmt: skip
+        "said": result.lines(),
+        "exit_code": result.exit_code,
+    }
     write_json(out / "tune.json", card)

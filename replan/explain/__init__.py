@@ -5,4 +5,13 @@ from replan.explain.course import Action, Course
 from replan.explain.explanation import Explanation
 from replan.explain.sentences import sentences
 
-__all__ = ["Account", "Action", "Cause", "CauseKind", "Course", "Explanation", "accounts", "sentences"]
+__all__ = [
+    "Account",
+    "Action",
+    "Cause",
+    "CauseKind",
+    "Course",
+    "Explanation",
+    "accounts",
+    "sentences",
+]

@@ -136,7 +136,12 @@ class Cause:
     def rank(self) -> tuple[bool, bool, float, float]:
         """Sort key: causes with numbers before decisions alone, named before inferred, by deceleration, by time."""
         need = self.need_mps2 if isfinite(self.need_mps2) else MOST_MPS2 if self.is_met else 0.0
-        return self.kind is CauseKind.WORD, self.inferred, -need, self.time_s if isfinite(self.time_s) else LOOK_S
+        return (
+            self.kind is CauseKind.WORD,
+            self.inferred,
+            -need,
+            self.time_s if isfinite(self.time_s) else LOOK_S,
+        )
 
     def accounts_for(self, a_least: float) -> bool:
         """Whether it is a reason to brake as hard as `a_least`, m/s2, which is negative."""
@@ -163,16 +168,22 @@ class Account:
 
 
 def accounts(
-    trace: Trace, scenario: Scenario, loop: LoopConfig | None = None, earlier: Iterable[float] = (),
+    trace: Trace,
+    scenario: Scenario,
+    loop: LoopConfig | None = None,
+    earlier: Iterable[float] = (),
     wanted: Iterable[float] = (),
-) -> Iterator[Account]:  # fmt: skip
+) -> Iterator[Account]:
     """The account of each frame of a drive; arguments as `planner_inputs`.
 
     `wanted` has a speed for each frame, m/s: why a plan is not that fast is then asked also where it does not brake;
     NaN, or none: it is not.
     """
     explainer, inputs = Explainer(scenario), planner_inputs(trace, scenario, loop, earlier)
-    return (explainer.account(frame, speed) for frame, speed in zip(inputs, chain(wanted, repeat(nan)), strict=False))
+    return (
+        explainer.account(frame, speed)
+        for frame, speed in zip(inputs, chain(wanted, repeat(nan)), strict=False)
+    )
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -190,10 +201,20 @@ class _Case:
     def plan(self) -> Plan:
         return self.frame.planned.plan
 
-    def cause(self, kind: CauseKind, distance: float, need: float, who: str = "", value: float = nan) -> Cause:
+    def cause(
+        self, kind: CauseKind, distance: float, need: float, who: str = "", value: float = nan
+    ) -> Cause:
         """A cause at a place on the way."""
         time = self.held.when(distance)
-        return Cause(kind, who, hold_mps=self.held.v, time_s=time, distance_m=distance, need_mps2=need, value=value)
+        return Cause(
+            kind,
+            who,
+            hold_mps=self.held.v,
+            time_s=time,
+            distance_m=distance,
+            need_mps2=need,
+            value=value,
+        )
 
     def is_near(self, name: str) -> bool:
         """Whether an agent is, or is predicted to be, within `NEAR_M` of the way."""
@@ -218,9 +239,11 @@ class Explainer:
         plan = frame.planned.plan
         course = Course.of(plan)
         predicted = frame.predictions is not None
-        failed = [
-            Cause(CauseKind.FALLBACK, plan.status.value, reason=plan.reason, inferred=False)
-        ] if plan.status.is_fallback else []  # fmt: skip
+        failed = (
+            [Cause(CauseKind.FALLBACK, plan.status.value, reason=plan.reason, inferred=False)]
+            if plan.status.is_fallback
+            else []
+        )
         if not course.is_asked and not isfinite(wanted):
             return Account(frame.planned.t, course, predicted, tuple(failed))
         decided: dict[str, Decision] = {}
@@ -234,29 +257,55 @@ class Explainer:
             # an agent that the planner passes (nudge, overtake) has no margin
             named = {d.agent for d in plan.internals if isinstance(d, Decision)} - decided.keys()
             passed = np.array([name in named for name in frame.agents.ids], np.bool_)
-            met = meetings(held, case.way, frame.agents, frame.predictions, self._scenario.vehicle, passed)
+            met = meetings(
+                held, case.way, frame.agents, frame.predictions, self._scenario.vehicle, passed
+            )
         found = [_met_agent(one, case) for one in met if isfinite(one.time_s)]  # (1)
         found += [*_stops(case), *_limit_and_curve(case), *_goal_and_end(case)]
-        known = {each.agent: each for each in plan.internals if isinstance(each, Decision)} | decided
+        known = {
+            each.agent: each for each in plan.internals if isinstance(each, Decision)
+        } | decided
         found = [
-            replace(c, decision=known[c.who].kind.value, reason=known[c.who].reason, inferred=c.who not in decided)
-            if c.who in known else c
+            replace(
+                c,
+                decision=known[c.who].kind.value,
+                reason=known[c.who].reason,
+                inferred=c.who not in decided,
+            )
+            if c.who in known
+            else c
             for c in found
-        ]  # fmt: skip
+        ]
         explained = {cause.who for cause in found}
         for name, d in decided.items():  # (7)
             named_only = name not in explained and d.kind is not DecisionKind.FOLLOW
             if named_only and (name not in frame.agents.ids or case.is_near(name)):
                 found.append(Cause(CauseKind.WORD, name, d.kind.value, d.reason, False, held.v))
-        found = sorted(found, key=lambda cause: (not cause.accounts_for(course.a_least), cause.rank))
+        found = sorted(
+            found, key=lambda cause: (not cause.accounts_for(course.a_least), cause.rank)
+        )
         enough = max(FELT_MPS2, SHARE * -course.a_least)
-        if not failed and -course.a_least >= enough and not any(cause.need_mps2 >= enough for cause in found):
+        if (
+            not failed
+            and -course.a_least >= enough
+            and not any(cause.need_mps2 >= enough for cause in found)
+        ):
             found = [*(cause for cause in _beside(case) if cause.who not in explained), *found]
         if not failed and not (found and found[0].accounts_for(course.a_least)):
             near = min(met, key=lambda one: one.away_m, default=None)
-            one = Cause(CauseKind.AGENT, hold_mps=held.v) if near is None or found else _met_agent(near, case)
+            one = (
+                Cause(CauseKind.AGENT, hold_mps=held.v)
+                if near is None or found
+                else _met_agent(near, case)
+            )
             hardest = -course.a_least if found else nan
-            none = replace(one, kind=CauseKind.NONE, time_s=float(held.t[-1]), distance_m=held.reach, value=hardest)
+            none = replace(
+                one,
+                kind=CauseKind.NONE,
+                time_s=float(held.t[-1]),
+                distance_m=held.reach,
+                value=hardest,
+            )
             found = [*(_passed_or_begun(case) or [none]), *found]
         why_not = not_passed(plan) if found and found[0].kind is CauseKind.AGENT else ()
         return Account(frame.planned.t, course, predicted, (*failed, *found), why_not)
@@ -265,15 +314,26 @@ class Explainer:
 def _met_agent(one: Meeting, case: _Case) -> Cause:
     """A meeting as a cause."""
     return Cause(
-        CauseKind.AGENT, one.agent, hold_mps=case.held.v, away_m=one.away_m, time_s=one.time_s,
-        distance_m=one.distance_m, need_mps2=one.need_mps2, left_m=one.left_m, left_at_s=one.left_at_s,
+        CauseKind.AGENT,
+        one.agent,
+        hold_mps=case.held.v,
+        away_m=one.away_m,
+        time_s=one.time_s,
+        distance_m=one.distance_m,
+        need_mps2=one.need_mps2,
+        left_m=one.left_m,
+        left_at_s=one.left_at_s,
         is_met=one.is_met,
-    )  # fmt: skip
+    )
 
 
 def _stops(case: _Case) -> Iterator[Cause]:
     """(2): stop lines of the road, and other obstacles of the S-T graph that the planner decided to stop for."""
-    front, lanes, lights = case.scenario.vehicle.axle_to_front, set(case.way.lanes), case.frame.lights
+    front, lanes, lights = (
+        case.scenario.vehicle.axle_to_front,
+        set(case.way.lanes),
+        case.frame.lights,
+    )
     places: dict[str, float] = {}
     for line in case.scenario.road.stop_lines:
         name, demanded = f"stop line {line.id}", line.must_stop
@@ -284,15 +344,26 @@ def _stops(case: _Case) -> Iterator[Cause]:
             way = case.way
             x, y = way.x + front * np.cos(way.yaw), way.y + front * np.sin(way.yaw)
             (ax, ay), (bx, by) = line.points
-            side = (bx - ax) * (y - ay) - (by - ay) * (x - ax)  # the side of the line on which the ego's front is
+            # The side of the line on which the ego's front is
+            side = (bx - ax) * (y - ay) - (by - ay) * (x - ax)
             i = np.flatnonzero((side[:-1] * side[1:] <= 0.0) & (side[:-1] != side[1:]))
             u = side[i] / (side[i] - side[i + 1])
             px, py = x[i] + u * (x[i + 1] - x[i]), y[i] + u * (y[i + 1] - y[i])
-            within = ((px - ax) * (bx - ax) + (py - ay) * (by - ay)) / ((bx - ax) ** 2 + (by - ay) ** 2)
-            crossings = (way.s[i] + u * (way.s[i + 1] - way.s[i]))[(within >= 0.0) & (within <= 1.0)]
+            within = ((px - ax) * (bx - ax) + (py - ay) * (by - ay)) / (
+                (bx - ax) ** 2 + (by - ay) ** 2
+            )
+            crossings = (way.s[i] + u * (way.s[i + 1] - way.s[i]))[
+                (within >= 0.0) & (within <= 1.0)
+            ]
             places[name] = float(min(crossings, default=np.inf))
-    for thing in (one for each in case.plan.internals if isinstance(each, StGraph) for one in each.obstacles):
-        if thing.agent in case.frame.agents.ids or thing.agent not in case.decided or not len(thing.outline):
+    for thing in (
+        one for each in case.plan.internals if isinstance(each, StGraph) for one in each.obstacles
+    ):
+        if (
+            thing.agent in case.frame.agents.ids
+            or thing.agent not in case.decided
+            or not len(thing.outline)
+        ):
             continue
         t, s = thing.outline.T
         place, level = float(s.min()), {float(s[t == each].min()) for each in set(t.tolist())}
@@ -316,9 +387,14 @@ def _limit_and_curve(case: _Case) -> Iterator[Cause]:
     ahead = np.maximum(way.s - held.s_from, max(held.v * SOON_S, 1e-3))
     with np.errstate(invalid="ignore"):
         limits = np.where(limit < held.v - OVER_MPS, limit, np.nan)
-        allowed = ((CauseKind.LIMIT, limits, limit), (
-            CauseKind.CURVE, np.sqrt(CURVE_MPS2 / np.maximum(bend, 1e-9)), held.v**2 * bend,
-        ))  # fmt: skip
+        allowed = (
+            (CauseKind.LIMIT, limits, limit),
+            (
+                CauseKind.CURVE,
+                np.sqrt(CURVE_MPS2 / np.maximum(bend, 1e-9)),
+                held.v**2 * bend,
+            ),
+        )
         for kind, target, value in allowed:
             asks = (target < held.v) & (way.s >= held.s_from) & (way.s <= held.reach)
             need = np.where(asks, (held.v**2 - target**2) / (2.0 * ahead), 0.0)
@@ -335,13 +411,17 @@ def _goal_and_end(case: _Case) -> Iterator[Cause]:
         return
     rests, inside = case.course.v_end < STANDING_MPS, list[int]()
     if goal is not None and goal.regions:
-        x, y = way.x + car.axle_to_center * np.cos(way.yaw), way.y + car.axle_to_center * np.sin(way.yaw)
+        x, y = (
+            way.x + car.axle_to_center * np.cos(way.yaw),
+            way.y + car.axle_to_center * np.sin(way.yaw),
+        )
         inside = [i for i in range(len(way.s)) if goal.holds_place(float(x[i]), float(y[i]))]
     if goal is not None and inside and way.s[inside[0]] <= held.reach:
         first, last = float(way.s[inside[0]]), float(way.s[inside[-1]])
         ends = inside[-1] < len(way.s) - 1  # otherwise the region continues beyond the way
         t = case.frame.planned.t
-        if ends and goal.t is not None and t + held.when(last) < goal.t[0]:  # the ego leaves it before its time
+        # The ego leaves it before its time
+        if ends and goal.t is not None and t + held.when(last) < goal.t[0]:
             left = goal.t[0] - t - held.t_from
             need = 2.0 * (held.v * left - (last - held.s_from)) / left**2 if left > 0.0 else nan
             if need >= LEAST_MPS2:
@@ -368,7 +448,15 @@ def _beside(case: _Case) -> Iterator[Cause]:
             away[name] = float(distance(*box, car.length, car.width, *other))
     for name in sorted((name for name in away if away[name] <= BESIDE_M), key=away.__getitem__):
         reason = case.decided[name].reason
-        yield Cause(CauseKind.WORD, name, DecisionKind.FOLLOW.value, reason, False, case.held.v, away_m=away[name])
+        yield Cause(
+            CauseKind.WORD,
+            name,
+            DecisionKind.FOLLOW.value,
+            reason,
+            False,
+            case.held.v,
+            away_m=away[name],
+        )
 
 
 def _passed_or_begun(case: _Case) -> list[Cause]:
@@ -381,7 +469,13 @@ def _passed_or_begun(case: _Case) -> list[Cause]:
     ]
     path, held = case.plan.trajectory, case.held
     t, a = path.t - path.t[0], float(path.a[0])
-    if not passed and a <= BRAKES_MPS2 and case.course.t_hardest == 0.0 and held.t_from == 0.0 and not held.drives_off:
+    if (
+        not passed
+        and a <= BRAKES_MPS2
+        and case.course.t_hardest == 0.0
+        and held.t_from == 0.0
+        and not held.drives_off
+    ):
         over = np.flatnonzero(path.a > BRAKES_MPS2)
         if len(over) and path.v[over[0]] > STANDING_MPS:
             return [Cause(CauseKind.BEGUN, hold_mps=held.v, time_s=float(t[over[0]]), value=a)]
@@ -400,5 +494,7 @@ def not_passed(plan: Plan) -> tuple[str, ...]:
         for reason, _ in each.rejected
         if reason.startswith(PASS)
     ]
-    beside = [f"{each.name}: {each.against}" for each in lanes if each.against and each.name != KEEP]
+    beside = [
+        f"{each.name}: {each.against}" for each in lanes if each.against and each.name != KEEP
+    ]
     return (*(f"in the lane: {reason}" for reason in within), *beside)

@@ -41,7 +41,12 @@ from replan.logs.shapes import distance
 from replan.logs.states import Trajectory, wrap
 from replan.logs.vehicle import VehicleParameters
 from replan.planners.frenet.reference_path import LaneSequences
-from replan.planners.frenet.scene import STANDING_MPS as AGENT_STANDS_MPS, VULNERABLE, Bodies, Futures
+from replan.planners.frenet.scene import (
+    STANDING_MPS as AGENT_STANDS_MPS,
+    VULNERABLE,
+    Bodies,
+    Futures,
+)
 from replan.planners.frenet.st_boundaries import ALONG, Roles, Swept, SweptPath, sweep
 
 BRAKES_MPS2 = -0.3
@@ -119,15 +124,33 @@ class Course:
         if max(now, then) < STANDING_MPS:
             action = Action.STANDS
         else:
-            action = Action.SLOWS if accel < BRAKES_MPS2 else Action.SPEEDS if accel > -BRAKES_MPS2 else Action.HOLDS
+            action = (
+                Action.SLOWS
+                if accel < BRAKES_MPS2
+                else Action.SPEEDS
+                if accel > -BRAKES_MPS2
+                else Action.HOLDS
+            )
         slowest, hardest = int(np.argmin(path.v)), int(np.argmin(path.a))
         braking = np.flatnonzero((path.a <= BRAKES_MPS2) & (path.v > STANDING_MPS))
-        if action is Action.HOLDS and not len(braking) and path.v.min() >= 0.0 and path.v.max() < CRAWL_MPS:
+        if (
+            action is Action.HOLDS
+            and not len(braking)
+            and path.v.min() >= 0.0
+            and path.v.max() < CRAWL_MPS
+        ):
             action = Action.CRAWLS
         return cls(
-            action, float(path.v[0]), float(path.v[-1]), float(path.v[slowest]), float(t[-1]), float(t[slowest]),
-            float(path.a[hardest]), float(t[hardest]), float(t[braking[0]]) if len(braking) else np.nan,
-        )  # fmt: skip
+            action,
+            float(path.v[0]),
+            float(path.v[-1]),
+            float(path.v[slowest]),
+            float(t[-1]),
+            float(t[slowest]),
+            float(path.a[hardest]),
+            float(t[hardest]),
+            float(t[braking[0]]) if len(braking) else np.nan,
+        )
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -159,18 +182,29 @@ class Held:
         own, sigma = path.t - path.t[0], arc_lengths(path.x, path.y)
         planned = np.interp(t, own, sigma)
         if course.is_slow or (np.isfinite(wanted) and np.isnan(course.t_brakes)):
-            v0, to = 0.0 if course.action is Action.STANDS else course.v_start, float(np.fmax(START_TO_MPS, wanted))
+            v0, to = (
+                0.0 if course.action is Action.STANDS else course.v_start,
+                float(np.fmax(START_TO_MPS, wanted)),
+            )
             ramp = max((to - v0) / START_MPS2, 0.0)
-            s = np.where(t < ramp, v0 * t + 0.5 * START_MPS2 * t**2, to * t - 0.5 * START_MPS2 * ramp**2)  # (3)
+            # (3)
+            s = np.where(
+                t < ramp, v0 * t + 0.5 * START_MPS2 * t**2, to * t - 0.5 * START_MPS2 * ramp**2
+            )
             return cls(t, s, planned, 0.0, 0.0, to, True)
         begin = course.t_brakes
-        s_from, v = float(np.interp(begin, own, sigma)), max(float(np.interp(begin, own, path.v)), 0.0)
+        s_from, v = (
+            float(np.interp(begin, own, sigma)),
+            max(float(np.interp(begin, own, path.v)), 0.0),
+        )
         s = np.where(t <= begin, planned, s_from + v * (t - begin))  # (2)
         return cls(t, s, planned, begin, s_from, v, False)
 
     def when(self, s: float) -> float:
         """The time at which an arc length is reached, s from the frame; beyond `t`, at the speed that is held."""
-        return float(np.interp(s, self.s, self.t)) + max(s - float(self.s[-1]), 0.0) / max(self.v, STANDING_MPS)
+        return float(np.interp(s, self.s, self.t)) + max(s - float(self.s[-1]), 0.0) / max(
+            self.v, STANDING_MPS
+        )
 
     @property
     def is_start(self) -> bool:
@@ -230,7 +264,9 @@ class Ways:
 
     def __init__(self, scenario: Scenario) -> None:
         start = scenario.ego.state(0)
-        self._lanes = LaneSequences(PlannerContext(scenario.road, scenario.goal, scenario.vehicle, 0.1, start))
+        self._lanes = LaneSequences(
+            PlannerContext(scenario.road, scenario.goal, scenario.vehicle, 0.1, start)
+        )
 
     def of(self, plan: Plan, reach: float) -> PlanWay:
         """The way of a plan, for `reach` m."""
@@ -240,12 +276,18 @@ class Ways:
         own = path_rows(path)
         near = lane.line.project(first.x, first.y)[0]
         length = reach - float(own[0, -1])  # of the way beyond the path
-        d = np.arange(SPACING_M, length + 2.0 * SPACING_M, SPACING_M) if length > 0.0 else np.empty(0)
+        d = (
+            np.arange(SPACING_M, length + 2.0 * SPACING_M, SPACING_M)
+            if length > 0.0
+            else np.empty(0)
+        )
         s, l = lane.line.project(last.x, last.y, near + float(own[0, -1]), 50.0)  # noqa: E741
         yaw = lane.line.frame(s)[2]
         if abs(l) > LEFT_M or abs(wrap(last.yaw - yaw)) > ACROSS_RAD:  # straight on
             c, sn = np.cos(last.yaw), np.sin(last.yaw)
-            beyond = np.stack([d, last.x + d * c, last.y + d * sn, np.full(len(d), last.yaw), np.zeros(len(d))])
+            beyond = np.stack(
+                [d, last.x + d * c, last.y + d * sn, np.full(len(d), last.yaw), np.zeros(len(d))]
+            )
         else:
             turn = last.yaw - wrap(last.yaw - yaw) - yaw
             frames = np.array([lane.line.frame(s + each) for each in d]).reshape(-1, 4)
@@ -259,10 +301,19 @@ class Ways:
         x, y, yaws, kappa = (np.interp(stations, rows[0], row) for row in rows[1:])
         placed = line_project_many(lane.line.s, lane.line.coef, x, y, near, 30.0)
         limit = np.interp(placed[:, 0], lane.line.s, lane.limit)
-        out = np.flatnonzero((placed[:, 0] >= lane.line.length - SAME_M) & (np.abs(placed[:, 1]) <= LEFT_M))
+        out = np.flatnonzero(
+            (placed[:, 0] >= lane.line.length - SAME_M) & (np.abs(placed[:, 1]) <= LEFT_M)
+        )
         end = float(stations[out[0]]) if len(out) else inf
         return PlanWay(
-            stations, x, y, yaws, kappa, np.where(np.abs(placed[:, 1]) <= LEFT_M, limit, np.nan), end, lane.lanes
+            stations,
+            x,
+            y,
+            yaws,
+            kappa,
+            np.where(np.abs(placed[:, 1]) <= LEFT_M, limit, np.nan),
+            end,
+            lane.lanes,
         )
 
 
@@ -300,7 +351,12 @@ class Meeting:
 
 
 def meetings(
-    held: Held, way: PlanWay, agents: Agents, futures: Predictions, car: VehicleParameters, passed: BoolArray
+    held: Held,
+    way: PlanWay,
+    agents: Agents,
+    futures: Predictions,
+    car: VehicleParameters,
+    passed: BoolArray,
 ) -> list[Meeting]:
     """One meeting for each agent that occupies a part of the way: the one of its most demanding prediction.
 
@@ -308,14 +364,25 @@ def meetings(
     """
     times, poses = fine(futures)
     x, y, yaw = poses
-    ego = Swept(car.axle_to_center, car.length, car.width, MARGIN_M, VULNERABLE_MARGIN_M, 0.0, 0.0, 0.0)
+    ego = Swept(
+        car.axle_to_center, car.length, car.width, MARGIN_M, VULNERABLE_MARGIN_M, 0.0, 0.0, 0.0
+    )
     none, rows = np.zeros(len(agents), np.bool_), np.arange(float(len(futures)))
     _, who, lower, upper, along, row = sweep(
         SweptPath(way.s, way.x, way.y, way.yaw),
-        Futures(frozen(times), futures.agent, *map(frozen, (rows, x, y, yaw))),  # row numbers instead of probabilities
-        Bodies(*map(frozen, (agents.x, agents.y, agents.yaw, agents.vx, agents.vy, agents.length, agents.width))),
-        Roles(none, VULNERABLE[agents.codes], passed), ego, float(times[0]), 1,
-    )  # fmt: skip
+        # Row numbers instead of probabilities
+        Futures(frozen(times), futures.agent, *map(frozen, (rows, x, y, yaw))),
+        Bodies(
+            *map(
+                frozen,
+                (agents.x, agents.y, agents.yaw, agents.vx, agents.vy, agents.length, agents.width),
+            )
+        ),
+        Roles(none, VULNERABLE[agents.codes], passed),
+        ego,
+        float(times[0]),
+        1,
+    )
     found: dict[int, Meeting] = {}
     for i, agent in enumerate(who.tolist()):
         taken = _Taken(agent, poses[:, int(row[i])], lower[i], upper[i], float(along[i]))
@@ -347,16 +414,25 @@ def fine(futures: Predictions) -> tuple[FloatArray, FloatArray]:
     u = (times - t[i]) / (t[i + 1] - t[i])
     turn = np.minimum(u, 1.0)
     weight = np.stack([u, u, turn])[:, None]
-    return times, np.ascontiguousarray(poses[:, :, i] * (1.0 - weight) + poses[:, :, i + 1] * weight)
+    return times, np.ascontiguousarray(
+        poses[:, :, i] * (1.0 - weight) + poses[:, :, i + 1] * weight
+    )
 
 
 def _order(one: Meeting) -> tuple[bool, bool, float, float]:
     """Sort key, the most demanding first: met too late, met by need, met sooner; then followed too near."""
     late = one.is_met and np.isnan(one.need_mps2)
-    return not one.is_met, not late, -np.nan_to_num(one.need_mps2), float(np.nan_to_num(one.time_s, nan=np.inf))
+    return (
+        not one.is_met,
+        not late,
+        -np.nan_to_num(one.need_mps2),
+        float(np.nan_to_num(one.time_s, nan=np.inf)),
+    )
 
 
-def _meeting(held: Held, way: PlanWay, agents: Agents, taken: _Taken, car: VehicleParameters) -> Meeting | None:
+def _meeting(
+    held: Held, way: PlanWay, agents: Agents, taken: _Taken, car: VehicleParameters
+) -> Meeting | None:
     """The meeting with an agent; None if they come only from behind."""
     here, lower, upper = np.isfinite(taken.lower), taken.lower, taken.upper
     first = int(np.flatnonzero(here)[0])
@@ -364,11 +440,14 @@ def _meeting(held: Held, way: PlanWay, agents: Agents, taken: _Taken, car: Vehic
         return None
     i, (x, y, yaw) = taken.agent, taken.pose[:, 0]
     ex, ey, eyaw = _center(way, 0.0, car)
-    away = distance(ex, ey, eyaw, car.length, car.width, x, y, yaw, agents.length[i], agents.width[i])
+    away = distance(
+        ex, ey, eyaw, car.length, car.width, x, y, yaw, agents.length[i], agents.width[i]
+    )
     speed = float(hypot(agents.vx[i], agents.vy[i]))
     with np.errstate(invalid="ignore"):
         met = np.flatnonzero(here & (held.s > lower - GAP_M) & (held.s < upper))  # (4)
-        close = np.flatnonzero(here & (held.s > lower - HEADWAY_S * held.v) & (held.s < upper))  # (5)
+        # (5)
+        close = np.flatnonzero(here & (held.s > lower - HEADWAY_S * held.v) & (held.s < upper))
         left = np.where(held.planned <= lower, lower - held.planned, np.nan)
     follows = taken.along > ALONG * speed and speed > AGENT_STANDS_MPS and not held.is_start
     k = int(met[0]) if len(met) else int(close[0]) if len(close) and follows else -1
@@ -378,17 +457,23 @@ def _meeting(held: Held, way: PlanWay, agents: Agents, taken: _Taken, car: Vehic
     later = np.flatnonzero(here & (np.arange(len(lower)) >= k) & (held.t > held.t_from))
     if len(met) and len(later) and not held.drives_off:  # (6)
         ahead, T = lower[later] - held.s_from, held.t[later] - held.t_from
-        room = np.maximum(ahead - GAP_M, 0.5 * ahead)  # half of the distance if the ego is nearer already
+        # Half of the distance if the ego is nearer already
+        room = np.maximum(ahead - GAP_M, 0.5 * ahead)
         if not (room < TOO_LATE_M).any():
             slower = 2.0 * np.maximum(held.v * T - room, 0.0) / T**2
             stops = slower * T > held.v
             need = float(np.where(stops, held.v**2 / (2.0 * room), slower).max())
     least = int(np.nanargmin(left)) if np.isfinite(left).any() else -1
     return Meeting(
-        agents.ids[i], float(away),
-        float(held.t[k]) if k >= 0 else nan, float(held.s[k]) if k >= 0 else nan,
-        need, float(left[least]) if least >= 0 else nan, float(held.t[least]) if least >= 0 else nan, len(met) > 0,
-    )  # fmt: skip
+        agents.ids[i],
+        float(away),
+        float(held.t[k]) if k >= 0 else nan,
+        float(held.s[k]) if k >= 0 else nan,
+        need,
+        float(left[least]) if least >= 0 else nan,
+        float(held.t[least]) if least >= 0 else nan,
+        len(met) > 0,
+    )
 
 
 def _is_behind(way: PlanWay, s: float, pose: FloatArray, car: VehicleParameters) -> bool:

@@ -11,7 +11,12 @@ from replan.explain.explanation import describe_choice, lane_options, taken_opti
 from replan.logs.plan import Decision, DecisionKind, PlanSummary
 from replan.logs.trace import EndReason, Trace
 
-GRAVE = (EndReason.COLLISION, EndReason.REPLAY_CONTACT, EndReason.OFF_ROAD, EndReason.PLANNER_FAILURE)
+GRAVE = (
+    EndReason.COLLISION,
+    EndReason.REPLAY_CONTACT,
+    EndReason.OFF_ROAD,
+    EndReason.PLANNER_FAILURE,
+)
 """Ends that are errors."""
 
 
@@ -34,15 +39,26 @@ def events(trace: Trace, plans: Sequence[PlanSummary] | None = None) -> list[Tim
     found: list[TimedEvent] = []
     status, gist, decided = None, "", dict[str, str]()
     for plan in [frame.summary for frame in trace.frames] if plans is None else plans:
-        before, gist = gist, re.sub(r"[\d.]+", "#", plan.reason)  # the same reason with other numbers is not an event
+        # The same reason with other numbers is not an event
+        before, gist = gist, re.sub(r"[\d.]+", "#", plan.reason)
         if plan.status is not status and (status is not None or plan.status.is_fallback):
             level = "WARN" if plan.status.is_fallback else "INFO"
-            found.append(TimedEvent(plan.t, level, f"{plan.status.value} {f'({plan.reason})' if plan.reason else ''}"))
+            found.append(
+                TimedEvent(
+                    plan.t,
+                    level,
+                    f"{plan.status.value} {f'({plan.reason})' if plan.reason else ''}",
+                )
+            )
         elif not plan.status.is_fallback and plan.reason and gist != before:
             found.append(TimedEvent(plan.t, "INFO", plan.reason))
         options = lane_options(plan)
         if (lane := taken_option(options)) != KEEP:
-            found.append(TimedEvent(plan.t, "INFO", f"changes lane to the {lane}: {describe_choice(options)}"))
+            found.append(
+                TimedEvent(
+                    plan.t, "INFO", f"changes lane to the {lane}: {describe_choice(options)}"
+                )
+            )
         now = {
             artefact.agent: f"{artefact.kind.value} ({artefact.reason})"
             for artefact in plan.internals

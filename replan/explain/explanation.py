@@ -118,30 +118,49 @@ class Explanation:
     def of(cls, frame: PlannedFrame, account: Account, *, bounds: bool = True) -> Explanation:
         """The explanation of a frame's plan; `bounds=False` skips the search for active bounds, which takes time."""
         plan, because = frame.plan, sentences(account)
-        decisions = list({(d.agent, d.kind, d.stage): d for d in reversed(_artefacts(plan, Decision))}.values())[::-1]
+        decisions = list(
+            {(d.agent, d.kind, d.stage): d for d in reversed(_artefacts(plan, Decision))}.values()
+        )[::-1]
         decisions.sort(key=_is_ignored)
         followed = dict.fromkeys(d.agent for d in decisions if d.kind is DecisionKind.FOLLOW)
         if followed and not account.not_passed and (against := not_passed(plan)):
             because.append(f"{', '.join(followed)} is not passed: {'; '.join(against)}.")
         return cls(
-            frame.t, account.course.action.value, tuple(because), account, plan.status.is_fallback, plan.reason,
-            tuple(decisions), tuple(_artefacts(plan, CostTerms)), tuple(_artefacts(plan, LaneOption)),
-            tuple(_artefacts(plan, Candidates)), tuple(touched(plan)) if bounds else (),
+            frame.t,
+            account.course.action.value,
+            tuple(because),
+            account,
+            plan.status.is_fallback,
+            plan.reason,
+            tuple(decisions),
+            tuple(_artefacts(plan, CostTerms)),
+            tuple(_artefacts(plan, LaneOption)),
+            tuple(_artefacts(plan, Candidates)),
+            tuple(touched(plan)) if bounds else (),
             tuple(_artefacts(plan, SolverReport)),
-        )  # fmt: skip
+        )
 
     def sections(self) -> Iterator[Section]:
         """All decisions, alternatives, costs and solver reports, as lines of plain text; empty sections are omitted."""
         decided = [
-            (f"{d.agent}: {d.kind.value}", f" ({d.stage}): {d.reason}" if d.reason else f" ({d.stage})")
+            (
+                f"{d.agent}: {d.kind.value}",
+                f" ({d.stage}): {d.reason}" if d.reason else f" ({d.stage})",
+            )
             for d in self.decisions
         ]
-        taken = [(each.name, f": {format_option(each)}; {each.against or 'taken'}") for each in self.lanes]
+        taken = [
+            (each.name, f": {format_option(each)}; {each.against or 'taken'}")
+            for each in self.lanes
+        ]
         candidates = [
-            ("", f"{each.stage}: {each.considered}; not taken: "
-             + (", ".join(f"{n} {why}" for why, n in each.rejected) or "none"))
+            (
+                "",
+                f"{each.stage}: {each.considered}; not taken: "
+                + (", ".join(f"{n} {why}" for why, n in each.rejected) or "none"),
+            )
             for each in self.candidates
-        ]  # fmt: skip
+        ]
         active = []
         for one in self.active:
             unit, agent = "s" if one.plane == "S-T" else "m", f" ({one.agent})" if one.agent else ""
@@ -149,15 +168,22 @@ class Explanation:
             active.append(("", f"{one.plane} {one.bound} bound{agent} {span}, at {one.at:.1f} m"))
         costs = [("", f"{each.stage}: {format_terms(each.terms)}") for each in self.costs]
         solvers = [
-            ("" if r.solved else f"{r.stage}: not solved", f"{f'{r.stage}: ' if r.solved else ', '}{r.status},"
-             f" {counted(r.iterations, 'iteration')}, residuals {_residual(r.primal_residual)} (primal),"
-             f" {_residual(r.dual_residual)} (dual)")
+            (
+                "" if r.solved else f"{r.stage}: not solved",
+                f"{f'{r.stage}: ' if r.solved else ', '}{r.status},"
+                f" {counted(r.iterations, 'iteration')}, residuals {_residual(r.primal_residual)} (primal),"
+                f" {_residual(r.dual_residual)} (dual)",
+            )
             for r in self.solvers
-        ]  # fmt: skip
+        ]
         for title, lines in (
-            ("decisions", decided), ("lanes", taken), ("candidates", candidates), ("active bounds", active),
-            ("costs", costs), ("solvers", solvers),
-        ):  # fmt: skip
+            ("decisions", decided),
+            ("lanes", taken),
+            ("candidates", candidates),
+            ("active bounds", active),
+            ("costs", costs),
+            ("solvers", solvers),
+        ):
             if lines:
                 yield Section(title, lines)
 
@@ -177,16 +203,23 @@ def explained(drive: StoredDrive, at: float | None = None) -> list[Explanation]:
     return [Explanation.of(frame, account) for frame, account in pairs if frame.t == wanted]
 
 
-def changes(trace: Trace, scenario: Scenario, loop: LoopConfig | None = None) -> Iterator[Explanation]:
+def changes(
+    trace: Trace, scenario: Scenario, loop: LoopConfig | None = None
+) -> Iterator[Explanation]:
     """The frames at which the status, lane, a decision or the first cause changes; arguments as `accounts`."""
     before: Any = None
     for frame, account in zip(trace.frames, accounts(trace, scenario, loop), strict=True):
         first = account.causes[0] if account.causes else None
-        decisions = frozenset((d.agent, d.kind) for d in _artefacts(frame.plan, Decision) if not _is_ignored(d))
+        decisions = frozenset(
+            (d.agent, d.kind) for d in _artefacts(frame.plan, Decision) if not _is_ignored(d)
+        )
         now = (
-            frame.plan.status, taken_option(lane_options(frame.plan)), decisions, account.course.action,
+            frame.plan.status,
+            taken_option(lane_options(frame.plan)),
+            decisions,
+            account.course.action,
             first and (first.kind, first.who),
-        )  # fmt: skip
+        )
         if now != before:
             yield Explanation.of(frame, account)
         before = now
@@ -210,7 +243,9 @@ def summary(drive: StoredDrive) -> list[str]:
             phases.append([])
         phases[-1].append(account)
         before = now
-    hardest = [min(phase, key=lambda one: one.course.a_least if one.causes else 0.0) for phase in phases]
+    hardest = [
+        min(phase, key=lambda one: one.course.a_least if one.causes else 0.0) for phase in phases
+    ]
 
     def weight(k: int) -> tuple[bool, float, int]:
         one = hardest[k]
@@ -221,7 +256,11 @@ def summary(drive: StoredDrive) -> list[str]:
     lines = []
     for k in shown:
         one, (begin, end) = hardest[k], (phases[k][0].t, phases[k][-1].t)
-        braking = f", plans {one.course.a_least:.1f} m/s²" if one.causes and one.course.a_least < 0.0 else ""
+        braking = (
+            f", plans {one.course.a_least:.1f} m/s²"
+            if one.causes and one.course.a_least < 0.0
+            else ""
+        )
         why = f", {brief(one)}" if one.causes else ""
         lines.append(f"{begin:.2f} to {end:.2f} s: {one.course.action.value}{braking}{why}")
     left = len(phases) - len(shown)
@@ -269,7 +308,13 @@ def lateral(plan: Plan) -> str:
     left, right = DecisionKind.NUDGE_LEFT in kinds, DecisionKind.NUDGE_RIGHT in kinds
     if left and right:
         return BOTH
-    return DecisionKind.NUDGE_LEFT.value if left else DecisionKind.NUDGE_RIGHT.value if right else NO_NUDGE
+    return (
+        DecisionKind.NUDGE_LEFT.value
+        if left
+        else DecisionKind.NUDGE_RIGHT.value
+        if right
+        else NO_NUDGE
+    )
 
 
 def lane_options(plan: Plan | PlanSummary) -> tuple[LaneOption, ...]:
@@ -286,7 +331,9 @@ def describe_choice(some: Sequence[LaneOption]) -> str:
     """The reason for the option that was taken: its cost, and the cost of each other option."""
     name = taken_option(some)
     chosen = next(option for option in some if option.name == name)
-    others = "; ".join(f"{option.name} {format_option(option)}" for option in some if option is not chosen)
+    others = "; ".join(
+        f"{option.name} {format_option(option)}" for option in some if option is not chosen
+    )
     return f"costs {format_option(chosen)} instead of {others}"
 
 
@@ -304,7 +351,11 @@ def format_terms(terms: Sequence[tuple[str, float]]) -> str:
     if not terms:
         return "no terms"
     shown, total = main_terms(terms), sum(value for _, value in terms)
-    return f"{total:.3g} = " + " + ".join(f"{name} {value:.3g}" for name, value in shown) if shown else "0"
+    return (
+        f"{total:.3g} = " + " + ".join(f"{name} {value:.3g}" for name, value in shown)
+        if shown
+        else "0"
+    )
 
 
 def main_terms(terms: Sequence[tuple[str, float]]) -> list[tuple[str, float]]:
@@ -318,16 +369,28 @@ def touched(plan: Plan) -> Iterator[Touch]:
     for graph in plan.internals:
         if not isinstance(graph, Graph) or graph.corridor is None or len(graph.qp) < 2:
             continue
-        (at, x), corridor, plane = graph.qp.T, graph.corridor, "S-T" if isinstance(graph, StGraph) else "S-L"
+        (at, x), corridor, plane = (
+            graph.qp.T,
+            graph.corridor,
+            "S-T" if isinstance(graph, StGraph) else "S-L",
+        )
         for bound in ("upper", "lower"):
             edge = np.interp(at, corridor.first, np.clip(getattr(corridor, bound), -1e6, 1e6))
-            inside = (at >= corridor.first[0]) & (at <= corridor.first[-1]) & (np.arange(len(at)) > 0)
-            marks = np.diff(np.r_[False, inside & (np.abs(x - edge) < TOUCH_M), False].astype(np.int64))
-            for begin, end in zip(np.flatnonzero(marks > 0), np.flatnonzero(marks < 0) - 1, strict=True):
+            inside = (
+                (at >= corridor.first[0]) & (at <= corridor.first[-1]) & (np.arange(len(at)) > 0)
+            )
+            marks = np.diff(
+                np.r_[False, inside & (np.abs(x - edge) < TOUCH_M), False].astype(np.int64)
+            )
+            for begin, end in zip(
+                np.flatnonzero(marks > 0), np.flatnonzero(marks < 0) - 1, strict=True
+            ):
                 middle = (begin + end) // 2
                 who = _beyond(graph, float(at[middle]), float(edge[middle]), up=bound == "upper")
                 if who or plane == "S-L" or x[end] > x[0] + TOUCH_M:
-                    yield Touch(plane, bound, who, float(at[begin]), float(at[end]), float(x[middle]))
+                    yield Touch(
+                        plane, bound, who, float(at[begin]), float(at[end]), float(x[middle])
+                    )
 
 
 def _beyond(graph: Graph, at: float, edge: float, *, up: bool) -> str:
@@ -335,7 +398,10 @@ def _beyond(graph: Graph, at: float, edge: float, *, up: bool) -> str:
     best, who = BOUND_M, ""
     for thing in graph.obstacles:
         points = thing.outline
-        if not len(points) or not points[:, 0].min() - TOUCH_M <= at <= points[:, 0].max() + TOUCH_M:
+        if (
+            not len(points)
+            or not points[:, 0].min() - TOUCH_M <= at <= points[:, 0].max() + TOUCH_M
+        ):
             continue
         near = points[np.abs(points[:, 0] - at) <= np.abs(points[:, 0] - at).min() + TOUCH_M]
         away = float(near[:, 1].min() - edge if up else edge - near[:, 1].max())

@@ -30,8 +30,18 @@ import numpy as np
 from replan.core.arrays import BoolArray, FloatArray
 from replan.core.names import ShortNames
 from replan.explain.explanation import LONGITUDINAL
-from replan.logs.plan import Candidates, CostTerms, Decision, DecisionKind, Graph, LaneOption, Plan, SlGraph, StGraph
-from replan.logs.trace import Mode, PlannedFrame, Trace  # fmt: skip
+from replan.logs.plan import (
+    Candidates,
+    CostTerms,
+    Decision,
+    DecisionKind,
+    Graph,
+    LaneOption,
+    Plan,
+    SlGraph,
+    StGraph,
+)
+from replan.logs.trace import Mode, PlannedFrame, Trace
 
 TOLERANCE = 1e-3
 """Tolerance in m, rad, m/s, and pedal positions, 0 to 1: a millimetre is less than any metric resolves."""
@@ -40,9 +50,20 @@ FINE = 1e-8
 SAME_TIME_S = 1e-6
 
 STAGES = (
-    "vehicle", "input frame", "prediction", "route", "lane choice", "path DP", "path QP", "S-T graph", "speed DP",
-    "speed QP", "plan", "controller", "end",
-)  # fmt: skip
+    "vehicle",
+    "input frame",
+    "prediction",
+    "route",
+    "lane choice",
+    "path DP",
+    "path QP",
+    "S-T graph",
+    "speed DP",
+    "speed QP",
+    "plan",
+    "controller",
+    "end",
+)
 """Stages in their order at one instant: earlier commands moved the car; its next command follows the plan.
 
 Those from route to speed QP are the graphs, lanes and decisions of `replan.logs.trace`. Stages that a planner names itself, in
@@ -76,7 +97,9 @@ class _Difference:
 
     @property
     def place(self) -> tuple[float, float]:
-        return self.t, STAGES.index(self.stage) if self.stage in STAGES else STAGES.index("plan") - 0.5
+        return self.t, STAGES.index(self.stage) if self.stage in STAGES else STAGES.index(
+            "plan"
+        ) - 0.5
 
 
 def first_difference(one: Trace, two: Trace) -> FirstDifference | None:
@@ -92,26 +115,41 @@ def first_difference(one: Trace, two: Trace) -> FirstDifference | None:
             columns = getattr(one.commands, name)[:n], getattr(two.commands, name)[:n]
             found += _rows(t, columns, ("controller", "controller"), f"commanded {name}", unit)
     last = [float(trace.ego.t[-1]) for trace in (one, two)]
-    ends = [f"{trace.end.value}{f': {trace.detail}' if trace.detail else ''}" for trace in (one, two)]
+    ends = [
+        f"{trace.end.value}{f': {trace.detail}' if trace.detail else ''}" for trace in (one, two)
+    ]
     if abs(last[0] - last[1]) > SAME_TIME_S or ends[0] != ends[1]:
         what = f"{ends[0]} at {last[0]:.2f} s -> {ends[1]} at {last[1]:.2f} s"
         found.append(_Difference(min(last), "end", inf, partial(str, what)))
     for some in _frame_differences(one, two):
         found += some
         clear = [each.t for each in found if each.size > FINE]
-        if clear and some and some[0].t >= min(clear) and any(each.size > TOLERANCE for each in found):
+        if (
+            clear
+            and some
+            and some[0].t >= min(clear)
+            and any(each.size > TOLERANCE for each in found)
+        ):
             break
     if not any(each.size > TOLERANCE for each in found):  # (1)
         return None
     first = min((each for each in found if each.size > FINE), key=lambda each: each.place)  # (2)
     seen = min((each for each in found if each.size > TOLERANCE), key=lambda each: each.place)
-    later = f"; more than {TOLERANCE:g} from t = {seen.t:.2f} s on ({seen.stage})" if first.size <= TOLERANCE else ""
+    later = (
+        f"; more than {TOLERANCE:g} from t = {seen.t:.2f} s on ({seen.stage})"
+        if first.size <= TOLERANCE
+        else ""
+    )
     what = f"t = {first.t:.2f} s, {first.stage}: {first.describe()}{later}"
     return FirstDifference(first.t, first.stage, ShortNames(one.agents.ids)(what))
 
 
 def _rows(
-    t: FloatArray, columns: tuple[FloatArray, FloatArray], stages: tuple[str, str], what: str, unit: str
+    t: FloatArray,
+    columns: tuple[FloatArray, FloatArray],
+    stages: tuple[str, str],
+    what: str,
+    unit: str,
 ) -> Iterator[_Difference]:
     """The first row beyond FINE, and the first beyond TOLERANCE; `stages` of the first row, and of the others."""
     one, two = columns
@@ -136,26 +174,40 @@ def _together(one: FloatArray, two: FloatArray) -> int:
 def _frame_differences(one: Trace, two: Trace) -> Iterator[list[_Difference]]:
     """The differences of each frame, up to the end of the drive that ends first."""
     end = min(float(trace.ego.t[-1]) for trace in (one, two)) + SAME_TIME_S
-    frames = [{round(f.t / SAME_TIME_S): f for f in trace.frames if f.t <= end} for trace in (one, two)]
-    insides = [[item for frame in trace.frames for item in frame.plan.internals] for trace in (one, two)]
+    frames = [
+        {round(f.t / SAME_TIME_S): f for f in trace.frames if f.t <= end} for trace in (one, two)
+    ]
+    insides = [
+        [item for frame in trace.frames for item in frame.plan.internals] for trace in (one, two)
+    ]
     kept: set[type] = {
-        kind for kind in (SlGraph, StGraph) if all(any(isinstance(item, kind) for item in some) for some in insides)
+        kind
+        for kind in (SlGraph, StGraph)
+        if all(any(isinstance(item, kind) for item in some) for some in insides)
     }
     for key in sorted(frames[0].keys() | frames[1].keys()):
         before, now = (side.get(key) for side in frames)
         if before is None or now is None:
             t, which = key * SAME_TIME_S, "second" if before is None else "first"
-            yield [_Difference(t, "input frame", inf, partial(str, f"a plan was made in the {which} drive only"))]
+            yield [
+                _Difference(
+                    t,
+                    "input frame",
+                    inf,
+                    partial(str, f"a plan was made in the {which} drive only"),
+                )
+            ]
         else:
             yield [
                 _Difference(before.t, stage, size, describe)
                 for stage, found in (
                     ("input frame", _others(one, two, before, now)),
                     ("prediction", _prediction_differences(before, now)),
-                    *_inside(before, now, kept), ("plan", _plan_differences(before, now)),
+                    *_inside(before, now, kept),
+                    ("plan", _plan_differences(before, now)),
                 )
                 for size, describe in found
-            ]  # fmt: skip
+            ]
 
 
 _Found = Iterator[tuple[float, Callable[[], str]]]
@@ -174,20 +226,33 @@ def _others(one: Trace, two: Trace, before: PlannedFrame, now: PlannedFrame) -> 
         return
     row = {name: i for i, name in enumerate(known[1].ids)}
     order = [row[name] for name in known[0].ids]
-    for name, unit in (("x", "m"), ("y", "m"), ("yaw", "rad"), ("vx", "m/s"), ("vy", "m/s"), ("length", "m")):
+    for name, unit in (
+        ("x", "m"),
+        ("y", "m"),
+        ("yaw", "rad"),
+        ("vx", "m/s"),
+        ("vy", "m/s"),
+        ("length", "m"),
+    ):
         where = [f"{name} of {who}" for who in known[0].ids]
-        yield from _largest(getattr(known[0], name), getattr(known[1], name)[order], where.__getitem__, unit)
+        yield from _largest(
+            getattr(known[0], name), getattr(known[1], name)[order], where.__getitem__, unit
+        )
 
 
 def _prediction_differences(before: PlannedFrame, now: PlannedFrame) -> _Found:
     old, new = before.predictions, now.predictions
     if old is None or new is None or old.t.shape != new.t.shape:
         return
-    names = [tuple(frame.agents[i] for i in some.agent) for frame, some in ((before, old), (now, new))]
+    names = [
+        tuple(frame.agents[i] for i in some.agent) for frame, some in ((before, old), (now, new))
+    ]
     if names[0] != names[1]:
         yield inf, partial(_words, "hypotheses", names[0], names[1])
         return
-    yield from _largest(old.probability, new.probability, lambda i: f"probability of {names[0][i]}", "")
+    yield from _largest(
+        old.probability, new.probability, lambda i: f"probability of {names[0][i]}", ""
+    )
     for name in ("x", "y"):
         one, two = getattr(old, name), getattr(new, name)
         where = [f"{name} of {who} in {t - before.t:g} s" for who in names[0] for t in old.t]
@@ -199,33 +264,55 @@ def _plan_differences(before: PlannedFrame, now: PlannedFrame) -> _Found:
     for name in ("status", "start"):
         words = (getattr(old, name).value, getattr(new, name).value)
         if words[0] != words[1]:
-            yield inf, partial(str, f"{words[0]} -> {words[1]}{f' ({new.reason})' if new.reason else ''}")
-    if _together(old.trajectory.t, new.trajectory.t) < max(len(old.trajectory), len(new.trajectory)):
-        yield inf, partial(str, f"{len(old.trajectory)} -> {len(new.trajectory)} states, or at other times")
+            yield (
+                inf,
+                partial(str, f"{words[0]} -> {words[1]}{f' ({new.reason})' if new.reason else ''}"),
+            )
+    if _together(old.trajectory.t, new.trajectory.t) < max(
+        len(old.trajectory), len(new.trajectory)
+    ):
+        yield (
+            inf,
+            partial(
+                str, f"{len(old.trajectory)} -> {len(new.trajectory)} states, or at other times"
+            ),
+        )
         return
     for name, unit in (("x", "m"), ("y", "m"), ("v", "m/s")):
         where = [f"{name} in {t - before.t:g} s" for t in old.trajectory.t]
-        yield from _largest(getattr(old.trajectory, name), getattr(new.trajectory, name), where.__getitem__, unit)
+        yield from _largest(
+            getattr(old.trajectory, name), getattr(new.trajectory, name), where.__getitem__, unit
+        )
 
 
 # inside a planner -------------------------------------------------------------------------------------------------
 
 
-def _inside(before: PlannedFrame, now: PlannedFrame, kept: set[type]) -> Iterator[tuple[str, _Found]]:
+def _inside(
+    before: PlannedFrame, now: PlannedFrame, kept: set[type]
+) -> Iterator[tuple[str, _Found]]:
     """Differences of stage artefacts, if both plans have some; `kept`: the kinds of graphs that both traces have."""
     one, two = tuple(before.plan.internals), tuple(now.plan.internals)
     if not one or not two:
         return
-    taken = [[x.name for x in side if isinstance(x, LaneOption) and not x.against] for side in (one, two)]
+    taken = [
+        [x.name for x in side if isinstance(x, LaneOption) and not x.against] for side in (one, two)
+    ]
     if taken[0] and taken[1] and taken[0] != taken[1]:
         costs = "; ".join(
-            f"{x.name} {x.cost:.2f} s{f' ({x.against})' if x.against else ''}" for x in two if isinstance(x, LaneOption)
+            f"{x.name} {x.cost:.2f} s{f' ({x.against})' if x.against else ''}"
+            for x in two
+            if isinstance(x, LaneOption)
         )
-        yield "lane choice", iter([(inf, partial(str, f"{taken[0][0]} -> {taken[1][0]} (now {costs})"))])
+        yield (
+            "lane choice",
+            iter([(inf, partial(str, f"{taken[0][0]} -> {taken[1][0]} (now {costs})"))]),
+        )
     paths = _graphs(one, two, SlGraph)
     if paths is not None:
         ends = [graph.corridor.first[:1] for graph in paths if graph.corridor is not None]
-        if len(ends) == 2 and len(ends[0]) and len(ends[1]):  # with the same inputs: another reference line
+        # With the same inputs: another reference line
+        if len(ends) == 2 and len(ends[0]) and len(ends[1]):
             yield "route", _largest(ends[0], ends[1], lambda i: "station of the ego", "m")
         yield "path DP", _room(*paths, "lateral offset", "station {:g} m", moves=False)
         yield "path QP", _curve(paths[0].qp, paths[1].qp, "lateral offset", "station {:g} m")
@@ -239,13 +326,26 @@ def _inside(before: PlannedFrame, now: PlannedFrame, kept: set[type]) -> Iterato
     for kind, stage in ((SlGraph, "path QP"), (StGraph, "speed QP")):
         there = [any(isinstance(item, kind) for item in items) for items in (one, two)]
         if kind in kept and there[0] != there[1]:
-            yield stage, iter([(inf, partial(str, "solved now" if there[1] else "no longer solved"))])
-    named = [item.stage for side in (one, two) for item in side if isinstance(item, Decision | CostTerms | Candidates)]
+            yield (
+                stage,
+                iter([(inf, partial(str, "solved now" if there[1] else "no longer solved"))]),
+            )
+    named = [
+        item.stage
+        for side in (one, two)
+        for item in side
+        if isinstance(item, Decision | CostTerms | Candidates)
+    ]
     for stage in dict.fromkeys(name for name in named if name not in ("path", "speed", *STAGES)):
-        yield stage, chain(_decision_differences(one, two, stage), _count_differences(one, two, stage))
+        yield (
+            stage,
+            chain(_decision_differences(one, two, stage), _count_differences(one, two, stage)),
+        )
 
 
-def _graphs(one: Sequence[object], two: Sequence[object], kind: type[Graph]) -> tuple[Graph, Graph] | None:
+def _graphs(
+    one: Sequence[object], two: Sequence[object], kind: type[Graph]
+) -> tuple[Graph, Graph] | None:
     found = [next((item for item in items if isinstance(item, kind)), None) for items in (one, two)]
     return (found[0], found[1]) if found[0] is not None and found[1] is not None else None
 
@@ -255,13 +355,16 @@ def _room(one: Graph, two: Graph, value: str, at: str, *, moves: bool) -> _Found
     if not moves:
         yield from _outlines(one, two)
     sides = [{item.agent: item.decision.value for item in graph.obstacles} for graph in (one, two)]
-    for agent in (name for name in sides[0] if name in sides[1]):  # in their order, which a set does not have
+    # In their order, which a set does not have
+    for agent in (name for name in sides[0] if name in sides[1]):
         if sides[0][agent] != sides[1][agent]:
             yield inf, partial(str, f"{agent}: {sides[0][agent]} -> {sides[1][agent]}")
     yield from _curve(one.dp, two.dp, f"{value} of the DP", at)
     if one.corridor is not None and two.corridor is not None:
         for name in ("lower", "upper"):
-            columns = [np.column_stack([c.first, getattr(c, name)]) for c in (one.corridor, two.corridor)]
+            columns = [
+                np.column_stack([c.first, getattr(c, name)]) for c in (one.corridor, two.corridor)
+            ]
             yield from _curve(columns[0], columns[1], f"{name} bound", at)
 
 
@@ -281,7 +384,11 @@ def _outlines(one: Graph, two: Graph) -> _Found:
 
 def _decision_differences(one: Sequence[object], two: Sequence[object], stage: str) -> _Found:
     decided = [
-        {item.agent: item.kind.value for item in side if isinstance(item, Decision) and item.stage == stage}
+        {
+            item.agent: item.kind.value
+            for item in side
+            if isinstance(item, Decision) and item.stage == stage
+        }
         for side in (one, two)
     ]
     for agent in dict.fromkeys([*decided[0], *decided[1]]):
@@ -294,9 +401,16 @@ def _count_differences(one: Sequence[object], two: Sequence[object], stage: str)
     """Differences of the costs and the candidates of a stage, if both plans have them."""
     counts = []
     for side in (one, two):
-        costs = {name: value for x in side if isinstance(x, CostTerms) and x.stage == stage for name, value in x.terms}
+        costs = {
+            name: value
+            for x in side
+            if isinstance(x, CostTerms) and x.stage == stage
+            for name, value in x.terms
+        }
         mine = [x for x in side if isinstance(x, Candidates) and x.stage == stage]
-        rejected = {f"candidates rejected, {name}": float(count) for x in mine for name, count in x.rejected}
+        rejected = {
+            f"candidates rejected, {name}": float(count) for x in mine for name, count in x.rejected
+        }
         counts.append({f"cost of {name}": value for name, value in costs.items()} | rejected)
     names = [name for name in counts[0] if name in counts[1]]
     columns = [np.array([side[name] for name in names], np.float64) for side in counts]
@@ -335,7 +449,9 @@ def _curve(one: FloatArray, two: FloatArray, value: str, at: str) -> _Found:
     else:
         x = one[(one[:, 0] >= two[0, 0]) & (one[:, 0] <= two[-1, 0]), 0]
         before, now = (np.interp(x, *curve.T) for curve in (one, two))
-    found = list(_largest(before, now, lambda i: f"{value} at {at.format(float(f'{x[i]:.4g}'))}", "m"))
+    found = list(
+        _largest(before, now, lambda i: f"{value} at {at.format(float(f'{x[i]:.4g}'))}", "m")
+    )
     yield from found
     if one.shape != two.shape and not any(size > TOLERANCE for size, _ in found):
         ends = " -> ".join(at.format(float(f"{curve[-1, 0]:.4g}")) for curve in (one, two))
@@ -352,8 +468,11 @@ def _numbers(what: str, one: float, two: float, unit: str) -> str:
 def _words(what: str, one: Sequence[str], two: Sequence[str]) -> str:
     """The names that were added and removed."""
     new, gone = ([name for name in a if name not in b] for a, b in ((two, one), (one, two)))
-    parts = [f"{word} {', '.join(some[:3])}{' ...' if len(some) > 3 else ''}" for word, some in
-             (("no longer", gone), ("now also", new)) if some]  # fmt: skip
+    parts = [
+        f"{word} {', '.join(some[:3])}{' ...' if len(some) > 3 else ''}"
+        for word, some in (("no longer", gone), ("now also", new))
+        if some
+    ]
     return f"{what}: {'; '.join(parts) or 'in another order or number'}"
 
 
@@ -372,10 +491,13 @@ def planners_part(one: Trace, two: Trace) -> FirstDifference | None:
         first, second = states
         across = (second.y - first.y) * np.cos(first.yaw) - (second.x - first.x) * np.sin(first.yaw)
         if abs(first.v - second.v) > PARTED_MPS or abs(across) > PARTED_M:  # (3)
-            when = f"t = {t:.2f} s" if one.mode is Mode.CLOSED else f"t = {t:.2f} s, in {AHEAD_S:g} s"
+            when = (
+                f"t = {t:.2f} s" if one.mode is Mode.CLOSED else f"t = {t:.2f} s, in {AHEAD_S:g} s"
+            )
             side = f", {abs(across):.1f} m to the {'left' if across > 0.0 else 'right'}"
             before, now = (
-                f"{state.v:.1f} m/s ({decided(f.plan)})" for state, f in zip(states, (old, new), strict=True)
+                f"{state.v:.1f} m/s ({decided(f.plan)})"
+                for state, f in zip(states, (old, new), strict=True)
             )
             what = f"{when}: {before} -> {now}{side if abs(across) > PARTED_M else ''}"
             return FirstDifference(t, "plan", ShortNames(one.agents.ids)(what))

@@ -72,7 +72,9 @@ def planner_inputs(
             yield PlannerInput(frame, agents, frame.predictions, lights)
             continue
         made = perception.frame(World(trace.ego.at(frame.t), trace.agents), None)
-        yield PlannerInput(frame, made.agents, PlannedFrame.of(made, frame.plan).predictions, lights)
+        yield PlannerInput(
+            frame, made.agents, PlannedFrame.of(made, frame.plan).predictions, lights
+        )
 
 
 def agents_shown(trace: Trace, t: float) -> Agents:
@@ -103,7 +105,11 @@ def actual_occupancy(trace: Trace, scenario: Scenario) -> Iterator[list[FloatArr
     beyond = np.arange(0.5, BEYOND_M + 0.5, 0.5)
     for frame in trace.frames:
         graph = next((each for each in frame.plan.internals if isinstance(each, StGraph)), None)
-        things = [thing for thing in graph.obstacles if thing.decision is not DecisionKind.IGNORE] if graph else []
+        things = (
+            [thing for thing in graph.obstacles if thing.decision is not DecisionKind.IGNORE]
+            if graph
+            else []
+        )
         names = dict.fromkeys(thing.agent for thing in things if thing.agent in rows)
         if not names:
             yield []
@@ -116,10 +122,16 @@ def actual_occupancy(trace: Trace, scenario: Scenario) -> Iterator[list[FloatArr
         yield [outline for outline in found if outline is not None]
 
 
-def _outline(tracks: Tracks, i: int, frame: PlannedFrame, way: FloatArray, end: float, ego: Swept) -> FloatArray | None:
+def _outline(
+    tracks: Tracks, i: int, frame: PlannedFrame, way: FloatArray, end: float, ego: Swept
+) -> FloatArray | None:
     """The outline of an agent on the path until the drive, its log or the plan ends; None if it is never on it."""
     own = slice(int(tracks.offsets[i]), int(tracks.offsets[i + 1]))
-    last = min(end, float(frame.plan.trajectory.t[-1]), np.inf if tracks.static[i] else float(tracks.t[own][-1]))
+    last = min(
+        end,
+        float(frame.plan.trajectory.t[-1]),
+        np.inf if tracks.static[i] else float(tracks.t[own][-1]),
+    )
     times = frame.t + STEP_S * np.arange(int(np.floor((last - frame.t) / STEP_S + 1e-9)) + 1)
     if len(times) < 2:
         return None
@@ -127,8 +139,12 @@ def _outline(tracks: Tracks, i: int, frame: PlannedFrame, way: FloatArray, end: 
     x, y, yaw = (np.interp(times, tracks.t[own], column)[None] for column in columns)
     one, zero, no = np.zeros(1, np.int64), np.zeros(1), np.zeros(1, np.bool_)
     futures = Futures(frozen(times), one, *map(frozen, (zero, x, y, yaw)))
-    bodies = Bodies(*map(frozen, (zero, zero, zero, zero, zero, tracks.length[[i]], tracks.width[[i]])))
-    t, _, lower, upper, _, _ = sweep(SweptPath(*way), futures, bodies, Roles(no, no, no), ego, float(frame.t), 1)
+    bodies = Bodies(
+        *map(frozen, (zero, zero, zero, zero, zero, tracks.length[[i]], tracks.width[[i]]))
+    )
+    t, _, lower, upper, _, _ = sweep(
+        SweptPath(*way), futures, bodies, Roles(no, no, no), ego, float(frame.t), 1
+    )
     if not len(lower):
         return None
     there = np.isfinite(lower[0])

@@ -27,15 +27,25 @@ def sentences(account: Account) -> list[str]:
     rest = conflicts(account)
     lines = [f"Fallback: {_join(cause.who, cause.reason)}." for cause in failed]
     course = account.course
-    late = f"from t = {account.t + course.t_brakes:.1f} s on" if course.t_brakes >= STEP_S else "at first"
+    late = (
+        f"from t = {account.t + course.t_brakes:.1f} s on"
+        if course.t_brakes >= STEP_S
+        else "at first"
+    )
     opening = OPENINGS.get(course.action, f"Slows down {late}")
     for cause in rest[:MOST]:
         if cause.kind is CauseKind.NONE:
             if isfinite(cause.value):
-                lines.append(f"{opening}; no cause found that takes its braking of {cause.value:.1f} m/s².")
+                lines.append(
+                    f"{opening}; no cause found that takes its braking of {cause.value:.1f} m/s²."
+                )
                 opening = "Also"
                 continue
-            near = f" {cause.who}, {cause.away_m:.1f} m away, is on its way, but would not be met." if cause.who else ""
+            near = (
+                f" {cause.who}, {cause.away_m:.1f} m away, is on its way, but would not be met."
+                if cause.who
+                else ""
+            )
             nothing = "the trace does not hold the predictions that the planner used."
             if account.predicted:
                 nothing = (
@@ -51,11 +61,17 @@ def sentences(account: Account) -> list[str]:
         if cause.inferred and cause.decision:
             mark = f"inferred; the planner decided: {cause.decision}"
         name = NAMES.get(cause.kind, cause.who)
-        lines.append(f"{opening} for {name} ({mark}): {_join(cause.reason, _numbers(account, cause))}.")
+        lines.append(
+            f"{opening} for {name} ({mark}): {_join(cause.reason, _numbers(account, cause))}."
+        )
         opening = "Also"
     if len(rest) > MOST:
         lines.append(f"And {len(rest) - MOST} more.")
-    return [*lines, f"{rest[0].who} is not passed: {'; '.join(account.not_passed)}."] if account.not_passed else lines
+    return (
+        [*lines, f"{rest[0].who} is not passed: {'; '.join(account.not_passed)}."]
+        if account.not_passed
+        else lines
+    )
 
 
 def brief(account: Account) -> str:
@@ -111,11 +127,21 @@ def _numbers(account: Account, cause: Cause) -> str:
                 would = f"it would come within {GAP_M:g} m of them in {cause.time_s:.1f} s, {place}"
             else:
                 would = f"it would follow by less than {HEADWAY_S:g} s from {cause.time_s:.1f} s on"
-            left = f"the plan keeps {cause.left_m:.1f} m or more, the least in {cause.left_at_s:.1f} s"
+            left = (
+                f"the plan keeps {cause.left_m:.1f} m or more, the least in {cause.left_at_s:.1f} s"
+            )
             need = _describe_needed_braking("staying behind", cause)
-            return _join(f"{cause.away_m:.1f} m away", f"{held} {would}", need, left if isfinite(cause.left_m) else "")
+            return _join(
+                f"{cause.away_m:.1f} m away",
+                f"{held} {would}",
+                need,
+                left if isfinite(cause.left_m) else "",
+            )
         case CauseKind.STOP:
-            return _join(f"{place}, {held} in {cause.time_s:.1f} s", _describe_needed_braking("stopping there", cause))
+            return _join(
+                f"{place}, {held} in {cause.time_s:.1f} s",
+                _describe_needed_braking("stopping there", cause),
+            )
         case CauseKind.LIMIT:
             limit = f"{cause.value:.1f} m/s {place}, instead of {cause.hold_mps:.1f} m/s"
             return _join(limit, _describe_needed_braking("keeping it", cause))
@@ -130,16 +156,22 @@ def _numbers(account: Account, cause: Cause) -> str:
             }[cause.who]
             return _join(f"{place}, {goal}", _describe_needed_braking("that", cause))
         case CauseKind.BEGUN:
-            return (
-                f"the plan starts at {cause.value:.1f} m/s², as the ego moves, and releases it in {cause.time_s:.1f} s"
-            )
+            return f"the plan starts at {cause.value:.1f} m/s², as the ego moves, and releases it in {cause.time_s:.1f} s"
         case CauseKind.ROAD_END:
-            return _join(f"the map ends {place}", _describe_needed_braking("stopping before it", cause))
+            return _join(
+                f"the map ends {place}", _describe_needed_braking("stopping before it", cause)
+            )
     away = f"{cause.away_m:.1f} m away" if isfinite(cause.away_m) else ""
-    return f"near its way, but not met {held}" if cause.inferred else _join(away, "a decision of the planner alone")
+    return (
+        f"near its way, but not met {held}"
+        if cause.inferred
+        else _join(away, "a decision of the planner alone")
+    )
 
 
 def _describe_needed_braking(what: str, cause: Cause) -> str:
     if not isfinite(cause.need_mps2):
         return ""
-    return f"{what} takes " + (f"{cause.need_mps2:.1f} m/s²" if cause.need_mps2 >= 0.05 else "less than 0.05 m/s²")
+    return f"{what} takes " + (
+        f"{cause.need_mps2:.1f} m/s²" if cause.need_mps2 >= 0.05 else "less than 0.05 m/s²"
+    )

@@ -66,7 +66,10 @@ def _near_miss_ttc(log: DrivenLog) -> Iterator[Event]:
             if needed[first : last + 1].max() < HARD_MPS2:
                 continue
             after = slice(first, min(last + steps(NEAR_S), len(one.k) - 1) + 1)
-            braked = min(float(np.nanmin(log.accel[one.k[after]], initial=0.0)), float(one.accel[after].min()))
+            braked = min(
+                float(np.nanmin(log.accel[one.k[after]], initial=0.0)),
+                float(one.accel[after].min()),
+            )
             along = abs(one.along[first]) > ALONG and not one.kind.is_vulnerable
             beside = along and not one.reaches_into(log.half)[after].any()
             room = rooms[after].min()
@@ -135,7 +138,8 @@ def _step_of_slowing(v: FloatArray, way: FloatArray, first: int, at: int) -> int
     speed = float(v[fastest])
     if speed < MOVES_MPS or speed - least < max(SLOWED_MPS, SLOWED * speed):
         return -1
-    undisturbed = fastest + float(way[at] - way[fastest]) / speed / GRID_S  # step at which it would have come
+    # Step at which it would have come
+    undisturbed = fastest + float(way[at] - way[fastest]) / speed / GRID_S
     return fastest if undisturbed < first + steps(CLOSE_S) else -1
 
 
@@ -149,11 +153,15 @@ def _conflicts(log: DrivenLog) -> tuple[tuple[Neighbour, int, int], ...]:
         moves = one.speed > MOVES_MPS
         if not moves.any():
             continue
-        near: BoolArray = ((one.pose[:2] >= low[:, None]) & (one.pose[:2] <= high[:, None])).all(axis=0)
+        near: BoolArray = ((one.pose[:2] >= low[:, None]) & (one.pose[:2] <= high[:, None])).all(
+            axis=0
+        )
         angle = 0.0 if one.kind is AgentKind.PEDESTRIAN else CROSSING_RAD
         use = near & moves
         pose = np.ascontiguousarray(one.pose[:, use])
-        i, j = _least_encroachment(log.boxes, size, pose, one.k[use], np.array(one.size), angle, steps(WINDOW_S))
+        i, j = _least_encroachment(
+            log.boxes, size, pose, one.k[use], np.array(one.size), angle, steps(WINDOW_S)
+        )
         if i >= 0:
             found.append((one, i, j))
     return tuple(found)
@@ -161,7 +169,13 @@ def _conflicts(log: DrivenLog) -> tuple[tuple[Neighbour, int, int], ...]:
 
 @kernel
 def _least_encroachment(
-    ego: FloatArray, car: FloatArray, pose: FloatArray, k: IntArray, size: FloatArray, angle: float, window: int
+    ego: FloatArray,
+    car: FloatArray,
+    pose: FloatArray,
+    k: IntArray,
+    size: FloatArray,
+    angle: float,
+    window: int,
 ) -> tuple[int, int]:
     """(1): the ego's step i and the other's step j of the least |i - j| <= window, the first of equals; -1: none."""
     best, found_i, found_j = window + 1, -1, -1
@@ -172,7 +186,16 @@ def _least_encroachment(
             if abs(i - j) >= best or hypot(pose[0, m] - ego[0, i], pose[1, m] - ego[1, i]) > reach:
                 continue
             if abs(wrap(pose[2, m] - ego[2, i])) >= angle and overlap(
-                ego[0, i], ego[1, i], ego[2, i], car[0], car[1], pose[0, m], pose[1, m], pose[2, m], size[0], size[1]
+                ego[0, i],
+                ego[1, i],
+                ego[2, i],
+                car[0],
+                car[1],
+                pose[0, m],
+                pose[1, m],
+                pose[2, m],
+                size[0],
+                size[1],
             ):
                 best, found_i, found_j = abs(i - j), i, j
     return found_i, found_j
@@ -180,9 +203,15 @@ def _least_encroachment(
 
 @kernel
 def _courses(
-    ego: FloatArray, turn: FloatArray, car: EgoOutline, pose: FloatArray, turns: FloatArray, k: IntArray,
-    size: FloatArray, horizon: float,
-) -> FloatArray:  # fmt: skip
+    ego: FloatArray,
+    turn: FloatArray,
+    car: EgoOutline,
+    pose: FloatArray,
+    turns: FloatArray,
+    k: IntArray,
+    size: FloatArray,
+    horizon: float,
+) -> FloatArray:
     """TTC (`replan.metrics.safety`), s, and (2), m/s2, `(2, m)` with one road user; inf and 0 beyond the horizon, s."""
     out = np.zeros((2, len(k)))
     out[0] = inf
@@ -198,12 +227,27 @@ def _courses(
             continue
         ttc = time_to_contact(
             x, y, yaw, car.length, car.width, px, py, heading, size[0], size[1], ux - vx, uy - vy
-        )  # fmt: skip
+        )
         if ttc < horizon:
             turning = time_to_contact_turning(
-                x, y, yaw, car.length, car.width, vx, vy, turn[k[m]], px, py, heading, size[0], size[1], ux, uy,
-                turns[m], TURN_S,
-            )  # fmt: skip
+                x,
+                y,
+                yaw,
+                car.length,
+                car.width,
+                vx,
+                vy,
+                turn[k[m]],
+                px,
+                py,
+                heading,
+                size[0],
+                size[1],
+                ux,
+                uy,
+                turns[m],
+                TURN_S,
+            )
             ttc = max(ttc, turning)
         if ttc < horizon:
             out[0, m], out[1, m] = ttc, closing**2 / (2.0 * (closing * ttc + DEEP_M))  # (2)
@@ -211,7 +255,9 @@ def _courses(
 
 
 @kernel
-def _rooms(ego: FloatArray, car: EgoOutline, pose: FloatArray, k: IntArray, size: FloatArray) -> FloatArray:
+def _rooms(
+    ego: FloatArray, car: EgoOutline, pose: FloatArray, k: IntArray, size: FloatArray
+) -> FloatArray:
     """Distance of the boxes of the ego `(5, n)` at the steps `k` and of a road user `(5, m)`, m, `(m,)`.
 
     Minus how deep they overlap; inf where their circles are more than `NEAR_M` apart.
@@ -228,32 +274,49 @@ def _rooms(ego: FloatArray, car: EgoOutline, pose: FloatArray, k: IntArray, size
 
 CONFLICTS = (
     EventKind(
-        "contact", _contact,
+        "contact",
+        _contact,
         "The boxes of the ego and a road user overlap, but for phantoms (docs/verdict.md). While they do.",
-        "speed of the two against each other at first", "m/s", "", f"{SUDDEN}; or {TOO_LARGE}; or {SHALLOW}",
+        "speed of the two against each other at first",
+        "m/s",
+        "",
+        f"{SUDDEN}; or {TOO_LARGE}; or {SHALLOW}",
     ),
     EventKind(
-        "near_miss_ttc", _near_miss_ttc,
+        "near_miss_ttc",
+        _near_miss_ttc,
         f"For {COURSE_S} s the time to collision is below {TTC_S} s, at constant velocity and as the two turn, and to"
         f" avoid the contact needs {HARD_MPS2:g} m/s2 of braking or more; until {NEAR_S:g} s later the two come within"
         f" {NEAR_M:g} m, or one of them, but for a vehicle beside the band, brakes with {HARD_MPS2:g} m/s2 or more.",
-        "least TTC", "s",
-        "TTC and required deceleration: criticality metrics catalogue, Westhofen et al. 2023", f"{JUMPS}; or {SHALLOW}",
+        "least TTC",
+        "s",
+        "TTC and required deceleration: criticality metrics catalogue, Westhofen et al. 2023",
+        f"{JUMPS}; or {SHALLOW}",
     ),
     EventKind(
-        "near_miss_pet", _near_miss_pet,
+        "near_miss_pet",
+        _near_miss_pet,
         f"The ego, moving, and another road user take the same place within {PET_S:g} s. From the first to the second.",
-        "PET", "s", "Allen, Shin, Cooper, Transp. Res. Rec. 667 (1978); the bound is that of the metric pet",
+        "PET",
+        "s",
+        "Allen, Shin, Cooper, Transp. Res. Rec. 667 (1978); the bound is that of the metric pet",
     ),
     EventKind(
-        "ego_yields", _ego_yields,
+        "ego_yields",
+        _ego_yields,
         f"The ego slows down by {SLOWED_MPS:g} m/s and {SLOWED:.0%} or more before another road user takes a place on"
         f" its way, and comes there up to {WINDOW_S:g} s later; at the speed before it would have come before the other"
         f" or less than {CLOSE_S:g} s after. From when it begins to slow down until it is there.",
-        "PET", "s", "",
+        "PET",
+        "s",
+        "",
     ),
     EventKind(
-        "ego_is_yielded_to", _ego_is_yielded_to,
-        "The same with the roles exchanged: another road user slows down, and the ego goes first.", "PET", "s", "",
+        "ego_is_yielded_to",
+        _ego_is_yielded_to,
+        "The same with the roles exchanged: another road user slows down, and the ego goes first.",
+        "PET",
+        "s",
+        "",
     ),
-)  # fmt: skip
+)

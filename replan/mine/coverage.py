@@ -70,18 +70,26 @@ def figure(events: pd.DataFrame, title: str) -> Chart:
     """The number of events of each kind, by road, by kind of road user and by speed."""
     kinds, charts = sorted(events["kind"].unique()), list[Chart]()
     for column, names in _ORDER.items():
-        counts = pd.crosstab(events["kind"], events[column]).reindex(index=kinds, columns=names, fill_value=0)
+        counts = pd.crosstab(events["kind"], events[column]).reindex(
+            index=kinds, columns=names, fill_value=0
+        )
         most = float(np.log1p(max(counts.to_numpy().max(initial=0), 30.0)))
         wide = CELL_PX[0] * len(names) + NAMES_PX
-        plane, rows = rows_plane(kinds, (0.0, float(len(names))), wide, CELL_PX[1], top=22.0, most=NAMES_PX)
+        plane, rows = rows_plane(
+            kinds, (0.0, float(len(names))), wide, CELL_PX[1], top=22.0, most=NAMES_PX
+        )
         inside = over = ""
         numbers = counts.to_numpy()
         for i, j in np.argwhere(numbers > 0).tolist():
             count, at = int(numbers[i, j]), rows[i][0]
-            inside += plane.heat((j, j + 1.0), (at - 0.5, at + 0.5), float(np.log1p(count)), (-1.0, 1.3 * most))
+            inside += plane.heat(
+                (j, j + 1.0), (at - 0.5, at + 0.5), float(np.log1p(count)), (-1.0, 1.3 * most)
+            )
             over += plane.words(j + 0.5, at, str(count))
         words = [(j + 0.5, name) for j, name in enumerate(names)]
-        charts.append(plane.chart(column, _TITLES[column], inside, x_ticks=words, y_ticks=rows, over=over))
+        charts.append(
+            plane.chart(column, _TITLES[column], inside, x_ticks=words, y_ticks=rows, over=over)
+        )
     return together(charts, title, "", sum(one.width + GAP_PX for one in charts))
 
 
@@ -102,7 +110,9 @@ def write_coverage(out: Path, events: pd.DataFrame, rows: pd.DataFrame) -> None:
 
 def lines(have: pd.DataFrame, missing: pd.DataFrame, source: str) -> list[str]:
     """The cells in words: their number, and the gaps by kind with a log of `source` that fills each."""
-    found = [f"{counted(len(have), 'cell')} covered; {counted(len(missing), 'cell')} of {source} not"]
+    found = [
+        f"{counted(len(have), 'cell')} covered; {counted(len(missing), 'cell')} of {source} not"
+    ]
     for kind, group in missing.groupby("kind", sort=True):
         examples = listed(list(dict.fromkeys(group["example"])), 3)
         found.append(f"    {kind}: {counted(len(group), 'cell')}, for example in {examples}")
@@ -124,7 +134,9 @@ class ChosenLog:
     blind_breaks: str
 
 
-def smallest_cover(cells: Mapping[str, frozenset[Cell]], cost: Mapping[str, tuple[bool, float]]) -> list[str]:
+def smallest_cover(
+    cells: Mapping[str, frozenset[Cell]], cost: Mapping[str, tuple[bool, float]]
+) -> list[str]:
     """Logs that together have all cells, in the order in which they are chosen.
 
     Of logs that add equally many cells the one with the least cost is chosen: without interaction, length in s.
@@ -160,7 +172,9 @@ def suite_of(mined: Mined) -> list[ChosenLog]:
     seen: set[Cell] = set()
     found = []
     for log in smallest_cover(cells, cost):
-        found.append(ChosenLog(log, str(of_log.loc[log, "source"]), len(cells[log] - seen), blind[log]))
+        found.append(
+            ChosenLog(log, str(of_log.loc[log, "source"]), len(cells[log] - seen), blind[log])
+        )
         seen |= cells[log]
     return found
 
@@ -182,8 +196,14 @@ def suite_writer(out: Path) -> Iterator[Callable[[Sequence[ChosenLog], Path], No
             lines, places = [SUITE_HEADER], list[str]()
             for one in chosen:
                 places.append(_place(one.source, begun, out.parent))
-                what = f"a blind driver breaks {one.blind_breaks}" if one.blind_breaks else "no interaction"
-                lines.append(f"# {visible_name(one.log, inf)}: {counted(one.adds, 'cell')}; {visible_name(what, inf)}")
+                what = (
+                    f"a blind driver breaks {one.blind_breaks}"
+                    if one.blind_breaks
+                    else "no interaction"
+                )
+                lines.append(
+                    f"# {visible_name(one.log, inf)}: {counted(one.adds, 'cell')}; {visible_name(what, inf)}"
+                )
             write_text(out, "\n".join([*lines, tomli_w.dumps({"logs": places})]))
 
         yield write

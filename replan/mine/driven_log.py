@@ -182,15 +182,34 @@ class DrivenLog:
             near &= others.there[0]
             if not near.any():
                 continue
-            k, pose = np.flatnonzero(near) + span.start, np.ascontiguousarray(others.pose[:, 0, near])
+            k, pose = (
+                np.flatnonzero(near) + span.start,
+                np.ascontiguousarray(others.pose[:, 0, near]),
+            )
             frame = _on_path(self.path.s, self.path.coef, k, self.station[k], pose)
             along, aside = np.cos(frame[2]), np.abs(np.sin(frame[2]))
             length, width = others.size[0].tolist()
-            half_s, half_l = np.abs(along) * length + aside * width, aside * length + np.abs(along) * width
-            neighbours.append(Neighbour(
-                i, tracks.ids[i], tracks.kinds[i], k, pose, others.accel[0, near], others.turn[0, near],
-                (length, width), frame[0], frame[1], along, 0.5 * half_s, 0.5 * half_l,
-            ))  # fmt: skip
+            half_s, half_l = (
+                np.abs(along) * length + aside * width,
+                aside * length + np.abs(along) * width,
+            )
+            neighbours.append(
+                Neighbour(
+                    i,
+                    tracks.ids[i],
+                    tracks.kinds[i],
+                    k,
+                    pose,
+                    others.accel[0, near],
+                    others.turn[0, near],
+                    (length, width),
+                    frame[0],
+                    frame[1],
+                    along,
+                    0.5 * half_s,
+                    0.5 * half_l,
+                )
+            )
         self.neighbours = tuple(neighbours)
 
     @cached_property
@@ -216,16 +235,29 @@ class DrivenLog:
         who, gap = np.full(len(self.t), -1, np.int64), np.full(len(self.t), np.inf)
         for place, one in enumerate(self.neighbours):
             mine = self.gap_to(one)
-            closer = one.reaches_into(self.half) & (one.along > 0.0) & (mine > -0.5 * self.car.length)
+            closer = (
+                one.reaches_into(self.half) & (one.along > 0.0) & (mine > -0.5 * self.car.length)
+            )
             closer &= mine < gap[one.k]
             who[one.k[closer]], gap[one.k[closer]] = place, mine[closer]
         return who, np.where(who >= 0, np.maximum(gap, 0.0), np.nan)
 
-    def event(self, one: Neighbour, first: int, last: int, value: float, what: str = "", *, doubt: str = "") -> Event:
+    def event(
+        self,
+        one: Neighbour,
+        first: int,
+        last: int,
+        value: float,
+        what: str = "",
+        *,
+        doubt: str = "",
+    ) -> Event:
         """An event of a road user between two of its places."""
         return self.event_at(one, int(one.k[first]), int(one.k[last]), value, what, doubt=doubt)
 
-    def event_at(self, one: Neighbour, i: int, j: int, value: float, what: str = "", *, doubt: str = "") -> Event:
+    def event_at(
+        self, one: Neighbour, i: int, j: int, value: float, what: str = "", *, doubt: str = ""
+    ) -> Event:
         """An event of a road user between two steps of the grid."""
         if one.kind is AgentKind.OBJECT:
             doubt = "; ".join(filter(None, (doubt, UNCLASSIFIED)))
@@ -243,7 +275,9 @@ class DrivenLog:
         return np.where(inside, self.t[np.minimum(at, len(self.t) - 1)], np.nan)
 
 
-def runs(marked: BoolArray, k: IntArray | None = None, least: int = 1, hole: int = 0) -> Iterator[tuple[int, int]]:
+def runs(
+    marked: BoolArray, k: IntArray | None = None, least: int = 1, hole: int = 0
+) -> Iterator[tuple[int, int]]:
     """First and last place of each unbroken run of marked places, of at least `least` of them.
 
     Args:
@@ -256,7 +290,9 @@ def runs(marked: BoolArray, k: IntArray | None = None, least: int = 1, hole: int
     broken = np.zeros(len(flags), np.bool_) if k is None else np.r_[False, np.diff(k) > 1]
     if hole:
         for first, last in list(runs(~flags, k)):
-            whole = first > 0 and last < len(flags) - 1 and not broken[first] and not broken[last + 1]
+            whole = (
+                first > 0 and last < len(flags) - 1 and not broken[first] and not broken[last + 1]
+            )
             flags[first : last + 1] |= whole and last - first < hole
     begins = np.flatnonzero(flags & (~np.r_[False, flags[:-1]] | broken))
     ends = np.flatnonzero(flags & (~np.r_[flags[1:], False] | np.r_[broken[1:], True]))
@@ -281,7 +317,9 @@ def _own_stations(knots: FloatArray, coef: FloatArray, x: FloatArray, y: FloatAr
 
 
 @kernel
-def _on_path(knots: FloatArray, coef: FloatArray, k: IntArray, station: FloatArray, pose: FloatArray) -> FloatArray:
+def _on_path(
+    knots: FloatArray, coef: FloatArray, k: IntArray, station: FloatArray, pose: FloatArray
+) -> FloatArray:
     """Station, offset and heading against the path `(3, m)` of poses `(5, m)` at the steps `k` `(m,)`."""
     out, s = np.empty((3, len(k))), 0.0
     for i in range(len(k)):

@@ -128,7 +128,10 @@ def _span(log: DrivenLog, first: int, last: int) -> tuple[float, float]:
 
 def _hard_braking(log: DrivenLog) -> Iterator[Event]:
     for first, last in runs(log.accel <= -HARD_MPS2, least=steps(HARD_S), hole=steps(0.5)):
-        least, doubt = float(log.accel[first : last + 1].min()), JUMPS if log.jumps[first : last + 1].any() else ""
+        least, doubt = (
+            float(log.accel[first : last + 1].min()),
+            JUMPS if log.jumps[first : last + 1].any() else "",
+        )
         yield Event(*_span(log, first, last), least, doubt=doubt)
 
 
@@ -139,9 +142,16 @@ def _lane_change(log: DrivenLog) -> Iterable[Event] | Unavailable:
     for before, now in pairwise(lanes):
         ways = {before.lane.id, *before.lane.successors}
         beside = {i for way in ways for i in _neighbours(road, way)}
-        beside |= {i for other in _neighbours(road, before.lane.id) for i in road.lanes[other].successors}
+        beside |= {
+            i for other in _neighbours(road, before.lane.id) for i in road.lanes[other].successors
+        }
         short = now.last - now.first < steps(STAYS_S) and now.last < len(log.t) - 1
-        if now.lane.id in ways or now.lane.id not in beside or now.first > before.last + steps(1.0) or short:
+        if (
+            now.lane.id in ways
+            or now.lane.id not in beside
+            or now.first > before.last + steps(1.0)
+            or short
+        ):
             continue
         k, last = now.first, max(now.first - steps(CHANGE_S), 0)
         dx, dy = log.boxes[0, k] - log.boxes[0, last], log.boxes[1, k] - log.boxes[1, last]
@@ -177,7 +187,11 @@ def _lines_on_way(log: DrivenLog) -> Iterator[tuple[StopLine, float]]:
         s, l = log.path.project(x, y)  # noqa: E741
         lane = log.scenario.road.lanes[line.lane]
         bend = wrap(_heading_at(lane, x, y) - log.path.frame(s)[2])
-        if abs(l) <= ASIDE_M and abs(bend) < np.pi / 4.0 and -1.0 < s < float(log.front.max()) + LIGHT_BEFORE_M:
+        if (
+            abs(l) <= ASIDE_M
+            and abs(bend) < np.pi / 4.0
+            and -1.0 < s < float(log.front.max()) + LIGHT_BEFORE_M
+        ):
             yield line, s
 
 
@@ -211,17 +225,25 @@ def _merge(log: DrivenLog) -> Iterable[Event] | Unavailable:
             continue
         heading = _heading_at(before.lane, *before.lane.center[-1])
         others = [
-            lane for lane in map(road.lanes.__getitem__, into[now.lane.id])
-            if lane.id != before.lane.id and abs(wrap(_heading_at(lane, *lane.center[-1]) - heading)) < MERGE_RAD
-        ]  # fmt: skip
+            lane
+            for lane in map(road.lanes.__getitem__, into[now.lane.id])
+            if lane.id != before.lane.id
+            and abs(wrap(_heading_at(lane, *lane.center[-1]) - heading)) < MERGE_RAD
+        ]
         met: dict[str, float] = {}
         for one in log.neighbours if others else ():
             if one.kind in (AgentKind.PEDESTRIAN, AgentKind.OBJECT):
                 continue
             x, y, yaw = one.pose[:3]
             away = np.hypot(x - log.boxes[0, one.k], y - log.boxes[1, one.k])
-            near = (np.abs(one.k - now.first) <= steps(MERGE_S)) & (away <= MERGE_M) & (one.speed > 0.5)
-            if near.any() and any(on_lane(lane, x[near], y[near], yaw[near]).any() for lane in others):
+            near = (
+                (np.abs(one.k - now.first) <= steps(MERGE_S))
+                & (away <= MERGE_M)
+                & (one.speed > 0.5)
+            )
+            if near.any() and any(
+                on_lane(lane, x[near], y[near], yaw[near]).any() for lane in others
+            ):
                 met[one.id] = float(away[near].min())
         if met:
             around = _span(log, now.first - steps(MERGE_S), now.first + steps(MERGE_S))
@@ -237,7 +259,10 @@ def _roundabout(log: DrivenLog) -> Iterable[Event] | Unavailable:
     for stay in stays(log):
         if in_roundabout(log.scenario.road, stay.lane):
             flags[stay.first : stay.last + 1] = True
-    return [Event(*_span(log, a, b), float(log.ego.v[a : b + 1].mean())) for a, b in runs(flags, least=steps(1.0))]
+    return [
+        Event(*_span(log, a, b), float(log.ego.v[a : b + 1].mean()))
+        for a, b in runs(flags, least=steps(1.0))
+    ]
 
 
 def _red_light(log: DrivenLog) -> Iterable[Event] | Unavailable:
@@ -290,56 +315,81 @@ def _crosswalk(log: DrivenLog) -> Iterable[Event] | Unavailable:
                     if one.kind is AgentKind.PEDESTRIAN and near:
                         around.append(one.id)
                 v = float(log.ego.v[first])
-                found.append(Event(*_span(log, first, last), v, tuple(around), f"crosswalk {crosswalk.id}"))
+                found.append(
+                    Event(*_span(log, first, last), v, tuple(around), f"crosswalk {crosswalk.id}")
+                )
     return found
 
 
 EGO_AND_ROAD = (
     EventKind(
-        "hard_braking", _hard_braking,
+        "hard_braking",
+        _hard_braking,
         f"The ego's speed falls by {HARD_MPS2:g} m/s2 or more (mean over 0.5 s) for {HARD_S} s.",
-        "least acceleration", "m/s2", "between nuPlan's comfort bound (-4.05 m/s2) and usual braking (-2 m/s2)",
+        "least acceleration",
+        "m/s2",
+        "between nuPlan's comfort bound (-4.05 m/s2) and usual braking (-2 m/s2)",
         JUMPS,
     ),
     EventKind(
-        "lane_change", _lane_change,
+        "lane_change",
+        _lane_change,
         f"The ego's box centre comes from a lane to its neighbour and stays there for {STAYS_S:g} s. From"
         f" {CHANGE_S:g} s before to {CHANGE_S:g} s after; `what` is the side.",
-        "speed", "m/s", "nuPlan's scenario tags (changing_lane)",
+        "speed",
+        "m/s",
+        "nuPlan's scenario tags (changing_lane)",
     ),
     EventKind(
-        "unprotected_turn", _unprotected_turn,
+        "unprotected_turn",
+        _unprotected_turn,
         f"The ego turns by 45 degrees or more, tighter than {1.0 / TURN_KAPPA:g} m, where lanes cross, and no stop line"
         f" with a light lies on its way from {LIGHT_BEFORE_M:g} m before the turn. While its box is in the turn; `what`"
         " is the side.",
-        "angle, positive to the left", "rad",
+        "angle, positive to the left",
+        "rad",
         "nuPlan's scenario tags (starting_unprotected_cross_turn, starting_unprotected_noncross_turn)",
     ),
     EventKind(
-        "merge", _merge,
+        "merge",
+        _merge,
         f"The ego comes to a lane into which another lane leads from about the same direction, and a vehicle is on that"
         f" other lane within {MERGE_S:g} s and {MERGE_M:g} m.",
-        "least distance of the centres", "m", "",
+        "least distance of the centres",
+        "m",
+        "",
     ),
     EventKind(
-        "roundabout", _roundabout,
+        "roundabout",
+        _roundabout,
         f"The ego is on a lane that is part of a circle of lanes of at most {ROUNDABOUT_M:g} m.",
-        "mean speed", "m/s", "",
+        "mean speed",
+        "m/s",
+        "",
     ),
     EventKind(
-        "red_light", _red_light,
+        "red_light",
+        _red_light,
         f"A stop line with a red light lies up to {LIGHT_BEFORE_M:g} m ahead on the ego's path, for 0.5 s; `what` is"
         " the line.",
-        "least speed", "m/s", "nuPlan's scenario tags (on_stopline_traffic_light)",
+        "least speed",
+        "m/s",
+        "nuPlan's scenario tags (on_stopline_traffic_light)",
     ),
     EventKind(
-        "stop_sign", _stop_sign,
+        "stop_sign",
+        _stop_sign,
         f"A stop line with a stop sign lies up to {STOP_BEFORE_M:g} m ahead on the ego's path; `what` is the line.",
-        "least speed", "m/s", "nuPlan's scenario tags (on_stopline_stop_sign)",
+        "least speed",
+        "m/s",
+        "nuPlan's scenario tags (on_stopline_stop_sign)",
     ),
     EventKind(
-        "crosswalk", _crosswalk,
+        "crosswalk",
+        _crosswalk,
         "The ego's box is on a crosswalk; the agents are the pedestrians within 3 m of it; `what` is the crosswalk.",
-        "speed when it comes there", "m/s", "nuPlan's scenario tags (traversing_crosswalk)",
+        "speed when it comes there",
+        "m/s",
+        "nuPlan's scenario tags (traversing_crosswalk)",
     ),
-)  # fmt: skip
+)

@@ -38,15 +38,24 @@ AROUND_S = 3.0
 """The speeds are drawn, and the shown command drives, from this long before the event to as long after it."""
 
 
-def draw_events(folder: Path, scenario: Scenario, digest: str, rows: Iterable[Mapping[str, Any]]) -> None:
+def draw_events(
+    folder: Path, scenario: Scenario, digest: str, rows: Iterable[Mapping[str, Any]]
+) -> None:
     """Draw the events of a log: rows of events.parquet; `digest` of its bytes, "" if it has none.
 
     Raises:
         OutputError: A picture cannot be written.
     """
     trace = Trace(
-        scenario.name, "logged", Mode.OPEN, True, scenario.ego, scenario.tracks, (), EndReason.END_OF_LOG
-    )  # fmt: skip
+        scenario.name,
+        "logged",
+        Mode.OPEN,
+        True,
+        scenario.ego,
+        scenario.tracks,
+        (),
+        EndReason.END_OF_LOG,
+    )
     for row in drawn(rows):
         path = folder / picture_of(row, digest)
         with writing(path):
@@ -72,20 +81,30 @@ def picture_of(row: Mapping[str, Any], digest: str) -> str:
 
 def event_picture(scenario: Scenario, trace: Trace, row: Mapping[str, Any]) -> Chart:
     """The scene at the middle of an event, and the speeds around it."""
-    begin, end, first, last = (float(t) for t in (row["t_from_s"], row["t_to_s"], trace.ego.t[0], trace.ego.t[-1]))
+    begin, end, first, last = (
+        float(t) for t in (row["t_from_s"], row["t_to_s"], trace.ego.t[0], trace.ego.t[-1])
+    )
     middle = min(max(0.5 * (begin + end), first), last)
     agents = list(row["agents"])
-    words, shown = str(row["kind"]).replace("_", " "), SceneSubject(Moment(middle, "as asked"), trace, scenario)
+    words, shown = (
+        str(row["kind"]).replace("_", " "),
+        SceneSubject(Moment(middle, "as asked"), trace, scenario),
+    )
     above = scene(shown, middle, words, agents)
 
     inside = (trace.ego.t >= begin - AROUND_S) & (trace.ego.t <= end + AROUND_S)
     curves = [Curve("ego", "ego", trace.ego.t[inside], np.abs(trace.ego.v[inside]))]
     if agents and agents[0] in scenario.tracks.ids:
-        mine, motion = scenario.tracks.samples(scenario.tracks.ids.index(agents[0])), scenario.tracks.motion
+        mine, motion = (
+            scenario.tracks.samples(scenario.tracks.ids.index(agents[0])),
+            scenario.tracks.motion,
+        )
         t, speed = scenario.tracks.t[mine], np.hypot(motion.vx[mine], motion.vy[mine])
         near = (t >= begin - AROUND_S) & (t <= end + AROUND_S)
         curves.append(Curve("other", scenario.short_names(agents[0]), t[near], speed[near]))
-    panel = Panel("speed", "Speed [m/s]", tuple(curve for curve in curves if len(curve.known)), 2.0, floor=0.0)
+    panel = Panel(
+        "speed", "Speed [m/s]", tuple(curve for curve in curves if len(curve.known)), 2.0, floor=0.0
+    )
     says = f"{row['kind']} at {begin:.1f} s, of {', '.join(map(str, agents)) or 'the ego alone'}"
     if not panel.curves:
         return replace(above, name=str(row["kind"]), title=words, says=says)
@@ -105,12 +124,28 @@ def write_events_page(folder: Path, events: pd.DataFrame, logs: pd.DataFrame) ->
     for row in list[Any](events.head(MOST_ROWS).to_dict("records")):
         log = about[row["log"]]
         picture = picture_of(row, str(log["sha256"]))
-        begin, end = max(row["t_from_s"] - AROUND_S, 0.0), min(row["t_to_s"] + AROUND_S, log["duration_s"])
+        begin, end = (
+            max(row["t_from_s"] - AROUND_S, 0.0),
+            min(row["t_to_s"] + AROUND_S, log["duration_s"]),
+        )
         part = [str(log["source"]), "--from", f"{begin:.1f}", "--to", f"{end:.1f}"]
-        commands = [join(["replan", word, *part]) for word in ("evaluate", *(["view"] if log["sha256"] else []))]
-        value = f"{row['value']:.3g} {row['unit'] if row['unit'] != '1' else ''}" if isfinite(row["value"]) else ""
+        commands = [
+            join(["replan", word, *part])
+            for word in ("evaluate", *(["view"] if log["sha256"] else []))
+        ]
+        value = (
+            f"{row['value']:.3g} {row['unit'] if row['unit'] != '1' else ''}"
+            if isfinite(row["value"])
+            else ""
+        )
         shown = picture if (folder / picture).is_file() else ""
         rows.append({**row, "picture": shown, "commands": commands, "shown": value})
-    page = rendered("events.html", rows=rows, more=max(len(events) - MOST_ROWS, 0), logs=len(logs), most=MOST_OF_A_KIND)
+    page = rendered(
+        "events.html",
+        rows=rows,
+        more=max(len(events) - MOST_ROWS, 0),
+        logs=len(logs),
+        most=MOST_OF_A_KIND,
+    )
     with writing(folder / PAGE):
         write_text(folder / PAGE, page)

@@ -41,21 +41,32 @@ def _of_planners(log: DrivenLog) -> tuple[Event, ...]:
     return ()
 
 
-PLAN_KINDS: Mapping[str, EventKind] = MappingProxyType({
-    kind.name: kind
-    for kind in (
-        EventKind(
-            "plan_differs", _of_planners,
-            f"The plan is more than {MISS_M[HORIZON_S]:g} m from what was driven within {HORIZON_S} s.",
-            f"greatest distance at {HORIZON_S} s", "m", "nuPlan, planner_miss_rate_within_bound",
-        ),
-        EventKind("plan_falls_back", _of_planners, "The planner falls back; `what` is its reason."),
-        EventKind(
-            "plan_flips", _of_planners, f"A plan is more than {FLIP_M:g} m to the side of the plan before it.",
-            "greatest lateral distance", "m", "after Autoware's stability",
-        ),
-    )
-})  # fmt: skip
+PLAN_KINDS: Mapping[str, EventKind] = MappingProxyType(
+    {
+        kind.name: kind
+        for kind in (
+            EventKind(
+                "plan_differs",
+                _of_planners,
+                f"The plan is more than {MISS_M[HORIZON_S]:g} m from what was driven within {HORIZON_S} s.",
+                f"greatest distance at {HORIZON_S} s",
+                "m",
+                "nuPlan, planner_miss_rate_within_bound",
+            ),
+            EventKind(
+                "plan_falls_back", _of_planners, "The planner falls back; `what` is its reason."
+            ),
+            EventKind(
+                "plan_flips",
+                _of_planners,
+                f"A plan is more than {FLIP_M:g} m to the side of the plan before it.",
+                "greatest lateral distance",
+                "m",
+                "after Autoware's stability",
+            ),
+        )
+    }
+)
 
 
 def plan_events(log: DrivenLog, planner: str, run: RunConfig) -> Iterator[tuple[str, Event]]:
@@ -65,7 +76,9 @@ def plan_events(log: DrivenLog, planner: str, run: RunConfig) -> Iterator[tuple[
         ReplanError: The planner failed, or cannot be built.
     """
     keywords = run.planner_keywords(planner)
-    drive = run_open_loop(log.scenario, planner, planner_config=keywords, config=run.drive_loop, keep_internals=False)
+    drive = run_open_loop(
+        log.scenario, planner, planner_config=keywords, config=run.drive_loop, keep_internals=False
+    )
     trace = drive.trace
     if trace.end is EndReason.PLANNER_FAILURE:
         raise PlannerError(trace.detail)
@@ -75,9 +88,12 @@ def plan_events(log: DrivenLog, planner: str, run: RunConfig) -> Iterator[tuple[
         reason = trace.frames[first].plan.reason or trace.frames[first].plan.status.value
         yield "plan_falls_back", Event(float(t[first]), float(t[last]), np.nan, what=reason)
     for name, metric, part, bound in (
-        ("plan_differs", MISS, f"{HORIZON_S}s", 0.5), ("plan_flips", PLAN_CHANGE_LATERAL, "", FLIP_M),
-    ):  # fmt: skip
-        found = metric.measured(trace, log.scenario).get(f"{metric.name}.{part}" if part else metric.name)
+        ("plan_differs", MISS, f"{HORIZON_S}s", 0.5),
+        ("plan_flips", PLAN_CHANGE_LATERAL, "", FLIP_M),
+    ):
+        found = metric.measured(trace, log.scenario).get(
+            f"{metric.name}.{part}" if part else metric.name
+        )
         value = FDE.measured(trace, log.scenario).get(f"fde.{part}") if part else found
         if isinstance(found, Series) and isinstance(value, Series):
             for first, last in runs(found.value > bound, hole=2):
@@ -125,11 +141,15 @@ replan mine my_logs --kind my_kinds:CREEPS -o results/mined
 def page() -> str:
     """The text of docs/events.md."""
     planners = "\n## Of a planner (`--planner`)\n"
-    return "\n".join([HEAD, *_rows(KINDS.values()), planners, *_rows(PLAN_KINDS.values()), OWN]).rstrip()
+    return "\n".join(
+        [HEAD, *_rows(KINDS.values()), planners, *_rows(PLAN_KINDS.values()), OWN]
+    ).rstrip()
 
 
 def _rows(kinds: Iterable[EventKind]) -> Iterator[str]:
     yield from ("| kind | what it is | value | in doubt | source |", "|---|---|---|---|---|")
     for kind in kinds:
-        value = f"{kind.measures}, {kind.unit}" if kind.measures and kind.unit != "1" else kind.measures
+        value = (
+            f"{kind.measures}, {kind.unit}" if kind.measures and kind.unit != "1" else kind.measures
+        )
         yield f"| `{kind.name}` | {kind.meaning} | {value} | {kind.doubted} | {kind.source or 'replan'} |"

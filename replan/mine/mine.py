@@ -47,14 +47,31 @@ from replan.run.sources import LogSource, Selection, log_hash
 
 EVENTS, LOGS, HEALTH, CARD = "events.parquet", "logs.parquet", "health.parquet", "mined.json"
 CONTENTS = FolderContents(
-    "mine", ("run.toml", "origin.json", EVENTS, LOGS, HEALTH, CARD, PAGE, PICTURES, "coverage.csv", "coverage.png")
+    "mine",
+    (
+        "run.toml",
+        "origin.json",
+        EVENTS,
+        LOGS,
+        HEALTH,
+        CARD,
+        PAGE,
+        PICTURES,
+        "coverage.csv",
+        "coverage.png",
+    ),
 )
 BREAKS = tuple(f"{driver}_breaks" for driver in BAD_DRIVERS)
 CURVE_KAPPA = 1.0 / 150.0
 """A road with more curvature than this is a curve, 1/m."""
 JUNCTION_M = 8.0
 """The ego is at a junction if lanes cross within this distance on its path."""
-SPEEDS = ((0.5, "standing"), (30.0 / 3.6, "to 30 km/h"), (50.0 / 3.6, "to 50 km/h"), (90.0 / 3.6, "to 90 km/h"))
+SPEEDS = (
+    (0.5, "standing"),
+    (30.0 / 3.6, "to 30 km/h"),
+    (50.0 / 3.6, "to 50 km/h"),
+    (90.0 / 3.6, "to 90 km/h"),
+)
 FASTER = "above 90 km/h"
 ROADS = ("roundabout", "junction", "curve", "straight", "no lanes")
 ALONE = "none"
@@ -126,7 +143,9 @@ def mine(
         ConfigError: A kind or planner is unknown.
     """
     _load_kinds(kinds)
-    job = partial(mine_log, run=run, kinds=tuple(kinds), planners=tuple(planners), pictures=pictures)
+    job = partial(
+        mine_log, run=run, kinds=tuple(kinds), planners=tuple(planners), pictures=pictures
+    )
     keys = [] if study is None else [identity_of(source) for source in selection.sources]
     rows = {} if study is None else {index: study.known(key) for index, key in enumerate(keys)}
     found = {index: MinedLog(**row["mined"]) for index, row in rows.items() if row is not None}
@@ -135,9 +154,13 @@ def mine(
     left = [index for index in range(len(selection.sources)) if index not in found]
     sources = [selection.sources[index] for index in left]
     if workers == 0:
-        ended: Iterator[tuple[int, MinedLog | WorkerLost]] = ((i, job(one)) for i, one in enumerate(sources))
+        ended: Iterator[tuple[int, MinedLog | WorkerLost]] = (
+            (i, job(one)) for i, one in enumerate(sources)
+        )
     else:
-        drive = partial(run_all, job, workers=max(1, min(workers, len(sources))), one_first=is_cache_cold())
+        drive = partial(
+            run_all, job, workers=max(1, min(workers, len(sources))), one_first=is_cache_cold()
+        )
         ended = longest_first(sources, drive, lambda source: source.expected_s)
     for place, outcome in ended:
         index, label = left[place], sources[place].label
@@ -149,19 +172,24 @@ def mine(
         on_log(found[index])
     logs = [found[index] for index in sorted(found)]
     names = Counter(log.name for log in logs)
-    for place, log in enumerate(logs, 1):  # logs that share a name get the hash of their content, or their index
+    # Logs that share a name get the hash of their content, or their index
+    for place, log in enumerate(logs, 1):
         if names[log.name] > 1:
             name = f"{log.name}@{str(log.row['sha256'])[:8] or place}"
             row, *both = [{**each, "log": name} for each in (log.row, *log.events, *log.health)]
-            logs[place - 1] = MinedLog(name, row, both[: len(log.events)], both[len(log.events) :], log.failures)
+            logs[place - 1] = MinedLog(
+                name, row, both[: len(log.events)], both[len(log.events) :], log.failures
+            )
     if study is not None:
         study.keep(key for key in keys if study.known(key) is not None)
     events = [row for log in logs for row in log.events]
     findings = [row for log in logs for row in log.health]
     return Mined(
-        _table(EVENTS, events, ["log", "t_from_s", "kind", "t_to_s"]), _table(LOGS, [log.row for log in logs], ["log"]),
-        _table(HEALTH, findings, ["log", "t_from_s", "kind"]), tuple(line for log in logs for line in log.failures),
-    )  # fmt: skip
+        _table(EVENTS, events, ["log", "t_from_s", "kind", "t_to_s"]),
+        _table(LOGS, [log.row for log in logs], ["log"]),
+        _table(HEALTH, findings, ["log", "t_from_s", "kind"]),
+        tuple(line for log in logs for line in log.failures),
+    )
 
 
 def _table(name: str, rows: Sequence[dict[str, Any]], keys: list[str]) -> pd.DataFrame:
@@ -190,29 +218,48 @@ def mine_into(
     """
     stamp = stamp_of(run, [(EVENT_KIND, name) for name in kinds])
     head = {
-        "study": CONTENTS.command, "replan": stamp.replan, "code": stamp.code[:12], "kinds": list(kinds),
-        "planners": list(planners), "run": dump_run(run),
-    }  # fmt: skip
+        "study": CONTENTS.command,
+        "replan": stamp.replan,
+        "code": stamp.code[:12],
+        "kinds": list(kinds),
+        "planners": list(planners),
+        "run": dump_run(run),
+    }
     with claimed_folder(out, CONTENTS, resume=resume) as folder:
         study = Study(folder, head, resume=resume)
         write_text(folder / "run.toml", dump_run(run))
         write_origin(folder)
         mined = mine(
-            selection, run, kinds=kinds, planners=planners, workers=workers, study=study, pictures=folder, on_log=on_log
+            selection,
+            run,
+            kinds=kinds,
+            planners=planners,
+            workers=workers,
+            study=study,
+            pictures=folder,
+            on_log=on_log,
         )
         for name, table in ((EVENTS, mined.events), (LOGS, mined.logs), (HEALTH, mined.health)):
             write_parquet(folder / name, table)
         write_events_page(folder, mined.events, mined.logs)
         card = {
-            "replan": replan_version(), "kinds": [*KINDS, *kinds], "planners": list(planners), "logs": len(mined.logs),
-            "events": dict(sorted(Counter(mined.events["kind"]).items())), "failures": list(mined.failures),
-        }  # fmt: skip
+            "replan": replan_version(),
+            "kinds": [*KINDS, *kinds],
+            "planners": list(planners),
+            "logs": len(mined.logs),
+            "events": dict(sorted(Counter(mined.events["kind"]).items())),
+            "failures": list(mined.failures),
+        }
         write_json(folder / CARD, card)
     return folder, mined
 
 
 def mine_log(
-    source: LogSource, run: RunConfig, kinds: tuple[str, ...], planners: tuple[str, ...], pictures: Path | None = None
+    source: LogSource,
+    run: RunConfig,
+    kinds: tuple[str, ...],
+    planners: tuple[str, ...],
+    pictures: Path | None = None,
 ) -> MinedLog:
     """Mine one log, and draw its events into a folder; errors are part of the result."""
     try:
@@ -233,12 +280,20 @@ def mine_log(
             found = kind.find(log)
             events = [] if isinstance(found, Unavailable) else list(found)
             for event in events:
-                times = isinstance(event, Event) and isfinite(event.begin) and event.begin <= event.end < np.inf
+                times = (
+                    isinstance(event, Event)
+                    and isfinite(event.begin)
+                    and event.begin <= event.end < np.inf
+                )
                 if not times or isinf(event.value):
-                    raise ValueError(f"{event!r} is not an Event with a finite value that begins before it ends")
+                    raise ValueError(
+                        f"{event!r} is not an Event with a finite value that begins before it ends"
+                    )
         except Exception as error:
             whose = "raised by code that the run names" if of_users(error) else "a bug in replan"
-            failures.append(f"{scenario.name}: event kind '{kind.name}': {whose}: {raised(error, of=kind.find)}")
+            failures.append(
+                f"{scenario.name}: event kind '{kind.name}': {whose}: {raised(error, of=kind.find)}"
+            )
             continue
         rows += [_row(log, kind, event, "") for event in events]
         if isinstance(found, Unavailable):
@@ -246,7 +301,10 @@ def mine_log(
     for planner in planners if log is not None else ():
         try:
             assert log is not None
-            rows += [_row(log, PLAN_KINDS[name], event, planner) for name, event in plan_events(log, planner, run)]
+            rows += [
+                _row(log, PLAN_KINDS[name], event, planner)
+                for name, event in plan_events(log, planner, run)
+            ]
         except ReplanError as error:
             failures.append(f"{scenario.name}: {error} [{planner}]")
     about, apart = scenario.metadata, dict[str, str]()
@@ -254,18 +312,29 @@ def mine_log(
         breaks = discriminate(scenario, run.drive_loop)
         apart = {f"{one.driver}_breaks": str(one.breaks or "") for one in breaks}
     row = {
-        "log": scenario.name, "source": source.label, "sha256": digest, "duration_s": float(scenario.duration),
+        "log": scenario.name,
+        "source": source.label,
+        "sha256": digest,
+        "duration_s": float(scenario.duration),
         "driven_m": float(np.hypot(np.diff(scenario.ego.x), np.diff(scenario.ego.y)).sum()),
-        "agents": len(scenario.tracks), "lanes": scenario.road.source is RoadSource.LANES,
-        "family": scenario.family, "dataset": scenario.dataset, "tags": list(scenario.tags),
+        "agents": len(scenario.tracks),
+        "lanes": scenario.road.source is RoadSource.LANES,
+        "family": scenario.family,
+        "dataset": scenario.dataset,
+        "tags": list(scenario.tags),
         "place": next((about[key] for key in PLACES if about.get(key)), ""),
-        "weather": next((about[key] for key in WEATHERS if about.get(key)), ""), "not_asked": not_asked,
-        "error": "", **dict.fromkeys(BREAKS, ""), **apart,
-    }  # fmt: skip
+        "weather": next((about[key] for key in WEATHERS if about.get(key)), ""),
+        "not_asked": not_asked,
+        "error": "",
+        **dict.fromkeys(BREAKS, ""),
+        **apart,
+    }
     if pictures is not None:
         draw_events(pictures, scenario, digest, rows)
     findings = health.table(scenario.name, health.findings(scenario)).to_dict("records")
-    return MinedLog(scenario.name, _plain(row), [*map(_plain, rows)], [*map(_plain, findings)], tuple(failures))
+    return MinedLog(
+        scenario.name, _plain(row), [*map(_plain, rows)], [*map(_plain, findings)], tuple(failures)
+    )
 
 
 def markers(scenario: Scenario) -> tuple[Marker, ...]:
@@ -278,15 +347,23 @@ def markers(scenario: Scenario) -> tuple[Marker, ...]:
         for event in () if isinstance(found, Unavailable) else found:
             unit = "" if kind.unit == "1" else f" {kind.unit}"
             value = f"{event.value:.3g}{unit}" if isfinite(event.value) else ""
-            more = ", ".join(filter(None, (event.what, value, event.doubt and f"in doubt: {event.doubt}")))
-            about = (", ".join(map(scenario.short_names, event.agents)), f"({more})" if more else "")
+            more = ", ".join(
+                filter(None, (event.what, value, event.doubt and f"in doubt: {event.doubt}"))
+            )
+            about = (
+                ", ".join(map(scenario.short_names, event.agents)),
+                f"({more})" if more else "",
+            )
             made.append(Marker(event.begin, event.end, kind.name, " ".join(filter(None, about))))
     return tuple(made)
 
 
 def _plain(row: Mapping[Any, Any]) -> dict[str, Any]:
     """A row as JSON types."""
-    return {str(key): None if isinstance(cell, float) and not isfinite(cell) else cell for key, cell in row.items()}
+    return {
+        str(key): None if isinstance(cell, float) and not isfinite(cell) else cell
+        for key, cell in row.items()
+    }
 
 
 def _load_kinds(kinds: Sequence[str]) -> tuple[EventKind, ...]:
@@ -298,34 +375,64 @@ def _row(log: DrivenLog, kind: EventKind, event: Event, planner: str) -> dict[st
     """A row of events.parquet."""
     tracks = log.scenario.tracks
     k = int(np.clip(np.searchsorted(log.t, event.begin - 1e-6), 0, len(log.t) - 1))
-    middle = int(np.clip(np.searchsorted(log.t, 0.5 * (event.begin + event.end)), 0, len(log.t) - 1))
+    middle = int(
+        np.clip(np.searchsorted(log.t, 0.5 * (event.begin + event.end)), 0, len(log.t) - 1)
+    )
     main = event.agents[0] if event.agents else ""
     v = float(abs(log.ego.v[k]))
     here = log.scenario.road
-    around = (log.path.frame(float(log.station[middle]) + away)[:2] for away in (-JUNCTION_M, 0.0, JUNCTION_M))
+    around = (
+        log.path.frame(float(log.station[middle]) + away)[:2]
+        for away in (-JUNCTION_M, 0.0, JUNCTION_M)
+    )
     if here.source is not RoadSource.LANES:
         road = "no lanes"
-    elif any(in_roundabout(here, stay.lane) for stay in stays(log) if stay.first <= middle <= stay.last):
+    elif any(
+        in_roundabout(here, stay.lane) for stay in stays(log) if stay.first <= middle <= stay.last
+    ):
         road = "roundabout"
     elif any(crosses_others(here, x, y) for x, y in around):
         road = "junction"
     else:
-        road = "curve" if abs(log.path.frame(float(log.station[middle]))[3]) > CURVE_KAPPA else "straight"
+        road = (
+            "curve"
+            if abs(log.path.frame(float(log.station[middle]))[3]) > CURVE_KAPPA
+            else "straight"
+        )
     return {
-        "log": log.scenario.name, "kind": kind.name, "t_from_s": event.begin, "t_to_s": event.end,
+        "log": log.scenario.name,
+        "kind": kind.name,
+        "t_from_s": event.begin,
+        "t_to_s": event.end,
         "agents": list(event.agents),
         "agent_kind": tracks.kinds[tracks.ids.index(main)].value if main in tracks.ids else ALONE,
-        "road": road, "speed": next((name for bound, name in SPEEDS if v < bound), FASTER),
-        "v_mps": v, "x_m": float(log.ego.x[k]), "y_m": float(log.ego.y[k]), "value": float(event.value),
-        "unit": kind.unit, "what": event.what, "doubt": event.doubt, "planner": planner,
-    }  # fmt: skip
+        "road": road,
+        "speed": next((name for bound, name in SPEEDS if v < bound), FASTER),
+        "v_mps": v,
+        "x_m": float(log.ego.x[k]),
+        "y_m": float(log.ego.y[k]),
+        "value": float(event.value),
+        "unit": kind.unit,
+        "what": event.what,
+        "doubt": event.doubt,
+        "planner": planner,
+    }
 
 
 def _not_mined(label: str, line: str) -> MinedLog:
     numbers = dict.fromkeys(("duration_s", "driven_m"))
     words = dict.fromkeys(("sha256", "family", "dataset", "place", "weather", *BREAKS), "")
     lists: dict[str, Any] = {"tags": [], "not_asked": []}
-    row = {"log": label, "source": label, "agents": 0, "lanes": False, "error": line, **numbers, **words, **lists}
+    row = {
+        "log": label,
+        "source": label,
+        "agents": 0,
+        "lanes": False,
+        "error": line,
+        **numbers,
+        **words,
+        **lists,
+    }
     return MinedLog(label, row, failures=(line,))
 
 
@@ -336,7 +443,9 @@ def summary(mined: Mined) -> list[str]:
     lines = [f"{counted(len(read), 'log')}, {hours:.2f} h: {counted(len(mined.events), 'event')}"]
     counts = mined.events.groupby("kind").agg(events=("log", "size"), logs=("log", "nunique"))
     width = max((len(kind) for kind in counts.index), default=0)
-    for kind, (events, logs) in counts.sort_values(["events"], ascending=False, kind="stable").iterrows():
+    for kind, (events, logs) in counts.sort_values(
+        ["events"], ascending=False, kind="stable"
+    ).iterrows():
         lines.append(f"    {kind!s:{width}}  {events:5d} in {counted(int(logs), 'log')}")
     reasons = Counter(line for row in read["not_asked"] for line in row)
     by_reason: dict[tuple[str, int], list[str]] = {}
@@ -345,7 +454,9 @@ def summary(mined: Mined) -> list[str]:
         by_reason.setdefault((reason, number), []).append(kind)
     for (reason, number), kinds in by_reason.items():
         kinds = ["all kinds"] if set(kinds) >= set(KINDS) else kinds
-        lines.append(f"    not looked for in {counted(number, 'log')} ({reason}): {', '.join(kinds)}")
+        lines.append(
+            f"    not looked for in {counted(number, 'log')} ({reason}): {', '.join(kinds)}"
+        )
     return lines
 
 
@@ -357,12 +468,18 @@ def read_mined(folder: Path) -> Mined:
         LogError: A table is damaged.
     """
     if not (folder / CARD).is_file():
-        raise ConfigError(f"{folder}: holds no mined logs (no {CARD} in it): replan mine LOGS -o {folder}")
+        raise ConfigError(
+            f"{folder}: holds no mined logs (no {CARD} in it): replan mine LOGS -o {folder}"
+        )
     again = f"mine again: replan mine LOGS -o {folder}"
     read_json(folder / CARD, MinedSummary, again)
-    events, logs, findings = (read_table(folder / name, again=again).to_pandas() for name in (EVENTS, LOGS, HEALTH))
+    events, logs, findings = (
+        read_table(folder / name, again=again).to_pandas() for name in (EVENTS, LOGS, HEALTH)
+    )
     if logs["log"].duplicated().any() or not {*events["log"], *findings["log"]} <= {*logs["log"]}:
-        raise LogError("has not one row for each log of the other tables", file=folder / LOGS, remedy=again)
+        raise LogError(
+            "has not one row for each log of the other tables", file=folder / LOGS, remedy=again
+        )
     return Mined(events, logs, findings, tuple(line for line in logs["error"] if line))
 
 

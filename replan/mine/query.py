@@ -39,8 +39,18 @@ from replan.run.output import scenario_of
 from replan.run.resume import Study
 
 RUN_VIEWS = (
-    "metrics", "verdicts", "groups", "health", "timings", "frames", "logs", "drives", "gates", "failures", "decisions",
-)  # fmt: skip
+    "metrics",
+    "verdicts",
+    "groups",
+    "health",
+    "timings",
+    "frames",
+    "logs",
+    "drives",
+    "gates",
+    "failures",
+    "decisions",
+)
 MINED_VIEWS = tuple(name.removesuffix(".parquet") for name in (EVENTS, LOGS, HEALTH))
 LOCKED = (
     "SET enable_external_access = false",
@@ -112,7 +122,9 @@ def query(folder: Path, sql: str) -> pd.DataFrame:
             while len(parts[-1]):
                 size += int(parts[-1].memory_usage(deep=True).sum())
                 if size > RESULT_GB * 1e9:
-                    raise ConfigError(f"the query gives more than {RESULT_GB} GB: add LIMIT, or {SMALLER}")
+                    raise ConfigError(
+                        f"the query gives more than {RESULT_GB} GB: add LIMIT, or {SMALLER}"
+                    )
                 parts.append(connection.fetch_df_chunk(ROWS))
         except duckdb.Error as error:
             words = " ".join(str(error).split("\n\n")[0].split("\nThis limit")[0].split())
@@ -159,18 +171,24 @@ def moments(
     if table not in known:
         raise unknown_name("view", table, known)
     if not where.strip():
-        raise ConfigError("--where is empty: give a condition, for example \"kind = 'cut_in'\"; true takes all rows")
+        raise ConfigError(
+            "--where is empty: give a condition, for example \"kind = 'cut_in'\"; true takes all rows"
+        )
     rows = query(folder, f'SELECT * FROM "{table}" WHERE ({where})')
     times = next((pair for pair in TIMES if set(pair) <= set(rows.columns)), None)
     if times is None or "log" not in rows:
         other = "events, verdicts, metrics, health or decisions"
         raise ConfigError(f"the view {table} has no log and time; cut by {other}")
-    rows = rows[rows[times[0]].notna() & rows[times[1]].notna()].sort_values(["log", times[0]], kind="stable")
+    rows = rows[rows[times[0]].notna() & rows[times[1]].notna()].sort_values(
+        ["log", times[0]], kind="stable"
+    )
     if rows.empty:
         raise ConfigError(f"nothing to cut: no row of {table} with a time where {where}")
     found: list[FoundMoment] = []
     kinds = rows["kind"] if "kind" in rows else pd.Series(table, rows.index)
-    for log, begin, end, kind in zip(rows["log"], rows[times[0]], rows[times[1]], kinds, strict=True):
+    for log, begin, end, kind in zip(
+        rows["log"], rows[times[0]], rows[times[1]], kinds, strict=True
+    ):
         one = FoundMoment(str(log), float(begin) - before, float(end) + after, (str(kind),))
         last = found[-1] if found else None
         if last is not None and last.log == one.log and one.begin <= last.end:
@@ -181,7 +199,9 @@ def moments(
     return found
 
 
-def cut_logs(folder: Path, found: Sequence[FoundMoment], out: Path, *, resume: bool = False) -> Iterator[Path]:
+def cut_logs(
+    folder: Path, found: Sequence[FoundMoment], out: Path, *, resume: bool = False
+) -> Iterator[Path]:
     """Write a native log per moment into a folder; yields each file when it is written.
 
     `folder` has the results that name the logs; `out` is new, empty, or has earlier cuts, which are replaced or, with
@@ -196,11 +216,19 @@ def cut_logs(folder: Path, found: Sequence[FoundMoment], out: Path, *, resume: b
     logs = views(folder)["logs"]().drop_duplicates("log").set_index("log")
     unknown = [one.log for one in found if one.log not in logs.index]
     if unknown:
-        raise LogError(f"no log is called '{unknown[0]}' in its logs", file=folder, remedy="make these results again")
+        raise LogError(
+            f"no log is called '{unknown[0]}' in its logs",
+            file=folder,
+            remedy="make these results again",
+        )
     labels = {one: f"{one.log}_{max(one.begin, 0.0):.1f}s" for one in found}
     names = safe_names(labels.values())
     asked = [[*astuple(one), str(logs.loc[one.log, "sha256"])] for one in found]
-    head = {"study": CUTS.command, "replan": replan_version(), "moments": sha256(repr(asked).encode()).hexdigest()}
+    head = {
+        "study": CUTS.command,
+        "replan": replan_version(),
+        "moments": sha256(repr(asked).encode()).hexdigest(),
+    }
     with claimed_folder(out, CUTS, resume=resume) as out:
         study = Study(out, head, resume=resume)
         scenario: Scenario | None = None
@@ -229,10 +257,15 @@ def _part(scenario: Scenario, one: FoundMoment) -> Scenario:
     tags = tuple(dict.fromkeys((*scenario.tags, *one.kinds)))
     notes = [f"Cut from {scenario.name}, from {begin:.1f} to {end:.1f} s."]
     x, y = ego_boxes(part.ego, part)[:2]
-    if part.goal is not None and not any(map(part.goal.reached, part.ego.t, x, y, part.ego.yaw, part.ego.v)):
+    if part.goal is not None and not any(
+        map(part.goal.reached, part.ego.t, x, y, part.ego.yaw, part.ego.v)
+    ):
         part = replace(part, goal=None)
         notes.append("The goal of the whole log is beyond this part and is left out.")
     return replace(
-        part, name=f"{scenario.name}@{begin:.1f}s", metadata={**part.metadata, **origin}, tags=tags,
+        part,
+        name=f"{scenario.name}@{begin:.1f}s",
+        metadata={**part.metadata, **origin},
+        tags=tags,
         notes=(*part.notes, *notes),
-    )  # fmt: skip
+    )

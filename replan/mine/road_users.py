@@ -69,7 +69,11 @@ def _changes(flags: BoolArray, one: Neighbour, before: int, after: int) -> Itera
 def _near_ahead(log: DrivenLog, one: Neighbour, j: int) -> bool:
     """Whether a road user is near enough ahead of the moving ego that its change of lane concerns the ego."""
     gap, v = float(log.gap_to(one)[j]), float(log.ego.v[one.k[j]])
-    return 0.0 < gap <= max(HEADWAY_S * v, HEADWAY_M) and v > MOVES_MPS and float(one.speed[j]) > MOVES_MPS
+    return (
+        0.0 < gap <= max(HEADWAY_S * v, HEADWAY_M)
+        and v > MOVES_MPS
+        and float(one.speed[j]) > MOVES_MPS
+    )
 
 
 def _moved_aside(one: Neighbour, j: int) -> bool:
@@ -81,7 +85,9 @@ def _moved_aside(one: Neighbour, j: int) -> bool:
     yaw = np.unwrap(one.pose[2, low : high + 1])
     dx, dy = one.pose[0, high] - one.pose[0, low], one.pose[1, high] - one.pose[1, low]
     aside = abs(dy * np.cos(yaw[0]) - dx * np.sin(yaw[0]))
-    return bool(abs(one.l[high] - one.l[low]) > 0.5 and (aside > 0.5 or abs(yaw[-1] - yaw[0]) > 0.1))
+    return bool(
+        abs(one.l[high] - one.l[low]) > 0.5 and (aside > 0.5 or abs(yaw[-1] - yaw[0]) > 0.1)
+    )
 
 
 def _cut_in(log: DrivenLog) -> Iterator[Event]:
@@ -144,7 +150,9 @@ def _standing_queue(log: DrivenLog) -> Iterator[Event]:
         ahead = (gap > 0.0) & (gap < QUEUE_AHEAD_M) & (one.speed < QUEUE_MPS)
         for j in np.flatnonzero(ahead & one.reaches_into(log.half) & (one.along > ALONG)).tolist():
             rear = float(one.s[j] - one.half_s[j])
-            standing.setdefault(int(one.k[j]), []).append((rear, rear + 2.0 * float(one.half_s[j]), one.id))
+            standing.setdefault(int(one.k[j]), []).append(
+                (rear, rear + 2.0 * float(one.half_s[j]), one.id)
+            )
     members: list[tuple[str, ...]] = [()] * len(log.t)
     for k, row in standing.items():
         row.sort()
@@ -162,8 +170,15 @@ def _oncoming(log: DrivenLog) -> Iterator[Event]:
         if one.kind in (AgentKind.PEDESTRIAN, AgentKind.OBJECT):
             continue
         gap = log.gap_to(one)
-        coming = (one.along < -HEAD_ON) & (one.speed > MOVES_MPS) & (gap > 0.0) & (gap < ONCOMING_AHEAD_M)
-        for first, last in runs(coming & one.reaches_into(log.half), one.k, steps(ONCOMING_S), steps(HOLE_S)):
+        coming = (
+            (one.along < -HEAD_ON)
+            & (one.speed > MOVES_MPS)
+            & (gap > 0.0)
+            & (gap < ONCOMING_AHEAD_M)
+        )
+        for first, last in runs(
+            coming & one.reaches_into(log.half), one.k, steps(ONCOMING_S), steps(HOLE_S)
+        ):
             yield log.event(one, first, last, gap[first : last + 1].min())
 
 
@@ -175,9 +190,14 @@ def _cyclist_along(log: DrivenLog) -> Iterator[Event]:
         beside = np.abs(one.l) - one.half_l - log.half < CYCLIST_BESIDE_M
         near = (gap > -log.car.length) & (gap < CYCLIST_AHEAD_M) & beside
         for first, last in runs(
-            near & (one.along > ALONG) & (one.speed > MOVES_MPS), one.k, steps(CYCLIST_S), steps(HOLE_S)
+            near & (one.along > ALONG) & (one.speed > MOVES_MPS),
+            one.k,
+            steps(CYCLIST_S),
+            steps(HOLE_S),
         ):
-            yield log.event(one, first, last, (np.abs(one.l) - one.half_l - log.half)[first : last + 1].min())
+            yield log.event(
+                one, first, last, (np.abs(one.l) - one.half_l - log.half)[first : last + 1].min()
+            )
 
 
 def _close_pass(log: DrivenLog) -> Iterator[Event]:
@@ -187,7 +207,8 @@ def _close_pass(log: DrivenLog) -> Iterator[Event]:
         beside = (one.s + one.half_s > log.back[one.k]) & (one.s - one.half_s < log.front[one.k])
         along = np.abs(one.along) > ALONG
         if one.kind in (AgentKind.PEDESTRIAN, AgentKind.OBJECT):
-            along = np.ones(len(one.k), np.bool_)  # the heading of a pedestrian or object is not meaningful
+            # The heading of a pedestrian or object is not meaningful
+            along = np.ones(len(one.k), np.bool_)
             along &= one.speed < MOVES_MPS if one.kind is AgentKind.OBJECT else one.speed < 3.0
         passed = beside & along & (room < bound) & (room >= 0.0) & (log.ego.v[one.k] > PASS_MPS)
         for first, last in runs(passed, one.k, hole=steps(HOLE_S)):
@@ -205,24 +226,34 @@ def _crossing(
     for one in log.neighbours:
         if one.kind is not who:
             continue
-        for first, last in runs(one.reaches_into(log.half), one.k):  # the road user is in the band ahead of the ego
+        # The road user is in the band ahead of the ego
+        for first, last in runs(one.reaches_into(log.half), one.k):
             low, high = max(first - steps(1.0), 0), min(last + steps(1.0), len(one.k) - 1)
             aside = abs(float(one.l[high] - one.l[low]))
             walked = aside > max(log.half, WALKS_MPS * 0.1 * (high - low))
-            if who is not AgentKind.PEDESTRIAN:  # who rides along the path, and swerves, does not cross it
+            # Who rides along the path, and swerves, does not cross it
+            if who is not AgentKind.PEDESTRIAN:
                 walked &= float(np.median(np.abs(one.along[low : high + 1]))) < ALONG
-            comes = log.reached(one.s[first : last + 1] - one.half_s[first : last + 1]) - log.t[one.k[first : last + 1]]
+            comes = (
+                log.reached(one.s[first : last + 1] - one.half_s[first : last + 1])
+                - log.t[one.k[first : last + 1]]
+            )
             gap = log.gap_to(one)[first : last + 1]
             waits = log.ego.v[one.k[first : last + 1]] < WAITS_MPS
-            concerns = (np.abs(comes) <= CROSSING_S) | ((gap > 0.0) & (gap < CROSSING_AHEAD_M) & waits)
+            concerns = (np.abs(comes) <= CROSSING_S) | (
+                (gap > 0.0) & (gap < CROSSING_AHEAD_M) & waits
+            )
             if not (walked and (gap > 0.0).any() and concerns.any()):
                 continue
-            on = np.zeros(last - first + 1, np.bool_)  # a crosswalk, or within `BESIDE_CROSSWALK_M` of one
+            # A crosswalk, or within `BESIDE_CROSSWALK_M` of one
+            on = np.zeros(last - first + 1, np.bool_)
             x, y = one.pose[0, first : last + 1], one.pose[1, first : last + 1]
             for crosswalk in log.scenario.road.crosswalks if off_crosswalks else ():
                 center = crosswalk.polygon.mean(axis=0)
                 away = np.hypot(*(crosswalk.polygon - center).T)[:, None]
-                wider = center + (crosswalk.polygon - center) * (1.0 + BESIDE_CROSSWALK_M / np.maximum(away, 1.0))
+                wider = center + (crosswalk.polygon - center) * (
+                    1.0 + BESIDE_CROSSWALK_M / np.maximum(away, 1.0)
+                )
                 on |= points_inside(wider, x, y)
             if 2 * on.sum() < len(on):
                 found.append(log.event(one, first, last, max(float(gap.min()), 0.0)))
@@ -232,67 +263,101 @@ def _crossing(
 _NEAR = f"within {HEADWAY_S:g} s or {HEADWAY_M:g} m"
 ROAD_USERS = (
     EventKind(
-        "cut_in", _cut_in,
+        "cut_in",
+        _cut_in,
         f"A vehicle or cyclist that moves along the ego's path comes sideways into the ego's band ahead of it, {_NEAR},"
         f" after {AROUND_S:g} s outside, and stays for {AROUND_S:g} s. From then, for {AROUND_S:g} s.",
-        "gap when it comes in", "m", "UN R157 (cutting-in vehicle); Waymo's scenario tags (cut-ins)",
+        "gap when it comes in",
+        "m",
+        "UN R157 (cutting-in vehicle); Waymo's scenario tags (cut-ins)",
     ),
     EventKind(
-        "cut_out", _cut_out,
+        "cut_out",
+        _cut_out,
         f"The lead, {_NEAR} ahead, leaves the band sideways after {AROUND_S:g} s in it, and stays out for"
         f" {AROUND_S:g} s. From {AROUND_S:g} s before it is out.",
-        "gap when it is out", "m", "UN R157 (cut-out)",
+        "gap when it is out",
+        "m",
+        "UN R157 (cut-out)",
     ),
     EventKind(
-        "lead_braking", _lead_braking,
+        "lead_braking",
+        _lead_braking,
         f"The lead, within {LEAD_S:g} s or {LEAD_M:g} m, brakes with {BRAKES_MPS2:g} m/s2 or more for {BRAKES_S} s.",
-        "its least acceleration", "m/s2", "UN R157 (braking lead); the bound is ours", JUMPS,
+        "its least acceleration",
+        "m/s2",
+        "UN R157 (braking lead); the bound is ours",
+        JUMPS,
     ),
     EventKind(
-        "ego_slows", _ego_slows,
+        "ego_slows",
+        _ego_slows,
         f"The ego slows down by {SLOWED_MPS:g} m/s and {SLOWED:.0%} or more, with {SLOWS_MPS2:g} m/s2 for"
         f" {SLOWS_S:g} s, behind a lead within {LEAD_S:g} s or {LEAD_M:g} m for most of it.",
-        "decrease of its speed", "m/s", "",
+        "decrease of its speed",
+        "m/s",
+        "",
     ),
     EventKind(
-        "standing_queue", _standing_queue,
+        "standing_queue",
+        _standing_queue,
         f"{QUEUE} vehicles or more stand (below {QUEUE_MPS} m/s) one behind the other in the band, less than"
         f" {QUEUE_GAP_M:g} m apart, the first within {QUEUE_AHEAD_M:g} m ahead, for {QUEUE_S:g} s.",
-        "how many", "1", "",
+        "how many",
+        "1",
+        "",
     ),
     EventKind(
-        "oncoming", _oncoming,
+        "oncoming",
+        _oncoming,
         f"A vehicle or cyclist comes towards the ego in its band, heading within 20 degrees of the opposite direction,"
         f" less than {ONCOMING_AHEAD_M:g} m ahead, for {ONCOMING_S:g} s.",
-        "least gap", "m", "",
+        "least gap",
+        "m",
+        "",
     ),
     EventKind(
-        "cyclist_along", _cyclist_along,
+        "cyclist_along",
+        _cyclist_along,
         f"A cyclist rides in the ego's direction, beside it or up to {CYCLIST_AHEAD_M:g} m ahead, less than"
         f" {CYCLIST_BESIDE_M:g} m beside the band, for {CYCLIST_S:g} s.",
-        "least room to the side", "m", "nuPlan's scenario tags (behind_bike); Waymo's (cyclists)",
+        "least room to the side",
+        "m",
+        "nuPlan's scenario tags (behind_bike); Waymo's (cyclists)",
     ),
     EventKind(
-        "close_pass", _close_pass,
+        "close_pass",
+        _close_pass,
         f"The ego passes, faster than {PASS_MPS:g} m/s, with less than {PASS_M} m of room to the side, or less than"
         f" {PASS_VULNERABLE_M} m to a pedestrian or rider.",
-        "least room", "m", "StVO 5 (4): 1.5 m in towns beside pedestrians and cyclists; 0.5 m is ours",
+        "least room",
+        "m",
+        "StVO 5 (4): 1.5 m in towns beside pedestrians and cyclists; 0.5 m is ours",
     ),
     EventKind(
-        "pedestrian_crossing", _crossing,
+        "pedestrian_crossing",
+        _crossing,
         f"A pedestrian walks into the band ahead of the ego, which comes there within {CROSSING_S:g} s, or waits"
         f" (below {WAITS_MPS:g} m/s) less than {CROSSING_AHEAD_M:g} m before it. While they are in the band.",
-        "least gap", "m", "nuPlan's scenario tags (near_pedestrian_on_crosswalk, waiting_for_pedestrian_to_cross)",
+        "least gap",
+        "m",
+        "nuPlan's scenario tags (near_pedestrian_on_crosswalk, waiting_for_pedestrian_to_cross)",
     ),
     EventKind(
-        "cyclist_crossing", partial(_crossing, who=AgentKind.BICYCLE),
+        "cyclist_crossing",
+        partial(_crossing, who=AgentKind.BICYCLE),
         "The same of a cyclist, who moves across the ego's path, by 45 degrees or more.",
-        "least gap", "m", "",
+        "least gap",
+        "m",
+        "",
     ),
     EventKind(
-        "jaywalking", partial(_crossing, off_crosswalks=True),
+        "jaywalking",
+        partial(_crossing, off_crosswalks=True),
         f"A pedestrian crossing with the pedestrian more than {BESIDE_CROSSWALK_M:g} m from any crosswalk for most of"
         " it; asked where the map has crosswalks.",
-        "least gap", "m", "RefAV (Argoverse 2 scenario mining: jaywalking)",
+        "least gap",
+        "m",
+        "RefAV (Argoverse 2 scenario mining: jaywalking)",
     ),
-)  # fmt: skip
+)

@@ -41,14 +41,21 @@ from replan.replay.vehicle.plan_path import PlanPath
 STEP_M = 0.5
 BEFORE_M, AFTER_M = 60.0, 60.0
 JERK_WEIGHT = 100.0
-SPARE_M = 0.1  # Space between the path and the cones: the body does not point along the path where the tyres slip
+# Space between the path and the cones: the body does not point along the path where the tyres slip
+SPARE_M = 0.1
 
 
-def cones_hit(places: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, car: VehicleParameters) -> int:
+def cones_hit(
+    places: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, car: VehicleParameters
+) -> int:
     """The number of cones that the vehicle's box touched, from the states of its rear axle `(m,)`."""
     dx, dy = places[:, 0, None] - x, places[:, 1, None] - y
     along, left = dx * np.cos(yaw) + dy * np.sin(yaw), dy * np.cos(yaw) - dx * np.sin(yaw)
-    inside = (along >= -car.rear_overhang) & (along <= car.axle_to_front) & (np.abs(left) <= 0.5 * car.width)
+    inside = (
+        (along >= -car.rear_overhang)
+        & (along <= car.axle_to_front)
+        & (np.abs(left) <= 0.5 * car.width)
+    )
     return int(inside.any(axis=1).sum())
 
 
@@ -65,7 +72,9 @@ def cone_path(sections: tuple[iso3888.ConeLane, ...], car: VehicleParameters) ->
     rows, lower, upper = [], [], []
     for d in np.linspace(-car.rear_overhang, car.axle_to_front, 6):
         for section in sections:
-            for i in np.flatnonzero((x + d >= section.begin - STEP_M) & (x + d <= section.end + STEP_M)):
+            for i in np.flatnonzero(
+                (x + d >= section.begin - STEP_M) & (x + d <= section.end + STEP_M)
+            ):
                 rows.append((i, d))
                 room = 0.5 * (section.width - car.width) - SPARE_M
                 lower.append(section.offset - room)
@@ -75,10 +84,14 @@ def cone_path(sections: tuple[iso3888.ConeLane, ...], car: VehicleParameters) ->
     ends = sparse.vstack([eye[:4], eye[-4:]])
     A = sparse.vstack([ends, eye[index] + sparse.diags(ahead) @ slope.tocsr()[index]]).tocsc()
     zero = np.zeros(8)
-    program = QuadraticProgram("iso3888", sparse.csc_matrix(P), A, equalities=8, config=QPConfig(tolerance=1e-3))
+    program = QuadraticProgram(
+        "iso3888", sparse.csc_matrix(P), A, equalities=8, config=QPConfig(tolerance=1e-3)
+    )
     result = program.solve(np.zeros(n), np.r_[zero, lower], np.r_[zero, upper], fresh=True)
     if not result.report.solved:
-        raise ConfigError(f"no path between the cones for a vehicle {car.width} m wide: {result.report.status}")
+        raise ConfigError(
+            f"no path between the cones for a vehicle {car.width} m wide: {result.report.status}"
+        )
     return np.column_stack([x, result.x])
 
 
@@ -89,7 +102,9 @@ def _differences(n: int, order: int) -> FloatArray:
 
 PERIOD_S = 0.01
 SAMPLE_S = 0.1
-JERK_OVER = 10  # Number of control periods over which the jerk is averaged, because gear shifts and pedals are steps
+# Number of control periods over which the jerk is averaged, because gear shifts and pedals are
+# steps
+JERK_OVER = 10
 ALAT_MPS2 = 3.0
 LOST_M = 5.0
 FASTEST_KMH = 90
@@ -103,13 +118,16 @@ class Manoeuvre:
 
     name: str
     reference: Trajectory
-    cones: FloatArray = field(default_factory=lambda: np.empty((0, 2)))  # Places `(n, 2)` that must not be touched, m
+    # Places `(n, 2)` that must not be touched, m
+    cones: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
     # Plant parameters that are hidden from the controller, such as the road's friction
     plant: PlantTable = field(default_factory=dict)
 
 
 def along_curvature(
-    kappa: Callable[[FloatArray], FloatArray], v: Callable[[FloatArray], FloatArray], duration: float
+    kappa: Callable[[FloatArray], FloatArray],
+    v: Callable[[FloatArray], FloatArray],
+    duration: float,
 ) -> Trajectory:
     """The drive from the origin with curvature `kappa(station)` and speed `v(time)`, integrated finely."""
     fine = 100
@@ -120,13 +138,17 @@ def along_curvature(
     yaw = np.r_[0.0, np.cumsum(0.5 * np.diff(s) * (bend[1:] + bend[:-1]))]
     mean = 0.5 * (yaw[1:] + yaw[:-1])
     x, y = (np.r_[0.0, np.cumsum(np.diff(s) * turn(mean))] for turn in (np.cos, np.sin))
-    return Trajectory(*(column[::fine] for column in (t, x, y, yaw, speed, np.gradient(speed, t), bend)))
+    return Trajectory(
+        *(column[::fine] for column in (t, x, y, yaw, speed, np.gradient(speed, t), bend))
+    )
 
 
 def along_arcs(stations: FloatArray, kappa: FloatArray, v: float, after: float) -> Trajectory:
     """The drive at `v` m/s with curvatures `(n,)`, linear between stations `(n,)`, until `after` m behind the last."""
     return along_curvature(
-        lambda s: np.interp(s, stations, kappa), lambda t: np.full_like(t, v), round((stations[-1] + after) / v, 1)
+        lambda s: np.interp(s, stations, kappa),
+        lambda t: np.full_like(t, v),
+        round((stations[-1] + after) / v, 1),
     )
 
 
@@ -135,7 +157,9 @@ def along_points(points: FloatArray, speed: float, slowing: float, ahead: float)
     spline = make_interp_spline(points[:, 0], points[:, 1], k=5)
     x = np.linspace(points[0, 0], points[-1, 0], 20 * len(points))
     slope, bend = spline(x, 1), spline(x, 2)
-    s = np.r_[0.0, np.cumsum(0.5 * np.diff(x) * (np.hypot(1.0, slope)[1:] + np.hypot(1.0, slope)[:-1]))]
+    s = np.r_[
+        0.0, np.cumsum(0.5 * np.diff(x) * (np.hypot(1.0, slope)[1:] + np.hypot(1.0, slope)[:-1]))
+    ]
     kappa = bend / np.hypot(1.0, slope) ** 3
     length, since = s[-1] - 1.0, ahead / speed
     t = np.arange(int(3600.0 / SAMPLE_S)) * SAMPLE_S
@@ -170,7 +194,10 @@ def stop_and_start(v: float) -> Manoeuvre:
         down, up = np.clip((t - 2.0) / 6.0, 0.0, 1.0), np.clip((t - 11.0) / 8.0, 0.0, 1.0)
         return 0.5 * v * (1.0 + np.cos(pi * down)) + 0.5 * v * (1.0 - np.cos(pi * up))
 
-    return Manoeuvre("stop_and_start", along_curvature(lambda s: np.interp(s, [10.0, 30.0], [0.0, 0.01]), speed, 21.0))
+    return Manoeuvre(
+        "stop_and_start",
+        along_curvature(lambda s: np.interp(s, [10.0, 30.0], [0.0, 0.01]), speed, 21.0),
+    )
 
 
 def double_lane_change(car: VehicleParameters, kmh: float = 80.0) -> Manoeuvre:
@@ -199,7 +226,9 @@ def road(seed: int) -> Manoeuvre:
         at, bend = [*at, s, s_on], [*bend, bend[-1], kappa]
         s = s_on + rng.uniform(0.5, 3.0) * v
     reference = along_curvature(
-        lambda x: np.interp(x, at, bend), lambda t: v * (1.0 + swing * np.sin(2.0 * pi * t / 10.0)), 15.0
+        lambda x: np.interp(x, at, bend),
+        lambda t: v * (1.0 + swing * np.sin(2.0 * pi * t / 10.0)),
+        15.0,
     )
     return Manoeuvre(f"road_{seed}", reference)
 
@@ -220,7 +249,8 @@ def manoeuvres(car: VehicleParameters) -> tuple[Manoeuvre, ...]:
 class FollowedManoeuvre:
     """A followed manoeuvre, one row per control period."""
 
-    columns: Mapping[str, FloatArray]  # t, x, y, yaw, lateral, heading, speed, station error, a, wheel angle
+    # t, x, y, yaw, lateral, heading, speed, station error, a, wheel angle
+    columns: Mapping[str, FloatArray]
     notes: tuple[str, ...]
 
 
@@ -241,7 +271,11 @@ def follow(
     start = manoeuvre.reference.state(0)
     model = Part(VEHICLE, vehicle)
     if vehicle == "kinematic_bicycle":
-        table = {key: value for key, value in table.items() if key not in ("tyre_stiffness", "tyre_friction")}
+        table = {
+            key: value
+            for key, value in table.items()
+            if key not in ("tyre_stiffness", "tyre_friction")
+        }
     ego, believed = build_vehicle(model, car, start, table), build_vehicle(model, car, start, {})
     driver = controller_of(believed, car, Part(CONTROLLER, controller), PERIOD_S)
     plan, path, rows = Plan(manoeuvre.reference), PlanPath.of(manoeuvre.reference), []
@@ -258,7 +292,9 @@ def follow(
     return FollowedManoeuvre(columns, driver.notes)
 
 
-def judged(driven: Sequence[FollowedManoeuvre], manoeuvre: Manoeuvre, car: VehicleParameters) -> dict[str, float]:
+def judged(
+    driven: Sequence[FollowedManoeuvre], manoeuvre: Manoeuvre, car: VehicleParameters
+) -> dict[str, float]:
     """One row of the table: root mean squares over all samples, maxima of the worst drive."""
 
     def joined(name: str) -> FloatArray:
@@ -277,7 +313,9 @@ def judged(driven: Sequence[FollowedManoeuvre], manoeuvre: Manoeuvre, car: Vehic
         "station_max_m": float(np.abs(joined("station")).max()),
         "steer_rate_max_radps": steepest("steer", 1),
         "jerk_max_mps3": steepest("a", JERK_OVER),
-        "cones_hit": float(cones_hit(manoeuvre.cones, x, y, yaw, car)) if len(manoeuvre.cones) else float("nan"),
+        "cones_hit": float(cones_hit(manoeuvre.cones, x, y, yaw, car))
+        if len(manoeuvre.cones)
+        else float("nan"),
         "lost": float(sum(bool(np.abs(one.columns["lateral"]).max() > LOST_M) for one in driven)),
         "fell_back": float(sum(bool(one.notes) for one in driven)),
     }
@@ -301,16 +339,31 @@ def compare(
 ) -> pd.DataFrame:
     """The table: a row per vehicle model, variant, manoeuvre and controller."""
     rows = []
-    cases: dict[str, tuple[Mapping[str, float], int]] = {"nominal": ({}, 0)} | (VARIANTS if robustness else {})
-    groups = [[one] for one in manoeuvres(car)] + ([[road(seed) for seed in range(roads)]] if roads else [])
+    cases: dict[str, tuple[Mapping[str, float], int]] = {"nominal": ({}, 0)} | (
+        VARIANTS if robustness else {}
+    )
+    groups = [[one] for one in manoeuvres(car)] + (
+        [[road(seed) for seed in range(roads)]] if roads else []
+    )
     for vehicle in vehicles:
         for variant, (factors, delay) in cases.items():
-            plant = {key: factor * (car.mass if key == "mass" else 1.0) for key, factor in factors.items()}
+            plant = {
+                key: factor * (car.mass if key == "mass" else 1.0)
+                for key, factor in factors.items()
+            }
             for group in groups:
                 name = group[0].name if len(group) == 1 else f"{len(group)} roads"
                 for controller in controllers:
-                    driven = [follow(one, controller, vehicle, car, plant=plant, delay_steps=delay) for one in group]
-                    row = {"vehicle": vehicle, "variant": variant, "manoeuvre": name, "controller": controller}
+                    driven = [
+                        follow(one, controller, vehicle, car, plant=plant, delay_steps=delay)
+                        for one in group
+                    ]
+                    row = {
+                        "vehicle": vehicle,
+                        "variant": variant,
+                        "manoeuvre": name,
+                        "controller": controller,
+                    }
                     rows.append(row | judged(driven, group[0], car))
     return pd.DataFrame(rows)
 
@@ -330,21 +383,31 @@ def fastest_clean(controller: str, vehicle: str, car: VehicleParameters) -> floa
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(prog="python -m replan.paper.manoeuvres", description="Compare controllers.")
+    parser = argparse.ArgumentParser(
+        prog="python -m replan.paper.manoeuvres", description="Compare controllers."
+    )
     parser.add_argument("--vehicle", action="append", choices=list(VEHICLE.builtin))
     parser.add_argument("--controller", action="append", choices=list(CONTROLLER.builtin))
-    parser.add_argument("--car", choices=vehicle_names(), help="parameters of logs/vehicles; else the default car")
+    parser.add_argument(
+        "--car", choices=vehicle_names(), help="parameters of logs/vehicles; else the default car"
+    )
     parser.add_argument("--roads", type=int, default=50)
     parser.add_argument("--robustness", action="store_true")
-    parser.add_argument("--entry-speed", action="store_true", help="of ISO 3888-2 without a cone hit")
+    parser.add_argument(
+        "--entry-speed", action="store_true", help="of ISO 3888-2 without a cone hit"
+    )
     parser.add_argument("--csv", type=Path)
     chosen = parser.parse_args(arguments)
     vehicles, controllers = chosen.vehicle or MODELS, chosen.controller or list(CONTROLLER.builtin)
     car = vehicle_parameters(chosen.car) if chosen.car else DEFAULT_CAR
-    table = compare(vehicles, controllers, roads=chosen.roads, robustness=chosen.robustness, car=car)
+    table = compare(
+        vehicles, controllers, roads=chosen.roads, robustness=chosen.robustness, car=car
+    )
     if chosen.csv:
         table.to_csv(chosen.csv, index=False)
-    with pd.option_context("display.width", 220, "display.max_rows", None, "display.max_columns", None):
+    with pd.option_context(
+        "display.width", 220, "display.max_rows", None, "display.max_columns", None
+    ):
         print(table.round(4).to_string(index=False))  # noqa: T201
     if chosen.entry_speed:
         for vehicle in vehicles:

@@ -68,7 +68,11 @@ class GridCrossing:
         nominal = crossing_pedestrian.parameters
         middle = (HALF_LANE + nominal["kerb_distance_m"]) / self.walker_mps + 0.5 * WALK_RAMP_S
         v = self.ego_kmh / 3.6
-        return {"ego_speed_mps": v, "pedestrian_speed_mps": self.walker_mps, "distance_m": v * (middle - self.late_s)}
+        return {
+            "ego_speed_mps": v,
+            "pedestrian_speed_mps": self.walker_mps,
+            "distance_m": v * (middle - self.late_s),
+        }
 
 
 CELLS = tuple(GridCrossing(*one) for one in product(EGO_KMH, WALKER_MPS, LATE_S))
@@ -77,8 +81,12 @@ CELLS = tuple(GridCrossing(*one) for one in product(EGO_KMH, WALKER_MPS, LATE_S)
 def crossing(cell: GridCrossing) -> Scenario:
     """The scenario of a cell; its log holds the first ego state only."""
     scenario = crossing_pedestrian.build({**crossing_pedestrian.parameters, **cell.parameters})
-    name = f"{crossing_pedestrian.name}@{cell.ego_kmh:g}kmh,{cell.walker_mps:g}mps,{cell.late_s:+g}s"
-    return replace(scenario, name=name, ego=scenario.ego.between(0.0, 0.0), tags=("synthetic", "pedestrian"))
+    name = (
+        f"{crossing_pedestrian.name}@{cell.ego_kmh:g}kmh,{cell.walker_mps:g}mps,{cell.late_s:+g}s"
+    )
+    return replace(
+        scenario, name=name, ego=scenario.ego.between(0.0, 0.0), tags=("synthetic", "pedestrian")
+    )
 
 
 def walker_within(scenario: Scenario, margin: float) -> tuple[float, float]:
@@ -120,7 +128,9 @@ def avoidable(cell: GridCrossing) -> Avoidable:
     begin = walk + REACTION_S + car.brake_delay + car.brake_lag
     gap = v * walk + cell.parameters["distance_m"] - 0.5 * ADULT[1]
     keeping = v * t_out <= gap or v * t_in - gap >= car.length + ADULT[1]
-    way = [v * begin + float(braked(t_out - begin, v, limits)) for limits in (qp.comfort, qp.emergency)]
+    way = [
+        v * begin + float(braked(t_out - begin, v, limits)) for limits in (qp.comfort, qp.emergency)
+    ]
     return Avoidable(keeping, *(one <= gap for one in way))
 
 
@@ -149,7 +159,9 @@ def braking_for_walker(trace: Trace, scenario: Scenario) -> tuple[float, list[tu
 
 def first_reason(trace: Trace) -> str:
     """When the planner first gave a reason for a plan, and the reason; empty if it never did."""
-    return next((f"{frame.t:.1f} s: {frame.plan.reason}" for frame in trace.frames if frame.plan.reason), "")
+    return next(
+        (f"{frame.t:.1f} s: {frame.plan.reason}" for frame in trace.frames if frame.plan.reason), ""
+    )
 
 
 def measured(cell: GridCrossing) -> dict[str, object]:
@@ -157,7 +169,9 @@ def measured(cell: GridCrossing) -> dict[str, object]:
     scenario = crossing(cell)
     trace = run_closed_loop(scenario, PLANNER, config=LOOP).trace
     names = ("gap", "lon_jerk_state", "lon_accel", "fallback", "pedals_together")
-    table = evaluate(trace, scenario, metrics={name: METRICS[name] for name in names}).set_index("metric")["value"]
+    table = evaluate(trace, scenario, metrics={name: METRICS[name] for name in names}).set_index(
+        "metric"
+    )["value"]
     clear, before = braking_for_walker(trace, scenario)
     begin, end = (before[0][0], before[-1][1]) if before else (np.nan, np.nan)
     contact, can = trace.end in (EndReason.COLLISION, EndReason.REPLAY_CONTACT), avoidable(cell)
@@ -211,14 +225,21 @@ def verdict(can: Avoidable, *, contact: bool, released: float, jerk: float) -> s
 
 
 def grid(
-    cells: tuple[GridCrossing, ...] = CELLS, *, workers: int = 0, on_cell: Callable[[int], None] = lambda done: None
+    cells: tuple[GridCrossing, ...] = CELLS,
+    *,
+    workers: int = 0,
+    on_cell: Callable[[int], None] = lambda done: None,
 ) -> pd.DataFrame:
     """The table, a row per cell in their order; the same whatever the number of `workers` (0: in this process).
 
     PlannerError if a worker died.
     """
     rows: dict[int, dict[str, object]] = {}
-    found = run_all(measured, cells, workers) if workers else ((i, measured(cell)) for i, cell in enumerate(cells))
+    found = (
+        run_all(measured, cells, workers)
+        if workers
+        else ((i, measured(cell)) for i, cell in enumerate(cells))
+    )
     for index, row in found:
         if isinstance(row, WorkerLost):
             raise PlannerError(f"{crossing(cells[index]).name}: {row.reason}")

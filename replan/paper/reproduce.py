@@ -41,7 +41,14 @@ from replan.logs.states import EgoState
 from replan.logs.trace import PlannedFrame, Trace
 from replan.metrics import METRICS, evaluate, evaluate_with_series
 from replan.paper.manoeuvres import compare
-from replan.paper.pedestrian_grid import CELLS, LOOP, PLANNER, GridCrossing, braking_for_walker, grid
+from replan.paper.pedestrian_grid import (
+    CELLS,
+    LOOP,
+    PLANNER,
+    GridCrossing,
+    braking_for_walker,
+    grid,
+)
 from replan.replay.drive import Drive
 from replan.replay.loop.closed_loop import run_closed_loop
 from replan.replay.parts import CONTROLLER, VEHICLE
@@ -52,19 +59,25 @@ WIDTH_PX, CURVE_PX = 800.0, 190.0
 AROUND_M = 10.0
 
 
-def path_figure(traces: Sequence[tuple[str, Trace]], planned: FloatArray, scenario: Scenario) -> Chart:
+def path_figure(
+    traces: Sequence[tuple[str, Trace]], planned: FloatArray, scenario: Scenario
+) -> Chart:
     """Fig. 9: planned and driven path, and below them the lateral error over station, because the paths coincide.
 
     `traces`: controllers and drives; the path of the first drive and the errors of all drives are drawn. `planned`:
     points `(n, 2)` of the plans of the first drive.
     """
     name, first = traces[0]
-    x, y = ((float(v.min()) - AROUND_M, float(v.max()) + AROUND_M) for v in (first.ego.x, first.ego.y))
+    x, y = (
+        (float(v.min()) - AROUND_M, float(v.max()) + AROUND_M) for v in (first.ego.x, first.ego.y)
+    )
     high = (WIDTH_PX - LEFT_PX - RIGHT_PX) * (y[1] - y[0]) / (x[1] - x[0])
     plane = Plane(x, y, WIDTH_PX, 0.0)
     plane = replace(plane, height=high - plane.inner[1])
     inside = drawn_road(View(plane, EgoState(0.0, 0.0, 0.0, 0.0, 0.0)), scenario)
-    inside += plane.line(planned[:, 0], planned[:, 1], "wide") + plane.line(first.ego.x, first.ego.y, "a")
+    inside += plane.line(planned[:, 0], planned[:, 1], "wide") + plane.line(
+        first.ego.x, first.ego.y, "a"
+    )
     entries = [("line", "wide", "planned"), ("line", "a", f"driven ({name})")]
     titles = dict[str, Any](entries=entries, x_title="x [m]", y_title="y [m]")
     drawn = [plane.chart("path", "Planned and driven path", inside, **titles)]
@@ -74,19 +87,29 @@ def path_figure(traces: Sequence[tuple[str, Trace]], planned: FloatArray, scenar
             station = arc_lengths(trace.ego.x, trace.ego.y)
             errors.append(Curve(label, label, station, 1e3 * trace.tracking.lateral))
     if errors:
-        panel = Panel("error", "Lateral error, driven minus planned, left positive [mm]", tuple(errors), 0.1)
+        panel = Panel(
+            "error", "Lateral error, driven minus planned, left positive [mm]", tuple(errors), 0.1
+        )
         far = max(float(curve.t[-1]) for curve in errors)
-        drawn.append(panel_chart(panel, (0.0, far), x_title="station driven [m]", size=(WIDTH_PX, CURVE_PX)))
-    return stacked(drawn, "path", "Planned and driven path", "Planned and driven path, and the lateral error")
+        drawn.append(
+            panel_chart(panel, (0.0, far), x_title="station driven [m]", size=(WIDTH_PX, CURVE_PX))
+        )
+    return stacked(
+        drawn, "path", "Planned and driven path", "Planned and driven path, and the lateral error"
+    )
 
 
-def st_figure(frames: Sequence[tuple[str, PlannedFrame]], trace: Trace, scenario: Scenario) -> Chart:
+def st_figure(
+    frames: Sequence[tuple[str, PlannedFrame]], trace: Trace, scenario: Scenario
+) -> Chart:
     """Fig. 10: a row per moment, the scene at the left, the S-T graph at the right."""
     drawn = list[Chart]()
     for word, frame in frames:
         seen = SceneSubject(Moment(frame.t, word), replace(trace, frames=(frame,)), scenario)
         drawn += [scene(seen, frame.t, word), plan_graph(seen, ST, "no S-T graph")]
-    return together(drawn, "The scene and the S-T graph of the plan", scenario.name, 2.0 * drawn[0].width + 16.0)
+    return together(
+        drawn, "The scene and the S-T graph of the plan", scenario.name, 2.0 * drawn[0].width + 16.0
+    )
 
 
 def pedals_figure(
@@ -101,17 +124,34 @@ def pedals_figure(
     if asked is None or done is None:
         raise ConfigError("the drive has no commands to draw")
     panels = [
-        Panel(name, f"{name.capitalize()} [0 to 1]",
-              (Curve("asked", "commanded", asked.t, getattr(asked, name)),
-               Curve("done", "actuated", done.t, getattr(done, name))), 0.05, floor=0.0)
+        Panel(
+            name,
+            f"{name.capitalize()} [0 to 1]",
+            (
+                Curve("asked", "commanded", asked.t, getattr(asked, name)),
+                Curve("done", "actuated", done.t, getattr(done, name)),
+            ),
+            0.05,
+            floor=0.0,
+        )
         for name in ("throttle", "brake")
-    ]  # fmt: skip
-    speed = Panel("speed", "Speed [m/s]; dashed: the walker has left the path",
-                  (Curve("ego", "ego", trace.ego.t, trace.ego.v),), 1.0, floor=0.0)  # fmt: skip
+    ]
+    speed = Panel(
+        "speed",
+        "Speed [m/s]; dashed: the walker has left the path",
+        (Curve("ego", "ego", trace.ego.t, trace.ego.v),),
+        1.0,
+        floor=0.0,
+    )
     shaded = [Span(begin, end, f"{end - begin:.1f} s", "braking") for begin, end in braking]
     size = WIDTH_PX, CURVE_PX
-    charts = [panel_chart(panel, limits, shaded, now=clear, size=size, kinds=KINDS) for panel in (*panels, speed)]
-    return stacked(charts, "pedals", "Throttle, brake and speed", "Throttle, brake and speed over time")
+    charts = [
+        panel_chart(panel, limits, shaded, now=clear, size=size, kinds=KINDS)
+        for panel in (*panels, speed)
+    ]
+    return stacked(
+        charts, "pedals", "Throttle, brake and speed", "Throttle, brake and speed over time"
+    )
 
 
 QUANTITIES = (
@@ -149,23 +189,36 @@ def grid_figure(table: pd.DataFrame) -> Chart:
                 if np.isfinite(value):
                     inside += plane.heat((i, i + 1.0), (j, j + 1.0), value, limits)
                 if row.verdict in MARKS:
-                    over += plane.words(i + 0.5, j + 0.5, MARKS[str(row.verdict)][0], "name mid title")
+                    over += plane.words(
+                        i + 0.5, j + 0.5, MARKS[str(row.verdict)][0], "name mid title"
+                    )
             axes = dict[str, Any](
-                x_title="walker comes later by [s]", y_title=f"ego {speed:g} km/h; walker [m/s]", over=over,
+                x_title="walker comes later by [s]",
+                y_title=f"ego {speed:g} km/h; walker [m/s]",
+                over=over,
                 x_ticks=[(i + 0.5, word) for i, word in enumerate(x)],
                 y_ticks=[(j + 0.5, word) for j, word in enumerate(y)],
-            )  # fmt: skip
+            )
             charts.append(plane.chart(column, f"{title}: 0 to {limits[1]:g}", inside, **axes))
     marks = ", ".join(f"{letter}: {word}" for letter, word in MARKS.values())
     wide = len(speeds) * (MAP_PX[0] + 16.0) - 16.0
-    return together(charts, "The pedestrian varied; darker: more, red: below 0, blank: no braking", marks, wide)
+    return together(
+        charts, "The pedestrian varied; darker: more, red: below 0, blank: no braking", marks, wide
+    )
 
 
 Say = Callable[[str], None]
 FILES = (
-    "fig09_path.png", "fig10_st.png", "fig12_pedals.png", "free_road.rrd", "crossing_pedestrian.rrd", "manoeuvres.csv",
-    "scenarios.csv", "pedestrian_grid.*", "paper.md",
-)  # fmt: skip
+    "fig09_path.png",
+    "fig10_st.png",
+    "fig12_pedals.png",
+    "free_road.rrd",
+    "crossing_pedestrian.rrd",
+    "manoeuvres.csv",
+    "scenarios.csv",
+    "pedestrian_grid.*",
+    "paper.md",
+)
 CONTENTS = FolderContents("paper", FILES, resumes=False)
 DIGITS = "%.6g"  # The format of numbers in the tables
 
@@ -212,7 +265,9 @@ def reproduce(out: Path, config: PaperConfig = DEFAULT, *, say: Say = lambda lin
     scenarios = scenario_table(config.vehicles)
     write_csv(out / "scenarios.csv", scenarios, float_format=DIGITS)
     say(f"controllers x manoeuvres, {config.roads} roads among them")
-    manoeuvres = compare([v for v in config.vehicles if v != "perfect"], list(CONTROLLER.builtin), roads=config.roads)
+    manoeuvres = compare(
+        [v for v in config.vehicles if v != "perfect"], list(CONTROLLER.builtin), roads=config.roads
+    )
     write_csv(out / "manoeuvres.csv", manoeuvres, float_format=DIGITS)
     say(f"the pedestrian varied: {len(config.cells)} drives")
 
@@ -230,7 +285,9 @@ def reproduce(out: Path, config: PaperConfig = DEFAULT, *, say: Say = lambda lin
 
 def drive(scenario: Scenario, vehicle: str, controller: str) -> Drive:
     """One closed loop of the paper's planner."""
-    return run_closed_loop(scenario, PLANNER, config=replace(LOOP, vehicle=vehicle, controller=controller))
+    return run_closed_loop(
+        scenario, PLANNER, config=replace(LOOP, vehicle=vehicle, controller=controller)
+    )
 
 
 def free_road(out: Path, vehicle: str) -> dict[str, str]:
@@ -240,7 +297,10 @@ def free_road(out: Path, vehicle: str) -> dict[str, str]:
     traces = [(name, one.trace) for name, one in drives.items()]
     path_figure(traces, planned_points(drives["mpc"].trace), scenario).save(out / "fig09_path.png")
     write_recording(
-        out / "free_road.rrd", drives["mpc"], scenario, *evaluate_with_series(drives["mpc"].trace, scenario)
+        out / "free_road.rrd",
+        drives["mpc"],
+        scenario,
+        *evaluate_with_series(drives["mpc"].trace, scenario),
     )
     facts = {}
     for name, trace in traces:
@@ -262,10 +322,15 @@ def crossing_pedestrian(out: Path, vehicle: str) -> dict[str, str]:
     clear, braking = braking_for_walker(trace, scenario)
     ends = (paper.crossing_pedestrian.parameters["walk_start_s"] - 2.0, clear + 8.0)
     pedals_figure(trace, braking, clear, ends).save(out / "fig12_pedals.png")
-    write_recording(out / "crossing_pedestrian.rrd", made, scenario, *evaluate_with_series(trace, scenario))
+    write_recording(
+        out / "crossing_pedestrian.rrd", made, scenario, *evaluate_with_series(trace, scenario)
+    )
     return {
         "path blocked in the S-T graph": f"from {moments[0][1].t:.1f} s until {moments[-1][1].t:.1f} s",
-        "braking": ", ".join(f"{begin:.2f} to {end:.2f} s ({end - begin:.2f} s)" for begin, end in braking) or "none",
+        "braking": ", ".join(
+            f"{begin:.2f} to {end:.2f} s ({end - begin:.2f} s)" for begin, end in braking
+        )
+        or "none",
         "the walker has left the path": f"{clear:.2f} s",
         "least speed": f"{trace.ego.v.min():.2f} m/s",
         "ended by": trace.end.value,
@@ -276,7 +341,10 @@ def planned_points(trace: Trace) -> FloatArray:
     """Positions `(n, 2)` of the rear axle by the plan in force at each time of the drive, m, without plan delay."""
     starts = np.array([frame.t for frame in trace.frames])
     owner = np.searchsorted(starts, trace.ego.t + 1e-9) - 1
-    points = [trace.frames[k].plan.trajectory.at(t) for k, t in zip(owner, trace.ego.t.tolist(), strict=True)]
+    points = [
+        trace.frames[k].plan.trajectory.at(t)
+        for k, t in zip(owner, trace.ego.t.tolist(), strict=True)
+    ]
     return np.array([(state.x, state.y) for state in points])
 
 
@@ -288,7 +356,9 @@ def blocked_moments(frames: Sequence[PlannedFrame]) -> list[tuple[str, PlannedFr
     graphs = [[one for one in frame.plan.internals if isinstance(one, StGraph)] for frame in frames]
     blocked = [i for i, some in enumerate(graphs) if any(graph.obstacles for graph in some)]
     if not blocked or blocked[-1] + 1 >= len(frames):
-        raise ConfigError("Fig. 10 needs a drive in which a road user blocks the path and leaves it")
+        raise ConfigError(
+            "Fig. 10 needs a drive in which a road user blocks the path and leaves it"
+        )
     chosen = (blocked[0], blocked[len(blocked) // 2], blocked[-1] + 1)
     words = ("first blocked", "in the middle", "free again")
     return [(word, frames[i]) for word, i in zip(words, chosen, strict=True)]
@@ -313,7 +383,12 @@ def scenario_table(vehicles: Sequence[str]) -> pd.DataFrame:
     """A row per vehicle model, scenario of the paper and controller; last the perfect vehicle, as the bound."""
     wanted = {name.partition(".")[0] for name in SCENARIO_COLUMNS.values()}
     metrics = {name: METRICS[name] for name in METRICS if name in wanted}
-    pairs = [(vehicle, name) for vehicle in vehicles if vehicle != "perfect" for name in CONTROLLER.builtin]
+    pairs = [
+        (vehicle, name)
+        for vehicle in vehicles
+        if vehicle != "perfect"
+        for name in CONTROLLER.builtin
+    ]
     rows: list[dict[str, object]] = []
     for family in paper.FAMILIES:
         scenario = family.scenario()
@@ -322,7 +397,10 @@ def scenario_table(vehicles: Sequence[str]) -> pd.DataFrame:
             values = evaluate(trace, scenario, metrics=metrics).set_index("metric")["value"]
             head = {"vehicle": vehicle, "scenario": scenario.name, "end": trace.end.value}
             head["controller"] = "none" if vehicle == "perfect" else controller
-            rows.append(head | {column: float(values[metric]) for column, metric in SCENARIO_COLUMNS.items()})
+            rows.append(
+                head
+                | {column: float(values[metric]) for column, metric in SCENARIO_COLUMNS.items()}
+            )
     table = pd.DataFrame(rows)[["vehicle", "scenario", "controller", "end", *SCENARIO_COLUMNS]]
     return table.assign(heading_max_deg=np.degrees(table["heading_max_deg"]))
 
@@ -331,16 +409,29 @@ def markdown(table: pd.DataFrame) -> str:
     """A table in Markdown; numbers have three digits; `-` is NaN."""
     lines = ["| " + " | ".join(table.columns) + " |", "|" + "---|" * len(table.columns)]
     for row in table.itertuples(index=False):
-        cells = (str(v) if not isinstance(v, float) else "-" if np.isnan(v) else f"{v:.3g}" for v in row)
+        cells = (
+            str(v) if not isinstance(v, float) else "-" if np.isnan(v) else f"{v:.3g}" for v in row
+        )
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines)
 
 
 FAILED_COLUMNS = (
-    "ego_kmh", "walker_mps", "late_s", "verdict", "contact_t_s", "contact_v_mps", "least_gap_m",
-    "brake_begin_s", "braking_s", "path_clear_s", "release_after_clear_s", "peak_decel_mps2", "peak_jerk_mps3",
+    "ego_kmh",
+    "walker_mps",
+    "late_s",
+    "verdict",
+    "contact_t_s",
+    "contact_v_mps",
+    "least_gap_m",
+    "brake_begin_s",
+    "braking_s",
+    "path_clear_s",
+    "release_after_clear_s",
+    "peak_decel_mps2",
+    "peak_jerk_mps3",
     "first_reason",
-)  # fmt: skip
+)
 """Columns of the page's table of the cells in which something failed."""
 
 
@@ -354,7 +445,9 @@ def _page(
     """The text of paper.md."""
     counts = cells["verdict"].value_counts(sort=False)
     bad = cells[~cells["verdict"].isin(["ok", "unavoidable"])]
-    lists = ["\n".join(f"- {key}: {value}" for key, value in facts.items()) for facts in (first, second)]
+    lists = [
+        "\n".join(f"- {key}: {value}" for key, value in facts.items()) for facts in (first, second)
+    ]
     return "\n\n".join(
         [
             "# The paper's experiments",
@@ -373,7 +466,9 @@ def _page(
             markdown(manoeuvres),
             "## The pedestrian varied",
             "![heat maps](pedestrian_grid.png)",
-            f"{len(cells)} drives: " + ", ".join(f"{count} {word}" for word, count in counts.items()) + ".",
+            f"{len(cells)} drives: "
+            + ", ".join(f"{count} {word}" for word, count in counts.items())
+            + ".",
             markdown(bad[list(FAILED_COLUMNS)]) if len(bad) else "Nothing failed.",
             "",
         ]

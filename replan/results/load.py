@@ -79,17 +79,33 @@ def stored(near: Near, kind: type[Run]) -> Run:
             hint = "it has mined logs: replan query reads them"
         elif (folder / "run.toml").is_file():
             hint = "it was interrupted: `--resume` finishes it"
-        raise ConfigError(f"{near.place}: no results of a finished run (no summary.json in it; {hint})")
+        raise ConfigError(
+            f"{near.place}: no results of a finished run (no summary.json in it; {hint})"
+        )
     summary, card = read_json(file, Summary)
-    names, drives = [log.log for log in card.logs], [drive for log in card.logs for drive in log.drives]
-    keys = {(log.log, drive.planner, drive.mode) for log in card.logs for drive in log.drives if log.log == drive.log}
+    names, drives = (
+        [log.log for log in card.logs],
+        [drive for log in card.logs for drive in log.drives],
+    )
+    keys = {
+        (log.log, drive.planner, drive.mode)
+        for log in card.logs
+        for drive in log.drives
+        if log.log == drive.log
+    }
     if len(set(names)) < len(names) or len(keys) < len(drives):
-        raise ConfigError(f"{file}: names a log or a drive twice, or a drive with the name of another log; {AGAIN}")
+        raise ConfigError(
+            f"{file}: names a log or a drive twice, or a drive with the name of another log; {AGAIN}"
+        )
     whole = {"logs": card.logs, "failures": card.failures}  # with defaults
     results = kind(folder, summary | msgspec.json.decode(msgspec.json.encode(whole)), near)
-    other = {drive.planner for drive in drives} - {*results.run.planners} | {drive.mode for drive in drives} - MODES
+    other = {drive.planner for drive in drives} - {*results.run.planners} | {
+        drive.mode for drive in drives
+    } - MODES
     if other:
-        raise ConfigError(f"{file}: has drives of {min(other)}, which the run in run.toml has not; {AGAIN}")
+        raise ConfigError(
+            f"{file}: has drives of {min(other)}, which the run in run.toml has not; {AGAIN}"
+        )
     return results
 
 
@@ -146,7 +162,9 @@ class StoredRun:
     @cached_property
     def gates(self) -> pd.DataFrame:
         """A row per gate, planner, mode and group: the outcome over all logs; `gate` is its rule as text."""
-        rows = [{"group": "", **verdict, "gate": verdict["rule"]} for verdict in self.summary["gates"]]
+        rows = [
+            {"group": "", **verdict, "gate": verdict["rule"]} for verdict in self.summary["gates"]
+        ]
         table = pd.DataFrame(rows, columns=names_of("gates"))
         return table.astype({"value": "float64", "time_s": "float64"})
 
@@ -159,7 +177,9 @@ class StoredRun:
     def labels(self) -> dict[str, LogLabels]:
         """Family, dataset and tags of each log that could be read."""
         logs = [log for log in self.summary["logs"] if log["sha256"]]
-        return {log["log"]: LogLabels(log["family"], log["dataset"], tuple(log["tags"])) for log in logs}
+        return {
+            log["log"]: LogLabels(log["family"], log["dataset"], tuple(log["tags"])) for log in logs
+        }
 
     @property
     def unread(self) -> tuple[str, ...]:
@@ -219,19 +239,29 @@ class StoredRun:
         if log not in set(table["log"]):
             raise unknown_name("log", log, list(dict.fromkeys(table["log"])))
         mine = table[table["log"] == log]
-        there = ", ".join(f"{p} ({m} loop)" for p, m in zip(mine["planner"], mine["mode"], strict=True))
-        what = "name a planner of" if len(found) else f"no {mode} loop of {planner or 'any planner'}; there are"
+        there = ", ".join(
+            f"{p} ({m} loop)" for p, m in zip(mine["planner"], mine["mode"], strict=True)
+        )
+        what = (
+            "name a planner of"
+            if len(found)
+            else f"no {mode} loop of {planner or 'any planner'}; there are"
+        )
         raise ConfigError(f"{self.path}: {log}: {what} {there}")
 
     def __repr__(self) -> str:
         counts = self.gates["outcome"].value_counts()
-        gates = ", ".join(f"{counts[name]} {name}" for name in ("fail", "inconclusive", "pass") if name in counts)
+        gates = ", ".join(
+            f"{counts[name]} {name}" for name in ("fail", "inconclusive", "pass") if name in counts
+        )
         return f"<{self.path}: {self.outcome}; {counted(len(self.drives), 'drive')}; gates: {gates or 'none'}>"
 
     def _repr_html_(self) -> str:
         """The results in a notebook: the gates that do not pass, else all."""
         rows = self.gates[self.gates["outcome"] != "pass"]
-        table = (rows if len(rows) else self.gates)[["outcome", "gate", "planner", "mode", "value", "log", "reason"]]
+        table = (rows if len(rows) else self.gates)[
+            ["outcome", "gate", "planner", "mode", "value", "log", "reason"]
+        ]
         return f"<p>{escape(repr(self))}</p>{table.to_html(index=False, na_rep='')}"
 
     def _table(self, name: str, words: Sequence[str] = ()) -> pd.DataFrame:
@@ -300,7 +330,10 @@ class StoredDrive:
         of = metric.indices.to_numpy()[mine]
         order = np.argsort(of, kind="stable")
         ends = np.cumsum(np.bincount(of, minlength=len(codes[2])))
-        rows = {name: slice(int(b), int(e)) for name, b, e in zip(codes[2], [0, *ends[:-1]], ends, strict=True)}
+        rows = {
+            name: slice(int(b), int(e))
+            for name, b, e in zip(codes[2], [0, *ends[:-1]], ends, strict=True)
+        }
         t, values = (table[name].to_numpy()[mine][order] for name in ("t_s", "value"))
         return t, values, rows
 
@@ -312,7 +345,9 @@ class StoredDrive:
     @property
     def trace_file(self) -> Path:
         """Its MCAP file; its recording has the same name with the suffix .rrd."""
-        return next(self.result.path / file for file in self.info["files"] if str(file).endswith(".mcap"))
+        return next(
+            self.result.path / file for file in self.info["files"] if str(file).endswith(".mcap")
+        )
 
     @cached_property
     def _read(self) -> tuple[Trace, Scenario]:
@@ -358,7 +393,11 @@ class StoredDrive:
         return f"<{self.title}: {info['end']} after {info['t_end_s']:.2f} s{gates}>"
 
     def _mine(self, table: pd.DataFrame) -> pd.DataFrame:
-        mine = (table["log"] == self.log) & (table["planner"] == self.planner) & (table["mode"] == self.mode)
+        mine = (
+            (table["log"] == self.log)
+            & (table["planner"] == self.planner)
+            & (table["mode"] == self.mode)
+        )
         return table[mine].reset_index(drop=True)
 
     def _row(self, table: pd.DataFrame) -> pd.Series[Any]:

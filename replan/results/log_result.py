@@ -28,14 +28,29 @@ import pyarrow.parquet as pq
 from replan.core.arrays import FloatArray
 from replan.core.errors import ReplanError, writing
 from replan.metrics import Series
-from replan.results.schema import METADATA, FileName, Name, Place, arrow_schema, read_json, read_table
+from replan.results.schema import (
+    METADATA,
+    FileName,
+    Name,
+    Place,
+    arrow_schema,
+    read_json,
+    read_table,
+)
 from replan.results.tables import LOG_CARD, write_file, write_json, write_parquet
 
-METRICS, MEMBERS, HEALTH, TIMINGS = "metrics.parquet", "ensemble.parquet", "health.parquet", "timings.parquet"
+METRICS, MEMBERS, HEALTH, TIMINGS = (
+    "metrics.parquet",
+    "ensemble.parquet",
+    "health.parquet",
+    "timings.parquet",
+)
 FRAMES = "frames.parquet"
 NOT_OF_A_LOG = ("schema_version",)  # Columns that the tables in a log's folder lack
-SPOOL_BYTES = 16 * 2**20  # The largest number of bytes of steps in memory; more are stored in the file
-GROUP_ROWS = 1 << 18  # Number of rows that are in memory at once, and the least that a reader of a part reads
+# The largest number of bytes of steps in memory; more are stored in the file
+SPOOL_BYTES = 16 * 2**20
+# Number of rows that are in memory at once, and the least that a reader of a part reads
+GROUP_ROWS = 1 << 18
 
 
 @dataclass(frozen=True)
@@ -52,7 +67,9 @@ class Failure:
     @property
     def line(self) -> str:
         """The message, with planner and loop if they are known."""
-        return f"{self.message} [{self.planner}, {self.mode} loop]" if self.planner else self.message
+        return (
+            f"{self.message} [{self.planner}, {self.mode} loop]" if self.planner else self.message
+        )
 
 
 @dataclass(frozen=True)
@@ -106,10 +123,13 @@ class LogResult:
     dataset: str = ""
     tags: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()  # Assumptions that were made when it was read
-    drives: tuple[DriveRecord, ...] = ()  # The drives, planners in the order of the run, open before closed loop
+    # The drives, planners in the order of the run, open before closed loop
+    drives: tuple[DriveRecord, ...] = ()
     failures: tuple[Failure, ...] = ()  # Drives that failed
-    seconds: float = nan  # How long the evaluation took, for display only; NaN if the result is from an earlier run
-    stopped: str = ""  # The reason why the result could not be written, which stops the run; empty if it was written
+    # How long the evaluation took, for display only; NaN if the result is from an earlier run
+    seconds: float = nan
+    # The reason why the result could not be written, which stops the run; empty if it was written
+    stopped: str = ""
     # Whether the folder is that of another log of the run with the same content; this one was not driven
     twin: bool = False
 
@@ -147,7 +167,9 @@ class Stamp:
     code: str  # Hash of the source of replan and of the user's planners and metrics
 
 
-def write_result(folder: Path, result: LogResult, tables: LogTables, identity: str, stamp: Stamp) -> None:
+def write_result(
+    folder: Path, result: LogResult, tables: LogTables, identity: str, stamp: Stamp
+) -> None:
     """Write a result into its (still unfinished) folder.
 
     `folder`: the folder, which already contains the files of the drives. `identity`: identity of the input
@@ -159,7 +181,11 @@ def write_result(folder: Path, result: LogResult, tables: LogTables, identity: s
     if len(tables.members):
         write_parquet(folder / MEMBERS, tables.members)
     card = {key: value for key, value in result.record().items() if key != "folder"}
-    card |= {"failures": [asdict(failure) for failure in result.failures], "input": identity, **asdict(stamp)}
+    card |= {
+        "failures": [asdict(failure) for failure in result.failures],
+        "input": identity,
+        **asdict(stamp),
+    }
     write_json(folder / LOG_CARD, card)
 
 
@@ -172,9 +198,17 @@ def load_result(folder: Path) -> tuple[LogResult, str, Stamp] | None:
     except ReplanError:
         return None
     result = LogResult(
-        card.source, card.log, card.sha256, folder.name, card.family, card.dataset, card.tags, card.notes,
-        card.drives, card.failures,
-    )  # fmt: skip
+        card.source,
+        card.log,
+        card.sha256,
+        folder.name,
+        card.family,
+        card.dataset,
+        card.tags,
+        card.notes,
+        card.drives,
+        card.failures,
+    )
     files = [folder.parent / file for drive in result.drives for file in drive.files]
     whole = all(file.is_file() for file in (*files, folder / TIMINGS))
     return (result, card.input, Stamp(card.replan, card.code)) if whole else None
@@ -188,8 +222,16 @@ def table_of(out: Path, results: Iterable[LogResult], name: str) -> pd.DataFrame
         if result.folder and file.exists() and len(table := read_table(file, NOT_OF_A_LOG)):
             place = table.schema.get_field_index("log")
             field = table.schema.field(place)
-            tables.append(table.set_column(place, field, pa.repeat(pa.scalar(result.name, field.type), len(table))))
-    return pa.concat_tables(tables, promote_options="permissive").to_pandas() if tables else pd.DataFrame()
+            tables.append(
+                table.set_column(
+                    place, field, pa.repeat(pa.scalar(result.name, field.type), len(table))
+                )
+            )
+    return (
+        pa.concat_tables(tables, promote_options="permissive").to_pandas()
+        if tables
+        else pd.DataFrame()
+    )
 
 
 def timings_of(out: Path, result: LogResult) -> pd.DataFrame:
@@ -234,8 +276,15 @@ class StepsFile:
     def table(self, some: Sequence[Steps]) -> pd.DataFrame:
         """Some of the metrics of a drive, as `metrics.series` has them."""
         curves = [(steps.metric, *self._samples_of(steps)) for steps in some]
-        parts = [pd.DataFrame({"t_s": t, "metric": metric, "value": value}) for metric, t, value in curves]
-        return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame(columns=["t_s", "metric", "value"])
+        parts = [
+            pd.DataFrame({"t_s": t, "metric": metric, "value": value})
+            for metric, t, value in curves
+        ]
+        return (
+            pd.concat(parts, ignore_index=True)
+            if parts
+            else pd.DataFrame(columns=["t_s", "metric", "value"])
+        )
 
     def _samples_of(self, steps: Steps) -> tuple[FloatArray, FloatArray]:
         """Times and values `(n,)` of a metric."""
@@ -260,9 +309,18 @@ class StepsFile:
             for planner, mode in sorted(self._drives):
                 for steps in self._drives[planner, mode]:
                     t, value = self._samples_of(steps)
-                    kind, text = schema.field(0).type, {"planner": planner, "mode": mode, "metric": steps.metric}
-                    words = {key: pa.repeat(pa.scalar(word, kind), steps.rows) for key, word in text.items()}
-                    numbers = {"t_s": pa.array(t, from_pandas=True), "value": pa.array(value, from_pandas=True)}
+                    kind, text = (
+                        schema.field(0).type,
+                        {"planner": planner, "mode": mode, "metric": steps.metric},
+                    )
+                    words = {
+                        key: pa.repeat(pa.scalar(word, kind), steps.rows)
+                        for key, word in text.items()
+                    }
+                    numbers = {
+                        "t_s": pa.array(t, from_pandas=True),
+                        "value": pa.array(value, from_pandas=True),
+                    }
                     waiting.append(pa.table({**words, **numbers}, schema=schema))
                     rows += steps.rows
                     if rows >= GROUP_ROWS:

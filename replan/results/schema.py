@@ -26,11 +26,17 @@ from replan.core.errors import ConfigError, LogError
 from replan.core.files import check_regular
 from replan.metrics.judge.gates import Outcome
 
-SCHEMA_VERSION = 1  # Version of the tables and JSON files; it increases when a column changes its meaning or is removed
+# Version of the tables and JSON files; it increases when a column changes its meaning or is removed
+SCHEMA_VERSION = 1
 VERSION_KEY = "replan_schema_version"  # Key of the version in the metadata of a table
 METADATA = {VERSION_KEY: str(SCHEMA_VERSION)}
 
-_TYPES = {"text": pa.large_string(), "number": pa.float64(), "count": pa.int64(), "yes/no": pa.bool_()}
+_TYPES = {
+    "text": pa.large_string(),
+    "number": pa.float64(),
+    "count": pa.int64(),
+    "yes/no": pa.bool_(),
+}
 _TEXTS = (pa.string(), pa.large_string())
 _TYPES["list"] = pa.list_(pa.large_string())
 
@@ -42,7 +48,8 @@ class Column:
     name: str  # The name; its last part is the unit of a quantity with one unit
     kind: str  # "text", "number" (NaN if there is none), "count", "yes/no", "list" (of texts)
     meaning: str  # Its meaning
-    older: str | float | None = None  # Its value in files of before the column; None: all files have it
+    # Its value in files of before the column; None: all files have it
+    older: str | float | None = None
 
 
 @dataclass(frozen=True)
@@ -78,9 +85,21 @@ _METRICS = _columns(
     ("unit", "text", "SI; `1` a ratio, `count` a number of things"),
     ("direction", "text", "which is better: `lower`, `higher`, `none`"),
     ("available", "yes/no", "whether there is a value"),
-    ("reason", "text", "why there is none; else which road user or thing the value is about, or empty"),
-    ("about", "text", "that road user or thing with the whole id, as `reason` has a short name; or empty"),
-    ("time_s", "number", "when the value occurred, s since the log's start; NaN where it belongs to no instant"),
+    (
+        "reason",
+        "text",
+        "why there is none; else which road user or thing the value is about, or empty",
+    ),
+    (
+        "about",
+        "text",
+        "that road user or thing with the whole id, as `reason` has a short name; or empty",
+    ),
+    (
+        "time_s",
+        "number",
+        "when the value occurred, s since the log's start; NaN where it belongs to no instant",
+    ),
     ("version", "count", "of the metric: counts up when its numbers change their meaning"),
     ("source", "text", "where the metric's definition comes from; empty: replan"),
 )
@@ -99,7 +118,12 @@ TABLES: dict[str, Table] = {
         ("time_s", "number", "when the value occurred, s since the log's start"),
         ("reason", "text", "why it is not passed, or which road user the value is about"),
         ("metric", "text", "that the gate judges, as in metrics.parquet", ""),
-        ("over", "text", "what must be within the bounds: `worst`: each log; else of all logs", "worst"),
+        (
+            "over",
+            "text",
+            "what must be within the bounds: `worst`: each log; else of all logs",
+            "worst",
+        ),
         ("low", "number", "the gate's lower bound; NaN: none", nan),
         ("high", "number", "the gate's upper bound; NaN: none", nan),
     ),
@@ -147,7 +171,11 @@ TABLES: dict[str, Table] = {
         ("t_to_s", "number", "end, s since the log's start"),
         ("agents", "list", "ids of the road users that took part, the main one first"),
         ("agent_kind", "text", "of the main one (`car`, `pedestrian` ...); `none`: the ego alone"),
-        ("road", "text", "where the ego was: `roundabout`, `junction`, `curve`, `straight`, `no lanes`"),
+        (
+            "road",
+            "text",
+            "where the ego was: `roundabout`, `junction`, `curve`, `straight`, `no lanes`",
+        ),
         ("speed", "text", "range of the ego's speed at the begin"),
         ("v_mps", "number", "the ego's speed at the begin, m/s"),
         ("x_m", "number", "where the ego's rear axle was at the begin, m; y_m likewise"),
@@ -155,14 +183,23 @@ TABLES: dict[str, Table] = {
         ("value", "number", "what the kind measures, in `unit`; NaN: nothing"),
         ("unit", "text", "SI; `1`: a number"),
         ("what", "text", "more in words (the side, the stop line); may be empty"),
-        ("doubt", "text", "why it may be none: docs/events.md; empty: nothing speaks against it", ""),
+        (
+            "doubt",
+            "text",
+            "why it may be none: docs/events.md; empty: nothing speaks against it",
+            "",
+        ),
         ("planner", "text", "whose plans the event is about; empty: of the log alone"),
     ),
     "logs.parquet": _table(
         "Written by `replan mine`: a row per log.",
         ("log", "text", "name; of logs that share one: with `@` and 8 digits of the hash"),
         ("source", "text", "the path as it was named, or the catalogue's name"),
-        ("sha256", "text", "of the log's bytes; empty for the catalogue, and where it could not be read"),
+        (
+            "sha256",
+            "text",
+            "of the log's bytes; empty for the catalogue, and where it could not be read",
+        ),
         ("duration_s", "number", "how long it lasts, s"),
         ("driven_m", "number", "the way that the ego drove, m"),
         ("agents", "count", "other road users"),
@@ -172,9 +209,21 @@ TABLES: dict[str, Table] = {
         ("tags", "list", "words by which gates and reports group"),
         ("place", "text", "as the log's metadata says; may be empty"),
         ("weather", "text", "as the log's metadata says; may be empty"),
-        ("parked_breaks", "text", "the first packaged gate that a driver breaks who stops; empty: none, too easy"),
-        ("creeping_breaks", "text", "that a driver at a constant 2 m/s breaks; empty: none, too easy"),
-        ("blind_breaks", "text", "that a driver breaks who ignores road users and lights; empty: no interaction"),
+        (
+            "parked_breaks",
+            "text",
+            "the first packaged gate that a driver breaks who stops; empty: none, too easy",
+        ),
+        (
+            "creeping_breaks",
+            "text",
+            "that a driver at a constant 2 m/s breaks; empty: none, too easy",
+        ),
+        (
+            "blind_breaks",
+            "text",
+            "that a driver breaks who ignores road users and lights; empty: no interaction",
+        ),
         ("not_asked", "list", "kinds of events that were not looked for, with the reason"),
         ("error", "text", "why the log could not be mined; empty: it was"),
     ),
@@ -276,7 +325,9 @@ def arrow(file: str, table: pd.DataFrame) -> pa.Table:
     if file not in TABLES:
         return pa.Table.from_pandas(table, preserve_index=False)
     known = arrow_schema(file)
-    return pa.Table.from_pandas(table, pa.schema([known.field(name) for name in table.columns]), preserve_index=False)
+    return pa.Table.from_pandas(
+        table, pa.schema([known.field(name) for name in table.columns]), preserve_index=False
+    )
 
 
 def pa_type(kind: str) -> pa.DataType:
@@ -295,15 +346,27 @@ def is_of_kind(type_: pa.DataType, kind: str) -> bool:
 
 def typed(file: str, table: pd.DataFrame) -> pd.DataFrame:
     """The table with the types of pandas that it has when it is read back."""
-    kinds: dict[str, Any] = {"text": object, "number": float, "count": "int64", "yes/no": bool, "list": object}
-    return table.astype({column.name: kinds[column.kind] for column in TABLES[file].columns if column.name in table})
+    kinds: dict[str, Any] = {
+        "text": object,
+        "number": float,
+        "count": "int64",
+        "yes/no": bool,
+        "list": object,
+    }
+    return table.astype(
+        {column.name: kinds[column.kind] for column in TABLES[file].columns if column.name in table}
+    )
 
 
 def markdown() -> str:
     """The text of docs/results.md."""
     lines = INTRODUCTION.format(version=SCHEMA_VERSION).strip().splitlines()
     for file, table in TABLES.items():
-        same = "The same inputs give the same bytes." if table.same else "Not the same twice: it holds a clock."
+        same = (
+            "The same inputs give the same bytes."
+            if table.same
+            else "Not the same twice: it holds a clock."
+        )
         lines += ["", f"## {file}", "", f"{table.rows} {same}", "", *_rows(table.columns)]
     lines.append(BELOW.strip())
     for name, table in FRAMES.items():
@@ -376,7 +439,9 @@ WORDS: dict[str, Collection[str]] = {
 
 Name = Annotated[str, msgspec.Meta(pattern=r"^(?:[A-Za-z0-9_-][A-Za-z0-9._-]*)?\Z")]
 """A plain name, as `replan.results.tables.safe_name` makes it; may be empty."""
-FileName = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z0-9_-][A-Za-z0-9._-]*/[A-Za-z0-9_-][A-Za-z0-9._-]*\Z")]
+FileName = Annotated[
+    str, msgspec.Meta(pattern=r"^[A-Za-z0-9_-][A-Za-z0-9._-]*/[A-Za-z0-9_-][A-Za-z0-9._-]*\Z")
+]
 """The plain name of a file in a log's folder."""
 Place = Annotated[str, msgspec.Meta(pattern=r"^[^\0]*\Z")]  # A path or URL
 T = TypeVar("T")
@@ -396,7 +461,9 @@ def read_json(file: Path, kind: type[T], again: str = AGAIN) -> tuple[dict[str, 
         raise ConfigError(f"{file}: cannot be read: {error}; {again}") from None
     version = found.get("schema_version") if isinstance(found, dict) else None
     if isinstance(version, int) and version != SCHEMA_VERSION:
-        raise ConfigError(f"{file}: is of version {version}, this replan reads {SCHEMA_VERSION}; {again}")
+        raise ConfigError(
+            f"{file}: is of version {version}, this replan reads {SCHEMA_VERSION}; {again}"
+        )
     return checked(file, found, kind, again)
 
 
@@ -410,7 +477,9 @@ def checked(file: Path, found: Any, kind: type[T], again: str) -> tuple[dict[str
         raise ConfigError(f"{file}: is not as replan writes it: {error}; {again}") from None
 
 
-def read_table(file: Path, without: Sequence[str] = (), again: str = AGAIN, *, words: Sequence[str] = ()) -> pa.Table:
+def read_table(
+    file: Path, without: Sequence[str] = (), again: str = AGAIN, *, words: Sequence[str] = ()
+) -> pa.Table:
     """A table, checked by the schema of its name; columns that the schema does not know are left out.
 
     `words`: columns of few different texts, which are read as dictionaries. LogError if it cannot be read, or is not as
@@ -421,7 +490,9 @@ def read_table(file: Path, without: Sequence[str] = (), again: str = AGAIN, *, w
         table = pq.read_table(file, partitioning=None, read_dictionary=list(words))
     except (OSError, ValueError, pa.ArrowException) as error:
         raise LogError(f"cannot be read: {error}", file=file, remedy=again) from None
-    version = (table.schema.metadata or {}).get(VERSION_KEY.encode(), b"").decode("utf-8", "replace")
+    version = (
+        (table.schema.metadata or {}).get(VERSION_KEY.encode(), b"").decode("utf-8", "replace")
+    )
     if version != str(SCHEMA_VERSION):
         is_of = f"is of version {version}" if version else "has no version"
         raise ConfigError(f"{file}: {is_of}, this replan reads {SCHEMA_VERSION}; {again}")
@@ -429,11 +500,15 @@ def read_table(file: Path, without: Sequence[str] = (), again: str = AGAIN, *, w
     check_table(table, file, file.name, without, again)
     for at, column in enumerate(TABLES[file.name].columns):
         if column.name not in table.column_names and column.older is not None:
-            table = table.add_column(at, column.name, pa.array([column.older] * len(table), pa_type(column.kind)))
+            table = table.add_column(
+                at, column.name, pa.array([column.older] * len(table), pa_type(column.kind))
+            )
     return table.select([name for name in names_of(file.name) if name in table.column_names])
 
 
-def check_table(table: pa.Table, file: Path, name: str, without: Sequence[str] = (), again: str = AGAIN) -> None:
+def check_table(
+    table: pa.Table, file: Path, name: str, without: Sequence[str] = (), again: str = AGAIN
+) -> None:
     """Raise LogError unless a table is as the schema of a file's name says; columns `without` may be missing."""
 
     def refuse(what: str) -> NoReturn:
@@ -445,7 +520,9 @@ def check_table(table: pa.Table, file: Path, name: str, without: Sequence[str] =
         refuse(f"is damaged: {error}")
     for column in TABLES[name].columns:
         if table.column_names.count(column.name) != 1:
-            if column.name in table.column_names or not (column.name in without or column.older is not None):
+            if column.name in table.column_names or not (
+                column.name in without or column.older is not None
+            ):
                 refuse(f"has no column {column.name}, or several")
             continue
         values = table[column.name]
@@ -455,5 +532,7 @@ def check_table(table: pa.Table, file: Path, name: str, without: Sequence[str] =
             refuse(f"column {column.name} has no value in {values.null_count} rows")
         if column.kind == "number" and pc.any(pc.is_inf(values)).as_py():
             refuse(f"column {column.name} has infinite values")
-        if column.name in WORDS and (other := set(pc.unique(values).to_pylist()) - {*WORDS[column.name]}):
+        if column.name in WORDS and (
+            other := set(pc.unique(values).to_pylist()) - {*WORDS[column.name]}
+        ):
             refuse(f"column {column.name} has the value {min(other)!r}, which is unknown")

@@ -43,14 +43,22 @@ from replan.results.schema import METADATA, SCHEMA_VERSION, arrow, arrow_schema,
 
 PARTIAL = ".partial-"  # Prefix of the names of unfinished files and folders
 
-LOG_CARD = "log.json"  # A file that replan puts beside the traces of a log: a log beside it is a result, not an input
-OUTCOMES = {0: "pass", 1: "fail", 2: "configuration error", 3: "not all could be evaluated", 4: "inconclusive"}
+# A file that replan puts beside the traces of a log: a log beside it is a result, not an input
+LOG_CARD = "log.json"
+OUTCOMES = {
+    0: "pass",
+    1: "fail",
+    2: "configuration error",
+    3: "not all could be evaluated",
+    4: "inconclusive",
+}
 PNG_MARK = b"tEXtSoftware\0replan"  # The chunk of a PNG file that says who wrote it
 LOCK = ".lock"  # The file by which a run locks its folder (`replan.run.output`)
 
 SHARD_CARD = "shard.json"  # The file that identifies a shard of a run (`replan.run.shards`)
 
-ORIGIN = "origin.json"  # The file with the directory in which the run was started (`replan.run.output`)
+# The file with the directory in which the run was started (`replan.run.output`)
+ORIGIN = "origin.json"
 
 TABLES = (
     "metrics.parquet",
@@ -83,7 +91,9 @@ def safe_names(names: Iterable[str]) -> dict[str, str]:
     counts = Counter(safe_name(name).lower() for name in names)  # some file systems ignore case
     short = {name: safe_name(name) for name in names}
     return {
-        name: safe if counts[safe.lower()] == 1 else safe_name(name, sha256(name.encode()).hexdigest())
+        name: safe
+        if counts[safe.lower()] == 1
+        else safe_name(name, sha256(name.encode()).hexdigest())
         for name, safe in short.items()
     }
 
@@ -96,7 +106,8 @@ def write_file(path: Path, write: Callable[[Path], object]) -> None:
             write(partial)
             partial.replace(path)
     finally:
-        with suppress(OSError):  # it is not there, or the folder has become read-only, which `writing` reports
+        # It is not there, or the folder has become read-only, which `writing` reports
+        with suppress(OSError):
             partial.unlink()
 
 
@@ -152,17 +163,23 @@ def write_timings(path: Path, tables: Iterable[pd.DataFrame]) -> None:
     write_file(path, write)
 
 
-def joined(tables: Iterable[pd.DataFrame], keys: Sequence[str], columns: Sequence[str] = ()) -> pd.DataFrame:
+def joined(
+    tables: Iterable[pd.DataFrame], keys: Sequence[str], columns: Sequence[str] = ()
+) -> pd.DataFrame:
     """The rows of all tables, sorted by `keys` (stable); `columns` are those of an empty result."""
     parts = [table for table in tables if len(table)]
     if not parts:
         return pd.DataFrame(columns=list(columns or keys))
-    return pd.concat(parts, ignore_index=True).sort_values(list(keys), kind="stable", ignore_index=True)
+    return pd.concat(parts, ignore_index=True).sort_values(
+        list(keys), kind="stable", ignore_index=True
+    )
 
 
 def write_csv(path: Path, table: pd.DataFrame, **options: Any) -> None:
     """Write a table as CSV, completely or not at all; options as of `DataFrame.to_csv`."""
-    write_file(path, lambda partial: table.to_csv(partial, index=False, lineterminator="\n", **options))
+    write_file(
+        path, lambda partial: table.to_csv(partial, index=False, lineterminator="\n", **options)
+    )
 
 
 def write_metrics(out: Path, table: pd.DataFrame) -> None:
@@ -175,7 +192,9 @@ def write_metrics(out: Path, table: pd.DataFrame) -> None:
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
     """Write JSON with the schema version first; NaN raises ValueError."""
-    text = json.dumps({"schema_version": SCHEMA_VERSION, **content}, indent=2, ensure_ascii=False, allow_nan=False)
+    text = json.dumps(
+        {"schema_version": SCHEMA_VERSION, **content}, indent=2, ensure_ascii=False, allow_nan=False
+    )
     write_text(path, text + "\n")
 
 
@@ -191,7 +210,9 @@ def next_free() -> Path:
         except FileExistsError:
             continue
         except OSError as error:
-            raise ConfigError(f"{out}: cannot be the result folder: {error.strerror}; name one with --out") from None
+            raise ConfigError(
+                f"{out}: cannot be the result folder: {error.strerror}; name one with --out"
+            ) from None
         return out
     raise AssertionError
 
@@ -199,7 +220,9 @@ def next_free() -> Path:
 def clear_partial(out: Path) -> None:
     """Remove unfinished files and folders."""
     for entry in out.glob(f"{PARTIAL}*"):
-        shutil.rmtree(entry, ignore_errors=True) if entry.is_dir() else entry.unlink(missing_ok=True)
+        shutil.rmtree(entry, ignore_errors=True) if entry.is_dir() else entry.unlink(
+            missing_ok=True
+        )
 
 
 def is_ours(entry: Path) -> bool:

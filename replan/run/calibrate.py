@@ -38,7 +38,9 @@ def calibrate(
     parameters = run.driven(VehicleParameters())
     csv, png = (out / name for name in CONTENTS.names)
     with claimed_folder(out, CONTENTS):
-        table = Calibration.of(build_vehicle(Part(VEHICLE, model), parameters, STANDING, {}).powertrain)
+        table = Calibration.of(
+            build_vehicle(Part(VEHICLE, model), parameters, STANDING, {}).powertrain
+        )
         write_file(csv, table.save)
         picture(table).save(png)
     return csv, png
@@ -46,8 +48,11 @@ def calibrate(
 
 def picture(table: Calibration) -> Chart:
     """The table as a heat map: throttle blue, brake red."""
-    speed, acceleration = (0.5 * (v[1:] + v[:-1]) for v in (table.speed, table.acceleration))  # edges of cells
-    x, y = (np.r_[2.0 * e[0] - e[1], e, 2.0 * e[-1] - e[-2]].tolist() for e in (speed, acceleration))
+    # Edges of cells
+    speed, acceleration = (0.5 * (v[1:] + v[:-1]) for v in (table.speed, table.acceleration))
+    x, y = (
+        np.r_[2.0 * e[0] - e[1], e, 2.0 * e[-1] - e[-2]].tolist() for e in (speed, acceleration)
+    )
     plane = Plane((x[0], x[-1]), (y[0], y[-1]), 640.0, 420.0)
     inside = "".join(
         plane.heat((x[j], x[j + 1]), (y[i], y[i + 1]), float(table.pedal[i, j]), (-1.0, 1.0))
@@ -55,4 +60,6 @@ def picture(table: Calibration) -> Chart:
     )
     entries = [("area", "blue", "full throttle"), ("area", "red", "full brake")]
     titles = dict[str, Any](x_title="speed [m/s]", y_title="acceleration [m/s²]", entries=entries)
-    return plane.chart("calibration", "Pedal by speed and acceleration; fainter: less", inside, **titles)
+    return plane.chart(
+        "calibration", "Pedal by speed and acceleration; fainter: less", inside, **titles
+    )

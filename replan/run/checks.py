@@ -46,7 +46,8 @@ def checked(run: RunConfig) -> tuple[RunConfig, tuple[Failure, ...]]:
         if is_built_in(name):
             planner_part(name, table).keywords()
     if run.charts:
-        from replan.draw.charts.layout import CHART  # here: few runs draw charts, and it takes long to load
+        # here: few runs draw charts, and it takes long to load
+        from replan.draw.charts.layout import CHART
 
         for chart in run.charts:
             CHART.find(chart)
@@ -85,7 +86,9 @@ def _resolve_planner(planner: str, run: RunConfig) -> dict[str, Any]:
     if is_apart(planner, apart):
         return describe_planner(planner, table, apart)
     if apart.batch and not is_built_in(planner):
-        raise ConfigError("loop.apart.batch is for planners in a process of their own: leave out loop.apart.trust")
+        raise ConfigError(
+            "loop.apart.batch is for planners in a process of their own: leave out loop.apart.trust"
+        )
     return planner_part(planner, table).resolved()
 
 
@@ -97,7 +100,9 @@ def _check_plant(run: RunConfig) -> None:
     split_plant(loop.plant)
     table = {key: value for key, value in loop.plant.items() if key not in _OF_THE_LOG}
     with _building("vehicle", loop.vehicle):
-        built = build_vehicle(loop.part("vehicle"), vehicle, EgoState(0.0, 0.0, 0.0, 0.0, 0.0), table)
+        built = build_vehicle(
+            loop.part("vehicle"), vehicle, EgoState(0.0, 0.0, 0.0, 0.0, 0.0), table
+        )
     if loop.controller in CONTROLLER.builtin:
         return
     with _building("controller", loop.controller):
@@ -114,7 +119,9 @@ def _check_simulation_extensions(run: RunConfig) -> None:
     def predicted(predictor: Any) -> object:
         tracks, t = scene().tracks, scene().ego.state(0).t
         lanes = LaneMap.of(scene().road)
-        return predict(tracks.perceived(t), t, method=loop.prediction, lanes=lanes, predictor=predictor)
+        return predict(
+            tracks.perceived(t), t, method=loop.prediction, lanes=lanes, predictor=predictor
+        )
 
     makes: Mapping[str, Callable[[Any], object]] = {
         "traffic": lambda factory: factory(scene()),

@@ -26,13 +26,25 @@ import pyarrow.parquet as pq
 
 from replan.core.errors import ConfigError, OutputError, writing
 from replan.core.files import check_named, on_this_machine
-from replan.results.tables import LOCK, ORIGIN, PARTIAL, PNG_MARK, is_ours as is_of_a_run, next_free, write_file
+from replan.results.tables import (
+    LOCK,
+    ORIGIN,
+    PARTIAL,
+    PNG_MARK,
+    is_ours as is_of_a_run,
+    next_free,
+    write_file,
+)
 from replan.run.output import held, locked
 
 MARKS: Mapping[str, bytes] = {
-    ".png": PNG_MARK, ".svg": b' class="chart" ', ".rrd": b"replan ", ".xml": b"<CommonRoadSolution ",
-    ".msgpack": b"\xa7version", **dict.fromkeys((".gif", ".mp4", ".mkv", ".mov", ".webm"), b"replan"),
-}  # fmt: skip
+    ".png": PNG_MARK,
+    ".svg": b' class="chart" ',
+    ".rrd": b"replan ",
+    ".xml": b"<CommonRoadSolution ",
+    ".msgpack": b"\xa7version",
+    **dict.fromkeys((".gif", ".mp4", ".mkv", ".mov", ".webm"), b"replan"),
+}
 """What files of replan hold, and others of the same kind do not, by the end of their names."""
 STUDY = "study.jsonl"
 """The file of a study (`replan.run.resume`): its first line names the command that wrote the folder."""
@@ -44,7 +56,8 @@ class FolderContents:
 
     command: str
     names: tuple[str, ...] = ()  # Patterns of the names of its files and folders, beside `STUDY`
-    is_ours: Callable[[Path], bool] | None = None  # Instead of names: whether an entry of the folder is of the command
+    # Instead of names: whether an entry of the folder is of the command
+    is_ours: Callable[[Path], bool] | None = None
     resumes: bool = True  # Whether the command has the option --resume
 
     def check(self, out: Path) -> None:
@@ -78,7 +91,9 @@ def study_of(out: Path) -> str:
 
 
 @contextmanager
-def claimed_folder(out: Path | str | None, contents: FolderContents, *, resume: bool = False) -> Iterator[Path]:
+def claimed_folder(
+    out: Path | str | None, contents: FolderContents, *, resume: bool = False
+) -> Iterator[Path]:
     """The locked folder of a command; None: the next free one.
 
     ConfigError if it must not be written, another command writes it, or `resume` without a folder. OutputError if the
@@ -133,7 +148,9 @@ def claimed_files(
 
 
 @contextmanager
-def claimed_file(path: Path, suffixes: Sequence[str], is_ours: Callable[[Path], bool] = is_marked) -> Iterator[Path]:
+def claimed_file(
+    path: Path, suffixes: Sequence[str], is_ours: Callable[[Path], bool] = is_marked
+) -> Iterator[Path]:
     """The locked file of a command, which the body writes; its folder is created.
 
     ConfigError as `check_file`, or if another command writes it; OutputError if it cannot be written.
@@ -155,13 +172,17 @@ def check_file(path: Path, suffixes: Sequence[str], is_ours: Callable[[Path], bo
     check_named(path)
     results = result_folder_of(path)
     if results is not None:
-        raise ConfigError(f"{path}: lies in the results {results}, which have no other files; give --out another place")
+        raise ConfigError(
+            f"{path}: lies in the results {results}, which have no other files; give --out another place"
+        )
     try:
         ours = not path.exists() or is_ours(path)
     except (OSError, ValueError):
         ours = False
     if not ours:
-        raise ConfigError(f"{path}: exists, and this command did not write it, or reads it; name another file")
+        raise ConfigError(
+            f"{path}: exists, and this command did not write it, or reads it; name another file"
+        )
     with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
     return path
@@ -180,7 +201,8 @@ WRITERS: Mapping[str, Callable[[pd.DataFrame, Path], object]] = {
     ".csv": lambda table, path: table.to_csv(path, index=False, lineterminator="\n"),
     ".parquet": lambda table, path: table.to_parquet(path, index=False),
     ".json": lambda table, path: path.write_text(
-        (table.to_json(orient="records", indent=2, double_precision=15) or "[]") + "\n", encoding="utf-8"
+        (table.to_json(orient="records", indent=2, double_precision=15) or "[]") + "\n",
+        encoding="utf-8",
     ),
 }
 """Functions that write rows, by the suffix of the file."""

@@ -123,13 +123,17 @@ def evaluate_logs(
         if shard is not None:
             write_card(out, shard, whole, run, stamp, failures, results)
         part = "" if shard is None else str(shard)
-        return judge_and_write(out, run, selection, results, gates, failures, resumed=len(done), shard=part)
+        return judge_and_write(
+            out, run, selection, results, gates, failures, resumed=len(done), shard=part
+        )
 
 
 def _check_batch(engine: Engine, window: float | None, shard: Shard | None) -> None:
     """Raise ConfigError for options that do not work with logs in lock step."""
     if not isinstance(engine, Local):
-        raise ConfigError("loop.apart.batch drives logs together on this machine only: leave out --engine or the batch")
+        raise ConfigError(
+            "loop.apart.batch drives logs together on this machine only: leave out --engine or the batch"
+        )
     if shard is not None:
         raise ConfigError(
             "loop.apart.batch drives the logs of a run together, and --shard separates them: leave out one of them"
@@ -141,7 +145,11 @@ def _check_batch(engine: Engine, window: float | None, shard: Shard | None) -> N
 
 
 def selected(
-    logs: Sequence[Path | str], run: RunConfig, window: float | None, suite: str | None, every: float | None = None
+    logs: Sequence[Path | str],
+    run: RunConfig,
+    window: float | None,
+    suite: str | None,
+    every: float | None = None,
 ) -> Selection:
     """The logs of a run, from arguments of `evaluate_logs`; ConfigError if there are none, or arguments conflict."""
     if run.log.map and not Path(run.log.map).is_file():
@@ -151,7 +159,9 @@ def selected(
     if suite is None and logs:
         return select(logs, run.log, window, every)
     if window is not None or run.log != LogSettings():
-        raise ConfigError("[log] settings and --window are not for the built-in suites; name logs, or leave them out")
+        raise ConfigError(
+            "[log] settings and --window are not for the built-in suites; name logs, or leave them out"
+        )
     if suite is None:
         return builtin_suite()
     if logs:
@@ -177,7 +187,9 @@ def _evaluate_rest(
         index = left[place]
         if isinstance(ended, WorkerLost):
             label = sources[index].label
-            ended = LogResult(label, label, failures=(Failure(label, f"{label}: not evaluated: {ended.reason}"),))
+            ended = LogResult(
+                label, label, failures=(Failure(label, f"{label}: not evaluated: {ended.reason}"),)
+            )
         results[index] = ended
         if results[index].stopped:
             raise OutputError(results[index].stopped)
@@ -209,7 +221,10 @@ class Local:
         self, sources: Sequence[LogSource], run: RunConfig, out: Path, stamp: Stamp
     ) -> Iterator[tuple[int, LogResult | WorkerLost]]:
         """As `Engine.evaluate`."""
-        teams = [sources[places.start : places.stop] for places in teams_of(len(sources), run.loop.apart.batch)]
+        teams = [
+            sources[places.start : places.stop]
+            for places in teams_of(len(sources), run.loop.apart.batch)
+        ]
         job, begins = Job(run, out, stamp), list(accumulate(map(len, teams), initial=0))
         if self.workers == 0:
             try:
@@ -219,9 +234,12 @@ class Local:
                 set_template_run("")  # this process may do other work afterwards
             return
         drive = partial(
-            run_all, job, workers=max(1, min(self.workers, len(teams))), one_first=is_cache_cold(),
+            run_all,
+            job,
+            workers=max(1, min(self.workers, len(teams))),
+            one_first=is_cache_cold(),
             meanwhile=partial(compile_planning, run) if self.workers > 1 else None,
-        )  # fmt: skip
+        )
         ended = longest_first(teams, drive, lambda team: sum(source.expected_s for source in team))
         for index, results in ended:
             every = [results] * len(teams[index]) if isinstance(results, WorkerLost) else results
@@ -251,7 +269,9 @@ class Job:
 
 
 def longest_first(
-    items: Sequence[T], drive: Callable[[Sequence[T]], Iterator[tuple[int, R]]], expected_s: Callable[[T], float]
+    items: Sequence[T],
+    drive: Callable[[Sequence[T]], Iterator[tuple[int, R]]],
+    expected_s: Callable[[T], float],
 ) -> Iterator[tuple[int, R]]:
     """Pass the items to `drive` by expected cost, and yield its results under the indices that they have here."""
     order = sorted(range(len(items)), key=lambda index: -expected_s(items[index]))
@@ -259,7 +279,12 @@ def longest_first(
         yield order[place], ended
 
 
-FIRST_SCENES = ("everyday/traffic_light", "everyday/cyclist", "paper/static_obstacles", "everyday/pull_outs")
+FIRST_SCENES = (
+    "everyday/traffic_light",
+    "everyday/cyclist",
+    "paper/static_obstacles",
+    "everyday/pull_outs",
+)
 """Scenes in which most kernels of a plan are needed within `UNTIL_S`."""
 UNTIL_S = 1.5
 
@@ -271,6 +296,9 @@ def compile_planning(run: RunConfig) -> None:
             if planner in PLANNER.causal:
                 with suppress(ReplanError):  # the run itself says what is wrong
                     run_open_loop(
-                        scenario(name), planner, planner_config=run.planner_keywords(planner), config=run.drive_loop,
+                        scenario(name),
+                        planner,
+                        planner_config=run.planner_keywords(planner),
+                        config=run.drive_loop,
                         until_s=UNTIL_S,
-                    )  # fmt: skip
+                    )

@@ -105,9 +105,14 @@ def dump(path: Path, one: FrameDump) -> None:
     """Write a dump; OutputError if the file cannot be written."""
     problems = []
     for problem, result in one.problems:
-        arrays = {name: packed(getattr(problem, name)) for name in ("leads", "start", "references", "lower", "upper")}
+        arrays = {
+            name: packed(getattr(problem, name))
+            for name in ("leads", "start", "references", "lower", "upper")
+        }
         numbers = [problem.step, problem.soft, *problem.weights]
-        problems.append(DumpedProblem(report=result.report, numbers=numbers, x=packed(result.x), **arrays))
+        problems.append(
+            DumpedProblem(report=result.report, numbers=numbers, x=packed(result.x), **arrays)
+        )
     file = File(
         version=VERSION,
         log=one.log,
@@ -143,8 +148,17 @@ def load(path: Path) -> FrameDump:
 
 def _problem_of(message: DumpedProblem) -> SolvedProblem:
     step, soft, *weights = message.numbers
-    columns = (message.leads, message.start, message.references, message.lower, message.upper, message.x)
-    leads, start, references, lower, upper, x = (np.frombuffer(column, WIRE).copy() for column in columns)
+    columns = (
+        message.leads,
+        message.start,
+        message.references,
+        message.lower,
+        message.upper,
+        message.x,
+    )
+    leads, start, references, lower, upper, x = (
+        np.frombuffer(column, WIRE).copy() for column in columns
+    )
     problem = PiecewiseJerkProblem(
         step=step,
         leads=leads,
@@ -186,10 +200,13 @@ class ReplannedFrame:
     scenario: Scenario
     dump: FrameDump  # The frames up to it, the plan, the QPs
     seconds: Mapping[str, float]  # Duration of each stage, and "total", s
-    is_same: bool | None  # Whether the trajectory is the one in the results, to the bit; None for another planner
+    # Whether the trajectory is the one in the results, to the bit; None for another planner
+    is_same: bool | None
 
 
-def replan_frame(drive: DriveResult, at: float, planner: str | None = None, *, debug: bool = False) -> ReplannedFrame:
+def replan_frame(
+    drive: DriveResult, at: float, planner: str | None = None, *, debug: bool = False
+) -> ReplannedFrame:
     """Drive up to a frame as the run did, in this process, and plan it again.
 
     `at`: time, s; the last frame that is not later is planned again. `planner`: another planner, which gets this frame
@@ -199,21 +216,34 @@ def replan_frame(drive: DriveResult, at: float, planner: str | None = None, *, d
     run, recorded = drive.result.run, drive.frame(at)
     for spec in (drive.planner, planner or drive.planner):
         if is_foreign(spec) or spec in PLANNER.oracles:
-            raise ConfigError(f"planner '{spec}': only Python planners that are not oracles can plan a frame again")
+            raise ConfigError(
+                f"planner '{spec}': only Python planners that are not oracles can plan a frame again"
+            )
     row = drive.result.logs.set_index("log").loc[drive.log].to_dict()
     scenario = scenario_of(drive.result.path, row, run.log)
-    scenario, table = scenario.in_vehicle(run.driven(scenario.vehicle)), run.planner.get(drive.planner, {})
+    scenario, table = (
+        scenario.in_vehicle(run.driven(scenario.vehicle)),
+        run.planner.get(drive.planner, {}),
+    )
     watch, made = _drive_up_to(drive, scenario, recorded.t, debug=debug and planner is None)
     if planner is not None:
         return _plan_with(drive, scenario, watch, planner, debug=debug)
     last = watch.frames[-1]
     frames = tuple(watch.frames) if last.previous is not None else (last,)
     plan = made.trace.frames[-1].plan
-    dump = FrameDump(drive.log, drive.planner, table, watch.context, frames, plan, tuple(watch.asked))
-    seconds = {time.stage: time.seconds for time in made.timings if abs(time.t - last.t) < SAME_TIME_S}
+    dump = FrameDump(
+        drive.log, drive.planner, table, watch.context, frames, plan, tuple(watch.asked)
+    )
+    seconds = {
+        time.stage: time.seconds for time in made.timings if abs(time.t - last.t) < SAME_TIME_S
+    }
     new, old = plan.trajectory, recorded.plan.trajectory
-    rows = [int(abs(new.t - t).argmin()) for t in old.t]  # a trace without internals has only every few samples
-    same = all((getattr(new, name)[rows] == getattr(old, name)).all() for name in ("x", "y", "yaw", "v", "a"))
+    # A trace without internals has only every few samples
+    rows = [int(abs(new.t - t).argmin()) for t in old.t]
+    same = all(
+        (getattr(new, name)[rows] == getattr(old, name)).all()
+        for name in ("x", "y", "yaw", "v", "a")
+    )
     return ReplannedFrame(scenario, dump, seconds, same)
 
 
@@ -230,7 +260,9 @@ def _drive_up_to(
     keywords = planner_part(drive.planner, run.planner.get(drive.planner, {})).keywords()
     config = replace(run.drive_loop, apart=replace(run.loop.apart, trust=True))
     loop = LOOPS[drive.trace.mode]
-    made = loop(scenario, drive.planner, planner_config=keywords, config=config, until_s=until_s, seat=seat)
+    made = loop(
+        scenario, drive.planner, planner_config=keywords, config=config, until_s=until_s, seat=seat
+    )
     if not made.trace.frames or abs(made.trace.frames[-1].t - until_s) > SAME_TIME_S:
         reason = made.trace.detail or made.trace.end.value
         raise PlannerError(f"{drive.log}: there is no plan at {until_s:.2f} s: {reason}")
@@ -242,7 +274,10 @@ def _plan_with(
 ) -> ReplannedFrame:
     """Plan the last frame with a new instance of another planner."""
     clock, frame = Stopwatch(), replace(watch.frames[-1], previous=None)
-    context, table = replace(watch.context, lap=clock.lap), drive.result.run.planner.get(planner, {})
+    context, table = (
+        replace(watch.context, lap=clock.lap),
+        drive.result.run.planner.get(planner, {}),
+    )
     build = planner_part(planner, table).configured()
     try:
         made = build(context)
@@ -255,7 +290,9 @@ def _plan_with(
     except Exception as error:
         if isinstance(error, ReplanError) or not of_users(error):
             raise
-        raise PlannerError(f"planner '{planner}' raised at {frame.t:.2f} s: {raised(error)}") from error
+        raise PlannerError(
+            f"planner '{planner}' raised at {frame.t:.2f} s: {raised(error)}"
+        ) from error
     dump = FrameDump(drive.log, planner, table, context, (frame,), plan, tuple(asked))
     return ReplannedFrame(scenario, dump, {time.stage: time.seconds for time in clock.times}, None)
 
@@ -265,7 +302,9 @@ def report_of(again: ReplannedFrame) -> Iterator[str]:
     dump, frame, plan = again.dump, again.dump.frame, again.dump.plan
     yield f"{dump.log}, {dump.planner}, frame at {frame.t:.3f} s ({len(dump.frames)} since the planner was built)"
     if again.is_same is not None:
-        yield "  the plan is the one in the results" + (", to the bit" if again.is_same else ": NO, it is another")
+        yield "  the plan is the one in the results" + (
+            ", to the bit" if again.is_same else ": NO, it is another"
+        )
     futures = frame.predictions
     yield (
         f"  ego {frame.ego.x:.2f}, {frame.ego.y:.2f} m, {frame.ego.v:.2f} m/s, {frame.ego.a:.2f} m/s²; "
@@ -285,7 +324,9 @@ def report_of(again: ReplannedFrame) -> Iterator[str]:
             f" {counted(report.iterations, 'iteration')}, residuals {report.primal_residual:.1e},"
             f" {report.dual_residual:.1e}"
         )
-    for report in (each for each in plan.internals if isinstance(each, SolverReport) and not dump.problems):
+    for report in (
+        each for each in plan.internals if isinstance(each, SolverReport) and not dump.problems
+    ):
         yield f"  {report.stage}: {report.status}, {counted(report.iterations, 'iteration')}"
     yield ""
     planned = PlannedFrame.of(frame, plan)

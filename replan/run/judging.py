@@ -33,9 +33,26 @@ from replan.metrics.judge.gates import PACKAGED, Gates, Outcome, load_gates
 from replan.metrics.judge.verdicts import LATE, judge_deadline, with_asked, with_ensemble
 from replan.replay.parts import PARTS, config_class
 from replan.results.load import TIMING_WORDS
-from replan.results.log_result import HEALTH, MEMBERS, METRICS, TIMINGS, Failure, LogResult, table_of, timings_of
+from replan.results.log_result import (
+    HEALTH,
+    MEMBERS,
+    METRICS,
+    TIMINGS,
+    Failure,
+    LogResult,
+    table_of,
+    timings_of,
+)
 from replan.results.schema import read_table
-from replan.results.tables import KEYS, OUTCOMES, joined, write_json, write_metrics, write_parquet, write_timings
+from replan.results.tables import (
+    KEYS,
+    OUTCOMES,
+    joined,
+    write_json,
+    write_metrics,
+    write_parquet,
+    write_timings,
+)
 from replan.results.version import replan_version
 from replan.run.one_log import all_metrics
 from replan.run.sources import LogSource, Selection
@@ -75,23 +92,33 @@ def judge_and_write(
         else:
             distinct.append(result)
     results = tuple(distinct)
-    table = joined([table_of(out, results, METRICS)], KEYS, COLUMNS).astype({"value": float, "time_s": float})
+    table = joined([table_of(out, results, METRICS)], KEYS, COLUMNS).astype(
+        {"value": float, "time_s": float}
+    )
     labels = {log.name: LogLabels(log.family, log.dataset, log.tags) for log in results}
     read = {log.name: labels[log.name] for log in results if log.digest}
     members = joined([table_of(out, results, MEMBERS)], KEYS, COLUMNS)
     table = with_discrimination(with_ensemble(table, members, gates, read), gates, read)
     table = with_asked(table, gates, read)
-    sorted_ = sorted((result for result in results if result.folder), key=lambda result: result.name)
+    sorted_ = sorted(
+        (result for result in results if result.folder), key=lambda result: result.name
+    )
     write_timings(out / TIMINGS, (timings_of(out, result) for result in sorted_))
     verdicts: tuple[Verdict, ...] = ()
     errors = [failure for result in results for failure in result.failures]
     if not shard:
         unread = {result.name: "see the errors" for result in results if not result.digest}
-        crashed = {(one.log, one.planner, one.mode): one.message for one in errors if one.planner and one.mode}
+        crashed = {
+            (one.log, one.planner, one.mode): one.message
+            for one in errors
+            if one.planner and one.mode
+        }
         verdicts = tuple(judge(gates, table, read, failed=unread, crashed=crashed))
         if run.deadline_s > 0.0:
             verdicts += tuple(
-                judge_deadline(read_table(out / TIMINGS, words=TIMING_WORDS).to_pandas(), run.deadline_s, read)
+                judge_deadline(
+                    read_table(out / TIMINGS, words=TIMING_WORDS).to_pandas(), run.deadline_s, read
+                )
             )
     errors = [*failures, *errors]
     write_metrics(out, table)
@@ -101,13 +128,17 @@ def judge_and_write(
     write_parquet(out / "verdicts.parquet", rows)
     records = [asdict(drive) for result in results for drive in result.drives]
     drives = pd.DataFrame(records, columns=["log", "planner", "mode", "oracle"])
-    stand = standings(rows, drives, list(labels), run.drives, [(one.log, one.planner, one.mode) for one in errors])
+    stand = standings(
+        rows, drives, list(labels), run.drives, [(one.log, one.planner, one.mode) for one in errors]
+    )
     write_parquet(out / "groups.parquet", groups(table, stand, labels))
     _write_summary(out, selection, results, verdicts, errors, shard)
     return replace(load(out), resumed=resumed)
 
 
-def _without_twins(selection: Selection, results: Sequence[LogResult]) -> tuple[Selection, tuple[LogResult, ...]]:
+def _without_twins(
+    selection: Selection, results: Sequence[LogResult]
+) -> tuple[Selection, tuple[LogResult, ...]]:
     """Leave out logs whose folder is that of an earlier one: their content is the same, and one was driven for both."""
     driven = {result.folder: result for result in results if not result.twin}
     first: dict[str, str] = {}
@@ -125,9 +156,13 @@ def _without_twins(selection: Selection, results: Sequence[LogResult]) -> tuple[
 
 
 def _write_summary(
-    out: Path, selection: Selection, results: Sequence[LogResult], verdicts: Sequence[Verdict],
-    errors: Sequence[Failure], shard: str,
-) -> None:  # fmt: skip
+    out: Path,
+    selection: Selection,
+    results: Sequence[LogResult],
+    verdicts: Sequence[Verdict],
+    errors: Sequence[Failure],
+    shard: str,
+) -> None:
     """Write summary.json; its verdicts have no rows by log, which are in verdicts.parquet; NaN is null."""
     code = exit_code_of(errors, None if shard else [verdict.outcome for verdict in verdicts])
     gates: list[dict[str, Any]] = []
@@ -179,8 +214,17 @@ def _lines(table: Mapping[str, Any], of: Any, where: str) -> Iterator[str]:
     """The lines of a table, whose keys are fields of a dataclass or keywords of a factory; None: they are not known."""
     for key, value in table.items():
         if not isinstance(value, Mapping):
-            line, about = tomli_w.dumps({key: value}).rstrip("\n"), "" if of is None else meaning(of, key)
-            yield f"{line}  # {about}" if about and "\n" not in line else f"# {about}\n{line}" if about else line
+            line, about = (
+                tomli_w.dumps({key: value}).rstrip("\n"),
+                "" if of is None else meaning(of, key),
+            )
+            yield (
+                f"{line}  # {about}"
+                if about and "\n" not in line
+                else f"# {about}\n{line}"
+                if about
+                else line
+            )
     for key, value in table.items():
         if isinstance(value, Mapping):
             place = dotted(where, key)

@@ -46,9 +46,13 @@ T = TypeVar("T")
 
 RETRIES = 3
 """Retries of a task whose worker or node died (Ray's own default); an error that replan raises is not retried."""
-AHEAD = 2  # Tasks in flight per core of the cluster: each core has its next one waiting, and an autoscaler sees a queue
+# Tasks in flight per core of the cluster: each core has its next one waiting, and an autoscaler
+# sees a queue
+AHEAD = 2
 CONNECT_S = 10.0
-BEGIN = "`ray start --head` begins a cluster; versions of Ray and Python must be the same on all nodes"
+BEGIN = (
+    "`ray start --head` begins a cluster; versions of Ray and Python must be the same on all nodes"
+)
 ALONE = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0", "RAY_USAGE_STATS_ENABLED": "0"}
 """Environment of Ray on this machine, read when Ray is imported: it listens on the loopback address only (the first
 variable, on any system), and sends no usage statistics."""
@@ -60,7 +64,8 @@ LEFT_OUT = ("__pycache__", ".*", "*.pyc")
 class OnRay:
     """A Ray cluster."""
 
-    address: str = ""  # Its address ("auto", "HOST:6379", "ray://HOST:10001"); "": one on this machine, for this run
+    # Its address ("auto", "HOST:6379", "ray://HOST:10001"); "": one on this machine, for this run
+    address: str = ""
     # Largest number of tasks in flight, and cores of a cluster on this machine. None: by the cluster's cores.
     workers: int | None = None
 
@@ -73,14 +78,17 @@ class OnRay:
         folder cannot be written on this machine.
         """
         absolute = [
-            source if source.path is None else replace(source, path=source.path.absolute()) for source in sources
+            source if source.path is None else replace(source, path=source.path.absolute())
+            for source in sources
         ]
         with self._ray_connection(run) as ray:
             job = ray.put((run, stamp, uuid4().hex))
             task = ray.remote(_on_node).options(max_retries=RETRIES, num_cpus=1)
             for index, answer in longest_first(
                 absolute,
-                lambda ordered: self._stream_results(ray, lambda one: task.remote(one, job), ordered),
+                lambda ordered: self._stream_results(
+                    ray, lambda one: task.remote(one, job), ordered
+                ),
                 lambda source: source.expected_s,
             ):
                 if isinstance(answer, WorkerLost):
@@ -112,21 +120,37 @@ class OnRay:
                 what = f"no connection: {error.strerror or error}"
                 raise ConfigError(f"--address {self.address}: {what}; {BEGIN}") from None
         # paths of Ray's sockets in the folder of its session have at most 107 bytes
-        short = "/tmp" if len(tempfile.gettempdir()) > LONGEST_SESSION_PATH and sys.platform != "win32" else None
+        short = (
+            "/tmp"
+            if len(tempfile.gettempdir()) > LONGEST_SESSION_PATH and sys.platform != "win32"
+            else None
+        )
         with (
             tempfile.TemporaryDirectory(prefix="replan-") as folder,
-            tempfile.TemporaryDirectory(prefix="replan-", dir=short, ignore_cleanup_errors=True) as session,
+            tempfile.TemporaryDirectory(
+                prefix="replan-", dir=short, ignore_cleanup_errors=True
+            ) as session,
         ):
             code = code_of(run, Path(folder))
-            options: dict[str, Any] = {"address": self.address or "local", "runtime_env": {"working_dir": str(code)}}
+            options: dict[str, Any] = {
+                "address": self.address or "local",
+                "runtime_env": {"working_dir": str(code)},
+            }
             if not self.address:
-                options |= {"num_cpus": self.workers, "include_dashboard": False, "_temp_dir": session}
+                options |= {
+                    "num_cpus": self.workers,
+                    "include_dashboard": False,
+                    "_temp_dir": session,
+                }
             try:
                 ray.init(log_to_driver=False, configure_logging=False, **options)
-            except Exception as error:  # of many kinds: no cluster there, another version of Ray or of Python
+            # Of many kinds: no cluster there, another version of Ray or of Python
+            except Exception as error:
                 where = f"--address {self.address}" if self.address else "Ray on this machine"
                 said = str(error).strip().partition("\n")[0]
-                raise ConfigError(f"{where}: no connection: {type(error).__name__}: {said}; {BEGIN}") from None
+                raise ConfigError(
+                    f"{where}: no connection: {type(error).__name__}: {said}; {BEGIN}"
+                ) from None
             try:
                 yield ray
             finally:
@@ -149,9 +173,17 @@ class OnRay:
                     try:
                         yield index, ray.get(reference)
                     except ray.exceptions.RayTaskError as error:
-                        yield index, WorkerLost(f"its task raised {type(error.cause).__name__}: {error.cause}")
+                        yield (
+                            index,
+                            WorkerLost(
+                                f"its task raised {type(error.cause).__name__}: {error.cause}"
+                            ),
+                        )
                     except ray.exceptions.RayError as error:
-                        first_line, tries = str(error).strip().partition("\n")[0], f"{RETRIES + 1} tries"
+                        first_line, tries = (
+                            str(error).strip().partition("\n")[0],
+                            f"{RETRIES + 1} tries",
+                        )
                         why = f"lost on the cluster after {tries}: {type(error).__name__}: {first_line}"
                         yield index, WorkerLost(why)
         finally:
@@ -182,13 +214,20 @@ def code_of(run: RunConfig, folder: Path) -> Path:
         if spec is None or not spec.origin:
             continue
         file = Path(spec.origin)
-        if {"site-packages", "dist-packages"} & set(file.parts) or any(map(file.is_relative_to, own_folders())):
+        if {"site-packages", "dist-packages"} & set(file.parts) or any(
+            map(file.is_relative_to, own_folders())
+        ):
             continue  # installed, or part of replan
         place = file.parent if spec.submodule_search_locations else file
         for beside in place.parent.glob("*.py"):
             shutil.copy2(beside, folder / beside.name)
         if place.is_dir():
-            shutil.copytree(place, folder / place.name, ignore=shutil.ignore_patterns(*LEFT_OUT), dirs_exist_ok=True)
+            shutil.copytree(
+                place,
+                folder / place.name,
+                ignore=shutil.ignore_patterns(*LEFT_OUT),
+                dirs_exist_ok=True,
+            )
     return folder
 
 
@@ -202,7 +241,9 @@ def _unpack(files: Mapping[str, bytes], folder: Path) -> None:
         (folder / Path(file).name).write_bytes(content)
 
 
-def _on_node(source: LogSource, job: tuple[RunConfig, Stamp, str]) -> tuple[LogResult, dict[str, bytes]]:
+def _on_node(
+    source: LogSource, job: tuple[RunConfig, Stamp, str]
+) -> tuple[LogResult, dict[str, bytes]]:
     """A task: a log's result, and the files of its folder by their names in the result folder."""
     run, stamp, name = job
     theirs, wrong = _stamp_here(run.planners, run.metrics, _of_loop(run), run.log.reader), ""
@@ -211,21 +252,30 @@ def _on_node(source: LogSource, job: tuple[RunConfig, Stamp, str]) -> tuple[LogR
         wrong = f"{source.label}: {what}; install there what is here: {stamp.replan} with code {stamp.code[:8]}"
     elif source.path is not None and not source.path.exists():
         remedy = "logs on a cluster must lie in a folder that all nodes share, or be named by URL"
-        wrong = str(LogError(f"not there on node {platform.node()}", file=source.path, remedy=remedy))
+        wrong = str(
+            LogError(f"not there on node {platform.node()}", file=source.path, remedy=remedy)
+        )
     if wrong:
         return LogResult(source.label, source.label, failures=(Failure(source.label, wrong),)), {}
     with tempfile.TemporaryDirectory(prefix="replan-") as scratch:
         (result,) = Job(run, Path(scratch), stamp, name)([source])
-        files = {path.relative_to(scratch).as_posix(): path.read_bytes() for path in Path(scratch).glob("*/*")}
+        files = {
+            path.relative_to(scratch).as_posix(): path.read_bytes()
+            for path in Path(scratch).glob("*/*")
+        }
         _settled()
         return result, files
 
 
 @cache
-def _stamp_here(planners: tuple[str, ...], metrics: tuple[str, ...], of_loop: tuple[str, ...], reader: str) -> Stamp:
+def _stamp_here(
+    planners: tuple[str, ...], metrics: tuple[str, ...], of_loop: tuple[str, ...], reader: str
+) -> Stamp:
     """The stamp of this node, computed once in each of its processes."""
     loop = LoopConfig(**dict(zip(OF_LOOP, of_loop, strict=True)))  # type: ignore[arg-type]
-    return stamp_of(RunConfig(planners=planners, metrics=metrics, loop=loop, log=LogSettings(reader=reader)))
+    return stamp_of(
+        RunConfig(planners=planners, metrics=metrics, loop=loop, log=LogSettings(reader=reader))
+    )
 
 
 _settled = cache(freeze_gc)

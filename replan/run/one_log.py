@@ -22,7 +22,15 @@ import pandas as pd
 
 from replan import metrics
 from replan.config import RunConfig
-from replan.core.errors import ConfigError, OutputError, PlannerError, ReplanError, of_users, raised, writing
+from replan.core.errors import (
+    ConfigError,
+    OutputError,
+    PlannerError,
+    ReplanError,
+    of_users,
+    raised,
+    writing,
+)
 from replan.core.memory import trim_memory
 from replan.draw.model import MEASURED
 from replan.logs.forward import drivable_part
@@ -37,9 +45,23 @@ from replan.replay.drive import Drive, DriveKey, Mark
 from replan.replay.loop.closed_loop import run_closed_loop
 from replan.replay.loop.open_loop import run_open_loop
 from replan.replay.loop.planning import Planning, marked_random, with_probe
-from replan.replay.loop.reference_drives import discriminating_tables, late_follower, with_avoidability, with_references
+from replan.replay.loop.reference_drives import (
+    discriminating_tables,
+    late_follower,
+    with_avoidability,
+    with_references,
+)
 from replan.replay.planner_process.planner_config import is_built_in
-from replan.results.log_result import DriveRecord, Failure, LogResult, LogTables, Stamp, Steps, StepsFile, write_result
+from replan.results.log_result import (
+    DriveRecord,
+    Failure,
+    LogResult,
+    LogTables,
+    Stamp,
+    Steps,
+    StepsFile,
+    write_result,
+)
 from replan.results.tables import KEYS, PARTIAL, TIMING_COLUMNS, finish_folder, joined, safe_name
 from replan.run.sources import LogSource, file_hash, perturbed
 
@@ -80,7 +102,8 @@ class _Progress:
             what = f"a bug in replan: {name} raised" if ours else f"{name} is not available"
             line = f"{self.log}: {what}: {reason}; traceback in summary.json"
             known = {(one.message, one.planner, one.mode) for one in self.failures}
-            if (line, planner, mode.value) not in known:  # only once for all reductions and ensemble members
+            # Only once for all reductions and ensemble members
+            if (line, planner, mode.value) not in known:
                 trace = "".join(traceback.format_exception(error))
                 self.failures.append(Failure(self.log, line, planner, mode.value, traceback=trace))
 
@@ -106,11 +129,15 @@ def evaluate_log(source: LogSource, run: RunConfig, out: Path, stamp: Stamp) -> 
             progress.log = scenario.name
             if (out / result.folder).exists():
                 return replace(result, twin=True, seconds=perf_counter() - begin)
-            driven = with_avoidability(drivable_part(scenario).in_vehicle(run.driven(scenario.vehicle)))
+            driven = with_avoidability(
+                drivable_part(scenario).in_vehicle(run.driven(scenario.vehicle))
+            )
             _drive_all(driven, run, partial, result.folder, progress)
             for member in range(1, run.ensemble + 1):
                 _drive_member(driven, run, member, progress)
-            result = replace(result, drives=tuple(progress.drives), failures=tuple(progress.failures))
+            result = replace(
+                result, drives=tuple(progress.drives), failures=tuple(progress.failures)
+            )
             tables = LogTables(
                 metrics=joined(progress.tables, KEYS, metrics.COLUMNS),
                 members=joined(progress.members, [MEMBER, *KEYS]),
@@ -161,7 +188,9 @@ def _describe_log(
     return LogResult(source.label, scenario.name, digest, name, *groups, notes), table
 
 
-def _drive_all(scenario: Scenario, run: RunConfig, folder: Path, final: str, progress: _Progress) -> None:
+def _drive_all(
+    scenario: Scenario, run: RunConfig, folder: Path, final: str, progress: _Progress
+) -> None:
     if Mode.CLOSED in run.modes:
         with progress.attempt():
             scenario, tables = with_references(scenario, run.drive_loop)
@@ -173,7 +202,9 @@ def _drive_all(scenario: Scenario, run: RunConfig, folder: Path, final: str, pro
                 stem = loop if len(run.planners) == 1 else f"{loop}.{safe_name(place.planner)}"
                 trace, marks = _drive_one(scenario, place, run, folder / stem, progress, steps)
                 if trace.end is EndReason.PLANNER_FAILURE:
-                    progress.failures.append(Failure(progress.log, trace.detail, place.planner, loop))
+                    progress.failures.append(
+                        Failure(progress.log, trace.detail, place.planner, loop)
+                    )
                 files = tuple(f"{final}/{file.name}" for file in sorted(folder.glob(f"{stem}.*")))
                 record = DriveRecord(
                     log=trace.scenario,
@@ -207,10 +238,17 @@ def _places(run: RunConfig, member: int = 0) -> Iterator[_DriveSpec]:
 
 
 def _drive_one(
-    scenario: Scenario, place: _DriveSpec, run: RunConfig, file: Path, progress: _Progress, steps: StepsFile
+    scenario: Scenario,
+    place: _DriveSpec,
+    run: RunConfig,
+    file: Path,
+    progress: _Progress,
+    steps: StepsFile,
 ) -> tuple[Trace, tuple[Mark, ...]]:
     """Drive, measure and write one planner in one loop: the trace as `file`.mcap, its recording as `file`.rrd."""
-    drive = _probe_determinism(_drive_log(scenario, place, run, keep=run.keep_internals), scenario, place, run)
+    drive = _probe_determinism(
+        _drive_log(scenario, place, run, keep=run.keep_internals), scenario, place, run
+    )
     found: dict[str, Steps] = {}
 
     def put(name: str, series: metrics.Series) -> None:
@@ -218,16 +256,20 @@ def _drive_one(
 
     broken = progress.broken(place.planner, place.mode)
     _free_memory(drive.trace)
-    table = metrics.evaluate(drive.trace, scenario, metrics=all_metrics(run), broken=broken, found=put)
+    table = metrics.evaluate(
+        drive.trace, scenario, metrics=all_metrics(run), broken=broken, found=put
+    )
     _free_memory(drive.trace)
     steps.add(drive.trace.planner, place.mode.value, tuple(found.values()))
     progress.tables.append(table)
     timings = {
-        "log": drive.trace.scenario, "planner": drive.trace.planner, "mode": drive.trace.mode.value,
+        "log": drive.trace.scenario,
+        "planner": drive.trace.planner,
+        "mode": drive.trace.mode.value,
         "t_s": [lap.t for lap in drive.timings],
         "stage": [lap.stage for lap in drive.timings],
         "seconds": [lap.seconds for lap in drive.timings],
-    }  # fmt: skip
+    }
     progress.timings.append(pd.DataFrame(timings, columns=TIMING_COLUMNS))
     with progress.attempt(place.planner, place.mode):
         shown = steps.table([found[name] for name in MEASURED if name in found])
@@ -236,7 +278,9 @@ def _drive_one(
             from replan.draw.foxglove import trace_channels
 
             beside = trace_channels(drive.trace, scenario)
-        write_trace(Path(f"{file}.mcap"), drive.trace, scenario, internals=run.internals, beside=beside)
+        write_trace(
+            Path(f"{file}.mcap"), drive.trace, scenario, internals=run.internals, beside=beside
+        )
         _free_memory(drive.trace)
         if run.recording:
             from replan.draw.recording import write_recording
@@ -251,7 +295,9 @@ def _free_memory(trace: Trace) -> None:
         trim_memory()
 
 
-def _drive_log(scenario: Scenario, place: _DriveSpec, run: RunConfig, *, keep: bool, until_s: float = inf) -> Drive:
+def _drive_log(
+    scenario: Scenario, place: _DriveSpec, run: RunConfig, *, keep: bool, until_s: float = inf
+) -> Drive:
     return LOOPS[place.mode](
         scenario,
         place.planner,
@@ -263,7 +309,9 @@ def _drive_log(scenario: Scenario, place: _DriveSpec, run: RunConfig, *, keep: b
     )
 
 
-def _probe_determinism(drive: Drive, scenario: Scenario, place: _DriveSpec, run: RunConfig) -> Drive:
+def _probe_determinism(
+    drive: Drive, scenario: Scenario, place: _DriveSpec, run: RunConfig
+) -> Drive:
     """The drive, with a note if its planner is the user's own and not deterministic (`RunConfig.repeat_s`)."""
     planner, until_s = drive.trace.planner, float(scenario.ego.t[0]) + run.repeat_s
     if not run.repeat_s or drive.trace.oracle or is_built_in(planner) or not drive.trace.frames:

@@ -37,7 +37,17 @@ from typing import Any
 import msgspec
 
 from replan.core.errors import ConfigError, ReplanError, writing
-from replan.core.files import content, fetch, listed, local_path, on_this_machine, put, put_new, remove, url_of
+from replan.core.files import (
+    content,
+    fetch,
+    listed,
+    local_path,
+    on_this_machine,
+    put,
+    put_new,
+    remove,
+    url_of,
+)
 from replan.logs.forward import drivable_part
 from replan.logs.mcap import read_scenario
 from replan.logs.readers import LogSettings
@@ -49,7 +59,8 @@ from replan.run.sources import LogSource, log_hash, select
 
 _NO_LOCKS = (errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP, errno.EINVAL)
 _CARD_BYTES = 4096
-_FAR = 1 << 30  # Windows locks bytes, which then cannot be read: this byte is behind all written bytes
+# Windows locks bytes, which then cannot be read: this byte is behind all written bytes
+_FAR = 1 << 30
 
 
 @contextmanager
@@ -80,7 +91,9 @@ def locked(path: Path, what: Path) -> Iterator[None]:
     try:
         handle = _lock(path, what)
     except OSError as error:
-        raise ConfigError(f"{what}: cannot be written: {error.strerror}; give --out another place") from None
+        raise ConfigError(
+            f"{what}: cannot be written: {error.strerror}; give --out another place"
+        ) from None
     try:
         with writing(path):
             os.ftruncate(handle, 0)
@@ -115,7 +128,9 @@ def _lock(path: Path, what: Path) -> int:
             if not card:
                 raise ConfigError(f"{what}: another run writes it just now; {wait}")
             who = f"process {card['pid']} on {card['host']} since {card['since']}"
-            raise ConfigError(f"{what}: another run writes it ({who}); {wait}; if it has ended: rm {path}")
+            raise ConfigError(
+                f"{what}: another run writes it ({who}); {wait}; if it has ended: rm {path}"
+            )
         with suppress(FileNotFoundError):
             if os.path.samestat(os.fstat(handle), path.stat()):
                 return handle
@@ -143,7 +158,12 @@ def _try_lock(handle: int) -> bool | None:
 def lock_card() -> bytes:
     """The owner of a lock, for people and for file systems without locks."""
     since = datetime.now(UTC).isoformat(timespec="seconds")
-    card = {"pid": os.getpid(), "host": socket.gethostname(), "since": since, "started": _start_of_process(os.getpid())}
+    card = {
+        "pid": os.getpid(),
+        "host": socket.gethostname(),
+        "since": since,
+        "started": _start_of_process(os.getpid()),
+    }
     return json.dumps(card).encode()
 
 
@@ -176,7 +196,8 @@ class OutputLocation:
     url: str = ""  # The URL to which it is sent; "" if there is none
     # Write times of the files that are at the URL already; they are sent again only if written anew
     there: dict[str, int] = field(default_factory=dict)
-    old: list[str] = field(default_factory=list)  # Files at the URL that are removed before anything is sent
+    # Files at the URL that are removed before anything is sent
+    old: list[str] = field(default_factory=list)
 
     def check_outside(self, sources: Sequence[LogSource]) -> None:
         """Raise ConfigError if the URL contains a log that is to be driven: it would be removed."""
@@ -189,14 +210,27 @@ class OutputLocation:
     def keep(self, result: LogResult) -> None:
         """Send a log's folder, and `run.toml` before the first one; OutputError if that fails."""
         if self.url and self.folder is not None and result.folder:
-            files = sorted((self.folder / result.folder).iterdir(), key=lambda path: (path.name == LOG_CARD, path.name))
+            files = sorted(
+                (self.folder / result.folder).iterdir(),
+                key=lambda path: (path.name == LOG_CARD, path.name),
+            )
             self._send([self.folder / "run.toml", *files])
 
     def finish(self) -> None:
         """Send all files that are not at the URL yet; OutputError if that fails."""
         if self.url and self.folder is not None:
-            files = (path for path in sorted(self.folder.rglob("*")) if path.is_file() and path.name != LOCK)
-            self._send([path for path in files if not path.relative_to(self.folder).parts[0].startswith(PARTIAL)])
+            files = (
+                path
+                for path in sorted(self.folder.rglob("*"))
+                if path.is_file() and path.name != LOCK
+            )
+            self._send(
+                [
+                    path
+                    for path in files
+                    if not path.relative_to(self.folder).parts[0].startswith(PARTIAL)
+                ]
+            )
 
     def _send(self, files: Sequence[Path]) -> None:
         assert self.folder is not None
@@ -253,7 +287,9 @@ def _open_url(url: str, folder: Path, *, resume: bool) -> OutputLocation:
     if not any(file.name == "run.toml" for file in files):
         foreign += files
     if foreign:
-        raise ConfigError(f"{url}: contains {foreign[0].name}, not a replan result; give --out a new or empty place")
+        raise ConfigError(
+            f"{url}: contains {foreign[0].name}, not a replan result; give --out a new or empty place"
+        )
     whole = [file for file in logs if file.name.partition("/")[0] in cards] if resume else []
     kept = [*whole, *(file for file in files if resume and file.name == "run.toml")]
     if kept:
@@ -261,7 +297,10 @@ def _open_url(url: str, folder: Path, *, resume: bool) -> OutputLocation:
         fetch(kept, folder)
     there = {file.name: (folder / file.name).stat().st_mtime_ns for file in kept}
     # cards are removed first, so that no incomplete folder looks complete; run.toml, which identifies results, last
-    order = sorted(files, key=lambda file: (file.name == "run.toml", not file.name.endswith(LOG_CARD), file.name))
+    order = sorted(
+        files,
+        key=lambda file: (file.name == "run.toml", not file.name.endswith(LOG_CARD), file.name),
+    )
     return OutputLocation(folder, url, there, [file.url for file in order if file not in kept])
 
 
@@ -311,16 +350,26 @@ def log_of(out: Path, source: str, digest: str, settings: LogSettings) -> Scenar
     if url_of(source):
         found = select([source], settings).sources[0]
     else:
-        places = list(dict.fromkeys(Path(os.path.normpath(place / local_path(source))) for place in _directories(out)))
+        places = list(
+            dict.fromkeys(
+                Path(os.path.normpath(place / local_path(source))) for place in _directories(out)
+            )
+        )
         there = [LogSource(str(place), place, settings) for place in places if place.exists()]
         if not there:
             where = " nor at ".join(map(str, places))
-            raise ConfigError(f"{source}: the log of these results is not at {where}; put it back there")
-        found = next((one for one in there if one.path and log_hash(one.path, settings) == digest), there[0])
+            raise ConfigError(
+                f"{source}: the log of these results is not at {where}; put it back there"
+            )
+        found = next(
+            (one for one in there if one.path and log_hash(one.path, settings) == digest), there[0]
+        )
     with found.fetched() as near:
         assert near.path is not None
         if log_hash(near.path, settings) != digest:
-            raise ConfigError(f"{found.label}: is no longer the log of these results: its bytes differ")
+            raise ConfigError(
+                f"{found.label}: is no longer the log of these results: its bytes differ"
+            )
         return near.read()
 
 

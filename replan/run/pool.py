@@ -47,9 +47,15 @@ class _Worker(Generic[T, R]):
             self.process.join()
             code = self.process.exitcode or 0
             if code >= 0:
-                return WorkerLost(f"its worker process ended with code {code} (its message is above)")
+                return WorkerLost(
+                    f"its worker process ended with code {code} (its message is above)"
+                )
             name = signal.Signals(-code).name
-            hint = "; the system may be out of memory: try fewer --workers" if name == "SIGKILL" else ""
+            hint = (
+                "; the system may be out of memory: try fewer --workers"
+                if name == "SIGKILL"
+                else ""
+            )
             return WorkerLost(f"its worker process was killed ({name}){hint}")
         return result
 
@@ -120,7 +126,8 @@ def _call(function: Callable[[], object]) -> None:
 
 def _hand_out(worker: _Worker[T, R], items: Sequence[T], waiting: list[int]) -> None:
     worker.item = waiting.pop()
-    with suppress(ConnectionError):  # the worker died before it got an item; `take` reports the closed pipe
+    # The worker died before it got an item; `take` reports the closed pipe
+    with suppress(ConnectionError):
         worker.pipe.send(items[worker.item])
 
 

@@ -49,7 +49,8 @@ def stamp_of(run: RunConfig, also: Iterable[tuple[ExtensionKind[Any], str]] = ()
     for folder in own_folders():
         for file in sorted(folder.rglob("*.py")):
             digest.update(f"{file.relative_to(folder.parent)}\n".encode() + file.read_bytes())
-    own: list[Path] = []  # files of users: modules ("module:NAME", entry points), and files that commands name
+    # Files of users: modules ("module:NAME", entry points), and files that commands name
+    own: list[Path] = []
     for name in run.planners:
         if name.startswith("exec:"):
             words = command_of(name)
@@ -68,19 +69,25 @@ def stamp_of(run: RunConfig, also: Iterable[tuple[ExtensionKind[Any], str]] = ()
     return Stamp(replan_version(), digest.hexdigest())
 
 
-def finished(out: Path, sources: Sequence[LogSource], run: RunConfig, stamp: Stamp) -> dict[int, LogResult]:
+def finished(
+    out: Path, sources: Sequence[LogSource], run: RunConfig, stamp: Stamp
+) -> dict[int, LogResult]:
     """The results that an interrupted run left in `out`, by index of their source; removes unfinished folders.
 
     ConfigError if `out` is not an interrupted run of these logs with this configuration and this code.
     """
     folders = [folder for folder in sorted(out.iterdir()) if (folder / LOG_CARD).is_file()]
     if folders or (out / "run.toml").is_file():
-        changed = changes(read_toml(out / "run.toml"), tomllib.loads(dump_run(run)), besides="gates")
+        changed = changes(
+            read_toml(out / "run.toml"), tomllib.loads(dump_run(run)), besides="gates"
+        )
         if changed:
             raise ConfigError(
                 f"{out}: was begun with another configuration: {changed}; give the same options, or {START_OVER}"
             )
-    found = {folder: load_result(folder) for folder in folders if not folder.name.startswith(PARTIAL)}
+    found = {
+        folder: load_result(folder) for folder in folders if not folder.name.startswith(PARTIAL)
+    }
     inputs = {identity_of(source): index for index, source in enumerate(sources)}
     results: dict[int, LogResult] = {}
     for content in found.values():
@@ -118,8 +125,14 @@ def identity_of(source: LogSource) -> str:
 def changes(before: Mapping[str, Any], now: Mapping[str, Any], besides: str = "") -> str:
     """The keys, except `besides`, in which two configurations differ, in words; "" if there are none."""
     was, now = dict(flat(before)), dict(flat(now))
-    changed = [key for key in dict.fromkeys([*was, *now]) if was.get(key) != now.get(key) and key != besides]
-    return listed([f"{key} was {_describe(was, key)}, is {_describe(now, key)}" for key in changed], 3)
+    changed = [
+        key
+        for key in dict.fromkeys([*was, *now])
+        if was.get(key) != now.get(key) and key != besides
+    ]
+    return listed(
+        [f"{key} was {_describe(was, key)}, is {_describe(now, key)}" for key in changed], 3
+    )
 
 
 def _describe(table: Mapping[str, Any], key: str) -> str:
@@ -132,7 +145,13 @@ CHECKSUM = "crc32"  # The key of the checksum of a trial's line
 def study_head(kind: str, run: RunConfig, inputs: Mapping[str, Any]) -> dict[str, Any]:
     """The head of a study: its kind, the versions of replan and the code, its own inputs (JSON types), its run."""
     stamp = stamp_of(run)
-    return {"study": kind, "replan": stamp.replan, "code": stamp.code[:12], **inputs, "run": dump_run(run)}
+    return {
+        "study": kind,
+        "replan": stamp.replan,
+        "code": stamp.code[:12],
+        **inputs,
+        "run": dump_run(run),
+    }
 
 
 class Study:
@@ -161,14 +180,22 @@ class Study:
     def _read(self) -> list[dict[str, Any]]:
         """The lines of the file, of which the first is the head."""
         if not self._path.is_file():
-            raise ConfigError(f"{self._path.parent}: contains no study to resume; leave out --resume to start one")
+            raise ConfigError(
+                f"{self._path.parent}: contains no study to resume; leave out --resume to start one"
+            )
         again = "leave out --resume to start over"
         try:
             lines = self._path.read_bytes().split(b"\n")[:-1]  # what follows the last end is cut
             rows = [json.loads(line) for line in lines]
         except (OSError, ValueError, RecursionError) as error:
-            raise ConfigError(f"{self._path}: cannot be read as a study: {error}; {again}") from None
-        if not (rows and all(isinstance(row, dict) for row in rows) and all("key" in row for row in rows[1:])):
+            raise ConfigError(
+                f"{self._path}: cannot be read as a study: {error}; {again}"
+            ) from None
+        if not (
+            rows
+            and all(isinstance(row, dict) for row in rows)
+            and all("key" in row for row in rows[1:])
+        ):
             raise ConfigError(f"{self._path}: contains no study; {again}")
         for number, row in enumerate(rows[1:], 2):
             if row.pop(CHECKSUM, None) != _checksum(row):

@@ -61,7 +61,9 @@ class Shard:
         """Parse a shard such as "2/5"; ConfigError if the text is invalid."""
         number, _, of = text.partition("/")
         if not (number.isdecimal() and of.isdecimal()):
-            raise ConfigError(f"shard {text!r}: write it as I/N with I from 1 to N, for example 2/5")
+            raise ConfigError(
+                f"shard {text!r}: write it as I/N with I from 1 to N, for example 2/5"
+            )
         return cls(int(number), int(of))
 
     def places(self, count: int) -> range:
@@ -74,9 +76,14 @@ class Shard:
 
 
 def write_card(
-    out: Path, shard: Shard, whole: Selection, run: RunConfig, stamp: Stamp,
-    failures: Iterable[Failure], results: Iterable[LogResult],
-) -> None:  # fmt: skip
+    out: Path,
+    shard: Shard,
+    whole: Selection,
+    run: RunConfig,
+    stamp: Stamp,
+    failures: Iterable[Failure],
+    results: Iterable[LogResult],
+) -> None:
     """Write `shard.json` into a shard's folder, which marks it as complete.
 
     `stamp`: version and code on which the results depend. `results`: results in the order of the shard's logs, under
@@ -94,7 +101,10 @@ def write_card(
     for result in results:
         log: dict[str, Any] = {"source": result.source, "folder": result.folder}
         if not result.folder:
-            log |= {"log": result.name, "failures": [asdict(failure) for failure in result.failures]}
+            log |= {
+                "log": result.name,
+                "failures": [asdict(failure) for failure in result.failures],
+            }
         card["logs"].append(log)
     write_json(out / SHARD_CARD, card)
 
@@ -168,7 +178,8 @@ def merge(folders: Sequence[Path | str], out: Path | str) -> Results:
                 copy = partial(shutil.copytree, part.folder / folder, copy_function=_link_or_copy)
                 write_folder(out / folder, copy)  # twins in two shards: the first counts
         results = tuple(placed[place] for place in range(len(placed)))
-        sources = tuple(LogSource(result.source) for result in results)  # labels only: no log is read again
+        # Labels only: no log is read again
+        sources = tuple(LogSource(result.source) for result in results)
         selection = Selection(sources, found[0].card.logs_left_out)
         return judge_and_write(out, run, selection, results, gates, found[0].card.failures)
 
@@ -187,7 +198,10 @@ def _read_parts(folders: Sequence[Path]) -> tuple[ShardContents, ...]:
     """The shards in these folders, by number; ConfigError unless all are of one run and of this replan, each once."""
     if not folders:
         raise ConfigError("name the folders of all shards: replan merge SHARD1 SHARD2 ... -o OUT")
-    found = sorted((_read_part(folder) for folder in folders), key=lambda one: (one.shard.number, str(one.folder)))
+    found = sorted(
+        (_read_part(folder) for folder in folders),
+        key=lambda one: (one.shard.number, str(one.folder)),
+    )
     one = found[0]
     for other in found[1:]:
         both = f"{one.folder} and {other.folder} are not of one run"
@@ -199,7 +213,9 @@ def _read_parts(folders: Sequence[Path]) -> tuple[ShardContents, ...]:
             counts = f"{len(one.card.inputs)} and {counted(len(other.card.inputs), 'log')}"
             raise ConfigError(f"{both}: {counts}; they differ in {differing[0]}")
         if one.stamp != other.stamp:
-            raise ConfigError(f"{both}: driven with {_describe(one.stamp)} and with {_describe(other.stamp)}")
+            raise ConfigError(
+                f"{both}: driven with {_describe(one.stamp)} and with {_describe(other.stamp)}"
+            )
         changed = changes(read_toml(one.folder / "run.toml"), read_toml(other.folder / "run.toml"))
         if changed:
             raise ConfigError(f"{both}: {changed}")
@@ -208,17 +224,23 @@ def _read_parts(folders: Sequence[Path]) -> tuple[ShardContents, ...]:
     of, numbers = one.shard.of, Counter(part.shard.number for part in found)
     twice = [part for part in found if numbers[part.shard.number] > 1]
     if twice:
-        raise ConfigError(f"{twice[0].folder} and {twice[1].folder} are both shard {twice[0].shard}")
+        raise ConfigError(
+            f"{twice[0].folder} and {twice[1].folder} are both shard {twice[0].shard}"
+        )
     missing = [str(Shard(number, of)) for number in range(1, of + 1) if number not in numbers]
     if missing:
-        raise ConfigError(f"shards are missing: {', '.join(missing)}; given are {len(found)} of {of}")
+        raise ConfigError(
+            f"shards are missing: {', '.join(missing)}; given are {len(found)} of {of}"
+        )
     run = load_run(one.folder / "run.toml")
     for planner in run.planners:
         if not is_foreign(planner):
             _ = planner_part(planner).factory  # raises an error that names a missing package
     now = stamp_of(run)
     if now != one.stamp:
-        raise ConfigError(f"{one.folder}: was driven with {_describe(one.stamp)}, this is {_describe(now)}")
+        raise ConfigError(
+            f"{one.folder}: was driven with {_describe(one.stamp)}, this is {_describe(now)}"
+        )
     return tuple(found)
 
 
@@ -244,7 +266,9 @@ def _read_part(folder: Path) -> ShardContents:
         results.append(replace(content[0], source=log.source))
     found = ShardContents(folder, card, tuple(results))
     if len(found.shard.places(len(card.inputs))) != len(results):
-        raise ConfigError(f"{folder / SHARD_CARD}: has not the logs of shard {found.shard}; copy the shard again")
+        raise ConfigError(
+            f"{folder / SHARD_CARD}: has not the logs of shard {found.shard}; copy the shard again"
+        )
     return found
 
 

@@ -30,7 +30,17 @@ from types import MappingProxyType
 import numpy as np
 
 from replan.core.errors import ConfigError, LogError
-from replan.core.files import RemoteFile, check_regular, fetch, heads, listed, local_path, ranged, read_toml, url_of
+from replan.core.files import (
+    RemoteFile,
+    check_regular,
+    fetch,
+    heads,
+    listed,
+    local_path,
+    ranged,
+    read_toml,
+    url_of,
+)
 from replan.logs.catalogue import BUILTIN, FAMILY, scenario, suite
 from replan.logs.edit.transform import jittered, rotated, sampled, shifted_clock
 from replan.logs.maps import map_files
@@ -75,11 +85,15 @@ SUITE_HEADER = "# A suite of logs, written by `replan suite`; give it to --suite
 class LogSource:
     """The source of a log: a file or folder of any format, or the catalogue."""
 
-    label: str  # Its name for the user; for the catalogue, the name of a scenario (`replan.logs.catalogue.scenario`)
+    # Its name for the user; for the catalogue, the name of a scenario
+    # (`replan.logs.catalogue.scenario`)
+    label: str
     path: Path | None = None  # The file or folder; None for the catalogue
     settings: LogSettings = field(default_factory=LogSettings)
-    digest: str = ""  # Its `log_hash`, so that a log with many windows is hashed once; "" if unknown
-    remote: tuple[RemoteFile, ...] = ()  # Its files if it is named by URL; `fetched` gives it as a path
+    # Its `log_hash`, so that a log with many windows is hashed once; "" if unknown
+    digest: str = ""
+    # Its files if it is named by URL; `fetched` gives it as a path
+    remote: tuple[RemoteFile, ...] = ()
     format: str = ""  # Format of a remote log, as known from its name
 
     def identity(self) -> str:
@@ -92,7 +106,9 @@ class LogSource:
             return f"catalogue {self.label}{f' {file_hash(file)}' if file else ''}"
         settings = self.settings
         if settings.map:
-            settings = replace(settings, map=" ".join(map(file_hash, map_files(Path(settings.map)))))
+            settings = replace(
+                settings, map=" ".join(map(file_hash, map_files(Path(settings.map))))
+            )
         part = "" if settings == LogSettings() else f" {settings}"
         if self.path is None:
             return f"{self._entry} {_version(self.remote) or self.label}{part}"
@@ -107,8 +123,11 @@ class LogSource:
         with tempfile.TemporaryDirectory(prefix="replan-") as scratch:
             begin, end, (file, *more) = self.settings.begin, self.settings.end, self.remote
             fetched = False
-            if self.format == "native" and not more and (begin > 0.0 or end < inf):  # its window is enough
-                fetched = write_part(ranged(file), file.size, begin, end, Path(scratch, self._entry))
+            # Its window is enough
+            if self.format == "native" and not more and (begin > 0.0 or end < inf):
+                fetched = write_part(
+                    ranged(file), file.size, begin, end, Path(scratch, self._entry)
+                )
             if not fetched:
                 fetch(self.remote, Path(scratch))
             try:
@@ -178,8 +197,14 @@ def suite_file(path: Path) -> list[Path | str]:
     """
     table = read_toml(path)
     logs = table.get("logs")
-    if set(table) != {"logs"} or not isinstance(logs, list) or not all(isinstance(log, str) for log in logs):
-        raise ConfigError(f"{path}: a suite has one key, logs, a list of paths (replan suite writes such a file)")
+    if (
+        set(table) != {"logs"}
+        or not isinstance(logs, list)
+        or not all(isinstance(log, str) for log in logs)
+    ):
+        raise ConfigError(
+            f"{path}: a suite has one key, logs, a list of paths (replan suite writes such a file)"
+        )
     return [log if url_of(log) else path.parent / log for log in logs]
 
 
@@ -211,14 +236,22 @@ def select(
         if not candidates:
             if not url and (known := known_format(local_path(place))) is not None:
                 raise ConfigError(str(known))
-            looked = ", ".join(dict.fromkeys(reader.looks_for for reader in readers(settings.reader)))
-            raise ConfigError(f"{url or place}: no logs in this folder; looked for {looked}, 0 found; {FORMATS}")
+            looked = ", ".join(
+                dict.fromkeys(reader.looks_for for reader in readers(settings.reader))
+            )
+            raise ConfigError(
+                f"{url or place}: no logs in this folder; looked for {looked}, 0 found; {FORMATS}"
+            )
         for log, reason in candidates:
             source = log
             if not reason and log.path is not None:
                 with suppress(LogError):  # the evaluation will say why
                     source = replace(log, digest=log_hash(log.path, settings))
-            key = _version(log.remote) or source.digest or (os.path.realpath(log.path) if log.path else log.label)
+            key = (
+                _version(log.remote)
+                or source.digest
+                or (os.path.realpath(log.path) if log.path else log.label)
+            )
             if not reason and (twin := kept.get(key) or drives.twin_of(source)):
                 reason = f"the same log as {twin.label}"
             if reason:
@@ -231,10 +264,14 @@ def select(
         if window is None:
             sources.append(source)
             continue
-        with suppress(LogError), source.fetched() as near:  # the evaluation will say why it cannot be read
+        # The evaluation will say why it cannot be read
+        with suppress(LogError), source.fetched() as near:
             assert near.path is not None
             parts = windows(near.path, source.settings, window, every)
-        sources += [replace(source, label=f"{source.label} from {part.begin:g} s", settings=part) for part in parts]
+        sources += [
+            replace(source, label=f"{source.label} from {part.begin:g} s", settings=part)
+            for part in parts
+        ]
     selection = Selection(tuple(sources), tuple(dropped))
     if not kept:
         raise ConfigError(f"no logs to evaluate: {selection}")
@@ -255,7 +292,9 @@ class _Drives:
         if span is None:
             return None
         others = self.by_span.setdefault(span, [])
-        twin = next((other for other in others if self._content(other) == self._content(source)), None)
+        twin = next(
+            (other for other in others if self._content(other) == self._content(source)), None
+        )
         if twin is None:
             others.append(source)
         return twin
@@ -265,7 +304,10 @@ class _Drives:
         if source.label not in self.contents:
             self.contents[source.label] = source.label
             with suppress(LogError), tempfile.TemporaryDirectory(prefix="replan-") as scratch:
-                write_scenario(Path(scratch, "log.mcap"), replace(source.read(), name="log", source="", notes=()))
+                write_scenario(
+                    Path(scratch, "log.mcap"),
+                    replace(source.read(), name="log", source="", notes=()),
+                )
                 self.contents[source.label] = file_hash(Path(scratch, "log.mcap"))
         return self.contents[source.label]
 
@@ -288,13 +330,22 @@ def _remote(url: str, settings: LogSettings) -> Iterator[tuple[LogSource, str]]:
             reader = reader_of(log, settings)
             names = log.relative_to(root.parent).as_posix().removeprefix(root.name)
             try:
-                needed = [path for path in (() if reader is None else reader.files(log)) if path in at]
+                needed = [
+                    path for path in (() if reader is None else reader.files(log)) if path in at
+                ]
             except Exception:  # a reader that treats empty files as damaged
                 needed = []
             if not needed or not all(path.is_relative_to(log.parent) for path in needed):
                 needed = [path for path in at if path == log or path.is_relative_to(log)]
-            parts = [replace(at[path], name=path.relative_to(log.parent).as_posix()) for path in needed]
-            yield LogSource(url + names, None, settings, "", tuple(parts), reader.name if reader else ""), reason
+            parts = [
+                replace(at[path], name=path.relative_to(log.parent).as_posix()) for path in needed
+            ]
+            yield (
+                LogSource(
+                    url + names, None, settings, "", tuple(parts), reader.name if reader else ""
+                ),
+                reason,
+            )
 
 
 def _version(files: Sequence[RemoteFile]) -> str:
@@ -372,7 +423,9 @@ def noisy(scenario: Scenario, rng: np.random.Generator, size: float = NOISE_M) -
     """Gaussian errors of `size` m on the positions of the agents that move."""
     tracks = scenario.tracks
     moves = np.repeat(~tracks.static, np.diff(tracks.offsets))
-    x, y = (column + moves * rng.normal(0.0, size, len(tracks.t)) for column in (tracks.x, tracks.y))
+    x, y = (
+        column + moves * rng.normal(0.0, size, len(tracks.t)) for column in (tracks.x, tracks.y)
+    )
     return replace(scenario, tracks=replace(tracks, x=x, y=y))
 
 

@@ -73,7 +73,9 @@ def warm_up(runs: Iterable[tuple[RunConfig, Sequence[str]]]) -> Warmed:
         failures += refused
         with TemporaryDirectory(prefix="replan-warmup-") as folder:
             sources = [LogSource(scene) for scene in scenes]
-            ended = [result for _, result in Local().evaluate(sources, run, Path(folder), stamp_of(run))]
+            ended = [
+                result for _, result in Local().evaluate(sources, run, Path(folder), stamp_of(run))
+            ]
         results = [result for result in ended if isinstance(result, LogResult)]
         for stopped in filter(None, (result.stopped for result in results)):
             raise OutputError(stopped)

@@ -69,7 +69,15 @@ from replan.planners.pdm.planner import (
     STOPPING_GAIN,
     STOPPING_MPS,
 )
-from replan.score.window import Polyline, RoadblockRoute, WindowAgents, box_on_polygon, center_line, red_lanes, route_of
+from replan.score.window import (
+    Polyline,
+    RoadblockRoute,
+    WindowAgents,
+    box_on_polygon,
+    center_line,
+    red_lanes,
+    route_of,
+)
 
 HORIZON_S, STEP_S, POSES, POSE_S, PAST_S, LEAST_WAY_M = 4.0, 0.1, 8, 0.5, 1.5, 5.0
 STEPS = round(HORIZON_S / STEP_S) + 1
@@ -88,30 +96,64 @@ class Version:
     columns: Mapping[str, str]  # The original's column of each part, in its order
     multipliers: tuple[str, ...]  # Parts that multiply the weighted mean; `weights` by part
     weights: Mapping[str, float]
-    filters: bool  # Whether the human filter changes the columns; `scores_filtered` whether it changes the score, too
+    # Whether the human filter changes the columns; `scores_filtered` whether it changes the score,
+    # too
+    filters: bool
     scores_filtered: bool
     masks: bool  # Whether EP is that after the own multipliers
     drops: bool  # Whether agents that touch the ego at the start are left out
-    seen_s: float  # For how long others are seen, s; `ttc_steps` is the number of states that TTC looks at
+    # For how long others are seen, s; `ttc_steps` is the number of states that TTC looks at
+    seen_s: float
     ttc_steps: int
     past: bool  # Whether comfort begins with the recorded past, and is that of the centre
-    windows: tuple[int, int]  # Filters of acceleration and jerk (`replan.metrics.driving_scores.comfort_signals`)
+    # Filters of acceleration and jerk (`replan.metrics.driving_scores.comfort_signals`)
+    windows: tuple[int, int]
 
 
 _V1 = Version(
-    {"NC": "no_at_fault_collisions", "DAC": "drivable_area_compliance", "EP": "ego_progress",
-     "TTC": "time_to_collision_within_bound", "HC": "comfort", "DDC": "driving_direction_compliance"},
-    ("NC", "DAC"), {"EP": 5.0, "TTC": 5.0, "HC": 2.0}, False, False, True, False, 5.0, STEPS, False, (STEPS, STEPS),
-)  # fmt: skip
+    {
+        "NC": "no_at_fault_collisions",
+        "DAC": "drivable_area_compliance",
+        "EP": "ego_progress",
+        "TTC": "time_to_collision_within_bound",
+        "HC": "comfort",
+        "DDC": "driving_direction_compliance",
+    },
+    ("NC", "DAC"),
+    {"EP": 5.0, "TTC": 5.0, "HC": 2.0},
+    False,
+    False,
+    True,
+    False,
+    5.0,
+    STEPS,
+    False,
+    (STEPS, STEPS),
+)
 _COLUMNS = {
-    "NC": "no_at_fault_collisions", "DAC": "drivable_area_compliance", "DDC": "driving_direction_compliance",
-    "TLC": "traffic_light_compliance", "EP": "ego_progress", "TTC": "time_to_collision_within_bound",
-    "LK": "lane_keeping", "HC": "history_comfort", "EC": "two_frame_extended_comfort",
-}  # fmt: skip
-_PRODUCT, _WEIGHTS = ("NC", "DAC", "DDC", "TLC"), {"EP": 5.0, "TTC": 5.0, "LK": 2.0, "HC": 2.0, "EC": 2.0}
-_V2 = Version(_COLUMNS, _PRODUCT, _WEIGHTS, True, True, False, True, 4.0, STEPS - CARRIED[-1], True, (8, 15))
-_OLD = Version(_COLUMNS, _PRODUCT, _WEIGHTS, True, False, False, True, 4.0, STEPS - CARRIED[-1], True, (8, 15))
-VERSIONS: Mapping[str, Version] = MappingProxyType({"navsim-v1": _V1, "navsim-v2": _V2, "navsim-v2-old-filter": _OLD})
+    "NC": "no_at_fault_collisions",
+    "DAC": "drivable_area_compliance",
+    "DDC": "driving_direction_compliance",
+    "TLC": "traffic_light_compliance",
+    "EP": "ego_progress",
+    "TTC": "time_to_collision_within_bound",
+    "LK": "lane_keeping",
+    "HC": "history_comfort",
+    "EC": "two_frame_extended_comfort",
+}
+_PRODUCT, _WEIGHTS = (
+    ("NC", "DAC", "DDC", "TLC"),
+    {"EP": 5.0, "TTC": 5.0, "LK": 2.0, "HC": 2.0, "EC": 2.0},
+)
+_V2 = Version(
+    _COLUMNS, _PRODUCT, _WEIGHTS, True, True, False, True, 4.0, STEPS - CARRIED[-1], True, (8, 15)
+)
+_OLD = Version(
+    _COLUMNS, _PRODUCT, _WEIGHTS, True, False, False, True, 4.0, STEPS - CARRIED[-1], True, (8, 15)
+)
+VERSIONS: Mapping[str, Version] = MappingProxyType(
+    {"navsim-v1": _V1, "navsim-v2": _V2, "navsim-v2-old-filter": _OLD}
+)
 """The versions by the name of `--as`."""
 
 
@@ -143,7 +185,13 @@ class ScoredWindow:
     def box(self) -> tuple[float, float, float, float, float]:
         """The ego's box at the begin: centre x, y and yaw in the world, length and width."""
         (x, y, yaw), car = self.start[[X, Y, YAW]].tolist(), self.scenario.vehicle
-        return x + car.axle_to_center * cos(yaw), y + car.axle_to_center * sin(yaw), yaw, car.length, car.width
+        return (
+            x + car.axle_to_center * cos(yaw),
+            y + car.axle_to_center * sin(yaw),
+            yaw,
+            car.length,
+            car.width,
+        )
 
 
 def window(scenario: Scenario, t: float) -> ScoredWindow:
@@ -160,7 +208,10 @@ def window(scenario: Scenario, t: float) -> ScoredWindow:
             f"{scenario.name}: no window of {HORIZON_S:g} s begins at {t:.3f} s: the log's drive lasts from"
             f" {first:.1f} to {last:.1f} s; choose times up to {last - HORIZON_S:.1f} s"
         )
-    route, ego = route_of(scenario, lanes), scenario.ego.resampled(np.array([max(t, first)])).state(0)
+    route, ego = (
+        route_of(scenario, lanes),
+        scenario.ego.resampled(np.array([max(t, first)])).state(0),
+    )
     if not route.blocks:
         raise ConfigError(f"{scenario.name}: the log's driver is on no lane: there is no route")
     begin, center = center_line(lanes, route, ego.x, ego.y, ego.yaw)
@@ -195,12 +246,18 @@ def judged(
     x, y = states[:, X] + car.axle * np.cos(yaw), states[:, Y] + car.axle * np.sin(yaw)
     corner_x, corner_y = corners_of(x, y, yaw, car)
     under = np.array([lanes.under(*corner) for corner in zip(corner_x, corner_y, strict=True)])
-    on_road = np.array([lanes.in_area(*corner) for corner in zip(corner_x, corner_y, strict=True)]) | under.any(axis=1)
+    on_road = np.array(
+        [lanes.in_area(*corner) for corner in zip(corner_x, corner_y, strict=True)]
+    ) | under.any(axis=1)
     off, corners = ~on_road.all(axis=0), under.sum(axis=0)
     astray = off | (((corners > 0).sum(axis=0) > 1) & (corners != 4).all(axis=0))
     center, crossing = lanes.under(x, y), lanes.in_intersection(x, y)
-    wide = astray | lanes.in_intersection(np.ascontiguousarray(states[:, X]), np.ascontiguousarray(states[:, Y]))
-    collided, close = _meetings(np.ascontiguousarray(states), np.stack([x, y]), others, astray, wide, version.ttc_steps)
+    wide = astray | lanes.in_intersection(
+        np.ascontiguousarray(states[:, X]), np.ascontiguousarray(states[:, Y])
+    )
+    collided, close = _meetings(
+        np.ascontiguousarray(states), np.stack([x, y]), others, astray, wide, version.ttc_steps
+    )
     lost = ~center[sorted(ground.route.lanes)].any(axis=0) & ~crossing
     way = np.r_[0.0, np.hypot(np.diff(x), np.diff(y))] * lost
     worst = max(way[max(0, k - 10) : k + 1].sum() for k in range(n))
@@ -214,16 +271,24 @@ def judged(
         run = run + 1 if away[k] > KEEPING_M else 0
         longest = max(longest, run)
     parts = {
-        "NC": collided, "DAC": float(not off.any()),
+        "NC": collided,
+        "DAC": float(not off.any()),
         "DDC": 1.0 if worst < AGAINST_M[0] else 0.5 if worst < AGAINST_M[1] else 0.0,
-        "TLC": float(not touched), "TTC": float(not close), "LK": float(longest < KEEPING_STEPS),
-    }  # fmt: skip
+        "TLC": float(not touched),
+        "TTC": float(not close),
+        "LK": float(longest < KEEPING_STEPS),
+    }
     return parts, max(ground.center.station(x[-1], y[-1]) - ground.center.station(x[0], y[0]), 0.0)
 
 
 @kernel
 def _meetings(
-    states: FloatArray, box: FloatArray, others: WindowAgents, astray: BoolArray, wide: BoolArray, ttc_steps: int
+    states: FloatArray,
+    box: FloatArray,
+    others: WindowAgents,
+    astray: BoolArray,
+    wide: BoolArray,
+    ttc_steps: int,
 ) -> tuple[float, bool]:
     """Return NC, and whether the ego comes too close in time to an agent; `box` is its centre `(2, k)`."""
     car, score, close = NUPLAN_CAR, 1.0, False
@@ -240,12 +305,20 @@ def _meetings(
                 continue
             dx, dy = px - states[k, X], py - states[k, Y]
             behind = dx * cos(yaw) + dy * sin(yaw) < BEHIND * hypot(dx, dy)
-            nose_x, nose_y = states[k, X] + car.front * cos(yaw), states[k, Y] + car.front * sin(yaw)
+            nose_x, nose_y = (
+                states[k, X] + car.front * cos(yaw),
+                states[k, Y] + car.front * sin(yaw),
+            )
             at_fault = abs(states[k, V]) > STANDING_MPS and (
                 stands
-                or (not behind and (overlap(nose_x, nose_y, yaw, 0.0, car.width, px, py, heading, length, width)
-                                    or astray[k]))
-            )  # fmt: skip
+                or (
+                    not behind
+                    and (
+                        overlap(nose_x, nose_y, yaw, 0.0, car.width, px, py, heading, length, width)
+                        or astray[k]
+                    )
+                )
+            )
             if not at_fault:
                 break
             score = min(score, 0.0 if others.agent[i] else 0.5)
@@ -288,7 +361,9 @@ def history_comfort(at: ScoredWindow, states: FloatArray, version: Version) -> f
     turn, ahead = states[:, TURN], NUPLAN_CAR.axle if version.past else 0.0
     lon = states[:, A] + ahead * (turn**2 + states[:, TURN_RATE])
     whole, yaw = np.hypot(states[:, A], states[:, LATERAL]), np.unwrap(states[:, YAW])
-    return float(comfortable(comfort_signals(lon, states[:, LATERAL], whole, yaw, STEP_S, version.windows)))
+    return float(
+        comfortable(comfort_signals(lon, states[:, LATERAL], whole, yaw, STEP_S, version.windows))
+    )
 
 
 def _past(at: ScoredWindow) -> FloatArray:
@@ -353,11 +428,20 @@ def simulated(poses: FloatArray, start: FloatArray, wheelbase: float) -> FloatAr
 
 
 @kernel
-def _follow(poses: FloatArray, speed: FloatArray, kappa: FloatArray, start: FloatArray, wheelbase: float) -> FloatArray:
+def _follow(
+    poses: FloatArray, speed: FloatArray, kappa: FloatArray, start: FloatArray, wheelbase: float
+) -> FloatArray:
     out, last, h = np.zeros((len(poses), 9)), len(speed) - 1, STEP_S
     out[0] = start
     for k in range(len(poses) - 1):
-        x, y, yaw, v, a, steer = out[k, X], out[k, Y], out[k, YAW], out[k, V], out[k, A], out[k, STEER]
+        x, y, yaw, v, a, steer = (
+            out[k, X],
+            out[k, Y],
+            out[k, YAW],
+            out[k, V],
+            out[k, A],
+            out[k, STEER],
+        )
         then = min(k + STEPS_AHEAD, last)
         if speed[then] <= STOPPING_MPS and v <= STOPPING_MPS:
             wanted, rate = STOPPING_GAIN * (speed[then] - v), 0.0
@@ -369,15 +453,26 @@ def _follow(poses: FloatArray, speed: FloatArray, kappa: FloatArray, start: Floa
             e1, psi1, steer1 = 0.0, 0.0, 0.0
             for i in range(STEPS_AHEAD):
                 way = h * (v + i * h * wanted)
-                e, psi = e + way * psi, psi + way * (steer / NUPLAN_WHEELBASE_M - kappa[min(k + i, then)])
-                e1, psi1, steer1 = e1 + way * psi1, psi1 + way * steer1 / NUPLAN_WHEELBASE_M, steer1 + h
+                e, psi = (
+                    e + way * psi,
+                    psi + way * (steer / NUPLAN_WHEELBASE_M - kappa[min(k + i, then)]),
+                )
+                e1, psi1, steer1 = (
+                    e1 + way * psi1,
+                    psi1 + way * steer1 / NUPLAN_WHEELBASE_M,
+                    steer1 + h,
+                )
             psi = atan2(sin(psi), cos(psi))
-            rate = -(Q_OFFSET * e1 * e + Q_HEADING * psi1 * psi) / (Q_OFFSET * e1**2 + Q_HEADING * psi1**2 + 1.0)
+            rate = -(Q_OFFSET * e1 * e + Q_HEADING * psi1 * psi) / (
+                Q_OFFSET * e1**2 + Q_HEADING * psi1**2 + 1.0
+            )
         out[k + 1, X], out[k + 1, Y] = x + h * v * cos(yaw), y + h * v * sin(yaw)
         out[k + 1, YAW] = yaw + h * v * tan(steer) / wheelbase
         out[k + 1, A] = a + h / (h + ACCEL_LAG_S) * (wanted - a)
         out[k + 1, V] = v + h * out[k + 1, A]
-        out[k + 1, STEER] = min(max(steer + h / (h + STEER_LAG_S) * h * rate, -MAX_STEER), MAX_STEER)
+        out[k + 1, STEER] = min(
+            max(steer + h / (h + STEER_LAG_S) * h * rate, -MAX_STEER), MAX_STEER
+        )
         out[k + 1, TURN] = out[k + 1, V] * tan(out[k + 1, STEER]) / wheelbase
         out[k + 1, TURN_RATE] = (out[k + 1, TURN] - out[k, TURN]) / h
     return out

@@ -40,18 +40,35 @@ from replan.logs.scenario import Scenario
 from replan.logs.states import EgoState
 from replan.logs.trace import EndReason, Trace
 from replan.results.tables import safe_name
-from replan.score.navsim import HORIZON_S, NUPLAN_CAR, PAST_S, POSE_S, POSES, VERSIONS, ScoredWindow, window
+from replan.score.navsim import (
+    HORIZON_S,
+    NUPLAN_CAR,
+    PAST_S,
+    POSE_S,
+    POSES,
+    VERSIONS,
+    ScoredWindow,
+    window,
+)
 from replan.score.yardstick import ScoredPlan, Yardstick, scored, yardstick
 
 NUPLAN_CLS = "nuplan-cls"
-CLS_COLUMNS: Mapping[str, str] = MappingProxyType({
-    "collisions": "no_ego_at_fault_collisions", "drivable": "drivable_area_compliance",
-    "direction": "driving_direction_compliance", "making_progress": "ego_is_making_progress",
-    "progress": "ego_progress_along_expert_route", "ttc": "time_to_collision_within_bound",
-    "speed_limit": "speed_limit_compliance", "comfort": "ego_is_comfortable", "score": "score",
-})  # fmt: skip
+CLS_COLUMNS: Mapping[str, str] = MappingProxyType(
+    {
+        "collisions": "no_ego_at_fault_collisions",
+        "drivable": "drivable_area_compliance",
+        "direction": "driving_direction_compliance",
+        "making_progress": "ego_is_making_progress",
+        "progress": "ego_progress_along_expert_route",
+        "ttc": "time_to_collision_within_bound",
+        "speed_limit": "speed_limit_compliance",
+        "comfort": "ego_is_comfortable",
+        "score": "score",
+    }
+)
 """nuPlan's column of each part of `nuplan_closed`."""
-AVERAGE, FINAL = "average_all_frames", "final_score"  # Names of the summary's row in NAVSIM's and in nuPlan's tables
+# Names of the summary's row in NAVSIM's and in nuPlan's tables
+AVERAGE, FINAL = "average_all_frames", "final_score"
 TIME_ONLY = 1e-3
 
 
@@ -69,38 +86,62 @@ def nuplan_table(results: Results) -> ScoreTable:
     ConfigError if the run has no closed loop, or was made without the metric.
     """
     found = results.metrics
-    found = found[found["metric"].str.match(r"nuplan_closed\.\w+\.final") & (found["mode"] == "closed")]
+    found = found[
+        found["metric"].str.match(r"nuplan_closed\.\w+\.final") & (found["mode"] == "closed")
+    ]
     if found.empty:
-        raise ConfigError(f"{results.path}: no closed drive with the metric nuplan_closed; evaluate with --mode closed")
+        raise ConfigError(
+            f"{results.path}: no closed drive with the metric nuplan_closed; evaluate with --mode closed"
+        )
     part = found["metric"].str.split(".").str[1]
-    wide = found.assign(part=part).pivot_table("value", ["log", "planner"], "part", dropna=False, sort=False)
+    wide = found.assign(part=part).pivot_table(
+        "value", ["log", "planner"], "part", dropna=False, sort=False
+    )
     rows = wide.reindex(columns=list(CLS_COLUMNS)).rename(columns=CLS_COLUMNS).reset_index()
     rows = rows.rename(columns={"log": "scenario", "planner": "planner_name"})
     missing = found[found["value"].isna() & found["metric"].eq("nuplan_closed.score.final")]
     ends = results.drives.loc[results.drives["mode"] == "closed", "end"]
     early = int((~ends.isin([EndReason.END_OF_LOG.value, EndReason.END_OF_LOG.name.lower()])).sum())
     traffic = results.run.loop.traffic
-    reactive = "as logged: CLS-NR" if traffic == "time" else f"{traffic}, not nuPlan's IDM: comparable with CLS-R"
-    notes = [f"traffic: {reactive}", "vehicle and controller: those of the run, not nuPlan's LQR and bicycle at 10 Hz"]
+    reactive = (
+        "as logged: CLS-NR"
+        if traffic == "time"
+        else f"{traffic}, not nuPlan's IDM: comparable with CLS-R"
+    )
+    notes = [
+        f"traffic: {reactive}",
+        "vehicle and controller: those of the run, not nuPlan's LQR and bicycle at 10 Hz",
+    ]
     again = "evaluate with --set loop.drives_on=true"
-    notes += [f"{early} of {len(ends)} drives ended before the log, where nuPlan drives on: {again}"] if early else []
+    notes += (
+        [f"{early} of {len(ends)} drives ended before the log, where nuPlan drives on: {again}"]
+        if early
+        else []
+    )
     notes += [f"{row.log} ({row.planner}): no score: {row.reason}" for row in missing.itertuples()]
     return ScoreTable(_with_means(rows, "scenario", "planner_name", FINAL), tuple(notes))
 
 
 def navsim_table(
-    name: str, asked: Sequence[Asked], logs: Mapping[str, Scenario], on_plan: Callable[[], None] = lambda: None
+    name: str,
+    asked: Sequence[Asked],
+    logs: Mapping[str, Scenario],
+    on_plan: Callable[[], None] = lambda: None,
 ) -> ScoreTable:
     """Return NAVSIM's scores of plans.
 
     `name`: a name of `VERSIONS`. ConfigError if there are no plans, or a window does not fit its log.
     """
     if not asked:
-        raise ConfigError("no plans to score: a window needs a plan of 4 s, and 4 s of the log after its begin")
+        raise ConfigError(
+            "no plans to score: a window needs a plan of 4 s, and 4 s of the log after its begin"
+        )
     version, done, rows = VERSIONS[name], dict[tuple[str, str, int], ScoredPlan](), []
     staged = any(one.stage_one for one in asked)
     if staged and "EC" not in version.columns:
-        raise ConfigError(f"stage_one: {name} has one stage; take --as navsim-v2, or leave the column out")
+        raise ConfigError(
+            f"stage_one: {name} has one stage; take --as navsim-v2, or leave the column out"
+        )
     here: tuple[tuple[str, float], ScoredWindow, Yardstick] | None = None
     in_order = sorted(asked, key=lambda one: (one.log, one.t, one.drive))
     for one in in_order:
@@ -114,39 +155,61 @@ def navsim_table(
     for one in in_order:
         at = round(one.t / POSE_S * 100)
         now, after = done[one.log, one.drive, at], done.get((one.log, one.drive, at + 100))
-        if staged and after is not None and np.isnan(now.parts["EC"]):  # the earlier of a pair has the pair's
+        # The earlier of a pair has the pair's
+        if staged and after is not None and np.isnan(now.parts["EC"]):
             now = now.with_comfort(after.parts["EC"])
         columns = {column: now.parts[part] for part, column in version.columns.items()}
-        rows.append({"token": one.token or f"{one.log}@{one.t:g}", "log_name": one.log, "agent": one.drive,
-                     "start_time": one.t, **columns, "score": now.score})  # fmt: skip
+        rows.append(
+            {
+                "token": one.token or f"{one.log}@{one.t:g}",
+                "log_name": one.log,
+                "agent": one.drive,
+                "start_time": one.t,
+                **columns,
+                "score": now.score,
+            }
+        )
     table = pd.DataFrame(rows)
     if staged:
         table = two_stages(table, in_order, logs)
     table = table.sort_values(["log_name", "agent", "start_time"], kind="stable", ignore_index=True)
     notes = tuple(_navsim_notes(table, asked, logs, name))
-    return ScoreTable(with_stages(table) if staged else _with_means(table, "token", "agent", AVERAGE), notes)
+    return ScoreTable(
+        with_stages(table) if staged else _with_means(table, "token", "agent", AVERAGE), notes
+    )
 
 
 def _with_means(rows: pd.DataFrame, name: str, agent: str, word: str) -> pd.DataFrame:
     """Return the rows with one more for each agent: the means of the columns over rows that have a value."""
-    parts = [column for column in rows.columns if rows[column].dtype == np.float64 and column != "start_time"]
+    parts = [
+        column
+        for column in rows.columns
+        if rows[column].dtype == np.float64 and column != "start_time"
+    ]
     means = rows.groupby(agent, sort=False)[parts].mean().reset_index()
     return pd.concat([rows, means.assign(**{name: word})], ignore_index=True)[list(rows.columns)]
 
 
-def _navsim_notes(rows: pd.DataFrame, asked: Sequence[Asked], logs: Mapping[str, Scenario], name: str) -> Iterable[str]:
+def _navsim_notes(
+    rows: pd.DataFrame, asked: Sequence[Asked], logs: Mapping[str, Scenario], name: str
+) -> Iterable[str]:
     """Yield what cannot be exact, with the part and the number of windows that it concerns."""
     used = {one.log: logs[one.log] for one in asked}
     roads = [scenario.road for scenario in used.values()]
     past = sum(one.t < logs[one.log].ego.t[0] + PAST_S - TIME_ONLY for one in asked)
     car = [
-        key for key, one in used.items()
-        if abs(one.vehicle.length - NUPLAN_CAR.length) + abs(one.vehicle.width - NUPLAN_CAR.width) > 1e-3
-    ]  # fmt: skip
+        key
+        for key, one in used.items()
+        if abs(one.vehicle.length - NUPLAN_CAR.length) + abs(one.vehicle.width - NUPLAN_CAR.width)
+        > 1e-3
+    ]
     lights = sum(not scenario.lights for scenario in used.values())
     limits = sum(not any(np.isfinite(road.stated_limit(i)) for i in road.lanes) for road in roads)
     areas = sum(not road.areas for road in roads)
-    marked = sum(not any(IN_JUNCTION in lane.kind.split("+") for lane in road.lanes.values()) for road in roads)
+    marked = sum(
+        not any(IN_JUNCTION in lane.kind.split("+") for lane in road.lanes.values())
+        for road in roads
+    )
     if STAGE not in rows:
         yield "one stage: no trajectory names the window that it follows (column stage_one)"
     else:
@@ -168,14 +231,20 @@ def _navsim_notes(rows: pd.DataFrame, asked: Sequence[Asked], logs: Mapping[str,
         yield f"intersections: {marked} of {len(used)} logs mark none: lanes that cross others are taken for them"
     if past and name != "navsim-v1":
         yield f"history_comfort: {past} of {len(asked)} windows have less than {PAST_S:g} s of recorded past"
-    alone = int(rows["two_frame_extended_comfort"].isna().sum()) if "two_frame_extended_comfort" in rows else 0
+    alone = (
+        int(rows["two_frame_extended_comfort"].isna().sum())
+        if "two_frame_extended_comfort" in rows
+        else 0
+    )
     if alone:
         yield f"two_frame_extended_comfort: {alone} of {len(asked)} windows have no plan 0.5 s earlier: no weight"
 
 
 SIGMA2 = 0.1  # Variance of (1), m2
 STAGE, FOLLOWS, WEIGHT = "stage", "stage_one", "weight"
-STAGE_ONE, STAGE_TWO, COMBINED = (f"extended_pdm_score_{word}" for word in ("stage_one", "stage_two", "combined"))
+STAGE_ONE, STAGE_TWO, COMBINED = (
+    f"extended_pdm_score_{word}" for word in ("stage_one", "stage_two", "combined")
+)
 """Names of the summary's rows in NAVSIM's tables."""
 
 
@@ -185,7 +254,9 @@ def weights(end: FloatArray, begins: FloatArray) -> FloatArray:
     return found / found.sum() if found.sum() > 1e-8 else np.full(len(begins), 1.0 / len(begins))
 
 
-def two_stages(rows: pd.DataFrame, asked: Sequence[Asked], logs: Mapping[str, Scenario]) -> pd.DataFrame:
+def two_stages(
+    rows: pd.DataFrame, asked: Sequence[Asked], logs: Mapping[str, Scenario]
+) -> pd.DataFrame:
     """Return the rows of plans with their stage, the token that they follow, and their weight.
 
     ConfigError if two plans of an agent have one token; a plan follows none of stage one.
@@ -195,23 +266,37 @@ def two_stages(rows: pd.DataFrame, asked: Sequence[Asked], logs: Mapping[str, Sc
     rows[STAGE] = np.where(rows[FOLLOWS] == "", 1, 2)
     twice = rows[rows.duplicated(["agent", "token"])]
     if len(twice):
-        raise ConfigError(f"token {twice['token'].iloc[0]}: two windows have it; stage_one needs tokens that differ")
-    first = {(one.drive, token): one for one, token in zip(asked, rows["token"], strict=True) if not one.stage_one}
+        raise ConfigError(
+            f"token {twice['token'].iloc[0]}: two windows have it; stage_one needs tokens that differ"
+        )
+    first = {
+        (one.drive, token): one
+        for one, token in zip(asked, rows["token"], strict=True)
+        if not one.stage_one
+    }
     for key, group in rows[rows[STAGE] == 2].groupby(["agent", FOLLOWS], sort=False):
         agent, token = map(str, key)
         if (agent, token) not in first:
-            raise ConfigError(f"stage_one: {agent or 'the agent'} has no window of stage one with the token {token}")
+            raise ConfigError(
+                f"stage_one: {agent or 'the agent'} has no window of stage one with the token {token}"
+            )
         before = first[agent, token]
         scenes = [(logs[asked[k].log], asked[k].t) for k in group.index]
         starts = [(ego_at(log, t), log.origin) for log, t in scenes]
         end = before.poses[-1, :2] + logs[before.log].origin
-        rows.loc[group.index, WEIGHT] = weights(end, np.array([(ego.x + x, ego.y + y) for ego, (x, y) in starts]))
+        rows.loc[group.index, WEIGHT] = weights(
+            end, np.array([(ego.x + x, ego.y + y) for ego, (x, y) in starts])
+        )
     return rows
 
 
 def with_stages(rows: pd.DataFrame) -> pd.DataFrame:
     """Return the rows with three more for each agent: the means of stage one and of stage two, and the product (2)."""
-    parts = [name for name in rows.columns if rows[name].dtype == np.float64 and name not in ("start_time", WEIGHT)]
+    parts = [
+        name
+        for name in rows.columns
+        if rows[name].dtype == np.float64 and name not in ("start_time", WEIGHT)
+    ]
     summary = []
     for agent, own in rows.groupby("agent", sort=False):
         one, two = (own[own[STAGE] == stage] for stage in (1, 2))
@@ -239,7 +324,8 @@ class Asked:
     token: str
     t: float  # Begin of the window, s
     poses: FloatArray  # x, y, yaw in the log's world `(8, 3)`
-    stage_one: str = ""  # The token of the window of which this is a follow-up scene; "": it is none
+    # The token of the window of which this is a follow-up scene; "": it is none
+    stage_one: str = ""
 
 
 def read_table(path: Path) -> pd.DataFrame:
@@ -249,22 +335,34 @@ def read_table(path: Path) -> pd.DataFrame:
     """
     check_regular(path)
     if path.suffix not in (".csv", ".parquet"):
-        raise ConfigError(f"{path}: write trajectories as .csv or .parquet; pickles are not read: they execute code")
+        raise ConfigError(
+            f"{path}: write trajectories as .csv or .parquet; pickles are not read: they execute code"
+        )
     try:
         table = pd.read_csv(path) if path.suffix == ".csv" else pd.read_parquet(path)
     except (OSError, ValueError, pa.ArrowException) as error:
         raise ConfigError(f"{path}: cannot be read: {str(error).splitlines()[0]}") from None
-    table = table.rename(columns={name: "t_s" for name in ("t", "time_s", "time") if "t_s" not in table.columns})
+    table = table.rename(
+        columns={name: "t_s" for name in ("t", "time_s", "time") if "t_s" not in table.columns}
+    )
     if missing := [name for name in NEEDED if name not in table.columns]:
-        hint = "; a token names no time of a log here: add log and t_s" if "token" in table.columns else ""
-        raise ConfigError(f"{path}: no column {', '.join(missing)}; it needs {', '.join(NEEDED)}{hint}")
+        hint = (
+            "; a token names no time of a log here: add log and t_s"
+            if "token" in table.columns
+            else ""
+        )
+        raise ConfigError(
+            f"{path}: no column {', '.join(missing)}; it needs {', '.join(NEEDED)}{hint}"
+        )
     if table.empty:
         raise ConfigError(f"{path}: holds no rows; it needs {POSES} for each window")
     for name in ("t_s", "x", "y", "yaw", *(("after_s",) if "after_s" in table.columns else ())):
         numbers = pd.to_numeric(table[name], errors="coerce")
         if not np.isfinite(numbers).all():
             row = int(np.flatnonzero(~np.isfinite(numbers))[0])
-            raise ConfigError(f"{path}: {name} of row {row + 1} is no finite number: {table[name].iloc[row]}")
+            raise ConfigError(
+                f"{path}: {name} of row {row + 1} is no finite number: {table[name].iloc[row]}"
+            )
         table[name] = numbers.astype(float)
     for name in ("log", *(name for name in AGENT if name in table.columns)):
         if (empty := np.flatnonzero(table[name].isna())).size:
@@ -287,22 +385,39 @@ def of_table(path: Path, logs: Mapping[str, Scenario], *, relative: bool) -> lis
         if log not in known:
             raise unknown_name("log", log, sorted(logs))
         for drive, some in rows.groupby(agent, sort=False) if agent else [("", rows)]:
-            window = some.sort_values("after_s", kind="stable") if "after_s" in some.columns else some
+            window = (
+                some.sort_values("after_s", kind="stable") if "after_s" in some.columns else some
+            )
             where = f"{path}: {log} at {t:g} s{f', {drive!s}' if drive else ''}"
             if len(window) != POSES:
-                raise ConfigError(f"{where}: {len(window)} poses; a window has {POSES}, every {POSE_S:g} s")
+                raise ConfigError(
+                    f"{where}: {len(window)} poses; a window has {POSES}, every {POSE_S:g} s"
+                )
             expected = POSE_S * np.arange(1, POSES + 1)
-            if "after_s" in window.columns and not np.allclose(window["after_s"], expected, atol=1e-3):
-                raise ConfigError(f"{where}: after_s must be {expected[0]:g}, {expected[1]:g}, ... {expected[-1]:g} s")
+            if "after_s" in window.columns and not np.allclose(
+                window["after_s"], expected, atol=1e-3
+            ):
+                raise ConfigError(
+                    f"{where}: after_s must be {expected[0]:g}, {expected[1]:g}, ... {expected[-1]:g} s"
+                )
             poses = window[["x", "y", "yaw"]].to_numpy(np.float64)
             name = known[log]
             begin = ego_at(logs[name], t)
             placed = _in_world(poses, begin) if relative else poses
             away = max(hypot(x - begin.x, y - begin.y) for x, y in placed[:, :2])
             if away > FARTHEST_M:
-                frame = "the poses are in another frame" if relative else "poses relative to the ego need --relative"
-                raise ConfigError(f"{where}: a pose is {away:.3g} m from where the window begins: {frame}")
-            words = (window[column].iloc[0] if column in window.columns else None for column in ("token", "stage_one"))
+                frame = (
+                    "the poses are in another frame"
+                    if relative
+                    else "poses relative to the ego need --relative"
+                )
+                raise ConfigError(
+                    f"{where}: a pose is {away:.3g} m from where the window begins: {frame}"
+                )
+            words = (
+                window[column].iloc[0] if column in window.columns else None
+                for column in ("token", "stage_one")
+            )
             token, stage_one = ("" if pd.isna(word) else str(word) for word in words)
             found.append(Asked(name, str(drive), token, t, placed, stage_one))
     return found
@@ -331,7 +446,13 @@ def of_trace(trace: Trace, scenario: Scenario) -> Iterator[Asked]:
         if plan.t[-1] < frame.t + HORIZON_S - 1e-3:
             continue
         there = plan.resampled(np.clip(frame.t + ahead, plan.t[0], plan.t[-1]))
-        yield Asked(scenario.name, trace.planner, "", float(frame.t), np.column_stack([there.x, there.y, there.yaw]))
+        yield Asked(
+            scenario.name,
+            trace.planner,
+            "",
+            float(frame.t),
+            np.column_stack([there.x, there.y, there.yaw]),
+        )
 
 
 def names_of(asked: Sequence[Asked]) -> list[str]:

@@ -41,7 +41,10 @@ def route_of(scenario: Scenario, lanes: DrivableLanes) -> RoadblockRoute:
 
     nuPlan's routes do not end with a log.
     """
-    boxes, index = ego_boxes(scenario.ego, scenario), {lane.id: i for i, lane in enumerate(lanes.lanes)}
+    boxes, index = (
+        ego_boxes(scenario.ego, scenario),
+        {lane.id: i for i, lane in enumerate(lanes.lanes)},
+    )
     if named := [lanes.block[index[i]] for i in scenario.road.route if i in index]:
         return _through(lanes, named)
     first = route_lanes(lanes, boxes[0], boxes[1])
@@ -56,7 +59,9 @@ def route_of(scenario: Scenario, lanes: DrivableLanes) -> RoadblockRoute:
 
 def _through(lanes: DrivableLanes, blocks: Sequence[int]) -> RoadblockRoute:
     found = tuple(dict.fromkeys(blocks))
-    return RoadblockRoute(found, frozenset(i for i, block in enumerate(lanes.block) if block in found))
+    return RoadblockRoute(
+        found, frozenset(i for i, block in enumerate(lanes.block) if block in found)
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +95,9 @@ class Polyline:
         return float(along_line(self.points, np.array([x]), np.array([y]))[0][0])
 
 
-def center_line(lanes: DrivableLanes, route: RoadblockRoute, x: float, y: float, yaw: float) -> tuple[int, Polyline]:
+def center_line(
+    lanes: DrivableLanes, route: RoadblockRoute, x: float, y: float, yaw: float
+) -> tuple[int, Polyline]:
     """Return the lane at which PDM-Closed begins, and its centre line to the end of the route.
 
     The lane is the best aligned one of the route under the rear axle, else the nearest one; the way is the shortest by
@@ -143,10 +150,15 @@ class WindowAgents(NamedTuple):
     def apart(self, box: tuple[float, float, float, float, float]) -> WindowAgents:
         """Return them without those that touch the ego's box (centre x, y, yaw, length, width) at the first step."""
         touching = [
-            bool(self.there[i, 0]) and overlap(*box, *self.pose[:, i, 0], *self.size[i]) for i in range(len(self.size))
+            bool(self.there[i, 0]) and overlap(*box, *self.pose[:, i, 0], *self.size[i])
+            for i in range(len(self.size))
         ]
         return WindowAgents(
-            self.there & ~np.array(touching, np.bool_)[:, None], self.pose, self.speed, self.agent, self.size
+            self.there & ~np.array(touching, np.bool_)[:, None],
+            self.pose,
+            self.speed,
+            self.agent,
+            self.size,
         )
 
 
@@ -179,12 +191,20 @@ def predicted_others(scenario: Scenario, t: float, x: float, y: float, steps: in
     way = yaw + pi * (np.abs(wrapped(yaw - np.arctan2(vy, vx))) >= 0.5 * pi)
     moved = speed[:, None] * STEP_S * (2 * (np.arange(steps) // 2))
     still = np.repeat(yaw[:, None], steps, axis=1)
-    pose = np.stack([px[:, None] + np.cos(way)[:, None] * moved, py[:, None] + np.sin(way)[:, None] * moved, still])
+    pose = np.stack(
+        [
+            px[:, None] + np.cos(way)[:, None] * moved,
+            py[:, None] + np.sin(way)[:, None] * moved,
+            still,
+        ]
+    )
     near = now.there[:, 0] & (np.hypot(px - x, py - y) <= NEAR_M)
     return WindowAgents(np.repeat(near[:, None], steps, axis=1), pose, speed, agent, now.size)
 
 
-def red_lanes(scenario: Scenario, lanes: DrivableLanes, route: RoadblockRoute, t: float) -> frozenset[int]:
+def red_lanes(
+    scenario: Scenario, lanes: DrivableLanes, route: RoadblockRoute, t: float
+) -> frozenset[int]:
     """Return the lanes of the route behind stop lines whose light is red."""
     shown = {light.id: light.at(t) for light in scenario.lights}
     ids = {lane.id: i for i, lane in enumerate(lanes.lanes)}
@@ -199,7 +219,9 @@ def red_lanes(scenario: Scenario, lanes: DrivableLanes, route: RoadblockRoute, t
 
 
 @kernel
-def box_on_polygon(x: float, y: float, yaw: float, length: float, width: float, polygon: FloatArray) -> float:
+def box_on_polygon(
+    x: float, y: float, yaw: float, length: float, width: float, polygon: FloatArray
+) -> float:
     """Return the distance of a box from a polygon `(n, 2)`, m; 0 where they touch."""
     if inside(x, y, polygon):
         return 0.0
@@ -211,14 +233,18 @@ def box_on_polygon(x: float, y: float, yaw: float, length: float, width: float, 
 
 
 @inner_kernel
-def _box_to_segment(x: float, y: float, yaw: float, length: float, width: float, a: FloatArray, b: FloatArray) -> float:
+def _box_to_segment(
+    x: float, y: float, yaw: float, length: float, width: float, a: FloatArray, b: FloatArray
+) -> float:
     dx, dy = b[0] - a[0], b[1] - a[1]
     mid_x, mid_y, way = 0.5 * (a[0] + b[0]), 0.5 * (a[1] + b[1]), np.hypot(dx, dy)
     return distance(x, y, yaw, length, width, mid_x, mid_y, np.arctan2(dy, dx), way, 0.0)
 
 
 @kernel
-def in_corridor(line: FloatArray, half: float, x: float, y: float, yaw: float, length: float, width: float) -> bool:
+def in_corridor(
+    line: FloatArray, half: float, x: float, y: float, yaw: float, length: float, width: float
+) -> bool:
     """Whether a box touches the corridor of `half` m to both sides of a polyline, and beyond its ends."""
     last = len(line) - 1
     for k in range(last):
@@ -230,7 +256,18 @@ def in_corridor(line: FloatArray, half: float, x: float, y: float, yaw: float, l
         shift = 0.5 * (after - before)
         mid_x = 0.5 * (line[k, 0] + line[k + 1, 0]) + shift * dx / way
         mid_y = 0.5 * (line[k, 1] + line[k + 1, 1]) + shift * dy / way
-        if overlap(mid_x, mid_y, np.arctan2(dy, dx), way + before + after, 2.0 * half, x, y, yaw, length, width):
+        if overlap(
+            mid_x,
+            mid_y,
+            np.arctan2(dy, dx),
+            way + before + after,
+            2.0 * half,
+            x,
+            y,
+            yaw,
+            length,
+            width,
+        ):
             return True
     return False
 

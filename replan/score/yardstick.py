@@ -63,7 +63,11 @@ def plan_of(at: ScoredWindow, version: Version) -> FloatArray:
     """Return the poses x, y, yaw `(41, 3)` of the best proposal in a window; of equals the first."""
     car, own = at.scenario.vehicle, car_of(at.scenario)
     others = predicted_others(at.scenario, at.t, *at.box[:2], KNOTS + 2).apart(at.box)
-    proposals = [one for offset in OFFSETS_M for one in _proposals(at, at.ground.center.beside(offset), own, others)]
+    proposals = [
+        one
+        for offset in OFFSETS_M
+        for one in _proposals(at, at.ground.center.beside(offset), own, others)
+    ]
     driven = [simulated(poses[:STEPS], at.start, car.wheelbase) for poses in proposals]
     ground = replace(at.ground, red=at.ground.red[:1])
     found = [judged(states, others, ground, version) for states in driven]
@@ -78,7 +82,9 @@ def plan_of(at: ScoredWindow, version: Version) -> FloatArray:
     return np.asarray(proposals[int(np.argmax(totals))][:STEPS])
 
 
-def _proposals(at: ScoredWindow, path: Polyline, car: EgoOutline, others: WindowAgents) -> FloatArray:
+def _proposals(
+    at: ScoredWindow, path: Polyline, car: EgoOutline, others: WindowAgents
+) -> FloatArray:
     """Return the poses `(5, KNOTS, 3)` of the drivers on one line."""
     c, ground = CONFIG, at.ground
     limit = at.scenario.road.stated_limit(ground.lanes.lanes[ground.first].id)
@@ -87,7 +93,9 @@ def _proposals(at: ScoredWindow, path: Polyline, car: EgoOutline, others: Window
     end = min(begin + wanted_mps.max() * STEP_S * (KNOTS - 1), path.s[-1])
     corridor = path.points[(begin <= path.s) & (path.s <= end)]
     corridor = corridor if len(corridor) > 1 else path.at(np.array([begin, end]))[:, :2]
-    lights = [(path.station(*centroid(outline)), outline) for outline in _in_the_way(at, corridor, car)]
+    lights = [
+        (path.station(*centroid(outline)), outline) for outline in _in_the_way(at, corridor, car)
+    ]
     s, v = np.full((len(wanted_mps), KNOTS), begin), np.full((len(wanted_mps), KNOTS), at.start[V])
     poses: FloatArray = np.empty((len(wanted_mps), KNOTS, 3))
     lead: FloatArray = np.zeros((len(wanted_mps), 3))
@@ -95,7 +103,9 @@ def _proposals(at: ScoredWindow, path: Polyline, car: EgoOutline, others: Window
     for k in range(1, KNOTS):
         if k % 2 == 0:
             near = _near(path, corridor, car, others, k)
-            lead = _leaders(s[:, k - 1], poses[:, k - 1], near, lights, others, k, car, float(path.s[-1]))
+            lead = _leaders(
+                s[:, k - 1], poses[:, k - 1], near, lights, others, k, car, float(path.s[-1])
+            )
         speed = v[:, k - 1]
         gap = np.maximum(lead[:, 0] - s[:, k - 1] - lead[:, 2], c.min_gap_m)
         ideal = c.min_gap_m + speed * c.headway_s
@@ -114,27 +124,44 @@ def _in_the_way(at: ScoredWindow, corridor: FloatArray, car: EgoOutline) -> list
     for outline in outlines:
         ends = np.hstack([np.roll(outline, 1, axis=0), outline])
         crosses = any(
-            in_corridor(corridor, 0.5 * car.width, 0.5 * (a + c), 0.5 * (b + d), float(np.arctan2(d - b, c - a)),
-                        float(np.hypot(c - a, d - b)), 0.0)
+            in_corridor(
+                corridor,
+                0.5 * car.width,
+                0.5 * (a + c),
+                0.5 * (b + d),
+                float(np.arctan2(d - b, c - a)),
+                float(np.hypot(c - a, d - b)),
+                0.0,
+            )
             for a, b, c, d in ends.tolist()
-        )  # fmt: skip
+        )
         holds = box_on_polygon(*at.box, outline) == 0.0
         out += [outline] if crosses and not holds else []
     return out
 
 
-def _near(path: Polyline, corridor: FloatArray, car: EgoOutline, others: WindowAgents, k: int) -> dict[int, float]:
+def _near(
+    path: Polyline, corridor: FloatArray, car: EgoOutline, others: WindowAgents, k: int
+) -> dict[int, float]:
     """Return the agents that touch the corridor at step k, and their stations."""
     found = np.flatnonzero(others.there[:, k]).tolist()
     half = 0.5 * car.width
-    touching = (i for i in found if in_corridor(corridor, half, *others.pose[:, i, k], *others.size[i]))
+    touching = (
+        i for i in found if in_corridor(corridor, half, *others.pose[:, i, k], *others.size[i])
+    )
     return {i: path.station(*others.pose[:2, i, k]) for i in touching}
 
 
 def _leaders(
-    s: FloatArray, poses: FloatArray, near: dict[int, float], lights: list[tuple[float, FloatArray]],
-    others: WindowAgents, k: int, car: EgoOutline, end: float,
-) -> FloatArray:  # fmt: skip
+    s: FloatArray,
+    poses: FloatArray,
+    near: dict[int, float],
+    lights: list[tuple[float, FloatArray]],
+    others: WindowAgents,
+    k: int,
+    car: EgoOutline,
+    end: float,
+) -> FloatArray:
     """Return station, speed and length to the rear of each driver's leader `(5, 3)`.
 
     As in the original, a field that a driver does not set is that of the driver before.
@@ -145,8 +172,12 @@ def _leaders(
         ahead: list[tuple[float, float | None]] = []
         for i, station in near.items():
             if station > s[n]:
-                away = distance(x, y, yaw, car.length, car.width, *others.pose[:, i, k], *others.size[i])
-                ahead.append((away, others.speed[i] * cos(float(wrapped(others.pose[2, i, 0] - yaw)))))
+                away = distance(
+                    x, y, yaw, car.length, car.width, *others.pose[:, i, k], *others.size[i]
+                )
+                ahead.append(
+                    (away, others.speed[i] * cos(float(wrapped(others.pose[2, i, 0] - yaw))))
+                )
         ahead += [
             (box_on_polygon(x, y, yaw, car.length, car.width, outline), None)
             for station, outline in lights
@@ -201,8 +232,14 @@ def yardstick(at: ScoredWindow, version: Version) -> Yardstick:
     car = at.scenario.vehicle
     others = logged_others(at.scenario, at.t, version.seen_s)
     others = others.apart(at.box) if version.drops else others
-    rival, way = judged(simulated(plan_of(at, version), at.start, car.wheelbase), others, at.ground, version)
-    human = judged(driven(at, human_poses(at)), others, at.ground, version)[0] if version.filters else {}
+    rival, way = judged(
+        simulated(plan_of(at, version), at.start, car.wheelbase), others, at.ground, version
+    )
+    human = (
+        judged(driven(at, human_poses(at)), others, at.ground, version)[0]
+        if version.filters
+        else {}
+    )
     return Yardstick(others, multiplied(rival, version) * way, human)
 
 
@@ -224,6 +261,8 @@ def scored(
     best = max(product * way, beside.best)
     parts["EP"] = progress(way, best, multiplier=product, masks=version.masks)
     parts["HC"] = history_comfort(at, states, version)
-    parts["EC"] = nan if before is None else extended_comfort(states, before.states, round(POSE_S / STEP_S))
+    parts["EC"] = (
+        nan if before is None else extended_comfort(states, before.states, round(POSE_S / STEP_S))
+    )
     filtered = parts | {name: 1.0 for name, value in beside.human.items() if value == 0.0}
     return ScoredPlan(filtered, parts, states, version)

@@ -38,20 +38,29 @@ def split_controller(summary: str, steers: int, drives: int = DUAL_LOOP) -> Cont
 
 
 def mpc_or_dlqr(
-    parameters: VehicleParameters, powertrain: Powertrain, period: float, *, config: MpcConfig | None = None
+    parameters: VehicleParameters,
+    powertrain: Powertrain,
+    period: float,
+    *,
+    config: MpcConfig | None = None,
 ) -> Controller:
     """Build the MPC for steering and speed, with `dlqr_pid` as fallback without a solution."""
     delay = SteeringDelay(parameters, period)
-    fallback = SplitController(split_law(DLQR, parameters, powertrain, period, commands=False), delay)
+    fallback = SplitController(
+        split_law(DLQR, parameters, powertrain, period, commands=False), delay
+    )
     return Mpc(parameters, powertrain, period, fallback, delay, config)
 
 
 dlqr_pid = split_controller(
-    "Steering by DLQR on the dynamic model (the kinematic one where the tyres are rigid), speed by dual-loop PID.", DLQR
+    "Steering by DLQR on the dynamic model (the kinematic one where the tyres are rigid), speed by dual-loop PID.",
+    DLQR,
 )
 dlqr_kinematic_pid = split_controller(
     "Steering by DLQR on the kinematic model, speed by dual-loop PID.", KINEMATIC_DLQR
 )
 pure_pursuit = split_controller("Steering by pure pursuit, speed by dual-loop PID.", PURE_PURSUIT)
 stanley = split_controller("Steering by Stanley's law, speed by dual-loop PID.", STANLEY)
-pid = split_controller("A PID for the steering and a single-loop PID for the speed.", STEERING_PID, SPEED_PID)
+pid = split_controller(
+    "A PID for the steering and a single-loop PID for the speed.", STEERING_PID, SPEED_PID
+)

@@ -120,7 +120,9 @@ class Regulators(NamedTuple):
     K: FloatArray
 
 
-def regulators(speeds: Sequence[float], p: VehicleParameters, period: float, config: DlqrConfig) -> Regulators:
+def regulators(
+    speeds: Sequence[float], p: VehicleParameters, period: float, config: DlqrConfig
+) -> Regulators:
     """The regulators (1)-(3) of a vehicle at speeds `(k,)`, m/s: five states, or three where its tyres are rigid.
 
     Raises:
@@ -128,7 +130,10 @@ def regulators(speeds: Sequence[float], p: VehicleParameters, period: float, con
     """
     if not min(speeds) > 0.0:
         raise ConfigError(f"DLQR: no stable gain at {min(speeds)} m/s")
-    lag, weights = max(float(p.steer_lag), SHORTEST_LAG_S), [config.lateral_weight, config.heading_weight]
+    lag, weights = (
+        max(float(p.steer_lag), SHORTEST_LAG_S),
+        [config.lateral_weight, config.heading_weight],
+    )
     if has_rigid_tyres(p):
         models = [rolling_model(v, p.wheelbase, lag, period) for v in speeds]  # (10)
     else:
@@ -136,13 +141,18 @@ def regulators(speeds: Sequence[float], p: VehicleParameters, period: float, con
         models = [_slipping_model(v, p, lag, period, config) for v in speeds]
     A, B = np.stack([model[0] for model in models]), np.stack([model[1] for model in models])
     v = np.asarray(speeds, np.float64)[:, None, None]
-    Q, R = np.diag([*weights, 0.0]), config.steer_weight * (1.0 + (v / config.speed_mps) ** 2) ** 2  # (1)
+    # (1)
+    Q, R = np.diag([*weights, 0.0]), config.steer_weight * (1.0 + (v / config.speed_mps) ** 2) ** 2
     P = solve_riccati(A, B, Q, R)  # (2)
     unstable = ~np.isfinite(P).all(axis=(1, 2))
     if unstable.any():
         weighed = f"the weights {(*weights, 0.0)} and steer_weight {config.steer_weight:g}"
         raise ConfigError(f"DLQR: no stable gain at {float(v[unstable][0, 0])} m/s with {weighed}")
-    K = [np.linalg.solve(r + b.T @ s @ b, b.T @ s @ a) for (a, b), r, s in zip(models, R, P, strict=True)]  # (3)
+    # (3)
+    K = [
+        np.linalg.solve(r + b.T @ s @ b, b.T @ s @ a)
+        for (a, b), r, s in zip(models, R, P, strict=True)
+    ]
     return Regulators(A, B, np.broadcast_to(Q, A.shape), R, P, np.stack(K))
 
 
@@ -155,12 +165,15 @@ def _slipping_model(
     return DISCRETISATIONS[config.discretisation](A, B[:, None], period)
 
 
-def rolling_model(v: float, wheelbase: float, lag: float, period: float) -> tuple[FloatArray, FloatArray]:
+def rolling_model(
+    v: float, wheelbase: float, lag: float, period: float
+) -> tuple[FloatArray, FloatArray]:
     """A `(3, 3)` and B `(3, 1)` of (10)."""
     turn, decay = v / wheelbase, exp(-period / lag)
     once = lag * (1.0 - decay)
     twice = lag * (period - once)
-    A = np.array([[1.0, v * period, v * turn * twice], [0.0, 1.0, turn * once], [0.0, 0.0, decay]])  # (10)
+    # (10)
+    A = np.array([[1.0, v * period, v * turn * twice], [0.0, 1.0, turn * once], [0.0, 0.0, decay]])
     B = np.array([[v * turn * (0.5 * period**2 - twice)], [turn * (period - once)], [1.0 - decay]])
     return A, B
 
@@ -182,7 +195,9 @@ def solve_riccati(A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray) ->
             H = H + more
             H, G = 0.5 * (H + H.mT), 0.5 * (G + G.mT)
             is_finite = np.isfinite(H).all(axis=(1, 2))
-            solved = is_finite & (np.abs(more).max(axis=(1, 2)) <= 1e-13 * np.abs(H).max(axis=(1, 2)))
+            solved = is_finite & (
+                np.abs(more).max(axis=(1, 2)) <= 1e-13 * np.abs(H).max(axis=(1, 2))
+            )
             out[left[solved]] = H[solved]
             goes_on = is_finite & ~solved
             left, A, G, H = left[goes_on], A[goes_on], G[goes_on], H[goes_on]
@@ -240,10 +255,15 @@ def dlqr_law(
 ) -> DlqrLaw:
     """The law for a vehicle whose tyres slip."""
     return DlqrLaw(
-        gain_table(p, period, config or DlqrConfig()), slip_table(p), estimation.slip_model(p, period),
+        gain_table(p, period, config or DlqrConfig()),
+        slip_table(p),
+        estimation.slip_model(p, period),
         estimation.delay_model(p, period),
-        float(p.wheelbase), float(p.max_steer), max(float(p.steer_lag), SHORTEST_LAG_S), commands,
-    )  # fmt: skip
+        float(p.wheelbase),
+        float(p.max_steer),
+        max(float(p.steer_lag), SHORTEST_LAG_S),
+        commands,
+    )
 
 
 def dlqr_start(period: float) -> DlqrState:
@@ -288,7 +308,9 @@ class KinematicLaw(NamedTuple):
     preview: float
 
 
-def kinematic_law(p: VehicleParameters, period: float, config: DlqrConfig | None = None) -> KinematicLaw:
+def kinematic_law(
+    p: VehicleParameters, period: float, config: DlqrConfig | None = None
+) -> KinematicLaw:
     """The law for a vehicle with rigid tyres."""
     lag = max(float(p.steer_lag), SHORTEST_LAG_S)
     gains = gain_table(with_rigid_tyres(p), period, config or DlqrConfig())

@@ -36,7 +36,13 @@ import numpy as np
 from replan.core.arrays import FloatArray
 from replan.core.kernel import inner_kernel, kernel
 from replan.logs.vehicle import VehicleParameters
-from replan.replay.control.lateral_model import SteerSeries, at_speed, kappa_rate, lateral_table, steer_for
+from replan.replay.control.lateral_model import (
+    SteerSeries,
+    at_speed,
+    kappa_rate,
+    lateral_table,
+    steer_for,
+)
 from replan.replay.vehicle.base import MotionState
 from replan.replay.vehicle.drivetrain import SHORTEST_LAG_S
 from replan.replay.vehicle.plan_path import Deviation, path_kappa
@@ -86,7 +92,15 @@ def slip_model(p: VehicleParameters, period: float) -> SlipModel:
     """The numbers of (1)-(3)."""
     a, b = p.cog_to_front, p.wheelbase - p.cog_to_front
     stiffness = float(p.cornering_front), float(p.cornering_rear)
-    return SlipModel(float(p.mass), float(p.yaw_inertia), float(a), float(b), float(p.wheelbase), *stiffness, period)
+    return SlipModel(
+        float(p.mass),
+        float(p.yaw_inertia),
+        float(a),
+        float(b),
+        float(p.wheelbase),
+        *stiffness,
+        period,
+    )
 
 
 @kernel
@@ -105,14 +119,18 @@ def learned(state: SlipState, car: SlipModel, now: MotionState) -> SlipState:
     return SlipState(
         nearer(state.front, front / car.front, 0.5 * (alpha_front + state.alpha_front), car.period),
         nearer(state.rear, rear / car.rear, 0.5 * (alpha_rear + state.alpha_rear), car.period),
-        now.v_lat, r, alpha_front, alpha_rear,
-    )  # fmt: skip
+        now.v_lat,
+        r,
+        alpha_front,
+        alpha_rear,
+    )
 
 
 @inner_kernel
 def nearer(ratio: float, phi: float, alpha: float, period: float) -> float:
     """The ratio after one period."""
-    rate = SLIP_GAIN_PER_S * phi * (alpha - ratio * phi) / (PHI_0_RAD * PHI_0_RAD + phi * phi)  # (3)
+    # (3)
+    rate = SLIP_GAIN_PER_S * phi * (alpha - ratio * phi) / (PHI_0_RAD * PHI_0_RAD + phi * phi)
     return min(max(ratio + period * rate, LEAST), MOST)
 
 
@@ -209,9 +227,14 @@ def lateral_deviation(now: MotionState, off: Deviation, knots: FloatArray, slip:
 
 @kernel
 def predicted(
-    y: Lateral, state: DelayState, model: DelayModel, knots: FloatArray, foot: float,
-    v: float, angle: SteerSeries,
-) -> Lateral:  # fmt: skip
+    y: Lateral,
+    state: DelayState,
+    model: DelayModel,
+    knots: FloatArray,
+    foot: float,
+    v: float,
+    angle: SteerSeries,
+) -> Lateral:
     """Return the deviation when a present command takes effect.
 
     `y` is the deviation now; `foot` the station of the ego's foot point, m; `v` its speed, m/s; `angle` the series of
@@ -228,7 +251,9 @@ def predicted(
         for row in range(4):
             then[row] = 0.0
             for column in range(6):
-                entry = table[i, row, column] + u * (table[i + 1, row, column] - table[i, row, column])
+                entry = table[i, row, column] + u * (
+                    table[i + 1, row, column] - table[i, row, column]
+                )
                 value = now[column] if column < 4 else wheel if column == 4 else (after - wheel) / h
                 then[row] += entry * value
         now[:], wheel = then, after
@@ -268,6 +293,8 @@ class SteeringDelay:
         """Take in `command`, which holds for a period, rad."""
         record(self.state, self.model, command)
 
-    def predict(self, y: Lateral, knots: FloatArray, foot: float, v: float, angle: SteerSeries) -> Lateral:
+    def predict(
+        self, y: Lateral, knots: FloatArray, foot: float, v: float, angle: SteerSeries
+    ) -> Lateral:
         """Return the deviation when a present command takes effect; arguments as `predicted`."""
         return predicted(y, self.state, self.model, knots, foot, v, angle)

@@ -147,7 +147,12 @@ def following(v: float, p: VehicleParameters) -> tuple[FloatArray, FloatArray, F
 def body_model(v: float, p: VehicleParameters) -> tuple[FloatArray, FloatArray]:
     """(1) at the rear axle: A `(2, 2)` and B `(2,)` of (v_lat, r)' = A (v_lat, r) + B steer, finite tyres, `v` > 0."""
     a, b = p.cog_to_front, p.wheelbase - p.cog_to_front
-    forces = np.array([[-p.cornering_front / v, -p.cornering_front * p.wheelbase / v], [-p.cornering_rear / v, 0.0]])
+    forces = np.array(
+        [
+            [-p.cornering_front / v, -p.cornering_front * p.wheelbase / v],
+            [-p.cornering_rear / v, 0.0],
+        ]
+    )
     steered = np.array([p.cornering_front, 0.0])
     yaw = np.array([a, -b]) / p.yaw_inertia
     side = np.full(2, 1.0 / p.mass) - b * yaw
@@ -184,7 +189,9 @@ def lateral_table(p: VehicleParameters, h: float) -> FloatArray:
         if has_rigid_tyres(p):
             turn = v / p.wheelbase
             A = np.array([[0.0, v, 0.0], [0.0, 0.0, turn], [0.0, 0.0, 0.0]])
-            out[np.ix_([0, 2, 4], [0, 2, 4, 5])] = np.hstack(held(A, np.array([[0.0], [0.0], [1.0]]), h))
+            out[np.ix_([0, 2, 4], [0, 2, 4, 5])] = np.hstack(
+                held(A, np.array([[0.0], [0.0], [1.0]]), h)
+            )
             out[3] = turn * out[4]
         else:
             body, steered = body_model(v, p)
@@ -200,7 +207,9 @@ def lateral_table(p: VehicleParameters, h: float) -> FloatArray:
 @lru_cache(maxsize=32)
 def slip_table(p: VehicleParameters) -> FloatArray:
     """rear_0, front_0, front_1, front_2 `(n, 4)` of `following` at `table_speeds`."""
-    rows = [(rear[0], *front) for rear, front, _ in (following(float(v), p) for v in table_speeds())]
+    rows = [
+        (rear[0], *front) for rear, front, _ in (following(float(v), p) for v in table_speeds())
+    ]
     return frozen(np.array(rows))
 
 
@@ -236,7 +245,11 @@ def steer_for(knots: FloatArray, s: float, v: float, d: SteerSeries) -> float:
     """Wheel angle at station `s` of a path, speed `v`, rad."""
     at, reach = s + v * d[1] / d[0], v * SPREAD_S
     mid = within(knots, at, reach)
-    bend = path_kappa(knots, mid + reach) - 2.0 * path_kappa(knots, mid) + path_kappa(knots, mid - reach)
+    bend = (
+        path_kappa(knots, mid + reach)
+        - 2.0 * path_kappa(knots, mid)
+        + path_kappa(knots, mid - reach)
+    )
     bend /= SPREAD_S * SPREAD_S
     return d[0] * path_kappa(knots, at) + (d[2] - 0.5 * d[1] * d[1] / d[0]) * bend  # (6)
 

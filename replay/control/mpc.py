@@ -37,8 +37,20 @@ from replan.logs.states import Command, EgoState
 from replan.logs.vehicle import VehicleParameters
 from replan.planners.solver import QPConfig, QPResult, QuadraticProgram
 from replan.replay.control import pedals
-from replan.replay.control.estimation import NO_SLIP, SteeringDelay, lateral_deviation, learned, slip_model
-from replan.replay.control.lateral_model import command_series, following_at, lateral_table, slip_table, steer_for
+from replan.replay.control.estimation import (
+    NO_SLIP,
+    SteeringDelay,
+    lateral_deviation,
+    learned,
+    slip_model,
+)
+from replan.replay.control.lateral_model import (
+    command_series,
+    following_at,
+    lateral_table,
+    slip_table,
+    steer_for,
+)
 from replan.replay.control.mpc_model import (
     INPUTS,
     LIMITS,
@@ -103,9 +115,16 @@ class MpcConfig:
     friction_share: float = 0.95
 
     def __post_init__(self) -> None:
-        if not (self.steps > 1 and self.step_s > 0.0 and self.period_s > 0.0 and self.speed_mps > 0.0):
-            raise ConfigError("MPC: steps must be at least 2, step_s, period_s and speed_mps positive")
-        if min(self.state_weights + self.input_weights + self.change_weights) < 0.0 or not self.lateral_weight > 0.0:
+        if not (
+            self.steps > 1 and self.step_s > 0.0 and self.period_s > 0.0 and self.speed_mps > 0.0
+        ):
+            raise ConfigError(
+                "MPC: steps must be at least 2, step_s, period_s and speed_mps positive"
+            )
+        if (
+            min(self.state_weights + self.input_weights + self.change_weights) < 0.0
+            or not self.lateral_weight > 0.0
+        ):
             raise ConfigError("MPC: lateral_weight must be positive and no weight negative")
         if not 0.0 < self.friction_share <= 1.0:
             raise ConfigError("MPC: friction_share must lie between 0 and 1")
@@ -114,7 +133,16 @@ class MpcConfig:
     def state_weights(self) -> tuple[float, ...]:
         """Diagonal of Q, in the order of xi."""
         steer = self.steer_weight
-        return (self.station_weight, self.speed_weight, 0.0, self.lateral_weight, 0.0, self.heading_weight, 0.0, steer)
+        return (
+            self.station_weight,
+            self.speed_weight,
+            0.0,
+            self.lateral_weight,
+            0.0,
+            self.heading_weight,
+            0.0,
+            steer,
+        )
 
     @property
     def input_weights(self) -> tuple[float, float]:
@@ -137,13 +165,24 @@ class TrackingProgram:
         self._lower, self._upper = np.zeros(n * (STATES + LIMITS)), np.zeros(n * (STATES + LIMITS))
         self._q = np.zeros(n * WIDTH)
         self._program = QuadraticProgram(
-            "mpc", cost_matrix(config), A, equalities=n * STATES, scale=np.tile(SCALE, n), config=QPConfig(eps=1e-4)
+            "mpc",
+            cost_matrix(config),
+            A,
+            equalities=n * STATES,
+            scale=np.tile(SCALE, n),
+            config=QPConfig(eps=1e-4),
         )
 
     def solve(
-        self, xi: FloatArray, before: FloatArray, A: FloatArray, B: FloatArray,
-        bounds: tuple[FloatArray, FloatArray, FloatArray], *, fresh: bool,
-    ) -> QPResult:  # fmt: skip
+        self,
+        xi: FloatArray,
+        before: FloatArray,
+        A: FloatArray,
+        B: FloatArray,
+        bounds: tuple[FloatArray, FloatArray, FloatArray],
+        *,
+        fresh: bool,
+    ) -> QPResult:
         """The inputs and deviations from `xi` `(8,)` on, after the input `before` `(2,)`.
 
         Args:
@@ -236,9 +275,17 @@ class Mpc:
         delay: SteeringDelay | None = None,
         config: MpcConfig | None = None,
     ) -> None:
-        self._p, self._train, self._period, self._fallback = parameters, powertrain, period, fallback
+        self._p, self._train, self._period, self._fallback = (
+            parameters,
+            powertrain,
+            period,
+            fallback,
+        )
         self._config = config or MpcConfig()
-        self._table, self._slips = lateral_table(parameters, self._config.step_s), slip_table(parameters)
+        self._table, self._slips = (
+            lateral_table(parameters, self._config.step_s),
+            slip_table(parameters),
+        )
         self._lag = max(parameters.steer_lag, SHORTEST_LAG_S)
         self._every = max(round(self._config.period_s / period), 1)
         self._program = TrackingProgram(self._config)
@@ -286,7 +333,9 @@ class Mpc:
             steer = min(max(steer, -self._p.max_steer), self._p.max_steer)
             led, self._lead = pedals.compensated(self._lead, train, path.times, t, v, self._period)
             wanted = led + float(self._input[0])  # (4)
-            wanted, self._stop = pedals.eased(self._stop, train, path.times, t, v, state.a, wanted, self._period)
+            wanted, self._stop = pedals.eased(
+                self._stop, train, path.times, t, v, state.a, wanted, self._period
+            )
             throttle, brake, self._pedal = pedals.press(self._pedal, train, wanted, v)
             command = Command(float(steer), throttle, brake)
         self._delay.record(command.steer)
@@ -302,15 +351,29 @@ class Mpc:
         train = self._train.pedal_map
         lags = (train.throttle_lag, train.brake_lag, self._train.coasting(v))
         along = entered(
-            path.times, path.knots, self._slips, p.wheelbase, self._ratios, lags,
-            state.t, off.foot + v * delay.seconds, v, config.step_s, config.steps,
-        )  # fmt: skip
+            path.times,
+            path.knots,
+            self._slips,
+            p.wheelbase,
+            self._ratios,
+            lags,
+            state.t,
+            off.foot + v * delay.seconds,
+            v,
+            config.step_s,
+            config.steps,
+        )
         A, B = predicted(along, self._table, config.speed_mps, config.step_s)
         grip = config.friction_share * p.tyre_friction * GRAVITY
-        bounds = limits(along, train, grip, (p.max_steer, p.max_steer_rate), config.speed_mps, config.step_s)
+        bounds = limits(
+            along, train, grip, (p.max_steer, p.max_steer_rate), config.speed_mps, config.step_s
+        )
         slip, angle = following_at(self._slips, p.wheelbase, self._ratios, v)
         now = lateral_deviation(motion_of(state), off, path.knots, slip)
-        y, scale = delay.predict(now, path.knots, off.foot, v, angle), 1.0 + (v / config.speed_mps) ** 2
+        y, scale = (
+            delay.predict(now, path.knots, off.foot, v, angle),
+            1.0 + (v / config.speed_mps) ** 2,
+        )
         sigma = scale * (delay.wheel - along[0, 4])
         xi = np.array([off.station, off.speed, state.a - along[0, 2], *y, sigma])
         result = self._program.solve(xi, self._input, A, B, bounds, fresh=not self._solved)

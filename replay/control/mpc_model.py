@@ -56,9 +56,18 @@ PATTERN_A, PATTERN_B = frozen(_A, np.bool_), frozen(_B, np.bool_)
 
 @kernel
 def entered(
-    times: FloatArray, knots: FloatArray, slips: FloatArray, wheelbase: float, ratios: tuple[float, float],
-    lags: tuple[float, float, float], t: float, foot: float, v: float, h: float, n: int,
-) -> FloatArray:  # fmt: skip
+    times: FloatArray,
+    knots: FloatArray,
+    slips: FloatArray,
+    wheelbase: float,
+    ratios: tuple[float, float],
+    lags: tuple[float, float, float],
+    t: float,
+    foot: float,
+    v: float,
+    h: float,
+    n: int,
+) -> FloatArray:
     """The plan as it will be driven, `(n + 1, 7)`: v, kappa, a, commanded a, steer, d_0, lag of the pedal in use.
 
     `slips` is from `slip_table`; `ratios` are the learned compliances of front and rear axle; `lags` those of throttle
@@ -75,15 +84,22 @@ def entered(
         lag = lags[0] if a >= lags[2] else lags[1]
         _, angle = following_at(slips, wheelbase, ratios, speed)
         out[k] = (
-            speed, path_kappa(knots, s), a, timed(times, t + k * h + lag)[2],
-            steer_for(knots, s, speed, angle), angle[0], lag,
-        )  # fmt: skip
+            speed,
+            path_kappa(knots, s),
+            a,
+            timed(times, t + k * h + lag)[2],
+            steer_for(knots, s, speed, angle),
+            angle[0],
+            lag,
+        )
         before = speed
     return out
 
 
 @kernel
-def predicted(along: FloatArray, table: FloatArray, v_0: float, h: float) -> tuple[FloatArray, FloatArray]:
+def predicted(
+    along: FloatArray, table: FloatArray, v_0: float, h: float
+) -> tuple[FloatArray, FloatArray]:
     """A `(n, 8, 8)` and B `(n, 8, 2)` of (4)."""
     n = len(along) - 1
     A, B = np.zeros((n, STATES, STATES)), np.zeros((n, STATES, INPUTS))
@@ -99,7 +115,9 @@ def predicted(along: FloatArray, table: FloatArray, v_0: float, h: float) -> tup
         i, u = at_speed(table, v)
         for row in range(5):
             for column in range(6):
-                entry = table[i, row, column] + u * (table[i + 1, row, column] - table[i, row, column])
+                entry = table[i, row, column] + u * (
+                    table[i + 1, row, column] - table[i, row, column]
+                )
                 entry *= then if row == 4 else 1.0
                 if column < 4:
                     A[k, 3 + row, 3 + column] = entry
@@ -112,7 +130,12 @@ def predicted(along: FloatArray, table: FloatArray, v_0: float, h: float) -> tup
 
 @kernel
 def limits(
-    along: FloatArray, train: PedalMap, grip: float, steering: tuple[float, float], v_0: float, h: float
+    along: FloatArray,
+    train: PedalMap,
+    grip: float,
+    steering: tuple[float, float],
+    v_0: float,
+    h: float,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """(5)-(6) for the deviations: lower and upper bounds `(n, LIMITS)`, polygon rows `(n, SIDES, 2)` of (e_a, sigma).
 
@@ -133,7 +156,9 @@ def limits(
             c, s = cos(0.25 * pi * j), sin(0.25 * pi * j)
             sides[k, j, 0], sides[k, j, 1] = c, s * v * v / (along[k + 1, 5] * then)
             # (6)
-            upper[k, 3 + j] = grip * cos(pi / SIDES) - c * along[k + 1, 2] - s * v * v * along[k + 1, 1]
+            upper[k, 3 + j] = (
+                grip * cos(pi / SIDES) - c * along[k + 1, 2] - s * v * v * along[k + 1, 1]
+            )
     return lower, upper, sides
 
 
@@ -192,10 +217,24 @@ def resample(columns: FloatArray, t: FloatArray) -> FloatArray:
         c0, s0, c1, s1 = cos(one[3]), sin(one[3]), cos(two[3]), sin(two[3])
         n0, n1 = one[4] * one[4] * one[6], two[4] * two[4] * two[6]
         x, vx, ax = quintic(
-            one[1], one[4] * c0, one[5] * c0 - n0 * s0, two[1], two[4] * c1, two[5] * c1 - n1 * s1, h, tau
+            one[1],
+            one[4] * c0,
+            one[5] * c0 - n0 * s0,
+            two[1],
+            two[4] * c1,
+            two[5] * c1 - n1 * s1,
+            h,
+            tau,
         )
         y, vy, ay = quintic(
-            one[2], one[4] * s0, one[5] * s0 + n0 * c0, two[2], two[4] * s1, two[5] * s1 + n1 * c1, h, tau
+            one[2],
+            one[4] * s0,
+            one[5] * s0 + n0 * c0,
+            two[2],
+            two[4] * s1,
+            two[5] * s1 + n1 * c1,
+            h,
+            tau,
         )
         yaw, v = one[3] + tau * (two[3] - one[3]), one[4] + tau * (two[4] - one[4])
         a = one[5] + tau * (two[5] - one[5])
@@ -212,4 +251,6 @@ def resampled(plan: Trajectory, step: float) -> Trajectory:
         return plan
     count = int(np.ceil((plan.t[-1] - plan.t[0]) / step - 1e-6))
     t = np.r_[plan.t[0] + step * np.arange(count), plan.t[-1]]
-    return Trajectory(*resample(np.stack([plan.t, plan.x, plan.y, plan.yaw, plan.v, plan.a, plan.kappa]), t))
+    return Trajectory(
+        *resample(np.stack([plan.t, plan.x, plan.y, plan.yaw, plan.v, plan.a, plan.kappa]), t)
+    )

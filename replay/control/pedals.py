@@ -86,7 +86,9 @@ NO_PEDAL, NO_STOP = PedalState(False, False), StopState(0.0, 0.0)
 
 
 @kernel
-def press(state: PedalState, train: PedalMap, acceleration: float, v: float) -> tuple[float, float, PedalState]:
+def press(
+    state: PedalState, train: PedalMap, acceleration: float, v: float
+) -> tuple[float, float, PedalState]:
     """Return throttle and brake, 0 to 1, for an acceleration (m/s2) at a speed (m/s)."""
     beyond = acceleration - coasting(train, v)
     braking = beyond < -HYSTERESIS_MPS2 or (state.braking and beyond <= HYSTERESIS_MPS2)
@@ -106,7 +108,9 @@ def hold(state: PedalState, v: float, a: float) -> tuple[float, float, PedalStat
 
 
 @kernel
-def compensated(m: float, train: PedalMap, times: FloatArray, t: float, v: float, h: float) -> tuple[float, float]:
+def compensated(
+    m: float, train: PedalMap, times: FloatArray, t: float, v: float, h: float
+) -> tuple[float, float]:
     """Return the acceleration to command at `t` (s), speed `v` (m/s), for a period `h`, to get the plan's; and m+ (3).
 
     `m` is m of (3), m/s2; NaN: nothing has been commanded yet.
@@ -120,17 +124,30 @@ def compensated(m: float, train: PedalMap, times: FloatArray, t: float, v: float
     lag = train.brake_lag if brakes else train.throttle_lag
     m = now if isnan(m) else m
     steepest = STEEPEST_MPS3 * h
-    following = m + min(max(after - before, -steepest), steepest) + h / CATCH_UP_S * (before - m)  # (3)
+    # (3)
+    following = m + min(max(after - before, -steepest), steepest) + h / CATCH_UP_S * (before - m)
     command = m + (following - m) / (1.0 - exp(-h / lag)) if lag > 0.0 else following
     return min(command, coast) if brakes else max(command, coast), following
 
 
 @kernel
 def eased(
-    state: StopState, train: PedalMap, times: FloatArray, t: float, v: float, a: float, wanted: float, h: float
+    state: StopState,
+    train: PedalMap,
+    times: FloatArray,
+    t: float,
+    v: float,
+    a: float,
+    wanted: float,
+    h: float,
 ) -> tuple[float, StopState]:
     """Soften the end of a stop (4): return the acceleration to command at `t`, `v`, `a` instead of `wanted`, m/s2."""
-    v, late, jerk, offset = max(v, 0.0), train.brake_delay + LAGS * train.brake_lag, state.jerk, state.offset
+    v, late, jerk, offset = (
+        max(v, 0.0),
+        train.brake_delay + LAGS * train.brake_lag,
+        state.jerk,
+        state.offset,
+    )
     if timed(times, t + LOOK_AHEAD_S)[1] > STANDING_MPS:
         jerk, offset = 0.0, 0.0
     elif jerk == 0.0 and wanted < 0.0:
@@ -172,7 +189,10 @@ class Calibration:
 
     @classmethod
     def of(
-        cls, powertrain: Powertrain, speed: FloatArray = SPEEDS_MPS, acceleration: FloatArray = ACCELERATIONS_MPS2
+        cls,
+        powertrain: Powertrain,
+        speed: FloatArray = SPEEDS_MPS,
+        acceleration: FloatArray = ACCELERATIONS_MPS2,
     ) -> Calibration:
         """Compute the table of a power train."""
         coasting, throttle, brake = (
@@ -189,7 +209,9 @@ class Calibration:
         j, w = _place(self.speed, v)
         corners = self.pedal[i : i + 2, j : j + 2]
         pedal = float(np.array([1.0 - u, u]) @ corners @ np.array([1.0 - w, w]))
-        return max(pedal, 0.0) if pedal == pedal else pedal, max(-pedal, 0.0) if pedal == pedal else pedal
+        return max(pedal, 0.0) if pedal == pedal else pedal, max(
+            -pedal, 0.0
+        ) if pedal == pedal else pedal
 
     def save(self, path: Path) -> None:
         """Write the table as CSV: a row per acceleration, a column per speed; empty out of the vehicle's reach."""
@@ -197,7 +219,9 @@ class Calibration:
             writer = csv.writer(file)
             writer.writerow(["acceleration_mps2", *(f"{v:g}_mps" for v in self.speed)])
             for a, row in zip(self.acceleration, self.pedal, strict=True):
-                writer.writerow([f"{a:g}", *("" if np.isnan(value) else f"{value:.6f}" for value in row)])
+                writer.writerow(
+                    [f"{a:g}", *("" if np.isnan(value) else f"{value:.6f}" for value in row)]
+                )
 
 
 def _place(grid: FloatArray, value: float) -> tuple[int, float]:

@@ -69,7 +69,12 @@ AT_REST = SpeedState(0.0, nan, nan)
 
 @kernel
 def accelerate_dual_loop(
-    law: SpeedLaw, state: SpeedState, train: PedalMap, now: MotionState, off: Deviation, times: FloatArray
+    law: SpeedLaw,
+    state: SpeedState,
+    train: PedalMap,
+    now: MotionState,
+    off: Deviation,
+    times: FloatArray,
 ) -> tuple[float, SpeedState]:
     """Acceleration to command, m/s2, and the state after it."""
     most = law.station_limit
@@ -104,7 +109,9 @@ class SteeringPidLaw(NamedTuple):
 
 
 @inner_kernel
-def steer_by_error(law: SteeringPidLaw, integral: float, now: MotionState, off: Deviation) -> tuple[float, float]:
+def steer_by_error(
+    law: SteeringPidLaw, integral: float, now: MotionState, off: Deviation
+) -> tuple[float, float]:
     """Front wheel angle to command, rad, and the integral of the lateral error after it, m s."""
     slower = 1.0 + (now.v / law.speed) ** 2
     rate = now.v * sin(off.heading)

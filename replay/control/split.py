@@ -26,10 +26,26 @@ from replan.replay.control.dlqr import (
     steer_rolling,
     steer_slipping,
 )
-from replan.replay.control.estimation import DelayModel, DelayState, SlipModel, SlipState, SteeringDelay, slip_model
+from replan.replay.control.estimation import (
+    DelayModel,
+    DelayState,
+    SlipModel,
+    SlipState,
+    SteeringDelay,
+    slip_model,
+)
 from replan.replay.control.geometric import PursuitLaw, StanleyLaw, steer_at_front, steer_pursuing
 from replan.replay.control.lateral_model import has_rigid_tyres
-from replan.replay.control.pedals import NO_PEDAL, NO_STOP, PedalState, StopState, eased, hold, press, stands
+from replan.replay.control.pedals import (
+    NO_PEDAL,
+    NO_STOP,
+    PedalState,
+    StopState,
+    eased,
+    hold,
+    press,
+    stands,
+)
 from replan.replay.control.pid import (
     AT_REST,
     SINGLE_LOOP_KD,
@@ -107,7 +123,12 @@ def steer(
 
 @inner_kernel
 def control(
-    law: SplitLaw, state: SplitState, now: MotionState, off: Deviation, times: FloatArray, knots: FloatArray
+    law: SplitLaw,
+    state: SplitState,
+    now: MotionState,
+    off: Deviation,
+    times: FloatArray,
+    knots: FloatArray,
 ) -> tuple[float, float, float, SplitState]:
     """Return steer, throttle and brake for the next control period, and the new state.
 
@@ -116,15 +137,26 @@ def control(
     if stands(state.standing, now.v, now.t, times):  # forget the wheel angle and the integrals
         throttle, brake, pedal = hold(state.pedal, now.v, now.a)
         delay = state.dlqr.delay
-        unknown = DelayState(delay.wheel, delay.offset, delay.delay, delay.known and not law.dlqr.commands)
-        rests = SplitState(True, pedal, state.stop, AT_REST, state.steer_integral, DlqrState(state.dlqr.slip, unknown))
+        unknown = DelayState(
+            delay.wheel, delay.offset, delay.delay, delay.known and not law.dlqr.commands
+        )
+        rests = SplitState(
+            True,
+            pedal,
+            state.stop,
+            AT_REST,
+            state.steer_integral,
+            DlqrState(state.dlqr.slip, unknown),
+        )
         return now.steer, throttle, brake, rests
     angle, integral, known = steer(law, state, now, off, knots)
     if law.drives == SPEED_PID:
         wanted, speed = accelerate_by_error(law.speed, state.speed, law.train, now, off)
     else:
         wanted, speed = accelerate_dual_loop(law.speed, state.speed, law.train, now, off, times)
-    wanted, stop = eased(state.stop, law.train, times, now.t, now.v, now.a, wanted, law.speed.period)
+    wanted, stop = eased(
+        state.stop, law.train, times, now.t, now.v, now.a, wanted, law.speed.period
+    )
     throttle, brake, pedal = press(state.pedal, law.train, wanted, now.v)
     return angle, throttle, brake, SplitState(False, pedal, stop, speed, integral, known)
 
@@ -133,19 +165,38 @@ def control(
 def remembered(m: FloatArray, wheel: FloatArray) -> SplitState:
     """The state stored in an array of MEMORY numbers and the wheel's angles."""
     return SplitState(
-        m[0] > 0.0, PedalState(m[1] > 0.0, m[2] > 0.0), StopState(m[3], m[4]), SpeedState(m[5], m[6], m[7]), m[8],
-        DlqrState(SlipState(m[9], m[10], m[11], m[12], m[13], m[14]), DelayState(wheel, m[15], m[16], m[17] > 0.0)),
-    )  # fmt: skip
+        m[0] > 0.0,
+        PedalState(m[1] > 0.0, m[2] > 0.0),
+        StopState(m[3], m[4]),
+        SpeedState(m[5], m[6], m[7]),
+        m[8],
+        DlqrState(
+            SlipState(m[9], m[10], m[11], m[12], m[13], m[14]),
+            DelayState(wheel, m[15], m[16], m[17] > 0.0),
+        ),
+    )
 
 
 @kernel
 def remember(m: FloatArray, s: SplitState) -> None:
     """The inverse of `remembered`; the wheel's angles are written in place."""
     slip, delay = s.dlqr.slip, s.dlqr.delay
-    m[0], m[1], m[2], m[3], m[4] = s.standing, s.pedal.braking, s.pedal.holding, s.stop.jerk, s.stop.offset
+    m[0], m[1], m[2], m[3], m[4] = (
+        s.standing,
+        s.pedal.braking,
+        s.pedal.holding,
+        s.stop.jerk,
+        s.stop.offset,
+    )
     m[5], m[6], m[7], m[8] = s.speed.integral, s.speed.m, s.speed.error, s.steer_integral
     m[9], m[10], m[11], m[12] = slip.front, slip.rear, slip.v_lat, slip.turn
-    m[13], m[14], m[15], m[16], m[17] = slip.alpha_front, slip.alpha_rear, delay.offset, delay.delay, delay.known
+    m[13], m[14], m[15], m[16], m[17] = (
+        slip.alpha_front,
+        slip.alpha_rear,
+        delay.offset,
+        delay.delay,
+        delay.known,
+    )
 
 
 @inner_kernel
@@ -154,12 +205,28 @@ def named_law(p: Plain) -> SplitLaw:
     d = p[2]
     dlqr = DlqrLaw(d[0], d[1], SlipModel(*d[2]), DelayModel(*d[3]), d[4], d[5], d[6], d[7])
     others = KinematicLaw(*p[3]), PursuitLaw(*p[4]), StanleyLaw(*p[5]), SteeringPidLaw(*p[6])
-    return SplitLaw(p[0], p[1], dlqr, others[0], others[1], others[2], others[3], SpeedLaw(*p[7]), PedalMap(*p[8]))
+    return SplitLaw(
+        p[0],
+        p[1],
+        dlqr,
+        others[0],
+        others[1],
+        others[2],
+        others[3],
+        SpeedLaw(*p[7]),
+        PedalMap(*p[8]),
+    )
 
 
 @inner_kernel
 def control_row(
-    law: SplitLaw, memory: FloatArray, wheel: FloatArray, times: FloatArray, knots: FloatArray, rows: FloatArray, k: int
+    law: SplitLaw,
+    memory: FloatArray,
+    wheel: FloatArray,
+    times: FloatArray,
+    knots: FloatArray,
+    rows: FloatArray,
+    k: int,
 ) -> tuple[float, float, float]:
     """Write the command and the errors into row k of a trace, and the state into `memory`."""
     now = motion_at(rows, k)
@@ -172,7 +239,12 @@ def control_row(
 
 @kernel
 def control_once(
-    laws: Plain, memory: FloatArray, wheel: FloatArray, times: FloatArray, knots: FloatArray, rows: FloatArray
+    laws: Plain,
+    memory: FloatArray,
+    wheel: FloatArray,
+    times: FloatArray,
+    knots: FloatArray,
+    rows: FloatArray,
 ) -> tuple[float, float, float]:
     """The command at the only row."""
     return control_row(named_law(laws), memory, wheel, times, knots, rows, 0)
@@ -196,7 +268,10 @@ class SplitController:
     def __init__(self, law: SplitLaw, delay: SteeringDelay | None = None) -> None:
         self.laws: Plain = plain(law)
         self.memory, self.wheel = np.zeros(MEMORY), dlqr_start(law.speed.period).delay.wheel
-        remember(self.memory, SplitState(False, NO_PEDAL, NO_STOP, AT_REST, 0.0, dlqr_start(law.speed.period)))
+        remember(
+            self.memory,
+            SplitState(False, NO_PEDAL, NO_STOP, AT_REST, 0.0, dlqr_start(law.speed.period)),
+        )
         self._delay, self._tracker, self._row = delay, Tracker(), np.zeros((1, COLUMNS))
 
     @property
@@ -211,7 +286,9 @@ class SplitController:
             known = self._delay.state
             self.wheel, self.memory[DELAY] = known.wheel, (known.offset, known.delay, known.known)
         self._row[0, MOTION] = motion_of(state)
-        return Command(*control_once(self.laws, self.memory, self.wheel, path.times, path.knots, self._row))
+        return Command(
+            *control_once(self.laws, self.memory, self.wheel, path.times, path.knots, self._row)
+        )
 
 
 UNUSED = frozen(np.zeros((2, 5)))
@@ -220,9 +297,14 @@ UNUSED_TABLE = frozen(np.zeros((2, 5, 6)))
 
 
 def split_law(
-    steers: int, parameters: VehicleParameters, powertrain: Powertrain, period: float,
-    *, drives: int = DUAL_LOOP, commands: bool = True,
-) -> SplitLaw:  # fmt: skip
+    steers: int,
+    parameters: VehicleParameters,
+    powertrain: Powertrain,
+    period: float,
+    *,
+    drives: int = DUAL_LOOP,
+    commands: bool = True,
+) -> SplitLaw:
     """Build the law for a vehicle; with rigid tyres, the kinematic DLQR replaces the DLQR.
 
     Args:
@@ -239,10 +321,23 @@ def split_law(
         slipping = dlqr_law(p, period, commands=commands)
     else:
         delay = DelayModel(0.0, 0.0, period, UNUSED_TABLE)
-        slipping = DlqrLaw(UNUSED, UNUSED, slip_model(p, period), delay, wheelbase, most, 0.0, False)
-    rolling = kinematic_law(p, period) if steers == KINEMATIC_DLQR else KinematicLaw(UNUSED, 0.0, 0.0, 0.0)
+        slipping = DlqrLaw(
+            UNUSED, UNUSED, slip_model(p, period), delay, wheelbase, most, 0.0, False
+        )
+    rolling = (
+        kinematic_law(p, period)
+        if steers == KINEMATIC_DLQR
+        else KinematicLaw(UNUSED, 0.0, 0.0, 0.0)
+    )
     speed = SpeedLaw(period) if drives == DUAL_LOOP else SpeedLaw(period, kd=SINGLE_LOOP_KD)
     return SplitLaw(
-        steers, drives, slipping, rolling, PursuitLaw(wheelbase, most), StanleyLaw(wheelbase, most),
-        SteeringPidLaw(period, most), speed, powertrain.pedal_map,
-    )  # fmt: skip
+        steers,
+        drives,
+        slipping,
+        rolling,
+        PursuitLaw(wheelbase, most),
+        StanleyLaw(wheelbase, most),
+        SteeringPidLaw(period, most),
+        speed,
+        powertrain.pedal_map,
+    )

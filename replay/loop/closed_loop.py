@@ -44,9 +44,13 @@ def run_closed_loop(
     """
     setup = SimulationSetup.of(scenario, config, until_s)
     world, latency = setup.world(), Latency(config.plan_delay_steps)
-    planning = seat(scenario, planner, planner_config, config, world.ego, keep_internals=keep_internals)
+    planning = seat(
+        scenario, planner, planner_config, config, world.ego, keep_internals=keep_internals
+    )
     perception = Perception(scenario, config)
-    ended = _never_ends if config.drives_on else Termination(scenario, planning.goal, world.ego).first
+    ended = (
+        _never_ends if config.drives_on else Termination(scenario, planning.goal, world.ego).first
+    )
     recorder, period = TraceRecorder(setup.steps, setup.vehicle), setup.plan_period()
     plan: Plan | None = None
     end: Ended | None = None

@@ -44,7 +44,9 @@ def run_open_loop(
     every = frame_times(scenario.ego, config.plan_period_ns)
     grid = every[:1] + [t for t in every[1:] if t <= until_s]
     egos = [logged_ego(scenario.ego, scenario.vehicle, t) for t in grid]
-    planning = seat(scenario, planner, planner_config, config, egos[0], keep_internals=keep_internals)
+    planning = seat(
+        scenario, planner, planner_config, config, egos[0], keep_internals=keep_internals
+    )
     perception = Perception(scenario, config)
     frames = FrameStore()
     end, detail = EndReason.END_OF_LOG, ""
@@ -64,7 +66,9 @@ def run_open_loop(
         planner=planner,
         mode=Mode.OPEN,
         oracle=planning.is_oracle or perception.is_oracle,
-        ego=Trajectory(*(np.array([getattr(ego, name) for ego in driven]) for name in TRAJECTORY_COLUMNS)),
+        ego=Trajectory(
+            *(np.array([getattr(ego, name) for ego in driven]) for name in TRAJECTORY_COLUMNS)
+        ),
         agents=scenario.tracks,
         frames=frames.frames,
         end=end,

@@ -89,7 +89,10 @@ def checked(plan: Plan, frame: Frame) -> Plan:
         way = np.sign(ego.v) * (abs(ego.v) * slowing - 0.5 * BRAKE_MPS2 * slowing**2)
         half_turn = 0.5 * ego.kappa * way
         chord = way * np.sinc(half_turn / np.pi)
-        x, y = ego.x + chord * np.cos(ego.yaw + half_turn), ego.y + chord * np.sin(ego.yaw + half_turn)
+        x, y = (
+            ego.x + chord * np.cos(ego.yaw + half_turn),
+            ego.y + chord * np.sin(ego.yaw + half_turn),
+        )
         a = np.where(np.abs(speed) > 0.0, -BRAKE_MPS2 * np.sign(ego.v), 0.0)
         yaw, kappa = ego.yaw + 2.0 * half_turn, np.full(len(after), ego.kappa)
         instead = Trajectory(ego.t + after, x, y, yaw, speed, a, kappa)
@@ -109,7 +112,9 @@ def _start_fault(trajectory: Trajectory, frame: Frame) -> str:
     nearest = min(starts, key=lambda start: _distance_between(start, first))
     if _distance_between(nearest, first) > START_M:
         return f"it starts {_distance_between(nearest, first):.2f} m from the ego and from the plan being driven"
-    speeds = [start.v for start in starts] + [0.0 for start in starts if -SWING_MPS <= start.v < 0.0]
+    speeds = [start.v for start in starts] + [
+        0.0 for start in starts if -SWING_MPS <= start.v < 0.0
+    ]
     if min(abs(speed - first.v) for speed in speeds) > START_MPS:
         return f"it starts at {first.v:.1f} m/s, the ego drives {frame.ego.v:.1f} m/s"
     return ""
@@ -145,7 +150,13 @@ def _off(plan: Trajectory) -> Off:
 
 @kernel
 def measured_off(
-    t: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, v: FloatArray, a: FloatArray, kappa: FloatArray
+    t: FloatArray,
+    x: FloatArray,
+    y: FloatArray,
+    yaw: FloatArray,
+    v: FloatArray,
+    a: FloatArray,
+    kappa: FloatArray,
 ) -> Off:
     """`Off` of a plan's columns `(n,)`, n >= 2."""
     n = len(t)

@@ -91,9 +91,17 @@ class Latency:
 
 @kernel
 def run_kinematic(
-    laws: Plain, memory: FloatArray, wheel: FloatArray, times: FloatArray, knots: FloatArray, rows: FloatArray,
-    first: int, count: int, dt: float, numbers: Plain,
-) -> None:  # fmt: skip
+    laws: Plain,
+    memory: FloatArray,
+    wheel: FloatArray,
+    times: FloatArray,
+    knots: FloatArray,
+    rows: FloatArray,
+    first: int,
+    count: int,
+    dt: float,
+    numbers: Plain,
+) -> None:
     """Run `count` steps of a kinematic bicycle from row `first`; its state is in the rows."""
     law, car = named_law(laws), Kinematics(*numbers)
     for k in range(first, first + count):
@@ -106,9 +114,18 @@ def run_kinematic(
 
 @kernel
 def run_single_track(
-    laws: Plain, memory: FloatArray, wheel: FloatArray, times: FloatArray, knots: FloatArray, rows: FloatArray,
-    first: int, count: int, dt: float, numbers: Plain, state: tuple[Plain, Plain, Plain],
-) -> tuple[Plain, Plain, Plain]:  # fmt: skip
+    laws: Plain,
+    memory: FloatArray,
+    wheel: FloatArray,
+    times: FloatArray,
+    knots: FloatArray,
+    rows: FloatArray,
+    first: int,
+    count: int,
+    dt: float,
+    numbers: Plain,
+    state: tuple[Plain, Plain, Plain],
+) -> tuple[Plain, Plain, Plain]:
     """Run `count` steps of a single-track vehicle from row `first`; `state`: of vehicle, gearbox, brake commands."""
     law, car = named_law(laws), named_car(numbers)
     s, box, line = single_track.SingleTrackState(*state[0]), Gearbox(*state[1]), Pending(*state[2])
@@ -124,7 +141,13 @@ Run = Callable[[Any, Any, PlanPath, FloatArray, int, int, float], None]
 
 
 def _kinematic(
-    driver: SplitController, car: KinematicBicycle, path: PlanPath, rows: FloatArray, first: int, count: int, dt: float
+    driver: SplitController,
+    car: KinematicBicycle,
+    path: PlanPath,
+    rows: FloatArray,
+    first: int,
+    count: int,
+    dt: float,
 ) -> None:
     memory = driver.laws, driver.memory, driver.wheel
     run_kinematic(*memory, path.times, path.knots, rows, first, count, dt, car.numbers)
@@ -132,13 +155,34 @@ def _kinematic(
 
 
 def _single_track(
-    driver: SplitController, car: SingleTrack, path: PlanPath, rows: FloatArray, first: int, count: int, dt: float
+    driver: SplitController,
+    car: SingleTrack,
+    path: PlanPath,
+    rows: FloatArray,
+    first: int,
+    count: int,
+    dt: float,
 ) -> None:
-    memory, line = (driver.laws, driver.memory, driver.wheel), with_room(car.brakes, round(dt * 1e9))
-    inner, box, line_after = run_single_track(
-        *memory, path.times, path.knots, rows, first, count, dt, car.numbers, (car.inner[:], car.box[:], line[:])
+    memory, line = (
+        (driver.laws, driver.memory, driver.wheel),
+        with_room(car.brakes, round(dt * 1e9)),
     )
-    car.inner, car.box, car.brakes = single_track.SingleTrackState(*inner), Gearbox(*box), Pending(*line_after)
+    inner, box, line_after = run_single_track(
+        *memory,
+        path.times,
+        path.knots,
+        rows,
+        first,
+        count,
+        dt,
+        car.numbers,
+        (car.inner[:], car.box[:], line[:]),
+    )
+    car.inner, car.box, car.brakes = (
+        single_track.SingleTrackState(*inner),
+        Gearbox(*box),
+        Pending(*line_after),
+    )
     car.state = state_at(rows, first + count)
 
 
@@ -162,7 +206,12 @@ class PlanPeriod:
     """
 
     def __init__(self, controller: Controller, vehicle: Vehicle, period: float) -> None:
-        self._controller, self._vehicle, self._period, self._tracker = controller, vehicle, period, Tracker()
+        self._controller, self._vehicle, self._period, self._tracker = (
+            controller,
+            vehicle,
+            period,
+            Tracker(),
+        )
         self._run = RUNS.get((type(controller), type(vehicle)))
         self.most_steps = UNLIMITED_STEPS if self._run else 1
 
@@ -176,7 +225,9 @@ class PlanPeriod:
             command = self._controller.control(self._vehicle.state, plan)
             rows[k, COMMAND] = command.steer, command.throttle, command.brake
             rows[k, ERRORS] = path.deviation(state_at(rows, k))[:4]
-            write_state(rows, k + 1, self._vehicle.step(command, self._period), self._vehicle.actuation)
+            write_state(
+                rows, k + 1, self._vehicle.step(command, self._period), self._vehicle.actuation
+            )
 
 
 class TraceRecorder:

@@ -29,7 +29,12 @@ from replan.replay.loop.plan_check import checked
 from replan.replay.loop_config import LoopConfig
 from replan.replay.parts import PLANNER
 from replan.replay.planner_process.connection import ApartPlanner, FaultError, current_log
-from replan.replay.planner_process.planner_config import is_apart, is_built_in, planner_part, prepared
+from replan.replay.planner_process.planner_config import (
+    is_apart,
+    is_built_in,
+    planner_part,
+    prepared,
+)
 
 DRIVEN_PATH_NOTE = (
     "the road is the driven path: the planner knows where the log's driver went; open-loop errors across the path say"
@@ -61,21 +66,36 @@ class Planning:
     """
 
     def __init__(
-        self, scenario: Scenario, spec: str, planner_config: Mapping[str, object], config: LoopConfig, start: EgoState,
-        *, keep_internals: bool = True, place: DriveKey = FIRST,
-    ) -> None:  # fmt: skip
+        self,
+        scenario: Scenario,
+        spec: str,
+        planner_config: Mapping[str, object],
+        config: LoopConfig,
+        start: EgoState,
+        *,
+        keep_internals: bool = True,
+        place: DriveKey = FIRST,
+    ) -> None:
         goal, note = goal_of(scenario)
         self.is_oracle = spec in PLANNER.oracles
         known_path = DRIVEN_PATH_NOTE if scenario.road.source is RoadSource.DRIVEN_PATH else ""
         apart = is_apart(spec, config.apart)
         marks = {
-            Mark.TRUSTED: ("the planner was trusted: it ran in the process that holds the log",
-                           not apart and not is_built_in(spec)),
-            Mark.BATCHED: (f"the planner's process was shared with other logs, up to {config.apart.batch} in all",
-                           apart and current_log() is not None),
-        }  # fmt: skip
-        self.marks = tuple(mark for mark, (_, holds) in marks.items() if holds and not self.is_oracle)
-        self.notes = tuple(filter(None, (note, known_path, *(text for text, holds in marks.values() if holds))))
+            Mark.TRUSTED: (
+                "the planner was trusted: it ran in the process that holds the log",
+                not apart and not is_built_in(spec),
+            ),
+            Mark.BATCHED: (
+                f"the planner's process was shared with other logs, up to {config.apart.batch} in all",
+                apart and current_log() is not None,
+            ),
+        }
+        self.marks = tuple(
+            mark for mark, (_, holds) in marks.items() if holds and not self.is_oracle
+        )
+        self.notes = tuple(
+            filter(None, (note, known_path, *(text for text, holds in marks.values() if holds)))
+        )
         self.goal = goal
         self._keep = keep_internals
         self._name = f"planner '{spec}' on {scenario.name}"
@@ -88,9 +108,14 @@ class Planning:
         try:
             if apart:
                 self._planner: Planner = ApartPlanner(
-                    spec, self.context, planner_config, config.apart, self._watch,
-                    keep_internals=keep_internals, place=place,
-                )  # fmt: skip
+                    spec,
+                    self.context,
+                    planner_config,
+                    config.apart,
+                    self._watch,
+                    keep_internals=keep_internals,
+                    place=place,
+                )
             else:
                 factory = planner_part(spec).factory
                 arguments = (self.context, scenario) if self.is_oracle else (self.context,)
@@ -126,7 +151,9 @@ class Planning:
         except FaultError as error:
             raise PlannerError(f"{self._name} {error}") from None
         except (Exception, SystemExit) as error:
-            raise PlannerError(f"{self._name} raised at {frame.t:.2f} s: {raised(error)}") from error
+            raise PlannerError(
+                f"{self._name} raised at {frame.t:.2f} s: {raised(error)}"
+            ) from error
         finally:
             self._watch.stop(frame.t)
         fault = _breach(plan, frame)
@@ -166,12 +193,16 @@ def with_probe(drive: Drive, again: Trace, until_s: float) -> Drive:
 def marked_random(drive: Drive, found: str) -> Drive:
     """Return the drive with the mark and a note that its planner is not deterministic."""
     notes = (*drive.trace.notes, f"not deterministic: {found}")
-    return replace(drive, trace=replace(drive.trace, notes=notes), marks=(*drive.marks, Mark.NOT_DETERMINISTIC))
+    return replace(
+        drive, trace=replace(drive.trace, notes=notes), marks=(*drive.marks, Mark.NOT_DETERMINISTIC)
+    )
 
 
 def nondeterminism(trace: Trace, again: Trace, until_s: float) -> str:
     """Return where and by how much two equal drives differ, as a sentence; "" if they do not, up to `until_s`."""
-    first, second = ([frame for frame in one.frames if frame.t <= until_s] for one in (trace, again))
+    first, second = (
+        [frame for frame in one.frames if frame.t <= until_s] for one in (trace, again)
+    )
     for one, other in zip_longest(first, second):
         if one is None or other is None:
             shorter = again if other is None else trace
@@ -183,8 +214,13 @@ def nondeterminism(trace: Trace, again: Trace, until_s: float) -> str:
             difference = f"the plans have {len(a)} and {len(b)} states"
         elif status is not other.plan.status:
             difference = f"the plans are '{status.value}' and '{other.plan.status.value}'"
-        elif any(getattr(a, name).tobytes() != getattr(b, name).tobytes() for name in TRAJECTORY_COLUMNS):
-            metres, speed = float(np.max(np.hypot(a.x - b.x, a.y - b.y))), float(np.max(np.abs(a.v - b.v)))
+        elif any(
+            getattr(a, name).tobytes() != getattr(b, name).tobytes() for name in TRAJECTORY_COLUMNS
+        ):
+            metres, speed = (
+                float(np.max(np.hypot(a.x - b.x, a.y - b.y))),
+                float(np.max(np.abs(a.v - b.v))),
+            )
             difference = f"the plans differ by up to {metres:.3g} m and {speed:.3g} m/s"
         else:
             continue

@@ -99,7 +99,9 @@ def with_follower(scenario: Scenario, loop: LoopConfig) -> tuple[Scenario, pd.Da
     last = int(np.argmax(near)) if near.any() else -1
     gain = gain_along(route_of(scenario), trace.ego).metres[last]
     scenario = replace(scenario, references=replace(scenario.references, follower_gain=float(gain)))
-    return scenario, _measure_drives([(trace, ("safety", "rules", "progress", "comfort"))], scenario)
+    return scenario, _measure_drives(
+        [(trace, ("safety", "rules", "progress", "comfort"))], scenario
+    )
 
 
 def _drive_in_traffic(
@@ -113,7 +115,9 @@ def _drive_in_traffic(
     """Drive a built-in planner in a perfect car among the traffic of the run; the trace has no plans."""
     traffic = {key: table for key, table in loop.settings.items() if key == "traffic"}
     same = LoopConfig(*periods_s, vehicle="perfect", traffic=loop.traffic, settings=traffic)
-    driven = run_closed_loop(scenario, planner, planner_config=settings, config=same, keep_internals=False).trace
+    driven = run_closed_loop(
+        scenario, planner, planner_config=settings, config=same, keep_internals=False
+    ).trace
     return replace(driven, planner=name, oracle=True, frames=())
 
 
@@ -127,7 +131,9 @@ def discriminating_tables(scenario: Scenario, loop: LoopConfig) -> list[pd.DataF
     tables = []
     for name, bad in BAD_DRIVERS.items():
         trace = _drive_in_traffic(scenario, bad.planner, name, loop, BAD_PERIODS_S, bad.settings)
-        rows = metrics.rows_of(trace, scenario, metrics={metric.name: metric for metric in bad.judged_by})
+        rows = metrics.rows_of(
+            trace, scenario, metrics={metric.name: metric for metric in bad.judged_by}
+        )
         tables.append(metrics.as_table(rows).assign(mode=REFERENCE))
     return tables
 
@@ -141,13 +147,19 @@ def discriminate(scenario: Scenario, loop: LoopConfig = DEFAULT_LOOP) -> tuple[D
         scenario = with_avoidability(drivable_part(scenario))
     except LogError:  # nothing of it is driven, and `replan inspect` states why
         return ()
-    if scenario.duration - float(scenario.ego.t[0]) >= BAD_PERIODS_S[1] and len(scenario.ego) < SHORTEST:
+    if (
+        scenario.duration - float(scenario.ego.t[0]) >= BAD_PERIODS_S[1]
+        and len(scenario.ego) < SHORTEST
+    ):
         scenario = with_follower(scenario, loop)[0]
     labels = LogLabels(scenario.family, scenario.dataset, scenario.tags)
     tables = discriminating_tables(scenario, loop)
     gates = load_gates(None)
     values = [dict(zip(table["metric"], table["value"], strict=True)) for table in tables]
-    return tuple(discrimination(driver, gates, labels, each) for driver, each in zip(BAD_DRIVERS, values, strict=False))
+    return tuple(
+        discrimination(driver, gates, labels, each)
+        for driver, each in zip(BAD_DRIVERS, values, strict=False)
+    )
 
 
 def with_references(scenario: Scenario, loop: LoopConfig) -> tuple[Scenario, list[pd.DataFrame]]:
@@ -159,7 +171,9 @@ def with_references(scenario: Scenario, loop: LoopConfig) -> tuple[Scenario, lis
     return scenario, [reference_table(scenario), *follower]
 
 
-def late_follower(tables: Sequence[pd.DataFrame], scenario: Scenario, loop: LoopConfig) -> list[pd.DataFrame]:
+def late_follower(
+    tables: Sequence[pd.DataFrame], scenario: Scenario, loop: LoopConfig
+) -> list[pd.DataFrame]:
     """Return the rows of the follower if they are missing, and a closed drive in the tables of a log needs it."""
     values: dict[str, dict[str, float]] = {}
     asked = {gate.metric for gate in CLEAN}
@@ -174,10 +188,16 @@ def late_follower(tables: Sequence[pd.DataFrame], scenario: Scenario, loop: Loop
     return [with_follower(scenario, loop)[1]] if needed else []
 
 
-def _measure_drives(drives: Iterable[tuple[Trace, tuple[str, ...]]], scenario: Scenario) -> pd.DataFrame:
+def _measure_drives(
+    drives: Iterable[tuple[Trace, tuple[str, ...]]], scenario: Scenario
+) -> pd.DataFrame:
     rows = []
     for trace, groups in drives:
-        measures = {metric.name: METRICS[metric.name] for group in groups for metric in (*GROUPS[group], EVIDENCE)}
+        measures = {
+            metric.name: METRICS[metric.name]
+            for group in groups
+            for metric in (*GROUPS[group], EVIDENCE)
+        }
         rows += metrics.rows_of(trace, scenario, metrics=measures)
     return metrics.as_table(rows).assign(mode=REFERENCE)
 
@@ -188,7 +208,9 @@ def reference_table(scenario: Scenario) -> pd.DataFrame:
         DRIVER: ("safety", "rules", "progress") if scenario.is_recorded else ("progress",),
         CAREFUL: ("safety", "progress", "comfort"),  # the careful driver knows no rules
     }
-    return _measure_drives(((trace, groups[trace.planner]) for trace in reference_drives(scenario)), scenario)
+    return _measure_drives(
+        ((trace, groups[trace.planner]) for trace in reference_drives(scenario)), scenario
+    )
 
 
 def reference_drives(scenario: Scenario) -> Iterator[Trace]:
@@ -201,7 +223,10 @@ def reference_drives(scenario: Scenario) -> Iterator[Trace]:
     u = np.minimum((drive.s - s0) / max(RETURN_S * start.v, 10.0), 1.0)
     offset = l0 * (1.0 - u * u * (3.0 - 2.0 * u))
     frames = np.array([line.frame(s) for s in drive.s])
-    x, y = frames[:, 0] - offset * np.sin(frames[:, 2]), frames[:, 1] + offset * np.cos(frames[:, 2])
+    x, y = (
+        frames[:, 0] - offset * np.sin(frames[:, 2]),
+        frames[:, 1] + offset * np.cos(frames[:, 2]),
+    )
     t = start.t + STEP_S * np.arange(len(drive.s))
     rear_axle = Trajectory(t, x, y, np.unwrap(frames[:, 2]), drive.v, drive.a, frames[:, 3])
     yield _end_drive(CAREFUL, rear_axle, scenario)
@@ -219,13 +244,18 @@ def _end_drive(name: str, ego: Trajectory, scenario: Scenario) -> Trace:
         for region in goal.regions:
             (low_x, low_y), (high_x, high_y) = region.min(axis=0), region.max(axis=0)
             near |= (x >= low_x) & (x <= high_x) & (y >= low_y) & (y <= high_y)
-        rows, arrival = np.column_stack([getattr(ego, name) for name in TRAJECTORY_COLUMNS]), Arrival(scenario, goal)
+        rows, arrival = (
+            np.column_stack([getattr(ego, name) for name in TRAJECTORY_COLUMNS]),
+            Arrival(scenario, goal),
+        )
         reached = next((k for k in np.flatnonzero(near).tolist() if arrival.at(rows, k)), None)
         if reached is not None:
             ends.append((reached, EndReason.GOAL, ""))
     for contact in contacts(whole, scenario)[:1]:
         reason = EndReason.COLLISION if contact.at_fault else EndReason.REPLAY_CONTACT
-        ends.append((contact.step, reason, f"{name_of(agents, contact.agent)}: {contact.kind.value}"))
+        ends.append(
+            (contact.step, reason, f"{name_of(agents, contact.agent)}: {contact.kind.value}")
+        )
     if not ends:
         return whole
     step, reason, detail = min(ends, key=lambda end: end[0])

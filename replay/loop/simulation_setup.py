@@ -62,11 +62,17 @@ class SimulationSetup:
                 f"{scenario.name}: the log ends at the ego's first sample, so that there is nothing to drive",
                 remedy="a closed loop needs a log of at least one control period",
             )
-        start = replace(logged_ego(scenario.ego, scenario.vehicle, start_ns / 1e9), t=start_ns / 1e9)
+        start = replace(
+            logged_ego(scenario.ego, scenario.vehicle, start_ns / 1e9), t=start_ns / 1e9
+        )
         period, end = config.control_period_ns / 1e9, ""
         if until_s < scenario.duration:
             steps = min(steps, max(0, floor((until_s - start_ns / 1e9) / period + ROUNDING)) + 1)
-        known = observed_until(scenario.traffic_spans, start.t) if config.end_with_evidence else scenario.duration
+        known = (
+            observed_until(scenario.traffic_spans, start.t)
+            if config.end_with_evidence
+            else scenario.duration
+        )
         if config.drives_on:
             steps = min(steps, max(1, floor((scenario.ego.t[-1] - start.t) / period + ROUNDING)))
         if floor((known - start.t) / period + ROUNDING) < steps:
@@ -107,7 +113,9 @@ class SimulationSetup:
         return min(frame, reacts, step + most, self.steps)
 
 
-def controller_of(vehicle: Vehicle, parameters: VehicleParameters, part: Part, period: float) -> Controller:
+def controller_of(
+    vehicle: Vehicle, parameters: VehicleParameters, part: Part, period: float
+) -> Controller:
     """Build a controller for the assumed parameters; a vehicle that follows plans has its own.
 
     If the vehicle has rigid tyres, so does the controller's model. Errors as `Part.build`.
@@ -124,16 +132,24 @@ def _notes(scenario: Scenario, config: LoopConfig) -> list[str]:
     notes = []
     first = scenario.ego.state(0)
     if first.v < 0.0:
-        notes.append(f"the log starts in reverse at {-first.v:.1f} m/s: the vehicle model starts from a standstill")
+        notes.append(
+            f"the log starts in reverse at {-first.v:.1f} m/s: the vehicle model starts from a standstill"
+        )
     if scenario.road.source is RoadSource.DRIVEN_PATH:
         notes.append("the log has no lanes: whether the ego leaves the road is not judged")
     elif not scenario.road.is_drivable(*box_center(first, scenario.vehicle)):
-        notes.append("the ego starts off the lanes: leaving the road is judged from when it has been on them")
+        notes.append(
+            "the ego starts off the lanes: leaving the road is judged from when it has been on them"
+        )
     if config.vehicle == "perfect":
         notes.append("the vehicle follows its plans exactly: no controller drives it")
     if config.plan_delay_s:
-        notes.append(f"each plan but the first is driven from {config.plan_delay_s:g} s after its frame on")
+        notes.append(
+            f"each plan but the first is driven from {config.plan_delay_s:g} s after its frame on"
+        )
     if config.plant:
         changed = ", ".join(f"{key} = {value}" for key, value in config.plant.items())
-        notes.append(f"the vehicle model differs from what planner and controller believe: {changed}")
+        notes.append(
+            f"the vehicle model differs from what planner and controller believe: {changed}"
+        )
     return notes

@@ -44,7 +44,9 @@ def outline_distance(x: float, y: float, polygon: FloatArray) -> float:
     best = inf
     j = len(polygon) - 1
     for i in range(len(polygon)):
-        best = min(best, point_segment(x, y, polygon[j, 0], polygon[j, 1], polygon[i, 0], polygon[i, 1]))
+        best = min(
+            best, point_segment(x, y, polygon[j, 0], polygon[j, 1], polygon[i, 0], polygon[i, 1])
+        )
         j = i
     return best
 
@@ -71,9 +73,15 @@ def metres_off(lanes: Outlines, on: int, x: float, y: float) -> tuple[float, int
 
 @kernel
 def first_event(
-    rows: FloatArray, first: int, end: int, car: EgoBox, agents: AgentBoxes,
-    goal: tuple[float, float, float, float], lanes: Outlines, on: int,
-) -> tuple[int, bool, float, int]:  # fmt: skip
+    rows: FloatArray,
+    first: int,
+    end: int,
+    car: EgoBox,
+    agents: AgentBoxes,
+    goal: tuple[float, float, float, float],
+    lanes: Outlines,
+    on: int,
+) -> tuple[int, bool, float, int]:
     """The first of the rows from `first` to before `end` at which a drive may end (`end`: none), and what is there.
 
     `goal`: least and greatest x, least and greatest y, m; `lanes` and `on` as in `metres_off`. Returns the row, whether
@@ -109,10 +117,17 @@ class Termination:
 
     def __init__(self, scenario: Scenario, goal: Goal | None, start: EgoState) -> None:
         self._scenario, self._car = scenario, ego_box(scenario.vehicle)
-        if goal is not None and not goal.regions and goal.t is None and goal.v is None and goal.yaw is None:
+        if (
+            goal is not None
+            and not goal.regions
+            and goal.t is None
+            and goal.v is None
+            and goal.yaw is None
+        ):
             goal = None  # a goal without conditions is ignored: it would always be reached
         self._arrival = None if goal is None else Arrival(scenario, goal)
-        self._near = (np.nan,) * 4  # least and greatest x and y at which the goal may be reached; NaN: there is none
+        # Least and greatest x and y at which the goal may be reached; NaN: there is none
+        self._near = (np.nan,) * 4
         if goal is not None:
             self._near = -inf, inf, -inf, inf
         if goal is not None and goal.regions:
@@ -121,10 +136,13 @@ class Termination:
             self._near = x_lo, x_hi, y_lo, y_hi
         self._phantoms = phantoms(scenario)
         judged = scenario.road.source is RoadSource.LANES  # only lanes of the log are judged
-        polygons = [lane.polygon for lane in scenario.road.lanes.values() if lane.drivable and judged]
+        polygons = [
+            lane.polygon for lane in scenario.road.lanes.values() if lane.drivable and judged
+        ]
         offsets = np.cumsum([0, *map(len, polygons)], dtype=np.int64)
         self._lanes = Outlines(np.concatenate([np.zeros((0, 2)), *polygons]), offsets)
-        _, self._on = metres_off(self._lanes, -1, *box_center(start, scenario.vehicle))  # the last lane it was on
+        # The last lane it was on
+        _, self._on = metres_off(self._lanes, -1, *box_center(start, scenario.vehicle))
         self._around, self._tracks = NearbyTracks(), Tracks.empty()
         self._agents = agent_boxes(self._tracks)
 
@@ -146,8 +164,11 @@ class Termination:
                 break
             if hit:
                 real, driven = without_phantoms(tracks.whole, self._phantoms), rows[: k + 1]
-                recent = driven[driven[:, 0] >= rows[k, 0] - LOOK_BACK_S]  # earlier touches would have ended the drive
-                found = classify(Trajectory(*recent[:, : len(TRAJECTORY_COLUMNS)].T), real, self._scenario)
+                # Earlier touches would have ended the drive
+                recent = driven[driven[:, 0] >= rows[k, 0] - LOOK_BACK_S]
+                found = classify(
+                    Trajectory(*recent[:, : len(TRAJECTORY_COLUMNS)].T), real, self._scenario
+                )
                 worst = max(found, key=lambda touch: touch.at_fault, default=None)
                 if worst is not None:
                     name = name_of(real, worst.agent)
@@ -158,6 +179,10 @@ class Termination:
                 return Ended(k, EndReason.GOAL, "")
             if off > CRACK_M:
                 x, y = box_center(state_at(rows, k), self._scenario.vehicle)
-                return Ended(k, EndReason.OFF_ROAD, f"box centre {off:.1f} m off the lanes at ({x:.1f}, {y:.1f})")
+                return Ended(
+                    k,
+                    EndReason.OFF_ROAD,
+                    f"box centre {off:.1f} m off the lanes at ({x:.1f}, {y:.1f})",
+                )
             first = k + 1
         return None

@@ -72,7 +72,10 @@ class Recorded:
     def __init__(self, scenario: Scenario) -> None:
         if scenario.repair is None:
             remedy = "take perception auto or ground_truth, or read the log with repair on"
-            raise LogError("perception recorded needs a log whose road users are made of detections", remedy=remedy)
+            raise LogError(
+                "perception recorded needs a log whose road users are made of detections",
+                remedy=remedy,
+            )
         self._log, self._tracked = scenario.repair.tracks, scenario.repair.detections.tracked
         self._owners, self._around, self._around_log = Owners(), NearbyTracks(), NearbyTracks()
 
@@ -89,14 +92,18 @@ class Recorded:
             there, then = ({name: i for i, name in enumerate(some.ids)} for some in (now, log))
             kept = [i for i, name in enumerate(whose) if name not in then or name in there]
             both = [row for row, i in enumerate(kept) if whose[i] in then]
-            in_world, in_log = (_rows(places[whose[kept[row]]] for row in both) for places in (there, then))
+            in_world, in_log = (
+                _rows(places[whose[kept[row]]] for row in both) for places in (there, then)
+            )
             shown = known.some(_rows(kept))
             columns = np.array([getattr(shown, name) for name in NUMBERS])
             for name in MOVED:  # (1)
                 change = getattr(now, name)[in_world] - getattr(log, name)[in_log]
                 columns[NUMBERS.index(name), both] += wrapped(change) if name == "yaw" else change
             shown = Agents.of_rows(shown.ids, shown.kinds, columns, shown.codes)
-        static = {name for name, still in zip(world.tracks.ids, world.tracks.static, strict=True) if still}
+        static = {
+            name for name, still in zip(world.tracks.ids, world.tracks.static, strict=True) if still
+        }
         logged = set(log.ids)
         others = [i for i, name in enumerate(now.ids) if name in static or name not in logged]
         if not others:
@@ -105,7 +112,9 @@ class Recorded:
         shown = shown.some(_rows(i for i, name in enumerate(shown.ids) if name not in more.ids))
         columns = np.array([np.r_[getattr(shown, name), getattr(more, name)] for name in NUMBERS])
         codes = frozen(np.r_[shown.codes, more.codes], np.int64)
-        return Agents.of_rows((*shown.ids, *more.ids), (*shown.kinds, *more.kinds), columns, codes), None
+        return Agents.of_rows(
+            (*shown.ids, *more.ids), (*shown.kinds, *more.kinds), columns, codes
+        ), None
 
 
 def _rows(places: Iterable[int]) -> IntArray:
@@ -177,12 +186,19 @@ class Perception:
         t, config = world.ego.t, self._config
         if self.is_oracle:
             steps = round(config.prediction_horizon_s / config.prediction_step_s)
-            predictions = logged_futures(self._log, agents, t + config.prediction_step_s * np.arange(steps + 1))
+            predictions = logged_futures(
+                self._log, agents, t + config.prediction_step_s * np.arange(steps + 1)
+            )
         else:
             predictions = predict(
-                agents, t, horizon=config.prediction_horizon_s, step=config.prediction_step_s, method=config.prediction,
-                lanes=self._lanes, predictor=self._predictor,
-            )  # fmt: skip
+                agents,
+                t,
+                horizon=config.prediction_horizon_s,
+                step=config.prediction_step_s,
+                method=config.prediction,
+                lanes=self._lanes,
+                predictor=self._predictor,
+            )
         lights = {light.id: light.at(t) for light in self._lights}
         return Frame(t, world.ego, agents, predictions, previous, visibility, lights)
 
@@ -199,7 +215,10 @@ class Perception:
             return Tracks.empty()
         first = [some[0] for some in rows.values()]
         samples = [sample for some in rows.values() for sample in some]
-        columns = (np.array([getattr(a, name)[i] for _, a, i in samples]) for name in ("x", "y", "yaw", "vx", "vy"))
+        columns = (
+            np.array([getattr(a, name)[i] for _, a, i in samples])
+            for name in ("x", "y", "yaw", "vx", "vy")
+        )
         return Tracks(
             tuple(rows),
             tuple(a.kinds[i] for _, a, i in first),
@@ -224,10 +243,17 @@ def logged_futures(log: Tracks, agents: Agents, t: FloatArray) -> Predictions:
     last = log.offsets[1:] - 1
     vx, vy = log.velocity(np.arange(len(log)), last)
     since = t - t[0]
-    way = np.stack([agents.x[:, None] + agents.vx[:, None] * since, agents.y[:, None] + agents.vy[:, None] * since,
-                    np.repeat(agents.yaw[:, None], len(t), axis=1)])  # fmt: skip
+    way = np.stack(
+        [
+            agents.x[:, None] + agents.vx[:, None] * since,
+            agents.y[:, None] + agents.vy[:, None] * since,
+            np.repeat(agents.yaw[:, None], len(t), axis=1),
+        ]
+    )
     for row, i in ((row, index[name]) for row, name in enumerate(agents.ids) if name in index):
         span, beyond = log.samples(i), np.maximum(t - log.t[last[i]], 0.0) * (not log.static[i])
         for c, (column, v) in enumerate(((log.x, vx[i]), (log.y, vy[i]), (log.yaw, 0.0))):
             way[c, row] = np.interp(t, log.t[span], column[span]) + v * beyond
-    return Predictions(t, np.arange(len(agents)), np.ones(len(agents)), way[0], way[1], way[2], ORACLE)
+    return Predictions(
+        t, np.arange(len(agents)), np.ones(len(agents)), way[0], way[1], way[2], ORACLE
+    )

@@ -79,13 +79,20 @@ class Sensor:
                 newest.update({name: (made, i) for i, name in enumerate(made.agents.ids)})
         # ages count from the first measurement since an agent was last lost; unknown for those in the first frame
         first, known = self._since is None, self._since or {}
-        self._since = {name: known.get(name, nan if first else m.t) for name, (m, _) in newest.items()}
+        self._since = {
+            name: known.get(name, nan if first else m.t) for name, (m, _) in newest.items()
+        }
         age = np.minimum(now - np.array(list(self._since.values())), OLDEST_S)
         unseen = np.array([now - m.t for m, _ in newest.values()])
-        rows = np.array([[getattr(m.agents, name)[i] for name in NUMBERS] for m, i in newest.values()], float)
+        rows = np.array(
+            [[getattr(m.agents, name)[i] for name in NUMBERS] for m, i in newest.values()], float
+        )
         kinds = tuple(m.agents.kinds[i] for m, i in newest.values())
-        seen = Agents.of_rows(tuple(newest), kinds, rows.reshape(-1, len(NUMBERS)).T, codes_of(kinds))
-        x, y = seen.x + unseen * seen.vx, seen.y + unseen * seen.vy  # extrapolated with its velocity
+        seen = Agents.of_rows(
+            tuple(newest), kinds, rows.reshape(-1, len(NUMBERS)).T, codes_of(kinds)
+        )
+        # Extrapolated with its velocity
+        x, y = seen.x + unseen * seen.vx, seen.y + unseen * seen.vy
         return replace(seen, x=x, y=y, age=age, unseen=unseen), arrived[-1].visibility
 
     def _measure(self, world: World) -> Measurement:
@@ -93,17 +100,26 @@ class Sensor:
         agents = self._boxes_around.of(world.tracks, t, t).perceived(t)
         x, y = box_center(world.ego, self._vehicle)
         boxes = np.column_stack([agents.x, agents.y, agents.yaw, agents.length, agents.width])
-        hiding = np.array([config.occlusion and not kind.is_vulnerable for kind in agents.kinds], bool)
+        hiding = np.array(
+            [config.occlusion and not kind.is_vulnerable for kind in agents.kinds], bool
+        )
         hiding &= ~_boxes_around(boxes, x, y)
         view = np.array([x, y, world.ego.yaw, config.range_m, radians(config.field_of_view_deg)])
         seen = _seen_shares(boxes, hiding, view) >= VISIBLE
         if config.dropout > 0.0:  # (2)
             for i, name in enumerate(agents.ids):
-                slot = int((t + self._draws(name, "phase").uniform(0.0, config.dropout_s)) // config.dropout_s)
+                slot = int(
+                    (t + self._draws(name, "phase").uniform(0.0, config.dropout_s))
+                    // config.dropout_s
+                )
                 seen[i] &= self._draws(name, f"slot {slot}").uniform() >= config.dropout
-        visibility = Visibility(x, y, world.ego.yaw, config.range_m, view[4], _shadows(boxes[hiding], view))
+        visibility = Visibility(
+            x, y, world.ego.yaw, config.range_m, view[4], _shadows(boxes[hiding], view)
+        )
         agents, stamp = agents.some(np.flatnonzero(seen)), f"noise {round(t * 1e9)}"
-        draws = np.array([self._draws(name, stamp).standard_normal(5) for name in agents.ids]).reshape(-1, 5)
+        draws = np.array(
+            [self._draws(name, stamp).standard_normal(5) for name in agents.ids]
+        ).reshape(-1, 5)
         spread = np.array([config.position_noise_m] * 2 + [radians(config.yaw_noise_deg)])
         ahead, left, turn = (draws[:, :3] * spread).T  # (1)
         faster, aside = (draws[:, 3:] * config.velocity_noise_mps).T
@@ -122,7 +138,9 @@ class Sensor:
     def _draws(self, agent: str, what: str) -> np.random.Generator:
         """The generator of one agent's draws for one purpose."""
         key = "\x1f".join((self._name, str(self._config.seed), agent, what)).encode()
-        return np.random.Generator(np.random.PCG64(int.from_bytes(blake2b(key, digest_size=16).digest(), "little")))
+        return np.random.Generator(
+            np.random.PCG64(int.from_bytes(blake2b(key, digest_size=16).digest(), "little"))
+        )
 
 
 @inner_kernel

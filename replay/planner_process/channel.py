@@ -41,9 +41,13 @@ class Channel(Generic[T]):
     it never blocks; -1: none. `patient`: whether this side waits without deadlines, as a planner does.
     """
 
-    def __init__(self, into: int, out: int, kind: Any, stderr: int = -1, *, patient: bool = False) -> None:
+    def __init__(
+        self, into: int, out: int, kind: Any, stderr: int = -1, *, patient: bool = False
+    ) -> None:
         self._into, self._out, self._stderr = into, out, stderr
-        self._encoder = msgspec.msgpack.Encoder(enc_hook=scalar_as_number if patient else array_as_bytes)
+        self._encoder = msgspec.msgpack.Encoder(
+            enc_hook=scalar_as_number if patient else array_as_bytes
+        )
         self._decoder = msgspec.msgpack.Decoder(kind, dec_hook=array_of)
         self._buffer, self._filled, self.printed = bytearray(PIPE_BYTES), 0, b""
         self._patient = patient
@@ -82,7 +86,9 @@ class Channel(Generic[T]):
         (size,) = HEADER.unpack_from(self._buffer)
         if size > LARGEST_BYTES and not self._patient:
             what = f"a message of {size} bytes, more than {LARGEST_BYTES}"
-            raise GarbageError(f"{what} (keep less inside of plans, or give a smaller loop.apart.batch)")
+            raise GarbageError(
+                f"{what} (keep less inside of plans, or give a smaller loop.apart.batch)"
+            )
         end = HEADER.size + size
         self._read(end, deadline)
         try:

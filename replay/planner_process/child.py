@@ -85,17 +85,31 @@ class PlannerServer:
             try:
                 self._channel.send(answer)
             except (TypeError, ValueError, OverflowError) as error:
-                self._channel.send(messages.Failed(f"what it returned cannot be sent: {raised(error)}", "contract"))
+                self._channel.send(
+                    messages.Failed(f"what it returned cannot be sent: {raised(error)}", "contract")
+                )
 
     def _answer(self, question: Any) -> msgspec.Struct:
         if isinstance(question, messages.Frame):
-            return self._sent(self._plan_frames(lambda planners, frames: planners[0].plan(frames[0]), [0], [question]))
+            return self._sent(
+                self._plan_frames(
+                    lambda planners, frames: planners[0].plan(frames[0]), [0], [question]
+                )
+            )
         if isinstance(question, messages.Frames):
             seats = question.seats
-            plans = self._plan_frames(lambda planners, frames: self._together(frames, planners), seats, question.each)
+            plans = self._plan_frames(
+                lambda planners, frames: self._together(frames, planners), seats, question.each
+            )
             if not isinstance(plans, list | tuple) or len(plans) != len(seats):
-                what = f"{len(plans)} plans" if isinstance(plans, list | tuple) else type(plans).__name__
-                return messages.Failed(f"plan_batch returned {what} instead of {len(seats)} plans", "contract")
+                what = (
+                    f"{len(plans)} plans"
+                    if isinstance(plans, list | tuple)
+                    else type(plans).__name__
+                )
+                return messages.Failed(
+                    f"plan_batch returned {what} instead of {len(seats)} plans", "contract"
+                )
             return messages.Answers([self._sent(plan) for plan in plans])
         if isinstance(question, messages.Describe):
             part = planner_part(question.planner, question.config)
@@ -105,7 +119,9 @@ class PlannerServer:
                 raise ConfigError(f"planner '{question.planner}' has no plan_batch: {remedy}")
             return messages.Described(table)
         if isinstance(question, messages.Hellos):
-            return messages.Answers([_try_answer(self._build_planner, hello) for hello in question.each])
+            return messages.Answers(
+                [_try_answer(self._build_planner, hello) for hello in question.each]
+            )
         return self._build_planner(question)
 
     def _build_planner(self, hello: messages.Hello) -> messages.Ready:
@@ -118,10 +134,16 @@ class PlannerServer:
         return messages.Ready()
 
     def _plan_frames(
-        self, plan: Callable[[list[Any], list[Frame]], Any], seats: list[int], sent: list[messages.Frame]
+        self,
+        plan: Callable[[list[Any], list[Frame]], Any],
+        seats: list[int],
+        sent: list[messages.Frame],
     ) -> Any:
         """The results of the planners in some seats for their frames; `plan` calls them."""
-        planners, frames = [self._planners[seat] for seat in seats], [messages.frame_of(message) for message in sent]
+        planners, frames = (
+            [self._planners[seat] for seat in seats],
+            [messages.frame_of(message) for message in sent],
+        )
         assert None not in planners, "a frame came before the context"
         self._watch.start()
         try:
@@ -133,7 +155,9 @@ class PlannerServer:
         if isinstance(plan, BaseException):
             return messages.Failed(raised(plan), "raised")
         if not isinstance(plan, Plan):
-            return messages.Failed(f"it returned {type(plan).__name__} instead of a Plan", "contract")
+            return messages.Failed(
+                f"it returned {type(plan).__name__} instead of a Plan", "contract"
+            )
         return messages.plan_message(plan.recorded(keep=self._keep), self._watch.laps, inside=True)
 
 
@@ -142,6 +166,7 @@ def _try_answer(answer: Callable[[Any], Any], question: Any) -> Any:
         return answer(question)
     except ReplanError as error:
         return messages.Failed(str(error), "config" if isinstance(error, ConfigError) else "load")
-    except BaseException as error:  # also SystemExit, which is treated as an exception of the planner
+    # Also SystemExit, which is treated as an exception of the planner
+    except BaseException as error:
         planning = isinstance(question, messages.Frame | messages.Frames)
         return messages.Failed(raised(error), "raised" if planning else "build")

@@ -60,7 +60,9 @@ class PlannerConnection(Protocol):
 class CurrentLog(Protocol):
     """A log that is evaluated in a thread of its own, together with others."""
 
-    def connect(self, place: DriveKey, limits: PlannerProcessConfig, load: Load, watch: Stopwatch) -> PlannerConnection:
+    def connect(
+        self, place: DriveKey, limits: PlannerProcessConfig, load: Load, watch: Stopwatch
+    ) -> PlannerConnection:
         """The connection of one of its drives to the planner's process that the logs share."""
         ...
 
@@ -106,7 +108,9 @@ def _open(spec: str, limits: PlannerProcessConfig, load: Load | None = None) -> 
     """Start the process, or connect to the node; errors as `Connection`."""
     if spec.startswith("tcp:"):
         return Node(spec, limits.start_timeout_s)
-    return start_process(command_of(spec) if spec.startswith("exec:") else None, messages.Answer, limits, load)
+    return start_process(
+        command_of(spec) if spec.startswith("exec:") else None, messages.Answer, limits, load
+    )
 
 
 class Connection:
@@ -117,7 +121,9 @@ class Connection:
     command or address is invalid; FaultError if the node cannot be reached.
     """
 
-    def __init__(self, spec: str, limits: PlannerProcessConfig, load: Load | None = None, drives: int = 1) -> None:
+    def __init__(
+        self, spec: str, limits: PlannerProcessConfig, load: Load | None = None, drives: int = 1
+    ) -> None:
         self._log_timeout_s = limits.log_timeout_s * drives
         self._left = self._log_timeout_s or float("inf")
         self._planner = _open(spec, limits, load)
@@ -132,7 +138,9 @@ class Connection:
             answer: messages.Answer = self._planner.channel.receive(begin + limited)
         except LateError:
             if limited < limit:
-                raise self.fault(f"took more than {self._log_timeout_s:g} s in this drive, {when}") from None
+                raise self.fault(
+                    f"took more than {self._log_timeout_s:g} s in this drive, {when}"
+                ) from None
             raise self.fault(f"did not answer within {limit:g} s {when}") from None
         except GarbageError as error:
             raise self.fault(f"sent an invalid message {when}: {clean_text(str(error))}") from None
@@ -184,9 +192,13 @@ class ApartPlanner:
             raise ConfigError(f"planner '{spec}': its settings cannot be sent: {error}") from None
         log, version = current_log() if limits.batch else None, messages.SCHEMA_VERSION
         self._connection: PlannerConnection = (
-            Connection(spec, limits, load) if log is None else log.connect(place, limits, load, watch)
+            Connection(spec, limits, load)
+            if log is None
+            else log.connect(place, limits, load, watch)
         )
-        hello = messages.Hello(version, spec, config, messages.context_message(context), keep_internals)
+        hello = messages.Hello(
+            version, spec, config, messages.context_message(context), keep_internals
+        )
         answer = self._connection.ask(hello, limits.start_timeout_s, "while it was built")
         if isinstance(answer, messages.Failed):
             raise self._failure(answer, "cannot be built")
@@ -202,10 +214,14 @@ class ApartPlanner:
         if not self._has_planned:
             limit, self._has_planned = max(limit, self._limits.start_timeout_s), True
         begin = time.monotonic()
-        answer = self._connection.ask(messages.frame_message(frame), limit, f"at t = {frame.t:.2f} s")
+        answer = self._connection.ask(
+            messages.frame_message(frame), limit, f"at t = {frame.t:.2f} s"
+        )
         broken = f"broke its contract at {frame.t:.2f} s"
         if isinstance(answer, messages.Failed):
-            raise self._failure(answer, broken if answer.what == "contract" else f"raised at {frame.t:.2f} s")
+            raise self._failure(
+                answer, broken if answer.what == "contract" else f"raised at {frame.t:.2f} s"
+            )
         if not isinstance(answer, messages.Plan):
             raise self._connection.fault(f"{broken}: it did not answer a frame with a plan")
         try:
@@ -224,11 +240,16 @@ class ApartPlanner:
         """The error for a failure that the planner reports; the planner is ended."""
         self._connection.kill()
         message = clean_text(answer.message)
-        errors: dict[str, Exception] = {"config": ConfigError(message), "load": PlannerError(message)}
+        errors: dict[str, Exception] = {
+            "config": ConfigError(message),
+            "load": PlannerError(message),
+        }
         return errors.get(answer.what, FaultError(f"{how}: {message}"))
 
 
-def describe_planner(spec: str, table: Mapping[str, object], limits: PlannerProcessConfig) -> dict[str, Any]:
+def describe_planner(
+    spec: str, table: Mapping[str, object], limits: PlannerProcessConfig
+) -> dict[str, Any]:
     """The planner's table with all defaults; unchanged for programs and nodes, whose defaults are unknown.
 
     ConfigError if a key is unknown, a value has the wrong type, the command or address is invalid; PlannerError if the
@@ -243,21 +264,28 @@ def describe_planner(spec: str, table: Mapping[str, object], limits: PlannerProc
     config = {key: value for key, value in table.items() if value is not None}
     try:
         process.channel.send(
-            messages.Describe(spec, config, limits.batch > 0), time.monotonic() + limits.start_timeout_s
+            messages.Describe(spec, config, limits.batch > 0),
+            time.monotonic() + limits.start_timeout_s,
         )
         answer = process.channel.receive(time.monotonic() + limits.start_timeout_s)
     except LateError:
         process.kill()
-        raise PlannerError(f"planner '{spec}': loading it took more than {limits.start_timeout_s:g} s") from None
+        raise PlannerError(
+            f"planner '{spec}': loading it took more than {limits.start_timeout_s:g} s"
+        ) from None
     except (GoneError, GarbageError):
         ending = process.ending()
         last = last_words(process.channel.printed)
         process.kill()
-        raise PlannerError(f"planner '{spec}' ended while it was loaded: {ending}; it printed last: {last}") from None
+        raise PlannerError(
+            f"planner '{spec}' ended while it was loaded: {ending}; it printed last: {last}"
+        ) from None
     process.close()
     if isinstance(answer, messages.Described):
         return answer.config
-    message = clean_text(answer.message if isinstance(answer, messages.Failed) else "it does not answer")
+    message = clean_text(
+        answer.message if isinstance(answer, messages.Failed) else "it does not answer"
+    )
     if isinstance(answer, messages.Failed) and answer.what == "config":
         raise ConfigError(message)
     raise PlannerError(message if message.startswith("planner") else f"planner '{spec}': {message}")
@@ -270,7 +298,9 @@ def command_of(spec: str) -> list[str]:
     except ValueError as error:
         raise ConfigError(f"planner '{spec}': {error}") from None
     if not words or shutil.which(words[0]) is None:
-        raise ConfigError(f"planner '{spec}': there is no program {words[0] if words else ''} that can be run")
+        raise ConfigError(
+            f"planner '{spec}': there is no program {words[0] if words else ''} that can be run"
+        )
     return words
 
 
@@ -282,7 +312,9 @@ def address_of(spec: str) -> tuple[str, int]:
             return parts.hostname, parts.port
     except ValueError:
         pass
-    raise ConfigError(f"planner '{spec}': write it as tcp://HOST:PORT, for example tcp://127.0.0.1:7000")
+    raise ConfigError(
+        f"planner '{spec}': write it as tcp://HOST:PORT, for example tcp://127.0.0.1:7000"
+    )
 
 
 def last_words(printed: bytes) -> str:
@@ -293,7 +325,9 @@ def last_words(printed: bytes) -> str:
 
 def clean_text(text: str) -> str:
     """A planner's text for messages of replan: one line of limited length, without control characters."""
-    return "".join(each if each.isprintable() else "?" for each in " ".join(messages.shortened(text).split()))
+    return "".join(
+        each if each.isprintable() else "?" for each in " ".join(messages.shortened(text).split())
+    )
 
 
 R = TypeVar("R")
@@ -322,7 +356,8 @@ class BatchLog(Generic[R]):
     result: R
 
     def __init__(self, task: Callable[[], R]) -> None:
-        self.ended, self.took_s = False, 0.0  # whether its evaluation has returned; duration of the answer, s
+        # Whether its evaluation has returned; duration of the answer, s
+        self.ended, self.took_s = False, 0.0
         self._task, self._raised, self._abandoned = task, list[BaseException](), False
         self._go, self._back = threading.Semaphore(0), threading.Semaphore(0)
         self._thread = threading.Thread(target=copy_context().run, args=(self._run,), daemon=True)
@@ -346,7 +381,9 @@ class BatchLog(Generic[R]):
             raise AbandonedError
         return self.answer
 
-    def connect(self, place: DriveKey, limits: PlannerProcessConfig, load: Load, watch: Stopwatch) -> PlannerConnection:
+    def connect(
+        self, place: DriveKey, limits: PlannerProcessConfig, load: Load, watch: Stopwatch
+    ) -> PlannerConnection:
         """The connection of one of the log's drives; `watch` does not count the time that other logs take."""
 
         def ask(message: Any, limit: float) -> messages.Answer:
@@ -411,7 +448,9 @@ class BatchSession:
     def plan(self, logs: Sequence[BatchLog[Any]]) -> None:
         """Answer the frames of logs."""
         self._steps += 1
-        frames = messages.Frames([self._seats[log] for log in logs], [log.request.message for log in logs])
+        frames = messages.Frames(
+            [self._seats[log] for log in logs], [log.request.message for log in logs]
+        )
         self._answer(logs, frames, f"in step {self._steps} of drives {self._together}")
 
     def _answer(self, logs: Sequence[BatchLog[Any]], message: Any, when: str) -> None:
@@ -420,8 +459,12 @@ class BatchSession:
         answer: messages.Answer | FaultError
         try:
             answer = self._connection.ask(message, sum(log.request.limit for log in logs), when)
-            if not isinstance(answer, messages.Failed) and len(getattr(answer, "each", ())) != len(logs):
-                raise self._connection.fault(f"broke its contract {when}: it did not answer every frame")
+            if not isinstance(answer, messages.Failed) and len(getattr(answer, "each", ())) != len(
+                logs
+            ):
+                raise self._connection.fault(
+                    f"broke its contract {when}: it did not answer every frame"
+                )
         except FaultError as fault:
             answer = fault
         answers = answer.each if isinstance(answer, messages.Answers) else [answer] * len(logs)

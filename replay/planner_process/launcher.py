@@ -67,12 +67,15 @@ class ForkServer:
     control: socket.socket
     # Whether a fork keeps the state of `random`, which the planner's module may have set, and which Python reseeds
     seed: bool = False
-    live: dict[int, dict[str, Any]] = field(default_factory=dict)  # The requests of running processes, by process id
+    # The requests of running processes, by process id
+    live: dict[int, dict[str, Any]] = field(default_factory=dict)
     given: list[int] = field(default_factory=list)  # Received descriptors that are not used yet
 
     def serve(self) -> None:
         """Serve requests until the socket closes; then end all processes that run."""
-        self._wake, self._waker = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC) if hasattr(os, "pipe2") else os.pipe()
+        self._wake, self._waker = (
+            os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC) if hasattr(os, "pipe2") else os.pipe()
+        )
         os.set_blocking(self._waker, False)
         signal.set_wakeup_fd(self._waker, warn_on_full_buffer=False)
         self._handler = signal.signal(signal.SIGCHLD, lambda number, frame: None)
@@ -99,7 +102,8 @@ class ForkServer:
         until = time.monotonic() + ENDING_S
         for pid in [pid for pid, request in self.live.items() if "load" not in request]:
             _kill(pid)
-        while self.live and time.monotonic() < until:  # templates end by themselves: their sockets have closed, too
+        # Templates end by themselves: their sockets have closed, too
+        while self.live and time.monotonic() < until:
             time.sleep(0.005)
             self._reap()
         for pid in self.live:
@@ -108,7 +112,9 @@ class ForkServer:
     def _do(self, request: dict[str, Any]) -> None:
         """Serve one request; a start takes its descriptors from `given`."""
         if "kill" in request:
-            for pid in [pid for pid, started in self.live.items() if started["start"] == request["kill"]]:
+            for pid in [
+                pid for pid, started in self.live.items() if started["start"] == request["kill"]
+            ]:
                 _kill(pid)
             return
         taken = [self.given.pop(0) for _ in range(1 if "load" in request else 3)]
@@ -133,12 +139,14 @@ class ForkServer:
                 with suppress(OSError):
                     os.killpg(pid, signal.SIGKILL)  # its group ends with it
                 message = {"ended": self.live.pop(pid)["start"], "status": status}
-                until = time.monotonic() + ENDING_S  # the ended process left children, and this one is their parent now
+                # The ended process left children, and this one is their parent now
+                until = time.monotonic() + ENDING_S
                 while (orphans := children() - self.live.keys()) and time.monotonic() < until:
                     for orphan in orphans:
                         _kill(orphan)
                         with suppress(ChildProcessError):
-                            os.waitpid(orphan, 0)  # then its own children become children of this process
+                            # Then its own children become children of this process
+                            os.waitpid(orphan, 0)
                 with suppress(OSError):
                     self.control.send(json.dumps(message).encode() + b"\n")
 
@@ -162,7 +170,8 @@ def _become(request: dict[str, Any], given: list[int], parent: int) -> NoReturn:
     code = 1
     try:
         os.setsid()
-        _prctl(PDEATHSIG, signal.SIGKILL)  # ends this process when the launcher dies, even if it hangs
+        # Ends this process when the launcher dies, even if it hangs
+        _prctl(PDEATHSIG, signal.SIGKILL)
         if os.getppid() != parent:  # it died before that
             os._exit(1)
         _prctl(CHILD_SUBREAPER, 1)
@@ -208,7 +217,8 @@ def _at_places(*given: int) -> None:
 def _unfit(before: set[int]) -> str:
     """The reason why this process must not be forked for drives; "" if it may be."""
     if _threads() > 1:
-        pid = os.fork()  # libraries that stop their threads for a fork, such as OpenBLAS, have then stopped them
+        # Libraries that stop their threads for a fork, such as OpenBLAS, have then stopped them
+        pid = os.fork()
         if pid == 0:
             os._exit(0)
         os.waitpid(pid, 0)

@@ -23,7 +23,15 @@ import msgspec
 
 from replan.logs import agents, frame, plan as nouns, states
 from replan.logs.agents import AgentKind
-from replan.logs.codec import Column, array_as_bytes, array_of, message_of, noun_of, packed, unpacked
+from replan.logs.codec import (
+    Column,
+    array_as_bytes,
+    array_of,
+    message_of,
+    noun_of,
+    packed,
+    unpacked,
+)
 from replan.logs.mcap import native
 from replan.logs.mcap.trace_file import artefacts_of, inside_of
 from replan.logs.road import Goal, Lane
@@ -35,7 +43,9 @@ SCHEMA_VERSION = 1
 LARGEST_BYTES = 64 << 20
 """The largest length of a planner's message: any four text characters, read as a length, exceed it."""
 MOST_POINTS = (
-    10_000  # States of a trajectory: 100 s at 100 Hz. A longer plan is refused (`replan.replay.loop.plan_check`).
+    # States of a trajectory: 100 s at 100 Hz. A longer plan is refused
+    # (`replan.replay.loop.plan_check`).
+    10_000
 )
 LONGEST_REASON = 1000  # Characters of a reason or an error message. A longer one is cut and marked.
 MOST_STAGES = 100  # Stages of a plan; `dp_qp` has about 10
@@ -272,7 +282,9 @@ def frame_of(message: Frame) -> frame.Frame:
     """The frame of a message."""
     some = message.predictions
     shape = (len(some.agent), len(unpacked(some.t)))
-    futures: dict[str, Any] = {name: unpacked(getattr(some, name)).reshape(shape) for name in ("x", "y", "yaw")}
+    futures: dict[str, Any] = {
+        name: unpacked(getattr(some, name)).reshape(shape) for name in ("x", "y", "yaw")
+    }
     return frame.Frame(
         message.t,
         message.ego,
@@ -284,7 +296,9 @@ def frame_of(message: Frame) -> frame.Frame:
     )
 
 
-def plan_message(plan: nouns.Plan, laps: dict[str, float] | None = None, *, inside: bool = False) -> Plan:
+def plan_message(
+    plan: nouns.Plan, laps: dict[str, float] | None = None, *, inside: bool = False
+) -> Plan:
     """The message of a plan, with or without its internals."""
     shown = Inside(**inside_of(plan.internals)) if inside and len(plan.internals) else None
     columns = (packed(getattr(plan.trajectory, name)) for name in TRAJECTORY_COLUMNS)
@@ -298,14 +312,22 @@ def plan_of(message: Plan) -> nouns.Plan:
     ValueError if `Trajectory` refuses it, its status or start is unknown, it has too many stages, or its inside does
     not fit or is too large.
     """
-    size = len(msgspec.msgpack.encode((message.laps, message.inside))) if message.laps or message.inside else 0
+    size = (
+        len(msgspec.msgpack.encode((message.laps, message.inside)))
+        if message.laps or message.inside
+        else 0
+    )
     if size > LARGEST_INSIDE_BYTES:
-        raise ValueError(f"its inside has {size} bytes, more than {LARGEST_INSIDE_BYTES}: keep less of it")
+        raise ValueError(
+            f"its inside has {size} bytes, more than {LARGEST_INSIDE_BYTES}: keep less of it"
+        )
     if len(message.laps) > MOST_STAGES:
         raise ValueError(f"it names {len(message.laps)} stages, more than {MOST_STAGES}")
     for name, known in (("status", nouns.PlanStatus), ("start", nouns.PlanStart)):
         if getattr(message, name).upper() not in known.__members__:
-            raise ValueError(f"{name} '{getattr(message, name)}' is none of {', '.join(known.__members__).lower()}")
+            raise ValueError(
+                f"{name} '{getattr(message, name)}' is none of {', '.join(known.__members__).lower()}"
+            )
     columns = (unpacked(getattr(message.trajectory, name)) for name in TRAJECTORY_COLUMNS)
     status, start = nouns.PlanStatus[message.status.upper()], nouns.PlanStart[message.start.upper()]
     internals = tuple(artefacts_of(message.inside)) if message.inside else ()

@@ -33,7 +33,9 @@ def is_apart(spec: str, apart: PlannerProcessConfig) -> bool:
 def planner_part(spec: str, settings: Mapping[str, Any] = MappingProxyType({})) -> Part:
     """The planner or oracle of a name, loaded into Python; ConfigError if it is a program or a node."""
     if spec.partition(":")[0] in ("exec", "tcp"):
-        raise ConfigError(f"planner '{spec}': write exec:COMMAND or tcp://HOST:PORT; neither is loaded into Python")
+        raise ConfigError(
+            f"planner '{spec}': write exec:COMMAND or tcp://HOST:PORT; neither is loaded into Python"
+        )
     return Part(PLANNER, spec, settings)
 
 

@@ -29,9 +29,24 @@ from replan.replay.loop_config import PlannerProcessConfig
 from replan.replay.planner_process.channel import Channel
 
 ENVIRONMENT = (
-    "PATH", "HOME", "USER", "LANG", "LC_", "TZ", "TMPDIR", "XDG_CACHE_HOME", "NUMBA_", "OMP_", "OPENBLAS_", "MKL_",
-    "LD_LIBRARY_PATH", "DYLD_LIBRARY_PATH", "CUDA_", "VIRTUAL_ENV", "COVERAGE_",
-)  # fmt: skip
+    "PATH",
+    "HOME",
+    "USER",
+    "LANG",
+    "LC_",
+    "TZ",
+    "TMPDIR",
+    "XDG_CACHE_HOME",
+    "NUMBA_",
+    "OMP_",
+    "OPENBLAS_",
+    "MKL_",
+    "LD_LIBRARY_PATH",
+    "DYLD_LIBRARY_PATH",
+    "CUDA_",
+    "VIRTUAL_ENV",
+    "COVERAGE_",
+)
 """Environment variables, or prefixes of their names, that are passed on, because programs need them to start."""
 GRACE_S = 1.0  # Time limit for a planner to end by itself after its drive, s
 KILLED_S = 10.0
@@ -70,7 +85,8 @@ class Process:
         """How the process ended, in words. A process that has only closed its output is killed first."""
         status = self._forks.status(self._key, GRACE_S)
         runs = status is None
-        if status is None:  # it runs, or its end is not reported yet: a signal does not change the status of that
+        # It runs, or its end is not reported yet: a signal does not change the status of that
+        if status is None:
             self._forks.kill(self._key)
             status = self._forks.status(self._key, KILLED_S)
         self.channel.read_printed()
@@ -84,7 +100,9 @@ class Process:
         return f"its process was killed ({name}){hint}"
 
 
-def start_process(argv: list[str] | None, kind: Any, limits: PlannerProcessConfig, load: Load | None = None) -> Process:
+def start_process(
+    argv: list[str] | None, kind: Any, limits: PlannerProcessConfig, load: Load | None = None
+) -> Process:
     """A new process of a program or of a Python planner (`replan.replay.planner_process.child`).
 
     `argv`: the program and its arguments; None: a Python planner. `limits`: limits of its memory, and of the time to
@@ -92,14 +110,21 @@ def start_process(argv: list[str] | None, kind: Any, limits: PlannerProcessConfi
     ConfigError if the system cannot pass descriptors between processes.
     """
     if not hasattr(socket, "send_fds"):
-        raise ConfigError("planners are kept apart on Linux and macOS only; here give --set loop.apart.trust=true")
+        raise ConfigError(
+            "planners are kept apart on Linux and macOS only; here give --set loop.apart.trust=true"
+        )
     names = set(limits.environment)
-    environment = {name: value for name, value in os.environ.items() if name.startswith(ENVIRONMENT) or name in names}
+    environment = {
+        name: value
+        for name, value in os.environ.items()
+        if name.startswith(ENVIRONMENT) or name in names
+    }
     path = dict.fromkeys(str(Path(entry).absolute()) for entry in sys.path if "://" not in entry)
     environment |= {"PYTHONPATH": os.pathsep.join(path), "PYTHONHASHSEED": "0"}
     wanted = os.getpid(), str(Path.cwd()), environment
     with _starting:
-        if _warm.get("for") != wanted or not _warm["launcher"].alive:  # the launcher is restarted if those change
+        # The launcher is restarted if those change
+        if _warm.get("for") != wanted or not _warm["launcher"].alive:
             _warm.update({"for": wanted, "launcher": Launcher(environment)})
         launcher: Launcher = _warm["launcher"]
         request = {"argv": argv, "memory": round(limits.memory_gb * 1e9)}
@@ -158,7 +183,9 @@ class ForkClient:
 
     def _send_request(self, request: Mapping[str, Any], given: list[int]) -> int:
         self._count += 1
-        socket.send_fds(self._control, [json.dumps({"start": self._count, **request}).encode() + b"\n"], given)
+        socket.send_fds(
+            self._control, [json.dumps({"start": self._count, **request}).encode() + b"\n"], given
+        )
         return self._count
 
     def fit(self, within_s: float) -> bool:
@@ -210,8 +237,11 @@ class Launcher:
         with theirs:
             self._process = subprocess.Popen(
                 [sys.executable, "-P", "-m", "replan.replay.planner_process.launcher"],
-                stdin=theirs.fileno(), stdout=subprocess.DEVNULL, env=dict(environment), start_new_session=True,
-            )  # fmt: skip
+                stdin=theirs.fileno(),
+                stdout=subprocess.DEVNULL,
+                env=dict(environment),
+                start_new_session=True,
+            )
         self.forks = ForkClient(control)
         self.templates: dict[Load, ForkClient | None] = {}  # None if one cannot be made
         self.close = weakref.finalize(self, _end_launcher, control, self._process, self.templates)
@@ -227,7 +257,10 @@ class Launcher:
         if found is not None and self.forks.status(found.key, 0.0) is not None:
             del self.templates[load]  # it has died
         if load not in self.templates:
-            request = {"load": [load.planner, load.settings.hex()], "memory": round(limits.memory_gb * 1e9)}
+            request = {
+                "load": [load.planner, load.settings.hex()],
+                "memory": round(limits.memory_gb * 1e9),
+            }
             made = self.forks.template(request)
             fit = made.fit(limits.start_timeout_s)
             if not fit:
@@ -237,7 +270,9 @@ class Launcher:
 
 
 def _end_launcher(
-    control: socket.socket, process: subprocess.Popen[bytes], templates: Mapping[Load, ForkClient | None]
+    control: socket.socket,
+    process: subprocess.Popen[bytes],
+    templates: Mapping[Load, ForkClient | None],
 ) -> None:
     for each in filter(None, templates.values()):
         each.close()  # closing ends them; otherwise the launcher would wait for them
@@ -249,6 +284,7 @@ def _end_launcher(
     process.wait()
 
 
-_starting = threading.Lock()  # Held while a process is started: threads that start planners at once share the launcher
+# Held while a process is started: threads that start planners at once share the launcher
+_starting = threading.Lock()
 _warm: dict[str, Any] = {}
 """State of this process: `launcher`; `for`: the settings that it was started with; `run`: the current run."""

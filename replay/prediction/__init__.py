@@ -77,7 +77,9 @@ def predict(
     predictor = predictor or PREDICTION.find(method)
     found = predictor(agents, t + step * np.arange(round(horizon / step) + 1), lanes)
     if not isinstance(found, Predictions):
-        raise ConfigError(f"prediction '{method}' returned {type(found).__name__} instead of Predictions")
+        raise ConfigError(
+            f"prediction '{method}' returned {type(found).__name__} instead of Predictions"
+        )
     return found if found.method == method else replace(found, method=method)
 
 
@@ -89,6 +91,10 @@ def _instead(general: Predictions, special: Predictions) -> Predictions:
     probability = np.r_[general.probability[rest], special.probability][order]
     x, y, yaw = (
         np.vstack([mine[rest], theirs])[order]
-        for mine, theirs in ((general.x, special.x), (general.y, special.y), (general.yaw, special.yaw))
+        for mine, theirs in (
+            (general.x, special.x),
+            (general.y, special.y),
+            (general.yaw, special.yaw),
+        )
     )
     return Predictions(general.t, agent[order], probability, x, y, yaw, general.method)

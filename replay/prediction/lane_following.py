@@ -30,8 +30,25 @@ from replan.core.kernel import inner_kernel, kernel
 from replan.logs.agents import AgentKind, Agents, among
 from replan.logs.frame import Predictions
 from replan.logs.states import wrap
-from replan.replay.prediction.lane_map import LaneMap, LaneSamples, lane_point, lane_project, matches
-from replan.replay.prediction.off_lanes import ACCEL, RATE, VX, VY, WIDTH, YAW, X, Y, turn_rate, turned
+from replan.replay.prediction.lane_map import (
+    LaneMap,
+    LaneSamples,
+    lane_point,
+    lane_project,
+    matches,
+)
+from replan.replay.prediction.off_lanes import (
+    ACCEL,
+    RATE,
+    VX,
+    VY,
+    WIDTH,
+    YAW,
+    X,
+    Y,
+    turn_rate,
+    turned,
+)
 
 CHANGE_S = 1.5
 DRIFTING_MPS = 0.3
@@ -63,9 +80,13 @@ def everybody(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
     return _predict_vehicles(agents, t, lanes, others=True)
 
 
-def _predict_vehicles(agents: Agents, t: FloatArray, lanes: LaneMap, *, others: bool) -> Predictions:
+def _predict_vehicles(
+    agents: Agents, t: FloatArray, lanes: LaneMap, *, others: bool
+) -> Predictions:
     a = agents
-    rows = np.column_stack([a.x, a.y, a.yaw, a.vx, a.vy, a.yaw_rate, a.width, a.accel, np.arctan2(a.vy, a.vx)])
+    rows = np.column_stack(
+        [a.x, a.y, a.yaw, a.vx, a.vy, a.yaw_rate, a.width, a.accel, np.arctan2(a.vy, a.vx)]
+    )
     agent, probability, way = _predict_all(lanes.arrays, a.codes, rows, t, others)
     way = frozen(way)  # once: its rows are not copied again
     return Predictions(t, agent, probability, way[0], way[1], way[2], "lane_following")
@@ -133,7 +154,10 @@ def _predict_all(
 @inner_kernel
 def _no_ways(count: int) -> LaneWays:
     return LaneWays(
-        np.empty((count, DEEPEST), np.int64), np.zeros(count, np.int64), np.ones(count), np.empty((count, 3))
+        np.empty((count, DEEPEST), np.int64),
+        np.zeros(count, np.int64),
+        np.ones(count),
+        np.empty((count, 3)),
     )
 
 
@@ -158,7 +182,8 @@ def _find_ways(map_: LaneSamples, vehicle: FloatArray, horizon: float, ways: Lan
         if along < -0.5:
             continue
         target, then = lane, left + CHANGE_S * across
-        if abs(across) >= DRIFTING_MPS and then * across > 0.0 and abs(then) > half + TIE:  # it changes lanes
+        # It changes lanes
+        if abs(across) >= DRIFTING_MPS and then * across > 0.0 and abs(then) > half + TIE:
             side = map_.beside[lane, 0 if across > 0.0 else 1]
             target = side if side >= 0 else lane
         if target != lane:
@@ -170,7 +195,9 @@ def _find_ways(map_: LaneSamples, vehicle: FloatArray, horizon: float, ways: Lan
             continue
         ways.lanes[made, 0], ways.depth[made] = target, 1
         ways.start[made, 0], ways.start[made, 1], ways.start[made, 2] = s, left, half
-        ways.share[made] = exp(-0.5 * (found[m, 3] - found[0, 3]) - _turn(map_, target, s) / TURN_RAD)
+        ways.share[made] = exp(
+            -0.5 * (found[m, 3] - found[0, 3]) - _turn(map_, target, s) / TURN_RAD
+        )
         made += 1
         if made == WAYS:
             break
@@ -182,7 +209,9 @@ def _find_ways(map_: LaneSamples, vehicle: FloatArray, horizon: float, ways: Lan
 
 
 @inner_kernel
-def _velocity_along_lane(map_: LaneSamples, lane: int, s: float, vehicle: FloatArray) -> tuple[float, float]:
+def _velocity_along_lane(
+    map_: LaneSamples, lane: int, s: float, vehicle: FloatArray
+) -> tuple[float, float]:
     """Return the velocity of a vehicle along and across (to the left of) a lane at its foot, m/s."""
     yaw = lane_point(map_, lane, s)[2]
     cosine, sine = cos(yaw), sin(yaw)
@@ -201,7 +230,9 @@ def _turn(map_: LaneSamples, lane: int, s: float) -> float:
 
 
 @inner_kernel
-def _extend_way(map_: LaneSamples, h: int, made: int, reach: float, speed: float, ways: LaneWays) -> int:
+def _extend_way(
+    map_: LaneSamples, h: int, made: int, reach: float, speed: float, ways: LaneWays
+) -> int:
     """Extend sequence `h` to `reach` m from its start; forks add sequences. Return the number of sequences."""
     lanes, depth, share = ways.lanes, ways.depth, ways.share
     covered = -ways.start[h, 0]
@@ -238,7 +269,10 @@ def _weight(map_: LaneSamples, lane: int, speed: float, away: float) -> float:
     """Return the weight of a branch that begins `away` m ahead; almost 0 if the vehicle is too fast for it."""
     weight = exp(-_turn(map_, lane, 0.0) / TURN_RAD)
     tightest = map_.tightest[lane]
-    if tightest > 0.0 and speed * speed - 2.0 * HARDEST_MPS2 * max(away, 0.0) > 1.5 * CURVE_MPS2 / tightest:
+    if (
+        tightest > 0.0
+        and speed * speed - 2.0 * HARDEST_MPS2 * max(away, 0.0) > 1.5 * CURVE_MPS2 / tightest
+    ):
         return 1e-6 * weight
     return weight
 
@@ -271,7 +305,13 @@ def _in_bends(map_: LaneSamples, way: IntArray, s: float, speed: float, reach: f
 
 @inner_kernel
 def _stations(
-    map_: LaneSamples, way: IntArray, s: float, speed: float, accel: float, ahead: FloatArray, dying: FloatArray
+    map_: LaneSamples,
+    way: IntArray,
+    s: float,
+    speed: float,
+    accel: float,
+    ahead: FloatArray,
+    dying: FloatArray,
 ) -> FloatArray:
     """Return the distance of the vehicle along its lanes at each time `(k,)`, m (1)."""
     pull = min(max(accel, LEAST_MPS2), MOST_MPS2) * FADE_S
@@ -282,7 +322,8 @@ def _stations(
     for lane in way:
         tightest = max(tightest, map_.tightest[lane])
     gone = np.zeros(len(ahead))
-    if not tightest * fastest * fastest > (1.0 - TIE) * CURVE_MPS2:  # slightly below the threshold of `_in_bends`
+    # Slightly below the threshold of `_in_bends`
+    if not tightest * fastest * fastest > (1.0 - TIE) * CURVE_MPS2:
         for k in range(len(ahead) - 1):
             gone[k + 1] = gone[k] + wished[k] * (ahead[k + 1] - ahead[k])
         return gone
@@ -297,9 +338,14 @@ def _stations(
 
 @inner_kernel
 def _roll_out(
-    map_: LaneSamples, vehicle: FloatArray, way: IntArray, start: FloatArray, ahead: FloatArray, dying: FloatArray,
+    map_: LaneSamples,
+    vehicle: FloatArray,
+    way: IntArray,
+    start: FloatArray,
+    ahead: FloatArray,
+    dying: FloatArray,
     out: FloatArray,
-) -> None:  # fmt: skip
+) -> None:
     """Follow a lane sequence (1)-(3): write rows x, y, yaw `(3, k)` to `out`; the first is the vehicle's pose."""
     s, left, half = start[0], start[1], start[2]
     along, across = _velocity_along_lane(map_, way[0], s, vehicle)

@@ -87,7 +87,8 @@ class LaneMap:
 def _arrays(road: Road) -> LaneSamples:
     lanes = [lane for lane in road.lanes.values() if lane.drivable and lane.length >= SHORTEST_M]
     index = {lane.id: i for i, lane in enumerate(lanes)}
-    sampled = []  # rows x, y, yaw, kappa, half width `(5, k)` of each centre line at equal steps, and the step, m
+    # Rows x, y, yaw, kappa, half width `(5, k)` of each centre line at equal steps, and the step, m
+    sampled = []
     for lane in lanes:
         chord = arc_lengths(*lane.center.T)
         keep = np.r_[True, np.diff(chord) > 1e-9]
@@ -96,13 +97,20 @@ def _arrays(road: Road) -> LaneSamples:
         half = 0.5 * np.hypot(*(lane.left - lane.right).T)
         x, y, width = (np.interp(s, chord[keep], column[keep]) for column in (*lane.center.T, half))
         along = np.unwrap(np.arctan2(np.diff(y), np.diff(x)))
-        yaw = np.r_[along[0], 0.5 * (along[1:] + along[:-1]), along[-1]] if count > 2 else np.repeat(along, 2)
+        yaw = (
+            np.r_[along[0], 0.5 * (along[1:] + along[:-1]), along[-1]]
+            if count > 2
+            else np.repeat(along, 2)
+        )
         behind, ahead = np.maximum(s - BEND_M, 0.0), np.minimum(s + BEND_M, s[-1])
         kappa = (np.interp(ahead, s, yaw) - np.interp(behind, s, yaw)) / (ahead - behind)
         sampled.append((np.vstack([x, y, yaw, kappa, width]), float(step)))
     follow = [[index[k] for k in lane.successors if k in index] for lane in lanes]
     beside = [
-        [index.get(k, -1) if k is not None else -1 for k in (lane.left_neighbour, lane.right_neighbour)]
+        [
+            index.get(k, -1) if k is not None else -1
+            for k in (lane.left_neighbour, lane.right_neighbour)
+        ]
         for lane in lanes
     ]
     pose = np.hstack([np.empty((5, 0)), *(pose for pose, _ in sampled)])
@@ -138,7 +146,9 @@ def lane_point(map_: LaneSamples, lane: int, s: float) -> tuple[float, float, fl
 
 
 @kernel
-def lane_project(map_: LaneSamples, lane: int, x: float, y: float, within: float) -> tuple[float, float, float]:
+def lane_project(
+    map_: LaneSamples, lane: int, x: float, y: float, within: float
+) -> tuple[float, float, float]:
     """Return station, offset to the left and half of the lane's width (m) at the foot of a point.
 
     The foot is the nearest point of the polyline; beyond the lane's ends the station is outside of [0, length]. If the
@@ -177,7 +187,9 @@ def lane_project(map_: LaneSamples, lane: int, x: float, y: float, within: float
 
 
 @kernel
-def matches(map_: LaneSamples, x: float, y: float, yaw: float, lanes: IntArray, found: FloatArray) -> int:
+def matches(
+    map_: LaneSamples, x: float, y: float, yaw: float, lanes: IntArray, found: FloatArray
+) -> int:
     """Find the lanes that a vehicle may be driving on, by misfit; of equal lanes (on a marking), the first comes first.
 
     Args:
@@ -195,7 +207,12 @@ def matches(map_: LaneSamples, x: float, y: float, yaw: float, lanes: IntArray, 
     count = 0
     for lane in range(len(map_.step)):
         box = map_.box[lane]
-        if x < box[0] - BESIDE_M or y < box[1] - BESIDE_M or x > box[2] + BESIDE_M or y > box[3] + BESIDE_M:
+        if (
+            x < box[0] - BESIDE_M
+            or y < box[1] - BESIDE_M
+            or x > box[2] + BESIDE_M
+            or y > box[3] + BESIDE_M
+        ):
             continue
         s, left, half = lane_project(map_, lane, x, y, map_.widest[lane] + BESIDE_M)
         length = map_.step[lane] * (map_.first[lane + 1] - map_.first[lane] - 1)
@@ -204,7 +221,9 @@ def matches(map_: LaneSamples, x: float, y: float, yaw: float, lanes: IntArray, 
         turn = abs(wrap(yaw - lane_point(map_, lane, s)[2]))
         if turn > ASKEW_RAD:
             continue
-        misfit = (left / half) ** 2 + (turn / 0.3) ** 2 + (OUTSIDE if abs(left) > half + TIE else 0.0)
+        misfit = (
+            (left / half) ** 2 + (turn / 0.3) ** 2 + (OUTSIDE if abs(left) > half + TIE else 0.0)
+        )
         at = min(count, len(lanes) - 1)
         if count == len(lanes) and misfit >= found[at, 3] - TIE:
             continue
@@ -220,7 +239,9 @@ def matches(map_: LaneSamples, x: float, y: float, yaw: float, lanes: IntArray, 
 
 
 @kernel
-def road_ahead(map_: LaneSamples, x: float, y: float, toward_x: float, toward_y: float, reach: float) -> float:
+def road_ahead(
+    map_: LaneSamples, x: float, y: float, toward_x: float, toward_y: float, reach: float
+) -> float:
     """Return the distance to the first lane in a direction (unit vector), m: 0 on a lane, inf if none within reach."""
     steps = int(reach / ROAD_STEP_M) + 1
     for k in range(steps):

@@ -119,7 +119,8 @@ def walkers(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
     """Predict only the pedestrians among `agents`, with their hypotheses (module docstring)."""
     ahead, still = t - t[0], np.zeros(len(t))
     agent, probability, way = [], [], []
-    walks: tuple[tuple[FloatArray, FloatArray], ...]  # for each hypothesis: the distance walked, whether it has turned
+    # For each hypothesis: the distance walked, whether it has turned
+    walks: tuple[tuple[FloatArray, FloatArray], ...]
     for i, kind in enumerate(agents.kinds):
         if kind is not AgentKind.PEDESTRIAN:
             continue
@@ -128,7 +129,9 @@ def walkers(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
         toward = float(np.cos(agents.yaw[i])), float(np.sin(agents.yaw[i]))
         if speed >= WALKING_MPS:
             toward = vx / speed, vy / speed
-        road = road_ahead(lanes.arrays, float(agents.x[i]), float(agents.y[i]), *toward, max(speed * LOOK_S, 0.0))
+        road = road_ahead(
+            lanes.arrays, float(agents.x[i]), float(agents.y[i]), *toward, max(speed * LOOK_S, 0.0)
+        )
         if speed < WALKING_MPS:
             started = START_MPS * np.maximum(ahead - REACTION_S, 0.0)
             place = PedestrianPlace.STANDING_ON_ROAD if road == 0.0 else PedestrianPlace.STANDING
@@ -142,7 +145,9 @@ def walkers(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
                 else PedestrianPlace.AWAY
             )
             stop = 0.5 * speed**2 / BRAKE_MPS2
-            halted = walked(ahead, speed, max(stop, road - KERB_M) if place is PedestrianPlace.COMING else stop)
+            halted = walked(
+                ahead, speed, max(stop, road - KERB_M) if place is PedestrianPlace.COMING else stop
+            )
             back = max(speed, START_MPS) * np.maximum(ahead - speed / BRAKE_MPS2 - PAUSE_S, 0.0)
             there_and_back = walked(ahead, speed, stop) - back, (back > 0.0).astype(float)
             walks = (speed * ahead, still), (halted, still), there_and_back
@@ -152,7 +157,9 @@ def walkers(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
                 agent.append(i)
                 probability.append(share)
                 yaw = agents.yaw[i] + np.pi * turned
-                way.append((agents.x[i] + distance * toward[0], agents.y[i] + distance * toward[1], yaw))
+                way.append(
+                    (agents.x[i] + distance * toward[0], agents.y[i] + distance * toward[1], yaw)
+                )
     x, y, yaw = np.array(way).reshape(-1, 3, len(t)).transpose(1, 0, 2)
     return Predictions(t, np.array(agent, np.int64), np.array(probability), x, y, yaw, "pedestrian")
 
@@ -161,4 +168,6 @@ def walked(ahead: FloatArray, speed: float, distance: float) -> FloatArray:
     """Return the distance walked (3) at `speed` (m/s) with a stop after `distance` (m)."""
     begins = distance / speed - 0.5 * speed / BRAKE_MPS2
     braking = np.clip(ahead - begins, 0.0, speed / BRAKE_MPS2)
-    return np.asarray(speed * np.minimum(ahead, begins) + speed * braking - 0.5 * BRAKE_MPS2 * braking**2)
+    return np.asarray(
+        speed * np.minimum(ahead, begins) + speed * braking - 0.5 * BRAKE_MPS2 * braking**2
+    )

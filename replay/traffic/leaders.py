@@ -136,7 +136,10 @@ def enhanced_idm(v: float, gap: float, v_lead: float, a_lead: float) -> float:
     else:
         cah = pull - max(v - v_lead, 0.0) ** 2 / (2.0 * gap)
     if idm < cah:
-        idm = (1.0 - COOLNESS) * idm + COOLNESS * (cah + DECEL_MPS2 * tanh((idm - cah) / DECEL_MPS2))  # (4)
+        # (4)
+        idm = (1.0 - COOLNESS) * idm + COOLNESS * (
+            cah + DECEL_MPS2 * tanh((idm - cah) / DECEL_MPS2)
+        )
     return max(idm, -HARDEST_MPS2)
 
 
@@ -201,21 +204,33 @@ def _touch(one: FloatArray, two: FloatArray, narrower: float) -> bool:
 
 
 @inner_kernel
-def ego_ahead(paths: Paths, phase: FloatArray, speed: FloatArray, whose: BoolArray, scene: TrafficScene) -> BoolArray:
+def ego_ahead(
+    paths: Paths, phase: FloatArray, speed: FloatArray, whose: BoolArray, scene: TrafficScene
+) -> BoolArray:
     """Whether the ego is ahead of each of the vehicles `whose` (5), `(n,)`."""
     n, boxes = len(phase), scene.boxes
     out, me = np.zeros(n, np.bool_), np.array([n])
     for i in range(n):
         reach = LOOK_M + LOOK_S * speed[i]
         away = hypot(boxes[n, 0] - boxes[i, 0], boxes[n, 1] - boxes[i, 1])
-        if not whose[i] or away > reach + boxes[i, 3] + boxes[n, 3] or _touch(boxes[i], boxes[n], 0.0):
+        if (
+            not whose[i]
+            or away > reach + boxes[i, 3] + boxes[n, 3]
+            or _touch(boxes[i], boxes[n], 0.0)
+        ):
             continue
         gap, j, x, y, yaw = _first_touched(paths, i, phase[i], reach, boxes, me)
         c, s, askew = cos(yaw), sin(yaw), boxes[n, 2] - yaw
         half = 0.5 * (boxes[n, 3] * abs(cos(askew)) + boxes[n, 4] * abs(sin(askew)))
         rear = (boxes[n, 0] - x) * c + (boxes[n, 1] - y) * s - half
         onward = scene.motion[n, 0] * c + scene.motion[n, 1] * s > -STANDING_MPS
-        out[i] = j >= 0 and onward and cos(askew) >= cos(ASKEW_RAD) and gap + rear - 0.5 * boxes[i, 3] > 0.0  # (5)
+        # (5)
+        out[i] = (
+            j >= 0
+            and onward
+            and cos(askew) >= cos(ASKEW_RAD)
+            and gap + rear - 0.5 * boxes[i, 3] > 0.0
+        )
     return out
 
 
@@ -242,7 +257,12 @@ def drives_into(paths: Paths, phase: FloatArray, leaders: Leaders) -> BoolArray:
 
 @inner_kernel
 def leaders(
-    paths: Paths, phase: FloatArray, speed: FloatArray, whose: BoolArray, heeds: BoolArray, scene: TrafficScene
+    paths: Paths,
+    phase: FloatArray,
+    speed: FloatArray,
+    whose: BoolArray,
+    heeds: BoolArray,
+    scene: TrafficScene,
 ) -> Leaders:
     """The leaders of the vehicles `whose` `(n,)` at their phases; pairs that are both on their logs are ignored.
 
@@ -280,7 +300,8 @@ def _first_touched(
     """Distance along path i to the first touch, the agent (-1: none within reach), and the box's x, y, yaw there."""
     k = sample_at(paths, i, phase)
     begin, leap = boxes[i].copy(), np.zeros(3)
-    station, own = 0.0, 0.5 * (begin[3] + begin[4]) + 1.0  # half of length and width: more than half of the diagonal
+    # Half of length and width: more than half of the diagonal
+    station, own = 0.0, 0.5 * (begin[3] + begin[4]) + 1.0
     free = 0.0  # the station up to which no other box is within reach
     while k < paths.end[i] - 1 and station < reach:
         leap[0], leap[1] = paths.x[k + 1] - begin[0], paths.y[k + 1] - begin[1]
@@ -295,7 +316,11 @@ def _first_touched(
             x, y = begin[0] + m / steps * leap[0], begin[1] + m / steps * leap[1]
             for j in near:
                 brush = EGO_BRUSH_M if j == len(boxes) - 1 else BRUSH_M
-                away = hypot(boxes[j, 0] - x, boxes[j, 1] - y) - own - 0.5 * (boxes[j, 3] + boxes[j, 4])
+                away = (
+                    hypot(boxes[j, 0] - x, boxes[j, 1] - y)
+                    - own
+                    - 0.5 * (boxes[j, 3] + boxes[j, 4])
+                )
                 apart = min(apart, away)
                 if away <= 0.0 and _touch(_box_after(begin, leap, m / steps), boxes[j], brush):
                     u = _touch_at(begin, leap, (m - 1.0) / steps, m / steps, boxes[j], brush)

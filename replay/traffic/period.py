@@ -54,7 +54,9 @@ class ReplayedAgents(NamedTuple):
     def some(self, who: IntArray) -> ReplayedAgents:
         """The agents `who` `(k,)`."""
         length, width, reacts = self.length[who], self.width[who], self.reacts[who]
-        return ReplayedAgents(self.tracks.some(who), length, width, reacts, self.ends[who], self.left[who])
+        return ReplayedAgents(
+            self.tracks.some(who), length, width, reacts, self.ends[who], self.left[who]
+        )
 
 
 class Phases(NamedTuple):
@@ -105,7 +107,9 @@ class Coming:
     def __init__(self, every: ReplayedAgents) -> None:
         n = len(every.reacts)
         late, there, never = np.zeros(n, np.bool_), np.zeros(n, np.bool_), np.full(n, inf)
-        states = Phases(np.zeros(n), np.zeros(n), np.zeros(n), late, there, never, never.copy(), np.zeros(n))
+        states = Phases(
+            np.zeros(n), np.zeros(n), np.zeros(n), late, there, never, never.copy(), np.zeros(n)
+        )
         self._every, self._states = every, states  # all on their logs and not in the scene yet
         begins = np.where(every.tracks.static, -np.inf, every.tracks.t[every.tracks.first])
         self._order = np.argsort(begins, kind="stable")
@@ -139,7 +143,9 @@ class Coming:
 def paths_of(agents: ReplayedAgents) -> Paths:
     """Their paths."""
     columns = agents.tracks.columns
-    return Paths(agents.tracks.first, agents.tracks.end, agents.tracks.t, columns[0], columns[1], columns[2])
+    return Paths(
+        agents.tracks.first, agents.tracks.end, agents.tracks.t, columns[0], columns[1], columns[2]
+    )
 
 
 @inner_kernel
@@ -164,14 +170,22 @@ def scene_of(agents: ReplayedAgents, now: Phases, ego: Ego) -> TrafficScene:
             vx, vy = vx * 0.0, vy * 0.0
         motion[i, 0], motion[i, 1], motion[i, 2] = vx, vy, now.accel[i]
         present[i], as_logged[i] = now.there[i] or agents.tracks.static[i], not now.late[i]
-    boxes[n, 0], boxes[n, 1], boxes[n, 2], boxes[n, 3], boxes[n, 4] = ego[0], ego[1], ego[2], ego[3], ego[4]
+    boxes[n, 0], boxes[n, 1], boxes[n, 2], boxes[n, 3], boxes[n, 4] = (
+        ego[0],
+        ego[1],
+        ego[2],
+        ego[3],
+        ego[4],
+    )
     motion[n, 0], motion[n, 1], motion[n, 2] = ego[5], ego[6], ego[7]
     as_logged[n] = ego[8]
     return TrafficScene(boxes, motion, present, as_logged)
 
 
 @inner_kernel
-def leaders_of(agents: ReplayedAgents, now: Phases, ego: Ego, whose: BoolArray, t: float, longest: float) -> Leaders:
+def leaders_of(
+    agents: ReplayedAgents, now: Phases, ego: Ego, whose: BoolArray, t: float, longest: float
+) -> Leaders:
     """The leaders of the agents `whose` `(n,)`; the ego leads an agent once it has been ahead of it for `longest` s.
 
     At t = -inf that time has passed already; with `longest` NaN the ego may lead every agent.
@@ -189,9 +203,18 @@ def leaders_of(agents: ReplayedAgents, now: Phases, ego: Ego, whose: BoolArray, 
 
 @kernel
 def advance(
-    agents: ReplayedAgents, now: Phases, ego: Ego, held: FloatArray, room: FloatArray, t: float, longest: float,
-    only_needed: bool, gone: float, pose: FloatArray, here: BoolArray,
-) -> None:  # fmt: skip
+    agents: ReplayedAgents,
+    now: Phases,
+    ego: Ego,
+    held: FloatArray,
+    room: FloatArray,
+    t: float,
+    longest: float,
+    only_needed: bool,
+    gone: float,
+    pose: FloatArray,
+    here: BoolArray,
+) -> None:
     """Move all agents by one period from `t`, then let others in (`enter`).
 
     `held` `(n,)` are the greatest accelerations that lights allow, m/s2; `room` `(n,)` the distances to where agents
@@ -201,10 +224,14 @@ def advance(
     n, until = len(now.phase), t + PERIOD_S
     logged = logged_speeds(agents, now)
     found = leaders_of(agents, now, ego, now.there & agents.reacts, t, longest)
-    needed = drives_into(paths_of(agents), now.phase, found) if only_needed else np.ones(n, np.bool_)
+    needed = (
+        drives_into(paths_of(agents), now.phase, found) if only_needed else np.ones(n, np.bool_)
+    )
     speed, way = np.zeros(n), np.zeros(n)
     for i in range(n):
-        wanted, slower = wanted_speed(now.speed[i], found, i, held[i], room[i], logged[i], needed[i])
+        wanted, slower = wanted_speed(
+            now.speed[i], found, i, held[i], room[i], logged[i], needed[i]
+        )
         if slower and now.there[i] and agents.reacts[i]:
             now.late[i], now.since[i] = True, min(now.since[i], t)
         speed[i] = min(max(wanted, 0.0), logged[i]) if now.late[i] else logged[i]
@@ -221,15 +248,25 @@ def advance(
         now.braked[i] = max(now.braked[i], -now.accel[i] if now.late[i] else 0.0)
         now.speed[i] = speed[i]
         ends = agents.ends[i] if now.late[i] else agents.left[i]
-        now.there[i] = now.there[i] and now.phase[i] <= ends + 1e-9 and (until <= gone + 1e-9 or not now.late[i])
+        now.there[i] = (
+            now.there[i]
+            and now.phase[i] <= ends + 1e-9
+            and (until <= gone + 1e-9 or not now.late[i])
+        )
     enter(agents, now, ego, until, gone, longest, pose, here)
 
 
 @kernel
 def enter(
-    agents: ReplayedAgents, now: Phases, ego: Ego, t: float, gone: float, longest: float, pose: FloatArray,
+    agents: ReplayedAgents,
+    now: Phases,
+    ego: Ego,
+    t: float,
+    gone: float,
+    longest: float,
+    pose: FloatArray,
     here: BoolArray,
-) -> None:  # fmt: skip
+) -> None:
     """Let in the agents whose log begins by `t` and whose place is free, and sample all (`sample`).
 
     Late agents leave the scene at `gone`, s. `longest` is as in `leaders_of`, `pose` and `here` as in `sample`.
@@ -247,7 +284,8 @@ def enter(
             now.phase[i] = agents.tracks.t[first[i]] if waited(agents, now, i) else t
             coming[i] = t <= gone + 1e-9 or not now.late[i]
     scene = scene_of(agents, now, ego)
-    occupied = taken(scene.boxes, coming, scene.present & ~scene.as_logged)  # by an agent that is off its log
+    # By an agent that is off its log
+    occupied = taken(scene.boxes, coming, scene.present & ~scene.as_logged)
     free = coming & ~(agents.reacts & occupied)
     for i in range(n):
         if free[i]:
@@ -261,7 +299,9 @@ def enter(
     found = leaders_of(agents, now, ego, free & agents.reacts, -inf, longest)
     for i in range(n):
         if free[i] and isfinite(found.gap[i]):
-            safe = sqrt(found.speed[i] ** 2 + 2.0 * DECEL_MPS2 * max(found.gap[i] - STANDSTILL_M, 0.0))
+            safe = sqrt(
+                found.speed[i] ** 2 + 2.0 * DECEL_MPS2 * max(found.gap[i] - STANDSTILL_M, 0.0)
+            )
             if safe < logged[i]:
                 now.late[i], now.since[i], now.speed[i] = True, min(now.since[i], t), safe
     sample(agents, now, pose, here)
@@ -270,7 +310,11 @@ def enter(
 @inner_kernel
 def waited(agents: ReplayedAgents, now: Phases, i: int) -> bool:
     """Whether agent i waits outside of the scene because its place was taken."""
-    return now.late[i] and not now.there[i] and now.phase[i] <= agents.tracks.t[agents.tracks.first[i]] + 1e-9
+    return (
+        now.late[i]
+        and not now.there[i]
+        and now.phase[i] <= agents.tracks.t[agents.tracks.first[i]] + 1e-9
+    )
 
 
 @inner_kernel

@@ -65,7 +65,9 @@ class LoggedTracks(NamedTuple):
 def logged_tracks(log: Tracks, vx: FloatArray, vy: FloatArray) -> LoggedTracks:
     """The tracks with these velocities `(samples,)`."""
     columns = frozen(np.vstack([log.x, log.y, log.yaw, vx, vy]))
-    return LoggedTracks(log.offsets[:-1], log.offsets[1:], log.static, log.t, log.gap_after, columns)
+    return LoggedTracks(
+        log.offsets[:-1], log.offsets[1:], log.static, log.t, log.gap_after, columns
+    )
 
 
 class ReplaySample(NamedTuple):
@@ -104,7 +106,9 @@ class PhaseReplay:
 
     def row(self, t: float, who: IntArray) -> tuple[FloatArray, BoolArray]:
         """Room for a sample of the tracks `who` at the time `t`, as `play` writes it."""
-        self._rows.append(ReplaySample(t, who, np.empty((5, len(who))), np.empty(len(who), np.bool_)))
+        self._rows.append(
+            ReplaySample(t, who, np.empty((5, len(who))), np.empty(len(who), np.bool_))
+        )
         return self._rows[-1].pose, self._rows[-1].there
 
     def tracks(self, since: FloatArray) -> Tracks:
@@ -115,12 +119,15 @@ class PhaseReplay:
         """
         since = np.where(self._own.static, np.inf, since)
         wanted = since < np.inf
-        for k, row in enumerate(self._rows):  # keep them of agents off their log; one sample more of those newly off it
+        # Keep them of agents off their log; one sample more of those newly off it
+        for k, row in enumerate(self._rows):
             mine = wanted[row.who] & row.there & (row.t >= since[row.who] - 1e-9)
             which = np.flatnonzero(mine & ~self._taken[row.who] if k < self._seen else mine)
             begin, self._count = self._count, self._count + len(which)
             while self._count > len(self._who):
-                twice = (np.concatenate([old, np.empty_like(old)]) for old in (self._who, self._played))
+                twice = (
+                    np.concatenate([old, np.empty_like(old)]) for old in (self._who, self._played)
+                )
                 self._who, self._played = twice
             self._who[begin : self._count] = row.who[which]
             self._played[begin : self._count, 0] = row.t
@@ -141,14 +148,20 @@ class PhaseReplay:
     def _all_samples(self, since: FloatArray, count: int) -> Tracks:
         """All samples of all tracks, with the first `count` replayed ones."""
         own = self._own.offsets
-        return Tracks(*self._columns(since, np.arange(len(self._own)), own[:-1].copy(), own[1:].copy(), slice(count)))
+        return Tracks(
+            *self._columns(
+                since, np.arange(len(self._own)), own[:-1].copy(), own[1:].copy(), slice(count)
+            )
+        )
 
     def _columns(
         self, since: FloatArray, who: IntArray, first: IntArray, end: IntArray, some: slice
     ) -> tuple[Any, ...]:
         """The columns of `Tracks`: the log's samples `first` to before `end` of `who`, and `some` replayed ones."""
         played = np.searchsorted(who, self._who[some])
-        rows, sizes = _merge_samples(self._logged_own, since[who], first, end, played, self._played[some])
+        rows, sizes = _merge_samples(
+            self._logged_own, since[who], first, end, played, self._played[some]
+        )
         left = np.flatnonzero(sizes)
         return *heads(self._own, who[left]), np.r_[0, np.cumsum(sizes[left])], *rows
 
@@ -168,7 +181,9 @@ def _with_velocities(path: Tracks) -> tuple[LoggedTracks, Tracks]:
 
 
 @kernel
-def played(log: LoggedTracks, i: int, phase: float) -> tuple[float, float, float, float, float, bool]:
+def played(
+    log: LoggedTracks, i: int, phase: float
+) -> tuple[float, float, float, float, float, bool]:
     """x, y, yaw (interpolated), vx, vy (of the last sample) of a track at a phase, and whether it has a log there.
 
     In a gap of a track (`replan.logs.observed`) its agent is not present.
@@ -190,7 +205,12 @@ def played(log: LoggedTracks, i: int, phase: float) -> tuple[float, float, float
 
 @kernel
 def play(
-    log: LoggedTracks, phase: FloatArray, rate: FloatArray, there: BoolArray, pose: FloatArray, here: BoolArray
+    log: LoggedTracks,
+    phase: FloatArray,
+    rate: FloatArray,
+    there: BoolArray,
+    pose: FloatArray,
+    here: BoolArray,
 ) -> None:
     """Write the agents at their phases, velocities times the rates, into `pose` `(5, n)` and `here` `(n,)`."""
     for i in range(len(phase)):
@@ -202,7 +222,12 @@ def play(
 
 @kernel
 def _merge_samples(
-    log: LoggedTracks, since: FloatArray, first: IntArray, end: IntArray, who: IntArray, played: FloatArray
+    log: LoggedTracks,
+    since: FloatArray,
+    first: IntArray,
+    end: IntArray,
+    who: IntArray,
+    played: FloatArray,
 ) -> tuple[FloatArray, IntArray]:
     """Rows t, x, y, yaw, vx, vy `(6, samples)` of some tracks one after the other, and how many samples each has.
 
@@ -252,7 +277,8 @@ class ReplayedByEgoPosition:
         stations = [0.0]
         for x, y in zip(log.x[1:], log.y[1:], strict=True):
             stations.append(self._line.project(x, y, stations[-1])[0])
-        self._log_t, self._log_s = log.t, np.maximum.accumulate(np.maximum(stations, 0.0))  # not decreasing
+        # Not decreasing
+        self._log_t, self._log_s = log.t, np.maximum.accumulate(np.maximum(stations, 0.0))
         self._replay = PhaseReplay(scenario.tracks)
         self._phase, self._delay, self._stood = float(log.t[0]), 0.0, 0.0
         self._station, self._next, self._tracks = 0.0, float("-inf"), Tracks.empty()
@@ -284,7 +310,10 @@ class ReplayedByEgoPosition:
                 if k > 0:
                     u = min((ahead - s[k - 1]) / (s[k] - s[k - 1]), 1.0) if s[k] > s[k - 1] else 1.0
                     earliest = float(t[k - 1] + u * (t[k] - t[k - 1]))
-                self._phase += min(max(earliest + self._delay - self._phase, 0.0), FASTEST * PERIOD_S)  # (1), (2)
+                # (1), (2)
+                self._phase += min(
+                    max(earliest + self._delay - self._phase, 0.0), FASTEST * PERIOD_S
+                )
             self._next += PERIOD_S
             self._add(self._next, (self._phase - before) / PERIOD_S)
             self._tracks = self._replay.tracks(np.full(len(self._replay.log), -np.inf))

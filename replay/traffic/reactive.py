@@ -78,7 +78,9 @@ class ReactionRule:
 
 
 REACTIVE = ReactionRule(FOLLOWING, only_ahead=None, only_needed=False, yields=False)
-GIVE_WAY = ReactionRule((*FOLLOWING, AgentKind.BICYCLE), only_ahead=CC_REACT_S, only_needed=True, yields=True)
+GIVE_WAY = ReactionRule(
+    (*FOLLOWING, AgentKind.BICYCLE), only_ahead=CC_REACT_S, only_needed=True, yields=True
+)
 
 
 class Reactive:
@@ -98,7 +100,9 @@ class Reactive:
         paths = self._replay.log
         reacts = np.array([kind in rule.kinds for kind in log.kinds], bool) & ~log.static
         ends = paths.t[paths.offsets[1:] - 1].copy() if n else left
-        self._coming = Coming(ReplayedAgents(self._replay.logged, paths.length, paths.width, reacts, ends, left))
+        self._coming = Coming(
+            ReplayedAgents(self._replay.logged, paths.length, paths.width, reacts, ends, left)
+        )
         self._longest = nan if rule.only_ahead is None else rule.only_ahead
         self._gone = scenario.traffic_spans[-1][1] if scenario.traffic_spans else inf
         self._lights = RedLights(scenario, paths, reacts)
@@ -133,7 +137,9 @@ class Reactive:
             who, agents, states = self._coming.who, self._coming.agents, self._coming.now
             late = states.late & states.there & agents.reacts
             held = self._lights.accelerations(now, who, states.phase, states.speed, late)
-            room = self._yielding.gaps(ego, who, states.phase, states.speed, states.there & (not as_logged))
+            room = self._yielding.gaps(
+                ego, who, states.phase, states.speed, states.there & (not as_logged)
+            )
             needed, gone = self._rule.only_needed, self._gone
             advance(agents, states, box, held, room, now, self._longest, needed, gone, *sampled)
         self._tracks = self._replay.tracks(self._coming.all.since)
@@ -145,11 +151,15 @@ class Reactive:
         since, braked = self._coming.all.since, self._coming.all.braked
         who = np.argsort(since, kind="stable")[: int(np.isfinite(since).sum())]
         log = self._replay.log
-        named = [f"{name_of(log, i)} from {since[i]:.1f} s, {braked[i]:.1f} m/s2" for i in who[:NAMED]]
+        named = [
+            f"{name_of(log, i)} from {since[i]:.1f} s, {braked[i]:.1f} m/s2" for i in who[:NAMED]
+        ]
         if not named:
             return ()
         more = [f"{len(who) - NAMED} more"] if len(who) > NAMED else []
-        return (f"not as in the log because of the ego (since when, hardest braking): {'; '.join(named + more)}",)
+        return (
+            f"not as in the log because of the ego (since when, hardest braking): {'; '.join(named + more)}",
+        )
 
 
 def extended(log: Tracks, road: Road) -> Tracks:
@@ -161,7 +171,9 @@ def extended(log: Tracks, road: Road) -> Tracks:
 def _extended(log: Tracks, road: Road) -> Tracks:
     last = log.offsets[1:] - 1
     vx, vy = log.velocity(np.arange(len(log)), last)
-    ends = Agents(log.ids, log.kinds, log.length, log.width, log.x[last], log.y[last], log.yaw[last], vx, vy)
+    ends = Agents(
+        log.ids, log.kinds, log.length, log.width, log.x[last], log.y[last], log.yaw[last], vx, vy
+    )
     ahead = np.arange(0.0, 30.0, 0.5)
     way = followers(ends, ahead, LaneMap.of(road))
     rows = [np.vstack([getattr(log, c)[log.samples(i)] for c in _COLUMNS]) for i in range(len(log))]

@@ -87,7 +87,11 @@ class RedLights:
     def __init__(self, scenario: Scenario, paths: Tracks, reacts: BoolArray) -> None:
         self._lights = scenario.lights
         who = tuple(np.flatnonzero(reacts).tolist())
-        found = _crossings(paths, scenario.road, scenario.lights, who) if scenario.lights and len(paths) else ()
+        found = (
+            _crossings(paths, scenario.road, scenario.lights, who)
+            if scenario.lights and len(paths)
+            else ()
+        )
         self._owner = np.array([one.owner for one in found], np.int64)
         self._light = np.array([one.light for one in found], np.int64)
         self._at = np.array([one.station for one in found])
@@ -112,7 +116,10 @@ class RedLights:
         shown = [light.at(t) for light in self._lights]
         red = np.array([colour in RED for colour in shown])[self._light[some]]
         yellow = np.array([colour is Colour.YELLOW for colour in shown])[self._light[some]]
-        gap, v = _gaps(self._paths, self._station, phase[at], self._owner[some], self._at[some]), speed[at]
+        gap, v = (
+            _gaps(self._paths, self._station, phase[at], self._owner[some], self._at[some]),
+            speed[at],
+        )
         counts = (red | yellow) & (gap > 0.0) & (gap <= leaders.LOOK_M + leaders.LOOK_S * v)
         counts &= self._stands_until[some] <= t + PERIOD_S + 1e-9
         able = v * v <= 2.0 * gap * np.where(yellow | passes, DECEL_MPS2, HARDEST_MPS2)
@@ -138,7 +145,9 @@ def _crossings(
     owner = np.repeat(np.arange(len(paths)), np.diff(paths.offsets))
     within = (owner[1:] == owner[:-1]) & np.isin(owner[1:], who)
     ahead = 0.5 * paths.length[owner]
-    front = np.column_stack([paths.x + ahead * np.cos(paths.yaw), paths.y + ahead * np.sin(paths.yaw)])
+    front = np.column_stack(
+        [paths.x + ahead * np.cos(paths.yaw), paths.y + ahead * np.sin(paths.yaw)]
+    )
     station = _stations(paths)
     stands = np.diff(station) < leaders.STANDING_MPS * np.diff(paths.t)
     lights = {light.id: i for i, light in enumerate(signals)}
@@ -147,19 +156,31 @@ def _crossings(
             continue
         lane, over = road.lanes[line.lane], set[int]()
         half = 0.5 * hypot(*(line.points[1] - line.points[0]))
-        middle, across = line.points.mean(axis=0), (line.points[1] - line.points[0]) / max(2.0 * half, 1e-9)
+        middle, across = (
+            line.points.mean(axis=0),
+            (line.points[1] - line.points[0]) / max(2.0 * half, 1e-9),
+        )
         normal = np.array([across[1], -across[0]])
-        if turned(lane, float(middle[0]), float(middle[1]), atan2(normal[1], normal[0])) > 0.5 * np.pi:
+        if (
+            turned(lane, float(middle[0]), float(middle[1]), atan2(normal[1], normal[0]))
+            > 0.5 * np.pi
+        ):
             normal = -normal
         forward, beside = (front - middle) @ normal, (front - middle) @ across
         for k in np.flatnonzero(within & (forward[:-1] < 0.0) & (forward[1:] >= 0.0)).tolist():
             i, u = int(owner[k]), float(forward[k] / (forward[k] - forward[k + 1]))
             if abs(beside[k] + u * (beside[k + 1] - beside[k])) > half + ASIDE_M:
                 continue
-            if i in over or turned(lane, float(front[k, 0]), float(front[k, 1]), float(paths.yaw[k])) >= ASKEW_RAD:
+            if (
+                i in over
+                or turned(lane, float(front[k, 0]), float(front[k, 1]), float(paths.yaw[k]))
+                >= ASKEW_RAD
+            ):
                 continue
             over.add(i)
-            behind = slice(k + 1, int(np.searchsorted(station[: paths.offsets[i + 1]], station[k] + BEHIND_M)))
+            behind = slice(
+                k + 1, int(np.searchsorted(station[: paths.offsets[i + 1]], station[k] + BEHIND_M))
+            )
             way = paths.x[behind], paths.y[behind], paths.yaw[behind]
             ways = [n for n in lane.successors if n in road.lanes]
             on = {n: int(on_lane(road.lanes[n], *way).sum()) for n in ways if line.towards}
@@ -172,7 +193,9 @@ def _crossings(
 
 
 @kernel
-def _gaps(paths: Paths, station: FloatArray, phase: FloatArray, owner: IntArray, at: FloatArray) -> FloatArray:
+def _gaps(
+    paths: Paths, station: FloatArray, phase: FloatArray, owner: IntArray, at: FloatArray
+) -> FloatArray:
     """Length of path `(k,)` from each owner's phase `(k,)` to the station `at` `(k,)`, m."""
     out = np.empty(len(owner))
     for c in range(len(owner)):
@@ -207,7 +230,9 @@ class Yielding:
         self._owner = np.array([way.owner for way in self._ways], np.int64)
         self._until = np.array([way.until for way in self._ways])
 
-    def gaps(self, ego: EgoState, who: IntArray, phase: FloatArray, speed: FloatArray, whose: BoolArray) -> FloatArray:
+    def gaps(
+        self, ego: EgoState, who: IntArray, phase: FloatArray, speed: FloatArray, whose: BoolArray
+    ) -> FloatArray:
         """Distance of the tracks `who` (those `whose`) to where they must wait for the ego `(k,)`, m; inf: no wait."""
         out = np.full(len(phase), np.inf)
         if not self._ways:
@@ -225,15 +250,21 @@ class Yielding:
         t = np.arange(0.0, LOOK_AHEAD_S + 0.5 * STEP_S, STEP_S)
         ego_ways = followers(now, t, self._lanes)
         pose = ego_ways.x, ego_ways.y, ego_ways.yaw
-        boxes = np.stack([np.broadcast_to(t, ego_ways.x.shape), *pose]).reshape(4, -1)  # of the ego, on all its ways
-        on = {k: on_lane(self._road.lanes[k], *boxes[1:]) for k in sorted({k for way, _ in ways for k in way.first})}
+        # Of the ego, on all its ways
+        boxes = np.stack([np.broadcast_to(t, ego_ways.x.shape), *pose]).reshape(4, -1)
+        on = {
+            k: on_lane(self._road.lanes[k], *boxes[1:])
+            for k in sorted({k for way, _ in ways for k in way.first})
+        }
         size = np.array([self._car.length, self._car.width])
         for way, k in ways:
             i = way.owner
             by_right = np.logical_or.reduce([on[lane] for lane in way.first])
             if by_right.any():
                 mine = np.array([self._tracks.length[i], self._tracks.width[i]])
-                out[k] = min(out[k], _wait(self._paths, i, phase[k], speed[k], mine, boxes, by_right, size))
+                out[k] = min(
+                    out[k], _wait(self._paths, i, phase[k], speed[k], mine, boxes, by_right, size)
+                )
         return out
 
 
@@ -245,7 +276,11 @@ def _yielding_ways(paths: Tracks, road: Road, who: tuple[int, ...]) -> tuple[Yie
         mine = paths.samples(i)
         for lane in road.lanes.values():
             first = tuple(k for k in lane.yields_to if k in road.lanes)
-            on = on_lane(lane, paths.x[mine], paths.y[mine], paths.yaw[mine]) if first else np.zeros(1, np.bool_)
+            on = (
+                on_lane(lane, paths.x[mine], paths.y[mine], paths.yaw[mine])
+                if first
+                else np.zeros(1, np.bool_)
+            )
             if on.any():
                 found.append(YieldingWay(i, first, float(paths.t[mine][on].max())))
     return tuple(found)
@@ -253,32 +288,63 @@ def _yielding_ways(paths: Tracks, road: Road, who: tuple[int, ...]) -> tuple[Yie
 
 @kernel
 def _wait(
-    paths: Paths, i: int, phase: float, speed: float, own: FloatArray,
-    boxes: FloatArray, by_right: BoolArray, size: FloatArray,
-) -> float:  # fmt: skip
+    paths: Paths,
+    i: int,
+    phase: float,
+    speed: float,
+    own: FloatArray,
+    boxes: FloatArray,
+    by_right: BoolArray,
+    size: FloatArray,
+) -> float:
     """Distance of agent i to the first of the boxes `(4, k)` if it must and can wait for one, m; else inf."""
     station, clear, place, meets = 0.0, 0.0, np.inf, False
     c2, s2 = np.cos(boxes[3]), np.sin(boxes[3])
     near = 0.5 * (hypot(own[0], own[1]) + hypot(size[0], size[1])) + ROUNDING_M
     for k in range(sample_at(paths, i, phase), paths.end[i] - 1):
-        span, length = paths.t[k + 1] - paths.t[k], hypot(paths.x[k + 1] - paths.x[k], paths.y[k + 1] - paths.y[k])
+        span, length = (
+            paths.t[k + 1] - paths.t[k],
+            hypot(paths.x[k + 1] - paths.x[k], paths.y[k + 1] - paths.y[k]),
+        )
         start = max((phase - paths.t[k]) / span, 0.0)
         steps = int((1.0 - start) * length / FINE_M) + 1
         for m in range(steps + 1):
             u = start + (1.0 - start) * m / steps
             s = station + (u - start) * length
             # (2)
-            tau = max(paths.t[k] + u * span - phase, (sqrt(speed * speed + 2.0 * ACCEL_MPS2 * s) - speed) / ACCEL_MPS2)
+            tau = max(
+                paths.t[k] + u * span - phase,
+                (sqrt(speed * speed + 2.0 * ACCEL_MPS2 * s) - speed) / ACCEL_MPS2,
+            )
             if tau > LOOK_AHEAD_S:
                 return _place(speed, place, meets)
-            x, y = paths.x[k] + u * (paths.x[k + 1] - paths.x[k]), paths.y[k] + u * (paths.y[k + 1] - paths.y[k])
+            x, y = (
+                paths.x[k] + u * (paths.x[k + 1] - paths.x[k]),
+                paths.y[k] + u * (paths.y[k + 1] - paths.y[k]),
+            )
             yaw, free = paths.yaw[k] + u * (paths.yaw[k + 1] - paths.yaw[k]), True
             c1, s1 = cos(yaw), sin(yaw)
             for b in range(boxes.shape[1]):
-                if (boxes[1, b] - x) ** 2 + (boxes[2, b] - y) ** 2 <= near * near and overlap_turned(
-                    x, y, c1, s1, own[0], own[1], boxes[1, b], boxes[2, b], c2[b], s2[b], size[0], size[1]
+                if (boxes[1, b] - x) ** 2 + (
+                    boxes[2, b] - y
+                ) ** 2 <= near * near and overlap_turned(
+                    x,
+                    y,
+                    c1,
+                    s1,
+                    own[0],
+                    own[1],
+                    boxes[1, b],
+                    boxes[2, b],
+                    c2[b],
+                    s2[b],
+                    size[0],
+                    size[1],
                 ):
-                    free, meets = False, meets or (by_right[b] and abs(boxes[0, b] - tau) <= SERIOUS_S)
+                    free, meets = (
+                        False,
+                        meets or (by_right[b] and abs(boxes[0, b] - tau) <= SERIOUS_S),
+                    )
             if free and not np.isfinite(place):
                 clear = s
             elif not free and not np.isfinite(place):
@@ -290,4 +356,6 @@ def _wait(
 @inner_kernel
 def _place(speed: float, place: float, meets: bool) -> float:
     """Return the distance to the place where it must wait, if it must and can stop; else inf, m."""
-    return place if meets and speed * speed <= 2.0 * HARDEST_MPS2 * place and place > 0.0 else np.inf
+    return (
+        place if meets and speed * speed <= 2.0 * HARDEST_MPS2 * place and place > 0.0 else np.inf
+    )

@@ -23,17 +23,25 @@ SCALARS = tuple(item.name for item in fields(VehicleParameters) if item.type == 
 """The parameters that a plant may change."""
 
 
-def build_vehicle(part: Part, parameters: VehicleParameters, start: EgoState, plant: PlantTable) -> Vehicle:
+def build_vehicle(
+    part: Part, parameters: VehicleParameters, start: EgoState, plant: PlantTable
+) -> Vehicle:
     """The vehicle at its start, with the plant's own parameters and keywords.
 
     Raises:
         ConfigError: A key is neither a parameter nor a keyword of this model, or a value is refused.
     """
     numbers, keywords = split_plant(plant)
-    known = [k.name for k in inspect.signature(part.configured()).parameters.values() if k.kind is k.KEYWORD_ONLY]
+    known = [
+        k.name
+        for k in inspect.signature(part.configured()).parameters.values()
+        if k.kind is k.KEYWORD_ONLY
+    ]
     for key in keywords:
         if key not in known:
-            raise ConfigError(f"loop.plant, vehicle '{part.name}': {unknown_name('key', key, [*known, *SCALARS])}")
+            raise ConfigError(
+                f"loop.plant, vehicle '{part.name}': {unknown_name('key', key, [*known, *SCALARS])}"
+            )
     try:
         loaded = parameters.loaded(numbers["mass"]) if "mass" in numbers else parameters
         own = replace(loaded, **numbers)

@@ -47,7 +47,16 @@ class MotionState(NamedTuple):
 def motion_of(state: EgoState) -> MotionState:
     """A state for kernels."""
     return MotionState(
-        state.t, state.x, state.y, state.yaw, state.v, state.a, state.kappa, state.steer, state.yaw_rate, state.v_lat
+        state.t,
+        state.x,
+        state.y,
+        state.yaw,
+        state.v,
+        state.a,
+        state.kappa,
+        state.steer,
+        state.yaw_rate,
+        state.v_lat,
     )
 
 
@@ -60,11 +69,15 @@ COLUMNS = 20
 def motion_at(rows: FloatArray, k: int) -> MotionState:
     """The ego's motion at row k."""
     row = rows[k]
-    return MotionState(row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8], row[9])
+    return MotionState(
+        row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8], row[9]
+    )
 
 
 @inner_kernel
-def write_motion(row: FloatArray, now: MotionState, steer: float, throttle: float, brake: float) -> None:
+def write_motion(
+    row: FloatArray, now: MotionState, steer: float, throttle: float, brake: float
+) -> None:
     """Write motion and actuation."""
     row[0], row[1], row[2], row[3], row[4] = now.t, now.x, now.y, now.yaw, now.v
     row[5], row[6], row[7], row[8], row[9] = now.a, now.kappa, now.steer, now.yaw_rate, now.v_lat
@@ -72,7 +85,9 @@ def write_motion(row: FloatArray, now: MotionState, steer: float, throttle: floa
 
 
 @inner_kernel
-def write_command(row: FloatArray, steer: float, throttle: float, brake: float, off: Deviation) -> None:
+def write_command(
+    row: FloatArray, steer: float, throttle: float, brake: float, off: Deviation
+) -> None:
     """Write command and errors."""
     row[10], row[11], row[12] = steer, throttle, brake
     row[16], row[17], row[18], row[19] = off.lateral, off.heading, off.speed, off.station

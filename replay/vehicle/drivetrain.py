@@ -32,7 +32,14 @@ import numpy as np
 from replan.core.arrays import FloatArray, IntArray, frozen
 from replan.core.kernel import kernel
 from replan.logs.vehicle import VehicleParameters
-from replan.replay.vehicle.pedal_map import SPEED_STEP_MPS, PedalMap, at_speed, coasting, full_throttle, pedal_map
+from replan.replay.vehicle.pedal_map import (
+    SPEED_STEP_MPS,
+    PedalMap,
+    at_speed,
+    coasting,
+    full_throttle,
+    pedal_map,
+)
 
 MAX_SPEED_MPS = 90.0
 RESERVE, CRUISE, LUG, MIN_HOLD_S = 1.15, 1.6, 1.2, 1.0
@@ -155,7 +162,9 @@ def throttle_target(command: float, box: Gearbox) -> float:
 def commanded(line: Pending, command: float) -> Pending:
     """The line with one more command, from now on; its arrays have room for it."""
     line.arrival_ns[line.waiting], line.coming[line.waiting] = line.now_ns + line.delay_ns, command
-    return Pending(line.delay_ns, line.now_ns, line.value, line.waiting + 1, line.arrival_ns, line.coming)
+    return Pending(
+        line.delay_ns, line.now_ns, line.value, line.waiting + 1, line.arrival_ns, line.coming
+    )
 
 
 @kernel
@@ -191,7 +200,10 @@ def with_room(line: Pending, dt_ns: int) -> Pending:
     if most <= len(line.coming):
         return line
     arrival, coming = np.zeros(2 * most, np.int64), np.zeros(2 * most)
-    arrival[: line.waiting], coming[: line.waiting] = line.arrival_ns[: line.waiting], line.coming[: line.waiting]
+    arrival[: line.waiting], coming[: line.waiting] = (
+        line.arrival_ns[: line.waiting],
+        line.coming[: line.waiting],
+    )
     return line._replace(arrival_ns=arrival, coming=coming)
 
 
@@ -218,7 +230,9 @@ class Drivetrain:
     @cached_property
     def pedal_map(self) -> PedalMap:
         """What controllers' kernels take."""
-        return pedal_map(self.parameters, self.tables.most, self.tables.overrun, self.parameters.brake_delay)
+        return pedal_map(
+            self.parameters, self.tables.most, self.tables.overrun, self.parameters.brake_delay
+        )
 
     def coasting(self, v: float) -> float:
         """Acceleration without pedals, m/s2."""
@@ -234,7 +248,9 @@ class Drivetrain:
 
     def gearbox(self, v: float, throttle: float) -> Gearbox:
         """The gearbox in steady state at this speed and throttle."""
-        return Gearbox(int(best_gear(v, wanted_force(v, throttle, self.tables), self.tables)), 0.0, MIN_HOLD_S)
+        return Gearbox(
+            int(best_gear(v, wanted_force(v, throttle, self.tables), self.tables)), 0.0, MIN_HOLD_S
+        )
 
     @cached_property
     def tables(self) -> DriveTables:
@@ -255,6 +271,13 @@ class Drivetrain:
             force = np.minimum(p.max_accel, p.max_power / np.maximum(v, 1e-3))[None]
             overrun, idle = np.zeros(len(v)), np.zeros(1)
         return DriveTables(
-            frozen(force), frozen(force.max(axis=0)), frozen(overrun), frozen(CRUISE * idle), frozen(LUG * idle),
-            float(p.max_decel), float(p.rolling), float(p.drag), float(p.shift_time),
-        )  # fmt: skip
+            frozen(force),
+            frozen(force.max(axis=0)),
+            frozen(overrun),
+            frozen(CRUISE * idle),
+            frozen(LUG * idle),
+            float(p.max_decel),
+            float(p.rolling),
+            float(p.drag),
+            float(p.shift_time),
+        )

@@ -39,7 +39,12 @@ from replan.logs.states import Command, EgoState
 from replan.logs.vehicle import VehicleParameters
 from replan.replay.vehicle.base import Controller, MotionState, Plain, plain, steady_pedals
 from replan.replay.vehicle.drivetrain import SHORTEST_LAG_S, Steering, steer_rate
-from replan.replay.vehicle.pedal_map import Limits, PedalPowertrain, is_rolling, rolling_acceleration
+from replan.replay.vehicle.pedal_map import (
+    Limits,
+    PedalPowertrain,
+    is_rolling,
+    rolling_acceleration,
+)
 from replan.replay.vehicle.plan_path import PlanPath, Tracker, path_point
 
 MAX_SUBSTEP_S = 0.01
@@ -88,7 +93,8 @@ def derivative(
         speed * cos(state.yaw) - v_lat * sin(state.yaw),  # (1)
         speed * sin(state.yaw) + v_lat * cos(state.yaw),  # (2)
         speed * (tan(state.steer) - tan(car.rear_ratio * state.steer)) / car.wheelbase,  # (3)
-        rolling_acceleration(state.v, state.throttle, state.brake, car.limits) if rolling else 0.0,  # (5)
+        # (5)
+        rolling_acceleration(state.v, state.throttle, state.brake, car.limits) if rolling else 0.0,
         steer_rate(state.steer, command[0], car.steering),  # (4)
         (command[1] - state.throttle) / car.throttle_lag,
         (command[2] - state.brake) / car.brake_lag,
@@ -99,14 +105,23 @@ def derivative(
 def moved(state: BicycleState, rate: BicycleState, h: float) -> BicycleState:
     """The state after `h` s at a constant rate."""
     return BicycleState(
-        state.x + h * rate.x, state.y + h * rate.y, state.yaw + h * rate.yaw, state.v + h * rate.v,
-        state.steer + h * rate.steer, state.throttle + h * rate.throttle, state.brake + h * rate.brake,
-    )  # fmt: skip
+        state.x + h * rate.x,
+        state.y + h * rate.y,
+        state.yaw + h * rate.yaw,
+        state.v + h * rate.v,
+        state.steer + h * rate.steer,
+        state.throttle + h * rate.throttle,
+        state.brake + h * rate.brake,
+    )
 
 
 @inner_kernel
 def runge_kutta(
-    state: BicycleState, command: tuple[float, float, float], rolling: bool, car: Kinematics, h: float
+    state: BicycleState,
+    command: tuple[float, float, float],
+    rolling: bool,
+    car: Kinematics,
+    h: float,
 ) -> BicycleState:
     """One classical step of order 4 over `h` s."""
     k1 = derivative(state, command, rolling, car)
@@ -128,7 +143,9 @@ def advance(
         if after.v < 0.0:
             until = h * state.v / (state.v - after.v)
             stop = runge_kutta(state, command, True, car, until)
-            stop = BicycleState(stop.x, stop.y, stop.yaw, 0.0, stop.steer, stop.throttle, stop.brake)
+            stop = BicycleState(
+                stop.x, stop.y, stop.yaw, 0.0, stop.steer, stop.throttle, stop.brake
+            )
             after = runge_kutta(stop, command, False, car, h - until)
         state = after
     return state
@@ -141,7 +158,10 @@ def motion(s: BicycleState, t: float, car: Kinematics) -> MotionState:
     if is_rolling(s.v, s.throttle, s.brake, car.limits):
         a = rolling_acceleration(s.v, s.throttle, s.brake, car.limits)
     rear, turn = car.rear_ratio * s.steer, turn_per_metre(s.steer, car)
-    return MotionState(t, s.x, s.y, s.yaw, s.v, a, turn * cos(rear), s.steer, s.v * turn, s.v * tan(rear))  # (7)
+    # (7)
+    return MotionState(
+        t, s.x, s.y, s.yaw, s.v, a, turn * cos(rear), s.steer, s.v * turn, s.v * tan(rear)
+    )
 
 
 @kernel
@@ -175,22 +195,30 @@ class KinematicBicycle:
     has_rigid_tyres = True
     own_controller: Controller | None = None
 
-    def __init__(self, parameters: VehicleParameters, start: EgoState, *, rear_ratio: float = 0.0) -> None:
+    def __init__(
+        self, parameters: VehicleParameters, start: EgoState, *, rear_ratio: float = 0.0
+    ) -> None:
         if not -1.0 <= rear_ratio < 1.0:
             raise ConfigError(f"rear_ratio must be at least -1 and below 1, got {rear_ratio}")
         self.powertrain = PedalPowertrain(parameters)
         self.model = kinematics_of(parameters, rear_ratio)
         self.numbers: Plain = plain(self.model)
         v, most = max(float(start.v), 0.0), self.model.steering[0]
-        steer = min(max(atan(self.model.wheelbase * start.kappa / (1.0 - self.model.rear_ratio)), -most), most)
-        for _ in range(20):  # Newton from the small-angle solution, to the steering that gives the start's curvature
+        steer = min(
+            max(atan(self.model.wheelbase * start.kappa / (1.0 - self.model.rear_ratio)), -most),
+            most,
+        )
+        # Newton from the small-angle solution, to the steering that gives the start's curvature
+        for _ in range(20):
             missing = start.kappa - _kappa(steer, self.model)
             if abs(missing) < KAPPA_TOLERANCE_PM:
                 break
             slope = (_kappa(steer + 1e-6, self.model) - _kappa(steer - 1e-6, self.model)) / 2e-6
             steer = min(max(steer + missing / slope, -most), most)
         pedals = map(float, steady_pedals(self.powertrain, start.a, v))
-        self.inner = BicycleState(float(start.x), float(start.y), float(start.yaw), v, float(steer), *pedals)
+        self.inner = BicycleState(
+            float(start.x), float(start.y), float(start.yaw), v, float(steer), *pedals
+        )
         self.state = EgoState(*motion(self.inner, float(start.t), self.model))
 
     @property
@@ -218,10 +246,16 @@ rear_steer = partial(KinematicBicycle, rear_ratio=REAR_RATIO)
 
 def kinematics_of(p: VehicleParameters, rear_ratio: float = 0.0) -> Kinematics:
     """What the kernels take."""
-    steering = (float(p.max_steer), float(p.max_steer_rate), max(float(p.steer_lag), SHORTEST_LAG_S))
+    steering = (
+        float(p.max_steer),
+        float(p.max_steer_rate),
+        max(float(p.steer_lag), SHORTEST_LAG_S),
+    )
     lags = (max(float(p.throttle_lag), SHORTEST_LAG_S), max(float(p.brake_lag), SHORTEST_LAG_S))
     substep = min(MAX_SUBSTEP_S, 0.5 * steering[2], 0.5 * min(lags))
-    return Kinematics(float(p.wheelbase), float(rear_ratio), steering, *lags, PedalPowertrain(p).limits, substep)
+    return Kinematics(
+        float(p.wheelbase), float(rear_ratio), steering, *lags, PedalPowertrain(p).limits, substep
+    )
 
 
 def _kappa(steer: float, car: Kinematics) -> float:

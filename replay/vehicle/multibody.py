@@ -34,7 +34,7 @@ from replan.core.errors import ConfigError
 from replan.logs.states import Command, EgoState
 from replan.logs.vehicle import VehicleParameters
 from replan.replay.vehicle.base import Controller
-from replan.replay.vehicle.drivetrain import (  # fmt: skip
+from replan.replay.vehicle.drivetrain import (
     Drivetrain,
     Gearbox,
     drive_force,
@@ -85,10 +85,14 @@ class Multibody:
     has_rigid_tyres = False
     own_controller: Controller | None = None
 
-    def __init__(self, parameters: VehicleParameters, start: EgoState, *, tyre_stiffness: float = 1.0) -> None:
+    def __init__(
+        self, parameters: VehicleParameters, start: EgoState, *, tyre_stiffness: float = 1.0
+    ) -> None:
         self.powertrain = Drivetrain(parameters)
         try:
-            self._rates: Rates = import_module("vehiclemodels.vehicle_dynamics_mb").vehicle_dynamics_mb
+            self._rates: Rates = import_module(
+                "vehiclemodels.vehicle_dynamics_mb"
+            ).vehicle_dynamics_mb
             self._init: Callable[..., list[float]] = import_module("vehiclemodels.init_mb").init_mb
         except ImportError:
             remedy = "needs the package commonroad-vehicle-models: pip install 'replan[multibody]'"
@@ -96,7 +100,10 @@ class Multibody:
         self.package = package_parameters(parameters, tyre_stiffness)
         p, tyre = parameters, self.package.tire
         weight = p.mass * GRAVITY / p.wheelbase * -tyre.p_ky1
-        stiffness = {"cornering_front": weight * p.cog_to_rear, "cornering_rear": weight * p.cog_to_front}
+        stiffness = {
+            "cornering_front": weight * p.cog_to_rear,
+            "cornering_rear": weight * p.cog_to_front,
+        }
         self.car = car_of(replace(p, **stiffness, tyre_load_sensitivity=0.0), self.powertrain)
         self.inner = cornering(self.car, start, self.powertrain)
         self.box = self.powertrain.gearbox(self.inner.vx, self.inner.throttle)
@@ -104,7 +111,8 @@ class Multibody:
         self._brakes = pending(parameters.brake_delay, self.inner.brake)
         self._limits = _limits(self.car, self.package)
         load = 0.5 * max(self.car.front.load, self.car.rear.load)
-        self._stiff = float(tyre.p_kx1 * load * self.package.R_w**2 / self.package.I_y_w)  # K_x R^2 / I_w of (3)
+        # K_x R^2 / I_w of (3)
+        self._stiff = float(tyre.p_kx1 * load * self.package.R_w**2 / self.package.I_y_w)
         self._reach = float(self.car.a), 0.5 * float(max(self.package.T_f, self.package.T_r))
         self._t = float(start.t)
         self._choose_model()
@@ -139,10 +147,15 @@ class Multibody:
         """Switch to the package's model if it is valid."""
         s, car = self.inner, self.car
         if self.body is None and slowest_wheel(s.vx, s.vy, s.r, s.steer, self._reach) > LEAVE_MPS:
-            front, rear = atan((s.vy + car.a * s.r) / s.vx) - s.steer, atan((s.vy - car.b * s.r) / s.vx)
+            front, rear = (
+                atan((s.vy + car.a * s.r) / s.vx) - s.steer,
+                atan((s.vy - car.b * s.r) / s.vx),
+            )
             if max(abs(front), abs(rear)) < CALM:
                 x, y = s.x + car.b * cos(s.yaw), s.y + car.b * sin(s.yaw)
-                self.body = self._init([x, y, s.steer, hypot(s.vx, s.vy), s.yaw, s.r, atan(s.vy / s.vx)], self.package)
+                self.body = self._init(
+                    [x, y, s.steer, hypot(s.vx, s.vy), s.yaw, s.r, atan(s.vy / s.vx)], self.package
+                )
 
     def _drive(self, body: list[float], held: tuple[float, float, float], span: float) -> float:
         """Sub-steps of the package's model; the actuators are exact over each (commands are constant).
@@ -153,15 +166,20 @@ class Multibody:
         Raises:
             ConfigError: The model diverged.
         """
-        steps = ceil(span / min(SUBSTEP_S, STABLE * max(body[VX], SLOW_MPS) / self._stiff) - 1e-9)  # (3)
+        # (3)
+        steps = ceil(span / min(SUBSTEP_S, STABLE * max(body[VX], SLOW_MPS) / self._stiff) - 1e-9)
         h = span / steps
         throttle, brake, car = self.inner.throttle, self.inner.brake, self.car
         left, valid = 0.0, True
         for k in range(steps):
-            inputs = [steer_rate(body[STEER], held[0], car.steering), self._pull(body, throttle, brake)]
+            inputs = [
+                steer_rate(body[STEER], held[0], car.steering),
+                self._pull(body, throttle, brake),
+            ]
             try:
                 body = _runge_kutta(self._rates, body, inputs, self.package, h)
-            except (ArithmeticError, ValueError):  # division by a wheel that stands, cosine of infinity
+            # Division by a wheel that stands, cosine of infinity
+            except (ArithmeticError, ValueError):
                 body = [nan]
             if not all(map(isfinite, body)):
                 remedy = "use loop.vehicle = 'single_track'"
@@ -177,14 +195,17 @@ class Multibody:
                 break
         self.body = body if valid else None
         x, y, yaw = body[0] - car.b * cos(body[YAW]), body[1] - car.b * sin(body[YAW]), body[YAW]
-        self.inner = SingleTrackState(x, y, yaw, body[VX], body[VY], body[YAW_RATE], body[STEER], throttle, brake)
+        self.inner = SingleTrackState(
+            x, y, yaw, body[VX], body[VY], body[YAW_RATE], body[STEER], throttle, brake
+        )
         return left
 
     def _pull(self, body: list[float], throttle: float, brake: float) -> float:
         """The acceleration that drive and brakes want at the wheels, m/s2."""
         car, v = self.car, body[VX]
         left = sqrt(max(1.0 - (v * body[YAW_RATE] / (car.front.friction * GRAVITY)) ** 2, 0.1))
-        drive = min(drive_force(v, throttle, self.box.gear, car.drive), self._limits[0] * left)  # (2)
+        # (2)
+        drive = min(drive_force(v, throttle, self.box.gear, car.drive), self._limits[0] * left)
         resist = brake * car.drive.max_decel + car.drive.rolling + car.drive.drag * v * abs(v)
         return max(drive - resist, -self._limits[1] * left)  # (1), (2)
 
@@ -192,7 +213,10 @@ class Multibody:
         s, car = self.inner, self.car
         if self.body is None:
             return EgoState(*motion(s, self.box, (held[0], held[1], held[2]), car, self._t))
-        inputs = [steer_rate(s.steer, held[0], car.steering), self._pull(self.body, s.throttle, s.brake)]
+        inputs = [
+            steer_rate(s.steer, held[0], car.steering),
+            self._pull(self.body, s.throttle, s.brake),
+        ]
         k = self._rates(list(self.body), inputs, self.package)
         v_lat = s.vy - car.b * s.r
         ahead, left = k[VX] - s.r * v_lat, k[VY] - car.b * k[YAW_RATE] + s.r * s.vx
@@ -209,16 +233,25 @@ def package_parameters(p: VehicleParameters, tyre_stiffness: float = 1.0) -> Any
     if not tyre_stiffness > 0.0:
         raise ConfigError(f"tyre_stiffness must be positive, got {tyre_stiffness}")
     setup = import_module("vehiclemodels.vehicle_parameters").setup_vehicle_parameters
-    q = deepcopy(min((setup(vehicle_id=number) for number in SETS), key=lambda one: abs(one.m - p.mass)))
+    q = deepcopy(
+        min((setup(vehicle_id=number) for number in SETS), key=lambda one: abs(one.m - p.mass))
+    )
     q.m_s = p.mass - q.m_uf - q.m_ur
-    q.m, q.I_z, q.a, q.b = float(p.mass), float(p.yaw_inertia), float(p.cog_to_front), float(p.cog_to_rear)
+    q.m, q.I_z, q.a, q.b = (
+        float(p.mass),
+        float(p.yaw_inertia),
+        float(p.cog_to_front),
+        float(p.cog_to_rear),
+    )
     ratio = p.tyre_friction / q.tire.p_dy1
     q.tire.p_dy1, q.tire.p_dx1 = q.tire.p_dy1 * ratio, q.tire.p_dx1 * ratio
     q.tire.p_ky1 *= tyre_stiffness
     return q
 
 
-def slowest_wheel(vx: float, vy: float, r: float, steer: float, reach: tuple[float, float]) -> float:
+def slowest_wheel(
+    vx: float, vy: float, r: float, steer: float, reach: tuple[float, float]
+) -> float:
     """How fast the slowest wheel goes ahead (4), m/s; `reach`: to the front axle, half of the track, m."""
     front = vx * cos(steer) + (vy + reach[0] * r) * sin(steer)
     return min(vx, front) - reach[1] * abs(r)  # (4)
@@ -227,7 +260,10 @@ def slowest_wheel(vx: float, vy: float, r: float, steer: float, reach: tuple[flo
 def least_deflection(body: list[float], q: Any) -> float:
     """The least deflection of the four tyres (5), m; not positive where a wheel is off the ground."""
     axles = ((q.T_f, body[FRONT_ROLL], body[FRONT_Z]), (q.T_r, body[REAR_ROLL], body[REAR_Z]))
-    return min(float(z + q.R_w * (cos(roll) - 1.0) - 0.5 * track * abs(sin(roll))) for track, roll, z in axles)
+    return min(
+        float(z + q.R_w * (cos(roll) - 1.0) - 0.5 * track * abs(sin(roll)))
+        for track, roll, z in axles
+    )
 
 
 def _limits(car: SingleTrackCar, q: Any) -> tuple[float, float]:
@@ -249,7 +285,10 @@ def _runge_kutta(rates: Rates, x: list[float], u: list[float], q: Any, h: float)
     k2 = rates([a + 0.5 * h * b for a, b in zip(x, k1, strict=True)], u, q)
     k3 = rates([a + 0.5 * h * b for a, b in zip(x, k2, strict=True)], u, q)
     k4 = rates([a + h * b for a, b in zip(x, k3, strict=True)], u, q)
-    after = [a + h / 6.0 * (p + 2.0 * (r + s) + t) for a, p, r, s, t in zip(x, k1, k2, k3, k4, strict=True)]
+    after = [
+        a + h / 6.0 * (p + 2.0 * (r + s) + t)
+        for a, p, r, s, t in zip(x, k1, k2, k3, k4, strict=True)
+    ]
     for wheel in WHEELS:
         after[wheel] = max(after[wheel], 0.0)
     return after

@@ -60,12 +60,22 @@ class PedalMap(NamedTuple):
     brake_delay: float
 
 
-def pedal_map(p: VehicleParameters, most: FloatArray, overrun: FloatArray, brake_delay: float) -> PedalMap:
+def pedal_map(
+    p: VehicleParameters, most: FloatArray, overrun: FloatArray, brake_delay: float
+) -> PedalMap:
     """The map of a vehicle's parameters, with its motor's tables."""
     return PedalMap(
-        float(p.max_accel), float(p.max_power), float(p.max_decel), float(p.rolling), float(p.drag), most, overrun,
-        float(p.throttle_lag), float(p.brake_lag), float(brake_delay),
-    )  # fmt: skip
+        float(p.max_accel),
+        float(p.max_power),
+        float(p.max_decel),
+        float(p.rolling),
+        float(p.drag),
+        most,
+        overrun,
+        float(p.throttle_lag),
+        float(p.brake_lag),
+        float(brake_delay),
+    )
 
 
 @kernel
@@ -123,7 +133,8 @@ def is_rolling(v: float, throttle: float, brake: float, limits: Limits) -> bool:
 @inner_kernel
 def rolling_acceleration(v: float, throttle: float, brake: float, limits: Limits) -> float:
     """dv/dt while rolling, m/s2."""
-    return drive_force(v, throttle, limits) - friction_force(brake, limits) - limits[3] * v * abs(v)  # (7)
+    # (7)
+    return drive_force(v, throttle, limits) - friction_force(brake, limits) - limits[3] * v * abs(v)
 
 
 @dataclass(frozen=True)
@@ -136,7 +147,13 @@ class PedalPowertrain:
     def limits(self) -> Limits:
         """What the kernels of this module take."""
         p = self.parameters
-        return float(p.max_accel), float(p.max_power), float(p.max_decel), float(p.drag), float(p.rolling)
+        return (
+            float(p.max_accel),
+            float(p.max_power),
+            float(p.max_decel),
+            float(p.drag),
+            float(p.rolling),
+        )
 
     @cached_property
     def pedal_map(self) -> PedalMap:

@@ -57,7 +57,13 @@ def plan_stations(x: FloatArray, y: FloatArray, yaw: FloatArray) -> FloatArray:
 
 @kernel
 def path_columns(
-    t: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, v: FloatArray, a: FloatArray, kappa: FloatArray
+    t: FloatArray,
+    x: FloatArray,
+    y: FloatArray,
+    yaw: FloatArray,
+    v: FloatArray,
+    a: FloatArray,
+    kappa: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """`times` and `knots` of `PlanPath`, of a plan's columns `(n,)`; knots are KNOT_SPACING_M apart at least."""
     station = plan_stations(x, y, yaw)
@@ -168,7 +174,9 @@ def path_foot(knots: FloatArray, x: float, y: float, near: float) -> float:
 
 
 @kernel
-def deviation(times: FloatArray, knots: FloatArray, t: float, x: float, y: float, yaw: float, v: float) -> Deviation:
+def deviation(
+    times: FloatArray, knots: FloatArray, t: float, x: float, y: float, yaw: float, v: float
+) -> Deviation:
     """The ego against the plan at `t`."""
     station, speed, _ = timed(times, t)
     s = path_foot(knots, x, y, station)
@@ -193,5 +201,8 @@ class Tracker:
         """The plan as a path."""
         if self._path is None or plan is not self._plan:
             prepare = self._prepare
-            self._plan, self._path = plan, PlanPath.of(prepare(plan.trajectory) if prepare else plan.trajectory)
+            self._plan, self._path = (
+                plan,
+                PlanPath.of(prepare(plan.trajectory) if prepare else plan.trajectory),
+            )
         return self._path

@@ -35,7 +35,7 @@ from replan.core.kernel import inner_kernel, kernel
 from replan.logs.states import Command, EgoState
 from replan.logs.vehicle import VehicleParameters
 from replan.replay.vehicle.base import Controller, MotionState, Plain, plain, steady_pedals
-from replan.replay.vehicle.drivetrain import (  # fmt: skip
+from replan.replay.vehicle.drivetrain import (
     SHORTEST_LAG_S,
     DriveTables,
     Drivetrain,
@@ -104,7 +104,21 @@ def named_car(p: Plain) -> SingleTrackCar:
     """The car that plain tuples hold (`replan.replay.vehicle.base.plain`)."""
     front, rear, drive = Tyre(*p[5]), Tyre(*p[6]), DriveTables(*p[8])
     return SingleTrackCar(
-        p[0], p[1], p[2], p[3], p[4], front, rear, p[7], drive, p[9], p[10], p[11], p[12], p[13], p[14]
+        p[0],
+        p[1],
+        p[2],
+        p[3],
+        p[4],
+        front,
+        rear,
+        p[7],
+        drive,
+        p[9],
+        p[10],
+        p[11],
+        p[12],
+        p[13],
+        p[14],
     )
 
 
@@ -153,12 +167,18 @@ def wheel_forces(
     friction = car.drive.rolling + s.brake * car.drive.max_decel
     drive_front = drive if drive > 0.0 else drive * way_front
     drive_rear = drive if drive > 0.0 else drive * way_rear
-    pull = car.front_drive * drive_front + (1.0 - car.front_drive) * drive_rear - friction * way_rear
+    pull = (
+        car.front_drive * drive_front + (1.0 - car.front_drive) * drive_rear - friction * way_rear
+    )
     load_front, load_rear = loads(pull, car)
     share = 1.0 - REAR_BRAKE * load_rear / (load_front + load_rear)  # (7)
     wanted_front = car.mass * (car.front_drive * drive_front - share * friction * way_front)
-    wanted_rear = car.mass * ((1.0 - car.front_drive) * drive_rear - (1.0 - share) * friction * way_rear)
-    fx_front, fy_front = axle_force(left_front / floored(ahead_front), load_front, wanted_front, car.front)
+    wanted_rear = car.mass * (
+        (1.0 - car.front_drive) * drive_rear - (1.0 - share) * friction * way_rear
+    )
+    fx_front, fy_front = axle_force(
+        left_front / floored(ahead_front), load_front, wanted_front, car.front
+    )
     fx_rear, fy_rear = axle_force(left_rear / floored(s.vx), load_rear, wanted_rear, car.rear)
     return fx_front, fy_front, fx_rear, fy_rear
 
@@ -174,7 +194,10 @@ def rate(
 ) -> SingleTrackState:
     """(1)-(8): the state's rate; only the actuators move where the vehicle does not."""
     steer = steer_rate(s.steer, command[0], car.steering)
-    throttle, brake = (command[1] - s.throttle) / car.throttle_lag, (command[2] - s.brake) / car.brake_lag
+    throttle, brake = (
+        (command[1] - s.throttle) / car.throttle_lag,
+        (command[2] - s.brake) / car.brake_lag,
+    )
     if not moves:
         return SingleTrackState(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, steer, throttle, brake)
     fx_front, fy_front, fx_rear, fy_rear = wheel_forces(s, direction, gear, car)
@@ -186,20 +209,31 @@ def rate(
         s.vx * sin(s.yaw) + v_lat * cos(s.yaw),
         s.r,
         (fx_front * cosine - fy_front * sine + fx_rear) / car.mass
-        - car.drive.drag * s.vx * abs(s.vx) - GRAVITY * car.grade_sin + s.r * s.vy,  # (2)
+        - car.drive.drag * s.vx * abs(s.vx)
+        - GRAVITY * car.grade_sin
+        + s.r * s.vy,  # (2)
         (side + fy_rear) / car.mass - s.r * s.vx,  # (3)
         (car.a * side - car.b * fy_rear) / car.inertia,  # (4)
-        steer, throttle, brake,  # (8)
-    )  # fmt: skip
+        steer,
+        throttle,
+        brake,  # (8)
+    )
 
 
 @inner_kernel
 def moved(s: SingleTrackState, k: SingleTrackState, h: float) -> SingleTrackState:
     """The state after `h` s at a constant rate."""
     return SingleTrackState(
-        s.x + h * k.x, s.y + h * k.y, s.yaw + h * k.yaw, s.vx + h * k.vx, s.vy + h * k.vy, s.r + h * k.r,
-        s.steer + h * k.steer, s.throttle + h * k.throttle, s.brake + h * k.brake,
-    )  # fmt: skip
+        s.x + h * k.x,
+        s.y + h * k.y,
+        s.yaw + h * k.yaw,
+        s.vx + h * k.vx,
+        s.vy + h * k.vy,
+        s.r + h * k.r,
+        s.steer + h * k.steer,
+        s.throttle + h * k.throttle,
+        s.brake + h * k.brake,
+    )
 
 
 @inner_kernel
@@ -247,7 +281,12 @@ def substeps(vx: float, dt: float, limit: float, car: SingleTrackCar) -> int:
 
 @kernel
 def advance(
-    s: SingleTrackState, box: Gearbox, command: tuple[float, float, float], car: SingleTrackCar, dt: float, steps: int
+    s: SingleTrackState,
+    box: Gearbox,
+    command: tuple[float, float, float],
+    car: SingleTrackCar,
+    dt: float,
+    steps: int,
 ) -> tuple[SingleTrackState, Gearbox]:
     """State and gearbox after holding `command` (steer, throttle, brake) for `dt` s, in `steps` equal sub-steps."""
     h = dt / steps
@@ -258,7 +297,9 @@ def advance(
         if (after.vx * s.vx < 0.0 or (s.vx == 0.0 and after.vx < 0.0)) and not slides(after, car):
             until = h * s.vx / (s.vx - after.vx)
             stop = runge_kutta(s, asked, moves, direction, box.gear, car, until)
-            stop = SingleTrackState(stop.x, stop.y, stop.yaw, 0.0, 0.0, 0.0, stop.steer, stop.throttle, stop.brake)
+            stop = SingleTrackState(
+                stop.x, stop.y, stop.yaw, 0.0, 0.0, 0.0, stop.steer, stop.throttle, stop.brake
+            )
             after = runge_kutta(stop, asked, False, 1.0, box.gear, car, h - until)
         s, box = after, shifted(box, after.vx, command[1], car.drive, h)
     return s, box
@@ -266,7 +307,11 @@ def advance(
 
 @kernel
 def motion(
-    s: SingleTrackState, box: Gearbox, command: tuple[float, float, float], car: SingleTrackCar, t: float
+    s: SingleTrackState,
+    box: Gearbox,
+    command: tuple[float, float, float],
+    car: SingleTrackCar,
+    t: float,
 ) -> MotionState:
     """The motion at `t` under a command.
 
@@ -340,7 +385,9 @@ class SingleTrack:
         grade: float = 0.0,
     ) -> None:
         self.powertrain = Drivetrain(parameters)
-        self.model = car_of(parameters, self.powertrain, tyre=tyre, tyre_stiffness=tyre_stiffness, grade=grade)
+        self.model = car_of(
+            parameters, self.powertrain, tyre=tyre, tyre_stiffness=tyre_stiffness, grade=grade
+        )
         self.numbers: Plain = plain(self.model)
         self.inner = cornering(self.model, start, self.powertrain)
         self.box = self.powertrain.gearbox(self.inner.vx, self.inner.throttle)
@@ -362,25 +409,47 @@ class SingleTrack:
         """Hold the command for `dt` s."""
         held = (float(command.steer), float(command.throttle), float(command.brake))
         line = with_room(self.brakes, round(dt * 1e9))
-        self.inner, self.box, self.brakes, now = step(self.inner, self.box, line, held, self.model, self.state.t, dt)
+        self.inner, self.box, self.brakes, now = step(
+            self.inner, self.box, line, held, self.model, self.state.t, dt
+        )
         self.state = EgoState(*now)
         return self.state
 
 
 def car_of(
-    p: VehicleParameters, train: Drivetrain, *, tyre: str = "pacejka", tyre_stiffness: float = 1.0, grade: float = 0.0
+    p: VehicleParameters,
+    train: Drivetrain,
+    *,
+    tyre: str = "pacejka",
+    tyre_stiffness: float = 1.0,
+    grade: float = 0.0,
 ) -> SingleTrackCar:
     """What the kernels take; ConfigError as `axle_tyres`."""
     front, rear = axle_tyres(p, tyre, float(tyre_stiffness))
     slope = atan(float(grade))
-    steering: Steering = (float(p.max_steer), float(p.max_steer_rate), max(float(p.steer_lag), SHORTEST_LAG_S))
+    steering: Steering = (
+        float(p.max_steer),
+        float(p.max_steer_rate),
+        max(float(p.steer_lag), SHORTEST_LAG_S),
+    )
     lags = (max(float(p.throttle_lag), SHORTEST_LAG_S), max(float(p.brake_lag), SHORTEST_LAG_S))
     return SingleTrackCar(
-        mass=float(p.mass), inertia=float(p.yaw_inertia), a=float(p.cog_to_front), b=float(p.cog_to_rear),
-        height=float(p.cog_height), front=front, rear=rear, front_drive=float(p.drive_front_share), drive=train.tables,
-        steering=steering, throttle_lag=lags[0], brake_lag=lags[1], grade_sin=sin(slope), grade_cos=cos(slope),
+        mass=float(p.mass),
+        inertia=float(p.yaw_inertia),
+        a=float(p.cog_to_front),
+        b=float(p.cog_to_rear),
+        height=float(p.cog_height),
+        front=front,
+        rear=rear,
+        front_drive=float(p.drive_front_share),
+        drive=train.tables,
+        steering=steering,
+        throttle_lag=lags[0],
+        brake_lag=lags[1],
+        grade_sin=sin(slope),
+        grade_cos=cos(slope),
         substep=min(MAX_SUBSTEP_S, 0.5 * min(steering[2], *lags)),
-    )  # fmt: skip
+    )
 
 
 def cornering(car: SingleTrackCar, start: EgoState, train: Drivetrain) -> SingleTrackState:
@@ -390,13 +459,25 @@ def cornering(car: SingleTrackCar, start: EgoState, train: Drivetrain) -> Single
     steer = atan((car.a + car.b) * start.kappa)
     v_lat = 0.0
     if v >= SLIP_MPS:
-        pull = min(max(v * r, -0.9 * car.front.friction * GRAVITY), 0.9 * car.front.friction * GRAVITY)
+        pull = min(
+            max(v * r, -0.9 * car.front.friction * GRAVITY), 0.9 * car.front.friction * GRAVITY
+        )
         front, rear = loads(start.a, car)
         share = car.mass * pull / (car.a + car.b)
         v_lat = v * slip_for(share * car.a, rear, car.rear)
-        steer = atan2(v_lat + (car.a + car.b) * r, v) - atan(slip_for(share * car.b, front, car.front))
+        steer = atan2(v_lat + (car.a + car.b) * r, v) - atan(
+            slip_for(share * car.b, front, car.front)
+        )
     steer = min(max(steer, -car.steering[0]), car.steering[0])
     throttle, brake = steady_pedals(train, start.a, v)
     return SingleTrackState(
-        float(start.x), float(start.y), float(start.yaw), v, v_lat + car.b * r, r, steer, throttle, brake
-    )  # fmt: skip
+        float(start.x),
+        float(start.y),
+        float(start.yaw),
+        v,
+        v_lat + car.b * r,
+        r,
+        steer,
+        throttle,
+        brake,
+    )

@@ -122,10 +122,27 @@ def axle_tyres(parameters: VehicleParameters, kind: str, stiffness: float) -> tu
         raise ConfigError(f"tyre_stiffness must be positive, got {stiffness}")
     p = parameters
     weight = p.mass * GRAVITY / p.wheelbase
-    numbers = float(p.tyre_friction), float(p.tyre_load_sensitivity), float(p.tyre_shape), float(p.tyre_curvature)
+    numbers = (
+        float(p.tyre_friction),
+        float(p.tyre_load_sensitivity),
+        float(p.tyre_shape),
+        float(p.tyre_curvature),
+    )
     return (
-        Tyre(TYRES[kind], float(stiffness * p.cornering_front), float(weight * p.cog_to_rear), *numbers, FRONT_SHARE),
-        Tyre(TYRES[kind], float(stiffness * p.cornering_rear), float(weight * p.cog_to_front), *numbers, REAR_SHARE),
+        Tyre(
+            TYRES[kind],
+            float(stiffness * p.cornering_front),
+            float(weight * p.cog_to_rear),
+            *numbers,
+            FRONT_SHARE,
+        ),
+        Tyre(
+            TYRES[kind],
+            float(stiffness * p.cornering_rear),
+            float(weight * p.cog_to_front),
+            *numbers,
+            REAR_SHARE,
+        ),
     )
 
 
@@ -162,4 +179,7 @@ def tyre_use(ego: Trajectory, done: Controls, car: VehicleParameters) -> TyreUse
     rear = np.angle(np.exp(1j * (np.arctan2(vy, vx) - ego.yaw)))  # (8)
     rear = np.where(ego.v >= SLOWEST_MPS, rear, np.nan)
     front = np.arctan(np.tan(rear) + car.wheelbase * ego.kappa) - done.steer  # (9): r / v is kappa
-    return TyreUse(front, rear, np.hypot(ego.a, ego.v**2 * ego.kappa) / (car.tyre_friction * GRAVITY))  # (10)
+    # (10)
+    return TyreUse(
+        front, rear, np.hypot(ego.a, ego.v**2 * ego.kappa) / (car.tyre_friction * GRAVITY)
+    )

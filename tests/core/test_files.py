@@ -12,7 +12,14 @@ from command_line import replan
 from short_logs import short
 
 from replan.core.errors import ConfigError, LogError
-from replan.core.files import DEEPEST_TOML, LARGEST_TOML_BYTES, check_regular, heads, listed, read_toml
+from replan.core.files import (
+    DEEPEST_TOML,
+    LARGEST_TOML_BYTES,
+    check_regular,
+    heads,
+    listed,
+    read_toml,
+)
 from replan.logs.mcap import read_scenario, write_scenario
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="the system has no named pipes")
@@ -51,11 +58,17 @@ def pipe(tmp_path: Path) -> Path:
         ("salvage PIPE OUT.mcap", 2),
     ],
 )
-def test_a_pipe_in_place_of_a_file_is_refused_in_one_line(pipe: Path, words: str, code: int) -> None:
+def test_a_pipe_in_place_of_a_file_is_refused_in_one_line(
+    pipe: Path, words: str, code: int
+) -> None:
     for suffix in (".mcap", ".csv", ".xml"):
         os.mkfifo(f"{pipe}{suffix}")
     write_scenario(pipe.parent / "log.mcap", short("test/log"))
-    places = {"PIPE": str(pipe), "OUT": str(pipe.parent / "out"), "LOG": str(pipe.parent / "log.mcap")}
+    places = {
+        "PIPE": str(pipe),
+        "OUT": str(pipe.parent / "out"),
+        "LOG": str(pipe.parent / "log.mcap"),
+    }
     for name, place in places.items():
         words = words.replace(name, place)
     done = replan(*words.split())
@@ -83,12 +96,17 @@ def test_sockets_and_devices_are_refused_and_files_and_folders_are_not(tmp_path:
         ("a = " + 20_000 * "{a=" + "1" + 20_000 * "}", f"nested deeper than {DEEPEST_TOML}"),
         (".".join(["a"] * 20_000) + " = 1", f"nested deeper than {DEEPEST_TOML}"),
         ("[planner.x]\na = " + 200 * "[" + 200 * "]", f"nested deeper than {DEEPEST_TOML}"),
-        ("#" * (LARGEST_TOML_BYTES + 1), f"has {LARGEST_TOML_BYTES + 1} bytes, at most {LARGEST_TOML_BYTES}"),
+        (
+            "#" * (LARGEST_TOML_BYTES + 1),
+            f"has {LARGEST_TOML_BYTES + 1} bytes, at most {LARGEST_TOML_BYTES}",
+        ),
     ],
     ids=["lists", "tables", "dotted", "planner", "large"],
 )
 @pytest.mark.parametrize("option", ["--config", "--gates"])
-def test_a_table_that_is_nested_or_too_large_costs_one_line(tmp_path: Path, text: str, what: str, option: str) -> None:
+def test_a_table_that_is_nested_or_too_large_costs_one_line(
+    tmp_path: Path, text: str, what: str, option: str
+) -> None:
     file = tmp_path / "deep.toml"
     file.write_text(text)
     done = replan("evaluate", option, file, "-o", tmp_path / "out")
@@ -123,7 +141,9 @@ def test_json_nested_without_end_in_a_log_costs_one_line(tmp_path: Path) -> None
 
 @pytest.fixture
 def store() -> Iterator[Any]:
-    fsspec = pytest.importorskip("fsspec", reason="the extra s3 is not installed: pip install 'replan[s3]'")
+    fsspec = pytest.importorskip(
+        "fsspec", reason="the extra s3 is not installed: pip install 'replan[s3]'"
+    )
     system = fsspec.filesystem("memory")
     yield system
     system.store.clear()

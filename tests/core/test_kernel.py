@@ -32,13 +32,26 @@ USE = "from replan.logs.shapes import corners\nprint(corners(1.0, 2.0, 0.5, 4.0,
 
 @pytest.mark.slow
 @pytest.mark.parametrize("without", [NO_PLACE, pytest.param(NO_ROOM, marks=pytest.mark.slow)])
-def test_without_a_cache_kernels_are_compiled_anew_and_it_is_said_once(without: str, tmp_path: Path) -> None:
+def test_without_a_cache_kernels_are_compiled_anew_and_it_is_said_once(
+    without: str, tmp_path: Path
+) -> None:
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     environment.pop("NUMBA_DISABLE_JIT", None)
-    options = {"cwd": tmp_path, "env": environment, "capture_output": True, "text": True, "check": True}
-    said = [subprocess.run([sys.executable, "-c", before + USE], **options) for before in (without, "")]
+    options = {
+        "cwd": tmp_path,
+        "env": environment,
+        "capture_output": True,
+        "text": True,
+        "check": True,
+    }
+    said = [
+        subprocess.run([sys.executable, "-c", before + USE], **options) for before in (without, "")
+    ]
     assert said[0].stdout == said[1].stdout != ""
-    assert said[0].stderr.count("compiled kernels cannot be kept") == 1 and "NUMBA_CACHE_DIR" in said[0].stderr
+    assert (
+        said[0].stderr.count("compiled kernels cannot be kept") == 1
+        and "NUMBA_CACHE_DIR" in said[0].stderr
+    )
     assert said[1].stderr == ""
 
 
@@ -87,7 +100,11 @@ def test_code_on_disk_is_stale_where_a_called_kernel_or_a_constant_has_changed_b
         (tmp_path / "inner.py").write_text(inner, encoding="utf-8")
         (tmp_path / "constants.py").write_text(f"RATE = {rate}.0", encoding="utf-8")
         run = [sys.executable, "-B", str(tmp_path / "outer.py")]
-        said.append(subprocess.run(run, env=environment, capture_output=True, text=True, check=True).stdout.split())
+        said.append(
+            subprocess.run(
+                run, env=environment, capture_output=True, text=True, check=True
+            ).stdout.split()
+        )
     assert said == [["7.0", "2"], *3 * [["7.0", "0"]], ["11.0", "2"], ["17.0", "1"]]
 
 
@@ -120,14 +137,33 @@ def test_code_on_disk_is_stale_where_a_name_a_field_or_a_member_has_changed(tmp_
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     environment |= {"NUMBA_CACHE_DIR": str(tmp_path / "kept")}
     environment.pop("NUMBA_DISABLE_JIT", None)
-    this = {"name": "Pair", "first": "x", "second": "y", "step": 0, "function": "square", "field": "y"}
+    this = {
+        "name": "Pair",
+        "first": "x",
+        "second": "y",
+        "step": 0,
+        "function": "square",
+        "field": "y",
+    }
     said = []
-    changes = ({"function": "sqrt"}, {"field": "x"}, {"first": "y", "second": "x"}, {"step": 10}, {"name": "Two"})
+    changes = (
+        {"function": "sqrt"},
+        {"field": "x"},
+        {"first": "y", "second": "x"},
+        {"step": 10},
+        {"name": "Two"},
+    )
     for change in ({}, *changes):
         this |= change
         (tmp_path / "named.py").write_text(NAMED.format(**this), encoding="utf-8")
         run = [sys.executable, "-B", str(tmp_path / "named.py")]
-        said.append(float(subprocess.run(run, env=environment, capture_output=True, text=True, check=True).stdout))
+        said.append(
+            float(
+                subprocess.run(
+                    run, env=environment, capture_output=True, text=True, check=True
+                ).stdout
+            )
+        )
     assert said == [16.0, 2.0, 1.0, 2.0, 12.0, 12.0]
 
 
@@ -157,7 +193,9 @@ print(f(Pair(2.0, 3.0)))
 
 
 @pytest.mark.slow
-def test_code_on_disk_is_stale_where_a_kernel_or_a_named_tuple_has_moved_to_another_module(tmp_path: Path) -> None:
+def test_code_on_disk_is_stale_where_a_kernel_or_a_named_tuple_has_moved_to_another_module(
+    tmp_path: Path,
+) -> None:
     """Reading it would import the module that is gone."""
     path = os.pathsep.join([str(tmp_path), *sys.path])
     environment = {**os.environ, "PYTHONPATH": path, "NUMBA_CACHE_DIR": str(tmp_path / "kept")}
@@ -167,7 +205,13 @@ def test_code_on_disk_is_stale_where_a_kernel_or_a_named_tuple_has_moved_to_anot
         (tmp_path / f"{module}.py").write_text(MOVED, encoding="utf-8")
         (tmp_path / "user.py").write_text(USER.format(module=module), encoding="utf-8")
         run = [sys.executable, "-B", str(tmp_path / "user.py")]
-        said.append(float(subprocess.run(run, env=environment, capture_output=True, text=True, check=True).stdout))
+        said.append(
+            float(
+                subprocess.run(
+                    run, env=environment, capture_output=True, text=True, check=True
+                ).stdout
+            )
+        )
         (tmp_path / f"{module}.py").unlink()
     assert said == [6.0, 6.0]
 
@@ -190,7 +234,9 @@ print(times(2.0), compiled_count())
 
 
 @pytest.mark.slow
-def test_code_beside_the_sources_is_found_where_they_are_copied_and_only_what_it_is_for(tmp_path: Path) -> None:
+def test_code_beside_the_sources_is_found_where_they_are_copied_and_only_what_it_is_for(
+    tmp_path: Path,
+) -> None:
     """As a wheel brings it: at another place, read-only, another folder chosen; not for another processor or code."""
     built, used, other = tmp_path / "built", tmp_path / "used", tmp_path / "other"
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
@@ -200,7 +246,9 @@ def test_code_beside_the_sources_is_found_where_they_are_copied_and_only_what_it
     def said(factor: int, **more: str) -> list[str]:
         (used / "times.py").write_text(BROUGHT.format(factor=factor), encoding="utf-8")
         run = [sys.executable, "-B", str(used / "times.py")]
-        done = subprocess.run(run, env={**environment, **more}, capture_output=True, text=True, check=True)
+        done = subprocess.run(
+            run, env={**environment, **more}, capture_output=True, text=True, check=True
+        )
         return [*done.stdout.split(), done.stderr.partition(":")[0]]
 
     used.mkdir()
@@ -217,11 +265,18 @@ def test_code_beside_the_sources_is_found_where_they_are_copied_and_only_what_it
 
 
 @pytest.mark.skipif("NUMBA_DISABLE_JIT" in os.environ, reason="nothing is compiled")
-def test_two_processes_that_compile_at_once_never_find_the_code_of_each_other(tmp_path: Path) -> None:
+def test_two_processes_that_compile_at_once_never_find_the_code_of_each_other(
+    tmp_path: Path,
+) -> None:
     """Law over the orders in which two processes look, keep the index, and keep the code of their own arguments."""
     compiled = cast("Any", wrap)
-    for order in itertools.permutations(("look a", "data a", "index a", "look b", "data b", "index b")):
-        if any(order.index(f"look {x}") > min(order.index(f"data {x}"), order.index(f"index {x}")) for x in "ab"):
+    for order in itertools.permutations(
+        ("look a", "data a", "index a", "look b", "data b", "index b")
+    ):
+        if any(
+            order.index(f"look {x}") > min(order.index(f"data {x}"), order.index(f"index {x}"))
+            for x in "ab"
+        ):
             continue
         if any(order.index(f"data {x}") > order.index(f"index {x}") for x in "ab"):
             continue

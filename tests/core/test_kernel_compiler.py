@@ -123,8 +123,16 @@ def test_an_inner_kernel_on_disk_serves_the_kernels_of_other_processes(tmp_path:
     for name, more in (("one", 1.0), ("two", 2.0), ("two", 2.0)):
         (tmp_path / f"{name}.py").write_text(OUTER.format(name=name, more=more), encoding="utf-8")
         run = [sys.executable, "-B", str(tmp_path / f"{name}.py")]
-        said.append(subprocess.run(run, env=environment, capture_output=True, text=True, check=True).stdout.split())
-    assert said == [["7.0", "2", "below", "zero"], ["8.0", "1", "below", "zero"], ["8.0", "0", "below", "zero"]]
+        said.append(
+            subprocess.run(
+                run, env=environment, capture_output=True, text=True, check=True
+            ).stdout.split()
+        )
+    assert said == [
+        ["7.0", "2", "below", "zero"],
+        ["8.0", "1", "below", "zero"],
+        ["8.0", "0", "below", "zero"],
+    ]
 
 
 def test_options_are_compared_with_their_defaults() -> None:

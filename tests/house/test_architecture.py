@@ -56,7 +56,14 @@ def test_the_way_of_one_log_is_the_files_that_the_page_lists(tmp_path: Path) -> 
     listed = set(re.findall(r"`([\w/]+\.py)`", steps))
     assert len(listed) <= MOST_FILES and f"is {len(listed)} files" in steps
     write_scenario(tmp_path / "a.mcap", short("test/a", parked=True))
-    command = ["evaluate", str(tmp_path / "a.mcap"), "--out", str(tmp_path / "out"), "--workers", "0"]
+    command = [
+        "evaluate",
+        str(tmp_path / "a.mcap"),
+        "--out",
+        str(tmp_path / "out"),
+        "--workers",
+        "0",
+    ]
     python = [sys.executable, "-c", TRACED, f"{ROOT}/"]
     done = subprocess.run([*python, *command], cwd=ROOT, capture_output=True, text=True, check=True)
     run = json.loads(done.stdout.splitlines()[-1])
@@ -79,7 +86,9 @@ print(json.dumps({module: sorted(graph.find_modules_directly_imported_by(module)
 
 def test_no_module_imports_itself_through_others() -> None:
     command = [sys.executable, "-c", GRAPH, *LINTER["root_packages"]]
-    done = subprocess.run(command, cwd=ROOT / "build" / "ns", capture_output=True, text=True, check=True)
+    done = subprocess.run(
+        command, cwd=ROOT / "build" / "ns", capture_output=True, text=True, check=True
+    )
     imported = json.loads(done.stdout)
     assert len(imported) > 350
     TopologicalSorter(imported).prepare()  # CycleError names a circle
@@ -94,7 +103,16 @@ def test_no_circle_of_packages_is_ignored() -> None:
 PACKAGES = ("logs", "metrics", "planners", "replay", "replan")
 MESSAGES = ("logs/mcap/native.py", "replay/planner_process/messages.py")
 """Their classes are nouns on the wire: they have the nouns' names, and are used with the module's name before them."""
-ROLES = {"__init__.py", "base.py", "planner.py", "stage.py", "problem.py", "dp.py", "qp.py", "tracks.py"}
+ROLES = {
+    "__init__.py",
+    "base.py",
+    "planner.py",
+    "stage.py",
+    "problem.py",
+    "dp.py",
+    "qp.py",
+    "tracks.py",
+}
 COMMANDS = "replan/cli/"
 """A command's file has the name of what it calls."""
 
@@ -112,7 +130,12 @@ def repeated(named: dict[str, list[str]]) -> dict[str, list[str]]:
 def syntax(inside: str) -> tuple[list[str], list[tuple[str | None, str]]]:
     """The classes that a source defines, and modules and names that it imports from."""
     nodes = list(ast.walk(ast.parse((ROOT / inside).read_text(encoding="utf-8"))))
-    imports = [(node.module, alias.name) for node in nodes if isinstance(node, ast.ImportFrom) for alias in node.names]
+    imports = [
+        (node.module, alias.name)
+        for node in nodes
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+    ]
     return [node.name for node in nodes if isinstance(node, ast.ClassDef)], imports
 
 

@@ -27,11 +27,14 @@ from replan.logs.readers import readers
 
 ROOT = Path(__file__).parents[2]
 PAGES = (
-    *sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "examples").rglob("*.md")),
+    *sorted(ROOT.glob("*.md")),
+    *sorted((ROOT / "docs").glob("*.md")),
+    *sorted((ROOT / "examples").rglob("*.md")),
     *(ROOT / name for name in ("tests/verdicts.md", "benchmarks/README.md", "studies/README.md")),
-)  # fmt: skip
+)
 FENCE = re.compile(
-    r"(?:<!-- not run: (?P<why>[^\n]+?) -->\n)?^ *```(?P<kind>\w*)\n(?P<text>.*?)^ *```$", re.MULTILINE | re.DOTALL
+    r"(?:<!-- not run: (?P<why>[^\n]+?) -->\n)?^ *```(?P<kind>\w*)\n(?P<text>.*?)^ *```$",
+    re.MULTILINE | re.DOTALL,
 )
 EXIT = re.compile(r"# exit code (\d)")
 OPTION = re.compile(r"--[a-z][\w-]*")
@@ -75,7 +78,10 @@ FIRST = ("README.md", "docs/start.md")
 
 def with_commands() -> list[Any]:
     found = [page for page in PAGES if any(commands(page))]
-    return [page if named(page) in FIRST else pytest.param(page, marks=pytest.mark.nightly) for page in found]
+    return [
+        page if named(page) in FIRST else pytest.param(page, marks=pytest.mark.nightly)
+        for page in found
+    ]
 
 
 @pytest.fixture
@@ -126,7 +132,9 @@ def test_every_command_runs_in_order(page: Path, desk: Path) -> None:
                 del sys.modules[name]
 
 
-@pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "python", "toml")], ids=named)
+@pytest.mark.parametrize(
+    "page", [page for page in PAGES if blocks(page, "python", "toml")], ids=named
+)
 def test_programs_and_settings_are_whole(page: Path, desk: Path) -> None:
     """Programs compile; those without a name run; settings are TOML."""
     put_files(page, desk)
@@ -135,7 +143,9 @@ def test_programs_and_settings_are_whole(page: Path, desk: Path) -> None:
     for block in blocks(page, "python"):
         compile(block.text, page.name, "exec")
         if block.why is None and file_name(block) is None:
-            done = subprocess.run([sys.executable, "-c", block.text], capture_output=True, text=True, check=False)
+            done = subprocess.run(
+                [sys.executable, "-c", block.text], capture_output=True, text=True, check=False
+            )
             assert done.returncode == 0, done.stderr
 
 
@@ -143,18 +153,24 @@ def test_every_program_of_a_page_is_run() -> None:
     """A named program is run by a command of its page, or is a module that a command or another program names."""
     for page in PAGES:
         said = " ".join(" ".join(words) for words, _ in commands(page))
-        programs = [block for block in blocks(page, "python") if block.why is None and file_name(block)]
+        programs = [
+            block for block in blocks(page, "python") if block.why is None and file_name(block)
+        ]
         for block in programs:
             name = Path(file_name(block) or "").stem
             others = [other.text for other in programs if other is not block]
-            assert re.search(rf"\b{name}\b", said + " ".join(others)), f"{page.name}: {name}.py is run by nothing"
+            assert re.search(rf"\b{name}\b", said + " ".join(others)), (
+                f"{page.name}: {name}.py is run by nothing"
+            )
 
 
 def shown_commands(page: Path) -> Iterator[list[str]]:
     """The words of every `replan ...` of a page, run or not: in blocks, indented, and in the text."""
     text = page.read_text(encoding="utf-8").replace("\\\n", " ")
     fenced = "\n".join(block.text for block in blocks(page, "sh")).replace("\\\n", " ")
-    lines = re.findall(r"^ *(replan .+)$", fenced, re.MULTILINE) + re.findall(r"^ {4,}(replan .+)$", text, re.MULTILINE)
+    lines = re.findall(r"^ *(replan .+)$", fenced, re.MULTILINE) + re.findall(
+        r"^ {4,}(replan .+)$", text, re.MULTILINE
+    )
     lines += re.findall(r"`(replan [^`]+)`", text)
     for line in lines:
         yield shlex.split(line.replace("\n", " "), comments=True)[1:]
@@ -170,8 +186,14 @@ def test_every_option_of_a_shown_command_exists(page: Path) -> None:
         command, rest = root, words
         while rest and rest[0] in getattr(command, "commands", {}):
             command, rest = command.commands[rest[0]], rest[1:]
-        assert command is not root or words[0].startswith("-"), f"replan {shlex.join(words)}: no such command"
-        known = {option for param in (*command.params, *root.params) for option in (*param.opts, *param.secondary_opts)}
+        assert command is not root or words[0].startswith("-"), (
+            f"replan {shlex.join(words)}: no such command"
+        )
+        known = {
+            option
+            for param in (*command.params, *root.params)
+            for option in (*param.opts, *param.secondary_opts)
+        }
         asked = {word.partition("=")[0] for word in rest if re.match(r"--?[a-zA-Z]", word)}
         assert asked <= known | {"--help", "-h"}, f"replan {shlex.join(words)}: {asked - known}"
 
@@ -185,8 +207,21 @@ def test_shown_code_is_fenced_as_a_language() -> None:
 
 # names of files, modules, options and anchors that the pages show ---------------------------------------------------
 
-FOLDERS = (".ci", ".github", "benchmarks", "ci", "docs", "examples", "logs", "metrics", "planners", "replan", "replay",
-           "studies", "tests")  # fmt: skip
+FOLDERS = (
+    ".ci",
+    ".github",
+    "benchmarks",
+    "ci",
+    "docs",
+    "examples",
+    "logs",
+    "metrics",
+    "planners",
+    "replan",
+    "replay",
+    "studies",
+    "tests",
+)
 FILES = {path.name for folder in FOLDERS for path in (ROOT / folder).rglob("*.py")}
 NAMED = [page for page in PAGES if page.name != "CHANGELOG.md"]
 """Pages whose names are those of today: the changelog has names of earlier versions, too."""
@@ -209,7 +244,9 @@ def is_defined(module: str) -> bool:
     parts = module.split(".")
     for count in range(len(parts), 0, -1):
         place = ROOT.joinpath(*parts[:count])
-        file = next((f for f in (place.with_suffix(".py"), place / "__init__.py") if f.is_file()), None)
+        file = next(
+            (f for f in (place.with_suffix(".py"), place / "__init__.py") if f.is_file()), None
+        )
         if file is not None or place.is_dir():
             text = "" if file is None else file.read_text(encoding="utf-8")
             return all(re.search(rf"\b{name}\b", text) for name in parts[count : count + 1])
@@ -239,10 +276,14 @@ def test_every_file_and_module_that_a_page_names_exists(page: Path) -> None:
 def test_every_test_that_a_page_names_exists(page: Path) -> None:
     """`path::name`, or `::name` of the file before it."""
     file = ""
-    for path, name in re.findall(r"`(tests/[\w/]+\.py)?(?:::(\w+))?`", page.read_text(encoding="utf-8")):
+    for path, name in re.findall(
+        r"`(tests/[\w/]+\.py)?(?:::(\w+))?`", page.read_text(encoding="utf-8")
+    ):
         if path or name:
             file = path or file
-            assert not name or f"def {name}(" in (ROOT / file).read_text(encoding="utf-8"), f"{file}::{name}"
+            assert not name or f"def {name}(" in (ROOT / file).read_text(encoding="utf-8"), (
+                f"{file}::{name}"
+            )
 
 
 def anchors(page: Path) -> set[str]:
@@ -274,7 +315,11 @@ def test_every_option_in_the_text_is_one_of_replan_or_of_a_command_shown_there()
             for line in re.findall(r"\b(?:pip|python|git|docker|ssh)\b.*", text)
             for option in OPTION.findall(line)
         }
-        named_here = {name.partition("=")[0] for name in code_names(page) if OPTION.fullmatch(name.partition("=")[0])}
+        named_here = {
+            name.partition("=")[0]
+            for name in code_names(page)
+            if OPTION.fullmatch(name.partition("=")[0])
+        }
         assert named_here <= options | shown, f"{page.name}: {named_here - options - shown}"
 
 
@@ -287,7 +332,9 @@ def test_every_option_of_a_program_of_ours_is_in_its_source() -> None:
             file = ROOT / (name if name.endswith(".py") else f"{name.replace('.', '/')}.py")
             for option in OPTION.findall(rest) if file.is_file() else ():
                 found += 1
-                assert f'"{option}"' in file.read_text(encoding="utf-8"), f"{page.name}: {name} {option}"
+                assert f'"{option}"' in file.read_text(encoding="utf-8"), (
+                    f"{page.name}: {name} {option}"
+                )
     assert found > 10
 
 

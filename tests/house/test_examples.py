@@ -24,14 +24,19 @@ def shown(source: str, names: dict[str, Any]) -> Any:
     tree = ast.parse(source)
     last = tree.body.pop() if isinstance(tree.body[-1], ast.Expr) else None
     exec(compile(tree, "cell", "exec"), names)
-    return None if last is None else eval(compile(ast.Expression(last.value), "cell", "eval"), names)  # type: ignore[attr-defined]
+    return (
+        None if last is None else eval(compile(ast.Expression(last.value), "cell", "eval"), names)
+    )  # type: ignore[attr-defined]
 
 
 def test_the_notebook_is_a_notebook_without_outputs() -> None:
     assert (NOTEBOOK["nbformat"], NOTEBOOK["nbformat_minor"]) == (4, 5)
     assert len({cell["id"] for cell in NOTEBOOK["cells"]}) == len(NOTEBOOK["cells"])
     for cell in NOTEBOOK["cells"]:
-        assert cell["cell_type"] == "markdown" or (cell["outputs"], cell["execution_count"]) == ([], None)
+        assert cell["cell_type"] == "markdown" or (cell["outputs"], cell["execution_count"]) == (
+            [],
+            None,
+        )
 
 
 @pytest.mark.slow
@@ -39,7 +44,11 @@ def test_the_notebook_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.chdir(tmp_path)
     names: dict[str, Any] = {}
     with mpl.rc_context({"backend": "agg"}):
-        cells = [shown("".join(cell["source"]), names) for cell in NOTEBOOK["cells"] if cell["cell_type"] == "code"]
+        cells = [
+            shown("".join(cell["source"]), names)
+            for cell in NOTEBOOK["cells"]
+            if cell["cell_type"] == "code"
+        ]
         import matplotlib.pyplot as plt
 
         plt.close("all")
@@ -48,7 +57,9 @@ def test_the_notebook_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     assert len(drives) == 6
     assert metrics.shape == (5, 6)
     assert pairs["dp_qp - idm"].notna().any()
-    gaps = names["result"].metrics.query("metric == 'gap.min' and planner == 'dp_qp' and mode == 'closed'")
+    gaps = names["result"].metrics.query(
+        "metric == 'gap.min' and planner == 'dp_qp' and mode == 'closed'"
+    )
     assert worst["value"] == gaps["value"].min()
     assert [obstacle.agent for obstacle in names["graph"].obstacles] == ["pedestrian"]
     assert ("pedestrian", "yield") in decisions.index
@@ -60,7 +71,9 @@ def test_the_metric_is_the_speed_beside_someone_on_foot(monkeypatch: pytest.Monk
     metric = importlib.import_module("passing_speed").PASSING_SPEED
     ego = along(grid(10.0), 8.0)
     for kind, y, value in (("pedestrian", 2.0, 8.0), ("pedestrian", 3.5, None), ("car", 2.0, None)):
-        log = scenario(ego, [("other", AgentKind(kind), (0.5, 0.5), moving(40.0, y, 0.0, 0.0, yaw=0.0))])
+        log = scenario(
+            ego, [("other", AgentKind(kind), (0.5, 0.5), moving(40.0, y, 0.0, 0.0, yaw=0.0))]
+        )
         measured = metric.measure(drive(log), log)
         if value is None:
             assert isinstance(measured, Unavailable) or not measured.known.any()
@@ -72,11 +85,19 @@ def test_the_metric_is_the_speed_beside_someone_on_foot(monkeypatch: pytest.Monk
             assert {label for label in measured.labels if label} == {"other"}
 
 
-def test_the_workflow_of_the_ci_repository_uses_inputs_that_exist_and_files_that_are_there() -> None:
+def test_the_workflow_of_the_ci_repository_uses_inputs_that_exist_and_files_that_are_there() -> (
+    None
+):
     folder = NOTEBOOK_FILE.parent / "ci_repository"
-    action = yaml.safe_load((NOTEBOOK_FILE.parents[1] / "ci" / "github" / "action.yml").read_text(encoding="utf-8"))
-    flow = yaml.safe_load((folder / ".github" / "workflows" / "planner.yml").read_text(encoding="utf-8"))
+    action = yaml.safe_load(
+        (NOTEBOOK_FILE.parents[1] / "ci" / "github" / "action.yml").read_text(encoding="utf-8")
+    )
+    flow = yaml.safe_load(
+        (folder / ".github" / "workflows" / "planner.yml").read_text(encoding="utf-8")
+    )
     asked = flow["jobs"]["replan"]["steps"][-1]["with"]
     assert set(asked) <= set(action["inputs"])
     assert (folder / asked["gates"]).exists()
-    assert (folder / asked["planner"].partition(":")[0].replace(".", "/")).with_suffix(".py").exists()
+    assert (
+        (folder / asked["planner"].partition(":")[0].replace(".", "/")).with_suffix(".py").exists()
+    )

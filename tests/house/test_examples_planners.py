@@ -49,34 +49,47 @@ def test_a_program_and_a_node_drive_as_any_planner(log: Scenario, node: str) -> 
     for run in LOOPS.values():
         program, reached = run(log, PYTHON).trace, run(log, node).trace
         assert program.end is not EndReason.PLANNER_FAILURE, program.detail
-        assert min(frame.plan.trajectory.a.min() for frame in program.frames) < -0.5, "it brakes for who is ahead"
+        assert min(frame.plan.trajectory.a.min() for frame in program.frames) < -0.5, (
+            "it brakes for who is ahead"
+        )
         assert_same(program, reached)
 
 
 def test_what_a_program_prints_last_is_said(tmp_path: Path, log: Scenario) -> None:
     script = tmp_path / "bad.sh"
-    script.write_text("#!/bin/sh\nprintf 'no model\\033[2J found\\n' >&2\nexit 4\n", encoding="utf-8")
+    script.write_text(
+        "#!/bin/sh\nprintf 'no model\\033[2J found\\n' >&2\nexit 4\n", encoding="utf-8"
+    )
     script.chmod(0o755)
     with pytest.raises(
-        PlannerError, match=r"while it was built: its process ended with code 4; it printed last: no model"
+        PlannerError,
+        match=r"while it was built: its process ended with code 4; it printed last: no model",
     ):
         run_closed_loop(log, f"exec:{script}")
-    script.write_text("#!/bin/sh\necho 'INFO: listening to replan and talking back'\ncat\n", encoding="utf-8")
+    script.write_text(
+        "#!/bin/sh\necho 'INFO: listening to replan and talking back'\ncat\n", encoding="utf-8"
+    )
     with pytest.raises(PlannerError, match="sent an invalid message while it was built"):
         run_closed_loop(log, f"exec:{script}")
 
 
 @pytest.mark.slow
-def test_the_planner_in_cpp_is_built_and_drives_as_that_in_python(tmp_path: Path, log: Scenario) -> None:
+def test_the_planner_in_cpp_is_built_and_drives_as_that_in_python(
+    tmp_path: Path, log: Scenario
+) -> None:
     if shutil.which("cmake") is None or shutil.which("c++") is None:
         pytest.skip("no cmake or no C++ compiler")
     build = ["cmake", "-S", str(EXAMPLES / "planner_cpp"), "-B", str(tmp_path)]
     configured = subprocess.run(build, capture_output=True, text=True)
     if "nlohmann_json" in configured.stderr:
-        pytest.skip("nlohmann_json is not installed (Debian: nlohmann-json3-dev, or set CMAKE_PREFIX_PATH)")
+        pytest.skip(
+            "nlohmann_json is not installed (Debian: nlohmann-json3-dev, or set CMAKE_PREFIX_PATH)"
+        )
     assert configured.returncode == 0, configured.stderr
     built = subprocess.run(["cmake", "--build", str(tmp_path)], capture_output=True, text=True)
-    assert built.returncode == 0 and "warning" not in built.stdout + built.stderr, built.stdout + built.stderr
+    assert built.returncode == 0 and "warning" not in built.stdout + built.stderr, (
+        built.stdout + built.stderr
+    )
     for run in LOOPS.values():
         cpp, python = run(log, f"exec:{tmp_path / 'planner'}").trace, run(log, PYTHON).trace
         assert cpp.end is not EndReason.PLANNER_FAILURE, cpp.detail

@@ -82,7 +82,15 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in files_of_tree():
         (tree / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(ROOT / name, tree / name)
-    pip = [sys.executable, "-m", "pip", "wheel", "--quiet", "--disable-pip-version-check", "--no-deps"]
+    pip = [
+        sys.executable,
+        "-m",
+        "pip",
+        "wheel",
+        "--quiet",
+        "--disable-pip-version-check",
+        "--no-deps",
+    ]
     subprocess.run([*pip, "--wheel-dir", str(folder), str(tree)], check=True, cwd=folder)
     (made,) = folder.glob("*.whl")
     return made
@@ -94,7 +102,11 @@ def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("installed")
     venv.create(folder, with_pip=False, symlinks=True)
     python = folder / "bin" / "python"
-    site = Path(subprocess.run([python, "-c", SITE], check=True, capture_output=True, text=True).stdout.strip())
+    site = Path(
+        subprocess.run(
+            [python, "-c", SITE], check=True, capture_output=True, text=True
+        ).stdout.strip()
+    )
     (site / "beside.pth").write_text("\n".join(dependencies()) + "\n", encoding="utf-8")
     pip_install(site, wheel)
     return python
@@ -106,7 +118,9 @@ SITE = "import sysconfig; print(sysconfig.get_path('purelib'))"
 def files_of_tree() -> list[str]:
     """The files of this checkout that git does not ignore."""
     git = ["git", "ls-files", "-co", "--exclude-standard"]
-    listed = subprocess.run(git, cwd=ROOT, capture_output=True, text=True, check=True).stdout.splitlines()
+    listed = subprocess.run(
+        git, cwd=ROOT, capture_output=True, text=True, check=True
+    ).stdout.splitlines()
     return [name for name in listed if (ROOT / name).is_file()]
 
 
@@ -116,7 +130,16 @@ def dependencies() -> list[str]:
 
 
 def pip_install(site: Path, *what: Path) -> None:
-    pip = [sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-deps", "--no-index"]
+    pip = [
+        sys.executable,
+        "-m",
+        "pip",
+        "install",
+        "--quiet",
+        "--disable-pip-version-check",
+        "--no-deps",
+        "--no-index",
+    ]
     subprocess.run([*pip, "--target", str(site), *map(str, what)], check=True)
 
 
@@ -126,14 +149,25 @@ PYTHONS = ("clone", pytest.param("wheel", marks=pytest.mark.slow))
 @pytest.fixture(params=PYTHONS)
 def python(request: pytest.FixtureRequest) -> Path:
     """The Python of an editable install of the clone, and that of an environment with the wheel."""
-    return Path(sys.executable) if request.param == "clone" else request.getfixturevalue("installed")
+    return (
+        Path(sys.executable) if request.param == "clone" else request.getfixturevalue("installed")
+    )
 
 
 def run(repository: Path, *words: object, code: int = 0) -> str:
     """What a command prints in the repository, where nothing but the installation leads to replan."""
-    environment = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "PYTEST"))}
+    environment = {
+        name: value
+        for name, value in os.environ.items()
+        if not name.startswith(("PYTHON", "PYTEST"))
+    }
     done = subprocess.run(
-        [*map(str, words)], cwd=repository, env=environment, capture_output=True, text=True, check=False
+        [*map(str, words)],
+        cwd=repository,
+        env=environment,
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert done.returncode == code, f"{done.stdout}\n{done.stderr}"
     return done.stdout + done.stderr
@@ -163,8 +197,12 @@ def test_the_wheel_has_one_top_level_package_and_all_files_of_the_tree(wheel: Pa
             assert inside in names, name
 
 
-@pytest.mark.parametrize("order", ["import planners.mine, replan", "import replan, planners.mine, metrics, replay"])
-def test_a_script_imports_its_own_and_ours_in_any_order(python: Path, repository: Path, order: str) -> None:
+@pytest.mark.parametrize(
+    "order", ["import planners.mine, replan", "import replan, planners.mine, metrics, replay"]
+)
+def test_a_script_imports_its_own_and_ours_in_any_order(
+    python: Path, repository: Path, order: str
+) -> None:
     script = f"{order}\nimport metrics, replay, logs\nprint(metrics.__file__, replay.__file__, *logs.__path__)"
     (repository / "script.py").write_text(script, encoding="utf-8")
     shown = run(repository, python, "script.py").split()
@@ -174,31 +212,77 @@ def test_a_script_imports_its_own_and_ours_in_any_order(python: Path, repository
 def test_the_command_line_drives_the_planner_of_a_folder_planners(
     python: Path, repository: Path, tmp_path: Path
 ) -> None:
-    words = ("evaluate", "logs", "-p", "planners.mine:Mine", "--no-recording", "--gates", "safety", "--quiet")
+    words = (
+        "evaluate",
+        "logs",
+        "-p",
+        "planners.mine:Mine",
+        "--no-recording",
+        "--gates",
+        "safety",
+        "--quiet",
+    )
     command = (python, "-P", "-c", "from replan.cli import main; main()", *words)
     run(repository, *command, "--out", tmp_path / "own", "--workers", 0)
     run(repository, *command, "--out", tmp_path / "two", "--workers", 2)
-    run(repository, *command, "--out", tmp_path / "here", "--workers", 0, "--set", "loop.apart.trust=true")
+    run(
+        repository,
+        *command,
+        "--out",
+        tmp_path / "here",
+        "--workers",
+        0,
+        "--set",
+        "loop.apart.trust=true",
+    )
     tables = {(tmp_path / name / "verdicts.parquet").read_bytes() for name in ("own", "two")}
     assert len(tables) == 1
 
 
 @pytest.mark.slow
-def test_a_script_a_module_and_pytest_use_it(python: Path, repository: Path, tmp_path: Path) -> None:
-    for name, first, workers in (("before", "import planners.mine, replan", 0), ("after", "import replan", 2)):
+def test_a_script_a_module_and_pytest_use_it(
+    python: Path, repository: Path, tmp_path: Path
+) -> None:
+    for name, first, workers in (
+        ("before", "import planners.mine, replan", 0),
+        ("after", "import replan", 2),
+    ):
         script = first + DRIVE.format(out=str(tmp_path / name), workers=workers)
         (repository / f"{name}.py").write_text(script, encoding="utf-8")
         assert run(repository, python, f"{name}.py").strip().endswith("['planners.mine:Mine']")
-    words = ("evaluate", "logs/a.mcap", "-p", "planners.mine:Mine", "--no-recording", "--quiet", "--workers", 0)
-    run(repository, python, "-m", "replan", *words, "--gates", "safety", "--out", tmp_path / "module")
-    assert "1 passed" in run(repository, python, "-m", "pytest", "-q", "-p", "no:cacheprovider", "test_mine.py")
+    words = (
+        "evaluate",
+        "logs/a.mcap",
+        "-p",
+        "planners.mine:Mine",
+        "--no-recording",
+        "--quiet",
+        "--workers",
+        0,
+    )
+    run(
+        repository,
+        python,
+        "-m",
+        "replan",
+        *words,
+        "--gates",
+        "safety",
+        "--out",
+        tmp_path / "module",
+    )
+    assert "1 passed" in run(
+        repository, python, "-m", "pytest", "-q", "-p", "no:cacheprovider", "test_mine.py"
+    )
 
 
 def test_the_folders_of_a_clone_are_never_a_second_copy(repository: Path) -> None:
     """In the clone's root `import logs` is one line that names the package; in a user's folder it is theirs."""
     for name in OURS:
         shown = run(ROOT, sys.executable, "-c", f"import {name}", code=1).strip().splitlines()[-1]
-        assert shown.startswith(f"ModuleNotFoundError: No module named '{name}': it is 'replan.{name}' now;")
+        assert shown.startswith(
+            f"ModuleNotFoundError: No module named '{name}': it is 'replan.{name}' now;"
+        )
     assert "." not in TOOLS["pytest"]["ini_options"]["pythonpath"]
     same = "import replan; from replan.logs.plan import Plan; assert Plan is replan.Plan; import logs; print(*logs.__path__)"
     assert run(repository, sys.executable, "-c", same).split() == [str(repository / "logs")]
@@ -212,7 +296,9 @@ def test_an_import_of_an_older_script_names_the_present_one(tmp_path: Path, line
     script = f"import replan\n{line}\n"
     shown = run(tmp_path, sys.executable, "-c", script, code=1).strip().splitlines()[-1]
     package = module.partition(".")[0]
-    assert shown.startswith(f"ModuleNotFoundError: No module named '{package}': it is 'replan.{package}' now; import")
+    assert shown.startswith(
+        f"ModuleNotFoundError: No module named '{package}': it is 'replan.{package}' now; import"
+    )
     (tmp_path / "old.py").write_text(f"{line}\n", encoding="utf-8")
     write_scenario(tmp_path / "a.mcap", short("team/a"))
     words = ("evaluate", "a.mcap", "-p", "old:Mine", "--workers", 0, "--out", "out")
@@ -221,9 +307,21 @@ def test_an_import_of_an_older_script_names_the_present_one(tmp_path: Path, line
 
 
 def test_a_built_in_part_that_a_file_names_as_before_is_found(tmp_path: Path) -> None:
-    (tmp_path / "run.toml").write_text('planners = ["planners.constant_speed:ConstantSpeed"]\n', encoding="utf-8")
+    (tmp_path / "run.toml").write_text(
+        'planners = ["planners.constant_speed:ConstantSpeed"]\n', encoding="utf-8"
+    )
     write_scenario(tmp_path / "a.mcap", short("team/a"))
-    words = ("evaluate", "a.mcap", "--config", "run.toml", "--workers", 0, "--out", "out", "--no-recording")
+    words = (
+        "evaluate",
+        "a.mcap",
+        "--config",
+        "run.toml",
+        "--workers",
+        0,
+        "--out",
+        "out",
+        "--no-recording",
+    )
     run(tmp_path, sys.executable, "-P", "-m", "replan", *words, "--gates", "safety")
     summary = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))
     assert not summary["failures"]
@@ -244,7 +342,17 @@ def test_it_is_installed_and_removed_beside_a_distribution_with_those_top_level_
     python = tmp_path / "venv" / "bin" / "python"
     pip = (python, "-m", "pip", "--quiet", "--disable-pip-version-check")
     subprocess.run(
-        [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--wheel-dir", str(tmp_path), str(team)],
+        [
+            sys.executable,
+            "-m",
+            "pip",
+            "wheel",
+            "--quiet",
+            "--no-deps",
+            "--wheel-dir",
+            str(tmp_path),
+            str(team),
+        ],
         check=True,
     )
     run(tmp_path, *pip, "install", "--no-index", "--no-deps", *tmp_path.glob("*.whl"), wheel)
@@ -254,4 +362,7 @@ def test_it_is_installed_and_removed_beside_a_distribution_with_those_top_level_
     assert run(tmp_path, python, "-c", both).strip() == "team planners team metrics"
     run(tmp_path, *pip, "uninstall", "--yes", "replan")
     assert not (site / "replan").exists()
-    assert run(tmp_path, python, "-c", "import planners, metrics; print(metrics.NAME)").strip() == "team metrics"
+    assert (
+        run(tmp_path, python, "-c", "import planners, metrics; print(metrics.NAME)").strip()
+        == "team metrics"
+    )

@@ -56,7 +56,9 @@ def test_it_is_imported_within_a_third_of_a_second() -> None:
 def test_what_no_command_needs_at_once_is_not_imported_with_the_tables_of_names() -> None:
     """scipy.signal and scipy.stats take longer to import than all our packages; rerun likewise."""
     slow = "scipy.signal", "scipy.stats", "rerun", "duckdb", "optuna", "ray"
-    tables = "replan.metrics, replan.planners, replan.api, replan.replay.control, replan.replay.vehicle"
+    tables = (
+        "replan.metrics, replan.planners, replan.api, replan.replay.control, replan.replay.vehicle"
+    )
     code = f"import sys, {tables}; print([name for name in {slow} if name in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

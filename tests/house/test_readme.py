@@ -37,7 +37,12 @@ def test_the_configuration_example_is_one(tmp_path: Path) -> None:
 
 def test_the_set_up_commands_are_known() -> None:
     script = ROOT / "dev"
-    asked = {line.split()[1] for block in blocks("sh") for line in block.splitlines() if line.startswith("./dev ")}
+    asked = {
+        line.split()[1]
+        for block in blocks("sh")
+        for line in block.splitlines()
+        if line.startswith("./dev ")
+    }
     asked |= set(re.findall(r"`\./dev (\w+)`", README))
     assert {"evaluate", "test", "bench", "docs"} <= asked
     usage = subprocess.run(["sh", script], capture_output=True, text=True, check=False)
@@ -49,7 +54,11 @@ def test_the_set_up_commands_are_known() -> None:
 
 def test_the_exit_codes_are_those_of_the_program() -> None:
     said = (ROOT / "docs" / "use.md").read_text(encoding="utf-8")
-    assert {int(code) for code in re.findall(r"^\| (\d+) \|", said, re.MULTILINE)} == {*OUTCOMES, INTERNAL, 130}
+    assert {int(code) for code in re.findall(r"^\| (\d+) \|", said, re.MULTILINE)} == {
+        *OUTCOMES,
+        INTERNAL,
+        130,
+    }
 
 
 def test_the_options_that_choose_by_name_have_all_names() -> None:

@@ -32,7 +32,9 @@ def context() -> PlannerContext:
     return PlannerContext(log.road, log.goal, log.vehicle, 0.1, log.ego.state(0))
 
 
-@pytest.mark.parametrize(("message", "noun"), [(native.Road, Road), (messages.Road, Road), (native.Goal, Goal)])
+@pytest.mark.parametrize(
+    ("message", "noun"), [(native.Road, Road), (messages.Road, Road), (native.Goal, Goal)]
+)
 def test_a_noun_comes_back_from_its_message(message: type, noun: type) -> None:
     log = rich_scenario()
     one = log.road if noun is Road else log.goal
@@ -64,7 +66,11 @@ def test_arrays_as_bytes_are_the_same_to_the_bit(values: list[float]) -> None:
 def test_null_in_graphs_is_not_reached_and_free() -> None:
     grid = noun_of(GridCost, native.Grid([0.0], [0.0, 1.0], [[None, 2.0]], [1]))
     corridor = noun_of(Corridor, native.Corridor([0.0], [None], [None]))
-    assert (grid.cost.tolist(), corridor.lower[0], corridor.upper[0]) == ([[np.inf, 2.0]], -np.inf, np.inf)
+    assert (grid.cost.tolist(), corridor.lower[0], corridor.upper[0]) == (
+        [[np.inf, 2.0]],
+        -np.inf,
+        np.inf,
+    )
 
 
 def test_columns_that_do_not_fit_are_refused_by_name() -> None:

@@ -19,7 +19,9 @@ RATES = st.sampled_from([1.0, 2.0, 5.0, 10.0, 50.0, 200.0])
 ROAD = Road.along(np.array([[0.0, 0.0], [100.0, 0.0]]), speed_limit=14.0)
 
 
-def arc(rate: float, yaw0: float = 0.9, turn: float = 0.05, v: float = 10.0, duration: float = 12.0) -> Trajectory:
+def arc(
+    rate: float, yaw0: float = 0.9, turn: float = 0.05, v: float = 10.0, duration: float = 12.0
+) -> Trajectory:
     """A drive along an arc (of radius v / turn)."""
     t = np.arange(0.0, duration, 1.0 / rate)
     yaw = yaw0 + turn * t
@@ -32,7 +34,9 @@ def made(ego: Trajectory, *agents: dict[str, object], **more: object) -> Scenari
     return Scenario("made", ego, tracks, ROAD, float(ego.t[-1]), tags=("recorded",), **more)  # type: ignore[arg-type]
 
 
-def along(ego: Trajectory, ahead: float, left: float = 0.0, name: str = "7", **more: object) -> dict[str, object]:
+def along(
+    ego: Trajectory, ahead: float, left: float = 0.0, name: str = "7", **more: object
+) -> dict[str, object]:
     """A road user at a place in the ego's frame (rear axle), with the ego's heading."""
     c, s = np.cos(ego.yaw), np.sin(ego.yaw)
     x, y = ego.x + ahead * c - left * s, ego.y + ahead * s + left * c
@@ -43,19 +47,27 @@ def along(ego: Trajectory, ahead: float, left: float = 0.0, name: str = "7", **m
 @settings(max_examples=20, deadline=None)
 def test_a_right_log_is_not_touched(rate: float, yaw0: float, turn: float, noise: float) -> None:
     ego, rng = arc(rate, yaw0, turn), np.random.default_rng(1)
-    shaken = replace(ego, x=ego.x + noise * rng.normal(size=len(ego)), y=ego.y + noise * rng.normal(size=len(ego)))
+    shaken = replace(
+        ego,
+        x=ego.x + noise * rng.normal(size=len(ego)),
+        y=ego.y + noise * rng.normal(size=len(ego)),
+    )
     backward = replace(shaken, yaw=shaken.yaw + np.pi, v=-ego.v)
     world = {"vx": ego.v * np.cos(ego.yaw), "vy": ego.v * np.sin(ego.yaw)}
     walker = along(ego, 9.0, 6.0, "walker", yaw=ego.yaw + 1.5, kind=AgentKind.PEDESTRIAN)
     for driven in (shaken, backward):
         whole = made(driven, along(ego, 12.0, **world), along(ego, -6.0, name="8"), walker)
         assert checked(whole) is whole
-    assert np.abs(Chords.of_ego(ego).off(ego.yaw)).max() < 1e-6, "on an arc, the mean heading is the chord's direction"
+    assert np.abs(Chords.of_ego(ego).off(ego.yaw)).max() < 1e-6, (
+        "on an arc, the mean heading is the chord's direction"
+    )
 
 
 @given(RATES, st.sampled_from(sorted(READINGS)), st.booleans(), st.floats(0.3, 1.2))
 @settings(max_examples=30, deadline=None)
-def test_headings_in_another_convention_are_refused(rate: float, name: str, of_ego: bool, yaw0: float) -> None:
+def test_headings_in_another_convention_are_refused(
+    rate: float, name: str, of_ego: bool, yaw0: float
+) -> None:
     ego = arc(rate, yaw0)
     factor, offset = READINGS[name]
     other = (ego.yaw - offset) / factor
@@ -94,7 +106,9 @@ def test_degrees_of_latitude_are_no_metres(rate: float, with_speed: bool, swappe
     moved = replace(ego, x=x - origin[0], y=y - origin[1], v=ego.v if with_speed else derived)
     with pytest.raises(LogError, match="degrees of latitude and longitude"):
         checked(made(moved, origin=origin))
-    agents = handmade.track("7", ego.t, x, y, yaw=ego.yaw, vx=ego.v * np.cos(ego.yaw), vy=ego.v * np.sin(ego.yaw))
+    agents = handmade.track(
+        "7", ego.t, x, y, yaw=ego.yaw, vx=ego.v * np.cos(ego.yaw), vy=ego.v * np.sin(ego.yaw)
+    )
     with pytest.raises(LogError, match="topic agents: the positions are degrees"):
         checked(made(ego, agents))
 
@@ -109,7 +123,9 @@ def test_an_ego_that_stands_is_not_in_degrees(noise: float) -> None:
 
 @given(RATES, st.floats(0.6, 2.0), st.floats(0.0, 0.1))
 @settings(max_examples=20, deadline=None)
-def test_velocities_in_own_axes_are_rotated_and_noted(rate: float, yaw0: float, noise: float) -> None:
+def test_velocities_in_own_axes_are_rotated_and_noted(
+    rate: float, yaw0: float, noise: float
+) -> None:
     ego, rng = arc(rate, yaw0, 0.02), np.random.default_rng(3)
     forward = ego.v + noise * rng.normal(size=len(ego))
     own = made(ego, along(ego, 15.0, vx=forward, vy=0.0 * forward), along(ego, -15.0, name="8"))
@@ -128,29 +144,49 @@ def test_the_frame_is_shown_by_those_who_leave_the_x_axis() -> None:
     cars = [along(ego, 15.0 * k, name=str(k), vx=ego.v, vy=0.0 * ego.v) for k in range(1, 9)]
     t, up = ego.t, np.full(len(ego), 0.5 * np.pi)
     walk = {"yaw": up, "kind": AgentKind.PEDESTRIAN, "length": 0.6, "width": 0.6}
-    walkers = [handmade.track(f"w{k}", t, 0.0 * t + 60.0 + k, 1.4 * t - 9.0, vx=1.4, vy=0.0, **walk) for k in (0, 2)]
+    walkers = [
+        handmade.track(f"w{k}", t, 0.0 * t + 60.0 + k, 1.4 * t - 9.0, vx=1.4, vy=0.0, **walk)
+        for k in (0, 2)
+    ]
     found = checked(made(ego, *cars, *walkers)).tracks
-    assert found.vy[found.samples(8)] == pytest.approx(1.4) and found.vx[found.samples(0)] == pytest.approx(10.0)
+    assert found.vy[found.samples(8)] == pytest.approx(1.4) and found.vx[
+        found.samples(0)
+    ] == pytest.approx(10.0)
 
 
-@given(RATES, st.sampled_from([0.0, 1.4, 2.5, 0.4]), st.floats(0.0, 0.1), st.sampled_from(["17", "ego", "x"]))
+@given(
+    RATES,
+    st.sampled_from([0.0, 1.4, 2.5, 0.4]),
+    st.floats(0.0, 0.1),
+    st.sampled_from(["17", "ego", "x"]),
+)
 @settings(max_examples=20, deadline=None)
-def test_the_ego_among_the_agents_is_left_out(rate: float, ahead: float, noise: float, name: str) -> None:
+def test_the_ego_among_the_agents_is_left_out(
+    rate: float, ahead: float, noise: float, name: str
+) -> None:
     ego, rng = arc(rate), np.random.default_rng(4)
     me = along(ego, ahead, name=name)
     me |= {axis: me[axis] + noise * rng.normal(size=len(ego)) for axis in "xy"}  # type: ignore[operator]
     found = checked(made(ego, me, along(ego, 30.0, name="8")))
-    assert found.tracks.ids == ("8",) and found.notes == (f"{name} among the road users is the ego itself: left out.",)
+    assert found.tracks.ids == ("8",) and found.notes == (
+        f"{name} among the road users is the ego itself: left out.",
+    )
     alone = checked(made(ego, me))
-    assert len(alone.tracks) == 0 and alone.traffic_spans == pytest.approx(np.array([[0.0, ego.t[-1]]]))
+    assert len(alone.tracks) == 0 and alone.traffic_spans == pytest.approx(
+        np.array([[0.0, ego.t[-1]]])
+    )
 
 
 def test_who_is_near_the_ego_stays() -> None:
     ego = arc(10.0)
     before, after = along(ego, -3.4, name="follows"), along(ego, 6.3, name="leads")
     beside = along(ego, 1.4, 1.9, name="beside")
-    standing = handmade.track("driven through", ego.t, ego.x[60] + 0.0 * ego.t, ego.y[60] + 0.0 * ego.t)
+    standing = handmade.track(
+        "driven through", ego.t, ego.x[60] + 0.0 * ego.t, ego.y[60] + 0.0 * ego.t
+    )
     late = {key: values[50:] for key, values in along(ego, 1.4, name="x").items() if key in "txy"}  # type: ignore
-    rides = handmade.track("rides a while", ego.t, *(np.r_[np.full(50, 99.0), late[axis]] for axis in "xy"))
+    rides = handmade.track(
+        "rides a while", ego.t, *(np.r_[np.full(50, 99.0), late[axis]] for axis in "xy")
+    )
     near = made(ego, before, after, beside, standing, rides)
     assert checked(near) is near

@@ -41,7 +41,10 @@ def ego(*pieces: tuple[float, float, float], hz: float = 10.0, signed: bool = Tr
     fine = np.array(rows).T
     t = np.arange(0.0, fine[0, -1], 1.0 / hz)
     table = pd.DataFrame(
-        {n: np.interp(t, fine[0], row) for n, row in zip(("t", "x", "y", "yaw", "v"), fine, strict=True)}
+        {
+            n: np.interp(t, fine[0], row)
+            for n, row in zip(("t", "x", "y", "yaw", "v"), fine, strict=True)
+        }
     )
     return table if signed else table.assign(v=table.v.abs())
 
@@ -51,7 +54,13 @@ def driven(*pieces: tuple[float, float, float], **more: float) -> Scenario:
 
 
 FORWARD_BACK = (0.0, 30.0, 4.0), STAND, (0.0, 20.0, -2.5), STAND
-THREE_POINT = (0.0, 30.0, 4.0), (0.2, 8.0, 2.0), (-0.2, 6.0, -1.5), (0.2, 6.0, 1.5), (0.0, 40.0, 4.0)
+THREE_POINT = (
+    (0.0, 30.0, 4.0),
+    (0.2, 8.0, 2.0),
+    (-0.2, 6.0, -1.5),
+    (0.2, 6.0, 1.5),
+    (0.0, 40.0, 4.0),
+)
 BACKS_OUT = (0.0, 6.0, -1.5), (1.0 / 6.0, 8.0, -1.5), STAND, (0.0, 80.0, 7.0)
 PARKS = (0.0, 60.0, 6.0), (1.0 / 6.0, 4.0, -1.2), (-1.0 / 6.0, 4.0, -1.2), (0.0, 1.5, 0.8)
 
@@ -75,7 +84,10 @@ def test_the_part_to_drive_is_the_first_that_goes_forward(
     assert part.duration == pytest.approx(part.ego.t[-1]) and part.ego.t[0] in log.ego.t
     (lane,) = log.road.lanes.values()
     assert lane.length == pytest.approx(10.0 + way + 250.0, abs=4.0)
-    assert (np.diff(lane.center @ [np.cos(part.ego.yaw[0]), np.sin(part.ego.yaw[0])])[: int(0.7 * way)] > 0.0).all()
+    assert (
+        np.diff(lane.center @ [np.cos(part.ego.yaw[0]), np.sin(part.ego.yaw[0])])[: int(0.7 * way)]
+        > 0.0
+    ).all()
     assert any(note.startswith(REVERSES) for note in log.notes)
 
 
@@ -83,7 +95,9 @@ def test_the_times_of_a_reversal_are_those_between_the_standstills() -> None:
     """30 m forward, 4 s at rest, 20 m back, as a car park sees it; the lane's limit is that of the way forward."""
     t = np.arange(0.0, 30.0, 0.1)
     v = np.interp(t, [0, 2, 8, 10, 14, 16, 22, 24, 30], [0, 4, 4, 0, 0, -2.5, -2.5, 0, 0])
-    table = pd.DataFrame({"t": t, "x": np.r_[0.0, np.cumsum(0.05 * (v[1:] + v[:-1]))], "y": 0.0, "yaw": 0.0, "v": v})
+    table = pd.DataFrame(
+        {"t": t, "x": np.r_[0.0, np.cumsum(0.05 * (v[1:] + v[:-1]))], "y": 0.0, "yaw": 0.0, "v": v}
+    )
     log = from_frames(table, name="drive")
     ((first, last),) = reversals(log.ego)
     assert (log.ego.t[first], log.ego.t[last]) == pytest.approx((14.0, 24.0), abs=0.15)
@@ -117,10 +131,14 @@ def test_a_log_that_only_reverses_is_refused_and_not_driven() -> None:
     with pytest.raises(LogError, match=r"reverses from .* planners drive forward only") as refusal:
         drivable_part(log)
     assert "--from" in str(refusal.value)
-    loops = {one.name: one.possible for one in evaluations(log, has_vehicle=False) if "loop" in one.name}
+    loops = {
+        one.name: one.possible for one in evaluations(log, has_vehicle=False) if "loop" in one.name
+    }
     assert len(loops) == 2 and not any(loops.values())
     (note,) = (note for note in log.notes if note.startswith(REVERSES))
-    assert "not negative" in note and "not negative" not in " ".join(driven((0.0, 40.0, -2.0)).notes)
+    assert "not negative" in note and "not negative" not in " ".join(
+        driven((0.0, 40.0, -2.0)).notes
+    )
 
 
 def test_on_the_lanes_of_a_map_all_is_driven() -> None:
@@ -142,13 +160,19 @@ def test_a_part_has_a_lane_of_its_own(tmp_path: Path) -> None:
         part = read_log(path, LogSettings(end=9.0))
         np.testing.assert_allclose(part.road.lanes[0].left, alone.road.lanes[0].left, atol=1e-6)
         assert part.road.limit(0) == alone.road.limit(0) and drivable_part(part) is part
-        assert [note for note in part.notes if note.startswith((ONE_LANE, REVERSES))] == list(alone.notes[-1:])
+        assert [note for note in part.notes if note.startswith((ONE_LANE, REVERSES))] == list(
+            alone.notes[-1:]
+        )
     whole, again = read_log(tmp_path / "log"), read_log(tmp_path / "log.mcap")
-    assert (again.road.lanes[0].left == whole.road.lanes[0].left).all() and again.notes == whole.notes
+    assert (
+        again.road.lanes[0].left == whole.road.lanes[0].left
+    ).all() and again.notes == whole.notes
     assert (drivable_part(again).ego.x == drivable_part(whole).ego.x).all()
 
 
 @pytest.mark.parametrize(("radius", "tight"), [(2.0, True), (4.5, False), (15.0, False)])
-def test_circles_are_tighter_than_a_car_below_its_turning_circle(radius: float, tight: bool) -> None:
+def test_circles_are_tighter_than_a_car_below_its_turning_circle(
+    radius: float, tight: bool
+) -> None:
     log = driven((1.0 / radius, 6.0 * np.pi * radius, 2.5))
     assert bool(tighter_than_vehicle(log)) is tight

@@ -66,9 +66,14 @@ def test_frames_come_back_to_the_bit(driven: Drive, whole: int) -> None:
 def test_what_is_large_is_not_in_memory(driven: Drive) -> None:
     small = light(stored(tuple(driven.trace.frames), 0))
     assert not any(isinstance(item, Graph) for frame in small for item in frame.plan.internals)
-    assert all(frame.predictions is None and isinstance(frame.plan.trajectory, SpilledTrajectory) for frame in small)
+    assert all(
+        frame.predictions is None and isinstance(frame.plan.trajectory, SpilledTrajectory)
+        for frame in small
+    )
     assert len(pickle.dumps(small)) < 0.5 * len(pickle.dumps(tuple(driven.trace.frames)))
-    assert isinstance(stored(tuple(driven.trace.frames), 10_000).frames, tuple), "a short drive is a tuple as before"
+    assert isinstance(stored(tuple(driven.trace.frames), 10_000).frames, tuple), (
+        "a short drive is a tuple as before"
+    )
 
 
 def test_metrics_and_trace_are_the_same(driven: Drive, tmp_path: Path) -> None:
@@ -101,7 +106,20 @@ def come_and_go(seed: int, count: int = 12) -> Tracks:
     static = np.arange(count) == count - 1
     ids, size = tuple(map(str, range(count))), np.full(count, 2.0)
     offsets = np.r_[0, np.cumsum(sizes)]
-    return Tracks(ids, kinds, size, size, static, offsets, np.concatenate(t), x, y, rng.normal(0.0, 3.0, m), vx, vy)
+    return Tracks(
+        ids,
+        kinds,
+        size,
+        size,
+        static,
+        offsets,
+        np.concatenate(t),
+        x,
+        y,
+        rng.normal(0.0, 3.0, m),
+        vx,
+        vy,
+    )
 
 
 @given(st.integers(0, 10_000), st.floats(-2.0, UNTIL_S))
@@ -140,7 +158,9 @@ def test_a_part_is_kept_for_its_span_and_holds_no_more_than_around_it() -> None:
 def test_some_of_those_around_now_are_some_of_the_whole() -> None:
     whole = come_and_go(2)
     now = whole.taken(whole.t >= 60.0)
-    recent = Recent(*(getattr(now, each.name) for each in fields(Tracks)), all_of_them=lambda: whole)
+    recent = Recent(
+        *(getattr(now, each.name) for each in fields(Tracks)), all_of_them=lambda: whole
+    )
     few = now.ids[:2]
     assert recent.only(few).ids == recent.only(few).whole.ids == few
     assert recent.only(few).t.tobytes() == now.only(few).t.tobytes()

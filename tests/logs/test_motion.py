@@ -26,10 +26,14 @@ def times(rate: float, duration: float = 6.0) -> FloatArray:
 
 def noisy(made: Tracks, sigma: float, seed: int) -> Tracks:
     rng = np.random.default_rng(seed)
-    return replace(made, **{c: getattr(made, c) + sigma * rng.standard_normal(len(made.t)) for c in "xy"})
+    return replace(
+        made, **{c: getattr(made, c) + sigma * rng.standard_normal(len(made.t)) for c in "xy"}
+    )
 
 
-def braking(t: FloatArray, v: float, at: float, decel: float, until: float = 0.0) -> tuple[FloatArray, ...]:
+def braking(
+    t: FloatArray, v: float, at: float, decel: float, until: float = 0.0
+) -> tuple[FloatArray, ...]:
     """Position, speed and acceleration of who brakes from `at` on, to the speed `until`."""
     lasts = (v - until) / decel
     u = np.clip(t - at, 0.0, lasts)
@@ -39,13 +43,17 @@ def braking(t: FloatArray, v: float, at: float, decel: float, until: float = 0.0
 
 def ttc(others: Tracks) -> FloatArray:
     made = scenario(EGO, agents=others)
-    trace = Trace(made.name, "p", Mode.CLOSED, False, made.ego, made.tracks, (), EndReason.END_OF_LOG)
+    trace = Trace(
+        made.name, "p", Mode.CLOSED, False, made.ego, made.tracks, (), EndReason.END_OF_LOG
+    )
     return TTC.measure(trace, made).value
 
 
 @pytest.mark.parametrize("rate", RATES)
 @pytest.mark.parametrize("closing", [0.0, 2.0, 5.0, 8.0])
-def test_noise_of_5_cm_changes_ttc_by_less_than_a_tenth_at_any_rate(rate: float, closing: float) -> None:
+def test_noise_of_5_cm_changes_ttc_by_less_than_a_tenth_at_any_rate(
+    rate: float, closing: float
+) -> None:
     """20 m behind a lead, down to a gap of 5 m, below which the positions' own noise is seen."""
     t = times(rate)
     gap = 20.0 - closing * t
@@ -70,9 +78,13 @@ def test_uniform_motion_is_exact(vx: float, vy: float, rate: float, logged: bool
     assert np.abs([found.ax, found.ay]).max() < 1e-5
 
 
-@pytest.mark.parametrize(("sigma", "far", "near"), [(0.0, 0.01, 0.15), (0.02, 0.4, 0.5), (0.05, 0.6, 0.75)])
+@pytest.mark.parametrize(
+    ("sigma", "far", "near"), [(0.0, 0.01, 0.15), (0.02, 0.4, 0.5), (0.05, 0.6, 0.75)]
+)
 @pytest.mark.parametrize("rate", RATES)
-def test_a_hard_brake_is_smeared_over_less_than_a_second(rate: float, sigma: float, far: float, near: float) -> None:
+def test_a_hard_brake_is_smeared_over_less_than_a_second(
+    rate: float, sigma: float, far: float, near: float
+) -> None:
     """8 m/s2 for 1.5 s: the speed's error within a second of either change, and beyond; m/s."""
     t = times(rate, 12.0)
     x, v, _ = braking(t, 15.0, 6.03, 8.0, until=3.0)
@@ -86,7 +98,9 @@ def test_a_hard_brake_is_smeared_over_less_than_a_second(rate: float, sigma: flo
 @pytest.mark.parametrize(("sigma", "error"), [(0.0, 0.2), (0.05, 1.2)])
 @pytest.mark.parametrize("logged", [False, True])
 @pytest.mark.parametrize("rate", [10.0, 50.0])
-def test_a_braking_leads_deceleration_is_found(rate: float, sigma: float, error: float, logged: bool) -> None:
+def test_a_braking_leads_deceleration_is_found(
+    rate: float, sigma: float, error: float, logged: bool
+) -> None:
     """5 m/s2 for 3 s, half a second away from its begin and end."""
     t = times(rate, 12.0)
     x, v, a = braking(t, 20.0, 4.0, 5.0, until=5.0)
@@ -103,7 +117,9 @@ def test_a_braking_leads_deceleration_is_found(rate: float, sigma: float, error:
 @pytest.mark.parametrize("rate", [5.0, 10.0, 20.0])
 @pytest.mark.parametrize("side", [1.0, -1.0])
 @pytest.mark.parametrize(("sigma", "error"), [(0.0, 0.01), (0.05, 0.12)])
-def test_the_yaw_rate_of_who_drives_a_circle_is_found(rate: float, side: float, sigma: float, error: float) -> None:
+def test_the_yaw_rate_of_who_drives_a_circle_is_found(
+    rate: float, side: float, sigma: float, error: float
+) -> None:
     """8 m/s on 20 m: 0.4 rad/s, half a second away from the track's ends; one that stands in noise hardly turns."""
     t = times(rate, 6.0)
     x, y = 20.0 * np.sin(0.4 * t), side * 20.0 * (1.0 - np.cos(0.4 * t))
@@ -141,8 +157,10 @@ def wavy(seed: int) -> Tracks:
     velocity = {"vx": 8.0 - np.cos(t), "vy": -np.sin(t)}
     some = [
         track(name, t, 8.0 * t - np.sin(t), np.cos(t) + i, kind=kind, **(velocity if i else {}))
-        for i, (name, kind) in enumerate((("a", AgentKind.CAR), ("b", AgentKind.CAR), ("c", AgentKind.PEDESTRIAN)))
-    ]  # fmt: skip
+        for i, (name, kind) in enumerate(
+            (("a", AgentKind.CAR), ("b", AgentKind.CAR), ("c", AgentKind.PEDESTRIAN))
+        )
+    ]
     return noisy(tracks(*some), 0.02, seed)
 
 
@@ -153,9 +171,15 @@ def velocities(made: Tracks) -> FloatArray:
 
 @settings(max_examples=25)
 @given(
-    st.integers(0, 99), st.floats(-3.2, 3.2), st.floats(-1e4, 1e4), st.floats(-1e3, 1e3), st.sampled_from([-1.0, 1.0])
+    st.integers(0, 99),
+    st.floats(-3.2, 3.2),
+    st.floats(-1e4, 1e4),
+    st.floats(-1e3, 1e3),
+    st.sampled_from([-1.0, 1.0]),
 )
-def test_moved_mirrored_and_later_alike(seed: int, angle: float, offset: float, later: float, mirror: float) -> None:
+def test_moved_mirrored_and_later_alike(
+    seed: int, angle: float, offset: float, later: float, mirror: float
+) -> None:
     made = wavy(seed)
     turn = np.array([[cos(angle), -sin(angle)], [sin(angle), cos(angle)]]) @ np.diag([1.0, mirror])
     (x, y), (vx, vy) = turn @ np.stack([made.x, made.y]), turn @ np.stack([made.vx, made.vy])
@@ -168,7 +192,13 @@ def test_moved_mirrored_and_later_alike(seed: int, angle: float, offset: float, 
 @given(st.integers(0, 99))
 def test_the_order_of_tracks_does_not_matter_and_the_bits_are_the_same(seed: int) -> None:
     made = wavy(seed)
-    columns = {c: getattr(made, c).reshape(3, -1)[::-1].ravel() for c in ("t", "x", "y", "yaw", "vx", "vy")}
+    columns = {
+        c: getattr(made, c).reshape(3, -1)[::-1].ravel() for c in ("t", "x", "y", "yaw", "vx", "vy")
+    }
     turned = replace(made, ids=made.ids[::-1], kinds=made.kinds[::-1], **columns)
     there = velocities(turned).reshape(4, 3, -1)[:, ::-1].reshape(4, -1)
-    assert np.ascontiguousarray(there).tobytes() == velocities(made).tobytes() == velocities(replace(made)).tobytes()
+    assert (
+        np.ascontiguousarray(there).tobytes()
+        == velocities(made).tobytes()
+        == velocities(replace(made)).tobytes()
+    )

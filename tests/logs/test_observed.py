@@ -28,12 +28,16 @@ def present(*spans: tuple[float, float], step: float = 0.1) -> Tracks:
     return tracks(*made)
 
 
-def spans_of(*spans: tuple[float, float], duration: float = 12.0) -> tuple[tuple[float, float], ...]:
+def spans_of(
+    *spans: tuple[float, float], duration: float = 12.0
+) -> tuple[tuple[float, float], ...]:
     return scenario(LOG, agents=present(*spans), duration=duration).traffic_spans
 
 
 @given(st.lists(st.integers(0, 200), min_size=1, max_size=60, unique=True))
-def test_a_stream_was_observed_at_each_of_its_messages_and_not_beyond_them(ticks: list[int]) -> None:
+def test_a_stream_was_observed_at_each_of_its_messages_and_not_beyond_them(
+    ticks: list[int],
+) -> None:
     t = 0.1 * np.array(ticks)
     spans = of_stream(t)
     assert within(spans, t).all()
@@ -42,7 +46,9 @@ def test_a_stream_was_observed_at_each_of_its_messages_and_not_beyond_them(ticks
 
 
 @given(st.lists(st.tuples(st.integers(0, 50), st.integers(1, 50)), min_size=1, max_size=12))
-def test_the_inferred_span_begins_with_the_first_and_ends_with_one_of_them(rows: list[tuple[int, int]]) -> None:
+def test_the_inferred_span_begins_with_the_first_and_ends_with_one_of_them(
+    rows: list[tuple[int, int]],
+) -> None:
     given_spans = [(0.1 * a, round(0.1 * (a + n), 9)) for a, n in rows]
     ((first, last),) = spans_of(*given_spans)
     assert first == pytest.approx(min(span[0] for span in given_spans))
@@ -57,7 +63,8 @@ def test_a_straggler_does_not_stand_for_nine_who_vanish_together() -> None:
 
 def test_who_leave_one_by_one_leave_a_recording_that_goes_on() -> None:
     assert spans_of(*((0.0, 1.0 + i) for i in range(9))) == ((0.0, 9.0),)
-    assert spans_of((0.0, 3.0), (0.0, 3.0), (0.0, 9.0)) == ((0.0, 9.0),)  # two who leave together are no end
+    # Two who leave together are no end
+    assert spans_of((0.0, 3.0), (0.0, 3.0), (0.0, 9.0)) == ((0.0, 9.0),)
     assert spans_of(*[(0.0, 3.0)] * 9, (4.0, 9.0)) == ((0.0, 9.0),)  # somebody appears later
 
 
@@ -67,7 +74,9 @@ def test_traffic_on_another_clock_was_observed_at_no_time() -> None:
 
 
 @pytest.mark.parametrize(("tags", "spans"), [(("recorded",), ()), (("synthetic",), ((0.0, 12.0),))])
-def test_a_recorded_log_without_road_users_says_nothing_of_traffic(tags: tuple[str, ...], spans: object) -> None:
+def test_a_recorded_log_without_road_users_says_nothing_of_traffic(
+    tags: tuple[str, ...], spans: object
+) -> None:
     assert replace(scenario(LOG), tags=tags).traffic_spans == spans
 
 
@@ -77,7 +86,9 @@ def test_the_catalogue_states_that_its_world_is_whole() -> None:
 
 
 def commonroad(folder: Path, *vehicles: str) -> Scenario:
-    return read_commonroad(written(folder, straight(1), straight(2, y=4.0), *vehicles, problem(9, 0.0, 0.0, 10.0)))
+    return read_commonroad(
+        written(folder, straight(1), straight(2, y=4.0), *vehicles, problem(9, 0.0, 0.0, 10.0))
+    )
 
 
 def test_commonroad_traffic_that_ends_at_once_and_none_at_all(tmp_path: Path) -> None:

@@ -53,7 +53,9 @@ SPIRAL = ReferenceLine.through(circle(20.0, 2.5, pitch=9.0))
 @settings(max_examples=40)
 def test_frenet_there_and_back_at_a_kink(bend: float, share: float, s: float) -> None:
     arm = 4.0 * np.arange(1, 11)[:, None]
-    points = np.vstack([-arm[::-1] * [[1.0, 0.0]], [[0.0, 0.0]], arm * [[np.cos(bend), np.sin(bend)]]])
+    points = np.vstack(
+        [-arm[::-1] * [[1.0, 0.0]], [[0.0, 0.0]], arm * [[np.cos(bend), np.sin(bend)]]]
+    )
     assert there_and_back(ReferenceLine.through(points), 40.0 + s, share) < 1e-6
 
 
@@ -77,7 +79,9 @@ def test_projection_is_the_nearest_point(seed: int, s: float, l: float) -> None:
     foot, offset = line.project(x, y)
     fine = np.array([line.point(station, 0.0) for station in np.linspace(0.0, line.length, 2000)])
     assert abs(offset) <= np.hypot(*(fine - [x, y]).T).min() + 1e-6
-    assert np.hypot(*(np.array(line.point(foot, 0.0)) - [x, y])) == pytest.approx(abs(offset), abs=1e-6)
+    assert np.hypot(*(np.array(line.point(foot, 0.0)) - [x, y])) == pytest.approx(
+        abs(offset), abs=1e-6
+    )
 
 
 @given(st.integers(0, 20), st.floats(-5.0, 115.0), st.floats(-3.0, 3.0))
@@ -105,8 +109,13 @@ def test_lines_without_direction_are_refused(points: list) -> None:
         ReferenceLine.through(np.array(points, float))
 
 
-@given(st.lists(st.tuples(st.floats(-9.0, 9.0), st.floats(-9.0, 9.0)), min_size=1, max_size=40), st.floats(0.1, 3.0))
-def test_thinned_keeps_the_ends_and_the_spacing(points: list[tuple[float, float]], spacing: float) -> None:
+@given(
+    st.lists(st.tuples(st.floats(-9.0, 9.0), st.floats(-9.0, 9.0)), min_size=1, max_size=40),
+    st.floats(0.1, 3.0),
+)
+def test_thinned_keeps_the_ends_and_the_spacing(
+    points: list[tuple[float, float]], spacing: float
+) -> None:
     out = thinned(np.array(points), spacing)
     assert (out[0] == points[0]).all()
     assert (out[:, None] == np.array(points)[None]).all(axis=2).any(axis=1).all()
@@ -117,8 +126,12 @@ def test_thinned_keeps_the_ends_and_the_spacing(points: list[tuple[float, float]
         assert steps[-1] > 0.0
 
 
-@pytest.mark.parametrize(("end", "kept"), [(1.7, [0.0, 1.0, 1.7]), (1.4, [0.0, 1.4]), (1.0, [0.0, 1.0])])
-def test_the_end_takes_the_place_of_a_point_that_is_nearer_than_half_the_spacing(end: float, kept: list) -> None:
+@pytest.mark.parametrize(
+    ("end", "kept"), [(1.7, [0.0, 1.0, 1.7]), (1.4, [0.0, 1.4]), (1.0, [0.0, 1.0])]
+)
+def test_the_end_takes_the_place_of_a_point_that_is_nearer_than_half_the_spacing(
+    end: float, kept: list
+) -> None:
     line = np.array([[0.0, 0.0], [1.0, 0.0], [end, 0.0]])
     assert thinned(line, 1.0)[:, 0].tolist() == kept
 
@@ -136,7 +149,9 @@ def test_a_road_along_a_path_holds_the_path_and_goes_on(seed: int) -> None:
     assert np.allclose(np.hypot(*(road.lanes[0].left - road.lanes[0].right).T), 3.5)
 
 
-@pytest.mark.parametrize("path", [[[0, 0], [2, 0], [2.3, 0]], [[0, 0], [5, 0], [0, 0]], [[0, 0], [1.2, 0], [1.3, 0]]])
+@pytest.mark.parametrize(
+    "path", [[[0, 0], [2, 0], [2.3, 0]], [[0, 0], [5, 0], [0, 0]], [[0, 0], [1.2, 0], [1.3, 0]]]
+)
 def test_a_road_along_an_odd_path_is_finite(path: list) -> None:
     lane = Road.along(np.array(path, float), speed_limit=10.0).lanes[0]
     assert np.isfinite(lane.polygon).all()
@@ -149,7 +164,9 @@ def test_a_standing_ego_has_no_path() -> None:
 
 polygons = st.integers(3, 9).flatmap(
     lambda n: st.tuples(*[st.floats(1.0, 5.0)] * n).map(
-        lambda r: np.column_stack([np.array(r) * f(2 * pi * np.arange(len(r)) / len(r)) for f in (np.cos, np.sin)])
+        lambda r: np.column_stack(
+            [np.array(r) * f(2 * pi * np.arange(len(r)) / len(r)) for f in (np.cos, np.sin)]
+        )
     )
 )
 
@@ -164,11 +181,18 @@ def test_inside_is_the_winding_number(polygon: np.ndarray, x: float, y: float) -
 
 
 def lane(number: int, x: float, **changes: object) -> Lane:
-    return Lane(number, np.array([[x, 1.0], [x + 10, 1.0]]), np.array([[x, -1.0], [x + 10, -1.0]]), **changes)  # type: ignore[arg-type]
+    return Lane(
+        number,
+        np.array([[x, 1.0], [x + 10, 1.0]]),
+        np.array([[x, -1.0], [x + 10, -1.0]]),
+        **changes,
+    )  # type: ignore[arg-type]
 
 
 def test_lanes_by_place() -> None:
-    road = Road({1: lane(1, 0.0, speed_limit=5.0), 2: lane(2, 5.0), 3: lane(3, 20.0, drivable=False)})
+    road = Road(
+        {1: lane(1, 0.0, speed_limit=5.0), 2: lane(2, 5.0), 3: lane(3, 20.0, drivable=False)}
+    )
     assert [found.id for found in road.lanes_at(7.0, 0.0)] == [1, 2]
     assert road.lanes_at(7.0, 1.5) == ()
     assert road.is_drivable(2.0, 0.5)
@@ -217,13 +241,20 @@ def box(x: float, half: float) -> np.ndarray:
     return np.array([[x - half, -half], [x + half, -half], [x + half, half], [x - half, half]])
 
 
-bounds = st.one_of(st.none(), st.tuples(st.floats(-2.0, 2.0), st.floats(0.0, 3.0)).map(lambda b: (b[0], b[0] + b[1])))
+bounds = st.one_of(
+    st.none(),
+    st.tuples(st.floats(-2.0, 2.0), st.floats(0.0, 3.0)).map(lambda b: (b[0], b[0] + b[1])),
+)
 places = st.lists(st.builds(box, st.floats(-5.0, 5.0), st.floats(0.5, 4.0)), max_size=2).map(tuple)
 goals = st.builds(Goal, places, bounds, bounds, bounds)
 
 
-@given(st.lists(goals, min_size=1, max_size=4), st.lists(st.floats(-3.0, 3.0), min_size=5, max_size=5))
-def test_any_of_some_goals_is_reached_exactly_where_one_of_them_is(some: list[Goal], state: list[float]) -> None:
+@given(
+    st.lists(goals, min_size=1, max_size=4), st.lists(st.floats(-3.0, 3.0), min_size=5, max_size=5)
+)
+def test_any_of_some_goals_is_reached_exactly_where_one_of_them_is(
+    some: list[Goal], state: list[float]
+) -> None:
     goal = Goal.any_of(some)
     assert goal.reached(*state) == any(one.reached(*state) for one in some)
     loose = replace(goal, alternatives=())  # what readers that do not know alternatives see

@@ -14,7 +14,14 @@ from worlds import along_x, curve, lanes, strip
 
 from replan.logs.readers.commonroad import read_commonroad
 from replan.logs.road import Goal, Lane, Road
-from replan.logs.route import LANE_CHANGE_M, costs_to_go, find_route, goal_lanes, start_lanes, straight_on
+from replan.logs.route import (
+    LANE_CHANGE_M,
+    costs_to_go,
+    find_route,
+    goal_lanes,
+    start_lanes,
+    straight_on,
+)
 from replan.logs.states import EgoState
 
 EGO = EgoState(0.0, 0.0, 0.0, 0.0, 5.0)
@@ -60,7 +67,9 @@ def graphs(draw: st.DrawFn) -> Road:
 
 
 def square(x: float, y: float, half: float) -> np.ndarray:
-    return np.array([[x - half, y - half], [x + half, y - half], [x + half, y + half], [x - half, y + half]])
+    return np.array(
+        [[x - half, y - half], [x + half, y - half], [x + half, y + half], [x - half, y + half]]
+    )
 
 
 @given(graphs(), st.integers(0, 6))
@@ -126,7 +135,9 @@ def test_a_sidewalk_is_no_way() -> None:
 
 def test_straight_on_is_the_successor_that_turns_least() -> None:
     first = strip(0, curve((20.0, 0.0)), successors=(1, 2, 3))
-    onward = [strip(i, curve((20.0, 0.0), (15.0, k))[20:]) for i, k in ((1, 0.1), (2, -0.01), (3, -0.1))]
+    onward = [
+        strip(i, curve((20.0, 0.0), (15.0, k))[20:]) for i, k in ((1, 0.1), (2, -0.01), (3, -0.1))
+    ]
     road = Road({lane.id: lane for lane in (first, *onward)})
     assert straight_on(road, 0) == 2
     assert straight_on(road, 2) is None

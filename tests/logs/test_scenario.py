@@ -30,19 +30,37 @@ def ragged(seed: int) -> Tracks:
     vx, vy = (np.where(rng.random(m) < 0.4, np.nan, rng.normal(0, 5, m)) for _ in range(2))
     static = np.array([False] * 4 + [True])
     return Tracks(
-        tuple(f"a{i}" for i in range(5)), (AgentKind.CAR,) * 4 + (AgentKind.OBJECT,), rng.uniform(1, 5, 5),
-        rng.uniform(0.5, 2, 5), static, np.r_[0, np.cumsum(counts)], np.concatenate(t), rng.normal(0, 20, m),
-        rng.normal(0, 20, m), rng.uniform(-3, 3, m), vx, vy,
-    )  # fmt: skip
+        tuple(f"a{i}" for i in range(5)),
+        (AgentKind.CAR,) * 4 + (AgentKind.OBJECT,),
+        rng.uniform(1, 5, 5),
+        rng.uniform(0.5, 2, 5),
+        static,
+        np.r_[0, np.cumsum(counts)],
+        np.concatenate(t),
+        rng.normal(0, 20, m),
+        rng.normal(0, 20, m),
+        rng.uniform(-3, 3, m),
+        vx,
+        vy,
+    )
 
 
 def one_car(t: list[float], x: list[float], /, **changes: object) -> Tracks:
     n = len(t)
     fields = {
-        "ids": ("car",), "kinds": (AgentKind.CAR,), "length": [4.0], "width": [2.0], "static": [False],
-        "offsets": [0, n], "t": t, "x": x, "y": np.zeros(n), "yaw": np.zeros(n), "vx": np.full(n, np.nan),
+        "ids": ("car",),
+        "kinds": (AgentKind.CAR,),
+        "length": [4.0],
+        "width": [2.0],
+        "static": [False],
+        "offsets": [0, n],
+        "t": t,
+        "x": x,
+        "y": np.zeros(n),
+        "yaw": np.zeros(n),
+        "vx": np.full(n, np.nan),
         "vy": np.full(n, np.nan),
-    } | changes  # fmt: skip
+    } | changes
     return Tracks(**fields)  # type: ignore[arg-type]
 
 
@@ -74,10 +92,15 @@ def at_intervals(*intervals: float) -> Tracks:
     t = np.r_[1.0, 1.0 + np.cumsum(intervals)]
     often = np.round(np.arange(0.0, 20.0, 0.1), 9)
     return one_car(
-        np.r_[t, often].tolist(), np.r_[10.0 * t, 10.0 * often].tolist(), ids=("rare", "often"),
-        kinds=(AgentKind.CAR,) * 2, length=[4.0] * 2, width=[2.0] * 2, static=[False] * 2,
+        np.r_[t, often].tolist(),
+        np.r_[10.0 * t, 10.0 * often].tolist(),
+        ids=("rare", "often"),
+        kinds=(AgentKind.CAR,) * 2,
+        length=[4.0] * 2,
+        width=[2.0] * 2,
+        static=[False] * 2,
         offsets=[0, len(t), len(t) + len(often)],
-    )  # fmt: skip
+    )
 
 
 @given(st.lists(st.floats(0.6, 1.0), min_size=5, max_size=15))
@@ -86,7 +109,8 @@ def test_who_is_sampled_rarely_does_not_flicker(intervals: list[float]) -> None:
     both = at_intervals(*intervals)
     for t in np.arange(0.0, sum(intervals), 0.1):
         assert alone.perceived(t).ids == alone.truth(t).ids == ("car",)
-        if t >= intervals[0]:  # beside others who are seen often, it is known to be rare from its second sample on
+        # Beside others who are seen often, it is known to be rare from its second sample on
+        if t >= intervals[0]:
             assert "rare" in both.perceived(1.0 + t).ids
             assert t < intervals[0] + 1e-9 or "rare" in both.truth(1.0 + t).ids
 
@@ -119,7 +143,9 @@ def test_truth_lies_between_its_samples(seed: int, share: float, index: int) -> 
     found = tracks.truth(time)
     at = found.ids.index(f"a{index}")
     for name in ("x", "y", "yaw"):
-        assert getattr(found, name)[at] == pytest.approx(np.interp(time, t, getattr(tracks, name)[span]), abs=1e-6)
+        assert getattr(found, name)[at] == pytest.approx(
+            np.interp(time, t, getattr(tracks, name)[span]), abs=1e-6
+        )
 
 
 def test_velocity_is_logged_or_a_backward_difference() -> None:
@@ -129,7 +155,10 @@ def test_velocity_is_logged_or_a_backward_difference() -> None:
     assert car.perceived(0.15).x == pytest.approx([1.5])
     assert car.perceived(0.2).vx == pytest.approx([30.0])
     logged = one_car([0.0, 0.1], [0.0, 1.0], vx=[3.0, 5.0], vy=[0.0, -1.0])
-    assert (logged.perceived(0.3).x, logged.perceived(0.3).y) == (pytest.approx([2.0]), pytest.approx([-0.2]))
+    assert (logged.perceived(0.3).x, logged.perceived(0.3).y) == (
+        pytest.approx([2.0]),
+        pytest.approx([-0.2]),
+    )
 
 
 def test_how_long_an_agent_has_been_seen_and_how_long_not() -> None:
@@ -140,8 +169,14 @@ def test_how_long_an_agent_has_been_seen_and_how_long_not() -> None:
         assert np.isnan(seen.velocity_sigma).all()
     t = np.arange(0.0, 20.0, 0.1)
     first = one_car(list(t), list(t))
-    assert np.isnan(first.perceived(OLDEST_S - 0.1).age).all(), "it was there when the scenario began"
-    assert first.perceived(OLDEST_S + 5.0).age == first.shifted(1.0).perceived(OLDEST_S + 5.0).age == [OLDEST_S]
+    assert np.isnan(first.perceived(OLDEST_S - 0.1).age).all(), (
+        "it was there when the scenario began"
+    )
+    assert (
+        first.perceived(OLDEST_S + 5.0).age
+        == first.shifted(1.0).perceived(OLDEST_S + 5.0).age
+        == [OLDEST_S]
+    )
     still = replace(late, static=[True]).perceived(1.25)
     assert np.isnan([still.age, still.unseen]).all() and np.isnan(late.truth(1.1).age).all()
 
@@ -171,7 +206,9 @@ def test_some_by_name_are_they_with_all_their_samples(seed: int, keep: set[int])
     assert list(some.ids) == names
     for i, name in enumerate(names):
         mine, theirs = some.samples(i), tracks.samples(tracks.ids.index(name))
-        assert np.array_equal(some.t[mine], tracks.t[theirs]) and np.array_equal(some.x[mine], tracks.x[theirs])
+        assert np.array_equal(some.t[mine], tracks.t[theirs]) and np.array_equal(
+            some.x[mine], tracks.x[theirs]
+        )
 
 
 @pytest.mark.parametrize(
@@ -200,7 +237,12 @@ def test_bad_tracks_are_refused(changes: dict, message: str) -> None:
 
 
 def test_ids_must_differ_and_times_may_restart_between_tracks() -> None:
-    two = {"kinds": (AgentKind.CAR,) * 2, "length": [4.0] * 2, "width": [2.0] * 2, "static": [False] * 2}
+    two = {
+        "kinds": (AgentKind.CAR,) * 2,
+        "length": [4.0] * 2,
+        "width": [2.0] * 2,
+        "static": [False] * 2,
+    }
     fine = one_car([0.0, 0.1, 0.0], [0.0] * 3, ids=("a", "b"), offsets=[0, 2, 3], **two)
     assert len(fine) == 2
     with pytest.raises(ValueError, match="same id"):
@@ -234,7 +276,9 @@ def test_later_samples_may_say_anything(seed: int, time: float, jump: float) -> 
     later = tracks.t > time
     later[tracks.offsets[:-1][tracks.static]] = False
     noise = np.where(later, jump + 1.0, 0.0)
-    other = replace(tracks, x=tracks.x + noise, y=tracks.y - noise, vx=np.where(later, 7.0, tracks.vx))
+    other = replace(
+        tracks, x=tracks.x + noise, y=tracks.y - noise, vx=np.where(later, 7.0, tracks.vx)
+    )
     assert not differences(tracks.perceived(time), other.perceived(time))
 
 

@@ -7,7 +7,12 @@ from hypothesis import assume, given, settings, strategies as st
 from replan.logs import shapes
 from replan.logs.shapes import corners, distance, overlap, point_segment
 
-place, angle, side, rate = st.floats(-8.0, 8.0), st.floats(-7.0, 7.0), st.floats(0.3, 6.0), st.floats(-5.0, 5.0)
+place, angle, side, rate = (
+    st.floats(-8.0, 8.0),
+    st.floats(-7.0, 7.0),
+    st.floats(0.3, 6.0),
+    st.floats(-5.0, 5.0),
+)
 box = st.tuples(place, place, angle, side, side)
 velocity = st.tuples(rate, rate)
 Box = tuple[float, float, float, float, float]
@@ -127,7 +132,9 @@ def _closest(one: Box, two: Box, v1: tuple, v2: tuple) -> float:
 
 @settings(max_examples=60)
 @given(box, box, velocity, velocity)
-def test_time_to_contact_is_when_stepping_finds_the_first_touch(one: Box, two: Box, v1: tuple, v2: tuple) -> None:
+def test_time_to_contact_is_when_stepping_finds_the_first_touch(
+    one: Box, two: Box, v1: tuple, v2: tuple
+) -> None:
     assume(_closest(one, two, v1, v2) > 0.0)
     exact, step = time_to_contact(one, v1, two, v2), 0.01
     found = inf
@@ -141,13 +148,20 @@ def test_time_to_contact_is_when_stepping_finds_the_first_touch(one: Box, two: B
     if exact < 7.9 and found == inf:  # a touch shorter than a step
         t = exact + 1e-9
         assert overlap(
-            one[0] + t * v1[0], one[1] + t * v1[1], *one[2:], two[0] + t * v2[0], two[1] + t * v2[1], *two[2:]
+            one[0] + t * v1[0],
+            one[1] + t * v1[1],
+            *one[2:],
+            two[0] + t * v2[0],
+            two[1] + t * v2[1],
+            *two[2:],
         )
     elif exact < 7.9:
         assert found == pytest.approx(exact, abs=step + 1e-9) or exact < found
 
 
-def turning(one: Box, v1: tuple, w1: float, two: Box, v2: tuple, w2: float, lasts: float = 1.5) -> float:
+def turning(
+    one: Box, v1: tuple, w1: float, two: Box, v2: tuple, w2: float, lasts: float = 1.5
+) -> float:
     return shapes.time_to_contact_turning(*one, *v1, w1, *two, *v2, w2, lasts)
 
 
@@ -166,12 +180,19 @@ def test_turning_time_to_contact_is_when_stepping_along_the_arcs_finds_the_first
     one: Box, two: Box, v1: tuple, v2: tuple, w1: float, w2: float
 ) -> None:
     """Within the turn, up to the headings' error of 0.03 rad at half of a diagonal."""
-    found, error = turning(one, v1, w1, two, v2, w2), 0.03 * max(np.hypot(*one[3:]), np.hypot(*two[3:])) + 0.01
+    found, error = (
+        turning(one, v1, w1, two, v2, w2),
+        0.03 * max(np.hypot(*one[3:]), np.hypot(*two[3:])) + 0.01,
+    )
     assert turning(two, v2, w2, one, v1, w1) == pytest.approx(found, abs=1e-6)
     for t in np.arange(0.0, min(found, 1.5) - 1e-9, 0.01):
-        assert not overlap(*grown(on_arc(one, v1, w1, t), -error), *grown(on_arc(two, v2, w2, t), -error))
+        assert not overlap(
+            *grown(on_arc(one, v1, w1, t), -error), *grown(on_arc(two, v2, w2, t), -error)
+        )
     if found < 1.5:
-        assert overlap(*grown(on_arc(one, v1, w1, found), error), *grown(on_arc(two, v2, w2, found), error))
+        assert overlap(
+            *grown(on_arc(one, v1, w1, found), error), *grown(on_arc(two, v2, w2, found), error)
+        )
 
 
 @given(box, box, velocity, velocity, turns)
@@ -182,7 +203,9 @@ def test_without_turning_it_is_the_straight_time_and_after_the_turn_the_tangent(
     found = turning(one, v1, w, two, v2, 0.0)
     if 1.5 < found < inf:
         later, after = on_arc(one, v1, w, 1.5), turned((*v1, 0.0, 1.0, 1.0), 1.5 * w, 0.0, 0.0)[:2]
-        assert time_to_contact(later, after, on_arc(two, v2, 0.0, 1.5), v2) == pytest.approx(found - 1.5, abs=1e-5)
+        assert time_to_contact(later, after, on_arc(two, v2, 0.0, 1.5), v2) == pytest.approx(
+            found - 1.5, abs=1e-5
+        )
 
 
 @given(box, box, velocity)
@@ -191,7 +214,9 @@ def test_no_relative_motion_touches_now_or_never(one: Box, two: Box, v: tuple) -
 
 
 def test_a_thin_box_cannot_slip_through() -> None:
-    assert shapes.time_to_contact(0, 0, 0, 4, 2, 0, 30, 0, 0.01, 0.01, 0, -1000) == pytest.approx(0.028995)
+    assert shapes.time_to_contact(0, 0, 0, 4, 2, 0, 30, 0, 0.01, 0.01, 0, -1000) == pytest.approx(
+        0.028995
+    )
 
 
 def test_touching_boxes_overlap_and_a_segment_has_length() -> None:

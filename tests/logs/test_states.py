@@ -11,7 +11,15 @@ angles = st.floats(-1000.0, 1000.0)
 
 def straight(n: int = 5, step: float = 0.1, **changes: object) -> Trajectory:
     t = step * np.arange(n)
-    columns = {"t": t, "x": 3.0 * t, "y": 0 * t, "yaw": 0 * t, "v": 3.0 + 0 * t, "a": 0 * t, "kappa": 0 * t}
+    columns = {
+        "t": t,
+        "x": 3.0 * t,
+        "y": 0 * t,
+        "yaw": 0 * t,
+        "v": 3.0 + 0 * t,
+        "a": 0 * t,
+        "kappa": 0 * t,
+    }
     return Trajectory(**(columns | changes))
 
 

@@ -32,13 +32,30 @@ def test_what_controllers_are_told_is_what_the_motor_gives(name: str) -> None:
 
 @pytest.mark.parametrize(("name", "number"), [("bmw_320i", 2), ("vw_vanagon", 3)])
 def test_the_numbers_are_those_of_commonroad(name: str, number: int) -> None:
-    package = pytest.importorskip("vehiclemodels.vehicle_parameters", reason="needs commonroad-vehicle-models")
+    package = pytest.importorskip(
+        "vehiclemodels.vehicle_parameters", reason="needs commonroad-vehicle-models"
+    )
     q, p = package.setup_vehicle_parameters(vehicle_id=number), vehicle_parameters(name)
-    ours = (p.length, p.width, p.mass, p.yaw_inertia, p.cog_to_front, p.cog_to_rear, p.cog_height, p.wheel_radius)
+    ours = (
+        p.length,
+        p.width,
+        p.mass,
+        p.yaw_inertia,
+        p.cog_to_front,
+        p.cog_to_rear,
+        p.cog_height,
+        p.wheel_radius,
+    )
     assert ours == pytest.approx((q.l, q.w, q.m, q.I_z, q.a, q.b, q.h_cg, q.R_w))
-    assert (p.tyre_friction, p.tyre_shape, p.tyre_curvature) == (q.tire.p_dy1, q.tire.p_cy1, q.tire.p_ey1)
+    assert (p.tyre_friction, p.tyre_shape, p.tyre_curvature) == (
+        q.tire.p_dy1,
+        q.tire.p_cy1,
+        q.tire.p_ey1,
+    )
     weight = q.m * 9.81 / (q.a + q.b) * -q.tire.p_ky1
-    assert (p.cornering_front, p.cornering_rear) == pytest.approx((weight * q.b, weight * q.a), rel=1e-5)
+    assert (p.cornering_front, p.cornering_rear) == pytest.approx(
+        (weight * q.b, weight * q.a), rel=1e-5
+    )
 
 
 @pytest.mark.parametrize("name", ["", *vehicle_names()])
@@ -49,13 +66,34 @@ def test_a_log_keeps_its_vehicle(name: str, tmp_path: Path) -> None:
     assert asdict(read_scenario(tmp_path / "log.mcap").vehicle) == asdict(vehicle)
 
 
-@pytest.mark.parametrize(("change", "words"), [
-    ({"gears": (3.0,)}, "all of them or none"),
-    ({"motor_torque": (100.0, 90.0)}, "all of them or none"),
-    ({"gears": (3.0,), "motor_speed": (5.0, 4.0), "motor_torque": (1.0, 1.0), "motor_overrun": (0.0, 0.0)}, "increas"),
-    ({"gears": (3.0,), "motor_speed": (5.0, 6.0), "motor_torque": (1.0, -1.0), "motor_overrun": (0.0, 0.0)}, "not neg"),
-    ({"tyre_friction": 0.0}, "tyre_friction must be positive"),
-])  # fmt: skip
-def test_numbers_that_make_no_vehicle_are_refused(change: dict[str, tuple[float, ...]], words: str) -> None:
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"gears": (3.0,)}, "all of them or none"),
+        ({"motor_torque": (100.0, 90.0)}, "all of them or none"),
+        (
+            {
+                "gears": (3.0,),
+                "motor_speed": (5.0, 4.0),
+                "motor_torque": (1.0, 1.0),
+                "motor_overrun": (0.0, 0.0),
+            },
+            "increas",
+        ),
+        (
+            {
+                "gears": (3.0,),
+                "motor_speed": (5.0, 6.0),
+                "motor_torque": (1.0, -1.0),
+                "motor_overrun": (0.0, 0.0),
+            },
+            "not neg",
+        ),
+        ({"tyre_friction": 0.0}, "tyre_friction must be positive"),
+    ],
+)
+def test_numbers_that_make_no_vehicle_are_refused(
+    change: dict[str, tuple[float, ...]], words: str
+) -> None:
     with pytest.raises(ValueError, match=words):
         replace(VehicleParameters(), **change)

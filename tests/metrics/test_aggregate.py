@@ -6,7 +6,15 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from scipy.stats import binomtest
 
-from replan.metrics.judge.aggregate import COLUMNS, LogLabels, groups, membership, pass_shares, standings, wilson
+from replan.metrics.judge.aggregate import (
+    COLUMNS,
+    LogLabels,
+    groups,
+    membership,
+    pass_shares,
+    standings,
+    wilson,
+)
 
 ASKED = [("dp_qp", "open"), ("dp_qp", "closed")]
 LABELS = {
@@ -38,12 +46,19 @@ def said(*rows: tuple[str, str, str, str]) -> pd.DataFrame:
 
 
 def test_a_missing_or_crashed_log_counts_against_and_an_inconclusive_one_apart() -> None:
-    driven = drives(*(("a", *one) for one in ASKED), *(("b", *one) for one in ASKED), ("c", "dp_qp", "open"))
+    driven = drives(
+        *(("a", *one) for one in ASKED), *(("b", *one) for one in ASKED), ("c", "dp_qp", "open")
+    )
     found = said(
-        ("a", "dp_qp", "open", "pass"), ("a", "dp_qp", "closed", "pass"), ("a", "dp_qp", "closed", "pass"),
-        ("b", "dp_qp", "open", "pass"), ("b", "dp_qp", "closed", "pass"), ("b", "dp_qp", "closed", "inconclusive"),
-        ("c", "dp_qp", "open", "pass"), ("c", "dp_qp", "closed", "inconclusive"),
-    )  # fmt: skip
+        ("a", "dp_qp", "open", "pass"),
+        ("a", "dp_qp", "closed", "pass"),
+        ("a", "dp_qp", "closed", "pass"),
+        ("b", "dp_qp", "open", "pass"),
+        ("b", "dp_qp", "closed", "pass"),
+        ("b", "dp_qp", "closed", "inconclusive"),
+        ("c", "dp_qp", "open", "pass"),
+        ("c", "dp_qp", "closed", "inconclusive"),
+    )
     stand = standings(found, driven, list(LABELS), ASKED)
     shares = pass_shares(stand, LABELS).set_index(["kind", "group", "mode"])
     counts = ["logs", "passed", "failed", "inconclusive", "missing"]
@@ -55,11 +70,21 @@ def test_a_missing_or_crashed_log_counts_against_and_an_inconclusive_one_apart()
     assert (suite["mean"], suite["low"], suite["high"]) == pytest.approx((1 / 3, *wilson(1, 3)))
 
 
-@pytest.mark.parametrize("crashed", [("a", "dp_qp", "open"), ("a", "dp_qp", None), ("a", None, None)])
-def test_a_drive_that_crashed_is_missing_whatever_its_gates_say(crashed: tuple[str, str | None, str | None]) -> None:
+@pytest.mark.parametrize(
+    "crashed", [("a", "dp_qp", "open"), ("a", "dp_qp", None), ("a", None, None)]
+)
+def test_a_drive_that_crashed_is_missing_whatever_its_gates_say(
+    crashed: tuple[str, str | None, str | None],
+) -> None:
     found = said(("a", "dp_qp", "open", "pass"), ("b", "dp_qp", "open", "pass"))
     driven = drives(("a", "dp_qp", "open"), ("b", "dp_qp", "open"))
-    stand = standings(found, driven, ["a", "b"], ASKED[:1], [crashed, ("b", "dp_qp", "closed"), ("b", "idm", None)])
+    stand = standings(
+        found,
+        driven,
+        ["a", "b"],
+        ASKED[:1],
+        [crashed, ("b", "dp_qp", "closed"), ("b", "idm", None)],
+    )
     assert list(stand["standing"]) == ["missing", "passed"]
     failed = standings(said(("a", "dp_qp", "open", "fail")), driven, ["a"], ASKED[:1], [crashed])
     assert list(failed["standing"]) == ["failed"]
@@ -69,14 +94,18 @@ def test_a_loop_without_gates_is_not_asked_unless_a_drive_of_it_is_lost() -> Non
     driven, found = drives(*(("a", *one) for one in ASKED)), said(("a", "dp_qp", "closed", "pass"))
     stand = standings(found, driven, ["a"], ASKED)
     assert stand[["mode", "standing"]].to_numpy().tolist() == [["closed", "passed"]]
-    lost = standings(found, drives(("a", "dp_qp", "closed")), ["a"], ASKED, [("a", "dp_qp", "open")])
+    lost = standings(
+        found, drives(("a", "dp_qp", "closed")), ["a"], ASKED, [("a", "dp_qp", "open")]
+    )
     assert dict(zip(lost["mode"], lost["standing"], strict=True))["both"] == "missing"
 
 
 @given(st.lists(st.sampled_from(["pass", "fail", "inconclusive", "lost"]), min_size=1, max_size=12))
 def test_every_log_is_counted_once_and_a_lost_one_never_helps(outcomes: list[str]) -> None:
     logs = [f"log{i}" for i in range(len(outcomes))]
-    there = [(log, outcome) for log, outcome in zip(logs, outcomes, strict=True) if outcome != "lost"]
+    there = [
+        (log, outcome) for log, outcome in zip(logs, outcomes, strict=True) if outcome != "lost"
+    ]
     stand = standings(
         said(*((log, "dp_qp", "open", outcome) for log, outcome in there)),
         drives(*((log, "dp_qp", "open") for log, _ in there)),
@@ -84,21 +113,33 @@ def test_every_log_is_counted_once_and_a_lost_one_never_helps(outcomes: list[str
         ASKED[:1],
     )
     (row,) = pass_shares(stand, dict.fromkeys(logs, LogLabels())).to_dict("records")
-    assert row["passed"] + row["failed"] + row["inconclusive"] + row["missing"] == row["logs"] == len(outcomes)
+    assert (
+        row["passed"] + row["failed"] + row["inconclusive"] + row["missing"]
+        == row["logs"]
+        == len(outcomes)
+    )
     assert row["mean"] == outcomes.count("pass") / len(outcomes)
 
 
 def test_logs_belong_to_the_suite_their_family_their_dataset_and_each_tag() -> None:
     assert membership(LABELS) == {
-        ("suite", ""): ("a", "b", "c"), ("family", "cut_in"): ("a", "b"), ("tag", "car"): ("a", "b"),
-        ("tag", "wet"): ("a",), ("dataset", "one"): ("a", "c"), ("dataset", "two"): ("b",),
-    }  # fmt: skip
+        ("suite", ""): ("a", "b", "c"),
+        ("family", "cut_in"): ("a", "b"),
+        ("tag", "car"): ("a", "b"),
+        ("tag", "wet"): ("a",),
+        ("dataset", "one"): ("a", "c"),
+        ("dataset", "two"): ("b",),
+    }
 
 
 def table(direction: str, values: dict[str, float], *, mode: str = "closed") -> pd.DataFrame:
     rows = [("gap.min", log, value) for log, value in values.items()]
     return pd.DataFrame(rows, columns=["metric", "log", "value"]).assign(
-        planner="dp_qp", mode=mode, unit="m", direction=direction, available=lambda t: t["value"].notna()
+        planner="dp_qp",
+        mode=mode,
+        unit="m",
+        direction=direction,
+        available=lambda t: t["value"].notna(),
     )
 
 
@@ -108,7 +149,9 @@ NOTHING_STANDS = standings(said(), drives(), [], [])
 @pytest.mark.parametrize(
     ("direction", "worst", "log"), [("higher", 1.0, "a"), ("lower", 4.0, "b"), ("none", np.nan, "")]
 )
-def test_the_worst_goes_by_the_direction_and_what_is_missing_is_counted(direction: str, worst: float, log: str) -> None:
+def test_the_worst_goes_by_the_direction_and_what_is_missing_is_counted(
+    direction: str, worst: float, log: str
+) -> None:
     found = groups(table(direction, {"a": 1.0, "b": 4.0, "c": np.nan}), NOTHING_STANDS, LABELS)
     assert tuple(found.columns) == COLUMNS
     suite = found[found["kind"] == "suite"].iloc[0]
@@ -121,9 +164,13 @@ def test_the_worst_goes_by_the_direction_and_what_is_missing_is_counted(directio
 
 @settings(max_examples=10)
 @given(st.lists(st.floats(-1e3, 1e3) | st.none(), min_size=1, max_size=8), st.randoms())
-def test_groups_do_not_depend_on_the_order_of_rows(values: list[float | None], random: object) -> None:
+def test_groups_do_not_depend_on_the_order_of_rows(
+    values: list[float | None], random: object
+) -> None:
     labels = {f"log{i}": LogLabels("even" if i % 2 == 0 else "odd") for i in range(len(values))}
-    rows = table("lower", {log: np.nan if v is None else v for log, v in zip(labels, values, strict=True)})
+    rows = table(
+        "lower", {log: np.nan if v is None else v for log, v in zip(labels, values, strict=True)}
+    )
     found = groups(rows, NOTHING_STANDS, labels)
     random.shuffle(order := list(range(len(rows))))  # type: ignore[attr-defined]
     again = groups(rows.iloc[order].sort_values("log"), NOTHING_STANDS, labels)

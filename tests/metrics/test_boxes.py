@@ -28,7 +28,9 @@ CASES = [
 
 
 @pytest.mark.parametrize(("name", "cells", "steps"), CASES)
-def test_the_size_of_pieces_changes_no_bit(monkeypatch: pytest.MonkeyPatch, name: str, cells: int, steps: int) -> None:
+def test_the_size_of_pieces_changes_no_bit(
+    monkeypatch: pytest.MonkeyPatch, name: str, cells: int, steps: int
+) -> None:
     world = catalogue.scenario(name)
     drives = [loop(world, "constant_speed").trace for loop in (run_open_loop, run_closed_loop)]
     whole = [metrics.evaluate_with_series(trace, world) for trace in drives]
@@ -48,7 +50,10 @@ def test_a_piece_holds_those_who_are_there(monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setattr(boxes, "MOST_CELLS", 100)
     seen = np.zeros_like(whole.there)
     for steps, agents, some in pieces(tracks, t):
-        assert some.there.size <= 100 and some.there.shape == (len(agents), steps.stop - steps.start)
+        assert some.there.size <= 100 and some.there.shape == (
+            len(agents),
+            steps.stop - steps.start,
+        )
         np.testing.assert_array_equal(some.pose, whole.pose[:, agents, steps])
         seen[agents, steps] = some.there
     np.testing.assert_array_equal(seen, whole.there)
@@ -76,7 +81,8 @@ def test_a_box_on_the_recorded_ego_is_named_and_left_out_with_a_margin() -> None
     made = log(jumping(5.0, 6.0), track("8", T, 10.0 * T + 20.0, 0.0 * T))
     (found,) = phantoms(made)
     assert (found.agent, found.name) == ("7", "car 7")
-    assert found.t_from == pytest.approx(5.0 - AROUND_S, abs=0.11)  # it slides onto the ego within the sample before
+    # It slides onto the ego within the sample before
+    assert found.t_from == pytest.approx(5.0 - AROUND_S, abs=0.11)
     assert found.t_to == pytest.approx(6.0 + AROUND_S, abs=0.11)
     left = without_phantoms(made.tracks, (found,))
     for t in T:
@@ -84,7 +90,11 @@ def test_a_box_on_the_recorded_ego_is_named_and_left_out_with_a_margin() -> None
         assert left.truth(t).ids == (("8",) if gone else ("7", "8"))
         world = World(EgoState(t, 10.0 * t, 0.0, 0.0, 10.0), made.tracks)
         assert (contact(world, made.vehicle) == 0) == (5.0 - 1e-9 <= t <= 6.0 + 1e-9)
-        assert contact(world, made.vehicle, (found,)) == contact(replace(world, tracks=left), made.vehicle) == -1
+        assert (
+            contact(world, made.vehicle, (found,))
+            == contact(replace(world, tracks=left), made.vehicle)
+            == -1
+        )
     assert not others_at(left, T).there[0].all() and others_at(left, T).there[1].all()
 
 
@@ -107,7 +117,11 @@ def test_a_box_at_the_start_and_a_static_one() -> None:
 
 def test_nothing_is_excused_in_a_log_that_was_made_nor_where_nobody_stands() -> None:
     box = jumping(5.0, 6.0)
-    assert phantoms(log(box, tags=("synthetic",))) == phantoms(log(box, metadata={"generator": "x"})) == ()
+    assert (
+        phantoms(log(box, tags=("synthetic",)))
+        == phantoms(log(box, metadata={"generator": "x"}))
+        == ()
+    )
     made = log(track("8", T, 10.0 * T + CENTRE + LENGTH + 1.0, 0.0 * T))
     assert phantoms(made) == ()
     assert without_phantoms(made.tracks, ()) is made.tracks
@@ -118,10 +132,14 @@ def test_nothing_is_excused_in_a_log_that_was_made_nor_where_nobody_stands() -> 
 @pytest.mark.parametrize(
     ("changes", "recorded"),
     [
-        ({}, True), ({"tags": ("commonroad", "recorded")}, True), ({"tags": ("commonroad",)}, False),
-        ({"tags": ("osi",)}, True), ({"tags": ("recorded", "synthetic")}, False),
-        ({"ego": EGO.between(0.0, 0.0)}, False), ({"tags": ("recorded",), "ego": EGO.between(0.0, 0.0)}, True),
+        ({}, True),
+        ({"tags": ("commonroad", "recorded")}, True),
+        ({"tags": ("commonroad",)}, False),
+        ({"tags": ("osi",)}, True),
+        ({"tags": ("recorded", "synthetic")}, False),
+        ({"ego": EGO.between(0.0, 0.0)}, False),
+        ({"tags": ("recorded",), "ego": EGO.between(0.0, 0.0)}, True),
     ],
-)  # fmt: skip
+)
 def test_what_counts_as_recorded(changes: dict[str, object], recorded: bool) -> None:
     assert log(**changes).is_recorded is recorded

@@ -24,7 +24,9 @@ def judged(ego: Trajectory, **changes: object) -> pd.DataFrame:
     return evaluate(drive(log, **changes), log, metrics=COMFORT).set_index("metric")
 
 
-def braking(start: float, jerk: float, hardest: float, seconds: float = 8.0, step: float = 0.01) -> Trajectory:
+def braking(
+    start: float, jerk: float, hardest: float, seconds: float = 8.0, step: float = 0.01
+) -> Trajectory:
     """Constant speed, then a ramp of acceleration down to -hardest that stays."""
     t = grid(seconds, step)
     a = -np.clip(jerk * (t - start), 0.0, hardest)
@@ -42,7 +44,9 @@ def test_a_brake_ramp_has_its_jerk_wherever_the_log_is_cut(start: float, step: f
 
 def test_time_out_of_bounds_and_percentiles_of_a_ramp() -> None:
     table = judged(braking(2.0, 6.0, 6.0))["value"]
-    assert table["lon_jerk_state.time_out_of_bounds"] == pytest.approx(1.0 + 0.1 - 2 * 0.1 * 4.13 / 6.0, abs=0.021)
+    assert table["lon_jerk_state.time_out_of_bounds"] == pytest.approx(
+        1.0 + 0.1 - 2 * 0.1 * 4.13 / 6.0, abs=0.021
+    )
     assert table["lon_jerk_state.p95"] == pytest.approx(6.0)
     assert table["lon_accel.min"] == pytest.approx(-6.0)
     assert table["lon_accel.max"] == 0.0
@@ -52,7 +56,9 @@ def test_time_out_of_bounds_and_percentiles_of_a_ramp() -> None:
 
 def test_speeding_up_has_the_tighter_bound() -> None:
     t = grid(2.0)
-    assert judged(along(t, 5 + 3 * t, a=3.0))["value"]["lon_accel.time_out_of_bounds"] == pytest.approx(2.0)
+    assert judged(along(t, 5 + 3 * t, a=3.0))["value"][
+        "lon_accel.time_out_of_bounds"
+    ] == pytest.approx(2.0)
     assert judged(along(t, 15 - 3 * t, a=-3.0))["value"]["lon_accel.time_out_of_bounds"] == 0.0
 
 
@@ -68,14 +74,18 @@ def test_a_circle_has_constant_lateral_acceleration_and_yaw_rate(v: float, kappa
 
 @settings(max_examples=25)
 @given(st.floats(0.2, 2.0), st.integers(1, 60), st.booleans())
-def test_quiet_driving_before_or_after_a_slam_changes_nothing(slam: float, quiet: int, before: bool) -> None:
+def test_quiet_driving_before_or_after_a_slam_changes_nothing(
+    slam: float, quiet: int, before: bool
+) -> None:
     """Row 15: p99 falls to 0 in a longer drive; the time out of bounds and the worst episode stay."""
 
     def slammed(pre: float, post: float) -> pd.Series:
         t = grid(pre + slam + post, 0.05)
         inside = (t >= pre - 1e-9) & (t < pre + slam - 1e-9)
         a = np.where(inside, -8.0, 0.0)
-        return judged(along(t, 90.0 + np.r_[0.0, np.cumsum(0.5 * np.diff(t) * (a[1:] + a[:-1]))], a=a))["value"]
+        return judged(
+            along(t, 90.0 + np.r_[0.0, np.cumsum(0.5 * np.diff(t) * (a[1:] + a[:-1]))], a=a)
+        )["value"]
 
     short = slammed(2.0, 2.0)
     long = slammed(2.0 + quiet * before, 2.0 + quiet * (not before))
@@ -89,7 +99,8 @@ def test_quiet_driving_before_or_after_a_slam_changes_nothing(slam: float, quiet
 
 def test_the_worst_episode_is_the_longest_and_not_the_sum() -> None:
     t = grid(10.0, 0.1)
-    a = np.where(((t > 0.95) & (t < 1.55)) | ((t > 3.95) & (t < 5.25)) | (t > 9.75), -6.0, 0.0)  # 0.6, 1.3, 0.25 s
+    # 0.6, 1.3, 0.25 s
+    a = np.where(((t > 0.95) & (t < 1.55)) | ((t > 3.95) & (t < 5.25)) | (t > 9.75), -6.0, 0.0)
     table = judged(along(t, 80.0 + 0.0 * t, a=a))
     assert table.loc["lon_accel.worst_episode", "value"] == pytest.approx(1.3)
     assert table.loc["lon_accel.worst_episode", "time_s"] == pytest.approx(4.0)
@@ -133,7 +144,11 @@ def test_nuplans_filter_reads_what_nuplans_code_reads() -> None:
 
 def too_abrupt(table: pd.Series) -> set[str]:
     """The signals whose gates are broken."""
-    return {gate.metric.partition(".")[0] for gate in JERK_GATES if gate.margin(table[gate.metric]) < 0.0}
+    return {
+        gate.metric.partition(".")[0]
+        for gate in JERK_GATES
+        if gate.margin(table[gate.metric]) < 0.0
+    }
 
 
 def steered(t: np.ndarray, a: np.ndarray, aside: np.ndarray) -> Trajectory:
@@ -154,8 +169,12 @@ def test_the_jitter_of_a_recorded_drive_is_not_abrupt(rate: float, seed: float) 
 
 
 @pytest.mark.parametrize("rate", [5.0, 10.0, 20.0])
-@pytest.mark.parametrize(("hardest", "lasts", "every"), [(-6.0, 1.0, 5.0), (-8.0, 0.6, 4.0), (-5.0, 1.4, 4.0)])
-def test_hiccups_and_swerves_are_abrupt(rate: float, hardest: float, lasts: float, every: float) -> None:
+@pytest.mark.parametrize(
+    ("hardest", "lasts", "every"), [(-6.0, 1.0, 5.0), (-8.0, 0.6, 4.0), (-5.0, 1.4, 4.0)]
+)
+def test_hiccups_and_swerves_are_abrupt(
+    rate: float, hardest: float, lasts: float, every: float
+) -> None:
     """Braking by steps in the middle of a drive, and swaying by 0.8 m with 0.4 Hz."""
     t = grid(20.0, 1.0 / rate)
     braking, calm = np.where((t + 2.0) % every < lasts - 1e-9, hardest, 0.0), 0.0 * t
@@ -164,7 +183,9 @@ def test_hiccups_and_swerves_are_abrupt(rate: float, hardest: float, lasts: floa
     assert too_abrupt(judged(steered(t, calm, sway))["value"]) == {"lat_jerk_r79"}
 
 
-@pytest.mark.parametrize("name", ["3b3570b4-7b0b-3268-a571-b0889dbf40b6", "7fab2350-7eaf-3b7e-a39d-6937a4c1bede"])
+@pytest.mark.parametrize(
+    "name", ["3b3570b4-7b0b-3268-a571-b0889dbf40b6", "7fab2350-7eaf-3b7e-a39d-6937a4c1bede"]
+)
 def test_recorded_humans_are_not_abrupt(name: str, shared_data: Path) -> None:
     log = read_log(shared_data / "argoverse2" / name)
     table = evaluate(drive(log), log, metrics=COMFORT).set_index("metric")["value"]
@@ -175,16 +196,25 @@ def test_the_road_user_that_the_ego_brakes_for_is_named_although_the_filter_is_e
     """A car appears at 2 s, the ego brakes from then on: the filtered jerk is beyond its bound before."""
     t = grid(6.0, 0.1)
     ego = along(t, 10.0, a=np.where((t >= 2.0) & (t < 3.2), -8.0, 0.0))
-    log = scenario(ego, [("7", AgentKind.CAR, (4.5, 1.8), lambda at: (45.0 + 0 * at, 0 * at, 0 * at))])
+    log = scenario(
+        ego, [("7", AgentKind.CAR, (4.5, 1.8), lambda at: (45.0 + 0 * at, 0 * at, 0 * at))]
+    )
     seen = replace(log, tracks=log.tracks.taken(log.tracks.t > 1.95))
-    row = evaluate(drive(seen), seen, metrics=COMFORT).set_index("metric").loc["lon_jerk_nuplan.worst_episode"]
+    row = (
+        evaluate(drive(seen), seen, metrics=COMFORT)
+        .set_index("metric")
+        .loc["lon_jerk_nuplan.worst_episode"]
+    )
     assert row["time_s"] < 2.0 and row["reason"] == "car 7"
 
 
 def test_r79_reads_half_of_a_short_ramp() -> None:
     """A ramp of 6 m/s3 for 0.5 s: 3.2 after low-pass and moving mean; a tap of 5 m/s2 for 0.3 s: 2.7."""
     t, v = grid(12.0), 20.0
-    for lateral, expected in ((np.clip(6.0 * (t - 4.0), 0.0, 3.0), 3.2), (np.where((t >= 4) & (t < 4.3), 5.0, 0), 2.7)):
+    for lateral, expected in (
+        (np.clip(6.0 * (t - 4.0), 0.0, 3.0), 3.2),
+        (np.where((t >= 4) & (t < 4.3), 5.0, 0), 2.7),
+    ):
         ego = Trajectory(t, v * t, 0 * t, 0 * t, v + 0 * t, 0 * t, lateral / v**2)
         assert judged(ego)["value"]["lat_jerk_r79.max_abs"] == pytest.approx(expected, abs=0.03)
 
@@ -201,7 +231,9 @@ def test_yaw_acceleration_of_a_growing_turn() -> None:
 def test_lateral_jerk_of_a_clothoid() -> None:
     t = grid(3.0)
     zero, v, rate = 0 * t, 10.0, 0.02
-    table = judged(Trajectory(t, v * t, zero, 0.5 * v * rate * t**2, v + zero, zero, rate * t))["value"]
+    table = judged(Trajectory(t, v * t, zero, 0.5 * v * rate * t**2, v + zero, zero, rate * t))[
+        "value"
+    ]
     assert table["lat_jerk_state.max_abs"] == pytest.approx(v * v * rate)
     assert table["yaw_rate.max_abs"] == pytest.approx(v * rate * 2.95)
 

@@ -27,18 +27,28 @@ from replan.metrics.judge.gates import Gate, GateRule, Gates, Outcome, load_gate
 GAP = Gate("gap.min", min=0.5)
 
 
-def side(label: str, *rows: dict[str, object], facts: dict[str, str] | None = None, sha: str = "1") -> Side:
+def side(
+    label: str, *rows: dict[str, object], facts: dict[str, str] | None = None, sha: str = "1"
+) -> Side:
     found = table(*rows)
     logs = pd.DataFrame(
-        [(log, sha, log[0], "here", ["synthetic", log[0]], "") for log in dict.fromkeys(found["log"])],
+        [
+            (log, sha, log[0], "here", ["synthetic", log[0]], "")
+            for log in dict.fromkeys(found["log"])
+        ],
         columns=["log", "sha256", "family", "dataset", "tags", "vehicle"],
     )
     return Side(label, found, logs, facts or {}, {})
 
 
-def of(before: dict[str, float], now: dict[str, float], *gates: Gate, **changes: object) -> Comparison:
+def of(
+    before: dict[str, float], now: dict[str, float], *gates: Gate, **changes: object
+) -> Comparison:
     """Runs whose logs have these gaps."""
-    one, two = (side(x, *(row(log, v, **changes) for log, v in y.items())) for x, y in (("old", before), ("new", now)))
+    one, two = (
+        side(x, *(row(log, v, **changes) for log, v in y.items()))
+        for x, y in (("old", before), ("new", now))
+    )
     return compare(one, two, Gates(gates or (GAP,), "test"))
 
 
@@ -47,7 +57,9 @@ def said(comparison: Comparison, *rules: GateRule) -> list[str]:
     return [verdict.outcome.value for verdict in judge_rules(rules, comparison, labels).verdicts]
 
 
-GAPS = st.dictionaries(st.sampled_from([f"{x}{i}" for x in "ab" for i in range(4)]), st.floats(-3.0, 3.0), min_size=1)
+GAPS = st.dictionaries(
+    st.sampled_from([f"{x}{i}" for x in "ab" for i in range(4)]), st.floats(-3.0, 3.0), min_size=1
+)
 RISES = GateRule("gap.min", max_increase=0.0, significant=True)
 FALLS = GateRule("gap.min", max_decrease=0.0, significant=True)
 NO_FLIPS = GateRule(max_flips=0)
@@ -58,8 +70,16 @@ NONE_MISSING = GateRule(max_missing=0)
 @given(GAPS)
 def test_a_run_against_itself_is_no_difference(gaps: dict[str, float]) -> None:
     found = of(gaps, gaps)
-    assert (found.pairs["delta"] == 0.0).all() and (found.pairs["worse"] == 0.0).all() and len(found.pairs) == len(gaps)
-    assert found.flips.empty and not found.groups["significant"].any() and len(found.regressions(9)) == 0
+    assert (
+        (found.pairs["delta"] == 0.0).all()
+        and (found.pairs["worse"] == 0.0).all()
+        and len(found.pairs) == len(gaps)
+    )
+    assert (
+        found.flips.empty
+        and not found.groups["significant"].any()
+        and len(found.regressions(9)) == 0
+    )
     assert (found.differences, found.only_in_baseline, found.only_in_candidate) == ((), (), ())
     assert said(found, RISES, FALLS, NO_FLIPS, NONE_MISSING) == ["pass"] * 4
     assert (found.groups[["low", "high"]].dropna() == 0.0).all(axis=None)
@@ -92,19 +112,27 @@ def test_the_interval_holds_the_mean_and_is_the_same_twice(deltas: list[float]) 
 
 @given(st.floats(-1e6, 1e6), st.floats(-1.0, 1.0))
 def test_noise_is_what_rounding_makes(value: float, share: float) -> None:
-    assert noise(np.array([value]), np.array([value + share * 0.9e-9 + share * 0.9e-6 * value])).all()
+    assert noise(
+        np.array([value]), np.array([value + share * 0.9e-9 + share * 0.9e-6 * value])
+    ).all()
     assert not noise(np.array([value]), np.array([value + 1e-8 + 1e-5 * abs(value)])).any()
 
 
 @given(st.lists(st.lists(st.floats(-9.0, 9.0), min_size=1, max_size=4), min_size=1, max_size=5))
-def test_windows_of_a_recording_count_together_and_the_mean_is_that_of_all(recordings: list[list[float]]) -> None:
-    names = [f"drive {i}@{10 * k}" for i, windows in enumerate(recordings) for k in range(len(windows))]
+def test_windows_of_a_recording_count_together_and_the_mean_is_that_of_all(
+    recordings: list[list[float]],
+) -> None:
+    names = [
+        f"drive {i}@{10 * k}" for i, windows in enumerate(recordings) for k in range(len(windows))
+    ]
     rows = pd.DataFrame([[delta for windows in recordings for delta in windows]], columns=names)
     found = by_recording(rows)
     assert list(found.columns) == [f"drive {i}" for i in range(len(recordings))]
     assert found.mean(axis=1)[0] == pytest.approx(rows.mean(axis=1)[0], abs=1e-9)
     apart = rows.set_axis([f"raw/queue@seed={k}" for k in range(rows.shape[1])], axis=1)
-    assert by_recording(apart).to_numpy().tolist() == apart[sorted(apart.columns)].to_numpy().tolist()
+    assert (
+        by_recording(apart).to_numpy().tolist() == apart[sorted(apart.columns)].to_numpy().tolist()
+    )
 
 
 def test_intervals_cover_the_mean_as_often_as_they_say() -> None:
@@ -114,18 +142,36 @@ def test_intervals_cover_the_mean_as_often_as_they_say() -> None:
 
 
 def test_worst_regressions_come_first_with_their_moment() -> None:
-    found = of({"a1": 1.0, "a2": 2.0, "b1": 0.4, "b2": 1.0}, {"a1": 0.7, "a2": 0.2, "b1": 0.9, "b2": 1.0})
+    found = of(
+        {"a1": 1.0, "a2": 2.0, "b1": 0.4, "b2": 1.0}, {"a1": 0.7, "a2": 0.2, "b1": 0.9, "b2": 1.0}
+    )
     assert list(found.pairs["log"]) == ["a2", "a1", "b2", "b1"]
     worst = found.regressions(1).iloc[0]
-    assert (worst["delta"], worst["worse"], worst["time_s"], worst["reason"]) == (-1.8, 1.8, 3.2, "car 7")
+    assert (worst["delta"], worst["worse"], worst["time_s"], worst["reason"]) == (
+        -1.8,
+        1.8,
+        3.2,
+        "car 7",
+    )
     assert worst["relative"] == pytest.approx(1.8 / (7.2 / 8.0))
     flips = found.flips.set_index("log")
-    assert tuple(flips.loc["a2", ["before", "after", "value_before", "value_after"]]) == ("pass", "fail", 2.0, 0.2)
+    assert tuple(flips.loc["a2", ["before", "after", "value_before", "value_after"]]) == (
+        "pass",
+        "fail",
+        2.0,
+        0.2,
+    )
     assert tuple(flips.loc["b1", ["before", "after"]]) == ("fail", "pass") and len(flips) == 2
     suite = found.groups[found.groups["kind"] == "suite"].iloc[0]
     assert (suite["logs"], suite["better"], suite["worse"]) == (4, 1, 2)
-    assert suite["delta"] == pytest.approx(-1.6 / 4.0) and -1.8 <= suite["low"] < -0.9 and not suite["significant"]
-    assert set(found.groups["kind"]) == {"suite", "family", "tag"} and "synthetic" not in set(found.groups["group"])
+    assert (
+        suite["delta"] == pytest.approx(-1.6 / 4.0)
+        and -1.8 <= suite["low"] < -0.9
+        and not suite["significant"]
+    )
+    assert set(found.groups["kind"]) == {"suite", "family", "tag"} and "synthetic" not in set(
+        found.groups["group"]
+    )
     small = found.groups[found.groups["group"] == "b"]
     assert small["low"].isna().all() and not small["significant"].any()
 
@@ -144,18 +190,26 @@ def test_a_value_that_is_gone_is_named_and_no_delta() -> None:
     found = of({"a1": 1.0, "a2": np.nan}, {"a1": np.nan, "a2": 0.1}, replace(GAP, optional=True))
     reasons = dict(zip(found.pairs["log"], found.pairs["reason"], strict=True))
     assert reasons == {
-        "a1": "only in the baseline; candidate: no agent there", "a2": "only in the candidate; baseline: no agent there"
-    }  # fmt: skip
+        "a1": "only in the baseline; candidate: no agent there",
+        "a2": "only in the candidate; baseline: no agent there",
+    }
     assert found.pairs["delta"].isna().all()
     assert [tuple(flip) for flip in found.flips[["log", "before", "after"]].to_numpy()] == [
         ("a2", "not asked", "fail")
-    ]  # fmt: skip
+    ]
     assert said(found, NO_FLIPS, GateRule(max_flips=1), RISES) == ["fail", "pass", "inconclusive"]
 
 
 def test_other_inputs_and_other_metrics_are_named() -> None:
-    one = side("old", row("a1", 1.0), row("a1", 1.0, metric="thw.min"), facts={"loop.plan_delay_s": "0.0", "x": "1"})
-    two = side("new", row("a1", 0.1, version=2), facts={"loop.plan_delay_s": "0.1", "x": "1"}, sha="2")
+    one = side(
+        "old",
+        row("a1", 1.0),
+        row("a1", 1.0, metric="thw.min"),
+        facts={"loop.plan_delay_s": "0.0", "x": "1"},
+    )
+    two = side(
+        "new", row("a1", 0.1, version=2), facts={"loop.plan_delay_s": "0.1", "x": "1"}, sha="2"
+    )
     found = compare(one, two, Gates((GAP,), "test"))
     assert found.differences == (
         "loop.plan_delay_s: 0.0 -> 0.1",
@@ -181,7 +235,11 @@ def test_significance_needs_the_logs_to_agree_and_to_be_enough() -> None:
     agree = {name: 1.5 - 0.01 * i for i, name in enumerate(names)}
     split = {name: 1.0 if i else 6.0 for i, name in enumerate(names)}
     few = dict(list(agree.items())[:-1])
-    assert [said(of(base, now), FALLS)[0] for now in (agree, split, few)] == ["fail", "pass", "inconclusive"]
+    assert [said(of(base, now), FALLS)[0] for now in (agree, split, few)] == [
+        "fail",
+        "pass",
+        "inconclusive",
+    ]
     assert said(of(base, dict.fromkeys(few, 2.1)), FALLS) == ["pass"]
     assert said(of(base, few), replace(FALLS, significant=False)) == ["fail"]
     assert said(of(base, agree), replace(FALLS, max_decrease=0.6)) == ["pass"]
@@ -203,7 +261,7 @@ def test_significance_needs_the_logs_to_agree_and_to_be_enough() -> None:
         (GateRule(max_flips=0, tags=("b",)), "pass"),
         (GateRule(max_flips=0, planner="idm"), "inconclusive"),
     ],
-)  # fmt: skip
+)
 def test_what_a_rule_asks(rule: GateRule, outcome: str) -> None:
     found = of({"a1": 1.4, "a2": 2.0, "b1": 0.6}, {"a1": 0.4, "a2": 1.8, "b1": 1.1})
     assert said(found, rule) == [outcome]
@@ -220,18 +278,28 @@ def test_noise_and_fragile_drives_flip_nothing() -> None:
     near = {"a1": 0.5 + 1e-8}, {"a1": 0.5 - 1e-8}
     assert list(of(*near).flips["marginal"]) == [True] and said(of(*near), NO_FLIPS) == ["pass"]
     fragile = row("a1", 1.0, metric="ensemble.fragile")
-    one, two = side("old", row("a1", 1.0), row("a2", 1.0), fragile), side("new", row("a1", 0.1), row("a2", 1.0))
+    one, two = (
+        side("old", row("a1", 1.0), row("a2", 1.0), fragile),
+        side("new", row("a1", 0.1), row("a2", 1.0)),
+    )
     found = compare(one, two, Gates((GAP,), "test"))
     assert list(found.flips["marginal"]) == [True]
-    verdicts = judge_rules((NO_FLIPS, GateRule("gap.min", max_decrease=0.1, over="worst")), found, {}).verdicts
+    verdicts = judge_rules(
+        (NO_FLIPS, GateRule("gap.min", max_decrease=0.1, over="worst")), found, {}
+    ).verdicts
     assert [verdict.outcome for verdict in verdicts] == [Outcome.PASS] * 2
-    assert verdicts[0].reason == "0 flips; 1 marginal" and "fragile and left out: 1" in verdicts[1].reason
+    assert (
+        verdicts[0].reason == "0 flips; 1 marginal"
+        and "fragile and left out: 1" in verdicts[1].reason
+    )
 
 
 def test_a_candidate_does_not_excuse_itself() -> None:
     """Only where the baseline was fragile already is a flip no evidence."""
     fragile = row("a1", 1.0, metric="ensemble.fragile")
-    found = compare(side("old", row("a1", 1.0)), side("new", row("a1", 0.1), fragile), Gates((GAP,), "test"))
+    found = compare(
+        side("old", row("a1", 1.0)), side("new", row("a1", 0.1), fragile), Gates((GAP,), "test")
+    )
     assert list(found.flips["marginal"]) == [False] and said(found, NO_FLIPS) == ["fail"]
 
 
@@ -239,16 +307,24 @@ def test_a_log_with_another_content_is_not_the_same_log() -> None:
     one, two = side("old", row("a1", 1.0)), side("new", row("a1", 1.0), sha="2")
     found = compare(one, two, Gates((GAP,), "test"))
     (verdict,) = judge_rules((NONE_MISSING,), found, {}).verdicts
-    assert found.other_logs == ("a1",) and verdict.outcome is Outcome.INCONCLUSIVE and "a1" in verdict.reason
+    assert (
+        found.other_logs == ("a1",)
+        and verdict.outcome is Outcome.INCONCLUSIVE
+        and "a1" in verdict.reason
+    )
 
 
 def test_a_drive_in_which_the_planner_failed_is_missing() -> None:
     one, two = side("old", row("a1", 1.0)), side("new", row("a1", 1.0))
     crashed = replace(two, crashed=(("a1", "dp_qp", "closed"),))
     found = compare(one, crashed, Gates((GAP,), "test"))
-    assert found.only_in_baseline == ("a1, dp_qp, closed loop (failed)",) and said(found, NONE_MISSING) == ["fail"]
+    assert found.only_in_baseline == ("a1, dp_qp, closed loop (failed)",) and said(
+        found, NONE_MISSING
+    ) == ["fail"]
     assert said(compare(crashed, crashed, Gates((GAP,), "test")), NONE_MISSING) == ["pass"]
-    assert compare(crashed, two, Gates((GAP,), "test")).only_in_candidate == ("a1, dp_qp, closed loop (failed)",)
+    assert compare(crashed, two, Gates((GAP,), "test")).only_in_candidate == (
+        "a1, dp_qp, closed loop (failed)",
+    )
 
 
 def test_evidence_that_is_gone_is_no_pass() -> None:
@@ -263,7 +339,9 @@ def test_evidence_that_is_gone_is_no_pass() -> None:
         assert found.not_compared == ("gap.min",) and said(found, optional) == ["inconclusive"]
     other = [row("a1", 1.0, metric="thw.min")]
     found = compare(
-        side("old", row("a1", 1.0), *other), side("new", row("a1", 0.1, version=2), *other), Gates((GAP,), "")
+        side("old", row("a1", 1.0), *other),
+        side("new", row("a1", 0.1, version=2), *other),
+        Gates((GAP,), ""),
     )
     assert said(found, NO_FLIPS, replace(NO_FLIPS, gate="thw.min")) == ["inconclusive", "pass"]
 
@@ -272,7 +350,10 @@ def test_rules_and_gates_share_a_file(tmp_path: Path) -> None:
     file = tmp_path / "gates.toml"
     file.write_text('[[gate]]\nmetric = "gap.min"\nmin = 0.5\n')
     assert load_rules(file) == load_rules(None) and len(load_rules(None)) > 5
-    file.write_text(file.read_text() + '[[compare]]\nmetric = "ade.3s.mean"\nmax_increase = 0.1\ntags = ["paper"]\n')
+    file.write_text(
+        file.read_text()
+        + '[[compare]]\nmetric = "ade.3s.mean"\nmax_increase = 0.1\ntags = ["paper"]\n'
+    )
     assert load_rules(file) == (GateRule("ade.3s.mean", max_increase=0.1, tags=("paper",)),)
     assert len(load_gates(file).gates) == 1
 
@@ -288,7 +369,10 @@ def test_rules_and_gates_share_a_file(tmp_path: Path) -> None:
         ('metric = "gap.min"\nmax_increase = -1', "at least 0"),
         ('metric = "gap.min"\nmax_increase = "1"', "max_increase"),
         ('metric = "gap.min"\nmax_increase = 1\nover = "best"', "over is 'best'"),
-        ('metric = "gap.min"\nmax_increase = 1\nover = "worst"\nsignificant = true', "significant goes with"),
+        (
+            'metric = "gap.min"\nmax_increase = 1\nover = "worst"\nsignificant = true',
+            "significant goes with",
+        ),
         ("max_missing = 0\nmode = 'open'", "counts all drives"),
         ("max_flips = 0\nmode = 'loop'", "mode is 'loop'"),
         ("max_flip = 0", "did you mean 'max_flips'"),

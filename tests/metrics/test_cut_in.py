@@ -25,21 +25,35 @@ def follower(x: float, v: float, y: float = 3.5, name: str = "7") -> tuple:
 
 def log_of(ego: Trajectory, *agents: tuple, mapped: bool = True) -> Scenario:
     road = straight_road(lanes=2)
-    return scenario(ego, agents, road=road if mapped else replace(road, source=RoadSource.DRIVEN_PATH))
+    return scenario(
+        ego, agents, road=road if mapped else replace(road, source=RoadSource.DRIVEN_PATH)
+    )
 
 
 @settings(max_examples=40, deadline=None)
 @given(st.floats(-12.0, -7.0), st.floats(2.0, 8.0), st.booleans())
-def test_a_hit_after_a_lane_entry_is_judged_by_the_bound_of_r157(x: float, faster: float, mapped: bool) -> None:
-    log = log_of(changing(grid(12.0, 0.05), 10.0, 1.0), follower(x - 2.0 * faster, 10.0 + faster), mapped=mapped)
+def test_a_hit_after_a_lane_entry_is_judged_by_the_bound_of_r157(
+    x: float, faster: float, mapped: bool
+) -> None:
+    log = log_of(
+        changing(grid(12.0, 0.05), 10.0, 1.0),
+        follower(x - 2.0 * faster, 10.0 + faster),
+        mapped=mapped,
+    )
     found = entries(log.ego, log.tracks, log)
     assume(found)
     (entry,) = found
-    rear = float(np.interp(entry.t, log.ego.t, log.ego.x)) + log.vehicle.axle_to_center - 0.5 * log.vehicle.length
+    rear = (
+        float(np.interp(entry.t, log.ego.t, log.ego.x))
+        + log.vehicle.axle_to_center
+        - 0.5 * log.vehicle.length
+    )
     gap = rear - (x - 2.0 * faster + (10.0 + faster) * entry.t + 0.5 * LENGTH)
     bound = faster**2 / (2.0 * BRAKE_MPS2) + faster * REACT_S
     assume(abs(gap - bound) > 0.5)
-    hits = [contact for contact in contacts(drive(log), log) if contact.kind is not ContactKind.LATERAL]
+    hits = [
+        contact for contact in contacts(drive(log), log) if contact.kind is not ContactKind.LATERAL
+    ]
     for contact in hits:
         assert contact.at_fault == (gap < bound), (gap, bound)
         assert contact.kind is (ContactKind.CUT_IN if gap < bound else ContactKind.ACTIVE_REAR)
@@ -52,11 +66,15 @@ def cut_in(hz: float, mapped: bool) -> Scenario:
 
 @pytest.mark.parametrize("mapped", [True, False])
 @pytest.mark.parametrize("hz", [5.0, 10.0, 20.0])
-def test_a_close_cut_in_is_at_fault_at_any_rate_turned_and_mirrored(hz: float, mapped: bool) -> None:
+def test_a_close_cut_in_is_at_fault_at_any_rate_turned_and_mirrored(
+    hz: float, mapped: bool
+) -> None:
     log = cut_in(hz, mapped)
     for mirror in (False, True):
         world = moved(log, 1.0, 300.0, -40.0, mirror=mirror)
-        (contact,) = contacts(drive(world, moved_ego(log.ego, 1.0, 300.0, -40.0, mirror=mirror)), world)
+        (contact,) = contacts(
+            drive(world, moved_ego(log.ego, 1.0, 300.0, -40.0, mirror=mirror)), world
+        )
         assert (contact.kind, contact.at_fault) == (ContactKind.CUT_IN, True)
 
 
@@ -80,7 +98,11 @@ def test_one_behind_which_another_changes_lanes_is_not_at_fault(mapped: bool) ->
         x, y = -30.0 + 16.0 * t, 3.5 * (1.0 - u * u * (3.0 - 2.0 * u))
         return x, y, np.arctan2(np.gradient(y, t), 16.0)
 
-    log = log_of(changing(grid(8.0, 0.1), 8.0, 1.0, to=0.0), ("7", AgentKind.CAR, (LENGTH, WIDTH), over), mapped=mapped)
+    log = log_of(
+        changing(grid(8.0, 0.1), 8.0, 1.0, to=0.0),
+        ("7", AgentKind.CAR, (LENGTH, WIDTH), over),
+        mapped=mapped,
+    )
     assert hit(log) == (ContactKind.ACTIVE_REAR, False)
 
 
@@ -119,12 +141,19 @@ def test_what_a_follower_brakes_in_the_log_is_not_forced(logged: float, more: fl
     def behind(x: float, decel: float) -> tuple:
         def motion(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
             u = np.clip(t - 4.0, 0.0, 1.0)
-            return x + 9.0 * t - decel * (0.5 * u**2 + u * np.maximum(t - 5.0, 0.0)), 3.5 + 0.0 * t, 0.0 * t
+            return (
+                x + 9.0 * t - decel * (0.5 * u**2 + u * np.maximum(t - 5.0, 0.0)),
+                3.5 + 0.0 * t,
+                0.0 * t,
+            )
 
         return ("7", AgentKind.CAR, (LENGTH, WIDTH), motion)
 
     ego = changing(grid(8.0, 0.05), 10.0, 1.0)
-    log, later = log_of(ego, behind(-20.0, logged)), log_of(ego, behind(-21.0, max(logged, 0.0) + more))
+    log, later = (
+        log_of(ego, behind(-20.0, logged)),
+        log_of(ego, behind(-21.0, max(logged, 0.0) + more)),
+    )
     found = FORCED_BRAKING.measure(drive(later), log)
     assert isinstance(found, Series)
     assert found.value[found.known] == pytest.approx([more], abs=0.1)

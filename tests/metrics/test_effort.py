@@ -19,7 +19,9 @@ def judged(**changes: object) -> pd.DataFrame:
 
 
 def report(stage: str, iterations: int, *, solved: bool = True) -> SolverReport:
-    return SolverReport(stage, solved, "solved" if solved else "max iterations", iterations, 0.0, 0.0)
+    return SolverReport(
+        stage, solved, "solved" if solved else "max iterations", iterations, 0.0, 0.0
+    )
 
 
 def planned(*internals: tuple[SolverReport, ...]) -> tuple[PlannedFrame, ...]:
@@ -60,16 +62,23 @@ def test_pedals_are_judged_as_commanded_and_steering_as_actuated() -> None:
 
 def test_without_commands() -> None:
     table = judged()
-    for name in ("throttle.mean", "pedals_together.count", "pedal_switches.count", "steer_rate.p95"):
+    for name in (
+        "throttle.mean",
+        "pedals_together.count",
+        "pedal_switches.count",
+        "steer_rate.p95",
+    ):
         assert table.loc[name, "reason"] == "the drive has no commands"
 
 
 @pytest.mark.parametrize("mode", Mode)
 def test_solver_iterations_by_stage(mode: Mode) -> None:
     frames = planned(
-        (report("path", 25), report("speed", 50)), (report("path", 75), report("path", 100)),
-        (report("path", 25), report("speed", 4000, solved=False)), (),
-    )  # fmt: skip
+        (report("path", 25), report("speed", 50)),
+        (report("path", 75), report("path", 100)),
+        (report("path", 25), report("speed", 4000, solved=False)),
+        (),
+    )
     table = judged(mode=mode, frames=frames)
     assert table.loc["qp_iterations.path.mean", "value"] == pytest.approx(50.0)
     assert table.loc["qp_iterations.path.max", "time_s"] == pytest.approx(0.1)
@@ -87,10 +96,14 @@ def test_without_solver_reports_nothing_is_claimed() -> None:
 
 def test_fallbacks() -> None:
     frames = list(planned((), (), (), ()))
-    stop = Plan(frames[2].plan.trajectory, PlanStatus.COMFORTABLE_STOP, "the speed QP is infeasible")
+    stop = Plan(
+        frames[2].plan.trajectory, PlanStatus.COMFORTABLE_STOP, "the speed QP is infeasible"
+    )
     frames[2] = PlannedFrame(frames[2].t, stop)
     table = judged(frames=tuple(frames))
     assert table.loc["fallback.rate", "value"] == 0.25
     assert table.loc["fallback.rate", "time_s"] == pytest.approx(0.2)
-    assert table.loc["fallback.rate", "reason"].endswith("along the last path: the speed QP is infeasible")
+    assert table.loc["fallback.rate", "reason"].endswith(
+        "along the last path: the speed QP is infeasible"
+    )
     assert judged().loc["fallback.rate", "reason"] == "the drive has no plans"

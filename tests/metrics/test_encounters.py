@@ -51,10 +51,23 @@ def test_accelerated_contact_is_the_first_touch(seed: int) -> None:
 
     t = np.arange(0.0, 10.0, 0.01)
     d, e = way(v, a, t), way(u, b, t)
-    apart = np.array([
-        distance(d[k], 0.0, 0.0, 4.0, 2.0, x + e[k] * np.cos(yaw), y + e[k] * np.sin(yaw), yaw, 4.0, 2.0)
-        for k in range(len(t))
-    ])  # fmt: skip
+    apart = np.array(
+        [
+            distance(
+                d[k],
+                0.0,
+                0.0,
+                4.0,
+                2.0,
+                x + e[k] * np.cos(yaw),
+                y + e[k] * np.sin(yaw),
+                yaw,
+                4.0,
+                2.0,
+            )
+            for k in range(len(t))
+        ]
+    )
     early = t < min(found, 10.0) - 0.01
     assert (apart[early] > 0.0).all() or apart[early].min() > -1e-9
     if found < 9.98:
@@ -64,10 +77,17 @@ def test_accelerated_contact_is_the_first_touch(seed: int) -> None:
 def test_accelerated_time_to_contact_sees_the_braking_lead() -> None:
     """At t = 0.5 s of a lead at 10 m/s that brakes with 3 m/s2 from 0 on, 30 m ahead of 15 m/s: at 8.5 m/s and
     30 + 4.625 - 7.5 = 27.125 m: 6.5 t + 1.5 t^2 = 27.125: t = 2.606; at constant speed 4.17 s."""
-    braking = ("7", AgentKind.CAR, CAR, lambda t: (30.0 + NOSE + 2.25 + 10.0 * t - 1.5 * t**2, 0 * t, 0 * t))
+    braking = (
+        "7",
+        AgentKind.CAR,
+        CAR,
+        lambda t: (30.0 + NOSE + 2.25 + 10.0 * t - 1.5 * t**2, 0 * t, 0 * t),
+    )
     frames = series(drive(log := world(15.0, braking, seconds=1.0)), log, metrics=MINE)
     row = frames[np.isclose(frames["t_s"], 0.5)].set_index("metric")["value"]
-    assert row["ttc_accelerated"] == pytest.approx((np.sqrt(6.5**2 + 6.0 * 27.125) - 6.5) / 3.0, abs=0.02)
+    assert row["ttc_accelerated"] == pytest.approx(
+        (np.sqrt(6.5**2 + 6.0 * 27.125) - 6.5) / 3.0, abs=0.02
+    )
     assert row["ttc"] == pytest.approx(27.125 / 6.5, abs=0.02)
 
 
@@ -78,7 +98,9 @@ def test_the_closest_encounter_is_the_least_of_all_times(seed: int) -> None:
     one = (0.0, 0.0, rng.uniform(-3, 3), 4.0, 2.0)
     x, y, yaw = rng.uniform(-20, 20), rng.uniform(-20, 20), rng.uniform(-3, 3)
     v, u = rng.uniform(-8, 8, 2), rng.uniform(-8, 8, 2)
-    near, when = closest_encounter(MovingBox(*one, *v, 0.0), MovingBox(x, y, yaw, 5.0, 1.5, *u, 0.0), 10.0)
+    near, when = closest_encounter(
+        MovingBox(*one, *v, 0.0), MovingBox(x, y, yaw, 5.0, 1.5, *u, 0.0), 10.0
+    )
     t = np.linspace(0.0, 10.0, 1001)
     apart = [distance(*one, x + (u[0] - v[0]) * s, y + (u[1] - v[1]) * s, yaw, 5.0, 1.5) for s in t]
     assert near <= min(apart) + 1e-9
@@ -87,7 +109,9 @@ def test_the_closest_encounter_is_the_least_of_all_times(seed: int) -> None:
     assert then == pytest.approx(near, abs=1e-6)
 
 
-@pytest.mark.parametrize(("start", "part", "word"), [(-14.0, "ego_first", "second"), (1.8, "ego_second", "first")])
+@pytest.mark.parametrize(
+    ("start", "part", "word"), [(-14.0, "ego_first", "second"), (1.8, "ego_second", "first")]
+)
 def test_post_encroachment_time_at_a_crossing(start: float, part: str, word: str) -> None:
     """A box 2 x 2 m crosses at x = 20, 2 m/s upwards: it is in the ego's band while |y| < 0.805 + 1 = 1.805 m. From
     y = -14 it takes the band at 6.0975 s; the ego, 10 m/s, has its tail past x = 21 at (21 + 0.9) / 10 = 2.19 s: 3.91.
@@ -120,10 +144,14 @@ def test_who_follows_has_a_post_encroachment_time_and_does_not_cross() -> None:
 
 def test_the_vulnerable_have_a_time_to_collision_of_their_own() -> None:
     """The car ahead is nearer in time: (20 - 0) / 10 = 2 s; the pedestrian in front of it: (30 - 0.3) / 10 = 2.97 s."""
-    log = world(10.0, car(NOSE + 22.25, 0.0, 0.0, yaw=0.0), walker(NOSE + 30.0, -0.5, 0.1), seconds=0.1)
+    log = world(
+        10.0, car(NOSE + 22.25, 0.0, 0.0, yaw=0.0), walker(NOSE + 30.0, -0.5, 0.1), seconds=0.1
+    )
     assert first(log, "ttc") == pytest.approx(2.0)
     assert first(log, "ttc_vulnerable") == pytest.approx(2.97)
-    assert not judged(world(10.0, car(30.0, 0.0, 0.0, yaw=0.0))).loc["ttc_vulnerable.min", "available"]
+    assert not judged(world(10.0, car(30.0, 0.0, 0.0, yaw=0.0))).loc[
+        "ttc_vulnerable.min", "available"
+    ]
 
 
 def test_at_a_collision_at_fault_ttc_is_zero_and_its_time_counts() -> None:
@@ -151,10 +179,15 @@ def test_the_severity_of_a_collision() -> None:
     table = judged(log)
     row = table.loc["collision_severity.impact_speed.max"]
     assert row["value"] == pytest.approx(8.0)
-    assert table.loc["collision_severity.delta_v.max", "value"] == pytest.approx(8.0 * 1500.0 / 2593.3)
+    assert table.loc["collision_severity.delta_v.max", "value"] == pytest.approx(
+        8.0 * 1500.0 / 2593.3
+    )
     assert row["reason"] == "car 7: with the front, at fault"
     assert row["time_s"] == table.loc["collision.count", "time_s"]
-    assert table.loc["collision_at_fault.count", "reason"] == "car 7: with the front, at fault, 8.0 m/s"
+    assert (
+        table.loc["collision_at_fault.count", "reason"]
+        == "car 7: with the front, at fault, 8.0 m/s"
+    )
 
 
 def test_masses_and_their_limits() -> None:

@@ -28,8 +28,12 @@ SLOW_THEN_FAST = along(T, np.where(T < 5.0, 2.0, 8.0))
 
 
 def rows(log: Scenario, trace: Trace | None = None) -> dict[str, tuple[float, str]]:
-    table = evaluate(trace or drive(log, SLOW_THEN_FAST), log, metrics={"evidence": METRICS["evidence"]})
-    return {row.metric.removeprefix("evidence."): (row.value, row.reason) for row in table.itertuples()}
+    table = evaluate(
+        trace or drive(log, SLOW_THEN_FAST), log, metrics={"evidence": METRICS["evidence"]}
+    )
+    return {
+        row.metric.removeprefix("evidence."): (row.value, row.reason) for row in table.itertuples()
+    }
 
 
 @given(st.floats(0.0, 10.0))
@@ -90,15 +94,21 @@ def test_a_drive_may_end_with_the_evidence_and_says_so() -> None:
     assert whole.ego.t[-1] > 5.0
     assert short.ego.t[-1] == pytest.approx(1.5)
     assert short.detail == "traffic is recorded until 1.5 s of 6.0 s, and the drive ends with it"
-    log_s = [evaluate(one, log).set_index("metric").loc["coverage.log_s.final", "value"] for one in (short, whole)]
-    assert log_s == pytest.approx([1.5, 6.0])  # so that a drive of a moment is judged as a log of a moment
+    log_s = [
+        evaluate(one, log).set_index("metric").loc["coverage.log_s.final", "value"]
+        for one in (short, whole)
+    ]
+    # So that a drive of a moment is judged as a log of a moment
+    assert log_s == pytest.approx([1.5, 6.0])
     assert rows(log, short)["traffic.share"][0] == 1.0 > 0.5 > rows(log, whole)["traffic.share"][0]
 
 
 def test_a_blind_drive_among_traffic_that_ends_at_once_has_no_evidence(tmp_path: Path) -> None:
     """Constant speed meets nobody, since nobody is there: nothing that a safety gate could rest on."""
     cars = [vehicle(20 + i, driving(20.0 * i, 4.0, 10.0, steps=2)) for i in range(4)]
-    log = read_commonroad(written(tmp_path, lane(1), lane(2, y=4.0), *cars, problem(9, 0.0, 0.0, 10.0)))
+    log = read_commonroad(
+        written(tmp_path, lane(1), lane(2, y=4.0), *cars, problem(9, 0.0, 0.0, 10.0))
+    )
     trace = run_closed_loop(log, "constant_speed").trace
     safe = evaluate(trace, log, metrics={"collision": METRICS["collision"]}).set_index("metric")
     assert safe.loc["collision.count", "value"] == 0.0
@@ -136,14 +146,20 @@ def shifted(tracks: Tracks, who: str, since: float, by: float) -> Tracks:
 
 LOG = scenario(
     along(T, 10.0),
-    [("a", AgentKind.CAR, CAR, moving(30.0, 0.0, 10.0, 0.0)), ("b", AgentKind.CAR, CAR, moving(-30, 0, 10, 0))],
+    [
+        ("a", AgentKind.CAR, CAR, moving(30.0, 0.0, 10.0, 0.0)),
+        ("b", AgentKind.CAR, CAR, moving(-30, 0, 10, 0)),
+    ],
 )
 
 
 def test_the_logs_own_drive_never_parts() -> None:
     rows = table(drive(LOG), LOG)
     assert rows.loc["divergence.max", "value"] == 0.0
-    assert rows.loc["divergence_weak.share", "value"] == 0.0 and rows.loc["displaced.count", "value"] == 0.0
+    assert (
+        rows.loc["divergence_weak.share", "value"] == 0.0
+        and rows.loc["displaced.count", "value"] == 0.0
+    )
     assert not rows.loc["divergence_weak.from", "available"]
     assert rows.loc["divergence_weak.from", "reason"] == "the drive never parts from the log"
 
@@ -172,13 +188,19 @@ def test_at_low_speed_a_cars_length_is_and_across_a_lanes_width() -> None:
 
 
 def test_who_is_not_where_the_log_has_them_makes_it_weak_and_is_counted() -> None:
-    slow, back = shifted(LOG.tracks, "b", 3.0, 0.6), replace(drive(LOG), agents=shifted(LOG.tracks, "b", 3.0, 0.4))
+    slow, back = (
+        shifted(LOG.tracks, "b", 3.0, 0.6),
+        replace(drive(LOG), agents=shifted(LOG.tracks, "b", 3.0, 0.4)),
+    )
     rows = table(replace(drive(LOG), agents=slow), LOG)
     assert rows.loc["divergence_weak.from", "value"] == pytest.approx(3.0, abs=0.011)
-    assert (rows.loc["divergence_weak.from", "reason"], rows.loc["displaced.count", "reason"]) == ("car b", "car b")
-    assert rows.loc["displaced.count", "value"] == 1.0 and rows.loc["displaced.count", "time_s"] == pytest.approx(
-        3.0, abs=0.011
+    assert (rows.loc["divergence_weak.from", "reason"], rows.loc["displaced.count", "reason"]) == (
+        "car b",
+        "car b",
     )
+    assert rows.loc["displaced.count", "value"] == 1.0 and rows.loc[
+        "displaced.count", "time_s"
+    ] == pytest.approx(3.0, abs=0.011)
     assert table(back, LOG).loc["displaced.count", "value"] == 0.0
     gone = replace(drive(LOG), agents=Tracks.empty())
     assert table(gone, LOG).loc["displaced.count", "value"] == 2.0
@@ -186,7 +208,10 @@ def test_who_is_not_where_the_log_has_them_makes_it_weak_and_is_counted() -> Non
 
 def test_a_log_of_a_start_state_alone_has_nothing_to_part_from() -> None:
     start = replace(
-        LOG, ego=Trajectory(*(getattr(LOG.ego, name)[:1] for name in ("t", "x", "y", "yaw", "v", "a", "kappa")))
+        LOG,
+        ego=Trajectory(
+            *(getattr(LOG.ego, name)[:1] for name in ("t", "x", "y", "yaw", "v", "a", "kappa"))
+        ),
     )
     rows = table(drive(LOG, along(T, 3.0)), start)
     for name in ("divergence.max", "divergence_weak.from", "divergence_weak.share"):
@@ -198,7 +223,8 @@ def test_after_the_logs_drive_nothing_is_said_of_the_ego() -> None:
     short = replace(LOG, ego=along(grid(4.0), 10.0))
     rows = table(drive(LOG, along(T, 8.0)), short)
     assert (
-        rows.loc["divergence.max", "value"] == pytest.approx(8.0) and not rows.loc["divergence_weak.from", "available"]
+        rows.loc["divergence.max", "value"] == pytest.approx(8.0)
+        and not rows.loc["divergence_weak.from", "available"]
     )
 
 

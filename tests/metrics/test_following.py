@@ -16,13 +16,29 @@ from replan.metrics.following import ahead_of, required_decel, required_gap
 from replan.metrics.metric import Metric
 
 NEW = (
-    "ttc", "ttc_vulnerable", "collision_severity", "headway", "thw", "drac", "required_decel", "btn", "stn",
-    "following_gap", "ttc_accelerated", "dce", "ttce", "pet", "rss_margin", "rss_improper",
-)  # fmt: skip
+    "ttc",
+    "ttc_vulnerable",
+    "collision_severity",
+    "headway",
+    "thw",
+    "drac",
+    "required_decel",
+    "btn",
+    "stn",
+    "following_gap",
+    "ttc_accelerated",
+    "dce",
+    "ttce",
+    "pet",
+    "rss_margin",
+    "rss_improper",
+)
 MINE = {metric.name: metric for metric in GROUPS["safety"] if metric.name in NEW}
 
 
-def lead(gap: float, v: float, decel: float = 0.0, y: float = 0.0, kind: AgentKind = AgentKind.CAR) -> Agent:
+def lead(
+    gap: float, v: float, decel: float = 0.0, y: float = 0.0, kind: AgentKind = AgentKind.CAR
+) -> Agent:
     """`gap` m ahead of the bumper of an ego that starts at 0; brakes from t = 0 on, until it stands."""
 
     def motion(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -92,7 +108,10 @@ def test_who_crosses_is_a_lead_while_in_the_band() -> None:
 def test_headway_time_headway_and_drac() -> None:
     """The scene of a published library: 15 and 10 m/s, 30 m apart. THW = 30/15, DRAC = 25/60; after 1 s 25 m."""
     log = world(15.0, lead(30.0, 10.0))
-    assert (at(log, "headway", 0.0), at(log, "thw", 0.0)) == (pytest.approx(30.0), pytest.approx(2.0))
+    assert (at(log, "headway", 0.0), at(log, "thw", 0.0)) == (
+        pytest.approx(30.0),
+        pytest.approx(2.0),
+    )
     assert at(log, "drac", 0.0) == pytest.approx(25.0 / 60.0)
     assert at(log, "drac", 1.0) == pytest.approx(25.0 / 50.0)
     assert value(log, "thw.min") == pytest.approx(20.0 / 15.0)
@@ -100,8 +119,15 @@ def test_headway_time_headway_and_drac() -> None:
 
 
 @settings(max_examples=40)
-@given(st.floats(1.0, 60.0), st.floats(1.0, 30.0), st.floats(0.0, 30.0), st.sampled_from([0.0, 0.5, 2.0, 6.0]))
-def test_required_deceleration_is_the_least_that_does_not_touch(gap: float, v: float, u: float, decel: float) -> None:
+@given(
+    st.floats(1.0, 60.0),
+    st.floats(1.0, 30.0),
+    st.floats(0.0, 30.0),
+    st.sampled_from([0.0, 0.5, 2.0, 6.0]),
+)
+def test_required_deceleration_is_the_least_that_does_not_touch(
+    gap: float, v: float, u: float, decel: float
+) -> None:
     (least,) = required_decel(np.array([gap]), np.array([v]), np.array([u]), np.array([decel]))
     t = np.linspace(0.0, 80.0, 80_001)
 
@@ -121,9 +147,11 @@ def test_steering_past_a_standing_car() -> None:
     """10 m/s, 20 m: T = 2 s, the car from -0.9 to 0.9 m: 2 (0.9 + 0.805) / 4 = 0.8525 m/s2, over 8."""
     log = world(10.0, lead(20.0, 0.0), seconds=0.1)
     assert at(log, "stn", 0.0) == pytest.approx(0.8525 / 8.0)
-    offset = world(10.0, lead(20.0, 0.0, y=0.5), seconds=0.1)  # to the right: 0.805 - (0.5 - 0.9) = 1.205
+    # To the right: 0.805 - (0.5 - 0.9) = 1.205
+    offset = world(10.0, lead(20.0, 0.0, y=0.5), seconds=0.1)
     assert at(offset, "stn", 0.0) == pytest.approx(2.0 * 1.205 / 4.0 / 8.0)
-    leaves = ("7", AgentKind.CAR, CAR, moving(NOSE + 22.25, 0.8, 0.0, 1.0, 0.0))  # 2 m to the left by then: out
+    # 2 m to the left by then: out
+    leaves = ("7", AgentKind.CAR, CAR, moving(NOSE + 22.25, 0.8, 0.0, 1.0, 0.0))
     assert at(world(10.0, leaves, seconds=0.1), "stn", 0.0) == 0.0
 
 
@@ -139,11 +167,18 @@ def test_the_following_gap_of_r157() -> None:
 
 
 @pytest.mark.parametrize(
-    "agent", [lead(10.0, 0.0), lead(10.0, 9.0, kind=AgentKind.PEDESTRIAN), ("c", AgentKind.CAR, CAR,
-              moving(NOSE + 12.0, -1.0, 0.0, 1.0))], ids=["standing", "pedestrian", "crossing"],
-)  # fmt: skip
+    "agent",
+    [
+        lead(10.0, 0.0),
+        lead(10.0, 9.0, kind=AgentKind.PEDESTRIAN),
+        ("c", AgentKind.CAR, CAR, moving(NOSE + 12.0, -1.0, 0.0, 1.0)),
+    ],
+    ids=["standing", "pedestrian", "crossing"],
+)
 def test_who_is_not_followed(agent: Agent) -> None:
-    row = evaluate(drive(log := world(5.0, agent, seconds=0.5)), log, metrics=MINE).set_index("metric")
+    row = evaluate(drive(log := world(5.0, agent, seconds=0.5)), log, metrics=MINE).set_index(
+        "metric"
+    )
     assert row.loc["following_gap.min", "reason"] == "the ego followed no vehicle"
     assert row.loc["headway.min", "available"]
 
@@ -154,13 +189,18 @@ def test_an_empty_path_is_no_value_and_no_time() -> None:
     assert not table.loc[values, "available"].any()
     assert (table.loc[values, "reason"] != "").all()
     times = [name for name in table.index if "time_" in name or "share_" in name]
-    known = table.loc[times, "available"].astype(bool)  # without other road users there is no TTC at all
+    # Without other road users there is no TTC at all
+    known = table.loc[times, "available"].astype(bool)
     assert (table.loc[times, "value"][known] == 0.0).all()
 
 
 @settings(max_examples=15)
-@given(st.integers(0, 40), st.floats(-3.1, 3.1), st.floats(-90, 90), st.floats(-90, 90), st.booleans())
-def test_a_moved_and_mirrored_world_changes_nothing(seed: int, turn: float, dx: float, dy: float, mirror: bool) -> None:
+@given(
+    st.integers(0, 40), st.floats(-3.1, 3.1), st.floats(-90, 90), st.floats(-90, 90), st.booleans()
+)
+def test_a_moved_and_mirrored_world_changes_nothing(
+    seed: int, turn: float, dx: float, dy: float, mirror: bool
+) -> None:
     log = crowd(seed)
     other = moved(log, turn, dx, dy, mirror=mirror)
     one, two = (series(drive(each), each, metrics=MINE) for each in (log, other))
@@ -172,7 +212,9 @@ def crowd(seed: int) -> Scenario:
     rng = np.random.default_rng(seed)
     t = grid(3.0, 0.05)
     speed = 8.0 - 0.5 * t
-    ego = Trajectory(t, 8 * t - 0.25 * t**2, 0.6 * t, 0.2 * np.sin(t), speed, -0.5 + 0 * t, 0.025 * np.cos(t))
+    ego = Trajectory(
+        t, 8 * t - 0.25 * t**2, 0.6 * t, 0.2 * np.sin(t), speed, -0.5 + 0 * t, 0.025 * np.cos(t)
+    )
     kinds = (AgentKind.CAR, AgentKind.PEDESTRIAN, AgentKind.BICYCLE, AgentKind.TRUCK)
     agents = [
         (str(i), kind, CAR, moving(rng.uniform(-5, 40), rng.uniform(-6, 6), *rng.uniform(-6, 6, 2)))

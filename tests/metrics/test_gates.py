@@ -40,7 +40,9 @@ AT_LEAST = Gate("gap.min", min=0.5)
     st.floats(0.0, 5.0),
     st.booleans(),
 )
-def test_every_log_must_hold_the_bounds(values: list[float], low: float | None, width: float, two: bool) -> None:
+def test_every_log_must_hold_the_bounds(
+    values: list[float], low: float | None, width: float, two: bool
+) -> None:
     high = (low or 0.0) + width if two or low is None else None
     rows = table(*(row(f"log{i}", value) for i, value in enumerate(values)))
     found = verdict(Gate("gap.min", min=low, max=high), rows)
@@ -77,11 +79,16 @@ def test_nothing_to_judge_is_not_a_pass() -> None:
     assert nothing.outcome is INCONCLUSIVE
     assert (nothing.log, [log.why for log in nothing.logs]) == ("a", ["no agent there"] * 2)
     assert "nothing to judge" in nothing.reason and "no agent there" in nothing.reason
-    assert verdict(Gate("gap.min", min=0, mode="open"), table(row("a", 1.0))).outcome is INCONCLUSIVE
+    assert (
+        verdict(Gate("gap.min", min=0, mode="open"), table(row("a", 1.0))).outcome is INCONCLUSIVE
+    )
     assert verdict(Gate("ttc.min", min=0), table(row("a", 1.0))).outcome is INCONCLUSIVE
     assert verdict(AT_LEAST, table(), tags={}).outcome is INCONCLUSIVE
     tagged = verdict(Gate("gap.min", min=0, tags=("rain",)), table(row("a", 1.0)))
-    assert (tagged.outcome, tagged.reason) == (INCONCLUSIVE, "nothing to judge: no log has the tags rain")
+    assert (tagged.outcome, tagged.reason) == (
+        INCONCLUSIVE,
+        "nothing to judge: no log has the tags rain",
+    )
 
 
 def test_missing_values_are_said_and_bounded() -> None:
@@ -98,11 +105,15 @@ def test_missing_values_are_said_and_bounded() -> None:
 
 @given(st.permutations([-1e6, np.nan, -5.0, 3.0]))
 def test_a_value_that_is_no_number_is_none(values: list[float]) -> None:
-    rows = table(*(row(f"log{i}", value, available=True, reason="") for i, value in enumerate(values)))
+    rows = table(
+        *(row(f"log{i}", value, available=True, reason="") for i, value in enumerate(values))
+    )
     found = verdict(Gate("gap.min", min=0.0), rows)
     assert (found.outcome, found.value) == (FAIL, -1e6)
     assert "broken in 2 of 3 logs; no evidence in 1 of 4 logs" in found.reason
-    assert {log.why for log in found.logs if log.outcome is INCONCLUSIVE} == {"the value is not a number"}
+    assert {log.why for log in found.logs if log.outcome is INCONCLUSIVE} == {
+        "the value is not a number"
+    }
     alone = verdict(Gate("gap.min", min=0.0), table(row("a", np.nan, available=True)))
     assert alone.outcome is INCONCLUSIVE
 
@@ -111,8 +122,9 @@ def test_a_misspelt_tag_or_planner_does_not_make_an_optional_gate_vanish() -> No
     rows, tags = table(row("a", 1.0)), {"a": ("pedestrian",)}
     tag = verdict(Gate("gap.min", min=0.5, tags=("pedestrain",), optional=True), rows, tags=tags)
     assert (tag.outcome, tag.reason) == (
-        INCONCLUSIVE, "nothing to judge: no log has the tags pedestrain, did you mean 'pedestrian'?",
-    )  # fmt: skip
+        INCONCLUSIVE,
+        "nothing to judge: no log has the tags pedestrain, did you mean 'pedestrian'?",
+    )
     planner = verdict(Gate("gap.min", min=0.5, planner="dp_pq", optional=True), rows)
     assert planner.outcome is INCONCLUSIVE
     assert "planner dp_pq, did you mean 'dp_qp'?" in planner.reason
@@ -136,7 +148,11 @@ CONTACT = row("a", 1.0, metric="replay_contact.final", reason="car 7: from behin
         ([CONTACT], INCONCLUSIVE, "the replay ran into the ego (car 7: from behind)"),
         ([CONTACT | {"reason": "car 8: from behind"}], FAIL, "car 7"),
         ([CONTACT | {"value": 0.0, "reason": ""}], FAIL, "car 7"),
-        ([reference("careful", 0.2)], INCONCLUSIVE, "the careful driver breaks gap.min >= 0.5 too: 0.2 m (car 7)"),
+        (
+            [reference("careful", 0.2)],
+            INCONCLUSIVE,
+            "the careful driver breaks gap.min >= 0.5 too: 0.2 m (car 7)",
+        ),
         ([reference("careful", 0.2, reason="car 8")], FAIL, "car 7"),
         ([reference("careful", 0.2, time_s=9.0)], FAIL, "car 7"),
         ([reference("careful", 0.2, time_s=np.nan)], FAIL, "car 7"),
@@ -146,10 +162,18 @@ CONTACT = row("a", 1.0, metric="replay_contact.final", reason="car 7: from behin
             INCONCLUSIVE,
             "the careful driver breaks gap.min >= 0.5 too: 0.2 m (car 7)",
         ),
-        ([reference("careful", 0.2), IMPACT, reference("careful", 1.0, metric=IMPACT["metric"])], FAIL, "car 7"),
+        (
+            [reference("careful", 0.2), IMPACT, reference("careful", 1.0, metric=IMPACT["metric"])],
+            FAIL,
+            "car 7",
+        ),
         ([reference("careful", 0.2), IMPACT], FAIL, "car 7"),
         ([reference("careful", 0.6)], FAIL, "car 7"),
-        ([reference("driver", 0.0)], INCONCLUSIVE, "the recorded driver breaks gap.min >= 0.5 too: 0 m (car 7)"),
+        (
+            [reference("driver", 0.0)],
+            INCONCLUSIVE,
+            "the recorded driver breaks gap.min >= 0.5 too: 0 m (car 7)",
+        ),
         ([reference("driver", 0.0, reason="car 3")], FAIL, "car 7"),  # another road user
         ([reference("driver", 0.0, time_s=13.1)], FAIL, "car 7"),  # another time
         ([reference("driver", 0.5)], FAIL, "car 7"),
@@ -171,8 +195,14 @@ def test_the_careful_driver_excuses_nothing_that_the_follower_avoids() -> None:
     gate = Gate("collision_at_fault.count", max=0.0)
     mine = row("a", 1.0, metric="collision_at_fault.count", unit="count")
     assert verdict(gate, table(mine, collision("careful", 1.0))).outcome is INCONCLUSIVE
-    assert verdict(gate, table(mine, collision("careful", 1.0), collision("follower", 1.0))).outcome is INCONCLUSIVE
-    assert verdict(gate, table(mine, collision("careful", 1.0), collision("follower", 0.0))).outcome is FAIL
+    assert (
+        verdict(gate, table(mine, collision("careful", 1.0), collision("follower", 1.0))).outcome
+        is INCONCLUSIVE
+    )
+    assert (
+        verdict(gate, table(mine, collision("careful", 1.0), collision("follower", 0.0))).outcome
+        is FAIL
+    )
 
 
 def test_the_follower_excuses_the_start_of_a_log_only() -> None:
@@ -180,11 +210,16 @@ def test_the_follower_excuses_the_start_of_a_log_only() -> None:
     about = {"metric": "lat_accel.max", "unit": "m/s2"}
     near = row("a", 0.5, metric="ttc.min", unit="s")  # so that the follower is asked for
     for time_s, outcome in ((0.3, INCONCLUSIVE), (3.2, FAIL)):
-        both = row("a", 5.0, time_s=time_s, **about), reference("follower", 5.0, time_s=time_s, **about)
+        both = (
+            row("a", 5.0, time_s=time_s, **about),
+            reference("follower", 5.0, time_s=time_s, **about),
+        )
         assert verdict(rule, table(*both, near)).outcome is outcome
 
 
-def test_a_fallback_is_excused_where_careful_driver_and_follower_come_too_near_at_that_time() -> None:
+def test_a_fallback_is_excused_where_careful_driver_and_follower_come_too_near_at_that_time() -> (
+    None
+):
     mine = row("a", 0.2, metric="fallback.rate", unit="1")
     near = [reference(name, 0.5, metric="ttc.min", unit="s") for name in ("careful", "follower")]
     rule = Gate("fallback.rate", max=0.01)
@@ -195,9 +230,14 @@ def test_a_fallback_is_excused_where_careful_driver_and_follower_come_too_near_a
 
 
 @given(st.floats(0.6, 0.94), st.sampled_from([0.02, 0.1, 0.2]))
-def test_a_broken_bound_that_another_sampling_rate_could_mend_is_inconclusive(ttc: float, interval: float) -> None:
+def test_a_broken_bound_that_another_sampling_rate_could_mend_is_inconclusive(
+    ttc: float, interval: float
+) -> None:
     gate = Gate("ttc.min", min=0.95)
-    rows = table(row("a", ttc, metric="ttc.min", unit="s"), row("a", interval, metric="agent_interval.final", unit="s"))
+    rows = table(
+        row("a", ttc, metric="ttc.min", unit="s"),
+        row("a", interval, metric="agent_interval.final", unit="s"),
+    )
     late = 1.5 * interval
     assert verdict(gate, rows).outcome is (INCONCLUSIVE if 0.95 - ttc <= late else FAIL)
 
@@ -207,12 +247,20 @@ def test_a_verdict_is_the_same_whichever_other_planners_ran() -> None:
         return [row("a", value, metric=metric, planner=planner) for metric, value in values.items()]
 
     gates = Gates((Gate("goal.final", min=1, reachable=True), Gate("gap.min", min=0.5)), "test")
-    known = [reference("follower", 0.0, metric="goal.final"), reference("follower", 0.1), reference("careful", 0.2)]
+    known = [
+        reference("follower", 0.0, metric="goal.final"),
+        reference("follower", 0.1),
+        reference("careful", 0.2),
+    ]
     mine = rows("dp_qp", **{"goal.final": 0.0, "gap.min": 0.1})
     others = rows("idm", **{"goal.final": 1.0, "gap.min": 0.7})
 
     def judged(*found: dict[str, object]) -> list[Outcome]:
-        return [v.outcome for v in judge(gates, table(*found), {"a": LogLabels()}) if v.planner == "dp_qp"]
+        return [
+            v.outcome
+            for v in judge(gates, table(*found), {"a": LogLabels()})
+            if v.planner == "dp_qp"
+        ]
 
     assert judged(*mine, *known) == judged(*mine, *others, *known)
 
@@ -220,15 +268,20 @@ def test_a_verdict_is_the_same_whichever_other_planners_ran() -> None:
 def test_what_can_be_excused_and_by_what() -> None:
     def judged(metric: str, *rows: dict[str, object]) -> Outcome:
         mine = [
-            each | {"metric": metric} for each in (row("a", 0.1), reference("driver", 0.0), reference("careful", 0))
+            each | {"metric": metric}
+            for each in (row("a", 0.1), reference("driver", 0.0), reference("careful", 0))
         ]
         return verdict(Gate(metric, min=0.5), table(*mine, *rows)).outcome
 
     assert judged("speed.max", CONTACT) is INCONCLUSIVE
     assert judged("tracking_lateral.max_abs", CONTACT) is FAIL
     assert judged("wrong_way.worst_1s") is INCONCLUSIVE  # so does the recorded driver
-    rule = [row("a", 2.0, metric="red_light.count"), reference("careful", 2.0, metric="red_light.count")]
-    assert verdict(Gate("red_light.count", max=0.0), table(*rule)).outcome is FAIL  # who knows no rules excuses none
+    rule = [
+        row("a", 2.0, metric="red_light.count"),
+        reference("careful", 2.0, metric="red_light.count"),
+    ]
+    # Who knows no rules excuses none
+    assert verdict(Gate("red_light.count", max=0.0), table(*rule)).outcome is FAIL
     assert judged("lon_accel.min", CONTACT) is INCONCLUSIVE  # the careful driver brakes as hard
     assert judged("completed.final") is FAIL
     assert judged("completed.final", CONTACT) is INCONCLUSIVE
@@ -236,9 +289,17 @@ def test_what_can_be_excused_and_by_what() -> None:
     follower = reference("follower", 0.0, metric="goal.final")
     assert judged("goal.final", phantom) is FAIL  # the follower was not stopped by it
     assert judged("goal.final", phantom, follower) is INCONCLUSIVE
-    crash = row("a", 1.0, metric="collision_at_fault.count", reason="car 7: with the front, at fault", unit="count")
+    crash = row(
+        "a",
+        1.0,
+        metric="collision_at_fault.count",
+        reason="car 7: with the front, at fault",
+        unit="count",
+    )
     assert judged("completed.final", crash) is FAIL
-    careful = reference("careful", 1.0, metric="collision_at_fault.count", reason="car 7: with the front, at fault")
+    careful = reference(
+        "careful", 1.0, metric="collision_at_fault.count", reason="car 7: with the front, at fault"
+    )
     assert judged("completed.final", crash, careful) is INCONCLUSIVE
 
 
@@ -251,11 +312,15 @@ def test_nothing_excuses_a_drive_in_which_the_planner_failed(metric: str) -> Non
 
 
 @pytest.mark.parametrize(
-    ("mine", "careful", "outcome"), [("", "", FAIL), ("car 7a", "car 7b", FAIL), ("car 7a", "car 7a", INCONCLUSIVE)]
+    ("mine", "careful", "outcome"),
+    [("", "", FAIL), ("car 7a", "car 7b", FAIL), ("car 7a", "car 7a", INCONCLUSIVE)],
 )
 def test_hard_braking_for_nothing_is_not_excused(mine: str, careful: str, outcome: Outcome) -> None:
     """At 3 s, where the careful driver brakes as hard: for nothing, for another car or the same by the whole id."""
-    rows = (row("a", 0.1, reason="car 7", about=mine), reference("careful", 0.1, reason="car 7", about=careful))
+    rows = (
+        row("a", 0.1, reason="car 7", about=mine),
+        reference("careful", 0.1, reason="car 7", about=careful),
+    )
     gate, same = Gate("lon_accel.min", min=0.5), {"metric": "lon_accel.min"}
     assert verdict(gate, table(*(each | same for each in rows))).outcome is outcome
     older = table(*(each | same | {"reason": each["about"]} for each in rows)).drop(columns="about")
@@ -266,7 +331,8 @@ def test_hard_braking_for_nothing_is_not_excused(mine: str, careful: str, outcom
     ("changes", "others", "outcome"),
     [
         ({}, (), INCONCLUSIVE),  # twice as long as the careful driver, who collides
-        ({}, (reference("driver", 0.5, metric="lon_accel.worst_episode"),), FAIL),  # the recorded driver needs it not
+        # The recorded driver needs it not
+        ({}, (reference("driver", 0.5, metric="lon_accel.worst_episode"),), FAIL),
         ({}, (reference("driver", 3.0, metric="lon_accel.worst_episode"),), INCONCLUSIVE),
         ({"reason": "car 8"}, (), FAIL),
         ({"time_s": 9.0}, (), FAIL),
@@ -276,9 +342,14 @@ def test_hard_braking_for_nothing_is_not_excused(mine: str, careful: str, outcom
 def test_braking_hard_for_whom_even_the_careful_driver_hits_is_no_evidence(
     changes: dict[str, object], others: tuple[dict[str, object], ...], outcome: Outcome
 ) -> None:
-    gate, name = Gate("lon_accel.worst_episode", max=1.0), {"metric": "lon_accel.worst_episode", "unit": "s"}
+    gate, name = (
+        Gate("lon_accel.worst_episode", max=1.0),
+        {"metric": "lon_accel.worst_episode", "unit": "s"},
+    )
     mine, careful = row("a", 2.0, **{**name, **changes}), reference("careful", 1.02, **name)
-    assert verdict(gate, table(mine, careful, collision("careful", 1.0), *others)).outcome is outcome
+    assert (
+        verdict(gate, table(mine, careful, collision("careful", 1.0), *others)).outcome is outcome
+    )
     assert verdict(gate, table(mine, careful, collision("careful", 0.0), *others)).outcome is FAIL
 
 
@@ -286,38 +357,63 @@ def test_a_goal_is_missed_where_a_reference_drive_reaches_it_whoever_else_ran() 
     gate = Gate("goal.final", min=1, reachable=True, optional=True)
 
     def judged(value: float, *others: dict[str, object], **references: float) -> Outcome:
-        rows = [reference(planner, reached, metric="goal.final") for planner, reached in references.items()]
-        return verdicts(gate, table(row("a", value, metric="goal.final"), *rows, *others))[0].outcome
+        rows = [
+            reference(planner, reached, metric="goal.final")
+            for planner, reached in references.items()
+        ]
+        return verdicts(gate, table(row("a", value, metric="goal.final"), *rows, *others))[
+            0
+        ].outcome
 
     assert judged(0.0, driver=1.0, careful=0.0) is FAIL
-    assert judged(0.0, driver=0.0, careful=1.0) is INCONCLUSIVE  # who knows no rules is no yardstick
+    # Who knows no rules is no yardstick
+    assert judged(0.0, driver=0.0, careful=1.0) is INCONCLUSIVE
     assert judged(0.0, follower=1.0) is FAIL
-    assert judged(0.0, row("a", 1.0, metric="goal.final", planner="idm"), follower=0.0) is INCONCLUSIVE
+    assert (
+        judged(0.0, row("a", 1.0, metric="goal.final", planner="idm"), follower=0.0) is INCONCLUSIVE
+    )
     unseen = reference("driver", 0.1, metric="evidence.traffic.share", unit="1")
-    assert judged(0.0, unseen, driver=1.0) is INCONCLUSIVE  # the traffic of its drive was not recorded
+    # The traffic of its drive was not recorded
+    assert judged(0.0, unseen, driver=1.0) is INCONCLUSIVE
     assert judged(0.0, driver=0.0, careful=0.0) is INCONCLUSIVE
     assert judged(0.0) is INCONCLUSIVE
     assert judged(1.0) is PASS
     rules = Gates((gate, Gate("red_light.count", max=0.0)), "test")
-    for lights, outcome in ((0.0, FAIL), (1.0, INCONCLUSIVE)):  # the follower goes through a red light or not
-        there = reference("follower", 1.0, metric="goal.final"), reference("follower", lights, metric="red_light.count")
-        found = table(row("a", 0.0, metric="goal.final"), row("a", 0.0, metric="red_light.count"), *there)
+    # The follower goes through a red light or not
+    for lights, outcome in ((0.0, FAIL), (1.0, INCONCLUSIVE)):
+        there = (
+            reference("follower", 1.0, metric="goal.final"),
+            reference("follower", lights, metric="red_light.count"),
+        )
+        found = table(
+            row("a", 0.0, metric="goal.final"), row("a", 0.0, metric="red_light.count"), *there
+        )
         assert judge(rules, found, {"a": LogLabels()})[0].outcome is outcome
     assert judged(np.nan) is Outcome.NOT_ASKED  # its metric says by name why no vehicle reaches it
 
 
 @given(st.floats(0.0, 1.0), st.floats(0.0, 1.0), st.booleans())
-def test_a_pass_needs_evidence_and_a_broken_bound_does_not(share: float, least: float, broken: bool) -> None:
+def test_a_pass_needs_evidence_and_a_broken_bound_does_not(
+    share: float, least: float, broken: bool
+) -> None:
     gate = Gate("gap.min", min=0.5, evidence="traffic", min_evidence=least)
-    evidence = row("a", share, metric="evidence.traffic.share", reason="traffic is recorded until 0.1 s")
+    evidence = row(
+        "a", share, metric="evidence.traffic.share", reason="traffic is recorded until 0.1 s"
+    )
     found = verdict(gate, table(row("a", 0.1 if broken else 0.7), evidence))
     assert found.outcome is (FAIL if broken else PASS if share >= least else INCONCLUSIVE)
-    assert (found.outcome is INCONCLUSIVE) == ("traffic is recorded until 0.1 s" in found.logs[0].why)
+    assert (found.outcome is INCONCLUSIVE) == (
+        "traffic is recorded until 0.1 s" in found.logs[0].why
+    )
 
 
 def test_what_is_not_asked_is_counted_and_can_be_gated() -> None:
-    rows = table(row("a", 0.7), row("a", np.nan, metric="ttc.min"), row("a", np.nan, metric="asked.share"))
-    gates = Gates((AT_LEAST, Gate("ttc.min", min=1.0, optional=True), Gate("asked.share", min=0.6)), "test")
+    rows = table(
+        row("a", 0.7), row("a", np.nan, metric="ttc.min"), row("a", np.nan, metric="asked.share")
+    )
+    gates = Gates(
+        (AT_LEAST, Gate("ttc.min", min=1.0, optional=True), Gate("asked.share", min=0.6)), "test"
+    )
     filled = with_asked(rows, gates, {"a": LogLabels()})
     found = judge(gates, filled, {"a": LogLabels()})
     assert [v.outcome for v in found] == [PASS, Outcome.NOT_ASKED, FAIL]
@@ -330,8 +426,10 @@ def test_what_is_not_asked_is_counted_and_can_be_gated() -> None:
 def test_what_each_log_says_is_a_table() -> None:
     found = outcomes(verdicts(AT_LEAST, table(row("a", 0.7), row("b", 0.1), row("c", np.nan))))
     assert found[["log", "outcome", "reason"]].values.tolist() == [
-        ["a", "pass", "car 7"], ["b", "fail", "car 7"], ["c", "inconclusive", "no agent there"],
-    ]  # fmt: skip
+        ["a", "pass", "car 7"],
+        ["b", "fail", "car 7"],
+        ["c", "inconclusive", "no agent there"],
+    ]
     assert worst([Outcome(o) for o in found["outcome"]]) is FAIL
     assert worst([PASS, INCONCLUSIVE]) is INCONCLUSIVE
     assert worst([]) is INCONCLUSIVE
@@ -342,12 +440,20 @@ def test_tags_select_logs() -> None:
     rows = table(row("a", 0.6), row("b", 0.2), row("c", 0.1))
     assert verdict(AT_LEAST, rows, tags=tags).log == "c"
     assert verdict(Gate("gap.min", min=0.5, tags=("pedestrian",)), rows, tags=tags).log == "b"
-    assert verdict(Gate("gap.min", min=0.5, tags=("rain", "pedestrian")), rows, tags=tags).outcome is PASS
+    assert (
+        verdict(Gate("gap.min", min=0.5, tags=("rain", "pedestrian")), rows, tags=tags).outcome
+        is PASS
+    )
 
 
 def test_a_planner_is_judged_though_a_reference_drive_has_its_name() -> None:
-    rows = table(row("a", 0.7, planner="parked"), row("a", 0.1, planner="parked", mode="reference", oracle=True))
-    assert [(found.planner, found.outcome) for found in verdicts(AT_LEAST, rows)] == [("parked", PASS)]
+    rows = table(
+        row("a", 0.7, planner="parked"),
+        row("a", 0.1, planner="parked", mode="reference", oracle=True),
+    )
+    assert [(found.planner, found.outcome) for found in verdicts(AT_LEAST, rows)] == [
+        ("parked", PASS)
+    ]
 
 
 def test_each_planner_and_mode_is_judged_but_oracles_only_if_named() -> None:
@@ -359,8 +465,10 @@ def test_each_planner_and_mode_is_judged_but_oracles_only_if_named() -> None:
     )
     found = verdicts(AT_LEAST, rows)
     assert [(v.planner, v.mode, v.outcome) for v in found] == [
-        ("dp_qp", "closed", PASS), ("constant_speed", "closed", FAIL), ("dp_qp", "open", PASS),
-    ]  # fmt: skip
+        ("dp_qp", "closed", PASS),
+        ("constant_speed", "closed", FAIL),
+        ("dp_qp", "open", PASS),
+    ]
     assert verdict(Gate("gap.min", min=0.5, planner="logged"), rows).outcome is FAIL
     only = table(row("a", 1.0, planner="logged", oracle=True))
     assert "a planner that is no oracle" in verdict(AT_LEAST, only).reason
@@ -374,12 +482,19 @@ def test_a_log_that_could_not_be_evaluated_is_not_a_pass(gate: Gate) -> None:
     assert found.reason.endswith("; 1 log could not be evaluated (b: yaw is NaN)")
     assert verdict(gate, rows, tags={"a": ("x",)}, failed=broken).outcome is INCONCLUSIVE
     assert verdict(gate, table(row("a", 0.1)), tags={"a": ("x",)}, failed=broken).outcome is FAIL
-    assert verdict(gate, table(), tags={}, failed=broken).reason.endswith("b could not be evaluated: yaw is NaN")
+    assert verdict(gate, table(), tags={}, failed=broken).reason.endswith(
+        "b could not be evaluated: yaw is NaN"
+    )
 
 
 def test_a_failed_log_with_other_tags_does_not_matter() -> None:
     gate = Gate("gap.min", min=0.5, tags=("x",))
-    assert verdict(gate, table(row("a", 1.0)), tags={"a": ("x",), "b": ()}, failed={"b": "broken"}).outcome is PASS
+    assert (
+        verdict(
+            gate, table(row("a", 1.0)), tags={"a": ("x",), "b": ()}, failed={"b": "broken"}
+        ).outcome
+        is PASS
+    )
 
 
 def test_a_log_without_any_row_is_missed() -> None:
@@ -411,14 +526,22 @@ def test_a_file_is_read(tmp_path: Path) -> None:
     assert found.gates[0] == Gate(
         "gap_vulnerable.min", 0.5, 9, "closed", ("pedestrian",), "dp_qp", "mean", 2, "keep away"
     )
-    assert str(found.gates[0]) == "0.5 <= mean gap_vulnerable.min <= 9 [closed] [pedestrian] [dp_qp]"
-    assert [str(gate) for gate in found.gates[1:]] == ["qp_iterations.path.max <= 4000", "ade.3s.mean <= 2"]
+    assert (
+        str(found.gates[0]) == "0.5 <= mean gap_vulnerable.min <= 9 [closed] [pedestrian] [dp_qp]"
+    )
+    assert [str(gate) for gate in found.gates[1:]] == [
+        "qp_iterations.path.max <= 4000",
+        "ade.3s.mean <= 2",
+    ]
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ('[[gate]]\nmetric = "gap.min"\n', r"gates.toml: gate 1 \(gap.min\): has neither min nor max"),
+        (
+            '[[gate]]\nmetric = "gap.min"\n',
+            r"gates.toml: gate 1 \(gap.min\): has neither min nor max",
+        ),
         (
             '[[gate]]\nmetric = "gap.mni"\nmin = 0\n',
             "gate 1 .gap.mni.: no metric has this name, did you mean 'gap.min'",
@@ -426,13 +549,19 @@ def test_a_file_is_read(tmp_path: Path) -> None:
         ('[[gate]]\nmetric = "gap"\nmin = 0\n', "no metric has this name"),
         ('[[gate]]\nmetric = "ade.4s.mean"\nmax = 1\n', "did you mean 'ade.[1358]s.mean'"),
         ('[[gate]]\nmetric = "gap.min"\nmim = 0\n', "unknown key 'mim', did you mean 'min'"),
-        ('[[gate]]\nmetric = "gap.min"\nmin = 0\n[[gate]]\nmax = 1\n', "gate 2: .*missing required field `metric`"),
+        (
+            '[[gate]]\nmetric = "gap.min"\nmin = 0\n[[gate]]\nmax = 1\n',
+            "gate 2: .*missing required field `metric`",
+        ),
         ('[[gate]]\nmetric = "gap.min"\nmin = nan\n', "not finite"),
         ('[[gate]]\nmetric = "gap.min"\nmin = 2\nmax = 1\n', "min 2 is above max 1"),
         ('[[gate]]\nmetric = "gap.min"\nmin = 0\nmode = "close"\n', "mode is 'close'"),
         ('[[gate]]\nmetric = "gap.min"\nmin = 0\nover = "best"\n', "over is 'best'"),
         ('[[gate]]\nmetric = "gap.min"\nmin = 0\nmin_logs = 0\n', "nothing to judge is no pass"),
-        ('[[gate]]\nmetric = "gap.min"\nmin = 0\nmax_missing = 1.0\n', "not a share of at least 0 and below 1"),
+        (
+            '[[gate]]\nmetric = "gap.min"\nmin = 0\nmax_missing = 1.0\n',
+            "not a share of at least 0 and below 1",
+        ),
         ('[[gate]]\nmetric = "gap.min"\nmin = 0\nbroken = "pass"\n', "broken is 'pass'"),
         ('[[gates]]\nmetric = "gap.min"\nmin = 0\n', "unknown key 'gates', did you mean 'gate'"),
         ("", "holds no"),
@@ -468,10 +597,14 @@ def test_the_default_gates_judge_any_closed_loop_drive() -> None:
     needs_plans = ("plan_", "fallback")
     log = scenario(along(grid(3.0), 10.0))
     found = judge(default, evaluate(drive(log), log), {log.name: LogLabels()})
-    assert {gate for gate in default.gates if not gate.optional and gate.mode != "open"} <= {v.gate for v in found}
+    assert {gate for gate in default.gates if not gate.optional and gate.mode != "open"} <= {
+        v.gate for v in found
+    }
     for each in found:
         if not each.gate.metric.startswith(needs_plans):
-            assert each.outcome in ((PASS, Outcome.NOT_ASKED) if each.gate.optional else (PASS,)), each.reason
+            assert each.outcome in ((PASS, Outcome.NOT_ASKED) if each.gate.optional else (PASS,)), (
+                each.reason
+            )
         else:
             assert each.outcome is (Outcome.NOT_ASKED if each.gate.optional else INCONCLUSIVE)
         assert each.gate.reason

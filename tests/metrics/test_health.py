@@ -33,7 +33,9 @@ def drive(v: float = 10.0) -> Trajectory:
     return Trajectory(T, v * T, zero, zero, zero + v, zero, zero)
 
 
-def track(name: str = "7", y: float = 3.5, v: float = 8.0, t: np.ndarray = T, x0: float = 20.0) -> Tracks:
+def track(
+    name: str = "7", y: float = 3.5, v: float = 8.0, t: np.ndarray = T, x0: float = 20.0
+) -> Tracks:
     return handmade.tracks(handmade.track(name, t, x0 + v * t, np.full(len(t), y), vx=v, vy=0.0))
 
 
@@ -41,18 +43,27 @@ def both(one: Tracks, other: Tracks) -> Tracks:
     names = "length", "width", "static"
     columns = "t", "x", "y", "yaw", "vx", "vy"
     return Tracks(
-        (*one.ids, *other.ids), (*one.kinds, *other.kinds),
+        (*one.ids, *other.ids),
+        (*one.kinds, *other.kinds),
         *(np.r_[getattr(one, name), getattr(other, name)] for name in names),
         np.r_[one.offsets, other.offsets[1:] + one.offsets[-1]],
         *(np.r_[getattr(one, name), getattr(other, name)] for name in columns),
-    )  # fmt: skip
+    )
 
 
-def scenario(ego: Trajectory | None = None, tracks: Tracks | None = None, **more: object) -> Scenario:
+def scenario(
+    ego: Trajectory | None = None, tracks: Tracks | None = None, **more: object
+) -> Scenario:
     ego = ego or drive()
     road = Road.along(np.column_stack([drive().x, drive().y]), speed_limit=14.0)
     return Scenario(
-        "made", ego, track() if tracks is None else tracks, road, max(8.0, float(ego.t[-1])), tags=("recorded",), **more
+        "made",
+        ego,
+        track() if tracks is None else tracks,
+        road,
+        max(8.0, float(ego.t[-1])),
+        tags=("recorded",),
+        **more,
     )  # type: ignore[arg-type]
 
 
@@ -84,8 +95,14 @@ def test_the_catalogue_is_clean(name: str) -> None:
 def test_an_ego_jump_is_found_where_it_is(step: float) -> None:
     ego = drive()
     found, *longer = findings(scenario(replace(ego, x=later(step)(np.array(ego.x)))))
-    assert {one.kind for one in longer} == ({FaultKind.EGO_SPEED} if step > 0.1 * (80.0 + step) else set())
-    assert found.kind is FaultKind.EGO_JUMP and found.t_from == pytest.approx(4.0) and found.t_to == pytest.approx(4.1)
+    assert {one.kind for one in longer} == (
+        {FaultKind.EGO_SPEED} if step > 0.1 * (80.0 + step) else set()
+    )
+    assert (
+        found.kind is FaultKind.EGO_JUMP
+        and found.t_from == pytest.approx(4.0)
+        and found.t_to == pytest.approx(4.1)
+    )
     assert found.value == pytest.approx(step + 1.0)
 
 
@@ -93,20 +110,32 @@ def test_an_ego_jump_is_found_where_it_is(step: float) -> None:
 @settings(max_examples=20, deadline=None)
 def test_a_teleport_is_found_where_it_is(step: float) -> None:
     found = [
-        one for one in findings(scenario(tracks=moved(track(), "x", later(step)))) if one.kind is FaultKind.TELEPORT
+        one
+        for one in findings(scenario(tracks=moved(track(), "x", later(step))))
+        if one.kind is FaultKind.TELEPORT
     ]
     assert [one.who for one in found] == ["7"] and found[0].value == pytest.approx(step + 0.8)
     assert (found[0].t_from, found[0].t_to) == (pytest.approx(4.0), pytest.approx(4.1))
 
 
-@pytest.mark.parametrize(("factor", "word"), [(3.6, "km/h"), (2.237, "mph"), (0.3048, "feet"), (0.001, "mm")])
+@pytest.mark.parametrize(
+    ("factor", "word"), [(3.6, "km/h"), (2.237, "mph"), (0.3048, "feet"), (0.001, "mm")]
+)
 def test_other_units_are_named(factor: float, word: str) -> None:
     ego = drive()
-    (found,) = (one for one in findings(scenario(replace(ego, v=ego.v * factor))) if one.kind is FaultKind.UNITS)
+    (found,) = (
+        one
+        for one in findings(scenario(replace(ego, v=ego.v * factor)))
+        if one.kind is FaultKind.UNITS
+    )
     assert word in found.text and found.value == pytest.approx(factor)
     fast = replace(track(), vx=track().vx * factor)
     two = both(fast, replace(fast, ids=("8",), y=fast.y + 4.0))
-    (found,) = (one for one in findings(scenario(tracks=two)) if one.topic == "agents" and one.kind is FaultKind.UNITS)
+    (found,) = (
+        one
+        for one in findings(scenario(tracks=two))
+        if one.topic == "agents" and one.kind is FaultKind.UNITS
+    )
     assert word in found.text
 
 
@@ -124,7 +153,9 @@ def test_a_speed_that_the_positions_deny_is_found() -> None:
     ego = drive()
     assert FaultKind.EGO_SPEED in kinds(scenario(replace(ego, v=ego.v * 1.3)))
     assert FaultKind.EGO_SPEED not in kinds(scenario(replace(ego, v=ego.v * 1.05)))
-    assert kinds(scenario(tracks=moved(track(), "vx", lambda v: v * 1.6))) == {FaultKind.AGENT_SPEED}
+    assert kinds(scenario(tracks=moved(track(), "vx", lambda v: v * 1.6))) == {
+        FaultKind.AGENT_SPEED
+    }
     assert kinds(scenario(tracks=moved(track(), "vx", lambda v: v * np.nan))) == set()
 
 
@@ -142,21 +173,33 @@ def test_directions_are_found_at_any_rate(rate: float) -> None:
     t = np.arange(0.0, 8.01, 1.0 / rate)
     zero = np.zeros_like(t)
     ego = Trajectory(t, 10.0 * t, zero, zero, zero + 10.0, zero, zero)
-    other = replace(handmade.tracks(handmade.track("7", t, 20.0 + 8.0 * t, zero + 3.5, vx=8.0, vy=0.0)))
+    other = replace(
+        handmade.tracks(handmade.track("7", t, 20.0 + 8.0 * t, zero + 3.5, vx=8.0, vy=0.0))
+    )
     assert findings(scenario(ego, other)) == ()
     (found,) = findings(scenario(replace(ego, yaw=zero + 1.2), other))
-    assert (found.kind, found.topic) == (FaultKind.EGO_HEADING, "ego") and found.value == pytest.approx(1.2)
+    assert (found.kind, found.topic) == (
+        FaultKind.EGO_HEADING,
+        "ego",
+    ) and found.value == pytest.approx(1.2)
     (found,) = findings(scenario(ego, replace(other, yaw=zero + 1.2)))[:1]
-    assert (found.kind, found.who) == (FaultKind.AGENT_HEADING, "7") and found.value == pytest.approx(1.2)
+    assert (found.kind, found.who) == (
+        FaultKind.AGENT_HEADING,
+        "7",
+    ) and found.value == pytest.approx(1.2)
     (found,) = findings(scenario(ego, replace(other, yaw=zero + np.pi)))
     assert found.kind is FaultKind.AGENT_HEADING and found.value == pytest.approx(np.pi), (
         "8 m/s is too fast for reverse"
     )
     (found,) = findings(scenario(ego, replace(other, vx=zero, vy=zero + 8.0)))
-    assert (found.kind, found.who) == (FaultKind.VELOCITY, "7") and found.value == pytest.approx(0.5 * np.pi)
+    assert (found.kind, found.who) == (FaultKind.VELOCITY, "7") and found.value == pytest.approx(
+        0.5 * np.pi
+    )
     slow = replace(other, x=20.0 + 2.0 * t, vx=zero + 2.0, yaw=zero + np.pi)
     assert findings(scenario(ego, slow)) == (), "it reverses"
-    walker = replace(other, kinds=(AgentKind.PEDESTRIAN,), length=np.array([0.6]), width=np.array([0.6]))
+    walker = replace(
+        other, kinds=(AgentKind.PEDESTRIAN,), length=np.array([0.6]), width=np.array([0.6])
+    )
     assert findings(scenario(ego, replace(walker, yaw=zero + 1.2))) == (), "people go sideways"
 
 
@@ -167,19 +210,31 @@ def test_reverse_gear_without_a_signed_speed_is_found_where_it_is(rate: float) -
     unsigned = Trajectory(t, x, zero, zero, zero + 3.0, zero, zero)
     (found,) = (one for one in findings(scenario(unsigned)) if one.kind is FaultKind.EGO_HEADING)
     assert "reverse gear" in found.text
-    assert found.t_from == pytest.approx(6.0, abs=0.5) and found.t_to == pytest.approx(12.0, abs=0.5)
+    assert found.t_from == pytest.approx(6.0, abs=0.5) and found.t_to == pytest.approx(
+        12.0, abs=0.5
+    )
     signed = replace(unsigned, v=np.where(t < 6.0, 3.0, -3.0))
     assert FaultKind.EGO_HEADING not in kinds(scenario(signed))
-    wrong = [one for one in findings(scenario(replace(signed, v=-signed.v))) if one.kind is FaultKind.EGO_HEADING]
-    assert sum(one.t_to - one.t_from for one in wrong) > 10.0, "the sign is wrong all along, but where it changes"
+    wrong = [
+        one
+        for one in findings(scenario(replace(signed, v=-signed.v)))
+        if one.kind is FaultKind.EGO_HEADING
+    ]
+    assert sum(one.t_to - one.t_from for one in wrong) > 10.0, (
+        "the sign is wrong all along, but where it changes"
+    )
 
 
 def test_headings_beyond_a_turn_may_be_degrees() -> None:
     """Between samples of a fast turn, the unwrapped heading loses turns: not refused, but asked."""
     t = np.arange(0.0, 40.0, 1.25)
     yaw, zero = 1.0 + 0.1 * t, np.zeros_like(t)
-    ego = Trajectory(t, 100.0 * np.sin(yaw), -100.0 * np.cos(yaw), np.degrees(yaw), zero + 10.0, zero, zero)
-    (found,) = (one for one in findings(scenario(ego, Tracks.empty())) if one.kind is FaultKind.EGO_HEADING)
+    ego = Trajectory(
+        t, 100.0 * np.sin(yaw), -100.0 * np.cos(yaw), np.degrees(yaw), zero + 10.0, zero, zero
+    )
+    (found,) = (
+        one for one in findings(scenario(ego, Tracks.empty())) if one.kind is FaultKind.EGO_HEADING
+    )
     assert found.text.endswith("in degrees?")
     off = findings(scenario(replace(ego, yaw=yaw + 1.2), Tracks.empty()))[0]
     assert off.kind is FaultKind.EGO_HEADING and "degrees" not in off.text
@@ -188,7 +243,9 @@ def test_headings_beyond_a_turn_may_be_degrees() -> None:
 def test_most_headings_are_one_finding() -> None:
     two = both(track(), track("8", y=8.0))
     (found,) = (
-        one for one in findings(scenario(tracks=replace(two, yaw=two.yaw + 1.2))) if one.kind is FaultKind.AGENT_HEADING
+        one
+        for one in findings(scenario(tracks=replace(two, yaw=two.yaw + 1.2)))
+        if one.kind is FaultKind.AGENT_HEADING
     )
     assert found.who == "" and found.text.startswith("2 of 2 moving agents")
 
@@ -205,7 +262,11 @@ def test_an_agent_who_goes_on_under_another_name_is_found() -> None:
     one, other = track("7", t=T[:AT]), track("8", t=T[AT + 2 :])
     (found,) = findings(scenario(tracks=both(one, other)))
     assert found.kind is FaultKind.ID_SWITCH and "goes on as 8" in found.text
-    (other_kind,) = (replace(other, kinds=(AgentKind.PEDESTRIAN,), length=np.array([0.6]), width=np.array([0.6])),)
+    (other_kind,) = (
+        replace(
+            other, kinds=(AgentKind.PEDESTRIAN,), length=np.array([0.6]), width=np.array([0.6])
+        ),
+    )
     assert FaultKind.ID_SWITCH not in kinds(scenario(tracks=both(one, other_kind)))
 
 
@@ -218,7 +279,11 @@ def test_twins_and_odd_sizes_are_found() -> None:
 @given(st.floats(0.8, 2.3), st.sampled_from([1.0, -1.0]))
 @settings(max_examples=20, deadline=None)
 def test_a_car_that_steps_across_its_axis_is_found(angle: float, side: float) -> None:
-    off = scenario(tracks=moved(moved(track(), "x", later(4.0 * np.cos(angle) - 0.8)), "y", later(4.0 * np.sin(angle))))
+    off = scenario(
+        tracks=moved(
+            moved(track(), "x", later(4.0 * np.cos(angle) - 0.8)), "y", later(4.0 * np.sin(angle))
+        )
+    )
     (found,) = (one for one in findings(off) if one.kind is FaultKind.ACROSS)
     assert found.who == "7" and found.t_from == pytest.approx(4.0)
     assert found.value == pytest.approx(min(angle, np.pi - angle), abs=1e-6)
@@ -230,7 +295,9 @@ def test_many_short_tracks_are_one_finding() -> None:
     few = both(track(), track("8", 7.0, t=T[:2]))
     assert FaultKind.SHORT not in kinds(scenario(tracks=few))
     (found,) = (
-        one for one in findings(scenario(tracks=both(few, track("9", 11.0, t=T[:1])))) if one.kind is FaultKind.SHORT
+        one
+        for one in findings(scenario(tracks=both(few, track("9", 11.0, t=T[:1]))))
+        if one.kind is FaultKind.SHORT
     )
     assert found.value == 2.0 and "2 of 3 tracks of vehicles" in found.text
 
@@ -238,7 +305,9 @@ def test_many_short_tracks_are_one_finding() -> None:
 def test_a_phantom_is_named_with_its_time() -> None:
     there = track("ghost", y=0.0, v=0.0, t=T[AT - 3 : AT + 4], x0=40.0)
     found = [one for one in findings(scenario(tracks=there)) if one.kind is FaultKind.PHANTOM]
-    assert [one.who for one in found] == ["ghost"] and "the logged ego stands in car ghost" in found[0].text
+    assert [one.who for one in found] == [
+        "ghost"
+    ] and "the logged ego stands in car ghost" in found[0].text
 
 
 def test_a_map_that_is_elsewhere_and_a_broken_graph_are_found() -> None:
@@ -263,8 +332,14 @@ def test_a_map_that_is_elsewhere_and_a_broken_graph_are_found() -> None:
 def test_a_light_that_no_line_names_is_found() -> None:
     lights = [TrafficLight(name, np.array([0.0]), (Colour.RED,)) for name in (5, 6)]
     (found,) = findings(scenario(lights=tuple(lights)))
-    assert found.kind is FaultKind.LIGHT and found.text == "2 lights are shown, but the road has no stop lines"
-    lined = replace(scenario().road, stop_lines=(StopLine(1, 0, np.array([[70.0, 2.0], [70.0, -2.0]]), light=6),))
+    assert (
+        found.kind is FaultKind.LIGHT
+        and found.text == "2 lights are shown, but the road has no stop lines"
+    )
+    lined = replace(
+        scenario().road,
+        stop_lines=(StopLine(1, 0, np.array([[70.0, 2.0], [70.0, -2.0]]), light=6),),
+    )
     (found,) = findings(replace(scenario(lights=tuple(lights)), road=lined))
     assert found.kind is FaultKind.LIGHT and found.who == "5"
 

@@ -24,7 +24,13 @@ def two_way() -> Road:
     """Our lane on y = 0 along x, the oncoming one on y = 3.5."""
     road = straight_road(lanes=2)
     ours, theirs = road.lanes[0], road.lanes[1]
-    back = replace(theirs, left=theirs.right[::-1], right=theirs.left[::-1], right_neighbour=None, left_opposite=True)
+    back = replace(
+        theirs,
+        left=theirs.right[::-1],
+        right=theirs.left[::-1],
+        right_neighbour=None,
+        left_opposite=True,
+    )
     return replace(road, lanes={0: replace(ours, left_neighbour=None, left_opposite=True), 1: back})
 
 
@@ -49,7 +55,10 @@ def test_ten_seconds_in_the_oncoming_lane() -> None:
 
 
 def test_reversing_is_against_the_lane_and_so_is_turning_round() -> None:
-    for ego in (along(grid(3.0), -3.0), replace(along(grid(3.0), -3.0), v=np.full(301, 3.0), yaw=np.full(301, np.pi))):
+    for ego in (
+        along(grid(3.0), -3.0),
+        replace(along(grid(3.0), -3.0), v=np.full(301, 3.0), yaw=np.full(301, np.pi)),
+    ):
         table = judged(LOG, ego)["value"]
         assert table["wrong_way.worst_1s"] == pytest.approx(3.0, abs=0.01)
         assert table["wrong_way.distance"] == pytest.approx(9.0, abs=0.04)
@@ -59,7 +68,9 @@ def test_reversing_is_against_the_lane_and_so_is_turning_round() -> None:
 
 def test_two_visits_are_two_episodes() -> None:
     t = grid(10.0)
-    y = np.where((t > 1.995) & (t < 3.995), WIDTH, 0.0) + np.where((t > 5.995) & (t < 8.995), WIDTH, 0.0)
+    y = np.where((t > 1.995) & (t < 3.995), WIDTH, 0.0) + np.where(
+        (t > 5.995) & (t < 8.995), WIDTH, 0.0
+    )
     table = judged(LOG, beside(t, 10.0, y))
     assert table.loc["wrong_way.time", "value"] == pytest.approx(5.0)
     assert table.loc["wrong_way.worst_episode", "value"] == pytest.approx(3.0)
@@ -92,8 +103,12 @@ def test_lanes_that_lead_both_ways_may_be_driven_both_ways() -> None:
         assert judged(log, ego).loc["wrong_way.distance", "value"] == 0.0
 
 
-@pytest.mark.parametrize(("aside", "seconds", "expected"), [(0.45, 3.0, 0.0), (0.55, 1.5, 1.5), (-0.55, 3.0, 3.0)])
-def test_lane_keeping_is_the_longest_stretch_beyond_half_a_metre(aside: float, seconds: float, expected: float) -> None:
+@pytest.mark.parametrize(
+    ("aside", "seconds", "expected"), [(0.45, 3.0, 0.0), (0.55, 1.5, 1.5), (-0.55, 3.0, 3.0)]
+)
+def test_lane_keeping_is_the_longest_stretch_beyond_half_a_metre(
+    aside: float, seconds: float, expected: float
+) -> None:
     """NAVSIM fails 2.0 s and more."""
     t = grid(8.0)
     y = np.where((t > 1.995) & (t < 1.995 + seconds), aside, 0.0)
@@ -103,18 +118,32 @@ def test_lane_keeping_is_the_longest_stretch_beyond_half_a_metre(aside: float, s
 
 
 @settings(max_examples=20)
-@given(st.floats(-3.0, 3.0), st.floats(-50, 50), st.floats(-50, 50), st.booleans(), st.floats(-0.4, 0.4))
-def test_the_map_may_be_turned_moved_and_mirrored(turn: float, dx: float, dy: float, mirror: bool, yaw: float) -> None:
+@given(
+    st.floats(-3.0, 3.0),
+    st.floats(-50, 50),
+    st.floats(-50, 50),
+    st.booleans(),
+    st.floats(-0.4, 0.4),
+)
+def test_the_map_may_be_turned_moved_and_mirrored(
+    turn: float, dx: float, dy: float, mirror: bool, yaw: float
+) -> None:
     t = grid(4.0, 0.05)
     ego = Trajectory(t, 8 * t, 1.7 + 1.6 * np.sin(t), np.full(len(t), yaw), 8 + 0 * t, 0 * t, 0 * t)
     one = judged(LOG, ego)["value"]
-    two = judged(moved(LOG, turn, dx, dy, mirror=mirror), moved_ego(ego, turn, dx, dy, mirror=mirror))["value"]
+    two = judged(
+        moved(LOG, turn, dx, dy, mirror=mirror), moved_ego(ego, turn, dx, dy, mirror=mirror)
+    )["value"]
     assert two.to_numpy() == pytest.approx(one.to_numpy(), abs=1e-6)
 
 
-@pytest.mark.parametrize(("y", "over"), [(0.0, 0.0), (0.8, 0.0), (1.4, 10.0), (1.7, 10.0), (-1.5, 10.0), (3.5, 0.0)])
+@pytest.mark.parametrize(
+    ("y", "over"), [(0.0, 0.0), (0.8, 0.0), (1.4, 10.0), (1.7, 10.0), (-1.5, 10.0), (3.5, 0.0)]
+)
 @pytest.mark.parametrize("mirror", [False, True])
-def test_a_drive_on_the_line_of_its_lane_is_one_episode(y: float, over: float, mirror: bool) -> None:
+def test_a_drive_on_the_line_of_its_lane_is_one_episode(
+    y: float, over: float, mirror: bool
+) -> None:
     log = replace(LOG, road=straight_road(lanes=2))
     ego = moved_ego(beside(grid(10.0, 0.1), 10.0, y), 1.0, 5.0, -300.0, mirror=mirror)
     table = judged(moved(log, 1.0, 5.0, -300.0, mirror=mirror), ego)

@@ -47,7 +47,15 @@ def steps(value: list[float], step: float = 0.1) -> Series:
     return Series(step * np.arange(len(value)), np.array(value, float))
 
 
-MINE = Metric("mine", "m", "none", (Mode.CLOSED,), lambda trace, scenario: steps([1.0, 2.0]), (MEAN,), "For a test.")
+MINE = Metric(
+    "mine",
+    "m",
+    "none",
+    (Mode.CLOSED,),
+    lambda trace, scenario: steps([1.0, 2.0]),
+    (MEAN,),
+    "For a test.",
+)
 
 
 @given(values)
@@ -70,7 +78,9 @@ def test_steps_without_a_value_do_not_count(value: list[float], data: st.DataObj
     t, full = np.arange(len(value)) * 1.0, np.array(value)
     with_holes = Series(np.insert(t, holes, 0.0), np.insert(full, holes, np.nan))
     for reduction in (MEAN, RMS, MIN, MAX, MAX_ABS, P95, P99, FINAL, COUNT, RATE):
-        assert reduction.reduce(with_holes)[0] == pytest.approx(reduction.reduce(Series(t, full))[0], abs=1e-12)
+        assert reduction.reduce(with_holes)[0] == pytest.approx(
+            reduction.reduce(Series(t, full))[0], abs=1e-12
+        )
 
 
 @given(values, st.integers(0, 29))
@@ -80,7 +90,9 @@ def test_times_add_up_where_a_drive_is_cut(value: list[float], cut: int) -> None
     first, second = Series(s.t[: cut + 1], s.value[: cut + 1]), Series(s.t[cut:], s.value[cut:])
     for reduction in (time_below(1.0, "a"), time_above(4.0, "b"), time_outside(-1.0, 3.0, "c")):
         whole = reduction.reduce(s)[0]
-        assert whole == pytest.approx(reduction.reduce(first)[0] + reduction.reduce(second)[0], abs=1e-12)
+        assert whole == pytest.approx(
+            reduction.reduce(first)[0] + reduction.reduce(second)[0], abs=1e-12
+        )
 
 
 @given(st.floats(-9.0, 9.0), st.floats(0.03, 0.3))
@@ -119,12 +131,16 @@ def test_the_table_has_the_columns_and_one_row_per_reduction() -> None:
         table = evaluate(drive(log, mode=mode), log)
         assert tuple(table.columns) == COLUMNS
         assert table["metric"].is_unique
-        assert set(table["metric"].str.split(".").str[0]) == {m.name for m in METRICS.values() if mode in m.modes}
+        assert set(table["metric"].str.split(".").str[0]) == {
+            m.name for m in METRICS.values() if mode in m.modes
+        }
         assert set(table["direction"]) <= {"lower", "higher", "none"}
         assert not table["value"].isin([np.inf, -np.inf]).any()
         assert (table["value"].isna() == ~table["available"]).all()
         assert (table.loc[~table["available"], "reason"] != "").all()
-        assert ((table["log"] == "test/log") & (table["mode"] == mode.value) & ~table["oracle"]).all()
+        assert (
+            (table["log"] == "test/log") & (table["mode"] == mode.value) & ~table["oracle"]
+        ).all()
 
 
 def test_series_are_the_steps_behind_the_table() -> None:
@@ -169,7 +185,9 @@ def test_the_same_question_is_answered_once_and_another_anew() -> None:
 
     one, two = Drive(), Drive()
     assert found(one, 1.0) is found(one, 1.0)
-    assert found(one, 2.0) is not found(one, 1.0) and found(one, 1.0, kept=True) is not found(one, 1.0)
+    assert found(one, 2.0) is not found(one, 1.0) and found(one, 1.0, kept=True) is not found(
+        one, 1.0
+    )
     assert found(two, 1.0) is not found(one, 1.0)
     assert len(asked) == 4
 
@@ -220,7 +238,14 @@ def test_the_page_is_what_the_command_prints() -> None:
 def test_a_metrics_page_says_all_about_it(metric: Metric) -> None:
     text = said(metric.name)
     assert metric.formula and metric.meaning.endswith(".") and metric.unit
-    for detail in (metric.formula, metric.meaning, metric.unit, metric.source, *metric.parameters, metric.needs):
+    for detail in (
+        metric.formula,
+        metric.meaning,
+        metric.unit,
+        metric.source,
+        *metric.parameters,
+        metric.needs,
+    ):
         assert detail in text
     for reduction in metric.reductions:
         assert reduction.name in text
@@ -264,7 +289,9 @@ def _drive(log: Scenario, mode: Mode, states: int, frames: int) -> Trace:
 
 @pytest.mark.parametrize("mode", [Mode.OPEN, Mode.CLOSED])
 @pytest.mark.parametrize("log", LOGS.values(), ids=LOGS.keys())
-def test_all_metrics_of_a_drive_that_hardly_is_one_have_a_value_or_a_reason(log: Scenario, mode: Mode) -> None:
+def test_all_metrics_of_a_drive_that_hardly_is_one_have_a_value_or_a_reason(
+    log: Scenario, mode: Mode
+) -> None:
     metrics = [metric for metric in METRICS.values() if mode in metric.modes]
     for states, frames in STATES_AND_FRAMES:
         table, _ = evaluate_with_series(_drive(log, mode, states, frames), log)
@@ -280,6 +307,8 @@ def test_the_instant_of_contact_counts() -> None:
     rear = float(ego.x[-1]) + LOG.vehicle.axle_to_front
     stands = ("7", AgentKind.CAR, (4.0, 1.8), moving(rear + 2.0 - 0.01, 0.0, 0.0, 0.0, 0.0))
     log = scenario(ego, [stands])
-    table = evaluate(drive(log, end=EndReason.COLLISION), log, metrics={"gap": METRICS["gap"]}).set_index("metric")
+    table = evaluate(
+        drive(log, end=EndReason.COLLISION), log, metrics={"gap": METRICS["gap"]}
+    ).set_index("metric")
     assert table.loc["gap.min", "value"] == 0.0
     assert table.loc["gap.time_below_20cm", "value"] == pytest.approx(0.005)

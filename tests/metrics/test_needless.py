@@ -19,7 +19,10 @@ ROAD = straight_road(limit=15.0)
 
 
 def measured(log: Scenario, ego: Trajectory) -> list[float]:
-    metrics = {name: METRICS[name] for name in ("needless_braking", "needless_standing", "needless_steering")}
+    metrics = {
+        name: METRICS[name]
+        for name in ("needless_braking", "needless_standing", "needless_steering")
+    }
     table = evaluate(drive(log, ego), log, metrics=metrics).set_index("metric")
     return [float(table.loc[name, "value"]) for name in NAMES]
 
@@ -27,7 +30,9 @@ def measured(log: Scenario, ego: Trajectory) -> list[float]:
 def stopping(at: float, lasts: float = 8.0) -> Trajectory:
     """10 m/s, from the time `at` on a full stop with 2 m/s2, and on again after `lasts` s."""
     t = grid(30.0, 0.1)
-    v = np.clip(np.minimum(10.0, np.maximum(10.0 - 2.0 * (t - at), 1.5 * (t - at - lasts))), 0.0, 10.0)
+    v = np.clip(
+        np.minimum(10.0, np.maximum(10.0 - 2.0 * (t - at), 1.5 * (t - at - lasts))), 0.0, 10.0
+    )
     return along(t, np.where(t < at, 10.0, v))
 
 
@@ -51,14 +56,21 @@ def test_a_drive_at_constant_speed_is_not_charged() -> None:
 
 @pytest.mark.parametrize("mirror", [False, True])
 def test_a_full_stop_on_a_free_road_is_needless_wherever_the_road_leads(mirror: bool) -> None:
-    world, ego = moved(LOG, 2.0, 50.0, -900.0, mirror=mirror), moved_ego(STOP, 2.0, 50.0, -900.0, mirror=mirror)
+    world, ego = (
+        moved(LOG, 2.0, 50.0, -900.0, mirror=mirror),
+        moved_ego(STOP, 2.0, 50.0, -900.0, mirror=mirror),
+    )
     lost, stood, swings = measured(world, ego)
     assert (lost, swings) == (pytest.approx(10.0, abs=0.1), 0.0)
     assert stood == pytest.approx(float(np.diff(STOP.t[STOP.v < 0.5][[0, -1]])[0]), abs=0.2)
 
 
-STOP_LINE = replace(ROAD, stop_lines=(StopLine(1, 0, np.array([[111.0, 1.75], [111.0, -1.75]]), light=1),))
-FAR_LINE = replace(ROAD, stop_lines=(StopLine(1, 0, np.array([[134.0, 1.75], [134.0, -1.75]]), light=1),))
+STOP_LINE = replace(
+    ROAD, stop_lines=(StopLine(1, 0, np.array([[111.0, 1.75], [111.0, -1.75]]), light=1),)
+)
+FAR_LINE = replace(
+    ROAD, stop_lines=(StopLine(1, 0, np.array([[134.0, 1.75], [134.0, -1.75]]), light=1),)
+)
 RED = (TrafficLight(1, np.array([0.0, 20.0]), (Colour.RED, Colour.GREEN)),)
 GREEN = (TrafficLight(1, np.array([0.0]), (Colour.GREEN,)),)
 
@@ -69,7 +81,9 @@ def goal_from(x: float, to: float, **more: tuple[float, float]) -> Goal:
 
 CALLED_FOR = {
     "a car that stands ahead": scenario(LOG.ego, [box(AgentKind.CAR, 116.0, 0.0)], road=ROAD),
-    "a pedestrian beside the road ahead": scenario(LOG.ego, [box(AgentKind.PEDESTRIAN, 113.0, 3.0)], road=ROAD),
+    "a pedestrian beside the road ahead": scenario(
+        LOG.ego, [box(AgentKind.PEDESTRIAN, 113.0, 3.0)], road=ROAD
+    ),
     "a red light": replace(LOG, road=STOP_LINE, lights=RED),
     "the far end of the goal": replace(LOG, goal=goal_from(90.0, 115.0)),
     "a goal that asks for a speed": replace(LOG, goal=goal_from(112.0, 160.0, v=(0.0, 1.0))),
@@ -78,9 +92,13 @@ CALLED_FOR = {
 
 
 @pytest.mark.parametrize("time", [None, (12.0, 30.0)])
-def test_a_goal_that_can_be_driven_through_is_no_reason_to_stop(time: tuple[float, float] | None) -> None:
+def test_a_goal_that_can_be_driven_through_is_no_reason_to_stop(
+    time: tuple[float, float] | None,
+) -> None:
     """Its near end is at the stop, its far end 150 m ahead; by its time the ego could be 20 m farther."""
-    lost, stood, _ = measured(replace(LOG, goal=goal_from(112.0, 260.0, **({"t": time} if time else {}))), STOP)
+    lost, stood, _ = measured(
+        replace(LOG, goal=goal_from(112.0, 260.0, **({"t": time} if time else {}))), STOP
+    )
     assert lost == pytest.approx(10.0, abs=0.1)
     assert stood > 3.0
 
@@ -96,9 +114,12 @@ def test_a_stop_with_a_reason_is_not_charged(what: str) -> None:
     "log",
     [
         pytest.param(replace(LOG, road=STOP_LINE, lights=GREEN), id="a green light"),
-        pytest.param(scenario(LOG.ego, [box(AgentKind.CAR, 60.0, 0.0)], road=ROAD), id="a car that is passed"),
         pytest.param(
-            scenario(LOG.ego, [box(AgentKind.CAR, 116.0, 9.0)], road=ROAD), id="a car that stands off the road"
+            scenario(LOG.ego, [box(AgentKind.CAR, 60.0, 0.0)], road=ROAD), id="a car that is passed"
+        ),
+        pytest.param(
+            scenario(LOG.ego, [box(AgentKind.CAR, 116.0, 9.0)], road=ROAD),
+            id="a car that stands off the road",
         ),
     ],
 )
@@ -136,7 +157,9 @@ FALSE_NAMES = ("false_braking", "missed_braking")
 
 
 def measured_row(log: Scenario, ego: Trajectory, row: str) -> float:
-    table = evaluate(drive(log, ego), log, metrics={name: METRICS[name] for name in FALSE_NAMES}).set_index("metric")
+    table = evaluate(
+        drive(log, ego), log, metrics={name: METRICS[name] for name in FALSE_NAMES}
+    ).set_index("metric")
     return float(table.loc[row, "value"])
 
 
@@ -158,7 +181,10 @@ SIDE = 0.5 * EMPTY.vehicle.width
 
 
 def test_mild_braking_is_no_episode_and_two_far_apart_are_two() -> None:
-    assert hard_episodes(braking(8.0, b=HARD_MPS2 - 0.3)) == [] and len(hard_episodes(braking(8.0, 12.0))) == 2
+    assert (
+        hard_episodes(braking(8.0, b=HARD_MPS2 - 0.3)) == []
+        and len(hard_episodes(braking(8.0, 12.0))) == 2
+    )
     assert len(hard_episodes(braking(8.0, 8.8))) == 1
     assert measured_row(EMPTY, braking(8.0, b=3.0), "false_braking.count") == 0.0
 
@@ -167,18 +193,29 @@ def test_mild_braking_is_no_episode_and_two_far_apart_are_two() -> None:
 @pytest.mark.parametrize(
     ("x", "y", "vy", "false"),
     [
-        (130.0, SIDE + 0.25 + CAUSE_M - 0.05, 0.0, 0.0), (130.0, SIDE + 0.25 + CAUSE_M + 0.05, 0.0, 1.0),
-        (130.0, -14.0, 1.2, 0.0), (130.0, -20.0, 1.2, 1.0), (60.0, 0.0, 0.0, 1.0), (240.0, 0.0, 0.0, 1.0),
+        (130.0, SIDE + 0.25 + CAUSE_M - 0.05, 0.0, 0.0),
+        (130.0, SIDE + 0.25 + CAUSE_M + 0.05, 0.0, 1.0),
+        (130.0, -14.0, 1.2, 0.0),
+        (130.0, -20.0, 1.2, 1.0),
+        (60.0, 0.0, 0.0, 1.0),
+        (240.0, 0.0, 0.0, 1.0),
     ],
-)  # fmt: skip
-def test_braking_is_false_where_nobody_comes_near(x: float, y: float, vy: float, false: float, *, mirror: bool) -> None:
+)
+def test_braking_is_false_where_nobody_comes_near(
+    x: float, y: float, vy: float, false: float, *, mirror: bool
+) -> None:
     """At 8 s the ego is at 96 m and has 60 m ahead in 5 s."""
     log = scenario(EGO, [other(x, y, vy)], road=ROAD)
-    world, ego = moved(log, 1.0, 50.0, -90.0, mirror=mirror), moved_ego(EGO, 1.0, 50.0, -90.0, mirror=mirror)
+    world, ego = (
+        moved(log, 1.0, 50.0, -90.0, mirror=mirror),
+        moved_ego(EGO, 1.0, 50.0, -90.0, mirror=mirror),
+    )
     assert measured_row(world, ego, "false_braking.rate") == false
 
 
-def test_who_does_not_brake_for_one_who_stands_ahead_misses_it_and_who_does_in_time_hardly() -> None:
+def test_who_does_not_brake_for_one_who_stands_ahead_misses_it_and_who_does_in_time_hardly() -> (
+    None
+):
     t = grid(20.0, 0.1)
     v = np.clip(12.0 - 2.0 * np.maximum(t - 2.0, 0.0), 0.0, 12.0)
     stop = along(t, v, a=np.gradient(v, t))

@@ -20,14 +20,18 @@ from replan.metrics.driving_scores import NUPLAN_CLOSED, closed_loop_parts
 
 VALUES = Path(__file__).parents[1] / "support" / "leaderboards"
 BUILT_IN = {
-    "everyday_cut_in": "everyday/cut_in", "everyday_junction": "everyday/junction",
-    "everyday_crosswalk": "everyday/crosswalk", "paper_crossing_pedestrian": "paper/crossing_pedestrian",
-}  # fmt: skip
+    "everyday_cut_in": "everyday/cut_in",
+    "everyday_junction": "everyday/junction",
+    "everyday_crosswalk": "everyday/crosswalk",
+    "paper_crossing_pedestrian": "paper/crossing_pedestrian",
+}
 COLUMNS = ("t", "x", "y", "yaw", "v", "a", "kappa")
 
 
 def parts(world: Scenario, ego: Trajectory) -> dict[str, float]:
-    found = closed_loop_parts(Trace(world.name, "", Mode.CLOSED, False, ego, world.tracks, (), EndReason.GOAL), world)
+    found = closed_loop_parts(
+        Trace(world.name, "", Mode.CLOSED, False, ego, world.tracks, (), EndReason.GOAL), world
+    )
     assert isinstance(found, dict)
     return found
 
@@ -38,8 +42,12 @@ def compared(folder: Path, mine: str, logs: object) -> pd.DataFrame:
     values = pd.read_csv(folder / "nuplan_original.csv").set_index("trajectory")
     rows = {}
     for name, one in trajectories[trajectories.trajectory.str.match(mine)].groupby("trajectory"):
-        found = parts(logs(name.rsplit("__", 1)[0]), Trajectory(*(one[c].to_numpy() for c in COLUMNS)))  # type: ignore[operator]
-        rows[name] = {part: abs(found[part] - values.loc[name, part]) for part in NUPLAN_CLOSED.names}
+        found = parts(
+            logs(name.rsplit("__", 1)[0]), Trajectory(*(one[c].to_numpy() for c in COLUMNS))
+        )  # type: ignore[operator]
+        rows[name] = {
+            part: abs(found[part] - values.loc[name, part]) for part in NUPLAN_CLOSED.names
+        }
     return pd.DataFrame(rows).T
 
 
@@ -63,32 +71,58 @@ T = grid(10.0, 0.1)
 
 def test_agents_that_appear_in_contact_are_judged_and_later_ones_are_not_close() -> None:
     """A car that stands 40 m ahead: at fault, ttc 0. One that rear-ends the ego: neither, though they go on."""
-    world = scenario(along(T, 10.0), [("7", AgentKind.CAR, (4.5, 1.8), moving(40.0, 0.0, 0.0, 0.0, 0.0))],
-                     road=straight_road(limit=10.0))  # fmt: skip
+    world = scenario(
+        along(T, 10.0),
+        [("7", AgentKind.CAR, (4.5, 1.8), moving(40.0, 0.0, 0.0, 0.0, 0.0))],
+        road=straight_road(limit=10.0),
+    )
     found = parts(world, along(T, 10.0))
     assert (found["collisions"], found["ttc"]) == (0.0, 0.0)
-    inside = scenario(along(T, 10.0), [("7", AgentKind.CAR, (4.5, 1.8), moving(3.0, 0.0, 0.0, 0.0, 0.0))],
-                      road=straight_road(limit=10.0))  # fmt: skip
+    inside = scenario(
+        along(T, 10.0),
+        [("7", AgentKind.CAR, (4.5, 1.8), moving(3.0, 0.0, 0.0, 0.0, 0.0))],
+        road=straight_road(limit=10.0),
+    )
     assert parts(inside, along(T, 10.0))["collisions"] == 0.0
-    behind = scenario(along(T, 10.0), [("7", AgentKind.CAR, (4.5, 1.8), moving(-20.0, 0.0, 14.0, 0.0, 0.0))],
-                      road=straight_road(limit=10.0))  # fmt: skip
+    behind = scenario(
+        along(T, 10.0),
+        [("7", AgentKind.CAR, (4.5, 1.8), moving(-20.0, 0.0, 14.0, 0.0, 0.0))],
+        road=straight_road(limit=10.0),
+    )
     found = parts(behind, along(T, 10.0))
     assert (found["collisions"], found["ttc"]) == (1.0, 1.0)
 
 
 def test_a_finer_drive_has_the_parts_of_10_hz() -> None:
-    world, fine = scenario(along(T, 10.0), road=straight_road(limit=10.0)), along(grid(10.0, 0.01), 8.0)
+    world, fine = (
+        scenario(along(T, 10.0), road=straight_road(limit=10.0)),
+        along(grid(10.0, 0.01), 8.0),
+    )
     assert parts(world, fine) == pytest.approx(parts(world, along(T, 8.0)), abs=1e-9)
 
 
 @settings(max_examples=20)
-@given(st.floats(-3.0, 3.0), st.floats(-50.0, 50.0), st.booleans(), st.floats(4.0, 14.0), st.floats(-1.0, 1.0))
-def test_parts_do_not_change_with_the_world(turn: float, shift: float, mirror: bool, v: float, y: float) -> None:
-    world = scenario(along(T, 10.0), [("7", AgentKind.CAR, (4.5, 1.8), moving(30.0, 1.0, 6.0, 0.0, 0.0))],
-                     road=straight_road(limit=10.0, lanes=2))  # fmt: skip
+@given(
+    st.floats(-3.0, 3.0),
+    st.floats(-50.0, 50.0),
+    st.booleans(),
+    st.floats(4.0, 14.0),
+    st.floats(-1.0, 1.0),
+)
+def test_parts_do_not_change_with_the_world(
+    turn: float, shift: float, mirror: bool, v: float, y: float
+) -> None:
+    world = scenario(
+        along(T, 10.0),
+        [("7", AgentKind.CAR, (4.5, 1.8), moving(30.0, 1.0, 6.0, 0.0, 0.0))],
+        road=straight_road(limit=10.0, lanes=2),
+    )
     ego = along(T, v)
     ego = replace(ego, y=ego.y + y)
-    two = parts(moved(world, turn, shift, -shift, mirror=mirror), moved_ego(ego, turn, shift, -shift, mirror=mirror))
+    two = parts(
+        moved(world, turn, shift, -shift, mirror=mirror),
+        moved_ego(ego, turn, shift, -shift, mirror=mirror),
+    )
     assert two == pytest.approx(parts(world, ego), abs=1e-6)
 
 

@@ -20,10 +20,15 @@ LOG = scenario(along(grid(12.0, 0.1), 10.0))
 CURVE = 0.1 * grid(12.0, 0.1)
 BENT = scenario(
     Trajectory(
-        grid(12.0, 0.1), 100 * np.sin(CURVE), 100 * (1 - np.cos(CURVE)), CURVE, 10 + 0 * CURVE, 0 * CURVE,
+        grid(12.0, 0.1),
+        100 * np.sin(CURVE),
+        100 * (1 - np.cos(CURVE)),
+        CURVE,
+        10 + 0 * CURVE,
+        0 * CURVE,
         0.01 + 0 * CURVE,
     )
-)  # fmt: skip
+)
 FRAMES = grid(12.0, 0.1)[:-1]
 
 
@@ -87,7 +92,10 @@ def test_short_plans_are_seen_in_the_share_and_the_logs_end_is_not() -> None:
     assert not found.loc["ade.5s.mean", "available"]
     assert found.loc["ade.5s.share", "value"] == 0.0
     late = plans(LOG.ego, FRAMES[-3:], 8.0)
-    assert table(LOG, late).loc["ade.1s.share", "reason"] == "the log ends less than 1 s after every frame"
+    assert (
+        table(LOG, late).loc["ade.1s.share", "reason"]
+        == "the log ends less than 1 s after every frame"
+    )
 
 
 def test_one_good_plan_among_many_of_one_state_is_no_good_average() -> None:
@@ -97,14 +105,29 @@ def test_one_good_plan_among_many_of_one_state_is_no_good_average() -> None:
     frames[7] = plans(LOG.ego, FRAMES[7:8], 8.0, shifted(1.0))[0]
     found = table(LOG, tuple(frames))
     assert found.loc["ade.1s.mean", "value"] == pytest.approx(1.0)
-    assert found.loc["ade.1s.share", "value"] == found.loc["miss.1s.share", "value"] == pytest.approx(1 / 85)
+    assert (
+        found.loc["ade.1s.share", "value"]
+        == found.loc["miss.1s.share", "value"]
+        == pytest.approx(1 / 85)
+    )
     assert found.loc["plan_complete.rate", "value"] == pytest.approx(1 / 85)
     assert found.loc["plan_horizon.min", "value"] == pytest.approx(0.0, abs=1e-9)
 
 
-@pytest.mark.parametrize(("off", "missed"), [(1.9, ()), (2.1, (1,)), (4.5, (1, 2)), (6.5, (1, 2, 3)),
-                                             (8.5, (1, 2, 3, 5)), (16.5, (1, 2, 3, 5, 8))])  # fmt: skip
-def test_a_plan_misses_where_it_is_beyond_the_bound_of_the_horizon(off: float, missed: tuple[int, ...]) -> None:
+@pytest.mark.parametrize(
+    ("off", "missed"),
+    [
+        (1.9, ()),
+        (2.1, (1,)),
+        (4.5, (1, 2)),
+        (6.5, (1, 2, 3)),
+        (8.5, (1, 2, 3, 5)),
+        (16.5, (1, 2, 3, 5, 8)),
+    ],
+)
+def test_a_plan_misses_where_it_is_beyond_the_bound_of_the_horizon(
+    off: float, missed: tuple[int, ...]
+) -> None:
     """Bounds 2, 4, 6, 8, 16 m; half of the frames are off, once and only once on their way, 0.5 s after the frame."""
 
     def aside(plan: Trajectory) -> Trajectory:
@@ -121,9 +144,15 @@ def test_a_plan_misses_where_it_is_beyond_the_bound_of_the_horizon(off: float, m
 def test_errors_do_not_change_with_the_map(turn: float, dx: float, dy: float, mirror: bool) -> None:
     bend = shifted(1.0, 0.7, 0.1)
     one = table(BENT, plans(BENT.ego, FRAMES[:20], 5.0, bend))["value"]
-    frames = plans(BENT.ego, FRAMES[:20], 5.0, lambda plan: moved_ego(bend(plan), turn, dx, dy, mirror=mirror))
+    frames = plans(
+        BENT.ego, FRAMES[:20], 5.0, lambda plan: moved_ego(bend(plan), turn, dx, dy, mirror=mirror)
+    )
     two = table(moved(BENT, turn, dx, dy, mirror=mirror), frames)["value"]
-    names = [name for name in one.index if name.split(".")[0] in ("ade", "fde", "ahe", "along_error", "cross_error")]
+    names = [
+        name
+        for name in one.index
+        if name.split(".")[0] in ("ade", "fde", "ahe", "along_error", "cross_error")
+    ]
     assert two[names].to_numpy() == pytest.approx(one[names].to_numpy(), abs=1e-9, nan_ok=True)
 
 
@@ -137,14 +166,20 @@ def judged(frames: tuple[PlannedFrame, ...], mode: Mode = Mode.OPEN) -> pd.DataF
 
 def every_other(bend: Callable[[Trajectory], Trajectory]) -> tuple[PlannedFrame, ...]:
     """The frames 0, 0.5, 1 s; the middle one is bent."""
-    return (*plans(LOG.ego, TIMES[:1], 6.0), *plans(LOG.ego, TIMES[5:6], 6.0, bend), *plans(LOG.ego, TIMES[10:], 6.0))
+    return (
+        *plans(LOG.ego, TIMES[:1], 6.0),
+        *plans(LOG.ego, TIMES[5:6], 6.0, bend),
+        *plans(LOG.ego, TIMES[10:], 6.0),
+    )
 
 
 @pytest.mark.parametrize("mode", Mode)
 def test_plans_that_go_on_have_no_difference(mode: Mode) -> None:
     table = judged(plans(LOG.ego, TIMES, 5.0), mode)
     for row in ("plan_change.max", "plan_change_lateral.max", "extended_comfort.max"):
-        assert table.loc[row, "value"] == pytest.approx(0.0, abs=1e-9 if row.startswith("extended") else 1e-12)
+        assert table.loc[row, "value"] == pytest.approx(
+            0.0, abs=1e-9 if row.startswith("extended") else 1e-12
+        )
     assert table.loc["plan_horizon.min", "value"] == pytest.approx(5.0)
     assert table.loc["plan_complete.rate", "value"] == 1.0
 
@@ -164,7 +199,9 @@ def test_a_change_of_mind_in_jerk_yaw_rate_and_yaw_acceleration() -> None:
     turn = judged(every_other(lambda plan: replace(plan, yaw=0.05 * since(plan))))
     assert turn.loc["extended_comfort.max", "value"] == pytest.approx(0.5)
     assert turn.loc["extended_comfort.max", "reason"] == "yaw rate"
-    saw = judged(every_other(lambda plan: replace(plan, yaw=0.0005 * (-1.0) ** np.arange(len(plan)))))
+    saw = judged(
+        every_other(lambda plan: replace(plan, yaw=0.0005 * (-1.0) ** np.arange(len(plan))))
+    )
     # headings +-0.0005 rad: yaw rate +-0.01 rad/s, yaw acceleration +-0.2 rad/s2, twice its bound
     assert saw.loc["extended_comfort.max", "value"] == pytest.approx(2.0)
     assert saw.loc["extended_comfort.max", "reason"] == "yaw acceleration"
@@ -176,10 +213,13 @@ def test_short_plans_are_incomplete() -> None:
     assert table.loc["plan_complete.rate", "value"] == 0.25
     assert table.loc["plan_horizon.min", "value"] == pytest.approx(2.9)
     assert judged(()).loc["plan_complete.rate", "reason"] == "the drive has no plans"
-    last = plans(LOG.ego, np.array([8.9, 9.0, 9.1, 12.0]), 9.0)  # the log ends at 12 s: two of them are asked
+    # The log ends at 12 s: two of them are asked
+    last = plans(LOG.ego, np.array([8.9, 9.0, 9.1, 12.0]), 9.0)
     assert judged(last).loc["plan_complete.rate", "value"] == 1.0
     late = judged(last[2:])
-    assert late.loc["plan_complete.rate", "reason"] == "the log ends less than 3 s after every frame"
+    assert (
+        late.loc["plan_complete.rate", "reason"] == "the log ends less than 3 s after every frame"
+    )
 
 
 def test_a_plan_that_flips_to_the_other_side() -> None:

@@ -14,7 +14,9 @@ from replan.metrics import GROUPS, evaluate
 from replan.metrics.metric import Series
 from replan.metrics.progress import GOAL, gain_along, route_of
 
-ASKED = {metric.name: metric for group in ("progress", "rules", "tracking") for metric in GROUPS[group]}
+ASKED = {
+    metric.name: metric for group in ("progress", "rules", "tracking") for metric in GROUPS[group]
+}
 
 
 def judged(log: Scenario, ego: Trajectory | None = None, **changes: object) -> pd.DataFrame:
@@ -41,7 +43,9 @@ def test_a_drive_that_ends_early_has_made_so_much_of_the_whole(seconds: float) -
     log = scenario(along(grid(10.0, 0.1), 10.0))
     table = judged(log, along(grid(seconds), 10.0), end=EndReason.COLLISION)
     for name in ("route_progress", "progress", "completion"):
-        assert table.loc[f"{name}.final", "value"] == pytest.approx(round(seconds, 2) / 10.0, abs=2e-3)
+        assert table.loc[f"{name}.final", "value"] == pytest.approx(
+            round(seconds, 2) / 10.0, abs=2e-3
+        )
 
 
 @settings(max_examples=20)
@@ -51,10 +55,19 @@ def test_circles_gain_nothing(radius: float, turns: int, left: bool) -> None:
     angle = np.linspace(0.0, 2.0 * np.pi * turns, 400)
     sign = 1.0 if left else -1.0
     t = angle * radius / 10.0
-    ego = Trajectory(t, radius * np.sin(angle), sign * radius * (1 - np.cos(angle)), sign * angle, 10 + 0 * t, 0 * t,
-                     sign / radius + 0 * t)  # fmt: skip
+    ego = Trajectory(
+        t,
+        radius * np.sin(angle),
+        sign * radius * (1 - np.cos(angle)),
+        sign * angle,
+        10 + 0 * t,
+        0 * t,
+        sign / radius + 0 * t,
+    )
     table = judged(scenario(along(grid(10.0, 0.1), 10.0), duration=200.0), ego)
-    assert table.loc["distance.final", "value"] == pytest.approx(2 * np.pi * turns * radius, rel=0.01)
+    assert table.loc["distance.final", "value"] == pytest.approx(
+        2 * np.pi * turns * radius, rel=0.01
+    )
     assert table.loc["route_progress.final", "value"] == pytest.approx(0.0, abs=0.02)
 
 
@@ -64,7 +77,9 @@ def test_a_leap_gains_no_more_than_the_car_could_drive(leap: float, at: int) -> 
     t = grid(10.0, 0.1)
     ego = along(t, 10.0)
     ego = replace(ego, x=ego.x + np.where(np.arange(101) >= at, leap, 0.0))
-    found = judged(scenario(along(t, 10.0)), ego, end=EndReason.GOAL).loc["route_progress.final", "value"]
+    found = judged(scenario(along(t, 10.0)), ego, end=EndReason.GOAL).loc[
+        "route_progress.final", "value"
+    ]
     assert 0.99 <= found <= 1.0 + 0.01 * (1.1 + leap / 30.0) + 1e-6
 
 
@@ -75,10 +90,18 @@ def test_laps_count_in_full_however_short_they_are(radius: float, step: float) -
     t = np.arange(0.0, 6.0 * np.pi * radius / 2.0, step)
     w = 2.0 * t / radius
     laps = Trajectory(
-        t, radius * np.sin(w), radius - radius * np.cos(w), w, 2.0 + 0.0 * t, 0.0 * t, 1.0 / radius + 0.0 * t
+        t,
+        radius * np.sin(w),
+        radius - radius * np.cos(w),
+        w,
+        2.0 + 0.0 * t,
+        0.0 * t,
+        1.0 / radius + 0.0 * t,
     )
     log = scenario(laps)
-    assert gain_along(route_of(log), laps).metres[-1] == pytest.approx(2.0 * t[-1], rel=0.02, abs=0.3)
+    assert gain_along(route_of(log), laps).metres[-1] == pytest.approx(
+        2.0 * t[-1], rel=0.02, abs=0.3
+    )
 
 
 def test_what_hardly_moves_without_lanes_is_no_yardstick() -> None:
@@ -93,10 +116,16 @@ def test_what_hardly_moves_without_lanes_is_no_yardstick() -> None:
 
 def test_a_path_that_the_vehicle_cannot_follow_is_not_asked_of_planners() -> None:
     t = np.arange(0.0, 20.0, 0.1)
-    laps = Trajectory(t, 2.0 * np.sin(t), 2.0 - 2.0 * np.cos(t), t, 2.0 + 0.0 * t, 0.0 * t, 0.5 + 0.0 * t)
+    laps = Trajectory(
+        t, 2.0 * np.sin(t), 2.0 - 2.0 * np.cos(t), t, 2.0 + 0.0 * t, 0.0 * t, 0.5 + 0.0 * t
+    )
     log = scenario(laps)
     bare = replace(log, road=replace(log.road, source=RoadSource.DRIVEN_PATH))
-    every = {name: metric for group in GROUPS.values() for name, metric in ((one.name, one) for one in group)}
+    every = {
+        name: metric
+        for group in GROUPS.values()
+        for name, metric in ((one.name, one) for one in group)
+    }
     for each, known in ((log, True), (bare, False)):
         table = evaluate(drive(each, laps), each, metrics=every).set_index("metric")
         for name in (
@@ -107,7 +136,10 @@ def test_a_path_that_the_vehicle_cannot_follow_is_not_asked_of_planners() -> Non
             "route_progress.final",
         ):
             if not known:
-                assert not table.loc[name, "available"] and "turns within 2.0 m" in table.loc[name, "reason"]
+                assert (
+                    not table.loc[name, "available"]
+                    and "turns within 2.0 m" in table.loc[name, "reason"]
+                )
         assert table.loc["route_progress.final", "available"] == known
 
 
@@ -120,12 +152,16 @@ def test_driving_back_is_negative_and_nuplans_score_is_then_zero() -> None:
 
 def test_reaching_the_goal_before_the_log_does_is_enough() -> None:
     """The goal is at 35 m, the log's driver gained 50 m; the lanes' route to it is 35 m less the axle's distance."""
-    log = replace(LOG, goal=Goal((np.array([[35.0, -2.0], [40.0, -2.0], [40.0, 2.0], [35.0, 2.0]]),)))
+    log = replace(
+        LOG, goal=Goal((np.array([[35.0, -2.0], [40.0, -2.0], [40.0, 2.0], [35.0, 2.0]]),))
+    )
     there = judged(log, along(grid(3.5), 10.0), end=EndReason.GOAL)["value"]
     assert there["route_progress.final"] == there["completion.final"] == 1.0
     short = judged(log, along(grid(2.0), 10.0))["value"]
     assert short["route_progress.final"] == pytest.approx(0.4)
-    assert short["completion.final"] == pytest.approx(20.0 / (35.0 - log.vehicle.axle_to_center), abs=0.02)
+    assert short["completion.final"] == pytest.approx(
+        20.0 / (35.0 - log.vehicle.axle_to_center), abs=0.02
+    )
 
 
 def test_a_log_that_stands_still_asks_for_nothing() -> None:
@@ -144,7 +180,9 @@ def test_without_a_logged_drive_the_route_follower_is_the_yardstick() -> None:
     assert table.loc["progress.final", "reason"].startswith("the log holds one ego state only")
     assert "no route follower was driven" in table.loc["route_progress.final", "reason"]
     told = replace(alone, references=References(follower_gain=40.0))
-    assert judged(told, ego).loc["route_progress.final", "value"] == pytest.approx(50.0 / 40.0, abs=1e-3)
+    assert judged(told, ego).loc["route_progress.final", "value"] == pytest.approx(
+        50.0 / 40.0, abs=1e-3
+    )
     region = Goal((np.array([[95.0, -2.0], [99.0, -2.0], [99.0, 2.0], [95.0, 2.0]]),))
     way = judged(replace(told, goal=region), ego).loc["completion.final", "value"]
     assert way == pytest.approx(50.0 / (95.0 - alone.vehicle.axle_to_center), abs=0.01)
@@ -160,14 +198,18 @@ def test_a_goal_that_is_a_time_only_asks_for_progress() -> None:
 
 
 @given(st.floats(0.0, 20.0), st.floats(1.0, 400.0), st.floats(1.0, 8.0))
-def test_a_goal_that_no_vehicle_reaches_is_not_asked_by_name(speed: float, ahead: float, until: float) -> None:
+def test_a_goal_that_no_vehicle_reaches_is_not_asked_by_name(
+    speed: float, ahead: float, until: float
+) -> None:
     """A vehicle that accelerates with 1 g up to 70 m/s comes to every goal that is asked."""
     region = np.array([[ahead, -2.0], [ahead + 5.0, -2.0], [ahead + 5.0, 2.0], [ahead, 2.0]])
     log = scenario(along(np.zeros(1), speed), duration=until, goal=Goal((region,)))
     found = judged(log, along(grid(until), 0.0)).loc["goal.final"]
     away = ahead - log.vehicle.axle_to_center
     fast = min(until, (70.0 - speed) / 9.81)  # until when it accelerates
-    assert found["available"] == (away <= speed * fast + 0.5 * 9.81 * fast**2 + 70.0 * (until - fast))
+    assert found["available"] == (
+        away <= speed * fast + 0.5 * 9.81 * fast**2 + 70.0 * (until - fast)
+    )
     assert found["available"] or found["reason"].startswith("no vehicle reaches the goal")
 
 
@@ -177,18 +219,33 @@ def test_progress_leads_around_bends_and_over_lane_changes() -> None:
     t = angle * 60.0 / 10.0
 
     def bend(radius: float) -> Trajectory:
-        return Trajectory(t, radius * np.sin(angle), 60.0 - radius * np.cos(angle), angle, radius / 6.0 + 0 * t, 0 * t,
-                          1 / radius + 0 * t)  # fmt: skip
+        return Trajectory(
+            t,
+            radius * np.sin(angle),
+            60.0 - radius * np.cos(angle),
+            angle,
+            radius / 6.0 + 0 * t,
+            0 * t,
+            1 / radius + 0 * t,
+        )
 
     log = scenario(bend(60.0))
-    assert judged(log, bend(56.5)).loc["route_progress.final", "value"] == pytest.approx(1.0, abs=0.01)
-    lanes = scenario(along(np.zeros(1), 10.0), road=straight_road(lanes=2), duration=12.0,
-                     goal=Goal((np.array([[90.0, 1.8], [110.0, 1.8], [110.0, 5.0], [90.0, 5.0]]),)),
-                     references=References(follower_gain=80.0))  # fmt: skip
+    assert judged(log, bend(56.5)).loc["route_progress.final", "value"] == pytest.approx(
+        1.0, abs=0.01
+    )
+    lanes = scenario(
+        along(np.zeros(1), 10.0),
+        road=straight_road(lanes=2),
+        duration=12.0,
+        goal=Goal((np.array([[90.0, 1.8], [110.0, 1.8], [110.0, 5.0], [90.0, 5.0]]),)),
+        references=References(follower_gain=80.0),
+    )
     s = grid(8.0)
     change = along(s, 10.0)
     change = replace(change, y=3.5 / (1.0 + np.exp(-(change.x - 40.0) / 5.0)))
-    assert judged(lanes, change).loc["route_progress.final", "value"] == pytest.approx(1.0, abs=0.02)
+    assert judged(lanes, change).loc["route_progress.final", "value"] == pytest.approx(
+        1.0, abs=0.02
+    )
 
 
 def test_a_lane_change_in_the_middle_of_the_route_is_no_leap() -> None:
@@ -204,8 +261,13 @@ def test_a_lane_change_in_the_middle_of_the_route_is_no_leap() -> None:
         beside = {"left_neighbour": i + 1} if i % 2 == 0 else {"right_neighbour": i - 1}
         lanes[i] = Lane(i, left, right, (i + 2,) if i < 2 else (), **beside)
     region = np.array([[200.0, 1.75], [220.0, 1.75], [220.0, 5.25], [200.0, 5.25]])
-    log = scenario(along(np.zeros(1), 10.0), road=replace(straight_road(), lanes=lanes), duration=20.0,
-                   goal=Goal((region,)), references=References(follower_gain=200.0))  # fmt: skip
+    log = scenario(
+        along(np.zeros(1), 10.0),
+        road=replace(straight_road(), lanes=lanes),
+        duration=20.0,
+        goal=Goal((region,)),
+        references=References(follower_gain=200.0),
+    )
     ego = along(grid(20.0), 10.0)
     ego = replace(ego, y=3.5 / (1.0 + np.exp(-(ego.x - 140.0) / 5.0)))
     assert gain_along(route_of(log), ego).cut == 0.0
@@ -215,11 +277,15 @@ def test_a_lane_change_in_the_middle_of_the_route_is_no_leap() -> None:
 
 @settings(max_examples=15)
 @given(st.floats(-3.0, 3.0), st.floats(-50, 50), st.floats(-50, 50), st.booleans())
-def test_progress_does_not_change_with_the_map(turn: float, dx: float, dy: float, mirror: bool) -> None:
+def test_progress_does_not_change_with_the_map(
+    turn: float, dx: float, dy: float, mirror: bool
+) -> None:
     ego = along(grid(4.0), 9.0)
     ego = replace(ego, y=0.8 * np.sin(ego.x / 9.0))
     one = judged(LOG, ego)["value"]
-    two = judged(moved(LOG, turn, dx, dy, mirror=mirror), moved_ego(ego, turn, dx, dy, mirror=mirror))["value"]
+    two = judged(
+        moved(LOG, turn, dx, dy, mirror=mirror), moved_ego(ego, turn, dx, dy, mirror=mirror)
+    )["value"]
     for name in ("route_progress", "progress", "completion"):
         assert two[f"{name}.final"] == pytest.approx(one[f"{name}.final"], abs=1e-6)
 
@@ -245,14 +311,18 @@ def test_speed_above_the_limit() -> None:
     assert table.loc["speed_excess.time_above_1mps", "value"] == pytest.approx(2.0, abs=0.02)
     assert table.loc["speed_excess.share_above_1mps", "value"] == pytest.approx(0.5, abs=0.01)
     # 9, 10, 11, 12, 12 m/s at 0 .. 4 s, limit 10: the excess integrates to 0.5 * 2 * 2 + 2 * 1 = 4 m in 4 s
-    assert table.loc["speed_excess.compliance", "value"] == pytest.approx(1.0 - 4.0 / (2.23 * 4.0), abs=0.01)
+    assert table.loc["speed_excess.compliance", "value"] == pytest.approx(
+        1.0 - 4.0 / (2.23 * 4.0), abs=0.01
+    )
     # 10 % is 11 m/s, passed at 2 s
     assert table.loc["speed_ratio.time_above_10pct", "value"] == pytest.approx(2.0, abs=0.02)
     assert table.loc["speed_ratio.max", "value"] == pytest.approx(0.2)
 
 
 @pytest.mark.parametrize(("brake", "charged"), [(2.0, 0.0), (1.0, 0.0), (0.6, 0.4), (0.0, 1.0)])
-def test_an_excess_at_the_start_is_charged_unless_it_comes_down_comfortably(brake: float, charged: float) -> None:
+def test_an_excess_at_the_start_is_charged_unless_it_comes_down_comfortably(
+    brake: float, charged: float
+) -> None:
     """From 14.65 m/s, 4.65 m/s above the limit, after 1 s with a deceleration."""
     t = grid(12.0, 0.1)
     ego = along(t, np.maximum(14.65 - brake * np.maximum(t - 1.0, 0.0), 10.0))
@@ -264,22 +334,28 @@ def test_an_excess_at_the_start_is_charged_unless_it_comes_down_comfortably(brak
 def test_an_excess_that_comes_later_is_charged_whatever_the_start_was() -> None:
     t = grid(12.0, 0.1)
     again = along(t, np.interp(t, [0.0, 4.0, 6.0, 8.0, 12.0], [13.0, 10.0, 10.0, 13.0, 13.0]))
-    assert judged(scenario(again, road=straight_road(limit=10.0))).loc["speed_excess.max", "value"] == pytest.approx(
-        3.0
-    )
+    assert judged(scenario(again, road=straight_road(limit=10.0))).loc[
+        "speed_excess.max", "value"
+    ] == pytest.approx(3.0)
     below = along(t, np.interp(t, [0.0, 2.0, 12.0], [9.9, 13.0, 10.0]))
-    assert judged(scenario(below, road=straight_road(limit=10.0))).loc["speed_excess.max", "value"] == pytest.approx(
-        3.0
-    )
+    assert judged(scenario(below, road=straight_road(limit=10.0))).loc[
+        "speed_excess.max", "value"
+    ] == pytest.approx(3.0)
 
 
 def test_the_larger_limit_counts_where_lanes_overlap() -> None:
     one = straight_road(limit=5.0).lanes[0]
     road = replace(
         straight_road(),
-        lanes={0: one, 1: replace(one, id=1, speed_limit=8.0), 2: replace(one, id=2, speed_limit=np.nan)},
+        lanes={
+            0: one,
+            1: replace(one, id=1, speed_limit=8.0),
+            2: replace(one, id=2, speed_limit=np.nan),
+        },
     )
-    assert judged(scenario(LOG.ego, road=road)).loc["speed_excess.max", "value"] == pytest.approx(2.0)
+    assert judged(scenario(LOG.ego, road=road)).loc["speed_excess.max", "value"] == pytest.approx(
+        2.0
+    )
 
 
 def test_tracking_errors() -> None:
@@ -287,13 +363,19 @@ def test_tracking_errors() -> None:
     wave = np.sin(2 * np.pi * t)
     errors = TrackingErrors(t, 0.2 * wave, -0.1 * wave, 0 * t + 0.5, -t)
     table = judged(LOG, tracking=errors)
-    assert table.loc["tracking_lateral.rms", "value"] == pytest.approx(0.2 * np.sqrt(np.mean(wave**2)))
+    assert table.loc["tracking_lateral.rms", "value"] == pytest.approx(
+        0.2 * np.sqrt(np.mean(wave**2))
+    )
     assert table.loc["tracking_lateral.max_abs", "value"] == pytest.approx(0.2 * np.abs(wave).max())
     assert table.loc["tracking_speed.p95", "value"] == pytest.approx(0.5)
     assert table.loc["tracking_station.max_abs", "value"] == pytest.approx(5.0)
     assert table.loc["tracking_station.max_abs", "time_s"] == pytest.approx(5.0)
     assert table.loc["tracking_heading.max_abs", "unit"] == "rad"
-    assert judged(LOG).loc["tracking_lateral.rms", "reason"].startswith("the drive has no tracking errors")
+    assert (
+        judged(LOG)
+        .loc["tracking_lateral.rms", "reason"]
+        .startswith("the drive has no tracking errors")
+    )
 
 
 AHEAD = np.array([[40.0, -2.0], [50.0, -2.0], [50.0, 2.0], [40.0, 2.0]])
@@ -313,4 +395,7 @@ def test_a_missed_goal_tells_what_was_missed(goal: Goal, missed: str) -> None:
     log = replace(scenario(along(grid(12.0, 0.1), 10.0), road=straight_road()), goal=goal)
     found = GOAL.measure(drive(log), log)
     assert isinstance(found, Series)
-    assert (found.value[-1], found.labels[-1]) == (0.0, f"end of the log: {missed} of the goal missed")
+    assert (found.value[-1], found.labels[-1]) == (
+        0.0,
+        f"end of the log: {missed} of the goal missed",
+    )

@@ -17,19 +17,31 @@ from replan.metrics import METRICS, evaluate
 from replan.metrics.judge.gates import load_gates
 from replan.metrics.plans import SHORT_M
 
-ASKED = {name: metric for name, metric in METRICS.items() if name.startswith("plan_") or name == "extended_comfort"}
+ASKED = {
+    name: metric
+    for name, metric in METRICS.items()
+    if name.startswith("plan_") or name == "extended_comfort"
+}
 GATES = [gate for gate in load_gates(None).gates if gate.metric.partition(".")[0] in ASKED]
 V, SECONDS = 10.0, 12.0
 LOG = scenario(along(grid(SECONDS + 8.0, 0.1), V), road=straight_road(half=10.0))
 Bend = Callable[[Trajectory], Trajectory]
 
 
-def frames(period: float = 0.1, bend: Callable[[int], Bend | None] = lambda i: None) -> tuple[PlannedFrame, ...]:
+def frames(
+    period: float = 0.1, bend: Callable[[int], Bend | None] = lambda i: None
+) -> tuple[PlannedFrame, ...]:
     """The log's next 5 s as the plans of 12 s, the plan of frame i bent by `bend(i)`."""
-    return tuple(frame for i, t in enumerate(grid(SECONDS, period)) for frame in plans(LOG.ego, [t], 5.0, bend(i)))
+    return tuple(
+        frame
+        for i, t in enumerate(grid(SECONDS, period))
+        for frame in plans(LOG.ego, [t], 5.0, bend(i))
+    )
 
 
-def judged(made: tuple[PlannedFrame, ...], log: Scenario = LOG, mode: Mode = Mode.CLOSED) -> pd.DataFrame:
+def judged(
+    made: tuple[PlannedFrame, ...], log: Scenario = LOG, mode: Mode = Mode.CLOSED
+) -> pd.DataFrame:
     return evaluate(drive(log, mode=mode, frames=made), log, metrics=ASKED).set_index("metric")
 
 
@@ -37,7 +49,9 @@ def broken(table: pd.DataFrame) -> set[str]:
     """The gates on plans that a table breaks."""
     value = table["value"]
     return {
-        g.metric for g in GATES if value.get(g.metric, np.nan) == value.get(g.metric) and g.margin(value[g.metric]) < 0
+        g.metric
+        for g in GATES
+        if value.get(g.metric, np.nan) == value.get(g.metric) and g.margin(value[g.metric]) < 0
     }
 
 
@@ -63,7 +77,12 @@ def test_plans_that_are_driven_break_nothing(mode: Mode) -> None:
     value = judged(frames(), mode=mode)["value"]
     for row in ("plan_score.mean", "plan_score.min", "plan_progress.min"):
         assert value[row] == pytest.approx(1.0), row
-    for row in ("plan_collision.rate", "plan_off_road.max", "plan_change.max", "plan_comfort.share_above_1"):
+    for row in (
+        "plan_collision.rate",
+        "plan_off_road.max",
+        "plan_change.max",
+        "plan_comfort.share_above_1",
+    ):
         assert value[row] == pytest.approx(0.0, abs=1e-9), row
     assert mode is Mode.OPEN or value["plan_kept.max"] == pytest.approx(0.0, abs=1e-9)
 
@@ -90,7 +109,12 @@ def test_a_plan_may_change_because_of_what_appears(mode: Mode) -> None:
 @pytest.mark.parametrize("mode", Mode)
 def test_contact_is_charged_by_fault(mode: Mode) -> None:
     """A car stands 30 m ahead of a 10 m/s drive in the next lane; plans swing into it. Another comes from behind."""
-    stands = ("7", AgentKind.CAR, (4.5, 1.8), lambda t: (0 * t + 30.0 + 0.0 * t, 0 * t + 4.0, 0 * t))
+    stands = (
+        "7",
+        AgentKind.CAR,
+        (4.5, 1.8),
+        lambda t: (0 * t + 30.0 + 0.0 * t, 0 * t + 4.0, 0 * t),
+    )
     log = replace(LOG, tracks=scenario(LOG.ego, [stands]).tracks)
     table = judged(frames(bend=lambda i: aside(4.0)), log, mode)
     assert table.loc["plan_collision.rate", "value"] > 0.05
@@ -104,7 +128,9 @@ def test_contact_is_charged_by_fault(mode: Mode) -> None:
 
 def test_a_plan_is_off_the_road_by_what_it_adds() -> None:
     narrow = replace(LOG, road=straight_road(half=1.75))
-    assert "plan_off_road.share_beyond_30cm" in broken(judged(frames(bend=lambda i: aside(3.0)), narrow))
+    assert "plan_off_road.share_beyond_30cm" in broken(
+        judged(frames(bend=lambda i: aside(3.0)), narrow)
+    )
     off = replace(LOG, road=straight_road(half=0.5))  # the ego drives 0.4 m off the lane already
     assert judged(frames(), off).loc["plan_off_road.max", "value"] == 0.0
 
@@ -113,12 +139,22 @@ def test_what_is_not_driven_yet_is_not_held_against_a_plan() -> None:
     short = replace(LOG, ego=LOG.ego.between(0.0, 2.9))
     made = tuple(frame for frame in frames(bend=lambda i: aside(8.0)) if frame.t <= 2.9)
     table = judged(made, short)
-    assert table.loc["plan_kept.max", "reason"] == "no plan of more than 5 m is followed by 3 s of driving"
+    assert (
+        table.loc["plan_kept.max", "reason"]
+        == "no plan of more than 5 m is followed by 3 s of driving"
+    )
     assert table.loc["plan_kept.share_beyond_5m", "value"] == 0.0
-    for name in ("plan_kept", "plan_kept_lateral"):  # what it lacks here is what its page says that it needs
-        assert f"{SHORT_M:g} m" in METRICS[name].needs and f"{PLAN_HORIZON_S:g} s" in METRICS[name].needs
+    # What it lacks here is what its page says that it needs
+    for name in ("plan_kept", "plan_kept_lateral"):
+        assert (
+            f"{SHORT_M:g} m" in METRICS[name].needs
+            and f"{PLAN_HORIZON_S:g} s" in METRICS[name].needs
+        )
     still = scenario(along(grid(10.0, 0.1), 0.0))
-    assert judged(plans(still.ego, grid(5.0, 0.1), 5.0), still).loc["plan_progress.min", "value"] == 1.0
+    assert (
+        judged(plans(still.ego, grid(5.0, 0.1), 5.0), still).loc["plan_progress.min", "value"]
+        == 1.0
+    )
 
 
 @pytest.mark.parametrize("mirror", [False, True])
@@ -127,8 +163,16 @@ def test_plans_may_be_turned_and_mirrored(mirror: bool) -> None:
     log = replace(LOG, tracks=scenario(LOG.ego, [stands]).tracks)
     made = frames(bend=lambda i: aside(4.0 if i % 3 else -1.0))
     there = tuple(
-        replace(f, plan=replace(f.plan, trajectory=moved_ego(f.plan.trajectory, 0.7, 9.0, -5.0, mirror=mirror)))
+        replace(
+            f,
+            plan=replace(
+                f.plan, trajectory=moved_ego(f.plan.trajectory, 0.7, 9.0, -5.0, mirror=mirror)
+            ),
+        )
         for f in made
     )
-    one, two = judged(made, log)["value"], judged(there, moved(log, 0.7, 9.0, -5.0, mirror=mirror))["value"]
+    one, two = (
+        judged(made, log)["value"],
+        judged(there, moved(log, 0.7, 9.0, -5.0, mirror=mirror))["value"],
+    )
     assert two.to_numpy() == pytest.approx(one.to_numpy(), abs=1e-6, nan_ok=True)

@@ -57,17 +57,24 @@ def stopping_distance(v: float) -> float:
     return v * ramp - JERK_MPS3 * ramp**3 / 6.0 + slower**2 / (2.0 * CC_BRAKE_MPS2)
 
 
-@given(st.floats(8.0, 29.0).filter(lambda v: abs(stopping_distance(v) - 2.0 * v) > 1.5 * v * STEP_S))
+@given(
+    st.floats(8.0, 29.0).filter(lambda v: abs(stopping_distance(v) - 2.0 * v) > 1.5 * v * STEP_S)
+)
 def test_cc_begins_to_brake_before_an_obstacle_at_ttc_two_seconds(v: float) -> None:
     verdict = careful_driver(log(v, standing(120.0)), LINE)
-    assert verdict.outcome is (Avoidability.AVOIDABLE if stopping_distance(v) < 2.0 * v else Avoidability.UNAVOIDABLE)
+    assert verdict.outcome is (
+        Avoidability.AVOIDABLE if stopping_distance(v) < 2.0 * v else Avoidability.UNAVOIDABLE
+    )
     assert verdict.brakes == pytest.approx(120.0 / v - 2.0 + 1.0 / JERK_MPS3, abs=2.0 * STEP_S)
 
 
 @given(st.floats(5.0, 22.0))
 def test_the_nearest_avoidable_obstacle_is_the_distance_of_reaction_and_braking(v: float) -> None:
     """0.4 s and 0.75 s of reaction; the released pedal takes off 0.12 m, 0.3 m/s, and the begin of the ramp."""
-    least, released = 1.15 * v + stopping_distance(v), 0.12 + (0.3 / CC_BRAKE_MPS2 + 0.4 / JERK_MPS3) * v
+    least, released = (
+        1.15 * v + stopping_distance(v),
+        0.12 + (0.3 / CC_BRAKE_MPS2 + 0.4 / JERK_MPS3) * v,
+    )
     near, far = least - released - 2.0 * STEP_S * v, least + 2.0 * STEP_S * v
     assert careful_driver(log(v, standing(near)), LINE).outcome is Avoidability.UNAVOIDABLE
     if far < 2.0 * v:  # nearer than where it would brake anyway
@@ -75,13 +82,17 @@ def test_the_nearest_avoidable_obstacle_is_the_distance_of_reaction_and_braking(
 
 
 @given(st.floats(0.0, 80.0), st.floats(0.0, 40.0), st.floats(0.0, 40.0), st.floats(-8.0, 2.0))
-def test_fuzzy_measures_lie_between_0_and_1_and_fall_with_the_gap(gap: float, v: float, u: float, a: float) -> None:
+def test_fuzzy_measures_lie_between_0_and_1_and_fall_with_the_gap(
+    gap: float, v: float, u: float, a: float
+) -> None:
     for measure in (lambda g: fsm_proactive(g, v, u), lambda g: fsm_critical(g, v, u, a)):
         values = [measure(gap + more) for more in (0.0, 0.5, 5.0, 50.0)]
         assert all(0.0 <= value <= 1.0 for value in values)
         assert values == sorted(values, reverse=True)
     assert fsm_critical(gap, v, v, a) == 0.0, "without a difference of speed nothing is critical"
-    assert fsm_critical(0.0, v + 1e-12, v, 0.0) in (0.0, 1.0), "no division by the difference of speed"
+    assert fsm_critical(0.0, v + 1e-12, v, 0.0) in (0.0, 1.0), (
+        "no division by the difference of speed"
+    )
 
 
 @given(st.floats(1.0, 40.0))
@@ -110,12 +121,18 @@ def grid() -> dict[str, np.ndarray]:
     gaps, slower = np.arange(15.0, 61.0, 5.0), np.arange(10.0, 51.0, 5.0) * KMH
     found = {}
     for name, driver in (("cc", careful_driver), ("fsm", fuzzy_driver)):
-        outcomes = [[driver(cut_in(60.0 * KMH, g, d, 1.2), LINE).outcome for d in slower] for g in gaps]
-        found[name] = np.array([[outcome is not Avoidability.UNAVOIDABLE for outcome in row] for row in outcomes])
+        outcomes = [
+            [driver(cut_in(60.0 * KMH, g, d, 1.2), LINE).outcome for d in slower] for g in gaps
+        ]
+        found[name] = np.array(
+            [[outcome is not Avoidability.UNAVOIDABLE for outcome in row] for row in outcomes]
+        )
     return found
 
 
-def test_cut_ins_get_worse_with_a_smaller_gap_and_a_greater_difference_of_speed(grid: dict[str, np.ndarray]) -> None:
+def test_cut_ins_get_worse_with_a_smaller_gap_and_a_greater_difference_of_speed(
+    grid: dict[str, np.ndarray],
+) -> None:
     for through in grid.values():
         assert (through[:-1] <= through[1:]).all(), "a larger gap never harms"
         assert (through[:, 1:] <= through[:, :-1]).all(), "a faster leader never harms"
@@ -155,15 +172,32 @@ def braking_lead(v: float, gap: float, decel: float, to: float = 0.0) -> Scenari
 def test_ccrb_needs_a_reaction_of_less_than_gap_over_speed() -> None:
     """50 km/h, 6 m/s2: 12 m leave 0.86 s, less than the careful driver's 1.15 s; 40 m suffice."""
     v = 50.0 * KMH
-    assert careful_driver(braking_lead(v, 12.0, 6.0, 2.0 * KMH), LINE).outcome is Avoidability.UNAVOIDABLE
-    assert careful_driver(braking_lead(v, 40.0, 6.0, 2.0 * KMH), LINE).outcome is Avoidability.AVOIDABLE
-    assert fuzzy_driver(braking_lead(v, 40.0, 6.0, 2.0 * KMH), LINE).outcome is Avoidability.AVOIDABLE
+    assert (
+        careful_driver(braking_lead(v, 12.0, 6.0, 2.0 * KMH), LINE).outcome
+        is Avoidability.UNAVOIDABLE
+    )
+    assert (
+        careful_driver(braking_lead(v, 40.0, 6.0, 2.0 * KMH), LINE).outcome
+        is Avoidability.AVOIDABLE
+    )
+    assert (
+        fuzzy_driver(braking_lead(v, 40.0, 6.0, 2.0 * KMH), LINE).outcome is Avoidability.AVOIDABLE
+    )
 
 
-def walker(v: float, at: float, begins: float, side: float, speed: float = 5.0 * KMH) -> dict[str, object]:
+def walker(
+    v: float, at: float, begins: float, side: float, speed: float = 5.0 * KMH
+) -> dict[str, object]:
     y: FloatArray = -side + speed * np.maximum(T - begins, 0.0)
     return track(
-        "walker", T, np.full_like(T, at + NOSE), y, kind=AgentKind.PEDESTRIAN, length=0.5, width=0.6, yaw=0.5 * np.pi
+        "walker",
+        T,
+        np.full_like(T, at + NOSE),
+        y,
+        kind=AgentKind.PEDESTRIAN,
+        length=0.5,
+        width=0.6,
+        yaw=0.5 * np.pi,
     )
 
 
@@ -198,14 +232,20 @@ def crossing(v: float, at: float, speed: float, begins: float, *, sideways: bool
     """A car that crosses the line from the right; `sideways` as a box that is as wide as it is long, not turned."""
     y = -12.0 + speed * np.maximum(T - begins, 0.0)
     size = {"length": 1.9, "width": 4.3} if sideways else SIZE
-    return log(v, track("crosser", T, 0.0 * T + at, y, yaw=0.0 if sideways else 0.5 * np.pi, **size))
+    return log(
+        v, track("crosser", T, 0.0 * T + at, y, yaw=0.0 if sideways else 0.5 * np.pi, **size)
+    )
 
 
 @settings(max_examples=60)
 @given(st.floats(6.0, 16.0), st.floats(40.0, 80.0), st.floats(1.5, 6.0), st.floats(0.0, 4.0))
-def test_who_crosses_is_in_the_way_for_their_length_alone(v: float, at: float, speed: float, begins: float) -> None:
+def test_who_crosses_is_in_the_way_for_their_length_alone(
+    v: float, at: float, speed: float, begins: float
+) -> None:
     """The same box on the same way gets the same verdict, whichever of its sides is called its length."""
-    long, wide = (careful_driver(crossing(v, at, speed, begins, sideways=one), LINE) for one in (False, True))
+    long, wide = (
+        careful_driver(crossing(v, at, speed, begins, sideways=one), LINE) for one in (False, True)
+    )
     assert long.outcome is wide.outcome
     assert [long.brakes, long.margin] == pytest.approx([wide.brakes, wide.margin], nan_ok=True)
 
@@ -237,7 +277,9 @@ def test_the_line_and_the_verdicts_come_from_replay() -> None:
 
 def test_what_a_log_says_of_itself_is_not_believed(tmp_path: Path) -> None:
     made = log(15.0, standing(100.0))
-    forged = {name: DriverVerdict(name, Avoidability.UNAVOIDABLE, "because") for name in ("cc", "hero")}
+    forged = {
+        name: DriverVerdict(name, Avoidability.UNAVOIDABLE, "because") for name in ("cc", "hero")
+    }
     told = replace(made, references=References(forged, 80.0), metadata={"seed": "7"})
     write_scenario(tmp_path / "log.mcap", told)
     assert read_scenario(tmp_path / "log.mcap").references == References()
@@ -261,7 +303,10 @@ def test_the_verdict_is_on_the_car_that_is_driven() -> None:
 @given(st.floats(6.0, 22.0), st.floats(10.0, 80.0))
 def test_the_margin_before_an_obstacle_is_the_gap_that_is_left(v: float, gap: float) -> None:
     """Avoided: where it stands. Not avoided: how far it would have come into it, at most as deep as the boxes are."""
-    verdict, stop = careful_driver(log(v, standing(gap)), LINE), careful_drive(log(v, standing(gap + 60.0)), LINE)
+    verdict, stop = (
+        careful_driver(log(v, standing(gap)), LINE),
+        careful_drive(log(v, standing(gap + 60.0)), LINE),
+    )
     if verdict.outcome is Avoidability.AVOIDABLE:
         rest = careful_drive(log(v, standing(gap)), LINE)
         assert rest.v[-1] == 0.0
@@ -293,8 +338,12 @@ def test_a_pass_by_a_hairs_breadth_is_marginal() -> None:
         beside = track("b", [0.0], [80.0], [0.5 * (CAR.width + 1.9) + aside], static=True, **SIZE)
         verdict = careful_driver(log(10.0, beside), LINE)
         assert (verdict.outcome, verdict.marginal) == (outcome, True)
-    assert verdict.margin > MARGINAL_M, "there is room ahead, but little aside decides whether it matters"
-    far = track("b", [0.0], [80.0], [0.5 * (CAR.width + 1.9) + MARGINAL_M + 0.1], static=True, **SIZE)
+    assert verdict.margin > MARGINAL_M, (
+        "there is room ahead, but little aside decides whether it matters"
+    )
+    far = track(
+        "b", [0.0], [80.0], [0.5 * (CAR.width + 1.9) + MARGINAL_M + 0.1], static=True, **SIZE
+    )
     missed = careful_driver(log(10.0, far), LINE)
     assert missed.margin == pytest.approx(MARGINAL_M + 0.1) and not missed.marginal
 
@@ -304,18 +353,39 @@ def test_a_pass_by_a_hairs_breadth_is_marginal() -> None:
 
 @pytest.mark.parametrize("driver", [careful_driver, fuzzy_driver])
 @pytest.mark.parametrize("rate", [10.0, 25.0, 100.0])
-def test_5_cm_of_noise_leave_verdicts_that_are_not_marginal(rate: float, driver: Callable[..., DriverVerdict]) -> None:
+def test_5_cm_of_noise_leave_verdicts_that_are_not_marginal(
+    rate: float, driver: Callable[..., DriverVerdict]
+) -> None:
     """Rows of cut-ins and pedestrians without velocities; before, a third of them flipped."""
     t, v, flips = np.round(np.arange(0.0, 14.0, 1.0 / rate), 9), 60.0 * KMH, 0
-    made = [cut_in(v, gap, slower * KMH, 1.2) for gap in (20.0, 30.0, 40.0) for slower in (15.0, 25.0, 35.0)]
-    made += [log(v, walker(v, v * 6.0, begins, side)) for begins in (1.5, 3.0, 4.5) for side in (2.5, 4.0)]
+    made = [
+        cut_in(v, gap, slower * KMH, 1.2)
+        for gap in (20.0, 30.0, 40.0)
+        for slower in (15.0, 25.0, 35.0)
+    ]
+    made += [
+        log(v, walker(v, v * 6.0, begins, side))
+        for begins in (1.5, 3.0, 4.5)
+        for side in (2.5, 4.0)
+    ]
     for seed, one in enumerate(made):
         x, y = (np.interp(t, one.tracks.t, getattr(one.tracks, c)) for c in "xy")
         noise = 0.05 * np.random.default_rng(seed).standard_normal((2, len(t)))
         unknown = np.full(len(t), np.nan)
-        new = {"offsets": [0, len(t)], "t": t, "yaw": np.full(len(t), one.tracks.yaw[0]), "vx": unknown, "vy": unknown}
+        new = {
+            "offsets": [0, len(t)],
+            "t": t,
+            "yaw": np.full(len(t), one.tracks.yaw[0]),
+            "vx": unknown,
+            "vy": unknown,
+        }
         clean, noisy = (
-            driver(replace(one, tracks=replace(one.tracks, x=x + s * noise[0], y=y + s * noise[1], **new)), LINE)
+            driver(
+                replace(
+                    one, tracks=replace(one.tracks, x=x + s * noise[0], y=y + s * noise[1], **new)
+                ),
+                LINE,
+            )
             for s in (0.0, 1.0)
         )
         flips += clean.outcome is not noisy.outcome
@@ -332,13 +402,17 @@ def test_5_cm_of_noise_leave_verdicts_that_are_not_marginal(rate: float, driver:
         (None,) * 3,
     ],
 )
-def test_the_table_counts_outcomes(outcome: Avoidability | None, applies: float | None, avoids: float | None) -> None:
+def test_the_table_counts_outcomes(
+    outcome: Avoidability | None, applies: float | None, avoids: float | None
+) -> None:
     made = log(10.0)
     if outcome is not None:
         margin = {Avoidability.AVOIDABLE: 0.8, Avoidability.UNAVOIDABLE: -0.3}.get(outcome, 5.0)
         verdict = DriverVerdict("cc", outcome, "because", margin=margin)
         made = replace(made, references=References({"cc": verdict}))
-    trace = Trace(made.name, "p", Mode.CLOSED, False, made.ego, made.tracks, (), EndReason.END_OF_LOG)
+    trace = Trace(
+        made.name, "p", Mode.CLOSED, False, made.ego, made.tracks, (), EndReason.END_OF_LOG
+    )
     rows = evaluate(trace, made).set_index("metric")
     for name, value in (("reference_cc.applies", applies), ("reference_cc.avoids", avoids)):
         assert applies != 1.0 or rows.loc["reference_cc.margin", "value"] == margin

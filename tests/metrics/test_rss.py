@@ -37,7 +37,9 @@ def test_the_longitudinal_distance() -> None:
     36.890625 + 7.5 + 0.84375 + 12.25^2 / 12 = 57.7396; a much faster lead: 0."""
     assert longitudinal_distance(15.0, 10.0) == pytest.approx(28.557291667)
     assert longitudinal_distance(15.0, 15.0) == pytest.approx(18.140625)
-    assert longitudinal_distance(15.0, -10.0) == pytest.approx(36.890625 + 7.5 + 0.84375 + 12.25**2 / 12.0)
+    assert longitudinal_distance(15.0, -10.0) == pytest.approx(
+        36.890625 + 7.5 + 0.84375 + 12.25**2 / 12.0
+    )
     assert longitudinal_distance(5.0, 30.0) == 0.0
 
 
@@ -58,7 +60,9 @@ def test_the_margin_is_the_greater_of_both() -> None:
     assert steps(log, "rss_margin")[0.0] == pytest.approx(40.0 - 28.557291667)
     beside = world(15.0, car(-4.0, 15.0, y=3.0), seconds=0.2)
     assert steps(beside, "rss_margin")[0.0] == pytest.approx(-0.13)
-    assert steps(world(15.0, car(-4.0, 15.0, y=3.5), seconds=0.2), "rss_margin")[0.0] == pytest.approx(0.37)
+    assert steps(world(15.0, car(-4.0, 15.0, y=3.5), seconds=0.2), "rss_margin")[
+        0.0
+    ] == pytest.approx(0.37)
 
 
 def test_the_share_of_dangerous_time() -> None:
@@ -72,7 +76,9 @@ def test_the_share_of_dangerous_time() -> None:
 def test_those_behind_keep_their_own_distance_and_without_others_there_is_no_value() -> None:
     behind = table(world(10.0, car(-NOSE - 8.0, 15.0), seconds=0.5))
     assert not behind.loc["rss_margin.min", "available"]
-    assert behind.loc["rss_improper.share", "reason"] == "no dangerous situation: no response was due"
+    assert (
+        behind.loc["rss_improper.share", "reason"] == "no dangerous situation: no response was due"
+    )
     standing = table(world(0.0, car(0.5, 0.0), seconds=0.5))
     assert not standing.loc["rss_margin.min", "available"]
 
@@ -113,7 +119,9 @@ def cut_in(drift: float) -> Scenario:
 
 
 @pytest.mark.parametrize(("drift", "proper"), [(0.0, True), (0.03, False), (-0.03, True)])
-def test_a_danger_from_the_side_asks_for_no_brake_but_not_to_drift_nearer(drift: float, proper: bool) -> None:
+def test_a_danger_from_the_side_asks_for_no_brake_but_not_to_drift_nearer(
+    drift: float, proper: bool
+) -> None:
     """0.03 rad at 15 m/s are 0.45 m/s to the car; allowed is what it was at rho, less 1 m/s per s."""
     found = table(cut_in(drift))
     assert found.loc["rss_margin.time_dangerous", "time_s"] == pytest.approx(1.0)

@@ -23,12 +23,21 @@ from replan.metrics.judge.gates import Outcome, load_gates
 
 LINE_X = 50.0
 PED, CAR = AgentKind.PEDESTRIAN, AgentKind.CAR
-NAMES_OF_RULES = "red_light", "yellow_light", "stop_sign", "crosswalk", "priority_gap", "priority_gap_assumed"
+NAMES_OF_RULES = (
+    "red_light",
+    "yellow_light",
+    "stop_sign",
+    "crosswalk",
+    "priority_gap",
+    "priority_gap_assumed",
+)
 RULES = {name: METRICS[name] for name in NAMES_OF_RULES}
 NAMES = ("red_light.count", "stop_sign.count", "crosswalk.count", "priority_gap.below_1s")
 
 
-def lane(i: int, begin: float, end: float, *, axis: str = "x", at: float = 0.0, **more: object) -> Lane:
+def lane(
+    i: int, begin: float, end: float, *, axis: str = "x", at: float = 0.0, **more: object
+) -> Lane:
     """A lane 3.5 m wide along an axis, its middle at the other coordinate `at`."""
     u = np.linspace(begin, end, max(2, round((end - begin) / 2.0) + 1))
     sides = [np.column_stack([u, np.full(len(u), at + left)]) for left in (1.75, -1.75)]
@@ -93,7 +102,9 @@ def test_a_log_without_rules_has_none_of_the_metrics_and_is_told_why() -> None:
 
 
 @given(st.floats(5.0, 15.0), st.floats(0.5, 8.0))
-def test_a_red_light_is_run_where_the_front_crosses_after_it_turned_red(v: float, change: float) -> None:
+def test_a_red_light_is_run_where_the_front_crosses_after_it_turned_red(
+    v: float, change: float
+) -> None:
     light = TrafficLight(9, np.array([0.0, change]), (Colour.GREEN, Colour.RED))
     log = scenario(along(grid(12.0), v), road=lined(line(light=9)), lights=(light,))
     crosses = (LINE_X - log.vehicle.axle_to_front) / v
@@ -128,7 +139,9 @@ def test_who_stops_before_the_line_or_starts_behind_it_runs_nothing() -> None:
     t = grid(12.0)
     stops = along(t, np.maximum(10.0 - 1.2 * t, 0.0))
     for ego in (stops, along(t, 10.0, x=LINE_X)):
-        assert value(scenario(ego, road=lined(line(light=9)), lights=(RED,)), "red_light.count") == 0.0
+        assert (
+            value(scenario(ego, road=lined(line(light=9)), lights=(RED,)), "red_light.count") == 0.0
+        )
 
 
 def turning(seconds: float) -> Trajectory:
@@ -138,7 +151,9 @@ def turning(seconds: float) -> Trajectory:
     x = np.where(s < 0.0, LINE_X + s, LINE_X + 25.0 * np.sin(np.maximum(s, 0.0) / 25.0))
     y = np.where(s < 0.0, 0.0, 25.0 * (1.0 - np.cos(np.maximum(s, 0.0) / 25.0)))
     yaw = np.maximum(s, 0.0) / 25.0
-    return Trajectory(t, x, y, yaw, np.full(len(t), 10.0), np.zeros(len(t)), np.where(s < 0.0, 0.0, 0.04))
+    return Trajectory(
+        t, x, y, yaw, np.full(len(t), 10.0), np.zeros(len(t)), np.where(s < 0.0, 0.0, 0.04)
+    )
 
 
 @pytest.mark.parametrize(("ego", "taken"), [(along(grid(9.0), 10.0), 1), (turning(9.0), 2)])
@@ -174,9 +189,12 @@ def passing(speed_at: Callable[[np.ndarray], np.ndarray], seconds: float = 40.0)
 
 
 @pytest.mark.parametrize(
-    ("front", "slowest", "run"), [(48.0, 0.05, False), (48.0, 0.5, True), (43.0, 0.05, True), (51.5, 0.05, True)]
+    ("front", "slowest", "run"),
+    [(48.0, 0.05, False), (48.0, 0.5, True), (43.0, 0.05, True), (51.5, 0.05, True)],
 )
-def test_a_stop_sign_wants_a_rest_within_five_metres(front: float, slowest: float, *, run: bool) -> None:
+def test_a_stop_sign_wants_a_rest_within_five_metres(
+    front: float, slowest: float, *, run: bool
+) -> None:
     log = scenario(passing(stop_at(front, slowest)), road=lined(line(must_stop=True)))
     assert value(log, "stop_sign.count") == float(run)
 
@@ -247,13 +265,17 @@ def test_the_gap_is_the_time_between_leaving_and_taking(delay: float) -> None:
     """The ego's rear leaves the other's track (2.254 + 0.9) m after the crossing; the other is there as far before."""
     expected = delay - (2.254 + 0.9 + 2.25 + 0.805) / 10.0
     assert value(met(delay), "priority_gap.min") == pytest.approx(expected, abs=0.15)
-    assert value(met(delay), "priority_gap.below_1s") == float(value(met(delay), "priority_gap.min") < 1.0)
+    assert value(met(delay), "priority_gap.below_1s") == float(
+        value(met(delay), "priority_gap.min") < 1.0
+    )
 
 
 def test_who_goes_second_has_left_the_others_their_way() -> None:
     found = rows(met(-1.0))
     assert not found.available["priority_gap.min"]
-    assert found.reason["priority_gap.min"] == "the ego was never ahead of a road user that goes first"
+    assert (
+        found.reason["priority_gap.min"] == "the ego was never ahead of a road user that goes first"
+    )
     assert found.value["priority_gap.below_1s"] == 0.0
 
 
@@ -290,11 +312,18 @@ def everything() -> Scenario:
 
 
 @given(st.floats(-3.0, 3.0), st.floats(-50.0, 50.0), st.booleans())
-def test_turned_shifted_and_mirrored_the_answers_are_the_same(turn: float, dx: float, mirror: bool) -> None:
+def test_turned_shifted_and_mirrored_the_answers_are_the_same(
+    turn: float, dx: float, mirror: bool
+) -> None:
     log = everything()
     there = moved(log, turn, dx, -dx, mirror=mirror)
-    one, two = rows(log), rows(there, drive(there, moved_ego(log.ego, turn, dx, -dx, mirror=mirror)))
-    assert one.value[list(NAMES)].tolist() == two.value[list(NAMES)].tolist() == [1.0, 1.0, 1.0, 1.0]
+    one, two = (
+        rows(log),
+        rows(there, drive(there, moved_ego(log.ego, turn, dx, -dx, mirror=mirror))),
+    )
+    assert (
+        one.value[list(NAMES)].tolist() == two.value[list(NAMES)].tolist() == [1.0, 1.0, 1.0, 1.0]
+    )
 
 
 def test_the_series_counts_where_the_table_says() -> None:
@@ -325,7 +354,9 @@ TIMES = np.arange(0.0, 15.05, 0.1)
 
 
 def judged(log: Scenario, ego: Trajectory) -> pd.DataFrame:
-    return evaluate(drive(log, ego), log, metrics={"yielding": METRICS["yielding"]}).set_index("metric")
+    return evaluate(drive(log, ego), log, metrics={"yielding": METRICS["yielding"]}).set_index(
+        "metric"
+    )
 
 
 def after(gap: float) -> Trajectory:
@@ -356,19 +387,37 @@ def test_the_recorded_driver_and_who_is_far_ahead_take_nothing() -> None:
 def test_it_is_asked_only_where_someone_was_let_go_first() -> None:
     log = crossing_without_a_map()
     alone = replace(log, tracks=tracks())
-    assert judged(alone, after(1.0)).reason["yielding.recorded.below_1500ms"].startswith("the recorded driver let no")
+    assert (
+        judged(alone, after(1.0))
+        .reason["yielding.recorded.below_1500ms"]
+        .startswith("the recorded driver let no")
+    )
     made = replace(log, tags=("synthetic",))
-    assert judged(made, after(1.0)).reason["yielding.recorded.below_1500ms"] == "the log has no recorded driver"
+    assert (
+        judged(made, after(1.0)).reason["yielding.recorded.below_1500ms"]
+        == "the log has no recorded driver"
+    )
 
 
 def test_a_track_that_changes_its_id_counts_as_one_and_a_flicker_does_not() -> None:
     log = crossing_without_a_map()
     t, y = log.tracks.t, log.tracks.y
     pieces = np.array_split(np.arange(len(t)), len(t) // 4)
-    walker = {"kind": AgentKind.PEDESTRIAN, "length": 0.5, "width": 0.5, "yaw": np.pi / 2.0, "vx": 0.0, "vy": 1.4}
-    flickers = tracks(*(track(f"p{k}", t[i], 0.0 * t[i] + 60.0, y[i], **walker) for k, i in enumerate(pieces)))
+    walker = {
+        "kind": AgentKind.PEDESTRIAN,
+        "length": 0.5,
+        "width": 0.5,
+        "yaw": np.pi / 2.0,
+        "vx": 0.0,
+        "vy": 1.4,
+    }
+    flickers = tracks(
+        *(track(f"p{k}", t[i], 0.0 * t[i] + 60.0, y[i], **walker) for k, i in enumerate(pieces))
+    )
     whole, parts = judged(log, after(1.1)), judged(replace(log, tracks=flickers), after(1.1))
-    assert parts.value["yielding.recorded.min"] == pytest.approx(whole.value["yielding.recorded.min"], abs=0.21)
+    assert parts.value["yielding.recorded.min"] == pytest.approx(
+        whole.value["yielding.recorded.min"], abs=0.21
+    )
     assert parts.value["yielding.recorded.below_1500ms"] > 0.0
     at = np.flatnonzero(np.abs(t - 6.0) < 0.15)
     ghost = tracks(track("g", t[at], 0.0 * t[at] + 60.0, 0.0 * t[at], **walker))
@@ -380,5 +429,7 @@ def test_a_track_that_changes_its_id_counts_as_one_and_a_flicker_does_not() -> N
 def test_the_verdict_does_not_depend_on_where_the_world_lies(turn: float, mirror: bool) -> None:
     log, ego = crossing_without_a_map(), after(1.2)
     here = judged(log, ego)
-    there = judged(moved(log, turn, 3.0, -7.0, mirror=mirror), moved_ego(ego, turn, 3.0, -7.0, mirror=mirror))
+    there = judged(
+        moved(log, turn, 3.0, -7.0, mirror=mirror), moved_ego(ego, turn, 3.0, -7.0, mirror=mirror)
+    )
     np.testing.assert_allclose(here.value.to_numpy(), there.value.to_numpy(), atol=1e-6)

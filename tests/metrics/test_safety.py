@@ -5,7 +5,22 @@ from math import pi
 import numpy as np
 import pandas as pd
 import pytest
-from drives import CAR, EGO, NOSE, Agent, along, car, drive, grid, moved, moving, plans, scenario, straight_road, world
+from drives import (
+    CAR,
+    EGO,
+    NOSE,
+    Agent,
+    along,
+    car,
+    drive,
+    grid,
+    moved,
+    moving,
+    plans,
+    scenario,
+    straight_road,
+    world,
+)
 from hypothesis import given, settings, strategies as st
 
 from replan.core.arrays import FloatArray
@@ -40,11 +55,18 @@ def test_others_on_a_grid_are_the_truth_at_each_time() -> None:
     counts = np.array([1, 4, 9, 2])
     m = int(counts.sum())
     ragged = Tracks(
-        ("a", "b", "c", "d"), (AgentKind.CAR,) * 4, np.ones(4), np.ones(4), np.array([True, False, False, False]),
-        np.r_[0, np.cumsum(counts)], np.concatenate([rng.uniform(0, 1) + 0.3 * np.arange(n) for n in counts]),
-        *rng.normal(0, 9, (2, m)), rng.uniform(-3, 3, m),
-        np.where(rng.random(m) < 0.5, np.nan, 1.0), np.full(m, np.nan),
-    )  # fmt: skip
+        ("a", "b", "c", "d"),
+        (AgentKind.CAR,) * 4,
+        np.ones(4),
+        np.ones(4),
+        np.array([True, False, False, False]),
+        np.r_[0, np.cumsum(counts)],
+        np.concatenate([rng.uniform(0, 1) + 0.3 * np.arange(n) for n in counts]),
+        *rng.normal(0, 9, (2, m)),
+        rng.uniform(-3, 3, m),
+        np.where(rng.random(m) < 0.5, np.nan, 1.0),
+        np.full(m, np.nan),
+    )
     t = np.unique(np.r_[np.linspace(-1.0, 5.0, 200), ragged.t])
     others = others_at(ragged, t)
     for k, time in enumerate(t):
@@ -62,7 +84,9 @@ def test_the_centre_of_a_turning_ego_moves_sideways_too(kappa: float, v: float, 
     turned = yaw + kappa * v * t
     x, y = np.cumsum(np.r_[0.0, v * 0.5e-3 * np.ones(2)] * [np.cos(turned), np.sin(turned)], axis=1)
     boxes = ego_boxes(Trajectory(t, x, y, turned, v + 0 * t, 0 * t, kappa + 0 * t), world(v))
-    assert boxes[3:, 1] == pytest.approx((boxes[:2, 2] - boxes[:2, 0]) / 1e-3, abs=2e-2 * (1.0 + abs(kappa) * v))
+    assert boxes[3:, 1] == pytest.approx(
+        (boxes[:2, 2] - boxes[:2, 0]) / 1e-3, abs=2e-2 * (1.0 + abs(kappa) * v)
+    )
 
 
 # collisions -------------------------------------------------------------------------------------------------------
@@ -73,14 +97,36 @@ KINDS = [
     ("an oncoming car", 10.0, car(60.0, 0.0, -10.0), ContactKind.ACTIVE_FRONT, True),
     ("a faster car behind", 5.0, car(-15.0, 0.0, 15.0), ContactKind.ACTIVE_REAR, False),
     ("a car behind, the ego stands", 0.0, car(-15.0, 0.0, 10.0), ContactKind.STOPPED_EGO, False),
-    ("a crossing pedestrian hits the side", 5.0, walker(10.0, -6.0, 2.2), ContactKind.LATERAL, False),
-    ("the ego hits a crossing pedestrian", 10.0, walker(28.0, -4.0, 1.6), ContactKind.ACTIVE_FRONT, True),
-    ("a moved cone", 10.0, car(30.0, 0.0, 1.0, kind=AgentKind.OBJECT), ContactKind.STOPPED_TRACK, True),
-]  # fmt: skip
+    (
+        "a crossing pedestrian hits the side",
+        5.0,
+        walker(10.0, -6.0, 2.2),
+        ContactKind.LATERAL,
+        False,
+    ),
+    (
+        "the ego hits a crossing pedestrian",
+        10.0,
+        walker(28.0, -4.0, 1.6),
+        ContactKind.ACTIVE_FRONT,
+        True,
+    ),
+    (
+        "a moved cone",
+        10.0,
+        car(30.0, 0.0, 1.0, kind=AgentKind.OBJECT),
+        ContactKind.STOPPED_TRACK,
+        True,
+    ),
+]
 
 
-@pytest.mark.parametrize(("name", "v", "agent", "kind", "fault"), KINDS, ids=[case[0] for case in KINDS])
-def test_kinds_of_collision(name: str, v: float, agent: Agent, kind: ContactKind, fault: bool) -> None:
+@pytest.mark.parametrize(
+    ("name", "v", "agent", "kind", "fault"), KINDS, ids=[case[0] for case in KINDS]
+)
+def test_kinds_of_collision(
+    name: str, v: float, agent: Agent, kind: ContactKind, fault: bool
+) -> None:
     log = world(v, agent)
     (contact,) = contacts(drive(log), log)
     assert (contact.kind, contact.at_fault) == (kind, fault), name
@@ -95,14 +141,18 @@ def test_kinds_of_collision(name: str, v: float, agent: Agent, kind: ContactKind
 @pytest.mark.parametrize(
     ("kind", "stops"), [(AgentKind.OBJECT, False), (AgentKind.CAR, True), (AgentKind.OBJECT, True)]
 )
-def test_who_runs_into_a_slowing_ego_from_behind_did_not_stand(kind: AgentKind, stops: bool) -> None:
+def test_who_runs_into_a_slowing_ego_from_behind_did_not_stand(
+    kind: AgentKind, stops: bool
+) -> None:
     """Neither one whose kind a detector does not know, nor one that stops 2 cm behind, where its boxes jitter."""
     t = grid(10.0, 0.1)
     ego = along(t, np.maximum(6.0 - t, 0.06))
     tail = ego.x + TAIL - 0.5 * CAR[0]
     follower = np.minimum(3.0 * t - 6.0, tail[75] - 0.02 if stops else np.inf)
     follower += 0.01 * np.random.default_rng(5).normal(size=len(t))
-    log = scenario(ego, [("7", kind, CAR, lambda at: (np.interp(at, t, follower), 0.0 * at, 0.0 * at))])
+    log = scenario(
+        ego, [("7", kind, CAR, lambda at: (np.interp(at, t, follower), 0.0 * at, 0.0 * at))]
+    )
     (contact,) = contacts(drive(log), log)
     assert (contact.kind, contact.at_fault) == (ContactKind.ACTIVE_REAR, False)
     planned = drive(log, frames=plans(log.ego, np.arange(0.0, 6.0, 0.1), 4.0))
@@ -158,11 +208,16 @@ def test_without_others_there_is_no_collision_and_no_gap() -> None:
 @settings(max_examples=25)
 def test_gap_and_ttc_are_the_least_over_all_agents(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    agents = [(str(i), AgentKind.CAR, CAR, moving(*rng.uniform(-30, 30, 2), *rng.uniform(-9, 9, 2))) for i in range(12)]
+    agents = [
+        (str(i), AgentKind.CAR, CAR, moving(*rng.uniform(-30, 30, 2), *rng.uniform(-9, 9, 2)))
+        for i in range(12)
+    ]
     log = scenario(along(grid(1.0, 0.1), 7.0), agents)
     frames, met = series(drive(log), log), contacts(drive(log), log)
     until = {contact.agent: contact.step for contact in met}
-    gaps, times = (frames.loc[frames["metric"] == name, "value"].to_numpy() for name in ("gap", "ttc"))
+    gaps, times = (
+        frames.loc[frames["metric"] == name, "value"].to_numpy() for name in ("gap", "ttc")
+    )
     for k, t in enumerate(log.ego.t):
         x, others = 7.0 * t + EGO.axle_to_center, log.tracks.truth(float(t))
         ego, gap = (x, 0.0, 0.0, EGO.length, EGO.width), []
@@ -174,7 +229,9 @@ def test_gap_and_ttc_are_the_least_over_all_agents(seed: int) -> None:
             if not behind and k < until.get(i, len(log.ego)):
                 ttc.append(time_to_contact(*ego, *box, others.vx[i] - 7.0, others.vy[i]))
         assert gaps[k] == pytest.approx(min(gap), abs=1e-9)
-        assert times[k] == pytest.approx(min(ttc), abs=1e-6) if min(ttc) < 10.0 else np.isnan(times[k])
+        assert (
+            times[k] == pytest.approx(min(ttc), abs=1e-6) if min(ttc) < 10.0 else np.isnan(times[k])
+        )
 
 
 # gaps -------------------------------------------------------------------------------------------------------------
@@ -182,10 +239,16 @@ def test_gap_and_ttc_are_the_least_over_all_agents(seed: int) -> None:
 
 def test_gap_to_the_vulnerable_is_apart() -> None:
     table = judged(
-        world(5.0, car(40.0, 3.0, 5.0), ("p", AgentKind.PEDESTRIAN, (0.6, 0.6), moving(15.0, 4.0, 0.0, 0.1)))
+        world(
+            5.0,
+            car(40.0, 3.0, 5.0),
+            ("p", AgentKind.PEDESTRIAN, (0.6, 0.6), moving(15.0, 4.0, 0.0, 0.1)),
+        )
     )
     assert table.loc["gap_vulnerable.min", "reason"] == "pedestrian p"
-    assert table.loc["gap_vulnerable.min", "value"] == pytest.approx(4.0 - 0.3 - 0.5 * EGO.width, abs=0.4)
+    assert table.loc["gap_vulnerable.min", "value"] == pytest.approx(
+        4.0 - 0.3 - 0.5 * EGO.width, abs=0.4
+    )
     assert table.loc["gap_vulnerable.min", "value"] == table.loc["gap.min", "value"]
 
 
@@ -207,14 +270,22 @@ def test_those_behind_and_a_standing_ego_have_no_ttc() -> None:
     assert not judged(world(0.0, car(20.0, 0.0, -10.0), seconds=1.0)).loc["ttc.min", "available"]
 
 
-def circling(t: FloatArray, radius: float, v: float, begin: float = 0.0) -> tuple[FloatArray, FloatArray, FloatArray]:
+def circling(
+    t: FloatArray, radius: float, v: float, begin: float = 0.0
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """x, y, yaw of who drives around (0, radius), from `begin` rad on; a negative v goes the other way round."""
     angle = begin + v / abs(radius) * t
     side = np.sign(radius)
-    return abs(radius) * np.sin(angle), side * abs(radius) * (1.0 - np.cos(angle)), side * angle + pi * (v < 0.0)
+    return (
+        abs(radius) * np.sin(angle),
+        side * abs(radius) * (1.0 - np.cos(angle)),
+        side * angle + pi * (v < 0.0),
+    )
 
 
-def curve(radius: float, mine: float, theirs: float, aside: float, begin: float, rate: float = 20.0) -> Scenario:
+def curve(
+    radius: float, mine: float, theirs: float, aside: float, begin: float, rate: float = 20.0
+) -> Scenario:
     """The ego on a circle, and a car on one `aside` m outside, `begin` rad ahead; both rear axles on their circles."""
     t = grid(1.2, 0.05)
     x, y, yaw = circling(t, radius, mine)
@@ -227,7 +298,9 @@ def curve(radius: float, mine: float, theirs: float, aside: float, begin: float,
 
     seen = np.arange(round(1.2 * rate) + 1) / rate
     log = scenario(ego, [("7", AgentKind.CAR, CAR, motion)])
-    return replace(log, tracks=scenario(along(seen, 1.0), [("7", AgentKind.CAR, CAR, motion)]).tracks)
+    return replace(
+        log, tracks=scenario(along(seen, 1.0), [("7", AgentKind.CAR, CAR, motion)]).tracks
+    )
 
 
 @pytest.mark.parametrize("rate", [5.0, 10.0, 20.0])
@@ -243,7 +316,10 @@ def test_who_turns_is_on_no_course_to_those_in_the_next_lane(radius: float, rate
     assert table["gap.min"] > 1.0
     turned = moved(log, 2.0, 300.0, -20.0)
     later = replace(
-        log, ego=replace(log.ego, t=log.ego.t + 1.0), tracks=replace(log.tracks, t=log.tracks.t + 1.0), duration=2.2
+        log,
+        ego=replace(log.ego, t=log.ego.t + 1.0),
+        tracks=replace(log.tracks, t=log.tracks.t + 1.0),
+        duration=2.2,
     )
     for other in (turned, later):
         assert least_contact_times(drive(other), other, False)[0] == pytest.approx(
@@ -267,12 +343,21 @@ def test_who_stands_on_the_egos_arc_counts(radius: float, left: bool, v: float, 
 @settings(max_examples=25)
 def test_ttc_is_never_less_than_the_straight_time(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    t, radius, v = grid(1.0, 0.1), rng.choice([-1.0, 1.0]) * rng.uniform(6.0, 60.0), rng.uniform(1.0, 12.0)
+    t, radius, v = (
+        grid(1.0, 0.1),
+        rng.choice([-1.0, 1.0]) * rng.uniform(6.0, 60.0),
+        rng.uniform(1.0, 12.0),
+    )
     ego = Trajectory(t, *circling(t, radius, v), v + 0 * t, 0 * t, 1.0 / radius + 0 * t)
-    agents = [(str(i), AgentKind.CAR, CAR, moving(*rng.uniform(-20, 20, 2), *rng.uniform(-9, 9, 2))) for i in range(8)]
+    agents = [
+        (str(i), AgentKind.CAR, CAR, moving(*rng.uniform(-20, 20, 2), *rng.uniform(-9, 9, 2)))
+        for i in range(8)
+    ]
     log = scenario(ego, agents)
     (least, straight), who = least_contact_times(drive(log), log, False)
-    assert all(least[contact.step] == 0.0 for contact in contacts(drive(log), log) if contact.at_fault)
+    assert all(
+        least[contact.step] == 0.0 for contact in contacts(drive(log), log) if contact.at_fault
+    )
     assert (~(least < straight) | (least == 0.0)).all() and (np.isfinite(least) == (who >= 0)).all()
 
 
@@ -300,7 +385,9 @@ def test_a_corner_off_the_lane(side: float) -> None:
     out = 2.0 + 0.5 * EGO.width - 1.75
     assert table.loc["off_road.max", "value"] == pytest.approx(out)
     crossing = 1.75 + 0.3 - 0.5 * EGO.width
-    assert table.loc["off_road.time_beyond_30cm", "value"] == pytest.approx(4.0 - crossing, abs=0.02)
+    assert table.loc["off_road.time_beyond_30cm", "value"] == pytest.approx(
+        4.0 - crossing, abs=0.02
+    )
 
 
 def test_a_kerb_between_the_corners_is_off_the_road() -> None:
@@ -321,7 +408,9 @@ def test_two_lanes_are_one_road_and_a_sidewalk_is_none() -> None:
     both = straight_road(lanes=2)
     assert judged(scenario(ego, road=both)).loc["off_road.max", "value"] == 0.0
     walk = Road({0: both.lanes[0], 1: replace(both.lanes[1], drivable=False)})
-    assert judged(scenario(ego, road=walk)).loc["off_road.max", "value"] == pytest.approx(0.5 * EGO.width)
+    assert judged(scenario(ego, road=walk)).loc["off_road.max", "value"] == pytest.approx(
+        0.5 * EGO.width
+    )
 
 
 def test_the_end_of_the_map_is_not_the_edge_of_the_road() -> None:
@@ -336,7 +425,10 @@ def test_distance_off_the_lanes_is_exact(points: list[tuple[float, float]]) -> N
     x, y = np.array(points).T
     lanes = drivable_lanes(straight_road(lanes=2))
     assert lanes is not None
-    out_x, out_y = np.maximum(np.maximum(-110 - x, x - 510), 0), np.maximum(np.maximum(-1.75 - y, y - 5.25), 0)
+    out_x, out_y = (
+        np.maximum(np.maximum(-110 - x, x - 510), 0),
+        np.maximum(np.maximum(-1.75 - y, y - 5.25), 0),
+    )
     assert off_lanes(lanes, x, y) == pytest.approx(np.hypot(out_x, out_y), abs=1e-9)
 
 
@@ -368,9 +460,14 @@ def test_distance_off_many_lanes_is_the_least_of_all(seed: int) -> None:
     strips = {}
     for i in range(12):
         start, heading = rng.uniform(-40, 40, 2), rng.uniform(-3, 3)
-        along_it, aside = np.array([np.cos(heading), np.sin(heading)]), np.array([-np.sin(heading), np.cos(heading)])
+        along_it, aside = (
+            np.array([np.cos(heading), np.sin(heading)]),
+            np.array([-np.sin(heading), np.cos(heading)]),
+        )
         center = start + rng.uniform(3, 20) * np.array([[0.0], [1.0]]) * along_it
-        strips[i] = Lane(i, center + 1.75 * aside, center - 1.75 * aside, (i,), drivable=bool(rng.random() < 0.8))
+        strips[i] = Lane(
+            i, center + 1.75 * aside, center - 1.75 * aside, (i,), drivable=bool(rng.random() < 0.8)
+        )
     road = Road(strips)
     x, y = rng.uniform(-50, 50, (2, 40))
     lanes = drivable_lanes(road)
@@ -387,20 +484,41 @@ def test_distance_off_many_lanes_is_the_least_of_all(seed: int) -> None:
 
 # invariances ------------------------------------------------------------------------------------------------------
 
-SAFETY = ("collision", "collision_at_fault", "gap", "gap_vulnerable", "ttc", "off_road", "lat_accel", "yaw_rate",
-          "lat_jerk_state", "progress", "distance", "speed_excess")  # fmt: skip
+SAFETY = (
+    "collision",
+    "collision_at_fault",
+    "gap",
+    "gap_vulnerable",
+    "ttc",
+    "off_road",
+    "lat_accel",
+    "yaw_rate",
+    "lat_jerk_state",
+    "progress",
+    "distance",
+    "speed_excess",
+)
 
 
 @settings(max_examples=25)
-@given(st.integers(0, 40), st.floats(-3.1, 3.1), st.floats(-90, 90), st.floats(-90, 90), st.booleans())
-def test_moved_and_mirrored_worlds_change_no_metric(seed: int, turn: float, dx: float, dy: float, mirror: bool) -> None:
+@given(
+    st.integers(0, 40), st.floats(-3.1, 3.1), st.floats(-90, 90), st.floats(-90, 90), st.booleans()
+)
+def test_moved_and_mirrored_worlds_change_no_metric(
+    seed: int, turn: float, dx: float, dy: float, mirror: bool
+) -> None:
     rng = np.random.default_rng(seed)
     t = grid(3.0, 0.05)
     yaw = 0.2 * np.sin(t)
     ego = Trajectory(t, 8 * t, 0.6 * t, yaw, 8 + 0 * t, 0 * t, 0.025 * np.cos(t))
     kinds = (AgentKind.CAR, AgentKind.PEDESTRIAN, AgentKind.BICYCLE)
     agents = [
-        (str(i), kind, CAR, moving(*rng.uniform(-5, 40, 1), *rng.uniform(-6, 6, 1), *rng.uniform(-6, 6, 2)))
+        (
+            str(i),
+            kind,
+            CAR,
+            moving(*rng.uniform(-5, 40, 1), *rng.uniform(-6, 6, 1), *rng.uniform(-6, 6, 2)),
+        )
         for i, kind in enumerate(kinds)
     ]
     log = scenario(ego, agents, road=straight_road(lanes=2, limit=7.0))
@@ -408,7 +526,9 @@ def test_moved_and_mirrored_worlds_change_no_metric(seed: int, turn: float, dx: 
     one, two = judged(log), judged(other)
     rows = [name for name in one.index if name.split(".")[0] in SAFETY]
     assert (one.loc[rows, "available"] == two.loc[rows, "available"]).all()
-    assert two.loc[rows, "value"].to_numpy() == pytest.approx(one.loc[rows, "value"].to_numpy(), abs=0.051, nan_ok=True)
+    assert two.loc[rows, "value"].to_numpy() == pytest.approx(
+        one.loc[rows, "value"].to_numpy(), abs=0.051, nan_ok=True
+    )
     steady = [name for name in rows if "time" not in name]
     assert two.loc[steady, "value"].to_numpy() == pytest.approx(
         one.loc[steady, "value"].to_numpy(), abs=1e-6, nan_ok=True
@@ -466,7 +586,9 @@ def test_the_logs_own_gaps_are_not_in_an_open_loop_table() -> None:
     ("speed", "beside", "away", "near"),
     [(8.0, 0.7, 0.0, True), (8.0, 1.1, 0.0, False), (2.5, 0.7, 0.0, False), (8.0, 0.7, 1.0, False)],
 )
-def test_room_to_a_passed_pedestrian_grows_with_speed(speed: float, beside: float, away: float, near: bool) -> None:
+def test_room_to_a_passed_pedestrian_grows_with_speed(
+    speed: float, beside: float, away: float, near: bool
+) -> None:
     """One who walks away to the side has crossed."""
     y = 0.5 * EGO.width + 0.3 + beside - away * 12.0 / speed
     table = judged(world(speed, walker(12.0 + EGO.axle_to_center, y, away), seconds=6.0))

@@ -55,7 +55,8 @@ def test_parts_that_lose_marks() -> None:
     assert fast == pytest.approx({"nuplan_closed": 14 / 16, "carla": 1.0}, abs=5e-3)
     a = np.where((T > 3) & (T < 6), -5.0, 0.0)
     harsh = totals(judged(log(), along(T, 10.0, a=a)))
-    assert harsh == pytest.approx({"nuplan_closed": 14 / 16, "carla": 1.0})  # comfort 0: (5 + 5 + 4) / 16
+    # Comfort 0: (5 + 5 + 4) / 16
+    assert harsh == pytest.approx({"nuplan_closed": 14 / 16, "carla": 1.0})
     slow = totals(judged(log(), along(T, 1.9)))
     assert slow["nuplan_closed"] == 0.0  # 0.19 of the way is no progress: the multiplier
 
@@ -63,16 +64,23 @@ def test_parts_that_lose_marks() -> None:
 def test_what_is_hit_counts_by_its_kind() -> None:
     """The ego drives into something that stands 50 m ahead; 42 m of 100 m are driven. ttc is 0: it is at fault."""
     for kind, nuplan, carla in (
-        (AgentKind.OBJECT, 0.5, 0.65), (AgentKind.CAR, 0.0, 0.6), (AgentKind.PEDESTRIAN, 0.0, 0.5),
+        (AgentKind.OBJECT, 0.5, 0.65),
+        (AgentKind.CAR, 0.0, 0.6),
+        (AgentKind.PEDESTRIAN, 0.0, 0.5),
         (AgentKind.BICYCLE, 0.0, 0.6),
-    ):  # fmt: skip
-        world = scenario(along(T, 10.0), [("7", kind, (1.0, 1.0), moving(50.0, 0.0, 0.0, 0.0, 0.0))],
-                         road=straight_road(limit=10.0))  # fmt: skip
+    ):
+        world = scenario(
+            along(T, 10.0),
+            [("7", kind, (1.0, 1.0), moving(50.0, 0.0, 0.0, 0.0, 0.0))],
+            road=straight_road(limit=10.0),
+        )
         ego = along(grid(4.7, 0.1), 10.0)
         table = judged(world, ego, end=EndReason.COLLISION)
         assert table.loc["nuplan_closed.collisions.final", "value"] == nuplan
         assert table.loc["nuplan_closed.ttc.final", "value"] == 0.0
-        assert totals(table)["nuplan_closed"] == pytest.approx(nuplan * (5 * 0.47 + 4 + 2) / 16, abs=2e-3)
+        assert totals(table)["nuplan_closed"] == pytest.approx(
+            nuplan * (5 * 0.47 + 4 + 2) / 16, abs=2e-3
+        )
         assert totals(table)["carla"] == pytest.approx(carla * 0.47, abs=2e-3)
 
 
@@ -82,7 +90,9 @@ def test_against_the_lane() -> None:
     back = replace(back, left=back.right[::-1], right=back.left[::-1])
     against = replace(log(), road=Road({0: back}))
     table = judged(against)
-    assert table.loc["nuplan_closed.direction.final", "value"] == totals(table)["nuplan_closed"] == 0.0
+    assert (
+        table.loc["nuplan_closed.direction.final", "value"] == totals(table)["nuplan_closed"] == 0.0
+    )
     assert totals(table)["carla"] == 0.0  # not a metre of it was on the right side
     slow = scenario(along(T, 5.0), road=Road({0: back}))
     assert judged(slow).loc["nuplan_closed.direction.final", "value"] == 0.5
@@ -104,7 +114,8 @@ def test_red_lights_and_the_lanes_edge() -> None:
 
 def test_what_is_missing_is_the_reason() -> None:
     table = judged(log(limit=float("nan")), along(T, 5.0))
-    assert totals(table)["nuplan_closed"] == pytest.approx(13.5 / 16, abs=5e-3)  # without a limit, none is exceeded
+    # Without a limit, none is exceeded
+    assert totals(table)["nuplan_closed"] == pytest.approx(13.5 / 16, abs=5e-3)
     bare = judged(replace(log(), road=replace(straight_road(), source=RoadSource.DRIVEN_PATH)))
     assert "the log has no lanes" in bare.loc["nuplan_closed.score.final", "reason"]
     alone = judged(replace(log(), ego=along(T[:1], 10.0)), along(T, 10.0))
@@ -118,7 +129,9 @@ def test_nuplans_open_loop_score() -> None:
         def bent(plan: Trajectory) -> Trajectory:
             return replace(plan, y=plan.y + bend.get("y", 0.0), yaw=plan.yaw + bend.get("yaw", 0.0))
 
-        return judged(log(), mode=Mode.OPEN, frames=plans(along(grid(20.0, 0.1), 10.0), FRAMES, horizon, bent))
+        return judged(
+            log(), mode=Mode.OPEN, frames=plans(along(grid(20.0, 0.1), 10.0), FRAMES, horizon, bent)
+        )
 
     assert totals(opened(8.0, y=5.0)) == {"nuplan_open": 1.0}
     missed = opened(8.0, y=7.0)
@@ -129,8 +142,12 @@ def test_nuplans_open_loop_score() -> None:
     assert totals(opened(2.0, y=-0.1))["nuplan_open"] == 0.0
 
 
-@given(st.lists(st.floats(0.0, 1.0), min_size=9, max_size=9), st.integers(0, 8), st.floats(0.0, 1.0))
-def test_a_score_is_in_0_to_1_and_grows_with_each_part(values: list[float], which: int, more: float) -> None:
+@given(
+    st.lists(st.floats(0.0, 1.0), min_size=9, max_size=9), st.integers(0, 8), st.floats(0.0, 1.0)
+)
+def test_a_score_is_in_0_to_1_and_grows_with_each_part(
+    values: list[float], which: int, more: float
+) -> None:
     for formula in (NUPLAN_CLOSED, CARLA):
         parts = dict(zip(formula.names, values, strict=False))
         name = formula.names[which % len(formula.names)]
@@ -153,5 +170,7 @@ def test_nothing_to_weigh_is_no_score() -> None:
 def test_scores_do_not_change_with_the_map(mirror: bool) -> None:
     world, ego = log(), replace(along(T, 8.0), y=0.3 * np.sin(T))
     one = judged(world, ego)["value"]
-    two = judged(moved(world, 0.7, 20.0, -5.0, mirror=mirror), moved_ego(ego, 0.7, 20.0, -5.0, mirror=mirror))["value"]
+    two = judged(
+        moved(world, 0.7, 20.0, -5.0, mirror=mirror), moved_ego(ego, 0.7, 20.0, -5.0, mirror=mirror)
+    )["value"]
     assert two.to_numpy() == pytest.approx(one.to_numpy(), abs=1e-6, nan_ok=True)

@@ -4,7 +4,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from drives import CAR, EGO, NOSE, along, car, changing, drive, grid, moved, moved_ego, scenario, straight_road
+from drives import (
+    CAR,
+    EGO,
+    NOSE,
+    along,
+    car,
+    changing,
+    drive,
+    grid,
+    moved,
+    moved_ego,
+    scenario,
+    straight_road,
+)
 from hypothesis import given, settings, strategies as st
 
 from replan.logs.agents import AgentKind
@@ -38,9 +51,14 @@ def at_speed(v: np.ndarray) -> Trajectory:
 
 @settings(max_examples=15, deadline=None)
 @given(st.floats(-0.9, 0.9), st.floats(-3.0, 3.0), st.booleans())
-def test_an_offset_that_is_kept_is_that_offset_on_any_road(offset: float, turn: float, mirror: bool) -> None:
+def test_an_offset_that_is_kept_is_that_offset_on_any_road(
+    offset: float, turn: float, mirror: bool
+) -> None:
     ego = beside(offset * np.clip(T / 3.0, 0.0, 1.0))
-    world, ego = moved(LOG, turn, 50.0, -90.0, mirror=mirror), moved_ego(ego, turn, 50.0, -90.0, mirror=mirror)
+    world, ego = (
+        moved(LOG, turn, 50.0, -90.0, mirror=mirror),
+        moved_ego(ego, turn, 50.0, -90.0, mirror=mirror),
+    )
     assert value("lane_offset.kept", ego, world) == pytest.approx(abs(offset), abs=1e-3)
 
 
@@ -57,7 +75,8 @@ def test_an_offset_is_not_judged_while_there_is_something_to_pass_nor_in_a_short
     walker = car(20.0, -2.2, 12.0, kind=AgentKind.PEDESTRIAN)
     assert np.isnan(value("lane_offset.kept", beside(0.5), scenario(LOG.ego, [walker], road=ROAD)))
     assert np.isnan(value("lane_offset.kept", beside(0.5).between(0.0, SETTLES_S + JUDGED_S - 0.5)))
-    assert value("lane_offset.kept", beside(0.5)) == pytest.approx(0.5)  # as it began: 5 s for 0.5 m, then a fault
+    # As it began: 5 s for 0.5 m, then a fault
+    assert value("lane_offset.kept", beside(0.5)) == pytest.approx(0.5)
 
 
 def test_a_swinging_speed_and_braking_for_nothing_are_counted_by_the_minute() -> None:
@@ -76,7 +95,9 @@ def test_a_swinging_speed_and_braking_for_nothing_are_counted_by_the_minute() ->
 def test_a_car_ahead_explains_that_the_speed_falls_and_one_beside_does_not(place: str) -> None:
     slows = at_speed(12.0 - np.clip(T - 8.0, 0.0, 4.0))
     log = scenario(LOG.ego, [car(60.0, 0.0 if place == "a car ahead" else 3.5, 8.0)], road=ROAD)
-    assert value("speed_swing.needless.count", slows, log) == (0.0 if place == "a car ahead" else 1.0)
+    assert value("speed_swing.needless.count", slows, log) == (
+        0.0 if place == "a car ahead" else 1.0
+    )
     assert value("speed_swing.all.count", slows, log) == 1.0
 
 
@@ -87,17 +108,27 @@ def back_and_forth(first: float = 6.0) -> Trajectory:
 
 
 @pytest.mark.parametrize("mirror", [False, True])
-def test_lane_changes_away_from_the_route_are_needless_unless_a_road_user_is_in_the_way(mirror: bool) -> None:
+def test_lane_changes_away_from_the_route_are_needless_unless_a_road_user_is_in_the_way(
+    mirror: bool,
+) -> None:
     def count(log: Scenario, ego: Trajectory) -> float:
-        turned = moved(log, 1.0, 5.0, 5.0, mirror=mirror), moved_ego(ego, 1.0, 5.0, 5.0, mirror=mirror)
+        turned = (
+            moved(log, 1.0, 5.0, 5.0, mirror=mirror),
+            moved_ego(ego, 1.0, 5.0, 5.0, mirror=mirror),
+        )
         return value("needless_lane_change.count", turned[1], turned[0])
 
     assert count(LOG, back_and_forth()) == 2.0  # the one between leads back to the route
     assert count(LOG, beside(0.0)) == 0.0
     slower = scenario(LOG.ego, [car(90.0, 0.0, 5.0)], road=ROAD)
     assert count(slower, changing(T, 12.0, 3.0)) == 0.0
-    assert count(scenario(changing(T, 12.0, 20.0), road=ROAD), changing(T, 12.0, 3.0)) == 0.0  # the route changes later
-    assert np.isnan(count(replace(LOG, road=replace(ROAD, source=type(ROAD.source).DRIVEN_PATH)), back_and_forth()))
+    # The route changes later
+    assert count(scenario(changing(T, 12.0, 20.0), road=ROAD), changing(T, 12.0, 3.0)) == 0.0
+    assert np.isnan(
+        count(
+            replace(LOG, road=replace(ROAD, source=type(ROAD.source).DRIVEN_PATH)), back_and_forth()
+        )
+    )
 
 
 def test_braking_for_nothing_forces_a_follower_to_brake() -> None:
@@ -108,7 +139,10 @@ def test_braking_for_nothing_forces_a_follower_to_brake() -> None:
     forced = value("braked_behind.max", brakes, scenario(LOG.ego, [follower], road=ROAD))
     assert forced == pytest.approx(stops, abs=0.15)
     gentle = at_speed(12.0 - np.clip(0.5 * (T - 8.0), 0.0, 2.0))
-    assert value("braked_behind.max", gentle, scenario(LOG.ego, [car(-40.0, 0.0, 12.0)], road=ROAD)) < 1.0
+    assert (
+        value("braked_behind.max", gentle, scenario(LOG.ego, [car(-40.0, 0.0, 12.0)], road=ROAD))
+        < 1.0
+    )
     faster = scenario(LOG.ego, [car(-40.0, 0.0, 15.0)], road=ROAD)  # it would have to brake anyway
     assert value("braked_behind.max", gentle, faster) < 0.6
     for others in ([car(-16.0, 3.5, 12.0)], [follower, ("8", *car(140.0, 0.0, 1.0)[1:])]):

@@ -19,7 +19,13 @@ from replan.logs.road import RoadSource
 from replan.metrics import METRICS, evaluate
 from replan.metrics.judge import Verdict, judge, outcomes, worst
 from replan.metrics.judge.aggregate import LogLabels, wilson
-from replan.metrics.judge.discrimination import BLIND, BLIND_FAILS, PARKED, PARKED_FAILS, with_discrimination
+from replan.metrics.judge.discrimination import (
+    BLIND,
+    BLIND_FAILS,
+    PARKED,
+    PARKED_FAILS,
+    with_discrimination,
+)
 from replan.metrics.judge.excuses import INTERVAL, marginal
 from replan.metrics.judge.gates import Gate, Gates, Outcome, load_gates
 from replan.metrics.judge.verdicts import MISS_COLUMNS, deadline_misses, with_ensemble
@@ -33,14 +39,27 @@ DRIVEN = "coverage.driven_s.final"
 
 def of_logs(values: dict[str, float | None], metric: str = GAP) -> pd.DataFrame:
     """A row per log; None: it has no value."""
-    return table(*(row(log, np.nan if v is None else v, metric=metric, reason="") for log, v in values.items()))
+    return table(
+        *(
+            row(log, np.nan if v is None else v, metric=metric, reason="")
+            for log, v in values.items()
+        )
+    )
 
 
 def verdicts(
-    gate: Gate, values: dict[str, float | None], labels: dict[str, LogLabels] | None = None, lost: tuple[str, ...] = ()
+    gate: Gate,
+    values: dict[str, float | None],
+    labels: dict[str, LogLabels] | None = None,
+    lost: tuple[str, ...] = (),
 ) -> tuple[Verdict, ...]:
     known = labels or dict.fromkeys(values, LogLabels())
-    return judge(Gates((gate,), "test"), of_logs(values, gate.metric), known, failed=dict.fromkeys(lost, "broken"))
+    return judge(
+        Gates((gate,), "test"),
+        of_logs(values, gate.metric),
+        known,
+        failed=dict.fromkeys(lost, "broken"),
+    )
 
 
 def verdict(gate: Gate, values: dict[str, float | None], **how: object) -> Verdict:
@@ -49,17 +68,29 @@ def verdict(gate: Gate, values: dict[str, float | None], **how: object) -> Verdi
 
 
 def share(least: float, *, confident: bool = False, max_missing: float = 0.5) -> Gate:
-    return Gate(GAP, min=0.5, over="pass_share", min_share=least, confident=confident, max_missing=max_missing)
+    return Gate(
+        GAP,
+        min=0.5,
+        over="pass_share",
+        min_share=least,
+        confident=confident,
+        max_missing=max_missing,
+    )
 
 
 # one value over the logs ------------------------------------------------------------------------------------------
 
 
-@given(st.lists(st.floats(0.0, 1e3), min_size=1, max_size=9), st.sampled_from(["mean", "median", "sum"]))
+@given(
+    st.lists(st.floats(0.0, 1e3), min_size=1, max_size=9),
+    st.sampled_from(["mean", "median", "sum"]),
+)
 def test_only_what_the_logs_make_together_must_hold(values: list[float], over: str) -> None:
     expected = float({"mean": np.mean, "median": np.median, "sum": np.sum}[over](values))
     logs = {f"log{i}": value for i, value in enumerate(values)}
-    below, above = (verdict(Gate(GAP, min=expected + step, over=over), logs) for step in (-1.0, 1.0))
+    below, above = (
+        verdict(Gate(GAP, min=expected + step, over=over), logs) for step in (-1.0, 1.0)
+    )
     assert (below.outcome, above.outcome) == (PASS, FAIL)
     assert below.value == above.value == expected
     assert f"{over} gap.min" in above.reason and "below" in above.reason
@@ -85,7 +116,9 @@ def test_a_lost_log_is_no_pass_over_the_logs_either(over: str) -> None:
 # share of passes --------------------------------------------------------------------------------------------------
 
 
-@given(st.integers(0, 8), st.integers(0, 8), st.integers(0, 4), st.integers(0, 4), st.floats(0.01, 1.0))
+@given(
+    st.integers(0, 8), st.integers(0, 8), st.integers(0, 4), st.integers(0, 4), st.floats(0.01, 1.0)
+)
 def test_what_is_lost_counts_as_failed_and_what_is_inconclusive_as_neither(
     good: int, bad: int, unsure: int, lost: int, least: float
 ) -> None:
@@ -93,7 +126,9 @@ def test_what_is_lost_counts_as_failed_and_what_is_inconclusive_as_neither(
     values |= {f"bad{i}": 0.0 for i in range(bad)} | {f"unsure{i}": None for i in range(unsure)}
     if not good + bad:
         return
-    found = verdict(share(least, max_missing=0.999), values, lost=tuple(f"lost{i}" for i in range(lost)))
+    found = verdict(
+        share(least, max_missing=0.999), values, lost=tuple(f"lost{i}" for i in range(lost))
+    )
     n = good + bad + unsure + lost
     assert found.value == good / n
     if (good + unsure) / n < least:
@@ -101,7 +136,9 @@ def test_what_is_lost_counts_as_failed_and_what_is_inconclusive_as_neither(
     else:
         assert found.outcome is (PASS if good / n >= least else INCONCLUSIVE)
     assert f"{good} of {n} log" in found.reason
-    as_failed = verdict(share(least, max_missing=0.999), values | {f"lost{i}": 0.0 for i in range(lost)})
+    as_failed = verdict(
+        share(least, max_missing=0.999), values | {f"lost{i}": 0.0 for i in range(lost)}
+    )
     assert (as_failed.outcome, as_failed.value) == (found.outcome, found.value)
 
 
@@ -109,8 +146,10 @@ def test_what_is_lost_counts_as_failed_and_what_is_inconclusive_as_neither(
 def test_a_drive_that_crashed_can_fail_and_not_pass(gate: Gate) -> None:
     crashed = {("a", "dp_qp", "closed"): "out of ideas"}
     labels = {"a": LogLabels(), "b": LogLabels()}
-    good, bad = (judge(Gates((gate,), "test"), of_logs({"a": value, "b": 1.0}), labels, crashed=crashed)[0]
-                 for value in (1.0, -1.0))  # fmt: skip
+    good, bad = (
+        judge(Gates((gate,), "test"), of_logs({"a": value, "b": 1.0}), labels, crashed=crashed)[0]
+        for value in (1.0, -1.0)
+    )
     assert good.outcome is (FAIL if gate.over == "pass_share" else INCONCLUSIVE)
     assert "1 log could not be evaluated (a: out of ideas)" in good.reason
     assert bad.outcome is FAIL
@@ -124,7 +163,9 @@ def test_too_many_without_evidence_are_no_pass_of_a_share() -> None:
 
 @pytest.mark.parametrize("gate", [Gate(GAP, min=0.5), Gate(GAP, min=0.5, over="mean"), share(0.5)])
 @given(st.lists(st.sampled_from([1.0, 0.0, None]), min_size=1, max_size=6))
-def test_an_inconclusive_verdict_names_a_log_without_evidence(gate: Gate, values: list[float | None]) -> None:
+def test_an_inconclusive_verdict_names_a_log_without_evidence(
+    gate: Gate, values: list[float | None]
+) -> None:
     logs = {f"log{i}": value for i, value in enumerate(values)}
     found = verdict(gate, logs)
     if found.outcome is INCONCLUSIVE and None in values:
@@ -160,7 +201,9 @@ VALUES: dict[str, float | None] = {"a": 1.0, "b": 0.2, "c": 0.3}
         ({"datasets": ("one",), "tags": ("car",)}, ["a"]),
     ],
 )
-def test_families_and_datasets_select_logs(filters: dict[str, tuple[str, ...]], logs: list[str]) -> None:
+def test_families_and_datasets_select_logs(
+    filters: dict[str, tuple[str, ...]], logs: list[str]
+) -> None:
     found = verdict(Gate(GAP, min=0.5, **filters), VALUES, labels=LABELS)  # type: ignore[arg-type]
     assert [log.log for log in found.logs] == logs
 
@@ -182,8 +225,14 @@ def test_a_verdict_for_each_group(per: str, expected: dict[str, Outcome]) -> Non
 
 def test_the_page_of_gates_has_every_key_and_no_other() -> None:
     page = (Path(__file__).parents[2] / "docs" / "gates.md").read_text(encoding="utf-8")
-    rows = [line.split("|")[1] for line in page.partition("| key |")[2].partition("## ")[0].splitlines()[2:] if line]
-    assert {word for row in rows for word in re.findall(r"`(\w+)`", row)} == {field.name for field in fields(Gate)}
+    rows = [
+        line.split("|")[1]
+        for line in page.partition("| key |")[2].partition("## ")[0].splitlines()[2:]
+        if line
+    ]
+    assert {word for row in rows for word in re.findall(r"`(\w+)`", row)} == {
+        field.name for field in fields(Gate)
+    }
 
 
 def test_a_file_may_ask_all_of_it(tmp_path: Path) -> None:
@@ -220,7 +269,10 @@ def test_what_makes_no_sense_is_refused(tmp_path: Path, text: str, message: str)
         load_gates(path)
 
 
-GATES = Gates((Gate("speed.max", max=10.5, mode="closed"), Gate("ensemble.fragile", max=0.0, optional=True)), "test")
+GATES = Gates(
+    (Gate("speed.max", max=10.5, mode="closed"), Gate("ensemble.fragile", max=0.0, optional=True)),
+    "test",
+)
 
 
 def evaluated(*speeds: float) -> list[pd.DataFrame]:
@@ -229,7 +281,9 @@ def evaluated(*speeds: float) -> list[pd.DataFrame]:
 
 
 def ensemble(plain: float, *members: float) -> dict[str, tuple[float, str]]:
-    rows = pd.concat([t.assign(member=i, perturbation=f"kind{i}") for i, t in enumerate(evaluated(*members), 1)])
+    rows = pd.concat(
+        [t.assign(member=i, perturbation=f"kind{i}") for i, t in enumerate(evaluated(*members), 1)]
+    )
     found = with_ensemble(evaluated(plain)[0], rows, GATES, {"test/log": LogLabels()})
     found = found[found["metric"].str.startswith("ensemble.")]
     assert found["available"].all()
@@ -237,7 +291,9 @@ def ensemble(plain: float, *members: float) -> dict[str, tuple[float, str]]:
 
 
 @pytest.mark.parametrize(("plain", "members"), [(10.0, (10.0, 9.0)), (11.0, (12.0, 13.0))])
-def test_a_verdict_that_holds_everywhere_is_not_fragile(plain: float, members: tuple[float, ...]) -> None:
+def test_a_verdict_that_holds_everywhere_is_not_fragile(
+    plain: float, members: tuple[float, ...]
+) -> None:
     found = ensemble(plain, *members)
     assert found["ensemble.fragile"] == (0.0, "")
     assert found["ensemble.pass_share"][0] == (1.0 if plain < 10.5 else 0.0)
@@ -262,23 +318,34 @@ def test_the_kinds_take_turns_and_are_the_same_in_every_run() -> None:
     assert worlds["clock"].start_ns != log.start_ns
     assert 0.0 < np.abs(worlds["tiny"].tracks.x - log.tracks.x).max() <= 1e-9
     assert (
-        0.0 < np.hypot(worlds["start"].ego.x - log.ego.x, worlds["start"].ego.y - log.ego.y).max() <= START_M * 2**0.5
+        0.0
+        < np.hypot(worlds["start"].ego.x - log.ego.x, worlds["start"].ego.y - log.ego.y).max()
+        <= START_M * 2**0.5
     )
     assert 0.3 * NOISE_M < np.std(worlds["noise"].tracks.x - log.tracks.x) < 3.0 * NOISE_M
     assert np.allclose(np.diff(worlds["rate"].tracks.t), 0.2)
-    assert np.allclose(np.hypot(*(np.diff(c) for c in (worlds["turned"].ego.x, worlds["turned"].ego.y))), 1.0)
-    assert not np.array_equal(perturbed(log, 2)[1].ego.yaw, perturbed(log, 2 + len(kinds))[1].ego.yaw)
+    assert np.allclose(
+        np.hypot(*(np.diff(c) for c in (worlds["turned"].ego.x, worlds["turned"].ego.y))), 1.0
+    )
+    assert not np.array_equal(
+        perturbed(log, 2)[1].ego.yaw, perturbed(log, 2 + len(kinds))[1].ego.yaw
+    )
 
 
 def timings(seconds: list[float], log: str = "a", planner: str = "p") -> pd.DataFrame:
-    rows = [(log, planner, "open", 0.1 * i, stage, s * part)
-            for i, s in enumerate(seconds) for stage, part in (("path", 0.7), ("total", 1.0))]  # fmt: skip
+    rows = [
+        (log, planner, "open", 0.1 * i, stage, s * part)
+        for i, s in enumerate(seconds)
+        for stage, part in (("path", 0.7), ("total", 1.0))
+    ]
     return pd.DataFrame(rows, columns=["log", "planner", "mode", "t_s", "stage", "seconds"])
 
 
 def test_misses_by_hand() -> None:
     """0.1 s is met by 0.1 s; the stages of a plan count once, as its total."""
-    table = deadline_misses(pd.concat([timings([0.02, 0.1, 0.3, 0.11]), timings([0.2], planner="q")]), 0.1)
+    table = deadline_misses(
+        pd.concat([timings([0.02, 0.1, 0.3, 0.11]), timings([0.2], planner="q")]), 0.1
+    )
     assert tuple(table.columns) == MISS_COLUMNS
     assert table.iloc[0].tolist() == ["a", "p", "open", 4, 2, 0.5, 0.3, pytest.approx(0.2)]
     assert table.iloc[1].tolist() == ["a", "q", "open", 1, 1, 1.0, 0.2, 0.0]
@@ -287,10 +354,19 @@ def test_misses_by_hand() -> None:
         deadline_misses(timings([0.1]), 0.0)
 
 
-@given(st.lists(st.floats(0.001, 1.0), min_size=1, max_size=20), st.floats(0.001, 1.0), st.floats(0.0, 1.0))
-def test_a_longer_deadline_is_missed_less(seconds: list[float], deadline: float, more: float) -> None:
+@given(
+    st.lists(st.floats(0.001, 1.0), min_size=1, max_size=20),
+    st.floats(0.001, 1.0),
+    st.floats(0.0, 1.0),
+)
+def test_a_longer_deadline_is_missed_less(
+    seconds: list[float], deadline: float, more: float
+) -> None:
     table = timings(seconds)
-    assert (deadline_misses(table, deadline + more)["misses"] <= deadline_misses(table, deadline)["misses"]).all()
+    assert (
+        deadline_misses(table, deadline + more)["misses"]
+        <= deadline_misses(table, deadline)["misses"]
+    ).all()
 
 
 def of(values: Mapping[str, float]) -> Callable[[str], float]:
@@ -302,29 +378,48 @@ TTC = Gate("ttc.time_below_950ms", max=0.0)
 
 @pytest.mark.parametrize(("rate", "near"), [(5.0, 0.3), (10.0, 0.15), (20.0, 0.075)])
 @given(st.floats(0.05, 3.0))
-def test_a_time_is_marginal_within_one_and_a_half_intervals(rate: float, near: float, least: float) -> None:
+def test_a_time_is_marginal_within_one_and_a_half_intervals(
+    rate: float, near: float, least: float
+) -> None:
     values = {"ttc.min": least, "ttc.time_below_950ms": float(least < 0.95), INTERVAL: 1.0 / rate}
     said = marginal(TTC, of(values))
     if abs(abs(least - 0.95) - near) > 1e-6:
         assert bool(said) == (abs(least - 0.95) < near)
-    assert not said or said.startswith(f"marginal: at {rate:g} Hz the bound of 0.95 s is within {near:.2g} s of ")
+    assert not said or said.startswith(
+        f"marginal: at {rate:g} Hz the bound of 0.95 s is within {near:.2g} s of "
+    )
 
 
 def test_a_flip_by_the_rate_is_marked() -> None:
     """0.79 s at 20 Hz is 1.05 s at 5 Hz: the outcome at 5 Hz is marginal."""
-    assert "of 1.05 s" in marginal(TTC, of({"ttc.min": 1.05, "ttc.time_below_950ms": 0.0, INTERVAL: 0.2}))
+    assert "of 1.05 s" in marginal(
+        TTC, of({"ttc.min": 1.05, "ttc.time_below_950ms": 0.0, INTERVAL: 0.2})
+    )
     assert not marginal(TTC, of({"ttc.min": 1.05, "ttc.time_below_950ms": 0.0}))
     assert not marginal(TTC, of({INTERVAL: 0.2}))
 
 
 def test_what_is_not_about_others_or_far_from_its_bound_is_not_marginal() -> None:
-    values = {"off_road.max": 0.3, "off_road.time_beyond_30cm": 0.0, "lat_accel.worst_episode": 0.0, INTERVAL: 0.2}
+    values = {
+        "off_road.max": 0.3,
+        "off_road.time_beyond_30cm": 0.0,
+        "lat_accel.worst_episode": 0.0,
+        INTERVAL: 0.2,
+    }
     values |= {"yielding.recorded.min": 1.4, "yielding.recorded.below_1500ms": 2.0}
     values |= {"thw.time_below_900ms": 4.8, "gap_kept.min": 0.5, "gap_kept.time_below_20cm": 0.0}
     found = {gate.metric for gate in load_gates(None).gates if marginal(gate, of(values))}
-    assert found == {"thw.time_below_900ms", "gap_kept.time_below_20cm", "yielding.recorded.below_1500ms"}
-    assert marginal(Gate("gap_kept.min", min=0.5), of(values | {"gap_kept.min": 0.7})).endswith("0.36 m of 0.7 m")
-    assert not marginal(Gate("lon_accel.max_abs", max=4.0), of({"lon_accel.max_abs": 4.0, INTERVAL: 0.2}))
+    assert found == {
+        "thw.time_below_900ms",
+        "gap_kept.time_below_20cm",
+        "yielding.recorded.below_1500ms",
+    }
+    assert marginal(Gate("gap_kept.min", min=0.5), of(values | {"gap_kept.min": 0.7})).endswith(
+        "0.36 m of 0.7 m"
+    )
+    assert not marginal(
+        Gate("lon_accel.max_abs", max=4.0), of({"lon_accel.max_abs": 4.0, INTERVAL: 0.2})
+    )
 
 
 @pytest.mark.parametrize("rate", [5.0, 10.0, 20.0])
@@ -332,13 +427,18 @@ def test_the_time_to_collision_of_one_drive_does_not_hang_on_the_rate(rate: floa
     """A pedestrian walks in, and a car ahead brakes: the same drive among agents at another rate, within (2)."""
     t = grid(6.0, 0.05)
     walker = ("p", AgentKind.PEDESTRIAN, (0.6, 0.6), moving(45.0, -6.0, 0.0, 1.5))
-    lead = ("c", AgentKind.CAR, (4.5, 1.8), lambda t: (25.0 + 10.0 * t - 0.8 * t**2, 3.5 + 0 * t, 0 * t))
+    lead = (
+        "c",
+        AgentKind.CAR,
+        (4.5, 1.8),
+        lambda t: (25.0 + 10.0 * t - 0.8 * t**2, 3.5 + 0 * t, 0 * t),
+    )
     log = scenario(along(t, 10.0), [walker, lead])
     asked = {name: METRICS[name] for name in ("ttc", "gap_kept", "agent_interval")}
     fine, coarse = (
-        evaluate(drive(log, log.ego) if tracks is log else drive(tracks, log.ego), tracks, metrics=asked).set_index(
-            "metric"
-        )["value"]
+        evaluate(
+            drive(log, log.ego) if tracks is log else drive(tracks, log.ego), tracks, metrics=asked
+        ).set_index("metric")["value"]
         for tracks in (log, sampled(log, rate))
     )
     assert coarse[INTERVAL] == pytest.approx(1.0 / rate)
@@ -393,13 +493,17 @@ def test_a_share_of_logs_with_an_interaction_can_be_asked_for() -> None:
 def test_without_reference_drives_the_gate_is_not_asked() -> None:
     rows = made(1.0)
     assert np.isnan(value(rows, PARKED_FAILS))
-    assert worst(verdict.outcome for verdict in judge(RULES, rows, {"a": LogLabels()})) is Outcome.PASS
+    assert (
+        worst(verdict.outcome for verdict in judge(RULES, rows, {"a": LogLabels()})) is Outcome.PASS
+    )
 
 
 @pytest.mark.parametrize("ahead", [None, 60.0])
 def test_a_standing_car_is_an_interaction_and_a_free_road_is_none(ahead: float | None) -> None:
     t = grid(12.0)
-    agents = [("1", AgentKind.CAR, (4.5, 1.8), moving(ahead, 0.0, 0.0, 0.0, yaw=0.0))] if ahead else []
+    agents = (
+        [("1", AgentKind.CAR, (4.5, 1.8), moving(ahead, 0.0, 0.0, 0.0, yaw=0.0))] if ahead else []
+    )
     log = scenario(along(t, 10.0), agents, road=straight_road(limit=13.9))
     found = {one.driver: one.breaks for one in discriminate(log)}
     assert found[PARKED] is not None

@@ -15,7 +15,9 @@ LOOP = LoopConfig(*BAD_PERIODS_S, vehicle="perfect")
 def driven(planner: str, v: float, **config: object) -> object:
     car = ("1", AgentKind.CAR, (4.5, 1.8), moving(80.0, 0.0, 0.0, 0.0, yaw=0.0))
     log = scenario(along(grid(12.0), v), [car], road=straight_road(limit=13.9))
-    return run_closed_loop(log, planner, planner_config=config, config=LOOP, keep_internals=False).trace
+    return run_closed_loop(
+        log, planner, planner_config=config, config=LOOP, keep_internals=False
+    ).trace
 
 
 def test_the_blind_driver_drives_into_a_standing_car_and_idm_does_not() -> None:
@@ -45,7 +47,9 @@ def test_a_drive_does_not_depend_on_how_often_it_is_planned(v: float, wish: floa
     ends = []
     for period in (0.1, 4.0):
         loop = LoopConfig(period, 0.1, vehicle="perfect")
-        trace = run_closed_loop(log, "parked", planner_config={"speed_mps": wish}, config=loop).trace
+        trace = run_closed_loop(
+            log, "parked", planner_config={"speed_mps": wish}, config=loop
+        ).trace
         assert all(frame.plan.status is PlanStatus.PLANNED for frame in trace.frames)
         ends.append(trace.ego.x[-1])
     assert ends[0] == pytest.approx(ends[1], abs=0.2)

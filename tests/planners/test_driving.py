@@ -44,12 +44,16 @@ def drives(kind: Kind, road: Road, ego: EgoState, *others: Other, seconds: float
 
 @pytest.mark.parametrize(("kind", "atol"), [(Idm, 2e-3), (Pdm, 5e-3), (Lattice, 2e-3)])
 @pytest.mark.parametrize("name", CATALOGUE)
-def test_a_mirrored_world_gives_the_mirrored_plan(name: str, kind: type[Planner], atol: float) -> None:
+def test_a_mirrored_world_gives_the_mirrored_plan(
+    name: str, kind: type[Planner], atol: float
+) -> None:
     check_mirrored(kind, CATALOGUE[name].scenario(), atol=atol)
 
 
 @pytest.mark.parametrize(("kind", "aside"), [(Idm, 0.6), (Pdm, 0.0), (Lattice, 0.6)])
-def test_alone_it_comes_to_the_limit_in_the_middle_of_the_lane_and_keeps_it(kind: Kind, aside: float) -> None:
+def test_alone_it_comes_to_the_limit_in_the_middle_of_the_lane_and_keeps_it(
+    kind: Kind, aside: float
+) -> None:
     ego = EgoState(0.0, 0.0, aside, 0.0, 5.0)
     drive = drives(kind, lanes(along_x(end=900.0), limit=12.0), ego, seconds=30.0)
     assert drive[-1][0].ego.v == pytest.approx(12.0, abs=0.5)
@@ -57,12 +61,17 @@ def test_alone_it_comes_to_the_limit_in_the_middle_of_the_lane_and_keeps_it(kind
     assert abs(drive[-1][0].ego.y) < 0.05
 
 
-@pytest.mark.parametrize(("kind", "gap", "within"), [
-    (Idm, (2.0 + 8.0 * 1.5) / np.sqrt(1.0 - (8.0 / 13.89) ** 4), 0.6),
-    (Pdm, (1.0 + 8.0 * 1.5) / np.sqrt(1.0 - (8.0 / 13.89) ** 10), 1.5),
-    (Lattice, 10.5, 5.5),
-])  # fmt: skip
-def test_it_settles_behind_a_slower_leader_at_its_gap(kind: Kind, gap: float, within: float) -> None:
+@pytest.mark.parametrize(
+    ("kind", "gap", "within"),
+    [
+        (Idm, (2.0 + 8.0 * 1.5) / np.sqrt(1.0 - (8.0 / 13.89) ** 4), 0.6),
+        (Pdm, (1.0 + 8.0 * 1.5) / np.sqrt(1.0 - (8.0 / 13.89) ** 10), 1.5),
+        (Lattice, 10.5, 5.5),
+    ],
+)
+def test_it_settles_behind_a_slower_leader_at_its_gap(
+    kind: Kind, gap: float, within: float
+) -> None:
     leader = driving("lead", 40.0, 0.0, 8.0)
     drive = drives(kind, lanes(along_x()), EgoState(0.0, 0.0, 0.0, 0.0, 10.0), leader, seconds=30.0)
     assert gaps(drive, "lead").min() > 3.0
@@ -83,7 +92,9 @@ def test_it_slows_for_a_curve(kind: Kind) -> None:
 
 @pytest.mark.parametrize("kind", [Idm, Lattice])
 def test_it_lets_a_pedestrian_cross_and_goes_on(kind: Kind) -> None:
-    walker = driving("walker", 60.0, -6.0, 0.0, 1.2, kind=AgentKind.PEDESTRIAN, length=0.5, width=0.5)
+    walker = driving(
+        "walker", 60.0, -6.0, 0.0, 1.2, kind=AgentKind.PEDESTRIAN, length=0.5, width=0.5
+    )
     drive = drives(kind, lanes(along_x()), EgoState(0.0, 0.0, 0.0, 0.0, 10.0), walker, seconds=16.0)
     assert gaps(drive, "walker").min() > 0.45
     assert drive[-1][0].ego.v > 8.0

@@ -3,7 +3,21 @@
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
-from worlds import CAR, Drive, Other, along_x, beside, decided, driving, followed, frame, gaps, lanes, standing, strip
+from worlds import (
+    CAR,
+    Drive,
+    Other,
+    along_x,
+    beside,
+    decided,
+    driving,
+    followed,
+    frame,
+    gaps,
+    lanes,
+    standing,
+    strip,
+)
 
 from replan.logs.frame import PlannerContext
 from replan.logs.plan import DecisionKind, PlanStart, StGraph
@@ -11,7 +25,12 @@ from replan.logs.road import Goal, Road
 from replan.logs.states import EgoState
 from replan.planners.idm import Idm, IdmConfig, idm_acceleration
 
-A, B, TAU, S0 = (IdmConfig().accel_mps2, IdmConfig().decel_mps2, IdmConfig().time_gap_s, IdmConfig().standstill_gap_m)
+A, B, TAU, S0 = (
+    IdmConfig().accel_mps2,
+    IdmConfig().decel_mps2,
+    IdmConfig().time_gap_s,
+    IdmConfig().standstill_gap_m,
+)
 
 
 def idm(road: Road, ego: EgoState, goal: Goal | None = None) -> Idm:
@@ -29,7 +48,13 @@ def test_in_equilibrium_nothing_accelerates(share: float, v0: float) -> None:
     assert idm_acceleration(v, v0, 0.0, gap, v, A, B, TAU, S0) == pytest.approx(0.0, abs=1e-9)
 
 
-@given(st.floats(0.0, 40.0), st.floats(2.0, 40.0), st.floats(0.5, 200.0), st.floats(0.0, 40.0), st.floats(0.01, 20.0))
+@given(
+    st.floats(0.0, 40.0),
+    st.floats(2.0, 40.0),
+    st.floats(0.5, 200.0),
+    st.floats(0.0, 40.0),
+    st.floats(0.01, 20.0),
+)
 def test_less_room_or_a_slower_leader_never_accelerate(
     v: float, v0: float, gap: float, lead: float, more: float
 ) -> None:
@@ -43,13 +68,19 @@ def test_less_room_or_a_slower_leader_never_accelerate(
 @given(st.floats(0.5, 40.0))
 def test_the_free_terms_below_and_above_the_wanted_speed_join(v0: float) -> None:
     below, above = (
-        idm_acceleration(v, v0, 0.0, np.inf, 0.0, A, B, TAU, S0) for v in (v0 * (1 - 1e-9), v0 * (1 + 1e-9))
+        idm_acceleration(v, v0, 0.0, np.inf, 0.0, A, B, TAU, S0)
+        for v in (v0 * (1 - 1e-9), v0 * (1 + 1e-9))
     )
     assert below == pytest.approx(above, abs=1e-6)
 
 
 def test_it_stops_before_what_stands_and_says_so() -> None:
-    drive = drives(lanes(along_x()), EgoState(0.0, 0.0, 0.0, 0.0, 12.0), standing("parked", 90.0, 0.8), seconds=30.0)
+    drive = drives(
+        lanes(along_x()),
+        EgoState(0.0, 0.0, 0.0, 0.0, 12.0),
+        standing("parked", 90.0, 0.8),
+        seconds=30.0,
+    )
     assert 1.0 < gaps(drive, "parked")[-1] < 3.5
     assert drive[-1][0].ego.v < 0.1
     assert decided(drive[50][1], "parked", "speed") is DecisionKind.STOP
@@ -58,11 +89,15 @@ def test_it_stops_before_what_stands_and_says_so() -> None:
 
 def test_who_follows_or_drives_beside_is_no_leader() -> None:
     points = along_x()
-    road = Road({0: strip(0, points, left_neighbour=1), 1: strip(1, beside(points, 3.5), right_neighbour=0)})
+    road = Road(
+        {0: strip(0, points, left_neighbour=1), 1: strip(1, beside(points, 3.5), right_neighbour=0)}
+    )
     others = (driving("behind", -15.0, 0.0, 14.0), driving("beside", 3.0, 3.5, 10.0))
     drive = drives(road, EgoState(0.0, 0.0, 0.0, 0.0, 10.0), *others, seconds=3.0)
     assert min(plan.trajectory.a.min() for _, plan in drive) > -0.5
-    assert all(decided(plan, name, "speed") is None for _, plan in drive for name in ("behind", "beside"))
+    assert all(
+        decided(plan, name, "speed") is None for _, plan in drive for name in ("behind", "beside")
+    )
 
 
 def test_from_an_offset_it_returns_to_the_middle_smoothly() -> None:

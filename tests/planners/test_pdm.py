@@ -48,7 +48,9 @@ def drives(road: Road, ego: EgoState, *others: Other, seconds: float) -> Drive:
     return followed(road, ego, others, seconds=seconds, build=pdm)
 
 
-def at_speed(v: float, *others: Other, l: float = 0.0, road: Road | None = None, a: float = 0.0) -> Scores:  # noqa: E741
+def at_speed(
+    v: float, *others: Other, l: float = 0.0, road: Road | None = None, a: float = 0.0
+) -> Scores:  # noqa: E741
     """The score of going on straight, 4 s with a constant acceleration until it stands."""
     ego = EgoState(0.0, 0.0, l, 0.0, v, a)
     now = scene(reference(road or lanes(along_x())), ego, others)
@@ -77,16 +79,22 @@ def test_less_room_or_a_slower_leader_never_accelerate(
     here = idm_acceleration(v, v0, gap, lead, DRIVER)
     assert -C.decel_mps2 <= here <= C.accel_mps2
     assert idm_acceleration(v, v0 + more, gap, lead, DRIVER) >= here
-    if v * C.headway_s + v * (v - lead - more) / (2.0 * np.sqrt(4.5)) >= -C.min_gap_m:  # the wanted gap is one
+    # The wanted gap is one
+    if v * C.headway_s + v * (v - lead - more) / (2.0 * np.sqrt(4.5)) >= -C.min_gap_m:
         assert idm_acceleration(v, v0, gap + more, lead + more, DRIVER) >= here - 1e-9
 
 
 @given(SPEED, st.lists(st.floats(1.0, 30.0), min_size=2, max_size=6), st.floats(5.0, 120.0), SPEED)
-def test_who_wants_to_be_faster_is_never_behind(v: float, speeds: list[float], gap: float, lead: float) -> None:
+def test_who_wants_to_be_faster_is_never_behind(
+    v: float, speeds: list[float], gap: float, lead: float
+) -> None:
     """More speed limit never reorders the proposals of a track, with and without a leader."""
     t = np.arange(0.0, 8.01, 0.2)
     lower = gap + lead * t[None]
-    for some in ((lower, lower + 6.0, np.array([lead])), (np.empty((0, len(t))), np.empty((0, len(t))), np.empty(0))):
+    for some in (
+        (lower, lower + 6.0, np.array([lead])),
+        (np.empty((0, len(t))), np.empty((0, len(t))), np.empty(0)),
+    ):
         found = drive_track(np.sort(speeds), t, *some, v, 1.4, DRIVER)
         assert (np.diff(found[:, 0], axis=0) >= -1e-6).all()
         assert (found[:, 1] >= 0.0).all()
@@ -110,12 +118,21 @@ def test_what_is_simulated_is_drivable_and_its_mirror_image_mirrored(
 ) -> None:
     path = path_of(0.02 * np.sin(np.arange(600) / 30.0), 0.5)
     profile = drive_track(
-        np.array([max(wanted, 0.5)]), np.arange(0.0, 8.1, 0.2), NONE[:, :0], NONE[:, :0], np.empty(0), v, 1.4, DRIVER
+        np.array([max(wanted, 0.5)]),
+        np.arange(0.0, 8.1, 0.2),
+        NONE[:, :0],
+        NONE[:, :0],
+        np.empty(0),
+        v,
+        1.4,
+        DRIVER,
     )[0]
     one = track_proposal(path, profile, EgoState(0.0, 0.0, l, yaw, v, a), CAR, HORIZON_KNOTS)
     assert (one[3] >= 0.0).all()
     assert np.abs(one[5]).max() <= np.tan(CAR.max_steer) / CAR.wheelbase + 1e-9
-    np.testing.assert_allclose(np.hypot(np.diff(one[0]), np.diff(one[1])), 0.05 * (one[3, 1:] + one[3, :-1]), atol=1e-9)
+    np.testing.assert_allclose(
+        np.hypot(np.diff(one[0]), np.diff(one[1])), 0.05 * (one[3, 1:] + one[3, :-1]), atol=1e-9
+    )
     other = replace(path, y=-path.y, yaw=-path.yaw, kappa=-path.kappa)
     two = track_proposal(other, profile, EgoState(0.0, 0.0, -l, -yaw, v, a), CAR, HORIZON_KNOTS)
     np.testing.assert_allclose(one * np.array([[1], [-1], [-1], [1], [1], [-1]]), two, atol=1e-9)
@@ -132,7 +149,9 @@ def test_a_free_drive_has_the_full_score() -> None:
 def test_a_contact_in_front_is_the_egos_fault_when_the_boxes_touch(v: float, x: float) -> None:
     found = at_speed(v, standing("parked", x, 0.0))
     until = (x - 2.25 - CAR.axle_to_front) / v
-    assert (part(found, "no collision") == 0.0) == (until <= 4.0 - 1e-9) or until == pytest.approx(4.0, abs=0.1)
+    assert (part(found, "no collision") == 0.0) == (until <= 4.0 - 1e-9) or until == pytest.approx(
+        4.0, abs=0.1
+    )
     if until < 3.9:
         assert found.contact[0] == pytest.approx(until, abs=0.1)
         assert found.agent[0] == 0
@@ -164,7 +183,11 @@ def test_off_the_road_and_against_the_traffic() -> None:
     rows = np.zeros((2, 6, 41))
     rows[:, 0] = 8.0 * STEP_S * np.arange(41)
     rows[:, 3] = 8.0
-    cases = ((-1.6, two_way(), (1.0, 0.0)), (3.5, two_way(), (0.0, 1.0)), (3.5, lanes(along_x(), 2), (1.0, 1.0)))
+    cases = (
+        (-1.6, two_way(), (1.0, 0.0)),
+        (3.5, two_way(), (0.0, 1.0)),
+        (3.5, lanes(along_x(), 2), (1.0, 1.0)),
+    )
     for end, road, expected in cases:
         rows[1, 1] = np.linspace(0.0, end, 41)
         rows[1, 2] = np.arctan2(end / 40, 0.8)
@@ -180,12 +203,24 @@ def test_comfort_is_nuplans() -> None:
     def row(a: FloatArray, v: float = 10.0, kappa: float = 0.0) -> FloatArray:
         speed = v + np.r_[0.0, np.cumsum(0.1 * a[1:])]
         return np.array(
-            [np.zeros(41), np.zeros(41), speed * kappa * STEP_S * np.arange(41), speed, a, np.full(41, kappa)]
+            [
+                np.zeros(41),
+                np.zeros(41),
+                speed * kappa * STEP_S * np.arange(41),
+                speed,
+                a,
+                np.full(41, kappa),
+            ]
         )
 
     t = STEP_S * np.arange(41)
-    gentle, sudden = row(-2.0 * np.minimum(t, 1.0)), row(np.where(t < 2.0, 0.0, -12.0 * (t - 2.0)), 20.0)
-    found = comfortable(np.array([gentle, sudden, row(0.0 * t, 10.0, 0.05), row(0.0 * t, 10.0, 0.04)]))
+    gentle, sudden = (
+        row(-2.0 * np.minimum(t, 1.0)),
+        row(np.where(t < 2.0, 0.0, -12.0 * (t - 2.0)), 20.0),
+    )
+    found = comfortable(
+        np.array([gentle, sudden, row(0.0 * t, 10.0, 0.05), row(0.0 * t, 10.0, 0.04)])
+    )
     assert found.tolist() == [True, False, False, True]
     assert BOUNDS[1, 1] == pytest.approx(4.89)
 
@@ -200,7 +235,12 @@ def test_the_predictions_of_the_loop_do_not_change_a_plan() -> None:
 
 
 def test_it_passes_a_parked_car_by_an_offset() -> None:
-    drive = drives(lanes(along_x()), EgoState(0.0, 0.0, 0.0, 0.0, 8.0), standing("parked", 70.0, -2.0), seconds=14.0)
+    drive = drives(
+        lanes(along_x()),
+        EgoState(0.0, 0.0, 0.0, 0.0, 8.0),
+        standing("parked", 70.0, -2.0),
+        seconds=14.0,
+    )
     assert gaps(drive, "parked").min() > 0.05
     assert drive[-1][0].ego.x > 80.0
 
@@ -229,6 +269,11 @@ def test_all_proposals_and_their_scores_are_in_the_plan() -> None:
 def test_settings() -> None:
     keywords = planner_part("pdm", {"offsets_m": [0.5], "horizon_s": 3.0}).keywords()
     assert keywords["config"] == PdmConfig(offsets_m=(0.5,), horizon_s=3.0)
-    for wrong in ({"speed_shares": ()}, {"radius_m": 0.0}, {"offsets_m": (-1.0,)}, {"horizon_s": 9.0}):
+    for wrong in (
+        {"speed_shares": ()},
+        {"radius_m": 0.0},
+        {"offsets_m": (-1.0,)},
+        {"horizon_s": 9.0},
+    ):
         with pytest.raises(ValueError, match="pdm"):
             PdmConfig(**wrong)  # type: ignore[arg-type]

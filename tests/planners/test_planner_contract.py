@@ -36,9 +36,23 @@ def busy_street() -> Scenario:
     return scenario(
         ego,
         agents=tracks(
-            track("lead", lead.t, lead.x + 30.0 * np.cos(lead.yaw), lead.y + 30.0 * np.sin(lead.yaw), yaw=lead.yaw),
+            track(
+                "lead",
+                lead.t,
+                lead.x + 30.0 * np.cos(lead.yaw),
+                lead.y + 30.0 * np.sin(lead.yaw),
+                yaw=lead.yaw,
+            ),
             track("parked", [0.0], [parked.x], [parked.y - 2.5], yaw=parked.yaw, static=True),
-            track("walker", t, np.full_like(t, 70.0), -4.0 + 1.4 * t, kind=AgentKind.PEDESTRIAN, length=0.5, width=0.5),
+            track(
+                "walker",
+                t,
+                np.full_like(t, 70.0),
+                -4.0 + 1.4 * t,
+                kind=AgentKind.PEDESTRIAN,
+                length=0.5,
+                width=0.5,
+            ),
         ),
     )
 
@@ -68,7 +82,11 @@ QUICK = ("idm", "constant_speed")
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow) for name in PLANNER.causal]
+    "name",
+    [
+        pytest.param(name, marks=() if name in QUICK else pytest.mark.slow)
+        for name in PLANNER.causal
+    ],
 )
 def test_the_contract_holds(name: str, all_scenes: dict[str, Scenario]) -> None:
     check_planner(name, scenarios=all_scenes.values())
@@ -87,7 +105,9 @@ class Nosy:
 
 
 @pytest.mark.parametrize("name", [*PLANNER.oracles, "nosy"])
-def test_no_later_sample_of_an_agent_changes_an_oracles_plan(name: str, all_scenes: dict[str, Scenario]) -> None:
+def test_no_later_sample_of_an_agent_changes_an_oracles_plan(
+    name: str, all_scenes: dict[str, Scenario]
+) -> None:
     oracle: Any = PLANNER.builtin.get(name)
 
     def build(log: Scenario) -> Any:
@@ -107,8 +127,12 @@ def test_no_agent_sample_later_than_the_frame_is_perceived(t: float, seed: int) 
     agents = []
     for i in range(4):
         when = np.sort(rng.uniform(0.0, 4.0, rng.integers(1, 12)))
-        speed = {"vx": rng.normal(size=len(when)), "vy": rng.normal(size=len(when))} if i % 2 else {}
-        agents.append(track(str(i), when, rng.normal(size=len(when)), rng.normal(size=len(when)), **speed))
+        speed = (
+            {"vx": rng.normal(size=len(when)), "vy": rng.normal(size=len(when))} if i % 2 else {}
+        )
+        agents.append(
+            track(str(i), when, rng.normal(size=len(when)), rng.normal(size=len(when)), **speed)
+        )
     whole = tracks(*agents)
     one, two = whole.perceived(t), until(whole, t).perceived(t)
     assert one.ids == two.ids
@@ -117,7 +141,9 @@ def test_no_agent_sample_later_than_the_frame_is_perceived(t: float, seed: int) 
 
 
 @given(st.floats(-5.0, 30.0), st.floats(-0.2, 0.2), st.floats(-4.0, 4.0))
-def test_constant_speed_is_the_arc_of_the_kinematic_equations(v: float, kappa: float, yaw: float) -> None:
+def test_constant_speed_is_the_arc_of_the_kinematic_equations(
+    v: float, kappa: float, yaw: float
+) -> None:
     t = np.linspace(0.0, 5.0, 5001)
     way = arc(EgoState(0.0, 3.0, -2.0, yaw, v, 0.0, kappa), t)
     heading = yaw + v * kappa * t
@@ -141,7 +167,9 @@ def own_module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path
 
 
 def test_a_planner_of_the_users_own_is_found_in_the_working_directory(own_module: Path) -> None:
-    (own_module / "mine_a.py").write_text("from replan.planners.constant_speed import ConstantSpeed as MyPlanner\n")
+    (own_module / "mine_a.py").write_text(
+        "from replan.planners.constant_speed import ConstantSpeed as MyPlanner\n"
+    )
     assert planner_part("mine_a:MyPlanner").factory.__name__ == "ConstantSpeed"
     with pytest.raises(PlannerError, match="did you mean 'MyPlanner'"):
         _ = planner_part("mine_a:MyPlaner").factory

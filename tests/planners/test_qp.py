@@ -27,12 +27,17 @@ def vectors(A: sparse.csc_matrix, seed: int) -> Vectors:
     """A cost and bounds that some point satisfies; the last rows keep the problem bounded."""
     rng = np.random.default_rng(seed)
     value = A @ rng.normal(size=A.shape[1])
-    lower, upper = value - rng.uniform(0.01, 2.0, len(value)), value + rng.uniform(0.01, 2.0, len(value))
+    lower, upper = (
+        value - rng.uniform(0.01, 2.0, len(value)),
+        value + rng.uniform(0.01, 2.0, len(value)),
+    )
     lower[:EQUALITIES] = upper[:EQUALITIES] = value[:EQUALITIES]
     return 5.0 * rng.normal(size=A.shape[1]), lower, upper
 
 
-def program(seed: int, config: QPConfig) -> tuple[QuadraticProgram, sparse.csc_matrix, sparse.csc_matrix]:
+def program(
+    seed: int, config: QPConfig
+) -> tuple[QuadraticProgram, sparse.csc_matrix, sparse.csc_matrix]:
     P, A = matrices(seed)
     return QuadraticProgram("test", P, A, equalities=EQUALITIES, config=config), P, A
 
@@ -41,7 +46,9 @@ def cost(P: sparse.csc_matrix, q: FloatArray, x: FloatArray) -> float:
     return float(0.5 * x @ (P @ x) + q @ x)
 
 
-def stationarity(P: sparse.csc_matrix, A: sparse.csc_matrix, data: Vectors, x: FloatArray, active: float) -> float:
+def stationarity(
+    P: sparse.csc_matrix, A: sparse.csc_matrix, data: Vectors, x: FloatArray, active: float
+) -> float:
     """Least |P x + q + A' y| over multipliers of the right sign at the bounds that x touches within `active`."""
     q, lower, upper = data
     value = A @ x
@@ -88,12 +95,17 @@ def test_what_is_called_solved_keeps_its_bounds(matrix: int, vector: int, expone
 @pytest.mark.parametrize("config", [QPConfig(), SURE, FAST], ids=["default", "piqp", "osqp"])
 @given(matrix=SEED, vector=SEED, before=st.lists(SEED, min_size=1, max_size=3))
 @settings(max_examples=20)
-def test_a_fresh_solve_knows_nothing_of_others(config: QPConfig, matrix: int, vector: int, before: list[int]) -> None:
+def test_a_fresh_solve_knows_nothing_of_others(
+    config: QPConfig, matrix: int, vector: int, before: list[int]
+) -> None:
     used, _, A = program(matrix, config)
     for seed in before:
         used.solve(*vectors(A, seed), fresh=False)
     data = vectors(A, vector)
-    again, first = used.solve(*data, fresh=True), program(matrix, config)[0].solve(*data, fresh=True)
+    again, first = (
+        used.solve(*data, fresh=True),
+        program(matrix, config)[0].solve(*data, fresh=True),
+    )
     np.testing.assert_array_equal(again.x, first.x)
     assert again.report == first.report
 
@@ -147,16 +159,23 @@ def test_the_report_says_which_row_crosses_and_who_solved() -> None:
     assert "row 4" in solver.solve(*broken("bounds cross", data), fresh=True).report.status
     assert "nan" in solver.solve(*broken("a bound is no number", data), fresh=True).report.status
     result: QPResult = solver.solve(*data, fresh=True)
-    assert result.report.stage == "test" and result.report.status == "solved by PIQP after 1 OSQP iterations"
+    assert (
+        result.report.stage == "test"
+        and result.report.status == "solved by PIQP after 1 OSQP iterations"
+    )
     assert result.report.iterations > 1 and result.report.primal_residual < 1e-6
 
 
 @given(SEED, SEED, st.lists(st.floats(-2.0, 2.0), min_size=7, max_size=7))
 @settings(max_examples=20)
-def test_the_scale_of_the_variables_does_not_change_the_answer(matrix: int, vector: int, sizes: list[float]) -> None:
+def test_the_scale_of_the_variables_does_not_change_the_answer(
+    matrix: int, vector: int, sizes: list[float]
+) -> None:
     P, A = matrices(matrix)
     P = P + sparse.eye(7)  # strictly convex: one answer only
-    scaled = QuadraticProgram("test", P, A, equalities=EQUALITIES, scale=10.0 ** np.array(sizes), config=SURE)
+    scaled = QuadraticProgram(
+        "test", P, A, equalities=EQUALITIES, scale=10.0 ** np.array(sizes), config=SURE
+    )
     plain = QuadraticProgram("test", P, A, equalities=EQUALITIES, config=SURE)
     data = vectors(A, vector)
     one, two = scaled.solve(*data, fresh=True), plain.solve(*data, fresh=True)
@@ -186,7 +205,9 @@ def test_new_numbers_in_the_matrix_are_a_new_problem(
         used.solve(*vectors(A, seed), fresh=False)
     used.refill(wanted.data)
     found = used.solve(*data, fresh=True)
-    built = QuadraticProgram("test", P, wanted, equalities=EQUALITIES, config=SURE).solve(*data, fresh=True)
+    built = QuadraticProgram("test", P, wanted, equalities=EQUALITIES, config=SURE).solve(
+        *data, fresh=True
+    )
     assert found.report.solved and built.report.solved
     assert cost(P, data[0], found.x) == pytest.approx(cost(P, data[0], built.x), abs=2e-3, rel=1e-4)
     value = wanted @ found.x
@@ -204,7 +225,9 @@ def test_numbers_that_do_not_fit_are_refused() -> None:
         solver.refill(np.full(len(A.data), np.nan))
 
 
-@pytest.mark.parametrize("wrong", [{"eps": 0.0}, {"max_iterations": -1}, {"tolerance": float("nan")}])
+@pytest.mark.parametrize(
+    "wrong", [{"eps": 0.0}, {"max_iterations": -1}, {"tolerance": float("nan")}]
+)
 def test_settings_are_checked(wrong: dict[str, float]) -> None:
     with pytest.raises(ValueError, match="positive"):
         QPConfig(**wrong)  # type: ignore[arg-type]

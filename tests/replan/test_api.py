@@ -22,16 +22,32 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_function_and_the_command_write_the_same(logs: Path, tmp_path: Path) -> None:
     given = {"planners": "constant_speed", "mode": "closed", "recording": False, "ensemble": 1}
     made = replan.evaluate(logs, out=tmp_path / "one", **given)
-    words = ["--planner", "constant_speed", "--mode", "closed", "--no-recording", "--ensemble", "1", "--workers", "0"]
+    words = [
+        "--planner",
+        "constant_speed",
+        "--mode",
+        "closed",
+        "--no-recording",
+        "--ensemble",
+        "1",
+        "--workers",
+        "0",
+    ]
     assert command("evaluate", logs, "--out", tmp_path / "two", *words).exit_code == made.exit_code
-    assert all((made.path / name).stat().st_size for name in REPORTS)  # they have planning times of the clock
+    # They have planning times of the clock
+    assert all((made.path / name).stat().st_size for name in REPORTS)
     for name in ("metrics.parquet", "verdicts.parquet", "run.toml", "junit.xml"):
-        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes(), name
+        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes(), (
+            name
+        )
 
 
 def test_a_part_of_the_logs_and_a_run_beside_another(logs: Path, tmp_path: Path) -> None:
     given = {"planners": "constant_speed", "mode": "closed", "recording": False}
-    parts = [replan.evaluate(logs, out=tmp_path / f"{k}", shard=f"{k}/2", report=False, **given) for k in (1, 2)]
+    parts = [
+        replan.evaluate(logs, out=tmp_path / f"{k}", shard=f"{k}/2", report=False, **given)
+        for k in (1, 2)
+    ]
     assert [list(part.logs["log"]) for part in parts] == [["test/free"], ["test/blocked"]]
     assert not any((part.path / name).exists() for part in parts for name in REPORTS)
     whole = replan.evaluate(logs, out=tmp_path / "whole", report=False, **given)

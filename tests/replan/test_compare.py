@@ -38,14 +38,20 @@ def of(*paths: Path, **how: object) -> Comparison:
     return compare_runs(read_run(paths[0]), read_run(paths[-1]), **how)  # type: ignore[arg-type]
 
 
-def test_the_same_run_is_no_difference_as_folder_and_as_file(runs: tuple[Path, Path], tmp_path: Path) -> None:
+def test_the_same_run_is_no_difference_as_folder_and_as_file(
+    runs: tuple[Path, Path], tmp_path: Path
+) -> None:
     files = tmp_path / "one.parquet", tmp_path / "two.parquet"
     for file in files:
         write_baseline(read_run(runs[0]), file)
     assert files[0].read_bytes() == files[1].read_bytes() and files[0].stat().st_size < 100_000
     for pair in ((runs[0], runs[0]), (files[0], runs[0]), (files[0], files[1])):
         found = of(*pair)
-        assert (found.pairs["delta"].dropna() == 0.0).all() and found.flips.empty and found.partings.empty
+        assert (
+            (found.pairs["delta"].dropna() == 0.0).all()
+            and found.flips.empty
+            and found.partings.empty
+        )
         assert (found.differences, found.exit_code) == ((), 0)
         assert len(found.pairs) > 300 and not found.only_in_baseline and not found.only_in_candidate
 
@@ -54,7 +60,9 @@ def test_the_same_run_is_no_difference_as_folder_and_as_file(runs: tuple[Path, P
 def test_a_delay_is_named_as_input_and_parts_in_the_controller(runs: tuple[Path, Path]) -> None:
     found = of(*runs)
     assert found.differences == ("loop.plan_delay_s: 0.0 -> 0.1",)
-    assert set(found.partings["stage"]) == {"controller"} and set(found.partings["mode"]) == {"closed"}
+    assert set(found.partings["stage"]) == {"controller"} and set(found.partings["mode"]) == {
+        "closed"
+    }
     assert of(*runs, partings=0).partings.empty
     one = of(*runs, partings=1)
     assert len(one.partings) == 1 and one.not_looked_at == 3 and found.not_looked_at == 0
@@ -66,7 +74,11 @@ def test_two_planners_of_one_run(runs: tuple[Path, Path]) -> None:
     assert (found.baseline, found.candidate) == ("before: constant_speed", "before: idm")
     assert set(found.pairs["planner"]) == {"constant_speed -> idm"} and found.differences == ()
     pedestrian = found.flips[found.flips["log"] == LOGS[0]].set_index("metric")
-    assert pedestrian.loc["completed.final", "after"] == "pass" != pedestrian.loc["completed.final", "before"]
+    assert (
+        pedestrian.loc["completed.final", "after"]
+        == "pass"
+        != pedestrian.loc["completed.final", "before"]
+    )
     assert set(found.partings["stage"]) == {"plan"}
     back = of(runs[0], planners=("idm", "constant_speed"), partings=0)
     assert back.exit_code == 1 and len(back.flips) == len(found.flips)
@@ -86,7 +98,9 @@ def test_a_missing_log_and_an_older_folder(runs: tuple[Path, Path], tmp_path: Pa
     table = pd.read_parquet(less / "metrics.parquet")
     write_parquet(less / "metrics.parquet", table[table["log"] != gone["log"]])
     found = of(runs[0], less)
-    assert len(found.only_in_baseline) == 2 and all(said.startswith(gone["log"]) for said in found.only_in_baseline)
+    assert len(found.only_in_baseline) == 2 and all(
+        said.startswith(gone["log"]) for said in found.only_in_baseline
+    )
     assert found.exit_code == 1 and found.verdicts[0].outcome.value == "fail"
     assert of(less, runs[0]).exit_code == 0
 
@@ -113,30 +127,50 @@ def test_a_damaged_folder_is_an_error_in_one_line(runs: tuple[Path, Path], tmp_p
         trace.unlink()
     assert set(of(runs[0], lost).partings["stage"]) == {"not known"}
     for file, content, code in (
-        ("metrics.parquet", "PAR1", 3), ("verdicts.parquet", "", 3), ("timings.parquet", None, 3),
-        ("summary.json", "[]", 2), ("summary.json", '{"schema_version": 1}', 2),
-    ):  # fmt: skip
+        ("metrics.parquet", "PAR1", 3),
+        ("verdicts.parquet", "", 3),
+        ("timings.parquet", None, 3),
+        ("summary.json", "[]", 2),
+        ("summary.json", '{"schema_version": 1}', 2),
+    ):
         damaged = tmp_path / f"{file}-{content}"
         shutil.copytree(runs[1], damaged)
         (damaged / file).unlink() if content is None else (damaged / file).write_text(content)
         result = replan("report", damaged)
-        assert result.exit_code == code and file in result.stderr and "Traceback" not in result.stderr
+        assert (
+            result.exit_code == code and file in result.stderr and "Traceback" not in result.stderr
+        )
 
 
 CASES: dict[str, tuple[int, Callable[[tuple[Path, Path], Path], tuple[object, ...]]]] = {
     "pass": (0, lambda runs, tmp: (runs[0], runs[0])),
-    "a rule failed": (1, lambda runs, tmp: (*runs, "--gates", _rule(tmp, "tracking_speed.p95", "max_increase = 0.0"))),
+    "a rule failed": (
+        1,
+        lambda runs, tmp: (
+            *runs,
+            "--gates",
+            _rule(tmp, "tracking_speed.p95", "max_increase = 0.0"),
+        ),
+    ),
     "one run": (2, lambda runs, tmp: (runs[0],)),
     "no such run": (2, lambda runs, tmp: (runs[0], tmp / "no")),
-    "a bad rule": (2, lambda runs, tmp: (*runs, "--gates", _rule(tmp, "tracking_sped.p95", "max_increase = 0.0"))),
+    "a bad rule": (
+        2,
+        lambda runs, tmp: (*runs, "--gates", _rule(tmp, "tracking_sped.p95", "max_increase = 0.0")),
+    ),
     "damaged": (3, lambda runs, tmp: (runs[0], _damaged(tmp))),
-    "nothing to judge": (4, lambda runs, tmp: (*runs, "--gates", _rule(tmp, "red_light.count", "max_increase = 0.0"))),
+    "nothing to judge": (
+        4,
+        lambda runs, tmp: (*runs, "--gates", _rule(tmp, "red_light.count", "max_increase = 0.0")),
+    ),
 }
 
 
 def _rule(folder: Path, metric: str, limit: str) -> Path:
     file = folder / "gates.toml"
-    file.write_text(f'[[gate]]\nmetric = "gap.min"\nmin = 0\n[[compare]]\nmetric = "{metric}"\n{limit}\n')
+    file.write_text(
+        f'[[gate]]\nmetric = "gap.min"\nmin = 0\n[[compare]]\nmetric = "{metric}"\n{limit}\n'
+    )
     return file
 
 
@@ -152,20 +186,44 @@ def test_exit_codes(runs: tuple[Path, Path], tmp_path: Path, case: str) -> None:
 
 
 @pytest.mark.slow
-def test_evaluate_counts_the_rules_against_its_baseline(runs: tuple[Path, Path], tmp_path: Path) -> None:
+def test_evaluate_counts_the_rules_against_its_baseline(
+    runs: tuple[Path, Path], tmp_path: Path
+) -> None:
     """The gate passes in both runs: it is the baseline that decides."""
-    file, logs = tmp_path / "baseline.parquet", runs[0].parent / "logs" / "paper" / "crossing_pedestrian.mcap"
+    file, logs = (
+        tmp_path / "baseline.parquet",
+        runs[0].parent / "logs" / "paper" / "crossing_pedestrian.mcap",
+    )
     assert replan("baseline", runs[0], "-o", file).exit_code == 0
     gates = _rule(tmp_path, "tracking_speed.p95", "max_increase = 0.0")
     delay = tmp_path / "late.toml"
     delay.write_text("[loop]\nplan_delay_s = 0.1\n")
-    common = ("evaluate", logs, "-p", "idm", "--mode", "closed", "--no-recording", "--workers", 0, "--gates", gates)
+    common = (
+        "evaluate",
+        logs,
+        "-p",
+        "idm",
+        "--mode",
+        "closed",
+        "--no-recording",
+        "--workers",
+        0,
+        "--gates",
+        gates,
+    )
     same = replan(*common, "--out", tmp_path / "a", "--baseline", file)
-    late = replan(*common, "--out", tmp_path / "b", "--baseline", file, "--config", delay, "--quiet")
+    late = replan(
+        *common, "--out", tmp_path / "b", "--baseline", file, "--config", delay, "--quiet"
+    )
     assert (same.exit_code, late.exit_code) == (0, 1), same.stdout
     assert re.search(r"^Comparison: PASS *$", same.stdout, re.MULTILINE)
-    for result, words in ((same, "Outcome: PASS (exit code 0)"), (late, "Outcome: FAIL (exit code 1)")):
-        assert result.stdout.rstrip().splitlines()[-1].startswith(words), "the last line is that of the whole"
+    for result, words in (
+        (same, "Outcome: PASS (exit code 0)"),
+        (late, "Outcome: FAIL (exit code 1)"),
+    ):
+        assert result.stdout.rstrip().splitlines()[-1].startswith(words), (
+            "the last line is that of the whole"
+        )
     assert "Comparison: FAIL\n" in late.stdout
     assert replan(*common, "--out", tmp_path / "a", "--baseline", tmp_path / "a").exit_code == 2
     assert replan(*common, "--out", tmp_path / "c", "--baseline", tmp_path / "no").exit_code == 2
@@ -176,13 +234,30 @@ def test_evaluate_counts_the_rules_against_its_baseline(runs: tuple[Path, Path],
 @pytest.mark.nightly
 def test_planted_regressions_are_caught_and_named(tmp_path: Path) -> None:
     """On four logs no mean can be significant: the delay is inconclusive; all name their stage."""
-    logs = ("paper/crossing_pedestrian", "everyday/follow", "everyday/cut_in", "pedestrian/jaywalker")
+    logs = (
+        "paper/crossing_pedestrian",
+        "everyday/follow",
+        "everyday/cut_in",
+        "pedestrian/jaywalker",
+    )
     found = dict(regressions.compared(tmp_path, logs, list(regressions.CHANGES), workers=1))
     stages = {name: set(comparison.partings["stage"]) for name, comparison in found.items()}
     codes = {name: comparison.exit_code for name, comparison in found.items()}
-    assert codes == {"weight": 1, "class": 1, "prediction": 1, "delay": 4, "again": 0, "tiny": 0, "solver": 0}
+    assert codes == {
+        "weight": 1,
+        "class": 1,
+        "prediction": 1,
+        "delay": 4,
+        "again": 0,
+        "tiny": 0,
+        "solver": 0,
+    }
     assert (
-        stages["weight"] == {"speed DP"} and "controller" in stages["delay"] and stages["prediction"] == {"prediction"}
+        stages["weight"] == {"speed DP"}
+        and "controller" in stages["delay"]
+        and stages["prediction"] == {"prediction"}
     )
     assert stages["class"] <= {"path DP", "S-T graph"} and stages["again"] == set()
-    assert (found["again"].pairs["delta"].dropna() == 0.0).all() and found["again"].differences == ()
+    assert (found["again"].pairs["delta"].dropna() == 0.0).all() and found[
+        "again"
+    ].differences == ()

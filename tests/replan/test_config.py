@@ -23,21 +23,33 @@ from replan.run.checks import checked
 from replan.run.judging import explained
 
 WORDS = st.text("abcdefgh_:.", min_size=1, max_size=12)
-VEHICLE_KEYS = {"mass": st.floats(500.0, 3000.0), "width": st.floats(1.0, 3.0), "set": st.sampled_from(vehicle_names())}
+VEHICLE_KEYS = {
+    "mass": st.floats(500.0, 3000.0),
+    "width": st.floats(1.0, 3.0),
+    "set": st.sampled_from(vehicle_names()),
+}
 RUNS = st.builds(
     RunConfig,
     planners=st.lists(WORDS, min_size=1, max_size=3, unique=True).map(tuple),
     mode=st.sampled_from(["both", "open", "closed"]),
     internals=st.sampled_from(["none", "summary", "full"]),
     recording=st.booleans(),
-    loop=st.builds(LoopConfig, plan_period_s=st.sampled_from([0.1, 0.2]), prediction_horizon_s=st.floats(1.0, 9.0)),
-    planner=st.dictionaries(WORDS, st.dictionaries(WORDS, st.integers() | st.floats(-1e6, 1e6) | st.text(max_size=5))),
+    loop=st.builds(
+        LoopConfig,
+        plan_period_s=st.sampled_from([0.1, 0.2]),
+        prediction_horizon_s=st.floats(1.0, 9.0),
+    ),
+    planner=st.dictionaries(
+        WORDS, st.dictionaries(WORDS, st.integers() | st.floats(-1e6, 1e6) | st.text(max_size=5))
+    ),
     vehicle=st.fixed_dictionaries({}, optional=VEHICLE_KEYS),
 )
 
 
 @given(run=RUNS)
-def test_written_then_read_is_the_same(run: RunConfig, tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_written_then_read_is_the_same(
+    run: RunConfig, tmp_path_factory: pytest.TempPathFactory
+) -> None:
     path = tmp_path_factory.mktemp("run") / "run.toml"
     path.write_text(dump_run(run), encoding="utf-8")
     assert load_run(path) == run
@@ -56,27 +68,44 @@ def test_any_misspelled_key_is_refused_with_the_right_one_named(name: str, extra
     ("text", "said"),
     [
         ("planers = ['dp_qp']", "no key is called 'planers'; did you mean 'planners'?"),
-        ("[loop]\nplan_period = 0.1", "no key is called 'loop.plan_period'; did you mean 'loop.plan_period_s'?"),
-        ("[loop]\nmode = 'open'", "no key is called 'loop.mode'; known are: apart, control_period_s"),
+        (
+            "[loop]\nplan_period = 0.1",
+            "no key is called 'loop.plan_period'; did you mean 'loop.plan_period_s'?",
+        ),
+        (
+            "[loop]\nmode = 'open'",
+            "no key is called 'loop.mode'; known are: apart, control_period_s",
+        ),
         ("[loop]\nplan_period_s = '0.1'", "loop.plan_period_s: expected float, got str"),
         ("[loop]\nplan_period_s = true", "loop.plan_period_s: expected float, got bool"),
         ("[loop]\nplan_period_s = 0.015", "must be a multiple"),
         ("mode = 'sideways'", "mode: Invalid enum value 'sideways'"),
         ("planners = []", "name at least one planner"),
         ("planners = ['dp_qp', 'dp_qp']", "named twice"),
-        ("[vehicle]\nlenght = 4.0", "no key is called 'vehicle.lenght'; did you mean 'vehicle.length'?"),
+        (
+            "[vehicle]\nlenght = 4.0",
+            "no key is called 'vehicle.lenght'; did you mean 'vehicle.length'?",
+        ),
         ("[vehicle]\nlength = -4.0", "vehicle: vehicle length must be positive"),
-        ("[vehicle]\nset = 'vw_vanagn'", "no vehicle is called 'vw_vanagn'; did you mean 'vw_vanagon'?"),
+        (
+            "[vehicle]\nset = 'vw_vanagn'",
+            "no vehicle is called 'vw_vanagn'; did you mean 'vw_vanagon'?",
+        ),
         ("[vehicle]\nset = 'lorry'", "known are: bmw_320i, small_electric, vw_vanagon"),
         ("[vehicle]\nset = 3", "vehicle.set: expected str, got int"),
-        ("[vehicle]\nset = 'vw_vanagon'\nlength = -4.0", "vehicle: vehicle length must be positive"),
+        (
+            "[vehicle]\nset = 'vw_vanagon'\nlength = -4.0",
+            "vehicle: vehicle length must be positive",
+        ),
         ("[vehicle]\nmass = 'heavy'", "vehicle.mass: expected float, got str"),
         ("planners = [1]", "planners[0]: expected str, got int"),
         ("loop = 3", "loop: expected"),
         ("mode =", "not TOML"),
     ],
 )
-def test_what_is_wrong_is_one_line_that_names_file_and_key(text: str, said: str, tmp_path: Path) -> None:
+def test_what_is_wrong_is_one_line_that_names_file_and_key(
+    text: str, said: str, tmp_path: Path
+) -> None:
     path = tmp_path / "run.toml"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(ConfigError) as caught:
@@ -97,7 +126,9 @@ def test_gates_are_relative_to_their_configuration(tmp_path: Path) -> None:
     assert RunConfig().gates_path is None
 
 
-def test_gates_of_a_run_are_found_from_its_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_gates_of_a_run_are_found_from_its_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     for name in ("mine.toml", "default"):
         folder = tmp_path / "results" / name
@@ -114,10 +145,14 @@ def test_vehicle_replaces_what_the_log_says() -> None:
 
 
 @given(name=st.sampled_from(vehicle_names()), mass=st.floats(500.0, 3000.0))
-def test_a_known_vehicle_replaces_the_logs_and_other_keys_replace_its_own(name: str, mass: float) -> None:
+def test_a_known_vehicle_replaces_the_logs_and_other_keys_replace_its_own(
+    name: str, mass: float
+) -> None:
     log = VehicleParameters(mass=900.0, width=2.0)
     assert RunConfig(vehicle={"set": name}).driven(log) == vehicle_parameters(name)
-    assert RunConfig(vehicle={"set": name, "mass": mass}).driven(log) == replace(vehicle_parameters(name), mass=mass)
+    assert RunConfig(vehicle={"set": name, "mass": mass}).driven(log) == replace(
+        vehicle_parameters(name), mass=mass
+    )
     assert load_run(None, {"vehicle": {"set": name}}).driven(log) == vehicle_parameters(name)
 
 
@@ -131,9 +166,15 @@ def test_planner_keywords_are_checked_and_typed() -> None:
     assert planner_part("constant_speed", {"horizon_s": 4.0}).keywords() == {"horizon_s": 4.0}
     with pytest.raises(ConfigError, match=r"planner\.constant_speed\.horizon.*did you mean"):
         planner_part("constant_speed", {"horizon": 4.0}).keywords()
-    config = planner_part("dp_qp", {"stitch_m": 0.4, "speed": {"qp": {"w_j": 9.0}}}).keywords()["config"]
+    config = planner_part("dp_qp", {"stitch_m": 0.4, "speed": {"qp": {"w_j": 9.0}}}).keywords()[
+        "config"
+    ]
     assert isinstance(config, DpQpConfig)
-    assert (config.stitch_m, config.speed.qp.w_j, config.stitch_mps) == (0.4, 9.0, DpQpConfig().stitch_mps)
+    assert (config.stitch_m, config.speed.qp.w_j, config.stitch_mps) == (
+        0.4,
+        9.0,
+        DpQpConfig().stitch_mps,
+    )
     with pytest.raises(ConfigError, match=r"planner\.dp_qp\.speed\.qp\.w_jj"):
         planner_part("dp_qp", {"speed": {"qp": {"w_jj": 9.0}}}).keywords()
     with pytest.raises(ConfigError, match=r"planner\.dp_qp\.stitch_m: expected float"):
@@ -159,9 +200,16 @@ def test_words_of_set_are_toml_or_text_and_change_one_key(tmp_path: Path) -> Non
     table = set_table(words)
     assert table["loop"] == {"plan_period_s": 0.2, "plant": {"mass": 1400}}
     assert table["planner"] == {"my:Mine": {"layers": [1, 2]}}
-    (tmp_path / "run.toml").write_text("gates = 'mine.toml'\n[loop]\nplan_delay_s = 0.1", encoding="utf-8")
+    (tmp_path / "run.toml").write_text(
+        "gates = 'mine.toml'\n[loop]\nplan_delay_s = 0.1", encoding="utf-8"
+    )
     run = load_run(tmp_path / "run.toml", table)
-    assert (run.mode, run.log.ego, run.loop.plan_delay_s, run.loop.plan_period_s) == ("open", "17", 0.1, 0.2)
+    assert (run.mode, run.log.ego, run.loop.plan_delay_s, run.loop.plan_period_s) == (
+        "open",
+        "17",
+        0.1,
+        0.2,
+    )
     assert run.gates_path == tmp_path / "mine.toml"
     for wrong in ("loop", "loop plan=1", "=1"):
         with pytest.raises(ConfigError, match="write it as KEY=VALUE"):
@@ -172,10 +220,15 @@ def test_a_table_may_name_a_part_of_its_settings_and_the_others_keep_their_defau
     whole = asdict(DpQpConfig())
     for key in dotted_keys(DpQpConfig):
         names = key.split(".")
-        part = reduce(lambda inner, name: {name: inner}, reversed(names), reduce(getitem, names, whole))
+        part = reduce(
+            lambda inner, name: {name: inner}, reversed(names), reduce(getitem, names, whole)
+        )
         assert strict(DpQpConfig, part) == DpQpConfig(), key
     harder = strict(DpQpConfig, {"speed": {"qp": {"comfort": {"decel_mps2": 4.5}}}}).speed.qp
-    assert replace(harder.comfort, decel_mps2=3.0) == DpQpConfig().speed.qp.comfort and harder.comfort.decel_mps2 == 4.5
+    assert (
+        replace(harder.comfort, decel_mps2=3.0) == DpQpConfig().speed.qp.comfort
+        and harder.comfort.decel_mps2 == 4.5
+    )
 
 
 def test_every_dotted_key_is_one_of_the_written_file() -> None:
@@ -216,6 +269,8 @@ def test_a_run_file_explains_every_setting_and_is_the_same_run(name: str, period
         ({"log": {"begin": "later"}}, "log.begin: expected float"),
     ],
 )
-def test_wrong_arguments_of_evaluate_name_the_key_and_what_is_known(given: dict[str, Any], said: str) -> None:
+def test_wrong_arguments_of_evaluate_name_the_key_and_what_is_known(
+    given: dict[str, Any], said: str
+) -> None:
     with pytest.raises(ConfigError, match=said):
         replan.evaluate(**given)

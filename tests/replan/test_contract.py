@@ -42,7 +42,9 @@ def test_a_planner_is_named_a_class_or_a_function(few: list[Scenario]) -> None:
 
 
 @pytest.mark.parametrize("planner", ["follower:Follower", "net_planner:Net"])
-def test_the_examples_keep_the_contract_of_planners(planner: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_examples_keep_the_contract_of_planners(
+    planner: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.syspath_prepend(str(EXAMPLES))
     replan.check_planner(planner)
 
@@ -69,7 +71,9 @@ def test_the_example_keeps_the_contract_of_metrics(monkeypatch: pytest.MonkeyPat
 @pytest.fixture
 def txy(tmp_path: Path) -> Path:
     path = tmp_path / "drive.txy"
-    path.write_text("".join(f"{0.1 * k:.1f} {k:.1f} 0.0 0.0\n" for k in range(30)), encoding="utf-8")
+    path.write_text(
+        "".join(f"{0.1 * k:.1f} {k:.1f} 0.0 0.0\n" for k in range(30)), encoding="utf-8"
+    )
     return path
 
 
@@ -85,7 +89,9 @@ def test_a_reader_is_named_or_an_object(txy: Path) -> None:
     replan.check_reader(contract_breakers.TXY, str(txy))
 
 
-def test_the_readers_of_our_own_logs_and_of_tables_keep_their_contract(tmp_path: Path, few: list[Scenario]) -> None:
+def test_the_readers_of_our_own_logs_and_of_tables_keep_their_contract(
+    tmp_path: Path, few: list[Scenario]
+) -> None:
     replan.write_log(tmp_path / "drive.mcap", few[0])
     rows = ["t,x,y,yaw,v", *(f"{0.1 * k:.1f},{k:.1f},0.0,0.0,10.0" for k in range(30))]
     (tmp_path / "table").mkdir()

@@ -88,9 +88,13 @@ def installed(desk: Path) -> None:
     card.mkdir(parents=True)
     for file in desk.glob("my_*.py"):
         shutil.move(file, desk / "site" / file.name)
-    groups = "".join(f"[replan.{group}]\n{name} = {place}\n" for group, (name, place) in NAMES.items())
+    groups = "".join(
+        f"[replan.{group}]\n{name} = {place}\n" for group, (name, place) in NAMES.items()
+    )
     (card / "entry_points.txt").write_text(groups, encoding="utf-8")
-    (card / "METADATA").write_text("Metadata-Version: 2.1\nName: team\nVersion: 1.0\n", encoding="utf-8")
+    (card / "METADATA").write_text(
+        "Metadata-Version: 2.1\nName: team\nVersion: 1.0\n", encoding="utf-8"
+    )
     sys.path.append(str(desk / "site"))
     readers.readers.cache_clear()
 
@@ -98,7 +102,13 @@ def installed(desk: Path) -> None:
 def test_what_the_page_shows_drives_and_is_in_the_results(desk: Path) -> None:
     config = load_run(Path("run.toml"))
     result = replan.evaluate(
-        suite="my_family:PARKED", config=config, out="out", mode="closed", internals="none", recording=False, loop=OWN
+        suite="my_family:PARKED",
+        config=config,
+        out="out",
+        mode="closed",
+        internals="none",
+        recording=False,
+        loop=OWN,
     )
     assert list(result.failures["message"]) == []
     assert list(result.logs["log"]) == ["team/parked@speed_mps=8", "team/parked@speed_mps=10"]
@@ -107,8 +117,12 @@ def test_what_the_page_shows_drives_and_is_in_the_results(desk: Path) -> None:
     assert run.vehicle_model == {OWN["vehicle"]: {"delay_s": 0.02}}  # as set
     assert run.controller == {OWN["controller"]: {"gain": 0.05}}
     assert run.prediction == {OWN["prediction"]: {"decel_mps2": 2.0}}  # by default
-    assert run.perception == {OWN["perception"]: {"range_m": 50.0}} and run.traffic == {OWN["traffic"]: {"who": "near"}}
-    lateral = result.metrics.query("metric == 'tracking_lateral.max_abs' and mode == 'closed'")["value"]
+    assert run.perception == {OWN["perception"]: {"range_m": 50.0}} and run.traffic == {
+        OWN["traffic"]: {"who": "near"}
+    }
+    lateral = result.metrics.query("metric == 'tracking_lateral.max_abs' and mode == 'closed'")[
+        "value"
+    ]
     assert (lateral < 0.2).all()
     drawn = command_line.replan("plot", "out", "--chart", "my_chart:speed", "-o", "speed.svg")
     assert drawn.exit_code == 0 and "My speed" in Path("speed.svg").read_text(encoding="utf-8")
@@ -121,12 +135,19 @@ def test_the_vehicle_from_scratch_is_driven_by_every_kind_of_controller(desk: Pa
     for controller in ("dlqr_pid", "mpc", "pid", OWN["controller"]):
         loop = {"vehicle": "electric_car:Electric", "controller": controller}
         result = replan.evaluate(
-            suite="my_family:PARKED", planners=["constant_speed"], out=f"out-{controller[:4]}", mode="closed",
-            internals="none", recording=False, loop=loop,
-        )  # fmt: skip
+            suite="my_family:PARKED",
+            planners=["constant_speed"],
+            out=f"out-{controller[:4]}",
+            mode="closed",
+            internals="none",
+            recording=False,
+            loop=loop,
+        )
         assert list(result.failures["message"]) == [], controller
         assert set(result.drives["end"]) == {"goal reached"}, controller
-        lateral = result.metrics.query("metric == 'tracking_lateral.max_abs' and mode == 'closed'")["value"]
+        lateral = result.metrics.query("metric == 'tracking_lateral.max_abs' and mode == 'closed'")[
+            "value"
+        ]
         assert (lateral < 0.2).all(), controller
 
 
@@ -146,9 +167,15 @@ def test_installed_packages_give_names(desk: Path) -> None:
     installed(desk)
     loop = {key: NAMES[kind.plural][0] for key, kind in OF_LOOP.items()}
     result = replan.evaluate(
-        suite="team/parked", planners="held", metrics=["width"], out="out", mode="closed", internals="none",
-        recording=False, loop=loop,
-    )  # fmt: skip
+        suite="team/parked",
+        planners="held",
+        metrics=["width"],
+        out="out",
+        mode="closed",
+        internals="none",
+        recording=False,
+        loop=loop,
+    )
     assert list(result.failures["message"]) == [] and set(result.drives["planner"]) == {"held"}
     assert "width.max" in set(result.metrics["metric"])
     for group, (name, _) in NAMES.items():
@@ -171,8 +198,22 @@ def test_the_command_line_and_its_workers_find_them(desk: Path) -> None:
         "--mode",
         "closed",
     ]
-    words += ["--metric", "my_metric:WIDTH", *(word for key, name in OWN.items() for word in (f"--{key}", name))]
-    command = [sys.executable, "-P", "call.py", *words, "--workers", "2", "--no-recording", "-o", "out"]
+    words += [
+        "--metric",
+        "my_metric:WIDTH",
+        *(word for key, name in OWN.items() for word in (f"--{key}", name)),
+    ]
+    command = [
+        sys.executable,
+        "-P",
+        "call.py",
+        *words,
+        "--workers",
+        "2",
+        "--no-recording",
+        "-o",
+        "out",
+    ]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode in (0, 1, 4), done.stderr
     assert replan.load("out").failures.empty
@@ -204,11 +245,17 @@ def test_a_wrong_name_says_the_nearest(desk: Path, key: str) -> None:
 def test_a_wrong_setting_is_refused_and_names_its_key(desk: Path, key: str) -> None:
     table, own = OF_LOOP[key].table, OWN[key]
     with pytest.raises(ConfigError, match=rf'{table}\."{own}"\.gian'):
-        checked(RunConfig(("constant_speed",), loop=LoopConfig(**{key: own}), **{table: {own: {"gian": 1.0}}}))
+        checked(
+            RunConfig(
+                ("constant_speed",), loop=LoopConfig(**{key: own}), **{table: {own: {"gian": 1.0}}}
+            )
+        )
     with pytest.raises(ConfigError, match=r"no .* is called 'unknown'"):
         checked(RunConfig(("constant_speed",), **{table: {"unknown": {}}}))
     Path("my_needy.py").write_text("def needy(*given, must): ...\n", encoding="utf-8")
-    with pytest.raises(ConfigError, match=f"{key} 'my_needy:needy' cannot be built: missing .* argument: 'must'"):
+    with pytest.raises(
+        ConfigError, match=f"{key} 'my_needy:needy' cannot be built: missing .* argument: 'must'"
+    ):
         checked(loop(**{key: "my_needy:needy"}))
 
 
@@ -216,24 +263,40 @@ ALL = (PLANNER, metrics.METRIC, readers.READER, CHART, *OF_LOOP.values())
 
 
 @pytest.mark.parametrize("kind", ALL, ids=lambda kind: kind.name)
-def test_an_import_that_fails_names_the_module_and_the_line(desk: Path, kind: ExtensionKind[object]) -> None:
+def test_an_import_that_fails_names_the_module_and_the_line(
+    desk: Path, kind: ExtensionKind[object]
+) -> None:
     Path("my_helper.py").write_text("\n\nimport torchy.nn\n", encoding="utf-8")
     Path("my_package").mkdir()
-    Path("my_package", "__init__.py").write_text("from my_package.part import x\n", encoding="utf-8")
+    Path("my_package", "__init__.py").write_text(
+        "from my_package.part import x\n", encoding="utf-8"
+    )
     for k, (text, said, remedy) in enumerate(
         (
-            ("import os\nimport torchy", "No module named 'torchy' (my_0.py:2)", "install 'torchy'"),
+            (
+                "import os\nimport torchy",
+                "No module named 'torchy' (my_0.py:2)",
+                "install 'torchy'",
+            ),
             ("import my_helper", "No module named 'torchy' (my_helper.py:3)", "install 'torchy'"),
             ("import my_package", "No module named 'my_package.part' (__init__.py:1)", ""),
             ("from numpy import nix", "cannot import name 'nix' from 'numpy'", ""),
-            ("import planners.base", "it is 'replan.planners' now", "(from replan import Plan, Trajectory)"),
+            (
+                "import planners.base",
+                "it is 'replan.planners' now",
+                "(from replan import Plan, Trajectory)",
+            ),
         )
     ):
         Path(f"my_{k}.py").write_text(f"{text}\n", encoding="utf-8")
         with pytest.raises(kind.error) as error:
             kind.find(f"my_{k}:X")
         line = str(error.value)
-        assert line.startswith(f"{kind.name} 'my_{k}:X' cannot be loaded: ") and said in line and remedy in line
+        assert (
+            line.startswith(f"{kind.name} 'my_{k}:X' cannot be loaded: ")
+            and said in line
+            and remedy in line
+        )
         assert ("install '" in line) == remedy.startswith("install"), line
 
 
@@ -244,23 +307,35 @@ def test_a_module_that_is_not_found_lists_the_places_tried_in_their_order(
     with pytest.raises(PlannerError) as error:
         PLANNER.find("nowhere.mine:Mine")
     line = str(error.value)
-    assert line.index(f" in {desk / 'first'}, ") < line.index("site-packages") < line.index(f", {desk};")
+    assert (
+        line.index(f" in {desk / 'first'}, ")
+        < line.index("site-packages")
+        < line.index(f", {desk};")
+    )
     Path("somewhere").mkdir()
     Path("somewhere", "__init__.py").touch()
-    with pytest.raises(PlannerError, match=f"No module named 'somewhere.mine' in {desk / 'somewhere'};"):
+    with pytest.raises(
+        PlannerError, match=f"No module named 'somewhere.mine' in {desk / 'somewhere'};"
+    ):
         PLANNER.find("somewhere.mine:Mine")
 
 
 def test_what_lacks_a_member_of_its_protocol_is_refused(desk: Path) -> None:
-    Path("my_half.py").write_text("class Half:\n    def __init__(self, *given): ...\n", encoding="utf-8")
+    Path("my_half.py").write_text(
+        "class Half:\n    def __init__(self, *given): ...\n", encoding="utf-8"
+    )
     for key, lacks in (("controller", "notes"), ("vehicle", "state")):
-        with pytest.raises(ConfigError, match=f"{key} 'my_half:Half': it built a Half without {lacks}"):
+        with pytest.raises(
+            ConfigError, match=f"{key} 'my_half:Half': it built a Half without {lacks}"
+        ):
             checked(loop(**{key: "my_half:Half"}))
 
 
 def test_settings_of_built_in_ones_are_their_configuration() -> None:
     run = RunConfig(
-        ("idm",), loop=LoopConfig(controller="mpc", vehicle="single_track"), controller={"mpc": {"steps": 9}}
+        ("idm",),
+        loop=LoopConfig(controller="mpc", vehicle="single_track"),
+        controller={"mpc": {"steps": 9}},
     )
     found, _ = checked(run)
     assert found.controller["mpc"]["steps"] == 9 and found.controller["mpc"]["step_s"] == 0.1
@@ -280,7 +355,11 @@ def test_the_resolved_run_is_read_back_to_the_same(desk: Path) -> None:
 
 def test_resume_refuses_where_a_setting_or_the_source_has_changed(desk: Path) -> None:
     run = RunConfig(
-        ("constant_speed",), "open", recording=False, internals="none", loop=LoopConfig(prediction=OWN["prediction"])
+        ("constant_speed",),
+        "open",
+        recording=False,
+        internals="none",
+        loop=LoopConfig(prediction=OWN["prediction"]),
     )
     evaluate_logs((), run, "out", suite="my_family:PARKED")
     assert evaluate_logs((), run, "out", suite="my_family:PARKED", resume=True).resumed == 2
@@ -299,7 +378,10 @@ def test_two_of_one_name_are_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     kind: ExtensionKind[object] = ExtensionKind("thing", "things", {"a": print})
     twice = tuple(EntryPoint("b", value, kind.group) for value in ("x:B", "y:B"))
     for entries in (twice, (EntryPoint("a", "x:A", kind.group),)):
-        monkeypatch.setattr("replan.core.extension._installed_entry_points", lambda group, path, found=entries: found)
+        monkeypatch.setattr(
+            "replan.core.extension._installed_entry_points",
+            lambda group, path, found=entries: found,
+        )
         with pytest.raises(ConfigError, match="there are two things called"):
             kind.find("b")
 
@@ -307,7 +389,9 @@ def test_two_of_one_name_are_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_what_a_module_only_imports_is_not_named_as_its_own(desk: Path) -> None:
     text = "from math import sin\nfrom pathlib import Path\n\ndef mine(): ...\nclass Mine: ...\n"
     Path("my_things.py").write_text(text, encoding="utf-8")
-    Path("my_list.py").write_text("from my_things import mine, Mine\n__all__ = ['mine']\n", encoding="utf-8")
+    Path("my_list.py").write_text(
+        "from my_things import mine, Mine\n__all__ = ['mine']\n", encoding="utf-8"
+    )
     kind: ExtensionKind[object] = ExtensionKind("thing", "things", {})
     for module, known in (("my_things", "Mine, mine"), ("my_list", "mine")):
         with pytest.raises(ConfigError, match=f"known are: {known}$"):
@@ -332,7 +416,8 @@ def test_a_chart_or_panel_without_a_place_is_an_error(monkeypatch: pytest.Monkey
 
 
 @pytest.mark.parametrize(
-    ("body", "said"), [("return 1 / 0", "ZeroDivisionError"), ("return 7", "int instead of a Chart")]
+    ("body", "said"),
+    [("return 1 / 0", "ZeroDivisionError"), ("return 7", "int instead of a Chart")],
 )
 def test_a_chart_that_fails_says_why_in_its_place(desk: Path, body: str, said: str) -> None:
     from replan.draw.charts.layout import drawn

@@ -29,14 +29,21 @@ from replan.metrics.safety import least_contact_times
 from replan.replay.drive import Drive
 from replan.replay.loop.closed_loop import run_closed_loop
 from replan.replay.loop.open_loop import run_open_loop
-from replan.replay.loop.reference_drives import reference_drives, reference_table, with_avoidability, with_follower
+from replan.replay.loop.reference_drives import (
+    reference_drives,
+    reference_table,
+    with_avoidability,
+    with_follower,
+)
 from replan.replay.loop_config import LoopConfig
 
 GRID = grid(4.0, 0.1)
 FAST = ("short", "teleport", "wild_end", "stop_end")
 
 
-def driven(log: Scenario, planner: str, *modes: Mode, **loop: object) -> tuple[list[Drive], tuple[Verdict, ...]]:
+def driven(
+    log: Scenario, planner: str, *modes: Mode, **loop: object
+) -> tuple[list[Drive], tuple[Verdict, ...]]:
     config = LoopConfig(**loop)  # type: ignore[arg-type]
     log, follower = with_follower(with_avoidability(log), config)
     runs = {Mode.OPEN: run_open_loop, Mode.CLOSED: run_closed_loop}
@@ -48,7 +55,8 @@ def driven(log: Scenario, planner: str, *modes: Mode, **loop: object) -> tuple[l
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=() if name in FAST else pytest.mark.slow) for name in ADVERSARIES]
+    "name",
+    [pytest.param(name, marks=() if name in FAST else pytest.mark.slow) for name in ADVERSARIES],
 )
 def test_an_adversary_is_failed_by_the_gate_that_is_about_it(name: str) -> None:
     one = ADVERSARIES[name]
@@ -56,11 +64,17 @@ def test_an_adversary_is_failed_by_the_gate_that_is_about_it(name: str) -> None:
     log = one.scenario()
     drives, verdicts = driven(log, planner, Mode.CLOSED, vehicle=one.vehicle)
     if one.gate == "deadline":
-        times = pd.DataFrame([vars(time) if hasattr(time, "__dict__") else _row(time) for time in drives[0].timings])
+        times = pd.DataFrame(
+            [vars(time) if hasattr(time, "__dict__") else _row(time) for time in drives[0].timings]
+        )
         verdicts = judge_deadline(
             times.assign(log=log.name, planner=planner, mode="closed"), 0.1, {log.name: LogLabels()}
         )
-    failed = {verdict.gate.metric.partition(".")[0] for verdict in verdicts if verdict.outcome is Outcome.FAIL}
+    failed = {
+        verdict.gate.metric.partition(".")[0]
+        for verdict in verdicts
+        if verdict.outcome is Outcome.FAIL
+    }
     assert one.gate in failed
 
 
@@ -71,13 +85,20 @@ def _row(time: object) -> dict[str, object]:
 @pytest.mark.parametrize("name", ["short", "far_ahead", "liar"])
 def test_plans_that_are_none_fail_in_open_loop_too(name: str) -> None:
     one = ADVERSARIES[name]
-    _, verdicts = driven(CATALOGUE["paper/free_road"].scenario(), f"adversaries:{one.planner.__name__}", Mode.OPEN)
-    assert one.gate in {v.gate.metric.partition(".")[0] for v in verdicts if v.outcome is Outcome.FAIL}
+    _, verdicts = driven(
+        CATALOGUE["paper/free_road"].scenario(), f"adversaries:{one.planner.__name__}", Mode.OPEN
+    )
+    assert one.gate in {
+        v.gate.metric.partition(".")[0] for v in verdicts if v.outcome is Outcome.FAIL
+    }
 
 
 def test_no_plan_of_an_adversary_is_driven_as_it_is_where_it_is_impossible() -> None:
     (drive,), _ = driven(
-        CATALOGUE["paper/free_road"].scenario(), "adversaries:Teleport", Mode.CLOSED, vehicle="perfect"
+        CATALOGUE["paper/free_road"].scenario(),
+        "adversaries:Teleport",
+        Mode.CLOSED,
+        vehicle="perfect",
     )
     ego = drive.trace.ego
     assert np.hypot(np.diff(ego.x), np.diff(ego.y)).max() < 0.01 * 13.0
@@ -89,28 +110,38 @@ def test_a_blind_speeder_on_a_crossing_without_a_map_is_failed_for_the_pedestria
     (said,) = [v for v in verdicts if v.gate.metric == "yielding.recorded.below_1500ms"]
     assert said.outcome is Outcome.FAIL
     assert re.search(
-        r"pedestrian 17: the ego goes first, 1\.\d s before it, which the recorded driver let", said.reason
+        r"pedestrian 17: the ego goes first, 1\.\d s before it, which the recorded driver let",
+        said.reason,
     )
 
 
 @pytest.mark.parametrize(
     ("v", "road", "outcome"),
     [
-        (15.0, None, Outcome.PASS), (26.0, None, Outcome.FAIL), (26.0, straight_road(), Outcome.FAIL),
+        (15.0, None, Outcome.PASS),
+        (26.0, None, Outcome.FAIL),
+        (26.0, straight_road(), Outcome.FAIL),
         (26.0, straight_road(limit=30.0), Outcome.NOT_ASKED),
         (26.0, moved(scenario(along(GRID, 1.0)), 0.0, 0.0, 50.0).road, Outcome.NOT_ASKED),
     ],
-)  # fmt: skip
-def test_an_assumed_limit_is_judged_with_a_margin(v: float, road: Road | None, outcome: Outcome) -> None:
+)
+def test_an_assumed_limit_is_judged_with_a_margin(
+    v: float, road: Road | None, outcome: Outcome
+) -> None:
     """Without a map and on lanes without a limit; not where a lane has one, and not beside the lanes."""
     log = crossing_without_a_map()
     log = log if road is None else replace(log, road=road)
     verdicts = judge(
-        load_gates(None).asked_of(["closed"]), evaluate(drive(log, along(GRID, v)), log), {log.name: LogLabels()}
+        load_gates(None).asked_of(["closed"]),
+        evaluate(drive(log, along(GRID, v)), log),
+        {log.name: LogLabels()},
     )
     (said,) = [v for v in verdicts if v.gate.metric == "assumed_limit_excess.time_above_1mps"]
     assert said.outcome is outcome
-    assert outcome is not Outcome.FAIL or "(assumed limit: 13.9 m/s, the log's driver 11.4 m/s)" in said.reason
+    assert (
+        outcome is not Outcome.FAIL
+        or "(assumed limit: 13.9 m/s, the log's driver 11.4 m/s)" in said.reason
+    )
 
 
 def followed(**changes: object) -> Scenario:
@@ -169,7 +200,10 @@ def test_reference_drives_end_as_a_planners_would() -> None:
     assert set(found) == {DRIVER, CAREFUL}
     assert found[DRIVER].end is EndReason.GOAL
     assert found[CAREFUL].ego.t[0] == log.ego.t[0]
-    assert np.hypot(found[CAREFUL].ego.x[0] - log.ego.x[0], found[CAREFUL].ego.y[0] - log.ego.y[0]) < 0.01
+    assert (
+        np.hypot(found[CAREFUL].ego.x[0] - log.ego.x[0], found[CAREFUL].ego.y[0] - log.ego.y[0])
+        < 0.01
+    )
 
 
 @pytest.mark.parametrize("recorded", [True, False])
@@ -194,12 +228,16 @@ def test_a_short_log_before_a_red_light_is_measured_by_a_driver_that_stops_there
     assert said.outcome is Outcome.PASS, said.reason
 
 
-@pytest.mark.parametrize("planner", [pytest.param("adversaries:Park", marks=pytest.mark.slow), "adversaries:Creep"])
+@pytest.mark.parametrize(
+    "planner", [pytest.param("adversaries:Park", marks=pytest.mark.slow), "adversaries:Creep"]
+)
 def test_who_survives_until_a_goal_in_time_has_not_arrived(planner: str) -> None:
     log = replace(CATALOGUE["paper/free_road"].scenario(), goal=Goal(t=(10.0, 11.0)))
     (drive,), verdicts = driven(log, planner, Mode.CLOSED)
     assert drive.trace.end is EndReason.GOAL
-    assert {v.gate.metric for v in verdicts if v.outcome is Outcome.FAIL} >= {"route_progress.final"}
+    assert {v.gate.metric for v in verdicts if v.outcome is Outcome.FAIL} >= {
+        "route_progress.final"
+    }
 
 
 def test_a_fallback_before_a_phantom_is_not_held_against_the_planner() -> None:
@@ -209,7 +247,10 @@ def test_a_fallback_before_a_phantom_is_not_held_against_the_planner() -> None:
     frames = run_open_loop(log, "constant_speed").trace
     (phantom,) = phantoms(log)
     stop = PlanStatus.HARD_STOP
-    fell = [replace(f, plan=replace(f.plan, status=stop)) if 2.45 < f.t < 3.45 else f for f in frames.frames]
+    fell = [
+        replace(f, plan=replace(f.plan, status=stop)) if 2.45 < f.t < 3.45 else f
+        for f in frames.frames
+    ]
     assert phantom.agent == "9"
     for tag, rate in (("recorded", 0.0), ("synthetic", 10 / len(fell))):
         table = evaluate(replace(frames, frames=tuple(fell)), replace(log, tags=(tag,)))
@@ -231,8 +272,12 @@ def test_hard_braking_is_about_the_road_user_that_it_is_for(closing: bool) -> No
     """10 m/s towards a car that stands 25 m ahead, -6 m/s2 from 1 s on; or the same on a free road, for nothing."""
     t = grid(3.0)
     v = np.maximum(10.0 - 6.0 * np.maximum(t - 1.0, 0.0), 0.0)
-    ego = replace(along(t, 10.0), x=np.r_[0.0, np.cumsum(0.5 * (v[1:] + v[:-1]) * np.diff(t))], v=v,
-                  a=np.where((t >= 1.0) & (v > 0.0), -6.0, 0.0))  # fmt: skip
+    ego = replace(
+        along(t, 10.0),
+        x=np.r_[0.0, np.cumsum(0.5 * (v[1:] + v[:-1]) * np.diff(t))],
+        v=v,
+        a=np.where((t >= 1.0) & (v > 0.0), -6.0, 0.0),
+    )
     ahead = ("7", AgentKind.CAR, (4.5, 1.8), lambda t: (0 * t + 30.0, 0 * t, 0 * t))
     log = scenario(along(t, 10.0), [ahead] if closing else [])
     table = evaluate(drive(log, ego), log).set_index("metric")

@@ -40,32 +40,45 @@ def test_the_careful_driver_enters_a_goal_ahead_in_its_time_and_at_its_speed_onl
     assert careful_reaches(replace(free, goal=replace(free.goal, v=(0.0, 3.0)))) == 0.0
     late = replace(free.goal, t=(1.9, 2.0))
     assert careful_reaches(replace(free, goal=late)) == 1.0
-    assert np.isnan(careful_reaches(replace(free, goal=replace(late, t=(0.1, 0.5)))))  # no vehicle does
+    # No vehicle does
+    assert np.isnan(careful_reaches(replace(free, goal=replace(late, t=(0.1, 0.5)))))
 
 
 def test_drives_and_failures_are_counted_by_source(tmp_path: Path) -> None:
     logs = tmp_path / "logs"
     logs.mkdir()
     for name, tags in (("a", ("mona",)), ("b", ("mona", "recorded")), ("c", ())):
-        write_scenario(logs / f"{name}.mcap", replace(short(name, v=6.0 + ord(name) % 5), tags=tags))
+        write_scenario(
+            logs / f"{name}.mcap", replace(short(name, v=6.0 + ord(name) % 5), tags=tags)
+        )
     (logs / "d.mcap").write_bytes(b"no log")
     said: list[str] = []
-    table = compare([logs], tmp_path / "out", planners=("constant_speed",), traffic=("time",), say=said.append)
+    table = compare(
+        [logs], tmp_path / "out", planners=("constant_speed",), traffic=("time",), say=said.append
+    )
     rows = table.set_index(["source", "planner"])
-    assert set(rows.index) == {(s, p) for s in ("MONA", HAND_MADE, "all") for p in ("constant_speed", "logged")}
-    assert list(rows.loc[("MONA", "logged"), ["logs", "goal", "reachable", "goal_of_reachable"]]) == [2, 2, 2, 2]
+    assert set(rows.index) == {
+        (s, p) for s in ("MONA", HAND_MADE, "all") for p in ("constant_speed", "logged")
+    }
+    assert list(
+        rows.loc[("MONA", "logged"), ["logs", "goal", "reachable", "goal_of_reachable"]]
+    ) == [2, 2, 2, 2]
     counted = rows[["logs", "reachable", "goal_of_reachable"]]
     assert (counted.diff(axis=1).iloc[:, 1:] <= 0).all(axis=None)
     judged = rows.xs("constant_speed", level="planner")
     assert (judged["passed"] + judged["failed"] + judged["inconclusive"] == judged["logs"]).all()
     assert list(rows.loc[("all", "constant_speed"), ["logs", "not_evaluated"]]) == [3, 1]
     assert rows.loc[("MONA", "constant_speed"), "not_evaluated"] == 0
-    assert (rows["at_fault"] == rows["avoidable"] + rows["unavoidable"] + rows["not_applicable"]).all()
+    assert (
+        rows["at_fault"] == rows["avoidable"] + rows["unavoidable"] + rows["not_applicable"]
+    ).all()
     assert len(said) == 1 and "d.mcap" in said[0]
 
 
 @pytest.mark.slow
-def test_three_files_of_three_sources(shared_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_three_files_of_three_sources(
+    shared_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     files = [str(shared_data / "commonroad" / f"{name}.xml") for name in FILES]
     words = [*files, "-o", str(tmp_path / "out"), "-p", "constant_speed", "--workers", "0"]
     assert main(words) == 0
@@ -77,7 +90,15 @@ def test_three_files_of_three_sources(shared_data: Path, tmp_path: Path, capsys:
         assert set(rows["source"]) == {"MONA", "NGSIM", HAND_MADE, "all"}, traffic
         whole = rows[rows["source"] == "all"].set_index("planner")
         parts = rows[rows["source"] != "all"].groupby("planner")
-        for name in ("logs", "goal", "reachable", "goal_of_reachable", "collisions", "at_fault", "comfort"):
+        for name in (
+            "logs",
+            "goal",
+            "reachable",
+            "goal_of_reachable",
+            "collisions",
+            "at_fault",
+            "comfort",
+        ):
             assert (parts[name].sum() == whole[name]).all(), name
         assert (whole["logs"] == 3).all()
         assert (whole["p99_ms"] >= whole["p50_ms"]).all()
@@ -91,7 +112,9 @@ def test_three_files_of_three_sources(shared_data: Path, tmp_path: Path, capsys:
     pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "out" / "commonroad.csv"), table)
 
 
-def test_what_is_wrong_with_the_command_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_wrong_with_the_command_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     with pytest.raises(SystemExit) as ended:
         main([str(tmp_path / "nowhere"), "-o", str(tmp_path / "out")])
     assert ended.value.code == 2

@@ -17,12 +17,15 @@ def written(run: Path, accel: list[float], outcomes: list[str]) -> Path:
     folder.mkdir()
     (folder / "log.json").write_text(json.dumps({"log": "drive"}), encoding="utf-8")
     who = {"log": "drive", "planner": "idm", "mode": "closed"}
-    frames = [{**who, "t_s": 0.1 * k, "metric": "lon_accel", "value": value} for k, value in enumerate(accel)]
+    frames = [
+        {**who, "t_s": 0.1 * k, "metric": "lon_accel", "value": value}
+        for k, value in enumerate(accel)
+    ]
     pd.DataFrame(frames).to_parquet(folder / "frames.parquet")
     values = {"goal.final": 1.0, "lon_accel.min": min(accel), "ttc.min": 2.0}
-    pd.DataFrame([{**who, "metric": name, "value": value} for name, value in values.items()]).to_parquet(
-        run / "metrics.parquet"
-    )
+    pd.DataFrame(
+        [{**who, "metric": name, "value": value} for name, value in values.items()]
+    ).to_parquet(run / "metrics.parquet")
     pd.DataFrame([{**who, "outcome": one} for one in outcomes]).to_parquet(run / "verdicts.parquet")
     return run
 
@@ -45,17 +48,27 @@ def test_a_row_says_what_the_tables_say(tmp_path: Path, outcomes: list[str], ver
 
 def run(**outcomes: tuple[str, str]) -> Any:
     """The verdicts of two gates by log."""
-    rows = [(log, gate, said) for log, two in outcomes.items() for gate, said in zip("ab", two, strict=True)]
+    rows = [
+        (log, gate, said)
+        for log, two in outcomes.items()
+        for gate, said in zip("ab", two, strict=True)
+    ]
     return SimpleNamespace(verdicts=pd.DataFrame(rows, columns=["log", "gate", "outcome"]))
 
 
 def test_a_drive_fails_for_a_fault_if_it_passes_without_it() -> None:
     faulty = run(
-        mended=("fail", "pass"), fails=("fail", "fail"), unsure=("fail", "pass"), well=("pass", "pass"),
+        mended=("fail", "pass"),
+        fails=("fail", "fail"),
+        unsure=("fail", "pass"),
+        well=("pass", "pass"),
         otherwise=("fail", "pass"),
-    )  # fmt: skip
+    )
     sound = run(
-        mended=("pass", "inconclusive"), fails=("pass", "fail"), unsure=("inconclusive", "pass"), well=("pass", "pass"),
+        mended=("pass", "inconclusive"),
+        fails=("pass", "fail"),
+        unsure=("inconclusive", "pass"),
+        well=("pass", "pass"),
         otherwise=("pass", "fail"),
-    )  # fmt: skip
+    )
     assert broken(faulty, sound) == ["mended"]

@@ -49,7 +49,9 @@ class Along:
         start, s0, l0 = scene.start, scene.s, scene.l
         v = [start.v]
         for t in STEPS[1:]:
-            change = float(np.clip(self.speed(frame.t + t) - v[-1], -0.1 * self.brake, 0.1 * self.accel))
+            change = float(
+                np.clip(self.speed(frame.t + t) - v[-1], -0.1 * self.brake, 0.1 * self.accel)
+            )
             v.append(max(0.0, v[-1] + change))
         s = s0 + np.r_[0.0, np.cumsum(0.05 * (np.array(v[1:]) + np.array(v[:-1])))]
         times = frame.t + STEPS
@@ -67,8 +69,12 @@ def beside(line: ReferenceLine, s: FloatArray, l0: float, wish: FloatArray) -> F
 def _driven(start: EgoState, t: FloatArray, points: FloatArray, v: FloatArray) -> Trajectory:
     """The drive through points at speeds."""
     n = len(t)
-    exact = of_positions(Trajectory(t, *points.T, np.full(n, start.yaw), v, np.zeros(n), np.zeros(n)))
-    return replace(exact, yaw=np.r_[start.yaw, exact.yaw[1:]], kappa=np.r_[start.kappa, exact.kappa[1:]])
+    exact = of_positions(
+        Trajectory(t, *points.T, np.full(n, start.yaw), v, np.zeros(n), np.zeros(n))
+    )
+    return replace(
+        exact, yaw=np.r_[start.yaw, exact.yaw[1:]], kappa=np.r_[start.kappa, exact.kappa[1:]]
+    )
 
 
 class Park(Along):
@@ -167,7 +173,9 @@ class Capped(Idm):
         raise NotImplementedError
 
     def plan(self, frame: Frame) -> Plan:
-        self._tracker.reference = replace(self._free, limit=np.minimum(self._free.limit, self.wish(frame.t)))
+        self._tracker.reference = replace(
+            self._free, limit=np.minimum(self._free.limit, self.wish(frame.t))
+        )
         return super().plan(frame)
 
 
@@ -234,14 +242,22 @@ class LaneChanger(Bent):
 
     def __init__(self, context: PlannerContext) -> None:
         super().__init__(context)
-        own = [lane for lane in context.road.lanes_at(context.start.x, context.start.y) if lane.drivable]
+        own = [
+            lane
+            for lane in context.road.lanes_at(context.start.x, context.start.y)
+            if lane.drivable
+        ]
         left = any(lane.left_neighbour is not None and not lane.left_opposite for lane in own)
-        self._side = 3.5 if left else -3.5 if any(lane.right_neighbour is not None for lane in own) else 0.0
+        self._side = (
+            3.5 if left else -3.5 if any(lane.right_neighbour is not None for lane in own) else 0.0
+        )
 
     def offset(self, t: FloatArray) -> FloatArray:
         u = np.clip(2.0 * (t / 6.0 % 1.0), 0.0, 1.0)
         share, turn = u * u * (3.0 - 2.0 * u), t // 6.0
-        return self._side * np.where(turn < 1.0, 0.0, np.where(turn % 2.0 == 1.0, share, 1.0 - share))
+        return self._side * np.where(
+            turn < 1.0, 0.0, np.where(turn % 2.0 == 1.0, share, 1.0 - share)
+        )
 
 
 class Late(Idm):
@@ -256,7 +272,9 @@ class Late(Idm):
     def plan(self, frame: Frame) -> Plan:
         self._seen = [*(old for old in self._seen if old.t >= frame.t - self.late_s - 1e-6), frame]
         old = self._seen[0]
-        return super().plan(replace(frame, agents=old.agents, predictions=_since(old.predictions, frame.t)))
+        return super().plan(
+            replace(frame, agents=old.agents, predictions=_since(old.predictions, frame.t))
+        )
 
 
 def _since(predictions: Predictions, t: float) -> Predictions:
@@ -273,7 +291,10 @@ class Third(Idm):
 
     def plan(self, frame: Frame) -> Plan:
         self._names += [name for name in frame.agents.ids if name not in self._names]
-        seen = np.array([i for i, name in enumerate(frame.agents.ids) if self._names.index(name) % 3 != 2], np.int64)
+        seen = np.array(
+            [i for i, name in enumerate(frame.agents.ids) if self._names.index(name) % 3 != 2],
+            np.int64,
+        )
         guess = frame.predictions
         rows = np.isin(guess.agent, seen)
         some = {name: getattr(guess, name)[rows] for name in ("probability", "x", "y", "yaw")}
@@ -292,7 +313,10 @@ class YellowRunner(Idm):
     """Takes yellow for green."""
 
     def plan(self, frame: Frame) -> Plan:
-        lights = {i: Colour.GREEN if colour is Colour.YELLOW else colour for i, colour in frame.lights.items()}
+        lights = {
+            i: Colour.GREEN if colour is Colour.YELLOW else colour
+            for i, colour in frame.lights.items()
+        }
         return super().plan(replace(frame, lights=lights))
 
 
@@ -302,7 +326,10 @@ class ShortStop(Idm):
     def __init__(self, context: PlannerContext) -> None:
         road = context.road
         super().__init__(
-            replace(context, road=replace(road, stop_lines=tuple(_early(m, road) for m in road.stop_lines)))
+            replace(
+                context,
+                road=replace(road, stop_lines=tuple(_early(m, road) for m in road.stop_lines)),
+            )
         )
 
 
@@ -320,7 +347,11 @@ class Liar(Idm):
         t = plan.trajectory
         bent = 0.6 * np.sin(2.0 * (t.t - t.t[0])) ** 3
         said = replace(
-            t, x=t.x - bent * np.sin(t.yaw), y=t.y + bent * np.cos(t.yaw), a=np.zeros(len(t)), kappa=np.zeros(len(t))
+            t,
+            x=t.x - bent * np.sin(t.yaw),
+            y=t.y + bent * np.cos(t.yaw),
+            a=np.zeros(len(t)),
+            kappa=np.zeros(len(t)),
         )
         return replace(plan, trajectory=said)
 
@@ -351,8 +382,15 @@ class Random:
         ego = frame.ego
         v = np.maximum(ego.v + self._chance.uniform(-3.0, 2.0) * STEPS, 0.0)
         way = np.r_[0.0, np.cumsum(0.05 * (v[1:] + v[:-1]))]
-        unit = arc(replace(ego, t=0.0, v=1.0, kappa=ego.kappa + self._chance.uniform(-0.03, 0.03)), way + 1e-9 * STEPS)
-        return Plan(of_positions(Trajectory(frame.t + STEPS, unit.x, unit.y, unit.yaw, v, 0.0 * v, unit.kappa)))
+        unit = arc(
+            replace(ego, t=0.0, v=1.0, kappa=ego.kappa + self._chance.uniform(-0.03, 0.03)),
+            way + 1e-9 * STEPS,
+        )
+        return Plan(
+            of_positions(
+                Trajectory(frame.t + STEPS, unit.x, unit.y, unit.yaw, v, 0.0 * v, unit.kappa)
+            )
+        )
 
 
 class Teleport(Idm):
@@ -361,7 +399,10 @@ class Teleport(Idm):
     def plan(self, frame: Frame) -> Plan:
         plan = super().plan(frame)
         t = plan.trajectory
-        return replace(plan, trajectory=replace(t, x=t.x + 0.45 * np.cos(t.yaw[0]), y=t.y + 0.45 * np.sin(t.yaw[0])))
+        return replace(
+            plan,
+            trajectory=replace(t, x=t.x + 0.45 * np.cos(t.yaw[0]), y=t.y + 0.45 * np.sin(t.yaw[0])),
+        )
 
 
 class WildEnd(Idm):
@@ -373,7 +414,9 @@ class WildEnd(Idm):
         plan = super().plan(frame)
         late = plan.trajectory.t - frame.t - self.until_s
         late = np.where(late > 1e-6, late, 0.0)
-        return replace(plan, trajectory=self.bent(plan.trajectory, late)) if late[-1] > 0.0 else plan
+        return (
+            replace(plan, trajectory=self.bent(plan.trajectory, late)) if late[-1] > 0.0 else plan
+        )
 
     def bent(self, path: Trajectory, late: FloatArray) -> Trajectory:
         """The plan with another end, `late` s after `until_s`."""
@@ -415,8 +458,13 @@ def _aside(path: Trajectory, late: FloatArray, metres: float) -> Trajectory:
     kept = late <= 0.0
     share = np.minimum(np.minimum(late / 3.0, np.maximum(way - way[kept][-1], 0.0) / 20.0), 1.0)
     aside = metres * share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
-    bent = of_positions(replace(path, x=path.x - aside * np.sin(path.yaw), y=path.y + aside * np.cos(path.yaw)))
-    same = {name: np.where(kept, getattr(path, name), getattr(bent, name)) for name in ("yaw", "v", "a", "kappa")}
+    bent = of_positions(
+        replace(path, x=path.x - aside * np.sin(path.yaw), y=path.y + aside * np.cos(path.yaw))
+    )
+    same = {
+        name: np.where(kept, getattr(path, name), getattr(bent, name))
+        for name in ("yaw", "v", "a", "kappa")
+    }
     return replace(bent, **same)
 
 
@@ -425,14 +473,21 @@ def _along(path: Trajectory, late: FloatArray, accel: float) -> Trajectory:
     n = int(np.argmax(late > 0.0)) - 1
     lasts = late if accel > 0.0 else np.minimum(late, path.v[n] / -accel)
     v = np.where(late > 0.0, path.v[n] + accel * lasts, path.v)
-    s = np.r_[0.0, np.cumsum(np.hypot(np.diff(path.x), np.diff(path.y)))] + 1e-9 * np.arange(len(late))
+    s = np.r_[0.0, np.cumsum(np.hypot(np.diff(path.x), np.diff(path.y)))] + 1e-9 * np.arange(
+        len(late)
+    )
     at = np.where(late > 0.0, s[n] + path.v[n] * lasts + 0.5 * accel * lasts**2, s)
     beyond = np.maximum(at - s[-1], 0.0)
-    yaw, kappa = np.interp(at, s, path.yaw), np.where(beyond > 0.0, 0.0, np.interp(at, s, path.kappa))
+    yaw, kappa = (
+        np.interp(at, s, path.yaw),
+        np.where(beyond > 0.0, 0.0, np.interp(at, s, path.kappa)),
+    )
     x = np.interp(at, s, path.x) + beyond * np.cos(path.yaw[-1])
     y = np.interp(at, s, path.y) + beyond * np.sin(path.yaw[-1])
     moves = (late > 0.0) & (lasts == late)
-    return Trajectory(path.t, x, y, yaw, v, np.where(moves, accel, np.where(late > 0.0, 0.0, path.a)), kappa)
+    return Trajectory(
+        path.t, x, y, yaw, v, np.where(moves, accel, np.where(late > 0.0, 0.0, path.a)), kappa
+    )
 
 
 class FarAhead:

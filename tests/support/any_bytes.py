@@ -32,7 +32,9 @@ def spoiled(content: bytes, data: st.DataObject) -> bytes:
         return content[:at]
     if how == "fill":
         return content[:at] + data.draw(st.binary(min_size=8, max_size=8)) + content[at + 8 :]
-    return content[:at] + bytes([content[at] ^ 1 << data.draw(st.integers(0, 7))]) + content[at + 1 :]
+    return (
+        content[:at] + bytes([content[at] ^ 1 << data.draw(st.integers(0, 7))]) + content[at + 1 :]
+    )
 
 
 def read_or_refused(log: Path, seconds: float = np.inf) -> None:

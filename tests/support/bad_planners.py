@@ -158,7 +158,9 @@ class Detaches(Raises):
         return ConstantSpeed.plan(self, frame)
 
     def plan(self, frame: Frame) -> Plan:
-        return super().plan(frame) if abs(frame.t - AT_S) < 1e-9 else ConstantSpeed.plan(self, frame)
+        return (
+            super().plan(frame) if abs(frame.t - AT_S) < 1e-9 else ConstantSpeed.plan(self, frame)
+        )
 
 
 class DetachesAndExits(Detaches):
@@ -178,7 +180,9 @@ class Verbose(Raises):
     """A fallback with a reason of 50 MB."""
 
     def bad(self, frame: Frame) -> object:
-        return replace(ConstantSpeed.plan(self, frame), status=PlanStatus.PREVIOUS, reason="x" * 50_000_000)
+        return replace(
+            ConstantSpeed.plan(self, frame), status=PlanStatus.PREVIOUS, reason="x" * 50_000_000
+        )
 
 
 class Shows(Raises):
@@ -230,7 +234,10 @@ class Random(ConstantSpeed):
     def plan(self, frame: Frame) -> Plan:
         plan = super().plan(frame)
         return replace(
-            plan, trajectory=arc(replace(frame.ego, kappa=float(os.urandom(1)[0]) * 1e-5), plan.trajectory.t)
+            plan,
+            trajectory=arc(
+                replace(frame.ego, kappa=float(os.urandom(1)[0]) * 1e-5), plan.trajectory.t
+            ),
         )
 
 
@@ -245,11 +252,22 @@ class Peeps(ConstantSpeed):
     def plan(self, frame: Frame) -> Plan:
         found = [*_objects(), *_frames(), *_environment(), *_files()]
         if frame.t > 0.15:
-            raise ValueError(f"found {sorted(set(found), key=lambda word: (word.startswith('file'), word))}")
+            raise ValueError(
+                f"found {sorted(set(found), key=lambda word: (word.startswith('file'), word))}"
+            )
         return super().plan(frame)
 
 
-NOT_MINE = ("Scenario", "Tracks", "World", "Perception", "Planning", "Trace", "LogSource", "RunConfig")
+NOT_MINE = (
+    "Scenario",
+    "Tracks",
+    "World",
+    "Perception",
+    "Planning",
+    "Trace",
+    "LogSource",
+    "RunConfig",
+)
 
 
 def _objects() -> list[str]:
@@ -266,13 +284,22 @@ def _objects() -> list[str]:
 def _frames() -> list[str]:
     found, now = [], sys._getframe()
     while now is not None:
-        found += [f"frame {type(each).__name__}" for each in now.f_locals.values() if type(each).__name__ in NOT_MINE]
+        found += [
+            f"frame {type(each).__name__}"
+            for each in now.f_locals.values()
+            if type(each).__name__ in NOT_MINE
+        ]
         now = now.f_back  # type: ignore[assignment]
     return found
 
 
 def _environment() -> list[str]:
-    words = [*sys.argv, *sys.orig_argv, *os.environ.values(), Path("/proc/self/cmdline").read_text()]
+    words = [
+        *sys.argv,
+        *sys.orig_argv,
+        *os.environ.values(),
+        Path("/proc/self/cmdline").read_text(),
+    ]
     return ["word " + word for word in words if "SECRET" in word or ".mcap" in word] + [
         f"variable {name}" for name in os.environ if name.startswith("SECRET")
     ]

@@ -147,7 +147,15 @@ def _writes(trace: Trace, scenario: Scenario) -> Series:
 
 
 _calls = count()
-GOOD = Metric("good", "m/s", "none", tuple(Mode), lambda trace, scenario: _steps(trace), (MEAN,), "For a test.")
+GOOD = Metric(
+    "good",
+    "m/s",
+    "none",
+    tuple(Mode),
+    lambda trace, scenario: _steps(trace),
+    (MEAN,),
+    "For a test.",
+)
 METRICS = {
     "answer": replace(GOOD, measure=lambda trace, scenario: trace.ego.v),  # type: ignore[arg-type, return-value]
     "modes": replace(GOOD, measure=_open_only),
@@ -164,7 +172,9 @@ METRICS = {
 
 def _read(path: Path, settings: LogSettings) -> Scenario:
     try:
-        rows = np.array([line.split() for line in path.read_text().splitlines()], float).reshape(-1, 4)
+        rows = np.array([line.split() for line in path.read_text().splitlines()], float).reshape(
+            -1, 4
+        )
         return from_frames(pd.DataFrame(rows, columns=["t", "x", "y", "yaw"]), name=path.stem)
     except (ValueError, OSError) as error:
         raise LogError(str(error), file=path) from None
@@ -194,7 +204,9 @@ def _writes_index(path: Path, settings: LogSettings) -> Scenario:
     return _read(path, settings)
 
 
-TXY = Reader("txy", "t x y yaw, a line each", "*.txy", (".txy",), lambda path: path.suffix == ".txy", _read)
+TXY = Reader(
+    "txy", "t x y yaw, a line each", "*.txy", (".txy",), lambda path: path.suffix == ".txy", _read
+)
 READERS = {
     "claims": replace(TXY, claims=lambda path: True),
     "files": replace(TXY, files=lambda path: (path.with_suffix(".other"),)),

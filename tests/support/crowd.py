@@ -51,9 +51,15 @@ def street() -> Tracks:
         Drive(AgentKind.PEDESTRIAN, 40.0, -5.5, 2.0, np.zeros(len(T)), size=(0.6, 0.6)),
         Drive(AgentKind.BICYCLE, 0.0, -6.0, 0.0, np.full(len(T), 4.0), size=(1.8, 0.7)),
     ]
-    columns = [np.concatenate(each) for each in zip(*(drive.columns() for drive in drives), strict=True)]
+    columns = [
+        np.concatenate(each) for each in zip(*(drive.columns() for drive in drives), strict=True)
+    ]
     return Tracks(
-        tuple("abcdefghi"), tuple(drive.kind for drive in drives), np.array([drive.size[0] for drive in drives]),
-        np.array([drive.size[1] for drive in drives]), np.zeros(len(drives), np.bool_),
-        len(T) * np.arange(len(drives) + 1), *columns,
-    )  # fmt: skip
+        tuple("abcdefghi"),
+        tuple(drive.kind for drive in drives),
+        np.array([drive.size[0] for drive in drives]),
+        np.array([drive.size[1] for drive in drives]),
+        np.zeros(len(drives), np.bool_),
+        len(T) * np.arange(len(drives) + 1),
+        *columns,
+    )

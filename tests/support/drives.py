@@ -15,7 +15,12 @@ from replan.logs.trace import EndReason, Mode, PlannedFrame, Trace
 from replan.logs.tracks import Tracks
 from replan.logs.vehicle import VehicleParameters
 
-Agent = tuple[str, AgentKind, Sequence[float], Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]]
+Agent = tuple[
+    str,
+    AgentKind,
+    Sequence[float],
+    Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]],
+]
 """Id, kind, (length, width), motion: t -> x, y, yaw."""
 CAR = (4.5, 1.8)
 EGO = VehicleParameters()
@@ -26,7 +31,9 @@ def grid(seconds: float, step: float = 0.01) -> np.ndarray:
     return np.arange(round(seconds / step) + 1) * step
 
 
-def along(t: np.ndarray, v: np.ndarray | float, *, x: float = 0.0, a: np.ndarray | float = 0.0) -> Trajectory:
+def along(
+    t: np.ndarray, v: np.ndarray | float, *, x: float = 0.0, a: np.ndarray | float = 0.0
+) -> Trajectory:
     """Straight on along x with speed v(t)."""
     v = np.broadcast_to(np.asarray(v, float), t.shape)
     zero = np.zeros(len(t))
@@ -34,7 +41,9 @@ def along(t: np.ndarray, v: np.ndarray | float, *, x: float = 0.0, a: np.ndarray
     return Trajectory(t, x + s, zero, zero, v, np.broadcast_to(np.asarray(a, float), t.shape), zero)
 
 
-def changing(t: np.ndarray, v: np.ndarray | float, begin: float, lasts: float = 2.0, to: float = 3.5) -> Trajectory:
+def changing(
+    t: np.ndarray, v: np.ndarray | float, begin: float, lasts: float = 2.0, to: float = 3.5
+) -> Trajectory:
     """Along x with speed v(t), over to the offset `to` from `begin` on."""
     v = np.broadcast_to(np.asarray(v, float), t.shape)
     u = np.clip((t - begin) / lasts, 0.0, 1.0)
@@ -57,7 +66,9 @@ def tracks(agents: Sequence[Agent], t: np.ndarray) -> Tracks:
     return handmade.tracks(*made)
 
 
-def straight_road(*, half: float = 1.75, lanes: int = 1, limit: float = float("nan"), right: bool = True) -> Road:
+def straight_road(
+    *, half: float = 1.75, lanes: int = 1, limit: float = float("nan"), right: bool = True
+) -> Road:
     """Lanes along x from -100 m to 500 m, the first centred on y = 0, the others to its left."""
     x = np.array([-100.0, 500.0])
     strips = [
@@ -75,14 +86,25 @@ def straight_road(*, half: float = 1.75, lanes: int = 1, limit: float = float("n
 
 
 def scenario(ego: Trajectory, agents: Sequence[Agent] = (), **changes: object) -> Scenario:
-    made = {"road": straight_road(), "duration": float(ego.t[-1]), "metadata": {"generator": "test"}}
+    made = {
+        "road": straight_road(),
+        "duration": float(ego.t[-1]),
+        "metadata": {"generator": "test"},
+    }
     fields = made | changes
     return Scenario("test/log", ego, tracks(agents, ego.t), **fields)  # type: ignore[arg-type]
 
 
-def car(x: float, y: float, vx: float, vy: float = 0.0, kind: AgentKind = AgentKind.CAR, **pose: float) -> Agent:
+def car(
+    x: float, y: float, vx: float, vy: float = 0.0, kind: AgentKind = AgentKind.CAR, **pose: float
+) -> Agent:
     """Agent "7"; a pedestrian has the size of one."""
-    return "7", kind, CAR if kind is not AgentKind.PEDESTRIAN else (0.6, 0.6), moving(x, y, vx, vy, **pose)
+    return (
+        "7",
+        kind,
+        CAR if kind is not AgentKind.PEDESTRIAN else (0.6, 0.6),
+        moving(x, y, vx, vy, **pose),
+    )
 
 
 def world(v: float, *agents: Agent, seconds: float = 4.0, **changes: object) -> Scenario:
@@ -90,13 +112,17 @@ def world(v: float, *agents: Agent, seconds: float = 4.0, **changes: object) -> 
     return scenario(along(grid(seconds), v), agents, **changes)
 
 
-def drive(log: Scenario, ego: Trajectory | None = None, *, mode: Mode = Mode.CLOSED, **changes: object) -> Trace:
+def drive(
+    log: Scenario, ego: Trajectory | None = None, *, mode: Mode = Mode.CLOSED, **changes: object
+) -> Trace:
     """A trace in which the ego drives as given (None: as logged) and the others as logged."""
     fields = {"frames": (), "end": EndReason.END_OF_LOG} | changes
     return Trace(log.name, "hand", mode, False, ego or log.ego, log.tracks, **fields)  # type: ignore[arg-type]
 
 
-def plans(log: Trajectory, times: np.ndarray, horizon: float, bend: Callable | None = None) -> tuple[PlannedFrame, ...]:
+def plans(
+    log: Trajectory, times: np.ndarray, horizon: float, bend: Callable | None = None
+) -> tuple[PlannedFrame, ...]:
     """At each time, the log's next `horizon` seconds as the plan, bent by `bend(trajectory)`."""
     frames = []
     for t in times:
@@ -105,7 +131,9 @@ def plans(log: Trajectory, times: np.ndarray, horizon: float, bend: Callable | N
     return tuple(frames)
 
 
-def controls(t: np.ndarray, throttle: np.ndarray, brake: np.ndarray, steer: np.ndarray | None = None) -> Controls:
+def controls(
+    t: np.ndarray, throttle: np.ndarray, brake: np.ndarray, steer: np.ndarray | None = None
+) -> Controls:
     return Controls(t, np.zeros(len(t)) if steer is None else steer, throttle, brake)
 
 
@@ -114,5 +142,9 @@ def moved(world: Scenario, turn: float, dx: float, dy: float, *, mirror: bool = 
     return transform.moved(transform.mirrored(world) if mirror else world, dx, dy, turn)
 
 
-def moved_ego(ego: Trajectory, turn: float, dx: float, dy: float, *, mirror: bool = False) -> Trajectory:
-    return transform.moved_trajectory(transform.mirrored_trajectory(ego) if mirror else ego, dx, dy, turn)
+def moved_ego(
+    ego: Trajectory, turn: float, dx: float, dy: float, *, mirror: bool = False
+) -> Trajectory:
+    return transform.moved_trajectory(
+        transform.mirrored_trajectory(ego) if mirror else ego, dx, dy, turn
+    )

@@ -11,16 +11,40 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 
 VALUES: tuple[Any, ...] = (
-    None, True, -1, 3, 1e308, 10**30, "", "x", "../../..", "/etc/passwd", "a\0b", "\ud800", "é" * 300, [], ["x"], [[]],
-    {}, {"a": 1}, [{}], "closed", "fail", "[[[",
-)  # fmt: skip
+    None,
+    True,
+    -1,
+    3,
+    1e308,
+    10**30,
+    "",
+    "x",
+    "../../..",
+    "/etc/passwd",
+    "a\0b",
+    "\ud800",
+    "é" * 300,
+    [],
+    ["x"],
+    [[]],
+    {},
+    {"a": 1},
+    [{}],
+    "closed",
+    "fail",
+    "[[[",
+)
 TOKENS = ("NaN", "Infinity", "-Infinity", "1e999", "[" * 100_000, '{"a":' * 50_000, "")
 WORDS = ("1", "-1", "nan", "inf", '"x"', '"../.."', "[]", "{}", "true", "[[1]]")
 
 
 def edit(rng: random.Random, folder: Path) -> str:
     """Change one file of a folder (or the file itself), and say what was done."""
-    files = [folder] if folder.is_file() else sorted(file for file in folder.rglob("*") if file.suffix in EDITS)
+    files = (
+        [folder]
+        if folder.is_file()
+        else sorted(file for file in folder.rglob("*") if file.suffix in EDITS)
+    )
     file = rng.choice(files)
     what = (_edit_bytes if rng.random() < 0.25 else EDITS.get(file.suffix, _edit_bytes))(rng, file)
     return f"{file.name}: {what}"
@@ -45,7 +69,13 @@ def _edit_bytes(rng: random.Random, file: Path) -> str:
 
 
 def _places(value: Any, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
-    keys = value.keys() if isinstance(value, dict) else range(len(value)) if isinstance(value, list) else ()
+    keys = (
+        value.keys()
+        if isinstance(value, dict)
+        else range(len(value))
+        if isinstance(value, list)
+        else ()
+    )
     return [path, *(place for key in keys for place in _places(value[key], (*path, key)))]
 
 
@@ -78,7 +108,9 @@ def _edit_log(rng: random.Random, file: Path) -> str:
         for i, record in enumerate(records):
             if i == -1 - k:
                 key = rng.choice(sorted(record.metadata))
-                value = what = rng.choice(["", "x", "-1", "1e999", "nan", "[" * 100_000, record.metadata[key][:-1]])
+                value = what = rng.choice(
+                    ["", "x", "-1", "1e999", "nan", "[" * 100_000, record.metadata[key][:-1]]
+                )
                 record.metadata[key], what = value, f"{key} = {what[:40]}"
             writer.add_metadata(record.name, record.metadata)
         for i, (schema, channel, message) in enumerate(messages):
@@ -90,11 +122,17 @@ def _edit_log(rng: random.Random, file: Path) -> str:
                 text, what = _edited_json(rng, data.decode())
                 data, what = text.encode(), f"{channel.topic} {what}"
             if schema and schema.id not in schemas:
-                schemas[schema.id] = writer.register_schema(schema.name, schema.encoding, schema.data)
+                schemas[schema.id] = writer.register_schema(
+                    schema.name, schema.encoding, schema.data
+                )
             if channel.id not in channels:
                 known = schemas[schema.id] if schema else 0
-                channels[channel.id] = writer.register_channel(channel.topic, channel.message_encoding, known)
-            writer.add_message(channels[channel.id], time, data, message.publish_time, message.sequence)
+                channels[channel.id] = writer.register_channel(
+                    channel.topic, channel.message_encoding, known
+                )
+            writer.add_message(
+                channels[channel.id], time, data, message.publish_time, message.sequence
+            )
         writer.finish()
     return what
 
@@ -141,13 +179,21 @@ def _edit_table(rng: random.Random, file: Path) -> str:
         case 0:
             table = table.drop_columns(column)
         case 1:
-            table = table.set_column(place, column, pa.array([rng.choice([1.5, float("inf"), None])] * len(table)))
+            table = table.set_column(
+                place, column, pa.array([rng.choice([1.5, float("inf"), None])] * len(table))
+            )
         case 2:
-            table = table.set_column(place, column, pa.array([rng.choice(["x", "", "../..", "closed"])] * len(table)))
+            table = table.set_column(
+                place, column, pa.array([rng.choice(["x", "", "../..", "closed"])] * len(table))
+            )
         case 3:
             cells = values.to_pylist()
             if cells:
-                odd = [float("inf"), float("-inf"), 1e308, None] if pa.types.is_floating(values.type) else [None]
+                odd = (
+                    [float("inf"), float("-inf"), 1e308, None]
+                    if pa.types.is_floating(values.type)
+                    else [None]
+                )
                 odd = ["x", "", "../..", None] if pa.types.is_large_string(values.type) else odd
                 odd = [10**18, -1, None] if pa.types.is_integer(values.type) else odd
                 cells[rng.randrange(len(cells))] = rng.choice(odd)
@@ -157,7 +203,9 @@ def _edit_table(rng: random.Random, file: Path) -> str:
         case 5:
             table = pa.concat_tables([table, table.slice(0, 1)])
         case 6:
-            table = table.replace_schema_metadata(rng.choice([None, {"replan_schema_version": "99"}, {"x": "y"}]))
+            table = table.replace_schema_metadata(
+                rng.choice([None, {"replan_schema_version": "99"}, {"x": "y"}])
+            )
         case _:
             table = table.append_column(rng.choice([column, "new"]), values)
     pq.write_table(table, file)
@@ -165,6 +213,10 @@ def _edit_table(rng: random.Random, file: Path) -> str:
 
 
 EDITS = {
-    ".json": _edit_json, ".jsonl": _edit_lines, ".toml": _edit_text, ".parquet": _edit_table, ".mcap": _edit_log,
-}  # fmt: skip
+    ".json": _edit_json,
+    ".jsonl": _edit_lines,
+    ".toml": _edit_text,
+    ".parquet": _edit_table,
+    ".mcap": _edit_log,
+}
 """What edits a file with its checks in mind, by the end of its name; other files get other bytes."""

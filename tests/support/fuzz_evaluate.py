@@ -50,15 +50,67 @@ MOST_S, ADDRESSES = 60, 12 * 2**30
 OUTCOMES = ("judged", "refused", "crashed", "hung", "lost")
 GOOD = OUTCOMES[:2]
 TELLING = [
-    *(b"\xff" * n for n in (1, 2, 4, 8)), *(b"\x00" * n for n in (1, 4, 8)), b"\x7f\xff\xff\xff", b"\xff\xff\xff\x7f",
-    *(struct.pack("<d", x) for x in (np.nan, np.inf, -1e300, 1e18, -0.0)), struct.pack("<f", np.nan),
-    b"-", b"e999", b"nan", b"9" * 20, b"<", b">", b'"', b"{", b"]", b",", b"\n", b"\xc3\x28", b"null",
-]  # fmt: skip
-NUMBERS = [b"0", b"-1", b"1e308", b"nan", b"inf", b"-0.0", b"9" * 20, b"", b"1.5", b"x", b"null", b"1e-320"]
+    *(b"\xff" * n for n in (1, 2, 4, 8)),
+    *(b"\x00" * n for n in (1, 4, 8)),
+    b"\x7f\xff\xff\xff",
+    b"\xff\xff\xff\x7f",
+    *(struct.pack("<d", x) for x in (np.nan, np.inf, -1e300, 1e18, -0.0)),
+    struct.pack("<f", np.nan),
+    b"-",
+    b"e999",
+    b"nan",
+    b"9" * 20,
+    b"<",
+    b">",
+    b'"',
+    b"{",
+    b"]",
+    b",",
+    b"\n",
+    b"\xc3\x28",
+    b"null",
+]
+NUMBERS = [
+    b"0",
+    b"-1",
+    b"1e308",
+    b"nan",
+    b"inf",
+    b"-0.0",
+    b"9" * 20,
+    b"",
+    b"1.5",
+    b"x",
+    b"null",
+    b"1e-320",
+]
 VALUE = re.compile(rb'-?\b\d+\.?\d*(?:[eE][-+]?\d+)?\b|"[^"<>{}\n]*"')
 Mutation = Callable[[bytes, np.random.Generator], bytes]
-HOSTILE = (*NUMBERS, b"-1e308", b"1e5", b"-1e5", b"1e18", b"1e-300", b"True", b"\xff", b"1,5", b"0x10", b"  ")
-NAMES = (b"a\x1b[31m", b"\xe2\x80\xae", b"\x00", b"x" * 500, b"<b>", b"", b"\t", b"a0", b"'", b"nan")
+HOSTILE = (
+    *NUMBERS,
+    b"-1e308",
+    b"1e5",
+    b"-1e5",
+    b"1e18",
+    b"1e-300",
+    b"True",
+    b"\xff",
+    b"1,5",
+    b"0x10",
+    b"  ",
+)
+NAMES = (
+    b"a\x1b[31m",
+    b"\xe2\x80\xae",
+    b"\x00",
+    b"x" * 500,
+    b"<b>",
+    b"",
+    b"\t",
+    b"a0",
+    b"'",
+    b"nan",
+)
 IMPORTED = evaluate_logs, overview, sections, write
 
 
@@ -108,7 +160,9 @@ def values_damaged(raw: bytes, rng: np.random.Generator) -> bytes:
     out = raw
     for k in sorted(rng.integers(0, len(found), int(rng.integers(1, 4))).tolist(), reverse=True):
         at, other = found[k], found[int(rng.integers(0, len(found)))][0]
-        word = NUMBERS[int(rng.integers(0, len(NUMBERS)))] if rng.random() < 0.6 else other.strip(b'"')
+        word = (
+            NUMBERS[int(rng.integers(0, len(NUMBERS)))] if rng.random() < 0.6 else other.strip(b'"')
+        )
         word = b'"' + word + b'"' if at[0].startswith(b'"') else word
         out = out[: at.start()] + word + out[at.end() :]
         if rng.random() < 0.2 and len(at[0]) > 3:  # the same value everywhere: an id, a unit, a key
@@ -133,7 +187,11 @@ def columns_damaged(raw: bytes, rng: np.random.Generator) -> bytes:
     elif kind == 1:
         table = table.set_column(at, field.with_nullable(True), pa.nulls(n, field.type))
     elif kind == 2:
-        other = [None if v is None else str(v) for v in values] if rng.random() < 0.5 else list(range(n))
+        other = (
+            [None if v is None else str(v) for v in values]
+            if rng.random() < 0.5
+            else list(range(n))
+        )
         table = table.set_column(at, field.name, pa.array(other))
     elif kind == 3:
         table = table.slice(int(rng.integers(0, max(n, 1))), int(rng.integers(0, n + 1)))
@@ -158,7 +216,11 @@ def _spoilt(values: list[Any], kind: Any, rng: np.random.Generator) -> Any:
     for _ in range(1 + len(values) // 20):
         if values:
             k = int(rng.integers(0, len(values)))
-            short = isinstance(values[k], list) and len(values[k]) > 1 and not pa.types.is_fixed_size_list(kind)
+            short = (
+                isinstance(values[k], list)
+                and len(values[k]) > 1
+                and not pa.types.is_fixed_size_list(kind)
+            )
             values[k] = values[k][:-1] if short else some[int(rng.integers(0, len(some)))]
     return pa.array(values, kind)
 
@@ -174,19 +236,26 @@ def rewritten(raw: bytes, change: Callable[[int, Any, Any], Iterable[tuple[int, 
     for k, (schema, channel, message) in enumerate(reader.iter_messages(log_time_order=False)):
         if channel.id not in channels:
             if schema.id not in schemas:
-                schemas[schema.id] = writer.register_schema(schema.name, schema.encoding, schema.data)
+                schemas[schema.id] = writer.register_schema(
+                    schema.name, schema.encoding, schema.data
+                )
             channels[channel.id] = writer.register_channel(
                 channel.topic, channel.message_encoding, schemas[schema.id], channel.metadata
             )
         for time_ns, data in change(k, channel, message):
-            writer.add_message(channels[channel.id], time_ns, data, message.publish_time, message.sequence)
+            writer.add_message(
+                channels[channel.id], time_ns, data, message.publish_time, message.sequence
+            )
     writer.finish()
     return out.getvalue()
 
 
 def messages_damaged(raw: bytes, rng: np.random.Generator, spoil: Mutation | None = None) -> bytes:
     """Some messages of an MCAP file damaged: their bytes, or as `spoil` does."""
-    topics = [channel.topic for _, channel, _ in make_reader(BytesIO(raw)).iter_messages(log_time_order=False)]
+    topics = [
+        channel.topic
+        for _, channel, _ in make_reader(BytesIO(raw)).iter_messages(log_time_order=False)
+    ]
     rare, chosen = Counter(topics), int(rng.integers(0, len(topics)))
 
     def change(k: int, channel: Any, message: Any) -> Iterable[tuple[int, bytes]]:
@@ -208,7 +277,10 @@ def json_damaged(raw: bytes, rng: np.random.Generator) -> bytes:
 def clock_changed(raw: bytes, rng: np.random.Generator) -> bytes:
     """An MCAP file with one topic on another clock, shuffled, doubled or lost."""
     some = list(make_reader(BytesIO(raw)).iter_messages(log_time_order=False))
-    topics, times = sorted({channel.topic for _, channel, _ in some}), [message.log_time for *_, message in some]
+    topics, times = (
+        sorted({channel.topic for _, channel, _ in some}),
+        [message.log_time for *_, message in some],
+    )
     topic, kind = topics[int(rng.integers(0, len(topics)))], int(rng.integers(0, 5))
     shift = int(rng.choice([10**15, 10**11, 60 * 10**9]))
 
@@ -256,13 +328,17 @@ def rows_damaged(raw: bytes, rng: np.random.Generator) -> bytes:
             cells[i][0] = str(float(cells[i][0]) + add).encode()
     elif kind == 5:
         order = rng.permutation(len(cells[0]))
-        cells = [[row[i] for i in order] for row in cells[: 1 + int(rng.integers(0, 2)) * len(cells)]]
+        cells = [
+            [row[i] for i in order] for row in cells[: 1 + int(rng.integers(0, 2)) * len(cells)]
+        ]
     elif kind == 6:
         k = int(rng.integers(0, len(cells[0])))
         cells = [row[:k] + row[k + 1 :] for row in cells]
     elif kind == 7:
         units = (b"[ms]", b"[km/h]", b"[parsec]", b"(s)", b"[]", b"_ms", b"[deg]")
-        cells[0][int(rng.integers(0, len(cells[0])))] += b" " + units[int(rng.integers(0, len(units)))]
+        cells[0][int(rng.integers(0, len(cells[0])))] += (
+            b" " + units[int(rng.integers(0, len(units)))]
+        )
     mark = (b";", b"\t", b"|", b" ")[int(rng.integers(0, 4))] if kind == 8 else b","
     return b"\n".join(mark.join(row) for row in cells)
 
@@ -324,10 +400,14 @@ def cases(made: Path) -> Iterator[Case]:
     write_scenario(made / "native" / "log.mcap", rich_scenario(20))
     of_messages = (messages_damaged, clock_changed)
     yield Case("native", made / "native", "log.mcap", "log.mcap", (damaged,))
-    yield Case("native, messages", made / "native", "log.mcap", "log.mcap", (*of_messages, json_damaged))
+    yield Case(
+        "native, messages", made / "native", "log.mcap", "log.mcap", (*of_messages, json_damaged)
+    )
     rows = bags.transforms(2.0) + bags.odometry(duration=2.0)
     for kind in ("Tracked", "Predicted", "Detected"):
-        rows += bags.autoware_objects(f"autoware_perception_msgs/msg/{kind}Objects", f"/objects/{kind}")[:20]
+        rows += bags.autoware_objects(
+            f"autoware_perception_msgs/msg/{kind}Objects", f"/objects/{kind}"
+        )[:20]
     (made / "bag").mkdir()
     bags.write_ros2(made / "bag" / "log", rows, compressed=False)
     yield Case("ROS 2, not compressed", made / "bag", "log", "log/*", (damaged,))
@@ -387,8 +467,20 @@ def evaluated(path: Path, out: Path, said: Path) -> tuple[str, str]:
         stream = os.open(said, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
         os.dup2(stream, 1)
         os.dup2(stream, 2)
-        sys.stdout, sys.stderr = (os.fdopen(number, "w", encoding="utf-8", closefd=False) for number in (1, 2))
-        sys.argv = ["replan", "evaluate", str(path), "-o", str(out), "-p", "constant_speed", "--workers", "0"]
+        sys.stdout, sys.stderr = (
+            os.fdopen(number, "w", encoding="utf-8", closefd=False) for number in (1, 2)
+        )
+        sys.argv = [
+            "replan",
+            "evaluate",
+            str(path),
+            "-o",
+            str(out),
+            "-p",
+            "constant_speed",
+            "--workers",
+            "0",
+        ]
         code = 99
         try:
             replan()
@@ -430,7 +522,11 @@ def lost(case: Case, path: Path, out: Path, whole: tuple[int, frozenset[str]]) -
     driven = min(len(read_scenario(trace).tracks) for trace in traces)
     given = agents_in(case, path)
     expected = whole[0] if given is None else given
-    return f"{driven} of {expected} agents are left, and no note says why" if driven < expected and not notes else ""
+    return (
+        f"{driven} of {expected} agents are left, and no note says why"
+        if driven < expected and not notes
+        else ""
+    )
 
 
 def campaign(chosen: Sequence[Case], count: int, seed: int, folder: Path) -> Counter[str]:
@@ -453,7 +549,10 @@ def campaign(chosen: Sequence[Case], count: int, seed: int, folder: Path) -> Cou
         counts[outcome] += 1
         took = time.monotonic() - began
         if outcome not in GOOD:
-            print(f"--- {case.name}, seed {seed}, input {k}, {what}, {took:.1f} s: {outcome}\n{words}\n", flush=True)
+            print(
+                f"--- {case.name}, seed {seed}, input {k}, {what}, {took:.1f} s: {outcome}\n{words}\n",
+                flush=True,
+            )
         for place in (work, out):
             shutil.rmtree(place, ignore_errors=True)
     return counts

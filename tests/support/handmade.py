@@ -20,7 +20,9 @@ Curvature = Callable[[FloatArray], FloatArray]
 
 def s_curve(s: FloatArray) -> FloatArray:
     """Straight, left and right arcs of 50 m radius, clothoids of 10 m between them."""
-    return np.interp(s, [20.0, 30.0, 70.0, 90.0, 130.0, 140.0], np.array([0.0, 1.0, 1.0, -1.0, -1.0, 0.0]) / 50.0)
+    return np.interp(
+        s, [20.0, 30.0, 70.0, 90.0, 130.0, 140.0], np.array([0.0, 1.0, 1.0, -1.0, -1.0, 0.0]) / 50.0
+    )
 
 
 def straight(s: FloatArray) -> FloatArray:
@@ -28,7 +30,10 @@ def straight(s: FloatArray) -> FloatArray:
 
 
 def drive(
-    kappa: Curvature, v: Callable[[FloatArray], FloatArray] | float, duration: float, step: float = 0.1
+    kappa: Curvature,
+    v: Callable[[FloatArray], FloatArray] | float,
+    duration: float,
+    step: float = 0.1,
 ) -> Trajectory:
     """A drive from the origin along a curvature profile, integrated finely enough to be exact for tests."""
     fine = 200
@@ -46,11 +51,15 @@ def drive(
 
 def lanes_along(path: Trajectory, width: float = 3.5, beyond: float = 60.0) -> Road:
     """One lane of the log along a path."""
-    road = Road.along(np.column_stack([path.x, path.y]), width=width, speed_limit=15.0, beyond=beyond)
+    road = Road.along(
+        np.column_stack([path.x, path.y]), width=width, speed_limit=15.0, beyond=beyond
+    )
     return Road(road.lanes, default_speed_limit=15.0)
 
 
-def track(ident: str, t: Sequence[float], x: Sequence[float], y: Sequence[float], **more: object) -> dict[str, object]:
+def track(
+    ident: str, t: Sequence[float], x: Sequence[float], y: Sequence[float], **more: object
+) -> dict[str, object]:
     return {"id": ident, "t": t, "x": x, "y": y, **more}
 
 
@@ -63,7 +72,9 @@ def tracks(*agents: dict[str, object]) -> Tracks:
 
     def column(name: str, default: float) -> FloatArray:
         values = [np.asarray(agent.get(name, default), float) for agent in agents]
-        return np.concatenate([np.broadcast_to(value, (n,)) for value, n in zip(values, sizes, strict=True)])
+        return np.concatenate(
+            [np.broadcast_to(value, (n,)) for value, n in zip(values, sizes, strict=True)]
+        )
 
     return Tracks(
         ids=tuple(str(agent["id"]) for agent in agents),
@@ -114,15 +125,25 @@ def crossing_without_a_map(top: float = 11.4, walks: float = 1.4) -> Scenario:
     ego = Trajectory(t, x, zero, zero, v, np.gradient(v, t), zero)
     there = np.arange(0.0, 12.05, 0.1)
     walker = track(
-        "17", list(there), [60.0] * len(there), list(walks * (there - 6.3)), kind=AgentKind.PEDESTRIAN, length=0.5,
-        width=0.5, yaw=np.pi / 2.0, vx=0.0, vy=walks,
-    )  # fmt: skip
+        "17",
+        list(there),
+        [60.0] * len(there),
+        list(walks * (there - 6.3)),
+        kind=AgentKind.PEDESTRIAN,
+        length=0.5,
+        width=0.5,
+        yaw=np.pi / 2.0,
+        vx=0.0,
+        vy=walks,
+    )
     path = Road.along(np.column_stack([x, zero]), speed_limit=13.89)
     return replace(scenario(ego, agents=tracks(walker), road=path), tags=("recorded",))
 
 
 def square(x: float, y: float, half: float) -> FloatArray:
-    return np.array([[x - half, y - half], [x + half, y - half], [x + half, y + half], [x - half, y + half]])
+    return np.array(
+        [[x - half, y - half], [x + half, y - half], [x + half, y + half], [x - half, y + half]]
+    )
 
 
 class Told:

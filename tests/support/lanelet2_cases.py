@@ -33,7 +33,9 @@ class MapWriter:
 
     def relation(self, members: Iterable[tuple[str, str, int]], **tags: str) -> int:
         """A relation of members (kind, role, id); its id."""
-        inner = "".join(f'<member type="{kind}" role="{role}" ref="{ref}"/>' for kind, role, ref in members)
+        inner = "".join(
+            f'<member type="{kind}" role="{role}" ref="{ref}"/>' for kind, role, ref in members
+        )
         return self._add("relation", inner, tags)
 
     def lanelet(self, left: int, right: int, rules: Iterable[int] = (), **tags: str) -> int:
@@ -43,7 +45,9 @@ class MapWriter:
             ("way", "right", right),
             *(("relation", "regulatory_element", r) for r in rules),
         ]
-        return self.relation(members, **{"type": "lanelet", "subtype": "road", "one_way": "yes", **tags})
+        return self.relation(
+            members, **{"type": "lanelet", "subtype": "road", "one_way": "yes", **tags}
+        )
 
     def rule(self, subtype: str, members: Iterable[tuple[str, str, int]], **tags: str) -> int:
         """A regulatory element."""
@@ -52,7 +56,8 @@ class MapWriter:
     def _add(self, kind: str, inner: str, tags: Mapping[str, str]) -> int:
         name = next(self.ids)
         said = "".join(
-            f"<tag k={quoteattr(key.replace('__', ':'))} v={quoteattr(text)}/>" for key, text in tags.items()
+            f"<tag k={quoteattr(key.replace('__', ':'))} v={quoteattr(text)}/>"
+            for key, text in tags.items()
         )
         self.parts.append(f'<{kind} id="{name}">{inner}{said}</{kind}>')
         return name
@@ -72,14 +77,18 @@ class MapWriter:
         return path
 
 
-def driven_along(line: FloatArray, speed: float = 8.0, duration: float = 20.0, name: str = "drive") -> Scenario:
+def driven_along(
+    line: FloatArray, speed: float = 8.0, duration: float = 20.0, name: str = "drive"
+) -> Scenario:
     """A drive along a line `(n, 2)` at one speed, 10 Hz, in a log without lanes."""
     smooth = ReferenceLine.through(line)
     t = np.arange(0.0, min(duration, smooth.length / speed) + 1e-9, 0.1)
     frames = np.array([smooth.frame(speed * at) for at in t])
     origin = np.round(frames[0, :2])
     x, y = (frames[:, :2] - origin).T
-    ego = Trajectory(t, x, y, np.unwrap(frames[:, 2]), np.full(len(t), speed), np.zeros(len(t)), frames[:, 3])
+    ego = Trajectory(
+        t, x, y, np.unwrap(frames[:, 2]), np.full(len(t), speed), np.zeros(len(t)), frames[:, 3]
+    )
     place = (float(origin[0]), float(origin[1]))
     return Scenario(name, ego, Tracks.empty(), Road({}), float(t[-1]), origin=place)
 
@@ -122,19 +131,26 @@ def crossroads() -> tuple[MapWriter, dict[str, int]]:
     sign = m.rule("speed_limit", [], sign_type="de274-30")
     lanes["light"], lanes["light way"] = light, light_way
     lanes["west 1"] = m.lanelet(ways["west", 4.0], ways["west", 0.0], [light], speed_limit="50")
-    lanes["west 2"] = m.lanelet(ways["west", 0.0], ways["west", -4.0], [light], speed_limit="30 mph")
+    lanes["west 2"] = m.lanelet(
+        ways["west", 0.0], ways["west", -4.0], [light], speed_limit="30 mph"
+    )
     lanes["inner 1"] = m.lanelet(ways["inner", 4.0], ways["inner", 0.0], speed_limit="10 m/s")
     lanes["inner 2"] = m.lanelet(ways["inner", 0.0], ways["inner", -4.0])
     lanes["east 1"] = m.lanelet(ways["east", 4.0], ways["east", 0.0], [sign], speed_limit="50 km/h")
     lanes["east 2"] = m.lanelet(ways["east", 0.0], ways["east", -4.0], speed_limit="fast")
     lanes["back"] = m.lanelet(ways["east", 4.0], ways["east", 8.0])  # its ways run against it
     left, right = m.way([(64.0, -60.0), (64.0, -8.0)]), m.way([(68.0, -60.0), (68.0, -8.0)])
-    first, second = m.way([(64.0, -8.0), (66.0, -2.0), (72.0, 0.0)]), m.way([(68.0, -8.0), (69.0, -5.0), (72.0, -4.0)])
+    first, second = (
+        m.way([(64.0, -8.0), (66.0, -2.0), (72.0, 0.0)]),
+        m.way([(68.0, -8.0), (69.0, -5.0), (72.0, -4.0)]),
+    )
     waiting = m.way([(64.0, -9.0), (68.0, -9.0)], type="stop_line")
     yields = m.way([(70.0, -9.0), (70.5, -9.0)], type="traffic_sign", subtype="de205")
     m_yield = m.rule("traffic_sign", [("way", "refers", yields), ("way", "ref_line", waiting)])
     lanes["side"] = m.lanelet(left, right, [m_yield])
-    middle = m.way([(60.0, -8.0), (72.0, -8.0), (72.0, 4.0), (60.0, 4.0)], type="intersection_area", area="yes")
+    middle = m.way(
+        [(60.0, -8.0), (72.0, -8.0), (72.0, 4.0), (60.0, 4.0)], type="intersection_area", area="yes"
+    )
     lanes["turn"] = m.lanelet(first, second, intersection_area=str(middle))
     lanes["way"] = m.rule(
         "right_of_way",
@@ -148,6 +164,7 @@ def crossroads() -> tuple[MapWriter, dict[str, int]]:
     m.rule("detection_area", [])
     m.relation([], type="multipolygon", subtype="building")
     corners = [(80.0, 10.0), (90.0, 10.0), (90.0, 20.0), (80.0, 20.0)]
-    sides = m.way(corners[:3]), m.way([corners[0], corners[3], corners[2]])  # one runs around it, one against that
+    # One runs around it, one against that
+    sides = m.way(corners[:3]), m.way([corners[0], corners[3], corners[2]])
     m.relation([("way", "outer", side) for side in sides], type="multipolygon", subtype="parking")
     return m, lanes

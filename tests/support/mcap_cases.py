@@ -32,7 +32,9 @@ def seconds(ns: Iterable[int]) -> np.ndarray:
 def rich_scenario(n: int = 30) -> Scenario:
     """Everything that a log can hold: ragged tracks on their own clocks, an obstacle, lanes, rules, goal, controls."""
     t = seconds(100_000_000 * k for k in range(n))
-    ego = Trajectory(t, 8.0 * t, np.sin(t), 0.1 * np.cos(t), 8.0 + 0.1 * t, 0.1 + 0.0 * t, 0.01 * np.sin(t))
+    ego = Trajectory(
+        t, 8.0 * t, np.sin(t), 0.1 * np.cos(t), 8.0 + 0.1 * t, 0.1 + 0.0 * t, 0.01 * np.sin(t)
+    )
     own = seconds(33_333_333 * k + 7 for k in range(2 * n))
     tracks = Tracks(
         ("car 1", "post", "walker"),
@@ -50,26 +52,65 @@ def rich_scenario(n: int = 30) -> Scenario:
     )
     x = np.linspace(-20.0, 200.0, 12)
     one = Lane(
-        3, np.c_[x, 0 * x + 1.75], np.c_[x, 0 * x - 1.75], (5,), 4, None, True, 13.9, left_crossable=False, kind="urban"
+        3,
+        np.c_[x, 0 * x + 1.75],
+        np.c_[x, 0 * x - 1.75],
+        (5,),
+        4,
+        None,
+        True,
+        13.9,
+        left_crossable=False,
+        kind="urban",
     )
     two = Lane(
-        5, np.c_[x + 220, 0 * x + 2], np.c_[x + 220, 0 * x - 2], right_neighbour=9, drivable=False, yields_to=(3, 8)
+        5,
+        np.c_[x + 220, 0 * x + 2],
+        np.c_[x + 220, 0 * x - 2],
+        right_neighbour=9,
+        drivable=False,
+        yields_to=(3, 8),
     )
     stop = StopLine(1, 3, np.array([[200.0, 1.75], [200.0, -1.75]]), light=12, towards=(5,))
     signed = StopLine(2, 5, np.array([[400.0, 2.0], [400.0, -2.0]]), must_stop=True)
     zebra = Crosswalk(7, np.array([[202.0, -2.0], [205.0, -2.0], [205.0, 2.0], [202.0, 2.0]]))
     late = TrafficLight(4, np.array([0.1]), (Colour.OFF,))
-    lights = (late, TrafficLight(12, np.array([-0.1, 0.1, 0.2]), (Colour.GREEN, Colour.YELLOW, Colour.RED)))
-    road = Road({3: one, 5: two}, default_speed_limit=11.0, drives_on_right=False, stop_lines=(stop, signed),
-                crosswalks=(zebra,))  # fmt: skip
-    goal = Goal((np.array([[100.0, -2.0], [110.0, -2.0], [110.0, 2.0]]),), (1.0, 20.0), (0.0, 9.0), (-0.1, 0.1))
+    lights = (
+        late,
+        TrafficLight(12, np.array([-0.1, 0.1, 0.2]), (Colour.GREEN, Colour.YELLOW, Colour.RED)),
+    )
+    road = Road(
+        {3: one, 5: two},
+        default_speed_limit=11.0,
+        drives_on_right=False,
+        stop_lines=(stop, signed),
+        crosswalks=(zebra,),
+    )
+    goal = Goal(
+        (np.array([[100.0, -2.0], [110.0, -2.0], [110.0, 2.0]]),),
+        (1.0, 20.0),
+        (0.0, 9.0),
+        (-0.1, 0.1),
+    )
     controls = Controls(t, 0.02 * t, np.where(t > 1.0, np.nan, 0.2), 0.0 * t)
     return Scenario(
-        "paper/rich", ego, tracks, road,
-        float(t[-1]) + 0.3, goal, VehicleParameters(length=4.9, width=1.9), controls, ("urban", "recorded"),
-        "somewhere", "CC-BY-4.0", (691000.5, 5336000.25), START_NS, {"seed": "7"}, ("A note.",),
+        "paper/rich",
+        ego,
+        tracks,
+        road,
+        float(t[-1]) + 0.3,
+        goal,
+        VehicleParameters(length=4.9, width=1.9),
+        controls,
+        ("urban", "recorded"),
+        "somewhere",
+        "CC-BY-4.0",
+        (691000.5, 5336000.25),
+        START_NS,
+        {"seed": "7"},
+        ("A note.",),
         lights,
-    )  # fmt: skip
+    )
 
 
 def repaired_scenario() -> Scenario:
@@ -81,13 +122,33 @@ def repaired_scenario() -> Scenario:
     unknown = np.full(len(t), np.nan)
     half = np.where(np.arange(len(t)) % 2 == 0, 0.2, np.nan)
     found = Detections(
-        t, frames, tuple(str(k % 2) for k in range(len(t))), np.arange(len(t)) % 7, 20.0 + 5.0 * t, 0.01 * t, 0.1 * t,
-        4.0 + half, 1.8 + half, unknown, unknown, half + 0.1,
-    )  # fmt: skip
+        t,
+        frames,
+        tuple(str(k % 2) for k in range(len(t))),
+        np.arange(len(t)) % 7,
+        20.0 + 5.0 * t,
+        0.01 * t,
+        0.1 * t,
+        4.0 + half,
+        1.8 + half,
+        unknown,
+        unknown,
+        half + 0.1,
+    )
     removed = Tracks(
-        ("x9",), (AgentKind.OBJECT,), np.ones(1), np.ones(1), np.zeros(1, np.bool_), np.array([0, 2]), frames[3:5],
-        np.array([1.0, 2.0]), np.zeros(2), np.zeros(2), np.full(2, np.nan), np.full(2, np.nan),
-    )  # fmt: skip
+        ("x9",),
+        (AgentKind.OBJECT,),
+        np.ones(1),
+        np.ones(1),
+        np.zeros(1, np.bool_),
+        np.array([0, 2]),
+        frames[3:5],
+        np.array([1.0, 2.0]),
+        np.zeros(2),
+        np.zeros(2),
+        np.full(2, np.nan),
+        np.full(2, np.nan),
+    )
     extended = np.zeros(len(scenario.tracks.t), np.bool_)
     extended[:4] = True
     changes = (
@@ -113,12 +174,18 @@ def differences(one: object, two: object, where: str = "scenario") -> list[str]:
     if isinstance(one, tuple):
         if not isinstance(two, tuple) or len(one) != len(two):
             return [where]
-        return [d for i, (a, b) in enumerate(zip(one, two, strict=True)) for d in differences(a, b, f"{where}[{i}]")]
+        return [
+            d
+            for i, (a, b) in enumerate(zip(one, two, strict=True))
+            for d in differences(a, b, f"{where}[{i}]")
+        ]
     if hasattr(one, "__dataclass_fields__"):
         if type(one) is not type(two):
             return [where]
         names = [f.name for f in fields(one)]  # type: ignore[arg-type]
-        return [d for n in names for d in differences(getattr(one, n), getattr(two, n), f"{where}.{n}")]
+        return [
+            d for n in names for d in differences(getattr(one, n), getattr(two, n), f"{where}.{n}")
+        ]
     return [] if one == two or (one != one and two != two) else [where]
 
 
@@ -137,7 +204,9 @@ def write_by_hand(
         channels: dict[str, int] = {}
         for topic, time, value in messages:
             if topic not in channels:
-                schema = writer.register_schema(f"by.hand{topic}", "jsonschema", b'{"type":"object"}')
+                schema = writer.register_schema(
+                    f"by.hand{topic}", "jsonschema", b'{"type":"object"}'
+                )
                 channels[topic] = writer.register_channel(topic, "json", schema)
             payload = value if isinstance(value, bytes) else json.dumps(value).encode()
             writer.add_message(channels[topic], time, payload, time)
@@ -194,21 +263,38 @@ def detections(draw: st.DrawFn) -> Detections:
     frames = draw(times(draw(st.integers(1, 4))))
     counts = draw(st.lists(st.integers(0, 3), min_size=len(frames), max_size=len(frames)))
     m, unknown = sum(counts), st.just(float("nan"))
-    measured = [columns(draw, m, st.one_of(each, unknown)) for each in (positive, positive, number, number, positive)]
+    measured = [
+        columns(draw, m, st.one_of(each, unknown))
+        for each in (positive, positive, number, number, positive)
+    ]
     return Detections(
-        np.repeat(frames, counts), frames, tuple(draw(st.lists(words, min_size=m, max_size=m))),
-        columns(draw, m, st.integers(0, 6)).astype(np.int64), columns(draw, m, number), columns(draw, m, number),
-        columns(draw, m, st.floats(-3.0, 3.0)), *measured,
-    )  # fmt: skip
+        np.repeat(frames, counts),
+        frames,
+        tuple(draw(st.lists(words, min_size=m, max_size=m))),
+        columns(draw, m, st.integers(0, 6)).astype(np.int64),
+        columns(draw, m, number),
+        columns(draw, m, number),
+        columns(draw, m, st.floats(-3.0, 3.0)),
+        *measured,
+    )
 
 
 @st.composite
 def repairs(draw: st.DrawFn, tracks: Tracks) -> Repair:
     text, when = st.text("abc.", max_size=5), st.floats(-10.0, 10.0)
     change = st.builds(
-        TrackChange, text, text, when, when, st.integers(0, 9), text, st.lists(words, max_size=2).map(tuple)
+        TrackChange,
+        text,
+        text,
+        when,
+        when,
+        st.integers(0, 9),
+        text,
+        st.lists(words, max_size=2).map(tuple),
     )
-    marks = np.array(draw(st.lists(st.booleans(), min_size=len(tracks.t), max_size=len(tracks.t))), np.bool_)
+    marks = np.array(
+        draw(st.lists(st.booleans(), min_size=len(tracks.t), max_size=len(tracks.t))), np.bool_
+    )
     made = tuple(draw(st.lists(change, max_size=3)))
     return Repair(draw(detections()), draw(all_tracks()), marks, made, tracks)
 
@@ -239,7 +325,8 @@ def lanes(draw: st.DrawFn, ident: int) -> Lane:
 def lights(draw: st.DrawFn) -> TrafficLight:
     t = draw(times(draw(st.integers(1, 4))))
     colours = draw(st.lists(st.sampled_from(Colour), min_size=len(t), max_size=len(t)))
-    later = np.rint(1e9 * (t + draw(st.integers(0, 3)))) / 1e9  # on a nanosecond, as the times of logs are
+    # On a nanosecond, as the times of logs are
+    later = np.rint(1e9 * (t + draw(st.integers(0, 3)))) / 1e9
     return TrafficLight(draw(st.integers(-(2**40), 2**40)), later, tuple(colours))
 
 
@@ -258,7 +345,9 @@ def stop_lines(draw: st.DrawFn, across: list[int], obeyed: list[int]) -> StopLin
 @st.composite
 def crosswalks(draw: st.DrawFn) -> Crosswalk:
     corners = draw(st.integers(3, 5))
-    return Crosswalk(draw(st.integers(-(2**40), 2**40)), columns(draw, 2 * corners, number).reshape(corners, 2))
+    return Crosswalk(
+        draw(st.integers(-(2**40), 2**40)), columns(draw, 2 * corners, number).reshape(corners, 2)
+    )
 
 
 def distinct(elements: st.SearchStrategy[Any]) -> st.SearchStrategy[tuple[Any, ...]]:
@@ -280,12 +369,20 @@ def roads(draw: st.DrawFn, obeyed: list[int]) -> Road:
 @st.composite
 def scenarios(draw: st.DrawFn) -> Scenario:
     n = draw(st.integers(1, 5))
-    ego = Trajectory(draw(times(n)), *(columns(draw, n, number) for _ in range(2)), columns(draw, n, st.floats(-3, 3)),
-                     *(columns(draw, n, number) for _ in range(3)))  # fmt: skip
+    ego = Trajectory(
+        draw(times(n)),
+        *(columns(draw, n, number) for _ in range(2)),
+        columns(draw, n, st.floats(-3, 3)),
+        *(columns(draw, n, number) for _ in range(3)),
+    )
     interval = st.one_of(st.none(), st.tuples(number, number))
-    triangle = st.builds(lambda values: np.array(values).reshape(3, 2), st.lists(number, min_size=6, max_size=6))
+    triangle = st.builds(
+        lambda values: np.array(values).reshape(3, 2), st.lists(number, min_size=6, max_size=6)
+    )
     goal = st.builds(Goal, st.lists(triangle, max_size=2).map(tuple), interval, interval, interval)
-    goal = st.one_of(goal, st.builds(Goal, alternatives=st.lists(goal, min_size=1, max_size=3).map(tuple)))
+    goal = st.one_of(
+        goal, st.builds(Goal, alternatives=st.lists(goal, min_size=1, max_size=3).map(tuple))
+    )
     pedal = st.one_of(st.just(float("nan")), st.floats(0, 1))
     k = draw(st.integers(1, 3))
     controls = Controls(draw(times(k)), *(columns(draw, k, pedal) for _ in range(3)))

@@ -14,10 +14,15 @@ ROOT = Path(__file__).parents[2]
 def started(*words: object, cwd: Path, **more: Any) -> subprocess.Popen[str]:
     """`replan WORDS` in a session of its own, with the code and the Python path of the tests; `more` is of Popen."""
     return subprocess.Popen(
-        [sys.executable, "-m", "replan", *map(str, words)], cwd=cwd, text=True, start_new_session=True,
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}, **more,
-    )  # fmt: skip
+        [sys.executable, "-m", "replan", *map(str, words)],
+        cwd=cwd,
+        text=True,
+        start_new_session=True,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+        **more,
+    )
 
 
 def descendants(pid: int) -> set[int]:

@@ -27,7 +27,9 @@ def turn(yaw: float) -> list[float]:
 
 
 def write_ipc(path: Path, columns: Mapping[str, Any], metadata: Mapping[str, Any]) -> None:
-    table = pa.table(dict(columns)).replace_schema_metadata({b"metadata": msgspec.msgpack.encode(metadata)})
+    table = pa.table(dict(columns)).replace_schema_metadata(
+        {b"metadata": msgspec.msgpack.encode(metadata)}
+    )
     path.parent.mkdir(parents=True, exist_ok=True)
     with pa.OSFile(str(path), "wb") as sink, pa.ipc.new_file(sink, table.schema) as writer:
         writer.write_table(table, max_chunksize=20)
@@ -35,14 +37,21 @@ def write_ipc(path: Path, columns: Mapping[str, Any], metadata: Mapping[str, Any
 
 def packed(points: Any) -> dict[Any, Any]:
     array = np.ascontiguousarray(points, dtype="<f8")
-    return {b"__ndarray__": True, b"dtype": "<f8", b"shape": list(array.shape), b"data": array.tobytes()}
+    return {
+        b"__ndarray__": True,
+        b"dtype": "<f8",
+        b"shape": list(array.shape),
+        b"data": array.tobytes(),
+    }
 
 
 def wkb(points: Sequence[Sequence[float]]) -> bytes:
     return struct.pack("<BII", 1, 2, len(points)) + np.asarray(points, "<f8").tobytes()
 
 
-def write_map(path: Path, objects: Sequence[tuple[int, int, Mapping[str, Any], bytes]], **about: Any) -> None:
+def write_map(
+    path: Path, objects: Sequence[tuple[int, int, Mapping[str, Any], bytes]], **about: Any
+) -> None:
     """Objects as (id, layer, features, geometry)."""
     ids, layers, features, geometry = zip(*objects, strict=True)
     columns = {
@@ -58,21 +67,49 @@ def lane(x: tuple[float, float], y: float, **features: Any) -> dict[str, Any]:
     """Features of a lane 3.5 m wide along x (backwards where x decreases), its middle at y."""
     half = 1.75 if x[1] > x[0] else -1.75
     sides = {
-        f"{side}_boundary": packed([[x[0], y + d], [x[1], y + d]]) for side, d in (("left", half), ("right", -half))
+        f"{side}_boundary": packed([[x[0], y + d], [x[1], y + d]])
+        for side, d in (("left", half), ("right", -half))
     }
     known: dict[str, Any] = {
-        "lane_type": 2, "successor_ids": [], "predecessor_ids": [], "left_lane_id": None, "right_lane_id": None,
+        "lane_type": 2,
+        "successor_ids": [],
+        "predecessor_ids": [],
+        "left_lane_id": None,
+        "right_lane_id": None,
         "speed_limit_mps": None,
-    }  # fmt: skip
+    }
     return {**known, **sides, **features}
 
 
 def street(**inner: Any) -> list[tuple[int, int, dict[str, Any], bytes]]:
     """Lane 1 to 2 (inside a crossing) to 3 eastwards, 9 beside 1 westwards, a stop zone before 2, a solid line."""
-    zone = packed([[58.0, -1.75, 0.0], [59.0, -1.75, 0.0], [59.0, 1.75, 0.0], [58.0, 1.75, 0.0], [58.0, -1.75, 0.0]])
+    zone = packed(
+        [
+            [58.0, -1.75, 0.0],
+            [59.0, -1.75, 0.0],
+            [59.0, 1.75, 0.0],
+            [58.0, 1.75, 0.0],
+            [58.0, -1.75, 0.0],
+        ]
+    )
     return [
-        (1, 0, lane((-20.0, 60.0), 0.0, successor_ids=[2], left_lane_id=9, speed_limit_mps=10.0), b""),
-        (2, 0, lane((60.0, 80.0), 0.0, lane_type=0, **{"successor_ids": [3], "predecessor_ids": [1], **inner}), b""),
+        (
+            1,
+            0,
+            lane((-20.0, 60.0), 0.0, successor_ids=[2], left_lane_id=9, speed_limit_mps=10.0),
+            b"",
+        ),
+        (
+            2,
+            0,
+            lane(
+                (60.0, 80.0),
+                0.0,
+                lane_type=0,
+                **{"successor_ids": [3], "predecessor_ids": [1], **inner},
+            ),
+            b"",
+        ),
         (3, 0, lane((80.0, 160.0), 0.0, predecessor_ids=[2]), b""),
         (9, 0, lane((60.0, -20.0), 3.5, left_lane_id=1), b""),
         (4, 7, {"outline": zone, "stop_zone_type": 1, "lane_ids": [2]}, b""),
@@ -81,7 +118,9 @@ def street(**inner: Any) -> list[tuple[int, int, dict[str, Any], bytes]]:
     ]
 
 
-def write_123d(folder: Path, n: int = 30, *, velocities: bool = True, camera: bool = True, **about: Any) -> Path:
+def write_123d(
+    folder: Path, n: int = 30, *, velocities: bool = True, camera: bool = True, **about: Any
+) -> Path:
     """A log at 10 Hz: the ego at 8 m/s on lane 1, a car ahead at 5 + t m/s, a cone that is seen from 1 s on."""
     t = 0.1 * np.arange(n)
     times = pa.array(START_US + (1e6 * t).round().astype(np.int64))
@@ -94,9 +133,15 @@ def write_123d(folder: Path, n: int = 30, *, velocities: bool = True, camera: bo
         "version": "0.7.0",
     }
     index = pa.array(np.arange(n))
-    write_ipc(folder / "sync.arrow", {"sync.timestamp_us": times, key: index, boxes: index}, {**metadata, **about})
+    write_ipc(
+        folder / "sync.arrow",
+        {"sync.timestamp_us": times, key: index, boxes: index},
+        {**metadata, **about},
+    )
     pose = [[8.0 * at + 0.2, -0.1, 0.0, *turn(0.0)] for at in t]
-    own = [[8.0 + 1e-3 * sin(9.0 * at), 0.0, 0.0, 0.5, *[0.0] * 5] if velocities else None for at in t]
+    own = [
+        [8.0 + 1e-3 * sin(9.0 * at), 0.0, 0.0, 0.5, *[0.0] * 5] if velocities else None for at in t
+    ]
     ego = {
         f"{key}.timestamp_us": times,
         f"{key}.imu_se3": pa.array(pose, pa.list_(pa.float64(), 7)),
@@ -104,7 +149,8 @@ def write_123d(folder: Path, n: int = 30, *, velocities: bool = True, camera: bo
     }
     write_ipc(folder / f"{key}.arrow", ego, CAR)
     car = [
-        [30.0 + 5.0 * at + 0.5 * at**2, 0.5, 0.7, *turn(0.01), 4.5 + 0.1 * (i % 3), 1.8, 1.5] for i, at in enumerate(t)
+        [30.0 + 5.0 * at + 0.5 * at**2, 0.5, 0.7, *turn(0.01), 4.5 + 0.1 * (i % 3), 1.8, 1.5]
+        for i, at in enumerate(t)
     ]
     cone = [40.0, 2.5, 0.3, *turn(0.0), 0.4, 0.4, 0.8]
     seen = [[box, cone] if i >= 10 else [box] for i, box in enumerate(car)]
@@ -123,7 +169,9 @@ def write_123d(folder: Path, n: int = 30, *, velocities: bool = True, camera: bo
     lights = {
         "traffic_light_detections.timestamp_us": times,
         "traffic_light_detections.lane_id": pa.array([[2, 77]] * n, pa.list_(pa.int32())),
-        "traffic_light_detections.status": pa.array([[2 if i < 15 else 0, 4] for i in range(n)], pa.list_(pa.uint8())),
+        "traffic_light_detections.status": pa.array(
+            [[2 if i < 15 else 0, 4] for i in range(n)], pa.list_(pa.uint8())
+        ),
     }
     write_ipc(folder / "traffic_light_detections.arrow", lights, {})
     if camera:
@@ -149,10 +197,19 @@ def write_av2(folder: Path, n: int = 30) -> Path:
         for who, kind, x, y in (("a", "BUS", 20.0, 3.5), ("e", "EGO_VEHICLE", 0.0, 0.0))
     ]
     columns: dict[str, Any] = dict(
-        zip(("timestamp_ns", "track_uuid", "category", "tx_m", "ty_m"), zip(*rows, strict=True), strict=True)
+        zip(
+            ("timestamp_ns", "track_uuid", "category", "tx_m", "ty_m"),
+            zip(*rows, strict=True),
+            strict=True,
+        )
     )
-    columns |= {name: [value] * len(rows) for name, value in (("tz_m", 0.0), ("length_m", 11.0), ("width_m", 2.5))}
-    columns |= dict(zip(("qw", "qx", "qy", "qz"), ([value] * len(rows) for value in turn(0.0)), strict=True))
+    columns |= {
+        name: [value] * len(rows)
+        for name, value in (("tz_m", 0.0), ("length_m", 11.0), ("width_m", 2.5))
+    }
+    columns |= dict(
+        zip(("qw", "qx", "qy", "qz"), ([value] * len(rows) for value in turn(0.0)), strict=True)
+    )
     pa.feather.write_feather(pa.table(columns), str(folder / "annotations.feather"))
     write_av2_map(folder / "map" / "log_map_archive_x.json")
     return folder
@@ -169,21 +226,41 @@ def write_av2_map(path: Path) -> None:
         "predecessors": [],
     }
     ahead = {
-        **segment, "id": 1, "left_lane_boundary": line(48.0, 150.0, 300.0),
+        **segment,
+        "id": 1,
+        "left_lane_boundary": line(48.0, 150.0, 300.0),
         "right_lane_boundary": line(52.0, 150.0, 200.0, 300.0),
-        "right_lane_mark_type": "DASHED_WHITE", "successors": [7], "left_neighbor_id": 2, "right_neighbor_id": None,
-    }  # fmt: skip
+        "right_lane_mark_type": "DASHED_WHITE",
+        "successors": [7],
+        "left_neighbor_id": 2,
+        "right_neighbor_id": None,
+    }
     oncoming = {
-        **segment, "id": 2, "left_lane_boundary": line(48.0, 300.0, 150.0),
+        **segment,
+        "id": 2,
+        "left_lane_boundary": line(48.0, 300.0, 150.0),
         "right_lane_boundary": line(44.0, 300.0, 150.0),
-        "right_lane_mark_type": "NONE", "successors": [], "left_neighbor_id": 1, "right_neighbor_id": None,
-    }  # fmt: skip
-    crossing = {"id": 5, "edge1": line(44.0, 240.0) + line(52.0, 240.0), "edge2": line(44.0, 243.0) + line(52.0, 243.0)}
+        "right_lane_mark_type": "NONE",
+        "successors": [],
+        "left_neighbor_id": 1,
+        "right_neighbor_id": None,
+    }
+    crossing = {
+        "id": 5,
+        "edge1": line(44.0, 240.0) + line(52.0, 240.0),
+        "edge2": line(44.0, 243.0) + line(52.0, 243.0),
+    }
     path.parent.mkdir(parents=True, exist_ok=True)
     areas = {"6": {"id": 6, "area_boundary": line(0.0, 0.0, 1.0)}}
     lanes = {"1": ahead, "2": oncoming}
     path.write_text(
-        json.dumps({"lane_segments": lanes, "pedestrian_crossings": {"5": crossing}, "drivable_areas": areas})
+        json.dumps(
+            {
+                "lane_segments": lanes,
+                "pedestrian_crossings": {"5": crossing},
+                "drivable_areas": areas,
+            }
+        )
     )
 
 
@@ -195,10 +272,20 @@ def write_forecasting(folder: Path, n: int = 110) -> Path:
         rows.append(("AV", "vehicle", step, 50.0, 200.0 + 0.8 * step, np.pi / 2, 0.0, 8.0))
         rows.append(("17", "bus", step, 50.0, 240.0 + 0.6 * step, np.pi / 2, 0.0, 6.0))
         rows.append(("b", "static", step, 54.0, 230.0, 0.0, 0.0, 0.0))
-    names = ("track_id", "object_type", "timestep", "position_x", "position_y", "heading", "velocity_x", "velocity_y")
+    names = (
+        "track_id",
+        "object_type",
+        "timestep",
+        "position_x",
+        "position_y",
+        "heading",
+        "velocity_x",
+        "velocity_y",
+    )
     columns = dict(zip(names, zip(*rows, strict=True), strict=True))
     pa.parquet.write_table(
-        pa.table({**columns, "observed": [True] * len(rows)}), str(folder / f"scenario_{folder.name}.parquet")
+        pa.table({**columns, "observed": [True] * len(rows)}),
+        str(folder / f"scenario_{folder.name}.parquet"),
     )
     write_av2_map(folder / f"log_map_archive_{folder.name}.json")
     return folder

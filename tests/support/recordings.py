@@ -41,7 +41,9 @@ class Recording:
         return np.asarray(flat).reshape(-1, width)
 
     def static(self, entity: str, name: str) -> pa.Array:
-        return next(batch.column(name) for batch in self.still[entity] if name in batch.schema.names)[0].values
+        return next(
+            batch.column(name) for batch in self.still[entity] if name in batch.schema.names
+        )[0].values
 
     def texts(self) -> Iterator[str]:
         for chunk in self.chunks:

@@ -32,7 +32,9 @@ def store(*, ros1: bool = False) -> Any:
     for name, body in ros_bag.DEFINITIONS.items():
         found |= get_types_from_msg(body, name)
     if ros1:
-        found |= get_types_from_msg("geometry_msgs/TransformStamped[] transforms\n", "tf2_msgs/msg/TFMessage")
+        found |= get_types_from_msg(
+            "geometry_msgs/TransformStamped[] transforms\n", "tf2_msgs/msg/TFMessage"
+        )
     types.register({name: each for name, each in found.items() if name not in types.fielddefs})
     return types
 
@@ -96,10 +98,16 @@ def transforms(duration: float = DURATION_S) -> list[Row]:
         return {"header": header(ns, parent), "child_frame_id": child, "transform": transform}
 
     out.append(
-        ("/tf_static", kind, START_NS, message(kind, transforms=[one(START_NS, "base_link", "lidar", 1.0, 0.5, 0.3)]))
+        (
+            "/tf_static",
+            kind,
+            START_NS,
+            message(kind, transforms=[one(START_NS, "base_link", "lidar", 1.0, 0.5, 0.3)]),
+        )
     )
     out += [
-        ("/tf", kind, ns, message(kind, transforms=[one(ns, "map", "odom", *odom, 0.0)])) for ns in times(5, duration)
+        ("/tf", kind, ns, message(kind, transforms=[one(ns, "map", "odom", *odom, 0.0)]))
+        for ns in times(5, duration)
     ]
     for ns in times(RATE_HZ, duration):
         x, y, yaw = ego_pose(seconds(ns))
@@ -108,22 +116,38 @@ def transforms(duration: float = DURATION_S) -> list[Row]:
     return out
 
 
-def odometry(topic: str = "/localization/kinematic_state", duration: float = DURATION_S) -> list[Row]:
+def odometry(
+    topic: str = "/localization/kinematic_state", duration: float = DURATION_S
+) -> list[Row]:
     kind, out = "nav_msgs/msg/Odometry", []
     for ns in times(RATE_HZ, duration):
-        at = {"pose": {"pose": pose(*ego_pose(seconds(ns)))}, "twist": {"twist": {"linear": {"x": SPEED}}}}
-        out.append((topic, kind, ns + 2_000_000, message(kind, header=header(ns), child_frame_id="base_link", **at)))
+        at = {
+            "pose": {"pose": pose(*ego_pose(seconds(ns)))},
+            "twist": {"twist": {"linear": {"x": SPEED}}},
+        }
+        out.append(
+            (
+                topic,
+                kind,
+                ns + 2_000_000,
+                message(kind, header=header(ns), child_frame_id="base_link", **at),
+            )
+        )
     out[0][3].twist.twist.linear.x += 1e-3
     return out
 
 
-def to_frame(x: float, y: float, yaw: float, origin: tuple[float, float, float]) -> tuple[float, float, float]:
+def to_frame(
+    x: float, y: float, yaw: float, origin: tuple[float, float, float]
+) -> tuple[float, float, float]:
     c, s = cos(origin[2]), sin(origin[2])
     dx, dy = x - origin[0], y - origin[1]
     return c * dx + s * dy, c * dy - s * dx, yaw - origin[2]
 
 
-def autoware_objects(kind: str, topic: str, frame: str = "map", shape: int = 0, late_ns: int = 80_000_000) -> list[Row]:
+def autoware_objects(
+    kind: str, topic: str, frame: str = "map", shape: int = 0, late_ns: int = 80_000_000
+) -> list[Row]:
     """TrackedObjects, PredictedObjects or DetectedObjects of either package, in the map or in base_link."""
     prefix = "initial_" if "Predicted" in kind else ""
     out = []
@@ -139,13 +163,18 @@ def autoware_objects(kind: str, topic: str, frame: str = "map", shape: int = 0, 
                 paths = [{"path": [pose(x + k, y, yaw) for k in range(5)], "confidence": 0.5}]
                 kinematics["predicted_paths"] = paths
             item: dict[str, Any] = {
-                "classification": [{"label": 0, "probability": 0.1}, {"label": label, "probability": 0.8}]
+                "classification": [
+                    {"label": 0, "probability": 0.1},
+                    {"label": label, "probability": 0.8},
+                ]
             }
             item |= {"kinematics": kinematics, "shape": _shape(shape, length, width)}
             if "Detected" not in kind:
                 item["object_id"] = uuid(name)
             items.append(item)
-        out.append((topic, kind, ns + late_ns, message(kind, header=header(ns, frame), objects=items)))
+        out.append(
+            (topic, kind, ns + late_ns, message(kind, header=header(ns, frame), objects=items))
+        )
     return out
 
 
@@ -155,7 +184,11 @@ def _shape(shape: int, length: float, width: float) -> dict[str, Any]:
     if shape == 1:
         return {"type": 1, "dimensions": {"x": length, "y": length, "z": 1.5}}
     corners = [(a * length / 2, b * width / 2) for a, b in ((1, 1), (-1, 1), (-1, -1), (1, -1))]
-    return {"type": 2, "footprint": {"points": [{"x": x, "y": y} for x, y in corners]}, "dimensions": {"z": 1.5}}
+    return {
+        "type": 2,
+        "footprint": {"points": [{"x": x, "y": y} for x, y in corners]},
+        "dimensions": {"z": 1.5},
+    }
 
 
 def later(rows: Iterable[Row], log_s: float, stamp_s: float) -> list[Row]:
@@ -182,13 +215,20 @@ def values_of(some: Any) -> dict[str, Any]:
         if hasattr(value, "__dataclass_fields__"):
             value = values_of(value)
         elif isinstance(value, list):
-            value = [values_of(each) if hasattr(each, "__dataclass_fields__") else each for each in value]
+            value = [
+                values_of(each) if hasattr(each, "__dataclass_fields__") else each for each in value
+            ]
         out[name] = value
     return out
 
 
 def write_ros2(
-    path: Path, rows: Iterable[Row], *, sqlite: bool = False, compressed: bool = True, types: Any = STORE
+    path: Path,
+    rows: Iterable[Row],
+    *,
+    sqlite: bool = False,
+    compressed: bool = True,
+    types: Any = STORE,
 ) -> Path:
     """A rosbag2 folder."""
     plugin = StoragePlugin.SQLITE3 if sqlite else StoragePlugin.MCAP
@@ -206,7 +246,9 @@ def write_ros1(path: Path, rows: Iterable[Row], types: Any) -> Path:
     return path
 
 
-def _write(writer: Any, rows: Iterable[Row], types: Any, serialised: Callable[[Any, str], Any]) -> None:
+def _write(
+    writer: Any, rows: Iterable[Row], types: Any, serialised: Callable[[Any, str], Any]
+) -> None:
     connections: dict[str, Any] = {}
     for topic, kind, time, each in sorted(rows, key=lambda row: row[2]):
         if topic not in connections:

@@ -61,14 +61,30 @@ def offset(s: FloatArray) -> FloatArray:
 
 def road() -> Road:
     def strip(right: float, left: float) -> dict[str, FloatArray]:
-        edge = [np.column_stack(to_world(LINE.s[::3], np.full(len(LINE.s[::3]), at))[:2]) for at in (left, right)]
+        edge = [
+            np.column_stack(to_world(LINE.s[::3], np.full(len(LINE.s[::3]), at))[:2])
+            for at in (left, right)
+        ]
         return {"left": edge[0], "right": edge[1]}
 
     oncoming = strip(5.25, 8.75)
     lanes = [
         Lane(1, **strip(-1.75, 1.75), left_neighbour=2, speed_limit=13.89, right_crossable=False),
-        Lane(2, **strip(1.75, 5.25), right_neighbour=1, left_opposite=True, left_crossable=False, speed_limit=13.89),
-        Lane(3, left=oncoming["right"][::-1], right=oncoming["left"][::-1], left_opposite=True, left_crossable=False),
+        Lane(
+            2,
+            **strip(1.75, 5.25),
+            right_neighbour=1,
+            left_opposite=True,
+            left_crossable=False,
+            speed_limit=13.89,
+        ),
+        Lane(
+            3,
+            left=oncoming["right"][::-1],
+            right=oncoming["left"][::-1],
+            left_opposite=True,
+            left_crossable=False,
+        ),
     ]
     return Road({lane.id: lane for lane in lanes})
 
@@ -89,13 +105,43 @@ def tracks(extra: int = 0, pedestrian: str = "ped 7") -> Tracks:
     walk = np.interp(t, [0.0, BLOCKED[0] - 3.5, BLOCKED[1], END_S], [-7.0, -7.0, 3.0, 6.5])
     motions = [
         ("car 12", AgentKind.CAR, 4.6, 1.9, False, to_world(lead, np.zeros_like(t))),
-        ("parked 3", AgentKind.CAR, 4.4, 1.8, True, to_world(np.full(1, PARKED_S), np.full(1, -1.6))),
-        (pedestrian, AgentKind.PEDESTRIAN, 0.6, 0.6, False, to_world(np.full(len(t), PEDESTRIAN_S), walk)),
-        ("truck 40", AgentKind.TRUCK, 9.5, 2.5, False, to_world(230.0 - 9.0 * t, np.full(len(t), 7.0))),
+        (
+            "parked 3",
+            AgentKind.CAR,
+            4.4,
+            1.8,
+            True,
+            to_world(np.full(1, PARKED_S), np.full(1, -1.6)),
+        ),
+        (
+            pedestrian,
+            AgentKind.PEDESTRIAN,
+            0.6,
+            0.6,
+            False,
+            to_world(np.full(len(t), PEDESTRIAN_S), walk),
+        ),
+        (
+            "truck 40",
+            AgentKind.TRUCK,
+            9.5,
+            2.5,
+            False,
+            to_world(230.0 - 9.0 * t, np.full(len(t), 7.0)),
+        ),
     ]
     for i in range(extra):
         s = np.clip(30.0 + 5.5 * i + (3.0 + 0.2 * i) * t, 0.0, LINE.length)
-        motions.append((f"extra {i}", AgentKind.CAR, 4.5, 1.8, False, to_world(s, np.full(len(t), 3.5 * (i % 2)))))
+        motions.append(
+            (
+                f"extra {i}",
+                AgentKind.CAR,
+                4.5,
+                1.8,
+                False,
+                to_world(s, np.full(len(t), 3.5 * (i % 2))),
+            )
+        )
     counts = [len(motion[5][0]) for motion in motions]
     pose = [np.concatenate([motion[5][k] for motion in motions]) for k in range(3)]
     missing = np.full(sum(counts), np.nan)
@@ -106,13 +152,20 @@ def tracks(extra: int = 0, pedestrian: str = "ped 7") -> Tracks:
     return Tracks(ids, kinds, *sizes, offsets, times, *pose, missing, missing)
 
 
-def scenario(extra: int = 0, *, name: str = "sample/s_curve", pedestrian: str = "ped 7") -> Scenario:
+def scenario(
+    extra: int = 0, *, name: str = "sample/s_curve", pedestrian: str = "ped 7"
+) -> Scenario:
     t = np.arange(0.0, END_S + 0.01, 0.1)
     corners = np.array([[200.0, 2.0], [200.0, -2.0], [212.0, -2.0], [212.0, 2.0]])
     finish = np.column_stack(to_world(corners[:, 0], corners[:, 1])[:2])
-    ego, notes = trajectory(t, np.minimum(1.06 * t, END_S)), ("The goal is a strip across the ego's lane.",)
+    ego, notes = (
+        trajectory(t, np.minimum(1.06 * t, END_S)),
+        ("The goal is a strip across the ego's lane.",),
+    )
     about = {"tags": ("sample", "pedestrian"), "source": "made by hand", "notes": notes}
-    return Scenario(name, ego, tracks(extra, pedestrian), road(), END_S, goal=Goal((finish,)), **about)
+    return Scenario(
+        name, ego, tracks(extra, pedestrian), road(), END_S, goal=Goal((finish,)), **about
+    )
 
 
 def sl_graph(s0: float) -> SlGraph:
@@ -123,12 +176,22 @@ def sl_graph(s0: float) -> SlGraph:
     chosen = np.argmin(np.abs(second[None, :] - offset(first)[:, None]), axis=1)
     path = np.linspace(s0, s0 + 70.0, 71)
     beside = np.abs(path - PARKED_S) < 4.5
-    corridor = Corridor(path, np.where(beside, -0.5, -0.9), np.where(np.abs(path - 30.0) < 6.0, np.inf, 4.4))
-    outline = np.array([[PARKED_S + x, y] for x, y in ((-2.2, -2.5), (2.2, -2.5), (2.2, -0.7), (-2.2, -0.7))])
+    corridor = Corridor(
+        path, np.where(beside, -0.5, -0.9), np.where(np.abs(path - 30.0) < 6.0, np.inf, 4.4)
+    )
+    outline = np.array(
+        [[PARKED_S + x, y] for x, y in ((-2.2, -2.5), (2.2, -2.5), (2.2, -0.7), (-2.2, -0.7))]
+    )
     near = s0 - 5.0 < PARKED_S < s0 + 70.0
     parked = (GraphObstacle("parked 3", outline, DecisionKind.NUDGE_LEFT),) if near else ()
     dp = np.column_stack([first, second[chosen]])
-    return SlGraph(GridCost(first, second, cost, chosen), corridor, dp, np.column_stack([path, offset(path)]), parked)
+    return SlGraph(
+        GridCost(first, second, cost, chosen),
+        corridor,
+        dp,
+        np.column_stack([path, offset(path)]),
+        parked,
+    )
 
 
 def st_graph(t0: float, s0: float, reach: float = 110.0, pedestrian: str = "ped 7") -> StGraph:
@@ -144,12 +207,20 @@ def st_graph(t0: float, s0: float, reach: float = 110.0, pedestrian: str = "ped 
     upper = bumper - 2.0
     enter, leave, ahead = max(BLOCKED[0] - t0, 0.0), BLOCKED[1] - t0, PEDESTRIAN_S - s0
     if enter < HORIZON_S and leave > 0.0 and ahead > 0.0:
-        box = np.array([[enter, ahead - 5.0], [leave, ahead - 3.0], [leave, ahead + 3.0], [enter, ahead + 1.0]])
+        box = np.array(
+            [[enter, ahead - 5.0], [leave, ahead - 3.0], [leave, ahead + 3.0], [enter, ahead + 1.0]]
+        )
         obstacles.append(GraphObstacle(pedestrian, box, DecisionKind.YIELD))
         upper = np.where((t >= enter) & (t <= leave), np.minimum(upper, ahead - 5.0), upper)
     corridor = Corridor(t, np.full(len(t), -np.inf), np.where(t > 7.0, np.inf, upper))
     dp = np.column_stack([first, second[chosen]])
-    return StGraph(GridCost(first, second, cost, chosen), corridor, dp, np.column_stack([t, s]), tuple(obstacles))
+    return StGraph(
+        GridCost(first, second, cost, chosen),
+        corridor,
+        dp,
+        np.column_stack([t, s]),
+        tuple(obstacles),
+    )
 
 
 def plan(t0: float, *, pedestrian: str = "ped 7") -> Plan:
@@ -158,41 +229,76 @@ def plan(t0: float, *, pedestrian: str = "ped 7") -> Plan:
     st = st_graph(t0, s0, pedestrian=pedestrian)
     yields = any(obstacle.decision is DecisionKind.YIELD for obstacle in st.obstacles)
     decisions = [
-        Decision("car 12", DecisionKind.FOLLOW, "speed", "ahead in the lane, 22.0 m, not slower than the ego"),
+        Decision(
+            "car 12",
+            DecisionKind.FOLLOW,
+            "speed",
+            "ahead in the lane, 22.0 m, not slower than the ego",
+        ),
         Decision("truck 40", DecisionKind.IGNORE, "path", "outside the corridor"),
     ]
     if abs(s0 - PARKED_S + 25.0) < 35.0:
-        decisions.append(Decision("parked 3", DecisionKind.NUDGE_LEFT, "path", "1.3 m of room on the left, none right"))
+        decisions.append(
+            Decision(
+                "parked 3", DecisionKind.NUDGE_LEFT, "path", "1.3 m of room on the left, none right"
+            )
+        )
     if yields:
         why = f"in the path until {BLOCKED[1]} s; passing first is late"
         decisions.append(Decision(pedestrian, DecisionKind.YIELD, "speed", why))
     failed = 14.0 <= t0 < 14.25
-    status, reason = (PlanStatus.PREVIOUS, "primal infeasible") if failed else (PlanStatus.PLANNED, "")
+    status, reason = (
+        (PlanStatus.PREVIOUS, "primal infeasible") if failed else (PlanStatus.PLANNED, "")
+    )
     internals = (
-        sl_graph(s0), st, *decisions,
-        CostTerms("path", (("reference", 1.25), ("obstacle", 3.5 if yields else 0.4), ("smoothness", 0.02))),
+        sl_graph(s0),
+        st,
+        *decisions,
+        CostTerms(
+            "path",
+            (("reference", 1.25), ("obstacle", 3.5 if yields else 0.4), ("smoothness", 0.02)),
+        ),
         CostTerms("speed", (("speed", 8.1), ("jerk", 0.7))),
         SolverReport("path QP", True, "solved", 50, 2.1e-6, 4.0e-6),
         SolverReport("speed QP", not failed, reason or "solved", 75, 1e-5, 3e-4),
-    )  # fmt: skip
+    )
     start = PlanStart.PREVIOUS_PLAN if t0 > 0 else PlanStart.EGO
-    return Plan(trajectory(t0 + t, t0 + t), status, reason and f"speed QP: {reason}", start, internals)
+    return Plan(
+        trajectory(t0 + t, t0 + t), status, reason and f"speed QP: {reason}", start, internals
+    )
 
 
-def drive(mode: Mode = Mode.CLOSED, *, extra: int = 0, pedestrian: str = "ped 7") -> tuple[Drive, Scenario]:
+def drive(
+    mode: Mode = Mode.CLOSED, *, extra: int = 0, pedestrian: str = "ped 7"
+) -> tuple[Drive, Scenario]:
     """20 s: the ego at 100 Hz (closed) or 10 Hz (open), frames at 10 Hz, timings of four stages."""
     world = scenario(extra, pedestrian=pedestrian)
     grid = np.round(np.arange(0.0, END_S - 0.01, 0.1), 3)
     t = np.round(np.arange(0.0, END_S + 0.001, 0.01), 3) if mode is Mode.CLOSED else grid
     ego = trajectory(t, t)
-    pedals = Controls(t, 0.03 * np.sin(0.5 * t), np.clip(ego.a / 4.5, 0.0, 1.0), np.clip(-ego.a / 9.0, 0.0, 1.0))
-    errors = TrackingErrors(t, 0.06 * np.sin(t), 0.01 * np.cos(t), 0.2 * np.sin(0.7 * t), 0.4 * np.sin(0.3 * t))
+    pedals = Controls(
+        t, 0.03 * np.sin(0.5 * t), np.clip(ego.a / 4.5, 0.0, 1.0), np.clip(-ego.a / 9.0, 0.0, 1.0)
+    )
+    errors = TrackingErrors(
+        t, 0.06 * np.sin(t), 0.01 * np.cos(t), 0.2 * np.sin(0.7 * t), 0.4 * np.sin(0.3 * t)
+    )
     frames = tuple(PlannedFrame(float(at), plan(float(at), pedestrian=pedestrian)) for at in grid)
-    driven = {"commands": pedals, "actuation": pedals, "tracking": errors} if mode is Mode.CLOSED else {}
+    driven = (
+        {"commands": pedals, "actuation": pedals, "tracking": errors} if mode is Mode.CLOSED else {}
+    )
     trace = Trace(
-        world.name, "dp_qp", mode, False, ego, world.tracks, frames, EndReason.GOAL, "goal region 1",
-        notes=("Agents are replayed by time.",), **driven,
-    )  # fmt: skip
+        world.name,
+        "dp_qp",
+        mode,
+        False,
+        ego,
+        world.tracks,
+        frames,
+        EndReason.GOAL,
+        "goal region 1",
+        notes=("Agents are replayed by time.",),
+        **driven,
+    )
     stages = {"path_dp": 2e-4, "path_qp": 4e-4, "speed_dp": 3e-4, "speed_qp": 5e-4, "total": 1.5e-3}
     timings = [
         StageTime(float(at), stage, mean * (1.0 + 0.3 * np.sin(7.0 * at + len(stage))))

@@ -20,7 +20,9 @@ def short(name: str, *, v: float = 10.0, parked: bool = False) -> Scenario:
     """Two seconds straight on."""
     log = drive(straight, v, 2.0)
     others = tracks(track("parked", [0.0], [60.0], [3.0], static=True)) if parked else None
-    made = scenario(log, agents=others, road=lanes_along(log), goal=Goal((square(v * 2.0, 0.0, 4.0),)))
+    made = scenario(
+        log, agents=others, road=lanes_along(log), goal=Goal((square(v * 2.0, 0.0, 4.0),))
+    )
     return replace(made, name=name, tags=("short",))
 
 
@@ -48,7 +50,9 @@ def write_free_and_blocked(folder: Path) -> Path:
     return folder
 
 
-def run(logs: Path | Sequence[Path], out: Path, config: RunConfig = QUICK, **options: int) -> Results:
+def run(
+    logs: Path | Sequence[Path], out: Path, config: RunConfig = QUICK, **options: int
+) -> Results:
     return evaluate_logs([logs] if isinstance(logs, Path) else logs, config, out, **options)
 
 

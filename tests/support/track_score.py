@@ -81,7 +81,9 @@ def found_points(tracks: Tracks, frames: FloatArray, extended: FloatArray) -> Po
     """The measured samples of tracks at the frames."""
     who = np.repeat(np.arange(len(tracks)), np.diff(tracks.offsets))[~extended]
     frame = np.searchsorted(frames, tracks.t[~extended] - 1e-6)
-    return Points(frame, who, np.c_[tracks.x, tracks.y][~extended], np.c_[tracks.vx, tracks.vy][~extended])
+    return Points(
+        frame, who, np.c_[tracks.x, tracks.y][~extended], np.c_[tracks.vx, tracks.vy][~extended]
+    )
 
 
 def _asked(true: Points, found: Points, other: Points) -> Points:
@@ -90,7 +92,9 @@ def _asked(true: Points, found: Points, other: Points) -> Points:
     for k in np.unique(other.frame).tolist():
         _, rows, s = _similar(true, found, k)
         b = np.flatnonzero(other.frame == k)
-        elsewhere = np.linalg.norm(other.xy[b][:, None] - found.xy[rows], axis=2).min(axis=0, initial=np.inf)
+        elsewhere = np.linalg.norm(other.xy[b][:, None] - found.xy[rows], axis=2).min(
+            axis=0, initial=np.inf
+        )
         best = s.max(axis=0, initial=0.0)
         keep[rows] = (best >= 0.5) | (elsewhere > 0.5 * REACH_M)
     some = np.flatnonzero(keep)
@@ -109,7 +113,9 @@ def score(true: Points, found: Points, near: FloatArray, seen: BoolArray) -> Sco
     for a, b, s in pairs:
         whole = s.sum(axis=0)[None] + s.sum(axis=1)[:, None] - s
         np.add.at(
-            potential, (true.who[a][:, None], found.who[b]), np.where(whole > 0.0, s / np.maximum(whole, 1e-9), 0)
+            potential,
+            (true.who[a][:, None], found.who[b]),
+            np.where(whole > 0.0, s / np.maximum(whole, 1e-9), 0),
         )
     of_true, of_found = np.bincount(true.who), np.bincount(found.who, minlength=found.count)
     union = of_true[:, None] + of_found
@@ -118,7 +124,9 @@ def score(true: Points, found: Points, near: FloatArray, seen: BoolArray) -> Sco
     for alpha in np.arange(0.05, 0.99, 0.05):
         matched = np.zeros_like(potential)
         for a, b, s in pairs:
-            one, two = linear_sum_assignment(-jaccard[true.who[a][:, None], found.who[b]] * s - 1e-6 * s)
+            one, two = linear_sum_assignment(
+                -jaccard[true.who[a][:, None], found.who[b]] * s - 1e-6 * s
+            )
             good = s[one, two] >= alpha - 1e-9
             np.add.at(matched, (true.who[a[one[good]]], found.who[b[two[good]]]), 1)
         hits = matched.sum()
@@ -133,7 +141,9 @@ def _similar(true: Points, found: Points, frame: int) -> tuple[IntArray, IntArra
     return a, b, np.clip(1.0 - away / REACH_M, 0.0, 1.0)
 
 
-def _errors(true: Points, found: Points, near: FloatArray, seen: BoolArray, pairs: list, hota: float) -> Score:
+def _errors(
+    true: Points, found: Points, near: FloatArray, seen: BoolArray, pairs: list, hota: float
+) -> Score:
     same = np.zeros((true.count, found.count))
     one, two = [], []
     for a, b, s in pairs:
@@ -147,7 +157,9 @@ def _errors(true: Points, found: Points, near: FloatArray, seen: BoolArray, pair
     apart = np.linalg.norm(true.xy[a] - found.xy[b], axis=1)
     off, speed = np.linalg.norm(true.v[a] - found.v[b], axis=1), np.linalg.norm(true.v[a], axis=1)
     lost = np.bincount(true.who[a], minlength=true.count) < FOUND * np.bincount(true.who)
-    reported, both = (np.bincount(true.who[rows], minlength=true.count) for rows in (seen, a[seen[a]]))
+    reported, both = (
+        np.bincount(true.who[rows], minlength=true.count) for rows in (seen, a[seen[a]])
+    )
     missed = (reported >= SEEN) & (both < FOUND * reported)
     matched = np.bincount(found.who[b], minlength=found.count)
     ghosts = matched < FOUND * np.bincount(found.who, minlength=found.count)
@@ -156,10 +168,18 @@ def _errors(true: Points, found: Points, near: FloatArray, seen: BoolArray, pair
         return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
 
     return Score(
-        hota, float(2.0 * agreed / (len(true.who) + len(found.who))), rms(apart), rms(off[speed < 0.2]),
-        rms(off[speed >= 0.2]), found.count, true.count, int(ghosts.sum()), int(lost.sum()),
-        int((lost & (near < NEAR_M)).sum()), int((missed & (near < NEAR_M)).sum()),
-    )  # fmt: skip
+        hota,
+        float(2.0 * agreed / (len(true.who) + len(found.who))),
+        rms(apart),
+        rms(off[speed < 0.2]),
+        rms(off[speed >= 0.2]),
+        found.count,
+        true.count,
+        int(ghosts.sum()),
+        int(lost.sum()),
+        int((lost & (near < NEAR_M)).sum()),
+        int((missed & (near < NEAR_M)).sum()),
+    )
 
 
 def tracked_points(found: Tracked, frames: FloatArray, true: Points, other: Points) -> Points:

@@ -21,7 +21,9 @@ STEPS = 0.1 * np.arange(41)
 
 
 class Wishful:
-    def __init__(self, context: PlannerContext, *, speed_mps: float = 8.0, idle: float = 0.5) -> None:
+    def __init__(
+        self, context: PlannerContext, *, speed_mps: float = 8.0, idle: float = 0.5
+    ) -> None:
         if not 0.0 < speed_mps < 20.0:
             raise ValueError(f"speed_mps is {speed_mps}, not above 0 and below 20")
         self._wish = speed_mps
@@ -29,7 +31,10 @@ class Wishful:
     def plan(self, frame: Frame) -> Plan:
         start = frame.ego
         change = np.clip(self._wish - start.v, -1.5 * STEPS, 1.5 * STEPS)
-        v, a = start.v + change, np.where(np.abs(change) < abs(self._wish - start.v), np.sign(change) * 1.5, 0.0)
+        v, a = (
+            start.v + change,
+            np.where(np.abs(change) < abs(self._wish - start.v), np.sign(change) * 1.5, 0.0),
+        )
         s = np.r_[0.0, np.cumsum(0.05 * (v[1:] + v[:-1]))]
         x, y = start.x + s * np.cos(start.yaw), start.y + s * np.sin(start.yaw)
         same = np.full(len(v), start.yaw)
@@ -41,9 +46,27 @@ def _wish_missed(trace: Trace, scenario: Scenario) -> Series:
 
 
 def _noise(trace: Trace, scenario: Scenario) -> Series:
-    drawn = np.random.default_rng(int(sha256(scenario.name.encode()).hexdigest()[:8], 16)).normal(10.0, 1.0)
+    drawn = np.random.default_rng(int(sha256(scenario.name.encode()).hexdigest()[:8], 16)).normal(
+        10.0, 1.0
+    )
     return Series(trace.ego.t, np.full(len(trace.ego.t), drawn))
 
 
-WISH = Metric("wish", "m/s", "lower", (Mode.CLOSED,), _wish_missed, (MEAN,), "Distance of the speed from the best one.")
-NOISE = Metric("noise", "1", "higher", (Mode.CLOSED,), _noise, (MEAN,), "A number that is drawn by the log's name.")
+WISH = Metric(
+    "wish",
+    "m/s",
+    "lower",
+    (Mode.CLOSED,),
+    _wish_missed,
+    (MEAN,),
+    "Distance of the speed from the best one.",
+)
+NOISE = Metric(
+    "noise",
+    "1",
+    "higher",
+    (Mode.CLOSED,),
+    _noise,
+    (MEAN,),
+    "A number that is drawn by the log's name.",
+)

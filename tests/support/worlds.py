@@ -20,7 +20,14 @@ from replan.planners.base import Planner
 from replan.planners.dp_qp import DpQp
 from replan.planners.dp_qp.goal_window import GoalWindow, SpeedTarget
 from replan.planners.dp_qp.path.passing import PassTarget
-from replan.planners.dp_qp.speed.caps import CautionConfig, LoweredLimit, PathView, SpeedCap, SpeedTask, lower_limit
+from replan.planners.dp_qp.speed.caps import (
+    CautionConfig,
+    LoweredLimit,
+    PathView,
+    SpeedCap,
+    SpeedTask,
+    lower_limit,
+)
 from replan.planners.frenet.path import Path
 from replan.planners.frenet.reference_path import ReferencePath, make_reference_path
 from replan.planners.frenet.scene import Scene, scene_of
@@ -68,7 +75,9 @@ def agents(others: Sequence[Other], t: float = 0.0) -> Agents:
     )
 
 
-def frame(ego: EgoState, others: Sequence[Other] = (), *, t: float = 0.0, previous: Plan | None = None) -> Frame:
+def frame(
+    ego: EgoState, others: Sequence[Other] = (), *, t: float = 0.0, previous: Plan | None = None
+) -> Frame:
     known = agents(others, t)
     return Frame(t, ego, known, predict(known, t), previous)
 
@@ -85,7 +94,9 @@ def curve(*pieces: tuple[float, float], step: float = 1.0) -> FloatArray:
     kappa = np.concatenate([np.full(round(length / step), k) for length, k in pieces])
     yaw = np.r_[0.0, np.cumsum(kappa * step)]
     middle = 0.5 * (yaw[1:] + yaw[:-1])
-    return np.vstack([[0.0, 0.0], np.cumsum(step * np.column_stack([np.cos(middle), np.sin(middle)]), axis=0)])
+    return np.vstack(
+        [[0.0, 0.0], np.cumsum(step * np.column_stack([np.cos(middle), np.sin(middle)]), axis=0)]
+    )
 
 
 def along_x(begin: float = -50.0, end: float = 400.0) -> FloatArray:
@@ -100,20 +111,34 @@ def beside(points: FloatArray, left: float) -> FloatArray:
     return points + left * normal
 
 
-def strip(lane_id: int, points: FloatArray, left: float = 1.75, right: float = -1.75, **more: object) -> Lane:
+def strip(
+    lane_id: int, points: FloatArray, left: float = 1.75, right: float = -1.75, **more: object
+) -> Lane:
     """A lane along a polyline, from `right` to `left` of it."""
     return Lane(lane_id, beside(points, left), beside(points, right), **more)  # type: ignore[arg-type]
 
 
-def lanes(points: FloatArray, count: int = 1, *, width: float = 3.5, limit: float = 13.89, right: bool = True) -> Road:
+def lanes(
+    points: FloatArray,
+    count: int = 1,
+    *,
+    width: float = 3.5,
+    limit: float = 13.89,
+    right: bool = True,
+) -> Road:
     """Lanes 0, 1, ... in one direction, the first on the polyline, the others to its left."""
     found = [
         strip(
-            i, points, width * (i + 0.5), width * (i - 0.5), speed_limit=limit,
-            left_neighbour=i + 1 if i + 1 < count else None, right_neighbour=i - 1 if i else None,
+            i,
+            points,
+            width * (i + 0.5),
+            width * (i - 0.5),
+            speed_limit=limit,
+            left_neighbour=i + 1 if i + 1 < count else None,
+            right_neighbour=i - 1 if i else None,
         )
         for i in range(count)
-    ]  # fmt: skip
+    ]
     return Road({lane.id: lane for lane in found}, drives_on_right=right)
 
 
@@ -139,7 +164,12 @@ def reference(
 
 
 def scene(
-    along: ReferencePath, ego: EgoState, others: Sequence[Other] = (), *, t: float = 0.0, seen: Visibility | None = None
+    along: ReferencePath,
+    ego: EgoState,
+    others: Sequence[Other] = (),
+    *,
+    t: float = 0.0,
+    seen: Visibility | None = None,
 ) -> Scene:
     """An ego and others along a reference path at a time."""
     return scene_of(replace(frame(ego, others, t=t), visibility=seen), ego, along, CAR)
@@ -154,15 +184,26 @@ def path_of(kappa: FloatArray, spacing: float) -> Path:
     return Path(sigma, x, y, yaw, kappa, sigma)
 
 
-def view(now: Scene, path: Path, *, targets: tuple[PassTarget, ...] = (), **more: object) -> PathView:
+def view(
+    now: Scene, path: Path, *, targets: tuple[PassTarget, ...] = (), **more: object
+) -> PathView:
     """What a producer of speed caps is given for a path on which all agents are met, with braking of 6 m/s2."""
     none = np.zeros(len(now.frame.agents), np.bool_)
     taken = st_boundaries(now, path, none, frozenset(), StGraphConfig())
-    task = SpeedTask({}, none, (), targets, False, GoalWindow(None, now.reference, now.vehicle), SpeedTarget())
+    task = SpeedTask(
+        {}, none, (), targets, False, GoalWindow(None, now.reference, now.vehicle), SpeedTarget()
+    )
     given: dict[str, object] = {
-        "scene": now, "path": path, "task": task, "limit": np.full(len(path.s), 15.0), "taken": taken, "came": {},
-        "hard_mps2": 6.0, "margin_m": 0.6, "caution": CautionConfig(),
-    }  # fmt: skip
+        "scene": now,
+        "path": path,
+        "task": task,
+        "limit": np.full(len(path.s), 15.0),
+        "taken": taken,
+        "came": {},
+        "hard_mps2": 6.0,
+        "margin_m": 0.6,
+        "caution": CautionConfig(),
+    }
     return PathView(**{**given, **more})  # type: ignore[arg-type]
 
 
@@ -207,20 +248,40 @@ def gaps(drive: Drive, name: str, car: VehicleParameters = CAR) -> FloatArray:
             continue
         i = now.agents.ids.index(name)
         a, ego = now.agents, now.ego
-        x, y = ego.x + car.axle_to_center * np.cos(ego.yaw), ego.y + car.axle_to_center * np.sin(ego.yaw)
-        found.append(distance(x, y, ego.yaw, car.length, car.width, a.x[i], a.y[i], a.yaw[i], a.length[i], a.width[i]))
+        x, y = (
+            ego.x + car.axle_to_center * np.cos(ego.yaw),
+            ego.y + car.axle_to_center * np.sin(ego.yaw),
+        )
+        found.append(
+            distance(
+                x,
+                y,
+                ego.yaw,
+                car.length,
+                car.width,
+                a.x[i],
+                a.y[i],
+                a.yaw[i],
+                a.length[i],
+                a.width[i],
+            )
+        )
     return np.array(found)
 
 
 def decided(plan: Plan, name: str, stage: str) -> DecisionKind | None:
     """What a plan decided about an agent in a stage."""
     kinds = [
-        item.kind for item in plan.internals if isinstance(item, Decision) and (item.agent, item.stage) == (name, stage)
+        item.kind
+        for item in plan.internals
+        if isinstance(item, Decision) and (item.agent, item.stage) == (name, stage)
     ]
     return kinds[0] if kinds else None
 
 
-def check_mirrored(planner: Callable[[PlannerContext], Planner], made: Scenario, *, atol: float) -> None:
+def check_mirrored(
+    planner: Callable[[PlannerContext], Planner], made: Scenario, *, atol: float
+) -> None:
     """In the mirrored world a planner plans the mirror image, at the start and later on the log's drive."""
     plans = []
     for world in (made, mirrored(made)):
@@ -237,12 +298,20 @@ def check_mirrored(planner: Callable[[PlannerContext], Planner], made: Scenario,
 
 
 def controlled(
-    plan: Trajectory, controller: str, vehicle: str, seconds: float, start: EgoState | None = None,
+    plan: Trajectory,
+    controller: str,
+    vehicle: str,
+    seconds: float,
+    start: EgoState | None = None,
     plant: VehicleParameters = CAR,
-) -> tuple[list[Command], list[EgoState], FloatArray]:  # fmt: skip
+) -> tuple[list[Command], list[EgoState], FloatArray]:
     """Commands, states (one more) and errors (`Deviation`) of a plan followed at 100 Hz without replanning."""
     car = VEHICLE.builtin[vehicle](plant, start or plan.state(0))
-    driver, one, path = controller_of(car, CAR, Part(CONTROLLER, controller), 0.01), Plan(plan), PlanPath.of(plan)
+    driver, one, path = (
+        controller_of(car, CAR, Part(CONTROLLER, controller), 0.01),
+        Plan(plan),
+        PlanPath.of(plan),
+    )
     commands, states, errors = [], [car.state], []
     for _ in range(round(seconds / 0.01)):
         errors.append(path.deviation(car.state))

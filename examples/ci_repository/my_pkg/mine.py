@@ -16,7 +16,9 @@ class MyPlanner:
 
     def __init__(self, context: PlannerContext) -> None:
         start = context.start
-        lane = next(iter(context.road.lanes_at(start.x, start.y)), next(iter(context.road.lanes.values())))
+        lane = next(
+            iter(context.road.lanes_at(start.x, start.y)), next(iter(context.road.lanes.values()))
+        )
         self.line, self.limit = ReferenceLine.through(lane.center), context.road.limit(lane.id)
         self.front = context.vehicle.axle_to_front
 
@@ -28,7 +30,9 @@ class MyPlanner:
         for i in range(STEPS):
             wanted = min(self.limit, max(gap - STANDSTILL_M, 0.0) / HEADWAY_S)
             a = min(max(GAIN_1PS * (wanted - v), -BRAKE_MPS2, -v / STEP_S), ACCEL_MPS2)
-            rows.append((frame.t + i * STEP_S, *self.line.point(s, side), *self.line.frame(s)[2:], v, a))
+            rows.append(
+                (frame.t + i * STEP_S, *self.line.point(s, side), *self.line.frame(s)[2:], v, a)
+            )
             way = v * STEP_S + 0.5 * a * STEP_S**2
             s, v, gap = s + way, max(v + a * STEP_S, 0.0), gap + lead * STEP_S - way
         t, x, y, yaw, kappa, speed, accel = np.array(rows).T

@@ -28,7 +28,15 @@ from replan.logs.observed import Spans, inferred
 from replan.logs.readers.base import Reader
 from replan.logs.readers.commonroad.document import Document, Obstacle, PlanningProblem, parse
 from replan.logs.readers.commonroad.lanelets import lights_of, road_of, with_rules
-from replan.logs.readers.commonroad.tracks import KINDS, ego_log, sized, tracks_of, trimmed, turned, velocities
+from replan.logs.readers.commonroad.tracks import (
+    KINDS,
+    ego_log,
+    sized,
+    tracks_of,
+    trimmed,
+    turned,
+    velocities,
+)
 from replan.logs.road import Goal, Road
 from replan.logs.scenario import CENTRE, EGO_POSE, Scenario
 from replan.logs.states import Trajectory
@@ -60,7 +68,9 @@ class _Ego(NamedTuple):
     notes: tuple[str, ...] = ()
 
 
-def read_commonroad(path: str | Path, *, problem: int | None = None, ego: str | None = None) -> Scenario:
+def read_commonroad(
+    path: str | Path, *, problem: int | None = None, ego: str | None = None
+) -> Scenario:
     """Read a CommonRoad scenario (module docstring); LogError if there is none, or no such problem or vehicle.
 
     `problem` is the id of the planning problem, or its place in the file, from 1 (default: the first); `ego` the id of
@@ -89,10 +99,14 @@ def read_commonroad(path: str | Path, *, problem: int | None = None, ego: str | 
     if problem is None and ego is None and len(scenario.ego) > 1 and lasts < SHORT_S:
         others = [(p.id, _by_problem(document, p.id).obstacle) for p in document.problems[1:]]
         longer = [
-            f"{i} ({len(o.states) * document.dt:.1f} s)" for i, o in others if o is not None and len(o.states) > 1
+            f"{i} ({len(o.states) * document.dt:.1f} s)"
+            for i, o in others
+            if o is not None and len(o.states) > 1
         ]
         if longer:
-            notes.append(f"the recorded drive lasts {lasts:.1f} s only; other planning problems: {', '.join(longer)}")
+            notes.append(
+                f"the recorded drive lasts {lasts:.1f} s only; other planning problems: {', '.join(longer)}"
+            )
     name = path.name.removesuffix(".xml") + (f"_ego{ego}" if ego is not None else "")
     if problem is not None and chosen.problem is not None:
         name += f"_problem{chosen.problem.id}"
@@ -102,17 +116,28 @@ def read_commonroad(path: str | Path, *, problem: int | None = None, ego: str | 
 def _by_problem(document: Document, number: int | None) -> _Ego:
     problems = document.problems
     if not problems:
-        raise LogError("no planning problem", topic="planningProblem", remedy="name a vehicle of the traffic as ego")
+        raise LogError(
+            "no planning problem",
+            topic="planningProblem",
+            remedy="name a vehicle of the traffic as ego",
+        )
     by_id = {p.id: p for p in reversed(problems)}
     by_place = dict(enumerate(problems, start=1))
     if number is not None and number not in by_id and number not in by_place:
         there = ", ".join(str(p.id) for p in problems)
-        raise LogError(f"no planning problem {number}", topic="planningProblem", remedy=f"the file has {there}")
+        raise LogError(
+            f"no planning problem {number}", topic="planningProblem", remedy=f"the file has {there}"
+        )
     problem = problems[0] if number is None else by_id.get(number) or by_place[number]
     step, x, y = problem.start[:3]
     for o in document.obstacles:
         at = np.flatnonzero(np.abs(o.states[:, 0] - step) < 0.5)
-        if not o.static and len(at) and len(o.states) - at[0] > 1 and _is_near(o.states[at[0]], x, y):
+        if (
+            not o.static
+            and len(at)
+            and len(o.states) - at[0] > 1
+            and _is_near(o.states[at[0]], x, y)
+        ):
             return _Ego(replace(o, states=o.states[at[0] :]), problem)
     for o in document.obstacles:
         first = o.states[0]
@@ -145,7 +170,9 @@ def _scenario(document: Document, chosen: _Ego) -> Scenario:
     velocity, rule = velocities(document)
     without = None if obstacle is None else obstacle.id
     known = [o.states[o.states[:, 0] <= start] for o in document.obstacles if not o.static]
-    driven_before = np.array([states[-1, [1, 2, 4]] for states in known if len(states)]).reshape(-1, 3)
+    driven_before = np.array([states[-1, [1, 2, 4]] for states in known if len(states)]).reshape(
+        -1, 3
+    )
     driven_before = driven_before[np.isfinite(driven_before).all(axis=1)]
     tracks = tracks_of(document, velocity, without, start, origin)
     road, assumed = road_of(document, origin, driven_before, chosen.problem)
@@ -155,19 +182,28 @@ def _scenario(document: Document, chosen: _Ego) -> Scenario:
     if goal is None and len(driven) > 1:
         unknown = tuple(f"{note}: the end of the recorded drive is taken" for note in unknown)
         last, half = driven.state(len(driven) - 1), LAST_PLACE_M
-        along, left = np.array([cos(last.yaw), sin(last.yaw)]), np.array([-sin(last.yaw), cos(last.yaw)])
+        along, left = (
+            np.array([cos(last.yaw), sin(last.yaw)]),
+            np.array([-sin(last.yaw), cos(last.yaw)]),
+        )
         center = np.array([last.x, last.y]) + vehicle.axle_to_center * along
         ends = ((1, 1), (-1, 1), (-1, -1), (1, -1))
-        goal = Goal((np.array([center + i * half * along + j * 0.5 * half * left for i, j in ends]),))
+        goal = Goal(
+            (np.array([center + i * half * along + j * 0.5 * half * left for i, j in ends]),)
+        )
     notes += [*how, *unknown, *assumed, *ruled, *rule]
     drive, end = float(driven.t[-1]), float(tracks.t.max(initial=0.0))
     duration = max(drive, end if goal is None or goal.t is None else goal.t[1])
     moving = len(tracks) and not tracks.static.all()
     if goal is not None and goal.t is not None and moving and duration > end + 1.0:
-        notes.append(f"the traffic ends at {end:.1f} s, the goal may be reached until {duration:.1f} s")
+        notes.append(
+            f"the traffic ends at {end:.1f} s, the goal may be reached until {duration:.1f} s"
+        )
     if start:
         notes.append(f"the log begins {start * document.dt:.1f} s after the file's first step")
-    traffic: Spans = tuple((0.0, end) for _, end in inferred(tracks.offsets, tracks.static, tracks.t))
+    traffic: Spans = tuple(
+        (0.0, end) for _, end in inferred(tracks.offsets, tracks.static, tracks.t)
+    )
     if all(each.static or each.id == without for each in document.obstacles):
         traffic = ((0.0, duration),)
     tags, metadata = _labels(document, chosen)
@@ -192,17 +228,27 @@ def _scenario(document: Document, chosen: _Ego) -> Scenario:
 
 
 def _drive(
-    chosen: _Ego, obstacle: Obstacle | None, dt: float, vehicle: VehicleParameters, origin: tuple[float, float]
+    chosen: _Ego,
+    obstacle: Obstacle | None,
+    dt: float,
+    vehicle: VehicleParameters,
+    origin: tuple[float, float],
 ) -> tuple[Trajectory, tuple[str, ...]]:
     """The ego log at the rear axle, or its only known state; `obstacle` is that of `chosen`, trimmed."""
     if obstacle is not None:
         driven, notes = ego_log(obstacle, dt, vehicle, origin)
         size = f"{vehicle.length:.2f} x {vehicle.width:.2f} m"
-        return driven, (f"the ego is obstacle {obstacle.id} ({size}, axles in proportion to the length)", *notes)
+        return driven, (
+            f"the ego is obstacle {obstacle.id} ({size}, axles in proportion to the length)",
+            *notes,
+        )
     problem = chosen.problem
     assert problem is not None
     _, x, y, yaw, v, a = (float(value) for value in problem.start)
-    x, y = x - origin[0] - vehicle.axle_to_center * cos(yaw), y - origin[1] - vehicle.axle_to_center * sin(yaw)
+    x, y = (
+        x - origin[0] - vehicle.axle_to_center * cos(yaw),
+        y - origin[1] - vehicle.axle_to_center * sin(yaw),
+    )
     kappa = problem.yaw_rate / v if v > 1.0 and not isnan(problem.yaw_rate) else 0.0
     kappa = min(max(kappa, -vehicle.max_kappa), vehicle.max_kappa)
     columns = (0.0, x, y, yaw, v, 0.0 if isnan(a) else a, kappa)
@@ -211,7 +257,11 @@ def _drive(
 
 
 def _goal(
-    problem: PlanningProblem | None, road: Road, start: float, dt: float, origin: tuple[float, float]
+    problem: PlanningProblem | None,
+    road: Road,
+    start: float,
+    dt: float,
+    origin: tuple[float, float],
 ) -> tuple[Goal | None, tuple[str, ...]]:
     """The problem's goal: any of its goal states, each with its own bounds."""
     if problem is None:
@@ -224,13 +274,19 @@ def _goal(
     for state in problem.goals:
         regions = [region - origin for region in state.regions]
         regions += [road.lanes[i].polygon for i in state.lanelets if i in road.lanes]
-        t = None if state.step is None else ((state.step[0] - start) * dt, (state.step[1] - start) * dt)
+        t = (
+            None
+            if state.step is None
+            else ((state.step[0] - start) * dt, (state.step[1] - start) * dt)
+        )
         if regions or not state.lanelets:
             goals.append(Goal(tuple(regions), t, state.v, state.yaw))
     if not goals:
         return None, tuple(notes)
     if len(problem.goals) > 1:
-        notes.append(f"the problem has {len(problem.goals)} goals: any of them counts, each with its own bounds")
+        notes.append(
+            f"the problem has {len(problem.goals)} goals: any of them counts, each with its own bounds"
+        )
     return Goal.any_of(goals), tuple(notes)
 
 
@@ -238,7 +294,10 @@ def _labels(document: Document, chosen: _Ego) -> tuple[tuple[str, ...], dict[str
     """The tags: "commonroad", the kind of source where it is known, and the file's own; and the metadata."""
     text = f"{document.source} {document.benchmark}".lower()
     simulated = ("synthetic",) if "simulated" in document.tags else ()
-    words = next(((how, name) for name, how, signs in _SOURCES if any(sign in text for sign in signs)), simulated)
+    words = next(
+        ((how, name) for name, how, signs in _SOURCES if any(sign in text for sign in signs)),
+        simulated,
+    )
     metadata = {
         "format": f"CommonRoad {document.version}",
         "benchmark": document.benchmark,
@@ -267,7 +326,13 @@ def _claims(path: Path) -> bool:
 
 
 READER = Reader(
-    "commonroad", "CommonRoad scenarios, 2018b and 2020a", "CommonRoad *.xml", (".xml",), _claims,
-    lambda path, settings: read_commonroad(path, ego=settings.ego or None, problem=settings.problem or None),
+    "commonroad",
+    "CommonRoad scenarios, 2018b and 2020a",
+    "CommonRoad *.xml",
+    (".xml",),
+    _claims,
+    lambda path, settings: read_commonroad(
+        path, ego=settings.ego or None, problem=settings.problem or None
+    ),
     settings=("ego", "problem"),
-)  # fmt: skip
+)

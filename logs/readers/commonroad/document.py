@@ -38,7 +38,9 @@ def number(text: str | None, place: str) -> float:
     try:
         value = float(text or "")
     except ValueError:
-        raise LogError(f"{text!r} is no number", topic=place, remedy="correct the element") from None
+        raise LogError(
+            f"{text!r} is no number", topic=place, remedy="correct the element"
+        ) from None
     if not abs(value) < LARGEST:
         raise LogError(f"value is {value}", topic=place, remedy="correct the element")
     return value
@@ -97,11 +99,19 @@ VERSIONS = ("2018b", "2020a")
 OBSTACLE_TAGS = ("obstacle", "staticObstacle", "dynamicObstacle")
 SHAPE_TAGS = ("rectangle", "circle", "polygon")
 COLOURS = {
-    "red": Colour.RED, "redYellow": Colour.RED_YELLOW, "yellow": Colour.YELLOW, "green": Colour.GREEN,
+    "red": Colour.RED,
+    "redYellow": Colour.RED_YELLOW,
+    "yellow": Colour.YELLOW,
+    "green": Colour.GREEN,
     "inactive": Colour.OFF,
-}  # fmt: skip
+}
 TURNS = ("left", "straight", "right")
-DIRECTIONS = {"all": TURNS, "leftStraight": TURNS[:2], "straightRight": TURNS[1:], "leftRight": ("left", "right")}
+DIRECTIONS = {
+    "all": TURNS,
+    "leftStraight": TURNS[:2],
+    "straightRight": TURNS[1:],
+    "leftRight": ("left", "right"),
+}
 DIRECTIONS |= {turn: (turn,) for turn in TURNS}
 MAX_SPEED_SIGNS = ("274", "274.1", "R2-1", "r301")
 STOP_SIGNS = frozenset({"206", "R1-1"})
@@ -242,7 +252,8 @@ class Document:
     problems: tuple[PlanningProblem, ...]
     notes: tuple[str, ...]
     lights: tuple[LightCycle, ...]
-    signs: Mapping[int, frozenset[str]]  # kinds of the traffic signs ("206", "R1-1", ...) by the sign's id
+    # Kinds of the traffic signs ("206", "R1-1", ...) by the sign's id
+    signs: Mapping[int, frozenset[str]]
     intersections: tuple[Intersection, ...]
 
     @property
@@ -259,13 +270,19 @@ def parse(path: Path) -> Document:
 
 def _document(root: Element) -> Document:
     if root.tag != "commonRoad":
-        raise LogError(f"root element is <{root.tag}>", remedy="give a CommonRoad scenario (<commonRoad>)")
+        raise LogError(
+            f"root element is <{root.tag}>", remedy="give a CommonRoad scenario (<commonRoad>)"
+        )
     version = root.get("commonRoadVersion", "?")
     if version not in VERSIONS:
-        raise LogError(f"CommonRoad version {version}", remedy=f"save it as one of {', '.join(VERSIONS)}")
+        raise LogError(
+            f"CommonRoad version {version}", remedy=f"save it as one of {', '.join(VERSIONS)}"
+        )
     dt = number(root.get("timeStepSize"), "commonRoad@timeStepSize")
     if not dt > 0.0:
-        raise LogError(f"time step of {dt} s", topic="commonRoad@timeStepSize", remedy="it must be positive")
+        raise LogError(
+            f"time step of {dt} s", topic="commonRoad@timeStepSize", remedy="it must be positive"
+        )
     signs: dict[int, frozenset[str]] = {}  # kinds and lowest speed limit, m/s, by the sign's id
     limits: dict[int, float] = {}
     for sign in root.findall("trafficSign"):
@@ -285,9 +302,15 @@ def _document(root: Element) -> Document:
         count = len(root.findall(tag))
         if count:
             notes.append(f"{count} elements <{tag}> are ignored: they have no box on the road")
-    sets = [e.get("id", "?") for e in root.findall("dynamicObstacle") if e.find("occupancySet") is not None]
+    sets = [
+        e.get("id", "?")
+        for e in root.findall("dynamicObstacle")
+        if e.find("occupancySet") is not None
+    ]
     if sets:
-        notes.append(f"obstacles {', '.join(sets)} have an occupancy set: boxes that cover it stand where they may be")
+        notes.append(
+            f"obstacles {', '.join(sets)} have an occupancy set: boxes that cover it stand where they may be"
+        )
     lanelets = tuple(_lanelet(e, limits) for e in root.findall("lanelet"))
     if not lanelets:
         raise LogError("no lanelet", remedy="a CommonRoad scenario without a road cannot be driven")
@@ -314,15 +337,24 @@ def _light(element: Element) -> LightCycle:
     name = integer(element.get("id"), "trafficLight@id")
     place, cycle = f"trafficLight {name}", []
     for part in element.findall("cycle/cycleElement"):
-        colour, steps = part.findtext("color", "").strip(), number(part.findtext("duration"), f"{place}/duration")
+        colour, steps = (
+            part.findtext("color", "").strip(),
+            number(part.findtext("duration"), f"{place}/duration"),
+        )
         if colour not in COLOURS:
-            raise LogError(f"no colour {colour!r}", topic=place, remedy=f"known are {', '.join(COLOURS)}")
+            raise LogError(
+                f"no colour {colour!r}", topic=place, remedy=f"known are {', '.join(COLOURS)}"
+            )
         if not steps >= 1.0:
-            raise LogError(f"a duration of {steps:g} steps", topic=place, remedy="it lasts one step at least")
+            raise LogError(
+                f"a duration of {steps:g} steps", topic=place, remedy="it lasts one step at least"
+            )
         cycle.append((COLOURS[colour], steps))
     direction = element.findtext("direction", "all").strip() or "all"
     if direction not in DIRECTIONS:
-        raise LogError(f"no direction {direction!r}", topic=place, remedy=f"known are {', '.join(DIRECTIONS)}")
+        raise LogError(
+            f"no direction {direction!r}", topic=place, remedy=f"known are {', '.join(DIRECTIONS)}"
+        )
     offset = number(element.findtext("cycle/timeOffset", "0"), f"{place}/timeOffset")
     active = element.findtext("active", "").strip() != "false"
     return LightCycle(name, tuple(cycle), offset, frozenset(DIRECTIONS[direction]), active)
@@ -331,9 +363,15 @@ def _light(element: Element) -> LightCycle:
 def _intersection(element: Element) -> Intersection:
     place, incomings = f"intersection {integer(element.get('id'), 'intersection@id')}", []
     for each in element.findall("incoming"):
-        successors = [(i, turn) for turn in TURNS for i in references(each, f"successors{turn.title()}", place)]
+        successors = [
+            (i, turn)
+            for turn in TURNS
+            for i in references(each, f"successors{turn.title()}", place)
+        ]
         incomings.append(Incoming(references(each, "incomingLanelet", place), tuple(successors)))
-    crossings = tuple(i for e in element.findall("crossing") for i in references(e, "crossingLanelet", place))
+    crossings = tuple(
+        i for e in element.findall("crossing") for i in references(e, "crossingLanelet", place)
+    )
     return Intersection(tuple(incomings), crossings)
 
 
@@ -350,14 +388,24 @@ def _lanelet(element: Element, limits: Mapping[int, float]) -> Lanelet:
         beside.append(
             None
             if other is None
-            else (integer(other.get("ref"), f"{place}/{tag}@ref"), other.get("drivingDir", "same") == "same")
+            else (
+                integer(other.get("ref"), f"{place}/{tag}@ref"),
+                other.get("drivingDir", "same") == "same",
+            )
         )
     stop, line = None, element.find("stopLine")
     if line is not None:
         points = points_in(line, f"{place}/stopLine")
         if len(points) == 1:
-            raise LogError("a stop line of one point", topic=f"{place}/stopLine", remedy="give its two ends, or none")
-        its = (references(line, tag, f"{place}/stopLine") for tag in ("trafficLightRef", "trafficSignRef"))
+            raise LogError(
+                "a stop line of one point",
+                topic=f"{place}/stopLine",
+                remedy="give its two ends, or none",
+            )
+        its = (
+            references(line, tag, f"{place}/stopLine")
+            for tag in ("trafficLightRef", "trafficSignRef")
+        )
         stop = Stop(points[[0, -1]] if len(points) else None, *its)
     return Lanelet(
         name,
@@ -367,7 +415,11 @@ def _lanelet(element: Element, limits: Mapping[int, float]) -> Lanelet:
         (beside[0], beside[1]),
         (left.findtext("lineMarking", "").strip(), right.findtext("lineMarking", "").strip()),
         tuple((e.text or "").strip() for e in element.findall("laneletType")),
-        tuple((e.text or "").strip() for tag in ("userOneWay", "userBidirectional") for e in element.findall(tag)),
+        tuple(
+            (e.text or "").strip()
+            for tag in ("userOneWay", "userBidirectional")
+            for e in element.findall(tag)
+        ),
         min(speeds, default=float("nan")),
         stop,
         references(element, "trafficLightRef", place),
@@ -382,14 +434,21 @@ def _outline(shape: Element, place: str) -> FloatArray:
         if len(points) > 1 and (points[0] == points[-1]).all():
             points = points[:-1]
         if len(points) < 3:
-            raise LogError("a polygon of fewer than 3 points", topic=place, remedy="correct the element")
+            raise LogError(
+                "a polygon of fewer than 3 points", topic=place, remedy="correct the element"
+            )
         return points
     center = np.array(point_in(c, place) if (c := shape.find("center")) is not None else (0.0, 0.0))
     if shape.tag == "circle":
-        radius, angle = number(child(shape, "radius", place).text, f"{place}/radius"), 2.0 * np.pi * np.arange(24) / 24
+        radius, angle = (
+            number(child(shape, "radius", place).text, f"{place}/radius"),
+            2.0 * np.pi * np.arange(24) / 24,
+        )
         return center + radius * np.column_stack([np.cos(angle), np.sin(angle)])
     length, width, yaw = _rectangle(shape, place)
-    corners = 0.5 * np.array([[length, width], [-length, width], [-length, -width], [length, -width]])
+    corners = 0.5 * np.array(
+        [[length, width], [-length, width], [-length, -width], [length, -width]]
+    )
     return center + corners @ np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
 
 
@@ -416,8 +475,17 @@ def _state(element: Element, place: str, *, needs_yaw: bool) -> tuple[float, ...
         outline = np.vstack([_outline(shape, f"{place}/position") for shape in shapes])
         x, y = (0.5 * (outline.min(axis=0) + outline.max(axis=0))).tolist()
     else:
-        raise LogError("neither point nor shape", topic=f"{place}/position", remedy="correct the element")
-    return step, x, y, yaw, middle(element, "velocity", place), middle(element, "acceleration", place)
+        raise LogError(
+            "neither point nor shape", topic=f"{place}/position", remedy="correct the element"
+        )
+    return (
+        step,
+        x,
+        y,
+        yaw,
+        middle(element, "velocity", place),
+        middle(element, "acceleration", place),
+    )
 
 
 def _obstacle(element: Element) -> Obstacle:
@@ -426,16 +494,24 @@ def _obstacle(element: Element) -> Obstacle:
     place = f"obstacle {name}"
     shapes = list(child(element, "shape", place))
     if not shapes or any(shape.tag not in SHAPE_TAGS for shape in shapes):
-        raise LogError("no rectangle, circle or polygon", topic=f"{place}/shape", remedy="correct the element")
+        raise LogError(
+            "no rectangle, circle or polygon", topic=f"{place}/shape", remedy="correct the element"
+        )
     turn, outline = 0.0, np.vstack([_outline(shape, f"{place}/shape") for shape in shapes])
     low, high = outline.min(axis=0), outline.max(axis=0)
     (length, width), (along, left) = (high - low).tolist(), (0.5 * (low + high)).tolist()
     if len(shapes) == 1 and shapes[0].tag == "rectangle":
         length, width, turn = _rectangle(shapes[0], f"{place}/shape")
     if not (length > 0.0 and width > 0.0):
-        raise LogError(f"a box of {length} x {width} m", topic=f"{place}/shape", remedy="sizes must be positive")
+        raise LogError(
+            f"a box of {length} x {width} m",
+            topic=f"{place}/shape",
+            remedy="sizes must be positive",
+        )
     needs_yaw = element.find("shape/circle") is None
-    rows = [_state(child(element, "initialState", place), f"{place}/initialState", needs_yaw=needs_yaw)]
+    rows = [
+        _state(child(element, "initialState", place), f"{place}/initialState", needs_yaw=needs_yaw)
+    ]
     for i, state in enumerate(element.findall("trajectory/state")):
         rows.append(_state(state, f"{place}/trajectory/state {i}", needs_yaw=needs_yaw))
     table = np.array(rows)
@@ -449,16 +525,26 @@ def _obstacle(element: Element) -> Obstacle:
     for each in element.findall("occupancySet/occupancy"):
         steps = interval(each, "time", f"{place}/occupancySet")
         if steps is None:
-            raise LogError("<time> is missing", topic=f"{place}/occupancySet", remedy="the format requires it")
+            raise LogError(
+                "<time> is missing", topic=f"{place}/occupancySet", remedy="the format requires it"
+            )
         shapes = list(child(each, "shape", f"{place}/occupancySet"))
-        sets.append(OccupiedSet(*steps, tuple(_outline(shape, f"{place}/occupancySet/shape") for shape in shapes)))
+        sets.append(
+            OccupiedSet(
+                *steps, tuple(_outline(shape, f"{place}/occupancySet/shape") for shape in shapes)
+            )
+        )
     if sets and len(table) == 1:
         ahead = 0.5 * np.array([length * np.cos(table[0, 3]), length * np.sin(table[0, 3])])
         aside = 0.5 * np.array([-width * np.sin(table[0, 3]), width * np.cos(table[0, 3])])
-        box = table[0, 1:3] + np.array([ahead + aside, aside - ahead, -ahead - aside, ahead - aside])
+        box = table[0, 1:3] + np.array(
+            [ahead + aside, aside - ahead, -ahead - aside, ahead - aside]
+        )
         sets.insert(0, OccupiedSet(table[0, 0], table[0, 0], (box,)))
     kind = element.findtext("type", "unknown").strip()
-    return Obstacle(name, kind, static, length, width, frozen(table[:1] if static else table), tuple(sets))
+    return Obstacle(
+        name, kind, static, length, width, frozen(table[:1] if static else table), tuple(sets)
+    )
 
 
 def _problem(element: Element) -> PlanningProblem:
@@ -467,12 +553,20 @@ def _problem(element: Element) -> PlanningProblem:
     initial = child(element, "initialState", place)
     start = np.array(_state(initial, f"{place}/initialState", needs_yaw=True))
     if start[4] != start[4]:
-        raise LogError("<velocity> is missing", topic=f"{place}/initialState", remedy="the format requires it")
+        raise LogError(
+            "<velocity> is missing", topic=f"{place}/initialState", remedy="the format requires it"
+        )
     goals, at = [], f"{place}/goalState"
     for goal in element.findall("goalState"):
         position = goal.find("position")
-        regions = [] if position is None else [_outline(e, f"{at}/position") for e in position if e.tag in SHAPE_TAGS]
+        regions = (
+            []
+            if position is None
+            else [_outline(e, f"{at}/position") for e in position if e.tag in SHAPE_TAGS]
+        )
         lanelets = () if position is None else references(position, "lanelet", f"{at}/position")
         bounds = (interval(goal, tag, at) for tag in ("time", "velocity", "orientation"))
         goals.append(GoalState(tuple(map(frozen, regions)), lanelets, *bounds))
-    return PlanningProblem(name, frozen(start), middle(initial, "yawRate", f"{place}/initialState"), tuple(goals))
+    return PlanningProblem(
+        name, frozen(start), middle(initial, "yawRate", f"{place}/initialState"), tuple(goals)
+    )

@@ -56,7 +56,16 @@ from replan.logs.road import Lane, Road
 from replan.logs.rules import Colour, Crosswalk, StopLine, TrafficLight
 from replan.logs.states import wrap
 
-NOT_DRIVABLE = {"sidewalk", "crosswalk", "bicycleLane", "shoulder", "busLane", "busStop", "border", "restricted"}
+NOT_DRIVABLE = {
+    "sidewalk",
+    "crosswalk",
+    "bicycleLane",
+    "shoulder",
+    "busLane",
+    "busStop",
+    "border",
+    "restricted",
+}
 NOT_CROSSABLE = {"solid", "broad_solid", "solid_solid", "curb"}
 LEFT_HAND_COUNTRIES = frozenset(
     "AUS BGD BHS BRB BRN BTN BWA CYP FJI GBR GUY HKG IDN IMN IND IRL JAM JPN KEN LKA LSO MAC MDV "  # noqa: SIM905
@@ -74,7 +83,10 @@ _MORE = 1.25
 
 
 def road_of(
-    document: Document, origin: tuple[float, float], driven: FloatArray, problem: PlanningProblem | None
+    document: Document,
+    origin: tuple[float, float],
+    driven: FloatArray,
+    problem: PlanningProblem | None,
 ) -> tuple[Road, tuple[str, ...]]:
     """Make the road, `origin` subtracted from all points, m, and notes on assumptions.
 
@@ -112,15 +124,22 @@ def road_of(
         )
     uneven = sum(len(lanelet.left) != len(lanelet.right) for lanelet in document.lanelets)
     if uneven:
-        notes.append(f"{uneven} lanelets have boundaries of unequal point counts: resampled by arc length")
+        notes.append(
+            f"{uneven} lanelets have boundaries of unequal point counts: resampled by arc length"
+        )
     road = Road(lanes, drives_on_right=document.country not in LEFT_HAND_COUNTRIES)
     low, high = _PLAUSIBLE
     odd: defaultdict[float, int] = defaultdict(int)
     for lane in road.lanes.values():
         if lane.drivable and not (np.isnan(lane.speed_limit) or low <= lane.speed_limit <= high):
             odd[lane.speed_limit] += 1
-    notes += [f"speed limit of {limit:g} m/s on {count} lanes is kept as given" for limit, count in odd.items()]
-    return _with_defaults(document, road, origin, driven - (*origin, 0.0), problem, notes), tuple(notes)
+    notes += [
+        f"speed limit of {limit:g} m/s on {count} lanes is kept as given"
+        for limit, count in odd.items()
+    ]
+    return _with_defaults(document, road, origin, driven - (*origin, 0.0), problem, notes), tuple(
+        notes
+    )
 
 
 def _crossable(marking: str, *, near: int) -> bool:
@@ -132,15 +151,20 @@ def _crossable(marking: str, *, near: int) -> bool:
 
 
 def _with_defaults(
-    document: Document, road: Road, origin: tuple[float, float], driven: FloatArray, problem: PlanningProblem | None,
+    document: Document,
+    road: Road,
+    origin: tuple[float, float],
+    driven: FloatArray,
+    problem: PlanningProblem | None,
     notes: list[str],
-) -> Road:  # fmt: skip
+) -> Road:
     """The road with (1) to (3): the commonest default is the road's, others stand on their lanes."""
     missing: defaultdict[str, list[Lane]] = defaultdict(list)
     drivable = [lane for lane in road.lanes.values() if lane.drivable]
     for lane in drivable:
         if np.isnan(lane.speed_limit):
-            kinds = set(lane.kind.split("+"))  # the scenario's own tag "highway" beats a lanelet's "urban"
+            # The scenario's own tag "highway" beats a lanelet's "urban"
+            kinds = set(lane.kind.split("+"))
             usual = "highway" if _HIGHWAY & (kinds | set(document.tags)) else "urban"
             missing[next((kind for kind in _DEFAULTS if kind in kinds), usual)].append(lane)
     if not missing:
@@ -151,7 +175,10 @@ def _with_defaults(
     least, most = min((v[0] for v in speeds), default=0.0), max((v[1] for v in speeds), default=0.0)
     on_goal = {i for goal in goals for i in goal.lanelets}
     for region in (region for goal in goals if asks for region in goal.regions):
-        places = np.vstack([region, 0.5 * (region + np.roll(region, 1, axis=0)), region.mean(axis=0)]) - origin
+        places = (
+            np.vstack([region, 0.5 * (region + np.roll(region, 1, axis=0)), region.mean(axis=0)])
+            - origin
+        )
         on_goal |= {lane.id for x, y in places for lane in road.lanes_at(float(x), float(y))}
     assumed = {}
     for group, lanes in sorted(missing.items(), key=lambda item: (-len(item[1]), item[0])):
@@ -159,21 +186,38 @@ def _with_defaults(
         limit, why = _DEFAULTS.get(group, _URBAN), f"{group} default"  # (1)
         if group == "highway":
             limit = 65.0 * 1.609344 * KPH if document.country == "USA" else 130.0 * KPH
-        pace = np.array([v for x, y, v in moving if any(lane.id in ids for lane in road.lanes_at(x, y))])
+        pace = np.array(
+            [v for x, y, v in moving if any(lane.id in ids for lane in road.lanes_at(x, y))]
+        )
         if len(pace) >= _ENOUGH:
             typical = _rounded_up(float(np.percentile(pace, 85)))
             if typical > limit:  # (2)
-                limit, why = typical, f"85th percentile of the speeds at the start, above the {group} default,"
+                limit, why = (
+                    typical,
+                    f"85th percentile of the speeds at the start, above the {group} default,",
+                )
         if asks and least > limit and ids & on_goal:  # (3)
             limit = _rounded_up(min(0.5 * (least + most), _MORE * least))
             why = f"the goal asks for {least:.0f} m/s, above the {why.rstrip(',')}:"
         assumed[group] = limit
         words = f"{limit:.2f} m/s ({limit / KPH:.0f} km/h)"
-        notes.append(f"speed limit missing on {len(lanes)} of {len(drivable)} lanes: {why} {words} assumed")
+        notes.append(
+            f"speed limit missing on {len(lanes)} of {len(drivable)} lanes: {why} {words} assumed"
+        )
     default = next(iter(assumed.values()))
-    changed = {lane.id: assumed[g] for g, lanes in missing.items() for lane in lanes if assumed[g] != default}
-    by_id = {i: replace(lane, speed_limit=changed.get(i, lane.speed_limit)) for i, lane in road.lanes.items()}
-    return replace(road, lanes=by_id, default_speed_limit=default, assumed_limits=frozenset(changed))
+    changed = {
+        lane.id: assumed[g]
+        for g, lanes in missing.items()
+        for lane in lanes
+        if assumed[g] != default
+    }
+    by_id = {
+        i: replace(lane, speed_limit=changed.get(i, lane.speed_limit))
+        for i, lane in road.lanes.items()
+    }
+    return replace(
+        road, lanes=by_id, default_speed_limit=default, assumed_limits=frozenset(changed)
+    )
 
 
 def _rounded_up(speed: float) -> float:
@@ -214,7 +258,9 @@ class _Line:
     towards: tuple[int, ...] = ()
 
 
-def with_rules(document: Document, road: Road, origin: tuple[float, float]) -> tuple[Road, Heads, tuple[str, ...]]:
+def with_rules(
+    document: Document, road: Road, origin: tuple[float, float]
+) -> tuple[Road, Heads, tuple[str, ...]]:
     """Add the rules to the road; return it, the file's lights of each of its lights, and notes."""
     turns = _turns(document, road)
     lines: list[_Line] = []
@@ -233,21 +279,34 @@ def with_rules(document: Document, road: Road, origin: tuple[float, float]) -> t
         for number, line in enumerate(lines, start=1)
     )
     waits, assumed, notes = _right_of_way(document, road, turns)
-    lanes = {i: replace(lane, yields_to=tuple(sorted(waits.get(i, ())))) for i, lane in road.lanes.items()}
+    lanes = {
+        i: replace(lane, yields_to=tuple(sorted(waits.get(i, ()))))
+        for i, lane in road.lanes.items()
+    }
     crossings = {i for intersection in document.intersections for i in intersection.crossings}
-    marked = (lane for lane in road.lanes.values() if lane.id in crossings or "crosswalk" in lane.kind.split("+"))
+    marked = (
+        lane
+        for lane in road.lanes.values()
+        if lane.id in crossings or "crosswalk" in lane.kind.split("+")
+    )
     walks = tuple(Crosswalk(lane.id, lane.polygon) for lane in marked)
     known = {light.id for light in document.lights}
     unused = known - {i for chain in names for i in chain}
     if unused:
-        notes.append(f"traffic lights {_comma_list(unused)} are ignored: no lane that goes their way names them")
+        notes.append(
+            f"traffic lights {_comma_list(unused)} are ignored: no lane that goes their way names them"
+        )
     dark = {light.id for light in document.lights if light.active and not light.cycle}
     if dark:
         notes.append(f"traffic lights {_comma_list(dark)} have no cycle: they are taken as off")
     lost = {i for lanelet in document.lanelets for i in _lights_at(lanelet)} - known
     if lost:
-        notes.append(f"traffic lights {_comma_list(lost)} are named by lanelets, but are not in the file")
-    ruled = replace(road, lanes=lanes, stop_lines=stop_lines, crosswalks=walks, assumed_priority=assumed)
+        notes.append(
+            f"traffic lights {_comma_list(lost)} are named by lanelets, but are not in the file"
+        )
+    ruled = replace(
+        road, lanes=lanes, stop_lines=stop_lines, crosswalks=walks, assumed_priority=assumed
+    )
     return ruled, {name: chain for chain, name in names.items()}, tuple(notes)
 
 
@@ -293,10 +352,14 @@ def _kinds_at(document: Document, lanelet: Lanelet, *, without: Collection[int] 
     return {kind for name in names for kind in document.signs.get(name, ())}
 
 
-def _lines(document: Document, lanelet: Lanelet, lane: Lane, turns: Turns, origin: tuple[float, float]) -> list[_Line]:
+def _lines(
+    document: Document, lanelet: Lanelet, lane: Lane, turns: Turns, origin: tuple[float, float]
+) -> list[_Line]:
     """The stop lines of a lanelet: one for each light, else one for its sign."""
     names, stop = _lights_at(lanelet), lanelet.stop
-    later = [other for other in document.lanelets if stop is None and other.id in lanelet.successors]
+    later = [
+        other for other in document.lanelets if stop is None and other.id in lanelet.successors
+    ]
     on_them = {i for other in later for i in (*_lights_at(other), *other.signs)}
     lights = [light for light in document.lights if light.id in names and light.id not in on_them]
     kinds = _kinds_at(document, lanelet, without=on_them)
@@ -307,9 +370,13 @@ def _lines(document: Document, lanelet: Lanelet, lane: Lane, turns: Turns, origi
         ends = stop.ends - origin
     successors = [(i, turns[lane.id, i]) for i in lane.successors if (lane.id, i) in turns]
     # lights, those that count while the ones before are dark behind them -> successors (empty: all)
-    governed: dict[tuple[int, ...], list[int]] = {} if successors else {(light.id,): [] for light in lights}
+    governed: dict[tuple[int, ...], list[int]] = (
+        {} if successors else {(light.id,): [] for light in lights}
+    )
     for successor, turn in successors:
-        meant = sorted((light for light in lights if turn in light.turns), key=lambda light: len(light.turns))
+        meant = sorted(
+            (light for light in lights if turn in light.turns), key=lambda light: len(light.turns)
+        )
         for first in (light for light in meant if len(light.turns) == len(meant[0].turns)):
             goes_dark = not first.active or any(colour is Colour.OFF for colour, _ in first.cycle)
             others = (each.id for each in meant if goes_dark and len(each.turns) > len(first.turns))
@@ -322,7 +389,9 @@ def _lines(document: Document, lanelet: Lanelet, lane: Lane, turns: Turns, origi
     return out if out and not must_stop else [*out, _Line(lane.id, ends, must_stop=must_stop)]
 
 
-def lights_of(document: Document, heads: Heads, start: float, duration: float) -> tuple[TrafficLight, ...]:
+def lights_of(
+    document: Document, heads: Heads, start: float, duration: float
+) -> tuple[TrafficLight, ...]:
     """The lights over the time of the log: t = 0 is step `start`; it lasts `duration` s."""
     last = start + duration / document.dt
     changes = {light.id: light.changes(start, last) for light in document.lights}
@@ -351,13 +420,17 @@ def _right_of_way(
     across = "left" if road.drives_on_right else "right"
     for intersection in document.intersections:
         # lanes inside begin nearer to the middle of the incomings' ends than the farthest end
-        leading = {i for incoming in intersection.incomings for i in incoming.lanelets if i in road.lanes}
+        leading = {
+            i for incoming in intersection.incomings for i in incoming.lanelets if i in road.lanes
+        }
         ends = np.array([road.lanes[i].center[-1] for i in leading]).reshape(-1, 2)
         middle = ends.mean(axis=0) if leading else np.zeros(2)
         radius = float(np.hypot(*(ends - middle).T).max(initial=0.0))
         later = (lane for lane in road.lanes.values() if lane.drivable and lane.id not in leading)
         zone = {lane.id for lane in later if np.hypot(*(lane.center[0] - middle)) < radius}
-        found = (_approach(document, road, incoming, turns, zone) for incoming in intersection.incomings)
+        found = (
+            _approach(document, road, incoming, turns, zone) for incoming in intersection.incomings
+        )
         approaches = [approach for approach in found if approach is not None]
         unsigned = False
         for one, other in permutations(approaches, 2):
@@ -365,12 +438,15 @@ def _right_of_way(
             angle = wrap(other.heading - one.heading)
             opposite, by_side = abs(angle) > OPPOSITE, False
             if not (one.lit or other.lit) and MERGING < abs(angle) <= OPPOSITE:  # (5)
-                by_side = one.width < other.width or (one.width == other.width and road.drives_on_right and angle > 0.0)
+                by_side = one.width < other.width or (
+                    one.width == other.width and road.drives_on_right and angle > 0.0
+                )
             own = {i: some for i, some in one.inner.items() if i not in other.inner}
             others = {i: some for i, some in other.inner.items() if i not in one.inner}
             for lane, first in product(own, others):
                 turns_across = opposite and own[lane] == {across} and others[first] != {across}
-                waits_here = one.rank < other.rank if signed else by_side or turns_across  # (4), else (5) or (6)
+                # (4), else (5) or (6)
+                waits_here = one.rank < other.rank if signed else by_side or turns_across
                 if waits_here and meet(road.lanes[lane].center, road.lanes[first].center):
                     waits.setdefault(lane, set()).add(first)
                     unsigned = unsigned or by_side
@@ -378,7 +454,9 @@ def _right_of_way(
         assumed += unsigned and all(approach.rank == UNSIGNED for approach in approaches)
     if not assumed:
         return waits, frozenset(by_assumption), []
-    rule = "the road of more lanes goes first" + (", else who comes from the right" if road.drives_on_right else "")
+    rule = "the road of more lanes goes first" + (
+        ", else who comes from the right" if road.drives_on_right else ""
+    )
     return (
         waits,
         frozenset(by_assumption),
@@ -400,14 +478,21 @@ def _approach(
     active = {light.id for light in document.lights if light.active}
     ends = [lane.center[-1] - lane.center[-2] for lane in lanes]
     mean = np.sum([step / np.hypot(*step) for step in ends], axis=0)
-    carriageway, open_lanes = set[int](), [lane.id for lane in lanes]  # and those beside them in their direction
+    # And those beside them in their direction
+    carriageway, open_lanes = set[int](), [lane.id for lane in lanes]
     while open_lanes:
         i = open_lanes.pop()
         if i in drivable and i not in carriageway:
             carriageway.add(i)
-            open_lanes += [j for j in (road.lanes[i].left_neighbour, road.lanes[i].right_neighbour) if j is not None]
+            open_lanes += [
+                j
+                for j in (road.lanes[i].left_neighbour, road.lanes[i].right_neighbour)
+                if j is not None
+            ]
     inner: dict[int, set[str]] = {}
-    ahead = [(i, turns[lane.id, i]) for lane in lanes for i in lane.successors if (lane.id, i) in turns]
+    ahead = [
+        (i, turns[lane.id, i]) for lane in lanes for i in lane.successors if (lane.id, i) in turns
+    ]
     ahead = [(i, turn) for i, turn in ahead if i in drivable]
     while ahead:
         i, turn = ahead.pop()

@@ -45,7 +45,11 @@ def covering(outline: FloatArray, cuts: int = DEEPEST) -> Iterator[Box]:
     area = 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
     if not min(box.length, box.width, area) > 1e-6:
         return
-    if (box.length * box.width - area) / box.length <= EXCESS_M or box.length <= SHORTEST_M or not cuts:
+    if (
+        (box.length * box.width - area) / box.length <= EXCESS_M
+        or box.length <= SHORTEST_M
+        or not cuts
+    ):
         yield box
         return
     along = np.array([np.cos(box.yaw), np.sin(box.yaw)])
@@ -55,7 +59,9 @@ def covering(outline: FloatArray, cuts: int = DEEPEST) -> Iterator[Box]:
         for i in range(len(outline)):
             before, after = side[i - 1], side[i]
             if (before >= 0.0) != (after >= 0.0):
-                part.append(outline[i - 1] + (outline[i] - outline[i - 1]) * before / (before - after))
+                part.append(
+                    outline[i - 1] + (outline[i] - outline[i - 1]) * before / (before - after)
+                )
             if after >= 0.0:
                 part.append(outline[i])
         if len(part) >= 3:
@@ -76,7 +82,8 @@ def standing(sets: Sequence[OccupiedSet]) -> Iterator[tuple[str, float, float, B
 def smallest_box(points: FloatArray) -> Box:
     """The smallest rectangle around points `(k, 2)`, k >= 3 (1); its length is the longer side."""
     ordered, chains = np.unique(points, axis=0).tolist(), []
-    for sequence in (ordered, ordered[::-1]):  # the convex hull, counter-clockwise (Andrew's monotone chain)
+    # The convex hull, counter-clockwise (Andrew's monotone chain)
+    for sequence in (ordered, ordered[::-1]):
         chain: list[list[float]] = []
         for x, y in sequence:
             while len(chain) > 1:
@@ -89,11 +96,17 @@ def smallest_box(points: FloatArray) -> Box:
     hull = np.array(chains[0] + chains[1]).reshape(-1, 2)
     edges = np.diff(np.vstack([hull, hull[:1]]), axis=0)
     best: Box | None = None
-    for yaw in np.unique(np.round(np.arctan2(edges[:, 1], edges[:, 0]) % (0.5 * np.pi), 12)).tolist():
+    for yaw in np.unique(
+        np.round(np.arctan2(edges[:, 1], edges[:, 0]) % (0.5 * np.pi), 12)
+    ).tolist():
         axes = np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
         low, high = (hull @ axes.T).min(axis=0), (hull @ axes.T).max(axis=0)
         (length, width), (x, y) = (high - low).tolist(), (0.5 * (low + high) @ axes).tolist()
-        box = Box(x, y, yaw, length, width) if length >= width else Box(x, y, yaw + 0.5 * np.pi, width, length)
+        box = (
+            Box(x, y, yaw, length, width)
+            if length >= width
+            else Box(x, y, yaw + 0.5 * np.pi, width, length)
+        )
         if best is None or length * width < best.length * best.width - 1e-9:
             best = box
     assert best is not None

@@ -37,10 +37,17 @@ from replan.logs.tracks import Tracks
 from replan.logs.vehicle import VehicleParameters
 
 KINDS = {
-    "car": AgentKind.CAR, "taxi": AgentKind.CAR, "priorityVehicle": AgentKind.CAR, "parkedVehicle": AgentKind.CAR,
-    "truck": AgentKind.TRUCK, "bus": AgentKind.BUS, "train": AgentKind.BUS, "motorcycle": AgentKind.MOTORCYCLE,
-    "bicycle": AgentKind.BICYCLE, "pedestrian": AgentKind.PEDESTRIAN,
-}  # fmt: skip
+    "car": AgentKind.CAR,
+    "taxi": AgentKind.CAR,
+    "priorityVehicle": AgentKind.CAR,
+    "parkedVehicle": AgentKind.CAR,
+    "truck": AgentKind.TRUCK,
+    "bus": AgentKind.BUS,
+    "train": AgentKind.BUS,
+    "motorcycle": AgentKind.MOTORCYCLE,
+    "bicycle": AgentKind.BICYCLE,
+    "pedestrian": AgentKind.PEDESTRIAN,
+}
 WINDOW_S = 0.5
 """Half of the window over which the ego log's slopes are fitted."""
 _ASKEW = radians(0.5)
@@ -65,7 +72,10 @@ def turned(document: Document) -> tuple[Document, tuple[str, ...]]:
     obstacles = tuple(replace(o, states=o.states + turn) for o in document.obstacles)
     problems = []
     for problem in document.problems:
-        goals = (g if g.yaw is None else replace(g, yaw=(g.yaw[0] + offset, g.yaw[1] + offset)) for g in problem.goals)
+        goals = (
+            g if g.yaw is None else replace(g, yaw=(g.yaw[0] + offset, g.yaw[1] + offset))
+            for g in problem.goals
+        )
         problems.append(replace(problem, start=problem.start + turn, goals=tuple(goals)))
     note = f"headings are turned by {np.degrees(offset):.2f} deg: {len(medians)} vehicles drive askew by that angle"
     return replace(document, obstacles=obstacles, problems=tuple(problems)), (note,)
@@ -79,19 +89,25 @@ def velocities(document: Document) -> tuple[dict[int, FloatArray], tuple[str, ..
         step, x, y, yaw, v, _ = obstacle.states.T
         stored.append(np.column_stack([v * np.cos(yaw), v * np.sin(yaw)]))
         backward.append(stored[-1].copy())
-        backward[-1][1:] = np.column_stack([np.diff(x), np.diff(y)]) / (document.dt * np.diff(step))[:, None]
+        backward[-1][1:] = (
+            np.column_stack([np.diff(x), np.diff(y)]) / (document.dt * np.diff(step))[:, None]
+        )
     errors = [_prediction_error(moving, v, document.dt) for v in (stored, backward)]
     by_difference = bool(errors[1] < errors[0]) or any(np.isnan(v).any() for v in stored)
     chosen = backward if by_difference else stored
     found = {o.id: v for o, v in zip(moving, chosen, strict=True)}
     if not np.isfinite(errors).all():
         return found, ()
-    rule = "backward differences of positions" if by_difference else "stored speeds along the headings"
+    rule = (
+        "backward differences of positions" if by_difference else "stored speeds along the headings"
+    )
     note = f"agents' velocities are {rule} (error 1 s ahead {min(errors):.2f} m, the other way {max(errors):.2f} m)"
     return found, (note,)
 
 
-def _prediction_error(obstacles: Sequence[Obstacle], velocity: Sequence[FloatArray], dt: float) -> float:
+def _prediction_error(
+    obstacles: Sequence[Obstacle], velocity: Sequence[FloatArray], dt: float
+) -> float:
     """Mean distance to the truth of a constant-velocity prediction over 1 s, m; NaN where no track is that long."""
     ahead, errors = max(1, round(1.0 / dt)), []
     for obstacle, v in zip(obstacles, velocity, strict=True):
@@ -103,7 +119,11 @@ def _prediction_error(obstacles: Sequence[Obstacle], velocity: Sequence[FloatArr
 
 
 def tracks_of(
-    document: Document, velocity: dict[int, FloatArray], without: int | None, start: float, origin: tuple[float, float]
+    document: Document,
+    velocity: dict[int, FloatArray],
+    without: int | None,
+    start: float,
+    origin: tuple[float, float],
 ) -> Tracks:
     """The traffic from time step `start` on, which becomes t = 0; obstacle `without` is the ego.
 
@@ -116,23 +136,39 @@ def tracks_of(
         if o.id == without:
             continue
         if o.sets and not o.static:
-            for name, first, last, box in standing(o.sets):  # each box for as long as its set stands
+            # Each box for as long as its set stands
+            for name, first, last, box in standing(o.sets):
                 if last > start:
                     pose = (box.x, box.y, box.yaw, 0.0, 0.0)
                     states = np.array([(max(first, start), *pose), (last, *pose)])
-                    found.append((f"{o.id} {name}", AgentKind.OBJECT, box.length, box.width, False, states))
+                    found.append(
+                        (f"{o.id} {name}", AgentKind.OBJECT, box.length, box.width, False, states)
+                    )
         elif o.static or later.any():
             v = np.zeros((1, 2)) if o.static else velocity[o.id][later]
             states = np.column_stack([(o.states if o.static else o.states[later])[:, :4], v])
-            found.append((str(o.id), KINDS.get(o.type, AgentKind.OBJECT), o.length, o.width, o.static, states))
+            found.append(
+                (
+                    str(o.id),
+                    KINDS.get(o.type, AgentKind.OBJECT),
+                    o.length,
+                    o.width,
+                    o.static,
+                    states,
+                )
+            )
     if not found:
         return Tracks.empty()
     ids, kinds, length, width, static, rows = zip(*found, strict=True)
     step, x, y, yaw, vx, vy = np.vstack(rows).T
     offsets = np.cumsum([0, *map(len, rows)])
-    t = np.where(np.repeat(static, np.diff(offsets)), 0.0, np.round((step - start) * document.dt, 9))
+    t = np.where(
+        np.repeat(static, np.diff(offsets)), 0.0, np.round((step - start) * document.dt, 9)
+    )
     place = x - origin[0], y - origin[1], yaw, vx, vy
-    return Tracks(ids, kinds, np.array(length), np.array(width), np.array(static), offsets, t, *place)
+    return Tracks(
+        ids, kinds, np.array(length), np.array(width), np.array(static), offsets, t, *place
+    )
 
 
 def sized(obstacle: Obstacle) -> VehicleParameters:
@@ -166,7 +202,9 @@ def trimmed(obstacle: Obstacle, dt: float) -> tuple[Obstacle, tuple[str, ...]]:
         edge, inner = (off[0], off[1]) if where == "first" else (off[-1], off[-2])
         if edge > 2.0 and inner < 1.0:
             states = states[end]
-            notes.append(f"the ego log's {where} sample is dropped: its position is off by {edge * dt:.1f} m")
+            notes.append(
+                f"the ego log's {where} sample is dropped: its position is off by {edge * dt:.1f} m"
+            )
     return replace(obstacle, states=states), tuple(notes)
 
 

@@ -31,7 +31,9 @@ def _claims(path: Path) -> bool:
     except OSError:
         return False
     if path.suffix.lower() == ".mcap":
-        return begin.startswith(magic) and begin[8:9] == b"\x01" and begin[17:25] == b"\x04\0\0\0ros2"
+        return (
+            begin.startswith(magic) and begin[8:9] == b"\x01" and begin[17:25] == b"\x04\0\0\0ros2"
+        )
     return begin.startswith(magic)
 
 
@@ -66,6 +68,15 @@ def _contents(path: Path) -> LogContents:
 
 
 READER = Reader(
-    "ros", "ROS 2 bags (rosbag2 as MCAP or SQLite) and ROS 1 bags", "rosbag2 folder, .bag",
-    (".bag", ".db3"), _claims, _read, bag_files, _span, _contents, ("topics", "frames", "clock", "car"), cuts=True,
-)  # fmt: skip
+    "ros",
+    "ROS 2 bags (rosbag2 as MCAP or SQLite) and ROS 1 bags",
+    "rosbag2 folder, .bag",
+    (".bag", ".db3"),
+    _claims,
+    _read,
+    bag_files,
+    _span,
+    _contents,
+    ("topics", "frames", "clock", "car"),
+    cuts=True,
+)

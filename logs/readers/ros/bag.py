@@ -37,7 +37,10 @@ LARGEST_DEFINITION = 1 << 18
 _CHUNK_HEAD_BYTES, _FRAME_HEAD_BYTES = 9 + 40, 18
 """Size of an MCAP chunk's head without the name of the compression, and greatest size of a zstd frame's head."""
 TIMES: Types = {
-    f"builtin_interfaces/msg/{name}": ([], [("sec", (1, ("int32", 0))), ("nanosec", (1, ("uint32", 0)))])
+    f"builtin_interfaces/msg/{name}": (
+        [],
+        [("sec", (1, ("int32", 0))), ("nanosec", (1, ("uint32", 0)))],
+    )
     for name in ("Time", "Duration")
 }
 """Definitions of times: primitive types in ROS 1, messages in ROS 2."""
@@ -78,7 +81,9 @@ class Bag:
         types: dict[str, Any] = dict(TIMES)
         own = next((c.msgdef for c in topic.connections if c.msgdef.data), None)
         if own is None:  # what rosbags and replan know
-            types = dict(get_typestore(Stores.ROS2_HUMBLE if self.is_ros2 else Stores.ROS1_NOETIC).fielddefs)
+            types = dict(
+                get_typestore(Stores.ROS2_HUMBLE if self.is_ros2 else Stores.ROS1_NOETIC).fielddefs
+            )
             text = files("replan.logs.readers.ros").joinpath("definitions.msg").read_text()
             for part in text.split("=" * 20 + "\n")[1:]:
                 name, _, body = part.partition("\n")
@@ -91,7 +96,9 @@ class Bag:
                 if own.format.name == "MSG":
                     types |= get_types_from_msg(own.data, topic.kind)
                 else:
-                    idl = [part for part in own.data.split("=" * 80 + "\n") if part.startswith("IDL: ")]
+                    idl = [
+                        part for part in own.data.split("=" * 80 + "\n") if part.startswith("IDL: ")
+                    ]
                     for part in [part.partition("\n")[2] for part in idl] or [own.data]:
                         types |= get_types_from_idl(part)
             except DAMAGE as error:
@@ -99,7 +106,9 @@ class Bag:
                 raise LogError(what, topic=topic.name, remedy=COPY_AGAIN) from None
         if topic.kind not in types:
             what = f"the log does not define its message type {topic.kind}, and replan does not know it"
-            raise LogError(what, topic=topic.name, remedy="record as MCAP, which holds the definitions")
+            raise LogError(
+                what, topic=topic.name, remedy="record as MCAP, which holds the definitions"
+            )
         self._types[topic.name] = types
         return types
 
@@ -127,13 +136,21 @@ class Bag:
         order = np.argsort(np.array(times, dtype=np.int64), kind="stable")
         return np.array(times, dtype=np.int64)[order], [rows[i] for i in order]
 
-    def raw(self, topic: Topic, begin: int | None = None, end: int | None = None) -> Iterator[tuple[int, bytes]]:
+    def raw(
+        self, topic: Topic, begin: int | None = None, end: int | None = None
+    ) -> Iterator[tuple[int, bytes]]:
         """Yield log time and bytes of the messages from `begin` to `end`, ns, inclusive; LogError if damaged."""
         last: int | None = None
         try:
-            for _, time, raw in self._messages(topic.connections, begin, None if end is None else end + 1):
+            for _, time, raw in self._messages(
+                topic.connections, begin, None if end is None else end + 1
+            ):
                 if not 0 <= time <= LAST_TIME_NS:
-                    raise LogError(f"log time {time} ns is beyond any clock", topic=topic.name, remedy=COPY_AGAIN)
+                    raise LogError(
+                        f"log time {time} ns is beyond any clock",
+                        topic=topic.name,
+                        remedy=COPY_AGAIN,
+                    )
                 last = time
                 yield time, raw
         except LogError:
@@ -153,36 +170,60 @@ def opened(path: Path) -> Iterator[Bag]:
     scratch = ExitStack()
     try:
         unclosed = _unclosed(path)
-        near = _closed_copy(path, unclosed, Path(scratch.enter_context(TemporaryDirectory()))) if unclosed else path
+        near = (
+            _closed_copy(path, unclosed, Path(scratch.enter_context(TemporaryDirectory())))
+            if unclosed
+            else path
+        )
         reader: Any = Reader2(near) if is_ros2 else Reader1(near)
         reader.open()
     except DAMAGE as error:
         scratch.close()
-        raise LogError(f"the bag cannot be opened ({_describe(error)})", file=path, remedy=COPY_AGAIN) from None
+        raise LogError(
+            f"the bag cannot be opened ({_describe(error)})", file=path, remedy=COPY_AGAIN
+        ) from None
     try:
         storage = getattr(reader, "storage", None)
         for part in getattr(storage, "storages", [storage]):
             for chunk in getattr(part, "chunks", ()):
                 size = chunk.uncompressed_size
-                if chunk.compression == "zstd":  # the frame states how many bytes it holds, whatever the index states
+                # The frame states how many bytes it holds, whatever the index states
+                if chunk.compression == "zstd":
                     begin = chunk.chunk_start_offset + _CHUNK_HEAD_BYTES + len(chunk.compression)
-                    with suppress(ZstdError, OSError, OverflowError):  # reading it says what is wrong
-                        size = max(size, frame_content_size(os.pread(part.bio.fileno(), _FRAME_HEAD_BYTES, begin)))
+                    # Reading it says what is wrong
+                    with suppress(ZstdError, OSError, OverflowError):
+                        size = max(
+                            size,
+                            frame_content_size(
+                                os.pread(part.bio.fileno(), _FRAME_HEAD_BYTES, begin)
+                            ),
+                        )
                 if size > MAX_CHUNK_BYTES:  # refused before decompression
                     what = f"a chunk of {chunk.compressed_size} bytes would become {size}"
-                    raise LogError(what, file=path, time_ns=chunk.message_start_time, remedy=COPY_AGAIN)
+                    raise LogError(
+                        what, file=path, time_ns=chunk.message_start_time, remedy=COPY_AGAIN
+                    )
         connections: dict[tuple[str, str], list[Any]] = {}
         for each in reader.connections:
             connections.setdefault((each.topic, each.msgtype), []).append(each)
         topics = []
         for (name, kind), some in connections.items():
             encoding = getattr(some[0].ext, "serialization_format", "ros1")
-            topics.append(Topic(name, kind, sum(each.msgcount for each in some), encoding, tuple(some)))
+            topics.append(
+                Topic(name, kind, sum(each.msgcount for each in some), encoding, tuple(some))
+            )
         # of one topic and several types, the type with most messages
-        most = {topic.name: topic for topic in sorted(topics, key=lambda each: (each.count, each.kind))}
+        most = {
+            topic.name: topic for topic in sorted(topics, key=lambda each: (each.count, each.kind))
+        }
         sorted_topics = tuple(most[name] for name in sorted(most))
-        notes = tuple(f"{file.name} was not closed: its journal beside it is read too, in a copy." for file in unclosed)
-        yield Bag(sorted_topics, reader.start_time, reader.end_time - 1, is_ros2, reader.messages, notes)
+        notes = tuple(
+            f"{file.name} was not closed: its journal beside it is read too, in a copy."
+            for file in unclosed
+        )
+        yield Bag(
+            sorted_topics, reader.start_time, reader.end_time - 1, is_ros2, reader.messages, notes
+        )
     finally:
         with scratch:
             reader.close()
@@ -205,7 +246,8 @@ def _closed_copy(path: Path, unclosed: tuple[Path, ...], folder: Path) -> Path:
             if Path(f"{file}{suffix}").is_file():
                 copyfile(f"{file}{suffix}", f"{near}{suffix}")
         with closing(sqlite3.connect(near)) as database:
-            database.execute("PRAGMA journal_mode = DELETE")  # reads the journal, and leaves one file
+            # Reads the journal, and leaves one file
+            database.execute("PRAGMA journal_mode = DELETE")
     return folder if path.is_dir() else folder / path.name
 
 

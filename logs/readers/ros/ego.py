@@ -86,17 +86,27 @@ class BagPart:
         if wanted:
             named = [topic for topic in fitting if topic.name == wanted]
             if not named:
-                there = next((topic.kind for topic in self.bag.topics if topic.name == wanted), None)
-                what = f"the topic for {role!r} " + ("is not in the log" if there is None else f"has the type {there}")
+                there = next(
+                    (topic.kind for topic in self.bag.topics if topic.name == wanted), None
+                )
+                what = f"the topic for {role!r} " + (
+                    "is not in the log" if there is None else f"has the type {there}"
+                )
                 remedy = f"for this role the log has {', '.join(t.name for t in fitting) or 'none'}; '-' takes none"
                 raise LogError(what, topic=wanted, remedy=remedy)
             return named
         return sorted(fitting, key=lambda topic: (-topic.count, topic.name))
 
-    def read(self, topic: Topic, wanted: Wanted, stamp: Wanted = STAMP) -> tuple[IntArray, IntArray, list[Any]]:
+    def read(
+        self, topic: Topic, wanted: Wanted, stamp: Wanted = STAMP
+    ) -> tuple[IntArray, IntArray, list[Any]]:
         """Return log times and stamps `(n,)`, ns, of a topic's messages, and rows: seconds, nanoseconds, `wanted`."""
         log, rows = self.bag.read(topic, (*stamp, *wanted), self.begin, self.end)
-        return log, np.array([row[0] * 1_000_000_000 + row[1] for row in rows], dtype=np.int64), rows
+        return (
+            log,
+            np.array([row[0] * 1_000_000_000 + row[1] for row in rows], dtype=np.int64),
+            rows,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,7 +143,11 @@ class EgoLog:
     def in_map(self, poses: Poses, frame: str) -> Poses:
         """Return poses in a frame, as a message names it, as poses in the frame `map`; "" is that frame."""
         name = frame.lstrip("/")
-        return poses if name in (self.map, "") else composed(self.frames.poses(self.map, name, poses.t, HELD), poses)
+        return (
+            poses
+            if name in (self.map, "")
+            else composed(self.frames.poses(self.map, name, poses.t, HELD), poses)
+        )
 
 
 def read_edges(part: BagPart) -> dict[tuple[str, str], Edge]:
@@ -146,7 +160,9 @@ def read_edges(part: BagPart) -> dict[tuple[str, str], Edge]:
         if topic.kind not in schemas.TRANSFORMS or not topic.count:
             continue
         fixed = topic.name.endswith("static")
-        log, messages = part.bag.read(topic, (("transforms", fields),), None if fixed else part.begin, part.end)
+        log, messages = part.bag.read(
+            topic, (("transforms", fields),), None if fixed else part.begin, part.end
+        )
         for time, (transforms,) in zip(log.tolist(), messages, strict=True):
             for sec, nsec, parent, child, *pose in transforms:
                 edge = parent.lstrip("/"), child.lstrip("/")
@@ -180,12 +196,18 @@ def read_ego(part: BagPart) -> EgoLog:
     """Read the ego's poses; LogError if the log has none."""
     edges, settings, notes = read_edges(part), part.settings, part.notes
     wanted = settings.topics.get("ego", "")
-    by_transforms = any(topic.name == wanted and topic.kind in schemas.TRANSFORMS for topic in part.bag.topics)
+    by_transforms = any(
+        topic.name == wanted and topic.kind in schemas.TRANSFORMS for topic in part.bag.topics
+    )
     found = None if by_transforms else _odometry(part, edges)
     if found is not None:
         return _from_topic(part, found, edges)
     map_frame = _map_frame(edges, "", settings)
-    moving = {child: len(edge.log) for (_, child), edge in edges.items() if not edge.static and len(edge.log) > 1}
+    moving = {
+        child: len(edge.log)
+        for (_, child), edge in edges.items()
+        if not edge.static and len(edge.log) > 1
+    }
     moving.pop(map_frame, None)
     named = [name for name in BASE_NAMES if any(child == name for _, child in edges)]
     if "base" in settings.frames:
@@ -200,7 +222,9 @@ def read_ego(part: BagPart) -> EgoLog:
         base, why = "", ""
     if not base:
         raise _no_ego(part.bag)
-    chain = FrameTree((p, c, Poses(e.log, e.p, e.q)) for (p, c), e in edges.items()).chain(map_frame, base)
+    chain = FrameTree((p, c, Poses(e.log, e.p, e.q)) for (p, c), e in edges.items()).chain(
+        map_frame, base
+    )
     fastest = max((edges[p, c] for p, c, _ in chain), key=lambda edge: len(edge.log), default=None)
     if fastest is None or len(fastest.log) < LEAST_POSES:
         raise _no_ego(part.bag)
@@ -214,7 +238,9 @@ def read_ego(part: BagPart) -> EgoLog:
     if len(t) < LEAST_POSES:
         raise _no_ego(part.bag)
     poses, v = frames.poses(map_frame, base, t, HELD), np.full(len(t), np.nan)
-    return EgoLog(source, clock, map_frame, base, frames, poses, v, *_restarts(part, source, fastest))
+    return EgoLog(
+        source, clock, map_frame, base, frames, poses, v, *_restarts(part, source, fastest)
+    )
 
 
 def _restarts(part: BagPart, source: str, edge: Edge) -> tuple[IntArray, str]:
@@ -242,7 +268,11 @@ def _odometry(part: BagPart, edges: Edges) -> _Found | None:
     settings = part.settings
     topics = [topic for topic in part.topics(kinds, "ego") if topic.count >= LEAST_POSES]
     if "ego" not in settings.topics:
-        topics = [topic for topic in topics if "goal" not in topic.name and "initialpose" not in topic.name]
+        topics = [
+            topic
+            for topic in topics
+            if "goal" not in topic.name and "initialpose" not in topic.name
+        ]
     ordered = sorted(topics, key=lambda topic: topic.kind not in schemas.ODOMETRY)
     transforms = any(not edge.static and len(edge.log) >= LEAST_POSES for edge in edges.values())
     for topic in ordered:
@@ -254,7 +284,9 @@ def _odometry(part: BagPart, edges: Edges) -> _Found | None:
             remedy = "choose begin and end within the log"
             raise LogError("no poses in this part of the log", topic=topic.name, remedy=remedy)
         stamped = zip(log.tolist(), rows, strict=True)
-        edge = _edge([(time, row[0] * 1_000_000_000 + row[1], *row[3:10]) for time, row in stamped], False)
+        edge = _edge(
+            [(time, row[0] * 1_000_000_000 + row[1], *row[3:10]) for time, row in stamped], False
+        )
         good = np.isfinite([row[3:10] for row in rows]).all(axis=1)
         twist = np.array([row[11:17] if odometry else (np.nan,) * 6 for row in rows])[good]
         frame, child = rows[0][2].lstrip("/"), rows[0][10].lstrip("/") if odometry else ""
@@ -267,7 +299,9 @@ def _odometry(part: BagPart, edges: Edges) -> _Found | None:
 def _from_topic(part: BagPart, found: _Found, edges: Edges) -> EgoLog:
     (topic, frame, child, edge, twist), settings, notes = found, part.settings, part.notes
     others = [each for each in part.bag.topics if each.kind == topic.kind and each.count]
-    several = f" (of {len(others)} such topics the one with most messages)" if len(others) > 1 else ""
+    several = (
+        f" (of {len(others)} such topics the one with most messages)" if len(others) > 1 else ""
+    )
     notes.append(f"The ego's pose is that of {topic.name}{several}, frame '{frame}'.")
     clock = clock_of(edge.log, edge.stamps, settings.clock)
     notes += describe_timing(topic.name, edge.log, edge.stamps, int(edge.log[0]))
@@ -281,7 +315,9 @@ def _from_topic(part: BagPart, found: _Found, edges: Edges) -> EgoLog:
         poses, twist = composed(poses, at), _moved(twist, at)  # (3)
     above = own.path(base)  # the car's own frames hang below its base
     turned = {pair: inverse(own.edges[pair[::-1]]) for pair in pairwise(above)}
-    frames = _frames({pair: each for pair, each in edges.items() if pair[1] not in above}, clock, notes)
+    frames = _frames(
+        {pair: each for pair, each in edges.items() if pair[1] not in above}, clock, notes
+    )
     speed = twist[:, 0]
     known = frames.edges | turned | {(frame, base): poses}
     frames = FrameTree((parent, name, each) for (parent, name), each in known.items())
@@ -291,7 +327,9 @@ def _from_topic(part: BagPart, found: _Found, edges: Edges) -> EgoLog:
         map_frame = frame
     if np.ptp(np.nan_to_num(speed)) == 0.0:
         speed = np.full(len(t), np.nan)  # a constant speed is not a measurement
-    return EgoLog(topic.name, clock, map_frame, base, frames, poses, speed, *_restarts(part, topic.name, edge))
+    return EgoLog(
+        topic.name, clock, map_frame, base, frames, poses, speed, *_restarts(part, topic.name, edge)
+    )
 
 
 def _own_frames(frames: FrameTree, world: Set[str]) -> FrameTree:
@@ -300,23 +338,35 @@ def _own_frames(frames: FrameTree, world: Set[str]) -> FrameTree:
     return FrameTree(each for each in own if np.ptp(each[2].p, axis=0).max() < RIGID_M)
 
 
-def _base_of(topic: str, child: str, own: FrameTree, settings: LogSettings, notes: list[str]) -> str:
+def _base_of(
+    topic: str, child: str, own: FrameTree, settings: LogSettings, notes: list[str]
+) -> str:
     """Return the frame of the rear axle: as set, if transforms lead there (else a LogError), or of `BASE_NAMES`."""
     asked = settings.frames.get("base", "")
     if not child:
         if asked:
-            notes.append(f"{topic} does not name the frame of its poses: they are taken as those of '{asked}', as set.")
+            notes.append(
+                f"{topic} does not name the frame of its poses: they are taken as those of '{asked}', as set."
+            )
         return asked or "base_link"
-    base = next((name for name in ((asked,) if asked else BASE_NAMES) if own.connects(child, name)), "")
+    base = next(
+        (name for name in ((asked,) if asked else BASE_NAMES) if own.connects(child, name)), ""
+    )
     if asked and not base:
         what = f"the poses are those of frame {child!r}, and no transform leads from there to {asked!r}"
-        raise LogError(what, topic=topic, remedy="record /tf_static, or leave base out: then they are the rear axle's")
+        raise LogError(
+            what,
+            topic=topic,
+            remedy="record /tf_static, or leave base out: then they are the rear axle's",
+        )
     if not base:
         notes.append(
             f"{topic} has the poses of frame '{child}', which is taken as the rear axle: no transform leads on."
         )
     elif base != child:
-        notes.append(f"{topic} has the poses of frame '{child}': transforms of the bag move them to '{base}'.")
+        notes.append(
+            f"{topic} has the poses of frame '{child}': transforms of the bag move them to '{base}'."
+        )
     return base or child
 
 
@@ -376,11 +426,20 @@ def signal(part: BagPart, kinds: Mapping[str, str], role: str, ego: EgoLog) -> S
         if not rows:
             continue
         frame, own = str(rows[0][2]).lstrip("/"), _own_frames(ego.frames, {ego.map, *MAP_NAMES})
-        values: FloatArray = np.array([row[-1] if vector == path else row[3] for row in rows], dtype=np.float64)
-        if vector != path and frame != ego.base and frame in own.names and own.connects(frame, ego.base):
+        values: FloatArray = np.array(
+            [row[-1] if vector == path else row[3] for row in rows], dtype=np.float64
+        )
+        if (
+            vector != path
+            and frame != ego.base
+            and frame in own.names
+            and own.connects(frame, ego.base)
+        ):
             at = own.poses(frame, ego.base, log, HELD)
             values = _moved(np.array([row[3:] for row in rows], dtype=np.float64), at)[:, 0]
-            part.notes.append(f"{topic.name} is of frame '{frame}': transforms of the bag move it to '{ego.base}'.")
+            part.notes.append(
+                f"{topic.name} is of frame '{frame}': transforms of the bag move it to '{ego.base}'."
+            )
         good = np.isfinite(values)
         if not good.any():
             continue
@@ -417,14 +476,21 @@ def states(ego: EgoLog, v: FloatArray, a: FloatArray, notes: list[str]) -> dict[
     values = np.array([x - x[0], y - y[0], yaw])
     rate, change = rates(seconds, values, np.zeros(len(seconds), np.int64), window, parabola=True)
     lone = 1 + np.flatnonzero(np.isnan(rate[0, 1:]))  # the first after a gap: the way over the gap
-    rate[:, lone], change[:, lone] = (values[:, lone] - values[:, lone - 1]) / (seconds[lone] - seconds[lone - 1]), 0.0
+    rate[:, lone], change[:, lone] = (
+        (values[:, lone] - values[:, lone - 1]) / (seconds[lone] - seconds[lone - 1]),
+        0.0,
+    )
     cos, sin = np.cos(yaw), np.sin(yaw)
     derived_v, derived_a = (each[0] * cos + each[1] * sin for each in (rate, change))
     if len(seconds) > 1:
         derived_v[0], derived_a[0], rate[2, 0] = derived_v[1], 0.0, rate[2, 1]
     still = (np.abs(derived_v) < STANDS_MPS) | stands(seconds, x, y, yaw, derived_v)
     derived_v, derived_a = np.where(still, 0.0, derived_v), np.where(still, 0.0, derived_a)
-    lacking = [word for word, column in (("speed", v), ("acceleration", a)) if not np.isfinite(column).all()]
+    lacking = [
+        word
+        for word, column in (("speed", v), ("acceleration", a))
+        if not np.isfinite(column).all()
+    ]
     notes.append(
         f"The log has no ego {' and no ego '.join([*lacking, 'curvature'])}: derived from the poses of the last"
         f" {window[0]:.2g} s (least squares, no later pose)."
@@ -466,7 +532,9 @@ def spread(t: FloatArray, first: IntArray, window: FloatArray) -> FloatArray:
     since = t - t[begin]
     sums = np.zeros((2, len(t)))
     for back in range(int(count.max(initial=0))):
-        u = np.where(back < count, t[np.maximum(np.arange(len(t)) - back, 0)] - t, 0.0) + since * (back < count)
+        u = np.where(back < count, t[np.maximum(np.arange(len(t)) - back, 0)] - t, 0.0) + since * (
+            back < count
+        )
         sums += u, u**2
     return np.sqrt(np.maximum(sums[1] - sums[0] ** 2 / count, 0.0))
 
@@ -484,7 +552,8 @@ def rates(
     span = t - t[begin]
     scale = np.where(span > 0.0, span, 1.0)
     powers, moments = np.zeros((5, len(t))), np.zeros((3, len(values), len(t)))
-    for back in range(int((rows - begin).max(initial=0)) + 1):  # one after another: later samples change no bit
+    # One after another: later samples change no bit
+    for back in range(int((rows - begin).max(initial=0)) + 1):
         inside = rows - back >= begin
         at = np.maximum(rows - back, 0)
         u = np.where(inside, (t[at] - t) / scale, 0.0)
@@ -495,10 +564,14 @@ def rates(
     curved = (powers[0] >= PARABOLA) & parabola
     det = powers[0] * powers[2] - powers[1] ** 2
     line = (powers[0] >= 2) & ~curved & (det > 0.0)
-    rate[:, line] = (powers[0] * moments[1] - powers[1] * moments[0])[:, line] / det[line] / scale[line]
+    rate[:, line] = (
+        (powers[0] * moments[1] - powers[1] * moments[0])[:, line] / det[line] / scale[line]
+    )
     change[:, line] = 0.0
     if curved.any():
-        normal = np.array([[powers[i + j][curved] for j in range(3)] for i in range(3)]).transpose(2, 0, 1)
+        normal = np.array([[powers[i + j][curved] for j in range(3)] for i in range(3)]).transpose(
+            2, 0, 1
+        )
         found = np.linalg.solve(normal, moments[:, :, curved].transpose(2, 0, 1))
         rate[:, curved] = (found[:, 1] / scale[curved, None]).T
         change[:, curved] = (2.0 * found[:, 2] / scale[curved, None] ** 2).T
@@ -510,5 +583,7 @@ def _begins(t: FloatArray, first: IntArray, window: FloatArray) -> IntArray:
     out = np.empty(len(t), np.int64)
     bounds = np.flatnonzero(np.diff(first, prepend=-1))
     for begin, end in zip(bounds, np.append(bounds[1:], len(t)), strict=True):
-        out[begin:end] = begin + np.searchsorted(t[begin:end], t[begin:end] - window[begin:end] - 1e-9)
+        out[begin:end] = begin + np.searchsorted(
+            t[begin:end], t[begin:end] - window[begin:end] - 1e-9
+        )
     return out

@@ -28,9 +28,21 @@ Types = Mapping[str, tuple[Any, list[tuple[str, Any]]]]
 BASE, NAME, ARRAY, SEQUENCE = 1, 2, 3, 4
 """Node types of rosbags."""
 CODES = {
-    "bool": "?", "byte": "B", "char": "B", "octet": "B", "int8": "b", "uint8": "B", "int16": "h", "uint16": "H",
-    "int32": "i", "uint32": "I", "int64": "q", "uint64": "Q", "float32": "f", "float64": "d",
-}  # fmt: skip
+    "bool": "?",
+    "byte": "B",
+    "char": "B",
+    "octet": "B",
+    "int8": "b",
+    "uint8": "B",
+    "int16": "h",
+    "uint16": "H",
+    "int32": "i",
+    "uint32": "I",
+    "int64": "q",
+    "uint64": "Q",
+    "float32": "f",
+    "float64": "d",
+}
 HEADER = "std_msgs/msg/Header"
 TEXT = "string"
 _DEEPEST = 24
@@ -54,7 +66,9 @@ def has_field(types: Types, kind: str, path: str) -> bool:
     return False
 
 
-def decoder(types: Types, kind: str, wanted: Wanted, *, cdr: bool) -> Callable[[bytes], tuple[Any, ...]]:
+def decoder(
+    types: Types, kind: str, wanted: Wanted, *, cdr: bool
+) -> Callable[[bytes], tuple[Any, ...]]:
     """Return a function that decodes the wanted fields of messages of a type from bytes; LogError if it has none.
 
     The function raises `struct.error`, `IndexError` or `ValueError` on bytes that are not such a message.
@@ -95,7 +109,8 @@ class _Code:
     known: int = 8  # A number of which the position is known to be a multiple
     # numbers that are not unpacked yet: code, size, name (None: skipped), count
     run: list[tuple[str, int, str | None, int]] = field(default_factory=list)
-    uniforms: dict[str, tuple[int, int] | None] = field(default_factory=dict)  # results of `uniform` by message type
+    # Results of `uniform` by message type
+    uniforms: dict[str, tuple[int, int] | None] = field(default_factory=dict)
     fields: int = 0  # number of fields walked, at most `MOST_FIELDS`
     constants: dict[str, Any] = field(default_factory=dict)
     names: int = 0
@@ -120,7 +135,10 @@ class _Code:
     def message(self, kind: str, wanted: Wanted, level: int) -> list[str]:
         """Walk a message; return the names of the variables with the wanted fields."""
         if kind not in self.types:
-            raise LogError(f"the message type {kind} is not defined in the log", remedy="record with definitions")
+            raise LogError(
+                f"the message type {kind} is not defined in the log",
+                remedy="record with definitions",
+            )
         if level > _DEEPEST:
             raise LogError(f"the message type {kind} holds itself")
         if not self.cdr and _lacks_sequence(self.types, kind):
@@ -129,9 +147,12 @@ class _Code:
         for name, desc in self.types[kind][1]:
             self.fields += 1
             if self.fields > MOST_FIELDS:
-                what = f"the message type has more than {MOST_FIELDS} fields with all messages in it"
+                what = (
+                    f"the message type has more than {MOST_FIELDS} fields with all messages in it"
+                )
                 raise LogError(what, remedy=SIMPLIFY)
-            here = []  # what is left of each wanted path behind the field's name; "": the field itself
+            # What is left of each wanted path behind the field's name; "": the field itself
+            here = []
             for i, w in enumerate(wanted):
                 first, dot, rest = (w if isinstance(w, str) else w[0]).partition(".")
                 if first == name:
@@ -174,7 +195,9 @@ class _Code:
         chosen = [k for k, (_, _, name, _) in enumerate(run) if name is not None]
         if chosen:
             first, last = chosen[0], chosen[-1]
-            form = "".join(c if name is not None else f"{size * n}x" for c, _, name, n in run[first : last + 1])
+            form = "".join(
+                c if name is not None else f"{size * n}x" for c, _, name, n in run[first : last + 1]
+            )
             names = ", ".join(str(run[k][2]) for k in chosen)
             before = sum(n for *_, n in run[:first])
             self.line(f"{names}, = {self.unpacker(form)}(b, p + {before * size})")
@@ -195,11 +218,15 @@ class _Code:
     def text(self, name: str | None) -> None:
         count = self.count()
         if name is not None:
-            self.line(f"{name} = b[p:p + {count}{' - 1' if self.cdr else ''}].decode('utf-8', 'replace')")
+            self.line(
+                f"{name} = b[p:p + {count}{' - 1' if self.cdr else ''}].decode('utf-8', 'replace')"
+            )
         self.line(f"p += {count}")
         self.known = 1
 
-    def array(self, desc: Any, length: int, wanted: list[tuple[int, Any]], level: int) -> dict[int, str]:
+    def array(
+        self, desc: Any, length: int, wanted: list[tuple[int, Any]], level: int
+    ) -> dict[int, str]:
         """Walk a list of fixed length: skip it, or read it as bytes."""
         if wanted:
             if desc[0] != BASE or CODES.get(desc[1][0]) not in ("B", "b"):
@@ -282,7 +309,10 @@ class _Code:
             parts = [self.uniform(part, level + 1) for _, part in self.types[what][1]]
             sizes = {part[0] for part in parts if part is not None and part[1]} or {1}
             if None not in parts and len(sizes) == 1:
-                self.uniforms[what] = sizes.pop(), sum(part[1] for part in parts if part is not None)
+                self.uniforms[what] = (
+                    sizes.pop(),
+                    sum(part[1] for part in parts if part is not None),
+                )
         return self.uniforms[what]
 
 

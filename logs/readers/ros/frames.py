@@ -69,9 +69,13 @@ def sampled(poses: Poses, t: IntArray, how: str) -> Poses:
         return Poses(t, poses.p[before], poses.q[before])
     after = np.minimum(before + 1, len(poses) - 1)
     span = (poses.t[after] - poses.t[before]).astype(np.float64)
-    u = np.clip(np.divide(t - poses.t[before], span, out=np.zeros(len(t)), where=span > 0.0), 0.0, 1.0)[:, None]
+    u = np.clip(
+        np.divide(t - poses.t[before], span, out=np.zeros(len(t)), where=span > 0.0), 0.0, 1.0
+    )[:, None]
     p = poses.p[before] + u * (poses.p[after] - poses.p[before])
-    near = np.where(np.sum(poses.q[before] * poses.q[after], axis=1, keepdims=True) < 0.0, -1.0, 1.0)
+    near = np.where(
+        np.sum(poses.q[before] * poses.q[after], axis=1, keepdims=True) < 0.0, -1.0, 1.0
+    )
     return Poses(t, p, unit_or_identity((1.0 - u) * poses.q[before] + u * near * poses.q[after]))
 
 
@@ -108,7 +112,9 @@ class FrameTree:
             what = f"no transform leads from frame {above!r} to {below!r}; there are {', '.join(self.names) or 'none'}"
             raise LogError(what, topic="/tf", remedy="name the log's own under frames (map, base)")
         climbed = [(self.parents[name], name, False) for name in up[: up.index(meet)]]
-        return climbed + [(self.parents[name], name, True) for name in reversed(down[: down.index(meet)])]
+        return climbed + [
+            (self.parents[name], name, True) for name in reversed(down[: down.index(meet)])
+        ]
 
     def poses(self, above: str, below: str, t: IntArray, how: str) -> Poses:
         """The pose of frame `below` in `above` at times `(m,)` ns."""
@@ -155,7 +161,8 @@ class Clock:
         if not len(self.log):
             return log
         since = np.interp(log - self.log[0], self.log - self.log[0], self.stamp - self.stamp[0])
-        inner = self.stamp[0] + np.rint(since).astype(np.int64)  # integers: floats cannot hold times since an epoch
+        # integers: floats cannot hold times since an epoch
+        inner = self.stamp[0] + np.rint(since).astype(np.int64)
         out = np.where(log < self.log[0], log - self.log[0] + self.stamp[0], inner)
         return np.where(log > self.log[-1], log - self.log[-1] + self.stamp[-1], out)
 
@@ -191,7 +198,9 @@ def clock_of(log: IntArray, stamps: IntArray, choice: str) -> Clock:
     return Clock(log[rising], np.maximum.accumulate(stamps)[rising])
 
 
-def times_of(topic: str, log: IntArray, stamps: IntArray, clock: Clock, notes: list[str]) -> tuple[IntArray, IntArray]:
+def times_of(
+    topic: str, log: IntArray, stamps: IntArray, clock: Clock, notes: list[str]
+) -> tuple[IntArray, IntArray]:
     """Return the times of a topic's messages `(k,)` ns, strictly increasing, and the indices of the messages `(k,)`.
 
     Stale messages (delays (2) more than `OTHER_CLOCK_S` off the topic's median) are left out; of several messages with
@@ -232,7 +241,9 @@ def describe_timing(topic: str, log: IntArray, stamps: IntArray, start_ns: int) 
         late = (log - stamps) / 1e9
         usual, worst = float(np.median(late)), float(late[np.argmax(np.abs(late))])
         if max(abs(usual), abs(worst)) > REPORTED_S:
-            out.append(f"{topic} is recorded {usual:.3f} s after its stamps (median), at most {worst:.3f} s.")
+            out.append(
+                f"{topic} is recorded {usual:.3f} s after its stamps (median), at most {worst:.3f} s."
+            )
     if len(log) > 2:
         apart = np.diff(log) / 1e9
         usual = float(np.median(apart))

@@ -63,7 +63,10 @@ def read_messages(part: BagPart, topic: Topic) -> Messages:
         if getattr(schema, name) and bag.has(topic, item + getattr(schema, name)):
             want(name, getattr(schema, name))
     if schema.classes:
-        inner = [_first(bag, topic, f"{item}{schema.classes}.", path) for path in (schema.label, schema.score)]
+        inner = [
+            _first(bag, topic, f"{item}{schema.classes}.", path)
+            for path in (schema.label, schema.score)
+        ]
         want("classes", (schema.classes, tuple(inner)))
     else:
         want("label", schema.label)
@@ -74,7 +77,9 @@ def read_messages(part: BagPart, topic: Topic) -> Messages:
     if schema.solid:
         want("solid", f"{schema.solid}.type", (f"{schema.solid}.dimensions", ()))
     log, stamps, rows = part.read(topic, ("header.frame_id", (schema.items, tuple(wanted))))
-    return Messages(log, stamps, [row[2].lstrip("/") for row in rows], [row[3] for row in rows], names)
+    return Messages(
+        log, stamps, [row[2].lstrip("/") for row in rows], [row[3] for row in rows], names
+    )
 
 
 def _first(bag: Bag, topic: Topic, prefix: str, paths: str) -> str:
@@ -84,20 +89,29 @@ def _first(bag: Bag, topic: Topic, prefix: str, paths: str) -> str:
 
 
 def samples_of(
-    messages: Messages, schema: ObjectSchema, chosen: IntArray, t: IntArray, frames: FrameTree, frame: str,
-    notes: list[str], id_notes: list[str],
-) -> Samples:  # fmt: skip
+    messages: Messages,
+    schema: ObjectSchema,
+    chosen: IntArray,
+    t: IntArray,
+    frames: FrameTree,
+    frame: str,
+    notes: list[str],
+    id_notes: list[str],
+) -> Samples:
     """The objects of the messages `chosen` `(k,)` at times t `(k,)` ns, in the map frame `frame` by (1)."""
     items = [messages.items[i] for i in chosen]
     owner = np.repeat(np.arange(len(items)), [len(item) for item in items])
     rows = [item for some in items for item in some]
     if not rows:
         none = np.empty(0)
-        return Samples(owner, [], [], none, none, none, none, none, none, none, np.empty(0, np.bool_), none)
+        return Samples(
+            owner, [], [], none, none, none, none, none, none, none, np.empty(0, np.bool_), none
+        )
     held = _Fields(list(zip(*rows, strict=True)), messages.names)
     values = held.numbers("pose", 7)
     poses = Poses(t[owner], values[:, :3], unit_or_identity(values[:, 3:]))
-    used, turn = [messages.frames[i] for i in chosen], None  # the pose of each sample's frame in the map
+    # The pose of each sample's frame in the map
+    used, turn = [messages.frames[i] for i in chosen], None
     if not all(name in (frame, "") for name in used):
         p, q = np.zeros((len(used), 3)), np.tile([0.0, 0.0, 0.0, 1.0], (len(used), 1))
         for name in sorted(set(used) - {frame, ""}):
@@ -117,17 +131,31 @@ def samples_of(
     by_frame = rotated(world.q, velocity), velocity if turn is None else rotated(turn.q, velocity)
     in_object, in_frame = (np.where(finite[:, None], each[:, :2], np.nan) for each in by_frame)
     ids = list(held.column("id")) if "id" in held else []
-    names = [each.hex() if isinstance(each, bytes) else str(each) for each in ids] or [""] * len(rows)
+    names = [each.hex() if isinstance(each, bytes) else str(each) for each in ids] or [""] * len(
+        rows
+    )
     usable = np.isfinite(moved).all(axis=1) & np.isfinite(yaw)
     if not in_the_way.all():
-        notes.append(f"{(~in_the_way).sum()} samples are of what can be driven over or under, and left out.")
+        notes.append(
+            f"{(~in_the_way).sum()} samples are of what can be driven over or under, and left out."
+        )
     if not usable.all():
         notes.append(f"{(~usable).sum()} samples have no finite pose and are left out.")
     keep = np.flatnonzero(usable & in_the_way)
     out = Samples(
-        owner, names, kinds, moved[:, 0], moved[:, 1], yaw, in_object[:, 0], in_object[:, 1], length, width, turned,
+        owner,
+        names,
+        kinds,
+        moved[:, 0],
+        moved[:, 1],
+        yaw,
+        in_object[:, 0],
+        in_object[:, 1],
+        length,
+        width,
+        turned,
         score,
-    ).taken(keep)  # fmt: skip
+    ).taken(keep)
     if np.isfinite(out.vx).any():
         out = identified(out, t, id_notes)
     by = _frame_of_twist(out, in_frame[keep], schema, t, notes)
@@ -166,7 +194,9 @@ def _kinds(held: _Fields, schema: ObjectSchema) -> tuple[list[AgentKind], BoolAr
     if "classes" in held:
         classes = held.column("classes")
         best = [max(each, key=lambda c: c[1])[0] if each else "" for each in classes]
-        score = np.array([max((c[1] for c in each), default=np.nan) for each in classes], np.float64)
+        score = np.array(
+            [max((c[1] for c in each), default=np.nan) for each in classes], np.float64
+        )
     else:
         best = list(held.column("label"))
     if "existence" in held:
@@ -174,12 +204,18 @@ def _kinds(held: _Fields, schema: ObjectSchema) -> tuple[list[AgentKind], BoolAr
     autoware = schema.classes == "classification"
     table = schemas.AUTOWARE_LABELS if autoware else schemas.DERIVED_LABELS
     kinds = {
-        label: schemas.kind_of_word(label) if isinstance(label, str) else table.get(label, AgentKind.OBJECT)
+        label: schemas.kind_of_word(label)
+        if isinstance(label, str)
+        else table.get(label, AgentKind.OBJECT)
         for label in set(best)
     }
     passed = schemas.AUTOWARE_NOT_IN_THE_WAY if autoware else ()
     in_the_way = np.array([label not in passed for label in best], np.bool_)
-    return [kinds[label] for label in best], in_the_way, np.where((score > 0.0) & (score <= 1.0), score, np.nan)
+    return (
+        [kinds[label] for label in best],
+        in_the_way,
+        np.where((score > 0.0) & (score <= 1.0), score, np.nan),
+    )
 
 
 def _sizes(
@@ -190,7 +226,9 @@ def _sizes(
     size = held.numbers("size", 2) if "size" in held else np.full((n, 2), np.nan)
     if "solid" in held:  # 1 box, 2 sphere (radius), 3 and 4 cylinder and cone (height, radius)
         size = np.full((n, 2), np.nan)
-        for i, (kind, numbers) in enumerate(zip(held.column("solid"), held.column("solid", 1), strict=True)):
+        for i, (kind, numbers) in enumerate(
+            zip(held.column("solid"), held.column("solid", 1), strict=True)
+        ):
             if kind == 1 and len(numbers) >= 2:
                 size[i] = numbers[:2]
             elif kind == 2 and numbers:
@@ -200,10 +238,19 @@ def _sizes(
     centre, yaw, turned = world.p[:, :2].copy(), heading(world.q), np.zeros(n, np.bool_)
     if "outline" in held:
         outlines = held.column("outline")
-        shapes = held.column("shape") if "shape" in held else [2 if k is AgentKind.OBJECT else 0 for k in kinds]
+        shapes = (
+            held.column("shape")
+            if "shape" in held
+            else [2 if k is AgentKind.OBJECT else 0 for k in kinds]
+        )
         some = np.array([i for i in range(n) if shapes[i] == 2 and len(outlines[i]) > 2], np.int64)
         boxes = smallest_rectangles([outlines[i] for i in some]) if len(some) else np.empty((0, 5))
-        centre[some], yaw[some], size[some], turned[some] = boxes[:, :2], boxes[:, 2], boxes[:, 3:], True
+        centre[some], yaw[some], size[some], turned[some] = (
+            boxes[:, :2],
+            boxes[:, 2],
+            boxes[:, 3:],
+            True,
+        )
         base = world if schema.outline_frame == "object" else turn
         if base is not None and len(some):
             half, none = 0.5 * boxes[:, 2], np.zeros(len(boxes))
@@ -232,7 +279,8 @@ def _frame_of_twist(
     if fits is None:
         return "object" if schema.twist_frame in ("object", "log") else "frame"
     best = min(fits, key=lambda name: (round(fits[name], 2), name != schema.twist_frame))
-    misfit = (chords.misfits({best: logged[best]}) or fits)[best]  # also of the chords that do not show the frame
+    # Also of the chords that do not show the frame
+    misfit = (chords.misfits({best: logged[best]}) or fits)[best]
     words = {"object": "object's own frame", "frame": "message's frame"}
     if misfit > MISFIT:
         notes.append(
@@ -241,7 +289,9 @@ def _frame_of_twist(
         )
         return None
     if schema.twist_frame == "log" or best != schema.twist_frame:
-        notes.append(f"Velocities of objects are in the {words[best]}: they fit the displacement within {misfit:.0%}.")
+        notes.append(
+            f"Velocities of objects are in the {words[best]}: they fit the displacement within {misfit:.0%}."
+        )
     return best
 
 
@@ -255,7 +305,9 @@ def smallest_rectangles(outlines: list[list[tuple[float, float]]]) -> FloatArray
     rectangles along its edges are compared, of which one is near the smallest.
     """
     most = max(map(len, outlines), default=0)
-    padded = np.array([outline + [outline[-1]] * (most - len(outline)) for outline in outlines]).reshape(-1, most, 2)
+    padded = np.array(
+        [outline + [outline[-1]] * (most - len(outline)) for outline in outlines]
+    ).reshape(-1, most, 2)
     parts = [np.empty((0, 5))]
     for begin in range(0, len(padded), _ROWS):
         points = padded[begin : begin + _ROWS]

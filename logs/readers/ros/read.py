@@ -33,7 +33,16 @@ from replan.logs.readers.admission import reason_to_repair
 from replan.logs.readers.recorded import unit_or_identity
 from replan.logs.readers.ros import schemas
 from replan.logs.readers.ros.bag import Bag, opened
-from replan.logs.readers.ros.ego import POSITION, BagPart, EgoLog, at_poses, begin_of, read_ego, signal, states
+from replan.logs.readers.ros.ego import (
+    POSITION,
+    BagPart,
+    EgoLog,
+    at_poses,
+    begin_of,
+    read_ego,
+    signal,
+    states,
+)
 from replan.logs.readers.ros.frames import (
     HELD,
     LASTS_S,
@@ -66,7 +75,9 @@ def read_bag(path: Path, settings: LogSettings) -> Scenario:
     for key, roles in ROLES.items():
         wrong = sorted(set(getattr(settings, key)) - set(roles))
         if wrong:
-            raise LogError(f"{key} has no {wrong[0]}", topic="[log]", remedy=f"its keys are {', '.join(roles)}")
+            raise LogError(
+                f"{key} has no {wrong[0]}", topic="[log]", remedy=f"its keys are {', '.join(roles)}"
+            )
     with np.errstate(all="ignore"), opened(path) as bag:
         try:
             return _scenario(path, bag, settings)
@@ -107,7 +118,9 @@ def _scenario(path: Path, bag: Bag, settings: LogSettings) -> Scenario:
         since = (ego.poses.t[first] - ego.poses.t[0]) / 1e9
         notes.append(f"The first {since:.2f} s, {first} poses, only serve to derive the speed.")
     t = (ego.poses.t[first:] - start) / 1e9
-    x, y, yaw, speed, accel, kappa = (columns[name][first:] for name in ("x", "y", "yaw", "v", "a", "kappa"))
+    x, y, yaw, speed, accel, kappa = (
+        columns[name][first:] for name in ("x", "y", "yaw", "v", "a", "kappa")
+    )
     trajectory = Trajectory(t, x - origin[0], y - origin[1], yaw, speed, accel, kappa)
     tracks, detections, traffic = _tracks(part, ego, start, origin)
     synthetic = any(topic.kind == schemas.CLOCK and topic.count for topic in bag.topics)
@@ -135,7 +148,9 @@ def _scenario(path: Path, bag: Bag, settings: LogSettings) -> Scenario:
     return replace(scenario, notes=tuple(dict.fromkeys(notes)))
 
 
-def _part_to_read(bag: Bag, settings: LogSettings) -> tuple[BagPart, EgoLog, int | None, FloatArray]:
+def _part_to_read(
+    bag: Bag, settings: LogSettings
+) -> tuple[BagPart, EgoLog, int | None, FloatArray]:
     """What is read of a bag, its ego, and of a later part t = 0, ns, and origin; LogError for several drives."""
     whole = part = BagPart(bag, settings)
     start: int | None = None
@@ -145,8 +160,11 @@ def _part_to_read(bag: Bag, settings: LogSettings) -> tuple[BagPart, EgoLog, int
         part, start, origin, clock = _part_by_log_time(whole)
     ego = read_ego(part)
     log, stamp = ego.clock.log[:1], ego.clock.stamp[:1]
-    if part is not whole and (len(ego.restarts) or (np.abs(clock(log) - stamp) > 1e9 * OTHER_CLOCK_S).any()):
-        part, start, origin = whole, None, np.zeros(2)  # the clock at the log's begin is not that of the part
+    if part is not whole and (
+        len(ego.restarts) or (np.abs(clock(log) - stamp) > 1e9 * OTHER_CLOCK_S).any()
+    ):
+        # The clock at the log's begin is not that of the part
+        part, start, origin = whole, None, np.zeros(2)
         ego = read_ego(whole)
     if len(ego.restarts):
         part = _drive_to_read(whole, ego)
@@ -167,7 +185,9 @@ def _drive_to_read(whole: BagPart, ego: EgoLog) -> BagPart:
     bounds = pairwise([0.0, *at, (bag.end_ns - bag.start_ns) / 1e9])
     shared = [min(end, settings.end) - max(begin, settings.begin) for begin, end in bounds]
     if sum(each > LASTS_S for each in shared) > 1:
-        raise LogError(f"the {what}", remedy="--from/--to chooses one, and clock = log in [log] joins them")
+        raise LogError(
+            f"the {what}", remedy="--from/--to chooses one, and clock = log in [log] joins them"
+        )
     chosen = int(np.argmax(shared))
     begin, end = [bag.start_ns, *ego.restarts.tolist(), bag.end_ns + 1][chosen : chosen + 2]
     if settings.end < inf:
@@ -211,7 +231,9 @@ def _logged_motion(part: BagPart, ego: EgoLog) -> tuple[FloatArray, FloatArray]:
     return v, at_poses(found, ego.poses.t, "acceleration", notes)
 
 
-def _tracks(part: BagPart, ego: EgoLog, start: int, origin: FloatArray) -> tuple[Tracks, Detections | None, Spans]:
+def _tracks(
+    part: BagPart, ego: EgoLog, start: int, origin: FloatArray
+) -> tuple[Tracks, Detections | None, Spans]:
     """The others, or detections that are to be made into tracks, and when their topic had messages.
 
     The topic: tracked before predicted before detected, then most messages, then name.
@@ -222,8 +244,14 @@ def _tracks(part: BagPart, ego: EgoLog, start: int, origin: FloatArray) -> tuple
         key=lambda each: (schemas.RANK.index(each.kind.rpartition("/")[2]), -each.count, each.name),
     )
     if not topics:
-        held = sorted({topic.kind for topic in part.bag.topics if topic.count and "bject" in topic.kind})
-        more = f" (message types not read: {', '.join(held)})" if held and "agents" not in part.settings.topics else ""
+        held = sorted(
+            {topic.kind for topic in part.bag.topics if topic.count and "bject" in topic.kind}
+        )
+        more = (
+            f" (message types not read: {', '.join(held)})"
+            if held and "agents" not in part.settings.topics
+            else ""
+        )
         notes.append(f"No other road users: the log has no topic of objects{more}.")
         return Tracks.empty(), None, ()
     topic = topics[0]
@@ -240,7 +268,9 @@ def _tracks(part: BagPart, ego: EgoLog, start: int, origin: FloatArray) -> tuple
     t, chosen = times_of(topic.name, messages.log, messages.stamps, ego.clock, notes)
     id_notes: list[str] = []
     try:
-        samples = samples_of(messages, schemas.OBJECTS[topic.kind], chosen, t, ego.frames, ego.map, notes, id_notes)
+        samples = samples_of(
+            messages, schemas.OBJECTS[topic.kind], chosen, t, ego.frames, ego.map, notes, id_notes
+        )
     except LogError as error:
         remedy = "name the log's own frames under log.frames, or leave the objects out by log.topics.agents = '-'"
         raise LogError(error.what, topic=topic.name, remedy=remedy) from None
@@ -257,9 +287,12 @@ UNSEEN_S = 2.0
 """A light is OFF (unknown) when it was not reported for this time, s."""
 CREEPS_MPS = 0.1
 PLAN_POINT = (
-    "time_from_start.sec", "time_from_start.nanosec", *(f"pose.{name}" for name in POSITION),
-    "longitudinal_velocity_mps", "acceleration_mps2",
-)  # fmt: skip
+    "time_from_start.sec",
+    "time_from_start.nanosec",
+    *(f"pose.{name}" for name in POSITION),
+    "longitudinal_velocity_mps",
+    "acceleration_mps2",
+)
 """The fields of a point of an on-board plan."""
 LATE_GOAL_S = 1.0
 
@@ -278,7 +311,9 @@ def lights(part: BagPart, ego: EgoLog, t0: int) -> tuple[TrafficLight, ...]:
     t, keep = times_of(topic.name, log, stamps, ego.clock, notes)
     notes += describe_timing(topic.name, log, stamps, int(log[0])) if len(log) else []
     items = [rows[k][2] for k in keep]
-    place = next((i for i in range(len(schema.ids)) if any(each[i] for some in items for each in some)), 0)
+    place = next(
+        (i for i in range(len(schema.ids)) if any(each[i] for some in items for each in some)), 0
+    )
     shown: dict[int, list[tuple[int, Colour]]] = {}
     seen: dict[int, int] = {}
     for time, some in zip(t.tolist(), items, strict=True):
@@ -309,7 +344,10 @@ def _colour(item: tuple[object, ...], schema: schemas.LightSchema) -> Colour:
         lit = {schemas.LAMPS.get(lamp[0], Colour.OFF) for lamp in lamps} - {Colour.OFF}
         if {Colour.RED, Colour.YELLOW} <= lit:
             return Colour.RED_YELLOW
-        return next((colour for colour in (Colour.RED, Colour.YELLOW, Colour.GREEN) if colour in lit), Colour.OFF)
+        return next(
+            (colour for colour in (Colour.RED, Colour.YELLOW, Colour.GREEN) if colour in lit),
+            Colour.OFF,
+        )
     code, word = item[-2:]
     text = str(word).upper()
     if text.startswith(("RED/", "RED_")):
@@ -319,11 +357,15 @@ def _colour(item: tuple[object, ...], schema: schemas.LightSchema) -> Colour:
     return schemas.RESULTS.get(code, Colour.OFF) if isinstance(code, int) else Colour.OFF
 
 
-def goal(part: BagPart, ego: EgoLog, begin_ns: int, origin: FloatArray, vehicle: VehicleParameters) -> Goal | None:
+def goal(
+    part: BagPart, ego: EgoLog, begin_ns: int, origin: FloatArray, vehicle: VehicleParameters
+) -> Goal | None:
     """The place around the log's goal pose: the newest at the begin (ns, log time), else the first one."""
     topics, notes = part.topics(schemas.GOALS, "goal"), part.notes
     if "goal" not in part.settings.topics:
-        topics = [topic for topic in topics if topic.kind not in schemas.POSES or "goal" in topic.name]
+        topics = [
+            topic for topic in topics if topic.kind not in schemas.POSES or "goal" in topic.name
+        ]
     if not topics:
         return None
     topic = topics[0]
@@ -341,7 +383,9 @@ def goal(part: BagPart, ego: EgoLog, begin_ns: int, origin: FloatArray, vehicle:
     x, y = pose.p[0, :2] - origin
     yaw, ahead = float(pose.yaw[0]), vehicle.axle_to_center
     others = f"; its {len(good) - 1} other goals are not used" if len(good) > 1 else ""
-    notes.append(f"The goal is {GOAL_LENGTH_M:g} m by {GOAL_WIDTH_M:g} m around the pose of {topic.name}{others}.")
+    notes.append(
+        f"The goal is {GOAL_LENGTH_M:g} m by {GOAL_WIDTH_M:g} m around the pose of {topic.name}{others}."
+    )
     late = (sec * 1_000_000_000 + nsec - log[k]) / 1e9
     if sec and late > LATE_GOAL_S:
         notes.append(
@@ -369,7 +413,11 @@ def onboard(part: BagPart, ego: EgoLog, t0: int, origin: FloatArray) -> tuple[On
     topics, notes = part.topics(schemas.PLANS, "plan"), part.notes
     if not topics:
         return ()
-    usual = [t for t in topics if t.name.endswith(("/scenario_planning/trajectory", "/planning/trajectory"))]
+    usual = [
+        t
+        for t in topics
+        if t.name.endswith(("/scenario_planning/trajectory", "/planning/trajectory"))
+    ]
     topic = usual[0] if usual and "plan" not in part.settings.topics else topics[0]
     log, stamps, rows = part.read(topic, ("header.frame_id", ("points", PLAN_POINT)))
     t, keep = times_of(topic.name, log, stamps, ego.clock, notes)
@@ -382,12 +430,18 @@ def onboard(part: BagPart, ego: EgoLog, t0: int, origin: FloatArray) -> tuple[On
     notes += describe_timing(topic.name, log, stamps, int(log[0])) if len(log) else []
     if rows:
         several = f" (of {len(topics)} such topics)" if len(topics) > 1 else ""
-        timed = "by their speeds" if not any(p[0] or p[1] for p in rows[0][3]) else "by their own times"
-        notes.append(f"{len(plans)} on-board plans are those of {topic.name}{several}, timed {timed}.")
+        timed = (
+            "by their speeds" if not any(p[0] or p[1] for p in rows[0][3]) else "by their own times"
+        )
+        notes.append(
+            f"{len(plans)} on-board plans are those of {topic.name}{several}, timed {timed}."
+        )
     return tuple(plans[when] for when in sorted(plans))
 
 
-def _plan(row: tuple[object, ...], time: int, t0: int, ego: EgoLog, origin: FloatArray) -> Trajectory | None:
+def _plan(
+    row: tuple[object, ...], time: int, t0: int, ego: EgoLog, origin: FloatArray
+) -> Trajectory | None:
     *_, frame, points = row
     assert isinstance(points, list)
     values = np.array(points, dtype=np.float64).reshape(-1, len(PLAN_POINT))
@@ -400,10 +454,13 @@ def _plan(row: tuple[object, ...], time: int, t0: int, ego: EgoLog, origin: Floa
     yaw, (v, a) = np.unwrap(pose.yaw), motion.T
     t: FloatArray = np.asarray(after[:, 0] + 1e-9 * after[:, 1])
     if not t.any():
-        t = np.zeros(len(x))  # (1); NaN from where the plan stands, but for the point at which it comes to its stand
+        # (1); NaN from where the plan stands, but for the point at which it comes to its stand
+        t = np.zeros(len(x))
         if len(x) > 1:
             mean, way = 0.5 * np.abs(v[:-1] + v[1:]), np.hypot(np.diff(x), np.diff(y))
-            step = np.divide(way, mean, out=np.full(len(way), np.nan), where=mean >= 0.5 * CREEPS_MPS)
+            step = np.divide(
+                way, mean, out=np.full(len(way), np.nan), where=mean >= 0.5 * CREEPS_MPS
+            )
             step[step <= 0.0] = np.nan
             t = np.r_[0.0, np.cumsum(step)]
         now = ego.frames.poses(ego.map, ego.base, np.array([time]), HELD).p[0, :2] - origin

@@ -15,19 +15,45 @@ STAMP = ("header.stamp.sec", "header.stamp.nanosec")
 CAR, TRUCK, BUS, MOTORCYCLE, BICYCLE, PEDESTRIAN, OBJECT = AgentKind
 
 AUTOWARE_LABELS = {
-    1: CAR, 2: TRUCK, 3: BUS, 4: TRUCK, 5: MOTORCYCLE, 6: BICYCLE, 7: PEDESTRIAN, 8: PEDESTRIAN,
-}  # fmt: skip
+    1: CAR,
+    2: TRUCK,
+    3: BUS,
+    4: TRUCK,
+    5: MOTORCYCLE,
+    6: BICYCLE,
+    7: PEDESTRIAN,
+    8: PEDESTRIAN,
+}
 """Kinds by Autoware's label; 8 is an animal, treated as a pedestrian. All others are objects."""
 AUTOWARE_NOT_IN_THE_WAY = (10, 11)
 """Labels of objects that do not block the way: OVER_DRIVABLE, UNDER_DRIVABLE."""
 DERIVED_LABELS = {4: PEDESTRIAN, 5: BICYCLE, 6: CAR, 7: TRUCK, 8: MOTORCYCLE, 9: CAR}
 WORDS = (
-    ("motor", MOTORCYCLE), ("scooter", MOTORCYCLE), ("cycl", BICYCLE), ("bike", BICYCLE), ("rider", BICYCLE),
-    ("pedestrian", PEDESTRIAN), ("person", PEDESTRIAN), ("human", PEDESTRIAN), ("people", PEDESTRIAN),
-    ("child", PEDESTRIAN), ("stroller", PEDESTRIAN), ("wheelchair", PEDESTRIAN), ("animal", PEDESTRIAN),
-    ("truck", TRUCK), ("lorry", TRUCK), ("trailer", TRUCK), ("construction_vehicle", TRUCK), ("bus", BUS),
-    ("tram", BUS), ("train", BUS), ("car", CAR), ("van", CAR), ("taxi", CAR), ("vehicle", CAR),
-)  # fmt: skip
+    ("motor", MOTORCYCLE),
+    ("scooter", MOTORCYCLE),
+    ("cycl", BICYCLE),
+    ("bike", BICYCLE),
+    ("rider", BICYCLE),
+    ("pedestrian", PEDESTRIAN),
+    ("person", PEDESTRIAN),
+    ("human", PEDESTRIAN),
+    ("people", PEDESTRIAN),
+    ("child", PEDESTRIAN),
+    ("stroller", PEDESTRIAN),
+    ("wheelchair", PEDESTRIAN),
+    ("animal", PEDESTRIAN),
+    ("truck", TRUCK),
+    ("lorry", TRUCK),
+    ("trailer", TRUCK),
+    ("construction_vehicle", TRUCK),
+    ("bus", BUS),
+    ("tram", BUS),
+    ("train", BUS),
+    ("car", CAR),
+    ("van", CAR),
+    ("taxi", CAR),
+    ("vehicle", CAR),
+)
 """A label has the kind of the first word that it contains; labels with none of the words are objects."""
 NO_CARS = ("cart", "cardboard", "carton")
 
@@ -45,10 +71,14 @@ class ObjectSchema:
     """Names of the fields of objects in a message type; "": the type has none; `a|b`: the first that exists."""
 
     items: str  # list of objects
-    pose: str  # pose; `twist` is the velocity, in the frame `twist_frame`: "object", "frame" or "log" (the data decide)
+    # pose; `twist` is the velocity, in the frame `twist_frame`: "object", "frame" or "log" (the
+    # data decide)
+    pose: str
     twist: str
     id: str  # id of the object
-    label: str  # class of the object; if `classes` is a list of classes, `label` and `score` are fields of its items
+    # Class of the object; if `classes` is a list of classes, `label` and `score` are fields of its
+    # items
+    label: str
     size: str = ""  # vector of length, width, height; `shape` is 0 box, 1 cylinder, 2 polygon
     twist_frame: str = "object"
     classes: str = ""
@@ -58,34 +88,64 @@ class ObjectSchema:
     outline_frame: str = "object"
     trusted: str = ""  # flag for whether the velocity is reliable
     solid: str = ""  # shape with a type and a list of dimensions
-    existence: str = ""  # confidence of the detector, 0 to 1; types without it use the `score` of the class
+    # Confidence of the detector, 0 to 1; types without it use the `score` of the class
+    existence: str = ""
 
 
 def _autoware(prefix: str = "kinematics.") -> ObjectSchema:
     return ObjectSchema(
-        "objects", f"{prefix}pose_with_covariance.pose", f"{prefix}twist_with_covariance.twist",
-        "object_id.uuid", "label", "shape.dimensions", classes="classification", score="probability",
-        shape="shape.type", outline="shape.footprint.points", existence="existence_probability",
-    )  # fmt: skip
+        "objects",
+        f"{prefix}pose_with_covariance.pose",
+        f"{prefix}twist_with_covariance.twist",
+        "object_id.uuid",
+        "label",
+        "shape.dimensions",
+        classes="classification",
+        score="probability",
+        shape="shape.type",
+        outline="shape.footprint.points",
+        existence="existence_probability",
+    )
 
 
 _PACKAGES = ("autoware_perception_msgs/msg/", "autoware_auto_perception_msgs/msg/")
 OBJECTS = {
     "autoware_msgs/msg/DetectedObjectArray": ObjectSchema(
-        "objects", "pose", "velocity", "id", "label", "dimensions", twist_frame="log",
-        outline="convex_hull.polygon.points", outline_frame="frame", trusted="velocity_reliable", existence="score",
+        "objects",
+        "pose",
+        "velocity",
+        "id",
+        "label",
+        "dimensions",
+        twist_frame="log",
+        outline="convex_hull.polygon.points",
+        outline_frame="frame",
+        trusted="velocity_reliable",
+        existence="score",
     ),
     **{f"{p}TrackedObjects": _autoware() for p in _PACKAGES},
     **{f"{p}PredictedObjects": _autoware("kinematics.initial_") for p in _PACKAGES},
     **{f"{p}DetectedObjects": _autoware() for p in _PACKAGES},
     "derived_object_msgs/msg/ObjectArray": ObjectSchema(
-        "objects", "pose", "twist", "id", "classification", twist_frame="log", solid="shape",
+        "objects",
+        "pose",
+        "twist",
+        "id",
+        "classification",
+        twist_frame="log",
+        solid="shape",
     ),
     "vision_msgs/msg/Detection3DArray": ObjectSchema(
-        "detections", "bbox.center", "", "id|tracking_id", "hypothesis.class_id|id", "bbox.size", classes="results",
+        "detections",
+        "bbox.center",
+        "",
+        "id|tracking_id",
+        "hypothesis.class_id|id",
+        "bbox.size",
+        classes="results",
         score="hypothesis.score|score",
     ),
-}  # fmt: skip
+}
 """Schemas by message type; `RANK` is the order of preference: tracked before predicted before detected objects."""
 RANK = (
     "TrackedObjects",
@@ -99,8 +159,9 @@ RANK = (
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 ODOMETRY = ("nav_msgs/msg/Odometry",)
 POSES = {
-    "geometry_msgs/msg/PoseStamped": "pose", "geometry_msgs/msg/PoseWithCovarianceStamped": "pose.pose",
-}  # fmt: skip
+    "geometry_msgs/msg/PoseStamped": "pose",
+    "geometry_msgs/msg/PoseWithCovarianceStamped": "pose.pose",
+}
 SPEEDS = {
     "autoware_vehicle_msgs/msg/VelocityReport": "longitudinal_velocity",
     "autoware_auto_vehicle_msgs/msg/VelocityReport": "longitudinal_velocity",
@@ -141,13 +202,20 @@ class LightSchema:
 
 LIGHTS = {
     "autoware_msgs/msg/TrafficLightResultArray": LightSchema(
-        "results", ("light_id", "lane_id"), colour="recognition_result", words="recognition_result_str"
+        "results",
+        ("light_id", "lane_id"),
+        colour="recognition_result",
+        words="recognition_result_str",
     ),
     "autoware_perception_msgs/msg/TrafficLightGroupArray": LightSchema(
         "traffic_light_groups", ("traffic_light_group_id",), "elements"
     ),
-    "autoware_perception_msgs/msg/TrafficSignalArray": LightSchema("signals", ("traffic_signal_id",), "elements"),
-    "autoware_auto_perception_msgs/msg/TrafficSignalArray": LightSchema("signals", ("map_primitive_id",), "lights"),
+    "autoware_perception_msgs/msg/TrafficSignalArray": LightSchema(
+        "signals", ("traffic_signal_id",), "elements"
+    ),
+    "autoware_auto_perception_msgs/msg/TrafficSignalArray": LightSchema(
+        "signals", ("map_primitive_id",), "lights"
+    ),
 }
 LAMPS = {1: Colour.RED, 2: Colour.YELLOW, 3: Colour.GREEN}
 """Colours by Autoware's number; all others are OFF."""

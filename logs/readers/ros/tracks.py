@@ -26,9 +26,12 @@ from replan.logs.repair.detections import Detections, no_identities
 from replan.logs.tracks import Tracks
 
 NOISE_M = {
-    AgentKind.PEDESTRIAN: 0.07, AgentKind.BICYCLE: 0.07, AgentKind.MOTORCYCLE: 0.17, AgentKind.TRUCK: 0.17,
+    AgentKind.PEDESTRIAN: 0.07,
+    AgentKind.BICYCLE: 0.07,
+    AgentKind.MOTORCYCLE: 0.17,
+    AgentKind.TRUCK: 0.17,
     AgentKind.BUS: 0.17,
-}  # fmt: skip
+}
 NOISE_OTHERS_M, NOISES = 0.1, 2.0
 """Noise of box centres (root mean square in the 13 drives of Tartu); a derived velocity counts from `NOISES` times the
 standard deviation that follows on: an object that was seen twice 0.1 s apart is not yet known to move."""
@@ -64,7 +67,9 @@ class Samples(Columns):
     def detections(self, t: FloatArray) -> Detections:
         """All of them as they were reported; t `(k,)` s are the times of the messages."""
         columns = (self.x, self.y, self.yaw, self.length, self.width, self.vx, self.vy, self.score)
-        return Detections(t[self.message], t, tuple(self.ids), codes_of(tuple(self.kinds)), *columns)
+        return Detections(
+            t[self.message], t, tuple(self.ids), codes_of(tuple(self.kinds)), *columns
+        )
 
 
 def identified(samples: Samples, t: IntArray, notes: list[str]) -> Samples:
@@ -74,11 +79,15 @@ def identified(samples: Samples, t: IntArray, notes: list[str]) -> Samples:
     seconds, with_ids = (t[samples.message] - t[:1]) / 1e9, any(samples.ids)
     if with_ids and no_identities(samples.ids, seconds, samples.x, samples.y) is None:
         return replace(samples, names=samples.ids)
-    sizes = np.where(samples.turned[:, None], np.column_stack([samples.length, samples.width]), np.nan)
+    sizes = np.where(
+        samples.turned[:, None], np.column_stack([samples.length, samples.width]), np.nan
+    )
     names = joined(samples.message, seconds, samples.x, samples.y, samples.kinds, sizes)
     why = "are no identities (they jump)" if with_ids else "are not there"
     count = int(names.max(initial=0))
-    notes.append(f"Ids of objects {why}: objects are joined from frame to frame by position, to {count} tracks.")
+    notes.append(
+        f"Ids of objects {why}: objects are joined from frame to frame by position, to {count} tracks."
+    )
     return replace(samples, names=[str(name) for name in names])
 
 
@@ -127,16 +136,33 @@ def tracks_of(samples: Samples, t: FloatArray, notes: list[str]) -> Tracks:
     if assumed:
         notes.append("Some objects have no size: that of their kind is assumed.")
     if varied:
-        notes.append("An agent's box is the median of its sizes, its kind the one that it had most often.")
+        notes.append(
+            "An agent's box is the median of its sizes, its kind the one that it had most often."
+        )
     vx, vy = _fill_velocities(some, seconds, first, kinds, np.diff(offsets), notes)
     return Tracks(
-        tuple(names[order[offsets[:-1]]].tolist()), kinds, sizes[0], sizes[1], np.zeros(len(parts), np.bool_), offsets,
-        seconds, some.x, some.y, yaw, vx, vy,
-    )  # fmt: skip
+        tuple(names[order[offsets[:-1]]].tolist()),
+        kinds,
+        sizes[0],
+        sizes[1],
+        np.zeros(len(parts), np.bool_),
+        offsets,
+        seconds,
+        some.x,
+        some.y,
+        yaw,
+        vx,
+        vy,
+    )
 
 
 def _one_front(
-    yaw: FloatArray, samples: Samples, t: FloatArray, parts: list[slice], kinds: tuple[AgentKind, ...], notes: list[str]
+    yaw: FloatArray,
+    samples: Samples,
+    t: FloatArray,
+    parts: list[slice],
+    kinds: tuple[AgentKind, ...],
+    notes: list[str],
 ) -> FloatArray:
     """Headings of boxes whose front and back change places, so that none turns round from one sample to the next.
 
@@ -152,25 +178,38 @@ def _one_front(
         if not (half % 2).any():
             continue
         own = yaw[part] - np.pi * half
-        along = np.diff(samples.x[part]) * np.cos(own[1:]) + np.diff(samples.y[part]) * np.sin(own[1:])
+        along = np.diff(samples.x[part]) * np.cos(own[1:]) + np.diff(samples.y[part]) * np.sin(
+            own[1:]
+        )
         speed = along / np.diff(t[part])
         moves = np.abs(speed) > MOVES_MPS
-        backward = np.sum(np.sign(speed[moves])) < 0 if moves.mean() > 0.5 else (half % 2).mean() > 0.5
+        backward = (
+            np.sum(np.sign(speed[moves])) < 0 if moves.mean() > 0.5 else (half % 2).mean() > 0.5
+        )
         out[part] = own + (np.pi if backward else 0.0)
         turned += int(min((half % 2).sum(), len(half) - (half % 2).sum()))
     if turned:
-        notes.append(f"{turned} samples of objects have front and back exchanged and are turned round.")
+        notes.append(
+            f"{turned} samples of objects have front and back exchanged and are turned round."
+        )
     return out
 
 
 def _fill_velocities(
-    samples: Samples, t: FloatArray, first: IntArray, kinds: tuple[AgentKind, ...], counts: IntArray, notes: list[str]
+    samples: Samples,
+    t: FloatArray,
+    first: IntArray,
+    kinds: tuple[AgentKind, ...],
+    counts: IntArray,
+    notes: list[str],
 ) -> tuple[FloatArray, FloatArray]:
     """The logged velocities, and where there are none the motion over a backward window; a first sample has none."""
     missing = ~(np.isfinite(samples.vx) & np.isfinite(samples.vy))
     if not missing.any():
         return samples.vx, samples.vy
-    windows = np.array([OBJECT_WINDOW_S if kind is AgentKind.OBJECT else AGENT_WINDOW_S for kind in kinds])
+    windows = np.array(
+        [OBJECT_WINDOW_S if kind is AgentKind.OBJECT else AGENT_WINDOW_S for kind in kinds]
+    )
     values = np.array([samples.x, samples.y])
     found = rates(t, values, first, np.repeat(windows, counts), parabola=False)[0]
     noise = np.repeat([NOISE_M.get(kind, NOISE_OTHERS_M) for kind in kinds], counts)
@@ -220,7 +259,12 @@ class _Known:
 
 
 def joined(
-    frame: IntArray, t: FloatArray, x: FloatArray, y: FloatArray, kinds: Sequence[AgentKind], sizes: FloatArray
+    frame: IntArray,
+    t: FloatArray,
+    x: FloatArray,
+    y: FloatArray,
+    kinds: Sequence[AgentKind],
+    sizes: FloatArray,
 ) -> IntArray:
     """Names `(m,)`, numbered by first appearance, of samples in frames `(m,)`, rising, at times `t` `(m,)`, s.
 
@@ -240,12 +284,17 @@ def joined(
             for k, each in enumerate(known):
                 reach[k] = REACH_M.get(each.kind, REACH_OTHERS_M)
                 if len(each.past) == 1:
-                    reach[k] += UNKNOWN_MPS.get(each.kind, UNKNOWN_OTHERS_MPS) * (now - each.past[-1][0])
+                    reach[k] += UNKNOWN_MPS.get(each.kind, UNKNOWN_OTHERS_MPS) * (
+                        now - each.past[-1][0]
+                    )
             away = np.hypot(where[:, 0, None] - x[part], where[:, 1, None] - y[part])
             near = np.nonzero(away <= reach[:, None])
             codes = codes_of(tuple(kinds[i] for i in part))
             other = codes_of(tuple(each.kind for each in known))[near[0]] != codes[near[1]]
-            a, b = np.sort(np.array([each.size for each in known]))[near[0]], np.sort(sizes[part])[near[1]]
+            a, b = (
+                np.sort(np.array([each.size for each in known]))[near[0]],
+                np.sort(sizes[part])[near[1]],
+            )
             apart = np.abs(a - b)  # NaN, a size that is not known, may be that of any object
             alike = ~((apart > OTHER_SIZE_M) & (apart > OTHER_SIZE * np.maximum(a, b))).any(axis=-1)
             cost = np.full(away.shape, _FAR)

@@ -31,7 +31,8 @@ from replan.planners.frenet.scene import Bodies, Occupancy, Scene
 SIDES = {DecisionKind.NUDGE_LEFT: 1.0, DecisionKind.NUDGE_RIGHT: -1.0}
 """The decisions to pass, and the side in the form that kernels take."""
 TOLERANCE_M = 0.05  # Shortfall of a clearance that a solution may have, m
-NEAR_PATH_M = 30.0  # Standing agents farther from the ego than this plus the path's length are ignored, m
+# Standing agents farther from the ego than this plus the path's length are ignored, m
+NEAR_PATH_M = 30.0
 NEAR_ROAD_M = 1.0  # An agent that stands off the road by less than this is still an obstacle, m
 NOTHING = Borrowed(np.empty((0, 3)), left=True, right=True)  # No road beside the lane is used
 
@@ -72,16 +73,22 @@ class InTheWay:
     obstacles: tuple[Occupancy, ...] = ()  # The agents in the order of their stations
     left: bool = True  # Whether the lane to the left is free; `right` likewise
     right: bool = True
-    facing: frozenset[str] = frozenset()  # Agents that the ego may pass on the lane of the opposite direction
-    wait: float = np.inf  # Station at which to wait until that lane is free, m; inf if there is no need
+    # Agents that the ego may pass on the lane of the opposite direction
+    facing: frozenset[str] = frozenset()
+    # Station at which to wait until that lane is free, m; inf if there is no need
+    wait: float = np.inf
 
     def and_moving(self, more: InTheWay) -> InTheWay:
         """Add moving agents to pass; the lanes beside must be free for all."""
         if not more.obstacles:
             return self
-        both = tuple(sorted((*self.obstacles, *more.obstacles), key=lambda box: (box.s_from, box.agent)))
+        both = tuple(
+            sorted((*self.obstacles, *more.obstacles), key=lambda box: (box.s_from, box.agent))
+        )
         left, right = self.left and more.left, self.right and more.right
-        return replace(self, obstacles=both, left=left, right=right, facing=self.facing | more.facing)
+        return replace(
+            self, obstacles=both, left=left, right=right, facing=self.facing | more.facing
+        )
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -96,7 +103,9 @@ class PathBounds:
         self, obstacles: Sequence[Occupancy], vehicle: VehicleParameters, config: CorridorConfig
     ) -> list[list[float]]:
         """Greatest lower and least upper bound where a point of the ego is beside each obstacle, else -inf, inf."""
-        return room_beside(self.s, self.lower, self.upper, _boxes(obstacles), self.gap(vehicle, config)).tolist()
+        return room_beside(
+            self.s, self.lower, self.upper, _boxes(obstacles), self.gap(vehicle, config)
+        ).tolist()
 
     def gap(self, vehicle: VehicleParameters, config: CorridorConfig) -> float:
         """Distance before and behind an obstacle at which the ego still counts as beside it, m.
@@ -107,7 +116,9 @@ class PathBounds:
         return between + max(config.gap_m, float(self.s[0, 1] - self.s[0, 0]))
 
 
-def standing_obstacles(scene: Scene, length: float, *, facing: bool = False) -> tuple[Occupancy, ...]:
+def standing_obstacles(
+    scene: Scene, length: float, *, facing: bool = False
+) -> tuple[Occupancy, ...]:
     """The standing agents beside or ahead of the ego, up to `length` m, that stand on the road or near its edge.
 
     With `facing`, the facing lane is part of the road.
@@ -115,9 +126,13 @@ def standing_obstacles(scene: Scene, length: float, *, facing: bool = False) -> 
     if not scene.standing.any():
         return ()
     ids, line, ego, road = scene.frame.agents.ids, scene.reference.line, scene.frame.ego, scene.road
-    left, right = (road.facing_left, road.facing_right) if facing else (road.road_left, road.road_right)
+    left, right = (
+        (road.facing_left, road.facing_right) if facing else (road.road_left, road.road_right)
+    )
     near = ego.x, ego.y, length + NEAR_PATH_M
-    rows, boxes = _standing_boxes(line.s, line.coef, scene.bodies, scene.standing, scene.agents.s, left, right, near)
+    rows, boxes = _standing_boxes(
+        line.s, line.coef, scene.bodies, scene.standing, scene.agents.s, left, right, near
+    )
     begin, end = scene.rear, scene.front + length
     found = [
         Occupancy(ids[i], *box)
@@ -129,9 +144,15 @@ def standing_obstacles(scene: Scene, length: float, *, facing: bool = False) -> 
 
 @kernel
 def _standing_boxes(
-    knots: FloatArray, coef: FloatArray, bodies: Bodies, standing: BoolArray, s: FloatArray, left: FloatArray,
-    right: FloatArray, near: tuple[float, float, float],
-) -> tuple[IntArray, FloatArray]:  # fmt: skip
+    knots: FloatArray,
+    coef: FloatArray,
+    bodies: Bodies,
+    standing: BoolArray,
+    s: FloatArray,
+    left: FloatArray,
+    right: FloatArray,
+    near: tuple[float, float, float],
+) -> tuple[IntArray, FloatArray]:
     """The agents that stand on the road or near its edge `(b,)`; their stations and offsets, from and to `(b, 4)`, m.
 
     The extents come from the projections of the corners and of the middles of the sides, since a curve bulges between
@@ -167,17 +188,26 @@ def borrowed_road(way: InTheWay, speed: float, vehicle: VehicleParameters) -> Bo
     """
     if not way.obstacles:
         return NOTHING
-    spans = [(*swing_span(box, speed, vehicle), 2.0 if box.agent in way.facing else 1.0) for box in way.obstacles]
+    spans = [
+        (*swing_span(box, speed, vehicle), 2.0 if box.agent in way.facing else 1.0)
+        for box in way.obstacles
+    ]
     return Borrowed(np.array(spans), way.left, way.right)
 
 
 def lane_bounds(
-    reference: ReferencePath, s: FloatArray, way: InTheWay, speed: float, vehicle: VehicleParameters,
+    reference: ReferencePath,
+    s: FloatArray,
+    way: InTheWay,
+    speed: float,
+    vehicle: VehicleParameters,
     config: CorridorConfig,
-) -> PathBounds:  # fmt: skip
+) -> PathBounds:
     """(1) of `corridor` at stations of any shape, for an ego that passes obstacles at this speed."""
     side = 0.5 * vehicle.width + config.edge_m
-    edges = lane_edges(reference.line.s, reference.table, s.ravel(), borrowed_road(way, speed, vehicle), side)
+    edges = lane_edges(
+        reference.line.s, reference.table, s.ravel(), borrowed_road(way, speed, vehicle), side
+    )
     return PathBounds(s, *edges.reshape(2, *s.shape))
 
 
@@ -190,7 +220,9 @@ def swing_span(box: Occupancy, speed: float, vehicle: VehicleParameters) -> tupl
 def free_sides(scene: Scene, config: CorridorConfig) -> tuple[bool, bool]:
     """Whether the reachable road left and right of the own lane is free of moving agents near the ego."""
     ahead = scene.agents.s - scene.s
-    near = ~scene.standing & (ahead > -config.neighbour_behind_m) & (ahead < config.neighbour_ahead_m)
+    near = (
+        ~scene.standing & (ahead > -config.neighbour_behind_m) & (ahead < config.neighbour_ahead_m)
+    )
     if not near.any():
         return True, True
     road, l, half = scene.road, scene.agents.l, 0.5 * scene.bodies.width  # noqa: E741
@@ -199,7 +231,9 @@ def free_sides(scene: Scene, config: CorridorConfig) -> tuple[bool, bool]:
     return not on_left.any(), not on_right.any()
 
 
-def side_gaps(box: Occupancy, lower: float, upper: float, vehicle: VehicleParameters) -> tuple[float, float]:
+def side_gaps(
+    box: Occupancy, lower: float, upper: float, vehicle: VehicleParameters
+) -> tuple[float, float]:
     """The space beside an ego that passes a box between two bounds of its axis, on the left and right, m."""
     side = 0.5 * vehicle.width
     return upper - box.l_to - side, box.l_from - side - lower
@@ -222,7 +256,9 @@ class SideChoice:
         """Whether it can be passed on either side with at least this much space, m."""
         return self.settled is None and min(self.left, self.right) >= least
 
-    def decided(self, goes_left: bool, costs: tuple[float, float] | None, config: CorridorConfig) -> Decision:
+    def decided(
+        self, goes_left: bool, costs: tuple[float, float] | None, config: CorridorConfig
+    ) -> Decision:
         """The decision for a side, or for the other if there is no space; costs of left and right for the reason."""
         if self.settled is not None:
             return self.settled
@@ -232,11 +268,16 @@ class SideChoice:
         only = f"there is no room on the {'right' if goes_left else 'left'}"
         why = f"left costs {costs[0]:.3g}, right {costs[1]:.3g}" if costs else only
         kind = DecisionKind.NUDGE_LEFT if goes_left else DecisionKind.NUDGE_RIGHT
-        return Decision(self.box.agent, kind, "path", f"is in the corridor: pass with {gap:.2f} m; {why}")
+        return Decision(
+            self.box.agent, kind, "path", f"is in the corridor: pass with {gap:.2f} m; {why}"
+        )
 
 
 def side_choices(
-    obstacles: tuple[Occupancy, ...], space: PathBounds, vehicle: VehicleParameters, config: CorridorConfig
+    obstacles: tuple[Occupancy, ...],
+    space: PathBounds,
+    vehicle: VehicleParameters,
+    config: CorridorConfig,
 ) -> list[SideChoice]:
     """The options for obstacles within the bounds of the ego's points."""
     if not obstacles:
@@ -257,16 +298,25 @@ def side_choices(
 
 
 def narrow_bounds(
-    space: PathBounds, obstacles: tuple[Occupancy, ...], decisions: tuple[Decision, ...], vehicle: VehicleParameters,
+    space: PathBounds,
+    obstacles: tuple[Occupancy, ...],
+    decisions: tuple[Decision, ...],
+    vehicle: VehicleParameters,
     config: CorridorConfig,
-) -> tuple[PathBounds, tuple[Decision, ...]]:  # fmt: skip
+) -> tuple[PathBounds, tuple[Decision, ...]]:
     """The bounds (1); an obstacle that would close them becomes a stop. Without obstacles to pass they stay."""
     if not any(decision.kind in SIDES for decision in decisions):
         return space, decisions
     (lower, upper), room, closed = narrowed_beside(
-        space.s, space.lower, space.upper, _boxes(obstacles, decisions), space.gap(vehicle, config),
-        0.5 * vehicle.width, config.clearance_m, config.min_clearance_m,
-    )  # fmt: skip
+        space.s,
+        space.lower,
+        space.upper,
+        _boxes(obstacles, decisions),
+        space.gap(vehicle, config),
+        0.5 * vehicle.width,
+        config.clearance_m,
+        config.min_clearance_m,
+    )
     final = list(decisions)
     for b in np.flatnonzero(closed):
         reason = f"no room beside the other obstacles: {max(room[b], 0.0):.2f} m"
@@ -275,9 +325,12 @@ def narrow_bounds(
 
 
 def check_clearance(
-    path: PathBounds, obstacles: tuple[Occupancy, ...], decisions: tuple[Decision, ...], vehicle: VehicleParameters,
+    path: PathBounds,
+    obstacles: tuple[Occupancy, ...],
+    decisions: tuple[Decision, ...],
+    vehicle: VehicleParameters,
     config: CorridorConfig,
-) -> tuple[dict[str, float], tuple[Decision, ...]]:  # fmt: skip
+) -> tuple[dict[str, float], tuple[Decision, ...]]:
     """The space between a path and each agent that it passes, m; `path` has the offsets of its points as both bounds.
 
     Also the decisions, with a stop for each agent that it does not clear.
@@ -285,7 +338,9 @@ def check_clearance(
     if not any(decision.kind in SIDES for decision in decisions):
         return {}, decisions
     rooms, final = dict[str, float](), []
-    for box, each, (most, least) in zip(obstacles, decisions, path.room(obstacles, vehicle, config), strict=True):
+    for box, each, (most, least) in zip(
+        obstacles, decisions, path.room(obstacles, vehicle, config), strict=True
+    ):
         decision = each
         if each.kind in SIDES:
             beside = least - box.l_to if each.kind is DecisionKind.NUDGE_LEFT else box.l_from - most

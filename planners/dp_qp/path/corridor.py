@@ -45,8 +45,10 @@ S, SWING, LOWER, UPPER, LEAST, MOST = 0, 1, 2, 3, 4, 5
 """Rows of `RoadAhead.points`: stations, m; how far the points swing out (9), m; bounds (1) to (4) of
 their offsets, m; the same without (3), m."""
 MAX_DL = 1.0  # Bound of l': 45 degrees off the reference line
-FORCED_M = 0.3  # Hard steering is considered where comfortable steering would leave the lane by more than this, m
-BULGE = 0.03  # Half the curvature by which the way of a point ahead differs from that of the rear axle, 1/m
+# Hard steering is considered where comfortable steering would leave the lane by more than this, m
+FORCED_M = 0.3
+# Half the curvature by which the way of a point ahead differs from that of the rear axle, 1/m
+BULGE = 0.03
 NEARLY_M = 0.5  # A goal farther outside the corridor than this is not a goal of this lane, m
 LEFT_M = 0.1  # Width that the corridor keeps where the goal is outside of it, m
 NEAR_GOAL_M = 15.0
@@ -54,7 +56,8 @@ NEAR_GOAL_M = 15.0
 HERE = np.empty(0)  # Argument `near` of `loosen_bounds`: the path is near the reference line
 COMFORT = frozen(np.array([4.0, 3.0, 1.8]))
 """Lateral acceleration that a path may need, braking and acceleration of the expected speed, m/s2 ..."""
-HARD = frozen(np.array([6.0, 5.0, 0.0]))  # ... and those where comfort would leave the lane by more than `FORCED_M`.
+# ... and those where comfort would leave the lane by more than `FORCED_M`.
+HARD = frozen(np.array([6.0, 5.0, 0.0]))
 SHARPEST = 1.0  # Largest rate of the curvature, 1/m2, however slow the ego is
 SHARE = 0.8  # Share of the bounds that the reach (8) uses; the rest lets the path be smooth
 SLOWEST_MPS = 1.0  # Least v in (6) and (7), m/s
@@ -88,15 +91,23 @@ class RoadAhead(NamedTuple):
 
     along: FloatArray  # Rows `KNOT`, `LIMIT`, `KAPPA` `(3, n)`
     points: FloatArray  # Rows `S` to `MOST` `(6, k, n)`
-    references: FloatArray  # References of the path QP without obstacles `(2, n)` (`PiecewiseJerkProblem`)
+    # References of the path QP without obstacles `(2, n)` (`PiecewiseJerkProblem`)
+    references: FloatArray
     rows: FloatArray  # Its lower and upper bounds `(2, 3 + k, n)`
 
 
 @kernel
 def road_ahead(
-    line_s: FloatArray, table: FloatArray, ego: EgoInLane, step: float, n: int, middle: float, borrowed: Borrowed,
-    sides: FloatArray, standing: FloatArray,
-) -> RoadAhead:  # fmt: skip
+    line_s: FloatArray,
+    table: FloatArray,
+    ego: EgoInLane,
+    step: float,
+    n: int,
+    middle: float,
+    borrowed: Borrowed,
+    sides: FloatArray,
+    standing: FloatArray,
+) -> RoadAhead:
     """(1) to (5) at n knots, `step` m apart, along a reference line's stations and a reference path's table.
 
     `sides` of the goal `(3, m)` are those of `GoalWindow.sides`; (3) is left out where an agent
@@ -113,19 +124,24 @@ def road_ahead(
         turned = road.kappa if k == 0 else sections(line_s, table, turning).kappa
         for i in range(n):
             turn = turned[i] * lead
-            points[SWING, k, i] = lead * turn / (1.0 + sqrt(1.0 + turn**2))  # (9): m to the right in a left turn
+            # (9): m to the right in a left turn
+            points[SWING, k, i] = lead * turn / (1.0 + sqrt(1.0 + turn**2))
             if k == 0:
                 along[LIMIT, i], along[KAPPA, i] = road.limit[i], road.kappa[i]
     _for_the_nose(points)
     _towards(points, sides, standing)
     _widen_bounds(points[S], points[LOWER], points[UPPER], ego.start)
     _widen_bounds(points[S], points[LEAST], points[MOST], ego.start)
-    references, rows = loosen_bounds(along, points, points[LOWER], points[UPPER], np.empty(0), ego, step, middle)
+    references, rows = loosen_bounds(
+        along, points, points[LOWER], points[UPPER], np.empty(0), ego, step, middle
+    )
     return RoadAhead(along, points, references, rows)
 
 
 @kernel
-def lane_edges(line_s: FloatArray, table: FloatArray, s: FloatArray, borrowed: Borrowed, side: float) -> FloatArray:
+def lane_edges(
+    line_s: FloatArray, table: FloatArray, s: FloatArray, borrowed: Borrowed, side: float
+) -> FloatArray:
     """Lower and upper of (1) `(2, k)` at stations `(k,)`; `side` m are kept to each edge."""
     out = np.empty((2, len(s)))
     within_lane(sections(line_s, table, s), s, borrowed, side, out[0], out[1])
@@ -134,7 +150,12 @@ def lane_edges(line_s: FloatArray, table: FloatArray, s: FloatArray, borrowed: B
 
 @inner_kernel
 def within_lane(
-    road: CrossSections, s: FloatArray, borrowed: Borrowed, side: float, lower: FloatArray, upper: FloatArray
+    road: CrossSections,
+    s: FloatArray,
+    borrowed: Borrowed,
+    side: float,
+    lower: FloatArray,
+    upper: FloatArray,
 ) -> None:
     """Write (1) `(k,)` at stations `(k,)`; `side` m are kept to each edge."""
     spans = borrowed.spans
@@ -185,7 +206,10 @@ def _towards(points: FloatArray, sides: FloatArray, standing: FloatArray) -> Non
     begin, end = np.inf, -np.inf
     for k in range(s.shape[0]):
         for i in range(s.shape[1]):
-            within[0, k, i], within[1, k, i] = _at(s[k, i], sides[0], sides[1]), _at(s[k, i], sides[0], sides[2])
+            within[0, k, i], within[1, k, i] = (
+                _at(s[k, i], sides[0], sides[1]),
+                _at(s[k, i], sides[0], sides[2]),
+            )
             if not sides[0, 0] <= s[k, i] <= sides[0, -1]:
                 within[0, k, i] = np.nan
             elif isfinite(within[0, k, i]):
@@ -210,7 +234,10 @@ def _at(s: float, stations: FloatArray, values: FloatArray) -> float:
         return float(values[0])
     if j == len(stations) - 1 or s == stations[j]:
         return float(values[j])
-    return float((values[j + 1] - values[j]) / (stations[j + 1] - stations[j]) * (s - stations[j]) + values[j])
+    return float(
+        (values[j + 1] - values[j]) / (stations[j + 1] - stations[j]) * (s - stations[j])
+        + values[j]
+    )
 
 
 @inner_kernel
@@ -229,14 +256,24 @@ def _widen_bounds(s: FloatArray, lower: FloatArray, upper: FloatArray, start: Fl
             if d <= span:
                 back = l0 + d * (dl0 + d * (0.5 * ddl0 + d * (c3 + d * (c4 + d * c5))))
                 slack = 0.05 + BULGE * (s[p, i] - s[0, i]) ** 2
-                lower[p, i], upper[p, i] = min(lower[p, i], back - slack), max(upper[p, i], back + slack)  # (4)
+                # (4)
+                lower[p, i], upper[p, i] = (
+                    min(lower[p, i], back - slack),
+                    max(upper[p, i], back + slack),
+                )
 
 
 @kernel
 def loosen_bounds(
-    along: FloatArray, points: FloatArray, lower: FloatArray, upper: FloatArray, near: FloatArray, ego: EgoInLane,
-    step: float, middle: float,
-) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    along: FloatArray,
+    points: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+    near: FloatArray,
+    ego: EgoInLane,
+    step: float,
+    middle: float,
+) -> tuple[FloatArray, FloatArray]:
     """References and rows of the path QP (`RoadAhead`) for bounds `(points, n)`, loosened to what steering reaches (5).
 
     The bounds of the curvature hold at the offsets `near` `(n,)`; with `HERE`, at offsets as near to the reference line
@@ -249,7 +286,13 @@ def loosen_bounds(
         offsets[i] = near[i] if len(near) > 0 else min(max(0.0, lower[0, i]), upper[0, i])
     for hard in range(2):
         bend, rate, left, right = steering_bounds(
-            ego.start[1:], along[LIMIT], along[KAPPA], offsets, step, ego.car, HARD if hard else COMFORT
+            ego.start[1:],
+            along[LIMIT],
+            along[KAPPA],
+            offsets,
+            step,
+            ego.car,
+            HARD if hard else COMFORT,
         )
         reached = np.empty((2, len(ego.leads), n))
         forced = -np.inf
@@ -257,12 +300,17 @@ def loosen_bounds(
             for i in range(n):
                 reached[0, k, i] = left[0, i] + ego.leads[k] * left[1, i] - points[SWING, k, i]
                 reached[1, k, i] = right[0, i] + ego.leads[k] * right[1, i] - points[SWING, k, i]
-                forced = max(forced, points[LEAST, k, i] - reached[0, k, i], reached[1, k, i] - points[MOST, k, i])
+                forced = max(
+                    forced,
+                    points[LEAST, k, i] - reached[0, k, i],
+                    reached[1, k, i] - points[MOST, k, i],
+                )
         if hard == 0 or forced < least:
             for k in range(len(ego.leads)):
                 row = X if k == 0 else LEADS + k - 1
                 for i in range(n):
-                    rows[0, row, i] = min(lower[k, i], reached[0, k, i]) + points[SWING, k, i]  # (5)
+                    # (5)
+                    rows[0, row, i] = min(lower[k, i], reached[0, k, i]) + points[SWING, k, i]
                     rows[1, row, i] = max(upper[k, i], reached[1, k, i]) + points[SWING, k, i]
             for i in range(n):
                 rows[0, DX, i], rows[1, DX, i] = min(-MAX_DL, left[1, i]), max(MAX_DL, right[1, i])
@@ -278,7 +326,9 @@ def loosen_bounds(
 
 
 @kernel
-def room_beside(s: FloatArray, lower: FloatArray, upper: FloatArray, boxes: FloatArray, gap: float) -> FloatArray:
+def room_beside(
+    s: FloatArray, lower: FloatArray, upper: FloatArray, boxes: FloatArray, gap: float
+) -> FloatArray:
     """Greatest lower and least upper bound `(b, 2)` at the stations beside boxes `(b, 5)`; -inf, inf without any.
 
     Bounds `(points, n)` at stations of that shape; boxes as in `narrowed_beside`.
@@ -296,9 +346,15 @@ def room_beside(s: FloatArray, lower: FloatArray, upper: FloatArray, boxes: Floa
 
 @kernel
 def narrowed_beside(
-    s: FloatArray, lower: FloatArray, upper: FloatArray, boxes: FloatArray, gap: float, side: float, clearance: float,
+    s: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+    boxes: FloatArray,
+    gap: float,
+    side: float,
+    clearance: float,
     least: float,
-) -> tuple[FloatArray, FloatArray, BoolArray]:  # fmt: skip
+) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Narrow bounds `(2, points, n)` so that they keep clear of boxes, one after the other.
 
     Boxes `(b, 5)`: station from, to, offset from, to, m; 1 to pass on the left, -1 on the right, 0 not at all. `gap` is
@@ -338,7 +394,13 @@ def _is_beside(s: float, box: FloatArray, gap: float) -> bool:
 
 @kernel
 def expected_speed(
-    v0: float, limit: FloatArray, kappa: FloatArray, step: float, accel: float, decel: float, lateral: float
+    v0: float,
+    limit: FloatArray,
+    kappa: FloatArray,
+    step: float,
+    accel: float,
+    decel: float,
+    lateral: float,
 ) -> FloatArray:
     """Speed `(n,)` at stations `step` m apart, m/s: that of limit and curves, braking with `decel` at most."""
     out = np.empty(len(limit))
@@ -366,7 +428,9 @@ def _bend_bounds(bend: float, kappa: float, offset: float) -> tuple[float, float
 
 
 @inner_kernel
-def _reach(start: FloatArray, aim: FloatArray, low: FloatArray, high: FloatArray, step: float) -> FloatArray:
+def _reach(
+    start: FloatArray, aim: FloatArray, low: FloatArray, high: FloatArray, step: float
+) -> FloatArray:
     """Rows l, l', l'' `(3, n)` of (8): l'' goes to `aim` `(n,)` as fast as the bounds of its rate `(n - 1,)` permit."""
     n = len(aim)
     out = np.empty((3, n))
@@ -382,9 +446,14 @@ def _reach(start: FloatArray, aim: FloatArray, low: FloatArray, high: FloatArray
 
 @kernel
 def steering_bounds(
-    start: FloatArray, limit: FloatArray, kappa: FloatArray, offset: FloatArray, step: float, car: FloatArray,
+    start: FloatArray,
+    limit: FloatArray,
+    kappa: FloatArray,
+    offset: FloatArray,
+    step: float,
+    car: FloatArray,
     limits: FloatArray,
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:  # fmt: skip
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Bounds of l'' `(2, n)` and of its rate `(2, n - 1)`, and the reach (8) to the left and to the right `(3, n)`.
 
     Args:
@@ -399,7 +468,12 @@ def steering_bounds(
     """
     n = len(limit)
     v = expected_speed(start[3], limit, kappa, step, limits[2], limits[1], car[2])
-    bounds, aims, rates, share = np.empty((2, n)), np.empty((2, n)), np.empty((2, n - 1)), np.empty((2, n - 1))
+    bounds, aims, rates, share = (
+        np.empty((2, n)),
+        np.empty((2, n)),
+        np.empty((2, n - 1)),
+        np.empty((2, n - 1)),
+    )
     quickest = np.inf
     for i in range(n):
         fast = max(v[i], SLOWEST_MPS)
@@ -412,7 +486,10 @@ def steering_bounds(
             rate, turning = min(before, quickest), (kappa[i] - kappa[i - 1]) / step  # (7)
             rates[0, i - 1], rates[1, i - 1] = -rate - turning, rate - turning
             share[0, i - 1], share[1, i - 1] = -SHARE * rate - turning, SHARE * rate - turning
-    left, right = _reach(start, aims[1], share[0], share[1], step), _reach(start, aims[0], share[0], share[1], step)
+    left, right = (
+        _reach(start, aims[1], share[0], share[1], step),
+        _reach(start, aims[0], share[0], share[1], step),
+    )
     for i in range(n):
         bounds[0, i], bounds[1, i] = min(bounds[0, i], left[2, i]), max(bounds[1, i], right[2, i])
     return bounds, rates, left, right

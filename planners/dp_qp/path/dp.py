@@ -30,9 +30,12 @@ from replan.core.kernel import inner_kernel, kernel
 from replan.planners.frenet.path import quintic
 
 COLLISION = 1e4  # Cost of a metre of way inside a box (3): more than any detour
-OUTSIDE = 1e3  # Cost of a metre of way a metre outside of the corridor (2): less than a collision, more than any detour
+# Cost of a metre of way a metre outside of the corridor (2): less than a collision, more than any
+# detour
+OUTSIDE = 1e3
 SAMPLES = 10  # Samples of an edge (2)
-BESIDES = 3.0 * TIE  # An edge that costs this much more than going straight on is neither the cheapest nor a tie
+# An edge that costs this much more than going straight on is neither the cheapest nor a tie
+BESIDES = 3.0 * TIE
 
 
 class PathDpWeights(NamedTuple):
@@ -74,12 +77,16 @@ class PathDpConfig:
 
     def __post_init__(self) -> None:
         if self.columns < 2 or self.rows < 3 or self.rows % 2 == 0 or not self.row_spacing_m > 0.0:
-            raise ValueError("path DP needs 2 columns, an odd number of rows >= 3 and a positive spacing")
+            raise ValueError(
+                "path DP needs 2 columns, an odd number of rows >= 3 and a positive spacing"
+            )
 
     @property
     def weights(self) -> PathDpWeights:
         """The weights in the form that the kernels take."""
-        return PathDpWeights(self.w_ref, self.w_dl, self.w_ddl, self.w_near, self.reach_m, self.w_switch)
+        return PathDpWeights(
+            self.w_ref, self.w_dl, self.w_ddl, self.w_near, self.reach_m, self.w_switch
+        )
 
     def offsets(self, *, passes_left: bool) -> FloatArray:
         """The rows `(rows,)`, m, from the passing side to the other."""
@@ -113,9 +120,13 @@ class SlGrid:
 
 
 def solve_path_dp(
-    stations: FloatArray, rows: FloatArray, start: FloatArray, boxes: FloatArray,
-    room: Callable[[FloatArray], tuple[FloatArray, FloatArray]], config: PathDpConfig,
-) -> SlGrid:  # fmt: skip
+    stations: FloatArray,
+    rows: FloatArray,
+    start: FloatArray,
+    boxes: FloatArray,
+    room: Callable[[FloatArray], tuple[FloatArray, FloatArray]],
+    config: PathDpConfig,
+) -> SlGrid:
     """Solve the grid over stations `(n,)` and offsets `(k,)`, from `start` (s, l, l', l''), past `boxes` `(b, 5)`.
 
     `room` returns the bounds of the offsets at stations; see `path_dp`.
@@ -134,9 +145,19 @@ def solve_path_dp(
 
 @inner_kernel
 def _edge(
-    s0: float, l0: float, dl0: float, ddl0: float, s1: float, l1: float,
-    boxes: FloatArray, lower: FloatArray, upper: FloatArray, column: int, weights: PathDpWeights, best: float,
-) -> float:  # fmt: skip
+    s0: float,
+    l0: float,
+    dl0: float,
+    ddl0: float,
+    s1: float,
+    l1: float,
+    boxes: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+    column: int,
+    weights: PathDpWeights,
+    best: float,
+) -> float:
     """Cost (2) of an edge; it stops once this exceeds `best`. Corridor bounds `(columns, SAMPLES)` at the samples."""
     length = s1 - s0
     c3, c4, c5 = quintic(l0, dl0, ddl0, l1, length)
@@ -147,7 +168,10 @@ def _edge(
         offset = l0 + d * (dl0 + d * (0.5 * ddl0 + d * (c3 + d * (c4 + d * c5))))  # (1)
         slope = dl0 + d * (ddl0 + d * (3.0 * c3 + d * (4.0 * c4 + d * 5.0 * c5)))
         bend = ddl0 + d * (6.0 * c3 + d * (12.0 * c4 + d * 20.0 * c5))
-        cost = weights.ref * offset * offset + weights.dl * slope * slope + weights.ddl * bend * bend  # (2)
+        # (2)
+        cost = (
+            weights.ref * offset * offset + weights.dl * slope * slope + weights.ddl * bend * bend
+        )
         outside = max(lower[column, i] - offset, offset - upper[column, i], 0.0)
         if outside > 0.0:
             cost += OUTSIDE * (0.1 + outside)
@@ -168,9 +192,14 @@ def _edge(
 
 @kernel
 def path_dp(
-    stations: FloatArray, offsets: FloatArray, start: FloatArray,
-    boxes: FloatArray, lower: FloatArray, upper: FloatArray, weights: PathDpWeights,
-) -> tuple[FloatArray, IntArray]:  # fmt: skip
+    stations: FloatArray,
+    offsets: FloatArray,
+    start: FloatArray,
+    boxes: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+    weights: PathDpWeights,
+) -> tuple[FloatArray, IntArray]:
     """Solve (4).
 
     Args:
@@ -190,22 +219,53 @@ def path_dp(
     parent = np.zeros((n, k), np.int64)
     for row in range(k):
         cost[0, row] = _edge(
-            start[0], start[1], start[2], start[3], stations[0], offsets[row], boxes, lower, upper, 0, weights, np.inf
+            start[0],
+            start[1],
+            start[2],
+            start[3],
+            stations[0],
+            offsets[row],
+            boxes,
+            lower,
+            upper,
+            0,
+            weights,
+            np.inf,
         )
     for i in range(1, n):
         for row in range(k):
             straight = cost[i - 1, row] + _edge(
-                stations[i - 1], offsets[row], 0.0, 0.0, stations[i], offsets[row],
-                boxes, lower, upper, i, weights, np.inf,
-            )  # fmt: skip
+                stations[i - 1],
+                offsets[row],
+                0.0,
+                0.0,
+                stations[i],
+                offsets[row],
+                boxes,
+                lower,
+                upper,
+                i,
+                weights,
+                np.inf,
+            )
             for before in range(k):
                 most = min(cost[i, row], straight + BESIDES)
                 if cost[i - 1, before] >= most:
                     continue
                 total = cost[i - 1, before] + _edge(
-                    stations[i - 1], offsets[before], 0.0, 0.0, stations[i], offsets[row],
-                    boxes, lower, upper, i, weights, most - cost[i - 1, before],
-                )  # fmt: skip
+                    stations[i - 1],
+                    offsets[before],
+                    0.0,
+                    0.0,
+                    stations[i],
+                    offsets[row],
+                    boxes,
+                    lower,
+                    upper,
+                    i,
+                    weights,
+                    most - cost[i - 1, before],
+                )
                 if total < min(cost[i, row] - TIE, straight + BESIDES):
                     cost[i, row], parent[i, row] = total, before  # (4)
     chosen = np.zeros(n, np.int64)
@@ -217,29 +277,46 @@ def path_dp(
 
 @kernel
 def path_dp_to_go(
-    stations: FloatArray, offsets: FloatArray, boxes: FloatArray, lower: FloatArray, upper: FloatArray,
+    stations: FloatArray,
+    offsets: FloatArray,
+    boxes: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
     weights: PathDpWeights,
-) -> FloatArray:  # fmt: skip
+) -> FloatArray:
     """Least cost `(n, k)` from a node to the grid's end: (4) backwards; arguments as in `path_dp`."""
     n, k = len(stations), len(offsets)
     cost = np.zeros((n, k))
     for i in range(n - 1, 0, -1):
         for row in range(k):
             best = np.inf
-            for turn in range(k):  # straight on first: it is near the best, so that the other edges stop early
+            # Straight on first: it is near the best, so that the other edges stop early
+            for turn in range(k):
                 after = row if turn == 0 else turn - (turn <= row)
                 if cost[i, after] < best:
                     edge = _edge(
-                        stations[i - 1], offsets[row], 0.0, 0.0, stations[i], offsets[after],
-                        boxes, lower, upper, i, weights, best - cost[i, after],
-                    )  # fmt: skip
+                        stations[i - 1],
+                        offsets[row],
+                        0.0,
+                        0.0,
+                        stations[i],
+                        offsets[after],
+                        boxes,
+                        lower,
+                        upper,
+                        i,
+                        weights,
+                        best - cost[i, after],
+                    )
                     best = min(best, cost[i, after] + edge)  # (4)
             cost[i - 1, row] = best
     return cost
 
 
 @kernel
-def side_costs(stations: FloatArray, offsets: FloatArray, through: FloatArray, boxes: FloatArray) -> FloatArray:
+def side_costs(
+    stations: FloatArray, offsets: FloatArray, through: FloatArray, boxes: FloatArray
+) -> FloatArray:
     """Least cost `(b, 2)` of passing each box on its left and on its right, at the column next to its middle.
 
     `through` `(n, k)` is the least cost of a path through each node; inf where no row is on that side.
@@ -255,7 +332,9 @@ def side_costs(stations: FloatArray, offsets: FloatArray, through: FloatArray, b
 
 
 @kernel
-def path_dp_offset(stations: FloatArray, offsets: FloatArray, chosen: IntArray, start: FloatArray, s: float) -> float:
+def path_dp_offset(
+    stations: FloatArray, offsets: FloatArray, chosen: IntArray, start: FloatArray, s: float
+) -> float:
     """The DP path's l at station `s` (1); beyond the grid it stays at its last row."""
     s0, l0, dl0, ddl0 = start[0], start[1], start[2], start[3]
     if s <= s0:

@@ -39,7 +39,13 @@ from replan.core.kernel import kernel
 from replan.logs.agents import AgentKind, among
 from replan.logs.road import line_project, line_project_many
 from replan.logs.vehicle import VehicleParameters
-from replan.planners.dp_qp.path.bounds import CorridorConfig, InTheWay, PathBounds, side_gaps, swing_span
+from replan.planners.dp_qp.path.bounds import (
+    CorridorConfig,
+    InTheWay,
+    PathBounds,
+    side_gaps,
+    swing_span,
+)
 from replan.planners.frenet.path import interpolated
 from replan.planners.frenet.profiles import STEP_S
 from replan.planners.frenet.reference_path import CrossSections, ReferencePath
@@ -55,14 +61,19 @@ ASIDE_M = 0.9
 
 A plan that passes keeps this space. If the ego keeps its lane, only `caps.passing_caps` limits its speed.
 """
-ROAD_RIGHT, ROAD_LEFT = CrossSections._fields.index("road_right"), CrossSections._fields.index("road_left")
+ROAD_RIGHT, ROAD_LEFT = (
+    CrossSections._fields.index("road_right"),
+    CrossSections._fields.index("road_left"),
+)
 """Rows of `Scene.across`."""
 ALONG_RAD = 0.4  # An agent whose heading differs more from the lane crosses it, rad
 SLACK = 1.5  # Factor by which agents that the ego is passing may exceed `SLOW_MPS` and `ALONG_RAD`
 GAIN_MPS2 = 1.2  # Assumed acceleration of an ego on a free road, m/s2
 PLACE_M = 10.0  # The ego is back in its lane this far before a place where it may have to wait, m
 REACH_M = 120.0  # Agents farther away are ignored, m
-SPARE_S = 1.0  # Time before the end of the predictions by which the ego must be past agents that it begins to pass, s
+# Time before the end of the predictions by which the ego must be past agents that it begins to
+# pass, s
+SPARE_S = 1.0
 PASSING_MPS = 5.0  # Least assumed speed while passing (4), m/s
 BACK_M = 10.0  # The ego is back in its lane this far behind the obstacle (4), m
 WAIT_M = 9.0  # Gap between the waiting ego's front and the obstacle, m; enough to steer round it
@@ -96,20 +107,36 @@ def find_slow_agents(scene: Scene, passed: frozenset[str] = frozenset()) -> list
     may = PASSED[agents.codes] & ~scene.standing
     if not may.any() or not len(scene.frame.predictions.t):
         return []
-    slack = np.array([SLACK if name in passed else 1.0 for name in agents.ids]) if passed else np.ones(len(may))
+    slack = (
+        np.array([SLACK if name in passed else 1.0 for name in agents.ids])
+        if passed
+        else np.ones(len(may))
+    )
     place = ego.x, ego.y, scene.rear
-    return _goes_along(may, slack, scene.speed, scene.agents, scene.across, scene.bodies, place).nonzero()[0].tolist()
+    return (
+        _goes_along(may, slack, scene.speed, scene.agents, scene.across, scene.bodies, place)
+        .nonzero()[0]
+        .tolist()
+    )
 
 
 @kernel
 def _goes_along(
-    may: BoolArray, slack: FloatArray, speed: FloatArray, along: AgentsAlong, across: FloatArray, bodies: Bodies,
+    may: BoolArray,
+    slack: FloatArray,
+    speed: FloatArray,
+    along: AgentsAlong,
+    across: FloatArray,
+    bodies: Bodies,
     ego: tuple[float, float, float],
-) -> BoolArray:  # fmt: skip
+) -> BoolArray:
     """Which of the agents `may` `(n,)` move along the lane, each with its slack; `ego` is x, y, station of the rear."""
     out = np.zeros(len(may), np.bool_)
     for i in range(len(may)):
-        near, half = hypot(bodies.x[i] - ego[0], bodies.y[i] - ego[1]) < REACH_M, 0.5 * bodies.length[i]
+        near, half = (
+            hypot(bodies.x[i] - ego[0], bodies.y[i] - ego[1]) < REACH_M,
+            0.5 * bodies.length[i],
+        )
         if may[i] and near and speed[i] <= slack[i] * SLOW_MPS and along.s[i] + half > ego[2]:
             on_road = across[ROAD_RIGHT, i] - half < along.l[i] < across[ROAD_LEFT, i] + half
             out[i] = on_road and atan2(abs(along.v_l[i]), along.v_s[i]) <= slack[i] * ALONG_RAD
@@ -124,7 +151,13 @@ def pass_targets(
     Agents that the ego does not come beside, or does not pass before the last of these times, are left out; unless it
     is passing them already, it must be past them `SPARE_S` earlier.
     """
-    agents, futures, line, car, found = scene.frame.agents, scene.futures, scene.reference.line, scene.vehicle, []
+    agents, futures, line, car, found = (
+        scene.frame.agents,
+        scene.futures,
+        scene.reference.line,
+        scene.vehicle,
+        [],
+    )
     t = np.arange(futures.t[0], futures.t[-1] + 1e-9, STEP_S)
     for i in who:
         spare = 0.0 if agents.ids[i] in passed else SPARE_S
@@ -133,7 +166,10 @@ def pass_targets(
             line.s, line.coef, line.yaw, futures, i, (agents.length[i], agents.width[i]), ego
         )
         if isfinite(begin):
-            box = Occupancy(agents.ids[i], s_from, s_to, l_from - ASIDE_M, l_to + ASIDE_M, aside=ASIDE_M)  # (2)
+            # (2)
+            box = Occupancy(
+                agents.ids[i], s_from, s_to, l_from - ASIDE_M, l_to + ASIDE_M, aside=ASIDE_M
+            )
             found.append(PassTarget(i, box, begin, end, places))
     return tuple(sorted(found, key=lambda one: (one.box.s_from, one.box.agent)))
 
@@ -155,9 +191,14 @@ class Passer(NamedTuple):
 
 @kernel
 def _boxes_along(
-    knots: FloatArray, coef: FloatArray, line_yaw: FloatArray, futures: Futures, agent: int,
-    size: tuple[float, float], ego: Passer,
-) -> tuple[tuple[float, float, float, float], tuple[float, float], FloatArray]:  # fmt: skip
+    knots: FloatArray,
+    coef: FloatArray,
+    line_yaw: FloatArray,
+    futures: Futures,
+    agent: int,
+    size: tuple[float, float],
+    ego: Passer,
+) -> tuple[tuple[float, float, float, float], tuple[float, float], FloatArray]:
     """(1) and (2) of an agent and its length and width, m, along a reference line's `knots`, `coef` and headings.
 
     Returns:
@@ -175,7 +216,10 @@ def _boxes_along(
         foot, before, first, last, now_from, now_to = ego.start, n, inf, -inf, 0.0, 0.0
         for k in range(m):
             at = t[k]
-            px, py = interpolated(at, times, futures.x[row]), interpolated(at, times, futures.y[row])
+            px, py = (
+                interpolated(at, times, futures.x[row]),
+                interpolated(at, times, futures.y[row]),
+            )
             axle = interpolated(at, times, stations)
             foot, offset = line_project(knots, coef, px, py, foot, reach)
             turn = interpolated(at, times, futures.yaw[row]) - interpolated(foot, knots, line_yaw)
@@ -193,14 +237,24 @@ def _boxes_along(
                 n += 1
         if n == before:
             return (s_from, s_to, l_from, l_to), (inf, -inf), places[:0]
-        l_from, l_to, begin, end = min(l_from, now_from), max(l_to, now_to), min(begin, first), max(end, last)
+        l_from, l_to, begin, end = (
+            min(l_from, now_from),
+            max(l_to, now_to),
+            min(begin, first),
+            max(end, last),
+        )
     return (s_from, s_to, l_from, l_to), (begin, end), places[:n]
 
 
 def obstacles_to_pass(
-    scene: Scene, found: tuple[PassTarget, ...], stations: FloatArray, sides: tuple[bool, bool],
-    config: CorridorConfig, places: tuple[float, ...], passed: frozenset[str] = frozenset(),
-) -> InTheWay:  # fmt: skip
+    scene: Scene,
+    found: tuple[PassTarget, ...],
+    stations: FloatArray,
+    sides: tuple[bool, bool],
+    config: CorridorConfig,
+    places: tuple[float, ...],
+    passed: frozenset[str] = frozenset(),
+) -> InTheWay:
     """The input of the path stage, for an ego as in `pass_targets`.
 
     Agents that the ego would pass too near to one of the `places`, m, are left out; for an agent that it is passing
@@ -208,7 +262,9 @@ def obstacles_to_pass(
     """
     boxes = []
     for box in (one.box for one in found):
-        begin, end = swing_span(box, 0.0 if box.agent in passed else scene.frame.ego.v, scene.vehicle)
+        begin, end = swing_span(
+            box, 0.0 if box.agent in passed else scene.frame.ego.v, scene.vehicle
+        )
         too_late = scene.front > box.s_from  # to turn back: the ego is beside the agent
         if too_late or not any(begin < place < end + PLACE_M for place in places):
             boxes.append(box)
@@ -231,28 +287,40 @@ def free_stations(t: FloatArray, s_ego: float, v: float, limit: float) -> FloatA
     return out
 
 
-def widest_gaps(reference: ReferencePath, boxes: Sequence[Occupancy], *, oncoming: bool = False) -> list[float]:
+def widest_gaps(
+    reference: ReferencePath, boxes: Sequence[Occupancy], *, oncoming: bool = False
+) -> list[float]:
     """The gap between each box and the road's edge at the box's middle, on the wider side, m."""
     if not boxes:
         return []
     road = reference.at(np.array([box.s_middle for box in boxes]))
-    left, right = (road.facing_left, road.facing_right) if oncoming else (road.road_left, road.road_right)
+    left, right = (
+        (road.facing_left, road.facing_right) if oncoming else (road.road_left, road.road_right)
+    )
     edges = zip(boxes, left.tolist(), right.tolist(), strict=True)
     return [max(most - box.l_to, box.l_from - least) for box, most, least in edges]
 
 
 def may_block(scene: Scene, obstacles: Sequence[Occupancy]) -> bool:
     """Whether an agent leaves less than the ego's width on both sides of the road, or nearly."""
-    return min(widest_gaps(scene.reference, obstacles), default=np.inf) < scene.vehicle.width + NEARLY_M
+    return (
+        min(widest_gaps(scene.reference, obstacles), default=np.inf)
+        < scene.vehicle.width + NEARLY_M
+    )
 
 
 def find_blocking(
-    obstacles: tuple[Occupancy, ...], space: PathBounds, vehicle: VehicleParameters, config: CorridorConfig
+    obstacles: tuple[Occupancy, ...],
+    space: PathBounds,
+    vehicle: VehicleParameters,
+    config: CorridorConfig,
 ) -> tuple[Occupancy, ...]:
     """The obstacles that leave the ego no room on either side of the road, without those in a queue."""
     found = []
     for box, (lower, upper) in zip(obstacles, space.room(obstacles, vehicle, config), strict=True):
-        touches = lower < box.l_to + 0.5 * vehicle.width and upper > box.l_from - 0.5 * vehicle.width
+        touches = (
+            lower < box.l_to + 0.5 * vehicle.width and upper > box.l_from - 0.5 * vehicle.width
+        )
         queue = any(
             other is not box
             and max(other.s_from - box.s_to, box.s_from - other.s_to) < QUEUE_M
@@ -260,13 +328,20 @@ def find_blocking(
             and other.l_to > lower
             for other in obstacles
         )
-        if touches and max(side_gaps(box, lower, upper, vehicle)) < config.min_clearance_m and not queue:
+        if (
+            touches
+            and max(side_gaps(box, lower, upper, vehicle)) < config.min_clearance_m
+            and not queue
+        ):
             found.append(box)
     return tuple(found)
 
 
 def passed_by_oncoming_lane(
-    scene: Scene, blocked: tuple[Occupancy, ...], config: CorridorConfig, stations: FloatArray | None = None
+    scene: Scene,
+    blocked: tuple[Occupancy, ...],
+    config: CorridorConfig,
+    stations: FloatArray | None = None,
 ) -> frozenset[str]:
     """The agents that the ego may pass on the oncoming lane: it stays free until the ego is back, and some time more.
 
@@ -278,7 +353,10 @@ def passed_by_oncoming_lane(
     frame, car, line = scene.frame, scene.vehicle, scene.reference.line
     futures, v = frame.predictions, max(frame.ego.v, PASSING_MPS)
     names, agents = {box.agent for box in blocked}, frame.agents
-    others, widest = np.array([name not in names for name in agents.ids], bool), float(agents.width.max(initial=2.0))
+    others, widest = (
+        np.array([name not in names for name in agents.ids], bool),
+        float(agents.width.max(initial=2.0)),
+    )
     found = []
     for box in blocked:
         begin, end = swing_span(box, frame.ego.v, car)
@@ -286,20 +364,34 @@ def passed_by_oncoming_lane(
         lasts = (place - scene.s) / v  # (4)
         if stations is not None:
             is_reached = len(futures.t) > 0 and stations[-1] >= place
-            lasts = float(futures.t[np.argmax(stations >= place)] - frame.t) if is_reached else np.inf
+            lasts = (
+                float(futures.t[np.argmax(stations >= place)] - frame.t) if is_reached else np.inf
+            )
         back = frame.t + lasts + config.facing_margin_s
         if scene.front < box.s_from:
             if not len(futures.t) or back > futures.t[-1]:
                 continue
-            aside = np.abs(scene.agents.l - 0.5 * (box.l_from + box.l_to)) - 0.5 * (box.l_to - box.l_from)
-            fits = scene.standing & (aside - 0.5 * agents.width > car.width + 2.0 * config.min_clearance_m)
+            aside = np.abs(scene.agents.l - 0.5 * (box.l_from + box.l_to)) - 0.5 * (
+                box.l_to - box.l_from
+            )
+            fits = scene.standing & (
+                aside - 0.5 * agents.width > car.width + 2.0 * config.min_clearance_m
+            )
             now, rows = futures.t <= back, (others & ~fits)[futures.agent]
             x, y = futures.x[rows][:, now].ravel(), futures.y[rows][:, now].ravel()
             near = np.hypot(x - frame.ego.x, y - frame.ego.y) < end - scene.s + 30.0
             s, l = line_project_many(line.s, line.coef, x[near], y[near], scene.s, 250.0).T  # noqa: E741
             road, side = scene.reference.at(s), 0.5 * widest
-            on_left = (road.facing_left > road.road_left) & (l > road.road_left - side) & (l < road.facing_left)
-            on_right = (road.facing_right < road.road_right) & (l < road.road_right + side) & (l > road.facing_right)
+            on_left = (
+                (road.facing_left > road.road_left)
+                & (l > road.road_left - side)
+                & (l < road.facing_left)
+            )
+            on_right = (
+                (road.facing_right < road.road_right)
+                & (l < road.road_right + side)
+                & (l > road.facing_right)
+            )
             on_way = (s > min(scene.s, begin) - widest) & (s < end + 10.0)
             if ((on_left | on_right) & on_way).any():  # (3)
                 continue
@@ -319,8 +411,13 @@ def _in_sight(scene: Scene, place: float, lasts: float) -> bool:
     s = s[s < reference.line.s[-1]]
     road = reference.at(s)
     by_left = road.facing_left > road.road_left
-    middle = np.where(by_left, road.road_left + road.facing_left, road.road_right + road.facing_right) / 2.0
-    points = [reference.line.point(float(at), float(aside)) for at, aside in zip(s, middle, strict=True)]
+    middle = (
+        np.where(by_left, road.road_left + road.facing_left, road.road_right + road.facing_right)
+        / 2.0
+    )
+    points = [
+        reference.line.point(float(at), float(aside)) for at, aside in zip(s, middle, strict=True)
+    ]
     return not view.hides(np.reshape(points, (-1, 2))).any()
 
 

@@ -68,14 +68,20 @@ class PathQp:
     """
 
     def __init__(
-        self, length: float, speed: float, leads: tuple[float, ...], config: PathQpConfig, solver: str = DEFAULT
+        self,
+        length: float,
+        speed: float,
+        leads: tuple[float, ...],
+        config: PathQpConfig,
+        solver: str = DEFAULT,
     ) -> None:
         self.length, self.knots, self.leads = length, config.knots, leads
         self.step = length / (config.knots - 1)
         a = max(config.settle_s * speed, config.min_settle_m)
         self.middle = 0.5 * config.w_mid / (config.w_ref + config.w_mid)
         self._config, self._solver, self._ahead = config, solver, np.array(leads[1:], dtype=float)
-        self._weights = Weights(config.w_ref + config.w_mid, (0.5 * a) ** 2, a**4, (0.7 * a) ** 6)  # (1) to (5)
+        # (1) to (5)
+        self._weights = Weights(config.w_ref + config.w_mid, (0.5 * a) ** 2, a**4, (0.7 * a) ** 6)
 
     def solve(self, problem: PiecewiseJerkProblem, *, softly: bool = False) -> QPResult:
         """The path in a corridor, which may give way (`softly`): x = (l, l', l'') `(3 knots,)`."""
@@ -83,12 +89,16 @@ class PathQp:
         asked = problem._replace(soft=OUTSIDE) if softly else problem
         return solve(asked, self._solver, stage=stage, tolerance=TOLERANCE)
 
-    def stated(self, start: FloatArray, references: FloatArray, rows: FloatArray) -> PiecewiseJerkProblem:
+    def stated(
+        self, start: FloatArray, references: FloatArray, rows: FloatArray
+    ) -> PiecewiseJerkProblem:
         """The problem (1)-(6) for a start (l, l', l'') `(3,)`, with references and rows from `corridor.loosen_bounds`.
 
         (1) and (5) together are one square about a point between them: `middle` times the sum of the bounds.
         """
-        return PiecewiseJerkProblem(self.step, self._ahead, start, self._weights, references, rows[0], rows[1], 0.0)
+        return PiecewiseJerkProblem(
+            self.step, self._ahead, start, self._weights, references, rows[0], rows[1], 0.0
+        )
 
     def costs(self, x: FloatArray, problem: PiecewiseJerkProblem) -> CostTerms:
         """(1) to (5) of a path, by term."""

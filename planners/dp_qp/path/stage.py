@@ -10,7 +10,16 @@ import numpy as np
 from replan.core.arrays import TIE, FloatArray
 from replan.logs.agents import AgentKind
 from replan.logs.frame import PlannerContext
-from replan.logs.plan import Artefact, Corridor, Decision, DecisionKind, GraphObstacle, GridCost, SlGraph, SolverReport
+from replan.logs.plan import (
+    Artefact,
+    Corridor,
+    Decision,
+    DecisionKind,
+    GraphObstacle,
+    GridCost,
+    SlGraph,
+    SolverReport,
+)
 from replan.planners.dp_qp.goal_window import GoalWindow
 from replan.planners.dp_qp.path import bounds
 from replan.planners.dp_qp.path.bounds import SIDES, CorridorConfig, InTheWay, PathBounds
@@ -27,7 +36,12 @@ from replan.planners.dp_qp.path.corridor import (
     road_ahead,
 )
 from replan.planners.dp_qp.path.dp import PathDpConfig, SlGrid, solve_path_dp
-from replan.planners.dp_qp.path.passing import find_blocking, may_block, passed_by_oncoming_lane, waiting_place
+from replan.planners.dp_qp.path.passing import (
+    find_blocking,
+    may_block,
+    passed_by_oncoming_lane,
+    waiting_place,
+)
 from replan.planners.dp_qp.path.qp import PathQp, PathQpConfig
 from replan.planners.frenet.path import Path, drivable_path
 from replan.planners.frenet.scene import Occupancy, Scene
@@ -37,12 +51,14 @@ from replan.planners.solver import QPResult
 
 LENGTHS_M = (60.0, 90.0, 130.0, 180.0, 250.0, 340.0)
 """Path lengths, m; the shortest that holds the horizon at the present speed is used, so that weights stay constant."""
-WAITING_MPS2 = 2.0  # Deceleration with which the ego stops where it waits for the oncoming lane, m/s2
+# Deceleration with which the ego stops where it waits for the oncoming lane, m/s2
+WAITING_MPS2 = 2.0
 JUNCTION_M = 40.0
 """An agent that stands within this before a place where lanes part or meet waits, and the ego does not pass it, m."""
 RELINEARISED = 2  # Greatest number of further solutions of a path that cannot keep its bounds
 MOVED_M = 0.02  # A further solution that moves the path by less than this is the last, m
-LOCK_SLACK = 1.05  # A path ends where its curvature is more than this multiple of that at the steering lock
+# A path ends where its curvature is more than this multiple of that at the steering lock
+LOCK_SLACK = 1.05
 NO_ONE = np.empty((0, 2))  # Begin and end of no standing agent, stations
 
 
@@ -113,9 +129,15 @@ class PathStage:
     """Chooses the path of each frame along one reference path."""
 
     def __init__(
-        self, context: PlannerContext, config: PathConfig, goal: GoalWindow, *, horizon: float, curve_accel_mps2: float,
+        self,
+        context: PlannerContext,
+        config: PathConfig,
+        goal: GoalWindow,
+        *,
+        horizon: float,
+        curve_accel_mps2: float,
         solver: str = DEFAULT,
-    ) -> None:  # fmt: skip
+    ) -> None:
         car = self._vehicle = context.vehicle
         self._config, self._goal, self._solver, self._lap = config, goal, solver, context.lap
         self._horizon = horizon
@@ -124,7 +146,9 @@ class PathStage:
         self._leads = np.array([0.0, car.axle_to_front])
         self._car = np.array([car.max_kappa, car.max_steer_rate / car.wheelbase, curve_accel_mps2])
 
-    def choose(self, scene: Scene, memory: PathMemory, moving: InTheWay | None = None) -> tuple[ChosenPath, PathMemory]:
+    def choose(
+        self, scene: Scene, memory: PathMemory, moving: InTheWay | None = None
+    ) -> tuple[ChosenPath, PathMemory]:
         """Choose the path from the scene's start, which also passes the `moving` agents; and the new memory."""
         if scene.trouble:
             return ChosenPath(None, scene.trouble, {}, 0.0, (), tuple), PathMemory()
@@ -139,14 +163,22 @@ class PathStage:
             stops = scene.s + scene.start.v**2 / (2.0 * WAITING_MPS2) < way.wait + 0.5
             until = max(way.wait, scene.s + 1.0) if stops else np.inf
             sharpest = LOCK_SLACK * self._vehicle.max_kappa
-            path, shift = drivable_path(scene.reference.line, scene.s, program.step, found.offsets, sharpest, until)
+            path, shift = drivable_path(
+                scene.reference.line, scene.s, program.step, found.offsets, sharpest, until
+            )
         reason = "" if path is not None else f"path QP: {found.reports[-1].status}"
-        sides = {decision.agent: SIDES[decision.kind] for decision in found.decisions if decision.kind in SIDES}
+        sides = {
+            decision.agent: SIDES[decision.kind]
+            for decision in found.decisions
+            if decision.kind in SIDES
+        }
         passed = {name: found.rooms[name] for name in sides if name in found.rooms}
 
         def artefacts() -> tuple[Artefact, ...]:
             graph = self._graph(task.road, way, grid, found)
-            kept = (decision for decision in found.decisions if decision.kind is not DecisionKind.IGNORE)
+            kept = (
+                decision for decision in found.decisions if decision.kind is not DecisionKind.IGNORE
+            )
             return (graph, *kept, program.costs(found.x, found.problem), *found.reports)
 
         chosen = ChosenPath(path, reason, passed, shift, found.reports, artefacts)
@@ -161,21 +193,36 @@ class PathStage:
         """
         reference, car, speed = scene.reference, self._vehicle, scene.start.v
         wanted = (speed + 4.0) * self._horizon + 10.0
-        length = next((candidate for candidate in LENGTHS_M if candidate >= wanted - TIE), LENGTHS_M[-1])
+        length = next(
+            (candidate for candidate in LENGTHS_M if candidate >= wanted - TIE), LENGTHS_M[-1]
+        )
         if length not in self._programs:
             suited, leads = length / self._horizon - 5.0, tuple(self._leads)
             self._programs[length] = PathQp(length, suited, leads, self._config.qp, self._solver)
         program = self._programs[length]
         way, standing = self._in_the_way(scene, length, before)
         sides = self._goal.sides(scene.s, scene.s + length + car.axle_to_front)
-        near = np.array([(box.s_from, box.s_to) for box in way.obstacles]) if way.obstacles and sides.size else NO_ONE
+        near = (
+            np.array([(box.s_from, box.s_to) for box in way.obstacles])
+            if way.obstacles and sides.size
+            else NO_ONE
+        )
         way = way.and_moving(moving) if moving else way
         start = np.array((scene.s, *scene.frenet, speed))
-        ego = EgoInLane(start, self._leads, self._car, 0.5 * car.width + self._config.corridor.edge_m)
+        ego = EgoInLane(
+            start, self._leads, self._car, 0.5 * car.width + self._config.corridor.edge_m
+        )
         road = road_ahead(
-            reference.line.s, reference.table, ego, program.step, program.knots, program.middle,
-            bounds.borrowed_road(way, speed, car), sides, near,
-        )  # fmt: skip
+            reference.line.s,
+            reference.table,
+            ego,
+            program.step,
+            program.knots,
+            program.middle,
+            bounds.borrowed_road(way, speed, car),
+            sides,
+            near,
+        )
         space = PathBounds(road.points[S], road.points[LOWER], road.points[UPPER])
         problem = program.stated(start[1:4], road.references, road.rows)
         return _Task(program, ego, road, space, problem), way, standing
@@ -200,7 +247,9 @@ class PathStage:
             final, rooms = decisions, dict[str, float]()
             if obstacles:
                 at = offsets[0] + self._leads[:, None] * offsets[1] - task.road.points[SWING]
-                rooms, final = bounds.check_clearance(PathBounds(narrow.s, at, at), obstacles, decisions, car, config)
+                rooms, final = bounds.check_clearance(
+                    PathBounds(narrow.s, at, at), obstacles, decisions, car, config
+                )
             if in_bounds or final == decisions:
                 return _Found(offsets, result.x, final, narrow, problem, reports, rooms)
             decisions = final
@@ -230,7 +279,14 @@ class PathStage:
         """The path QP in bounds, loosened to what steering can keep; the curvature's bounds are at offsets `near`."""
         road, program = task.road, task.program
         asked = loosen_bounds(
-            road.along, road.points, space.lower, space.upper, near, task.ego, program.step, program.middle
+            road.along,
+            road.points,
+            space.lower,
+            space.upper,
+            near,
+            task.ego,
+            program.step,
+            program.middle,
         )
         return program.stated(task.ego.start[1:4], *asked)
 
@@ -248,9 +304,13 @@ class PathStage:
             return way, since
         near = scene.s + np.arange(0.0, length, 2.0) + np.zeros((1, 1))
         space = bounds.lane_bounds(scene.reference, near, way, scene.start.v, car, config)
-        stay = []  # agents that will not drive on soon: objects, and those that have stood long and are in no queue
+        # Agents that will not drive on soon: objects, and those that have stood long and are in no
+        # queue
+        stay = []
         for box in find_blocking(obstacles, space, car, config):
-            queues = any(box.s_from < place < box.s_to + JUNCTION_M for place in scene.reference.waits)
+            queues = any(
+                box.s_from < place < box.s_to + JUNCTION_M for place in scene.reference.waits
+            )
             has_stood = scene.frame.t - since[box.agent] >= config.patience_s
             is_object = agents.kinds[agents.ids.index(box.agent)] is AgentKind.OBJECT
             if is_object or (has_stood and not queues):
@@ -269,25 +329,37 @@ class PathStage:
         config, car, columns = self._config.corridor, self._vehicle, self._config.dp.columns
         choices = bounds.side_choices(way.obstacles, task.space, car, config)
         if not any(choice.is_open(config.min_clearance_m) for choice in choices):
-            return None, tuple(choice.decided(choice.left > choice.right, None, config) for choice in choices)
+            return None, tuple(
+                choice.decided(choice.left > choice.right, None, config) for choice in choices
+            )
         side, gap = 0.5 * car.width + config.min_clearance_m, config.gap_m
         boxes = [  # what the rear axle must avoid
             (
-                box.s_from - car.axle_to_front - gap, box.s_to + car.rear_overhang + gap,
-                box.l_from - side, box.l_to + side, before.get(box.agent, 0.0),
+                box.s_from - car.axle_to_front - gap,
+                box.s_to + car.rear_overhang + gap,
+                box.l_from - side,
+                box.l_to + side,
+                before.get(box.agent, 0.0),
             )
             for box in way.obstacles
-        ]  # fmt: skip
+        ]
 
         def room(s: FloatArray) -> tuple[FloatArray, FloatArray]:
             space = bounds.lane_bounds(scene.reference, s, way, scene.start.v, car, config)
             return space.lower, space.upper
 
-        stations, start = scene.s + task.program.length / columns * np.arange(1, columns + 1), task.ego.start[:4]
-        grid = solve_path_dp(stations, self._rows, start, np.reshape(boxes, (-1, 5)), room, self._config.dp)
+        stations, start = (
+            scene.s + task.program.length / columns * np.arange(1, columns + 1),
+            task.ego.start[:4],
+        )
+        grid = solve_path_dp(
+            stations, self._rows, start, np.reshape(boxes, (-1, 5)), room, self._config.dp
+        )
         decisions = []
         for choice, (left, right) in zip(choices, grid.sides.tolist(), strict=True):
-            goes_left = grid.offset(choice.box.s_middle) > 0.5 * (choice.box.l_from + choice.box.l_to)
+            goes_left = grid.offset(choice.box.s_middle) > 0.5 * (
+                choice.box.l_from + choice.box.l_to
+            )
             decisions.append(choice.decided(goes_left, (left, right), config))
         return grid, tuple(decisions)
 
@@ -295,7 +367,9 @@ class PathStage:
         """The S-L graph, with the DP where it ran; its corridor at the knots contains the bounds of all points."""
         offsets, knots, at = found.offsets, road.along[KNOT], found.narrow.s
         points = [X, *range(LEADS, len(found.problem.lower))]
-        lower, upper = (of[points] - road.points[SWING] for of in (found.problem.lower, found.problem.upper))
+        lower, upper = (
+            of[points] - road.points[SWING] for of in (found.problem.lower, found.problem.upper)
+        )
         low, high = lower[0].copy(), upper[0].copy()
         for k in range(1, len(at)):
             low = np.minimum(low, np.interp(at[0], at[k], lower[k], left=np.inf))
@@ -306,7 +380,9 @@ class PathStage:
             outline = np.array([(s[0], l[0]), (s[1], l[0]), (s[1], l[1]), (s[0], l[1])])
             obstacles.append(GraphObstacle(box.agent, outline, decision.kind))
         return SlGraph(
-            GridCost(grid.stations, self._rows, grid.cost, grid.chosen) if grid is not None else None,
+            GridCost(grid.stations, self._rows, grid.cost, grid.chosen)
+            if grid is not None
+            else None,
             Corridor(knots, low, high),
             np.column_stack([knots, grid.offsets(knots)]) if grid is not None else np.empty((0, 2)),
             np.column_stack([knots, offsets[0]]) if offsets is not None else np.empty((0, 2)),

@@ -52,10 +52,12 @@ from replan.planners.frenet.st_boundaries import StBoundaries
 from replan.planners.rules.zones import TOWARDS_MPS
 
 WORTH_MPS = 0.5  # A cap is reported as a decision where it lowers the limit by more than this, m/s
-REACTION_S = 0.5  # T, s, until the ego brakes: a frame, the sensor's latency, the brake's dead time and lag
+# T, s, until the ego brakes: a frame, the sensor's latency, the brake's dead time and lag
+REACTION_S = 0.5
 LEAST_MPS = 2.5  # Least cap (5), at which the ego creeps past, m/s
 PERSON_M = 0.3  # Radius of a person who steps out of hidden ground, m
-LOOK_M = 60.0  # Distance ahead within which hidden ground and people beside the path are considered, m ...
+# Distance ahead within which hidden ground and people beside the path are considered, m ...
+LOOK_M = 60.0
 STEP_M = 1.0  # ... in steps of this, m.
 SIDE_M = 0.25 * np.arange(1, 15)
 """Distances from the ego's side at which ground is tested, m; ground beyond the last does not limit a car's speed."""
@@ -90,7 +92,8 @@ class SpeedCap:
     s_from: float  # Arc length of the rear axle from which it applies, m; `s_to` to which
     s_to: float
     v: float  # The speed, m/s
-    agent: str = ""  # Its cause, as the report names it (an agent, "hidden ground"); empty: it is not reported
+    # Its cause, as the report names it (an agent, "hidden ground"); empty: it is not reported
+    agent: str = ""
     reason: str = ""
     is_bound: bool = True  # Whether the profile keeps the speed exactly (2)
 
@@ -99,7 +102,8 @@ class SpeedCap:
 class SpeedTask:
     """The input of the speed stage on a path."""
 
-    passed: Mapping[str, float]  # The space between the path and each standing agent that it passes, m
+    # The space between the path and each standing agent that it passes, m
+    passed: Mapping[str, float]
     skip: BoolArray  # Which agents follow the ego `(agents,)`
     stops: tuple[Occupancy, ...]  # The stops that the rules demand on the path
     # Agents along the lane that the ego comes beside; `is_pass`: whether the path swings out for them
@@ -119,14 +123,19 @@ class PathView:
     limit: FloatArray  # The road's speed limit along it `(m,)`, m/s
     taken: StBoundaries  # When which part of it is taken, and by which agent
     came: Mapping[str, float]  # When each pedestrian or rider was last in the path, s
-    hard_mps2: float  # Deceleration with which the ego must be able to stop for a person who steps out (b)
+    # Deceleration with which the ego must be able to stop for a person who steps out (b)
+    hard_mps2: float
     margin_m: float  # The ego follows an agent that the path comes nearer to than this
     caution: CautionConfig
 
     def arc(self, s: float) -> float:
         """The arc length at a station of the reference path, m; extrapolated beyond the path's ends."""
         at, sigma = self.path.s, self.path.sigma
-        return float(np.interp(s, at, sigma)) + min(s - float(at[0]), 0.0) + max(s - float(at[-1]), 0.0)
+        return (
+            float(np.interp(s, at, sigma))
+            + min(s - float(at[0]), 0.0)
+            + max(s - float(at[-1]), 0.0)
+        )
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -152,7 +161,9 @@ def lower_limit(sigma: FloatArray, road: LoweredLimit, caps: Sequence[SpeedCap])
         v[there] = np.where(less, cap.v, v[there])  # (1)
         if cap.agent and (cap.v < road.v[there] - WORTH_MPS).any():
             reported[cap.agent] = min(reported.get(cap.agent, cap), cap, key=lambda each: each.v)
-    decisions = (Decision(cap.agent, DecisionKind.YIELD, "speed", cap.reason) for cap in reported.values())
+    decisions = (
+        Decision(cap.agent, DecisionKind.YIELD, "speed", cap.reason) for cap in reported.values()
+    )
     return LoweredLimit(v, bound, (*road.decisions, *decisions))
 
 
@@ -193,7 +204,10 @@ def passing_caps(view: PathView) -> tuple[SpeedCap, ...]:
         if d < ROOM_M:
             i = agents.ids.index(name)
             s, half = float(scene.agents.s[i]), 0.5 * float(agents.length[i])
-            begin, end = s - half - scene.vehicle.axle_to_front, s + half + scene.vehicle.rear_overhang
+            begin, end = (
+                s - half - scene.vehicle.axle_to_front,
+                s + half + scene.vehicle.rear_overhang,
+            )
             v = max(d / ROOM_M, NUDGE_SHARE) * float(np.interp(s, path.s, view.limit))  # (6)
             reason = f"stands {d:.2f} m beside the path: passed at {v:.1f} m/s"
             found.append(SpeedCap(view.arc(begin), view.arc(end), v, name, reason))
@@ -206,7 +220,9 @@ def passing_caps(view: PathView) -> tuple[SpeedCap, ...]:
         if d < view.margin_m:
             continue
         is_rider = agents.kinds[one.agent] is AgentKind.BICYCLE
-        v = avoidable_speed(d, view.caution.ride_mps if is_rider else view.caution.walk_mps, view.hard_mps2)
+        v = avoidable_speed(
+            d, view.caution.ride_mps if is_rider else view.caution.walk_mps, view.hard_mps2
+        )
         begin = view.arc(one.begin - (v * REACTION_S + v * v / (2.0 * view.hard_mps2)))
         reason = f"goes along the lane: passed with {d:.1f} m and at {v:.1f} m/s, so that the ego could stop for them"
         found.append(SpeedCap(begin, view.arc(one.end + NEAR_M), v, agents.ids[one.agent], reason))
@@ -255,7 +271,9 @@ def hesitation_caps(view: PathView) -> tuple[SpeedCap, ...]:
         ahead = float(path.sigma[nearest]) - scene.vehicle.axle_to_front
         if not 0.0 < ahead < LOOK_M:
             continue
-        d = float(away[nearest]) - 0.5 * (scene.vehicle.width + max(agents.length[i], agents.width[i]))
+        d = float(away[nearest]) - 0.5 * (
+            scene.vehicle.width + max(agents.length[i], agents.width[i])
+        )
         v = avoidable_speed(d, view.caution.walk_mps, view.hard_mps2)
         where = f"stands {d:.1f} m beside it, {ahead:.0f} m ahead"
         reason = f"came to the path and {where}: could be avoided at {v:.1f} m/s"
@@ -268,9 +286,14 @@ def hidden_ground_caps(view: PathView) -> tuple[SpeedCap, ...]:
     seen, scene = view.scene.frame.visibility, view.scene
     if seen is None:
         return ()
-    front, until = scene.vehicle.axle_to_front, min(view.taken.first + scene.vehicle.axle_to_front, LOOK_M)
+    front, until = (
+        scene.vehicle.axle_to_front,
+        min(view.taken.first + scene.vehicle.axle_to_front, LOOK_M),
+    )
     found = [SpeedCap(-inf, inf, stopping_speed(seen.range, view.hard_mps2))]
-    for s, d in hidden_beside(view.path, seen, scene.frame.agents, scene.vehicle, until, view.caution.walk_mps):
+    for s, d in hidden_beside(
+        view.path, seen, scene.frame.agents, scene.vehicle, until, view.caution.walk_mps
+    ):
         v = avoidable_speed(d - PERSON_M, view.caution.walk_mps, view.hard_mps2)
         where = f"{s - front:.0f} m ahead, {d:.1f} m beside"
         reason = f"who steps out of the hidden ground {where}, could be avoided at {v:.1f} m/s"
@@ -286,7 +309,12 @@ class Hidden(NamedTuple):
 
 
 def hidden_beside(
-    path: Path, view: Visibility, agents: Agents, vehicle: VehicleParameters, until: float, walk: float
+    path: Path,
+    view: Visibility,
+    agents: Agents,
+    vehicle: VehicleParameters,
+    until: float,
+    walk: float,
 ) -> list[Hidden]:
     """The nearest hidden ground on either side of the path, at most one per point, from the front to `until` m.
 
@@ -297,7 +325,9 @@ def hidden_beside(
         near = 0.5 * (shadows[:, 0] + shadows[:, 3])
         away = np.hypot(near[:, :1] - agents.x, near[:, 1:] - agents.y)
         caster = np.argmin(away, axis=1)
-        shadows = shadows[~((agents.speed[caster] > walk) & (away.min(axis=1) < agents.length[caster]))]
+        shadows = shadows[
+            ~((agents.speed[caster] > walk) & (away.min(axis=1) < agents.length[caster]))
+        ]
     if not len(shadows):
         return []
     ahead = np.arange(vehicle.axle_to_front, until, STEP_M)
@@ -308,7 +338,9 @@ def hidden_beside(
     y = path.y[at, None] + side * np.cos(path.yaw[at, None])
     points = np.column_stack([x.ravel(), y.ravel()])
     everywhere = replace(view, range=inf, field_of_view=2.0 * pi, shadows=shadows)
-    boxes = np.column_stack([agents.x, agents.y, agents.yaw, 0.5 * agents.length, 0.5 * agents.width])
+    boxes = np.column_stack(
+        [agents.x, agents.y, agents.yaw, 0.5 * agents.length, 0.5 * agents.width]
+    )
     hides = (everywhere.hides(points) & ~_points_in_boxes(points, boxes)).reshape(x.shape)
     return [
         Hidden(float(path.sigma[at[i]]), float(np.abs(side[row]).min() - 0.5 * vehicle.width))

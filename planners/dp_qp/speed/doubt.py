@@ -41,9 +41,11 @@ CERTAIN, NEGLIGIBLE, SURE = 0.5, 0.05, 0.8
 AGE_S, UNSEEN_S = 0.8, 0.3
 LEAST = 0.1  # p_exist of a road user that is seen for the first time: its weight is low, but not 0
 PLACE_M, DRIFT_MPS, TURN_MPS2 = 0.3, 0.5, 1.5
-WALK_MPS = 3.0  # A pedestrian or object faster than this does not walk: it is a rider, or an error of the detector
+# A pedestrian or object faster than this does not walk: it is a rider, or an error of the detector
+WALK_MPS = 3.0
 SHARED_MPS2, SHARED_S = 3.0, 0.5
-ERROR_MPS2, MOST_MPS2 = 0.5, 8.0  # Error of a measured deceleration, and the greatest deceleration that is used, m/s2
+# Error of a measured deceleration, and the greatest deceleration that is used, m/s2
+ERROR_MPS2, MOST_MPS2 = 0.5, 8.0
 WALKERS = among(AgentKind.PEDESTRIAN, AgentKind.OBJECT)
 """Kinds, by code, that walk when they are slow: an agent that a detector cannot classify may be on foot."""
 
@@ -61,22 +63,50 @@ class Seen(NamedTuple):
 def weights(scene: Scene, path: Path, rows: StBoundaries) -> FloatArray:
     """The weights p and p_turn of the rows `(2, n)`."""
     agents, line, car = scene.frame.agents, scene.reference.line, scene.vehicle
-    seen = Seen(agents.age, agents.unseen, agents.velocity_sigma, _brakes(agents.accel), _walks(scene))
+    seen = Seen(
+        agents.age, agents.unseen, agents.velocity_sigma, _brakes(agents.accel), _walks(scene)
+    )
     way, ego = SweptPath(path.sigma, path.x, path.y, path.yaw), (car.axle_to_front, car.width)
     return _weights(
-        rows.t, rows.agent, rows.lower, rows.probability, seen, scene.agents, scene.bodies, line.s, line.coef, way,
-        path.s, ego,
-    )  # fmt: skip
+        rows.t,
+        rows.agent,
+        rows.lower,
+        rows.probability,
+        seen,
+        scene.agents,
+        scene.bodies,
+        line.s,
+        line.coef,
+        way,
+        path.s,
+        ego,
+    )
 
 
 @kernel
 def _weights(
-    t: FloatArray, agent: IntArray, lower: FloatArray, said: FloatArray, seen: Seen, along: AgentsAlong,
-    bodies: Bodies, knots: FloatArray, coef: FloatArray, way: SweptPath, stations: FloatArray, ego: tuple[float, float],
-) -> FloatArray:  # fmt: skip
+    t: FloatArray,
+    agent: IntArray,
+    lower: FloatArray,
+    said: FloatArray,
+    seen: Seen,
+    along: AgentsAlong,
+    bodies: Bodies,
+    knots: FloatArray,
+    coef: FloatArray,
+    way: SweptPath,
+    stations: FloatArray,
+    ego: tuple[float, float],
+) -> FloatArray:
     """`weights`; `t` to `said` belong to the rows, `knots` and `coef` to the reference; `ego`: front and width, m."""
     out, last = np.empty((2, len(agent))), inf
-    age, unseen, walks, length, width = seen.age, seen.unseen, seen.walks, bodies.length, bodies.width
+    age, unseen, walks, length, width = (
+        seen.age,
+        seen.unseen,
+        seen.walks,
+        bodies.length,
+        bodies.width,
+    )
     for since in unseen:
         last = min(last, inf if isnan(since) else since)
     for i in range(len(agent)):

@@ -27,7 +27,8 @@ import numpy as np
 from replan.core.arrays import TIE, FloatArray, IntArray
 from replan.core.kernel import inner_kernel, kernel
 
-COLLISION = 1e5  # Cost of a second inside a blocked interval (2): more than all other costs together
+# Cost of a second inside a blocked interval (2): more than all other costs together
+COLLISION = 1e5
 LIKELY = 300.0
 """The best solution rarely costs more than this: dearer ones are searched only if there is no cheaper one."""
 DT_S = 1.0  # Distance between two columns, s
@@ -79,7 +80,9 @@ class SpeedDpConfig:
     @property
     def weights(self) -> SpeedDpWeights:
         """The weights in the form that the kernel takes."""
-        return SpeedDpWeights(self.w_t, self.w_v, self.w_a, self.w_j, self.max_accel_mps2, self.max_decel_mps2)
+        return SpeedDpWeights(
+            self.w_t, self.w_v, self.w_a, self.w_j, self.max_accel_mps2, self.max_decel_mps2
+        )
 
     def __post_init__(self) -> None:
         if self.columns < 2 or not (self.max_accel_mps2 > 0.0 and self.max_decel_mps2 > 0.0):
@@ -88,9 +91,14 @@ class SpeedDpConfig:
 
 @kernel
 def cost_map(
-    rows: int, lower: FloatArray, upper: FloatArray, speed: FloatArray, gap: float, wanted: tuple[float, float],
+    rows: int,
+    lower: FloatArray,
+    upper: FloatArray,
+    speed: FloatArray,
+    gap: float,
+    wanted: tuple[float, float],
     w_near: float,
-) -> FloatArray:  # fmt: skip
+) -> FloatArray:
     """The map (2) `(k, rows)` of blocked intervals `(n, k)`; `wanted` = (standstill gap, time gap)."""
     out = np.zeros((lower.shape[1], rows))
     for i in range(len(lower)):
@@ -119,9 +127,14 @@ def _within_reach(low: float, high: float, space: float, rows: int) -> tuple[int
 
 @inner_kernel
 def occupied_rows(
-    rows: int, lower: FloatArray, upper: FloatArray, speed: FloatArray, wanted: tuple[float, float], per_column: int,
+    rows: int,
+    lower: FloatArray,
+    upper: FloatArray,
+    speed: FloatArray,
+    wanted: tuple[float, float],
+    per_column: int,
     columns: int,
-) -> IntArray:  # fmt: skip
+) -> IntArray:
     """First and last row where the map (2) is not 0 during the edge to each next column `(columns, 2)`."""
     found = np.empty((columns, 2), np.int64)
     for column in range(columns):
@@ -132,15 +145,23 @@ def occupied_rows(
                 if not np.isnan(lower[i, k]):
                     space = wanted[0] + wanted[1] * max(speed[i], 0.0)
                     first, last = _within_reach(lower[i, k], upper[i, k], space, rows)
-                    found[column, 0], found[column, 1] = min(found[column, 0], first), max(found[column, 1], last)
+                    found[column, 0], found[column, 1] = (
+                        min(found[column, 0], first),
+                        max(found[column, 1], last),
+                    )
     return found
 
 
 @kernel
 def speed_dp(
-    occupancy: FloatArray, occupied: IntArray, per_column: int, limit: FloatArray, start: tuple[float, float],
-    weights: SpeedDpWeights, worth: float,
-) -> tuple[FloatArray, IntArray]:  # fmt: skip
+    occupancy: FloatArray,
+    occupied: IntArray,
+    per_column: int,
+    limit: FloatArray,
+    start: tuple[float, float],
+    weights: SpeedDpWeights,
+    worth: float,
+) -> tuple[FloatArray, IntArray]:
     """Solve (3): the cost to come `(columns + 1, rows)`, and the chosen row per column `(columns + 1,)`.
 
     Args:
@@ -168,12 +189,15 @@ def speed_dp(
                 continue
             v0 = speed[i, j]
             low = max(0, int(np.ceil((v0 - weights.max_decel * DT_S) * DT_S / DS_M - TIE)))
-            high = min(max(low, int((v0 + weights.max_accel * DT_S) * DT_S / DS_M + TIE)), rows - 1 - j)
+            high = min(
+                max(low, int((v0 + weights.max_accel * DT_S) * DT_S / DS_M + TIE)), rows - 1 - j
+            )
             for k in range(j + low, j + high + 1):  # without the map: no branch, which is fast
                 v = (k - j) * DS_M / DT_S
                 a = (v - v0) / DT_S
                 lost, over = max(DT_S - needed[k] + needed[j], 0.0), max(v - limit[k], 0.0)
-                total = cost[i, j] + weights.accel * a * a + weights.jerk * (a - accel[i, j]) ** 2  # (1)
+                # (1)
+                total = cost[i, j] + weights.accel * a * a + weights.jerk * (a - accel[i, j]) ** 2
                 totals[k - j] = total + (weights.time * lost + weights.over * over * over)
             for k in range(j + low, j + high + 1):
                 total = totals[k - j]
@@ -182,7 +206,10 @@ def speed_dp(
                 if k >= occupied[i, 0] and j <= occupied[i, 1]:
                     for n in range(1, per_column + 1):
                         row = j + (k - j) * n / per_column
-                        total += occupancy[min(i * per_column + n, len(occupancy) - 1), int(row + 0.5)] / per_column
+                        total += (
+                            occupancy[min(i * per_column + n, len(occupancy) - 1), int(row + 0.5)]
+                            / per_column
+                        )
                         if total > ahead[k] - TIE:
                             break
                 if total < ahead[k] - TIE:

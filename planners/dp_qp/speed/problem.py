@@ -19,7 +19,15 @@ import numpy as np
 
 from replan.core.arrays import BoolArray, FloatArray, IntArray
 from replan.core.kernel import inner_kernel, kernel
-from replan.planners.dp_qp.speed.dp import DS_M, DT_S, LIKELY, SpeedDpWeights, cost_map, occupied_rows, speed_dp
+from replan.planners.dp_qp.speed.dp import (
+    DS_M,
+    DT_S,
+    LIKELY,
+    SpeedDpWeights,
+    cost_map,
+    occupied_rows,
+    speed_dp,
+)
 from replan.planners.dp_qp.speed.qp import SpeedProblem
 from replan.planners.frenet.path import interpolated
 from replan.planners.frenet.profiles import STEP_S, KnotLimits, braking, cruising, limit_profile
@@ -47,7 +55,9 @@ class PathLimits(NamedTuple):
 class Taken(NamedTuple):
     """When agents take the path, and the stops of the ego."""
 
-    t: FloatArray  # Times of the boundaries `(k,)`, s; `lower`, `upper` `(n, k)`, `speed` `(n,)` as in `StBoundaries`
+    # Times of the boundaries `(k,)`, s; `lower`, `upper` `(n, k)`, `speed` `(n,)` as in
+    # `StBoundaries`
+    t: FloatArray
     lower: FloatArray
     upper: FloatArray
     speed: FloatArray
@@ -63,7 +73,8 @@ class Settings(NamedTuple):
     curve_accel: float
     ease: float
     soft: KnotLimits
-    columns: int  # Columns of the speed DP; `weights`, `gap` m, `standstill_gap` m, `w_near` likewise
+    # Columns of the speed DP; `weights`, `gap` m, `standstill_gap` m, `w_near` likewise
+    columns: int
     weights: SpeedDpWeights
     gap: float
     standstill_gap: float
@@ -79,12 +90,18 @@ class BuiltProblem(NamedTuple):
     # Cost of the speed DP's grid `(columns + 1, rows)`, complete if `is_drawn`; empty where the DP did not run
     cost: FloatArray
     chosen: IntArray  # The DP's rows `(columns + 1,)`
-    s_dp: FloatArray  # The DP's stations at the profile's knots `(knots,)`, m; zeros where it did not run
+    # The DP's stations at the profile's knots `(knots,)`, m; zeros where it did not run
+    s_dp: FloatArray
 
 
 @kernel
 def build_problem(
-    path: PathLimits, taken: Taken, start: tuple[float, float], time_gap: float, is_drawn: bool, settings: Settings
+    path: PathLimits,
+    taken: Taken,
+    start: tuple[float, float],
+    time_gap: float,
+    is_drawn: bool,
+    settings: Settings,
 ) -> BuiltProblem:
     """Build the problem on a path from `start` (speed, acceleration); `time_gap`: wanted gap per speed of an agent, s.
 
@@ -92,7 +109,8 @@ def build_problem(
     """
     sigma, kappa, ease = path.sigma, path.kappa, settings.ease
     lower, upper, stops, n = taken.lower, taken.upper, taken.stops, len(taken.pace)
-    first, moves, waits = inf, False, True  # station of the first standing agent; whether all are there at t = 0
+    # Station of the first standing agent; whether all are there at t = 0
+    first, moves, waits = inf, False, True
     for i in range(n):
         stands = taken.pace[i] < STANDING_MPS
         moves |= not stands
@@ -116,7 +134,9 @@ def build_problem(
     s_dp: FloatArray = np.zeros(settings.knots)
     times, at = STEP_S * np.arange(settings.knots), np.empty(len(taken.t))
     if n + len(stops) > 0 and (is_drawn or moves or not waits):
-        cost, chosen = _search(v_limit, sigma, taken, start, time_gap, settings, inf if is_drawn else LIKELY)
+        cost, chosen = _search(
+            v_limit, sigma, taken, start, time_gap, settings, inf if is_drawn else LIKELY
+        )
         s_dp = _resample(STEP_S, settings.knots, DT_S * np.arange(len(chosen)), DS_M * chosen)
     for k in range(len(at)):
         at[k] = interpolated(taken.t[k], times, s_dp)
@@ -138,10 +158,22 @@ def build_problem(
 
 
 @inner_kernel
-def _free(sigma: FloatArray, v_limit: FloatArray, start: tuple[float, float], settings: Settings) -> FloatArray:
+def _free(
+    sigma: FloatArray, v_limit: FloatArray, start: tuple[float, float], settings: Settings
+) -> FloatArray:
     """Rows s, v `(2, knots)` of driving at a limit on a free road."""
     soft = settings.soft
-    return cruising(sigma, v_limit, start[0], start[1], soft.accel, soft.decel, soft.jerk, STEP_S, settings.knots)
+    return cruising(
+        sigma,
+        v_limit,
+        start[0],
+        start[1],
+        soft.accel,
+        soft.decel,
+        soft.jerk,
+        STEP_S,
+        settings.knots,
+    )
 
 
 @inner_kernel
@@ -155,9 +187,14 @@ def _resample(step: float, n: int, xp: FloatArray, fp: FloatArray) -> FloatArray
 
 @inner_kernel
 def _search(
-    v_limit: FloatArray, sigma: FloatArray, taken: Taken, start: tuple[float, float], time_gap: float,
-    settings: Settings, worth: float,
-) -> tuple[FloatArray, IntArray]:  # fmt: skip
+    v_limit: FloatArray,
+    sigma: FloatArray,
+    taken: Taken,
+    start: tuple[float, float],
+    time_gap: float,
+    settings: Settings,
+    worth: float,
+) -> tuple[FloatArray, IntArray]:
     """Cost of the speed DP's grid, and its solution; stops have no gap beyond their own."""
     t, lower, upper, speed, stops = taken.t, taken.lower, taken.upper, taken.speed, taken.stops
     rows = int(sigma[-1] / DS_M + 1e-6) + 1
@@ -172,21 +209,33 @@ def _search(
             for k in range(len(t)):
                 begin[i, k] = stops[i, 0] if t[k] < stops[i, 1] else np.nan
             for column in range(columns):
-                occupied[column, 0], occupied[column, 1] = min(occupied[column, 0], int(stops[i, 0] / DS_M)), rows - 1
+                occupied[column, 0], occupied[column, 1] = (
+                    min(occupied[column, 0], int(stops[i, 0] / DS_M)),
+                    rows - 1,
+                )
         occupancy += cost_map(rows, begin, end, np.zeros(len(stops)), 0.0, (0.0, 0.0), 0.0)
     cost, chosen = speed_dp(occupancy, occupied, per_column, limit, start, settings.weights, worth)
     if not cost[columns, chosen[columns]] < worth - 1.0:
-        cost, chosen = speed_dp(occupancy, occupied, per_column, limit, start, settings.weights, inf)
+        cost, chosen = speed_dp(
+            occupancy, occupied, per_column, limit, start, settings.weights, inf
+        )
     return cost, chosen
 
 
 @inner_kernel
 def _speed_bound(
-    path: PathLimits, v_limit: FloatArray, s_ref: FloatArray, start: tuple[float, float], settings: Settings
+    path: PathLimits,
+    v_limit: FloatArray,
+    s_ref: FloatArray,
+    start: tuple[float, float],
+    settings: Settings,
 ) -> FloatArray:
     """Upper bound of v `(knots,)` (4)."""
     soft, knots, sigma = settings.soft, settings.knots, path.sigma
-    eased, bound = braking(start[0], start[1], settings.ease, soft.jerk, STEP_S, knots), np.empty(knots)
+    eased, bound = (
+        braking(start[0], start[1], settings.ease, soft.jerk, STEP_S, knots),
+        np.empty(knots),
+    )
     for i in range(knots):
         if eased[1, i] ** 2 * abs(interpolated(eased[0, i], sigma, path.kappa)) > TILT_MPS2:
             eased = braking(start[0], start[1], soft.decel, soft.jerk, STEP_S, knots)
@@ -199,7 +248,9 @@ def _speed_bound(
 
 
 @inner_kernel
-def _station_bounds(taken: Taken, kinds: IntArray, length: float, settings: Settings) -> tuple[FloatArray, FloatArray]:
+def _station_bounds(
+    taken: Taken, kinds: IntArray, length: float, settings: Settings
+) -> tuple[FloatArray, FloatArray]:
     """Bounds of s `(knots,)` (3); of two samples equally near to a knot it takes the stricter one."""
     t, lower, upper, stops = taken.t, taken.lower, taken.upper, taken.stops
     low, high = np.zeros(settings.knots), np.full(settings.knots, length)

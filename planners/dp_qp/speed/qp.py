@@ -33,7 +33,14 @@ import numpy as np
 from replan.core.arrays import FloatArray
 from replan.core.kernel import kernel
 from replan.logs.plan import CostTerms, SolverReport
-from replan.planners.frenet.profiles import COMFORT, EMERGENCY, STEP_S, KnotLimits, SpeedLimits, braking
+from replan.planners.frenet.profiles import (
+    COMFORT,
+    EMERGENCY,
+    STEP_S,
+    KnotLimits,
+    SpeedLimits,
+    braking,
+)
 from replan.planners.frenet.st_boundaries import StBoundaries, StGraphConfig
 from replan.planners.piecewise_jerk.problem import PiecewiseJerkProblem, Weights
 from replan.planners.piecewise_jerk.solvers import DEFAULT, solve
@@ -41,7 +48,8 @@ from replan.planners.solver import QPResult
 
 Rows = tuple[FloatArray, FloatArray, FloatArray, FloatArray]  # The result of `rows_of`
 NO_LEADS = np.empty(0)  # A speed profile has no points ahead of the rear axle
-LIMIT_ROOM_MPS = 0.05  # Distance of the speed's bound above the braking profile that must stay below it, m/s
+# Distance of the speed's bound above the braking profile that must stay below it, m/s
+LIMIT_ROOM_MPS = 0.05
 REST_MPS = 1e-3  # Speed below which a profile rests, m/s ...
 REST_MPS2 = 0.02  # ... and acceleration, m/s2.
 TOLERANCE = 0.05  # Largest violation of a bound in a solution, in the units of the row
@@ -77,7 +85,9 @@ class SpeedQpConfig:
     def __post_init__(self) -> None:
         weights = self.w_s, self.w_v, self.w_a, self.w_j
         if min(weights) < 0.0 or not max(weights) > 0.0:
-            raise ValueError("the weights of the speed QP must not be negative, and one of them positive")
+            raise ValueError(
+                "the weights of the speed QP must not be negative, and one of them positive"
+            )
         if self.knots < 11 or not (self.curve_accel_mps2 > 0.0 and self.ease_mps2 > 0.0):
             raise ValueError("speed QP needs at least 11 knots and positive limits")
 
@@ -149,14 +159,19 @@ def rows_of(problem: SpeedProblem, limits: KnotLimits, comfort: float) -> Rows:
     n, a0 = len(problem.upper), problem.start[1]
     lower, upper, references = np.zeros((4, n)), np.empty((4, n)), np.empty((2, n))
     references[0], references[1] = problem.s_ref, problem.v_ref
-    lower[0], upper[0], upper[1] = np.minimum(problem.lower, problem.upper), problem.upper, problem.limit
+    lower[0], upper[0], upper[1] = (
+        np.minimum(problem.lower, problem.upper),
+        problem.upper,
+        problem.limit,
+    )
     excess = max(-comfort - a0, 0.0)
     total = 0.0
     for i in range(n):
         ramp = STEP_S * total
         lower[2, i] = min(-limits.decel, a0 + 0.5 * ramp)
         upper[2, i] = max(limits.accel, a0 - 0.5 * ramp)
-        release = min(excess / STEP_S - i * RELEASE_MPS3, RELEASE_MPS3)  # (2): down to comfort, and no further
+        # (2): down to comfort, and no further
+        release = min(excess / STEP_S - i * RELEASE_MPS3, RELEASE_MPS3)
         lower[3, i], upper[3, i] = -limits.jerk, max(limits.jerk, release)
         total += limits.jerk
     return np.array([0.0, problem.start[0], a0]), references, lower, upper
@@ -177,7 +192,9 @@ def ease_problem(
     upper = np.minimum(problem.upper + given, problem.end)
     lower = np.minimum(problem.lower, np.maximum(problem.s_ref, stop[0]))
     limit = np.maximum(problem.limit, stop[1] + LIMIT_ROOM_MPS)
-    loosened = SpeedProblem((v0, a0), lower, upper, limit, problem.s_ref, problem.v_ref, problem.end)
+    loosened = SpeedProblem(
+        (v0, a0), lower, upper, limit, problem.s_ref, problem.v_ref, problem.end
+    )
     return not (stop[0] > upper).any(), loosened, rows_of(loosened, limits, comfort)
 
 
@@ -199,14 +216,20 @@ def tidy_profile(x: FloatArray) -> FloatArray:
     return out
 
 
-RESERVE = 0.85  # Share of the limits with which braking must keep the bounds, so that the QP has room to be smooth
+# Share of the limits with which braking must keep the bounds, so that the QP has room to be smooth
+RESERVE = 0.85
 LEAST_RESERVE = 0.97  # The same where braking would otherwise be hard
-TOUCHING = StGraphConfig(margin_m=0.05, vulnerable_margin_m=0.05, passed_margin_m=0.05, early_s=0.0, late_s=0.0)
+TOUCHING = StGraphConfig(
+    margin_m=0.05, vulnerable_margin_m=0.05, passed_margin_m=0.05, early_s=0.0, late_s=0.0
+)
 """Nearly the bare footprints: for braking that can do no better than not to touch."""
-BARE = StGraphConfig(margin_m=0.0, vulnerable_margin_m=0.0, passed_margin_m=0.0, early_s=0.0, late_s=0.0)
+BARE = StGraphConfig(
+    margin_m=0.0, vulnerable_margin_m=0.0, passed_margin_m=0.0, early_s=0.0, late_s=0.0
+)
 """The footprints as predicted."""
 UTMOST_MPS3 = 30.0  # Jerk of full braking, m/s3
-ONWARD_S = 0.8  # An ego that drives on releases the brake and reaches its acceleration within this time, s ...
+# An ego that drives on releases the brake and reaches its acceleration within this time, s ...
+ONWARD_S = 0.8
 RESTING_MPS = 0.5  # ... and does not come to rest: it stays faster than this, m/s.
 Attempts = tuple[tuple[SpeedProblem, QPResult], ...]  # QPs that were tried, with their results
 
@@ -248,7 +271,9 @@ class Rung(NamedTuple):
 class BrakingLadder:
     """The rungs of (3) and (4), the loop over them, and (5), for problems whose upper bounds include a gap, m."""
 
-    def __init__(self, config: SpeedQpConfig, gap_m: float, most_mps2: float, solver: str = DEFAULT) -> None:
+    def __init__(
+        self, config: SpeedQpConfig, gap_m: float, most_mps2: float, solver: str = DEFAULT
+    ) -> None:
         self._config, self._gap = config, gap_m
         self.program = SpeedQp(config, solver)
         self._times = STEP_S * np.arange(config.knots)
@@ -260,13 +285,22 @@ class BrakingLadder:
             Rung(comfort, RESERVE),
             Rung(comfort, LEAST_RESERVE),
             Rung(comfort, LEAST_RESERVE, half),
-            *(Rung(limits, RESERVE, 0.0, f"{hard} the distance") for limits, hard in zip(harder, words, strict=True)),
+            *(
+                Rung(limits, RESERVE, 0.0, f"{hard} the distance")
+                for limits, hard in zip(harder, words, strict=True)
+            ),
             Rung(hardest, LEAST_RESERVE, 0.0, f"{words[-1]} the distance"),
-            Rung(hardest, LEAST_RESERVE, half, f"{words[-1]} half of the distance", after_full=False),
+            Rung(
+                hardest, LEAST_RESERVE, half, f"{words[-1]} half of the distance", after_full=False
+            ),
         )
 
     def solve(
-        self, problem: SpeedProblem, taken: Callable[[StGraphConfig], StBoundaries], *, braked_fully: bool = False
+        self,
+        problem: SpeedProblem,
+        taken: Callable[[StGraphConfig], StBoundaries],
+        *,
+        braked_fully: bool = False,
     ) -> SolvedSpeed:
         """Find the profile of a frame.
 
@@ -278,12 +312,16 @@ class BrakingLadder:
             if braked_fully and not rung.after_full:
                 continue
             comfort = self._config.comfort.decel_mps2
-            fits, posed, rows = ease_problem(problem, rung.limits.columns, rung.share, rung.given, comfort)
+            fits, posed, rows = ease_problem(
+                problem, rung.limits.columns, rung.share, rung.given, comfort
+            )
             if fits:
                 result = self.program.solve(rows)
                 tried.append((posed, result))
                 if result.report.solved:
-                    return SolvedSpeed(tidy_profile(result.x), rung.reason, keeps=True, attempts=tuple(tried))
+                    return SolvedSpeed(
+                        tidy_profile(result.x), rung.reason, keeps=True, attempts=tuple(tried)
+                    )
             if tried and problem.overtakes:
                 break
         if tried:
@@ -296,8 +334,13 @@ class BrakingLadder:
         touching = taken(TOUCHING)
         if touching.leave(times, full[0], 0.0):
             return SolvedSpeed(full, "full braking, which just does not touch", is_full=True)
-        short, bare, (v0, a0) = f"full braking comes {-left:.1f} m too far", taken(BARE), problem.start
-        for accel in (0.0, self._config.comfort.accel_mps2):  # driving on, at the present speed or accelerating
+        short, bare, (v0, a0) = (
+            f"full braking comes {-left:.1f} m too far",
+            taken(BARE),
+            problem.start,
+        )
+        # Driving on, at the present speed or accelerating
+        for accel in (0.0, self._config.comfort.accel_mps2):
             released = np.minimum(min(a0, 0.0) + RELEASE_MPS3 * times, 0.0)
             a = released + max(a0, 0.0) + (accel - max(a0, 0.0)) * np.minimum(times / ONWARD_S, 1.0)
             v = np.maximum(v0 + np.r_[0.0, np.cumsum(0.5 * STEP_S * (a[1:] + a[:-1]))], 0.0)

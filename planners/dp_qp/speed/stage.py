@@ -14,7 +14,15 @@ import numpy as np
 
 from replan.core.arrays import BoolArray, FloatArray, IntArray
 from replan.logs.frame import PlannerContext
-from replan.logs.plan import Artefact, Corridor, Decision, DecisionKind, GridCost, SolverReport, StGraph
+from replan.logs.plan import (
+    Artefact,
+    Corridor,
+    Decision,
+    DecisionKind,
+    GridCost,
+    SolverReport,
+    StGraph,
+)
 from replan.planners.dp_qp.goal_window import HURRIED_GAP_S
 from replan.planners.dp_qp.speed import doubt
 from replan.planners.dp_qp.speed.caps import (
@@ -28,8 +36,21 @@ from replan.planners.dp_qp.speed.caps import (
     lower_limit,
 )
 from replan.planners.dp_qp.speed.dp import COLLISION, DS_M, DT_S, SpeedDpConfig
-from replan.planners.dp_qp.speed.problem import BuiltProblem, PathLimits, Settings, Taken, build_problem
-from replan.planners.dp_qp.speed.qp import RESERVE, TOLERANCE, Attempts, BrakingLadder, SolvedSpeed, SpeedQpConfig
+from replan.planners.dp_qp.speed.problem import (
+    BuiltProblem,
+    PathLimits,
+    Settings,
+    Taken,
+    build_problem,
+)
+from replan.planners.dp_qp.speed.qp import (
+    RESERVE,
+    TOLERANCE,
+    Attempts,
+    BrakingLadder,
+    SolvedSpeed,
+    SpeedQpConfig,
+)
 from replan.planners.frenet.path import Path
 from replan.planners.frenet.profiles import STEP_S
 from replan.planners.frenet.scene import STANDING_MPS, Scene
@@ -46,10 +67,12 @@ from replan.planners.frenet.st_boundaries import (
 )
 from replan.planners.piecewise_jerk.solvers import DEFAULT
 
-CHANGE_S = 0.5  # Delay with which the ego must still be first to overtake an agent that it yielded to, s
+# Delay with which the ego must still be first to overtake an agent that it yielded to, s
+CHANGE_S = 0.5
 FIRST_S = 1.0
 """The same for an agent that crosses, if braking with `LETS_MPS2` is enough to yield: it may come sooner, s."""
-LETS_MPS2 = 3.0, 4.5  # Deceleration with which the ego yields to a vehicle, and to a pedestrian or rider, m/s2
+# Deceleration with which the ego yields to a vehicle, and to a pedestrian or rider, m/s2
+LETS_MPS2 = 3.0, 4.5
 DOUBTED = "that is doubted: comfortable braking is all that is done"
 ORDERS = {DecisionKind.YIELD: ("yielding", 1e6), DecisionKind.OVERTAKE: ("going first", -1e6)}
 """The orders of passing between which the speed DP decides: name, and the bound (m) that leaves only this order."""
@@ -130,19 +153,38 @@ class SpeedStage:
         self._times = STEP_S * np.arange(qp.knots)
         self._shared = replace(qp.emergency, decel_mps2=doubt.SHARED_MPS2)
         self._settings = Settings(
-            qp.knots, qp.curve_accel_mps2, qp.ease_mps2, qp.comfort.columns,
-            dp.columns, dp.weights, dp.gap_m, dp.standstill_gap_m, dp.w_near,
-        )  # fmt: skip
+            qp.knots,
+            qp.curve_accel_mps2,
+            qp.ease_mps2,
+            qp.comfort.columns,
+            dp.columns,
+            dp.weights,
+            dp.gap_m,
+            dp.standstill_gap_m,
+            dp.w_near,
+        )
 
-    def choose(self, scene: Scene, path: Path, task: SpeedTask, memory: SpeedMemory) -> tuple[ChosenSpeed, SpeedMemory]:
+    def choose(
+        self, scene: Scene, path: Path, task: SpeedTask, memory: SpeedMemory
+    ) -> tuple[ChosenSpeed, SpeedMemory]:
         """Choose the speed along a path; and the new memory."""
         config = self._config
-        found = doubt.extend_braking(scene, st_boundaries(scene, path, task.skip, task.passed, config.graph))
+        found = doubt.extend_braking(
+            scene, st_boundaries(scene, path, task.skip, task.passed, config.graph)
+        )
         self._lap("S-T graph")
         came = came_to_path(scene, found, memory.came, config.caution.hesitates_s)
         road = np.interp(path.s, scene.reference.line.s, scene.reference.limit)
         view = PathView(
-            scene, path, task, road, found, came, self._hard_mps2, config.graph.vulnerable_margin_m, config.caution
+            scene,
+            path,
+            task,
+            road,
+            found,
+            came,
+            self._hard_mps2,
+            config.graph.vulnerable_margin_m,
+            config.caution,
         )
         bare = LoweredLimit(road, np.zeros(len(road), np.bool_))
         own = lower_limit(path.sigma, bare, [cap for caps in OWN for cap in caps(view)])
@@ -152,19 +194,32 @@ class SpeedStage:
             """The boundaries of these agents with other margins."""
             skip = np.ones(len(task.skip), np.bool_)
             skip[who] = False
-            rows = doubt.extend_braking(scene, st_boundaries(scene, path, skip, task.passed, margins))
+            rows = doubt.extend_braking(
+                scene, st_boundaries(scene, path, skip, task.passed, margins)
+            )
             return rows.with_stops(task.stops)
 
-        limits = PathLimits(path.sigma, path.kappa, own.v, limit.v, limit.is_bound, limit.v is not own.v)
-        stops = np.array([(stop.s_from, stop.until) for stop in task.stops]) if task.stops else NO_STOPS
+        limits = PathLimits(
+            path.sigma, path.kappa, own.v, limit.v, limit.is_bound, limit.v is not own.v
+        )
+        stops = (
+            np.array([(stop.s_from, stop.until) for stop in task.stops]) if task.stops else NO_STOPS
+        )
         way = _Way(view, limits, limit.decisions, stops, taken, memory)
         planned, unlikely = self._plan_with_doubt(way, found)
         solved = planned.solved
         chosen = ChosenSpeed(
-            solved.profile, solved.reason, solved.unavoidable, planned.built.free_m, solved.reports,
+            solved.profile,
+            solved.reason,
+            solved.unavoidable,
+            planned.built.free_m,
+            solved.reports,
             lambda: self._artefacts(way, planned, unlikely),
-        )  # fmt: skip
-        waits = frozenset(scene.frame.agents.ids[who] for who in planned.blocks.agent[planned.built.kinds == YIELD])
+        )
+        waits = frozenset(
+            scene.frame.agents.ids[who]
+            for who in planned.blocks.agent[planned.built.kinds == YIELD]
+        )
         return chosen, SpeedMemory(solved.is_full, came, waits)
 
     def _plan_with_doubt(self, way: _Way, found: StBoundaries) -> tuple[_Planned, StBoundaries]:
@@ -183,12 +238,21 @@ class SpeedStage:
         if eased.any() and solved.profile is not None:  # (4) of `doubt`
             k = round(doubt.SHARED_S / STEP_S)
             s, v, a = solved.profile[:, k]
-            stop = np.r_[solved.profile[0, :k], s + self._shared.braking((v, a), self._config.qp.knots - k)[0]]
-            driven, stopped = (np.interp(found.t, self._times, each) for each in (solved.profile[0], stop))
+            stop = np.r_[
+                solved.profile[0, :k],
+                s + self._shared.braking((v, a), self._config.qp.knots - k)[0],
+            ]
+            driven, stopped = (
+                np.interp(found.t, self._times, each) for each in (solved.profile[0], stop)
+            )
             met = ((driven > found.lower) & (driven < found.upper)).any(axis=1)
             eased &= met & (stopped > found.lower).any(axis=1)
         if solved.reason:
-            eased |= binds & doubt.from_beside(scene, found) & ((p_turn < doubt.SURE) | solved.unavoidable)
+            eased |= (
+                binds
+                & doubt.from_beside(scene, found)
+                & ((p_turn < doubt.SURE) | solved.unavoidable)
+            )
         if eased.any():
             qp, gap = self._config.qp, self._config.dp.gap_m + TOLERANCE
             stop = qp.comfort.braking((scene.v, scene.start.a), qp.knots, share=RESERVE)[0]
@@ -197,7 +261,9 @@ class SpeedStage:
         binds |= eased
         return planned, replace(found, probability=p).only(~binds)
 
-    def _plan_within(self, way: _Way, blocks: StBoundaries, sure: IntArray | None = None) -> _Planned:
+    def _plan_within(
+        self, way: _Way, blocks: StBoundaries, sure: IntArray | None = None
+    ) -> _Planned:
         """The speed that keeps these boundaries; those of the agents `sure` (None: all) with other margins, too.
 
         The ego goes first before agents that cross with `FIRST_S` to spare, or it yields if `LETS_MPS2` is enough.
@@ -223,8 +289,12 @@ class SpeedStage:
         while (late := planned.built.kinds == OVERTAKE).any():
             tried, profile = planned.solved.attempts, planned.solved.profile
             if profile is not None:
-                waited = [CHANGE_S if ids[each] in way.memory.waits else 0.0 for each in blocks.agent]
-                s = np.interp(blocks.t - np.maximum(spare, waited)[:, None], self._times, profile[0])
+                waited = [
+                    CHANGE_S if ids[each] in way.memory.waits else 0.0 for each in blocks.agent
+                ]
+                s = np.interp(
+                    blocks.t - np.maximum(spare, waited)[:, None], self._times, profile[0]
+                )
                 late &= ((s > blocks.lower) & (s < blocks.upper)).any(axis=1)
                 if not late.any():
                     break
@@ -232,12 +302,19 @@ class SpeedStage:
         return planned
 
     def _plan(
-        self, way: _Way, blocks: StBoundaries, sure: IntArray, may_overtake: BoolArray, tried: Attempts = ()
+        self,
+        way: _Way,
+        blocks: StBoundaries,
+        sure: IntArray,
+        may_overtake: BoolArray,
+        tried: Attempts = (),
     ) -> _Planned:
         """The speed with these orders of passing; `tried`: QPs that were tried before."""
         built = self._build(way, blocks, may_overtake)
         self._lap("speed DP")
-        solved = self._ladder.solve(built.problem, partial(way.taken, sure), braked_fully=way.memory.braked_fully)
+        solved = self._ladder.solve(
+            built.problem, partial(way.taken, sure), braked_fully=way.memory.braked_fully
+        )
         self._lap("speed QP")
         solved = replace(solved, attempts=(*tried, *solved.attempts)) if tried else solved
         return _Planned(solved, built, blocks, may_overtake, sure)
@@ -248,11 +325,17 @@ class SpeedStage:
         """The problem with these boundaries, and the speed DP where it decides or `is_drawn`."""
         scene, time_gap = way.view.scene, self._config.dp.time_gap_s
         pace = scene.speed[blocks.agent]
-        taken = Taken(blocks.t, blocks.lower, blocks.upper, blocks.speed, pace, may_overtake, way.stops)
+        taken = Taken(
+            blocks.t, blocks.lower, blocks.upper, blocks.speed, pace, may_overtake, way.stops
+        )
         gap = min(time_gap, HURRIED_GAP_S) if way.view.task.target.hurried else time_gap
-        return build_problem(way.limits, taken, (scene.v, scene.start.a), gap, is_drawn, self._settings)
+        return build_problem(
+            way.limits, taken, (scene.v, scene.start.a), gap, is_drawn, self._settings
+        )
 
-    def _artefacts(self, way: _Way, planned: _Planned, unlikely: StBoundaries) -> tuple[Artefact, ...]:
+    def _artefacts(
+        self, way: _Way, planned: _Planned, unlikely: StBoundaries
+    ) -> tuple[Artefact, ...]:
         """Graph (with the DP where it ran), decisions, costs and reports."""
         scene, path, stops = way.view.scene, way.view.path, way.view.task.stops
         blocks, solved, problem = planned.blocks, planned.solved, planned.built.problem
@@ -271,26 +354,47 @@ class SpeedStage:
         profile, was_run = solved.profile, len(drawn.cost) > 0
         grid = None
         if was_run:  # every fourth row is enough for a picture
-            times, stations = DT_S * np.arange(len(drawn.cost)), DS_M * np.arange(0, len(drawn.cost[0]), DRAWN_ROWS)
-            grid = GridCost(times, stations, drawn.cost[:, ::DRAWN_ROWS], drawn.chosen // DRAWN_ROWS)
+            times, stations = (
+                DT_S * np.arange(len(drawn.cost)),
+                DS_M * np.arange(0, len(drawn.cost[0]), DRAWN_ROWS),
+            )
+            grid = GridCost(
+                times, stations, drawn.cost[:, ::DRAWN_ROWS], drawn.chosen // DRAWN_ROWS
+            )
         graph = StGraph(
             grid,
             Corridor(self._times, problem.lower, problem.upper),
             np.column_stack([self._times, drawn.s_dp]) if was_run else np.empty((0, 2)),
             np.column_stack([self._times, profile[0]]) if profile is not None else np.empty((0, 2)),
-            (*outlines(blocks, decisions), *stop_outlines(stops, float(self._times[-1]), path.length)),
+            (
+                *outlines(blocks, decisions),
+                *stop_outlines(stops, float(self._times[-1]), path.length),
+            ),
         )
         ignored = []
-        for who, lower, share in zip(unlikely.agent, unlikely.lower, unlikely.probability, strict=True):
+        for who, lower, share in zip(
+            unlikely.agent, unlikely.lower, unlikely.probability, strict=True
+        ):
             begin = f"may take the path from {float(np.nanmin(lower)):.1f} m on"
-            reason = f"{begin}, but that is unlikely ({share:.0%}); the ego is past, or could still stop"
-            ignored.append(Decision(scene.frame.agents.ids[who], DecisionKind.IGNORE, "speed", reason))
+            reason = (
+                f"{begin}, but that is unlikely ({share:.0%}); the ego is past, or could still stop"
+            )
+            ignored.append(
+                Decision(scene.frame.agents.ids[who], DecisionKind.IGNORE, "speed", reason)
+            )
         asked, costs = (stop.decision for stop in stops), self._ladder.program.costs
-        qps = (part for qp, result in solved.attempts for part in (costs(result.x, qp), result.report))
+        qps = (
+            part for qp, result in solved.attempts for part in (costs(result.x, qp), result.report)
+        )
         return (graph, *decisions, *qps, *ignored, *asked, *way.decisions)
 
     def _orders(
-        self, way: _Way, planned: _Planned, i: int, kind: DecisionKind, known: Mapping[DecisionKind, float]
+        self,
+        way: _Way,
+        planned: _Planned,
+        i: int,
+        kind: DecisionKind,
+        known: Mapping[DecisionKind, float],
     ) -> str:
         """The distance by which the solution clears a boundary, and the cost of each order in the speed DP."""
         blocks, profile, costs = planned.blocks, planned.solved.profile, dict(known)
@@ -299,12 +403,18 @@ class SpeedStage:
             if order not in known:
                 lower, upper = blocks.lower.copy(), blocks.upper.copy()
                 (upper if order is DecisionKind.YIELD else lower)[i, took] = bound
-                cost = self._build(way, replace(blocks, lower=lower, upper=upper), planned.may_overtake).cost
+                cost = self._build(
+                    way, replace(blocks, lower=lower, upper=upper), planned.may_overtake
+                ).cost
                 costs[order] = float(cost[-1].min())
         words = []
         if profile is not None:
             s = np.interp(blocks.t[took], self._times, profile[0])
-            keeps = (blocks.lower[i, took] - s if kind is DecisionKind.YIELD else s - blocks.upper[i, took]).min()
+            keeps = (
+                blocks.lower[i, took] - s
+                if kind is DecisionKind.YIELD
+                else s - blocks.upper[i, took]
+            ).min()
             words.append(f"keeps {keeps:.1f} m")
         for order in sorted(ORDERS, key=lambda one: one is not kind):
             costly = f"costs {costs[order]:.1f}" if costs[order] < COLLIDES else "would collide"

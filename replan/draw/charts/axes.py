@@ -31,7 +31,8 @@ Ticks = Sequence[tuple[float, str]]  # Words at values
 LEFT_PX, RIGHT_PX, TOP_PX, BOTTOM_PX = 46.0, 10.0, 38.0, 30.0
 """Margins of a plot area: for y ticks, for the last x tick, for title and legend, for x ticks and their title."""
 FAINT = 0.08  # Opacity of a box of the value 0
-TICK_PX = 62.0, 30.0  # Smallest distance between ticks in x and in y if there are more than two ticks, pixels
+# Smallest distance between ticks in x and in y if there are more than two ticks, pixels
+TICK_PX = 62.0, 30.0
 
 
 def number(value: float) -> str:
@@ -71,9 +72,14 @@ class Plane:
         """A closed outline of values `(n,)`."""
         return area(self.at_x(x), self.at_y(y), kind)
 
-    def box(self, x: Span, y: Span, kind: str, about: str = "", opacity: float = 1.0, gap: float = 0.0) -> str:
+    def box(
+        self, x: Span, y: Span, kind: str, about: str = "", opacity: float = 1.0, gap: float = 0.0
+    ) -> str:
         """A box from lower to upper values, `gap` pixels smaller on each side; `about` is its tooltip."""
-        (left, right), (low, high) = self.at_x(np.array(x)).tolist(), self.at_y(np.array(y)).tolist()
+        (left, right), (low, high) = (
+            self.at_x(np.array(x)).tolist(),
+            self.at_y(np.array(y)).tolist(),
+        )
         inner = max(right - left - 2.0 * gap, 1.0), max(low - high - 2.0 * gap, 1.0)
         return rect(left + gap, high + gap, *inner, kind, about, opacity)
 
@@ -88,12 +94,25 @@ class Plane:
     def heat(self, x: Span, y: Span, value: float, limits: Span) -> str:
         """A box whose colour tells a value: blue the more, the nearer to the upper limit; red below 0."""
         share = abs(value) / (limits[0] if value < 0.0 else limits[1])
-        return self.box(x, y, "red" if value < 0.0 else "blue", f"{value:.3g}", min(FAINT + abs(share), 1.0), 0.5)
+        return self.box(
+            x,
+            y,
+            "red" if value < 0.0 else "blue",
+            f"{value:.3g}",
+            min(FAINT + abs(share), 1.0),
+            0.5,
+        )
 
     def drawn(
-        self, inside: str, *, x_title: str, y_title: str = "", x_ticks: Ticks | None = None,
-        y_ticks: Ticks | None = None, over: str = "",
-    ) -> str:  # fmt: skip
+        self,
+        inside: str,
+        *,
+        x_title: str,
+        y_title: str = "",
+        x_ticks: Ticks | None = None,
+        y_ticks: Ticks | None = None,
+        over: str = "",
+    ) -> str:
         """Elements with grid, ticks and titles around them; `over` is drawn last and not clipped.
 
         `x_ticks`, `y_ticks`: words at values, without a grid; None: round numbers.
@@ -109,37 +128,61 @@ class Plane:
             y_ticks = [(mark, number(mark)) for mark in marks]
             rows = "".join(f"M0 {px(y)}H{px(wide)}" for y in self.at_y(np.array(marks)).tolist())
         for value, word in x_ticks:
-            columns_at += text(min(max(float(self.at_x(value)), 4.0), wide - 4.0), high + 13.0, word)
+            columns_at += text(
+                min(max(float(self.at_x(value)), 4.0), wide - 4.0), high + 13.0, word
+            )
         for value, word in y_ticks:
             shown = shortened(word, self.left - 8.0)
-            rows_at += text(-5.0, float(self.at_y(value)) + 3.5, shown, about="" if shown == word else word)
+            rows_at += text(
+                -5.0, float(self.at_y(value)) + 3.5, shown, about="" if shown == word else word
+            )
         plot = f'<path class="grid" d="{columns}{rows}"/>{inside}<path class="axis" d="M0 0V{px(high)}H{px(wide)}"/>'
         words = f'<g class="tick mid">{columns_at}</g><g class="tick end">{rows_at}</g>{over}'
         titles = text(self.left + wide, self.height - 3.0, x_title, "tick end")
         titles += text(2.0, self.top - 10.0, y_title, "tick") if y_title else ""
-        return window(self.left, self.top, wide, high, plot) + group(self.left, self.top, words) + titles
+        return (
+            window(self.left, self.top, wide, high, plot)
+            + group(self.left, self.top, words)
+            + titles
+        )
 
     def chart(
-        self, name: str, title: str, inside: str, *, says: str = "", entries: Sequence[Entry] = (), head: str = "",
-        x_title: str = "", y_title: str = "", x_ticks: Ticks | None = None, y_ticks: Ticks | None = None,
+        self,
+        name: str,
+        title: str,
+        inside: str,
+        *,
+        says: str = "",
+        entries: Sequence[Entry] = (),
+        head: str = "",
+        x_title: str = "",
+        y_title: str = "",
+        x_ticks: Ticks | None = None,
+        y_ticks: Ticks | None = None,
         over: str = "",
-    ) -> Chart:  # fmt: skip
+    ) -> Chart:
         """A chart of this plot area: a title (or the longer `head`), and a legend in as many rows as it needs."""
         begin = 2.0 + LETTER_PX * len(y_title) + 14.0 if y_title else min(self.left, LEFT_PX)
         rows = legend_rows(entries, self.width - begin)
         more = LEGEND_PX * max(len(rows) - 1, 0)
         plane = replace(self, top=self.top + more, height=self.height + more)
-        drawn = plane.drawn(inside, x_title=x_title, y_title=y_title, x_ticks=x_ticks, y_ticks=y_ticks, over=over)
+        drawn = plane.drawn(
+            inside, x_title=x_title, y_title=y_title, x_ticks=x_ticks, y_ticks=y_ticks, over=over
+        )
         drawn += text(2.0, 13.0, shortened(head or title, self.width), "title")
-        drawn += "".join(legend(begin, self.top - 10.0 + LEGEND_PX * k, row) for k, row in enumerate(rows))
+        drawn += "".join(
+            legend(begin, self.top - 10.0 + LEGEND_PX * k, row) for k, row in enumerate(rows)
+        )
         return Chart(name, title, says or title, self.width, plane.height, drawn)
 
 
 def rows_plane(
     names: Sequence[str], x: Span, width: float, row: float, *, top: float = TOP_PX, most: float
-) -> tuple[Plane, Ticks]:  # fmt: skip
+) -> tuple[Plane, Ticks]:
     """A plot area with rows of a height, from the top down, and their names at the left, at most `most` pixels wide."""
     high = float(len(names))
     needed = max((LETTER_PX * len(name) + 10.0 for name in names), default=LEFT_PX)
-    plane = Plane(x, (0.0, high), width, top + row * high + BOTTOM_PX, min(max(needed, LEFT_PX), most), top)
+    plane = Plane(
+        x, (0.0, high), width, top + row * high + BOTTOM_PX, min(max(needed, LEFT_PX), most), top
+    )
     return plane, [(high - 0.5 - k, name) for k, name in enumerate(names)]

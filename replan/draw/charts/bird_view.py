@@ -44,7 +44,8 @@ SMALL_PX = 3.2  # An agent that would be smaller is drawn as a dot of this radiu
 MAX_NAMES = 6
 NAME_M = 60.0
 NAME_PX = 110.0  # Largest width of a name
-FAR_M, AROUND_M = 80.0, 8.0  # Other egos are in view up to this distance, with so much ground around them
+# Other egos are in view up to this distance, with so much ground around them
+FAR_M, AROUND_M = 80.0, 8.0
 APART_S = 0.05  # Instants that are nearer than this are drawn once
 
 
@@ -54,18 +55,28 @@ def scene(subject: SceneSubject, t: float, word: str, about: Collection[str] = (
     Of several drives, the road users are those of the first; an ego whose drive has ended is where it ended.
     """
     drives = subject.drives
-    states = [one.trace.ego.at(float(np.clip(t, *one.trace.ego.t[[0, -1]]))) for one in drives.values()]
+    states = [
+        one.trace.ego.at(float(np.clip(t, *one.trace.ego.t[[0, -1]]))) for one in drives.values()
+    ]
     ego, several = states[0], len(drives) > 1
     view = View(_plane(ego, states), ego)
     planned = abs(t - subject.moment.t) < 1e-9
     agents = subject.trace.agents.truth(t)
     ways, boxes = "", ""
     for one, state, kind in zip(drives.values(), states, DRIVES, strict=False):
-        way, box = _way(view, one, kind if several else "planned", planned=planned), _box(view, one, state)
+        way, box = (
+            _way(view, one, kind if several else "planned", planned=planned),
+            _box(view, one, state),
+        )
         ways += f'<g class="{kind}">{way}</g>' if several else way
         boxes = (f'<g class="{kind}">{box}</g>' if several else box) + boxes  # the first on top
-    inside = drawn_road(view, subject.scenario) + (_foreseen(view, subject) if planned else "") + ways
-    inside += "".join(_other(view, agents, i, pointed=agents.ids[i] in about) for i in range(len(agents))) + boxes
+    inside = (
+        drawn_road(view, subject.scenario) + (_foreseen(view, subject) if planned else "") + ways
+    )
+    inside += (
+        "".join(_other(view, agents, i, pointed=agents.ids[i] in about) for i in range(len(agents)))
+        + boxes
+    )
     title, named = f"{word[:1].upper()}{word[1:]}: {t:.2f} s", {}
     if several:
         for (name, one), state in zip(drives.items(), states, strict=True):
@@ -97,7 +108,9 @@ def scene(subject: SceneSubject, t: float, word: str, about: Collection[str] = (
 def scenes(subject: Subject) -> list[Chart]:
     """The scenes at the start, the moment and the end; instants that coincide are drawn once."""
     first, last = float(subject.trace.ego.t[0]), float(subject.trace.ego.t[-1])
-    instants = [(subject.moment.t, "this moment" if subject.moment.why == ASKED else "worst moment")]
+    instants = [
+        (subject.moment.t, "this moment" if subject.moment.why == ASKED else "worst moment")
+    ]
     if place_of_moment(subject):
         instants.insert(0, (first, "start"))
     if last - subject.moment.t > APART_S:
@@ -116,10 +129,15 @@ def _plane(ego: EgoState, shown: Sequence[EgoState]) -> Plane:
     others = _local(ego, np.array([(one.x, one.y) for one in shown]))
     others = others[np.hypot(others[:, 0], others[:, 1]) < FAR_M]
     ahead = min(max(AHEAD_M, AHEAD_S * abs(ego.v)), MOST_M)
-    low, high = min(-BEHIND_M, others[:, 0].min() - AROUND_M), max(ahead, others[:, 0].max() + AROUND_M)
+    low, high = (
+        min(-BEHIND_M, others[:, 0].min() - AROUND_M),
+        max(ahead, others[:, 0].max() + AROUND_M),
+    )
     plane = Plane((low, high), (-1.0, 1.0), WIDTH_PX, HEIGHT_PX)
     ratio = 0.5 * plane.inner[1] / plane.inner[0]
-    half = max(ratio * (high - low), np.abs(others[:, 1]).max() + AROUND_M if len(others) > 1 else 0.0)
+    half = max(
+        ratio * (high - low), np.abs(others[:, 1]).max() + AROUND_M if len(others) > 1 else 0.0
+    )
     return Plane((low, low + half / ratio), (-half, half), WIDTH_PX, HEIGHT_PX)
 
 
@@ -153,7 +171,12 @@ class View:
     def lines(self, some: Iterable[FloatArray]) -> list[FloatArray]:
         """Lines of the world as pixels: the parts in and around the plot area."""
         shown = (self.of(line) for line in some)
-        return [piece for line in shown if self.sees(line) for piece in cut_line(line, *self.plane.inner)]
+        return [
+            piece
+            for line in shown
+            if self.sees(line)
+            for piece in cut_line(line, *self.plane.inner)
+        ]
 
 
 def drawn_road(view: View, scenario: Scenario) -> str:
@@ -162,7 +185,9 @@ def drawn_road(view: View, scenario: Scenario) -> str:
     lanes = list(road.lanes.values())
     drawn = areas(view.outlines(lane.polygon for lane in lanes if not lane.drivable), "walk")
     drawn += areas(view.outlines(lane.polygon for lane in lanes if lane.drivable), "road")
-    drawn += polylines(view.lines(side for lane in lanes for side in (lane.left, lane.right)), "lane")
+    drawn += polylines(
+        view.lines(side for lane in lanes for side in (lane.left, lane.right)), "lane"
+    )
     drawn += areas(view.outlines(walk.polygon for walk in road.crosswalks), "zebra")
     drawn += areas(view.outlines(() if goal is None else goal.regions), "goal")
     lights = {light.id: light for light in scenario.lights}
@@ -172,7 +197,9 @@ def drawn_road(view: View, scenario: Scenario) -> str:
             drawn += polyline(ends[:, 0], ends[:, 1], "stop")
             if stop.light in lights:
                 word = lights[stop.light].at(view.ego.t).value
-                drawn += text(float(ends[:, 0].max()) + 4.0, float(ends[:, 1].mean()) + 3.5, word, "small")
+                drawn += text(
+                    float(ends[:, 0].max()) + 4.0, float(ends[:, 1].mean()) + 3.5, word, "small"
+                )
     return drawn
 
 
@@ -190,7 +217,9 @@ def _way(view: View, subject: SceneSubject, kind: str, *, planned: bool) -> str:
     if planned and subject.frame is not None:
         plan = subject.frame.plan.trajectory
         drawn += polylines(view.lines([np.column_stack([plan.x, plan.y])]), kind)
-        drawn += "".join(dot(x, y, 2.4, "second") for x, y in view.of(plan_seconds(subject.frame.plan)).tolist())
+        drawn += "".join(
+            dot(x, y, 2.4, "second") for x, y in view.of(plan_seconds(subject.frame.plan)).tolist()
+        )
     return drawn
 
 
@@ -208,7 +237,11 @@ def _box(view: View, subject: SceneSubject, ego: EgoState) -> str:
 
 def _other(view: View, agents: Agents, i: int, *, pointed: bool) -> str:
     """A box, or a dot for pedestrians and small boxes; a moving agent has a line to its position in one second."""
-    box = view.of(corners(*(float(c[i]) for c in (agents.x, agents.y, agents.yaw, agents.length, agents.width))))
+    box = view.of(
+        corners(
+            *(float(c[i]) for c in (agents.x, agents.y, agents.yaw, agents.length, agents.width))
+        )
+    )
     if not view.sees(box):
         return ""
     moving = float(np.nan_to_num(agents.speed[i])) > SLOW_MPS
@@ -223,9 +256,14 @@ def _other(view: View, agents: Agents, i: int, *, pointed: bool) -> str:
 
 
 def _names(
-    view: View, agents: Agents, subject: SceneSubject, egos: Mapping[str, EgoState], pointed: Collection[str], *,
+    view: View,
+    agents: Agents,
+    subject: SceneSubject,
+    egos: Mapping[str, EgoState],
+    pointed: Collection[str],
+    *,
     planned: bool,
-) -> str:  # fmt: skip
+) -> str:
     """Names of egos, then ids of agents: those with a decision, then the nearest; without those that would overlap."""
     wide, high = view.plane.inner
     about = decided(subject.frame.plan) if planned and subject.frame is not None else {}
@@ -239,7 +277,10 @@ def _names(
     def place(x: float, y: float, words: str) -> bool:
         half = 0.5 * LETTER_PX * len(words)
         x = min(max(x, half), wide - half)
-        free = all(abs(y - other_y) > 11.0 or abs(x - other_x) > half + other for other_x, other_y, other in placed)
+        free = all(
+            abs(y - other_y) > 11.0 or abs(x - other_x) > half + other
+            for other_x, other_y, other in placed
+        )
         if free:
             placed.append((x, y, half))
             out.append(text(x, y, words, "name mid"))
@@ -248,7 +289,11 @@ def _names(
     for name, ego in egos.items():  # at the edge, with its distance, if it is out of view
         ((x, y),) = view.of(np.array([[ego.x, ego.y]])).tolist()
         inside = 0.0 <= x <= wide and 0.0 <= y <= high
-        words = name if inside else f"{name}, {np.hypot(ego.x - view.ego.x, ego.y - view.ego.y):.0f} m away"
+        words = (
+            name
+            if inside
+            else f"{name}, {np.hypot(ego.x - view.ego.x, ego.y - view.ego.y):.0f} m away"
+        )
         x, y = min(max(x, 0.0), wide), min(max(y, 32.0), high - 32.0)
         any(place(x, y + up, words) for up in (-9.0, 18.0, -21.0, 30.0))
     most = len(placed) + MAX_NAMES

@@ -26,16 +26,50 @@ from replan.results.tables import write_png, write_text
 
 Theme = Literal["auto", "light", "dark"]
 
-LIGHT = MappingProxyType({
-    "ground": "#ffffff", "panel": "#f6f7f9", "ink": "#1b1f24", "muted": "#57606a", "grid": "#e4e7eb", "axis": "#9aa3ad",
-    "ego": "#0072b2", "plan": "#007a59", "other": "#b06f00", "rare": "#a8487c", "bad": "#c04a00", "good": "#007a59",
-    "unsure": "#7a5f00", "road": "#eceef1", "walk": "#f7f3ea", "lane": "#b3bac3", "free": "#009e73", "focus": "#0072b2",
-})  # fmt: skip
-DARK = MappingProxyType({
-    "ground": "#14171b", "panel": "#1c2026", "ink": "#e6e9ed", "muted": "#a3acb7", "grid": "#2b3138", "axis": "#5d6773",
-    "ego": "#56b4e9", "plan": "#37c99b", "other": "#e69f00", "rare": "#e394bd", "bad": "#ff8547", "good": "#37c99b",
-    "unsure": "#f0e442", "road": "#252a31", "walk": "#2a2822", "lane": "#59626d", "free": "#37c99b", "focus": "#7cc8f5",
-})  # fmt: skip
+LIGHT = MappingProxyType(
+    {
+        "ground": "#ffffff",
+        "panel": "#f6f7f9",
+        "ink": "#1b1f24",
+        "muted": "#57606a",
+        "grid": "#e4e7eb",
+        "axis": "#9aa3ad",
+        "ego": "#0072b2",
+        "plan": "#007a59",
+        "other": "#b06f00",
+        "rare": "#a8487c",
+        "bad": "#c04a00",
+        "good": "#007a59",
+        "unsure": "#7a5f00",
+        "road": "#eceef1",
+        "walk": "#f7f3ea",
+        "lane": "#b3bac3",
+        "free": "#009e73",
+        "focus": "#0072b2",
+    }
+)
+DARK = MappingProxyType(
+    {
+        "ground": "#14171b",
+        "panel": "#1c2026",
+        "ink": "#e6e9ed",
+        "muted": "#a3acb7",
+        "grid": "#2b3138",
+        "axis": "#5d6773",
+        "ego": "#56b4e9",
+        "plan": "#37c99b",
+        "other": "#e69f00",
+        "rare": "#e394bd",
+        "bad": "#ff8547",
+        "good": "#37c99b",
+        "unsure": "#f0e442",
+        "road": "#252a31",
+        "walk": "#2a2822",
+        "lane": "#59626d",
+        "free": "#37c99b",
+        "focus": "#7cc8f5",
+    }
+)
 """Roles by name: `ego` blue, `plan` green, `other` road users orange, `rare` purple, `bad` vermilion."""
 
 FONT = "'DejaVu Sans', Verdana, 'Segoe UI', system-ui, sans-serif"
@@ -132,7 +166,9 @@ def roles(theme: Theme) -> str:
     """The CSS custom properties of the theme "auto", which follows the reader's system; empty for a fixed theme."""
     if theme != "auto":
         return ""
-    light, dark = (";".join(f"--{name}:{value}" for name, value in some.items()) for some in (LIGHT, DARK))
+    light, dark = (
+        ";".join(f"--{name}:{value}" for name, value in some.items()) for some in (LIGHT, DARK)
+    )
     return f":root{{color-scheme:light dark;{light}}}@media(prefers-color-scheme:dark){{:root{{{dark}}}}}"
 
 
@@ -149,9 +185,11 @@ def stylesheet(theme: Theme) -> str:
     return roles(theme) + "".join(filled(RULES, theme).split("\n"))
 
 
-KEPT_PX = 0.4  # The largest distance of a simplified line from the exact one: less than half a pixel is invisible
+# The largest distance of a simplified line from the exact one: less than half a pixel is invisible
+KEPT_PX = 0.4
 LETTER_PX = 5.9  # Mean width of a letter at the font size of charts
-FAR_PX = 20_000.0  # Coordinates are clipped to +- this value: no picture is taller, and renderers lose digits beyond
+# Coordinates are clipped to +- this value: no picture is taller, and renderers lose digits beyond
+FAR_PX = 20_000.0
 FORMATS = (".png", ".svg")
 
 
@@ -219,11 +257,19 @@ class Chart:
                 return
             import resvg_py
 
-            fonts = [str(Path(__file__).with_name("fonts") / f"DejaVuSans{style}.ttf") for style in ("", "-Bold")]
+            fonts = [
+                str(Path(__file__).with_name("fonts") / f"DejaVuSans{style}.ttf")
+                for style in ("", "-Bold")
+            ]
             svg = self.alone("light" if theme == "auto" else theme, wide)
-            data = bytes(resvg_py.svg_to_bytes(
-                svg_string=svg, skip_system_fonts=True, font_files=fonts, font_family="DejaVu Sans"
-            ))  # fmt: skip
+            data = bytes(
+                resvg_py.svg_to_bytes(
+                    svg_string=svg,
+                    skip_system_fonts=True,
+                    font_files=fonts,
+                    font_family="DejaVu Sans",
+                )
+            )
             write_png(path, data)
 
 
@@ -250,7 +296,9 @@ def polyline(x: FloatArray, y: FloatArray, kind: str) -> str:
 def area(x: FloatArray, y: FloatArray, kind: str) -> str:
     """A closed outline `(n,)`, n >= 3; points that are not finite are left out."""
     known = np.isfinite(x) & np.isfinite(y)
-    return _path(_moves(np.column_stack([x[known], y[known]]), True), kind) if known.sum() > 2 else ""
+    return (
+        _path(_moves(np.column_stack([x[known], y[known]]), True), kind) if known.sum() > 2 else ""
+    )
 
 
 def areas(outlines: Iterable[FloatArray], kind: str) -> str:
@@ -276,7 +324,9 @@ def _moves(points: FloatArray, closed: bool) -> str:
     begin = f"M{_tenths(first[0])}{_after(first[1])}"
     if not steps:
         return f"{begin}h.1" + ("z" if closed else "")
-    return f"{begin}l{' '.join(f'{_tenths(a)}{_after(b)}' for a, b in steps)}" + ("z" if closed else "")
+    return f"{begin}l{' '.join(f'{_tenths(a)}{_after(b)}' for a, b in steps)}" + (
+        "z" if closed else ""
+    )
 
 
 def _after(tenths: int) -> str:
@@ -297,7 +347,10 @@ def simplified(points: FloatArray) -> IntArray:
         start = np.cumsum(inner) - inner
         owner = np.repeat(np.arange(len(begin)), inner)
         at = np.arange(len(owner)) + (begin + 1 - start)[owner]
-        from_begin, chord = points[at] - points[begin][owner], points[end][owner] - points[begin][owner]
+        from_begin, chord = (
+            points[at] - points[begin][owner],
+            points[end][owner] - points[begin][owner],
+        )
         length = np.hypot(chord[:, 0], chord[:, 1])
         across = np.abs(chord[:, 0] * from_begin[:, 1] - chord[:, 1] * from_begin[:, 0])
         distance = np.hypot(from_begin[:, 0], from_begin[:, 1])  # where begin and end coincide
@@ -309,15 +362,21 @@ def simplified(points: FloatArray) -> IntArray:
         begin, end = np.r_[begin[bent], split[bent]], np.r_[split[bent], end[bent]]
 
 
-AROUND_PX = 12.0  # Outlines and lines are cut this far outside of a plot area, so that their cut edges are not seen
+# Outlines and lines are cut this far outside of a plot area, so that their cut edges are not seen
+AROUND_PX = 12.0
 
 
 def cut_line(points: FloatArray, width: float, height: float) -> list[FloatArray]:
     """The parts of a line `(n, 2)` whose segments come near a plot area."""
     low, high = np.minimum(points[:-1], points[1:]), np.maximum(points[:-1], points[1:])
-    near = (high >= -AROUND_PX).all(axis=1) & (low <= [width + AROUND_PX, height + AROUND_PX]).all(axis=1)
+    near = (high >= -AROUND_PX).all(axis=1) & (low <= [width + AROUND_PX, height + AROUND_PX]).all(
+        axis=1
+    )
     edge = np.diff(np.r_[False, near, False].astype(np.int64))
-    return [points[a : b + 1] for a, b in zip(np.flatnonzero(edge > 0), np.flatnonzero(edge < 0), strict=True)]
+    return [
+        points[a : b + 1]
+        for a, b in zip(np.flatnonzero(edge > 0), np.flatnonzero(edge < 0), strict=True)
+    ]
 
 
 def cut_outline(points: FloatArray, width: float, height: float) -> FloatArray:
@@ -336,8 +395,14 @@ def cut_outline(points: FloatArray, width: float, height: float) -> FloatArray:
 
 
 def rect(
-    x: float, y: float, width: float, height: float, kind: str, about: str = "", opacity: float = 1.0
-) -> str:  # fmt: skip
+    x: float,
+    y: float,
+    width: float,
+    height: float,
+    kind: str,
+    about: str = "",
+    opacity: float = 1.0,
+) -> str:
     """A box; `about` is its tooltip."""
     inner = f"><title>{escape(about)}</title></rect>" if about else "/>"
     place = f'x="{px(x)}" y="{px(y)}" width="{px(max(width, 0.0))}" height="{px(height)}"'
@@ -404,7 +469,8 @@ def legend_words(words: Sequence[str], most: float) -> list[str]:
 
 
 LEGEND_PX = 14.0  # Height of a row of a legend
-Entry = tuple[str, str, str]  # An entry of a legend: element ("line", "area", "dot", or a sign), class and word
+# An entry of a legend: element ("line", "area", "dot", or a sign), class and word
+Entry = tuple[str, str, str]
 
 
 def legend_rows(entries: Sequence[Entry], most: float) -> list[list[Entry]]:

@@ -13,14 +13,33 @@ import numpy as np
 
 from replan.core.names import ShortNames
 from replan.draw.charts.axes import LEFT_PX, Plane, rows_plane
-from replan.draw.charts.canvas import DRIVES, LETTER_PX, Chart, legend_words, line, rect, shortened, text
+from replan.draw.charts.canvas import (
+    DRIVES,
+    LETTER_PX,
+    Chart,
+    legend_words,
+    line,
+    rect,
+    shortened,
+    text,
+)
 from replan.draw.charts.subject import SceneSubject, Subject
-from replan.draw.model import SL, ST, DrawnGraph, GraphKind, Panel, compared_panels, graph_axes, panels
+from replan.draw.model import (
+    SL,
+    ST,
+    DrawnGraph,
+    GraphKind,
+    Panel,
+    compared_panels,
+    graph_axes,
+    panels,
+)
 from replan.explain.explanation import STATUS_WORDS
 from replan.logs.plan import Decision, DecisionKind, PlanStatus, PlanSummary
 
 WIDTH_PX, HEIGHT_PX = 440.0, 168.0
-KINDS = ("a", "b", "c", "d")  # Classes of the curves of a panel, in their order: solid, long dashes, dots, thin
+# Classes of the curves of a panel, in their order: solid, long dashes, dots, thin
+KINDS = ("a", "b", "c", "d")
 LEAST_PX = 3.0
 BOLD_PX = 6.8  # Width of a letter of a warning, pixels
 NAME_PX = 90.0  # Largest width of a drive's name before a warning, pixels
@@ -30,7 +49,11 @@ def curves(subject: Subject) -> list[Chart]:
     """All panels of a drive that have something to show; of several drives, a panel for each of their curves."""
     charts, drives = [], subject.drives
     found = {  # the trace has one plan only
-        name: [p for p in panels(replace(one.trace, frames=()), one.scenario, one.drive.steps) if p.charted]
+        name: [
+            p
+            for p in panels(replace(one.trace, frames=()), one.scenario, one.drive.steps)
+            if p.charted
+        ]
         for name, one in drives.items()
     }
     several, (first, *_) = len(drives) > 1, found.values()
@@ -46,15 +69,25 @@ def curves(subject: Subject) -> list[Chart]:
             for begin, end in some.spans
         ]
         classes = [kinds[curve.name] for curve in panel.curves] if several else KINDS
-        charts.append(panel_chart(panel, (min(begins), max(ends)), shaded, now=subject.moment.t, kinds=classes))
+        charts.append(
+            panel_chart(
+                panel, (min(begins), max(ends)), shaded, now=subject.moment.t, kinds=classes
+            )
+        )
     return charts
 
 
 def panel_chart(
-    panel: Panel, x: tuple[float, float], shaded: Sequence[Span] = (), *, now: float | None = None,
-    kinds: Sequence[str] = KINDS, shade: str = "broken", x_title: str = "time [s]",
+    panel: Panel,
+    x: tuple[float, float],
+    shaded: Sequence[Span] = (),
+    *,
+    now: float | None = None,
+    kinds: Sequence[str] = KINDS,
+    shade: str = "broken",
+    x_title: str = "time [s]",
     size: tuple[float, float] = (WIDTH_PX, HEIGHT_PX),
-) -> Chart:  # fmt: skip
+) -> Chart:
     """The curves of a panel.
 
     `panel`: the panel; curves without a class are not drawn. `shaded`: intervals that are shaded, each with a word
@@ -75,7 +108,8 @@ def panel_chart(
         if at > until:
             words += text(at, 9.0, span.word, "warn")
             until = at + room
-    inside += "".join(plane.line(curve.t, curve.values, kind) for curve, kind in shown[::-1])  # the first on top
+    # The first on top
+    inside += "".join(plane.line(curve.t, curve.values, kind) for curve, kind in shown[::-1])
     inside += "" if now is None else now_line(plane, now)
     head, largest = panel.title, float(np.abs(panel.values).max())
     if any(curve.spiky for curve in panel.curves) and largest > 1.2 * max(map(abs, panel.range)):
@@ -83,10 +117,21 @@ def panel_chart(
     named = legend_words([curve.legend for curve, _ in shown], size[0] - LEFT_PX)
     entries = [("line", kind, word) for (_, kind), word in zip(shown, named, strict=True)]
     spans = [f"{c.legend} {c.known.min():.3g} to {c.known.max():.3g}" for c in panel.curves]
-    failed = f"; breaks {', '.join(dict.fromkeys(span.why for span in shaded))}" if shade == "broken" and shaded else ""
+    failed = (
+        f"; breaks {', '.join(dict.fromkeys(span.why for span in shaded))}"
+        if shade == "broken" and shaded
+        else ""
+    )
     says = f"{panel.title} over time: {', '.join(spans)}{failed}"
     return plane.chart(
-        panel.name, panel.title, inside, head=head, says=says, entries=entries, over=words, x_title=x_title
+        panel.name,
+        panel.title,
+        inside,
+        head=head,
+        says=says,
+        entries=entries,
+        over=words,
+        x_title=x_title,
     )
 
 
@@ -98,7 +143,8 @@ def now_line(plane: Plane, t: float) -> str:
 
 ROWS_PX, ROW_PX, TOP_PX = 900.0, 20.0, 22.0
 LABEL_PX = 210.0
-MAX_ROWS = 12  # Largest number of rows of road users; the list of events beside the picture has all of them
+# Largest number of rows of road users; the list of events beside the picture has all of them
+MAX_ROWS = 12
 CALM = tuple(STATUS_WORDS[status] for status in (PlanStatus.PLANNED, PlanStatus.CORRECTED))
 """Statuses that are not drawn as alarms."""
 
@@ -131,8 +177,13 @@ def decided(plans: Sequence[PlanSummary], end: float, short: Callable[[str], str
     rows: dict[str, list[Span]] = {}
     for plan, stop in _until(plans, end):
         now = [some for some in plan.internals if isinstance(some, Decision)]
-        for one in {some.agent: some for some in now if some.kind is not DecisionKind.IGNORE}.values():
-            _extend(rows.setdefault(one.agent, []), Span(plan.t, stop, one.kind.value, short(one.reason)))
+        for one in {
+            some.agent: some for some in now if some.kind is not DecisionKind.IGNORE
+        }.values():
+            _extend(
+                rows.setdefault(one.agent, []),
+                Span(plan.t, stop, one.kind.value, short(one.reason)),
+            )
     return [SpanRow(short(agent), tuple(spans)) for agent, spans in rows.items()]
 
 
@@ -146,7 +197,11 @@ def statuses(plans: Sequence[PlanSummary], end: float) -> SpanRow:
 
 def _until(plans: Sequence[PlanSummary], end: float) -> Iterable[tuple[PlanSummary, float]]:
     """Each plan and the time until which it holds."""
-    return zip(plans, [*(plan.t for plan in plans[1:]), max(end, plans[-1].t)] if plans else [], strict=True)
+    return zip(
+        plans,
+        [*(plan.t for plan in plans[1:]), max(end, plans[-1].t)] if plans else [],
+        strict=True,
+    )
 
 
 def _extend(spans: list[Span], one: Span) -> None:
@@ -161,7 +216,9 @@ def decisions(subject: Subject, width: float = ROWS_PX) -> Chart:
     """Decisions, plan statuses and broken gates as rows over time; `width` in pixels."""
     plans, end = subject.plans, subject.span[1]
     agents = decided(plans, end, subject.scenario.short_names)
-    longest = sorted(agents, key=lambda row: -sum(span.end - span.begin for span in row.spans))[:MAX_ROWS]
+    longest = sorted(agents, key=lambda row: -sum(span.end - span.begin for span in row.spans))[
+        :MAX_ROWS
+    ]
     broken: dict[str, SpanRow] = {}
     for some in subject.violations:  # gates of one series (episode and total time, say) are one row
         spans = tuple(Span(begin, stop, "fails", some.gate) for begin, stop in some.spans)
@@ -173,17 +230,26 @@ def decisions(subject: Subject, width: float = ROWS_PX) -> Chart:
     rows = [*status, *(row for row in agents if row in longest), *broken.values()]
     title = "Decisions, plans and broken gates over time"
     if not rows:
-        body = text(2.0, 13.0, title, "title") + text(0.5 * width, 40.0, "the drive has no plans", "says")
+        body = text(2.0, 13.0, title, "title") + text(
+            0.5 * width, 40.0, "the drive has no plans", "says"
+        )
         return Chart("decisions", title, f"{title}: the drive has no plans", width, 56.0, body)
-    plane, names = rows_plane([row.name for row in rows], subject.span, width, ROW_PX, top=TOP_PX, most=LABEL_PX)
-    bars = "".join(_bars(plane, row, k) for k, row in enumerate(rows)) + now_line(plane, subject.moment.t)
+    plane, names = rows_plane(
+        [row.name for row in rows], subject.span, width, ROW_PX, top=TOP_PX, most=LABEL_PX
+    )
+    bars = "".join(_bars(plane, row, k) for k, row in enumerate(rows)) + now_line(
+        plane, subject.moment.t
+    )
     silent = not any(row.kind == "bar" for row in rows)
     says = "; ".join(
-        f"{row.name}: " + ", ".join(f"{span.word} {span.begin:.1f} to {span.end:.1f} s" for span in row.spans[:6])
+        f"{row.name}: "
+        + ", ".join(f"{span.word} {span.begin:.1f} to {span.end:.1f} s" for span in row.spans[:6])
         for row in rows
     )
     head = title + (": the planner reports none" if silent else "")
-    return plane.chart("decisions", title, bars, head=head, says=says, x_title="time [s]", y_ticks=names)
+    return plane.chart(
+        "decisions", title, bars, head=head, says=says, x_title="time [s]", y_ticks=names
+    )
 
 
 def _bars(plane: Plane, row: SpanRow, k: int) -> str:
@@ -247,24 +313,39 @@ def plan_graph(subject: SceneSubject, kind: GraphKind, why: str) -> Chart:
     if graph.corridor is not None:
         margin = 0.1 * (plane.y[1] - plane.y[0])  # edges out there are clipped
         bounds = plane.y[0] - margin, plane.y[1] + margin
-        low, high = (np.clip(bound, *bounds) for bound in (graph.corridor.lower, graph.corridor.upper))
-        inside += plane.area(np.r_[graph.corridor.first, graph.corridor.first[::-1]], np.r_[low, high[::-1]], "room")
+        low, high = (
+            np.clip(bound, *bounds) for bound in (graph.corridor.lower, graph.corridor.upper)
+        )
+        inside += plane.area(
+            np.r_[graph.corridor.first, graph.corridor.first[::-1]], np.r_[low, high[::-1]], "room"
+        )
     for some in graph.obstacles:
         if len(some.outline) > 2:
-            inside += plane.area(some.outline[:, 0], some.outline[:, 1], "ignored" if some.is_ignored else "thing")
+            inside += plane.area(
+                some.outline[:, 0], some.outline[:, 1], "ignored" if some.is_ignored else "thing"
+            )
     inside += "".join(
-        plane.line(line[:, 0], line[:, 1], name) for line, name in ((graph.dp, "dp"), (graph.qp, "qp")) if len(line)
+        plane.line(line[:, 0], line[:, 1], name)
+        for line, name in ((graph.dp, "dp"), (graph.qp, "qp"))
+        if len(line)
     )
     entries = (
-        (len(graph.qp), ("line", "qp", "QP")), (len(graph.dp), ("line", "dp", "DP")),
-        (graph.corridor, ("area", "room", "corridor")), (graph.obstacles, ("area", "thing", "obstacle")),
-    )  # fmt: skip
+        (len(graph.qp), ("line", "qp", "QP")),
+        (len(graph.dp), ("line", "dp", "DP")),
+        (graph.corridor, ("area", "room", "corridor")),
+        (graph.obstacles, ("area", "thing", "obstacle")),
+    )
     named = ", ".join(f"{some.of.agent}: {some.of.decision.value}" for some in graph.obstacles)
     return plane.chart(
-        kind.name, title, inside, says=f"{title}: {short(named) or 'no agent in the way'}",
-        entries=[entry for shown, entry in entries if shown], over=_labels(plane, graph, short),
-        x_title=kind.x_title, y_title=kind.y_title,
-    )  # fmt: skip
+        kind.name,
+        title,
+        inside,
+        says=f"{title}: {short(named) or 'no agent in the way'}",
+        entries=[entry for shown, entry in entries if shown],
+        over=_labels(plane, graph, short),
+        x_title=kind.x_title,
+        y_title=kind.y_title,
+    )
 
 
 def _labels(plane: Plane, graph: DrawnGraph, short: ShortNames) -> str:
@@ -273,7 +354,10 @@ def _labels(plane: Plane, graph: DrawnGraph, short: ShortNames) -> str:
     out, taken = [], list[float]()
     for some in sorted(graph.obstacles, key=lambda one: one.is_ignored)[:MAX_LABELS]:
         outline = some.outline
-        x, y = np.clip(plane.at_x(outline[:, 0]), 0.0, wide), np.clip(plane.at_y(outline[:, 1]), 0.0, high)
+        x, y = (
+            np.clip(plane.at_x(outline[:, 0]), 0.0, wide),
+            np.clip(plane.at_y(outline[:, 1]), 0.0, high),
+        )
         seen = (outline[:, 0] >= plane.x[0]) & (outline[:, 0] <= plane.x[1])
         if not seen.any() or y[seen].min() >= high or y[seen].max() <= 0.0:
             continue
@@ -283,6 +367,8 @@ def _labels(plane: Plane, graph: DrawnGraph, short: ShortNames) -> str:
             at_y += NAME_APART_PX
         taken.append(at_y)
         half = 0.5 * LETTER_PX * len(words)
-        at_x = min(max(0.5 * (float(x[seen].min()) + float(x[seen].max())), half + 2.0), wide - half)
+        at_x = min(
+            max(0.5 * (float(x[seen].min()) + float(x[seen].max())), half + 2.0), wide - half
+        )
         out.append(text(at_x, min(max(at_y, 11.0), high - 3.0), words, "name mid"))
     return "".join(out)

@@ -19,7 +19,13 @@ from replan.results.tables import safe_name
 
 Draw = Callable[[Subject], "Chart | Sequence[Chart]"]
 
-CHARTS: dict[str, Draw] = {"scene": scenes, "st": st_graph, "sl": sl_graph, "curves": curves, "decisions": decisions}
+CHARTS: dict[str, Draw] = {
+    "scene": scenes,
+    "st": st_graph,
+    "sl": sl_graph,
+    "curves": curves,
+    "decisions": decisions,
+}
 CHART: ExtensionKind[Draw] = ExtensionKind("chart", "charts", CHARTS, besides=("all",))
 """Finds charts by name: the built-in ones and those of users."""
 LAYOUT: Mapping[str, tuple[str, ...]] = {
@@ -31,7 +37,8 @@ LAYOUT: Mapping[str, tuple[str, ...]] = {
 OWN = "pictures"  # The place in the page for charts of users
 TOGETHER = ("scene", "curves")
 """Charts that show several drives in one; the others are drawn for each drive, under its name."""
-BROKEN, BROKEN_PX = "broken", (440.0, 40.0)  # Name and size of the placeholder of a chart that could not be drawn
+# Name and size of the placeholder of a chart that could not be drawn
+BROKEN, BROKEN_PX = "broken", (440.0, 40.0)
 
 
 def placed(subject: Subject, own: Sequence[str] = ()) -> dict[str, list[Chart]]:
@@ -43,7 +50,10 @@ def placed(subject: Subject, own: Sequence[str] = ()) -> dict[str, list[Chart]]:
     nowhere = set(CHARTS) - {name for names in LAYOUT.values() for name in names}
     if nowhere:
         raise ValueError(f"the chart '{min(nowhere)}' has no place in LAYOUT: it would not be seen")
-    found = {place: [one for name in names for one in drawn(subject, name)] for place, names in LAYOUT.items()}
+    found = {
+        place: [one for name in names for one in drawn(subject, name)]
+        for place, names in LAYOUT.items()
+    }
     found[OWN] += [chart for name in (*CHART.entries(), *own) for chart in drawn(subject, name)]
     return found
 
@@ -62,7 +72,9 @@ def drawn(subject: Subject, name: str) -> list[Chart]:
 
 def _broken(name: str, why: str) -> Chart:
     width, height = BROKEN_PX
-    body = text(0.0, 14.0, shortened(name, width), "title") + text(0.0, 32.0, shortened(why, width), "small", about=why)
+    body = text(0.0, 14.0, shortened(name, width), "title") + text(
+        0.0, 32.0, shortened(why, width), "small", about=why
+    )
     return Chart(BROKEN, name, f"The chart {name} could not be drawn: {why}", width, height, body)
 
 
@@ -80,7 +92,11 @@ def charts_of(seen: Subject, kind: str, width: float) -> list[Chart]:
         if name in TOGETHER or not seen.beside:
             found += _charts(seen, name, width)
             continue
-        each = [_under(drive, one) for drive, of in seen.drives.items() for one in _charts(of, name, width)]
+        each = [
+            _under(drive, one)
+            for drive, of in seen.drives.items()
+            for one in _charts(of, name, width)
+        ]
         row = sum(one.width + GAP_PX for one in each) - GAP_PX
         found += each if row > row_width(width) or not each else [_row(each, name, row)]
     return found
@@ -95,7 +111,9 @@ def _row(charts: Sequence[Chart], name: str, width: float) -> Chart:
     body, x = "", 0.0
     for one in charts:
         body, x = body + group(x, 0.0, one.body), x + one.width + GAP_PX
-    title, says = ("; ".join(words) for words in zip(*((one.title, one.says) for one in charts), strict=True))
+    title, says = (
+        "; ".join(words) for words in zip(*((one.title, one.says) for one in charts), strict=True)
+    )
     return Chart(name, title, says, width, max(one.height for one in charts), body)
 
 
@@ -124,4 +142,6 @@ def together(charts: Sequence[Chart], title: str, says: str, width: float) -> Ch
     head = text(MARGIN_PX, 18.0, shortened(title, full), "title")
     head += text(MARGIN_PX, 34.0, shortened(says, full), "small")
     spoken = f"{title}; {says}: " + "; ".join(chart.title for chart in charts)
-    return Chart("all", title, spoken, full + 2.0 * MARGIN_PX, y + row + MARGIN_PX, head + "".join(placed))
+    return Chart(
+        "all", title, spoken, full + 2.0 * MARGIN_PX, y + row + MARGIN_PX, head + "".join(placed)
+    )

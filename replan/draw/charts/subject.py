@@ -27,7 +27,10 @@ from replan.results.load import StoredDrive
 
 GRAVE = ("collision_at_fault", "safety", "rules", "progress")
 """Metrics and groups of metrics, the gravest first: their failed gates come before all others."""
-NEAREST = (("ttc.min", "least time to a collision"), ("gap.min", "least distance to another road user"))
+NEAREST = (
+    ("ttc.min", "least time to a collision"),
+    ("gap.min", "least distance to another road user"),
+)
 """Metrics that give the moment if no gate failed at a known time."""
 MOST = 4  # Most drives in one picture: the eye does not tell more lines apart (`canvas.DRIVES`)
 ASKED = "as asked"  # The reason for a moment that was asked for
@@ -71,12 +74,18 @@ def worst_moment(drive: StoredDrive) -> Moment:
         about = f" ({worst.reason})" if worst.reason else ""
         return Moment(float(worst.time_s), f"{worst.gate} fails: {worst.value:.4g}{about}")
     failure = "a gate fails, at no instant; " if len(failed) else "no gate of this loop fails; "
-    found = {row.metric: row for row in list[Any](drive.metrics.itertuples()) if row.available and isfinite(row.time_s)}
+    found = {
+        row.metric: row
+        for row in list[Any](drive.metrics.itertuples())
+        if row.available and isfinite(row.time_s)
+    }
     for name, words in NEAREST:
         if name in found:
             near = found[name]
             about = f" ({near.reason})" if near.reason else ""
-            return Moment(float(near.time_s), f"{failure}{words}: {near.value:.3g} {near.unit}{about}")
+            return Moment(
+                float(near.time_s), f"{failure}{words}: {near.value:.3g} {near.unit}{about}"
+            )
     middle = 0.5 * float(drive.info["t_end_s"])
     return Moment(middle, f"{failure}no distance to others was measured: the middle of the drive")
 
@@ -84,7 +93,9 @@ def worst_moment(drive: StoredDrive) -> Moment:
 def gravity(row: str) -> int:
     """The place of a gate in `GRAVE`, by the metric of the row that it judges, otherwise by the group of the metric."""
     metric = row.partition(".")[0]
-    return next((i for i, word in enumerate(GRAVE) if word in (metric, _GROUP.get(metric, ""))), len(GRAVE))
+    return next(
+        (i for i, word in enumerate(GRAVE) if word in (metric, _GROUP.get(metric, ""))), len(GRAVE)
+    )
 
 
 def violations(drive: StoredDrive) -> list[Violation]:
@@ -98,7 +109,11 @@ def violations(drive: StoredDrive) -> list[Violation]:
         t, values = t[known], values[known]
         # the bounds that steps break: those of the reduction, otherwise those of the rule; infinite if there are none
         metric = METRICS.get(series.partition(".")[0])
-        how = next((some for some in metric.reductions if some.name == reduction), None) if metric else None
+        how = (
+            next((some for some in metric.reductions if some.name == reduction), None)
+            if metric
+            else None
+        )
         low, high = -inf, inf
         if how is not None and how.bounds is not None:
             low, high = how.bounds
@@ -167,13 +182,19 @@ class Subject(SceneSubject):
         """Log, planners and loop in words."""
         if not self.beside:
             return self.drive.title
-        loop = "" if any(one.drive.mode != self.drive.mode for one in self.beside) else f", {self.drive.mode} loop"
+        loop = (
+            ""
+            if any(one.drive.mode != self.drive.mode for one in self.beside)
+            else f", {self.drive.mode} loop"
+        )
         return f"{self.drive.log}, {', '.join(self.drives)}{loop}"
 
     @property
     def says(self) -> str:
         """The moment, and the reason to look at it if it was not asked for."""
-        return f"at {self.moment.t:.2f} s" + ("" if self.moment.why == ASKED else f": {self.moment.why}")
+        return f"at {self.moment.t:.2f} s" + (
+            "" if self.moment.why == ASKED else f": {self.moment.why}"
+        )
 
     @cached_property
     def violations(self) -> list[Violation]:
@@ -188,7 +209,10 @@ class Subject(SceneSubject):
         earlier = [one.t for one in self.plans if one.t < self.frame.t]
         (account,) = accounts(self.trace, self.scenario, self.drive.result.run.drive_loop, earlier)
         plan = Explanation.of(self.frame, account, bounds=False)
-        return (f"The plan at t = {plan.t:.2f} s: {plan.does}.", *map(self.scenario.short_names, plan.because))
+        return (
+            f"The plan at t = {plan.t:.2f} s: {plan.does}.",
+            *map(self.scenario.short_names, plan.because),
+        )
 
     @property
     def span(self) -> tuple[float, float]:
@@ -197,7 +221,9 @@ class Subject(SceneSubject):
         return first, max(last, first + 0.1)
 
 
-def subject(drive: StoredDrive, at: float | None = None, beside: Sequence[StoredDrive] = ()) -> Subject:
+def subject(
+    drive: StoredDrive, at: float | None = None, beside: Sequence[StoredDrive] = ()
+) -> Subject:
     """A drive at a time, or at its worst moment, and other drives of the same log beside it.
 
     ConfigError if `at` is outside the time span of the drive; a drive is of another log or given twice, or there are
@@ -212,7 +238,9 @@ def subject(drive: StoredDrive, at: float | None = None, beside: Sequence[Stored
         )
     for other in beside:
         if other.log != drive.log:
-            raise ConfigError(f"{other.title}: one picture is of one log, and the first is of {drive.log}")
+            raise ConfigError(
+                f"{other.title}: one picture is of one log, and the first is of {drive.log}"
+            )
     if len(beside) >= MOST:
         raise ConfigError(f"one picture shows at most {MOST} drives, got {1 + len(beside)}")
     others = (subject(other, min(moment.t, float(other.info["t_end_s"]))) for other in beside)

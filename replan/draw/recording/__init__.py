@@ -43,7 +43,11 @@ PART, SAMPLE = 500, 1000
 
 
 def write_recording(
-    path: Path, drive: Drive, scenario: Scenario, table: DataFrame | None = None, steps: DataFrame | None = None
+    path: Path,
+    drive: Drive,
+    scenario: Scenario,
+    table: DataFrame | None = None,
+    steps: DataFrame | None = None,
 ) -> None:
     """Write one drive as a recording: scene, graphs, curves, decisions and the reasons for them.
 
@@ -56,7 +60,10 @@ def write_recording(
     frames = np.array([frame.t for frame in trace.frames]) if trace.frames else times
     instants, planned = Instants.among(times, frames), Instants.among(frames, frames)
     some = whole.frames[:: max(1, ceil(len(frames) / SAMPLE))]
-    found = ((kind, Axes.of([graph for graph in _graphs(some, kind) if graph], kind)) for kind in (ST, SL))
+    found = (
+        (kind, Axes.of([graph for graph in _graphs(some, kind) if graph], kind))
+        for kind in (ST, SL)
+    )
     axes = {kind: axis for kind, axis in found if axis is not None}
     del some
     curves = panels(trace, scenario, steps_of(steps))
@@ -68,7 +75,9 @@ def write_recording(
     )
     application = f"replan {scenario.name} {trace.mode.value} loop"
     short = scenario.short_names
-    with recording_file(path, application, trace.planner, _digest(trace), blueprint(contents), short) as tape:
+    with recording_file(
+        path, application, trace.planner, _digest(trace), blueprint(contents), short
+    ) as tape:
         draw_scene(tape, trace, scenario, instants)
         for begin in range(0, len(planned), PART):
             part = range(begin, begin + PART)
@@ -81,20 +90,35 @@ def write_recording(
         pages.draw_summary(tape, pages.summary(whole, scenario, table))
         if table is not None:  # properties of the recording, each a column in a table of recordings
             shown = table[table["available"] & np.isfinite(table["value"].to_numpy(dtype=float))]
-            values = {field_name(name): float(v) for name, v in zip(shown["metric"], shown["value"], strict=True)}
+            values = {
+                field_name(name): float(v)
+                for name, v in zip(shown["metric"], shown["value"], strict=True)
+            }
             if values:
-                tape.stream.send_property("metrics", rr.AnyValues(drop_untyped_nones=True, **values))
+                tape.stream.send_property(
+                    "metrics", rr.AnyValues(drop_untyped_nones=True, **values)
+                )
 
 
 def _draw_part(
-    tape: Tape, whole: Trace, scenario: Scenario, instants: Instants, planned: Instants, axes: Mapping[GraphKind, Axes]
+    tape: Tape,
+    whole: Trace,
+    scenario: Scenario,
+    instants: Instants,
+    planned: Instants,
+    axes: Mapping[GraphKind, Axes],
 ) -> None:
     """Draw agents, plans and graphs of some frames, so that only these frames of a long drive are in memory."""
     frames = whole.frames[int(planned.frame[0]) : int(planned.frame[-1]) + 1]
     begin = min([float(instants.t[0]), *(frame.t for frame in frames[:1])])
     end = max([float(instants.t[-1]), *(float(frame.plan.trajectory.t[-1]) for frame in frames)])
     perceived = None if whole.perceived is None else NearbyTracks().of(whole.perceived, begin, end)
-    trace = replace(whole, frames=frames, agents=NearbyTracks().of(whole.agents, begin, end), perceived=perceived)
+    trace = replace(
+        whole,
+        frames=frames,
+        agents=NearbyTracks().of(whole.agents, begin, end),
+        perceived=perceived,
+    )
     draw_moving(tape, trace, frozenset(whole.agents.kinds), instants, planned)
     draw_others(tape, trace, planned)
     for kind, axis in axes.items():
@@ -110,21 +134,37 @@ def write_log_recording(path: Path, scenario: Scenario, markers: Sequence[Marker
 
     OutputError if the file cannot be written.
     """
-    trace = Trace(scenario.name, "log", Mode.OPEN, False, scenario.ego, scenario.tracks, (), EndReason.END_OF_LOG)
+    trace = Trace(
+        scenario.name,
+        "log",
+        Mode.OPEN,
+        False,
+        scenario.ego,
+        scenario.tracks,
+        (),
+        EndReason.END_OF_LOG,
+    )
     times = scene_times(trace, scenario.duration)
     curves = panels(trace, scenario, steps_of(None))
     lanes = plots.marker_lanes(markers, float(times[-1]))
     names = ("recent", "summary") if lanes else ("summary",)
-    contents = RecordingContents(curves, (), [lane.name for lane in lanes], names, _bounds(trace, scenario))
+    contents = RecordingContents(
+        curves, (), [lane.name for lane in lanes], names, _bounds(trace, scenario)
+    )
     instants = Instants.among(times, times)
     application, short = f"replan {scenario.name} log", scenario.short_names
-    with recording_file(path, application, "log", _digest(trace), blueprint(contents), short) as tape:
+    with recording_file(
+        path, application, "log", _digest(trace), blueprint(contents), short
+    ) as tape:
         draw_scene(tape, trace, scenario, instants)
         draw_moving(tape, trace, frozenset(trace.agents.kinds), instants, instants)
         plots.draw_panels(tape, curves, times)
         if lanes:
             plots.draw_lanes(tape, lanes, times)
-            began = [TimedEvent(one.begin, "INFO", one.words) for one in sorted(markers, key=lambda one: one.begin)]
+            began = [
+                TimedEvent(one.begin, "INFO", one.words)
+                for one in sorted(markers, key=lambda one: one.begin)
+            ]
             pages.draw_events(tape, began, instants)
         pages.draw_summary(tape, pages.log_summary(scenario))
 
@@ -157,7 +197,9 @@ def _bounds(trace: Trace, scenario: Scenario) -> FloatArray:
 
 def _digest(trace: Trace) -> str:
     """The id of the recording: the same for the same drive."""
-    digest = sha256(repr((trace.scenario, trace.planner, trace.mode.value, len(trace.frames))).encode())
+    digest = sha256(
+        repr((trace.scenario, trace.planner, trace.mode.value, len(trace.frames))).encode()
+    )
     for column in (trace.ego.t, trace.ego.x, trace.ego.y, trace.ego.v):
         digest.update(column.tobytes())
     return digest.hexdigest()[:32]

@@ -70,8 +70,12 @@ STATUSES = {
 }
 
 _RAMP_AT = np.array([0.0, 0.35, 0.65, 1.0])
-_COST_RAMP = np.array([[70, 110, 230], [40, 170, 170], [120, 205, 90], [255, 225, 60]], dtype=np.float64)
-_SPEED_RAMP = np.array([[255, 70, 60], [255, 190, 60], [120, 220, 90], [60, 230, 170]], dtype=np.float64)
+_COST_RAMP = np.array(
+    [[70, 110, 230], [40, 170, 170], [120, 205, 90], [255, 225, 60]], dtype=np.float64
+)
+_SPEED_RAMP = np.array(
+    [[255, 70, 60], [255, 190, 60], [120, 220, 90], [60, 230, 170]], dtype=np.float64
+)
 
 
 def luminance(colour: int) -> float:

@@ -20,7 +20,16 @@ import rerun as rr
 from replan.core.arrays import FloatArray, IntArray
 from replan.draw.model import DrawnGraph, DrawnObstacle, GraphKind, Span, graph_axes, ticks
 from replan.draw.recording import colours
-from replan.draw.recording.tape import Instants, PlaneWindow, Tape, joined, outline_segments, pixels, plain, strokes
+from replan.draw.recording.tape import (
+    Instants,
+    PlaneWindow,
+    Tape,
+    joined,
+    outline_segments,
+    pixels,
+    plain,
+    strokes,
+)
 from replan.logs.plan import DecisionKind
 
 WIDTH, HEIGHT = 160.0, 96.0
@@ -65,14 +74,20 @@ class Axes:
         return PlaneWindow(self.x, self.y)
 
 
-def draw_graph(tape: Tape, instants: Instants, graphs: Sequence[DrawnGraph | None], axes: Axes) -> None:
+def draw_graph(
+    tape: Tape, instants: Instants, graphs: Sequence[DrawnGraph | None], axes: Axes
+) -> None:
     """Draw one kind of graph, one row per frame; a frame without it shows empty axes."""
     kx, ky = axes.scale
-    scale = rr.Transform3D(translation=[-kx * axes.x[0], ky * axes.y[0], 0.0], scale=[kx, -ky, 1.0 / (kx * ky)])
+    scale = rr.Transform3D(
+        translation=[-kx * axes.x[0], ky * axes.y[0], 0.0], scale=[kx, -ky, 1.0 / (kx * ky)]
+    )
     tape.static(axes.entity, scale)
     offsets = np.zeros(len(graphs))
     for i, graph in enumerate(graphs):
-        offsets[i] = (graph.begin if graph else offsets[max(i - 1, 0)]) if axes.kind.scrolls else 0.0
+        offsets[i] = (
+            (graph.begin if graph else offsets[max(i - 1, 0)]) if axes.kind.scrolls else 0.0
+        )
     sheet = _Sheet(tape, instants, graphs, axes, offsets, f"{axes.entity}/window")
     shift = np.c_[-offsets, np.zeros((len(offsets), 2))]
     tape.rows(sheet.window, instants, rr.Transform3D.columns(translation=shift))
@@ -101,16 +116,27 @@ class _Sheet:
         border = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1], [x0, y0]])
         line, thin = pixels(1.0), pixels(0.5)
         tape.static(
-            f"{axes.entity}/border", rr.LineStrips2D([border], colors=colours.AXIS, radii=line, draw_order=-9.0)
+            f"{axes.entity}/border",
+            rr.LineStrips2D([border], colors=colours.AXIS, radii=line, draw_order=-9.0),
         )
         marks = ticks(y0, y1, MOST_TICKS)
         rows = np.array([[[x0, mark], [x1, mark]] for mark in marks])
-        tape.static(f"{axes.entity}/rows", rr.LineStrips2D(rows, colors=colours.GRID, radii=thin, draw_order=-4.5))
+        tape.static(
+            f"{axes.entity}/rows",
+            rr.LineStrips2D(rows, colors=colours.GRID, radii=thin, draw_order=-4.5),
+        )
         half = [0.5 * LETTER * len(words) for words in (axes.kind.y_title, axes.kind.x_title)]
-        left, right = x0 + (half[0] - MARGIN_LEFT + 2.0) / kx, x1 - (half[1] - MARGIN_RIGHT + 2.0) / kx
+        left, right = (
+            x0 + (half[0] - MARGIN_LEFT + 2.0) / kx,
+            x1 - (half[1] - MARGIN_RIGHT + 2.0) / kx,
+        )
         ends = np.array([[left, y1 + 7.5 / ky], [right, y0 - 6.8 / ky]])
         for entity, at, words in (
-            ("y_ticks", np.c_[np.full(len(marks), x0 - 6.0 / kx), marks + 2.2 / ky], [f"{mark:g}" for mark in marks]),
+            (
+                "y_ticks",
+                np.c_[np.full(len(marks), x0 - 6.0 / kx), marks + 2.2 / ky],
+                [f"{mark:g}" for mark in marks],
+            ),
             ("titles", ends, [axes.kind.y_title, axes.kind.x_title]),
         ):
             labels = rr.Points2D.from_fields(positions=at, labels=words)
@@ -120,7 +146,11 @@ class _Sheet:
         per_frame = [ticks(x0 + offset, x1 + offset, MOST_TICKS) for offset in begins]
         x, counts = np.concatenate(per_frame), [len(some) for some in per_frame]
         lines = np.stack([np.c_[x, np.full(len(x), y0)], np.c_[x, np.full(len(x), y1)]], axis=1)
-        when = self.instants if axes.kind.scrolls else Instants(self.instants.t[:1], self.instants.frame[:1])
+        when = (
+            self.instants
+            if axes.kind.scrolls
+            else Instants(self.instants.t[:1], self.instants.frame[:1])
+        )
         entity = f"{self.window}/columns"
         style = dict[str, Any](colors=[colours.GRID], radii=[thin], draw_order=-4.5)
         tape.lines(entity, when, lines.reshape(-1, 2), np.full(len(x), 2), counts, **style)
@@ -131,15 +161,25 @@ class _Sheet:
         tape.rows(entity, when, shown, counts)
 
     def draw_solutions(self) -> None:
-        for name, colour, width, order in (("dp", colours.DP, 1.5, 3.0), ("qp", colours.QP, 2.2, 4.0)):
-            points, lengths = joined([getattr(graph, name) if graph else NO_POINTS for graph in self.graphs], 2)
-            drawn, counts = [length for length in lengths if length], [int(length > 0) for length in lengths]
+        for name, colour, width, order in (
+            ("dp", colours.DP, 1.5, 3.0),
+            ("qp", colours.QP, 2.2, 4.0),
+        ):
+            points, lengths = joined(
+                [getattr(graph, name) if graph else NO_POINTS for graph in self.graphs], 2
+            )
+            drawn, counts = (
+                [length for length in lengths if length],
+                [int(length > 0) for length in lengths],
+            )
             style = dict[str, Any](colors=[colour], radii=[pixels(width)], draw_order=order)
             self.tape.lines(f"{self.window}/{name}", self.instants, points, drawn, counts, **style)
         points, counts = joined([graph.knots if graph else NO_POINTS for graph in self.graphs], 2)
         dots = rr.Points2D.from_fields(colors=[colours.DP], radii=[pixels(3.5)], draw_order=3.0)
         self.tape.static(f"{self.window}/dp_nodes", dots)
-        self.tape.rows(f"{self.window}/dp_nodes", self.instants, rr.Points2D.columns(positions=points), counts)
+        self.tape.rows(
+            f"{self.window}/dp_nodes", self.instants, rr.Points2D.columns(positions=points), counts
+        )
 
     def draw_corridor(self) -> None:
         """Both bounds as lines and the space between them as a light fill; infinite bounds lie on the border."""
@@ -149,7 +189,10 @@ class _Sheet:
             if graph is None or graph.corridor is None:
                 continue
             x = graph.corridor.first
-            low, high = (np.clip(bound, *self.axes.y) for bound in (graph.corridor.lower, graph.corridor.upper))
+            low, high = (
+                np.clip(bound, *self.axes.y)
+                for bound in (graph.corridor.lower, graph.corridor.upper)
+            )
             inside = (x - self.offsets[i] <= self.axes.x[1] + 1e-9) & (low == low) & (high == high)
             lines += [np.column_stack([x[inside], bound[inside]]) for bound in (low, high)]
             owner.append(i)
@@ -161,7 +204,9 @@ class _Sheet:
         rings = [np.vstack([lines[k], lines[k + 1][::-1]]) for k in range(0, len(lines), 2)]
         filled, ring = self._fill(rings, self.offsets[owner], 2.0 * STROKE)
         light = np.full(len(filled), colours.with_alpha(colours.FREE, 14), dtype=np.uint32)
-        self._draw_fill(f"{entity}/room", filled, np.array(owner, dtype=np.int64)[ring], light, wide=2.0)
+        self._draw_fill(
+            f"{entity}/room", filled, np.array(owner, dtype=np.int64)[ring], light, wide=2.0
+        )
 
     def draw_grid(self) -> None:
         """The reached and visible nodes, coloured by relative cost, 0 to 1.
@@ -175,7 +220,11 @@ class _Sheet:
             if graph is None or graph.grid is None:
                 continue
             stride = max(1, ceil(len(graph.grid.second) / MAX_ROWS))
-            first, second, cost = graph.grid.first, graph.grid.second[::stride], graph.grid.cost[:, ::stride]
+            first, second, cost = (
+                graph.grid.first,
+                graph.grid.second[::stride],
+                graph.grid.cost[:, ::stride],
+            )
             shown = np.isfinite(cost) & (second >= axes.y[0]) & (second <= axes.y[1])
             shown &= (first - offset <= axes.x[1] + 1e-6)[:, None]
             least = np.min(np.where(shown, cost, np.inf), axis=1, keepdims=True, initial=np.inf)
@@ -189,28 +238,47 @@ class _Sheet:
         colour = colours.of_cost(np.concatenate(costs))
         entity = f"{self.window}/grid"
         self.tape.static(entity, rr.Points2D.from_fields(radii=[pixels(2.0)], draw_order=0.0))
-        self.tape.rows(entity, self.instants, rr.Points2D.columns(positions=points, colors=colour), counts)
+        self.tape.rows(
+            entity, self.instants, rr.Points2D.columns(positions=points, colors=colour), counts
+        )
 
     def draw_obstacles(self) -> None:
         """Obstacles filled and outlined in the colour of the decision, labelled with agent and decision."""
-        shown = [(i, obstacle) for i, graph in enumerate(self.graphs) if graph for obstacle in graph.obstacles]
+        shown = [
+            (i, obstacle)
+            for i, graph in enumerate(self.graphs)
+            if graph
+            for obstacle in graph.obstacles
+        ]
         frame = np.array([i for i, _ in shown], dtype=np.int64)
         outlines = [obstacle.outline for _, obstacle in shown]
-        colour = np.array([colours.DECISIONS[obstacle.of.decision] for _, obstacle in shown], dtype=np.uint32)
+        colour = np.array(
+            [colours.DECISIONS[obstacle.of.decision] for _, obstacle in shown], dtype=np.uint32
+        )
         filled, owner = self._fill(outlines, self.offsets[frame], STROKE)
         entity = f"{self.window}/obstacles"
         self._draw_fill(f"{entity}/fill", filled, frame[owner], colours.darker(colour)[owner])
 
-        relative = [outline - [offset, 0.0] for outline, offset in zip(outlines, self.offsets[frame], strict=True)]
+        relative = [
+            outline - [offset, 0.0]
+            for outline, offset in zip(outlines, self.offsets[frame], strict=True)
+        ]
         points, lengths = joined(relative, 2)
-        edges, edge_owner = outline_segments(points, np.array(lengths, dtype=np.int64), self.axes.window)
+        edges, edge_owner = outline_segments(
+            points, np.array(lengths, dtype=np.int64), self.axes.window
+        )
         edges[:, :, 0] += self.offsets[frame][edge_owner][:, None]
-        counts, pairs = np.bincount(frame[edge_owner], minlength=len(self.graphs)), np.full(len(edges), 2)
+        counts, pairs = (
+            np.bincount(frame[edge_owner], minlength=len(self.graphs)),
+            np.full(len(edges), 2),
+        )
         style, shades = dict[str, Any](radii=[pixels(1.2)], draw_order=-4.0), colour[edge_owner]
         self.tape.lines(entity, self.instants, edges.reshape(-1, 2), pairs, counts, shades, **style)
         self._draw_labels(shown, filled, owner)
 
-    def _draw_labels(self, shown: Sequence[tuple[int, DrawnObstacle]], filled: FloatArray, owner: IntArray) -> None:
+    def _draw_labels(
+        self, shown: Sequence[tuple[int, DrawnObstacle]], filled: FloatArray, owner: IntArray
+    ) -> None:
         """Label each visible obstacle, ignored ones only as `FEW_LABELS` allows; overlapping labels are moved apart."""
         begins = np.searchsorted(owner, np.arange(len(shown) + 1))
         rows: list[list[tuple[FloatArray, str, int]]] = [[] for _ in range(len(self.instants))]
@@ -218,16 +286,27 @@ class _Sheet:
             if begins[k + 1] > begins[k]:
                 words = plain(f"{self.tape.short(obstacle.of.agent)}: {obstacle.of.decision.value}")
                 offset = np.array([self.offsets[i], 0.0])
-                at = label_position(filled[begins[k] : begins[k + 1]] - offset, len(words), self.axes) + offset
-                rows[i].append((at, words, colours.of_words(colours.DECISIONS[obstacle.of.decision])))
+                at = (
+                    label_position(
+                        filled[begins[k] : begins[k + 1]] - offset, len(words), self.axes
+                    )
+                    + offset
+                )
+                rows[i].append(
+                    (at, words, colours.of_words(colours.DECISIONS[obstacle.of.decision]))
+                )
         ignored = colours.DECISIONS[DecisionKind.IGNORE]
         kept = [
-            (row if len(row) <= FEW_LABELS else [label for label in row if label[2] != ignored])[:MAX_LABELS]
+            (row if len(row) <= FEW_LABELS else [label for label in row if label[2] != ignored])[
+                :MAX_LABELS
+            ]
             for row in rows
         ]
         placed = [
             spread_labels(
-                np.array([at for at, _, _ in row]).reshape(-1, 2), [len(words) for _, words, _ in row], self.axes
+                np.array([at for at, _, _ in row]).reshape(-1, 2),
+                [len(words) for _, words, _ in row],
+                self.axes,
             )
             for row in kept
         ]
@@ -236,12 +315,18 @@ class _Sheet:
         self.tape.static(entity, _label_style(None))
         flat = [label for row in kept for label in row]
         colour = np.array([label[2] for label in flat], dtype=np.uint32)
-        labels = rr.Points2D.columns(positions=points, labels=[label[1] for label in flat], colors=colour)
+        labels = rr.Points2D.columns(
+            positions=points, labels=[label[1] for label in flat], colors=colour
+        )
         self.tape.rows(entity, self.instants, labels, counts)
 
-    def _fill(self, outlines: Sequence[FloatArray], offsets: FloatArray, spacing: float) -> tuple[FloatArray, IntArray]:
+    def _fill(
+        self, outlines: Sequence[FloatArray], offsets: FloatArray, spacing: float
+    ) -> tuple[FloatArray, IntArray]:
         """Strokes `(k, 2, 2)` that fill outlines in the units of the graph, and the outline of each."""
-        relative = [outline - [offset, 0.0] for outline, offset in zip(outlines, offsets, strict=True)]
+        relative = [
+            outline - [offset, 0.0] for outline, offset in zip(outlines, offsets, strict=True)
+        ]
         points, lengths = joined(relative, 2)
         step = spacing / self.axes.scale[0]
         filled, owner = strokes(points, np.array(lengths, dtype=np.int64), self.axes.window, step)
@@ -249,15 +334,25 @@ class _Sheet:
         return filled, owner
 
     def _draw_fill(
-        self, entity: str, filled: FloatArray, frame: IntArray, colour: colours.PackedArray, *, wide: float = 1.0
+        self,
+        entity: str,
+        filled: FloatArray,
+        frame: IntArray,
+        colour: colours.PackedArray,
+        *,
+        wide: float = 1.0,
     ) -> None:
         """Draw strokes `(k, 2, 2)`, each in its colour, 1.5 times as wide as their distance, so that no gaps show."""
         counts, pairs = np.bincount(frame, minlength=len(self.instants)), np.full(len(filled), 2)
         style = dict[str, Any](radii=[0.75 * wide * STROKE], draw_order=-5.0)
-        self.tape.lines(entity, self.instants, filled.reshape(-1, 2), pairs, counts, colour, **style)
+        self.tape.lines(
+            entity, self.instants, filled.reshape(-1, 2), pairs, counts, colour, **style
+        )
 
 
-def draw_occupancy(tape: Tape, instants: Instants, outlines: Sequence[Sequence[FloatArray]], axes: Axes) -> None:
+def draw_occupancy(
+    tape: Tape, instants: Instants, outlines: Sequence[Sequence[FloatArray]], axes: Axes
+) -> None:
     """Draw the outlines of the agents in the S-T graphs as they really drove; `outlines` has a list per frame."""
     flat = [outline for some in outlines for outline in some]
     frame = np.repeat(np.arange(len(outlines)), [len(some) for some in outlines])
@@ -271,7 +366,10 @@ def draw_occupancy(tape: Tape, instants: Instants, outlines: Sequence[Sequence[F
 
 def _label_style(colour: int | None) -> rr.Points2D:
     return rr.Points2D.from_fields(
-        colors=None if colour is None else [colour], radii=[pixels(0.01)], show_labels=True, draw_order=30.0
+        colors=None if colour is None else [colour],
+        radii=[pixels(0.01)],
+        show_labels=True,
+        draw_order=30.0,
     )
 
 
@@ -301,7 +399,9 @@ def spread_labels(points: FloatArray, lengths: Sequence[int], axes: Axes) -> Flo
     gap, top = LABEL_GAP / ky, axes.y[1] - 1.0 / ky
 
     def crowd(i: int, j: int) -> bool:
-        return bool(abs(points[i, 0] - points[j, 0]) * kx < 0.5 * LETTER * (lengths[i] + lengths[j]))
+        return bool(
+            abs(points[i, 0] - points[j, 0]) * kx < 0.5 * LETTER * (lengths[i] + lengths[j])
+        )
 
     for n, i in enumerate(order):
         out[i, 1] = max([out[i, 1], *(out[j, 1] + gap for j in order[:n] if crowd(j, i))])

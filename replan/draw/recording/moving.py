@@ -20,7 +20,13 @@ from replan.core.arrays import FloatArray, IntArray
 from replan.draw.model import decided, in_full, plan_seconds
 from replan.draw.recording import colours
 from replan.draw.recording.plots import places
-from replan.draw.recording.road_layer import at_height, draw_goal, draw_lights, draw_lines, draw_road
+from replan.draw.recording.road_layer import (
+    at_height,
+    draw_goal,
+    draw_lights,
+    draw_lines,
+    draw_road,
+)
 from replan.draw.recording.tape import REMOVED, Instants, Tape, joined, pixels, plain
 from replan.explain.planner_input import agents_shown
 from replan.logs.agents import AgentKind, Agents
@@ -44,7 +50,8 @@ FAINT = 60  # Opacity of agents that are not drawn in full, of 255
 LABEL_M, EYE_BACK_M, LABEL_RISE = 2.7, 18.0, 0.03
 """Height of a label from above; distance of the eye behind the ego; rise of a name per metre from the eye."""
 PLAN_POINTS = 60
-NEAR_M = 90.0  # For agents farther from the ego than this, neither predictions nor missing detections are shown
+# For agents farther from the ego than this, neither predictions nor missing detections are shown
+NEAR_M = 90.0
 SHORTEST_M = 0.5  # A shorter predicted path is not drawn: the agent stands
 SHADOW_STEP = 0.03  # Angle between two lines of the hatching of hidden ground, rad
 ARC_STEP = 0.1
@@ -72,10 +79,16 @@ def draw_scene(tape: Tape, trace: Trace, scenario: Scenario, instants: Instants)
     tape.rows("world/ego", instants, poses)
     size = [vehicle.length / 2.0, vehicle.width / 2.0, EGO_HEIGHT / 2.0]
     center = [vehicle.axle_to_center, 0.0, EGO_HEIGHT / 2.0]
-    box = rr.Boxes3D(centers=[center], half_sizes=[size], colors=colours.EGO, fill_mode=FILLED, labels=["ego"])
+    box = rr.Boxes3D(
+        centers=[center], half_sizes=[size], colors=colours.EGO, fill_mode=FILLED, labels=["ego"]
+    )
     tape.static("world/ego/box", box, rr.Boxes3D.from_fields(show_labels=False))
     front, half = vehicle.axle_to_front, vehicle.width / 2.0
-    nose = [[front - half, half, EGO_HEIGHT], [front, 0.0, EGO_HEIGHT], [front - half, -half, EGO_HEIGHT]]
+    nose = [
+        [front - half, half, EGO_HEIGHT],
+        [front, 0.0, EGO_HEIGHT],
+        [front - half, -half, EGO_HEIGHT],
+    ]
     tape.static("world/ego/nose", rr.LineStrips3D([nose], colors=0xFFFFFFFF, radii=0.04))
     pieces = np.stack([xy[np.maximum(np.arange(len(xy)) - 1, 0)], xy], axis=1)
     drawn, pairs = at_height(pieces.reshape(-1, 2), 0.04), np.full(len(xy), 2)
@@ -83,12 +96,15 @@ def draw_scene(tape: Tape, trace: Trace, scenario: Scenario, instants: Instants)
     if trace.ego is not scenario.ego and len(scenario.ego) > 1:
         _draw_log(tape, trace, scenario, instants)
     if scenario.repair is not None and len(scenario.repair.removed):
-        shown = [scenario.repair.removed.perceived(float(t)) for t in instants.t]  # hidden by the blueprint at first
+        # Hidden by the blueprint at first
+        shown = [scenario.repair.removed.perceived(float(t)) for t in instants.t]
         labels = [plain(name) for some in shown for name in some.ids]
         draw_frames(tape, REMOVED, shown, instants, labels, colours.REMOVED, 0.8)
 
 
-def draw_moving(tape: Tape, trace: Trace, kinds: Collection[AgentKind], instants: Instants, frames: Instants) -> None:
+def draw_moving(
+    tape: Tape, trace: Trace, kinds: Collection[AgentKind], instants: Instants, frames: Instants
+) -> None:
     """Draw the agents at some instants, and the plans that are in force then (`trace.frames`).
 
     `kinds` are the kinds of all agents of the drive.
@@ -99,24 +115,37 @@ def draw_moving(tape: Tape, trace: Trace, kinds: Collection[AgentKind], instants
     begin = int(frames.frame[0]) if plans else 0
     here = [about[min(int(frame) - begin, len(about) - 1)] for frame in instants.frame]
     xy, yaw = _poses_at(trace.ego, instants.t)
-    full = [in_full(some.ids, some.x, some.y, now, (x, y)) for some, now, (x, y) in zip(agents, here, xy, strict=True)]
+    full = [
+        in_full(some.ids, some.x, some.y, now, (x, y))
+        for some, now, (x, y) in zip(agents, here, xy, strict=True)
+    ]
     for kind in AgentKind:
         if kind in kinds:
             _draw_kind(tape, kind, agents, full, instants)
     # the velocity of each moving agent that is drawn in full, as its displacement in one second
-    moving = [at[np.nan_to_num(some.speed)[at] > 0.3] for some, at in zip(agents, full, strict=True)]
-    starts, counts = joined([np.column_stack([some.x, some.y])[at] for some, at in zip(agents, moving, strict=True)], 2)
-    vectors, _ = joined([np.column_stack([some.vx, some.vy])[at] for some, at in zip(agents, moving, strict=True)], 2)
+    moving = [
+        at[np.nan_to_num(some.speed)[at] > 0.3] for some, at in zip(agents, full, strict=True)
+    ]
+    starts, counts = joined(
+        [np.column_stack([some.x, some.y])[at] for some, at in zip(agents, moving, strict=True)], 2
+    )
+    vectors, _ = joined(
+        [np.column_stack([some.vx, some.vy])[at] for some, at in zip(agents, moving, strict=True)],
+        2,
+    )
     arrows = rr.Arrows3D.columns(origins=at_height(starts, 0.1), vectors=at_height(vectors, 0.0))
     tape.static("world/agents/velocity", rr.Arrows3D.from_fields(colors=[0xFFFFFFA0], radii=[0.05]))
     tape.rows("world/agents/velocity", instants, arrows, counts)
     _draw_names(tape, agents, full, here, np.column_stack([xy, yaw]), instants)
     if not plans:
         return
-    lines, speeds, dots = [], [], []  # each plan as a line in the colours of its speed, with a dot at every full second
+    # Each plan as a line in the colours of its speed, with a dot at every full second
+    lines, speeds, dots = [], [], []
     for plan in plans:
         path = plan.trajectory
-        at: IntArray = np.unique(np.linspace(0, len(path) - 1, min(len(path), PLAN_POINTS)).round().astype(np.int64))
+        at: IntArray = np.unique(
+            np.linspace(0, len(path) - 1, min(len(path), PLAN_POINTS)).round().astype(np.int64)
+        )
         xy = np.column_stack([path.x[at], path.y[at]])
         lines.append(np.stack([xy[:-1], xy[1:]], axis=1))
         speeds.append(0.5 * (path.v[at][:-1] + path.v[at][1:]))
@@ -124,10 +153,14 @@ def draw_moving(tape: Tape, trace: Trace, kinds: Collection[AgentKind], instants
     pieces = np.concatenate(lines)
     colour = colours.of_speed(np.concatenate(speeds) / max(1.0, float(trace.ego.v.max())))
     drawn, counts = at_height(pieces.reshape(-1, 2), 0.12), [len(line) for line in lines]
-    tape.lines("world/plan/path", frames, drawn, np.full(len(pieces), 2), counts, colour, radii=[0.18])
+    tape.lines(
+        "world/plan/path", frames, drawn, np.full(len(pieces), 2), counts, colour, radii=[0.18]
+    )
     points, counts = joined(dots, 2)
     tape.static("world/plan/seconds", rr.Points3D.from_fields(colors=[0xFFFFFFFF], radii=[0.22]))
-    tape.rows("world/plan/seconds", frames, rr.Points3D.columns(positions=at_height(points, 0.2)), counts)
+    tape.rows(
+        "world/plan/seconds", frames, rr.Points3D.columns(positions=at_height(points, 0.2)), counts
+    )
 
 
 def _poses_at(ego: Trajectory, t: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -151,18 +184,29 @@ def _draw_log(tape: Tape, trace: Trace, scenario: Scenario, instants: Instants) 
         centers=at_height(center, EGO_HEIGHT / 2.0), half_sizes=half, quaternions=quaternions(yaw)
     )
     style = rr.Boxes3D.from_fields(
-        colors=[colours.GHOST], labels=["log"], show_labels=False, fill_mode=FRAME_ONLY, radii=[pixels(0.8)]
+        colors=[colours.GHOST],
+        labels=["log"],
+        show_labels=False,
+        fill_mode=FRAME_ONLY,
+        radii=[pixels(0.8)],
     )
     tape.static("world/log/ego", style)
     tape.rows("world/log/ego", instants, boxes, there.astype(np.int64))
 
 
 def draw_frames(
-    tape: Tape, entity: str, shown: Sequence[Agents], instants: Instants, labels: Sequence[str], colour: int, px: float
+    tape: Tape,
+    entity: str,
+    shown: Sequence[Agents],
+    instants: Instants,
+    labels: Sequence[str],
+    colour: int,
+    px: float,
 ) -> None:
     """Wireframe boxes of agents at instants, with lines of `px` pixels; their labels are visible on hover."""
     x, y, yaw, length, width = (
-        np.concatenate([getattr(some, name) for some in shown]) for name in ("x", "y", "yaw", "length", "width")
+        np.concatenate([getattr(some, name) for some in shown])
+        for name in ("x", "y", "yaw", "length", "width")
     )
     boxes = rr.Boxes3D.columns(
         centers=at_height(np.column_stack([x, y]), EGO_HEIGHT / 2.0),
@@ -170,30 +214,49 @@ def draw_frames(
         quaternions=quaternions(yaw),
         labels=labels,
     )
-    style = rr.Boxes3D.from_fields(colors=[colour], fill_mode=FRAME_ONLY, radii=[pixels(px)], show_labels=False)
+    style = rr.Boxes3D.from_fields(
+        colors=[colour], fill_mode=FRAME_ONLY, radii=[pixels(px)], show_labels=False
+    )
     tape.static(entity, style)
     tape.rows(entity, instants, boxes, [len(some) for some in shown])
 
 
 def _draw_kind(
-    tape: Tape, kind: AgentKind, agents: Sequence[Agents], full: Sequence[IntArray], instants: Instants
+    tape: Tape,
+    kind: AgentKind,
+    agents: Sequence[Agents],
+    full: Sequence[IntArray],
+    instants: Instants,
 ) -> None:
     """Boxes of one kind of agent, faint if they are not drawn in full; their ids are visible on hover."""
-    chosen = [np.array([i for i, k in enumerate(some.kinds) if k is kind], dtype=np.int64) for some in agents]
+    chosen = [
+        np.array([i for i, k in enumerate(some.kinds) if k is kind], dtype=np.int64)
+        for some in agents
+    ]
     x, y, yaw, length, width = (
         np.concatenate([getattr(some, name)[at] for some, at in zip(agents, chosen, strict=True)])
         for name in ("x", "y", "yaw", "length", "width")
     )
     height, xy = HEIGHTS[kind], np.column_stack([x, y])
     half = np.column_stack([length, width, np.full(len(xy), height)]) / 2.0
-    names = {name: plain(tape.short(name)) for name in {name for some in agents for name in some.ids}}
+    names = {
+        name: plain(tape.short(name)) for name in {name for some in agents for name in some.ids}
+    }
     labels = [names[some.ids[i]] for some, at in zip(agents, chosen, strict=True) for i in at]
     seen = np.concatenate([np.isin(at, rows) for at, rows in zip(chosen, full, strict=True)])
-    colour = np.where(seen, colours.KINDS[kind], colours.with_alpha(colours.KINDS[kind], FAINT)).astype(np.uint32)
+    colour = np.where(
+        seen, colours.KINDS[kind], colours.with_alpha(colours.KINDS[kind], FAINT)
+    ).astype(np.uint32)
     boxes = rr.Boxes3D.columns(
-        centers=at_height(xy, height / 2.0), half_sizes=half, quaternions=quaternions(yaw), labels=labels, colors=colour
+        centers=at_height(xy, height / 2.0),
+        half_sizes=half,
+        quaternions=quaternions(yaw),
+        labels=labels,
+        colors=colour,
     )
-    tape.static(f"world/agents/{kind.value}", rr.Boxes3D.from_fields(fill_mode=FILLED, show_labels=False))
+    tape.static(
+        f"world/agents/{kind.value}", rr.Boxes3D.from_fields(fill_mode=FILLED, show_labels=False)
+    )
     tape.rows(f"world/agents/{kind.value}", instants, boxes, [len(at) for at in chosen])
 
 
@@ -215,16 +278,24 @@ def _draw_names(
         for i in rows:
             decision, name = about.get(some.ids[i]), tape.short(some.ids[i])
             turn = float(some.yaw[i]) - yaw
-            half = 0.5 * (abs(cos(turn)) * float(some.length[i]) + abs(sin(turn)) * float(some.width[i]))
+            half = 0.5 * (
+                abs(cos(turn)) * float(some.length[i]) + abs(sin(turn)) * float(some.width[i])
+            )
             away = hypot(some.x[i] - x, some.y[i] - y) + EYE_BACK_M
             ahead, up = half + LABEL_M, HEIGHTS[some.kinds[i]] + LABEL_RISE * away
-            points.append((float(some.x[i] + ahead * cos(yaw)), float(some.y[i] + ahead * sin(yaw)), up))
+            points.append(
+                (float(some.x[i] + ahead * cos(yaw)), float(some.y[i] + ahead * sin(yaw)), up)
+            )
             words.append(plain(f"{name}: {decision.kind.value}" if decision else name))
-            colour.append(colours.of_words(colours.DECISIONS[decision.kind] if decision else colours.TICK))
+            colour.append(
+                colours.of_words(colours.DECISIONS[decision.kind] if decision else colours.TICK)
+            )
     entity = "world/agents/names"
     tape.static(entity, rr.Points3D.from_fields(radii=[pixels(0.01)], show_labels=True))
     shown = rr.Points3D.columns(
-        positions=np.array(points).reshape(-1, 3), labels=words, colors=np.array(colour, dtype=np.uint32)
+        positions=np.array(points).reshape(-1, 3),
+        labels=words,
+        colors=np.array(colour, dtype=np.uint32),
     )
     tape.rows(entity, instants, shown, [len(rows) for rows in full])
 
@@ -233,7 +304,9 @@ def draw_others(tape: Tape, trace: Trace, frames: Instants) -> None:
     """Draw predictions, perceived agents and the sensor, if the trace has them, one row per frame."""
     if any(frame.predictions is not None for frame in trace.frames):
         known = [trace.agents] if trace.perceived is None else [trace.perceived, trace.agents]
-        kinds = {name: kind for each in known for name, kind in zip(each.ids, each.kinds, strict=True)}
+        kinds = {
+            name: kind for each in known for name, kind in zip(each.ids, each.kinds, strict=True)
+        }
         paths: list[FloatArray] = []
         shades: list[int] = []
         per_frame: list[int] = []
@@ -241,12 +314,16 @@ def draw_others(tape: Tape, trace: Trace, frames: Instants) -> None:
             some = futures(frame, x, y)
             paths += [path for _, _, path in some]
             for name, p, _ in some:  # unlikely hypotheses stay visible
-                shade = colours.with_alpha(colours.KINDS[kinds[name]], round(50 + 150 * min(max(p, 0.0), 1.0)))
+                shade = colours.with_alpha(
+                    colours.KINDS[kinds[name]], round(50 + 150 * min(max(p, 0.0), 1.0))
+                )
                 shades.append(shade)
             per_frame.append(len(some))
         points, lengths = joined(paths, 2)
         drawn, colour_of = at_height(points, LOW), np.array(shades, dtype=np.uint32)
-        tape.lines("world/predictions", frames, drawn, lengths, per_frame, colour_of, radii=[pixels(1.2)])
+        tape.lines(
+            "world/predictions", frames, drawn, lengths, per_frame, colour_of, radii=[pixels(1.2)]
+        )
     if trace.frames and (len(trace.agents) or trace.perceived is not None):
         # with a sensor model: all agents that it shows; without one: agents that are extrapolated after their log ended
         shown = [perceived_only(trace, float(t)) for t in frames.t]
@@ -256,10 +333,20 @@ def draw_others(tape: Tape, trace: Trace, frames: Instants) -> None:
     if not any(frame.visibility is not None for frame in trace.frames):
         return
     for name, draw, colour in (("edge", rim, colours.SENSOR), ("hidden", hatching, colours.HIDDEN)):
-        lines = [draw(frame.visibility) if frame.visibility is not None else [] for frame in trace.frames]
+        lines = [
+            draw(frame.visibility) if frame.visibility is not None else [] for frame in trace.frames
+        ]
         points, lengths = joined([line for some in lines for line in some], 2)
         counts, drawn = [len(some) for some in lines], at_height(points, LOW / 2)
-        tape.lines(f"world/sensor/{name}", frames, drawn, lengths, counts, colors=[colour], radii=[pixels(0.8)])
+        tape.lines(
+            f"world/sensor/{name}",
+            frames,
+            drawn,
+            lengths,
+            counts,
+            colors=[colour],
+            radii=[pixels(0.8)],
+        )
 
 
 def futures(frame: PlannedFrame, x: float, y: float) -> list[tuple[str, float, FloatArray]]:
@@ -270,20 +357,32 @@ def futures(frame: PlannedFrame, x: float, y: float) -> list[tuple[str, float, F
     near = np.hypot(some.x[:, 0] - x, some.y[:, 0] - y) <= NEAR_M
     _, first = np.unique(some.agent, return_index=True)
     names = [frame.agents[some.agent[i]] for i in first]
-    kept = some.agent[first][in_full(names, some.x[first, 0], some.y[first, 0], decided(frame.plan), (x, y))]
+    kept = some.agent[first][
+        in_full(names, some.x[first, 0], some.y[first, 0], decided(frame.plan), (x, y))
+    ]
     reach = np.hypot(some.x - some.x[:, :1], some.y - some.y[:, :1]).max(axis=1)
     whose = np.zeros(len(frame.agents), np.bool_)
     whose[kept] = True
     rows = np.flatnonzero(near & whose[some.agent] & (reach >= SHORTEST_M))
     return [
-        (frame.agents[some.agent[i]], float(some.probability[i]), np.column_stack([some.x[i], some.y[i]])) for i in rows
+        (
+            frame.agents[some.agent[i]],
+            float(some.probability[i]),
+            np.column_stack([some.x[i], some.y[i]]),
+        )
+        for i in rows
     ]
 
 
 def perceived_only(trace: Trace, t: float) -> Agents:
     """The agents that were shown to the planner in the frame at `t`, and are not drawn as true boxes."""
-    known, there = agents_shown(trace, t), set(trace.agents.ids_at(t) if trace.perceived is None else ())
-    return known.some(np.array([i for i, name in enumerate(known.ids) if name not in there], dtype=np.int64))
+    known, there = (
+        agents_shown(trace, t),
+        set(trace.agents.ids_at(t) if trace.perceived is None else ()),
+    )
+    return known.some(
+        np.array([i for i, name in enumerate(known.ids) if name not in there], dtype=np.int64)
+    )
 
 
 def unseen(trace: Trace, t: float) -> list[tuple[str, float]]:
@@ -293,14 +392,20 @@ def unseen(trace: Trace, t: float) -> list[tuple[str, float]]:
     there, shown, ego = trace.agents.truth(t), set(perceived_only(trace, t).ids), trace.ego
     away = np.hypot(there.x - np.interp(t, ego.t, ego.x), there.y - np.interp(t, ego.t, ego.y))
     near = np.argsort(away, kind="stable")
-    return [(there.ids[i], float(away[i])) for i in near if away[i] <= NEAR_M and there.ids[i] not in shown]
+    return [
+        (there.ids[i], float(away[i]))
+        for i in near
+        if away[i] <= NEAR_M and there.ids[i] not in shown
+    ]
 
 
 def rim(seen: Visibility) -> list[FloatArray]:
     """The rim of the sensor's range within its field of view; with two sides if that is less than a circle."""
     half = min(0.5 * seen.field_of_view, pi)
     angles = seen.yaw + np.linspace(-half, half, 2 + ceil(2.0 * half / ARC_STEP))
-    edge = np.column_stack([seen.x + seen.range * np.cos(angles), seen.y + seen.range * np.sin(angles)])
+    edge = np.column_stack(
+        [seen.x + seen.range * np.cos(angles), seen.y + seen.range * np.sin(angles)]
+    )
     here = np.array([[seen.x, seen.y]])
     return [edge if half >= pi else np.vstack([here, edge, here])]
 

@@ -16,7 +16,14 @@ from replan.draw.recording.tape import MARKDOWN, Instants, Tape, cell, document,
 from replan.explain import Explanation, accounts
 from replan.explain.course import BRAKES_MPS2
 from replan.explain.drive_events import TimedEvent
-from replan.explain.explanation import FREE_DRIVE, NO_NUDGE, STATUS_WORDS, Section, lateral, longitudinal
+from replan.explain.explanation import (
+    FREE_DRIVE,
+    NO_NUDGE,
+    STATUS_WORDS,
+    Section,
+    lateral,
+    longitudinal,
+)
 from replan.logs.plan import Decision, Graph, PlanStatus
 from replan.logs.scenario import Scenario
 from replan.logs.trace import PlannedFrame, Trace
@@ -29,7 +36,8 @@ MAX_MISSING = 6
 SAME_MPS = 0.05
 HEADINGS = {"decisions": "Decisions (s from now, m along the path)", "costs": "Cost terms"}
 """Headings of sections whose heading differs from their title."""
-NUMBERS = ("costs", "solvers")  # Sections of the second page, which is only needed if a plan looks odd
+# Sections of the second page, which is only needed if a plan looks odd
+NUMBERS = ("costs", "solvers")
 MOST_RECENT = 6  # Rows of the page of recent events: all visible in a window of usual size
 
 
@@ -37,9 +45,13 @@ def draw_why(tape: Tape, trace: Trace, scenario: Scenario, instants: Instants) -
     """The pages "why" and "numbers" of each frame."""
     changes = changes_under_way(trace.frames, lanes_driven(trace, scenario.road))
     pages: dict[str, list[str]] = {"why": [], "numbers": []}
-    for frame, account, change in zip(trace.frames, accounts(trace, scenario), changes, strict=True):
+    for frame, account, change in zip(
+        trace.frames, accounts(trace, scenario), changes, strict=True
+    ):
         explained = Explanation.of(frame, account, bounds=False)
-        pages["why"].append(document(map(tape.short, why(frame, explained, unseen(trace, frame.t), change))))
+        pages["why"].append(
+            document(map(tape.short, why(frame, explained, unseen(trace, frame.t), change)))
+        )
         pages["numbers"].append(document(map(tape.short, numbers(explained))))
     for page, texts in pages.items():
         tape.static(page, rr.TextDocument.from_fields(media_type=MARKDOWN))
@@ -59,21 +71,34 @@ def why(
     plan, course = frame.plan, explained.account.course
     words = [] if plan.status is PlanStatus.PLANNED else [STATUS_WORDS[plan.status]]
     if any(isinstance(artefact, Decision) for artefact in plan.internals):
-        words += [word for word in (longitudinal(plan), lateral(plan)) if word not in (FREE_DRIVE, NO_NUDGE)]
+        words += [
+            word
+            for word in (longitudinal(plan), lateral(plan))
+            if word not in (FREE_DRIVE, NO_NUDGE)
+        ]
     headline = ": ".join([explained.does, ", ".join(words)]) if words else explained.does
     lines = [f"### t = {explained.t:.2f} s: {headline}"]
     if explained.reason and not explained.fallback:
         lines += ["", f"**Reason: {cell(explained.reason)}**"]
     if change is not None:
-        lines += ["", f"**Changes lane to the {change.name}** since t = {change.t:.2f} s: {cell(change.reason)}"]
+        lines += [
+            "",
+            f"**Changes lane to the {change.name}** since t = {change.t:.2f} s: {cell(change.reason)}",
+        ]
     for sentence in explained.because:
         first, colon, rest = sentence.partition(": ")
         lines += ["", f"**{cell(first)}**{colon}{cell(rest)}"]
-    moves = [f"Speed {course.v_start:.1f} m/s, {course.v_end:.1f} m/s after {course.duration:.1f} s"]
+    moves = [
+        f"Speed {course.v_start:.1f} m/s, {course.v_end:.1f} m/s after {course.duration:.1f} s"
+    ]
     if course.v_least < min(course.v_start, course.v_end) - SAME_MPS:
-        moves.append(f"slowest {course.v_least:.1f} m/s at t = {explained.t + course.t_least:.1f} s")
+        moves.append(
+            f"slowest {course.v_least:.1f} m/s at t = {explained.t + course.t_least:.1f} s"
+        )
     if course.a_least < BRAKES_MPS2:
-        moves.append(f"hardest braking {course.a_least:.1f} m/s² at t = {explained.t + course.t_hardest:.1f} s")
+        moves.append(
+            f"hardest braking {course.a_least:.1f} m/s² at t = {explained.t + course.t_hardest:.1f} s"
+        )
     lines += ["", f"{'; '.join(moves)}. Starts {plan.start.value}."]
     if missing:
         named = listed([f"{cell(name)} ({away:.0f} m)" for name, away in missing], MAX_MISSING)
@@ -84,7 +109,10 @@ def why(
 def numbers(explained: Explanation) -> list[str]:
     """The second page of a frame: cost terms and the reports of the solvers."""
     found = _sections(explained, lambda section: section.title in NUMBERS)
-    return [f"### t = {explained.t:.2f} s", *(found or ["", "The planner reports neither costs nor solvers."])]
+    return [
+        f"### t = {explained.t:.2f} s",
+        *(found or ["", "The planner reports neither costs nor solvers."]),
+    ]
 
 
 def _sections(explained: Explanation, chosen: Callable[[Section], bool]) -> list[str]:
@@ -115,7 +143,9 @@ def draw_events(tape: Tape, found: Sequence[TimedEvent], frames: Instants) -> No
         pages.append(document(rows or ["nothing yet"]))
     tape.rows("recent", Instants.among(changes, frames.t), rr.TextDocument.columns(text=pages))
     instants = Instants.among(np.array([event.t for event in found]), frames.t)
-    shown = rr.TextLog.columns(text=[plain(event.words) for event in found], level=[event.level for event in found])
+    shown = rr.TextLog.columns(
+        text=[plain(event.words) for event in found], level=[event.level for event in found]
+    )
     tape.rows("events", instants, shown)
 
 
@@ -129,14 +159,20 @@ def draw_summary(tape: Tape, lines: Iterable[str]) -> None:
 
 def summary(trace: Trace, scenario: Scenario, metrics: DataFrame | None) -> list[str]:
     """Scenario, planner, mode, end, notes, metrics, and a legend of the pictures."""
-    mode = f"{trace.mode.value} loop" + (", an oracle: it knows the log's future" if trace.oracle else "")
+    mode = f"{trace.mode.value} loop" + (
+        ", an oracle: it knows the log's future" if trace.oracle else ""
+    )
     seconds = trace.ego.t[-1] - trace.ego.t[0]
     detail = f" ({cell(trace.detail)})" if trace.detail else ""
     lines = [
-        f"# {cell(scenario.name)}", "", f"**{cell(trace.planner)}**, {mode}", "",
-        f"End after {seconds:.2f} s: **{cell(trace.end.value)}**{detail}", "",
+        f"# {cell(scenario.name)}",
+        "",
+        f"**{cell(trace.planner)}**, {mode}",
+        "",
+        f"End after {seconds:.2f} s: **{cell(trace.end.value)}**{detail}",
+        "",
         *_notes((*trace.notes, *scenario.notes)),
-    ]  # fmt: skip
+    ]
     if metrics is not None and len(metrics):
         rows = []
         for row in metrics.to_dict("records"):
@@ -164,7 +200,12 @@ def log_facts(scenario: Scenario) -> list[str]:
     span = scenario.ego.t[-1] - scenario.ego.t[0]
     facts = [
         ("duration", f"{scenario.duration:.1f} s"),
-        ("ego", f"{len(scenario.ego)} states over {span:.1f} s" if len(scenario.ego) > 1 else "its start only"),
+        (
+            "ego",
+            f"{len(scenario.ego)} states over {span:.1f} s"
+            if len(scenario.ego) > 1
+            else "its start only",
+        ),
         ("agents", counts),
         ("road", f"{counted(len(scenario.road.lanes), 'lane')} ({scenario.road.source.value})"),
         ("tags", ", ".join(scenario.tags)),
@@ -176,7 +217,9 @@ def log_facts(scenario: Scenario) -> list[str]:
 
 def legend(trace: Trace) -> list[str]:
     """The lines that explain the pictures."""
-    graphs = any(isinstance(artefact, Graph) for frame in trace.frames for artefact in frame.plan.internals)
+    graphs = any(
+        isinstance(artefact, Graph) for frame in trace.frames for artefact in frame.plan.internals
+    )
     scene = [
         "- Scene: the ego and its driven path are blue; the plan is red (standing) to green (fastest), with a dot per "
         "second",

@@ -49,7 +49,13 @@ LAYOUTS = ("overview", "planner", "control")  # The tabs of a recording, each a 
 LOOPBACK = "127.0.0.1"
 CLOSED = f"http://{LOOPBACK}:9"
 """A proxy that does not exist: port 9 (discard, RFC 863) has no server on current systems."""
-SETTINGS = {"analytics_enabled": False, "analytics_id": "", "metadata": {}, "config_file_path": "", "data_dir_path": ""}
+SETTINGS = {
+    "analytics_enabled": False,
+    "analytics_id": "",
+    "metadata": {},
+    "config_file_path": "",
+    "data_dir_path": "",
+}
 
 
 @contextmanager
@@ -60,13 +66,19 @@ def environment(**more: str) -> Iterator[dict[str, str]]:
     """
     with tempfile.TemporaryDirectory(prefix="replan-viewer-") as folder:
         variable, below = (
-            ("HOME", "Library/Application Support") if sys.platform == "darwin" else ("XDG_CONFIG_HOME", "")
+            ("HOME", "Library/Application Support")
+            if sys.platform == "darwin"
+            else ("XDG_CONFIG_HOME", "")
         )
         file = Path(folder) / below / "rerun" / "analytics.json"
         file.parent.mkdir(parents=True)
         file.write_text(json.dumps(SETTINGS), encoding="utf-8")
-        ours = {key: value for key, value in os.environ.items() if not key.lower().endswith("_proxy")}
-        ours |= dict.fromkeys(("ALL_PROXY", "HTTP_PROXY", "HTTPS_PROXY", "http_proxy", "https_proxy"), CLOSED)
+        ours = {
+            key: value for key, value in os.environ.items() if not key.lower().endswith("_proxy")
+        }
+        ours |= dict.fromkeys(
+            ("ALL_PROXY", "HTTP_PROXY", "HTTPS_PROXY", "http_proxy", "https_proxy"), CLOSED
+        )
         ours |= {"NO_PROXY": f"{LOOPBACK},localhost", variable: folder}
         yield {**ours, **dict.fromkeys(("TMPDIR", "TEMP", "TMP"), folder), **more}
 
@@ -82,7 +94,8 @@ def free_port() -> int:
 def in_use(port: int) -> bool:
     """Whether a port of this machine is in use, or may not be used."""
     with socket.socket() as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # a port that has just been closed is free
+        # A port that has just been closed is free
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             probe.bind((LOOPBACK, port))
         except OSError:
@@ -155,7 +168,11 @@ def take_pictures(
             if any(recording.timelines for recording in client.get_state().recordings):
                 client.set_time(SIM_TIME, duration=picture.t, play_state="paused")
             _settle(client, picture, view, alive)
-        return [f"{view.name}: {report.summary}" for view in client.get_state().views for report in view.reports]
+        return [
+            f"{view.name}: {report.summary}"
+            for view in client.get_state().views
+            for report in view.reports
+        ]
 
 
 def arranged(kept: Blueprint, layout: str, view: str | None) -> tuple[Blueprint, str | None]:
@@ -168,7 +185,9 @@ def arranged(kept: Blueprint, layout: str, view: str | None) -> tuple[Blueprint,
     Returns:
         The blueprint, and the view's id.
     """
-    parts = {name: {kind: dict(fields) for kind, fields in part.items()} for name, part in kept.items()}
+    parts = {
+        name: {kind: dict(fields) for kind, fields in part.items()} for name, part in kept.items()
+    }
     parts["/top_panel"] = {"PanelBlueprint": {"state": "Hidden"}}
     parts.setdefault("/time_panel", {}).setdefault("TimePanelBlueprint", {})["state"] = "Hidden"
     parents = {}
@@ -184,12 +203,22 @@ def arranged(kept: Blueprint, layout: str, view: str | None) -> tuple[Blueprint,
     }
     layouts = {title.lower(): name for name, title in titles.items() if title.lower() in LAYOUTS}
     if layout != LAYOUTS[0] and layout not in layouts:
-        raise ConfigError(f"this recording has no layout {layout!r}; there are: {', '.join(sorted(layouts)) or 'one'}")
+        raise ConfigError(
+            f"this recording has no layout {layout!r}; there are: {', '.join(sorted(layouts)) or 'one'}"
+        )
     target = layouts.get(layout)
     if view is not None:
-        found = [name for name, title in titles.items() if title == view and name.startswith("view/")]
+        found = [
+            name for name, title in titles.items() if title == view and name.startswith("view/")
+        ]
         if not found:
-            there = sorted({title for name, title in titles.items() if name.startswith("view/") and title.strip()})
+            there = sorted(
+                {
+                    title
+                    for name, title in titles.items()
+                    if name.startswith("view/") and title.strip()
+                }
+            )
             raise ConfigError(f"no view {view!r}; there are: {', '.join(there)}")
         found.sort(key=lambda name: target not in _above(name, parents))
         target = found[0]
@@ -239,14 +268,25 @@ def _viewer(size: str, theme: Theme) -> Iterator[tuple[Any, Callable[[], None]]]
     """A headless viewer, its client, and a check that it is alive; it ends with the block."""
     binary = Path(str(files("rerun_cli").joinpath("rerun")))
     port = free_port()
-    command = [str(binary), "--headless", "--port", str(port), "--bind", LOOPBACK, "--window-size", size]
+    command = [
+        str(binary),
+        "--headless",
+        "--port",
+        str(port),
+        "--bind",
+        LOOPBACK,
+        "--window-size",
+        size,
+    ]
     with tempfile.TemporaryFile("w+") as log, environment(RUST_LOG="error") as variables:
         process = subprocess.Popen(command, env=variables, stdout=log, stderr=subprocess.STDOUT)
 
         def alive() -> None:
             if process.poll() is not None:
                 log.seek(0)
-                raise ScreenshotError(f"the viewer ended with code {process.returncode}: {_why_ended(log.read())}")
+                raise ScreenshotError(
+                    f"the viewer ended with code {process.returncode}: {_why_ended(log.read())}"
+                )
 
         try:
             client = _connect(port, alive)
@@ -289,11 +329,15 @@ def _connect(port: int, alive: Callable[[], None]) -> Any:
             return client
         except (ConnectionError, RuntimeError, OSError, ValueError) as error:
             if time.monotonic() > end:
-                raise ScreenshotError(f"the viewer did not answer within {TIMEOUT_S:g} s: {error}") from error
+                raise ScreenshotError(
+                    f"the viewer did not answer within {TIMEOUT_S:g} s: {error}"
+                ) from error
             time.sleep(0.05)
 
 
-def click_theme(theme: Theme, binary: Path, port: int, variables: Mapping[str, str], timeout: float) -> str:
+def click_theme(
+    theme: Theme, binary: Path, port: int, variables: Mapping[str, str], timeout: float
+) -> str:
     """Click a theme in the settings, which must be visible; returns the error, "" if there is none.
 
     `timeout`: time limit, s.
@@ -303,22 +347,38 @@ def click_theme(theme: Theme, binary: Path, port: int, variables: Mapping[str, s
         {"name": "click", "args": {"label_contains": theme.title()}},
         {"name": "hover", "args": {"pos": AWAY}},
     ]
-    start = {"protocolVersion": "2025-06-18", "capabilities": {}, "clientInfo": {"name": "replan", "version": "1"}}
+    start = {
+        "protocolVersion": "2025-06-18",
+        "capabilities": {},
+        "clientInfo": {"name": "replan", "version": "1"},
+    }
     messages: list[dict[str, Any]] = [
         {"id": 1, "method": "initialize", "params": start},
         {"method": "notifications/initialized"},
-        {"id": 2, "method": "tools/call", "params": {"name": "batch", "arguments": {"actions": actions}}},
+        {
+            "id": 2,
+            "method": "tools/call",
+            "params": {"name": "batch", "arguments": {"actions": actions}},
+        },
     ]
     sent = "".join(json.dumps({"jsonrpc": "2.0", **message}) + "\n" for message in messages)
     command = [str(binary), "viewer-mcp", "--endpoint", f"http://{LOOPBACK}:{port}"]
     try:
         done = subprocess.run(
-            command, input=sent, env=dict(variables), capture_output=True, text=True, timeout=timeout, check=False
+            command,
+            input=sent,
+            env=dict(variables),
+            capture_output=True,
+            text=True,
+            timeout=timeout,
+            check=False,
         )
     except subprocess.TimeoutExpired:
         return f"its server for agents did not answer within {timeout:g} s"
     answers = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
-    result = next((one.get("result", one) for one in answers if one.get("id") == 2), {"isError": True})
+    result = next(
+        (one.get("result", one) for one in answers if one.get("id") == 2), {"isError": True}
+    )
     return str(result.get("content", done.stderr)) if result.get("isError", True) else ""
 
 
@@ -328,7 +388,9 @@ def click_theme(theme: Theme, binary: Path, port: int, variables: Mapping[str, s
 def span(recording: Path) -> tuple[float, float]:
     """The first and the last time of a recording, s; raises ConfigError if no data in it have a time."""
     batches = [
-        chunk.to_record_batch() for chunk in RrdReader(str(recording)).stream().to_chunks() if not chunk.is_static
+        chunk.to_record_batch()
+        for chunk in RrdReader(str(recording)).stream().to_chunks()
+        if not chunk.is_static
     ]
     times = [
         np.asarray(batch.column(SIM_TIME).cast(pa.int64())) / 1e9
@@ -341,7 +403,14 @@ def span(recording: Path) -> tuple[float, float]:
 
 
 def film(
-    recording: Path, out: Path, begin: float | None, end: float | None, *, layout: str, size: str, theme: Theme
+    recording: Path,
+    out: Path,
+    begin: float | None,
+    end: float | None,
+    *,
+    layout: str,
+    size: str,
+    theme: Theme,
 ) -> int:
     """Write the video of a recording; returns the number of its frames.
 
@@ -360,13 +429,20 @@ def film(
     if not len(times):
         raise ConfigError(f"--from {begin:g} --to {end:g}: no time between them")
     with tempfile.TemporaryDirectory() as folder:
-        pictures = [Picture(Path(folder) / f"{i:05d}.png", float(t), layout=layout) for i, t in enumerate(times)]
+        pictures = [
+            Picture(Path(folder) / f"{i:05d}.png", float(t), layout=layout)
+            for i, t in enumerate(times)
+        ]
         take_pictures(recording, pictures, size=size, theme=theme)
 
         def write(partial: Path) -> None:
             if out.suffix in BY_PILLOW:
                 frame, *others = [Image.open(picture.out).convert("RGB") for picture in pictures]
-                more: dict[str, Any] = {"append_images": others, "duration": round(1e3 / FRAMES_PER_S), "loop": 0}
+                more: dict[str, Any] = {
+                    "append_images": others,
+                    "duration": round(1e3 / FRAMES_PER_S),
+                    "loop": 0,
+                }
                 frame.save(partial, save_all=True, comment="replan", **more)
                 return
             command = ["ffmpeg", "-y", "-loglevel", "error", "-framerate", f"{FRAMES_PER_S:g}"]

@@ -18,7 +18,15 @@ import rerun.blueprint as rrb
 from replan.core.arrays import FloatArray
 from replan.draw.model import SL, ST, Marker, Panel
 from replan.draw.recording import colours
-from replan.draw.recording.graphs import HEIGHT, MARGIN_BOTTOM, MARGIN_LEFT, MARGIN_RIGHT, MARGIN_TOP, WIDTH, Axes
+from replan.draw.recording.graphs import (
+    HEIGHT,
+    MARGIN_BOTTOM,
+    MARGIN_LEFT,
+    MARGIN_RIGHT,
+    MARGIN_TOP,
+    WIDTH,
+    Axes,
+)
 from replan.draw.recording.tape import FRAME, REMOVED, SIM_TIME, SPACER, Instants, Tape, plain
 from replan.explain.causes import KEEP
 from replan.explain.explanation import (
@@ -38,8 +46,10 @@ from replan.logs.trace import PlannedFrame, Trace
 
 Corner = Literal["RightTop", "RightBottom", "LeftTop", "LeftBottom"]
 CORNERS: tuple[Corner, ...] = ("RightTop", "RightBottom", "LeftTop", "LeftBottom")
-LEGEND = 0.16, 0.14  # Width of a legend, and height of one of its rows, as shares of a panel of usual size
-MOST_NUMBERS = 8.0  # Largest number of labels along an axis; the viewer writes multiples of a power of ten
+# Width of a legend, and height of one of its rows, as shares of a panel of usual size
+LEGEND = 0.16, 0.14
+# Largest number of labels along an axis; the viewer writes multiples of a power of ten
+MOST_NUMBERS = 8.0
 
 
 def draw_panels(tape: Tape, panels: Iterable[Panel], frames: FloatArray) -> None:
@@ -49,7 +59,10 @@ def draw_panels(tape: Tape, panels: Iterable[Panel], frames: FloatArray) -> None
             entity = f"plots/{panel.name}/{curve.name}"
             mode = rr.components.InterpolationMode.StepAfter if curve.steps else None
             style = rr.SeriesLines(
-                colors=[curve.colour], names=[plain(curve.legend)], widths=[curve.width], interpolation_mode=mode
+                colors=[curve.colour],
+                names=[plain(curve.legend)],
+                widths=[curve.width],
+                interpolation_mode=mode,
             )
             tape.static(entity, style)
             values = np.where(np.isfinite(curve.values), curve.values, np.nan)
@@ -63,14 +76,19 @@ def plot(panel: Panel, **more: Any) -> rrb.TimeSeriesView:
     the first in `CORNERS`.
     """
     (low, high), wide, tall = with_two_numbers(*panel.range), *LEGEND
-    begin, end = min(curve.t[0] for curve in panel.curves), max(curve.t[-1] for curve in panel.curves)
+    begin, end = (
+        min(curve.t[0] for curve in panel.curves),
+        max(curve.t[-1] for curve in panel.curves),
+    )
     hidden: dict[Corner, float] = dict.fromkeys(CORNERS, 0.0)
     for curve in panel.curves:
         x, y = (curve.t - begin) / max(end - begin, 1e-9), (curve.values - low) / (high - low)
         for corner in CORNERS:
             across = x > 1.0 - wide if "Right" in corner else x < wide
             room = tall * len(panel.curves) + 0.05
-            hidden[corner] += float(np.mean(across & (y > 1.0 - room if "Top" in corner else y < room)))
+            hidden[corner] += float(
+                np.mean(across & (y > 1.0 - room if "Top" in corner else y < room))
+            )
     corner = min(CORNERS, key=hidden.__getitem__)
     return rrb.TimeSeriesView(
         **{"origin": f"/plots/{panel.name}", **more},
@@ -97,12 +115,21 @@ def with_two_numbers(low: float, high: float) -> tuple[float, float]:
     if last < first:  # no number in the range
         return float(last - margin), float(first + margin)
     above, below = first + step - high, low - (first - step)
-    return (low, float(first + step + margin)) if above <= below else (float(first - step - margin), high)
+    return (
+        (low, float(first + step + margin))
+        if above <= below
+        else (float(first - step - margin), high)
+    )
 
 
 LANES = (PLAN, ALONG, ACROSS, CHOICE, LANE, DRIVE) = (
-    "Plan", "Decision-along", "Decision-across", "Choice-of-lane", "Lane", "Drive",
-)  # fmt: skip
+    "Plan",
+    "Decision-along",
+    "Decision-across",
+    "Choice-of-lane",
+    "Lane",
+    "Drive",
+)
 """Entities of the rows, at the root: the viewer labels a row with the whole path of its entity."""
 NAMED = (0x5A6478FF, 0x46505FFF)  # Alternating colours of states that are not in `STATE_COLOURS`
 OFF_LANES, NOTHING = "off the lanes", "none"
@@ -150,9 +177,13 @@ def state_lanes(trace: Trace, road: Road) -> list[StateRow]:
     if any(lane_options(plan) for plan in plans):
         lanes.append(StateRow.of(CHOICE, t, choices(trace.frames, driven)))
     if len(set(driven) - {None}) > 1:
-        lanes.append(StateRow.of(LANE, t, [OFF_LANES if lane is None else f"lane {lane}" for lane in driven]))
+        lanes.append(
+            StateRow.of(LANE, t, [OFF_LANES if lane is None else f"lane {lane}" for lane in driven])
+        )
     first, last = min([*t, float(trace.ego.t[0])]), float(trace.ego.t[-1])
-    return [lane for lane in lanes if lane.t] + [StateRow.of(DRIVE, [first, last], ["driving", trace.end.value])]
+    return [lane for lane in lanes if lane.t] + [
+        StateRow.of(DRIVE, [first, last], ["driving", trace.end.value])
+    ]
 
 
 def marker_lanes(markers: Sequence[Marker], end: float) -> list[StateRow]:
@@ -161,8 +192,15 @@ def marker_lanes(markers: Sequence[Marker], end: float) -> list[StateRow]:
     for kind in dict.fromkeys(one.kind for one in markers):
         mine = sorted((one for one in markers if one.kind == kind), key=lambda one: one.begin)
         times = sorted({0.0, end, *(t for one in mine for t in (one.begin, one.end) if t < end)})
-        now = [[one.about or one.words for one in mine if one.begin <= t + 1e-9 and t < one.end - 1e-9] for t in times]
-        rows.append(StateRow.of(kind.replace("_", "-"), times, ["; ".join(words) or NOTHING for words in now]))
+        now = [
+            [one.about or one.words for one in mine if one.begin <= t + 1e-9 and t < one.end - 1e-9]
+            for t in times
+        ]
+        rows.append(
+            StateRow.of(
+                kind.replace("_", "-"), times, ["; ".join(words) or NOTHING for words in now]
+            )
+        )
     return rows
 
 
@@ -195,7 +233,9 @@ class LaneChange:
     reason: str
 
 
-def changes_under_way(frames: Sequence[PlannedFrame], lanes: Sequence[int | None]) -> list[LaneChange | None]:
+def changes_under_way(
+    frames: Sequence[PlannedFrame], lanes: Sequence[int | None]
+) -> list[LaneChange | None]:
     """For each frame the lane change that is under way: from its decision until the ego has left its lane."""
     out: list[LaneChange | None] = []
     change, left = None, None
@@ -212,7 +252,11 @@ def changes_under_way(frames: Sequence[PlannedFrame], lanes: Sequence[int | None
 def choices(frames: Sequence[PlannedFrame], lanes: Sequence[int | None]) -> list[str]:
     """For the row of states: whether the lane is kept, compared with others, or a change is under way."""
     return [
-        f"change {change.name}" if change else COMPARED if lane_options(frame.plan) else NOT_COMPARED
+        f"change {change.name}"
+        if change
+        else COMPARED
+        if lane_options(frame.plan)
+        else NOT_COMPARED
         for frame, change in zip(frames, changes_under_way(frames, lanes), strict=True)
     ]
 
@@ -225,7 +269,9 @@ def lanes_driven(trace: Trace, road: Road) -> list[int | None]:
     for x, y in places(trace).tolist():
         under = [lane.id for lane in road.lanes_at(x, y) if lane.drivable]
         before = road.lanes.get(out[-1]) if out and out[-1] is not None else None
-        onward = [i for i in under if before is not None and (i == before.id or i in before.successors)]
+        onward = [
+            i for i in under if before is not None and (i == before.id or i in before.successors)
+        ]
         first = under[0] if under else None
         out.append(min(onward, key=lambda i: before is None or i != before.id) if onward else first)
     return out
@@ -237,19 +283,34 @@ def places(trace: Trace) -> FloatArray:
     return np.column_stack([np.interp(t, ego.t, ego.x), np.interp(t, ego.t, ego.y)])
 
 
-PAGES = {"why": "Why", "numbers": "Solvers and costs", "recent": "Events until now", "summary": "Summary"}
-GRAPHS = {ST: "S-T graph: DP yellow, QP blue, actual occupancy pink", SL: "S-L graph: DP yellow, QP blue"}
+PAGES = {
+    "why": "Why",
+    "numbers": "Solvers and costs",
+    "recent": "Events until now",
+    "summary": "Summary",
+}
+GRAPHS = {
+    ST: "S-T graph: DP yellow, QP blue, actual occupancy pink",
+    SL: "S-L graph: DP yellow, QP blue",
+}
 ROWS = {
     "overview": (
-        (("speed", "progress", "displacement"), 1.2), (("acceleration", "jerk", "plan_acceleration", "plan_jerk"), 1.2),
+        (("speed", "progress", "displacement"), 1.2),
+        (("acceleration", "jerk", "plan_acceleration", "plan_jerk"), 1.2),
         (("gap", "ttc", "change"), 1.0),
     ),
     "planner": ((("speed",), 1.2), (("stages",), 1.2)),
     "control": (
-        (("speed",), 1.0), (("acceleration",), 1.0), (("pedals",), 1.0), (("steer",), 1.0), (("tracking",), 1.0),
-        (("tracking_speed", "tracking_heading"), 1.0), (("slip",), 1.0), (("friction",), 1.0),
+        (("speed",), 1.0),
+        (("acceleration",), 1.0),
+        (("pedals",), 1.0),
+        (("steer",), 1.0),
+        (("tracking",), 1.0),
+        (("tracking_speed", "tracking_heading"), 1.0),
+        (("slip",), 1.0),
+        (("friction",), 1.0),
     ),
-}  # fmt: skip
+}
 """Panels of each layout in order, and their shares of the height; the panels of one row are tabs of one place."""
 
 
@@ -269,7 +330,8 @@ class RecordingContents:
         return 0.35 + 0.24 * len(self.lanes)
 
 
-NUMBERS = 0.032  # Share of the width of a panel that the numbers of its axis take, in a window of usual size
+# Share of the width of a panel that the numbers of its axis take, in a window of usual size
+NUMBERS = 0.032
 
 
 def blueprint(contents: RecordingContents) -> rrb.Blueprint:
@@ -281,13 +343,18 @@ def blueprint(contents: RecordingContents) -> rrb.Blueprint:
     tabs = [_overview(contents, panels)]
     if contents.graphs or "stages" in panels:  # the graphs large, the pages, and the stage times
         rows, shares = _rows("planner", panels)
-        words = rrb.Vertical(_pages(contents, ("why",)), _pages(contents, ("numbers",)), row_shares=[1.3, 1.0])
+        words = rrb.Vertical(
+            _pages(contents, ("why",)), _pages(contents, ("numbers",)), row_shares=[1.3, 1.0]
+        )
         views = (scene_behind(), *rows, _decisions(contents))
         right = rrb.Vertical(*views, row_shares=[2.0, *shares, contents.lanes_share])
         graphs = _graphs(contents)
         columns = [rrb.Vertical(*graphs), words, right] if graphs else [words, right]
-        tabs.append(rrb.Horizontal(*columns, column_shares=[1.3, 0.9, 1.2][-len(columns) :], name="Planner"))
-    if any(name in panels for names, _ in ROWS["control"][2:] for name in names):  # two columns of curves
+        tabs.append(
+            rrb.Horizontal(*columns, column_shares=[1.3, 0.9, 1.2][-len(columns) :], name="Planner")
+        )
+    # Two columns of curves
+    if any(name in panels for names, _ in ROWS["control"][2:] for name in names):
         rows, shares = _rows("control", panels)
         half = (len(rows) + 1) // 2
         below = [_decisions(contents)] if contents.lanes else []
@@ -316,16 +383,25 @@ def _overview(contents: RecordingContents, panels: Mapping[str, Panel]) -> rrb.C
 
     The scene is seen from behind the ego, from above it, and as the whole map (without names).
     """
-    above = rrb.EyeControls3D(position=[22.0, 0.0, 58.0], look_target=[22.01, 0.0, 0.0], eye_up=[1.0, 0.0, 0.0])
+    above = rrb.EyeControls3D(
+        position=[22.0, 0.0, 58.0], look_target=[22.01, 0.0, 0.0], eye_up=[1.0, 0.0, 0.0]
+    )
     middle, span = contents.bounds.mean(axis=0), np.ptp(contents.bounds, axis=0)
     height = 0.75 * float(max(span[0], 1.6 * span[1], 40.0))
     whole = rrb.EyeControls3D(
-        position=[middle[0], middle[1], height], look_target=[middle[0], middle[1] + 0.01, 0.0], eye_up=[0.0, 1.0, 0.0]
+        position=[middle[0], middle[1], height],
+        look_target=[middle[0], middle[1] + 0.01, 0.0],
+        eye_up=[0.0, 1.0, 0.0],
     )
     scenes = rrb.Tabs(
         scene_behind(),
         _scene("From above", "/world/ego", ["+ /world/**"], above),
-        _scene("Map", "/world", ["+ /world/**", "- /world/agents/names", "- /world/agents/velocity"], whole),
+        _scene(
+            "Map",
+            "/world",
+            ["+ /world/**", "- /world/agents/names", "- /world/agents/velocity"],
+            whole,
+        ),
         active_tab=0,
     )
     top = rrb.Horizontal(scenes, _pages(contents, ("why", "summary")), column_shares=[1.75, 1.0])
@@ -333,9 +409,14 @@ def _overview(contents: RecordingContents, panels: Mapping[str, Panel]) -> rrb.C
     left = [top, rrb.Horizontal(*graphs)] if graphs else [top]
     rows, shares = _rows("overview", panels)
     if contents.lanes:
-        columns = rrb.TextLogColumns(timeline_columns=[SIM_TIME], text_log_columns=["LogLevel", "Body"])
+        columns = rrb.TextLogColumns(
+            timeline_columns=[SIM_TIME], text_log_columns=["LogLevel", "Body"]
+        )
         events = rrb.TextLogView(origin="/events", name="All events", columns=columns)
-        rows += [_decisions(contents), rrb.Tabs(*_page_views(contents, ("recent",)), events, active_tab=0)]
+        rows += [
+            _decisions(contents),
+            rrb.Tabs(*_page_views(contents, ("recent",)), events, active_tab=0),
+        ]
         shares += [contents.lanes_share, 0.9]
     return rrb.Horizontal(
         rrb.Vertical(*left, row_shares=[1.35, 1.0][: len(left)]),
@@ -347,14 +428,20 @@ def _overview(contents: RecordingContents, panels: Mapping[str, Panel]) -> rrb.C
 
 def scene_behind(name: str = "Scene", under: str = "") -> rrb.Spatial3DView:
     """The scene from behind the ego; `under`: the entity that contains the recording ("/A")."""
-    eye = rrb.EyeControls3D(position=[-18.0, 0.0, 13.0], look_target=[14.0, 0.0, 0.0], eye_up=[0.0, 0.0, 1.0])
+    eye = rrb.EyeControls3D(
+        position=[-18.0, 0.0, 13.0], look_target=[14.0, 0.0, 0.0], eye_up=[0.0, 0.0, 1.0]
+    )
     return _scene(name, f"{under}/world/ego", [f"+ {under}/world/**"], eye, under)
 
 
-def _scene(name: str, origin: str, contents: list[str], eye: rrb.EyeControls3D, under: str = "") -> rrb.Spatial3DView:
+def _scene(
+    name: str, origin: str, contents: list[str], eye: rrb.EyeControls3D, under: str = ""
+) -> rrb.Spatial3DView:
     """A view of the scene; the driven path is shown up to the cursor, removed tracks are hidden."""
     begin, cursor = rrb.TimeRangeBoundary.infinite(), rrb.TimeRangeBoundary.cursor_relative()
-    ranges = [rrb.VisibleTimeRange(timeline, start=begin, end=cursor) for timeline in (SIM_TIME, FRAME)]
+    ranges = [
+        rrb.VisibleTimeRange(timeline, start=begin, end=cursor) for timeline in (SIM_TIME, FRAME)
+    ]
     driven = rrb.VisibleTimeRanges(ranges)
     return rrb.Spatial3DView(
         origin=origin,
@@ -362,7 +449,10 @@ def _scene(name: str, origin: str, contents: list[str], eye: rrb.EyeControls3D, 
         name=name,
         eye_controls=eye,
         line_grid=False,
-        overrides={f"{under}/world/driven": [driven], f"{under}/{REMOVED}": [rrb.EntityBehavior(visible=False)]},
+        overrides={
+            f"{under}/world/driven": [driven],
+            f"{under}/{REMOVED}": [rrb.EntityBehavior(visible=False)],
+        },
     )
 
 
@@ -374,25 +464,42 @@ def graph_view(name: str, origin: str, entity: str) -> rrb.Spatial2DView:
     """A graph with its axes."""
     x, y = [-MARGIN_LEFT, WIDTH + MARGIN_RIGHT], [-HEIGHT - MARGIN_TOP, MARGIN_BOTTOM]
     bounds = rrb.VisualBounds2D(x_range=x, y_range=y)
-    return rrb.Spatial2DView(origin=origin, contents=f"{entity}/**", name=name, visual_bounds=bounds)
+    return rrb.Spatial2DView(
+        origin=origin, contents=f"{entity}/**", name=name, visual_bounds=bounds
+    )
 
 
-def _rows(layout: str, panels: Mapping[str, Panel]) -> tuple[list[rrb.Container | rrb.View], list[float]]:
+def _rows(
+    layout: str, panels: Mapping[str, Panel]
+) -> tuple[list[rrb.Container | rrb.View], list[float]]:
     """The rows of curves of a layout that have a panel, and their shares."""
-    found = [([plot(panels[name]) for name in names if name in panels], share) for names, share in ROWS[layout]]
+    found = [
+        ([plot(panels[name]) for name in names if name in panels], share)
+        for names, share in ROWS[layout]
+    ]
     return (
-        [rrb.Tabs(*views, active_tab=0) if len(views) > 1 else views[0] for views, _ in found if views],
+        [
+            rrb.Tabs(*views, active_tab=0) if len(views) > 1 else views[0]
+            for views, _ in found
+            if views
+        ],
         [share for views, share in found if views],
     )
 
 
 def _pages(contents: RecordingContents, names: Sequence[str]) -> rrb.Container:
     """Pages as tabs of one place, without those that the recording does not have."""
-    return rrb.Tabs(*_page_views(contents, names) or _page_views(contents, ("summary",)), active_tab=0)
+    return rrb.Tabs(
+        *_page_views(contents, names) or _page_views(contents, ("summary",)), active_tab=0
+    )
 
 
 def _page_views(contents: RecordingContents, names: Sequence[str]) -> list[rrb.View]:
-    return [rrb.TextDocumentView(origin=f"/{name}", name=PAGES[name]) for name in names if name in contents.pages]
+    return [
+        rrb.TextDocumentView(origin=f"/{name}", name=PAGES[name])
+        for name in names
+        if name in contents.pages
+    ]
 
 
 def _decisions(contents: RecordingContents) -> rrb.Container:
@@ -403,7 +510,9 @@ def _decisions(contents: RecordingContents) -> rrb.Container:
 def state_view(name: str, lanes: Sequence[str], under: str = "") -> rrb.StateTimelineView:
     """Rows of states; `under`: the entity that contains the recording ("/A")."""
     shown = [f"{under}/{lane}" for lane in lanes]
-    return rrb.StateTimelineView(origin=under or "/", contents=shown, name=name, time_view=time_axis())
+    return rrb.StateTimelineView(
+        origin=under or "/", contents=shown, name=name, time_view=time_axis()
+    )
 
 
 def lanes_beside_numbers(lanes: rrb.Container | rrb.View, under: str = "") -> rrb.Container:

@@ -26,7 +26,8 @@ LIGHTS = {
 }
 STOP_SIGN = 0xFF6E64FF
 LAMP_M, LAMP_HEIGHT_M = 0.45, 1.2
-GOAL_NAME_M = 8.0  # Height of the goal's name: it appears above the region, as seen from behind the ego
+# Height of the goal's name: it appears above the region, as seen from behind the ego
+GOAL_NAME_M = 8.0
 
 
 def at_height(points: FloatArray, z: float) -> FloatArray:
@@ -34,7 +35,9 @@ def at_height(points: FloatArray, z: float) -> FloatArray:
     return np.column_stack([points, np.full(len(points), z)])
 
 
-def draw_lines(tape: Tape, entity: str, lines: Sequence[FloatArray], colour: int, radius: float, z: float) -> None:
+def draw_lines(
+    tape: Tape, entity: str, lines: Sequence[FloatArray], colour: int, radius: float, z: float
+) -> None:
     """Static polylines `(n, 2)`."""
     if not lines:
         return
@@ -70,12 +73,18 @@ def draw_road(tape: Tape, road: Road) -> None:
         for lane in some:  # strips of triangles between its boundaries
             n = len(lane.left)
             left, right = np.arange(n - 1) + count, np.arange(n - 1) + count + n
-            triangles += [np.column_stack([left, right, left + 1]), np.column_stack([left + 1, right, right + 1])]
+            triangles += [
+                np.column_stack([left, right, left + 1]),
+                np.column_stack([left + 1, right, right + 1]),
+            ]
             vertices += [lane.left, lane.right]
             count += 2 * n
         if some:
             points, indices = at_height(np.concatenate(vertices), z), np.concatenate(triangles)
-            tape.static(entity, rr.Mesh3D(vertex_positions=points, triangle_indices=indices, albedo_factor=colour))
+            tape.static(
+                entity,
+                rr.Mesh3D(vertex_positions=points, triangle_indices=indices, albedo_factor=colour),
+            )
     faint, edges, markings, opposite = (list[FloatArray]() for _ in range(4))
     for lane in lanes:  # the left boundary; the right one is the neighbour's left
         line = dashes(lane.left) if lane.left_crossable else [lane.left]
@@ -84,7 +93,9 @@ def draw_road(tape: Tape, road: Road) -> None:
         elif lane.left_neighbour in road.lanes:
             markings += line
     for drivable in (True, False):
-        for on_another, piece in _edges([lane for lane in lanes if lane.drivable is drivable], road):
+        for on_another, piece in _edges(
+            [lane for lane in lanes if lane.drivable is drivable], road
+        ):
             (faint if on_another else edges).append(piece)
     draw_lines(tape, "world/road/faint", faint, colours.FAINT, 0.04, -0.01)
     draw_lines(tape, "world/road/edges", edges, colours.EDGE, 0.08, 0.0)
@@ -108,12 +119,20 @@ def draw_lights(tape: Tape, scenario: Scenario, instants: Instants) -> None:
         return
     lights = {light.id: light for light in scenario.lights}
     shown = np.array(
-        [[LIGHTS[lights[i].at(float(t)) if i in lights else Colour.OFF] for i in (line.light for line in lines)]
-         for t in instants.t], dtype=np.uint32,
-    )  # fmt: skip
+        [
+            [
+                LIGHTS[lights[i].at(float(t)) if i in lights else Colour.OFF]
+                for i in (line.light for line in lines)
+            ]
+            for t in instants.t
+        ],
+        dtype=np.uint32,
+    )
     kept = np.r_[True, (shown[1:] != shown[:-1]).any(axis=1)]
     places = at_height(np.array([line.points.mean(axis=0) for line in lines]), LAMP_HEIGHT_M)
-    lamps = rr.Points3D.columns(positions=np.tile(places, (int(kept.sum()), 1)), colors=shown[kept].reshape(-1))
+    lamps = rr.Points3D.columns(
+        positions=np.tile(places, (int(kept.sum()), 1)), colors=shown[kept].reshape(-1)
+    )
     tape.static("world/lights", rr.Points3D.from_fields(radii=[LAMP_M]))
     changes = Instants(instants.t[kept], instants.frame[kept])
     tape.rows("world/lights", changes, lamps, np.full(int(kept.sum()), len(lines)))
@@ -141,7 +160,9 @@ def _edges(lanes: Sequence[Lane], road: Road) -> Iterator[tuple[bool, FloatArray
     corners, lengths = joined([lane.polygon for lane in lanes], 2)
     boxes = np.array([[*lane.polygon.min(axis=0), *lane.polygon.max(axis=0)] for lane in lanes])
     owner = np.repeat([owner for owner, _, _ in sides], [len(points) for points in outside])
-    on_another = covered(np.concatenate(outside), owner, corners, np.r_[0, np.cumsum(lengths)], boxes)
+    on_another = covered(
+        np.concatenate(outside), owner, corners, np.r_[0, np.cumsum(lengths)], boxes
+    )
     begin = 0
     for (_, line, _), points in zip(sides, outside, strict=True):
         mask = on_another[begin : begin + len(points)]
@@ -177,7 +198,9 @@ def covered(
 
 def draw_goal(tape: Tape, scenario: Scenario) -> None:
     """The goal's regions, outlined and hatched."""
-    regions = [region for region in (scenario.goal.regions if scenario.goal else ()) if len(region) >= 3]
+    regions = [
+        region for region in (scenario.goal.regions if scenario.goal else ()) if len(region) >= 3
+    ]
     if not regions:
         return
     _draw_hatched(tape, "world/goal", regions, colours.GOAL, 1.0)
@@ -187,7 +210,9 @@ def draw_goal(tape: Tape, scenario: Scenario) -> None:
     tape.static("world/goal/name", name, rr.Points3D.from_fields(show_labels=True))
 
 
-def _draw_hatched(tape: Tape, entity: str, polygons: Sequence[FloatArray], colour: int, spacing: float) -> None:
+def _draw_hatched(
+    tape: Tape, entity: str, polygons: Sequence[FloatArray], colour: int, spacing: float
+) -> None:
     """Polygons outlined, and filled with strokes at least `spacing` m apart."""
     if not polygons:
         return
@@ -197,6 +222,8 @@ def _draw_hatched(tape: Tape, entity: str, polygons: Sequence[FloatArray], colou
     for polygon in polygons:
         (x0, y0), (x1, y1) = polygon.min(axis=0), polygon.max(axis=0)
         window = PlaneWindow((float(x0), float(x1)), (float(y0), float(y1)))
-        lines, _ = strokes(polygon, np.array([len(polygon)]), window, max(spacing, (x1 - x0) / 200.0))
+        lines, _ = strokes(
+            polygon, np.array([len(polygon)]), window, max(spacing, (x1 - x0) / 200.0)
+        )
         filled += list(lines)
     draw_lines(tape, f"{entity}/fill", filled, colours.with_alpha(colour, 90), 0.06, 0.02)

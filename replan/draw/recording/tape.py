@@ -60,7 +60,11 @@ def document(lines: Iterable[str]) -> str:
 
 
 def _drawable(text: str) -> str:
-    return text if DRAWABLE.issuperset(text) else "".join(mark if mark in DRAWABLE else "?" for mark in text)
+    return (
+        text
+        if DRAWABLE.issuperset(text)
+        else "".join(mark if mark in DRAWABLE else "?" for mark in text)
+    )
 
 
 class Marked(str):
@@ -78,7 +82,10 @@ def table(header: Iterable[str], rows: Iterable[Iterable[object]]) -> list[str]:
     """The lines of a Markdown table, with an empty line before and after it."""
     names = list(header)
     body = [
-        "| " + " | ".join(value if isinstance(value, Marked) else cell(value) for value in row) + " |" for row in rows
+        "| "
+        + " | ".join(value if isinstance(value, Marked) else cell(value) for value in row)
+        + " |"
+        for row in rows
     ]
     return ["", "| " + " | ".join(names) + " |", "|" + " --- |" * len(names), *body, ""]
 
@@ -103,7 +110,9 @@ def field_name(word: str) -> str:
 
 def application_name(words: str) -> str:
     """The name under which the viewer stores a layout: at most 100 characters of a small set."""
-    return "".join(mark if mark.isascii() and (mark.isalnum() or mark in " _-") else "-" for mark in words)[:100]
+    return "".join(
+        mark if mark.isascii() and (mark.isalnum() or mark in " _-") else "-" for mark in words
+    )[:100]
 
 
 SIM_TIME = "sim_time"
@@ -137,7 +146,10 @@ class Instants:
     def columns(self) -> list[rr.TimeColumn]:
         """Both timelines; times are rounded to the nanosecond (the viewer's own conversion truncates)."""
         nanoseconds = np.round(self.t * 1e9).astype("timedelta64[ns]")
-        return [rr.TimeColumn(SIM_TIME, duration=nanoseconds), rr.TimeColumn(FRAME, sequence=self.frame)]
+        return [
+            rr.TimeColumn(SIM_TIME, duration=nanoseconds),
+            rr.TimeColumn(FRAME, sequence=self.frame),
+        ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,7 +180,9 @@ class Tape:
             for column in kept:
                 present = len(column.component_batch.as_arrow_array())
                 if present != int(np.sum(counts)):
-                    raise ValueError(f"{entity}: {present} instances for rows of {int(np.sum(counts))}")
+                    raise ValueError(
+                        f"{entity}: {present} instances for rows of {int(np.sum(counts))}"
+                    )
             kept = [column.partition(counts) for column in kept]
         if len(instants):
             self.stream.send_columns(entity, instants.columns(), kept)
@@ -186,7 +200,9 @@ class Tape:
         """Write rows of line strips: runs of `lengths` points `(m, 2)` or `(m, 3)`, with `shades`, all in `style`."""
         kind = rr.LineStrips2D if points.shape[1] == 2 else rr.LineStrips3D
         self.static(entity, kind.from_fields(**style))
-        self.rows(entity, instants, kind.columns(strips=strips(points, lengths), colors=shades), counts)
+        self.rows(
+            entity, instants, kind.columns(strips=strips(points, lengths), colors=shades), counts
+        )
 
 
 def strips(points: FloatArray, lengths: Sequence[int] | IntArray) -> pa.Array:
@@ -196,7 +212,9 @@ def strips(points: FloatArray, lengths: Sequence[int] | IntArray) -> pa.Array:
     offsets = pa.array(np.r_[0, np.cumsum(lengths)].astype(np.int32))
     field = pa.field("item", pa.float32(), nullable=False)
     inner = pa.FixedSizeListArray.from_arrays(flat, type=pa.list_(field, dimension))
-    return pa.ListArray.from_arrays(offsets, inner, type=pa.list_(pa.field("item", inner.type, nullable=False)))
+    return pa.ListArray.from_arrays(
+        offsets, inner, type=pa.list_(pa.field("item", inner.type, nullable=False))
+    )
 
 
 def pixels(radius: float) -> float:
@@ -211,7 +229,12 @@ def joined(rows: Sequence[FloatArray], dimension: int) -> tuple[FloatArray, list
 
 @contextmanager
 def recording_file(
-    path: Path, application: str, name: str, digest: str, layout: rrb.Blueprint, short: ShortNames = NO_NAMES
+    path: Path,
+    application: str,
+    name: str,
+    digest: str,
+    layout: rrb.Blueprint,
+    short: ShortNames = NO_NAMES,
 ) -> Iterator[Tape]:
     """An open recording under a temporary name, renamed when it is complete; errors of the library are raised.
 
@@ -222,7 +245,9 @@ def recording_file(
         path.parent.mkdir(parents=True, exist_ok=True)
     strict = rr.strict_mode()
     rr.set_strict_mode(True)
-    stream = rr.RecordingStream(application_name(application), recording_id=digest, send_properties=False)
+    stream = rr.RecordingStream(
+        application_name(application), recording_id=digest, send_properties=False
+    )
     try:
         with writing(path):
             with _outlet(unfinished) as pipe:
@@ -254,7 +279,8 @@ def _outlet(file: Path) -> Iterator[Path]:
         pipe = Path(folder) / file.name
         os.mkfifo(pipe)
         reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
-        writer = os.open(pipe, os.O_WRONLY)  # the pipe ends when both the library and this process have closed it
+        # The pipe ends when both the library and this process have closed it
+        writer = os.open(pipe, os.O_WRONLY)
         os.set_blocking(reader, True)
         errors: list[OSError] = []
         thread = Thread(target=_drain, args=(reader, file, errors))
@@ -297,7 +323,9 @@ def _edges(points: FloatArray, lengths: IntArray) -> tuple[FloatArray, FloatArra
     return points, points[after], owner
 
 
-def strokes(points: FloatArray, lengths: IntArray, window: PlaneWindow, spacing: float) -> tuple[FloatArray, IntArray]:
+def strokes(
+    points: FloatArray, lengths: IntArray, window: PlaneWindow, spacing: float
+) -> tuple[FloatArray, IntArray]:
     """The vertical strokes that fill closed outlines inside a window.
 
     `points`: `(m, 2)` corners, outline after outline. `lengths`: `(n,)` corners of each outline, at least 1. `window`:
@@ -310,22 +338,29 @@ def strokes(points: FloatArray, lengths: IntArray, window: PlaneWindow, spacing:
     columns = max(1, round((window.x[1] - window.x[0]) / spacing))
     low, high = np.minimum(start[:, 0], end[:, 0]), np.maximum(start[:, 0], end[:, 0])
     first, stop = (
-        np.clip(np.ceil((x - window.x[0]) / spacing - 0.5), 0, columns).astype(np.int64) for x in (low, high)
+        np.clip(np.ceil((x - window.x[0]) / spacing - 0.5), 0, columns).astype(np.int64)
+        for x in (low, high)
     )
     crossings = np.maximum(stop - first, 0)
     edge = np.repeat(np.arange(len(start)), crossings)
-    column = np.arange(len(edge)) - np.repeat(np.cumsum(crossings) - crossings, crossings) + first[edge]
+    column = (
+        np.arange(len(edge)) - np.repeat(np.cumsum(crossings) - crossings, crossings) + first[edge]
+    )
     x = window.x[0] + (column + 0.5) * spacing
     u = (x - start[edge, 0]) / (end[edge, 0] - start[edge, 0])
     y = start[edge, 1] + u * (end[edge, 1] - start[edge, 1])
     order = np.lexsort((y, column, owner[edge]))
     x, y, owner = x[order], np.clip(y[order], *window.y), owner[edge][order]
-    pairs = np.stack([np.column_stack([x[0::2], y[0::2]]), np.column_stack([x[1::2], y[1::2]])], axis=1)
+    pairs = np.stack(
+        [np.column_stack([x[0::2], y[0::2]]), np.column_stack([x[1::2], y[1::2]])], axis=1
+    )
     inside = pairs[:, 1, 1] > pairs[:, 0, 1]
     return pairs[inside], owner[0::2][inside]
 
 
-def outline_segments(points: FloatArray, lengths: IntArray, window: PlaneWindow) -> tuple[FloatArray, IntArray]:
+def outline_segments(
+    points: FloatArray, lengths: IntArray, window: PlaneWindow
+) -> tuple[FloatArray, IntArray]:
     """The edges of closed outlines cut to a window (Liang and Barsky, 1984): `(k, 2, 2)`, and the outline of each."""
     start, end, owner = _edges(points, lengths)
     delta = end - start
@@ -335,7 +370,9 @@ def outline_segments(points: FloatArray, lengths: IntArray, window: PlaneWindow)
         moving = np.abs(delta[:, axis]) > 1e-9  # a step too small to divide by is taken as zero
         outside |= ~moving & ((start[:, axis] < low) | (start[:, axis] > high))
         step = np.where(moving, delta[:, axis], 1.0)
-        at = np.sort(np.stack([(low - start[:, axis]) / step, (high - start[:, axis]) / step]), axis=0)
+        at = np.sort(
+            np.stack([(low - start[:, axis]) / step, (high - start[:, axis]) / step]), axis=0
+        )
         enter = np.where(moving, np.maximum(enter, at[0]), enter)
         leave = np.where(moving, np.minimum(leave, at[1]), leave)
     kept = ~outside & (enter < leave)

@@ -28,13 +28,17 @@ def visible(text: object) -> str:
 def wrapped(line: str, width: int) -> str:
     """The line, wrapped at spaces to a width, with two more spaces before each further line; words stay whole."""
     deeper = " " * (len(line) - len(line.lstrip(" ")) + 2)
-    return textwrap.fill(line, width, subsequent_indent=deeper, break_long_words=False, break_on_hyphens=False)
+    return textwrap.fill(
+        line, width, subsequent_indent=deeper, break_long_words=False, break_on_hyphens=False
+    )
 
 
 class SafeConsole(Console):
     """A console that applies only its own styles: texts are made `visible`."""
 
-    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
+    def render(
+        self, renderable: RenderableType, options: ConsoleOptions | None = None
+    ) -> Iterable[Segment]:
         """Render as Console does; the control sequences of rich itself are kept."""
         for segment in super().render(renderable, options):
             yield segment if segment.control else segment._replace(text=visible(segment.text))
@@ -75,7 +79,11 @@ def lasting_streams() -> None:
         raw = LastingFile(fd, "w", closefd=False)
         on_line = fd == 2 or raw.isatty()
         encoding = getattr(stream, "encoding", None) or "utf-8"
-        setattr(sys, name, io.TextIOWrapper(io.BufferedWriter(raw), encoding, "replace", line_buffering=on_line))
+        setattr(
+            sys,
+            name,
+            io.TextIOWrapper(io.BufferedWriter(raw), encoding, "replace", line_buffering=on_line),
+        )
 
 
 def _to_nothing(fd: int) -> None:

@@ -53,9 +53,23 @@ COLUMNS = (
         lambda value: percent(value) if value < 1.005 else ">100%",
         lambda value: value < 0.5,
     ),
-    MetricColumn("goal", "goal.final", "closed", lambda value: "yes" if value else "no", lambda value: value == 0.0),
-    MetricColumn("hits\nat\nfault", "collision_at_fault.count", "closed", "{:.0f}".format, lambda value: value > 0.0),
-    MetricColumn("least\ngap\n[m]", "gap.min", "closed", "{:.2f}".format, lambda value: value < 0.2),
+    MetricColumn(
+        "goal",
+        "goal.final",
+        "closed",
+        lambda value: "yes" if value else "no",
+        lambda value: value == 0.0,
+    ),
+    MetricColumn(
+        "hits\nat\nfault",
+        "collision_at_fault.count",
+        "closed",
+        "{:.0f}".format,
+        lambda value: value > 0.0,
+    ),
+    MetricColumn(
+        "least\ngap\n[m]", "gap.min", "closed", "{:.2f}".format, lambda value: value < 0.2
+    ),
     MetricColumn("off\nplan\n[m]", "tracking_lateral.max_abs", "closed", "{:.2f}".format),
     MetricColumn("TTC\n[s]", "ttc.min", "closed", "{:.1f}".format, lambda value: value < 0.95),
     MetricColumn("jerk\n[s]", JERK_S, "closed", "{:.1f}".format, lambda value: value > 1.0),
@@ -65,8 +79,14 @@ COLUMNS = (
 
 FREE = "*"  # Mark of a pass without an interaction (`replan.metrics.judge.discrimination`)
 LEGEND = (
-    ("open", "open loop: the log drives, plans are compared with it; ADE 3 s: mean distance of plan and log over 3 s."),
-    ("closed", f"{FREE}: no interaction: a blind driver passes this log, too, as nothing was in the way."),
+    (
+        "open",
+        "open loop: the log drives, plans are compared with it; ADE 3 s: mean distance of plan and log over 3 s.",
+    ),
+    (
+        "closed",
+        f"{FREE}: no interaction: a blind driver passes this log, too, as nothing was in the way.",
+    ),
     (
         "closed",
         "closed loop: the planner drives; route done: of what the log's driver (else the route follower) does in all;",
@@ -75,8 +95,14 @@ LEGEND = (
         "closed",
         "TTC: least time to a collision; off plan: largest lateral distance; jerk: s beyond 4.13 m/s3, filtered.",
     ),
-    ("", "verdict: the worst outcome of the gates, and how many of them were asked; inconclusive: no evidence."),
-    ("", "fall back: share of frames in which the planner could not plan.  - : not available (why: metrics.csv)."),
+    (
+        "",
+        "verdict: the worst outcome of the gates, and how many of them were asked; inconclusive: no evidence.",
+    ),
+    (
+        "",
+        "fall back: share of frames in which the planner could not plan.  - : not available (why: metrics.csv).",
+    ),
 )
 """The loop ("": either) and the text of each line."""
 
@@ -101,7 +127,12 @@ COMPARED: tuple[tuple[str, str, str, Callable[[list[float]], str]], ...] = (
     ("goal reached (closed)", "closed", "goal.final", lambda v: f"{sum(v):.0f} of {len(v)}"),
     ("collisions at fault (closed)", "closed", "collision_at_fault.count", _sum),
     ("least gap [m] (closed)", "closed", "gap.min", lambda v: f"{min(v):.2f}"),
-    ("off plan, worst [m] (closed)", "closed", "tracking_lateral.max_abs", lambda v: f"{max(v):.2f}"),
+    (
+        "off plan, worst [m] (closed)",
+        "closed",
+        "tracking_lateral.max_abs",
+        lambda v: f"{max(v):.2f}",
+    ),
     ("least TTC [s] (closed)", "closed", "ttc.min", lambda v: f"{min(v):.1f}"),
     ("run into by the replay (closed)", "closed", "replay_contact.final", _sum),
     ("jerk beyond 4.13 m/s3, worst [s] (closed)", "closed", JERK_S, lambda v: f"{max(v):.1f}"),
@@ -138,7 +169,12 @@ class Cell:
         return bool(self.drives) and self.text == ", ".join(log for log, _ in self.drives)
 
 
-WEIGHT: Mapping[str, int] = {Outcome.FAIL.value: 0, Outcome.INCONCLUSIVE.value: 1, "": 2, Outcome.PASS.value: 3}
+WEIGHT: Mapping[str, int] = {
+    Outcome.FAIL.value: 0,
+    Outcome.INCONCLUSIVE.value: 1,
+    "": 2,
+    Outcome.PASS.value: 3,
+}
 
 
 @dataclass(frozen=True)
@@ -147,10 +183,13 @@ class DriveRow:
 
     log: str
     planner: str
-    shown: str  # The name of the planner with its marks: oracle, trusted, batched, not deterministic
+    # The name of the planner with its marks: oracle, trusted, batched, not deterministic
+    shown: str
     verdict: str  # The worst outcome of the gates on this log; "" if no gate applies
-    gravity: int  # The place of its gravest failed gate among the rules by harm; their number if none fails
-    asked: str  # The number of gates that apply, of all: "24/41", with a mark where nothing was in the way
+    # The place of its gravest failed gate among the rules by harm; their number if none fails
+    gravity: int
+    # The number of gates that apply, of all: "24/41", with a mark where nothing was in the way
+    asked: str
     end: Cell
     cells: tuple[Cell, ...]  # One per column of `Overview.columns`
     files: tuple[str, ...]  # Traces and recordings, relative to the result folder
@@ -218,7 +257,9 @@ class PassShare:
     def text(self) -> str:
         """The share in words: "15 of 17 pass: 88%, 95% interval 66% to 97%"."""
         interval = f"{100.0 * self.low:.0f}% to {100.0 * self.high:.0f}%"
-        return f"{self.passed} of {self.logs} pass: {100.0 * self.share:.0f}%, 95% interval {interval}"
+        return (
+            f"{self.passed} of {self.logs} pass: {100.0 * self.share:.0f}%, 95% interval {interval}"
+        )
 
 
 def over_all_logs(shares: Iterable[PassShare]) -> tuple[PassShare, ...]:
@@ -242,7 +283,9 @@ class Answer:
         share, counts = self.share, list[str]()
         if share is not None:
             lost = ((share.inconclusive, "inconclusive"), (share.missing, "could not be evaluated"))
-            counts = [", ".join([share.text, *(f"{count} {word}" for count, word in lost if count)])]
+            counts = [
+                ", ".join([share.text, *(f"{count} {word}" for count, word in lost if count)])
+            ]
         return "; ".join([*counts, *self.values])
 
 
@@ -263,7 +306,9 @@ class Coverage:
         word = "planned along" if self.mode == "open" else "driven"
         km = f", {self.km:.2f} km" if isfinite(self.km) else ""
         seconds = f"{self.driven_s:.0f} of {self.logged_s:.0f} s"
-        return f"{self.planner}, {self.mode} loop: {seconds} {word} in {counted(self.logs, 'log')}{km}"
+        return (
+            f"{self.planner}, {self.mode} loop: {seconds} {word} in {counted(self.logs, 'log')}{km}"
+        )
 
 
 @dataclass(frozen=True)
@@ -286,7 +331,12 @@ class Interactions:
 def worst_flips(comparison: Comparison) -> pd.DataFrame:
     """The verdicts that changed: new failures first, then gates that no longer fail; the closed loop first."""
     flips = comparison.flips
-    rank = 4 - 4 * (flips["after"] == "fail") - 2 * (flips["before"] == "fail") + (flips["mode"] == "open")
+    rank = (
+        4
+        - 4 * (flips["after"] == "fail")
+        - 2 * (flips["before"] == "fail")
+        + (flips["mode"] == "open")
+    )
     return flips.loc[rank.sort_values(kind="stable").index]
 
 
@@ -313,14 +363,17 @@ class Overview:
     config: str  # First 12 hex digits of the SHA-256 of the resolved configuration
     logs: int
     columns: tuple[MetricColumn, ...]
-    drives: tuple[DriveRow, ...]  # The drives in the order of the run; `columns` are the columns of their table
+    # The drives in the order of the run; `columns` are the columns of their table
+    drives: tuple[DriveRow, ...]
     planners: tuple[str, ...]  # Names of the planners, with marks; `answers` has a line about each
     answers: tuple[Answer, ...]
     compared: tuple[tuple[str, tuple[str, ...]], ...]
     frames: int  # The number of plans behind the latencies
     latency: tuple[StageQuantiles, ...]  # Stage times by planner and stage, the whole plan last
-    gates: tuple[GateRow, ...]  # Failed and inconclusive gates first, without gates that apply to no log
-    not_asked: tuple[str, ...]  # The gates that do not apply to some logs, with the commonest reason, a line each
+    # Failed and inconclusive gates first, without gates that apply to no log
+    gates: tuple[GateRow, ...]
+    # The gates that do not apply to some logs, with the commonest reason, a line each
+    not_asked: tuple[str, ...]
     shares: tuple[PassShare, ...]  # Pass shares of the suite, families, tags and datasets
     coverage: tuple[Coverage, ...]  # The time and distance driven, by planner and loop
     # The passes that rest on an interaction, by planner; empty without a closed loop
@@ -330,8 +383,10 @@ class Overview:
     notes: tuple[str, ...]  # Assumptions, with the number of logs, the commonest first
     failures: tuple[str, ...]  # Logs and planners that could not be evaluated
     comparison: Comparison | None  # The comparison with a baseline, if there is one
-    diagnosis: Mapping[str, Any] | None = None  # The contents of diagnosis.json, if `replan diagnose` was run
-    broken: tuple[str, ...] = ()  # Charts that could not be drawn, a sentence each; known after the page is written
+    # The contents of diagnosis.json, if `replan diagnose` was run
+    diagnosis: Mapping[str, Any] | None = None
+    # Charts that could not be drawn, a sentence each; known after the page is written
+    broken: tuple[str, ...] = ()
 
     @property
     def ranked(self) -> tuple[DriveRow, ...]:
@@ -356,7 +411,10 @@ class Overview:
     @property
     def first_closed(self) -> int:
         """The index of the first column of the closed loop; the end of its drive comes before it."""
-        return next((i for i, column in enumerate(self.columns) if column.mode == "closed"), len(self.columns))
+        return next(
+            (i for i, column in enumerate(self.columns) if column.mode == "closed"),
+            len(self.columns),
+        )
 
     @property
     def whole(self) -> tuple[PassShare, ...]:
@@ -367,5 +425,9 @@ class Overview:
     def grouped(self) -> tuple[PassShare, ...]:
         """The pass shares of groups of at least two logs, but not all, over the loops that were run, sorted."""
         modes = {share.planner: share.mode for share in self.whole}
-        mine = [share for share in self.shares if 1 < share.logs < self.logs and share.mode == modes[share.planner]]
+        mine = [
+            share
+            for share in self.shares
+            if 1 < share.logs < self.logs and share.mode == modes[share.planner]
+        ]
         return tuple(sorted(mine, key=lambda share: share.share))

@@ -45,7 +45,8 @@ from replan.results.tables import safe_name, write_text
 T = TypeVar("T")
 
 MOST_MOVED = 6  # Largest number of metrics of a comparison that are drawn
-MOST_EVENTS = 60  # Largest number of events that are listed; the page gives the number of the others
+# Largest number of events that are listed; the page gives the number of the others
+MOST_EVENTS = 60
 _WEIGHT = {outcome.value: weight for weight, outcome in enumerate(Outcome)}
 
 
@@ -71,7 +72,9 @@ class Attempts:
             return instead
 
 
-def write_html(overview: Overview, results: Results, path: Path, *, drives: int = 100) -> tuple[str, ...]:
+def write_html(
+    overview: Overview, results: Results, path: Path, *, drives: int = 100
+) -> tuple[str, ...]:
     """Write the report as one HTML file; the same run gives the same bytes.
 
     OutputError if the file cannot be written.
@@ -87,21 +90,34 @@ def write_html(overview: Overview, results: Results, path: Path, *, drives: int 
     def pages() -> Iterator[DrivePage]:
         for row in paged:
             anchor, attempt = anchors[row.log, row.planner], Attempts()
-            made = attempt("The page of a drive", partial(drive_page, results, row, anchor, path), None)
-            page = DrivePage(anchor, row, why=attempt.broken[0], broken=(attempt.broken[0],)) if made is None else made
+            made = attempt(
+                "The page of a drive", partial(drive_page, results, row, anchor, path), None
+            )
+            page = (
+                DrivePage(anchor, row, why=attempt.broken[0], broken=(attempt.broken[0],))
+                if made is None
+                else made
+            )
             broken.update(page.broken)
             yield page
 
     paged = overview.ranked[:drives]
     anchors, shares = dict[tuple[str, str], str](), [*overview.whole, *overview.grouped]
-    for row in paged:  # an id for each page, made of the names, with a number if it would not be unique
+    # An id for each page, made of the names, with a number if it would not be unique
+    for row in paged:
         name = f"drive/{safe_name(row.log)}/{safe_name(row.planner)}"
         names = (name, *(f"{name}-{k}" for k in range(2, len(paged) + 2)))
         anchors[row.log, row.planner] = next(one for one in names if one not in anchors.values())
     attempt = Attempts()
-    share = attempt("The chart of shares", lambda: _markup(pass_shares(shares, len(overview.planners))), Markup())
+    share = attempt(
+        "The chart of shares",
+        lambda: _markup(pass_shares(shares, len(overview.planners))),
+        Markup(),
+    )
     drawn = attempt(
-        "The charts of distributions", lambda: distributions(overview.columns, overview.drives), list[Chart]()
+        "The charts of distributions",
+        lambda: distributions(overview.columns, overview.drives),
+        list[Chart](),
     )
     made = pages()
     first = list(islice(made, sum(row in overview.first for row in paged)))
@@ -117,18 +133,25 @@ def write_html(overview: Overview, results: Results, path: Path, *, drives: int 
         sections=run_sections(overview),
         compared=[] if overview.comparison is None else comparison_sections(overview.comparison),
         moved=[] if overview.comparison is None else _moved(overview.comparison),
-    )  # fmt: skip
+    )
     with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         write_text(path, page)
-    each = (f"{error} ({times} of {counted(len(paged), 'drive')})" for error, times in broken.items())
+    each = (
+        f"{error} ({times} of {counted(len(paged), 'drive')})" for error, times in broken.items()
+    )
     return (*attempt.broken, *each)
 
 
 def rendered(template: str, **content: Any) -> str:
     """A page of templates/, with the style and the script of all pages."""
-    style = Markup(_read("style.css") + roles("auto") + filled(RULES, "auto"))  # files of replan: no escaping
-    return _environment().get_template(template).render(style=style, script=Markup(_read("script.js")), **content)
+    # Files of replan: no escaping
+    style = Markup(_read("style.css") + roles("auto") + filled(RULES, "auto"))
+    return (
+        _environment()
+        .get_template(template)
+        .render(style=style, script=Markup(_read("script.js")), **content)
+    )
 
 
 def _markup(chart: Chart) -> Markup:
@@ -140,22 +163,36 @@ def _moved(comparison: Comparison) -> list[Markup]:
     pairs = comparison.pairs
     both = pairs[pairs["baseline"].notna() & pairs["candidate"].notna() & (pairs["delta"] != 0.0)]
     both = both[both["worse"].notna()]
-    keys = list(dict.fromkeys(zip(both["metric"], both["planner"], both["mode"], strict=True)))[:MOST_MOVED]
+    keys = list(dict.fromkeys(zip(both["metric"], both["planner"], both["mode"], strict=True)))[
+        :MOST_MOVED
+    ]
     return [
-        _markup(moved(both[(both["metric"] == m) & (both["planner"] == p) & (both["mode"] == mode)],
-                      f"{m}, {p}, {mode} loop"))
+        _markup(
+            moved(
+                both[(both["metric"] == m) & (both["planner"] == p) & (both["mode"] == mode)],
+                f"{m}, {p}, {mode} loop",
+            )
+        )
         for m, p, mode in keys
-    ]  # fmt: skip
+    ]
 
 
 def _read(name: str) -> str:
-    return resources.files("replan.draw.report").joinpath("templates", name).read_text(encoding="utf-8")
+    return (
+        resources.files("replan.draw.report")
+        .joinpath("templates", name)
+        .read_text(encoding="utf-8")
+    )
 
 
 @cache
 def _environment() -> Environment:
     found = Environment(
-        loader=FunctionLoader(_read), autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined
+        loader=FunctionLoader(_read),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=StrictUndefined,
     )
 
     def number(value: object) -> str:
@@ -174,7 +211,13 @@ def _environment() -> Environment:
         """The sort key of a cell; an empty key is last."""
         return f"{value:.9g}" if isfinite(value) else ""
 
-    found.filters |= {"number": number, "seconds": seconds, "unit": unit, "line": printable, "sorts": sorts}
+    found.filters |= {
+        "number": number,
+        "seconds": seconds,
+        "unit": unit,
+        "line": printable,
+        "sorts": sorts,
+    }
     return found
 
 
@@ -201,17 +244,22 @@ class DrivePage:
     tags: tuple[str, ...] = ()
     time_s: float = nan  # The moment of the pictures; NaN if there are none
     why: str = ""  # The reason for this moment; if there are no pictures, the reason for that
-    because: tuple[str, ...] = ()  # The action of the plan at this moment, and its reasons, in sentences
+    # The action of the plan at this moment, and its reasons, in sentences
+    because: tuple[str, ...] = ()
     end: str = ""
-    verdicts: tuple[Any, ...] = ()  # The rows of `DriveResult.verdicts` of both loops, failed ones first
-    pictures: tuple[Markup, ...] = ()  # Charts of scenes and graphs; `decided` and `curves` follow them
+    # The rows of `DriveResult.verdicts` of both loops, failed ones first
+    verdicts: tuple[Any, ...] = ()
+    # Charts of scenes and graphs; `decided` and `curves` follow them
+    pictures: tuple[Markup, ...] = ()
     scene: int = 0  # Index of the scene at the moment among them
     decided: Markup = field(default_factory=Markup)
     curves: tuple[Markup, ...] = ()
     events: tuple[TimedEvent, ...] = ()  # The changes, with their times
     more_events: int = 0  # The number of events that are left out
-    metrics: tuple[tuple[str, tuple[Any, ...]], ...] = ()  # The rows of the available metrics of each loop
-    missing: tuple[tuple[str, str], ...] = ()  # Each reason, and the metrics that are not available because of it
+    # The rows of the available metrics of each loop
+    metrics: tuple[tuple[str, tuple[Any, ...]], ...] = ()
+    # Each reason, and the metrics that are not available because of it
+    missing: tuple[tuple[str, str], ...] = ()
     files: tuple[Recording, ...] = ()
     plot: str = ""  # The command that draws the same pictures
     broken: tuple[str, ...] = ()  # Charts that could not be drawn, a sentence each
@@ -238,8 +286,14 @@ def drive_page(results: Results, row: DriveRow, anchor: str, page: Path) -> Driv
 
     `page`: the file of the report: links are relative to it.
     """
-    mine = results.drives[(results.drives["log"] == row.log) & (results.drives["planner"] == row.planner)]
-    drives = [results.drive(row.log, row.planner, mode) for mode in ("closed", "open") if mode in set(mine["mode"])]
+    mine = results.drives[
+        (results.drives["log"] == row.log) & (results.drives["planner"] == row.planner)
+    ]
+    drives = [
+        results.drive(row.log, row.planner, mode)
+        for mode in ("closed", "open")
+        if mode in set(mine["mode"])
+    ]
     failed = (drive for drive in drives if (drive.verdicts["outcome"] == Outcome.FAIL.value).any())
     shown = next(failed, drives[0])
     attempt = Attempts()
@@ -249,15 +303,21 @@ def drive_page(results: Results, row: DriveRow, anchor: str, page: Path) -> Driv
         if seen is None:
             return []
         short = seen.scenario.short_names
-        return [replace(event, words=short(event.words)) for event in events(seen.trace, seen.plans)]
+        return [
+            replace(event, words=short(event.words)) for event in events(seen.trace, seen.plans)
+        ]
 
     found = attempt("The list of events", changed, list[TimedEvent]())
-    because = attempt("The account of the plan", lambda: seen.because if seen else (), tuple[str, ...]())
+    because = attempt(
+        "The account of the plan", lambda: seen.because if seen else (), tuple[str, ...]()
+    )
     charts = placed(seen, results.run.charts) if seen else {}
     markup = {place: tuple(map(_markup, some)) for place, some in charts.items()}
     verdicts, metrics, missing, files = list[Any](), [], dict[str, list[str]](), []
     for drive in drives:
-        verdicts += sorted(drive.verdicts.itertuples(index=False), key=lambda line: _WEIGHT[line.outcome])
+        verdicts += sorted(
+            drive.verdicts.itertuples(index=False), key=lambda line: _WEIGHT[line.outcome]
+        )
         table, available = drive.metrics, drive.metrics["available"].astype(bool)
         metrics.append((drive.mode, tuple(table[available].itertuples(index=False))))
         for reason, metric in table[~available][["reason", "metric"]].itertuples(index=False):
@@ -265,24 +325,49 @@ def drive_page(results: Results, row: DriveRow, anchor: str, page: Path) -> Driv
         # the recording, or the trace if there is none
         for file in sorted(drive.info["files"], key=lambda file: not file.endswith(".rrd"))[:1]:
             near = _relative(results.path / file, page)
-            files.append(Recording(file, drive.mode, quote(near), f"replan view {shlex.quote(near)}"))
+            files.append(
+                Recording(file, drive.mode, quote(near), f"replan view {shlex.quote(near)}")
+            )
     plot = ""
     if seen:
-        words = ["replan", "plot", _relative(results.path, page), "--log", row.log, "--planner", row.planner]
+        words = [
+            "replan",
+            "plot",
+            _relative(results.path, page),
+            "--log",
+            row.log,
+            "--planner",
+            row.planner,
+        ]
         at = f"{seen.moment.t:.2f}" if isfinite(seen.moment.t) else "0"
         plot = shlex.join([*words, "--mode", seen.drive.mode, "--at", at])
     labels = results.labels.get(row.log)
     detail = f": {shown.info['detail']}" if shown.info["detail"] else ""
     return DrivePage(
-        anchor, row, shown.mode, labels.tags if labels else (),
-        seen.moment.t if seen else nan, seen.moment.why if seen else why, because,
-        f"{shown.info['end']}{detail}, after {shown.info['t_end_s']:.2f} s", tuple(verdicts),
-        markup.get("pictures", ()), place_of_moment(seen) if seen else 0,
-        Markup().join(markup.get("decided", ())), markup.get("curves", ()),
-        tuple(found[:MOST_EVENTS]), max(len(found) - MOST_EVENTS, 0), tuple(metrics),
-        tuple((reason, ", ".join(dict.fromkeys(names))) for reason, names in missing.items()), tuple(files), plot,
-        (*(chart.says for some in charts.values() for chart in some if chart.name == BROKEN), *attempt.broken),
-    )  # fmt: skip
+        anchor,
+        row,
+        shown.mode,
+        labels.tags if labels else (),
+        seen.moment.t if seen else nan,
+        seen.moment.why if seen else why,
+        because,
+        f"{shown.info['end']}{detail}, after {shown.info['t_end_s']:.2f} s",
+        tuple(verdicts),
+        markup.get("pictures", ()),
+        place_of_moment(seen) if seen else 0,
+        Markup().join(markup.get("decided", ())),
+        markup.get("curves", ()),
+        tuple(found[:MOST_EVENTS]),
+        max(len(found) - MOST_EVENTS, 0),
+        tuple(metrics),
+        tuple((reason, ", ".join(dict.fromkeys(names))) for reason, names in missing.items()),
+        tuple(files),
+        plot,
+        (
+            *(chart.says for some in charts.values() for chart in some if chart.name == BROKEN),
+            *attempt.broken,
+        ),
+    )
 
 
 def _subject(drive: DriveResult) -> tuple[Subject | None, str]:
@@ -316,13 +401,18 @@ def pass_shares(shares: Sequence[PassShare], planners: int) -> Chart:
         low, at, high = plane.at_x(100.0 * np.array([share.low, share.share, share.high])).tolist()
         kind = "mark" if share.passed == share.logs else "hollow"
         marks.append(line(low, y, high, y, "whisker") + line(low, y - 4, low, y + 4, "whisker"))
-        marks.append(line(high, y - 4, high, y + 4, "whisker") + dot(at, y, 4.5, kind, f"{share.name}: {share.text}"))
+        marks.append(
+            line(high, y - 4, high, y + 4, "whisker")
+            + dot(at, y, 4.5, kind, f"{share.name}: {share.text}")
+        )
         words, wide = f"{share.passed}/{share.logs}", plane.inner[0]
         beside = low - 6.0 if high > wide - 50.0 else high + 6.0
         counts.append(text(beside, y + 3.5, words, "small end" if high > wide - 50.0 else "small"))
     title = "Logs that pass, with the 95 % interval of the share"
     entries = [("dot", "mark", "all pass"), ("dot", "hollow", "some do not")]
-    says = f"{title}: " + "; ".join(f"{name}: {share.text}" for name, share in zip(names, shown, strict=True))
+    says = f"{title}: " + "; ".join(
+        f"{name}: {share.text}" for name, share in zip(names, shown, strict=True)
+    )
     axes = dict[str, Any](entries=entries, x_title="share [%]", y_ticks=ticks, over="".join(counts))
     return plane.chart("pass_shares", title, "".join(marks), says=says, **axes)
 
@@ -341,10 +431,15 @@ def distributions(columns: Sequence[MetricColumn], drives: Sequence[DriveRow]) -
         strips = {planner: strip for planner, strip in strips.items() if strip}
         if len({value for strip in strips.values() for value, _ in strip}) < 3:
             continue
-        names, values = list(strips), [np.array([value for value, _ in strip]) for strip in strips.values()]
+        names, values = (
+            list(strips),
+            [np.array([value for value, _ in strip]) for strip in strips.values()],
+        )
         least, most = float(min(v.min() for v in values)), float(max(v.max() for v in values))
         low, high = widened(least, most, 1e-3, 0.04)
-        plane, ticks = _rows(names, (min(low, 0.0) if least >= 0.0 and low < 0.0 else low, high), top=22.0)
+        plane, ticks = _rows(
+            names, (min(low, 0.0) if least >= 0.0 and low < 0.0 else low, high), top=22.0
+        )
         marks = ""
         for k, (some, strip) in enumerate(zip(values, strips.values(), strict=True)):
             middle = ROW_PX * (k + 0.5)
@@ -354,7 +449,9 @@ def distributions(columns: Sequence[MetricColumn], drives: Sequence[DriveRow]) -
                 marks += line(median, middle - 6.0, median, middle + 6.0, "whisker")
             order = np.argsort(some, kind="stable")
             away = np.array([0.0, -3.0, 3.0])[np.arange(len(order)) % 3]
-            for n, x, offset in zip(order, plane.at_x(some[order]).tolist(), away.tolist(), strict=True):
+            for n, x, offset in zip(
+                order, plane.at_x(some[order]).tolist(), away.tolist(), strict=True
+            ):
                 marks += dot(x, middle + offset, 2.6, "speck", f"{strip[n][1]}: {some[n]:.4g}")
         title = f"{column.words}, {column.mode} loop"
         says = f"{title}: " + "; ".join(
@@ -362,7 +459,9 @@ def distributions(columns: Sequence[MetricColumn], drives: Sequence[DriveRow]) -
             for name, some in zip(names, values, strict=True)
         )
         x_title = f"{column.metric}, a dot a log"
-        out.append(plane.chart(column.metric, title, marks, says=says, x_title=x_title, y_ticks=ticks))
+        out.append(
+            plane.chart(column.metric, title, marks, says=says, x_title=x_title, y_ticks=ticks)
+        )
     return out
 
 
@@ -371,15 +470,28 @@ def moved(pairs: pd.DataFrame, title: str) -> Chart:
 
     `pairs`: rows of `Comparison.pairs` of one metric, with both values. `title`: title of the chart.
     """
-    shown = pairs.sort_values(["worse", "log"], ascending=[False, True], kind="stable").head(MAX_PAIRS)
+    shown = pairs.sort_values(["worse", "log"], ascending=[False, True], kind="stable").head(
+        MAX_PAIRS
+    )
     names = [str(log) for log in shown["log"]]
     both = shown[["baseline", "candidate"]].to_numpy(np.float64)
     plane, ticks = _rows(names, widened(float(both.min()), float(both.max()), 1e-6))
     marks, rows = [], list[Any](shown.itertuples())
     for k, (row, (before, now)) in enumerate(zip(rows, plane.at_x(both).tolist(), strict=True)):
         y, kind = ROW_PX * (k + 0.5), "worse" if row.worse > 0.0 else "better"
-        marks.append(line(before, y, now, y, kind) + dot(before, y, 4.0, "hollow", f"baseline {row.baseline:.4g}"))
-        marks.append(dot(now, y, 4.0, "wrong" if row.worse > 0.0 else "mark", f"candidate {row.candidate:.4g}"))
+        marks.append(
+            line(before, y, now, y, kind)
+            + dot(before, y, 4.0, "hollow", f"baseline {row.baseline:.4g}")
+        )
+        marks.append(
+            dot(
+                now,
+                y,
+                4.0,
+                "wrong" if row.worse > 0.0 else "mark",
+                f"candidate {row.candidate:.4g}",
+            )
+        )
     unit = str(shown["unit"].iloc[0])
     x_title = f"{shown['metric'].iloc[0]}{f' [{unit}]' if unit not in ('', '1', 'count') else ''}"
     says = f"{title}: " + "; ".join(f"{r.log} {r.baseline:.3g} to {r.candidate:.3g}" for r in rows)
@@ -387,11 +499,15 @@ def moved(pairs: pd.DataFrame, title: str) -> Chart:
     return plane.chart(str(shown["metric"].iloc[0]), title, "".join(marks), says=says, **axes)
 
 
-def _rows(names: Sequence[str], x: Span, *, top: float = 40.0, width: float = WIDTH_PX) -> tuple[Plane, Ticks]:
+def _rows(
+    names: Sequence[str], x: Span, *, top: float = 40.0, width: float = WIDTH_PX
+) -> tuple[Plane, Ticks]:
     return rows_plane(names, x, width, ROW_PX, top=top, most=LABEL_SHARE * width)
 
 
 _MOVED = (
-    ("dot", "hollow", "baseline"), ("dot", "mark", "candidate"),
-    ("line", "better", "better"), ("line", "worse", "worse"),
-)  # fmt: skip
+    ("dot", "hollow", "baseline"),
+    ("dot", "mark", "candidate"),
+    ("line", "better", "better"),
+    ("line", "worse", "worse"),
+)

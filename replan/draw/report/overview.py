@@ -61,7 +61,9 @@ Key = tuple[str, str]  # Log and planner
 
 
 def overview(
-    results: Results, comparison: Comparison | None = None, diagnosis: Mapping[str, Any] | None = None
+    results: Results,
+    comparison: Comparison | None = None,
+    diagnosis: Mapping[str, Any] | None = None,
 ) -> Overview:
     """The overview of a finished run.
 
@@ -77,20 +79,38 @@ def overview(
     for (_, planner, mode, metric), value in values.items():
         over_logs.setdefault((planner, mode, metric), []).append(value)
     verdicts = log_outcomes(results)
-    columns = tuple(column for column in COLUMNS if column.mode in [mode.value for mode in results.run.modes])
+    columns = tuple(
+        column for column in COLUMNS if column.mode in [mode.value for mode in results.run.modes]
+    )
     drives = _drives(results, values, columns, verdicts)
     gates, not_asked = _gates(results, verdicts)
-    planners = {name: marked(list(mine.itertuples())) for name, mine in results.drives.groupby("planner", sort=False)}
+    planners = {
+        name: marked(list(mine.itertuples()))
+        for name, mine in results.drives.groupby("planner", sort=False)
+    }
     compared, latency, coverage = _of_planners(results, over_logs, [*map(str, planners)])
     labels = results.labels | dict.fromkeys(results.unread, LogLabels())
     crashed = [(row["log"], row["planner"], row["mode"]) for row in results.summary["failures"]]
     stand = standings(verdicts, results.drives, list(labels), results.run.drives, crashed)
-    names = ["kind", "group", "planner", "mode", "logs", "passed", "failed", "inconclusive", "missing", "mean"]
+    names = [
+        "kind",
+        "group",
+        "planner",
+        "mode",
+        "logs",
+        "passed",
+        "failed",
+        "inconclusive",
+        "missing",
+        "mean",
+    ]
     rows = pass_shares(stand, labels)[[*names, "low", "high"]].itertuples(index=False)
     shares = [PassShare(*row[:4], *(int(count) for count in row[4:9]), *row[9:]) for row in rows]
     shares = [] if "shard" in results.summary else shares
     failures = (
-        f"{row['message']} [{row['planner']}, {row['mode']} loop]" if row["planner"] else str(row["message"])
+        f"{row['message']} [{row['planner']}, {row['mode']} loop]"
+        if row["planner"]
+        else str(row["message"])
         for row in results.summary["failures"]
     )
     return Overview(
@@ -98,7 +118,9 @@ def overview(
         exit_code=code,
         shard=str(results.summary.get("shard", "")),
         replan=str(results.summary["replan"]),
-        config=sha256(tomli_w.dumps(read_toml(results.path / "run.toml")).encode()).hexdigest()[:12],
+        config=sha256(tomli_w.dumps(read_toml(results.path / "run.toml")).encode()).hexdigest()[
+            :12
+        ],
         logs=len(results.logs),
         columns=columns,
         drives=drives,
@@ -128,13 +150,19 @@ def log_outcomes(results: Results) -> pd.DataFrame:
     """The verdict of each gate on each log, `Results.verdicts`, and of the deadline, if there is one."""
     deadline_s = results.run.deadline_s
     late = judge_deadline(results.timings, deadline_s, results.labels) if deadline_s > 0.0 else ()
-    return pd.concat([results.verdicts, outcomes(late)], ignore_index=True) if late else results.verdicts
+    return (
+        pd.concat([results.verdicts, outcomes(late)], ignore_index=True)
+        if late
+        else results.verdicts
+    )
 
 
 def without_folders(results: Results) -> Callable[[str], str]:
     """A function that removes the folders of the logs from a text."""
     labels = [Path(label) for label in results.logs["source"]]
-    folders = sorted({f"{path.parent}{os.sep}" for path in labels if path.is_absolute()}, key=len, reverse=True)
+    folders = sorted(
+        {f"{path.parent}{os.sep}" for path in labels if path.is_absolute()}, key=len, reverse=True
+    )
 
     def short(text: str) -> str:
         for folder in folders:
@@ -157,7 +185,8 @@ def marked(drives: Sequence[Any]) -> str:
 
 
 Values = Mapping[tuple[str, str, str, str], float]  # Values by log, planner, mode and metric
-OverLogs = Mapping[tuple[str, str, str], list[float]]  # The values of all logs by planner, mode and metric
+# The values of all logs by planner, mode and metric
+OverLogs = Mapping[tuple[str, str, str], list[float]]
 
 
 # drives ---------------------------------------------------------------------------------------------------------------
@@ -181,20 +210,41 @@ def _drives(
     for (log, planner), mine in grouped.items():
         each = judged.get((log, planner), [])
         verdict = worst(each).value if each else ""
-        asked = f"{sum(outcome is not Outcome.NOT_ASKED for outcome in each)}/{len(each)}" if each else ""
-        if verdict == Outcome.PASS.value and values.get((log, planner, "closed", BLIND_FAILS), 1.0) == 0.0:
+        asked = (
+            f"{sum(outcome is not Outcome.NOT_ASKED for outcome in each)}/{len(each)}"
+            if each
+            else ""
+        )
+        if (
+            verdict == Outcome.PASS.value
+            and values.get((log, planner, "closed", BLIND_FAILS), 1.0) == 0.0
+        ):
             asked += FREE
-        found = [(column, values.get((log, planner, column.mode, column.metric), nan)) for column in columns]
-        cells = (Cell(c.show(value), value, c.bad(value)) if isfinite(value) else Cell() for c, value in found)
+        found = [
+            (column, values.get((log, planner, column.mode, column.metric), nan))
+            for column in columns
+        ]
+        cells = (
+            Cell(c.show(value), value, c.bad(value)) if isfinite(value) else Cell()
+            for c, value in found
+        )
         end = Cell()
         for drive in mine:
             if drive.mode == "closed":
                 about = f": {drive.detail}" if drive.end in CONTACTS else ""
-                end = Cell(f"{SHORT.get(drive.end, drive.end)}{about}", float(drive.t_end_s), drive.end not in GOOD)
+                end = Cell(
+                    f"{SHORT.get(drive.end, drive.end)}{about}",
+                    float(drive.t_end_s),
+                    drive.end not in GOOD,
+                )
         files = tuple(file for drive in mine for file in drive.files)
         grave = min(broken.get((log, planner), ()), default=len(GRAVE))
         name = marked(mine)
-        rows.append(DriveRow(log, planner, name, verdict, grave, asked, end, tuple(cells), files, folders[log]))
+        rows.append(
+            DriveRow(
+                log, planner, name, verdict, grave, asked, end, tuple(cells), files, folders[log]
+            )
+        )
     return tuple(rows)
 
 
@@ -214,7 +264,13 @@ def _of_planners(
 ) -> tuple[list[tuple[str, tuple[str, ...]]], list[StageQuantiles], list[Coverage]]:
     """All drives of each planner: the metrics of `COMPARED`, the times of the stages, and the coverage."""
     compared = [
-        (label, tuple(combine(some) if (some := over_logs.get((p, loop, metric))) else NOTHING for p in planners))
+        (
+            label,
+            tuple(
+                combine(some) if (some := over_logs.get((p, loop, metric))) else NOTHING
+                for p in planners
+            ),
+        )
         for label, loop, metric, combine in COMPARED
         if loop in [mode.value for mode in results.run.modes]
     ]
@@ -227,7 +283,9 @@ def _of_planners(
             share = float(times.sum()) / whole if whole > 0.0 else nan
             latency.append(StageQuantiles(str(planner), str(stage), p50, p95, p99, share))
     names = ("coverage.log_s.final", "coverage.driven_s.final", "distance.final")
-    for planner, mode in dict.fromkeys(zip(results.drives["planner"], results.drives["mode"], strict=True)):
+    for planner, mode in dict.fromkeys(
+        zip(results.drives["planner"], results.drives["mode"], strict=True)
+    ):
         logged, driven, metres = (over_logs.get((planner, mode, name), []) for name in names)
         if logged:
             km = sum(metres) / 1e3 if metres else nan
@@ -235,12 +293,16 @@ def _of_planners(
     return compared, latency, coverage
 
 
-def _answers(planners: Mapping[Any, str], shares: Sequence[PassShare], over_logs: OverLogs) -> Iterator[Answer]:
+def _answers(
+    planners: Mapping[Any, str], shares: Sequence[PassShare], over_logs: OverLogs
+) -> Iterator[Answer]:
     """The answer of each planner: its pass share over the loops that were run, and `ANSWERED` where available."""
     share_of = {share.planner: share for share in over_all_logs(shares)}
     for planner, shown in planners.items():
         found = ((over_logs.get((planner, "closed", metric)), words) for metric, words in ANSWERED)
-        yield Answer(shown, share_of.get(planner), tuple(words(values) for values, words in found if values))
+        yield Answer(
+            shown, share_of.get(planner), tuple(words(values) for values, words in found if values)
+        )
 
 
 def _interactions(stand: pd.DataFrame, values: Values) -> Iterator[Interactions]:
@@ -248,7 +310,11 @@ def _interactions(stand: pd.DataFrame, values: Values) -> Iterator[Interactions]
     closed = stand[stand["mode"] == Mode.CLOSED.value]
     for planner, mine in closed.groupby("planner", sort=False):
         passed = [str(log) for log in mine.loc[mine["standing"] == "passed", "log"]]
-        kept = [log for log in passed if values.get((log, str(planner), "closed", BLIND_FAILS), nan) == 1.0]
+        kept = [
+            log
+            for log in passed
+            if values.get((log, str(planner), "closed", BLIND_FAILS), nan) == 1.0
+        ]
         yield Interactions(str(planner), len(passed), len(kept))
 
 
@@ -262,21 +328,49 @@ def _gates(results: Results, verdicts: pd.DataFrame) -> tuple[tuple[GateRow, ...
     names = ["gate", "log", "planner", "mode", "outcome"]
     for gate, log, planner, mode, outcome in verdicts[names].itertuples(index=False):
         found.setdefault((gate, planner, mode), {})[log] = outcome
-    members = {f"{kind} {group}": set(logs) for (kind, group), logs in membership(results.labels).items()}
+    members = {
+        f"{kind} {group}": set(logs) for (kind, group), logs in membership(results.labels).items()
+    }
     rows, short = [], without_folders(results)
     for verdict in results.summary["gates"]:
         if verdict["outcome"] == Outcome.NOT_ASKED.value:
             continue
-        unit = "" if verdict["gate"]["over"] == "pass_share" else units.get(verdict["gate"]["metric"], "")
+        unit = (
+            ""
+            if verdict["gate"]["over"] == "pass_share"
+            else units.get(verdict["gate"]["metric"], "")
+        )
         each = found.get((verdict["rule"], verdict["planner"], verdict["mode"]), {})
-        mine = [outcome for log, outcome in each.items() if log in members.get(verdict.get("group"), each)]
+        mine = [
+            outcome
+            for log, outcome in each.items()
+            if log in members.get(verdict.get("group"), each)
+        ]
         mine = [outcome for outcome in mine if outcome != Outcome.NOT_ASKED.value]
-        value, time_s = (nan if verdict[name] is None else float(verdict[name]) for name in ("value", "time_s"))
-        outcome, why, log = str(verdict["outcome"]), str(verdict["gate"]["reason"]), str(verdict["log"])
-        planner, mode, group = str(verdict["planner"]), str(verdict["mode"]), str(verdict.get("group", ""))
-        rule, over, reason = str(verdict["rule"]), str(verdict["gate"]["over"]), short(verdict["reason"])
-        if outcome == Outcome.PASS.value:  # the value; if every log must pass, also the log nearest to the bound
-            shown, lacking = 0.0 if abs(value) < 1e-9 else value, mine.count(Outcome.INCONCLUSIVE.value)
+        value, time_s = (
+            nan if verdict[name] is None else float(verdict[name]) for name in ("value", "time_s")
+        )
+        outcome, why, log = (
+            str(verdict["outcome"]),
+            str(verdict["gate"]["reason"]),
+            str(verdict["log"]),
+        )
+        planner, mode, group = (
+            str(verdict["planner"]),
+            str(verdict["mode"]),
+            str(verdict.get("group", "")),
+        )
+        rule, over, reason = (
+            str(verdict["rule"]),
+            str(verdict["gate"]["over"]),
+            short(verdict["reason"]),
+        )
+        # The value; if every log must pass, also the log nearest to the bound
+        if outcome == Outcome.PASS.value:
+            shown, lacking = (
+                0.0 if abs(value) < 1e-9 else value,
+                mine.count(Outcome.INCONCLUSIVE.value),
+            )
             near = f"{shown:.3g}" if abs(shown) < 1e3 else f"{shown:.0f}"
             near += f" {unit}" if unit not in ("", "1", "count") else ""
             near += f", on {log}" if shown and over == "worst" else ""
@@ -284,10 +378,30 @@ def _gates(results: Results, verdicts: pd.DataFrame) -> tuple[tuple[GateRow, ...
             aside = f"; no evidence in {lacking} of {len(mine)} logs" if lacking else ""
             about = f"{', '.join(filter(None, (planner, group)))}: {near}{aside}"
         else:
-            about = reason + (f" (the gate: {why})" if why and outcome == Outcome.FAIL.value else "")
-        rows.append(GateRow(outcome, rule, over, about, reason, why, planner, mode, group, log, value, unit, time_s))
+            about = reason + (
+                f" (the gate: {why})" if why and outcome == Outcome.FAIL.value else ""
+            )
+        rows.append(
+            GateRow(
+                outcome,
+                rule,
+                over,
+                about,
+                reason,
+                why,
+                planner,
+                mode,
+                group,
+                log,
+                value,
+                unit,
+                time_s,
+            )
+        )
     drives, not_asked = verdicts.groupby("gate")["log"].count(), []
-    unasked = verdicts[verdicts["outcome"] == Outcome.NOT_ASKED.value].groupby("gate", sort=True)["reason"]
+    unasked = verdicts[verdicts["outcome"] == Outcome.NOT_ASKED.value].groupby("gate", sort=True)[
+        "reason"
+    ]
     for asked, reasons in sorted(unasked, key=lambda one: (-len(one[1]), one[0])):
         common, number = Counter(reasons).most_common(1)[0][0], int(drives[asked])
         where = f": in {len(reasons)} of {counted(number, 'drive')}" if number > 1 else ""

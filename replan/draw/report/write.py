@@ -78,7 +78,12 @@ def junit(results: Results, over: Overview) -> str:
     ]
     if over.comparison is not None:
         rules = over.comparison.verdicts
-        suites.append(("compare", [JunitCase("compare", one.rule, one.outcome.value, one.reason) for one in rules]))
+        suites.append(
+            (
+                "compare",
+                [JunitCase("compare", one.rule, one.outcome.value, one.reason) for one in rules],
+            )
+        )
     root = ElementTree.Element("testsuites")
     for i, (name, cases) in enumerate((name, cases) for name, cases in suites if cases):
         root.append(_suite(i, name, cases, over))
@@ -91,8 +96,12 @@ def _of_drives(
 ) -> Iterator[JunitCase]:
     """The tests of one planner and loop: gates over all logs, then each log."""
     for gate in over.gates:
-        if (gate.planner, gate.mode) == (planner, mode) and (gate.over != WORST or gate.outcome == "inconclusive"):
-            yield JunitCase(f"{planner}.{mode}.{gate.group or 'all logs'}", gate.rule, gate.outcome, gate.reason)
+        if (gate.planner, gate.mode) == (planner, mode) and (
+            gate.over != WORST or gate.outcome == "inconclusive"
+        ):
+            yield JunitCase(
+                f"{planner}.{mode}.{gate.group or 'all logs'}", gate.rule, gate.outcome, gate.reason
+            )
     together = {gate.rule for gate in over.gates if gate.over != WORST}
     asked = (verdicts["outcome"] != Outcome.NOT_ASKED.value) & ~verdicts["gate"].isin(together)
     verdicts = verdicts[(verdicts["planner"] == planner) & (verdicts["mode"] == mode) & asked]
@@ -103,22 +112,33 @@ def _of_drives(
     for log in results.logs["log"]:
         where = f"{planner}.{mode}.{short(str(log)).replace('.', '_')}"
         errors = (
-            failure["message"] for failure in results.summary["failures"]
-            if failure["log"] == log and failure["planner"] in (None, planner) and failure["mode"] in (None, mode)
-        )  # fmt: skip
+            failure["message"]
+            for failure in results.summary["failures"]
+            if failure["log"] == log
+            and failure["planner"] in (None, planner)
+            and failure["mode"] in (None, mode)
+        )
         why = short("; ".join(errors)) or ("" if log in drives else "no result")
         yield JunitCase(where, EVALUATED, "error" if why else "pass", why, drives.get(log, 0.0))
         if log in drives and log in rows:
             for row in list[Any](rows[log].itertuples()):
                 when = f" at {row.time_s:.2f} s" if isfinite(row.time_s) else ""
                 value = f"{row.value:.4g}{when}" if isfinite(row.value) else ""
-                yield JunitCase(where, row.gate, row.outcome, ": ".join(filter(None, (value, row.reason))))
+                yield JunitCase(
+                    where, row.gate, row.outcome, ": ".join(filter(None, (value, row.reason)))
+                )
 
 
-def _suite(number: int, name: str, cases: Iterable[JunitCase], over: Overview) -> ElementTree.Element:
+def _suite(
+    number: int, name: str, cases: Iterable[JunitCase], over: Overview
+) -> ElementTree.Element:
     tests = []
     for case in cases:
-        names = {"name": _legal(case.name), "classname": _legal(case.classname), "time": f"{case.time_s:.3f}"}
+        names = {
+            "name": _legal(case.name),
+            "classname": _legal(case.classname),
+            "time": f"{case.time_s:.3f}",
+        }
         test = ElementTree.Element("testcase", names)
         if case.outcome in TAGS:
             about = {"type": case.outcome, "message": _legal(case.reason or case.outcome)}
@@ -128,12 +148,18 @@ def _suite(number: int, name: str, cases: Iterable[JunitCase], over: Overview) -
     suite = ElementTree.Element(
         "testsuite",
         {
-            "name": _legal(name), "package": "replan", "id": str(number), "timestamp": TIMESTAMP,
-            "hostname": "localhost", "tests": str(len(tests)), "failures": str(count["failure"]),
-            "errors": str(count["error"]), "skipped": str(count["skipped"]),
+            "name": _legal(name),
+            "package": "replan",
+            "id": str(number),
+            "timestamp": TIMESTAMP,
+            "hostname": "localhost",
+            "tests": str(len(tests)),
+            "failures": str(count["failure"]),
+            "errors": str(count["error"]),
+            "skipped": str(count["skipped"]),
             "time": f"{sum(float(test.attrib['time']) for test in tests):.3f}",
         },
-    )  # fmt: skip
+    )
     properties = ElementTree.SubElement(suite, "properties")
     for key, value in (("replan", over.replan), ("config", over.config)):
         ElementTree.SubElement(properties, "property", name=key, value=_legal(value))
@@ -145,7 +171,9 @@ def _suite(number: int, name: str, cases: Iterable[JunitCase], over: Overview) -
 
 def _legal(text: str) -> str:
     """The text, with characters replaced that XML 1.0 does not allow (section 2.2, Char)."""
-    return re.sub("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]", "\N{REPLACEMENT CHARACTER}", text)
+    return re.sub(
+        "[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]", "\N{REPLACEMENT CHARACTER}", text
+    )
 
 
 MARKDOWN, JUNIT, HTML = REPORTS
@@ -167,7 +195,11 @@ def write_reports(results: Results, over: Overview, out: Path) -> Overview:
     over = replace(over, broken=(*attempt.broken, *broken))
     attempt(JUNIT, lambda: write_text(out / JUNIT, junit(results, over)), None)
     over = replace(over, broken=(*attempt.broken, *broken))
-    attempt(MARKDOWN, lambda: write_text(out / MARKDOWN, markdown(over, links=(HTML, JUNIT) if beside else None)), None)
+    attempt(
+        MARKDOWN,
+        lambda: write_text(out / MARKDOWN, markdown(over, links=(HTML, JUNIT) if beside else None)),
+        None,
+    )
     append_step_summary(over)
     return replace(over, broken=(*attempt.broken, *broken))
 
@@ -188,10 +220,16 @@ def markdown(over: Overview, *, links: Iterable[str] | None = ()) -> str:
     """
     parts = [f"# replan: {over.outcome}"]
     if not over.shard:
-        fail, unsure = (sum(gate.outcome == word for gate in over.gates) for word in ("fail", "inconclusive"))
-        verdicts = f"{fail} of {len(over.gates)} verdicts of the gates fail, {unsure} are inconclusive"
+        fail, unsure = (
+            sum(gate.outcome == word for gate in over.gates) for word in ("fail", "inconclusive")
+        )
+        verdicts = (
+            f"{fail} of {len(over.gates)} verdicts of the gates fail, {unsure} are inconclusive"
+        )
         parts.append(f"**{over.outcome.upper()}** (exit code {over.exit_code}): {verdicts}.")
-        parts.append("\n".join(f"- **{_text(each.planner)}**: {_text(each.text)}" for each in over.answers))
+        parts.append(
+            "\n".join(f"- **{_text(each.planner)}**: {_text(each.text)}" for each in over.answers)
+        )
     parts.append(f"replan {_text(over.replan)}, configuration {over.config}")
     parts.append(", ".join(f"[{_text(link)}]({quote(link)})" for link in links or ()))
     linked = links is not None
@@ -199,8 +237,12 @@ def markdown(over: Overview, *, links: Iterable[str] | None = ()) -> str:
     parts.append(f"Look first at {'; '.join(look)}." if look else "")
     parts += (section_text(section, linked=linked) for section in run_sections(over))
     if over.comparison is not None:
-        parts.append(f"# Compared: {_text(over.comparison.baseline)} -> {_text(over.comparison.candidate)}")
-        parts += (section_text(section, linked=linked) for section in comparison_sections(over.comparison))
+        parts.append(
+            f"# Compared: {_text(over.comparison.baseline)} -> {_text(over.comparison.candidate)}"
+        )
+        parts += (
+            section_text(section, linked=linked) for section in comparison_sections(over.comparison)
+        )
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
@@ -214,13 +256,21 @@ def section_text(section: ReportSection, *, linked: bool = False) -> str:
     body += _in_sight(listed, "lines", "\n".join, section)
     body += [_text(line) for line in section.says]
     text = "\n\n".join(body)
-    return _fold(_text(section.title), text) if section.folded else f"## {_text(section.title)}\n\n{text}"
+    return (
+        _fold(_text(section.title), text)
+        if section.folded
+        else f"## {_text(section.title)}\n\n{text}"
+    )
 
 
-def _in_sight(some: list[T], what: str, render: Callable[[list[T]], str], section: ReportSection) -> list[str]:
+def _in_sight(
+    some: list[T], what: str, render: Callable[[list[T]], str], section: ReportSection
+) -> list[str]:
     """Rows or lines; those beyond `MAX_OPEN` are folded."""
     most = len(some) if section.folded else MAX_OPEN
-    more = [_fold(f"{len(some) - most} more {what}", render(some[most:]))] if len(some) > most else []
+    more = (
+        [_fold(f"{len(some) - most} more {what}", render(some[most:]))] if len(some) > most else []
+    )
     return [render(some[:most]), *more] if some else []
 
 
@@ -264,9 +314,13 @@ def shortened(text: str, most: int) -> str:
 
 def _text(words: str) -> str:
     """Any text on one line, escaped so that Markdown shows it unchanged."""
-    shown = "".join(c if c.isprintable() or c.isspace() else "\N{REPLACEMENT CHARACTER}" for c in words)
+    shown = "".join(
+        c if c.isprintable() or c.isspace() else "\N{REPLACEMENT CHARACTER}" for c in words
+    )
     line = re.sub(r"\s+", " ", shown)
-    return _SPECIAL.sub(lambda found: f"&amp;{found[0][1:]}" if found[0][0] == "&" else f"\\{found[0]}", line)
+    return _SPECIAL.sub(
+        lambda found: f"&amp;{found[0][1:]}" if found[0][0] == "&" else f"\\{found[0]}", line
+    )
 
 
 _BRACKETS, _ESCAPED = re.compile(r"(?<!\\)([\[\]])"), r"\\\1"

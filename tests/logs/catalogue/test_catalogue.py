@@ -51,17 +51,25 @@ def test_the_logged_drive_touches_nobody_stays_on_the_road_and_arrives(name: str
     scenario = SCENARIOS[name]
     ego, car = scenario.ego, scenario.vehicle
     assert touches(scenario) is None
-    x, y = ego.x + car.axle_to_center * np.cos(ego.yaw), ego.y + car.axle_to_center * np.sin(ego.yaw)
+    x, y = (
+        ego.x + car.axle_to_center * np.cos(ego.yaw),
+        ego.y + car.axle_to_center * np.sin(ego.yaw),
+    )
     for along in (-0.5 * car.length, 0.5 * car.length):
         for left in (-0.5 * car.width, 0.5 * car.width):
             px = x + along * np.cos(ego.yaw) - left * np.sin(ego.yaw)
             py = y + along * np.sin(ego.yaw) + left * np.cos(ego.yaw)
             assert all(scenario.road.is_drivable(*p) for p in zip(px, py, strict=True))
     assert scenario.goal is not None
-    assert scenario.goal.reached(float(ego.t[-1]), float(x[-1]), float(y[-1]), float(ego.yaw[-1]), float(ego.v[-1]))
+    assert scenario.goal.reached(
+        float(ego.t[-1]), float(x[-1]), float(y[-1]), float(ego.yaw[-1]), float(ego.v[-1])
+    )
     assert not scenario.goal.holds_place(float(x[0]), float(y[0]))
-    there = [scenario.goal.holds_place(*place) for place in zip(x.tolist(), y.tolist(), strict=True)]
-    arrives = ego.t[-1] if scenario.detections is None else ego.t[there.index(True)]  # a detector's log has no spare
+    there = [
+        scenario.goal.holds_place(*place) for place in zip(x.tolist(), y.tolist(), strict=True)
+    ]
+    # A detector's log has no spare
+    arrives = ego.t[-1] if scenario.detections is None else ego.t[there.index(True)]
     assert scenario.duration >= arrives + 9.99
     assert all(scenario.road.limit(1) >= ego.v - 1e-9)
 
@@ -88,7 +96,11 @@ def test_building_is_deterministic_and_parameters_are_in_the_metadata(name: str)
     for parameter, value in CATALOGUE[name].parameters.items():
         assert float(one.metadata[f"parameter.{parameter}"]) == value
     rebuilt = CATALOGUE[name].scenario(
-        **{key.removeprefix("parameter."): float(v) for key, v in one.metadata.items() if key.startswith("parameter.")}
+        **{
+            key.removeprefix("parameter."): float(v)
+            for key, v in one.metadata.items()
+            if key.startswith("parameter.")
+        }
     )
     assert differences(one, replace(rebuilt, name=one.name)) == []
 
@@ -100,16 +112,27 @@ def test_expected_decisions_name_agents_and_decisions(name: str) -> None:
     there = {*scenario.tracks.ids, *(f"stop line {line.id}" for line in scenario.road.stop_lines)}
     assert set(wanted) <= there
     assert bool(wanted) is bool(there)
-    assert {kind for kinds in wanted.values() for kind in kinds} <= {kind.value for kind in DecisionKind}
+    assert {kind for kinds in wanted.values() for kind in kinds} <= {
+        kind.value for kind in DecisionKind
+    }
 
 
 @settings(max_examples=10)
 @given(v=st.floats(0.0, 20.0), cruise=st.floats(3.0, 20.0), gap=st.floats(40.0, 120.0))
-def test_the_careful_driver_is_smooth_and_stops_where_he_should(v: float, cruise: float, gap: float) -> None:
+def test_the_careful_driver_is_smooth_and_stops_where_he_should(
+    v: float, cruise: float, gap: float
+) -> None:
     path = curve((2000.0, 0.0, 0.0))
     if v * v / 4.0 > gap - 1.5 * v - 5.0:
         return  # no careful driver can
-    ego = drive(path, start=0.0, speed=v, cruise=cruise, duration=40.0, ahead=lambda t, s: Ahead(gap - s, stop=True))
+    ego = drive(
+        path,
+        start=0.0,
+        speed=v,
+        cruise=cruise,
+        duration=40.0,
+        ahead=lambda t, s: Ahead(gap - s, stop=True),
+    )
     assert ego.x[-1] <= gap + 1.0
     assert ego.v.min() >= 0.0
     assert np.abs(np.diff(ego.a)).max() <= 0.1 * MAX_JERK + 1e-6
@@ -140,12 +163,16 @@ def test_static_obstacles_leave_room_on_the_right_side_only(width: float) -> Non
     assert by_id["left"][0] - (-1.75) > width + 0.5
     assert by_id["left_outer"][0] - by_id["left"][1] < width
     assert 5.25 - by_id["left_outer"][1] < width
-    assert by_id["left"][0] < 0.5 * width + 0.3  # who stays in the middle does not pass with clearance
+    # Who stays in the middle does not pass with clearance
+    assert by_id["left"][0] < 0.5 * width + 0.3
 
 
 def _gap(scenario: Scenario, t: float, k: int = 0) -> float:
     ego, car, other = scenario.ego.at(t), scenario.vehicle, scenario.tracks.truth(t)
-    x, y = ego.x + car.axle_to_center * np.cos(ego.yaw), ego.y + car.axle_to_center * np.sin(ego.yaw)
+    x, y = (
+        ego.x + car.axle_to_center * np.cos(ego.yaw),
+        ego.y + car.axle_to_center * np.sin(ego.yaw),
+    )
     boxes = (other.x[k], other.y[k], other.yaw[k], other.length[k], other.width[k])
     return distance(x, y, ego.yaw, car.length, car.width, *(float(value) for value in boxes))
 
@@ -195,7 +222,9 @@ def front(scenario: Scenario) -> np.ndarray:
 
 @pytest.mark.parametrize("green", [0.0, 6.0, 12.0, 25.0])
 @pytest.mark.parametrize(("distance", "speed"), [(60.0, 8.3), (120.0, 13.9)])
-def test_at_the_light_the_driver_waits_for_green(green: float, distance: float, speed: float) -> None:
+def test_at_the_light_the_driver_waits_for_green(
+    green: float, distance: float, speed: float
+) -> None:
     scenario = CATALOGUE["everyday/traffic_light"].scenario(
         green_s=green, distance_m=distance, ego_speed_mps=speed, duration_s=50.0
     )
@@ -238,9 +267,9 @@ def test_at_the_junction_the_main_road_goes_first(turn: int) -> None:
         for after in lane.successors:
             np.testing.assert_allclose(lane.center[-1], road.lanes[after].center[0], atol=0.01)
     middle = [scenario.tracks.truth(6.0 + 2.5 * k) for k in range(4)]
-    assert [float(np.hypot(each.x[k] - 72.6, each.y[k] - 1.75)) for k, each in enumerate(middle)] == pytest.approx(
-        [1.75] * 4, abs=0.05
-    )
+    assert [
+        float(np.hypot(each.x[k] - 72.6, each.y[k] - 1.75)) for k, each in enumerate(middle)
+    ] == pytest.approx([1.75] * 4, abs=0.05)
 
 
 PEDESTRIANS = [name for name in CATALOGUE if name.startswith("pedestrian/")]
@@ -278,22 +307,37 @@ def test_a_walk_goes_its_legs_with_ramps(
 
 
 @pytest.mark.parametrize("name", PEDESTRIANS)
-def test_without_braking_a_pedestrian_would_be_hit_and_the_driver_waits_for_the_last(name: str) -> None:
+def test_without_braking_a_pedestrian_would_be_hit_and_the_driver_waits_for_the_last(
+    name: str,
+) -> None:
     scenario = SCENARIOS[name]
     ego, off = scenario.ego, float(scenario.metadata["pedestrian_off_lane_s"])
-    straight = drive(curve((600.0, 0.0, 0.0)), start=10.0, speed=ego.v[0], cruise=ego.v[0], duration=float(ego.t[-1]))
+    straight = drive(
+        curve((600.0, 0.0, 0.0)),
+        start=10.0,
+        speed=ego.v[0],
+        cruise=ego.v[0],
+        duration=float(ego.t[-1]),
+    )
     assert touches(replace(scenario, ego=straight)) in scenario.tracks.ids
     assert 20.0 <= ego.t[-1] <= 25.0
     assert ego.v.min() < 0.3 * ego.v[0] and ego.v[-1] == pytest.approx(ego.v[0], abs=0.1)
-    assert ego.t[np.argmin(ego.v)] <= off + MAX_BRAKE / MAX_JERK + 0.1  # until the brake is released
+    # Until the brake is released
+    assert ego.t[np.argmin(ego.v)] <= off + MAX_BRAKE / MAX_JERK + 0.1
     for k in range(len(scenario.tracks)):
         t, _, y, _ = way(scenario, k)
         assert scenario.tracks.static[k] or (np.abs(y[t >= off]) >= 1.75 + 0.25).all()
 
 
-@pytest.mark.parametrize(("dwell", "lateral", "back"), [(1.0, -0.5, 1.2), (2.5, 0.0, 1.5), (4.0, 0.5, 1.8)])
-def test_who_turns_back_stands_on_the_lane_and_returns(dwell: float, lateral: float, back: float) -> None:
-    scenario = CATALOGUE["pedestrian/turns_back"].scenario(dwell_s=dwell, stop_lateral_m=lateral, return_speed_mps=back)
+@pytest.mark.parametrize(
+    ("dwell", "lateral", "back"), [(1.0, -0.5, 1.2), (2.5, 0.0, 1.5), (4.0, 0.5, 1.8)]
+)
+def test_who_turns_back_stands_on_the_lane_and_returns(
+    dwell: float, lateral: float, back: float
+) -> None:
+    scenario = CATALOGUE["pedestrian/turns_back"].scenario(
+        dwell_s=dwell, stop_lateral_m=lateral, return_speed_mps=back
+    )
     t, _, y, v = way(scenario)
     stands = (np.abs(y - lateral) < 1e-9) & (v < 0.05)
     assert t[stands][-1] - t[stands][0] == pytest.approx(dwell, abs=0.21)

@@ -32,12 +32,19 @@ everywhere = pytest.mark.parametrize("name", GRIDS)
 def at_constant_speed(log: Scenario, seconds: float) -> Scenario:
     """The scenario with an ego that keeps its speed on a straight road."""
     v = float(log.ego.v[0])
-    return replace(log, ego=drive(curve((900.0, 0.0, 0.0)), start=START_M, speed=v, cruise=v, duration=seconds))
+    return replace(
+        log, ego=drive(curve((900.0, 0.0, 0.0)), start=START_M, speed=v, cruise=v, duration=seconds)
+    )
 
 
 def same(one: Scenario, two: Scenario) -> bool:
-    columns = [(each.ego.x, each.ego.v, each.tracks.x, each.tracks.y, each.tracks.t) for each in (one, two)]
-    return all(np.array_equal(a, b) for a, b in zip(*columns, strict=True)) and one.metadata == two.metadata
+    columns = [
+        (each.ego.x, each.ego.v, each.tracks.x, each.tracks.y, each.tracks.t) for each in (one, two)
+    ]
+    return (
+        all(np.array_equal(a, b) for a, b in zip(*columns, strict=True))
+        and one.metadata == two.metadata
+    )
 
 
 # laws of families
@@ -51,10 +58,18 @@ def test_cells_build_are_clean_and_are_found_again_by_name(name: str, tmp_path: 
     assert log.name == label
     assert log.metadata["family"] == name and log.metadata["parameter_source"]
     assert same(log, scenario(log.name))
-    wanted = json.loads(log.metadata["expected_decisions"]) if "expected_decisions" in log.metadata else {}
+    wanted = (
+        json.loads(log.metadata["expected_decisions"])
+        if "expected_decisions" in log.metadata
+        else {}
+    )
     assert set(wanted) <= set(log.tracks.ids)
-    assert {kind for kinds in wanted.values() for kind in kinds} <= {kind.value for kind in DecisionKind}
-    assert log.goal is not None and not log.goal.holds_place(float(log.ego.x[0]), float(log.ego.y[0]))
+    assert {kind for kinds in wanted.values() for kind in kinds} <= {
+        kind.value for kind in DecisionKind
+    }
+    assert log.goal is not None and not log.goal.holds_place(
+        float(log.ego.x[0]), float(log.ego.y[0])
+    )
     if not name.startswith("faults/"):
         assert not findings(log)
     write_scenario(tmp_path / "a.mcap", log)
@@ -95,12 +110,18 @@ def test_cells_that_make_no_sense_are_refused(label: str, said: str) -> None:
         scenario(label)
     if "@" in label and "=" in label:
         family, _, words = label.partition("@")
-        assert label not in {FAMILIES[family].named(cell) for cell in FAMILIES[family].cells()} and words
+        assert (
+            label not in {FAMILIES[family].named(cell) for cell in FAMILIES[family].cells()}
+            and words
+        )
 
 
 def test_a_log_without_a_way_out_ends_before_the_contact() -> None:
     cut = scenario("unece_r157/cut_in@ego_kmh=60,gap_m=10,lateral_mps=3,relative_kmh=-30")
-    who, when = cut.metadata["logged_driver_would_meet"], float(cut.metadata["logged_driver_would_meet_s"])
+    who, when = (
+        cut.metadata["logged_driver_would_meet"],
+        float(cut.metadata["logged_driver_would_meet_s"]),
+    )
     assert who == "cutter" and touches(cut) is None
     assert cut.ego.t[-1] == pytest.approx(when - 0.1) and cut.duration > 20.0
     last = cut.ego.state(len(cut.ego) - 1)
@@ -124,8 +145,14 @@ CROSSINGS = {
 
 
 @settings(max_examples=10, deadline=None)
-@given(st.sampled_from(list(CROSSINGS)), st.integers(10, 60), st.sampled_from([10.0, 25.0, 50.0, 75.0, 90.0]))
-def test_who_crosses_is_met_after_six_seconds_at_the_overlap(name: str, kmh: int, overlap: float) -> None:
+@given(
+    st.sampled_from(list(CROSSINGS)),
+    st.integers(10, 60),
+    st.sampled_from([10.0, 25.0, 50.0, 75.0, 90.0]),
+)
+def test_who_crosses_is_met_after_six_seconds_at_the_overlap(
+    name: str, kmh: int, overlap: float
+) -> None:
     """Its middle is `overlap` from the ego's right side as the ego's front comes to its side."""
     log = FAMILIES[f"euro_ncap/{name}"].scenario(ego_kmh=kmh, overlap_percent=overlap)
     track = log.tracks.samples(0)
@@ -135,12 +162,16 @@ def test_who_crosses_is_met_after_six_seconds_at_the_overlap(name: str, kmh: int
     assert np.interp(6.0, t, y) == pytest.approx(CAR.width * (overlap / 100.0 - 0.5), abs=0.02)
     assert bool(y[0] > 0.0) is name.startswith(("cpfa", "cbfa"))
     speed = float(log.metadata["parameter.target_kmh"]) / 3.6
-    assert np.hypot(log.tracks.vx[track], log.tracks.vy[track]).max() == pytest.approx(speed, rel=1e-6)
+    assert np.hypot(log.tracks.vx[track], log.tracks.vy[track]).max() == pytest.approx(
+        speed, rel=1e-6
+    )
     assert touches(at_constant_speed(log, 7.0)) == log.tracks.ids[0]
     assert touches(at_constant_speed(log, 5.8)) is None
 
 
-@pytest.mark.parametrize("label", ["ccrs_2023@ego_kmh=50,overlap_percent=-50", "ccrm_2026@ego_kmh=90,target_kmh=20"])
+@pytest.mark.parametrize(
+    "label", ["ccrs_2023@ego_kmh=50,overlap_percent=-50", "ccrm_2026@ego_kmh=90,target_kmh=20"]
+)
 def test_who_is_ahead_is_met_after_six_seconds(label: str) -> None:
     log = scenario(f"euro_ncap/{label}")
     assert touches(at_constant_speed(log, 6.1)) == "car"
@@ -158,7 +189,9 @@ def test_the_lead_of_ccrb_brakes_to_two_kilometres_per_hour(gap: float, rate: fl
     assert np.diff(v).min() == pytest.approx(-0.1 * rate)
 
 
-@pytest.mark.parametrize("label", ["ccftap_2023@ego_kmh=10", "cmftap_2023@target_kmh=60", "cccscp_2026@from_left=1"])
+@pytest.mark.parametrize(
+    "label", ["ccftap_2023@ego_kmh=10", "cmftap_2023@target_kmh=60", "cccscp_2026@from_left=1"]
+)
 def test_ways_cross_at_the_junction(label: str) -> None:
     log = scenario(f"euro_ncap/{label}")
     v = float(log.ego.v[0])
@@ -166,7 +199,9 @@ def test_ways_cross_at_the_junction(label: str) -> None:
     inside = log.road.lanes[18 if 18 in log.road.lanes else 13]
     coarse = np.vstack([log.road.lanes[1].center, inside.center[1:]])
     s = np.r_[0.0, np.cumsum(np.hypot(*np.diff(coarse, axis=0).T))]
-    path = np.column_stack([np.interp(np.arange(0.0, s[-1], 0.1), s, column) for column in coarse.T])
+    path = np.column_stack(
+        [np.interp(np.arange(0.0, s[-1], 0.1), s, column) for column in coarse.T]
+    )
     far = np.hypot(*(path - [other.x[0], other.y[0]]).T)
     assert far.min() < 0.3  # the other is on the ego's way
     there = 0.1 * float(np.argmin(far))
@@ -178,7 +213,9 @@ def test_who_cuts_in_has_gap_and_lateral_speed(gap: float, lateral: float) -> No
     log = FAMILIES["unece_r157/cut_in"].scenario(gap_m=gap, lateral_mps=lateral, relative_kmh=-20.0)
     start = at_constant_speed(log, 3.0)
     other = log.tracks.truth(2.0)
-    assert other.x[0] - 0.5 * other.length[0] - (start.ego.at(2.0).x + CAR.axle_to_front) == pytest.approx(gap)
+    assert other.x[0] - 0.5 * other.length[0] - (
+        start.ego.at(2.0).x + CAR.axle_to_front
+    ) == pytest.approx(gap)
     assert log.tracks.y[0] == -3.5 and log.tracks.y[-1] == pytest.approx(0.0, abs=1e-9)
     assert log.tracks.vy.max() == pytest.approx(lateral)
 
@@ -217,7 +254,9 @@ def test_faults_are_in_the_tracks() -> None:
 
 def test_suites_have_their_sizes_and_are_parts_of_each_other() -> None:
     smoke, full, nightly = (suite(name) for name in ("smoke", "full", "nightly"))
-    assert [len(each) for each in (smoke, full, nightly)] == [SUITES[n].size for n in ("smoke", "full", "nightly")]
+    assert [len(each) for each in (smoke, full, nightly)] == [
+        SUITES[n].size for n in ("smoke", "full", "nightly")
+    ]
     assert nightly[:20] == smoke and nightly[:300] == full and len(set(nightly)) == 3000
     assert {name.partition("@")[0] for name in full} == set(FAMILIES)
     groups = [name.partition("/")[0] for name in smoke]
@@ -233,8 +272,9 @@ def test_the_first_cells_of_a_grid_lie_far_apart(name: str) -> None:
 
     def far(cell: dict[str, float]) -> float:
         return sum(
-            ((v.index(cell[k]) - v.index(first[k])) / max(len(v) - 1, 1)) ** 2 for k, v in grid.items()
-        )  # fmt: skip
+            ((v.index(cell[k]) - v.index(first[k])) / max(len(v) - 1, 1)) ** 2
+            for k, v in grid.items()
+        )
 
     assert far(second) == pytest.approx(max(map(far, cells)))
     assert sorted(spread(FAMILIES[name])) == sorted(numbers)

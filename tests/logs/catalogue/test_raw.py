@@ -32,7 +32,13 @@ def test_a_log_holds_what_a_detector_says_and_nothing_of_the_truth(name: str) ->
 
 @pytest.mark.parametrize(
     "name",
-    ["raw/crossing", *(pytest.param(f"raw/{name}", marks=pytest.mark.slow) for name in ("queue", "parked", "rider"))],
+    [
+        "raw/crossing",
+        *(
+            pytest.param(f"raw/{name}", marks=pytest.mark.slow)
+            for name in ("queue", "parked", "rider")
+        ),
+    ],
 )
 def test_a_repair_finds_the_road_users_again(name: str) -> None:
     found = repaired_score(raw.TRUE[name](FAMILIES[name].parameters), 1)
@@ -46,10 +52,14 @@ def test_a_repair_finds_the_road_users_again(name: str) -> None:
 def alike(one: Scenario, two: Scenario, within: float) -> None:
     assert (one.tracks.ids, one.tracks.kinds) == (two.tracks.ids, two.tracks.kinds)
     for name in ("t", "x", "y", "yaw", "vx", "vy", "length", "width"):
-        np.testing.assert_allclose(getattr(one.tracks, name), getattr(two.tracks, name), atol=within, err_msg=name)
+        np.testing.assert_allclose(
+            getattr(one.tracks, name), getattr(two.tracks, name), atol=within, err_msg=name
+        )
 
 
-def test_one_drive_of_the_built_in_suite_is_made_of_detections_and_the_same_from_a_file(tmp_path: Path) -> None:
+def test_one_drive_of_the_built_in_suite_is_made_of_detections_and_the_same_from_a_file(
+    tmp_path: Path,
+) -> None:
     assert [name for name in CATALOGUE if name.startswith("raw/")] == ["raw/crossing"]
     driven = LogSource("raw/crossing").read()
     assert driven.repair is not None
@@ -63,8 +73,13 @@ def test_one_drive_of_the_built_in_suite_is_made_of_detections_and_the_same_from
 
 def test_a_bag_holds_the_same_road_users(tmp_path: Path) -> None:
     short = {"duration_s": 17.0}
-    one, two = (next(iter(synthesise([raw.CROSSING], tmp_path / name, short, ROS2))) for name in ("one", "two"))
-    assert [each.read_bytes() for each in one.glob("*.mcap")] == [each.read_bytes() for each in two.glob("*.mcap")]
+    one, two = (
+        next(iter(synthesise([raw.CROSSING], tmp_path / name, short, ROS2)))
+        for name in ("one", "two")
+    )
+    assert [each.read_bytes() for each in one.glob("*.mcap")] == [
+        each.read_bytes() for each in two.glob("*.mcap")
+    ]
     bag, made = read_log(one), detections("raw/crossing", **short)
     assert bag.repair is not None
     read = bag.repair.detections

@@ -31,7 +31,13 @@ from replan.logs.states import Controls, Trajectory
 from replan.logs.tracks import Tracks
 from replan.metrics import evaluate
 
-FAMILIES = ("everyday/cut_in", "everyday/traffic_light", "everyday/crosswalk", "everyday/junction", "paper/free_road")
+FAMILIES = (
+    "everyday/cut_in",
+    "everyday/traffic_light",
+    "everyday/crosswalk",
+    "everyday/junction",
+    "paper/free_road",
+)
 PLACES = ("left", "right", "points", "polygon", "regions")
 
 
@@ -63,7 +69,9 @@ def leaves(node: object, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str
     elif hasattr(node, "items"):
         for key, value in node.items():
             yield from leaves(value, (*path, str(key)))
-    elif isinstance(node, tuple) and any(is_dataclass(each) or isinstance(each, np.ndarray) for each in node):
+    elif isinstance(node, tuple) and any(
+        is_dataclass(each) or isinstance(each, np.ndarray) for each in node
+    ):
         for i, value in enumerate(node):
             yield from leaves(value, (*path, str(i)))
     else:
@@ -74,24 +82,47 @@ def same(one: Scenario, two: Scenario, within: float) -> None:
     first, second = dict(leaves(one)), dict(leaves(two))
     assert first.keys() == second.keys()
     for path, value in first.items():
-        if isinstance(value, (np.ndarray, float)) or (path[-1] in ("origin", "yaw") and value is not None):
-            np.testing.assert_allclose(value, second[path], rtol=0.0, atol=within, err_msg=".".join(path))
+        if isinstance(value, (np.ndarray, float)) or (
+            path[-1] in ("origin", "yaw") and value is not None
+        ):
+            np.testing.assert_allclose(
+                value, second[path], rtol=0.0, atol=within, err_msg=".".join(path)
+            )
         else:
             assert value == second[path], path
 
 
 @settings(max_examples=20)
-@given(st.sampled_from(list(CATALOGUE)), st.floats(-7.0, 7.0), st.floats(-1e3, 1e3), st.floats(-1e3, 1e3))
+@given(
+    st.sampled_from(list(CATALOGUE)),
+    st.floats(-7.0, 7.0),
+    st.floats(-1e3, 1e3),
+    st.floats(-1e3, 1e3),
+)
 def test_turned_there_and_back_is_the_identity(name: str, angle: float, x: float, y: float) -> None:
     log = replace(world(name), origin=(30.0, -40.0))
     same(rotated(rotated(log, angle, (x, y)), -angle, (x, y)), log, 1e-8)
 
 
 @settings(max_examples=20)
-@given(st.sampled_from(FAMILIES), st.floats(-7.0, 7.0), st.floats(-200.0, 200.0), st.floats(-200.0, 200.0))
-def test_every_place_turns_and_nothing_else_changes(name: str, angle: float, x: float, y: float) -> None:
-    log, turn = world(name), np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    here, there, about = dict(leaves(log)), dict(leaves(rotated(log, angle, (x, y)))), np.array([[x], [y]])
+@given(
+    st.sampled_from(FAMILIES),
+    st.floats(-7.0, 7.0),
+    st.floats(-200.0, 200.0),
+    st.floats(-200.0, 200.0),
+)
+def test_every_place_turns_and_nothing_else_changes(
+    name: str, angle: float, x: float, y: float
+) -> None:
+    log, turn = (
+        world(name),
+        np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]),
+    )
+    here, there, about = (
+        dict(leaves(log)),
+        dict(leaves(rotated(log, angle, (x, y)))),
+        np.array([[x], [y]]),
+    )
     for path, value in here.items():
         *parents, leaf = path
         if leaf in PLACES or PLACES[-1] in parents:
@@ -99,15 +130,21 @@ def test_every_place_turns_and_nothing_else_changes(name: str, angle: float, x: 
         elif leaf == "origin":
             expected = turn @ value
         elif leaf in ("x", "y"):
-            expected = (turn @ (np.array([here[*parents, "x"], here[*parents, "y"]]) - about) + about)["xy".index(leaf)]
+            expected = (
+                turn @ (np.array([here[*parents, "x"], here[*parents, "y"]]) - about) + about
+            )["xy".index(leaf)]
         elif leaf in ("vx", "vy"):
-            expected = (turn @ np.array([here[*parents, "vx"], here[*parents, "vy"]]))[("vx", "vy").index(leaf)]
+            expected = (turn @ np.array([here[*parents, "vx"], here[*parents, "vy"]]))[
+                ("vx", "vy").index(leaf)
+            ]
         elif leaf == "yaw":
             expected = np.asarray(value) + angle
         else:
             np.testing.assert_array_equal(there[path], value, err_msg=".".join(path))
             continue
-        np.testing.assert_allclose(there[path], expected, rtol=1e-12, atol=1e-9, err_msg=".".join(path))
+        np.testing.assert_allclose(
+            there[path], expected, rtol=1e-12, atol=1e-9, err_msg=".".join(path)
+        )
 
 
 @pytest.mark.parametrize("name", CATALOGUE)
@@ -119,8 +156,16 @@ def test_mirroring_twice_is_the_identity(name: str) -> None:
 def crooked() -> Scenario:
     """A scenario with everything that has a side: neighbours, opposite lanes, markings, steering, goal, rules."""
     square = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 3.0], [0.0, 3.0]])
-    lane = Lane(1, square[[3, 2]], square[[0, 1]], left_neighbour=2, left_opposite=True, left_crossable=False,
-                right_crossable=True, yields_to=(2, 3))  # fmt: skip
+    lane = Lane(
+        1,
+        square[[3, 2]],
+        square[[0, 1]],
+        left_neighbour=2,
+        left_opposite=True,
+        left_crossable=False,
+        right_crossable=True,
+        yields_to=(2, 3),
+    )
     stop = StopLine(4, 1, np.array([[9.0, 0.0], [9.0, 3.0]]), light=6, towards=(3,))
     zebra = Crosswalk(5, square)
     lights = (TrafficLight(6, np.array([0.0, 1.5]), (Colour.RED, Colour.GREEN)),)
@@ -129,9 +174,22 @@ def crooked() -> Scenario:
     controls = Controls(t, [0.1, -0.2], [0.3, 0.0], [0.0, 0.5])
     goal = Goal((square,), t=(0.0, 1.0), v=(0.0, 2.0), yaw=(-0.2, 0.5))
     decisions = json.dumps({"a": ["nudge left"], "b": ["nudge right", "follow"]})
-    road, metadata = Road({1: lane}, stop_lines=(stop,), crosswalks=(zebra,)), {"expected_decisions": decisions}
-    return Scenario("x/y", ego, Tracks.empty(), road, 2.0, goal, lights=lights, controls=controls, origin=(3.0, 4.0),
-                    metadata=metadata)  # fmt: skip
+    road, metadata = (
+        Road({1: lane}, stop_lines=(stop,), crosswalks=(zebra,)),
+        {"expected_decisions": decisions},
+    )
+    return Scenario(
+        "x/y",
+        ego,
+        Tracks.empty(),
+        road,
+        2.0,
+        goal,
+        lights=lights,
+        controls=controls,
+        origin=(3.0, 4.0),
+        metadata=metadata,
+    )
 
 
 def test_the_mirror_swaps_every_side() -> None:
@@ -142,17 +200,23 @@ def test_the_mirror_swaps_every_side() -> None:
     assert (lane.left_neighbour, lane.right_neighbour) == (None, 2)
     assert lane.yields_to == (2, 3)
     (stop,), (zebra,) = there.road.stop_lines, there.road.crosswalks
-    np.testing.assert_array_equal(stop.points, [[9.0, -3.0], [9.0, 0.0]])  # from right to left, as before
+    # From right to left, as before
+    np.testing.assert_array_equal(stop.points, [[9.0, -3.0], [9.0, 0.0]])
     assert (stop.lane, stop.light, stop.towards) == (1, 6, (3,))
     assert {*map(tuple, zebra.polygon)} == {(0.0, 0.0), (10.0, 0.0), (10.0, -3.0), (0.0, -3.0)}
-    assert [(light.id, light.colours) for light in there.lights] == [(6, (Colour.RED, Colour.GREEN))]
+    assert [(light.id, light.colours) for light in there.lights] == [
+        (6, (Colour.RED, Colour.GREEN))
+    ]
     assert (lane.left_opposite, lane.right_opposite) == (False, True)
     assert (lane.left_crossable, lane.right_crossable) == (True, False)
     assert not there.road.drives_on_right
     assert there.controls is not None
     np.testing.assert_array_equal(there.controls.steer, [-0.1, 0.2])
     np.testing.assert_array_equal(there.ego.kappa, [-0.1, -0.2])
-    assert json.loads(there.metadata["expected_decisions"]) == {"a": ["nudge right"], "b": ["nudge left", "follow"]}
+    assert json.loads(there.metadata["expected_decisions"]) == {
+        "a": ["nudge right"],
+        "b": ["nudge left", "follow"],
+    }
     back = mirrored(there)
     same(crooked(), back, 0.0)
     assert back.road.lanes[1].left_neighbour == 2
@@ -161,7 +225,9 @@ def test_the_mirror_swaps_every_side() -> None:
 
 @settings(max_examples=30)
 @given(x=st.floats(0.1, 9.9), y=st.floats(-5.0, 5.0), yaw=st.floats(-pi, pi), v=st.floats(0.0, 3.0))
-def test_goals_are_reached_in_the_mirror_and_after_a_motion_alike(x: float, y: float, yaw: float, v: float) -> None:
+def test_goals_are_reached_in_the_mirror_and_after_a_motion_alike(
+    x: float, y: float, yaw: float, v: float
+) -> None:
     here = crooked()
     assert here.goal is not None
     if min(abs(y), abs(y - 3.0), abs(yaw + 0.2), abs(yaw - 0.5)) < 1e-6:
@@ -178,14 +244,25 @@ def test_goals_are_reached_in_the_mirror_and_after_a_motion_alike(x: float, y: f
 
 def test_detections_and_what_was_removed_go_with_the_tracks() -> None:
     scenario = repaired_scenario()
-    for there in (mirrored(mirrored(scenario)), moved(moved(scenario, 0.0, 0.0, 0.5 * np.pi), 0.0, 0.0, -0.5 * np.pi)):
-        assert there.repair is not None and there.repair.tracks is there.tracks and scenario.repair is not None
-        for one, two in ((there.repair.detections, scenario.repair.detections),
-                         (there.repair.removed, scenario.repair.removed)):  # fmt: skip
+    for there in (
+        mirrored(mirrored(scenario)),
+        moved(moved(scenario, 0.0, 0.0, 0.5 * np.pi), 0.0, 0.0, -0.5 * np.pi),
+    ):
+        assert (
+            there.repair is not None
+            and there.repair.tracks is there.tracks
+            and scenario.repair is not None
+        )
+        for one, two in (
+            (there.repair.detections, scenario.repair.detections),
+            (there.repair.removed, scenario.repair.removed),
+        ):
             for name in ("x", "y", "yaw", "vx"):
                 np.testing.assert_allclose(getattr(one, name), getattr(two, name), atol=1e-9)
     once = moved(scenario, 3.0, 0.0, 0.0).repair
-    assert once is not None and once.detections.x == pytest.approx(scenario.repair.detections.x + 3.0)
+    assert once is not None and once.detections.x == pytest.approx(
+        scenario.repair.detections.x + 3.0
+    )
 
 
 def test_the_clock_alone_is_set() -> None:
@@ -193,7 +270,9 @@ def test_the_clock_alone_is_set() -> None:
     later = shifted_clock(log, 5_000_000_007)
     assert later.start_ns == log.start_ns + 5_000_000_007
     same(shifted_clock(later, -5_000_000_007), log, 0.0)
-    changed = {path for (path, a), (_, b) in zip(leaves(log), leaves(later), strict=True) if a is not b}
+    changed = {
+        path for (path, a), (_, b) in zip(leaves(log), leaves(later), strict=True) if a is not b
+    }
     assert changed == {("start_ns",)}
 
 
@@ -204,10 +283,16 @@ def test_errors_are_as_large_as_asked_seeded_and_everywhere(name: str) -> None:
     same(near, log, 2.1e-9)
     same(near, again, 0.0)
     for path, value in leaves(log):
-        measured = path[-1] in (*PLACES, "x", "y", "yaw", "vx", "vy") or PLACES[-1] in path or path[0] == "ego"
+        measured = (
+            path[-1] in (*PLACES, "x", "y", "yaw", "vx", "vy")
+            or PLACES[-1] in path
+            or path[0] == "ego"
+        )
         if measured and isinstance(value, np.ndarray) and path[-1] != "t":
             here = dict(leaves(near))[path]
-            assert value.size == 0 or (np.max(here != value) and np.max(here != dict(leaves(other))[path])), path
+            assert value.size == 0 or (
+                np.max(here != value) and np.max(here != dict(leaves(other))[path])
+            ), path
 
 
 @pytest.mark.parametrize("name", FAMILIES)
@@ -217,7 +302,10 @@ def test_metrics_of_a_drive_do_not_change(name: str, mirror: bool) -> None:
     there = moved(mirrored(log) if mirror else log, 30.0, -20.0, 0.7)
     ego = moved_trajectory(mirrored_trajectory(log.ego) if mirror else log.ego, 30.0, -20.0, 0.7)
     one, two = evaluate(drive(log), log), evaluate(drive(there, ego), there)
-    assert one.metric.tolist() == two.metric.tolist() and one.available.tolist() == two.available.tolist()
+    assert (
+        one.metric.tolist() == two.metric.tolist()
+        and one.available.tolist() == two.available.tolist()
+    )
     np.testing.assert_allclose(two.value, one.value, rtol=1e-6, atol=1e-6, equal_nan=True)
     assert one.available.sum() > 10
 

@@ -31,11 +31,21 @@ def log(**more: object) -> Scenario:
     """8 s at 8 m/s; a walker from the right 40 m ahead, a car at 6 m/s in front."""
     ego = drive(straight, 8.0, 8.0)
     people = tracks(
-        track("walker", T, 0.0 * T + 40.0, walked(T), yaw=0.5 * np.pi, kind=AgentKind.PEDESTRIAN,
-              vx=0.0 * T, vy=np.where(T > 2.0, 1.5, 0.0), length=0.5, width=0.5),
+        track(
+            "walker",
+            T,
+            0.0 * T + 40.0,
+            walked(T),
+            yaw=0.5 * np.pi,
+            kind=AgentKind.PEDESTRIAN,
+            vx=0.0 * T,
+            vy=np.where(T > 2.0, 1.5, 0.0),
+            length=0.5,
+            width=0.5,
+        ),
         track("car", T, 25.0 + 6.0 * T, 0.0 * T, vx=0.0 * T + 6.0, vy=0.0 * T),
         track("wall", [0.0], [100.0], [6.0], static=True),
-    )  # fmt: skip
+    )
     made = scenario(ego, agents=people, road=lanes_along(ego), goal=Goal((square(60.0, 0.0, 4.0),)))
     return replace(made, tags=("recorded", "test"), metadata={}, **more)  # type: ignore[arg-type]
 
@@ -55,7 +65,9 @@ def at(made: Scenario, agent: str, times: FloatArray) -> FloatArray:
     return np.column_stack([np.interp(times, t, x), np.interp(times, t, y)])
 
 
-@pytest.mark.parametrize("name", [name for name, one in VARIATIONS.items() if isfinite(one.neutral)])
+@pytest.mark.parametrize(
+    "name", [name for name, one in VARIATIONS.items() if isfinite(one.neutral)]
+)
 def test_the_neutral_value_is_the_same_scenario(name: str) -> None:
     assert VARIATIONS[name](LOG, ("walker",), VARIATIONS[name].neutral) is LOG
 
@@ -79,7 +91,9 @@ def test_factors_multiply(a: float, b: float) -> None:
 @given(st.floats(0.2, 5.0))
 def test_another_speed_keeps_path_and_standing_time(factor: float) -> None:
     s = np.cumsum(np.r_[0.0, np.full(40, 0.5)])
-    bend = tracks(track("17", STEP * np.arange(41), 20.0 * np.cos(s / 20.0), 20.0 * np.sin(s / 20.0)))
+    bend = tracks(
+        track("17", STEP * np.arange(41), 20.0 * np.cos(s / 20.0), 20.0 * np.sin(s / 20.0))
+    )
     turned = VARIATIONS["speed"](replace(LOG, tracks=bend), ("17",), factor)
     t, x, y = rows(turned, "17").T
     before = np.column_stack([bend.x, bend.y])
@@ -87,7 +101,9 @@ def test_another_speed_keeps_path_and_standing_time(factor: float) -> None:
     np.testing.assert_allclose(np.column_stack([x, y])[[0, -1]], ends, atol=1e-12)
     assert t[-1] == pytest.approx(4.0 / factor)
     for point in np.column_stack([x, y]):  # on one of the recorded pieces
-        along = np.clip(((point - before[:-1]) * np.diff(before, axis=0)).sum(axis=1) / 0.25, 0.0, 1.0)
+        along = np.clip(
+            ((point - before[:-1]) * np.diff(before, axis=0)).sum(axis=1) / 0.25, 0.0, 1.0
+        )
         feet = before[:-1] + along[:, None] * np.diff(before, axis=0)
         assert np.hypot(*(feet - point).T).min() < 1e-3
     assert np.diff(t).max() <= STEP * (1.0 + 1e-9)
@@ -100,12 +116,16 @@ def test_velocities_are_those_of_the_new_motion() -> None:
     made = VARIATIONS["speed"](LOG, ("car",), 1.5)
     mine = made.tracks.samples(made.tracks.ids.index("car"))
     np.testing.assert_allclose(made.tracks.vx[mine], 9.0, rtol=1e-3)
-    np.testing.assert_allclose(np.diff(made.tracks.x[mine]) / np.diff(made.tracks.t[mine]), 9.0, rtol=1e-6)
+    np.testing.assert_allclose(
+        np.diff(made.tracks.x[mine]) / np.diff(made.tracks.t[mine]), 9.0, rtol=1e-6
+    )
 
 
 def test_one_who_was_tracked_in_pieces_stays_in_one() -> None:
     first, second = T[:40], T[40:]
-    pieces = tracks(track("a", first, 3.0 * first, 0.0 * first), track("b", second, 3.0 * second, 0.0 * second))
+    pieces = tracks(
+        track("a", first, 3.0 * first, 0.0 * first), track("b", second, 3.0 * second, 0.0 * second)
+    )
     made = VARIATIONS["speed"](replace(LOG, tracks=pieces), ("a", "b"), 2.0)
     end, begin = rows(made, "a")[-1], rows(made, "b")[0]
     assert begin[0] - end[0] == pytest.approx(0.5 * STEP)
@@ -115,7 +135,9 @@ def test_one_who_was_tracked_in_pieces_stays_in_one() -> None:
 @given(st.floats(-20.0, 20.0))
 def test_sideways_is_across_the_course_and_moves_nobody_else(value: float) -> None:
     made = VARIATIONS["side"](LOG, ("walker",), value)
-    np.testing.assert_allclose(rows(made, "walker") - rows(LOG, "walker"), [[0.0, -value, 0.0]] * len(T), atol=1e-9)
+    np.testing.assert_allclose(
+        rows(made, "walker") - rows(LOG, "walker"), [[0.0, -value, 0.0]] * len(T), atol=1e-9
+    )
     assert np.array_equal(rows(made, "car"), rows(LOG, "car"))
     beside = VARIATIONS["side"](LOG, ("wall",), value)  # who stands: across the box
     np.testing.assert_allclose(rows(beside, "wall"), [[0.0, 100.0, 6.0 + value]])
@@ -142,13 +164,19 @@ def test_a_varied_log_says_so_and_holds_no_drive(tmp_path: Path) -> None:
     write_scenario(tmp_path / "varied.mcap", made)
     read = read_scenario(tmp_path / "varied.mcap")
     assert (read.name, read.tags, read.notes, dict(read.metadata)) == (
-        made.name, made.tags, made.notes, dict(made.metadata))  # fmt: skip
+        made.name,
+        made.tags,
+        made.notes,
+        dict(made.metadata),
+    )
     np.testing.assert_allclose(rows(read, "walker"), rows(made, "walker"), atol=1e-8)
     names = {varied(LOG, ("walker",), {"time": value}).name for value in np.linspace(-2.0, 2.0, 65)}
     assert len(names) == 65
 
 
-@pytest.mark.parametrize("family", ["paper/crossing_pedestrian", "everyday/cut_in", "paper/free_road"])
+@pytest.mark.parametrize(
+    "family", ["paper/crossing_pedestrian", "everyday/cut_in", "paper/free_road"]
+)
 def test_the_start_without_changes_is_that_of_the_log(family: str) -> None:
     log = CATALOGUE[family].scenario()
     made = varied(log, (), {"ego_start": 0.0})
@@ -176,9 +204,13 @@ def test_the_ego_starts_on_its_path(way: float, factor: float) -> None:
         ((), {"ego_start": 26.0}, "car would stand in the ego"),
     ],
 )
-def test_no_sensible_start_is_no_scenario(who: tuple[str, ...], values: dict[str, float], said: str) -> None:
+def test_no_sensible_start_is_no_scenario(
+    who: tuple[str, ...], values: dict[str, float], said: str
+) -> None:
     people = tracks(
-        track("walker", T, 0.0 * T + 42.0, -0.5 + 0.2 * T, yaw=0.5 * np.pi, kind=AgentKind.PEDESTRIAN),
+        track(
+            "walker", T, 0.0 * T + 42.0, -0.5 + 0.2 * T, yaw=0.5 * np.pi, kind=AgentKind.PEDESTRIAN
+        ),
         track("car", T, 28.0 + 6.0 * T, 0.0 * T),
     )
     with pytest.raises(LogError, match=said):
@@ -198,13 +230,17 @@ def test_an_inserted_walker_meets_an_ego_that_keeps_its_speed(ahead: float) -> N
     place = at(made, "inserted pedestrian", np.array([when]))[0]
     assert place == pytest.approx((ahead, 0.0), abs=0.1)
     later = varied(LOG, (), {"pedestrian": ahead, "time": 1.0})
-    assert at(later, "inserted pedestrian", np.array([when + 1.0]))[0] == pytest.approx((ahead, 0.0), abs=0.1)
+    assert at(later, "inserted pedestrian", np.array([when + 1.0]))[0] == pytest.approx(
+        (ahead, 0.0), abs=0.1
+    )
 
 
 def test_copies_follow_and_removed_ones_are_gone() -> None:
     made = varied(LOG, ("car",), {"copy": 3.0})
     times = np.array([4.0, 6.0, 8.0])
-    np.testing.assert_allclose(at(made, "copy of car", times), at(LOG, "car", times - 3.0), atol=1e-6)
+    np.testing.assert_allclose(
+        at(made, "copy of car", times), at(LOG, "car", times - 3.0), atol=1e-6
+    )
     assert rows(made, "copy of car")[0, 0] <= 0.0
     assert varied(LOG, ("car", "wall"), {"remove": 1.0, "time": 1.0}).tracks.ids == ("walker",)
     with pytest.raises(LogError, match="already"):

@@ -15,7 +15,9 @@ from replan.logs.mcap import write_scenario
 from replan.logs.readers import LogSettings, read_log
 from replan.logs.road import IN_JUNCTION
 
-needs_pyxodr = pytest.mark.skipif(find_spec("pyxodr") is None, reason="pyxodr (extra opendrive) is not installed")
+needs_pyxodr = pytest.mark.skipif(
+    find_spec("pyxodr") is None, reason="pyxodr (extra opendrive) is not installed"
+)
 CURVATURE = 0.02
 LANES = """
 <laneSection s="0">
@@ -47,13 +49,31 @@ def test_lanes_of_a_line_and_an_arc(tmp_path: Path) -> None:
     left, first, second, walk = found.road.lanes.values()
     assert [lane.drivable for lane in found.road.lanes.values()] == [True, True, True, False]
     assert (left.left_opposite, first.left_opposite, second.left_opposite) == (True, True, False)
-    assert (first.right_neighbour, second.left_neighbour, left.right_neighbour) == (second.id, first.id, None)
-    assert (left.left_crossable, first.left_crossable) == (True, False)  # the broken part of the middle is the left one
-    assert (first.right_crossable, second.left_crossable, left.right_crossable) == (True, True, False)
-    assert (left.speed_limit, first.speed_limit) == pytest.approx((13.4112, 50 / 3.6)) and found.road.drives_on_right
-    assert first.left[0] == pytest.approx([10.0, 20.0]) and left.left[-1] == pytest.approx([10.0, 20.0], abs=0.01)
+    assert (first.right_neighbour, second.left_neighbour, left.right_neighbour) == (
+        second.id,
+        first.id,
+        None,
+    )
+    # The broken part of the middle is the left one
+    assert (left.left_crossable, first.left_crossable) == (True, False)
+    assert (first.right_crossable, second.left_crossable, left.right_crossable) == (
+        True,
+        True,
+        False,
+    )
+    assert (left.speed_limit, first.speed_limit) == pytest.approx(
+        (13.4112, 50 / 3.6)
+    ) and found.road.drives_on_right
+    assert first.left[0] == pytest.approx([10.0, 20.0]) and left.left[-1] == pytest.approx(
+        [10.0, 20.0], abs=0.01
+    )
     middle, radius = np.array([60.0, 20.0 + 1.0 / CURVATURE]), 1.0 / CURVATURE
-    for line, offset in ((first.left, 0.0), (first.right, 3.0), (second.right, 6.0), (left.right, -3.5)):
+    for line, offset in (
+        (first.left, 0.0),
+        (first.right, 3.0),
+        (second.right, 6.0),
+        (left.right, -3.5),
+    ):
         bent = line[line[:, 0] > 60.0]
         assert np.abs(np.hypot(*(bent - middle).T) - radius - offset).max() < 0.02
     assert walk.kind == "sidewalk" and found.notes == ("1 signals and signs are not read.",)
@@ -68,18 +88,38 @@ def test_real_maps(shared_data: Path, tmp_path: Path) -> None:
         counts[name] = (len(lanes), len(drivable), sum(len(lane.successors) for lane in drivable))
         for lane in drivable:
             for after in lane.successors:
-                gap = np.vstack([lane.left[-1] - lanes[after].left[0], lane.right[-1] - lanes[after].right[0]])
+                gap = np.vstack(
+                    [lane.left[-1] - lanes[after].left[0], lane.right[-1] - lanes[after].right[0]]
+                )
                 assert np.hypot(*gap.T).max() < 0.05
-    assert counts == {"straight_500m": (6, 2, 0), "e6mini": (14, 6, 0), "fabriksgatan": (44, 20, 24)}  # as in the XML
+    # As in the XML
+    assert counts == {
+        "straight_500m": (6, 2, 0),
+        "e6mini": (14, 6, 0),
+        "fabriksgatan": (44, 20, 24),
+    }
     path = shared_data / "osi" / "fabriksgatan.xodr"
     road = read_map(path).road
-    crossing = {i for i, lane in road.lanes.items() if IN_JUNCTION in lane.kind.split("+") and lane.drivable}
-    ends = {lane.id for lane in road.lanes.values() if lane.drivable and len(lane.successors) > 1}  # that lead into it
-    assert len(crossing) == 12 and ends and all(set(road.lanes[i].successors) <= crossing for i in ends)
-    start = next(lane for lane in road.lanes.values() if lane.drivable and lane.successors and lane.length > 50.0)
+    crossing = {
+        i for i, lane in road.lanes.items() if IN_JUNCTION in lane.kind.split("+") and lane.drivable
+    }
+    # That lead into it
+    ends = {lane.id for lane in road.lanes.values() if lane.drivable and len(lane.successors) > 1}
+    assert (
+        len(crossing) == 12
+        and ends
+        and all(set(road.lanes[i].successors) <= crossing for i in ends)
+    )
+    start = next(
+        lane
+        for lane in road.lanes.values()
+        if lane.drivable and lane.successors and lane.length > 50.0
+    )
     write_scenario(tmp_path / "drive.mcap", driven_along(through(road, start.id, 120.0)[1]))
     mapped = read_log(tmp_path / "drive.mcap", LogSettings(map=str(path)))
-    assert len(mapped.road.lanes) == 44 and any("OpenDRIVE map fabriksgatan.xodr" in note for note in mapped.notes)
+    assert len(mapped.road.lanes) == 44 and any(
+        "OpenDRIVE map fabriksgatan.xodr" in note for note in mapped.notes
+    )
 
 
 @pytest.mark.parametrize(
@@ -126,10 +166,15 @@ def _read(tmp_path: Path, *roads: str, begin: str = "<OpenDRIVE>") -> MapFile:
         ('<arc curvature="-1e-12"/>', "<line/>"),
         ('<spiral curvStart="0" curvEnd="0"/>', "<line/>"),
         ('<spiral curvStart="0.01" curvEnd="0.01"/>', '<arc curvature="0.01"/>'),
-        ('<spiral curvStart="-0.01" curvEnd="-0.01000000001"/>', '<arc curvature="-0.010000000005"/>'),
+        (
+            '<spiral curvStart="-0.01" curvEnd="-0.01000000001"/>',
+            '<arc curvature="-0.010000000005"/>',
+        ),
     ],
 )
-def test_a_curve_that_is_a_simpler_one_is_read_as_that(shape: str, simple: str, tmp_path: Path) -> None:
+def test_a_curve_that_is_a_simpler_one_is_read_as_that(
+    shape: str, simple: str, tmp_path: Path
+) -> None:
     one, other = (_read(tmp_path, _road("1", _line(100.0, each))) for each in (shape, simple))
     assert np.abs(one.road.lanes[1].left - other.road.lanes[1].left).max() < 1e-9
     assert one.road.lanes[1].length == pytest.approx(100.0, rel=0.02) and one.notes == ()
@@ -142,7 +187,9 @@ def test_a_curve_that_is_a_simpler_one_is_read_as_that(shape: str, simple: str, 
     length=st.floats(0.05, 60.0),
 )
 @settings(max_examples=30, deadline=None)
-def test_any_spiral_ends_where_its_curvature_leads(first: float, change: float, length: float) -> None:
+def test_any_spiral_ends_where_its_curvature_leads(
+    first: float, change: float, length: float
+) -> None:
     from replan.logs.maps.opendrive import read_opendrive
 
     s = np.linspace(0.0, length, 20_001)
@@ -162,20 +209,42 @@ BAD_ROADS = [
     (_road("9", _line(50.0), lanes=""), "it has no lanes"),
     (_road("1", _line(50.0)), "another road has its id"),
     (_road("", _line(50.0)), "it has no id"),
-    (_road("9", _line(20.0) + _line(30.0, "<nurbs/>", x=20.0)), "its geometry at s = 20.0 is none of line, arc"),
+    (
+        _road("9", _line(20.0) + _line(30.0, "<nurbs/>", x=20.0)),
+        "its geometry at s = 20.0 is none of line, arc",
+    ),
     (_road("9", _line(20.0) + _line(-3.0, x=20.0)), "its geometry at s = 20.0 has the length -3 m"),
-    (_road("9", _line(20.0, '<paramPoly3 bU="1e9" dV="0"/>')), "leads more than 100 times its length away"),
-    (_road("9", _line(20.0) + _line(9.0, "<arc/>", x=20.0)), "its geometry at s = 20.0: KeyError: 'curvature'"),
-    (_road("9", _line(50.0), _section(0.0, LANE.replace('a="3"', 'a="nan"'))), "its lane -1 at s = 0.0 is not finite"),
-    (_road("9", _line(50.0), _section(0.0, LANE.replace('a="3"', 'a="wide"'))), "could not convert string to float"),
-    (_road("9", _line(50.0).replace('length="50.0"', 'length="far"')), "could not convert string to float"),
+    (
+        _road("9", _line(20.0, '<paramPoly3 bU="1e9" dV="0"/>')),
+        "leads more than 100 times its length away",
+    ),
+    (
+        _road("9", _line(20.0) + _line(9.0, "<arc/>", x=20.0)),
+        "its geometry at s = 20.0: KeyError: 'curvature'",
+    ),
+    (
+        _road("9", _line(50.0), _section(0.0, LANE.replace('a="3"', 'a="nan"'))),
+        "its lane -1 at s = 0.0 is not finite",
+    ),
+    (
+        _road("9", _line(50.0), _section(0.0, LANE.replace('a="3"', 'a="wide"'))),
+        "could not convert string to float",
+    ),
+    (
+        _road("9", _line(50.0).replace('length="50.0"', 'length="far"')),
+        "could not convert string to float",
+    ),
 ]
 
 
 @needs_pyxodr
 @pytest.mark.parametrize(("bad", "why"), BAD_ROADS)
-def test_a_road_that_cannot_be_read_is_named_and_the_others_are_read(bad: str, why: str, tmp_path: Path) -> None:
-    found = _read(tmp_path, _road("1", _line(40.0), link=NEXT), bad, _road("2", _line(60.0, x=40.0)))
+def test_a_road_that_cannot_be_read_is_named_and_the_others_are_read(
+    bad: str, why: str, tmp_path: Path
+) -> None:
+    found = _read(
+        tmp_path, _road("1", _line(40.0), link=NEXT), bad, _road("2", _line(60.0, x=40.0))
+    )
     assert [lane.successors for lane in found.road.lanes.values()] == [(2,), ()]
     (note,) = found.notes
     name = bad.partition('id="')[2].partition('"')[0]
@@ -192,7 +261,12 @@ def test_a_road_that_cannot_be_read_is_named_and_the_others_are_read(bad: str, w
         (NEXT, LANE, (2,), None),
         (NEXT.replace(' contactPoint="start"', ""), LANE, (2,), None),
         (NEXT.replace(' elementType="road"', ""), LANE, (2,), None),
-        (NEXT, LANE.replace("<successor", '<successor id="-7"/><successor'), (2,), "to lane -7 of road 2"),
+        (
+            NEXT,
+            LANE.replace("<successor", '<successor id="-7"/><successor'),
+            (2,),
+            "to lane -7 of road 2",
+        ),
         (NEXT.replace('"2"', '"77"'), LANE, (), "from lane -1 of road 1 to lane -1 of road 77"),
         (NEXT.replace('"road"', '"junction"'), LANE, (), None),
         ("", LANE, (), None),
@@ -204,10 +278,15 @@ def test_links_that_are_missing_or_lead_nowhere(
     link: str, lane: str, successors: tuple[int, ...], note: str | None, tmp_path: Path
 ) -> None:
     second = LANE.replace('<predecessor id="-1"/>', "").replace('<successor id="-1"/>', "")
-    roads = _road("1", _line(40.0), _section(0.0, lane), link), _road("2", _line(60.0, x=40.0), _section(0.0, second))
+    roads = (
+        _road("1", _line(40.0), _section(0.0, lane), link),
+        _road("2", _line(60.0, x=40.0), _section(0.0, second)),
+    )
     found = _read(tmp_path, *roads)
     assert found.road.lanes[1].successors == successors
-    assert len(found.notes) == (note is not None) and all(note in each for each in found.notes if note)
+    assert len(found.notes) == (note is not None) and all(
+        note in each for each in found.notes if note
+    )
 
 
 @needs_pyxodr
@@ -239,8 +318,14 @@ def test_lane_sections_of_no_or_little_length(tmp_path: Path) -> None:
         (_section(0.0, to_4) + _section(40.0, renamed), {1: (2,), 2: ()}),
         (_section(0.0, to_4) + _section(90.0, renamed), {1: (2,), 2: ()}),
         (_section(0.0, renamed) + _section(0.0, from_4), {1: (2,), 2: ()}),
-        (_section(0.0, to_4) + _section(20.0, renamed) + _section(20.0, from_4), {1: (2,), 2: (3,), 3: ()}),
-        (_section(20.0, from_4) + _section(0.0, renamed + LANE), {1: (3,), 2: (3,), 3: (4,), 4: ()}),
+        (
+            _section(0.0, to_4) + _section(20.0, renamed) + _section(20.0, from_4),
+            {1: (2,), 2: (3,), 3: ()},
+        ),
+        (
+            _section(20.0, from_4) + _section(0.0, renamed + LANE),
+            {1: (3,), 2: (3,), 3: (4,), 4: ()},
+        ),
         (_section(0.0) + _section(39.99), {1: (2,), 2: (3,), 3: ()}),
         (_section(0.0) + _section(20.0) + _section(20.03), {1: (2,), 2: (3,), 3: (4,), 4: ()}),
     ):
@@ -254,8 +339,14 @@ def test_short_roads_and_tight_curves(tmp_path: Path, monkeypatch: pytest.Monkey
     monkeypatch.chdir(tmp_path)  # pyxodr draws what it does not expect
     after = _road("2", _line(60.0, x=0.05))
     found = _read(tmp_path, _road("1", _line(0.05), link=NEXT), after)
-    assert found.road.lanes[1].successors == (2,) and found.road.lanes[1].length == pytest.approx(0.05)
-    for shape in ('<arc curvature="-5"/>', '<spiral curvStart="-4" curvEnd="-6"/>', '<arc curvature="-0.7"/>'):
+    assert found.road.lanes[1].successors == (2,) and found.road.lanes[1].length == pytest.approx(
+        0.05
+    )
+    for shape in (
+        '<arc curvature="-5"/>',
+        '<spiral curvStart="-4" curvEnd="-6"/>',
+        '<arc curvature="-0.7"/>',
+    ):
         line = _read(tmp_path, _road("1", _line(0.29, shape))).road.lanes[1].left
         assert np.hypot(*np.diff(line, axis=0).T).sum() == pytest.approx(0.29, rel=0.02)
     assert [file.name for file in tmp_path.iterdir()] == ["map.xodr"]
@@ -264,7 +355,9 @@ def test_short_roads_and_tight_curves(tmp_path: Path, monkeypatch: pytest.Monkey
 @needs_pyxodr
 def test_elements_that_are_missing_or_out_of_order(tmp_path: Path) -> None:
     plain = _read(tmp_path, _road("1", _line(50.0))).road.lanes[1]
-    widths = '<width sOffset="20" a="4" b="0" c="0" d="0"/><width sOffset="0" a="3" b="0" c="0" d="0"/>'
+    widths = (
+        '<width sOffset="20" a="4" b="0" c="0" d="0"/><width sOffset="0" a="3" b="0" c="0" d="0"/>'
+    )
     border = '<border sOffset="0" a="-9" b="0" c="0" d="0"/></lane>'
     bare = '<lane id="-1" type="driving"/>'
     named = '<OpenDRIVE xmlns="http://code.asam.net/simulation/standard/opendrive_schema">'
@@ -273,20 +366,34 @@ def test_elements_that_are_missing_or_out_of_order(tmp_path: Path) -> None:
         ("<OpenDRIVE>", LANE.replace("</lane>", border), ""),
         ("<OpenDRIVE>", LANE, '<elevationProfile><elevation s="0"/></elevationProfile>'),
     ):
-        road = _road("1", _line(50.0), _section(0.0, lane)).replace("<planView>", f"{heights}<planView>")
+        road = _road("1", _line(50.0), _section(0.0, lane)).replace(
+            "<planView>", f"{heights}<planView>"
+        )
         assert np.array_equal(_read(tmp_path, road, begin=begin).road.lanes[1].right, plain.right)
-    wider = _read(tmp_path, _road("1", _line(50.0), _section(0.0, f'<lane id="-1" type="driving">{widths}</lane>')))
+    wider = _read(
+        tmp_path,
+        _road("1", _line(50.0), _section(0.0, f'<lane id="-1" type="driving">{widths}</lane>')),
+    )
     line = wider.road.lanes[1].right
-    assert set(np.round(line[:, 1])) == {-3.0, -4.0} and (line[line[:, 0] > 20.1][:, 1] == -4.0).all()
+    assert (
+        set(np.round(line[:, 1])) == {-3.0, -4.0} and (line[line[:, 0] > 20.1][:, 1] == -4.0).all()
+    )
     outer = LANE.replace('id="-1" type', 'id="-2" type')
-    found = _read(tmp_path, _road("1", _line(50.0), _section(0.0, bare + outer)), _road("2", _line(50.0)))
+    found = _read(
+        tmp_path, _road("1", _line(50.0), _section(0.0, bare + outer)), _road("2", _line(50.0))
+    )
     assert np.array_equal(found.road.lanes[1].right, plain.right)
     assert found.notes == ("1 lane is incomplete: lane -1 of road 1 has no width.",)
-    untyped = _read(tmp_path, _road("1", _line(50.0), _section(0.0, LANE.replace(' type="driving"', "") + outer)))
+    untyped = _read(
+        tmp_path,
+        _road("1", _line(50.0), _section(0.0, LANE.replace(' type="driving"', "") + outer)),
+    )
     assert len(untyped.road.lanes) == 1 and "lane -1 of road 1 has no type" in untyped.notes[0]
 
 
 @pytest.mark.skipif(find_spec("pyxodr") is not None, reason="pyxodr is installed")
 def test_without_the_library_the_remedy_is_named(tmp_path: Path) -> None:
-    with pytest.raises(LogError, match=r"OpenDRIVE needs pyxodr; pip install 'replan\[opendrive\]'"):
+    with pytest.raises(
+        LogError, match=r"OpenDRIVE needs pyxodr; pip install 'replan\[opendrive\]'"
+    ):
         read_map(_written(tmp_path))

@@ -20,7 +20,9 @@ from replan.logs.scenario import Scenario
 from replan.logs.states import Trajectory
 from replan.logs.vehicle import VehicleParameters
 
-once = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+once = settings(
+    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 
 
 @once
@@ -34,7 +36,9 @@ def test_the_comparison_of_the_round_trip_sees_a_changed_bit() -> None:
     scenario = rich_scenario()
     vx = scenario.tracks.vx.copy()
     vx[3] = np.nextafter(vx[3], 9.0)
-    assert differences(scenario, replace(scenario, tracks=replace(scenario.tracks, vx=vx))) == ["scenario.tracks.vx"]
+    assert differences(scenario, replace(scenario, tracks=replace(scenario.tracks, vx=vx))) == [
+        "scenario.tracks.vx"
+    ]
 
 
 def test_same_scenario_same_bytes(tmp_path: Path) -> None:
@@ -43,18 +47,23 @@ def test_same_scenario_same_bytes(tmp_path: Path) -> None:
     assert (tmp_path / "one.mcap").read_bytes() == (tmp_path / "two.mcap").read_bytes()
 
 
-@pytest.mark.parametrize(("noun", "message", "split"), [
-    (Lane, native.LaneColumns, {"left": ("left_x", "left_y"), "right": ("right_x", "right_y")}),
-    (VehicleParameters, native.Vehicle, {}),
-    (Road, native.Road, {}),
-    (replan.StopLine, native.StopLine, {"points": ("x", "y")}),
-    (replan.Crosswalk, native.Crosswalk, {"polygon": ("x", "y")}),
-    (replan.Goal, native.Goal, {}),
-    (replan.Decision, native.Decision, {}),
-    (replan.SolverReport, native.SolverReport, {}),
-    (Trajectory, native.TrajectoryColumns, {}),
-])  # fmt: skip
-def test_a_message_has_every_field_of_its_noun(noun: type, message: type, split: dict[str, tuple[str, str]]) -> None:
+@pytest.mark.parametrize(
+    ("noun", "message", "split"),
+    [
+        (Lane, native.LaneColumns, {"left": ("left_x", "left_y"), "right": ("right_x", "right_y")}),
+        (VehicleParameters, native.Vehicle, {}),
+        (Road, native.Road, {}),
+        (replan.StopLine, native.StopLine, {"points": ("x", "y")}),
+        (replan.Crosswalk, native.Crosswalk, {"polygon": ("x", "y")}),
+        (replan.Goal, native.Goal, {}),
+        (replan.Decision, native.Decision, {}),
+        (replan.SolverReport, native.SolverReport, {}),
+        (Trajectory, native.TrajectoryColumns, {}),
+    ],
+)
+def test_a_message_has_every_field_of_its_noun(
+    noun: type, message: type, split: dict[str, tuple[str, str]]
+) -> None:
     expected = {part for f in fields(noun) for part in split.get(f.name, (f.name,))}
     assert set(message.__struct_fields__) == expected
 
@@ -64,13 +73,16 @@ def test_a_log_tells_its_story_without_replan(tmp_path: Path) -> None:
     with (tmp_path / "log.mcap").open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
         seen = {
-            channel.topic: (schema, json.loads(m.data)) for schema, channel, m in reader.iter_messages(reverse=True)
+            channel.topic: (schema, json.loads(m.data))
+            for schema, channel, m in reader.iter_messages(reverse=True)
         }
         record = next(m.metadata for m in reader.iter_metadata() if m.name == "replan.scenario")
         summary = reader.get_summary()
     assert record["format_version"] == "1"
     assert record["start_ns"] == str(START_NS)
-    assert summary is not None and all(index.compression == "zstd" for index in summary.chunk_indexes)
+    assert summary is not None and all(
+        index.compression == "zstd" for index in summary.chunk_indexes
+    )
     for schema, message in seen.values():
         described = json.loads(schema.data)
         assert described["type"] == "object" and "$ref" not in schema.data.decode()
@@ -96,18 +108,44 @@ def test_lights_that_change_together_share_a_message(tmp_path: Path) -> None:
     ]
 
 
-@pytest.mark.parametrize(("change", "words"), [
-    ({"controls": replan.Controls(np.zeros(1), np.array([np.inf]), np.zeros(1), np.zeros(1))}, "steer_rad is infinite"),
-    ({"goal": replan.Goal(t=(0.0, np.inf))}, "goal t is inf"),
-    ({"road": Road({}, default_speed_limit=np.inf)}, "default speed limit is inf"),
-    ({"start_ns": -1}, "start_ns is negative"),
-    ({"lights": (replan.TrafficLight(3, np.array([0.0, 1e-10]), (replan.Colour.RED, replan.Colour.GREEN)),)},
-     "light 3 changes twice on one nanosecond"),
-    ({"lights": (replan.TrafficLight(3, np.array([-2e9]), (replan.Colour.RED,)),)}, "before log time 0"),
-    ({"ego": Trajectory(np.array([0.0, 1e-10]), *np.zeros((6, 2)))}, "one nanosecond"),
-    ({"ego": Trajectory(np.array([-1.0]), *np.zeros((6, 1))), "start_ns": 0}, "before log time 0"),
-])  # fmt: skip
-def test_what_a_log_cannot_say_is_refused(tmp_path: Path, change: dict[str, object], words: str) -> None:
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (
+            {
+                "controls": replan.Controls(
+                    np.zeros(1), np.array([np.inf]), np.zeros(1), np.zeros(1)
+                )
+            },
+            "steer_rad is infinite",
+        ),
+        ({"goal": replan.Goal(t=(0.0, np.inf))}, "goal t is inf"),
+        ({"road": Road({}, default_speed_limit=np.inf)}, "default speed limit is inf"),
+        ({"start_ns": -1}, "start_ns is negative"),
+        (
+            {
+                "lights": (
+                    replan.TrafficLight(
+                        3, np.array([0.0, 1e-10]), (replan.Colour.RED, replan.Colour.GREEN)
+                    ),
+                )
+            },
+            "light 3 changes twice on one nanosecond",
+        ),
+        (
+            {"lights": (replan.TrafficLight(3, np.array([-2e9]), (replan.Colour.RED,)),)},
+            "before log time 0",
+        ),
+        ({"ego": Trajectory(np.array([0.0, 1e-10]), *np.zeros((6, 2)))}, "one nanosecond"),
+        (
+            {"ego": Trajectory(np.array([-1.0]), *np.zeros((6, 1))), "start_ns": 0},
+            "before log time 0",
+        ),
+    ],
+)
+def test_what_a_log_cannot_say_is_refused(
+    tmp_path: Path, change: dict[str, object], words: str
+) -> None:
     path = tmp_path / "log.mcap"
     with pytest.raises(LogError, match=words) as refusal:
         write_scenario(path, replace(rich_scenario(), **change))  # type: ignore[arg-type]
@@ -145,7 +183,11 @@ def test_every_field_of_every_topic_is_on_the_page() -> None:
         section = section.partition("\n### ")[0]
         for field in msgspec.structs.fields(kind):
             needed = "needed" if field.required else "optional"
-            (row,) = (line for line in section.splitlines() if line.startswith(f"| `{field.encode_name}` |"))
+            (row,) = (
+                line
+                for line in section.splitlines()
+                if line.startswith(f"| `{field.encode_name}` |")
+            )
             assert row.endswith(f"| {needed} |")
 
 
@@ -164,5 +206,10 @@ class Message(msgspec.Struct):
 
 def test_the_schemas_in_a_log_have_no_docstrings() -> None:
     found = native.json_schema(Message)
-    assert "Words." not in json.dumps(found) and found["properties"]["description"] == {"type": "string"}
-    assert found["properties"]["word"]["enum"] == ["one"] and found["properties"]["word"]["type"] == "string"
+    assert "Words." not in json.dumps(found) and found["properties"]["description"] == {
+        "type": "string"
+    }
+    assert (
+        found["properties"]["word"]["enum"] == ["one"]
+        and found["properties"]["word"]["type"] == "string"
+    )

@@ -31,7 +31,10 @@ Messages = dict[str, list[tuple[int, bytes]]]
 
 def held(path: Path) -> Messages:
     streams = read_container(path).whole().streams
-    return {topic: list(zip(stream.times, stream.payloads, strict=True)) for topic, stream in streams.items()}
+    return {
+        topic: list(zip(stream.times, stream.payloads, strict=True))
+        for topic, stream in streams.items()
+    }
 
 
 def chunks(raw: bytes) -> list[tuple[int, int]]:
@@ -66,9 +69,16 @@ def damaged(log: Path, tmp_path: Path, raw: bytes) -> Path:
     return path
 
 
-@given(st.lists(st.tuples(st.integers(0, 10**6), st.integers(1, 255)), min_size=1, max_size=6), st.integers(0, 400))
-@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_only_true_messages_are_kept(log: Path, tmp_path: Path, flips: list[tuple[int, int]], cut: int) -> None:
+@given(
+    st.lists(st.tuples(st.integers(0, 10**6), st.integers(1, 255)), min_size=1, max_size=6),
+    st.integers(0, 400),
+)
+@settings(
+    max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+def test_only_true_messages_are_kept(
+    log: Path, tmp_path: Path, flips: list[tuple[int, int]], cut: int
+) -> None:
     raw = bytearray(log.read_bytes())
     for place, bits in flips:
         raw[place % len(raw)] ^= bits
@@ -88,7 +98,9 @@ def test_a_ros_bag_stays_one_and_chunks_without_checksum_are_said(tmp_path: Path
     with path.open("wb") as file:
         writer = Writer(file, 600, CompressionType.NONE, enable_crcs=False)
         writer.start(profile="ros2")
-        channel = writer.register_channel("/one", "cdr", writer.register_schema("std_msgs/msg/String", "ros2msg", b""))
+        channel = writer.register_channel(
+            "/one", "cdr", writer.register_schema("std_msgs/msg/String", "ros2msg", b"")
+        )
         for k in range(100):
             writer.add_message(channel, 10**9 + k, bytes(40), 10**9 + k)
         writer.finish()
@@ -116,7 +128,10 @@ def bomb(tmp_path: Path, stated: int, size: int) -> Path:
     """A file with one chunk of `size` zeros that states another size."""
     data = zstandard.ZstdCompressor().compress(bytes(size))
     chunk = (
-        struct.pack("<QQQII", 0, 0, stated, zlib.crc32(bytes(size)), 4) + b"zstd" + struct.pack("<Q", len(data)) + data
+        struct.pack("<QQQII", 0, 0, stated, zlib.crc32(bytes(size)), 4)
+        + b"zstd"
+        + struct.pack("<Q", len(data))
+        + data
     )
     stream = BytesIO()
     stream.write(b"\x89MCAP0\r\n" + bytes([Opcode.HEADER]) + struct.pack("<QII", 8, 0, 0))
@@ -127,9 +142,13 @@ def bomb(tmp_path: Path, stated: int, size: int) -> Path:
 
 
 def test_a_chunk_is_not_inflated_beyond_its_bound(tmp_path: Path) -> None:
-    with pytest.raises(LogError, match=r"would inflate to 4096 MiB; the bound is 256 MiB; write smaller chunks"):
+    with pytest.raises(
+        LogError, match=r"would inflate to 4096 MiB; the bound is 256 MiB; write smaller chunks"
+    ):
         read_scenario(bomb(tmp_path, 4 * 2**30, 2**20))
-    with pytest.raises(LogError, match=r"chunk that begins there is damaged .*states 1000 bytes and holds more"):
+    with pytest.raises(
+        LogError, match=r"chunk that begins there is damaged .*states 1000 bytes and holds more"
+    ):
         read_scenario(bomb(tmp_path, 1000, 64 * 2**20))
     with pytest.raises(LogError, match="no intact message"):
         salvage(bomb(tmp_path, 4 * 2**30, 2**20), tmp_path / "out.mcap")
@@ -142,9 +161,14 @@ def long_log() -> Scenario:
     """Some minutes straight on; others come and go."""
     log = drive(straight, 10.0, SECONDS)
     t = np.arange(0.0, SECONDS, 0.1)
-    seen = [t[k::5] for k in range(5)] + [np.arange(50.0 * k, 50.0 * k + 60.0, 0.1) for k in range(7)]
+    seen = [t[k::5] for k in range(5)] + [
+        np.arange(50.0 * k, 50.0 * k + 60.0, 0.1) for k in range(7)
+    ]
     seen.append(np.r_[t[t < 100.0], t[t > 300.0]])  # out of sight for minutes
-    others = [track(f"other{k}", some, 10.0 * some + 20.0, np.full(len(some), 3.0)) for k, some in enumerate(seen)]
+    others = [
+        track(f"other{k}", some, 10.0 * some + 20.0, np.full(len(some), 3.0))
+        for k, some in enumerate(seen)
+    ]
     return replace(scenario(log, agents=tracks(*others), road=lanes_along(log)), name="test/long")
 
 
@@ -182,7 +206,9 @@ def test_a_part_is_that_of_the_whole(whole: Path, begin: float, length: float) -
 
 def test_a_part_of_a_repaired_log_has_what_its_tracker_remembers(tmp_path: Path) -> None:
     log = in_nanoseconds(cut(long_log(), 0.0, 90.0))
-    repair = Repair(detections_of(log.tracks), log.tracks, np.zeros(len(log.tracks.t), np.bool_), (), log.tracks)
+    repair = Repair(
+        detections_of(log.tracks), log.tracks, np.zeros(len(log.tracks.t), np.bool_), (), log.tracks
+    )
     write_scenario(tmp_path / "long.mcap", replace(log, repair=repair))
     asked = LogSettings(begin=60.0, end=61.0)
     path, taken, _ = part(tmp_path / "long.mcap", 60.0, 61.0)
@@ -193,7 +219,8 @@ def test_a_part_of_a_repaired_log_has_what_its_tracker_remembers(tmp_path: Path)
 def test_a_short_part_takes_few_bytes(whole: Path) -> None:
     _, taken, requests = part(whole, 200.0, 210.0)
     assert taken < 0.6 * whole.stat().st_size
-    assert requests <= 8  # summary, two records, head, first chunk, those of the part, the ends of agents
+    # summary, two records, head, first chunk, those of the part, the ends of agents
+    assert requests <= 8
 
 
 def test_chunks_side_by_side_are_one_request(whole: Path) -> None:
@@ -220,4 +247,6 @@ def without_chunks(whole: Path) -> bytes:
 def test_what_has_no_index_is_needed_whole(whole: Path, tmp_path: Path) -> None:
     raw = whole.read_bytes()
     for content in (raw[:-1], raw[:1000], bytes(100), without_chunks(whole)):
-        assert not write_part(lambda a, b, c=content: c[a:b], len(content), 200.0, 210.0, tmp_path / "part.mcap")
+        assert not write_part(
+            lambda a, b, c=content: c[a:b], len(content), 200.0, 210.0, tmp_path / "part.mcap"
+        )

@@ -35,7 +35,9 @@ def test_an_ego_beyond_a_limit_is_refused_with_topic_and_time(name: str, sign: f
         wild = replace(LOG, ego=at(LOG.ego, name, sign * value)) if name != "yaw" else None
         if wild is None:  # else it is unwrapped
             wild = replace(LOG, ego=replace(LOG.ego, yaw=LOG.ego.yaw + sign * value))
-        with pytest.raises(LogError, match=rf"topic ego, time [0-9.]+ s: ({name} is|the position jumps)"):
+        with pytest.raises(
+            LogError, match=rf"topic ego, time [0-9.]+ s: ({name} is|the position jumps)"
+        ):
             admitted(wild)
     assert admitted(LOG) is LOG
 
@@ -43,16 +45,31 @@ def test_an_ego_beyond_a_limit_is_refused_with_topic_and_time(name: str, sign: f
 REFUSED: dict[str, tuple[Callable[[Scenario], Scenario], str]] = {
     "jump": (lambda s: replace(s, ego=at(s.ego, "x", 3000.0)), "topic ego.*the position jumps by"),
     "gap": (
-        lambda s: replace(s, ego=replace(s.ego, t=np.where(s.ego.t > 1.0, s.ego.t + 90.0, s.ego.t)), duration=100.0),
+        lambda s: replace(
+            s,
+            ego=replace(s.ego, t=np.where(s.ego.t > 1.0, s.ego.t + 90.0, s.ego.t)),
+            duration=100.0,
+        ),
         "topic ego.*no state for 9[0-9.]+ s, longer than 60 s",
     ),
-    "vehicle": (lambda s: replace(s, vehicle=VehicleParameters(mass=1e308)), "topic vehicle: mass is 1e"),
-    "agents' clock": (lambda s: replace(s, tracks=s.tracks.shifted(1e6)), "topic agents: times from .*do not overlap"),
+    "vehicle": (
+        lambda s: replace(s, vehicle=VehicleParameters(mass=1e308)),
+        "topic vehicle: mass is 1e",
+    ),
+    "agents' clock": (
+        lambda s: replace(s, tracks=s.tracks.shifted(1e6)),
+        "topic agents: times from .*do not overlap",
+    ),
     "controls' clock": (
-        lambda s: replace(s, controls=None if s.controls is None else replace(s.controls, t=s.controls.t - 1e5)),
+        lambda s: replace(
+            s, controls=None if s.controls is None else replace(s.controls, t=s.controls.t - 1e5)
+        ),
         "topic controls: times from .*do not overlap",
     ),
-    "all agents": (lambda s: replace(s, tracks=replace(s.tracks, x=s.tracks.x + 1e8)), "topic agents: no pose"),
+    "all agents": (
+        lambda s: replace(s, tracks=replace(s.tracks, x=s.tracks.x + 1e8)),
+        "topic agents: no pose",
+    ),
 }
 
 
@@ -64,8 +81,14 @@ def test_what_cannot_be_driven_is_refused_on_reading(case: str, tmp_path: Path) 
         read_log(tmp_path / "log.mcap")
 
 
-@given(st.integers(0, 10**6), st.sampled_from([1e7, 1e300, -1e300]), st.sampled_from(["x", "y", "yaw", "vx", "length"]))
-def test_what_is_wrong_of_an_agent_is_left_out_and_noted(seed: int, value: float, name: str) -> None:
+@given(
+    st.integers(0, 10**6),
+    st.sampled_from([1e7, 1e300, -1e300]),
+    st.sampled_from(["x", "y", "yaw", "vx", "length"]),
+)
+def test_what_is_wrong_of_an_agent_is_left_out_and_noted(
+    seed: int, value: float, name: str
+) -> None:
     tracks = LOG.tracks
     values = getattr(tracks, name).copy()
     value *= 1e290 if name == "yaw" and value == 1e7 else 1.0  # 1e7 rad is still an angle
@@ -95,16 +118,31 @@ def test_one_agent_on_another_clock_is_noted() -> None:
 def test_a_part_without_agents_is_a_part(tmp_path: Path) -> None:
     write_scenario(tmp_path / "log.mcap", LOG)
     begin = float(LOG.ego.t[-1]) - 0.2
-    assert read_log(tmp_path / "log.mcap", LogSettings(begin=begin)).duration == pytest.approx(LOG.duration - begin)
+    assert read_log(tmp_path / "log.mcap", LogSettings(begin=begin)).duration == pytest.approx(
+        LOG.duration - begin
+    )
 
 
-@given(st.lists(st.text(max_size=300), min_size=len(LOG.tracks), max_size=len(LOG.tracks), unique=True), st.text())
+@given(
+    st.lists(
+        st.text(max_size=300), min_size=len(LOG.tracks), max_size=len(LOG.tracks), unique=True
+    ),
+    st.text(),
+)
 def test_names_are_cleaned_at_one_door(ids: list[str], name: str) -> None:
-    found = printable(replace(LOG, name=name, tracks=replace(LOG.tracks, ids=tuple(ids)), metadata={name: name}))
+    found = printable(
+        replace(LOG, name=name, tracks=replace(LOG.tracks, ids=tuple(ids)), metadata={name: name})
+    )
     texts = [*found.tracks.ids, found.name, *found.metadata, *found.metadata.values()]
-    assert not any(ord(c) < 32 or 0x7F <= ord(c) < 0xA0 or c in "\u2028\u202e" for text in texts for c in text)
-    assert all(text.encode() is not None for text in texts) and len(set(found.tracks.ids)) == len(ids)
-    changed = (name, *ids) != (found.name, *found.tracks.ids) or dict(found.metadata) != {name: name}
+    assert not any(
+        ord(c) < 32 or 0x7F <= ord(c) < 0xA0 or c in "\u2028\u202e" for text in texts for c in text
+    )
+    assert all(text.encode() is not None for text in texts) and len(set(found.tracks.ids)) == len(
+        ids
+    )
+    changed = (name, *ids) != (found.name, *found.tracks.ids) or dict(found.metadata) != {
+        name: name
+    }
     assert any("Control characters in" in note for note in found.notes) is changed
     assert printable(found) is found
 

@@ -22,15 +22,20 @@ def ego(**more: Any) -> pd.DataFrame:
 
 def agents(**more: Any) -> pd.DataFrame:
     rows = [
-        pd.DataFrame({"t": T, "id": name, "x": 30.0 + 9.0 * T, "y": y, **more}) for name, y in (("7", 0.0), ("8", 4.0))
+        pd.DataFrame({"t": T, "id": name, "x": 30.0 + 9.0 * T, "y": y, **more})
+        for name, y in (("7", 0.0), ("8", 4.0))
     ]
     return pd.concat(rows, ignore_index=True)
 
 
 TEXTS = {
     "iso": [moment.isoformat() for moment in START + pd.to_timedelta(T, unit="s")],
-    "zone": [f"{moment.isoformat(sep=' ')}+02:00" for moment in START + pd.to_timedelta(T, unit="s")],
-    "slashes": [f"{moment:%Y/%m/%d %H:%M:%S.%f}" for moment in START + pd.to_timedelta(T, unit="s")],
+    "zone": [
+        f"{moment.isoformat(sep=' ')}+02:00" for moment in START + pd.to_timedelta(T, unit="s")
+    ],
+    "slashes": [
+        f"{moment:%Y/%m/%d %H:%M:%S.%f}" for moment in START + pd.to_timedelta(T, unit="s")
+    ],
     "of day": [f"{moment:%H:%M:%S.%f}"[:-3] for moment in START + pd.to_timedelta(T, unit="s")],
     "seconds of the day": (86395.0 + T) % 86400.0,
     "seconds of the week": (604795.0 + T) % 604800.0,
@@ -42,14 +47,19 @@ TEXTS = {
 def test_dates_and_times_of_day_run_on_over_midnight(tmp_path: Path, kind: str, order: str) -> None:
     mine, theirs = ego(t=TEXTS[kind]), agents(t=TEXTS[kind])
     if order == "shuffled":
-        mine, theirs = mine.sample(frac=1.0, random_state=1), theirs.sample(frac=1.0, random_state=2)
+        mine, theirs = (
+            mine.sample(frac=1.0, random_state=1),
+            theirs.sample(frac=1.0, random_state=2),
+        )
     mine.to_csv(tmp_path / "ego.csv", index=False)
     theirs.to_csv(tmp_path / "agents.csv", index=False)
     scenario = read_log(tmp_path)
     np.testing.assert_allclose(scenario.ego.t, T, atol=1e-9)
     np.testing.assert_allclose(scenario.ego.x, 10.0 * T, atol=1e-9)
     np.testing.assert_allclose(scenario.tracks.t, np.tile(T, 2), atol=1e-9)
-    assert any("starts again" in note for note in scenario.notes) is (kind not in ("iso", "zone", "slashes"))
+    assert any("starts again" in note for note in scenario.notes) is (
+        kind not in ("iso", "zone", "slashes")
+    )
     assert kind != "iso" or scenario.start_ns == START.value
     assert kind != "zone" or scenario.start_ns == START.value - 7200 * 10**9
 
@@ -83,7 +93,9 @@ RESTARTS = {
     ),
     "two drives": pd.concat([ego(), ego(t=T + 0.04, y=40.0)], ignore_index=True),
     "the same lap again": pd.concat([ego(), ego(t=T + 0.04)], ignore_index=True),
-    "three drives": pd.concat([ego(t=T + 0.01 * k, x=10.0 * T + 120.0 * k) for k in range(3)], ignore_index=True),
+    "three drives": pd.concat(
+        [ego(t=T + 0.01 * k, x=10.0 * T + 120.0 * k) for k in range(3)], ignore_index=True
+    ),
 }
 
 
@@ -93,12 +105,16 @@ def test_a_clock_that_restarts_is_refused_with_row_and_times(kind: str) -> None:
     row = int(np.flatnonzero(np.diff(table.t) < 0.0)[0]) + 1
     with pytest.raises(LogError) as error:
         from_frames(table)
-    assert f"t goes back at row {row} ({table.t[row - 1]:g} to {table.t[row]:g} s)" in str(error.value)
+    assert f"t goes back at row {row} ({table.t[row - 1]:g} to {table.t[row]:g} s)" in str(
+        error.value
+    )
     assert error.value.topic == "ego" and "split" in (error.value.remedy or "")
 
 
 def test_a_clock_of_the_others_that_restarts_is_refused() -> None:
-    with pytest.raises(LogError, match=r"t goes back at row 60 of agent 7 \(5\.9 to 0 s\)") as error:
+    with pytest.raises(
+        LogError, match=r"t goes back at row 60 of agent 7 \(5\.9 to 0 s\)"
+    ) as error:
         from_frames(ego(), agents(t=np.where(T < 6.0, T, T - 6.0)))
     assert error.value.topic == "agents"
 
@@ -108,7 +124,9 @@ ORDERS = {
     "another column": lambda table: (
         table.assign(gear=(table.t // 2.0) % 2).sort_values(["gear", "t"]).drop(columns="gear")
     ),
-    "parts in the wrong order": lambda table: pd.concat([table[table.t >= 6.0], table[table.t < 6.0]]),
+    "parts in the wrong order": lambda table: pd.concat(
+        [table[table.t >= 6.0], table[table.t < 6.0]]
+    ),
     "one row late": lambda table: pd.concat([table[:50], table[51:52], table[50:51], table[52:]]),
     "by time": lambda table: table.sort_values("t", kind="stable"),
 }
@@ -116,8 +134,14 @@ ORDERS = {
 
 @pytest.mark.parametrize("kind", ORDERS)
 def test_rows_that_are_merely_unsorted_are_sorted(kind: str) -> None:
-    plain, other = from_frames(ego(), agents()), from_frames(ORDERS[kind](ego()), ORDERS[kind](agents()))
-    assert other.ego.x.tolist() == plain.ego.x.tolist() and other.tracks.x.tolist() == plain.tracks.x.tolist()
+    plain, other = (
+        from_frames(ego(), agents()),
+        from_frames(ORDERS[kind](ego()), ORDERS[kind](agents())),
+    )
+    assert (
+        other.ego.x.tolist() == plain.ego.x.tolist()
+        and other.tracks.x.tolist() == plain.tracks.x.tolist()
+    )
 
 
 @given(st.permutations(range(120)), st.floats(0.0, 0.05), st.integers(0, 9))

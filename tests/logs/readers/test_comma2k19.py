@@ -15,11 +15,19 @@ T = np.arange(0.0, 5.0, 0.05)
 
 
 def segment(
-    folder: Path, heading: float = 0.5, v: float = 12.0, latitude: float = 0.6, longitude: float = -2.1
+    folder: Path,
+    heading: float = 0.5,
+    v: float = 12.0,
+    latitude: float = 0.6,
+    longitude: float = -2.1,
 ) -> Path:
     """A straight drive at a heading from east, at a place on the earth (a sphere is near enough for a start)."""
     start = SEMI_MAJOR_M * np.array(
-        [np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)]
+        [
+            np.cos(latitude) * np.cos(longitude),
+            np.cos(latitude) * np.sin(longitude),
+            np.sin(latitude),
+        ]
     )
     east, north = _east_north(start)
     forward = np.cos(heading) * east + np.sin(heading) * north
@@ -55,20 +63,29 @@ def quaternion(matrix: np.ndarray) -> np.ndarray:
 
 
 @given(st.floats(-3.1, 3.1), st.floats(-1.2, 1.2), st.floats(-3.1, 3.1))
-@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_it_goes_where_it_was_made_to_go(tmp_path: Path, heading: float, latitude: float, longitude: float) -> None:
+@settings(
+    max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+def test_it_goes_where_it_was_made_to_go(
+    tmp_path: Path, heading: float, latitude: float, longitude: float
+) -> None:
     scenario = read_log(segment(tmp_path / "7", heading, latitude=latitude, longitude=longitude))
     ego = scenario.ego
     assert ego.v == pytest.approx(12.0) and np.cos(ego.yaw - heading) == pytest.approx(1.0)
     assert ego.x == pytest.approx(12.0 * T * np.cos(heading), abs=1e-3)
     assert ego.y == pytest.approx(12.0 * T * np.sin(heading), abs=1e-3)
-    assert scenario.is_recorded and scenario.start_ns == (315964800 + 2012 * 604800) * 10**9 + round(404106.4e9)
+    assert scenario.is_recorded and scenario.start_ns == (
+        315964800 + 2012 * 604800
+    ) * 10**9 + round(404106.4e9)
 
 
 def test_what_is_wrong_is_one_line(tmp_path: Path) -> None:
     folder = segment(tmp_path / "7")
     reader = reader_of(folder)
-    assert reader is not None and [topic.messages for topic in reader.contents(folder).topics] == [len(T)] * 5
+    assert (
+        reader is not None
+        and [topic.messages for topic in reader.contents(folder).topics] == [len(T)] * 5
+    )
     for name, content, words in (
         ("frame_times", np.arange(7.0), "the arrays have 100, 100, 100, 7, 100 rows"),
         ("frame_positions", np.zeros((100, 3)), "not on the earth"),
@@ -87,8 +104,12 @@ def test_what_is_wrong_is_one_line(tmp_path: Path) -> None:
 
 
 @given(CHANGES, st.sampled_from(["frame_positions", "frame_times"]))
-@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_mutated_arrays_are_read_or_refused(tmp_path: Path, changes: list[tuple[int, int]], name: str) -> None:
+@settings(
+    max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+def test_mutated_arrays_are_read_or_refused(
+    tmp_path: Path, changes: list[tuple[int, int]], name: str
+) -> None:
     file = segment(tmp_path / "7") / "global_pose" / name
     raw = file.read_bytes()
     file.write_bytes(changed(raw[:400], changes) + raw[400:])
@@ -99,4 +120,6 @@ def test_the_recorded_segment(shared_data: Path) -> None:
     scenario = read_log(shared_data / "comma2k19" / "segment_40")
     assert len(scenario.ego) == 1200 and scenario.duration == pytest.approx(59.95, abs=0.01)
     way = np.hypot(np.diff(scenario.ego.x), np.diff(scenario.ego.y)).sum()
-    assert way == pytest.approx(float(np.sum(scenario.ego.v[1:] * np.diff(scenario.ego.t))), rel=0.01)
+    assert way == pytest.approx(
+        float(np.sum(scenario.ego.v[1:] * np.diff(scenario.ego.t))), rel=0.01
+    )

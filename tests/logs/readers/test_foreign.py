@@ -47,7 +47,9 @@ def made(folder: Path, name: str) -> Path:
         ("ego.csv", 0, "table", "in a folder"),
     ],
 )
-def test_known_formats_have_a_remedy(tmp_path: Path, file: str, up: int, what: str, remedy: str) -> None:
+def test_known_formats_have_a_remedy(
+    tmp_path: Path, file: str, up: int, what: str, remedy: str
+) -> None:
     path = made(tmp_path, file)
     path = (path, *path.parents)[up]
     error = foreign(path)
@@ -57,7 +59,9 @@ def test_known_formats_have_a_remedy(tmp_path: Path, file: str, up: int, what: s
             select([path], LogSettings())
 
 
-@pytest.mark.parametrize("name", ["drive.mcap", "drive.bag", "log/ego.csv", "scene.xml", "notes.txt"])
+@pytest.mark.parametrize(
+    "name", ["drive.mcap", "drive.bag", "log/ego.csv", "scene.xml", "notes.txt"]
+)
 def test_a_pointer_of_git_lfs_is_named_whatever_it_stands_for(tmp_path: Path, name: str) -> None:
     path = tmp_path / name
     path.parent.mkdir(exist_ok=True)

@@ -40,7 +40,9 @@ def trace(path: Path, messages: list[GroundTruth] | list[SensorView]) -> Path:
 def test_a_trace_of_ground_truth_is_read(tmp_path: Path) -> None:
     path = trace(tmp_path / "run.osi", [truth(k) for k in range(STEPS)])
     scenario = read_log(path)
-    assert scenario.ego.v == pytest.approx(10.0) and scenario.ego.t == pytest.approx(0.1 * np.arange(STEPS))
+    assert scenario.ego.v == pytest.approx(10.0) and scenario.ego.t == pytest.approx(
+        0.1 * np.arange(STEPS)
+    )
     assert scenario.tracks.ids == ("9",) and scenario.start_ns == 50 * 10**9
     goes_round(scenario, tmp_path)
     reader = reader_of(path)
@@ -62,7 +64,9 @@ def test_a_trace_of_sensor_views_is_the_same_log(name: str, tmp_path: Path) -> N
 
 def test_the_ego_is_named_where_no_host_is(tmp_path: Path) -> None:
     path = trace(tmp_path / "run.osi", [truth(k, None) for k in range(STEPS)])
-    with pytest.raises(LogError, match=r"no host_vehicle_id; name one of the moving objects \(4, 9\) with --ego"):
+    with pytest.raises(
+        LogError, match=r"no host_vehicle_id; name one of the moving objects \(4, 9\) with --ego"
+    ):
         read_log(path)
     with pytest.raises(LogError, match="no moving object 12"):
         read_log(path, LogSettings(ego="12"))
@@ -71,8 +75,12 @@ def test_the_ego_is_named_where_no_host_is(tmp_path: Path) -> None:
 
 
 @given(CHANGES, st.integers(0, 300))
-@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_mutated_traces_are_read_or_refused(tmp_path: Path, changes: list[tuple[int, int]], cut: int) -> None:
+@settings(
+    max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+def test_mutated_traces_are_read_or_refused(
+    tmp_path: Path, changes: list[tuple[int, int]], cut: int
+) -> None:
     path = trace(tmp_path / "run.osi", [truth(k) for k in range(5)])
     raw = changed(path.read_bytes(), changes)
     path.write_bytes(raw[: len(raw) - cut])
@@ -82,4 +90,6 @@ def test_mutated_traces_are_read_or_refused(tmp_path: Path, changes: list[tuple[
 @pytest.mark.parametrize(("name", "states"), [("acc-test", 1010), ("alks_cut-in", 305)])
 def test_recorded_traces(name: str, states: int, shared_data: Path) -> None:
     scenario = read_log(shared_data / "osi" / f"{name}.osi", LogSettings(ego="0"))
-    assert len(scenario.ego) == states and len(scenario.tracks) == 1 and len(scenario.road.lanes) == 6
+    assert (
+        len(scenario.ego) == states and len(scenario.tracks) == 1 and len(scenario.road.lanes) == 6
+    )

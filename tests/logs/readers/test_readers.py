@@ -31,10 +31,14 @@ SCENARIO = CATALOGUE["everyday/cut_in"].scenario()
 @settings(max_examples=30, deadline=None)
 def test_a_part_is_that_part_of_the_log(begin: float, length: float) -> None:
     part = cut(SCENARIO, begin, begin + length)
-    assert part.duration == pytest.approx(length) and part.start_ns == SCENARIO.start_ns + round(1e9 * begin)
+    assert part.duration == pytest.approx(length) and part.start_ns == SCENARIO.start_ns + round(
+        1e9 * begin
+    )
     for t in np.linspace(0.0, length, 7):
         here, there = part.ego.at(float(t)), SCENARIO.ego.at(float(t) + begin)
-        assert (here.x, here.y, here.yaw, here.v) == pytest.approx((there.x, there.y, there.yaw, there.v), abs=1e-9)
+        assert (here.x, here.y, here.yaw, here.v) == pytest.approx(
+            (there.x, there.y, there.yaw, there.v), abs=1e-9
+        )
         seen, known = part.tracks.truth(float(t)), SCENARIO.tracks.truth(float(t) + begin)
         assert seen.ids == known.ids and seen.x == pytest.approx(known.x, abs=1e-6)
 
@@ -80,12 +84,20 @@ def test_a_cut_log_keeps_lights_controls_and_goal(tmp_path: Path) -> None:
 
 @given(st.floats(1.0, 9.0), st.floats(0.3, 9.0))
 @settings(max_examples=20)
-def test_windows_begin_every_so_many_seconds_and_have_half_their_length_at_least(length: float, every: float) -> None:
+def test_windows_begin_every_so_many_seconds_and_have_half_their_length_at_least(
+    length: float, every: float
+) -> None:
     whole = LogSettings(begin=1.0, end=21.0)
     parts = windows(Path("there_is_no_such_log"), whole, length, every)
-    assert [part.begin for part in parts] == pytest.approx([1.0 + k * every for k in range(len(parts))])
+    assert [part.begin for part in parts] == pytest.approx(
+        [1.0 + k * every for k in range(len(parts))]
+    )
     spans = np.array([part.end - part.begin for part in parts])
-    assert (spans <= length + 1e-9).all() and (spans >= 0.5 * length - 1e-9).all() and parts[-1].end <= 21.0
+    assert (
+        (spans <= length + 1e-9).all()
+        and (spans >= 0.5 * length - 1e-9).all()
+        and parts[-1].end <= 21.0
+    )
     assert 21.0 - (parts[-1].begin + every) < 0.5 * length + 1e-9, "none is missing"
 
 
@@ -130,7 +142,13 @@ def _mine(path: Path, settings: LogSettings) -> Scenario:
 
 
 MINE = Reader(
-    "mine", "a format of a team", "*.mine", (".mine",), lambda path: path.suffix == ".mine", _mine, settings=("ego",)
+    "mine",
+    "a format of a team",
+    "*.mine",
+    (".mine",),
+    lambda path: path.suffix == ".mine",
+    _mine,
+    settings=("ego",),
 )
 
 
@@ -149,8 +167,12 @@ def test_a_reader_from_outside_reads_its_format_everywhere(installed: Any, tmp_p
 
 
 @given(st.floats(0.0, 3.0), st.floats(0.5, 2.0))
-@settings(max_examples=10, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_a_part_and_its_conversion_are_the_same_to_the_last_bit(tmp_path: Path, begin: float, length: float) -> None:
+@settings(
+    max_examples=10, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+def test_a_part_and_its_conversion_are_the_same_to_the_last_bit(
+    tmp_path: Path, begin: float, length: float
+) -> None:
     """Else `convert` and `evaluate` would give other metrics than `evaluate` of the log as it is."""
     write_scenario(tmp_path / "log.mcap", SCENARIO)
     part = read_log(tmp_path / "log.mcap", LogSettings(begin=begin, end=begin + length))
@@ -168,7 +190,9 @@ def test_what_a_reader_from_outside_raises_is_its_own_fault(installed: Any, tmp_
 
     installed(replace(MINE, read=clumsy))
     (tmp_path / "a.mine").touch()
-    with pytest.raises(LogError, match=r"a\.mine: the reader mine raised KeyError: 'x'; its author: raise LogError"):
+    with pytest.raises(
+        LogError, match=r"a\.mine: the reader mine raised KeyError: 'x'; its author: raise LogError"
+    ):
         read_log(tmp_path / "a.mine")
 
 
@@ -185,10 +209,14 @@ def test_an_ego_that_a_format_cannot_take_is_refused(installed: Any, tmp_path: P
     path = tmp_path / "a.mine"
     path.write_text("drive", encoding="utf-8")
     for asked, word in ((LogSettings(ego="7"), "ego 7"), (LogSettings(problem=2), "problem 2")):
-        with pytest.raises(LogError, match=f"{word} is asked for, but the format mine has no choice of it"):
+        with pytest.raises(
+            LogError, match=f"{word} is asked for, but the format mine has no choice of it"
+        ):
             read_log(path, asked)
     write_scenario(tmp_path / "native.mcap", SCENARIO)
-    with pytest.raises(LogError, match=r"native\.mcap: ego 7 is asked for, but a native log has its ego"):
+    with pytest.raises(
+        LogError, match=r"native\.mcap: ego 7 is asked for, but a native log has its ego"
+    ):
         read_log(tmp_path / "native.mcap", LogSettings(ego="7"))
 
 

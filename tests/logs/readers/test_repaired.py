@@ -31,7 +31,15 @@ EGO = street_ego()
 def raw() -> Scenario:
     """What a detector sees of a street, and no tracks."""
     road = Road.along(np.column_stack([EGO.x, EGO.y]), speed_limit=10.0)
-    return Scenario("raw", EGO, Tracks.empty(), road, 20.0, detections=detected(street(), EGO, 3), start_ns=10**18)
+    return Scenario(
+        "raw",
+        EGO,
+        Tracks.empty(),
+        road,
+        20.0,
+        detections=detected(street(), EGO, 3),
+        start_ns=10**18,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -55,16 +63,29 @@ def drivers(*offsets: float, turn: float = 0.0) -> Tracks:
     x, y = (np.concatenate([way[i] for way in ways]) for i in (0, 1))
     vx, vy = (np.repeat([way[i] for way in ways], len(t)) for i in (2, 3))
     size = np.full(n, 4.5), np.full(n, 1.8), np.zeros(n, np.bool_), len(t) * np.arange(n + 1)
-    place = c * x - s * y, s * x + c * y, np.full(n * len(t), turn), c * vx - s * vy, s * vx + c * vy
+    place = (
+        c * x - s * y,
+        s * x + c * y,
+        np.full(n * len(t), turn),
+        c * vx - s * vy,
+        s * vx + c * vy,
+    )
     return Tracks(tuple(map(str, range(n))), (AgentKind.CAR,) * n, *size, np.tile(t, n), *place)
 
 
 @pytest.mark.parametrize(
     ("offsets", "width"),
-    [((3.1, 3.3, -3.2), 3.2), ((3.2, -3.2), 3.5), ((3.2, -3.2, 0.3, 7.0), 3.5), ((5.0, 5.1, 5.2), 4.0)],
+    [
+        ((3.1, 3.3, -3.2), 3.2),
+        ((3.2, -3.2), 3.5),
+        ((3.2, -3.2, 0.3, 7.0), 3.5),
+        ((5.0, 5.1, 5.2), 4.0),
+    ],
 )
 @pytest.mark.parametrize("turn", [0.0, 2.0])
-def test_a_lane_is_as_wide_as_the_next_one_is_away(offsets: tuple[float, ...], width: float, turn: float) -> None:
+def test_a_lane_is_as_wide_as_the_next_one_is_away(
+    offsets: tuple[float, ...], width: float, turn: float
+) -> None:
     ahead, notes = np.array([np.cos(turn), np.sin(turn)]), list[str]()
     road = Road.along(np.outer(np.arange(40.0), ahead), speed_limit=10.0)
     (lane,) = passed_width(road, drivers(*offsets, turn=turn), notes).lanes.values()
@@ -90,10 +111,15 @@ def test_a_raw_log_is_repaired_as_it_is_read(log: Path, made: Scenario) -> None:
 
 def test_a_part_of_a_repaired_log_is_the_wholes(made: Scenario, tmp_path: Path) -> None:
     write_scenario(tmp_path / "made.mcap", made)
-    part, asked = cut(made, 12.0, 15.0), read_log(tmp_path / "made.mcap", LogSettings(begin=12.0, end=15.0))
+    part, asked = (
+        cut(made, 12.0, 15.0),
+        read_log(tmp_path / "made.mcap", LogSettings(begin=12.0, end=15.0)),
+    )
     assert part.repair is not None and asked.repair is not None
     for name in ("t", "x", "y", "yaw", "vx"):
-        np.testing.assert_allclose(getattr(asked.tracks, name), getattr(part.tracks, name), atol=1e-9)
+        np.testing.assert_allclose(
+            getattr(asked.tracks, name), getattr(part.tracks, name), atol=1e-9
+        )
     assert part.repair.tracks is part.tracks and part.repair.extended.shape == part.tracks.t.shape
     frames = part.repair.detections.frames
     assert frames[0] == pytest.approx(-DETECTED_S) and frames[-1] <= 5.0
@@ -122,7 +148,10 @@ def test_detections_beyond_the_limits_are_left_out_and_noted() -> None:
     fast[5] = 1e6
     ids = ("a\nb", *found.ids[1:])
     length = np.where(np.arange(len(found)) == 7, 1e9, found.length)
-    made = with_tracks(replace(raw(), detections=replace(found, x=far, vx=fast, ids=ids, length=length)), LogSettings())
+    made = with_tracks(
+        replace(raw(), detections=replace(found, x=far, vx=fast, ids=ids, length=length)),
+        LogSettings(),
+    )
     assert made.repair is not None and len(made.repair.detections) == len(found) - 3
     assert np.nanmax(np.abs(made.repair.detections.vx), initial=0.0) < 200.0
     assert np.nanmax(made.repair.detections.length) < 100.0
@@ -142,7 +171,9 @@ def test_frames_within_a_nanosecond_are_one(tmp_path: Path) -> None:
         write_scenario(tmp_path / "split.mcap", split)
 
 
-def test_the_command_writes_the_log_and_its_table(log: Path, made: Scenario, tmp_path: Path) -> None:
+def test_the_command_writes_the_log_and_its_table(
+    log: Path, made: Scenario, tmp_path: Path
+) -> None:
     out, table = tmp_path / "deep" / "out.mcap", tmp_path / "changes.csv"
     result = replan("repair", log, "-o", out, "--table", table)
     assert result.exit_code == 0 and str(out) in result.stdout
@@ -154,4 +185,7 @@ def test_the_command_writes_the_log_and_its_table(log: Path, made: Scenario, tmp
     again = replan("repair", out, "-o", tmp_path / "again.mcap")
     assert (tmp_path / "again.mcap").read_bytes() == out.read_bytes() and "joined" in again.stdout
     write_scenario(tmp_path / "rich.mcap", rich_scenario())
-    assert "not repaired" in replan("repair", tmp_path / "rich.mcap", "-o", tmp_path / "same.mcap").stdout
+    assert (
+        "not repaired"
+        in replan("repair", tmp_path / "rich.mcap", "-o", tmp_path / "same.mcap").stdout
+    )

@@ -29,12 +29,30 @@ T = np.arange(0.0, 6.01, 0.1)
 
 
 def ego(**more: Any) -> pd.DataFrame:
-    return pd.DataFrame({"t": 100.0 + T, "x": 5000.0 + 8.0 * T, "y": 200.0, "yaw": 0.0, "v": 8.0, **more})
+    return pd.DataFrame(
+        {"t": 100.0 + T, "x": 5000.0 + 8.0 * T, "y": 200.0, "yaw": 0.0, "v": 8.0, **more}
+    )
 
 
 def agents(**more: Any) -> pd.DataFrame:
-    one = {"t": 100.0 + T, "id": "b", "x": 5030.0 + 6.0 * T, "y": 200.0, "yaw": 0.0, "vx": 6.0, "vy": 0.0}
-    two = {"t": 101.0 + T[:20], "id": "a", "x": 5020.0, "y": 203.0 - T[:20], "yaw": -1.5, "vx": 0.0, "vy": -1.0}
+    one = {
+        "t": 100.0 + T,
+        "id": "b",
+        "x": 5030.0 + 6.0 * T,
+        "y": 200.0,
+        "yaw": 0.0,
+        "vx": 6.0,
+        "vy": 0.0,
+    }
+    two = {
+        "t": 101.0 + T[:20],
+        "id": "a",
+        "x": 5020.0,
+        "y": 203.0 - T[:20],
+        "yaw": -1.5,
+        "vx": 0.0,
+        "vy": -1.0,
+    }
     frames = [pd.DataFrame({**one, "kind": "car"}), pd.DataFrame({**two, "kind": "person"})]
     return pd.concat(frames, ignore_index=True).assign(**more)
 
@@ -43,7 +61,9 @@ def test_ten_lines_make_a_log_that_is_evaluated(tmp_path: Path) -> None:
     scenario = replan.from_frames(ego(), agents(), name="mine")
     replan.write_log(tmp_path / "mine.mcap", scenario)
     assert differences(read_scenario(tmp_path / "mine.mcap"), scenario) == []
-    result = evaluate_logs([tmp_path / "mine.mcap"], RunConfig(("logged",), recording=False), tmp_path / "out")
+    result = evaluate_logs(
+        [tmp_path / "mine.mcap"], RunConfig(("logged",), recording=False), tmp_path / "out"
+    )
     assert result.failures.empty and len(result.drives) == 2
 
 
@@ -63,7 +83,12 @@ def test_frames_times_and_sizes_are_as_documented() -> None:
     assert scenario.tracks.length.tolist() == [0.5, 4.5]
     assert float(scenario.tracks.t[0]) == pytest.approx(1.0)
     said = " ".join(scenario.notes)
-    for word in ("no length", "no lanes", "does not describe the ego's vehicle", "no ego acceleration"):
+    for word in (
+        "no length",
+        "no lanes",
+        "does not describe the ego's vehicle",
+        "no ego acceleration",
+    ):
         assert word in said
 
 
@@ -78,7 +103,9 @@ def test_frames_times_and_sizes_are_as_documented() -> None:
     st.permutations(range(len(T))),
 )
 @settings(max_examples=40, deadline=None)
-def test_other_names_units_and_orders_are_the_same(column: tuple[str, str], header: str, order: list[int]) -> None:
+def test_other_names_units_and_orders_are_the_same(
+    column: tuple[str, str], header: str, order: list[int]
+) -> None:
     ours, unit = column
     theirs = "theirs" if header == "columns" else header.format(ours, unit)
     table = ego(yaw=0.1).iloc[order].rename(columns={ours: theirs})
@@ -105,7 +132,9 @@ def test_what_is_missing_is_derived_causally_and_noted() -> None:
     bare = from_frames(ego().drop(columns="v"), agents().drop(columns=["yaw", "vx", "vy", "kind"]))
     assert bare.ego.v == pytest.approx(8.0) and "no ego speed" in bare.notes[0]
     walker, car = bare.tracks.samples(0), bare.tracks.samples(1)
-    assert bare.tracks.yaw[walker][5:] == pytest.approx(-np.pi / 2) and bare.tracks.yaw[car] == pytest.approx(0.0)
+    assert bare.tracks.yaw[walker][5:] == pytest.approx(-np.pi / 2) and bare.tracks.yaw[
+        car
+    ] == pytest.approx(0.0)
     assert bare.tracks.perceived(3.0).speed == pytest.approx([1.0, 6.0], abs=1e-6)
     assert any("taken for cars" in note for note in bare.notes)
     with_speed = from_frames(ego(), agents(v=3.0).drop(columns=["vx", "vy"]))
@@ -124,10 +153,16 @@ def test_what_is_missing_is_derived_causally_and_noted() -> None:
         (ego(), agents(kind="dragon"), "an agent is a 'dragon'"),
         (ego(), pd.concat([agents(), agents()]), "agent a has two rows at 1 s"),
         (ego(), agents().drop(columns="id"), "no column id"),
-        (ego(), agents(id=[None, *["a"] * (len(agents()) - 1)]), "row 0 has no id; name every agent"),
+        (
+            ego(),
+            agents(id=[None, *["a"] * (len(agents()) - 1)]),
+            "row 0 has no id; name every agent",
+        ),
     ],
 )
-def test_wrong_tables_are_one_clear_line(table: pd.DataFrame, others: pd.DataFrame | None, words: str) -> None:
+def test_wrong_tables_are_one_clear_line(
+    table: pd.DataFrame, others: pd.DataFrame | None, words: str
+) -> None:
     with pytest.raises(LogError) as error:
         from_frames(table, others)
     assert words in str(error.value) and "\n" not in str(error.value)
@@ -139,7 +174,9 @@ def test_the_zero_of_times_may_lie_anywhere(tmp_path: Path, zero: float, start_s
     scenario = from_frames(ego(t=ego().t - zero), agents(t=agents().t - 0.5 - zero))
     assert scenario.start_ns == round(1e9 * start_s)
     moved = from_frames(ego(), agents(t=agents().t - 0.5)).tracks.t
-    assert moved.min() == pytest.approx(-0.5) and scenario.tracks.t == pytest.approx(moved, abs=1e-6)
+    assert moved.min() == pytest.approx(-0.5) and scenario.tracks.t == pytest.approx(
+        moved, abs=1e-6
+    )
     write_scenario(tmp_path / "log.mcap", scenario)
     assert read_scenario(tmp_path / "log.mcap").tracks.t == pytest.approx(moved, abs=1e-6)
 
@@ -148,23 +185,36 @@ def test_the_zero_of_times_may_lie_anywhere(tmp_path: Path, zero: float, start_s
 def test_a_folder_of_tables_is_a_log(suffix: str, tmp_path: Path) -> None:
     folder = tmp_path / "drive_7"
     folder.mkdir()
-    for name, table in (("ego", ego().rename(columns={"v": "speed"}).assign(speed=28.8)), ("agents", agents())):
+    for name, table in (
+        ("ego", ego().rename(columns={"v": "speed"}).assign(speed=28.8)),
+        ("agents", agents()),
+    ):
         getattr(table, f"to_{suffix}")(folder / f"{name}.{suffix}", index=False)
     reader = reader_of(folder)
     assert reader is not None and reader.name == "table"
     with_car = LogSettings(columns={"v": "speed [km/h]"}, car={"width": 2.0, "length": 5.0})
     scenario = read_log(folder, with_car)
-    assert scenario.name == "drive_7" and scenario.ego.v == pytest.approx(8.0) and scenario.vehicle.width == 2.0
+    assert (
+        scenario.name == "drive_7"
+        and scenario.ego.v == pytest.approx(8.0)
+        and scenario.vehicle.width == 2.0
+    )
     assert [topic.messages for topic in reader.contents(folder).topics] == [len(T), len(T) + 20]
-    with pytest.raises(ValueError, match="car has no height: its keys are length, width, wheelbase, rear_overhang"):
+    with pytest.raises(
+        ValueError, match="car has no height: its keys are length, width, wheelbase, rear_overhang"
+    ):
         LogSettings(car={"height": 2.0})
     with pytest.raises(LogError, match=r"unit \[parsec\] of speed is unknown"):
         read_log(folder, LogSettings(columns={"v": "speed [parsec]"}))
 
 
 @given(CHANGES, st.sampled_from(["csv", "parquet"]))
-@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_mutated_tables_are_read_or_refused(tmp_path: Path, changes: list[tuple[int, int]], suffix: str) -> None:
+@settings(
+    max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+def test_mutated_tables_are_read_or_refused(
+    tmp_path: Path, changes: list[tuple[int, int]], suffix: str
+) -> None:
     folder = tmp_path / suffix
     folder.mkdir(exist_ok=True)
     getattr(ego(), f"to_{suffix}")(folder / f"ego.{suffix}", index=False)
@@ -173,25 +223,39 @@ def test_mutated_tables_are_read_or_refused(tmp_path: Path, changes: list[tuple[
     read_or_refused(folder)
 
 
-def test_the_example_of_the_documentation_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_example_of_the_documentation_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     page = (Path(__file__).parents[3] / "docs" / "bring_log.md").read_text(encoding="utf-8")
     code = page.partition("```python\n")[2].partition("```")[0]
     monkeypatch.chdir(tmp_path)
     exec(compile(code, "docs/bring_log.md", "exec"), {})
     scenario = read_scenario(tmp_path / "mine.mcap")
-    assert scenario.ego.v == pytest.approx(12.0) and scenario.tracks.perceived(0.2).speed == pytest.approx([9.0])
+    assert scenario.ego.v == pytest.approx(12.0) and scenario.tracks.perceived(
+        0.2
+    ).speed == pytest.approx([9.0])
 
 
 def test_a_column_by_an_unknown_name_is_refused() -> None:
-    with pytest.raises(LogError, match=r"columns has speed, which is not a known name; known: t, .*\bv\b"):
+    with pytest.raises(
+        LogError, match=r"columns has speed, which is not a known name; known: t, .*\bv\b"
+    ):
         from_frames(ego(), name="bad", columns={"speed": "v"})
     with pytest.raises(LogError, match=r"no table has the column sped that v is read from"):
         from_frames(ego(), name="bad", columns={"v": "sped"})
     for wrong in ("others.v", "ego.speed"):
-        with pytest.raises(LogError, match=rf"columns has {wrong}, which is not a known name; .*ego\.v, agents\.v"):
+        with pytest.raises(
+            LogError, match=rf"columns has {wrong}, which is not a known name; .*ego\.v, agents\.v"
+        ):
             from_frames(ego(), agents(), columns={wrong: "v"})
-    with pytest.raises(LogError, match=r"no table has the column yaw2 that agents\.yaw is read from"):
-        from_frames(ego().rename(columns={"yaw": "yaw2"}), agents(), columns={"yaw": "yaw2", "agents.yaw": "yaw2"})
+    with pytest.raises(
+        LogError, match=r"no table has the column yaw2 that agents\.yaw is read from"
+    ):
+        from_frames(
+            ego().rename(columns={"yaw": "yaw2"}),
+            agents(),
+            columns={"yaw": "yaw2", "agents.yaw": "yaw2"},
+        )
 
 
 def test_the_two_tables_may_have_names_of_their_own() -> None:
@@ -203,14 +267,19 @@ def test_the_two_tables_may_have_names_of_their_own() -> None:
     other = from_frames(mine, theirs, columns=columns)
     for name in ("t", "x", "y", "yaw"):
         np.testing.assert_allclose(getattr(other.ego, name), getattr(plain.ego, name), atol=1e-9)
-        np.testing.assert_allclose(getattr(other.tracks, name), getattr(plain.tracks, name), atol=1e-9)
+        np.testing.assert_allclose(
+            getattr(other.tracks, name), getattr(plain.tracks, name), atol=1e-9
+        )
 
 
 def test_times_in_another_unit_are_refused(tmp_path: Path) -> None:
-    ego = pd.DataFrame({"t": np.arange(20) * 100_000_000, "x": np.arange(20.0), "y": 0.0, "yaw": 0.0})
+    ego = pd.DataFrame(
+        {"t": np.arange(20) * 100_000_000, "x": np.arange(20.0), "y": 0.0, "yaw": 0.0}
+    )
     ego.to_csv(tmp_path / "ego.csv", index=False)
     with pytest.raises(
-        LogError, match=r"lasts 1\.9e\+09 s; a drive lasts less than a week: check the units of the times"
+        LogError,
+        match=r"lasts 1\.9e\+09 s; a drive lasts less than a week: check the units of the times",
     ):
         read_log(tmp_path)
     assert read_log(tmp_path, LogSettings(columns={"t": "t [ns]"})).duration == 1.9
@@ -219,7 +288,11 @@ def test_times_in_another_unit_are_refused(tmp_path: Path) -> None:
 def test_the_unit_in_a_header_of_their_own_counts() -> None:
     table = ego(t=np.arange(61) * 100).rename(columns={"t": "Zeit [ms]", "v": "Tempo (km/h)"})
     table["Tempo (km/h)"] *= 3.6
-    for time, speed in (("Zeit [ms]", "Tempo (km/h)"), ("Zeit", "Tempo"), ("Zeit [msec]", "Tempo [kmh]")):
+    for time, speed in (
+        ("Zeit [ms]", "Tempo (km/h)"),
+        ("Zeit", "Tempo"),
+        ("Zeit [msec]", "Tempo [kmh]"),
+    ):
         scenario = from_frames(table, columns={"t": time, "v": speed})
         assert scenario.duration == 6.0 and scenario.ego.v == pytest.approx(8.0)
 
@@ -227,22 +300,35 @@ def test_the_unit_in_a_header_of_their_own_counts() -> None:
 @pytest.mark.parametrize(
     ("header", "columns", "said"),
     [
-        ("t [fortnight]", {}, r"the unit \[fortnight\] of t \[fortnight\] is unknown; known: s, ms, us, ns"),
+        (
+            "t [fortnight]",
+            {},
+            r"the unit \[fortnight\] of t \[fortnight\] is unknown; known: s, ms, us, ns",
+        ),
         ("t [km/h]", {}, r"the unit \[km/h\] of t \[km/h\] is none of t"),
         ("Zeit [ms]", {"t": "Zeit [s]"}, r"Zeit \[ms\] is asked for in \[s\]; leave that unit out"),
     ],
 )
-def test_units_that_are_unknown_or_contradict_are_refused(header: str, columns: dict[str, str], said: str) -> None:
+def test_units_that_are_unknown_or_contradict_are_refused(
+    header: str, columns: dict[str, str], said: str
+) -> None:
     with pytest.raises(LogError, match=said):
         from_frames(ego().rename(columns={"t": header}), columns=columns)
 
 
-@pytest.mark.parametrize(("separator", "decimal"), [(",", "."), (";", "."), (";", ","), ("\t", "."), ("\t", ",")])
-def test_the_separator_and_the_decimal_mark_are_found(tmp_path: Path, separator: str, decimal: str) -> None:
+@pytest.mark.parametrize(
+    ("separator", "decimal"), [(",", "."), (";", "."), (";", ","), ("\t", "."), ("\t", ",")]
+)
+def test_the_separator_and_the_decimal_mark_are_found(
+    tmp_path: Path, separator: str, decimal: str
+) -> None:
     for name, table in (("ego", ego()), ("agents", agents())):
         table.to_csv(tmp_path / f"{name}.csv", index=False, sep=separator, decimal=decimal)
     assert (
-        differences(replace(read_log(tmp_path), name="table"), from_frames(ego(), agents(), tags=("recorded", "table")))
+        differences(
+            replace(read_log(tmp_path), name="table"),
+            from_frames(ego(), agents(), tags=("recorded", "table")),
+        )
         == []
     )
 
@@ -266,16 +352,23 @@ def _as(kind: str, folder: Path) -> None:
         ("folder", "agents.csv is a folder, not a file"),
         ("pipe", "agents.csv is a named pipe, not a file"),
         ("device", "agents.csv is a device, not a file"),
-        ("Agents.csv", "Agents.csv is not read: the file's name is agents.csv; rename it to agents.csv"),
+        (
+            "Agents.csv",
+            "Agents.csv is not read: the file's name is agents.csv; rename it to agents.csv",
+        ),
         ("agents.CSV", "agents.CSV is not read: the file's name is agents.csv"),
         ("agents.csv.gz", "agents.csv.gz is not read: a table is agents.csv or agents.parquet"),
         ("agents.xlsx", "agents.xlsx is not read"),
     ],
 )
-def test_what_is_named_like_the_agents_is_read_or_refused(tmp_path: Path, kind: str, said: str) -> None:
+def test_what_is_named_like_the_agents_is_read_or_refused(
+    tmp_path: Path, kind: str, said: str
+) -> None:
     ego().to_csv(tmp_path / "ego.csv", index=False)
     assert not len(read_log(tmp_path).tracks)
     _as(kind, tmp_path)
     with pytest.raises(LogError, match=re.escape(said)):
         read_log(tmp_path)
-    assert not evaluate_logs([tmp_path], RunConfig(("logged",), recording=False), tmp_path / "out").drives.size
+    assert not evaluate_logs(
+        [tmp_path], RunConfig(("logged",), recording=False), tmp_path / "out"
+    ).drives.size

@@ -49,7 +49,12 @@ def least_squares(t: FloatArray, z: FloatArray, r: FloatArray, stands: BoolArray
             noise = Q * np.array([[d**3 / 3.0, d**2 / 2.0], [d**2 / 2.0, d]])
             for part in np.linalg.inv(np.linalg.cholesky(noise)):
                 whole = {f"p{i}": part[0], f"v{i}": part[1]}
-                ask(1.0, 0.0, **whole, **{f"p{i - 1}": -part[0], f"v{i - 1}": -part[0] * d - part[1]})
+                ask(
+                    1.0,
+                    0.0,
+                    **whole,
+                    **{f"p{i - 1}": -part[0], f"v{i - 1}": -part[0] * d - part[1]},
+                )
     return np.linalg.lstsq(np.array(rows), np.array(values), rcond=None)[0].reshape(n, 2)
 
 
@@ -63,14 +68,18 @@ def test_the_smoother_solves_the_least_squares(seed: int) -> None:
     stands = rng.random(n) < 0.2
     found = smoothed(t, z, r, Q, stands)
     for axis in range(2):
-        assert np.allclose(found[:, [axis, 2 + axis]], least_squares(t, z[:, axis], r, stands), atol=1e-4)
+        assert np.allclose(
+            found[:, [axis, 2 + axis]], least_squares(t, z[:, axis], r, stands), atol=1e-4
+        )
 
 
 BOX = st.tuples(*(st.floats(*each) for each in ((-3, 3), (-3, 3), (-4, 4), (0.3, 6.0), (0.3, 3.0))))
 
 
 @given(BOX, BOX)
-def test_shared_areas_are_symmetric_and_no_larger_than_a_box(one: tuple[float, ...], two: tuple[float, ...]) -> None:
+def test_shared_areas_are_symmetric_and_no_larger_than_a_box(
+    one: tuple[float, ...], two: tuple[float, ...]
+) -> None:
     area = shared_area(np.array(one), np.array(two))
     assert area == pytest.approx(shared_area(np.array(two), np.array(one)), abs=1e-9)
     assert 0.0 <= area <= min(one[3] * one[4], two[3] * two[4]) + 1e-9
@@ -79,12 +88,20 @@ def test_shared_areas_are_symmetric_and_no_larger_than_a_box(one: tuple[float, .
 
 @settings(max_examples=10)
 @given(BOX, BOX)
-def test_shared_areas_are_those_of_many_points(one: tuple[float, ...], two: tuple[float, ...]) -> None:
+def test_shared_areas_are_those_of_many_points(
+    one: tuple[float, ...], two: tuple[float, ...]
+) -> None:
     u = (np.arange(100) + 0.5) / 100 - 0.5
     a, b = np.meshgrid(u * one[3], u * one[4])
-    x, y = one[0] + np.cos(one[2]) * a - np.sin(one[2]) * b, one[1] + np.sin(one[2]) * a + np.cos(one[2]) * b
+    x, y = (
+        one[0] + np.cos(one[2]) * a - np.sin(one[2]) * b,
+        one[1] + np.sin(one[2]) * a + np.cos(one[2]) * b,
+    )
     dx, dy = x - two[0], y - two[1]
-    ahead, aside = np.cos(two[2]) * dx + np.sin(two[2]) * dy, np.cos(two[2]) * dy - np.sin(two[2]) * dx
+    ahead, aside = (
+        np.cos(two[2]) * dx + np.sin(two[2]) * dy,
+        np.cos(two[2]) * dy - np.sin(two[2]) * dx,
+    )
     area = shared_area(np.array(one), np.array(two))
     inside = (np.abs(ahead) < 0.5 * two[3]) & (np.abs(aside) < 0.5 * two[4])
     assert area == pytest.approx(inside.mean() * one[3] * one[4], abs=0.03 * one[3] * one[4] + 0.02)
@@ -95,9 +112,19 @@ def frame(*rows: tuple[AgentKind, float, float, float, float, float]) -> Boxes:
     kinds, x, y, length, width, score = zip(*rows, strict=True)
     nothing, n = np.full(len(rows), np.nan), len(rows)
     return Detections(
-        t=np.zeros(n), frames=np.zeros(1), ids=("",) * n, codes=codes_of(kinds), x=np.array(x), y=np.array(y),
-        yaw=np.zeros(n), length=np.array(length), width=np.array(width), vx=nothing, vy=nothing, score=np.array(score),
-    ).boxes  # fmt: skip
+        t=np.zeros(n),
+        frames=np.zeros(1),
+        ids=("",) * n,
+        codes=codes_of(kinds),
+        x=np.array(x),
+        y=np.array(y),
+        yaw=np.zeros(n),
+        length=np.array(length),
+        width=np.array(width),
+        vx=nothing,
+        vy=nothing,
+        score=np.array(score),
+    ).boxes
 
 
 @pytest.mark.parametrize(
@@ -110,7 +137,9 @@ def frame(*rows: tuple[AgentKind, float, float, float, float, float]) -> Boxes:
         ((AgentKind.PEDESTRIAN, 0.0, 0.3, 0.6, 0.6, 0.4), 1),
     ],
 )
-def test_twins_are_boxes_of_one_object(other: tuple[AgentKind, float, float, float, float, float], stays: int) -> None:
+def test_twins_are_boxes_of_one_object(
+    other: tuple[AgentKind, float, float, float, float, float], stays: int
+) -> None:
     boxes = frame((AgentKind.CAR, 0.0, 0.0, 4.5, 1.8, 0.6), other)
     left = np.flatnonzero(stronger_twins(boxes) < 0)
     assert len(left) == stays
@@ -118,7 +147,10 @@ def test_twins_are_boxes_of_one_object(other: tuple[AgentKind, float, float, flo
 
 
 def test_people_walk_close_together() -> None:
-    pair = (AgentKind.PEDESTRIAN, 0.0, 0.0, 0.6, 0.6, 0.6), (AgentKind.PEDESTRIAN, 0.0, 0.4, 0.6, 0.6, 0.5)
+    pair = (
+        (AgentKind.PEDESTRIAN, 0.0, 0.0, 0.6, 0.6, 0.6),
+        (AgentKind.PEDESTRIAN, 0.0, 0.4, 0.6, 0.6, 0.5),
+    )
     assert (stronger_twins(frame(*pair)) < 0).all()
 
 
@@ -127,7 +159,10 @@ def test_what_a_detector_reports_needs_repair() -> None:
     assert "no identities" in (needs_repair(found) or "")
     assert "no ids" in (needs_repair(replace(found, ids=("",) * len(found))) or "")
     clean = detections_of(street())
-    flicker = replace(clean, ids=tuple(f"{name}-{int(t / 0.4)}" for name, t in zip(clean.ids, clean.t, strict=True)))
+    flicker = replace(
+        clean,
+        ids=tuple(f"{name}-{int(t / 0.4)}" for name, t in zip(clean.ids, clean.t, strict=True)),
+    )
     assert "flicker" in (needs_repair(flicker) or "")
 
 
@@ -138,11 +173,19 @@ def test_tracks_need_no_repair() -> None:
 
 @pytest.mark.slow
 def test_clean_recordings_and_the_catalogue_need_no_repair(shared_data: Path) -> None:
-    places = ("commonroad/*.xml", "argoverse2/*-*-*", "osi/*.mcap", "comma2k19/segment*", "py123d/*/logs/*/*")
+    places = (
+        "commonroad/*.xml",
+        "argoverse2/*-*-*",
+        "osi/*.mcap",
+        "comma2k19/segment*",
+        "py123d/*/logs/*/*",
+    )
     paths = [path for place in places for path in sorted(shared_data.glob(place))]
     assert len(paths) > 60
     found = {path.name: needs_repair(detections_of(read_log(path).tracks)) for path in paths}
-    found |= {name: needs_repair(detections_of(CATALOGUE[name].scenario().tracks)) for name in CATALOGUE}
+    found |= {
+        name: needs_repair(detections_of(CATALOGUE[name].scenario().tracks)) for name in CATALOGUE
+    }
     assert {name: why for name, why in found.items() if why} == {}
 
 
@@ -199,11 +242,16 @@ def test_exact_boxes_are_followed() -> None:
 def test_standing_road_users_stand() -> None:
     speeds = [known().at(t).speed for t in np.arange(5.0, 20.0, 0.5)]
     truth = street()
-    parked = np.array([[truth.x[truth.offsets[i]], truth.y[truth.offsets[i]]] for i in (3, 4, 5, 7)])
+    parked = np.array(
+        [[truth.x[truth.offsets[i]], truth.y[truth.offsets[i]]] for i in (3, 4, 5, 7)]
+    )
     still = []
     for t, speed in zip(np.arange(5.0, 20.0, 0.5), speeds, strict=True):
         agents = known().at(t)
-        near = np.hypot(agents.x[:, None] - parked[:, 0], agents.y[:, None] - parked[:, 1]).min(axis=1) < 1.0
+        near = (
+            np.hypot(agents.x[:, None] - parked[:, 0], agents.y[:, None] - parked[:, 1]).min(axis=1)
+            < 1.0
+        )
         still += speed[near].tolist()
     assert len(still) > 40
     assert np.mean(np.array(still) == 0.0) > 0.9
@@ -214,9 +262,19 @@ def one_car(frames: np.ndarray, at: np.ndarray) -> Detections:
     t = frames[at]
     full = np.ones(len(t))
     return Detections(
-        t=t, frames=frames, ids=("",) * len(t), codes=np.zeros(len(t), np.int64), x=5.0 * t, y=0.0 * t, yaw=0.0 * t,
-        length=4.5 * full, width=1.8 * full, vx=np.nan * full, vy=np.nan * full, score=0.7 * full,
-    )  # fmt: skip
+        t=t,
+        frames=frames,
+        ids=("",) * len(t),
+        codes=np.zeros(len(t), np.int64),
+        x=5.0 * t,
+        y=0.0 * t,
+        yaw=0.0 * t,
+        length=4.5 * full,
+        width=1.8 * full,
+        vx=np.nan * full,
+        vy=np.nan * full,
+        score=0.7 * full,
+    )
 
 
 def test_age_unseen_and_deviation_say_how_well_somebody_is_known() -> None:

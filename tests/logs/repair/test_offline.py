@@ -47,7 +47,9 @@ def turned(found: Detections, angle: float, mirror: bool) -> Detections:
     return replace(found, x=x, y=y, yaw=sign * found.yaw + angle)
 
 
-def turned_points(x: FloatArray, y: FloatArray, angle: float, mirror: bool) -> tuple[FloatArray, FloatArray]:
+def turned_points(
+    x: FloatArray, y: FloatArray, angle: float, mirror: bool
+) -> tuple[FloatArray, FloatArray]:
     y = -y if mirror else y
     return np.cos(angle) * x - np.sin(angle) * y, np.sin(angle) * x + np.cos(angle) * y
 
@@ -63,7 +65,14 @@ def by_place(tracks: Tracks, x: FloatArray, y: FloatArray) -> list[tuple[float, 
     for i in range(len(tracks)):
         part = tracks.samples(i)
         rows.append(
-            (tracks.t[part][0], tracks.t[part][-1], tracks.length[i], x[part].mean(), y[part].mean(), x[part][-1])
+            (
+                tracks.t[part][0],
+                tracks.t[part][-1],
+                tracks.length[i],
+                x[part].mean(),
+                y[part].mean(),
+                x[part][-1],
+            )
         )
     return sorted(tuple(np.round(row, 5)) for row in rows)
 
@@ -77,7 +86,9 @@ def measured(tracks: Tracks, done: Repair, i: int) -> IntArray:
 def test_clean_tracks_stay_as_they_are() -> None:
     clean = street()
     tracks, done = fixed(detections_of(clean))
-    assert dict(zip(tracks.ids, tracks.kinds, strict=True)) == dict(zip(clean.ids, clean.kinds, strict=True))
+    assert dict(zip(tracks.ids, tracks.kinds, strict=True)) == dict(
+        zip(clean.ids, clean.kinds, strict=True)
+    )
     assert len(done.removed) == 0
     assert {change.what for change in done.changes} <= {"extended"}
     for one in range(len(clean)):
@@ -88,13 +99,17 @@ def test_clean_tracks_stay_as_they_are() -> None:
         off = np.hypot(tracks.vx[rows] - clean.vx[part], tracks.vy[rows] - clean.vy[part])
         assert np.sqrt(np.mean(off**2)) < 0.15
         assert off.max() < 0.5
-        assert np.allclose((tracks.length[two], tracks.width[two]), (clean.length[one], clean.width[one]))
+        assert np.allclose(
+            (tracks.length[two], tracks.width[two]), (clean.length[one], clean.width[one])
+        )
 
 
 def test_a_repair_of_what_was_repaired_changes_little() -> None:
     tracks, done = usual()
     again, twice = fixed(detections_of(tracks.taken(~done.extended)))
-    assert dict(zip(again.ids, again.kinds, strict=True)) == dict(zip(tracks.ids, tracks.kinds, strict=True))
+    assert dict(zip(again.ids, again.kinds, strict=True)) == dict(
+        zip(tracks.ids, tracks.kinds, strict=True)
+    )
     assert len(twice.removed) == 0
     for i in range(len(tracks)):
         one, two = tracks.samples(i), again.samples(i)
@@ -124,7 +139,9 @@ def test_the_order_within_a_frame_does_not_count(seed: int) -> None:
     mixed = mixed[np.argsort(found.t[mixed], kind="stable")]
     names = ("t", "codes", "x", "y", "yaw", "length", "width", "vx", "vy", "score")
     other = replace(
-        found, ids=tuple(found.ids[i] for i in mixed), **{name: getattr(found, name)[mixed] for name in names}
+        found,
+        ids=tuple(found.ids[i] for i in mixed),
+        **{name: getattr(found, name)[mixed] for name in names},
     )
     one, two = usual()[0], fixed(other)[0]
     assert one.ids == two.ids
@@ -156,14 +173,26 @@ def test_a_street_is_found_again() -> None:
     assert found.moving < 0.4
 
 
-def box(t: FloatArray, x: float, y: float, kind: AgentKind, score: float = 0.6, length: float = 4.5) -> Detections:
+def box(
+    t: FloatArray, x: float, y: float, kind: AgentKind, score: float = 0.6, length: float = 4.5
+) -> Detections:
     """One object that stands, detected at t."""
     n = len(t)
     full = np.full(n, 1.0)
     return Detections(
-        t=t, frames=EGO.t, ids=("",) * n, codes=np.repeat(codes_of((kind,)), n), x=x * full, y=y * full, yaw=0.0 * full,
-        length=length * full, width=1.8 * full, vx=np.nan * full, vy=np.nan * full, score=score * full,
-    )  # fmt: skip
+        t=t,
+        frames=EGO.t,
+        ids=("",) * n,
+        codes=np.repeat(codes_of((kind,)), n),
+        x=x * full,
+        y=y * full,
+        yaw=0.0 * full,
+        length=length * full,
+        width=1.8 * full,
+        vx=np.nan * full,
+        vy=np.nan * full,
+        score=score * full,
+    )
 
 
 def test_nothing_stood_where_the_ego_drove() -> None:
@@ -175,7 +204,9 @@ def test_nothing_stood_where_the_ego_drove() -> None:
 
 def test_a_box_that_grazes_the_ego_is_smaller() -> None:
     tracks, done = fixed(box(EGO.t[:100], 30.0, 0.5 * (VEHICLE.width + 1.8) - 0.2, AgentKind.CAR))
-    assert tracks.width[0] == pytest.approx(1.8 - 2.0 * (0.2 + 0.2)), "the driver kept 0.2 m from it"
+    assert tracks.width[0] == pytest.approx(1.8 - 2.0 * (0.2 + 0.2)), (
+        "the driver kept 0.2 m from it"
+    )
     assert any(change.what == "shrunk" and "0.20 m" in change.why for change in done.changes)
 
 
@@ -189,7 +220,10 @@ def test_who_stands_where_sight_ends_stood_there_before() -> None:
 
 
 def test_a_few_weak_boxes_are_no_evidence() -> None:
-    for found in (box(EGO.t[:4], 20.0, 6.0, AgentKind.CAR, 0.9), box(EGO.t[:8], 20.0, 6.0, AgentKind.CAR, 0.2)):
+    for found in (
+        box(EGO.t[:4], 20.0, 6.0, AgentKind.CAR, 0.9),
+        box(EGO.t[:8], 20.0, 6.0, AgentKind.CAR, 0.2),
+    ):
         tracks, done = fixed(found)
         assert len(tracks) == 0
         assert done.summary() == (f"Repair removed {len(found)} detections with 1 tracks.",)
@@ -201,7 +235,10 @@ def test_few_boxes_are_evidence_of_who_goes_fast_along_a_line() -> None:
     tracks, _ = fixed(passing)
     assert tracks.ids == ("1",)
     assert np.allclose(tracks.vx, -12.0, atol=0.5)
-    for apart in (replace(passing, x=passing.x + 12.0 * np.abs(few - few[2])), replace(passing, x=40.0 - 4.0 * few)):
+    for apart in (
+        replace(passing, x=passing.x + 12.0 * np.abs(few - few[2])),
+        replace(passing, x=40.0 - 4.0 * few),
+    ):
         assert len(fixed(apart)[0]) == 0
 
 
@@ -211,12 +248,16 @@ def test_a_bus_that_is_seen_as_two_is_one() -> None:
     both = [box(EGO.t[rows], x, 9.0, AgentKind.BUS, length=length) for rows, x, length in places]
     order = np.argsort(np.concatenate([each.t for each in both]), kind="stable")
     names = ("t", "codes", "x", "y", "yaw", "length", "width", "vx", "vy", "score")
-    columns = {name: np.concatenate([getattr(each, name) for each in both])[order] for name in names}
+    columns = {
+        name: np.concatenate([getattr(each, name) for each in both])[order] for name in names
+    }
     tracks, done = fixed(replace(both[0], ids=("",) * len(order), **columns))
     assert len(tracks) == 1
     assert (tracks.t[0], tracks.t[-1]) == (0.0, pytest.approx(11.9))
     removed = [change for change in done.changes if change.what == "removed"]
-    assert [change.why for change in removed] == ["In the place of another bus that is seen better."]
+    assert [change.why for change in removed] == [
+        "In the place of another bus that is seen better."
+    ]
 
 
 def test_no_detections_are_no_tracks() -> None:
@@ -229,7 +270,9 @@ def test_every_detection_is_accounted_for() -> None:
     found = seen()
     tracks, done = usual()
     counted = sum(change.samples for change in done.changes if change.what in ("joined", "removed"))
-    of_removed = [c.agent for c in done.changes if c.what == "removed" and c.agent in done.removed.ids]
+    of_removed = [
+        c.agent for c in done.changes if c.what == "removed" and c.agent in done.removed.ids
+    ]
     assert len(of_removed) == len(done.removed)
     assert not set(tracks.ids) & set(done.removed.ids)
     assert len(found) - counted <= 0.03 * len(found)  # twins of what was removed
@@ -238,9 +281,15 @@ def test_every_detection_is_accounted_for() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("pattern", "least"),
-    [("argoverse2/3b*", 0.87), ("argoverse2/7f*", 0.87), ("commonroad/C-DEU_MONAWest-2_1440_T-1519.xml", 0.87)],
+    [
+        ("argoverse2/3b*", 0.87),
+        ("argoverse2/7f*", 0.87),
+        ("commonroad/C-DEU_MONAWest-2_1440_T-1519.xml", 0.87),
+    ],
 )
-def test_recordings_seen_by_a_detector_are_repaired(shared_data: Path, pattern: str, least: float) -> None:
+def test_recordings_seen_by_a_detector_are_repaired(
+    shared_data: Path, pattern: str, least: float
+) -> None:
     scenario = read_log(next(shared_data.glob(pattern)))
     scores = [repaired_score(scenario, seed) for seed in (1, 2)]
     assert np.mean([each.hota for each in scores]) > least
@@ -277,9 +326,14 @@ def test_who_stands_is_not_the_one_who_stands_in_the_lane_beside() -> None:
 
 
 DRIVES = (
-    "bot_garden", "kaubamaja_sfa_2", "raekoda",
-    *(f"pedestrian_crossing_{number}" for number in ("01", "02", "05", "06", "07", "09", "10", "13", "14", "15")),
-)  # fmt: skip
+    "bot_garden",
+    "kaubamaja_sfa_2",
+    "raekoda",
+    *(
+        f"pedestrian_crossing_{number}"
+        for number in ("01", "02", "05", "06", "07", "09", "10", "13", "14", "15")
+    ),
+)
 
 
 @pytest.mark.slow
@@ -292,19 +346,28 @@ def test_the_driver_of_the_log_meets_no_track(shared_data: Path, name: str) -> N
     assert len(done.removed) > len(done.tracks)
     for t in np.arange(ego.t[0], ego.t[-1], 0.1):
         own, agents = ego.at(t), scenario.tracks.truth(t)
-        x, y = own.x + vehicle.axle_to_center * np.cos(own.yaw), own.y + vehicle.axle_to_center * np.sin(own.yaw)
+        x, y = (
+            own.x + vehicle.axle_to_center * np.cos(own.yaw),
+            own.y + vehicle.axle_to_center * np.sin(own.yaw),
+        )
         for box in zip(agents.x, agents.y, agents.yaw, agents.length, agents.width, strict=True):
             assert not overlap(x, y, own.yaw, vehicle.length, vehicle.width, *box), t
 
 
-@given(st.floats(0.01, 0.6), st.sampled_from([(4.5, 1.8), (0.5, 0.5), (2.4, 0.8)]), st.sampled_from([-1.0, 1.0]))
+@given(
+    st.floats(0.01, 0.6),
+    st.sampled_from([(4.5, 1.8), (0.5, 0.5), (2.4, 0.8)]),
+    st.sampled_from([-1.0, 1.0]),
+)
 @settings(max_examples=20)
 def test_what_stands_leaves_the_recorded_driver_room_and_stays(
     gap: float, size: tuple[float, float], side: float
 ) -> None:
     y = side * (0.5 * VEHICLE.width + gap + 0.5 * size[1])
     found = box(EGO.t[:100], 30.0, y, AgentKind.OBJECT)
-    tracks, done = fixed(replace(found, length=0.0 * found.x + size[0], width=0.0 * found.x + size[1]))
+    tracks, done = fixed(
+        replace(found, length=0.0 * found.x + size[0], width=0.0 * found.x + size[1])
+    )
     assert len(tracks) == 1 and not len(done.removed)
     assert tracks.width[0] >= 0.5 * size[1] - 1e-9 and tracks.length[0] >= 0.5 * size[0] - 1e-9
     left = abs(y) - 0.5 * VEHICLE.width - 0.5 * tracks.width[0]

@@ -22,7 +22,9 @@ def blocked(low: float, high: float, begin: float, end: float) -> StBoundaries:
 
 
 def problem(v: float, a: float, upper: FloatArray) -> SpeedProblem:
-    return SpeedProblem((v, a), np.zeros(len(T)), upper, np.full(len(T), v + 2.0), v * T, np.full(len(T), v), END)
+    return SpeedProblem(
+        (v, a), np.zeros(len(T)), upper, np.full(len(T), v + 2.0), v * T, np.full(len(T), v), END
+    )
 
 
 def behind(v: float, blocks: StBoundaries, a: float = 0.0) -> SpeedProblem:
@@ -46,7 +48,9 @@ stations = st.floats(2.0, 80.0)
 
 @given(speeds, stations, st.floats(0.0, 4.0), st.floats(0.2, 6.0))
 @settings(max_examples=60, deadline=None)
-def test_a_plan_that_is_no_last_resort_has_no_contact(v: float, s: float, begin: float, lasts: float) -> None:
+def test_a_plan_that_is_no_last_resort_has_no_contact(
+    v: float, s: float, begin: float, lasts: float
+) -> None:
     blocks = blocked(s, s + 6.0, begin, begin + lasts)
     found = solved(v, blocks)
     assert found.profile is not None
@@ -70,7 +74,9 @@ def test_where_comfort_suffices_it_is_comfortable(v: float, s: float) -> None:
 
 @given(speeds, stations, st.floats(0.3, 3.0), st.booleans())
 @settings(max_examples=30, deadline=None)
-def test_what_was_solved_before_changes_nothing(v: float, s: float, before: float, full: bool) -> None:
+def test_what_was_solved_before_changes_nothing(
+    v: float, s: float, before: float, full: bool
+) -> None:
     """The same case twice gives the same bits, whatever the ladder solved in between."""
     blocks = blocked(s, s + 6.0, 0.0, 8.0)
     used, new = BrakingLadder(CONFIG, GAP, MOST), BrakingLadder(CONFIG, GAP, MOST)
@@ -83,7 +89,9 @@ def test_what_was_solved_before_changes_nothing(v: float, s: float, before: floa
 
 
 @pytest.mark.parametrize(("begin", "onward"), [(2.0, True), (0.8, False)])
-def test_driving_on_instead_of_full_braking_only_where_it_does_not_touch(begin: float, onward: bool) -> None:
+def test_driving_on_instead_of_full_braking_only_where_it_does_not_touch(
+    begin: float, onward: bool
+) -> None:
     found = solved(14.0, blocked(12.0, 20.0, begin, 8.0))
     assert found.reason.startswith("driving on") is onward
     assert found.unavoidable is not onward
@@ -93,7 +101,12 @@ def test_driving_on_instead_of_full_braking_only_where_it_does_not_touch(begin: 
 def test_the_end_of_the_path_is_not_driven_over_where_braking_can_keep_it(end: float) -> None:
     """The way is free; the path ends where the car could not steer on."""
     free = StBoundaries(
-        T, np.zeros(0, np.int64), np.empty((0, len(T))), np.empty((0, len(T))), np.empty(0), np.empty(0)
+        T,
+        np.zeros(0, np.int64),
+        np.empty((0, len(T))),
+        np.empty((0, len(T))),
+        np.empty(0),
+        np.empty(0),
     )
     short = problem(10.0, 0.0, np.full(len(T), end))._replace(end=end)
     found = LADDER.solve(short, lambda margins: free)
@@ -115,7 +128,9 @@ def test_full_braking_goes_on_until_the_whole_gap_is_kept() -> None:
     """The hardest planned braking would leave half of the gap: enough to begin with, not enough to go back to."""
     v = 12.0
     hard = CONFIG.emergency.braking((v, 0.0), CONFIG.knots, share=0.97)[0, -1]
-    half, none = (blocked(float(hard) + room, hard + 50.0, 0.0, 8.0) for room in (0.7 * GAP, -0.3 * GAP))
+    half, none = (
+        blocked(float(hard) + room, hard + 50.0, 0.0, 8.0) for room in (0.7 * GAP, -0.3 * GAP)
+    )
     assert "keeps half of the distance" in solved(v, half).reason
     assert solved(v, none).is_full
     assert solved(v, half, braked_fully=True).is_full
@@ -123,7 +138,9 @@ def test_full_braking_goes_on_until_the_whole_gap_is_kept() -> None:
 
 
 SURE = BrakingLadder(CONFIG, GAP, MOST, "piqp")
-HARDER = [f"hard braking, up to {level.decel_mps2:.1f} m/s2, keeps" for level in CONFIG.ladder()[1:]]
+HARDER = [
+    f"hard braking, up to {level.decel_mps2:.1f} m/s2, keeps" for level in CONFIG.ladder()[1:]
+]
 
 
 def mildest(v: float, s: float) -> str:
@@ -134,7 +151,9 @@ def mildest(v: float, s: float) -> str:
     comfort, *harder = CONFIG.ladder()
 
     def keeps(level: SpeedLimits, share: float, given: float) -> bool:
-        return bool((level.braking((v, 0.0), CONFIG.knots, share=share)[0] <= s - GAP + given).all())
+        return bool(
+            (level.braking((v, 0.0), CONFIG.knots, share=share)[0] <= s - GAP + given).all()
+        )
 
     if keeps(comfort, 0.97, 0.5 * GAP):
         return ""
@@ -143,7 +162,11 @@ def mildest(v: float, s: float) -> str:
         return held[0] + " the distance"
     if keeps(harder[-1], 0.97, 0.0):
         return HARDER[-1] + " the distance"
-    return HARDER[-1] + " half of the distance" if keeps(harder[-1], 0.97, 0.5 * GAP) else "full braking"
+    return (
+        HARDER[-1] + " half of the distance"
+        if keeps(harder[-1], 0.97, 0.5 * GAP)
+        else "full braking"
+    )
 
 
 @given(st.floats(4.0, 20.0), st.floats(0.3, 1.2))
@@ -160,7 +183,9 @@ def test_every_rung_is_the_mildest_somewhere() -> None:
     """That is: the law above looks at all of them."""
     stop = float(CONFIG.comfort.braking((14.0, 0.0), CONFIG.knots)[0, -1])
     shares = np.arange(0.2, 1.2, 0.005)
-    words = {solved(14.0, blocked(GAP + share * stop, END, 0.0, 8.0), SURE).reason for share in shares}
+    words = {
+        solved(14.0, blocked(GAP + share * stop, END, 0.0, 8.0), SURE).reason for share in shares
+    }
     for rung in (*HARDER, f"{HARDER[-1]} half", "full braking, which leaves", "full braking comes"):
         assert any(reason.startswith(rung) for reason in words), rung
     assert "" in words

@@ -5,7 +5,20 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings, strategies as st
-from worlds import CAR, Other, along_x, curve, driving, followed, frame, gaps, lanes, planner, standing, strip
+from worlds import (
+    CAR,
+    Other,
+    along_x,
+    curve,
+    driving,
+    followed,
+    frame,
+    gaps,
+    lanes,
+    planner,
+    standing,
+    strip,
+)
 
 from replan.core.arrays import FloatArray
 from replan.logs.frame import Frame
@@ -53,7 +66,9 @@ def test_a_loop_beyond_a_full_turn_is_driven_round(side: float) -> None:
 
 @given(st.floats(-100.0, 100.0), st.floats(0.0, 15.0), st.floats(3.0, 6.0))
 @settings(max_examples=12)
-def test_a_kinked_lane_is_driven_within_the_lock_or_not_at_all(angle: float, v: float, width: float) -> None:
+def test_a_kinked_lane_is_driven_within_the_lock_or_not_at_all(
+    angle: float, v: float, width: float
+) -> None:
     """Where the lane cannot be driven the plan ends before it."""
     yaw, leg = np.radians(angle), np.arange(0.0, 60.0, 2.0)[:, None]
     points = np.vstack([leg * [1.0, 0.0], [60.0, 0.0] + leg * [np.cos(yaw), np.sin(yaw)]])
@@ -65,7 +80,9 @@ def test_a_kinked_lane_is_driven_within_the_lock_or_not_at_all(angle: float, v: 
 def test_an_obstacle_in_the_centre_of_the_turn_is_driven_round(radius: float) -> None:
     """All stations of the arc are equally near to it; it is not in the way."""
     centre = standing("column", 40.0, radius, length=0.6, width=0.6)
-    drive = followed(lanes(turn(radius)), EgoState(0.0, 20.0, 0.0, 0.0, 4.0), [centre], seconds=12.0)
+    drive = followed(
+        lanes(turn(radius)), EgoState(0.0, 20.0, 0.0, 0.0, 4.0), [centre], seconds=12.0
+    )
     for now, plan in drive:
         assert_honest(now, plan) if now.t == 0.0 else None
         assert plan.status is PlanStatus.PLANNED
@@ -74,7 +91,9 @@ def test_an_obstacle_in_the_centre_of_the_turn_is_driven_round(radius: float) ->
 
 @given(st.floats(-2.0, 2.0), st.floats(-60.0, 60.0), st.floats(0.0, 14.0), st.floats(-0.02, 0.02))
 @settings(max_examples=40)
-def test_an_ego_off_the_line_and_off_its_heading_comes_back(l: float, off: float, v: float, bend: float) -> None:  # noqa: E741
+def test_an_ego_off_the_line_and_off_its_heading_comes_back(
+    l: float, off: float, v: float, bend: float
+) -> None:  # noqa: E741
     """From 2 m beside and 60 degrees across, at any speed; at walking pace it ends up along the line."""
     road = lanes(curve((200.0, bend), step=2.0), 2)
     now, plan = planned(road, EgoState(0.0, 1.0, l, np.radians(off), v))
@@ -86,7 +105,9 @@ def test_an_ego_off_the_line_and_off_its_heading_comes_back(l: float, off: float
 @pytest.mark.slow
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_60_degrees_across_at_walking_pace_ends_along_the_lane(side: float) -> None:
-    drive = followed(lanes(along_x(), 2), EgoState(0.0, 0.0, 1.0, side * np.radians(60.0), 2.0), seconds=15.0)
+    drive = followed(
+        lanes(along_x(), 2), EgoState(0.0, 0.0, 1.0, side * np.radians(60.0), 2.0), seconds=15.0
+    )
     assert all(plan.status is PlanStatus.PLANNED for _, plan in drive)
     assert abs(drive[-1][0].ego.yaw) < 0.15
 
@@ -104,15 +125,24 @@ def test_a_lane_without_width_is_driven_along_its_middle(width: float, v: float)
 @pytest.mark.slow
 @given(st.floats(-0.1, 0.6), st.floats(-0.3, 0.3), st.floats(5.0, 9.0))
 @settings(max_examples=6)
-def test_between_two_parked_cars_it_drives_through_or_stops_before(spare: float, l: float, v: float) -> None:  # noqa: E741
+def test_between_two_parked_cars_it_drives_through_or_stops_before(
+    spare: float, l: float, v: float
+) -> None:  # noqa: E741
     """The gap is the ego's width and `spare` to each side: never a touch, and a stop is reported."""
     half = 0.5 * CAR.width + spare
     pair = [standing("left", 50.0, l + half + 0.9), standing("right", 50.0, l - half - 0.9)]
-    drive = followed(lanes(along_x(), 1, width=7.0), EgoState(0.0, 0.0, 0.0, 0.0, v), pair, seconds=11.0)
+    drive = followed(
+        lanes(along_x(), 1, width=7.0), EgoState(0.0, 0.0, 0.0, 0.0, v), pair, seconds=11.0
+    )
     assert min(gaps(drive, name).min() for name in ("left", "right")) > 0.0
     assert all(plan.status is PlanStatus.PLANNED for _, plan in drive)
     last = drive[-1][0].ego
-    made = {(item.agent, item.kind) for _, plan in drive for item in plan.internals if isinstance(item, Decision)}
+    made = {
+        (item.agent, item.kind)
+        for _, plan in drive
+        for item in plan.internals
+        if isinstance(item, Decision)
+    }
     if last.x < 45.0 and last.v < 0.1:
         assert any(kind is DecisionKind.STOP for _, kind in made)
     if spare > 0.45 and abs(l) < 0.1:
@@ -123,7 +153,11 @@ def test_between_two_parked_cars_it_drives_through_or_stops_before(spare: float,
 def test_500_others_are_survived(seed: int) -> None:
     """Anywhere, some of them on the ego, standing and driving."""
     rng = np.random.default_rng(seed)
-    x, y, speed, yaw = rng.uniform(-60.0, 160.0, 500), rng.uniform(-30.0, 30.0, 500), *rng.uniform(0.0, 12.0, (2, 500))
+    x, y, speed, yaw = (
+        rng.uniform(-60.0, 160.0, 500),
+        rng.uniform(-30.0, 30.0, 500),
+        *rng.uniform(0.0, 12.0, (2, 500)),
+    )
     others = [
         standing(str(i), x[i], y[i], yaw[i])
         if i % 2

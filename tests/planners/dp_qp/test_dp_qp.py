@@ -6,7 +6,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
-from worlds import CAR, PERIOD, Other, along_x, decided, driving, followed, frame, gaps, lanes, planner, standing
+from worlds import (
+    CAR,
+    PERIOD,
+    Other,
+    along_x,
+    decided,
+    driving,
+    followed,
+    frame,
+    gaps,
+    lanes,
+    planner,
+    standing,
+)
 
 from replan.logs.agents import AgentKind
 from replan.logs.catalogue import CATALOGUE
@@ -68,14 +81,22 @@ def assert_sound(plan: Plan) -> None:
 
 def plans_in(scenario: Scenario, *, every: int, closed: bool) -> list[Plan]:
     """Plans from the logged states, or of a closed loop without tracking errors, each `every` frames."""
-    context = PlannerContext(scenario.road, scenario.goal, scenario.vehicle, PERIOD, scenario.ego.state(0))
+    context = PlannerContext(
+        scenario.road, scenario.goal, scenario.vehicle, PERIOD, scenario.ego.state(0)
+    )
     driver, previous, ego, found = DpQp(context), None, scenario.ego.state(0), []
     for k in range(int(scenario.ego.t[-1] / PERIOD)):
         t = round(k * PERIOD, 9)
         if not closed and k % every:
             continue
         known = scenario.tracks.perceived(t)
-        now = Frame(t, ego if closed else scenario.ego.at(t), known, predict(known, t), previous if closed else None)
+        now = Frame(
+            t,
+            ego if closed else scenario.ego.at(t),
+            known,
+            predict(known, t),
+            previous if closed else None,
+        )
         previous = driver.plan(now)
         ego = previous.trajectory.at(t + PERIOD)
         if k % every == 0:
@@ -90,7 +111,9 @@ def catalogue() -> dict[str, tuple[Scenario, list[Plan]]]:
 
 
 @pytest.mark.parametrize("name", CATALOGUE)
-def test_a_mirrored_world_has_the_mirrored_plan(name: str, catalogue: dict[str, tuple[Scenario, list[Plan]]]) -> None:
+def test_a_mirrored_world_has_the_mirrored_plan(
+    name: str, catalogue: dict[str, tuple[Scenario, list[Plan]]]
+) -> None:
     """Bit by bit: sums and products do not know a sign, and ties go to the passing side.
 
     Where the road turns by 90 degrees, the sine of an angle and of its mirror image round differently.
@@ -101,16 +124,22 @@ def test_a_mirrored_world_has_the_mirrored_plan(name: str, catalogue: dict[str, 
         for same in ("t", "x", "v", "a"):
             np.testing.assert_allclose(column(two, same), column(one, same), rtol=0.0, atol=atol)
         for flipped in ("y", "yaw", "kappa"):
-            np.testing.assert_allclose(column(two, flipped), -column(one, flipped), rtol=0.0, atol=max(atol, 1e-12))
+            np.testing.assert_allclose(
+                column(two, flipped), -column(one, flipped), rtol=0.0, atol=max(atol, 1e-12)
+            )
         assert (one.status, one.reason, one.start) == (two.status, two.reason, two.start)
 
 
 @pytest.mark.parametrize("name", CATALOGUE)
-def test_a_moved_world_has_the_moved_plan(name: str, catalogue: dict[str, tuple[Scenario, list[Plan]]]) -> None:
+def test_a_moved_world_has_the_moved_plan(
+    name: str, catalogue: dict[str, tuple[Scenario, list[Plan]]]
+) -> None:
     """To 1e-6."""
     log, plans = catalogue[name]
     c, s = np.cos(0.7), np.sin(0.7)
-    for one, two in zip(plans, plans_in(moved(log, 100.0, -70.0, 0.7), every=15, closed=False), strict=True):
+    for one, two in zip(
+        plans, plans_in(moved(log, 100.0, -70.0, 0.7), every=15, closed=False), strict=True
+    ):
         x, y = column(one, "x"), column(one, "y")
         np.testing.assert_allclose(column(two, "x"), 100.0 + c * x - s * y, rtol=0.0, atol=1e-6)
         np.testing.assert_allclose(column(two, "y"), -70.0 + s * x + c * y, rtol=0.0, atol=1e-6)
@@ -124,8 +153,13 @@ def test_the_future_of_the_log_changes_nothing(name: str) -> None:
     log = CATALOGUE[name].scenario()
     context = PlannerContext(log.road, log.goal, log.vehicle, PERIOD, log.ego.state(0))
     for t in (0.0, 4.0, 7.3, 12.0):
-        known, less = log.tracks.perceived(t), log.tracks.taken(log.tracks.t <= t + 1e-9).perceived(t)
-        one, two = (DpQp(context).plan(Frame(t, log.ego.at(t), a, predict(a, t))) for a in (known, less))
+        known, less = (
+            log.tracks.perceived(t),
+            log.tracks.taken(log.tracks.t <= t + 1e-9).perceived(t),
+        )
+        one, two = (
+            DpQp(context).plan(Frame(t, log.ego.at(t), a, predict(a, t))) for a in (known, less)
+        )
         assert_same(one, two)
 
 
@@ -147,17 +181,33 @@ def test_a_planner_without_a_previous_plan_remembers_nothing() -> None:
         assert_same(used.plan(now), planner(TWO, EGO).plan(now))
 
 
-@given(st.floats(-1.0, 1.0), st.floats(-0.2, 0.2), st.floats(0.0, 15.0), st.floats(-1.5, 1.5), st.floats(-0.05, 0.05))
+@given(
+    st.floats(-1.0, 1.0),
+    st.floats(-0.2, 0.2),
+    st.floats(0.0, 15.0),
+    st.floats(-1.5, 1.5),
+    st.floats(-0.05, 0.05),
+)
 @settings(max_examples=25)
-def test_a_first_plan_starts_at_the_ego(y: float, yaw: float, v: float, a: float, kappa: float) -> None:
+def test_a_first_plan_starts_at_the_ego(
+    y: float, yaw: float, v: float, a: float, kappa: float
+) -> None:
     ego = EgoState(2.0, 5.0, y, yaw, v, a, kappa)
     plan = planner(ONE, ego).plan(frame(ego, t=2.0))
     assert plan.start is PlanStart.EGO and plan.status is PlanStatus.PLANNED
     assert_sound(plan)
     first = plan.trajectory.state(0)
-    for name, slack in (("t", 0.0), ("x", 1e-6), ("y", 1e-3), ("yaw", 1e-3), ("v", 0.02), ("kappa", 2e-3)):
+    for name, slack in (
+        ("t", 0.0),
+        ("x", 1e-6),
+        ("y", 1e-3),
+        ("yaw", 1e-3),
+        ("v", 0.02),
+        ("kappa", 2e-3),
+    ):
         assert getattr(first, name) == pytest.approx(getattr(ego, name), abs=slack)
-    startable = -np.sqrt(2.0 * 0.9 * COMFORT.jerk_mps3 * v)  # more the car cannot release before it stands
+    # More the car cannot release before it stands
+    startable = -np.sqrt(2.0 * 0.9 * COMFORT.jerk_mps3 * v)
     assert first.a == pytest.approx(max(a, startable), abs=0.02)
 
 
@@ -175,7 +225,9 @@ def test_a_plan_goes_on_where_the_ego_follows(off: dict[str, float], start: Plan
     driver = planner(ONE, EGO)
     previous = driver.plan(frame(EGO))
     promised = previous.trajectory.at(0.1)
-    ego = replace(promised, **{name: getattr(promised, name) + value for name, value in off.items()})
+    ego = replace(
+        promised, **{name: getattr(promised, name) + value for name, value in off.items()}
+    )
     plan = driver.plan(frame(ego, t=0.1, previous=previous))
     assert plan.start is start
     origin = ego if start is PlanStart.EGO else promised
@@ -185,14 +237,27 @@ def test_a_plan_goes_on_where_the_ego_follows(off: dict[str, float], start: Plan
 
 def test_the_internals_are_all_there() -> None:
     """Also the path DP: the box can be passed on either side, so that it had to decide."""
-    plan = planner(TWO, EGO).plan(frame(EGO, (standing("box", 35.0, 1.75, length=0.5, width=0.5), *CROWD[1:3])))
-    sl, st_ = (next(item for item in plan.internals if isinstance(item, kind)) for kind in (SlGraph, StGraph))
+    plan = planner(TWO, EGO).plan(
+        frame(EGO, (standing("box", 35.0, 1.75, length=0.5, width=0.5), *CROWD[1:3]))
+    )
+    sl, st_ = (
+        next(item for item in plan.internals if isinstance(item, kind))
+        for kind in (SlGraph, StGraph)
+    )
     for graph in (sl, st_):
-        assert graph.grid is not None and graph.corridor is not None and len(graph.qp) and len(graph.dp)
+        assert (
+            graph.grid is not None
+            and graph.corridor is not None
+            and len(graph.qp)
+            and len(graph.dp)
+        )
         assert graph.grid.cost.shape == (len(graph.grid.first), len(graph.grid.second))
         np.testing.assert_array_equal(graph.corridor.first, graph.qp[:, 0])
     np.testing.assert_allclose(st_.qp[:, 0], column(plan, "t"), atol=1e-9)
-    assert {item.stage for item in plan.internals if isinstance(item, CostTerms)} == {"path QP", "speed QP"}
+    assert {item.stage for item in plan.internals if isinstance(item, CostTerms)} == {
+        "path QP",
+        "speed QP",
+    }
     assert all(item.solved for item in plan.internals if isinstance(item, SolverReport))
 
 
@@ -210,14 +275,19 @@ def traffic(draw: st.DrawFn) -> list[Other]:
             draw(st.floats(12.0, 80.0)),
         )
         if kind == "crosses":
-            vy, when = draw(st.sampled_from([-1.0, 1.0])) * draw(st.floats(1.0, 9.0)), draw(st.floats(0.5, 7.0))
+            vy, when = (
+                draw(st.sampled_from([-1.0, 1.0])) * draw(st.floats(1.0, 9.0)),
+                draw(st.floats(0.5, 7.0)),
+            )
             found.append(driving(name, x, -vy * when, 0.0, vy))
         elif kind == "leads":
             found.append(driving(name, x, 0.0, draw(st.floats(0.6, 12.0))))
         elif kind == "stands":
             found.append(standing(name, x, draw(st.floats(-2.5, 2.5))))
         else:
-            found.append(driving(name, 0.5 * x, 3.5, draw(st.floats(3.0, 14.0)), -draw(st.floats(0.3, 1.5))))
+            found.append(
+                driving(name, 0.5 * x, 3.5, draw(st.floats(3.0, 14.0)), -draw(st.floats(0.3, 1.5)))
+            )
     return found
 
 
@@ -227,14 +297,20 @@ def is_doubted(decision: Decision) -> bool:
 
 @given(st.floats(0.0, 14.0), traffic())
 @settings(max_examples=50)
-def test_a_plan_touches_no_one_who_is_believed_or_says_that_it_cannot_be_avoided(v: float, others: list[Other]) -> None:
+def test_a_plan_touches_no_one_who_is_believed_or_says_that_it_cannot_be_avoided(
+    v: float, others: list[Other]
+) -> None:
     ego = replace(EGO, v=v)
     now = frame(ego, others)
     plan = planner(TWO, ego).plan(now)
     assert_sound(plan)
-    doubted = {each.agent for each in plan.internals if isinstance(each, Decision) and is_doubted(each)}
+    doubted = {
+        each.agent for each in plan.internals if isinstance(each, Decision) and is_doubted(each)
+    }
     if plan.status is PlanStatus.PLANNED:
-        assert not meets(plan.trajectory, frame(ego, [other for other in others if other.id not in doubted]), CAR)
+        assert not meets(
+            plan.trajectory, frame(ego, [other for other in others if other.id not in doubted]), CAR
+        )
     elif meets(plan.trajectory, now, CAR):
         assert plan.status is PlanStatus.HARD_STOP
 
@@ -248,10 +324,14 @@ def test_an_agent_that_the_ego_cannot_pass_first_is_let_go() -> None:
     assert decided(plan, "it", "speed") is DecisionKind.YIELD
 
 
-@pytest.mark.parametrize(("x", "spare", "expected"), [
-    (45.0, 0.6, DecisionKind.YIELD), (45.0, 3.0, DecisionKind.OVERTAKE),
-    (12.0, 1.2, DecisionKind.OVERTAKE),  # nothing but full braking would stop before the walker
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("x", "spare", "expected"),
+    [
+        (45.0, 0.6, DecisionKind.YIELD),
+        (45.0, 3.0, DecisionKind.OVERTAKE),
+        (12.0, 1.2, DecisionKind.OVERTAKE),  # nothing but full braking would stop before the walker
+    ],
+)
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_the_ego_goes_first_with_time_to_spare_only(
     x: float, spare: float, expected: DecisionKind, side: float
@@ -260,7 +340,15 @@ def test_the_ego_goes_first_with_time_to_spare_only(
     walks, margins = 1.4, 0.5 * CAR.width + 0.6 + 0.3
     ego = replace(EGO, v=13.0)
     leaves = (x + CAR.rear_overhang + 0.3) / ego.v
-    walker = driving("it", x, side * (walks * (leaves + spare) + margins), 0.0, -side * walks, length=0.6, width=0.6)
+    walker = driving(
+        "it",
+        x,
+        side * (walks * (leaves + spare) + margins),
+        0.0,
+        -side * walks,
+        length=0.6,
+        width=0.6,
+    )
     plan = planner(ONE, ego).plan(frame(ego, [replace(walker, kind=AgentKind.PEDESTRIAN)]))
     assert plan.status is PlanStatus.PLANNED and decided(plan, "it", "speed") is expected
     assert expected is DecisionKind.YIELD or column(plan, "a").min() > -0.5
@@ -292,7 +380,10 @@ def test_parked_cars_are_passed_on_the_free_side(side: float) -> None:
     others = [standing("first", 50.0, -side * 2.15), standing("second", 100.0, side * 2.15)]
     drive = followed(ONE, EGO, others, seconds=16.0)
     expected = NUDGES if side > 0.0 else NUDGES[::-1]
-    assert (decided(drive[0][1], "first", "path"), decided(drive[0][1], "second", "path")) == expected
+    assert (
+        decided(drive[0][1], "first", "path"),
+        decided(drive[0][1], "second", "path"),
+    ) == expected
     assert drive[-1][0].ego.x > 120.0
     for name, kind in zip(("first", "second"), expected, strict=True):
         assert gaps(drive, name).min() > 0.5
@@ -305,7 +396,9 @@ def test_a_car_in_the_lane_is_passed_over_the_next_lane_if_that_is_free(blocked:
     others = [standing("parked", 60.0, -0.6)]
     others += [driving("beside", 4.0, 3.5, 8.0)] if blocked else []
     plan = planner(TWO, EGO).plan(frame(EGO, others))
-    assert decided(plan, "parked", "path") is (DecisionKind.STOP if blocked else DecisionKind.NUDGE_LEFT)
+    assert decided(plan, "parked", "path") is (
+        DecisionKind.STOP if blocked else DecisionKind.NUDGE_LEFT
+    )
     drive = followed(TWO, EGO, [others[0]], seconds=12.0)
     assert drive[-1][0].ego.x > 80.0 and gaps(drive, "parked").min() > 0.3
 
@@ -317,7 +410,9 @@ def walker(t: float) -> tuple[float, float, float, float, float]:
 
 
 def test_the_ego_yields_to_a_pedestrian_and_drives_on() -> None:
-    drive = followed(ONE, EGO, [Other("walker", walker, AgentKind.PEDESTRIAN, 0.5, 0.6)], seconds=14.0)
+    drive = followed(
+        ONE, EGO, [Other("walker", walker, AgentKind.PEDESTRIAN, 0.5, 0.6)], seconds=14.0
+    )
     speed = np.array([now.ego.v for now, _ in drive])
     assert gaps(drive, "walker").min() > 1.0
     assert decided(drive[10][1], "walker", "speed") is DecisionKind.YIELD
@@ -382,24 +477,32 @@ STAGES = pytest.mark.parametrize(("program", "stage"), [(PathQp, "path QP"), (Sp
 
 
 @STAGES
-def test_first_the_previous_plan_goes_on(program: type, stage: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_first_the_previous_plan_goes_on(
+    program: type, stage: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     driver, previous = one_plan()
     failing(program, monkeypatch)
     plan = driver.plan(frame(previous.trajectory.at(0.3), t=0.3, previous=previous))
     assert plan.status is PlanStatus.PREVIOUS and plan.start is PlanStart.PREVIOUS_PLAN
     assert plan.reason.startswith(stage)
     np.testing.assert_allclose(column(plan, "x"), column(previous, "x")[3:], atol=1e-9)
-    reports = [item for item in plan.internals if isinstance(item, SolverReport) and item.stage == stage]
+    reports = [
+        item for item in plan.internals if isinstance(item, SolverReport) and item.stage == stage
+    ]
     assert reports and not any(report.solved for report in reports)
 
 
 @STAGES
-def test_then_a_comfortable_stop(program: type, stage: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_then_a_comfortable_stop(
+    program: type, stage: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     failing(program, monkeypatch)
     _, plan = one_plan()
     assert plan.status is PlanStatus.COMFORTABLE_STOP and plan.start is PlanStart.EGO
     assert plan.reason.startswith(stage)
-    assert column(plan, "v")[-1] == 0.0 and column(plan, "a").min() == pytest.approx(-COMFORT.decel_mps2)
+    assert column(plan, "v")[-1] == 0.0 and column(plan, "a").min() == pytest.approx(
+        -COMFORT.decel_mps2
+    )
     assert_sound(plan)
 
 
@@ -411,7 +514,9 @@ def test_at_last_a_hard_stop(program: type, stage: str, monkeypatch: pytest.Monk
     assert column(plan, "a").min() < -COMFORT.decel_mps2 - 1.0 and column(plan, "v")[-1] == 0.0
 
 
-def test_a_previous_plan_that_meets_an_agent_is_not_driven_on(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_previous_plan_that_meets_an_agent_is_not_driven_on(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     driver, previous = one_plan()
     failing(PathQp, monkeypatch)
     ego = previous.trajectory.at(0.1)
@@ -443,14 +548,27 @@ def test_what_cannot_be_avoided_is_braked_for_and_reported() -> None:
 def perhaps(ahead: float, share: float) -> Frame:
     """A pedestrian who stands beside the lane, `ahead` m away, and walks onto the path with a probability."""
     t = np.linspace(0.0, 8.0, 81)
-    here = frame(EGO, [Other("walker", lambda t: (ahead, -3.0, 0.5 * np.pi, 0.0, 0.0), AgentKind.PEDESTRIAN, 0.5, 0.6)])
+    here = frame(
+        EGO,
+        [
+            Other(
+                "walker",
+                lambda t: (ahead, -3.0, 0.5 * np.pi, 0.0, 0.0),
+                AgentKind.PEDESTRIAN,
+                0.5,
+                0.6,
+            )
+        ],
+    )
     y = np.vstack([np.full(81, -3.0), np.minimum(-3.0 + 1.4 * t, 0.0)])
     x, yaw, who = np.full((2, 81), ahead), np.full((2, 81), 0.5 * np.pi), np.zeros(2, np.int64)
     guesses = Predictions(t, who, np.array([1.0 - share, share]), x, y, yaw, "by hand")
     return replace(here, predictions=guesses)
 
 
-@pytest.mark.parametrize(("ahead", "share", "brakes"), [(40.0, 0.15, False), (40.0, 0.5, True), (16.0, 0.15, True)])
+@pytest.mark.parametrize(
+    ("ahead", "share", "brakes"), [(40.0, 0.15, False), (40.0, 0.5, True), (16.0, 0.15, True)]
+)
 def test_an_unlikely_hypothesis_binds_only_where_moderate_braking_would_come_too_late(
     ahead: float, share: float, *, brakes: bool
 ) -> None:
@@ -462,17 +580,23 @@ def test_an_unlikely_hypothesis_binds_only_where_moderate_braking_would_come_too
     assert all("unlikely (37%)" in reason for reason in ignored)
 
 
-@pytest.mark.parametrize("config", [LaneConfig(), LaneConfig(route_s=2.0, urgency_s=3.0, change_s=4.0)])
+@pytest.mark.parametrize(
+    "config", [LaneConfig(), LaneConfig(route_s=2.0, urgency_s=3.0, change_s=4.0)]
+)
 def test_what_a_lane_costs_at_least_is_weighted_by_settings(config: LaneConfig) -> None:
     """A change that is not due for long costs `route_s`, one that is due now `urgency_s` more."""
     context = PlannerContext(ONE, None, CAR, PERIOD, EGO)
     strip = LaneSequences(context).start(EGO)
     for due, urgent in ((1e6, 0.0), (0.0, 1.0)):
-        driver = LanePlanner(replace(strip, changes=1, change_by=due), context, DpQpConfig(lane=config))
+        driver = LanePlanner(
+            replace(strip, changes=1, change_by=due), context, DpQpConfig(lane=config)
+        )
         least = dict(driver.least_costs("left", driver.scene(frame(EGO), EGO, LaneMemory())).terms)
         assert least == {
-            "lane changes": config.route_s + urgent * config.urgency_s, "change": config.change_s, "late": 0.0,
-        }  # fmt: skip
+            "lane changes": config.route_s + urgent * config.urgency_s,
+            "change": config.change_s,
+            "late": 0.0,
+        }
 
 
 def test_a_lane_that_was_not_planned_for_long_is_found_again() -> None:

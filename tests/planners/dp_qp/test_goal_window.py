@@ -47,7 +47,9 @@ def test_the_target_is_never_too_slow_and_late_and_early_exclude_each_other(
 
 
 @given(st.floats(0.1, 40.0), st.floats(0.0, 180.0), st.floats(0.0, 20.0))
-def test_who_is_late_is_in_a_hurry_and_an_hour_later_is_as_late_by_an_hour(last: float, s: float, v: float) -> None:
+def test_who_is_late_is_in_a_hurry_and_an_hour_later_is_as_late_by_an_hour(
+    last: float, s: float, v: float
+) -> None:
     sooner, later = (window((0.0, last)).target(t, s, v) for t in (0.0, 0.5 * last))
     assert sooner.hurried or sooner.missed_s == 0.0
     if sooner.missed_s > 0.0:
@@ -61,7 +63,9 @@ def sides(goal: Goal, stations: FloatArray) -> FloatArray:
 
 
 @given(st.floats(-3.0, 3.0), st.floats(0.2, 5.0), st.floats(-0.3, 0.3))
-def test_the_sides_are_those_of_the_region_where_it_is_and_none_elsewhere(y: float, width: float, turn: float) -> None:
+def test_the_sides_are_those_of_the_region_where_it_is_and_none_elsewhere(
+    y: float, width: float, turn: float
+) -> None:
     c, s = np.cos(turn), np.sin(turn)
     square = np.array([[-10.0, -0.5], [10.0, -0.5], [10.0, 0.5], [-10.0, 0.5]]) * (1.0, width)
     square = square @ np.array([[c, s], [-s, c]]) + (200.0, y)
@@ -70,12 +74,16 @@ def test_the_sides_are_those_of_the_region_where_it_is_and_none_elsewhere(y: flo
     assert not GoalWindow(Goal((square,)), COURSE, CAR).sides(stations[2], stations[2] + 100.0).size
     room = min(0.3, 0.25 * width / c)
     assert np.isnan(low[[0, 2]]).all() and np.isnan(high[[0, 2]]).all()
-    assert (low[1], high[1]) == pytest.approx((y - 0.5 * width / c + room, y + 0.5 * width / c - room), abs=1e-6)
+    assert (low[1], high[1]) == pytest.approx(
+        (y - 0.5 * width / c + room, y + 0.5 * width / c - room), abs=1e-6
+    )
 
 
 @given(st.floats(0.0, 40.0), st.floats(0.0, 20.0))
 def test_the_earlier_the_window_the_faster(first: float, more: float) -> None:
-    sooner, later = (window((t, t + 2.0)).target(0.0, 20.0, 10.0).cap for t in (first, first + more))
+    sooner, later = (
+        window((t, t + 2.0)).target(0.0, 20.0, 10.0).cap for t in (first, first + more)
+    )
     assert later <= sooner
 
 
@@ -83,7 +91,13 @@ def drive_to(region: np.ndarray | None, t: tuple[float, float], road: Road, v: f
     """A drive from the origin on an empty road."""
     ego = Trajectory(*(np.array([value]) for value in (0.0, 0.0, 0.0, 0.0, v, 0.0, 0.0)))
     scenario = Scenario(
-        "goal", ego, Tracks.empty(), road, t[1], goal=Goal(() if region is None else (region,), t=t), vehicle=CAR
+        "goal",
+        ego,
+        Tracks.empty(),
+        road,
+        t[1],
+        goal=Goal(() if region is None else (region,), t=t),
+        vehicle=CAR,
     )
     return run_closed_loop(scenario, "dp_qp").trace
 
@@ -113,14 +127,24 @@ def rectangle(x: float, y: float, length: float, width: float, turn: float = 0.0
 
 def test_of_two_regions_the_one_in_the_lane_is_met_and_between_them_the_middle_is_kept() -> None:
     near, far = rectangle(83.0, 1.0, 6.0, 1.0), rectangle(403.0, 1.0, 6.0, 1.0)
-    low, high = sides(Goal((far, near)), np.array([COURSE.line.project(x, 0.0)[0] for x in (83.0, 200.0, 343.0)]))
-    assert np.isfinite(low[0]) and np.isfinite(high[0]) and np.isnan(low[1:]).all() and np.isnan(high[1:]).all()
+    low, high = sides(
+        Goal((far, near)), np.array([COURSE.line.project(x, 0.0)[0] for x in (83.0, 200.0, 343.0)])
+    )
+    assert (
+        np.isfinite(low[0])
+        and np.isfinite(high[0])
+        and np.isnan(low[1:]).all()
+        and np.isnan(high[1:]).all()
+    )
     triangles = [
-        np.array(corners) for corners in (((80, -1.7), (100, -1.7), (100, 1.7)), ((80, -1.7), (100, 1.7), (80, 1.7)))
+        np.array(corners)
+        for corners in (((80, -1.7), (100, -1.7), (100, 1.7)), ((80, -1.7), (100, 1.7), (80, 1.7)))
     ]
     whole = rectangle(90.0, 0.0, 20.0, 3.4)
     stations = np.array([COURSE.line.project(x, 0.0)[0] for x in np.arange(81.0, 99.0)])
-    np.testing.assert_allclose(sides(Goal(tuple(triangles)), stations), sides(Goal((whole,)), stations), atol=1e-6)
+    np.testing.assert_allclose(
+        sides(Goal(tuple(triangles)), stations), sides(Goal((whole,)), stations), atol=1e-6
+    )
 
 
 def driven(window: tuple[float, float], speeds: tuple[float, float]) -> Trace:
@@ -129,13 +153,19 @@ def driven(window: tuple[float, float], speeds: tuple[float, float]) -> Trace:
     ego = scenario.ego
     k = int(np.searchsorted(np.cumsum(np.hypot(np.diff(ego.x), np.diff(ego.y))), 60.0))
     x, y = ego.x[k], ego.y[k]
-    square = np.array([[x - 4.0, y - 4.0], [x + 4.0, y - 4.0], [x + 4.0, y + 4.0], [x - 4.0, y + 4.0]])
+    square = np.array(
+        [[x - 4.0, y - 4.0], [x + 4.0, y - 4.0], [x + 4.0, y + 4.0], [x - 4.0, y + 4.0]]
+    )
     goal = Goal((square,), t=window, v=speeds)
     return run_closed_loop(replace(scenario, goal=goal), "dp_qp").trace
 
 
-@pytest.mark.parametrize(("window", "speeds"), [((8.0, 8.3), (0.0, 30.0)), ((5.0, 9.0), (0.0, 6.0))])
-def test_the_ego_arrives_in_the_window_at_the_speed(window: tuple[float, float], speeds: tuple[float, float]) -> None:
+@pytest.mark.parametrize(
+    ("window", "speeds"), [((8.0, 8.3), (0.0, 30.0)), ((5.0, 9.0), (0.0, 6.0))]
+)
+def test_the_ego_arrives_in_the_window_at_the_speed(
+    window: tuple[float, float], speeds: tuple[float, float]
+) -> None:
     """Driving on at 12 m/s it would be there after 5 s, too early or too fast."""
     trace = driven(window, speeds)
     assert trace.end is EndReason.GOAL
@@ -151,8 +181,16 @@ def test_a_goal_in_the_next_lane_is_met_in_time_though_that_lane_is_slower(last:
     square = np.array([[-100.0, 1.75], [900.0, 1.75], [900.0, 5.25], [-100.0, 5.25]])
     t = np.arange(0.0, last + 0.05, 0.1)
     lead = track(
-        "lead", t.tolist(), (45.0 + 17.0 * t).tolist(), np.full(len(t), 3.5).tolist(), yaw=0.0, vx=17.0, vy=0.0
+        "lead",
+        t.tolist(),
+        (45.0 + 17.0 * t).tolist(),
+        np.full(len(t), 3.5).tolist(),
+        yaw=0.0,
+        vx=17.0,
+        vy=0.0,
     )
     ego = Trajectory(*(np.array([value]) for value in (0.0, 0.0, 0.0, 0.0, 22.0, 0.0, 0.0)))
-    scenario = Scenario("goal", ego, tracks(lead), road, last, goal=Goal((square,), t=(0.0, last)), vehicle=CAR)
+    scenario = Scenario(
+        "goal", ego, tracks(lead), road, last, goal=Goal((square,), t=(0.0, last)), vehicle=CAR
+    )
     assert run_closed_loop(scenario, "dp_qp").trace.end is EndReason.GOAL

@@ -9,7 +9,15 @@ import pytest
 from replan.core.arrays import FloatArray
 from replan.logs.catalogue import CATALOGUE
 from replan.planners.dp_qp.speed import stage
-from replan.planners.dp_qp.speed.caps import LEAST_MPS, OTHERS, LoweredLimit, PathView, Producer, SpeedCap, lower_limit
+from replan.planners.dp_qp.speed.caps import (
+    LEAST_MPS,
+    OTHERS,
+    LoweredLimit,
+    PathView,
+    Producer,
+    SpeedCap,
+    lower_limit,
+)
 from replan.planners.dp_qp.speed.qp import SpeedQpConfig
 from replan.planners.frenet.path import Path
 from replan.planners.frenet.profiles import STEP_S, braking
@@ -42,9 +50,15 @@ class Recorded:
 
     def passages(self) -> Iterator[Passage]:
         """Of the places for which the ego is not too fast already to brake as gently as it does for any limit."""
-        config, (s, v, _), times = SpeedQpConfig(), self.profile, STEP_S * np.arange(self.profile.shape[1])
+        config, (s, v, _), times = (
+            SpeedQpConfig(),
+            self.profile,
+            STEP_S * np.arange(self.profile.shape[1]),
+        )
         ease = braking(*self.start, config.ease_mps2, config.comfort.jerk_mps3, STEP_S, len(times))
-        for i in np.flatnonzero(np.isfinite(self.caps) & (self.path.sigma > 0.0) & (self.path.sigma < s[-1])):
+        for i in np.flatnonzero(
+            np.isfinite(self.caps) & (self.path.sigma > 0.0) & (self.path.sigma < s[-1])
+        ):
             at, cap = self.path.sigma[i], self.caps[i]
             if ease[0, -1] < at or np.interp(at, ease[0], ease[1]) <= cap:
                 yield Passage(float(np.interp(at, s, times)), float(np.interp(at, s, v) - cap))
@@ -59,7 +73,11 @@ def recorded(monkeypatch: pytest.MonkeyPatch) -> list[Recorded]:
     def watched(producer: Producer) -> Producer:
         def caps(view: PathView) -> tuple[SpeedCap, ...]:
             made = producer(view)
-            seen.extend((view, cap) for cap in made if cap.is_bound and np.isfinite(cap.s_from) and cap.v > LEAST_MPS)
+            seen.extend(
+                (view, cap)
+                for cap in made
+                if cap.is_bound and np.isfinite(cap.s_from) and cap.v > LEAST_MPS
+            )
             return made
 
         return caps
@@ -96,7 +114,11 @@ def test_where_the_ego_could_stop_for_others_it_is_not_faster(
 ) -> None:
     """Beside hidden ground, beside who hesitates, beside who goes along the lane."""
     family = CATALOGUE[name]
-    run_closed_loop(family.build({**family.parameters, **changed}), "dp_qp", config=LoopConfig(perception=perception))
+    run_closed_loop(
+        family.build({**family.parameters, **changed}),
+        "dp_qp",
+        config=LoopConfig(perception=perception),
+    )
     passages = [passage for one in recorded for passage in one.passages()]
     assert passages
     assert max((one.excess for one in passages if one.t <= SOON_S), default=0.0) <= SOON_MPS

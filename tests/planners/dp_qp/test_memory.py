@@ -7,7 +7,20 @@ from dataclasses import fields, is_dataclass, replace
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
-from worlds import CAR, PERIOD, Drive, Other, along_x, driving, followed, frame, lanes, planner, standing, two_way
+from worlds import (
+    CAR,
+    PERIOD,
+    Drive,
+    Other,
+    along_x,
+    driving,
+    followed,
+    frame,
+    lanes,
+    planner,
+    standing,
+    two_way,
+)
 
 from replan.logs.agents import AgentKind
 from replan.logs.frame import PlannerContext
@@ -38,11 +51,21 @@ CROWD = (
 def same(one: object, two: object) -> bool:
     """Whether two values are equal to the last bit, field by field."""
     if is_dataclass(one):
-        return type(one) is type(two) and all(same(getattr(one, f.name), getattr(two, f.name)) for f in fields(one))
+        return type(one) is type(two) and all(
+            same(getattr(one, f.name), getattr(two, f.name)) for f in fields(one)
+        )
     if isinstance(one, np.ndarray):
-        return isinstance(two, np.ndarray) and one.shape == two.shape and one.tobytes() == two.tobytes()
+        return (
+            isinstance(two, np.ndarray)
+            and one.shape == two.shape
+            and one.tobytes() == two.tobytes()
+        )
     if isinstance(one, Mapping):
-        return isinstance(two, Mapping) and [*one] == [*two] and all(same(one[key], two[key]) for key in one)
+        return (
+            isinstance(two, Mapping)
+            and [*one] == [*two]
+            and all(same(one[key], two[key]) for key in one)
+        )
     if isinstance(one, tuple | list):
         return len(one) == len(two) and all(map(same, one, two))  # type: ignore[arg-type]
     return bool(one == two)
@@ -57,11 +80,22 @@ def found(plan: LanePlan) -> tuple[object, ...]:
     """What a plan is, without who made it."""
     speed = plan.speed
     assert speed is not None
-    return plan.path.path, plan.path.passed, speed.profile, speed.reason, plan.costs, plan.artefacts()
+    return (
+        plan.path.path,
+        plan.path.passed,
+        speed.profile,
+        speed.reason,
+        plan.costs,
+        plan.artefacts(),
+    )
 
 
-@pytest.mark.parametrize(("others", "remembered"), [(CROWD, {"came", "standing"}), (CROWD[1:2], {"came", "passed"})])
-def test_the_same_scene_and_memory_give_the_same_plan_and_memory(others: Sequence[Other], remembered: set[str]) -> None:
+@pytest.mark.parametrize(
+    ("others", "remembered"), [(CROWD, {"came", "standing"}), (CROWD[1:2], {"came", "passed"})]
+)
+def test_the_same_scene_and_memory_give_the_same_plan_and_memory(
+    others: Sequence[Other], remembered: set[str]
+) -> None:
     """All along a drive, in a lane and past who is slower in it; what went in is what it was, to the last bit."""
     driver, other = lane_planner(), lane_planner()
     memory, past, ego, kept = LaneMemory(), PassMemory(), EGO, set()
@@ -79,16 +113,25 @@ def test_the_same_scene_and_memory_give_the_same_plan_and_memory(others: Sequenc
         memory, past = after, passed
         kinds = {"came": memory.speed.came, "standing": memory.path.standing, "passed": past.passed}
         kept |= {name for name, value in kinds.items() if value}
-        assert plan.speed is not None and plan.speed.profile is not None and plan.path.path is not None
+        assert (
+            plan.speed is not None and plan.speed.profile is not None and plan.path.path is not None
+        )
         way = plan.path.path
         s, v, a = plan.speed.profile[:, 1]
-        x, y, yaw, kappa = (float(np.interp(s, way.sigma, c)) for c in (way.x, way.y, way.yaw, way.kappa))
+        x, y, yaw, kappa = (
+            float(np.interp(s, way.sigma, c)) for c in (way.x, way.y, way.yaw, way.kappa)
+        )
         ego = EgoState((k + 1) * PERIOD, x, y, yaw, float(v), float(a), kappa)
     assert kept == remembered  # that is: there was something to remember
 
 
-@given(st.integers(0, 4), st.lists(st.one_of(st.integers(-1, 0), st.just(slice(None)), st.none()), max_size=5))
-def test_internals_are_built_once_and_only_for_who_looks(count: int, looks: list[int | slice | None]) -> None:
+@given(
+    st.integers(0, 4),
+    st.lists(st.one_of(st.integers(-1, 0), st.just(slice(None)), st.none()), max_size=5),
+)
+def test_internals_are_built_once_and_only_for_who_looks(
+    count: int, looks: list[int | slice | None]
+) -> None:
     report, built = SolverReport("a stage", True, "solved", 3, 0.0, 0.0), []
     parts: tuple[Artefact, ...] = (report, *(replace(report, iterations=i) for i in range(count)))
 

@@ -43,7 +43,9 @@ BRAKE = 6.4
 WALK_MPS = CautionConfig().walk_mps
 
 
-def goer(x: float, y: float, vx: float, vy: float = 0.0, kind: AgentKind = AgentKind.BICYCLE) -> Other:
+def goer(
+    x: float, y: float, vx: float, vy: float = 0.0, kind: AgentKind = AgentKind.BICYCLE
+) -> Other:
     yaw = float(np.arctan2(vy, vx))
     return Other("goer", lambda t: (x + vx * t, y + vy * t, yaw, vx, vy), kind, LENGTH, WIDTH)
 
@@ -69,8 +71,16 @@ def test_who_is_not_meant(who: Other) -> None:
     assert find_slow_agents(scene(COURSE, EGO, [who])) == []
 
 
-@given(st.floats(3.0, 50.0), st.floats(0.6, 6.5), st.floats(2.5, 14.0), st.floats(-1.2, 1.2), st.floats(-0.1, 0.1))
-def test_the_box_holds_them_while_they_are_beside(ahead: float, u: float, more: float, y: float, aside: float) -> None:
+@given(
+    st.floats(3.0, 50.0),
+    st.floats(0.6, 6.5),
+    st.floats(2.5, 14.0),
+    st.floats(-1.2, 1.2),
+    st.floats(-0.1, 0.1),
+)
+def test_the_box_holds_them_while_they_are_beside(
+    ahead: float, u: float, more: float, y: float, aside: float
+) -> None:
     x = EGO.x + CAR.axle_to_front + ahead + 0.5 * LENGTH
     now = scene(COURSE, EGO, [goer(x, y, u, aside * u)])
     t = now.frame.predictions.t
@@ -85,7 +95,10 @@ def test_the_box_holds_them_while_they_are_beside(ahead: float, u: float, more: 
         return
     (one,) = found
     box, offset = one.box, y + aside * u * t[beside]
-    assert box.s_from - AT + EGO.x <= rear[beside].min() + 0.2 and box.s_to - AT + EGO.x >= front[beside].max() - 0.2
+    assert (
+        box.s_from - AT + EGO.x <= rear[beside].min() + 0.2
+        and box.s_to - AT + EGO.x >= front[beside].max() - 0.2
+    )
     assert box.l_from <= min(offset.min(), y) - 0.5 * WIDTH - ASIDE_M + 0.02
     assert box.l_to >= max(offset.max(), y) + 0.5 * WIDTH + ASIDE_M - 0.02
     assert one.begin - AT <= ahead + u * t[beside][0] + NEAR_M + 1.0
@@ -100,7 +113,11 @@ def test_who_cannot_be_passed_within_the_predictions_is_not_passed() -> None:
 def test_the_more_room_the_faster_and_beside_them_only(room: float, kind: AgentKind) -> None:
     """Who comes into the way with w is passed, or the ego stops before them: wherever it is when they do."""
     y = -room - 0.5 * (CAR.width + WIDTH)
-    now = scene(COURSE, EGO, [Other("goer", lambda t: (50.0 + 2.0 * t, y, 0.0, 2.0, 0.0), kind, LENGTH, WIDTH)])
+    now = scene(
+        COURSE,
+        EGO,
+        [Other("goer", lambda t: (50.0 + 2.0 * t, y, 0.0, 2.0, 0.0), kind, LENGTH, WIDTH)],
+    )
     found = pass_targets(now, [0], free_stations(now.frame.predictions.t, AT, 10.0, 10.0))
     path = make_path(COURSE.line, AT, 1.0, np.zeros((3, 150)))
     limit = np.full(len(path.s), 60.0)
@@ -114,8 +131,13 @@ def test_the_more_room_the_faster_and_beside_them_only(room: float, kind: AgentK
     if v < 60.0:
         assert slow.min() == pytest.approx(max(found[0].begin - stop, AT), abs=0.6)
         assert slow.max() == pytest.approx(found[0].end + NEAR_M, abs=0.6)
-        for x in np.linspace(0.0, stop, 50):  # as far before them, at v: past in time, or stopped in time
-            assert x <= v * room / w + 1e-9 or v * REACTION_S + v * v / (2.0 * BRAKE) <= x + 1e-9 or v == LEAST_MPS
+        # As far before them, at v: past in time, or stopped in time
+        for x in np.linspace(0.0, stop, 50):
+            assert (
+                x <= v * room / w + 1e-9
+                or v * REACTION_S + v * v / (2.0 * BRAKE) <= x + 1e-9
+                or v == LEAST_MPS
+            )
     near = limit_of(replace(seen, margin_m=room + 0.1), passing_caps).v
     assert (near == limit).all()  # an agent nearer to the path than the margin is followed
 
@@ -133,24 +155,47 @@ class Passed:
 
 
 def moving(
-    name: str, x: float, y: float, u: float, kind: AgentKind, length: float, width: float, seconds: float
+    name: str,
+    x: float,
+    y: float,
+    u: float,
+    kind: AgentKind,
+    length: float,
+    width: float,
+    seconds: float,
 ) -> object:
     t = np.arange(0.0, seconds + 0.05, 0.1)
     yaw = 0.0 if u > 0.0 else np.pi
     return track(
-        name, t.tolist(), (x + u * t).tolist(), np.full(len(t), y).tolist(),
-        yaw=yaw, vx=u, vy=0.0, kind=kind, length=length, width=width,
-    )  # fmt: skip
+        name,
+        t.tolist(),
+        (x + u * t).tolist(),
+        np.full(len(t), y).tolist(),
+        yaw=yaw,
+        vx=u,
+        vy=0.0,
+        kind=kind,
+        length=length,
+        width=width,
+    )
 
 
 def drive(
-    road: Road, goers: list[tuple[float, float, float]], *, v: float = 9.0, seconds: float = 14.0,
-    kind: AgentKind = AgentKind.BICYCLE, cars: tuple[tuple[float, float, float], ...] = (),
-    config: LoopConfig | None = None, lights: tuple[TrafficLight, ...] = (),
-) -> Passed:  # fmt: skip
+    road: Road,
+    goers: list[tuple[float, float, float]],
+    *,
+    v: float = 9.0,
+    seconds: float = 14.0,
+    kind: AgentKind = AgentKind.BICYCLE,
+    cars: tuple[tuple[float, float, float], ...] = (),
+    config: LoopConfig | None = None,
+    lights: tuple[TrafficLight, ...] = (),
+) -> Passed:
     """A drive from the origin among goers and cars (x, y, speed)."""
     those = [moving(f"goer{i}", *one, kind, LENGTH, WIDTH, seconds) for i, one in enumerate(goers)]
-    those += [moving(f"car{i}", *one, AgentKind.CAR, 4.5, 1.8, seconds) for i, one in enumerate(cars)]
+    those += [
+        moving(f"car{i}", *one, AgentKind.CAR, 4.5, 1.8, seconds) for i, one in enumerate(cars)
+    ]
     ego = Trajectory(*(np.array([value]) for value in (0.0, 0.0, 0.0, 0.0, v, 0.0, 0.0)))
     log = Scenario("goers", ego, tracks(*those), road, seconds, vehicle=CAR, lights=lights)
     trace = run_closed_loop(log, "dp_qp", config=config or LoopConfig()).trace
@@ -159,7 +204,10 @@ def drive(
         at = x + u * trace.ego.t
         rear, front = trace.ego.x - CAR.rear_overhang, trace.ego.x + CAR.axle_to_front
         beside = (front > at - 0.5 * LENGTH) & (rear < at + 0.5 * LENGTH)
-        room = min(room, float(np.abs(trace.ego.y - y)[beside].min(initial=np.inf)) - 0.5 * (CAR.width + WIDTH))
+        room = min(
+            room,
+            float(np.abs(trace.ego.y - y)[beside].min(initial=np.inf)) - 0.5 * (CAR.width + WIDTH),
+        )
         before = min(before, float(rear[-1] - at[-1]))
     return Passed(trace, before, room)
 
@@ -171,7 +219,9 @@ def hardest(trace: Trace) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize("side", [-1.0, pytest.param(1.0, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("kind", [AgentKind.BICYCLE, pytest.param(AgentKind.PEDESTRIAN, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "kind", [AgentKind.BICYCLE, pytest.param(AgentKind.PEDESTRIAN, marks=pytest.mark.slow)]
+)
 def test_in_a_wide_lane_they_are_passed_with_room(side: float, kind: AgentKind) -> None:
     u = 4.0 if kind is AgentKind.BICYCLE else 1.3
     found = drive(lanes(along_x(-20.0, 400.0), width=5.5), [(40.0, 1.6 * side, u)], kind=kind)
@@ -185,13 +235,26 @@ def test_in_a_wide_lane_they_are_passed_with_room(side: float, kind: AgentKind) 
 def test_a_free_lane_beside_is_borrowed_for_them_and_the_record_says_so() -> None:
     found = drive(lanes(along_x(-20.0, 400.0), 2), [(40.0, -0.8, 4.0)])
     assert found.before > 10.0 and found.room > 1.4 and found.trace.ego.y.max() < 3.0
-    counted = [item for one in found.trace.frames for item in one.plan.internals if isinstance(item, Candidates)]
-    assert any(item.stage == "passing" and item.rejected[0][0].startswith("keep: costs") for item in counted)
+    counted = [
+        item
+        for one in found.trace.frames
+        for item in one.plan.internals
+        if isinstance(item, Candidates)
+    ]
+    assert any(
+        item.stage == "passing" and item.rejected[0][0].startswith("keep: costs")
+        for item in counted
+    )
 
 
 @pytest.mark.slow
 def test_where_another_comes_they_are_followed_until_that_one_is_gone() -> None:
-    found = drive(two_way(), [(40.0, -1.0, 3.0)], seconds=26.0, cars=((120.0, 3.5, -10.0), (160.0, 3.5, -10.0)))
+    found = drive(
+        two_way(),
+        [(40.0, -1.0, 3.0)],
+        seconds=26.0,
+        cars=((120.0, 3.5, -10.0), (160.0, 3.5, -10.0)),
+    )
     assert found.before > 5.0 and found.room > 1.4
     assert found.trace.end is EndReason.END_OF_LOG
     assert found.trace.ego.v.min() < 6.0
@@ -202,10 +265,16 @@ def test_where_another_comes_they_are_followed_until_that_one_is_gone() -> None:
 @pytest.mark.parametrize(("reach", "free"), [(60.0, False), (300.0, True), (np.inf, True)])
 def test_the_facing_lane_must_be_seen_as_far_as_one_may_come_from(reach: float, free: bool) -> None:
     road = two_way()
-    sight = None if np.isinf(reach) else Visibility(EGO.x, 0.0, 0.0, reach, 2.0 * np.pi, np.empty((0, 4, 2)))
+    sight = (
+        None
+        if np.isinf(reach)
+        else Visibility(EGO.x, 0.0, 0.0, reach, 2.0 * np.pi, np.empty((0, 4, 2)))
+    )
     now = scene(reference(road, ego=EGO, lane=0), EGO, [goer(45.0, -1.0, 3.0)], seen=sight)
     stations = free_stations(now.frame.predictions.t, now.s, 9.0, 10.0)
-    way = obstacles_to_pass(now, pass_targets(now, [0], stations), stations, (True, False), CorridorConfig(), ())
+    way = obstacles_to_pass(
+        now, pass_targets(now, [0], stations), stations, (True, False), CorridorConfig(), ()
+    )
     assert len(way.obstacles) == 1 and way.facing == (frozenset({"goer"}) if free else frozenset())
 
 
@@ -213,7 +282,11 @@ def chosen(trace: Trace) -> str:
     """Frame by frame: P passes, k could but keeps behind, - no one is to be passed."""
     out = ""
     for one in trace.frames:
-        why = [i.rejected[0][0] for i in one.plan.internals if isinstance(i, Candidates) and i.stage == "passing"]
+        why = [
+            i.rejected[0][0]
+            for i in one.plan.internals
+            if isinstance(i, Candidates) and i.stage == "passing"
+        ]
         out += "-" if not why else "P" if why[0].startswith("keep:") else "k"
     return out
 
@@ -222,22 +295,37 @@ def chosen(trace: Trace) -> str:
     ("road", "goers", "v"),
     [
         (lanes(along_x(-20.0, 500.0), 2), [(30.0, -1.8, 4.0)], 10.0),
-        pytest.param(lanes(along_x(-20.0, 500.0), 2), [(40.0, 1.8, 4.0)], 9.0, marks=pytest.mark.slow),
+        pytest.param(
+            lanes(along_x(-20.0, 500.0), 2), [(40.0, 1.8, 4.0)], 9.0, marks=pytest.mark.slow
+        ),
         pytest.param(two_way(crossable=False), [(25.0, -1.75, 3.0)], 9.0, marks=pytest.mark.slow),
-        pytest.param(two_way(), [(30.0, -1.0, 1.2), (48.0, -0.6, 1.3)], 9.0, marks=pytest.mark.slow),
+        pytest.param(
+            two_way(), [(30.0, -1.0, 1.2), (48.0, -0.6, 1.3)], 9.0, marks=pytest.mark.slow
+        ),
         pytest.param(two_way(), [(12.0, -0.8, 1.3)], 1.0, marks=pytest.mark.slow),
         (two_way(), [(8.0, -0.8, 1.3)], 0.0),
     ],
-    ids=["at the edge", "at the left edge", "room in the lane", "one after the other", "walking pace", "standing"],
+    ids=[
+        "at the edge",
+        "at the left edge",
+        "room in the lane",
+        "one after the other",
+        "walking pace",
+        "standing",
+    ],
 )
-def test_they_are_passed_once_and_for_all(road: Road, goers: list[tuple[float, float, float]], v: float) -> None:
+def test_they_are_passed_once_and_for_all(
+    road: Road, goers: list[tuple[float, float, float]], v: float
+) -> None:
     found = drive(road, goers, v=v, seconds=20.0)
     assert found.before > 5.0 and found.room > 1.15
     assert hardest(found.trace)[0] < 2.0
     assert len(re.findall("P+", chosen(found.trace))) <= len(goers)
 
 
-@pytest.mark.parametrize("rule", [{"light": 1}, {"must_stop": True}], ids=["red light", "stop sign"])
+@pytest.mark.parametrize(
+    "rule", [{"light": 1}, {"must_stop": True}], ids=["red light", "stop sign"]
+)
 def test_no_one_is_passed_where_the_ego_has_to_wait(rule: dict[str, object]) -> None:
     mark = StopLine(7, 0, np.array([[80.0, -1.75], [80.0, 1.75]]), **rule)  # type: ignore[arg-type]
     red = TrafficLight(1, np.array([0.0]), (Colour.RED,))
@@ -250,14 +338,18 @@ def test_no_one_is_passed_where_the_ego_has_to_wait(rule: dict[str, object]) -> 
 def test_a_solid_marking_is_not_crossed_and_a_narrow_lane_has_no_room() -> None:
     for road in (two_way(crossable=False), lanes(along_x(-20.0, 400.0))):
         found = drive(road, [(40.0, -1.2, 4.0)])
-        assert found.trace.end is EndReason.END_OF_LOG and found.before < -5.0 and np.isinf(found.room)
+        assert (
+            found.trace.end is EndReason.END_OF_LOG and found.before < -5.0 and np.isinf(found.room)
+        )
         assert np.abs(found.trace.ego.y).max() < 0.1
 
 
 def test_who_follows_in_the_lane_beside_does_not_have_to_brake() -> None:
     """A faster car that is nearly beside goes first; the ego waits behind the rider for it."""
     found = drive(lanes(along_x(-20.0, 400.0), 2), [(35.0, -0.8, 4.0)], cars=((-8.0, 3.5, 12.0),))
-    y = found.trace.ego.y[found.trace.ego.x + CAR.axle_to_front > -8.0 - 2.25 + 12.0 * found.trace.ego.t - 2.0]
+    y = found.trace.ego.y[
+        found.trace.ego.x + CAR.axle_to_front > -8.0 - 2.25 + 12.0 * found.trace.ego.t - 2.0
+    ]
     assert np.abs(y).max(initial=0.0) < 0.9
     assert found.before > 5.0 and found.room > 1.0
 
@@ -269,14 +361,18 @@ def test_between_walkers_at_both_edges_it_neither_brakes_nor_swerves(
     right: float, left: float, gap: float, v: float
 ) -> None:
     goers = [(50.0, right, 1.3), (50.0 + gap, left, 1.2)]
-    found = drive(lanes(along_x(-20.0, 400.0), width=6.0), goers, v=v, kind=AgentKind.PEDESTRIAN, seconds=10.0)
+    found = drive(
+        lanes(along_x(-20.0, 400.0), width=6.0), goers, v=v, kind=AgentKind.PEDESTRIAN, seconds=10.0
+    )
     assert found.trace.end is EndReason.END_OF_LOG and found.room > 0.55
     decel, lateral = hardest(found.trace)
     assert decel < 3.2 and lateral < 3.0
 
 
 @given(st.floats(1.0, 60.0), st.floats(0.0, 10.0), st.booleans())
-def test_the_lane_beside_is_borrowed_where_no_one_brakes_hard(gap: float, closing: float, left: bool) -> None:
+def test_the_lane_beside_is_borrowed_where_no_one_brakes_hard(
+    gap: float, closing: float, left: bool
+) -> None:
     road = lanes(along_x(-100.0, 400.0), 2)
     lane, beside = (0, 3.5) if left else (1, 0.0)
     ego = EgoState(0.0, 20.0, 3.5 - beside, 0.0, 10.0, 0.0, 0.0)

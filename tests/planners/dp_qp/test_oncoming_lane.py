@@ -28,8 +28,14 @@ def driven(road: Road, others: Sequence[Other], seconds: float = 20.0) -> Drive:
 
 @pytest.mark.parametrize("right", [True, False])
 def test_the_facing_lane_adjoins_where_its_marking_may_be_crossed(right: bool) -> None:
-    found, shut = (reference(two_way(right=right, crossable=free), lane=0) for free in (True, False))
-    near, far = (found.facing_left, found.facing_right) if right else (found.facing_right, found.facing_left)
+    found, shut = (
+        reference(two_way(right=right, crossable=free), lane=0) for free in (True, False)
+    )
+    near, far = (
+        (found.facing_left, found.facing_right)
+        if right
+        else (found.facing_right, found.facing_left)
+    )
     assert near is not None and far is not None
     np.testing.assert_allclose(np.abs(near[:-1]), 5.25, atol=1e-6)
     np.testing.assert_allclose(np.abs(far), 1.75, atol=1e-6)
@@ -61,20 +67,26 @@ def test_it_waits_for_who_comes_and_passes_then() -> None:
 def test_a_parked_car_is_passed_once_it_has_stood_for_long() -> None:
     drive = driven(two_way(), [PARKED])
     first = next(
-        now.t for now, plan in drive if any(getattr(i, "kind", None) is DecisionKind.NUDGE_LEFT for i in plan.internals)
+        now.t
+        for now, plan in drive
+        if any(getattr(i, "kind", None) is DecisionKind.NUDGE_LEFT for i in plan.internals)
     )
     assert first >= 5.0 and drive[-1][0].ego.x > 100.0
 
 
 @pytest.mark.parametrize("right", [True, False])
 @pytest.mark.parametrize(("aside", "passes"), [(3.5, False), (4.9, True)])
-def test_it_is_not_passed_where_another_fills_the_oncoming_lane(right: bool, aside: float, passes: bool) -> None:
+def test_it_is_not_passed_where_another_fills_the_oncoming_lane(
+    right: bool, aside: float, passes: bool
+) -> None:
     """Behind a car that stands there may be more that it hides; a narrow one at the edge leaves room between."""
     side = aside if right else -aside
     others = [standing("parked", 38.0, 0.0, width=3.0), standing("other", 25.0, side, width=0.9)]
     now = scene(reference(two_way(right=right), lane=0), EGO, others)
     boxes = tuple(box for box in standing_obstacles(now, 100.0) if box.agent == "parked")
-    assert passed_by_oncoming_lane(now, boxes, CorridorConfig()) == (frozenset({"parked"}) if passes else frozenset())
+    assert passed_by_oncoming_lane(now, boxes, CorridorConfig()) == (
+        frozenset({"parked"}) if passes else frozenset()
+    )
 
 
 def test_a_queue_is_not_overtaken() -> None:
@@ -90,7 +102,12 @@ def test_who_waits_before_a_junction_is_not_overtaken() -> None:
         strip(i, np.array([[90.0, 0.0], [150.0, 0.0], [260.0, side]]), speed_limit=10.0)
         for i, side in ((2, 0.0), (3, 9.0))
     ]
-    stem = replace(road.lanes[0], left=x + np.array([0.0, 1.75]), right=x - np.array([0.0, 1.75]), successors=(2, 3))
+    stem = replace(
+        road.lanes[0],
+        left=x + np.array([0.0, 1.75]),
+        right=x - np.array([0.0, 1.75]),
+        successors=(2, 3),
+    )
     forked = Road({**road.lanes, 0: stem, 2: fork[0], 3: fork[1]})
     assert reference(forked, lane=0).waits == pytest.approx((140.0,), abs=0.5)
     drive = driven(forked, [PARKED])

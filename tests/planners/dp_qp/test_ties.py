@@ -37,7 +37,10 @@ def plans_of(log: Scenario, times: tuple[float, ...]) -> list[Plan]:
     """Plans from the logged states, each with fresh memory."""
     driver = DpQp(PlannerContext(log.road, log.goal, log.vehicle, PERIOD, log.ego.state(0)))
     known = [(log.ego.at(t), log.tracks.perceived(t)) for t in times]
-    return [driver.plan(Frame(t, ego, now, predict(now, t))) for t, (ego, now) in zip(times, known, strict=True)]
+    return [
+        driver.plan(Frame(t, ego, now, predict(now, t)))
+        for t, (ego, now) in zip(times, known, strict=True)
+    ]
 
 
 @pytest.mark.parametrize("name", CATALOGUE)
@@ -59,28 +62,39 @@ _ROUND = st.tuples(
 
 @pytest.mark.slow
 @settings(max_examples=60)
-@given(st.integers(1, 3), st.sampled_from([0.0, 5.0, 6.0, 10.0, 12.5]), st.lists(_ROUND, max_size=5))
+@given(
+    st.integers(1, 3), st.sampled_from([0.0, 5.0, 6.0, 10.0, 12.5]), st.lists(_ROUND, max_size=5)
+)
 @example(1, 0.0, [(8.0, -1.75, 0.0)])  # a bound of the speed QP lies on the optimum without bounds
 def test_worlds_of_round_figures_are_like_their_neighbours(
     count: int, v: float, others: list[tuple[float, float, float]]
 ) -> None:
     """Others at x, y with a speed along x: on markings, beside the ego, at the ends of the grids."""
     cars = [
-        (f"{i}", AgentKind.CAR, (4.5, 1.8), moving(x, y, speed, 0.0, 0.0)) for i, (x, y, speed) in enumerate(others)
+        (f"{i}", AgentKind.CAR, (4.5, 1.8), moving(x, y, speed, 0.0, 0.0))
+        for i, (x, y, speed) in enumerate(others)
     ]
     log = scenario(along(grid(8.0, 0.1), v), cars, road=lanes(along_x(), count))
     (here,) = plans_of(log, (1.0,))
-    for there, turn in ((jittered(log, TINY), 0.0), (rotated(log, 1e-12), 1e-12), (rotated(log, 0.5), 0.5)):
+    for there, turn in (
+        (jittered(log, TINY), 0.0),
+        (rotated(log, 1e-12), 1e-12),
+        (rotated(log, 0.5), 0.5),
+    ):
         assert parted(here, *plans_of(there, (1.0,)), turn) < 1e-5
 
 
 @settings(max_examples=25)
 @given(st.integers(20, 300), st.sampled_from([0.5, 1.0, 2.0]), st.floats(-TINY, TINY))
-def test_lines_with_round_spacings_keep_their_points(count: int, spacing: float, off: float) -> None:
+def test_lines_with_round_spacings_keep_their_points(
+    count: int, spacing: float, off: float
+) -> None:
     points = np.column_stack([spacing * np.arange(count), np.zeros(count)])
     near = points * (1.0 + off / 100.0)
     np.testing.assert_allclose(thinned(near, 1.0), thinned(points, 1.0), atol=SAME)
-    np.testing.assert_allclose(ReferenceLine.through(near).s, ReferenceLine.through(points).s, atol=SAME)
+    np.testing.assert_allclose(
+        ReferenceLine.through(near).s, ReferenceLine.through(points).s, atol=SAME
+    )
     assert nearest(near, spacing * 7.5, 0.0) == nearest(points, spacing * 7.5, 0.0) == 7
 
 
@@ -129,4 +143,6 @@ def test_a_fork_as_sharp_to_both_sides_goes_to_the_lane_with_the_lower_id(off: f
 def test_who_stands_where_a_lane_ends_is_on_the_next() -> None:
     end = np.array([400.0, 0.0])
     road = Road({0: strip(0, along_x(), successors=(1,)), 1: strip(1, along_x(0.0, 40.0) + end)})
-    assert {start_lanes(road, EgoState(0.0, 400.0 + off, 0.0, 0.0, 5.0)) for off in (-TINY, 0.0, TINY)} == {(1,)}
+    assert {
+        start_lanes(road, EgoState(0.0, 400.0 + off, 0.0, 0.0, 5.0)) for off in (-TINY, 0.0, TINY)
+    } == {(1,)}

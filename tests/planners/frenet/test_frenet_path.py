@@ -8,20 +8,33 @@ from worlds import curve
 from replan.core.arrays import FloatArray
 from replan.logs.road import ReferenceLine
 from replan.logs.states import EgoState
-from replan.planners.frenet.path import Path, frenet_start, make_path, out_of_frame, quintic, states_on_path
+from replan.planners.frenet.path import (
+    Path,
+    frenet_start,
+    make_path,
+    out_of_frame,
+    quintic,
+    states_on_path,
+)
 
 SEED = st.integers(0, 2**32 - 1)
 OFFSET, SLOPE, BEND = st.floats(-3.0, 3.0), st.floats(-0.5, 0.5), st.floats(-0.1, 0.1)
 
 
-def quintic_at(l0: float, dl0: float, ddl0: float, l1: float, length: float, d: FloatArray) -> FloatArray:
+def quintic_at(
+    l0: float, dl0: float, ddl0: float, l1: float, length: float, d: FloatArray
+) -> FloatArray:
     """Rows l, l', l'' `(3, n)` of the quintic, by its definition as a polynomial."""
-    polynomial = np.polynomial.Polynomial([l0, dl0, 0.5 * ddl0, *quintic(l0, dl0, ddl0, l1, length)])
+    polynomial = np.polynomial.Polynomial(
+        [l0, dl0, 0.5 * ddl0, *quintic(l0, dl0, ddl0, l1, length)]
+    )
     return np.array([polynomial(d), polynomial.deriv(1)(d), polynomial.deriv(2)(d)])
 
 
 @given(OFFSET, SLOPE, BEND, OFFSET, st.floats(2.0, 40.0))
-def test_the_quintic_meets_its_ends(l0: float, dl0: float, ddl0: float, l1: float, length: float) -> None:
+def test_the_quintic_meets_its_ends(
+    l0: float, dl0: float, ddl0: float, l1: float, length: float
+) -> None:
     begin, end = quintic_at(l0, dl0, ddl0, l1, length, np.array([0.0, length])).T
     np.testing.assert_allclose(begin, (l0, dl0, ddl0), atol=1e-12)
     np.testing.assert_allclose(end, (l1, 0.0, 0.0), atol=1e-9)
@@ -33,11 +46,15 @@ BENDS = st.lists(st.tuples(st.floats(15.0, 60.0), st.floats(-0.06, 0.06)), min_s
 def smooth_line(bends: list[tuple[float, float]]) -> ReferenceLine:
     """A line whose curvature is continuous: arcs with clothoids between them."""
     ends = np.cumsum([0.0, 20.0] + [length for length, _ in bends])
-    kappa = np.interp(np.arange(0.0, ends[-1] + 20.0, 0.5), ends, [0.0, 0.0] + [k for _, k in bends])
+    kappa = np.interp(
+        np.arange(0.0, ends[-1] + 20.0, 0.5), ends, [0.0, 0.0] + [k for _, k in bends]
+    )
     return ReferenceLine.through(curve(*[(0.5, float(k)) for k in kappa], step=0.5))
 
 
-@given(BENDS, st.floats(-2.0, 2.0), st.floats(-0.6, 0.6), st.floats(-0.05, 0.05), st.floats(5.0, 60.0))
+@given(
+    BENDS, st.floats(-2.0, 2.0), st.floats(-0.6, 0.6), st.floats(-0.05, 0.05), st.floats(5.0, 60.0)
+)
 @settings(max_examples=60)
 def test_frenet_there_and_back(
     bends: list[tuple[float, float]],
@@ -59,7 +76,9 @@ def test_frenet_there_and_back(
 
 @given(BENDS, SEED)
 @settings(max_examples=40)
-def test_heading_and_curvature_are_those_of_the_points(bends: list[tuple[float, float]], seed: int) -> None:
+def test_heading_and_curvature_are_those_of_the_points(
+    bends: list[tuple[float, float]], seed: int
+) -> None:
     line = smooth_line(bends)
     rng = np.random.default_rng(seed)
     step, n = 0.25, round((line.length - 12.0) / 0.25)
@@ -71,14 +90,18 @@ def test_heading_and_curvature_are_those_of_the_points(bends: list[tuple[float, 
     path = make_path(line, 6.0, step, shrink * np.array([l, dl, ddl]))
     yaw = np.unwrap(np.arctan2(np.diff(path.y), np.diff(path.x)))
     middle = 0.5 * (path.yaw[1:] + path.yaw[:-1])
-    np.testing.assert_allclose(yaw - 2.0 * np.pi * np.round((yaw[0] - middle[0]) / 2.0 / np.pi), middle, atol=2e-3)
+    np.testing.assert_allclose(
+        yaw - 2.0 * np.pi * np.round((yaw[0] - middle[0]) / 2.0 / np.pi), middle, atol=2e-3
+    )
     kappa = np.diff(path.yaw) / np.diff(path.sigma)
     np.testing.assert_allclose(kappa, 0.5 * (path.kappa[1:] + path.kappa[:-1]), atol=2e-3)
 
 
 @given(st.floats(12.0, 80.0), st.booleans(), st.floats(-4.0, 4.0))
 @settings(max_examples=30)
-def test_a_constant_offset_from_a_circle_is_a_concentric_circle(radius: float, left: bool, offset: float) -> None:
+def test_a_constant_offset_from_a_circle_is_a_concentric_circle(
+    radius: float, left: bool, offset: float
+) -> None:
     kappa = (1.0 if left else -1.0) / radius
     line = ReferenceLine.through(curve((4.0 * radius, kappa), step=0.5))
     n = int(2.0 * radius)
@@ -121,6 +144,8 @@ def test_beyond_its_end_a_path_goes_straight_on() -> None:
 def test_where_the_frame_ends_it_says_why() -> None:
     line = ReferenceLine.through(curve((60.0, 0.1)))
     x, y, yaw, _ = line.frame(30.0)
-    assert "120 degrees" in out_of_frame(line, EgoState(0.0, x, y, yaw + np.radians(120.0), 5.0), 30.0, 0.0)
+    assert "120 degrees" in out_of_frame(
+        line, EgoState(0.0, x, y, yaw + np.radians(120.0), 5.0), 30.0, 0.0
+    )
     assert "centre" in out_of_frame(line, EgoState(0.0, x, y, yaw, 5.0), 30.0, 9.5)
     assert out_of_frame(line, EgoState(0.0, x, y, yaw + np.radians(-60.0), 5.0), 30.0, 8.0) == ""

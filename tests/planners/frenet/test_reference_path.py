@@ -44,7 +44,9 @@ def resampled(points: FloatArray, count: int) -> FloatArray:
 @settings(max_examples=40)
 def test_smoothing_moves_no_point_further_than_it_may(legs: list[tuple[float, float]]) -> None:
     heading = np.cumsum([turn for _, turn in legs])
-    steps = np.array([length for length, _ in legs])[:, None] * np.column_stack([np.cos(heading), np.sin(heading)])
+    steps = np.array([length for length, _ in legs])[:, None] * np.column_stack(
+        [np.cos(heading), np.sin(heading)]
+    )
     points = np.vstack([[0.0, 0.0], np.cumsum(steps, axis=0)])
     smooth = smooth_points(points)
     raw = resampled(points, len(smooth))
@@ -60,12 +62,18 @@ def test_smoothing_moves_no_point_further_than_it_may(legs: list[tuple[float, fl
     st.sampled_from([1.0, -1.0]),
 )
 @settings(max_examples=30)
-def test_the_line_turns_and_mirrors_with_the_world(legs: list[tuple[float, float]], turn: float, flip: float) -> None:
+def test_the_line_turns_and_mirrors_with_the_world(
+    legs: list[tuple[float, float]], turn: float, flip: float
+) -> None:
     heading = np.cumsum([bend for _, bend in legs])
-    steps = np.array([length for length, _ in legs])[:, None] * np.column_stack([np.cos(heading), np.sin(heading)])
+    steps = np.array([length for length, _ in legs])[:, None] * np.column_stack(
+        [np.cos(heading), np.sin(heading)]
+    )
     points = np.vstack([[30.0, -20.0], np.cumsum(steps, axis=0)])
     world = np.array([[np.cos(turn), np.sin(turn)], [-flip * np.sin(turn), flip * np.cos(turn)]])
-    np.testing.assert_allclose(smooth_points(points @ world), smooth_points(points) @ world, atol=1e-6)
+    np.testing.assert_allclose(
+        smooth_points(points @ world), smooth_points(points) @ world, atol=1e-6
+    )
 
 
 @pytest.mark.parametrize("length", [41.0, 43.0, 300.0])  # half way between two counts of points
@@ -74,14 +82,19 @@ def test_a_figure_as_round_as_it_may_be_does_not_change_the_count(length: float)
         assert len(smooth_points(np.array([[0.0, 0.0], [near, 0.0]]))) == len(
             smooth_points(np.array([[0.0, 0.0], [length, 0.0]]))
         )
-    exact, less = (ReferenceLine.through(np.array([[0.0, 0.0], [at + 0.5, 0.0]])) for at in (length, length - 1e-9))
+    exact, less = (
+        ReferenceLine.through(np.array([[0.0, 0.0], [at + 0.5, 0.0]]))
+        for at in (length, length - 1e-9)
+    )
     assert len(exact.s) == len(less.s)
 
 
 @given(st.floats(20.0, 300.0), st.floats(-np.pi, np.pi))
 def test_a_straight_line_stays_straight(length: float, yaw: float) -> None:
     points = np.array([[5.0, 7.0], [5.0 + length * np.cos(yaw), 7.0 + length * np.sin(yaw)]])
-    np.testing.assert_allclose(smooth_points(points), resampled(points, len(smooth_points(points))), atol=2e-4)
+    np.testing.assert_allclose(
+        smooth_points(points), resampled(points, len(smooth_points(points))), atol=2e-4
+    )
     assert np.abs(ReferenceLine.through(smooth_points(points)).kappa).max() < 1e-3
 
 
@@ -102,7 +115,8 @@ def test_smoothing_solves_its_problem() -> None:
 def test_known_widths_are_found_in_a_curve(kappa: float) -> None:
     line = reference(lanes(curve((60.0, 0.0), (80.0, kappa), (60.0, 0.0)), 2))
     middle = slice(80, 120)
-    np.testing.assert_allclose(line.lane_left[middle], 1.75, atol=0.06)  # smoothing cuts the curve by some centimetres
+    # Smoothing cuts the curve by some centimetres
+    np.testing.assert_allclose(line.lane_left[middle], 1.75, atol=0.06)
     np.testing.assert_allclose(line.lane_right[middle], -1.75, atol=0.06)
     np.testing.assert_allclose(line.road_left[middle], 5.25, atol=0.06)
     np.testing.assert_allclose(line.line.kappa[middle], kappa, rtol=0.05)
@@ -125,7 +139,9 @@ def test_a_marking_is_crossed_only_where_both_lanes_allow_it(own: bool, other: b
 
 def test_a_marking_two_lanes_away_is_respected() -> None:
     road = lanes(along_x(), 3)
-    closed = {i: Lane(**{**vars_of(lane), "left_crossable": i != 1}) for i, lane in road.lanes.items()}
+    closed = {
+        i: Lane(**{**vars_of(lane), "left_crossable": i != 1}) for i, lane in road.lanes.items()
+    }
     assert at(reference(Road(closed)), 100.0)[3] == pytest.approx(5.25, abs=1e-3)
     assert at(reference(road), 100.0)[3] == pytest.approx(8.75, abs=1e-3)
 
@@ -137,7 +153,9 @@ def vars_of(lane: Lane) -> dict[str, object]:
 def test_the_opposite_lane_is_not_to_be_borrowed() -> None:
     opposite = strip(1, beside(along_x(), 3.5)[::-1])
     road = Road({0: strip(0, along_x(), left_opposite=True), 1: opposite})
-    np.testing.assert_allclose(at(reference(road), 100.0)[:4], (-1.75, -1.75, 1.75, 1.75), atol=1e-3)
+    np.testing.assert_allclose(
+        at(reference(road), 100.0)[:4], (-1.75, -1.75, 1.75, 1.75), atol=1e-3
+    )
 
 
 def test_a_sidewalk_is_not_to_be_borrowed() -> None:
@@ -186,7 +204,9 @@ def test_a_circular_lane_is_followed_once_round_and_not_for_ever() -> None:
 
 
 @pytest.mark.parametrize(("turn", "possible"), [(70.0, True), (-90.0, True), (120.0, False)])
-def test_a_kinked_lane_is_smoothed_until_a_car_can_be_steered_along(turn: float, possible: bool) -> None:
+def test_a_kinked_lane_is_smoothed_until_a_car_can_be_steered_along(
+    turn: float, possible: bool
+) -> None:
     """As far as its width allows; in a lane hardly wider than the car the line stays where it is."""
     yaw, leg = np.radians(turn), np.arange(0.0, 40.0, 1.0)[:, None]
     kinked = np.vstack([leg * [1.0, 0.0], [40.0, 0.0] + leg * [np.cos(yaw), np.sin(yaw)]])
@@ -207,7 +227,9 @@ def test_a_kinked_lane_is_smoothed_until_a_car_can_be_steered_along(turn: float,
 @settings(max_examples=20)
 def test_known_widths_are_found(width: float, count: int, own: int) -> None:
     own = min(own, count - 1)
-    line = reference(lanes(along_x(), count, width=width, limit=7.0), EgoState(0.0, 0.0, own * width, 0.0, 10.0))
+    line = reference(
+        lanes(along_x(), count, width=width, limit=7.0), EgoState(0.0, 0.0, own * width, 0.0, 10.0)
+    )
     right = -(own + 0.5) * width
     expected = (right, -0.5 * width, 0.5 * width, right + count * width, 7.0)
     np.testing.assert_allclose(at(line, 100.0), expected, atol=1e-3)

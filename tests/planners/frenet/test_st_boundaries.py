@@ -15,7 +15,13 @@ from replan.logs.states import EgoState
 from replan.planners.dp_qp.speed.qp import BARE, TOUCHING
 from replan.planners.frenet.path import Path
 from replan.planners.frenet.scene import STANDING_MPS, Occupancy, Scene, behind
-from replan.planners.frenet.st_boundaries import ONCOMING_RAD, StBoundaries, StGraphConfig, decide_speed, st_boundaries
+from replan.planners.frenet.st_boundaries import (
+    ONCOMING_RAD,
+    StBoundaries,
+    StGraphConfig,
+    decide_speed,
+    st_boundaries,
+)
 
 AS_PREDICTED = StGraphConfig(early_s=0.0, late_s=0.0)
 EGO = EgoState(0.0, 0.0, 0.0, 0.0, 8.0)
@@ -32,7 +38,9 @@ STRAIGHT = path_of(np.zeros(301), 0.4)
 ROAD = reference(along_x())
 
 
-def blocks_of(path: Path, other: Other, config: StGraphConfig = AS_PREDICTED, *, passed: bool = False) -> StBoundaries:
+def blocks_of(
+    path: Path, other: Other, config: StGraphConfig = AS_PREDICTED, *, passed: bool = False
+) -> StBoundaries:
     names = frozenset({other.id} if passed else ())
     return st_boundaries(scene(ROAD, EGO, [other]), path, np.zeros(1, np.bool_), names, config)
 
@@ -52,10 +60,18 @@ def met(path: Path, other: Other, t: float, margin: float) -> FloatArray:
         sigma
         for sigma, px, py, a in zip(path.sigma, path.x, path.y, path.yaw, strict=True)
         if overlap(
-            px + reach * np.cos(a), py + reach * np.sin(a), a, CAR.length, CAR.width + 2.0 * margin,
-            x, y, yaw, other.length, other.width,
+            px + reach * np.cos(a),
+            py + reach * np.sin(a),
+            a,
+            CAR.length,
+            CAR.width + 2.0 * margin,
+            x,
+            y,
+            yaw,
+            other.length,
+            other.width,
         )
-    ]  # fmt: skip
+    ]
     return np.array(found)
 
 
@@ -67,9 +83,14 @@ def crossings(draw: st.DrawFn) -> tuple[Path, Other]:
     yaw, speed = draw(st.floats(-np.pi, np.pi)), draw(st.floats(0.0, 20.0))
     when = draw(st.floats(0.0, 8.0))
     vx, vy = speed * np.cos(yaw), speed * np.sin(yaw)
-    x, y = path.x[i] + draw(st.floats(-6.0, 6.0)) - when * vx, path.y[i] + draw(st.floats(-6.0, 6.0)) - when * vy
+    x, y = (
+        path.x[i] + draw(st.floats(-6.0, 6.0)) - when * vx,
+        path.y[i] + draw(st.floats(-6.0, 6.0)) - when * vy,
+    )
     length, width = draw(st.sampled_from([(4.5, 1.8), (0.5, 0.6), (14.0, 2.5)]))
-    return path, Other("it", lambda t: (x + vx * t, y + vy * t, yaw, vx, vy), length=length, width=width)
+    return path, Other(
+        "it", lambda t: (x + vx * t, y + vy * t, yaw, vx, vy), length=length, width=width
+    )
 
 
 @given(crossings())
@@ -88,7 +109,9 @@ def test_blocked_intervals_are_where_the_boxes_overlap(crossing: tuple[Path, Oth
 
 @given(crossings(), st.floats(0.0, 0.5), st.floats(0.0, 0.5))
 @settings(max_examples=30)
-def test_a_wider_margin_blocks_more(crossing: tuple[Path, Other], first: float, more: float) -> None:
+def test_a_wider_margin_blocks_more(
+    crossing: tuple[Path, Other], first: float, more: float
+) -> None:
     path, other = crossing
     narrow, wide = (
         blocks_of(path, other, StGraphConfig(margin_m=margin, early_s=0.0, late_s=0.0))
@@ -121,14 +144,17 @@ def test_margins_depend_on_who_it_is() -> None:
     assert len(blocks_of(STRAIGHT, standing("car", 30.0, beside + 0.11), passed=True)) == 0
     walker = Other("ped", lambda t: (30.0, beside + 0.59, 0.0, 0.0, 0.0), AgentKind.PEDESTRIAN)
     assert len(blocks_of(STRAIGHT, walker)) == 1
-    for v, width, blocks in ((8.0, 0.29, 1), (-8.0, 0.11, 0), (-8.0, 0.09, 1)):  # braking gives an oncoming car no room
+    # Braking gives an oncoming car no room
+    for v, width, blocks in ((8.0, 0.29, 1), (-8.0, 0.11, 0), (-8.0, 0.09, 1)):
         assert len(blocks_of(STRAIGHT, driving("car", 30.0, beside + width, v))) == blocks
 
 
 def test_the_speed_along_the_path_is_the_projection_of_the_velocity() -> None:
     assert blocks_of(STRAIGHT, driving("lead", 20.0, 0.0, 5.0)).speed[0] == pytest.approx(5.0)
     assert blocks_of(STRAIGHT, driving("oncoming", 70.0, 0.0, -5.0)).speed[0] == pytest.approx(-5.0)
-    assert blocks_of(STRAIGHT, driving("crossing", 20.0, -6.0, 0.0, 3.0)).speed[0] == pytest.approx(0.0, abs=1e-9)
+    assert blocks_of(STRAIGHT, driving("crossing", 20.0, -6.0, 0.0, 3.0)).speed[0] == pytest.approx(
+        0.0, abs=1e-9
+    )
 
 
 def test_who_follows_is_not_in_the_way() -> None:
@@ -138,13 +164,21 @@ def test_who_follows_is_not_in_the_way() -> None:
         driving("lead", 12.0, 0.0, 5.0),
         driving("oncoming from behind", -12.0, 0.0, -1.0),
     ]
-    for keeps_track, expected in ((True, [True, True, False, False]), (False, [True, False, False, False])):
-        assert behind(scene(reference(along_x(), 2), EGO, others), keeps_track=keeps_track).tolist() == expected
+    for keeps_track, expected in (
+        (True, [True, True, False, False]),
+        (False, [True, False, False, False]),
+    ):
+        assert (
+            behind(scene(reference(along_x(), 2), EGO, others), keeps_track=keeps_track).tolist()
+            == expected
+        )
 
 
 def decided(other: Other, profile: FloatArray) -> DecisionKind:
     blocks = blocks_of(STRAIGHT, other)
-    return decide_speed(blocks, scene(ROAD, EGO, [other]), np.interp(blocks.t, [0.0, 8.0], profile))[0].kind
+    return decide_speed(
+        blocks, scene(ROAD, EGO, [other]), np.interp(blocks.t, [0.0, 8.0], profile)
+    )[0].kind
 
 
 def test_words_for_what_is_done() -> None:
@@ -156,18 +190,29 @@ def test_words_for_what_is_done() -> None:
 
 
 CROWDS = st.lists(
-    st.tuples(st.floats(0.0, 70.0), st.floats(-9.0, 9.0), st.floats(-8.0, 8.0), st.floats(-4.0, 4.0), st.booleans()),
+    st.tuples(
+        st.floats(0.0, 70.0),
+        st.floats(-9.0, 9.0),
+        st.floats(-8.0, 8.0),
+        st.floats(-4.0, 4.0),
+        st.booleans(),
+    ),
     max_size=6,
-)  # fmt: skip
+)
 
 
 def crowd(rows: list[tuple[float, float, float, float, bool]]) -> Scene:
     """Cars and pedestrians at (x, y) with velocities."""
     kinds = (AgentKind.PEDESTRIAN, 0.5, 0.6), (AgentKind.CAR, 4.5, 1.8)
-    return scene(ROAD, EGO, [
-        replace(driving(f"it{i}", x, y, vx, vy, length=length, width=width), kind=kind)
-        for i, (x, y, vx, vy, drives) in enumerate(rows) for kind, length, width in (kinds[drives],)
-    ])  # fmt: skip
+    return scene(
+        ROAD,
+        EGO,
+        [
+            replace(driving(f"it{i}", x, y, vx, vy, length=length, width=width), kind=kind)
+            for i, (x, y, vx, vy, drives) in enumerate(rows)
+            for kind, length, width in (kinds[drives],)
+        ],
+    )
 
 
 @given(CROWDS, st.sampled_from([TOUCHING, BARE]), st.booleans())
@@ -192,10 +237,17 @@ STOPS = st.lists(st.tuples(st.floats(0.0, 80.0), st.sampled_from([2.05, 4.0, np.
 @given(CROWDS, STOPS, st.floats(0.0, 12.0), st.floats(-1.5, 1.5))
 @settings(max_examples=40)
 def test_a_stop_is_a_row_that_must_not_be_passed_while_it_lasts(
-    rows: list[tuple[float, float, float, float, bool]], stops: list[tuple[float, float]], v: float, a: float
+    rows: list[tuple[float, float, float, float, bool]],
+    stops: list[tuple[float, float]],
+    v: float,
+    a: float,
 ) -> None:
-    agents = st_boundaries(crowd(rows), STRAIGHT, np.zeros(len(rows), np.bool_), frozenset(), AS_PREDICTED)
-    whole = agents.with_stops([Occupancy(f"stop {i}", s, until=until) for i, (s, until) in enumerate(stops)])
+    agents = st_boundaries(
+        crowd(rows), STRAIGHT, np.zeros(len(rows), np.bool_), frozenset(), AS_PREDICTED
+    )
+    whole = agents.with_stops(
+        [Occupancy(f"stop {i}", s, until=until) for i, (s, until) in enumerate(stops)]
+    )
     assert len(whole) == len(agents) + len(stops) and (whole.agent[len(agents) :] == -1).all()
     only = whole.only(np.arange(len(whole)) < len(agents))
     for column in ("agent", "lower", "upper", "speed", "probability"):

@@ -58,23 +58,37 @@ def candidates(plan: Plan) -> Candidates:
 
 
 @given(SPEED, ACCEL, SPEED, st.floats(0.5, 8.0))
-def test_a_kept_speed_is_reached_without_acceleration(v0: float, a0: float, v1: float, T: float) -> None:
+def test_a_kept_speed_is_reached_without_acceleration(
+    v0: float, a0: float, v1: float, T: float
+) -> None:
     c = np.array([0.0, v0, 0.5 * a0, *keep_speed(v0, a0, v1, T)])
     assert c[5] == 0.0
     assert evaluate_polynomial(c, T, 0.0) == pytest.approx((0.0, v0, a0))
     assert evaluate_polynomial(c, T, T)[1:] == pytest.approx((v1, 0.0), abs=1e-9)
-    assert evaluate_polynomial(c, T, T + 2.0)[0] - evaluate_polynomial(c, T, T)[0] == pytest.approx(2.0 * v1, abs=1e-9)
+    assert evaluate_polynomial(c, T, T + 2.0)[0] - evaluate_polynomial(c, T, T)[0] == pytest.approx(
+        2.0 * v1, abs=1e-9
+    )
 
 
 @given(SPEED, ACCEL, st.floats(-10.0, 200.0), SPEED, st.floats(0.5, 8.0))
-def test_a_point_is_reached_with_its_speed(v0: float, a0: float, s1: float, v1: float, T: float) -> None:
+def test_a_point_is_reached_with_its_speed(
+    v0: float, a0: float, s1: float, v1: float, T: float
+) -> None:
     c = np.array([0.0, v0, 0.5 * a0, *reach_point(v0, a0, s1, v1, T)])
     assert evaluate_polynomial(c, T, 0.0) == pytest.approx((0.0, v0, a0))
     np.testing.assert_allclose(evaluate_polynomial(c, T, T), (s1, v1, 0.0), atol=1e-6)
 
 
-@given(st.floats(-4.0, 4.0), st.floats(-0.5, 0.5), st.floats(-0.1, 0.1), st.floats(-4.0, 4.0), st.floats(8.0, 150.0))
-def test_an_offset_is_reached_and_kept(l0: float, dl0: float, ddl0: float, l1: float, D: float) -> None:
+@given(
+    st.floats(-4.0, 4.0),
+    st.floats(-0.5, 0.5),
+    st.floats(-0.1, 0.1),
+    st.floats(-4.0, 4.0),
+    st.floats(8.0, 150.0),
+)
+def test_an_offset_is_reached_and_kept(
+    l0: float, dl0: float, ddl0: float, l1: float, D: float
+) -> None:
     c = lateral_polynomial(np.array([l0, dl0, ddl0]), l1, D)
     assert evaluate_polynomial(c, D, 0.0) == pytest.approx((l0, dl0, ddl0), abs=1e-12)
     for s in (D, D + 40.0):
@@ -86,26 +100,44 @@ def test_the_integral_of_the_squared_jerk(c: tuple[float, float, float], T: floa
     x, weight = np.polynomial.legendre.leggauss(6)
     u = 0.5 * T * (x + 1.0)
     third = 6.0 * c[0] + 24.0 * c[1] * u + 60.0 * c[2] * u * u
-    assert third_square(*c, T) == pytest.approx(0.5 * T * float(weight @ third**2), rel=1e-9, abs=1e-12)
+    assert third_square(*c, T) == pytest.approx(
+        0.5 * T * float(weight @ third**2), rel=1e-9, abs=1e-12
+    )
 
 
 @given(st.floats(-3.0, 3.0), st.floats(3.0, 25.0))
-def test_at_constant_speed_the_lateral_jerk_is_that_of_the_quintic_in_time(l1: float, v: float) -> None:
+def test_at_constant_speed_the_lateral_jerk_is_that_of_the_quintic_in_time(
+    l1: float, v: float
+) -> None:
     """From rest: 720 l1^2 / T^5 (Werling)."""
-    motion = sample_polynomials(np.array([[0.0, v, 0.0, 0.0, 0.0, 0.0]]), np.array([8.0]), HORIZON_STEPS)
-    cost, length = lateral_costs(motion, np.zeros(3), l1, np.array([4.0]), np.array([1.0, 0.0, 0.0]))
+    motion = sample_polynomials(
+        np.array([[0.0, v, 0.0, 0.0, 0.0, 0.0]]), np.array([8.0]), HORIZON_STEPS
+    )
+    cost, length = lateral_costs(
+        motion, np.zeros(3), l1, np.array([4.0]), np.array([1.0, 0.0, 0.0])
+    )
     assert length[0, 0] == pytest.approx(max(4.0 * v, LEAST_M))
     assert cost[0, 0] == pytest.approx(720.0 * l1**2 / 4.0**5, rel=1e-9, abs=1e-12)
 
 
-COURSE = reference(curve(*((0.5, 0.025 * np.sin(s / 25.0)) for s in np.arange(0.0, 240.0, 0.5)), step=0.5))
+COURSE = reference(
+    curve(*((0.5, 0.025 * np.sin(s / 25.0)) for s in np.arange(0.0, 240.0, 0.5)), step=0.5)
+)
 LINE = COURSE.line
 """Its curvature changes smoothly, so that differences are near to derivatives."""
 
 
 @settings(max_examples=25)
-@given(st.floats(5.0, 80.0), st.floats(-2.0, 2.0), st.floats(-0.1, 0.1), st.floats(3.0, 12.0), st.floats(0.0, 12.0))
-def test_states_are_those_of_a_moving_point(s0: float, l0: float, dl0: float, v0: float, v1: float) -> None:
+@given(
+    st.floats(5.0, 80.0),
+    st.floats(-2.0, 2.0),
+    st.floats(-0.1, 0.1),
+    st.floats(3.0, 12.0),
+    st.floats(0.0, 12.0),
+)
+def test_states_are_those_of_a_moving_point(
+    s0: float, l0: float, dl0: float, v0: float, v1: float
+) -> None:
     """Heading, curvature, speed and acceleration are the derivatives of the position."""
     lon = np.array([[0.0, v0, 0.0, *keep_speed(v0, 0.0, v1, 6.0)]])
     motion = sample_polynomials(lon, np.array([6.0]), 60)[0]
@@ -117,16 +149,32 @@ def test_states_are_those_of_a_moving_point(s0: float, l0: float, dl0: float, v0
     np.testing.assert_allclose(np.gradient(v, STEP_S)[t], a[t], atol=0.06)
     np.testing.assert_allclose(np.cos(yaw - np.arctan2(vy, vx))[t][moved[t]], 1.0, atol=1e-4)
     turning = np.gradient(yaw, STEP_S)
-    np.testing.assert_allclose((turning / np.maximum(v, 1e-6))[t][moved[t]], kappa[t][moved[t]], atol=4e-3)
+    np.testing.assert_allclose(
+        (turning / np.maximum(v, 1e-6))[t][moved[t]], kappa[t][moved[t]], atol=4e-3
+    )
     assert np.abs(l).max() < 4.0
 
 
 @settings(max_examples=25)
-@given(st.floats(45.0, 95.0), st.floats(-2.0, 2.0), st.floats(-0.3, 0.3), st.floats(0.5, 12.0), st.floats(-2.0, 2.0))
-def test_the_frenet_start_is_the_inverse_of_the_states(s0: float, l0: float, turn: float, v: float, a: float) -> None:
+@given(
+    st.floats(45.0, 95.0),
+    st.floats(-2.0, 2.0),
+    st.floats(-0.3, 0.3),
+    st.floats(0.5, 12.0),
+    st.floats(-2.0, 2.0),
+)
+def test_the_frenet_start_is_the_inverse_of_the_states(
+    s0: float, l0: float, turn: float, v: float, a: float
+) -> None:
     x, y, yaw, _ = LINE.frame(s0)
     start = EgoState(
-        0.0, float(x - l0 * np.sin(yaw)), float(y + l0 * np.cos(yaw)), float(yaw + turn), v, max(a, -v), 0.03
+        0.0,
+        float(x - l0 * np.sin(yaw)),
+        float(y + l0 * np.cos(yaw)),
+        float(yaw + turn),
+        v,
+        max(a, -v),
+        0.03,
     )
     ego = ego_frenet(scene(COURSE, start))
     assert ego.s == pytest.approx(s0, abs=1e-6)
@@ -138,14 +186,18 @@ def test_the_frenet_start_is_the_inverse_of_the_states(s0: float, l0: float, tur
 
 
 def test_headway_is_the_missing_share_of_the_wanted_gap() -> None:
-    motion = sample_polynomials(np.array([[0.0, 10.0, 0.0, 0.0, 0.0, 0.0]]), np.array([8.0]), HORIZON_STEPS)
+    motion = sample_polynomials(
+        np.array([[0.0, 10.0, 0.0, 0.0, 0.0, 0.0]]), np.array([8.0]), HORIZON_STEPS
+    )
     s = 40.0 + 10.0 * 4 * STEP_S * np.arange(21)  # the gap stays
     others = np.array([[s], [np.zeros(21)], [np.full(21, 2.0)], [np.full(21, 1.0)]])
     box, speed, unmet = np.array([3.5, 1.0, 0.9]), np.array([10.0]), np.zeros((2, 1), bool)
     gap, wanted = 40.0 - 2.0 - 3.5, 50.0
 
     def missing(l1: float) -> float:
-        return float(headway(motion, 0.0, others, speed, unmet, l1, box, np.array([0.0, 5.0]), False)[0])
+        return float(
+            headway(motion, 0.0, others, speed, unmet, l1, box, np.array([0.0, 5.0]), False)[0]
+        )
 
     assert missing(0.0) == pytest.approx((1.0 - gap / wanted) ** 2)
     assert missing(3.0) == 0.0, "another track"
@@ -171,7 +223,9 @@ def check(plan: Plan, now: Frame, road_half: float = 1.75) -> None:
     assert np.abs(way.y).max() <= road_half - 0.5 * CAR.width
 
 
-OTHER = st.tuples(st.floats(8.0, 90.0), st.floats(-4.0, 4.0), st.floats(-3.0, 12.0), st.floats(-2.0, 2.0))
+OTHER = st.tuples(
+    st.floats(8.0, 90.0), st.floats(-4.0, 4.0), st.floats(-3.0, 12.0), st.floats(-2.0, 2.0)
+)
 
 
 @settings(max_examples=60)
@@ -196,7 +250,9 @@ def test_it_passes_a_parked_car_where_there_is_room_and_stops_where_there_is_non
     assert any(decided(plan, "parked", "path") is DecisionKind.NUDGE_LEFT for _, plan in wide)
     narrow = drives(lanes(along_x()), EgoState(0.0, 0.0, 0.0, 0.0, 10.0), parked, seconds=20.0)
     assert 0.25 < gaps(narrow, "parked")[-1] < 6.0
-    assert narrow[-1][0].ego.v < 0.7, "each frame plans its durations anew, so that the last metres are slow"
+    assert narrow[-1][0].ego.v < 0.7, (
+        "each frame plans its durations anew, so that the last metres are slow"
+    )
     assert any(decided(plan, "parked", "speed") is DecisionKind.STOP for _, plan in narrow)
 
 
@@ -220,6 +276,11 @@ def test_it_says_what_it_chose_and_why_not_the_others() -> None:
 
 
 def test_settings_are_checked() -> None:
-    for wrong in ({"speeds": 1}, {"durations_s": ()}, {"lateral_durations_s": (0.0,)}, {"offset_spacing_m": 0.0}):
+    for wrong in (
+        {"speeds": 1},
+        {"durations_s": ()},
+        {"lateral_durations_s": (0.0,)},
+        {"offset_spacing_m": 0.0},
+    ):
         with pytest.raises(ValueError, match="lattice"):
             LatticeConfig(**wrong)  # type: ignore[arg-type]

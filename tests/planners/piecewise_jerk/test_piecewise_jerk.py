@@ -55,7 +55,9 @@ def reference(problem: PiecewiseJerkProblem) -> FloatArray | None:
     solver.settings.eps_abs = solver.settings.eps_rel = 1e-9
     solver.setup(P, q, A[:k].tocsc(), low[:k], A[k:].tocsc(), low[k:], high[k:])
     solved = solver.solve() == piqp.PIQP_SOLVED
-    return (sizes * solver.result.x)[: 3 * problem.lower.shape[1]].reshape(3, -1) if solved else None
+    return (
+        (sizes * solver.result.x)[: 3 * problem.lower.shape[1]].reshape(3, -1) if solved else None
+    )
 
 
 def feasible(problem: PiecewiseJerkProblem, room: float) -> bool:
@@ -65,14 +67,19 @@ def feasible(problem: PiecewiseJerkProblem, room: float) -> bool:
     above, below = np.isfinite(high[k:]), np.isfinite(low[k:])
     rows = sparse.vstack([A[k:][above], -A[k:][below]])
     bound = np.r_[(high[k:] - less)[above], -(low[k:] + less)[below]]
-    found = linprog(np.zeros(len(q)), rows, bound, A[:k], low[:k], bounds=(None, None), method="highs")
+    found = linprog(
+        np.zeros(len(q)), rows, bound, A[:k], low[:k], bounds=(None, None), method="highs"
+    )
     return bool(found.status == 0)
 
 
 def stationarity(form: Form, z: FloatArray) -> float:
     """Least |P z + q + A' y| over multipliers y of the right sign at the bounds that z touches; relative."""
     value, size = form.A @ z, np.abs(form.A).max(axis=1).toarray().ravel()
-    push = form.A.toarray()[value >= form.high - 1e-4 * size], -form.A.toarray()[value <= form.low + 1e-4 * size]
+    push = (
+        form.A.toarray()[value >= form.high - 1e-4 * size],
+        -form.A.toarray()[value <= form.low + 1e-4 * size],
+    )
     gradient = form.P @ z + form.q
     return float(nnls(np.vstack(push).T, -gradient)[1] / max(np.linalg.norm(gradient), 1.0))
 
@@ -82,10 +89,13 @@ def stationarity(form: Form, z: FloatArray) -> float:
 def test_the_answer_satisfies_kkt(seed: int, kind: str) -> None:
     problem = made(kind, seed)
     found, form, n = answer(problem), sparse_form(problem), problem.lower.shape[1]
-    assert found.status == SOLVED and largest_violation(problem, found.curve) < 2e-6 * max(1.0, problem.step**-3)
+    assert found.status == SOLVED and largest_violation(problem, found.curve) < 2e-6 * max(
+        1.0, problem.step**-3
+    )
     z = np.zeros(len(form.q))
     z[: 3 * n] = found.curve.ravel() / form.sizes[: 3 * n]
-    shifts, at = form.A[:, 3 * n :].tocsc(), form.A @ z  # softly: as little as the corridor asks for
+    # softly: as little as the corridor asks for
+    shifts, at = form.A[:, 3 * n :].tocsc(), form.A @ z
     z[3 * n :] = np.clip(0.0, form.low - at, form.high - at)[shifts.indices] / shifts.data
     assert stationarity(form, z) < 1e-3
 
@@ -102,7 +112,9 @@ def test_the_answer_is_as_near_to_the_optimum_as_it_claims(seed: int, kind: str)
 
 @given(SEED, st.sampled_from(["roomy", "tight"]), st.floats(0.0, 4.0))
 @settings(max_examples=60)
-def test_infeasible_is_what_a_linear_program_calls_infeasible(seed: int, kind: str, shift: float) -> None:
+def test_infeasible_is_what_a_linear_program_calls_infeasible(
+    seed: int, kind: str, shift: float
+) -> None:
     problem = made(kind, seed, shift)
     if feasible(problem, 1e-4):
         assert answer(problem).status == SOLVED
@@ -115,7 +127,10 @@ def test_infeasible_is_what_a_linear_program_calls_infeasible(seed: int, kind: s
 def test_a_mirrored_problem_has_the_mirrored_answer(seed: int, kind: str, shift: float) -> None:
     problem = made(kind, seed, shift)
     mirrored = problem._replace(
-        start=-problem.start, references=-problem.references, lower=-problem.upper, upper=-problem.lower
+        start=-problem.start,
+        references=-problem.references,
+        lower=-problem.upper,
+        upper=-problem.lower,
     )
     one, other = answer(problem), answer(mirrored)
     assert one.status == other.status and one.iterations == other.iterations
@@ -126,7 +141,9 @@ def recorded(log: str, every: int) -> list[tuple[str, PiecewiseJerkProblem, floa
     """Every so-many-th problem of a log's frames."""
     asked: list[tuple[str, PiecewiseJerkProblem, float]] = []
 
-    def noted(problem: PiecewiseJerkProblem, solver: str, *, stage: str, tolerance: float) -> QPResult:
+    def noted(
+        problem: PiecewiseJerkProblem, solver: str, *, stage: str, tolerance: float
+    ) -> QPResult:
         asked.append((stage, problem, tolerance))
         return solve(problem, solver, stage=stage, tolerance=tolerance)
 
@@ -166,13 +183,23 @@ def test_without_bounds_at_work_the_reference_is_followed() -> None:
     references = np.array([2.0 + 3.0 * t, np.full(n, 3.0)])
     wide = np.full((5, n), 100.0)
     problem = PiecewiseJerkProblem(
-        h, np.array([1.0]), np.array([2.0, 3.0, 0.0]), Weights(1.0, 1.0, 1.0, 1.0), references, -wide, wide, 0.0
+        h,
+        np.array([1.0]),
+        np.array([2.0, 3.0, 0.0]),
+        Weights(1.0, 1.0, 1.0, 1.0),
+        references,
+        -wide,
+        wide,
+        0.0,
     )
     found = answer(problem)
     np.testing.assert_allclose(found.curve, np.vstack([references, 0.0 * t]), atol=1e-9)
     problem.upper[4, 7] = 2.0 + 3.0 * 3.5 + 1.0 * 3.0 - 0.25  # x + 1 x' at the knot 7
     assert largest_violation(problem, found.curve) == pytest.approx(0.25, abs=1e-9)
-    assert found.curve[0, 7] > answer(problem).curve[0, 7] and largest_violation(problem, answer(problem).curve) < 1e-6
+    assert (
+        found.curve[0, 7] > answer(problem).curve[0, 7]
+        and largest_violation(problem, answer(problem).curve) < 1e-6
+    )
 
 
 def test_what_cannot_be_solved_is_named() -> None:
@@ -200,9 +227,13 @@ for kind in KINDS:
 
 def test_without_the_compiler_the_answers_are_the_same() -> None:
     shown = subprocess.run(
-        [sys.executable, "-c", PRINTED], env={**os.environ, "NUMBA_DISABLE_JIT": "1"}, text=True,
-        capture_output=True, check=True, cwd=Path(__file__).parents[3],
-    ).stdout.splitlines()  # fmt: skip
+        [sys.executable, "-c", PRINTED],
+        env={**os.environ, "NUMBA_DISABLE_JIT": "1"},
+        text=True,
+        capture_output=True,
+        check=True,
+        cwd=Path(__file__).parents[3],
+    ).stdout.splitlines()
     for kind, line in zip(KINDS, shown, strict=True):
         found, values = answer(made(kind, 3, 0.5)), np.array(line.split(), dtype=float)
         assert (found.status, found.iterations) == (values[0], values[1])

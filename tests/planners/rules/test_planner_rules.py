@@ -38,7 +38,10 @@ Lights = Callable[[float], Mapping[int, Colour]]
 def straight(*lines: StopLine, crosswalks: Sequence[Crosswalk] = ()) -> Road:
     """Lane 0 along x up to x = 100 m, lane 1 beyond."""
     first, second = along_x(-50.0, LINE_X), along_x(LINE_X, 450.0)
-    road = {0: strip(0, first, successors=(1,), speed_limit=13.89), 1: strip(1, second, speed_limit=13.89)}
+    road = {
+        0: strip(0, first, successors=(1,), speed_limit=13.89),
+        1: strip(1, second, speed_limit=13.89),
+    }
     return Road(road, stop_lines=lines, crosswalks=tuple(crosswalks))
 
 
@@ -73,9 +76,13 @@ def at_front(front: float, v: float, a: float = 0.0) -> EgoState:
 
 
 def frame_of(
-    ego: EgoState, others: Sequence[Other] = (), lights: Mapping[int, Colour] | None = None, *, t: float = 0.0,
+    ego: EgoState,
+    others: Sequence[Other] = (),
+    lights: Mapping[int, Colour] | None = None,
+    *,
+    t: float = 0.0,
     previous: Plan | None = None,
-) -> Frame:  # fmt: skip
+) -> Frame:
     known = agents(others, t)
     return Frame(t, ego, known, predict(known, t), previous, lights=lights or {})
 
@@ -100,24 +107,41 @@ def along(road: Road) -> tuple[Rulebook, ReferencePath]:
 
 
 def demands(
-    road: Road, ego: EgoState, others: Sequence[Other] = (), lights: Mapping[int, Colour] | None = None
+    road: Road,
+    ego: EgoState,
+    others: Sequence[Other] = (),
+    lights: Mapping[int, Colour] | None = None,
 ) -> tuple[Occupancy, ...]:
     """What is demanded of an ego of which nothing is remembered."""
     return along(road)[0].stops(scene(road, ego, others, lights), RuleMemory())[0]
 
 
 def drive(
-    name: str, road: Road, ego: EgoState, others: Sequence[Other] = (), *, seconds: float, lights: Lights = lambda t: {}
+    name: str,
+    road: Road,
+    ego: EgoState,
+    others: Sequence[Other] = (),
+    *,
+    seconds: float,
+    lights: Lights = lambda t: {},
 ) -> tuple[Trajectory, list[Plan]]:
     """How the ego moves when it follows each plan without any error, and the plans."""
-    planner, previous, states, plans = PLANNER.builtin[name](PlannerContext(road, None, CAR, PERIOD, ego)), None, [], []
+    planner, previous, states, plans = (
+        PLANNER.builtin[name](PlannerContext(road, None, CAR, PERIOD, ego)),
+        None,
+        [],
+        [],
+    )
     for k in range(round(seconds / PERIOD)):
         now = frame_of(ego, others, lights(k * PERIOD), t=k * PERIOD, previous=previous)
         previous = planner.plan(now)
         states.append(replace(ego, t=k * PERIOD))
         plans.append(previous)
         ego = previous.trajectory.at((k + 1) * PERIOD)
-    columns = [[getattr(state, column) for state in states] for column in ("t", "x", "y", "yaw", "v", "a", "kappa")]
+    columns = [
+        [getattr(state, column) for state in states]
+        for column in ("t", "x", "y", "yaw", "v", "a", "kappa")
+    ]
     return Trajectory(*map(np.array, columns)), plans
 
 
@@ -139,9 +163,13 @@ speeds = st.floats(0.0, 20.0)
 
 
 @given(speeds, st.floats(-3.0, 1.5), st.floats(0.0, 90.0), st.floats(0.0, 50.0))
-def test_a_yellow_that_is_farther_is_never_less_stoppable(v: float, a: float, ahead: float, more: float) -> None:
+def test_a_yellow_that_is_farther_is_never_less_stoppable(
+    v: float, a: float, ahead: float, more: float
+) -> None:
     yellow = {9: Colour.YELLOW}
-    near, far = (demands(LIT, at_front(LINE_X - d, v, a), (), yellow) for d in (ahead, ahead + more))
+    near, far = (
+        demands(LIT, at_front(LINE_X - d, v, a), (), yellow) for d in (ahead, ahead + more)
+    )
     assert len(far) >= len(near)
 
 
@@ -152,14 +180,18 @@ def test_what_stops_at_yellow_stops_at_red(v: float, ahead: float, red: Colour) 
 
 
 @given(speeds, st.floats(0.0, 140.0), st.sampled_from([{}, {9: Colour.OFF}, {9: Colour.GREEN}]))
-def test_green_off_and_unknown_demand_nothing(v: float, ahead: float, lights: Mapping[int, Colour]) -> None:
+def test_green_off_and_unknown_demand_nothing(
+    v: float, ahead: float, lights: Mapping[int, Colour]
+) -> None:
     assert demands(LIT, at_front(LINE_X - ahead, v), (), lights) == ()
 
 
 @pytest.mark.parametrize("name", OBEYING)
 @settings(max_examples=8)
 @given(st.floats(0.0, 13.0), st.floats(1.0, 80.0), st.floats(5.0, 60.0))
-def test_a_green_light_changes_no_bit_of_the_plan(name: str, v: float, ahead: float, gap: float) -> None:
+def test_a_green_light_changes_no_bit_of_the_plan(
+    name: str, v: float, ahead: float, gap: float
+) -> None:
     ego = at_front(LINE_X - ahead, v)
     others = [driving("car", ego.x + CAR.axle_to_front + gap, 0.0, 6.0)]
     plans = [
@@ -174,7 +206,9 @@ def test_a_green_light_changes_no_bit_of_the_plan(name: str, v: float, ahead: fl
 
 
 @given(st.floats(40.0, 92.0), st.floats(0.0, 12.0), st.floats(-70.0, 10.0), st.floats(0.0, 14.0))
-def test_a_mirrored_junction_demands_the_same(front: float, v: float, y: float, speed: float) -> None:
+def test_a_mirrored_junction_demands_the_same(
+    front: float, v: float, y: float, speed: float
+) -> None:
     ego, car = at_front(front, v), driving("car", 100.0, y, 0.0, max(speed, 1e-3))
     other = driving("car", 100.0, -y, 0.0, -max(speed, 1e-3))
     one, two = demands(JUNCTION, ego, [car]), demands(MIRRORED, ego, [other])
@@ -206,7 +240,11 @@ def test_red_stops_before_the_line_and_green_lets_go(name: str, v: float) -> Non
     ego = at_front(LINE_X - 60.0, v)
     green = 22.0
     motion, plans = drive(
-        name, straight(LIGHT), ego, seconds=25.0, lights=lambda t: {9: Colour.RED if t < green else Colour.GREEN}
+        name,
+        straight(LIGHT),
+        ego,
+        seconds=25.0,
+        lights=lambda t: {9: Colour.RED if t < green else Colour.GREEN},
     )
     waiting = motion.between(green - 1.0, green)
     assert LINE_X - 3.0 <= waiting.x.max() + FRONT <= LINE_X - 0.3
@@ -230,7 +268,9 @@ def test_who_brakes_for_a_yellow_goes_on_braking() -> None:
     """Also where, on the edge of what is comfortable, the next frame would say otherwise."""
     for ahead in np.arange(34.0, 44.0, 1.25):
         ego = at_front(LINE_X - ahead, 13.0)
-        motion, plans = drive("dp_qp", straight(LIGHT), ego, seconds=6.0, lights=lambda t: {9: Colour.YELLOW})
+        motion, plans = drive(
+            "dp_qp", straight(LIGHT), ego, seconds=6.0, lights=lambda t: {9: Colour.YELLOW}
+        )
         stops = said(plans[0], "stop line 7") is not None
         assert (motion.x[-1] + FRONT < LINE_X) == stops
         assert motion.a.min() >= -3.05
@@ -238,7 +278,10 @@ def test_who_brakes_for_a_yellow_goes_on_braking() -> None:
 
 def test_a_skewed_line_is_met_by_the_nearer_corner() -> None:
     skewed = replace(LIGHT, points=np.array([[LINE_X + 1.75, 1.75], [LINE_X - 1.75, -1.75]]))
-    plain, nearer = (demands(straight(line), at_front(60.0, 8.0), (), {9: Colour.RED})[0] for line in (LIGHT, skewed))
+    plain, nearer = (
+        demands(straight(line), at_front(60.0, 8.0), (), {9: Colour.RED})[0]
+        for line in (LIGHT, skewed)
+    )
     assert plain.s_from - nearer.s_from == pytest.approx(0.5 * CAR.width, abs=0.02)
 
 
@@ -269,7 +312,9 @@ def test_the_memory_of_a_stop_is_dropped_with_the_previous_plan() -> None:
 
 def test_who_stands_before_the_crosswalk_is_let_go_but_not_waited_for_for_ever() -> None:
     patient = waiter("p", 102.0, -6.6, yaw=0.5 * np.pi)
-    motion, plans = drive("dp_qp", straight(crosswalks=[WALK]), at_front(55.0, 10.0), [patient], seconds=18.0)
+    motion, plans = drive(
+        "dp_qp", straight(crosswalks=[WALK]), at_front(55.0, 10.0), [patient], seconds=18.0
+    )
     rest = motion.t[motion.v < 0.1]
     assert 2.9 <= rest[-1] - rest[0] <= 4.5
     assert motion.x[motion.v < 0.1].max() + FRONT < 100.0
@@ -299,7 +344,9 @@ def test_a_large_gap_is_taken_and_a_small_one_not(name: str) -> None:
         car = driving("car", 100.0, y, 0.0, 10.0)
         motion, _ = drive(name, junction(), ego, [car], seconds=14.0)
         front, rear = motion.x + FRONT, motion.x + FRONT - CAR.length
-        enters, leaves = (np.interp(edge, at, motion.t) for edge, at in ((98.2, front), (101.8, rear)))
+        enters, leaves = (
+            np.interp(edge, at, motion.t) for edge, at in ((98.2, front), (101.8, rear))
+        )
         arrives, gone = (-1.7 - y - 2.25) / 10.0, (1.7 - y + 2.25) / 10.0
         assert (leaves + 1.5 < arrives) if first else (enters >= gone)
         assert front[-1] > 106.0
@@ -328,7 +375,10 @@ def crossing(y: float, vy: float = 10.0, x: float = 100.0, vx: float = 0.0) -> O
     return driving("car", x, y, vx, vy)
 
 
-CROSSWALK, THEIRS = straight(crosswalks=[WALK]), StopLine(6, 10, np.array([[98.25, -8.0], [101.75, -8.0]]), light=2)
+CROSSWALK, THEIRS = (
+    straight(crosswalks=[WALK]),
+    StopLine(6, 10, np.array([[98.25, -8.0], [101.75, -8.0]]), light=2),
+)
 ELSEWHERE, MINE = (straight(replace(LIGHT, towards=(lane,))) for lane in (5, 1))
 STANDS = waiter("p", 102.0, -6.6, yaw=0.5 * np.pi)
 
@@ -341,38 +391,54 @@ STANDS = waiter("p", 102.0, -6.6, yaw=0.5 * np.pi)
         (LIT, LINE_X + 0.1, 5.0, [], Colour.RED, False),
         (ELSEWHERE, 60.0, 10.0, [], Colour.RED, False),  # a line counts only for its way
         (MINE, 60.0, 10.0, [], Colour.RED, True),
-        (straight(SIGN), LINE_X - 1.0, 0.0, [], Colour.OFF, False),  # without a memory: who stands there has stopped
+        # Without a memory: who stands there has stopped
+        (straight(SIGN), LINE_X - 1.0, 0.0, [], Colour.OFF, False),
         (straight(SIGN), LINE_X - 1.0, 0.5, [], Colour.OFF, True),
         (straight(SIGN), LINE_X - 6.0, 0.0, [], Colour.OFF, True),
-        (CROSSWALK, 85.0, 10.0, [waiter("p", 102.0, -6.8)], Colour.OFF, False),  # stands beside it and looks elsewhere
-        (CROSSWALK, 85.0, 10.0, [waiter("p", 102.0, 4.0)], Colour.OFF, False),  # stands on the other half
-        (CROSSWALK, 85.0, 10.0, [walker("p", 102.0, -9.0, 1.2)], Colour.OFF, False),  # is still far from it
-        (CROSSWALK, 85.0, 10.0, [walker("p", 102.0, 2.6, 1.2)], Colour.OFF, False),  # walks away from the ego's half
-        (CROSSWALK, 85.0, 10.0, [walker("p", 110.0, -4.0, 1.2)], Colour.OFF, False),  # crosses far behind it
+        # Stands beside it and looks elsewhere
+        (CROSSWALK, 85.0, 10.0, [waiter("p", 102.0, -6.8)], Colour.OFF, False),
+        # Stands on the other half
+        (CROSSWALK, 85.0, 10.0, [waiter("p", 102.0, 4.0)], Colour.OFF, False),
+        # Is still far from it
+        (CROSSWALK, 85.0, 10.0, [walker("p", 102.0, -9.0, 1.2)], Colour.OFF, False),
+        # Walks away from the ego's half
+        (CROSSWALK, 85.0, 10.0, [walker("p", 102.0, 2.6, 1.2)], Colour.OFF, False),
+        # Crosses far behind it
+        (CROSSWALK, 85.0, 10.0, [walker("p", 110.0, -4.0, 1.2)], Colour.OFF, False),
         (CROSSWALK, 80.0, 12.0, [STANDS], Colour.OFF, False),  # is not braked for hard
         (CROSSWALK, 80.0, 12.0, [walker("p", 102.0, -5.0, 1.2)], Colour.OFF, True),
         # The ego's rear is in the lane after 3.5 s, at the end of the zone after 4.4 s; the other comes after 5.2 s.
         (merging(), 60.0, 10.0, [towards(0.5)], Colour.OFF, False),
         (merging(), 60.0, 10.0, [towards(-7.0)], Colour.OFF, True),
-        (JUNCTION, 70.0, 10.0, [crossing(-51.0)], Colour.OFF, False),  # a gap of 1.5 s after the ego
+        # A gap of 1.5 s after the ego
+        (JUNCTION, 70.0, 10.0, [crossing(-51.0)], Colour.OFF, False),
         (JUNCTION, 70.0, 10.0, [crossing(-46.0)], Colour.OFF, True),
         (junction(THEIRS), 70.0, 10.0, [crossing(-40.0)], Colour.GREEN, True),  # their light
         (junction(THEIRS), 70.0, 10.0, [crossing(-40.0)], Colour.RED, False),
         (JUNCTION, 70.0, 8.0, [crossing(12.0, 8.0)], Colour.OFF, False),  # behind the zone
         (JUNCTION, 70.0, 8.0, [crossing(-150.0, 8.0)], Colour.OFF, False),
         (JUNCTION, 70.0, 8.0, [crossing(-30.0, 8.0, 130.0)], Colour.OFF, False),
-        (JUNCTION, 70.0, 8.0, [crossing(-40.0, 1.0, 100.0, 8.0)], Colour.OFF, False),  # turns off before
+        # Turns off before
+        (JUNCTION, 70.0, 8.0, [crossing(-40.0, 1.0, 100.0, 8.0)], Colour.OFF, False),
     ],
 )
-def test_demands(road: Road, front: float, v: float, others: list[Other], light: Colour, *, demanded: bool) -> None:
-    found = demands(road, at_front(front, v), others, {9: light, 2: light} if light is not Colour.OFF else {})
+def test_demands(
+    road: Road, front: float, v: float, others: list[Other], light: Colour, *, demanded: bool
+) -> None:
+    found = demands(
+        road, at_front(front, v), others, {9: light, 2: light} if light is not Colour.OFF else {}
+    )
     assert bool(found) is demanded
     assert road is not MINE or [stop.agent for stop in found] == ["stop line 7"]
 
 
 @given(st.floats(0.0, 12.0), st.floats(50.0, 70.0), st.floats(-10.0, 60.0), st.floats(0.0, 15.0))
-def test_who_is_farther_from_the_merging_never_demands_more(v: float, front: float, away: float, more: float) -> None:
-    near, far = (demands(merging(), at_front(front, v), [towards(at)]) for at in (away, away + more))
+def test_who_is_farther_from_the_merging_never_demands_more(
+    v: float, front: float, away: float, more: float
+) -> None:
+    near, far = (
+        demands(merging(), at_front(front, v), [towards(at)]) for at in (away, away + more)
+    )
     assert near or not far
 
 
@@ -401,9 +467,17 @@ def test_no_stop_where_lanes_cross() -> None:
 @pytest.mark.parametrize(
     "who", [standing("parked", 109.0, -1.5), waiter("p", 102.0, -2.0, np.pi)], ids=["car", "walker"]
 )
-def test_who_stands_at_the_edge_does_not_keep_the_ego_before_a_crosswalk_for_ever(who: Other) -> None:
+def test_who_stands_at_the_edge_does_not_keep_the_ego_before_a_crosswalk_for_ever(
+    who: Other,
+) -> None:
     """A parked car behind it that the path passes; a pedestrian who stands half on the lane's edge."""
-    trajectory, _ = drive("dp_qp", straight(crosswalks=[WALK]), EgoState(0.0, 60.0, 0.0, 0.0, 8.0), [who], seconds=25.0)
+    trajectory, _ = drive(
+        "dp_qp",
+        straight(crosswalks=[WALK]),
+        EgoState(0.0, 60.0, 0.0, 0.0, 8.0),
+        [who],
+        seconds=25.0,
+    )
     assert trajectory.x[-1] > 120.0
 
 
@@ -412,7 +486,9 @@ def test_waiting_for_one_pedestrian_does_not_let_the_ego_go_over_the_next() -> N
     road = straight(crosswalks=[WALK])
     memory, found = RuleMemory(), []
     for t, front, v, name in ((0.0, 91.0, 0.0, "p"), (2.9, 93.0, 2.0, "p"), (60.0, 93.0, 5.0, "q")):
-        now = scene(road, replace(at_front(front, v), t=t), [waiter(name, 102.0, -3.0, 0.5 * np.pi)], t=t)
+        now = scene(
+            road, replace(at_front(front, v), t=t), [waiter(name, 102.0, -3.0, 0.5 * np.pi)], t=t
+        )
         stops, memory = along(road)[0].stops(now, memory)
         found.append(stops)
     assert all(found) and "pedestrian q goes first" in found[-1][0].reason

@@ -52,7 +52,12 @@ def test_an_option_of_one_value_is_not_given_twice(words: tuple[str, ...]) -> No
 
 
 def test_options_of_several_values_and_values_like_options_are_taken() -> None:
-    assert "2 times" not in replan("evaluate", "nowhere", "-p", "idm", "-p", "pdm", "--config", "--config").stderr
+    assert (
+        "2 times"
+        not in replan(
+            "evaluate", "nowhere", "-p", "idm", "-p", "pdm", "--config", "--config"
+        ).stderr
+    )
     assert "2 times" not in replan("inspect", "--", "--ego", "--ego").stderr
 
 
@@ -89,24 +94,39 @@ def test_the_report_says_what_the_exit_code_says_and_why(
         (["{free}", "--gates", "{wrong_gate}"], "did you mean 'gap.min'"),
         (["{free}", "--config", "{wrong_key}"], "did you mean 'loop.plan_period_s'?"),
         (["{free}", "--set", "plan_period_s=1"], "did you mean 'loop.plan_period_s'?"),
-        (["{free}", "--set", "loop.plan_period_s=ab"], "loop.plan_period_s: expected float, got str"),
+        (
+            ["{free}", "--set", "loop.plan_period_s=ab"],
+            "loop.plan_period_s: expected float, got str",
+        ),
         (["{free}", "--set", "loop"], "write it as KEY=VALUE"),
         (["{free}", "--set", "planner.dp_pq.w=1"], "did you mean 'dp_qp'?"),
         (["{free}", "--set", "loop.plant.foo=1"], "no key is called 'foo'"),
         (["{free}", "--set", "loop.plant.mass=heavy"], "expected a number"),
         (["{free}", "--set", "loop.plant.mass=-1"], "mass must be positive"),
-        (["{free}", "--config", "{wrong_table}"], "planner.dp_qp"),  # of a planner that is not driven
+        # Of a planner that is not driven
+        (["{free}", "--config", "{wrong_table}"], "planner.dp_qp"),
         (["{free}", "--planner", "needy:Needy"], "missing a required argument: 'path'"),
         (["{free}", "--out", "{empty}/../foreign"], "not results of `replan evaluate`"),
         (["synth", "paper/free_raod", "-o", "{out}"], "did you mean 'paper/free_road'?"),
         (["synth", "paper/free_road"], "replan synth all -o"),
         (["synth", "paper/free_road", "-o", "{out}", "--set", "radius_m"], "parameter=number"),
-        (["synth", "paper/free_road", "-o", "{out}", "--set", "radius_m=wide"], "'wide' is no number"),
-        (["synth", "paper/free_road", "-o", "{out}", "--set", "radios_m=1"], "no parameter radios_m"),
+        (
+            ["synth", "paper/free_road", "-o", "{out}", "--set", "radius_m=wide"],
+            "'wide' is no number",
+        ),
+        (
+            ["synth", "paper/free_road", "-o", "{out}", "--set", "radios_m=1"],
+            "no parameter radios_m",
+        ),
     ],
 )
-def test_exit_2(folder: Path, tmp_path: Path, module: Callable[[str, str], str], words: list[str], said: str) -> None:
-    module("needy", "class Needy:\n    def __init__(self, context, *, path): ...\n    def plan(self, frame): ...\n")
+def test_exit_2(
+    folder: Path, tmp_path: Path, module: Callable[[str, str], str], words: list[str], said: str
+) -> None:
+    module(
+        "needy",
+        "class Needy:\n    def __init__(self, context, *, path): ...\n    def plan(self, frame): ...\n",
+    )
     (tmp_path / "empty").mkdir()
     (tmp_path / "foreign").mkdir()
     (tmp_path / "foreign" / "diary.txt").write_text("", encoding="utf-8")
@@ -131,7 +151,9 @@ def test_exit_2(folder: Path, tmp_path: Path, module: Callable[[str, str], str],
 
 def test_options_win_over_the_configuration(folder: Path, tmp_path: Path) -> None:
     config = tmp_path / "run.toml"
-    config.write_text('planners = ["dp_qp"]\nmode = "both"\n[loop]\nplan_period_s = 0.2\n', encoding="utf-8")
+    config.write_text(
+        'planners = ["dp_qp"]\nmode = "both"\n[loop]\nplan_period_s = 0.2\n', encoding="utf-8"
+    )
     words = ("--mode", "open", "--set", "loop.control_period_s=0.02", "--set", "internals=none")
     evaluate(folder / "free.mcap", "--config", config, *words, "--out", tmp_path / "out")
     written = (tmp_path / "out" / "run.toml").read_text(encoding="utf-8")
@@ -140,7 +162,9 @@ def test_options_win_over_the_configuration(folder: Path, tmp_path: Path) -> Non
         assert line in written
 
 
-def test_without_out_the_folder_is_numbered(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_out_the_folder_is_numbered(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     for number in (1, 2):
         result = evaluate(folder / "free.mcap", "--mode", "open")
@@ -154,10 +178,14 @@ def test_synth_lists_writes_and_repeats_itself(tmp_path: Path) -> None:
     assert "radius_m=50" in listing
     for out in ("one", "two"):
         assert replan("synth", "paper", "everyday/nudge", "-o", tmp_path / out).exit_code == 0
-    written = sorted(path.relative_to(tmp_path / "one") for path in (tmp_path / "one").rglob("*.mcap"))
+    written = sorted(
+        path.relative_to(tmp_path / "one") for path in (tmp_path / "one").rglob("*.mcap")
+    )
     assert Path("everyday/nudge.mcap") in written
     assert Path("paper/free_road.mcap") in written
-    assert all((tmp_path / "one" / p).read_bytes() == (tmp_path / "two" / p).read_bytes() for p in written)
+    assert all(
+        (tmp_path / "one" / p).read_bytes() == (tmp_path / "two" / p).read_bytes() for p in written
+    )
 
 
 def test_synth_with_parameters_says_so_in_the_log(tmp_path: Path) -> None:
@@ -190,7 +218,9 @@ def test_convert_commonroad(shared_data: Path, tmp_path: Path) -> None:
     assert result.exit_code == 3
     assert str(broken) in one_error(result)
     assert [path.name for path in (tmp_path / "many").iterdir()] == [f"{files[0].stem}.mcap"]
-    assert replan("convert", "commonroad", broken, broken, "-o", tmp_path / "two.mcap").exit_code == 2
+    assert (
+        replan("convert", "commonroad", broken, broken, "-o", tmp_path / "two.mcap").exit_code == 2
+    )
 
 
 def test_convert_writes_over_no_log(folder: Path, tmp_path: Path) -> None:
@@ -203,7 +233,10 @@ def test_convert_writes_over_no_log(folder: Path, tmp_path: Path) -> None:
     for words, said in (
         ((log, "--to", 1, "-o", log), "this command did not write it, or reads it"),
         ((log.parent, "--to", 1, "-o", log.parent), "this command did not write it, or reads it"),
-        ((tmp_path, "-o", tmp_path / "out"), f"{log} and {twin} would both become {tmp_path / 'out' / 'drive.mcap'}"),
+        (
+            (tmp_path, "-o", tmp_path / "out"),
+            f"{log} and {twin} would both become {tmp_path / 'out' / 'drive.mcap'}",
+        ),
         ((log, tmp_path / "nowhere", "-o", tmp_path / "out"), "nowhere: no such file or folder"),
     ):
         result = replan("convert", *words)
@@ -218,7 +251,9 @@ def test_convert_names_what_it_cannot_take_or_write(folder: Path, tmp_path: Path
     (tmp_path / "in" / "free.mcap").write_bytes((folder / "free.mcap").read_bytes())
     result = replan("convert", tmp_path / "in", "-o", tmp_path / "out")
     assert result.exit_code == 0
-    assert result.stdout.startswith(f"left out {tmp_path / 'in' / 'cut.bag'}: no reader recognises it\n")
+    assert result.stdout.startswith(
+        f"left out {tmp_path / 'in' / 'cut.bag'}: no reader recognises it\n"
+    )
     (tmp_path / "file").touch()
     result = replan("convert", folder / "free.mcap", "-o", tmp_path / "file")
     assert result.exit_code == 2
@@ -237,7 +272,9 @@ def test_view_saves_over_nothing_but_recordings(folder: Path, tmp_path: Path) ->
     assert "free.rrd: cannot be written" in one_error(result)
 
 
-def test_view_opens_recordings_with_the_viewer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_view_opens_recordings_with_the_viewer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     calls: list[list[str]] = []
 
     def viewer(command: list[str], **_: Any) -> subprocess.CompletedProcess[str]:
@@ -265,7 +302,9 @@ def recorded(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return evaluate_logs([folder], run, tmp_path_factory.mktemp("recorded")).path
 
 
-def test_view_of_results_opens_index_and_worst(recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_view_of_results_opens_index_and_worst(
+    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     opened: list[list[str]] = []
 
     def viewer(command: list[str], **_: Any) -> subprocess.CompletedProcess[str]:
@@ -279,13 +318,17 @@ def test_view_of_results_opens_index_and_worst(recorded: Path, tmp_path: Path, m
     assert replan("view", recorded).exit_code == 0
     assert [Path(file).name for file in opened[0]] == ["closed.rrd", "index.rrd"]
     assert "blocked" in opened[0][0], "the worst"
-    assert replan("view", recorded, "--log", "test/free").exit_code == 2, "two recordings, one may be open"
+    assert replan("view", recorded, "--log", "test/free").exit_code == 2, (
+        "two recordings, one may be open"
+    )
     monkeypatch.setattr("replan.draw.view.MOST", 2)
     assert replan("view", recorded, "--log", "test/free").exit_code == 0
     assert all("test_free" in file for file in opened[1]) and len(opened[1]) == 2
 
 
-def test_the_index_lists_the_worst_first_and_says_how_others_are_opened(recorded: Path, tmp_path: Path) -> None:
+def test_the_index_lists_the_worst_first_and_says_how_others_are_opened(
+    recorded: Path, tmp_path: Path
+) -> None:
     from recordings import Recording
 
     from replan.draw.view import write_index
@@ -296,32 +339,53 @@ def test_the_index_lists_the_worst_first_and_says_how_others_are_opened(recorded
     for row in load(recorded).drives.query("mode == 'closed'").itertuples():
         (file,) = (recorded.resolve() / file for file in row.files if file.endswith(".rrd"))
         assert f"| [{row.log}](<{file.as_posix()}>) |" in page and file.is_file()
-    assert "--log LOG" in page and [file.parent.name.split("-")[0] for file in worst] == ["test_blocked"]
+    assert "--log LOG" in page and [file.parent.name.split("-")[0] for file in worst] == [
+        "test_blocked"
+    ]
 
 
 def test_a_log_is_found_by_its_name_as_the_index_has_it(tmp_path: Path) -> None:
     folder = tmp_path / "unece_r157_cut_in_accel_mps2_-3_gap_m_0-0a1b2c3d"
     folder.mkdir()
     (folder / "closed.rrd").write_bytes(b"")
-    assert recordings(tmp_path, "unece_r157/cut_in@accel_mps2=-3,gap_m=0") == [folder / "closed.rrd"]
+    assert recordings(tmp_path, "unece_r157/cut_in@accel_mps2=-3,gap_m=0") == [
+        folder / "closed.rrd"
+    ]
     with pytest.raises(ConfigError, match="called 'cut_out'"):
         recordings(tmp_path, "cut_out")
 
 
-def test_log_planner_and_mode_choose_the_same_drives_in_every_command(recorded: Path, tmp_path: Path) -> None:
+def test_log_planner_and_mode_choose_the_same_drives_in_every_command(
+    recorded: Path, tmp_path: Path
+) -> None:
     for words in (("--log", "test/free"), ("--log", "free"), ("--log", "test_free")):
         drives = matching_drives(load(recorded), words[1], "constant_speed", "both")
-        assert sorted((drive.log, drive.mode) for drive in drives) == [("test/free", "closed"), ("test/free", "open")]
+        assert sorted((drive.log, drive.mode) for drive in drives) == [
+            ("test/free", "closed"),
+            ("test/free", "open"),
+        ]
         one = (*words, "-p", "constant_speed", "--mode", "open")
         for command in (("explain",), ("plot", "--chart", "curves", "-o", tmp_path / "x.svg")):
-            assert "test/free, constant_speed, open loop" in replan(command[0], recorded, *command[1:], *one).stdout
-    for command in (("explain",), ("plot",), ("frame", "--at", 1), ("view", "--screenshot", "x.png")):
+            assert (
+                "test/free, constant_speed, open loop"
+                in replan(command[0], recorded, *command[1:], *one).stdout
+            )
+    for command in (
+        ("explain",),
+        ("plot",),
+        ("frame", "--at", 1),
+        ("view", "--screenshot", "x.png"),
+    ):
         for word, value, known in (("--log", "fre_", "test/free"), ("-p", "idm", "constant_speed")):
             said = one_error(replan(command[0], recorded, *command[1:], word, value))
             assert value in said and known in said, command
     assert "--screenshot" in one_error(replan("view", recorded, "--at", 3))
-    assert "is none" in one_error(replan("view", next(recorded.glob("test_free*")), "--mode", "open"))
-    assert "of results" in one_error(replan("view", next(recorded.glob("test_free*/open.rrd")), "-p", "idm"))
+    assert "is none" in one_error(
+        replan("view", next(recorded.glob("test_free*")), "--mode", "open")
+    )
+    assert "of results" in one_error(
+        replan("view", next(recorded.glob("test_free*/open.rrd")), "-p", "idm")
+    )
 
 
 def test_an_option_is_spelled_and_shown_the_same_way_in_every_command() -> None:
@@ -331,24 +395,50 @@ def test_an_option_is_spelled_and_shown_the_same_way_in_every_command() -> None:
         for parameter in command.params:
             for spelling in parameter.opts if parameter.param_type_name == "option" else ():
                 commands.setdefault(spelling, []).append(name)
-                shapes.setdefault(spelling, set()).add((tuple(parameter.opts), parameter.metavar, parameter.is_flag))
-    assert commands["-p"] == commands["--planner"] and {"evaluate", "view", "plot", "explain", "frame"} <= {
-        *commands["-p"]
-    }
+                shapes.setdefault(spelling, set()).add(
+                    (tuple(parameter.opts), parameter.metavar, parameter.is_flag)
+                )
+    assert commands["-p"] == commands["--planner"] and {
+        "evaluate",
+        "view",
+        "plot",
+        "explain",
+        "frame",
+    } <= {*commands["-p"]}
     assert {*commands["--log"]} >= {"view", "plot", "explain", "frame", "diagnose"}
-    shared = ("--planner", "--log", "--mode", "--at", "--config", "--gates", "--baseline", "--set", "--ego", "--map")
+    shared = (
+        "--planner",
+        "--log",
+        "--mode",
+        "--at",
+        "--config",
+        "--gates",
+        "--baseline",
+        "--set",
+        "--ego",
+        "--map",
+    )
     assert {option: shapes[option] for option in shared if len(shapes[option]) > 1} == {}
 
 
-def test_a_picture_of_a_run_is_its_worst_drive(recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_picture_of_a_run_is_its_worst_drive(
+    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     drawn: list[Path] = []
-    monkeypatch.setattr("replan.draw.view.picture", lambda recording, *rest: drawn.append(recording))
+    monkeypatch.setattr(
+        "replan.draw.view.picture", lambda recording, *rest: drawn.append(recording)
+    )
     every = replan("view", recorded, "--screenshot", tmp_path / "x.png")
     row = overview(load(recorded)).worst
     assert row is not None and drawn[0].parent == recorded / row.folder
-    assert f"{row.log}, constant_speed, " in every.stdout and "the worst of 4 drives" in every.stdout
+    assert (
+        f"{row.log}, constant_speed, " in every.stdout and "the worst of 4 drives" in every.stdout
+    )
     free = replan("view", recorded, "--log", "test/free", "--screenshot", tmp_path / "x.png")
-    assert drawn[1].parent.name.startswith("test_free") and "test/free, constant_speed, closed loop" in free.stdout
+    assert (
+        drawn[1].parent.name.startswith("test_free")
+        and "test/free, constant_speed, closed loop" in free.stdout
+    )
     assert "the worst of 2 drives" in free.stdout
 
 
@@ -357,9 +447,13 @@ def test_view_of_two_drives_writes_them_as_one(recorded: Path, tmp_path: Path) -
     both = tmp_path / "both.rrd"
     assert replan("view", one, one.with_name("open.rrd"), "--save", both).exit_code == 0
     assert both.is_file()
-    assert "2 recordings are in both" in one_error(replan("view", recorded, recorded, "--log", "free"))
+    assert "2 recordings are in both" in one_error(
+        replan("view", recorded, recorded, "--log", "free")
+    )
     other = next(recorded.glob("test_blocked*/closed.rrd"))
-    assert "both drives must be of the same log" in one_error(replan("view", one, other, "--save", both))
+    assert "both drives must be of the same log" in one_error(
+        replan("view", one, other, "--save", both)
+    )
     assert "two folders" in one_error(replan("view", one, recorded, "--save", both))
 
 
@@ -372,7 +466,9 @@ def test_view_of_two_drives_writes_them_as_one(recorded: Path, tmp_path: Path) -
         (["--video", "x.gif", "--from", "2", "--to", "1"], "no time between"),
     ],
 )
-def test_view_refuses_in_words(recorded: Path, options: list[str], said: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_view_refuses_in_words(
+    recorded: Path, options: list[str], said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("replan.draw.recording.pictures.shutil.which", lambda name: None)
     assert said in one_error(replan("view", next(recorded.glob("test_free*/closed.rrd")), *options))
 

@@ -42,11 +42,22 @@ def place(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name, rule in GATES.items():
         (folder / f"{name}.toml").write_text(f"[[gate]]\n{rule}\n", encoding="utf-8")
     both = (GATES[name] for name in ("fail", "inconclusive"))
-    (folder / "both.toml").write_text("".join(f"[[gate]]\n{rule}\n" for rule in both), encoding="utf-8")
+    (folder / "both.toml").write_text(
+        "".join(f"[[gate]]\n{rule}\n" for rule in both), encoding="utf-8"
+    )
     quick = ("--workers", "0", "--no-recording", "--gates", str(folder / "pass.toml"))
     for name, log in (("run", "free"), ("other", "blocked")):
         CliRunner().invoke(
-            app, ["evaluate", str(folder / f"{log}.mcap"), "-p", "constant_speed", *quick, "-o", str(folder / name)]
+            app,
+            [
+                "evaluate",
+                str(folder / f"{log}.mcap"),
+                "-p",
+                "constant_speed",
+                *quick,
+                "-o",
+                str(folder / name),
+            ],
         )
     rule = '[[compare]]\nmetric = "ttc.min"\nmax_decrease = 0.1\n'
     (folder / "nothing.toml").write_text(f"[[gate]]\n{GATES['pass']}\n{rule}", encoding="utf-8")
@@ -59,7 +70,9 @@ def place(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 EVALUATE = "evaluate {log} -p {planner} --gates {gates}.toml --workers 0 --no-recording -o {out}"
 
 
-def case(log: str = "free.mcap", planner: str = "constant_speed", gates: str = "pass", more: str = "") -> str:
+def case(
+    log: str = "free.mcap", planner: str = "constant_speed", gates: str = "pass", more: str = ""
+) -> str:
     return EVALUATE.format(log=log, planner=planner, gates=gates, out="OUT") + more
 
 
@@ -75,7 +88,8 @@ def case(log: str = "free.mcap", planner: str = "constant_speed", gates: str = "
         (case(gates="fail", more=" --quiet"), 1),
         (case(gates="hour"), 1),
         (case(more=" --baseline run"), 0),
-        (case("blocked.mcap", more=" --baseline run"), 1),  # its gate passes; the log of the baseline is missing
+        # Its gate passes; the log of the baseline is missing
+        (case("blocked.mcap", more=" --baseline run"), 1),
         (case("blocked.mcap", more=" --baseline run --quiet"), 1),
         (case("broken.mcap", more=" --baseline run"), 3),  # 3 beats 1
         (case(more=" --baseline nowhere"), 2),
@@ -107,7 +121,8 @@ def case(log: str = "free.mcap", planner: str = "constant_speed", gates: str = "
         ("report run --baseline run -o OUT", 0),
         ("report other --baseline run -o OUT", 0),  # they are written, whatever they say
         ("report run --baseline nowhere -o OUT", 2),
-        ("report run --gates nothing.toml -o OUT", 2),  # rules of a comparison, and nothing to compare with
+        # Rules of a comparison, and nothing to compare with
+        ("report run --gates nothing.toml -o OUT", 2),
         ("compare run run", 0),
         ("compare run other", 1),  # the log of the baseline is missing
         ("compare damaged.parquet run", 3),
@@ -115,10 +130,14 @@ def case(log: str = "free.mcap", planner: str = "constant_speed", gates: str = "
         ("baseline run -o OUT.parquet", 0),
     ],
 )
-def test_exit_codes(place: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: str, code: int) -> None:
+def test_exit_codes(
+    place: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: str, code: int
+) -> None:
     monkeypatch.chdir(place)
     monkeypatch.syspath_prepend(str(place))
-    done = CliRunner(env={"COLUMNS": "100"}).invoke(app, words.replace("OUT", str(tmp_path / "out")).split())
+    done = CliRunner(env={"COLUMNS": "100"}).invoke(
+        app, words.replace("OUT", str(tmp_path / "out")).split()
+    )
     assert done.exit_code == code, done.output
     assert done.exception is None or isinstance(done.exception, SystemExit)
     assert "Traceback" not in done.stdout
@@ -126,7 +145,9 @@ def test_exit_codes(place: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         assert "error" in done.stderr.lower() and not (tmp_path / "out" / "summary.json").exists()
 
 
-def test_a_bug_has_its_own_exit_code(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_bug_has_its_own_exit_code(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
     def fails(*args: object) -> object:
         raise RuntimeError("two\nlines")
 
@@ -166,11 +187,15 @@ main()
 
 @pytest.mark.skipif(sys.platform == "win32", reason="its signals end a process")
 @pytest.mark.parametrize("stop", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize(("moment", "code"), [("typer", 130), ("replan.cli.listing", 130), ("exit", 0)])
+@pytest.mark.parametrize(
+    ("moment", "code"), [("typer", 130), ("replan.cli.listing", 130), ("exit", 0)]
+)
 def test_a_signal_before_and_in_a_command_ends_it_with_130_and_after_it_changes_nothing(
     moment: str, code: int, stop: signal.Signals
 ) -> None:
     script = SIGNALLED.format(moment=moment, stop=int(stop))
-    ended = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
+    ended = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=False
+    )
     assert (ended.returncode, ended.stderr) == (code, "error: interrupted\n" if code else "")
     assert bool(ended.stdout) is not bool(code)

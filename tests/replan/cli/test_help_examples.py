@@ -25,11 +25,22 @@ pytest.importorskip("optuna")
 PLANNER = "from replan.planners.constant_speed import ConstantSpeed\n\n\nclass MyPlanner(ConstantSpeed):\n    pass\n"
 GATES = '[[gate]]\nmetric = "collision_at_fault.count"\nmax = 0\n\n[[compare]]\nmetric = "ttc.min"\nmax_decrease = 9\n'
 SPACE = "[loop]\nplan_period_s = { low = 0.1, high = 0.3 }\n"
-WORDS = {"my_bags/": "my_logs", "my_bag/": "my_bag.mcap", "my_bag": "my_bag.mcap", "17": "pedestrian"}
+WORDS = {
+    "my_bags/": "my_logs",
+    "my_bag/": "my_bag.mcap",
+    "my_bag": "my_bag.mcap",
+    "17": "pedestrian",
+}
 """Names in the examples, and what stands for them here."""
-SHOWN = re.compile(r"replan (view results/\S+( results/\S+)?( --log \S+| -p idm --mode closed)?$|view .*--screenshot)")
+SHOWN = re.compile(
+    r"replan (view results/\S+( results/\S+)?( --log \S+| -p idm --mode closed)?$|view .*--screenshot)"
+)
 """Examples that need a display."""
-LONG = ("replan synth all", "replan synth raw", "replan tune -p idm --space space.toml --suite full")
+LONG = (
+    "replan synth all",
+    "replan synth raw",
+    "replan tune -p idm --space space.toml --suite full",
+)
 
 
 class BegunError(Exception):
@@ -66,7 +77,9 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (place / "gates.toml").write_text(GATES, encoding="utf-8")
     (place / "space.toml").write_text(SPACE, encoding="utf-8")
     quick, results = ("--workers", 0, "--no-recording"), place / "results"
-    replan("evaluate", place / "my_logs", "-p", "idm", "-p", "dp_qp", *quick, "-o", results / "both")
+    replan(
+        "evaluate", place / "my_logs", "-p", "idm", "-p", "dp_qp", *quick, "-o", results / "both"
+    )
     replan("evaluate", place / "my_logs", "-p", "constant_speed", *quick, "-o", results / "one")
     for name in ("main", "mine"):
         shutil.copytree(results / "both", results / name)
@@ -75,18 +88,33 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
         replan("evaluate", place / "my_logs", *words, "-o", place / f"shard-{part}")
     file = written(place, straight(1), problem(7, 0.0, 0.0, 10.0), benchmark="USA_US101-6_1_T-1")
     file.rename(place / "USA_US101-6_1_T-1.xml")
-    car = ("--vehicle", "kinematic_bicycle", "--car", "bmw_320i", "-p", "constant_speed", "--mode", "closed")
+    car = (
+        "--vehicle",
+        "kinematic_bicycle",
+        "--car",
+        "bmw_320i",
+        "-p",
+        "constant_speed",
+        "--mode",
+        "closed",
+    )
     replan("evaluate", place / "USA_US101-6_1_T-1.xml", *car, *quick, "-o", results / "us101")
     replan("mine", place / "my_logs", "--workers", 0, "-o", results / "mined")
     replan("suite", results / "mined", "-o", place / "suite.toml")
     replan("baseline", results / "both", "-o", place / "baseline.parquet")
     (results / "tuned").mkdir()
-    (results / "tuned" / "best.toml").write_text("[planner.idm]\ntime_gap_s = 1.5\n", encoding="utf-8")
+    (results / "tuned" / "best.toml").write_text(
+        "[planner.idm]\ntime_gap_s = 1.5\n", encoding="utf-8"
+    )
     return place
 
 
-@pytest.mark.parametrize("line", [marked(line) for line in dict.fromkeys(examples(get_command(app)))])
-def test_an_example_of_a_help_text_runs(place: Path, monkeypatch: pytest.MonkeyPatch, line: str) -> None:
+@pytest.mark.parametrize(
+    "line", [marked(line) for line in dict.fromkeys(examples(get_command(app)))]
+)
+def test_an_example_of_a_help_text_runs(
+    place: Path, monkeypatch: pytest.MonkeyPatch, line: str
+) -> None:
     if SHOWN.match(line):
         pytest.skip("opens a window")
     monkeypatch.chdir(place)
@@ -101,7 +129,10 @@ def test_an_example_of_a_help_text_runs(place: Path, monkeypatch: pytest.MonkeyP
     shutil.rmtree("new", ignore_errors=True)
     words = [WORDS.get(word, word) for word in shlex.split(line)[1:]]
     words = ["many_logs" if (words[0], word) == ("tune", "my_logs/") else word for word in words]
-    words = [f"new/{word}" if before in ("-o", "--out") else word for before, word in pairwise(["", *words])]
+    words = [
+        f"new/{word}" if before in ("-o", "--out") else word
+        for before, word in pairwise(["", *words])
+    ]
     result = RUNNER.invoke(app, words)
     if not isinstance(result.exception, BegunError):
         assert result.exit_code in (0, 1, 4), result.output

@@ -69,7 +69,9 @@ def test_every_setting_has_a_meaning_and_a_key_that_set_takes(part: Part) -> Non
     found = settings_of(part)
     assert len({one.key for one in found}) == len(found)
     for one in found:
-        assert len(one.meaning.split()) > 1 and "..." not in one.meaning, f"{one.key}: its docstring does not say it"
+        assert len(one.meaning.split()) > 1 and "..." not in one.meaning, (
+            f"{one.key}: its docstring does not say it"
+        )
         assert one.default is not None, one
         table = set_table([f"{one.key}={json.dumps(one.default)}"])
         if one.key.startswith("loop."):
@@ -80,25 +82,42 @@ def test_every_setting_has_a_meaning_and_a_key_that_set_takes(part: Part) -> Non
 
 
 def test_all_settings_of_a_dataclass_are_listed_and_their_bounds_are_those_that_it_checks() -> None:
-    found = {one.key.removeprefix("planner.dp_qp."): one for one in settings_of(Part(PARTS["planner"], "dp_qp"))}
+    found = {
+        one.key.removeprefix("planner.dp_qp."): one
+        for one in settings_of(Part(PARTS["planner"], "dp_qp"))
+    }
     assert sorted(found) == sorted(dotted_keys(DpQpConfig))
     decel = found["speed.qp.comfort.decel_mps2"]
     assert (decel.default, decel.unit, decel.range) == (3.0, "m/s2", {})
     assert decel.group and decel.group != found["speed.qp.emergency.decel_mps2"].group
     assert (found["speed.qp.w_s"].unit, found["lane.due_s"].unit) == ("", "s")
-    assert found["path.dp.rows"].range == {"minimum": 3} and found["path.dp.columns"].range == {"minimum": 2}
-    assert found["lane.due_s"].range == {"exclusiveMinimum": 0.0} and found["lane.look_s"].range == {"minimum": 0.0}
+    assert found["path.dp.rows"].range == {"minimum": 3} and found["path.dp.columns"].range == {
+        "minimum": 2
+    }
+    assert found["lane.due_s"].range == {"exclusiveMinimum": 0.0} and found[
+        "lane.look_s"
+    ].range == {"minimum": 0.0}
     assert found["path.corridor.min_clearance_m"].range == {"minimum": 0.0, "maximum": 0.6}
     assert accepted(MpcConfig(), "friction_share") == {"exclusiveMinimum": 0.0, "maximum": 1.0}
 
 
-@pytest.mark.parametrize(("kind", "name"), [("planner", "lattice"), ("controller", "mpc"), ("perception", "sensor")])
-def test_what_is_within_the_bounds_is_accepted_and_what_is_beyond_is_refused(kind: str, name: str) -> None:
+@pytest.mark.parametrize(
+    ("kind", "name"), [("planner", "lattice"), ("controller", "mpc"), ("perception", "sensor")]
+)
+def test_what_is_within_the_bounds_is_accepted_and_what_is_beyond_is_refused(
+    kind: str, name: str
+) -> None:
     part = Part(PARTS[kind], name)
     for one in settings_of(part):
         for bound, edge in one.range.items():
-            away = (1 if isinstance(edge, int) else 1e-6 * max(1.0, abs(edge))) * (-1 if "inimum" in bound else 1)
-            for value, holds in ((edge, bound[0] == "m"), (edge + away, False), (edge - away, True)):
+            away = (1 if isinstance(edge, int) else 1e-6 * max(1.0, abs(edge))) * (
+                -1 if "inimum" in bound else 1
+            )
+            for value, holds in (
+                (edge, bound[0] == "m"),
+                (edge + away, False),
+                (edge - away, True),
+            ):
                 assert _takes(part, one, value) == holds, (one, value)
 
 
@@ -138,13 +157,19 @@ def test_a_part_of_a_user_is_described_by_its_kind(module: Callable[[str, str], 
     assert (gap.meaning, share.meaning, gap.range) == ("The gap to keep.", "", {})
     (follower,) = described("listed_mine:Follower")
     assert follower.kind == "controllers" and follower.settings is not None
-    assert [(one.default, one.unit, one.meaning) for one in follower.settings] == [(2.0, "1/m", "Its gain.")]
+    assert [(one.default, one.unit, one.meaning) for one in follower.settings] == [
+        (2.0, "1/m", "Its gain.")
+    ]
     assert [one.kind for one in described("listed_mine:either")] == ["planners", "traffic"]
     assert "takes the arguments of no" in one_error(replan("list", "listed_mine:MineConfig"))
 
 
 def test_the_shell_completes_settings_of_parts_and_names_to_list() -> None:
-    assert complete_setting("planner.dp_qp.speed.qp.comfort.d") == ["planner.dp_qp.speed.qp.comfort.decel_mps2="]
-    assert complete_setting("vehicle_model.kinematic_bicycle.") == ["vehicle_model.kinematic_bicycle.rear_ratio="]
+    assert complete_setting("planner.dp_qp.speed.qp.comfort.d") == [
+        "planner.dp_qp.speed.qp.comfort.decel_mps2="
+    ]
+    assert complete_setting("vehicle_model.kinematic_bicycle.") == [
+        "vehicle_model.kinematic_bicycle.rear_ratio="
+    ]
     assert completion("listed")("kinematic") == ["kinematic_bicycle", "kinematic_rear_steer"]
     assert set(completion("listed")("plan")) == {"planners"}

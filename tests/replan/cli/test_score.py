@@ -8,15 +8,28 @@ from command_line import one_error, replan
 
 VALUES = Path(__file__).parents[2] / "support" / "leaderboards"
 NUPLAN = (
-    "no_ego_at_fault_collisions", "drivable_area_compliance", "driving_direction_compliance",
-    "ego_is_making_progress", "ego_progress_along_expert_route", "time_to_collision_within_bound",
-    "speed_limit_compliance", "ego_is_comfortable", "score",
-)  # fmt: skip
+    "no_ego_at_fault_collisions",
+    "drivable_area_compliance",
+    "driving_direction_compliance",
+    "ego_is_making_progress",
+    "ego_progress_along_expert_route",
+    "time_to_collision_within_bound",
+    "speed_limit_compliance",
+    "ego_is_comfortable",
+    "score",
+)
 NAVSIM = (
-    "no_at_fault_collisions", "drivable_area_compliance", "driving_direction_compliance",
-    "traffic_light_compliance", "ego_progress", "time_to_collision_within_bound", "lane_keeping", "history_comfort",
-    "two_frame_extended_comfort", "score",
-)  # fmt: skip
+    "no_at_fault_collisions",
+    "drivable_area_compliance",
+    "driving_direction_compliance",
+    "traffic_light_compliance",
+    "ego_progress",
+    "time_to_collision_within_bound",
+    "lane_keeping",
+    "history_comfort",
+    "two_frame_extended_comfort",
+    "score",
+)
 
 
 @pytest.fixture(scope="module")
@@ -24,13 +37,28 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A log of the catalogue, a run over it, and plans in a file."""
     folder = tmp_path_factory.mktemp("score")
     assert replan("synth", "everyday/cut_in", "-o", folder / "logs").exit_code == 0
-    run = replan("evaluate", folder / "logs", "-p", "constant_speed", "-o", folder / "run", "--workers", 0,
-                 "--no-recording", "--traffic", "time", "--set", "loop.plan_period_s=0.5")  # fmt: skip
+    run = replan(
+        "evaluate",
+        folder / "logs",
+        "-p",
+        "constant_speed",
+        "-o",
+        folder / "run",
+        "--workers",
+        0,
+        "--no-recording",
+        "--traffic",
+        "time",
+        "--set",
+        "loop.plan_period_s=0.5",
+    )
     assert (folder / "run" / "summary.json").is_file(), run.output
     plans = pd.read_parquet(VALUES / "navsim_plans.parquet")
     plans = plans[plans.drive.str.startswith("everyday_cut_in")]
     names = plans.drive.str.rsplit("__", n=1).str
-    plans.assign(log=names[0], drive=names[1]).rename(columns={"t": "t_s"}).to_csv(folder / "plans.csv", index=False)
+    plans.assign(log=names[0], drive=names[1]).rename(columns={"t": "t_s"}).to_csv(
+        folder / "plans.csv", index=False
+    )
     return folder
 
 
@@ -60,7 +88,16 @@ def test_a_run_has_the_scores_of_its_plans(place: Path) -> None:
 
 def test_a_file_of_trajectories_has_the_scores_of_the_original(place: Path) -> None:
     out = place / "scores.csv"
-    done = replan("score", place / "logs", "--trajectories", place / "plans.csv", "--as", "navsim-v2", "-o", out)
+    done = replan(
+        "score",
+        place / "logs",
+        "--trajectories",
+        place / "plans.csv",
+        "--as",
+        "navsim-v2",
+        "-o",
+        out,
+    )
     assert done.exit_code == 0, done.output
     assert "two_frame_extended_comfort: 18 of 18 windows" in done.output
     table = pd.read_csv(out)
@@ -72,9 +109,18 @@ def test_a_file_of_trajectories_has_the_scores_of_the_original(place: Path) -> N
         assert row.ego_progress == pytest.approx(names[row.agent, row.start_time], abs=1e-4)
     relative = pd.read_csv(place / "plans.csv")
     relative = relative[relative.t_s == 4.0]
-    relative["x"] -= 10.0 + 4.0 * 16.7  # the ego at 4 s: it starts at 10 m and drives at 16.7 m/s along x
+    # The ego at 4 s: it starts at 10 m and drives at 16.7 m/s along x
+    relative["x"] -= 10.0 + 4.0 * 16.7
     relative.to_csv(place / "relative.csv", index=False)
-    words = ("--trajectories", place / "relative.csv", "--relative", "--as", "navsim-v2", "-o", place / "again.csv")
+    words = (
+        "--trajectories",
+        place / "relative.csv",
+        "--relative",
+        "--as",
+        "navsim-v2",
+        "-o",
+        place / "again.csv",
+    )
     assert replan("score", place / "logs", *words).exit_code == 0
     again = pd.read_csv(place / "again.csv").set_index("agent").ego_progress
     assert again["dp_qp"].iloc[0] == pytest.approx(names["dp_qp", 4.0], abs=1e-3)
@@ -101,7 +147,9 @@ def test_a_bad_file_is_one_line(place: Path, tmp_path: Path, change: object, say
     plans = pd.read_csv(place / "plans.csv")
     one = plans[(plans.drive == "idm") & (plans.t_s == 6.0)]
     change(one).to_csv(tmp_path / "bad.csv", index=False)  # type: ignore[operator]
-    done = replan("score", place / "logs", "--trajectories", tmp_path / "bad.csv", "--as", "navsim-v2")
+    done = replan(
+        "score", place / "logs", "--trajectories", tmp_path / "bad.csv", "--as", "navsim-v2"
+    )
     assert done.exit_code == 2
     assert says in one_error(done)
 
@@ -114,8 +162,14 @@ def test_bad_words_are_one_line(place: Path, tmp_path: Path) -> None:
         ((place / "logs", "--as", "navsim-v2"), "--trajectories"),
         ((place / "run", "--as", "nuplan-cls", "--trajectories", plans), "--trajectories"),
         ((place / "run", "--as", "navsim-v2", "-o", tmp_path / "a.xlsx"), ".parquet"),
-        ((place / "logs", "--as", "navsim-v2", "--trajectories", tmp_path / "agent.pkl"), "pickles"),
-        ((place / "logs", "--as", "navsim-v2", "--trajectories", tmp_path / "none.csv"), "none.csv"),
+        (
+            (place / "logs", "--as", "navsim-v2", "--trajectories", tmp_path / "agent.pkl"),
+            "pickles",
+        ),
+        (
+            (place / "logs", "--as", "navsim-v2", "--trajectories", tmp_path / "none.csv"),
+            "none.csv",
+        ),
         ((tmp_path / "nowhere", "--as", "navsim-v2", "--trajectories", plans), "nowhere"),
     ):
         done = replan("score", *words)

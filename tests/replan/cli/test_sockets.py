@@ -19,7 +19,9 @@ from replan.draw.recording import write_log_recording
 from replan.draw.recording.pictures import environment
 from replan.logs.mcap import read_scenario
 
-pytestmark = pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="sockets are read from /proc")
+pytestmark = pytest.mark.skipif(
+    not Path("/proc/net/tcp").exists(), reason="sockets are read from /proc"
+)
 REPLAN = [sys.executable, "-c", "from replan.cli import main; main()"]
 LOOPBACK = ("0100007F", "00000000000000000000000001000000", "0000000000000000FFFF00000100007F")
 AUDIT = """
@@ -45,13 +47,19 @@ def sockets(pid: int) -> set[tuple[str, str, str]]:
     rows = []
     for kind in ("tcp", "tcp6", "udp", "udp6"):
         table = Path(f"/proc/net/{kind}")
-        rows += [line.split() for line in table.read_text().splitlines()[1:]] if table.exists() else []
+        rows += (
+            [line.split() for line in table.read_text().splitlines()[1:]] if table.exists() else []
+        )
     return {(row[1], row[2], row[3]) for row in rows if row[9] in inodes}
 
 
 def abroad(found: set[tuple[str, str, str]]) -> set[tuple[str, str, str]]:
     """Those that are bound or connected to something else than this machine; all zeros is no address yet."""
-    return {one for one in found if any(end.strip("0") != ":" and not end.startswith(LOOPBACK) for end in one[:2])}
+    return {
+        one
+        for one in found
+        if any(end.strip("0") != ":" and not end.startswith(LOOPBACK) for end in one[:2])
+    }
 
 
 def watched(words: list[str], folder: Path) -> tuple[set[tuple[str, str, str]], str]:
@@ -120,18 +128,24 @@ def test_a_program_in_the_viewers_environment_reaches_no_other_machine_and_leave
     monkeypatch.setenv("no_proxy", "*")  # of the user: it would let all through
     monkeypatch.setattr(tempfile, "tempdir", None)
     with environment() as variables:
-        done = subprocess.run([sys.executable, "-c", VISITOR], env=variables, capture_output=True, text=True)
+        done = subprocess.run(
+            [sys.executable, "-c", VISITOR], env=variables, capture_output=True, text=True
+        )
     assert set(done.stdout.split()) == {"127.0.0.1"}, done
     assert not list(tmp_path.iterdir())
 
 
 def called(trace: str) -> set[str]:
     """Addresses of internet protocols in the calls that `strace` has recorded."""
-    return set(re.findall(r'inet_addr\("([^"]+)"\)', trace)) | set(re.findall(r'inet_pton\(AF_INET6, "([^"]+)"', trace))
+    return set(re.findall(r'inet_addr\("([^"]+)"\)', trace)) | set(
+        re.findall(r'inet_pton\(AF_INET6, "([^"]+)"', trace)
+    )
 
 
 def test_the_trace_of_calls_shows_a_connection(tmp_path: Path) -> None:
-    assert called('connect(3, {sa_family=AF_INET, sin_port=htons(53), sin_addr=inet_addr("10.0.0.1")}, 16)')
+    assert called(
+        'connect(3, {sa_family=AF_INET, sin_port=htons(53), sin_addr=inet_addr("10.0.0.1")}, 16)'
+    )
     ipv6 = 'connect(3, {sa_family=AF_INET6, sin6_port=htons(1), inet_pton(AF_INET6, "2001:db8::1", &sin6_addr)}, 28)'
     assert called(ipv6) == {"2001:db8::1"}
 
@@ -141,18 +155,34 @@ def test_the_trace_of_calls_shows_a_connection(tmp_path: Path) -> None:
     "words",
     [
         ["view", "LOG", "--screenshot", "a.png", "--theme", "light"],
-        ["evaluate", "LOG", "-p", "replan.planners.idm:Idm", "--mode", "open", "--workers", "1", "-o", "out"],
+        [
+            "evaluate",
+            "LOG",
+            "-p",
+            "replan.planners.idm:Idm",
+            "--mode",
+            "open",
+            "--workers",
+            "1",
+            "-o",
+            "out",
+        ],
     ],
     ids=" ".join,
 )
-def test_system_calls_of_a_command_name_no_other_machine(logs: Path, tmp_path: Path, words: list[str]) -> None:
+def test_system_calls_of_a_command_name_no_other_machine(
+    logs: Path, tmp_path: Path, words: list[str]
+) -> None:
     """Run in a network namespace without a route, where the user may make one: there the command must work, too."""
     if shutil.which("strace") is None:
         pytest.skip("strace is not installed (Debian: strace): connections cannot be watched")
     if "view" in words:
         needs_a_driver()
     apart = ["unshare", "--map-root-user", "--net"]
-    if shutil.which("unshare") is None or subprocess.run([*apart, "true"], capture_output=True, check=False).returncode:
+    if (
+        shutil.which("unshare") is None
+        or subprocess.run([*apart, "true"], capture_output=True, check=False).returncode
+    ):
         apart = []
     scratch, home = tmp_path / "scratch", tmp_path / "home"
     scratch.mkdir()
@@ -160,9 +190,21 @@ def test_system_calls_of_a_command_name_no_other_machine(logs: Path, tmp_path: P
     calls, which = tmp_path / "calls", "trace=connect,sendto,sendmsg,sendmmsg"
     watch = ["strace", "-f", "-qq", "--seccomp-bpf", "-e", which, "-o", str(calls)]
     inside = [sys.executable, "-c", LOOPBACK_UP + "from replan.cli import main; main()"]
-    environment = {**os.environ, "TMPDIR": str(scratch), "HOME": str(home), "PYTHONPATH": os.pathsep.join(sys.path)}
-    command = [*apart, *watch, *inside, *(str(logs / "a.mcap") if word == "LOG" else word for word in words)]
-    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    environment = {
+        **os.environ,
+        "TMPDIR": str(scratch),
+        "HOME": str(home),
+        "PYTHONPATH": os.pathsep.join(sys.path),
+    }
+    command = [
+        *apart,
+        *watch,
+        *inside,
+        *(str(logs / "a.mcap") if word == "LOG" else word for word in words),
+    ]
+    done = subprocess.run(
+        command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+    )
     assert done.returncode in (0, 1, 4) and "Traceback" not in done.stderr, done
     assert called(calls.read_text()) <= {"127.0.0.1", "::1"}
     assert not list(scratch.iterdir())
@@ -177,24 +219,38 @@ with socket.socket() as link, suppress(PermissionError):  # in a namespace of it
 
 
 def needs_a_driver() -> None:
-    if not any(list(Path(place).glob("*.json")) for place in ("/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d")):
+    if not any(
+        list(Path(place).glob("*.json"))
+        for place in ("/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d")
+    ):
         pytest.skip("no Vulkan driver: the viewer cannot draw (Debian: mesa-vulkan-drivers)")
 
 
 @pytest.mark.slow
-def test_the_viewer_listens_on_this_machine_only_and_has_no_analytics(logs: Path, tmp_path: Path) -> None:
+def test_the_viewer_listens_on_this_machine_only_and_has_no_analytics(
+    logs: Path, tmp_path: Path
+) -> None:
     write_log_recording(tmp_path / "log.rrd", read_scenario(logs / "a.mcap"))
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
-    environment = {**os.environ, "HOME": str(tmp_path), "BROWSER": "true", "PYTHONPATH": os.pathsep.join(sys.path)}
+    environment = {
+        **os.environ,
+        "HOME": str(tmp_path),
+        "BROWSER": "true",
+        "PYTHONPATH": os.pathsep.join(sys.path),
+    }
     for name in ("XDG_CONFIG_HOME", "DISPLAY", "WAYLAND_DISPLAY"):
         environment.pop(name, None)
     words = ["view", str(tmp_path / "log.rrd"), "--web", "--port", str(port)]
     process = subprocess.Popen(
-        [*REPLAN, *words], env=environment, cwd=tmp_path, start_new_session=True,
-        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    )  # fmt: skip
+        [*REPLAN, *words],
+        env=environment,
+        cwd=tmp_path,
+        start_new_session=True,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
     try:
         seen, end = set[tuple[str, str, str]](), time.monotonic() + 60.0
         while not any(one[0].endswith(f":{port:04X}") for one in seen) and time.monotonic() < end:
@@ -219,4 +275,6 @@ def test_no_display_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
         monkeypatch.delenv(name, raising=False)
     (tmp_path / "log.rrd").touch()
     done = replan("view", tmp_path / "log.rrd")
-    assert done.exit_code == 3 and "there is no display here" in done.stderr and "--web" in done.stderr
+    assert (
+        done.exit_code == 3 and "there is no display here" in done.stderr and "--web" in done.stderr
+    )

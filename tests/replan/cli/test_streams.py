@@ -7,7 +7,9 @@ from pathlib import Path
 
 import pytest
 
-pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="descriptors are closed by a POSIX shell")
+pytestmark = pytest.mark.skipif(
+    sys.platform == "win32", reason="descriptors are closed by a POSIX shell"
+)
 REPLAN = f"{sys.executable} -P -c 'from replan.cli import main; main()'"
 
 
@@ -16,7 +18,13 @@ def shell(words: str, place: Path) -> tuple[int, str]:
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     line = f"set -o pipefail; {words.replace('REPLAN', REPLAN)}"
     done = subprocess.run(
-        ["bash", "-c", line], cwd=place, env=environment, capture_output=True, text=True, timeout=60, check=False
+        ["bash", "-c", line],
+        cwd=place,
+        env=environment,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
     )
     return done.returncode, done.stdout + done.stderr
 
@@ -31,7 +39,9 @@ def shell(words: str, place: Path) -> tuple[int, str]:
         pytest.param("inspect nowhere 2>&-", 2, marks=pytest.mark.slow),
     ],
 )
-def test_exit_codes_with_closed_streams_are_those_with_open_ones(words: str, code: int, tmp_path: Path) -> None:
+def test_exit_codes_with_closed_streams_are_those_with_open_ones(
+    words: str, code: int, tmp_path: Path
+) -> None:
     found, said = shell(f"REPLAN {words}", tmp_path)
     assert found == code, said
     assert "Traceback" not in said and "BrokenPipe" not in said
@@ -39,10 +49,15 @@ def test_exit_codes_with_closed_streams_are_those_with_open_ones(words: str, cod
 
 @pytest.mark.slow
 @pytest.mark.parametrize("closed", [">&- 2>&-", "| true"])
-def test_a_run_with_closed_streams_has_its_results_and_exit_code(closed: str, folder: Path, tmp_path: Path) -> None:
+def test_a_run_with_closed_streams_has_its_results_and_exit_code(
+    closed: str, folder: Path, tmp_path: Path
+) -> None:
     run = f"REPLAN evaluate {folder}/free.mcap -p constant_speed --workers 1 --no-recording"
     (tmp_path / "fails.toml").write_text('[[gate]]\nmetric = "fallback.rate"\nmin = 1\n')
-    codes = [shell(f"{run} --gates fails.toml -o {out} {more}", tmp_path) for out, more in (("a", ""), ("b", closed))]
+    codes = [
+        shell(f"{run} --gates fails.toml -o {out} {more}", tmp_path)
+        for out, more in (("a", ""), ("b", closed))
+    ]
     assert codes[0][0] == codes[1][0] == 1
     assert "Traceback" not in codes[1][1]
     for name in ("metrics.csv", "junit.xml"):

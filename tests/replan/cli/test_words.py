@@ -46,7 +46,9 @@ TABLES = {
 
 def python(*words: str, **env: str) -> subprocess.CompletedProcess[str]:
     places = {**os.environ, **env}
-    return subprocess.run([sys.executable, *words], env=places, capture_output=True, text=True, check=False)
+    return subprocess.run(
+        [sys.executable, *words], env=places, capture_output=True, text=True, check=False
+    )
 
 
 def test_every_name_of_every_table_is_listed_with_a_line_and_a_place() -> None:
@@ -63,7 +65,9 @@ def test_every_name_of_every_table_is_listed_with_a_line_and_a_place() -> None:
             else:
                 source = Path(str(find_spec(module).origin))  # type: ignore[union-attr]
             text = source.read_text(encoding="utf-8").splitlines()
-            assert not line or text[int(line) - 1].lstrip().startswith(("def ", "class ", "@", '"', "lambda ")), one
+            assert not line or text[int(line) - 1].lstrip().startswith(
+                ("def ", "class ", "@", '"', "lambda ")
+            ), one
 
 
 @pytest.mark.parametrize(
@@ -73,16 +77,30 @@ def test_every_name_of_every_table_is_listed_with_a_line_and_a_place() -> None:
         (("list", "cars"), lambda said: [one["name"] for one in said] == list(vehicle_names())),
         (("metrics",), lambda said: [one["name"] for one in said] == list(METRICS)),
         (("metrics", "gap"), lambda said: said["unit"] == "m" and "min" in said["reductions"]),
-        (("synth", "--list"), lambda said: {one["name"] for one in said["families"]} == FAMILIES.keys()),
+        (
+            ("synth", "--list"),
+            lambda said: {one["name"] for one in said["families"]} == FAMILIES.keys(),
+        ),
         (("convert", "--formats"), lambda said: "native" in [one["name"] for one in said]),
         (("vary", "--list"), lambda said: "speed" in [one["name"] for one in said]),
         (("falsify", "--list"), lambda said: "speed" in [one["name"] for one in said]),
-        (("falsify", "paper/crossing_pedestrian", "--list-agents"), lambda said: said[0]["kind"] == "pedestrian"),
-        (("vary", "paper/crossing_pedestrian", "--list-agents"), lambda said: said[0]["kind"] == "pedestrian"),
-        (("inspect", "{free}"), lambda said: said["scenario"]["name"] == "test/free" and said["health"] == []),
+        (
+            ("falsify", "paper/crossing_pedestrian", "--list-agents"),
+            lambda said: said[0]["kind"] == "pedestrian",
+        ),
+        (
+            ("vary", "paper/crossing_pedestrian", "--list-agents"),
+            lambda said: said[0]["kind"] == "pedestrian",
+        ),
+        (
+            ("inspect", "{free}"),
+            lambda said: said["scenario"]["name"] == "test/free" and said["health"] == [],
+        ),
     ],
 )
-def test_json_is_one_document_and_says_what_the_words_say(folder: Path, words: tuple[str, ...], found: Any) -> None:
+def test_json_is_one_document_and_says_what_the_words_say(
+    folder: Path, words: tuple[str, ...], found: Any
+) -> None:
     result = replan(*(word.format(free=folder / "free.mcap") for word in words), "--json")
     assert result.exit_code == 0
     assert found(json.loads(result.stdout))
@@ -90,7 +108,11 @@ def test_json_is_one_document_and_says_what_the_words_say(folder: Path, words: t
 
 
 def test_errors_leave_stdout_empty_and_quiet_says_them(folder: Path, tmp_path: Path) -> None:
-    for words in (("synth", "all", "--json"), ("convert", "x", "--json"), ("evaluate", "nowhere", "--json", "-q")):
+    for words in (
+        ("synth", "all", "--json"),
+        ("convert", "x", "--json"),
+        ("evaluate", "nowhere", "--json", "-q"),
+    ):
         result = replan(*words)
         assert (result.exit_code, result.stdout) == (2, "")
         assert one_error(result)
@@ -137,7 +159,9 @@ def test_the_pace_is_that_of_the_logs_that_were_driven() -> None:
 
 
 @given(st.lists(st.tuples(st.floats(1.0, 300.0), st.booleans()), min_size=1, max_size=30))
-def test_the_time_in_which_kernels_were_compiled_counts_for_nothing(logs_: list[tuple[float, bool]]) -> None:
+def test_the_time_in_which_kernels_were_compiled_counts_for_nothing(
+    logs_: list[tuple[float, bool]],
+) -> None:
     pace, other, now, warm = Pace(100, 0.0, 100.0), Pace(100, 0.0, 100.0), 0.0, 0.0
     for seconds, compiled in logs_:
         now, warm = now + seconds, warm + seconds * (not compiled)
@@ -155,12 +179,17 @@ def test_kernels_that_are_compiled_meanwhile_are_counted(monkeypatch: pytest.Mon
     words = with_kernels(lambda: "0 of 9 logs")
     assert is_cache_cold() and words() == "0 of 9 logs"
     stored |= {"b", "c"}
-    assert not is_cache_cold() and words() == "compiling kernels (once): 3 of 20 are ready, 0 of 9 logs"
+    assert (
+        not is_cache_cold()
+        and words() == "compiling kernels (once): 3 of 20 are ready, 0 of 9 logs"
+    )
     stored.add("d")
     assert "4 of 20" in words() and "4 of 20" in words() and words() == "0 of 9 logs"
 
 
-def test_progress_is_lines_on_stderr(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_progress_is_lines_on_stderr(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     from replan.run.sources import LogSource, Selection
 
     clock = iter(range(0, 1000, 10))
@@ -172,32 +201,50 @@ def test_progress_is_lines_on_stderr(capsys: pytest.CaptureFixture[str], monkeyp
             on_log(done)
     said = capsys.readouterr()
     assert said.out == ""
-    assert said.err.splitlines()[:2] == ["5 logs -> out", "1 of 5 logs, 6 logs/min, about 40 s left"]
+    assert said.err.splitlines()[:2] == [
+        "5 logs -> out",
+        "1 of 5 logs, 6 logs/min, about 40 s left",
+    ]
     assert len(said.err.splitlines()) == 5  # the report follows the last log
 
 
 def test_the_command_line_is_there_at_once() -> None:
     heavy = "numba numpy scipy pandas pyarrow rerun"
-    code = f"import sys, replan.cli, replan; print(*sorted(set('{heavy}'.split()) & set(sys.modules)))"
+    code = (
+        f"import sys, replan.cli, replan; print(*sorted(set('{heavy}'.split()) & set(sys.modules)))"
+    )
     result = python("-c", code)
     assert (result.stdout.strip(), result.stderr) == ("", "")
 
 
 def test_completion_knows_the_tables_without_importing_them() -> None:
-    options = {"planner": "planners", "controller": "controllers", "vehicle": "vehicles", "traffic": "traffic",
-               "prediction": "predictions", "perception": "perceptions", "suite": "suites", "car": "cars"}  # fmt: skip
+    options = {
+        "planner": "planners",
+        "controller": "controllers",
+        "vehicle": "vehicles",
+        "traffic": "traffic",
+        "prediction": "predictions",
+        "perception": "perceptions",
+        "suite": "suites",
+        "car": "cars",
+    }
     for option, kind in options.items():
         assert sorted(names(option)) == sorted(TABLES[kind]), option
     assert list(names("kind")) == list(KINDS)
 
 
 def test_a_shell_is_given_names() -> None:
-    words = {"_REPLAN_COMPLETE": "complete_bash", "COMP_WORDS": "replan evaluate --controller p", "COMP_CWORD": "3"}
+    words = {
+        "_REPLAN_COMPLETE": "complete_bash",
+        "COMP_WORDS": "replan evaluate --controller p",
+        "COMP_CWORD": "3",
+    }
     result = python("-m", "replan", **words)
     assert result.stdout.split() == ["pure_pursuit", "pid"]
     assert "loop.plan_period_s=" in complete_setting("loop.pl")
     assert complete_setting("controller.p") == ["controller.pure_pursuit.", "controller.pid."]
-    named = {"_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION": "1"}  # else the shell above this process counts
+    # Else the shell above this process counts
+    named = {"_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION": "1"}
     assert "replan" in python("-m", "replan", "--show-completion", "bash", **named).stdout
 
 
@@ -213,4 +260,6 @@ def test_nothing_is_silent_for_long() -> None:
     with sign_of_life(keep, lambda: "reading log", every_s=0.01):
         assert twice.wait(10.0)
     count = len(said)
-    assert said[0].startswith("reading log, ") and said[0].endswith(" s so far") and len(said) == count
+    assert (
+        said[0].startswith("reading log, ") and said[0].endswith(" s so far") and len(said) == count
+    )

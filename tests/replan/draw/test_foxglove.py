@@ -29,7 +29,8 @@ from replan.mine.mine import markers
 from replan.replay.loop.closed_loop import run_closed_loop
 
 needs_schemas = pytest.mark.skipif(
-    find_spec("foxglove_schemas_protobuf") is None, reason="foxglove-schemas-protobuf (extra foxglove) is not installed"
+    find_spec("foxglove_schemas_protobuf") is None,
+    reason="foxglove-schemas-protobuf (extra foxglove) is not installed",
 )
 RED, YELLOW, GREEN, GREY = (255, 75, 60), (255, 210, 80), (80, 220, 120), (120, 125, 135)
 
@@ -46,7 +47,11 @@ def decoded(path: Path) -> dict[str, list[tuple[int, Any]]]:
     out: dict[str, list[tuple[int, Any]]] = defaultdict(list)
     with path.open("rb") as file:
         reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
-        topics = [c.topic for c in reader.get_summary().channels.values() if c.message_encoding == "protobuf"]
+        topics = [
+            c.topic
+            for c in reader.get_summary().channels.values()
+            if c.message_encoding == "protobuf"
+        ]
         for schema, channel, message, proto in reader.iter_decoded_messages(topics=topics):
             assert schema.encoding == "protobuf" and schema.name == proto.DESCRIPTOR.full_name
             assert schema.name.startswith("foxglove.") and channel.topic.startswith("/foxglove/")
@@ -57,7 +62,11 @@ def decoded(path: Path) -> dict[str, list[tuple[int, Any]]]:
 def native_messages(path: Path) -> list[tuple[str, int, int, bytes]]:
     with path.open("rb") as file:
         some = make_reader(file).iter_messages()
-        return [(c.topic, m.log_time, m.sequence, m.data) for _, c, m in some if c.message_encoding == "json"]
+        return [
+            (c.topic, m.log_time, m.sequence, m.data)
+            for _, c, m in some
+            if c.message_encoding == "json"
+        ]
 
 
 def heading(orientation: Any) -> float:
@@ -103,18 +112,24 @@ def test_boxes_stand_where_the_samples_are(tmp_path: Path) -> None:
     tracks, shown = rich.tracks, decoded(written(tmp_path / "fox.mcap", rich))
     exact = 0
     for topic in ("/foxglove/agents", "/foxglove/obstacles"):
-        for time, entity in ((time, entity) for time, scene in shown[topic] for entity in scene.entities):
+        for time, entity in (
+            (time, entity) for time, scene in shown[topic] for entity in scene.entities
+        ):
             (cube,), i = entity.cubes, tracks.ids.index(entity.id)
             own, t, at = tracks.samples(i), (time - START_NS) / 1e9, cube.pose.position
             exact += np.isin([at.x + 1j * at.y], (tracks.x + 1j * tracks.y)[own]).all()
-            expected = [np.interp(t, tracks.t[own], getattr(tracks, name)[own]) for name in ("x", "y", "yaw")]
+            expected = [
+                np.interp(t, tracks.t[own], getattr(tracks, name)[own])
+                for name in ("x", "y", "yaw")
+            ]
             assert [at.x, at.y, heading(cube.pose.orientation)] == pytest.approx(expected, abs=1e-6)
             assert (cube.size.x, cube.size.y) == (tracks.length[i], tracks.width[i])
             assert at.z == 0.5 * cube.size.z
     assert exact >= 70  # at the times of samples it is the sample, to the bit
     assert [entity.id for entity in shown["/foxglove/obstacles"][0][1].entities] == ["post"]
     ids = [{entity.id for entity in scene.entities} for _, scene in shown["/foxglove/agents"]]
-    assert ids[1] == {"car 1", "walker"} and ids[-1] == set()  # the log goes on after the last sample
+    # The log goes on after the last sample
+    assert ids[1] == {"car 1", "walker"} and ids[-1] == set()
 
 
 @needs_schemas
@@ -122,11 +137,17 @@ def test_the_ego_is_the_transform_and_its_box_is_ahead_of_the_axle(tmp_path: Pat
     rich = rich_scenario()
     shown = decoded(written(tmp_path / "fox.mcap", rich))
     transforms = [one for _, one in shown["/foxglove/tf"]]
-    assert {(one.parent_frame_id, one.child_frame_id) for one in transforms} == {("map", "base_link")}
-    states = np.array([(one.translation.x, one.translation.y, heading(one.rotation)) for one in transforms])
+    assert {(one.parent_frame_id, one.child_frame_id) for one in transforms} == {
+        ("map", "base_link")
+    }
+    states = np.array(
+        [(one.translation.x, one.translation.y, heading(one.rotation)) for one in transforms]
+    )
     assert np.array_equal(states[:, :2], np.column_stack([rich.ego.x, rich.ego.y]))
     assert states[:, 2] == pytest.approx(rich.ego.yaw, abs=1e-12)
-    assert [time for time, _ in shown["/foxglove/tf"]] == [START_NS + round(1e9 * t) for t in rich.ego.t]
+    assert [time for time, _ in shown["/foxglove/tf"]] == [
+        START_NS + round(1e9 * t) for t in rich.ego.t
+    ]
     assert all(one.timestamp.ToNanoseconds() == time for time, one in shown["/foxglove/tf"])
     ((_, scene),) = shown["/foxglove/ego"]
     (box,) = scene.entities
@@ -136,14 +157,18 @@ def test_the_ego_is_the_transform_and_its_box_is_ahead_of_the_axle(tmp_path: Pat
 
 
 @needs_schemas
-def test_the_road_is_drawn_as_it_is_and_stop_lines_in_the_colour_of_their_light(tmp_path: Path) -> None:
+def test_the_road_is_drawn_as_it_is_and_stop_lines_in_the_colour_of_their_light(
+    tmp_path: Path,
+) -> None:
     rich = rich_scenario()
     shown = decoded(written(tmp_path / "fox.mcap", rich))
     ((_, road),) = shown["/foxglove/road"]
     entities = {entity.id: entity for entity in road.entities}
     assert set(entities) == {"lane 3", "lane 5", "crosswalk 7", "goal"}
     for lane in rich.road.lanes.values():
-        for line, side in zip(entities[f"lane {lane.id}"].lines, (lane.left, lane.right), strict=True):
+        for line, side in zip(
+            entities[f"lane {lane.id}"].lines, (lane.left, lane.right), strict=True
+        ):
             assert np.array_equal([(p.x, p.y) for p in line.points], side)
     assert entities["crosswalk 7"].lines[0].type == 1  # a closed line
     seconds, colours = [], []
@@ -197,7 +222,16 @@ def test_convert_and_evaluate_write_them_and_the_verdict_stays(tmp_path: Path) -
     done = runner.invoke(app, ["convert", str(log), "-o", str(tmp_path / "fox.mcap"), "--foxglove"])
     assert done.exit_code == 0, done.output
     assert "/foxglove/tf" in decoded(tmp_path / "fox.mcap")
-    words = ["evaluate", str(log), "-p", "constant_speed", "--workers", "0", "--no-recording", "--out"]
+    words = [
+        "evaluate",
+        str(log),
+        "-p",
+        "constant_speed",
+        "--workers",
+        "0",
+        "--no-recording",
+        "--out",
+    ]
     for name, more in (("without", []), ("with", ["--foxglove"])):
         assert runner.invoke(app, [*words, str(tmp_path / name), *more]).exit_code in (0, 1, 4)
     tables = [pd.read_parquet(tmp_path / name / "metrics.parquet") for name in ("without", "with")]
@@ -206,13 +240,20 @@ def test_convert_and_evaluate_write_them_and_the_verdict_stays(tmp_path: Path) -
     assert {"/foxglove/agents", "/foxglove/plan"} & set(decoded(closed)) == {"/foxglove/plan"}
 
 
-def test_without_its_package_the_way_to_it_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_its_package_the_way_to_it_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setitem(sys.modules, "foxglove_schemas_protobuf.Color_pb2", None)
     monkeypatch.delitem(sys.modules, "replan.draw.foxglove", raising=False)
     ego = drive(straight, 8.0, 1.0)
     write_scenario(tmp_path / "log.mcap", scenario(ego, road=lanes_along(ego)))
-    for words in (["convert", "-o", str(tmp_path / "out.mcap")], ["evaluate", "--out", str(tmp_path / "out")]):
-        done = CliRunner().invoke(app, [words[0], str(tmp_path / "log.mcap"), *words[1:], "--foxglove"])
+    for words in (
+        ["convert", "-o", str(tmp_path / "out.mcap")],
+        ["evaluate", "--out", str(tmp_path / "out")],
+    ):
+        done = CliRunner().invoke(
+            app, [words[0], str(tmp_path / "log.mcap"), *words[1:], "--foxglove"]
+        )
         assert done.exit_code == 2
         assert "pip install 'replan[foxglove]'" in done.stderr
     assert not list(tmp_path.glob("out*"))

@@ -33,12 +33,19 @@ def test_every_variation_with_an_order_has_a_scale() -> None:
 def test_parameters_of_families_are_scaled_by_their_names() -> None:
     words = ["ego_kmh=20:60", "gap_m=0:60", "lateral_mps=0.5:3", "accel_mps2=-3:3"]
     axes = search_axes(words, ["gap_m=2"], CUT_IN, with_agents=True)
-    assert [(axis.origin, axis.scale) for axis in axes] == [(60.0, 6.0), (30.0, 2.0), (2.0, 0.4), (0.0, 1.0)]
+    assert [(axis.origin, axis.scale) for axis in axes] == [
+        (60.0, 6.0),
+        (30.0, 2.0),
+        (2.0, 0.4),
+        (0.0, 1.0),
+    ]
     assert [axis.unit for axis in axes] == ["km/h", "m", "m/s", "m/s2"]
 
 
 def test_without_words_the_grid_of_a_family_or_the_usual_variations() -> None:
-    assert [axis.name for axis in search_axes((), (), CUT_IN, with_agents=True)] == list(CUT_IN.grid)
+    assert [axis.name for axis in search_axes((), (), CUT_IN, with_agents=True)] == list(
+        CUT_IN.grid
+    )
     usual = search_axes((), (), FAMILIES["everyday/cut_in"], with_agents=True)
     assert [axis.name for axis in usual] == ["time", "speed", "ego_speed"]
     assert [axis.name for axis in search_axes((), (), None, with_agents=False)] == ["ego_speed"]
@@ -59,7 +66,9 @@ def test_without_words_the_grid_of_a_family_or_the_usual_variations() -> None:
         (["time=-3:3"], ["time=0"], "a positive value"),
     ],
 )
-def test_wrong_words_are_refused_in_one_line(words: list[str], scales: list[str], said: str) -> None:
+def test_wrong_words_are_refused_in_one_line(
+    words: list[str], scales: list[str], said: str
+) -> None:
     with pytest.raises(ConfigError, match=said) as error:
         search_axes(words, scales, None, with_agents=True)
     assert "\n" not in str(error.value)

@@ -28,10 +28,16 @@ RUN = driven(RunConfig(), "dp_qp")
 @st.composite
 def changed(draw: st.DrawFn) -> list[ChangedRun]:
     """Changes of some keys, every one of other keys."""
-    keys = draw(st.lists(st.frozensets(st.sampled_from("abcd"), min_size=1), unique=True, min_size=1, max_size=6))
+    keys = draw(
+        st.lists(
+            st.frozensets(st.sampled_from("abcd"), min_size=1), unique=True, min_size=1, max_size=6
+        )
+    )
     return [
         ChangedRun(
-            TriedChange(f"c{i}", "", draw(st.sampled_from(CAUSES)), draw(st.sampled_from(RANKS)), ("a",)),
+            TriedChange(
+                f"c{i}", "", draw(st.sampled_from(CAUSES)), draw(st.sampled_from(RANKS)), ("a",)
+            ),
             RUN,
             frozenset((key, "1") for key in some),
         )
@@ -40,7 +46,9 @@ def changed(draw: st.DrawFn) -> list[ChangedRun]:
 
 
 @given(changed(), st.data())
-def test_a_cause_is_named_by_least_changes_that_pass(runs: list[ChangedRun], data: st.DataObject) -> None:
+def test_a_cause_is_named_by_least_changes_that_pass(
+    runs: list[ChangedRun], data: st.DataObject
+) -> None:
     passing = set(data.draw(st.lists(st.sampled_from([run.change.name for run in runs]))))
     found = cause_of(runs, passing)
     known = {run.change.name: run for run in runs}
@@ -68,11 +76,23 @@ def test_a_fragile_drive_has_no_cause_and_unavoidable_is_where_nothing_passes(
 def test_a_change_is_tried_where_it_makes_another_run_and_once() -> None:
     names = [run.change.name for run in changed_runs(load_changes(), RUN)[0]]
     assert names == [
-        "true_futures", "perfect_car", "replayed_traffic", "reactive_traffic", "other_solver", "hard_limits_dp_qp",
-        "planner_idm", "planner_pdm", "planner_lattice",
-    ]  # fmt: skip
+        "true_futures",
+        "perfect_car",
+        "replayed_traffic",
+        "reactive_traffic",
+        "other_solver",
+        "hard_limits_dp_qp",
+        "planner_idm",
+        "planner_pdm",
+        "planner_lattice",
+    ]
     late = load_run(
-        None, {"planners": ["idm"], "mode": "closed", "loop": {"plan_delay_s": 0.3, "perception": "sensor"}}
+        None,
+        {
+            "planners": ["idm"],
+            "mode": "closed",
+            "loop": {"plan_delay_s": 0.3, "perception": "sensor"},
+        },
     )
     found, refused = changed_runs(load_changes(), driven(late, "idm"))
     runs = {run.change.name: run for run in found}
@@ -82,7 +102,9 @@ def test_a_change_is_tried_where_it_makes_another_run_and_once() -> None:
 
 
 def test_a_change_that_a_run_refuses_is_named_with_the_reason() -> None:
-    row = TriedChange("worse", "worse", "decision", "ideal", set={"planner": {"dp_qp": {"no_such_key": 1.0}}})
+    row = TriedChange(
+        "worse", "worse", "decision", "ideal", set={"planner": {"dp_qp": {"no_such_key": 1.0}}}
+    )
     found, refused = changed_runs([row], RUN)
     assert not found and "no_such_key" in refused["worse"]
 
@@ -93,7 +115,10 @@ ROW = '[[change]]\nname = "{0}"\nwords = "so"\ncause = "prediction"\nrank = "{1}
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        (ROW.format("mine", "worst"), "rank is one of default, ideal, limits, planner, got 'worst'"),
+        (
+            ROW.format("mine", "worst"),
+            "rank is one of default, ideal, limits, planner, got 'worst'",
+        ),
         (ROW.format("a/b", "ideal"), "must be valid for a folder"),
         (ROW.format("true_futures", "ideal"), "two changes are called 'true_futures'"),
         ('[[changes]]\nname = "mine"\n', "holds rows [[change]] and nothing else"),
@@ -108,7 +133,9 @@ def test_a_wrong_row_is_refused_by_name(text: str, said: str, tmp_path: Path) ->
 
 
 @given(st.floats(0.02, 0.98), st.booleans(), st.booleans())
-def test_the_smallest_change_is_within_a_step_of_where_drives_pass(share: float, along: bool, upward: bool) -> None:
+def test_the_smallest_change_is_within_a_step_of_where_drives_pass(
+    share: float, along: bool, upward: bool
+) -> None:
     setting = Setting(("planner", "idm", "time_gap_s"), 1.0 if upward else 4.0, 1.0, 4.0, log=along)
     asked: list[Value] = []
 
@@ -126,5 +153,10 @@ def test_of_several_settings_the_nearest_is_taken_and_whole_numbers_stay_whole()
     knots = Setting(("planner", "dp_qp", "path", "qp", "knots"), 80, 40, 200)
     solver = Setting(("planner", "dp_qp", "solver"), "osqp", choices=("osqp", "piqp"))
     found = smallest_change([solver, knots], lambda one, value: one is solver or int(value) >= 97)
-    assert found is not None and found[0] is knots and isinstance(found[1], int) and 97 <= found[1] <= 99
+    assert (
+        found is not None
+        and found[0] is knots
+        and isinstance(found[1], int)
+        and 97 <= found[1] <= 99
+    )
     assert smallest_change([knots], lambda one, value: False) is None

@@ -26,14 +26,29 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("diagnose")
     (out / "logs").mkdir()
     free, blocked = free_and_blocked()
-    for name, log in (("free", free), ("blocked", blocked), ("gone", replace(blocked, name="test/gone"))):
+    for name, log in (
+        ("free", free),
+        ("blocked", blocked),
+        ("gone", replace(blocked, name="test/gone")),
+    ):
         write_scenario(out / "logs" / f"{name}.mcap", log)
     write_gates(out / "gates.toml", COLLISION)
     (out / "weak.toml").write_text(WEAK, encoding="utf-8")
     ran = replan(
-        "evaluate", out / "logs", "-p", "idm", "--config", out / "weak.toml", "--gates", out / "gates.toml",
-        "--no-recording", "--workers", 0, "-o", out / "run",
-    )  # fmt: skip
+        "evaluate",
+        out / "logs",
+        "-p",
+        "idm",
+        "--config",
+        out / "weak.toml",
+        "--gates",
+        out / "gates.toml",
+        "--no-recording",
+        "--workers",
+        0,
+        "-o",
+        out / "run",
+    )
     assert ran.exit_code == 1, ran.output
     (out / "logs" / "gone.mcap").unlink()
     return out
@@ -47,11 +62,17 @@ def found(folder: Path) -> Path:
 
 
 @pytest.mark.slow
-def test_a_drive_that_cannot_be_driven_again_is_named_and_the_others_are_diagnosed(found: Path) -> None:
+def test_a_drive_that_cannot_be_driven_again_is_named_and_the_others_are_diagnosed(
+    found: Path,
+) -> None:
     said = card(found)
-    assert list(said["not_driven"]) == ["test/gone"] and "gone.mcap" in said["not_driven"]["test/gone"]
+    assert (
+        list(said["not_driven"]) == ["test/gone"] and "gone.mcap" in said["not_driven"]["test/gone"]
+    )
     assert [one["log"] for one in said["drives"]] == ["test/blocked"] and not said["fails_no_more"]
-    (line,) = [line for line in said["said"] if line.startswith("Could not be driven again: test/gone: ")]
+    (line,) = [
+        line for line in said["said"] if line.startswith("Could not be driven again: test/gone: ")
+    ]
     assert line in (found / "diagnosis.md").read_text(encoding="utf-8")
 
 
@@ -64,7 +85,9 @@ def card(out: Path) -> dict[str, Any]:
 def test_the_planted_cause_is_named_and_the_table_holds_what_is_said(found: Path) -> None:
     said = card(found)
     drives = pd.read_csv(found / "diagnosis.csv")
-    assert drives["log"].tolist() == ["test/blocked"] and drives["cause"].tolist() == ["comfort bound"]
+    assert drives["log"].tolist() == ["test/blocked"] and drives["cause"].tolist() == [
+        "comfort bound"
+    ]
     table = pd.read_csv(found / "changes.csv").set_index("change")
     assert table.loc["default_limits_idm", "passes"] and not table.loc["perfect_car", "passes"]
     assert not table.loc["true_futures", "passes"], "who stands is predicted to stand"
@@ -76,9 +99,20 @@ def test_the_planted_cause_is_named_and_the_table_holds_what_is_said(found: Path
     assert "collision_at_fault.count <= 0" in cause
     (one,) = said["drives"]
     difference = one["failure"]["difference"]
-    assert f"{-difference['hardest_mps2']:.1f} m/s² instead of {-difference['would_hardest_mps2']:.1f} m/s²" in place
-    assert difference["hardest_mps2"] > -0.6 and one["failure"]["who"] == "car wall" and "car wall" in place
-    assert drives.loc[0, "happens"] == said["clusters"][0]["happens"] == happens.partition(": ")[2].rstrip(".")
+    assert (
+        f"{-difference['hardest_mps2']:.1f} m/s² instead of {-difference['would_hardest_mps2']:.1f} m/s²"
+        in place
+    )
+    assert (
+        difference["hardest_mps2"] > -0.6
+        and one["failure"]["who"] == "car wall"
+        and "car wall" in place
+    )
+    assert (
+        drives.loc[0, "happens"]
+        == said["clusters"][0]["happens"]
+        == happens.partition(": ")[2].rstrip(".")
+    )
     assert (found / "changes" / "default_limits_idm" / "metrics.parquet").is_file()
 
 
@@ -98,23 +132,51 @@ def test_the_smallest_change_passes_and_is_resumed_and_what_it_breaks_is_counted
     space.write_text("planner.idm.hardest_mps2 = { low = 0.2, high = 8.5 }\n", encoding="utf-8")
     shutil.copytree(found, folder / "remedy")
     out = folder / "remedy"
-    words = ("diagnose", folder / "run", "--space", space, "-o", out, "--resume", "--workers", 0, "--json")
+    words = (
+        "diagnose",
+        folder / "run",
+        "--space",
+        space,
+        "-o",
+        out,
+        "--resume",
+        "--workers",
+        0,
+        "--json",
+    )
     first = replan(*words)
     (remedy,) = json.loads(first.stdout)["remedies"]
     monkeypatch.setattr("replan.experiments.diagnose.drive_again", None)
     again = replan(*words)
-    assert again.exit_code == first.exit_code == 3 and again.stdout == first.stdout, "nothing is driven a second time"
+    assert again.exit_code == first.exit_code == 3 and again.stdout == first.stdout, (
+        "nothing is driven a second time"
+    )
     assert remedy["mended"] == ["test/blocked"] and remedy["broken"] == [] and remedy["drives"] == 2
     again = replan(
-        "evaluate", folder / "logs", "-p", "idm", "--config", folder / "weak.toml", "--gates", folder / "gates.toml",
-        "--set", f"planner.idm.hardest_mps2={remedy['now']}", "--no-recording", "--workers", 0, "-o", folder / "again",
-    )  # fmt: skip
+        "evaluate",
+        folder / "logs",
+        "-p",
+        "idm",
+        "--config",
+        folder / "weak.toml",
+        "--gates",
+        folder / "gates.toml",
+        "--set",
+        f"planner.idm.hardest_mps2={remedy['now']}",
+        "--no-recording",
+        "--workers",
+        0,
+        "-o",
+        folder / "again",
+    )
     assert again.exit_code == 0, again.output
 
 
 @pytest.mark.slow
 def test_a_run_in_which_no_drive_fails_says_so(folder: Path) -> None:
-    result = replan("diagnose", folder / "run", "--log", "test/free", "-o", folder / "none", "--workers", 0)
+    result = replan(
+        "diagnose", folder / "run", "--log", "test/free", "-o", folder / "none", "--workers", 0
+    )
     assert result.exit_code == 0
     said = json.loads((folder / "none" / "diagnosis.json").read_text(encoding="utf-8"))
     assert said["drives"] == [] and said["open_loop"] == {}
@@ -124,11 +186,23 @@ def test_a_run_in_which_no_drive_fails_says_so(folder: Path) -> None:
 def test_what_fails_in_the_open_loop_alone_is_named(folder: Path, tmp_path: Path) -> None:
     write_gates(tmp_path / "gates.toml", 'metric = "plan_horizon.min"\nmode = "open"\nmin = 100')
     log = folder / "logs" / "free.mcap"
-    run = ("--gates", tmp_path / "gates.toml", "--no-recording", "--workers", 0, "-o", tmp_path / "run")
+    run = (
+        "--gates",
+        tmp_path / "gates.toml",
+        "--no-recording",
+        "--workers",
+        0,
+        "-o",
+        tmp_path / "run",
+    )
     assert replan("evaluate", log, "-p", "idm", *run).exit_code == 1
-    assert replan("diagnose", tmp_path / "run", "-o", tmp_path / "out", "--workers", 0).exit_code == 0
+    assert (
+        replan("diagnose", tmp_path / "run", "-o", tmp_path / "out", "--workers", 0).exit_code == 0
+    )
     said = json.loads((tmp_path / "out" / "diagnosis.json").read_text(encoding="utf-8"))
-    assert said["drives"] == [] and said["open_loop"] == {"test/free": ["plan_horizon.min >= 100 [open]"]}
+    assert said["drives"] == [] and said["open_loop"] == {
+        "test/free": ["plan_horizon.min >= 100 [open]"]
+    }
     assert any("open loop" in line and "test/free" in line for line in said["said"])
 
 
@@ -136,9 +210,16 @@ def test_what_fails_in_the_open_loop_alone_is_named(folder: Path, tmp_path: Path
 def test_the_report_shows_the_diagnosis_and_links_its_drives(folder: Path, found: Path) -> None:
     result = replan("report", folder / "run", "--diagnosis", found, "-o", folder / "reports")
     assert result.exit_code == 0, result.output
-    page, text = ((folder / "reports" / name).read_text(encoding="utf-8") for name in ("report.html", "report.md"))
+    page, text = (
+        (folder / "reports" / name).read_text(encoding="utf-8")
+        for name in ("report.html", "report.md")
+    )
     for line in page, text:
-        assert "Why idm fails" in line and "comfort bound" in line and "brakes too weakly for a car" in line
+        assert (
+            "Why idm fails" in line
+            and "comfort bound" in line
+            and "brakes too weakly for a car" in line
+        )
     (anchor,) = set(re.findall(r'<td><a href="#([^"]+)">test/blocked</a>', page))
     assert f'id="{anchor}"' in page
     other = json.loads((found / "diagnosis.json").read_text(encoding="utf-8"))

@@ -53,12 +53,22 @@ LOG = scenario(AS_LOGGED)
 """Six seconds straight on."""
 
 
-def compared_drives(failing: Trajectory, passing: Trajectory, until: float = inf) -> DriveDifference:
+def compared_drives(
+    failing: Trajectory, passing: Trajectory, until: float = inf
+) -> DriveDifference:
     return DriveDifference.of(drive(LOG, failing), drive(LOG, passing), until)
 
 
-@given(st.floats(0.5, 3.0), st.floats(-0.5, 2.0), st.floats(1.0, 4.0), st.floats(0.2, 1.0), st.floats(-3.0, 3.0))
-def test_braking_is_what_the_drives_do(at: float, late: float, decel: float, share: float, turn: float) -> None:
+@given(
+    st.floats(0.5, 3.0),
+    st.floats(-0.5, 2.0),
+    st.floats(1.0, 4.0),
+    st.floats(0.2, 1.0),
+    st.floats(-3.0, 3.0),
+)
+def test_braking_is_what_the_drives_do(
+    at: float, late: float, decel: float, share: float, turn: float
+) -> None:
     passing, failing = braked(at, decel), braked(at + late, share * decel)
     found = compared_drives(failing, passing)
     behaviour = found.behaviour[0]
@@ -70,23 +80,64 @@ def test_braking_is_what_the_drives_do(at: float, late: float, decel: float, sha
     assert behaviour != "brakes late" or late > LATE_S - 0.02
     assert behaviour != "brakes too weakly" or share < 1.0
     assert behaviour != "does not brake" or share * decel <= 0.5
-    failed, passed = (drive(moved(LOG, turn, 3.0, 4.0), moved_ego(one, turn, 3.0, 4.0)) for one in (failing, passing))
-    assert DriveDifference.of(failed, passed, inf).behaviour[0] == behaviour, "wherever the scene lies"
+    failed, passed = (
+        drive(moved(LOG, turn, 3.0, 4.0), moved_ego(one, turn, 3.0, 4.0))
+        for one in (failing, passing)
+    )
+    assert DriveDifference.of(failed, passed, inf).behaviour[0] == behaviour, (
+        "wherever the scene lies"
+    )
 
 
 @pytest.mark.parametrize(
     ("failing", "passing", "until", "behaviour", "numbers"),
     [
-        (braked(3.0, 4.0), braked(2.0, 4.0), inf, "brakes late", "brakes at 3.0 s instead of 2.0 s"),
-        (braked(3.0, 4.0), braked(2.0, 4.0), 2.9, "brakes late", "brakes at 3.0 s instead of 2.0 s"),
-        (AS_LOGGED, braked(2.0, 4.0), 2.9, "does not brake", "does not brake, instead of braking at 2.0 s"),
-        (braked(2.0, 2.0), braked(2.0, 4.0), inf, "brakes too weakly", "brakes with 2.0 m/s² instead of 4.0 m/s²"),
+        (
+            braked(3.0, 4.0),
+            braked(2.0, 4.0),
+            inf,
+            "brakes late",
+            "brakes at 3.0 s instead of 2.0 s",
+        ),
+        (
+            braked(3.0, 4.0),
+            braked(2.0, 4.0),
+            2.9,
+            "brakes late",
+            "brakes at 3.0 s instead of 2.0 s",
+        ),
+        (
+            AS_LOGGED,
+            braked(2.0, 4.0),
+            2.9,
+            "does not brake",
+            "does not brake, instead of braking at 2.0 s",
+        ),
+        (
+            braked(2.0, 2.0),
+            braked(2.0, 4.0),
+            inf,
+            "brakes too weakly",
+            "brakes with 2.0 m/s² instead of 4.0 m/s²",
+        ),
         (braked(2.0, 1.0), braked(2.0, 4.0), 2.1, "", ""),
         (braked(2.0, 4.0), AS_LOGGED, inf, "", ""),
-        (AS_LOGGED, braked(9.0, 0.0, 0.5), inf, "keeps too far right", "drives 0.5 m to the right of where it passes"),
-        (AS_LOGGED, braked(9.0, 0.0, -0.5), 3.0, "keeps too far left", "drives 0.5 m to the left of where it passes"),
+        (
+            AS_LOGGED,
+            braked(9.0, 0.0, 0.5),
+            inf,
+            "keeps too far right",
+            "drives 0.5 m to the right of where it passes",
+        ),
+        (
+            AS_LOGGED,
+            braked(9.0, 0.0, -0.5),
+            3.0,
+            "keeps too far left",
+            "drives 0.5 m to the left of where it passes",
+        ),
     ],
-)  # fmt: skip
+)
 def test_a_deed_in_numbers(
     failing: Trajectory, passing: Trajectory, until: float, behaviour: str, numbers: str
 ) -> None:
@@ -96,20 +147,36 @@ def test_a_deed_in_numbers(
 def shown(speed: float, predicted: float, off: float = 0.0, *, seen: bool = True) -> Trace:
     """A pedestrian who walks across, predicted at 1 s to walk at another speed, and shown beside their place."""
     log = scenario(
-        LOG.ego, [("ped 7", AgentKind.PEDESTRIAN, (0.5, 0.5), lambda t: (20.0 + 0.0 * t, speed * t, 0.0 * t))]
+        LOG.ego,
+        [
+            (
+                "ped 7",
+                AgentKind.PEDESTRIAN,
+                (0.5, 0.5),
+                lambda t: (20.0 + 0.0 * t, speed * t, 0.0 * t),
+            )
+        ],
     )
     t = 1.0 + np.arange(0.0, 8.0 + 1e-9, 0.5)
     y = speed + off + predicted * (t - 1.0)
     rows = np.zeros((2, len(t)))
     some = Predictions(
-        t, np.zeros(2, np.int64), np.array([0.2, 0.8]), 20.0 + 0.0 * rows, np.array([9.0 + y, y]), rows, "hand"
+        t,
+        np.zeros(2, np.int64),
+        np.array([0.2, 0.8]),
+        20.0 + 0.0 * rows,
+        np.array([9.0 + y, y]),
+        rows,
+        "hand",
     )
     frame = PlannedFrame(1.0, Plan(log.ego), ("ped 7",) if seen else (), some)
     return drive(log, frames=(frame,))
 
 
 @given(st.floats(0.0, 2.0), st.floats(0.0, 2.0), st.floats(-2.0, 2.0), st.booleans())
-def test_what_is_said_of_a_prediction_is_what_it_was(speed: float, predicted: float, off: float, seen: bool) -> None:
+def test_what_is_said_of_a_prediction_is_what_it_was(
+    speed: float, predicted: float, off: float, seen: bool
+) -> None:
     found = Foresight.of(shown(speed, predicted, off, seen=seen), "ped 7", 1.3)
     words, numbers = found.error
     assert bool(words) == bool(numbers)
@@ -143,19 +210,39 @@ ANY = DriveFailure("collision_at_fault.count <= 0", "collision_at_fault.count")
     [
         ({}, "collides with a road user"),
         ({"who": "object 3"}, "collides with an object"),
-        ({"who": "pedestrian 7", "foresight": STOOD}, "collides with a pedestrian predicted to stand"),
-        ({"who": "pedestrian 7", "foresight": STOOD, "difference": LATE},
-         "brakes late, and collides with a pedestrian predicted to stand"),
-        ({"who": "pedestrian 7", "foresight": STOOD, "difference": LATE, "brakes_for": True},
-         "brakes late for a pedestrian predicted to stand, and collides with them"),
-        ({"who": "car 23f7", "lane": "left"}, "collides with a car while changing to the left lane"),
+        (
+            {"who": "pedestrian 7", "foresight": STOOD},
+            "collides with a pedestrian predicted to stand",
+        ),
+        (
+            {"who": "pedestrian 7", "foresight": STOOD, "difference": LATE},
+            "brakes late, and collides with a pedestrian predicted to stand",
+        ),
+        (
+            {"who": "pedestrian 7", "foresight": STOOD, "difference": LATE, "brakes_for": True},
+            "brakes late for a pedestrian predicted to stand, and collides with them",
+        ),
+        (
+            {"who": "car 23f7", "lane": "left"},
+            "collides with a car while changing to the left lane",
+        ),
         ({"metric": "needless_standing.worst_episode"}, "stands although the road is free"),
-        ({"metric": "red_light.count", "difference": LATE, "brakes_for": True}, "brakes late, and runs a red light"),
-        ({"metric": "lon_jerk_nuplan.worst_episode", "who": "pedestrian 7", "difference": LATE, "brakes_for": True},
-         "brakes late for a pedestrian, and accelerates or brakes too abruptly"),
+        (
+            {"metric": "red_light.count", "difference": LATE, "brakes_for": True},
+            "brakes late, and runs a red light",
+        ),
+        (
+            {
+                "metric": "lon_jerk_nuplan.worst_episode",
+                "who": "pedestrian 7",
+                "difference": LATE,
+                "brakes_for": True,
+            },
+            "brakes late for a pedestrian, and accelerates or brakes too abruptly",
+        ),
         ({"metric": "my.metric", "gate": "my.metric < 3"}, "fails my.metric < 3"),
     ],
-)  # fmt: skip
+)
 def test_the_sentence_of_a_failure(changes: dict[str, object], sentence: str) -> None:
     found = replace(ANY, **changes)  # type: ignore[arg-type]
     assert found.sentence == sentence
@@ -163,7 +250,11 @@ def test_the_sentence_of_a_failure(changes: dict[str, object], sentence: str) ->
 
 
 def test_every_gate_of_ours_has_words_and_no_others_have() -> None:
-    gates = [gate for gate in load_gates(None).gates if gate.over == "worst" and gate.broken == Outcome.FAIL.value]
+    gates = [
+        gate
+        for gate in load_gates(None).gates
+        if gate.over == "worst" and gate.broken == Outcome.FAIL.value
+    ]
     assert {gate.metric.partition(".")[0] for gate in gates} <= set(OUTCOMES)
 
 
@@ -177,8 +268,14 @@ def test_a_lane_change_is_that_of_the_plan() -> None:
 # where the time went ----------------------------------------------------------------------------------------------
 
 
-@given(st.lists(st.tuples(st.sampled_from(["17", "18", ""]), st.floats(-1.0, 2.0)), min_size=1, max_size=12))
-def test_lost_time_is_that_of_its_causes_and_what_is_made_up_is_taken_off(steps: list[tuple[str, float]]) -> None:
+@given(
+    st.lists(
+        st.tuples(st.sampled_from(["17", "18", ""]), st.floats(-1.0, 2.0)), min_size=1, max_size=12
+    )
+)
+def test_lost_time_is_that_of_its_causes_and_what_is_made_up_is_taken_off(
+    steps: list[tuple[str, float]],
+) -> None:
     course = Course(Action.HOLDS, 1.0, 1.0, 1.0, 8.0, 0.0, 0.0, 0.0, nan)
     found = [
         Account(0.5 * k, course, True, (Cause(CauseKind.AGENT, who),) if who else ())
@@ -187,30 +284,50 @@ def test_lost_time_is_that_of_its_causes_and_what_is_made_up_is_taken_off(steps:
     spent = waits(found, [seconds for _, seconds in steps])
     assert [one.seconds for one in spent] == sorted((one.seconds for one in spent), reverse=True)
     for one in spent:
-        lost = [(0.5 * k, seconds) for k, (who, seconds) in enumerate(steps) if who == one.who and seconds > 0.0]
+        lost = [
+            (0.5 * k, seconds)
+            for k, (who, seconds) in enumerate(steps)
+            if who == one.who and seconds > 0.0
+        ]
         assert one.since_s == lost[0][0]
         assert one.seconds <= sum(seconds for _, seconds in lost) + 1e-5
     if all(seconds >= 0.0 for _, seconds in steps):
         for one in spent:
-            assert one.seconds == pytest.approx(sum(each for who, each in steps if who == one.who), abs=1e-5)
+            assert one.seconds == pytest.approx(
+                sum(each for who, each in steps if who == one.who), abs=1e-5
+            )
 
 
 @given(st.floats(2.0, 9.0), st.floats(0.0, 3.0), st.floats(0.5, 2.5))
-def test_the_time_lost_from_frame_to_frame_sums_to_the_delay(slow: float, at: float, lasts: float) -> None:
+def test_the_time_lost_from_frame_to_frame_sums_to_the_delay(
+    slow: float, at: float, lasts: float
+) -> None:
     v = np.where((at <= T) & (at + lasts > T), slow, V)
-    failing = Trajectory(T, np.r_[0.0, np.cumsum(0.01 * v[:-1])], 0.0 * T, 0.0 * T, v, 0.0 * T, 0.0 * T)
+    failing = Trajectory(
+        T, np.r_[0.0, np.cumsum(0.01 * v[:-1])], 0.0 * T, 0.0 * T, v, 0.0 * T, 0.0 * T
+    )
     frames = np.arange(0.0, 6.0, 0.1).tolist()
     lost, wanted = RoutePace.of(AS_LOGGED, LOG).lost(failing, LOG, frames)
     assert sum(lost) == pytest.approx(lasts * (1.0 - slow / V), abs=0.03)
     inside = [at + 0.1 < t < at + lasts - 0.1 for t in frames]
-    assert all(each == pytest.approx(V, abs=0.1) for each in wanted[inside]), "the speed that it does not have"
+    assert all(each == pytest.approx(V, abs=0.1) for each in wanted[inside]), (
+        "the speed that it does not have"
+    )
     outside = [not at - 0.1 < t < at + lasts + 0.1 for t in frames]
     assert np.isnan(wanted[outside]).all() and np.abs(lost[outside]).max(initial=0.0) < 0.02
     assert RoutePace.needed(LOG) == RoutePace.of(AS_LOGGED, LOG), "the recorded driver"
 
 
-@given(st.floats(-4.0, 4.0), st.floats(-3.0, 20.0), st.floats(-3.0, 3.0), st.floats(-1e3, 1e3), st.floats(0.0, 6.0))
-def test_a_missed_goal_is_seen_from_the_ego(left: float, ahead: float, turn: float, shift: float, speed: float) -> None:
+@given(
+    st.floats(-4.0, 4.0),
+    st.floats(-3.0, 20.0),
+    st.floats(-3.0, 3.0),
+    st.floats(-1e3, 1e3),
+    st.floats(0.0, 6.0),
+)
+def test_a_missed_goal_is_seen_from_the_ego(
+    left: float, ahead: float, turn: float, shift: float, speed: float
+) -> None:
     middle = LOG.vehicle.axle_to_center
     x, y = AS_LOGGED.x[-1] + middle + ahead, left
     place = np.array([[x, y], [x + 1.0, y], [x + 1.0, y + 1.0], [x, y + 1.0]])
@@ -229,21 +346,28 @@ def test_a_missed_goal_is_seen_from_the_ego(left: float, ahead: float, turn: flo
 
 
 @given(st.floats(0.0, 4.0), st.floats(-1.0, 1.0))
-def test_a_reaction_is_unseen_where_ego_and_road_user_are_as_before(off: float, aside: float) -> None:
+def test_a_reaction_is_unseen_where_ego_and_road_user_are_as_before(
+    off: float, aside: float
+) -> None:
     places = -20.0 + V * T, 0.0 * T, 0.0 * T
     shifted = places[0] - np.where(T > 2.5, off, 0.0), *places[1:]
     logged, braking = (
-        scenario(AS_LOGGED, [("7", AgentKind.CAR, (4.5, 1.8), lambda t, at=at: at)]) for at in (places, shifted)
+        scenario(AS_LOGGED, [("7", AgentKind.CAR, (4.5, 1.8), lambda t, at=at: at)])
+        for at in (places, shifted)
     )
     failing, ego = drive(braking), braked(9.0, 0.0, aside)
     assert unseen(failing, drive(logged), logged.tracks, "7", 2.0)
-    assert unseen(failing, drive(logged, ego), logged.tracks, "7", 2.0) == (abs(aside) <= SAME_PLACE_M)
+    assert unseen(failing, drive(logged, ego), logged.tracks, "7", 2.0) == (
+        abs(aside) <= SAME_PLACE_M
+    )
     assert unseen(failing, drive(braking), logged.tracks, "7", 2.0) == (off <= AS_LOGGED_M)
     assert not unseen(failing, drive(logged), logged.tracks, "8", 2.0)
 
 
 @given(st.floats(1.0, 6.0), st.floats(0.5, 3.0))
-def test_a_road_user_makes_way_by_as_much_as_they_brake_harder_until_the_failure(decel: float, at: float) -> None:
+def test_a_road_user_makes_way_by_as_much_as_they_brake_harder_until_the_failure(
+    decel: float, at: float
+) -> None:
     def behind(hardest: float) -> Trace:
         v = np.maximum(V - hardest * np.maximum(T - at, 0.0), 0.0)
         x = np.r_[0.0, np.cumsum(0.5 * np.diff(T) * (v[1:] + v[:-1]))] - 20.0
@@ -257,7 +381,12 @@ def test_a_road_user_makes_way_by_as_much_as_they_brake_harder_until_the_failure
     assert made_way(undisturbed, braking, "8", at + 1.0) == 0.0
 
 
-@given(st.sampled_from(EndReason), st.sampled_from(EndReason), st.floats(0.0, 10.0), st.floats(0.0, 10.0))
+@given(
+    st.sampled_from(EndReason),
+    st.sampled_from(EndReason),
+    st.floats(0.0, 10.0),
+    st.floats(0.0, 10.0),
+)
 def test_a_drive_that_is_cut_before_the_failure_or_by_what_did_not_end_that_one_is_no_evidence(
     before: EndReason, now: EndReason, until: float, lasted: float
 ) -> None:
@@ -270,15 +399,22 @@ def test_a_drive_that_is_cut_before_the_failure_or_by_what_did_not_end_that_one_
 def test_a_peak_that_is_farther_out_is_worse() -> None:
     before = {"lon_accel.max_abs": 3.0, "lon_accel.min": -3.0, "gap.min": 0.5}
     assert not worse_peak(before, before) and not worse_peak(before, {})
-    assert not worse_peak(before, {"lon_accel.max_abs": 3.2, "lon_accel.min": -3.2, "gap.min": 0.46})
-    assert worse_peak(before, {"lon_accel.max_abs": 9.0}) and worse_peak(before, {"lon_accel.min": -9.0})
+    assert not worse_peak(
+        before, {"lon_accel.max_abs": 3.2, "lon_accel.min": -3.2, "gap.min": 0.46}
+    )
+    assert worse_peak(before, {"lon_accel.max_abs": 9.0}) and worse_peak(
+        before, {"lon_accel.min": -9.0}
+    )
     assert worse_peak(before, {"gap.min": 0.4}) and not worse_peak(before, {"gap.min": 5.0})
 
 
 @pytest.mark.parametrize(
-    ("until", "counted"), [(inf, {"lon_accel.max", "lon_accel.max_abs"}), (9.0, {"lon_accel.max_abs"})]
+    ("until", "counted"),
+    [(inf, {"lon_accel.max", "lon_accel.max_abs"}), (9.0, {"lon_accel.max_abs"})],
 )
-def test_a_peak_after_the_end_of_the_failing_drive_does_not_count(until: float, counted: set[str]) -> None:
+def test_a_peak_after_the_end_of_the_failing_drive_does_not_count(
+    until: float, counted: set[str]
+) -> None:
     columns = ["log", "planner", "mode", "metric", "value", "time_s", "available"]
     peaks = (("lon_accel.max", 4.0, 9.5), ("lon_accel.max_abs", 5.0, 2.0), ("ttc.min", 1.0, 2.0))
     rows = pd.DataFrame([("log", "idm", "closed", *peak, True) for peak in peaks], columns=columns)

@@ -18,7 +18,9 @@ from replan.logs.mcap import read_scenario, write_scenario
 from replan.logs.scenario import Scenario
 from replan.metrics.judge.gates import Gate, load_gates
 
-pytest.importorskip("cmaes", reason="the extra improve is not installed: pip install 'replan[improve]'")
+pytest.importorskip(
+    "cmaes", reason="the extra improve is not installed: pip install 'replan[improve]'"
+)
 COLLISION = 'metric = "collision_at_fault.count"\nmode = "closed"\nmax = 0'
 GAP = 'metric = "gap.min"\nmode = "closed"\nmin = 0.05'
 """At less, the careful driver fails as well: they pass as near, and brake for who is in their way only."""
@@ -37,11 +39,30 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def words(folder: Path, out: Path, *more: object, budget: int = 24, workers: int = 0) -> Sequence[object]:
+def words(
+    folder: Path, out: Path, *more: object, budget: int = 24, workers: int = 0
+) -> Sequence[object]:
     return (
-        "falsify", folder / "log.mcap", "-p", "constant_speed", "--gates", folder / "gates.toml", "--workers", workers,
-        "--axis", "side=-5:1", "--axis", "ego_speed=0.8:1.2", "--agent", "17", "--budget", budget, "-o", out, *more,
-    )  # fmt: skip
+        "falsify",
+        folder / "log.mcap",
+        "-p",
+        "constant_speed",
+        "--gates",
+        folder / "gates.toml",
+        "--workers",
+        workers,
+        "--axis",
+        "side=-5:1",
+        "--axis",
+        "ego_speed=0.8:1.2",
+        "--agent",
+        "17",
+        "--budget",
+        budget,
+        "-o",
+        out,
+        *more,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +77,10 @@ def found(folder: Path) -> Path:
 def test_the_distance_is_how_far_the_car_is_from_the_way_of_the_ego(found: Path) -> None:
     said = json.loads((found / "falsify.json").read_text(encoding="utf-8"))
     way = 5.0 - 0.5 * (log().vehicle.width + 1.8)  # boxes touch
-    assert said["falsified"] and said["passes_at"] < way / 0.375 <= said["distance"] <= 1.1 * way / 0.375
+    assert (
+        said["falsified"]
+        and said["passes_at"] < way / 0.375 <= said["distance"] <= 1.1 * way / 0.375
+    )
     assert "collision_at_fault.count <= 0 [closed]" in said["gates"] and said["agents"] == ["17"]
 
 
@@ -66,21 +90,43 @@ def test_what_is_said_is_what_the_table_holds(found: Path) -> None:
     table = pd.read_parquet(found / "trials.parquet")
     failing = table[table["outcome"] == FAIL]
     assert card["distance"] == failing["distance"].min() and card["drives"] == len(table) <= 24
-    assert f"at distance {card['distance']:.3f} from parked, at side {card['case']['side']:.6g} m" in card["said"][0]
+    assert (
+        f"at distance {card['distance']:.3f} from parked, at side {card['case']['side']:.6g} m"
+        in card["said"][0]
+    )
     first = failing.sort_values("distance").iloc[0]
-    assert f"the value is {first['value']:.4g}" in card["said"][1] and str(first["why"]) in card["said"][1]
-    assert ("--budget N" in card["said"][-1]) == card["budget_spent"] == (len(table) >= card["budget"])
+    assert (
+        f"the value is {first['value']:.4g}" in card["said"][1]
+        and str(first["why"]) in card["said"][1]
+    )
+    assert (
+        ("--budget N" in card["said"][-1]) == card["budget_spent"] == (len(table) >= card["budget"])
+    )
     assert f"{len(failing)} fail" in card["said"][-1] and card["outcomes"][FAIL] == len(failing)
-    assert table["part"].iloc[0] == "recorded" and (table.loc[0, ["side", "ego_speed"]] == [0.0, 1.0]).all()
-    assert (table.loc[table["outcome"] == PASS, "score"] >= 1.0).all() and (failing["score"] <= 1.0).all()
+    assert (
+        table["part"].iloc[0] == "recorded"
+        and (table.loc[0, ["side", "ego_speed"]] == [0.0, 1.0]).all()
+    )
+    assert (table.loc[table["outcome"] == PASS, "score"] >= 1.0).all() and (
+        failing["score"] <= 1.0
+    ).all()
 
 
 @pytest.mark.slow
 def test_the_case_is_a_log_that_fails_again(found: Path, folder: Path, tmp_path: Path) -> None:
     made = read_scenario(found / "case.mcap")
     assert made.metadata["varied.of"] == "parked"
-    again = replan("evaluate", found / "case.mcap", "--config", found / "case" / "run.toml", "--workers", 0,
-                   "--no-recording", "-o", tmp_path / "again")  # fmt: skip
+    again = replan(
+        "evaluate",
+        found / "case.mcap",
+        "--config",
+        found / "case" / "run.toml",
+        "--workers",
+        0,
+        "--no-recording",
+        "-o",
+        tmp_path / "again",
+    )
     assert again.exit_code == 1
     gates, same = (load(run).gates["gate"] for run in (found / "case", tmp_path / "again"))
     assert list(gates) == list(same) and len(gates) == len(load_gates(folder / "gates.toml").gates)
@@ -90,8 +136,17 @@ def test_the_case_is_a_log_that_fails_again(found: Path, folder: Path, tmp_path:
 @pytest.mark.slow
 def test_a_planner_that_never_fails_alone_is_not_falsified(folder: Path, tmp_path: Path) -> None:
     """The other drives the same way: whatever one fails, the other fails, too."""
-    result = replan(*words(folder, tmp_path / "out", "--against", "replan.planners.constant_speed:ConstantSpeed",
-                           "--set", "loop.apart.trust=true", budget=16))  # fmt: skip
+    result = replan(
+        *words(
+            folder,
+            tmp_path / "out",
+            "--against",
+            "replan.planners.constant_speed:ConstantSpeed",
+            "--set",
+            "loop.apart.trust=true",
+            budget=16,
+        )
+    )
     assert result.exit_code == 0, result.output
     card = json.loads((tmp_path / "out" / "falsify.json").read_text(encoding="utf-8"))
     assert card["outcomes"][BOTH] > 0 and not card["falsified"] and card["distance"] is None
@@ -126,20 +181,44 @@ def test_a_budget_too_small_for_a_search_is_refused(folder: Path, tmp_path: Path
 def test_a_recorded_failure_is_a_case_of_distance_0(folder: Path, tmp_path: Path) -> None:
     in_the_way = track("17", [0.0], [24.0], [0.0], static=True)
     write_scenario(tmp_path / "log.mcap", replace(log(), tracks=tracks(in_the_way), name="blocked"))
-    result = replan("falsify", tmp_path / "log.mcap", "-p", "constant_speed", "--gates", folder / "gates.toml",
-                    "--workers", 0, "--axis", "ego_speed=0.8:1.2", "-o", tmp_path / "out", "--json")  # fmt: skip
+    result = replan(
+        "falsify",
+        tmp_path / "log.mcap",
+        "-p",
+        "constant_speed",
+        "--gates",
+        folder / "gates.toml",
+        "--workers",
+        0,
+        "--axis",
+        "ego_speed=0.8:1.2",
+        "-o",
+        tmp_path / "out",
+        "--json",
+    )
     said = json.loads(result.stdout)
     assert result.exit_code == said["exit_code"] == 1 and said["distance"] == 0.0
     assert said["said"][0].startswith(
         "constant_speed fails at distance 0.000 from blocked, as recorded, and the careful"
     )
-    assert (tmp_path / "out" / "case.mcap").is_file() and (tmp_path / "out" / "falsify.png").is_file()
+    assert (tmp_path / "out" / "case.mcap").is_file() and (
+        tmp_path / "out" / "falsify.png"
+    ).is_file()
 
 
 @given(st.floats(0.96, 20.0), st.floats(0.01, 5.0))
 def test_robustness_grows_with_each_margin(ttc: float, more: float) -> None:
-    gates = (Gate("ttc.time_below_950ms", max=0.0), Gate("lon_accel.worst_episode", max=1.0), Gate("gap.min", min=0.5))
-    values = {"ttc.time_below_950ms": 0.0, "ttc.min": ttc, "lon_accel.worst_episode": 0.3, "gap.min": 0.7}
+    gates = (
+        Gate("ttc.time_below_950ms", max=0.0),
+        Gate("lon_accel.worst_episode", max=1.0),
+        Gate("gap.min", min=0.5),
+    )
+    values = {
+        "ttc.time_below_950ms": 0.0,
+        "ttc.min": ttc,
+        "lon_accel.worst_episode": 0.3,
+        "gap.min": 0.7,
+    }
     near, far = robustness(gates, values), robustness(gates, {**values, "ttc.min": ttc + more})
     assert 0.0 <= near < far <= 1.0
     assert robustness(gates[:1], {"ttc.time_below_950ms": 0.3, "ttc.min": 0.2}) == 0.0

@@ -8,11 +8,22 @@ import pytest
 from hypothesis import given, strategies as st
 
 from replan.core.errors import ConfigError
-from replan.experiments.gains import LEAST_LOGS, Objective, gains, held_out, is_dominated, mean_gain, objectives, scales
+from replan.experiments.gains import (
+    LEAST_LOGS,
+    Objective,
+    gains,
+    held_out,
+    is_dominated,
+    mean_gain,
+    objectives,
+    scales,
+)
 from replan.metrics import METRICS
 from replan.metrics.judge.aggregate import LogLabels
 
-NAMES = st.dictionaries(st.text("abcdefgh", min_size=1, max_size=6), st.sampled_from(["a", "b", "c", ""]), max_size=40)
+NAMES = st.dictionaries(
+    st.text("abcdefgh", min_size=1, max_size=6), st.sampled_from(["a", "b", "c", ""]), max_size=40
+)
 TWO = (Objective("up", "closed", 1.0), Objective("down", "closed", -1.0))
 
 
@@ -63,7 +74,9 @@ def test_an_objective_has_the_loop_in_which_it_is_defined() -> None:
 
 
 @given(NAMES, st.floats(0.0, 1.0))
-def test_the_share_is_held_out_of_all_logs_and_of_each_stratum(families: dict[str, str], share: float) -> None:
+def test_the_share_is_held_out_of_all_logs_and_of_each_stratum(
+    families: dict[str, str], share: float
+) -> None:
     labels = {name: LogLabels(family) for name, family in families.items()}
     held = held_out(labels, share)
     assert len(held) == floor(len(labels) * share + 1e-9) and held <= set(labels)
@@ -72,7 +85,9 @@ def test_the_share_is_held_out_of_all_logs_and_of_each_stratum(families: dict[st
 
 
 @given(NAMES, st.randoms())
-def test_the_order_of_the_logs_does_not_matter(families: dict[str, str], random: st.DataObject) -> None:
+def test_the_order_of_the_logs_does_not_matter(
+    families: dict[str, str], random: st.DataObject
+) -> None:
     labels = {name: LogLabels(dataset=family) for name, family in families.items()}
     names = list(labels)
     random.shuffle(names)  # type: ignore[attr-defined]

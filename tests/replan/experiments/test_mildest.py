@@ -10,7 +10,9 @@ from hypothesis import given, settings, strategies as st
 from replan.core.arrays import FloatArray
 from replan.experiments.mildest import Mildest, Point, ScoredPoint, norm, search
 
-pytest.importorskip("cmaes", reason="the extra improve is not installed: pip install 'replan[improve]'")
+pytest.importorskip(
+    "cmaes", reason="the extra improve is not installed: pip install 'replan[improve]'"
+)
 BOX = np.array([[-3.0, -2.5], [3.0, 5.0]])
 Hole = Callable[[FloatArray], float]
 """How far a point is inside the hole, negative outside."""
@@ -26,19 +28,26 @@ class Counted:
         self.asked += points
         inside = [self.hole(np.array(point)) for point in points]
         return [
-            ScoredPoint(norm(point) / self.farthest if depth > 0.0 else 1.0 + depth / (depth - 1.0), depth > 0.0)
+            ScoredPoint(
+                norm(point) / self.farthest if depth > 0.0 else 1.0 + depth / (depth - 1.0),
+                depth > 0.0,
+            )
             for point, depth in zip(points, inside, strict=True)
         ]
 
 
-def found(hole: Hole, *, box: FloatArray = BOX, budget: int = 200, seed: int = 0) -> tuple[Mildest, Counted]:
+def found(
+    hole: Hole, *, box: FloatArray = BOX, budget: int = 200, seed: int = 0
+) -> tuple[Mildest, Counted]:
     evaluate = Counted(hole, box)
     return search(box, evaluate, budget=budget, seed=seed, resolution=0.01), evaluate
 
 
 @settings(max_examples=12, deadline=None)
 @given(st.floats(0.0, 6.28), st.floats(0.5, 2.2), st.integers(0, 1000))
-def test_the_mildest_point_beyond_a_line_is_found_to_a_tenth(angle: float, away: float, seed: int) -> None:
+def test_the_mildest_point_beyond_a_line_is_found_to_a_tenth(
+    angle: float, away: float, seed: int
+) -> None:
     normal = np.array([np.cos(angle), np.sin(angle)])
     result, evaluate = found(lambda u: float(u @ normal) - away, seed=seed)
     assert result.point is not None and away - 1e-3 <= result.distance <= 1.1 * away
@@ -49,7 +58,9 @@ def test_the_mildest_point_beyond_a_line_is_found_to_a_tenth(angle: float, away:
 
 @settings(max_examples=8, deadline=None)
 @given(st.floats(-2.0, 2.0), st.floats(2.0, 4.0), st.floats(0.5, 1.2), st.integers(0, 1000))
-def test_the_near_side_of_a_pocket_is_found_to_a_tenth(x: float, y: float, radius: float, seed: int) -> None:
+def test_the_near_side_of_a_pocket_is_found_to_a_tenth(
+    x: float, y: float, radius: float, seed: int
+) -> None:
     middle = np.array([x, y])
     result, _ = found(lambda u: radius - norm(u - middle), seed=seed)
     assert norm(middle) - radius - 1e-3 <= result.distance <= 1.1 * (norm(middle) - radius)
@@ -59,11 +70,16 @@ def test_axes_that_do_not_matter_stay_as_recorded() -> None:
     box = np.array([[-3.0, -3.0, -3.0], [3.0, 3.0, 3.0]])
     result, _ = found(lambda u: u[1] - 1.5, box=box)
     assert result.point is not None and result.point[0] == result.point[2] == 0.0
-    assert result.distance == pytest.approx(1.5, abs=0.01) and result.distance - result.passes <= 0.01 + 1e-3
+    assert (
+        result.distance == pytest.approx(1.5, abs=0.01)
+        and result.distance - result.passes <= 0.01 + 1e-3
+    )
 
 
 def test_the_same_seed_asks_for_the_same_points_and_another_for_others() -> None:
-    one, two, three = (found(lambda u: u[0] + u[1] - 2.0, budget=64, seed=seed)[1].asked for seed in (5, 5, 6))
+    one, two, three = (
+        found(lambda u: u[0] + u[1] - 2.0, budget=64, seed=seed)[1].asked for seed in (5, 5, 6)
+    )
     assert one == two != three
     assert all((BOX[0] <= point).all() and (point <= BOX[1]).all() for point in map(np.array, one))
 
@@ -76,4 +92,8 @@ def test_without_a_hole_none_is_found_and_all_of_the_budget_is_used() -> None:
 
 def test_a_recorded_failure_ends_the_search_at_once() -> None:
     result, evaluate = found(lambda u: 1.0)
-    assert (result.point, result.distance, evaluate.asked) == ((0.0, 0.0), 0.0, [(0.0, 0.0)]) and not result.is_spent
+    assert (result.point, result.distance, evaluate.asked) == (
+        (0.0, 0.0),
+        0.0,
+        [(0.0, 0.0)],
+    ) and not result.is_spent

@@ -25,7 +25,12 @@ def test_settings_with_their_defaults(tmp_path: Path) -> None:
         ensemble = { low = 0, high = 4, step = 2 }
     """
     gap, traffic, members = load_space(write(tmp_path, text), RUN)
-    assert (gap.key, gap.default, gap.ends, gap.log) == ("planner.idm.time_gap_s", 1.5, (0.5, 3.0), True)
+    assert (gap.key, gap.default, gap.ends, gap.log) == (
+        "planner.idm.time_gap_s",
+        1.5,
+        (0.5, 3.0),
+        True,
+    )
     assert (traffic.default, traffic.ends) == ("give_way", ("time", "give_way"))
     assert members.is_whole and members.ends == (0, 4)
     run = with_values(RUN, {gap.path: 0.9, traffic.path: "time", members.path: 2})
@@ -53,8 +58,14 @@ def test_the_chosen_settings_are_a_file_of_a_run_with_nothing_else_in_it(tmp_pat
         ("planner.idm.time_gap_s = { low = 2, high = 1 }", r"low \(2\) must be below high \(1\)"),
         ("planner.idm.time_gap_s = { low = 1, high = inf }", "must be finite numbers"),
         ("planner.idm.time_gap_s = { low = 0, high = 1, log = true }", "log needs a positive low"),
-        ("planner.idm.time_gap_s = { low = -1, high = 1 }", "time_gap_s = -1.0 is refused: .*must be positive"),
-        ("planner.idm.time_gap_s = { lo = 1, high = 2 }", "did you mean 'planner.idm.time_gap_s.low'"),
+        (
+            "planner.idm.time_gap_s = { low = -1, high = 1 }",
+            "time_gap_s = -1.0 is refused: .*must be positive",
+        ),
+        (
+            "planner.idm.time_gap_s = { lo = 1, high = 2 }",
+            "did you mean 'planner.idm.time_gap_s.low'",
+        ),
         ("ensemble = { low = 0.5, high = 2 }", "must be whole, too"),
         ("loop.traffic = { low = 1, high = 2 }", "is no number"),
         ('loop.traffic = { choices = ["time"] }', "give at least two"),
@@ -62,7 +73,9 @@ def test_the_chosen_settings_are_a_file_of_a_run_with_nothing_else_in_it(tmp_pat
         ('loop.traffic = { choices = ["time", "tme"] }', "is refused: .*tme"),
     ],
 )
-def test_a_space_that_cannot_be_is_refused_in_one_line(tmp_path: Path, text: str, said: str) -> None:
+def test_a_space_that_cannot_be_is_refused_in_one_line(
+    tmp_path: Path, text: str, said: str
+) -> None:
     with pytest.raises(ConfigError, match=said) as error:
         load_space(write(tmp_path, text), RUN)
     assert str(error.value).startswith(str(tmp_path)) and "\n" not in str(error.value)

@@ -15,7 +15,14 @@ from short_logs import past_parked
 from replan.config import RunConfig
 from replan.core.errors import ConfigError
 from replan.experiments.brackets import Bracket, bisect_brackets, brackets
-from replan.experiments.conflict import conflicting_agent, encounters, lines, opened, prepared, question_about
+from replan.experiments.conflict import (
+    conflicting_agent,
+    encounters,
+    lines,
+    opened,
+    prepared,
+    question_about,
+)
 from replan.experiments.question import question
 from replan.experiments.surface import VaryResult, vary
 from replan.logs.agents import AgentKind
@@ -40,8 +47,17 @@ def log() -> Scenario:
 def crosses(name: str) -> dict[str, object]:
     """A pedestrian who walks at 3 m/s over the ego's lane, 14 m ahead of its start."""
     t = [0.1 * k for k in range(30)]
-    return track(name, t, [14.0] * 30, [-6.0 + 3.0 * time for time in t], kind=AgentKind.PEDESTRIAN, width=0.5,
-                 length=0.5, vx=0.0, vy=3.0)  # fmt: skip
+    return track(
+        name,
+        t,
+        [14.0] * 30,
+        [-6.0 + 3.0 * time for time in t],
+        kind=AgentKind.PEDESTRIAN,
+        width=0.5,
+        length=0.5,
+        vx=0.0,
+        vy=3.0,
+    )
 
 
 @pytest.fixture(scope="module")
@@ -60,8 +76,11 @@ def outcomes(result: VaryResult, start: float) -> list[str]:
 
 def test_a_cell_is_what_evaluate_says_of_its_log(result: VaryResult, tmp_path: Path) -> None:
     (cell,) = result.table.query("side == -4 and ego_start == 1").to_dict("records")
-    alone = evaluate_logs([result.out / "logs" / cell["log"]], replace(RUN, mode="closed", gates=str(
-        result.out.parent / "gates.toml")), tmp_path / "alone")  # fmt: skip
+    alone = evaluate_logs(
+        [result.out / "logs" / cell["log"]],
+        replace(RUN, mode="closed", gates=str(result.out.parent / "gates.toml")),
+        tmp_path / "alone",
+    )
     assert worst(map(Outcome, alone.verdicts["outcome"])).value == cell["outcome"] == "fail"
     gap = alone.metrics.query("metric == 'gap.min' and planner == 'constant_speed'")["value"].item()
     assert gap == cell["least_gap_m"]
@@ -91,8 +110,14 @@ def test_whoever_walks_into_the_ego_is_a_contact_too(tmp_path: Path) -> None:
     walks = replace(log(), tracks=tracks(crosses("9")))
     into = vary(walks, question(["time=0.2:9.2:2"], ["9"], 9.0), RUN, tmp_path / "out")
     first, second = into.table.to_dict("records")
-    assert first["contact"].startswith("pedestrian 9") and first["contact_s"] == pytest.approx(1.7, abs=0.3)
-    assert first["least_gap_m"] == 0.0 and second["contact"] == "" and first["end"] == "the replay ran into the ego"
+    assert first["contact"].startswith("pedestrian 9") and first["contact_s"] == pytest.approx(
+        1.7, abs=0.3
+    )
+    assert (
+        first["least_gap_m"] == 0.0
+        and second["contact"] == ""
+        and first["end"] == "the replay ran into the ego"
+    )
 
 
 def test_files_and_parameters(result: VaryResult) -> None:
@@ -100,7 +125,9 @@ def test_files_and_parameters(result: VaryResult) -> None:
     pd.testing.assert_frame_equal(table, result.table)
     assert table["log"].is_unique
     assert (result.out / "surface.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
-    assert {"vary.json", "surface.csv", "edges.csv", "grid", "edge-1"} <= {p.name for p in result.out.iterdir()}
+    assert {"vary.json", "surface.csv", "edges.csv", "grid", "edge-1"} <= {
+        p.name for p in result.out.iterdir()
+    }
 
 
 @given(st.floats(-4.9, 4.9), st.floats(1e-3, 1.0), st.booleans())
@@ -109,7 +136,9 @@ def test_halving_brackets_the_edge(edge: float, resolution: float, passes_above:
         return ["pass" if (cell[0] >= edge) == passes_above else "fail" for cell in cells]
 
     cells = [(x, row) for row in (1.0, 2.0) for x in (-5.0, -1.0, 0.0, 5.0)]
-    found = bisect_brackets(brackets(dict(zip(cells, evaluate(cells), strict=True))), evaluate, resolution)
+    found = bisect_brackets(
+        brackets(dict(zip(cells, evaluate(cells), strict=True))), evaluate, resolution
+    )
     assert [one.row for one in found] == [(1.0,), (2.0,)]
     for one in found:
         assert one.low <= edge <= one.high and one.high - one.low <= resolution * (1.0 + 1e-9)
@@ -126,7 +155,10 @@ def test_who_comes_nearest() -> None:
     made = prepared(log())
     found = {one.agent: one for one in encounters(made)}
     beside = 5.0 - 0.5 * (made.vehicle.width + 1.8)
-    assert found["17"].least == pytest.approx(beside) and (found["17"].t_from, found["17"].t_to) == (0.0, 2.9)
+    assert found["17"].least == pytest.approx(beside) and (
+        found["17"].t_from,
+        found["17"].t_to,
+    ) == (0.0, 2.9)
     assert found["far"].way == 20.0 and list(found) == ["blink", "17", "far"]
     assert conflicting_agent(made) == "far"  # the only one who goes anywhere
     with pytest.raises(ConfigError, match="there is no agent to vary"):
@@ -135,13 +167,23 @@ def test_who_comes_nearest() -> None:
 
 def test_who_crosses_is_in_conflict_and_not_the_nearer_bystander() -> None:
     t = [0.1 * k for k in range(30)]
-    strolls = track("strolls", t, [10.0 + time for time in t], [2.0] * 30, kind=AgentKind.PEDESTRIAN, width=0.5,
-                    length=0.5, vx=1.0, vy=0.0)  # fmt: skip
+    strolls = track(
+        "strolls",
+        t,
+        [10.0 + time for time in t],
+        [2.0] * 30,
+        kind=AgentKind.PEDESTRIAN,
+        width=0.5,
+        length=0.5,
+        vx=1.0,
+        vy=0.0,
+    )
     made = prepared(replace(log(), tracks=tracks(crosses("crosses"), strolls)))
     found = {one.agent: one for one in encounters(made)}
     front, beside = made.vehicle.axle_to_front, 0.5 * made.vehicle.width
     assert np.isnan(found["strolls"].conflict) and 0.0 < found["strolls"].least < beside + 2.0
-    meets = (14.0 - 0.25 - front) / 8.0  # they are on the lane's middle then: contact at constant velocity
+    # They are on the lane's middle then: contact at constant velocity
+    meets = (14.0 - 0.25 - front) / 8.0
     assert 0.0 <= found["crosses"].conflict <= meets + 0.1
     assert conflicting_agent(made) == "crosses"
 
@@ -151,7 +193,9 @@ def test_the_conflict_of_a_recorded_drive_is_the_pedestrian_who_crosses(shared_d
     by_agent = {one.agent: one for one in encounters(made)}
     agent = conflicting_agent(made)
     assert by_agent[agent].kind == "pedestrian" and by_agent[agent].conflict < 4.0
-    nearest = next(one for one in by_agent.values() if one.way >= 1.0 and one.t_to - one.t_from >= 1.0)
+    nearest = next(
+        one for one in by_agent.values() if one.way >= 1.0 and one.t_to - one.t_from >= 1.0
+    )
     assert nearest.kind == "car" and nearest.least < by_agent[agent].least
 
 
@@ -187,9 +231,21 @@ def test_the_command_line(tmp_path: Path) -> None:
     write_scenario(tmp_path / "log.mcap", log())
     listed = replan("vary", tmp_path / "log.mcap", "--list-agents")
     assert [line.split()[:2] for line in listed.stdout.splitlines()[1:]] == [
-        ["blink", "car"], ["17", "car"], ["far", "car"]]  # fmt: skip
+        ["blink", "car"],
+        ["17", "car"],
+        ["far", "car"],
+    ]
     assert "ego_speed" in replan("vary", "--list").stdout
-    words = ["vary", tmp_path / "log.mcap", "--vary", "standing_car=10:60:2", "-p", "constant_speed", "--workers", 0]
+    words = [
+        "vary",
+        tmp_path / "log.mcap",
+        "--vary",
+        "standing_car=10:60:2",
+        "-p",
+        "constant_speed",
+        "--workers",
+        0,
+    ]
     done = replan(*words, "--resolution", 30, "--out", tmp_path / "out")
     assert done.exit_code == 0, done.output
     table = pd.read_csv(tmp_path / "out" / "surface.csv")
@@ -201,6 +257,10 @@ def test_the_command_line(tmp_path: Path) -> None:
 def test_an_agent_is_named_by_the_whole_id_or_by_its_short_name() -> None:
     whole = "23f7a1c8-0d5e-4b8e-9a53-6a3ef1f0c2b4"
     coded = replace(log(), tracks=replace(log().tracks, ids=(whole, *log().tracks.ids[1:])))
-    assert [line.split()[0] for line in lines(encounters(coded), coded.short_names)[1:]] == ["blink", "23f7", "far"]
+    assert [line.split()[0] for line in lines(encounters(coded), coded.short_names)[1:]] == [
+        "blink",
+        "23f7",
+        "far",
+    ]
     for name in (whole, "23f7"):
         assert question_about(coded, ["time=0:1:2"], [name], None).agents == (whole,)

@@ -43,7 +43,9 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
     folder = tmp_path_factory.mktemp("logs")
     write_scenario(folder / "pedestrian.mcap", log())
     run = RunConfig(recording=False)
-    return results_of(evaluate_logs([folder], run, tmp_path_factory.mktemp("out") / "run", workers=0).path)
+    return results_of(
+        evaluate_logs([folder], run, tmp_path_factory.mktemp("out") / "run", workers=0).path
+    )
 
 
 def test_a_run_read_back_is_explained_as_it_was_when_driven(results: Results) -> None:
@@ -66,7 +68,12 @@ def test_explain_says_each_change_of_decision_once(results: Results) -> None:
     assert set(kinds) == set(driven)
     assert 2 < len(found) < 0.2 * len(driven)
     text = "\n".join(line for one in found for line in lines_of(one))
-    for words in ("Slows down for pedestrian (yield): ", "active", "S-T upper bound (pedestrian)", "speed QP: "):
+    for words in (
+        "Slows down for pedestrian (yield): ",
+        "active",
+        "S-T upper bound (pedestrian)",
+        "speed QP: ",
+    ):
         assert words in text
 
 
@@ -79,14 +86,23 @@ def test_the_summary_has_ten_lines_with_the_hardest_braking_and_its_agent(result
     assert any(f"{hardest:.1f} m/s²" in line and "pedestrian" in line for line in lines)
     begins = [float(line.split()[0]) for line in lines if line[0].isdigit()]
     assert begins == sorted(begins)
-    short, whole = (replan("explain", results.path, *words).stdout.splitlines() for words in ((), ("--all",)))
+    short, whole = (
+        replan("explain", results.path, *words).stdout.splitlines() for words in ((), ("--all",))
+    )
     assert len(short) <= 11 < len(whole)
 
 
 def test_a_cause_that_does_not_account_for_the_braking_is_not_first() -> None:
-    weak, named = Cause(CauseKind.CURVE, need_mps2=0.5), Cause(CauseKind.CURVE, need_mps2=0.5, inferred=False)
+    weak, named = (
+        Cause(CauseKind.CURVE, need_mps2=0.5),
+        Cause(CauseKind.CURVE, need_mps2=0.5, inferred=False),
+    )
     assert not weak.accounts_for(-3.4)
-    assert weak.accounts_for(-1.4) and named.accounts_for(-3.4) and Cause(CauseKind.AGENT).accounts_for(-3.4)
+    assert (
+        weak.accounts_for(-1.4)
+        and named.accounts_for(-3.4)
+        and Cause(CauseKind.AGENT).accounts_for(-3.4)
+    )
     assert replace(weak, need_mps2=1.2).accounts_for(-3.4)
 
 
@@ -107,10 +123,18 @@ def accepted(world: Scenario) -> Mapping[str, list[str]]:
 
 def check_states_what_is_accepted(name: str) -> None:
     world = CATALOGUE[name].scenario()
-    text = [line for one in changes(run_open_loop(world, "dp_qp").trace, world) for line in lines_of(one)]
+    text = [
+        line
+        for one in changes(run_open_loop(world, "dp_qp").trace, world)
+        for line in lines_of(one)
+    ]
     for agent, kinds in accepted(world).items():
         said = [line for line in text if f"{agent}: " in line or f"for {agent} (" in line]
-        assert any(f"{agent}: {kind} (" in line or f"for {agent} ({kind})" in line for kind in kinds for line in said)
+        assert any(
+            f"{agent}: {kind} (" in line or f"for {agent} ({kind})" in line
+            for kind in kinds
+            for line in said
+        )
 
 
 def test_explain_states_a_decision_that_the_family_accepts() -> None:
@@ -137,7 +161,9 @@ def test_a_dump_gives_the_same_plan_to_the_bit(results: Results, mode: str, tmp_
             np.testing.assert_array_equal(getattr(plan.trajectory, name), getattr(recorded, name))
 
 
-def test_the_problems_of_a_dump_have_the_answers_that_are_with_them(results: Results, tmp_path: Path) -> None:
+def test_the_problems_of_a_dump_have_the_answers_that_are_with_them(
+    results: Results, tmp_path: Path
+) -> None:
     dump(tmp_path / "frame.msgpack", replan_frame(results.drive(LOG, "dp_qp"), 6.5).dump)
     read = load(tmp_path / "frame.msgpack")
     assert {asked.result.report.stage for asked in read.problems} == {"path QP", "speed QP"}
@@ -157,7 +183,14 @@ def test_the_command_reports_stages_sizes_and_residuals(results: Results, tmp_pa
     file = tmp_path / "frame.msgpack"
     asked = replan("frame", results.path, "-p", "dp_qp", "--at", 6.5, "--dump", file)
     said = asked.stdout
-    wanted = ("the one in the results, to the bit", "path QP: ", " unknowns, ", "residuals", "stages [ms", str(file))
+    wanted = (
+        "the one in the results, to the bit",
+        "path QP: ",
+        " unknowns, ",
+        "residuals",
+        "stages [ms",
+        str(file),
+    )
     assert all(words in said for words in wanted)
     unknown = replan("frame", results.path, "-p", "idm", "--at", 6.5, "--with", "nix")
     assert "knows no log" not in one_error(unknown)
@@ -177,7 +210,9 @@ def test_another_planner_that_raises_is_named(
     text += "        raise KeyError('no')\n"
     (tmp_path / "raises_at_a_frame.py").write_text(text, encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
-    with pytest.raises(PlannerError, match=r"raised at 1\.00 s: KeyError: 'no' \(raises_at_a_frame\.py:6\)"):
+    with pytest.raises(
+        PlannerError, match=r"raised at 1\.00 s: KeyError: 'no' \(raises_at_a_frame\.py:6\)"
+    ):
         replan_frame(results.drive(LOG, "dp_qp"), 1.0, "raises_at_a_frame:Raises")
 
 
@@ -191,14 +226,18 @@ def outlines(*agents: dict[str, object], end: float = 8.0) -> list[FloatArray]:
     things = tuple(GraphObstacle(str(agent["id"]), NONE, DecisionKind.FOLLOW) for agent in agents)
     frame = PlannedFrame(0.0, Plan(ego, internals=(StGraph(None, None, NONE, NONE, things),)))
     driven = ego.between(0.0, end)
-    trace = Trace("handmade", "x", Mode.CLOSED, False, driven, world.tracks, (frame,), EndReason.GOAL)
+    trace = Trace(
+        "handmade", "x", Mode.CLOSED, False, driven, world.tracks, (frame,), EndReason.GOAL
+    )
     (found,) = actual_occupancy(trace, world)
     return found
 
 
 def test_a_car_that_drives_ahead_takes_the_way_from_its_rear_to_its_front() -> None:
     t = np.arange(0.0, 8.01, 0.1)
-    (found,) = outlines(track("a", list(t), list(30.0 + 5.0 * t), [0.0] * len(t), length=4.0, width=2.0))
+    (found,) = outlines(
+        track("a", list(t), list(30.0 + 5.0 * t), [0.0] * len(t), length=4.0, width=2.0)
+    )
     car = scenario(drive(straight, 10.0, 1.0)).vehicle
     low, high = np.split(found, 2)
     assert low[:, 0] == pytest.approx(np.arange(0.0, 8.01, 0.25))
@@ -215,7 +254,9 @@ def test_nothing_is_drawn_beside_the_way_or_after_the_drive() -> None:
 
 def test_only_those_in_the_graph_are_drawn() -> None:
     ego = drive(straight, 10.0, 8.0)
-    world = scenario(ego, agents=tracks(track("wall", [0.0], [30.0], [0.0], static=True)), road=lanes_along(ego))
+    world = scenario(
+        ego, agents=tracks(track("wall", [0.0], [30.0], [0.0], static=True)), road=lanes_along(ego)
+    )
     frame = PlannedFrame(0.0, Plan(ego))
     trace = Trace("handmade", "x", Mode.CLOSED, False, ego, world.tracks, (frame,), EndReason.GOAL)
     assert list(actual_occupancy(trace, world)) == [[]]

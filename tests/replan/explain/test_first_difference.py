@@ -38,7 +38,10 @@ from replan.replay.loop.closed_loop import run_closed_loop
 from replan.replay.loop.open_loop import run_open_loop
 
 ROWS, FRAMES = 301, 31
-LANES = (LaneOption("keep", (("time lost", 1.0),)), LaneOption("left", (("time lost", 3.0),), "slower"))
+LANES = (
+    LaneOption("keep", (("time lost", 1.0),)),
+    LaneOption("left", (("time lost", 3.0),), "slower"),
+)
 
 
 @cache
@@ -51,7 +54,9 @@ def drive(mode: Mode = Mode.CLOSED) -> Trace:
         plan = replace(frame.plan, internals=(*LANES, *frame.plan.internals))
         ahead = frame.t + np.arange(0.0, 8.1, 2.0)
         x = np.array([ahead, 2.0 * ahead])
-        future = Predictions(ahead, np.array([0, 1]), np.ones(2), x, 0.0 * x, 0.0 * x, "lane_following")
+        future = Predictions(
+            ahead, np.array([0, 1]), np.ones(2), x, 0.0 * x, 0.0 * x, "lane_following"
+        )
         frames.append(replace(frame, agents=("car 12", "truck 40"), predictions=future, plan=plan))
     cut = {name: first(getattr(whole, name), rows) for name in ("ego", "commands", "actuation")}
     return replace(whole, frames=tuple(frames), tracking=None, **cut)
@@ -61,7 +66,9 @@ def first(columns: Any, rows: int) -> Any:
     """The first rows of a struct of arrays."""
     if columns is None:
         return None
-    return replace(columns, **{field.name: getattr(columns, field.name)[:rows] for field in fields(columns)})
+    return replace(
+        columns, **{field.name: getattr(columns, field.name)[:rows] for field in fields(columns)}
+    )
 
 
 def changed(trace: Trace, k: int, change: Callable[[PlannedFrame], PlannedFrame]) -> Trace:
@@ -119,24 +126,66 @@ def _ignored(decision: Decision) -> Decision:
 
 
 PLANTED: dict[str, tuple[str, Callable[[PlannedFrame], PlannedFrame], str]] = {
-    "agents": ("input frame", lambda f: replace(f, agents=("car 12", "ped")), "no longer truck 40; now also ped"),
+    "agents": (
+        "input frame",
+        lambda f: replace(f, agents=("car 12", "ped")),
+        "no longer truck 40; now also ped",
+    ),
     "a prediction": ("prediction", _elsewhere, "y of truck 40 in 4 s 0.00 -> 0.40 m"),
-    "the reference line": ("route", inside(SlGraph, lambda g: _corridor(g, first=g.corridor.first + 0.5)), "station"),
-    "the lane": ("lane choice", inside(LaneOption, lambda x: replace(x, name="pass")), "keep -> pass (now pass 1.00 s"),
-    "a side": ("path DP", inside(SlGraph, lambda g: replace(g, dp=raised(g.dp, 3, 1, 0.5))), "offset of the DP"),
-    "room": ("path DP", inside(SlGraph, lambda g: _corridor(g, lower=g.corridor.lower - 0.2)), "lower bound"),
-    "the path": ("path QP", inside(SlGraph, lambda g: replace(g, qp=raised(g.qp, 9, 1, 0.3))), "offset at station"),
-    "the graph": ("S-T graph", inside(StGraph, lambda g: replace(g, obstacles=())), "no longer car 12"),
+    "the reference line": (
+        "route",
+        inside(SlGraph, lambda g: _corridor(g, first=g.corridor.first + 0.5)),
+        "station",
+    ),
+    "the lane": (
+        "lane choice",
+        inside(LaneOption, lambda x: replace(x, name="pass")),
+        "keep -> pass (now pass 1.00 s",
+    ),
+    "a side": (
+        "path DP",
+        inside(SlGraph, lambda g: replace(g, dp=raised(g.dp, 3, 1, 0.5))),
+        "offset of the DP",
+    ),
+    "room": (
+        "path DP",
+        inside(SlGraph, lambda g: _corridor(g, lower=g.corridor.lower - 0.2)),
+        "lower bound",
+    ),
+    "the path": (
+        "path QP",
+        inside(SlGraph, lambda g: replace(g, qp=raised(g.qp, 9, 1, 0.3))),
+        "offset at station",
+    ),
+    "the graph": (
+        "S-T graph",
+        inside(StGraph, lambda g: replace(g, obstacles=())),
+        "no longer car 12",
+    ),
     "who goes first": ("speed DP", inside(StGraph, _overtaken), "car 12: follow -> overtake"),
     "a decision": ("speed DP", inside(Decision, _ignored), "car 12: follow -> ignore"),
-    "the speed": ("speed QP", inside(StGraph, lambda g: replace(g, qp=raised(g.qp, 40, 1, -2.0))), "station at 4 s"),
-    "the plan": ("plan", _plan(x=lambda p: p.x + np.linspace(0.0, 1.0, len(p))), "x in 8 s"),
-    "a shorter path": ("path QP", inside(SlGraph, lambda g: replace(g, qp=g.qp[:-3])), "lateral offset ends at"),
-    "a shorter, other path": (
-        "path QP", inside(SlGraph, lambda g: replace(g, qp=raised(g.qp, 9, 1, 0.3)[:-3])), "offset at station",
+    "the speed": (
+        "speed QP",
+        inside(StGraph, lambda g: replace(g, qp=raised(g.qp, 40, 1, -2.0))),
+        "station at 4 s",
     ),
-    "its status": ("plan", lambda f: replace(f, plan=replace(f.plan, status=PlanStatus.HARD_STOP)), "hard stop"),
-}  # fmt: skip
+    "the plan": ("plan", _plan(x=lambda p: p.x + np.linspace(0.0, 1.0, len(p))), "x in 8 s"),
+    "a shorter path": (
+        "path QP",
+        inside(SlGraph, lambda g: replace(g, qp=g.qp[:-3])),
+        "lateral offset ends at",
+    ),
+    "a shorter, other path": (
+        "path QP",
+        inside(SlGraph, lambda g: replace(g, qp=raised(g.qp, 9, 1, 0.3)[:-3])),
+        "offset at station",
+    ),
+    "its status": (
+        "plan",
+        lambda f: replace(f, plan=replace(f.plan, status=PlanStatus.HARD_STOP)),
+        "hard stop",
+    ),
+}
 
 ANY_FRAME = st.integers(0, FRAMES - 1)
 
@@ -161,19 +210,34 @@ def test_what_is_changed_in_a_frame_is_found_there(k: int, name: str, mode: Mode
 
 @settings(max_examples=15, deadline=None)
 @given(st.lists(st.tuples(ANY_FRAME, st.sampled_from(list(PLANTED))), min_size=2, max_size=4))
-def test_of_several_changes_the_first_in_time_and_then_in_stage_is_found(planted: list[tuple[int, str]]) -> None:
+def test_of_several_changes_the_first_in_time_and_then_in_stage_is_found(
+    planted: list[tuple[int, str]],
+) -> None:
     other = drive()
-    for k, name in sorted(planted, key=lambda one: one[1] == "the graph"):  # last: it leaves nobody to overtake
+    # last: it leaves nobody to overtake
+    for k, name in sorted(planted, key=lambda one: one[1] == "the graph"):
         other = changed(other, k, PLANTED[name][1])
     k, place = min((k, STAGES.index(PLANTED[name][0])) for k, name in planted)
     found = first_difference(drive(), other)
-    assert found is not None and (found.t, STAGES.index(found.stage)) == (drive().frames[k].t, place)
+    assert found is not None and (found.t, STAGES.index(found.stage)) == (
+        drive().frames[k].t,
+        place,
+    )
 
 
 OWN: dict[str, tuple[Callable[[object], object], str]] = {
-    "a decision": (lambda x: replace(x, kind=DecisionKind.YIELD) if isinstance(x, Decision) else x, "truck 40: follow"),
-    "a cost": (lambda x: replace(x, terms=(("courtesy", 2.0),)) if isinstance(x, CostTerms) else x, "cost of courtesy"),
-    "candidates": (lambda x: replace(x, rejected=(("late", 3),)) if isinstance(x, Candidates) else x, "rejected, late"),
+    "a decision": (
+        lambda x: replace(x, kind=DecisionKind.YIELD) if isinstance(x, Decision) else x,
+        "truck 40: follow",
+    ),
+    "a cost": (
+        lambda x: replace(x, terms=(("courtesy", 2.0),)) if isinstance(x, CostTerms) else x,
+        "cost of courtesy",
+    ),
+    "candidates": (
+        lambda x: replace(x, rejected=(("late", 3),)) if isinstance(x, Candidates) else x,
+        "rejected, late",
+    ),
 }
 
 
@@ -182,12 +246,15 @@ OWN: dict[str, tuple[Callable[[object], object], str]] = {
 def test_a_stage_that_a_planner_names_itself_is_found(k: int, name: str) -> None:
     inner = (
         Decision("truck 40", DecisionKind.FOLLOW, "bargain", "it is ahead"),
-        CostTerms("bargain", (("courtesy", 1.0),)), Candidates("bargain", 9, (("late", 1),)),
-    )  # fmt: skip
+        CostTerms("bargain", (("courtesy", 1.0),)),
+        Candidates("bargain", 9, (("late", 1),)),
+    )
     frames = [replace(frame, plan=replace(frame.plan, internals=inner)) for frame in drive().frames]
     trace = replace(drive(), frames=tuple(frames))
     change, words = OWN[name]
-    other = changed(trace, k, lambda f: replace(f, plan=replace(f.plan, internals=tuple(map(change, inner)))))
+    other = changed(
+        trace, k, lambda f: replace(f, plan=replace(f.plan, internals=tuple(map(change, inner))))
+    )
     found = first_difference(trace, other)
     assert found is not None and (found.t, found.stage) == (trace.frames[k].t, "bargain")
     assert words in found.what
@@ -210,12 +277,17 @@ def test_between_frames_the_controller_and_the_car_act(row: int, stage: str) -> 
 @settings(max_examples=5, deadline=None)
 def test_rounding_parts_nothing(size: float) -> None:
     trace = drive()
-    assert first_difference(trace, replace(trace, ego=replace(trace.ego, x=trace.ego.x + size))) is None
+    assert (
+        first_difference(trace, replace(trace, ego=replace(trace.ego, x=trace.ego.x + size)))
+        is None
+    )
 
 
 def test_a_small_cause_is_named_and_not_its_larger_effect() -> None:
     """The QP is off by half a millimetre at 1 s; the car is off by 2 mm from 2 s on."""
-    small = changed(drive(), 10, inside(StGraph, lambda g: replace(g, qp=raised(g.qp, 40, 1, 0.5 * TOLERANCE))))
+    small = changed(
+        drive(), 10, inside(StGraph, lambda g: replace(g, qp=raised(g.qp, 40, 1, 0.5 * TOLERANCE)))
+    )
     assert first_difference(drive(), small) is None
     step = np.where(drive().ego.t >= 2.0, 2.0 * TOLERANCE, 0.0)
     found = first_difference(drive(), replace(small, ego=replace(small.ego, x=small.ego.x + step)))
@@ -227,16 +299,26 @@ def test_others_elsewhere_are_an_input() -> None:
     trace = drive()
     agents = replace(trace.agents, x=trace.agents.x + np.where(trace.agents.t > 1.05, 0.3, 0.0))
     found = first_difference(trace, replace(trace, agents=agents))
-    assert found is not None and (found.t, found.stage) == (1.1, "input frame") and "x of " in found.what
+    assert (
+        found is not None
+        and (found.t, found.stage) == (1.1, "input frame")
+        and "x of " in found.what
+    )
 
 
 def test_another_start_is_an_input_and_a_late_plan_the_controllers() -> None:
     trace = drive()
     moved = replace(trace, ego=replace(trace.ego, y=trace.ego.y + 0.1))
     found = first_difference(trace, moved)
-    assert found is not None and (found.t, found.stage) == (0.0, "input frame") and "the ego's y" in found.what
+    assert (
+        found is not None
+        and (found.t, found.stage) == (0.0, "input frame")
+        and "the ego's y" in found.what
+    )
     open_loop = drive(Mode.OPEN)
-    moved = replace(open_loop, ego=replace(open_loop.ego, y=open_loop.ego.y + 0.1 * (open_loop.ego.t > 0.95)))
+    moved = replace(
+        open_loop, ego=replace(open_loop.ego, y=open_loop.ego.y + 0.1 * (open_loop.ego.t > 0.95))
+    )
     found = first_difference(open_loop, moved)
     assert found is not None and (found.t, found.stage) == (1.0, "input frame")
 
@@ -244,14 +326,19 @@ def test_another_start_is_an_input_and_a_late_plan_the_controllers() -> None:
 def test_a_drive_that_ends_earlier_parts_where_it_ends() -> None:
     trace = drive()
     cut = {name: first(getattr(trace, name), 200) for name in ("ego", "commands")}
-    short = replace(trace, frames=trace.frames[:20], end=EndReason.COLLISION, detail="car 12", **cut)
+    short = replace(
+        trace, frames=trace.frames[:20], end=EndReason.COLLISION, detail="car 12", **cut
+    )
     found = first_difference(trace, short)
     assert found is not None and (round(found.t, 6), found.stage) == (1.99, "end")
     assert "goal reached: goal region 1 at 3.00 s -> collision: car 12 at 1.99 s" in found.what
 
 
 def test_a_planner_without_internals_parts_in_its_plan() -> None:
-    bare = replace(drive(), frames=tuple(replace(f, plan=replace(f.plan, internals=())) for f in drive().frames))
+    bare = replace(
+        drive(),
+        frames=tuple(replace(f, plan=replace(f.plan, internals=())) for f in drive().frames),
+    )
     other = changed(drive(), 5, PLANTED["the speed"][1])
     assert first_difference(bare, other) is None
     found = first_difference(bare, changed(other, 7, PLANTED["the plan"][1]))
@@ -283,13 +370,17 @@ def test_the_first_frame_beyond_a_bound_is_found(k: int, faster: float, aside: f
     one = planner_drive(Mode.CLOSED)
     ego, since = one.ego, one.ego.t >= one.frames[k].t - 1e-9
     moved = replace(
-        ego, v=ego.v + faster * since, x=ego.x - aside * np.sin(ego.yaw) * since,
+        ego,
+        v=ego.v + faster * since,
+        x=ego.x - aside * np.sin(ego.yaw) * since,
         y=ego.y + aside * np.cos(ego.yaw) * since,
-    )  # fmt: skip
+    )
     found = planners_part(one, replace(one, ego=moved))
     if abs(faster) > PARTED_MPS + 1e-6 or abs(aside) > PARTED_M + 1e-6:
         assert found is not None and found.t == one.frames[k].t
-        assert ("to the left" in found.what) == (aside > PARTED_M + 1e-6) or abs(abs(aside) - PARTED_M) < 1e-5
+        assert ("to the left" in found.what) == (aside > PARTED_M + 1e-6) or abs(
+            abs(aside) - PARTED_M
+        ) < 1e-5
     elif abs(faster) < PARTED_MPS - 1e-6 and abs(aside) < PARTED_M - 1e-6:
         assert found is None
 
@@ -297,5 +388,9 @@ def test_the_first_frame_beyond_a_bound_is_found(k: int, faster: float, aside: f
 @pytest.mark.parametrize("mode", LOOPS)
 def test_what_each_planner_decides_there_is_said(mode: Mode) -> None:
     found = planners_part(planner_drive(mode), planner_drive(mode, "dp_qp"))
-    assert found is not None and "(stop parked) -> " in found.what and "(nudge left parked)" in found.what
+    assert (
+        found is not None
+        and "(stop parked) -> " in found.what
+        and "(nudge left parked)" in found.what
+    )
     assert (f"in {AHEAD_S:g} s" in found.what) == (mode is Mode.OPEN)

@@ -13,7 +13,17 @@ from hypothesis import given, settings, strategies as st
 from replan.core.arrays import FloatArray
 from replan.explain import Account, Action, Cause, CauseKind, accounts, sentences
 from replan.explain.causes import CURVE_MPS2, STAYS_BEHIND, Explainer
-from replan.explain.course import GAP_M, HEADWAY_S, LOOK_S, VULNERABLE_MARGIN_M, Course, Held, PlanWay, Ways, fine
+from replan.explain.course import (
+    GAP_M,
+    HEADWAY_S,
+    LOOK_S,
+    VULNERABLE_MARGIN_M,
+    Course,
+    Held,
+    PlanWay,
+    Ways,
+    fine,
+)
 from replan.explain.explanation import NOISE, SHOWS, main_terms
 from replan.explain.planner_input import PlannerInput, planner_inputs
 from replan.explain.sentences import MOST, conflicts
@@ -45,7 +55,17 @@ class SlowDown:
         v = np.maximum(ego.v - t, 0.0)
         s = np.r_[0.0, np.cumsum(0.05 * (v[1:] + v[:-1]))]
         x, y = ego.x + s * np.cos(ego.yaw), ego.y + s * np.sin(ego.yaw)
-        return Plan(Trajectory(frame.t + t, x, y, np.full(81, ego.yaw), v, np.where(v > 0.0, -1.0, 0.0), np.zeros(81)))
+        return Plan(
+            Trajectory(
+                frame.t + t,
+                x,
+                y,
+                np.full(81, ego.yaw),
+                v,
+                np.where(v > 0.0, -1.0, 0.0),
+                np.zeros(81),
+            )
+        )
 
 
 # ------------------------------------------------------------------------------------------------------ the law
@@ -73,7 +93,9 @@ def gaps(case: PlannerInput, held: FloatArray, way: PlanWay, world: Scenario) ->
         ex, ey = x + car.axle_to_center * np.cos(yaw), y + car.axle_to_center * np.sin(yaw)
         for i in range(len(out)):
             px, py, pyaw = poses[:, i, k]
-            gap = distance(ex, ey, yaw, car.length, car.width, px, py, pyaw, sizes[0, i], sizes[1, i])
+            gap = distance(
+                ex, ey, yaw, car.length, car.width, px, py, pyaw, sizes[0, i], sizes[1, i]
+            )
             behind = (px - ex) * np.cos(yaw) + (py - ey) * np.sin(yaw) < 0.0
             through[i] |= behind and gap <= 0.0
             if not behind and not through[i]:
@@ -84,8 +106,13 @@ def gaps(case: PlannerInput, held: FloatArray, way: PlanWay, world: Scenario) ->
 def check(case: PlannerInput, account: Account, world: Scenario, ways: Ways) -> None:
     """The law for one frame."""
     plan, course, said = case.planned.plan, account.course, sentences(account)
-    accel = float(np.interp(plan.trajectory.t[0] + 1.0, plan.trajectory.t, plan.trajectory.v)) - plan.trajectory.v[0]
-    assert (course.action is Action.SLOWS) == (accel < -0.3 and max(plan.trajectory.v[0], accel) >= 0.1)
+    accel = (
+        float(np.interp(plan.trajectory.t[0] + 1.0, plan.trajectory.t, plan.trajectory.v))
+        - plan.trajectory.v[0]
+    )
+    assert (course.action is Action.SLOWS) == (
+        accel < -0.3 and max(plan.trajectory.v[0], accel) >= 0.1
+    )
     causes = [cause for cause in account.causes if cause.kind is not CauseKind.FALLBACK]
     assert plan.status.is_fallback == (len(causes) < len(account.causes))
     if not course.is_asked:
@@ -93,7 +120,11 @@ def check(case: PlannerInput, account: Account, world: Scenario, ways: Ways) -> 
         return
     assert said
     if causes:
-        opening = said[-1 if plan.status.is_fallback and len(causes) == 0 else len(account.causes) - len(causes)]
+        opening = said[
+            -1
+            if plan.status.is_fallback and len(causes) == 0
+            else len(account.causes) - len(causes)
+        ]
         check_opening(opening, plan, account)
     held, way = Held.of(plan, course), ways.of(plan, Held.of(plan, course).reach)
     known = {(d.agent, d.kind.value, d.reason) for d in plan.internals if isinstance(d, Decision)}
@@ -107,8 +138,12 @@ def check(case: PlannerInput, account: Account, world: Scenario, ways: Ways) -> 
         away = gaps(case, held.s, way, world)
         check_others(case, causes, held, away)
     worded = conflicts(account)
-    assert all(cause in worded or any(cause.who in one.reason for one in worded) for cause in causes)
-    for sentence, cause in zip(said[len(account.causes) - len(causes) :], worded[:MOST], strict=False):
+    assert all(
+        cause in worded or any(cause.who in one.reason for one in worded) for cause in causes
+    )
+    for sentence, cause in zip(
+        said[len(account.causes) - len(causes) :], worded[:MOST], strict=False
+    ):
         check_numbers(sentence, cause, account)
 
 
@@ -120,7 +155,11 @@ def check_opening(sentence: str, plan: Plan, account: Account) -> None:
         return
     if account.course.action is Action.CRAWLS:
         assert sentence.startswith("Crawls")
-        assert path.v.min() >= 0.0 and path.v.max() < 2.0 and path.a[path.v > 0.1].min(initial=0.0) > -0.31
+        assert (
+            path.v.min() >= 0.0
+            and path.v.max() < 2.0
+            and path.a[path.v > 0.1].min(initial=0.0) > -0.31
+        )
         return
     later = re.match(r"Slows down from t = ([\d.]+) s on", sentence)
     assert sentence.startswith("Slows down")
@@ -143,29 +182,40 @@ def check_others(case: PlannerInput, causes: list[Cause], held: Held, away: Floa
         rows = [i for i, name in enumerate(ids) if name == cause.who]
         if cause.kind is CauseKind.AGENT:
             k = round(cause.time_s / 0.1)
-            assert cause.time_s == pytest.approx(held.t[k]) and cause.distance_m == pytest.approx(held.s[k])
+            assert cause.time_s == pytest.approx(held.t[k]) and cause.distance_m == pytest.approx(
+                held.s[k]
+            )
             now = away[rows, 0]
-            assert np.isnan(now).all() or np.nanmin(now, initial=1e9) == pytest.approx(cause.away_m, abs=0.05)
+            assert np.isnan(now).all() or np.nanmin(now, initial=1e9) == pytest.approx(
+                cause.away_m, abs=0.05
+            )
             reach = GAP_M if cause.is_met else HEADWAY_S * held.v
             assert np.nanmin(away[rows, k]) <= np.hypot(reach, VULNERABLE_MARGIN_M) + 0.5
     touched = {ids[i] for i in np.flatnonzero((np.nan_to_num(away, nan=1e9) <= 0.0).any(axis=1))}
     assert touched <= met, "no agent is met without being said"
     unexplained = [cause for cause in causes if cause.kind is CauseKind.NONE]
-    weak = [cause for cause in unexplained if isfinite(cause.value)]  # others are found, too weak for the braking
+    # Others are found, too weak for the braking
+    weak = [cause for cause in unexplained if isfinite(cause.value)]
     assert not (touched and unexplained and not weak)
-    assert not any(other.accounts_for(-cause.value) for cause in weak for other in causes if other is not cause)
+    assert not any(
+        other.accounts_for(-cause.value) for cause in weak for other in causes if other is not cause
+    )
 
 
 def check_numbers(sentence: str, cause: Cause, account: Account) -> None:
     """Each number in a sentence is one of the cause's within its rounding, or a constant that is stated."""
     for words in (cause.reason, cause.who, cause.decision):
         sentence = sentence.replace(words, "") if words else sentence
-    numbers = [float(value) for value in re.findall(r"-?\d+(?:\.\d+)?", sentence.replace("m/s²", ""))]
+    numbers = [
+        float(value) for value in re.findall(r"-?\d+(?:\.\d+)?", sentence.replace("m/s²", ""))
+    ]
     values = [getattr(cause, item.name) for item in fields(cause)]
     there = [float(v) for v in values if isinstance(v, float) and isfinite(v)]
     there += [GAP_M, HEADWAY_S, account.t + account.course.t_brakes, 0.05, LOOK_S]
     for number in numbers:
-        assert any(abs(number - value) <= (0.5 if number == round(number) else 0.0501) for value in there), sentence
+        assert any(
+            abs(number - value) <= (0.5 if number == round(number) else 0.0501) for value in there
+        ), sentence
 
 
 def check_drive(name: str, planner: str, mode: str, until: float = 1e9) -> list[Account]:
@@ -195,7 +245,8 @@ PAIRS = enumerate(product(CATALOGUE, [*PLANNER.causal, f"{__name__}:SlowDown"]))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "planner"), [pair for i, pair in PAIRS if i % 5 == 0])  # every planner and scenario
+# Every planner and scenario
+@pytest.mark.parametrize(("name", "planner"), [pair for i, pair in PAIRS if i % 5 == 0])
 def test_no_sentence_contradicts_the_numbers_anywhere(name: str, planner: str) -> None:
     for mode in LOOPS:
         check_drive(name, planner, mode)
@@ -222,16 +273,20 @@ def why_of(world: Scenario, plan: Plan, wanted: float = nan) -> Account:
 def steady(world: Scenario) -> Plan:
     """Straight on at the speed of the log."""
     t, first = np.linspace(0.0, 8.0, 81), world.ego.state(0)
-    return Plan(Trajectory(t, first.x + first.v * t, 0.0 * t, 0.0 * t, first.v + 0.0 * t, 0.0 * t, 0.0 * t))
+    return Plan(
+        Trajectory(t, first.x + first.v * t, 0.0 * t, 0.0 * t, first.v + 0.0 * t, 0.0 * t, 0.0 * t)
+    )
 
 
 @pytest.mark.parametrize(
     ("away", "drives", "limit", "kind"),
     [
-        (40.0, 0.0, nan, CauseKind.AGENT), (20.0, 15.0, nan, CauseKind.AGENT), (inf, 0.0, nan, CauseKind.NONE),
+        (40.0, 0.0, nan, CauseKind.AGENT),
+        (20.0, 15.0, nan, CauseKind.AGENT),
+        (inf, 0.0, nan, CauseKind.NONE),
         (inf, 0.0, 10.0, CauseKind.LIMIT),
     ],
-)  # fmt: skip
+)
 def test_why_a_steady_plan_is_not_faster_is_asked_where_a_speed_is_wanted(
     away: float, drives: float, limit: float, kind: CauseKind
 ) -> None:
@@ -245,7 +300,9 @@ def test_why_a_steady_plan_is_not_faster_is_asked_where_a_speed_is_wanted(
     assert not why_of(world, steady(world)).causes
     first = why_of(world, steady(world), 15.0).causes[0]
     assert first.kind is kind and first.hold_mps == 15.0 and first.is_met == (away == 40.0)
-    assert first.who == ("ahead" if others else "") and (kind is not CauseKind.LIMIT or first.value == limit)
+    assert first.who == ("ahead" if others else "") and (
+        kind is not CauseKind.LIMIT or first.value == limit
+    )
 
 
 def braking(world: Scenario, internals: tuple[Decision, ...] = ()) -> Plan:
@@ -278,7 +335,9 @@ def test_a_decision_that_the_numbers_bear_out_is_said_as_one() -> None:
 @pytest.mark.parametrize("kind", [DecisionKind.YIELD, DecisionKind.STOP, DecisionKind.FOLLOW])
 def test_a_decision_about_who_is_far_from_the_way_is_no_cause(kind: DecisionKind) -> None:
     world = world_with(track("aside", [0.0], [30.0], [12.0], static=True))
-    (cause,) = why_of(world, braking(world, (Decision("aside", kind, "speed", "for no reason"),))).causes
+    (cause,) = why_of(
+        world, braking(world, (Decision("aside", kind, "speed", "for no reason"),))
+    ).causes
     assert cause.kind is CauseKind.NONE and not cause.who
 
 
@@ -290,24 +349,36 @@ def test_a_word_about_who_is_near_the_way_is_the_planners() -> None:
 
 
 @pytest.mark.parametrize(
-    ("x", "y", "hard"), [(-1.0, 2.4, True), (-1.0, 2.4, False), (-1.0, 6.0, True), (-9.0, 2.4, True)]
+    ("x", "y", "hard"),
+    [(-1.0, 2.4, True), (-1.0, 2.4, False), (-1.0, 6.0, True), (-9.0, 2.4, True)],
 )
 def test_hard_braking_is_for_who_is_beside_and_followed(x: float, y: float, hard: bool) -> None:
     """Whoever is beside is not met: they are behind the middle of the ego."""
     world = world_with(track("beside", [0.0], [x], [y], static=True))
     plan = braking(world, (Decision("beside", DecisionKind.FOLLOW, "speed", "comes in"),))
     path = plan.trajectory
-    plan = replace(plan, trajectory=replace(path, a=np.where(path.v > 0.0, -9.0, 0.0))) if hard else plan
+    plan = (
+        replace(plan, trajectory=replace(path, a=np.where(path.v > 0.0, -9.0, 0.0)))
+        if hard
+        else plan
+    )
     first = why_of(world, plan).causes[0]
     near = hard and (x, y) == (-1.0, 2.4)
     assert (first.kind is CauseKind.WORD and first.who == "beside" and not first.inferred) == near
-    assert not near or first.away_m == pytest.approx(y - 0.5 * world.vehicle.width - 0.5 * world.tracks.width[0])
+    assert not near or first.away_m == pytest.approx(
+        y - 0.5 * world.vehicle.width - 0.5 * world.tracks.width[0]
+    )
 
 
 @pytest.mark.parametrize(("y", "kind"), [(3.2, CauseKind.WORD), (12.0, CauseKind.NONE)])
-def test_who_is_overtaken_near_the_way_is_inferred_where_nothing_else_is_found(y: float, kind: CauseKind) -> None:
+def test_who_is_overtaken_near_the_way_is_inferred_where_nothing_else_is_found(
+    y: float, kind: CauseKind
+) -> None:
     world = world_with(track("walks", [0.0], [30.0], [y], static=True))
-    account = why_of(world, braking(world, (Decision("walks", DecisionKind.OVERTAKE, "speed", "steps out later"),)))
+    account = why_of(
+        world,
+        braking(world, (Decision("walks", DecisionKind.OVERTAKE, "speed", "steps out later"),)),
+    )
     (cause,) = account.causes
     assert cause.kind is kind and cause.inferred
     said = "Slows down for walks (inferred; the planner decided: overtake): steps out later; near its way, but not met"
@@ -316,10 +387,19 @@ def test_who_is_overtaken_near_the_way_is_inferred_where_nothing_else_is_found(y
 
 def test_one_conflict_is_said_once() -> None:
     why = "car 3 goes first: takes it from 2.0 s on, the ego would from 1.0 s to 4.0 s"
-    lane, car = Cause(CauseKind.STOP, "lane 5", "yield", why, False), Cause(CauseKind.AGENT, "car 3")
+    lane, car = (
+        Cause(CauseKind.STOP, "lane 5", "yield", why, False),
+        Cause(CauseKind.AGENT, "car 3"),
+    )
     course = Course(Action.SLOWS, 8.0, 0.0, 0.0, 8.0, 8.0, -1.0, 0.0, 0.0)
     numbers = (("2", "0"), 3), (("3", "4"), 2)
-    for others, worded in ((("car 3",), 1), (("car 33",), 2), (("3", "car"), 2), (("car 3", "b"), 2), *numbers):
+    for others, worded in (
+        (("car 3",), 1),
+        (("car 33",), 2),
+        (("3", "car"), 2),
+        (("car 3", "b"), 2),
+        *numbers,
+    ):
         account = Account(0.0, course, True, (lane, *(replace(car, who=who) for who in others)))
         assert len(conflicts(account)) == len(sentences(account)) == worded
         assert {"3", "car 3"}.isdisjoint(cause.who for cause in conflicts(account))
@@ -331,7 +411,11 @@ def test_the_terms_that_are_told_make_up_the_cost(terms: list[tuple[str, float]]
     assert abs(total - worded) <= len(terms) * max(NOISE, SHOWS * total)
     assert main_terms([(name, 1e-9 * value / 1e6) for name, value in terms]) == []
     beside = main_terms([*terms, ("blocked", inf), ("bug", nan)])
-    assert [name for name, _ in beside] == [*(name for name, _ in main_terms(terms)), "blocked", "bug"]
+    assert [name for name, _ in beside] == [
+        *(name for name, _ in main_terms(terms)),
+        "blocked",
+        "bug",
+    ]
 
 
 def test_where_nothing_explains_it_no_cause_is_found() -> None:
@@ -382,7 +466,9 @@ def test_the_goal_is_a_cause_of_who_comes_to_rest_at_it() -> None:
 
 
 @pytest.mark.parametrize(("end", "kind"), [(60.0, CauseKind.GOAL), (400.0, CauseKind.NONE)])
-def test_the_goals_time_is_a_cause_where_its_region_ends_before(end: float, kind: CauseKind) -> None:
+def test_the_goals_time_is_a_cause_where_its_region_ends_before(
+    end: float, kind: CauseKind
+) -> None:
     """At 10 m/s from 0 s on: 60 m are passed long before 60 s, 400 m are not looked at."""
     region = np.array([[-5.0, -3.0], [end, -3.0], [end, 3.0], [-5.0, 3.0]])
     world = world_with(goal=Goal((region,), t=(60.0, 70.0)))
@@ -397,7 +483,9 @@ def straight_on(v: FloatArray, a: FloatArray) -> Plan:
     return Plan(Trajectory(t, s, 0.0 * t, 0.0 * t, v, a, 0.0 * t))
 
 
-@pytest.mark.parametrize(("accel", "action"), [(0.0, Action.HOLDS), (-0.5, Action.SPEEDS), (0.5, Action.SLOWS)])
+@pytest.mark.parametrize(
+    ("accel", "action"), [(0.0, Action.HOLDS), (-0.5, Action.SPEEDS), (0.5, Action.SLOWS)]
+)
 def test_a_plan_in_reverse_does_not_stand(accel: float, action: Action) -> None:
     v = -4.0 + accel * np.linspace(0.0, 8.0, 81)
     account = why_of(world_with(), straight_on(v, np.full(81, accel)))
@@ -415,16 +503,23 @@ def test_who_brakes_until_they_stand_does_not_let_go(until: float, kind: CauseKi
 def test_who_stands_would_meet_somebody_if_it_drove_off() -> None:
     world = world_with(track("queue", [0.0], [8.0], [0.0], static=True), speed=0.0)
     (said,) = sentences(why_of(world, braking(world)))
-    assert said.startswith("Stands for queue (inferred): ") and "driving off it would come within 2 m" in said
+    assert (
+        said.startswith("Stands for queue (inferred): ")
+        and "driving off it would come within 2 m" in said
+    )
 
 
 @settings(max_examples=8)
 @given(st.floats(4.0, 20.0), st.floats(12.0, 80.0), st.floats(0.0, 8.0))
-def test_braking_as_much_as_is_needed_stays_behind(speed: float, ahead: float, theirs: float) -> None:
+def test_braking_as_much_as_is_needed_stays_behind(
+    speed: float, ahead: float, theirs: float
+) -> None:
     """An agent that goes on along the lane: with `need` the ego never comes nearer than the gap, with less it does."""
     t = np.arange(0.0, 1.01, 0.1)
     still = [0.0] * len(t)
-    lead = track("lead", t.tolist(), (ahead + theirs * t).tolist(), still, vx=[theirs] * len(t), vy=still)
+    lead = track(
+        "lead", t.tolist(), (ahead + theirs * t).tolist(), still, vx=[theirs] * len(t), vy=still
+    )
     world = world_with(lead, speed=speed)
     (cause, *_) = why_of(world, braking(world)).causes
     if not (cause.is_met and cause.need_mps2 > 0.05):
@@ -445,7 +540,9 @@ def test_a_drive_read_from_its_file_has_the_same_causes() -> None:
     trace = run_closed_loop(world, "constant_speed").trace
     frames = tuple(replace(frame, plan=braking_from(frame.plan)) for frame in trace.frames[::10])
     trace = replace(trace, frames=frames)
-    thinned = replace(trace, frames=tuple(replace(frame, predictions=None, agents=()) for frame in frames))
+    thinned = replace(
+        trace, frames=tuple(replace(frame, predictions=None, agents=()) for frame in frames)
+    )
     assert list(accounts(thinned, world, LoopConfig())) == list(accounts(trace, world))
 
 

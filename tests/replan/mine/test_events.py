@@ -17,7 +17,15 @@ from replan.logs.scenario import Scenario
 from replan.logs.states import Trajectory
 from replan.metrics import Unavailable
 from replan.mine.conflicts import SHALLOW
-from replan.mine.driven_log import JUMPS, TYRES_MPS2, UNCLASSIFIED, DrivenLog, Event, EventKind, runs
+from replan.mine.driven_log import (
+    JUMPS,
+    TYRES_MPS2,
+    UNCLASSIFIED,
+    DrivenLog,
+    Event,
+    EventKind,
+    runs,
+)
 from replan.mine.kinds import KINDS
 
 CAR, WALKER, BIKE = (4.5, 1.8), (0.5, 0.5), (1.8, 0.6)
@@ -34,7 +42,9 @@ def found(log: Scenario, *names: str) -> dict[str, list[Event]]:
     return events
 
 
-def sideways(x: float, v: float, y0: float, y1: float, begin: float, lasts: float = 2.0) -> Callable:
+def sideways(
+    x: float, v: float, y0: float, y1: float, begin: float, lasts: float = 2.0
+) -> Callable:
     """Along x, from the offset y0 to y1."""
 
     def motion(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -45,7 +55,9 @@ def sideways(x: float, v: float, y0: float, y1: float, begin: float, lasts: floa
     return motion
 
 
-def car(name: str, motion: Callable, kind: AgentKind = AgentKind.CAR, size: Sequence[float] = CAR) -> Agent:
+def car(
+    name: str, motion: Callable, kind: AgentKind = AgentKind.CAR, size: Sequence[float] = CAR
+) -> Agent:
     return name, kind, size, motion
 
 
@@ -68,12 +80,15 @@ def test_cut_in_and_cut_out_name_the_car_and_the_gap() -> None:
     assert event.agents == ("7",) and 4.0 < event.begin < 6.0
     assert event.value == pytest.approx(25.0 - 0.5 * CAR[0] - into.vehicle.axle_to_front, abs=0.3)
     out = scenario(along(T, 10.0), [car("7", sideways(25.0, 10.0, 0.0, 3.5, 4.0))])
-    assert [event.agents for event in found(out)["cut_out"]] == [("7",)] and "cut_in" not in found(out)
+    assert [event.agents for event in found(out)["cut_out"]] == [("7",)] and "cut_in" not in found(
+        out
+    )
 
 
 def test_a_car_that_stays_in_its_lane_neither_cuts_in_nor_out() -> None:
     log = scenario(
-        along(T, 10.0), [car("lead", moving(25.0, 0.0, 10.0, 0.0)), car("side", moving(15.0, 3.5, 10.0, 0.0))]
+        along(T, 10.0),
+        [car("lead", moving(25.0, 0.0, 10.0, 0.0)), car("side", moving(15.0, 3.5, 10.0, 0.0))],
     )
     assert not {"cut_in", "cut_out"} & found(log).keys()
 
@@ -94,12 +109,16 @@ def test_hard_braking_of_ego_and_lead() -> None:
     x = 40.0 + np.r_[0.0, np.cumsum(0.5 * np.diff(T) * (v[1:] + v[:-1]))]
     lead = car("lead", lambda t: (np.interp(t, T, x), np.zeros(len(t)), np.zeros(len(t))))
     gentle = along(T, stopping(T, 14.0, 4.5, 2.5))
-    assert [event.agents for event in found(scenario(gentle, [lead]))["lead_braking"]] == [("lead",)]
+    assert [event.agents for event in found(scenario(gentle, [lead]))["lead_braking"]] == [
+        ("lead",)
+    ]
 
 
 @given(st.floats(3.0, 10.0), st.integers(30, 60), st.floats(2.0, 8.0))
 @settings(max_examples=12)
-def test_a_label_that_jumps_is_no_braking_and_real_braking_is_no_jump(decel: float, step: int, jump: float) -> None:
+def test_a_label_that_jumps_is_no_braking_and_real_braking_is_no_jump(
+    decel: float, step: int, jump: float
+) -> None:
     v = stopping(T, 14.0, 4.0, decel)
     x = 30.0 + np.r_[0.0, np.cumsum(0.5 * np.diff(T) * (v[1:] + v[:-1]))]
 
@@ -128,7 +147,9 @@ def test_the_ego_slows_behind_a_lead_and_not_by_itself() -> None:
 def test_a_cyclist_who_crosses_does_not_ride_along() -> None:
     ego = along(T, stopping(T, 8.0, 2.0, 2.0))
     crossing = car("b", moving(40.0, -20.0, 0.0, 4.0), AgentKind.BICYCLE, BIKE)
-    assert [event.agents for event in found(scenario(ego, [crossing]))["cyclist_crossing"]] == [("b",)]
+    assert [event.agents for event in found(scenario(ego, [crossing]))["cyclist_crossing"]] == [
+        ("b",)
+    ]
     riding = car("b", sideways(30.0, 4.0, -2.5, 2.5, 3.0), AgentKind.BICYCLE, BIKE)
     assert "cyclist_crossing" not in found(scenario(ego, [riding]))
 
@@ -137,8 +158,12 @@ def test_a_contact_has_its_speed_and_its_doubts() -> None:
     ego = along(T, 10.0)
     stands = car("7", moving(60.0, 0.5, 0.0, 0.0, 0.0))
     (event,) = found(scenario(ego, [stands]))["contact"]
-    assert event.agents == ("7",) and event.value == pytest.approx(10.0, abs=0.1) and event.doubt == ""
-    (event,) = found(scenario(ego, [("7", AgentKind.OBJECT, CAR, moving(60.0, 0.5, 0.0, 0.0, 0.0))]))["contact"]
+    assert (
+        event.agents == ("7",) and event.value == pytest.approx(10.0, abs=0.1) and event.doubt == ""
+    )
+    (event,) = found(
+        scenario(ego, [("7", AgentKind.OBJECT, CAR, moving(60.0, 0.5, 0.0, 0.0, 0.0))])
+    )["contact"]
     assert event.doubt == UNCLASSIFIED
     assert "contact" not in found(scenario(ego, [car("7", moving(60.0, 3.0, 0.0, 0.0, 0.0))]))
     aside = 0.5 * (CAR[1] + scenario(ego).vehicle.width) - 0.1
@@ -156,7 +181,9 @@ def test_a_queue_is_three_or_more_who_stand_in_the_band() -> None:
 
 def test_who_comes_towards_the_ego_in_its_band() -> None:
     head_on = car("7", moving(100.0, 0.3, -8.0, 0.0))
-    assert [event.agents for event in found(scenario(along(T, 2.0), [head_on]))["oncoming"]] == [("7",)]
+    assert [event.agents for event in found(scenario(along(T, 2.0), [head_on]))["oncoming"]] == [
+        ("7",)
+    ]
     passing = car("7", moving(100.0, 3.5, -8.0, 0.0))
     assert "oncoming" not in found(scenario(along(T, 2.0), [passing]))
 
@@ -170,7 +197,9 @@ def test_room_to_a_cyclist_and_to_a_parked_car() -> None:
     parked = car("p", moving(50.0, -2.4, 0.0, 0.0, 0.0))
     assert "close_pass" not in found(scenario(along(T, 10.0), [parked]))
     nearer = car("p", moving(50.0, -2.2, 0.0, 0.0, 0.0))
-    assert found(scenario(along(T, 10.0), [nearer]))["close_pass"][0].value == pytest.approx(2.2 - 0.9 - half, abs=0.02)
+    assert found(scenario(along(T, 10.0), [nearer]))["close_pass"][0].value == pytest.approx(
+        2.2 - 0.9 - half, abs=0.02
+    )
 
 
 def test_crossing_and_jaywalking_are_told_apart_by_the_map() -> None:
@@ -181,9 +210,13 @@ def test_crossing_and_jaywalking_are_told_apart_by_the_map() -> None:
     square = np.array([[38.0, -4.0], [42.0, -4.0], [42.0, 4.0], [38.0, 4.0]])
     road = straight_road()
     on = replace(no_map, road=replace(road, crosswalks=(Crosswalk(1, square),)))
-    off = replace(no_map, road=replace(road, crosswalks=(Crosswalk(1, square + np.array([30.0, 0.0])),)))
+    off = replace(
+        no_map, road=replace(road, crosswalks=(Crosswalk(1, square + np.array([30.0, 0.0])),))
+    )
     assert "jaywalking" not in found(on) and len(found(off)["jaywalking"]) == 1
-    assert [event.what for event in found(scenario(along(T, 8.0), road=on.road))["crosswalk"]] == ["crosswalk 1"]
+    assert [event.what for event in found(scenario(along(T, 8.0), road=on.road))["crosswalk"]] == [
+        "crosswalk 1"
+    ]
 
 
 def test_a_pedestrian_along_the_road_does_not_cross() -> None:
@@ -193,11 +226,15 @@ def test_a_pedestrian_along_the_road_does_not_cross() -> None:
 
 def test_a_log_without_kinds_is_not_asked_for_pedestrians() -> None:
     thing = car("w", moving(40.0, -7.0, 0.0, 1.4), AgentKind.OBJECT, WALKER)
-    assert isinstance(KINDS["pedestrian_crossing"].find(DrivenLog(scenario(along(T, 8.0), [thing]))), Unavailable)
+    assert isinstance(
+        KINDS["pedestrian_crossing"].find(DrivenLog(scenario(along(T, 8.0), [thing]))), Unavailable
+    )
 
 
 def test_who_yields_to_whom() -> None:
-    v = np.where(T < 2.0, 8.0, np.maximum(8.0 - 2.0 * (T - 2.0), np.where(T > 7.0, 2.0 * (T - 7.0), 0.0)))
+    v = np.where(
+        T < 2.0, 8.0, np.maximum(8.0 - 2.0 * (T - 2.0), np.where(T > 7.0, 2.0 * (T - 7.0), 0.0))
+    )
     events = found(scenario(along(T, v), [walker(45.0, 1.4, 5.0)]))
     assert [event.agents for event in events["ego_yields"]] == [("w",)]
     assert "ego_is_yielded_to" not in events
@@ -208,11 +245,14 @@ def test_who_yields_to_whom() -> None:
 
     other = car("w", motion, AgentKind.PEDESTRIAN, WALKER)
     events = found(scenario(along(T, 8.0), [other]))
-    assert [event.agents for event in events["ego_is_yielded_to"]] == [("w",)] and "ego_yields" not in events
+    assert [event.agents for event in events["ego_is_yielded_to"]] == [
+        ("w",)
+    ] and "ego_yields" not in events
 
 
 def test_near_misses_have_ttc_and_pet() -> None:
-    crossing = car("7", moving(50.0, -31.0, 0.0, 6.0))  # the ego's front is there at 4.6 s, the car at about 5.2 s
+    # The ego's front is there at 4.6 s, the car at about 5.2 s
+    crossing = car("7", moving(50.0, -31.0, 0.0, 6.0))
     events = found(scenario(along(T, 10.0), [crossing]))
     assert events["near_miss_pet"][0].value < 1.0
     wall = car("wall", moving(52.0, 0.0, 0.0, 0.0, 0.0))
@@ -222,7 +262,9 @@ def test_near_misses_have_ttc_and_pet() -> None:
 
 
 @pytest.mark.parametrize(("v", "decel", "times"), [(3.0, 1.5, 0), (14.0, 2.0, 0), (14.0, 5.0, 1)])
-def test_a_stop_before_a_wall_is_a_near_miss_if_it_needs_hard_braking(v: float, decel: float, times: int) -> None:
+def test_a_stop_before_a_wall_is_a_near_miss_if_it_needs_hard_braking(
+    v: float, decel: float, times: int
+) -> None:
     ego = along(T, stopping(T, v, 2.0, decel))
     front = float(ego.x[-1]) + scenario(ego).vehicle.axle_to_front
     wall = car("wall", moving(front + 0.7 + 0.5 * CAR[0], 0.0, 0.0, 0.0, 0.0))
@@ -236,7 +278,9 @@ def test_a_car_that_drifts_towards_the_ego_and_one_outside_of_its_turn_are_no_ne
         return 4.0 + 10.0 * t, half + 1.2 - np.clip(t - 4.0, 0.0, 0.8), np.zeros(len(t))
 
     turn = T / 2.0
-    ego = Trajectory(T, 10.0 * np.sin(turn), 10.0 * (1.0 - np.cos(turn)), turn, 0 * T + 5.0, 0 * T, 0 * T + 0.1)
+    ego = Trajectory(
+        T, 10.0 * np.sin(turn), 10.0 * (1.0 - np.cos(turn)), turn, 0 * T + 5.0, 0 * T, 0 * T + 0.1
+    )
     outside = car("7", moving(12.5, 10.0, 0.0, 0.0, 1.57))
     for log in (scenario(along(T, 10.0), [car("7", drifts)]), scenario(ego, [outside])):
         assert found(log, "near_miss_ttc") == {}
@@ -245,7 +289,11 @@ def test_a_car_that_drifts_towards_the_ego_and_one_outside_of_its_turn_are_no_ne
 def test_events_where_the_ego_jumps_are_in_doubt() -> None:
     wall = car("wall", moving(52.0, 0.0, 0.0, 0.0, 0.0))
     for decel, doubt in ((8.0, ""), (20.0, JUMPS)):
-        events = found(scenario(along(T, stopping(T, 14.0, 2.0, decel)), [wall]), "hard_braking", "near_miss_ttc")
+        events = found(
+            scenario(along(T, stopping(T, 14.0, 2.0, decel)), [wall]),
+            "hard_braking",
+            "near_miss_ttc",
+        )
         assert {event.doubt for event in events["hard_braking"]} == {doubt}
 
 
@@ -256,7 +304,9 @@ def test_lights_and_stop_signs_on_the_way() -> None:
     log = scenario(along(T, stopping(T, 8.0, 1.0, 1.2)), road=road, lights=(red,))
     (event,) = found(log)["red_light"]
     assert event.end <= 8.0 and event.what == "stop line 3"
-    assert "red_light" not in found(replace(log, lights=(replace(red, colours=(Colour.GREEN, Colour.GREEN)),)))
+    assert "red_light" not in found(
+        replace(log, lights=(replace(red, colours=(Colour.GREEN, Colour.GREEN)),))
+    )
     sign = replace(straight_road(), stop_lines=(StopLine(3, 0, line.points, must_stop=True),))
     assert len(found(scenario(along(T, 8.0), road=sign))["stop_sign"]) == 1
 
@@ -271,7 +321,9 @@ def lane(name: int, points: Sequence[Sequence[float]], **more: object) -> Lane:
 def test_a_turn_where_lanes_cross_is_protected_by_a_light_only() -> None:
     a = np.linspace(0.0, 0.5 * np.pi, 20)
     turn = np.column_stack([30.0 + 12.0 * np.sin(a), 12.0 - 12.0 * np.cos(a)])
-    way = np.vstack([np.column_stack([np.linspace(0.0, 29.0, 30), np.zeros(30)]), turn, [[42.0, 40.0]]])
+    way = np.vstack(
+        [np.column_stack([np.linspace(0.0, 29.0, 30), np.zeros(30)]), turn, [[42.0, 40.0]]]
+    )
     road = Road({0: lane(0, way), 1: lane(1, [[80.0, 3.5], [30.0, 3.5], [-20.0, 3.5]])})
     s = np.r_[0.0, np.cumsum(np.hypot(*np.diff(way, axis=0).T))]
     at = 5.0 * T
@@ -280,7 +332,9 @@ def test_a_turn_where_lanes_cross_is_protected_by_a_light_only() -> None:
     ego = replace(along(T, 5.0), x=x, y=y, yaw=yaw)
     (event,) = found(scenario(ego, road=road), "unprotected_turn")["unprotected_turn"]
     assert event.value > 0.8 and event.what == "left, across oncoming traffic"
-    lit = replace(road, stop_lines=(StopLine(1, 0, np.array([[25.0, -1.75], [25.0, 1.75]]), light=4),))
+    lit = replace(
+        road, stop_lines=(StopLine(1, 0, np.array([[25.0, -1.75], [25.0, 1.75]]), light=4),)
+    )
     assert found(scenario(ego, road=lit), "unprotected_turn") == {}
     assert found(scenario(ego, road=Road({0: road.lanes[0]})), "unprotected_turn") == {}
 
@@ -300,8 +354,13 @@ def test_a_merge_needs_a_vehicle_on_the_other_lane() -> None:
 
 def test_a_circle_of_lanes_is_a_roundabout_and_a_block_is_none() -> None:
     def ring(points: np.ndarray) -> Road:
-        parts = [points[i : i + len(points) // 4 + 1] for i in range(0, len(points) - 1, len(points) // 4)]
-        return Road({i: lane(i, part, successors=((i + 1) % len(parts),)) for i, part in enumerate(parts)})
+        parts = [
+            points[i : i + len(points) // 4 + 1]
+            for i in range(0, len(points) - 1, len(points) // 4)
+        ]
+        return Road(
+            {i: lane(i, part, successors=((i + 1) % len(parts),)) for i, part in enumerate(parts)}
+        )
 
     a = np.linspace(0.0, 2.0 * np.pi, 81)
     circle = 15.0 * np.column_stack([np.cos(a), np.sin(a)])
@@ -309,20 +368,31 @@ def test_a_circle_of_lanes_is_a_roundabout_and_a_block_is_none() -> None:
     ego = replace(along(T, 4.0), x=15.0 * np.cos(at), y=15.0 * np.sin(at), yaw=at + 0.5 * np.pi)
     assert len(found(scenario(ego, road=ring(circle)), "roundabout")["roundabout"]) == 1
     side = np.linspace(0.0, 50.0, 20, endpoint=False)
-    block = np.vstack([
-        np.column_stack([side, 0.0 * side]), np.column_stack([0.0 * side + 50.0, 0.3 * side]),
-        np.column_stack([50.0 - side, 0.0 * side + 15.0]), np.column_stack([0.0 * side, 15.0 - 0.3 * side]),
-        [[0.0, 0.0]],
-    ])  # fmt: skip
+    block = np.vstack(
+        [
+            np.column_stack([side, 0.0 * side]),
+            np.column_stack([0.0 * side + 50.0, 0.3 * side]),
+            np.column_stack([50.0 - side, 0.0 * side + 15.0]),
+            np.column_stack([0.0 * side, 15.0 - 0.3 * side]),
+            [[0.0, 0.0]],
+        ]
+    )
     assert found(scenario(along(T, 4.0), road=ring(block)), "roundabout") == {}
 
 
 @settings(max_examples=12, deadline=None)
 @given(
-    turn=st.floats(-3.0, 3.0), dx=st.floats(-500.0, 500.0), dy=st.floats(-500.0, 500.0), mirror=st.booleans(),
-    name=st.sampled_from(["everyday/cut_in", "everyday/crosswalk", "euro_ncap/cpnco_2023", "everyday/junction"]),
-)  # fmt: skip
-def test_events_do_not_depend_on_where_the_log_lies(turn: float, dx: float, dy: float, mirror: bool, name: str) -> None:
+    turn=st.floats(-3.0, 3.0),
+    dx=st.floats(-500.0, 500.0),
+    dy=st.floats(-500.0, 500.0),
+    mirror=st.booleans(),
+    name=st.sampled_from(
+        ["everyday/cut_in", "everyday/crosswalk", "euro_ncap/cpnco_2023", "everyday/junction"]
+    ),
+)
+def test_events_do_not_depend_on_where_the_log_lies(
+    turn: float, dx: float, dy: float, mirror: bool, name: str
+) -> None:
     log = synthesised(name)
     here, there = found(log), found(moved(log, turn, dx, dy, mirror=mirror))
     assert here and here.keys() == there.keys()

@@ -92,7 +92,9 @@ def test_the_throttle_is_released_in_the_obstacle_avoidance() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("controller", ["dlqr_pid", "mpc"])
 @pytest.mark.parametrize("vehicle", ["kinematic_bicycle", "single_track"])
-def test_the_aim_is_met_on_the_papers_curve_and_the_double_lane_change(controller: str, vehicle: str) -> None:
+def test_the_aim_is_met_on_the_papers_curve_and_the_double_lane_change(
+    controller: str, vehicle: str
+) -> None:
     """0.03 m RMS and 0.10 m at most, no cone, no other tuning."""
     for one in (s_curve(50.0, 12.0, "s"), double_lane_change(CAR), road(3)):
         row = judged([follow(one, controller, vehicle, CAR)], one, CAR)
@@ -115,7 +117,9 @@ def test_the_model_based_ones_are_ahead_of_the_classical_ones() -> None:
         name: judged([follow(one, name, "single_track", CAR)], one, CAR)["lateral_rms_m"]
         for name in ("dlqr_pid", "mpc", "pure_pursuit", "stanley", "pid")
     }
-    assert 5.0 * max(rms["dlqr_pid"], rms["mpc"]) < min(rms["pure_pursuit"], rms["stanley"], rms["pid"])
+    assert 5.0 * max(rms["dlqr_pid"], rms["mpc"]) < min(
+        rms["pure_pursuit"], rms["stanley"], rms["pid"]
+    )
 
 
 @pytest.mark.slow

@@ -37,7 +37,9 @@ cells = st.sampled_from(CELLS)
 
 
 @given(v=speeds, limits=limits, u=st.floats(0.0, 15.0))
-def test_the_braking_point_mass_is_the_integral_of_its_deceleration(v: float, limits: SpeedLimits, u: float) -> None:
+def test_the_braking_point_mass_is_the_integral_of_its_deceleration(
+    v: float, limits: SpeedLimits, u: float
+) -> None:
     t = np.linspace(0.0, u, 20_001)
     a = -np.minimum(limits.jerk_mps3 * t, limits.decel_mps2)
     speed = np.maximum(v + np.r_[0.0, np.cumsum(0.5 * (a[1:] + a[:-1]) * np.diff(t))], 0.0)
@@ -49,7 +51,9 @@ def test_the_braking_point_mass_is_the_integral_of_its_deceleration(v: float, li
 def test_braking_goes_forwards_and_no_further_than_driving(
     v: float, limits: SpeedLimits, u: float, more: float
 ) -> None:
-    assert 0.0 <= braked(u, v, limits) <= braked(u + more, v, limits) + 1e-9 <= v * (u + more) + 2e-9
+    assert (
+        0.0 <= braked(u, v, limits) <= braked(u + more, v, limits) + 1e-9 <= v * (u + more) + 2e-9
+    )
 
 
 @settings(max_examples=30)
@@ -109,7 +113,16 @@ def pedals(brake: list[float]) -> Trace:
     scenario = crossing_pedestrian.scenario()
     controls = Controls(t, zero, zero, np.array(brake))
     return Trace(
-        "x", "p", Mode.CLOSED, False, ego, scenario.tracks, (), EndReason.GOAL, commands=controls, actuation=controls
+        "x",
+        "p",
+        Mode.CLOSED,
+        False,
+        ego,
+        scenario.tracks,
+        (),
+        EndReason.GOAL,
+        commands=controls,
+        actuation=controls,
     )
 
 
@@ -120,7 +133,9 @@ def test_short_releases_do_not_end_the_braking() -> None:
 
 
 def graph_frame(t: float, *, blocked: bool) -> PlannedFrame:
-    plan = Trajectory(*(np.array([t, t + 8.0]), np.array([0.0, 40.0]), *(np.zeros(2) for _ in range(5))))
+    plan = Trajectory(
+        *(np.array([t, t + 8.0]), np.array([0.0, 40.0]), *(np.zeros(2) for _ in range(5)))
+    )
     square = np.array([[1.0, 5.0], [3.0, 5.0], [3.0, 9.0], [1.0, 9.0]])
     obstacles = (GraphObstacle("a", square, DecisionKind.YIELD),) if blocked else ()
     line = np.array([[0.0, 0.0], [8.0, 40.0]])
@@ -146,7 +161,9 @@ def test_settings_are_checked() -> None:
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """The kinematic vehicle and the cheap controller, so that nothing slow compiles."""
-    monkeypatch.setattr(pedestrian_grid, "LOOP", LoopConfig(vehicle="kinematic_bicycle", controller="dlqr_pid"))
+    monkeypatch.setattr(
+        pedestrian_grid, "LOOP", LoopConfig(vehicle="kinematic_bicycle", controller="dlqr_pid")
+    )
 
 
 @pytest.mark.slow
@@ -189,8 +206,18 @@ def test_the_whole_command(tmp_path: Path) -> None:
     said: list[str] = []
     config = reproduce.PaperConfig(roads=1, cells=CELLS[:2])
     page = reproduce.reproduce(tmp_path, config, say=said.append)
-    wanted = {"fig09_path.png", "fig10_st.png", "fig12_pedals.png", "free_road.rrd", "crossing_pedestrian.rrd",
-              "manoeuvres.csv", "scenarios.csv", "pedestrian_grid.csv", "pedestrian_grid.png", "paper.md"}  # fmt: skip
+    wanted = {
+        "fig09_path.png",
+        "fig10_st.png",
+        "fig12_pedals.png",
+        "free_road.rrd",
+        "crossing_pedestrian.rrd",
+        "manoeuvres.csv",
+        "scenarios.csv",
+        "pedestrian_grid.csv",
+        "pedestrian_grid.png",
+        "paper.md",
+    }
     assert {path.name for path in tmp_path.iterdir()} == wanted
     assert "2 drives" in page.read_text(encoding="utf-8") and said
     scenarios = pd.read_csv(tmp_path / "scenarios.csv")

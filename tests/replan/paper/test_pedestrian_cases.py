@@ -60,7 +60,9 @@ class Case:
         """Its log holds the first ego state only."""
         family = CATALOGUE[self.family]
         built = family.build({**family.parameters, **dict(self.changed)})
-        return replace(built, name=str(self), ego=built.ego.between(0.0, 0.0), tags=("synthetic", *family.tags))
+        return replace(
+            built, name=str(self), ego=built.ego.between(0.0, 0.0), tags=("synthetic", *family.tags)
+        )
 
     def __str__(self) -> str:
         return " ".join([self.row, *(f"{name}={value:.3g}" for name, value in self.changed)])
@@ -68,10 +70,14 @@ class Case:
 
 def varied(row: str, family: str, **values: tuple[float, ...]) -> list[Case]:
     """All combinations of parameter values."""
-    return [Case(row, family, tuple(zip(values, one, strict=True))) for one in product(*values.values())]
+    return [
+        Case(row, family, tuple(zip(values, one, strict=True))) for one in product(*values.values())
+    ]
 
 
-def crossings(row: str, ego_kmh: tuple[float, ...], walker: tuple[float, ...], late: tuple[float, ...]) -> list[Case]:
+def crossings(
+    row: str, ego_kmh: tuple[float, ...], walker: tuple[float, ...], late: tuple[float, ...]
+) -> list[Case]:
     """The paper's crossing by when the walker is in the middle of the lane, as in `pedestrian_grid`."""
     cells = (GridCrossing(*one) for one in product(ego_kmh, walker, late))
     return [Case(row, PAPER, tuple(cell.parameters.items())) for cell in cells]
@@ -111,9 +117,16 @@ def walks(scenario: Scenario, t: np.ndarray) -> list[Walk]:
 
 def meets_nobody(scenario: Scenario, t: np.ndarray, rear_axle: np.ndarray) -> bool:
     """Whether an ego with its rear axle at these stations of the lane `(n,)` at times `(n,)` overlaps no walker."""
-    front, rear = rear_axle + scenario.vehicle.axle_to_front, rear_axle - scenario.vehicle.rear_overhang
+    front, rear = (
+        rear_axle + scenario.vehicle.axle_to_front,
+        rear_axle - scenario.vehicle.rear_overhang,
+    )
     return not any(
-        (one.within(0.5 * scenario.vehicle.width) & (front > one.x - one.half_x) & (rear < one.x + one.half_x)).any()
+        (
+            one.within(0.5 * scenario.vehicle.width)
+            & (front > one.x - one.half_x)
+            & (rear < one.x + one.half_x)
+        ).any()
         for one in walks(scenario, t)
     )
 
@@ -128,7 +141,9 @@ def helps(scenario: Scenario, t: float, x: float, v: float) -> bool:
     """Whether keeping the speed `v`, or hard braking from `t` on, meets nobody; the rear axle is at `x`."""
     car, u = scenario.vehicle, np.arange(0.0, scenario.duration - t, 0.02)
     dead = car.brake_delay + car.brake_lag
-    slowed = [v * min(one, dead) + braked(max(one - dead, 0.0), v, SpeedQpConfig().emergency) for one in u]
+    slowed = [
+        v * min(one, dead) + braked(max(one - dead, 0.0), v, SpeedQpConfig().emergency) for one in u
+    ]
     return any(meets_nobody(scenario, t + u, x + np.asarray(way)) for way in (v * u, slowed))
 
 
@@ -158,7 +173,9 @@ class Judged:
         strip, came = 0.5 * self.scenario.vehicle.width + MARGIN_M, []
         for one, there in self.ahead():
             inside = one.within(strip)
-            for first, end in runs(there & (inside | ((one.y * one.vy < 0.0) & (one.speed > MOVING_MPS)))):
+            for first, end in runs(
+                there & (inside | ((one.y * one.vy < 0.0) & (one.speed > MOVING_MPS)))
+            ):
                 came.append((first, first + int(np.argmax(inside[first:end])), end))
         joined: list[tuple[int, int]] = []
         for first, enters, end in sorted(came):
@@ -168,7 +185,10 @@ class Judged:
                 joined.append((first, end))
         after = [*(first for first, _ in joined), len(self.t)][1:]
         ends = [int(np.searchsorted(self.t, self.t[end - 1] + RELEASE_S)) for _, end in joined]
-        return [(first, min(end, last)) for (first, _), end, last in zip(joined, ends, after, strict=True)]
+        return [
+            (first, min(end, last))
+            for (first, _), end, last in zip(joined, ends, after, strict=True)
+        ]
 
     def avoidable(self) -> bool:
         """Whether keeping the speed or braking hard helps, in the last conflict.
@@ -180,13 +200,20 @@ class Judged:
         if len(conflicts) == 1:
             return helps(self.scenario, off, ego.x + ego.v * off, ego.v)
         began = conflicts[-1][0]
-        return helps(self.scenario, *(float(v[began]) for v in (self.t, self.trace.ego.x, self.trace.ego.v)))
+        return helps(
+            self.scenario, *(float(v[began]) for v in (self.t, self.trace.ego.x, self.trace.ego.v))
+        )
 
     def changes(self) -> tuple[int, int]:
         """How often the commanded acceleration changes its sign during conflicts, and how often it may."""
         commands, car, v = self.trace.commands, self.scenario.vehicle, self.trace.ego.v
         assert commands is not None
-        asked = commands.throttle * car.max_accel - commands.brake * car.max_decel - car.rolling - car.drag * v**2
+        asked = (
+            commands.throttle * car.max_accel
+            - commands.brake * car.max_decel
+            - car.rolling
+            - car.drag * v**2
+        )
         plain = np.flatnonzero(np.abs(asked) > DEAD_BAND_MPS2)
         changed = plain[1:][np.sign(asked[plain[1:]]) != np.sign(asked[plain[:-1]])]
         conflicts = self.conflicts()
@@ -214,7 +241,9 @@ class Judged:
 
     def rested(self) -> bool:
         """Whether the ego rested while somebody stood on the lane."""
-        return any((self.trace.ego.v[first:end] < RESTING_MPS).any() for first, end in self.stands())
+        return any(
+            (self.trace.ego.v[first:end] < RESTING_MPS).any() for first, end in self.stands()
+        )
 
     def released(self) -> float:
         """How long after the way was clear the brake was released, s; not positive where it was not pressed then."""
@@ -323,7 +352,9 @@ def test_creeping_is_found(waited: Judged) -> None:
     ((first, end),) = waited.stands()
     rests = waited.t[first + int(np.argmax(waited.trace.ego.v[first:end] < RESTING_MPS))]
     crept = waited.trace.ego.x + 0.05 * np.clip(waited.t - rests, 0.0, 4.0)
-    assert broken(replace(waited, trace=replace(waited.trace, ego=replace(waited.trace.ego, x=crept)))) == ["creep"]
+    assert broken(
+        replace(waited, trace=replace(waited.trace, ego=replace(waited.trace.ego, x=crept)))
+    ) == ["creep"]
 
 
 def test_oscillating_both_pedals_and_a_late_release_are_found(waited: Judged) -> None:
@@ -335,10 +366,14 @@ def test_oscillating_both_pedals_and_a_late_release_are_found(waited: Judged) ->
     throttle = np.where(now, 0.4 * (np.sin(2.0 * np.pi * t) <= 0.0), commands.throttle)
 
     def found(**changed: np.ndarray) -> list[str]:
-        return broken(replace(waited, trace=replace(waited.trace, commands=replace(commands, **changed))))
+        return broken(
+            replace(waited, trace=replace(waited.trace, commands=replace(commands, **changed)))
+        )
 
     assert found(brake=brake, throttle=throttle) == ["oscillation"]
-    assert found(throttle=np.maximum(commands.throttle, 0.01 * (commands.brake > 0.0))) == ["both pedals"]
+    assert found(throttle=np.maximum(commands.throttle, 0.01 * (commands.brake > 0.0))) == [
+        "both pedals"
+    ]
     long = t < t[end - 1] + 0.2  # conflicts last RELEASE_S longer than somebody is in the way
     held = np.where(long, np.maximum(commands.brake, 0.01 * (t > t[first])), commands.brake)
     assert "late release" in found(brake=held, throttle=np.where(long, 0.0, commands.throttle))
@@ -375,7 +410,10 @@ def test_the_papers_crossing_is_comfortable(walker: float) -> None:
 @pytest.mark.parametrize("changed", [{}, {"distance_m": 15.0}])
 def test_with_a_sensor_the_child_is_not_seen_before_it_runs_out(changed: dict[str, float]) -> None:
     """It is behind the small car until 4.5 s; the ego has slowed down before, and nobody is touched."""
-    drive = judged(Case("PD-5", "pedestrian/runs_out", tuple(changed.items())), replace(LOOP, perception="sensor"))
+    drive = judged(
+        Case("PD-5", "pedestrian/runs_out", tuple(changed.items())),
+        replace(LOOP, perception="sensor"),
+    )
     seen = next(frame.t for frame in drive.trace.frames if "child" in frame.agents)
     assert seen > 4.0
     assert np.interp(seen, drive.t, drive.trace.ego.v) < 0.8 * drive.trace.ego.v[0]

@@ -25,19 +25,26 @@ from replan.run.output import begun_in
 pytest.importorskip("duckdb")
 COMMANDS = {
     "run": (
-        "report {it} -o {out}", "compare {it} {run} --no-first-difference",
+        "report {it} -o {out}",
+        "compare {it} {run} --no-first-difference",
         "cut {it} --table verdicts --where true -o {out}",
         "query {it} 'SELECT count(*) AS n FROM metrics, verdicts, groups, logs, drives, gates, failures'",
-        "query {it} 'SELECT max(value) AS v FROM frames'", "query {it} 'SELECT max(seconds) AS s FROM timings'",
-        "diagnose {it} -o {out} --workers 0", "baseline {it} -o {out}.parquet", "explain {it}",
+        "query {it} 'SELECT max(value) AS v FROM frames'",
+        "query {it} 'SELECT max(seconds) AS s FROM timings'",
+        "diagnose {it} -o {out} --workers 0",
+        "baseline {it} -o {out}.parquet",
+        "explain {it}",
         "evaluate {logs} -p constant_speed --no-recording --workers 0 -o {it} --resume",
     ),
     "mined": (
-        "query {it} 'SELECT count(*) AS n FROM events, logs, health'", "cut {it} --where true -o {out}",
-        "suite {it} -o {out}.toml", "coverage {it} --against {mined}", "mine {logs} --workers 0 -o {it} --resume",
+        "query {it} 'SELECT count(*) AS n FROM events, logs, health'",
+        "cut {it} --where true -o {out}",
+        "suite {it} -o {out}.toml",
+        "coverage {it} --against {mined}",
+        "mine {logs} --workers 0 -o {it} --resume",
     ),
     "baseline.parquet": ("compare {it} {run}", "report {run} --baseline {it} -o {out}"),
-}  # fmt: skip
+}
 
 
 @pytest.fixture(scope="module")
@@ -64,12 +71,20 @@ def test_edited_results_are_one_line_and_nothing_outside_is_written(
     (shutil.copy if (place / name).is_file() else shutil.copytree)(place / name, it)
     edit(rng, it)
     words = shlex.split(rng.choice(COMMANDS[name]))
-    places = {"run": place / "run", "mined": place / "mined", "logs": place / "logs", "it": it, "out": out}
+    places = {
+        "run": place / "run",
+        "mined": place / "mined",
+        "logs": place / "logs",
+        "it": it,
+        "out": out,
+    }
     result = replan(*(word.format(**places) for word in words))
     assert result.exit_code in (0, 1, 2, 3, 4) and "Traceback" not in result.stderr
     assert result.exit_code != 2 or one_error(result)
     assert {path.name for path in work.iterdir()} <= {"in", "deep"}
-    assert not (work / "deep").exists() or [path.name for path in (work / "deep").iterdir()] == ["out"]
+    assert not (work / "deep").exists() or [path.name for path in (work / "deep").iterdir()] == [
+        "out"
+    ]
     shutil.rmtree(work)
 
 
@@ -81,16 +96,24 @@ def test_a_folder_in_a_summary_is_a_plain_name(place: Path, tmp_path: Path, fold
         log["folder"] = folder
     (run / "summary.json").write_text(json.dumps(summary), encoding="utf-8")
     before = sorted(tmp_path.rglob("*"))
-    for words in (("diagnose", run, "--workers", 0, "-o", tmp_path / "out"), ("report", run), ("explain", run)):
+    for words in (
+        ("diagnose", run, "--workers", 0, "-o", tmp_path / "out"),
+        ("report", run),
+        ("explain", run),
+    ):
         result = replan(*words)
-        assert result.exit_code == 2 and "summary.json: is not as replan writes it" in one_error(result)
+        assert result.exit_code == 2 and "summary.json: is not as replan writes it" in one_error(
+            result
+        )
     assert sorted(tmp_path.rglob("*")) == before
 
 
 def test_another_version_is_refused_in_every_file(place: Path, tmp_path: Path) -> None:
     readers = {
-        "run/summary.json": load, "mined/mined.json": read_mined, "run/origin.json": lambda run: begun_in(run, ["x"]),
-    }  # fmt: skip
+        "run/summary.json": load,
+        "mined/mined.json": read_mined,
+        "run/origin.json": lambda run: begun_in(run, ["x"]),
+    }
     for name, read in readers.items():
         source, _, file = name.partition("/")
         folder = Path(shutil.copytree(place / source, tmp_path / file))
@@ -111,21 +134,36 @@ def test_deep_nesting_is_one_line(place: Path, tmp_path: Path, name: str) -> Non
     folder = Path(shutil.copytree(place / name, tmp_path / name))
     for file in folder.glob("*.json"):
         file.write_text("[" * 100_000, encoding="utf-8")
-    assert one_error(replan("cut", folder, "--where", "true", "--table", "logs", "-o", tmp_path / "out"))
+    assert one_error(
+        replan("cut", folder, "--where", "true", "--table", "logs", "-o", tmp_path / "out")
+    )
 
 
 @pytest.mark.parametrize("odd", [float("inf"), float("-inf")])
-def test_a_baseline_without_finite_values_is_refused(place: Path, tmp_path: Path, odd: float) -> None:
+def test_a_baseline_without_finite_values_is_refused(
+    place: Path, tmp_path: Path, odd: float
+) -> None:
     table = pq.read_table(place / "baseline.parquet")
     rows = table.to_pandas()
     rows.loc[rows["available"], "value"] = odd
     edited = pa.Table.from_pandas(rows, table.schema, preserve_index=False)
-    pq.write_table(edited.replace_schema_metadata({BASELINE: table.schema.metadata[BASELINE]}), tmp_path / "b.parquet")
+    pq.write_table(
+        edited.replace_schema_metadata({BASELINE: table.schema.metadata[BASELINE]}),
+        tmp_path / "b.parquet",
+    )
     result = replan("compare", tmp_path / "b.parquet", place / "run")
     assert result.exit_code == 3 and "column value has infinite values" in one_error(result)
 
 
 def test_what_is_written_is_read(place: Path) -> None:
     run = load(place / "run")
-    assert len(run.metrics) and len(run.groups) and len(run.timings) and len(run.frames) and len(run.verdicts)
-    assert run.timings["log"].dtype == "category" and pd.api.types.is_float_dtype(run.metrics["value"])
+    assert (
+        len(run.metrics)
+        and len(run.groups)
+        and len(run.timings)
+        and len(run.frames)
+        and len(run.verdicts)
+    )
+    assert run.timings["log"].dtype == "category" and pd.api.types.is_float_dtype(
+        run.metrics["value"]
+    )

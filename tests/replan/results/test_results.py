@@ -14,7 +14,15 @@ from replan.draw.drawn_results import Results, load
 from replan.logs.mcap import write_scenario
 from replan.logs.plan import StGraph
 from replan.metrics.judge.aggregate import LogLabels, groups, standings
-from replan.results.schema import FRAMES, METADATA, TABLES, arrow, arrow_schema, markdown, read_table
+from replan.results.schema import (
+    FRAMES,
+    METADATA,
+    TABLES,
+    arrow,
+    arrow_schema,
+    markdown,
+    read_table,
+)
 from replan.results.tables import TABLES as FILES
 from replan.run import evaluate_logs
 
@@ -36,8 +44,12 @@ def test_the_tables_are_those_of_the_run(run: Results) -> None:
     labels = {LOG: LogLabels(LOG, "replan catalogue", tuple(result.logs["tags"][0]))}
     assert result.labels == labels
     stand = standings(result.verdicts, result.drives, [LOG], result.run.drives)
-    pd.testing.assert_frame_equal(result.groups, groups(result.metrics, stand, labels), check_dtype=False)
-    assert list(result.logs["family"]) == [LOG] and list(result.logs["dataset"]) == ["replan catalogue"]
+    pd.testing.assert_frame_equal(
+        result.groups, groups(result.metrics, stand, labels), check_dtype=False
+    )
+    assert list(result.logs["family"]) == [LOG] and list(result.logs["dataset"]) == [
+        "replan catalogue"
+    ]
     assert set(result.frames["log"]) == {LOG} and len(result.timings) == len(run.timings)
 
 
@@ -47,10 +59,17 @@ def test_a_drive_has_its_plans_with_their_inside(run: Results) -> None:
     assert plan.trajectory.t[0] == pytest.approx(3.0) and drive.frame(3.04).t == pytest.approx(3.0)
     graph = next(item for item in plan.internals if isinstance(item, StGraph))
     assert graph.qp.shape == (81, 2)
-    graphs = [item for frame in drive.trace.frames for item in frame.plan.internals if isinstance(item, StGraph)]
+    graphs = [
+        item
+        for frame in drive.trace.frames
+        for item in frame.plan.internals
+        if isinstance(item, StGraph)
+    ]
     assert "pedestrian" in {obstacle.agent for graph in graphs for obstacle in graph.obstacles}
     gap = drive.metrics.set_index("metric").loc["gap.min"]
-    assert drive.series["gap"].min() == gap["value"] and drive.series["gap"].idxmin() == gap["time_s"]
+    assert (
+        drive.series["gap"].min() == gap["value"] and drive.series["gap"].idxmin() == gap["time_s"]
+    )
     assert drive.trace.end.value == drive.info["end"]
 
 
@@ -69,7 +88,9 @@ def test_what_is_not_there_is_named(run: Results, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("at", [float("nan"), float("inf"), -1.0])
-def test_a_time_without_a_plan_is_an_error_and_a_run_is_said_in_one_line(run: Results, at: float) -> None:
+def test_a_time_without_a_plan_is_an_error_and_a_run_is_said_in_one_line(
+    run: Results, at: float
+) -> None:
     results = load(run.path)
     first = results.drives.iloc[0]
     with pytest.raises(ConfigError, match="no plan at"):
@@ -104,7 +125,9 @@ def test_every_parquet_file_has_its_columns_and_types_also_without_rows(result: 
     found = [*result.path.glob("*.parquet"), *result.path.glob("*/*.parquet")]
     mined = {"events.parquet", "logs.parquet"}  # tests/replan/mine
     inside = {"frames.parquet", "ensemble.parquet"}
-    assert {file.name for file in found} == TABLES.keys() - mined - (set() if any(result.logs["folder"]) else inside)
+    assert {file.name for file in found} == TABLES.keys() - mined - (
+        set() if any(result.logs["folder"]) else inside
+    )
     for file in found:
         schema = pq.read_schema(file)
         known = arrow_schema(file.name)
@@ -120,9 +143,15 @@ def test_every_parquet_file_has_its_columns_and_types_also_without_rows(result: 
 
 def test_every_frame_of_the_results_has_its_columns(result: Results) -> None:
     for name, table in FRAMES.items():
-        assert list(getattr(result, name).columns) == [column.name for column in table.columns], name
+        assert list(getattr(result, name).columns) == [column.name for column in table.columns], (
+            name
+        )
     for file in ("metrics", "verdicts", "groups", "health", "timings"):
-        columns = [column.name for column in TABLES[f"{file}.parquet"].columns if column.name != "schema_version"]
+        columns = [
+            column.name
+            for column in TABLES[f"{file}.parquet"].columns
+            if column.name != "schema_version"
+        ]
         assert list(getattr(result, file).columns) == columns, file
 
 
@@ -133,7 +162,9 @@ def test_what_is_said_to_be_the_same_twice_is(result: Results, tmp_path: Path) -
     evaluate_logs(sources, RUN, again)
     for file in [*result.path.glob("*.parquet"), *result.path.glob("*/*.parquet")]:
         if TABLES[file.name].same:
-            assert (again / file.relative_to(result.path)).read_bytes() == file.read_bytes(), file.name
+            assert (again / file.relative_to(result.path)).read_bytes() == file.read_bytes(), (
+                file.name
+            )
 
 
 def test_a_column_that_the_schema_does_not_know_is_not_written() -> None:
@@ -141,16 +172,35 @@ def test_a_column_that_the_schema_does_not_know_is_not_written() -> None:
         arrow("health.parquet", pd.DataFrame({"surprise": [1]}))
 
 
-NEWER = {name: [column for column in table.columns if column.older is not None] for name, table in TABLES.items()}
+NEWER = {
+    name: [column for column in table.columns if column.older is not None]
+    for name, table in TABLES.items()
+}
 
 
 @pytest.mark.parametrize("name", [name for name, newer in NEWER.items() if newer])
-def test_files_of_before_a_column_are_read_with_its_value_of_then(name: str, tmp_path: Path) -> None:
+def test_files_of_before_a_column_are_read_with_its_value_of_then(
+    name: str, tmp_path: Path
+) -> None:
     """Law: a table without its newer columns is read as one in which each row has their `older` value."""
-    values = {"text": "a", "number": 1.0, "count": 1, "yes/no": True, "list": ["a"], "mode": "open", "outcome": "pass"}
-    row = {column.name: [values.get(column.name, values[column.kind])] * 2 for column in TABLES[name].columns}
+    values = {
+        "text": "a",
+        "number": 1.0,
+        "count": 1,
+        "yes/no": True,
+        "list": ["a"],
+        "mode": "open",
+        "outcome": "pass",
+    }
+    row = {
+        column.name: [values.get(column.name, values[column.kind])] * 2
+        for column in TABLES[name].columns
+    }
     table, newer = arrow(name, pd.DataFrame(row)), NEWER[name]
-    pq.write_table(table.drop_columns([c.name for c in newer]).replace_schema_metadata(METADATA), tmp_path / name)
+    pq.write_table(
+        table.drop_columns([c.name for c in newer]).replace_schema_metadata(METADATA),
+        tmp_path / name,
+    )
     found = read_table(tmp_path / name)
     assert found.schema.names == table.schema.names and found.schema.types == table.schema.types
     for column in newer:

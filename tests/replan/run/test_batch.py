@@ -60,13 +60,18 @@ def planners(module: Callable[[str, str], str]) -> str:
 @pytest.mark.slow  # .ci/run compares two runs of the whole suite
 def test_two_runs_and_any_number_of_workers_give_the_same_bytes(logs: Path, tmp_path: Path) -> None:
     config = replace(QUICK, planners=("constant_speed", "dp_qp"))
-    outs = [run(logs, tmp_path / str(i), config, workers=workers).path for i, workers in enumerate((0, 0, 2))]
+    outs = [
+        run(logs, tmp_path / str(i), config, workers=workers).path
+        for i, workers in enumerate((0, 0, 2))
+    ]
     assert len(list(outs[0].glob("*/*.mcap"))) == 3 * 4
     assert identical(outs[0], outs[1])
     assert identical(outs[0], outs[2])
 
 
-def test_the_order_of_the_logs_changes_nothing_but_the_order_of_the_report(logs: Path, tmp_path: Path) -> None:
+def test_the_order_of_the_logs_changes_nothing_but_the_order_of_the_report(
+    logs: Path, tmp_path: Path
+) -> None:
     files = [logs / "a.mcap", logs / "b.mcap"]
     one, other = run(files, tmp_path / "one"), run(files[::-1], tmp_path / "other")
     assert identical(one.path, other.path)
@@ -84,10 +89,14 @@ def test_tables_hold_every_log_planner_and_mode_sorted(logs: Path, tmp_path: Pat
     assert len(set(keys)) == len(keys)
     assert {key[:3] for key in keys} == {
         (f"test/{log}", planner, mode)
-        for log in "abc" for planner in ("logged", "constant_speed") for mode in ("open", "closed")
-    } | {(f"test/{log}", planner, "reference") for log in "abc" for planner in REFERENCES}  # fmt: skip
+        for log in "abc"
+        for planner in ("logged", "constant_speed")
+        for mode in ("open", "closed")
+    } | {(f"test/{log}", planner, "reference") for log in "abc" for planner in REFERENCES}
     assert rows.loc[rows["planner"] == "logged", "oracle"].all()
-    assert (rows.loc[(rows["planner"] == "logged") & (rows["metric"] == "ade.1s.mean"), "value"] == 0.0).all()
+    assert (
+        rows.loc[(rows["planner"] == "logged") & (rows["metric"] == "ade.1s.mean"), "value"] == 0.0
+    ).all()
     csv = pd.read_csv(result.path / "metrics.csv")
     np.testing.assert_array_equal(csv["value"], rows["value"])
     timings = pd.read_parquet(result.path / "timings.parquet")
@@ -96,7 +105,11 @@ def test_tables_hold_every_log_planner_and_mode_sorted(logs: Path, tmp_path: Pat
 
 
 def test_the_resolved_configuration_runs_the_same_again(logs: Path, tmp_path: Path) -> None:
-    first = run(logs / "a.mcap", tmp_path / "one", replace(QUICK, planner={"constant_speed": {"horizon_s": 3.0}}))
+    first = run(
+        logs / "a.mcap",
+        tmp_path / "one",
+        replace(QUICK, planner={"constant_speed": {"horizon_s": 3.0}}),
+    )
     again = run(logs / "a.mcap", tmp_path / "two", load_run(first.path / "run.toml"))
     assert identical(first.path, again.path)
     assert again.run.planner["constant_speed"] == {"horizon_s": 3.0, "step_s": 0.1}
@@ -113,7 +126,9 @@ def test_a_bad_log_is_one_failure_and_the_others_are_evaluated(logs: Path, tmp_p
     assert result.exit_code == 3
 
 
-def test_when_nothing_can_be_evaluated_the_tables_are_empty_and_nothing_passes(tmp_path: Path) -> None:
+def test_when_nothing_can_be_evaluated_the_tables_are_empty_and_nothing_passes(
+    tmp_path: Path,
+) -> None:
     bad = tmp_path / "bad.mcap"
     bad.write_bytes(b"no log at all")
     result = run(bad, tmp_path / "out")
@@ -124,9 +139,13 @@ def test_when_nothing_can_be_evaluated_the_tables_are_empty_and_nothing_passes(t
 
 @pytest.mark.slow
 def test_a_killed_planner_costs_its_drives_only(logs: Path, tmp_path: Path, planners: str) -> None:
-    result = run(logs, tmp_path / "out", replace(QUICK, planners=(f"{planners}:Killed", "logged")), workers=2)
+    result = run(
+        logs, tmp_path / "out", replace(QUICK, planners=(f"{planners}:Killed", "logged")), workers=2
+    )
     assert [failure.log for failure in result.failures.itertuples()] == ["test/b", "test/b"]
-    assert all("was killed (SIGKILL)" in failure.message for failure in result.failures.itertuples())
+    assert all(
+        "was killed (SIGKILL)" in failure.message for failure in result.failures.itertuples()
+    )
     assert len(result.drives) == 12 and result.exit_code == 3
 
 
@@ -143,9 +162,13 @@ def test_a_killed_worker_costs_its_log_only(logs: Path, tmp_path: Path, planners
     assert not list(result.path.rglob(".partial*"))
 
 
-def test_a_planner_that_raises_is_a_failure_that_names_it(logs: Path, tmp_path: Path, planners: str) -> None:
+def test_a_planner_that_raises_is_a_failure_that_names_it(
+    logs: Path, tmp_path: Path, planners: str
+) -> None:
     said = {f"{planners}:Raising": "out of ideas", f"{planners}:Leaving": "SystemExit"}
-    result = run(logs / "a.mcap", tmp_path / "out", replace(QUICK, planners=("constant_speed", *said)))
+    result = run(
+        logs / "a.mcap", tmp_path / "out", replace(QUICK, planners=("constant_speed", *said))
+    )
     failures = list(result.failures.itertuples())
     assert {(one.planner, one.mode) for one in failures} == {*product(said, ("open", "closed"))}
     assert all(said[one.planner] in one.message and one.planner in one.message for one in failures)
@@ -155,7 +178,11 @@ def test_a_planner_that_raises_is_a_failure_that_names_it(logs: Path, tmp_path: 
 
 @pytest.mark.slow
 def test_a_planner_that_cannot_be_loaded_leaves_the_others(logs: Path, tmp_path: Path) -> None:
-    result = run(logs / "a.mcap", tmp_path / "out", replace(QUICK, planners=("nowhere:Mine", "constant_speed")))
+    result = run(
+        logs / "a.mcap",
+        tmp_path / "out",
+        replace(QUICK, planners=("nowhere:Mine", "constant_speed")),
+    )
     assert result.run.planners == ("constant_speed",)
     assert "nowhere" in result.failures.iloc[0].message
     assert result.exit_code == 3
@@ -177,7 +204,9 @@ def test_logs_of_one_name_are_told_apart_by_their_content(logs: Path, tmp_path: 
     failures=st.lists(st.sampled_from([2, 3]), max_size=3),
     outcomes=st.lists(st.sampled_from(list(Outcome)), max_size=4),
 )
-def test_exit_codes_three_beats_one_beats_four(failures: list[int], outcomes: list[Outcome]) -> None:
+def test_exit_codes_three_beats_one_beats_four(
+    failures: list[int], outcomes: list[Outcome]
+) -> None:
     wrong = [Failure("log", "wrong", exit_code=code) for code in failures]
     code = exit_code_of(wrong, outcomes)
     assert exit_code_of(wrong, None) == (min(failures) if failures else 0)
@@ -242,7 +271,9 @@ def test_results_of_an_earlier_run_are_replaced(logs: Path, tmp_path: Path) -> N
 def test_a_result_folder_that_holds_the_log_is_not_cleared(logs: Path, tmp_path: Path) -> None:
     evaluate_logs([logs / "a.mcap"], replace(QUICK, mode="closed"), tmp_path / "out")
     (trace,) = (tmp_path / "out").glob("*/closed.mcap")
-    with pytest.raises(ConfigError, match=r"closed\.mcap: lies in the result folder .*out, which is cleared"):
+    with pytest.raises(
+        ConfigError, match=r"closed\.mcap: lies in the result folder .*out, which is cleared"
+    ):
         evaluate_logs([trace], QUICK, tmp_path / "out")
     assert trace.exists()
 
@@ -270,4 +301,6 @@ def test_the_pool_gives_every_item_once_and_survives_deaths() -> None:
     answers = dict(run_all(square_of, items, 2))
     assert sorted(answers) == list(range(len(items)))
     for index, item in enumerate(items):
-        assert isinstance(answers[index], WorkerLost) if item == 13 else answers[index] == item * item
+        assert (
+            isinstance(answers[index], WorkerLost) if item == 13 else answers[index] == item * item
+        )

@@ -14,7 +14,9 @@ from replan.run.calibrate import calibrate
 VAN = '[vehicle]\nset = "vw_vanagon"\nmax_decel = 5.0\n'
 
 
-def test_the_table_is_that_of_the_vehicle_of_the_option_or_of_the_configuration(tmp_path: Path) -> None:
+def test_the_table_is_that_of_the_vehicle_of_the_option_or_of_the_configuration(
+    tmp_path: Path,
+) -> None:
     config = tmp_path / "van.toml"
     config.write_text(VAN, encoding="utf-8")
     calibrate(tmp_path / "default")
@@ -24,7 +26,10 @@ def test_the_table_is_that_of_the_vehicle_of_the_option_or_of_the_configuration(
     names = ("default", "van", "weak", "weak_bmw")
     tables = [(tmp_path / name / "calibration.csv").read_text(encoding="utf-8") for name in names]
     assert len(set(tables)) == 4
-    reach = [sum(not line.endswith(",") for line in one.splitlines() if line.startswith("-")) for one in tables]
+    reach = [
+        sum(not line.endswith(",") for line in one.splitlines() if line.startswith("-"))
+        for one in tables
+    ]
     assert reach[2] < reach[1], "the weak brakes of the configuration reach less"
 
 
@@ -42,8 +47,13 @@ def test_a_run_drives_the_known_vehicle_and_its_configuration_says_so(tmp_path: 
     assert read_scenario(closed).vehicle == vehicle_parameters("vw_vanagon")
 
 
-@pytest.mark.parametrize("words", [["evaluate", "--car", "lorry"], ["calibrate", "-o", "x", "--car", "lorry"]])
+@pytest.mark.parametrize(
+    "words", [["evaluate", "--car", "lorry"], ["calibrate", "-o", "x", "--car", "lorry"]]
+)
 def test_an_unknown_vehicle_is_one_line_that_names_the_known_ones(words: list[str]) -> None:
     result = replan(*words)
     assert result.exit_code == 2
-    assert "no vehicle is called 'lorry'; known are: bmw_320i, small_electric, vw_vanagon" in result.output
+    assert (
+        "no vehicle is called 'lorry'; known are: bmw_320i, small_electric, vw_vanagon"
+        in result.output
+    )

@@ -21,7 +21,14 @@ from replan.logs.mcap import write_scenario
 SEED = 5
 BLOWS = ("worker", "run", "interrupt", "disk", "worker", "run", "interrupt")
 COMMAND = ("evaluate", "logs", "-p", "constant_speed", "-p", "idm", "--workers", "2")
-TABLES = ("metrics.parquet", "metrics.csv", "verdicts.parquet", "groups.parquet", "health.parquet", "junit.xml")
+TABLES = (
+    "metrics.parquet",
+    "metrics.csv",
+    "verdicts.parquet",
+    "groups.parquet",
+    "health.parquet",
+    "junit.xml",
+)
 pytestmark = [
     pytest.mark.slow,
     pytest.mark.nightly,
@@ -59,7 +66,9 @@ def workers_of(pid: int) -> list[int]:
 
 def disturbed(here: Path, what: str, rng: random.Random) -> tuple[int, str]:
     """One attempt to end the run, and how it ended: exit code and errors."""
-    run = begun(here, "--out", "out", "--resume", room=rng.randrange(500, 40_000) if what == "disk" else -1)
+    run = begun(
+        here, "--out", "out", "--resume", room=rng.randrange(500, 40_000) if what == "disk" else -1
+    )
     ends = time.monotonic() + rng.uniform(0.5, 8.0)
     while what in ("worker", "run", "interrupt") and run.poll() is None and time.monotonic() < ends:
         time.sleep(0.02)
@@ -91,6 +100,10 @@ def test_whatever_is_killed_or_full_the_tables_are_those_of_an_undisturbed_run(h
     assert identical(here / "calm", here / "out")
     for name in TABLES:
         assert (here / "calm" / name).read_bytes() == (here / "out" / name).read_bytes(), name
-    first, second = (json.loads((here / out / "summary.json").read_text()) for out in ("calm", "out"))
+    first, second = (
+        json.loads((here / out / "summary.json").read_text()) for out in ("calm", "out")
+    )
     assert first == second
-    assert {entry.name for entry in (here / "calm").iterdir()} == {entry.name for entry in (here / "out").iterdir()}
+    assert {entry.name for entry in (here / "calm").iterdir()} == {
+        entry.name for entry in (here / "out").iterdir()
+    }

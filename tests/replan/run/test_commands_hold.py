@@ -62,25 +62,32 @@ class Row:
     marks: Sequence[pytest.MarkDecorator] = ()
 
     def given(self, place: Path, out: object) -> list[str]:
-        return [word.format(place=place).replace("OUT", str(out)) for word in shlex.split(self.words)]
+        return [
+            word.format(place=place).replace("OUT", str(out)) for word in shlex.split(self.words)
+        ]
 
 
 DRIVE = "-p constant_speed --workers 0"
 ROWS = {
-    "evaluate": Row(f"evaluate {{place}}/free.mcap {DRIVE} --no-recording -o OUT", resumes=True, no=WRITTEN),
+    "evaluate": Row(
+        f"evaluate {{place}}/free.mcap {DRIVE} --no-recording -o OUT", resumes=True, no=WRITTEN
+    ),
     "merge": Row("merge {place}/shard -o OUT", no=WRITTEN),
     "mine": Row("mine {place}/free.mcap {place}/blocked.mcap --workers 0 -o OUT", resumes=True),
     "cut": Row("cut {place}/mined --where true --before 0.5 --after 0.5 -o OUT", resumes=True),
     "vary": Row(
-        f"vary {{place}}/free.mcap {DRIVE} --vary ego_speed=0.9:1.1:2 --resolution 9 -o OUT", resumes=True
+        f"vary {{place}}/free.mcap {DRIVE} --vary ego_speed=0.9:1.1:2 --resolution 9 -o OUT",
+        resumes=True,
     ),
     "falsify": Row(
         "falsify {place}/blocked.mcap -p idm --workers 0 --axis ego_speed=0.9:1.1 --budget 16 -o OUT",
-        resumes=True, marks=SLOW,
+        resumes=True,
+        marks=SLOW,
     ),
     "tune": Row(
         "tune {place}/many -p idm --space {place}/space.toml --trials 1 --held-out 0.75 --workers 0 -o OUT",
-        resumes=True, marks=SLOW,
+        resumes=True,
+        marks=SLOW,
     ),
     "diagnose": Row("diagnose {place}/run --workers 0 -o OUT", resumes=True, marks=SLOW),
     "report": Row("report {place}/run -o OUT"),
@@ -102,7 +109,8 @@ ROWS = {
     "plot": Row("plot {place}/run -o OUT", ".svg"),
     "plot, picture": Row("plot {place}/run --chart st -o OUT", ".png"),
     "plot, folder": Row(
-        "plot {place}/run --log free --mode closed --chart st -o OUT", file="test_free-constant_speed-closed-st.png"
+        "plot {place}/run --log free --mode closed --chart st -o OUT",
+        file="test_free-constant_speed-closed-st.png",
     ),
     "frame --dump": Row("frame {place}/run --at 1 --dump OUT", ".msgpack"),
     "view --save": Row("view {place}/free.mcap --save OUT", ".rrd"),
@@ -110,11 +118,15 @@ ROWS = {
     "view --video": Row("view {place}/free.mcap --video OUT", ".gif", no=VIEWER),
     "paper": Row("paper --roads 0 --workers 0 -o OUT", marks=NIGHTLY),
     "calibrate": Row("calibrate -o OUT"),
-}  # fmt: skip
+}
 READS = {
-    "list": "prints", "metrics": "prints", "inspect": "prints", "compare": "prints", "explain": "prints",
+    "list": "prints",
+    "metrics": "prints",
+    "inspect": "prints",
+    "compare": "prints",
+    "explain": "prints",
     "warmup": "writes the cache of kernels, each file whole: tests/core/test_kernel.py, test_warmup.py",
-}  # fmt: skip
+}
 """The commands that write nothing of the user's."""
 FILES = [name for name, row in ROWS.items() if row.ending]
 FOLDERS = [name for name, row in ROWS.items() if not row.ending and not row.file]
@@ -135,7 +147,9 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("hold")
     for folder in (place, place / "logs"):
         write_free_and_blocked(folder)
-    (place / "space.toml").write_text("[planner.idm]\ntime_gap_s = { low = 1.0, high = 2.0 }\n", encoding="utf-8")
+    (place / "space.toml").write_text(
+        "[planner.idm]\ntime_gap_s = { low = 1.0, high = 2.0 }\n", encoding="utf-8"
+    )
     quick = ("-p", "constant_speed", "--workers", 0, "--no-recording")
     replan("evaluate", place / "logs", *quick, "-o", place / "run")
     replan("evaluate", place / "logs", *quick, "--shard", "1/1", "-o", place / "shard")
@@ -145,7 +159,9 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
         write_scenario(place / "many" / f"{k}.mcap", short(f"test/{k}", v=8.0 + k))
     (place / "cut_off.mcap").write_bytes((place / "free.mcap").read_bytes()[:-100])
     name = "USA_US101-6_1_T-1"
-    written(place, straight(1), problem(7, 0.0, 0.0, 10.0), benchmark=name).rename(place / f"{name}.xml")
+    written(place, straight(1), problem(7, 0.0, 0.0, 10.0), benchmark=name).rename(
+        place / f"{name}.xml"
+    )
     car = ("--vehicle", "kinematic_bicycle", "--car", "bmw_320i", "--mode", "closed")
     replan("evaluate", place / f"{name}.xml", *car, *quick, "-o", place / "us101")
     shutil.copy(next((place / "us101").rglob("closed.mcap")), place / "us101")
@@ -165,19 +181,43 @@ def paths(callback: Callable[..., Any]) -> Iterator[tuple[str, bool]]:
     for name, hint in get_type_hints(callback, include_extras=True).items():
         kind, *more = get_args(hint) or (hint,)
         if "Path" in str(kind):
-            yield name, name == "out" or any(getattr(each, "callback", None) is options.local_path for each in more)
+            yield (
+                name,
+                name == "out"
+                or any(getattr(each, "callback", None) is options.local_path for each in more),
+            )
 
 
 READ = {
-    "logs", "log", "runs", "run", "results", "result", "shards", "targets", "damaged", "baseline", "diagnosis", "gates",
-    "config", "road_map", "space", "changes", "trajectories", "against",
-}  # fmt: skip
+    "logs",
+    "log",
+    "runs",
+    "run",
+    "results",
+    "result",
+    "shards",
+    "targets",
+    "damaged",
+    "baseline",
+    "diagnosis",
+    "gates",
+    "config",
+    "road_map",
+    "space",
+    "changes",
+    "trajectories",
+    "against",
+}
 """Parameters of commands that are paths to be read."""
 
 
 def test_every_command_that_writes_has_a_row() -> None:
     commands = [*app.registered_commands, *export_app.registered_commands]
-    found = {command.name or command.callback.__name__: command.callback for command in commands if command.callback}
+    found = {
+        command.name or command.callback.__name__: command.callback
+        for command in commands
+        if command.callback
+    }
     found["export"] = found.pop("commonroad-solution")
     writes, reads = set[tuple[str, str]](), set[tuple[str, str]]()
     for command, callback in found.items():
@@ -192,21 +232,30 @@ def test_every_command_that_writes_has_a_row() -> None:
 
 def test_the_table_of_the_documentation_has_these_rows() -> None:
     lines = re.findall(
-        r"^\| (`.*)\| .* \| (.*?) \| (yes|refused) \|$", (ROOT / "docs" / "use.md").read_text(), re.MULTILINE
+        r"^\| (`.*)\| .* \| (.*?) \| (yes|refused) \|$",
+        (ROOT / "docs" / "use.md").read_text(),
+        re.MULTILINE,
     )
     said = {name: words for names, *words in lines for name in re.findall("`([^`]+)`", names)}
     of_rows = {name.partition(",")[0].partition(" --table")[0]: row for name, row in ROWS.items()}
     assert said.keys() == of_rows.keys()
     for name, row in of_rows.items():
-        assert (said[name][0] == "yes") is row.resumes and (said[name][1] == "yes") is (URL in row.no)
+        assert (said[name][0] == "yes") is row.resumes and (said[name][1] == "yes") is (
+            URL in row.no
+        )
 
 
 @pytest.mark.parametrize("name", rows(URL))
-def test_a_url_is_refused_at_once(place: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+def test_a_url_is_refused_at_once(
+    place: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
     monkeypatch.chdir(tmp_path)
     url = f"s3://bucket/out{ROWS[name].ending}"
     line = one_error(replan(*ROWS[name].given(place, url)))
-    assert "s3://bucket/out" in line and "only `replan evaluate` and `replan merge` write to a URL" in line
+    assert (
+        "s3://bucket/out" in line
+        and "only `replan evaluate` and `replan merge` write to a URL" in line
+    )
     assert not list(tmp_path.iterdir())
 
 
@@ -226,14 +275,19 @@ def test_of_two_at_once_the_second_is_refused(place: Path, tmp_path: Path, name:
 
 
 @pytest.mark.parametrize("name", ROWS)
-def test_what_the_command_did_not_write_is_refused_and_left(place: Path, tmp_path: Path, name: str) -> None:
+def test_what_the_command_did_not_write_is_refused_and_left(
+    place: Path, tmp_path: Path, name: str
+) -> None:
     row, out = ROWS[name], target(name, tmp_path)
     file = out if row.ending else out / (row.file or "thesis.tex")
     file.parent.mkdir(exist_ok=True, parents=True)
     file.write_text("two years of work\n", encoding="utf-8")
     result = replan(*row.given(place, out))
     assert result.exit_code == 2 and file.name in one_error(result)
-    assert file.read_text(encoding="utf-8") == "two years of work\n" and len(list(file.parent.iterdir())) == 1
+    assert (
+        file.read_text(encoding="utf-8") == "two years of work\n"
+        and len(list(file.parent.iterdir())) == 1
+    )
 
 
 @pytest.mark.parametrize("name", [name for name in ROWS if name not in FOLDERS])
@@ -257,7 +311,10 @@ def test_another_ending_is_refused(place: Path, tmp_path: Path, name: str) -> No
 def test_a_folder_of_another_command_is_refused(place: Path, tmp_path: Path, name: str) -> None:
     for theirs in ("run", "mined"):
         out = Path(shutil.copytree(place / theirs, tmp_path / theirs))
-        if (theirs == "run" and name in ("evaluate", "merge")) or (theirs, name) == ("mined", "mine"):
+        if (theirs == "run" and name in ("evaluate", "merge")) or (theirs, name) == (
+            "mined",
+            "mine",
+        ):
             continue
         before = {file: file.read_bytes() for file in out.rglob("*") if file.is_file()}
         assert replan(*ROWS[name].given(place, out)).exit_code == 2
@@ -265,7 +322,9 @@ def test_a_folder_of_another_command_is_refused(place: Path, tmp_path: Path, nam
 
 
 @pytest.mark.parametrize("name", ROWS)
-def test_a_read_only_place_is_one_line(place: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+def test_a_read_only_place_is_one_line(
+    place: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
     def refuse(path: Path, what: Path) -> int:
         raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(path))
 
@@ -291,8 +350,12 @@ CLOCKS = (
 def contents(out: Path) -> dict[str, bytes]:
     """Files by name; of those that hold a clock, nothing else."""
     files = [out] if out.is_file() else [file for file in out.rglob("*") if file.is_file()]
-    return {file.relative_to(out.parent).as_posix(): b"" if str(file).endswith(CLOCKS) else file.read_bytes()
-            for file in files}  # fmt: skip
+    return {
+        file.relative_to(out.parent).as_posix(): b""
+        if str(file).endswith(CLOCKS)
+        else file.read_bytes()
+        for file in files
+    }
 
 
 def left(folder: Path) -> list[Path]:
@@ -329,7 +392,9 @@ def stopped_at(last: int) -> Iterator[list[Path]]:
 
 
 @pytest.fixture(scope="module")
-def whole(place: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[str], Whole]]:
+def whole(
+    place: Path, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Callable[[str], Whole]]:
     """The undisturbed run of a command, made once; the paper with four pedestrians."""
     made = dict[str, Whole]()
 
@@ -344,7 +409,11 @@ def whole(place: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cal
         return made[name]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(reproduce, "PaperConfig", partial(reproduce.PaperConfig, cells=pedestrian_grid.CELLS[:4]))
+        patch.setattr(
+            reproduce,
+            "PaperConfig",
+            partial(reproduce.PaperConfig, cells=pedestrian_grid.CELLS[:4]),
+        )
         yield of
 
 
@@ -357,9 +426,15 @@ def test_a_full_disk_says_which_command_helps(
         stopped = replan(*row.given(place, out))
     assert stopped.exit_code == 3 and "cannot be written: File too large" in one_error(stopped)
     if name in FOLDERS:
-        assert f"give the same command with --out {out}{' --resume' if row.resumes else ''}" in one_error(stopped)
+        assert (
+            f"give the same command with --out {out}{' --resume' if row.resumes else ''}"
+            in one_error(stopped)
+        )
     assert not left(tmp_path)
-    assert replan(*row.given(place, out), *(["--resume"] if row.resumes else [])).exit_code == sound.code
+    assert (
+        replan(*row.given(place, out), *(["--resume"] if row.resumes else [])).exit_code
+        == sound.code
+    )
     assert contents(out) == sound.contents
 
 
@@ -371,13 +446,21 @@ def test_interrupted_it_is_whole_and_goes_on(
     with stopped_at((sound.renamed + 1) // 2):
         stopped = replan(*row.given(place, out))
     assert stopped.exit_code == 130 and "interrupted" in one_error(stopped)
-    assert not left(tmp_path) and (contents(out) if out.exists() else {}).keys() <= sound.contents.keys()
-    assert replan(*row.given(place, out), *(["--resume"] if row.resumes else [])).exit_code == sound.code
+    assert (
+        not left(tmp_path)
+        and (contents(out) if out.exists() else {}).keys() <= sound.contents.keys()
+    )
+    assert (
+        replan(*row.given(place, out), *(["--resume"] if row.resumes else [])).exit_code
+        == sound.code
+    )
     assert contents(out) == sound.contents
 
 
 @pytest.mark.parametrize("name", rows(WORK))
-def test_run_again_it_gives_the_same_bytes(place: Path, whole: Callable[[str], Whole], name: str) -> None:
+def test_run_again_it_gives_the_same_bytes(
+    place: Path, whole: Callable[[str], Whole], name: str
+) -> None:
     sound = whole(name)
     assert replan(*ROWS[name].given(place, sound.out)).exit_code == sound.code
     assert contents(sound.out) == sound.contents and not left(sound.out.parent)
@@ -391,7 +474,9 @@ def test_other_files_of_the_folder_are_left(place: Path, tmp_path: Path, name: s
     assert (tmp_path / "out" / "thesis.tex").read_text(encoding="utf-8") == "two years of work\n"
 
 
-def test_an_error_while_writing_is_not_hidden_by_cleaning_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_error_while_writing_is_not_hidden_by_cleaning_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def refuse(*args: object, **more: object) -> None:
         raise OSError(errno.EROFS, os.strerror(errno.EROFS))
 
@@ -416,4 +501,6 @@ def test_names_that_would_be_equal_are_not(tmp_path: Path) -> None:
     said = replan("cut", tmp_path / "mined", *words).stdout.split()
     files = sorted((tmp_path / "cuts").glob("*.mcap"))
     assert len(said) == len(set(said)) == len(files) == len(names)
-    assert {read_scenario(file).metadata["cut.of"] for file in files} >= {name for name in names if len(name) < 80}
+    assert {read_scenario(file).metadata["cut.of"] for file in files} >= {
+        name for name in names if len(name) < 80
+    }

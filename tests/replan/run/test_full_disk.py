@@ -51,31 +51,49 @@ def _write_steps(folder: Path, trace: Trace, scenario: Scenario) -> None:
         steps.write()
 
 
-KINDS = ("log.mcap", "closed.mcap", "closed.rrd", "log.rrd", "frames.parquet", "metrics.csv", "report.md")
+KINDS = (
+    "log.mcap",
+    "closed.mcap",
+    "closed.rrd",
+    "log.rrd",
+    "frames.parquet",
+    "metrics.csv",
+    "report.md",
+)
 
 
 @pytest.mark.parametrize("name", KINDS)
 @settings(max_examples=max(settings.default.max_examples // 12, 4), phases=[Phase.generate])
 @given(share=st.floats(0.0, 1.0))
 def test_a_file_is_whole_or_not_there(
-    writers: dict[str, Callable[[Path], object]], tmp_path_factory: pytest.TempPathFactory, name: str, share: float
+    writers: dict[str, Callable[[Path], object]],
+    tmp_path_factory: pytest.TempPathFactory,
+    name: str,
+    share: float,
 ) -> None:
     folder = tmp_path_factory.mktemp("disk")
     writers[name](folder / name)
     size = max(file.stat().st_size for file in folder.iterdir())
-    least = 0.95 * size if name.endswith(".rrd") else size - 1  # two recordings differ by a few bytes
+    # Two recordings differ by a few bytes
+    least = 0.95 * size if name.endswith(".rrd") else size - 1
     for file in folder.iterdir():
         file.unlink()
-    with room(int(share * least)), pytest.raises(OutputError, match=r"cannot be written: File too large") as said:
+    with (
+        room(int(share * least)),
+        pytest.raises(OutputError, match=r"cannot be written: File too large") as said,
+    ):
         writers[name](folder / name)
     assert str(folder) in str(said.value) and "\n" not in str(said.value)
-    assert {file.name for file in folder.iterdir()} <= {"metrics.parquet"}  # beside metrics.csv, and whole
+    # Beside metrics.csv, and whole
+    assert {file.name for file in folder.iterdir()} <= {"metrics.parquet"}
     with room(2 * size):
         writers[name](folder / name)
     assert (folder / name).exists()
 
 
-@pytest.mark.parametrize("size", [3000, *(pytest.param(size, marks=pytest.mark.slow) for size in (0, 300, 9000))])
+@pytest.mark.parametrize(
+    "size", [3000, *(pytest.param(size, marks=pytest.mark.slow) for size in (0, 300, 9000))]
+)
 def test_a_run_ends_in_one_line_and_is_resumed(logs: Path, tmp_path: Path, size: int) -> None:
     """At 0 bytes nothing can be begun, then the run's settings, the drives of a log, the tables of the run."""
     whole = run(logs, tmp_path / "whole", QUICK)
@@ -85,9 +103,15 @@ def test_a_run_ends_in_one_line_and_is_resumed(logs: Path, tmp_path: Path, size:
         done = replan(*words, "-o", out)
     assert done.exit_code == 3, done.output
     (line,) = [line for line in done.stderr.splitlines() if "error" in line]
-    assert "cannot be written: File too large" in line and "--resume" in line * bool(size) + "--resume" * (not size)
+    assert "cannot be written: File too large" in line and "--resume" in line * bool(
+        size
+    ) + "--resume" * (not size)
     assert "Traceback" not in done.output
-    left = [path for path in out.rglob("*") if path.name.startswith((".partial", ".lock")) or path.suffix == ".part"]
+    left = [
+        path
+        for path in out.rglob("*")
+        if path.name.startswith((".partial", ".lock")) or path.suffix == ".part"
+    ]
     assert not left and not (out / "summary.json").exists()
     assert identical(whole.path, evaluate_logs([logs], QUICK, out, resume=True).path)
 
@@ -101,11 +125,15 @@ def test_frames_that_find_no_room_are_said_as_they_are_put() -> None:
 
 
 @pytest.mark.slow
-def test_a_worker_that_finds_a_full_disk_ends_it(logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_worker_that_finds_a_full_disk_ends_it(
+    logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     whole = run(logs, tmp_path / "whole", replace(QUICK, recording=True))
     with room(9000), pytest.raises(OutputError, match="--resume"):
         evaluate_logs([logs], replace(QUICK, recording=True), tmp_path / "out", workers=2)
-    again = evaluate_logs([logs], replace(QUICK, recording=True), tmp_path / "out", workers=2, resume=True)
+    again = evaluate_logs(
+        [logs], replace(QUICK, recording=True), tmp_path / "out", workers=2, resume=True
+    )
     assert identical(whole.path, again.path)
 
 

@@ -46,7 +46,9 @@ def finished(place: Path, words: str) -> tuple[int, str]:
 
 def contents(place: Path) -> dict[str, bytes]:
     """The files of the output, hidden ones too."""
-    files = [file for out in place.glob("*out*") for file in (out, *out.rglob("*")) if file.is_file()]
+    files = [
+        file for out in place.glob("*out*") for file in (out, *out.rglob("*")) if file.is_file()
+    ]
     kept = (file for file in files if not file.name.endswith(CLOCKS))
     return {file.relative_to(place).as_posix(): file.read_bytes() for file in kept}
 
@@ -72,14 +74,12 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for words in (
         "evaluate logs -p constant_speed --workers 0 --no-recording -o run",
         "mine logs --workers 0 --kind always:KIND -o mined",
-    ):  # fmt: skip
+    ):
         assert finished(place, words)[0] in (0, 1), words
     return place
 
 
-ALWAYS = (
-    'import replan\n\nKIND = replan.EventKind("always", lambda log: [replan.Event(0.5, 1.5, 1.0)], "Always.", "one")\n'
-)
+ALWAYS = 'import replan\n\nKIND = replan.EventKind("always", lambda log: [replan.Event(0.5, 1.5, 1.0)], "Always.", "one")\n'
 
 
 def cleared(place: Path) -> None:
@@ -118,5 +118,7 @@ def check(place: Path, name: str, seed: int, blows: int) -> None:
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_a_command_that_was_killed_and_run_again_gives_the_same_bytes(place: Path, name: str) -> None:
+def test_a_command_that_was_killed_and_run_again_gives_the_same_bytes(
+    place: Path, name: str
+) -> None:
     check(place, name, seed=0, blows=3)

@@ -19,8 +19,10 @@ from replan.core.errors import ConfigError
 from replan.results.tables import LOCK
 from replan.run.output import held
 
-HOLDER = "import sys, time; from pathlib import Path; from replan.run.output import held\n" \
-    "with held(Path(sys.argv[1])): print('held', flush=True); time.sleep(60)"  # fmt: skip
+HOLDER = (
+    "import sys, time; from pathlib import Path; from replan.run.output import held\n"
+    "with held(Path(sys.argv[1])): print('held', flush=True); time.sleep(60)"
+)
 
 
 def refuse_locks(monkeypatch: pytest.MonkeyPatch, number: int) -> None:
@@ -38,7 +40,9 @@ def system(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> s
     return str(request.param)
 
 
-def test_a_second_run_is_refused_and_says_who_holds_the_folder(logs: Path, tmp_path: Path, system: str) -> None:
+def test_a_second_run_is_refused_and_says_who_holds_the_folder(
+    logs: Path, tmp_path: Path, system: str
+) -> None:
     out = tmp_path / "out"
     with held(out):
         for more in ([], ["--resume"]):
@@ -52,7 +56,9 @@ def test_a_second_run_is_refused_and_says_who_holds_the_folder(logs: Path, tmp_p
 
 
 @pytest.mark.slow
-def test_nothing_of_the_lock_is_left_and_the_folder_may_be_used_again(logs: Path, tmp_path: Path, system: str) -> None:
+def test_nothing_of_the_lock_is_left_and_the_folder_may_be_used_again(
+    logs: Path, tmp_path: Path, system: str
+) -> None:
     for _ in range(2):
         result = run(logs / "a.mcap", tmp_path / "out", QUICK)
         assert not (result.path / LOCK).exists()
@@ -64,9 +70,13 @@ def test_nothing_of_the_lock_is_left_and_the_folder_may_be_used_again(logs: Path
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("wait", ["killed", pytest.param("of an earlier life", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "wait", ["killed", pytest.param("of an earlier life", marks=pytest.mark.slow)]
+)
 def test_the_lock_of_a_dead_process_is_taken_over(tmp_path: Path, system: str, wait: str) -> None:
-    holder = subprocess.Popen([sys.executable, "-c", HOLDER, str(tmp_path)], stdout=subprocess.PIPE, text=True)
+    holder = subprocess.Popen(
+        [sys.executable, "-c", HOLDER, str(tmp_path)], stdout=subprocess.PIPE, text=True
+    )
     assert holder.stdout is not None and holder.stdout.readline() == "held\n"
     with pytest.raises(ConfigError, match=f"process {holder.pid} "), held(tmp_path):
         pass
@@ -80,11 +90,21 @@ def test_the_lock_of_a_dead_process_is_taken_over(tmp_path: Path, system: str, w
     assert not any(tmp_path.iterdir())
 
 
-def test_without_locks_one_of_another_machine_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_locks_one_of_another_machine_is_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     refuse_locks(monkeypatch, errno.ENOLCK)
-    card = {"pid": 999999999, "host": "elsewhere", "since": "2026-01-01T00:00:00+00:00", "started": "1"}
+    card = {
+        "pid": 999999999,
+        "host": "elsewhere",
+        "since": "2026-01-01T00:00:00+00:00",
+        "started": "1",
+    }
     (tmp_path / LOCK).write_text(json.dumps(card))
-    with pytest.raises(ConfigError, match=r"on elsewhere since 2026.*if it has ended: rm .*\.lock"), held(tmp_path):
+    with (
+        pytest.raises(ConfigError, match=r"on elsewhere since 2026.*if it has ended: rm .*\.lock"),
+        held(tmp_path),
+    ):
         pass
     assert (tmp_path / LOCK).exists()
 
@@ -112,5 +132,8 @@ def test_many_at_once_one_after_the_other(tmp_path: Path) -> None:
 
 def test_a_folder_that_cannot_be_made_is_said(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    with pytest.raises(ConfigError, match=r"file: cannot be the result folder"), held(tmp_path / "file"):
+    with (
+        pytest.raises(ConfigError, match=r"file: cannot be the result folder"),
+        held(tmp_path / "file"),
+    ):
         pass

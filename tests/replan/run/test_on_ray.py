@@ -20,8 +20,11 @@ from replan.logs.mcap import write_scenario
 from replan.run import evaluate_logs
 from replan.run.on_ray import OnRay, code_of
 
-pytestmark = [pytest.mark.slow, pytest.mark.nightly, pytest.mark.filterwarnings("ignore")]  # Ray leaves files open
-ray: Any = pytest.importorskip("ray", reason="the extra ray is not installed: pip install 'replan[ray]'")
+# Ray leaves files open
+pytestmark = [pytest.mark.slow, pytest.mark.nightly, pytest.mark.filterwarnings("ignore")]
+ray: Any = pytest.importorskip(
+    "ray", reason="the extra ray is not installed: pip install 'replan[ray]'"
+)
 
 PLANNER = '''
 import os, pathlib, signal, time
@@ -75,7 +78,9 @@ def nodes() -> Iterator[Any]:
     """A cluster of two nodes on this machine; the first is the driver's."""
     from ray.cluster_utils import Cluster
 
-    cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False})
+    cluster = Cluster(
+        initialize_head=True, head_node_args={"num_cpus": 1, "include_dashboard": False}
+    )
     try:
         cluster.second = cluster.add_node(num_cpus=1)
         yield cluster
@@ -84,7 +89,11 @@ def nodes() -> Iterator[Any]:
 
 
 def trusted(*planners: str) -> Any:
-    return replace(QUICK, planners=planners, loop=replace(QUICK.loop, apart=replace(QUICK.loop.apart, trust=True)))
+    return replace(
+        QUICK,
+        planners=planners,
+        loop=replace(QUICK.loop, apart=replace(QUICK.loop.apart, trust=True)),
+    )
 
 
 def run(logs: Path, out: Path, config: Any, engine: OnRay | None = None, **options: Any) -> Results:
@@ -109,12 +118,19 @@ def test_two_nodes_of_which_one_is_killed_give_the_bytes_of_this_process(
     here = run(logs, tmp_path / "here", config)
     assert not len(there.failures)
     assert identical(here.path, there.path)
-    assert (here.path / "verdicts.parquet").read_bytes() == (there.path / "verdicts.parquet").read_bytes()
-    assert drives > 2 * 6  # open and closed loop of six logs, and what was begun on the node that died
+    assert (here.path / "verdicts.parquet").read_bytes() == (
+        there.path / "verdicts.parquet"
+    ).read_bytes()
+    # Open and closed loop of six logs, and what was begun on the node that died
+    assert drives > 2 * 6
 
 
-def test_on_this_machine_a_worker_that_dies_costs_its_log(logs: Path, slow: Path, tmp_path: Path) -> None:
-    result = run(logs, tmp_path / "out", trusted("slow_planner:Killing", "constant_speed"), OnRay(workers=2))
+def test_on_this_machine_a_worker_that_dies_costs_its_log(
+    logs: Path, slow: Path, tmp_path: Path
+) -> None:
+    result = run(
+        logs, tmp_path / "out", trusted("slow_planner:Killing", "constant_speed"), OnRay(workers=2)
+    )
     assert [failure.log for failure in result.failures.itertuples()] == [str(logs / "3.mcap")]
     assert "lost on the cluster after 4 tries" in result.failures.iloc[0].message
     assert len(result.drives) == 5 * 4
@@ -145,15 +161,23 @@ def test_on_this_machine_it_listens_on_the_loopback_alone_and_leaves_no_files() 
     root = str(Path(__file__).parents[3])
     with tempfile.TemporaryDirectory(prefix="r") as scratch:  # paths of sockets are short
         done = subprocess.run(
-            [sys.executable, "-c", LISTENS, scratch], capture_output=True, text=True, check=True, cwd=root,
+            [sys.executable, "-c", LISTENS, scratch],
+            capture_output=True,
+            text=True,
+            check=True,
+            cwd=root,
             env={**os.environ, "TMPDIR": scratch},
-        )  # fmt: skip
+        )
     sockets, left = done.stdout.splitlines()
-    assert sockets and all(one.split(":")[0].endswith("0100007F") for one in sockets.split()), sockets
+    assert sockets and all(one.split(":")[0].endswith("0100007F") for one in sockets.split()), (
+        sockets
+    )
     assert not left
 
 
-def test_a_log_that_no_node_sees_and_other_code_are_said(logs: Path, tmp_path: Path, monkeypatch: Any) -> None:
+def test_a_log_that_no_node_sees_and_other_code_are_said(
+    logs: Path, tmp_path: Path, monkeypatch: Any
+) -> None:
     from replan.run import on_ray
     from replan.run.sources import LogSource
 
@@ -161,11 +185,15 @@ def test_a_log_that_no_node_sees_and_other_code_are_said(logs: Path, tmp_path: P
     gone = LogSource("gone.mcap", tmp_path / "gone.mcap")
     result, files = on_ray._on_node(gone, (QUICK, stamp, "one"))
     assert "must lie in a folder that all nodes share" in result.failures[0].message and not files
-    result, files = on_ray._on_node(LogSource("a", logs / "0.mcap"), (QUICK, replace(stamp, code="f" * 64), "one"))
+    result, files = on_ray._on_node(
+        LogSource("a", logs / "0.mcap"), (QUICK, replace(stamp, code="f" * 64), "one")
+    )
     assert "install there what is here" in result.failures[0].message and not files
 
 
-def test_what_is_sent_is_the_users_code_and_no_more(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_sent_is_the_users_code_and_no_more(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     mine = tmp_path / "mine"
     (mine / "my_fleet" / "weights").mkdir(parents=True)
     (mine / "my_fleet" / "__init__.py").write_text("")
@@ -177,18 +205,30 @@ def test_what_is_sent_is_the_users_code_and_no_more(tmp_path: Path, monkeypatch:
     monkeypatch.syspath_prepend(str(mine))
     target = tmp_path / "sent"
     target.mkdir()
-    code_of(replace(QUICK, planners=("dp_qp", "my_fleet.planner:Mine", "replan.planners.idm:Idm")), target)
+    code_of(
+        replace(QUICK, planners=("dp_qp", "my_fleet.planner:Mine", "replan.planners.idm:Idm")),
+        target,
+    )
     sent = {path.relative_to(target).as_posix() for path in target.rglob("*") if path.is_file()}
-    assert sent == {"beside.py", "my_fleet/__init__.py", "my_fleet/planner.py", "my_fleet/weights/w.bin"}
+    assert sent == {
+        "beside.py",
+        "my_fleet/__init__.py",
+        "my_fleet/planner.py",
+        "my_fleet/weights/w.bin",
+    }
 
 
 def test_no_cluster_at_the_address_is_one_line(logs: Path, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"--address 127.0.0.1:1: no connection: .*ray start --head"):
+    with pytest.raises(
+        ConfigError, match=r"--address 127.0.0.1:1: no connection: .*ray start --head"
+    ):
         run(logs, tmp_path / "out", QUICK, OnRay("127.0.0.1:1"))
 
 
 def test_code_of_a_controller_is_sent_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "my_sent_controller.py").write_text("def mine(*_):\n    raise ValueError\n", encoding="utf-8")
+    (tmp_path / "my_sent_controller.py").write_text(
+        "def mine(*_):\n    raise ValueError\n", encoding="utf-8"
+    )
     monkeypatch.chdir(tmp_path)
     target = tmp_path / "sent"
     target.mkdir()

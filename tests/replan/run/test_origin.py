@@ -48,15 +48,20 @@ def test_the_log_is_found_from_any_directory_and_where_both_or_one_was_moved(
     for name in ("work", "results"):  # together
         shutil.move(tmp_path / name, new / name)
     assert found(new / "results" / "run", digest) == "test/a"
-    shutil.move(new / "work" / SOURCE.parent, tmp_path / "elsewhere" / SOURCE.parent)  # where we are
+    # Where we are
+    shutil.move(new / "work" / SOURCE.parent, tmp_path / "elsewhere" / SOURCE.parent)
     assert found(new / "results" / "run", digest) == "test/a"
     monkeypatch.chdir(new)
     with pytest.raises(ConfigError, match="is not at") as error:
         found(new / "results" / "run", digest)
-    assert all(str(place / SOURCE) in str(error.value) for place in (new / "work", tmp_path / "work", new))
+    assert all(
+        str(place / SOURCE) in str(error.value) for place in (new / "work", tmp_path / "work", new)
+    )
 
 
-def test_a_log_with_other_bytes_is_refused_and_passed_over_for_the_right_one(run: Path, tmp_path: Path) -> None:
+def test_a_log_with_other_bytes_is_refused_and_passed_over_for_the_right_one(
+    run: Path, tmp_path: Path
+) -> None:
     digest = log_hash(tmp_path / "work" / SOURCE)
     shutil.move(tmp_path / "work" / SOURCE.parent, tmp_path / "elsewhere" / SOURCE.parent)
     (tmp_path / "work" / SOURCE).parent.mkdir()
@@ -67,7 +72,9 @@ def test_a_log_with_other_bytes_is_refused_and_passed_over_for_the_right_one(run
         found(run, digest)
 
 
-def test_frames_and_resumed_runs_work_from_another_directory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_frames_and_resumed_runs_work_from_another_directory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "work" / SOURCE).parent.mkdir(parents=True)
     write_scenario(tmp_path / "work" / SOURCE, short("test/a"))
     monkeypatch.chdir(tmp_path / "work")
@@ -81,7 +88,9 @@ def test_frames_and_resumed_runs_work_from_another_directory(tmp_path: Path, mon
     assert "is not at" in one_error(replan("frame", "work/out", "--at", "0.5"))
 
 
-def test_the_logs_of_merged_shards_are_where_those_were_begun(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_logs_of_merged_shards_are_where_those_were_begun(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "work" / SOURCE).parent.mkdir(parents=True)
     write_scenario(tmp_path / "work" / SOURCE, short("test/a"))
     monkeypatch.chdir(tmp_path / "work")

@@ -16,9 +16,16 @@ from replan.results.log_result import LogResult
 from replan.results.tables import LOG_CARD
 from replan.run.output import output_location
 
-fsspec = pytest.importorskip("fsspec", reason="the extra s3 is not installed: pip install 'replan[s3]'")
+fsspec = pytest.importorskip(
+    "fsspec", reason="the extra s3 is not installed: pip install 'replan[s3]'"
+)
 OUT = "memory://fleet/out"
-BEFORE = {"run.toml": b"#", "metrics.parquet": b"old", f"a-1/{LOG_CARD}": b"old", "a-1/frames.parquet": b"old"}
+BEFORE = {
+    "run.toml": b"#",
+    "metrics.parquet": b"old",
+    f"a-1/{LOG_CARD}": b"old",
+    "a-1/frames.parquet": b"old",
+}
 
 
 @pytest.fixture
@@ -65,7 +72,11 @@ def test_what_is_driven_again_is_sent_again(store: Any) -> None:
         assert (place.folder / "a-1" / "frames.parquet").read_bytes() == b"old"
         folder(place.folder, **{"frames.parquet": "new"})
         place.keep(LogResult("a", "a", folder="a-1"))
-    assert there(store) == {"run.toml": b"#", f"a-1/{LOG_CARD}": b"new", "a-1/frames.parquet": b"new"}
+    assert there(store) == {
+        "run.toml": b"#",
+        f"a-1/{LOG_CARD}": b"new",
+        "a-1/frames.parquet": b"new",
+    }
 
 
 def test_logs_in_the_place_of_the_results_are_refused(store: Any, tmp_path: Path) -> None:
@@ -74,7 +85,10 @@ def test_logs_in_the_place_of_the_results_are_refused(store: Any, tmp_path: Path
     words = ["evaluate", f"{OUT}/a-1/log.mcap", "-p", "constant_speed", "--workers", "0", "-o", OUT]
     refused = replan(*words)
     assert refused.exit_code == 2
-    assert f"error: {OUT}/a-1/log.mcap: lies in the results {OUT}, which are replaced" in refused.stderr
+    assert (
+        f"error: {OUT}/a-1/log.mcap: lies in the results {OUT}, which are replaced"
+        in refused.stderr
+    )
     assert there(store).keys() == {*BEFORE, "a-1/log.mcap"}
 
 
@@ -82,6 +96,14 @@ def test_what_is_said_of_results_names_their_url(store: Any, tmp_path: Path) -> 
     with pytest.raises(ConfigError, match=f"^{OUT}: no results of a finished run"):
         load(OUT)
     write_scenario(tmp_path / "log.mcap", short("test/a"))
-    words = ["evaluate", str(tmp_path / "log.mcap"), "-p", "constant_speed", "--workers", "0", "--no-recording"]
+    words = [
+        "evaluate",
+        str(tmp_path / "log.mcap"),
+        "-p",
+        "constant_speed",
+        "--workers",
+        "0",
+        "--no-recording",
+    ]
     done = replan(*words, "--set", "internals=none", "--no-report", "--json", "-o", OUT)
     assert json.loads(done.stdout)["results"] == OUT

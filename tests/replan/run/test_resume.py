@@ -50,11 +50,17 @@ def patient(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def resumed(logs: Path | Sequence[Path], out: Path, config: RunConfig = CONFIG, *, workers: int = 0) -> Results:
-    return evaluate_logs([logs] if isinstance(logs, Path) else logs, config, out, workers=workers, resume=True)
+def resumed(
+    logs: Path | Sequence[Path], out: Path, config: RunConfig = CONFIG, *, workers: int = 0
+) -> Results:
+    return evaluate_logs(
+        [logs] if isinstance(logs, Path) else logs, config, out, workers=workers, resume=True
+    )
 
 
-def interrupted(logs: Path, folder: Path, stop: signal.Signals, workers: int) -> subprocess.CompletedProcess[str]:
+def interrupted(
+    logs: Path, folder: Path, stop: signal.Signals, workers: int
+) -> subprocess.CompletedProcess[str]:
     """A run of the command line that is stopped while it waits in the middle log; its results are in `out`."""
     planners = [word for name in CONFIG.planners for word in ("-p", name)]
     words = ["evaluate", logs, *planners, "--no-recording", "-o", "out", "--workers", workers]
@@ -68,7 +74,9 @@ def interrupted(logs: Path, folder: Path, stop: signal.Signals, workers: int) ->
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("stop", "workers"), [(signal.SIGINT, 0), (signal.SIGTERM, 1), (signal.SIGKILL, 1)])
+@pytest.mark.parametrize(
+    ("stop", "workers"), [(signal.SIGINT, 0), (signal.SIGTERM, 1), (signal.SIGKILL, 1)]
+)
 def test_a_resumed_run_gives_the_bytes_of_one_that_was_never_interrupted(
     logs: Path, patient: Path, stop: signal.Signals, workers: int
 ) -> None:
@@ -116,19 +124,28 @@ def begun(whole: Results, tmp_path: Path) -> Path:
     return out
 
 
-def test_what_is_missing_is_evaluated(logs: Path, begun: Path, whole: Results, monkeypatch: pytest.MonkeyPatch) -> None:
-    before = {path: path.stat().st_mtime_ns for path in begun.glob("*/*") if ".partial" not in str(path)}
+def test_what_is_missing_is_evaluated(
+    logs: Path, begun: Path, whole: Results, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = {
+        path: path.stat().st_mtime_ns for path in begun.glob("*/*") if ".partial" not in str(path)
+    }
     result = resumed(logs, begun, QUICK)
     assert result.resumed == 2
     assert {path: path.stat().st_mtime_ns for path in before} == before
     assert identical(whole.path, begun)
     monkeypatch.setattr("replan.run.evaluate.evaluate_log", lambda *_, **__: 1 / 0)
-    tables = {name: (begun / name).read_bytes() for name in ("metrics.parquet", "metrics.csv", "summary.json")}
+    tables = {
+        name: (begun / name).read_bytes()
+        for name in ("metrics.parquet", "metrics.csv", "summary.json")
+    }
     assert resumed(logs, begun, QUICK).resumed == 3, "a run that is complete is taken whole"
     assert {name: (begun / name).read_bytes() for name in tables} == tables
 
 
-def test_a_folder_that_is_not_whole_is_evaluated_anew(logs: Path, begun: Path, whole: Results) -> None:
+def test_a_folder_that_is_not_whole_is_evaluated_anew(
+    logs: Path, begun: Path, whole: Results
+) -> None:
     first, second = sorted(path.parent for path in begun.glob("[!.]*/log.json"))
     (first / "closed.mcap").unlink()
     (second / "log.json").write_text("{", encoding="utf-8")
@@ -184,7 +201,9 @@ def refusal(logs: Path | Sequence[Path], out: Path, config: RunConfig = QUICK) -
 
 
 def test_another_configuration_is_refused_and_named(logs: Path, begun: Path) -> None:
-    said = refusal(logs, begun, replace(QUICK, loop=replace(QUICK.loop, traffic="reactive"), mode="closed"))
+    said = refusal(
+        logs, begun, replace(QUICK, loop=replace(QUICK.loop, traffic="reactive"), mode="closed")
+    )
     assert "loop.traffic was 'give_way', is 'reactive'" in said
     assert "mode was 'both', is 'closed'" in said
     assert "leave out --resume" in said
@@ -196,7 +215,9 @@ def test_other_gates_are_no_other_run(logs: Path, begun: Path, tmp_path: Path) -
     assert resumed(logs, begun, replace(QUICK, gates=str(gates))).resumed == 2
 
 
-def test_another_version_or_other_code_is_refused(logs: Path, begun: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_another_version_or_other_code_is_refused(
+    logs: Path, begun: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     card = next(begun.glob("[!.]*/log.json"))
     content = json.loads(card.read_text(encoding="utf-8"))
     card.write_text(json.dumps({**content, "code": "0" * 64}), encoding="utf-8")
@@ -214,7 +235,9 @@ def test_another_planner_file_is_refused(logs: Path, patient: Path) -> None:
     assert "other code" in refusal(logs, patient / "out", CONFIG)
 
 
-def test_logs_that_are_missing_or_have_changed_are_refused(logs: Path, begun: Path, tmp_path: Path) -> None:
+def test_logs_that_are_missing_or_have_changed_are_refused(
+    logs: Path, begun: Path, tmp_path: Path
+) -> None:
     files = sorted(logs.glob("*.mcap"))
     assert "a.mcap, which is not among the logs or has changed" in refusal(files[1:], begun)
     changed = tmp_path / "changed"
@@ -225,7 +248,9 @@ def test_logs_that_are_missing_or_have_changed_are_refused(logs: Path, begun: Pa
     assert "a.mcap, which is not among the logs or has changed" in refusal(changed, begun)
 
 
-def test_what_no_run_wrote_is_refused_and_an_absent_folder_is_a_new_run(logs: Path, tmp_path: Path) -> None:
+def test_what_no_run_wrote_is_refused_and_an_absent_folder_is_a_new_run(
+    logs: Path, tmp_path: Path
+) -> None:
     assert resumed(logs, tmp_path / "new", QUICK).resumed == 0
     (tmp_path / "new" / "thesis.tex").write_text("", encoding="utf-8")
     assert "thesis.tex" in refusal(logs, tmp_path / "new")

@@ -50,7 +50,10 @@ def whole(logs: Path, tmp_path_factory: pytest.TempPathFactory) -> Results:
 def shards(logs: Path, out: Path, of: int, run: RunConfig = QUICK) -> list[Path]:
     """The folders of all shards."""
     numbers = range(1, of + 1)
-    return [evaluate_logs([logs], run, out / f"{number}", shard=Shard(number, of)).path for number in numbers]
+    return [
+        evaluate_logs([logs], run, out / f"{number}", shard=Shard(number, of)).path
+        for number in numbers
+    ]
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +81,9 @@ def test_what_is_no_shard_is_said(text: str) -> None:
 
 
 @pytest.mark.parametrize("of", [2, *(pytest.param(of, marks=pytest.mark.slow) for of in (1, 3, 7))])
-def test_merged_shards_are_the_run_byte_for_byte(logs: Path, tmp_path: Path, whole: Results, of: int) -> None:
+def test_merged_shards_are_the_run_byte_for_byte(
+    logs: Path, tmp_path: Path, whole: Results, of: int
+) -> None:
     """Seven shards of five logs: two of them have none."""
     merged = merge(shards(logs, tmp_path, of)[::-1], tmp_path / "merged")
     expected = files(whole.path)
@@ -88,8 +93,15 @@ def test_merged_shards_are_the_run_byte_for_byte(logs: Path, tmp_path: Path, who
 
 
 def test_a_shard_measures_and_does_not_judge(two: Sequence[Path]) -> None:
-    first, second = (json.loads((folder / "summary.json").read_text(encoding="utf-8")) for folder in two)
-    assert (first["exit_code"], first["outcome"], first["gates"], first["shard"]) == (0, "not judged", [], "1/2")
+    first, second = (
+        json.loads((folder / "summary.json").read_text(encoding="utf-8")) for folder in two
+    )
+    assert (first["exit_code"], first["outcome"], first["gates"], first["shard"]) == (
+        0,
+        "not judged",
+        [],
+        "1/2",
+    )
     assert (second["exit_code"], second["shard"]) == (3, "2/2")  # its log d cannot be read
     assert [log["source"][-6:] for log in first["logs"]] == ["a.mcap", "c.mcap", "e.mcap"]
 
@@ -105,7 +117,9 @@ def test_gates_and_ensembles_are_those_of_the_whole_run(logs: Path, tmp_path: Pa
     assert files(merge(parts, tmp_path / "merged").path) == files(alone.path)
 
 
-def test_merging_twice_and_after_resuming_gives_the_same(logs: Path, tmp_path: Path, two: Sequence[Path]) -> None:
+def test_merging_twice_and_after_resuming_gives_the_same(
+    logs: Path, tmp_path: Path, two: Sequence[Path]
+) -> None:
     begun = tmp_path / "begun"
     shutil.copytree(two[0], begun)
     (begun / "shard.json").unlink()
@@ -118,7 +132,11 @@ def test_merging_twice_and_after_resuming_gives_the_same(logs: Path, tmp_path: P
 
 @pytest.mark.parametrize(
     ("which", "said"),
-    [((0,), "shards are missing: 2/2"), ((0, 0, 1), "are both shard 1/2"), ((1,), "shards are missing: 1/2")],
+    [
+        ((0,), "shards are missing: 2/2"),
+        ((0, 0, 1), "are both shard 1/2"),
+        ((1,), "shards are missing: 1/2"),
+    ],
 )
 def test_not_one_of_each_shard_is_refused(
     two: Sequence[Path], tmp_path: Path, which: tuple[int, ...], said: str
@@ -153,10 +171,16 @@ def test_shards_of_other_runs_are_refused(logs: Path, two: Sequence[Path], tmp_p
             merge([two[0], folder], tmp_path / "merged")
 
 
-def test_a_damaged_or_foreign_folder_is_refused(two: Sequence[Path], whole: Results, tmp_path: Path) -> None:
+def test_a_damaged_or_foreign_folder_is_refused(
+    two: Sequence[Path], whole: Results, tmp_path: Path
+) -> None:
     damaged = shutil.copytree(two[0], tmp_path / "damaged")
     next(damaged.rglob("closed.mcap")).unlink()
-    for folder, said in ((damaged, "not there or not whole"), (whole.path, "no whole shard"), (two[0], "lies there")):
+    for folder, said in (
+        (damaged, "not there or not whole"),
+        (whole.path, "no whole shard"),
+        (two[0], "lies there"),
+    ):
         with pytest.raises(ConfigError, match=said):
             merge([folder, two[1]], two[1] if folder == two[0] else tmp_path / "merged")
 
@@ -168,7 +192,14 @@ def test_the_command_line_drives_shards_and_judges_when_merged(logs: Path, tmp_p
     words = ("--planner", "constant_speed", "--gates", rules, "--no-recording", "--workers", 0)
     for number in (1, 2):
         result = replan(
-            "evaluate", logs / "a.mcap", one, *words, "--shard", f"{number}/2", "-o", tmp_path / f"{number}"
+            "evaluate",
+            logs / "a.mcap",
+            one,
+            *words,
+            "--shard",
+            f"{number}/2",
+            "-o",
+            tmp_path / f"{number}",
         )
         assert result.exit_code == 0, result.output
         assert f"shard {number}/2" in result.stdout
@@ -215,7 +246,12 @@ def test_the_same_drive_in_any_container_is_left_out_by_name(twice: Path) -> Non
     selection = select([twice])
     first = twice / "d.bag"  # files and folders of the top come first
     assert [source.path for source in selection.sources] == [first, twice / "e" / "drive"]
-    left = {twice / "a" / "drive", twice / "b" / "drive.mcap", twice / "b" / "renamed.mcap", twice / "c" / "drive"}
+    left = {
+        twice / "a" / "drive",
+        twice / "b" / "drive.mcap",
+        twice / "b" / "renamed.mcap",
+        twice / "c" / "drive",
+    }
     reasons = dict(each.split(": ", 1) for each in selection.dropped)
     assert set(map(Path, reasons)) == left
     assert set(reasons.values()) == {f"the same log as {first}"}
@@ -235,10 +271,15 @@ def converted(twice: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("workers", [0, pytest.param(2, marks=pytest.mark.slow)])
-def test_a_twin_that_is_known_late_costs_no_other_log(converted: Path, workers: int, tmp_path: Path) -> None:
+def test_a_twin_that_is_known_late_costs_no_other_log(
+    converted: Path, workers: int, tmp_path: Path
+) -> None:
     results = evaluate_logs([converted], OPEN, tmp_path / "out", workers=workers)
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
-    assert [Path(log["source"]) for log in summary["logs"]] == [converted / "a" / "drive", converted / "c" / "drive"]
+    assert [Path(log["source"]) for log in summary["logs"]] == [
+        converted / "a" / "drive",
+        converted / "c" / "drive",
+    ]
     assert summary["logs_left_out"] == [
         f"{converted / 'b' / 'drive.mcap'}: the same log as {converted / 'a' / 'drive'}"
     ]
@@ -259,7 +300,10 @@ def test_twins_in_two_shards_become_one_log(converted: Path, tmp_path: Path) -> 
 
 
 def test_the_same_log_with_other_settings_is_another_one(twice: Path) -> None:
-    labels = [len(select([twice / "a"], replace(LogSettings(), begin=begin)).sources) for begin in (0.0, 1.0)]
+    labels = [
+        len(select([twice / "a"], replace(LogSettings(), begin=begin)).sources)
+        for begin in (0.0, 1.0)
+    ]
     assert labels == [1, 1]
 
 

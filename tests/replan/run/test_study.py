@@ -17,7 +17,11 @@ def test_trials_are_known_again_and_another_head_is_refused(tmp_path: Path) -> N
     study.add([{"key": "a", "value": 1.5}, {"key": "b", "value": None}])
     before = (tmp_path / FILE).read_bytes()
     again = Study(tmp_path, HEAD, resume=True)
-    assert again.resumed == 2 and again.known("a") == {"key": "a", "value": 1.5} and again.known("c") is None
+    assert (
+        again.resumed == 2
+        and again.known("a") == {"key": "a", "value": 1.5}
+        and again.known("c") is None
+    )
     assert (tmp_path / FILE).read_bytes() == before
     with pytest.raises(ConfigError, match="was started with other settings: seed was 0, is 1"):
         Study(tmp_path, {**HEAD, "seed": 1}, resume=True)
@@ -33,14 +37,24 @@ def test_trials_are_known_again_and_another_head_is_refused(tmp_path: Path) -> N
         (FILE, "no json", False, "not results of `replan tune`"),
         (FILE, '{"study": "tune"}\n{"value": 1}\n', True, "contains no study"),
         (FILE, '{"study": "tune"}\n[[[\n', True, "cannot be read as a study"),
-        (FILE, '{"study": "tune"}\n{"key": "a", "value": 1.5, "crc32": 7}\n', True, "line 2 is not as replan wrote it"),
+        (
+            FILE,
+            '{"study": "tune"}\n{"key": "a", "value": 1.5, "crc32": 7}\n',
+            True,
+            "line 2 is not as replan wrote it",
+        ),
         (None, "", True, "contains no study to resume"),
     ],
 )
-def test_what_is_no_study_is_not_touched(tmp_path: Path, name: str | None, text: str, resume: bool, said: str) -> None:
+def test_what_is_no_study_is_not_touched(
+    tmp_path: Path, name: str | None, text: str, resume: bool, said: str
+) -> None:
     if name is not None:
         (tmp_path / name).write_text(text, encoding="utf-8")
-    with pytest.raises(ConfigError, match=said), claimed_folder(tmp_path, CONTENTS, resume=resume) as out:
+    with (
+        pytest.raises(ConfigError, match=said),
+        claimed_folder(tmp_path, CONTENTS, resume=resume) as out,
+    ):
         Study(out, HEAD, resume=resume)
     assert name is None or (tmp_path / name).read_text(encoding="utf-8") == text
 
@@ -48,7 +62,10 @@ def test_what_is_no_study_is_not_touched(tmp_path: Path, name: str | None, text:
 def test_a_file_of_a_user_beside_a_study_is_not_removed(tmp_path: Path) -> None:
     Study(tmp_path, HEAD, resume=False)
     (tmp_path / "notes.txt").write_text("mine", encoding="utf-8")
-    with pytest.raises(ConfigError, match=r"contains notes\.txt"), claimed_folder(tmp_path, CONTENTS):
+    with (
+        pytest.raises(ConfigError, match=r"contains notes\.txt"),
+        claimed_folder(tmp_path, CONTENTS),
+    ):
         pass
     assert (tmp_path / "notes.txt").is_file()
 

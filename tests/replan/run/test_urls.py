@@ -18,10 +18,22 @@ from replan.draw.drawn_results import load
 from replan.logs.mcap import write_scenario
 from replan.run.sources import select
 
-pytestmark = [pytest.mark.slow, pytest.mark.nightly, pytest.mark.filterwarnings("ignore")]  # open sockets
-moto: Any = pytest.importorskip("moto.server", reason="moto is not installed: pip install moto[s3] flask flask-cors")
+# Open sockets
+pytestmark = [pytest.mark.slow, pytest.mark.nightly, pytest.mark.filterwarnings("ignore")]
+moto: Any = pytest.importorskip(
+    "moto.server", reason="moto is not installed: pip install moto[s3] flask flask-cors"
+)
 pytest.importorskip("s3fs", reason="the extra s3 is not installed: pip install 'replan[s3]'")
-QUICK = ("-p", "constant_speed", "--no-recording", "--set", "internals=none", "--workers", "0", "--no-report")
+QUICK = (
+    "-p",
+    "constant_speed",
+    "--no-recording",
+    "--set",
+    "internals=none",
+    "--workers",
+    "0",
+    "--no-report",
+)
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +50,12 @@ def bucket(server: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Any:
     """A file system of an empty bucket "fleet"; the environment says who we are."""
     import s3fs
 
-    words = {"ENDPOINT_URL": server, "ACCESS_KEY_ID": "a", "SECRET_ACCESS_KEY": "b", "DEFAULT_REGION": "us-east-1"}
+    words = {
+        "ENDPOINT_URL": server,
+        "ACCESS_KEY_ID": "a",
+        "SECRET_ACCESS_KEY": "b",
+        "DEFAULT_REGION": "us-east-1",
+    }
     for word, value in words.items():
         monkeypatch.setenv(f"AWS_{word}", value)
     monkeypatch.chdir(tmp_path)
@@ -68,17 +85,25 @@ def logs(tmp_path: Path) -> Path:
 def files_of(folder: Path) -> dict[str, bytes]:
     """What must be the same: all but clocks, and where the logs were."""
     names = {"timings.parquet", "summary.json", "log.json", "origin.json"}
-    return {str(path.relative_to(folder)): path.read_bytes()
-            for path in folder.rglob("*") if path.is_file() and path.name not in names}  # fmt: skip
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in folder.rglob("*")
+        if path.is_file() and path.name not in names
+    }
 
 
-def test_logs_by_url_give_the_bytes_of_the_same_logs_here(bucket: Any, logs: Path, tmp_path: Path) -> None:
+def test_logs_by_url_give_the_bytes_of_the_same_logs_here(
+    bucket: Any, logs: Path, tmp_path: Path
+) -> None:
     bucket.put(str(logs), "fleet/logs", recursive=True)
     here = replan("evaluate", str(logs), *QUICK, "-o", "here")
     there = replan("evaluate", "s3://fleet/logs", *QUICK, "-o", "there")
     assert here.exit_code == there.exit_code
     assert files_of(tmp_path / "here") == files_of(tmp_path / "there")
-    assert "left out: s3://fleet/logs/copy.mcap: the same log as s3://fleet/logs/a.mcap" in there.stderr
+    assert (
+        "left out: s3://fleet/logs/copy.mcap: the same log as s3://fleet/logs/a.mcap"
+        in there.stderr
+    )
     summary = json.loads((tmp_path / "there" / "summary.json").read_text(encoding="utf-8"))
     assert [log["source"] for log in summary["logs"]] == [
         f"s3://fleet/logs/{name}" for name in ("a.mcap", "b.mcap", "deep/tables")
@@ -88,40 +113,54 @@ def test_logs_by_url_give_the_bytes_of_the_same_logs_here(bucket: Any, logs: Pat
     assert select(["s3://fleet/logs/b.mcap"]).sources[0].label == "s3://fleet/logs/b.mcap"
 
 
-def test_results_at_a_url_are_those_of_a_folder_and_are_resumed(bucket: Any, logs: Path, tmp_path: Path) -> None:
+def test_results_at_a_url_are_those_of_a_folder_and_are_resumed(
+    bucket: Any, logs: Path, tmp_path: Path
+) -> None:
     code = replan("evaluate", str(logs), *QUICK, "-o", "here").exit_code
     assert code == 4  # the tables hold no road users: no evidence of safety
     words = ("evaluate", str(logs), *QUICK, "-o", "s3://fleet/results/one")
-    assert replan(*words).exit_code == replan(*words).exit_code == code  # the second replaces those of the first
+    # The second replaces those of the first
+    assert replan(*words).exit_code == replan(*words).exit_code == code
     bucket.get("fleet/results/one", str(tmp_path / "there"), recursive=True)
     assert files_of(tmp_path / "here") == files_of(tmp_path / "there")
-    whole = {key: bucket.info(key)["LastModified"] for key in bucket.find("fleet/results/one") if key.endswith(".mcap")}
+    whole = {
+        key: bucket.info(key)["LastModified"]
+        for key in bucket.find("fleet/results/one")
+        if key.endswith(".mcap")
+    }
     (card,) = bucket.glob("fleet/results/one/test_a-*/log.json")
     bucket.rm(card)
     assert replan(*words, "--resume").exit_code == code
     bucket.invalidate_cache()
     for key, before in whole.items():
-        assert (bucket.info(key)["LastModified"] == before) or key.startswith(card.rpartition("/")[0])
+        assert (bucket.info(key)["LastModified"] == before) or key.startswith(
+            card.rpartition("/")[0]
+        )
     bucket.get("fleet/results/one", str(tmp_path / "again"), recursive=True)
     assert files_of(tmp_path / "here") == files_of(tmp_path / "again")
     assert not bucket.exists("fleet/results/one/.lock")
 
 
 @pytest.mark.parametrize("objects", [1, 4, 9])
-def test_a_run_that_is_killed_as_it_sends_is_resumed(bucket: Any, logs: Path, tmp_path: Path, objects: int) -> None:
+def test_a_run_that_is_killed_as_it_sends_is_resumed(
+    bucket: Any, logs: Path, tmp_path: Path, objects: int
+) -> None:
     """A run is killed after some objects are sent: `--resume` takes over its lock and gives the same bytes."""
     code = replan("evaluate", str(logs), *QUICK, "-o", "here").exit_code
     words = ("evaluate", str(logs), *QUICK, "-o", "s3://fleet/results/one")
     running, until = started(*words, cwd=tmp_path), time.monotonic() + 120.0
     while (
-        len(bucket.find("fleet/results/one", refresh=True)) < objects + 1 and time.monotonic() < until
+        len(bucket.find("fleet/results/one", refresh=True)) < objects + 1
+        and time.monotonic() < until
     ):  # and its lock
         time.sleep(0.01)
     assert running.poll() is None
     running.kill()
     running.communicate()
     bucket.invalidate_cache()
-    assert bucket.exists("fleet/results/one/.lock") and not bucket.exists("fleet/results/one/summary.json")
+    assert bucket.exists("fleet/results/one/.lock") and not bucket.exists(
+        "fleet/results/one/summary.json"
+    )
     assert replan(*words, "--resume").exit_code == code
     bucket.invalidate_cache()
     bucket.get("fleet/results/one", str(tmp_path / "there"), recursive=True)
@@ -131,19 +170,38 @@ def test_a_run_that_is_killed_as_it_sends_is_resumed(bucket: Any, logs: Path, tm
 
 def test_results_at_a_url_are_looked_at(bucket: Any, logs: Path, tmp_path: Path) -> None:
     """Each command says of them what it says of the same folder here."""
-    words = ["evaluate", str(logs / "a.mcap"), "-p", "constant_speed", "--mode", "closed", "--workers", "0"]
+    words = [
+        "evaluate",
+        str(logs / "a.mcap"),
+        "-p",
+        "constant_speed",
+        "--mode",
+        "closed",
+        "--workers",
+        "0",
+    ]
     assert replan(*words, "-o", "here").exit_code == 4  # no road users: no evidence of safety
     bucket.put("here", "fleet/there", recursive=True)
     bucket.put(str(logs / "a.mcap"), "fleet/log.mcap")
     there = "s3://fleet/there"
     assert load(there).metrics.equals(load("here").metrics)
     for words in (["explain"], ["explain", "--at", "1"]):
-        assert replan(words[0], there, *words[1:]).stdout == replan(words[0], "here", *words[1:]).stdout
-    for words in (["compare", there, "here"], ["frame", there, "--at", "1"], ["report", there, "-o", "reports"]):
+        assert (
+            replan(words[0], there, *words[1:]).stdout
+            == replan(words[0], "here", *words[1:]).stdout
+        )
+    for words in (
+        ["compare", there, "here"],
+        ["frame", there, "--at", "1"],
+        ["report", there, "-o", "reports"],
+    ):
         assert replan(*words).exit_code == 0
-    for words in (["plot", there, "-o", "one.png"], ["baseline", there, "-o", "one.parquet"],
-                  ["view", there, "here", "--log", "test/a", "--save", "one.rrd"],
-                  ["view", "s3://fleet/log.mcap", "--save", "two.rrd"]):  # fmt: skip
+    for words in (
+        ["plot", there, "-o", "one.png"],
+        ["baseline", there, "-o", "one.parquet"],
+        ["view", there, "here", "--log", "test/a", "--save", "one.rrd"],
+        ["view", "s3://fleet/log.mcap", "--save", "two.rrd"],
+    ):
         assert replan(*words).exit_code == 0
         assert Path(words[-1]).stat().st_size > 1000
     assert replan("vary", "s3://fleet/nothing.mcap", "--list-agents").exit_code == 2
@@ -152,8 +210,18 @@ def test_results_at_a_url_are_looked_at(bucket: Any, logs: Path, tmp_path: Path)
 def test_shards_at_urls_are_merged(bucket: Any, logs: Path, tmp_path: Path) -> None:
     replan("evaluate", str(logs), *QUICK, "-o", "here")
     for number in (1, 2):
-        replan("evaluate", str(logs), *QUICK, "--shard", f"{number}/2", "-o", f"s3://fleet/shard-{number}")
-    merged = replan("merge", "s3://fleet/shard-1", "s3://fleet/shard-2", "-o", "s3://fleet/all", "--no-report")
+        replan(
+            "evaluate",
+            str(logs),
+            *QUICK,
+            "--shard",
+            f"{number}/2",
+            "-o",
+            f"s3://fleet/shard-{number}",
+        )
+    merged = replan(
+        "merge", "s3://fleet/shard-1", "s3://fleet/shard-2", "-o", "s3://fleet/all", "--no-report"
+    )
     assert merged.exit_code == 4  # as above
     bucket.get("fleet/all", str(tmp_path / "all"), recursive=True)
     assert files_of(tmp_path / "here") == files_of(tmp_path / "all")
@@ -173,7 +241,9 @@ def test_one_run_at_a_time_and_nothing_of_others_is_touched(bucket: Any, logs: P
     assert bucket.find("fleet/out") == ["fleet/out/thesis.tex"]
 
 
-def test_a_log_that_goes_costs_itself(bucket: Any, logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_log_that_goes_costs_itself(
+    bucket: Any, logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     from replan.run import evaluate as run
 
     bucket.put(str(logs), "fleet/logs", recursive=True)
@@ -205,15 +275,17 @@ def test_a_lost_connection_is_one_line(bucket: Any, monkeypatch: pytest.MonkeyPa
     assert "no connection or an error there: " in result.stderr
 
 
-def test_a_part_of_a_log_by_url_gives_the_bytes_of_the_part_here(bucket: Any, logs: Path, tmp_path: Path) -> None:
+def test_a_part_of_a_log_by_url_gives_the_bytes_of_the_part_here(
+    bucket: Any, logs: Path, tmp_path: Path
+) -> None:
     bucket.put(str(logs / "a.mcap"), "fleet/a.mcap")
     for place, out in ((str(logs / "a.mcap"), "here"), ("s3://fleet/a.mcap", "there")):
         replan("evaluate", place, "--from", "0.5", "--to", "1.8", *QUICK, "-o", out)
     assert len(files_of(tmp_path / "here")) > 8
     there = files_of(tmp_path / "there")
-    assert {name: data for name, data in files_of(tmp_path / "here").items() if name != "run.toml"} == {
-        name: data for name, data in there.items() if name != "run.toml"
-    }
+    assert {
+        name: data for name, data in files_of(tmp_path / "here").items() if name != "run.toml"
+    } == {name: data for name, data in there.items() if name != "run.toml"}
 
 
 def test_inspect_reads_a_url(bucket: Any, logs: Path) -> None:
@@ -225,6 +297,12 @@ def test_inspect_reads_a_url(bucket: Any, logs: Path) -> None:
 
 def test_a_url_is_one_as_a_path_too(tmp_path: Path) -> None:
     assert url_of(Path("s3://bucket/a/b/")) == "s3://bucket/a/b"
-    assert url_of("C:/logs") == url_of("logs/s3") == url_of(tmp_path) == url_of(f"file://{tmp_path}") == ""
+    assert (
+        url_of("C:/logs")
+        == url_of("logs/s3")
+        == url_of(tmp_path)
+        == url_of(f"file://{tmp_path}")
+        == ""
+    )
     assert local_path(Path(f"file://{tmp_path}")) == tmp_path
     assert listed("memory://nothing") == ()

@@ -42,7 +42,7 @@ BAD = {
     "def bad(series):\n    return 'seven', 0",
     "step": "def ok(trace, scenario):\n    return Series(trace.ego.t, trace.ego.x)\n"
     "def bad(series):\n    return 7.0, 10**6",
-}  # fmt: skip
+}
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +52,11 @@ def without(logs: Path, tmp_path_factory: pytest.TempPathFactory) -> pd.DataFram
     (folder / "mine_sound.py").write_text(HEAD, encoding="utf-8")
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(str(folder))
-        return run(logs / "a.mcap", folder / "out", replace(QUICK, mode="open", metrics=("mine_sound:SOUND",))).metrics
+        return run(
+            logs / "a.mcap",
+            folder / "out",
+            replace(QUICK, mode="open", metrics=("mine_sound:SOUND",)),
+        ).metrics
 
 
 @pytest.mark.parametrize("bad", BAD)
@@ -60,7 +64,11 @@ def test_a_metric_that_fails_costs_itself_only(
     logs: Path, without: pd.DataFrame, tmp_path: Path, module: Callable[[str, str], str], bad: str
 ) -> None:
     body = f"{HEAD}\n{BAD[bad]}\n"
-    last = "metric('bad', ok, (MAX, Reduction('odd', bad)))" if "def ok" in body else "metric('bad', bad)"
+    last = (
+        "metric('bad', ok, (MAX, Reduction('odd', bad)))"
+        if "def ok" in body
+        else "metric('bad', bad)"
+    )
     name = module(f"mine_{bad}", f"{body}\nBAD = {last}\n")
     config = replace(QUICK, mode="open", metrics=(f"{name}:BAD", f"{name}:SOUND"))
     found = run(logs / "a.mcap", tmp_path / "with", config)
@@ -69,17 +77,25 @@ def test_a_metric_that_fails_costs_itself_only(
     lost = found.metrics[theirs & ~found.metrics["available"]]
     line = body[: body.index("def bad")].count("\n") + 1
     where = [f"({name}.py:{number})" for number in (line, line + 1)]
-    assert len(lost) and all(any(place in reason for place in where) for reason in lost["reason"]), lost["reason"]
+    assert len(lost) and all(
+        any(place in reason for place in where) for reason in lost["reason"]
+    ), lost["reason"]
     assert set(found.metrics[theirs]["metric"]) == {"bad.mean", "bad.max"} ^ (
         {"bad.mean", "bad.odd"} if "def ok" in body else set()
     )
     (failure,) = found.failures.itertuples()
     assert "the metric 'bad' is not available" in failure.message and "bug" not in failure.message
     assert any(place in failure.message for place in where) and failure.planner == "constant_speed"
-    assert found.exit_code == 3 and len(found.drives) == 1 and (found.path / found.drives.iloc[0].files[0]).exists()
+    assert (
+        found.exit_code == 3
+        and len(found.drives) == 1
+        and (found.path / found.drives.iloc[0].files[0]).exists()
+    )
 
 
-def test_a_bug_of_ours_is_called_one(logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_bug_of_ours_is_called_one(
+    logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def wrong(trace: object, scenario: object) -> None:
         raise KeyError("lane")
 
@@ -119,9 +135,15 @@ def test_a_planner_that_raises_in_a_library_is_named_with_its_own_line(
     logs: Path, tmp_path: Path, module: Callable[[str, str], str]
 ) -> None:
     text = "import numpy as np\nclass P:\n    def __init__(self, context): pass\n"
-    name = module("in_a_library", text + "    def plan(self, frame):\n        return np.linalg.inv(np.zeros((2, 2)))\n")
+    name = module(
+        "in_a_library",
+        text + "    def plan(self, frame):\n        return np.linalg.inv(np.zeros((2, 2)))\n",
+    )
     found = run(logs / "a.mcap", tmp_path / "out", replace(QUICK, planners=(f"{name}:P",)))
-    assert all("LinAlgError: Singular matrix (in_a_library.py:5)" in one.message for one in found.failures.itertuples())
+    assert all(
+        "LinAlgError: Singular matrix (in_a_library.py:5)" in one.message
+        for one in found.failures.itertuples()
+    )
     assert len(found.failures) == 2
 
 
@@ -129,4 +151,6 @@ def test_addresses_are_not_in_what_is_said() -> None:
     try:
         raise ValueError(f"{object()} is\nodd")
     except ValueError as error:
-        assert raised(error).startswith("ValueError: <object object at 0x...> is odd (test_users_code.py:")
+        assert raised(error).startswith(
+            "ValueError: <object object at 0x...> is odd (test_users_code.py:"
+        )

@@ -33,22 +33,32 @@ def _asked(folder: Path, **more: str) -> tuple[list[str], str]:
     """What a fresh process says with its kernels in a folder, none beside the sources: its lines, and stderr."""
     copy = folder.parent / "copy"
     for source, package in (("replan", "replan"), ("logs", "replan/logs")):
-        shutil.copytree(source, copy / package, ignore=shutil.ignore_patterns("__pycache__"), dirs_exist_ok=True)
+        shutil.copytree(
+            source, copy / package, ignore=shutil.ignore_patterns("__pycache__"), dirs_exist_ok=True
+        )
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(copy), *sys.path]), **more}
     environment.pop("NUMBA_DISABLE_JIT", None)
     done = subprocess.run(
-        [sys.executable, "-c", ASK], env={**environment, "NUMBA_CACHE_DIR": str(folder)}, cwd=folder.parent,
-        capture_output=True, text=True, check=True,
-    )  # fmt: skip
+        [sys.executable, "-c", ASK],
+        env={**environment, "NUMBA_CACHE_DIR": str(folder)},
+        cwd=folder.parent,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     return done.stdout.splitlines(), done.stderr
 
 
 @pytest.mark.slow
-def test_kernels_are_compiled_once_for_a_processor_and_read_where_nothing_can_be_written(tmp_path: Path) -> None:
+def test_kernels_are_compiled_once_for_a_processor_and_read_where_nothing_can_be_written(
+    tmp_path: Path,
+) -> None:
     kept = tmp_path / "kernels"
     kept.mkdir()
     first, _ = _asked(kept)
-    assert first[0].startswith("True [[") and first[0].endswith(" True False") and first[1] == "True"
+    assert (
+        first[0].startswith("True [[") and first[0].endswith(" True False") and first[1] == "True"
+    )
     files = sorted(kept.rglob("*.nb?"))
     again, said = _asked(kept, READ_ONLY="1")
     assert again[0].startswith("False [[") and again[0].endswith(" False False") and said == ""
@@ -59,7 +69,12 @@ def test_kernels_are_compiled_once_for_a_processor_and_read_where_nothing_can_be
 
 @pytest.mark.slow
 def test_of_work_that_all_need_one_worker_does_the_first(tmp_path: Path) -> None:
-    ended = [index for index, _ in run_all(count_files, [tmp_path / str(k) for k in range(4)], 4, one_first=True)]
+    ended = [
+        index
+        for index, _ in run_all(
+            count_files, [tmp_path / str(k) for k in range(4)], 4, one_first=True
+        )
+    ]
     others = {int((tmp_path / str(k)).read_text()) for k in range(3)}
     assert ended[0] == 3 and sorted(ended) == [0, 1, 2, 3]
     assert (tmp_path / "3").read_text() == "0" and others <= {1, 2, 3}
@@ -67,9 +82,14 @@ def test_of_work_that_all_need_one_worker_does_the_first(tmp_path: Path) -> None
 
 @pytest.mark.slow
 @pytest.mark.parametrize("workers", [1, 2])
-def test_beside_the_first_item_another_process_does_other_work(tmp_path: Path, workers: int) -> None:
+def test_beside_the_first_item_another_process_does_other_work(
+    tmp_path: Path, workers: int
+) -> None:
     beside, first = partial(touch, tmp_path / "beside"), [tmp_path / "other", tmp_path / "first"]
-    ended = [index for index, _ in run_all(wait_for_beside, first, workers, one_first=True, meanwhile=beside)]
+    ended = [
+        index
+        for index, _ in run_all(wait_for_beside, first, workers, one_first=True, meanwhile=beside)
+    ]
     assert sorted(ended) == [0, 1] and (tmp_path / "beside").exists()
 
 

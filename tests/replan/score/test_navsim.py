@@ -22,9 +22,10 @@ from replan.score.yardstick import ScoredPlan, scored, total
 
 VALUES = Path(__file__).parents[2] / "support" / "leaderboards"
 LOGS = {
-    "everyday_cut_in": "everyday/cut_in", "everyday_junction": "everyday/junction",
+    "everyday_cut_in": "everyday/cut_in",
+    "everyday_junction": "everyday/junction",
     "paper_crossing_pedestrian": "paper/crossing_pedestrian",
-}  # fmt: skip
+}
 PARTS = ("NC", "DAC", "DDC", "TLC", "EP", "TTC", "LK", "HC")
 V2 = VERSIONS["navsim-v2"]
 
@@ -93,7 +94,11 @@ def test_scores_do_not_change_with_the_world(turn: float, shift: float, t: float
         whole = one(log(name), t, plan)
         c, s = np.cos(turn), np.sin(turn)
         placed = np.column_stack(
-            [c * plan[:, 0] - s * plan[:, 1] + shift, s * plan[:, 0] + c * plan[:, 1] - shift, plan[:, 2] + turn]
+            [
+                c * plan[:, 0] - s * plan[:, 1] + shift,
+                s * plan[:, 0] + c * plan[:, 1] - shift,
+                plan[:, 2] + turn,
+            ]
         )
         turned = one(moved(log(name), shift, -shift, turn), t, placed)
         assert turned.parts == pytest.approx(whole.parts, abs=1e-5, nan_ok=True)
@@ -104,8 +109,10 @@ def test_scores_do_not_change_with_the_world(turn: float, shift: float, t: float
 
 def test_a_longer_log_does_not_change_a_windows_score() -> None:
     """The log until 2 s after the window has the same lanes on its route, and so the same score."""
-    for name, drive, t in (("everyday_cut_in", "everyday_cut_in__idm", 6.0),
-                           ("paper_crossing_pedestrian", "paper_crossing_pedestrian__dp_qp", 8.0)):  # fmt: skip
+    for name, drive, t in (
+        ("everyday_cut_in", "everyday_cut_in__idm", 6.0),
+        ("paper_crossing_pedestrian", "paper_crossing_pedestrian__dp_qp", 8.0),
+    ):
         shorter = cut(log(name), 0.0, t + 6.0)
         assert one(shorter, t, poses(drive, t)).parts == pytest.approx(
             one(log(name), t, poses(drive, t)).parts, nan_ok=True
@@ -117,8 +124,12 @@ def test_a_route_that_the_log_names_is_the_route() -> None:
     name, drive, t = "everyday_junction", "everyday_junction__dp_qp", 6.0
     whole = one(log(name), t, poses(drive, t))
     ground = window(log(name), t).ground
-    driven = tuple(ground.lanes.lanes[i].id for block in ground.route.blocks
-                   for i in sorted(ground.route.lanes) if ground.lanes.block[i] == block)  # fmt: skip
+    driven = tuple(
+        ground.lanes.lanes[i].id
+        for block in ground.route.blocks
+        for i in sorted(ground.route.lanes)
+        if ground.lanes.block[i] == block
+    )
     named = replace(log(name), road=replace(log(name).road, route=(*driven, 10**6)))
     assert one(named, t, poses(drive, t)).parts == pytest.approx(whole.parts, nan_ok=True)
     assert len(driven) > 1 and set(driven) < {lane.id for lane in ground.lanes.lanes}
@@ -130,7 +141,8 @@ def test_the_humans_trajectory_is_excused_what_it_does() -> None:
     """A human who drives over a red light: their own trajectory, and any other that does so too, is not marked down."""
     light = catalogue("everyday/traffic_light")
     red = replace(light, lights=(TrafficLight(1, np.zeros(1), (Colour.RED,)),))
-    t = float(light.ego.t[np.argmax(light.ego.v < 0.1)]) + 4.0  # the driver waits, and goes on at what was green
+    # The driver waits, and goes on at what was green
+    t = float(light.ego.t[np.argmax(light.ego.v < 0.1)]) + 4.0
     at = window(red, t)
     drives_on = one(red, t, human_poses(at))
     assert drives_on.parts["TLC"] == 1.0
@@ -142,10 +154,15 @@ def test_red_lights_and_the_old_filter() -> None:
     light = catalogue("everyday/traffic_light")
     t = float(light.ego.t[np.argmax(light.ego.v < 0.1)]) - 4.5
     ego = light.ego.resampled(np.array([t])).state(0)
-    straight = np.column_stack([ego.x + 13.9 * 0.5 * np.arange(1, 9), np.full(8, ego.y), np.zeros(8)])
+    straight = np.column_stack(
+        [ego.x + 13.9 * 0.5 * np.arange(1, 9), np.full(8, ego.y), np.zeros(8)]
+    )
     assert one(light, t, straight).parts["TLC"] == one(light, t, straight).score == 0.0
     assert one(light, t, human_poses(window(light, t))).parts["TLC"] == 1.0
-    off = replace(log("everyday_cut_in"), ego=replace(log("everyday_cut_in").ego, y=log("everyday_cut_in").ego.y + 1.0))
+    off = replace(
+        log("everyday_cut_in"),
+        ego=replace(log("everyday_cut_in").ego, y=log("everyday_cut_in").ego.y + 1.0),
+    )
     beside = human_poses(window(off, 4.0))
     new, old = one(off, 4.0, beside), one(off, 4.0, beside, "navsim-v2-old-filter")
     assert new.parts == pytest.approx(old.parts, nan_ok=True)
@@ -158,7 +175,9 @@ def test_red_lights_and_the_old_filter() -> None:
 def test_the_tracker_fits_and_follows_a_constant_turn() -> None:
     v, kappa = 8.0, 0.02
     s = 0.1 * v * np.arange(41)
-    circle = np.column_stack([np.sin(kappa * s) / kappa, (1.0 - np.cos(kappa * s)) / kappa, kappa * s])
+    circle = np.column_stack(
+        [np.sin(kappa * s) / kappa, (1.0 - np.cos(kappa * s)) / kappa, kappa * s]
+    )
     speed, bend = fitted(circle)
     assert speed == pytest.approx(np.full(40, v), abs=0.02)
     assert bend[5:] == pytest.approx(np.full(35, kappa), abs=1e-3)

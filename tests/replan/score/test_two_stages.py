@@ -15,13 +15,23 @@ from replan.logs.catalogue import scenario as catalogue
 from replan.logs.edit.transform import moved
 from replan.logs.scenario import Scenario
 from replan.score.navsim import human_poses, window
-from replan.score.score_table import COMBINED, STAGE_ONE, STAGE_TWO, Asked, navsim_table, of_table, weights
+from replan.score.score_table import (
+    COMBINED,
+    STAGE_ONE,
+    STAGE_TWO,
+    Asked,
+    navsim_table,
+    of_table,
+    weights,
+)
 
 PLACES = st.lists(st.tuples(*[st.floats(-3.0, 3.0)] * 2), min_size=1, max_size=6)
 
 
 @given(PLACES, st.tuples(*[st.floats(-3.0, 3.0)] * 2), st.floats(-1e3, 1e3))
-def test_weights_are_of_distance_alone(places: list[tuple[float, float]], end: tuple[float, float], by: float) -> None:
+def test_weights_are_of_distance_alone(
+    places: list[tuple[float, float]], end: tuple[float, float], by: float
+) -> None:
     begins, last = np.array(places), np.array(end)
     found = weights(last, begins)
     assert found.sum() == pytest.approx(1.0)
@@ -29,7 +39,9 @@ def test_weights_are_of_distance_alone(places: list[tuple[float, float]], end: t
     assert weights(last * [1.0, -1.0], begins * [1.0, -1.0]) == pytest.approx(found)
     away = np.hypot(*(begins - last).T)
     for i, j in np.ndindex(len(away), len(away)):
-        assert away[i] > away[j] or found[i] >= found[j] - 1e-12, "what begins nearer counts at least as much"
+        assert away[i] > away[j] or found[i] >= found[j] - 1e-12, (
+            "what begins nearer counts at least as much"
+        )
 
 
 def test_weights_by_hand() -> None:
@@ -48,7 +60,9 @@ def log() -> Scenario:
 def shifted() -> Scenario:
     """The log in other coordinates of one map, 0.3 m to the left of where its driver was: another follow-up scene."""
     origin = 200.0, -40.0
-    placed = moved(replace(log(), ego=replace(log().ego, y=log().ego.y + 0.3)), -origin[0], -origin[1], 0.0)
+    placed = moved(
+        replace(log(), ego=replace(log().ego, y=log().ego.y + 0.3)), -origin[0], -origin[1], 0.0
+    )
     return replace(placed, name="shifted", origin=origin)
 
 
@@ -60,10 +74,13 @@ def plan(scenario: Scenario, t: float, token: str, follows: str = "", slower: fl
 
 def asked() -> list[Asked]:
     return [
-        plan(log(), 3.5, "P"), plan(log(), 4.0, "N", slower=0.002),
-        plan(log(), 7.5, "P1", "P"), plan(log(), 8.0, "N1", "N"),
-        plan(shifted(), 7.5, "P2", "P", slower=0.02), plan(shifted(), 8.0, "N2", "N", slower=0.02),
-    ]  # fmt: skip
+        plan(log(), 3.5, "P"),
+        plan(log(), 4.0, "N", slower=0.002),
+        plan(log(), 7.5, "P1", "P"),
+        plan(log(), 8.0, "N1", "N"),
+        plan(shifted(), 7.5, "P2", "P", slower=0.02),
+        plan(shifted(), 8.0, "N2", "N", slower=0.02),
+    ]
 
 
 def test_the_score_of_a_window_counts_with_what_follows() -> None:
@@ -72,14 +89,25 @@ def test_the_score_of_a_window_counts_with_what_follows() -> None:
     rows = table.rows.set_index("token")
     assert rows.stage.dropna().to_dict() == {"P": 1, "N": 1, "P1": 2, "N1": 2, "P2": 2, "N2": 2}
     d1, d2 = 0.002 * 64, np.hypot(0.002 * 64, 0.3)
-    assert rows.weight["N1"] / rows.weight["N2"] == pytest.approx(np.exp((d2**2 - d1**2) / 0.2), rel=1e-6)
+    assert rows.weight["N1"] / rows.weight["N2"] == pytest.approx(
+        np.exp((d2**2 - d1**2) / 0.2), rel=1e-6
+    )
     for pair in (("P", "N"), ("P1", "N1"), ("P2", "N2")):
-        assert rows.two_frame_extended_comfort[list(pair)].nunique(dropna=False) == 1, "both of a pair have the pair's"
-    second = {name: sum(rows.weight[name + k] * rows.score[name + k] for k in "12") for name in "PN"}
-    assert rows.score[COMBINED] == pytest.approx(0.5 * sum(rows.score[name] * second[name] for name in "PN"))
+        assert rows.two_frame_extended_comfort[list(pair)].nunique(dropna=False) == 1, (
+            "both of a pair have the pair's"
+        )
+    second = {
+        name: sum(rows.weight[name + k] * rows.score[name + k] for k in "12") for name in "PN"
+    }
+    assert rows.score[COMBINED] == pytest.approx(
+        0.5 * sum(rows.score[name] * second[name] for name in "PN")
+    )
     assert rows.score[STAGE_ONE] == pytest.approx(0.5 * (rows.score["P"] + rows.score["N"]))
     assert rows.score[STAGE_TWO] == pytest.approx(0.5 * sum(second.values()))
-    progress = {name: sum(rows.weight[name + k] * rows.ego_progress[name + k] for k in "12") for name in "PN"}
+    progress = {
+        name: sum(rows.weight[name + k] * rows.ego_progress[name + k] for k in "12")
+        for name in "PN"
+    }
     assert rows.ego_progress[STAGE_TWO] == pytest.approx(0.5 * sum(progress.values()))
     backwards = navsim_table("navsim-v2", asked()[::-1], logs).rows
     pd.testing.assert_frame_equal(backwards, table.rows)
@@ -105,15 +133,26 @@ def test_a_window_without_follow_ups_is_left_out_and_noted() -> None:
 )
 def test_what_cannot_be_staged_is_said(second: str, follows: str, name: str, says: str) -> None:
     with pytest.raises(ConfigError, match=says):
-        navsim_table(name, [plan(log(), 4.0, "N"), plan(log(), 8.0, second, follows)], {log().name: log()})
+        navsim_table(
+            name, [plan(log(), 4.0, "N"), plan(log(), 8.0, second, follows)], {log().name: log()}
+        )
 
 
 def test_a_file_names_what_its_windows_follow(tmp_path: Path) -> None:
     rows = [
-        {"log": one.log, "t_s": one.t, "planner": one.drive, "token": one.token, "stage_one": one.stage_one or None,
-         "x": x, "y": y, "yaw": yaw}
-        for one in asked() for x, y, yaw in one.poses
-    ]  # fmt: skip
+        {
+            "log": one.log,
+            "t_s": one.t,
+            "planner": one.drive,
+            "token": one.token,
+            "stage_one": one.stage_one or None,
+            "x": x,
+            "y": y,
+            "yaw": yaw,
+        }
+        for one in asked()
+        for x, y, yaw in one.poses
+    ]
     pd.DataFrame(rows).to_csv(tmp_path / "plans.csv", index=False)
     logs = {log().name: log(), "shifted": shifted()}
     found = navsim_table("navsim-v2", of_table(tmp_path / "plans.csv", logs, relative=False), logs)

@@ -23,7 +23,10 @@ PERIOD = 0.01
 def follow(plan: Trajectory, start: EgoState, seconds: float) -> dict[str, np.ndarray]:
     """The columns of a plan followed to its end, without replanning."""
     commands, states, errors = controlled(plan, "dlqr_pid", "kinematic_bicycle", seconds, start)
-    rows = [(one.steer, one.throttle, one.brake, state.v) for one, state in zip(commands, states, strict=False)]
+    rows = [
+        (one.steer, one.throttle, one.brake, state.v)
+        for one, state in zip(commands, states, strict=False)
+    ]
     names = ("lateral", "heading", "speed", "station", "foot", "steer", "throttle", "brake", "v")
     return dict(zip(names, np.column_stack([errors, rows]).T, strict=True))
 
@@ -50,13 +53,18 @@ def test_steady_lateral_error_on_a_constant_curve_vanishes(radius: float, v: flo
 
 
 @given(st.floats(0.5, 11.0), st.floats(-1.5, 1.5), st.floats(-0.3, 0.3), st.floats(-1.0, 1.0))
-def test_errors_are_those_that_were_put_in(t: float, lateral: float, heading: float, speed: float) -> None:
+def test_errors_are_those_that_were_put_in(
+    t: float, lateral: float, heading: float, speed: float
+) -> None:
     fine = drive(s_curve, 12.0, 12.0, step=0.01)
     truth = fine.at(t)
     ego = EgoState(
-        t, truth.x - lateral * np.sin(truth.yaw), truth.y + lateral * np.cos(truth.yaw),
-        truth.yaw + heading, truth.v + speed,
-    )  # fmt: skip
+        t,
+        truth.x - lateral * np.sin(truth.yaw),
+        truth.y + lateral * np.cos(truth.yaw),
+        truth.yaw + heading,
+        truth.v + speed,
+    )
     off = PlanPath.of(drive(s_curve, 12.0, 12.0)).deviation(ego)
     assert off.lateral == pytest.approx(lateral, abs=2e-3)
     assert off.heading == pytest.approx(heading, abs=2e-3)
@@ -67,20 +75,30 @@ def test_errors_are_those_that_were_put_in(t: float, lateral: float, heading: fl
 def test_station_error_is_ahead_positive_and_beyond_the_ends_straight() -> None:
     path = PlanPath.of(drive(np.zeros_like, 10.0, 4.0))
     assert path.deviation(EgoState(2.0, 23.0, 0.5, 0.0, 10.0)).station == pytest.approx(3.0)
-    assert path.deviation(EgoState(0.0, -2.0, 0.5, 0.0, 10.0))[:4] == pytest.approx((0.5, 0.0, 0.0, -2.0))
-    assert path.deviation(EgoState(4.5, 46.0, -0.5, 0.0, 10.0))[:4] == pytest.approx((-0.5, 0.0, 0.0, 1.0))
+    assert path.deviation(EgoState(0.0, -2.0, 0.5, 0.0, 10.0))[:4] == pytest.approx(
+        (0.5, 0.0, 0.0, -2.0)
+    )
+    assert path.deviation(EgoState(4.5, 46.0, -0.5, 0.0, 10.0))[:4] == pytest.approx(
+        (-0.5, 0.0, 0.0, 1.0)
+    )
 
 
 def test_standing_plans_and_noise_have_no_station() -> None:
     t = np.arange(0.0, 5.0, 0.1)
     rng = np.random.default_rng(1)
     x, y = rng.normal(0.0, 0.01, (2, len(t)))
-    still = PlanPath.of(Trajectory(t, x, y, np.zeros_like(t), np.zeros_like(t), np.zeros_like(t), np.zeros_like(t)))
+    still = PlanPath.of(
+        Trajectory(t, x, y, np.zeros_like(t), np.zeros_like(t), np.zeros_like(t), np.zeros_like(t))
+    )
     assert still.times[-1, 1] < 0.06
     off = still.deviation(EgoState(2.0, 0.0, 0.2, 0.1, 0.0))
-    assert off.lateral == pytest.approx(0.2, abs=0.03) and off.heading == pytest.approx(0.1, abs=1e-9)
+    assert off.lateral == pytest.approx(0.2, abs=0.03) and off.heading == pytest.approx(
+        0.1, abs=1e-9
+    )
     single = PlanPath.of(drive(np.zeros_like, 10.0, 1.0).between(0.0, 0.0))
-    assert single.deviation(EgoState(0.5, 5.0, 0.1, 0.0, 10.0))[:4] == pytest.approx((0.1, 0.0, 0.0, 0.0))
+    assert single.deviation(EgoState(0.5, 5.0, 0.1, 0.0, 10.0))[:4] == pytest.approx(
+        (0.1, 0.0, 0.0, 0.0)
+    )
 
 
 def test_a_loop_is_followed_where_the_plan_is_and_not_where_it_crosses_itself() -> None:
@@ -99,11 +117,16 @@ def test_the_integral_does_not_wind_up() -> None:
     for k in range(1000):
         state = EgoState(k * PERIOD, 0.0, 0.0, 0.0, 5.0)
         off = plan.deviation(state)
-        wanted, memory = accelerate_dual_loop(law, memory, TRAIN.pedal_map, motion_of(state), off, plan.times)
+        wanted, memory = accelerate_dual_loop(
+            law, memory, TRAIN.pedal_map, motion_of(state), off, plan.times
+        )
     assert wanted == pytest.approx(TRAIN.coasting(5.0) + TRAIN.full_throttle(5.0))
     calm = EgoState(10.0, 400.0, 0.0, 0.0, 40.0)
     off = plan.deviation(calm)
-    assert abs(accelerate_dual_loop(law, memory, TRAIN.pedal_map, motion_of(calm), off, plan.times)[0]) < 0.1
+    assert (
+        abs(accelerate_dual_loop(law, memory, TRAIN.pedal_map, motion_of(calm), off, plan.times)[0])
+        < 0.1
+    )
 
 
 def stop_and_go(t: np.ndarray) -> np.ndarray:

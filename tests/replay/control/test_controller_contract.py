@@ -31,7 +31,11 @@ def assert_lawful(commands: list[Command]) -> None:
 
 @pytest.mark.parametrize("name", CONTROLLER.builtin)
 @pytest.mark.parametrize(
-    "family", [pytest.param(name, marks=[pytest.mark.slow] * (i % 3 > 0)) for i, name in enumerate(CATALOGUE)]
+    "family",
+    [
+        pytest.param(name, marks=[pytest.mark.slow] * (i % 3 > 0))
+        for i, name in enumerate(CATALOGUE)
+    ],
 )
 def test_every_controller_follows_every_logged_drive(name: str, family: str) -> None:
     """Finite, within the limits, one pedal at a time; and the car is still on its drive in the end."""
@@ -42,7 +46,9 @@ def test_every_controller_follows_every_logged_drive(name: str, family: str) -> 
     commands, states, _ = controlled(logged, name, "single_track", seconds)
     assert_lawful(commands)
     last = logged.at(states[-1].t)
-    assert np.hypot(states[-1].x - last.x, states[-1].y - last.y) < (0.5 if name in ("dlqr_pid", "mpc") else 12.0)
+    assert np.hypot(states[-1].x - last.x, states[-1].y - last.y) < (
+        0.5 if name in ("dlqr_pid", "mpc") else 12.0
+    )
 
 
 def stop_and_go(t: np.ndarray) -> np.ndarray:
@@ -63,9 +69,13 @@ def test_two_drives_are_identical_and_hold_at_the_stop(name: str, vehicle: str) 
 @pytest.mark.parametrize(("y", "yaw"), [(0.0, 0.1), (0.3, -0.2), (-0.4, 0.0)])
 def test_stanley_steers_by_where_the_front_axle_is(y: float, yaw: float) -> None:
     straight, law = along(grid(6.0, 0.1), 10.0), StanleyLaw(CAR.wheelbase, CAR.max_steer)
-    (first, *_), *_ = controlled(straight, "stanley", "kinematic_bicycle", 0.1, EgoState(0.0, 10.0, y, yaw, 10.0))
+    (first, *_), *_ = controlled(
+        straight, "stanley", "kinematic_bicycle", 0.1, EgoState(0.0, 10.0, y, yaw, 10.0)
+    )
     front = y + CAR.wheelbase * np.sin(yaw)
-    assert first.steer == pytest.approx(-yaw - np.arctan(law.gain * front / (law.softening + 10.0)), abs=1e-6)
+    assert first.steer == pytest.approx(
+        -yaw - np.arctan(law.gain * front / (law.softening + 10.0)), abs=1e-6
+    )
 
 
 def mirrored(plan: Trajectory) -> Trajectory:
@@ -91,12 +101,18 @@ def test_a_mirrored_plan_has_the_mirrored_commands(name: str) -> None:
     st.sampled_from(sorted(CONTROLLER.builtin)),
     st.lists(
         st.tuples(
-            st.floats(-3.0, 3.0), st.floats(-0.6, 0.6), st.floats(0.0, 30.0), st.floats(-0.5, 0.5),
-            st.floats(-1.0, 1.0), st.floats(-2.0, 2.0), st.floats(-8.0, 4.0),
+            st.floats(-3.0, 3.0),
+            st.floats(-0.6, 0.6),
+            st.floats(0.0, 30.0),
+            st.floats(-0.5, 0.5),
+            st.floats(-1.0, 1.0),
+            st.floats(-2.0, 2.0),
+            st.floats(-8.0, 4.0),
         ),
-        min_size=3, max_size=12,
+        min_size=3,
+        max_size=12,
     ),
-)  # fmt: skip
+)
 def test_whatever_the_state_commands_are_lawful(name: str, states: list[tuple[float, ...]]) -> None:
     """States that jump about as no car does."""
     plan = Plan(drive(s_curve, 10.0, 4.0))
@@ -106,7 +122,15 @@ def test_whatever_the_state_commands_are_lawful(name: str, states: list[tuple[fl
     for k, (lateral, heading, v, steer, yaw_rate, v_lat, a) in enumerate(states):
         on = plan.trajectory.at(0.01 * k)
         state = EgoState(
-            0.01 * k, on.x, on.y + lateral, on.yaw + heading, v, a, steer=steer, yaw_rate=yaw_rate, v_lat=v_lat
+            0.01 * k,
+            on.x,
+            on.y + lateral,
+            on.yaw + heading,
+            v,
+            a,
+            steer=steer,
+            yaw_rate=yaw_rate,
+            v_lat=v_lat,
         )
         commands.append(controller.control(state, plan))
     assert_lawful(commands)

@@ -24,7 +24,14 @@ from replan.replay.control.dlqr import (
     rolling_model,
     solve_riccati,
 )
-from replan.replay.control.estimation import LONGEST_S, NO_SLIP, SteeringDelay, lateral_deviation, learned, slip_model
+from replan.replay.control.estimation import (
+    LONGEST_S,
+    NO_SLIP,
+    SteeringDelay,
+    lateral_deviation,
+    learned,
+    slip_model,
+)
 from replan.replay.control.lateral_model import (
     DISCRETISATIONS,
     at_rear_axle,
@@ -67,8 +74,16 @@ def gains_at(v: float, car: VehicleParameters = CAR) -> list[float]:
 # --- the model
 
 
-@given(st.floats(0.3, 50.0), st.floats(-0.2, 0.2), st.floats(-1.0, 1.0), st.floats(-0.5, 0.5), st.floats(-2.0, 2.0))
-def test_the_error_model_is_the_textbook_bicycle(v: float, steer: float, e_rate: float, e_phi: float, r: float) -> None:
+@given(
+    st.floats(0.3, 50.0),
+    st.floats(-0.2, 0.2),
+    st.floats(-1.0, 1.0),
+    st.floats(-0.5, 0.5),
+    st.floats(-2.0, 2.0),
+)
+def test_the_error_model_is_the_textbook_bicycle(
+    v: float, steer: float, e_rate: float, e_phi: float, r: float
+) -> None:
     """Against (1) written out: forces of both axles, a path of curvature r_path / v."""
     A, col, E = error_model(v, CAR)
     r_path = 0.4
@@ -77,7 +92,10 @@ def test_the_error_model_is_the_textbook_bicycle(v: float, steer: float, e_rate:
     v_y = e_rate - v * e_phi
     front = CAR.cornering_front * (steer - (v_y + CAR.cog_to_front * r) / v)
     rear = -CAR.cornering_rear * (v_y - B * r) / v
-    side, spin = (front + rear) / CAR.mass - v * r, (CAR.cog_to_front * front - B * rear) / CAR.yaw_inertia
+    side, spin = (
+        (front + rear) / CAR.mass - v * r,
+        (CAR.cog_to_front * front - B * rear) / CAR.yaw_inertia,
+    )
     expected = [e_rate, side + v * (r - r_path), r - r_path, spin]  # e_d'' = v_y' + v e_phi'
     np.testing.assert_allclose(rate, expected, rtol=1e-9, atol=1e-9)
 
@@ -136,7 +154,10 @@ def test_the_papers_input_matrix_is_off_by_percents_and_the_consistent_one_is_no
     exact = held(A, col[:, None], period)[1]
 
     def error(name: str) -> float:
-        return float(np.linalg.norm(DISCRETISATIONS[name](A, col[:, None], period)[1] - exact) / np.linalg.norm(exact))
+        return float(
+            np.linalg.norm(DISCRETISATIONS[name](A, col[:, None], period)[1] - exact)
+            / np.linalg.norm(exact)
+        )
 
     assert paper / 2.5 < error("paper") < 2.5 * paper
     assert consistent / 4.0 < error("bilinear") < 4.0 * consistent
@@ -152,7 +173,9 @@ def regulator(v: float, car: VehicleParameters) -> Regulators:
 
 @pytest.mark.parametrize("car", [CAR, ROLLING], ids=["slipping", "rolling"])
 @given(st.floats(0.5, 45.0), st.lists(st.floats(-2.0, 2.0), min_size=5, max_size=5))
-def test_predicted_cost_is_the_rolled_out_cost(car: VehicleParameters, v: float, start: list[float]) -> None:
+def test_predicted_cost_is_the_rolled_out_cost(
+    car: VehicleParameters, v: float, start: list[float]
+) -> None:
     r = regulator(v, car)
     moves, cost = r.A - r.B @ r.K, r.Q + r.K.T @ r.R @ r.K
     for _ in range(18):  # the first 2, 4, ... 2^18 steps of the roll-out
@@ -168,7 +191,9 @@ def test_the_riccati_equation_is_solved_as_the_library_does(seed: int, n: int, m
     R = np.diag(rng.uniform(0.1, 2.0, m))
     P = solve_riccati(A[None], B[None], Q, R[None])[0]
     np.testing.assert_allclose(P, solve_discrete_are(A, B, Q, R), rtol=1e-6)
-    np.testing.assert_allclose(P, Q + A.T @ P @ np.linalg.solve(np.eye(n) + B @ np.linalg.solve(R, B.T) @ P, A), 1e-6)
+    np.testing.assert_allclose(
+        P, Q + A.T @ P @ np.linalg.solve(np.eye(n) + B @ np.linalg.solve(R, B.T) @ P, A), 1e-6
+    )
 
 
 @pytest.mark.parametrize("v", TABLE)
@@ -209,7 +234,9 @@ def test_settings_that_make_no_sense_are_refused() -> None:
             regulator(0.0, car)
     A, B, one = np.array([[[2.0]], [[0.5]]]), np.array([[[0.0]], [[1.0]]]), np.ones((2, 1, 1))
     solved = solve_riccati(A, B, np.eye(1), one)  # the first has no solution, which spoils no other
-    assert np.isnan(solved[0]).all() and solved[1] == pytest.approx(solve_discrete_are(A[1], B[1], np.eye(1), one[1]))
+    assert np.isnan(solved[0]).all() and solved[1] == pytest.approx(
+        solve_discrete_are(A[1], B[1], np.eye(1), one[1])
+    )
 
 
 # --- exact following
@@ -258,7 +285,8 @@ def test_steady_error_on_the_linear_plant_is_zero(radius: float, v: float) -> No
 def test_the_command_leads_the_wheel_by_lag_and_hold() -> None:
     d = (2.5, 0.3, 0.02)
     c = command_series(d, 0.1, 0.01)
-    pace = 1e-2  # of kappa = exp(pace t): the wheel is exp(-pace h / 2) / (1 + T pace) times the command
+    # Of kappa = exp(pace t): the wheel is exp(-pace h / 2) / (1 + T pace) times the command
+    pace = 1e-2
     wheel = sum(c[i] * pace**i for i in range(3)) * np.exp(-pace * 0.005) / (1.0 + 0.1 * pace)
     assert wheel == pytest.approx(sum(d[i] * pace**i for i in range(3)), rel=1e-7)
 
@@ -266,7 +294,9 @@ def test_the_command_leads_the_wheel_by_lag_and_hold() -> None:
 @given(st.floats(2.0, 25.0), st.floats(-0.02, 0.02))
 def test_on_a_circle_the_wheel_angle_is_d0_kappa(v: float, kappa: float) -> None:
     path = PlanPath.of(drive(lambda s: np.full_like(s, kappa), v, 6.0))
-    assert steer_for(path.knots, 3.0 * v, v, (2.7, 0.8, 0.1)) == pytest.approx(2.7 * kappa, abs=1e-6)
+    assert steer_for(path.knots, 3.0 * v, v, (2.7, 0.8, 0.1)) == pytest.approx(
+        2.7 * kappa, abs=1e-6
+    )
 
 
 # --- what is learned
@@ -275,12 +305,18 @@ def test_on_a_circle_the_wheel_angle_is_d0_kappa(v: float, kappa: float) -> None
 @pytest.mark.parametrize("stiffness", [0.7, 1.0, 1.4])
 def test_the_slip_that_was_there_is_learned(stiffness: float) -> None:
     """A linear plant with other tyres than those of the parameters."""
-    p = replace(CAR, cornering_front=stiffness * CAR.cornering_front, cornering_rear=stiffness * CAR.cornering_rear)
+    p = replace(
+        CAR,
+        cornering_front=stiffness * CAR.cornering_front,
+        cornering_rear=stiffness * CAR.cornering_rear,
+    )
     A, col = held(*(lambda a, b: (a, b[:, None]))(*body_model(15.0, p)), PERIOD)
     slip, model, q = NO_SLIP, slip_model(CAR, PERIOD), np.zeros(2)
     for k in range(600):
         steer = 0.03 * np.sin(0.02 * k)
-        now = EgoState(k * PERIOD, 0.0, 0.0, 0.0, 15.0, steer=steer, yaw_rate=float(q[1]), v_lat=float(q[0]))
+        now = EgoState(
+            k * PERIOD, 0.0, 0.0, 0.0, 15.0, steer=steer, yaw_rate=float(q[1]), v_lat=float(q[0])
+        )
         slip = learned(slip, model, motion_of(now))
         q = A @ q + col[:, 0] * steer
     assert slip[:2] == pytest.approx((1.0 / stiffness, 1.0 / stiffness), rel=0.03)
@@ -289,7 +325,9 @@ def test_the_slip_that_was_there_is_learned(stiffness: float) -> None:
 def test_nothing_is_learned_where_there_is_nothing_to_learn_from() -> None:
     slip, rigid, turn = NO_SLIP, NO_SLIP, {"steer": 0.02, "yaw_rate": 15.0 * 0.02 / CAR.wheelbase}
     for k in range(200):
-        straight, turning = (EgoState(k * PERIOD, 0.0, 0.0, 0.0, 15.0, **more) for more in ({}, turn))
+        straight, turning = (
+            EgoState(k * PERIOD, 0.0, 0.0, 0.0, 15.0, **more) for more in ({}, turn)
+        )
         slip = learned(slip, slip_model(CAR, PERIOD), motion_of(straight))
         rigid = learned(rigid, slip_model(with_rigid_tyres(CAR), PERIOD), motion_of(turning))
     assert slip[:2] == rigid[:2] == (1.0, 1.0)
@@ -304,7 +342,9 @@ def test_steady_error_on_tyres_with_a_limit_vanishes(radius: float, v: float) ->
     assert abs(track(plan, "single_track")[-1]) < 1e-3
 
 
-def steered(delay_steps: int, seconds: float, *, lag: float = CAR.steer_lag, noise: float = 0.0) -> SteeringDelay:
+def steered(
+    delay_steps: int, seconds: float, *, lag: float = CAR.steer_lag, noise: float = 0.0
+) -> SteeringDelay:
     """A wheel that follows wavering commands `delay_steps` periods late."""
     steering, rng = SteeringDelay(CAR, PERIOD), np.random.default_rng(5)
     car = KinematicBicycle(VehicleParameters(steer_lag=lag), EgoState(0.0, 0.0, 0.0, 0.0, 8.0))
@@ -362,10 +402,16 @@ def test_a_stop_in_which_somebody_turns_the_wheel_disturbs_nothing_learned(turne
     for k in range(len(way)):
         if 1150 <= k < 1350:
             wheel = turned
-        state = EgoState(*(float(column[k]) for column in (way.t, way.x, way.y, way.yaw, way.v)), steer=wheel)
+        state = EgoState(
+            *(float(column[k]) for column in (way.t, way.x, way.y, way.yaw, way.v)), steer=wheel
+        )
         coming.append(controller.control(state, Plan(way)).steer)
         wheel += float(
-            np.clip(share * (coming.popleft() - wheel), -CAR.max_steer_rate * PERIOD, CAR.max_steer_rate * PERIOD)
+            np.clip(
+                share * (coming.popleft() - wheel),
+                -CAR.max_steer_rate * PERIOD,
+                CAR.max_steer_rate * PERIOD,
+            )
         )
         late.append(controller.state.dlqr.delay.delay)
     assert late[1050] == pytest.approx(0.1, abs=0.02)
@@ -390,7 +436,12 @@ def test_the_deviation_is_led_as_the_continuous_model_moves(v: float) -> None:
     A, B = body_model(v, CAR)
     for k in range(n):
         side, spin = A @ [v_lat, r] + B * np.interp(k * h, grid, coming - np.array(exact))
-        e_d, e_phi, v_lat, r = e_d + h * (v_lat + v * e_phi), e_phi + h * r, v_lat + h * side, r + h * spin
+        e_d, e_phi, v_lat, r = (
+            e_d + h * (v_lat + v * e_phi),
+            e_phi + h * r,
+            v_lat + h * side,
+            r + h * spin,
+        )
     predicted = steering.predict(y, path.knots, foot, v, angle)
     np.testing.assert_allclose(predicted, (e_d, v_lat, e_phi, r), rtol=2e-2, atol=1e-3)
     steering.state = steering.state._replace(delay=0.0)
@@ -402,8 +453,16 @@ def test_exact_following_has_no_deviation() -> None:
     path = PlanPath.of(drive(lambda s: np.full_like(s, kappa), v, 10.0))
     slip, _ = following_at(slip_table(CAR), CAR.wheelbase, (1.0, 1.0), v)
     at = path.deviation(EgoState(3.0, 0.0, 0.0, 0.0, v))  # only for its foot point
-    x, y, yaw = np.sin(kappa * 36.0) / kappa, (1.0 - np.cos(kappa * 36.0)) / kappa, kappa * 36.0 + slip * kappa
+    x, y, yaw = (
+        np.sin(kappa * 36.0) / kappa,
+        (1.0 - np.cos(kappa * 36.0)) / kappa,
+        kappa * 36.0 + slip * kappa,
+    )
     state = EgoState(3.0, x, y, yaw, v, v_lat=-v * slip * kappa, yaw_rate=v * kappa)
     off = path.deviation(state)
-    assert kappa_rate(path.knots, off.foot, v) == pytest.approx(0.0, abs=1e-9) and at.foot != off.foot
-    np.testing.assert_allclose(lateral_deviation(motion_of(state), off, path.knots, slip), 0.0, atol=2e-3)
+    assert (
+        kappa_rate(path.knots, off.foot, v) == pytest.approx(0.0, abs=1e-9) and at.foot != off.foot
+    )
+    np.testing.assert_allclose(
+        lateral_deviation(motion_of(state), off, path.knots, slip), 0.0, atol=2e-3
+    )

@@ -11,7 +11,12 @@ from replan.logs.plan import Plan
 from replan.logs.states import Command, EgoState, Trajectory
 from replan.logs.vehicle import VehicleParameters
 from replan.planners.solver import QPConfig, QuadraticProgram
-from replan.replay.control.lateral_model import body_model, lateral_table, slip_table, with_rigid_tyres
+from replan.replay.control.lateral_model import (
+    body_model,
+    lateral_table,
+    slip_table,
+    with_rigid_tyres,
+)
 from replan.replay.control.mpc import Mpc, MpcConfig, TrackingProgram
 from replan.replay.control.mpc_model import (
     INPUTS,
@@ -39,9 +44,18 @@ def stage(plan: Trajectory, t: float, v: float, car: VehicleParameters = CAR) ->
     """The plan as entered on it at `t` with speed `v`."""
     path = PlanPath.of(plan)
     return entered(
-        path.times, path.knots, slip_table(car), car.wheelbase, (1.0, 1.0), (0.2, 0.1, -0.1),
-        t, path.timed(t)[0], v, CONFIG.step_s, CONFIG.steps,
-    )  # fmt: skip
+        path.times,
+        path.knots,
+        slip_table(car),
+        car.wheelbase,
+        (1.0, 1.0),
+        (0.2, 0.1, -0.1),
+        t,
+        path.timed(t)[0],
+        v,
+        CONFIG.step_s,
+        CONFIG.steps,
+    )
 
 
 def wide_open(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -56,18 +70,32 @@ def test_the_quintic_matches_position_speed_and_acceleration(ends: list[float], 
     np.testing.assert_allclose(quintic(*ends, h, 0.0), (p0, v0, a0), atol=1e-9 * scale)
     np.testing.assert_allclose(quintic(*ends, h, 1.0), (p1, v1, a1), atol=1e-9 * scale)
     near = [quintic(*ends, h, 0.4 + d)[0] for d in (-1e-4, 0.0, 1e-4)]
-    assert quintic(*ends, h, 0.4)[1] == pytest.approx((near[2] - near[0]) / (2e-4 * h), rel=1e-4, abs=1e-5 * scale)
+    assert quintic(*ends, h, 0.4)[1] == pytest.approx(
+        (near[2] - near[0]) / (2e-4 * h), rel=1e-4, abs=1e-5 * scale
+    )
 
 
 def test_resampling_keeps_the_samples_and_lies_on_the_drive_between_them() -> None:
     def wavering(t: np.ndarray) -> np.ndarray:
         return 10.0 + 2.0 * np.sin(t)
 
-    coarse, fine = drive(s_curve, wavering, 12.0, step=0.2), drive(s_curve, wavering, 12.0, step=0.05)
+    coarse, fine = (
+        drive(s_curve, wavering, 12.0, step=0.2),
+        drive(s_curve, wavering, 12.0, step=0.05),
+    )
     seen = resampled(coarse, 0.05)
     np.testing.assert_allclose(seen.t, fine.t, atol=1e-9)
-    for name, most in (("x", 2e-4), ("y", 2e-4), ("yaw", 2e-4), ("v", 2e-3), ("a", 2e-2), ("kappa", 1e-3)):
-        np.testing.assert_allclose(getattr(seen, name), getattr(fine, name), atol=most, err_msg=name)
+    for name, most in (
+        ("x", 2e-4),
+        ("y", 2e-4),
+        ("yaw", 2e-4),
+        ("v", 2e-3),
+        ("a", 2e-2),
+        ("kappa", 1e-3),
+    ):
+        np.testing.assert_allclose(
+            getattr(seen, name), getattr(fine, name), atol=most, err_msg=name
+        )
         at_knots = getattr(seen, name)[::4]
         np.testing.assert_allclose(at_knots, getattr(coarse, name), atol=1e-6, err_msg=name)
 
@@ -88,7 +116,9 @@ def test_the_prediction_is_what_the_continuous_model_does(v: float, rigid: bool)
     scale, n = 1.0 + (v / CONFIG.speed_mps) ** 2, 20_000
     steer, rate, h = 0.02, -0.03, CONFIG.step_s / n
     turn = v / car.wheelbase * steer
-    xi = np.array([0.2, -0.3, 0.4, 0.1, 0.0 if rigid else 0.05, 0.03, turn if rigid else 0.1, scale * steer])
+    xi = np.array(
+        [0.2, -0.3, 0.4, 0.1, 0.0 if rigid else 0.05, 0.03, turn if rigid else 0.1, scale * steer]
+    )
     u = np.array([0.5, scale * rate])
     x = xi.copy()
     body = None if rigid else body_model(v, car)
@@ -96,7 +126,11 @@ def test_the_prediction_is_what_the_continuous_model_does(v: float, rigid: bool)
         _, e_v, e_a, _, v_lat, e_phi, r, sigma = x
         wheel = sigma / scale
         lag = along[0, 6]
-        side, spin = (0.0, v / car.wheelbase * rate) if body is None else body[0] @ [v_lat, r] + body[1] * wheel
+        side, spin = (
+            (0.0, v / car.wheelbase * rate)
+            if body is None
+            else body[0] @ [v_lat, r] + body[1] * wheel
+        )
         x = x + h * np.array([e_v, e_a, (u[0] - e_a) / lag, v_lat + v * e_phi, side, r, spin, u[1]])
     np.testing.assert_allclose(A[0] @ xi + B[0] @ u, x, atol=2e-4)
 
@@ -137,7 +171,9 @@ def test_limits_are_respected(lateral: float, heading: float, speed: float) -> N
     A, B = predicted(along, lateral_table(CAR, CONFIG.step_s), CONFIG.speed_mps, CONFIG.step_s)
     train = PedalMap(1.0, 1e3, 3.0, 0.0, 0.0, NO_MOTOR, NO_MOTOR, 0.1, 0.1, 0.0)
     grip = 0.7 * GRAVITY
-    bounds = limits(along, train, grip, (CAR.max_steer, CAR.max_steer_rate), CONFIG.speed_mps, CONFIG.step_s)
+    bounds = limits(
+        along, train, grip, (CAR.max_steer, CAR.max_steer_rate), CONFIG.speed_mps, CONFIG.step_s
+    )
     xi = np.array([0.0, speed, 0.0, lateral, 0.0, heading, 0.0, 0.0])
     result = TrackingProgram(CONFIG).solve(xi, np.zeros(INPUTS), A, B, bounds, fresh=True)
     assert result.report.solved, result.report.status
@@ -163,13 +199,19 @@ def test_a_warm_start_changes_nothing_but_the_way() -> None:
 
 def test_new_numbers_in_a_program_are_a_new_program() -> None:
     rng = np.random.default_rng(4)
-    P, one, two = np.diag(rng.uniform(1.0, 2.0, 3)), rng.normal(size=(4, 3)), rng.normal(size=(4, 3))
+    P, one, two = (
+        np.diag(rng.uniform(1.0, 2.0, 3)),
+        rng.normal(size=(4, 3)),
+        rng.normal(size=(4, 3)),
+    )
     bounds, q = (np.full(4, -0.1), np.full(4, 0.2)), rng.normal(size=3)
     config = QPConfig(eps=1e-7, max_iterations=2000)
     first = QuadraticProgram("t", sparse.csc_matrix(P), sparse.csc_matrix(one), config=config)
     first.refill(sparse.csc_matrix(two).data)
     other = QuadraticProgram("t", sparse.csc_matrix(P), sparse.csc_matrix(two), config=config)
-    np.testing.assert_allclose(first.solve(q, *bounds, fresh=True).x, other.solve(q, *bounds, fresh=True).x, atol=1e-5)
+    np.testing.assert_allclose(
+        first.solve(q, *bounds, fresh=True).x, other.solve(q, *bounds, fresh=True).x, atol=1e-5
+    )
     with pytest.raises(ValueError, match="12 entries"):
         first.refill(np.ones(5))
 

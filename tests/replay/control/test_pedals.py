@@ -82,7 +82,15 @@ def test_the_lead_asks_for_no_other_pedal_than_the_plan(before: float, after: fl
     t = np.array([0.0, 1.0, 1.1, 3.0])
     zero = np.zeros(4)
     path = PlanPath.of(
-        Trajectory(t, 15.0 * t, zero, zero, np.full(4, 15.0), np.array([before, before, after, after]), zero)
+        Trajectory(
+            t,
+            15.0 * t,
+            zero,
+            zero,
+            np.full(4, 15.0),
+            np.array([before, before, after, after]),
+            zero,
+        )
     )
     m, coast = np.nan, TRAIN.coasting(15.0)
     for k in range(200):
@@ -129,14 +137,20 @@ def test_where_the_plan_goes_on_nothing_is_eased() -> None:
 
 @pytest.mark.parametrize("controller", ["dlqr_pid", "mpc"])
 @pytest.mark.parametrize("soft", [True, False])
-@pytest.mark.parametrize(("v", "decel", "jerk"), [(13.9, 7.5, 15.0), (8.0, 7.5, 15.0), (12.0, 3.0, 3.0)])
-def test_a_hard_stop_is_as_hard_as_planned(controller: str, v: float, decel: float, jerk: float, *, soft: bool) -> None:
+@pytest.mark.parametrize(
+    ("v", "decel", "jerk"), [(13.9, 7.5, 15.0), (8.0, 7.5, 15.0), (12.0, 3.0, 3.0)]
+)
+def test_a_hard_stop_is_as_hard_as_planned(
+    controller: str, v: float, decel: float, jerk: float, *, soft: bool
+) -> None:
     """Peak deceleration, jerk as the metric has it, and where it stands; a stop planned without release is released."""
     plan = braked(v, decel, jerk, soft=soft)
     seen = follow(Manoeuvre("stop", plan), controller, "single_track", CAR).columns
     a = seen["a"]
     assert -a.min() < 1.02 * decel
-    assert np.abs(a[JERK_OVER:] - a[:-JERK_OVER]).max() / (JERK_OVER * PERIOD) < max(1.1 * jerk, 5.0)
+    assert np.abs(a[JERK_OVER:] - a[:-JERK_OVER]).max() / (JERK_OVER * PERIOD) < max(
+        1.1 * jerk, 5.0
+    )
     assert -0.05 < seen["x"][-1] - plan.x[-1] < 0.15
     assert seen["x"][-1] == seen["x"][-50]
 
@@ -145,7 +159,9 @@ def test_a_hard_stop_is_as_hard_as_planned(controller: str, v: float, decel: flo
 @pytest.mark.parametrize("controller", ["dlqr_pid", "mpc"])
 def test_a_stop_on_a_slope_that_nobody_told_of_is_held(controller: str, grade: float) -> None:
     plan = braked(10.0, 3.0, 3.0)
-    seen = follow(Manoeuvre("stop", plan), controller, "single_track", CAR, plant={"grade": grade}).columns
+    seen = follow(
+        Manoeuvre("stop", plan), controller, "single_track", CAR, plant={"grade": grade}
+    ).columns
     assert seen["x"][-1] == seen["x"][-30]
 
 
@@ -161,7 +177,9 @@ def test_the_brake_is_released_while_the_last_speed_goes_and_then_holds_for_good
 def test_standstill_has_hysteresis() -> None:
     t = np.arange(0.0, 6.0, 0.5)
     v = np.where(t < 3.0, 0.0, t - 3.0)
-    path = PlanPath.of(Trajectory(t, np.r_[0.0, np.cumsum(0.25 * (v[1:] + v[:-1]))], 0 * t, 0 * t, v, 0 * t, 0 * t))
+    path = PlanPath.of(
+        Trajectory(t, np.r_[0.0, np.cumsum(0.25 * (v[1:] + v[:-1]))], 0 * t, 0 * t, v, 0 * t, 0 * t)
+    )
     still = False
     for v, t, holds in ((0.2, 0.0, False), (0.05, 0.5, True), (0.12, 1.0, True), (0.0, 2.6, False)):
         still = stands(still, v, t, path.times)
@@ -221,4 +239,5 @@ def test_it_is_written_and_drawn(tmp_path: Path) -> None:
     np.testing.assert_allclose(read, TABLE.pedal, atol=1e-6)
     drawn, known = picture(TABLE).body, TABLE.pedal[np.isfinite(TABLE.pedal)]
     cells = {"blue": (known >= 0.0).sum(), "red": (known < 0.0).sum()}
-    assert {kind: drawn.count(f'class="{kind}"') - 1 for kind in cells} == cells  # one more is in the legend
+    # One more is in the legend
+    assert {kind: drawn.count(f'class="{kind}"') - 1 for kind in cells} == cells

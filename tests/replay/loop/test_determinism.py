@@ -44,7 +44,9 @@ class Failing(ConstantSpeed):
 
 
 @pytest.fixture
-def here(tmp_path: Path, module: Callable[[str, str], str], monkeypatch: pytest.MonkeyPatch) -> Path:
+def here(
+    tmp_path: Path, module: Callable[[str, str], str], monkeypatch: pytest.MonkeyPatch
+) -> Path:
     module("dealt", PLANNERS)
     write_scenario(tmp_path / "a.mcap", short("test/a"))
     monkeypatch.chdir(tmp_path)
@@ -55,16 +57,30 @@ def here(tmp_path: Path, module: Callable[[str, str], str], monkeypatch: pytest.
 @pytest.mark.parametrize("trust", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_who_is_dealt_other_plans_is_marked_with_time_and_size(here: Path, trust: bool) -> None:
     planners = ("dealt:Dicing", "dealt:Steady", "constant_speed")
-    config = replace(QUICK, planners=planners, loop=LoopConfig(apart=PlannerProcessConfig(trust=trust)))
+    config = replace(
+        QUICK, planners=planners, loop=LoopConfig(apart=PlannerProcessConfig(trust=trust))
+    )
     result = evaluate_logs([here / "a.mcap"], config, here / "out")
     for drive in result.drives.itertuples():
-        assert (Mark.NOT_DETERMINISTIC.value in drive.marks) == (drive.planner == "dealt:Dicing"), drive
-        said = [note for note in drive.notes if "differ by up to 0 m and" in note and "m/s at 0.50 s" in note]
+        assert (Mark.NOT_DETERMINISTIC.value in drive.marks) == (drive.planner == "dealt:Dicing"), (
+            drive
+        )
+        said = [
+            note
+            for note in drive.notes
+            if "differ by up to 0 m and" in note and "m/s at 0.50 s" in note
+        ]
         assert len(said) == (drive.planner == "dealt:Dicing"), drive
     marks = {drive.shown for drive in overview(load(here / "out")).drives}
-    assert {"dealt:Dicing (trusted) (not deterministic)" if trust else "dealt:Dicing (not deterministic)"} <= marks
+    assert {
+        "dealt:Dicing (trusted) (not deterministic)"
+        if trust
+        else "dealt:Dicing (not deterministic)"
+    } <= marks
     silent = evaluate_logs([here / "a.mcap"], replace(config, repeat_s=0.0), here / "silent")
-    assert not any(Mark.NOT_DETERMINISTIC.value in drive.marks for drive in silent.drives.itertuples())
+    assert not any(
+        Mark.NOT_DETERMINISTIC.value in drive.marks for drive in silent.drives.itertuples()
+    )
 
 
 @pytest.mark.slow
@@ -83,5 +99,7 @@ def test_a_drive_up_to_a_time_is_the_begin_of_the_whole(mode: Mode, until: float
     loop, log = LOOPS[mode], short("test/a", parked=True)
     whole = loop(log, "dp_qp").trace
     part = loop(log, "dp_qp", until_s=until).trace
-    assert [frame.t for frame in part.frames] == [frame.t for frame in whole.frames if frame.t <= until]
+    assert [frame.t for frame in part.frames] == [
+        frame.t for frame in whole.frames if frame.t <= until
+    ]
     assert nondeterminism(whole, part, until) == ""

@@ -60,7 +60,10 @@ def test_a_plan_of_too_many_states_is_refused_with_its_size(states: int) -> None
     if states <= MOST_POINTS:
         assert plan.status is PlanStatus.PLANNED
     else:
-        assert plan.status is PlanStatus.REFUSED and f"it has {states} states, more than {MOST_POINTS}" in plan.reason
+        assert (
+            plan.status is PlanStatus.REFUSED
+            and f"it has {states} states, more than {MOST_POINTS}" in plan.reason
+        )
         assert len(plan.trajectory) < 100
 
 
@@ -112,7 +115,9 @@ def test_a_zigzag_that_declares_no_curvature_is_judged_by_its_curvature() -> Non
         (lambda t: replace(t, y=t.y + (np.arange(len(t)) % 2)), "asks for an acceleration of"),
     ],
 )
-def test_what_cannot_be_driven_is_refused(bend: Callable[[Trajectory], Trajectory], why: str) -> None:
+def test_what_cannot_be_driven_is_refused(
+    bend: Callable[[Trajectory], Trajectory], why: str
+) -> None:
     state = ego(yaw=0.0)
     before = Plan(arcs(replace(arcs(state).state(0), t=1.9, x=state.x - 1.0)))
     found = checked(Plan(bend(arcs(state))), frame(state, before))
@@ -124,7 +129,10 @@ def test_what_cannot_be_driven_is_refused(bend: Callable[[Trajectory], Trajector
     alone = checked(Plan(bend(arcs(state))), frame(state))
     assert alone.trajectory.v[-1] == 0.0
     assert alone.trajectory.x[-1] == pytest.approx(state.x + 10.0**2 / (2.0 * 4.0))
-    assert checked(replace(alone, status=PlanStatus.PLANNED, reason=""), frame(state)).status is PlanStatus.PLANNED
+    assert (
+        checked(replace(alone, status=PlanStatus.PLANNED, reason=""), frame(state)).status
+        is PlanStatus.PLANNED
+    )
 
 
 def test_a_plan_may_start_on_the_plan_being_driven_where_that_is_near() -> None:
@@ -152,7 +160,9 @@ def test_the_planner_of_each_loop_is_given_a_road_of_its_own() -> None:
         run(log, f"{__name__}:Keeps", config=LoopConfig(apart=PlannerProcessConfig(trust=True)))
     one, two = Keeps.roads
     assert one is not two
-    assert not {id(lane) for lane in one.lanes.values()} & {id(lane) for lane in log.road.lanes.values()}
+    assert not {id(lane) for lane in one.lanes.values()} & {
+        id(lane) for lane in log.road.lanes.values()
+    }
 
 
 class Keeps:
@@ -166,7 +176,9 @@ class Keeps:
 
 
 @pytest.mark.parametrize(("speed", "fits"), [(-0.096, True), (-0.29, True), (-0.4, False)])
-def test_a_plan_may_start_at_rest_where_the_speed_of_a_stop_swings_below_zero(speed: float, fits: bool) -> None:
+def test_a_plan_may_start_at_rest_where_the_speed_of_a_stop_swings_below_zero(
+    speed: float, fits: bool
+) -> None:
     state = ego(v=speed)
     found = checked(Plan(arcs(replace(state, v=0.0))), frame(state))
     assert (found.status is not PlanStatus.REFUSED) is fits

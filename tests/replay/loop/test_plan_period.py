@@ -22,7 +22,9 @@ from replan.replay.vehicle.plan_path import PlanPath
 PERIOD = 0.01
 STEPS = 900
 COMPILED = [name for name in CONTROLLER.builtin if name != "mpc"]
-WAY = drive(s_curve, lambda t: np.interp(t, [0.0, 4.0, 6.0, 6.5, 9.0], [9.0, 9.0, 0.0, 0.0, 6.0]), 10.0)
+WAY = drive(
+    s_curve, lambda t: np.interp(t, [0.0, 4.0, 6.0, 6.5, 9.0], [9.0, 9.0, 0.0, 0.0, 6.0]), 10.0
+)
 """Curves, a stop and a start."""
 
 
@@ -48,7 +50,11 @@ def test_a_period_is_its_steps_one_after_the_other(vehicle: str, controller: str
     """Against controller and vehicle through their methods, as anybody may call them."""
     car = vehicle_parameters("bmw_320i")
     ego = VEHICLE.builtin[vehicle](car, WAY.state(0))
-    driver, plan, path = controller_of(ego, car, Part(CONTROLLER, controller), PERIOD), Plan(WAY), PlanPath.of(WAY)
+    driver, plan, path = (
+        controller_of(ego, car, Part(CONTROLLER, controller), PERIOD),
+        Plan(WAY),
+        PlanPath.of(WAY),
+    )
     found = whole(vehicle, controller)
     for k in range(STEPS):
         state = ego.state
@@ -66,14 +72,18 @@ def test_a_period_is_its_steps_one_after_the_other(vehicle: str, controller: str
     st.sampled_from(["dlqr_pid", "pid"]),
     st.lists(st.integers(1, STEPS - 1), max_size=30, unique=True).map(sorted),
 )
-def test_it_does_not_matter_where_periods_end(vehicle: str, controller: str, cuts: list[int]) -> None:
+def test_it_does_not_matter_where_periods_end(
+    vehicle: str, controller: str, cuts: list[int]
+) -> None:
     rows = rows_of(vehicle, controller, cuts, vehicle_parameters("bmw_320i"))
     np.testing.assert_array_equal(rows, whole(vehicle, controller))
 
 
 @pytest.mark.parametrize("controller", ["dlqr_pid", "mpc"])
 @pytest.mark.parametrize("vehicle", ["perfect", "single_track"])
-def test_every_row_is_complete_and_the_last_command_stands_at_the_end(vehicle: str, controller: str) -> None:
+def test_every_row_is_complete_and_the_last_command_stands_at_the_end(
+    vehicle: str, controller: str
+) -> None:
     rows = rows_of(vehicle, controller, [7, 100], VehicleParameters())
     assert rows.shape == (STEPS + 1, COLUMNS) and np.isfinite(rows).all()
     assert rows[-1, COMMAND].tolist() == rows[-2, COMMAND].tolist()
@@ -95,7 +105,8 @@ def test_the_plan_driven_is_the_last_that_is_old_enough(delay: int, every: int) 
 def test_without_delay_nothing_changes_and_with_it_the_drive_says_so() -> None:
     log = scenario(drive(s_curve, 12.0, 6.0))
     now, late = (
-        run_closed_loop(log, "logged", config=LoopConfig(plan_delay_s=seconds)).trace for seconds in (0.0, 0.15)
+        run_closed_loop(log, "logged", config=LoopConfig(plan_delay_s=seconds)).trace
+        for seconds in (0.0, 0.15)
     )
     plain = run_closed_loop(log, "logged").trace
     np.testing.assert_array_equal(plain.ego.y, now.ego.y)

@@ -18,7 +18,9 @@ WAY = drive(straight, 10.0, 6.0)
 N = 300
 CAR_AHEAD = tracks(track("1", np.arange(0.0, 6.1, 0.5), np.full(13, 45.0), np.full(13, 1.0)))
 LOG = replace(scenario(WAY, agents=CAR_AHEAD), road=lanes_along(WAY))
-GOAL = Goal.any_of([Goal((square(35.0, 0.0, 3.0),), v=(0.0, 8.0)), Goal((square(20.0, 0.0, 3.0),), v=(0.0, 0.0))])
+GOAL = Goal.any_of(
+    [Goal((square(35.0, 0.0, 3.0),), v=(0.0, 8.0)), Goal((square(20.0, 0.0, 3.0),), v=(0.0, 0.0))]
+)
 
 
 def rows_of(slope: float, v: float) -> np.ndarray:
@@ -31,7 +33,10 @@ def rows_of(slope: float, v: float) -> np.ndarray:
 
 def found_in(rows: np.ndarray, cuts: list[int]) -> Ended | None:
     termination = Termination(LOG, GOAL, state_at(rows, 0))
-    ends = (termination.first(rows, a, b, LOG.tracks) for a, b in zip([1, *cuts], [*cuts, N], strict=True))
+    ends = (
+        termination.first(rows, a, b, LOG.tracks)
+        for a, b in zip([1, *cuts], [*cuts, N], strict=True)
+    )
     return next((end for end in ends if end), None)
 
 
@@ -41,7 +46,9 @@ def found_in(rows: np.ndarray, cuts: list[int]) -> Ended | None:
     st.sampled_from([6.0, 9.0, 14.0]),
     st.lists(st.integers(2, N - 1), max_size=20, unique=True).map(sorted),
 )
-def test_the_end_is_that_of_the_first_row_that_ends(slope: float, v: float, cuts: list[int]) -> None:
+def test_the_end_is_that_of_the_first_row_that_ends(
+    slope: float, v: float, cuts: list[int]
+) -> None:
     rows, car = rows_of(slope, v), LOG.vehicle
     end = found_in(rows, cuts)
     assert end == found_in(rows, list(range(2, N)))
@@ -60,7 +67,9 @@ def test_the_end_is_that_of_the_first_row_that_ends(slope: float, v: float, cuts
 
 def test_all_ends_occur() -> None:
     reasons = {
-        end.reason for end in (found_in(rows_of(a, v), []) for a in (0.0, -0.12, 0.09) for v in (6.0, 14.0)) if end
+        end.reason
+        for end in (found_in(rows_of(a, v), []) for a in (0.0, -0.12, 0.09) for v in (6.0, 14.0))
+        if end
     }
     assert {EndReason.GOAL, EndReason.OFF_ROAD, EndReason.COLLISION} <= reasons
 
@@ -68,7 +77,11 @@ def test_all_ends_occur() -> None:
 def test_a_drive_may_go_on_to_the_end_of_the_logs_drive() -> None:
     """Into a wall and through it, past the goal, and no further than the log's driver, though the log lasts longer."""
     wall = tracks(track("wall", [0.0], [30.0], [0.0], static=True))
-    log = replace(scenario(WAY, agents=wall, road=lanes_along(WAY)), goal=Goal((square(40.0, 0.0, 3.0),)), duration=9.0)
+    log = replace(
+        scenario(WAY, agents=wall, road=lanes_along(WAY)),
+        goal=Goal((square(40.0, 0.0, 3.0),)),
+        duration=9.0,
+    )
     short = run_closed_loop(log, "constant_speed").trace
     assert short.end is EndReason.COLLISION
     whole = run_closed_loop(log, "constant_speed", config=LoopConfig(drives_on=True)).trace

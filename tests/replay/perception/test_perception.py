@@ -27,9 +27,15 @@ from replan.replay.world import World, logged_ego
 
 COLUMNS = ("x", "y", "yaw", "vx", "vy", "yaw_rate", "accel")
 IDEAL = SensorConfig(
-    range_m=1e5, occlusion=False, position_noise_m=0.0, yaw_noise_deg=0.0, velocity_noise_mps=0.0, latency_s=0.0,
-    dropout=0.0, coast_s=0.0,
-)  # fmt: skip
+    range_m=1e5,
+    occlusion=False,
+    position_noise_m=0.0,
+    yaw_noise_deg=0.0,
+    velocity_noise_mps=0.0,
+    latency_s=0.0,
+    dropout=0.0,
+    coast_s=0.0,
+)
 
 
 def made(*agents: dict[str, object], seconds: float = 6.0) -> Scenario:
@@ -51,10 +57,14 @@ def crowd(seed: int) -> Scenario:
     return made(*found)
 
 
-def frames(log: Scenario, config: LoopConfig, times: Sequence[float], seen: Tracks | None = None) -> list[Frame]:
+def frames(
+    log: Scenario, config: LoopConfig, times: Sequence[float], seen: Tracks | None = None
+) -> list[Frame]:
     perception = Perception(log, config)
     shown = log.tracks if seen is None else seen
-    return [perception.frame(World(logged_ego(log.ego, log.vehicle, t), shown), None) for t in times]
+    return [
+        perception.frame(World(logged_ego(log.ego, log.vehicle, t), shown), None) for t in times
+    ]
 
 
 def detected(log: Scenario, found: Detections | None = None) -> Scenario:
@@ -84,7 +94,9 @@ GRID = [round(0.1 * k, 1) for k in range(31)]
 @pytest.mark.parametrize("prediction", PREDICTION.causal)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 30))
 @settings(max_examples=5)
-def test_no_later_sample_is_seen_or_predicted(perception: str, prediction: str, seed: int, k: int) -> None:
+def test_no_later_sample_is_seen_or_predicted(
+    perception: str, prediction: str, seed: int, k: int
+) -> None:
     log, config = detected(crowd(seed)), LoopConfig(perception=perception, prediction=prediction)
     assert log.repair is not None
     known = log.repair.detections.between(-np.inf, GRID[k] + 1e-6)
@@ -92,7 +104,9 @@ def test_no_later_sample_is_seen_or_predicted(perception: str, prediction: str, 
     whole, truncated = (frames(some, config, GRID[: k + 1])[-1] for some in (log, cut))
     assert_same_agents(whole.agents, truncated.agents)
     for name in ("agent", "probability", "x", "y", "yaw"):
-        np.testing.assert_array_equal(getattr(whole.predictions, name), getattr(truncated.predictions, name))
+        np.testing.assert_array_equal(
+            getattr(whole.predictions, name), getattr(truncated.predictions, name)
+        )
 
 
 def test_the_oracle_alone_knows_what_comes_and_says_so() -> None:
@@ -123,7 +137,9 @@ T = np.arange(0.0, 6.01, 0.1)
 
 def passing() -> Scenario:
     """Two cars beside each other's lanes, and one that is only in the detections, for two seconds."""
-    log = made(track("1", T, 20.0 + 8.0 * T, 0.0 * T + 3.5), track("2", T, 60.0 - 5.0 * T, 0.0 * T - 3.5))
+    log = made(
+        track("1", T, 20.0 + 8.0 * T, 0.0 * T + 3.5), track("2", T, 60.0 - 5.0 * T, 0.0 * T - 3.5)
+    )
     ghost = track("9", T[20:40], 30.0 + 0.0 * T[20:40], 0.0 * T[20:40] + 20.0)
     names = "t", "x", "y", "yaw", "vx", "vy", "score", "length", "width", "codes"
     one, two = detections_of(log.tracks), detections_of(made(ghost).tracks)
@@ -151,7 +167,10 @@ def test_recorded_shows_what_the_detections_told_by_then() -> None:
 
 def test_recorded_follows_the_world_where_it_is_driven_otherwise() -> None:
     log = passing()
-    late = made(track("1", T, 20.0 + 4.0 * T, 0.0 * T + 3.5), track("walker", T, 0.0 * T + 9.0, 0.0 * T - 9.0)).tracks
+    late = made(
+        track("1", T, 20.0 + 4.0 * T, 0.0 * T + 3.5),
+        track("walker", T, 0.0 * T + 9.0, 0.0 * T - 9.0),
+    ).tracks
     (frame,) = frames(log, LoopConfig(perception="recorded"), T[:41].tolist(), late)[-1:]
     assert "walker" in frame.agents.ids, "no detection tells of them"
     at(frame, 30.0, 20.0)  # the false alarm is as it was, and car 2 is not there
@@ -165,7 +184,9 @@ def test_recorded_follows_the_world_where_it_is_driven_otherwise() -> None:
 def test_auto_is_recorded_where_tracks_are_made_of_detections() -> None:
     log = passing()
     for some, name in ((log, "recorded"), (replace(log, repair=None), "ground_truth")):
-        for auto, asked in zip(*(frames(some, LoopConfig(perception=p), GRID) for p in ("auto", name)), strict=True):
+        for auto, asked in zip(
+            *(frames(some, LoopConfig(perception=p), GRID) for p in ("auto", name)), strict=True
+        ):
             assert_same_agents(auto.agents, asked.agents)
     trace = run_open_loop(log, "constant_speed", config=LoopConfig(perception="auto")).trace
     assert trace.perceived is not None and any("as recorded" in note for note in trace.notes)
@@ -227,7 +248,9 @@ def test_range_and_field_of_view() -> None:
 def test_who_walks_behind_a_van_is_hidden_until_he_steps_out_and_hides_nobody_himself() -> None:
     t = np.arange(0.0, 6.01, 0.1)
     van = box("van", 30.0, -3.0, kind=AgentKind.TRUCK, length=6.0, width=2.4)
-    child = track("child", t, 35.0 + 0.0 * t, -5.0 + t, kind=AgentKind.PEDESTRIAN, length=0.4, width=0.5)
+    child = track(
+        "child", t, 35.0 + 0.0 * t, -5.0 + t, kind=AgentKind.PEDESTRIAN, length=0.4, width=0.5
+    )
     sensor = replace(IDEAL, occlusion=True)
     standing = replace(drive(straight, 0.0, 6.0), x=np.zeros(61), y=np.zeros(61))
     log = replace(made(van, child), ego=standing)
@@ -235,7 +258,12 @@ def test_who_walks_behind_a_van_is_hidden_until_he_steps_out_and_hides_nobody_hi
     out = next(i for i, ids in enumerate(shown) if "child" in ids)
     assert 10 < out < 45, "hidden at first, seen before he is on the ego's way"
     assert all("child" in ids for ids in shown[out:]) and all("van" in ids for ids in shown)
-    row = replace(log, tracks=tracks(*(box(f"p{i}", 10.0 + 2.0 * i, 0.0, kind=AgentKind.PEDESTRIAN) for i in range(5))))
+    row = replace(
+        log,
+        tracks=tracks(
+            *(box(f"p{i}", 10.0 + 2.0 * i, 0.0, kind=AgentKind.PEDESTRIAN) for i in range(5))
+        ),
+    )
     assert len(sensed(row, sensor, [0.0])[0].agents) == 5
 
 
@@ -244,11 +272,22 @@ def test_who_walks_behind_a_van_is_hidden_until_he_steps_out_and_hides_nobody_hi
 def test_who_is_hidden_stands_in_a_shadow_and_who_stands_in_none_is_seen(seed: int) -> None:
     rng = np.random.default_rng(seed)
     cars = [
-        box(f"c{i}", *rng.uniform(-40.0, 40.0, 2), yaw=rng.uniform(-3.0, 3.0), length=rng.uniform(2.0, 12.0))
+        box(
+            f"c{i}",
+            *rng.uniform(-40.0, 40.0, 2),
+            yaw=rng.uniform(-3.0, 3.0),
+            length=rng.uniform(2.0, 12.0),
+        )
         for i in range(6)
     ]
     people = [
-        box(f"p{i}", *rng.uniform(-50.0, 50.0, 2), kind=AgentKind.PEDESTRIAN, length=1e-3, width=1e-3)
+        box(
+            f"p{i}",
+            *rng.uniform(-50.0, 50.0, 2),
+            kind=AgentKind.PEDESTRIAN,
+            length=1e-3,
+            width=1e-3,
+        )
         for i in range(30)
     ]
     log = made(*cars, *people)
@@ -266,7 +305,9 @@ def test_who_is_hidden_stands_in_a_shadow_and_who_stands_in_none_is_seen(seed: i
 # --- noise, drop-outs, latency
 
 
-NOISY = replace(IDEAL, position_noise_m=0.2, yaw_noise_deg=5.0, velocity_noise_mps=0.3, dropout=0.3, coast_s=0.0)
+NOISY = replace(
+    IDEAL, position_noise_m=0.2, yaw_noise_deg=5.0, velocity_noise_mps=0.3, dropout=0.3, coast_s=0.0
+)
 
 
 @given(st.integers(0, 2**32 - 1))
@@ -279,26 +320,36 @@ def test_the_draws_of_an_agent_do_not_depend_on_who_else_is_there(seed: int) -> 
         theirs = [few.agents.ids.index(all_.agents.ids[i]) for i in mine]
         assert len(mine) == len(few.agents)
         for name in COLUMNS:
-            np.testing.assert_array_equal(getattr(all_.agents, name)[mine], getattr(few.agents, name)[theirs])
+            np.testing.assert_array_equal(
+                getattr(all_.agents, name)[mine], getattr(few.agents, name)[theirs]
+            )
 
 
 def chosen(log: Tracks, index: list[int]) -> Tracks:
     rows = np.concatenate([np.arange(log.offsets[i], log.offsets[i + 1]) for i in index])
     return Tracks(
-        tuple(log.ids[i] for i in index), tuple(log.kinds[i] for i in index),
-        log.length[index], log.width[index], log.static[index], np.r_[0, np.cumsum(np.diff(log.offsets)[index])],
+        tuple(log.ids[i] for i in index),
+        tuple(log.kinds[i] for i in index),
+        log.length[index],
+        log.width[index],
+        log.static[index],
+        np.r_[0, np.cumsum(np.diff(log.offsets)[index])],
         *(getattr(log, name)[rows] for name in ("t", "x", "y", "yaw", "vx", "vy")),
-    )  # fmt: skip
+    )
 
 
 def test_the_same_twice_and_something_else_with_another_seed_or_name() -> None:
     log = crowd(1)
 
     def ys(some: Scenario, seed: int) -> FloatArray:
-        return np.concatenate([f.agents.y for f in sensed(some, replace(NOISY, dropout=0.0, seed=seed), GRID)])
+        return np.concatenate(
+            [f.agents.y for f in sensed(some, replace(NOISY, dropout=0.0, seed=seed), GRID)]
+        )
 
     np.testing.assert_array_equal(ys(log, 0), ys(log, 0))
-    assert (ys(log, 0) != ys(log, 1)).any() and (ys(log, 0) != ys(replace(log, name="other"), 0)).any()
+    assert (ys(log, 0) != ys(log, 1)).any() and (
+        ys(log, 0) != ys(replace(log, name="other"), 0)
+    ).any()
 
 
 def test_noise_has_the_stated_spread_in_the_agents_own_axes() -> None:
@@ -315,7 +366,12 @@ def test_noise_has_the_stated_spread_in_the_agents_own_axes() -> None:
 def test_dropouts_come_as_often_as_stated_and_last_a_slot() -> None:
     t = np.arange(0.0, 200.01, 0.1)
     log = made(track("a", t, 30.0 + 10.0 * t, 0.0 * t), seconds=200.0)
-    gone = np.array([len(f.agents) == 0 for f in sensed(log, replace(IDEAL, dropout=0.2, dropout_s=0.5), t.tolist())])
+    gone = np.array(
+        [
+            len(f.agents) == 0
+            for f in sensed(log, replace(IDEAL, dropout=0.2, dropout_s=0.5), t.tolist())
+        ]
+    )
     assert gone.mean() == pytest.approx(0.2, abs=0.06)
     edges = np.flatnonzero(np.diff(np.r_[False, gone, False].astype(int)))
     lengths = edges[1::2] - edges[::2]
@@ -326,15 +382,30 @@ def test_dropouts_come_as_often_as_stated_and_last_a_slot() -> None:
 def test_a_tracker_carries_on_who_drops_out_and_forgets_him_in_the_end() -> None:
     t = np.arange(0.0, 6.01, 0.1)
     van = box("van", 30.0, -3.0, kind=AgentKind.TRUCK, length=6.0, width=2.4)
-    log = made(van, track("child", t, 45.0 + 0.0 * t, 2.5 - 1.5 * t, kind=AgentKind.PEDESTRIAN, length=0.4, width=0.5))
+    log = made(
+        van,
+        track(
+            "child",
+            t,
+            45.0 + 0.0 * t,
+            2.5 - 1.5 * t,
+            kind=AgentKind.PEDESTRIAN,
+            length=0.4,
+            width=0.5,
+        ),
+    )
     log = replace(log, ego=replace(drive(straight, 0.0, 6.0), x=np.zeros(61), y=np.zeros(61)))
 
     def lost(coast: float) -> int:
         sensor = replace(IDEAL, occlusion=True, coast_s=coast)
-        return next(i for i, f in enumerate(sensed(log, sensor, t.tolist())) if "child" not in f.agents.ids)
+        return next(
+            i for i, f in enumerate(sensed(log, sensor, t.tolist())) if "child" not in f.agents.ids
+        )
 
     assert 0 < lost(0.0) < lost(0.5) == lost(0.0) + 5
-    carried = sensed(log, replace(IDEAL, occlusion=True, coast_s=0.5), t.tolist())[lost(0.5) - 1].agents
+    carried = sensed(log, replace(IDEAL, occlusion=True, coast_s=0.5), t.tolist())[
+        lost(0.5) - 1
+    ].agents
     child = carried.ids.index("child")
     assert carried.unseen[child] == pytest.approx(0.5) and carried.velocity_sigma[child] == 0.0
     assert np.isnan(carried.age).all(), "the child was there when the sensor began"
@@ -346,7 +417,9 @@ def test_with_latency_a_change_is_seen_later_and_steady_motion_on_time() -> None
     log = made(track("a", t, 30.0 + np.minimum(5.0 * t, 10.0), 0.0 * t))
     prompt, late = (sensed(log, replace(IDEAL, latency_s=lag), t.tolist()) for lag in (0.0, 0.3))
     for k in range(2, 20):
-        assert late[k].agents.x[0] == pytest.approx(prompt[k].agents.x[0], abs=1.6 if k < 5 else 1e-9)
+        assert late[k].agents.x[0] == pytest.approx(
+            prompt[k].agents.x[0], abs=1.6 if k < 5 else 1e-9
+        )
     assert [late[k].agents.vx[0] > 1.0 for k in (20, 22, 23, 24)] == [True, True, True, False]
     assert prompt[21].agents.vx[0] == pytest.approx(0.0, abs=1e-6)
     assert len(late[0].agents) == 1, "the sensor ran before the log began"

@@ -31,7 +31,14 @@ from replan.replay.loop.open_loop import run_open_loop
 from replan.replay.loop_config import LoopConfig, PlannerProcessConfig
 from replan.replay.planner_process import messages
 from replan.replay.planner_process.connection import clean_text, describe_planner
-from replan.replay.planner_process.messages import context_message, context_of, decode, encode, frame_message, frame_of
+from replan.replay.planner_process.messages import (
+    context_message,
+    context_of,
+    decode,
+    encode,
+    frame_message,
+    frame_of,
+)
 from replan.replay.planner_process.processes import _warm, set_template_run
 from replan.replay.world import World
 from replan.run.one_log import LOOPS
@@ -61,25 +68,37 @@ def nothing_is_left() -> bool:
     ("name", "built_in", "apart"),
     [
         ("paper/free_road", "idm", "replan.planners.idm:Idm"),
-        pytest.param("everyday/nudge", "dp_qp", "replan.planners.dp_qp:DpQp", marks=pytest.mark.slow),
+        pytest.param(
+            "everyday/nudge", "dp_qp", "replan.planners.dp_qp:DpQp", marks=pytest.mark.slow
+        ),
         pytest.param("everyday/junction", "idm", "replan.planners.idm:Idm", marks=pytest.mark.slow),
     ],
 )
-def test_what_is_driven_does_not_depend_on_the_process(name: str, built_in: str, apart: str) -> None:
+def test_what_is_driven_does_not_depend_on_the_process(
+    name: str, built_in: str, apart: str
+) -> None:
     log = CATALOGUE[name].scenario()
     for run in LOOPS.values():
         one, two = run(log, built_in).trace, run(log, apart).trace
         assert (one.end, one.detail, one.notes) == (two.end, two.detail, two.notes)
         for a, b in zip(one.frames, two.frames, strict=True):
             for column in TRAJECTORY_COLUMNS:
-                assert np.array_equal(getattr(a.plan.trajectory, column), getattr(b.plan.trajectory, column))
-            assert (a.plan.status, a.plan.reason, a.plan.start) == (b.plan.status, b.plan.reason, b.plan.start)
+                assert np.array_equal(
+                    getattr(a.plan.trajectory, column), getattr(b.plan.trajectory, column)
+                )
+            assert (a.plan.status, a.plan.reason, a.plan.start) == (
+                b.plan.status,
+                b.plan.reason,
+                b.plan.start,
+            )
             assert plan_message(a.plan, "full") == plan_message(b.plan, "full")
         tables = [evaluate(trace, log).drop(columns="planner") for trace in (one, two)]
         assert tables[0].equals(tables[1])
 
 
-def test_threads_that_start_planners_at_once_share_one_launcher(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_threads_that_start_planners_at_once_share_one_launcher(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Before, each of the first threads had a launcher of its own, which ended as the next one began."""
     monkeypatch.setattr("replan.replay.planner_process.processes._warm", {})
     program = f"exec:{sys.executable} {Path(__file__).parents[3] / 'examples' / 'planner_exec.py'}"
@@ -116,7 +135,9 @@ def test_a_bad_planner_ends_its_own_drive_with_one_line(name: str) -> None:
     trace = ended(f"bad_planners:{name}")
     assert time.monotonic() - begin < 60.0
     assert trace.end is EndReason.PLANNER_FAILURE and len(trace.frames) == 5
-    assert trace.detail.startswith(f"planner 'bad_planners:{name}' on handmade {SAID[name]}"), trace.detail
+    assert trace.detail.startswith(f"planner 'bad_planners:{name}' on handmade {SAID[name]}"), (
+        trace.detail
+    )
     assert trace.detail.isprintable() and len(trace.detail) < 1500
     assert nothing_is_left()
 
@@ -143,9 +164,14 @@ def test_what_is_only_odd_is_driven_and_judged(name: str) -> None:
 
 @pytest.mark.parametrize(
     ("name", "reason"),
-    [("Long", "it has 300000 states, more than 10000"), ("Verbose", "xxx ... (cut, 50000000 characters)")],
+    [
+        ("Long", "it has 300000 states, more than 10000"),
+        ("Verbose", "xxx ... (cut, 50000000 characters)"),
+    ],
 )
-def test_what_is_too_large_in_every_plan_is_cut_or_refused_within_seconds(name: str, reason: str) -> None:
+def test_what_is_too_large_in_every_plan_is_cut_or_refused_within_seconds(
+    name: str, reason: str
+) -> None:
     begin = time.monotonic()
     trace = ended(f"bad_planners:{name}", LoopConfig(apart=PlannerProcessConfig()))
     assert (trace.end, len(trace.frames)) == (EndReason.END_OF_LOG, 11)
@@ -154,10 +180,14 @@ def test_what_is_too_large_in_every_plan_is_cut_or_refused_within_seconds(name: 
     assert sum(len(frame.plan.reason) for frame in trace.frames) < 10_000
 
 
-@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="orphans are taken over on Linux alone")
+@pytest.mark.skipif(
+    not Path("/proc/self/task").exists(), reason="orphans are taken over on Linux alone"
+)
 @pytest.mark.parametrize("name", ["Detaches", "DetachesAndExits"])
 @pytest.mark.parametrize("within_a_run", [False, True])
-def test_processes_in_sessions_of_their_own_end_with_the_drive(name: str, within_a_run: bool, folder: Path) -> None:
+def test_processes_in_sessions_of_their_own_end_with_the_drive(
+    name: str, within_a_run: bool, folder: Path
+) -> None:
     (folder / "detached").unlink(missing_ok=True)
     set_template_run("a run" if within_a_run else "")
     trace = ended(f"bad_planners:{name}", LoopConfig(apart=PlannerProcessConfig()))
@@ -171,7 +201,10 @@ def test_processes_in_sessions_of_their_own_end_with_the_drive(name: str, within
 def test_who_peeps_finds_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SECRET_LOG", "SECRET")
     for run in LOOPS.values():
-        assert "ValueError: found []" in run(short_log(), "bad_planners:Peeps", config=SHORT).trace.detail
+        assert (
+            "ValueError: found []"
+            in run(short_log(), "bad_planners:Peeps", config=SHORT).trace.detail
+        )
 
 
 def test_who_peeps_would_find_much_where_it_is_trusted() -> None:
@@ -196,7 +229,9 @@ def test_the_whole_drive_may_be_limited() -> None:
 
 
 def test_a_planner_that_cannot_be_built_or_loaded_is_an_error() -> None:
-    with pytest.raises(PlannerError, match=r"handmade cannot be built: KeyError: 'weights.bin' \(bad_planners.py:"):
+    with pytest.raises(
+        PlannerError, match=r"handmade cannot be built: KeyError: 'weights.bin' \(bad_planners.py:"
+    ):
         ended("bad_planners:Unbuilt")
     with pytest.raises(ConfigError, match="wieght"):
         run_open_loop(short_log(), "bad_planners:Unbuilt", planner_config={"wieght": 2.0})
@@ -212,10 +247,15 @@ def test_a_planner_that_cannot_be_built_or_loaded_is_an_error() -> None:
 
 def test_settings_are_asked_of_the_planner_and_reach_it() -> None:
     spec = "replan.planners.constant_speed:ConstantSpeed"
-    assert describe_planner(spec, {"step_s": 0.2}, PlannerProcessConfig()) == {"horizon_s": 8.0, "step_s": 0.2}
+    assert describe_planner(spec, {"step_s": 0.2}, PlannerProcessConfig()) == {
+        "horizon_s": 8.0,
+        "step_s": 0.2,
+    }
     with pytest.raises(ConfigError, match="horizon"):
         describe_planner(spec, {"horizon": 4.0}, PlannerProcessConfig())
-    trace = run_closed_loop(short_log(), spec, planner_config={"horizon_s": 4.0, "step_s": 0.2}).trace
+    trace = run_closed_loop(
+        short_log(), spec, planner_config={"horizon_s": 4.0, "step_s": 0.2}
+    ).trace
     assert len(trace.frames[0].plan.trajectory) == 21
 
 
@@ -235,7 +275,9 @@ def test_control_characters_do_not_reach_the_terminal() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("workers", ["0", "1"])
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
-def test_a_run_that_ends_takes_a_planner_along_that_hangs(tmp_path: Path, how: signal.Signals, workers: str) -> None:
+def test_a_run_that_ends_takes_a_planner_along_that_hangs(
+    tmp_path: Path, how: signal.Signals, workers: str
+) -> None:
     write_scenario(tmp_path / "log.mcap", short_log())
     words = "evaluate log.mcap -p bad_planners:Hangs --set loop.apart.plan_timeout_s=1000 -o out --workers"
     with started(*words.split(), workers, cwd=tmp_path) as run:
@@ -259,19 +301,27 @@ def test_a_goal_with_alternatives_reaches_the_planner_and_one_without_is_as_befo
         assert found is not None and (found.t, found.v, found.yaw) == (goal.t, goal.v, goal.yaw)
         assert [one.v for one in found.alternatives] == [one.v for one in goal.alternatives]
         np.testing.assert_array_equal(np.vstack(found.regions), np.vstack(goal.regions))
-    old = {key: value for key, value in decode(encode(sent.goal), dict).items() if key != "alternatives"}
+    old = {
+        key: value
+        for key, value in decode(encode(sent.goal), dict).items()
+        if key != "alternatives"
+    }
     assert decode(encode(old), Goal).alternatives == ()
 
 
 def test_agents_reach_the_planner_with_all_columns_and_without_those_of_older_senders() -> None:
-    log = scenario(drive(straight, 10.0, 1.0), agents=tracks(track("a", [0.4, 0.5], [1.0, 2.0], [0.0, 0.1])))
+    log = scenario(
+        drive(straight, 10.0, 1.0), agents=tracks(track("a", [0.4, 0.5], [1.0, 2.0], [0.0, 0.1]))
+    )
     frame = perceive(World(log.ego.state(0), log.tracks))
     assert not len(frame.agents)
     frame = perceive(World(replace(log.ego.state(0), t=0.6), log.tracks))
     sent = encode(frame_message(frame))
     found = frame_of(decode(sent, messages.Frame)).agents
     for name in NUMBERS:
-        np.testing.assert_array_equal(getattr(found, name), getattr(frame.agents, name), err_msg=name)
+        np.testing.assert_array_equal(
+            getattr(found, name), getattr(frame.agents, name), err_msg=name
+        )
     assert found.age == pytest.approx([0.2]) and found.unseen == pytest.approx([0.1])
     plain = msgspec.msgpack.decode(sent)
     for name in OPTIONAL:

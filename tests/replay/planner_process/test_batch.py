@@ -48,7 +48,10 @@ class Mine(ConstantSpeed):
 
 def written(name: str, built: str = "", batch: str = "") -> str:
     """A planner that plans its batches one by one."""
-    parts = {"built": dedent(built).replace("\n", "\n        "), "batch": dedent(batch).replace("\n", "\n        ")}
+    parts = {
+        "built": dedent(built).replace("\n", "\n        "),
+        "batch": dedent(batch).replace("\n", "\n        "),
+    }
     Path(f"{name}.py").write_text(PLANNER.format(name=name, **parts), encoding="utf-8")
     return f"{name}:Mine"
 
@@ -58,22 +61,34 @@ def sizes(name: str) -> list[str]:
     return Path(f"sizes.{name}").read_text(encoding="utf-8").split()
 
 
-def run(planner: str, logs: Path, out: Path, batch: int, workers: int = 0, **options: object) -> Results:
+def run(
+    planner: str, logs: Path, out: Path, batch: int, workers: int = 0, **options: object
+) -> Results:
     loop = LoopConfig(apart=PlannerProcessConfig(batch=batch))
     given = {"mode": "both", "repeat_s": 0.2, **options}
-    config = RunConfig(planners=("constant_speed", planner), loop=loop, recording=False, internals="none", **given)  # type: ignore[arg-type]
+    config = RunConfig(
+        planners=("constant_speed", planner), loop=loop, recording=False, internals="none", **given
+    )  # type: ignore[arg-type]
     return evaluate_logs([logs], config, out, workers=workers)
 
 
 def tables(out: Path) -> list[bytes]:
-    return [path.read_bytes() for path in (out / "metrics.parquet", *sorted(out.glob("*/frames.parquet")))]
+    return [
+        path.read_bytes()
+        for path in (out / "metrics.parquet", *sorted(out.glob("*/frames.parquet")))
+    ]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("workers", [0, pytest.param(2, marks=pytest.mark.slow)])
-def test_the_numbers_are_those_of_logs_by_themselves(workers: int, logs: Path, tmp_path: Path) -> None:
+def test_the_numbers_are_those_of_logs_by_themselves(
+    workers: int, logs: Path, tmp_path: Path
+) -> None:
     planner = written(f"same{workers}")
-    alone, together = run(planner, logs, tmp_path / "alone", 0), run(planner, logs, tmp_path / "two", 2, workers)
+    alone, together = (
+        run(planner, logs, tmp_path / "alone", 0),
+        run(planner, logs, tmp_path / "two", 2, workers),
+    )
     assert not len(alone.failures) and not len(together.failures)
     assert tables(tmp_path / "alone") == tables(tmp_path / "two")
     for drive in together.drives.itertuples():
@@ -88,7 +103,9 @@ def test_the_numbers_are_those_of_logs_by_themselves(workers: int, logs: Path, t
 def test_logs_of_other_lengths_and_members_keep_step(tmp_path: Path) -> None:
     (tmp_path / "logs").mkdir()
     for name, end in (("a", 1.0), ("b", 2.0), ("c", 0.5)):
-        write_scenario(tmp_path / "logs" / f"{name}.mcap", replace(short(f"test/{name}"), ego=cut(name, end)))
+        write_scenario(
+            tmp_path / "logs" / f"{name}.mcap", replace(short(f"test/{name}"), ego=cut(name, end))
+        )
     planner = written("lengths")
     options = {"ensemble": 1, "mode": "open"}
     run(planner, tmp_path / "logs", tmp_path / "alone", 0, **options)
@@ -117,7 +134,12 @@ FAILS: dict[str, tuple[str, str, list[bool], str]] = {
         [True] * 3,
         "raised at 0.50 s: ValueError: all",
     ),
-    "few": ("", "return []", [True] * 3, "broke its contract at 0.00 s: plan_batch returned 0 plans instead of 3"),
+    "few": (
+        "",
+        "return []",
+        [True] * 3,
+        "broke its contract at 0.00 s: plan_batch returned 0 plans instead of 3",
+    ),
     "dies": (
         "",
         "import os\nif frames[0].t > 0.45: os._exit(3)",
@@ -128,7 +150,9 @@ FAILS: dict[str, tuple[str, str, list[bool], str]] = {
 
 
 @pytest.mark.parametrize("name", FAILS)
-def test_a_fault_costs_the_log_that_it_is_of_or_each_is_named(name: str, logs: Path, tmp_path: Path) -> None:
+def test_a_fault_costs_the_log_that_it_is_of_or_each_is_named(
+    name: str, logs: Path, tmp_path: Path
+) -> None:
     built, batch, failed, said = FAILS[name]
     planner = written(name, built, batch)
     result = run(planner, logs, tmp_path / "out", 3, mode="open", repeat_s=0.0)
@@ -136,10 +160,12 @@ def test_a_fault_costs_the_log_that_it_is_of_or_each_is_named(name: str, logs: P
     assert [drive.end == EndReason.PLANNER_FAILURE.value for drive in drives] == failed
     for drive, wrong in zip(drives, failed, strict=True):
         if wrong:
-            assert drive.detail.startswith(f"planner '{planner}' on {drive.log} {said}"), drive.detail
-    assert [drive.end for drive in result.drives.itertuples() if drive.planner == "constant_speed"] == [
-        EndReason.END_OF_LOG.value
-    ] * 3
+            assert drive.detail.startswith(f"planner '{planner}' on {drive.log} {said}"), (
+                drive.detail
+            )
+    assert [
+        drive.end for drive in result.drives.itertuples() if drive.planner == "constant_speed"
+    ] == [EndReason.END_OF_LOG.value] * 3
 
 
 def test_one_that_cannot_be_built_leaves_the_others(logs: Path, tmp_path: Path) -> None:
@@ -150,7 +176,10 @@ def test_one_that_cannot_be_built_leaves_the_others(logs: Path, tmp_path: Path) 
         for log in result.logs.itertuples()
         if planner not in set(result.drives.query(f"log == '{log.log}'")["planner"])
     )
-    assert all("cannot be built: KeyError: 'weights'" in failure.message for failure in result.failures.itertuples())
+    assert all(
+        "cannot be built: KeyError: 'weights'" in failure.message
+        for failure in result.failures.itertuples()
+    )
     assert 0 < len(result.failures) < 3
 
 
@@ -175,9 +204,19 @@ def test_what_does_not_go_together_is_refused(logs: Path, tmp_path: Path) -> Non
         ["-p", "exec:true"],
     ):
         ended = replan(
-            "evaluate", str(logs), "-p", planner, "--set", "loop.apart.batch=2", *options, "-o", str(tmp_path / "out")
+            "evaluate",
+            str(logs),
+            "-p",
+            planner,
+            "--set",
+            "loop.apart.batch=2",
+            *options,
+            "-o",
+            str(tmp_path / "out"),
         )
-        assert ended.exit_code == 2 and "loop.apart.batch" in " ".join(ended.output.split()), options
+        assert ended.exit_code == 2 and "loop.apart.batch" in " ".join(ended.output.split()), (
+            options
+        )
     with pytest.raises(ConfigError, match="batch"):
         PlannerProcessConfig(batch=65)
 

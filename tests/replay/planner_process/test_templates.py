@@ -53,15 +53,23 @@ def loads(name: str) -> int:
     return len(Path(f"loads.{name}").read_text(encoding="utf-8"))
 
 
-def driven(planner: str, *, again: bool = False, config: LoopConfig = DEFAULT_LOOP, **settings: object) -> Trace:
+def driven(
+    planner: str, *, again: bool = False, config: LoopConfig = DEFAULT_LOOP, **settings: object
+) -> Trace:
     def seat(*given: object, **named: object) -> Planning:
         return Planning(*given, place=DriveKey(again=again), **named)  # type: ignore[arg-type]
 
-    return run_open_loop(short("test/a"), planner, planner_config=settings, config=config, seat=seat).trace
+    return run_open_loop(
+        short("test/a"), planner, planner_config=settings, config=config, seat=seat
+    ).trace
 
 
 def plans(trace: Trace) -> list[bytes]:
-    return [getattr(one.plan.trajectory, name).tobytes() for one in trace.frames for name in TRAJECTORY_COLUMNS]
+    return [
+        getattr(one.plan.trajectory, name).tobytes()
+        for one in trace.frames
+        for name in TRAJECTORY_COLUMNS
+    ]
 
 
 @pytest.mark.slow
@@ -125,7 +133,9 @@ BAD = {
 }
 
 
-@pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * (name == "hangs")) for name in BAD])
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name == "hangs")) for name in BAD]
+)
 def test_a_module_that_cannot_be_loaded_is_said_as_without_a_template(name: str) -> None:
     planner, said = written(name, BAD[name][0] + "\n" + MINE), list[str]()
     limits = LoopConfig(apart=PlannerProcessConfig(start_timeout_s=1.0, memory_gb=2.0))
@@ -164,7 +174,9 @@ def test_a_class_prepares_itself_once_and_everywhere_alike() -> None:
         set_template_run(run)
         found += [plans(driven(planner, file="b")) for _ in range(2)]
         assert loads("prepared") == expected
-    assert found[0] == found[1] == found[2] == found[3], "a seed that the module sets holds in each drive"
+    assert found[0] == found[1] == found[2] == found[3], (
+        "a seed that the module sets holds in each drive"
+    )
 
 
 def test_a_method_of_a_planner_that_is_called_prepare_is_its_own() -> None:
@@ -199,14 +211,23 @@ DRAWN = """
 
 @pytest.mark.slow
 @pytest.mark.parametrize("workers", [0, pytest.param(2, marks=pytest.mark.slow)])
-def test_a_run_in_a_worker_still_sees_what_is_not_deterministic(workers: int, logs: Path, folder: Path) -> None:
+def test_a_run_in_a_worker_still_sees_what_is_not_deterministic(
+    workers: int, logs: Path, folder: Path
+) -> None:
     name = f"drawn{workers}"
-    run = RunConfig(planners=(written(name, DRAWN),), recording=False, internals="none", mode="open", repeat_s=0.2)
+    run = RunConfig(
+        planners=(written(name, DRAWN),),
+        recording=False,
+        internals="none",
+        mode="open",
+        repeat_s=0.2,
+    )
     result = evaluate_logs([logs], run, folder / "out", workers=workers)
     assert loads(name) == 1 + 2 * max(workers, 1), "one checks the settings; two in each worker"
     assert len(result.drives) == 3
     assert all(
-        any(note.startswith("not deterministic") for note in drive.notes) for drive in result.drives.itertuples()
+        any(note.startswith("not deterministic") for note in drive.notes)
+        for drive in result.drives.itertuples()
     )
     assert not _warm["launcher"].templates
 
@@ -230,7 +251,9 @@ def test_a_worker_that_is_killed_takes_its_templates_along() -> None:
         """
     written("orphans", dedent(orphan) + MINE)
     places = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
-    ended = subprocess.run([sys.executable, "-P", "-c", dedent(code)], env=places, capture_output=True, text=True)
+    ended = subprocess.run(
+        [sys.executable, "-P", "-c", dedent(code)], env=places, capture_output=True, text=True
+    )
     pids = [ended.stdout.strip(), Path("template").read_text(encoding="utf-8")]
     assert ended.returncode == -9 and loads("orphans") == 1
     assert are_gone(pids)

@@ -17,7 +17,9 @@ from replan.replay.parts import PREDICTION
 from replan.replay.prediction import LaneMap, predict
 
 COORDINATE = st.floats(-500.0, 500.0)
-STATE = st.tuples(COORDINATE, COORDINATE, st.floats(-4.0, 4.0), st.floats(-30.0, 30.0), st.floats(-30.0, 30.0))
+STATE = st.tuples(
+    COORDINATE, COORDINATE, st.floats(-4.0, 4.0), st.floats(-30.0, 30.0), st.floats(-30.0, 30.0)
+)
 KINDS = tuple(AgentKind)
 COLUMNS = ("x", "y", "yaw", "vx", "vy", "yaw_rate", "accel")
 
@@ -25,13 +27,26 @@ COLUMNS = ("x", "y", "yaw", "vx", "vy", "yaw_rate", "accel")
 def agents(states: list[tuple[float, ...]]) -> Agents:
     x, y, yaw, vx, vy = np.array(states, float).reshape(-1, 5).T
     n = len(x)
-    return Agents(tuple(map(str, range(n))), n * (AgentKind.CAR,), np.full(n, 4.5), np.full(n, 1.8), x, y, yaw, vx, vy)
+    return Agents(
+        tuple(map(str, range(n))),
+        n * (AgentKind.CAR,),
+        np.full(n, 4.5),
+        np.full(n, 1.8),
+        x,
+        y,
+        yaw,
+        vx,
+        vy,
+    )
 
 
 def crossing() -> Road:
     """Two lanes that bend, a fork at the end of the right one, and a lane across."""
     bend = curve((60.0, 0.0), (30.0, 0.02), (60.0, 0.0))
-    roads = [lanes(bend, 2), lanes(np.column_stack([np.full(40, 40.0), np.arange(-40.0, 40.0, 2.0)]))]
+    roads = [
+        lanes(bend, 2),
+        lanes(np.column_stack([np.full(40, 40.0), np.arange(-40.0, 40.0, 2.0)])),
+    ]
     found = [*roads[0].lanes.values()]
     c, s = np.cos(0.6), np.sin(0.6)
     onward = curve((60.0, 0.0)) @ np.array([[c, s], [-s, c]]) + bend[-1]
@@ -58,19 +73,36 @@ def crowd(seed: int, n: int = 12) -> Agents:
     kinds = tuple(KINDS[i] for i in rng.integers(0, len(KINDS), n))
     yaw = heading + np.where(rng.uniform(size=n) < 0.15, np.pi, 0.0)
     return Agents(
-        tuple(map(str, range(n))), kinds, np.full(n, 4.5), np.full(n, 1.8), x, y, yaw, v * np.cos(yaw), v * np.sin(yaw),
-        rng.normal(0.0, 0.2, n), rng.normal(0.0, 1.0, n),
-    )  # fmt: skip
+        tuple(map(str, range(n))),
+        kinds,
+        np.full(n, 4.5),
+        np.full(n, 1.8),
+        x,
+        y,
+        yaw,
+        v * np.cos(yaw),
+        v * np.sin(yaw),
+        rng.normal(0.0, 0.2, n),
+        rng.normal(0.0, 1.0, n),
+    )
 
 
 def placed(now: Agents, turn: float, dx: float, dy: float, sign: float = 1.0) -> Agents:
     """Mirrored at the x axis (sign -1), then turned about the origin, then shifted."""
     c, s = np.cos(turn), np.sin(turn)
     return Agents(
-        now.ids, now.kinds, now.length, now.width,
-        dx + c * now.x - s * sign * now.y, dy + s * now.x + c * sign * now.y, sign * now.yaw + turn,
-        c * now.vx - s * sign * now.vy, s * now.vx + c * sign * now.vy, sign * now.yaw_rate, now.accel,
-    )  # fmt: skip
+        now.ids,
+        now.kinds,
+        now.length,
+        now.width,
+        dx + c * now.x - s * sign * now.y,
+        dy + s * now.x + c * sign * now.y,
+        sign * now.yaw + turn,
+        c * now.vx - s * sign * now.vy,
+        s * now.vx + c * sign * now.vy,
+        sign * now.yaw_rate,
+        now.accel,
+    )
 
 
 def placed_road(road: Road, turn: float, dx: float, dy: float, sign: float = 1.0) -> Road:
@@ -86,13 +118,18 @@ def placed_road(road: Road, turn: float, dx: float, dy: float, sign: float = 1.0
         beside = (lane.left_neighbour, lane.right_neighbour)
         if sign < 0.0:
             left, right, beside = right, left, beside[::-1]
-        found[i] = renamed(lane, i, left=left, right=right, left_neighbour=beside[0], right_neighbour=beside[1])
+        found[i] = renamed(
+            lane, i, left=left, right=right, left_neighbour=beside[0], right_neighbour=beside[1]
+        )
     return Road(found)
 
 
 def same(one: Predictions, two: Predictions, atol: float = 1e-6) -> None:
     np.testing.assert_array_equal(one.agent, two.agent)
-    order = [np.lexsort((np.round(p.x[:, -1], 3), np.round(p.probability, 6), p.agent)) for p in (one, two)]
+    order = [
+        np.lexsort((np.round(p.x[:, -1], 3), np.round(p.probability, 6), p.agent))
+        for p in (one, two)
+    ]
     for name in ("probability", "x", "y"):
         mine, theirs = getattr(one, name)[order[0]], getattr(two, name)[order[1]]
         np.testing.assert_allclose(mine, theirs, atol=atol, err_msg=name)
@@ -103,7 +140,9 @@ def same(one: Predictions, two: Predictions, atol: float = 1e-6) -> None:
 @pytest.mark.parametrize("method", PREDICTION.causal)
 @given(st.integers(0, 2**32 - 1), st.floats(0.0, 100.0))
 @settings(max_examples=15)
-def test_every_future_begins_at_its_agent_and_is_one_of_some(method: str, seed: int, t: float) -> None:
+def test_every_future_begins_at_its_agent_and_is_one_of_some(
+    method: str, seed: int, t: float
+) -> None:
     now = crowd(seed)
     future = predict(now, t, method=method, lanes=LANES)
     assert future.method == method and future.x.shape == (len(future), 81)
@@ -113,14 +152,24 @@ def test_every_future_begins_at_its_agent_and_is_one_of_some(method: str, seed: 
     np.testing.assert_allclose(future.x[:, 0], now.x[future.agent], atol=1e-9)
     np.testing.assert_allclose(future.y[:, 0], now.y[future.agent], atol=1e-9)
     np.testing.assert_allclose(future.yaw[:, 0], now.yaw[future.agent], atol=1e-9)
-    assert np.isfinite(future.x).all() and np.isfinite(future.y).all() and np.isfinite(future.yaw).all()
+    assert (
+        np.isfinite(future.x).all()
+        and np.isfinite(future.y).all()
+        and np.isfinite(future.yaw).all()
+    )
 
 
 LANES = LaneMap.of(crossing())
 
 
 @pytest.mark.parametrize("method", PREDICTION.causal)
-@given(st.integers(0, 2**32 - 1), st.floats(-3.0, 3.0), COORDINATE, COORDINATE, st.sampled_from([1.0, -1.0]))
+@given(
+    st.integers(0, 2**32 - 1),
+    st.floats(-3.0, 3.0),
+    COORDINATE,
+    COORDINATE,
+    st.sampled_from([1.0, -1.0]),
+)
 @settings(max_examples=15)
 def test_predictions_move_with_the_world(
     method: str, seed: int, turn: float, dx: float, dy: float, sign: float
@@ -131,9 +180,14 @@ def test_predictions_move_with_the_world(
     there = predict(placed(now, turn, dx, dy, sign), 0.0, method=method, lanes=moved)
     c, s = np.cos(turn), np.sin(turn)
     expected = Predictions(
-        here.t, here.agent, here.probability,
-        dx + c * here.x - s * sign * here.y, dy + s * here.x + c * sign * here.y, sign * here.yaw + turn, method,
-    )  # fmt: skip
+        here.t,
+        here.agent,
+        here.probability,
+        dx + c * here.x - s * sign * here.y,
+        dy + s * here.x + c * sign * here.y,
+        sign * here.yaw + turn,
+        method,
+    )
     same(expected, there)
 
 
@@ -141,7 +195,11 @@ def test_predictions_move_with_the_world(
 def test_who_else_is_there_changes_no_prediction(method: str) -> None:
     now = crowd(5)
     alone = Agents(
-        now.ids[:1], now.kinds[:1], now.length[:1], now.width[:1], *(getattr(now, name)[:1] for name in COLUMNS)
+        now.ids[:1],
+        now.kinds[:1],
+        now.length[:1],
+        now.width[:1],
+        *(getattr(now, name)[:1] for name in COLUMNS),
     )
     all_, one = (predict(who, 0.0, method=method, lanes=LANES) for who in (now, alone))
     mine = all_.agent == 0
@@ -163,13 +221,19 @@ def test_every_method_keeps_the_form_without_lanes_and_without_agents(method: st
 def test_constant_velocity_keeps_velocity_and_heading(states: list[tuple[float, ...]]) -> None:
     now = agents(states)
     future = predict(now, 0.0)
-    np.testing.assert_allclose(np.diff(future.x, axis=1), 0.1 * now.vx[:, None] * np.ones(80), atol=1e-8)
-    np.testing.assert_allclose(np.diff(future.y, axis=1), 0.1 * now.vy[:, None] * np.ones(80), atol=1e-8)
+    np.testing.assert_allclose(
+        np.diff(future.x, axis=1), 0.1 * now.vx[:, None] * np.ones(80), atol=1e-8
+    )
+    np.testing.assert_allclose(
+        np.diff(future.y, axis=1), 0.1 * now.vy[:, None] * np.ones(80), atol=1e-8
+    )
     np.testing.assert_array_equal(future.yaw, np.repeat(now.yaw[:, None], 81, axis=1))
 
 
 @given(st.floats(2.0, 20.0), st.floats(-0.15, 0.15), st.floats(-3.0, 3.0))
-def test_who_drives_a_circle_in_the_log_is_predicted_on_it(v: float, kappa: float, yaw: float) -> None:
+def test_who_drives_a_circle_in_the_log_is_predicted_on_it(
+    v: float, kappa: float, yaw: float
+) -> None:
     """Yaw rate by backward differences, then the arc: exact, as long as it is within what a vehicle can turn."""
     rate = np.clip(v * kappa, -4.9 / v, 4.9 / v)
     t = np.arange(0.0, 3.0, 0.1)
@@ -183,8 +247,12 @@ def test_who_drives_a_circle_in_the_log_is_predicted_on_it(v: float, kappa: floa
 
     x, y = place(t)
     heading = yaw + rate * t
-    seen = tracks(track("a", t, x, y, yaw=heading, vx=v * np.cos(heading), vy=v * np.sin(heading))).perceived(t[-1])
-    assert seen.yaw_rate[0] == pytest.approx(rate, abs=1e-9) and seen.accel[0] == pytest.approx(0.0, abs=1e-6)
+    seen = tracks(
+        track("a", t, x, y, yaw=heading, vx=v * np.cos(heading), vy=v * np.sin(heading))
+    ).perceived(t[-1])
+    assert seen.yaw_rate[0] == pytest.approx(rate, abs=1e-9) and seen.accel[0] == pytest.approx(
+        0.0, abs=1e-6
+    )
     future = predict(seen, t[-1], method="constant_turn_rate")
     x, y = place(future.t)
     np.testing.assert_allclose(future.x[0], x, atol=1e-4)
@@ -195,10 +263,20 @@ def test_pedestrians_and_who_hardly_moves_do_not_turn() -> None:
     now = crowd(1, 2)
     for kind, v in ((AgentKind.PEDESTRIAN, 2.0), (AgentKind.CAR, 0.5)):
         one = Agents(
-            ("a", "b"), (kind, kind), now.length, now.width, now.x, now.y, now.yaw,
-            v * np.cos(now.yaw), v * np.sin(now.yaw), np.full(2, 0.3),
-        )  # fmt: skip
-        straight, turning = (predict(one, 0.0, method=m) for m in ("constant_velocity", "constant_turn_rate"))
+            ("a", "b"),
+            (kind, kind),
+            now.length,
+            now.width,
+            now.x,
+            now.y,
+            now.yaw,
+            v * np.cos(now.yaw),
+            v * np.sin(now.yaw),
+            np.full(2, 0.3),
+        )
+        straight, turning = (
+            predict(one, 0.0, method=m) for m in ("constant_velocity", "constant_turn_rate")
+        )
         np.testing.assert_allclose(turning.x, straight.x, atol=1e-9)
         np.testing.assert_allclose(turning.yaw, straight.yaw, atol=1e-9)
 

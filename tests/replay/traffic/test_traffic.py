@@ -26,7 +26,13 @@ from replan.replay.loop.closed_loop import run_closed_loop
 from replan.replay.loop_config import LoopConfig
 from replan.replay.parts import TRAFFIC
 from replan.replay.traffic import Reactive
-from replan.replay.traffic.leaders import ACCEL_MPS2, HARDEST_MPS2, STANDSTILL_M, TIME_GAP_S, enhanced_idm
+from replan.replay.traffic.leaders import (
+    ACCEL_MPS2,
+    HARDEST_MPS2,
+    STANDSTILL_M,
+    TIME_GAP_S,
+    enhanced_idm,
+)
 from replan.replay.traffic.phase_replay import PERIOD_S, PhaseReplay
 from replan.replay.world import World, contact, logged_ego
 
@@ -50,7 +56,9 @@ def at_speed(v: Callable[[float], float], y: float = 0.0) -> Egos:
     """An ego along x with speed v(t)."""
     x, egos = 0.0, []
     for t in T:
-        egos.append(EgoState(float(t), x, y, 0.0, v(float(t)), (v(float(t) + 1e-3) - v(float(t))) / 1e-3))
+        egos.append(
+            EgoState(float(t), x, y, 0.0, v(float(t)), (v(float(t) + 1e-3) - v(float(t))) / 1e-3)
+        )
         x += 0.1 * 0.5 * (v(float(t)) + v(float(t) + 0.1))
     return egos
 
@@ -67,10 +75,18 @@ def made(*agents: dict[str, object], v: float = 10.0) -> Scenario:
     return scenario(drive(straight, v, 12.0), agents=tracks(*agents), road=ROAD, duration=12.0)
 
 
-def lit(log: Scenario, x: float, *shown: tuple[float, Colour], towards: tuple[int, ...] = ()) -> Scenario:
+def lit(
+    log: Scenario, x: float, *shown: tuple[float, Colour], towards: tuple[int, ...] = ()
+) -> Scenario:
     """With stop lines across both lanes at `x`, slanted, and one light."""
     lines = tuple(
-        StopLine(i, i, np.array([[x + 0.2, 3.5 * i - 1.75], [x - 0.2, 3.5 * i + 1.75]]), light=7, towards=towards)
+        StopLine(
+            i,
+            i,
+            np.array([[x + 0.2, 3.5 * i - 1.75], [x - 0.2, 3.5 * i + 1.75]]),
+            light=7,
+            towards=towards,
+        )
         for i in (0, 1)
     )
     light = TrafficLight(7, np.array([t for t, _ in shown]), tuple(colour for _, colour in shown))
@@ -81,14 +97,33 @@ def busy(seed: int) -> Scenario:
     """Cars along both lanes, one that stops for a while, a pedestrian, a parked car, a light."""
     rng = np.random.default_rng(seed)
     agents = []
-    for i, (x, y) in enumerate([(-40.0, 0.0), (-20.0, 0.0), (30.0, 0.0), (-30.0, 3.5), (10.0, 3.5)]):
+    for i, (x, y) in enumerate(
+        [(-40.0, 0.0), (-20.0, 0.0), (30.0, 0.0), (-30.0, 3.5), (10.0, 3.5)]
+    ):
         wish = np.clip(10.0 + np.cumsum(rng.normal(0.0, 0.3, len(T))), 3.0, 14.0)
         wish[40 : 40 + rng.integers(0, 20)] = 0.0 if i == 0 else wish[40]
         agents.append(track(f"c{i}", T, x + np.cumsum(0.1 * wish), np.full(len(T), y)))
-    agents.append(track("p", T, np.full(len(T), 60.0), 8.0 - 1.2 * T, kind=AgentKind.PEDESTRIAN, length=0.5, width=0.5))
+    agents.append(
+        track(
+            "p",
+            T,
+            np.full(len(T), 60.0),
+            8.0 - 1.2 * T,
+            kind=AgentKind.PEDESTRIAN,
+            length=0.5,
+            width=0.5,
+        )
+    )
     agents.append(track("parked", [0.0], [80.0], [-4.0], static=True))
     agents.append(track("late", T[50:], 20.01 + 9.0 * (T[50:] - 5.0), np.zeros(len(T[50:]))))
-    return lit(made(*agents), 20.0, (0.0, Colour.GREEN), (3.0, Colour.YELLOW), (4.5, Colour.RED), (9.0, Colour.GREEN))
+    return lit(
+        made(*agents),
+        20.0,
+        (0.0, Colour.GREEN),
+        (3.0, Colour.YELLOW),
+        (4.5, Colour.RED),
+        (9.0, Colour.GREEN),
+    )
 
 
 def assert_same_motion(one: Tracks, two: Tracks, atol: float = 1e-9, until: float = 12.0) -> None:
@@ -96,7 +131,9 @@ def assert_same_motion(one: Tracks, two: Tracks, atol: float = 1e-9, until: floa
         a, b = one.truth(float(t)), two.truth(float(t))
         assert a.ids == b.ids, t
         for name in ("x", "y", "yaw"):
-            np.testing.assert_allclose(getattr(a, name), getattr(b, name), atol=atol, err_msg=f"{name} at {t}")
+            np.testing.assert_allclose(
+                getattr(a, name), getattr(b, name), atol=atol, err_msg=f"{name} at {t}"
+            )
 
 
 def gap_behind(moved: Tracks, name: str, egos: Egos) -> FloatArray:
@@ -119,7 +156,9 @@ def assert_same_samples(one: Tracks, two: Tracks) -> None:
 @pytest.mark.parametrize("mode", REACT)
 @given(st.integers(0, 2**32 - 1))
 @settings(max_examples=6)
-def test_without_the_ego_the_traffic_that_reacts_is_the_log_to_the_bit(mode: str, seed: int) -> None:
+def test_without_the_ego_the_traffic_that_reacts_is_the_log_to_the_bit(
+    mode: str, seed: int
+) -> None:
     log = busy(seed)
     assert_same_samples(run(log, mode, far_away(log)), log.tracks)
 
@@ -157,7 +196,9 @@ def test_what_is_perceived_begins_as_in_the_log(mode: str) -> None:
     assert set(one.ids) == set(two.ids)
     for name in ("x", "y", "yaw"):
         order = [np.argsort(some.ids) for some in (one, two)]
-        np.testing.assert_allclose(getattr(one, name)[order[0]], getattr(two, name)[order[1]], atol=1e-9)
+        np.testing.assert_allclose(
+            getattr(one, name)[order[0]], getattr(two, name)[order[1]], atol=1e-9
+        )
 
 
 @pytest.mark.parametrize("mode", TRAFFIC.builtin)
@@ -176,7 +217,9 @@ def test_what_the_ego_does_later_changes_nothing_before(mode: str, seed: int, k:
 @given(st.integers(0, 2**32 - 1), st.floats(-3.0, 3.0), st.booleans())
 @settings(max_examples=3)
 @pytest.mark.parametrize("mode", TRAFFIC.builtin)
-def test_traffic_turns_moves_and_mirrors_with_the_world(mode: str, seed: int, turn: float, mirror: bool) -> None:
+def test_traffic_turns_moves_and_mirrors_with_the_world(
+    mode: str, seed: int, turn: float, mirror: bool
+) -> None:
     log = busy(seed)
     other = moved_world(log, turn, 30.0, -20.0, mirror=mirror)
     egos = at_speed(lambda t: max(10.0 - 2.0 * t, 2.0))
@@ -185,7 +228,10 @@ def test_traffic_turns_moves_and_mirrors_with_the_world(mode: str, seed: int, tu
     def place(x: float, y: float) -> tuple[float, float]:
         return c * x - s * sign * y + 30.0, s * x + c * sign * y - 20.0
 
-    turned = [replace(e, x=place(e.x, e.y)[0], y=place(e.x, e.y)[1], yaw=sign * e.yaw + turn) for e in egos]
+    turned = [
+        replace(e, x=place(e.x, e.y)[0], y=place(e.x, e.y)[1], yaw=sign * e.yaw + turn)
+        for e in egos
+    ]
     here, there = run(log, mode, egos), run(other, mode, turned)
     np.testing.assert_array_equal(here.offsets, there.offsets)
     x, y = place(here.x, here.y)  # type: ignore[arg-type]
@@ -199,7 +245,9 @@ def test_traffic_turns_moves_and_mirrors_with_the_world(mode: str, seed: int, tu
 @pytest.mark.parametrize("mode", REACT)
 @given(st.floats(5.0, 15.0), st.floats(8.0, 40.0), st.floats(1.0, 6.0))
 @settings(max_examples=10)
-def test_nobody_drives_into_an_ego_that_brakes(mode: str, v: float, behind: float, decel: float) -> None:
+def test_nobody_drives_into_an_ego_that_brakes(
+    mode: str, v: float, behind: float, decel: float
+) -> None:
     """Someone with a gap from which braking within the limits is possible follows, and stops behind."""
     gap = behind - 4.5 / 2 - 0.9
     stops_in = v * 0.2 + v**2 / (2 * 0.9 * HARDEST_MPS2) - v**2 / (2 * decel)
@@ -209,7 +257,9 @@ def test_nobody_drives_into_an_ego_that_brakes(mode: str, v: float, behind: floa
     if gap > stops_in + 1.0:
         assert gap_behind(moved, "b", egos).min() > 0.2
     hits = [contact(World(ego, log.tracks), log.vehicle) >= 0 for ego in egos]
-    assert any(hits) or v * 12.0 - v**2 / (2 * decel) < behind + 1.0, "replayed by time, he drives through"
+    assert any(hits) or v * 12.0 - v**2 / (2 * decel) < behind + 1.0, (
+        "replayed by time, he drives through"
+    )
 
 
 def test_the_follower_keeps_a_gap_to_a_slower_ego_and_so_does_the_next() -> None:
@@ -226,7 +276,9 @@ def test_the_follower_keeps_a_gap_to_a_slower_ego_and_so_does_the_next() -> None
 @pytest.mark.parametrize("mode", REACT)
 @given(st.integers(0, 2**32 - 1), st.floats(0.5, 4.0))
 @settings(max_examples=4)
-def test_nobody_leaves_the_logged_path_or_is_ahead_of_it_or_faster(mode: str, seed: int, decel: float) -> None:
+def test_nobody_leaves_the_logged_path_or_is_ahead_of_it_or_faster(
+    mode: str, seed: int, decel: float
+) -> None:
     log = busy(seed)
     moved = run(log, mode, at_speed(lambda t: max(10.0 - decel * t, 0.0)))
     for i, name in enumerate(moved.ids):
@@ -237,11 +289,16 @@ def test_nobody_leaves_the_logged_path_or_is_ahead_of_it_or_faster(mode: str, se
         np.testing.assert_allclose(moved.y[mine], y, atol=1e-9)
         x = moved.x[mine]
         assert (np.diff(x) > -1e-9).all()
-        assert (x <= np.interp(moved.t[mine], log.tracks.t[theirs], log.tracks.x[theirs]) + 1e-6).all()
+        assert (
+            x <= np.interp(moved.t[mine], log.tracks.t[theirs], log.tracks.x[theirs]) + 1e-6
+        ).all()
 
 
 def test_pedestrians_and_bicycles_are_replayed_by_time() -> None:
-    log = made(car("bike", -12.0, kind=AgentKind.BICYCLE), car("walker", -8.0, v=2.0, kind=AgentKind.PEDESTRIAN))
+    log = made(
+        car("bike", -12.0, kind=AgentKind.BICYCLE),
+        car("walker", -8.0, v=2.0, kind=AgentKind.PEDESTRIAN),
+    )
     assert_same_motion(run(log, "reactive", at_speed(lambda t: 0.0)), log.tracks)
 
 
@@ -264,8 +321,13 @@ def test_who_comes_late_makes_up_while_his_log_stands() -> None:
 @pytest.mark.parametrize("mode", REACT)
 def test_a_late_agent_leaves_with_the_others_where_the_recording_ends(mode: str) -> None:
     short = T[T <= 5.0]
-    others = [track(f"o{i}", short, 100.0 + 20.0 * i + 10.0 * short, np.full(len(short), 3.5)) for i in range(3)]
-    log = made(track("b", short, -12.0 + 10.0 * short, np.zeros(len(short)), vx=10.0, vy=0.0), *others)
+    others = [
+        track(f"o{i}", short, 100.0 + 20.0 * i + 10.0 * short, np.full(len(short), 3.5))
+        for i in range(3)
+    ]
+    log = made(
+        track("b", short, -12.0 + 10.0 * short, np.zeros(len(short)), vx=10.0, vy=0.0), *others
+    )
     found = run(log, mode, at_speed(lambda t: max(10.0 - 4.0 * t, 3.0)))
     late = found.ids.index("b")
     assert found.x[found.samples(late)][-1] < log.tracks.x[log.tracks.samples(0)][-1] - 1.0
@@ -281,7 +343,10 @@ def test_who_is_late_drives_on_along_the_lane_where_his_log_ends() -> None:
     in_time = run(log, "reactive", far_away(log))
     assert in_time.t[-1] == pytest.approx(5.0)
     nowhere = replace(log, road=replace(log.road, lanes={}))
-    assert run(nowhere, "reactive", at_speed(lambda t: max(10.0 - 2.0 * t, 5.0))).x.max() <= log.tracks.x.max() + 1e-6
+    assert (
+        run(nowhere, "reactive", at_speed(lambda t: max(10.0 - 2.0 * t, 5.0))).x.max()
+        <= log.tracks.x.max() + 1e-6
+    )
 
 
 @pytest.mark.parametrize("mode", REACT)
@@ -297,7 +362,9 @@ def test_who_enters_where_the_ego_is_waits_and_enters_slowly_behind_it(mode: str
 
 
 @given(st.floats(0.0, 30.0), st.floats(0.05, 200.0), st.floats(0.0, 30.0), st.floats(-8.0, 4.0))
-def test_enhanced_idm_is_bounded_and_prefers_more_room(v: float, gap: float, v_lead: float, a_lead: float) -> None:
+def test_enhanced_idm_is_bounded_and_prefers_more_room(
+    v: float, gap: float, v_lead: float, a_lead: float
+) -> None:
     here, more = enhanced_idm(v, gap, v_lead, a_lead), enhanced_idm(v, gap + 5.0, v_lead, a_lead)
     assert -HARDEST_MPS2 <= here <= ACCEL_MPS2
     if a_lead == 0.0:
@@ -343,7 +410,9 @@ def test_who_follows_closely_but_would_not_run_into_the_ego_drives_as_logged() -
 
 @given(st.floats(9.0, 25.0), st.floats(0.0, 0.8))
 @settings(max_examples=6)
-def test_nobody_brakes_harder_than_a_careful_driver_and_those_behind_give_way_too(room: float, share: float) -> None:
+def test_nobody_brakes_harder_than_a_careful_driver_and_those_behind_give_way_too(
+    room: float, share: float
+) -> None:
     log = made(car("b", -room), car("c", -2.0 * room), car("far", -80.0))
     egos = at_speed(lambda t: max(10.0 - 6.0 * t, 10.0 * share))
     moved = run(log, "give_way", egos)
@@ -355,10 +424,14 @@ def test_nobody_brakes_harder_than_a_careful_driver_and_those_behind_give_way_to
     assert apart.min() > 4.5
 
 
-def test_who_cuts_in_with_room_is_let_in_and_who_does_not_leave_a_careful_driver_time_is_hit() -> None:
+def test_who_cuts_in_with_room_is_let_in_and_who_does_not_leave_a_careful_driver_time_is_hit() -> (
+    None
+):
     """The ego is 4 m/s slower. With the reaction of 0.75 s and 0.774 g a driver needs 3.0 m + 1.1 m."""
     log = made(car("b", 0.0))
-    with_room, close = (beside_then_before(3.0, 12.0 + room + 4.5 / 2 + 4.5 / 2, 6.0) for room in (9.0, 1.5))
+    with_room, close = (
+        beside_then_before(3.0, 12.0 + room + 4.5 / 2 + 4.5 / 2, 6.0) for room in (9.0, 1.5)
+    )
     assert hits(log, "time", with_room) > 0 and hits(log, "give_way", with_room) == 0
     assert hits(log, "give_way", close) > 0
     before = run(log, "give_way", with_room[:31]).x
@@ -384,11 +457,15 @@ def test_who_drives_head_on_or_without_right_of_way_is_hit_as_in_the_log(
     log = made(car("b", 0.0))
     egos = way(log)
     assert hits(log, "time", egos) > 0
-    first = next(k for k, ego in enumerate(egos) if contact(World(ego, log.tracks), log.vehicle) >= 0)
+    first = next(
+        k for k, ego in enumerate(egos) if contact(World(ego, log.tracks), log.vehicle) >= 0
+    )
     assert_same_samples(run(log, "give_way", egos[: first + 1]), log.tracks)
 
 
-@pytest.mark.parametrize(("kind", "spared"), [(AgentKind.BICYCLE, True), (AgentKind.PEDESTRIAN, False)])
+@pytest.mark.parametrize(
+    ("kind", "spared"), [(AgentKind.BICYCLE, True), (AgentKind.PEDESTRIAN, False)]
+)
 def test_riders_give_way_and_pedestrians_are_replayed(kind: AgentKind, *, spared: bool) -> None:
     log = made(car("b", -15.0, v=6.0, kind=kind, length=1.8, width=0.6), v=6.0)
     egos = at_speed(lambda t: max(6.0 - 2.0 * t, 0.0))
@@ -405,7 +482,9 @@ def test_the_drive_says_who_gave_way_since_when_and_how_hard_they_braked() -> No
     (said,) = traffic.notes
     since = float(said.split("car b from ")[1].split(" s")[0])
     hardest = float(said.split(" s, ")[1].split(" m/s2")[0])
-    assert 2.0 <= since <= 4.0 and hardest == pytest.approx(-np.diff(speeds(moved, "b")).min() / 0.1, abs=0.06)
+    assert 2.0 <= since <= 4.0 and hardest == pytest.approx(
+        -np.diff(speeds(moved, "b")).min() / 0.1, abs=0.06
+    )
     later = moved.t > since - 1e-9
     np.testing.assert_array_equal(moved.x[~later], log.tracks.x[: (~later).sum()])
 
@@ -428,7 +507,9 @@ def on_the_main_road(arrives: float, v: float = 10.0) -> Egos:
 
 @given(st.floats(-0.6, 0.6), st.floats(5.0, 10.0), st.floats(7.0, 13.0))
 @settings(max_examples=4)
-def test_who_comes_from_a_lane_that_yields_lets_the_ego_pass_and_drives_on(later: float, v: float, fast: float) -> None:
+def test_who_comes_from_a_lane_that_yields_lets_the_ego_pass_and_drives_on(
+    later: float, v: float, fast: float
+) -> None:
     egos = on_the_main_road(5.5, fast)
     log = from_the_side_road(5.5 + later, v)
     moved = run(log, "give_way", egos)
@@ -437,7 +518,8 @@ def test_who_comes_from_a_lane_that_yields_lets_the_ego_pass_and_drives_on(later
     assert moved.x[moved.samples(0)][-1] > CROSS[0] + 2.0
     equal = {i: replace(lane, yields_to=()) for i, lane in MAIN.lanes.items()}
     assert_same_samples(
-        run(from_the_side_road(5.5 + later, v, replace(MAIN, lanes=equal)), "give_way", egos), log.tracks
+        run(from_the_side_road(5.5 + later, v, replace(MAIN, lanes=equal)), "give_way", egos),
+        log.tracks,
     )
 
 
@@ -483,19 +565,29 @@ def test_who_is_as_logged_runs_the_red_that_he_ran(seed: int) -> None:
     np.testing.assert_allclose(fronts(moved, "beside"), -17.75 + 10.0 * T, atol=1e-9)
 
 
-@given(st.floats(2.5, 6.5), st.floats(1.0, 2.5), st.sampled_from([Colour.RED, Colour.RED_YELLOW, Colour.YELLOW]))
+@given(
+    st.floats(2.5, 6.5),
+    st.floats(1.0, 2.5),
+    st.sampled_from([Colour.RED, Colour.RED_YELLOW, Colour.YELLOW]),
+)
 @settings(max_examples=10)
-def test_who_is_late_waits_before_the_line_until_it_opens(closes: float, seconds: float, shown: Colour) -> None:
+def test_who_is_late_waits_before_the_line_until_it_opens(
+    closes: float, seconds: float, shown: Colour
+) -> None:
     log = made(car("b", -20.0))
     free = fronts(run(log, "reactive", at_speed(delayed)))
     opens = closes + seconds
     moved = run(
-        lit(log, LINE, (0.0, Colour.GREEN), (closes, shown), (opens, Colour.GREEN)), "reactive", at_speed(delayed)
+        lit(log, LINE, (0.0, Colour.GREEN), (closes, shown), (opens, Colour.GREEN)),
+        "reactive",
+        at_speed(delayed),
     )
     held = fronts(moved)
     k, last = int(np.searchsorted(T, closes)), int(np.searchsorted(T, opens))
     gap, v = LINE - free[k], (free[k] - free[k - 1]) / 0.1
-    able = gap > 0.0 and v * v <= 2.0 * gap * (3.0 if shown is Colour.YELLOW else HARDEST_MPS2) * 0.98
+    able = (
+        gap > 0.0 and v * v <= 2.0 * gap * (3.0 if shown is Colour.YELLOW else HARDEST_MPS2) * 0.98
+    )
     if able:
         assert held[: last + 1].max() <= LINE
     elif gap < 0.0 or v * v > 2.0 * gap * (3.0 if shown is Colour.YELLOW else HARDEST_MPS2) * 1.02:
@@ -506,11 +598,23 @@ def test_who_is_late_waits_before_the_line_until_it_opens(closes: float, seconds
 
 @pytest.mark.parametrize(
     ("v", "need", "stops"),
-    [(10.0, 2.0, True), (10.0, 2.9, True), (28.0, 2.9, True), (10.0, 3.2, False), (10.0, 6.0, False)],
+    [
+        (10.0, 2.0, True),
+        (10.0, 2.9, True),
+        (28.0, 2.9, True),
+        (10.0, 3.2, False),
+        (10.0, 6.0, False),
+    ],
 )
-def test_at_yellow_they_stop_if_that_is_comfortable_and_keep_to_it(v: float, need: float, *, stops: bool) -> None:
+def test_at_yellow_they_stop_if_that_is_comfortable_and_keep_to_it(
+    v: float, need: float, *, stops: bool
+) -> None:
     """`need`: the deceleration that it takes. It is red before he is over the line."""
-    log, egos, line = made(car("b", -1.4 * v, v=v), v=v), at_speed(lambda t: 0.8 * v if t < 0.8 else 1.2 * v), 6.0 * v
+    log, egos, line = (
+        made(car("b", -1.4 * v, v=v), v=v),
+        at_speed(lambda t: 0.8 * v if t < 0.8 else 1.2 * v),
+        6.0 * v,
+    )
     free = fronts(run(log, "reactive", egos))
     takes = np.gradient(free, T)[free < line] ** 2 / (2.0 * (line - free[free < line]))
     at = float(np.interp(need, takes, T[free < line]))
@@ -525,7 +629,9 @@ def test_at_yellow_they_stop_if_that_is_comfortable_and_keep_to_it(v: float, nee
 def test_where_his_log_waited_he_waits_too_and_is_in_time_again() -> None:
     x = np.where(T < 5.0, 10.0 * T, np.where(T < 10.0, 50.0, 50.0 + 10.0 * (T - 10.0))) - 20.0
     line = 30.0 + 2.25 + 0.5
-    log = lit(made(track("b", T, x, np.zeros(len(T)))), line, (0.0, Colour.RED), (9.5, Colour.GREEN))
+    log = lit(
+        made(track("b", T, x, np.zeros(len(T)))), line, (0.0, Colour.RED), (9.5, Colour.GREEN)
+    )
     moved = run(log, "reactive", at_speed(delayed))
     assert fronts(moved)[45] < x[45] + 1.0
     np.testing.assert_allclose(fronts(moved)[T > 8.0] - 2.25, x[T > 8.0], atol=1e-6)
@@ -535,10 +641,16 @@ def test_where_his_log_waited_he_waits_too_and_is_in_time_again() -> None:
 def test_a_line_for_another_way_does_not_hold_him(towards: tuple[int, ...], stops: bool) -> None:
     left = np.column_stack([np.full(20, LINE + 2.0), np.linspace(2.0, 60.0, 20)])
     road = Road(
-        {0: strip(0, along_x(-100.0, LINE), successors=(1, 2)), 1: strip(1, along_x(LINE, 500.0)), 2: strip(2, left)}
+        {
+            0: strip(0, along_x(-100.0, LINE), successors=(1, 2)),
+            1: strip(1, along_x(LINE, 500.0)),
+            2: strip(2, left),
+        }
     )
     log = replace(made(car("b", -20.0)), road=road)
-    moved = fronts(run(lit(log, LINE, (0.0, Colour.RED), towards=towards), "reactive", at_speed(delayed)))
+    moved = fronts(
+        run(lit(log, LINE, (0.0, Colour.RED), towards=towards), "reactive", at_speed(delayed))
+    )
     assert (moved.max() < LINE) == stops
 
 
@@ -559,15 +671,24 @@ def test_an_encounter_is_kept_whatever_the_speed(v: float) -> None:
     assert speeds.speed[0] == pytest.approx(2.0 * v / 10.0, abs=0.02)
 
 
-def test_the_world_stands_with_the_ego_until_it_is_stuck_and_then_goes_on_without_touching_it() -> None:
+def test_the_world_stands_with_the_ego_until_it_is_stuck_and_then_goes_on_without_touching_it() -> (
+    None
+):
     log = made(track("x", T, np.full(len(T), 60.0), 10.0 - 2.0 * T, kind=AgentKind.PEDESTRIAN))
     egos = at_speed(lambda t: 10.0 if t < 2.0 else 0.0 if t < 8.0 else 10.0)
     moved = run(log, "ego_position", egos)
     y = np.array([moved.truth(float(t)).y[0] for t in T[:-1]])
-    held, released, after = y[(T[:-1] > 2.3) & (T[:-1] < 4.0)], y[(T[:-1] > 4.4) & (T[:-1] < 8.0)], y[T[:-1] > 8.5]
+    held, released, after = (
+        y[(T[:-1] > 2.3) & (T[:-1] < 4.0)],
+        y[(T[:-1] > 4.4) & (T[:-1] < 8.0)],
+        y[T[:-1] > 8.5],
+    )
     assert np.ptp(held) < 0.05
     np.testing.assert_allclose(np.diff(released), -0.2, atol=1e-6)
-    np.testing.assert_allclose(np.diff(after), -0.2, atol=0.03), "no freeze and no jump when the ego drives on"
+    (
+        np.testing.assert_allclose(np.diff(after), -0.2, atol=0.03),
+        "no freeze and no jump when the ego drives on",
+    )
 
 
 def test_where_the_log_waits_the_world_catches_up_without_a_leap() -> None:
@@ -589,7 +710,10 @@ def test_an_ego_that_never_moved_tells_no_time() -> None:
 @pytest.mark.parametrize("mode", TRAFFIC.builtin)
 def test_the_closed_loop_keeps_what_happened(mode: str) -> None:
     log = busy(2)
-    one, two = (run_closed_loop(log, "constant_speed", config=LoopConfig(traffic=mode)).trace for _ in range(2))
+    one, two = (
+        run_closed_loop(log, "constant_speed", config=LoopConfig(traffic=mode)).trace
+        for _ in range(2)
+    )
     assert one.agents.t.max() >= one.ego.t[-1]
     assert any("the others" in note for note in one.notes) == (mode in ("reactive", "ego_position"))
     np.testing.assert_array_equal(one.agents.x, two.agents.x)
@@ -605,7 +729,13 @@ def test_recorded_traffic_is_reproduced_and_spares_a_braking_ego(shared_data: Pa
     for t in T:
         v = max(start.v - 3.0 * t, 0.0)
         way = (start.v**2 - v**2) / 6.0
-        ego = replace(start, t=float(t), v=v, x=start.x + way * np.cos(start.yaw), y=start.y + way * np.sin(start.yaw))
+        ego = replace(
+            start,
+            t=float(t),
+            v=v,
+            x=start.x + way * np.cos(start.yaw),
+            y=start.y + way * np.sin(start.yaw),
+        )
         assert contact(World(ego, traffic.step(ego)), log.vehicle) < 0
         by_time += contact(World(ego, log.tracks), log.vehicle) >= 0
     assert by_time > 0

@@ -8,11 +8,22 @@ from hypothesis import given, strategies as st
 
 from replan.logs.states import Command, EgoState
 from replan.logs.vehicle import VehicleParameters, vehicle_names, vehicle_parameters
-from replan.replay.vehicle.drivetrain import MIN_HOLD_S, Drivetrain, Gearbox, drive_force, pending, shifted, spans
+from replan.replay.vehicle.drivetrain import (
+    MIN_HOLD_S,
+    Drivetrain,
+    Gearbox,
+    drive_force,
+    pending,
+    shifted,
+    spans,
+)
 from replan.replay.vehicle.pedal_map import PedalPowertrain
 from replan.replay.vehicle.single_track import SingleTrack
 
-CARS = {"default": VehicleParameters(), **{name: vehicle_parameters(name) for name in vehicle_names()}}
+CARS = {
+    "default": VehicleParameters(),
+    **{name: vehicle_parameters(name) for name in vehicle_names()},
+}
 NAMES = sorted(CARS)
 BMW = CARS["bmw_320i"]
 
@@ -28,26 +39,40 @@ def test_the_inverse_gives_the_acceleration_back(name: str, v: float, share: flo
     gear = train.gearbox(v, throttle).gear
     tables = train.tables
     given_back = (
-        drive_force(v, throttle, gear, tables) - tables.rolling - tables.drag * v * v - brake * tables.max_decel
+        drive_force(v, throttle, gear, tables)
+        - tables.rolling
+        - tables.drag * v * v
+        - brake * tables.max_decel
     )
     assert given_back == pytest.approx(wanted, abs=1e-9)
 
 
 @pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize(("v", "acceleration"), [(3.0, 1.0), (12.0, 0.6), (15.0, -3.0), (25.0, -0.8)])
-def test_the_vehicle_gives_the_acceleration_that_was_asked_for(name: str, v: float, acceleration: float) -> None:
-    car = SingleTrack(replace(CARS[name], throttle_lag=0.01, brake_lag=0.01), EgoState(0.0, 0.0, 0.0, 0.0, v))
+@pytest.mark.parametrize(
+    ("v", "acceleration"), [(3.0, 1.0), (12.0, 0.6), (15.0, -3.0), (25.0, -0.8)]
+)
+def test_the_vehicle_gives_the_acceleration_that_was_asked_for(
+    name: str, v: float, acceleration: float
+) -> None:
+    car = SingleTrack(
+        replace(CARS[name], throttle_lag=0.01, brake_lag=0.01), EgoState(0.0, 0.0, 0.0, 0.0, v)
+    )
     for _ in range(40):
         beyond = acceleration - car.powertrain.coasting(car.state.v)
         throttle = max(beyond / car.powertrain.full_throttle(car.state.v), 0.0)
-        state = car.step(Command(0.0, throttle, max(-beyond / car.powertrain.full_brake(car.state.v), 0.0)), 0.01)
+        state = car.step(
+            Command(0.0, throttle, max(-beyond / car.powertrain.full_brake(car.state.v), 0.0)), 0.01
+        )
     assert state.a == pytest.approx(acceleration, abs=0.02)
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_overrun_and_resistance_only_slow_down(name: str) -> None:
     train = Drivetrain(CARS[name])
-    assert all(train.coasting(v) < 0.0 and train.full_throttle(v) >= 0.0 for v in np.linspace(0.0, 60.0, 241))
+    assert all(
+        train.coasting(v) < 0.0 and train.full_throttle(v) >= 0.0
+        for v in np.linspace(0.0, 60.0, 241)
+    )
     assert train.coasting(0.0) == -CARS[name].rolling
 
 
@@ -58,7 +83,9 @@ def test_without_a_motor_it_is_the_plain_powertrain() -> None:
         assert train.coasting(v) == pytest.approx(plain.coasting(v), abs=1e-12)
 
 
-@pytest.mark.parametrize(("name", "gears"), [("bmw_320i", 5), ("vw_vanagon", 3), ("small_electric", 1)])
+@pytest.mark.parametrize(
+    ("name", "gears"), [("bmw_320i", 5), ("vw_vanagon", 3), ("small_electric", 1)]
+)
 def test_full_throttle_shifts_up_through_the_gears(name: str, gears: int) -> None:
     car = SingleTrack(CARS[name], EgoState(0.0, 0.0, 0.0, 0.0, 0.0))
     seen, speeds = [car.gear], [0.0]
@@ -100,7 +127,9 @@ def test_a_load_leaves_the_forces() -> None:
     for v in (2.0, 15.0, 30.0):
         assert 1.2 * full.full_throttle(v) == pytest.approx(empty.full_throttle(v))
         assert 1.2 * full.full_brake(v) == pytest.approx(empty.full_brake(v))
-        assert 1.2 * (full.coasting(v) + BMW.rolling) == pytest.approx(empty.coasting(v) + BMW.rolling)
+        assert 1.2 * (full.coasting(v) + BMW.rolling) == pytest.approx(
+            empty.coasting(v) + BMW.rolling
+        )
 
 
 @given(st.integers(0, 300), st.lists(st.floats(0.0, 1.0), min_size=1, max_size=40))

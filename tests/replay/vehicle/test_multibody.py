@@ -66,8 +66,12 @@ def test_it_stands_starts_and_stops() -> None:
 def test_handing_over_is_smooth() -> None:
     """Through the speeds where the models take over from each other, positions and speeds join."""
     car = Multibody(BMW, start(3.0, 0.05))
-    states = [car.step(Command(0.13, 0.0, 0.15 if k < 220 else 0.0), 0.01) if k < 260
-              else car.step(Command(0.13, 0.25, 0.0), 0.01) for k in range(700)]  # fmt: skip
+    states = [
+        car.step(Command(0.13, 0.0, 0.15 if k < 220 else 0.0), 0.01)
+        if k < 260
+        else car.step(Command(0.13, 0.25, 0.0), 0.01)
+        for k in range(700)
+    ]
     step = np.hypot(np.diff([s.x for s in states]), np.diff([s.y for s in states]))
     assert step.max() < 0.05
     assert np.abs(np.diff([s.v for s in states])).max() < 0.08
@@ -84,7 +88,9 @@ def test_full_brake_neither_locks_nor_spins() -> None:
     assert -7.5 < min(s.a for s in states if s.v > 1.5) < -6.5
 
 
-@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 8))])
+@pytest.mark.parametrize(
+    "seed", [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 8))]
+)
 def test_whatever_is_commanded_it_ends_as_numbers_and_gains_no_speed_by_sliding(seed: int) -> None:
     """Random full steering, throttle and brake at speed: spins, lifted wheels, backwards."""
     rng = np.random.default_rng(seed)
@@ -122,7 +128,9 @@ def test_a_model_that_diverges_is_a_line_for_the_user(monkeypatch: pytest.Monkey
         raise ZeroDivisionError("float division by zero")
 
     monkeypatch.setattr(car, "_rates", rates)
-    with pytest.raises(ConfigError, match=r"diverged at 0\.00 s: use loop\.vehicle = 'single_track'"):
+    with pytest.raises(
+        ConfigError, match=r"diverged at 0\.00 s: use loop\.vehicle = 'single_track'"
+    ):
         car.step(Command(0.0, 0.0, 0.0), 0.01)
 
 

@@ -24,8 +24,17 @@ def arc_plan(t0: float, a: float, kappa: float) -> Plan:
     """An arc driven from 8 m/s at constant acceleration, sampled at 10 Hz."""
     t = np.arange(0.0, 5.01, 0.1)
     s = 8.0 * t + 0.5 * a * t**2
-    return Plan(Trajectory(t0 + t, np.sin(kappa * s) / kappa, (1.0 - np.cos(kappa * s)) / kappa, kappa * s,
-                           8.0 + a * t, np.full(len(t), a), np.full(len(t), kappa)))  # fmt: skip
+    return Plan(
+        Trajectory(
+            t0 + t,
+            np.sin(kappa * s) / kappa,
+            (1.0 - np.cos(kappa * s)) / kappa,
+            kappa * s,
+            8.0 + a * t,
+            np.full(len(t), a),
+            np.full(len(t), kappa),
+        )
+    )
 
 
 def test_it_is_where_its_plan_is() -> None:
@@ -63,7 +72,12 @@ def test_in_the_loop_it_has_no_tracking_error_and_the_trace_says_so() -> None:
 
 
 def test_the_plant_may_differ_from_what_is_told() -> None:
-    plant: dict[str, float | str] = {"mass": 1.2 * CAR.mass, "tyre_friction": 0.4, "tyre": "fiala", "grade": 0.02}
+    plant: dict[str, float | str] = {
+        "mass": 1.2 * CAR.mass,
+        "tyre_friction": 0.4,
+        "tyre": "fiala",
+        "grade": 0.02,
+    }
     car = build_vehicle(Part(VEHICLE, "single_track"), CAR, START, plant)
     assert (car.model.mass, car.model.front.friction) == (pytest.approx(1.2 * CAR.mass), 0.4)
     assert car.powertrain.full_brake(10.0) == pytest.approx(CAR.max_decel / 1.2)
@@ -73,15 +87,22 @@ def test_the_plant_may_differ_from_what_is_told() -> None:
     assert any("tyre_friction = 0.4" in note for note in trace.notes)
 
 
-@pytest.mark.parametrize(("name", "plant", "words"), [
-    ("kinematic_bicycle", {"tyre": "fiala"}, "vehicle 'kinematic_bicycle': no key is called 'tyre'"),
-    ("single_track", {"tire": "fiala"}, "did you mean 'tyre'"),
-    ("single_track", {"mass": "heavy"}, r"loop.plant.mass: expected a number"),
-    ("single_track", {"mass": -1.0}, "loop.plant: vehicle mass must be positive"),
-    ("single_track", {"mass": 0.0}, "loop.plant"),
-    ("single_track", {"tyre": "slick"}, "no tyre is called 'slick'"),
-    ("kinematic_rear_steer", {"rear_ratio": 1.0}, "rear_ratio must be"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "plant", "words"),
+    [
+        (
+            "kinematic_bicycle",
+            {"tyre": "fiala"},
+            "vehicle 'kinematic_bicycle': no key is called 'tyre'",
+        ),
+        ("single_track", {"tire": "fiala"}, "did you mean 'tyre'"),
+        ("single_track", {"mass": "heavy"}, r"loop.plant.mass: expected a number"),
+        ("single_track", {"mass": -1.0}, "loop.plant: vehicle mass must be positive"),
+        ("single_track", {"mass": 0.0}, "loop.plant"),
+        ("single_track", {"tyre": "slick"}, "no tyre is called 'slick'"),
+        ("kinematic_rear_steer", {"rear_ratio": 1.0}, "rear_ratio must be"),
+    ],
+)
 def test_a_wrong_plant_is_named(name: str, plant: dict[str, float | str], words: str) -> None:
     with pytest.raises(ConfigError, match=words):
         build_vehicle(Part(VEHICLE, name), CAR, START, plant)

@@ -54,7 +54,10 @@ def test_integration_is_of_order_four(tyre: str) -> None:
     held = (0.05, 0.3, 0.0)
     exact = np.array(advance(begin, box, held, car, 1.0, 20_000)[0])
     steps = np.array([40, 80, 160, 320])
-    errors = [np.abs(np.array(advance(begin, box, held, car, 1.0, int(n))[0]) - exact).max() for n in steps]
+    errors = [
+        np.abs(np.array(advance(begin, box, held, car, 1.0, int(n))[0]) - exact).max()
+        for n in steps
+    ]
     slope = np.polyfit(np.log(1.0 / steps), np.log(errors), 1)[0]
     assert 3.7 < slope < 4.4
     assert errors[1] < 1e-5
@@ -89,11 +92,24 @@ def test_cornering_saturates_at_friction(tyre: str, mu: float) -> None:
 
 
 @given(
-    st.floats(-5.0, 40.0), st.floats(-15.0, 15.0), st.floats(-3.0, 3.0), STEER, PEDAL, PEDAL,
-    st.sampled_from(["fiala", "pacejka"]), st.floats(0.1, 1.2),
-)  # fmt: skip
+    st.floats(-5.0, 40.0),
+    st.floats(-15.0, 15.0),
+    st.floats(-3.0, 3.0),
+    STEER,
+    PEDAL,
+    PEDAL,
+    st.sampled_from(["fiala", "pacejka"]),
+    st.floats(0.1, 1.2),
+)
 def test_the_ground_never_gives_more_than_friction(
-    vx: float, vy: float, r: float, steer: float, throttle: float, brake: float, tyre: str, mu: float
+    vx: float,
+    vy: float,
+    r: float,
+    steer: float,
+    throttle: float,
+    brake: float,
+    tyre: str,
+    mu: float,
 ) -> None:
     car = kernel_car(replace(CAR, tyre_friction=mu), tyre=tyre)
     s = SingleTrackState(0.0, 0.0, 0.0, vx, vy, r, steer, throttle, brake)
@@ -109,26 +125,42 @@ def test_loads_add_up_and_shift_against_the_pull(pull: float) -> None:
     assert front + rear == pytest.approx(CAR.mass * GRAVITY)
     assert min(front, rear) >= 0.0
     if abs(pull) < 9.0:
-        assert rear - car.rear.load == pytest.approx(CAR.mass * pull * CAR.cog_height / CAR.wheelbase, abs=1e-6)
+        assert rear - car.rear.load == pytest.approx(
+            CAR.mass * pull * CAR.cog_height / CAR.wheelbase, abs=1e-6
+        )
 
 
 @given(COMMANDS, st.floats(0.0, 30.0), st.sampled_from(["linear", "fiala", "pacejka"]))
-def test_mirrored_commands_drive_mirrored_ways(commands: list[tuple[float, float, float]], v: float, tyre: str) -> None:
-    left, right = SingleTrack(BMW, start(v, 0.01), tyre=tyre), SingleTrack(BMW, start(v, -0.01), tyre=tyre)
+def test_mirrored_commands_drive_mirrored_ways(
+    commands: list[tuple[float, float, float]], v: float, tyre: str
+) -> None:
+    left, right = (
+        SingleTrack(BMW, start(v, 0.01), tyre=tyre),
+        SingleTrack(BMW, start(v, -0.01), tyre=tyre),
+    )
     for steer, throttle, brake in commands:
         one = left.step(Command(steer, throttle, brake), 0.1)
         two = right.step(Command(-steer, throttle, brake), 0.1)
     assert (one.x, one.v, one.a) == (two.x, two.v, two.a)
     assert (one.y, one.yaw, one.yaw_rate, one.v_lat, one.kappa, one.steer) == (
-        -two.y, -two.yaw, -two.yaw_rate, -two.v_lat, -two.kappa, -two.steer,
-    )  # fmt: skip
+        -two.y,
+        -two.yaw,
+        -two.yaw_rate,
+        -two.v_lat,
+        -two.kappa,
+        -two.steer,
+    )
 
 
 @given(
-    st.lists(st.tuples(STEER, PEDAL), min_size=3, max_size=20), st.floats(0.0, 40.0), st.floats(0.1, 1.1),
+    st.lists(st.tuples(STEER, PEDAL), min_size=3, max_size=20),
+    st.floats(0.0, 40.0),
+    st.floats(0.1, 1.1),
     st.sampled_from(sorted(vehicle_names())),
-)  # fmt: skip
-def test_without_throttle_energy_falls(commands: list[tuple[float, float]], v: float, mu: float, name: str) -> None:
+)
+def test_without_throttle_energy_falls(
+    commands: list[tuple[float, float]], v: float, mu: float, name: str
+) -> None:
     car = SingleTrack(replace(vehicle_parameters(name), tyre_friction=mu), start(v))
     before = energy(car)
     for steer, brake in commands:
@@ -143,7 +175,9 @@ def test_nothing_breaks_it(commands: list[tuple[float, float, float]], v: float,
     car = SingleTrack(replace(BMW, tyre_friction=mu), start(v))
     for command in commands:
         state = car.step(Command(*command), 0.2)
-        assert np.isfinite([state.x, state.y, state.yaw, state.v, state.a, state.kappa, state.yaw_rate]).all()
+        assert np.isfinite(
+            [state.x, state.y, state.yaw, state.v, state.a, state.kappa, state.yaw_rate]
+        ).all()
         assert abs(state.steer) <= BMW.max_steer + 1e-12 and abs(state.yaw_rate) < 20.0
         assert hypot(state.v, state.v_lat) < v + 6.5 * state.t + 3.0
 
@@ -179,12 +213,25 @@ def test_braking_stops_and_never_reverses(v: float, steer: float, brake: float) 
         assert state.v >= 0.0
     assert (state.v, state.yaw_rate, state.v_lat) == (0.0, 0.0, 0.0)
     after = car.step(Command(steer, 0.0, 0.0), 1.0)
-    assert (after.x, after.y, after.yaw, after.v, after.a) == (state.x, state.y, state.yaw, 0.0, 0.0)
+    assert (after.x, after.y, after.yaw, after.v, after.a) == (
+        state.x,
+        state.y,
+        state.yaw,
+        0.0,
+        0.0,
+    )
 
 
-@pytest.mark.parametrize(("name", "mu"), [
-    ("bmw_320i", 1.0), ("bmw_320i", 0.4), ("small_electric", 1.0), ("small_electric", 0.4), ("vw_vanagon", 0.4),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("name", "mu"),
+    [
+        ("bmw_320i", 1.0),
+        ("bmw_320i", 0.4),
+        ("small_electric", 1.0),
+        ("small_electric", 0.4),
+        ("vw_vanagon", 0.4),
+    ],
+)
 def test_full_brake_in_a_curve_does_not_spin_it(name: str, mu: float) -> None:
     """With the steering wheel held. (The van, tall and with stiffness in proportion to load, needs a driver at 1.0.)"""
     p = replace(vehicle_parameters(name), tyre_friction=mu)
@@ -209,7 +256,9 @@ def test_it_is_held_on_a_grade_and_starts_uphill(grade: float) -> None:
 
 def test_the_grade_slows_by_its_sine() -> None:
     car = SingleTrack(FREE, start(20.0), grade=0.1)
-    assert car.step(Command(0.0, 0.0, 0.0), 0.01).a == pytest.approx(-GRAVITY * 0.1 / sqrt(1.01), rel=1e-6)
+    assert car.step(Command(0.0, 0.0, 0.0), 0.01).a == pytest.approx(
+        -GRAVITY * 0.1 / sqrt(1.01), rel=1e-6
+    )
 
 
 @pytest.mark.parametrize("steer", [0.1, -0.4, 0.6])
@@ -224,7 +273,12 @@ def test_slowly_it_drives_the_kinematic_circle(v: float, steer: float) -> None:
     assert state.yaw_rate == pytest.approx(state.v * kappa, rel=2e-3)
 
 
-@given(st.floats(1.0, 35.0), st.floats(-2.0, 1.0), st.floats(-6.0, 6.0), st.sampled_from(vehicle_names()))
+@given(
+    st.floats(1.0, 35.0),
+    st.floats(-2.0, 1.0),
+    st.floats(-6.0, 6.0),
+    st.sampled_from(vehicle_names()),
+)
 def test_it_starts_cornering_as_the_log_says(v: float, a: float, lateral: float, name: str) -> None:
     kappa = float(np.clip(lateral / v**2, -0.15, 0.15))
     p = vehicle_parameters(name)
@@ -256,8 +310,12 @@ def test_the_reference_point_is_the_rear_axle() -> None:
     car = SingleTrack(BMW, start(15.0))
     states = [car.step(Command(0.05 * sin(0.02 * k), 0.1, 0.0), 0.01) for k in range(300)]
     x, y = np.array([s.x for s in states]), np.array([s.y for s in states])
-    velocity = np.array([(s.v * cos(s.yaw) - s.v_lat * sin(s.yaw), s.v * sin(s.yaw) + s.v_lat * cos(s.yaw))
-                         for s in states])  # fmt: skip
+    velocity = np.array(
+        [
+            (s.v * cos(s.yaw) - s.v_lat * sin(s.yaw), s.v * sin(s.yaw) + s.v_lat * cos(s.yaw))
+            for s in states
+        ]
+    )
     np.testing.assert_allclose(np.gradient(x, 0.01)[1:-1], velocity[1:-1, 0], atol=2e-3)
     np.testing.assert_allclose(np.gradient(y, 0.01)[1:-1], velocity[1:-1, 1], atol=2e-3)
     course = np.unwrap(np.arctan2(velocity[:, 1], velocity[:, 0]))
@@ -298,8 +356,12 @@ REASON = "needs the package commonroad-vehicle-models"
 @pytest.mark.parametrize("amplitude", [0.01, 0.03])
 def test_the_linear_tyre_agrees_with_commonroads_single_track(amplitude: float) -> None:
     """Within 1 % of the peak yaw rate and slip angle, and 2 cm over 60 m."""
-    rates = pytest.importorskip("vehiclemodels.vehicle_dynamics_st", reason=REASON).vehicle_dynamics_st
-    q = pytest.importorskip("vehiclemodels.vehicle_parameters").setup_vehicle_parameters(vehicle_id=2)
+    rates = pytest.importorskip(
+        "vehiclemodels.vehicle_dynamics_st", reason=REASON
+    ).vehicle_dynamics_st
+    q = pytest.importorskip("vehiclemodels.vehicle_parameters").setup_vehicle_parameters(
+        vehicle_id=2
+    )
     begin = [BMW.cog_to_rear, 0.0, 0.0, 15.0, 0.0, 0.0, 0.0]
     ours, theirs = side_by_side(rates, begin, q, "linear", amplitude, 15.0)
     peaks = np.abs(theirs).max(axis=0)
@@ -314,9 +376,13 @@ def test_the_magic_formula_agrees_with_commonroads_drift_model() -> None:
 
     Along the road they differ, since the drift model takes the given acceleration as that of its wheels.
     """
-    rates = pytest.importorskip("vehiclemodels.vehicle_dynamics_std", reason=REASON).vehicle_dynamics_std
+    rates = pytest.importorskip(
+        "vehiclemodels.vehicle_dynamics_std", reason=REASON
+    ).vehicle_dynamics_std
     init = pytest.importorskip("vehiclemodels.init_std").init_std
-    q = pytest.importorskip("vehiclemodels.vehicle_parameters").setup_vehicle_parameters(vehicle_id=2)
+    q = pytest.importorskip("vehiclemodels.vehicle_parameters").setup_vehicle_parameters(
+        vehicle_id=2
+    )
     begin = init([BMW.cog_to_rear, 0.0, 0.0, 15.0, 0.0, 0.0, 0.0], q)
     ours, theirs = side_by_side(rates, begin, q, "pacejka", 0.05, 15.0)
     worst, peaks = np.abs(ours - theirs).max(axis=0), np.abs(theirs).max(axis=0)

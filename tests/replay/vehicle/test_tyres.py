@@ -34,8 +34,17 @@ def tyre(kind: str, **changes: float) -> Tyre:
     return axle_tyres(replace(CAR, **changes), kind, 1.0)[0]
 
 
-@given(st.sampled_from(LIMITED), SLIP, LOAD, st.floats(-3e4, 3e4), st.floats(0.1, 1.2), st.floats(0.0, 0.3))
-def test_the_friction_circle(kind: str, slip: float, load: float, wanted: float, mu: float, sensitivity: float) -> None:
+@given(
+    st.sampled_from(LIMITED),
+    SLIP,
+    LOAD,
+    st.floats(-3e4, 3e4),
+    st.floats(0.1, 1.2),
+    st.floats(0.0, 0.3),
+)
+def test_the_friction_circle(
+    kind: str, slip: float, load: float, wanted: float, mu: float, sensitivity: float
+) -> None:
     axle = tyre(kind, tyre_friction=mu, tyre_load_sensitivity=sensitivity)
     fx, fy = axle_force(slip, load, wanted, axle)
     assert hypot(fx, fy) <= grip_and_peak(load, axle)[1] * (1.0 + 1e-12)
@@ -45,7 +54,9 @@ def test_the_friction_circle(kind: str, slip: float, load: float, wanted: float,
 
 
 @given(st.sampled_from(KINDS), SLIP, LOAD, st.floats(-1e4, 1e4))
-def test_it_is_symmetric_and_takes_energy(kind: str, slip: float, load: float, wanted: float) -> None:
+def test_it_is_symmetric_and_takes_energy(
+    kind: str, slip: float, load: float, wanted: float
+) -> None:
     axle = tyre(kind)
     fx, fy = axle_force(slip, load, wanted, axle)
     assert axle_force(-slip, load, wanted, axle) == (fx, -fy)
@@ -55,14 +66,20 @@ def test_it_is_symmetric_and_takes_energy(kind: str, slip: float, load: float, w
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_slope_at_no_slip_is_the_cornering_stiffness(kind: str) -> None:
     axle = tyre(kind)
-    assert -lateral_force(1e-7, axle.load, axle) / 1e-7 == pytest.approx(CAR.cornering_front, rel=1e-5)
-    assert -lateral_force(1e-7, 0.5 * axle.load, axle) / 1e-7 == pytest.approx(0.5 * CAR.cornering_front, rel=1e-5)
+    assert -lateral_force(1e-7, axle.load, axle) / 1e-7 == pytest.approx(
+        CAR.cornering_front, rel=1e-5
+    )
+    assert -lateral_force(1e-7, 0.5 * axle.load, axle) / 1e-7 == pytest.approx(
+        0.5 * CAR.cornering_front, rel=1e-5
+    )
 
 
 @pytest.mark.parametrize("kind", LIMITED)
 def test_the_peak_is_friction_times_load(kind: str) -> None:
     axle = tyre(kind, tyre_friction=0.4)
-    forces = [lateral_force(tan(radians(angle)), 3000.0, axle) for angle in np.linspace(0.0, 60.0, 2001)]
+    forces = [
+        lateral_force(tan(radians(angle)), 3000.0, axle) for angle in np.linspace(0.0, 60.0, 2001)
+    ]
     assert max(np.abs(forces)) == pytest.approx(0.4 * 3000.0, rel=1e-4)
 
 
@@ -85,20 +102,28 @@ def test_braking_leaves_what_the_circle_leaves() -> None:
 def test_slip_for_is_the_inverse(kind: str, force: float, load: float) -> None:
     axle = tyre(kind)
     reachable = (
-        force if kind == "linear" else np.clip(force, *(0.95 * grip_and_peak(load, axle)[1] * np.array([-1, 1])))
+        force
+        if kind == "linear"
+        else np.clip(force, *(0.95 * grip_and_peak(load, axle)[1] * np.array([-1, 1])))
     )
-    assert lateral_force(slip_for(force, load, axle), load, axle) == pytest.approx(reachable, abs=1e-3)
+    assert lateral_force(slip_for(force, load, axle), load, axle) == pytest.approx(
+        reachable, abs=1e-3
+    )
 
 
 def test_the_magic_formula_is_that_of_commonroad() -> None:
-    theirs = pytest.importorskip("vehiclemodels.utils.tire_model", reason="needs commonroad-vehicle-models")
+    theirs = pytest.importorskip(
+        "vehiclemodels.utils.tire_model", reason="needs commonroad-vehicle-models"
+    )
     setup = pytest.importorskip("vehiclemodels.vehicle_parameters").setup_vehicle_parameters
     front, _ = axle_tyres(vehicle_parameters("bmw_320i"), "pacejka", 1.0)
     package = setup(vehicle_id=2).tire
     for slip in np.linspace(-1.0, 1.0, 41):
         for load in (1000.0, 6000.0, 9000.0):
             expected = theirs.formula_lateral(atan(slip), 0.0, load, package)[0]
-            assert lateral_force(float(slip), load, front) == pytest.approx(expected, rel=1e-5, abs=1e-9)
+            assert lateral_force(float(slip), load, front) == pytest.approx(
+                expected, rel=1e-5, abs=1e-9
+            )
 
 
 def steered(t: np.ndarray, angle: float) -> Controls:
@@ -110,7 +135,9 @@ def test_a_circle_rolls_without_slip_and_uses_what_it_takes_across(kappa: float,
     ego = drive(lambda s: np.full_like(s, kappa), v, 2.0, 0.01)
     use = tyre_use(ego, steered(ego.t, float(np.arctan(CAR.wheelbase * kappa))), CAR)
     assert np.abs(use.rear[1:-1]).max() < 1e-4 and np.abs(use.front[1:-1]).max() < 1e-4
-    assert use.friction == pytest.approx(v * v * abs(kappa) / (CAR.tyre_friction * GRAVITY), abs=1e-6)
+    assert use.friction == pytest.approx(
+        v * v * abs(kappa) / (CAR.tyre_friction * GRAVITY), abs=1e-6
+    )
 
 
 def test_a_body_at_an_angle_to_its_course_slips_by_that_and_standing_says_nothing() -> None:

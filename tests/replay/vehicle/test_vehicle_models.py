@@ -53,7 +53,9 @@ def test_integration_is_of_order_four(ratio: float) -> None:
 
 
 @given(st.lists(st.tuples(STEER, PEDAL, PEDAL), min_size=5, max_size=40), st.floats(0.0, 30.0))
-def test_no_command_makes_it_reverse_or_break_its_limits(commands: list[tuple[float, float, float]], v: float) -> None:
+def test_no_command_makes_it_reverse_or_break_its_limits(
+    commands: list[tuple[float, float, float]], v: float
+) -> None:
     car = KinematicBicycle(CAR, at_speed(v))
     before = car.state
     for command in commands:
@@ -112,7 +114,9 @@ def test_time_is_a_whole_nanosecond() -> None:
 
 @pytest.mark.parametrize("lag", [0.0, 1e-4, 0.02, 1.0])
 def test_any_lag_is_integrated_stably(lag: float) -> None:
-    car = KinematicBicycle(VehicleParameters(steer_lag=lag, throttle_lag=lag, brake_lag=lag), at_speed(10.0))
+    car = KinematicBicycle(
+        VehicleParameters(steer_lag=lag, throttle_lag=lag, brake_lag=lag), at_speed(10.0)
+    )
     for _ in range(300):
         state = car.step(Command(0.1, 0.2, 0.0), 0.05)
     assert state.steer == pytest.approx(0.1, abs=1e-5)
@@ -137,7 +141,9 @@ def test_every_vehicle_turns_with_its_steering_and_is_deterministic(name: str) -
 
 
 @given(st.floats(0.1, 30.0), st.floats(-0.6, 0.6), st.floats(-1.0, 0.9), st.floats(-3.0, 3.0))
-def test_it_is_the_corrected_equation_at_the_centre_of_mass(v: float, steer: float, ratio: float, yaw: float) -> None:
+def test_it_is_the_corrected_equation_at_the_centre_of_mass(
+    v: float, steer: float, ratio: float, yaw: float
+) -> None:
     """x' = V cos(yaw + beta), y' = V sin(yaw + beta), yaw' = V cos(beta) (tan df - tan dr) / L; no wheel slips."""
     state = BicycleState(0.0, 0.0, yaw, v, steer, 0.0, 0.0)
     rate = derivative(state, (0.0, 0.0, 0.0), True, kinematics_of(CAR, ratio))
@@ -154,7 +160,9 @@ def test_it_is_the_corrected_equation_at_the_centre_of_mass(v: float, steer: flo
 
 
 @given(st.floats(1.0, 20.0), st.floats(0.02, 0.3), st.floats(-0.9, 0.5))
-def test_held_wheels_drive_a_circle_of_the_stated_curvature(v: float, steer: float, ratio: float) -> None:
+def test_held_wheels_drive_a_circle_of_the_stated_curvature(
+    v: float, steer: float, ratio: float
+) -> None:
     free = VehicleParameters(drag=0.0, rolling=0.0)
     car = KinematicBicycle(free, at_speed(v), rear_ratio=ratio)
     for _ in range(200):
@@ -169,13 +177,17 @@ def test_held_wheels_drive_a_circle_of_the_stated_curvature(v: float, steer: flo
     np.testing.assert_allclose(radii, 1.0 / state.kappa, rtol=1e-4)
 
 
-def test_the_named_vehicle_is_the_bicycle_with_its_ratio_and_a_ratio_out_of_range_is_refused() -> None:
+def test_the_named_vehicle_is_the_bicycle_with_its_ratio_and_a_ratio_out_of_range_is_refused() -> (
+    None
+):
     named, own = (
         VEHICLE.builtin["kinematic_rear_steer"](CAR, at_speed(8.0)),
         KinematicBicycle(CAR, at_speed(8.0), rear_ratio=-0.2),
     )
     command = Command(0.2, 0.3, 0.0)
-    assert [named.step(command, 0.01) for _ in range(50)] == [own.step(command, 0.01) for _ in range(50)]
+    assert [named.step(command, 0.01) for _ in range(50)] == [
+        own.step(command, 0.01) for _ in range(50)
+    ]
     assert REAR_RATIO == -0.2 and named.state.v_lat < 0.0
     with pytest.raises(ConfigError, match="rear_ratio"):
         KinematicBicycle(CAR, at_speed(8.0), rear_ratio=1.0)
@@ -183,4 +195,6 @@ def test_the_named_vehicle_is_the_bicycle_with_its_ratio_and_a_ratio_out_of_rang
 
 @given(st.floats(-0.1, 0.1), st.floats(-0.9, 0.6))
 def test_it_starts_with_the_curvature_of_the_log(kappa: float, ratio: float) -> None:
-    assert KinematicBicycle(CAR, at_speed(6.0, kappa), rear_ratio=ratio).state.kappa == pytest.approx(kappa, abs=1e-9)
+    assert KinematicBicycle(
+        CAR, at_speed(6.0, kappa), rear_ratio=ratio
+    ).state.kappa == pytest.approx(kappa, abs=1e-9)

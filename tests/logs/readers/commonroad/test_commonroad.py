@@ -6,7 +6,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from commonroad_files import RECTANGLE, driving, exact, lanelet, points, problem, state, straight, vehicle, written
+from commonroad_files import (
+    RECTANGLE,
+    driving,
+    exact,
+    lanelet,
+    points,
+    problem,
+    state,
+    straight,
+    vehicle,
+    written,
+)
 from hypothesis import HealthCheck, given, settings, strategies as st
 
 from replan.core.errors import LogError
@@ -15,7 +26,13 @@ from replan.logs.readers import read_log
 from replan.logs.readers.commonroad import read_commonroad
 from replan.logs.readers.commonroad.document import Obstacle, parse
 from replan.logs.readers.commonroad.lanelets import _crossable
-from replan.logs.readers.commonroad.tracks import _prediction_error, ego_log, sized, turned, velocities
+from replan.logs.readers.commonroad.tracks import (
+    _prediction_error,
+    ego_log,
+    sized,
+    turned,
+    velocities,
+)
 from replan.logs.road import RoadSource
 from replan.logs.scenario import Scenario
 
@@ -28,7 +45,9 @@ from replan.logs.scenario import Scenario
     length=st.floats(3.0, 15.0),
     v=st.floats(1.0, 30.0),
 )
-def test_a_straight_drive_is_itself(tmp_path: Path, x: float, y: float, yaw: float, length: float, v: float) -> None:
+def test_a_straight_drive_is_itself(
+    tmp_path: Path, x: float, y: float, yaw: float, length: float, v: float
+) -> None:
     """Box centre = origin + rear axle + axle_to_center along the heading, exactly; v constant, a = kappa = 0."""
     shape = f"<rectangle><length>{length!r}</length><width>2.0</width></rectangle>"
     rows = driving(x, y, v, yaw=yaw)
@@ -36,7 +55,9 @@ def test_a_straight_drive_is_itself(tmp_path: Path, x: float, y: float, yaw: flo
     ego, car = scenario.ego, scenario.vehicle
     assert car.length == length
     centers = np.array([row[1:3] for row in rows])
-    back = np.column_stack([ego.x + car.axle_to_center * np.cos(ego.yaw), ego.y + car.axle_to_center * np.sin(ego.yaw)])
+    back = np.column_stack(
+        [ego.x + car.axle_to_center * np.cos(ego.yaw), ego.y + car.axle_to_center * np.sin(ego.yaw)]
+    )
     np.testing.assert_allclose(back + scenario.origin, centers, atol=1e-9)
     np.testing.assert_allclose(ego.v, v, rtol=1e-12)
     np.testing.assert_allclose(ego.a, 0.0, atol=1e-6)
@@ -69,9 +90,12 @@ def test_velocities_are_causal(tmp_path: Path, askew: float, cut: int) -> None:
     rows = [(k, k * 1.0 + 0.02 * rng.standard_normal(), 0.0, askew, 9.0) for k in range(20)]
     for stored in (9.0, 4.0):
         table = [(*row[:4], stored) for row in rows]
-        bent = table[: cut + 1] + [(k, x + 0.1, y + 0.05, yaw, v) for k, x, y, yaw, v in table[cut + 1 :]]
+        bent = table[: cut + 1] + [
+            (k, x + 0.1, y + 0.05, yaw, v) for k, x, y, yaw, v in table[cut + 1 :]
+        ]
         first, second = (
-            velocities(parse(written(tmp_path, straight(1), vehicle(3, each))))[0][3] for each in (table, bent)
+            velocities(parse(written(tmp_path, straight(1), vehicle(3, each))))[0][3]
+            for each in (table, bent)
         )
         assert (first[: cut + 1] == second[: cut + 1]).all()
 
@@ -80,7 +104,10 @@ def test_velocities_are_causal(tmp_path: Path, askew: float, cut: int) -> None:
 @settings(max_examples=20, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_common_heading_error_is_removed(tmp_path: Path, offset: float) -> None:
     """Vehicles that all drive askew by one angle are turned by it; below half a degree nothing is touched."""
-    cars = [vehicle(i, [(*row[:3], offset, row[4]) for row in driving(0.0, 3.0 * i, 8.0 + i)]) for i in range(6)]
+    cars = [
+        vehicle(i, [(*row[:3], offset, row[4]) for row in driving(0.0, 3.0 * i, 8.0 + i)])
+        for i in range(6)
+    ]
     document, notes = turned(parse(written(tmp_path, straight(100), *cars)))
     turned_by = document.obstacles[0].states[0, 3] - offset
     if abs(offset) > np.radians(0.51):
@@ -93,7 +120,9 @@ def test_common_heading_error_is_removed(tmp_path: Path, offset: float) -> None:
 
 def test_the_better_velocity_is_taken(tmp_path: Path) -> None:
     """A wrong stored speed loses against differences, noisy positions lose against a right stored speed."""
-    wrong = written(tmp_path, straight(1), vehicle(3, [(*row[:4], 17.0) for row in driving(0.0, 0.0, 8.0)]))
+    wrong = written(
+        tmp_path, straight(1), vehicle(3, [(*row[:4], 17.0) for row in driving(0.0, 0.0, 8.0)])
+    )
     found, notes = velocities(parse(wrong))
     np.testing.assert_allclose(found[3][1:], [[8.0, 0.0]] * 20, atol=1e-9)
     assert found[3][0].tolist() == [17.0, 0.0]  # the first sample has nothing but its stored speed
@@ -119,7 +148,11 @@ def test_road_neighbours_types_limits_and_markings(tmp_path: Path) -> None:
             'drivingDir="opposite"/><laneletType>urban</laneletType><trafficSignRef ref="9"/>',
             marks=("dashed", "solid"),
         ),
-        straight(2, 4.0, '<adjacentRight ref="1" drivingDir="same"/><adjacentLeft ref="6" drivingDir="opposite"/>'),
+        straight(
+            2,
+            4.0,
+            '<adjacentRight ref="1" drivingDir="same"/><adjacentLeft ref="6" drivingDir="opposite"/>',
+        ),
         straight(4, 20.0, "<laneletType>sidewalk</laneletType>"),
         straight(5, -4.0, "<userOneWay>bicycle</userOneWay>"),
         sign,
@@ -131,8 +164,18 @@ def test_road_neighbours_types_limits_and_markings(tmp_path: Path) -> None:
     one, two = lanes[1], lanes[2]
     assert scenario.road.source is RoadSource.LANES
     assert not scenario.road.drives_on_right
-    assert (one.left_neighbour, one.right_neighbour, one.left_opposite, one.right_opposite) == (2, None, False, True)
-    assert (two.left_neighbour, two.right_neighbour, two.left_opposite, two.right_opposite) == (None, 1, True, False)
+    assert (one.left_neighbour, one.right_neighbour, one.left_opposite, one.right_opposite) == (
+        2,
+        None,
+        False,
+        True,
+    )
+    assert (two.left_neighbour, two.right_neighbour, two.left_opposite, two.right_opposite) == (
+        None,
+        1,
+        True,
+        False,
+    )
     assert (one.left_crossable, one.right_crossable) == (True, False)
     assert one.successors == (4,)
     assert one.kind == "urban"
@@ -140,7 +183,10 @@ def test_road_neighbours_types_limits_and_markings(tmp_path: Path) -> None:
     assert one.speed_limit == 50.0
     assert scenario.road.limit(2) == pytest.approx(50.0 / 3.6)
     assert any("50 m/s on 1 lanes is kept" in note for note in scenario.notes)
-    assert any("speed limit missing on 1 of 2 lanes: urban default 13.89 m/s" in note for note in scenario.notes)
+    assert any(
+        "speed limit missing on 1 of 2 lanes: urban default 13.89 m/s" in note
+        for note in scenario.notes
+    )
 
 
 @pytest.mark.parametrize(
@@ -164,14 +210,27 @@ def test_later_traffic_does_not_change_an_assumed_limit(tmp_path: Path) -> None:
     def limit(v: float, *, later: float = 0.0, extra: int = 0) -> float:
         """With five who are at first at `v`, then (not 0) at `later`, and others who come later."""
         begin = [driving(5.0 * i, 0.0, v) for i in range(5)]
-        rows = [[each[0], *((*row[:4], later) for row in each[1:])] if later else each[:1] for each in begin]
+        rows = [
+            [each[0], *((*row[:4], later) for row in each[1:])] if later else each[:1]
+            for each in begin
+        ]
         rows += [[(k + 5, *row) for k, *row in driving(4.0 * i, 0.0, 40.0)] for i in range(extra)]
         cars = [vehicle(2 + i, each) for i, each in enumerate(rows)]
         lane = straight(1, inner="<laneletType>urban</laneletType>")
-        return read_commonroad(written(tmp_path, lane, *cars, problem(90, -20.0, 0.0, 10.0))).road.limit(1) * 3.6
+        return (
+            read_commonroad(
+                written(tmp_path, lane, *cars, problem(90, -20.0, 0.0, 10.0))
+            ).road.limit(1)
+            * 3.6
+        )
 
     for v, expected in ((8.0, 50.0), (19.0, 70.0)):
-        assert limit(v) == limit(v, later=30.0) == limit(v, later=v, extra=9) == pytest.approx(expected)
+        assert (
+            limit(v)
+            == limit(v, later=30.0)
+            == limit(v, later=v, extra=9)
+            == pytest.approx(expected)
+        )
 
 
 def test_default_limit_follows_the_kind_of_road_and_the_pace(tmp_path: Path) -> None:
@@ -258,7 +317,9 @@ def test_shapes_become_boxes_at_their_centres(tmp_path: Path) -> None:
         f"{state(0, 10.0, 20.0, pi / 2, 0.0, tag='initialState')}</staticObstacle>"
         for i, shape in shapes.items()
     ]
-    tracks = read_commonroad(written(tmp_path, straight(1), *static, problem(1, 0.0, 0.0, 5.0))).tracks
+    tracks = read_commonroad(
+        written(tmp_path, straight(1), *static, problem(1, 0.0, 0.0, 5.0))
+    ).tracks
     assert tracks.static.all()
     np.testing.assert_allclose(tracks.length, [4.0, 0.8, 4.0, 5.5])
     np.testing.assert_allclose(tracks.width, [2.0, 0.8, 3.0, 2.0], rtol=0.01)
@@ -269,7 +330,9 @@ def test_shapes_become_boxes_at_their_centres(tmp_path: Path) -> None:
 
 def test_version_2018b_with_intervals_and_speed_limits(tmp_path: Path) -> None:
     def middle(tag: str, low: float, high: float) -> str:
-        return f"<{tag}><intervalStart>{low}</intervalStart><intervalEnd>{high}</intervalEnd></{tag}>"
+        return (
+            f"<{tag}><intervalStart>{low}</intervalStart><intervalEnd>{high}</intervalEnd></{tag}>"
+        )
 
     uncertain = (
         "<position><rectangle><length>2</length><width>1</width><orientation>0</orientation><center><x>30</x><y>1</y>"
@@ -302,12 +365,20 @@ def test_version_2018b_with_intervals_and_speed_limits(tmp_path: Path) -> None:
 def test_only_the_start_is_known(tmp_path: Path) -> None:
     speeds = "<velocity><intervalStart>1</intervalStart><intervalEnd>9</intervalEnd></velocity>"
     goal = f"<position><lanelet ref='1'/></position>{speeds}"
-    file = written(tmp_path, straight(1), vehicle(3, driving(50.0, 0.0, 5.0)), problem(1, 100.4, 0.0, 10.0, goal))
+    file = written(
+        tmp_path,
+        straight(1),
+        vehicle(3, driving(50.0, 0.0, 5.0)),
+        problem(1, 100.4, 0.0, 10.0, goal),
+    )
     scenario = read_commonroad(file)
     assert scenario.origin == (100.0, 0.0)
     assert len(scenario.ego) == 1
     assert scenario.ego.x[0] + scenario.vehicle.axle_to_center == pytest.approx(0.4)
-    assert "only the start of the ego is known (planning problem 1): no drive to compare with" in scenario.notes
+    assert (
+        "only the start of the ego is known (planning problem 1): no drive to compare with"
+        in scenario.notes
+    )
     assert scenario.goal is not None
     assert scenario.goal.t == pytest.approx((2.0, 3.0))
     assert scenario.goal.reached(2.5, 0.0, 0.0, 0.0, 5.0)
@@ -368,11 +439,15 @@ def test_a_clipped_first_sample_is_dropped(tmp_path: Path) -> None:
     scenario = read_commonroad(written(tmp_path, straight(1), vehicle(4, rows)), ego="4")
     assert len(scenario.ego) == 20
     np.testing.assert_allclose(scenario.ego.v, 15.0)
-    assert any("first sample is dropped: its position is off by 1.0 m" in note for note in scenario.notes)
+    assert any(
+        "first sample is dropped: its position is off by 1.0 m" in note for note in scenario.notes
+    )
 
 
 def test_ego_by_id_drives_to_where_its_log_ends(tmp_path: Path) -> None:
-    file = written(tmp_path, straight(1), *(vehicle(i, driving(20.0 * i, 0.0, 5.0)) for i in (1, 2)))
+    file = written(
+        tmp_path, straight(1), *(vehicle(i, driving(20.0 * i, 0.0, 5.0)) for i in (1, 2))
+    )
     scenario = read_commonroad(file, ego="2")
     assert scenario.tracks.ids == ("1",)
     last = scenario.ego.state(20)
@@ -387,13 +462,29 @@ def test_ego_by_id_drives_to_where_its_log_ends(tmp_path: Path) -> None:
     [
         (("<x",), {}, ["is no complete XML"]),
         ((straight(1),), {}, ["no planning problem", "name a vehicle"]),
-        ((straight(1), problem(5, 0, 0, 1)), {"problem": 7}, ["no planning problem 7", "the file has 5"]),
+        (
+            (straight(1), problem(5, 0, 0, 1)),
+            {"problem": 7},
+            ["no planning problem 7", "the file has 5"],
+        ),
         ((straight(1), problem(5, 0, 0, 1)), {"ego": "8"}, ["no vehicle 8", "none"]),
         ((straight(1), vehicle(2, [(0, 0.0, float("nan"), 0.0, 1.0)])), {}, ["obstacle 2", "nan"]),
-        ((straight(1), vehicle(2, [(0, 0.0, 0.0, 0.0, 1.0)], "<ellipse/>")), {}, ["obstacle 2/shape"]),
+        (
+            (straight(1), vehicle(2, [(0, 0.0, 0.0, 0.0, 1.0)], "<ellipse/>")),
+            {},
+            ["obstacle 2/shape"],
+        ),
         ((problem(5, 0, 0, 1),), {}, ["no lanelet"]),
-        ((lanelet(1, points((0, 1)), "<point><x>0</x></point>"),), {}, ["lanelet 1/rightBound", "<y> is missing"]),
-        ((straight(1), '<planningProblem id="5"/>'), {}, ["planningProblem 5", "<initialState> is missing"]),
+        (
+            (lanelet(1, points((0, 1)), "<point><x>0</x></point>"),),
+            {},
+            ["lanelet 1/rightBound", "<y> is missing"],
+        ),
+        (
+            (straight(1), '<planningProblem id="5"/>'),
+            {},
+            ["planningProblem 5", "<initialState> is missing"],
+        ),
     ],
 )
 def test_errors_name_elements(
@@ -425,7 +516,10 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
 def _facts(scenario: Scenario) -> None:
     """What every converted scenario must be."""
     ego, car, road = scenario.ego, scenario.vehicle, scenario.road
-    x, y = ego.x[0] + car.axle_to_center * cos(ego.yaw[0]), ego.y[0] + car.axle_to_center * sin(ego.yaw[0])
+    x, y = (
+        ego.x[0] + car.axle_to_center * cos(ego.yaw[0]),
+        ego.y[0] + car.axle_to_center * sin(ego.yaw[0]),
+    )
     assert ego.t[0] == 0.0
     assert abs(x) < 1.0
     assert abs(y) < 1.0

@@ -11,7 +11,14 @@ from hypothesis import given, strategies as st
 from replan.logs.agents import AgentKind
 from replan.logs.readers.commonroad import read_commonroad
 from replan.logs.readers.commonroad.document import OccupiedSet
-from replan.logs.readers.commonroad.occupancy_sets import EXCESS_M, SHORTEST_M, Box, covering, smallest_box, standing
+from replan.logs.readers.commonroad.occupancy_sets import (
+    EXCESS_M,
+    SHORTEST_M,
+    Box,
+    covering,
+    smallest_box,
+    standing,
+)
 from replan.logs.road import inside
 from replan.replay.loop.closed_loop import run_closed_loop
 
@@ -31,7 +38,9 @@ def band(radius: float, angle: float, width: float) -> np.ndarray:
 
 
 @given(st.floats(10.0, 200.0), st.floats(0.1, 1.5), st.floats(1.5, 8.0), st.floats(-pi, pi))
-def test_the_boxes_cover_the_set_and_little_else(radius: float, angle: float, width: float, yaw: float) -> None:
+def test_the_boxes_cover_the_set_and_little_else(
+    radius: float, angle: float, width: float, yaw: float
+) -> None:
     turn = np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
     outline = band(radius, angle, width) @ turn
     boxes = list(covering(outline))
@@ -41,7 +50,10 @@ def test_the_boxes_cover_the_set_and_little_else(radius: float, angle: float, wi
     covered = np.any([within(box, some) for box in boxes], axis=0)
     assert covered[held].all()
     area = 0.5 * ((radius + width) ** 2 - radius**2) * angle
-    wider = sum(EXCESS_M * box.length if box.length > SHORTEST_M else box.length * box.width for box in boxes)
+    wider = sum(
+        EXCESS_M * box.length if box.length > SHORTEST_M else box.length * box.width
+        for box in boxes
+    )
     assert sum(box.length * box.width for box in boxes) <= area + wider + 1e-6
 
 
@@ -58,7 +70,11 @@ def test_a_rectangle_is_itself(x: float, yaw: float, length: float, width: float
 
 def test_a_set_stands_until_the_next_one_or_over_its_interval() -> None:
     square = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0]])
-    sets = [OccupiedSet(0.0, 0.0, (square,)), OccupiedSet(3.0, 3.0, (square, square + 9.0)), OccupiedSet(5.0, 9.0, ())]
+    sets = [
+        OccupiedSet(0.0, 0.0, (square,)),
+        OccupiedSet(3.0, 3.0, (square, square + 9.0)),
+        OccupiedSet(5.0, 9.0, ()),
+    ]
     assert [(name, first, last) for name, first, last, _ in standing(sets)] == [
         ("set 0 part 0", 0.0, 3.0),
         ("set 1 part 0", 3.0, 5.0),

@@ -47,8 +47,15 @@ def apart(rows: list[Row], east: float) -> list[Row]:
 def lights(red_at: float, group: int) -> list[Row]:
     kind, out = "autoware_perception_msgs/msg/TrafficLightGroupArray", []
     for ns in bags.times(10):
-        shown = [{"traffic_light_group_id": group, "elements": [{"color": 1 if seconds(ns) >= red_at else 3}]}]
-        out.append(("/lights", kind, ns, message(kind, stamp=stamp(ns), traffic_light_groups=shown)))
+        shown = [
+            {
+                "traffic_light_group_id": group,
+                "elements": [{"color": 1 if seconds(ns) >= red_at else 3}],
+            }
+        ]
+        out.append(
+            ("/lights", kind, ns, message(kind, stamp=stamp(ns), traffic_light_groups=shown))
+        )
     return out
 
 
@@ -61,12 +68,16 @@ def drive(by: str, until_s: float, group: int) -> list[Row]:
 
 @pytest.mark.parametrize("by", ["odometry", "transforms"])
 @pytest.mark.parametrize(("first", "second"), [(3.0, 5.0), (5.0, 3.0), (4.0, 4.0)])
-def test_a_drive_is_chosen_where_the_clock_restarts(by: str, first: float, second: float, tmp_path: Path) -> None:
+def test_a_drive_is_chosen_where_the_clock_restarts(
+    by: str, first: float, second: float, tmp_path: Path
+) -> None:
     """A simulator that began anew after 6 s, elsewhere: no drive is read as both, and each can be read."""
     rows = drive(by, first, 1) + apart(bags.later(drive(by, second, 2), 6.0, 0.0), 43.0)
     path = bags.write_ros2(tmp_path / "bag", rows)
     topic = "/localization/kinematic_state" if by == "odometry" else "/tf"
-    with pytest.raises(LogError, match=rf"clock of {topic} restarts at 6\.0 s of the bag: two drives.*--from/--to"):
+    with pytest.raises(
+        LogError, match=rf"clock of {topic} restarts at 6\.0 s of the bag: two drives.*--from/--to"
+    ):
         read_log(path)
     with pytest.raises(LogError, match="two drives"):
         read_log(path, LogSettings(begin=2.0, end=8.0))
@@ -96,7 +107,8 @@ def test_a_drive_is_chosen_where_the_clock_restarts(by: str, first: float, secon
 
 def test_by_log_time_the_drives_are_joined_as_asked(tmp_path: Path) -> None:
     path = bags.write_ros2(
-        tmp_path / "bag", drive("odometry", 5.0, 1) + bags.later(drive("odometry", 3.0, 1), 6.0, 0.0)
+        tmp_path / "bag",
+        drive("odometry", 5.0, 1) + bags.later(drive("odometry", 3.0, 1), 6.0, 0.0),
     )
     scenario = read_log(path, LogSettings(clock="log"))
     assert scenario.duration == pytest.approx(9.0, abs=0.02)
@@ -108,15 +120,21 @@ def test_by_log_time_the_drives_are_joined_as_asked(tmp_path: Path) -> None:
 def test_a_bag_that_was_played_in_a_loop(tmp_path: Path) -> None:
     rows = [row for k in range(4) for row in bags.later(drive("odometry", 3.0, 1), 3.02 * k, 0.0)]
     path = bags.write_ros2(tmp_path / "bag", rows, sqlite=True)
-    with pytest.raises(LogError, match=r"restarts at 3\.0 s, 6\.0 s, 9\.1 s of the bag: four drives"):
+    with pytest.raises(
+        LogError, match=r"restarts at 3\.0 s, 6\.0 s, 9\.1 s of the bag: four drives"
+    ):
         read_log(path)
     for k in range(4):
-        scenario = read_log(path, LogSettings(begin=round(3.02 * k, 1), end=round(3.02 * (k + 1), 1)))
+        scenario = read_log(
+            path, LogSettings(begin=round(3.02 * k, 1), end=round(3.02 * (k + 1), 1))
+        )
         check_drive(scenario)
         assert scenario.duration == pytest.approx(3.0, abs=0.1)
 
 
-@pytest.mark.parametrize("change", ["stale", "stale at the end", "two senders", "late by 0.9 s", "unsorted"])
+@pytest.mark.parametrize(
+    "change", ["stale", "stale at the end", "two senders", "late by 0.9 s", "unsorted"]
+)
 def test_what_comes_late_or_out_of_order_is_no_restart(change: str, tmp_path: Path) -> None:
     rows = bags.odometry()
     if change == "stale":
@@ -150,7 +168,9 @@ def test_a_clock_of_the_others_that_restarts_is_said_and_nothing_is_lost(tmp_pat
     st.lists(st.floats(0.0, 0.99), min_size=60, max_size=60),
     st.floats(0.1, 3.0),
 )
-def test_jitter_and_any_pace_is_no_restart(steps: list[float], late: list[float], pace: float) -> None:
+def test_jitter_and_any_pace_is_no_restart(
+    steps: list[float], late: list[float], pace: float
+) -> None:
     """Messages that are each recorded up to 1 s (of their clock) late, in the order of their recording."""
     sent = START_NS + np.cumsum(np.rint(1e9 * np.array(steps)).astype(np.int64))
     log = sent + np.rint(1e9 * np.array(late[: len(steps)])).astype(np.int64)
@@ -173,7 +193,9 @@ def test_every_restart_is_found(count: int, length: float, pace: float) -> None:
 
 @pytest.mark.parametrize("as_folder", [True, False])
 @pytest.mark.parametrize("kept", [0.0, 0.3])
-def test_messages_in_a_write_ahead_log_are_read(as_folder: bool, kept: float, tmp_path: Path) -> None:
+def test_messages_in_a_write_ahead_log_are_read(
+    as_folder: bool, kept: float, tmp_path: Path
+) -> None:
     """As a killed recorder leaves it: what it wrote last, or all, is in the file beside."""
     folder = bags.write_ros2(tmp_path / "bag", bags.odometry(), sqlite=True)
     whole, file = read_log(folder), next(folder.glob("*.db3"))
@@ -192,7 +214,10 @@ def test_messages_in_a_write_ahead_log_are_read(as_folder: bool, kept: float, tm
     database.close()
     names = sorted(each.name for each in after.iterdir())
     scenario = read_log(after if as_folder else after / file.name)
-    assert scenario.ego.t.tolist() == whole.ego.t.tolist() and scenario.ego.x.tolist() == whole.ego.x.tolist()
+    assert (
+        scenario.ego.t.tolist() == whole.ego.t.tolist()
+        and scenario.ego.x.tolist() == whole.ego.x.tolist()
+    )
     assert any(f"{file.name} was not closed" in note for note in scenario.notes)
     assert sorted(each.name for each in after.iterdir()) == names, "the bag itself is not touched"
     damaged = after / f"{file.name}-wal"
@@ -205,7 +230,12 @@ def test_messages_in_a_write_ahead_log_are_read(as_folder: bool, kept: float, tm
 
 
 def sensor(
-    child: str, placed: tuple[float, float, float], *, turning: bool = True, twist: bool = True, axes: float = 0.0
+    child: str,
+    placed: tuple[float, float, float],
+    *,
+    turning: bool = True,
+    twist: bool = True,
+    axes: float = 0.0,
 ) -> list[Row]:
     """Odometry of a frame that lies at `placed` (x, y, yaw) in the base, with the velocity there, in its axes."""
     x, y, yaw = placed
@@ -215,19 +245,37 @@ def sensor(
     vx, vy = c * velocity[0] - s * velocity[1], s * velocity[0] + c * velocity[1]
     for k, ns in enumerate(bags.times(bags.RATE_HZ)):
         ex, ey, eyaw = ego_pose(seconds(ns))
-        at = (ex + np.cos(eyaw) * x - np.sin(eyaw) * y, ey + np.sin(eyaw) * x + np.cos(eyaw) * y, eyaw + yaw)
-        moves = {"linear": {"x": vx + 1e-3 * (k == 0), "y": vy}, "angular": {"z": turn}} if twist else {}
+        at = (
+            ex + np.cos(eyaw) * x - np.sin(eyaw) * y,
+            ey + np.sin(eyaw) * x + np.cos(eyaw) * y,
+            eyaw + yaw,
+        )
+        moves = (
+            {"linear": {"x": vx + 1e-3 * (k == 0), "y": vy}, "angular": {"z": turn}}
+            if twist
+            else {}
+        )
         told = {"pose": {"pose": pose(*at)}, "twist": {"twist": moves}}
         out.append(
-            ("/odom", ODOMETRY, ns + 2_000_000, message(ODOMETRY, header=header(ns), child_frame_id=child, **told))
+            (
+                "/odom",
+                ODOMETRY,
+                ns + 2_000_000,
+                message(ODOMETRY, header=header(ns), child_frame_id=child, **told),
+            )
         )
     return out
 
 
-def static(*edges: tuple[str, str, tuple[float, float, float]], topic: str = "/tf_static") -> list[Row]:
+def static(
+    *edges: tuple[str, str, tuple[float, float, float]], topic: str = "/tf_static"
+) -> list[Row]:
     out = []
     for parent, child, at in edges:
-        moved = {"translation": {**pose(*at)["position"], "z": 0.0}, "rotation": pose(*at)["orientation"]}
+        moved = {
+            "translation": {**pose(*at)["position"], "z": 0.0},
+            "rotation": pose(*at)["orientation"],
+        }
         for ns in (START_NS,) if topic == "/tf_static" else bags.times(10):
             one = {"header": header(ns, parent), "child_frame_id": child, "transform": moved}
             out.append((topic, TF, ns, message(TF, transforms=[one])))
@@ -248,8 +296,16 @@ IMU = (1.6, 0.4, pi / 2)
     [
         ("imu_link", [("base_link", "imu_link", IMU)], ""),
         ("imu_link", [("imu_link", "base_link", turned(IMU))], ""),
-        ("/imu_link", [("base_link", "rack", (1.0, 0.0, 0.0)), ("rack", "imu_link", (0.6, 0.4, pi / 2))], ""),
-        ("imu_link", [("base_footprint", "base_link", (0, 0, 0)), ("base_footprint", "imu_link", IMU)], ""),
+        (
+            "/imu_link",
+            [("base_link", "rack", (1.0, 0.0, 0.0)), ("rack", "imu_link", (0.6, 0.4, pi / 2))],
+            "",
+        ),
+        (
+            "imu_link",
+            [("base_footprint", "base_link", (0, 0, 0)), ("base_footprint", "imu_link", IMU)],
+            "",
+        ),
         ("imu_link", [("base_footprint", "imu_link", IMU)], ""),
         ("imu_link", [("ego_vehicle", "imu_link", IMU)], ""),
         ("imu_link", [("rear_axle", "imu_link", IMU)], "rear_axle"),
@@ -288,16 +344,31 @@ def test_objects_in_the_frame_of_a_sensor_are_placed_below_the_moved_base(tmp_pa
     check_drive(scenario)
     for i in range(3):
         part = scenario.tracks.samples(i)
-        truth = np.array([bags.objects_at(t + seconds(scenario.start_ns))[i][2:4] for t in scenario.tracks.t[part]])
+        truth = np.array(
+            [
+                bags.objects_at(t + seconds(scenario.start_ns))[i][2:4]
+                for t in scenario.tracks.t[part]
+            ]
+        )
         assert scenario.tracks.x[part] + scenario.origin[0] == pytest.approx(truth[:, 0], abs=1e-4)
         assert scenario.tracks.y[part] + scenario.origin[1] == pytest.approx(truth[:, 1], abs=1e-4)
 
 
-def test_without_a_transform_the_frame_is_named_or_refused_where_another_is_set(tmp_path: Path) -> None:
-    path = bags.write_ros2(tmp_path / "bag", sensor("gnss_link", (1.6, 0.4, 0.0)) + bags.transforms()[:1])
+def test_without_a_transform_the_frame_is_named_or_refused_where_another_is_set(
+    tmp_path: Path,
+) -> None:
+    path = bags.write_ros2(
+        tmp_path / "bag", sensor("gnss_link", (1.6, 0.4, 0.0)) + bags.transforms()[:1]
+    )
     scenario = read_log(path, LogSettings(topics={"ego": "/odom"}))
-    assert sum("frame 'gnss_link', which is taken as the rear axle" in note for note in scenario.notes) == 1
-    with pytest.raises(LogError, match=r"/odom.*frame 'gnss_link', and no transform leads from there to 'base_link'"):
+    assert (
+        sum("frame 'gnss_link', which is taken as the rear axle" in note for note in scenario.notes)
+        == 1
+    )
+    with pytest.raises(
+        LogError,
+        match=r"/odom.*frame 'gnss_link', and no transform leads from there to 'base_link'",
+    ):
         read_log(path, LogSettings(topics={"ego": "/odom"}, frames={"base": "base_link"}))
     same = read_log(path, LogSettings(topics={"ego": "/odom"}, frames={"base": "gnss_link"}))
     assert same.ego.x.tolist() == scenario.ego.x.tolist()
@@ -314,9 +385,14 @@ def test_transforms_through_the_world_move_nothing(tmp_path: Path) -> None:
             moved = {"translation": at["position"], "rotation": at["orientation"]}
             told = {"header": header(ns), "child_frame_id": "gnss_link", "transform": moved}
             both.append(("/tf", kind, ns, message(TF, transforms=[told])))
-    scenario = read_log(bags.write_ros2(tmp_path / "bag", both), LogSettings(topics={"ego": "/odom"}))
+    scenario = read_log(
+        bags.write_ros2(tmp_path / "bag", both), LogSettings(topics={"ego": "/odom"})
+    )
     check_drive(scenario)
-    assert sum("frame 'gnss_link', which is taken as the rear axle" in note for note in scenario.notes) == 1
+    assert (
+        sum("frame 'gnss_link', which is taken as the rear axle" in note for note in scenario.notes)
+        == 1
+    )
 
 
 @pytest.mark.parametrize("kind", ["TwistStamped", "TwistWithCovarianceStamped"])
@@ -324,7 +400,10 @@ def test_a_twist_of_a_sensor_becomes_the_speed_of_the_base(kind: str, tmp_path: 
     turn, name = SPEED / bags.RADIUS, f"geometry_msgs/msg/{kind}"
     rows = bags.transforms() + static(("base_link", "imu_link", IMU))
     for k, ns in enumerate(bags.times(20)):
-        moves = {"linear": {"x": turn * 1.6 + 1e-3 * (k == 0), "y": -(SPEED - turn * 0.4)}, "angular": {"z": turn}}
+        moves = {
+            "linear": {"x": turn * 1.6 + 1e-3 * (k == 0), "y": -(SPEED - turn * 0.4)},
+            "angular": {"z": turn},
+        }
         told = {"twist": moves if kind == "TwistStamped" else {"twist": moves}}
         rows.append(("/imu_speed", name, ns, message(name, header=header(ns, "imu_link"), **told)))
     scenario = read_log(bags.write_ros2(tmp_path / "bag", rows))

@@ -24,20 +24,30 @@ SEED = st.integers(0, 2**32 - 1)
 WEIGHTS = PathDpWeights(ref=0.05, dl=20.0, ddl=500.0, near=2.0, reach=1.0, switch=1.0)
 
 
-def quintic_at(l0: float, dl0: float, ddl0: float, l1: float, length: float, d: FloatArray) -> FloatArray:
+def quintic_at(
+    l0: float, dl0: float, ddl0: float, l1: float, length: float, d: FloatArray
+) -> FloatArray:
     """Rows l, l', l'' `(3, n)` of the quintic, by its definition as a polynomial."""
-    polynomial = np.polynomial.Polynomial([l0, dl0, 0.5 * ddl0, *quintic(l0, dl0, ddl0, l1, length)])
+    polynomial = np.polynomial.Polynomial(
+        [l0, dl0, 0.5 * ddl0, *quintic(l0, dl0, ddl0, l1, length)]
+    )
     return np.array([polynomial(d), polynomial.deriv(1)(d), polynomial.deriv(2)(d)])
 
 
-def grid(seed: int) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+def grid(
+    seed: int,
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     """Stations, offsets, start, boxes and corridor of a small random problem."""
     rng = np.random.default_rng(seed)
     stations = 10.0 * np.arange(1, 4) + rng.uniform(0.0, 3.0)
-    start = np.array([0.0, rng.uniform(-1.5, 1.5), rng.uniform(-0.2, 0.2), rng.uniform(-0.02, 0.02)])
+    start = np.array(
+        [0.0, rng.uniform(-1.5, 1.5), rng.uniform(-0.2, 0.2), rng.uniform(-0.02, 0.02)]
+    )
     s, l = rng.uniform(5.0, 30.0, 3), rng.uniform(-2.0, 2.0, 3)  # noqa: E741
     sides = rng.integers(-1, 2, 3)
-    boxes = np.column_stack([s, s + rng.uniform(2.0, 8.0, 3), l, l + rng.uniform(0.2, 1.5, 3), sides])
+    boxes = np.column_stack(
+        [s, s + rng.uniform(2.0, 8.0, 3), l, l + rng.uniform(0.2, 1.5, 3), sides]
+    )
     lower, upper = -rng.uniform(0.5, 2.5, (3, SAMPLES)), rng.uniform(0.5, 2.5, (3, SAMPLES))
     return stations, np.array([1.5, 0.5, -0.5, -1.5]), start, boxes, lower, upper
 
@@ -97,7 +107,10 @@ def test_what_comes_and_what_goes_add_up(seed: int) -> None:
 @settings(max_examples=30)
 def test_the_mirrored_grid_has_the_mirrored_solution(seed: int) -> None:
     stations, offsets, start, boxes, lower, upper = grid(seed)
-    there = start * [1.0, -1.0, -1.0, -1.0], boxes[:, [0, 1, 3, 2, 4]] * [1.0, 1.0, -1.0, -1.0, -1.0]
+    there = (
+        start * [1.0, -1.0, -1.0, -1.0],
+        boxes[:, [0, 1, 3, 2, 4]] * [1.0, 1.0, -1.0, -1.0, -1.0],
+    )
     cost, chosen = path_dp(stations, offsets, start, boxes, lower, upper, WEIGHTS)
     cost_m, chosen_m = path_dp(stations, -offsets, there[0], there[1], -upper, -lower, WEIGHTS)
     np.testing.assert_array_equal(cost_m, cost)

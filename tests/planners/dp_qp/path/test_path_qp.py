@@ -32,15 +32,31 @@ def path_problem(seed: int) -> PiecewiseJerkProblem:
     kappa = 0.01 * np.sin(s[0] / 20.0 + rng.uniform(0.0, 6.0))
     start = np.array([rng.uniform(-0.5, 0.5), rng.uniform(-0.05, 0.05), rng.uniform(-0.01, 0.01)])
     both, ones = np.array([[-1.0], [1.0]]), np.ones(KNOTS)
-    return asked(start, lower, upper, MAX_DL * both * ones, CAR.max_kappa * both - kappa, MAX_RATE * both * ones)
+    return asked(
+        start,
+        lower,
+        upper,
+        MAX_DL * both * ones,
+        CAR.max_kappa * both - kappa,
+        MAX_RATE * both * ones,
+    )
 
 
 def asked(
-    start: FloatArray, lower: FloatArray, upper: FloatArray, slope: FloatArray, bend: FloatArray, rate: FloatArray
+    start: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+    slope: FloatArray,
+    bend: FloatArray,
+    rate: FloatArray,
 ) -> PiecewiseJerkProblem:
     """A problem with bounds of the points `(points, knots)`, and of the first to third derivative `(2, knots)`."""
-    rows = np.array([[at[0], slope[i], bend[i], rate[i], at[1]] for i, at in enumerate((lower, upper))])
-    return OWN.stated(start, np.array([OWN.middle * (rows[0, X] + rows[1, X]), np.zeros(KNOTS)]), rows)
+    rows = np.array(
+        [[at[0], slope[i], bend[i], rate[i], at[1]] for i, at in enumerate((lower, upper))]
+    )
+    return OWN.stated(
+        start, np.array([OWN.middle * (rows[0, X] + rows[1, X]), np.zeros(KNOTS)]), rows
+    )
 
 
 def cost_of(program: PathQp, x: FloatArray, middle: FloatArray) -> float:
@@ -61,7 +77,9 @@ def points_of(x: FloatArray) -> FloatArray:
     return np.asarray(l + np.array(AHEAD)[:, None] * dl)
 
 
-def assert_drivable(program: PathQp, x: FloatArray, problem: PiecewiseJerkProblem, slack: float) -> None:
+def assert_drivable(
+    program: PathQp, x: FloatArray, problem: PiecewiseJerkProblem, slack: float
+) -> None:
     l, dl, ddl = x.reshape(3, -1)  # noqa: E741
     h = program.step
     np.testing.assert_allclose((l[0], dl[0], ddl[0]), problem.start, atol=slack)
@@ -86,12 +104,16 @@ def test_the_path_qp_keeps_its_bounds_and_finds_the_least_cost(seed: int) -> Non
     middle = 0.5 * (problem.lower[X] + problem.upper[X])
     best, found = cost_of(SURE, sure.x, middle), cost_of(OWN, fast.x, middle)
     assert found == pytest.approx(best, rel=2e-2, abs=0.05)
-    assert sum(value for _, value in OWN.costs(fast.x, problem).terms) == pytest.approx(found, rel=1e-9)
+    assert sum(value for _, value in OWN.costs(fast.x, problem).terms) == pytest.approx(
+        found, rel=1e-9
+    )
 
 
 @given(SEED, st.floats(0.0, 0.6), st.floats(0.0, 0.6))
 @settings(max_examples=15)
-def test_every_step_towards_another_path_of_the_corridor_costs_more(seed: int, low: float, high: float) -> None:
+def test_every_step_towards_another_path_of_the_corridor_costs_more(
+    seed: int, low: float, high: float
+) -> None:
     """The variational inequality of a convex problem: what a narrower corridor allows is allowed, but not better."""
     problem = path_problem(seed)
     middle = 0.5 * (problem.lower[X] + problem.upper[X])
@@ -135,13 +157,17 @@ def test_a_softened_corridor_is_left_as_little_as_it_must(seed: int) -> None:
 
 @given(OFFSET, SLOPE, BEND, st.floats(1.0, 25.0), SEED)
 @settings(max_examples=30)
-def test_a_corridor_loosened_to_the_reach_can_be_kept(l0: float, dl0: float, ddl0: float, v: float, seed: int) -> None:
+def test_a_corridor_loosened_to_the_reach_can_be_kept(
+    l0: float, dl0: float, ddl0: float, v: float, seed: int
+) -> None:
     """Whatever one bound asks for, with the lateral acceleration and the steering rate of the speed."""
     rng = np.random.default_rng(seed)
     s, leads = np.linspace(0.0, LENGTH, KNOTS), np.array(AHEAD)[:, None]
     upper = np.interp(s + leads, np.linspace(0.0, LENGTH, 8), rng.uniform(0.2, 4.0, 8))
     start, none = np.array([l0, dl0, ddl0]), np.zeros(KNOTS)
-    bend, rate, left, right = steering_bounds(np.r_[start, v], none + 30.0, none, none, OWN.step, TURNS, COMFORT)
+    bend, rate, left, right = steering_bounds(
+        np.r_[start, v], none + 30.0, none, none, OWN.step, TURNS, COMFORT
+    )
     slope = np.array([np.minimum(-MAX_DL, left[1]), np.maximum(MAX_DL, right[1])])
     high = np.maximum(upper, right[0] + leads * right[1])
     result = SURE.solve(asked(start, 0.0 * high - 90.0, high, slope, bend, np.c_[rate, (0.0, 0.0)]))
@@ -152,10 +178,16 @@ TURNS = np.array([CAR.max_kappa, CAR.max_steer_rate / CAR.wheelbase, 3.0])
 
 
 @given(st.floats(0.5, 30.0), st.floats(1.0, 40.0), st.floats(-0.2, 0.2))
-def test_the_expected_speed_brakes_for_curves_as_hard_as_it_may(v0: float, limit: float, kappa: float) -> None:
+def test_the_expected_speed_brakes_for_curves_as_hard_as_it_may(
+    v0: float, limit: float, kappa: float
+) -> None:
     bends = np.r_[np.zeros(20), np.full(20, kappa), np.zeros(20)]
     v = expected_speed(v0, np.full(60, limit), bends, 1.0, 1.8, 3.0, 3.0)
-    assert v[0] == v0 and (np.diff(v**2) <= 2.0 * 1.8 + 1e-9).all() and (np.diff(v**2) >= -2.0 * 3.0 - 1e-9).all()
+    assert (
+        v[0] == v0
+        and (np.diff(v**2) <= 2.0 * 1.8 + 1e-9).all()
+        and (np.diff(v**2) >= -2.0 * 3.0 - 1e-9).all()
+    )
     slow_enough = v**2 * np.abs(bends) <= 3.0 + 1e-9
     braking = np.r_[True, np.diff(v**2) < -6.0 + 1e-6]
     assert (slow_enough | braking).all()

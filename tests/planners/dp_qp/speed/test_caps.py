@@ -36,7 +36,9 @@ SPEEDS, STATIONS = st.sampled_from([0.0, 2.5, 4.0, 6.5, 9.0, 20.0]), st.floats(-
 def speed_caps(draw: st.DrawFn) -> SpeedCap:
     begin, agent, v = draw(STATIONS), draw(st.sampled_from(["", "a", "b", "c"])), draw(SPEEDS)
     end = draw(st.sampled_from([inf, begin + 1.0, begin + 20.0]))
-    return SpeedCap(draw(st.sampled_from([-inf, begin])), end, v, agent, f"{v:.1f} m/s", draw(st.booleans()))
+    return SpeedCap(
+        draw(st.sampled_from([-inf, begin])), end, v, agent, f"{v:.1f} m/s", draw(st.booleans())
+    )
 
 
 CAPS = st.lists(speed_caps(), max_size=6)
@@ -53,17 +55,23 @@ def there(cap: SpeedCap) -> np.ndarray:
 
 
 @given(ROADS, CAPS)
-def test_the_limit_is_the_least_of_road_and_caps_there(values: list[float], caps: list[SpeedCap]) -> None:
+def test_the_limit_is_the_least_of_road_and_caps_there(
+    values: list[float], caps: list[SpeedCap]
+) -> None:
     road = road_of(values)
     found = lower_limit(SIGMA, road, caps)
     least = np.min([road.v, *(np.where(there(cap), cap.v, inf) for cap in caps)], axis=0)
     np.testing.assert_array_equal(found.v, least)
-    bound = np.any([there(cap) & (cap.v == least) & cap.is_bound for cap in caps] or [road.is_bound], axis=0)
+    bound = np.any(
+        [there(cap) & (cap.v == least) & cap.is_bound for cap in caps] or [road.is_bound], axis=0
+    )
     np.testing.assert_array_equal(found.is_bound, bound)
 
 
 @given(ROADS, CAPS, st.randoms(use_true_random=False))
-def test_the_order_of_the_caps_does_not_matter(values: list[float], caps: list[SpeedCap], shuffled: object) -> None:
+def test_the_order_of_the_caps_does_not_matter(
+    values: list[float], caps: list[SpeedCap], shuffled: object
+) -> None:
     road, others = road_of(values), caps.copy()
     shuffled.shuffle(others)  # type: ignore[attr-defined]
     one, two = lower_limit(SIGMA, road, caps), lower_limit(SIGMA, road, others)
@@ -118,7 +126,9 @@ def seen(d: float, ahead: float, kind: AgentKind) -> PathView:
 
 
 @given(st.floats(0.2, 0.49), st.floats(0.0, 0.2))
-def test_who_stands_near_the_path_is_passed_more_slowly_the_nearer_they_are(d: float, more: float) -> None:
+def test_who_stands_near_the_path_is_passed_more_slowly_the_nearer_they_are(
+    d: float, more: float
+) -> None:
     looked = seen(1.0, 20.0, AgentKind.PEDESTRIAN)
     tasks = (replace(looked.task, targets=(), passed={"came": room}) for room in (d, d + more))
     found, further = (passing_caps(replace(looked, task=task)) for task in tasks)
@@ -139,7 +149,8 @@ BEGIN, END, SLOW = 60.0, 80.0, 5.0
 def school(seen: PathView) -> tuple[SpeedCap, ...]:
     """A new special case: children may be about beside a school."""
     front = seen.scene.front + seen.path.sigma[0]
-    begin, end = (station - front + 50.0 for station in (BEGIN, END))  # the road of the test begins at x = -50
+    # The road of the test begins at x = -50
+    begin, end = (station - front + 50.0 for station in (BEGIN, END))
     return (SpeedCap(begin, end, SLOW, "school", f"children may be about: {SLOW:.1f} m/s"),)
 
 
@@ -154,13 +165,19 @@ def test_a_new_special_case_is_one_producer_and_one_line(monkeypatch: pytest.Mon
     inside = (x > BEGIN + 0.5) & (x < END)
     assert inside.any() and v[inside].max() <= SLOW + 0.02 and v[inside].min() > SLOW - 0.5
     assert v[x < BEGIN - 30.0].min() > 9.0 and v[-1] > SLOW + 3.0
-    said = [item for item in drive[0][1].internals if isinstance(item, Decision) and item.agent == "school"]
+    said = [
+        item
+        for item in drive[0][1].internals
+        if isinstance(item, Decision) and item.agent == "school"
+    ]
     assert [item.reason for item in said] == ["children may be about: 5.0 m/s"]
     past = drive[-1][1].internals
     assert not [item for item in past if isinstance(item, Decision) and item.agent == "school"]
 
 
-SAID = re.compile(r"(?:keeps (-?[\d.]+) m, )?(yielding|going first) (.+?), (yielding|going first) (.+)$")
+SAID = re.compile(
+    r"(?:keeps (-?[\d.]+) m, )?(yielding|going first) (.+?), (yielding|going first) (.+)$"
+)
 WORDS = {DecisionKind.YIELD: "yielding", DecisionKind.OVERTAKE: "going first"}
 
 
@@ -182,9 +199,16 @@ def test_the_order_that_is_taken_costs_least_and_the_solution_keeps_what_is_said
             counts[item.kind] += 1
             if "cannot be there first" not in item.reason:
                 assert price(cost) <= price(other) + 0.1, f"{frame.t:.1f} s: {item.reason}"
-            outlines = [thing.outline for graph in graphs for thing in graph.obstacles if thing.agent == item.agent]
+            outlines = [
+                thing.outline
+                for graph in graphs
+                for thing in graph.obstacles
+                if thing.agent == item.agent
+            ]
             if keeps is not None and len(outlines) == 1:
-                assert clear(graphs[0].qp, outlines[0], item.kind) == pytest.approx(float(keeps), abs=0.06)
+                assert clear(graphs[0].qp, outlines[0], item.kind) == pytest.approx(
+                    float(keeps), abs=0.06
+                )
     assert counts[DecisionKind.YIELD] > 5, counts
 
 

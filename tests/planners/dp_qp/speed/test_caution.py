@@ -41,7 +41,9 @@ ROAD = reference(along_x())
 
 
 def seen(*shadows: list[tuple[float, float]], reach: float = 100.0) -> Visibility:
-    return Visibility(CAR.axle_to_center, 0.0, 0.0, reach, 2.0 * pi, np.array(shadows).reshape(-1, 4, 2))
+    return Visibility(
+        CAR.axle_to_center, 0.0, 0.0, reach, 2.0 * pi, np.array(shadows).reshape(-1, 4, 2)
+    )
 
 
 def strip(x0: float, x1: float, y0: float, y1: float) -> list[tuple[float, float]]:
@@ -49,8 +51,13 @@ def strip(x0: float, x1: float, y0: float, y1: float) -> list[tuple[float, float
     return [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
 
 
-def limit_at(visibility: Visibility | None, *others: Other) -> tuple[np.ndarray, tuple[Decision, ...]]:
-    found = limit_of(view(scene(ROAD, EGO, others, seen=visibility), STRAIGHT, hard_mps2=DECEL), hidden_ground_caps)
+def limit_at(
+    visibility: Visibility | None, *others: Other
+) -> tuple[np.ndarray, tuple[Decision, ...]]:
+    found = limit_of(
+        view(scene(ROAD, EGO, others, seen=visibility), STRAIGHT, hard_mps2=DECEL),
+        hidden_ground_caps,
+    )
     return found.v, found.decisions
 
 
@@ -69,7 +76,9 @@ def test_who_steps_out_is_passed_or_stopped_for(d: float, x: float, share: float
 
 def hidden_beside_strip(d: float) -> list[Hidden]:
     y = 0.5 * CAR.width + d
-    return hidden_beside(STRAIGHT, seen(strip(20.0, 40.0, y, y + 5.0)), agents(()), CAR, 60.0, WALK_MPS)
+    return hidden_beside(
+        STRAIGHT, seen(strip(20.0, 40.0, y, y + 5.0)), agents(()), CAR, 60.0, WALK_MPS
+    )
 
 
 def speed_beside(hidden: Hidden) -> float:
@@ -78,7 +87,9 @@ def speed_beside(hidden: Hidden) -> float:
 
 @given(st.floats(0.1, 3.0), st.floats(0.0, 3.0))
 def test_ground_further_beside_lowers_the_speed_less(near: float, more: float) -> None:
-    first, second = ([speed_beside(one) for one in hidden_beside_strip(d)] for d in (near, near + more))
+    first, second = (
+        [speed_beside(one) for one in hidden_beside_strip(d)] for d in (near, near + more)
+    )
     assert all(a <= b for a, b in zip(first, second, strict=False))
 
 
@@ -112,7 +123,10 @@ def test_no_one_walks_out_of_the_wake_of_a_moving_car_or_out_of_a_box() -> None:
 
 def test_what_is_beyond_the_first_in_the_way_is_theirs_to_see() -> None:
     y = 0.5 * CAR.width + 1.0
-    shadow, lead = seen(strip(30.0, 40.0, y, y + 4.0)), Other("lead", lambda t: (25.0, 0.0, 0.0, 0.0, 0.0))
+    shadow, lead = (
+        seen(strip(30.0, 40.0, y, y + 4.0)),
+        Other("lead", lambda t: (25.0, 0.0, 0.0, 0.0, 0.0)),
+    )
     assert limit_at(shadow)[1] and not limit_at(shadow, lead)[1]
 
 
@@ -142,7 +156,9 @@ def walker(x: float, y: float, vy: float, kind: AgentKind = AgentKind.PEDESTRIAN
     return Other("w", lambda t: (x, y + vy * t, np.pi / 2.0, 0.0, vy), kind, SIZE, SIZE)
 
 
-def looked(who: Other, t: float = 0.0, came: Came = MappingProxyType({})) -> tuple[LoweredLimit, Came]:
+def looked(
+    who: Other, t: float = 0.0, came: Came = MappingProxyType({})
+) -> tuple[LoweredLimit, Came]:
     """The limit, and who came to the path when."""
     found = view(scene(ROAD, EGO, [who], t=t), STRAIGHT, hard_mps2=DECEL)
     after = came_to_path(found.scene, found.taken, came, CAUTION.hesitates_s)
@@ -164,7 +180,9 @@ def test_the_ego_passes_first_or_could_stop(x: float, d: float, gap: float) -> N
     v = float(limit.min())
     if v >= LIMIT[0] or v <= LEAST_MPS:
         return
-    assert gap / v <= d / WALK_MPS + 1e-9 or v * REACTION_S + v * v / (2.0 * DECEL) <= gap + 0.5 * (S[1] - S[0])
+    assert gap / v <= d / WALK_MPS + 1e-9 or v * REACTION_S + v * v / (2.0 * DECEL) <= gap + 0.5 * (
+        S[1] - S[0]
+    )
     lowered = S[limit < LIMIT]
     assert np.abs(lowered + CAR.axle_to_front - x).max() <= 1.5
 

@@ -5,7 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
-from worlds import Other, along_x, driving, frame as frame_of, lanes, path_of, planner, reference, scene, standing
+from worlds import (
+    Other,
+    along_x,
+    driving,
+    frame as frame_of,
+    lanes,
+    path_of,
+    planner,
+    reference,
+    scene,
+    standing,
+)
 
 from replan.logs.agents import AgentKind
 from replan.logs.frame import Frame
@@ -46,10 +57,17 @@ def walker(v: float, ahead: float = 30.0, away: float = 6.0) -> Other:
 
 
 @given(st.floats(0.0, 5.0), st.floats(0.0, 1.0), st.floats(4.0, 12.0))
-def test_the_weight_falls_with_time_unseen_and_grows_with_age(age: float, unseen: float, v: float) -> None:
+def test_the_weight_falls_with_time_unseen_and_grows_with_age(
+    age: float, unseen: float, v: float
+) -> None:
     crossing = driving("it", 30.0, -20.0, 0.0, v)
     p = weight(crossing, age=age, unseen=unseen)
-    assert 0.0 <= p <= weight(crossing, age=age + 0.2, unseen=unseen) + 1e-12 <= weight(crossing) + 2e-12
+    assert (
+        0.0
+        <= p
+        <= weight(crossing, age=age + 0.2, unseen=unseen) + 1e-12
+        <= weight(crossing) + 2e-12
+    )
     assert weight(crossing, age=age, unseen=unseen) == p, "alone, nobody was seen later"
 
 
@@ -63,7 +81,9 @@ def test_who_was_seen_later_than_others_is_doubted_and_the_frames_own_delay_is_n
 
 
 @given(st.floats(8.0, 15.0), st.floats(0.0, 3.0), st.floats(0.1, 1.0))
-def test_who_comes_from_the_side_may_turn_before_it_is_near(v: float, to: float, more: float) -> None:
+def test_who_comes_from_the_side_may_turn_before_it_is_near(
+    v: float, to: float, more: float
+) -> None:
     near, far = (weights(*crossing(v, left))[:, 0] for left in (to, to + more))
     assert far[1] <= near[1] <= near[0] and near[0] >= SURE
     assert near[1] >= SURE or to > 0.5, "soon"
@@ -87,15 +107,23 @@ def test_who_is_in_the_way_now_is_never_doubted(v: float, age: float) -> None:
 
 
 @pytest.mark.parametrize(("drift", "certain"), [(0.3, False), (0.6, False), (1.5, True)])
-def test_an_oncoming_car_beside_the_lane_is_doubted_while_it_hardly_drifts(drift: float, *, certain: bool) -> None:
+def test_an_oncoming_car_beside_the_lane_is_doubted_while_it_hardly_drifts(
+    drift: float, *, certain: bool
+) -> None:
     assert (weight(driving("it", 60.0, 3.5, -8.0, -drift)) >= CERTAIN) is certain
     assert weight(driving("it", 60.0, 3.5, -8.0, -drift), velocity_sigma=3.0) < CERTAIN
 
 
 @given(st.floats(3.0, 12.0), st.floats(0.0, 6.0), st.floats(0.0, 2.0))
-def test_who_brakes_before_the_path_is_doubted_and_the_more_the_harder(v: float, brakes: float, more: float) -> None:
+def test_who_brakes_before_the_path_is_doubted_and_the_more_the_harder(
+    v: float, brakes: float, more: float
+) -> None:
     crossing = driving("it", 30.0, -4.0 * v, 0.0, v)
-    assert weight(crossing, accel=-brakes - more) <= weight(crossing, accel=-brakes) + 1e-12 <= weight(crossing) + 2e-12
+    assert (
+        weight(crossing, accel=-brakes - more)
+        <= weight(crossing, accel=-brakes) + 1e-12
+        <= weight(crossing) + 2e-12
+    )
     stop = v**2 / (2.0 * max(brakes - ERROR_MPS2, 1e-9))
     if stop < 4.0 * v - 4.0:  # it stands before the lane, which it reaches with its front
         assert weight(crossing, accel=-brakes) < CERTAIN
@@ -104,13 +132,19 @@ def test_who_brakes_before_the_path_is_doubted_and_the_more_the_harder(v: float,
 @given(st.floats(6.0, 14.0), st.floats(-12.0, 12.0).filter(lambda vy: abs(vy) > 3.0))
 def test_mirrored_weights_are_the_same(vx: float, vy: float) -> None:
     one, other = (driving("it", 20.0, -2.0 * side * vy, vx, side * vy) for side in (1.0, -1.0))
-    assert weight(one, age=0.3, unseen=0.0) == pytest.approx(weight(other, age=0.3, unseen=0.0), abs=1e-9)
+    assert weight(one, age=0.3, unseen=0.0) == pytest.approx(
+        weight(other, age=0.3, unseen=0.0), abs=1e-9
+    )
 
 
 @given(st.floats(3.0, 14.0), st.floats(0.0, 8.0), st.sampled_from([0.0, -5.0]))
-def test_a_leader_who_brakes_may_go_on_to_a_stop_and_no_further(v: float, brakes: float, y: float) -> None:
+def test_a_leader_who_brakes_may_go_on_to_a_stop_and_no_further(
+    v: float, brakes: float, y: float
+) -> None:
     crosses = y != 0.0
-    now, rows = seen(driving("it", 25.0, y, 0.0, v) if crosses else driving("it", 25.0, 0.0, v), accel=-brakes)
+    now, rows = seen(
+        driving("it", 25.0, y, 0.0, v) if crosses else driving("it", 25.0, 0.0, v), accel=-brakes
+    )
     found, there = extend_braking(now, rows), np.isfinite(rows.lower)
     assert np.isnan(found.lower[~there]).all() and (found.lower[there] <= rows.lower[there]).all()
     if crosses or brakes <= ERROR_MPS2:
@@ -133,9 +167,12 @@ def test_what_is_let_go_is_what_a_comfortable_stop_cannot_keep() -> None:
 
 def test_who_comes_from_beside_is_no_walker_and_no_one_ahead_who_goes_the_same_way() -> None:
     for other, expected in (
-        (driving("it", 20.0, -9.0, 0.0, 6.0), True), (driving("it", 60.0, 3.5, -8.0, -1.0), True),
-        (driving("it", 12.0, 3.5, 6.0, -1.0), False), (walker(1.5), False), (driving("it", 30.0, 0.0, -5.0), False),
-    ):  # fmt: skip
+        (driving("it", 20.0, -9.0, 0.0, 6.0), True),
+        (driving("it", 60.0, 3.5, -8.0, -1.0), True),
+        (driving("it", 12.0, 3.5, 6.0, -1.0), False),
+        (walker(1.5), False),
+        (driving("it", 30.0, 0.0, -5.0), False),
+    ):
         now, rows = seen(other)
         assert from_beside(now, rows).tolist() == [expected], other
 

@@ -34,30 +34,49 @@ def test_the_cost_map_is_its_definition(seed: int) -> None:
 
 
 def edge(
-    rows: tuple[int, int], column: int, before: tuple[float, float], occupancy: FloatArray, limit: FloatArray,
-    weights: SpeedDpWeights, per_column: int,
-) -> tuple[float, float, float]:  # fmt: skip
+    rows: tuple[int, int],
+    column: int,
+    before: tuple[float, float],
+    occupancy: FloatArray,
+    limit: FloatArray,
+    weights: SpeedDpWeights,
+    per_column: int,
+) -> tuple[float, float, float]:
     """Cost (1) of one edge, its speed and acceleration, written down from the module's docstring."""
     j, k = rows
     v = (k - j) * DS_M
     a, over = v - before[0], max(v - limit[k], 0.0)
     lost = max(1.0 - sum(DS_M / (0.5 * (limit[n] + limit[n + 1])) for n in range(j, k)), 0.0)
-    cost = weights.time * lost + weights.over * over**2 + weights.accel * a**2 + weights.jerk * (a - before[1]) ** 2
+    cost = (
+        weights.time * lost
+        + weights.over * over**2
+        + weights.accel * a**2
+        + weights.jerk * (a - before[1]) ** 2
+    )
     samples = [
-        occupancy[column * per_column + n, int(j + (k - j) * n / per_column + 0.5)] for n in range(1, per_column + 1)
+        occupancy[column * per_column + n, int(j + (k - j) * n / per_column + 0.5)]
+        for n in range(1, per_column + 1)
     ]
     return cost + float(np.mean(samples)), v, a
 
 
-def speed_grid(seed: int, rows: int = 9, columns: int = 3) -> tuple[FloatArray, FloatArray, tuple[float, float]]:
+def speed_grid(
+    seed: int, rows: int = 9, columns: int = 3
+) -> tuple[FloatArray, FloatArray, tuple[float, float]]:
     """Map, limit and start of a small random problem, five samples to a column."""
     rng = np.random.default_rng(seed)
-    occupancy = 20.0 * rng.random((5 * columns + 1, rows)) * (rng.random((5 * columns + 1, rows)) < 0.4)
+    occupancy = (
+        20.0 * rng.random((5 * columns + 1, rows)) * (rng.random((5 * columns + 1, rows)) < 0.4)
+    )
     return occupancy, rng.uniform(0.5, 3.0, rows), (rng.uniform(0.0, 2.0), rng.uniform(-1.0, 1.0))
 
 
 def solved(
-    occupancy: FloatArray, limit: FloatArray, start: tuple[float, float], weights: SpeedDpWeights, worth: float = np.inf
+    occupancy: FloatArray,
+    limit: FloatArray,
+    start: tuple[float, float],
+    weights: SpeedDpWeights,
+    worth: float = np.inf,
 ) -> tuple[FloatArray, IntArray]:
     """The DP on a map with five samples to a column, occupied no further than it is."""
     columns = len(occupancy) // 5
@@ -74,7 +93,9 @@ def solved(
 def test_dynamic_programming_is_brute_force(seed: int) -> None:
     """Without weights on acceleration and jerk the problem is Markov, so that nothing is cheaper than the DP."""
     occupancy, limit, start = speed_grid(seed)
-    weights = SpeedDpWeights(time=30.0, over=3.0, accel=0.0, jerk=0.0, max_accel=100.0, max_decel=100.0)
+    weights = SpeedDpWeights(
+        time=30.0, over=3.0, accel=0.0, jerk=0.0, max_accel=100.0, max_decel=100.0
+    )
     cost, chosen = solved(occupancy, limit, start, weights)
     best = np.inf, ()
     for rows in product(range(9), repeat=3):
@@ -108,7 +129,9 @@ def test_the_chosen_way_costs_what_the_grid_says(seed: int) -> None:
 
 @given(st.floats(3.0, 15.0), st.floats(0.0, 20.0), st.floats(0.0, 60.0), st.floats(0.3, 1.2))
 @settings(max_examples=40)
-def test_a_faster_road_ahead_does_not_hold_the_ego_back(slow: float, faster: float, where: float, share: float) -> None:
+def test_a_faster_road_ahead_does_not_hold_the_ego_back(
+    slow: float, faster: float, where: float, share: float
+) -> None:
     """An empty road on which the limit rises is driven about as far as one on which it does not, or farther."""
     rows, weights = 300, WEIGHTS
     free, start = np.zeros((41, rows)), (share * slow, 0.0)
@@ -130,5 +153,7 @@ def test_ways_that_are_too_dear_do_not_change_the_chosen_one(seed: int, share: f
 
 def test_a_tie_goes_to_the_smaller_station() -> None:
     free = np.zeros((16, 5))
-    _, chosen = solved(free, np.full(5, 1.25), (0.0, 0.0), SpeedDpWeights(0.0, 0.0, 0.0, 0.0, 9.0, 9.0))
+    _, chosen = solved(
+        free, np.full(5, 1.25), (0.0, 0.0), SpeedDpWeights(0.0, 0.0, 0.0, 0.0, 9.0, 9.0)
+    )
     assert chosen.tolist() == [0, 0, 0, 0]

@@ -40,7 +40,9 @@ def cost_of(x: FloatArray, problem: SpeedProblem) -> float:
     return float(sum(w * square for w, square in zip((0.2, 1.0, 2.0, 3.0), squares, strict=True)))
 
 
-def assert_drivable(x: FloatArray, problem: SpeedProblem, limits: SpeedLimits, slack: float) -> None:
+def assert_drivable(
+    x: FloatArray, problem: SpeedProblem, limits: SpeedLimits, slack: float
+) -> None:
     s, v, a = x.reshape(3, -1)
     jerk = np.diff(a) / STEP_S
     np.testing.assert_allclose((s[0], v[0], a[0]), (0.0, *problem.start), atol=slack)
@@ -63,17 +65,26 @@ def test_the_speed_qp_keeps_its_bounds_and_finds_the_least_cost(seed: int) -> No
     assert_drivable(sure.x, problem, CONFIG.comfort, 1e-6)
     found = cost_of(fast.x, problem)
     assert found == pytest.approx(cost_of(sure.x, problem), rel=1e-2, abs=0.3)
-    assert sum(value for _, value in OWN.costs(fast.x, problem).terms) == pytest.approx(found, rel=1e-9)
+    assert sum(value for _, value in OWN.costs(fast.x, problem).terms) == pytest.approx(
+        found, rel=1e-9
+    )
 
 
 @given(SEED, st.floats(0.0, 10.0))
 @settings(max_examples=15)
-def test_every_step_towards_another_profile_within_the_bounds_costs_more(seed: int, less: float) -> None:
+def test_every_step_towards_another_profile_within_the_bounds_costs_more(
+    seed: int, less: float
+) -> None:
     """The variational inequality of a convex problem, towards what a tighter bound of s allows."""
     problem = speed_problem(seed)
     best = SURE.solve(rows(problem)).x
     tight = SpeedProblem(
-        problem.start, problem.lower, problem.upper - less, problem.limit, problem.s_ref, problem.v_ref
+        problem.start,
+        problem.lower,
+        problem.upper - less,
+        problem.limit,
+        problem.s_ref,
+        problem.v_ref,
     )
     other = SURE.solve(rows(tight))
     assume(other.report.solved)
@@ -92,7 +103,12 @@ def test_braking_is_a_profile_of_the_qp() -> None:
 def test_a_bound_behind_the_braking_distance_is_reported() -> None:
     problem = speed_problem(3)
     near = SpeedProblem(
-        (12.0, 0.0), problem.lower, np.full(CONFIG.knots, 5.0), problem.limit, problem.s_ref, problem.v_ref
+        (12.0, 0.0),
+        problem.lower,
+        np.full(CONFIG.knots, 5.0),
+        problem.limit,
+        problem.s_ref,
+        problem.v_ref,
     )
     assert not OWN.solve(rows(near, CONFIG.emergency)).report.solved
 
@@ -103,7 +119,11 @@ def test_settings_are_checked(wrong: dict[str, float]) -> None:
         SpeedQpConfig(**wrong)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("weights", [{"w_j": -3.0}, {"w_s": 0.0, "w_v": 0.0, "w_a": 0.0, "w_j": 0.0}])
+@pytest.mark.parametrize(
+    "weights", [{"w_j": -3.0}, {"w_s": 0.0, "w_v": 0.0, "w_a": 0.0, "w_j": 0.0}]
+)
 def test_weights_that_make_no_problem_are_refused(weights: dict[str, float]) -> None:
-    with pytest.raises(ValueError, match="weights of the speed QP must not be negative, and one of them positive"):
+    with pytest.raises(
+        ValueError, match="weights of the speed QP must not be negative, and one of them positive"
+    ):
         SpeedQpConfig(**weights)

@@ -19,7 +19,13 @@ from replan.draw.model import MEASURED, NEAR_M, NEAREST, ST, Marker, in_full, pa
 from replan.draw.recording import colours, scene_times, write_log_recording, write_recording
 from replan.draw.recording.graphs import HEIGHT, LABEL_GAP, LETTER, WIDTH, Axes, spread_labels
 from replan.draw.recording.pages import why
-from replan.draw.recording.pictures import Picture, ScreenshotError, arranged, click_theme, take_pictures
+from replan.draw.recording.pictures import (
+    Picture,
+    ScreenshotError,
+    arranged,
+    click_theme,
+    take_pictures,
+)
 from replan.draw.recording.plots import MOST_NUMBERS, with_two_numbers
 from replan.draw.recording.road_layer import covered, dashes
 from replan.draw.recording.tape import (
@@ -68,7 +74,9 @@ def test_different_words_never_share_an_entity(words: list[str]) -> None:
 
 @given(st.text())
 def test_application_names_need_no_migration(text: str) -> None:
-    assert set(application_name(text)) <= set("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789 _-")
+    assert set(application_name(text)) <= set(
+        "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789 _-"
+    )
 
 
 coordinate = st.floats(-50.0, 50.0)
@@ -91,18 +99,24 @@ def test_strokes_stay_in_the_window(corners: list[tuple[float, float]]) -> None:
 
 
 @given(st.floats(1.0, 9.0), st.floats(1.0, 9.0), st.floats(0.0, 6.28), st.integers(3, 8))
-def test_strokes_fill_the_area_of_a_convex_outline(a: float, b: float, turn: float, count: int) -> None:
+def test_strokes_fill_the_area_of_a_convex_outline(
+    a: float, b: float, turn: float, count: int
+) -> None:
     angle = turn + np.linspace(0.0, 2.0 * np.pi, count, endpoint=False)
     outline = np.column_stack([a * np.cos(angle), b * np.sin(angle)])
     spacing = 0.01
-    filled, _ = strokes(outline, np.array([count]), PlaneWindow((-10.0, 10.0), (-10.0, 10.0)), spacing)
+    filled, _ = strokes(
+        outline, np.array([count]), PlaneWindow((-10.0, 10.0), (-10.0, 10.0)), spacing
+    )
     area = spacing * float((filled[:, 1, 1] - filled[:, 0, 1]).sum())
     assert area == pytest.approx(polygon_area(outline), rel=0.02, abs=0.02)
 
 
 def test_two_outlines_are_filled_apart() -> None:
     box = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 1.0], [0.0, 1.0]])
-    filled, owner = strokes(np.vstack([box, box + np.array([5.0, 3.0])]), np.array([4, 4]), WINDOW, 0.5)
+    filled, owner = strokes(
+        np.vstack([box, box + np.array([5.0, 3.0])]), np.array([4, 4]), WINDOW, 0.5
+    )
     assert owner.tolist() == [0] * 4 + [1] * 4
     np.testing.assert_allclose(filled[0], [[0.25, 0.0], [0.25, 1.0]])
     np.testing.assert_allclose(filled[-1], [[6.75, 3.0], [6.75, 4.0]])
@@ -129,7 +143,11 @@ def test_counts_that_do_not_add_up_are_an_error() -> None:
 
 def test_dashes_leave_gaps_and_stay_on_the_line() -> None:
     pieces = dashes(np.array([[0.0, 0.0], [5.0, 0.0], [20.0, 0.0]]))
-    assert [(piece[0, 0], piece[-1, 0]) for piece in pieces] == [(0.0, 3.0), (9.0, 12.0), (18.0, 20.0)]
+    assert [(piece[0, 0], piece[-1, 0]) for piece in pieces] == [
+        (0.0, 3.0),
+        (9.0, 12.0),
+        (18.0, 20.0),
+    ]
 
 
 def test_covered_ignores_the_own_polygon() -> None:
@@ -137,7 +155,12 @@ def test_covered_ignores_the_own_polygon() -> None:
     corners, offsets = np.vstack([square, square + 2.0]), np.array([0, 4, 8])
     boxes = np.array([[0.0, 0.0, 4.0, 4.0], [2.0, 2.0, 6.0, 6.0]])
     points = np.array([[1.0, 1.0], [3.0, 3.0], [1.0, 1.0], [9.0, 9.0]])
-    assert covered(points, np.array([0, 0, 1, 1]), corners, offsets, boxes).tolist() == [False, True, True, False]
+    assert covered(points, np.array([0, 0, 1, 1]), corners, offsets, boxes).tolist() == [
+        False,
+        True,
+        True,
+        False,
+    ]
 
 
 # --------------------------------------------------------------------------------------------------- reading back
@@ -167,7 +190,9 @@ def recording(closed: tuple[Drive, Scenario, Recording]) -> Recording:
     return closed[2]
 
 
-def written(tmp_path: Path, done: Drive, world: Scenario, table: pd.DataFrame | None = None) -> Recording:
+def written(
+    tmp_path: Path, done: Drive, world: Scenario, table: pd.DataFrame | None = None
+) -> Recording:
     write_recording(tmp_path / "some.rrd", done, world, table)
     return Recording(tmp_path / "some.rrd")
 
@@ -188,11 +213,17 @@ def test_the_ego_is_where_it_was(closed: tuple[Drive, Scenario, Recording]) -> N
     at = recording.points("/world/ego", "Transform3D:translation")
     np.testing.assert_allclose(at[:, 0], np.interp(t, ego.t, ego.x), atol=1e-4)
     turn = recording.points("/world/ego", "Transform3D:quaternion")
-    np.testing.assert_allclose(2.0 * np.arctan2(turn[:, 2], turn[:, 3]), np.interp(t, ego.t, ego.yaw), atol=1e-6)
+    np.testing.assert_allclose(
+        2.0 * np.arctan2(turn[:, 2], turn[:, 3]), np.interp(t, ego.t, ego.yaw), atol=1e-6
+    )
     center = np.asarray(recording.static("/world/ego/box", "Boxes3D:centers").flatten())
-    assert center[0] == pytest.approx(world.vehicle.length / 2.0 - world.vehicle.rear_overhang, abs=1e-6)
+    assert center[0] == pytest.approx(
+        world.vehicle.length / 2.0 - world.vehicle.rear_overhang, abs=1e-6
+    )
     size = np.asarray(recording.static("/world/ego/box", "Boxes3D:half_sizes").flatten())
-    np.testing.assert_allclose(2.0 * size[:2], [world.vehicle.length, world.vehicle.width], rtol=1e-6)
+    np.testing.assert_allclose(
+        2.0 * size[:2], [world.vehicle.length, world.vehicle.width], rtol=1e-6
+    )
 
 
 def test_curves_hold_the_numbers_of_the_trace(closed: tuple[Drive, Scenario, Recording]) -> None:
@@ -209,7 +240,9 @@ def test_curves_hold_the_numbers_of_the_trace(closed: tuple[Drive, Scenario, Rec
         np.testing.assert_array_equal(recording.scalars(entity), values)
     np.testing.assert_allclose(recording.scalars("/plots/speed/limit"), 13.89)
     jerk = series(trace, world).query("metric == 'lon_jerk_state'")["value"].to_numpy()
-    np.testing.assert_array_equal(recording.scalars("/plots/jerk/lon_jerk_state"), jerk[np.isfinite(jerk)])
+    np.testing.assert_array_equal(
+        recording.scalars("/plots/jerk/lon_jerk_state"), jerk[np.isfinite(jerk)]
+    )
     stage = [timing.seconds * 1e3 for timing in done.timings if timing.stage == "path_qp"]
     np.testing.assert_allclose(recording.scalars("/plots/stages/path_qp"), stage)
     plan = recording.scalars("/plots/speed/plan")
@@ -226,7 +259,9 @@ def test_graphs_keep_their_units(closed: tuple[Drive, Scenario, Recording]) -> N
     for k, entity in ((0, "/graphs/sl"), (1, "/graphs/st")):
         for name in ("qp", "dp"):
             drawn = recording.points(f"{entity}/window/{name}", "LineStrips2D:strips")
-            told = np.concatenate([getattr(frame.plan.internals[k], name) for frame in done.trace.frames])
+            told = np.concatenate(
+                [getattr(frame.plan.internals[k], name) for frame in done.trace.frames]
+            )
             np.testing.assert_allclose(drawn, told, rtol=1e-6, atol=1e-5)
             assert (recording.counts(f"{entity}/window/{name}", "LineStrips2D:strips") == 1).all()
         scale = np.asarray(recording.static(entity, "Transform3D:scale").flatten())
@@ -239,7 +274,16 @@ def test_everything_in_a_graph_lies_in_its_plot_area(recording: Recording) -> No
         scale = np.asarray(recording.static(entity, "Transform3D:scale").flatten())
         moved = np.asarray(recording.static(entity, "Transform3D:translation").flatten())
         start = recording.points(f"{entity}/window", "Transform3D:translation")[:, 0]
-        for name in ("grid", "obstacles", "obstacles/fill", "corridor", "corridor/room", "qp", "columns", "labels"):
+        for name in (
+            "grid",
+            "obstacles",
+            "obstacles/fill",
+            "corridor",
+            "corridor/room",
+            "qp",
+            "columns",
+            "labels",
+        ):
             for component in ("LineStrips2D:strips", "Points2D:positions"):
                 batch = recording.moving[f"{entity}/window/{name}"]
                 if component in batch.schema.names:
@@ -275,7 +319,10 @@ def test_lanes_of_states_change_when_the_plans_do(recording: Recording) -> None:
         (14.0, ["previous plan "]),  # too short for its label
         (14.3, ["planned"]),
     ]
-    assert recording.column("/Drive", "StateChange:state").to_pylist() == [["driving"], ["goal reached "]]
+    assert recording.column("/Drive", "StateChange:state").to_pylist() == [
+        ["driving"],
+        ["goal reached "],
+    ]
     for lane in ("Plan", "Decision-along", "Decision-across", "Drive"):
         shown = set(recording.column(f"/{lane}", "StateChange:state").flatten().to_pylist())
         assert shown == set(recording.static(f"/{lane}", "StateConfiguration:values").to_pylist())
@@ -297,10 +344,19 @@ def test_why_tells_decisions_reasons_solvers_and_costs(recording: Recording) -> 
 
 def test_the_summary_and_the_properties_hold_the_metrics(recording: Recording) -> None:
     page = recording.static("/summary", "TextDocument:text").to_pylist()[0]
-    for words in ("sample/s\\_curve", "dp\\_qp", "closed loop", "goal reached", "1.25 m", "not available"):
+    for words in (
+        "sample/s\\_curve",
+        "dp\\_qp",
+        "closed loop",
+        "goal reached",
+        "1.25 m",
+        "not available",
+    ):
         assert words in page
     (properties,) = recording.still["/__properties/metrics"]
-    assert {name: properties.column(name)[0].values[0].as_py() for name in ("min_gap", "collision")} == {
+    assert {
+        name: properties.column(name)[0].values[0].as_py() for name in ("min_gap", "collision")
+    } == {
         "min_gap": 1.25,
         "collision": 0.0,
     }
@@ -316,7 +372,9 @@ def test_static_things_are_written_once(recording: Recording) -> None:
 def test_no_box_is_not_finite(recording: Recording) -> None:
     for entity, batch in recording.moving.items():
         for name in batch.schema.names:
-            if name.split(":")[0] in ("Boxes3D", "Transform3D", "Arrows3D") and not name.endswith(("labels", "colors")):
+            if name.split(":")[0] in ("Boxes3D", "Transform3D", "Arrows3D") and not name.endswith(
+                ("labels", "colors")
+            ):
                 assert np.isfinite(recording.points(entity, name)).all()
 
 
@@ -325,7 +383,9 @@ def test_an_open_loop_recording_shows_no_pedals(tmp_path: Path) -> None:
     assert not [entity for entity in recording.moving if "pedals" in entity or "error" in entity]
     assert "/world/log/ego" not in recording.moving
     foreseen = recording.scalars("/plots/speed/plan_1s")
-    np.testing.assert_allclose(recording.times("/plots/speed/plan_1s"), np.arange(10, len(foreseen) + 10) / 10.0)
+    np.testing.assert_allclose(
+        recording.times("/plots/speed/plan_1s"), np.arange(10, len(foreseen) + 10) / 10.0
+    )
 
 
 def bare(done: Drive, *, frames: int) -> Drive:
@@ -361,7 +421,9 @@ def test_agents_come_and_go(tmp_path: Path) -> None:
     recording = written(tmp_path, Drive(replace(done.trace, agents=part), ()), world)
     counts = recording.counts("/world/agents/car", "Boxes3D:centers")
     times = recording.times("/world/agents/car")
-    np.testing.assert_array_equal(counts, ((times >= 5.0 - 1e-9) & (times <= 8.0 + 1e-9)).astype(int))
+    np.testing.assert_array_equal(
+        counts, ((times >= 5.0 - 1e-9) & (times <= 8.0 + 1e-9)).astype(int)
+    )
 
 
 def test_what_a_repair_removed_is_an_entity_of_its_own(tmp_path: Path) -> None:
@@ -371,7 +433,10 @@ def test_what_a_repair_removed_is_an_entity_of_its_own(tmp_path: Path) -> None:
     removed = replace(tracks.taken(keep), ids=("removed 1",))
     made = Repair(detections_of(tracks), removed, np.zeros(len(tracks.t), np.bool_), (), tracks)
     recording = written(tmp_path, done, replace(world, repair=made))
-    counts, times = (recording.counts("/world/removed", "Boxes3D:centers"), recording.times("/world/removed"))
+    counts, times = (
+        recording.counts("/world/removed", "Boxes3D:centers"),
+        recording.times("/world/removed"),
+    )
     np.testing.assert_array_equal(counts, (times <= 4.0 + MAX_AGE_S + 1e-6).astype(int))
     assert "/world/removed" not in written(tmp_path, done, world).moving
 
@@ -397,7 +462,9 @@ def test_words_of_users_become_drawable(tmp_path: Path) -> None:
     done, world = drive(pedestrian="\u884c\u4eba \u274c|7*\n\u0301")
     odd = "stage/\u65e5 \u672c"
     timings = (StageTime(0.0, odd, 0.001), StageTime(0.0, "stage/\u672c \u65e5", 0.002))
-    trace = replace(done.trace, planner="mod:\u2705Class", detail="\u0000\u200b", notes=("\U0001f600",))
+    trace = replace(
+        done.trace, planner="mod:\u2705Class", detail="\u0000\u200b", notes=("\U0001f600",)
+    )
     recording = written(tmp_path, Drive(trace, timings), replace(world, name="a b/\u65e5 ."))
     assert all(set(text) <= DRAWABLE | {"\n"} for text in recording.texts())
     assert len([entity for entity in recording.moving if entity.startswith("/plots/stages")]) == 2
@@ -413,8 +480,15 @@ def test_values_that_are_not_finite_are_gaps_or_clipped(tmp_path: Path) -> None:
     free = np.full(81, np.inf)
     graph = done.trace.frames[0].plan.internals[1]
     assert isinstance(graph, StGraph) and graph.grid is not None
-    grid = GridCost(graph.grid.first, graph.grid.second, np.full(graph.grid.cost.shape, np.inf), graph.grid.chosen)
-    open_graph = replace(graph, corridor=Corridor(np.linspace(0.0, 8.0, 81), -free, free), grid=grid, dp=np.empty(0))
+    grid = GridCost(
+        graph.grid.first,
+        graph.grid.second,
+        np.full(graph.grid.cost.shape, np.inf),
+        graph.grid.chosen,
+    )
+    open_graph = replace(
+        graph, corridor=Corridor(np.linspace(0.0, 8.0, 81), -free, free), grid=grid, dp=np.empty(0)
+    )
     plan = replace(done.trace.frames[0].plan, internals=(open_graph,))
     trace = replace(done.trace, frames=(PlannedFrame(0.0, plan),), tracking=errors)
     recording = written(tmp_path, Drive(trace, ()), world)
@@ -425,7 +499,9 @@ def test_values_that_are_not_finite_are_gaps_or_clipped(tmp_path: Path) -> None:
     assert recording.counts("/graphs/st/window/dp", "LineStrips2D:strips").tolist() == [0]
 
 
-def test_a_failed_writing_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failed_writing_leaves_nothing_behind(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     done, world = drive()
     monkeypatch.setattr("replan.draw.recording.pages.draw_why", lambda *_: 1 / 0)
     before = rr.strict_mode()
@@ -451,13 +527,20 @@ def test_a_log_by_itself(tmp_path: Path) -> None:
 
 
 def test_events_of_a_log_are_rows_on_its_timeline_and_lines_of_its_list(tmp_path: Path) -> None:
-    found = (Marker(2.0, 4.0, "cut_in", "car 1"), Marker(3.0, 3.5, "cut_in", "car 2"), Marker(1.0, 30.0, "queue", ""))
+    found = (
+        Marker(2.0, 4.0, "cut_in", "car 1"),
+        Marker(3.0, 3.5, "cut_in", "car 2"),
+        Marker(1.0, 30.0, "queue", ""),
+    )
     write_log_recording(tmp_path / "log.rrd", scenario(), found)
     recording = Recording(tmp_path / "log.rrd")
     assert recording.times("/cut-in").tolist() == [0.0, 2.0, 3.0, 3.5, 4.0]
     assert recording.times("/queue").tolist() == [0.0, 1.0]
     assert recording.times("/events").tolist() == [1.0, 2.0, 3.0]
-    states = [text.strip() for text in recording.column("/cut-in", "StateChange:state").flatten().to_pylist()]
+    states = [
+        text.strip()
+        for text in recording.column("/cut-in", "StateChange:state").flatten().to_pylist()
+    ]
     assert states == ["none", "car 1", "car 1; car 2", "car 1", "none"]
 
 
@@ -499,8 +582,12 @@ def viewer() -> None:
         pytest.skip("no Vulkan driver: the viewer cannot draw (Debian: mesa-vulkan-drivers)")
 
 
-def test_a_viewer_that_cannot_draw_names_the_driver(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "rerun").write_text("#!/bin/sh\necho begin\necho thread panicked at here\nexit 102\n", encoding="utf-8")
+def test_a_viewer_that_cannot_draw_names_the_driver(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "rerun").write_text(
+        "#!/bin/sh\necho begin\necho thread panicked at here\nexit 102\n", encoding="utf-8"
+    )
     (tmp_path / "rerun").chmod(0o755)
     monkeypatch.setattr("replan.draw.recording.pictures.files", lambda _: tmp_path)
     for drivers, reason in (
@@ -517,11 +604,15 @@ def test_a_viewer_that_cannot_draw_names_the_driver(tmp_path: Path, monkeypatch:
 @pytest.mark.usefixtures("viewer")
 def test_the_viewer_draws_all_views_without_a_complaint(tmp_path: Path) -> None:
     done, world = drive(pedestrian="".join(sorted(DRAWABLE)))
-    write_recording(tmp_path / "closed.rrd", done, replace(world, name="".join(sorted(DRAWABLE))), TABLE)
+    write_recording(
+        tmp_path / "closed.rrd", done, replace(world, name="".join(sorted(DRAWABLE))), TABLE
+    )
     pictures = [
         Picture(tmp_path / "all.png", 5.5),
         Picture(tmp_path / "st.png", 5.5, "S-T graph: DP yellow, QP blue, actual occupancy pink"),
-        Picture(tmp_path / "later.png", 15.0, "S-T graph: DP yellow, QP blue, actual occupancy pink"),
+        Picture(
+            tmp_path / "later.png", 15.0, "S-T graph: DP yellow, QP blue, actual occupancy pink"
+        ),
         Picture(tmp_path / "control.png", 15.0, layout="control"),
         Picture(tmp_path / "hidden.png", 15.0, "Steering [rad]"),
     ]
@@ -529,22 +620,42 @@ def test_the_viewer_draws_all_views_without_a_complaint(tmp_path: Path) -> None:
     assert all(picture.out.read_bytes()[1:4] == b"PNG" for picture in pictures)
     assert len({picture.out.read_bytes() for picture in pictures}) == len(pictures)
     with pytest.raises(ConfigError, match="no view 'nothing'"):
-        take_pictures(tmp_path / "closed.rrd", [Picture(tmp_path / "x.png", 0.0, "nothing")], size="800x600")
+        take_pictures(
+            tmp_path / "closed.rrd", [Picture(tmp_path / "x.png", 0.0, "nothing")], size="800x600"
+        )
 
 
 def test_a_hidden_tab_is_opened_in_the_layout_that_was_asked_for() -> None:
     kept = {
-        "/container/r": {"ContainerBlueprint": {"container_kind": "Tabs", "contents": ["container/o", "container/c"]}},
-        "/container/o": {"ContainerBlueprint": {
-            "container_kind": "Tabs", "contents": ["view/1", "view/2"], "display_name": "Overview",
-        }},
-        "/container/c": {
-            "ContainerBlueprint": {"container_kind": "Vertical", "contents": "view/3", "display_name": "Control"}
+        "/container/r": {
+            "ContainerBlueprint": {
+                "container_kind": "Tabs",
+                "contents": ["container/o", "container/c"],
+            }
         },
-        **{f"/view/{i}": {"ViewBlueprint": {"display_name": name}} for i, name in ((1, "a"), (2, "b"), (3, "b"))},
-    }  # fmt: skip
+        "/container/o": {
+            "ContainerBlueprint": {
+                "container_kind": "Tabs",
+                "contents": ["view/1", "view/2"],
+                "display_name": "Overview",
+            }
+        },
+        "/container/c": {
+            "ContainerBlueprint": {
+                "container_kind": "Vertical",
+                "contents": "view/3",
+                "display_name": "Control",
+            }
+        },
+        **{
+            f"/view/{i}": {"ViewBlueprint": {"display_name": name}}
+            for i, name in ((1, "a"), (2, "b"), (3, "b"))
+        },
+    }
     parts, view = arranged(kept, "control", "b")
-    assert view == "3" and parts["/container/r"]["ContainerBlueprint"]["active_tab"] == "container/c"
+    assert (
+        view == "3" and parts["/container/r"]["ContainerBlueprint"]["active_tab"] == "container/c"
+    )
     parts, view = arranged(kept, "overview", "b")
     assert view == "2" and parts["/container/o"]["ContainerBlueprint"]["active_tab"] == "view/2"
     assert parts["/top_panel"]["PanelBlueprint"]["state"] == "Hidden" and "/top_panel" not in kept
@@ -574,7 +685,9 @@ places = st.lists(st.tuples(st.floats(-200.0, 200.0), st.floats(-200.0, 200.0)),
 
 
 @given(places, st.sets(st.integers(0, 39)))
-def test_the_decided_and_the_nearest_are_drawn_in_full(where: list[tuple[float, float]], about: set[int]) -> None:
+def test_the_decided_and_the_nearest_are_drawn_in_full(
+    where: list[tuple[float, float]], about: set[int]
+) -> None:
     xy, ids = np.array(where).reshape(-1, 2), [f"a{i}" for i in range(len(where))]
     full = in_full(ids, xy[:, 0], xy[:, 1], {f"a{i}" for i in about}, (0.0, 0.0)).tolist()
     assert full == sorted(set(full))

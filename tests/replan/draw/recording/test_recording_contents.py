@@ -48,14 +48,20 @@ def agents(count: int) -> Agents:
     """So many cars at the origin."""
     zero = np.zeros(count)
     ids = tuple(f"car {i}" for i in range(count))
-    return Agents(ids, (AgentKind.CAR,) * count, zero + 4.0, zero + 2.0, zero, zero, zero, zero, zero)
+    return Agents(
+        ids, (AgentKind.CAR,) * count, zero + 4.0, zero + 2.0, zero, zero, zero, zero, zero
+    )
 
 
 @given(st.integers(0, 90), st.sampled_from([0.05, 0.1, 0.2, 0.5, 0.7]), st.integers(0, 3))
-def test_kept_predictions_are_those_of_the_frame_more_rarely(steps: int, step: float, rows: int) -> None:
+def test_kept_predictions_are_those_of_the_frame_more_rarely(
+    steps: int, step: float, rows: int
+) -> None:
     t = 3.0 + step * np.arange(steps + 1)
     x = np.arange(rows)[:, None] + t[None, :]
-    some = Predictions(t, np.zeros(rows, np.int64), np.ones(rows), x, -x, 0.0 * x, "constant_velocity")
+    some = Predictions(
+        t, np.zeros(rows, np.int64), np.ones(rows), x, -x, 0.0 * x, "constant_velocity"
+    )
     kept = PlannedFrame.of(Frame(3.0, EGO, agents(rows), some), PLAN).predictions
     assert kept is not None
     assert kept.t[0] == t[0] and kept.t[-1] == t[-1]
@@ -64,7 +70,9 @@ def test_kept_predictions_are_those_of_the_frame_more_rarely(steps: int, step: f
         np.testing.assert_array_equal(kept.x[row], row + kept.t)
 
 
-def visibility(shadows: np.ndarray, *, field_of_view: float = 7.0, reach: float = 40.0) -> Visibility:
+def visibility(
+    shadows: np.ndarray, *, field_of_view: float = 7.0, reach: float = 40.0
+) -> Visibility:
     return Visibility(0.0, 0.0, 0.3, reach, field_of_view, shadows)
 
 
@@ -114,7 +122,9 @@ def test_a_drive_keeps_what_the_planner_was_shown(sensed: Drive) -> None:
             assert frame.predictions.x[i, 0] == pytest.approx(shown.x[at])
 
 
-def test_the_recording_draws_hypotheses_ghosts_and_the_sensor(sensed: Drive, tmp_path: Path) -> None:
+def test_the_recording_draws_hypotheses_ghosts_and_the_sensor(
+    sensed: Drive, tmp_path: Path
+) -> None:
     scenario = CATALOGUE["paper/crossing_pedestrian"].scenario()
     write_recording(tmp_path / "sensed.rrd", sensed, scenario)
     recording = Recording(tmp_path / "sensed.rrd")
@@ -125,7 +135,9 @@ def test_the_recording_draws_hypotheses_ghosts_and_the_sensor(sensed: Drive, tmp
     assert trace.perceived is not None
     assert at[:, 0] == pytest.approx(trace.perceived.x, abs=1e-3)
     drawn = recording.counts("/world/predictions", "LineStrips3D:strips")
-    expected = [len(futures(f, f.visibility.x, f.visibility.y)) for f in trace.frames if f.visibility]
+    expected = [
+        len(futures(f, f.visibility.x, f.visibility.y)) for f in trace.frames if f.visibility
+    ]
     assert drawn.tolist() == expected and max(expected) == 1
 
 
@@ -136,7 +148,9 @@ def test_who_is_shown_and_is_not_there_is_drawn(sensed: Drive, tmp_path: Path) -
     write_recording(tmp_path / "false.rrd", false, world)
     recording = Recording(tmp_path / "false.rrd")
     ghosts = recording.counts("/world/perceived", "Boxes3D:centers")
-    assert ghosts.tolist() == [len(frame.agents) for frame in false.trace.frames] and max(ghosts) == 1
+    assert (
+        ghosts.tolist() == [len(frame.agents) for frame in false.trace.frames] and max(ghosts) == 1
+    )
     assert recording.counts("/world/predictions", "LineStrips3D:strips").max() == 1
     assert (recording.counts("/world/sensor/edge", "LineStrips3D:strips") == 1).all()
 
@@ -145,15 +159,22 @@ def test_likelier_futures_are_brighter_and_far_ones_are_left_out(tmp_path: Path)
     done, world = drive()
     frame = done.trace.frames[0]
     t = np.arange(0.0, 4.1, 0.5)
-    start, speed = np.array([[20.0], [20.0], [20.0], [200.0]]), np.array([[1.0], [2.0], [0.0], [1.0]])
+    start, speed = (
+        np.array([[20.0], [20.0], [20.0], [200.0]]),
+        np.array([[1.0], [2.0], [0.0], [1.0]]),
+    )
     x = frame.plan.trajectory.x[0] + start + speed * t
-    some = Predictions(t, np.arange(4) // 2, np.array([0.8, 0.2, 1.0, 1.0]), x, 0.0 * x, 0.0 * x, "made up")
+    some = Predictions(
+        t, np.arange(4) // 2, np.array([0.8, 0.2, 1.0, 1.0]), x, 0.0 * x, 0.0 * x, "made up"
+    )
     shown = replace(frame, agents=("car 12", "ped 7"), predictions=some)
     trace = replace(done.trace, frames=(shown, *done.trace.frames[1:]))
     write_recording(tmp_path / "some.rrd", replace(done, trace=trace), world)
     recording = Recording(tmp_path / "some.rrd")
     assert recording.counts("/world/predictions", "LineStrips3D:strips").tolist() == [2] + [0] * 199
-    alpha = np.asarray(recording.column("/world/predictions", "LineStrips3D:colors").flatten()) & 0xFF
+    alpha = (
+        np.asarray(recording.column("/world/predictions", "LineStrips3D:colors").flatten()) & 0xFF
+    )
     assert alpha[0] > alpha[1] > 0
 
 
@@ -181,7 +202,9 @@ def test_who_was_not_seen_is_named_with_the_distance() -> None:
     truth = trace.agents.truth(6.0)
     at = truth.ids.index("car 12")
     ego = trace.ego.at(6.0)
-    assert dict(missing)["car 12"] == pytest.approx(np.hypot(truth.x[at] - ego.x, truth.y[at] - ego.y))
+    assert dict(missing)["car 12"] == pytest.approx(
+        np.hypot(truth.x[at] - ego.x, truth.y[at] - ego.y)
+    )
     text = page(done.trace, 60, missing)
     assert "**Not seen by the sensor:**" in text and "car 12 (" in text
 
@@ -191,8 +214,13 @@ def test_who_was_not_seen_is_named_with_the_distance() -> None:
 
 def compared(frame: PlannedFrame, name: str, against: str) -> PlannedFrame:
     """The frame with a choice between its lane and the left one; `name` is not taken."""
-    costs = {"keep": (("time lost", 7.4), ("change", 0.0)), "left": (("time lost", 0.3), ("change", 1.0))}
-    internals = [LaneOption(lane, terms, against if lane == name else "") for lane, terms in costs.items()]
+    costs = {
+        "keep": (("time lost", 7.4), ("change", 0.0)),
+        "left": (("time lost", 0.3), ("change", 1.0)),
+    }
+    internals = [
+        LaneOption(lane, terms, against if lane == name else "") for lane, terms in costs.items()
+    ]
     return replace(frame, plan=replace(frame.plan, internals=(*frame.plan.internals, *internals)))
 
 
@@ -210,11 +238,16 @@ def test_a_change_of_lane_is_told_with_its_costs() -> None:
     trace = changing()
     lines = [event for event in events(trace) if "changes lane" in event.words]
     assert [event.t for event in lines] == [2.0]
-    assert "to the left: costs 1.3 s (time lost 0.3, change 1.0) instead of keep 7.4 s" in lines[0].words
+    assert (
+        "to the left: costs 1.3 s (time lost 0.3, change 1.0) instead of keep 7.4 s"
+        in lines[0].words
+    )
     text = page(trace, 15)
     assert "- **left**: 1.3 s (time lost 0.3, change 1.0); car 7 is beside" in text
     assert "- **keep**: 7.4 s (time lost 7.4); taken" in text
-    assert describe_choice(lane_options(trace.frames[20].plan)).endswith("keep 7.4 s (time lost 7.4)")
+    assert describe_choice(lane_options(trace.frames[20].plan)).endswith(
+        "keep 7.4 s (time lost 7.4)"
+    )
 
 
 def test_a_change_is_under_way_until_the_lane_is_left() -> None:
@@ -222,8 +255,12 @@ def test_a_change_is_under_way_until_the_lane_is_left() -> None:
     lanes = [*[1] * 35, *[2] * 165]
     rows = choices(trace.frames, lanes)
     assert [rows[i] for i in (0, 15, 20, 34, 35)] == [
-        "keep", "keep: others compared", "change left", "change left", "keep",
-    ]  # fmt: skip
+        "keep",
+        "keep: others compared",
+        "change left",
+        "change left",
+        "keep",
+    ]
     under_way = changes_under_way(trace.frames, lanes)
     assert under_way[30] is not None and under_way[30].t == 2.0
     assert "Changes lane to the left** since t = 2.00 s" in page(trace, 30, (), under_way[30])
@@ -253,7 +290,9 @@ def test_the_reason_of_a_plan_is_shown_and_is_an_event_once() -> None:
         PlannedFrame(frame.t, Plan(frame.plan.trajectory, reason=reason))
         for frame, reason in zip(done.trace.frames, reasons, strict=False)
     )
-    found = [event.t for event in events(replace(done.trace, frames=frames)) if "leaves" in event.words]
+    found = [
+        event.t for event in events(replace(done.trace, frames=frames)) if "leaves" in event.words
+    ]
     assert found == pytest.approx([0.1, 0.4])
     assert "**Reason: braking leaves 1.1 m**" in page(replace(done.trace, frames=frames), 2)
 
@@ -297,18 +336,24 @@ def test_a_crosswalk_is_hatched_wherever_others_are(tmp_path: Path, along: float
     (zebra,) = made.road.crosswalks
     others = (zebra, Crosswalk(9, zebra.polygon + np.array([along, 0.0]))) if along else (zebra,)
     recording = recorded(tmp_path, replace(made, road=replace(made.road, crosswalks=others)))
-    assert len(recording.static("/world/road/crosswalks/fill", "LineStrips3D:strips")) == 6 * len(others)
+    assert len(recording.static("/world/road/crosswalks/fill", "LineStrips3D:strips")) == 6 * len(
+        others
+    )
 
 
 def test_a_log_without_rules_draws_none(tmp_path: Path) -> None:
     recording = recorded(tmp_path, CATALOGUE["paper/free_road"].scenario())
     entities = {*recording.moving, *recording.still}
-    assert not any("stop" in entity or "lights" in entity or "crosswalk" in entity for entity in entities)
+    assert not any(
+        "stop" in entity or "lights" in entity or "crosswalk" in entity for entity in entities
+    )
 
 
 def test_the_difference_of_a_drive_with_itself_is_nothing_and_turns_with_the_order() -> None:
     trace = drive()[0].trace
-    other = replace(trace, ego=replace(trace.ego, x=trace.ego.x + 3.0, y=trace.ego.y - 4.0, v=trace.ego.v + 1.0))
+    other = replace(
+        trace, ego=replace(trace.ego, x=trace.ego.x + 3.0, y=trace.ego.y - 4.0, v=trace.ego.v + 1.0)
+    )
     assert all((values == 0.0).all() for values in difference(trace, trace)[1].values())
     one, two = difference(trace, other)[1], difference(other, trace)[1]
     assert one["gap"] == pytest.approx(5.0) and (one["gap"] == two["gap"]).all()
@@ -331,8 +376,12 @@ def test_both_recordings_are_in_one_with_the_place_where_they_part(tmp_path: Pat
         kept = {f"/{side}{entity}" for entity in single.moving if not entity.startswith("/__")}
         assert kept <= set(both.moving)
     page = both.static("/parting", "TextDocument:text").to_pylist()[0]
-    assert "se\\_cond" in page and "First difference: t = 3.0" in page and "apart from t = 3.0" in page
+    assert (
+        "se\\_cond" in page and "First difference: t = 3.0" in page and "apart from t = 3.0" in page
+    )
     assert both.times("/parts") == pytest.approx([3.01], abs=0.02)
     assert span(tmp_path / "pair.rrd") == (0.0, pytest.approx(float(trace.ego.t[-1])))
     with pytest.raises(ConfigError, match="the same log"):
-        write_pair(tmp_path / "no.rrd", files, (done.trace, replace(trace, scenario="other")), ("a", "b"))
+        write_pair(
+            tmp_path / "no.rrd", files, (done.trace, replace(trace, scenario="other")), ("a", "b")
+        )

@@ -65,7 +65,9 @@ def test_a_simplified_line_keeps_its_ends_and_is_as_near_as_said(line: np.ndarra
         for k in range(a + 1, b):
             chord, away = line[b] - line[a], line[k] - line[a]
             length = np.hypot(*chord)
-            distance = abs(chord[0] * away[1] - chord[1] * away[0]) / length if length else np.hypot(*away)
+            distance = (
+                abs(chord[0] * away[1] - chord[1] * away[0]) / length if length else np.hypot(*away)
+            )
             assert distance <= KEPT_PX + 1e-9
 
 
@@ -90,7 +92,14 @@ def test_steps_between_rounded_points_do_not_add_errors(line: np.ndarray) -> Non
 def test_gaps_stay_gaps_and_numbers_are_short() -> None:
     t, values = np.arange(6.0), np.array([0.0, 10.0, nan, 30.0, 0.0, nan])
     assert polyline(t, values, "a").count("M") == 2
-    assert [px(v) for v in (0.04, -0.04, 0.5, -1.25, 12.0, 1e9)] == ["0", "0", ".5", "-1.2", "12", "20000"]
+    assert [px(v) for v in (0.04, -0.04, 0.5, -1.25, 12.0, 1e9)] == [
+        "0",
+        "0",
+        ".5",
+        "-1.2",
+        "12",
+        "20000",
+    ]
 
 
 @given(st.floats(-1e6, 1e6), st.floats(1e-3, 1e6), st.integers(2, 9))
@@ -98,16 +107,26 @@ def test_axes_have_two_numbers_or_more_and_not_too_many(low: float, span: float,
     assume(span > 1e-6 * abs(low))
     found = ticks(low, low + span, most)
     assert 2 <= len(found) <= 2 * most + 2
-    assert (np.diff(found) > 0.0).all() and found[0] >= low - 1e-6 * span and found[-1] <= low + span * (1.0 + 1e-6)
+    assert (
+        (np.diff(found) > 0.0).all()
+        and found[0] >= low - 1e-6 * span
+        and found[-1] <= low + span * (1.0 + 1e-6)
+    )
 
 
 def test_what_is_outside_is_cut_and_what_is_inside_stays() -> None:
     square = np.array([[-1e5, -1e5], [1e5, -1e5], [1e5, 1e5], [-1e5, 1e5]])
     cut = cut_outline(square, 100.0, 50.0)
-    assert cut.min() >= -12.0 - 1e-6 and cut[:, 0].max() <= 112.0 + 1e-6 and cut[:, 1].max() <= 62.0 + 1e-6
+    assert (
+        cut.min() >= -12.0 - 1e-6
+        and cut[:, 0].max() <= 112.0 + 1e-6
+        and cut[:, 1].max() <= 62.0 + 1e-6
+    )
     small = square / 1e5 + 20.0
     np.testing.assert_array_equal(cut_outline(small, 100.0, 50.0), small)
-    line = np.array([[-900.0, 0.0], [-800.0, 0.0], [50.0, 10.0], [60.0, 10.0], [900.0, 10.0], [990.0, 900.0]])
+    line = np.array(
+        [[-900.0, 0.0], [-800.0, 0.0], [50.0, 10.0], [60.0, 10.0], [900.0, 10.0], [990.0, 900.0]]
+    )
     assert [piece.tolist() for piece in cut_line(line, 100.0, 50.0)] == [line[1:5].tolist()]
 
 
@@ -119,10 +138,16 @@ def test_words_from_outside_are_only_words() -> None:
 
 
 def test_both_themes_have_the_same_roles_and_enough_contrast() -> None:
-    assert LIGHT.keys() == DARK.keys() == {*re.findall(r"\$(\w+)", RULES), "panel", "good", "unsure", "focus"}
+    assert (
+        LIGHT.keys()
+        == DARK.keys()
+        == {*re.findall(r"\$(\w+)", RULES), "panel", "good", "unsure", "focus"}
+    )
     for theme in (LIGHT, DARK):
         for role in ("ink", "muted", "ego", "plan", "other", "rare", "bad", "good", "unsure"):
-            assert _contrast(theme[role], theme["ground"]) >= (4.5 if role in ("ink", "muted", "bad") else 3.0), role
+            assert _contrast(theme[role], theme["ground"]) >= (
+                4.5 if role in ("ink", "muted", "bad") else 3.0
+            ), role
     assert "var(" not in stylesheet("dark") and "prefers-color-scheme" in stylesheet("auto")
 
 
@@ -141,42 +166,85 @@ def _contrast(one: str, two: str) -> float:
 # when to look -------------------------------------------------------------------------------------------------------
 
 
-def drive(verdicts: list[tuple[Any, ...]], metrics: list[tuple[Any, ...]], steps: dict[str, Any] | None = None) -> Any:
+def drive(
+    verdicts: list[tuple[Any, ...]],
+    metrics: list[tuple[Any, ...]],
+    steps: dict[str, Any] | None = None,
+) -> Any:
     """As much of a `DriveResult` as moments are made of."""
-    said = pd.DataFrame(verdicts, columns=["gate", "outcome", "value", "time_s", "reason", "metric", "low", "high"])
-    found = pd.DataFrame(metrics, columns=["metric", "available", "value", "unit", "time_s", "reason"])
+    said = pd.DataFrame(
+        verdicts, columns=["gate", "outcome", "value", "time_s", "reason", "metric", "low", "high"]
+    )
+    found = pd.DataFrame(
+        metrics, columns=["metric", "available", "value", "unit", "time_s", "reason"]
+    )
     empty = np.empty(0), np.empty(0)
     return SimpleNamespace(
-        verdicts=said, metrics=found, info={"t_end_s": 20.0}, steps=lambda name: (steps or {}).get(name, empty)
+        verdicts=said,
+        metrics=found,
+        info={"t_end_s": 20.0},
+        steps=lambda name: (steps or {}).get(name, empty),
     )
 
 
 NEAR = [("gap.min", True, 0.8, "m", 7.0, "car 7"), ("ttc.min", True, 2.0, "s", 6.0, "")]
 ALONE = [("gap.min", False, nan, "m", nan, "alone")]
-BRAKES = ("lon_accel.worst_episode <= 1 [closed]", "fail", 1.5, 3.0, "", "lon_accel.worst_episode", nan, 1.0)
+BRAKES = (
+    "lon_accel.worst_episode <= 1 [closed]",
+    "fail",
+    1.5,
+    3.0,
+    "",
+    "lon_accel.worst_episode",
+    nan,
+    1.0,
+)
 HITS = (
-    "collision_at_fault.count <= 0 [closed]", "fail", 1.0, 9.0, "car 7: with the front",
-    "collision_at_fault.count", nan, 0.0,
-)  # fmt: skip
+    "collision_at_fault.count <= 0 [closed]",
+    "fail",
+    1.0,
+    9.0,
+    "car 7: with the front",
+    "collision_at_fault.count",
+    nan,
+    0.0,
+)
 
 
 @pytest.mark.parametrize(
     ("verdicts", "metrics", "t", "why"),
     [
-        ([BRAKES, HITS], NEAR, 9.0, "collision_at_fault.count <= 0 [closed] fails: 1 (car 7: with the front)"),
+        (
+            [BRAKES, HITS],
+            NEAR,
+            9.0,
+            "collision_at_fault.count <= 0 [closed] fails: 1 (car 7: with the front)",
+        ),
         ([BRAKES], NEAR, 3.0, "lon_accel.worst_episode <= 1 [closed] fails: 1.5"),
-        ([(*HITS[:3], nan, "", *HITS[5:])], NEAR, 6.0, "a gate fails, at no instant; least time to a collision: 2 s"),
+        (
+            [(*HITS[:3], nan, "", *HITS[5:])],
+            NEAR,
+            6.0,
+            "a gate fails, at no instant; least time to a collision: 2 s",
+        ),
         (
             [(BRAKES[0], "pass", 0.0, 1.0, "", *BRAKES[5:])],
             NEAR,
             6.0,
             "no gate of this loop fails; least time to a collision: 2 s",
         ),
-        ([], NEAR[:1], 7.0, "no gate of this loop fails; least distance to another road user: 0.8 m (car 7)"),
+        (
+            [],
+            NEAR[:1],
+            7.0,
+            "no gate of this loop fails; least distance to another road user: 0.8 m (car 7)",
+        ),
         ([], ALONE, 10.0, "no gate of this loop fails; no distance to others was measured"),
     ],
 )
-def test_the_worst_moment_and_why(verdicts: list[Any], metrics: list[Any], t: float, why: str) -> None:
+def test_the_worst_moment_and_why(
+    verdicts: list[Any], metrics: list[Any], t: float, why: str
+) -> None:
     moment = worst_moment(drive(verdicts, metrics))
     assert moment.t == t and moment.why.startswith(why)
 
@@ -197,7 +265,8 @@ def test_violations_are_the_steps_that_the_gate_counts() -> None:
     ]
     found = {some.series: some.spans for some in violations(drive(verdicts, [], steps))}
     assert found == {
-        "lon_accel": ((1.0, 4.0), (6.0, 6.0)),  # -4.05 and 2.40 m/s2; the step without a value parts nothing
+        # -4.05 and 2.40 m/s2; the step without a value parts nothing
+        "lon_accel": ((1.0, 4.0), (6.0, 6.0)),
         "gap": ((2.0, 3.0),),
         "tracking_lateral": ((2.0, 2.0), (7.0, 7.0)),
         "goal": ((7.0, 7.0),),
@@ -208,13 +277,18 @@ def test_violations_are_the_steps_that_the_gate_counts() -> None:
 
 
 def said(*kinds: DecisionKind | None) -> list[PlanSummary]:
-    some = [() if kind is None else (Decision("ped 7", kind, "speed", f"why {i}"),) for i, kind in enumerate(kinds)]
+    some = [
+        () if kind is None else (Decision("ped 7", kind, "speed", f"why {i}"),)
+        for i, kind in enumerate(kinds)
+    ]
     status = [PlanStatus.PLANNED, PlanStatus.HARD_STOP]
     return [PlanSummary(0.1 * i, status[i > 2], "", inside) for i, inside in enumerate(some)]
 
 
 def test_decisions_hold_until_the_next_frame() -> None:
-    some = said(None, DecisionKind.YIELD, DecisionKind.YIELD, None, DecisionKind.STOP, DecisionKind.IGNORE)
+    some = said(
+        None, DecisionKind.YIELD, DecisionKind.YIELD, None, DecisionKind.STOP, DecisionKind.IGNORE
+    )
     (row,) = decided(some, 1.0, str)
     spans = [(round(span.begin, 9), round(span.end, 9), span.word, span.why) for span in row.spans]
     assert spans == [(0.1, 0.3, "yield", "why 1"), (0.4, 0.5, "stop", "why 4")]
@@ -231,8 +305,15 @@ def test_a_moment_of_a_trace_is_that_of_the_whole(run: Results) -> None:
     for name in ("plan", "predictions"):
         assert repr(getattr(frame, name)) == repr(getattr(whole.frames[30], name))
     for one, other in zip(said, whole.frames, strict=True):
-        told = tuple(item for item in other.plan.internals if isinstance(item, (Decision, LaneOption)))
-        assert (one.t, one.status, one.reason, one.internals) == (other.t, other.plan.status, other.plan.reason, told)
+        told = tuple(
+            item for item in other.plan.internals if isinstance(item, (Decision, LaneOption))
+        )
+        assert (one.t, one.status, one.reason, one.internals) == (
+            other.t,
+            other.plan.status,
+            other.plan.reason,
+            told,
+        )
     assert events(part, said) == events(whole)
     assert read_moment(file, -1.0)[0].frames == ()
 
@@ -281,7 +362,12 @@ def test_plot_writes_pictures(run: Results, tmp_path: Path) -> None:
     drawn = (tmp_path / "b.svg").read_text(encoding="utf-8")
     assert drawn == (tmp_path / "c.svg").read_text(encoding="utf-8") and DARK["ground"] in drawn
     assert "pedestrian: yield" in "".join(ET.fromstring(drawn).itertext())
-    assert replan("plot", run.path, "--planner", "dp_qp", "--chart", "scene", "-o", tmp_path / "each").exit_code == 0
+    assert (
+        replan(
+            "plot", run.path, "--planner", "dp_qp", "--chart", "scene", "-o", tmp_path / "each"
+        ).exit_code
+        == 0
+    )
     names = sorted(file.name for file in (tmp_path / "each").iterdir())
     assert len(names) == 6 and names[0] == "paper_crossing_pedestrian-dp_qp-closed-scene_end.png"
 
@@ -296,7 +382,9 @@ def test_plot_writes_pictures(run: Results, tmp_path: Path) -> None:
         (("-o", "picture.pdf"), "a picture ends with .png or .svg"),
     ],
 )
-def test_what_cannot_be_plotted_is_one_line(run: Results, words: tuple[Any, ...], line: str) -> None:
+def test_what_cannot_be_plotted_is_one_line(
+    run: Results, words: tuple[Any, ...], line: str
+) -> None:
     said = replan("plot", run.path, *words)
     assert said.exit_code == 2 and said.stderr.count("\n") == 1 and line in said.stderr
 
@@ -304,14 +392,23 @@ def test_what_cannot_be_plotted_is_one_line(run: Results, words: tuple[Any, ...]
 def test_a_chart_alone_is_a_file_with_its_style() -> None:
     chart = Chart("x", "a <b>", "says & so", 10.0, 20.0, "")
     root = ET.fromstring(chart.alone("light", 100.0))
-    assert (root.get("width"), root.get("height"), root.get("viewBox")) == ("100", "200", "0 0 10 20")
+    assert (root.get("width"), root.get("height"), root.get("viewBox")) == (
+        "100",
+        "200",
+        "0 0 10 20",
+    )
 
 
 def test_the_gravest_failure_is_looked_at_first() -> None:
     """Whatever the order in the file of gates: a collision, then safety, rules, progress, and all else."""
-    rules = ["fallback.rate <= 0.01", "lon_accel.worst_episode <= 1 [closed]", "goal.final >= 1 [closed]",
-             "red_light.count <= 0 [closed]", "gap_kept.time_below_20cm <= 0 [closed]",
-             "collision_at_fault.count <= 0 [closed]"]  # fmt: skip
+    rules = [
+        "fallback.rate <= 0.01",
+        "lon_accel.worst_episode <= 1 [closed]",
+        "goal.final >= 1 [closed]",
+        "red_light.count <= 0 [closed]",
+        "gap_kept.time_below_20cm <= 0 [closed]",
+        "collision_at_fault.count <= 0 [closed]",
+    ]
     assert sorted(rules, key=gravity) == [*rules[:1:-1], *rules[:2]]
 
 
@@ -319,9 +416,18 @@ def test_several_drives_of_a_log_are_in_one_picture_and_told_apart(run: Results)
     result = load(run.path)
     drive, other = result.drive(LOG, "dp_qp"), result.drive(LOG, "constant_speed")
     seen = subject(drive, 3.0, [other])
-    assert list(seen.drives) == ["dp_qp", "constant_speed"] and seen.drives["constant_speed"].moment.t == 3.0
+    assert (
+        list(seen.drives) == ["dp_qp", "constant_speed"]
+        and seen.drives["constant_speed"].moment.t == 3.0
+    )
     by_name = {chart.name: chart for chart in curves(seen)}
-    assert {"speed", "acceleration_ego", "acceleration_lat_accel", "steer", "progress"} <= by_name.keys()
+    assert {
+        "speed",
+        "acceleration_ego",
+        "acceleration_lat_accel",
+        "steer",
+        "progress",
+    } <= by_name.keys()
     for chart in (*by_name.values(), *scenes(seen)):
         root = ET.fromstring(chart.inline())
         words = "".join(root.itertext())
@@ -329,7 +435,8 @@ def test_several_drives_of_a_log_are_in_one_picture_and_told_apart(run: Results)
         assert not re.search(r"nan|inf\b|<script|id=", chart.body), chart.name
     assert 'class="one"' in by_name["speed"].body and 'class="two"' in by_name["speed"].body
     assert (
-        "\u26a0 constant_speed: ttc" in by_name["ttc"].body and "constant_speed: collision" in by_name["gap_gap"].says
+        "\u26a0 constant_speed: ttc" in by_name["ttc"].body
+        and "constant_speed: collision" in by_name["gap_gap"].says
     )
     assert [chart.body.count('class="ego"') for chart in scenes(seen)] == [2, 2, 2]
     single = {chart.name for chart in charts_of(subject(drive, 3.0), "all", 1400)}
@@ -372,8 +479,13 @@ def test_plot_draws_several_planners_and_so_does_the_drive(run: Results, tmp_pat
     assert (tmp_path / "two.svg").read_text(encoding="utf-8") == chart.alone("auto", 1400)
     chart.save(str(tmp_path / "by_text.svg"), theme="auto", width=1400)
     assert (tmp_path / "by_text.svg").read_text(encoding="utf-8") == chart.alone("auto", 1400)
-    assert replan("plot", run.path, *asked[:4], "--chart", "st", "-o", tmp_path / "each").exit_code == 0
+    assert (
+        replan("plot", run.path, *asked[:4], "--chart", "st", "-o", tmp_path / "each").exit_code
+        == 0
+    )
     names = sorted(file.name for file in (tmp_path / "each").iterdir())
-    assert names == [f"paper_crossing_pedestrian-dp_qp-constant_speed-closed-st{end}" for end in (".png", ".svg")]
+    assert names == [
+        f"paper_crossing_pedestrian-dp_qp-constant_speed-closed-st{end}" for end in (".png", ".svg")
+    ]
     refused = replan("plot", run.path, "-p", "dp_qp", "-p", "idm")
     assert refused.exit_code == 2 and "no closed loop of idm" in refused.stderr

@@ -55,7 +55,9 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
     wall = tracks(track("<img src=x onerror=alert(2)>", [0.0], [24.0], [0.0], static=True))
     write_scenario(folder / "free.mcap", replace(free, name="test/free"))
     write_scenario(folder / "same.mcap", replace(free, name="test free"))
-    write_scenario(folder / "hostile.mcap", replace(free, name=HOSTILE, tracks=wall, tags=("<i>tag",)))
+    write_scenario(
+        folder / "hostile.mcap", replace(free, name=HOSTILE, tracks=wall, tags=("<i>tag",))
+    )
     config = RunConfig(planners=("dp_qp", "constant_speed"), recording=False)
     return evaluate_logs([folder], config, tmp_path_factory.mktemp("results") / "run")
 
@@ -81,7 +83,11 @@ def test_nothing_is_loaded_from_anywhere(page: Page, content: str) -> None:
     assert not page.all("src") and not page.all("action") and not page.all("xlink:href")
     assert not [href for href in page.all("href") if re.match(r"[a-z]+:|//|/", href)]
     assert not re.search(r"https?://|@import|url\(|fetch\(|XMLHttpRequest|WebSocket", content)
-    policy = next(attrs["content"] for _, attrs in page.tags if attrs.get("http-equiv") == "Content-Security-Policy")
+    policy = next(
+        attrs["content"]
+        for _, attrs in page.tags
+        if attrs.get("http-equiv") == "Content-Security-Policy"
+    )
     assert policy is not None and policy.startswith("default-src 'none'")
 
 
@@ -90,7 +96,12 @@ def test_hostile_names_are_words(page: Page, content: str) -> None:
     assert not [name for _, attrs in page.tags for name in attrs if name.startswith("on")]
     assert {tag for tag, _ in page.tags} & {"b", "i", "img"} <= {"b"}  # <b> are the times of events
     text = " ".join(page.text)
-    assert "{{ 7 * 7 }}" in text and "<img src=x onerror=alert(2)>" in text and "<i>tag" in text and "49" not in HOSTILE
+    assert (
+        "{{ 7 * 7 }}" in text
+        and "<img src=x onerror=alert(2)>" in text
+        and "<i>tag" in text
+        and "49" not in HOSTILE
+    )
 
 
 def test_every_drive_is_linked_and_every_link_has_its_target(page: Page, results: Results) -> None:
@@ -100,7 +111,8 @@ def test_every_drive_is_linked_and_every_link_has_its_target(page: Page, results
     assert set(inside) <= set(ids)
     drives = [one for one in ids if one.startswith("drive/")]
     assert len(drives) == 6 and set(drives) <= set(inside)
-    assert inside.count("drive/test_free/dp_qp") > 3  # in the table, from its neighbours, and in a comparison
+    # In the table, from its neighbours, and in a comparison
+    assert inside.count("drive/test_free/dp_qp") > 3
     assert "drive/test_free/dp_qp" in drives and "drive/test_free/dp_qp-2" in drives
 
 
@@ -111,7 +123,9 @@ def test_it_can_be_read_without_script_and_with_a_keyboard(page: Page) -> None:
     assert {attrs["id"] for tag, attrs in page.tags if tag == "input"} == labels == {"filter"}
     assert next(attrs for tag, attrs in page.tags if tag == "a")["class"] == "skip"
     charts = [attrs for tag, attrs in page.tags if tag == "svg" and attrs.get("class") == "chart"]
-    assert len(charts) > 60 and all(attrs["role"] == "img" and attrs["aria-label"] for attrs in charts)
+    assert len(charts) > 60 and all(
+        attrs["role"] == "img" and attrs["aria-label"] for attrs in charts
+    )
     heads = [attrs.get("scope") for tag, attrs in page.tags if tag == "th"]
     assert set(heads) == {"row", "col"}
 
@@ -119,14 +133,19 @@ def test_it_can_be_read_without_script_and_with_a_keyboard(page: Page) -> None:
 def test_what_it_says_is_what_the_run_says(page: Page, results: Results) -> None:
     text = " ".join(" ".join(page.text).split())
     over = overview(results)
-    for said in (*(row.rule for row in over.gates), *(line.text for line in over.coverage), over.config):
+    for said in (
+        *(row.rule for row in over.gates),
+        *(line.text for line in over.coverage),
+        over.config,
+    ):
         assert said in text
     assert "Flips: " in text and "Worst regressions" in text
     assert re.search(r"replan view \S*closed.constant_speed.mcap", text)
     moment = worst_moment(results.drive(visible_name(HOSTILE), "constant_speed"))
     assert moment.why.startswith("collision_at_fault.count <= 0 [closed] fails: 1")
     assert f"Look at {moment.t:.2f} s : {moment.why.split('<img')[0]}" in text
-    because = subject(results.drive(visible_name(HOSTILE), "dp_qp", "open")).because  # the loop in which a gate fails
+    # The loop in which a gate fails
+    because = subject(results.drive(visible_name(HOSTILE), "dp_qp", "open")).because
     assert because[0].startswith("The plan at t = ") and because[0] in text
 
 
@@ -139,7 +158,9 @@ def test_same_run_same_bytes_wherever_it_is(results: Results, tmp_path: Path) ->
     assert first == second and str(tmp_path.parent.parent).encode() not in first
     beside = results.path / "report.html"
     write_html(over, results, beside)
-    assert b'href="test_free-' in beside.read_bytes() and b"replan plot . --log" in beside.read_bytes()
+    assert (
+        b'href="test_free-' in beside.read_bytes() and b"replan plot . --log" in beside.read_bytes()
+    )
 
 
 def test_a_drive_costs_less_than_fifty_kilobytes(results: Results, tmp_path: Path) -> None:
@@ -147,7 +168,9 @@ def test_a_drive_costs_less_than_fifty_kilobytes(results: Results, tmp_path: Pat
     for drives in (1, 6):
         write_html(over, results, tmp_path / "report.html", drives=drives)
         sizes.append((tmp_path / "report.html").stat().st_size)
-        said = "The worst 1 of 6 have a page" in (tmp_path / "report.html").read_text(encoding="utf-8")
+        said = "The worst 1 of 6 have a page" in (tmp_path / "report.html").read_text(
+            encoding="utf-8"
+        )
         assert said is (drives == 1)
     assert (sizes[1] - sizes[0]) / 5 < MOST_BYTES_A_DRIVE
 
@@ -160,10 +183,14 @@ def test_a_damaged_trace_costs_its_pictures_only(results: Results, tmp_path: Pat
         write_html(overview(results), load(results.path), tmp_path / "report.html")
     finally:
         trace.write_bytes(whole)
-    assert "no pictures: the file is cut off or damaged" in (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "no pictures: the file is cut off or damaged" in (tmp_path / "report.html").read_text(
+        encoding="utf-8"
+    )
 
 
-def test_what_fails_in_a_report_costs_itself(results: Results, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_fails_in_a_report_costs_itself(
+    results: Results, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A chart, an account, a page: each may raise; the page says what failed, the other reports and verdicts stay."""
 
     def fails(*args: object, **keywords: object) -> object:
@@ -172,16 +199,24 @@ def test_what_fails_in_a_report_costs_itself(results: Results, tmp_path: Path, m
     before = overview(results)
     assert not write_reports(results, before, tmp_path / "whole").broken
     for place, said in (
-        ("replan.draw.charts.subject.accounts", "The account of the plan could not be made: MemoryError: Unable"),
+        (
+            "replan.draw.charts.subject.accounts",
+            "The account of the plan could not be made: MemoryError: Unable",
+        ),
         ("replan.draw.report.html.subject", "no pictures: a bug in replan: MemoryError"),
-        ("replan.draw.report.html.drive_page", "The page of a drive could not be made: MemoryError"),
+        (
+            "replan.draw.report.html.drive_page",
+            "The page of a drive could not be made: MemoryError",
+        ),
         ("replan.draw.report.html.pass_shares", "The chart of shares could not be made"),
     ):
         with monkeypatch.context() as patch:
             module, _, name = place.rpartition(".")
             patch.setattr(import_module(module), name, fails)
             over = write_reports(results, before, tmp_path / "run")
-        assert said in (tmp_path / "run" / "report.html").read_text(encoding="utf-8") + " ".join(over.broken)
+        assert said in (tmp_path / "run" / "report.html").read_text(encoding="utf-8") + " ".join(
+            over.broken
+        )
         assert (over.exit_code, over.outcome) == (before.exit_code, before.outcome)
     monkeypatch.setitem(CHARTS, "curves", fails)
     over = write_reports(results, before, tmp_path / "run")
@@ -189,4 +224,6 @@ def test_what_fails_in_a_report_costs_itself(results: Results, tmp_path: Path, m
     monkeypatch.setattr("replan.draw.report.write.write_html", fails)
     over = write_reports(results, before, tmp_path / "none")
     assert over.broken[0].startswith("report.html could not be made: MemoryError")
-    assert "report.html could not be made" in (tmp_path / "none" / "report.md").read_text(encoding="utf-8")
+    assert "report.html could not be made" in (tmp_path / "none" / "report.md").read_text(
+        encoding="utf-8"
+    )

@@ -40,7 +40,13 @@ from replan.draw.report.write import (
     write_reports,
 )
 from replan.logs.mcap import write_scenario
-from replan.metrics.comparison import FLIP_COLUMNS, GROUP_COLUMNS, PAIR_COLUMNS, Comparison, RuleVerdict
+from replan.metrics.comparison import (
+    FLIP_COLUMNS,
+    GROUP_COLUMNS,
+    PAIR_COLUMNS,
+    Comparison,
+    RuleVerdict,
+)
 from replan.metrics.judge.gates import Outcome
 from replan.results.tables import REPORTS
 from replan.run import evaluate_logs
@@ -120,16 +126,25 @@ def test_junit_counts_what_the_tables_say(results: Results) -> None:
         for mode in MODES:
             suite, said = suites[f"{planner}.{mode}"], results.verdicts
             mine = said[
-                (said["planner"] == planner) & (said["mode"] == mode) & said["gate"].str.match("(collision|gap)")
+                (said["planner"] == planner)
+                & (said["mode"] == mode)
+                & said["gate"].str.match("(collision|gap)")
             ]
             driven = mine[mine["log"].isin(list(results.labels))]
             outcomes = Counter(driven["outcome"])
-            expected = {"Failure": outcomes["fail"], "Skipped": outcomes["inconclusive"], "pass": outcomes["pass"]}
+            expected = {
+                "Failure": outcomes["fail"],
+                "Skipped": outcomes["inconclusive"],
+                "pass": outcomes["pass"],
+            }
             assert kinds(suite, gates=True) == Counter(expected)
             assert kinds(suite, gates=False) == {"pass": 3, "Error": 1}
             assert suite.errors == 1 and suite.tests == len(list(suite))
             results_of = [type(case.result[0]) for case in suite if case.result]
-            assert (suite.failures, suite.skipped) == (results_of.count(Failure), results_of.count(Skipped))
+            assert (suite.failures, suite.skipped) == (
+                results_of.count(Failure),
+                results_of.count(Skipped),
+            )
     assert parsed(results)["constant_speed.closed"].failures > 0
 
 
@@ -138,30 +153,56 @@ def test_junit_says_where_and_why(results: Results) -> None:
     (crash,) = (
         case
         for case in suites["constant_speed.closed"]
-        if case.name == "collision_at_fault.count <= 0" and case.result and isinstance(case.result[0], Failure)
+        if case.name == "collision_at_fault.count <= 0"
+        and case.result
+        and isinstance(case.result[0], Failure)
     )
     assert crash.classname == "constant_speed.closed.test/blocked"
     assert "wall" in crash.result[0].message and " s: " in crash.result[0].message
-    (broken,) = (case for case in suites["constant_speed.open"] if case.result and isinstance(case.result[0], Error))
+    (broken,) = (
+        case
+        for case in suites["constant_speed.open"]
+        if case.result and isinstance(case.result[0], Error)
+    )
     assert "d.mcap" in broken.result[0].message
-    driven = [case for case in suites["constant_speed.closed"] if case.name == "evaluated" and not case.result]
+    driven = [
+        case
+        for case in suites["constant_speed.closed"]
+        if case.name == "evaluated" and not case.result
+    ]
     assert [case.time for case in driven] == pytest.approx(
-        results.drives.query("planner == 'constant_speed' and mode == 'closed'")["t_end_s"].tolist(), abs=1e-3
+        results.drives.query("planner == 'constant_speed' and mode == 'closed'")[
+            "t_end_s"
+        ].tolist(),
+        abs=1e-3,
     )
 
 
 def test_what_all_logs_say_together_is_a_test_of_its_own(results: Results) -> None:
     suites = parsed(results)
-    together = {case.name: case for case in suites["constant_speed.closed"] if case.classname.endswith(".all logs")}
-    hour, share = together["sum coverage.driven_s.final >= 3600"], together["goal.final >= 1 in 50 % of logs"]
+    together = {
+        case.name: case
+        for case in suites["constant_speed.closed"]
+        if case.classname.endswith(".all logs")
+    }
+    hour, share = (
+        together["sum coverage.driven_s.final >= 3600"],
+        together["goal.final >= 1 in 50 % of logs"],
+    )
     assert isinstance(hour.result[0], Failure) and "below 3600" in hour.result[0].message
-    assert not share.result  # two of four: the log that could not be read counts against, and half are enough
+    # Two of four: the log that could not be read counts against, and half are enough
+    assert not share.result
     (misspelt,) = suites["run"]
-    assert isinstance(misspelt.result[0], Skipped) and "did you mean 'constant_speed'" in misspelt.result[0].message
+    assert (
+        isinstance(misspelt.result[0], Skipped)
+        and "did you mean 'constant_speed'" in misspelt.result[0].message
+    )
 
 
 @pytest.mark.slow
-def test_a_planner_that_crashes_is_an_error_and_counts_against(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_planner_that_crashes_is_an_error_and_counts_against(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.syspath_prepend(str(tmp_path))
     (tmp_path / "crashing.py").write_text(
         "from replan.planners.constant_speed import ConstantSpeed\n\n\nclass Crashing(ConstantSpeed):\n"
@@ -170,13 +211,18 @@ def test_a_planner_that_crashes_is_an_error_and_counts_against(tmp_path: Path, m
     )
     (tmp_path / "gates.toml").write_text('[[gate]]\nmetric = "coverage.log_s.final"\nmin = 1\n')
     config = RunConfig(
-        planners=("crashing:Crashing",), mode="open", recording=False, gates=str(tmp_path / "gates.toml")
+        planners=("crashing:Crashing",),
+        mode="open",
+        recording=False,
+        gates=str(tmp_path / "gates.toml"),
     )
     logs = [tmp_path / "free.mcap", tmp_path / "crossed.mcap"]
     ego = drive(straight, 8.0, 2.0)
     other = tracks(track("car", [0.0, 2.0], [60.0, 60.0], [20.0, 20.0]))
     for log, agents in zip(logs, (None, other), strict=True):
-        write_scenario(log, replace(scenario(ego, agents=agents, road=lanes_along(ego)), name=log.stem))
+        write_scenario(
+            log, replace(scenario(ego, agents=agents, road=lanes_along(ego)), name=log.stem)
+        )
     found = evaluate_logs(logs, config, tmp_path / "out")
     over = overview(found)
     assert over.exit_code == 3 and {gate.outcome for gate in over.gates} == {"inconclusive"}
@@ -192,7 +238,9 @@ def test_a_planner_that_crashes_is_an_error_and_counts_against(tmp_path: Path, m
 def test_any_name_is_legal_xml(name: str) -> None:
     from replan.draw.report.write import JunitCase, _suite
 
-    (found,) = JUnitXml.fromstring(_xml(_suite(0, "suite", [JunitCase(f"x.{name}", f"y{name}", "fail", name)], _OVER)))
+    (found,) = JUnitXml.fromstring(
+        _xml(_suite(0, "suite", [JunitCase(f"x.{name}", f"y{name}", "fail", name)], _OVER))
+    )
     assert [case.result[0].type for case in found] == ["fail"]
 
 
@@ -241,7 +289,9 @@ def test_markdown_tables_are_those_of_the_overview(results: Results) -> None:
     assert [row[0].lower() for row in gates] == [gate.outcome for gate in over.gates]
     assert all(row[1].startswith(gate.rule) for row, gate in zip(gates, over.gates, strict=True))
     shares = table(text, "logs")
-    assert [row[3] for row in shares[1:3]] == [f"{share.passed} of {share.logs}" for share in over.whole]
+    assert [row[3] for row in shares[1:3]] == [
+        f"{share.passed} of {share.logs}" for share in over.whole
+    ]
     assert 0 < len(over.first) <= MOST_FIRST and all(row.verdict != "pass" for row in over.first)
     look = next(line for line in text.splitlines() if line.startswith("Look first at"))
     assert all(row.planner in look for row in over.first)
@@ -253,7 +303,9 @@ def test_markdown_tables_are_those_of_the_overview(results: Results) -> None:
 
 def test_of_many_drives_the_worst_are_in_sight(results: Results) -> None:
     over = overview(results)
-    many = replace(over, drives=tuple(replace(over.drives[i % 6], log=f"log{i}") for i in range(60)))
+    many = replace(
+        over, drives=tuple(replace(over.drives[i % 6], log=f"log{i}") for i in range(60))
+    )
     shown, folded = (rows[1:] for rows in tables(markdown(many)) if rows[0][0] == "log")
     assert (len(shown), len(folded)) == (25, 35)
     weight = {"FAIL": 0, "inconclusive": 1, "-": 2, "pass": 3}
@@ -273,10 +325,16 @@ def test_a_hostile_name_is_only_a_name(results: Results) -> None:
 @given(st.text(alphabet=st.characters(exclude_categories=("Cs",)), max_size=40))
 def test_any_text_stays_itself_in_a_cell(words: str) -> None:
     plain = " ".join(
-        "".join(c if c.isprintable() or c.isspace() else "\N{REPLACEMENT CHARACTER}" for c in words).split()
+        "".join(
+            c if c.isprintable() or c.isspace() else "\N{REPLACEMENT CHARACTER}" for c in words
+        ).split()
     )
     (found,) = tables(
-        section_text(ReportSection("title", (ReportColumn("a"), ReportColumn("b")), ((Cell(words), Cell("last")),)))
+        section_text(
+            ReportSection(
+                "title", (ReportColumn("a"), ReportColumn("b")), ((Cell(words), Cell("last")),)
+            )
+        )
     )
     assert found[1][1] == "last"
     assert found[1][0] == plain
@@ -285,18 +343,32 @@ def test_any_text_stays_itself_in_a_cell(words: str) -> None:
 def test_links_lead_to_files_that_are_there(results: Results) -> None:
     out = results.path
     write_reports(results, overview(results), out)
-    tokens = MarkdownIt("gfm-like", {"linkify": False}).parse((out / "report.md").read_text(encoding="utf-8"))
-    links = [str(c.attrs["href"]) for t in tokens for c in t.children or [] if c.type == "link_open"]
+    tokens = MarkdownIt("gfm-like", {"linkify": False}).parse(
+        (out / "report.md").read_text(encoding="utf-8")
+    )
+    links = [
+        str(c.attrs["href"]) for t in tokens for c in t.children or [] if c.type == "link_open"
+    ]
     assert "junit.xml" in links and any("/closed." in link for link in links)
     assert all((out / link).is_file() for link in links)
 
 
 def test_a_comparison_is_reported_and_counts(results: Results) -> None:
-    drive, numbers = ("test/free", "logged", "closed", "gap.min", "m", "higher"), (1.0, 0.5, -0.5, 0.5, 0.5)
-    pairs = pd.DataFrame([(*drive, *numbers, True, False, 3.2, "car 7")], columns=list(PAIR_COLUMNS))
+    drive, numbers = (
+        ("test/free", "logged", "closed", "gap.min", "m", "higher"),
+        (1.0, 0.5, -0.5, 0.5, 0.5),
+    )
+    pairs = pd.DataFrame(
+        [(*drive, *numbers, True, False, 3.2, "car 7")], columns=list(PAIR_COLUMNS)
+    )
     verdicts = (RuleVerdict("no flips", Outcome.FAIL, "2 flips | of 3"),)
-    groups, flips = pd.DataFrame(columns=list(GROUP_COLUMNS)), pd.DataFrame(columns=list(FLIP_COLUMNS))
-    found = Comparison("main", "mine", ("code: 1 -> 2",), (), (), pairs, flips, groups, verdicts=verdicts)
+    groups, flips = (
+        pd.DataFrame(columns=list(GROUP_COLUMNS)),
+        pd.DataFrame(columns=list(FLIP_COLUMNS)),
+    )
+    found = Comparison(
+        "main", "mine", ("code: 1 -> 2",), (), (), pairs, flips, groups, verdicts=verdicts
+    )
     text = markdown(overview(results, found))
     assert "main -> mine" in text and "code: 1 -> 2" in text
     assert ["FAIL", "no flips", "2 flips | of 3"] in [row for rows in tables(text) for row in rows]
@@ -308,13 +380,17 @@ def test_a_comparison_is_reported_and_counts(results: Results) -> None:
     assert overview(results, found).exit_code == 3
 
 
-def test_the_step_summary_of_ci_is_appended_to_and_stands_alone(results: Results, tmp_path: Path) -> None:
+def test_the_step_summary_of_ci_is_appended_to_and_stands_alone(
+    results: Results, tmp_path: Path
+) -> None:
     step = tmp_path / "summary.md"
     step.write_text("before\n", encoding="utf-8")
     append_step_summary(overview(results), {"GITHUB_STEP_SUMMARY": str(step)})
     append_step_summary(overview(results), {})
     text = step.read_text(encoding="utf-8")
-    assert text.startswith("before\n# replan: not all could be evaluated") and "](" not in text.replace("\\](", "")
+    assert text.startswith(
+        "before\n# replan: not all could be evaluated"
+    ) and "](" not in text.replace("\\](", "")
 
 
 @given(st.integers(0, 3000))
@@ -329,7 +405,9 @@ def test_a_long_summary_is_cut_between_lines_and_says_so(most: int) -> None:
         assert all(line in text or "shortened" in line for line in short.splitlines())
 
 
-def test_the_limit_of_ci_is_kept_with_what_is_there_already(results: Results, tmp_path: Path) -> None:
+def test_the_limit_of_ci_is_kept_with_what_is_there_already(
+    results: Results, tmp_path: Path
+) -> None:
     step = tmp_path / "summary.md"
     step.write_bytes(b"x" * (STEP_BYTES - 2000))
     append_step_summary(overview(results), {"GITHUB_STEP_SUMMARY": str(step)})
@@ -350,10 +428,18 @@ def test_a_folder_says_the_same_wherever_it_is(results: Results, tmp_path: Path)
 
 def test_replan_report_writes_them_where_it_is_told(results: Results, tmp_path: Path) -> None:
     clean = {key: None for key in os.environ if key.startswith("GITHUB_")}
-    done = CliRunner(env=clean).invoke(app, ["report", str(results.path), "-o", str(tmp_path / "reports")])
+    done = CliRunner(env=clean).invoke(
+        app, ["report", str(results.path), "-o", str(tmp_path / "reports")]
+    )
     assert done.exit_code == 0, done.output
-    assert sorted(path.name for path in (tmp_path / "reports").iterdir()) == ["junit.xml", "report.html", "report.md"]
-    assert "](" not in (tmp_path / "reports/report.md").read_text(encoding="utf-8").replace("\\](", "")
+    assert sorted(path.name for path in (tmp_path / "reports").iterdir()) == [
+        "junit.xml",
+        "report.html",
+        "report.md",
+    ]
+    assert "](" not in (tmp_path / "reports/report.md").read_text(encoding="utf-8").replace(
+        "\\](", ""
+    )
     assert CliRunner(env=clean).invoke(app, ["report", str(tmp_path / "nowhere")]).exit_code == 2
 
 
@@ -369,7 +455,9 @@ def test_nothing_invisible_is_left_and_nothing_else_is_changed(text: str) -> Non
     assert all(a == b for a, b in zip(text, seen, strict=True) if a.isprintable())
 
 
-@given(words=st.lists(st.text("ab-", min_size=1, max_size=9), max_size=30), indent=st.integers(0, 6))
+@given(
+    words=st.lists(st.text("ab-", min_size=1, max_size=9), max_size=30), indent=st.integers(0, 6)
+)
 def test_a_wrapped_line_has_the_same_words_and_fits(words: list[str], indent: int) -> None:
     lines = wrapped(" " * indent + " ".join(words), 20).split("\n")
     assert " ".join(lines).split() == words and all(len(line) <= 20 for line in lines)
@@ -381,7 +469,9 @@ def test_a_console_styles_its_own_words_alone(colour: bool) -> None:
     written = StringIO()
     table = Table("log")
     table.add_row(Text(EVIL, style="red"))
-    console = SafeConsole(file=written, width=100, force_terminal=colour, color_system="standard" if colour else None)
+    console = SafeConsole(
+        file=written, width=100, force_terminal=colour, color_system="standard" if colour else None
+    )
     console.print(table, EVIL)
     shown = written.getvalue()
     assert ("\x1b[31m" in shown) == colour
@@ -391,7 +481,15 @@ def test_a_console_styles_its_own_words_alone(colour: bool) -> None:
 
 def test_no_command_lets_a_name_through(tmp_path: Path) -> None:
     write_scenario(tmp_path / "log.mcap", replace(short("x"), name=EVIL))
-    evaluate = ["evaluate", str(tmp_path / "log.mcap"), "-p", "constant_speed", "--workers", "0", "--no-recording"]
+    evaluate = [
+        "evaluate",
+        str(tmp_path / "log.mcap"),
+        "-p",
+        "constant_speed",
+        "--workers",
+        "0",
+        "--no-recording",
+    ]
     for words in (
         ["inspect", str(tmp_path / "log.mcap")],
         ["inspect", str(tmp_path / EVIL.replace("/", ""))],
@@ -406,9 +504,16 @@ def test_no_command_lets_a_name_through(tmp_path: Path) -> None:
 def test_an_encoding_that_lacks_a_letter_is_no_traceback(tmp_path: Path) -> None:
     write_scenario(tmp_path / "北.mcap", short("x"))
     path = os.pathsep.join(sys.path)
-    environment = {**os.environ, "PYTHONIOENCODING": "latin-1", "PYTHONPATH": path, "PYTHONUTF8": "1"}
+    environment = {
+        **os.environ,
+        "PYTHONIOENCODING": "latin-1",
+        "PYTHONPATH": path,
+        "PYTHONUTF8": "1",
+    }
     command = [sys.executable, "-c", "from replan.cli import main; main()", "inspect", "北.mcap"]
     for more, said in (([], b"?.mcap"), (["--json"], b"\\u5317.mcap")):
-        done = subprocess.run([*command, *more], env=environment, cwd=tmp_path, capture_output=True, check=False)
+        done = subprocess.run(
+            [*command, *more], env=environment, cwd=tmp_path, capture_output=True, check=False
+        )
         assert done.returncode == 0 and b"Traceback" not in done.stderr
         assert said in done.stdout

@@ -1,8 +1,8 @@
 """Links to the packages of a clone under their names: `python .ci/links.py`, as `./dev test` does.
 
-`replan.logs` is the folder `logs`, and so on ([tool.setuptools.package-dir]). Python finds them by the installation.
-Tools that do not import (mypy, import-linter, editors) find them in build/ns; tests find `studies` in build/studies, and
-nothing else of the repository's top.
+`replan.logs` is the folder `logs`, and so on ([tool.setuptools.package-dir]). Python finds them by
+the installation. Tools that do not import (mypy, import-linter, editors) find them in build/ns;
+tests find `studies` in build/studies, and nothing else of the repository's top.
 """
 
 from __future__ import annotations
@@ -14,7 +14,9 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 def link(root: Path, into: Path) -> None:
-    """Make the links to the packages of a clone below a folder, and remove links to what is gone."""
+    """Make the links to the packages of a clone below a folder, and remove links to what is
+    gone.
+    """
     config = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))
     folders = config["tool"]["setuptools"]["package-dir"]
     places = {

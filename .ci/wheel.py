@@ -1,7 +1,9 @@
-"""A wheel with machine code in it, so that nothing is compiled where it is installed: `./dev wheel [FOLDER]`.
+"""A wheel with machine code in it, so that nothing is compiled where it is installed:
+`./dev wheel [FOLDER]`.
 
-The wheel is built, unpacked, warmed up where it lies, and packed again under the names of this Python and platform.
-Its kernels are for `replan.core.kernel.PORTABLE`, and the numba of this environment; others compile, as without it.
+The wheel is built, unpacked, warmed up where it lies, and packed again under the names of this
+Python and platform. Its kernels are for `replan.core.kernel.PORTABLE`, and the numba of this
+environment; others compile, as without it.
 """
 
 from __future__ import annotations

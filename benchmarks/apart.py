@@ -2,9 +2,10 @@
 
     python benchmarks/apart.py [--rounds 5]
 
-The same planner (`constant_speed`) plans the frames of the same drive in this process and in its own, in turn; the
-difference of the medians of `plan()` is the boundary: frame out, plan back. A drive costs the start of its process
-besides, which is forked from a warm one; that one is started once per worker.
+The same planner (`constant_speed`) plans the frames of the same drive in this process and in its
+own, in turn; the difference of the medians of `plan()` is the boundary: frame out, plan back. A
+drive costs the start of its process besides, which is forked from a warm one; that one is started
+once per worker.
 """
 
 from __future__ import annotations
@@ -49,7 +50,8 @@ def main() -> None:
         gap = median(outside) - median(inside)
         here, there = median(inside), median(outside)
         print(
-            f"{agents:6d}  {size_kb(made):10.0f}  {here:15.3f}  {there:10.3f}  {gap:17.3f}  {p95:8.3f}"
+            f"{agents:6d}  {size_kb(made):10.0f}  {here:15.3f}  {there:10.3f}  {gap:17.3f}  "
+            f"{p95:8.3f}"
         )
     costs = [drive_s(log, APART) - drive_s(log, BUILT_IN) for _ in range(4 * rounds)]
     print(f"a drive of one frame more: {1e3 * median(costs):.1f} ms (warm)")

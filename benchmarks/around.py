@@ -1,10 +1,11 @@
-"""Where the CPU time of an evaluation goes that is not planning: one log, stage by stage, and how it grows.
+"""Where the CPU time of an evaluation goes that is not planning: one log, stage by stage, and how
+it grows.
 
     python benchmarks/around.py [--planner constant_speed] [--family everyday/junction]
 
-The stages are those of `replan.run.one_log`, without recordings, the best of some passes. Then what leaving the road,
-the speed limit and the lane's direction cost on logs of 28 to 600 s; how much memory is left behind by a drive that is
-over; and how long the imports take in a new process.
+The stages are those of `replan.run.one_log`, without recordings, the best of some passes. Then what
+leaving the road, the speed limit and the lane's direction cost on logs of 28 to 600 s; how much
+memory is left behind by a drive that is over; and how long the imports take in a new process.
 """
 
 from __future__ import annotations
@@ -138,7 +139,10 @@ def kept_mb(family: str, planner: str) -> float:
 
 def import_s() -> float:
     """CPU time of a new process that imports the command line, s; best of some."""
-    code = "import time; begin = time.process_time(); import replan.cli; print(time.process_time() - begin)"
+    code = (
+        "import time; begin = time.process_time(); import replan.cli; print(time.process_time() "
+        "- begin)"
+    )
     runs = [
         subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
         for _ in range(3)

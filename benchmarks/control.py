@@ -2,9 +2,10 @@
 
     python benchmarks/control.py [--controller NAME ...] [--vehicle single_track] [--repeat 3]
 
-Microseconds of `control()`, median and 99th percentile over all commands but the first of each drive; for the MPC,
-which solves at every fifth, those that solve apart. CPU time of the thread, since a shared machine takes the processor
-away for milliseconds at a time; it means this machine on this day.
+Microseconds of `control()`, median and 99th percentile over all commands but the first of each
+drive; for the MPC, which solves at every fifth, those that solve apart. CPU time of the thread,
+since a shared machine takes the processor away for milliseconds at a time; it means this machine on
+this day.
 """
 
 from __future__ import annotations

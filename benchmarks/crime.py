@@ -1,6 +1,8 @@
-"""replan's surrogate safety metrics beside those of commonroad-crime, on CommonRoad logs and on a scene made by hand.
+"""replan's surrogate safety metrics beside those of commonroad-crime, on CommonRoad logs and on a
+scene made by hand.
 
-commonroad-crime (PyPI, 0.4.5) is no dependency: it has an environment of its own, whose Python runs the steps 1 and 3.
+commonroad-crime (PyPI, 0.4.5) is no dependency: it has an environment of its own, whose Python runs
+the steps 1 and 3.
 
     python3.11 -m venv crime && crime/bin/pip install commonroad-crime==0.4.5
     crime/bin/python benchmarks/crime.py scene FOLDER_FOR_SCENES
@@ -8,12 +10,13 @@ commonroad-crime (PyPI, 0.4.5) is no dependency: it has an environment of its ow
     crime/bin/python benchmarks/crime.py crime ours.csv --out theirs.csv
     python benchmarks/crime.py compare theirs.csv
 
-`scene` writes one straight lane, ego 15 m/s, lead 10 m/s, 30 m between their bumpers, turned by six angles; and the
-same with a lead that opens the gap. `replan` takes the vehicles of each file in turn as the ego, and writes a row per
-lead and second, and one per crossing. `crime` asks commonroad-crime for the same pair at the same step, twice: as the
-file is, and turned so that the ego heads nearly along x, where its use of the lane's heading in the world does no harm.
-"Mended" are its formulae with its own distances, speeds and accelerations, the sign of the lead's acceleration kept.
-`compare` counts the agreements. The outcome is in benchmarks/README.md.
+`scene` writes one straight lane, ego 15 m/s, lead 10 m/s, 30 m between their bumpers, turned by six
+angles; and the same with a lead that opens the gap. `replan` takes the vehicles of each file in
+turn as the ego, and writes a row per lead and second, and one per crossing. `crime` asks
+commonroad-crime for the same pair at the same step, twice: as the file is, and turned so that the
+ego heads nearly along x, where its use of the lane's heading in the world does no harm. "Mended"
+are its formulae with its own distances, speeds and accelerations, the sign of the lead's
+acceleration kept. `compare` counts the agreements. The outcome is in benchmarks/README.md.
 """
 
 from __future__ import annotations
@@ -32,9 +35,13 @@ EVERY_S = 1.0
 VEHICLES = 4
 ANGLES = (0, 30, 60, 89, 120, 180)
 NEARLY_ALONG_X = 0.02
-"""Heading of the ego where it is turned, rad: of exactly 0 commonroad-crime thinks that there is none."""
+"""Heading of the ego where it is turned, rad: of exactly 0 commonroad-crime thinks that there is
+none.
+"""
 EQUAL = {"thw": 0.15, "pet": 0.25}
-"""Relative difference up to which two values agree, else 0.05; THW and PET are counted in samples there."""
+"""Relative difference up to which two values agree, else 0.05; THW and PET are counted in samples
+there.
+"""
 
 
 def scenes(folder: Path) -> None:
@@ -164,7 +171,9 @@ def _rows(scenario: Any, dt: float) -> Iterator[dict[str, object]]:
 
 
 def theirs(asked: pd.DataFrame) -> pd.DataFrame:
-    """commonroad-crime's values for the pairs of `asked`: as the file is, and turned so that the ego heads along x."""
+    """commonroad-crime's values for the pairs of `asked`: as the file is, and turned so that the
+    ego heads along x.
+    """
     logging.disable(logging.CRITICAL)
     asked = asked.copy()
     for i, row in asked.iterrows():
@@ -215,14 +224,18 @@ def _asked(path: Path, ego: int, row: pd.Series, turn: float) -> dict[str, float
 
 
 def _motion(measure: Any, other: int, step: int) -> tuple[float, float, float]:
-    """Closing speed, m/s, and the accelerations of ego and other, m/s2, as commonroad-crime has them."""
+    """Closing speed, m/s, and the accelerations of ego and other, m/s2, as commonroad-crime has
+    them.
+    """
     measure.validate_update_states_log(other, step, False)
     ego, lead = measure.ego_vehicle.state_at_time(step), measure.other_vehicle.state_at_time(step)
     return ego.velocity - lead.velocity, ego.acceleration, lead.acceleration
 
 
 def _mended(gap: float, closing: float, ego_accel: float, lead_accel: float) -> dict[str, float]:
-    """Its formulae with its own numbers, the lead's acceleration with its sign, an opening gap asking for nothing."""
+    """Its formulae with its own numbers, the lead's acceleration with its sign, an opening gap
+    asking for nothing.
+    """
     nearing = ego_accel - lead_accel
     square = closing**2 + 2.0 * gap * nearing
     accelerated = math.nan

@@ -1,4 +1,7 @@
-"""Made-up crowds on the roads of logs, for benchmarks; imports nothing that moves between versions but the nouns."""
+"""Made-up crowds on the roads of logs, for benchmarks.
+
+Imports nothing that moves between versions but the nouns.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,9 @@ LASTS_S = 3.0
 
 
 def crowded(scenario: Scenario, n: int) -> Scenario:
-    """The log's road and ego among `n` agents that drive and walk straight on from places on its lanes for 3 s."""
+    """The log's road and ego among `n` agents that drive and walk straight on from places on its
+    lanes for 3 s.
+    """
     rng, t = np.random.default_rng(0), np.linspace(0.0, LASTS_S, 31)
     lanes = [lane for lane in scenario.road.lanes.values() if lane.drivable]
     rows = []

@@ -1,12 +1,14 @@
-"""What each kernel costs to compile, and what it saves: calls and CPU time of a log, compiled and as plain Python.
+"""What each kernel costs to compile, and what it saves: calls and CPU time of a log, compiled and
+as plain Python.
 
     python benchmarks/kernels.py [LOG ...] [--calls 20]
 
-LOGs are files and folders; without any, the built-in suite. Three processes drive them in both loops without recording,
-from a copy of the sources without machine code. One compiles everything; one counts the calls that come from Python and
-keeps the arguments of some; one repeats these as plain Python (`NUMBA_DISABLE_JIT=1`). A row is a kernel that Python
-calls; its compilation includes that of the kernels which it was the first to call. "pays after" is the number of logs
-after which compiling it was cheaper.
+LOGs are files and folders; without any, the built-in suite. Three processes drive them in both
+loops without recording, from a copy of the sources without machine code. One compiles everything;
+one counts the calls that come from Python and keeps the arguments of some; one repeats these as
+plain Python (`NUMBA_DISABLE_JIT=1`). A row is a kernel that Python calls; its compilation includes
+that of the kernels which it was the first to call. "pays after" is the number of logs after which
+compiling it was cheaper.
 """
 
 from __future__ import annotations
@@ -109,7 +111,9 @@ def compile_all(logs: Sequence[str], out: Path) -> None:
 
 
 def count(logs: Sequence[str], out: Path, most: int) -> None:
-    """Process 2: drive with the machine code of the first, whose functions must be loaded before they are counted."""
+    """Process 2: drive with the machine code of the first, whose functions must be loaded before
+    they are counted.
+    """
     seconds = drive(logs)
     counted = dict[int, Counted]()
     for module, name, value in of_modules():

@@ -3,9 +3,10 @@
     python benchmarks/long_log.py [--seconds 3600] [--planner constant_speed] [--mode open --mode closed]
                                   [--internals summary] [--no-recording] [--denser 1] [--write FILE]
 
-The log: a straight road of two lanes, 10 m/s, and some thirty road users at a time who come and go: cars on the facing
-lane, pedestrians on both sides. Peaks are of the resident set (Linux), set back before each stage.
-"""
+The log: a straight road of two lanes, 10 m/s, and some thirty road users at a time who come and go:
+cars on the facing lane, pedestrians on both sides. Peaks are of the resident set (Linux), set back
+before each stage.
+"""  # noqa: E501
 
 from __future__ import annotations
 
@@ -117,7 +118,8 @@ def stage(console: Console, name: str) -> Iterator[None]:
     yield
     took, lines = process_time() - begin, dict(_status())
     console.print(
-        f"{name:34} peak {lines['VmHWM']:6.0f} MB  after {lines['VmRSS']:6.0f} MB  CPU {took:6.1f} s"
+        f"{name:34} peak {lines['VmHWM']:6.0f} MB  after {lines['VmRSS']:6.0f} MB  CPU {took:6.1f} "
+        "s"
     )
 
 

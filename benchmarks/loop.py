@@ -1,11 +1,12 @@
-"""What a control step costs, by vehicle and controller, and the closed loop around a planner that costs nothing.
+"""What a control step costs, by vehicle and controller, and the closed loop around a planner that
+costs nothing.
 
     python benchmarks/loop.py [--vehicle NAME ...] [--controller NAME ...] [--repeat 5] [LOG ...]
 
-Microseconds of control, vehicle and record per control step on the paper's S-curve, run in plan periods as the closed
-loop does (`replan.replay.loop.plan_period`); then the closed loop with the planner `constant_speed` over logs (none: the
-built-in suite), as times real time. CPU time of the process, the least of the repetitions; it means this machine on
-this day.
+Microseconds of control, vehicle and record per control step on the paper's S-curve, run in plan
+periods as the closed loop does (`replan.replay.loop.plan_period`); then the closed loop with the
+planner `constant_speed` over logs (none: the built-in suite), as times real time. CPU time of the
+process, the least of the repetitions; it means this machine on this day.
 """
 
 from __future__ import annotations
@@ -93,7 +94,8 @@ def main() -> None:
     scenarios = [source.read() for source in sources.sources]
     for vehicle in ("kinematic_bicycle", "single_track"):
         console.print(
-            f"closed loop, constant_speed, {vehicle}: {times_real_time(scenarios, vehicle, chosen.repeat):.0f}x"
+            f"closed loop, constant_speed, {vehicle}: "
+            f"{times_real_time(scenarios, vehicle, chosen.repeat):.0f}x"
         )
 
 

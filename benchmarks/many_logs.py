@@ -1,11 +1,13 @@
-"""What many logs cost: CPU per log by number of workers, the rate over time, and the memory of each process over time.
+"""What many logs cost: CPU per log by number of workers, the rate over time, and the memory of each
+process over time.
 
     python benchmarks/many_logs.py [--logs 1000] [--workers 1 --workers 2] [--out FOLDER] [-- OPTIONS OF EVALUATE]
 
-The first cells of the catalogue (`replan.logs.catalogue.ordered`) are written as MCAP files and evaluated by the
-command line. CPU time is that of the run and all its workers, start and first compilation included; memory is the
-resident set, sampled every second. Times mean this machine on this day; the ratio of CPU per log should not.
-"""
+The first cells of the catalogue (`replan.logs.catalogue.ordered`) are written as MCAP files and
+evaluated by the command line. CPU time is that of the run and all its workers, start and first
+compilation included; memory is the resident set, sampled every second. Times mean this machine on
+this day; the ratio of CPU per log should not.
+"""  # noqa: E501
 
 from __future__ import annotations
 
@@ -36,7 +38,9 @@ PAGE_MB = os.sysconf("SC_PAGE_SIZE") / 2**20
 
 @dataclass(frozen=True)
 class Sample:
-    """A run at one instant: s since its start, logs done, CPU seconds so far, MB of the parent and of each worker."""
+    """A run at one instant: s since its start, logs done, CPU seconds so far, MB of the parent and
+    of each worker.
+    """
 
     t: float
     done: int

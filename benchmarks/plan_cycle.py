@@ -2,9 +2,10 @@
 
     python benchmarks/plan_cycle.py [--planner dp_qp] [--repeat 3] [LOG ...]
 
-One process, one drive per log to warm up (kernels compiled, caches hot), then `--repeat` measured drives. Beside
-milliseconds, which mean this machine on this day, the table quotes ratios that travel: to a yardstick (one Cholesky
-solution of a fixed 200 x 200 system, timed in between), p99 to p50, and the share of the plan period.
+One process, one drive per log to warm up (kernels compiled, caches hot), then `--repeat` measured
+drives. Beside milliseconds, which mean this machine on this day, the table quotes ratios that
+travel: to a yardstick (one Cholesky solution of a fixed 200 x 200 system, timed in between), p99 to
+p50, and the share of the plan period.
 """
 
 from __future__ import annotations

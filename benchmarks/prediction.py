@@ -1,14 +1,16 @@
 """How far predictions are off the log, per method and source, and how long they take.
 
     python benchmarks/prediction.py FOLDER_OF_COMMONROAD_FILES [--every 1.0] [--kind pedestrian]
-    python benchmarks/prediction.py FOLDER_OF_COMMONROAD_FILES --frames      what perception and prediction cost
+    python benchmarks/prediction.py FOLDER_OF_COMMONROAD_FILES --frames      what perception and
+        prediction cost
 
-With `--frames`: CPU time of a whole `Frame` with the loop's defaults, over the built-in suite, and over each file's
-road with `CROWDS` made-up agents on it, nine vehicles to a pedestrian.
+With `--frames`: CPU time of a whole `Frame` with the loop's defaults, over the built-in suite, and
+over each file's road with `CROWDS` made-up agents on it, nine vehicles to a pedestrian.
 
-At a frame every so many seconds, each agent that moves (or moved within the log) is predicted, and compared with where
-the log has it 1, 2, 4 and 6 s later. `likely` is the error of the most probable hypothesis, `best` of the nearest one
-whose probability is at least 0.1; means over all agents and frames that have a sample so much later.
+At a frame every so many seconds, each agent that moves (or moved within the log) is predicted, and
+compared with where the log has it 1, 2, 4 and 6 s later. `likely` is the error of the most probable
+hypothesis, `best` of the nearest one whose probability is at least 0.1; means over all agents and
+frames that have a sample so much later.
 """
 
 from __future__ import annotations
@@ -58,7 +60,9 @@ def movers(scenario: Scenario) -> frozenset[str]:
 def errors(
     agents: Agents, future: Predictions, later: Agents, ahead: float
 ) -> Iterator[tuple[str, float, float]]:
-    """Id, error of the most probable and of the best hypothesis, of each agent that is still there, m."""
+    """Id, error of the most probable and of the best hypothesis, of each agent that is still there,
+    m.
+    """
     k = round(ahead / STEP_S)
     where = {name: i for i, name in enumerate(later.ids)}
     for i, name in enumerate(agents.ids):
@@ -110,7 +114,8 @@ def print_frames(folder: Path) -> None:
     """The table of `--frames`."""
     suite = pd.Series({name: frame_us(family.scenario()) for name, family in CATALOGUE.items()})
     print(
-        f"us a frame, built-in suite: median {suite.median():.0f}, most {suite.max():.0f} ({suite.idxmax()})"
+        f"us a frame, built-in suite: median {suite.median():.0f}, most {suite.max():.0f} "
+        f"({suite.idxmax()})"
     )
     roads = [read_commonroad(path) for path in sorted(folder.glob("*.xml"))]
     made = {road.name: [frame_us(crowded(road, n)) for n in CROWDS] for road in roads}

@@ -2,11 +2,12 @@
 
     python benchmarks/reading.py [--hour]
 
-The same 200 frames of 50 road users as a native log (without and with Foxglove's channels, where their schemas are
-installed), as a rosbag2 MCAP of Autoware's TrackedObjects, and of PredictedObjects with two paths of 21 poses each:
-CPU time of the whole way from the file to the scenario, median of some passes. With --hour: a bag of an hour (poses at
-50 Hz, ten objects and a camera of 8 kB at 10 Hz, not compressed), of which parts are read in new processes; bytes are
-those that the process read from files, imports left out (Linux).
+The same 200 frames of 50 road users as a native log (without and with Foxglove's channels, where
+their schemas are installed), as a rosbag2 MCAP of Autoware's TrackedObjects, and of
+PredictedObjects with two paths of 21 poses each: CPU time of the whole way from the file to the
+scenario, median of some passes. With --hour: a bag of an hour (poses at 50 Hz, ten objects and a
+camera of 8 kB at 10 Hz, not compressed), of which parts are read in new processes; bytes are those
+that the process read from files, imports left out (Linux).
 """
 
 from __future__ import annotations
@@ -149,7 +150,9 @@ def stamped(raw: bytes, ns: int) -> bytes:
 
 
 def write_hour(path: Path) -> None:
-    """A bag of `HOUR_S`: the same messages with other times, but for the ego, who drives on a large circle."""
+    """A bag of `HOUR_S`: the same messages with other times, but for the ego, who drives on a large
+    circle.
+    """
     camera = "sensor_msgs/msg/CompressedImage"
     picture = np.random.default_rng(2).integers(0, 256, CAMERA_BYTES, dtype=np.uint8)
     boxes = next(iter(objects_of(crowd(), TRACKED)))[3]

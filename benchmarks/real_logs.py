@@ -1,8 +1,10 @@
-"""What each of a set of real logs holds, what is wrong with it, and how planners did on it: one table.
+"""What each of a set of real logs holds, what is wrong with it, and how planners did on it: one
+table.
 
     python benchmarks/real_logs.py LOG_OR_FOLDER ... -o OUT [--ego ID]
 
-Both loops with `dp_qp` and `logged`, without recordings. `OUT/real_logs.md` has a row per log, `OUT/run` is the run.
+Both loops with `dp_qp` and `logged`, without recordings. `OUT/real_logs.md` has a row per log,
+`OUT/run` is the run.
 """
 
 from __future__ import annotations
@@ -66,7 +68,10 @@ def row(name: str, about: list[str], result: Results) -> list[str]:
     }
     done = value.get(("closed", "route_progress.final"), float("nan"))
     closed = ends.get(("dp_qp", "closed"))
-    opened = f"{value.get(('open', 'ade.3s.mean'), float('nan')):.2f} m, {value.get(('open', 'fallback.rate'), 0):.0%}"
+    opened = (
+        f"{value.get(('open', 'ade.3s.mean'), float('nan')):.2f} m, "
+        f"{value.get(('open', 'fallback.rate'), 0):.0%}"
+    )
     verdict = worst(
         map(Outcome, result.verdicts.query("log == @name and planner == 'dp_qp'")["outcome"])
     ).value

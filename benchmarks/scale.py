@@ -1,9 +1,13 @@
-"""What many logs cost: wall per log by engine, Ray's overhead, bytes per log, and what the end of a run needs per log.
+"""What many logs cost: wall per log by engine, Ray's overhead, bytes per log, and what the end of a
+run needs per log.
 
-python -m benchmarks.scale curve       a quarter of the suite "smoke" by 0, 1, 2 workers and on Ray (docs/scale.md)
+python -m benchmarks.scale curve       a quarter of the suite "smoke" by 0, 1, 2 workers and on Ray
+                                       (docs/scale.md)
 python -m benchmarks.scale overhead    a task that does nothing and returns the folder of a log
-python -m benchmarks.scale end         `judge_and_write` on N logs: seconds and peak memory of this process
-python -m benchmarks.scale share [LOG ...]   metrics' and reference drives' part of the CPU; no LOG: the built-in suite
+python -m benchmarks.scale end         `judge_and_write` on N logs: seconds and peak memory of this
+                                       process
+python -m benchmarks.scale share [LOG ...]   metrics' and reference drives' part of the CPU; no LOG:
+                                             the built-in suite
 """
 
 from __future__ import annotations
@@ -97,7 +101,9 @@ def _evaluated(engine: Engine, folder: Path) -> list[LogResult]:
 
 
 def share(*logs: str) -> None:
-    """Parts of an evaluation with recordings in this process, each without the parts called in it; once before."""
+    """Parts of an evaluation with recordings in this process, each without the parts called in it;
+    once before.
+    """
     spent: Counter[str] = Counter()
 
     def clocked(name: str, call: Callable[..., Any]) -> Callable[..., Any]:
@@ -137,7 +143,8 @@ def overhead() -> None:
         list(one._stream_results(ray, task.remote, range(20)))
         wall, cpu, _ = timed(lambda: list(one._stream_results(ray, task.remote, range(ITEMS))))
     print(
-        f"ray:   {1e3 * wall / ITEMS:.1f} ms wall, {1e3 * cpu / ITEMS:.1f} ms CPU of the driver a log"
+        f"ray:   {1e3 * wall / ITEMS:.1f} ms wall, {1e3 * cpu / ITEMS:.1f} ms CPU of the driver a "
+        "log"
     )
     stream = run_all(answer, range(ITEMS + 20), 2)
     for _ in range(20):
@@ -172,7 +179,8 @@ def end() -> None:
             sizes["summary.json"] = (out / "summary.json").stat().st_size / count
             said = ", ".join(f"{name} {size:.0f} B" for name, size in sizes.items())
             print(
-                f"{count} logs: {1e3 * wall / count:.1f} ms a log, peak {peak:.0f} MB; a log: {said}"
+                f"{count} logs: {1e3 * wall / count:.1f} ms a log, peak {peak:.0f} MB; a log: "
+                f"{said}"
             )
 
 

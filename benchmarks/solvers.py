@@ -1,12 +1,13 @@
-"""Every QP of a set of drives, by each solver, against a reference: how near, how often, how many iterations, how long.
+"""Every QP of a set of drives, by each solver, against a reference: how near, how often, how many
+iterations, how long.
 
     python benchmarks/solvers.py [--no-builtin] [--limit 100] [COMMONROAD_FOLDER ...] [--out table.md]
 
-`dp_qp` drives each log in closed loop; the problems of its path and speed QPs are recorded and solved again, by each
-solver of `replan.planners.piecewise_jerk.solvers` and by the referee: PIQP at 1e-9, and where that finds no solution HiGHS
-says whether there is one. CPU time, building the solver's input included; it means this machine on this day.
-The outcome is in benchmarks/README.md.
-"""
+`dp_qp` drives each log in closed loop; the problems of its path and speed QPs are recorded and
+solved again, by each solver of `replan.planners.piecewise_jerk.solvers` and by the referee: PIQP at
+1e-9, and where that finds no solution HiGHS says whether there is one. CPU time, building the
+solver's input included; it means this machine on this day. The outcome is in benchmarks/README.md.
+"""  # noqa: E501
 
 from __future__ import annotations
 
@@ -57,7 +58,10 @@ def problems_of(source: LogSource) -> list[Asked]:
 
 
 def reference(problem: PiecewiseJerkProblem) -> tuple[str, FloatArray]:
-    """Feasible, with the curve; infeasible; or no reference, where PIQP gives up on what HiGHS calls feasible."""
+    """Feasible, with the curve.
+
+    Infeasible; or no reference, where PIQP gives up on what HiGHS calls feasible.
+    """
     form, (q, low, high) = matrices(structure(problem)), vectors(problem)
     none, k = np.full(3 * problem.lower.shape[1], np.nan), form.equalities
     if not (low <= high).all():

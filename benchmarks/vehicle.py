@@ -1,7 +1,7 @@
 """What the vehicle models cost: `python benchmarks/vehicle.py`.
 
-Prints microseconds of a dynamics sub-step inside the kernel (aim: 2 us), and of a whole control step of 10 ms by the
-model's `step`, as the loop calls it. Median of ROUNDS.
+Prints microseconds of a dynamics sub-step inside the kernel (aim: 2 us), and of a whole control
+step of 10 ms by the model's `step`, as the loop calls it. Median of ROUNDS.
 """
 
 from __future__ import annotations

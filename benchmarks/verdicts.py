@@ -1,11 +1,13 @@
-"""How often noise in the others' tracks changes a reference driver's verdict, and whether its margin says so.
+"""How often noise in the others' tracks changes a reference driver's verdict, and whether its
+margin says so.
 
     python benchmarks/verdicts.py [--drives 98] [--seeds 1]
 
-Drives: the catalogue's pedestrians and cut-ins over a grid of speeds and distances, from which as many as are asked for
-are taken at even intervals among those in which the ego would meet somebody. Each is sampled at 10, 25 and 100 Hz, with
-and without logged velocities, and 2 or 5 cm of seeded Gaussian noise is added to every moving agent's positions. A flip
-is a verdict other than that of the same samples without noise; it is marked if either of the two is called marginal.
+Drives: the catalogue's pedestrians and cut-ins over a grid of speeds and distances, from which as
+many as are asked for are taken at even intervals among those in which the ego would meet somebody.
+Each is sampled at 10, 25 and 100 Hz, with and without logged velocities, and 2 or 5 cm of seeded
+Gaussian noise is added to every moving agent's positions. A flip is a verdict other than that of
+the same samples without noise; it is marked if either of the two is called marginal.
 """
 
 from __future__ import annotations
@@ -42,7 +44,9 @@ Drive = tuple[Scenario, ReferenceLine]
 
 
 def grid() -> Iterator[Scenario]:
-    """All variants of the families that can be built, also those in which the logged driver touches somebody."""
+    """All variants of the families that can be built, also those in which the logged driver touches
+    somebody.
+    """
     for name, family in CATALOGUE.items():
         if not {"pedestrian", "cut_in"} & set(family.tags):
             continue
@@ -61,7 +65,9 @@ def grid() -> Iterator[Scenario]:
 
 
 def drives(count: int) -> list[Drive]:
-    """`count` of the grid's drives, evenly spread, in which the careful driver's verdict applies."""
+    """`count` of the grid's drives, evenly spread, in which the careful driver's verdict
+    applies.
+    """
     found = [(scenario, reference_line(scenario)) for scenario in grid()]
     found = [
         pair
@@ -72,7 +78,10 @@ def drives(count: int) -> list[Drive]:
 
 
 def sampled(tracks: Tracks, rate: float, noise: float, seed: int, *, velocities: bool) -> Tracks:
-    """The tracks at `rate` Hz with noisy positions; their velocities, where wanted, are the logged ones."""
+    """The tracks at `rate` Hz with noisy positions.
+
+    Their velocities, where wanted, are the logged ones.
+    """
     rng = np.random.default_rng(seed)
     rows = []
     for i in range(len(tracks)):

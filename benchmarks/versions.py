@@ -1,18 +1,21 @@
-"""Two versions of this repository side by side: how long a plan takes, stage by stage, and the loops around it.
+"""Two versions of this repository side by side: how long a plan takes, stage by stage, and the
+loops around it.
 
     python benchmarks/versions.py OLD_CHECKOUT [NEW_CHECKOUT] [--logs FOLDER_OR_FILE ...] [--rounds 3]
-    python benchmarks/versions.py OLD_CHECKOUT --evaluate --skip-crowds       whole evaluations as well
+    python benchmarks/versions.py OLD_CHECKOUT --evaluate --skip-crowds       whole evaluations as
+        well
 
-NEW_CHECKOUT is by default the one that this file is in. Each version is a process of its own with one thread of NumPy;
-they take turns log by log, so that what else the machine does disturbs both alike. All times are CPU time of the one
-thread, the laps of the stages too, after a round that does not count. Closed loop, the defaults of `LoopConfig`, over
-the built-in suite; over `--logs`, all in one table; and over crowds (`crowds.py`) of 50, 200, 500 agents on the roads
-of `--logs`, or else of the suite. Per round: quantiles over all plans (a stage that a plan did not need took no time)
-and over all frames (perception and prediction); driven seconds per CPU second of the closed loop, as without
-recording, and with the planner's inside kept as for one; with `--evaluate` the CPU seconds of `evaluate_logs` with one
-worker, both loops, without recording and internals, and with both. The table shows the medians over the rounds, and
-the median of the rounds' ratios.
-"""
+NEW_CHECKOUT is by default the one that this file is in. Each version is a process of its own with
+one thread of NumPy; they take turns log by log, so that what else the machine does disturbs both
+alike. All times are CPU time of the one thread, the laps of the stages too, after a round that does
+not count. Closed loop, the defaults of `LoopConfig`, over the built-in suite; over `--logs`, all in
+one table; and over crowds (`crowds.py`) of 50, 200, 500 agents on the roads of `--logs`, or else of
+the suite. Per round: quantiles over all plans (a stage that a plan did not need took no time) and
+over all frames (perception and prediction); driven seconds per CPU second of the closed loop, as
+without recording, and with the planner's inside kept as for one; with `--evaluate` the CPU seconds
+of `evaluate_logs` with one worker, both loops, without recording and internals, and with both. The
+table shows the medians over the rounds, and the median of the rounds' ratios.
+"""  # noqa: E501
 
 from __future__ import annotations
 
@@ -51,11 +54,16 @@ FRAME = "perception, prediction"
 LOOPS = {"closed loop": "spent", "closed loop, internals kept": "kept"}
 """By what each is spent; a version that cannot choose always keeps them."""
 Measured = dict[str, list[float]]
-"""Milliseconds per plan by stage and per frame; seconds "driven", "spent", and "kept": spent with internals."""
+"""Milliseconds per plan by stage and per frame.
+
+Seconds "driven", "spent", and "kept": spent with internals.
+"""
 
 
 class Version:
-    """A checkout, measured by its own copy of this file in a process that answers a line with a line."""
+    """A checkout, measured by its own copy of this file in a process that answers a line with a
+    line.
+    """
 
     def __init__(self, checkout: Path) -> None:
         threads = dict.fromkeys(
@@ -103,7 +111,10 @@ def _logs(paths: list[str]) -> list[str]:
 
 
 def _driver() -> Callable[..., Measured]:
-    """Drives a log by its label, with `crowd` agents in place of its own; what has been read stays."""
+    """Drives a log by its label, with `crowd` agents in place of its own.
+
+    What has been read stays.
+    """
     from replan.replay import drive
     from replan.replay.loop.closed_loop import run_closed_loop
     from replan.replay.perception import Perception
@@ -154,7 +165,9 @@ def _laps(timings: Any) -> Measured:
 
 
 def _evaluated(paths: list[str], recording: bool) -> float:
-    """CPU seconds of a whole evaluation: this process and the worker that it starts and waits for."""
+    """CPU seconds of a whole evaluation: this process and the worker that it starts and waits
+    for.
+    """
     from replan.config import RunConfig
     from replan.run import evaluate_logs
 

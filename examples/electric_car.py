@@ -14,7 +14,8 @@ from replan.replay.vehicle.pedal_map import SPEED_STEP_MPS, coasting, full_throt
 
 
 class Motor:
-    """The powertrain: 25 W/kg, at most 3 m/s2; without throttle it brakes by up to 0.5 m/s2 (one-pedal driving).
+    """The powertrain: 25 W/kg, at most 3 m/s2; without throttle it brakes by up to 0.5 m/s2
+    (one-pedal driving).
 
     The functions are made of the `pedal_map`, which compiled controllers read: so both agree.
     """

@@ -7,8 +7,8 @@ Speed by the Intelligent Driver Model (Treiber, Hennecke, Helbing, Phys. Rev. E 
 (1) dv/dt = a (1 - (v / v0)^4 - (s* / gap)^2)
 (2) s*    = s0 + max(0, v T + v (v - v_lead) / (2 sqrt(a b)))
 
-v0 is the speed limit of the lane and of its bends, v0^2 |kappa| <= `bend_mps2`. It knows no lights, no right of way,
-and no one who is not on its lanes yet: compare it with `idm`, which does.
+v0 is the speed limit of the lane and of its bends, v0^2 |kappa| <= `bend_mps2`. It knows no lights,
+no right of way, and no one who is not on its lanes yet: compare it with `idm`, which does.
 """
 
 from __future__ import annotations
@@ -31,7 +31,8 @@ class Follower:
         context: What does not change.
         gap_m: Distance in a queue, s0.
         headway_s: Time to the one ahead, T.
-        accel_mps2: Comfortable acceleration, a; `brake_mps2` braking, b; `bend_mps2` to the side in bends.
+        accel_mps2: Comfortable acceleration, a; `brake_mps2` braking, b; `bend_mps2` to the side in
+            bends.
         brake_mps2: See there.
         bend_mps2: See there.
     """
@@ -91,7 +92,10 @@ class Follower:
         return float((self.bend / max(np.abs(ahead).max(initial=0.0), 1e-4)) ** 0.5)
 
     def lead(self, frame: Frame, s: float) -> tuple[float, float]:
-        """Free way to the nearest agent on the line, m, and their speed along it, m/s; else SIGHT_M and the limit."""
+        """Free way to the nearest agent on the line, m, and their speed along it, m/s.
+
+        Else SIGHT_M and the limit.
+        """
         nearest, speed, agents = SIGHT_M, self.limit, frame.agents
         for i in range(len(agents)):
             there, side = self.line.project(agents.x[i], agents.y[i])
@@ -104,7 +108,9 @@ class Follower:
         return nearest, speed
 
     def along(self, rows: np.ndarray, yaw: float, side: float) -> Trajectory:
-        """The rows (t, s, v, a) in the world, with the offset from the line given up over RETURN_M."""
+        """The rows (t, s, v, a) in the world, with the offset from the line given up over
+        RETURN_M.
+        """
         t, s, v, a = rows.T
         fade = np.clip(1.0 - (s - s[0]) / RETURN_M, 0.0, 1.0)
         x, y = np.array(

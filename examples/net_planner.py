@@ -1,4 +1,5 @@
-"""A planner whose model is loaded once per worker, and which plans the frames of several logs in one pass.
+"""A planner whose model is loaded once per worker, and which plans the frames of several logs in
+one pass.
 
     replan evaluate LOG LOG --planner net_planner:Net --set loop.apart.batch=2
 

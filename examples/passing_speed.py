@@ -2,8 +2,8 @@
 
     replan evaluate LOGS --metric passing_speed:PASSING_SPEED
 
-(1) value(t) = v(t) where the middle of such a road user is within REACH_M of the ego's middle line, beside its body;
-    NaN in every other step
+(1) value(t) = v(t) where the middle of such a road user is within REACH_M of the ego's middle line,
+        beside its body; NaN in every other step
 """
 
 from __future__ import annotations
@@ -13,7 +13,9 @@ import numpy as np
 from replan import MAX, Metric, Mode, Scenario, Series, Trace, Unavailable
 
 REACH_M = 3.0
-"""Half of a car's width and the 2 m that German law asks for beside riders out of town (StVO, 5 (4))."""
+"""Half of a car's width and the 2 m that German law asks for beside riders out of town (StVO, 5
+(4)).
+"""
 STEP_S = 0.1
 """Steps at which is looked, s."""
 

@@ -1,10 +1,14 @@
-"""A planner as a program of its own, without replan: it goes straight on and brakes for who stands ahead.
+"""A planner as a program of its own, without replan: it goes straight on and brakes for who stands
+ahead.
 
-    replan evaluate LOGS --planner "exec:python examples/planner_exec.py"       replan starts it, once per drive
-    python examples/planner_exec.py 7000                                        or it runs already, as a node:
+    replan evaluate LOGS --planner "exec:python examples/planner_exec.py"       replan starts it,
+        once per drive
+    python examples/planner_exec.py 7000                                        or it runs already,
+        as a node:
     replan evaluate LOGS --planner tcp://127.0.0.1:7000
 
-The messages are those of docs/planners_apart.md: 4 bytes of length, then MessagePack, for which any package will do.
+The messages are those of docs/planners_apart.md: 4 bytes of length, then MessagePack, for which any
+package will do.
 """
 
 from __future__ import annotations

@@ -1,8 +1,9 @@
 """Logs: the shared data classes, readers and writers.
 
-Frames: world W (unsuffixed), `_ego` (x forward, y left), `_frenet` (s along, l left). The ego's reference point is its
-rear axle, an agent's the centre of its box. SI units inside; units stand in names only at the edges (files, options,
-tables). Time: integer nanoseconds in logs and loops, seconds since the scenario's start inside numerics.
+Frames: world W (unsuffixed), `_ego` (x forward, y left), `_frenet` (s along, l left). The ego's
+reference point is its rear axle, an agent's the centre of its box. SI units inside; units stand in
+names only at the edges (files, options, tables). Time: integer nanoseconds in logs and loops,
+seconds since the scenario's start inside numerics.
 
     Scenario      a log: ego, tracks of the road users, road, goal
     EgoState      the ego at one instant           Trajectory    ego states over time

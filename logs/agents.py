@@ -46,12 +46,17 @@ _CODE = {kind: code for code, kind in enumerate(AgentKind)}
 
 
 def codes_of(kinds: tuple[AgentKind, ...]) -> IntArray:
-    """Return the codes of the kinds, `(n,)`: their positions in `AgentKind`. They index the result of `among`."""
+    """Return the codes of the kinds, `(n,)`: their positions in `AgentKind`.
+
+    They index the result of `among`.
+    """
     return frozen([_CODE[kind] for kind in kinds], np.int64)
 
 
 def among(*kinds: AgentKind) -> BoolArray:
-    """Return a mask over all codes that marks the kinds: `among(AgentKind.CAR)[agents.codes]` marks the cars."""
+    """Return a mask over all codes that marks the kinds: `among(AgentKind.CAR)[agents.codes]` marks
+    the cars.
+    """
     return frozen([kind in kinds for kind in AgentKind], np.bool_)
 
 
@@ -63,15 +68,17 @@ class Agents:
         ids: Names of the agents.
         kinds: Kinds of the agents.
         length: Length of the box; `width` likewise.
-        x: Centre of the box; `y` likewise; `yaw` is the heading of the box, counter-clockwise from x.
+        x: Centre of the box; `y` likewise; `yaw` is the heading of the box, counter-clockwise from
+            x.
         vx: Velocity along the world's x axis; `vy` likewise.
         yaw_rate: rad/s; 0 if unknown, and for pedestrians, who turn on the spot. Default: all 0.
         accel: Rate of the speed, m/s2; 0 if unknown. Default: all 0.
-        age: s since the agent was first seen, at most `OLDEST_S`; NaN where unknown: for agents that never move, and
-            in the first `OLDEST_S` for agents that were present when the scenario began. Default: all NaN, like the
-            next two columns.
+        age: s since the agent was first seen, at most `OLDEST_S`; NaN where unknown: for agents
+            that never move, and in the first `OLDEST_S` for agents that were present when the
+            scenario began. Default: all NaN, like the next two columns.
         unseen: s since the agent's last sample, 0 at a sample; NaN for agents that never move.
-        velocity_sigma: Standard deviation of vx and of vy, m/s; NaN if perception does not state it.
+        velocity_sigma: Standard deviation of vx and of vy, m/s; NaN if perception does not state
+            it.
         codes: `kinds` as numbers; default: `codes_of(kinds)`.
     """
 

@@ -1,19 +1,22 @@
 """Converts between the data classes (nouns) and their messages in files or on the wire.
 
-A message is a `msgspec.Struct` whose fields have the same names as those of the noun. The types of both fields define
-how a field is stored:
+A message is a `msgspec.Struct` whose fields have the same names as those of the noun. The types of
+both fields define how a field is stored:
 
     noun                                     message
-    FloatArray, IntArray                     list of numbers, or bytes: little-endian float64, row by row
-    Points `(n, 2)`                          list of pairs, or bytes; or two lists: x and y, left -> left_x and left_y
+    FloatArray, IntArray                     list of numbers, or bytes: little-endian float64, row
+                                             by row
+    Points `(n, 2)`                          list of pairs, or bytes; or two lists: x and y, left ->
+                                             left_x and left_y
     float                                    number; null where it is NaN
     tuple of pairs (name, value)             object
     Enum                                     its value; in a text field, its name in lower case
     noun; tuple or mapping by id of nouns    message; list of messages
 
-A field of the noun that the message lacks keeps its default. Numbers are the same to the bit on both sides, and arrays
-that are read from bytes share their memory. Nouns that need no conversion (only numbers, text, enums, and arrays as
-bytes) are sent as they are: `array_as_bytes` and `array_of` are the hooks of msgspec for their arrays.
+A field of the noun that the message lacks keeps its default. Numbers are the same to the bit on
+both sides, and arrays that are read from bytes share their memory. Nouns that need no conversion
+(only numbers, text, enums, and arrays as bytes) are sent as they are: `array_as_bytes` and
+`array_of` are the hooks of msgspec for their arrays.
 """
 
 from __future__ import annotations
@@ -39,7 +42,10 @@ WIRE = np.dtype("<f8")
 Column = bytes | list[float]
 """A column of a message, read in either form."""
 ABSENT = {"cost": np.inf, "lower": -np.inf, "upper": np.inf}
-"""Meaning of null in the arrays of a graph, by field: a node that is not reached, a free bound; elsewhere NaN."""
+"""Meaning of null in the arrays of a graph, by field: a node that is not reached, a free bound.
+
+Elsewhere NaN.
+"""
 _AXES: dict[str, Convert] = {
     "x": lambda points: points[:, 0].tolist(),
     "y": lambda points: points[:, 1].tolist(),
@@ -67,12 +73,16 @@ def scalar_as_number(value: object) -> object:
 
 
 def array_as_bytes(value: object) -> object:
-    """The `enc_hook` of messages that hold nouns: arrays are bytes, scalars of NumPy are numbers."""
+    """The `enc_hook` of messages that hold nouns: arrays are bytes, scalars of NumPy are
+    numbers.
+    """
     return packed(value) if isinstance(value, np.ndarray) else scalar_as_number(value)
 
 
 def array_of(kind: Any, value: Any) -> Any:
-    """The `dec_hook` of messages that hold nouns: make an array of type `FloatArray` or `Points` from bytes."""
+    """The `dec_hook` of messages that hold nouns: make an array of type `FloatArray` or `Points`
+    from bytes.
+    """
     column = unpacked(value)
     return column.reshape(-1, 2) if kind == Points else column
 
@@ -104,7 +114,9 @@ def noun_of(kind: Callable[..., N], message: Any, **given: Any) -> N:
 
 @cache
 def _writers(kind: Any, noun: Any) -> tuple[Row, ...]:
-    """Return for each field of a message its name, the noun's field, and the function that converts its value."""
+    """Return for each field of a message its name, the noun's field, and the function that converts
+    its value.
+    """
     own, found = get_type_hints(noun), list[Row]()
     outline = next((name for name, hint in own.items() if hint == Points), "")
     for name, hint in get_type_hints(kind).items():
@@ -117,7 +129,9 @@ def _writers(kind: Any, noun: Any) -> tuple[Row, ...]:
 
 
 def _written(hint: Any, own: Any = None) -> Convert | None:
-    """Return the function that converts a noun's value, of type `own`, for a message; None: no conversion."""
+    """Return the function that converts a noun's value, of type `own`, for a message; None: no
+    conversion.
+    """
     if (some := _without_none(hint)) is not hint:
         return _or_none(_written(some, own))
     origin, args = get_origin(hint), get_args(hint)
@@ -148,7 +162,9 @@ def _written(hint: Any, own: Any = None) -> Convert | None:
 
 @cache
 def _readers(noun: Any, kind: Any) -> tuple[Row, ...]:
-    """Return for each noun field in a message its name, the message's field ("": several), and the converter."""
+    """Return for each noun field in a message its name, the message's field ("": several), and the
+    converter.
+    """
     hints, names, found = get_type_hints(noun), kind.__struct_fields__, list[Row]()
     for name in (each.name for each in fields(noun)):
         if name in names:

@@ -1,18 +1,24 @@
 """Fills in what a log leaves out; each assumption is a sentence in the scenario's notes.
 
-(1) a_k = (v_k - v_(k-1)) / (t_k - t_(k-1))                     a_0 = 0: a derived value never uses a later sample
-(2) kappa_k = (yaw_k - yaw_(k-1)) / d,  d = +-|p_k - p_(k-1)|   negative in reverse; below `MIN_STEP` the value before
-(3) no road: one lane along the driven path, from 10 m behind the start. It follows the part that is driven forward
-    (`replan.logs.forward`). A drive of less than `MIN_PATH` that stays within as much has no direction: the heading gives it
-(4) no speed limit on lanes: the speed at the start rounded up to 10 km/h, at least `Road.default_speed_limit`. Later
-    speeds are not used: otherwise the planner would know how fast the log's driver will be
-(5) no lanes: `MARGIN` x the speed below which `SHARE` of the way was driven, rounded up to `STEP`; at least the speed
-    at the start and `LEAST`; (4) for a drive of less than `MIN_PATH`. Real limits are set by the 85th percentile of
-    the driven speeds, so the drive is an estimate where nothing else is known. One number reveals little of its course
-(6) no lanes, but agents drive beside the driven path: the next lane's middle is one lane's width away. The lane's width
-    is the median of their distances, within `WIDTHS_M`, if they are at least `LEAST_USERS`; else 3.5 m (`Road.along`).
-    Used are vehicles, and clusters as wide as one, that are at `BESIDE_M` in `LEAST_SAMPLES` samples, faster than
-    `DRIVES_MPS` and within `ALONG_RAD` of the path's direction
+(1) a_k = (v_k - v_(k-1)) / (t_k - t_(k-1))
+        a_0 = 0: a derived value never uses a later sample
+(2) kappa_k = (yaw_k - yaw_(k-1)) / d,  d = +-|p_k - p_(k-1)|
+        negative in reverse; below `MIN_STEP` the value before
+(3) no road: one lane along the driven path, from 10 m behind the start. It follows the part that is
+    driven forward (`replan.logs.forward`). A drive of less than `MIN_PATH` that stays within as
+    much has no direction: the heading gives it
+(4) no speed limit on lanes: the speed at the start rounded up to 10 km/h, at least
+    `Road.default_speed_limit`. Later speeds are not used: otherwise the planner would know how fast
+    the log's driver will be
+(5) no lanes: `MARGIN` x the speed below which `SHARE` of the way was driven, rounded up to `STEP`;
+    at least the speed at the start and `LEAST`; (4) for a drive of less than `MIN_PATH`. Real
+    limits are set by the 85th percentile of the driven speeds, so the drive is an estimate where
+    nothing else is known. One number reveals little of its course
+(6) no lanes, but agents drive beside the driven path: the next lane's middle is one lane's width
+    away. The lane's width is the median of their distances, within `WIDTHS_M`, if they are at least
+    `LEAST_USERS`; else 3.5 m (`Road.along`). Used are vehicles, and clusters as wide as one, that
+    are at `BESIDE_M` in `LEAST_SAMPLES` samples, faster than `DRIVES_MPS` and within `ALONG_RAD` of
+    the path's direction
 """
 
 from __future__ import annotations
@@ -47,7 +53,10 @@ ONE_LANE, REVERSES = f"{NO_LANES}: one lane", f"{NO_LANES}, and reverses"
 def derived_speed(
     t: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, notes: list[str]
 ) -> FloatArray:
-    """Backward differences of the position along the heading `(n,)`, m/s, with a note; the first is the second."""
+    """Backward differences of the position along the heading `(n,)`, m/s, with a note.
+
+    The first is the second.
+    """
     notes.append(
         "The log has no ego speed: it is derived from the positions by backward differences."
     )
@@ -71,7 +80,9 @@ def derived_curvature(x: FloatArray, y: FloatArray, yaw: FloatArray, v: FloatArr
 
 
 def completed(columns: dict[str, FloatArray], notes: list[str]) -> Trajectory:
-    """The trajectory of columns t, x, y, yaw, v, a, kappa; NaN in a and kappa is derived, with a note."""
+    """The trajectory of columns t, x, y, yaw, v, a, kappa; NaN in a and kappa is derived, with a
+    note.
+    """
     t, x, y, yaw, v = (columns[name] for name in ("t", "x", "y", "yaw", "v"))
     derived = {"a": derived_acceleration(t, v), "kappa": derived_curvature(x, y, yaw, v)}
     for name, word in (("a", "acceleration"), ("kappa", "curvature")):
@@ -90,14 +101,18 @@ def assumed_limit(ego: Trajectory) -> float:
 
 
 def with_limit(road: Road, ego: Trajectory, lanes: str, notes: list[str]) -> Road:
-    """Return the road with the speed limit (4) for its `lanes` without one, which the note describes."""
+    """Return the road with the speed limit (4) for its `lanes` without one, which the note
+    describes.
+    """
     limit = assumed_limit(ego)
     notes.append(f"{lanes}: {limit:.1f} m/s is assumed ({ASSUMED}).")
     return replace(road, default_speed_limit=limit)
 
 
 def driven_limit(ego: Trajectory) -> tuple[float, str]:
-    """The speed limit (5) of a road that is known by one drive only, m/s, and the rule that sets it."""
+    """The speed limit (5) of a road that is known by one drive only, m/s, and the rule that sets
+    it.
+    """
     v = np.abs(ego.v)
     pace, way = 0.5 * (v[1:] + v[:-1]), 0.5 * (v[1:] + v[:-1]) * np.diff(ego.t)
     if way.sum() < MIN_PATH:
@@ -108,14 +123,17 @@ def driven_limit(ego: Trajectory) -> tuple[float, str]:
     if limit < LEAST:
         return (
             LEAST,
-            f"the least that is assumed, as {SHARE:.0%} of the way was driven at {usual / MARGIN:.1f} m/s",
+            f"the least that is assumed, as {SHARE:.0%} of the way was driven at "
+            f"{usual / MARGIN:.1f} m/s",
         )
     rule = f"{MARGIN - 1.0:.0%} above what {SHARE:.0%} of the way was driven at"
     return limit, rule if usual >= v[0] else "the speed at the start"
 
 
 def road_along(ego: Trajectory, notes: list[str], width: float = 3.5) -> Road:
-    """The road of a log without lanes (3), `width` m wide, with its notes; LogError if no lane follows the path."""
+    """The road of a log without lanes (3), `width` m wide, with its notes; LogError if no lane
+    follows the path.
+    """
     backward = reversals(ego)
     first, last = forward_part(ego, backward) or (0, 0)
     part = ego.taken(slice(first, last + 1)) if backward else ego
@@ -141,7 +159,8 @@ def road_along(ego: Trajectory, notes: list[str], width: float = 3.5) -> Road:
             else "no part"
         )
         notes.append(
-            f"{REVERSES} from {described(ego, backward)}{unsigned}. Planners drive forward only: {driven} is driven."
+            f"{REVERSES} from {described(ego, backward)}{unsigned}. Planners drive forward only: "
+            f"{driven} is driven."
         )
     try:
         with np.errstate(all="ignore"):
@@ -162,7 +181,10 @@ def way_driven(ego: Trajectory) -> float:
 
 
 def passed_width(road: Road, tracks: Tracks, notes: list[str]) -> Road:
-    """The road (3) with the width (6) of its lane, and its note; the same road if too few agents drive beside it."""
+    """The road (3) with the width (6) of its lane, and its note.
+
+    The same road if too few agents drive beside it.
+    """
     from scipy.spatial import cKDTree  # here: reading a log with lanes starts without SciPy
 
     (lane,) = road.lanes.values()
@@ -190,7 +212,8 @@ def passed_width(road: Road, tracks: Tracks, notes: list[str]) -> Road:
         return road
     width = float(np.clip(np.median(beside), *WIDTHS_M))
     notes.append(
-        f"{NO_LANES}: the one lane's width is assumed: {width:.2f} m, as {len(beside)} road users drive beside it at"
+        f"{NO_LANES}: the one lane's width is assumed: {width:.2f} m, as {len(beside)} road users "
+        "drive beside it at"
         f" {np.median(beside):.2f} m (median)."
     )
     lane = replace(lane, left=middle + 0.5 * width * across, right=middle - 0.5 * width * across)

@@ -1,25 +1,32 @@
-"""Checks the units and frames of what a log holds, at any rate: headings, velocities, positions, the ego among agents.
+"""Checks the units and frames of what a log holds, at any rate: headings, velocities, positions,
+the ego among agents.
 
-The displacement between two samples shows a direction only if it is larger than the noise of positions: at 100 Hz, a
-car at 10 m/s goes 0.1 m in a step. A chord joins two samples of a track that are about a metre apart:
+The displacement between two samples shows a direction only if it is larger than the noise of
+positions: at 100 Hz, a car at 10 m/s goes 0.1 m in a step. A chord joins two samples of a track
+that are about a metre apart:
 
-(1) from an anchor to the first later sample that is at least `WAY_M` away, which is the next anchor; an anchor moves on
-    if that takes more than `LONGEST_S`, and no chord spans a step of more than `STEP_S`
+(1) from an anchor to the first later sample that is at least `WAY_M` away, which is the next
+    anchor; an anchor moves on if that takes more than `LONGEST_S`, and no chord spans a step of
+    more than `STEP_S`
 (2) the heading of a chord is the mean of those at its ends: on an arc, the chord has that direction
-(3) the misfit of a velocity is |v - d / dt| / |v|, d the displacement of the chord, v the mean of those at its ends
+(3) the misfit of a velocity is |v - d / dt| / |v|, d the displacement of the chord, v the mean of
+    those at its ends
 
-All readers pass through `checked`. It changes data only on clear evidence, and each change is a note:
+All readers pass through `checked`. It changes data only on clear evidence, and each change is a
+note:
 
-    positions  refused if they are degrees of latitude and longitude: in metres the ego hardly moves, in degrees it goes
-               as fast as its speed says, or where its heading points
-    headings   refused if the direction of motion contradicts them in rad, and agrees with one of `READINGS`
+    positions  refused if they are degrees of latitude and longitude: in metres the ego hardly
+               moves, in degrees it goes as fast as its speed says, or where its heading points
+    headings   refused if the direction of motion contradicts them in rad, and agrees with one of
+               `READINGS`
     ego        an agent that stays in the ego's box (4) is the ego, and left out
-    velocity   agents' velocities in their own axes (forward, left) are rotated into the world if they fit the
+    velocity   agents' velocities in their own axes (forward, left) are rotated into the world if
+               they fit the
                displacement there only
 
-(4) at least `MOST` of its samples lie in the ego's box, which is longer by `LATE_S` of driving at both ends, while the
-    ego goes `RIDES_M`; without that way, if it has a name of `EGO_NAMES`, or lies within `SAME_M` of the ego's rear
-    axle or box centre for the ego's whole log
+(4) at least `MOST` of its samples lie in the ego's box, which is longer by `LATE_S` of driving at
+    both ends, while the ego goes `RIDES_M`; without that way, if it has a name of `EGO_NAMES`, or
+    lies within `SAME_M` of the ego's rear axle or box centre for the ego's whole log
 
 What only looks wrong is reported by `replan.metrics.health`.
 """
@@ -47,8 +54,8 @@ LONGEST_S = 5.0
 STEP_S = 2.0
 """Longest step within a chord, s: the way within a longer one is not known."""
 SLIPS_RAD, TURNED_RAD = 0.1, 0.5
-"""A heading contradicts the motion where it is off by more than the spread of the directions, within these: a mirrored
-one is off by twice that spread on average; a car slips by less, rad."""
+"""A heading contradicts the motion where it is off by more than the spread of the directions,
+within these: a mirrored one is off by twice that spread on average; a car slips by less, rad."""
 MOVES_MPS = 1.0
 """Slower agents do not show the frame of their velocities, m/s."""
 DIFFER = 0.2
@@ -76,7 +83,9 @@ def _chords(offsets: IntArray, t: FloatArray, x: FloatArray, y: FloatArray) -> I
 
 @dataclass(frozen=True, eq=False)
 class Chords:
-    """Chords (1) of paths, `(k,)` each: owner, first and last sample, displacement `d` `(2, k)`, m, within `dt`, s."""
+    """Chords (1) of paths, `(k,)` each: owner, first and last sample, displacement `d` `(2, k)`, m,
+    within `dt`, s.
+    """
 
     owner: IntArray
     first: IntArray
@@ -86,7 +95,10 @@ class Chords:
 
     @classmethod
     def of(cls, offsets: IntArray, t: FloatArray, x: FloatArray, y: FloatArray) -> Chords:
-        """Return the chords of paths with the samples `offsets[i] : offsets[i + 1]`; their times do not decrease."""
+        """Return the chords of paths with the samples `offsets[i] : offsets[i + 1]`.
+
+        Their times do not decrease.
+        """
         # writable: compiled once
         owner, a, b = _chords(np.array(offsets), np.array(t), np.array(x), np.array(y))
         return cls(owner, a, b, np.stack([x[b] - x[a], y[b] - y[a]]), t[b] - t[a])
@@ -123,17 +135,22 @@ class Chords:
         return len(self.way) >= ENOUGH and float(self.way.sum()) >= ENOUGH_M
 
     def mean(self, values: FloatArray) -> FloatArray:
-        """Return the means of `values` `(..., n)` of samples at both ends of each chord `(..., k)`."""
+        """Return the means of `values` `(..., n)` of samples at both ends of each chord
+        `(..., k)`.
+        """
         return np.asarray(0.5 * (values[..., self.first] + values[..., self.last]))
 
     def off(self, yaw: FloatArray) -> FloatArray:
-        """Return by how much the headings (2) of samples `(n,)` are off the direction of each chord `(k,)`, rad."""
+        """Return by how much the headings (2) of samples `(n,)` are off the direction of each chord
+        `(k,)`, rad.
+        """
         return wrapped(
             yaw[self.first] + 0.5 * wrapped(yaw[self.last] - yaw[self.first]) - self.direction
         )
 
     def misfits(self, velocities: Mapping[str, FloatArray]) -> dict[str, float] | None:
-        """Return the median misfit (3) of velocities `(2, n)` by frame; None if too few chords show it.
+        """Return the median misfit (3) of velocities `(2, n)` by frame; None if too few chords show
+        it.
 
         If enough chords show a difference of the frames, the others do not count.
         """
@@ -160,18 +177,23 @@ READINGS: Mapping[str, tuple[float, float]] = {
 }
 """Other conventions of headings: factor and offset, rad, to rad counter-clockwise from x."""
 FITS_RAD, CLOSE = 0.2, 0.25
-"""A reading fits where it is off by less than both: an angle, and a share of the spread of the directions."""
+"""A reading fits where it is off by less than both: an angle, and a share of the spread of the
+directions.
+"""
 DENIED, AGREED = 0.3, 0.5
-"""Least shares: of the chords that contradict the heading in rad, and of those that fit a reading instead."""
+"""Least shares: of the chords that contradict the heading in rad, and of those that fit a reading
+instead.
+"""
 SPREAD_RAD = 0.02
 """With less spread of the directions, a reading cannot be distinguished from a constant error."""
 
 
 def reading_of(yaw: FloatArray, chords: Chords, reverse: BoolArray) -> str:
-    """Return which of `READINGS` the headings `(n,)` have; "" if they fit in rad, or the motion does not show it.
+    """Return which of `READINGS` the headings `(n,)` have; "" if they fit in rad, or the motion
+    does not show it.
 
-    `reverse` `(k,)` marks chords that were driven backward. Headings beyond a turn, 2 pi, that fit in degrees are
-    degrees; other readings must follow the directions as these change.
+    `reverse` `(k,)` marks chords that were driven backward. Headings beyond a turn, 2 pi, that fit
+    in degrees are degrees; other readings must follow the directions as these change.
     """
     turned = np.where(reverse, np.pi, 0.0)
     if not chords.shows:
@@ -211,8 +233,8 @@ def are_degrees(
 ) -> bool:
     """Return whether positions are degrees of longitude and latitude, in any order.
 
-    Path i has the samples `offsets[i] : offsets[i + 1]`; the speeds `v` `(n,)` are not negative, or NaN; positions are
-    relative to `origin`.
+    Path i has the samples `offsets[i] : offsets[i + 1]`; the speeds `v` `(n,)` are not negative, or
+    NaN; positions are relative to `origin`.
     """
     t, x, y = paths.t, paths.x, paths.y
     first = np.repeat(offsets[:-1], np.diff(offsets))
@@ -295,7 +317,10 @@ def without_ego(scenario: Scenario) -> Scenario:
     keep = np.ones(len(tracks), np.bool_)
     keep[found] = False
     names = ", ".join(tracks.ids[i] for i in found)
-    note = f"{names} among the road users {'is' if len(found) == 1 else 'are'} the ego itself: left out."
+    note = (
+        f"{names} among the road users {'is' if len(found) == 1 else 'are'} the ego itself: "
+        "left out."
+    )
     spans, left = scenario.traffic_spans, tracks.taken(keep[tracks.owner])
     return replace(scenario, tracks=left, traffic=spans, notes=(*scenario.notes, note))
 
@@ -303,12 +328,16 @@ def without_ego(scenario: Scenario) -> Scenario:
 # The frame of velocities
 
 FITS_ALONE = 0.5
-"""Velocities in another frame fit if their misfit is below this share of that in the world, and by `CLEARLY` less."""
+"""Velocities in another frame fit if their misfit is below this share of that in the world, and by
+`CLEARLY` less.
+"""
 CLEARLY = 0.1
 
 
 def in_world_axes(scenario: Scenario) -> Scenario:
-    """Rotate the agents' velocities from their own axes into the world, with a note, if they fit there only."""
+    """Rotate the agents' velocities from their own axes into the world, with a note, if they fit
+    there only.
+    """
     tracks = scenario.tracks
     if not np.isfinite(tracks.vx).any():
         return scenario
@@ -322,7 +351,8 @@ def in_world_axes(scenario: Scenario) -> Scenario:
     ):
         return scenario
     note = (
-        "The velocities of the road users are in their own axes (forward, left) and are rotated into the world: they"
+        "The velocities of the road users are in their own axes (forward, left) and are rotated "
+        "into the world: they"
         f" fit the displacement within {fits['own']:.0%}, in world axes {fits['world']:.0%}."
     )
     tracks = replace(tracks, vx=rotated[0], vy=rotated[1])
@@ -330,7 +360,9 @@ def in_world_axes(scenario: Scenario) -> Scenario:
 
 
 def checked(scenario: Scenario) -> Scenario:
-    """Check units and frames of a log as a reader made it; LogError for degrees, or headings of `READINGS`."""
+    """Check units and frames of a log as a reader made it; LogError for degrees, or headings of
+    `READINGS`.
+    """
     ego, tracks = scenario.ego, scenario.tracks
     mine, theirs = Chords.of_ego(ego), Chords.of_tracks(tracks)
     theirs = theirs.taken(_SHOWS_HEADING[tracks.codes][theirs.owner])
@@ -345,7 +377,10 @@ def checked(scenario: Scenario) -> Scenario:
             )
         reading = reading_of(some.yaw, chords, chords.mean(v) < 0.0)
         if reading:
-            what = f"the headings look like {reading}: they fit the direction of motion so, and not in rad"
+            what = (
+                f"the headings look like {reading}: they fit the direction of motion so, and "
+                "not in rad"
+            )
             remedy = "give them in rad, counter-clockwise from x"
             if reading == "degrees":
                 remedy = f'name the unit (of a table: columns = {{"{topic}.yaw" = "yaw [deg]"}})'

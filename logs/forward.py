@@ -1,18 +1,24 @@
 """The part of a drive that a planner can drive: planners drive forward only.
 
-(1) w_k = sum of (p_k - p_(k-1)) . h_k,  h_k the mean heading of the step: the way along the heading, m
-(2) the ego reverses from a maximum of w, where w falls by `REVERSE_M`, to the next minimum, from which it rises by as
-    much; the standstills at both do not count. It comes from a standstill (|v| <= max(`SLOW_MPS`, `BRAKING_MPS2` dt)),
-    and the speed supports the last half of `REVERSE_M`: it takes at most `LONGEST_S`, and the integral of |v| is at
-    least half of it
-(3) the part to drive: the first between two reversals with `FORWARD_M` of way, else the longest of `REVERSE_M` at least
+(1) w_k = sum of (p_k - p_(k-1)) . h_k,
+        h_k the mean heading of the step: the way along the heading, m
+(2) the ego reverses from a maximum of w, where w falls by `REVERSE_M`, to the next minimum,
+        from which it rises by as
+    much; the standstills at both do not count.
+        It comes from a standstill (|v| <= max(`SLOW_MPS`, `BRAKING_MPS2` dt)), and the speed
+        supports the last half of `REVERSE_M`: it takes at most `LONGEST_S`, and the integral of |v|
+        is at least half of it
+(3) the part to drive: the first between two reversals with `FORWARD_M` of way, else the longest of
+    `REVERSE_M` at least
 
-(4) a drive without lanes is tighter than the vehicle if the curvature of its path, between chords of 1 m that are
-    `BENDS` apart, is above `ABOVE_LOCK` times that at full lock on more than `TIGHT_SHARE` of the way
+(4) a drive without lanes is tighter than the vehicle if the curvature of its path, between chords
+    of 1 m that are `BENDS` apart, is above `ABOVE_LOCK` times that at full lock on more than
+    `TIGHT_SHARE` of the way
 
-The sign of the speed is not used, because many logs have none. The conditions of (2) leave out other motion backward:
-corrections of the localisation at speed, its drift at rest, and headings that are not the ego's. (4) finds robots that
-turn on the spot where the vehicle is assumed to be a car: no planner follows that path with that vehicle.
+The sign of the speed is not used, because many logs have none. The conditions of (2) leave out
+other motion backward: corrections of the localisation at speed, its drift at rest, and headings
+that are not the ego's. (4) finds robots that turn on the spot where the vehicle is assumed to be a
+car: no planner follows that path with that vehicle.
 """
 
 from __future__ import annotations
@@ -34,7 +40,9 @@ REVERSE_M = 1.0
 FORWARD_M = 5.0
 SLOW_MPS, BRAKING_MPS2, LONGEST_S = 0.5, 3.0, 5.0
 NEAR_M, STANDS_MPS = 0.1, 0.1
-"""The ego stands at a maximum or minimum of w where w differs from it by less, m, and the speed is less, m/s."""
+"""The ego stands at a maximum or minimum of w where w differs from it by less, m, and the speed is
+less, m/s.
+"""
 BENDS, ABOVE_LOCK, TIGHT_SHARE = 3, 1.2, 0.1
 """Constants of (4): one correction of the localisation is a small share of a drive."""
 
@@ -77,7 +85,9 @@ def _standing(ego: Trajectory, w: FloatArray, extreme: int, until: int) -> list[
 
 
 def _is_reverse(ego: Trajectory, w: FloatArray, top: int, k: int) -> bool:
-    """Return whether the way back from state `top` to `k` is driven in reverse: the conditions of (2)."""
+    """Return whether the way back from state `top` to `k` is driven in reverse: the conditions of
+    (2).
+    """
     dt, v = np.diff(ego.t), np.abs(ego.v)
     half = int(np.flatnonzero(w[top:k] >= w[k] + 0.5 * REVERSE_M)[-1]) + top
     moved = float((0.5 * (v[half + 1 : k + 1] + v[half:k]) * dt[half:k]).sum())
@@ -90,7 +100,9 @@ def _is_reverse(ego: Trajectory, w: FloatArray, top: int, k: int) -> bool:
 
 
 def forward_part(ego: Trajectory, backward: tuple[tuple[int, int], ...]) -> tuple[int, int] | None:
-    """Return the first and last state of the part to drive (3) between reversals; None: there is none."""
+    """Return the first and last state of the part to drive (3) between reversals; None: there is
+    none.
+    """
     if not backward:
         return 0, len(ego) - 1
     w = _way(ego)
@@ -104,9 +116,11 @@ def forward_part(ego: Trajectory, backward: tuple[tuple[int, int], ...]) -> tupl
 
 
 def drivable_part(scenario: Scenario) -> Scenario:
-    """Return the part of a scenario that planners drive and are judged in; LogError if the ego only reverses.
+    """Return the part of a scenario that planners drive and are judged in; LogError if the ego only
+    reverses.
 
-    Only a lane that is made from the drive ends where the ego reverses; on the lanes of a map all is driven.
+    Only a lane that is made from the drive ends where the ego reverses; on the lanes of a map all
+    is driven.
     """
     ego = scenario.ego
     backward = reversals(ego) if scenario.road.source is RoadSource.DRIVEN_PATH else ()
@@ -114,7 +128,10 @@ def drivable_part(scenario: Scenario) -> Scenario:
         return scenario
     part = forward_part(ego, backward)
     if part is None:
-        what = f"the log reverses from {described(ego, backward)}: planners drive forward only, so none of it is driven"
+        what = (
+            f"the log reverses from {described(ego, backward)}: planners drive forward only, so "
+            "none of it is driven"
+        )
         raise LogError(
             f"{scenario.name}: {what}",
             remedy="choose a part that goes forward with --from and --to",
@@ -128,7 +145,9 @@ def drivable_part(scenario: Scenario) -> Scenario:
 
 @once
 def tighter_than_vehicle(scenario: Scenario) -> str:
-    """Return that a driven path without lanes is tighter than the vehicle (4), as text; "" if it is not."""
+    """Return that a driven path without lanes is tighter than the vehicle (4), as text; "" if it is
+    not.
+    """
     path = thinned(np.column_stack([scenario.ego.x, scenario.ego.y]), 1.0)
     if scenario.road.source is not RoadSource.DRIVEN_PATH or len(path) < BENDS + 2:
         return ""
@@ -140,7 +159,8 @@ def tighter_than_vehicle(scenario: Scenario) -> str:
     if len(tight) <= TIGHT_SHARE * len(bend):
         return ""
     return (
-        f"the log has no lanes, and its driver turns within {1.0 / np.median(tight):.1f} m: no planner can follow"
+        f"the log has no lanes, and its driver turns within {1.0 / np.median(tight):.1f} m: no "
+        "planner can follow"
         f" with the vehicle, which needs {1.0 / lock:.1f} m (--car names another)"
     )
 

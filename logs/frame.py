@@ -1,6 +1,7 @@
 """The inputs of a planner: one Frame at a time, and a context that does not change.
 
-A Frame holds the present, the past, and the predictions that replay makes; it gives no access to the log's future.
+A Frame holds the present, the past, and the predictions that replay makes; it gives no access to
+the log's future.
 """
 
 from __future__ import annotations
@@ -54,15 +55,17 @@ class Predictions:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Visibility:
-    """The ground that the sensor can see; `hides` tests points from which a pedestrian may step out.
+    """The ground that the sensor can see; `hides` tests points from which a pedestrian may step
+    out.
 
     Attributes:
         x: Position of the sensor, world, m; `y` likewise.
         yaw: Middle of its field of view, rad.
         range: Range of the sensor, m.
         field_of_view: rad; with 2 pi or more the sensor sees all round.
-        shadows: Areas that agents hide, one behind each agent: quadrilaterals `(n, 4, 2)`, world, m, counter-clockwise
-            from the near right corner (as seen from the sensor); they reach beyond the range.
+        shadows: Areas that agents hide, one behind each agent: quadrilaterals `(n, 4, 2)`, world,
+            m, counter-clockwise from the near right corner (as seen from the sensor); they reach
+            beyond the range.
     """
 
     x: float
@@ -76,7 +79,9 @@ class Visibility:
         object.__setattr__(self, "shadows", frozen(np.reshape(self.shadows, (-1, 4, 2))))
 
     def hides(self, points: FloatArray) -> BoolArray:
-        """Return which points `(k, 2)`, world, m, lie out of range, out of the field of view, or in a shadow."""
+        """Return which points `(k, 2)`, world, m, lie out of range, out of the field of view, or in
+        a shadow.
+        """
         sensor = np.array([self.x, self.y, self.yaw, self.range, self.field_of_view])
         return _hidden(np.asarray(points, dtype=np.float64), sensor, self.shadows)
 
@@ -102,9 +107,10 @@ class Frame:
         ego: State at the rear axle.
         agents: The agents as perceived, without any sample later than `t`.
         predictions: Predicted futures of the agents.
-        previous: The plan that is being driven; None in open loop and at the start. A planner that gets None must not
-            use state from earlier frames (solver warm starts included).
-        visibility: The ground that the sensor can see; None: everything (perception by ground truth).
+        previous: The plan that is being driven; None in open loop and at the start. A planner that
+            gets None must not use state from earlier frames (solver warm starts included).
+        visibility: The ground that the sensor can see; None: everything (perception by ground
+            truth).
         lights: Current colour of each traffic light of the road, by its id.
     """
 
@@ -135,8 +141,10 @@ class PlannerContext:
         vehicle: The ego's parameters.
         period: Time between two frames, s.
         start: The ego's state at the first frame.
-        lap: Function to call as `lap("stage")` at the end of a stage of planning: replay measures the time.
-        horizon: Shortest horizon of a complete plan, s; a shorter plan is driven and evaluated, but is incomplete.
+        lap: Function to call as `lap("stage")` at the end of a stage of planning: replay measures
+            the time.
+        horizon: Shortest horizon of a complete plan, s; a shorter plan is driven and evaluated, but
+            is incomplete.
     """
 
     road: Road

@@ -1,8 +1,10 @@
-"""Stores the frames of a long drive: after the first minute, the large parts of a plan are in a file.
+"""Stores the frames of a long drive: after the first minute, the large parts of a plan are in a
+file.
 
-A plan's trajectory, graphs and costs, and the predictions, take most of its memory (46 of 47 kB with thirty users). The
-first `WHOLE` frames are kept in memory; of later frames these parts go into an unnamed file and are read back at each
-access, equal to the bit. Everything else that metrics read stays in memory (`light`).
+A plan's trajectory, graphs and costs, and the predictions, take most of its memory (46 of 47 kB
+with thirty users). The first `WHOLE` frames are kept in memory; of later frames these parts go into
+an unnamed file and are read back at each access, equal to the bit. Everything else that metrics
+read stays in memory (`light`).
 """
 
 from __future__ import annotations
@@ -72,7 +74,10 @@ def loaded(path: Trajectory) -> Trajectory:
 
 
 class FrameStore(Sequence[PlannedFrame]):
-    """The frames of a drive, in order of time; `whole` stay in memory. OutputError if the file cannot be written."""
+    """The frames of a drive, in order of time; `whole` stay in memory.
+
+    OutputError if the file cannot be written.
+    """
 
     def __init__(self, whole: int = WHOLE) -> None:
         self._whole = whole
@@ -103,7 +108,9 @@ class FrameStore(Sequence[PlannedFrame]):
 
     @property
     def light(self) -> tuple[PlannedFrame, ...]:
-        """The frames as they are in memory: after the first `whole`, without graphs, costs and predictions."""
+        """The frames as they are in memory: after the first `whole`, without graphs, costs and
+        predictions.
+        """
         return tuple(self._frames)
 
     def __len__(self) -> int:

@@ -1,25 +1,32 @@
-"""Estimates velocity and acceleration of every track for metrics. It uses later samples: not for planners.
+"""Estimates velocity and acceleration of every track for metrics. It uses later samples: not for
+planners.
 
-Per axis of the world, with the state (p, v, a) of position m, velocity m/s and acceleration m/s2, white jerk (Li and
-Jilkov, Survey of Maneuvering Target Tracking I, IEEE Trans. AES 39, 2003):
+Per axis of the world, with the state (p, v, a) of position m, velocity m/s and acceleration m/s2,
+white jerk (Li and Jilkov, Survey of Maneuvering Target Tracking I, IEEE Trans. AES 39, 2003):
 (1) p' = p + d v + d^2 a / 2,  v' = v + d a,  a' = a + noise;  d the time between samples, s
-(2) Q = q [d^5/20 d^4/8 d^3/6; d^4/8 d^3/3 d^2/2; d^3/6 d^2/2 d],  q the jerk's spectral density, m2/s5
-(3) a sample measures v where the log has a velocity, else p, with the variance R, the same on both axes
+(2) Q = q [d^5/20 d^4/8 d^3/6; d^4/8 d^3/3 d^2/2; d^3/6 d^2/2 d],
+        q the jerk's spectral density, m2/s5
+(3) a sample measures v where the log has a velocity, else p, with the variance R, the same on both
+    axes
 
-(4) R is estimated per track: of four samples in a row, the combination that uniform acceleration does not change, with
-    weights of unit length, is noise; squared and summed over both axes, its median is 2 ln 2 R. Four equal samples are
-    ignored. sqrt(R) is at least `*_FLOOR`, and `*_UNKNOWN` for tracks with too few samples
-(5) q is unknown, too: most drivers drive calmly, some abruptly. The models q = c q_kind are tried, c of `CALM` and
-    q_kind of `JERK`, and their estimates are averaged with their likelihoods as weights, so that nothing is decided by
-    a narrow margin
-(6) forward: a Kalman filter; backward: lambda of Bryson and Frazier (1963; Bierman 1977), which inverts no matrix:
-    lambda^_{k-1} = F' lambda~_k,  lambda~_k = (I - K H)' lambda^_k - H' nu / S,  x_k = x-_k - P-_k lambda~_k
+(4) R is estimated per track: of four samples in a row, the combination that uniform acceleration
+    does not change, with weights of unit length, is noise; squared and summed over both axes, its
+    median is 2 ln 2 R. Four equal samples are ignored. sqrt(R) is at least `*_FLOOR`, and
+    `*_UNKNOWN` for tracks with too few samples
+(5) q is unknown, too: most drivers drive calmly, some abruptly. The models q = c q_kind are tried,
+        c of `CALM` and q_kind of `JERK`, and their estimates are averaged with their likelihoods as
+        weights, so that nothing is decided by a narrow margin
+(6) forward: a Kalman filter; backward: lambda of Bryson and Frazier (1963; Bierman 1977),
+        which inverts no matrix:
+    lambda^_{k-1} = F' lambda~_k,  lambda~_k = (I - K H)' lambda^_k - H' nu / S,
+        x_k = x-_k - P-_k lambda~_k
 
-A track without noise is followed exactly, without differences. With 5 cm of noise, at 5 to 100 Hz, the speed error of a
-car at constant speed is at most 0.1 m/s; of a car that brakes with 8 m/s2, 0.5 m/s in the second around each change and
-at the track's ends. A pedestrian's stop within 0.4 s is spread over 0.9 s (tests/logs/test_motion.py). Smoothers in
-libraries (SciPy's smoothing splines) do not use measured velocities, and take a millisecond for each track and axis.
-Both sides of a gap (`replan.logs.observed`) are estimated separately.
+A track without noise is followed exactly, without differences. With 5 cm of noise, at 5 to 100 Hz,
+the speed error of a car at constant speed is at most 0.1 m/s; of a car that brakes with 8 m/s2, 0.5
+m/s in the second around each change and at the track's ends. A pedestrian's stop within 0.4 s is
+spread over 0.9 s (tests/logs/test_motion.py). Smoothers in libraries (SciPy's smoothing splines) do
+not use measured velocities, and take a millisecond for each track and axis. Both sides of a gap
+(`replan.logs.observed`) are estimated separately.
 """
 
 from __future__ import annotations
@@ -45,10 +52,12 @@ JERK = {
 }
 """q of abrupt motion by kind, m2/s5: the square of the change of acceleration within 1 s, m/s2.
 
-Cars and motorcycles brake with 8 m/s2 at most, lorries and buses with 5. Within 0.4 s, a pedestrian stops from 1.6 m/s,
-and a rider reaches 4 m/s2. Objects that move are pushed or blown."""
+Cars and motorcycles brake with 8 m/s2 at most, lorries and buses with 5. Within 0.4 s, a pedestrian
+stops from 1.6 m/s, and a rider reaches 4 m/s2. Objects that move are pushed or blown."""
 CALM = np.array([1.0, 1e-1, 1e-2, 1e-3, 1e-4, 1e-5])
-"""Factors of q from abrupt to almost no change: a car's acceleration changes by 8 to 0.025 m/s2 in 1 s."""
+"""Factors of q from abrupt to almost no change: a car's acceleration changes by 8 to 0.025 m/s2 in
+1 s.
+"""
 ACCEL_MPS2 = 3.0
 """Standard deviation of the acceleration before the first sample."""
 POSITION_FLOOR_M, VELOCITY_FLOOR_MPS = 1e-4, 1e-3
@@ -56,10 +65,12 @@ POSITION_FLOOR_M, VELOCITY_FLOOR_MPS = 1e-4, 1e-3
 POSITION_UNKNOWN_M, VELOCITY_UNKNOWN_MPS = 0.05, 0.2
 """Noise of tracks with too few samples for an estimate: that of a good tracker."""
 TIGHTEST_M = 5.0
-"""Radius of the tightest curve that cars drive. Slow road users seem to turn faster: a small error of the velocity's
-direction is a large one of its rate."""
+"""Radius of the tightest curve that cars drive. Slow road users seem to turn faster: a small error
+of the velocity's direction is a large one of its rate."""
 _DIFFUSE = np.array([1e6, 1e3])
-"""Variances of the first position (relative to the first sample), m2, and velocity, m2/s2: both are unknown."""
+"""Variances of the first position (relative to the first sample), m2, and velocity, m2/s2: both are
+unknown.
+"""
 _NEGLIGIBLE = 1e-9
 """Models with less weight are left out of the average."""
 
@@ -82,7 +93,9 @@ class Motion:
 
     @cached_property
     def turn(self) -> FloatArray:
-        """Rate of the velocity's direction `(m,)`, rad/s, at most that of a circle of `TIGHTEST_M`; 0 at a stand."""
+        """Rate of the velocity's direction `(m,)`, rad/s, at most that of a circle of `TIGHTEST_M`;
+        0 at a stand.
+        """
         square = self.vx**2 + self.vy**2
         across = self.vx * self.ay - self.vy * self.ax
         most = np.sqrt(square) / TIGHTEST_M
@@ -98,10 +111,11 @@ def estimated(
     owner: IntArray,
     columns: tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray],
 ) -> Motion:
-    """Estimate the motion of parts without gaps: part i has the samples `parts[i] : parts[i + 1]` of agent `owner[i]`.
+    """Estimate the motion of parts without gaps: part i has the samples `parts[i] : parts[i + 1]`
+    of agent `owner[i]`.
 
-    `kinds` and `moves` `(n,)` are per agent: those that never move have velocity 0. `owner` `(p,)` increases. `columns`
-    are t, x, y, vx, vy `(m,)`, NaN where the log has no velocity.
+    `kinds` and `moves` `(n,)` are per agent: those that never move have velocity 0. `owner` `(p,)`
+    increases. `columns` are t, x, y, vx, vy `(m,)`, NaN where the log has no velocity.
     """
     jerk = np.array([JERK[kind] for kind in kinds]) * moves
     out = np.zeros((4, len(columns[0])))
@@ -130,7 +144,8 @@ def _smooth_all(
         end, q = parts[j], jerk[owner[i]]
         if q > 0.0:
             logged = np.isfinite(vx[begin:end]) & np.isfinite(vy[begin:end])
-            # the measured columns; positions relative to the first sample, so that the world's offset costs no digits
+            # the measured columns; positions relative to the first sample, so that the world's
+            # offset costs no digits
             zx = np.where(logged, vx[begin:end], x[begin:end] - x[begin])
             zy = np.where(logged, vy[begin:end], y[begin:end] - y[begin])
             floors = POSITION_FLOOR_M, VELOCITY_FLOOR_MPS
@@ -227,8 +242,8 @@ def _forward(
 ) -> float:
     """Run the filter (1) to (3) and return the logarithm of its likelihood.
 
-    Fills the predictions per sample: `means` (p, v, a of x, then of y), `covs` (pp, pv, pa, vv, va, aa: the same for
-    both axes); `gains` K, `off` the innovations and `spread` their variance S.
+    Fills the predictions per sample: `means` (p, v, a of x, then of y), `covs` (pp, pv, pa, vv, va,
+    aa: the same for both axes); `gains` K, `off` the innovations and `spread` their variance S.
     """
     px, py, ax, ay = zx[0], zy[0], 0.0, 0.0
     vx, vy = (zx[1] - zx[0]) / (t[1] - t[0]), (zy[1] - zy[0]) / (t[1] - t[0])

@@ -1,9 +1,10 @@
 """Cuts tracks to a time span, so that a step of a long log does not process all of them.
 
-For every instant in its span, a part of the tracks gives the same results as the whole (`Tracks.perceived`, positions
-of boxes), to the bit. A part holds the samples within the span, one after it, and those of `BACK_S` before it, at least
-`OWN` of each track. `BACK_S` is longer than the time for which a sample is valid (`replan.logs.observed.MAX_GAP_S`) plus the
-time over which trends are computed (`replan.logs.tracks.TREND_S`).
+For every instant in its span, a part of the tracks gives the same results as the whole
+(`Tracks.perceived`, positions of boxes), to the bit. A part holds the samples within the span, one
+after it, and those of `BACK_S` before it, at least `OWN` of each track. `BACK_S` is longer than the
+time for which a sample is valid (`replan.logs.observed.MAX_GAP_S`) plus the time over which trends
+are computed (`replan.logs.tracks.TREND_S`).
 """
 
 from __future__ import annotations
@@ -25,7 +26,9 @@ OWN = INTERVALS + 3
 SPAN_S = 10.0
 """Shortest time span of a part, s."""
 FEW_SAMPLES = 20_000
-"""Tracks with at most this many samples are not cut: thirty road users for a minute at 10 Hz have 18,000."""
+"""Tracks with at most this many samples are not cut: thirty road users for a minute at 10 Hz have
+18,000.
+"""
 
 
 class Spans:
@@ -36,7 +39,9 @@ class Spans:
         self._first, self._last = tracks.t[tracks.offsets[:-1]], tracks.t[tracks.offsets[1:] - 1]
 
     def within(self, first: float, last: float) -> tuple[IntArray, IntArray, IntArray]:
-        """Return the tracks `(k,)` present from `first` to `last`, s, and begin and end of their samples."""
+        """Return the tracks `(k,)` present from `first` to `last`, s, and begin and end of their
+        samples.
+        """
         tracks = self._tracks
         there = (self._first <= last + 1e-6) & (self._last >= first - BACK_S)
         who = np.flatnonzero(there | tracks.static)
@@ -51,7 +56,9 @@ class Spans:
 
 
 class NearbyTracks:
-    """Returns parts of tracks with more than `few` samples, and reuses the last part while it covers the span."""
+    """Returns parts of tracks with more than `few` samples, and reuses the last part while it
+    covers the span.
+    """
 
     def __init__(self, few: int = FEW_SAMPLES) -> None:
         self._few = few
@@ -60,7 +67,9 @@ class NearbyTracks:
         self._from, self._until = np.inf, -np.inf
 
     def of(self, tracks: Tracks, first: float, last: float) -> Tracks:
-        """Return the tracks, or a part of them that gives exact results from `first` to `last`, s."""
+        """Return the tracks, or a part of them that gives exact results from `first` to `last`,
+        s.
+        """
         if len(tracks.t) <= self._few:
             return tracks
         if tracks is not self._whole:
@@ -118,6 +127,8 @@ class Recent(Tracks):
 def heads(
     tracks: Tracks, who: IntArray
 ) -> tuple[tuple[str, ...], tuple[AgentKind, ...], FloatArray, FloatArray, BoolArray]:
-    """Return ids, kinds, lengths and widths of the tracks `who` `(k,)`, and which of them never move."""
+    """Return ids, kinds, lengths and widths of the tracks `who` `(k,)`, and which of them never
+    move.
+    """
     ids, kinds = tuple(tracks.ids[i] for i in who), tuple(tracks.kinds[i] for i in who)
     return ids, kinds, tracks.length[who], tracks.width[who], tracks.static[who]

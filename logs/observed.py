@@ -1,33 +1,39 @@
-"""Spans in which the other road users of a log were observed, and how long a track is present after a sample.
+"""Spans in which the other road users of a log were observed, and how long a track is present after
+a sample.
 
-Spans of observation are in s since the scenario's start. After the last span, the ego drives in a world without
-traffic, in which no contact is possible: verdicts on safety depend on this. A log states its spans where it can
-(`Scenario.traffic`):
+Spans of observation are in s since the scenario's start. After the last span, the ego drives in a
+world without traffic, in which no contact is possible: verdicts on safety depend on this. A log
+states its spans where it can (`Scenario.traffic`):
 
-- a stream of detections was observed at the times of its messages, empty ones included (`of_stream`);
+- a stream of detections was observed at the times of its messages, empty ones included
+(`of_stream`);
 - a synthesised log holds its whole world from begin to end;
-- a CommonRoad file holds all its obstacles from the first step on, so that only the end is inferred; without a moving
-  obstacle, it describes a world without traffic.
+- a CommonRoad file holds all its obstacles from the first step on, so that only the end is
+  inferred; without a moving obstacle, it describes a world without traffic.
 
-If a log states no spans, the spans are inferred from its tracks (`inferred`). The begin is the first sample of a
-moving road user. The end is
+If a log states no spans, the spans are inferred from its tracks (`inferred`). The begin is the
+first sample of a moving road user. The end is
 
-(1) the earliest time T at which at least `TOGETHER` moving road users, and more than half of those present, have their
-    last sample, and after which no track begins: cars leave a scene one by one, but a recording ends for most at once;
+(1) the earliest time T at which at least `TOGETHER` moving road users, and more than half of those
+    present, have their last sample, and after which no track begins: cars leave a scene one by one,
+    but a recording ends for most at once;
 (2) else the last sample of any moving road user.
 
-By (1), one track that lasts longer than nine which end together does not extend the recording. The drawback: if most of
-the last few road users leave the view at the same sample, the recording seems to end at that time. Static obstacles are
-present at all times, so their samples do not show the end; a log with only static obstacles is observed throughout.
+By (1), one track that lasts longer than nine which end together does not extend the recording. The
+drawback: if most of the last few road users leave the view at the same sample, the recording seems
+to end at that time. Static obstacles are present at all times, so their samples do not show the
+end; a log with only static obstacles is observed throughout.
 
-One rule of presence holds for planners and for metrics. An agent is present until its last sample is older than its
-patience:
+One rule of presence holds for planners and for metrics. An agent is present until its last sample
+is older than its patience:
 
-(3) patience_k = 2 median(t_k - t_{k-1}, t_{k-1} - t_{k-2}, ... up to `INTERVALS`), within [MAX_AGE_S, MAX_GAP_S], s
+(3) patience_k = 2 median(t_k - t_{k-1}, t_{k-1} - t_{k-2}, ... up to `INTERVALS`),
+        within [MAX_AGE_S, MAX_GAP_S], s
 
-For a track's first sample, the intervals are those between the distinct sample times of the whole log up to it. At the
-log's first time there is no interval, and the patience is `MAX_GAP_S`. Later samples are not used. Two samples further
-apart than the patience of the first are a gap: between them the agent is absent, for planners and metrics.
+For a track's first sample, the intervals are those between the distinct sample times of the whole
+log up to it. At the log's first time there is no interval, and the patience is `MAX_GAP_S`. Later
+samples are not used. Two samples further apart than the patience of the first are a gap: between
+them the agent is absent, for planners and metrics.
 """
 
 from __future__ import annotations
@@ -39,15 +45,23 @@ from replan.core.arrays import BoolArray, FloatArray, IntArray
 MAX_AGE_S = 0.5
 """A frequently sampled agent is absent once it was not seen for longer than this, s."""
 MAX_GAP_S = 1.5
-"""Any agent is absent after this, s: 1.5 times the interval of logs at 1 Hz, the lowest rate of driving logs."""
+"""Any agent is absent after this, s: 1.5 times the interval of logs at 1 Hz, the lowest rate of
+driving logs.
+"""
 MISSED = 2.0
-"""Patience in intervals: one sample may be missing, or the intervals may vary between 0.6 and 1 s."""
+"""Patience in intervals: one sample may be missing, or the intervals may vary between 0.6 and 1
+s.
+"""
 INTERVALS = 9
-"""Number of intervals whose median is a track's interval: odd, and small because the rate may change."""
+"""Number of intervals whose median is a track's interval: odd, and small because the rate may
+change.
+"""
 
 
 def patience(offsets: IntArray, static: BoolArray, t: FloatArray) -> FloatArray:
-    """Return the patience (3) of each sample `(m,)`, s; `MAX_AGE_S` if the next sample follows within that time."""
+    """Return the patience (3) of each sample `(m,)`, s; `MAX_AGE_S` if the next sample follows
+    within that time.
+    """
     out = np.full(len(t), MAX_AGE_S)
     apart = np.diff(t, append=np.inf)
     apart[offsets[1:] - 1] = np.inf
@@ -63,7 +77,9 @@ def patience(offsets: IntArray, static: BoolArray, t: FloatArray) -> FloatArray:
 
 
 def _after(t: FloatArray, first: IntArray, last: IntArray) -> FloatArray:
-    """Return (3) for the samples `last` `(k,)` of tracks that begin at `first`; `MAX_GAP_S` without an interval."""
+    """Return (3) for the samples `last` `(k,)` of tracks that begin at `first`; `MAX_GAP_S` without
+    an interval.
+    """
     count = np.minimum(last - first, INTERVALS)
     back = np.arange(INTERVALS)
     end = last[:, None] - np.where(back < count[:, None], back, 0)
@@ -76,16 +92,20 @@ def _after(t: FloatArray, first: IntArray, last: IntArray) -> FloatArray:
 Spans = tuple[tuple[float, float], ...]
 """Disjoint spans of observation (begin, end), s, in order."""
 TOGETHER = 3
-"""Least number of tracks whose common end is the end of a recording: two people may leave side by side."""
+"""Least number of tracks whose common end is the end of a recording: two people may leave side by
+side.
+"""
 ENOUGH = 0.8
 """Least share of a log's time with observed traffic for a verdict on safety."""
 _ROUNDING_S = 1e-6
 
 
 def of_stream(t: FloatArray) -> Spans:
-    """Return the spans of a stream with messages at the times `t` `(n,)`: a span ends where a message is overdue.
+    """Return the spans of a stream with messages at the times `t` `(n,)`: a span ends where a
+    message is overdue.
 
-    A message is overdue after twice the usual interval (median), within the bounds of `replan.logs.observed`.
+    A message is overdue after twice the usual interval (median), within the bounds of
+    `replan.logs.observed`.
     """
     if not len(t):
         return ()
@@ -99,7 +119,10 @@ def of_stream(t: FloatArray) -> Spans:
 
 
 def inferred(offsets: IntArray, static: BoolArray, t: FloatArray) -> Spans:
-    """Return the span of ragged tracks (`replan.logs.tracks.Tracks`) by (1) and (2); empty if no track moves."""
+    """Return the span of ragged tracks (`replan.logs.tracks.Tracks`) by (1) and (2).
+
+    Empty if no track moves.
+    """
     moving = np.flatnonzero(~static)
     if not len(moving):
         return ()

@@ -1,8 +1,8 @@
 """Plans with their reasons and internals.
 
-`Plan.internals` are generic artefacts: any planner may fill them; recording and metrics depend on no planner's name.
-Graph coordinates: S-L graphs have (s, l) of the reference line, S-T graphs (t since the frame, s along the planned
-path from the ego), m and s.
+`Plan.internals` are generic artefacts: any planner may fill them; recording and metrics depend on
+no planner's name. Graph coordinates: S-L graphs have (s, l) of the reference line, S-T graphs (t
+since the frame, s along the planned path from the ego), m and s.
 """
 
 from __future__ import annotations
@@ -72,7 +72,10 @@ class Decision:
 
 @dataclass(frozen=True, slots=True)
 class CostTerms:
-    """The cost of a stage's solution by term; the terms are weighted, so that their sum is the total cost."""
+    """The cost of a stage's solution by term.
+
+    The terms are weighted, so that their sum is the total cost.
+    """
 
     stage: str
     terms: tuple[tuple[str, float], ...]
@@ -85,7 +88,8 @@ class Candidates:
     Attributes:
         stage: Name of the stage.
         considered: Number of candidates.
-        rejected: Reasons, each with a number of candidates; a candidate is counted once, under the first reason found.
+        rejected: Reasons, each with a number of candidates; a candidate is counted once, under the
+            first reason found.
     """
 
     stage: str
@@ -115,7 +119,10 @@ class LaneOption:
 
 @dataclass(frozen=True, slots=True)
 class SolverReport:
-    """The result of one solver call; the residuals are those that the solver reports, in the infinity norm."""
+    """The result of one solver call.
+
+    The residuals are those that the solver reports, in the infinity norm.
+    """
 
     stage: str
     solved: bool
@@ -127,7 +134,8 @@ class SolverReport:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class GridCost:
-    """A DP grid: `cost[i, j]` is the least cost to reach node `(first[i], second[j])`; inf: not reached.
+    """A DP grid: `cost[i, j]` is the least cost to reach node `(first[i], second[j])`; inf: not
+    reached.
 
     `chosen[i]` is the index j of the solution at `first[i]`, -1 if the solution ends before it.
     """
@@ -172,7 +180,9 @@ class GraphObstacle:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Graph:
-    """The plane of a stage's search: cost grid, corridor, DP solution `(m, 2)`, QP solution `(n, 2)`, obstacles."""
+    """The plane of a stage's search: cost grid, corridor, DP solution `(m, 2)`, QP solution
+    `(n, 2)`, obstacles.
+    """
 
     grid: GridCost | None
     corridor: Corridor | None
@@ -187,14 +197,18 @@ class Graph:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SlGraph(Graph):
-    """The plane in which the path was chosen: station (m) and lateral offset (m) of the reference line."""
+    """The plane in which the path was chosen: station (m) and lateral offset (m) of the reference
+    line.
+    """
 
     plane: ClassVar[str] = "sl"
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class StGraph(Graph):
-    """The plane in which the speed was chosen: time (s from the frame) and station on the path (m from the ego)."""
+    """The plane in which the speed was chosen: time (s from the frame) and station on the path (m
+    from the ego).
+    """
 
     plane: ClassVar[str] = "st"
 
@@ -203,7 +217,9 @@ Artefact = SlGraph | StGraph | Decision | CostTerms | Candidates | LaneOption | 
 
 
 class Internals(Sequence[Artefact]):
-    """Artefacts that `build` makes on first access, the solvers' `reports` included, which are always there."""
+    """Artefacts that `build` makes on first access, the solvers' `reports` included, which are
+    always there.
+    """
 
     def __init__(
         self, reports: tuple[SolverReport, ...], build: Callable[[], tuple[Artefact, ...]]
@@ -249,7 +265,9 @@ class Plan:
     internals: Sequence[Artefact] = ()
 
     def recorded(self, *, keep: bool) -> Plan:
-        """Return the plan as a trace keeps it: with all internals if `keep`, else only with those already built."""
+        """Return the plan as a trace keeps it: with all internals if `keep`, else only with those
+        already built.
+        """
         if isinstance(self.internals, tuple):
             return self
         kept = (
@@ -262,7 +280,9 @@ class Plan:
 
 @dataclass(frozen=True, slots=True)
 class PlanSummary:
-    """The result of a plan without its trajectory and search data: time, status, reason, decisions."""
+    """The result of a plan without its trajectory and search data: time, status, reason,
+    decisions.
+    """
 
     t: float  # time of the frame, s
     status: PlanStatus  # the status of the plan

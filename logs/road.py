@@ -1,14 +1,16 @@
 """Roads: lanes and their graph, the goal on them, and the reference line with its Frenet frame.
 
-Reference line: a C2 cubic spline r(s) through points at arc-length stations, so that |r'| = 1 up to the spline's
-error and the frame is smooth. Frenet coordinates (s, l), l to the left (Werling et al., ICRA 2010):
+Reference line: a C2 cubic spline r(s) through points at arc-length stations, so that |r'| = 1 up to
+the spline's error and the frame is smooth. Frenet coordinates (s, l), l to the left (Werling et
+al., ICRA 2010):
 
 (1) p = r(s) + l n(s),  with  (p - r(s)) . r'(s) = 0        n = r' turned left by 90 degrees
 (2) kappa = (x' y'' - y' x'') / |r'|^3
-(3) The frame is regular where 1 - kappa l > 0; a foot point with 1 - kappa l <= 0 is a maximum of the distance, not
-    the nearest point.
+(3) The frame is regular where 1 - kappa l > 0;
+        a foot point with 1 - kappa l <= 0 is a maximum of the distance, not the nearest point.
 
-Projection is windowed by a guess of s: a line that comes near itself (a loop, a roundabout) has several feet.
+Projection is windowed by a guess of s: a line that comes near itself (a loop, a roundabout) has
+several feet.
 """
 
 from __future__ import annotations
@@ -48,13 +50,13 @@ class Lane:
         right: Right boundary `(n, 2)`; point i faces point i of `left`.
         successors: Lanes that begin at its end.
         left_neighbour: Lane beside it in the same direction, or None; `right_neighbour` likewise.
-        left_opposite: Whether traffic in the strip to the left drives in the opposite direction; `right_opposite`
-            likewise (for traffic that drives on the left).
+        left_opposite: Whether traffic in the strip to the left drives in the opposite direction;
+            `right_opposite` likewise (for traffic that drives on the left).
         speed_limit: m/s; NaN where the log has none.
         drivable: Whether a car may drive there (a sidewalk is a lane that is not drivable).
         left_crossable: Whether the left marking may be crossed; `right_crossable` likewise.
-        kind: The log's words for the lane type ("urban", "crosswalk", ...), joined by +; with `IN_JUNCTION` the lane is
-            in an intersection.
+        kind: The log's words for the lane type ("urban", "crosswalk", ...), joined by +; with
+            `IN_JUNCTION` the lane is in an intersection.
         yields_to: Lanes whose traffic has the right of way over this one (by sign or by side).
     """
 
@@ -126,22 +128,23 @@ class Road:
     """Lanes by id, stop lines, crosswalks, and speed limits.
 
     Attributes:
-        lanes: Lane by id. Lanes and stop lines may name lanes (successors, neighbours, right of way, `towards`) that
-            are not in it: those lie outside the log's map.
+        lanes: Lane by id. Lanes and stop lines may name lanes (successors, neighbours, right of
+            way, `towards`) that are not in it: those lie outside the log's map.
         source: Source of the lanes.
         drives_on_right: Whether traffic drives on the right, and so passes on the left.
         default_speed_limit: Speed limit of lanes that have none, m/s.
         stop_lines: Lines at which lights and signs make a car stop.
         crosswalks: Areas in which pedestrians have the right of way.
-        areas: Other ground on which a car may drive (drivable areas, car parks), polygons `(k, 2)`; only the scores of
-            `replan.metrics.driving_scores` and `replan.score` use it.
+        areas: Other ground on which a car may drive (drivable areas, car parks), polygons `(k, 2)`;
+            only the scores of `replan.metrics.driving_scores` and `replan.score` use it.
         route: Lanes of the route that the log names, in its order; empty: it names none.
         assumed_limits: Lanes whose speed limit is assumed, because the log states none.
-        assumed_priority: Lanes that yield by assumption, because neither a sign nor a light gives the priority.
+        assumed_priority: Lanes that yield by assumption, because neither a sign nor a light gives
+            the priority.
 
     Raises:
-        ValueError: A stop line lies across a lane that is not in the road, or two stop lines or two crosswalks have the
-            same id.
+        ValueError: A stop line lies across a lane that is not in the road, or two stop lines or two
+            crosswalks have the same id.
     """
 
     lanes: Mapping[int, Lane]
@@ -231,9 +234,11 @@ class Goal:
         t: Time interval, s since the scenario's start.
         v: Speed interval, m/s.
         yaw: Heading interval, rad; from `yaw[0]` counter-clockwise to `yaw[1]`.
-        alternatives: Goals with bounds of their own; the ego has to reach one of them. The other fields are then
-            derived from them: all their regions, and intervals from the least to the greatest bound.
-        way: Gain along the route that a drive needs before the goal counts, m (`replan.metrics.arrival`); 0: none.
+        alternatives: Goals with bounds of their own; the ego has to reach one of them. The other
+            fields are then derived from them: all their regions, and intervals from the least to
+            the greatest bound.
+        way: Gain along the route that a drive needs before the goal counts, m
+            (`replan.metrics.arrival`); 0: none.
     """
 
     regions: tuple[Points, ...] = ()
@@ -264,12 +269,17 @@ class Goal:
 
     @classmethod
     def around(cls, x: float, y: float, yaw: float) -> Goal:
-        """Return the goal with a region of `GOAL_LENGTH_M` by `GOAL_WIDTH_M` around a pose of the ego's box."""
+        """Return the goal with a region of `GOAL_LENGTH_M` by `GOAL_WIDTH_M` around a pose of the
+        ego's box.
+        """
         return cls((np.asarray(corners(x, y, yaw, GOAL_LENGTH_M, GOAL_WIDTH_M)),))
 
     @classmethod
     def any_of(cls, goals: Sequence[Goal]) -> Goal:
-        """Return a goal that is reached if one of the goals is; goals with equal intervals are merged into one."""
+        """Return a goal that is reached if one of the goals is.
+
+        Goals with equal intervals are merged into one.
+        """
         merged: dict[object, Goal] = {}
         for goal in (each for given in goals for each in given.alternatives or (given,)):
             before = merged.get(bounds := (goal.t, goal.v, goal.yaw), goal)
@@ -282,7 +292,9 @@ class Goal:
         )
 
     def changed(self, change: Callable[[Goal], Goal]) -> Goal:
-        """Return the goal with `change` applied to each alternative, or to itself if it has none."""
+        """Return the goal with `change` applied to each alternative, or to itself if it has
+        none.
+        """
         return (
             replace(self, alternatives=tuple(map(change, self.alternatives)))
             if self.alternatives
@@ -298,7 +310,9 @@ class Goal:
         return not self.regions or any(inside(x, y, region) for region in self.regions)
 
     def nearest_place(self, x: float, y: float) -> tuple[float, float]:
-        """Return the vector from the point to the nearest one of the regions, m; (0, 0) within them."""
+        """Return the vector from the point to the nearest one of the regions, m; (0, 0) within
+        them.
+        """
         if self.holds_place(x, y):
             return 0.0, 0.0
         a = np.vstack(self.regions) - (x, y)
@@ -309,11 +323,17 @@ class Goal:
         return dx, dy
 
     def reached(self, t: float, x: float, y: float, yaw: float, v: float) -> bool:
-        """Whether a state (box centre) satisfies the goal, or one of its alternatives; its `way` is not tested."""
+        """Whether a state (box centre) satisfies the goal, or one of its alternatives.
+
+        Its `way` is not tested.
+        """
         return not self.unmet(t, x, y, yaw, v)
 
     def unmet(self, t: float, x: float, y: float, yaw: float, v: float) -> tuple[str, ...]:
-        """Return which of "time", "speed", "heading", "place" a state misses; of alternatives, the fewest."""
+        """Return which of "time", "speed", "heading", "place" a state misses.
+
+        Of alternatives, the fewest.
+        """
         if self.alternatives:
             return min((one.unmet(t, x, y, yaw, v) for one in self.alternatives), key=len)
         arc = np.inf if self.yaw is None else self.yaw[1] - self.yaw[0]
@@ -329,15 +349,20 @@ class Goal:
 
 
 def nearest(points: FloatArray, x: float, y: float) -> int:
-    """Return the index of the point `(n, 2)` nearest to (x, y); of equally near points, the first."""
+    """Return the index of the point `(n, 2)` nearest to (x, y).
+
+    Of equally near points, the first.
+    """
     away = np.hypot(points[:, 0] - x, points[:, 1] - y)
     return int(np.argmax(away <= away.min() + TIE))
 
 
 def thinned(points: FloatArray, spacing: float) -> FloatArray:
-    """Drop points of the polyline `(n, 2)` nearer than `spacing` m to the last kept one; keep the first and last point.
+    """Drop points of the polyline `(n, 2)` nearer than `spacing` m to the last kept one; keep the
+    first and last point.
 
-    Only consecutive points are compared, so closed loops remain. A line shorter than `spacing` becomes one point.
+    Only consecutive points are compared, so closed loops remain. A line shorter than `spacing`
+    becomes one point.
     """
     kept = _far_apart(np.ascontiguousarray(points, np.float64), spacing).tolist()
     rest = hypot(*(points[-1] - points[kept[-1]]))
@@ -349,7 +374,9 @@ def thinned(points: FloatArray, spacing: float) -> FloatArray:
 
 
 def paired(left: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Resample both lines at the union of their relative arc lengths: corners remain, and point i faces point i."""
+    """Resample both lines at the union of their relative arc lengths: corners remain, and point i
+    faces point i.
+    """
     ways = [arc_lengths(*line.T) for line in (left, right)]
     parts = [way / way[-1] for way in ways]
     both = np.union1d(np.round(parts[0], 9), np.round(parts[1], 9))
@@ -362,7 +389,9 @@ def paired(left: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArray]
 
 @kernel
 def _far_apart(points: FloatArray, spacing: float) -> IntArray:
-    """Return the indices of the first point `(n, 2)`, and of each at least `spacing` from the last chosen one."""
+    """Return the indices of the first point `(n, 2)`, and of each at least `spacing` from the last
+    chosen one.
+    """
     kept, count = np.zeros(len(points), np.int64), 1
     for i in range(1, len(points)):
         last = kept[count - 1]
@@ -429,8 +458,9 @@ def line_project(
 ) -> tuple[float, float]:
     """Frenet coordinates (1) of a point: `(s, l)`, with the foot within `window` m of `s_guess`.
 
-    A coarse search finds the nearest knot of the window; Newton's method then solves (p - r) . r' = 0 between the knots
-    beside it. Of equally near knots, the one with the smaller s is taken. Exact to 1e-9 m where the frame is regular.
+    A coarse search finds the nearest knot of the window; Newton's method then solves (p - r) . r' =
+    0 between the knots beside it. Of equally near knots, the one with the smaller s is taken. Exact
+    to 1e-9 m where the frame is regular.
     """
     h = knots[1] - knots[0]
     last = len(knots) - 1
@@ -467,7 +497,10 @@ def line_project(
 def line_project_many(
     knots: FloatArray, coef: FloatArray, x: FloatArray, y: FloatArray, s_guess: float, window: float
 ) -> FloatArray:
-    """Frenet coordinates `(n, 2)` of points `(n,)`; each search starts at the previous point's foot."""
+    """Frenet coordinates `(n, 2)` of points `(n,)`.
+
+    Each search starts at the previous point's foot.
+    """
     out = np.empty((len(x), 2))
     for i in range(len(x)):
         out[i] = line_project(knots, coef, x[i], y[i], s_guess, window)
@@ -498,10 +531,11 @@ class ReferenceLine:
 
     @classmethod
     def through(cls, points: FloatArray, spacing: float = 1.0) -> ReferenceLine:
-        """The spline through a polyline `(n, 2)`, resampled to equal arc length of about `spacing` m.
+        """The spline through a polyline `(n, 2)`, resampled to equal arc length of about `spacing`
+        m.
 
-        The parameter is the chord length first, and twice more the arc length of the spline before: |r'| is 1 within
-        about 1e-5 on arcs, 1e-3 on noisy points, and some 1e-2 at a sharp kink.
+        The parameter is the chord length first, and twice more the arc length of the spline before:
+        |r'| is 1 within about 1e-5 on arcs, 1e-3 on noisy points, and some 1e-2 at a sharp kink.
 
         Raises:
             ValueError: Fewer than two distinct points, or a point that is not finite.
@@ -544,7 +578,10 @@ class ReferenceLine:
     def project(
         self, x: float, y: float, near: float | None = None, window: float = 30.0
     ) -> tuple[float, float]:
-        """Return Frenet coordinates (s, l) of a point; the foot lies within `window` m of `near` (None: anywhere)."""
+        """Return Frenet coordinates (s, l) of a point.
+
+        The foot lies within `window` m of `near` (None: anywhere).
+        """
         if near is None:
             return line_project(
                 self.s, self.coef, float(x), float(y), 0.5 * self.length, self.length

@@ -1,17 +1,20 @@
-"""Route: the cheapest sequence of lanes from the ego to the goal; why none leads there; when a car is on a lane.
+"""Route: the cheapest sequence of lanes from the ego to the goal; why none leads there; when a car
+is on a lane.
 
-Dynamic programming over the lane graph (paper, section II-F: "DP for global planning"), in Dijkstra's order, from the
-goal backwards:
+Dynamic programming over the lane graph (paper, section II-F: "DP for global planning"), in
+Dijkstra's order, from the goal backwards:
 
-(1) cost(lane) = 0 if the lane contains the goal, else  min over steps: price(step) + cost(lane after it)
+(1) cost(lane) = 0 if the lane contains the goal, else
+        min over steps: price(step) + cost(lane after it)
 
-A step goes to a successor (its price is the length of the lane driven) or to a same-direction neighbour
-(`LANE_CHANGE_M`). If costs are equal (within `TIE`), fewer lane changes decide, then the lower id. The route starts
-at the lane under the ego with the least cost to go; if costs are equal, at the best aligned one.
+A step goes to a successor (its price is the length of the lane driven) or to a same-direction
+neighbour (`LANE_CHANGE_M`). If costs are equal (within `TIE`), fewer lane changes decide, then the
+lower id. The route starts at the lane under the ego with the least cost to go; if costs are equal,
+at the best aligned one.
 
-`on_lane` is the rule that metrics and traffic share: a point with a heading is on a lane, and drives along it, if it
-lies in the lane's outline and its heading is within `ASKEW_RAD` of the piece of the centre line whose middle is
-nearest.
+`on_lane` is the rule that metrics and traffic share: a point with a heading is on a lane, and
+drives along it, if it lies in the lane's outline and its heading is within `ASKEW_RAD` of the piece
+of the centre line whose middle is nearest.
 """
 
 from __future__ import annotations
@@ -35,7 +38,8 @@ LANE_CHANGE_M = 50.0
 
 
 def start_lanes(road: Road, ego: EgoState) -> tuple[int, ...]:
-    """Return the drivable lanes under the ego, the best aligned first; else one lane that is near and aligned.
+    """Return the drivable lanes under the ego, the best aligned first; else one lane that is near
+    and aligned.
 
     An ego at the point where one lane ends and the next begins is on the next.
     """
@@ -57,7 +61,8 @@ def start_lanes(road: Road, ego: EgoState) -> tuple[int, ...]:
 
 
 def find_route(road: Road, ego: EgoState, goal: Goal | None) -> tuple[int, ...]:
-    """Return the lanes to the goal (1), in driving order; without a goal, or a way to it, only the lane under the ego.
+    """Return the lanes to the goal (1), in driving order; without a goal, or a way to it, only the
+    lane under the ego.
 
     Between two neighbours, the route changes lanes.
     """
@@ -81,7 +86,9 @@ class CostToGo:
 
 
 def costs_to_go(road: Road, goal: Goal | None) -> dict[int, CostToGo]:
-    """Return the cost to go (1) of every lane from which the goal can be reached; {} without a goal."""
+    """Return the cost to go (1) of every lane from which the goal can be reached; {} without a
+    goal.
+    """
     into: dict[int, list[tuple[int, float]]] = {}
     for lane in road.lanes.values():
         onward = [(i, lane.length) for i in lane.successors]
@@ -111,7 +118,10 @@ def costs_to_go(road: Road, goal: Goal | None) -> dict[int, CostToGo]:
 
 
 def goal_lanes(road: Road, goal: Goal | None) -> frozenset[int]:
-    """Return the lanes whose centre line meets a goal region; if no line meets a region, the lanes at its middle."""
+    """Return the lanes whose centre line meets a goal region.
+
+    If no line meets a region, the lanes at its middle.
+    """
     found: set[int] = set()
     for region in goal.regions if goal is not None else ():
         # Lanes whose centre line, sampled every 1 m, has a point inside the region, not on its edge
@@ -134,7 +144,10 @@ LAP_M = 1.0
 
 
 class GoalFault(Enum):
-    """Why no drive shows whether a planner reaches a goal; the value is the sentence that the user reads."""
+    """Why no drive shows whether a planner reaches a goal.
+
+    The value is the sentence that the user reads.
+    """
 
     AT_START = "nothing is to be driven: the ego is at the goal when the drive begins"
     BEHIND = "no route leads to the goal: it lies behind the ego, and no lanes lead back to it"
@@ -145,8 +158,8 @@ class GoalFault(Enum):
 def goal_fault(road: Road, drive: Trajectory, goal: Goal, ahead: float) -> GoalFault | None:
     """Return why a goal cannot be driven to from the first state of a log's drive; None if it can.
 
-    A drive that comes to the goal again counts from then on; `ahead` is the distance from the rear axle to the middle
-    of the ego's box, m.
+    A drive that comes to the goal again counts from then on; `ahead` is the distance from the rear
+    axle to the middle of the ego's box, m.
     """
     ego, regions = drive.state(0), goal.regions
     x, y = ego.ahead(ahead)
@@ -186,11 +199,14 @@ def goal_fault(road: Road, drive: Trajectory, goal: Goal, ahead: float) -> GoalF
 
 
 Stay = tuple[int, int, frozenset[int]]
-"""First and last sample of a stay at a goal, and the indices of the regions that hold the ego in it."""
+"""First and last sample of a stay at a goal, and the indices of the regions that hold the ego in
+it.
+"""
 
 
 def visits(goal: Goal, drive: Trajectory, ahead: float) -> list[Stay]:
-    """Return the stays of a drive at a goal: in its place, all its bounds met once. A goal without a place has none.
+    """Return the stays of a drive at a goal: in its place, all its bounds met once. A goal without
+    a place has none.
 
     Two stays in a region are one if the drive is never `AWAY_M` away between them.
     """
@@ -219,10 +235,11 @@ def visits(goal: Goal, drive: Trajectory, ahead: float) -> list[Stay]:
 
 
 def counting_stay(goal: Goal, drive: Trajectory, ahead: float) -> tuple[int, int] | None:
-    """Return when a drive leaves a goal without having arrived, and when it comes to it then: two samples.
+    """Return when a drive leaves a goal without having arrived, and when it comes to it then: two
+    samples.
 
-    This is before its last stay in a region where it has been before, else after the stay in which it begins. None: its
-    first stay counts, or it has none.
+    This is before its last stay in a region where it has been before, else after the stay in which
+    it begins. None: its first stay counts, or it has none.
     """
     stays = visits(goal, drive, ahead)
     again = [
@@ -243,7 +260,10 @@ def sampled(line: FloatArray) -> FloatArray:
 
 
 def first_nearest(line: FloatArray, x: float, y: float) -> int:
-    """Return the index of the point of a line `(n, 2)` nearest to (x, y); of several laps, on the first one."""
+    """Return the index of the point of a line `(n, 2)` nearest to (x, y).
+
+    Of several laps, on the first one.
+    """
     away = np.hypot(line[:, 0] - x, line[:, 1] - y)
     near = away <= away.min() + LAP_M
     first = int(np.argmax(near))
@@ -259,7 +279,8 @@ def _meets(line: FloatArray, regions: tuple[FloatArray, ...]) -> bool:
 
 @kernel
 def _any_within(x: FloatArray, y: FloatArray, polygon: FloatArray) -> bool:
-    """Return whether one of the points `(n,)` lies in a polygon `(k, 2)`, farther than `TIE` from its edge.
+    """Return whether one of the points `(n,)` lies in a polygon `(k, 2)`, farther than `TIE` from
+    its edge.
 
     The edge is excluded because lanes that end at a goal region touch its edge.
     """
@@ -274,7 +295,9 @@ def _any_within(x: FloatArray, y: FloatArray, polygon: FloatArray) -> bool:
 
 
 def straight_on(road: Road, lane_id: int) -> int | None:
-    """Return the successor that turns least, or None if the lane has no drivable successor in the map."""
+    """Return the successor that turns least, or None if the lane has no drivable successor in the
+    map.
+    """
     lane = road.lanes[lane_id]
     onward = [road.lanes[i] for i in lane.successors if i in road.lanes and road.lanes[i].drivable]
     if not onward:
@@ -286,7 +309,9 @@ def straight_on(road: Road, lane_id: int) -> int | None:
 
 
 def _level(value: float) -> float:
-    """Round the value to a multiple of `TIE`, so that values that differ only by rounding are equal."""
+    """Round the value to a multiple of `TIE`, so that values that differ only by rounding are
+    equal.
+    """
     return TIE * round(value / TIE)
 
 
@@ -310,7 +335,9 @@ BEHIND_M = 40.0
 
 
 def on_lane(lane: Lane, x: FloatArray, y: FloatArray, yaw: FloatArray) -> BoolArray:
-    """Return which points `(k,)` with a heading are on a lane and drive along it (module docstring)."""
+    """Return which points `(k,)` with a heading are on a lane and drive along it (module
+    docstring).
+    """
     return _on_lane(lane.center, lane.polygon, *map(frozen, (x, y, yaw)))
 
 

@@ -1,7 +1,8 @@
 """Traffic rules of the map and the lights: where a car must stop, and why.
 
-The road holds the static rules (stop lines, crosswalks, which lanes give way to which). The scenario holds the traffic
-lights, whose colours change. A frame shows the current colours, and no later ones.
+The road holds the static rules (stop lines, crosswalks, which lanes give way to which). The
+scenario holds the traffic lights, whose colours change. A frame shows the current colours, and no
+later ones.
 """
 
 from __future__ import annotations
@@ -34,8 +35,8 @@ class TrafficLight:
 
     Attributes:
         id: Unique in its scenario.
-        t: `(n,)` s since the scenario's start, increasing: from `t[i]` on the light shows `colours[i]`;
-            before `t[0]` it is unknown.
+        t: `(n,)` s since the scenario's start, increasing: from `t[i]` on the light shows
+            `colours[i]`; before `t[0]` it is unknown.
         colours: `n` colours.
     """
 
@@ -51,7 +52,8 @@ class TrafficLight:
             or (np.diff(self.t) <= 0.0).any()
         ):
             raise ValueError(
-                f"traffic light {self.id}: {len(self.colours)} colours need as many increasing times"
+                f"traffic light {self.id}: {len(self.colours)} colours need as many increasing "
+                "times"
             )
         if not np.isfinite(self.t).all():
             raise ValueError(f"traffic light {self.id}: a time is not finite")
@@ -71,7 +73,8 @@ class StopLine:
         lane: The lane that it lies across.
         points: Its ends `(2, 2)`, world, m.
         light: The light that it obeys; None: a sign.
-        must_stop: Whether the sign is a stop sign; without light and stop sign, cars wait at the line only to give way.
+        must_stop: Whether the sign is a stop sign; without light and stop sign, cars wait at the
+            line only to give way.
         towards: Lanes after `lane` to which the line applies; empty: all.
     """
 

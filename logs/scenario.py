@@ -1,4 +1,7 @@
-"""A log: the ego's drive, the tracks of the other road users, the road, the goal; what reference drivers do in it."""
+"""A log: the ego's drive, the tracks of the other road users, the road, the goal.
+
+What reference drivers do in it.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +24,9 @@ from replan.logs.tracks import Tracks
 from replan.logs.vehicle import VehicleParameters
 
 EGO_POSE, CENTRE = "ego_pose", "box centre"
-"""Metadata entry, and its value if the log has poses of the ego's box centre instead of its rear axle."""
+"""Metadata entry, and its value if the log has poses of the ego's box centre instead of its rear
+axle.
+"""
 
 
 class Avoidability(Enum):
@@ -43,7 +48,8 @@ class DriverVerdict:
     brakes: float = nan
     meets: float = nan  # when it touches an agent, s; NaN: never
     speed: float = nan  # speed at the touch, else at the end, m/s
-    # id of the agent that the driver touches, else of the one that it would touch without braking; "": none
+    # id of the agent that the driver touches, else of the one that it would touch without braking;
+    # "": none
     agent: str = ""
     margin: float = nan  # (6) of `replan.metrics.reference_drivers`, m; NaN without an agent
     marginal: bool = False  # whether a small change would change the verdict
@@ -78,16 +84,19 @@ class Scenario:
         start_ns: Log time of t = 0, nanoseconds.
         metadata: Other data of the log (generator, parameters, seed).
         notes: Assumptions of the reader, one sentence each, which are shown to the user.
-        lights: The traffic lights that the road's stop lines name, sorted by id. A light that a stop line names and
-            that is not among them was not observed.
+        lights: The traffic lights that the road's stop lines name, sorted by id. A light that a
+            stop line names and that is not among them was not observed.
         onboard: Plans of the on-board planner, in order of the times at which they became known.
-        traffic: Spans in which the other road users were observed, if the log states them (`traffic_spans`).
-        detections: Raw boxes, of which `replan.logs.readers` makes tracks; None: the tracks are complete.
+        traffic: Spans in which the other road users were observed, if the log states them
+            (`traffic_spans`).
+        detections: Raw boxes, of which `replan.logs.readers` makes tracks; None: the tracks are
+            complete.
         repair: The repair that made the tracks from detections; None: the tracks are the log's own.
         references: What reference drivers do in it; the replay adds them, no log holds them.
 
     Raises:
-        ValueError: The scenario is shorter than its ego log, two lights have one id, or a traffic span is invalid.
+        ValueError: The scenario is shorter than its ego log, two lights have one id, or a traffic
+            span is invalid.
     """
 
     name: str
@@ -122,11 +131,17 @@ class Scenario:
         if len({light.id for light in self.lights}) < len(self.lights):
             raise ValueError("two traffic lights have the same id")
         if not all(-np.inf < first <= last < np.inf for first, last in self.traffic or ()):
-            what = f"traffic was observed in {self.traffic}: each span needs a finite begin and end, in order"
+            what = (
+                f"traffic was observed in {self.traffic}: each span needs a finite begin and "
+                "end, in order"
+            )
             raise ValueError(what)
 
     def in_vehicle(self, vehicle: VehicleParameters) -> Scenario:
-        """Replace the ego vehicle; the rear axle keeps its place, or the box centre if the log has poses of it."""
+        """Replace the ego vehicle.
+
+        The rear axle keeps its place, or the box centre if the log has poses of it.
+        """
         ahead = self.vehicle.axle_to_center - vehicle.axle_to_center
         if self.metadata.get(EGO_POSE) != CENTRE or ahead == 0.0:
             return replace(self, vehicle=vehicle)
@@ -141,10 +156,12 @@ class Scenario:
 
     @cached_property
     def traffic_spans(self) -> Spans:
-        """Spans in which the others were observed: as stated, else inferred from the tracks (`replan.logs.observed`).
+        """Spans in which the others were observed: as stated, else inferred from the tracks
+        (`replan.logs.observed`).
 
-        They are empty for a recorded log without road users, or if all traffic ends before t = 0 or begins after the
-        log's end. A log with only static road users, or a synthetic one without any, is observed throughout.
+        They are empty for a recorded log without road users, or if all traffic ends before t = 0 or
+        begins after the log's end. A log with only static road users, or a synthetic one without
+        any, is observed throughout.
         """
         if self.traffic is not None:
             return self.traffic
@@ -155,7 +172,9 @@ class Scenario:
 
     @property
     def family(self) -> str:
-        """The group in reports: the family of the catalogue, or the group that the format defines; "": none."""
+        """The group in reports: the family of the catalogue, or the group that the format defines;
+        "": none.
+        """
         return self.metadata.get("family", "")
 
     @property
@@ -165,10 +184,12 @@ class Scenario:
 
     @property
     def is_recorded(self) -> bool:
-        """Whether a person drove the ego in the real world, so that a planner can be compared with the drive.
+        """Whether a person drove the ego in the real world, so that a planner can be compared with
+        the drive.
 
-        The tags "recorded" and "synthetic" decide. Without them, a log that names a generator, or a CommonRoad file, is
-        not recorded; any other log is recorded if it has more than one ego state.
+        The tags "recorded" and "synthetic" decide. Without them, a log that names a generator, or a
+        CommonRoad file, is not recorded; any other log is recorded if it has more than one ego
+        state.
         """
         if "recorded" in self.tags or "synthetic" in self.tags:
             return "synthetic" not in self.tags

@@ -1,20 +1,22 @@
 """Oriented boxes: corners, overlap, distance, time to contact.
 
-A box is `(x, y, yaw, length, width)`: centre in m, heading in rad. All kernels are symmetric in their two boxes.
-Corners go counter-clockwise from the front left:
+A box is `(x, y, yaw, length, width)`: centre in m, heading in rad. All kernels are symmetric in
+their two boxes. Corners go counter-clockwise from the front left:
 
         1 ----------- 0
         |      +-> x  |   width
         2 ----------- 3
             length
 
-(1) Separating axes (Gottschalk et al., OBBTree, 1996): two boxes are disjoint iff their projections on one of
-    the four face normals are disjoint.
-(2) Time to contact at constant velocities: on each axis the projections touch during [t_in, t_out]; the boxes
-    touch from max t_in if that is before min t_out (continuous, so thin boxes cannot slip through).
-(3) Time to contact at constant turn: each box and its velocity vector v turn at the rate w, in pieces of h = `PIECE_S`
-    with v turned by w (t + h/2) and multiplied by sin(w h/2) / (w h/2): the centres are exact at the pieces' ends. The
-    headings are those of the pieces' middle, at most w h/2 off (2 cm at the corners of a car at 0.2 rad/s).
+(1) Separating axes (Gottschalk et al., OBBTree, 1996): two boxes are disjoint iff their projections
+    on one of the four face normals are disjoint.
+(2) Time to contact at constant velocities: on each axis the projections touch during [t_in, t_out];
+    the boxes touch from max t_in if that is before min t_out (continuous, so thin boxes cannot slip
+    through).
+(3) Time to contact at constant turn: each box and its velocity vector v turn at the rate w,
+        in pieces of h = `PIECE_S` with v turned by w (t + h/2) and multiplied by sin(w h/2) / (w
+        h/2): the centres are exact at the pieces' ends. The headings are those of the pieces'
+        middle, at most w h/2 off (2 cm at the corners of a car at 0.2 rad/s).
 """
 
 from __future__ import annotations
@@ -44,7 +46,10 @@ def corners(x: float, y: float, yaw: float, length: float, width: float) -> Floa
 
 @inner_kernel
 def _axis_reach(ax: float, ay: float, c: float, s: float, length: float, width: float) -> float:
-    """Half of a box's extent along the unit axis (ax, ay); c and s are cosine and sine of the box's heading."""
+    """Half of a box's extent along the unit axis (ax, ay).
+
+    C and s are cosine and sine of the box's heading.
+    """
     return 0.5 * (length * abs(ax * c + ay * s) + width * abs(ay * c - ax * s))
 
 
@@ -112,7 +117,10 @@ def axis_gap(
     length2: float,
     width2: float,
 ) -> float:
-    """A lower bound of the distance of two boxes (see `overlap_turned`), m; not positive where they overlap (1)."""
+    """A lower bound of the distance of two boxes (see `overlap_turned`), m.
+
+    Not positive where they overlap (1).
+    """
     dx, dy = x2 - x1, y2 - y1
     gap = hypot(dx, dy) - 0.5 * (hypot(length1, width1) + hypot(length2, width2))
     if gap > 0.0:
@@ -183,7 +191,10 @@ def clearance(
     length2: float,
     width2: float,
 ) -> float:
-    """Smallest distance between two boxes, m; where they overlap, minus the shortest shift that separates them (1)."""
+    """Smallest distance between two boxes, m.
+
+    Where they overlap, minus the shortest shift that separates them (1).
+    """
     depth = inf
     for i in range(4):
         ax, ay, reach = _axis(i, yaw1, length1, width1, yaw2, length2, width2)
@@ -208,7 +219,8 @@ def time_to_contact(
     dvx: float,
     dvy: float,
 ) -> float:
-    """Time until two boxes touch at constant velocity vectors and headings (2), s; inf if they never do.
+    """Time until two boxes touch at constant velocity vectors and headings (2), s; inf if they
+    never do.
 
     `dvx` and `dvy` are the velocity of the second box less that of the first, m/s.
     """
@@ -250,7 +262,8 @@ def time_to_contact_turning(
     w2: float,
     lasts: float,
 ) -> float:
-    """Time until two boxes touch that turn at the rates w1 and w2 for `lasts` s, then go on as in (2) (3), s; or inf.
+    """Time until two boxes touch that turn at the rates w1 and w2 for `lasts` s, then go on as in
+    (2) (3), s; or inf.
 
     `lasts` is a multiple of `PIECE_S`.
     """

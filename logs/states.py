@@ -1,6 +1,7 @@
 """Data classes of motion: ego state, trajectories and actuation.
 
-World frame W, SI units, time in seconds since the scenario's start. The ego's reference point is its rear axle.
+World frame W, SI units, time in seconds since the scenario's start. The ego's reference point is
+its rear axle.
 
     t      s       x, y   m       yaw    rad, counter-clockwise from x
     v      m/s     along the body, negative in reverse
@@ -87,8 +88,8 @@ class Trajectory:
     `yaw` is continuous (unwrapped). `t` increases strictly. All values are finite.
 
     Raises:
-        ValueError: Columns differ in length, a value is not finite, time does not increase, or a heading is beyond
-            `MOST_RAD`.
+        ValueError: Columns differ in length, a value is not finite, time does not increase, or a
+            heading is beyond `MOST_RAD`.
     """
 
     t: FloatArray
@@ -149,7 +150,8 @@ class Trajectory:
         return EgoState(*[column.item(index) for column in self._columns()])
 
     def at(self, t: float) -> EgoState:
-        """Return the state at time `t`, linearly interpolated; outside the span, the first or last state.
+        """Return the state at time `t`, linearly interpolated; outside the span, the first or last
+        state.
 
         Only for plans and ground truth: between two samples, the result depends on the later one.
         """
@@ -189,10 +191,11 @@ MOST_RAD = 1e9
 
 @kernel
 def _looked_through(rows: FloatArray) -> tuple[bool, int, int]:
-    """Return whether the yaw jumps, and the flat indices of the first value that is not finite and of the first bad t.
+    """Return whether the yaw jumps, and the flat indices of the first value that is not finite and
+    of the first bad t.
 
-    A time t is bad if it is not below the next. An index is -1 if there is no such value; `rows` are the columns
-    `(7, n)`. The search stops at the first fault.
+    A time t is bad if it is not below the next. An index is -1 if there is no such value; `rows`
+    are the columns `(7, n)`. The search stops at the first fault.
     """
     turns, count = False, rows.shape[1]
     for i in range(rows.shape[0]):

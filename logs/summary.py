@@ -1,6 +1,7 @@
 """Summarises a log: its content, the times of its traffic, and the evaluations that it allows.
 
-For damaged or unknown files, the summary has the topics up to the damage and the error of reading the log.
+For damaged or unknown files, the summary has the topics up to the damage and the error of reading
+the log.
 """
 
 from __future__ import annotations
@@ -36,7 +37,10 @@ class Evaluation:
 
 @dataclass(frozen=True)
 class LogSummary:
-    """Summary of a log; `scenario` has the facts about `read`. If it cannot be read, both are None: `error` is why."""
+    """Summary of a log; `scenario` has the facts about `read`.
+
+    If it cannot be read, both are None: `error` is why.
+    """
 
     path: Path
     profile: str
@@ -51,7 +55,10 @@ class LogSummary:
         """Return the summary as lines of text."""
         out = [f"{self.path.name}: {self.profile}, {self.size_bytes / 1024:.0f} KiB"]
         for topic in self.topics:
-            line = f"  {topic.topic}: {topic.messages} x {topic.schema or 'no schema'} ({topic.encoding})"
+            line = (
+                f"  {topic.topic}: {topic.messages} x {topic.schema or 'no schema'} "
+                f"({topic.encoding})"
+            )
             if topic.first_ns is not None and topic.last_ns is not None:
                 line += f", {topic.first_ns / 1e9:.3f} to {topic.last_ns / 1e9:.3f} s"
             out.append(line)
@@ -66,7 +73,10 @@ class LogSummary:
 
 
 def summarise(path: Path, settings: LogSettings | None = None) -> LogSummary:
-    """Summarise a log of any format; damage and unknown formats are reported in `error`, never raised."""
+    """Summarise a log of any format.
+
+    Damage and unknown formats are reported in `error`, never raised.
+    """
     reader, scenario, error = reader_of(path, settings), None, None
     contents, files = LogContents("not a log that replan reads"), tuple[Path, ...]((path,))
     try:
@@ -96,10 +106,12 @@ def summarise(path: Path, settings: LogSettings | None = None) -> LogSummary:
 
 
 def _facts(scenario: Scenario) -> dict[str, Any]:
-    """Return what a scenario holds; speeds in m/s, times in s, rates in Hz (NaN for one state), lengths of lanes in km.
+    """Return what a scenario holds; speeds in m/s, times in s, rates in Hz (NaN for one state),
+    lengths of lanes in km.
 
-    `traffic` are the spans in which the others were observed, `agents` the numbers of moving ones by kind, `obstacles`
-    that of static ones. Of the stop lines, `with_light` obey a light, and `must_stop` a stop sign.
+    `traffic` are the spans in which the others were observed, `agents` the numbers of moving ones
+    by kind, `obstacles` that of static ones. Of the stop lines, `with_light` obey a light, and
+    `must_stop` a stop sign.
     """
     ego, tracks, road = scenario.ego, scenario.tracks, scenario.road
     lanes, span = road.lanes.values(), float(ego.t[-1] - ego.t[0])
@@ -145,20 +157,29 @@ def _describe_facts(found: dict[str, Any]) -> list[str]:
         found["road"],
         ", ".join(counted(count, kind) for kind, count in found["agents"].items()),
     )
-    ego = f"{counted(found['ego_samples'], 'state')} from {found['ego_span'][0]:.2f} to {found['ego_span'][1]:.2f} s"
+    ego = (
+        f"{counted(found['ego_samples'], 'state')} from {found['ego_span'][0]:.2f} to "
+        f"{found['ego_span'][1]:.2f} s"
+    )
     if found["ego_samples"] > 1:
-        ego += f" ({found['ego_rate']:.1f} Hz), {found['ego_speed'][0]:.1f} to {found['ego_speed'][1]:.1f} m/s"
+        ego += (
+            f" ({found['ego_rate']:.1f} Hz), {found['ego_speed'][0]:.1f} to "
+            f"{found['ego_speed'][1]:.1f} m/s"
+        )
     signs = f"{road['with_light']} with a light, {road['must_stop']} with a stop sign"
     return [
         f"name: {found['name']}" + (f" [{', '.join(found['tags'])}]" if found["tags"] else ""),
         f"source: {found['source'] or 'not stated'}; licence: {found['licence'] or 'not stated'}",
         f"duration: {found['duration']:.2f} s",
         f"ego: {ego}",
-        f"agents: {agents or 'none'}; obstacles: {found['obstacles']}; recorded {described(found['traffic'])} of"
+        f"agents: {agents or 'none'}; obstacles: {found['obstacles']}; recorded "
+        f"{described(found['traffic'])} of"
         f" {found['duration']:.1f} s",
-        f"road: {counted(road['lanes'], 'lane')} ({road['drivable']} drivable), {road['length_km']:.2f} km,"
+        f"road: {counted(road['lanes'], 'lane')} ({road['drivable']} drivable), "
+        f"{road['length_km']:.2f} km,"
         f" {road['without_speed_limit']} without speed limit; {road['source']}",
-        f"rules: {counted(road['stop_lines'], 'stop line')} ({signs}), {counted(found['lights'], 'light')},"
+        f"rules: {counted(road['stop_lines'], 'stop line')} ({signs}), "
+        f"{counted(found['lights'], 'light')},"
         f" {counted(road['crosswalks'], 'crosswalk')},"
         f" {counted(road['giving_way'], 'lane')} giving way",
         f"goal: {found['goal'] or 'none'}",
@@ -182,7 +203,9 @@ def _describe_goal(goal: Goal) -> str:
 
 
 def evaluations(scenario: Scenario, *, has_vehicle: bool) -> tuple[Evaluation, ...]:
-    """Return all evaluations with whether the scenario allows them; `has_vehicle`: the log describes the vehicle."""
+    """Return all evaluations with whether the scenario allows them; `has_vehicle`: the log
+    describes the vehicle.
+    """
     ego, tracks, road = scenario.ego, scenario.tracks, scenario.road
     lanes = road.source is RoadSource.LANES
     unlimited = sum(not np.isfinite(lane.speed_limit) for lane in road.lanes.values())
@@ -206,7 +229,10 @@ def evaluations(scenario: Scenario, *, has_vehicle: bool) -> tuple[Evaluation, .
     met = known_s >= ENOUGH * scenario.duration
     if known_s < scenario.duration - MAX_AGE_S:
         others += f"; traffic is recorded {described(recorded)} of {scenario.duration:.1f} s"
-    limits = f"{unlimited} of {len(road.lanes)} lanes have none: {road.default_speed_limit:.1f} m/s is assumed there"
+    limits = (
+        f"{unlimited} of {len(road.lanes)} lanes have none: {road.default_speed_limit:.1f} "
+        "m/s is assumed there"
+    )
     vehicle = "the log's vehicle" if has_vehicle else "vehicle partly or all assumed"
     controls = scenario.controls is not None
     shown = {light.id for light in scenario.lights}

@@ -15,7 +15,9 @@ from replan.logs.states import Controls, Trajectory
 from replan.logs.tracks import Tracks
 
 KEPT_STEP_S = 0.5
-"""Time step of the predictions in a trace, and of trajectories in a trace file without internals, s."""
+"""Time step of the predictions in a trace, and of trajectories in a trace file without internals,
+s.
+"""
 
 
 class Mode(Enum):
@@ -65,7 +67,9 @@ class PlannedFrame:
 
     @classmethod
     def of(cls, frame: Frame, plan: Plan) -> PlannedFrame:
-        """Make the record of a frame from the plan as kept (`Plan.recorded`) and the frame's kept part."""
+        """Make the record of a frame from the plan as kept (`Plan.recorded`) and the frame's kept
+        part.
+        """
         some, kept = frame.predictions, kept_samples(frame.predictions.t)
         # Frozen once for all
         x, y, yaw = frozen(np.array([some.x[:, kept], some.y[:, kept], some.yaw[:, kept]]))
@@ -92,15 +96,16 @@ class Trace:
         oracle: Whether the planner knew the log's future.
         ego: The driven states: at the control rate in closed loop, at the frames in open loop.
         agents: The true motion of the agents.
-        frames: The plans, in order of time; a tuple, or a `replan.logs.frame_store.FrameStore` for a long drive.
+        frames: The plans, in order of time; a tuple, or a `replan.logs.frame_store.FrameStore` for
+            a long drive.
         commands: Commands of the controller at `ego.t`; None in open loop.
         actuation: States of the actuators at `ego.t`; None in open loop.
         tracking: Tracking errors at `ego.t`; None in open loop.
         end: Reason for the end of the drive.
         detail: The agent or place that caused the end ("car 12").
         notes: Facts needed to read the results, one sentence each.
-        perceived: The agents as the planner perceived them, one sample per frame in which it did; None: without a
-            sensor (`agents.perceived`).
+        perceived: The agents as the planner perceived them, one sample per frame in which it did;
+            None: without a sensor (`agents.perceived`).
     """
 
     scenario: str

@@ -1,4 +1,6 @@
-"""Road users over time, as ragged tracks: as perceived at a time, without later samples, and in truth."""
+"""Road users over time, as ragged tracks: as perceived at a time, without later samples, and in
+truth.
+"""
 
 from __future__ import annotations
 
@@ -17,9 +19,14 @@ from replan.logs.observed import MAX_AGE_S, MAX_GAP_S, patience
 from replan.logs.states import MOST_RAD
 
 TREND_S = 1.0
-"""Longest span of the backward differences for yaw rate and acceleration, s; rarer samples use one step back."""
+"""Longest span of the backward differences for yaw rate and acceleration, s.
+
+Rarer samples use one step back.
+"""
 BEGIN_S = 0.1
-"""A road user with a sample by this time was present at the scenario's start: one interval at 10 Hz, s."""
+"""A road user with a sample by this time was present at the scenario's start: one interval at 10
+Hz, s.
+"""
 TRACK_COLUMNS, SAMPLE_COLUMNS = ("length", "width", "static"), ("t", "x", "y", "yaw", "vx", "vy")
 """The arrays of `Tracks` with an entry per track, and per sample."""
 _TURNING = among(*(kind for kind in AgentKind if kind is not AgentKind.PEDESTRIAN))
@@ -49,7 +56,9 @@ def _trends(
     vy: FloatArray,
     speed: FloatArray,
 ) -> FloatArray:
-    """`_trend` of tracks `seen` at samples `at`, `(2, n)`; `speed` `(n,)` is the speed at those samples."""
+    """`_trend` of tracks `seen` at samples `at`, `(2, n)`; `speed` `(n,)` is the speed at those
+    samples.
+    """
     out = np.empty((2, len(seen)))
     for i in range(len(seen)):
         out[0, i], out[1, i] = _trend(offsets[seen[i]], at[i], t, yaw, x, y, vx, vy, speed[i])
@@ -102,9 +111,11 @@ def _perceived_rows(
     patience: FloatArray,
     time: float,
 ) -> tuple[IntArray, FloatArray, bool]:
-    """Compute `Tracks.perceived`: tracks seen `(k,)`, rows as in `Agents.of_rows`, whether `patience` is needed.
+    """Compute `Tracks.perceived`: tracks seen `(k,)`, rows as in `Agents.of_rows`, whether
+    `patience` is needed.
 
-    `patience` `(m,)` may be empty: it is needed only if an agent's last sample is older than `MAX_AGE_S`.
+    `patience` `(m,)` may be empty: it is needed only if an agent's last sample is older than
+    `MAX_AGE_S`.
     """
     seen, out = np.empty(len(static), np.int64), np.empty((12, len(static)))
     count, lacking = 0, False
@@ -143,7 +154,10 @@ def _perceived_rows(
 
 
 def _continuous(yaw: FloatArray, offsets: IntArray) -> FloatArray:
-    """Remove jumps of 2 pi within each track; its first heading, and headings beyond `MOST_RAD`, stay."""
+    """Remove jumps of 2 pi within each track.
+
+    Its first heading, and headings beyond `MOST_RAD`, stay.
+    """
     wild = np.abs(yaw) > MOST_RAD
     if wild.any():
         return np.where(wild, yaw, _continuous(np.where(wild, 0.0, yaw), offsets))
@@ -163,15 +177,17 @@ class Tracks:
         ids: `n` unique names.
         kinds: `n` kinds.
         length: `(n,)` length of the box, m; `width` likewise.
-        static: `(n,)` bool: an obstacle that never moves, present at all times (one sample is enough).
+        static: `(n,)` bool: an obstacle that never moves, present at all times (one sample is
+            enough).
         offsets: `(n + 1,)` first sample of each track, and the number of samples.
         t: `(m,)` s since the scenario's start, increasing strictly within a track.
-        x: `(m,)` box centre, world, m; `y` likewise; `yaw` rad, continuous within a track (unwrapped here).
+        x: `(m,)` box centre, world, m; `y` likewise; `yaw` rad, continuous within a track
+            (unwrapped here).
         vx: `(m,)` velocity, world, m/s; `vy` likewise; NaN where the log has none.
 
     Raises:
-        ValueError: Shapes disagree, a pose is not finite, a velocity is infinite, times do not increase or are not
-            finite, a size is not positive.
+        ValueError: Shapes disagree, a pose is not finite, a velocity is infinite, times do not
+            increase or are not finite, a size is not positive.
     """
 
     ids: tuple[str, ...]
@@ -242,7 +258,10 @@ class Tracks:
 
     @property
     def whole(self) -> Tracks:
-        """The whole tracks, if these are a part of them (`replan.logs.nearby_tracks.Recent`); here the tracks themselves."""
+        """The whole tracks, if these are a part of them (`replan.logs.nearby_tracks.Recent`).
+
+        Here the tracks themselves.
+        """
         return self
 
     def samples(self, index: int) -> slice:
@@ -255,7 +274,10 @@ class Tracks:
         return np.repeat(np.arange(len(self)), np.diff(self.offsets))
 
     def taken(self, keep: BoolArray) -> Tracks:
-        """Return the tracks with only the samples `keep` `(m,)`; tracks without a sample are left out."""
+        """Return the tracks with only the samples `keep` `(m,)`.
+
+        Tracks without a sample are left out.
+        """
         sizes = np.bincount(self.owner[keep], minlength=len(self))
         left = np.flatnonzero(sizes)
         ids, kinds = tuple(self.ids[i] for i in left), tuple(self.kinds[i] for i in left)
@@ -291,14 +313,18 @@ class Tracks:
 
     @cached_property
     def gap_after(self) -> BoolArray:
-        """Whether a gap lies between a sample and the next one of its track `(m,)`; False for the last."""
+        """Whether a gap lies between a sample and the next one of its track `(m,)`; False for the
+        last.
+        """
         found = np.diff(self.t, append=np.inf) > self.patience + 1e-9
         found[self.offsets[1:] - 1] = False
         return frozen(found, np.bool_)
 
     @cached_property
     def motion(self) -> Motion:
-        """Velocity and acceleration at each sample, estimated from the whole track: for metrics, never for planners."""
+        """Velocity and acceleration at each sample, estimated from the whole track: for metrics,
+        never for planners.
+        """
         parts = np.union1d(self.offsets, np.flatnonzero(self.gap_after) + 1)
         owner = np.searchsorted(self.offsets, parts[:-1], side="right") - 1
         return estimated(
@@ -325,8 +351,9 @@ class Tracks:
     def perceived(self, time: float) -> Agents:
         """Return the agents as known at `time`, without any later sample.
 
-        An agent's last sample, if it is not older than its `patience`, is extrapolated with its velocity: the logged
-        one, else the backward difference to the sample before (0 for a first sample).
+        An agent's last sample, if it is not older than its `patience`, is extrapolated with its
+        velocity: the logged one, else the backward difference to the sample before (0 for a first
+        sample).
         """
         columns = self.t, self.x, self.y, self.yaw, self.vx, self.vy
         fixed = self.offsets, self.static, self._turns, (self.length, self.width)
@@ -339,7 +366,8 @@ class Tracks:
         return Agents.of_rows(tuple(ids), tuple(kinds), rows, frozen(self.codes[seen], np.int64))
 
     def truth(self, time: float) -> Agents:
-        """Return the true agents at `time`, interpolated: for metrics and drawing, never for a planner.
+        """Return the true agents at `time`, interpolated: for metrics and drawing, never for a
+        planner.
 
         Velocity and acceleration are those of `motion`, which uses later samples.
         """
@@ -379,7 +407,9 @@ class Tracks:
         return tuple(self.ids[i] for i in self._present_at(time)[0])
 
     def _present_at(self, time: float) -> tuple[IntArray, IntArray]:
-        """Return the tracks present at `time` `(k,)`, and each track's last sample until then `(n,)`; -1: none."""
+        """Return the tracks present at `time` `(k,)`, and each track's last sample until then
+        `(n,)`; -1: none.
+        """
         before = _last_samples(self.offsets, self.t, time)
         last = self.offsets[1:] - 1
         gone = self.gap_after[before] & (time > self.t[before] + 1e-9)
@@ -388,7 +418,9 @@ class Tracks:
         ), before
 
     def velocity(self, seen: IntArray, at: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Return vx and vy `(k,)` of the tracks `seen` at their samples `at`: logged, else backward differences."""
+        """Return vx and vy `(k,)` of the tracks `seen` at their samples `at`: logged, else backward
+        differences.
+        """
         before = np.maximum(at - 1, self.offsets[seen])
         span = self.t[at] - self.t[before]
         found = []

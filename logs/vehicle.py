@@ -1,6 +1,7 @@
 """Vehicle parameters: numbers only, shared by planner, controller, vehicle model and metrics.
 
-The parameters of known vehicles, with their sources, are files in `logs/vehicles` (`vehicle_parameters(name)`).
+The parameters of known vehicles, with their sources, are files in `logs/vehicles`
+(`vehicle_parameters(name)`).
 """
 
 from __future__ import annotations
@@ -15,16 +16,19 @@ from typing import Any
 from replan.core.errors import unknown_name
 
 VEHICLE_ASSUMED = "The log does not describe the ego's vehicle: a mid-size car is assumed"
-"""First words of the note on a log that does not describe a vehicle; a converted log keeps the note."""
+"""First words of the note on a log that does not describe a vehicle.
+
+A converted log keeps the note.
+"""
 
 
 @dataclass(frozen=True)
 class VehicleParameters:
     """Dimensions, masses, tyres, drive and limits of one vehicle.
 
-    Defaults: dimensions and masses of the BMW 320i as identified in commonroad-vehicle-models (vehicle 2); cornering
-    stiffness (with the compliance of steering and suspension), actuator lags and pedal maxima are round figures of a
-    passenger car.
+    Defaults: dimensions and masses of the BMW 320i as identified in commonroad-vehicle-models
+    (vehicle 2); cornering stiffness (with the compliance of steering and suspension), actuator lags
+    and pedal maxima are round figures of a passenger car.
 
     Attributes:
         length: Bumper to bumper, m.
@@ -40,8 +44,8 @@ class VehicleParameters:
         max_steer_rate: rad/s.
         steer_lag: Time constant of the steering, s.
         max_accel: Acceleration at full throttle from standstill, m/s2.
-        max_power: Power at the wheels, W per kg of mass: without a described motor, full throttle gives
-            min(max_accel, max_power / v).
+        max_power: Power at the wheels, W per kg of mass: without a described motor, full throttle
+            gives min(max_accel, max_power / v).
         max_decel: Deceleration at full brake, m/s2, positive.
         throttle_lag: Time constant of the throttle, s.
         brake_lag: Time constant of the brake, s.
@@ -51,14 +55,15 @@ class VehicleParameters:
         tyre_friction: Peak of tyre force over load, on a dry road.
         tyre_shape: C of the magic formula of the lateral force.
         tyre_curvature: E of the magic formula.
-        tyre_load_sensitivity: Relative loss of friction and stiffness per load, per relative rise of load over static.
+        tyre_load_sensitivity: Relative loss of friction and stiffness per load, per relative rise
+            of load over static.
         brake_delay: Dead time from the brake pedal to the first deceleration, s.
         drive_front_share: Share of the drive at the front axle, 0 to 1.
         wheel_radius: Rolling radius, m.
-        gears: Motor speed over wheel speed (gear times axle ratio), lowest gear first; a motor without a gearbox has
-            one ratio.
-        motor_speed: Speeds at which the motor is described, rad/s, increasing; the first is idle. Empty: no motor is
-            described.
+        gears: Motor speed over wheel speed (gear times axle ratio), lowest gear first; a motor
+            without a gearbox has one ratio.
+        motor_speed: Speeds at which the motor is described, rad/s, increasing; the first is idle.
+            Empty: no motor is described.
         motor_torque: Torque at full throttle at those speeds, N m.
         motor_overrun: Drag (or recuperation) at closed throttle at those speeds, N m, positive.
         drive_efficiency: Efficiency from motor to wheels, 0 to 1.
@@ -122,7 +127,8 @@ class VehicleParameters:
             n
         ):
             raise ValueError(
-                "vehicle gears, motor_speed, motor_torque and motor_overrun: give all of them or none"
+                "vehicle gears, motor_speed, motor_torque and motor_overrun: give all of them or "
+                "none"
             )
         if n and (
             n < 2
@@ -162,7 +168,10 @@ class VehicleParameters:
         return tan(self.max_steer) / self.wheelbase
 
     def loaded(self, mass: float) -> VehicleParameters:
-        """Return the vehicle with another mass, kg; the forces of motor, brakes and drag stay the same."""
+        """Return the vehicle with another mass, kg.
+
+        The forces of motor, brakes and drag stay the same.
+        """
         ratio = self.mass / mass
         scaled = {
             name: ratio * getattr(self, name)
@@ -172,7 +181,8 @@ class VehicleParameters:
 
 
 def assumed_car(sizes: Mapping[str, float], notes: list[str]) -> VehicleParameters:
-    """Make the ego's vehicle of sizes, m; missing ones scale with length. Appends what it assumes to `notes`.
+    """Make the ego's vehicle of sizes, m; missing ones scale with length. Appends what it assumes
+    to `notes`.
 
     ValueError if a size is not positive.
     """
@@ -183,12 +193,14 @@ def assumed_car(sizes: Mapping[str, float], notes: list[str]) -> VehicleParamete
     overhang = sizes.get("rear_overhang", scale * default.rear_overhang)
     if not 0.0 < wheelbase < length:
         notes.append(
-            "The ego's wheelbase does not fit its length: it is that of the default car, in proportion."
+            "The ego's wheelbase does not fit its length: it is that of the default car, in "
+            "proportion."
         )
         wheelbase = scale * default.wheelbase
     if not 0.0 <= overhang <= length - wheelbase:
         notes.append(
-            "The log does not say where the ego's rear axle is in its box: as in the default car, assumed."
+            "The log does not say where the ego's rear axle is in its box: as in the default car, "
+            "assumed."
         )
         overhang = min(scale * default.rear_overhang, length - wheelbase)
     notes.append("Masses, tyres and limits of the ego's vehicle are those of the default car.")

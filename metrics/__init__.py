@@ -1,8 +1,8 @@
 """Measure a drive with metrics: (Trace, Scenario) -> table.
 
-`evaluate` returns the table, `series` the same numbers step by step. To add a built-in metric, define it in one file
-with the types of `metrics/metric.py` and list it in GROUPS. Load a metric from your own package by its name:
-`load_metric("my_package.mine:METRIC")`.
+`evaluate` returns the table, `series` the same numbers step by step. To add a built-in metric,
+define it in one file with the types of `metrics/metric.py` and list it in GROUPS. Load a metric
+from your own package by its name: `load_metric("my_package.mine:METRIC")`.
 """
 
 from __future__ import annotations
@@ -212,13 +212,16 @@ def evaluate(
     broken: OnError | None = None,
     found: Callable[[str, Series], None] = lambda name, series: None,
 ) -> pd.DataFrame:
-    """Return one row per metric and reduction of the trace's mode, with `COLUMNS`; equal input gives equal bits.
+    """Return one row per metric and reduction of the trace's mode, with `COLUMNS`; equal input
+    gives equal bits.
 
-    `metric` is "gap.min" or, with a part, "ade.3s.mean". Where `available` is False, `value` is NaN and `reason` says
-    why. Otherwise `reason` names the subject of the value ("car 12: from behind"), with short names (`replan.core.names`), and
-    `about` holds only the kind and full id of that road user or object ("car 12"); both may be empty. `time_s` is the
-    time of the value, NaN where it belongs to no instant. If a metric raises, `broken` is called and the metric
-    is unavailable; without `broken` the error is raised. `found` is called with each series and its name.
+    `metric` is "gap.min" or, with a part, "ade.3s.mean". Where `available` is False, `value` is NaN
+    and `reason` says why. Otherwise `reason` names the subject of the value ("car 12: from
+    behind"), with short names (`replan.core.names`), and `about` holds only the kind and full id of
+    that road user or object ("car 12"); both may be empty. `time_s` is the time of the value, NaN
+    where it belongs to no instant. If a metric raises, `broken` is called and the metric is
+    unavailable; without `broken` the error is raised. `found` is called with each series and its
+    name.
     """
     return as_table(rows_of(trace, scenario, metrics=metrics, broken=broken, found=found))
 
@@ -226,7 +229,8 @@ def evaluate(
 def series(
     trace: Trace, scenario: Scenario, *, metrics: Mapping[str, Metric] = METRICS
 ) -> pd.DataFrame:
-    """Return the steps behind the table in long form: `t_s`, `metric` ("gap", "ade.3s"), `value` (NaN: no value).
+    """Return the steps behind the table in long form: `t_s`, `metric` ("gap", "ade.3s"), `value`
+    (NaN: no value).
 
     Sorted by metric, then by time.
     """
@@ -253,7 +257,10 @@ def evaluate_with_series(
 
 
 def as_table(rows: Sequence[tuple[object, ...]]) -> pd.DataFrame:
-    """Convert the rows of `rows_of` to a table. One call for several drives is cheaper than joining their tables."""
+    """Convert the rows of `rows_of` to a table.
+
+    One call for several drives is cheaper than joining their tables.
+    """
     columns = {name: [row[k] for row in rows] for k, name in enumerate(COLUMNS)}
     return pd.DataFrame(
         {**columns, **{name: np.array(columns[name], np.float64) for name in ("value", "time_s")}}
@@ -324,7 +331,10 @@ def rows_of(
 def _report_error(
     metric: Metric, function: Callable[..., object], error: BaseException, broken: OnError | None
 ) -> str:
-    """Call `broken` and return the reason of an error in a metric's function; without `broken`, raise it again."""
+    """Call `broken` and return the reason of an error in a metric's function.
+
+    Without `broken`, raise it again.
+    """
     if broken is None:
         raise error
     reason = raised(error, of=function)
@@ -362,5 +372,7 @@ METRIC: ExtensionKind[Metric] = ExtensionKind(
 
 
 def load_metric(spec: str) -> Metric:
-    """Return a built-in metric ("gap") or a user's ("module:NAME", a `Metric`); ConfigError as `ExtensionKind.find`."""
+    """Return a built-in metric ("gap") or a user's ("module:NAME", a `Metric`); ConfigError as
+    `ExtensionKind.find`.
+    """
     return METRIC.find(spec)

@@ -1,11 +1,16 @@
-"""Arrival: when a drive is at its goal, how much of the log it covers then, and whether the goal can be driven to.
+"""Arrival: when a drive is at its goal, how much of the log it covers then, and whether the goal
+can be driven to.
 
-A goal is a place and the way to it: on a ring, a drive passes the place where it ends before it ends there.
+A goal is a place and the way to it: on a ring, a drive passes the place where it ends before it
+ends there.
 
-(1) arrived = the state satisfies the goal, and gain >= way     (gain (c) and way (d) of `replan.metrics.progress`)
-(2) The log names no goal: the place where its drive ended is the goal if its driver's gain L is 10 m or more.
+(1) arrived = the state satisfies the goal, and gain >= way
+        (gain (c) and way (d) of `replan.metrics.progress`)
+(2) The log names no goal: the place where its drive ended is the goal if its driver's gain L
+        is 10 m or more.
     way = min(`NEARLY` L, L - 5 m), and at least (d)
-(3) goal_route = 0 if the goal cannot be driven to (`replan.logs.route.GoalFault`) and the drive did not drive to it, else 1
+(3) goal_route = 0 if the goal cannot be driven to (`replan.logs.route.GoalFault`)
+        and the drive did not drive to it, else 1
 """
 
 from __future__ import annotations
@@ -33,15 +38,19 @@ from replan.metrics.progress import (
 )
 
 SHORTEST_DRIVE_M = 10.0
-"""The end of a drive becomes the goal only if the log's driver gains at least this along the route."""
+"""The end of a drive becomes the goal only if the log's driver gains at least this along the
+route.
+"""
 NEARLY = 0.9
-"""Share of the log's gain from which on the end of its drive counts as the goal: a drive that cuts corners, or whose
-position jumps, gains a little less than the log's driver."""
+"""Share of the log's gain from which on the end of its drive counts as the goal: a drive that cuts
+corners, or whose position jumps, gains a little less than the log's driver."""
 NO_GOAL_NOTE = "the log names no goal: the place where its drive ended is the goal"
 
 
 def goal_of(scenario: Scenario) -> tuple[Goal | None, str]:
-    """Return the scenario's goal with its way, or the place where its drive ended (2) and a note."""
+    """Return the scenario's goal with its way, or the place where its drive ended (2) and a
+    note.
+    """
     route, goal = route_of(scenario), scenario.goal
     if goal is not None:
         return goal if goal.way == route.way else replace(goal, way=route.way), ""
@@ -57,14 +66,17 @@ def goal_of(scenario: Scenario) -> tuple[Goal | None, str]:
 
 
 def fault_of(scenario: Scenario) -> GoalFault | None:
-    """Return why the goal that the log names cannot be driven to; None if it can, or if there is none."""
+    """Return why the goal that the log names cannot be driven to; None if it can, or if there is
+    none.
+    """
     if scenario.goal is None:
         return None
     return goal_fault(scenario.road, scenario.ego, scenario.goal, scenario.vehicle.axle_to_center)
 
 
 def passed_early(scenario: Scenario) -> tuple[float, float] | None:
-    """Return when the log's driver passes the goal that the log names, s, and the share of the log that ends there.
+    """Return when the log's driver passes the goal that the log names, s, and the share of the log
+    that ends there.
 
     None if there is no such goal, or if the share is at least `LEAST_COVERED`.
     """
@@ -91,7 +103,10 @@ class Arrival:
         self._row, self._station, self._gain = 0, 0.0, 0.0
 
     def at(self, rows: FloatArray, k: int) -> bool:
-        """Return whether the drive has arrived at row `k`; columns of the rows: `TRAJECTORY_COLUMNS` first."""
+        """Return whether the drive has arrived at row `k`.
+
+        Columns of the rows: `TRAJECTORY_COLUMNS` first.
+        """
         t, x, y, yaw, v = rows[k, :5].tolist()
         if not self._goal.reached(
             t, x + self._ahead * cos(yaw), y + self._ahead * sin(yaw), yaw, v
@@ -126,7 +141,8 @@ GOAL_ROUTE = Metric(
     (Mode.CLOSED,),
     _goal_route,
     (metric.FINAL,),
-    "1 if lanes lead from the ego's start to the goal that the log names, or if the drive arrived there; 0 if not, or"
+    "1 if lanes lead from the ego's start to the goal that the log names, or if the drive arrived "
+    "there; 0 if not, or"
     " if the drive begins at the goal.",
     formula="1 if there is a way to drive, else 0",
     needs="a log that names a goal",

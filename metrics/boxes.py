@@ -1,15 +1,18 @@
-"""The boxes of the ego and of the other road users on a time grid, as they moved: ground truth for all metrics.
+"""The boxes of the ego and of the other road users on a time grid, as they moved: ground truth for
+all metrics.
 
-One kernel computes the others as `Tracks.truth` does at each time of the grid: logged positions, estimated velocities
-and accelerations (`replan.logs.motion`). An agent is absent during a gap of its track. The size of arrays over (agent, time)
-grows with the square of the length of a drive. Metrics therefore process pieces of time with the agents present in each
-(`pieces`), or one agent after another (`each`).
+One kernel computes the others as `Tracks.truth` does at each time of the grid: logged positions,
+estimated velocities and accelerations (`replan.logs.motion`). An agent is absent during a gap of
+its track. The size of arrays over (agent, time) grows with the square of the length of a drive.
+Metrics therefore process pieces of time with the agents present in each (`pieces`), or one agent
+after another (`each`).
 
-Phantoms are boxes that overlap the recorded ego: they cannot have been real. A box that reaches `DEEP_M` into the box
-of the recorded ego is no evidence of a contact. It is removed from the last sample of its track at least `AROUND_S`
-before the overlap to the first sample at least `AROUND_S` after it; a static box is removed from the whole log. Only
-recorded logs have phantoms. `without_phantoms` returns tracks with gaps at these times (`replan.logs.observed`), for metrics
-and for the contact that ends a drive.
+Phantoms are boxes that overlap the recorded ego: they cannot have been real. A box that reaches
+`DEEP_M` into the box of the recorded ego is no evidence of a contact. It is removed from the last
+sample of its track at least `AROUND_S` before the overlap to the first sample at least `AROUND_S`
+after it; a static box is removed from the whole log. Only recorded logs have phantoms.
+`without_phantoms` returns tracks with gaps at these times (`replan.logs.observed`), for metrics and
+for the contact that ends a drive.
 """
 
 from __future__ import annotations
@@ -93,7 +96,9 @@ def some_at(tracks: Tracks, agents: IntArray, t: FloatArray) -> OtherBoxes:
 
 
 def pieces(tracks: Tracks, t: FloatArray) -> Iterator[tuple[slice, IntArray, OtherBoxes]]:
-    """Yield pieces of the increasing times `t` `(k,)`: their steps, the tracks present in order, `some_at` of both."""
+    """Yield pieces of the increasing times `t` `(k,)`: their steps, the tracks present in order,
+    `some_at` of both.
+    """
     if len(tracks) * len(t) <= MOST_CELLS:
         yield slice(0, len(t)), np.arange(len(tracks)), others_at(tracks, t)
         return
@@ -109,7 +114,9 @@ def pieces(tracks: Tracks, t: FloatArray) -> Iterator[tuple[slice, IntArray, Oth
 
 
 def each(tracks: Tracks, t: FloatArray) -> Iterator[tuple[int, OtherBoxes, int]]:
-    """Yield all tracks in order: index, the boxes of a batch of tracks at the increasing times `t` `(k,)`, its row."""
+    """Yield all tracks in order: index, the boxes of a batch of tracks at the increasing times `t`
+    `(k,)`, its row.
+    """
     count = max(MOST_CELLS // len(t), 1)
     for begin in range(0, len(tracks), count):
         agents = np.arange(begin, min(begin + count, len(tracks)))
@@ -118,7 +125,8 @@ def each(tracks: Tracks, t: FloatArray) -> Iterator[tuple[int, OtherBoxes, int]]
 
 
 def in_spans(tracks: Tracks, t: FloatArray) -> Iterator[tuple[int, slice, OtherBoxes]]:
-    """Yield each track whose time span contains some of the increasing times `t` `(k,)`: index, those steps, its boxes.
+    """Yield each track whose time span contains some of the increasing times `t` `(k,)`: index,
+    those steps, its boxes.
 
     A static track is present at all times.
     """
@@ -134,7 +142,9 @@ def nearest(
     t: FloatArray,
     measure: Callable[[slice, IntArray, OtherBoxes], tuple[FloatArray, IntArray]],
 ) -> tuple[FloatArray, IntArray]:
-    """Join the results of a kernel over all `pieces`: values `(..., k)` and tracks `(k,)`, -1 where there is no row."""
+    """Join the results of a kernel over all `pieces`: values `(..., k)` and tracks `(k,)`, -1 where
+    there is no row.
+    """
     found = [(seen, *measure(steps, seen, others)) for steps, seen, others in pieces(tracks, t)]
     agents = [indices_of(seen, rows) for seen, _, rows in found]
     return np.concatenate([values for _, values, _ in found], axis=-1), np.concatenate(agents)
@@ -146,7 +156,9 @@ def indices_of(agents: IntArray, rows: IntArray) -> IntArray:
 
 
 def present_between(tracks: Tracks, first: float, last: float) -> IntArray:
-    """Return the tracks whose samples reach into `first` to `last`, s, and the static ones, in order."""
+    """Return the tracks whose samples reach into `first` to `last`, s, and the static ones, in
+    order.
+    """
     spans = (tracks.t[tracks.offsets[:-1]] <= last + 1e-9) & (
         tracks.t[tracks.offsets[1:] - 1] >= first - 1e-9
     )
@@ -173,7 +185,9 @@ def _on_grid(
     columns: FloatArray,
     times: FloatArray,
 ) -> tuple[BoolArray, FloatArray]:
-    """Return which agents are present `(n, k)`, and the `columns` `(7, m)` interpolated to `(7, n, k)`, else NaN."""
+    """Return which agents are present `(n, k)`, and the `columns` `(7, m)` interpolated to
+    `(7, n, k)`, else NaN.
+    """
     n, k = len(offsets) - 1, len(times)
     there, out = np.zeros((n, k), np.bool_), np.full((len(columns), n, k), np.nan)
     for i in range(n):
@@ -217,7 +231,8 @@ def car_of(scenario: Scenario) -> EgoOutline:
 def ego_boxes(ego: Trajectory, scenario: Scenario) -> FloatArray:
     """The ego's box centre and its velocity vector `(5, k)`: x, y, yaw, vx, vy.
 
-    The centre is l = `axle_to_center` ahead of the rear axle and turns with the body: it moves sideways at l kappa v.
+    The centre is l = `axle_to_center` ahead of the rear axle and turns with the body: it moves
+    sideways at l kappa v.
     """
     ahead = scenario.vehicle.axle_to_center
     c, s, aside = np.cos(ego.yaw), np.sin(ego.yaw), ahead * ego.kappa * ego.v
@@ -236,7 +251,9 @@ def ego_boxes(ego: Trajectory, scenario: Scenario) -> FloatArray:
 def distance_bound(
     x: float, y: float, car: EgoOutline, others: OtherBoxes, i: int, k: int
 ) -> float:
-    """Return a lower bound of the distance between box i at step k and the ego's box with the centre (x, y), m."""
+    """Return a lower bound of the distance between box i at step k and the ego's box with the
+    centre (x, y), m.
+    """
     size, reach = others.size, 0.5 * hypot(car.length, car.width)
     return (
         hypot(others.pose[0, i, k] - x, others.pose[1, i, k] - y)
@@ -275,7 +292,9 @@ def contact_time(
     k: int,
     lasts: float,
 ) -> float:
-    """`shapes.time_to_contact_turning` of box i at step k and the ego's box (x, y, yaw, vx, vy), yaw rate `turn`, s."""
+    """`shapes.time_to_contact_turning` of box i at step k and the ego's box (x, y, yaw, vx, vy),
+    yaw rate `turn`, s.
+    """
     pose, size = others.pose, others.size
     return time_to_contact_turning(
         ego[0],
@@ -307,7 +326,8 @@ def is_behind(x: float, y: float, yaw: float, other_x: float, other_y: float) ->
 
 @dataclass(frozen=True, slots=True)
 class Phantom:
-    """A box that overlaps the recorded ego: id of its track, name with its kind, and the times, s, of its removal.
+    """A box that overlaps the recorded ego: id of its track, name with its kind, and the times, s,
+    of its removal.
 
     The times may be -inf (from the start of the log) and inf (to its end).
     """
@@ -363,7 +383,10 @@ def phantoms(scenario: Scenario) -> tuple[Phantom, ...]:
 
 
 def without_phantoms(tracks: Tracks, found: tuple[Phantom, ...]) -> Tracks:
-    """Return the tracks without the samples of phantoms (matched by id); without phantoms, the same object."""
+    """Return the tracks without the samples of phantoms (matched by id).
+
+    Without phantoms, the same object.
+    """
     if not found:
         return tracks
     owner = np.repeat(np.arange(len(tracks)), np.diff(tracks.offsets))

@@ -1,36 +1,42 @@
-"""Comfort of the drive, and effort of its control: accelerations, jerk, yaw rate; `proposals` has that of plans.
+"""Comfort of the drive, and effort of its control: accelerations, jerk, yaw rate; `proposals` has
+that of plans.
 
-Unfiltered state signals (in simulation they are free of noise), with `metric.rate_of_change` over W = 0.1 s:
+Unfiltered state signals (in simulation they are free of noise), with `metric.rate_of_change` over W
+= 0.1 s:
 
 (1) a_lat = v^2 kappa,  at the rear axle
 (2) lon_jerk_state = (a(t) - a(t - W)) / W,  lat_jerk_state the same of a_lat
 (3) jerk_state = |A(t) - A(t - W)| / W,  A the acceleration vector (a, a_lat) in the world frame
 (4) yaw_rate = (yaw(t) - yaw(t - W)) / W,  yaw_accel = (yaw(t) - 2 yaw(t - W) + yaw(t - 2 W)) / W^2
 
-Filtered signals, for logs with noise and for the scores of nuPlan (devkit e9241677, state_extractors.py); the drive is
-sampled every 0.1 s. SG(w, p) is the Savitzky-Golay filter over w samples with polynomials of degree p, SG' and SG'' the
-derivatives of its polynomials (`scipy.signal.savgol_filter`); a window longer than the drive is shortened to it.
+Filtered signals, for logs with noise and for the scores of nuPlan (devkit e9241677,
+state_extractors.py); the drive is sampled every 0.1 s. SG(w, p) is the Savitzky-Golay filter over w
+samples with polynomials of degree p, SG' and SG'' the derivatives of its polynomials
+(`scipy.signal.savgol_filter`); a window longer than the drive is shortened to it.
 
 (5) lon_accel = SG(8, 2) of a,  lat_accel = SG(8, 2) of a_lat
 (6) lon_jerk = SG'(15, 2) of SG(8, 2) of a,  jerk = SG'(15, 2) of SG(8, 2) of hypot(a, a_lat)
 (7) yaw_rate = SG'(5, 2) of yaw,  yaw_accel = SG''(5, 3) of yaw
 
-The even window shifts the signal by half a sample, and (6) is d|a|/dt, not |da/dt|; both as in nuPlan. The cascade (6)
-spans 2.2 s: for a ramp of 6 m/s3 it returns 2.9 m/s3, and 6.3 m/s3 if the log is cut after the ramp.
+The even window shifts the signal by half a sample, and (6) is d|a|/dt, not |da/dt|; both as in
+nuPlan. The cascade (6) spans 2.2 s: for a ramp of 6 m/s3 it returns 2.9 m/s3, and 6.3 m/s3 if the
+log is cut after the ramp.
 
 UN R79 (lateral jerk of automated lane changes), the drive sampled every 0.01 s:
 
-(8) B = a_lat through a causal Butterworth low-pass of 4th order at 0.5 Hz, initialised with its first value
+(8) B = a_lat through a causal Butterworth low-pass of 4th order at 0.5 Hz,
+        initialised with its first value
 (9) lat_jerk = mean of dB/dt over 0.5 s = (B(t) - B(t - 0.5 s)) / 0.5 s
 
-A drive is judged by its time out of bounds and by the longest such stretch: neither depends on the drive's length. Each
-bound applies to the signal that its source filters: (6) along, (9) across. The drive of a recorded human jitters, and
-(2) is beyond the bounds for seconds.
+A drive is judged by its time out of bounds and by the longest such stretch: neither depends on the
+drive's length. Each bound applies to the signal that its source filters: (6) along, (9) across. The
+drive of a recorded human jitters, and (2) is beyond the bounds for seconds.
 
-Effort of the control: pedals, steering, solver iterations and fallbacks of a drive, and its tracking errors.
+Effort of the control: pedals, steering, solver iterations and fallbacks of a drive, and its
+tracking errors.
 
-Pedals are measured as commanded (actuator lags let one pedal rise while the other falls). Tracking errors are
-`Trace.tracking`: deviations of the vehicle from the plan.
+Pedals are measured as commanded (actuator lags let one pedal rise while the other falls). Tracking
+errors are `Trace.tracking`: deviations of the vehicle from the plan.
 """
 
 from __future__ import annotations
@@ -143,9 +149,11 @@ def _with_cause(
     trace: Trace,
     scenario: Scenario,
 ) -> Measured:
-    """Measure; label steps out of bounds with the road user of the least TTC from `CAUSE_S` before to `ahead` s later.
+    """Measure; label steps out of bounds with the road user of the least TTC from `CAUSE_S` before
+    to `ahead` s later.
 
-    `ahead` is how far a filter sees ahead, s: a signal that is filtered so changes before its cause.
+    `ahead` is how far a filter sees ahead, s: a signal that is filtered so changes before its
+    cause.
     """
     found, ttc = measure(trace, scenario), TTC.found(trace, scenario)
     if not isinstance(found, Series) or not isinstance(ttc, Series):
@@ -178,7 +186,9 @@ def _as_text(bounds: tuple[str, float, float]) -> str:
 
 
 def _outside(bounds: tuple[str, float, float], *more: Reduction) -> tuple[Reduction, ...]:
-    """Return the reductions of a signal: greatest absolute value, `more`, time and longest stretch out of bounds."""
+    """Return the reductions of a signal: greatest absolute value, `more`, time and longest stretch
+    out of bounds.
+    """
     _, low, high = bounds
     outside = metric.time_outside(low, high, "time_out_of_bounds"), metric.worst_episode(low, high)
     return metric.MAX_ABS, *more, *outside
@@ -342,7 +352,10 @@ LAT_JERK_R79 = Metric(
     _outside(R79_BOUNDS),
     "Lateral jerk as UN R79 measures it: low-pass, derivative, moving mean.",
     "UN R79 (read at second hand)",
-    formula="mean over 0.5 s of dB/dt = (B(t) - B(t - 0.5 s)) / 0.5 s, B = Butterworth low-pass of v^2 kappa",
+    formula=(
+        "mean over 0.5 s of dB/dt = (B(t) - B(t - 0.5 s)) / 0.5 s, B = Butterworth low-pass of "
+        "v^2 kappa"
+    ),
     parameters=(_as_text(R79_BOUNDS), "order 4", "cut-off 0.5 Hz", "rate 100 Hz"),
     needs="a drive of 0.5 s",
 )
@@ -358,7 +371,9 @@ def _both_pressed(commands: Controls) -> FloatArray:
 
 
 def _switches(commands: Controls) -> FloatArray:
-    """Mark with 1 each step that presses another pedal than the one pressed last, also after coasting."""
+    """Mark with 1 each step that presses another pedal than the one pressed last, also after
+    coasting.
+    """
     pedal = np.where(commands.brake > PRESSED, -1, np.where(commands.throttle > PRESSED, 1, 0))
     pressed = np.flatnonzero(pedal)
     switches = np.zeros(len(commands))
@@ -526,7 +541,8 @@ EFFORT = (
         _BOTH,
         _fallback,
         (replace(metric.RATE, empty=None),),
-        "Share of the frames whose plan is a fallback; fallbacks while the log shows a phantom do not count.",
+        "Share of the frames whose plan is a fallback; fallbacks while the log shows a phantom do "
+        "not count.",
         formula="1 where the status is a fallback, else 0",
         needs="plans, and lanes or a path that the vehicle can follow",
     ),

@@ -1,34 +1,40 @@
-"""Compares two runs as tables: what changed on which log, which gates flipped, and by how much over many logs.
+"""Compares two runs as tables: what changed on which log, which gates flipped, and by how much over
+many logs.
 
-For a log i that both runs drove, and a metric of the same version in both (always with the same planner and mode):
+For a log i that both runs drove, and a metric of the same version in both (always with the same
+planner and mode):
 
-(1) delta_i = candidate_i - baseline_i;  0 where |delta_i| <= NOISE_ABS + NOISE_REL max(|baseline_i|, |candidate_i|)
-(2) worse_i = delta_i where lower is better, -delta_i where higher is better; NaN where neither is better
-(3) relative_i = worse_i / max(mean over logs and runs of |value|, |bound| of a gate on the metric). It ranks
-    regressions: a first collision comes before slightly less distance, and that before an error of a millimetre against
-    the plan
+(1) delta_i = candidate_i - baseline_i;
+        0 where |delta_i| <= NOISE_ABS + NOISE_REL max(|baseline_i|, |candidate_i|)
+(2) worse_i = delta_i where lower is better, -delta_i where higher is better;
+        NaN where neither is better
+(3) relative_i = worse_i / max(mean over logs and runs of |value|, |bound| of a gate on the metric).
+        It ranks regressions: a first collision comes before slightly less distance, and that before
+        an error of a millimetre against the plan
 
 Over a group of n logs with a value in both runs:
 
 (4) delta = 1/n sum_i delta_i
-(5) [low, high] = 2.5th and 97.5th percentile of (4) over RESAMPLES draws of n logs with replacement; the two values of
-    a log are drawn together (paired percentile bootstrap: Efron and Tibshirani, An Introduction to the Bootstrap, 1993,
-    ch. 13)
+(5) [low, high] = 2.5th and 97.5th percentile of (4) over RESAMPLES draws of n logs
+        with replacement; the two values of a log are drawn together (paired percentile bootstrap:
+        Efron and Tibshirani, An Introduction to the Bootstrap, 1993, ch. 13)
 (6) significant = 0 is outside of (5), and n >= MIN_SIGNIFICANT
-(7) windows of a recording depend on each other: with windows, (5) and (6) are over the m recordings instead of n logs,
-    with m/n sum_i delta_i of the windows of each, whose mean is (4)
+(7) windows of a recording depend on each other: with windows, (5) and (6) are over the m recordings
+    instead of n logs, with m/n sum_i delta_i of the windows of each, whose mean is (4)
 
-The draws are seeded, so equal tables give equal intervals. Unlike BCa, the percentile method has finite bounds where
-most differences are exactly 0.
+The draws are seeded, so equal tables give equal intervals. Unlike BCa, the percentile method has
+finite bounds where most differences are exactly 0.
 
-The same gates and the candidate's reference drives judge both tables. A flip is marginal if the value changed by no
-more than the noise of (1), or if the baseline's ensemble found the drive fragile. Rules do not count marginal flips.
+The same gates and the candidate's reference drives judge both tables. A flip is marginal if the
+value changed by no more than the noise of (1), or if the baseline's ensemble found the drive
+fragile. Rules do not count marginal flips.
 
-Rules (`replan.metrics.judge.gates.GateRule`) limit how much worse than the baseline a candidate may be. Marginal flips and,
-with "worst", fragile drives break no rule; the reason states their number. A rule, optional or not, is INCONCLUSIVE
-where the candidate lacks evidence that the baseline has: the metric has another version, or only the baseline has it;
-gates that passed have no value now in more than LOST_SHARE of the logs; or the change exceeds the limit, `significant`
-is set, and there are too few logs for any change to be significant.
+Rules (`replan.metrics.judge.gates.GateRule`) limit how much worse than the baseline a candidate may
+be. Marginal flips and, with "worst", fragile drives break no rule; the reason states their number.
+A rule, optional or not, is INCONCLUSIVE where the candidate lacks evidence that the baseline has:
+the metric has another version, or only the baseline has it; gates that passed have no value now in
+more than LOST_SHARE of the logs; or the change exceeds the limit, `significant` is set, and there
+are too few logs for any change to be significant.
 """
 
 from __future__ import annotations
@@ -156,12 +162,13 @@ class Comparison:
     baseline: str  # Label of the baseline; `candidate` likewise
     candidate: str
     differences: tuple[str, ...]  # Inputs that differ, one sentence each
-    # Drives "log, planner, mode loop" that only the baseline has, or that failed only in the candidate;
-    # `only_in_candidate` likewise
+    # Drives "log, planner, mode loop" that only the baseline has, or that failed only in the
+    # candidate; `only_in_candidate` likewise
     only_in_baseline: tuple[str, ...]
     only_in_candidate: tuple[str, ...]
-    # `PAIR_COLUMNS`, the worst regression first: metrics that a gate or rule names, by (3), then the others. A value
-    # that one of the runs lacks is NaN, and `reason` says why; otherwise `reason` is that of the candidate's value.
+    # `PAIR_COLUMNS`, the worst regression first: metrics that a gate or rule names, by (3), then
+    # the others. A value that one of the runs lacks is NaN, and `reason` says why; otherwise
+    # `reason` is that of the candidate's value.
     pairs: pd.DataFrame
     flips: pd.DataFrame  # `FLIP_COLUMNS`: gates whose outcome on a log changed
     groups: pd.DataFrame  # `GROUP_COLUMNS`: means over the suite, its families, tags and datasets
@@ -171,13 +178,16 @@ class Comparison:
     )
     verdicts: tuple[RuleVerdict, ...] = ()
     not_looked_at: int = 0  # Number of differing drives whose first difference was not searched
-    # Metrics of gates or rules that the baseline has in another version, or that only the baseline has
+    # Metrics of gates or rules that the baseline has in another version, or that only the baseline
+    # has
     not_compared: tuple[str, ...] = ()
     other_logs: tuple[str, ...] = ()  # Logs whose content (SHA-256) differs between the two runs
 
     @property
     def exit_code(self) -> int:
-        """0 pass, 1 a rule failed, 4 inconclusive: nothing to compare, or a rule had nothing to judge."""
+        """0 pass, 1 a rule failed, 4 inconclusive: nothing to compare, or a rule had nothing to
+        judge.
+        """
         found = {verdict.outcome for verdict in self.verdicts}
         if Outcome.FAIL in found:
             return 1
@@ -185,7 +195,9 @@ class Comparison:
 
     @property
     def by_loop(self) -> tuple[str, ...]:
-        """One sentence per loop, closed first: numbers of drives with flips only to PASS, only to FAIL, and both."""
+        """One sentence per loop, closed first: numbers of drives with flips only to PASS, only to
+        FAIL, and both.
+        """
         sentences = []
         flips = self.flips[~self.flips["marginal"].astype(bool)]
         for mode in sorted(set(self.pairs["mode"])):
@@ -201,7 +213,9 @@ class Comparison:
         return tuple(sentences)
 
     def regressions(self, most: int, each: int = 2) -> pd.DataFrame:
-        """Return the worst pairs, at most `each` per drive, so that one bad drive does not hide the others."""
+        """Return the worst pairs, at most `each` per drive, so that one bad drive does not hide the
+        others.
+        """
         worse = self.pairs[self.pairs["worse"] > 0.0]
         return worse[worse.groupby(DRIVE).cumcount() < each].head(most)
 
@@ -215,7 +229,8 @@ class Comparison:
 def compare(
     baseline: Side, candidate: Side, gates: Gates, also: Collection[str] = ()
 ) -> Comparison:
-    """Compare the tables of two runs, judged by the same gates; `judge_rules` adds the verdicts of rules.
+    """Compare the tables of two runs, judged by the same gates; `judge_rules` adds the verdicts of
+    rules.
 
     `also` are the metrics of rules; like those of gates, they come first among the regressions.
     """
@@ -289,7 +304,9 @@ def _pairs(
     left_out: Collection[str],
     bounds: Mapping[str, float],
 ) -> pd.DataFrame:
-    """Return `PAIR_COLUMNS` of the rows of both runs without the metrics `left_out`; `bounds` of gates by metric."""
+    """Return `PAIR_COLUMNS` of the rows of both runs without the metrics `left_out`; `bounds` of
+    gates by metric.
+    """
     both = baseline.merge(candidate, on=KEYS, suffixes=("_b", "_c"))
     both = both[
         ~both["metric"].isin(left_out) & (both["available_b"] | both["available_c"]).astype(bool)
@@ -336,7 +353,10 @@ def noise(before: np.ndarray, now: np.ndarray) -> BoolArray:
 
 
 class _LogOutcome(NamedTuple):
-    """Outcome of a gate on a log; the default is that of an optional gate on a log without the value."""
+    """Outcome of a gate on a log.
+
+    The default is that of an optional gate on a log without the value.
+    """
 
     outcome: str = Outcome.NOT_ASKED.value
     value: float = np.nan
@@ -347,7 +367,10 @@ class _LogOutcome(NamedTuple):
 def _flips(
     baseline: Side, candidate: Side, gates: Gates, left_out: Collection[str]
 ) -> pd.DataFrame:
-    """Return `FLIP_COLUMNS` of drives of both runs. A change between PASS and NOT ASKED is no flip."""
+    """Return `FLIP_COLUMNS` of drives of both runs.
+
+    A change between PASS and NOT ASKED is no flip.
+    """
     rules = Gates(
         tuple(g for g in gates.gates if g.over in BY_LOG and g.metric not in left_out), gates.source
     )
@@ -398,7 +421,9 @@ def _differing_logs(baseline: Side, candidate: Side, column: str) -> list[str]:
 
 
 def group_deltas(pairs: pd.DataFrame, labels: Mapping[str, LogLabels]) -> pd.DataFrame:
-    """Return `GROUP_COLUMNS` (4) to (6), by `SCORE` and group: the suite, and its parts with more than one log."""
+    """Return `GROUP_COLUMNS` (4) to (6), by `SCORE` and group: the suite, and its parts with more
+    than one log.
+    """
     known, parts = pairs[pairs["delta"].notna()], []
     there = {log: labels[log] for log in labels if log in set(known["log"])}
     for (kind, name), logs in membership(there).items() if there else ():
@@ -432,7 +457,10 @@ def group_deltas(pairs: pd.DataFrame, labels: Mapping[str, LogLabels]) -> pd.Dat
 
 
 def recording_of(log: str) -> str:
-    """Return the log that a window was cut of ("drive@12" begins at 12 s of "drive"); else the log itself."""
+    """Return the log that a window was cut of ("drive@12" begins at 12 s of "drive").
+
+    Else the log itself.
+    """
     name, _, begin = log.rpartition("@")
     return name if name and begin.replace(".", "", 1).isdecimal() else log
 
@@ -447,7 +475,10 @@ def by_recording(deltas: pd.DataFrame) -> pd.DataFrame:
 
 
 def intervals(deltas: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the bounds (5), `(m,)` each, of m metrics over n logs `(m, n)`; a delta is NaN if the log has no value."""
+    """Return the bounds (5), `(m,)` each, of m metrics over n logs `(m, n)`.
+
+    A delta is NaN if the log has no value.
+    """
     from scipy.stats import bootstrap  # imported here: it takes longer to load than all metrics
 
     there = np.isfinite(deltas)
@@ -479,7 +510,10 @@ def significant(low: FloatArray, high: FloatArray, logs: IntArray) -> BoolArray:
 def judge_rules(
     rules: tuple[GateRule, ...], comparison: Comparison, labels: Mapping[str, LogLabels]
 ) -> Comparison:
-    """Add the verdicts of the rules to a comparison of logs with these labels; an optional rule may have none."""
+    """Add the verdicts of the rules to a comparison of logs with these labels.
+
+    An optional rule may have none.
+    """
     verdicts = []
     for rule in rules:
         found = _judge_rule(rule, comparison, labels)
@@ -579,7 +613,10 @@ def _judge_change(rule: GateRule, drives: str, rows: pd.DataFrame) -> tuple[floa
     """Return by how much one planner and loop exceeds the limit, the outcome, and the reason."""
     lost, rows = rows[rows["delta"].isna()], rows[rows["delta"].notna()]
     if rows.empty:
-        found = f"{rule.metric} has a value in {count_logs(len(lost))} of the baseline, and in none of the candidate"
+        found = (
+            f"{rule.metric} has a value in {count_logs(len(lost))} of the baseline, and in "
+            "none of the candidate"
+        )
         return -np.inf, Outcome.INCONCLUSIVE, f"{drives}: {found}"
     unit = unit_of(str(rows["unit"].iloc[0]))
     if rule.over == "worst":
@@ -592,7 +629,10 @@ def _judge_change(rule: GateRule, drives: str, rows: pd.DataFrame) -> tuple[floa
                 f" at {row['time_s']:.2f} s" if isfinite(row["time_s"]) else ""
             )
             over = rule.sign * float(row["delta"]) - rule.limit
-            reason = f"{rule.metric} {row['baseline']:.4g} -> {row['candidate']:.4g}{unit} {where}{left_out}"
+            reason = (
+                f"{rule.metric} {row['baseline']:.4g} -> {row['candidate']:.4g}{unit} "
+                f"{where}{left_out}"
+            )
         outcome = Outcome.FAIL if over > 0.0 else Outcome.PASS
     else:  # the mean or median change over the logs that have both values
         delta = rows["delta"].to_numpy(float)
@@ -603,7 +643,10 @@ def _judge_change(rule: GateRule, drives: str, rows: pd.DataFrame) -> tuple[floa
         means = " -> ".join(
             f"{rows[side].agg(rule.over):.4g}" for side in ("baseline", "candidate")
         )
-        reason = f"{rule.over} {rule.metric} {means}{unit}, {value:+.4g}{inside} over {count_logs(len(delta))}"
+        reason = (
+            f"{rule.over} {rule.metric} {means}{unit}, {value:+.4g}{inside} over "
+            f"{count_logs(len(delta))}"
+        )
         over = rule.sign * value - rule.limit
         if over <= 0.0:
             outcome = Outcome.PASS

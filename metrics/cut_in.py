@@ -1,32 +1,37 @@
-"""Lane entries of the ego ahead of a follower, closed loop: the braking that they force, and fault for a hit.
+"""Lane entries of the ego ahead of a follower, closed loop: the braking that they force, and fault
+for a hit.
 
-The path of a follower (a vehicle or a rider) is a smooth line through its positions, straight beyond its ends. The
-strip is the area that its box sweeps along this line. The ego is outside while it is `OUT_M` or more beside the strip.
-It is inside once its box reaches `IN_M` into the strip, ahead of the follower's front and within `NEAR_M`. A change
-from outside to inside is an entry if both head in the same direction (within 45 degrees) and the ego is the one that
-crosses over:
+The path of a follower (a vehicle or a rider) is a smooth line through its positions, straight
+beyond its ends. The strip is the area that its box sweeps along this line. The ego is outside while
+it is `OUT_M` or more beside the strip. It is inside once its box reaches `IN_M` into the strip,
+ahead of the follower's front and within `NEAR_M`. A change from outside to inside is an entry if
+both head in the same direction (within 45 degrees) and the ego is the one that crosses over:
 
-(1) angle(ego, ref) > angle(path at the ego, ref); ref: the best aligned of the lanes under the ego, for each of
-    the two angles; without lanes in the log, the direction of the follower at that time
+(1) angle(ego, ref) > angle(path at the ego, ref); ref: the best aligned of the lanes under the ego,
+    for each of the two angles; without lanes in the log, the direction of the follower at that time
 
-So there is no entry if the ego is ahead from the start, if it keeps its lane, or if another road user changes lanes
-behind it.
-With the follower's speed u at the entry and the distance g(t) from its front at the entry to the ego's rear at t:
+So there is no entry if the ego is ahead from the start, if it keeps its lane, or if another road
+user changes lanes behind it. With the follower's speed u at the entry and the distance g(t) from
+its front at the entry to the ego's rear at t:
 
-(2) forced = the least b >= 0 such that a follower that drives on for `REACT_S` and then brakes with b until it stands
-    does not pass g(t) within `HORIZON_S`; where the drive ends earlier, the ego keeps its speed, or keeps braking. If
-    the follower deviates from the log, it reacts: then forced is at least how much harder it brakes (4) after the entry
-    than in the log, or than at constant speed where the log does not have it
+(2) forced = the least b >= 0 such that a follower that drives on for `REACT_S` and then brakes
+        with b until it stands does not pass g(t) within `HORIZON_S`; where the drive ends earlier,
+        the ego keeps its speed, or keeps braking. If the follower deviates from the log, it reacts:
+        then forced is at least how much harder it brakes (4) after the entry than in the log, or
+        than at constant speed where the log does not have it
 (3) a hit from behind is the ego's fault where the entry before it has forced > `BRAKE_MPS2`
 
 Of two drives of one log, a failing and a passing one, up to the time t_x at which the first fails:
 
-(4) made way = how much harder a road user brakes in the passing one: the greatest fall of their speed within `WAY_S`,
-    per second, less that in the failing one, or less 0 where they accelerate there
-(5) unseen = a reaction that the passing one cannot show: the ego is within `SAME_PLACE_M` of where it is in the failing
-    one up to t_x, and the road user within `AS_LOGGED_M` of the log for `HORIZON_S` after it, whatever the ego does
+(4) made way = how much harder a road user brakes in the passing one:
+        the greatest fall of their speed within `WAY_S`, per second, less that in the failing one,
+        or less 0 where they accelerate there
+(5) unseen = a reaction that the passing one cannot show:
+        the ego is within `SAME_PLACE_M` of where it is in the failing one up to t_x, and the road
+        user within `AS_LOGGED_M` of the log for `HORIZON_S` after it, whatever the ego does
 
-For an ego at constant speed, (3) is the bound of UN R157, 5.2.5.2: TTC <= v_rel / (2 * 6 m/s2) + 0.35 s.
+For an ego at constant speed, (3) is the bound of UN R157, 5.2.5.2: TTC <= v_rel / (2 * 6 m/s2) +
+0.35 s.
 """
 
 from __future__ import annotations
@@ -63,7 +68,9 @@ ALONGSIDE_M = 10.0
 
 @dataclass(frozen=True, slots=True)
 class CutInStay:
-    """A stay of the ego in the path of a follower (index of its track) from `t` to `until`, s; `forced`: (2), m/s2."""
+    """A stay of the ego in the path of a follower (index of its track) from `t` to `until`, s;
+    `forced`: (2), m/s2.
+    """
 
     t: float
     until: float
@@ -88,7 +95,9 @@ def entries(drive: Trajectory, agents: Tracks, scenario: Scenario) -> list[CutIn
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Follower:
-    """The ego on the path of a follower (index of its track), at the k steps at which the follower is present."""
+    """The ego on the path of a follower (index of its track), at the k steps at which the follower
+    is present.
+    """
 
     agent: int
     # The ego's drive and its boxes at these steps; `goes_on`: they end with the drive
@@ -99,8 +108,8 @@ class Follower:
     length: float
     u: FloatArray  # The follower's speed, m/s; `front`, m, the station of its front
     front: FloatArray
-    # Station of the ego's rear, m; `deep`, m, how far its box is inside the strip; `ahead` whether it is ahead of the
-    # front and near
+    # Station of the ego's rear, m; `deep`, m, how far its box is inside the strip; `ahead` whether
+    # it is ahead of the front and near
     rear: FloatArray
     deep: FloatArray
     ahead: BoolArray
@@ -211,7 +220,9 @@ def _on_path(path: ReferenceLine, x: FloatArray, y: FloatArray) -> FloatArray:
 
 
 def _stays_in_strip(deep: FloatArray, ahead: BoolArray) -> Iterator[tuple[int, int]]:
-    """Yield the first and last step of each stay in the strip that begins with a change from outside to inside."""
+    """Yield the first and last step of each stay in the strip that begins with a change from
+    outside to inside.
+    """
     out, since = False, -1
     for k in range(len(deep)):
         if since >= 0 and deep[k] <= -OUT_M:
@@ -225,13 +236,17 @@ def _stays_in_strip(deep: FloatArray, ahead: BoolArray) -> Iterator[tuple[int, i
 
 
 def _direction(path: ReferenceLine, s: float) -> float:
-    """Return the direction of a path at a station, rad: of the chord from `CHORD_M` before to `CHORD_M` after it."""
+    """Return the direction of a path at a station, rad: of the chord from `CHORD_M` before to
+    `CHORD_M` after it.
+    """
     (x0, y0), (x1, y1) = (path.frame(at)[:2] for at in (s - CHORD_M, s + CHORD_M))
     return atan2(y1 - y0, x1 - x0)
 
 
 def _crosses_over(road: Road, box: FloatArray, path: float, follower: float) -> bool:
-    """Evaluate (1) for the ego's box (x, y, yaw) and the directions of the path at the ego and of the follower."""
+    """Evaluate (1) for the ego's box (x, y, yaw) and the directions of the path at the ego and of
+    the follower.
+    """
     x, y, yaw = box.tolist()
     if cos(yaw - path) < SAME_WAY:
         return False
@@ -248,7 +263,9 @@ def _crosses_over(road: Road, box: FloatArray, path: float, follower: float) -> 
 
 
 def needed_deceleration(t: FloatArray, g: FloatArray, u: float) -> float:
-    """Return (2), m/s2, for the ego's rear at the distances g `(k,)`, m, at the times t `(k,)`, s, after the entry."""
+    """Return (2), m/s2, for the ego's rear at the distances g `(k,)`, m, at the times t `(k,)`, s,
+    after the entry.
+    """
     t, g = t[t <= HORIZON_S], g[t <= HORIZON_S]
     braked, room = t - REACT_S, g - u * REACT_S
     late = (braked > 0.0) & (u * braked > room)
@@ -264,7 +281,10 @@ def needed_deceleration(t: FloatArray, g: FloatArray, u: float) -> float:
 def worst_forced(
     trace: Trace, stays: Iterable[CutInStay], scenario: Scenario, why: str, missing: str
 ) -> Series:
-    """Return the braking that stays ahead of followers force, at their begins; at least how a follower reacted."""
+    """Return the braking that stays ahead of followers force, at their begins.
+
+    At least how a follower reacted.
+    """
     t, value, labels = trace.ego.t, np.full(len(trace.ego), np.nan), [""] * len(trace.ego)
     logged = scenario.tracks
     for stay in stays:
@@ -299,7 +319,9 @@ def made_way(failing: Trace, passing: Trace, who: str, until: float) -> float:
 
 
 def _falls(boxes: OtherBoxes) -> FloatArray:
-    """Return the fall of one road user's speed within `WAY_S`, per second, at each step `(k,)`; NaN where unknown."""
+    """Return the fall of one road user's speed within `WAY_S`, per second, at each step `(k,)`; NaN
+    where unknown.
+    """
     v, steps = (
         np.where(boxes.there[0], np.hypot(*boxes.pose[3:5, 0]), np.nan),
         round(WAY_S / GRID_S),
@@ -347,10 +369,16 @@ FORCED_BRAKING = Metric(
     (Mode.CLOSED,),
     _forced_braking,
     (MAX,),
-    "Deceleration that the ego forces on a follower into whose path it comes: what the follower needs to stay behind"
-    " it, and where the traffic reacts at least how much harder than in the log the follower brakes.",
-    "UN R79, 5.6.4.7: above 3 m/s2 a lane change is critical; UN R157, 5.2.5.2 for the reaction time",
-    formula="least b that keeps a follower, which brakes with b 0.35 s after the entry, behind the ego for 5 s",
+    "Deceleration that the ego forces on a follower into whose path it comes: what the follower "
+    "needs to stay behind"
+    " it, and where the traffic reacts at least how much harder than in the log the follower "
+    "brakes.",
+    "UN R79, 5.6.4.7: above 3 m/s2 a lane change is critical; UN R157, 5.2.5.2 for the reaction "
+    "time",
+    formula=(
+        "least b that keeps a follower, which brakes with b 0.35 s after the entry, behind the "
+        "ego for 5 s"
+    ),
     parameters=(f"reaction {REACT_S} s", f"horizon {HORIZON_S:g} s", f"at most {MOST_MPS2} m/s2"),
     needs="a follower whose path the ego enters",
 )

@@ -2,9 +2,9 @@
 
 (1) score = product of the multipliers x (sum of weight x part) / (sum of weights)
 
-Every part is in 0 .. 1, and the table shows it beside its score. A multiplier that cannot be measured makes the score
-unavailable, unless it is optional (no traffic lights, no stop signs); the row of the score then names it ("without: red
-lights").
+Every part is in 0 .. 1, and the table shows it beside its score. A multiplier that cannot be
+measured makes the score unavailable, unless it is optional (no traffic lights, no stop signs); the
+row of the score then names it ("without: red lights").
 
 The scores of NAVSIM judge plans of 4 s: `replan.score`.
 nuPlan, open loop, over the horizons 3, 5 and 8 s that the log allows (devkit e9241677):
@@ -12,41 +12,52 @@ nuPlan, open loop, over the horizons 3, 5 and 8 s that the log allows (devkit e9
 CARLA leaderboard 2.x, in 0 .. 1:
 (3) completion x penalties x red_lights x stop_signs x inside_lanes
 
-    miss              1 where at most 0.3 of the plans miss at each horizon; a plan that does not reach it misses
+    miss              1 where at most 0.3 of the plans miss at each horizon; a plan that does not
+                      reach it misses
     ade, fde; ahe, fhe   1 where the mean over frames and horizons is at most 8 m; 0.8 rad
-    penalties         0.5 per pedestrian touched, 0.6 per vehicle, 0.65 per object, regardless of fault
+    penalties         0.5 per pedestrian touched, 0.6 per vehicle, 0.65 per object, regardless of
+                      fault
     red_lights, stop_signs   0.7 and 0.8 per crossing
     inside_lanes      share of the distance that was driven neither off the lanes nor against them
 
 nuPlan's closed-loop score (CLS), part by part as the devkit e9241677 computes it:
 
-(4) collisions x drivable x direction x making_progress x (5 progress + 5 ttc + 4 speed_limit + 2 comfort) / 16
+(4) collisions x drivable x direction x making_progress x (5 progress + 5 ttc + 4 speed_limit + 2
+    comfort) / 16
 
-The drive is sampled at 10 Hz if it has smaller steps. The route of the ego's centre, and the lanes of its corners, are
-those of `lane_map`. The ego is astray while its corners are neither in one lane nor in joined lanes. v is the ego's
-speed at its centre, u an agent's (of objects: 0):
+The drive is sampled at 10 Hz if it has smaller steps. The route of the ego's centre, and the lanes
+of its corners, are those of `lane_map`. The ego is astray while its corners are neither in one lane
+nor in joined lanes. v is the ego's speed at its centre, u an agent's (of objects: 0):
 
-    collisions    product over {pedestrians and riders, vehicles, objects} of max(0, 1 - n / (1, 1, 2)), n at fault.
-                  Each agent counts at its first contact, also if it appears there. The kinds are those of
-                  `safety`, without its additions. At fault: into what stands, with the front, with the side while
-                  astray
-    ttc           0 with a contact at fault, or if both boxes, moved along their headings for 0.1, ... 0.9 s, touch.
-                  v <= 0.005 m/s: 1. Agents count until their first contact: those less than 30 degrees off the
-                  heading seen from the rear axle; while the ego is astray or its rear axle is in an intersection, up
-                  to 150
+    collisions    product over {pedestrians and riders, vehicles, objects} of max(0, 1 - n / (1, 1,
+                  2)), n at fault. Each agent counts at its first contact, also if it appears there.
+                  The kinds are those of `safety`, without its additions. At fault: into what
+                  stands, with the front, with the side while astray
+    ttc           0 with a contact at fault, or if both boxes, moved along their headings for 0.1,
+        ... 0.9 s, touch.
+                  v <= 0.005 m/s: 1. Agents count until their first contact:
+                      those less than 30 degrees off the heading seen from the rear axle; while the
+                      ego is astray or its rear axle is in an intersection, up to 150
     drivable      0 where a corner is on no lane and at least 0.3 m off lanes and areas
-    direction     1, 0.5, 0: the centre's way along the first lane of its route in the last 11 samples is at worst
+    direction     1, 0.5, 0: the centre's way along the first lane of its route in the last 11
+                  samples is at worst
                   above -2 m, -6 m, below
-    progress      (5) of the drive over that of the log's driver, each at least 2 m, at most 1; 0 below -2 m
+    progress      (5) of the drive over that of the log's driver, each at least 2 m, at most 1; 0
+                  below -2 m
     making_progress   1 where progress is at least 0.2
-    speed_limit   max(0, 1 - mean step x sum of max(v - limit, 0) / (2.23 m/s x duration)); the limit of a connector
-                  is the greatest of the lanes before and behind it; without a limit nothing is exceeded
-    comfort       1 where the six signals of `comfort.NUPLAN_BOUNDS` are within them, filtered as there. Along the
-                  body: a + d (w^2 + dw/dt), w the yaw rate, d from the rear axle to the centre, the devkit's own
-                  formula. Its simulator writes a lateral acceleration of 0, so that this bound never acts
+    speed_limit   max(0, 1 - mean step x sum of max(v - limit, 0) / (2.23 m/s x duration));
+        the limit of a connector
+                  is the greatest of the lanes before and behind it; without a limit nothing is
+                  exceeded
+    comfort       1 where the six signals of `comfort.NUPLAN_BOUNDS` are within them,
+        filtered as there. Along the
+                  body: a + d (w^2 + dw/dt), w the yaw rate, d from the rear axle to the centre,
+                      the devkit's own formula. Its simulator writes a lateral acceleration of 0, so
+                      that this bound never acts
 
-(5) gain = sum over the steps of the change of the station on the centre line of the route's roadblock under the centre.
-    Roadblocks follow one another; the way over one that was skipped counts. Off them nothing is gained.
+(5) gain = sum over the steps of the change of the station on the centre line
+        of the route's roadblock under the centre. Roadblocks follow one another; the way over one
+        that was skipped counts. Off them nothing is gained.
 """
 
 from __future__ import annotations
@@ -128,7 +139,9 @@ def _inside_lanes(trace: Trace, scenario: Scenario) -> Value:
 
 
 def _part_of(metric: Metric, judge: Callable[[list[Series]], float]) -> Part:
-    """Return a part that is computed from a metric's series, or from those at nuPlan's horizons that the log covers."""
+    """Return a part that is computed from a metric's series, or from those at nuPlan's horizons
+    that the log covers.
+    """
 
     def part(trace: Trace, scenario: Scenario) -> Value:
         found = metric.found(trace, scenario)
@@ -250,10 +263,12 @@ NUPLAN_CLOSED_SCORE = _score_metric(
     "nuplan_closed",
     NUPLAN_CLOSED,
     Mode.CLOSED,
-    "nuPlan's closed-loop score, as its devkit computes it for the same drive. A drive that ends early is judged until"
+    "nuPlan's closed-loop score, as its devkit computes it for the same drive. A drive that ends "
+    "early is judged until"
     " then, and by the progress of the whole log.",
     "nuPlan devkit e9241677, closed_loop_nonreactive_agents_weighted_average",
-    "collisions x drivable x direction x making_progress x (5 progress + 5 ttc + 4 speed_limit + 2 comfort) / 16",
+    "collisions x drivable x direction x making_progress x (5 progress + 5 ttc + 4 speed_limit + 2 "
+    "comfort) / 16",
     "lanes, a logged drive",
     version=2,
 )
@@ -261,7 +276,8 @@ NUPLAN_OPEN_SCORE = _score_metric(
     "nuplan_open",
     NUPLAN_OPEN,
     Mode.OPEN,
-    "nuPlan's open-loop score. It differs: plans are compared at 10 Hz and at the rear axle, a plan that does not reach"
+    "nuPlan's open-loop score. It differs: plans are compared at 10 Hz and at the rear axle, a "
+    "plan that does not reach"
     " a horizon misses there, horizons beyond the log are left out.",
     "nuPlan devkit e9241677, open_loop_boxes_weighted_average",
     "miss x (ade + fde + 2 ahe + 2 fhe) / 6",
@@ -271,10 +287,13 @@ CARLA_SCORE = _score_metric(
     "carla",
     CARLA,
     Mode.CLOSED,
-    "CARLA's driving score, in 0 .. 1. It differs: the drive ends at a collision; no penalties for a time-out, for"
-    " yielding to emergency vehicles and for too little speed; outside are the lanes' edge and oncoming lanes.",
+    "CARLA's driving score, in 0 .. 1. It differs: the drive ends at a collision; no penalties for "
+    "a time-out, for"
+    " yielding to emergency vehicles and for too little speed; outside are the lanes' edge and "
+    "oncoming lanes.",
     "CARLA leaderboard 2.x aec81319, statistics_manager.py",
-    "completion x 0.5^pedestrians x 0.6^vehicles x 0.65^objects x 0.7^red lights x 0.8^stop signs x inside_lanes",
+    "completion x 0.5^pedestrians x 0.6^vehicles x 0.65^objects x 0.7^red lights x 0.8^stop signs "
+    "x inside_lanes",
     "lanes, a route with a goal or a logged drive of 10 m",
 )
 
@@ -337,7 +356,10 @@ def closed_loop_parts(trace: Trace, scenario: Scenario) -> Mapping[str, float] |
 
 
 def _at_10_hz(ego: Trajectory) -> Trajectory:
-    """Return a drive as nuPlan's loop steps; a drive with steps of more than half of 0.1 s as it is."""
+    """Return a drive as nuPlan's loop steps.
+
+    A drive with steps of more than half of 0.1 s as it is.
+    """
     steps = int((ego.t[-1] - ego.t[0]) / STEP_S + 1e-6) + 1
     fine = len(ego) > 1 and float(np.mean(np.diff(ego.t))) < 0.5 * STEP_S
     return (
@@ -363,10 +385,11 @@ def _meetings(
     wide: BoolArray,
     met: BoolArray,
 ) -> tuple[BoolArray, BoolArray, bool]:
-    """Return which agents the ego hits at fault and has met `(n,)`, and whether it comes too close in time to one.
+    """Return which agents the ego hits at fault and has met `(n,)`, and whether it comes too close
+    in time to one.
 
-    `rear` is x, y, yaw of the rear axle and the speed `(4, k)`; `wide`: where agents up to 150 degrees count for ttc;
-    `met`: agents that it has met before.
+    `rear` is x, y, yaw of the rear axle and the speed `(4, k)`; `wide`: where agents up to 150
+    degrees count for ttc; `met`: agents that it has met before.
     """
     there, pose, size = others.there, others.pose, others.size
     fault, close = np.zeros(len(there), np.bool_), False
@@ -462,7 +485,9 @@ def _direction(
 
 
 def route_lanes(lanes: DrivableLanes, x: FloatArray, y: FloatArray) -> list[int]:
-    """Return the first lane of each roadblock that a drive of the centre comes through, in order."""
+    """Return the first lane of each roadblock that a drive of the centre comes through, in
+    order.
+    """
     simple: list[tuple[int, ...]] = []
     for here in lanes.route(x, y):
         if here and not (simple and set(here) & set(simple[-1])):
@@ -542,7 +567,8 @@ def comfort_signals(
     step: float,
     windows: tuple[int, int] = (8, 15),
 ) -> Mapping[str, FloatArray]:
-    """Return the six signals of nuPlan's comfort from accelerations along, across and as a whole, and the yaw.
+    """Return the six signals of nuPlan's comfort from accelerations along, across and as a whole,
+    and the yaw.
 
     `windows` are those of the filters of accelerations and of jerks.
     """

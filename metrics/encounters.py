@@ -1,18 +1,23 @@
-"""How near the ego and the others come: extrapolated, and as they actually passed. Closed loop, every 0.1 s.
+"""How near the ego and the others come: extrapolated, and as they actually passed. Closed loop,
+every 0.1 s.
 
-(1) TTC at constant acceleration: each box moves along its velocity vector with v(t) = max(v + a t, 0) and constant
-    heading, until the boxes touch, within `HORIZON_S`. Positions are exact every `PIECE_S`, and linear in between:
+(1) TTC at constant acceleration: each box moves along its velocity vector
+        with v(t) = max(v + a t, 0) and constant heading, until the boxes touch, within `HORIZON_S`.
+        Positions are exact every `PIECE_S`, and linear in between:
     accurate to a PIECE_S^2 / 8, 6 mm at 5 m/s2. Agents behind have none, as in `ttc`.
-(2) DCE = min over 0 <= t <= HORIZON_S of the distance of the boxes at constant velocity vectors, 0 if they touch; TTCE
+(2) DCE = min over 0 <= t <= HORIZON_S of the distance of the boxes at constant velocity vectors,
+        0 if they touch; TTCE
     = the time of this minimum, the first of equals
-(3) PET = |t_j - t_i|, the least over the ego's boxes i and an agent's boxes j that overlap: the time from one leaving a
-    place to the other taking it. "ego_first": t_j >= t_i, "ego_second": t_j < t_i; "crossing" uses both, but only
-    pedestrians, and boxes whose headings differ by at least 30 degrees: following road users do not hide crossing ones.
+(3) PET = |t_j - t_i|, the least over the ego's boxes i and an agent's boxes j that overlap:
+        the time from one leaving a
+    place to the other taking it. "ego_first": t_j >= t_i, "ego_second": t_j < t_i;
+        "crossing" uses both, but only pedestrians, and boxes whose headings differ by at least 30
+        degrees: following road users do not hide crossing ones.
 
 Only PET depends on later steps. Static agents (obstacles) have no PET.
 
-Sources: criticality metrics catalogue (Westhofen et al., Arch. Comput. Methods Eng. 30, 2023); Eggert, Proc. IEEE ITSC
-2014, for (2); Allen, Shin, Cooper, Transp. Res. Rec. 667 (1978) for (3).
+Sources: criticality metrics catalogue (Westhofen et al., Arch. Comput. Methods Eng. 30, 2023);
+Eggert, Proc. IEEE ITSC 2014, for (2); Allen, Shin, Cooper, Transp. Res. Rec. 667 (1978) for (3).
 """
 
 from __future__ import annotations
@@ -57,7 +62,9 @@ SERIOUS_S = 1.0  # A smaller PET is serious (criticality metrics catalogue), s
 
 
 class MovingBox(NamedTuple):
-    """A moving box: centre, m, heading, rad, length, width, m, velocity, m/s, and the rate of its speed, m/s2."""
+    """A moving box: centre, m, heading, rad, length, width, m, velocity, m/s, and the rate of its
+    speed, m/s2.
+    """
 
     x: float
     y: float
@@ -79,7 +86,10 @@ def _distance_travelled(v: float, a: float, t: float) -> float:
 
 @kernel
 def time_to_contact_accelerated(one: MovingBox, two: MovingBox, horizon: float) -> float:
-    """Return (1), s; inf without a touch within the horizon. A standing box with a > 0 starts along its heading."""
+    """Return (1), s; inf without a touch within the horizon.
+
+    A standing box with a > 0 starts along its heading.
+    """
     x1, y1, yaw1, length1, width1, vx1, vy1, a1 = one
     x2, y2, yaw2, length2, width2, vx2, vy2, a2 = two
     v1, v2 = hypot(vx1, vy1), hypot(vx2, vy2)
@@ -115,7 +125,10 @@ def time_to_contact_accelerated(one: MovingBox, two: MovingBox, horizon: float) 
 
 @kernel
 def closest_encounter(one: MovingBox, two: MovingBox, horizon: float) -> tuple[float, float]:
-    """Return DCE, m, and TTCE, s (2). Without a touch, the minimum is at 0, at the horizon, or corner to corner."""
+    """Return DCE, m, and TTCE, s (2).
+
+    Without a touch, the minimum is at 0, at the horizon, or corner to corner.
+    """
     x1, y1, yaw1, length1, width1, vx1, vy1, _ = one
     x2, y2, yaw2, length2, width2, vx2, vy2, _ = two
     vx, vy = vx2 - vx1, vy2 - vy1
@@ -188,7 +201,9 @@ def _least_with_acceleration(
 
 @kernel
 def _closest(ego: FloatArray, car: EgoOutline, others: OtherBoxes) -> tuple[FloatArray, IntArray]:
-    """Return for each step the least DCE and its TTCE `(2, k)` (NaN: no other agent), and the agent's index (-1)."""
+    """Return for each step the least DCE and its TTCE `(2, k)` (NaN: no other agent), and the
+    agent's index (-1).
+    """
     pose, size, steps = others.pose, others.size, others.there.shape[1]
     found, agent, reach = (
         np.full((2, steps), np.nan),
@@ -228,10 +243,12 @@ def encroachment(
     sizes: FloatArray,
     angle: float,
 ) -> IntArray:
-    """Return (3) in steps `(4, steps of the ego)`, for increasing steps `mine` of the ego and `theirs` of an agent.
+    """Return (3) in steps `(4, steps of the ego)`, for increasing steps `mine` of the ego and
+    `theirs` of an agent.
 
-    The rows are the least j - i >= 0 and the least i - j > 0 over the boxes that overlap and whose headings differ by
-    at least `angle` (-1: none), then the numbers of such pairs. `sizes` are length and width of both boxes `(2, 2)`.
+    The rows are the least j - i >= 0 and the least i - j > 0 over the boxes that overlap and whose
+    headings differ by at least `angle` (-1: none), then the numbers of such pairs. `sizes` are
+    length and width of both boxes `(2, 2)`.
     """
     out = np.zeros((4, ego.shape[1]), np.int64)
     out[:2] = -1
@@ -323,7 +340,9 @@ def _pet(trace: Trace, scenario: Scenario) -> Mapping[str, Measured]:
 def may_meet(
     boxes: FloatArray, car: EgoOutline, others: OtherBoxes, i: int
 ) -> tuple[IntArray, IntArray]:
-    """Return the steps of the ego, and of the agent in row i, that lie in the bounding box of the other's drive."""
+    """Return the steps of the ego, and of the agent in row i, that lie in the bounding box of the
+    other's drive.
+    """
     ego, other = boxes[:2].T, others.pose[:2, i].T
     if not others.there[i].any():
         return np.empty(0, np.int64), np.empty(0, np.int64)
@@ -348,7 +367,8 @@ TTC_ACCELERATED = Metric(
     (Mode.CLOSED,),
     _ttc_accelerated,
     (MIN, time_below(1.5, "time_below_1500ms")),
-    "Least time until boxes touch when all go on along their velocity vectors with their accelerations, none into "
+    "Least time until boxes touch when all go on along their velocity vectors with their "
+    "accelerations, none into "
     "reverse; not to those behind.",
     f"{CATALOGUE}; commonroad-crime asks it of a lead in a lane",
     formula="v(t) = max(v + a t, 0) of each",
@@ -362,7 +382,8 @@ DCE = Metric(
     (Mode.CLOSED,),
     partial(_encounter, row=0),
     (MIN,),
-    "Distance of the closest encounter: the least distance of the boxes within 10 s at constant velocity vectors.",
+    "Distance of the closest encounter: the least distance of the boxes within 10 s at constant "
+    "velocity vectors.",
     f"Eggert, Proc. IEEE ITSC 2014; {CATALOGUE}",
     formula="min over 0 <= t <= horizon of distance(t)",
     parameters=(f"horizon {HORIZON_S:g} s", _GRID),
@@ -388,7 +409,8 @@ PET = Metric(
     (Mode.CLOSED,),
     _pet,
     (MIN, time_below(SERIOUS_S, "time_below_1s")),
-    "Post-encroachment time: from one leaving a place to the other taking it; the ego first, second, or either at a "
+    "Post-encroachment time: from one leaving a place to the other taking it; the ego first, "
+    "second, or either at a "
     "crossing.",
     f"Allen, Shin, Cooper, Transp. Res. Rec. 667 (1978); {CATALOGUE}",
     formula="min |t_j - t_i| over overlapping boxes",

@@ -1,26 +1,33 @@
-"""Evidence of a drive: how much was driven, whether the replay ended it, whether plans were refused, robustness.
+"""Evidence of a drive: how much was driven, whether the replay ended it, whether plans were
+refused, robustness.
 
-EVIDENCE measures at which steps a drive has the evidence that verdicts need, as one series of 0 and 1 for each kind:
+EVIDENCE measures at which steps a drive has the evidence that verdicts need, as one series of 0 and
+1 for each kind:
 
     traffic   the other road users were observed (`Scenario.traffic_spans`)
-    lights    the colour of the traffic light is known, on lanes that lead to a stop line with a light
+    lights    the colour of the traffic light is known, on lanes that lead to a stop line with a
+              light
     limit     the log states a speed limit (not assumed) for the lane under the ego's centre
     lane      a lane of the log's map lies under the ego's centre
 
-(1) share = duration of the steps with evidence / duration of all steps that need evidence     (`metric.durations`)
-(2) way_share = the same with the distance driven in place of the duration; (1) if the ego does not move
+(1) share = duration of the steps with evidence / duration of all steps that need evidence
+        (`metric.durations`)
+(2) way_share = the same with the distance driven in place of the duration;
+        (1) if the ego does not move
 
-In the log, the others reacted to the logged ego. With the ego's position p(t), and the logged position q(t), speed v(t)
-and heading h(t):
+In the log, the others reacted to the logged ego. With the ego's position p(t), and the logged
+position q(t), speed v(t) and heading h(t):
 
 (3) d(t) = |p - q|, along(t) = (p - q) . h, across(t) = (p - q) x h
-(4) the drive departs from the log if |along| > max(v AWAY_S, `LENGTH_M`) or |across| > `WIDTH_M`, or if a road user is
-    farther than `OFF_M` from its logged position, or is present in only one of the two
+(4) the drive departs from the log if |along| > max(v AWAY_S, `LENGTH_M`) or |across| > `WIDTH_M`,
+    or if a road user is farther than `OFF_M` from its logged position, or is present in only one of
+    the two
 
-The replay is weak evidence from the first such step to the end of the drive. `AWAY_S`: one second of driving is about
-the least gap that drivers should keep; farther away, the ego may be where another road user was. At low speed the bound
-is the length of a car, and sideways the width of a lane. `OFF_M` is smaller than these bounds, and larger than the
-differences between resampled tracks.
+The replay is weak evidence from the first such step to the end of the drive. `AWAY_S`: one second
+of driving is about the least gap that drivers should keep; farther away, the ego may be where
+another road user was. At low speed the bound is the length of a car, and sideways the width of a
+lane. `OFF_M` is smaller than these bounds, and larger than the differences between resampled
+tracks.
 """
 
 from __future__ import annotations
@@ -69,14 +76,19 @@ def _coverage(trace: Trace, scenario: Scenario) -> Mapping[str, Measured] | Unav
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Evidence(Series):
-    """1 with evidence, 0 without, NaN where no evidence is needed; `way` is the distance of each step, m."""
+    """1 with evidence, 0 without, NaN where no evidence is needed; `way` is the distance of each
+    step, m.
+    """
 
     way: FloatArray = field(default_factory=partial(np.empty, 0))
 
 
 def _evidence(trace: Trace, scenario: Scenario) -> Mapping[str, Measured]:
     (x, y), t, spans = ego_boxes(trace.ego, scenario)[:2], trace.ego.t, scenario.traffic_spans
-    observed = f"traffic is recorded {described(spans)}, the drive lasts from {t[0]:.1f} s to {t[-1]:.1f} s"
+    observed = (
+        f"traffic is recorded {described(spans)}, the drive lasts from {t[0]:.1f} s to "
+        f"{t[-1]:.1f} s"
+    )
     stated, mapped, none = (
         stated_lanes(scenario.road),
         mapped_lanes(scenario.road),
@@ -102,7 +114,9 @@ def _evidence(trace: Trace, scenario: Scenario) -> Mapping[str, Measured]:
 def _series_of(
     trace: Trace, known: BoolArray, why: str, needed: BoolArray | None = None
 ) -> Evidence:
-    """Return the series of one kind of evidence; `why` is the label of steps that need evidence and have none."""
+    """Return the series of one kind of evidence; `why` is the label of steps that need evidence and
+    have none.
+    """
     ego = trace.ego
     needed = np.ones(len(known), np.bool_) if needed is None else needed
     value = np.where(needed, known.astype(np.float64), np.nan)
@@ -116,7 +130,9 @@ def _series_of(
 
 
 def _lights(trace: Trace, scenario: Scenario, x: FloatArray, y: FloatArray) -> Measured:
-    """Measure where lights are known; "off" for part of the log means not observed, "off" throughout: switched off."""
+    """Measure where lights are known; "off" for part of the log means not observed, "off"
+    throughout: switched off.
+    """
     lights = {light.id: light for light in scenario.lights}
     lines = [line for line in scenario.road.stop_lines if line.light is not None]
     if not lines:
@@ -187,7 +203,9 @@ def _agent_interval(trace: Trace, scenario: Scenario) -> Measured:
 
 
 def _distances(trace: Trace, scenario: Scenario) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return d of (3), and along and across divided by their bounds (4), `(k,)` each; NaN after the logged ego ends."""
+    """Return d of (3), and along and across divided by their bounds (4), `(k,)` each; NaN after the
+    logged ego ends.
+    """
     drive, log = trace.ego, scenario.ego
     x, y, yaw, v = (np.interp(drive.t, log.t, column) for column in (log.x, log.y, log.yaw, log.v))
     dx, dy, c, s = drive.x - x, drive.y - y, np.cos(yaw), np.sin(yaw)
@@ -197,7 +215,9 @@ def _distances(trace: Trace, scenario: Scenario) -> tuple[FloatArray, FloatArray
 
 
 def _displaced_agents(trace: Trace, scenario: Scenario) -> Iterator[tuple[str, BoolArray]]:
-    """Yield the name of each agent that departs from its logged position (4), and at which steps `(k,)`."""
+    """Yield the name of each agent that departs from its logged position (4), and at which steps
+    `(k,)`.
+    """
     log, agents, t = scenario.tracks, trace.agents, trace.ego.t
     index = {name: i for i, name in enumerate(agents.ids)}
     for i, there, row in each(log, t) if agents is not log else ():
@@ -234,7 +254,8 @@ COVERAGE = Metric(
     (Mode.OPEN, Mode.CLOSED),
     _coverage,
     (metric.FINAL,),
-    "Time that the log lasts from the ego's first state on (log_s; open loop: as long as the log has an ego; where the"
+    "Time that the log lasts from the ego's first state on (log_s; open loop: as long as the log "
+    "has an ego; where the"
     " drive ends with the evidence: as long as that), and that"
     " was driven or planned (driven_s).",
     parts=("log_s", "driven_s"),
@@ -248,8 +269,10 @@ EVIDENCE = Metric(
     (Mode.OPEN, Mode.CLOSED),
     _evidence,
     (Reduction("share", _share), Reduction("way_share", partial(_share, of_way=True))),
-    "Share of the driven time, and of the driven way, with what verdicts rest on: the other road users observed"
-    " (traffic), the light ahead known (lights), a speed limit of the log's own (limit), a lane of its map (lane).",
+    "Share of the driven time, and of the driven way, with what verdicts rest on: the other road "
+    "users observed"
+    " (traffic), the light ahead known (lights), a speed limit of the log's own (limit), a lane of "
+    "its map (lane).",
     parts=("traffic", "lights", "limit", "lane"),
     formula="time or way with evidence / time or way that needs it",
     needs="lights: a stop line with a traffic light on the driven way",
@@ -261,7 +284,8 @@ AGENT_INTERVAL = Metric(
     (Mode.OPEN, Mode.CLOSED),
     _agent_interval,
     (metric.FINAL,),
-    "Time between two samples of a road user in the log, the median over all that are not static: how near to its bound"
+    "Time between two samples of a road user in the log, the median over all that are not static: "
+    "how near to its bound"
     " a value is marginal.",
     formula="median of t_k - t_(k-1), gaps left out",
     needs="a road user with two samples",
@@ -283,7 +307,8 @@ PLAN_REFUSED = Metric(
     (Mode.OPEN, Mode.CLOSED),
     partial(_by_status, PlanStatus.REFUSED),
     (metric.RATE,),
-    "Share of the frames whose plan does not start at the ego, or is impossible for a road car: it is not driven.",
+    "Share of the frames whose plan does not start at the ego, or is impossible for a road car: it "
+    "is not driven.",
     formula="refused plans / plans; bounds: replay/loop/plan_check.py",
     needs="a plan, and lanes or a path that the vehicle can follow",
 )
@@ -294,7 +319,8 @@ PLAN_CORRECTED = Metric(
     (Mode.OPEN, Mode.CLOSED),
     partial(_by_status, PlanStatus.CORRECTED),
     (metric.RATE,),
-    "Share of the frames whose plan says another speed, heading, curvature or acceleration than its positions have.",
+    "Share of the frames whose plan says another speed, heading, curvature or acceleration than "
+    "its positions have.",
     formula="corrected plans / plans; bounds: replay/loop/plan_check.py",
     needs="a plan, and lanes or a path that the vehicle can follow",
 )
@@ -306,7 +332,8 @@ ENSEMBLE = Metric(
     (Mode.OPEN, Mode.CLOSED),
     lambda trace, scenario: Unavailable("the run has no ensemble (--ensemble N)"),
     tuple(replace(metric.FINAL, name=name, direction=better) for name, better in _MEMBERS),
-    "Whether the verdict on a log holds where it is driven again in worlds that should not matter: share of them in"
+    "Whether the verdict on a log holds where it is driven again in worlds that should not matter: "
+    "share of them in"
     " which it passes, and 1 where one of them has another verdict.",
     formula="members that pass / members; [a member has another verdict]",
     needs="--ensemble N",
@@ -329,8 +356,10 @@ DISCRIMINATION = Metric(
     (Mode.CLOSED,),
     lambda trace, scenario: Unavailable("no gates were judged"),
     tuple(replace(metric.FINAL, name=name) for name in ("parked", "creeping", "blind")),
-    "Whether the log tells drivers apart: 1 where a gate of the run fails a driver that brakes to a stop and stays"
-    " (parked), one that goes on at 2 m/s (creeping), and one that drives its route as if the road were empty (blind).",
+    "Whether the log tells drivers apart: 1 where a gate of the run fails a driver that brakes to "
+    "a stop and stays"
+    " (parked), one that goes on at 2 m/s (creeping), and one that drives its route as if the road "
+    "were empty (blind).",
     formula="[a gate on safety, rules or progress fails the reference drive]",
     needs="a run with gates",
 )
@@ -341,7 +370,8 @@ PHANTOM = Metric(
     (Mode.OPEN, Mode.CLOSED),
     _phantom,
     (metric.COUNT,),
-    "Boxes in which the recorded ego stood: they are left out of all metrics and end no drive, from 1 s before to 1 s"
+    "Boxes in which the recorded ego stood: they are left out of all metrics and end no drive, "
+    "from 1 s before to 1 s"
     " after.",
     formula="number of boxes that overlap the recorded ego's; 0 in synthesised logs",
 )
@@ -357,7 +387,8 @@ DIVERGENCE = Metric(
         Series(trace.ego.t, _distances(trace, scenario)[0]) if len(scenario.ego) > 1 else _NO_DRIVE
     ),
     (metric.MAX,),
-    "Distance between the ego and where the log has it at the same time, while the log's ego lasts.",
+    "Distance between the ego and where the log has it at the same time, while the log's ego "
+    "lasts.",
     formula="|p - q|",
     needs="a log that holds the ego's drive",
 )
@@ -368,13 +399,17 @@ WEAK = Metric(
     (Mode.CLOSED,),
     _divergence_weak,
     (FROM, Reduction("share", metric.HAVING.reduce, unit="1", direction="none", empty=0.0)),
-    "From when on the drive has parted from its log, so that the replay is weak evidence, and the share after that.",
+    "From when on the drive has parted from its log, so that the replay is weak evidence, and the "
+    "share after that.",
     parameters=(
         f"along {AWAY_S:g} s of way, at least {LENGTH_M:g} m",
         f"across {WIDTH_M:g} m",
         f"a road user {OFF_M:g} m",
     ),
-    formula=f"first t: |along| > max({AWAY_S:g} s v, {LENGTH_M:g} m) or |across| > {WIDTH_M:g} m or a road user off",
+    formula=(
+        f"first t: |along| > max({AWAY_S:g} s v, {LENGTH_M:g} m) or |across| > {WIDTH_M:g} m "
+        "or a road user off"
+    ),
     needs="a log that holds the ego's drive",
 )
 DISPLACED = Metric(
@@ -387,7 +422,8 @@ DISPLACED = Metric(
         ((int(np.argmax(off)), name) for name, off in _displaced_agents(trace, scenario)),
     ),
     (metric.COUNT,),
-    "Road users who were not where the log has them, each once: who gave way, and who was held up by them.",
+    "Road users who were not where the log has them, each once: who gave way, and who was held up "
+    "by them.",
     formula="number of road users farther than this from where the log has them",
     parameters=(f"{OFF_M:g} m",),
 )

@@ -1,60 +1,74 @@
-"""The path ahead of the ego, the lead in it, gap and time to the lead, and the effort required to avoid it.
+"""The path ahead of the ego, the lead in it, gap and time to the lead, and the effort required to
+avoid it.
 
-All metrics use this definition of the lead, in closed loop. The path leads from the rear axle along the circle of the
-ego's curvature at that step, for at most `LOOK_M` and a quarter of a turn; s in m along it, l in m to its left. It
-needs neither lanes nor later steps of the drive. For a point at (x, y) ahead and to the left of the rear axle:
+All metrics use this definition of the lead, in closed loop. The path leads from the rear axle along
+the circle of the ego's curvature at that step, for at most `LOOK_M` and a quarter of a turn; s in m
+along it, l in m to its left. It needs neither lanes nor later steps of the drive. For a point at
+(x, y) ahead and to the left of the rear axle:
 
 (1) s = atan2(kappa x, 1 - kappa y) / kappa,  x where kappa = 0
     l = (2 y - kappa (x^2 + y^2)) / (1 + hypot(1 - kappa y, kappa x))
 
-Band: |l| <= half of the ego's width, the area that its box sweeps. Lead: of all agents whose boxes reach into the band,
-the one whose part in it begins nearest ahead of the middle of the ego's box. Agents that approach the ego at more than
-`COMING_MPS` are no leads (TTC and RSS cover them); crossing agents are leads while in the band. An ego in reverse has
-no lead. Each edge of a box is divided into `PIECES` pieces: exact to 0.1 m for a truck on the tightest curve.
+Band: |l| <= half of the ego's width, the area that its box sweeps. Lead: of all agents whose boxes
+reach into the band, the one whose part in it begins nearest ahead of the middle of the ego's box.
+Agents that approach the ego at more than `COMING_MPS` are no leads (TTC and RSS cover them);
+crossing agents are leads while in the band. An ego in reverse has no lead. Each edge of a box is
+divided into `PIECES` pieces: exact to 0.1 m for a truck on the tightest curve.
 
-With gap (m) from bumper to bumper along the path, the ego's speed v, the lead's speed u along the path, and its
-deceleration b_o >= 0:
+With gap (m) from bumper to bumper along the path, the ego's speed v, the lead's speed u along the
+path, and its deceleration b_o >= 0:
 
-(2) THW = gap / v: time until the ego's front is where the lead's rear is now, at constant speed; none while it stands
+(2) THW = gap / v: time until the ego's front is where the lead's rear is now, at constant speed;
+        none while it stands
 (3) DRAC = (v - u)^2 / (2 gap) where v > u, else 0: the lead holds its speed
-(4) a_req, the least constant deceleration that avoids a lead that keeps braking with b_o until it stands:
-    b_o + (v - u)^2 / (2 gap)  where v > u and the speeds meet first, i.e. 2 gap / (v - u) <= u / b_o;  else
+(4) a_req, the least constant deceleration that avoids a lead that keeps braking
+        with b_o until it stands:
+    b_o + (v - u)^2 / (2 gap)
+        where v > u and the speeds meet first, i.e. 2 gap / (v - u) <= u / b_o;  else
     v^2 / (2 (gap + u^2 / (2 b_o)))  where the lead comes to rest first;  0 where v <= u and b_o = 0
 (5) BTN = a_req / (the ego's greatest deceleration);  above 1, braking alone does not suffice
-(6) a_lat,req = 2 max(min(l_high + w T + h, h - l_low - w T), 0) / T^2 with T = gap / (v - u), h half of the ego's width
-    and the lead from l_low to l_high moving sideways with w: the least constant lateral acceleration that passes it; 0
-    if the lead has left the band by then, or if the gap opens
+(6) a_lat,req = 2 max(min(l_high + w T + h, h - l_low - w T), 0) / T^2 with T = gap / (v - u),
+        h half of the ego's width and the lead from l_low to l_high moving sideways with w: the
+        least constant lateral acceleration that passes it; 0 if the lead has left the band by then,
+        or if the gap opens
 (7) STN = a_lat,req / 8.0 m/s2
-(8) following gap: required = max(v t_front(v), 2 m), t_front from `R157_S`, interpolated linearly, constant beyond the
-    table; measured while the lead is a vehicle that heads along the path (within 45 degrees) and drives, or while both
-    stand
+(8) following gap: required = max(v t_front(v), 2 m), t_front from `R157_S`, interpolated linearly,
+        constant beyond the table; measured while the lead is a vehicle that heads along the path
+        (within 45 degrees) and drives, or while both stand
 
 At a contact (gap 0) only (2) and the gap have values: the required accelerations are unbounded.
-Sources: commonroad-crime 0.4.5 and the criticality metrics catalogue (Westhofen et al. 2023) for (2) to (7); (4) adds
-that a braking lead does not reverse; UN R157, 5.2.3.3 for (8), whose table ends at 60 km/h.
+Sources: commonroad-crime 0.4.5 and the criticality metrics catalogue (Westhofen et al. 2023) for
+(2) to (7); (4) adds that a braking lead does not reverse; UN R157, 5.2.3.3 for (8), whose table
+ends at 60 km/h.
 
-Responsibility-sensitive safety (RSS), closed loop: the margin to a dangerous situation, and the proper response.
+Responsibility-sensitive safety (RSS), closed loop: the margin to a dangerous situation, and the
+proper response.
 
-Measured along and across the same path, every 0.1 s, for every agent within `LOOK_M` that is not wholly behind the ego
-(agents behind must keep their own distance). v is the ego's speed, u the other's along the path, w the other's across
-it towards the ego's side, d_lon and d_lat are the gaps of the boxes (negative where they overlap), and stopping(v) = v
-RHO + A_MAX RHO^2 / 2 + (v + RHO A_MAX)^2 / (2 B_MIN).
+Measured along and across the same path, every 0.1 s, for every agent within `LOOK_M` that is not
+wholly behind the ego (agents behind must keep their own distance). v is the ego's speed, u the
+other's along the path, w the other's across it towards the ego's side, d_lon and d_lat are the gaps
+of the boxes (negative where they overlap), and stopping(v) = v RHO + A_MAX RHO^2 / 2 + (v + RHO
+A_MAX)^2 / (2 B_MIN).
 
-(9) d_lon,min = max(stopping(v) - u^2 / (2 B_MAX), 0) if both drive in the same direction; stopping(v) + stopping(|u|)
-    if the other approaches (u < -0.05 m/s)
-(10) d_lat,min = MU + max(aside(0) + aside(w), 0),  aside(c) = (c + c') RHO / 2 + c' |c'| / (2 B_LAT),
-    c' = c + RHO A_LAT: the ego keeps to its path (c = 0); signed, so that moving away reduces it; aside(w) is 0 if the
-    other stands or is an object, which cannot swerve (an addition of replan)
-(11) dangerous: d_lon < d_lon,min and d_lat < d_lat,min;  margin = the greater of both differences, m; negative:
-    dangerous
-(12) proper response, from RHO after the danger to this agent began until it ends or the ego stands: if d_lat became
-    unsafe last, the ego's speed towards the other, across the path that it was on when the danger began, is at most its
-    value at RHO less B_LAT times the time since then, or 0; otherwise the ego brakes with at least B_MIN. At all times,
-    also before RHO, it accelerates with at most A_MAX.
+(9) d_lon,min = max(stopping(v) - u^2 / (2 B_MAX), 0) if both drive in the same direction;
+        stopping(v) + stopping(|u|) if the other approaches (u < -0.05 m/s)
+(10) d_lat,min = MU + max(aside(0) + aside(w), 0),
+         aside(c) = (c + c') RHO / 2 + c' |c'| / (2 B_LAT),
+    c' = c + RHO A_LAT: the ego keeps to its path (c = 0); signed, so that moving away reduces it;
+        aside(w) is 0 if the other stands or is an object, which cannot swerve (an addition of
+        replan)
+(11) dangerous: d_lon < d_lon,min and d_lat < d_lat,min;
+         margin = the greater of both differences, m; negative: dangerous
+(12) proper response, from RHO after the danger to this agent began until it ends or the ego stands:
+    if d_lat became unsafe last, the ego's speed towards the other, across the path that it was on
+    when the danger began, is at most its value at RHO less B_LAT times the time since then, or 0;
+    otherwise the ego brakes with at least B_MIN. At all times, also before RHO, it accelerates with
+    at most A_MAX.
 
-A standing ego has given its response and has no margin. The parameters are those of JRC-FSM (commit 01b05c29), since
-RSS leaves them to its user. With these, a car that follows at 15 m/s is in danger within 18.1 m, 1.2 s.
-Source: Shalev-Shwartz, Shammah, Shashua, arXiv 1708.06374, definitions 1 to 10.
+A standing ego has given its response and has no margin. The parameters are those of JRC-FSM (commit
+01b05c29), since RSS leaves them to its user. With these, a car that follows at 15 m/s is in danger
+within 18.1 m, 1.2 s. Source: Shalev-Shwartz, Shammah, Shashua, arXiv 1708.06374, definitions 1 to
+10.
 """
 
 from __future__ import annotations
@@ -119,7 +133,8 @@ class EgoAndLead:
     v: FloatArray  # The ego's speed, m/s; `a` its acceleration, m/s2
     a: FloatArray
     agent: IntArray  # Index of the lead's track, -1: none
-    # Along the path from the ego's front bumper to the lead's nearest part in the band, m; 0 where they touch
+    # Along the path from the ego's front bumper to the lead's nearest part in the band, m; 0 where
+    # they touch
     gap: FloatArray
     u: FloatArray  # The lead's speed along the path, m/s; `w` across it, positive to the left
     w: FloatArray
@@ -170,7 +185,9 @@ def _least_s_within(s0: float, l0: float, s1: float, l1: float, half: float) -> 
 def extent(
     x: float, y: float, yaw: float, kappa: float, half: float, outline: FloatArray
 ) -> tuple[float, float, float, float, float]:
-    """Return for a box with corners `outline` `(4, 2)`: least s in the band (inf: none), ranges of s and l (1)."""
+    """Return for a box with corners `outline` `(4, 2)`: least s in the band (inf: none), ranges of
+    s and l (1).
+    """
     c, s = cos(yaw), sin(yaw)
     near, s_low, s_high, l_low, l_high = np.inf, np.inf, -np.inf, np.inf, -np.inf
     before = np.zeros(2)
@@ -191,14 +208,18 @@ def extent(
 def within_look(
     x: float, y: float, yaw: float, kappa: float, other_x: float, other_y: float, reach: float
 ) -> bool:
-    """Return whether a box of half diagonal `reach` may lie along the path: near, and not past the circle's centre."""
+    """Return whether a box of half diagonal `reach` may lie along the path: near, and not past the
+    circle's centre.
+    """
     dx, dy = other_x - x, other_y - y
     return hypot(dx, dy) <= LOOK_M + reach and kappa * (dy * cos(yaw) - dx * sin(yaw)) < 1.0
 
 
 @kernel
 def _leads(ego: FloatArray, car: EgoOutline, others: OtherBoxes) -> tuple[FloatArray, IntArray]:
-    """Return rows gap to facing of `EgoAndLead` `(7, k)`, agent `(k,)`; `ego`: x, y, yaw, v, kappa of the rear axle."""
+    """Return rows gap to facing of `EgoAndLead` `(7, k)`, agent `(k,)`; `ego`: x, y, yaw, v, kappa
+    of the rear axle.
+    """
     pose, size, steps = others.pose, others.size, others.there.shape[1]
     half, front = 0.5 * car.width, car.axle + 0.5 * car.length
     rows, agent = np.full((7, steps), np.nan), np.full(steps, -1, np.int64)
@@ -358,7 +379,8 @@ FOLLOWING = (
         (Mode.CLOSED,),
         partial(_of_lead, value=_required_decel),
         (MAX, time_outside(-np.inf, EMERGENCY_MPS2, "time_in_emergency")),
-        "Least constant deceleration that avoids a lead that goes on braking as it does until it stands.",
+        "Least constant deceleration that avoids a lead that goes on braking as it does until it "
+        "stands.",
         f"{CATALOGUE}; emergency: UN R157",
         formula="b_o + (v - u)^2 / (2 gap) where the speeds meet before the lead stands, else"
         " v^2 / (2 (gap + u^2 / (2 b_o)))",
@@ -377,7 +399,8 @@ FOLLOWING = (
             ),
         ),
         (MAX, time_outside(-np.inf, 1.0, "time_above_1")),
-        "Brake threat number: required over greatest deceleration; above 1 braking alone does not suffice.",
+        "Brake threat number: required over greatest deceleration; above 1 braking alone does not "
+        "suffice.",
         CATALOGUE,
         formula="a_req / a_max",
         parameters=("a_max: the vehicle's max_decel", *_PATH),
@@ -395,9 +418,12 @@ FOLLOWING = (
             ),
         ),
         (MAX, time_outside(-np.inf, 1.0, "time_above_1")),
-        "Steer threat number: lateral acceleration that is required to pass the lead, over what is available.",
+        "Steer threat number: lateral acceleration that is required to pass the lead, over what is "
+        "available.",
         "commonroad-crime 0.4.5",
-        formula="2 max(min(l_high + w T + h, h - l_low - w T), 0) / T^2 / a_lat,max, T = gap / (v - u)",
+        formula=(
+            "2 max(min(l_high + w T + h, h - l_low - w T), 0) / T^2 / a_lat,max, T = gap / (v - u)"
+        ),
         parameters=(f"a_lat,max {STEER_MPS2:g} m/s2", *_PATH),
         needs=_LEAD,
     ),
@@ -414,7 +440,8 @@ FOLLOWING = (
         "UN R157, 5.2.3.3",
         formula="gap - max(v t_front(v), 2 m)",
         parameters=(
-            "t_front 1.0, 1.1, 1.2, 1.3, 1.4, 1.5, 1.6 s at 7.2, 10, 20, 30, 40, 50, 60 km/h, linear between, 1.6 s"
+            "t_front 1.0, 1.1, 1.2, 1.3, 1.4, 1.5, 1.6 s at 7.2, 10, 20, 30, 40, 50, 60 km/h, "
+            "linear between, 1.6 s"
             " beyond",
             *_PATH,
         ),
@@ -460,7 +487,9 @@ def lateral_distance(w: float, swerves: bool) -> float:
 def _margins(
     ego: FloatArray, car: EgoOutline, others: OtherBoxes, i: int, movable: bool
 ) -> FloatArray:
-    """Return d_lon - d_lon,min, d_lat - d_lat,min, side (1 left, -1 right) of agent i, `(3, k)`; NaN: not judged."""
+    """Return d_lon - d_lon,min, d_lat - d_lat,min, side (1 left, -1 right) of agent i, `(3, k)`;
+    NaN: not judged.
+    """
     there, pose, size = others.there[i], others.pose[:, i], others.size[i]
     steps, half = len(there), 0.5 * car.width
     front, rear = car.axle + 0.5 * car.length, car.axle - 0.5 * car.length
@@ -572,7 +601,8 @@ RSS_MARGIN = Metric(
         time_below(0.0, "time_dangerous"),
         share_while(lambda value: value < 0.0, "share_dangerous"),
     ),
-    "Distance from a dangerous situation of RSS: the greater of the longitudinal and the lateral surplus, the least of "
+    "Distance from a dangerous situation of RSS: the greater of the longitudinal and the lateral "
+    "surplus, the least of "
     "all agents ahead or beside; negative: dangerous.",
     _SOURCE,
     formula="min over agents of max(d_lon - d_lon,min, d_lat - d_lat,min)",
@@ -586,10 +616,14 @@ RSS_IMPROPER = Metric(
     (Mode.CLOSED,),
     _response,
     (time_outside(-np.inf, 0.5, "time"), share_while(lambda value: value > 0.5, "share")),
-    "Where the ego does not give the proper response of RSS: rho after the danger began it brakes with less than "
+    "Where the ego does not give the proper response of RSS: rho after the danger began it brakes "
+    "with less than "
     "b_min, or goes on nearing sideways, or it accelerates with more than a_max.",
     _SOURCE,
-    formula="dangerous, and after rho a > -b_min (lateral danger last: v_lat > max(v_lat(rho) - b_lat t, 0))",
+    formula=(
+        "dangerous, and after rho a > -b_min (lateral danger last: v_lat > max(v_lat(rho) - "
+        "b_lat t, 0))"
+    ),
     parameters=_PARAMETERS,
     needs="a dangerous situation",
 )

@@ -1,43 +1,54 @@
-"""Checks a log before it is driven: kind of each fault, road user, time, size, and its effect on metrics.
+"""Checks a log before it is driven: kind of each fault, road user, time, size, and its effect on
+metrics.
 
-A log with findings is evaluated like any other; only phantoms change the metrics (`replan.metrics.boxes`).
+A log with findings is evaluated like any other; only phantoms change the metrics
+(`replan.metrics.boxes`).
 
 The ego, between samples k and k + 1, dt apart, d apart, with the speeds v and v':
 
 (1) gap       dt > `EGO_GAP_S` and > `RARE` medians of dt
 (2) jump      d - max(|v|, |v'|) dt - b dt^2 / 2 > `EGO_JUMP_M`,  b = `BRAKING_MPS2`
-(3) speed     sum d / sum (|v| + |v'|) dt / 2  off 1 by more than `EGO_SPEED_OFF`, over a way of `EGO_WAY_M` at least
+(3) speed     sum d / sum (|v| + |v'|) dt / 2  off 1 by more than `EGO_SPEED_OFF`, over a way of
+              `EGO_WAY_M` at least
 (4) units     the same near a factor of `FACTORS`, within `NEAR`
-(5) heading   the chords of `replan.logs.conventions`, about 1 m each, are more than `TURNED_RAD` off the axis of the car in
-              the median, or over a way of `ASKEW_M`; or opposite to heading and speed over a way of `AGAINST_M`;
-              a step of the yaw of more than `EGO_FLIP_RAD` within `EGO_GAP_S`
+(5) heading   the chords of `replan.logs.conventions`, about 1 m each, are more than `TURNED_RAD`
+              off the axis of the car in the median, or over a way of `ASKEW_M`; or opposite to
+              heading and speed over a way of `AGAINST_M`; a step of the yaw of more than
+              `EGO_FLIP_RAD` within `EGO_GAP_S`
 
 The other road users, between samples of a track:
 
 (6) flickering    a gap of the track (`replan.logs.observed`)
-(7) id switch     a track ends before the log does, and within `SWITCH_S` a new track of its kind begins within
-    `SWITCH_M` of where the first would be by then
-(8) teleport      d - u dt - `JUMP_M` > 0,  u = `FASTEST_MPS`, or, with logged speeds, max(|v|, |v'|) + b dt / 2
+(7) id switch     a track ends before the log does, and within `SWITCH_S` a new track of its kind
+                  begins within `SWITCH_M` of where the first would be by then
+(8) teleport      d - u dt - `JUMP_M` > 0,
+        u = `FASTEST_MPS`, or, with logged speeds, max(|v|, |v'|) + b dt / 2
 (9) speed         (3) off 1 by more than `SPEED_OFF`, over a way of `WAY_M` at least
-(10) heading flip a step of the yaw of more than `FLIP_RAD` within `FLIP_S`, for vehicles that are longer than wide
+(10) heading flip a step of the yaw of more than `FLIP_RAD` within `FLIP_S`, for vehicles that are
+     longer than wide
 (11) twin boxes   two centres within `TWIN_M` for `TWIN_S` or longer
 (12) size         vehicles beyond `LARGEST_M`, people wider than `PERSON_M`
 (13) units        (9) by the same factor for most moving road users
 (17) not recorded more than `replan.logs.observed.MAX_AGE_S` of the log without observed traffic
-(18) across       a vehicle goes a step of more than `ACROSS_M` more than `ACROSS_RAD` off the axis of its box
-(20) heading      the chords of a vehicle are more than `TURNED_RAD` off the axis of its box in the median, or opposite
-    to its heading at more than `BACKWARD_MPS` over a way of `WAY_M` at least
-(21) velocity     the chords of a road user are more than `TURNED_RAD` off its velocity in the median
+(18) across       a vehicle goes a step of more than `ACROSS_M` more than `ACROSS_RAD` off the axis
+                  of its box
+(20) heading      the chords of a vehicle are more than `TURNED_RAD` off the axis of its box in the
+                  median, or opposite to its heading at more than `BACKWARD_MPS` over a way of
+                  `WAY_M` at least
+(21) velocity     the chords of a road user are more than `TURNED_RAD` off its velocity in the
+                  median
 (19) short tracks more than `SHORT_SHARE` of the tracks of vehicles have fewer than `SHORT` samples
 
 The map, the lights and the goal:
 
 (14) off the map  more than `OFF_SHARE` of the ego's states lie on no drivable lane
-(15) lane graph   a lane follows itself, or begins more than `APART_M` from the end of one that it follows; lanes whose
-    successors are all missing in the map are its edge, unless they are more than `EDGE` of all lanes
-(16) lights       a light that no stop line names; on a road without stop lines, all lights are one finding
-(22) goal         it cannot be driven to (`replan.logs.route.GoalFault`), or the log's driver passes it almost at once
-    (`replan.metrics.arrival.passed_early`)
+(15) lane graph   a lane follows itself, or begins more than `APART_M` from the end of one that it
+                  follows; lanes whose successors are all missing in the map are its edge, unless
+                  they are more than `EDGE` of all lanes
+(16) lights       a light that no stop line names; on a road without stop lines, all lights are one
+                  finding
+(22) goal         it cannot be driven to (`replan.logs.route.GoalFault`), or the log's driver passes
+                  it almost at once (`replan.metrics.arrival.passed_early`)
 """
 
 from __future__ import annotations
@@ -122,12 +133,14 @@ class FaultKind(Enum):
 
     PHANTOM = (
         "phantom",
-        "left out of contacts, gaps and times to collision meanwhile; a drive that meets one is marked",
+        "left out of contacts, gaps and times to collision meanwhile; a drive that meets one is "
+        "marked",
     )
     EGO_GAP = "ego gap", "plans are compared with an interpolated drive there"
     EGO_JUMP = (
         "ego jump",
-        "open loop starts from states that were not driven; accuracy and comfort of the log are wrong there",
+        "open loop starts from states that were not driven; accuracy and comfort of the log are "
+        "wrong there",
     )
     EGO_SPEED = (
         "ego speed",
@@ -143,7 +156,8 @@ class FaultKind(Enum):
     )
     ID_SWITCH = (
         "id switch",
-        "one road user counts as two, who appear and vanish; following and encounters are cut in two",
+        "one road user counts as two, who appear and vanish; following and encounters are cut in "
+        "two",
     )
     TELEPORT = "teleport", "time to collision, predictions and contacts are wrong around the jump"
     AGENT_SPEED = (
@@ -213,7 +227,9 @@ def findings(scenario: Scenario) -> tuple[Finding, ...]:
 
 
 def sentences(found: Iterable[Finding]) -> tuple[str, ...]:
-    """Return one sentence for each kind: its first finding, the number of further ones, and the effect."""
+    """Return one sentence for each kind: its first finding, the number of further ones, and the
+    effect.
+    """
     out = []
     for kind, (first, *more) in _by_kind(found).items():
         others = f" ({len(more)} more of this kind)" if more else ""
@@ -223,20 +239,23 @@ def sentences(found: Iterable[Finding]) -> tuple[str, ...]:
 
 
 def report(scenario: Scenario, raw: Scenario | None = None) -> list[str]:
-    """Return the findings as text for `replan inspect`: the first `SHOWN` of each kind, and the kind's effect.
+    """Return the findings as text for `replan inspect`: the first `SHOWN` of each kind, and the
+    kind's effect.
 
     `raw` is the same log without the repair of its tracks, for comparison.
     """
     found = findings(scenario)
     out = [
-        f"health: {len(found) or 'nothing'} {'findings' if found else 'found'} by {len(CHECKS)} checks"
+        f"health: {len(found) or 'nothing'} {'findings' if found else 'found'} by {len(CHECKS)} "
+        "checks"
     ]
     if raw is not None:
         was = Counter(one.kind.value for one in findings(raw))
         out += [
             f"repair: {len(raw.tracks)} tracks and {was.total()} findings before,"
             f" {len(scenario.tracks)} and {len(found)} after",
-            f"    before: {', '.join(f'{count} {kind}' for kind, count in was.most_common()) or 'nothing found'}",
+            "    before: "
+            f"{', '.join(f'{count} {kind}' for kind, count in was.most_common()) or 'nothing found'}",
         ]
     for kind, same in _by_kind(found).items():
         out.append(f"  {kind.value}: {kind.effect}")
@@ -316,7 +335,9 @@ def ego_jumps(scenario: Scenario) -> Iterator[Finding]:
 
 
 def ego_speed(scenario: Scenario) -> Iterator[Finding]:
-    """Find speeds of the ego that do not match its positions, or match by a factor of units (3), (4)."""
+    """Find speeds of the ego that do not match its positions, or match by a factor of units (3),
+    (4).
+    """
     ego = scenario.ego
     way, by_speed = _ways(ego.t, ego.x, ego.y, np.abs(ego.v), np.zeros(len(ego), np.bool_))
     if max(way, by_speed) < EGO_WAY_M or abs(way - by_speed) <= EGO_SPEED_OFF * max(way, by_speed):
@@ -350,14 +371,20 @@ def ego_heading(scenario: Scenario) -> Iterator[Finding]:
             continue
         by = float(np.median(off[run]))
         begin, end = float(ego.t[chords.first[run][0]]), float(ego.t[chords.last[run][-1]])
-        text = f"the ego's heading is {by:.2f} rad off the way it goes, in the median{_degrees(ego.yaw)}"
+        text = (
+            f"the ego's heading is {by:.2f} rad off the way it goes, in the "
+            f"median{_degrees(ego.yaw)}"
+        )
         if least == AGAINST_M:
             sign = (
                 "reverse gear without a signed speed?"
                 if np.median(v[run]) >= 0.0
                 else "is the speed's sign wrong?"
             )
-            text = f"the ego's heading and speed point against the way it goes for {end - begin:.1f} s: {sign}"
+            text = (
+                "the ego's heading and speed point against the way it goes for "
+                f"{end - begin:.1f} s: {sign}"
+            )
         yield Finding(FaultKind.EGO_HEADING, "ego", "", begin, end, by, "rad", text)
     turn, dt = np.abs(wrapped(np.diff(ego.yaw))), np.diff(ego.t)
     for k in np.flatnonzero((turn > EGO_FLIP_RAD) & (dt < EGO_GAP_S)):
@@ -368,7 +395,9 @@ def ego_heading(scenario: Scenario) -> Iterator[Finding]:
 
 
 def _degrees(yaw: FloatArray) -> str:
-    """Return a question for headings that contradict the motion: those beyond a turn may be degrees."""
+    """Return a question for headings that contradict the motion: those beyond a turn may be
+    degrees.
+    """
     return "; in degrees?" if np.abs(yaw).max() > 2.0 * np.pi else ""
 
 
@@ -381,7 +410,8 @@ def _runs(mask: BoolArray) -> list[slice]:
 def _ways(
     t: FloatArray, x: FloatArray, y: FloatArray, v: FloatArray, gap_after: BoolArray
 ) -> tuple[float, float]:
-    """Return the way by positions and by the speeds `v` `(n,)` >= 0, m, without the steps with a gap.
+    """Return the way by positions and by the speeds `v` `(n,)` >= 0, m, without the steps with a
+    gap.
 
     Samples closer than `CLOSE_S` are left out: their steps are noise.
     """
@@ -469,7 +499,9 @@ def teleports(scenario: Scenario) -> Iterator[Finding]:
 
 
 def speeds(scenario: Scenario) -> Iterator[Finding]:
-    """Find speeds of road users that do not match their positions, or match by a factor of units (9), (13)."""
+    """Find speeds of road users that do not match their positions, or match by a factor of units
+    (9), (13).
+    """
     tracks, found, ratios = scenario.tracks, [], []
     for i, mine, t in _moving(tracks):
         v = np.hypot(tracks.vx[mine], tracks.vy[mine])
@@ -487,7 +519,10 @@ def speeds(scenario: Scenario) -> Iterator[Finding]:
     for known, meaning in FACTORS.items():
         near = [ratio for ratio in ratios if abs(ratio / known - 1.0) < NEAR]
         if len(near) > max(1.0, MOST * len(ratios)):
-            text = f"the speeds of {len(near)} of {len(ratios)} agents are {known:.3g} times those of their positions"
+            text = (
+                f"the speeds of {len(near)} of {len(ratios)} agents are {known:.3g} times those "
+                "of their positions"
+            )
             yield Finding(
                 FaultKind.UNITS,
                 "agents",
@@ -515,7 +550,9 @@ def heading_flips(scenario: Scenario) -> Iterator[Finding]:
 
 
 def agent_headings(scenario: Scenario) -> Iterator[Finding]:
-    """Find vehicles that do not go along the axis of their box, or fast against their heading (20)."""
+    """Find vehicles that do not go along the axis of their box, or fast against their heading
+    (20).
+    """
     tracks = scenario.tracks
     chords = Chords.of_tracks(tracks)
     chords = chords.taken(among(*LONG)[tracks.codes][chords.owner])
@@ -545,7 +582,10 @@ def velocity_directions(scenario: Scenario) -> Iterator[Finding]:
 def _directions(
     scenario: Scenario, kind: FaultKind, word: str, chords: Chords, amount: Callable[[slice], float]
 ) -> Iterator[Finding]:
-    """Make a finding of each track whose chords are off by an `amount` above `TURNED_RAD`; one, if most tracks are."""
+    """Make a finding of each track whose chords are off by an `amount` above `TURNED_RAD`.
+
+    One, if most tracks are.
+    """
     tracks, found = scenario.tracks, []
     owners, first = np.unique(chords.owner, return_index=True)
     asked = 0
@@ -557,20 +597,29 @@ def _directions(
         asked += 1
         if (by := amount(mine)) > TURNED_RAD:
             a, b = tracks.t[chords.first[mine][0]], tracks.t[chords.last[mine][-1]]
-            text = f"has a {word} {by:.2f} rad off the way it goes, {chords.way[mine].sum():.1f} m, in the median"
+            text = (
+                f"has a {word} {by:.2f} rad off the way it goes, {chords.way[mine].sum():.1f} "
+                "m, in the median"
+            )
             text += (
                 _degrees(tracks.yaw[tracks.samples(i)]) if kind is FaultKind.AGENT_HEADING else ""
             )
             found.append(_of_track(tracks, i, kind, a, b, by, "rad", text))
     if len(found) > max(1.0, MOST * asked):
         by = float(np.median([one.value for one in found]))
-        text = f"{len(found)} of {asked} moving agents have a {word} off the way they go, by {by:.2f} rad in the median"
+        text = (
+            f"{len(found)} of {asked} moving agents have a {word} off the way they go, by "
+            f"{by:.2f} rad in the median"
+        )
         found = [Finding(kind, "agents", "", 0.0, scenario.duration, by, "rad", text)]
     yield from found
 
 
 def across(scenario: Scenario) -> Iterator[Finding]:
-    """Find motion across a box's axis (18), the first of each track; the axis is the mean heading of both boxes."""
+    """Find motion across a box's axis (18), the first of each track.
+
+    The axis is the mean heading of both boxes.
+    """
     tracks = scenario.tracks
     for i, mine, t in _moving(tracks):
         if tracks.kinds[i] not in LONG:
@@ -588,7 +637,10 @@ def across(scenario: Scenario) -> Iterator[Finding]:
             k, count = int(np.argmax(far)), int(far.sum())
             more = f", and {count - 1} more times" if count > 1 else ""
             off = 0.5 * abs(float(turn[k]))
-            text = f"goes {np.hypot(dx[k], dy[k]):.1f} m at {off:.1f} rad to its axis in {t[k + 1] - t[k]:.2f} s{more}"
+            text = (
+                f"goes {np.hypot(dx[k], dy[k]):.1f} m at {off:.1f} rad to its axis in "
+                f"{t[k + 1] - t[k]:.2f} s{more}"
+            )
             yield _of_track(tracks, i, FaultKind.ACROSS, t[k], t[k + 1], off, "rad", text)
 
 
@@ -680,7 +732,10 @@ def off_map(scenario: Scenario) -> Iterator[Finding]:
         [lane.center for lane in road.lanes.values() if lane.drivable] or [np.full((1, 2), np.inf)]
     )
     away = max(float(np.hypot(points[:, 0] - ego.x[k], points[:, 1] - ego.y[k]).min()) for k in off)
-    text = f"{share:.0%} of the ego's states are on no drivable lane, up to {away:.1f} m from the nearest centre line"
+    text = (
+        f"{share:.0%} of the ego's states are on no drivable lane, up to {away:.1f} m from the "
+        "nearest centre line"
+    )
     yield Finding(FaultKind.OFF_MAP, "road", "", ego.t[off[0]], ego.t[off[-1]], share, "1", text)
 
 
@@ -695,7 +750,10 @@ def lane_graph(scenario: Scenario) -> Iterator[Finding]:
         if lane.successors and lanes.keys().isdisjoint(lane.successors)
     ]
     if len(missing) > EDGE * len(lanes):
-        text = f"{len(missing)} of {len(lanes)} lanes are followed only by lanes that are not in the map"
+        text = (
+            f"{len(missing)} of {len(lanes)} lanes are followed only by lanes that are not in "
+            "the map"
+        )
         yield Finding(FaultKind.LANE_GRAPH, "road", "", 0.0, end, len(missing), "1", text)
     for lane in lanes.values():
         for name in lane.successors:
@@ -733,7 +791,10 @@ def goals(scenario: Scenario) -> Iterator[Finding]:
     if fault := fault_of(scenario):
         yield Finding(FaultKind.GOAL, "goal", "", begin, end, 0.0, "1", fault.value)
     elif early := passed_early(scenario):
-        text = f"the log's driver passes the goal after {early[0] - begin:.1f} s: {early[1]:.0%} of the log"
+        text = (
+            f"the log's driver passes the goal after {early[0] - begin:.1f} s: {early[1]:.0%} "
+            "of the log"
+        )
         yield Finding(FaultKind.GOAL, "goal", "", early[0], end, early[1], "1", text)
 
 

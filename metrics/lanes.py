@@ -1,20 +1,23 @@
-"""A road's lanes as flat arrays, for the queries of metrics: distance off the lanes, speed limit, direction.
+"""A road's lanes as flat arrays, for the queries of metrics: distance off the lanes, speed limit,
+direction.
 
-The end of the map is not the end of the road: a lane without a successor in the map is extended straight by 10 m (two
-cars' lengths), and a lane without a predecessor is extended backwards likewise.
+The end of the map is not the end of the road: a lane without a successor in the map is extended
+straight by 10 m (two cars' lengths), and a lane without a predecessor is extended backwards
+likewise.
 
-`DrivableLanes` is the map as the devkits of nuPlan and NAVSIM ask it: lanes, connectors, roadblocks, intersections,
-routes.
+`DrivableLanes` is the map as the devkits of nuPlan and NAVSIM ask it: lanes, connectors,
+roadblocks, intersections, routes.
 
-A connector is a lane in a junction: the log calls it "intersection" (`Lane.kind`), or, in a log that calls none so, it
-crosses another lane. The other drivable lanes are lanes. A roadblock is a set of lanes, or of connectors, that are
-neighbours in one direction. The intersections are the areas of the connectors. Lanes end where they end: none is
-extended beyond the map.
+A connector is a lane in a junction: the log calls it "intersection" (`Lane.kind`), or, in a log
+that calls none so, it crosses another lane. The other drivable lanes are lanes. A roadblock is a
+set of lanes, or of connectors, that are neighbours in one direction. The intersections are the
+areas of the connectors. Lanes end where they end: none is extended beyond the map.
 
-A lane is an index into `DrivableLanes.lanes`. The route of poses is, at each, the lane or connectors under it
-(`route`): those of the pose before, their successors if there was one only, else a new search: the first lane, else all
-connectors. A pose that leaves a connector for an unrelated one stays with connectors nearer than `NEAR_M`. At last, of
-several connectors those remain that lead on to the next pose's.
+A lane is an index into `DrivableLanes.lanes`. The route of poses is, at each, the lane or
+connectors under it (`route`): those of the pose before, their successors if there was one only,
+else a new search: the first lane, else all connectors. A pose that leaves a connector for an
+unrelated one stays with connectors nearer than `NEAR_M`. At last, of several connectors those
+remain that lead on to the next pose's.
 """
 
 from __future__ import annotations
@@ -54,10 +57,12 @@ class EdgeBoxes(NamedTuple):
 class LaneArrays(NamedTuple):
     """The drivable lanes of a road."""
 
-    # Outlines of all lanes one after the other `(m, 2)`, m; edge k of one leads from its point k - 1 to k
+    # Outlines of all lanes one after the other `(m, 2)`, m; edge k of one leads from its point k -
+    # 1 to k
     points: FloatArray
     offsets: IntArray  # `(n + 1,)`: lane i owns the points `offsets[i] : offsets[i + 1]`
-    # Their centre lines `(m / 2, 2)`, m; lane i owns the halves of `offsets`; edge k leads from point k on
+    # Their centre lines `(m / 2, 2)`, m; lane i owns the halves of `offsets`; edge k leads from
+    # point k on
     center: FloatArray
     box: FloatArray  # `(n, 4)`: least x, y, greatest x, y
     limit: FloatArray  # `(n,)` the log's speed limit, m/s; NaN where it has none
@@ -66,7 +71,10 @@ class LaneArrays(NamedTuple):
 
 
 def points_inside(polygon: FloatArray, x: FloatArray, y: FloatArray) -> BoolArray:
-    """Return which points `(n,)` lie in a polygon `(k, 2)`; its bounding box excludes most points early."""
+    """Return which points `(n,)` lie in a polygon `(k, 2)`.
+
+    Its bounding box excludes most points early.
+    """
     (x_lo, y_lo), (x_hi, y_hi) = polygon.min(axis=0), polygon.max(axis=0)
     found = (x >= x_lo) & (x <= x_hi) & (y >= y_lo) & (y <= y_hi)
     found[found] = [
@@ -90,13 +98,17 @@ def stated_lanes(road: Road) -> LaneArrays | None:
 
 
 def drivable_lanes(road: Road) -> LaneArrays | None:
-    """Return the lanes that a car may drive on, extended where the map ends; None if there are none."""
+    """Return the lanes that a car may drive on, extended where the map ends; None if there are
+    none.
+    """
     return lane_arrays(road, BEYOND_M)
 
 
 @once
 def lane_arrays(road: Road, beyond: float) -> LaneArrays | None:
-    """Return the lanes that a car may drive on, `beyond` m longer where the map ends; None if there are none."""
+    """Return the lanes that a car may drive on, `beyond` m longer where the map ends; None if there
+    are none.
+    """
     lanes = [lane for lane in road.lanes.values() if lane.drivable]
     if not lanes:
         return None
@@ -133,7 +145,9 @@ def lane_arrays(road: Road, beyond: float) -> LaneArrays | None:
 
 
 def _boxes(polylines: Sequence[FloatArray]) -> EdgeBoxes:
-    """Return boxes of the edges of polylines, each `(n, 4)` (start and end): sqrt(n) edges per box, at least `FEW`."""
+    """Return boxes of the edges of polylines, each `(n, 4)` (start and end): sqrt(n) edges per box,
+    at least `FEW`.
+    """
     first, box, rows = [0], [], []
     for edges in polylines:
         step = max(FEW, ceil(sqrt(len(edges))))
@@ -148,7 +162,8 @@ def _boxes(polylines: Sequence[FloatArray]) -> EdgeBoxes:
 def keeps_lane(road: Road, x: float, y: float, corners: FloatArray) -> bool:
     """Return whether a box with centre (x, y) is in one lane, and not where lanes cross or fork.
 
-    Successors and predecessors continue the lane: a car between one lane and the next along the road keeps its lane.
+    Successors and predecessors continue the lane: a car between one lane and the next along the
+    road keeps its lane.
     """
     under = [lane for lane in road.lanes_at(x, y) if lane.drivable]
     if len(under) != 1:
@@ -161,9 +176,12 @@ def keeps_lane(road: Road, x: float, y: float, corners: FloatArray) -> bool:
 
 
 class Under(NamedTuple):
-    """The lanes under points of a drive, `(k,)` each; NaN without a lane; at crossings `along` and `left` are NaN."""
+    """The lanes under points of a drive, `(k,)` each; NaN without a lane; at crossings `along` and
+    `left` are NaN.
+    """
 
-    # Cosine of the angle between heading and lane; of several lanes, the best aligned one. -1: against the lane.
+    # Cosine of the angle between heading and lane; of several lanes, the best aligned one. -1:
+    # against the lane.
     along: FloatArray
     # Distance from the nearest centre line of a lane there, m, positive to the left of the lane
     left: FloatArray
@@ -179,7 +197,9 @@ def _gap(box: FloatArray, g: int, x: float, y: float) -> float:
 
 @kernel
 def on_lane(lanes: LaneArrays, i: int, x: float, y: float) -> bool:
-    """Return whether a point lies in lane i: `replan.logs.road.inside` with only the edges that a ray from it could cross."""
+    """Return whether a point lies in lane i: `replan.logs.road.inside` with only the edges that a
+    ray from it could cross.
+    """
     polygon, boxes = lanes.points[lanes.offsets[i] : lanes.offsets[i + 1]], lanes.outline
     found = False
     for g in range(boxes.first[i], boxes.first[i + 1]):
@@ -194,7 +214,9 @@ def on_lane(lanes: LaneArrays, i: int, x: float, y: float) -> bool:
 
 @inner_kernel
 def _on_center(lanes: LaneArrays, i: int, x: float, y: float) -> tuple[float, float, float, float]:
-    """Return lane i's unit direction nearest to (x, y), the distance to its left, and half of its width there, m."""
+    """Return lane i's unit direction nearest to (x, y), the distance to its left, and half of its
+    width there, m.
+    """
     center = lanes.center[lanes.offsets[i] // 2 : lanes.offsets[i + 1] // 2]
     best, cx, cy, left, half, boxes = inf, 0.0, 0.0, 0.0, 0.0, lanes.middle
     bound = inf  # upper bound: the farthest corner of each box
@@ -261,9 +283,11 @@ def edge_distance(lanes: LaneArrays, i: int, x: float, y: float, best: float) ->
 
 @kernel
 def off_lanes(lanes: LaneArrays, x: FloatArray, y: FloatArray) -> FloatArray:
-    """Return the exact distance `(k,)` of points `(k,)` to the nearest drivable lane, m; 0 on a lane.
+    """Return the exact distance `(k,)` of points `(k,)` to the nearest drivable lane, m; 0 on a
+    lane.
 
-    Lanes whose bounding box is not nearer than the best distance are skipped; the previous nearest lane is tried first.
+    Lanes whose bounding box is not nearer than the best distance are skipped; the previous nearest
+    lane is tried first.
     """
     n, out, recent = len(lanes.box), np.empty(len(x)), 0
     for k in range(len(x)):
@@ -285,7 +309,9 @@ def off_lanes(lanes: LaneArrays, x: FloatArray, y: FloatArray) -> FloatArray:
 
 @kernel
 def limits_at(lanes: LaneArrays, x: FloatArray, y: FloatArray) -> FloatArray:
-    """Return the log's speed limit `(k,)` at points, m/s: the largest of overlapping lanes; NaN if no lane has one."""
+    """Return the log's speed limit `(k,)` at points, m/s: the largest of overlapping lanes; NaN if
+    no lane has one.
+    """
     out = np.full(len(x), nan)
     for k in range(len(x)):
         for i in range(len(lanes.box)):
@@ -302,7 +328,9 @@ Route = list[tuple[int, ...]]
 
 @kernel
 def lane_distances(lanes: LaneArrays, x: FloatArray, y: FloatArray, reach: float) -> FloatArray:
-    """Return the distance of points `(k,)` to each lane `(n, k)`, m: 0 inside, inf beyond `reach`."""
+    """Return the distance of points `(k,)` to each lane `(n, k)`, m: 0 inside, inf beyond
+    `reach`.
+    """
     out = np.full((len(lanes.box), len(x)), inf)
     for i in range(len(lanes.box)):
         box = lanes.box[i]
@@ -322,7 +350,9 @@ def lane_distances(lanes: LaneArrays, x: FloatArray, y: FloatArray, reach: float
 
 @kernel
 def along_line(line: FloatArray, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the station of the nearest point of a polyline `(n, 2)` to each point `(k,)`, and the distance, m."""
+    """Return the station of the nearest point of a polyline `(n, 2)` to each point `(k,)`, and the
+    distance, m.
+    """
     station, away = np.zeros(len(x)), np.full(len(x), inf)
     for k in range(len(x)):
         begin = 0.0
@@ -386,14 +416,19 @@ class DrivableLanes:
         return (lanes[0],) if lanes else tuple(found)
 
     def continued(self, last: Sequence[int], under: BoolArray) -> tuple[int, ...]:
-        """Return which of the last lanes are still under a point; if none is, of a single one its successors."""
+        """Return which of the last lanes are still under a point.
+
+        If none is, of a single one its successors.
+        """
         still = tuple(i for i in last if under[i])
         return still or (
             tuple(i for i in self.after[last[0]] if under[i]) if len(last) == 1 else ()
         )
 
     def route(self, x: FloatArray, y: FloatArray) -> Route:
-        """Return the lane or connectors of each of the points `(k,)` of a drive (module docstring)."""
+        """Return the lane or connectors of each of the points `(k,)` of a drive (module
+        docstring).
+        """
         away = lane_distances(self.arrays, x, y, NEAR_M)
         out: Route = []
         now: tuple[int, ...] = ()
@@ -441,7 +476,9 @@ class DrivableLanes:
         return out
 
     def in_one(self, corners: Sequence[tuple[int, ...]]) -> bool:
-        """Return whether four corners (front left, rear left, rear right, front right) share a lane or joined lanes."""
+        """Return whether four corners (front left, rear left, rear right, front right) share a lane
+        or joined lanes.
+        """
         if not all(corners):
             return False
         fl, rl, rr, fr = (set(one) for one in corners)
@@ -486,7 +523,10 @@ def lane_map(road: Road) -> DrivableLanes | None:
 
 
 def _connectors(lanes: Sequence[Lane]) -> tuple[bool, ...]:
-    """Return which lanes are in a junction, as the log says; else those whose centre line crosses another's."""
+    """Return which lanes are in a junction, as the log says.
+
+    Else those whose centre line crosses another's.
+    """
     marked = tuple(IN_JUNCTION in lane.kind.split("+") for lane in lanes)
     if any(marked):
         return marked
@@ -507,7 +547,9 @@ def _connectors(lanes: Sequence[Lane]) -> tuple[bool, ...]:
 
 
 def _cross(a: FloatArray, b: FloatArray, c: FloatArray, d: FloatArray) -> bool:
-    """Return whether one of the segments a to b `(n, 2)` properly crosses one of the segments c to d `(m, 2)`."""
+    """Return whether one of the segments a to b `(n, 2)` properly crosses one of the segments c to
+    d `(m, 2)`.
+    """
 
     def side(p: FloatArray, q: FloatArray, r: FloatArray) -> FloatArray:
         (px, py), (qx, qy), (rx, ry) = p.T, q.T, r.T

@@ -1,17 +1,19 @@
-"""The vocabulary of metrics: a Metric measures a trace step by step and reduces the steps to named values.
+"""The vocabulary of metrics: a Metric measures a trace step by step and reduces the steps to named
+values.
 
-A metric is one function `(trace, scenario) -> Series | Unavailable` and one entry in `replan.metrics.GROUPS`. The function may
-also return a mapping from parts to these types ("1s", "3s" of the displacement error). A complete example:
+A metric is one function `(trace, scenario) -> Series | Unavailable` and one entry in
+`replan.metrics.GROUPS`. The function may also return a mapping from parts to these types ("1s",
+"3s" of the displacement error). A complete example:
 
     def _speed(trace: Trace, scenario: Scenario) -> Measured:
         return Series(trace.ego.t, trace.ego.v)
 
     SPEED = Metric("speed", "m/s", "none", (Mode.CLOSED,), _speed, (MEAN, MAX), "Speed of the rear axle.")
 
-It becomes the rows `speed.mean` and `speed.max` of the table, and the series `speed` of the plots. A metric that cannot
-be measured returns Unavailable with the reason; a single step without a value is NaN. Sentinel values and infinities
-are not allowed.
-"""
+It becomes the rows `speed.mean` and `speed.max` of the table, and the series `speed` of the plots.
+A metric that cannot be measured returns Unavailable with the reason; a single step without a value
+is NaN. Sentinel values and infinities are not allowed.
+"""  # noqa: E501
 
 from __future__ import annotations
 
@@ -40,12 +42,14 @@ class Series:
     Attributes:
         t: `(n,)` s since the scenario's start, increasing, n >= 1.
         value: `(n,)`; NaN where the step has none.
-        labels: `n` texts that name the road user or object that a step's value is about ("car 12"), or empty.
+        labels: `n` texts that name the road user or object that a step's value is about ("car 12"),
+            or empty.
         missing: Why steps have no value; the reason of the row if no step has one.
         known: `(n,)` whether each step has a value; derived from `value`.
 
     Raises:
-        ValueError: Columns differ in length or are empty, a time is not finite, or a value is infinite.
+        ValueError: Columns differ in length or are empty, a time is not finite, or a value is
+            infinite.
     """
 
     t: FloatArray
@@ -69,7 +73,10 @@ class Series:
 
 
 def counted(t: FloatArray, events: Iterable[tuple[int, str]]) -> Series:
-    """Count the events (step and label) at each of the times `t` `(n,)`; labels of one step are joined."""
+    """Count the events (step and label) at each of the times `t` `(n,)`.
+
+    Labels of one step are joined.
+    """
     counts, labels = np.zeros(len(t)), [""] * len(t)
     for step, label in events:
         counts[step] += 1.0
@@ -97,8 +104,10 @@ class Reduction:
         reduce: Returns the value and its step, -1 if the value belongs to no step.
         unit: None: as the metric.
         direction: None: as the metric.
-        empty: The value of a series without values (0 for a count); None: the reduction is unavailable then.
-        bounds: The reduction sums over the steps below the first or above the second bound; None: it has no bounds.
+        empty: The value of a series without values (0 for a count); None: the reduction is
+            unavailable then.
+        bounds: The reduction sums over the steps below the first or above the second bound; None:
+            it has no bounds.
     """
 
     name: str
@@ -166,13 +175,17 @@ class Metric:
             raise ValueError(f"metric {self.name!r}: {broken}")
 
     def found(self, trace: Trace, scenario: Scenario) -> Measured | Mapping[str, Measured]:
-        """Return the cached result of `measure` for reuse by scores; a long drive caches only the newest results."""
+        """Return the cached result of `measure` for reuse by scores.
+
+        A long drive caches only the newest results.
+        """
         return (_remember_all if len(trace.ego) <= LONG_STEPS else _remember_newest)(
             trace, scenario, self.measure
         )
 
     def measured(self, trace: Trace, scenario: Scenario) -> dict[str, Measured]:
-        """Return its series by full name ("gap", "ade.3s"); an unavailable metric has the names of its parts too.
+        """Return its series by full name ("gap", "ade.3s"); an unavailable metric has the names of
+        its parts too.
 
         TypeError if `measure` returned something else.
         """
@@ -182,7 +195,8 @@ class Metric:
                 isinstance(one, Unavailable) and isinstance(one.reason, str)
             ):
                 raise TypeError(
-                    f"it returned {type(one).__name__}, not a Series, Unavailable, or a mapping to these"
+                    f"it returned {type(one).__name__}, not a Series, Unavailable, or a mapping to "
+                    "these"
                 )
         if isinstance(found, Mapping):
             return {f"{self.name}.{part}": series for part, series in found.items()}
@@ -206,7 +220,9 @@ LEAST_S = 4.0  # For `share_beyond`: the horizon over which plans are judged
 
 
 def where_followed(measure: Callable[P, Measured]) -> Callable[P, Measured]:
-    """Make a measure, whose last argument is the scenario, unavailable where no planner can follow the log's path."""
+    """Make a measure, whose last argument is the scenario, unavailable where no planner can follow
+    the log's path.
+    """
 
     @wraps(measure)
     def asked(*args: P.args, **kwargs: P.kwargs) -> Measured:
@@ -219,7 +235,9 @@ def where_followed(measure: Callable[P, Measured]) -> Callable[P, Measured]:
 
 
 def _extreme(series: Series, score: FloatArray, value: FloatArray) -> tuple[float, int]:
-    """Return the value at the step with the highest score (the earliest of equals), and that step."""
+    """Return the value at the step with the highest score (the earliest of equals), and that
+    step.
+    """
     step = int(np.argmax(np.where(series.known, score, -np.inf)))
     return float(value[step]), step
 
@@ -244,12 +262,17 @@ def _percentile(q: float) -> Callable[[Series], tuple[float, int]]:
 
 
 def durations(t: FloatArray) -> FloatArray:
-    """Return the duration of each step `(n,)`, s: half of the time to each neighbour; they sum to the drive's."""
+    """Return the duration of each step `(n,)`, s: half of the time to each neighbour.
+
+    They sum to the drive's.
+    """
     return split_to_neighbours(np.diff(t))
 
 
 def split_to_neighbours(between: FloatArray) -> FloatArray:
-    """Split values between the steps `(n - 1,)` into values of the steps `(n,)`: half goes to each neighbour."""
+    """Split values between the steps `(n - 1,)` into values of the steps `(n,)`: half goes to each
+    neighbour.
+    """
     out = np.zeros(len(between) + 1)
     out[:-1] += 0.5 * between
     out[1:] += 0.5 * between
@@ -257,7 +280,10 @@ def split_to_neighbours(between: FloatArray) -> FloatArray:
 
 
 def longest(series: Series, flags: BoolArray) -> tuple[float, int]:
-    """Return the longest unbroken stretch of marked steps: duration, s, and first step; the earliest of equals."""
+    """Return the longest unbroken stretch of marked steps: duration, s, and first step.
+
+    The earliest of equals.
+    """
     if not flags.any():
         return 0.0, -1
     edge = np.diff(np.r_[False, flags, False].astype(np.int64))
@@ -304,7 +330,10 @@ HAVING = Reduction(
 )
 """Share of the steps that have a value; its time is that of the first such step."""
 SHARE = Reduction("share", lambda series: (float(np.mean(series.known)), -1), "1", "higher", 0.0)
-"""Share of the steps that have a value, where every step should have one; below 1, the mean is over a part only."""
+"""Share of the steps that have a value, where every step should have one.
+
+Below 1, the mean is over a part only.
+"""
 
 
 def _marked_time(
@@ -313,7 +342,10 @@ def _marked_time(
     whole: Callable[[Series, FloatArray], float] | None = None,
     bounds: tuple[float, float] | None = None,
 ) -> Reduction:
-    """Duration of the marked steps, s, or their share of the duration `whole`; its time is the first marked step."""
+    """Duration of the marked steps, s, or their share of the duration `whole`.
+
+    Its time is the first marked step.
+    """
 
     def reduce(series: Series) -> tuple[float, int]:
         flags, weight = mark(series), durations(series.t)
@@ -328,7 +360,9 @@ def _marked_time(
 
 
 def time_outside(low: float, high: float, name: str) -> Reduction:
-    """Seconds during which the value is below `low` or above `high`; 0 where no step has a value."""
+    """Seconds during which the value is below `low` or above `high`; 0 where no step has a
+    value.
+    """
     return _marked_time(
         name, lambda series: (series.value < low) | (series.value > high), bounds=(low, high)
     )
@@ -345,7 +379,10 @@ def time_above(bound: float, name: str) -> Reduction:
 
 
 def worst_episode(low: float, high: float) -> Reduction:
-    """Longest unbroken stretch below `low` or above `high`, s; its time is the stretch's first step."""
+    """Longest unbroken stretch below `low` or above `high`, s.
+
+    Its time is the stretch's first step.
+    """
     return Reduction(
         "worst_episode",
         lambda series: longest(series, (series.value < low) | (series.value > high)),
@@ -366,7 +403,9 @@ def share_while(condition: Callable[[FloatArray], BoolArray], name: str) -> Redu
 
 
 def share_beyond(bound: float, name: str) -> Reduction:
-    """Share of the time of the steps with a value (at least `LEAST_S`) during which the value is above `bound`."""
+    """Share of the time of the steps with a value (at least `LEAST_S`) during which the value is
+    above `bound`.
+    """
     return _marked_time(
         name,
         lambda series: series.value > bound,
@@ -375,9 +414,11 @@ def share_beyond(bound: float, name: str) -> Reduction:
 
 
 def rate_of_change(t: FloatArray, value: FloatArray, window: float) -> FloatArray:
-    """Return the rate of change `(n,)` of a sampled value, per s; all metrics differentiate with this function.
+    """Return the rate of change `(n,)` of a sampled value, per s; all metrics differentiate with
+    this function.
 
-    (1) rate(t) = (value(t) - value(t - window)) / window, linear between the samples; NaN in the first `window` s
+    (1) rate(t) = (value(t) - value(t - window)) / window, linear between the samples;
+            NaN in the first `window` s
 
     The rate is causal: later samples, and where a log is cut, do not change it.
     """

@@ -1,54 +1,63 @@
 """Braking, standing and steering without a reason, and missing braking; closed loop, every 0.1 s.
 
-Reasons for the ego to slow down or to stand are searched along the route (`progress`), ahead of its front, up to the
-distance (v: its speed)
+Reasons for the ego to slow down or to stand are searched along the route (`progress`), ahead of its
+front, up to the distance (v: its speed)
 
-(1) look = 10 m + 1.5 s v + max(v - u, 0)^2 / (2 EASE_MPS2)      u: speed of the road user ahead, along the route
+(1) look = 10 m + 1.5 s v + max(v - u, 0)^2 / (2 EASE_MPS2)
+        u: speed of the road user ahead, along the route
 
 The reasons are those that a careful driver could have:
 
-    road users   ahead or beside, whose box is within 1 m (pedestrians and riders: 2 m) of the strip that the ego sweeps
-                 here or on the route, or comes so near within `COMING_S` at its velocity, and who do not drive away:
-                 those that were present, phantoms included, and those that the planner perceived
-    rules        a stop line with a sign, or a light that is not green; a crosswalk with a pedestrian or rider
-                 within 10 m of it;
-                 a lane that yields; the far end of the goal, its near end where it asks for a speed; a goal's time,
-                 where the ego would leave the goal before it; the end of the route
-    caps         v exceeds the limit, the speed with 2 m/s2 of lateral acceleration in a curve, or the speed of the
-                 recorded driver at that place
+    road users   ahead or beside, whose box is within 1 m (pedestrians and riders: 2 m) of the strip
+                 that the ego sweeps here or on the route, or comes so near within `COMING_S` at its
+                 velocity, and who do not drive away: those that were present, phantoms included,
+                 and those that the planner perceived
+    rules        a stop line with a sign, or a light that is not green; a crosswalk with a
+                 pedestrian or rider within 10 m of it; a lane that yields; the far end of the goal,
+                 its near end where it asks for a speed; a goal's time, where the ego would leave
+                 the goal before it; the end of the route
+    caps         v exceeds the limit, the speed with 2 m/s2 of lateral acceleration in a curve, or
+                 the speed of the recorded driver at that place
 
-Reasons other than caps last `AFTER_S` longer. An ego more than `ASIDE_M` beside the route is not judged.
+Reasons other than caps last `AFTER_S` longer. An ego more than `ASIDE_M` beside the route is not
+judged.
 
 (2) needless_braking(t) = highest speed since the last reason - v(t)
-(3) needless_standing(t) = 1 where v < 0.5 m/s and no reason is within 10 m of its front, and no stop line within
-    `LINE_M`
-(4) needless_steering: each change of the offset from the route by 0.5 m to 2 m between two turning points, if no road
-    user and no curve is near in its first half
+(3) needless_standing(t) = 1 where v < 0.5 m/s and no reason is within 10 m of its front,
+        and no stop line within `LINE_M`
+(4) needless_steering: each change of the offset from the route by 0.5 m to 2 m between two turning
+    points, if no road user and no curve is near in its first half
 
-False braking is hard braking without a cause. A planner that avoids it may miss braking instead, so both are measured:
+False braking is hard braking without a cause. A planner that avoids it may miss braking instead, so
+both are measured:
 
 (5) A hard episode: steps every `GRID_S` with a < -`HARD_MPS2`, less than `APART_S` apart.
-(6) It had a cause if, within `CAUSE_S` of its begin, the box of any road user came within `CAUSE_M` of the strip that
-    the ego sweeps from there: along its drive, straight beyond its end, for the distance that it would cover at its
-    speed.
-(7) missed(t) = max((v - u)^2 / (2 gap) - b, 0) for the lead in the path ahead (`following`) with gap and u, v > u, and
-    the ego's deceleration b: the deceleration of a steady approach that the ego does not apply.
+(6) It had a cause if, within `CAUSE_S` of its begin, the box of any road user came within `CAUSE_M`
+    of the strip that the ego sweeps from there: along its drive, straight beyond its end, for the
+    distance that it would cover at its speed.
+(7) missed(t) = max((v - u)^2 / (2 gap) - b, 0) for the lead in the path ahead (`following`)
+        with gap and u, v > u, and the ego's deceleration b: the deceleration of a steady approach
+        that the ego does not apply.
 
-Faults that no single event shows, closed loop, every 0.1 s: a driver who is off the middle, restless, or too fast.
+Faults that no single event shows, closed loop, every 0.1 s: a driver who is off the middle,
+restless, or too fast.
 
 Each of these measures leaves out the steps at which there is a reason.
 
-(8) lane_offset(t) = distance l of the ego's centre from the middle of its lane, positive to the left; not judged in a
-    curve, at rest, while a road user beside or ahead is to be passed and `KEPT_S` after that, and at first for
-    `SETTLES_S` and |l_0| / `RETURN_MPS`, in which an offset of the start goes.
+(8) lane_offset(t) = distance l of the ego's centre from the middle of its lane,
+        positive to the left; not judged in a curve, at rest, while a road user beside or ahead is
+        to be passed and `KEPT_S` after that, and at first for `SETTLES_S` and |l_0| / `RETURN_MPS`,
+        in which an offset of the start goes.
     kept: the largest d so that |l| >= d on one side in three quarters of the judged time
-(9) swing(t) = 1 where a fall of the speed by `FALL_MPS` or more ends, between two turning points; "needless": where it
-    had no reason to slow down all the time. per_minute: of the time of the drive, or of that without a reason; at least
-    `LEAST_S`
-(10) needless_lane_change(t) = 1 where the ego's centre crosses from a lane into the one beside it, if in the last
-    `CALLED_S` no road user was in its way ahead, and the route neither lies on that side nor crosses to it further on
-(11) braked_behind(t) = least deceleration that keeps a vehicle behind the ego from hitting it (`cut_in`, (2)) from the
-    begin of a fall (9) on, less what it would be if the ego kept its speed
+(9) swing(t) = 1 where a fall of the speed by `FALL_MPS` or more ends, between two turning points;
+        "needless": where it had no reason to slow down all the time. per_minute: of the time of the
+        drive, or of that without a reason; at least `LEAST_S`
+(10) needless_lane_change(t) = 1 where the ego's centre crosses from a lane into the one beside it,
+         if in the last `CALLED_S` no road user was in its way ahead, and the route neither lies on
+         that side nor crosses to it further on
+(11) braked_behind(t) = least deceleration that keeps a vehicle behind the ego from hitting it
+         (`cut_in`, (2)) from the begin of a fall (9) on, less what it would be if the ego kept its
+         speed
 (12) curve_accel(t) = |mean of v^2 kappa over (t - 1 s, t]|: a curve, and no swerve
 """
 
@@ -219,7 +228,9 @@ def _agents_as_reasons(
     line: ReferenceLine,  # noqa: E741
     scenario: Scenario,
 ) -> Iterator[BoolArray]:
-    """Yield for each road user the steps at which it is a reason to brake, to stand, to steer, to change lanes."""
+    """Yield for each road user the steps at which it is a reason to brake, to stand, to steer, to
+    change lanes.
+    """
     car, place = scenario.vehicle, np.stack([np.interp(s, line.s, column) for column in line.xy.T])
     for i, others, row in each(tracks, t):
         x, y, yaw, vx, vy = np.nan_to_num(others.pose[:, row])
@@ -257,7 +268,9 @@ def _agents_as_reasons(
 def _places_to_stop(
     trace: Trace, scenario: Scenario, t: FloatArray, line: ReferenceLine
 ) -> Iterator[tuple[float, float, BoolArray, float]]:
-    """Yield places where rules stop the ego: first and last station, when `(k,)`, and how near it may stand, m."""
+    """Yield places where rules stop the ego: first and last station, when `(k,)`, and how near it
+    may stand, m.
+    """
     always, route, goal = np.ones(len(t), np.bool_), route_of(scenario), scenario.goal
     lights = {light.id: light for light in scenario.lights}
     for mark in scenario.road.stop_lines:
@@ -325,7 +338,9 @@ def _steering(trace: Trace, scenario: Scenario) -> Measured:
 
 @once
 def falls(trace: Trace, scenario: Scenario) -> tuple[tuple[float, float], ...]:
-    """Return the falls of the speed by `FALL_MPS` or more without a reason, between two turning points: s from, to."""
+    """Return the falls of the speed by `FALL_MPS` or more without a reason, between two turning
+    points: s from, to.
+    """
     found, out = reasons(trace, scenario), []
     for steps in np.split(np.arange(len(found.t)), np.flatnonzero(np.diff(found.slow)) + 1):
         v = found.v[steps]
@@ -337,7 +352,9 @@ def falls(trace: Trace, scenario: Scenario) -> tuple[tuple[float, float], ...]:
 
 
 def turning_points(value: FloatArray, least: float) -> list[int]:
-    """Return the steps at which a value turns back by at least `least`, and the ends of the first and last change."""
+    """Return the steps at which a value turns back by at least `least`, and the ends of the first
+    and last change.
+    """
     turns: list[int] = []
     rising, low, high = 0, 0, 0
     for k in range(len(value)):
@@ -363,7 +380,8 @@ NEEDLESS_BRAKING = Metric(
     (Mode.CLOSED,),
     _braking,
     (MAX,),
-    "Speed that the ego lost while no road user, rule, limit, curve, goal or end of the route ahead called for it.",
+    "Speed that the ego lost while no road user, rule, limit, curve, goal or end of the route "
+    "ahead called for it.",
     formula="highest speed since the last reason - v",
     parameters=_SHARED,
     needs="a time without a reason to brake",
@@ -386,7 +404,8 @@ NEEDLESS_STEERING = Metric(
     (Mode.CLOSED,),
     _steering,
     (COUNT,),
-    "Swings of the ego's offset from the route by 0.5 m to 2 m with no road user and no curve near.",
+    "Swings of the ego's offset from the route by 0.5 m to 2 m with no road user and no curve "
+    "near.",
     formula="sum of the changes between two turning points",
     parameters=_SHARED,
 )
@@ -404,7 +423,9 @@ def hard_episodes(ego: Trajectory) -> list[int]:
 
 @kernel
 def _any_touches(way: FloatArray, car: EgoOutline, others: OtherBoxes) -> bool:
-    """Return whether any of the boxes `(n, k)` overlaps the ego at any pose of its rear axle: x, y, yaw `(3, m)`."""
+    """Return whether any of the boxes `(n, k)` overlaps the ego at any pose of its rear axle: x, y,
+    yaw `(3, m)`.
+    """
     for j in range(way.shape[1]):
         x, y, yaw = (
             way[0, j] + car.axle * cos(way[2, j]),
@@ -449,7 +470,8 @@ FALSE_BRAKING = Metric(
     (Mode.CLOSED,),
     _false_braking,
     (RATE, COUNT),
-    "1 where a hard braking begins after which no road user comes near the ego's way, 0 where one does.",
+    "1 where a hard braking begins after which no road user comes near the ego's way, 0 where one "
+    "does.",
     formula="[no road user within 0.3 m of the way ahead within 5 s]",
     parameters=(
         f"hard below -{HARD_MPS2:g} m/s2",
@@ -495,7 +517,9 @@ def _lane_offset(trace: Trace, scenario: Scenario) -> Measured:
 
 
 def _kept(series: Series) -> tuple[float, int]:
-    """Return the offset that is kept for three quarters of the time, on one side; 0 if there is none."""
+    """Return the offset that is kept for three quarters of the time, on one side; 0 if there is
+    none.
+    """
     low, high = np.quantile(series.value[series.known], [0.25, 0.75]).tolist()
     return max(low, -high, 0.0), -1
 
@@ -535,7 +559,9 @@ def _lane_change(trace: Trace, scenario: Scenario) -> Measured:
 def _crossings(
     lanes: LaneArrays, x: FloatArray, y: FloatArray, yaw: FloatArray
 ) -> list[tuple[int, float]]:
-    """Return where a drive crosses into the lane beside: the first step in it, and the side, 1 left, -1 right."""
+    """Return where a drive crosses into the lane beside: the first step in it, and the side, 1
+    left, -1 right.
+    """
     found = under(
         lanes, np.ascontiguousarray(x), np.ascontiguousarray(y), np.ascontiguousarray(yaw)
     )
@@ -599,7 +625,8 @@ SPEED_SWING = Metric(
     _CLOSED,
     _swing,
     (Reduction("per_minute", _per_minute, "1/min", empty=0.0), COUNT),
-    "Falls of the ego's speed by 0.5 m/s or more: all of them, and those while nothing called for slowing down.",
+    "Falls of the ego's speed by 0.5 m/s or more: all of them, and those while nothing called for "
+    "slowing down.",
     formula="sum of the falls; per minute, of the time without a reason for the needless ones",
     parameters=(f"fall {FALL_MPS} m/s", f"at least {LEAST_S:g} s"),
     parts=("all", "needless"),

@@ -1,36 +1,45 @@
-"""Plans: their horizon, the differences of successive plans, and their distance from the log's drive.
+"""Plans: their horizon, the differences of successive plans, and their distance from the log's
+drive.
 
-For successive frames i-1 and i, at the times t_i, t_i + 0.1 s, ..., t_i + 4 s, for as long as both plans last:
+For successive frames i-1 and i, at the times t_i, t_i + 0.1 s, ..., t_i + 4 s, for as long as both
+plans last:
 
 (1) plan_change(t_i) = mean |p_i - p_(i-1)|
 (2) plan_change_lateral(t_i) = max |component of p_i - p_(i-1) across the heading of plan i-1|
 
-if at least one of the two plans is longer than 5 m (`plans.SHORT_M`); the plans of a standing ego hardly differ.
+if at least one of the two plans is longer than 5 m (`plans.SHORT_M`); the plans of a standing ego
+hardly differ.
 
-For the frame i and the frame j 0.5 s before it, at t_i, t_i + 0.1 s, ... for as long as both plans last, at most 4 s:
+For the frame i and the frame j 0.5 s before it, at t_i, t_i + 0.1 s, ... for as long as both plans
+last, at most 4 s:
 
-(3) extended_comfort(t_i) = max over q of rms(q_i - q_j) / bound(q),  q = |A|, d|A|/dt, yaw rate, yaw acceleration
+(3) extended_comfort(t_i) = max over q of rms(q_i - q_j) / bound(q),
+        q = |A|, d|A|/dt, yaw rate, yaw acceleration
 
-with A = (a, v^2 kappa) of the plans and backward differences over 0.1 s; 1 and below is comfortable (NAVSIM's EC).
+with A = (a, v^2 kappa) of the plans and backward differences over 0.1 s; 1 and below is comfortable
+(NAVSIM's EC).
 
-(4) plan_horizon(t_i) = last time of plan i - t_i,  plan_complete(t_i) = 1 if that is at least 3 s, else 0, at the
-    frames after which the log's drive lasts 3 s, since an oracle cannot plan beyond its end
+(4) plan_horizon(t_i) = last time of plan i - t_i,
+        plan_complete(t_i) = 1 if that is at least 3 s, else 0, at the frames after which the log's
+        drive lasts 3 s, since an oracle cannot plan beyond its end
 
-In open loop, plans start at the log's states, so a plan that the log did not follow also shows as a change.
+In open loop, plans start at the log's states, so a plan that the log did not follow also shows as a
+change.
 
-Accuracy, open loop: at each frame of time t_i, plan and log are compared at t_i + 0.1 s, t_i + 0.2 s, ..., up to a
-horizon h:
+Accuracy, open loop: at each frame of time t_i, plan and log are compared at t_i + 0.1 s, t_i + 0.2
+s, ..., up to a horizon h:
 
-(5) e_k = p_plan(t_i + 0.1 k) - p_log(t_i + 0.1 k),  k = 1 .. 10 h        k = 0 is left out: both are equal
+(5) e_k = p_plan(t_i + 0.1 k) - p_log(t_i + 0.1 k),  k = 1 .. 10 h
+        k = 0 is left out: both are equal
 (6) ADE = mean_k |e_k|,  FDE = |e_10h|
 (7) AHE, FHE: the same of |wrap(yaw_plan - yaw_log)|
 (8) along, cross: components of e_10h along and left of the log's heading there
 (9) miss = 1 where max_k |e_k| > bound(h), else 0
 
-Positions are those of the rear axle (nuPlan compares centres). Frames after which the log does not last to the horizon
-are left out. A frame whose plan does not reach the horizon has no value; `share` is the share of frames with a value.
-If the log has no lanes, the planner receives the driven path as its road; then (7) and the error across in (8) are
-unavailable.
+Positions are those of the rear axle (nuPlan compares centres). Frames after which the log does not
+last to the horizon are left out. A frame whose plan does not reach the horizon has no value;
+`share` is the share of frames with a value. If the log has no lanes, the planner receives the
+driven path as its road; then (7) and the error across in (8) are unavailable.
 """
 
 from __future__ import annotations
@@ -70,7 +79,9 @@ def frame_times(trace: Trace) -> FloatArray:
 
 
 def times_after(trace: Trace, first: int, last: int) -> FloatArray:
-    """Return times `(f, k)` at multiples `first` to `last` of `STEP_S` after each frame, s, in whole nanoseconds."""
+    """Return times `(f, k)` at multiples `first` to `last` of `STEP_S` after each frame, s, in
+    whole nanoseconds.
+    """
     times = frame_times(trace)[:, None] + STEP_S * np.arange(first, last + 1)
     return np.asarray(np.rint(times * 1e9) / 1e9)
 
@@ -78,7 +89,8 @@ def times_after(trace: Trace, first: int, last: int) -> FloatArray:
 def plan_columns(
     trace: Trace, times: FloatArray, names: tuple[str, ...], which: IntArray | None = None
 ) -> FloatArray:
-    """Return columns `(c, f, k)` of the plans of the frames `which` `(f,)` (None: all) at the times `(f, k)`.
+    """Return columns `(c, f, k)` of the plans of the frames `which` `(f,)` (None: all) at the times
+    `(f, k)`.
 
     Values are linear between the plan's samples, NaN outside the plan.
     """
@@ -98,7 +110,9 @@ def plan_columns(
 
 
 def plan_way(x: FloatArray, y: FloatArray) -> FloatArray:
-    """Return the distance along each row of positions `(f, k)` from its first, m; NaN from its first NaN on."""
+    """Return the distance along each row of positions `(f, k)` from its first, m; NaN from its
+    first NaN on.
+    """
     return np.concatenate(
         [0.0 * x[:, :1], np.cumsum(np.hypot(np.diff(x), np.diff(y)), axis=1)], axis=1
     )
@@ -106,7 +120,9 @@ def plan_way(x: FloatArray, y: FloatArray) -> FloatArray:
 
 @last(1)  # for a drive of up to `PIECE` frames, this caches all
 def _plan_rows(trace: Trace, begin: int) -> tuple[IntArray, FloatArray]:
-    """Return the offsets `(f + 1,)` and `TRAJECTORY_COLUMNS` `(7, m)` of `PIECE` plans, beginning at a frame."""
+    """Return the offsets `(f + 1,)` and `TRAJECTORY_COLUMNS` `(7, m)` of `PIECE` plans, beginning
+    at a frame.
+    """
     plans = [loaded(frame.plan.trajectory) for frame in light(trace.frames)[begin : begin + PIECE]]
     rows = np.stack(
         [np.concatenate([getattr(plan, name) for plan in plans]) for name in TRAJECTORY_COLUMNS]
@@ -118,7 +134,9 @@ def _plan_rows(trace: Trace, begin: int) -> tuple[IntArray, FloatArray]:
 def _interpolate(
     offsets: IntArray, rows: FloatArray, wanted: IntArray, which: IntArray, times: FloatArray
 ) -> FloatArray:
-    """Return `plan_columns` of the plans `which` `(f,)`: the rows `wanted`, each as by `numpy.interp`."""
+    """Return `plan_columns` of the plans `which` `(f,)`: the rows `wanted`, each as by
+    `numpy.interp`.
+    """
     out = np.full((len(wanted), *times.shape), np.nan)
     for f in range(len(times)):
         first, end = offsets[which[f]], offsets[which[f] + 1]
@@ -147,7 +165,9 @@ def _plan_change(trace: Trace, scenario: Scenario, *, which: int) -> Measured:
 
 @once
 def _differences(trace: Trace) -> tuple[FloatArray, FloatArray]:
-    """Return (1) and (2) `(f - 1,)`; NaN where the plans do not overlap, or both are of a standing ego."""
+    """Return (1) and (2) `(f - 1,)`; NaN where the plans do not overlap, or both are of a standing
+    ego.
+    """
     times = times_after(trace, 0, round(COMPARED_S / STEP_S))[1:]
     all_ = np.arange(len(trace.frames))
     now, before = (
@@ -192,7 +212,9 @@ def _endpoint_errors(trace: Trace, scenario: Scenario) -> Measured:
 
 
 def _comfort_quantities(trace: Trace, which: IntArray, times: FloatArray) -> FloatArray:
-    """Return the four quantities of (3) `(4, f, k)`; NaN beyond a plan's end and before its start."""
+    """Return the four quantities of (3) `(4, f, k)`; NaN beyond a plan's end and before its
+    start.
+    """
     back = np.concatenate([times[:, :1] - 2.0 * STEP_S, times[:, :1] - STEP_S, times], axis=1)
     yaw, v, a, kappa = plan_columns(trace, back, ("yaw", "v", "a", "kappa"), which)
     size = np.hypot(a, v**2 * kappa)
@@ -266,10 +288,14 @@ EXTENDED_COMFORT = Metric(
     _BOTH,
     _endpoint_errors,
     (metric.MEAN, metric.P95, metric.MAX),
-    "Difference of two plans 0.5 s apart as one would feel it, over its bound: the worst of four; above 1 is a change"
+    "Difference of two plans 0.5 s apart as one would feel it, over its bound: the worst of four; "
+    "above 1 is a change"
     " of mind.",
     "NAVSIM 0a380a90, extended comfort of EPDMS; there of filtered signals and of one pair",
-    formula="max over q of rms(q_i - q_j) / bound(q), t_i - t_j = 0.5 s, q = |A|, d|A|/dt, yaw rate, yaw acceleration",
+    formula=(
+        "max over q of rms(q_i - q_j) / bound(q), t_i - t_j = 0.5 s, q = |A|, d|A|/dt, yaw "
+        "rate, yaw acceleration"
+    ),
     parameters=(
         *(f"bound of {name} {bound:g}" for name, bound in EC_BOUNDS),
         "compared 4 s",
@@ -314,7 +340,9 @@ _ACROSS = (1, 3)  # Indices in `_errors` of the errors across the path: lateral 
 def _errors(
     trace: Trace, scenario: Scenario
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return errors along and across (m), |e| (m), |heading error| (rad), each `(f, 10 h)` for the longest horizon."""
+    """Return errors along and across (m), |e| (m), |heading error| (rad), each `(f, 10 h)` for the
+    longest horizon.
+    """
     log = scenario.ego
     times = times_after(trace, 1, round(max(HORIZONS_S) / STEP_S))
     x, y, yaw = plan_columns(trace, times, ("x", "y", "yaw"))
@@ -421,8 +449,10 @@ MISS = Metric(
     (Mode.OPEN,),
     partial(_per_horizon, _missed_frames, 2, tuple(MISS_M)),
     (replace(metric.RATE, empty=None), metric.SHARE),
-    "Share of the frames whose plan is anywhere up to the horizon farther from the log than the bound.",
-    "nuPlan devkit e9241677, planner_miss_rate_within_bound (3, 5, 8 s), at 10 Hz and at the rear axle",
+    "Share of the frames whose plan is anywhere up to the horizon farther from the log than the "
+    "bound.",
+    "nuPlan devkit e9241677, planner_miss_rate_within_bound (3, 5, 8 s), at 10 Hz and at the rear "
+    "axle",
     parts=tuple(f"{h}s" for h in MISS_M),
     formula="1 where max_k |e_k| > bound, else 0",
     needs=_NEEDS,

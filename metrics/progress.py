@@ -2,44 +2,56 @@
 
 The route, and the gain of a drive along it:
 
-(a) route = the path of the log's driver, then the lanes from its end towards the goal, else straight on; a smooth line.
-    A log with one state has no path: its route begins with the lanes.
-(b) station(t) = foot of the rear axle on the route, searched within 30 m of the previous foot; within less where the
-    route comes back to itself in short laps: half of the way between two stations that are at most `BESIDE_M` apart,
-    the least of those that are longer than the circle of that diameter
-(c) gain(t) = sum over the steps of station_k - station_(k-1); a difference of more than reach + 0.1 m, forward or back,
+(a) route = the path of the log's driver, then the lanes from its end towards the goal,
+        else straight on; a smooth line. A log with one state has no path: its route begins with the
+        lanes.
+(b) station(t) = foot of the rear axle on the route, searched within 30 m of the previous foot;
+        within less where the route comes back to itself in short laps: half of the way between two
+        stations that are at most `BESIDE_M` apart, the least of those that are longer than the
+        circle of that diameter
+(c) gain(t) = sum over the steps of station_k - station_(k-1);
+        a difference of more than reach + 0.1 m, forward or back,
     is cut to reach, reach = 2 max(|v_k|, |v_(k-1)|) dt
 
-Circles and driving back gain nothing. A position that jumps, or a foot that jumps between two arms of a route that
-comes near itself, gains or loses no more than the ego could have driven. The factor 2 allows for the inside of
-bends (station' = v / (1 - kappa l), kappa l up to 0.5), the 0.1 m for noise in recorded positions.
+Circles and driving back gain nothing. A position that jumps, or a foot that jumps between two arms
+of a route that comes near itself, gains or loses no more than the ego could have driven. The factor
+2 allows for the inside of bends (station' = v / (1 - kappa l), kappa l up to 0.5), the 0.1 m for
+noise in recorded positions.
 
-(d) way = the gain from which on the goal's place counts: `Goal.way` if it is above 0; else, if the log's driver leaves
-    the place and comes back, the middle between the gains where they leave and come (`counting_stay`); else 0
+(d) way = the gain from which on the goal's place counts: `Goal.way` if it is above 0; else,
+        if the log's driver leaves the place and comes back, the middle between the gains where they
+        leave and come (`counting_stay`); else 0
 
-With the gain of a drive along the route; the yardstick is the whole log, even if the drive was shorter:
+With the gain of a drive along the route; the yardstick is the whole log, even if the drive was
+shorter:
 
 (1) route_progress(t) = gain(t) / gain of the log's driver at the log's end
     where the log has no drive: over the gain of the route follower (`Scenario.references`);
-    unavailable if that yardstick is below 2 m: then it is unknown how far a planner should drive; below 5 m where the
-    log has no lanes: its lane is then not what was driven (`replan.logs.complete`)
-(2) progress = min(1, max(gain, c) / max(gain of the log's driver, c)), 0 where gain < -c;  c = 2 m      (nuPlan)
-(3) completion = gain / length of the route, in 0 .. 1                                                   (CARLA)
-    all three: at least 1 if the drive ended in the goal's region, unless more than 2 m of its gain were cut, or (8) is
-    below LEAST_COVERED
+    unavailable if that yardstick is below 2 m: then it is unknown how far a planner should drive;
+    below 5 m where the log has no lanes: its lane is then not what was driven
+    (`replan.logs.complete`)
+(2) progress = min(1, max(gain, c) / max(gain of the log's driver, c)), 0 where gain < -c;  c = 2 m
+        (nuPlan)
+(3) completion = gain / length of the route, in 0 .. 1
+        (CARLA) all three: at least 1 if the drive ended in the goal's region, unless more than 2 m
+        of its gain were cut, or (8) is below LEAST_COVERED
 (4) distance(t) = length of the path of the rear axle driven since the start
 (5) speed_excess(t) = max(v - max(limit, held(t)), 0),  speed_ratio(t) = v / limit - 1
-    held(t) = v_0 - EASE_MPS2 max(t - t_0 - SETTLE_S, 0) if the drive begins above the limit, else 0: an initial excess
-    that the ego reduces comfortably is not counted
-    assumed_limit_excess(t) = max(v - 1.1 max(assumed limit, the fastest second of the log's driver), 0)
-    where the log has no limit: the assumed limit may be one step of signs too low, and the driver may have known it
-(6) speed_limit_compliance = max(0, 1 - integral of (5) dt / (2.23 m/s T)),  T the time on lanes with a limit  (nuPlan)
-(7) a goal is unreachable if it is farther than a vehicle drives in the time, accelerating at 9.81 m/s2 up to 70 m/s
-(8) covered = max(duration of the drive / duration of the log, gain / gain of the log's driver, without a logged drive
-    of 2 m: gain / length of the route) of a drive that ended at a goal that is a place; 1 where it ended with the log,
-    or at a goal without a place
-(9) lost(t_k) = t_(k+1) - t_k - what another drive takes from gain(t_k) to gain(t_(k+1)), with the times at which it is
-    there for the last time
+    held(t) = v_0 - EASE_MPS2 max(t - t_0 - SETTLE_S, 0) if the drive begins above the limit,
+        else 0: an initial excess that the ego reduces comfortably is not counted
+    assumed_limit_excess(t) = max(v - 1.1 max(assumed limit, the fastest second of the log's
+        driver), 0) where the log has no limit: the assumed limit may be one step of signs too low,
+        and the driver may have known it
+(6) speed_limit_compliance = max(0, 1 - integral of (5) dt / (2.23 m/s T)),
+        T the time on lanes with a limit  (nuPlan)
+(7) a goal is unreachable if it is farther than a vehicle drives in the time, accelerating at 9.81
+    m/s2 up to 70 m/s
+(8) covered = max(duration of the drive / duration of the log, gain
+        / gain of the log's driver, without a logged drive of 2 m: gain / length of the route) of a
+        drive that ended at a goal that is a place; 1 where it ended with the log, or at a goal
+        without a place
+(9) lost(t_k) = t_(k+1) - t_k - what another drive takes from gain(t_k) to gain(t_(k+1)),
+        with the times at which it is there for the last time
 """
 
 from __future__ import annotations
@@ -86,8 +98,9 @@ SHORTEST_M = 10.0  # A shorter drive defines no route
 class ProgressLine:
     """The line (a) of a scenario, from its first state.
 
-    `length`, m, ends where the line enters the goal, else at the end of the log's drive; NaN if there is neither.
-    `way` is the gain from which on the goal counts (d), m. `far` ends where the line leaves the goal; inf: nowhere.
+    `length`, m, ends where the line enters the goal, else at the end of the log's drive; NaN if
+    there is neither. `way` is the gain from which on the goal counts (d), m. `far` ends where the
+    line leaves the goal; inf: nowhere.
     """
 
     line: ReferenceLine
@@ -107,7 +120,8 @@ class ProgressLine:
 
 @dataclass(frozen=True, eq=False)
 class Gain:
-    """Gain (c) of a drive at its steps `(n,)`, negative if it drove back; `cut`, the way forward not counted; m.
+    """Gain (c) of a drive at its steps `(n,)`, negative if it drove back; `cut`, the way forward
+    not counted; m.
 
     `station` is that of the last step, m.
     """
@@ -150,7 +164,9 @@ def _route(road: Road, log: Trajectory, goal: Goal | None, axle_to_center: float
 
 
 def _points_onward(road: Road, log: Trajectory, goal: Goal | None) -> FloatArray:
-    """Points `(k, 2)` of the centre lines of the route (a), which begin `JOIN_M` after the log's end."""
+    """Points `(k, 2)` of the centre lines of the route (a), which begin `JOIN_M` after the log's
+    end.
+    """
     end = log.state(len(log) - 1)
     lanes, beyond = list(find_route(road, end, goal)), 0.0
     while beyond < BEYOND_M and (after := straight_on(road, lanes[-1])) is not None:
@@ -185,7 +201,10 @@ def way_of(goal: Goal, log: Trajectory, route: ProgressLine, axle_to_center: flo
 
 @last(2)  # the log's drive and the one that is judged
 def gain_along(route: ProgressLine, drive: Trajectory, begin: float = 0.0) -> Gain:
-    """Return the gain (c) of a drive along a route; the search for its first station begins at `begin`, m."""
+    """Return the gain (c) of a drive along a route.
+
+    The search for its first station begins at `begin`, m.
+    """
     # (b)
     station = line_project_many(
         route.line.s, route.line.coef, drive.x, drive.y, begin, route.window
@@ -199,7 +218,9 @@ def gain_along(route: ProgressLine, drive: Trajectory, begin: float = 0.0) -> Ga
 
 @dataclass(frozen=True)
 class RoutePace:
-    """The time at which a drive is for the last time at a gain along the route: increasing, m and s."""
+    """The time at which a drive is for the last time at a gain along the route: increasing, m and
+    s.
+    """
 
     gain: tuple[float, ...]
     t: tuple[float, ...]
@@ -219,7 +240,9 @@ class RoutePace:
 
     @classmethod
     def needed(cls, scenario: Scenario) -> RoutePace | None:
-        """Return the recorded driver's pace, else the steady one that reaches the goal; None if there is neither."""
+        """Return the recorded driver's pace, else the steady one that reaches the goal; None if
+        there is neither.
+        """
         if len(scenario.ego) > 1:
             return cls.of(scenario.ego, scenario)
         way, goal = route_of(scenario).length, scenario.goal
@@ -229,7 +252,8 @@ class RoutePace:
     def lost(
         self, drive: Trajectory, scenario: Scenario, frames: Sequence[float]
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the time (9) that a drive loses from each frame to the next, s, and the speed of this pace, m/s.
+        """Return the time (9) that a drive loses from each frame to the next, s, and the speed of
+        this pace, m/s.
 
         The speed is NaN where the drive is not slower by `LAGS_MPS`.
         """
@@ -308,14 +332,18 @@ def _completion(trace: Trace, scenario: Scenario) -> Measured:
 
 
 def _full_at_goal(trace: Trace, scenario: Scenario, gain: Gain, share: FloatArray) -> FloatArray:
-    """Raise the last share `(n,)` to 1 if the drive ended in the goal's region, except as the module docstring says."""
+    """Raise the last share `(n,)` to 1 if the drive ended in the goal's region, except as the
+    module docstring says.
+    """
     if trace.end is EndReason.GOAL and gain.cut <= FLOOR_M and not _is_time_only(scenario.goal):
         share[-1] = max(share[-1], 1.0) if covered(trace, scenario) >= LEAST_COVERED else share[-1]
     return share
 
 
 def covered(trace: Trace, scenario: Scenario) -> float:
-    """Return the share (8) of the log that a drive covers; NaN if it ended neither at the goal nor with the log."""
+    """Return the share (8) of the log that a drive covers; NaN if it ended neither at the goal nor
+    with the log.
+    """
     if trace.end is not EndReason.GOAL:
         return 1.0 if trace.end is EndReason.END_OF_LOG else np.nan
     if scenario.goal is not None and not scenario.goal.regions:
@@ -337,7 +365,10 @@ def _covered(trace: Trace, scenario: Scenario) -> Measured:
 
 
 def excess(trace: Trace, scenario: Scenario, *, ratio: bool = False) -> Measured:
-    """Speed above the limit of the lane under the ego (5), m/s; with `ratio`, relative to the limit."""
+    """Speed above the limit of the lane under the ego (5), m/s.
+
+    With `ratio`, relative to the limit.
+    """
     lanes = stated_lanes(scenario.road)
     if lanes is None or not np.isfinite(lanes.limit).any():
         return Unavailable("the log has no speed limits")
@@ -396,7 +427,9 @@ def _at_end(trace: Trace, *, good: bool) -> Series:
 
 
 def _missed(trace: Trace, scenario: Scenario, goal: Goal) -> Series:
-    """Return 0, and what the drive missed of the goal at the step at which it missed the fewest conditions."""
+    """Return 0, and what the drive missed of the goal at the step at which it missed the fewest
+    conditions.
+    """
     x, y = ego_boxes(trace.ego, scenario)[:2]
     steps = np.unique(np.linspace(0, len(x) - 1, MISSED_STEPS).round().astype(int))
     states = np.stack([trace.ego.t, x, y, trace.ego.yaw, trace.ego.v], axis=1)[steps]
@@ -448,8 +481,12 @@ COVERED = Metric(
     _CLOSED,
     _covered,
     (metric.FINAL,),
-    "Share of the log that the drive covers, by time or by distance, whichever is more; 1 where it ended with the log.",
-    formula="max(duration / duration of the log, gain / gain of the log's driver, else / length of the route)",
+    "Share of the log that the drive covers, by time or by distance, whichever is more; 1 where it "
+    "ended with the log.",
+    formula=(
+        "max(duration / duration of the log, gain / gain of the log's driver, else / length of "
+        "the route)"
+    ),
     needs="a drive that ended at the goal or with the log",
 )
 _LIMITS = "lanes with speed limits under the ego"
@@ -470,15 +507,22 @@ ROUTE_PROGRESS = Metric(
     _CLOSED,
     _route_progress,
     (metric.FINAL,),
-    "Gain along the route over that of the log's driver in the whole log, else of the route follower; not capped.",
+    "Gain along the route over that of the log's driver in the whole log, else of the route "
+    "follower; not capped.",
     version=2,
-    formula="gain(t) / gain of the log's driver at the log's end, else of the route follower; 1 at the goal",
+    formula=(
+        "gain(t) / gain of the log's driver at the log's end, else of the route follower; 1 at "
+        "the goal"
+    ),
     parameters=(
         "floor 2 m",
         "5 m without lanes",
         "a step counts at most 2 |v| dt, where it is more than 0.1 m above",
     ),
-    needs="a logged drive, else the route follower's, of 2 m; without lanes 5 m, on a path that the vehicle can follow",
+    needs=(
+        "a logged drive, else the route follower's, of 2 m; without lanes 5 m, on a path that "
+        "the vehicle can follow"
+    ),
 )
 PROGRESS = Metric(
     "progress",
@@ -529,12 +573,17 @@ SPEED_EXCESS = Metric(
         Reduction("share_above_1mps", _share_over, unit="1"),
         Reduction("compliance", compliance, unit="1", direction="higher"),
     ),
-    "Speed above the limit of the lane under the ego's centre, the larger one where lanes overlap, less what the drive"
-    " began with and brings down; compliance is like nuPlan's, share that of the time on lanes with a limit.",
+    "Speed above the limit of the lane under the ego's centre, the larger one where lanes overlap, "
+    "less what the drive"
+    " began with and brings down; compliance is like nuPlan's, share that of the time on lanes "
+    "with a limit.",
     "compliance: nuPlan devkit e9241677, speed_limit_compliance",
     3,
-    formula="max(|v| - max(limit, held), 0), held = v_0 - 1 m/s2 (t - t_0 - 1 s) after a start above the limit, else 0;"
-    " compliance = max(0, 1 - integral / (2.23 m/s T))",
+    formula=(
+        "max(|v| - max(limit, held), 0), held = v_0 - 1 m/s2 (t - t_0 - 1 s) after a start "
+        "above the limit, else 0;"
+        " compliance = max(0, 1 - integral / (2.23 m/s T))"
+    ),
     parameters=(
         "2.23 m/s (5 mph)",
         f"over: {OVER_MPS:g} m/s",
@@ -562,8 +611,11 @@ ASSUMED_LIMIT_EXCESS = Metric(
     _CLOSED,
     _assumed_excess,
     (metric.MAX, metric.time_above(OVER_MPS, "time_above_1mps")),
-    "Speed above 1.1 times the larger of the assumed limit and the log's driver's speed, where the log has no limit.",
-    formula="max(|v| - 1.1 max(assumed limit, speed that the log's driver exceeds for 1 s in all), 0)",
+    "Speed above 1.1 times the larger of the assumed limit and the log's driver's speed, where the "
+    "log has no limit.",
+    formula=(
+        "max(|v| - 1.1 max(assumed limit, speed that the log's driver exceeds for 1 s in all), 0)"
+    ),
     parameters=("margin 10 %", f"over: {OVER_MPS:g} m/s"),
     needs="lanes without a speed limit under the ego, or no map",
 )

@@ -1,24 +1,32 @@
-"""Judges each plan over its horizon, as NAVSIM judges a proposal: for 4 s, among the others as they moved.
+"""Judges each plan over its horizon, as NAVSIM judges a proposal: for 4 s, among the others as they
+moved.
 
-The plan of the frame at t_i is sampled at t_i + 0, 0.1, ..., 4 s (t_ik), as far as it reaches and evidence exists: in
-closed loop until the drive ends, in open loop until the log ends. The others do not react to the plan, and a plan may
-have to change when a road user does something unexpected. Gates therefore bound shares of the drive's time.
+The plan of the frame at t_i is sampled at t_i + 0, 0.1, ..., 4 s (t_ik), as far as it reaches and
+evidence exists: in closed loop until the drive ends, in open loop until the log ends. The others do
+not react to the plan, and a plan may have to change when a road user does something unexpected.
+Gates therefore bound shares of the drive's time.
 
-(1) plan_collision = least t_ik - t_i with a contact at fault: first touch of each agent, fault in the order of `safety`
-(2) plan_off_road = max over k of off_k - off_0, off_k the greatest distance of the four corners to the drivable lanes
+(1) plan_collision = least t_ik - t_i with a contact at fault: first touch of each agent,
+        fault in the order of `safety`
+(2) plan_off_road = max over k of off_k - off_0,
+        off_k the greatest distance of the four corners to the drivable lanes
 (3) plan_ttc = min over k of the time to contact (`shapes.time_to_contact`), 0 where (1) is known
-(4) plan_comfort = max over k and q of q / bound(q), the six signals of `comfort.NUPLAN_BOUNDS`, differenced over 0.1 s
-(5) plan_progress = s / max(s, d); 1 where max(s, d) <= 5 m.  s is the planned distance and d the distance that was then
-    driven (in open loop: by the log's driver), until the last k that both have
-(6) plan_kept = max over k of |p_ik - p(t_ik)|, closed loop: distance from the ego's later positions; plan_kept_lateral:
-    of its component across the ego's heading. Measured at frames with max(s, d) > 5 m after which the drive lasts 3 s,
-    the length of the shortest complete plan
+(4) plan_comfort = max over k and q of q / bound(q), the six signals of `comfort.NUPLAN_BOUNDS`,
+        differenced over 0.1 s
+(5) plan_progress = s / max(s, d); 1 where max(s, d) <= 5 m.
+        s is the planned distance and d the distance that was then driven (in open loop: by the
+        log's driver), until the last k that both have
+(6) plan_kept = max over k of |p_ik - p(t_ik)|, closed loop:
+        distance from the ego's later positions; plan_kept_lateral: of its component across the
+        ego's heading. Measured at frames with max(s, d) > 5 m after which the drive lasts 3 s, the
+        length of the shortest complete plan
 (7) plan_score = contact x drivable x (5 ttc + 5 progress + 2 comfort + 2 extended_comfort) / 14
-    contact is 0 with (1), 1/2 for an object; drivable: (2) <= 0.3 m; ttc: (3) > 0.95 s; comfort: (4) <= 1;
+    contact is 0 with (1), 1/2 for an object; drivable: (2) <= 0.3 m; ttc: (3) > 0.95 s; comfort:
+        (4) <= 1;
     extended_comfort: that of `plans` <= 1. A part without a value is left out with its weight.
 
-(7) is made after the EPDMS of NAVSIM 0a380a90, and is not comparable with it: a plan is judged by its own columns, and
-its progress by what was driven. `replan score` computes EPDMS.
+(7) is made after the EPDMS of NAVSIM 0a380a90, and is not comparable with it: a plan is judged by
+its own columns, and its progress by what was driven. `replan score` computes EPDMS.
 """
 
 from __future__ import annotations
@@ -82,7 +90,9 @@ Rows = Mapping[str, NDArray[Any]]
 
 @once
 def _measure_plans(trace: Trace, scenario: Scenario) -> Rows:
-    """Return the values for (1) to (6), `(f,)` each; NaN where a frame has none, -1 for no agent."""
+    """Return the values for (1) to (6), `(f,)` each; NaN where a frame has none, -1 for no
+    agent.
+    """
     drive = trace.ego if trace.mode is Mode.CLOSED or len(scenario.ego) < 2 else scenario.ego
     found, all_times, lanes = [], times_after(trace, 0, STEPS), safety.known_lanes(scenario)
     for which in np.split(np.arange(len(all_times)), range(PIECE, len(all_times), PIECE)):
@@ -121,7 +131,9 @@ def _measure_plans(trace: Trace, scenario: Scenario) -> Rows:
 
 
 def _comfort_signals(plan: FloatArray) -> Rows:
-    """Return the largest absolute planned accelerations and jerk, and (4) with the index of its signal, `(f,)` each."""
+    """Return the largest absolute planned accelerations and jerk, and (4) with the index of its
+    signal, `(f,)` each.
+    """
     _, _, yaw, v, a, kappa = plan
     aside, c, s = v**2 * kappa, np.cos(yaw), np.sin(yaw)
     jerk = np.hypot(np.diff(a * c - aside * s), np.diff(a * s + aside * c))
@@ -169,10 +181,11 @@ def _contacts_and_ttc(
 def _meet_agents(
     plan: FloatArray, column: IntArray, car: EgoOutline, others: OtherBoxes, objects: BoolArray
 ) -> tuple[IntArray, IntArray, FloatArray, IntArray]:
-    """Return per plan the first contact at fault (row 0) and the first with the side (row 1): step, agent `(2, f)`.
+    """Return per plan the first contact at fault (row 0) and the first with the side (row 1): step,
+    agent `(2, f)`.
 
-    And the least time to contact below `TTC_HORIZON_S` and its agent; -1 and NaN where there is none. `column` `(f, k)`
-    is the step of the others at the plans' steps.
+    And the least time to contact below `TTC_HORIZON_S` and its agent; -1 and NaN where there is
+    none. `column` `(f, k)` is the step of the others at the plans' steps.
     """
     frames, there, pose = column.shape[0], others.there, others.pose
     step, hit = np.full((2, frames), -1), np.full((2, frames), -1)
@@ -235,7 +248,9 @@ def _series(
     missing: str = "no plan has a second state",
     followed: bool = True,
 ) -> Measured:
-    """Return a row of `_measure_plans` as a series; `followed`: it needs the drive after the frames."""
+    """Return a row of `_measure_plans` as a series; `followed`: it needs the drive after the
+    frames.
+    """
     if followed and trace.mode is Mode.OPEN and len(scenario.ego) < 2:
         return Unavailable("the log holds one ego state only: there is no drive to plan along")
     if not trace.frames:
@@ -295,7 +310,8 @@ PLAN_COLLISION = Metric(
     _BOTH,
     partial(_series, "contact", about="contact_agent", missing=_NO_CONTACT),
     (metric.HAVING, metric.MIN),
-    "Time until a plan has a contact at fault with a road user as it then moved; fault as in collision_at_fault.",
+    "Time until a plan has a contact at fault with a road user as it then moved; fault as in "
+    "collision_at_fault.",
     _NAVSIM,
     2,
     formula="least t - t_i with a contact at fault",
@@ -371,8 +387,11 @@ PLAN_KEPT, PLAN_KEPT_LATERAL = (
         _NAVSIM,
         formula=formula,
         parameters=_FOLLOWED,
-        needs=f"a plan that leads, or is followed by, more than {SHORT_M:g} m within {HORIZON_S:g} s, and a drive that"
-        f" goes on for {PLAN_HORIZON_S:g} s after it",
+        needs=(
+            f"a plan that leads, or is followed by, more than {SHORT_M:g} m within {HORIZON_S:g} "
+            "s, and a drive that"
+            f" goes on for {PLAN_HORIZON_S:g} s after it"
+        ),
     )
     for name, bound, distance, formula in (
         ("kept", 5.0, "distance", "max over t of |p_i(t) - p(t)|"),

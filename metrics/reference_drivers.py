@@ -1,54 +1,63 @@
-"""Reference drivers: would a careful driver, braking on the ego's line, have avoided the collisions in a log?
+"""Reference drivers: would a careful driver, braking on the ego's line, have avoided the collisions
+in a log?
 
-A driver is a point mass with the ego's box on a reference line, among the tracks as logged. It keeps its speed, slows
-down for curves (3 m/s2 lateral, at 1.5 m/s2), brakes by its model, never accelerates and never steers; an initial
-offset from the line decays over `RETURN_S`. u is another's speed along the line (oncoming: 0), w its speed towards the
-band, v the driver's speed, gap the free distance between the boxes along the line, and the band is the area that the
-ego's box sweeps.
+A driver is a point mass with the ego's box on a reference line, among the tracks as logged. It
+keeps its speed, slows down for curves (3 m/s2 lateral, at 1.5 m/s2), brakes by its model, never
+accelerates and never steers; an initial offset from the line decays over `RETURN_S`. u is another's
+speed along the line (oncoming: 0), w its speed towards the band, v the driver's speed, gap the free
+distance between the boxes along the line, and the band is the area that the ego's box sweeps.
 
     "cc"    the competent and careful driver of UN R157, Annex 4, Appendix 3
-    "fsm"   the fuzzy safety model: Mattas et al., Accid. Anal. Prev. 148 (2020) 105794; UN R157.01, Annex 3
+    "fsm"   the fuzzy safety model: Mattas et al., Accid. Anal. Prev. 148 (2020) 105794; UN R157.01,
+            Annex 3
 
 A road user ahead is a hazard to "cc" while it
-(1) cuts in: w > 0.05 m/s, and it is more than 0.375 m nearer to the band than at its farthest, by its smoothed motion:
+(1) cuts in: w > 0.05 m/s, and it is more than 0.375 m nearer to the band than at its farthest,
+        by its smoothed motion:
     nearer' = max(nearer + w dt, 0), which is insensitive to noise of the positions;
-(2) crosses: a pedestrian, a rider, or a road user that moves more across the line than along it, moves towards the band
-    and will be in it while the ego passes, both at constant velocity (an addition of replan: R157 has no crossing
-    traffic);
-(3) is in the band and slower than the driver by more than 0.5 m/s; or (4) is in it and brakes with 5 m/s2 or more.
-"cc" evaluates a hazard for 0.4 s and reacts for 0.75 s, releasing the pedal (0.4 m/s2). Then it brakes
-with 0.774 g, at 12.65 m/s3, as soon as gap / (v - u) < 2.0 s, in (4) as soon as gap / v < 2.0 s. It brakes until no
-agent is a hazard and no agent in the band is nearer than 2 m + 2 s v.
+(2) crosses: a pedestrian, a rider, or a road user that moves more across the line than along it,
+    moves towards the band and will be in it while the ego passes, both at constant velocity (an
+    addition of replan: R157 has no crossing traffic);
+(3) is in the band and slower than the driver by more than 0.5 m/s; or (4) is in it and brakes with
+    5 m/s2 or more.
+"cc" evaluates a hazard for 0.4 s and reacts for 0.75 s, releasing the pedal (0.4 m/s2). Then it
+brakes with 0.774 g, at 12.65 m/s3, as soon as gap / (v - u) < 2.0 s, in (4) as soon as gap / v <
+2.0 s. It brakes until no agent is a hazard and no agent in the band is nearer than 2 m + 2 s v.
 
-In the JRC's code (JRC-FSM 01b05c29) the 0.75 s begin only when the other is within the ego's width and the time to
-collision is below 2.0 s. Here both times begin when the other leaves the wandering zone, because the regulation does
-not define when evaluation ends. Therefore "cc" brakes in time in 41 to 57 of the 520 cut-ins of JRC's grid in which
-that code crashes.
+In the JRC's code (JRC-FSM 01b05c29) the 0.75 s begin only when the other is within the ego's width
+and the time to collision is below 2.0 s. Here both times begin when the other leaves the wandering
+zone, because the regulation does not define when evaluation ends. Therefore "cc" brakes in time in
+41 to 57 of the 520 cut-ins of JRC's grid in which that code crashes.
 
-"fsm" brakes for every road user in the band, and for those ahead that move towards the band with (5) lateral gap / w <
-(gap + both lengths) / (v - u) + 0.1 s, and, if it crosses, not out of the band before the ego arrives (an addition of
-replan). It first reacts for 0.75 s, then brakes at 12.65 m/s3. A log reacts only to its own ego: a road user that hits
-the driver from behind or while it stands is not counted and is ignored from then on, as is one that appears at the
-driver's place.
+"fsm" brakes for every road user in the band, and for those ahead that move towards the band with
+(5) lateral gap / w < (gap + both lengths) / (v - u) + 0.1 s, and, if it crosses, not out of the
+band before the ego arrives (an addition of replan). It first reacts for 0.75 s, then brakes at
+12.65 m/s3. A log reacts only to its own ego: a road user that hits the driver from behind or while
+it stands is not counted and is ignored from then on, as is one that appears at the driver's place.
 
 With a the driver's acceleration, "fsm" brakes with
 (7) deceleration = 4 + 2 CFS m/s2 where CFS > 0, else 4 PFS
-(8) PFS of gap - 2 m: 0 above safe = 0.75 v + v^2 / 8 - u^2 / 14 + 2 m, 1 below unsafe = 0.75 v + v^2 / 12 - u^2 / 14
+(8) PFS of gap - 2 m: 0 above safe = 0.75 v + v^2 / 8 - u^2 / 14 + 2 m,
+        1 below unsafe = 0.75 v + v^2 / 12 - u^2 / 14
 (9) CFS of the gap, with a' = max(a, -4), v' = v + 0.75 a': 0 where v <= u; where v' < u: 1 if gap <
-    (v - u)^2 / (2 |a'|), else 0; else 0 above safe and 1 below unsafe = (v + 0.375 a' - u) 0.75 + (v' - u)^2 / 8, / 12
+    (v - u)^2 / (2 |a'|), else 0; else 0 above safe
+        and 1 below unsafe = (v + 0.375 a' - u) 0.75 + (v' - u)^2 / 8, / 12
 linear between safe and unsafe.
 
-The margin of a verdict is the least distance between the driver's box and the agent's over the whole drive:
+The margin of a verdict is the least distance between the driver's box and the agent's over the
+whole drive:
 (6) avoidable: the least gap to the agent that a driver without braking would touch, m, > 0
-    unavoidable: minus the depth of the touch (the shortest shift that separates the boxes); the drive continues through
-    it
-    not applicable: the least gap of a driver without braking to any agent
-A verdict is marginal where its margin, or that of the drive without braking, is within `MARGINAL_M`, or if a driver
-that judges `JUDGED_S` earlier or later has another outcome; this shifts (2), (5) and the reaction time.
+    unavoidable: minus the depth of the touch (the shortest shift that separates the boxes); the
+    drive continues through it not applicable: the least gap of a driver without braking to any
+    agent
+A verdict is marginal where its margin, or that of the drive without braking, is within
+`MARGINAL_M`, or if a driver that judges `JUDGED_S` earlier or later has another outcome; this
+shifts (2), (5) and the reaction time.
 
-`replan.replay.loop.reference_drives`, which knows the line, adds the verdicts to the scenario (`Scenario.references`). Each
-driver has three rows: `reference_cc.applies` is 1 if an ego that does not brake would touch an agent, else 0; if it is
-1, `reference_cc.avoids` is 1 or 0, and `reference_cc.margin` is the margin in metres (negative: not avoided).
+`replan.replay.loop.reference_drives`, which knows the line, adds the verdicts to the scenario
+(`Scenario.references`). Each driver has three rows: `reference_cc.applies` is 1 if an ego that does
+not brake would touch an agent, else 0; if it is 1, `reference_cc.avoids` is 1 or 0, and
+`reference_cc.margin` is the margin in metres (negative: not avoided).
 """
 
 from __future__ import annotations
@@ -103,7 +112,9 @@ ANY = -1  # Value of `about`: the least distance to any agent
 
 
 class SpeedLine(NamedTuple):
-    """A reference line for kernels, and the speed at each knot that is slow enough for the curves ahead, m/s."""
+    """A reference line for kernels, and the speed at each knot that is slow enough for the curves
+    ahead, m/s.
+    """
 
     knots: FloatArray
     coef: FloatArray
@@ -112,7 +123,9 @@ class SpeedLine(NamedTuple):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class ReferenceCourse:
-    """The input of a drive: a line, a start (s, l, v), the times t `(k,)`, and the tracks present during them."""
+    """The input of a drive: a line, a start (s, l, v), the times t `(k,)`, and the tracks present
+    during them.
+    """
 
     line: SpeedLine
     start: FloatArray
@@ -142,7 +155,9 @@ class ReferenceCourse:
         )
 
     def drive(self, driver: int, about: int = ANY, late: float = 0.0) -> ReferenceDrive:
-        """Drive to the first touch; `least` is the distance to the agent `about`; the driver judges `late` s later."""
+        """Drive to the first touch; `least` is the distance to the agent `about`; the driver judges
+        `late` s later.
+        """
         rows, *found = _drive(
             driver, self.line, self.start, self.car, self.others, self.vulnerable, about, late
         )
@@ -150,7 +165,9 @@ class ReferenceCourse:
 
 
 def careful_drive(scenario: Scenario, line: ReferenceLine) -> ReferenceDrive:
-    """Drive "cc" from the log's first state along `line` until its first touch, with a row every `STEP_S`."""
+    """Drive "cc" from the log's first state along `line` until its first touch, with a row every
+    `STEP_S`.
+    """
     return ReferenceCourse.of(scenario, line, scenario.ego.state(0)).drive(CC)
 
 
@@ -199,7 +216,9 @@ def _verdict(
 
 
 careful_driver = partial(_verdict, "cc", CC)
-"""Returns the verdict of "cc" on a scenario along a line, for an ego that starts at a state (None: the log's first)."""
+"""Returns the verdict of "cc" on a scenario along a line, for an ego that starts at a state (None:
+the log's first).
+"""
 # Returns the verdict of "fsm"; arguments as `careful_driver`
 fuzzy_driver = partial(_verdict, "fsm", FSM)
 DRIVERS = {"cc": careful_driver, "fsm": fuzzy_driver}
@@ -241,8 +260,9 @@ def _observe(
 ) -> None:
     """Fill the driver's view of each agent at step k, `(n, 7)`.
 
-    Gap, u, lateral gap, lateral speed towards the band, extent along the line, whether it crosses, extent across.
-    The gap is NaN for agents that are absent, too far away, or not ahead. In the band the lateral gap is negative.
+    Gap, u, lateral gap, lateral speed towards the band, extent along the line, whether it crosses,
+    extent across. The gap is NaN for agents that are absent, too far away, or not ahead. In the
+    band the lateral gap is negative.
     """
     knots, coef, pose, size = line.knots, line.coef, others.pose, others.size
     x, y = line_frame(knots, coef, s)[:2]
@@ -268,9 +288,11 @@ def _observe(
 
 @inner_kernel
 def _comes_in(seen: FloatArray, v: float, car: EgoOutline, slack: float, late: float) -> bool:
-    """Return whether an agent beside the band enters it before the ego is past and, if it crosses, leaves late enough.
+    """Return whether an agent beside the band enters it before the ego is past and, if it crosses,
+    leaves late enough.
 
-    `slack` s are added to the first time; `late` s are subtracted from the first and from the time of leaving.
+    `slack` s are added to the first time; `late` s are subtracted from the first and from the time
+    of leaving.
     """
     gap, u, aside, towards = seen[0], seen[1], seen[2], seen[3]
     if towards <= 0.0 or v <= u or gap < 0.0:
@@ -292,7 +314,10 @@ def _cc_acceleration(
     late: float,
     braking: bool,
 ) -> float:
-    """Return the acceleration of "cc"; update `clock` (how long each agent has been a hazard) and `nearer` (1)."""
+    """Return the acceleration of "cc".
+
+    Update `clock` (how long each agent has been a hazard) and `nearer` (1).
+    """
     wish, held = 0.0, False
     for i in range(len(seen)):
         nearer[i] = max(nearer[i] + STEP_S * seen[i, 3], 0.0) if np.isfinite(seen[i, 0]) else 0.0
@@ -381,7 +406,9 @@ def _first_touch(
     others: OtherBoxes,
     left_out: BoolArray,
 ) -> int:
-    """Return the first counted agent that touches the ego (rear axle x, y, yaw, v) at step k, -1; update `left_out`."""
+    """Return the first counted agent that touches the ego (rear axle x, y, yaw, v) at step k, -1;
+    update `left_out`.
+    """
     x, y, yaw, v = rear
     cx, cy = x + car.axle * cos(yaw), y + car.axle * sin(yaw)
     for i in range(len(left_out)):
@@ -405,7 +432,9 @@ def _least_clearance(
     pose: FloatArray,
     size: FloatArray,
 ) -> float:
-    """Return the lesser of `least` (NaN: none yet) and the distance (6) of the ego (rear axle x, y) to an agent."""
+    """Return the lesser of `least` (NaN: none yet) and the distance (6) of the ego (rear axle x, y)
+    to an agent.
+    """
     cx, cy = x + car.axle * cos(yaw), y + car.axle * sin(yaw)
     reach = 0.5 * (hypot(car.length, car.width) + hypot(size[0], size[1]))
     if hypot(pose[0] - cx, pose[1] - cy) - reach >= least:
@@ -427,9 +456,11 @@ def _drive(
     about: int,
     late: float,
 ) -> tuple[FloatArray, int, int, float]:
-    """Return rows s, v, a from `start` (s, l, v) to the first touch or end, and the last 3 fields of `ReferenceDrive`.
+    """Return rows s, v, a from `start` (s, l, v) to the first touch or end, and the last 3 fields
+    of `ReferenceDrive`.
 
-    After the first touch the drive continues through the agent until both are apart, to measure the depth.
+    After the first touch the drive continues through the agent until both are apart, to measure the
+    depth.
     """
     knots, coef, there, pose = line.knots, line.coef, others.there, others.pose
     n, steps = there.shape
@@ -507,14 +538,17 @@ REFERENCE = tuple(
         (
             "cc",
             "UN R157, Annex 4, Appendix 3",
-            "Least distance that the competent and careful driver leaves to the agent that one who does not brake would "
-            "touch, negative where it touches it; it evaluates a cut-in from 0.375 m on, JRC's code from the ego's width "
+            "Least distance that the competent and careful driver leaves to the agent that one who "
+            "does not brake would "
+            "touch, negative where it touches it; it evaluates a cut-in from 0.375 m on, JRC's "
+            "code from the ego's width "
             "on.",
         ),
         (
             "fsm",
             "Mattas et al., Accid. Anal. Prev. 148 (2020) 105794",
-            "Least distance that the driver of the fuzzy safety model leaves to the agent that one who does not brake "
+            "Least distance that the driver of the fuzzy safety model leaves to the agent that one "
+            "who does not brake "
             "would touch, negative where it touches it.",
         ),
     )

@@ -1,47 +1,62 @@
 """Collisions, gaps, time to collision, and leaving the road.
 
-Closed loop: compares the ego's box along its drive with the others' boxes as they moved. `proposals` judges plans by
-the same rules, in both loops.
+Closed loop: compares the ego's box along its drive with the others' boxes as they moved.
+`proposals` judges plans by the same rules, in both loops.
 
-Collision: two boxes touch or overlap; each agent counts once. The kind is the first that applies, in nuPlan's order
-(FROM_START and CUT_IN are additions of replan):
+Collision: two boxes touch or overlap; each agent counts once. The kind is the first that applies,
+in nuPlan's order (FROM_START and CUT_IN are additions of replan):
 
-    FROM_START      they touch when the drive begins or the other first appears              not at fault
-    STOPPED_EGO     the ego stands (<= 0.05 m/s)                                             not at fault
-    STOPPED_TRACK   the other stands or is an object, and did not come from behind           at fault
-    CUT_IN          as ACTIVE_REAR, within reach of the lane entry of the ego before it (`cut_in`)        at fault
-    ACTIVE_REAR     the other's centre is behind: more than 150 degrees off the heading, seen from the rear axle
-                                                                                             not at fault
-    ACTIVE_FRONT    the ego's front bumper touches                                           at fault
-    LATERAL         any other                          at fault unless the ego keeps its lane (`lanes.keeps_lane`)
+    FROM_START      they touch when the drive begins or the other first appears              not at
+                    fault
+    STOPPED_EGO     the ego stands (<= 0.05 m/s)
+        not at fault
+    STOPPED_TRACK   the other stands or is an object, and did not come from behind           at
+                    fault
+    CUT_IN          as ACTIVE_REAR, within reach of the lane entry of the ego before it
+                    (`cut_in`)        at fault
+    ACTIVE_REAR     the other's centre is behind: more than 150 degrees off the heading, seen from
+                    the rear axle
+                                                                                             not at
+                                                                                             fault
+    ACTIVE_FRONT    the ego's front bumper touches                                           at
+                    fault
+    LATERAL         any other                          at fault unless the ego keeps its lane
+                    (`lanes.keeps_lane`)
 
-The other came from behind if its centre is behind, as in ACTIVE_REAR, and the boxes would not touch if it had stayed
-where it was one step before. Objects without a kind may be following vehicles, and an ego that moves away from a slow
-road user does not drive into it.
+The other came from behind if its centre is behind, as in ACTIVE_REAR, and the boxes would not touch
+if it had stayed where it was one step before. Objects without a kind may be following vehicles, and
+an ego that moves away from a slow road user does not drive into it.
 
-Time to collision TTC: the greater of two times until the boxes touch, so neither a course that a turn leaves nor one
-that a turn enters is a danger yet. TTC is never less than the straight time, which the scores of nuPlan and NAVSIM use:
+Time to collision TTC: the greater of two times until the boxes touch, so neither a course that a
+turn leaves nor one that a turn enters is a danger yet. TTC is never less than the straight time,
+which the scores of nuPlan and NAVSIM use:
 
     straight   both go on with their velocity vectors and headings (`shapes.time_to_contact`)
-    turning    both turn as they do now, at constant speed and yaw rate, for `TURN_S`, then go straight on
-               (`shapes.time_to_contact_turning`): the ego at v kappa, the others as estimated (`replan.logs.motion`)
+    turning    both turn as they do now, at constant speed and yaw rate, for `TURN_S`, then go
+               straight on
+               (`shapes.time_to_contact_turning`): the ego at v kappa, the others as estimated
+               (`replan.logs.motion`)
 
-Both up to 10 s; agents behind (as above), agents from their first contact on, and a standing ego (<= 0.005 m/s) have
-none. At a collision at fault TTC is 0, also with agents behind. Each step, including the last, has a duration w_k
-(`metric.durations`):
+Both up to 10 s; agents behind (as above), agents from their first contact on, and a standing ego
+(<= 0.005 m/s) have none. At a collision at fault TTC is 0, also with agents behind. Each step,
+including the last, has a duration w_k (`metric.durations`):
 
-(1) TET = sum of w_k [TTC_k < tau],  time exposed, s;  TIT = sum of w_k (tau - TTC_k) [TTC_k <= tau],  time integrated,
-    s2: the published variant; another variant integrates 1 / TTC - 1 / tau and is infinite at a contact
+(1) TET = sum of w_k [TTC_k < tau],  time exposed, s;
+        TIT = sum of w_k (tau - TTC_k) [TTC_k <= tau],  time integrated,
+    s2: the published variant; another variant integrates 1 / TTC - 1 / tau and is infinite at a
+    contact
 
-Severity, at the first touch of each road user, with the velocity vectors v, the ego's mass m_e and that of the other's
-class m_o (`MASS_KG`; an object is immovable; nuPlan assumes 2000 kg for both). Not measured for FROM_START:
+Severity, at the first touch of each road user, with the velocity vectors v, the ego's mass m_e and
+that of the other's class m_o (`MASS_KG`; an object is immovable; nuPlan assumes 2000 kg for both).
+Not measured for FROM_START:
 
 (2) impact speed = |v_e - v_o|, m/s
-(3) delta-v of the ego = m_o / (m_o + m_e) |v_e - v_o|: the change of its velocity if both stick together
+(3) delta-v of the ego = m_o / (m_o + m_e) |v_e - v_o|:
+        the change of its velocity if both stick together
 
-Off the road: the greatest distance of the ego's outline to the drivable lanes, at points at most `OUTLINE_M` apart,
-including its corners. This also detects the corner of a kerb that reaches into the side of a turning car; anything
-inside the box has crossed its outline.
+Off the road: the greatest distance of the ego's outline to the drivable lanes, at points at most
+`OUTLINE_M` apart, including its corners. This also detects the corner of a kerb that reaches into
+the side of a turning car; anything inside the box has crossed its outline.
 """
 
 from __future__ import annotations
@@ -146,9 +161,11 @@ def contacts(trace: Trace, scenario: Scenario) -> tuple[Contact, ...]:
 
 
 def classify(drive: Trajectory, agents: Tracks, scenario: Scenario) -> tuple[Contact, ...]:
-    """Return the collisions of a drive, or of a part of it, with the agents as they moved, in order of time.
+    """Return the collisions of a drive, or of a part of it, with the agents as they moved, in order
+    of time.
 
-    Touches at the first state are FROM_START; a part must begin at the drive's start, or where no agent is touched.
+    Touches at the first state are FROM_START; a part must begin at the drive's start, or where no
+    agent is touched.
     """
     ego, car = ego_boxes(drive, scenario), car_of(scenario)
     first: dict[int, int] = {}
@@ -191,7 +208,8 @@ def contact_kind(
     size: FloatArray,
     is_object: bool,
 ) -> int:
-    """Return the index in `KINDS` of a contact with `pose` `(5,)` and `size` `(2,)`; no touch yet at `before` `(5,)`.
+    """Return the index in `KINDS` of a contact with `pose` `(5,)` and `size` `(2,)`; no touch yet
+    at `before` `(5,)`.
 
     `rear` are x, y, yaw and v of the ego's rear axle.
     """
@@ -248,7 +266,8 @@ def _gaps(
     wanted: BoolArray,
     recent: int,
 ) -> tuple[FloatArray, IntArray]:
-    """Return for each step the least distance to a wanted agent that is `there` (NaN: none) and its index (-1).
+    """Return for each step the least distance to a wanted agent that is `there` (NaN: none) and its
+    index (-1).
 
     `recent` is the previous nearest agent, which is tried first.
     """
@@ -280,7 +299,8 @@ def _contact_times(
     until: IntArray,
     horizon: float,
 ) -> tuple[FloatArray, IntArray]:
-    """Return for each step the least TTC and straight time `(2, k)` within the horizon (NaN), and whose TTC (-1).
+    """Return for each step the least TTC and straight time `(2, k)` within the horizon (NaN), and
+    whose TTC (-1).
 
     `turn` are the ego's yaw rates `(k,)`, rad/s; agent i counts at the steps before `until[i]`.
     """
@@ -372,7 +392,9 @@ def _severity(trace: Trace, scenario: Scenario) -> Mapping[str, Measured]:
 def _approachable(
     ego: FloatArray, car: EgoOutline, others: OtherBoxes, leaving: float
 ) -> BoolArray:
-    """Return which agents a moving ego passes or approaches `(n, k)`: not behind, nor moving aside at `leaving` m/s."""
+    """Return which agents a moving ego passes or approaches `(n, k)`: not behind, nor moving aside
+    at `leaving` m/s.
+    """
     there, pose = others.there, others.pose
     out = there.copy()
     for k in range(there.shape[1]):
@@ -430,7 +452,9 @@ def _passing_room(trace: Trace, scenario: Scenario) -> Measured:
 def least_contact_times(
     trace: Trace, scenario: Scenario, vulnerable_only: bool
 ) -> tuple[FloatArray, IntArray]:
-    """Return at each step the least TTC and straight time `(2, k)`, s (NaN: none), and the agent of the first (-1)."""
+    """Return at each step the least TTC and straight time `(2, k)`, s (NaN: none), and the agent of
+    the first (-1).
+    """
     drive, ego, car = trace.ego, ego_boxes(trace.ego, scenario), car_of(scenario)
     until = np.where(_counted_agents(trace, vulnerable_only), len(drive), 0)
     met = [contact for contact in contacts(trace, scenario) if until[contact.agent]]
@@ -485,7 +509,8 @@ def _off_road(trace: Trace, scenario: Scenario) -> Measured:
 def box_off_lanes(
     lanes: LaneArrays, box: FloatArray, vehicle: VehicleParameters, step: float = OUTLINE_M
 ) -> FloatArray:
-    """Return the greatest distance `(k,)` of a box's outline (centre, yaw: `(3 or more, k)`) to the drivable lanes, m.
+    """Return the greatest distance `(k,)` of a box's outline (centre, yaw: `(3 or more, k)`) to the
+    drivable lanes, m.
 
     `step` is the greatest distance between two points of the outline, m; inf: only the corners.
     """
@@ -510,7 +535,9 @@ def _farthest_off(
     s: FloatArray,
     outline: FloatArray,
 ) -> FloatArray:
-    """Return the greatest `off_lanes` of an outline's points (ahead, left) at poses with cosine c and sine s of yaw."""
+    """Return the greatest `off_lanes` of an outline's points (ahead, left) at poses with cosine c
+    and sine s of yaw.
+    """
     worst = np.zeros(len(x))
     for i in range(len(outline)):
         ahead, left = outline[i, 0], outline[i, 1]
@@ -539,7 +566,8 @@ COLLISION_AT_FAULT = Metric(
     (Mode.CLOSED,),
     partial(_collision, fault_only=True),
     (metric.COUNT,),
-    "Collisions into a standing road user, with the front, or with the side while not keeping a lane.",
+    "Collisions into a standing road user, with the front, or with the side while not keeping a "
+    "lane.",
     _NUPLAN,
     formula="as collision; kinds and fault in nuPlan's order",
     parameters=(f"standing {STANDING_MPS} m/s", "behind: more than 150 degrees off the heading"),
@@ -552,7 +580,8 @@ COLLISION_SEVERITY = Metric(
     _severity,
     (metric.MAX,),
     "Impact speed of a collision, and the change of the ego's velocity if both stick together.",
-    "nuPlan devkit e9241677, no_ego_at_fault_collisions; masses: EN 1317-1, Regulation (EU) No 1230/2012",
+    "nuPlan devkit e9241677, no_ego_at_fault_collisions; masses: EN 1317-1, Regulation (EU) No "
+    "1230/2012",
     parts=PARTS,
     formula="impact_speed = |v_e - v_o|; delta_v = m_o / (m_o + m_e) |v_e - v_o|",
     parameters=(
@@ -565,7 +594,10 @@ COLLISION_SEVERITY = Metric(
     ),
     needs="a collision",
 )
-_KEPT = "as gap, while the ego moves (above 0.05 m/s) and of agents not more than 150 degrees off its heading"
+_KEPT = (
+    "as gap, while the ego moves (above 0.05 m/s) and of agents not more than 150 degrees off "
+    "its heading"
+)
 _PERSON = "a pedestrian or rider"
 GAP, GAP_VULNERABLE, GAP_KEPT, GAP_KEPT_VULNERABLE = (
     Metric(
@@ -596,7 +628,8 @@ GAP, GAP_VULNERABLE, GAP_KEPT, GAP_KEPT_VULNERABLE = (
             "gap_kept",
             _KEPT,
             "another road user",
-            "Least distance that the ego leaves to another as it drives: not to those behind, and none while it stands.",
+            "Least distance that the ego leaves to another as it drives: not to those behind, and "
+            "none while it stands.",
         ),
         (
             "gap_kept_vulnerable",
@@ -614,7 +647,10 @@ PASSING_ROOM = Metric(
     _passing_room,
     (metric.MIN, metric.time_below(0.0, "time_too_near")),
     "Least distance to a pedestrian or rider who is passed, less what the ego's speed asks for.",
-    formula=f"{_KEPT} nor going away to the side; less 0.5 m up to 3 m/s, 1 m from 5 m/s on, linear between",
+    formula=(
+        f"{_KEPT} nor going away to the side; less 0.5 m up to 3 m/s, 1 m from 5 m/s on, "
+        "linear between"
+    ),
     parameters=(f"going away: {LEAVING_MPS} m/s",),
     needs="a pedestrian or rider",
 )
@@ -632,11 +668,13 @@ _TTC_HOW = (
     "0 at a collision at fault",
 )
 _TTC_FORMULA = (
-    "max over straight, turning of the least t >= 0 at which the boxes touch; TET = sum w [TTC < tau], "
+    "max over straight, turning of the least t >= 0 at which the boxes touch; TET = sum w [TTC < "
+    "tau], "
     "TIT = sum w (tau - TTC) [TTC <= tau]"
 )
 _TTC_SOURCE = (
-    "bound 0.95 s: nuPlan devkit e9241677, time_to_collision_within_bound; TET and TIT: Minderhoud, Bovy, "
+    "bound 0.95 s: nuPlan devkit e9241677, time_to_collision_within_bound; TET and TIT: "
+    "Minderhoud, Bovy, "
     "Accid. Anal. Prev. 33 (2001) 89"
 )
 TTC, TTC_VULNERABLE = (
@@ -659,7 +697,8 @@ TTC, TTC_VULNERABLE = (
             "ttc",
             "another",
             3,
-            "Least time until boxes touch at constant velocity vectors, or at constant speeds and yaw rates if that is"
+            "Least time until boxes touch at constant velocity vectors, or at constant speeds and "
+            "yaw rates if that is"
             " later, within 10 s; not to those behind.",
         ),
         (

@@ -1,59 +1,69 @@
-"""Traffic rules, closed loop: red lights, stop signs, crosswalks, right of way, driving on the correct side.
+"""Traffic rules, closed loop: red lights, stop signs, crosswalks, right of way, driving on the
+correct side.
 
-Crossing: the middle of the ego's front bumper passes a stop line in the direction of its lane, at most `ASIDE_M` beside
-its ends. The line must apply to the route that the ego takes behind it: the successor of the lane on which the drive
-lies longest must be one of those to which the line applies. A drive that begins beyond a line or ends before it does
-not cross it.
+Crossing: the middle of the ego's front bumper passes a stop line in the direction of its lane, at
+most `ASIDE_M` beside its ends. The line must apply to the route that the ego takes behind it: the
+successor of the lane on which the drive lies longest must be one of those to which the line
+applies. A drive that begins beyond a line or ends before it does not cross it.
 
     RED_LIGHT      crossings while the line's light shows red, or red and yellow
-    YELLOW_LIGHT   crossings while it shows yellow, if the ego was farther from the line when the yellow began than
+    YELLOW_LIGHT   crossings while it shows yellow, if the ego was farther from the line when the
+                   yellow began than
                    (0) v `YELLOW_S` + v^2 / (2 `YELLOW_MPS2`): a reaction and a comfortable stop
-    STOP_SIGN      crossings of a stop sign's line without a speed below 0.1 m/s in the last 5 m before it
-    CROSSWALK      pedestrians on the ego's half of a crosswalk while the ego drives on it, for each passage: inside its
-                   outline, and within `HALF_LANE_M` of the path of the ego's centre; a passage that is under way when
-                   the drive begins is left out
+    STOP_SIGN      crossings of a stop sign's line without a speed below 0.1 m/s in the last 5 m
+                   before it
+    CROSSWALK      pedestrians on the ego's half of a crosswalk while the ego drives on it, for each
+                   passage: inside its
+                   outline, and within `HALF_LANE_M` of the path of the ego's centre; a passage that
+                   is under way when the drive begins is left out
 
-The pedestrians are those of the drive: replayed pedestrians do not wait for an ego that does not wait.
+The pedestrians are those of the drive: replayed pedestrians do not wait for an ego that does not
+wait.
 
 Right of way, closed loop: how much time the ego leaves to road users with priority.
 
-By lanes: the ego drives on a lane that yields (`Lane.yields_to`), another road user on a lane with priority, and the
-ego is the first of the two at the places that both boxes occupy:
+By lanes: the ego drives on a lane that yields (`Lane.yields_to`), another road user on a lane with
+priority, and the ego is the first of the two at the places that both boxes occupy:
 
-(1) priority_gap = least t_j - t_i >= 0 over the ego's boxes i and the other's boxes j that overlap: the time from when
-    the ego leaves a place until the other reaches it (post-encroachment time)
+(1) priority_gap = least t_j - t_i >= 0 over the ego's boxes i and the other's boxes j that overlap:
+        the time from when the ego leaves a place until the other reaches it (post-encroachment
+        time)
 
-Both drives are sampled every `GRID_S`, from `AROUND_S` before the lane is entered until `AROUND_S` after it is left.
+Both drives are sampled every `GRID_S`, from `AROUND_S` before the lane is entered until `AROUND_S`
+after it is left.
 
-Without lanes: another road user that moves (at least `MOVES_MPS`) has a box j at a place that the ego left at most
-`WITHIN_S` earlier:
+Without lanes: another road user that moves (at least `MOVES_MPS`) has a box j at a place that the
+ego left at most `WITHIN_S` earlier:
 
-(2) yielding = t_j - t_i - FINE_S,  t_i < t_j the last time at which the ego's box overlapped box j. The ego leaves the
-    place between t_i and the next time of the grid, and the other reaches it between the time before t_j and t_j, so
-    the error is at most FINE_S
+(2) yielding = t_j - t_i - FINE_S,
+        t_i < t_j the last time at which the ego's box overlapped box j. The ego leaves the place
+        between t_i and the next time of the grid, and the other reaches it between the time before
+        t_j and t_j, so the error is at most FINE_S
 
-in two parts. "recorded" uses pedestrians and crossing traffic (`encounters.CROSSING_RAD`) as logged, because a road
-user that gives way to the ego would hide the violation; its boxes j are those that the recorded driver reached only
-after t_j. "pedestrian" uses pedestrians as they moved in the drive, independent of the recorded driver. The order is
-decided for each box, because a track may change its id. The others must be in the ego's way for at least `SEEN_S` in
-total; less is a flickering detection. Objects without a kind (`AgentKind.OBJECT`) have no right of way.
+in two parts. "recorded" uses pedestrians and crossing traffic (`encounters.CROSSING_RAD`) as
+logged, because a road user that gives way to the ego would hide the violation; its boxes j are
+those that the recorded driver reached only after t_j. "pedestrian" uses pedestrians as they moved
+in the drive, independent of the recorded driver. The order is decided for each box, because a track
+may change its id. The others must be in the ego's way for at least `SEEN_S` in total; less is a
+flickering detection. Objects without a kind (`AgentKind.OBJECT`) have no right of way.
 
-In replayed traffic the others do not brake for the ego, so the gap is what the ego left. Below 1 s a gap is serious,
-below 1.5 s critical (Westhofen et al., Arch. Comput. Methods Eng. 30, 2023, from the literature).
+In replayed traffic the others do not brake for the ego, so the gap is what the ego left. Below 1 s
+a gap is serious, below 1.5 s critical (Westhofen et al., Arch. Comput. Methods Eng. 30, 2023, from
+the literature).
 
-Side of the road, closed loop: driving against the direction of a lane, and off its centre line. The lanes are those
-under the centre of the ego's box (`lanes.under`); where lanes cross, and beside the road, nothing is judged. With the
-angle between the velocity vector and the best aligned lane there:
+Side of the road, closed loop: driving against the direction of a lane, and off its centre line. The
+lanes are those under the centre of the ego's box (`lanes.under`); where lanes cross, and beside the
+road, nothing is judged. With the angle between the velocity vector and the best aligned lane there:
 
 (3) wrong_way(t) = max(-v cos(angle), 0)                        speed against the lane, m/s
 (4) worst_1s = max over t of the integral of (3) over (t - 1 s, t]
 (5) lane_keeping(t) = distance from the nearest centre line, positive left of it, m
-(6) lane_line(t) = |(5)| + half of the ego's width - half of the lane's width there: distance of its box beyond the
-    lane's line, m; measured every 0.1 s while no road user and no curve is a reason to leave the centre line
-    (`needless`)
+(6) lane_line(t) = |(5)| + half of the ego's width - half of the lane's width there:
+        distance of its box beyond the lane's line, m; measured every 0.1 s while no road user and
+        no curve is a reason to leave the centre line (`needless`)
 
-nuPlan and NAVSIM judge (4): below 2 m is compliant, below 6 m half. Lanes that lie over each other and lead both ways
-(a single-track road) may be driven either way.
+nuPlan and NAVSIM judge (4): below 2 m is compliant, below 6 m half. Lanes that lie over each other
+and lead both ways (a single-track road) may be driven either way.
 """
 
 from __future__ import annotations
@@ -161,7 +171,9 @@ def _stop_sign(trace: Trace, scenario: Scenario) -> Measured:
 
 
 def _ahead(line: StopLine, ego: Trajectory, scenario: Scenario) -> tuple[FloatArray, FloatArray]:
-    """Return how far the middle of the front is beyond a line and beside the line's middle, `(n,)` each, m."""
+    """Return how far the middle of the front is beyond a line and beside the line's middle, `(n,)`
+    each, m.
+    """
     reach = scenario.vehicle.axle_to_front
     x, y = ego.x + reach * np.cos(ego.yaw), ego.y + reach * np.sin(ego.yaw)
     across = line.points[1] - line.points[0]
@@ -174,7 +186,9 @@ def _ahead(line: StopLine, ego: Trajectory, scenario: Scenario) -> tuple[FloatAr
 
 
 def _crossings(line: StopLine, trace: Trace, scenario: Scenario) -> Iterator[int]:
-    """Yield the steps at which the ego has crossed a line that applies to its route, or behind which the drive ends."""
+    """Yield the steps at which the ego has crossed a line that applies to its route, or behind
+    which the drive ends.
+    """
     road, ego = scenario.road, trace.ego
     ways = [road.lanes[i] for i in road.lanes[line.lane].successors if i in road.lanes]
     ahead, beside = _ahead(line, ego, scenario)
@@ -246,7 +260,9 @@ def _crosswalk(trace: Trace, scenario: Scenario) -> Measured:
 
 @kernel
 def _over(ego: FloatArray, car: EgoOutline, polygon: FloatArray) -> BoolArray:
-    """Return the steps at which a box (rows x, y, yaw) overlaps a polygon, tested at 9 by 5 points of the box."""
+    """Return the steps at which a box (rows x, y, yaw) overlaps a polygon, tested at 9 by 5 points
+    of the box.
+    """
     out = np.zeros(ego.shape[1], np.bool_)
     for k in range(ego.shape[1]):
         c, s = np.cos(ego[2, k]), np.sin(ego[2, k])
@@ -294,7 +310,9 @@ def _priority_gap(trace: Trace, scenario: Scenario, *, assumed: bool) -> Measure
 
 
 def _steps_around(on: BoolArray) -> BoolArray:
-    """Mark the steps `(k,)` from `AROUND_S` before the first marked one to `AROUND_S` after the last."""
+    """Mark the steps `(k,)` from `AROUND_S` before the first marked one to `AROUND_S` after the
+    last.
+    """
     at = np.flatnonzero(on)
     found, reach = np.zeros(len(on), np.bool_), round(AROUND_S / GRID_S)
     if len(at):
@@ -304,7 +322,9 @@ def _steps_around(on: BoolArray) -> BoolArray:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Meetings:
-    """The boxes of one road user (index of its track) at places that a drive occupies, at m increasing grid steps."""
+    """The boxes of one road user (index of its track) at places that a drive occupies, at m
+    increasing grid steps.
+    """
 
     agent: int
     step: IntArray
@@ -317,7 +337,9 @@ class _Meetings:
 def _meetings(
     drive: Trajectory, tracks: Tracks, scenario: Scenario, t: FloatArray
 ) -> Iterator[_Meetings]:
-    """Yield the meetings with pedestrians, and with other kinds (not objects) that cross the drive, at `t` `(k,)`."""
+    """Yield the meetings with pedestrians, and with other kinds (not objects) that cross the drive,
+    at `t` `(k,)`.
+    """
     first, end = np.searchsorted(t, [drive.t[0] - 1e-9, drive.t[-1] + 1e-9])
     boxes = ego_boxes(drive.resampled(np.clip(t[first:end], drive.t[0], drive.t[-1])), scenario)
     car = car_of(scenario)
@@ -368,7 +390,9 @@ def _yielding(trace: Trace, scenario: Scenario) -> Mapping[str, Measured]:
 
 
 def _gaps(t: FloatArray, met: Sequence[tuple[_Meetings, IntArray, str]], tracks: Tracks) -> Series:
-    """Return the least (2) over the boxes at the given steps, at the time at which the ego left their place."""
+    """Return the least (2) over the boxes at the given steps, at the time at which the ego left
+    their place.
+    """
     gap, labels = np.full(len(t), np.nan), [""] * len(t)
     within = [
         (one, (one.left <= WITHIN_S + 1e-9) & np.isin(one.step, steps), why)
@@ -464,9 +488,12 @@ YELLOW_LIGHT = Metric(
     _CLOSED,
     partial(_light, yellow=True),
     (COUNT,),
-    "Stop lines that the front came over at a yellow for which the ego could have stopped comfortably.",
+    "Stop lines that the front came over at a yellow for which the ego could have stopped "
+    "comfortably.",
     "StVO 37; ITE, Determining Vehicle Signal Change and Clearance Intervals: 1 s and 3.05 m/s2",
-    formula="sum of crossings at yellow, if it began farther away than v * 1 s + v^2 / (2 * 3.05 m/s2)",
+    formula=(
+        "sum of crossings at yellow, if it began farther away than v * 1 s + v^2 / (2 * 3.05 m/s2)"
+    ),
     parameters=(f"reaction {YELLOW_S:g} s", f"stop {YELLOW_MPS2} m/s2"),
     needs="a traffic light with a stop line",
 )
@@ -504,8 +531,10 @@ PRIORITY_GAP, PRIORITY_GAP_ASSUMED = (
         _CLOSED,
         partial(_priority_gap, assumed=assumed),
         (MIN, _fewer(SERIOUS_S, "below_1s")),
-        f"Time between the ego leaving a spot and a road user with {priority} reaching it (post-encroachment time).",
-        "PET below 1 s: serious; 1.5 s: critical (criticality metrics catalogue, Westhofen et al. 2023)",
+        f"Time between the ego leaving a spot and a road user with {priority} reaching it "
+        "(post-encroachment time).",
+        "PET below 1 s: serious; 1.5 s: critical (criticality metrics catalogue, Westhofen et al. "
+        "2023)",
         formula="least t_j - t_i >= 0 over boxes i of the ego and j of the other that overlap",
         parameters=(f"grid {GRID_S} s", f"serious {SERIOUS_S:g} s"),
         needs=f"lanes that {yields}, a drive of two states",
@@ -522,10 +551,15 @@ YIELDING = Metric(
     _CLOSED,
     _yielding,
     (MIN, _fewer(SERIOUS_S, "below_1s"), _fewer(CRITICAL_S, "below_1500ms")),
-    "Time by which the ego crosses before a road user that comes to the same place: of those that the recorded driver "
+    "Time by which the ego crosses before a road user that comes to the same place: of those that "
+    "the recorded driver "
     "let go first (as logged), and of pedestrians (as they moved). Needs no map.",
-    "PET below 1 s: serious; 1.5 s: critical (criticality metrics catalogue, Westhofen et al. 2023)",
-    formula="least t_j - t_i over boxes j of the other and the last box i of the ego that overlaps it before t_j",
+    "PET below 1 s: serious; 1.5 s: critical (criticality metrics catalogue, Westhofen et al. "
+    "2023)",
+    formula=(
+        "least t_j - t_i over boxes j of the other and the last box i of the ego that overlaps "
+        "it before t_j"
+    ),
     parameters=(
         f"grid {FINE_S} s",
         f"at most {WITHIN_S:g} s",
@@ -553,9 +587,14 @@ WRONG_WAY = Metric(
         metric.time_above(AGAINST_MPS, "time"),
         metric.worst_episode(-AGAINST_MPS, AGAINST_MPS),
     ),
-    "Speed against the direction of the lane under the ego's centre; worst_1s are the most metres within 1 s.",
-    "nuPlan devkit e9241677, driving_direction_compliance (below 2 m: 1, below 6 m: 0.5); there along the route",
-    formula="max(-v cos(angle to the best aligned lane), 0); worst_1s = max over t of its integral over (t - 1 s, t]",
+    "Speed against the direction of the lane under the ego's centre; worst_1s are the most metres "
+    "within 1 s.",
+    "nuPlan devkit e9241677, driving_direction_compliance (below 2 m: 1, below 6 m: 0.5); there "
+    "along the route",
+    formula=(
+        "max(-v cos(angle to the best aligned lane), 0); worst_1s = max over t of its integral "
+        "over (t - 1 s, t]"
+    ),
     parameters=(
         f"window {WRONG_WAY_S:g} s",
         f"against above {AGAINST_MPS} m/s",
@@ -574,7 +613,8 @@ LANE_KEEPING = Metric(
         metric.time_above(KEEPING_M, "time_beyond_50cm"),
         metric.worst_episode(-KEEPING_M, KEEPING_M),
     ),
-    "Distance of the ego's centre from the nearest centre line of a lane under it; changing lanes counts too.",
+    "Distance of the ego's centre from the nearest centre line of a lane under it; changing lanes "
+    "counts too.",
     "NAVSIM 0a380a90, lane keeping of EPDMS: an episode of 2 s is a failure",
     formula="signed distance from the centre line; worst_episode: the longest stretch beyond 0.5 m",
     parameters=(f"beyond {KEEPING_M} m", "lanes cross above 30 degrees"),

@@ -1,6 +1,7 @@
 """Planners: Frame -> Plan. `replan.replay.parts` has their names.
 
-To write your own, read `logs/frame.py` (the input of a planner) and `planners/constant_speed.py` (the template).
+To write your own, read `logs/frame.py` (the input of a planner) and `planners/constant_speed.py`
+(the template).
 """
 
 from replan.core.former_names import refuse_copy

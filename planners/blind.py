@@ -1,11 +1,13 @@
-"""Two drivers that a log should fail: `blind` looks at nothing but the road, `parked` does not drive.
+"""Two drivers that a log should fail: `blind` looks at nothing but the road, `parked` does not
+drive.
 
-A log that a parked driver passes cannot tell drivers apart. In a log that a blind driver passes, nothing was in the
-way. `replan.replay.loop.reference_drives` drives both in every log, and `replan.metrics.judge.discrimination` judges them.
+A log that a parked driver passes cannot tell drivers apart. In a log that a blind driver passes,
+nothing was in the way. `replan.replay.loop.reference_drives` drives both in every log, and
+`replan.metrics.judge.discrimination` judges them.
 
-`blind` is the Intelligent Driver Model (`replan.planners.idm`) on the same route, within the limits and curves of its lanes,
-without road users, lights, stop lines, crosswalks, and right of way. `parked` follows the same path: with its speed v,
-the desired speed u and t from the frame on,
+`blind` is the Intelligent Driver Model (`replan.planners.idm`) on the same route, within the limits
+and curves of its lanes, without road users, lights, stop lines, crosswalks, and right of way.
+`parked` follows the same path: with its speed v, the desired speed u and t from the frame on,
 
 (1) v(t) = u + the comfortable braking profile of v - u       where v > u
 (2) v(t) = min(u, v + `GAIN_MPS2` t)                          else
@@ -43,7 +45,9 @@ def _without_rules(road: Road) -> Road:
 
 
 class Blind:
-    """Drives the route as if the road were empty: (1) to (3) of `replan.planners.idm` without a leader."""
+    """Drives the route as if the road were empty: (1) to (3) of `replan.planners.idm` without a
+    leader.
+    """
 
     def __init__(self, context: PlannerContext, config: IdmConfig | None = None) -> None:
         self._idm = Idm(replace(context, road=_without_rules(context.road)), config)

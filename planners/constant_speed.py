@@ -19,27 +19,30 @@ class ConstantSpeed:
     """Continues along a circular arc and ignores all road users.
 
     Args:
-        context: The constant inputs: `context.road`, `context.goal`, `context.vehicle`, `context.period`.
+        context: The constant inputs: `context.road`, `context.goal`, `context.vehicle`,
+            `context.period`.
         horizon_s: How far the plan reaches, s.
         step_s: Time between two samples of the plan, s.
 
-    Every keyword after the context is a key of `[planner.NAME]` in a run's configuration: give it a default, a name
-    with its unit, and a line above, which `replan list NAME` prints.
+    Every keyword after the context is a key of `[planner.NAME]` in a run's configuration: give it a
+    default, a name with its unit, and a line above, which `replan list NAME` prints.
     """
 
     def __init__(
         self, context: PlannerContext, *, horizon_s: float = 8.0, step_s: float = 0.1
     ) -> None:
-        # A planner is built once per scenario. Memory (warm starts, hysteresis) belongs in the object; set it here.
+        # A planner is built once per scenario. Memory (warm starts, hysteresis) belongs in the
+        # object; set it here.
         self.lap = context.lap
         self.ahead = step_s * np.arange(round(horizon_s / step_s) + 1)
 
     def plan(self, frame: Frame) -> Plan:
         """Return a plan from `frame.t` on.
 
-        `frame.agents` are the road users now, `frame.predictions` their assumed futures, `frame.previous` the plan
-        that the ego is driving. It is None in the open loop and at the first frame; then memory must not change the
-        plan. A planner that fails returns its fallback, with a PlanStatus and a reason; it does not raise.
+        `frame.agents` are the road users now, `frame.predictions` their assumed futures,
+        `frame.previous` the plan that the ego is driving. It is None in the open loop and at the
+        first frame; then memory must not change the plan. A planner that fails returns its
+        fallback, with a PlanStatus and a reason; it does not raise.
         """
         trajectory = arc(frame.ego, frame.t + self.ahead)
         # optional: the time since the last lap appears under this name in the timings
@@ -48,7 +51,8 @@ class ConstantSpeed:
 
 
 def arc(ego: EgoState, t: FloatArray) -> Trajectory:
-    """Extrapolate the ego at constant speed and curvature to the times `t` `(n,)`, s; exact, also on a straight line.
+    """Extrapolate the ego at constant speed and curvature to the times `t` `(n,)`, s; exact, also
+    on a straight line.
 
     The chord of an arc of length s that turns by 2 h is s sin(h) / h, in the direction yaw + h.
     """

@@ -1,19 +1,24 @@
-"""Intelligent Driver Model: the ego follows the middle of its route, its speed follows the nearest leader.
+"""Intelligent Driver Model: the ego follows the middle of its route, its speed follows the nearest
+leader.
 
-Path: the reference line of the route; from an offset the ego returns to it on the quintic from (l, l', l'') to
-(0, 0, 0). Speed, integrated every 0.1 s over the horizon (Treiber, Hennecke, Helbing, Phys. Rev. E 62, 2000):
+Path: the reference line of the route; from an offset the ego returns to it on the quintic from (l,
+l', l'') to (0, 0, 0). Speed, integrated every 0.1 s over the horizon (Treiber, Hennecke, Helbing,
+Phys. Rev. E 62, 2000):
 
 (1) dv/dt = a (1 - (v / v0)^4) - a (s* / gap)^2             v <= v0
 (2) s*    = s0 + max(0, v T + v (v - v_lead) / (2 sqrt(a b)))
-(3) dv/dt = max(-b, v dv0/ds - (v - v0) / tau) - a (s* / gap)^2    v > v0 (not in IDM: (1) would brake much too hard)
+(3) dv/dt = max(-b, v dv0/ds - (v - v0) / tau) - a (s* / gap)^2
+        v > v0 (not in IDM: (1) would brake much too hard)
 
-v0 is the limit of the lane, and of the curve: v0^2 |kappa| <= `curve_accel_mps2`. In equilibrium behind a leader
+v0 is the limit of the lane, and of the curve: v0^2 |kappa| <= `curve_accel_mps2`. In equilibrium
+behind a leader
 
 (4) gap = (s0 + v T) / sqrt(1 - (v / v0)^4)
 
-The leader at a time of the roll-out is the nearest agent ahead whose predicted footprint is on the path then or within
-`ahead_s`; it may be a crossing one, whose speed along the path is small. The ego does not pass an agent in its path; it
-stops behind it. A stop that the traffic rules demand is a standing leader (`replan.planners.rules`).
+The leader at a time of the roll-out is the nearest agent ahead whose predicted footprint is on the
+path then or within `ahead_s`; it may be a crossing one, whose speed along the path is small. The
+ego does not pass an agent in its path; it stops behind it. A stop that the traffic rules demand is
+a standing leader (`replan.planners.rules`).
 """
 
 from __future__ import annotations
@@ -90,7 +95,10 @@ class IdmConfig:
 
 
 class Idm:
-    """Follows the middle of the route; its memory is the last station and the memory of the rules."""
+    """Follows the middle of the route.
+
+    Its memory is the last station and the memory of the rules.
+    """
 
     def __init__(self, context: PlannerContext, config: IdmConfig | None = None) -> None:
         self._config = config or IdmConfig()
@@ -107,7 +115,10 @@ class Idm:
         self._memory = RuleMemory()
 
     def plan(self, frame: Frame) -> Plan:
-        """Return the roll-out of (1) to (3) along the path; a stop where the ego is outside the line's frame."""
+        """Return the roll-out of (1) to (3) along the path.
+
+        A stop where the ego is outside the line's frame.
+        """
         scene, start_kind = self._tracker.scene(frame)
         start, car, agents = scene.start, self._vehicle, frame.agents
         if frame.previous is None:
@@ -172,7 +183,10 @@ class Idm:
     def _profile(
         self, path: Path, blocks: StBoundaries, stops: tuple[Occupancy, ...], start: EgoState
     ) -> tuple[FloatArray, IntArray]:
-        """Rows s, v, a `(3, HORIZON_KNOTS)`; the leader per knot: a row of `blocks`, after them a stop; -1: none."""
+        """Rows s, v, a `(3, HORIZON_KNOTS)`.
+
+        The leader per knot: a row of `blocks`, after them a stop; -1: none.
+        """
         c, line = self._config, self._tracker.reference.line
         limit = np.interp(path.s, line.s, self._tracker.reference.limit)
         v0 = limit_profile(path.sigma, path.kappa, limit, c.curve_accel_mps2, c.ease_mps2)
@@ -230,7 +244,10 @@ def _rolled_out(
     start: FloatArray,
     driver: FloatArray,
 ) -> tuple[FloatArray, IntArray]:
-    """Simulate the driver (a, b, T, s0, hardest, jerk) from `start` (v, a); returns what `Idm._profile` returns."""
+    """Simulate the driver (a, b, T, s0, hardest, jerk) from `start` (v, a).
+
+    Returns what `Idm._profile` returns.
+    """
     out, led = np.zeros((3, HORIZON_KNOTS)), np.full(HORIZON_KNOTS, -1)
     s, v, a, here, k = 0.0, start[0], start[1], 0, 0
     for n in range(HORIZON_KNOTS):

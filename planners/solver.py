@@ -2,12 +2,13 @@
 
     minimise 1/2 x' P x + q' x    subject to    l <= A x <= u,  the first rows equalities
 
-A workspace is set up once with its matrices and belongs to one owner; each solve gets new vectors, and where A varies
-`refill` replaces its stored entries. OSQP (Stellato et al., 2020), an ADMM method, solves most problems in a few
-warm-started iterations, but a tight corridor can cost it thousands. PIQP (Schwan et al., 2023), an interior-point
-method that needs about ten iterations for the planners' problems, solves those that OSQP has not solved within
-`max_iterations`; the report then names it. A solver may report a solution that violates bounds by its own tolerance, so
-this module checks the bounds again.
+A workspace is set up once with its matrices and belongs to one owner; each solve gets new vectors,
+and where A varies `refill` replaces its stored entries. OSQP (Stellato et al., 2020), an ADMM
+method, solves most problems in a few warm-started iterations, but a tight corridor can cost it
+thousands. PIQP (Schwan et al., 2023), an interior-point method that needs about ten iterations for
+the planners' problems, solves those that OSQP has not solved within `max_iterations`; the report
+then names it. A solver may report a solution that violates bounds by its own tolerance, so this
+module checks the bounds again.
 """
 
 from __future__ import annotations
@@ -39,7 +40,8 @@ class QPConfig:
 
     Attributes:
         eps: Absolute and relative tolerance of OSQP.
-        max_iterations: Iterations of OSQP before PIQP solves the problem; 0: PIQP solves it at once.
+        max_iterations: Iterations of OSQP before PIQP solves the problem; 0: PIQP solves it at
+            once.
         check_every: Iterations between two tests for convergence.
         tolerance: Largest violation of a bound in a solution, in the units of the row.
     """
@@ -75,7 +77,8 @@ class QuadraticProgram:
         P: `(n, n)` symmetric positive semidefinite.
         A: `(m, n)`.
         equalities: Number of rows with equal bounds, which come first.
-        scale: `(n,)` typical size of each variable; the solvers work on x / scale, and on rows of size 1.
+        scale: `(n,)` typical size of each variable; the solvers work on x / scale, and on rows of
+            size 1.
     """
 
     def __init__(
@@ -125,7 +128,8 @@ class QuadraticProgram:
         self._refilling: tuple[FloatArray, IntArray] | None = None
 
     def refill(self, values: FloatArray) -> None:
-        """Replace the stored entries of A `(nnz,)`, in the order of its columns (`A.data`, sorted indices).
+        """Replace the stored entries of A `(nnz,)`, in the order of its columns (`A.data`, sorted
+        indices).
 
         The scale of the rows stays that of the set-up.
         ValueError if the number of entries differs, or one is not finite.
@@ -150,7 +154,9 @@ class QuadraticProgram:
     def solve(
         self, q: FloatArray, lower: FloatArray, upper: FloatArray, *, fresh: bool
     ) -> QPResult:
-        """Solve with new vectors; `fresh` forgets the last solution, so that the result does not depend on it."""
+        """Solve with new vectors; `fresh` forgets the last solution, so that the result does not
+        depend on it.
+        """
         if not (lower <= upper).all():
             row = int(np.argmin(lower <= upper))
             bounds = f"bounds [{lower[row]:.3g}, {upper[row]:.3g}]"
@@ -203,7 +209,10 @@ class QuadraticProgram:
     def _check_answer(
         self, z: FloatArray, report: SolverReport, lower: FloatArray, upper: FloatArray
     ) -> QPResult:
-        """Scale an answer back; it is not solved where it violates a bound by more than the tolerance."""
+        """Scale an answer back.
+
+        It is not solved where it violates a bound by more than the tolerance.
+        """
         if report.solved:
             value = self._rows @ z
             excess = np.maximum(lower - value, value - upper) / self._row_scale

@@ -1,4 +1,5 @@
-"""The public names of replan in one place: `import replan` (docs/api.md). Each is imported at its first use.
+"""The public names of replan in one place: `import replan` (docs/api.md). Each is imported at its
+first use.
 
 result = replan.evaluate("my_logs", planners=["dp_qp", "my_planner:Mine"], out="results/mine")
 result = replan.load("results/mine")            the tables and drives of a run (docs/results.md)
@@ -8,10 +9,12 @@ scenario = replan.from_frames(ego, agents)      a team's own log from pandas tab
 scenario = replan.read_log("drive.mcap")        a log of any format (`replan convert --formats`)
 replan.write_log("drive.mcap", scenario)        as native MCAP, for `evaluate`
 
-replan.check_planner("my_planner:Mine")         the contract of a planner; check_metric, check_reader
+replan.check_planner("my_planner:Mine")         the contract of a planner; check_metric,
+                                                check_reader
 
-The nouns of a planner (Frame, Plan, Trajectory), a metric (Trace, Scenario, Series) and all else that can be added
-(docs/extend.md) have their names here, too. `python -m replan` is the command line.
+The nouns of a planner (Frame, Plan, Trajectory), a metric (Trace, Scenario, Series) and all else
+that can be added (docs/extend.md) have their names here, too. `python -m replan` is the command
+line.
 """
 
 from __future__ import annotations
@@ -180,7 +183,10 @@ _NAMES = {
     "replan.logs.agents": "AgentKind Agents",
     "replan.logs.catalogue.family": "Family",
     "replan.logs.frame": "Frame PlannerContext Predictions Visibility",
-    "replan.logs.plan": "Candidates Corridor CostTerms Decision DecisionKind GraphObstacle GridCost LaneOption Plan PlanStart PlanStatus SlGraph SolverReport StGraph",
+    "replan.logs.plan": (
+        "Candidates Corridor CostTerms Decision DecisionKind GraphObstacle "
+        "GridCost LaneOption Plan PlanStart PlanStatus SlGraph SolverReport StGraph"
+    ),
     "replan.logs.readers": "LogSettings Reader read_log",
     "replan.logs.readers.table": "from_frames",
     "replan.logs.road": "Goal Lane ReferenceLine Road RoadSource",
@@ -191,7 +197,9 @@ _NAMES = {
     "replan.logs.tracks": "Tracks",
     "replan.logs.vehicle": "VehicleParameters",
     "replan.metrics.comparison": "Comparison",
-    "replan.metrics.metric": "COUNT FINAL MAX MEAN MIN Metric RATE RMS Reduction SHARE Series Unavailable",
+    "replan.metrics.metric": (
+        "COUNT FINAL MAX MEAN MIN Metric RATE RMS Reduction SHARE Series Unavailable"
+    ),
     "replan.mine.driven_log": "Event EventKind",
     "replan.planners.base": "Planner",
     "replan.replay.loop_config": "LoopConfig",

@@ -4,7 +4,9 @@ import sys
 
 
 def main() -> None:
-    """Run the command line; SIGINT and SIGTERM are handled before it is imported, which takes a moment."""
+    """Run the command line; SIGINT and SIGTERM are handled before it is imported, which takes a
+    moment.
+    """
     from replan.interruption import end_at_once
 
     end_at_once()

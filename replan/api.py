@@ -1,4 +1,6 @@
-"""The functions of `import replan`: drive and judge (`evaluate`), and compare two runs (`compare`)."""
+"""The functions of `import replan`: drive and judge (`evaluate`), and compare two runs
+(`compare`).
+"""
 
 from __future__ import annotations
 
@@ -51,14 +53,16 @@ def evaluate(
     baseline: Results | Path | str | None = None,
     report: bool = True,
 ) -> Results:
-    """Drive planners over logs, measure, judge by gates, and write everything into one folder, as `replan evaluate`.
+    """Drive planners over logs, measure, judge by gates, and write everything into one folder, as
+    `replan evaluate`.
 
     An argument that is left out is as in `config`, else the default of `replan.config.RunConfig`.
 
     Args:
         logs: Files and folders of any format; none: the built-in suite.
         planners: Names, "module:Class", "exec:COMMAND", or classes that can be imported.
-        out: Result folder: new, empty, or results of an earlier run, which are replaced; None: `results/run-NNN`.
+        out: Result folder: new, empty, or results of an earlier run, which are replaced; None:
+            `results/run-NNN`.
         mode: "open", "closed" or "both".
         gates: A TOML file of thresholds.
         metrics: "module:NAME" of metrics of your own.
@@ -66,19 +70,22 @@ def evaluate(
         recording: Whether .rrd files are written.
         foxglove: Whether logs and traces get channels for Foxglove.
         internals: How much of a planner's internals is kept: "none", "summary", "full".
-        ensemble: How many times each log is driven again in a world that should not change the verdict.
+        ensemble: How many times each log is driven again in a world that should not change the
+            verdict.
         config: All settings of a run, or a TOML file of them.
         suite: Instead of logs: a suite of the catalogue, or a family or group of it.
         window: Split each log into windows of this length, s.
         every: Time between the begins of two windows, s; None: `window`.
-        workers: Child processes; 0 evaluates in this one. Results do not depend on it. With any, a script needs
-            `if __name__ == "__main__":`.
+        workers: Child processes; 0 evaluates in this one. Results do not depend on it. With any, a
+            script needs `if __name__ == "__main__":`.
         engine: Where logs are driven, instead of `workers` (`replan.run.on_ray.OnRay`).
         resume: Continue the interrupted run in `out`.
         shard: "I/N": drive every N-th log, from the I-th; `replan merge` judges all shards.
-        loop: Keys of [loop] (`replan.replay.loop_config.LoopConfig`): {"controller": "mpc", "plan_period_s": 0.2}.
+        loop: Keys of [loop] (`replan.replay.loop_config.LoopConfig`): {"controller": "mpc",
+            "plan_period_s": 0.2}.
         log: Keys of [log] (`replan.logs.log_settings.LogSettings`): {"ego": "17", "begin": 2.0}.
-        baseline: Results, their folder, or a file of `replan baseline`: the reports compare this run with it.
+        baseline: Results, their folder, or a file of `replan baseline`: the reports compare this
+            run with it.
         report: Whether report.html, report.md and junit.xml are written.
 
     Raises:
@@ -125,7 +132,9 @@ def evaluate(
 def finished(
     results: Results, before: Run | None = None, gates: Path | None = None, *, report: bool = True
 ) -> Overview:
-    """The overview of a run that has ended, with its comparison; `report` also writes its reports into its folder."""
+    """The overview of a run that has ended, with its comparison; `report` also writes its reports
+    into its folder.
+    """
     with held(results.path):
         comparison = None if before is None else compare_runs(before, results, gates=gates)
         over = overview(results, comparison)
@@ -144,7 +153,8 @@ def compare(
     Args:
         baseline: Results, their folder, or a file of `replan baseline`.
         candidate: Likewise.
-        planners: One: only this planner of both. Two: the first of the baseline with the second of the candidate.
+        planners: One: only this planner of both. Two: the first of the baseline with the second of
+            the candidate.
         gates: A TOML file of thresholds and rules of comparison; None: the packaged ones.
 
     Raises:
@@ -173,13 +183,16 @@ def named(planner: str | type) -> str:
         return planner
     if planner.__module__ == "__main__" or "<locals>" in planner.__qualname__:
         raise ConfigError(
-            f"planner {planner.__qualname__}: put it into a file of its own, which its process can import"
+            f"planner {planner.__qualname__}: put it into a file of its own, which its process can "
+            "import"
         )
     return f"{planner.__module__}:{planner.__qualname__}"
 
 
 def _over(config: Any, given: dict[str, Any], where: str = "") -> Any:
-    """Return a configuration with keys replaced; ConfigError if a key is unknown, or a value has the wrong type."""
+    """Return a configuration with keys replaced; ConfigError if a key is unknown, or a value has
+    the wrong type.
+    """
     known_keys(given, [item.name for item in fields(config)], where)
     kinds = get_type_hints(type(config))
     return replace(

@@ -1,8 +1,9 @@
-"""Compares two runs, as result folders or baseline files, and finds the first differences of their drives.
+"""Compares two runs, as result folders or baseline files, and finds the first differences of their
+drives.
 
-A baseline is one Parquet file: the rows of metrics.parquet (without the metrics' sources), and in its metadata the
-settings and versions of the run, as JSON. It holds all that judging and comparing need, but no traces; equal results
-give equal bytes.
+A baseline is one Parquet file: the rows of metrics.parquet (without the metrics' sources), and in
+its metadata the settings and versions of the run, as JSON. It holds all that judging and comparing
+need, but no traces; equal results give equal bytes.
 """
 
 from __future__ import annotations
@@ -156,7 +157,7 @@ def side_of(run: Run) -> Side:
         raise LogError(f"cannot be read as results: {error}", file=run.path) from None
 
 
-# the file ---------------------------------------------------------------------------------------------------------
+# the file -----------------------------------------------------------------------------------------
 
 
 def is_baseline(path: Path) -> bool:
@@ -185,7 +186,7 @@ def write_baseline(run: Run, path: Path) -> None:
     )
 
 
-# comparing --------------------------------------------------------------------------------------------------------
+# comparing ----------------------------------------------------------------------------------------
 
 
 def compare_runs(
@@ -202,7 +203,8 @@ def compare_runs(
     Args:
         baseline: The run before.
         candidate: The run after.
-        planners: One: only this planner of both. Two: the first of the baseline with the second of the candidate.
+        planners: One: only this planner of both. Two: the first of the baseline with the second of
+            the candidate.
         gates: A file of gates and rules; None: the packaged ones.
         more: Rules beside those of the file.
         partings: The first difference is searched in at most this many drives, the worst first.
@@ -253,7 +255,10 @@ def _driven_planners(side: Side) -> tuple[str, ...]:
 
 
 def _select_planner(side: Side, planner: str, name: str) -> Side:
-    """Return the rows of one planner under a name that both sides share; if it is renamed, it is not an oracle."""
+    """Return the rows of one planner under a name that both sides share.
+
+    If it is renamed, it is not an oracle.
+    """
     if planner not in _driven_planners(side):
         raise unknown_name("planner (in the run)", planner, _driven_planners(side))
     table = side.table
@@ -267,7 +272,9 @@ def _select_planner(side: Side, planner: str, name: str) -> Side:
 def _with_first_differences(
     comparison: Comparison, both: tuple[Results, Results], pair: tuple[str, str] | None, most: int
 ) -> Comparison:
-    """Add first differences to the comparison: of drives with flips first, then of the worst regressions."""
+    """Add first differences to the comparison: of drives with flips first, then of the worst
+    regressions.
+    """
     order = pd.concat([comparison.flips[DRIVE], comparison.pairs[DRIVE]]).drop_duplicates()
     rows: list[tuple[Any, ...]] = []
     looked = 0
@@ -303,7 +310,10 @@ def _with_first_differences(
 
 
 def view_command(run: Run, log: str, planner: str, mode: str) -> str:
-    """Return the command that shows a drive; "" for a baseline file. For planners "a -> b", it shows the drive of b."""
+    """Return the command that shows a drive; "" for a baseline file.
+
+    For planners "a -> b", it shows the drive of b.
+    """
     if isinstance(run, Side):
         return ""
     drive = run.drive(log, planner.split(" -> ")[-1], mode)

@@ -3,23 +3,30 @@
     planners = ["dp_qp"]             # names, "module:Class", "exec:COMMAND" or "tcp://HOST:PORT"
     mode = "both"                    # "open", "closed" or "both"
     gates = "default"                # or a file of thresholds
-    internals = "summary"            # how much of a planner's internals the traces hold: "none", "summary", "full"
+    internals = "summary"
+        # how much of a planner's internals the traces hold: "none", "summary", "full"
     recording = true                 # write .rrd files
     foxglove = false                 # write channels for Foxglove into logs and traces
     metrics = []                     # your own, in addition to the built-in ones: "module:NAME"
     charts = []                      # likewise, in the report
     ensemble = 0                     # perturbed runs per log (replan.run.sources)
-    repeat_s = 2.0                   # length of the start that is driven twice, to test determinism of planners
-    deadline_s = 0.0                 # the longest time of a plan (0.1 at 10 Hz); 0: not judged, as clocks differ
+    repeat_s = 2.0
+        # length of the start that is driven twice, to test determinism of planners
+    deadline_s = 0.0
+        # the longest time of a plan (0.1 at 10 Hz); 0: not judged, as clocks differ
 
-    [log]                            # replan.logs.readers.LogSettings: information that logs lack, or where they store it
+    [log]                            # replan.logs.readers.LogSettings: information that logs lack,
+                                     or where they store it
     [loop]                           # LoopConfig
-    [loop.apart]                     # PlannerProcessConfig: planners of your own in their process, and its limits
+    [loop.apart]                     # PlannerProcessConfig: planners of your own in their process,
+                                     and its limits
     [planner.dp_qp]                  # keywords of the planner; likewise for the names in [loop]:
     [controller.mpc]                 # also [traffic.NAME], [prediction.NAME], [perception.NAME]
-    [vehicle_model.single_track]     # keywords of the vehicle model; the controller does not know [loop.plant]
+    [vehicle_model.single_track]     # keywords of the vehicle model; the controller does not know
+                                     [loop.plant]
     [vehicle]                        # VehicleParameters: replaces the values of the logs
-    set = "vw_vanagon"               # all values of a known vehicle (a file of `logs/vehicles`); other keys override it
+    set = "vw_vanagon"
+        # all values of a known vehicle (a file of `logs/vehicles`); other keys override it
 
 All keys are optional. An error in a file names file, key and remedy; unknown keys are errors.
 """
@@ -50,7 +57,10 @@ from replan.replay.planner_process.planner_config import is_apart, planner_part
 RunMode = Literal["both", "open", "closed"]
 Internals = Literal["none", "summary", "full"]
 
-HEADER = "# The resolved configuration of a run, written by `replan evaluate`; give it to --config to run that again.\n"
+HEADER = (
+    "# The resolved configuration of a run, written by `replan evaluate`; give it to --config "
+    "to run that again.\n"
+)
 
 
 @dataclass(frozen=True)
@@ -58,24 +68,28 @@ class RunConfig:
     """One run: its planners, loops, gates and settings.
 
     Attributes:
-        planners: Names as `replan.replay.loop.planning.Planning` takes them; one column of the results each.
+        planners: Names as `replan.replay.loop.planning.Planning` takes them; one column of the
+            results each.
         mode: Which loops are run.
         gates: "default" or "safety" (packaged thresholds), or the path of a TOML file.
         internals: How much of the planner's internals is kept in the traces.
         recording: Whether Rerun recordings are written.
-        foxglove: Whether the logs and traces that are written get channels for Foxglove (`replan.draw.foxglove`).
+        foxglove: Whether the logs and traces that are written get channels for Foxglove
+            (`replan.draw.foxglove`).
         metrics: "module:NAME" of metrics from outside, measured beside the built-in ones.
         charts: "module:NAME" of charts from outside, drawn in the report beside the built-in ones.
-        ensemble: How many times each log is driven again under a perturbation (`replan.run.sources`).
+        ensemble: How many times each log is driven again under a perturbation
+            (`replan.run.sources`).
         repeat_s: Length of the start of a drive that is driven twice if the planner is not built in
             (`replan.replay.loop.planning`), s; 0: no test.
         deadline_s: At most 1 % of a drive's plans may take longer, s; 0: not judged.
         log: How logs are read.
         loop: Periods and limits of the loops.
         planner: Keywords of each planner, by the name given in `planners`.
-        vehicle_model: Keywords of each vehicle model, by the name given in `loop.vehicle`; `controller`, `traffic`,
-            `prediction` and `perception` likewise.
-        vehicle: Vehicle parameters by name that replace those of the logs; "set" names a known vehicle for all of them.
+        vehicle_model: Keywords of each vehicle model, by the name given in `loop.vehicle`;
+            `controller`, `traffic`, `prediction` and `perception` likewise.
+        vehicle: Vehicle parameters by name that replace those of the logs; "set" names a known
+            vehicle for all of them.
     """
 
     planners: tuple[str, ...] = ("dp_qp",)
@@ -139,7 +153,9 @@ class RunConfig:
         return tuple((planner, mode.value) for planner in self.planners for mode in self.modes)
 
     def planner_keywords(self, planner: str) -> Mapping[str, Any]:
-        """The keywords with which a loop builds a planner: its table, where it runs in a process of its own."""
+        """The keywords with which a loop builds a planner: its table, where it runs in a process of
+        its own.
+        """
         table = self.planner.get(planner, {})
         return (
             table if is_apart(planner, self.loop.apart) else planner_part(planner, table).keywords()
@@ -147,7 +163,9 @@ class RunConfig:
 
     @property
     def keep_internals(self) -> bool:
-        """Whether the planner's internals are used: by traces, recordings or metrics from outside."""
+        """Whether the planner's internals are used: by traces, recordings or metrics from
+        outside.
+        """
         return self.recording or self.internals != "none" or bool(self.metrics)
 
     @property
@@ -177,7 +195,8 @@ def load_run(path: Path | None, changes: Mapping[str, Any] | None = None) -> Run
         changes: A table like that of the file, which overrides it key by key.
 
     Raises:
-        ConfigError: The file is absent or not TOML, a key is unknown, a value has the wrong type or range.
+        ConfigError: The file is absent or not TOML, a key is unknown, a value has the wrong type or
+            range.
     """
     table: dict[str, Any] = {}
     if path is not None:
@@ -191,12 +210,16 @@ def load_run(path: Path | None, changes: Mapping[str, Any] | None = None) -> Run
 
 
 def dump_run(run: RunConfig) -> str:
-    """Write the configuration as TOML with all defaults; `load_run` reads it back to an equal one."""
+    """Write the configuration as TOML with all defaults; `load_run` reads it back to an equal
+    one.
+    """
     return HEADER + tomli_w.dumps(_as_toml_value(run))
 
 
 def _as_toml_value(value: Any) -> Any:
-    """Convert values for TOML: dataclasses to tables of their keys, enums to values, without None."""
+    """Convert values for TOML: dataclasses to tables of their keys, enums to values, without
+    None.
+    """
     if is_dataclass(value) and not isinstance(value, type):
         keys = (item.name for item in fields(value) if item.metadata.get("key", True))
         value = {key: getattr(value, key) for key in keys}

@@ -1,8 +1,10 @@
-"""The contracts of planners, metrics and readers, as checks for their authors: `replan.check_planner` and the like.
+"""The contracts of planners, metrics and readers, as checks for their authors:
+`replan.check_planner` and the like.
 
-Each check returns None, or raises one `ContractError` that names every broken rule, where it was broken first, and the
-remedy. The rules are those of `replan.planners.base`, `replan.metrics.metric` and `replan.logs.readers.base`; a rule that can only be
-examined where another holds (equal plans without memory: deterministic) is examined only there.
+Each check returns None, or raises one `ContractError` that names every broken rule, where it was
+broken first, and the remedy. The rules are those of `replan.planners.base`, `replan.metrics.metric`
+and `replan.logs.readers.base`; a rule that can only be examined where another holds (equal plans
+without memory: deterministic) is examined only there.
 
 A check runs the code in this process, without the limits in time and memory that a run has.
 """
@@ -49,9 +51,14 @@ from replan.replay.world import World, logged_ego
 
 PLANNER_RULES: Mapping[str, str] = {
     "build": "Class(context) builds a planner: give every other argument a default",
-    "answer": "return a Plan at every frame; if there is none, a fallback with its status and a reason",
+    "answer": (
+        "return a Plan at every frame; if there is none, a fallback with its status and a reason"
+    ),
     "time": "begin the trajectory at frame.t",
-    "start": "begin in the ego's state, or with PlanStart.PREVIOUS_PLAN in frame.previous.trajectory.at(frame.t)",
+    "start": (
+        "begin in the ego's state, or with PlanStart.PREVIOUS_PLAN in "
+        "frame.previous.trajectory.at(frame.t)"
+    ),
     "horizon": "plan for at least context.horizon",
     "reason": "say in `reason` why the plan is a fallback",
     "columns": "compute speed, heading, curvature and acceleration of the positions",
@@ -184,7 +191,7 @@ def _scenarios(given: Iterable[Scenario] | None) -> list[Scenario]:
     return [catalogue_scenario(name) for name in SCENARIOS] if given is None else list(given)
 
 
-# planners -----------------------------------------------------------------------------------------------
+# planners -----------------------------------------------------------------------------------------
 
 Build = Callable[[Scenario], Planner]
 """Builds a planner for a scenario; one that is no oracle uses only its `context_of`."""
@@ -196,7 +203,8 @@ def check_planner(planner: Factory | str, *, scenarios: Iterable[Scenario] | Non
     The rules are those of `replan.contract.PLANNER_RULES`.
 
     Args:
-        planner: The class, a function that builds a planner from the context, a name, or "module:Class".
+        planner: The class, a function that builds a planner from the context, a name, or
+            "module:Class".
         scenarios: The scenarios to plan in; None: some of the catalogue.
 
     Raises:
@@ -321,7 +329,10 @@ def _plans_differ(one: Plan, two: Plan, tolerance: float = 0.0) -> str:
 
 
 def check_plan(plan: object, frame: Frame, where: str, found: _Findings) -> None:
-    """Check what holds for every plan; a trajectory is finite and its times increase (`Trajectory`)."""
+    """Check what holds for every plan.
+
+    A trajectory is finite and its times increase (`Trajectory`).
+    """
     if not isinstance(plan, Plan):
         found.add("answer", where, f"it returned {type(plan).__name__}")
         return
@@ -400,7 +411,7 @@ def _check_batch(factory: Factory, scenario: Scenario, found: _Findings) -> None
         check_plan(plan, frame, f"{where}, {frame.t:.2f} s", found)
 
 
-# metrics ------------------------------------------------------------------------------------------------
+# metrics ------------------------------------------------------------------------------------------
 
 MetricDrive = tuple[Trace, Scenario]
 Loop = Callable[..., Drive]
@@ -426,7 +437,9 @@ def check_metric(metric: Metric | str, *, scenarios: Iterable[Scenario] | None =
 
 
 def metric_drives(scenarios: Iterable[Scenario]) -> list[MetricDrive]:
-    """Return drives of `constant_speed` in both modes: whole ones, and ones that lack what a metric may need."""
+    """Return drives of `constant_speed` in both modes: whole ones, and ones that lack what a metric
+    may need.
+    """
     drives: list[MetricDrive] = []
 
     def drive(run: Loop, log: Scenario, seat: Seat = Planning, until_s: float = inf) -> None:
@@ -546,7 +559,7 @@ def _check_series(
                 found.add("finite", where, f"{reduction.name} is {value} at step {step}")
 
 
-# readers ------------------------------------------------------------------------------------------------
+# readers ------------------------------------------------------------------------------------------
 
 MOST_DAMAGED = 8
 """Of a log of many files, the number of those that are damaged in turn."""
@@ -621,7 +634,10 @@ def _check_foreign(reader: Reader, folder: Path, found: _Findings) -> None:
 
 
 def _damaged(path: Path, files: Sequence[Path], file: Path, share: float, folder: Path) -> Path:
-    """Copy a log into a folder, with only the first `share` of the bytes of one of its files; return the copy."""
+    """Copy a log into a folder, with only the first `share` of the bytes of one of its files.
+
+    Return the copy.
+    """
     root = Path(commonpath([path.parent, *(each.parent for each in files)]))
     for each in files:
         copy = folder / each.relative_to(root)

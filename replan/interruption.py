@@ -1,7 +1,7 @@
 """SIGINT and SIGTERM on the command line: exit code 130 until the end of the command, then ignored.
 
-Users of the library keep their own handlers: nothing changes before `end_at_once` is called. A signal that the process
-ignores from its start (`nohup`) stays ignored.
+Users of the library keep their own handlers: nothing changes before `end_at_once` is called. A
+signal that the process ignores from its start (`nohup`) stays ignored.
 """
 
 from __future__ import annotations
@@ -15,17 +15,24 @@ from typing import Any
 
 EXIT_CODE = 130
 REPEAT_S = 1.0
-"""A second signal within this time is part of the first: `timeout` sends one to the process and one to its group."""
+"""A second signal within this time is part of the first: `timeout` sends one to the process and one
+to its group.
+"""
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
 _raised_s = float("-inf")
 
 
 class Interrupted(KeyboardInterrupt):
-    """A signal in a command. CPython 3.11 ends by SIGINT if KeyboardInterrupt itself leaves `exec` of a string."""
+    """A signal in a command.
+
+    CPython 3.11 ends by SIGINT if KeyboardInterrupt itself leaves `exec` of a string.
+    """
 
 
 def end_at_once() -> None:
-    """Let signals end the process with `EXIT_CODE`: no command has begun, so there is nothing to clean up."""
+    """Let signals end the process with `EXIT_CODE`: no command has begun, so there is nothing to
+    clean up.
+    """
     for name in _SIGNALS:
         if signal.getsignal(name) is not signal.SIG_IGN:
             signal.signal(name, _end)
@@ -33,10 +40,11 @@ def end_at_once() -> None:
 
 @contextmanager
 def as_exception() -> Iterator[None]:
-    """Raise `Interrupted` for a signal in the body; afterwards, ignore signals: the exit code is that of the body.
+    """Raise `Interrupted` for a signal in the body; afterwards, ignore signals: the exit code is
+    that of the body.
 
-    Compiled code of a library may turn `Interrupted` into an error of its own: that is an interruption, too.
-    Does nothing where `end_at_once` was not called.
+    Compiled code of a library may turn `Interrupted` into an error of its own: that is an
+    interruption, too. Does nothing where `end_at_once` was not called.
     """
     ours, begin = [name for name in _SIGNALS if signal.getsignal(name) is _end], monotonic()
     try:

@@ -15,18 +15,30 @@ The public names, on one page. Everything has types (`py.typed`); `help(replan.e
 modules behind (`replan.logs`, `replan.metrics` ...) may be imported as well; only the names here stay as they are. Their
 fields and arguments are in the [API reference](reference.md). `replan` is the only name that replan installs: your own
 `logs/`, `metrics.py` or `planners/` stay yours. This page is made from the code (`replan/page.py`).
-"""
+"""  # noqa: E501
 SECTIONS = {
-    "Drive, judge, compare": "evaluate compare load Results DriveResult Comparison RunConfig LoopConfig",
+    (
+        "Drive, judge, compare"
+    ): "evaluate compare load Results DriveResult Comparison RunConfig LoopConfig",
     "Logs": "read_log from_frames write_log Scenario Trace LogSettings",
-    "What a planner sees and answers": "Planner PlannerContext Frame Plan Trajectory EgoState Agents AgentKind Tracks "
-    "Predictions Visibility Road RoadSource Lane Goal ReferenceLine StopLine Crosswalk TrafficLight Colour "
-    "VehicleParameters PlanStart PlanStatus Decision DecisionKind",
-    "What a plan may hold for the recording": "GridCost SlGraph StGraph GraphObstacle Corridor Candidates CostTerms "
+    ("What a planner sees and answers"): (
+        "Planner PlannerContext Frame Plan Trajectory EgoState Agents AgentKind Tracks "
+        "Predictions Visibility Road RoadSource Lane Goal ReferenceLine StopLine Crosswalk "
+        "TrafficLight Colour "
+        "VehicleParameters PlanStart PlanStatus Decision DecisionKind"
+    ),
+    (
+        "What a plan may hold for the recording"
+    ): "GridCost SlGraph StGraph GraphObstacle Corridor Candidates CostTerms "
     "LaneOption SolverReport",
-    "What a metric is": "Metric Series Reduction MEAN MIN MAX RMS FINAL COUNT RATE SHARE Unavailable Mode PlannedFrame "
-    "EndReason",
-    "What else can be added (docs/extend.md)": "Vehicle Controller Command Controls Traffic World LaneMap Reader Chart Subject "
+    ("What a metric is"): (
+        "Metric Series Reduction MEAN MIN MAX RMS FINAL COUNT RATE SHARE Unavailable Mode "
+        "PlannedFrame "
+        "EndReason"
+    ),
+    (
+        "What else can be added (docs/extend.md)"
+    ): "Vehicle Controller Command Controls Traffic World LaneMap Reader Chart Subject "
     "Family Event EventKind",
     "Check your own": "check_planner check_metric check_reader ContractError",
     "Errors": "ReplanError ConfigError LogError PlannerError OutputError",
@@ -34,7 +46,10 @@ SECTIONS = {
 
 
 def markdown() -> str:
-    """The page: each name with the first line of its docstring; a function also with its arguments by name."""
+    """The page: each name with the first line of its docstring.
+
+    A function also with its arguments by name.
+    """
     lines = [HEAD]
     for title, names in SECTIONS.items():
         lines.append(f"## {title}\n")

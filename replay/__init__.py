@@ -1,4 +1,6 @@
-"""Drives a log: loops, perception, prediction, traffic, controllers, vehicles, and planners in their own process."""
+"""Drives a log: loops, perception, prediction, traffic, controllers, vehicles, and planners in
+their own process.
+"""
 
 from replan.core.former_names import refuse_copy
 

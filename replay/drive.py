@@ -31,7 +31,8 @@ class DriveKey:
         member: Number in the ensemble; 0: the log itself.
         planner: Index of the planner in the run.
         mode: Index of the loop in the run.
-        again: Whether it repeats the start of a drive, for comparison with the first (`replan.replay.loop.planning`).
+        again: Whether it repeats the start of a drive, for comparison with the first
+            (`replan.replay.loop.planning`).
     """
 
     member: int = 0
@@ -60,7 +61,9 @@ class StageTime:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Drive:
-    """A trace, the marks of its planner, and the planning times, which differ when the drive is repeated."""
+    """A trace, the marks of its planner, and the planning times, which differ when the drive is
+    repeated.
+    """
 
     trace: Trace
     timings: tuple[StageTime, ...]
@@ -68,7 +71,8 @@ class Drive:
 
 
 class Stopwatch:
-    """Measures how long a planner takes, in total and per stage. Its times do not go into the trace.
+    """Measures how long a planner takes, in total and per stage. Its times do not go into the
+    trace.
 
     It runs from `start` to `stop`; in between, the planner calls `lap` as `PlannerContext.lap`.
     """

@@ -1,4 +1,6 @@
-"""The configuration of the loops: `LoopConfig`, with that of the sensor and of planners in processes of their own."""
+"""The configuration of the loops: `LoopConfig`, with that of the sensor and of planners in
+processes of their own.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,9 @@ from replan.logs.observed import MAX_AGE_S
 from replan.replay.parts import OF_LOOP, Part
 
 MOST_TOGETHER = 64
-"""Most logs in lock step: their answers, 1 MB each with internals of plans, must fit into one message."""
+"""Most logs in lock step: their answers, 1 MB each with internals of plans, must fit into one
+message.
+"""
 
 
 @dataclass(frozen=True)
@@ -22,7 +26,8 @@ class SensorConfig:
         range_m: Agents farther away are not seen.
         field_of_view_deg: Angle of view, centred on the ego's heading; 360 covers all directions.
         occlusion: Whether road users hide others behind them.
-        position_noise_m: Standard deviation of positions along and across the agent's heading, for each measurement.
+        position_noise_m: Standard deviation of positions along and across the agent's heading, for
+            each measurement.
         yaw_noise_deg: Standard deviation of headings.
         velocity_noise_mps: Standard deviation of velocities along and across the agent's heading.
         latency_s: Time from the measurement to the planner; counted in whole frames.
@@ -71,13 +76,17 @@ class PlannerProcessConfig:
     """How planners that are not built in are isolated (docs/planners_apart.md).
 
     Attributes:
-        trust: Planners named "module:Class" run in the process that holds the log: faster, and without limits.
+        trust: Planners named "module:Class" run in the process that holds the log: faster, and
+            without limits.
         plan_timeout_s: Longest time for a plan.
-        start_timeout_s: Longest time to build the planner, and for its first plan (kernels, models).
+        start_timeout_s: Longest time to build the planner, and for its first plan (kernels,
+            models).
         log_timeout_s: Longest time for all plans of a drive; 0: no limit.
         memory_gb: Largest memory of the planner's process; 0: no limit.
-        environment: Variables that it receives besides `replan.replay.planner_process.processes.ENVIRONMENT`.
-        batch: Number of logs in lock step, whose frames are planned together (`plan_batch`); 0: each log by itself.
+        environment: Variables that it receives besides
+            `replan.replay.planner_process.processes.ENVIRONMENT`.
+        batch: Number of logs in lock step, whose frames are planned together (`plan_batch`); 0:
+            each log by itself.
 
     Raises:
         ConfigError: A limit is negative, a timeout is 0, or `batch` is too large.
@@ -113,22 +122,27 @@ class LoopConfig:
     Attributes:
         plan_period_s: Time between two frames.
         control_period_s: Time between two commands; the plan period is a multiple of it.
-        vehicle: Name of a vehicle model (`replan.replay.parts`), or "module:Class", as for all names here (docs/extend.md).
-        plant: Properties of the vehicle model that are hidden from planner and controller: VehicleParameters by name,
-            and keywords of the model (`replan.replay.vehicle.build_vehicle`).
+        vehicle: Name of a vehicle model (`replan.replay.parts`), or "module:Class", as for all
+            names here (docs/extend.md).
+        plant: Properties of the vehicle model that are hidden from planner and controller:
+            VehicleParameters by name, and keywords of the model
+            (`replan.replay.vehicle.build_vehicle`).
         controller: Name of a controller; the vehicle "perfect" needs none.
         traffic: Name of how the others move.
-        plan_delay_s: Time from a frame until its plan is driven (the computing time), in whole control periods.
+        plan_delay_s: Time from a frame until its plan is driven (the computing time), in whole
+            control periods.
         perception: Name of what the planner sees.
         sensor: Abilities of the sensor, for the perception "sensor".
         prediction: Name of a predictor; "oracle" is the log's own future, with traffic "time".
         prediction_horizon_s: How far the others are predicted.
         prediction_step_s: Time between two samples of a prediction.
-        end_with_evidence: A closed drive ends when the recording of the log's traffic ends (`Scenario.traffic_spans`).
-        drives_on: A closed drive goes on to the end of the log's drive, through contacts, goals and off the road, as in
-            nuPlan (`replan score`).
+        end_with_evidence: A closed drive ends when the recording of the log's traffic ends
+            (`Scenario.traffic_spans`).
+        drives_on: A closed drive goes on to the end of the log's drive, through contacts, goals and
+            off the road, as in nuPlan (`replan score`).
         apart: How planners that are not built in are isolated.
-        settings: Keywords of the named parts, by key; not a key of the file: `RunConfig.drive_loop` fills it in.
+        settings: Keywords of the named parts, by key; not a key of the file: `RunConfig.drive_loop`
+            fills it in.
 
     Raises:
         ConfigError: A period is not positive, or the periods do not fit.
@@ -162,7 +176,8 @@ class LoopConfig:
                 raise ConfigError(f"loop.{name} must be positive, got {getattr(self, name)}")
         if self.prediction == "oracle" and self.traffic != "time":
             raise ConfigError(
-                f"loop.prediction 'oracle' uses the log's future, which road users do not follow with loop.traffic"
+                "loop.prediction 'oracle' uses the log's future, which road users do not follow "
+                "with loop.traffic"
                 f" '{self.traffic}'; take traffic 'time' (--traffic time)"
             )
         if not 0.0 <= self.plan_delay_s < 1e6:

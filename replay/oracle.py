@@ -1,8 +1,11 @@
-"""Planners that see the whole Scenario, including its future. They calibrate the metrics; every table marks them.
+"""Planners that see the whole Scenario, including its future. They calibrate the metrics; every
+table marks them.
 
-"logged"    the logged drive as a plan: no error in open loop; in closed loop the car has to follow the log
-"onboard"   the plans of the log's own planner up to that time (`Scenario.onboard`), for comparison with others. It did
-            not know the future, but planned for the logged position of the car, and so cannot react to another drive
+"logged"    the logged drive as a plan: no error in open loop; in closed loop the car has to follow
+            the log
+"onboard"   the plans of the log's own planner up to that time (`Scenario.onboard`), for comparison
+            with others. It did not know the future, but planned for the logged position of the car,
+            and so cannot react to another drive
 """
 
 from __future__ import annotations
@@ -20,9 +23,9 @@ from replan.planners.constant_speed import arc
 class Logged:
     """Plans the log's future.
 
-    If the log ends within the horizon, so does the plan. After the end of the logged ego (a log with only the start, or
-    a closed loop that lasts longer), the last logged state is extrapolated at its speed and curvature, and the plan's
-    reason says so.
+    If the log ends within the horizon, so does the plan. After the end of the logged ego (a log
+    with only the start, or a closed loop that lasts longer), the last logged state is extrapolated
+    at its speed and curvature, and the plan's reason says so.
 
     Args:
         context: As every planner's.
@@ -37,7 +40,9 @@ class Logged:
         self._horizon = horizon_s
 
     def plan(self, frame: Frame) -> Plan:
-        """The log from `frame.t` on, at the log's samples, so that plan and log interpolate to the same states."""
+        """The log from `frame.t` on, at the log's samples, so that plan and log interpolate to the
+        same states.
+        """
         start = PlanStart.EGO if frame.previous is None else PlanStart.PREVIOUS_PLAN
         if frame.t >= self._log.t[-1] - 1e-6:
             last = self._log.state(len(self._log) - 1)
@@ -57,12 +62,14 @@ class Logged:
 
 
 class Onboard:
-    """Returns the newest plan that the log's own planner had made by the frame's time; after `oldest_s`, a fallback.
+    """Returns the newest plan that the log's own planner had made by the frame's time; after
+    `oldest_s`, a fallback.
 
     Args:
         context: As every planner's.
         scenario: The whole log; plans made after a frame are not used in it.
-        oldest_s: Greatest age of a plan, s; with an older one, the car keeps its speed and curvature.
+        oldest_s: Greatest age of a plan, s; with an older one, the car keeps its speed and
+            curvature.
 
     Raises:
         PlannerError: The log has no on-board plans.

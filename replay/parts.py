@@ -1,11 +1,12 @@
 """The parts of a drive by name: planner, vehicle, controller, traffic, prediction, perception.
 
-`PARTS` is their only table. The command line, its completion, `replan list`, the tables of a run's TOML file and the
-loops read it. A new built-in part is one file and one line here; one of a user is "module:NAME" or an entry point
-(docs/extend.md). The places of built-in parts are texts, so that a part is imported when a drive names it.
+`PARTS` is their only table. The command line, its completion, `replan list`, the tables of a run's
+TOML file and the loops read it. A new built-in part is one file and one line here; one of a user is
+"module:NAME" or an entry point (docs/extend.md). The places of built-in parts are texts, so that a
+part is imported when a drive names it.
 
-A part takes its settings as keywords (`horizon_s: float = 8.0`), or all in one keyword `config`, annotated with a
-frozen dataclass: then its table mirrors that dataclass, sub-tables included.
+A part takes its settings as keywords (`horizon_s: float = 8.0`), or all in one keyword `config`,
+annotated with a frozen dataclass: then its table mirrors that dataclass, sub-tables included.
 """
 
 from __future__ import annotations
@@ -63,8 +64,10 @@ class PartKind(ExtensionKind[Factory]):
     Attributes:
         table: The table of a run's file with the settings of its parts, [TABLE.NAME].
         given: Number of arguments before the settings with which a part is built.
-        members: "module:Protocol" with the members that a built part must have; "": none are checked.
-        method: The method by which a user's class is recognised as such a part; a function has "__call__".
+        members: "module:Protocol" with the members that a built part must have; "": none are
+            checked.
+        method: The method by which a user's class is recognised as such a part; a function has
+            "__call__".
         oracles: The built-in ones that see the log's future.
     """
 
@@ -194,8 +197,9 @@ PREDICTION = PartKind(
     given=3,
     oracles=("oracle",),
 )
-"""`predictor(agents, t, lanes, **settings) -> Predictions`: futures of the agents on a time grid `(k,)`, s, whose first
-entry is the time at which they were perceived; "oracle" gets the log's tracks, the agents and the grid."""
+"""`predictor(agents, t, lanes, **settings) -> Predictions`: futures of the agents on a time grid
+`(k,)`, s, whose first entry is the time at which they were perceived; "oracle" gets the log's
+tracks, the agents and the grid."""
 PERCEPTION = PartKind(
     "perception",
     "perceptions",
@@ -309,7 +313,8 @@ class Part:
         lacking = [name for name in names if not hasattr(made, name)]
         if lacking:
             raise ConfigError(
-                f"{self.kind.name} '{self.name}': it built a {type(made).__name__} without {lacking[0]}"
+                f"{self.kind.name} '{self.name}': it built a {type(made).__name__} without "
+                f"{lacking[0]}"
                 f" ({protocol.__module__}.{protocol.__name__})"
             )
         return made

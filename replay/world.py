@@ -35,9 +35,11 @@ def box_center(ego: EgoState, vehicle: VehicleParameters) -> tuple[float, float]
 
 
 def logged_ego(log: Trajectory, vehicle: VehicleParameters, t: float) -> EgoState:
-    """Return the ego as known at `t`: the log's last sample up to `t`, extrapolated at its speed and curvature.
+    """Return the ego as known at `t`: the log's last sample up to `t`, extrapolated at its speed
+    and curvature.
 
-    Later samples are not used. Steering and yaw rate follow from the curvature, as for a kinematic bicycle.
+    Later samples are not used. Steering and yaw rate follow from the curvature, as for a kinematic
+    bicycle.
     """
     index = max(int(np.searchsorted(log.t, t + 1e-6, side="right")) - 1, 0)
     state = log.state(index)
@@ -121,7 +123,8 @@ def contact(world: World, vehicle: VehicleParameters, left_out: tuple[Phantom, .
 def touched(
     rows: FloatArray, first: int, end: int, car: EgoBox, agents: AgentBoxes
 ) -> tuple[int, int]:
-    """Return the first row (t, x, y, yaw) from `first` to before `end` with a touch of an agent, and its index.
+    """Return the first row (t, x, y, yaw) from `first` to before `end` with a touch of an agent,
+    and its index.
 
     Returns row `end` and agent -1 if there is no touch; of several agents at one row, the first.
     """
@@ -158,7 +161,9 @@ def touched(
 
 @inner_kernel
 def _comes_near(rows: FloatArray, agents: AgentBoxes, i: int, reach: float) -> bool:
-    """Return whether agent i comes within `reach` m of the rows, in x and in y, around the rows' times."""
+    """Return whether agent i comes within `reach` m of the rows, in x and in y, around the rows'
+    times.
+    """
     t, first, end = agents.t, agents.offsets[i], agents.offsets[i + 1]
     k, last = first, first
     if not agents.static[i]:
@@ -173,7 +178,9 @@ def _comes_near(rows: FloatArray, agents: AgentBoxes, i: int, reach: float) -> b
 
 @inner_kernel
 def agent_at(agents: AgentBoxes, i: int, now: float) -> tuple[bool, float, float, float]:
-    """Return whether agent i is present at `now`, s, and x, y, yaw of its box, as `Tracks.truth` does."""
+    """Return whether agent i is present at `now`, s, and x, y, yaw of its box, as `Tracks.truth`
+    does.
+    """
     t, first, end = agents.t, agents.offsets[i], agents.offsets[i + 1]
     k, u = first, 0.0
     if not agents.static[i]:

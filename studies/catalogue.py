@@ -1,21 +1,25 @@
-"""A suite of the catalogue as a picture: per family and cell what became of it, beside the careful driver of UN R157.
+"""A suite of the catalogue as a picture: per family and cell what became of it, beside the careful
+driver of UN R157.
 
     python -m studies.catalogue -o OUT [--suite full] [-p dp_qp] [--workers 1] [--results DIR]
 
-Drives the suite in the closed loop (or takes the results of such a run) and writes OUT/catalogue.csv, a row per log
-(`COLUMNS`), OUT/catalogue.md, counted by family and with every cell that is not passed, and OUT/catalogue.png.
+Drives the suite in the closed loop (or takes the results of such a run) and writes
+OUT/catalogue.csv, a row per log (`COLUMNS`), OUT/catalogue.md, counted by family and with every
+cell that is not passed, and OUT/catalogue.png.
 
 What a cell is, the first that holds:
 
     not evaluated    the log or the planner failed
-    contact          the ego meets someone by its fault, the careful driver does not, or meets them not so fast
+    contact          the ego meets someone by its fault, the careful driver does not, or meets them
+                     not so fast
     unavoidable      it meets someone, and so does the careful driver
     run into         a replayed road user ran into it, which is not its fault
     fails a gate     no contact, but another of the packaged gates fails
     better           no contact, where the careful driver meets someone
     pass             no contact, no gate fails
 
-The careful driver brakes on the ego's line and never steers. Where they meet no one anyway, other things are asked.
+The careful driver brakes on the ego's line and never steers. Where they meet no one anyway, other
+things are asked.
 """
 
 from __future__ import annotations
@@ -72,7 +76,9 @@ OUTCOMES: Mapping[str, str] = {
 PASSED = ("pass", "better", "unavoidable", "run into")
 AT_FAULT = "collision_at_fault.count"
 SLOWER_MPS = 1.0
-"""An impact that is so much harder than the careful driver's is the planner's (as in `replan.metrics.judge`)."""
+"""An impact that is so much harder than the careful driver's is the planner's (as in
+`replan.metrics.judge`).
+"""
 ACROSS, PANEL_PX, TOP_PX = 6, (250.0, 190.0), 40.0
 TICKS = 7
 WIDE = 0.85
@@ -172,7 +178,10 @@ def _outcome(
 
 
 def counted(table: pd.DataFrame) -> pd.DataFrame:
-    """How many cells of each family came out how, all families of the table; the last row is their sum."""
+    """How many cells of each family came out how, all families of the table.
+
+    The last row is their sum.
+    """
     names = list(dict.fromkeys(table["family"]))
     counts = pd.crosstab(table["family"], table["outcome"]).reindex(
         index=names, columns=list(OUTCOMES), fill_value=0
@@ -227,7 +236,10 @@ def _markdown(table: pd.DataFrame) -> list[str]:
 
 
 def picture(table: pd.DataFrame, title: str) -> Chart:
-    """A panel per family that has a grid, one of all others; a ring is where the careful driver meets someone."""
+    """A panel per family that has a grid, one of all others.
+
+    A ring is where the careful driver meets someone.
+    """
     grids = [name for name in FAMILIES if FAMILIES[name].grid and (table["family"] == name).any()]
     charts = [_panel(FAMILIES[name], table[table["family"] == name]) for name in grids]
     single = table[~table["family"].isin(grids)]
@@ -252,13 +264,18 @@ def picture(table: pd.DataFrame, title: str) -> Chart:
 
 
 def _axes(family: Family) -> tuple[str, str]:
-    """The parameters of the axes: the ego's speed, and the one with the most other values; "" where there is none."""
+    """The parameters of the axes: the ego's speed, and the one with the most other values; "" where
+    there is none.
+    """
     names = sorted(family.grid, key=lambda name: (name != "ego_kmh", -len(family.grid[name])))
     return names[0], names[1] if len(names) > 1 else ""
 
 
 def _panel(family: Family, rows: pd.DataFrame) -> Chart:
-    """The cells of a family by two of its parameters; those that share a place fill it row by row."""
+    """The cells of a family by two of its parameters.
+
+    Those that share a place fill it row by row.
+    """
     along, up = _axes(family)
     x, y = (family.grid.get(name, ()) for name in (along, up))
     plane = Plane((-0.6, len(x) - 0.4), (-0.6, max(len(y), 1) - 0.4), *PANEL_PX, top=TOP_PX)

@@ -3,12 +3,14 @@
 python -m studies.commonroad DIR -o OUT [--planner dp_qp ...] [--traffic give_way ...] [--resume]
 
     OUT/commonroad.csv, .md     a row per traffic, source and planner (`COLUMNS`)
-    OUT/commonroad_logs.csv     a row per traffic, log and planner: which logs these numbers are made of
+    OUT/commonroad_logs.csv     a row per traffic, log and planner: which logs these numbers are
+                                made of
     OUT/give_way, OUT/time      the runs, as `replan evaluate` writes them
 
-The planner `logged` is always among them. A log's goal is within reach where `logged` enters it (in the same traffic)
-or where the careful driver of UN R157 does, among the log's traffic (`replan.replay.loop.reference_drives`): they keep their
-lane, never accelerate, and a touch ends their drive as it ends a planner's.
+The planner `logged` is always among them. A log's goal is within reach where `logged` enters it (in
+the same traffic) or where the careful driver of UN R157 does, among the log's traffic
+(`replan.replay.loop.reference_drives`): they keep their lane, never accelerate, and a touch ends
+their drive as it ends a planner's.
 """
 
 from __future__ import annotations
@@ -41,7 +43,8 @@ SOURCES = {"ngsim": "NGSIM", "mona": "MONA", "sumo": "SUMO", "synthesised": "syn
 """By tag of the scenario; what has none of these is made by hand."""
 HAND_MADE, ALL = "hand-made", "all"
 JERK_MPS3, LATERAL_MPS2 = 4.13, 4.89
-"""Comfort is kept where 99 in 100 samples of the jerk and all of the lateral acceleration are within these (nuPlan).
+"""Comfort is kept where 99 in 100 samples of the jerk and all of the lateral acceleration are
+within these (nuPlan).
 
 A drive too short to have a jerk breaks neither.
 """
@@ -61,7 +64,10 @@ COLUMNS = {
     "unavoidable": "of these, not avoided by it",
     "not_applicable": "of these, at constant speed the ego would meet nobody",
     "fallback_rate": "share of all frames in which the planner could not plan",
-    "comfort": f"drives with jerk p99 within {JERK_MPS3} m/s3 and lateral acceleration within {LATERAL_MPS2} m/s2",
+    "comfort": (
+        f"drives with jerk p99 within {JERK_MPS3} m/s3 and lateral acceleration within "
+        f"{LATERAL_MPS2} m/s2"
+    ),
     "p50_ms": "plan cycle, median over all frames",
     "p99_ms": "plan cycle, 99th percentile",
     "not_evaluated": "logs on which the planner could not be evaluated",

@@ -2,14 +2,18 @@
 
 python -m studies.crossings LOGS ... -o OUT [-p dp_qp]
 
-(1) Stations s and offsets l are along the path that the person drove. On the path is who walks or rides (or is small
-    and moves, where a log has no labels) with |l| < `ASIDE_M`, up to `AHEAD_M` before the person's front bumper.
-(2) The crossing is the station within `AROUND_M` of which most such samples lie, occupied from the first to the last.
-(3) Who passes the crossing with the front bumper before it is free again, by more than `SLACK_S`, does not yield; who
-    passes it later, or not at all in the log's time, does. A drive that ends before (by a contact) does neither.
-(4) delay = when the planner's drive passes less when the person did; gap = least way from the front to them, m
-(5) Open loop: of the plans made from `BEFORE_S` before it is occupied until it is free or the person passes, those
-    that yield; a fallback counts by what it drives.
+(1) Stations s and offsets l are along the path that the person drove. On the path is who walks or
+    rides (or is small and moves, where a log has no labels) with |l| < `ASIDE_M`, up to `AHEAD_M`
+    before the person's front bumper.
+(2) The crossing is the station within `AROUND_M` of which most such samples lie, occupied from the
+    first to the last.
+(3) Who passes the crossing with the front bumper before it is free again, by more than `SLACK_S`,
+    does not yield; who passes it later, or not at all in the log's time, does. A drive that ends
+    before (by a contact) does neither.
+(4) delay = when the planner's drive passes less when the person did;
+        gap = least way from the front to them, m
+(5) Open loop: of the plans made from `BEFORE_S` before it is occupied until it is free or the
+    person passes, those that yield; a fallback counts by what it drives.
 
     OUT/crossings.csv, .md      a row per log that has a crossing; the others are named
 """
@@ -74,7 +78,10 @@ class Crossing:
 
 @dataclass(frozen=True)
 class Row:
-    """One log; times s, speeds m/s, ways m. inf: never in the log's time; `planner_yields` "yes", "no" or "ended"."""
+    """One log; times s, speeds m/s, ways m.
+
+    inf: never in the log's time; `planner_yields` "yes", "no" or "ended".
+    """
 
     log: str
     occupied_from: float

@@ -1,14 +1,17 @@
 """Does `replan diagnose` find a planted cause?
 
-python -m studies.diagnosis -o OUT [--suite NAME] [--most N] [--only NAME ...] [--planner NAME] [--workers N]
+python -m studies.diagnosis -o OUT [--suite NAME] [--most N] [--only NAME ...] [--planner NAME]
+[--workers N]
 
-One fault (`PLANTS`) is planted in a run over a suite of the catalogue. Drives that pass without it all gates that they
-fail with it, and fail no other one, fail for it; at most N of them, evenly drawn from their sorted names, are diagnosed
-twice: with all changes, where a change back to the defaults undoes the fault; and "hidden", without those changes,
-where only ideal parts (no latency is one, too), wider limits and other planners can show it. A diagnosis is right where
-it names the planted cause, and wrong where it does not; it may name it among others, or say "not found".
+One fault (`PLANTS`) is planted in a run over a suite of the catalogue. Drives that pass without it
+all gates that they fail with it, and fail no other one, fail for it; at most N of them, evenly
+drawn from their sorted names, are diagnosed twice: with all changes, where a change back to the
+defaults undoes the fault; and "hidden", without those changes, where only ideal parts (no latency
+is one, too), wider limits and other planners can show it. A diagnosis is right where it names the
+planted cause, and wrong where it does not; it may name it among others, or say "not found".
 
-    OUT/diagnosis.csv     a row per fault: failing drives, and how many have each of `ANSWERS`; the same hidden
+    OUT/diagnosis.csv     a row per fault: failing drives, and how many have each of `ANSWERS`; the
+                          same hidden
     OUT/sound/, OUT/NAME/run/, OUT/NAME/all/, OUT/NAME/hidden/    the runs and the diagnoses
 """
 
@@ -109,7 +112,9 @@ COLUMNS = ("fault", "cause", "drives", *ANSWERS, *(f"hidden_{name}" for name in 
 
 
 def broken(faulty: Results, sound: Results) -> list[str]:
-    """Logs, sorted, whose drives fail gates in a run, all of which they pass in another one, and fail none there."""
+    """Logs, sorted, whose drives fail gates in a run, all of which they pass in another one, and
+    fail none there.
+    """
     names = ["log", "gate"]
     passed, unsound = (
         sound.verdicts.loc[sound.verdicts["outcome"] == said, names] for said in ("pass", "fail")

@@ -1,11 +1,13 @@
-"""Edits files that commands read, one change each, and counts how the commands end: never with exit code 70.
+"""Edits files that commands read, one change each, and counts how the commands end: never with exit
+code 70.
 
     python -m studies.edited_files OUT --edits 1000 --seed 0
 
-The edits (tests/support/edited.py): bytes, cut and removed files, other values and types, deep nesting, huge numbers
-and NaN, missing and doubled columns, messages of logs. Each edit is read by one command, in this process. Prints the
-counts by file and exit code, and each edit after which a command ends in another way than with a documented code, with
-an error that is no line, or not within 60 s.
+The edits (tests/support/edited.py): bytes, cut and removed files, other values and types, deep
+nesting, huge numbers and NaN, missing and doubled columns, messages of logs. Each edit is read by
+one command, in this process. Prints the counts by file and exit code, and each edit after which a
+command ends in another way than with a documented code, with an error that is no line, or not
+within 60 s.
 """
 
 from __future__ import annotations
@@ -52,11 +54,17 @@ tune many -p idm --space space.toml --trials 1 --held-out 0.7 --workers 0 -o tun
 FILES = {
     "space.toml": "[planner.idm]\ntime_gap_s = { low = 1.0, high = 2.0 }\n"
     "[loop]\nplan_period_s = { choices = [0.1, 0.2] }\n",
-    "gates.toml": '[[gate]]\nmetric = "gap.min"\nmin = 0.5\nover = "pass_share"\nmin_share = 0.9\ntags = ["paper"]\n'
-    '[[compare]]\nmetric = "ttc.min"\nmax_decrease = 0.1\n',
-    "changes.toml": '[[change]]\nname = "a"\nwords = "b"\ncause = "comfort bound"\nrank = "limits"\n'
-    'default = ["loop.traffic"]\n'
-    "set.planner.idm = { time_gap_s = 2.0 }\n",
+    "gates.toml": (
+        '[[gate]]\nmetric = "gap.min"\nmin = 0.5\nover = "pass_share"\nmin_share = '
+        '0.9\ntags = ["paper"]\n'
+        '[[compare]]\nmetric = "ttc.min"\nmax_decrease = 0.1\n'
+    ),
+    "changes.toml": (
+        '[[change]]\nname = "a"\nwords = "b"\ncause = "comfort bound"\nrank = '
+        '"limits"\n'
+        'default = ["loop.traffic"]\n'
+        "set.planner.idm = { time_gap_s = 2.0 }\n"
+    ),
     "poses.csv": "log,t_s,x,y,yaw\n"
     + "".join(f"everyday/cut_in,0.5,{5 * k}.0,0.0,0.0\n" for k in range(1, 9)),
 }
@@ -66,21 +74,32 @@ report IT -o OUT | compare IT run | cut IT --table verdicts --where true -o OUT 
 query IT 'SELECT count(*) AS n FROM metrics, verdicts, groups, logs, drives, gates, failures' | explain IT
 query IT 'SELECT max(value) AS v FROM frames' | diagnose IT -o OUT --workers 0 | plot IT --chart st -o OUT.svg
 evaluate logs {DRIVE} -o IT --resume | frame IT --at 1 | score IT --as nuplan-cls | score IT --as navsim-v2
-evaluate logs {DRIVE} --baseline IT -o OUT | export commonroad-solution IT -o OUT""",
+evaluate logs {DRIVE} --baseline IT -o OUT | export commonroad-solution IT -o OUT""",  # noqa: E501
     "mined": """
 query IT 'SELECT count(*) AS n FROM events, logs, health' | cut IT --where true -o OUT | suite IT -o OUT.toml
-coverage IT --against mined | mine all/everyday --workers 0 -o IT --resume | coverage mined --against IT -o OUT""",
+coverage IT --against mined | mine all/everyday --workers 0 -o IT --resume | coverage mined --against IT -o OUT""",  # noqa: E501
     "shard": "merge IT shard-2 -o OUT | merge shard-2 IT -o OUT",
     "diagnosed": "diagnose failed --workers 0 -o IT --resume | report failed --diagnosis IT -o OUT",
-    "varied": "vary logs/cut_in.mcap -p constant_speed --workers 0 --vary ego_speed=0.9:1.1:2 -o IT --resume",
-    "falsified": "falsify logs/cut_in.mcap -p idm --workers 0 --axis ego_speed=0.9:1.1 --budget 16 -o IT --resume",
-    "tuned": "tune many -p idm --space space.toml --trials 1 --held-out 0.7 --workers 0 -o IT --resume",
+    "varied": (
+        "vary logs/cut_in.mcap -p constant_speed --workers 0 --vary ego_speed=0.9:1.1:2 -o "
+        "IT --resume"
+    ),
+    "falsified": (
+        "falsify logs/cut_in.mcap -p idm --workers 0 --axis ego_speed=0.9:1.1 --budget 16 "
+        "-o IT --resume"
+    ),
+    "tuned": (
+        "tune many -p idm --space space.toml --trials 1 --held-out 0.7 --workers 0 -o IT --resume"
+    ),
     "baseline.parquet": f"""
 compare IT run | report run --baseline IT -o OUT | evaluate logs {DRIVE} --baseline IT -o OUT""",
     "log.mcap": f"""
 evaluate IT {DRIVE} -o OUT | inspect IT | mine IT --workers 0 -o OUT | convert IT -o OUT | salvage IT OUT.mcap
-repair IT -o OUT.mcap | vary IT --list-agents | view IT --save OUT.rrd""",
-    "run/run.toml": f"evaluate log.mcap --config IT {DRIVE} -o OUT | mine log.mcap --config IT --workers 0 -o OUT",
+repair IT -o OUT.mcap | vary IT --list-agents | view IT --save OUT.rrd""",  # noqa: E501
+    "run/run.toml": (
+        f"evaluate log.mcap --config IT {DRIVE} -o OUT | mine log.mcap --config IT "
+        "--workers 0 -o OUT"
+    ),
     "suite.toml": f"evaluate --suite IT {DRIVE} -o OUT",
     "gates.toml": f"evaluate log.mcap {DRIVE} --gates IT -o OUT | compare run run --gates IT",
     "space.toml": """
@@ -93,7 +112,10 @@ diagnose failed --space IT --workers 0 -o OUT""",
 
 
 def one(name: str, rng: random.Random, number: str) -> tuple[object, str]:
-    """Edit a file of the inputs, or one in a folder of them, and read it; exit code (or what else came), and a line."""
+    """Edit a file of the inputs, or one in a folder of them, and read it.
+
+    Exit code (or what else came), and a line.
+    """
     it = Path(f"edited-{number}-{Path(name).name}")
     (shutil.copy if Path(name).is_file() else shutil.copytree)(name, it)
     change, out = edit(rng, it), f"out-{number}"

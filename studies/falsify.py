@@ -1,15 +1,18 @@
-"""Is a planted hole found, and is the mildest case that is found the mildest? The search beside a grid.
+"""Is a planted hole found, and is the mildest case that is found the mildest? The search beside a
+grid.
 
 python -m studies.falsify -o OUT [--only NAME ...] [--grid N] [--budget N] [--seed N] [--workers N]
 
-A hole is planted in `idm` (`HOLES`): it sees nothing beyond 30 m; or it sees the others where they were 0.5 s ago, and
-is held against `idm` without the hole, as the careful driver of UN R157 reacts later than that. It is judged by
-collisions at fault and the time to collision (`GATES`): comfort has limits of its own, which come earlier. The search
-(`replan falsify`) has two axes and a budget. The grid has N x N points over the same two axes; they are driven in the
-order of their distance until the first one counts: that is the mildest of the grid. The same search without the hole
-says what the hole adds.
+A hole is planted in `idm` (`HOLES`): it sees nothing beyond 30 m; or it sees the others where they
+were 0.5 s ago, and is held against `idm` without the hole, as the careful driver of UN R157 reacts
+later than that. It is judged by collisions at fault and the time to collision (`GATES`): comfort
+has limits of its own, which come earlier. The search (`replan falsify`) has two axes and a budget.
+The grid has N x N points over the same two axes; they are driven in the order of their distance
+until the first one counts: that is the mildest of the grid. The same search without the hole says
+what the hole adds.
 
-    OUT/falsify.csv     a row per hole: distance without and with the hole, drives, mildest of the grid, and the ratio
+    OUT/falsify.csv     a row per hole: distance without and with the hole, drives, mildest of the
+                        grid, and the ratio
 """
 
 from __future__ import annotations
@@ -71,7 +74,9 @@ COLUMNS = (
 
 
 class Blind:
-    """`idm` that sees no road user whose centre is farther than `sight_m` from the ego's rear axle."""
+    """`idm` that sees no road user whose centre is farther than `sight_m` from the ego's rear
+    axle.
+    """
 
     def __init__(self, context: PlannerContext, config: IdmConfig | None = None) -> None:
         self._idm = Idm(context, config)
@@ -83,7 +88,9 @@ class Blind:
 
 
 class Late:
-    """`idm` that sees the others and their predictions as they were `LATE_S` ago, and takes that for now."""
+    """`idm` that sees the others and their predictions as they were `LATE_S` ago, and takes that
+    for now.
+    """
 
     def __init__(self, context: PlannerContext, config: IdmConfig | None = None) -> None:
         self._idm, self._frames = Idm(context, config), list[Frame]()
@@ -109,7 +116,9 @@ def seen(frame: Frame, keep: BoolArray) -> Frame:
 
 @dataclass(frozen=True)
 class Hole:
-    """A planted hole: the planner that has it, over which two axes it is looked for, and who must not fail."""
+    """A planted hole: the planner that has it, over which two axes it is looked for, and who must
+    not fail.
+    """
 
     planner: str
     subject: str
@@ -149,7 +158,9 @@ def question(hole: Hole, gates: Path, *, planted: bool, budget: int, seed: int) 
 
 
 def grid(asked: FalsifyQuestion, count: int, out: Path, workers: int) -> tuple[float, int]:
-    """The mildest distance of a grid of count x count points (inf: none counts), and how many were driven."""
+    """The mildest distance of a grid of count x count points (inf: none counts), and how many were
+    driven.
+    """
     low, high = box_of(asked.axes)
     sides = [np.linspace(a, b, count) for a, b in zip(low, high, strict=True)]
     points: list[Point] = sorted(

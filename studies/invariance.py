@@ -1,12 +1,14 @@
-"""Does a drive stay the same in a world that should not matter? Turned, mirrored, another clock, rate or noise.
+"""Does a drive stay the same in a world that should not matter? Turned, mirrored, another clock,
+rate or noise.
 
 python -m studies.invariance [LOG ...] -o OUT [-p dp_qp ...] [--only turn_30 ...] [--workers N]
 
-Without logs: the built-in suite. OUT/invariance.csv has a row per log, planner and perturbation (`COLUMNS`). What is
-printed counts, per planner and perturbation, the logs whose outcome (why the drive ended, the goal, collisions at
-fault) is another, and those whose ego parted from the unperturbed drive, mapped back, by more than 1 cm and 10 cm. Of
-the gates it counts those that pass or fail (`gates`), those that flip to or from a failure, and the flips that are
-marginal (`replan.metrics.judge.excuses`) in neither world (`unmarked`).
+Without logs: the built-in suite. OUT/invariance.csv has a row per log, planner and perturbation
+(`COLUMNS`). What is printed counts, per planner and perturbation, the logs whose outcome (why the
+drive ended, the goal, collisions at fault) is another, and those whose ego parted from the
+unperturbed drive, mapped back, by more than 1 cm and 10 cm. Of the gates it counts those that pass
+or fail (`gates`), those that flip to or from a failure, and the flips that are marginal
+(`replan.metrics.judge.excuses`) in neither world (`unmarked`).
 """
 
 from __future__ import annotations
@@ -70,7 +72,9 @@ COLUMNS = (
     "gates",
     "parted_m",
 )
-"""`gap_m`: smallest gap; `parted_m`: largest distance of the ego to where it was, unperturbed, at the same time."""
+"""`gap_m`: smallest gap; `parted_m`: largest distance of the ego to where it was, unperturbed, at
+the same time.
+"""
 
 
 @dataclass(frozen=True)

@@ -1,13 +1,15 @@
-"""Kills every command that writes, at random times, and runs it again: the bytes are those of an undisturbed run.
+"""Kills every command that writes, at random times, and runs it again: the bytes are those of an
+undisturbed run.
 
     python -m studies.kills OUT --kills 300 --seconds 1800 --seed 0
 
-A round kills a command one to three times (a signal to its process group), resumes it or runs it again to its end, and
-compares all files but those that hold a clock, and looks for locks, unfinished files and processes. After an
-interruption (`--signal INT` or TERM) it has to end with 130, and none may be left at once; one that ends with its own
-exit code is counted apart: the signal came too late, or was ignored. The command with the least time spent has the next
-round. Of each command: rounds, kills that met it alive, entries left in TMPDIR (no program can
-remove them as it is killed), and what fell.
+A round kills a command one to three times (a signal to its process group), resumes it or runs it
+again to its end, and compares all files but those that hold a clock, and looks for locks,
+unfinished files and processes. After an interruption (`--signal INT` or TERM) it has to end with
+130, and none may be left at once; one that ends with its own exit code is counted apart: the signal
+came too late, or was ignored. The command with the least time spent has the next round. Of each
+command: rounds, kills that met it alive, entries left in TMPDIR (no program can remove them as it
+is killed), and what fell.
 """
 
 from __future__ import annotations
@@ -28,15 +30,19 @@ from pathlib import Path
 MARK = "REPLAN_KILLS"
 PRELUDE = (
     "from replan.interruption import end_at_once; end_at_once();"
-    "import replan.paper.reproduce as r; from functools import partial; from replan.cli import main;"
+    "import replan.paper.reproduce as r; from functools import partial; from replan.cli import "
+    "main;"
     # The paper with two pedestrians
     "r.PaperConfig = partial(r.PaperConfig, cells=r.CELLS[:2]); main()"
 )
 SOLVED = (
-    "from replan.logs.catalogue import scenario as s; from replan.logs.mcap import write_scenario; from dataclasses import replace;"
-    "from replan.logs.vehicle import vehicle_parameters as v; facts = {'benchmark': 'ZAM_Made-1_1_T-1', 'time_step_s': '0.1',"
+    "from replan.logs.catalogue import scenario as s; from replan.logs.mcap import write_scenario; "
+    "from dataclasses import replace;"
+    "from replan.logs.vehicle import vehicle_parameters as v; facts = {'benchmark': "
+    "'ZAM_Made-1_1_T-1', 'time_step_s': '0.1',"
     "'planning_problem': '100', 'ego_pose': 'box centre'};"
-    "write_scenario('cr.mcap', replace(s('everyday/cut_in'), metadata=facts).in_vehicle(v('bmw_320i')))"
+    "write_scenario('cr.mcap', replace(s('everyday/cut_in'), "
+    "metadata=facts).in_vehicle(v('bmw_320i')))"
 )
 DRIVE = "-p constant_speed --no-recording"
 SETUP = f"""
@@ -76,14 +82,16 @@ frame run --at 1 --dump out.msgpack
 view logs/cut_in.mcap --save out.rrd
 calibrate -o out
 paper --roads 0 --workers 2 -o out
-"""
+"""  # noqa: E501
 CLOCKS = ("timings.parquet", "summary.json", ".rrd", "report.html", "report.md", ".msgpack")
 Done = tuple[int, dict[str, bytes], str]
 """Exit code, files, errors."""
 
 
 def begun(place: Path, words: str, code: str = PRELUDE) -> subprocess.Popen[str]:
-    """A command in a session of its own, with a mark in its environment by which its processes are found."""
+    """A command in a session of its own, with a mark in its environment by which its processes are
+    found.
+    """
     env, to = {**os.environ, MARK: str(place), "TMPDIR": str(place / "tmp")}, subprocess.PIPE
     command = [sys.executable, "-c", code, *shlex.split(words)]
     return subprocess.Popen(
@@ -97,7 +105,10 @@ def fresh(words: str) -> str:
 
 
 def finished(place: Path, words: str, code: str = PRELUDE) -> Done:
-    """What comes of a command; one of which nothing was begun cannot be resumed, and is started anew."""
+    """What comes of a command.
+
+    One of which nothing was begun cannot be resumed, and is started anew.
+    """
     run = begun(place, words, code)
     errors = run.communicate(timeout=600)[1]
     if run.returncode == 2 and "no study to resume" in errors:

@@ -1,20 +1,23 @@
-"""Mined events against labels: precision and recall of each kind over twenty drives, and of near misses over more.
+"""Mined events against labels: precision and recall of each kind over twenty drives, and of near
+misses over more.
 
     replan evaluate FOLDER_OF_COMMONROAD_FILES --mode closed -p dp_qp -p idm -p lattice -p constant_speed -o RUN
     replan evaluate FOLDER_OF_COMMONROAD_FILES ... --mode closed -p pdm --set loop.traffic=reactive -o PDM
     python -m studies.mining FOLDER_OF_TARTU_BAGS FOLDER_OF_ARGOVERSE_LOGS FOLDER_OF_COMMONROAD_FILES ... RUN PDM
 
-The labels were made by looking at the drives from above, a picture each second (0.7 s for Argoverse 2), without the
-events: what a person would call so, not what the definitions say. An event is right where a label of its kind has its
-main road user (or, of the ego alone, its stop line, crosswalk or side). A table counts all events, or those that are
-not in doubt: an event in doubt is then as one that was not found. Kinds without label and event are left out.
+The labels were made by looking at the drives from above, a picture each second (0.7 s for Argoverse
+2), without the events: what a person would call so, not what the definitions say. An event is right
+where a label of its kind has its main road user (or, of the ego alone, its stop line, crosswalk or
+side). A table counts all events, or those that are not in doubt: an event in doubt is then as one
+that was not found. Kinds without label and event are left out.
 
-Near misses are rare. They are labelled by pairs of road users: every pair, with a vehicle that drives 4 s and 15 m,
-that would collide within 2 s at constant velocity, comes within 1 m at a closing speed of 1 m/s, or overlaps, for 0.3 s
-(by a script that shares no code with the events), was looked at from above. A label says that an engineer would want to
-see it as a near miss. The events are those of each such vehicle as the ego in turn. The drives of planners over
-CommonRoad's recordings were labelled in the same way, for the ego; a collision counts as well.
-"""
+Near misses are rare. They are labelled by pairs of road users: every pair, with a vehicle that
+drives 4 s and 15 m, that would collide within 2 s at constant velocity, comes within 1 m at a
+closing speed of 1 m/s, or overlaps, for 0.3 s (by a script that shares no code with the events),
+was looked at from above. A label says that an engineer would want to see it as a near miss. The
+events are those of each such vehicle as the ego in turn. The drives of planners over CommonRoad's
+recordings were labelled in the same way, for the ego; a collision counts as well.
+"""  # noqa: E501
 
 from __future__ import annotations
 
@@ -222,7 +225,8 @@ NEAR_MISSES_DRIVEN: dict[str, dict[str, tuple[str, ...]]] = {
         "ZAM_Tjunction-1_277_T-1": ("5",),
     },
 }
-"""The same in drives of planners, by log: labelled after the rule was changed, before they were mined.
+"""The same in drives of planners, by log: labelled after the rule was changed, before they were
+mined.
 
 Those of `pdm`, among reactive traffic, were labelled after one more change.
 """
@@ -233,7 +237,9 @@ EGO_S, EGO_M = 4.0, 15.0
 
 
 def found_in(path: Path, ego: str, *, doubted: bool) -> Iterator[tuple[str, str]]:
-    """Kind and main road user of each event of a log, as the labels have them; `doubted`: also of those in doubt."""
+    """Kind and main road user of each event of a log, as the labels have them; `doubted`: also of
+    those in doubt.
+    """
     scenario = read_log(path, LogSettings(ego=ego))
     log = DrivenLog(scenario)
     for kind in KINDS.values():
@@ -245,7 +251,10 @@ def found_in(path: Path, ego: str, *, doubted: bool) -> Iterator[tuple[str, str]
 
 
 def egos(path: Path) -> Iterator[tuple[str, Scenario]]:
-    """The scenario of each vehicle of a log as the ego, with its id; that of the recorded ego is ""."""
+    """The scenario of each vehicle of a log as the ego, with its id.
+
+    That of the recorded ego is "".
+    """
     scenario = read_log(path, LogSettings())
     if len(scenario.ego) > 1:
         yield "", scenario
@@ -298,7 +307,9 @@ Pair = tuple[str, str, str]
 
 
 def print_near_misses(drives: Iterator[tuple[str, str, Scenario]], labelled: set[Pair]) -> None:
-    """Events of the kind `near_miss_ttc` in drives (log, id of the ego, scenario), and how many pairs are labelled."""
+    """Events of the kind `near_miss_ttc` in drives (log, id of the ego, scenario), and how many
+    pairs are labelled.
+    """
     number, events, found = 0, 0, set[Pair]()
     for log, ego, scenario in drives:
         number += 1
@@ -312,7 +323,8 @@ def print_near_misses(drives: Iterator[tuple[str, str, Scenario]], labelled: set
             found.add((log, one, two))
     sys.stdout.writelines(f"missed: {', '.join(pair)}\n" for pair in sorted(labelled - found))
     sys.stdout.write(
-        f"{number} drives, {events} events of {len(found)} pairs, {len(found & labelled)} of them right;"
+        f"{number} drives, {events} events of {len(found)} pairs, {len(found & labelled)} of them "
+        "right;"
         f" {len(labelled)} labels\n"
     )
 
@@ -378,7 +390,8 @@ def print_table(
             table[kind] += 1
             if not both:
                 sys.stdout.write(
-                    f"{'not labelled' if events[kind, about] else 'missed'}: {name}, {kind} {about}\n"
+                    f"{'not labelled' if events[kind, about] else 'missed'}: {name}, {kind} "
+                    f"{about}\n"
                 )
     sys.stdout.write(
         "| kind | right | not labelled | missed | precision | recall |\n|---|---|---|---|---|---|\n"

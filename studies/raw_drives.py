@@ -1,10 +1,11 @@
-"""What planners make of recorded drives: goal, verdict, hard braking, comfort, gaps; one Markdown row per drive.
+"""What planners make of recorded drives: goal, verdict, hard braking, comfort, gaps; one Markdown
+row per drive.
 
     replan evaluate LOGS ... -p dp_qp -p idm -o RUN
     python -m studies.raw_drives RUN [--planner dp_qp]
 
-Reads the tables of a run, closed loop. Hard are seconds with more than 3.5 m/s2 of braking; "false" counts hard braking
-for road users who then did not come into the way (metric `false_braking`).
+Reads the tables of a run, closed loop. Hard are seconds with more than 3.5 m/s2 of braking; "false"
+counts hard braking for road users who then did not come into the way (metric `false_braking`).
 """
 
 from __future__ import annotations

@@ -1,11 +1,13 @@
-"""Is a regression noticed? One of each kind is planted in the planner, and the run compared with the untouched one.
+"""Is a regression noticed? One of each kind is planted in the planner, and the run compared with
+the untouched one.
 
 python -m studies.regressions -o OUT [LOG ...] [--only NAME ...] [--ensemble N] [--workers N]
 
-Logs are files, or names of the catalogue; without any: the built-in suite. OUT/NAME are the results,
-OUT/regressions.csv has a row per change (`COLUMNS`): exit code, the rules of comparison that it breaks (the packaged
-ones and `STRICT`), and where most of the drives part. The last three must break none: the same again, the ego's log
-moved by 1e-9, and another solver of the same problems.
+Logs are files, or names of the catalogue; without any: the built-in suite. OUT/NAME are the
+results, OUT/regressions.csv has a row per change (`COLUMNS`): exit code, the rules of comparison
+that it breaks (the packaged ones and `STRICT`), and where most of the drives part. The last three
+must break none: the same again, the ego's log moved by 1e-9, and another solver of the same
+problems.
 """
 
 from __future__ import annotations
@@ -55,7 +57,9 @@ COLUMNS = (
 
 
 class BlindToPedestrians:
-    """The built-in planner, shown everybody but pedestrians: a class of obstacles that is lost on the way to it."""
+    """The built-in planner, shown everybody but pedestrians: a class of obstacles that is lost on
+    the way to it.
+    """
 
     def __init__(self, context: PlannerContext) -> None:
         self._planner = DpQp(context)
@@ -131,8 +135,8 @@ STRICT = (
     GateRule("ttc.min", max_decrease=1.0, over="worst"),
     GateRule("thw.min", max_decrease=0.3, over="worst"),
 )
-"""What changes a few logs of eighteen cannot be significant: no log may come nearer to a collision by a second, or
-follow nearer by 0.3 s; the latter has a value where no collision course is near."""
+"""What changes a few logs of eighteen cannot be significant: no log may come nearer to a collision
+by a second, or follow nearer by 0.3 s; the latter has a value where no collision course is near."""
 HARMLESS = ("again", "tiny", "solver")
 """Must break no rule."""
 
@@ -147,7 +151,8 @@ def compared(
         names: Files, or names of logs of the catalogue; none: the built-in suite.
         changes: Of `CHANGES`.
         workers: Processes.
-        ensemble: Members of each drive of the baseline: with some, it is known which drives are fragile.
+        ensemble: Members of each drive of the baseline: with some, it is known which drives are
+            fragile.
     """
     files = [Path(name) for name in names if Path(name).exists()]
     sources = [LogSource(name) for name in names if not Path(name).exists()]

@@ -1,26 +1,36 @@
-"""Windows of recorded drives: planners compared with the recorded driver, in folds by recording, against overfitting.
+"""Windows of recorded drives: planners compared with the recorded driver, in folds by recording,
+against overfitting.
 
 python -m studies.roads DATA ... -o OUT [-p dp_qp ...] [--fold K ...] [--workers N] [--against FILE]
 
-DATA holds recorded logs (Tartu's bags, Argoverse 2, 123D, recorded CommonRoad). What is driven, closed loop:
+DATA holds recorded logs (Tartu's bags, Argoverse 2, 123D, recorded CommonRoad). What is driven,
+closed loop:
 
-    windows   of `WINDOW_S`, a start every `EVERY_S`; a shorter log as a whole. A recorded CommonRoad log is driven by
-              `EGOS` of its road users in turn, those in sight for longest
+    windows   of `WINDOW_S`, a start every `EVERY_S`; a shorter log as a whole. A recorded
+              CommonRoad log is driven by `EGOS` of its road users in turn, those in sight for
+              longest
     variants  each window as recorded, mirrored, and with one change of the start in turn: `STARTS`
     scenes    `SCENES` raw scenes of each family of the catalogue, by seed, as they are
 
-A fold is a fifth of the recordings of each kind. Develop on some folds (`--fold`), accept on the others.
+A fold is a fifth of the recordings of each kind. Develop on some folds (`--fold`), accept on the
+others.
 
     OUT/logs/           the windows, made once
-    OUT/PLANNER.csv     a row per drive (`Row`); a planner that is not named keeps those of the run before
-    OUT/worse.csv       the drives in which the first planner costs more than the best other one, most costly first
+    OUT/PLANNER.csv     a row per drive (`Row`); a planner that is not named keeps those of the run
+                        before
+    OUT/worse.csv       the drives in which the first planner costs more than the best other one,
+                        most costly first
 
-(1) cost = 30 [contact at fault] + 5 hard_s + 3 false + stands_s + delay_s + 0.2 jerk_s     weights are seconds of delay
-(2) delay = T - t_h(s + `NEAR_M`), s the station at the drive's end, t_h(s) the time at which the person passed it;
-    who is ahead, or not farther behind than that, has none (the person may stand there)
-(3) intervals hold 90 %, by resampling recordings (`RESAMPLES`), as the windows of a recording depend on each other
+(1) cost = 30 [contact at fault] + 5 hard_s + 3 false + stands_s + delay_s + 0.2 jerk_s
+        weights are seconds of delay
+(2) delay = T - t_h(s + `NEAR_M`), s the station at the drive's end,
+        t_h(s) the time at which the person passed it; who is ahead, or not farther behind than
+        that, has none (the person may stand there)
+(3) intervals hold 90 %, by resampling recordings (`RESAMPLES`), as the windows of a recording
+    depend on each other
 
-`--against` compares with rows of an earlier version, fold by fold: change of each column, and its interval.
+`--against` compares with rows of an earlier version, fold by fold: change of each column, and its
+interval.
 """
 
 from __future__ import annotations
@@ -155,7 +165,7 @@ class Task:
     variant: str
 
 
-# the drives -----------------------------------------------------------------------------------------------------------
+# the drives ---------------------------------------------------------------------------------------
 
 
 def _start(ego_m: float, factor: float, scenario: Scenario) -> Scenario:
@@ -273,7 +283,7 @@ def tasks(data: Sequence[Path], out: Path) -> list[Task]:
     return found
 
 
-# the rows -------------------------------------------------------------------------------------------------------------
+# the rows -----------------------------------------------------------------------------------------
 
 MEASURED = {
     name: metrics.METRICS[name]
@@ -346,7 +356,7 @@ def driven(planner: str, asked: Sequence[Task], workers: int) -> pd.DataFrame:
     )
 
 
-# the tables -----------------------------------------------------------------------------------------------------------
+# the tables ---------------------------------------------------------------------------------------
 
 
 def interval(values: pd.DataFrame, column: str) -> str:

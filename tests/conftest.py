@@ -24,12 +24,17 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 settings.register_profile("replan", deadline=None, derandomize=True)
 settings.load_profile("replan")
 EXAMPLES = {"not slow": (4, 3, 10), "not nightly": (2, 5, 50)}
-"""Of the examples that a law asks for: the divisor, the fewest and the most; by what `-m` selects. At night, all."""
+"""Of the examples that a law asks for: the divisor, the fewest and the most; by what `-m` selects.
+
+At night, all.
+"""
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Mark what is left to the night (`SPARSE`) and to `.ci/run` (`LATER`), and give each law its share of examples."""
+    """Mark what is left to the night (`SPARSE`) and to `.ci/run` (`LATER`), and give each law its
+    share of examples.
+    """
     seen = Counter[str]()
     for item in items:
         name = item.nodeid.removeprefix("tests/").partition("[")[0]
@@ -53,7 +58,9 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 def pytest_collection_finish() -> None:
-    """What is imported and collected by now lives to the end: no collection of garbage looks through it again."""
+    """What is imported and collected by now lives to the end: no collection of garbage looks
+    through it again.
+    """
     gc.collect()
     gc.freeze()
 
@@ -85,7 +92,10 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str, str], str]:
-    """Writes a user's module, which can be imported here and in workers, into `tmp_path`; its name."""
+    """Writes a user's module, which can be imported here and in workers, into `tmp_path`.
+
+    Its name.
+    """
     monkeypatch.syspath_prepend(str(tmp_path))
 
     def written(name: str, text: str) -> str:

@@ -1,6 +1,8 @@
-"""What the site needs beyond its pages: mathematics as MathML, and the files of the repository that pages link to.
+"""What the site needs beyond its pages: mathematics as MathML, and the files of the repository that
+pages link to.
 
-Both happen while it is built, so that a page asks nothing of any host; a page that would is an error.
+Both happen while it is built, so that a page asks nothing of any host; a page that would is an
+error.
 
 - `$...$` in a line and a fence `math` are TeX, as on GitHub.
 - A link that leads out of docs/ (`../planners/base.py`) leads to a page with that file;

@@ -1,4 +1,6 @@
-"""A controller: it knows the plan, the ego's state, the vehicle's numbers and its powertrain, but not the world."""
+"""A controller: it knows the plan, the ego's state, the vehicle's numbers and its powertrain, but
+not the world.
+"""
 
 from math import atan, sin
 
@@ -6,7 +8,10 @@ from replan import Command
 
 
 class Proportional:
-    """Steers by curvature, lateral error and heading error; brakes and accelerates in proportion."""
+    """Steers by curvature, lateral error and heading error.
+
+    Brakes and accelerates in proportion.
+    """
 
     notes = ()
 

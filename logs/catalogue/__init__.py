@@ -1,18 +1,19 @@
-"""Synthesised scenario families: deterministic, with their parameters in the metadata; and suites of their cells.
+"""Synthesised scenario families: deterministic, with their parameters in the metadata; and suites
+of their cells.
 
-There is one order of all cells; a suite is a prefix of it, so that a smaller suite is part of a larger one. The k-th
-cell, from 0, of a family with n cells has the position
+There is one order of all cells; a suite is a prefix of it, so that a smaller suite is part of a
+larger one. The k-th cell, from 0, of a family with n cells has the position
 
 (1) k / sqrt(n)
 
-so that at first each family gives one cell, with the groups in turn, and then about as many as the root of its size
-(power allocation; Bankier, The American Statistician 42, 1988): a large grid is represented, and does not hide small
-ones.
+so that at first each family gives one cell, with the groups in turn, and then about as many as the
+root of its size (power allocation; Bankier, The American Statistician 42, 1988): a large grid is
+represented, and does not hide small ones.
 
-Within a family the cells spread: the next is the one farthest from all before it, by the indices of its values in their
-lists, each scaled to length 1 (a maximin design; Johnson, Moore, Ylvisaker, J. Stat. Plan. Inference 26, 1990). The
-corners of a grid come early. Draws use the SHA-256 of seed, family and cell, so that they do not change when another
-family is added.
+Within a family the cells spread: the next is the one farthest from all before it, by the indices of
+its values in their lists, each scaled to length 1 (a maximin design; Johnson, Moore, Ylvisaker, J.
+Stat. Plan. Inference 26, 1990). The corners of a grid come early. Draws use the SHA-256 of seed,
+family and cell, so that they do not change when another family is added.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -52,7 +53,10 @@ CATALOGUE: dict[str, Family] = {
 """The families without published grids by name, in the order of lists."""
 _ALIKE = ("turns_back", "hesitates", "group", "both_sides")
 BUILTIN = tuple(name for name in CATALOGUE if name not in {f"pedestrian/{one}" for one in _ALIKE})
-"""The logs of the built-in suite. What fails with the pedestrians that are left out fails with the others, too."""
+"""The logs of the built-in suite.
+
+What fails with the pedestrians that are left out fails with the others, too.
+"""
 FAMILIES: dict[str, Family] = CATALOGUE | {
     family.name: family
     for family in (
@@ -89,12 +93,15 @@ SUITES: Mapping[str, Suite] = {
 
 
 def families() -> dict[str, Family]:
-    """The built-in families and those of other distributions; ConfigError if an entry point has another name."""
+    """The built-in families and those of other distributions; ConfigError if an entry point has
+    another name.
+    """
     found = FAMILY.installed()
     for name, family in found.items():
         if family.name != name:
             raise ConfigError(
-                f"the entry point of the family '{family.name}' is called '{name}'; give them one name"
+                f"the entry point of the family '{family.name}' is called '{name}'; give them one "
+                "name"
             )
     return FAMILIES | found
 
@@ -112,7 +119,9 @@ def scenario(name: str) -> Scenario:
 
 
 def numbers(words: Iterable[str], where: str) -> dict[str, float]:
-    """Parameters from "key=value" words; ConfigError if a word has no `=`, or its value is not a number."""
+    """Parameters from "key=value" words; ConfigError if a word has no `=`, or its value is not a
+    number.
+    """
     out = {}
     for word in words:
         key, separator, value = word.partition("=")

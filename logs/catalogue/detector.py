@@ -1,8 +1,10 @@
-"""Road users as a detector sees them: a model of raw detections with parameters measured on 13 city drives.
+"""Road users as a detector sees them: a model of raw detections with parameters measured on 13 city
+drives.
 
-Measured (SFA and cluster detectors of Autoware Mini at 10 Hz): range, share of detected frames by distance, lengths of
-gaps, jitter and slow drift of centres, sizes, headings, reversed fronts, flicker of kinds, twins, ids that are
-positions in a list. Clutter, lasting ghosts and scores are assumed. Road users hidden behind a vehicle are missing.
+Measured (SFA and cluster detectors of Autoware Mini at 10 Hz): range, share of detected frames by
+distance, lengths of gaps, jitter and slow drift of centres, sizes, headings, reversed fronts,
+flicker of kinds, twins, ids that are positions in a list. Clutter, lasting ghosts and scores are
+assumed. Road users hidden behind a vehicle are missing.
 """
 
 from __future__ import annotations
@@ -25,13 +27,19 @@ AHEAD_M, ASIDE_M = 50.0, 25.0
 FAR_M, SEEN = (0.0, 10.0, 20.0, 30.0, 40.0, 90.0), (0.95, 0.93, 0.89, 0.82, 0.76, 0.69)
 """Distances, m, and the share of frames in which a road user is detected at each."""
 SHORT_GAPS, SHORT_END, LONG_END = 0.75, 0.6, 0.12
-"""Three of four gaps end with probability 0.6 per frame, the others with 0.12: half last one frame, 1 % over 26."""
+"""Three of four gaps end with probability 0.6 per frame, the others with 0.12: half last one frame,
+1 % over 26.
+"""
 DRIFT_KEPT = 0.95
 """Share of the drift that remains after a frame."""
 FLIPS, FLICKER, TWINS = 0.18, 0.02, 0.05
-"""Shares of boxes: vehicles with reversed fronts, vehicles of a wrong kind, second boxes of one object."""
+"""Shares of boxes: vehicles with reversed fronts, vehicles of a wrong kind, second boxes of one
+object.
+"""
 CLUTTER, CLUTTER_END = 1.0, 0.6
-"""Mean number of false boxes that begin in a frame, and the probability that one ends with a frame."""
+"""Mean number of false boxes that begin in a frame, and the probability that one ends with a
+frame.
+"""
 GHOST_EVERY_S, GHOST_S, GHOST_SEEN = 10.0, (1.0, 3.0), 0.4
 """Lasting ghosts: mean interval and range of durations, s, and share of detected frames."""
 LEAST_SCORE = 0.2
@@ -43,7 +51,9 @@ _FALSE = AgentKind.CAR, AgentKind.PEDESTRIAN
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """Road users within a detector's range, flat, `(m,)` each, in order of time: their true states."""
+    """Road users within a detector's range, flat, `(m,)` each, in order of time: their true
+    states.
+    """
 
     frames: FloatArray  # `(k,)` s; `frame` is the index of a frame, `agent` that of a track
     frame: IntArray
@@ -90,7 +100,9 @@ def sight(tracks: Tracks, ego: Trajectory) -> Sight:
 
 @kernel
 def _hidden(x: float, y: float, boxes: FloatArray, opaque: BoolArray) -> BoolArray:
-    """Whether an opaque box crosses the line from (x, y) to the centre of each of the boxes `(k, 5)`."""
+    """Whether an opaque box crosses the line from (x, y) to the centre of each of the boxes
+    `(k, 5)`.
+    """
     out = np.zeros(len(boxes), np.bool_)
     for i in range(len(boxes)):
         dx, dy = boxes[i, 0] - x, boxes[i, 1] - y
@@ -107,7 +119,10 @@ def _hidden(x: float, y: float, boxes: FloatArray, opaque: BoolArray) -> BoolArr
 
 
 def detected(tracks: Tracks, ego: Trajectory, seed: int) -> Detections:
-    """The detections of these road users by a detector on the ego; another seed gives another drive."""
+    """The detections of these road users by a detector on the ego.
+
+    Another seed gives another drive.
+    """
     rng = np.random.default_rng(seed)
     seen = sight(tracks, ego)
     boxes = np.vstack(
@@ -205,7 +220,9 @@ def _of_agent(tracks: Tracks, i: int, seen: Sight, rng: np.random.Generator) -> 
 def _nothing(
     rows: IntArray, frames: FloatArray, ego: Trajectory, most: float, rng: np.random.Generator
 ) -> FloatArray:
-    """Boxes `(k, _WIDTH)` of one false object at a random position in range in the first frame; 0.3 m rms."""
+    """Boxes `(k, _WIDTH)` of one false object at a random position in range in the first frame; 0.3
+    m rms.
+    """
     kind = _FALSE[rng.integers(len(_FALSE))]
     own = ego.at(float(frames[rows[0]])) if len(rows) else ego.state(0)
     ahead, aside, yaw = (

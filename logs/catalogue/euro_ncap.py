@@ -1,12 +1,13 @@
 """Euro NCAP's tests of pedestrians, cyclists and cars, with the grids of 2023 and of 2026.
 
-Numbers as in the OpenSCENARIO files that Vector publishes (vectorgrp/OSC-NCAP-scenarios ee7aa111): AEB/LSS VRU 4.5.1
-and AEB C2C 4.3.1 (2023), CA-FC 1.1 (2026); the protocols themselves were not consulted. Differences: the car is the
-catalogue's (1.61 m wide), and overlaps refer to its width; of 2026 only the overlaps of the standard range; a run-up
-without a stated length grows with the square of the speed; CBNAO hides the cyclist behind one parked car, whose front
-is 1 m before the cyclist's line and whose side is 3.55 m from the ego's path; CCFtap and CMFtap turn at the catalogue's
-junction, where both would cross at the same time. Left out: reversing (CPRA), pedestrians at turns (CPTA) and the
-head-on lane change (CCFhol).
+Numbers as in the OpenSCENARIO files that Vector publishes (vectorgrp/OSC-NCAP-scenarios ee7aa111):
+AEB/LSS VRU 4.5.1 and AEB C2C 4.3.1 (2023), CA-FC 1.1 (2026); the protocols themselves were not
+consulted. Differences: the car is the catalogue's (1.61 m wide), and overlaps refer to its width;
+of 2026 only the overlaps of the standard range; a run-up without a stated length grows with the
+square of the speed; CBNAO hides the cyclist behind one parked car, whose front is 1 m before the
+cyclist's line and whose side is 3.55 m from the ego's path; CCFtap and CMFtap turn at the
+catalogue's junction, where both would cross at the same time. Left out: reversing (CPRA),
+pedestrians at turns (CPTA) and the head-on lane change (CCFhol).
 """
 
 from __future__ import annotations
@@ -57,7 +58,9 @@ from replan.logs.scenario import Scenario
 from replan.logs.vehicle import VehicleParameters
 
 SOURCES = {
-    "2023": "Euro NCAP AEB/LSS VRU 4.5.1 and AEB C2C 4.3.1, per vectorgrp/OSC-NCAP-scenarios ee7aa111",
+    "2023": (
+        "Euro NCAP AEB/LSS VRU 4.5.1 and AEB C2C 4.3.1, per vectorgrp/OSC-NCAP-scenarios ee7aa111"
+    ),
     "2026": "Euro NCAP CA-FC 1.1, per vectorgrp/OSC-NCAP-scenarios ee7aa111",
 }
 STEPS = {"2023": 5, "2026": 10}
@@ -103,9 +106,11 @@ def _head_on(p: Mapping[str, float], target: Target) -> Scenario:
 
 
 def _at_junction(p: Mapping[str, float], target: Target, *, turn: float) -> Scenario:
-    """A target that crosses the ego's path at a junction; without braking both would be there at the same time.
+    """A target that crosses the ego's path at a junction; without braking both would be there at
+    the same time.
 
-    If the ego turns left, the target comes towards it; else it is on the main road, from right or left (`from_left`).
+    If the ego turns left, the target comes towards it; else it is on the main road, from right or
+    left (`from_left`).
     """
     v, u, car, t = (
         p["ego_kmh"] * KMH,
@@ -309,7 +314,9 @@ def _ahead(p: Mapping[str, float]) -> Scenario:
 
 
 def _braking(p: Mapping[str, float]) -> Scenario:
-    """CCRb: the target is as fast as the ego, `gap_m` ahead, or `headway_s` if that parameter is set."""
+    """CCRb: the target is as fast as the ego, `gap_m` ahead, or `headway_s` if that parameter is
+    set.
+    """
     gap = p["headway_s"] * p["ego_kmh"] * KMH if p["headway_s"] > 0.0 else p["gap_m"]
     return lead({**p, "target_kmh": p["ego_kmh"], "gap_m": gap}, CAR_TARGET, 0.0)
 

@@ -1,12 +1,13 @@
-"""Everyday driving: a lead, a cut-in, a parked car, a cyclist, bends, cars that pull out; and traffic rules.
+"""Everyday driving: a lead, a cut-in, a parked car, a cyclist, bends, cars that pull out; and
+traffic rules.
 
-Numbers: UN R157 4.3_1 (follow: headway 1.6 s, lead +-5 m/s at 1 m/s2), 4.4_1 (cut-in), 4.2_2 and Euro NCAP practice
-(partly blocked lane); 1.5 m beside a cyclist in towns: StVO, 5 (4).
+Numbers: UN R157 4.3_1 (follow: headway 1.6 s, lead +-5 m/s at 1 m/s2), 4.4_1 (cut-in), 4.2_2 and
+Euro NCAP practice (partly blocked lane); 1.5 m beside a cyclist in towns: StVO, 5 (4).
 
-Rules: a red light that turns green, a green one that turns yellow, a pedestrian at a crosswalk, a side road before a
-main road. A planner that ignores the rule runs the red light, drives on before the waiting pedestrian, or violates the
-right of way of vehicles. The logged driver obeys it: they stop `STOP_SHORT_M` before the line, and drive on
-`reaction_s` after the rule permits it.
+Rules: a red light that turns green, a green one that turns yellow, a pedestrian at a crosswalk, a
+side road before a main road. A planner that ignores the rule runs the red light, drives on before
+the waiting pedestrian, or violates the right of way of vehicles. The logged driver obeys it: they
+stop `STOP_SHORT_M` before the line, and drive on `reaction_s` after the rule permits it.
 """
 
 from __future__ import annotations
@@ -250,7 +251,8 @@ def cyclist(p: Mapping[str, float]) -> Scenario:
 
 
 def stopping(line: float, speed: float, car: VehicleParameters, s: float) -> Ahead | None:
-    """The reaction of a driver at station `s` (rear axle), who arrives at `speed`, to the line at which they must stop.
+    """The reaction of a driver at station `s` (rear axle), who arrives at `speed`, to the line at
+    which they must stop.
 
     Stations in m, `speed` in m/s. None if the line is still far away, or the front is beyond it.
     """
@@ -278,7 +280,10 @@ def traffic_light(p: Mapping[str, float]) -> Scenario:
 
 
 def _at_light(p: Mapping[str, float], changes: Sequence[tuple[float, Colour]]) -> Scenario:
-    """A straight road with a light `distance_m` ahead that changes at these times, s; the last colour is green."""
+    """A straight road with a light `distance_m` ahead that changes at these times, s.
+
+    The last colour is green.
+    """
     v, duration, car = p["ego_speed_mps"], p["duration_s"], VehicleParameters()
     line = START_M + car.axle_to_front + p["distance_m"]
     shown = {max(t, 0.0): colour for t, colour in changes}
@@ -344,7 +349,8 @@ def crosswalk(p: Mapping[str, float]) -> Scenario:
 
 @family(
     "everyday/junction",
-    "out of a side road over a main road: let both sides pass, then cross (turn 0), or turn left (1) or right (-1)",
+    "out of a side road over a main road: let both sides pass, then cross (turn 0), or turn left "
+    "(1) or right (-1)",
     ("everyday", "rules", "junction"),
     {
         "ego_speed_mps": 8.3,

@@ -1,11 +1,13 @@
 """A scenario family: named parameters with units, and a deterministic builder.
 
-The scenario's metadata have the generator's version, all parameters, and `expected_decisions` as JSON: agent id or
-"stop line ID" -> kinds (`DecisionKind` values). A planner should make one of these decisions about it at some time of
-the drive. Agents and lines that are not listed need no decision.
+The scenario's metadata have the generator's version, all parameters, and `expected_decisions` as
+JSON: agent id or "stop line ID" -> kinds (`DecisionKind` values). A planner should make one of
+these decisions about it at some time of the drive. Agents and lines that are not listed need no
+decision.
 
-The logged driver of a scenario has no collision. Where that is impossible in a cell of a published grid, the log ends
-with the last state `before_contact`, and the metadata have the agent and the time of the contact.
+The logged driver of a scenario has no collision. Where that is impossible in a cell of a published
+grid, the log ends with the last state `before_contact`, and the metadata have the agent and the
+time of the contact.
 """
 
 from __future__ import annotations
@@ -34,10 +36,13 @@ class Family:
         summary: One line for lists.
         parameters: Defaults by name, units in the names.
         tags: Words by which gates and reports group scenarios.
-        build: All parameters -> Scenario; raises ValueError for parameters without a valid scenario.
-        grid: Published values by parameter, whose product gives the family's cells; empty: one cell, the defaults.
+        build: All parameters -> Scenario; raises ValueError for parameters without a valid
+            scenario.
+        grid: Published values by parameter, whose product gives the family's cells; empty: one
+            cell, the defaults.
         source: Source of the numbers.
-        holds: All parameters -> whether the grid contains this cell of the product (the ego is faster than its target).
+        holds: All parameters -> whether the grid contains this cell of the product (the ego is
+            faster than its target).
     """
 
     name: str
@@ -61,7 +66,9 @@ class Family:
                 yield cell
 
     def named(self, changed: Mapping[str, float]) -> str:
-        """The name of a variant, from which `replan.logs.catalogue.scenario` builds it, with every number in full."""
+        """The name of a variant, from which `replan.logs.catalogue.scenario` builds it, with every
+        number in full.
+        """
         words = []
         for name, value in sorted(changed.items()):
             short = f"{value:g}"
@@ -70,7 +77,9 @@ class Family:
         return f"{self.name}@{variant}" if variant else self.name
 
     def scenario(self, **overrides: float) -> Scenario:
-        """The scenario with these parameters changed, which its name lists; ConfigError if there is none with them."""
+        """The scenario with these parameters changed, which its name lists; ConfigError if there is
+        none with them.
+        """
         unknown = sorted(set(overrides) - set(self.parameters))
         if unknown:
             raise ConfigError(
@@ -147,7 +156,9 @@ def touches(scenario: Scenario) -> str | None:
 
 
 def before_contact(scenario: Scenario) -> Scenario:
-    """The scenario, its ego log ended before the first contact, which the metadata name; ValueError at the start."""
+    """The scenario, its ego log ended before the first contact, which the metadata name; ValueError
+    at the start.
+    """
     found = _contact(scenario)
     if found is None:
         return scenario

@@ -1,15 +1,17 @@
-"""Parts that the families share: the careful driver, road users and their walks, the scenario of a drive.
+"""Parts that the families share: the careful driver, road users and their walks, the scenario of a
+drive.
 
-The driver of the ego logs is simple, smooth, and none of the planners. Its acceleration is the least of these at each
-step, with bounded acceleration and jerk, so that log and poses agree:
+The driver of the ego logs is simple, smooth, and none of the planners. Its acceleration is the
+least of these at each step, with bounded acceleration and jerk, so that log and poses agree:
 
 (1) cruise    a = 0.8 (v_cruise - v)
 (2) follow    a = 0.15 (gap - thw v) + 0.7 (v_lead - v)          gap bumper to bumper
-(3) stop      a = -v^2 / (2 distance)                            constant braking to the stopping point
+(3) stop      a = -v^2 / (2 distance)
+        constant braking to the stopping point
 
-(4) |a| is eased out in time: a standstill or the cruising speed is reached with a = 0, since braking is at most
-    sqrt(2 jerk v) and accelerating at most sqrt(2 jerk (v_cruise - v)), with 0.7 of the bound on jerk. A
-    stopping point is met within 1 m.
+(4) |a| is eased out in time: a standstill or the cruising speed is reached with a = 0,
+        since braking is at most sqrt(2 jerk v) and accelerating at most sqrt(2 jerk (v_cruise -
+        v)), with 0.7 of the bound on jerk. A stopping point is met within 1 m.
 
 The path is given; the rear axle drives on it, so that yaw rate = v kappa.
 """
@@ -40,7 +42,9 @@ _EASE = 0.7 * MAX_JERK
 
 @dataclass(frozen=True, slots=True)
 class Ahead:
-    """The object that the driver reacts to: `gap` from the front bumper, m, its `speed`, whether to `stop` for it."""
+    """The object that the driver reacts to: `gap` from the front bumper, m, its `speed`, whether to
+    `stop` for it.
+    """
 
     gap: float
     speed: float = 0.0
@@ -48,13 +52,17 @@ class Ahead:
 
 
 Reaction = Callable[[float, float], Ahead | None]
-"""Returns the object that a driver reacts to at time t, s, with the rear axle at station s, m; None without one."""
+"""Returns the object that a driver reacts to at time t, s, with the rear axle at station s, m; None
+without one.
+"""
 
 
 def waiting(line: float, short: float, begin: float, end: float, front: float) -> Reaction:
-    """The reaction of a driver who waits `short` m before station `line`, m, from time `begin` to `end`, s.
+    """The reaction of a driver who waits `short` m before station `line`, m, from time `begin` to
+    `end`, s.
 
-    `front` is the distance from the rear axle to the front bumper, m; a driver who is past the line does not wait.
+    `front` is the distance from the rear axle to the front bumper, m; a driver who is past the line
+    does not wait.
     """
 
     def ahead(t: float, s: float) -> Ahead | None:
@@ -132,12 +140,17 @@ HALF_LANE = 0.5 * LANE_WIDTH_M
 SIDEWALK_M = 4.0
 WAITS = (DecisionKind.YIELD, DecisionKind.STOP)
 BESIDE_M, APART_M = 1.0, 1.0
-"""CPNCO: from the ego's side to the cars'; from the small car's front to the child's line, and between the cars, m."""
+"""CPNCO: from the ego's side to the cars'.
+
+From the small car's front to the child's line, and between the cars, m.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Agent:
-    """One road user: size (length, width) m and samples `(n, 6)` of t, x, y, yaw, vx, vy at its box centre."""
+    """One road user: size (length, width) m and samples `(n, 6)` of t, x, y, yaw, vx, vy at its box
+    centre.
+    """
 
     id: str
     kind: AgentKind
@@ -177,8 +190,8 @@ def moving(
 ) -> Agent:
     """A road user at positions `(n,)` at times `(n,)`, uniformly spaced.
 
-    Velocities are backward differences: a sample does not depend on later positions. The heading is that of the
-    velocity; it is `yaw` while the road user stands at the begin.
+    Velocities are backward differences: a sample does not depend on later positions. The heading is
+    that of the velocity; it is `yaw` while the road user stands at the begin.
     """
     vx, vy = (np.r_[way[0], way] for way in (np.diff(x) / np.diff(t), np.diff(y) / np.diff(t)))
     heading, last = np.empty(len(t)), yaw
@@ -218,12 +231,16 @@ def tenths(seconds: float) -> float:
 
 
 def bypass(edge: float, clearance: float, width: float) -> float:
-    """Lateral offset of a car's middle that keeps |clearance| from an obstacle's edge, m: left of it if positive."""
+    """Lateral offset of a car's middle that keeps |clearance| from an obstacle's edge, m: left of
+    it if positive.
+    """
     return edge + copysign(abs(clearance) + 0.5 * width, clearance)
 
 
 def walked(t: FloatArray, distance: float, speed: float, ramp: float = 0.4) -> FloatArray:
-    """Share of a walk of `distance` m done at times `(n,)` after its start: speed ramps up and down in `ramp` s."""
+    """Share of a walk of `distance` m done at times `(n,)` after its start: speed ramps up and down
+    in `ramp` s.
+    """
     whole = distance / speed + ramp
     if whole < 2.0 * ramp:
         raise ValueError("the pedestrian's way is too short for its speed")
@@ -235,7 +252,9 @@ def walked(t: FloatArray, distance: float, speed: float, ramp: float = 0.4) -> F
 
 
 def pedestrian_across(p: Mapping[str, float], x: float) -> tuple[Agent, float]:
-    """A pedestrian who crosses the lane at `x` from the right, and the first sample at which they have left it, s."""
+    """A pedestrian who crosses the lane at `x` from the right, and the first sample at which they
+    have left it, s.
+    """
     y0, y1 = -(HALF_LANE + p["kerb_distance_m"]), HALF_LANE + p["rest_distance_m"]
     t = grid(p["duration_s"])
     y = y0 + (y1 - y0) * walked(t - p["walk_start_s"], y1 - y0, p["pedestrian_speed_mps"])
@@ -261,10 +280,12 @@ def finished(
     edges: tuple[float, float] = (-HALF_LANE, HALF_LANE),
     metadata: Mapping[str, str] | None = None,
 ) -> Scenario:
-    """The scenario of a drive, without a name; a planner has `SPARE_S` more than the drive's `duration`, s.
+    """The scenario of a drive, without a name; a planner has `SPARE_S` more than the drive's
+    `duration`, s.
 
-    The goal lies on the `path`, from station `begin` (None: 10 m before the x at which the drive ends) and between the
-    right and left `edges`, m to the left of the path. `metadata` has the accepted decisions, and further entries.
+    The goal lies on the `path`, from station `begin` (None: 10 m before the x at which the drive
+    ends) and between the right and left `edges`, m to the left of the path. `metadata` has the
+    accepted decisions, and further entries.
     """
     first = float(driven.x[-1]) - 10.0 if begin is None else begin
     goal = Goal((stretch(path, first, first + 40.0, right=edges[0], left=edges[1]),))

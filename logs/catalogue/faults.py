@@ -1,9 +1,10 @@
 """Logs with faults: of perception (the tracks of road users), of the ego's start, and of the lanes.
 
-No public suite has them; the values are replan's own. Faults of perception are in the tracks of a catalogue scene:
-0 the crossing pedestrian, 1 a lead, 2 a cut-in. In the closed loop the log is the world: the planner perceives a track
-with its gap, and the evaluation interpolates it (`replan.logs.observed`); a delayed track is another world there, and is wrong
-relative to the ego in the open loop only. Faults of ego and lanes are in the free road; the log then has the first ego
+No public suite has them; the values are replan's own. Faults of perception are in the tracks of a
+catalogue scene: 0 the crossing pedestrian, 1 a lead, 2 a cut-in. In the closed loop the log is the
+world: the planner perceives a track with its gap, and the evaluation interpolates it
+(`replan.logs.observed`); a delayed track is another world there, and is wrong relative to the ego
+in the open loop only. Faults of ego and lanes are in the free road; the log then has the first ego
 state only, since no drive on that road exists.
 """
 
@@ -39,7 +40,8 @@ def _perception(
         def build(p: Mapping[str, float]) -> Scenario:
             if p["scene"] not in range(len(SCENES)):
                 raise ValueError(
-                    f"scene is {p['scene']:g}: 0 is the crossing pedestrian, 1 the lead, 2 the cut-in"
+                    f"scene is {p['scene']:g}: 0 is the crossing pedestrian, 1 the lead, 2 the "
+                    "cut-in"
                 )
             scene = SCENES[int(p["scene"])]
             whole = scene.build(scene.parameters)
@@ -225,7 +227,9 @@ def doubled_lines(lines: Lines, p: Mapping[str, float]) -> Lines:
     {"angle_deg": (-45.0, -30.0, -15.0, 15.0, 30.0, 45.0)},
 )
 def kinked_lines(lines: Lines, p: Mapping[str, float]) -> Lines:
-    """Two straight pieces as long as the lane together, with an angle between them after `straight_m`."""
+    """Two straight pieces as long as the lane together, with an angle between them after
+    `straight_m`.
+    """
     angle, half = radians(p["angle_deg"]), 0.5 * LANE_WIDTH_M
     rest = (
         float(np.hypot(*np.diff(lines[0] + lines[1], axis=0).T).sum()) / 2.0

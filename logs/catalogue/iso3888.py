@@ -1,16 +1,22 @@
-"""The tracks of ISO 3888-1 (double lane change) and -2 (obstacle avoidance): their cones, and a road between them.
+"""The tracks of ISO 3888-1 (double lane change) and -2 (obstacle avoidance): their cones, and a
+road between them.
 
-Lengths and widths in m, with b the vehicle's width; x = 0 at the first cones, the offset lane is to the left:
+Lengths and widths in m, with b the vehicle's width; x = 0 at the first cones, the offset lane is to
+the left:
 
-    3888-1   entry 15, 1.1 b + 0.25  gap 30    offset lane 25, 1.2 b + 0.25, 3.5 left  gap 25    exit 30, 1.3 b + 0.25
-    3888-2   entry 12, 1.1 b + 0.25  gap 13.5  offset lane 11, b + 1.0, 1.0 clear      gap 12.5  exit 12, at least 3.0
+    3888-1   entry 15, 1.1 b + 0.25  gap 30    offset lane 25, 1.2 b + 0.25, 3.5 left  gap
+             25    exit 30, 1.3 b + 0.25
+    3888-2   entry 12, 1.1 b + 0.25  gap 13.5  offset lane 11, b + 1.0, 1.0 clear      gap
+             12.5  exit 12, at least 3.0
 
-The 3.5 m are from middle to middle, with `edge_based` from the entry's middle to the offset lane's right edge; the
-1.0 m from the entry lane's left edge to the offset lane's right edge; the exit's middle is the entry's. (Other
-interpretations exist. The sources are Project Chrono's demonstration and another one, not the standard itself.)
+The 3.5 m are from middle to middle, with `edge_based` from the entry's middle to the offset lane's
+right edge; the 1.0 m from the entry lane's left edge to the offset lane's right edge; the exit's
+middle is the entry's. (Other interpretations exist. The sources are Project Chrono's demonstration
+and another one, not the standard itself.)
 
-In the scenario the sections are one lane, which runs straight from one to the next and is wider between them; it has no
-other road users. The ego must stay in the lane; it may slow down, as the logged driver does.
+In the scenario the sections are one lane, which runs straight from one to the next and is wider
+between them; it has no other road users. The ego must stay in the lane; it may slow down, as the
+logged driver does.
 """
 
 from __future__ import annotations
@@ -78,12 +84,16 @@ def cones(sections: tuple[ConeLane, ...]) -> FloatArray:
 
 
 WIDER_M = 1.5
-"""Extra width of the lane on each side in the middle of a gap, where the standard has no bound, m."""
+"""Extra width of the lane on each side in the middle of a gap, where the standard has no bound,
+m.
+"""
 TAPER_M, LANE_STEP_M = 15.0, 1.0
 LONGER = 3.0
 """Factor of the road's length behind the track, for a drive that does not slow down."""
 APPROACH_M, BRAKE_MPS2, LATERAL_MPS2 = 40.0, 1.2, 2.0
-"""The logged driver: way before the track, m, deceleration towards it and lateral acceleration on it, m/s2."""
+"""The logged driver: way before the track, m, deceleration towards it and lateral acceleration on
+it, m/s2.
+"""
 
 
 def _track(p: Mapping[str, float], sections: Callable[..., tuple[ConeLane, ...]]) -> Scenario:

@@ -1,7 +1,8 @@
 """The tests of the paper: free driving, static obstacles on both sides, a crossing pedestrian.
 
-The paper gives no numbers; these are a passenger car's: arcs of 50 m at 12 m/s (2.9 m/s2 to the side), cars that leave
-0.7 m of clearance, a pedestrian at 1 m/s before a car at 36 km/h, so that a careful driver brakes for about 4 s.
+The paper gives no numbers; these are a passenger car's: arcs of 50 m at 12 m/s (2.9 m/s2 to the
+side), cars that leave 0.7 m of clearance, a pedestrian at 1 m/s before a car at 36 km/h, so that a
+careful driver brakes for about 4 s.
 """
 
 from __future__ import annotations
@@ -63,7 +64,8 @@ def free_road(p: Mapping[str, float]) -> Scenario:
 
 @family(
     "paper/static_obstacles",
-    "parked cars reach into the lane from the right, from the left and from the right: bypass left and right",
+    "parked cars reach into the lane from the right, from the left and from the right: bypass left "
+    "and right",
     ("paper", "static"),
     {
         "ego_speed_mps": 8.0,

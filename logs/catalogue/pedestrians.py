@@ -1,15 +1,17 @@
-"""Pedestrians who turn back, hesitate, run out, jaywalk, cross in groups, walk along the lane, come from both sides.
+"""Pedestrians who turn back, hesitate, run out, jaywalk, cross in groups, walk along the lane, come
+from both sides.
 
-One straight lane with sidewalks along x. A walk is a sum of legs, each at its own speed with ramps of 0.4 s
-(`scene.walked`); where one leg begins as the other slows down, the speed changes without a stop. `distance_m` is from
-the front bumper of an ego that kept its speed to the walker's line, at the time when they set off towards the lane.
+One straight lane with sidewalks along x. A walk is a sum of legs, each at its own speed with ramps
+of 0.4 s (`scene.walked`); where one leg begins as the other slows down, the speed changes without a
+stop. `distance_m` is from the front bumper of an ego that kept its speed to the walker's line, at
+the time when they set off towards the lane.
 
-The logged driver does not anticipate: `reaction_s` after the walker has set off they brake towards `stop_distance_m`
-before the walker, and drive on when the last walker has left the lane.
+The logged driver does not anticipate: `reaction_s` after the walker has set off they brake towards
+`stop_distance_m` before the walker, and drive on when the last walker has left the lane.
 
 Metadata: `pedestrian_sets_off_s`, when the first sets off onto the lane (for the last time), and
-`pedestrian_off_lane_s`, when the last has left it. Sources: Euro NCAP CPNCO and CPLA for running out and walking along;
-replan's own for the others.
+`pedestrian_off_lane_s`, when the last has left it. Sources: Euro NCAP CPNCO and CPLA for running
+out and walking along; replan's own for the others.
 """
 
 from __future__ import annotations
@@ -53,7 +55,10 @@ from replan.logs.vehicle import VehicleParameters
 RAMP_S = 0.4
 CHILD = (0.711, 0.298)
 SLOWING_MPS2, SLOW_BEFORE_M = 1.2, 8.0
-"""Deceleration towards the parked cars, m/s2; distance before them at which to be slow, m (the speed lags behind)."""
+"""Deceleration towards the parked cars, m/s2.
+
+Distance before them at which to be slow, m (the speed lags behind).
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +71,10 @@ class Leg:
 
     @property
     def slows(self) -> float:
-        """Time at which it begins to slow down, s; a leg that begins at this time continues without a stop."""
+        """Time at which it begins to slow down, s.
+
+        A leg that begins at this time continues without a stop.
+        """
         return self.begin + abs(self.distance) / self.speed
 
     @property
@@ -76,7 +84,9 @@ class Leg:
 
 
 def strolled(t: FloatArray, legs: Sequence[Leg]) -> FloatArray:
-    """Distance of a walk of legs at times `(n,)`, m; ValueError if a leg is too short to reach its speed."""
+    """Distance of a walk of legs at times `(n,)`, m; ValueError if a leg is too short to reach its
+    speed.
+    """
     whole = np.zeros(len(t))
     for leg in legs:
         whole += leg.distance * walked(t - leg.begin, abs(leg.distance), leg.speed, RAMP_S)
@@ -92,14 +102,18 @@ def walker(
     towards: float = 0.5 * pi,
     size: tuple[float, float] = ADULT,
 ) -> Agent:
-    """A pedestrian who walks legs from a point in one direction (rad), backwards for legs of negative distance."""
+    """A pedestrian who walks legs from a point in one direction (rad), backwards for legs of
+    negative distance.
+    """
     way = strolled(t, legs)
     x, y = at[0] + way * cos(towards), at[1] + way * sin(towards)
     return moving(name, AgentKind.PEDESTRIAN, size, t, x, y, yaw=towards)
 
 
 def off_lane(walkers: Sequence[Agent]) -> float:
-    """The first sample at which all have left the lane for good, s; ValueError if one stays on it, or none comes."""
+    """The first sample at which all have left the lane for good, s; ValueError if one stays on it,
+    or none comes.
+    """
     last = -1
     for one in walkers:
         on = np.flatnonzero(np.abs(one.samples[:, 2]) <= HALF_LANE + 0.5 * max(one.size))
@@ -151,7 +165,9 @@ def _crossing_scene(
     cruise: Callable[[float], float] | None = None,
     kinds: tuple[DecisionKind, ...] = WAITS,
 ) -> Scenario:
-    """The scenario of a driver who reacts to `ahead`; `cruise` None: the ego's speed at the start."""
+    """The scenario of a driver who reacts to `ahead`; `cruise` None: the ego's speed at the
+    start.
+    """
     v, duration = p["ego_speed_mps"], p["duration_s"]
     path = straight_path(v, duration)
     driven = drive(path, speed=v, cruise=cruise, duration=duration, ahead=ahead)
@@ -167,7 +183,8 @@ def _crossing_scene(
 
 @family(
     "pedestrian/turns_back",
-    "a pedestrian walks onto the lane, stands there, and walks back: wait, do not creep, then drive on",
+    "a pedestrian walks onto the lane, stands there, and walks back: wait, do not creep, then "
+    "drive on",
     ("pedestrian",),
     {
         "ego_speed_mps": 10.0,
@@ -267,7 +284,8 @@ def runs_out(p: Mapping[str, float]) -> Scenario:
 
 @family(
     "pedestrian/jaywalker",
-    "a pedestrian walks diagonally over the lane and hurries halfway (above 90 degrees: towards the car)",
+    "a pedestrian walks diagonally over the lane and hurries halfway (above 90 degrees: towards "
+    "the car)",
     ("pedestrian",),
     {
         "ego_speed_mps": 10.0,
@@ -348,7 +366,9 @@ def group(p: Mapping[str, float]) -> Scenario:
     },
 )
 def along(p: Mapping[str, float]) -> Scenario:
-    """The pedestrian already walks before t = 0, turns right where they slow down along the lane, and leaves it."""
+    """The pedestrian already walks before t = 0, turns right where they slow down along the lane,
+    and leaves it.
+    """
     v, duration, front = (
         p["pedestrian_speed_mps"],
         p["duration_s"],

@@ -1,13 +1,17 @@
 """The common part of the published tests: an ego that keeps its speed meets a target after `TTC_S`.
 
-Speeds are in km/h, as in the protocols. The ego drives at constant speed on a straight road along x; at t = 0 the
-impact is `TTC_S` away. The logged driver brakes as in other families, with at most 3 m/s2 and 2 m/s3, `reaction_s`
-after the danger is visible; where that is not enough the log ends before the contact (`family.before_contact`).
+Speeds are in km/h, as in the protocols. The ego drives at constant speed on a straight road along
+x; at t = 0 the impact is `TTC_S` away. The logged driver brakes as in other families, with at most
+3 m/s2 and 2 m/s3, `reaction_s` after the danger is visible; where that is not enough the log ends
+before the contact (`family.before_contact`).
 
-The target crosses along y with a ramp of its run-up, so that with the ego's front at its side its middle is at
+The target crosses along y with a ramp of its run-up, so that with the ego's front at its side its
+middle is at
 
-(1) y_impact = -b / 2 + b overlap / 100              b the ego's width; overlap from the near, right side, %
-(2) t_off    = TTC_S - (r / 2 + d / u)               start for the way d at speed u; run-up 2 s_run / u = r
+(1) y_impact = -b / 2 + b overlap / 100
+        b the ego's width; overlap from the near, right side, %
+(2) t_off    = TTC_S - (r / 2 + d / u)
+        start for the way d at speed u; run-up 2 s_run / u = r
 """
 
 from __future__ import annotations
@@ -53,7 +57,10 @@ KMH = 1.0 / 3.6
 TTC_S = 6.0
 GOAL_M = 40.0
 STOP_M, BEYOND_LINE_M, REST_M = 2.0, 20.0, 2.5
-"""Distance at which the driver stops before the target; of the goal's begin behind it; of its walk off the lane, m."""
+"""Distance at which the driver stops before the target.
+
+Of the goal's begin behind it; of its walk off the lane, m.
+"""
 RAMP_S = 0.4
 """Time in which a target without a run-up reaches its speed, s."""
 
@@ -90,10 +97,12 @@ def tested(
     beyond: float | None = None,
     start: float = START_M,
 ) -> Scenario:
-    """The scenario of an ego with `ego_kmh` that starts at station `start` of the `path` of its rear axle, m.
+    """The scenario of an ego with `ego_kmh` that starts at station `start` of the `path` of its
+    rear axle, m.
 
-    `expected`: accepted decisions by agent. `beyond`: station at which the goal begins; None: the target cannot be
-    passed, and the goal is the path's end, which is so far that a drive lasts as long as the log.
+    `expected`: accepted decisions by agent. `beyond`: station at which the goal begins; None: the
+    target cannot be passed, and the goal is the path's end, which is so far that a drive lasts as
+    long as the log.
     """
     v, duration = p["ego_kmh"] * KMH, p["duration_s"]
     driven = drive(path, start=start, speed=v, duration=duration, ahead=ahead)
@@ -127,10 +136,11 @@ CROSSING: Mapping[str, float] = {
 def crossing(
     p: Mapping[str, float], target: Target, *, far: bool = False, hidden: str = ""
 ) -> Scenario:
-    """A target that crosses from the right, or from the `far` side; ValueError if its way is too short.
+    """A target that crosses from the right, or from the `far` side; ValueError if its way is too
+    short.
 
-    `start_m` is its first distance from the ego's path. It is hidden behind two parked cars ("cpnco"), or behind one
-    whose side is `hidden_m` from the ego's path ("cbnao").
+    `start_m` is its first distance from the ego's path. It is hidden behind two parked cars
+    ("cpnco"), or behind one whose side is `hidden_m` from the ego's path ("cbnao").
     """
     v, u, car, side = (
         p["ego_kmh"] * KMH,
@@ -183,7 +193,10 @@ FOLLOWS = (DecisionKind.FOLLOW, *WAITS)
 
 
 def lead_speed(t: FloatArray, begin: float, u: float, rate: float, to: float) -> FloatArray:
-    """Speed `(n,)` of a target that changes from u to `to` with |rate| from `begin` on, m/s; with rate 0 it keeps u."""
+    """Speed `(n,)` of a target that changes from u to `to` with |rate| from `begin` on, m/s.
+
+    With rate 0 it keeps u.
+    """
     if rate == 0.0:
         return np.full(len(t), u)
     changed: FloatArray = np.clip((t - begin) * abs(rate), 0.0, abs(u - to))
@@ -196,12 +209,16 @@ def travelled(t: FloatArray, speed: FloatArray) -> FloatArray:
 
 
 def beside(overlap_percent: float) -> float:
-    """Lateral offset of a target ahead that overlaps |overlap| of the ego's width, m; negative to the right."""
+    """Lateral offset of a target ahead that overlaps |overlap| of the ego's width, m.
+
+    Negative to the right.
+    """
     return copysign(1.0 - abs(overlap_percent) / 100.0, overlap_percent) * VehicleParameters().width
 
 
 def lead(p: Mapping[str, float], target: Target, y: float) -> Scenario:
-    """A target ahead, y m left of the lane's middle: stopped, slower, or braking; ValueError if it is not met.
+    """A target ahead, y m left of the lane's middle: stopped, slower, or braking; ValueError if it
+    is not met.
 
     The impact is after `TTC_S`; or the target is `gap_m` ahead, if that is positive.
     """

@@ -1,9 +1,10 @@
 """Drives whose road users a detector sees: the data of a team's own bag, with known truth.
 
-The careful driver drives through a scene with bystanders, and `replan.logs.catalogue.detector` models the detections from the
-ego. The log has the detections alone: the reader makes tracks of them (`replan.logs.readers.admission`). `TRUE` has the scenes
-with the true road users, for the evaluation of a repair. The goal begins `EARLY_M` before the end of the drive, so that
-a slower ego still reaches it.
+The careful driver drives through a scene with bystanders, and `replan.logs.catalogue.detector`
+models the detections from the ego. The log has the detections alone: the reader makes tracks of
+them (`replan.logs.readers.admission`). `TRUE` has the scenes with the true road users, for the
+evaluation of a repair. The goal begins `EARLY_M` before the end of the drive, so that a slower ego
+still reaches it.
 """
 
 from __future__ import annotations
@@ -165,7 +166,10 @@ def _parked_rows(p: Parameters) -> Scenario:
 
 
 def _rider(p: Parameters) -> Scenario:
-    """A rider comes towards the ego in the lane beside, detected as a pedestrian; cars come, too."""
+    """A rider comes towards the ego in the lane beside, detected as a pedestrian.
+
+    Cars come, too.
+    """
     t = grid(p["duration_s"])
     rider = _moving_agent(
         "rider",
@@ -236,7 +240,8 @@ def _family(
 _SCENES: tuple[tuple[str, str, Mapping[str, float], str, Callable[[Parameters], Scenario]], ...] = (
     (
         "crossing",
-        "a pedestrian crosses between parked cars, others walk along: detections without identities",
+        "a pedestrian crosses between parked cars, others walk along: detections without "
+        "identities",
         {
             "ego_speed_mps": 8.0,
             "pedestrian_speed_mps": 1.2,

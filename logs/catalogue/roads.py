@@ -1,12 +1,13 @@
 """Paths by curvature, and roads along them.
 
-A path is a fine table of a curve by its arc length s, from piecewise linear curvature (straights, arcs, clothoids):
+A path is a fine table of a curve by its arc length s, from piecewise linear curvature (straights,
+arcs, clothoids):
 
 (1) yaw' = kappa(s), exact on each piece (yaw is quadratic in s)
 (2) x' = cos yaw, y' = sin yaw, by Simpson's rule on steps of 0.05 m (error below 1e-9 m per step)
 
-Lateral motion on a straight road is a chain of quintic lane shifts (Werling et al., ICRA 2010, with lateral speed and
-acceleration 0 at both ends): l(u) = 10 u^3 - 15 u^4 + 6 u^5.
+Lateral motion on a straight road is a chain of quintic lane shifts (Werling et al., ICRA 2010, with
+lateral speed and acceleration 0 at both ends): l(u) = 10 u^3 - 15 u^4 + 6 u^5.
 
 A junction: two roads with one lane each way; the ego comes along x and has the main road across it.
 
@@ -15,7 +16,8 @@ A junction: two roads with one lane each way; the ego comes along x and has the 
     1 ---+--- 3        inner lanes: 10 a + b leads from lane a to lane b
        6 | 7
 
-Traffic keeps right. Drivers on the side road give way to the main road, and drivers who turn left to oncoming traffic.
+Traffic keeps right. Drivers on the side road give way to the main road, and drivers who turn left
+to oncoming traffic.
 """
 
 from __future__ import annotations
@@ -79,7 +81,9 @@ class CurveSamples:
 
 
 def curve(*pieces: tuple[float, float, float]) -> CurveSamples:
-    """The path of pieces (length m, kappa at begin and end) from the origin along x; ValueError without lengths."""
+    """The path of pieces (length m, kappa at begin and end) from the origin along x; ValueError
+    without lengths.
+    """
     if not all(np.isfinite(length) and length >= 0.0 for length, *_ in pieces):
         raise ValueError(
             f"a piece of the road has no length: {[round(length, 2) for length, *_ in pieces]} m"
@@ -104,7 +108,9 @@ def curve(*pieces: tuple[float, float, float]) -> CurveSamples:
 
 
 def weaving(length: float, shifts: Sequence[tuple[float, float, float]]) -> CurveSamples:
-    """A path along the x axis with lane shifts `(begin m, end m, lateral offset after it m)`, in order."""
+    """A path along the x axis with lane shifts `(begin m, end m, lateral offset after it m)`, in
+    order.
+    """
     x = np.linspace(0.0, length, round(length / STEP_M) + 1)
     y, slope, bend, offset = np.zeros(len(x)), np.zeros(len(x)), np.zeros(len(x)), 0.0
     for begin, end, target in shifts:
@@ -129,7 +135,10 @@ def lane_beside(
     left_neighbour: int | None = None,
     right_neighbour: int | None = None,
 ) -> Lane:
-    """A lane along the whole path, its middle `left` m to the left of it; cross-sections about every 2 m."""
+    """A lane along the whole path, its middle `left` m to the left of it.
+
+    Cross-sections about every 2 m.
+    """
     stations = np.linspace(0.0, path.length, round(path.length / 2.0) + 1)
     return Lane(
         lane_id,
@@ -166,7 +175,10 @@ def two_lanes(path: CurveSamples, speed_limit: float, *, ego_on_right: bool) -> 
 
 
 def two_way(path: CurveSamples, speed_limit: float) -> Road:
-    """The ego's lane 1 on the path, and lane 2 to its left, driven back; the marking between may be crossed."""
+    """The ego's lane 1 on the path, and lane 2 to its left, driven back.
+
+    The marking between may be crossed.
+    """
     own = lane_beside(path, 1, speed_limit=speed_limit)
     beside = lane_beside(path, 2, left=LANE_WIDTH_M, speed_limit=speed_limit)
     own = replace(own, left_opposite=True, left_crossable=True)
@@ -183,14 +195,18 @@ def two_way(path: CurveSamples, speed_limit: float) -> Road:
 def stretch(
     path: CurveSamples, begin: float, end: float, *, right: float, left: float
 ) -> FloatArray:
-    """Outline `(k, 2)` of the strip from station `begin` to `end`, from `right` to `left` of the path (m, signed)."""
+    """Outline `(k, 2)` of the strip from station `begin` to `end`, from `right` to `left` of the
+    path (m, signed).
+    """
     stations = np.linspace(begin, end, max(2, round((end - begin) / 2.0) + 1))
     return np.vstack([path.beside(stations, left), path.beside(stations, right)[::-1]])
 
 
 @dataclass(frozen=True, eq=False)
 class Junction:
-    """The roads, the ego's path of the rear axle, and where on it the junction begins and ends (stations, m)."""
+    """The roads, the ego's path of the rear axle, and where on it the junction begins and ends
+    (stations, m).
+    """
 
     road: Road
     path: CurveSamples
@@ -203,10 +219,12 @@ class Junction:
 def junction(
     begin: float, beyond: float, main: float, *, turn: float, speed_limit: float
 ) -> Junction:
-    """The junction with the ego's path through it; `turn` is 1 (left), 0 (straight on) or -1 (right), or a ValueError.
+    """The junction with the ego's path through it; `turn` is 1 (left), 0 (straight on) or -1
+    (right), or a ValueError.
 
-    `begin` is the length of the ego's lane to the stop line, `beyond` that of the side road and of the ego's path
-    behind the junction, `main` that of the main road to each side, m; `speed_limit` that of all lanes, m/s.
+    `begin` is the length of the ego's lane to the stop line, `beyond` that of the side road and of
+    the ego's path behind the junction, `main` that of the main road to each side, m; `speed_limit`
+    that of all lanes, m/s.
     """
     if turn not in (-1, 0, 1):
         raise ValueError(f"turn is {turn:g}: 1 is left, 0 straight on, -1 right")

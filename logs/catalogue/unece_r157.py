@@ -1,10 +1,11 @@
 """The scenarios of UN R157 (automated lane keeping), with their grids.
 
-Numbers as in the OpenSCENARIO files of ASAM/openMSL (sl-3-1-osc-alks-scenarios b49dc1dd). The ego drives 5 to 60 km/h
-in a lane 3.5 m wide. Differences: the ego would meet standing targets after 6 s, as in Euro NCAP's tests (from the 500
-m of 4.2_1 a drive at 5 km/h would last six minutes); a cut-in or cut-out begins after 2 s, its lateral speed ramps up
-and down in 0.4 s, and an acceleration lasts until the ego's speed at the begin, or standstill; a lead that cuts out is
-2.0 s ahead. 4.4_2, the unavoidable cut-in, is a cell of 4.4_1: 10 m, 3 m/s.
+Numbers as in the OpenSCENARIO files of ASAM/openMSL (sl-3-1-osc-alks-scenarios b49dc1dd). The ego
+drives 5 to 60 km/h in a lane 3.5 m wide. Differences: the ego would meet standing targets after 6
+s, as in Euro NCAP's tests (from the 500 m of 4.2_1 a drive at 5 km/h would last six minutes); a
+cut-in or cut-out begins after 2 s, its lateral speed ramps up and down in 0.4 s, and an
+acceleration lasts until the ego's speed at the begin, or standstill; a lead that cuts out is 2.0 s
+ahead. 4.4_2, the unavoidable cut-in, is a cell of 4.4_1: 10 m, 3 m/s.
 """
 
 from __future__ import annotations
@@ -90,7 +91,10 @@ def _family(
     {**EGO, "kappa_per_m": (-0.004, -0.001, 0.0, 0.001, 0.004)},
 )
 def free(p: Mapping[str, float]) -> Scenario:
-    """4.1_1: lane keeping on an arc that begins after 20 m, with clothoids of 20 m; curvature 0 is straight on."""
+    """4.1_1: lane keeping on an arc that begins after 20 m, with clothoids of 20 m.
+
+    Curvature 0 is straight on.
+    """
     kappa, way = (
         p["kappa_per_m"],
         START_M + p["ego_kmh"] * KMH * (p["duration_s"] + SPARE_S) + BEYOND_M,
@@ -107,7 +111,9 @@ def free(p: Mapping[str, float]) -> Scenario:
     {**BASE, "swing_m": 1.5, "lateral_mps2": 0.3, "headway_s": HEADWAY_S},
 )
 def swerves(p: Mapping[str, float]) -> Scenario:
-    """4.1_2: a lead swings in its lane, once to each side, with a lateral acceleration of at most `lateral_mps2`."""
+    """4.1_2: a lead swings in its lane, once to each side, with a lateral acceleration of at most
+    `lateral_mps2`.
+    """
     v, t, car = p["ego_kmh"] * KMH, grid(p["duration_s"]), VehicleParameters()
     omega = (p["lateral_mps2"] / p["swing_m"]) ** 0.5
     phase = np.clip(omega * (t - TRIGGER_S), 0.0, 2.0 * pi)
@@ -138,7 +144,10 @@ def alongside(p: Mapping[str, float]) -> Scenario:
 
 
 def _blocked_lane(p: Mapping[str, float]) -> Scenario:
-    """4.2_1, 4.2_2: a stopped car in the lane, `lateral_m` to the left of its middle; the neighbour lane is free."""
+    """4.2_1, 4.2_2: a stopped car in the lane, `lateral_m` to the left of its middle.
+
+    The neighbour lane is free.
+    """
     v, car = p["ego_kmh"] * KMH, VehicleParameters()
     x = START_M + car.axle_to_front + v * TTC_S + 0.5 * CAR[0]
     rear = x - 0.5 * CAR[0]
@@ -192,11 +201,14 @@ def _clears(p: Mapping[str, float]) -> bool:
     _forward,
 )
 def cut_in(p: Mapping[str, float]) -> Scenario:
-    """4.4_1: a slower car comes in from the lane to the right, `gap_m` ahead of the ego's front at the begin."""
+    """4.4_1: a slower car comes in from the lane to the right, `gap_m` ahead of the ego's front at
+    the begin.
+    """
     v, u, car = p["ego_kmh"] * KMH, (p["ego_kmh"] + p["relative_kmh"]) * KMH, VehicleParameters()
     if not _forward(p):
         raise ValueError(
-            f"with {p['relative_kmh']:g} km/h relative to the ego's the other would not drive forward"
+            f"with {p['relative_kmh']:g} km/h relative to the ego's the other would not drive "
+            "forward"
         )
     t = grid(p["duration_s"])
     speed = lead_speed(t, TRIGGER_S, u, p["accel_mps2"], v if p["accel_mps2"] > 0.0 else 0.0)

@@ -1,13 +1,14 @@
 """Cuts a part of a scenario by time, and rounds times to whole nanoseconds.
 
-The begin of a part becomes t = 0, and data outside are left out. The ego's first and last state are interpolated at the
-begin and end. Tracks keep the samples from `HISTORY_S` before the begin, which show who is present and how they move,
-to the first after the end, if that is at most `HISTORY_S` later. Lights keep their colour at the begin. Detections are
-kept from `DETECTED_S` before the begin, longer than the memory of a tracker. A lane along the driven path is made anew
-from the states of the part.
+The begin of a part becomes t = 0, and data outside are left out. The ego's first and last state are
+interpolated at the begin and end. Tracks keep the samples from `HISTORY_S` before the begin, which
+show who is present and how they move, to the first after the end, if that is at most `HISTORY_S`
+later. Lights keep their colour at the begin. Detections are kept from `DETECTED_S` before the
+begin, longer than the memory of a tracker. A lane along the driven path is made anew from the
+states of the part.
 
-Native MCAP holds whole nanoseconds. Every scenario has such times, so that a log and its conversion are the same bit
-for bit:
+Native MCAP holds whole nanoseconds. Every scenario has such times, so that a log and its conversion
+are the same bit for bit:
 
 (1) t -> rint(1e9 t) / 1e9,   t in s since the scenario's start; at most half a nanosecond away
 """
@@ -32,15 +33,21 @@ from replan.logs.states import Controls, OnboardPlan, Trajectory
 from replan.logs.tracks import Tracks
 
 HISTORY_S = 2.0
-"""Tracks keep this time before a part, s: longer than any sample is valid (`replan.logs.observed.MAX_GAP_S`)."""
+"""Tracks keep this time before a part, s: longer than any sample is valid
+(`replan.logs.observed.MAX_GAP_S`).
+"""
 DETECTED_S = 10.0
-"""Detections keep this time before a part, s: a repair joins across gaps up to 8 s, a tracker up to 2 s."""
+"""Detections keep this time before a part, s: a repair joins across gaps up to 8 s, a tracker up to
+2 s.
+"""
 CLOSE_S = 1e-9
 """A sample this close to the begin or end is at it, s: logs hold whole nanoseconds."""
 
 
 def cut(scenario: Scenario, begin: float, end: float = inf) -> Scenario:
-    """Cut the part from `begin` to `end`, s after the scenario's start; LogError if the ego's log has nothing in it."""
+    """Cut the part from `begin` to `end`, s after the scenario's start; LogError if the ego's log
+    has nothing in it.
+    """
     ego = scenario.ego
     if begin <= 0.0 and end >= scenario.duration:
         return scenario
@@ -167,7 +174,9 @@ Timed = TypeVar("Timed", Trajectory, Tracks, Controls, TrafficLight)
 
 
 def in_nanoseconds(scenario: Scenario) -> Scenario:
-    """Round the times of all samples to whole nanoseconds (1); LogError if two samples of one thing become one."""
+    """Round the times of all samples to whole nanoseconds (1); LogError if two samples of one thing
+    become one.
+    """
     try:
         tracks, onboard, made = _columns_over_time(scenario.tracks), [], scenario.repair
         for plan in scenario.onboard:
@@ -210,7 +219,10 @@ def _columns_over_time(table: Timed) -> Timed:
 
 
 def framed(found: Detections) -> Detections:
-    """Round the frames of detections to whole nanoseconds (1); frames at the same nanosecond become one."""
+    """Round the frames of detections to whole nanoseconds (1).
+
+    Frames at the same nanosecond become one.
+    """
     t, frames = _round_times(found.t), np.unique(_round_times(found.frames))
     same = np.array_equal(t, found.t) and np.array_equal(frames, found.frames)
     return found if same else replace(found, t=t, frames=frames)

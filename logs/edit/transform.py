@@ -1,13 +1,19 @@
-"""Changes a scenario in ways that should not change results: turned, shifted, mirrored, other clock, noise of 1e-9.
+"""Changes a scenario in ways that should not change results: turned, shifted, mirrored, other
+clock, noise of 1e-9.
 
-(1) p' = R(dyaw) p + d       for every point of the log; velocities p_dot' = R(dyaw) p_dot, headings yaw' = yaw + dyaw
-(2) (x, y)' = (x, -y)        yaw' = -yaw, kappa' = -kappa, steer' = -steer; left and right change places
+(1) p' = R(dyaw) p + d
+        for every point of the log; velocities p_dot' = R(dyaw) p_dot, headings yaw' = yaw + dyaw
+(2) (x, y)' = (x, -y)
+        yaw' = -yaw, kappa' = -kappa, steer' = -steer; left and right change places
 
-(3) p(u) = (1 + 2 u)(1 - u)^2 p_k + u (1 - u)^2 d v_k + u^2 (3 - 2 u) p_(k+1) - u^2 (1 - u) d v_(k+1),  0 <= u <= 1
-    between two samples of a track, d s apart, with the velocities v of `Tracks.motion`: the log at another rate
+(3) p(u) = (1 + 2 u)(1 - u)^2 p_k + u (1 - u)^2 d v_k + u^2 (3 - 2 u) p_(k+1) - u^2 (1
+        - u) d v_(k+1),  0 <= u <= 1
+    between two samples of a track, d s apart, with the velocities v of `Tracks.motion`: the log at
+    another rate
 
-The points include the log's own coordinates, so `Scenario.origin` is turned and mirrored, but not shifted by d. Tests
-of planners and metrics use these changes, and `studies.invariance` drives the changed scenarios.
+The points include the log's own coordinates, so `Scenario.origin` is turned and mirrored, but not
+shifted by d. Tests of planners and metrics use these changes, and `studies.invariance` drives the
+changed scenarios.
 """
 
 from __future__ import annotations
@@ -34,7 +40,9 @@ _Points = Callable[[FloatArray], FloatArray]
 
 
 def moved(scenario: Scenario, dx: float, dy: float, dyaw: float) -> Scenario:
-    """The scenario turned by `dyaw` (rad) about (0, 0), then shifted by (dx, dy) m: a rigid motion (1) of the world."""
+    """The scenario turned by `dyaw` (rad) about (0, 0), then shifted by (dx, dy) m: a rigid motion
+    (1) of the world.
+    """
     turn = _turn(dyaw)
     ego, goal = scenario.ego, scenario.goal
 
@@ -70,11 +78,12 @@ def shifted_clock(scenario: Scenario, ns: int) -> Scenario:
 
 
 def sampled(scenario: Scenario, rate_hz: float) -> Scenario:
-    """The scenario as if it had been recorded at `rate_hz`: ego and moving tracks at multiples of 1 / `rate_hz` s.
+    """The scenario as if it had been recorded at `rate_hz`: ego and moving tracks at multiples of 1
+    / `rate_hz` s.
 
-    Positions between two samples follow (3); all else is linear. The ego keeps its first and last state. A track
-    begins with its first multiple and ends with its last, and keeps its gaps; one that holds no multiple keeps its
-    first sample.
+    Positions between two samples follow (3); all else is linear. The ego keeps its first and last
+    state. A track begins with its first multiple and ends with its last, and keeps its gaps; one
+    that holds no multiple keeps its first sample.
     """
     tracks, ego, moved = scenario.tracks, scenario.ego, scenario.tracks.motion
     times, columns = [], []
@@ -125,9 +134,9 @@ def _multiples(t: FloatArray, rate_hz: float) -> FloatArray:
 def jittered(scenario: Scenario, size: float, seed: int = 0) -> Scenario:
     """Add independent errors, uniform in +-`size`, to all measured values.
 
-    On each coordinate (m) of ego, others, lanes, stop lines, crosswalks and goal, and on speeds (m/s), accelerations
-    (m/s2), headings (rad) and curvatures (1/m). No decision should depend on sizes like 1e-9. Lanes that share a
-    boundary no longer share it exactly.
+    On each coordinate (m) of ego, others, lanes, stop lines, crosswalks and goal, and on speeds
+    (m/s), accelerations (m/s2), headings (rad) and curvatures (1/m). No decision should depend on
+    sizes like 1e-9. Lanes that share a boundary no longer share it exactly.
     """
     rng = np.random.default_rng(seed)
 
@@ -148,11 +157,13 @@ def jittered(scenario: Scenario, size: float, seed: int = 0) -> Scenario:
 
 
 def mirrored(scenario: Scenario) -> Scenario:
-    """The scenario reflected at the x axis (2), driving side included; mirroring twice gives the original.
+    """The scenario reflected at the x axis (2), driving side included; mirroring twice gives the
+    original.
 
-    Left and right change places everywhere: yaw, curvature and steering change their signs; boundaries, neighbours,
-    markings, the ends of stop lines, and the words "nudge left" and "nudge right" in the expected decisions swap.
-    Sizes, times, speeds, right of way, lights, and the name except for its suffix do not change.
+    Left and right change places everywhere: yaw, curvature and steering change their signs;
+    boundaries, neighbours, markings, the ends of stop lines, and the words "nudge left" and "nudge
+    right" in the expected decisions swap. Sizes, times, speeds, right of way, lights, and the name
+    except for its suffix do not change.
     """
     goal, controls, name, road = scenario.goal, scenario.controls, scenario.name, scenario.road
 
@@ -250,7 +261,10 @@ def _with_points(scenario: Scenario, points: _Points) -> Scenario:
 
 
 def _with_boxes(scenario: Scenario, changed: Callable[[Any], Any]) -> dict[str, Any]:
-    """Apply `changed` to all boxes of a scenario: tracks, detections and repair; return them as fields."""
+    """Apply `changed` to all boxes of a scenario: tracks, detections and repair.
+
+    Return them as fields.
+    """
     tracks, found, made = changed(scenario.tracks), scenario.detections, scenario.repair
     if made is not None:
         own = tracks if made.tracks is scenario.tracks else changed(made.tracks)

@@ -1,23 +1,27 @@
 """Varies a log: time, speed, place and presence of road users, place and speed of the ego's start.
 
-Each `Variation` is a pure function (scenario, agents, value) -> scenario; its neutral value changes nothing. `varied`
-applies several variations in the order of the table, and records them in name, tags, metadata and notes.
+Each `Variation` is a pure function (scenario, agents, value) -> scenario; its neutral value changes
+nothing. `varied` applies several variations in the order of the table, and records them in name,
+tags, metadata and notes.
 
 (1) time     t' = t + dt
-(2) speed    dt' = dt / k while the agents walk or drive, dt' = dt while they stand; v' = k v. All varied agents share
-             this clock, which begins with the first sample of any of them, so that the pieces of a road user who was
-             tracked in pieces still fit. Positions stay on the recorded path; samples are added if they would be rarer
-             than in the recording.
-(3) side     p' = p + d n       n: left of the course at the point nearest to the ego, one for all varied agents
-(4) ego      pose and curvature at station s of the driven path, straight on before its begin; the start's speed
-             times k; no acceleration
+(2) speed    dt' = dt / k while the agents walk or drive, dt' = dt while they stand; v' = k v.
+        All varied agents share this clock, which begins with the first sample of any of them, so
+        that the pieces of a road user who was tracked in pieces still fit. Positions stay on the
+        recorded path; samples are added if they would be rarer than in the recording.
+(3) side     p' = p + d n
+        n: left of the course at the point nearest to the ego, one for all varied agents
+(4) ego      pose and curvature at station s of the driven path, straight on before its begin; the
+             start's speed times k; no acceleration
 
-The recorded drive does not fit the varied traffic: only the start of the ego's log is kept, and the tag "varied"
-replaces "recorded". Metrics then neither compare a planner with the recorded driver nor excuse a broken bound by that
-driver; they use the careful driver (`replan.metrics.reference_drivers`) for both.
+The recorded drive does not fit the varied traffic: only the start of the ego's log is kept, and the
+tag "varied" replaces "recorded". Metrics then neither compare a planner with the recorded driver
+nor excuse a broken bound by that driver; they use the careful driver
+(`replan.metrics.reference_drivers`) for both.
 
-Agents who were present at the begin (end) of the recording are extended straight at their first (last) velocity if the
-varied track would not cover that time. Agents who appeared or left during the recording still do.
+Agents who were present at the begin (end) of the recording are extended straight at their first
+(last) velocity if the varied track would not cover that time. Agents who appeared or left during
+the recording still do.
 """
 
 from __future__ import annotations
@@ -41,30 +45,43 @@ from replan.logs.states import Trajectory
 from replan.logs.tracks import SAMPLE_COLUMNS, Tracks
 
 VARIED = "varied"
-"""Tag of a varied log, and prefix of its metadata entries: `varied.of`, `varied.agents` (JSON), `varied.NAME`."""
+"""Tag of a varied log, and prefix of its metadata entries: `varied.of`, `varied.agents` (JSON),
+`varied.NAME`.
+"""
 LONGEST_S = 30.0
 LATERAL_MPS2 = 4.89
 """Greatest lateral acceleration of the ego's start, m/s2 (nuPlan's comfort bound)."""
 STANDING_MPS = 0.2
 """Slower agents stand: above the noise that remains in smoothed speeds, m/s."""
 GOING_MPS = 0.5
-"""Faster agents move, m/s. Between both, those faster than half of their top speed, as smoothing spreads a start."""
+"""Faster agents move, m/s.
+
+Between both, those faster than half of their top speed, as smoothing spreads a start.
+"""
 COURSE_S = 1.0
-"""The course at a time is the direction from the place this long before it to the place this long after it, s."""
+"""The course at a time is the direction from the place this long before it to the place this long
+after it, s.
+"""
 COURSE_M = 0.3
 """A shorter way has no course, m: the heading of the box is used."""
 BEFORE_S = 2.0
-"""Varied tracks are kept this long before the log's begin and after its end, s (more than `MAX_GAP_S`)."""
+"""Varied tracks are kept this long before the log's begin and after its end, s (more than
+`MAX_GAP_S`).
+"""
 RATE_S = 0.1
 WALKER, STANDER = "inserted pedestrian", "inserted car"
 WALK_MPS = 1.4
 """Speed of an adult at a crossing (Fitzpatrick et al., TCRP Report 112, 2006: mean 1.45 m/s)."""
 KERB_M = 6.0
-"""Distance from the ego's path at which the inserted pedestrian starts and stops, m: a lane and a half."""
+"""Distance from the ego's path at which the inserted pedestrian starts and stops, m: a lane and a
+half.
+"""
 LEAST_MPS = 3.0
 """Least speed of the ego for the time at which it meets the pedestrian, m/s."""
 AROUND_S = 60.0
-"""The pedestrian's track extends this long beyond the log, s: more than time and speed can remove."""
+"""The pedestrian's track extends this long beyond the log, s: more than time and speed can
+remove.
+"""
 COPY = "copy of "
 Change = Callable[[Scenario, Sequence[str], float], Scenario]
 
@@ -85,7 +102,8 @@ class Variation:
     is_choice: bool = False  # whether only the two bounds are distinct values
 
     def __call__(self, scenario: Scenario, agents: Sequence[str], value: float) -> Scenario:
-        """Return the varied scenario, with its old name and tags; the scenario itself if the value is neutral.
+        """Return the varied scenario, with its old name and tags; the scenario itself if the value
+        is neutral.
 
         Raises:
             ConfigError: The value is out of range, or an agent is unknown.
@@ -112,13 +130,16 @@ class Variation:
 
 
 def varied(scenario: Scenario, agents: Sequence[str], values: Mapping[str, float]) -> Scenario:
-    """Apply several variations in the order of the table, record them, and keep only the ego's start.
+    """Apply several variations in the order of the table, record them, and keep only the ego's
+    start.
 
-    `agents` are varied together; empty: those that the variations insert. `values` are by name of `VARIATIONS`.
+    `agents` are varied together; empty: those that the variations insert. `values` are by name of
+    `VARIATIONS`.
 
     Raises:
         ConfigError: A name or an agent is unknown, or a value out of range.
-        LogError: There is no such scenario: the ego would start off the road, too fast for a curve, or in an agent.
+        LogError: There is no such scenario: the ego would start off the road, too fast for a curve,
+            or in an agent.
     """
     for name in values:
         if name not in VARIATIONS:
@@ -140,7 +161,8 @@ def varied(scenario: Scenario, agents: Sequence[str], values: Mapping[str, float
     about = f" of {', '.join(agents)}" if agents else ""
     notes = (
         f"Varied from {scenario.name}: {changes}{about}.",
-        "Only the start of the ego's log is kept: the drive was recorded in other traffic, so it is no reference here.",
+        "Only the start of the ego's log is kept: the drive was recorded in other traffic, so it "
+        "is no reference here.",
         "A varied track continues straight before the begin and after the end of its recording.",
     )
     entries = {f"{VARIED}.{name}": repr(float(value)) for name, value in ordered.items()}
@@ -170,7 +192,10 @@ def start_of(ego: Trajectory) -> Trajectory:
 
 
 def driven_line(scenario: Scenario) -> ReferenceLine:
-    """Return the ego's driven path from its first state on; straight ahead if the ego drove less than 2 m."""
+    """Return the ego's driven path from its first state on.
+
+    Straight ahead if the ego drove less than 2 m.
+    """
     ego, start = scenario.ego, scenario.ego.state(0)
     path = thinned(np.column_stack([ego.x, ego.y]), 1.0)
     if len(path) < 3:
@@ -204,14 +229,17 @@ def ego_speed(scenario: Scenario, agents: Sequence[str], value: float) -> Scenar
 
 
 def check_start(was: Scenario, now: Scenario) -> None:
-    """Raise LogError if the ego of `now` starts in an impossible state, or in an agent that `was` does not touch."""
+    """Raise LogError if the ego of `now` starts in an impossible state, or in an agent that `was`
+    does not touch.
+    """
     start, before, road = now.ego.state(0), was.ego.state(0), now.road
     if road.is_drivable(before.x, before.y) and not road.is_drivable(start.x, start.y):
         raise LogError("the ego would start off the road", remedy="keep ego_start on it")
     lateral = start.v**2 * abs(start.kappa)
     if lateral > max(LATERAL_MPS2, before.v**2 * abs(before.kappa)):
         raise LogError(
-            f"the ego would start at {start.v:.1f} m/s in a curve of {1.0 / abs(start.kappa):.0f} m radius"
+            f"the ego would start at {start.v:.1f} m/s in a curve of {1.0 / abs(start.kappa):.0f} "
+            "m radius"
         )
     stands_in = [name for name in _touched_agents(now) if name not in _touched_agents(was)]
     if stands_in:
@@ -228,7 +256,9 @@ def _touched_agents(scenario: Scenario) -> list[str]:
 
 
 def places(tracks: Tracks, agents: Sequence[str]) -> list[int]:
-    """Return the indices of agents among the tracks; ConfigError if an agent is unknown, or no agent is named."""
+    """Return the indices of agents among the tracks; ConfigError if an agent is unknown, or no
+    agent is named.
+    """
     missing = [agent for agent in agents if agent not in tracks.ids]
     if missing or not agents:
         what = f"no agent is called '{missing[0]}'" if missing else "no agent is named"
@@ -385,10 +415,11 @@ def standing_car(scenario: Scenario, agents: Sequence[str], value: float) -> Sce
 
 
 def continued(was: Scenario, now: Scenario) -> Tracks:
-    """Return the tracks of `now`; tracks shifted in time since `was` are extended if the log's begin or end cut them.
+    """Return the tracks of `now`; tracks shifted in time since `was` are extended if the log's
+    begin or end cut them.
 
-    `was` holds the inserted road users, too; a copy is compared with its original. Samples far outside the log are
-    removed.
+    `was` holds the inserted road users, too; a copy is compared with its original. Samples far
+    outside the log are removed.
     """
     tracks, end, changed = now.tracks, now.duration, {}
     known = {name: i for i, name in enumerate(was.tracks.ids)}
@@ -414,7 +445,9 @@ def continued(was: Scenario, now: Scenario) -> Tracks:
 
 
 def _straight(row: FloatArray, vx: float, vy: float, t: FloatArray) -> FloatArray:
-    """Return samples at `t` `(k,)` of an agent that passes a sample (6,) at constant velocity, or stands."""
+    """Return samples at `t` `(k,)` of an agent that passes a sample (6,) at constant velocity, or
+    stands.
+    """
     vx, vy = (vx, vy) if hypot(vx, vy) >= STANDING_MPS else (0.0, 0.0)
     one, late = np.ones(len(t)), t - row[0]
     return np.column_stack(
@@ -429,7 +462,8 @@ _TABLE = (
         1.0,
         500.0,
         nan,
-        "an adult crosses the ego's path from the right at this distance from its start, and is in its middle when "
+        "an adult crosses the ego's path from the right at this distance from its start, and is in "
+        "its middle when "
         "the front of an ego at constant speed arrives",
         pedestrian,
         of=WALKER,

@@ -1,4 +1,5 @@
-"""Reads maps that replace a log's own road (`--map`, `[log] map`), with a table of readers tried in order.
+"""Reads maps that replace a log's own road (`--map`, `[log] map`), with a table of readers tried in
+order.
 
 A new format needs one file with a `MapReader` and one line in `BUILTIN`.
 """
@@ -40,7 +41,9 @@ def map_files(path: Path) -> tuple[Path, ...]:
 
 
 def read_map(path: Path, settings: LogSettings | None = None) -> MapFile:
-    """Read a map of any format, in its own coordinates; LogError, and nothing else, if it is none or damaged."""
+    """Read a map of any format, in its own coordinates; LogError, and nothing else, if it is none
+    or damaged.
+    """
     reader = map_reader_of(path)
     settings = settings or LogSettings()
     stamps = tuple(
@@ -58,11 +61,15 @@ def _read(
     stamps: tuple[tuple[Path, int, int], ...],
     settings: tuple[tuple[str, str], ...],
 ) -> MapFile:
-    """Read the map once for all logs and windows, as long as its files and the settings do not change."""
+    """Read the map once for all logs and windows, as long as its files and the settings do not
+    change.
+    """
     return reader.read(path, dict(settings))
 
 
 def with_map(scenario: Scenario, settings: LogSettings) -> Scenario:
-    """Put the scenario on the map that the settings name; LogError if it cannot be read or does not fit the drive."""
+    """Put the scenario on the map that the settings name; LogError if it cannot be read or does not
+    fit the drive.
+    """
     path = Path(settings.map)
     return on_map(scenario, read_map(path, settings), path, map_reader_of(path).name)

@@ -1,20 +1,22 @@
 """Reads the road of a 123D log (map.arrow) and its traffic lights over time.
 
-Layers of a map: lanes (0) with successors, neighbours and speed limits; of their groups (1) whether they are in an
-intersection; crosswalks (3); car parks (5) and other drivable areas (6); stop zones (7); road lines (9). Walkways,
-speed bumps and the outlines of intersections are not read.
+Layers of a map: lanes (0) with successors, neighbours and speed limits; of their groups (1) whether
+they are in an intersection; crosswalks (3); car parks (5) and other drivable areas (6); stop zones
+(7); road lines (9). Walkways, speed bumps and the outlines of intersections are not read.
 
-Markings. If the road lines are the boundaries of the lanes themselves, as in Argoverse 2, a boundary has the type of
-its line; else the type of the road lines within `MARK_M` of it.
+Markings. If the road lines are the boundaries of the lanes themselves, as in Argoverse 2, a
+boundary has the type of its line; else the type of the road lines within `MARK_M` of it.
 
-Stop lines. A stop zone names lanes, and lies on them or on their predecessors. The stop line is at the point where the
-centre line enters the zone. For a zone at the begin of a lane in a junction, it lies at the ends of that lane's
-predecessors, and applies to the way onto the lane. A zone of a traffic light identifies the light by its lane.
+Stop lines. A stop zone names lanes, and lies on them or on their predecessors. The stop line is at
+the point where the centre line enters the zone. For a zone at the begin of a lane in a junction, it
+lies at the ends of that lane's predecessors, and applies to the way onto the lane. A zone of a
+traffic light identifies the light by its lane.
 
-Lights. A light has the id of the lane that it controls. For a light without a stop zone, the stop line is at the ends
-of that lane's predecessors.
+Lights. A light has the id of the lane that it controls. For a light without a stop zone, the stop
+line is at the ends of that lane's predecessors.
 
-Route. nuPlan's logs name the groups of lanes (roadblocks) of their route in `custom.scenario`: `Road.route`.
+Route. nuPlan's logs name the groups of lanes (roadblocks) of their route in `custom.scenario`:
+`Road.route`.
 
 Maps. The log's own map is preferred to the map of its place in the data root,
 `maps/<dataset>/<dataset>_<location>.arrow` in a folder above the log.
@@ -100,10 +102,12 @@ def road_of_map(
     notes: list[str] | None = None,
     route: Sequence[int] = (),
 ) -> Road:
-    """Read the road of a map file (module docstring), `origin` subtracted from all points, m; with notes.
+    """Read the road of a map file (module docstring), `origin` subtracted from all points, m; with
+    notes.
 
-    Objects farther than `REACH_M` outside the bounding box of the places `near` `(k, 2)`, in the map's coordinates, are
-    left out. `route` are the ids of the groups of lanes that the log's route leads through.
+    Objects farther than `REACH_M` outside the bounding box of the places `near` `(k, 2)`, in the
+    map's coordinates, are left out. `route` are the ids of the groups of lanes that the log's route
+    leads through.
 
     Raises:
         LogError: The file is no such map, or has no lanes that can be used.
@@ -116,7 +120,8 @@ def road_of_map(
         chosen = [(i, f) for i, f, _ in objects.of(LANE) if _is_near(f.get("left_boundary"), near)]
         if len(chosen) < len(objects.of(LANE)):
             notes.append(
-                f"Of the map's {len(objects.of(LANE))} lanes those within {REACH_M:.0f} m are read: {len(chosen)}."
+                f"Of the map's {len(objects.of(LANE))} lanes those within {REACH_M:.0f} m are "
+                f"read: {len(chosen)}."
             )
         marks = _marks(objects, chosen, near, notes)
         version = tuple(
@@ -128,7 +133,8 @@ def road_of_map(
         )
         if swapped:
             notes.append(
-                "Lanes inside crossings have predecessors and successors swapped before py123d 0.5.0: put right."
+                "Lanes inside crossings have predecessors and successors swapped before py123d "
+                "0.5.0: put right."
             )
         crossing = {
             i
@@ -265,7 +271,9 @@ def _marks(
     near: FloatArray | None,
     notes: list[str],
 ) -> dict[Any, str]:
-    """Return the marking by (lane, side): that of the boundary's own line, else the commonest along most of it."""
+    """Return the marking by (lane, side): that of the boundary's own line, else the commonest along
+    most of it.
+    """
     lines = [
         (line_of_wkb(g), int(f.get("road_line_type") or 0)) for _, f, g in objects.of(ROAD_LINE)
     ]
@@ -334,7 +342,10 @@ def stop_lines(
     lanes: Mapping[int, Lane],
     notes: list[str],
 ) -> tuple[StopLine, ...]:
-    """Return the stop lines of stop zones (module docstring); a zone that lies on none of its lanes is left out."""
+    """Return the stop lines of stop zones (module docstring).
+
+    A zone that lies on none of its lanes is left out.
+    """
     feeding, found, lost = predecessors(lanes), list[StopLine](), 0
     for f, ring in zones:
         named = [lanes[i] for i in _ids(f.get("lane_ids")) if i in lanes]
@@ -365,7 +376,8 @@ def stop_lines(
                 found.append(StopLine(len(found), across, ends, light, kind == ZONE_STOP, ways))
     if lost:
         notes.append(
-            f"{lost} of {len(zones)} stop zones lie on none of the lanes that they name and are left out."
+            f"{lost} of {len(zones)} stop zones lie on none of the lanes that they name and are "
+            "left out."
         )
     joined: dict[Any, StopLine] = {}  # equal lines at the same place are merged
     for line in found:
@@ -379,7 +391,9 @@ def stop_lines(
 
 
 def _entry_into_outline(lane: Lane, ring: FloatArray) -> float | None:
-    """Return the relative length at which a lane's centre line enters an outline; None if it does not."""
+    """Return the relative length at which a lane's centre line enters an outline; None if it does
+    not.
+    """
     points = dense(lane.center, STEP_M)
     within = [inside(x, y, ring) for x, y in points]
     return within.index(True) / (len(points) - 1) if any(within) else None
@@ -393,7 +407,9 @@ UP = 6
 
 
 def map_of(folder: Path, about: Mapping[Any, Any]) -> Path | None:
-    """Return the log's own map, else that of its place in the data root above it, or None; LogError as in `beside`."""
+    """Return the log's own map, else that of its place in the data root above it, or None; LogError
+    as in `beside`.
+    """
     own = beside(folder, ("map.arrow",))
     if own is not None:
         return own
@@ -413,7 +429,10 @@ def map_of(folder: Path, about: Mapping[Any, Any]) -> Path | None:
 
 
 def _route_of(folder: Path) -> tuple[int, ...]:
-    """Return the groups of lanes of the route that nuPlan's logs name; empty where there is none."""
+    """Return the groups of lanes of the route that nuPlan's logs name.
+
+    Empty where there is none.
+    """
     path = folder / SCENARIO
     if not path.is_file():
         return ()
@@ -434,7 +453,10 @@ def road_of(
     start_us: int,
     notes: list[str],
 ) -> tuple[Road, tuple[TrafficLight, ...]]:
-    """Read the road and the lights of a log, t = 0 at `start_us`; without lanes, the road is the driven path."""
+    """Read the road and the lights of a log, t = 0 at `start_us`.
+
+    Without lanes, the road is the driven path.
+    """
     lights = _observed_lights(folder, start_us, notes)
     path, road = map_of(folder, about), None
     if path is not None:
@@ -448,7 +470,8 @@ def road_of(
     if road is None:
         if lights:
             notes.append(
-                f"The log's {len(lights)} traffic lights are left out, as there are no lanes that they are for."
+                f"The log's {len(lights)} traffic lights are left out, as there are no lanes that "
+                "they are for."
             )
         return road_along(ego, notes), ()
     lacking = sum(
@@ -479,11 +502,13 @@ def road_of(
             number += 1
     if lost:
         notes.append(
-            f"{lost} of {len(lights)} traffic lights are for lanes that are not in the map and are left out."
+            f"{lost} of {len(lights)} traffic lights are for lanes that are not in the map and are "
+            "left out."
         )
     if lights:
         notes.append(
-            "A light stands where the lanes end that lead to its lane, or at the stop zone that lies on them."
+            "A light stands where the lanes end that lead to its lane, or at the stop zone that "
+            "lies on them."
         )
     wanted = {line.light for line in lines}
     return replace(road, stop_lines=tuple(lines)), tuple(
@@ -505,7 +530,8 @@ def _observed_lights(folder: Path, start_us: int, notes: list[str]) -> tuple[Tra
         unknown = status >= UNKNOWN
         if unknown.any():
             notes.append(
-                f"{unknown.sum()} of {len(status)} observations of traffic lights are of no colour: taken as off."
+                f"{unknown.sum()} of {len(status)} observations of traffic lights are of no "
+                "colour: taken as off."
             )
         colours = [COLOURS[s] if 0 <= s < len(COLOURS) else Colour.OFF for s in status]
         lights = []

@@ -1,9 +1,12 @@
-"""The classes of map readers and maps; puts a scenario on a map, and refuses maps that do not fit the drive.
+"""The classes of map readers and maps; puts a scenario on a map, and refuses maps that do not fit
+the drive.
 
-(1) The ego's path is sampled every `STEP_M`, so that a standing car has no more weight than a moving one. A point is on
-    the map if it lies on a drivable lane, and along it if the ego drives along such a lane (`replan.logs.route.on_lane`).
+(1) The ego's path is sampled every `STEP_M`, so that a standing car has no more weight than a
+    moving one. A point is on the map if it lies on a drivable lane, and along it if the ego drives
+    along such a lane (`replan.logs.route.on_lane`).
 
-The map is refused if less than `LEAST_SHARE` of the points are on it, or less than that share of those are along it.
+The map is refused if less than `LEAST_SHARE` of the points are on it, or less than that share of
+those are along it.
 """
 
 from __future__ import annotations
@@ -73,7 +76,8 @@ class MapReader:
 def on_map(scenario: Scenario, found: MapFile, path: Path, kind: str) -> Scenario:
     """Replace the scenario's road by that of the map; LogError if it does not fit the drive.
 
-    Lights that no stop line of the map names are left out, and so are notes that the log has no lanes.
+    Lights that no stop line of the map names are left out, and so are notes that the log has no
+    lanes.
     """
     origin = np.array(scenario.origin)
     road = placed_road(found.road, lambda points: points - origin)
@@ -99,7 +103,8 @@ def on_map(scenario: Scenario, found: MapFile, path: Path, kind: str) -> Scenari
         else f"the log's own {len(own.lanes)} lanes"
     )
     notes.append(
-        f"The road is the {kind} map {path.name} ({len(road.lanes)} lanes, {found.frame}) instead of {lanes}."
+        f"The road is the {kind} map {path.name} ({len(road.lanes)} lanes, {found.frame}) instead "
+        f"of {lanes}."
     )
     notes += [f"{path.name}: {note}" for note in found.notes]
     if not on.all():
@@ -122,7 +127,8 @@ def on_map(scenario: Scenario, found: MapFile, path: Path, kind: str) -> Scenari
     lost = len(scenario.lights) - len(lights)
     if lost:
         notes.append(
-            f"{lost} traffic lights of the log are left out: no stop line of {path.name} names them."
+            f"{lost} traffic lights of the log are left out: no stop line of {path.name} names "
+            "them."
         )
     return replace(
         scenario,
@@ -134,7 +140,9 @@ def on_map(scenario: Scenario, found: MapFile, path: Path, kind: str) -> Scenari
 
 
 def _check_fit(found: MapFile, path: Path, lanes: list[Lane], ego: Trajectory) -> BoolArray:
-    """Return which points of the path (1) lie on lanes; LogError if the map lies elsewhere or points the other way."""
+    """Return which points of the path (1) lie on lanes; LogError if the map lies elsewhere or
+    points the other way.
+    """
     driven = arc_lengths(ego.x, ego.y)
     at = np.unique(np.searchsorted(driven, np.arange(0.0, driven[-1] + 1e-9, STEP_M)))
     x, y, yaw = ego.x[at], ego.y[at], ego.yaw[at]
@@ -152,16 +160,23 @@ def _check_fit(found: MapFile, path: Path, lanes: list[Lane], ego: Trajectory) -
         tree = cKDTree(np.vstack([lane.polygon for lane in lanes]))
         away = np.asarray(tree.query(np.column_stack([x, y]))[0])
         raise LogError(
-            f"the map {path} does not fit the drive: {100.0 * on.mean():.0f} % of the driven path lies on its drivable"
-            f" lanes, at least {100.0 * LEAST_SHARE:.0f} % must; the nearest lane is {away.min():.0f} m away at the"
+            f"the map {path} does not fit the drive: {100.0 * on.mean():.0f} % of the driven path "
+            "lies on its drivable"
+            f" lanes, at least {100.0 * LEAST_SHARE:.0f} % must; the nearest lane is "
+            f"{away.min():.0f} m away at the"
             f" nearest, {away.max():.0f} m at the farthest (coordinates: {found.frame})",
-            remedy="give the map of that place, or name the origin of its coordinates as [log] map_origin",
+            remedy=(
+                "give the map of that place, or name the origin of its coordinates as [log] "
+                "map_origin"
+            ),
         )
     share = float(along.sum() / on.sum())
     if share < LEAST_SHARE:
         raise LogError(
-            f"the map {path} does not fit the drive: of the driven path on its lanes {100.0 * share:.0f} % goes along"
-            f" them, at least {100.0 * LEAST_SHARE:.0f} % must: most of it is against or across their direction",
+            f"the map {path} does not fit the drive: of the driven path on its lanes "
+            f"{100.0 * share:.0f} % goes along"
+            f" them, at least {100.0 * LEAST_SHARE:.0f} % must: most of it is against or across "
+            "their direction",
             remedy="correct the directions of its lanes, or the log's headings",
         )
     return on

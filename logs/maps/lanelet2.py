@@ -1,19 +1,21 @@
 """Reads Lanelet2 maps: makes a road from lanelets (`lanelet2_lanes`) and regulatory elements.
 
-Source of stop lines, crosswalks and right of way: Lanelet2, "RegulatoryElementTagging.md"; autoware_lanelet2_extension,
-"extra_regulatory_elements.md".
+Source of stop lines, crosswalks and right of way: Lanelet2, "RegulatoryElementTagging.md";
+autoware_lanelet2_extension, "extra_regulatory_elements.md".
 
-A stop line (role ref_line; without one: at the lanelet's end) lies across the lanelet that names the element. If it is
-at that lanelet's begin, as in junctions of Autoware's maps, it lies across the preceding lanelets and applies to the
-way into this one. An element that no lanelet names belongs to the lanelets whose centre line its line crosses in the
-second half. The light of a stop line has the id of the regulatory element, as in Autoware's messages; other ids that
-logs may use (its ways, `traffic_light_id`) are its aliases.
+A stop line (role ref_line; without one: at the lanelet's end) lies across the lanelet that names
+the element. If it is at that lanelet's begin, as in junctions of Autoware's maps, it lies across
+the preceding lanelets and applies to the way into this one. An element that no lanelet names
+belongs to the lanelets whose centre line its line crosses in the second half. The light of a stop
+line has the id of the regulatory element, as in Autoware's messages; other ids that logs may use
+(its ways, `traffic_light_id`) are its aliases.
 
-Drivable ground beside the lanelets: areas (multipolygons) of the subtypes parking and freespace without holes, and
-Autoware's parking lots and intersection areas. A lanelet that names an intersection area is in an intersection.
+Drivable ground beside the lanelets: areas (multipolygons) of the subtypes parking and freespace
+without holes, and Autoware's parking lots and intersection areas. A lanelet that names an
+intersection area is in an intersection.
 
-A lanelet that yields waits for the lanelets with right of way that it meets; if the element names lanelets before the
-junction, the rule applies to their successors.
+A lanelet that yields waits for the lanelets with right of way that it meets; if the element names
+lanelets before the junction, the rule applies to their successors.
 """
 
 from __future__ import annotations
@@ -46,7 +48,9 @@ AT_BEGIN_M = 1.5
 """A stop line nearer to a lane's begin lies across the preceding lanes, m."""
 SPACING_M = 0.5
 ASIDE_M = 1.0
-"""For lines that no lanelet names, lines (on each side) and lanes (at the end) are extended by this, m."""
+"""For lines that no lanelet names, lines (on each side) and lanes (at the end) are extended by
+this, m.
+"""
 _STOP = ("stop", "stop_sign", "de206", "206", "usR1-1", "R1-1")
 _YIELD = ("yield", "give_way", "de205", "205", "usR1-2", "R1-2")
 _GROUND, _AREAS = ("parking_lot", "intersection_area"), ("parking", "freespace")
@@ -62,7 +66,9 @@ _READ = (
 
 
 def read_lanelet2(path: Path, settings: Mapping[str, str]) -> MapFile:
-    """Read a map; LogError if it is none, has no drivable lane, or its points have no coordinates."""
+    """Read a map; LogError if it is none, has no drivable lane, or its points have no
+    coordinates.
+    """
     osm, notes = read_osm(path), list[str]()
     with in_file(path), reading((ValueError, OverflowError)):
         nodes, frame, xy = placed_points(osm, path, settings)
@@ -105,7 +111,8 @@ def read_lanelet2(path: Path, settings: Mapping[str, str]) -> MapFile:
         drawn = sum(1 for each in osm.relations.values() for _ in each.named("centerline"))
         if drawn:
             notes.append(
-                f"{drawn} drawn centre lines are not read: the middle between the boundaries counts."
+                f"{drawn} drawn centre lines are not read: the middle between the boundaries "
+                "counts."
             )
         unread = (each for name, each in osm.relations.items() if not areas.get(name))
         others = Counter(each.tags.get("type", "without type") for each in unread)
@@ -118,7 +125,10 @@ def read_lanelet2(path: Path, settings: Mapping[str, str]) -> MapFile:
 
 
 def _outline(osm: Osm, area: Element, rows: Mapping[int, int]) -> Sequence[int]:
-    """Return the closed outline of a multipolygon; empty if it has a hole, or its ways do not join."""
+    """Return the closed outline of a multipolygon.
+
+    Empty if it has a hole, or its ways do not join.
+    """
     ways = [list(way_points(osm.ways[ref], rows)) for ref in area.named("outer") if ref in osm.ways]
     if not ways or not all(ways) or any(True for _ in area.named("inner")):
         return ()
@@ -141,7 +151,9 @@ def _height(node: Element) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Rules:
-    """The rules of the regulatory elements; `yields` has the lanes with right of way by the yielding lane."""
+    """The rules of the regulatory elements; `yields` has the lanes with right of way by the
+    yielding lane.
+    """
 
     stop_lines: tuple[StopLine, ...]
     crosswalks: tuple[Crosswalk, ...]
@@ -204,7 +216,8 @@ def rules_of(
                 stop_lines.append(replace(line, id=number, light=light, must_stop=must_stop))
     if unnamed:
         notes.append(
-            f"{unnamed} regulatory elements with a stop line are named by no lanelet: placed by their lines."
+            f"{unnamed} regulatory elements with a stop line are named by no lanelet: placed by "
+            "their lines."
         )
     if lost:
         notes.append(f"{lost} stop lines of regulatory elements lie across no lane: left out.")
@@ -257,7 +270,9 @@ def rules_of(
 def _demands(
     held: _Map, element: Element
 ) -> Iterator[tuple[Sequence[int], list[int], int | None, bool]]:
-    """Yield the demands of an element: the lanes that name it, its stop lines, its light, whether all must stop."""
+    """Yield the demands of an element: the lanes that name it, its stop lines, its light, whether
+    all must stop.
+    """
     subtype, lines = element.tags.get("subtype"), list(element.named("ref_line"))
     owners = held.by_rule.get(element.id, ())
     if subtype == "traffic_light":
@@ -309,7 +324,10 @@ def _stop_lines_of(held: _Map, owners: Sequence[int], ways: Sequence[int]) -> It
 
 
 def clipped(lane: Lane, line: FloatArray) -> FloatArray:
-    """Return the part `(2, 2)` of a line between a lane's boundaries; the whole line if it does not cross both."""
+    """Return the part `(2, 2)` of a line between a lane's boundaries.
+
+    The whole line if it does not cross both.
+    """
     first, last = line
     cuts = [crossings(first, last, bound) for bound in (lane.left, lane.right)]
     if not len(cuts[0]) or not len(cuts[1]) or abs(cuts[0][0] - cuts[1][0]) < 1e-9:
@@ -319,7 +337,9 @@ def clipped(lane: Lane, line: FloatArray) -> FloatArray:
 
 
 def crossings(first: FloatArray, last: FloatArray, line: FloatArray) -> FloatArray:
-    """Return where the segment between two points crosses a polyline `(n, 2)`, as parts of the segment, 0 to 1."""
+    """Return where the segment between two points crosses a polyline `(n, 2)`, as parts of the
+    segment, 0 to 1.
+    """
     along, piece, gap = last - first, np.diff(line, axis=0), line[:-1] - first
     with np.errstate(divide="ignore", invalid="ignore"):
         turn = along[0] * piece[:, 1] - along[1] * piece[:, 0]

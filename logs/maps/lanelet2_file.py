@@ -1,14 +1,18 @@
-"""Reads Lanelet2 files (.osm): OpenStreetMap XML as plain records, and the coordinates of their points.
+"""Reads Lanelet2 files (.osm): OpenStreetMap XML as plain records, and the coordinates of their
+points.
 
-The file is read as a stream: no tree is built, so that its depth is harmless. A document type declaration, which such
-files do not have and in which entities could grow without bound, is refused before anything in it is expanded.
+The file is read as a stream: no tree is built, so that its depth is harmless. A document type
+declaration, which such files do not have and in which entities could grow without bound, is refused
+before anything in it is expanded.
 
 Plane coordinates, the first of these that the map and the settings give:
 
-(1) `[log] map_origin`: latitudes and longitudes in this projection (`replan.logs.maps.projections`);
+(1) `[log] map_origin`: latitudes and longitudes in this projection
+    (`replan.logs.maps.projections`);
 (2) `local_x` and `local_y` of every point, as in Autoware's maps;
 (3) the projection in `map_projector_info.yaml` beside the map, as in Autoware;
-(4) within `NEAR_NULL_DEG` of latitude 0, longitude 0, as in CARLA's towns: transverse Mercator about that place;
+(4) within `NEAR_NULL_DEG` of latitude 0, longitude 0, as in CARLA's towns: transverse Mercator
+    about that place;
 (5) else the MGRS square of the first point, Autoware's default.
 """
 
@@ -26,7 +30,10 @@ from replan.core.files import read_xml, refuse_doctype
 from replan.logs.maps.projections import UTM_SCALE, Projection, check_on_earth, parse_projection
 
 NEW_ID = 10**12
-"""Editors number new elements -1, -2 ...; such an id i becomes `NEW_ID` - i, as replan's ids are not negative."""
+"""Editors number new elements -1, -2 ....
+
+Such an id i becomes `NEW_ID` - i, as replan's ids are not negative.
+"""
 PROJECTOR_INFO = "map_projector_info.yaml"
 NEAR_NULL_DEG = 0.1
 LARGEST_M = 1e9
@@ -151,7 +158,9 @@ def real(text: str, place: str) -> float:
 def placed_points(
     osm: Osm, path: Path, settings: Mapping[str, str]
 ) -> tuple[list[Element], str, FloatArray]:
-    """Return the points of all ways, the origin of their coordinates in words, and the coordinates `(n, 2)`, m."""
+    """Return the points of all ways, the origin of their coordinates in words, and the coordinates
+    `(n, 2)`, m.
+    """
     used = dict.fromkeys(
         node for way in osm.ways.values() for node in way.nodes if node in osm.nodes
     )
@@ -169,7 +178,8 @@ def placed_points(
     places = [node.place for node in nodes if node.place is not None]
     if len(places) < len(nodes):
         raise LogError(
-            f"{len(nodes) - len(places)} of {len(nodes)} points have neither local_x and local_y nor lat and lon",
+            f"{len(nodes) - len(places)} of {len(nodes)} points have neither local_x and local_y "
+            "nor lat and lon",
             remedy="give every point its place",
         )
     (lat, lon), info = places[0], path.with_name(PROJECTOR_INFO)

@@ -1,20 +1,27 @@
-"""Makes lanes from lanelets: paired boundaries, successors, neighbours, where cars may drive and cross.
+"""Makes lanes from lanelets: paired boundaries, successors, neighbours, where cars may drive and
+cross.
 
-Source: Lanelet2, "LaneletAndAreaTagging.md", "LinestringTagging.md" and "GenericTrafficRules.cpp" (Poggenhans et al.,
-ITSC 2018); a `speed_limit` without a unit is in km/h. A lanelet's boundaries are reversed if needed
+Source: Lanelet2, "LaneletAndAreaTagging.md", "LinestringTagging.md" and "GenericTrafficRules.cpp"
+(Poggenhans et al., ITSC 2018); a `speed_limit` without a unit is in km/h. A lanelet's boundaries
+are reversed if needed
 
-(1) so that the right one begins beside the begin of the left one: |l_0 - r_0| + |l_n - r_m| <= |l_0 - r_m| + |l_n -
-r_0| (2) and so that the left one is on the left: the outline (left forwards, right backwards) runs clockwise.
+(1) so that the right one begins beside the begin of the left one:
+        |l_0 - r_0| + |l_n - r_m| <= |l_0 - r_m| + |l_n -
+r_0| (2) and so that the left one is on the left: the outline (left forwards, right backwards) runs
+    clockwise.
 
-(3) Their points are paired in order, with the least sum of squared widths over all pairs (dynamic time warping): pairs
-    lie across the lane also in bends, where one boundary is longer.
+(3) Their points are paired in order, with the least sum of squared widths
+        over all pairs (dynamic time warping): pairs lie across the lane also in bends, where one
+        boundary is longer.
 
-Lanelet B is a successor of A if both boundaries of A end where those of B begin; it is a neighbour of A if they share a
-whole boundary. In Lanelet2, shared means the same point and the same way. As many maps have separate points and ways,
-ends nearer than `SAME_M` are one point, and ways between the same ends that differ by less than `ALIKE_M` are one way.
+Lanelet B is a successor of A if both boundaries of A end where those of B begin; it is a neighbour
+of A if they share a whole boundary. In Lanelet2, shared means the same point and the same way. As
+many maps have separate points and ways, ends nearer than `SAME_M` are one point, and ways between
+the same ends that differ by less than `ALIKE_M` are one way.
 
-A painted marking may be crossed from its dashed side, or if `lane_change` allows it; a kerb, wall or border may not be
-crossed; a virtual boundary, or one without a type, may be crossed, as the road has no marking there.
+A painted marking may be crossed from its dashed side, or if `lane_change` allows it; a kerb, wall
+or border may not be crossed; a virtual boundary, or one without a type, may be crossed, as the road
+has no marking there.
 """
 
 from __future__ import annotations
@@ -35,7 +42,9 @@ from replan.logs.maps.strips import resampled
 from replan.logs.road import IN_JUNCTION, Lane
 
 SAME_M = 0.05
-"""Ends nearer than this are one point, m: less than the distance of the two parts of a double line."""
+"""Ends nearer than this are one point, m: less than the distance of the two parts of a double
+line.
+"""
 ALIKE_M = 0.2
 LONGEST_PIECE_M, SHORTEST_PIECE_M = 2.0, 0.25
 """Longest piece of a boundary, and shortest piece of a centre line, m."""
@@ -44,7 +53,9 @@ LONGEST_M = 20_000.0
 MOST_HERE = 100
 """The greatest number of lanelets that begin at one place or share a boundary."""
 MOST = 1000
-"""Greatest number of pieces of a boundary: time and memory of (3) grow with the product of both sides' pieces."""
+"""Greatest number of pieces of a boundary: time and memory of (3) grow with the product of both
+sides' pieces.
+"""
 _DRIVABLE = frozenset({"road", "highway", "play_street", "exit"})
 _OPEN = frozenset(
     {"", "virtual", "stop_line", "pedestrian_marking", "bike_marking", "zebra_marking", "keepout"}
@@ -61,7 +72,9 @@ Points = tuple[int, ...]
 
 @dataclass(frozen=True)
 class Bound:
-    """A lanelet's boundary: its points, the way's tags, and whether the way runs against the lane."""
+    """A lanelet's boundary: its points, the way's tags, and whether the way runs against the
+    lane.
+    """
 
     points: Points
     tags: Mapping[str, str]
@@ -106,7 +119,10 @@ class DirectedLanelet:
 
 
 def joined(xyz: FloatArray, ends: Sequence[int]) -> dict[int, int]:
-    """Number the rows `ends` of points `(n, 3)`; points nearer than `SAME_M` get the same number."""
+    """Number the rows `ends` of points `(n, 3)`.
+
+    Points nearer than `SAME_M` get the same number.
+    """
     from scipy.sparse import coo_array  # imported late: slow to load
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
@@ -127,7 +143,9 @@ def joined(xyz: FloatArray, ends: Sequence[int]) -> dict[int, int]:
 def strips_of(
     osm: Osm, rows: Mapping[int, int], xy: FloatArray, notes: list[str]
 ) -> list[DirectedLanelet]:
-    """Return the lanelets in the file's order, followed by reversed copies of those for both directions."""
+    """Return the lanelets in the file's order, followed by reversed copies of those for both
+    directions.
+    """
     strips, broken = [], 0
     lanelets = [each for each in osm.relations.values() if each.tags.get("type") == "lanelet"]
     for lanelet in lanelets:
@@ -145,7 +163,8 @@ def strips_of(
         )
     if broken:
         notes.append(
-            f"{broken} of {len(lanelets)} lanelets are dropped: they lack a left or a right boundary."
+            f"{broken} of {len(lanelets)} lanelets are dropped: they lack a left or a right "
+            "boundary."
         )
     free = 1 + max((strip.id for strip in strips), default=0)
     both = [strip for strip in strips if strip.two_way]
@@ -197,7 +216,9 @@ def paired(left: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArray]
 
 @kernel
 def _pairs(a: FloatArray, b: FloatArray) -> tuple[IntArray, IntArray]:
-    """Return the rows of two polylines that face each other: the cheapest sequence of pairs by (3)."""
+    """Return the rows of two polylines that face each other: the cheapest sequence of pairs by
+    (3).
+    """
     n, m = len(a), len(b)
     cost = np.empty((n, m))
     for i in range(n):
@@ -229,7 +250,10 @@ def _pairs(a: FloatArray, b: FloatArray) -> tuple[IntArray, IntArray]:
 
 
 def divided(line: FloatArray, longest: float, most: float) -> FloatArray:
-    """Divide a polyline into pieces of at most `longest` m; if there are more than `most`, resample it evenly."""
+    """Divide a polyline into pieces of at most `longest` m.
+
+    If there are more than `most`, resample it evenly.
+    """
     s = arc_lengths(*line.T)
     parts = np.maximum(1.0, np.ceil(np.diff(s) / longest))
     if parts.sum() > most:
@@ -246,7 +270,9 @@ def divided(line: FloatArray, longest: float, most: float) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class _Beside:
-    """Tables of the lanes that begin at an end, and that have a boundary between two ends on their left or right."""
+    """Tables of the lanes that begin at an end, and that have a boundary between two ends on their
+    left or right.
+    """
 
     xy: FloatArray
     ends: Mapping[int, int]
@@ -277,7 +303,9 @@ class _Beside:
         return tuple(i for i in self.begins[key] if i != strip.id)
 
     def neighbour(self, strip: DirectedLanelet, side: str, *, same: bool) -> int | None:
-        """Return the lane that shares a lanelet's boundary on a side, in the same or opposite direction."""
+        """Return the lane that shares a lanelet's boundary on a side, in the same or opposite
+        direction.
+        """
         bound = getattr(strip, side).points if same else getattr(strip, side).points[::-1]
         across = side if not same else "left" if side == "right" else "right"
         key = self.ends[bound[0]], self.ends[bound[-1]], strip.drivable
@@ -338,13 +366,16 @@ def lanes_of(
     doubled = len(beside.ends) - len(set(beside.ends.values()))
     if doubled:
         notes.append(
-            f"{doubled} ends of boundaries lie within {SAME_M} m of another one: they are taken as the same."
+            f"{doubled} ends of boundaries lie within {SAME_M} m of another one: they are taken as "
+            "the same."
         )
     return lanes
 
 
 def crossable(bound: Bound, *, near: int) -> bool:
-    """Return whether a car on the lane may cross its boundary; `near`: index of a double marking's near part."""
+    """Return whether a car on the lane may cross its boundary; `near`: index of a double marking's
+    near part.
+    """
     allowed = next((bound.tags[key] for key in _keys("lane_change") if key in bound.tags), None)
     if allowed is not None:
         return allowed in ("yes", "true", "1")
@@ -360,7 +391,9 @@ def _keys(key: str) -> tuple[str, ...]:
 
 
 def speed_in(text: str) -> float:
-    """Parse a speed ("50", "30 mph", "8.3 m/s", "de274-60"), m/s; NaN if there is no positive speed."""
+    """Parse a speed ("50", "30 mph", "8.3 m/s", "de274-60"), m/s; NaN if there is no positive
+    speed.
+    """
     sign = _SIGN_274.fullmatch(text)
     found = _SPEED.fullmatch(sign[1] if sign is not None else text.strip().lower())
     if found is None or float(found[1]) <= 0.0 or float(found[1]) >= 1e4:

@@ -1,14 +1,17 @@
-"""OpenDRIVE maps (.xodr), their geometry evaluated by pyxodr (extra `opendrive`): lanes, links, markings, limits.
+"""OpenDRIVE maps (.xodr), their geometry evaluated by pyxodr (extra `opendrive`): lanes, links,
+markings, limits.
 
-Source: ASAM OpenDRIVE 1.8, chapters 9 to 11. Each lane of a lane section becomes one lane. If traffic keeps right,
-lanes with negative ids run along the reference line and the others against it; if it keeps left, the reverse.
-The lanes of a junction's roads are in an intersection. Signals, objects and junction priorities are not read.
+Source: ASAM OpenDRIVE 1.8, chapters 9 to 11. Each lane of a lane section becomes one lane. If
+traffic keeps right, lanes with negative ids run along the reference line and the others against it;
+if it keeps left, the reverse. The lanes of a junction's roads are in an intersection. Signals,
+objects and junction priorities are not read.
 
-Roads are read one by one; one that cannot be read is left out and named. Before, each is brought into the form that
-pyxodr knows (`_normalise`). In particular, with the length L of a geometry,
+Roads are read one by one; one that cannot be read is left out and named. Before, each is brought
+into the form that pyxodr knows (`_normalise`). In particular, with the length L of a geometry,
 
 (1) a spiral is an arc of its mean curvature if |curvEnd - curvStart| L^2 / 12 < SLIGHT_M, and
-(2) an arc is a line if |curvature| L^2 / 2 < SLIGHT_M: the largest distances between the two curves.
+(2) an arc is a line if |curvature| L^2 / 2 < SLIGHT_M:
+        the largest distances between the two curves.
 """
 
 from __future__ import annotations
@@ -29,11 +32,18 @@ from replan.logs.maps.base import MapFile, MapReader
 from replan.logs.road import IN_JUNCTION, Lane, Road
 
 RESOLUTION_M = 0.1
-"""Step of pyxodr along the reference line, m; its lanes end within a few cm of the begin of the next ones."""
+"""Step of pyxodr along the reference line, m.
+
+Its lanes end within a few cm of the begin of the next ones.
+"""
 PER_SECTION, STEP_RAD, MOST_POINTS = 3, 0.06, 100_000
-"""The step is shorter where a section has fewer points or a step turns by more, down to this many points of a road."""
+"""The step is shorter where a section has fewer points or a step turns by more, down to this many
+points of a road.
+"""
 SLIGHT_M = 1e-5
-"""A curve that is nearer to a simpler one is read as that one, m: pyxodr divides by what makes the difference."""
+"""A curve that is nearer to a simpler one is read as that one, m: pyxodr divides by what makes the
+difference.
+"""
 NAMED = 5
 """Roads or lanes that a note names; the others are counted."""
 KEPT = 5
@@ -79,7 +89,9 @@ class _Piece:
 
 
 def read_opendrive(path: Path, settings: Mapping[str, str]) -> MapFile:
-    """Read a map; LogError without pyxodr, or if the file is no OpenDRIVE or has no drivable lane."""
+    """Read a map; LogError without pyxodr, or if the file is no OpenDRIVE or has no drivable
+    lane.
+    """
     root = _root(path)
     try:
         from pyxodr.road_objects.road import Road as Geometry
@@ -156,13 +168,15 @@ def _some(found: Sequence[str], one: str, many: str) -> str:
 
 
 def _normalise(road: Element) -> list[str]:
-    """Bring a road into the form that pyxodr reads; returns the lanes that lack what they should have, and what.
+    """Bring a road into the form that pyxodr reads; returns the lanes that lack what they should
+    have, and what.
 
-    Elements are put in the order of s; geometries and lane sections without length go; of a lane's width and border,
-    the width counts (chapter 11.6). Heights are left out: they are not needed.
+    Elements are put in the order of s; geometries and lane sections without length go; of a lane's
+    width and border, the width counts (chapter 11.6). Heights are left out: they are not needed.
 
     Raises:
-        LogError: It has no lanes or no length, or a geometry is of no known shape or leads far away.
+        LogError: It has no lanes or no length, or a geometry is of no known shape or leads far
+            away.
     """
     for parent in (road, *road.iter("planView"), *road.iter("lanes"), *road.iter("lane")):
         parent[:] = sorted(parent, key=_station)
@@ -204,7 +218,9 @@ def _normalise(road: Element) -> list[str]:
 
 
 def _simplify(part: Element) -> None:
-    """Replace a curve by a simpler one that is as good, (1) and (2); LogError if it is none or leads far away."""
+    """Replace a curve by a simpler one that is as good, (1) and (2); LogError if it is none or
+    leads far away.
+    """
     length, place = float(part.get("length", "nan")), f"its geometry at s = {part.get('s')}"
     curve = next((child for child in part if child.tag in _SHAPES), None)
     if curve is None:
@@ -256,7 +272,9 @@ def _length(road: Element) -> float:
 
 
 def _resolution(road: Element) -> float:
-    """Return the step along the reference line, m, that short lane sections and tight curves need."""
+    """Return the step along the reference line, m, that short lane sections and tight curves
+    need.
+    """
     length = _length(road)
     stations = [*map(_station, road.findall("lanes/laneSection")), length]
     bends = [_number(arc, "curvature") for arc in road.iter("arc")]
@@ -269,7 +287,10 @@ def _resolution(road: Element) -> float:
 
 
 def _fault(road: Element, error: Exception, geometry: Callable[..., Any]) -> str:
-    """Describe why a road cannot be read; the first geometry that cannot be evaluated by itself is named."""
+    """Describe why a road cannot be read.
+
+    The first geometry that cannot be evaluated by itself is named.
+    """
     if isinstance(error, LogError):
         return error.what
     for part in road.findall("planView/geometry"):
@@ -306,13 +327,16 @@ def _pieces(road: Any, before: int) -> Iterator[_Piece]:
 
 
 Joints = Mapping[tuple[int, bool], set[tuple[int, bool]]]
-"""What touches an end of a lane: number of the lane, and whether it is the end in the direction of s."""
+"""What touches an end of a lane: number of the lane, and whether it is the end in the direction of
+s.
+"""
 
 
 def _joints(
     pieces: Sequence[_Piece], root: Element, lines: Mapping[str, Any]
 ) -> tuple[Joints, list[str]]:
-    """Return what the links join, in both directions, and the links that lead to no lane of a road that was read.
+    """Return what the links join, in both directions, and the links that lead to no lane of a road
+    that was read.
 
     A link to a road without `contactPoint` is one to its nearer end.
     """
@@ -408,7 +432,10 @@ def _lanes(pieces: Sequence[_Piece], joints: Joints) -> Iterator[tuple[int, Lane
 
 
 def _crossable(piece: _Piece, *, inner: bool) -> bool:
-    """Return whether the lane's first marking on a side may be crossed; a double marking's near part decides."""
+    """Return whether the lane's first marking on a side may be crossed.
+
+    A double marking's near part decides.
+    """
     step = 1 if piece.place > 0 else -1
     name = piece.place - step if inner else piece.place
     lane = next((e for e in piece.section.iter("lane") if e.get("id") == str(name)), None)

@@ -1,19 +1,24 @@
-"""Projects latitude and longitude (WGS 84, degrees) to plane coordinates (m, x east, y north), as map makers do.
+"""Projects latitude and longitude (WGS 84, degrees) to plane coordinates (m, x east, y north), as
+map makers do.
 
-Transverse Mercator of scale k about a central meridian (Krueger's series to n^4, below 1 um within a UTM zone; Karney,
-J. Geodesy 85, 2011, equations 7 to 12 and 35), phi latitude, lam longitude from the meridian, n third flattening:
+Transverse Mercator of scale k about a central meridian (Krueger's series to n^4, below 1 um within
+a UTM zone; Karney, J. Geodesy 85, 2011, equations 7 to 12 and 35), phi latitude, lam longitude from
+the meridian, n third flattening:
 
 (1) tau = tan phi,  sigma = sinh(e atanh(e tau / sqrt(1 + tau^2))),
     tau' = tau sqrt(1 + sigma^2) - sigma sqrt(1 + tau^2)
 (2) xi' = atan2(tau', cos lam),  eta' = asinh(sin lam / sqrt(tau'^2 + cos^2 lam))
-(3) y + i x = k A (zeta + sum_j alpha_j sin(2 j zeta)),  zeta = xi' + i eta',  A = a / (1 + n) (1 + n^2 / 4 + n^4 / 64)
-(4) UTM: k = 0.9996, meridian in the middle of the zone, 500 km added to x (and 10,000 km to y in the south)
-(5) MGRS: UTM from the south-west corner of a square of 100 km, whose two letters repeat every 18 degrees of longitude
-    and every 2,000 km to the north (the letters of WGS 84 grids: DMA TM 8358.1)
+(3) y + i x = k A (zeta + sum_j alpha_j sin(2 j zeta)),  zeta = xi' + i eta',
+        A = a / (1 + n) (1 + n^2 / 4 + n^4 / 64)
+(4) UTM: k = 0.9996, meridian in the middle of the zone,
+        500 km added to x (and 10,000 km to y in the south)
+(5) MGRS: UTM from the south-west corner of a square of 100 km, whose two letters repeat every 18
+    degrees of longitude and every 2,000 km to the north (the letters of WGS 84 grids: DMA TM
+    8358.1)
 (6) tangent plane: east and north axes of a Cartesian frame at the place, on the ellipsoid
 
-Names in files: Lanelet2's and Autoware Mini's UTM with origin and Autoware's LocalCartesianUTM are "utm LAT, LON";
-Autoware's MGRS is the square's name; CARLA's towns are "tmerc 0, 0".
+Names in files: Lanelet2's and Autoware Mini's UTM with origin and Autoware's LocalCartesianUTM are
+"utm LAT, LON"; Autoware's MGRS is the square's name; CARLA's towns are "tmerc 0, 0".
 """
 
 from __future__ import annotations
@@ -43,14 +48,19 @@ _ALPHA = (
 )
 _COLUMNS = ("ABCDEFGH", "JKLMNPQR", "STUVWXYZ")
 _ROWS = "ABCDEFGHJKLMNPQRSTUV"
-FORMS = '"LAT, LON" or "utm LAT, LON", "tmerc LAT, LON", "enu LAT, LON", "utm", or an MGRS square such as "54SUE"'
+FORMS = (
+    '"LAT, LON" or "utm LAT, LON", "tmerc LAT, LON", "enu LAT, LON", "utm", or an MGRS square '
+    'such as "54SUE"'
+)
 
 Plane = Callable[[FloatArray], FloatArray]
 """Latitudes and longitudes `(n, 2)`, degrees -> x and y `(n, 2)`, m."""
 
 
 def mercator(points: FloatArray, meridian: float, scale: float) -> FloatArray:
-    """Project points `(n, 2)`, degrees, by transverse Mercator (1) to (3): x from the meridian, y from the equator."""
+    """Project points `(n, 2)`, degrees, by transverse Mercator (1) to (3): x from the meridian, y
+    from the equator.
+    """
     phi, lam = np.radians(points[:, 0]), np.radians(points[:, 1] - meridian)
     e, tau = sqrt(_E2), np.tan(phi)
     sigma = np.sinh(e * np.arctanh(e * tau / np.hypot(1.0, tau)))

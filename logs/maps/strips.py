@@ -1,8 +1,10 @@
-"""Makes lanes of a map's left and right boundaries, its candidates for neighbours, and its markings.
+"""Makes lanes of a map's left and right boundaries, its candidates for neighbours, and its
+markings.
 
-Boundaries get the same number of points by relative arc length. A neighbour is in the same direction only if its centre
-line runs the same way beside the middle of the lane: maps list oncoming lanes as neighbours, too. Traffic drives on the
-left if more lanes have the oncoming lane on their right than on their left.
+Boundaries get the same number of points by relative arc length. A neighbour is in the same
+direction only if its centre line runs the same way beside the middle of the lane: maps list
+oncoming lanes as neighbours, too. Traffic drives on the left if more lanes have the oncoming lane
+on their right than on their left.
 """
 
 from __future__ import annotations
@@ -73,7 +75,8 @@ def lanes_of(strips: Sequence[LaneStrip], notes: list[str]) -> tuple[dict[int, L
         )
     if len(lanes) < len(strips):
         notes.append(
-            f"{len(strips) - len(lanes)} of {len(strips)} lanes are left out: their boundaries are no strip."
+            f"{len(strips) - len(lanes)} of {len(strips)} lanes are left out: their boundaries are "
+            "no strip."
         )
     out, balance = {}, 0
     for strip in strips:
@@ -97,7 +100,8 @@ def lanes_of(strips: Sequence[LaneStrip], notes: list[str]) -> tuple[dict[int, L
 
 
 def crossable(mark: str, *, left: bool) -> bool:
-    """Return whether a marking to the left or right may be crossed; for a double line, the near line decides.
+    """Return whether a marking to the left or right may be crossed; for a double line, the near
+    line decides.
 
     Names list the lines from left to right; a missing or unknown line may be crossed.
     """
@@ -106,7 +110,9 @@ def crossable(mark: str, *, left: bool) -> bool:
 
 
 def _same_way(lane: Lane, other: Lane) -> bool:
-    """Return whether two lanes have the same direction: the other one at its point nearest to this one's middle."""
+    """Return whether two lanes have the same direction: the other one at its point nearest to this
+    one's middle.
+    """
     ahead = lane.center[len(lane.center) // 2] - lane.center[len(lane.center) // 2 - 1]
     middle = 0.5 * (lane.center[len(lane.center) // 2] + lane.center[len(lane.center) // 2 - 1])
     i, _ = foot_on(other.center, middle)

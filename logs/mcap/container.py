@@ -1,7 +1,8 @@
 """An MCAP file as topics of messages, or one sentence that states what is wrong with it.
 
-The file is read from front to back with every checksum verified (chunk and data section), never through its index: a
-changed byte is found, or lies where nothing is read. Messages before the damage are kept, for `replan inspect`.
+The file is read from front to back with every checksum verified (chunk and data section), never
+through its index: a changed byte is found, or lies where nothing is read. Messages before the
+damage are kept, for `replan inspect`.
 """
 
 from __future__ import annotations
@@ -30,7 +31,9 @@ COPY_AGAIN = "copy or record it again"
 SALVAGE = "copy it again, or keep what is whole with `replan salvage`"
 CONVERT = "`replan convert --formats` lists what replan reads and how a format is added"
 MOST_CHUNK_BYTES = 256 * 2**20
-"""Greatest inflated size of a chunk: writers make chunks of about 1 MiB, some 10 MiB for point clouds."""
+"""Greatest inflated size of a chunk: writers make chunks of about 1 MiB, some 10 MiB for point
+clouds.
+"""
 MOST_BYTES = 4 * 2**30
 """Greatest inflated size of all chunks of a file, which are held in memory."""
 SPLIT = "write smaller chunks, or take a part of the log"
@@ -38,7 +41,9 @@ COMPRESSIONS = ("", "zstd", "lz4")
 LAST_TIME_NS = 2**63 - 1
 
 DAMAGE = (McapError, ZstdError, struct.error, ValueError, RuntimeError, OverflowError, MemoryError)
-"""The exceptions that the libraries raise on damaged bytes (checksums: ValueError, lz4: RuntimeError)."""
+"""The exceptions that the libraries raise on damaged bytes (checksums: ValueError, lz4:
+RuntimeError).
+"""
 
 
 @dataclass(frozen=True)
@@ -113,7 +118,9 @@ class Container:
     error: LogError | None
 
     def whole(self) -> Container:
-        """Return this container if it is undamaged and has messages; LogError if it is damaged, or has no messages."""
+        """Return this container if it is undamaged and has messages; LogError if it is damaged, or
+        has no messages.
+        """
         if self.error is not None:
             raise self.error
         if not any(map(len, self.streams.values())):
@@ -219,7 +226,8 @@ def _records(raw: bytes, streams: dict[str, Stream]) -> Iterator[McapRecord]:
 
 
 def opened(chunk: Chunk) -> list[McapRecord]:
-    """The records of a chunk, checked by its checksum; LogError if it is damaged or larger than `MOST_CHUNK_BYTES`.
+    """The records of a chunk, checked by its checksum; LogError if it is damaged or larger than
+    `MOST_CHUNK_BYTES`.
 
     At most the size that the chunk states is inflated.
     """
@@ -232,7 +240,10 @@ def opened(chunk: Chunk) -> list[McapRecord]:
             remedy=remedy,
         )
     if chunk.uncompressed_size > MOST_CHUNK_BYTES:
-        what = f"a chunk of {len(chunk.data)} bytes would inflate to {chunk.uncompressed_size / 2**20:.0f} MiB"
+        what = (
+            f"a chunk of {len(chunk.data)} bytes would inflate to "
+            f"{chunk.uncompressed_size / 2**20:.0f} MiB"
+        )
         raise LogError(
             what, time_ns=time, remedy=f"the bound is {MOST_CHUNK_BYTES / 2**20:.0f} MiB; {SPLIT}"
         )

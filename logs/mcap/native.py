@@ -1,11 +1,16 @@
-"""The native scenario log, version 2: one MCAP file is one scenario; JSON messages, their JSON Schema in the file.
+"""The native scenario log, version 2: one MCAP file is one scenario; JSON messages, their JSON
+Schema in the file.
 
-    metadata  replan.scenario            format_version, name, source, licence, tags and notes (JSON arrays), start_ns
-                                         (log time of t = 0), duration_s, origin_x_m and origin_y_m (what was subtracted
-                                         from world coordinates: all coordinates are relative to it); where known
-                                         traffic_s: when the others were observed, [[from, to], ...], s since start_ns
-                                         (without it, a log with an empty message on /agents: while these come)
-              replan.scenario.metadata   other facts about the log, free keys (generator, parameters, seed)
+    metadata  replan.scenario
+        format_version, name, source, licence, tags and notes (JSON arrays), start_ns
+                                         (log time of t = 0), duration_s,
+                                             origin_x_m and origin_y_m (what was subtracted from
+                                             world coordinates: all coordinates are relative to it);
+                                             where known traffic_s: when the others were observed,
+                                             [[from, to], ...], s since start_ns (without it, a log
+                                             with an empty message on /agents: while these come)
+              replan.scenario.metadata   other facts about the log, free keys (generator,
+                                         parameters, seed)
               replan.trace               only in a trace: planner, mode, oracle, end, detail
 
     /ego             Ego           one state a message: required, the rest is optional
@@ -14,26 +19,35 @@
     /agents          AgentColumns  where they are: a message holds all those sampled at its log time
     /obstacles       AgentColumns  the same for those that never move; one sample is enough
     /road            Road          once        /goal   Goal   once        /vehicle   Vehicle   once
-    /traffic_lights  LightColumns  what lights show from the log time on; those that do not change may be left out
-    /onboard         OnboardPlan   a plan that the log's own planner made, at the log time from which it was known
-    /detections      DetectionColumns  the boxes of a perception, a message a frame, also where it saw nothing; without
-                                   /repair they are not yet tracks, and whoever reads the log makes some of them
-    /repair          Repair        once: /agents are tracks made of /detections, with what was changed and why; they
-                                   are RepairedColumns
+    /traffic_lights  LightColumns  what lights show from the log time on; those that do not change
+                     may be left out
+    /onboard         OnboardPlan   a plan that the log's own planner made, at the log time from
+                     which it was known
+    /detections      DetectionColumns  the boxes of a perception, a message a frame, also where it
+                     saw nothing; without
+                                   /repair they are not yet tracks, and whoever reads the log makes
+                                   some of them
+    /repair          Repair        once: /agents are tracks made of /detections, with what was
+                                   changed and why; they are RepairedColumns
     /removed, /removed/table       as /agents: tracks that were taken away then; no road users
-    /plan, /command, /actuation, /tracking     only in a trace: what was planned, asked, done, missed
-    /perceived       AgentColumns  only in a trace: the others as a sensor showed them to the planner, once a frame
-    /perceived/table AgentTable    once, where some of those are not in /agents/table or of another kind or size there
-    /predictions     Predictions   only in a trace with internals: their futures as the planner was shown them
+    /plan, /command, /actuation, /tracking     only in a trace: what was planned, asked, done,
+                                               missed
+    /perceived       AgentColumns  only in a trace: the others as a sensor showed them to the
+                     planner, once a frame
+    /perceived/table AgentTable    once, where some of those are not in /agents/table or of another
+                                   kind or size there
+    /predictions     Predictions   only in a trace with internals: their futures as the planner was
+                     shown them
 
-A field is serialised as its name in code plus its unit (`UNITS`). Time is the message's log time, integer nanoseconds;
-a topic's messages stand in order of time. Missing is null (NaN in memory); infinity is refused, except in the graphs of
-a plan, where null stands for "not reached" and "free". A version may gain topics and optional fields; its readers skip
-what they do not know.
+A field is serialised as its name in code plus its unit (`UNITS`). Time is the message's log time,
+integer nanoseconds; a topic's messages stand in order of time. Missing is null (NaN in memory);
+infinity is refused, except in the graphs of a plan, where null stands for "not reached" and "free".
+A version may gain topics and optional fields; its readers skip what they do not know.
 
-Version 2 is version 1 and blocks: on /ego, /controls, /command, /actuation and /tracking a message may be an EgoBlock,
-ControlsBlock or TrackingBlock instead, whose columns hold many samples, each with its log time; the message's own is
-the first one's. Traces are written so (they have 100 samples a second). A log without blocks says that it is version 1.
+Version 2 is version 1 and blocks: on /ego, /controls, /command, /actuation and /tracking a message
+may be an EgoBlock, ControlsBlock or TrackingBlock instead, whose columns hold many samples, each
+with its log time; the message's own is the first one's. Traces are written so (they have 100
+samples a second). A log without blocks says that it is version 1.
 """
 
 from __future__ import annotations
@@ -155,7 +169,9 @@ class AgentTable(msgspec.Struct, rename=serialised):
 
 
 class AgentColumns(msgspec.Struct, rename=serialised):
-    """The other road users at the log time, as columns: centre of the box, velocity in the world."""
+    """The other road users at the log time, as columns: centre of the box, velocity in the
+    world.
+    """
 
     id: list[str]
     x: list[float]
@@ -166,13 +182,18 @@ class AgentColumns(msgspec.Struct, rename=serialised):
 
 
 class RepairedColumns(AgentColumns, rename=serialised):
-    """The same of repaired tracks; "extended": before the first or after the last detection of the track."""
+    """The same of repaired tracks; "extended": before the first or after the last detection of the
+    track.
+    """
 
     extended: list[bool] = []
 
 
 class DetectionColumns(msgspec.Struct, rename=serialised):
-    """The boxes of one frame, as columns; ids are the perception's own and need not be identities; score 0 to 1."""
+    """The boxes of one frame, as columns.
+
+    Ids are the perception's own and need not be identities; score 0 to 1.
+    """
 
     id: list[str]
     kind: list[AgentKind]
@@ -187,7 +208,10 @@ class DetectionColumns(msgspec.Struct, rename=serialised):
 
 
 class Repair(msgspec.Struct, rename=serialised):
-    """What was done to make tracks of detections, as columns, a row a change; begin and end since start_ns."""
+    """What was done to make tracks of detections, as columns, a row a change.
+
+    Begin and end since start_ns.
+    """
 
     what: list[str] = []
     agent: list[str] = []
@@ -199,7 +223,10 @@ class Repair(msgspec.Struct, rename=serialised):
 
 
 class LaneColumns(msgspec.Struct, rename=serialised):
-    """One lane, driven from first to last point; point i of the left boundary faces point i of the right one."""
+    """One lane, driven from first to last point.
+
+    Point i of the left boundary faces point i of the right one.
+    """
 
     id: int
     left_x: list[float]
@@ -220,7 +247,10 @@ class LaneColumns(msgspec.Struct, rename=serialised):
 
 
 class StopLine(msgspec.Struct, rename=serialised):
-    """A line across a lane, by its two ends, for the lanes "towards" (empty: all); light null: a sign."""
+    """A line across a lane, by its two ends, for the lanes "towards" (empty: all).
+
+    Light null: a sign.
+    """
 
     id: int
     lane: int
@@ -240,7 +270,8 @@ class Crosswalk(msgspec.Struct, rename=serialised):
 
 
 class Road(msgspec.Struct, rename=serialised):
-    """Lanes and rules; source "driven_path": made from the ego's path; "assumed_limits", "assumed_priority": lanes.
+    """Lanes and rules; source "driven_path": made from the ego's path; "assumed_limits",
+    "assumed_priority": lanes.
 
     "areas": more drivable ground. "route": lanes of the route that the log names.
     """
@@ -281,7 +312,8 @@ class GoalAlternative(msgspec.Struct, rename=serialised):
 
 
 class Goal(msgspec.Struct, rename=serialised):
-    """Where (any region), when, how fast, in which direction to arrive (null, empty: free); or one of alternatives.
+    """Where (any region), when, how fast, in which direction to arrive (null, empty: free); or one
+    of alternatives.
 
     It counts from a gain along the route on (way).
     """
@@ -394,7 +426,10 @@ class SolverReport(msgspec.Struct):
 
 
 class Grid(msgspec.Struct):
-    """DP grid: least cost to come to node (first[i], second[j]), null = not reached; chosen -1 = none."""
+    """DP grid: least cost to come to node (first[i], second[j]), null = not reached.
+
+    Chosen -1 = none.
+    """
 
     first: list[float]
     second: list[float]
@@ -419,7 +454,10 @@ class GraphObstacle(msgspec.Struct):
 
 
 class Graph(msgspec.Struct):
-    """A plane in which a stage searched. "sl": (station m, offset m); "st": (time from the plan s, station m)."""
+    """A plane in which a stage searched.
+
+    "sl": (station m, offset m); "st": (time from the plan s, station m).
+    """
 
     plane: Literal["sl", "st"]
     grid: Grid | None
@@ -454,7 +492,10 @@ class PlanHead(msgspec.Struct):
 
 
 class Predictions(msgspec.Struct, rename=serialised):
-    """Assumed futures: row i of x and y are the box centres of agent id[i] at the times t; ids may come repeatedly."""
+    """Assumed futures: row i of x and y are the box centres of agent id[i] at the times t.
+
+    Ids may come repeatedly.
+    """
 
     method: str
     t: list[float]
@@ -497,7 +538,8 @@ def schema_name(kind: type[msgspec.Struct]) -> str:
 
 @cache
 def json_schema(kind: type[msgspec.Struct]) -> dict[str, Any]:
-    """The JSON Schema of a message, references written out: an object at its root, as viewers want it.
+    """The JSON Schema of a message, references written out: an object at its root, as viewers want
+    it.
 
     Docstrings are left out: the bytes of a log do not depend on words.
     """
@@ -566,7 +608,7 @@ def markdown() -> str:
 _NOTE = """<!-- written by `replan.logs.mcap.native.markdown`; do not edit -->
 
 Any MCAP reader opens a log: its messages are JSON, and their JSON Schema is in the file. The only topic that a log must
-have is `/ego`; `replan inspect` says what is missing for which evaluation."""
+have is `/ego`; `replan inspect` says what is missing for which evaluation."""  # noqa: E501
 
 
 def _structs(hint: Any) -> Iterator[type[msgspec.Struct]]:

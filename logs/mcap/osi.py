@@ -1,18 +1,20 @@
 """ASAM OSI ground truth -> Scenario, decoded with the protobuf descriptor in the file.
 
-The ego is the moving object of `host_vehicle_id`. OSI poses are centres of boxes: the ego's is moved to its rear axle
-by `bbcenter_to_rear`, else by the proportions of the default vehicle. With d from rear axle to centre and w the yaw
-rate, the rear axle's speed and acceleration along the heading h are
+The ego is the moving object of `host_vehicle_id`. OSI poses are centres of boxes: the ego's is
+moved to its rear axle by `bbcenter_to_rear`, else by the proportions of the default vehicle. With d
+from rear axle to centre and w the yaw rate, the rear axle's speed and acceleration along the
+heading h are
 
 (1) v = v_center . h            (2) a = a_center . h + w^2 d            w = kappa v
 
-Static obstacles are the stationary objects in the way; those above the road or flat on it are left out. The origin is
-the ego's first position in whole metres.
+Static obstacles are the stationary objects in the way; those above the road or flat on it are left
+out. The origin is the ego's first position in whole metres.
 
-The road has the logical lanes if they have both boundaries, else the classic lanes: from their boundaries, else from
-their centre line. A lane without boundaries reaches half-way to the listed adjacent centre line 2 to 6 m beside it,
-else `HALF_WIDTH`. Listed adjacent and paired lanes are candidates that the geometry must confirm: an adjacent lane lies
-beside the middle of this one, a successor begins where this one ends (`MAX_GAP`).
+The road has the logical lanes if they have both boundaries, else the classic lanes: from their
+boundaries, else from their centre line. A lane without boundaries reaches half-way to the listed
+adjacent centre line 2 to 6 m beside it, else `HALF_WIDTH`. Listed adjacent and paired lanes are
+candidates that the geometry must confirm: an adjacent lane lies beside the middle of this one, a
+successor begins where this one ends (`MAX_GAP`).
 """
 
 from __future__ import annotations
@@ -95,7 +97,10 @@ CROSSABLE = {"TYPE_UNKNOWN", "TYPE_OTHER", "TYPE_NO_LINE", "TYPE_DASHED_LINE", "
 
 @dataclass
 class _OsiMap:
-    """Messages by id, from all frames; the first message of an id is kept. Older descriptors lack the logical lanes."""
+    """Messages by id, from all frames; the first message of an id is kept.
+
+    Older descriptors lack the logical lanes.
+    """
 
     lane: dict[int, Any] = field(default_factory=dict)
     lane_boundary: dict[int, Any] = field(default_factory=dict)
@@ -117,10 +122,12 @@ class _Seen:
 
 
 def scenario_of(stream: Stream, name: str, ego_id: str = "") -> Scenario:
-    """The scenario in the messages of one topic; the ego is `ego_id`, or the log's host if that is "".
+    """The scenario in the messages of one topic; the ego is `ego_id`, or the log's host if that is
+    "".
 
     Raises:
-        LogError: A message cannot be decoded, the ego is missing, a pose is not finite, or time does not increase.
+        LogError: A message cannot be decoded, the ego is missing, a pose is not finite, or time
+            does not increase.
     """
     notes: list[str] = []
     seen = _decode_stream(stream)
@@ -302,7 +309,8 @@ def _tracks(
     if len(standing) < len(seen.standing):
         left_out = len(seen.standing) - len(standing)
         notes.append(
-            f"{left_out} of {len(seen.standing)} stationary objects are not in the way (bridges, kerbs, ...)."
+            f"{left_out} of {len(seen.standing)} stationary objects are not in the way (bridges, "
+            "kerbs, ...)."
         )
     others = {key: values for key, values in rows.items() if key != seen.host}
     for key, item in standing.items():
@@ -399,7 +407,8 @@ def _classic(
         lanes[key] = lane
     if assumed:
         notes.append(
-            f"{assumed} of {len(lanes)} lanes have a centre line only: their edges are assumed half-way to the lane"
+            f"{assumed} of {len(lanes)} lanes have a centre line only: their edges are assumed "
+            "half-way to the lane"
             f" beside them, else {HALF_WIDTH} m from the centre."
         )
     paired_with: dict[int, list[int]] = {}  # by any pairing, in both directions
@@ -484,7 +493,8 @@ def _lane_around_center(key: int, osi: _OsiMap, centers: dict[int, FloatArray]) 
 
 
 def _lateral_offset(line: FloatArray, other: FloatArray) -> tuple[float, bool]:
-    """Lateral offset of `other` at the middle of `line`, positive to the left, and whether it runs the same way.
+    """Lateral offset of `other` at the middle of `line`, positive to the left, and whether it runs
+    the same way.
 
     NaN if the middle does not project onto `other`.
     """
@@ -506,7 +516,9 @@ def _lateral_offset(line: FloatArray, other: FloatArray) -> tuple[float, bool]:
 def _beside_each_other(
     lanes: dict[int, Lane], adjacent: dict[int, list[int]]
 ) -> tuple[dict[int, Lane], bool]:
-    """The lanes with their neighbours, and whether traffic drives on the right: opposite lanes are mostly left."""
+    """The lanes with their neighbours, and whether traffic drives on the right: opposite lanes are
+    mostly left.
+    """
     out, balance = {}, 0
     for key, lane in lanes.items():
         # left, right

@@ -1,7 +1,7 @@
 """Reads a native or OSI file as a Scenario, or raises one LogError that names file, topic and time.
 
-Coordinates of a native log are relative to the origin in its metadata; the reader keeps the origin and subtracts
-nothing. `complete.py` fills in what the log leaves out, with a note.
+Coordinates of a native log are relative to the origin in its metadata; the reader keeps the origin
+and subtracts nothing. `complete.py` fills in what the log leaves out, with a note.
 """
 
 from __future__ import annotations
@@ -46,7 +46,9 @@ UNSEEN = "agents have no sample and are left out."
 
 
 def read_scenario(path: Path, ego: str = "") -> Scenario:
-    """Read a native or OSI log; `ego` selects an object of OSI other than the host; LogError for any other file."""
+    """Read a native or OSI log; `ego` selects an object of OSI other than the host; LogError for
+    any other file.
+    """
     return scenario_of(read_container(Path(path)), ego)
 
 
@@ -83,7 +85,10 @@ def _native(container: Container) -> Scenario:
             remedy="expected a whole number",
         )
     if int(version) > native.FORMAT_VERSION:
-        what = f"format version {version} is newer than {native.FORMAT_VERSION}, the newest that this replan reads"
+        what = (
+            f"format version {version} is newer than {native.FORMAT_VERSION}, the newest that "
+            "this replan reads"
+        )
         raise LogError(what, topic=native.SCENARIO_RECORD, remedy="update replan")
     if not len(streams.get("/ego", ())):
         raise LogError("the log has no ego states", topic="/ego", remedy="a log needs at least one")
@@ -105,7 +110,8 @@ def _native(container: Container) -> Scenario:
     lost = sum(line.light is not None and line.light not in shown for line in road.stop_lines)
     if lost:  # the stop lines are kept all the same
         notes.append(
-            f"The log does not show the lights of {lost} of {len(road.stop_lines)} stop lines: not known is off."
+            f"The log does not show the lights of {lost} of {len(road.stop_lines)} stop lines: not "
+            "known is off."
         )
     parameters = _one(streams, "/vehicle", native.Vehicle)
     if parameters is None:
@@ -182,7 +188,10 @@ def _one(streams: dict[str, Stream], topic: str, kind: type[T]) -> T | None:
 
 
 def seconds(times: Sequence[int], start_ns: int) -> FloatArray:
-    """Seconds since the start; the difference is taken in integers, so whole nanoseconds survive."""
+    """Seconds since the start.
+
+    The difference is taken in integers, so whole nanoseconds survive.
+    """
     return (np.array(times, dtype=np.int64) - start_ns) / 1e9
 
 
@@ -218,7 +227,9 @@ REMOVED = ("/removed/table", "/removed", "/removed")
 def marked_tracks(
     streams: dict[str, Stream], start_ns: int, notes: list[str], topics: tuple[str, ...] = AGENTS
 ) -> tuple[Tracks, BoolArray]:
-    """Tracks from a table and columns of samples, and which of the samples are marked as extended."""
+    """Tracks from a table and columns of samples, and which of the samples are marked as
+    extended.
+    """
     who = topics[0]
     table = _one(streams, who, native.AgentTable)
     moving = [
@@ -267,7 +278,9 @@ def marked_tracks(
 def _samples(
     moving: list[Stream], rows: dict[str, int], who: str
 ) -> tuple[IntArray, IntArray, list[list[float | None]]]:
-    """All samples of all topics: row in the table, time in ns, and columns x, y, yaw, vx, vy, extended."""
+    """All samples of all topics: row in the table, time in ns, and columns x, y, yaw, vx, vy,
+    extended.
+    """
     row: list[int] = []
     times: list[int] = []
     columns: list[list[float | None]] = [[], [], [], [], [], []]
@@ -293,7 +306,9 @@ def _samples(
 def _detections(
     streams: dict[str, Stream], start_ns: int, tracks: Tracks, extended: BoolArray
 ) -> tuple[Detections | None, Repair | None]:
-    """Detections that are not yet tracks, or the report of the tracks made of them; None if the log has neither."""
+    """Detections that are not yet tracks, or the report of the tracks made of them; None if the log
+    has neither.
+    """
     stream, found = streams.get("/detections"), None
     if stream is not None:
         stream.check_order(strictly=True)

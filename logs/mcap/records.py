@@ -1,22 +1,28 @@
-"""MCAP files record by record: the intact part of a damaged one (`salvage`), a part of a remote one (`write_part`).
+"""MCAP files record by record: the intact part of a damaged one (`salvage`), a part of a remote one
+(`write_part`).
 
-Salvage writes every intact chunk into a new file, and reports what was lost. At bytes that are not a record (a cut,
-changed bytes), it searches for the next chunk that inflates to its stated size and checksum and has only messages of
-its stated times. It keeps and counts chunks without a checksum (rosbags writes them). Messages outside of chunks have
-no checksum of their own: it keeps them up to the first damage. Schemas and channels come from the chunks and from the
-summary at the file's end if that is intact; the profile (which identifies a ROS 2 bag) from the header, else from the
+Salvage writes every intact chunk into a new file, and reports what was lost. At bytes that are not
+a record (a cut, changed bytes), it searches for the next chunk that inflates to its stated size and
+checksum and has only messages of its stated times. It keeps and counts chunks without a checksum
+(rosbags writes them). Messages outside of chunks have no checksum of their own: it keeps them up to
+the first damage. Schemas and channels come from the chunks and from the summary at the file's end
+if that is intact; the profile (which identifies a ROS 2 bag) from the header, else from the
 schemas.
 
-From a native MCAP file at a URL, only the data that a part of it by time needs is fetched. The summary at the file's
-end has the begin and end of each chunk, and its topics. Besides summary and metadata, these chunks are fetched: those
+From a native MCAP file at a URL, only the data that a part of it by time needs is fetched. The
+summary at the file's end has the begin and end of each chunk, and its topics. Besides summary and
+metadata, these chunks are fetched: those
 
-(1) that overlap [begin - `HISTORY_S`, end + `HISTORY_S`] of the log, `DETECTED_S` where it has detections,
-(2) of each topic the last before and the first after that: a message may have samples around it (blocks),
+(1) that overlap [begin - `HISTORY_S`, end + `HISTORY_S`] of the log, `DETECTED_S` where it has
+    detections,
+(2) of each topic the last before and the first after that: a message may have samples around it
+    (blocks),
 (3) with any topic but `PERIODIC`: road, vehicle and goal, lights that changed long ago,
 (4) the first, which has the log's first ego state.
 
-They are written as a file, whose scenario after the cut (`replan.logs.edit.cut`) equals that of the whole file after the
-cut. Its table of agents is that of the whole file without the agents that have no sample in the part.
+They are written as a file, whose scenario after the cut (`replan.logs.edit.cut`) equals that of the
+whole file after the cut. Its table of agents is that of the whole file without the agents that have
+no sample in the part.
 """
 
 from __future__ import annotations
@@ -76,7 +82,8 @@ R = TypeVar("R", bound=McapRecord)
 
 @dataclass(frozen=True)
 class Lost:
-    """A part that was lost: bytes from `at`, messages between two log times (ns; None: the file's begin, end).
+    """A part that was lost: bytes from `at`, messages between two log times (ns; None: the file's
+    begin, end).
 
     The times are those of the last message before it and the first one after it.
     """
@@ -113,7 +120,10 @@ class Salvage:
             if self.nameless
             else []
         )
-        unsure = f"{self.unchecked} of the chunks have no checksum: bytes that changed in their messages are not seen"
+        unsure = (
+            f"{self.unchecked} of the chunks have no checksum: bytes that changed in their "
+            "messages are not seen"
+        )
         unchecked = [unsure] if self.unchecked else []
         if not self.lost:
             return [f"{kept}; nothing was lost", *unchecked]
@@ -127,10 +137,12 @@ def is_salvaged(path: Path) -> bool:
 
 
 def salvage(source: Path, target: Path) -> Salvage:
-    """Write what is intact in `source` to `target`, an MCAP file with the same schemas, channels and metadata.
+    """Write what is intact in `source` to `target`, an MCAP file with the same schemas, channels
+    and metadata.
 
     Raises:
-        LogError: The source cannot be read, is not an MCAP file, or has no intact message; then no file is written.
+        LogError: The source cannot be read, is not an MCAP file, or has no intact message; then no
+            file is written.
     """
     raw = content_of(source)
     report, copy = Salvage(), _Copy()
@@ -222,9 +234,11 @@ class _Copy:
 def _records_at(
     raw: bytes, at: int, *, in_step: bool = False, undamaged: bool = False
 ) -> tuple[int, list[McapRecord], bool] | None:
-    """Length of the record at a byte, the records in it, whether it is a chunk; None if there is no intact record.
+    """Length of the record at a byte, the records in it, whether it is a chunk; None if there is no
+    intact record.
 
-    After damage (not `in_step`) only chunks are accepted; messages outside of chunks only while all is `undamaged`.
+    After damage (not `in_step`) only chunks are accepted; messages outside of chunks only while all
+    is `undamaged`.
     """
     if at + HEAD > len(raw):
         return None
@@ -302,10 +316,11 @@ def _summary(raw: bytes, copy: _Copy) -> None:
 
 
 def write_part(ranged: Ranged, size: int, begin: float, end: float, path: Path) -> bool:
-    """Write the chunks that [begin, end] (s after the log's start) needs to `path`; False: the whole file is needed.
+    """Write the chunks that [begin, end] (s after the log's start) needs to `path`; False: the
+    whole file is needed.
 
-    That is so if the file is not a native log, has no index, is damaged, or leaves out data that the reader derives
-    from the whole log (a road along the drive, speeds; the reader notes that).
+    That is so if the file is not a native log, has no index, is damaged, or leaves out data that
+    the reader derives from the whole log (a road along the drive, speeds; the reader notes that).
     """
     try:
         at = max(0, size - TAIL_BYTES)
@@ -378,7 +393,9 @@ def _chosen(summary: Sequence[McapRecord], first_ns: float, last_ns: float) -> l
 def _pieces(
     ranged: Ranged, summary: Sequence[McapRecord], chunks: Sequence[ChunkIndex]
 ) -> Iterator[bytes]:
-    """The pieces of a file without index: head, metadata, schemas and channels, the chunks unchanged, its end."""
+    """The pieces of a file without index: head, metadata, schemas and channels, the chunks
+    unchanged, its end.
+    """
     indices = _records_of_kind(summary, MetadataIndex)
     first = min(
         [index.offset for index in indices] + [chunk.chunk_start_offset for chunk in chunks]

@@ -1,13 +1,15 @@
 """A trace as a log: driven states, plans, commands and actuation; `read_scenario` reads it again.
 
-Ego and agents are those of the trace; road, goal and vehicle those of the scenario. `internals` selects the data of
-plans: "none" (status, and trajectory at `KEPT_STEP_S`), "summary" (the whole trajectory, decisions, cost terms,
-candidates, compared lanes, solver reports, graphs without the grids of costs, predictions every `SUMMARY_STEP_S`),
-"full" (and the grids, and all predictions that the trace has). In graphs null stands for "not reached" and "free". The
-agents as a sensor showed them are always written.
+Ego and agents are those of the trace; road, goal and vehicle those of the scenario. `internals`
+selects the data of plans: "none" (status, and trajectory at `KEPT_STEP_S`), "summary" (the whole
+trajectory, decisions, cost terms, candidates, compared lanes, solver reports, graphs without the
+grids of costs, predictions every `SUMMARY_STEP_S`), "full" (and the grids, and all predictions that
+the trace has). In graphs null stands for "not reached" and "free". The agents as a sensor showed
+them are always written.
 
-`read_trace` returns the drive. It does not make up what the file leaves out: grids that were not written are None, and
-a frame does not list agents without a prediction. The yaw of a prediction is not written: it is NaN.
+`read_trace` returns the drive. It does not make up what the file leaves out: grids that were not
+written are None, and a frame does not list agents without a prediction. The yaw of a prediction is
+not written: it is NaN.
 """
 
 from __future__ import annotations
@@ -47,7 +49,9 @@ from replan.logs.tracks import Tracks
 
 Internals = Literal["none", "summary", "full"]
 SUMMARY_STEP_S = 2.0
-"""Time between two samples of a prediction in a summary, which shows where the predictions of two runs differ, s."""
+"""Time between two samples of a prediction in a summary, which shows where the predictions of two
+runs differ, s.
+"""
 
 
 def write_trace(
@@ -58,7 +62,9 @@ def write_trace(
     internals: Internals = "summary",
     beside: Iterable[Entry] = (),
 ) -> None:
-    """Write a trace as a native log, and messages `beside` it on other topics; LogError as in `write_scenario`."""
+    """Write a trace as a native log, and messages `beside` it on other topics; LogError as in
+    `write_scenario`.
+    """
     with in_file(path):
         driven = driven_scenario(trace, scenario)
         records = {
@@ -73,7 +79,10 @@ def write_trace(
 
 
 def driven_scenario(trace: Trace, scenario: Scenario) -> Scenario:
-    """The scenario as it was driven, until the ego's last state; the data before its repair stays in the log."""
+    """The scenario as it was driven, until the ego's last state.
+
+    The data before its repair stays in the log.
+    """
     return replace(
         scenario,
         ego=trace.ego,
@@ -172,7 +181,10 @@ _PLACE = {noun: (name, kind) for name, (kind, some) in _INSIDE.items() for noun 
 
 
 def inside_of(internals: Iterable[nouns.Artefact], *, full: bool = True) -> dict[str, Any]:
-    """The artefacts of a plan as lists of messages, by the name of the list; graphs without grids unless `full`."""
+    """The artefacts of a plan as lists of messages, by the name of the list.
+
+    Graphs without grids unless `full`.
+    """
     found: dict[str, Any] = {}
     for artefact in internals:
         name, kind = _PLACE[type(artefact)]
@@ -190,10 +202,12 @@ def artefacts_of(message: msgspec.Struct) -> Iterator[nouns.Artefact]:
 
 
 def read_trace(path: Path) -> tuple[Trace, Scenario]:
-    """The drive in a file that `write_trace` wrote, and the scenario as it was driven (road, goal, vehicle, lights).
+    """The drive in a file that `write_trace` wrote, and the scenario as it was driven (road, goal,
+    vehicle, lights).
 
     Raises:
-        LogError: The file is damaged, is not a trace, or breaks the format; no other error is raised.
+        LogError: The file is damaged, is not a trace, or breaks the format; no other error is
+            raised.
     """
     container = read_container(Path(path))
     scenario = scenario_of(container)
@@ -202,7 +216,8 @@ def read_trace(path: Path) -> tuple[Trace, Scenario]:
 
 
 def read_moment(path: Path, t: float) -> tuple[Trace, Scenario, tuple[nouns.PlanSummary, ...]]:
-    """As `read_trace`, with only the newest plan at `t` (s), and a summary of each plan; four times faster.
+    """As `read_trace`, with only the newest plan at `t` (s), and a summary of each plan; four times
+    faster.
 
     Raises:
         LogError: As in `read_trace`, except for errors in the other plans.

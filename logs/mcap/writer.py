@@ -1,11 +1,12 @@
 """Writes a Scenario as a native MCAP file.
 
-The same scenario gives the same bytes. Messages are encoded one by one and wait in a spool file for their turn,
-so that a long drive takes no more memory than a short one. Besides the native messages a file may have protobuf
-messages for viewers on other topics (`replan.draw.foxglove`), which readers ignore. The file is written under a
-temporary name in the same directory and renamed, so that a killed writer leaves no partial log.
-Times become integer nanoseconds: reading returns the identical scenario if its times are whole nanoseconds (and |t| is
-below 26 days). A repair is not written if the tracks changed after it.
+The same scenario gives the same bytes. Messages are encoded one by one and wait in a spool file for
+their turn, so that a long drive takes no more memory than a short one. Besides the native messages
+a file may have protobuf messages for viewers on other topics (`replan.draw.foxglove`), which
+readers ignore. The file is written under a temporary name in the same directory and renamed, so
+that a killed writer leaves no partial log. Times become integer nanoseconds: reading returns the
+identical scenario if its times are whole nanoseconds (and |t| is below 26 days). A repair is not
+written if the tracks changed after it.
 """
 
 from __future__ import annotations
@@ -48,7 +49,8 @@ def write_scenario(path: Path, scenario: Scenario, *, beside: Iterable[Entry] = 
     """Write a scenario as a native log, and messages `beside` it on other topics.
 
     Raises:
-        LogError: A value is infinite, two samples fall on one nanosecond, or a log time is negative.
+        LogError: A value is infinite, two samples fall on one nanosecond, or a log time is
+            negative.
         OutputError: The file cannot be written.
     """
     with in_file(path):
@@ -68,7 +70,9 @@ def is_written_here(path: Path) -> bool:
 def write_log(
     path: Path, records: Mapping[str, Mapping[str, str]], entries: Iterable[Entry]
 ) -> None:
-    """Write metadata records and messages, in order of time, then of `native.TOPICS`, then of first occurrence."""
+    """Write metadata records and messages, in order of time, then of `native.TOPICS`, then of first
+    occurrence.
+    """
     part = path.with_name(f".{path.name}.part")
     try:
         with (
@@ -126,7 +130,9 @@ def _schema(kind: type[msgspec.Struct | Message]) -> tuple[str, str, bytes]:
 
 
 def descriptor_set(file: Any) -> bytes:
-    """The descriptor of a protobuf file after those of all files that it imports, as MCAP stores them."""
+    """The descriptor of a protobuf file after those of all files that it imports, as MCAP stores
+    them.
+    """
     files: dict[str, Any] = {}
 
     def collect(each: Any) -> None:
@@ -230,7 +236,9 @@ def scenario_entries(scenario: Scenario, *, blocks: bool = False) -> Iterator[En
 
 
 def log_times(t: FloatArray, start_ns: int, topic: str) -> list[int]:
-    """Log times (ns) of seconds since the start `(n,)`; LogError if a time is not finite or before the epoch."""
+    """Log times (ns) of seconds since the start `(n,)`; LogError if a time is not finite or before
+    the epoch.
+    """
     if not np.isfinite(t).all():
         raise LogError("a time is not finite", topic=topic)
     times = np.rint(t * 1e9).astype(np.int64) + start_ns
@@ -276,7 +284,9 @@ def _finite_all(value: float | tuple[float, ...], name: str) -> float | tuple[fl
 def samples(
     table: Any, kind: type[msgspec.Struct], topic: str, start_ns: int, *, blocks: bool = False
 ) -> Iterator[Entry]:
-    """Messages of a struct of arrays: one per sample, or per `BLOCK`; LogError for infinities and equal times."""
+    """Messages of a struct of arrays: one per sample, or per `BLOCK`; LogError for infinities and
+    equal times.
+    """
     times, names = log_times(table.t, start_ns, topic), kind.__struct_fields__
     for name in names:
         check_not_infinite(getattr(table, name), topic, name)

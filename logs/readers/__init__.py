@@ -1,7 +1,8 @@
 """Reads logs of all formats: the first reader in a table that claims a path reads it.
 
-A new format needs one file with a `Reader` and one line in `BUILTIN`. A reader of your own is named by
-`reader = "my_module:READER"` in a run's [log] table, or by an entry point of the group `replan.readers`:
+A new format needs one file with a `Reader` and one line in `BUILTIN`. A reader of your own is named
+by `reader = "my_module:READER"` in a run's [log] table, or by an entry point of the group
+`replan.readers`:
 
     [project.entry-points."replan.readers"]
     mine = "my_package.reader:READER"
@@ -46,7 +47,9 @@ READER: ExtensionKind[Reader] = ExtensionKind(
 )
 """Finds readers by name: the built-in ones and those of users."""
 LONGEST_S = 7 * 86400.0
-"""Longest duration of a log, s: times beyond a week have another unit (and time grids would fill the memory)."""
+"""Longest duration of a log, s: times beyond a week have another unit (and time grids would fill
+the memory).
+"""
 
 __all__ = [
     "BUILTIN",
@@ -67,7 +70,8 @@ __all__ = [
 
 @cache
 def readers(first: str = "") -> tuple[Reader, ...]:
-    """Return all readers in the order in which they are tried: `first`, those of entry points, the built-in ones.
+    """Return all readers in the order in which they are tried: `first`, those of entry points, the
+    built-in ones.
 
     ConfigError if one cannot be loaded or is not a `Reader`, or two have the same name.
     """
@@ -91,7 +95,10 @@ def reader_called(name: str) -> Reader:
 
 
 def reader_of(path: Path, settings: LogSettings | None = None) -> Reader | None:
-    """Return the reader that claims a file or folder, or None; pipes, sockets and devices have no reader."""
+    """Return the reader that claims a file or folder, or None.
+
+    Pipes, sockets and devices have no reader.
+    """
     if special_kind(path):
         return None
     known = readers(settings.reader if settings else "")
@@ -104,10 +111,12 @@ def reader_of(path: Path, settings: LogSettings | None = None) -> Reader | None:
 def read_log(
     path: Path | str, settings: LogSettings | None = None, reader: Reader | None = None
 ) -> Scenario:
-    """Read the scenario in a log of any format; `path` is local, `reader` None is the one that claims it.
+    """Read the scenario in a log of any format; `path` is local, `reader` None is the one that
+    claims it.
 
     Raises:
-        LogError: The log is damaged, unknown, or lacks required data; no other exception is raised for any bytes.
+        LogError: The log is damaged, unknown, or lacks required data; no other exception is raised
+            for any bytes.
     """
     path, settings = local_path(path), settings or LogSettings()
     check_regular(path)
@@ -151,7 +160,9 @@ def read_log(
 
 
 def with_tracks(scenario: Scenario, settings: LogSettings) -> Scenario:
-    """Check a scenario without a file (`replan.logs.conventions`), and make tracks from its detections."""
+    """Check a scenario without a file (`replan.logs.conventions`), and make tracks from its
+    detections.
+    """
     scenario = checked(scenario)
     made = repaired(scenario, settings.repair)
     return made if made.repair is scenario.repair else named(made)
@@ -160,7 +171,8 @@ def with_tracks(scenario: Scenario, settings: LogSettings) -> Scenario:
 def logs_in(
     folder: Path, settings: LogSettings | None = None
 ) -> Iterator[tuple[Path, Reader | None]]:
-    """Yield the logs under a folder, sorted, with their readers; None for files that only have a log's suffix.
+    """Yield the logs under a folder, sorted, with their readers; None for files that only have a
+    log's suffix.
 
     A claimed folder is one log and is not searched.
     """
@@ -184,7 +196,8 @@ def logs_in(
 def windows(
     path: Path, settings: LogSettings, length: float, every: float | None = None
 ) -> tuple[LogSettings, ...]:
-    """Split a log from `begin` to `end` into parts of `length` s, one every `every` s (by default `length`).
+    """Split a log from `begin` to `end` into parts of `length` s, one every `every` s (by default
+    `length`).
 
     Parts shorter than half of `length` are left out.
     """

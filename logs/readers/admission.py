@@ -1,25 +1,31 @@
 """Checks every log after reading, whatever its format, and repairs raw detections.
 
-    clocks       logs are refused if the times of agents, lights, controls or plans do not overlap those of the ego
-    magnitudes   logs are refused if the ego, the road or the goal are beyond `LIMITS`; agents' samples with such a pose
-                 are left out, such a velocity is unknown, and such a size is replaced by the usual size of the kind
+    clocks       logs are refused if the times of agents, lights, controls or plans do not overlap
+                 those of the ego
+    magnitudes   logs are refused if the ego, the road or the goal are beyond `LIMITS`; agents'
+                 samples with such a pose
+                 are left out, such a velocity is unknown, and such a size is replaced by the usual
+                 size of the kind
     names        control characters become visible characters, long names are cut
 
-An error names the topic, the time and the remedy. The scenario's notes list left out or replaced data. The limits are
-far beyond the motion of vehicles: they separate wrong data from rare data. Data that are only implausible are evaluated
-and reported by `replan.metrics.health`.
+An error names the topic, the time and the remedy. The scenario's notes list left out or replaced
+data. The limits are far beyond the motion of vehicles: they separate wrong data from rare data.
+Data that are only implausible are evaluated and reported by `replan.metrics.health`.
 
 Repair. `[log] repair` says whether raw detections become tracks:
 
     "auto"    if a log holds detections that are not tracks (`replan.logs.repair.needs_repair`)
-    "on"      always; in a log of tracks, their samples are the detections, and static road users stay unchanged
+    "on"      always; in a log of tracks, their samples are the detections, and static road users
+              stay unchanged
     "off"     never: the reader makes the tracks
 
-If the road is assumed along the driven path, the repaired tracks decide the width of its lane (`passed_width`).
+If the road is assumed along the driven path, the repaired tracks decide the width of its lane
+(`passed_width`).
 
-The repair precedes the cut of a part, so that a part has the same tracks as the whole log. A reader that reads only a
-part reads `cut.DETECTED_S` more on both sides: the repair then lacks data from farther away, and the names of tracks
-and the choice of "auto" may differ from those of the whole log.
+The repair precedes the cut of a part, so that a part has the same tracks as the whole log. A reader
+that reads only a part reads `cut.DETECTED_S` more on both sides: the repair then lacks data from
+farther away, and the names of tracks and the choice of "auto" may differ from those of the whole
+log.
 """
 
 from __future__ import annotations
@@ -70,7 +76,9 @@ LIMITS: Mapping[str, Mapping[str, Limit]] = MappingProxyType(
     {"ego": _STATE, "agents": _POSE, "controls": _CONTROLS, "onboard": _STATE}
 )
 STEP_M = 100.0
-"""Largest displacement between two ego states beyond `SPEED` times the time, m: localisation jumps less."""
+"""Largest displacement between two ego states beyond `SPEED` times the time, m: localisation jumps
+less.
+"""
 GAP_S = 60.0
 """Longest gap between two ego states, s; the log lacks the drive within a longer one."""
 SIZES_M = (1e-3, 1e3)
@@ -84,11 +92,16 @@ OTHER_CLOCK_S = 60.0
 """A road user with no sample within this time of the ego's log is on another clock, s."""
 NAMED = 5
 """Number of road users that a note names."""
-ONE_CLOCK = 'give both times of one clock (a bag: clock = "log" or "header" in [log]; a table: a column with its unit)'
+ONE_CLOCK = (
+    'give both times of one clock (a bag: clock = "log" or "header" in [log]; a table: a '
+    "column with its unit)"
+)
 
 
 def check_clocks(scenario: Scenario) -> Scenario:
-    """Note road users on another clock than the ego; LogError if any times do not overlap those of the ego."""
+    """Note road users on another clock than the ego; LogError if any times do not overlap those of
+    the ego.
+    """
     ego, tracks = scenario.ego, scenario.tracks
     first, last = float(ego.t[0]), float(ego.t[-1]) if len(ego) > 1 else scenario.duration
     spans = list[tuple[str, float, float]]()
@@ -120,7 +133,10 @@ def check_clocks(scenario: Scenario) -> Scenario:
     apart = ~tracks.static & (late | (ends < first - OTHER_CLOCK_S))
     if not apart.any():
         return scenario
-    note = f"{_names_of(tracks, apart)} have no sample within {OTHER_CLOCK_S:.0f} s of the ego's log: never in the scene."
+    note = (
+        f"{_names_of(tracks, apart)} have no sample within {OTHER_CLOCK_S:.0f} s of the ego's "
+        "log: never in the scene."
+    )
     return replace(scenario, notes=(*scenario.notes, note))
 
 
@@ -130,7 +146,9 @@ def _log_times(scenario: Scenario, begin: float, end: float) -> str:
 
 
 def admitted(scenario: Scenario) -> Scenario:
-    """Apply `LIMITS`, and make names printable; LogError if ego, vehicle, goal, controls or a plan is beyond one."""
+    """Apply `LIMITS`, and make names printable; LogError if ego, vehicle, goal, controls or a plan
+    is beyond one.
+    """
     ego = scenario.ego
     _check_columns(scenario, "ego", ego)
     dt, d = np.diff(ego.t), np.hypot(np.diff(ego.x), np.diff(ego.y))
@@ -155,7 +173,9 @@ def admitted(scenario: Scenario) -> Scenario:
         )
         values = np.atleast_1d(getattr(scenario.vehicle, item.name))
         if not (np.abs(values) <= limit.most).all():
-            what = f"{item.name} is {np.max(np.abs(values)):g}, beyond {limit.most:g} {limit.unit}".rstrip()
+            what = (
+                f"{item.name} is {np.max(np.abs(values)):g}, beyond {limit.most:g} {limit.unit}"
+            ).rstrip()
             raise LogError(
                 what, topic="vehicle", remedy="correct it, or name the vehicle with --car"
             )
@@ -169,7 +189,9 @@ def admitted(scenario: Scenario) -> Scenario:
 
 
 def _check_columns(scenario: Scenario, topic: str, table: Any) -> None:
-    """Raise LogError if a column of a table over `t` is beyond its limit; NaN (unknown) is accepted."""
+    """Raise LogError if a column of a table over `t` is beyond its limit; NaN (unknown) is
+    accepted.
+    """
     for name, limit in LIMITS[topic].items():
         column = np.asarray(getattr(table, name))
         away = np.abs(column - _zero(scenario, name))
@@ -184,7 +206,9 @@ def _check_columns(scenario: Scenario, topic: str, table: Any) -> None:
 
 
 def _zero(scenario: Scenario, name: str) -> float:
-    """Return the zero of a column: for positions the ego's first, unless it is beyond any map projection."""
+    """Return the zero of a column: for positions the ego's first, unless it is beyond any map
+    projection.
+    """
     start = scenario.ego.state(0)
     at = {"x": start.x, "y": start.y}.get(name, 0.0)
     return at if abs(at) < 1e8 else 0.0
@@ -196,7 +220,9 @@ def _refusal(scenario: Scenario, topic: str, what: str, time: float) -> LogError
 
 
 def check_road(scenario: Scenario) -> Scenario:
-    """Return the scenario; LogError if a lane is farther away than `WORLD`, or a speed limit is beyond `SPEED`."""
+    """Return the scenario; LogError if a lane is farther away than `WORLD`, or a speed limit is
+    beyond `SPEED`.
+    """
     road = scenario.road
     for lane in road.lanes.values():
         for side in (lane.left, lane.right):
@@ -222,14 +248,17 @@ def _check_place(scenario: Scenario, topic: str, points: FloatArray) -> None:
 
 
 def _tracks_within(scenario: Scenario, notes: list[str]) -> Tracks:
-    """Leave out or replace samples, velocities and sizes beyond a limit, with notes; LogError if none is left."""
+    """Leave out or replace samples, velocities and sizes beyond a limit, with notes; LogError if
+    none is left.
+    """
     tracks = scenario.tracks
     speed = np.hypot(np.nan_to_num(tracks.vx), np.nan_to_num(tracks.vy))  # NaN: not known
     fast = speed > SPEED.most
     if fast.any():
         whose = np.add.reduceat(fast, tracks.offsets[:-1]) > 0
         notes.append(
-            f"The velocity of {_names_of(tracks, whose)} is up to {speed.max():g} m/s, beyond {SPEED.most:g} m/s, at"
+            f"The velocity of {_names_of(tracks, whose)} is up to {speed.max():g} m/s, beyond "
+            f"{SPEED.most:g} m/s, at"
             f" {counted(int(fast.sum()), 'sample')}: taken as not known there."
         )
         tracks = replace(
@@ -268,13 +297,16 @@ def _tracks_within(scenario: Scenario, notes: list[str]) -> Tracks:
     whose = np.add.reduceat(bad, tracks.offsets[:-1]) > 0
     when = (scenario.start_ns / 1e9) + float(tracks.t[k])
     notes.append(
-        f"{counted(int(bad.sum()), 'sample')} of {_names_of(tracks, whose)} are left out: {value}, {when:.3f} s."
+        f"{counted(int(bad.sum()), 'sample')} of {_names_of(tracks, whose)} are left out: {value}, "
+        f"{when:.3f} s."
     )
     return tracks.taken(~bad)
 
 
 def _detections_within(scenario: Scenario, found: Detections) -> tuple[Detections, tuple[str, ...]]:
-    """Return the detections within the limits of agents, with printable names, and notes on those left out."""
+    """Return the detections within the limits of agents, with printable names, and notes on those
+    left out.
+    """
     beyond = [
         ~(np.abs(getattr(found, name) - _zero(scenario, name)) <= limit.most)
         for name, limit in LIMITS["agents"].items()
@@ -345,7 +377,9 @@ def printable(scenario: Scenario) -> Scenario:
 
 
 def reason_to_repair(choice: str, found: Detections | None) -> str | None:
-    """Return the reason for a repair of the detections, in a sentence; None: they are not repaired."""
+    """Return the reason for a repair of the detections, in a sentence; None: they are not
+    repaired.
+    """
     if found is None or choice == "off":
         return None
     if choice == "on":
@@ -391,7 +425,9 @@ def repaired(scenario: Scenario, choice: str) -> Scenario:
 
 
 def named(scenario: Scenario) -> Scenario:
-    """Give the repaired tracks the names of the causal tracker's tracks (`replan.logs.repair.detections`)."""
+    """Give the repaired tracks the names of the causal tracker's tracks
+    (`replan.logs.repair.detections`).
+    """
     made = scenario.repair
     assert made is not None and made.tracks is scenario.tracks
     made = named_as_tracked(made)

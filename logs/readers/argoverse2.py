@@ -1,21 +1,24 @@
-"""Reads published Argoverse 2 data: sensor logs (feather files) and motion-forecasting scenarios (Parquet).
+"""Reads published Argoverse 2 data: sensor logs (feather files) and motion-forecasting scenarios
+(Parquet).
 
-Sensor logs. city_SE3_egovehicle.feather has the pose of the ego's rear axle, some 170 times a second. The annotations
-have boxes in the ego's frame, 10 times a second, each at the time of one of these poses:
+Sensor logs. city_SE3_egovehicle.feather has the pose of the ego's rear axle, some 170 times a
+second. The annotations have boxes in the ego's frame, 10 times a second, each at the time of one of
+these poses:
 
-(1) box centre = p + q b q*,  heading of q q_box             p, q the ego's pose at the time of the box
+(1) box centre = p + q b q*,  heading of q q_box
+        p, q the ego's pose at the time of the box
 
-The logs have no velocities. Those of the ego are derived from the poses before each state, those of the agents by
-backward differences, and the scenario begins at the second frame, so that every state has
-earlier poses. The box of the category
-EGO_VEHICLE, which some logs have, is left out.
+The logs have no velocities. Those of the ego are derived from the poses before each state, those of
+the agents by backward differences, and the scenario begins at the second frame, so that every state
+has earlier poses. The box of the category EGO_VEHICLE, which some logs have, is left out.
 
-Motion-forecasting scenarios are 11 s of tracks at 10 Hz, with velocities and without sizes. The ego is the track "AV"
-(`ego` of the settings: another vehicle). Positions are taken as centres of boxes, and sizes are those usual for the
-kind. All 11 s are read, the part to be predicted included, as a replay needs it.
+Motion-forecasting scenarios are 11 s of tracks at 10 Hz, with velocities and without sizes. The ego
+is the track "AV" (`ego` of the settings: another vehicle). Positions are taken as centres of boxes,
+and sizes are those usual for the kind. All 11 s are read, the part to be predicted included, as a
+replay needs it.
 
-Maps (log_map_archive_*.json) have lane segments with markings, and pedestrian crossings. They have no speed limits,
-stop lines, traffic lights or right of way. Drivable areas are not read.
+Maps (log_map_archive_*.json) have lane segments with markings, and pedestrian crossings. They have
+no speed limits, stop lines, traffic lights or right of way. Drivable areas are not read.
 """
 
 from __future__ import annotations
@@ -64,7 +67,9 @@ FORD_FUSION = {
     "wheelbase": 2.850,
     "rear_overhang": 0.5 * 4.869 - 1.339,
 }
-"""The recording car, m (py123d 0.7.0): the width is with mirrors, the centre 1.339 m ahead of the rear axle."""
+"""The recording car, m (py123d 0.7.0): the width is with mirrors, the centre 1.339 m ahead of the
+rear axle.
+"""
 LICENCE = "CC BY-NC-SA 4.0 and the terms of Argoverse 2"
 EGO_CATEGORY = "EGO_VEHICLE"
 TURN, PLACE, SIZE = ("qw", "qx", "qy", "qz"), ("tx_m", "ty_m", "tz_m"), ("length_m", "width_m")
@@ -100,7 +105,9 @@ def annotations_of(folder: Path) -> Path | None:
 
 
 def poses_of(folder: Path) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Return the ego's times ns `(n,)`, increasing strictly, positions `(n, 3)` m and quaternions (x, y, z, w)."""
+    """Return the ego's times ns `(n,)`, increasing strictly, positions `(n, 3)` m and quaternions
+    (x, y, z, w).
+    """
     path = folder / POSES
     table = ipc_table(path, ("timestamp_ns", *TURN, *PLACE))
     with reading(path):
@@ -117,7 +124,9 @@ def poses_of(folder: Path) -> tuple[IntArray, FloatArray, FloatArray]:
 
 
 def read_sensor_log(folder: Path, settings: LogSettings) -> Scenario:
-    """Read the scenario in the folder of a sensor log; LogError if it is damaged or its boxes are on another clock."""
+    """Read the scenario in the folder of a sensor log; LogError if it is damaged or its boxes are
+    on another clock.
+    """
     notes: list[str] = []
     times, place, turn = poses_of(folder)
     boxes, frames = _boxes(folder, times, place, turn, notes)
@@ -129,7 +138,8 @@ def read_sensor_log(folder: Path, settings: LogSettings) -> Scenario:
         index = from_second(kept(drive.t, relative), drive.t, relative[:1], notes)
         if not settings.car:
             notes.append(
-                "The ego is a Ford Fusion, 4.87 x 2.13 m with mirrors, as the log has no sizes of it."
+                "The ego is a Ford Fusion, 4.87 x 2.13 m with mirrors, as the log has no sizes of "
+                "it."
             )
         vehicle = assumed_car({**FORD_FUSION, **settings.car}, notes)
         ego, boxes, origin = from_start(drive, index, boxes)
@@ -155,7 +165,9 @@ def read_sensor_log(folder: Path, settings: LogSettings) -> Scenario:
 def _boxes(
     folder: Path, times: IntArray, place: FloatArray, turn: FloatArray, notes: list[str]
 ) -> tuple[RecordedBoxes, IntArray]:
-    """Return all boxes in the city's frame (1), timed in s since the first pose, and the times of the frames, ns."""
+    """Return all boxes in the city's frame (1), timed in s since the first pose, and the times of
+    the frames, ns.
+    """
     path = beside(folder, ("annotations.feather",)) or annotations_of(folder)
     if path is None:
         notes.append("The log has no annotations: there are no other road users.")
@@ -184,7 +196,8 @@ def _boxes(
         usable = near & np.isfinite(local).all(axis=1) & is_unit(part)
         if not usable.all():
             notes.append(
-                f"{(~usable).sum()} of {len(usable)} boxes have no ego pose or no pose of their own: left out."
+                f"{(~usable).sum()} of {len(usable)} boxes have no ego pose or no pose of their "
+                "own: left out."
             )
         foreign = sorted(
             name for name in categories if name not in AV2_CATEGORIES and name != EGO_CATEGORY
@@ -228,7 +241,9 @@ def _kinds(
 
 
 def read_forecasting(path: Path, settings: LogSettings) -> Scenario:
-    """Read the scenario in a Parquet file and the map beside it; LogError if it has no finite poses of the ego."""
+    """Read the scenario in a Parquet file and the map beside it; LogError if it has no finite poses
+    of the ego.
+    """
     notes: list[str] = []
     table = parquet_table(path, ("track_id", "object_type", "timestep", *STATE))
     with reading(path):
@@ -314,7 +329,10 @@ def map_beside(folder: Path, name: str = "*") -> Path | None:
 
 
 def road_for(path: Path | None, origin: FloatArray, ego: Trajectory, notes: list[str]) -> Road:
-    """Read the road of a map relative to `origin` `(2,)`, with an assumed limit; without a map, the driven path."""
+    """Read the road of a map relative to `origin` `(2,)`, with an assumed limit.
+
+    Without a map, the driven path.
+    """
     if path is None:
         return road_along(ego, notes)
     with reading(path):
@@ -379,7 +397,9 @@ def _claims(path: Path) -> bool:
 
 
 def _locate_log(path: Path) -> tuple[Path, bool]:
-    """Return the folder of a sensor log (True) or the table of a motion-forecasting scenario (False)."""
+    """Return the folder of a sensor log (True) or the table of a motion-forecasting scenario
+    (False).
+    """
     if path.name == POSES:
         return path.parent, True
     if (path / POSES).is_file():

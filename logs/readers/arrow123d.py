@@ -1,24 +1,28 @@
-"""Reads 123D logs: folders of Arrow files that py123d converts from nuPlan, Waymo, nuScenes, Argoverse 2 and others.
+"""Reads 123D logs: folders of Arrow files that py123d converts from nuPlan, Waymo, nuScenes,
+Argoverse 2 and others.
 
-The scenario has the ego, boxes, lights over time, and the map of the log or of its place (`arrow123d_map`).
+The scenario has the ego, boxes, lights over time, and the map of the log or of its place
+(`arrow123d_map`).
 
-Frames are the rows of sync.arrow. Data of each table are found by the table's own times, not by the indices in
-sync.arrow: those are one frame late in logs of 0.2.0 and up to 3 ms late in asynchronous ones. The poses in the log are
-those of the IMU:
+Frames are the rows of sync.arrow. Data of each table are found by the table's own times, not by the
+indices in sync.arrow: those are one frame late in logs of 0.2.0 and up to 3 ms late in asynchronous
+ones. The poses in the log are those of the IMU:
 
-(1) rear axle = p + q r q*,  r the axle in the IMU's frame;   v = v_imu - w r_y,   a = a_imu - w^2 r_x
+(1) rear axle = p + q r q*,  r the axle in the IMU's frame;   v = v_imu - w r_y,
+        a = a_imu - w^2 r_x
 
-with w the yaw rate, rad/s, and stored velocities in the body's frame. If a data set has no velocities, py123d fills
-them with differences between the frames before and after (0.1.0: with zeros). These are not read, since they use a
-later frame: the ego's velocities are derived from the poses before each state, the agents' by backward differences, and
-the scenario begins at the second frame, so that every state has earlier poses.
+with w the yaw rate, rad/s, and stored velocities in the body's frame. If a data set has no
+velocities, py123d fills them with differences between the frames before and after (0.1.0: with
+zeros). These are not read, since they use a later frame: the ego's velocities are derived from the
+poses before each state, the agents' by backward differences, and the scenario begins at the second
+frame, so that every state has earlier poses.
 
-`route_position.arrow` is the ego's future path, and `custom.*` are fields of single data sets: neither is read, but for
-the route in nuPlan's (`arrow123d_map`).
+`route_position.arrow` is the ego's future path, and `custom.*` are fields of single data sets:
+neither is read, but for the route in nuPlan's (`arrow123d_map`).
 
-Labels. The files store a number of the data set's enumeration, and the dotted path of its class (`KINDS` has the
-classes of py123d 0.1.0 to 0.7.0, by the last part of that path). The class is never imported. For an unknown class, the
-kinds are derived from the lengths.
+Labels. The files store a number of the data set's enumeration, and the dotted path of its class
+(`KINDS` has the classes of py123d 0.1.0 to 0.7.0, by the last part of that path). The class is
+never imported. For an unknown class, the kinds are derived from the lengths.
 """
 
 from __future__ import annotations
@@ -62,9 +66,13 @@ SYNC, EGO, BOXES = "sync.arrow", "ego_state_se3", "box_detections_se3"
 HEAD_BYTES = 65_536
 """Number of first bytes in which the schema of an old log is recognised."""
 SAME_MPS = 1e-5
-"""Tolerance of equal velocities, m/s: with whole microseconds, differences at 10 m/s are exact within 2e-6 m/s."""
+"""Tolerance of equal velocities, m/s: with whole microseconds, differences at 10 m/s are exact
+within 2e-6 m/s.
+"""
 TELLING_MPS = 1e-4
-"""Differences to both sides that are closer than this do not show how a velocity was computed, m/s."""
+"""Differences to both sides that are closer than this do not show how a velocity was computed,
+m/s.
+"""
 _RECORDED = (
     "av2",
     "nuplan",
@@ -166,7 +174,9 @@ _AV2 = "AV2SensorBoxDetectionLabel"
 
 @dataclass(frozen=True, eq=False)
 class EgoRows:
-    """The ego's table: times us `(n,)`, poses of the IMU, its dynamic states `(n, 9)` (NaN if missing), metadata."""
+    """The ego's table: times us `(n,)`, poses of the IMU, its dynamic states `(n, 9)` (NaN if
+    missing), metadata.
+    """
 
     time_us: IntArray
     position: FloatArray
@@ -175,7 +185,9 @@ class EgoRows:
     about: Mapping[Any, Any]
 
     def part(self, name: str) -> FloatArray:
-        """Return the position `(3,)` of a part of the vehicle in the IMU's frame, m; ValueError if it is missing."""
+        """Return the position `(3,)` of a part of the vehicle in the IMU's frame, m; ValueError if
+        it is missing.
+        """
         place = np.asarray(self.about.get(name, ()), dtype=np.float64)
         if place.shape != (7,) or not np.isfinite(place).all():
             raise ValueError(f"the vehicle has no {name}")
@@ -201,11 +213,13 @@ def read_123d(folder: Path) -> Scenario:
             sizes["rear_overhang"] = 0.5 * sizes["length"] - float(ahead[0])
         elif "length" in sizes:
             notes.append(
-                "The log has the ego's rear axle in the centre of its box: it is placed as in the default car."
+                "The log has the ego's rear axle in the centre of its box: it is placed as in the "
+                "default car."
             )
         if abs(ahead[1]) > 0.05:
             notes.append(
-                f"The ego's box is {abs(ahead[1]):.2f} m beside its rear axle in the log: taken as centred on it."
+                f"The ego's box is {abs(ahead[1]):.2f} m beside its rear axle in the log: taken as "
+                "centred on it."
             )
         vehicle = assumed_car(sizes, notes)
     boxes, own, seen = _boxes(folder, int(rows.time_us[0]), notes)
@@ -237,7 +251,10 @@ def read_123d(folder: Path) -> Scenario:
         duration=float(ego.t[-1]),
         vehicle=vehicle,
         tags=("123d", *how, *((dataset,) if dataset else ())),
-        source=f"123D log of {dataset or 'an unnamed data set'}, written by py123d {about.get('version') or '?'}",
+        source=(
+            f"123D log of {dataset or 'an unnamed data set'}, written by py123d "
+            f"{about.get('version') or '?'}"
+        ),
         licence=next(
             (words for key, words in _LICENCES.items() if dataset.startswith(key)),
             "that of the data set",
@@ -293,7 +310,9 @@ def read_ego(folder: Path) -> EgoRows:
 
 
 def _ego(rows: EgoRows, notes: list[str]) -> tuple[Trajectory, bool]:
-    """Return all states of the rear axle, s since the first, and whether the log has their velocities."""
+    """Return all states of the rear axle, s since the first, and whether the log has their
+    velocities.
+    """
     t = (rows.time_us - rows.time_us[0]) / 1e6
     axle = rows.part("rear_axle_to_imu_se3")
     place, yaw = rows.world(axle)[:, :2], np.unwrap(heading(rows.q))
@@ -322,7 +341,8 @@ def _ego(rows: EgoRows, notes: list[str]) -> tuple[Trajectory, bool]:
 def _is_differenced(
     t: FloatArray, place: FloatArray, velocity: FloatArray, owner: IntArray
 ) -> bool:
-    """Return whether most world velocities are central differences of the places `(m, 3)`, and first ones forward.
+    """Return whether most world velocities are central differences of the places `(m, 3)`, and
+    first ones forward.
 
     Samples are ordered by owner and time.
     """
@@ -352,7 +372,9 @@ def _differences(
 
 
 def _boxes(folder: Path, first_us: int, notes: list[str]) -> tuple[RecordedBoxes, bool, FloatArray]:
-    """Return all boxes, s since `first_us`, whether the log has their velocities, and the times of their frames."""
+    """Return all boxes, s since `first_us`, whether the log has their velocities, and the times of
+    their frames.
+    """
     path = beside(folder, (f"{BOXES}.arrow",))
     if path is None:
         notes.append("The log has no boxes: there are no other road users.")
@@ -376,11 +398,13 @@ def _boxes(folder: Path, first_us: int, notes: list[str]) -> tuple[RecordedBoxes
         own = False
         if not np.isfinite(velocity).any() or not velocity[np.isfinite(velocity)].any():
             notes.append(
-                "The log has no velocities of the other road users: backward differences of their places."
+                "The log has no velocities of the other road users: backward differences of their "
+                "places."
             )
         elif _is_differenced(t[order], box[order, :3], velocity[order], owner[order]):
             notes.append(
-                "The velocities of the other road users are differences to the frame after: backward ones are taken."
+                "The velocities of the other road users are differences to the frame after: "
+                "backward ones are taken."
             )
         else:
             own = True
@@ -406,14 +430,17 @@ def _boxes(folder: Path, first_us: int, notes: list[str]) -> tuple[RecordedBoxes
 def kinds_of(
     label_class: str, labels: IntArray, length: FloatArray, notes: list[str]
 ) -> tuple[AgentKind, ...]:
-    """Return the kinds of road users `(n,)` by label and, if the label is only "vehicle", by length in m."""
+    """Return the kinds of road users `(n,)` by label and, if the label is only "vehicle", by length
+    in m.
+    """
     key = label_class.rsplit(".", 1)[-1]
     if key == _AV2:
         names = list(AV2_CATEGORIES.values())
         return tuple(names[i] if 0 <= i < len(names) else _OBJECT for i in labels)
     if key not in KINDS:
         notes.append(
-            f"The labels '{key[:60]}' are not known: the kinds of road users are derived from their lengths."
+            f"The labels '{key[:60]}' are not known: the kinds of road users are derived from "
+            "their lengths."
         )
         sized = [_OBJECT, _PEDESTRIAN, _BICYCLE, _CAR, _TRUCK]
         return tuple(sized[int(np.searchsorted([0.0, 1.2, 2.7, LONG_M], size))] for size in length)
@@ -494,7 +521,10 @@ def _contents(path: Path) -> LogContents:
                     key, key.split(".", maxsplit=1)[0], "arrow", "arrow", len(own), first, last
                 )
             )
-        what = f"123D log of {about.get('dataset')}, py123d {about.get('version')}, {len(times)} frames"
+        what = (
+            f"123D log of {about.get('dataset')}, py123d {about.get('version')}, {len(times)} "
+            "frames"
+        )
         return LogContents(what, tuple(topics))
     except (LogError, ValueError, TypeError, KeyError):
         return LogContents("123D log that cannot be read")

@@ -12,7 +12,9 @@ from replan.logs.scenario import Scenario
 
 @dataclass(frozen=True)
 class TopicSummary:
-    """One topic or table: schema, encoding, number of messages, first and last log time (ns; None without messages)."""
+    """One topic or table: schema, encoding, number of messages, first and last log time (ns; None
+    without messages).
+    """
 
     topic: str
     schema: str
@@ -25,7 +27,9 @@ class TopicSummary:
 
 @dataclass(frozen=True)
 class LogContents:
-    """The content of a log for `replan inspect`: its format in words ("": the reader's summary) and its topics."""
+    """The content of a log for `replan inspect`: its format in words ("": the reader's summary) and
+    its topics.
+    """
 
     profile: str = ""
     topics: tuple[TopicSummary, ...] = ()
@@ -48,15 +52,21 @@ class Reader:
         name: Its name in `replan convert NAME` and in messages.
         summary: The format in one line.
         looks_for: The files that it reads, in words ("*.bag").
-        suffixes: Suffixes of its files (".bag"): a file with such a suffix that no reader claims is reported.
-        claims: Whether a path, file or folder, is a log of this format; fast, and raises nothing on any bytes.
+        suffixes: Suffixes of its files (".bag"): a file with such a suffix that no reader claims is
+            reported.
+        claims: Whether a path, file or folder, is a log of this format; fast, and raises nothing on
+            any bytes.
         read: Reads the scenario; raises only LogError on any bytes.
-        files: The files of a log, in a fixed order: the log's identity is their hash. Default: the file itself.
+        files: The files of a log, in a fixed order: the log's identity is their hash. Default: the
+            file itself.
         span: First and last time of the log, s, if they can be found quickly; else None.
         contents: The topics that can be read; raises nothing.
-        settings: The keys of `LogSettings` that it uses, besides `begin`, `end` and `repair`, which apply to all.
-        cuts: Whether it reads only the surroundings of the part from `begin` to `end`, in times of the whole log.
-        claims_with: Whether a path that it does not claim is a log of this format by the settings (names of columns).
+        settings: The keys of `LogSettings` that it uses, besides `begin`, `end` and `repair`, which
+            apply to all.
+        cuts: Whether it reads only the surroundings of the part from `begin` to `end`, in times of
+            the whole log.
+        claims_with: Whether a path that it does not claim is a log of this format by the settings
+            (names of columns).
     """
 
     name: str

@@ -1,21 +1,23 @@
 """Reads the times of a table's rows, and tells rows in any order from a clock that starts again.
 
-Times are numbers, dates, ISO 8601 texts, or times of day ("23:59:55.1"). Times of day, and seconds of the day or the
-week, start again at midnight or at the week's end:
+Times are numbers, dates, ISO 8601 texts, or times of day ("23:59:55.1"). Times of day, and seconds
+of the day or the week, start again at midnight or at the week's end:
 
-(1) the times lie in [0, P), P a day or a week, the largest gap between two of them is longer than P / 2, and the gap
-    across P is at most `GAP_S` (any gap, for texts): the times before the largest gap are P later
+(1) the times lie in [0, P), P a day or a week, the largest gap between two of them is longer than P
+    / 2, and the gap across P is at most `GAP_S` (any gap, for texts): the times before the largest
+    gap are P later
 (2) but not if the rows are in order of time
 
-Rows may be in any order. If times go back in the order of the file, either the rows are unsorted, or the clock started
-again, and rows of two drives would interleave. With W the way through the rows, m, in the order of the file, and S the
-way through them in order of time:
+Rows may be in any order. If times go back in the order of the file, either the rows are unsorted,
+or the clock started again, and rows of two drives would interleave. With W the way through the
+rows, m, in the order of the file, and S the way through them in order of time:
 
-(3) the clock started again if S - W > `SHUFFLED` W, and, if fewer than `FEW` of the steps go back, if S > W, or if one
-    goes back by more than `STEPS` median steps and every road user is, after it, where it was before it: within `NEAR`
-    times the way that 95 % of the steps do not exceed
-(4) it also did if, in order of time, more than `BETWEEN` of the rows come alone between two rows that follow each other
-    in the file, and are farther than `OFF` of the way between these two from the line between them (medians)
+(3) the clock started again if S - W > `SHUFFLED` W, and, if fewer than `FEW` of the steps go back,
+    if S > W, or if one goes back by more than `STEPS` median steps and every road user is, after
+    it, where it was before it: within `NEAR` times the way that 95 % of the steps do not exceed
+(4) it also did if, in order of time, more than `BETWEEN` of the rows come alone between two rows
+    that follow each other in the file, and are farther than `OFF` of the way between these two from
+    the line between them (medians)
 """
 
 from __future__ import annotations
@@ -40,10 +42,11 @@ _TIME_OF_DAY = r"\d{1,2}:\d{2}:\d{2}(?:[.,]\d+)?"
 
 
 def nanoseconds(column: pd.Series[Any], factor: float, topic: str) -> tuple[IntArray, bool]:
-    """Return the times of a column `(n,)`, ns, and whether they are texts of times of day; LogError for others.
+    """Return the times of a column `(n,)`, ns, and whether they are texts of times of day; LogError
+    for others.
 
-    The column has numbers (`factor` seconds per unit), dates (without a zone: UTC), durations, or texts (module
-    docstring).
+    The column has numbers (`factor` seconds per unit), dates (without a zone: UTC), durations, or
+    texts (module docstring).
     """
     name = column.name
     if pd.api.types.is_datetime64_any_dtype(column) or pd.api.types.is_timedelta64_dtype(column):
@@ -83,7 +86,10 @@ def _of_texts(column: pd.Series[Any], topic: str) -> tuple[IntArray, bool]:
     dates = pd.to_datetime(words.str.replace("/", "-"), format="ISO8601", utc=True, errors="coerce")
     wrong = np.flatnonzero(dates.isna())
     if len(wrong):
-        what = f"{column.name} is neither a number nor a date and time in row {wrong[0]}: {words.iloc[wrong[0]]!r}"
+        what = (
+            f"{column.name} is neither a number nor a date and time in row {wrong[0]}: "
+            f"{words.iloc[wrong[0]]!r}"
+        )
         raise LogError(
             what[:200],
             topic=topic,
@@ -111,7 +117,8 @@ def continued(
         across = int(every[0]) + period - int(every[-1])
         if every[-1] < period < 2 * int(gaps.max()) and (is_text or across <= GAP_S * 1e9):
             notes.append(
-                f"The clock starts again at {end}: the times after it are {period_s} s later than stated."
+                f"The clock starts again at {end}: the times after it are {period_s} s later than "
+                "stated."
             )
             return ego + period * (ego <= last), agents + period * (agents <= last)
     return ego, agents
@@ -122,8 +129,8 @@ def check_restart(
 ) -> None:
     """Raise LogError if the rows of a table are of several clocks (3), (4).
 
-    `ns` are times in the order of the file `(n,)`; x and y positions, m, NaN where unknown; `names` the road user of
-    each row (None: all rows are of one).
+    `ns` are times in the order of the file `(n,)`; x and y positions, m, NaN where unknown; `names`
+    the road user of each row (None: all rows are of one).
     """
     of = np.zeros(len(ns), np.int64) if names is None else np.unique(names, return_inverse=True)[1]
     filed, timed = np.argsort(of, kind="stable"), np.lexsort((ns, of))
@@ -143,7 +150,10 @@ def check_restart(
         k = int(np.flatnonzero(same)[back.argmax()])
         before, row = int(filed[k]), int(filed[k + 1])
         who = "" if names is None else f" of agent {names[row]}"
-        what = f"t goes back at row {row}{who} ({ns[before] / 1e9:.12g} to {ns[row] / 1e9:.12g} s): the clock restarts"
+        what = (
+            f"t goes back at row {row}{who} ({ns[before] / 1e9:.12g} to {ns[row] / 1e9:.12g} "
+            "s): the clock restarts"
+        )
         raise LogError(what, topic=topic, remedy="split the file there")
 
 

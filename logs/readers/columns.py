@@ -1,7 +1,8 @@
 """Columns of a table by replan's names and in its units.
 
-`columns` maps replan's names to those of the table, with a unit in brackets if it differs: "heading [deg]",
-"speed [km/h]" (`UNITS`), "frame [25 Hz]". A unit in the table's header is used, too: "v [km/h]", "v (km/h)", "v_kmh".
+`columns` maps replan's names to those of the table, with a unit in brackets if it differs: "heading
+[deg]", "speed [km/h]" (`UNITS`), "frame [25 Hz]". A unit in the table's header is used, too: "v
+[km/h]", "v (km/h)", "v_kmh".
 """
 
 from __future__ import annotations
@@ -119,10 +120,11 @@ class NamedColumns:
             raise LogError("the table has no rows", topic=name, remedy="give at least one")
 
     def _find_column(self, ours: str, given: str) -> tuple[Any, float] | None:
-        """Return the table's header of a column and the factor of its unit; None if there is no such column.
+        """Return the table's header of a column and the factor of its unit; None if there is no
+        such column.
 
-        The header is `given`, or `given` without its unit, or followed by the header's own unit. If both have a unit,
-        the units must be the same.
+        The header is `given`, or `given` without its unit, or followed by the header's own unit. If
+        both have a unit, the units must be the same.
         """
         name, asked = _split_unit(given)
         exact = [header for text, header in self._headers if text == given]
@@ -155,7 +157,9 @@ class NamedColumns:
         return found[0], factors[0] if factors else UNITS[TIMES.get(ours, "")]
 
     def _factor(self, ours: str, unit: str, header: str) -> float:
-        """Return the factor from a unit of a column to replan's; LogError if it is not a unit of this column."""
+        """Return the factor from a unit of a column to replan's; LogError if it is not a unit of
+        this column.
+        """
         rate = _RATE.fullmatch(unit) if ours in TIMES else None
         if rate and float(rate[1]) > 0.0:
             return 1.0 / float(rate[1])
@@ -177,7 +181,9 @@ class NamedColumns:
         return self._columns[ours] is not None
 
     def column(self, ours: str) -> tuple[pd.Series[Any], float]:
-        """Return a column and the factor to replan's unit; LogError if the table has no such column."""
+        """Return a column and the factor to replan's unit; LogError if the table has no such
+        column.
+        """
         found = self._columns[ours]
         if found is None:
             held = ", ".join(map(str, self.frame.columns[:12]))
@@ -199,7 +205,9 @@ class NamedColumns:
             ) from None
 
     def yaw(self) -> FloatArray | None:
-        """Return the headings `(n,)`, rad, of yaw, else of unit quaternions (or a LogError); None without either."""
+        """Return the headings `(n,)`, rad, of yaw, else of unit quaternions (or a LogError); None
+        without either.
+        """
         if self.has("yaw"):
             return self.numbers("yaw")
         if not all(map(self.has, QUATERNION)):
@@ -215,7 +223,9 @@ class NamedColumns:
         return heading(turns)
 
     def times(self) -> tuple[IntArray, bool]:
-        """Return the time of each row `(n,)`, ns, and whether the times are texts of times of day."""
+        """Return the time of each row `(n,)`, ns, and whether the times are texts of times of
+        day.
+        """
         return nanoseconds(
             *self.column(next((name for name in TIMES if self.has(name)), "t")), self.name
         )
@@ -228,7 +238,9 @@ def _split_unit(text: str) -> tuple[str, str]:
 
 
 def _with_suffix(headers: Sequence[tuple[str, Any]], ours: str) -> Iterator[tuple[Any, str, str]]:
-    """Yield headers that end in a unit of the column ("speed_kmh"): header, text before the unit, unit."""
+    """Yield headers that end in a unit of the column ("speed_kmh"): header, text before the unit,
+    unit.
+    """
     known = DIMENSIONS.get(_DIMENSION.get(ours, ""), {})
     for text, header in headers:
         base, _, unit = text.rpartition("_")
@@ -250,7 +262,9 @@ def holds(header: Sequence[str], names: Sequence[str], columns: Mapping[str, str
 
 
 def check_names(columns: Mapping[str, str], frames: Mapping[str, pd.DataFrame | None]) -> None:
-    """Raise LogError for unknown names, and for columns that no table has, which would silently be derived."""
+    """Raise LogError for unknown names, and for columns that no table has, which would silently be
+    derived.
+    """
     known = (*TIMES, *COLUMNS)
     held = [
         NamedColumns(frame, name, columns)

@@ -1,9 +1,10 @@
 """Reads comma2k19 segments: the poses of a camera in a car, without a map and other road users.
 
-A segment is a folder with `global_pose/frame_positions` (NumPy arrays without a suffix). Positions and velocities are
-ECEF, orientations quaternions that turn ECEF into the camera's forward, right, down. The plane is east and north at the
-first position (WGS 84, Bowring's latitude), the heading that of the camera's forward axis, the speed that of the
-velocity along it. The times are the frames' GPS times.
+A segment is a folder with `global_pose/frame_positions` (NumPy arrays without a suffix). Positions
+and velocities are ECEF, orientations quaternions that turn ECEF into the camera's forward, right,
+down. The plane is east and north at the first position (WGS 84, Bowring's latitude), the heading
+that of the camera's forward axis, the speed that of the velocity along it. The times are the
+frames' GPS times.
 """
 
 from __future__ import annotations
@@ -100,7 +101,8 @@ def _read(path: Path, settings: LogSettings) -> Scenario:
     t = frames[:, 0] - frames[0, 0]
     plane = _east_north(place[0])
     x, y = plane @ (place - place[0]).T
-    # the camera's forward axis in ECEF: the first row of the transposed matrix of the quaternion (scalar first)
+    # the camera's forward axis in ECEF: the first row of the transposed matrix of the quaternion
+    # (scalar first)
     qw, qx, qy, qz = (turn / np.linalg.norm(turn, axis=1, keepdims=True)).T
     forward = np.column_stack(
         [1.0 - 2.0 * (qy * qy + qz * qz), 2.0 * (qx * qy + qw * qz), 2.0 * (qx * qz - qw * qy)]
@@ -108,7 +110,8 @@ def _read(path: Path, settings: LogSettings) -> Scenario:
     yaw = np.unwrap(np.arctan2(forward @ plane[1], forward @ plane[0]))
     notes = [
         "The poses are the camera's: they are taken for the rear axle's, about 1.5 m behind it.",
-        "Radar returns are not read: they have neither size nor class. The log holds no other road users.",
+        "Radar returns are not read: they have neither size nor class. The log holds no other road "
+        "users.",
     ]
     columns = {"t": t, "x": x, "y": y, "yaw": yaw, "v": (velocity * forward).sum(axis=1)}
     columns |= {"a": np.full(len(t), np.nan), "kappa": np.full(len(t), np.nan)}

@@ -1,12 +1,13 @@
 """Loads CSV and Parquet tables as pandas frames, and refuses rows that do not fit the header.
 
-The columns of a CSV file are separated by commas, semicolons, tabs, or (if the header has none of these) spaces; the
-first three may be followed by spaces. With all but the comma, numbers may have decimal commas. The header is the first
-line that does not begin with "#". If that line holds only numbers, the header is the last "#" line before it that has
-as many names, as numpy.savetxt writes it. Other "#" lines are comments.
+The columns of a CSV file are separated by commas, semicolons, tabs, or (if the header has none of
+these) spaces; the first three may be followed by spaces. With all but the comma, numbers may have
+decimal commas. The header is the first line that does not begin with "#". If that line holds only
+numbers, the header is the last "#" line before it that has as many names, as numpy.savetxt writes
+it. Other "#" lines are comments.
 
-An empty last field of the header or of the rows belongs to a separator at the end of the line, and is left out. Any
-other row whose number of fields is not that of the header is refused.
+An empty last field of the header or of the rows belongs to a separator at the end of the line, and
+is left out. Any other row whose number of fields is not that of the header is refused.
 """
 
 from __future__ import annotations
@@ -31,7 +32,9 @@ WRITE_NAMES = "write the names of the columns in the first line"
 
 
 class _Layout(NamedTuple):
-    """Names of the columns, their separator, the lines that are no rows (from 0), and whether rows end in one."""
+    """Names of the columns, their separator, the lines that are no rows (from 0), and whether rows
+    end in one.
+    """
 
     names: list[str]
     mark: str
@@ -40,7 +43,9 @@ class _Layout(NamedTuple):
 
 
 def load_table(path: Path) -> pd.DataFrame:
-    """Load a table, without spaces around values and names; LogError if its rows do not fit its header."""
+    """Load a table, without spaces around values and names; LogError if its rows do not fit its
+    header.
+    """
     import pyarrow as pa
 
     try:
@@ -100,7 +105,9 @@ def header_of(path: Path) -> list[str]:
 
 
 def _decimals(column: pd.Series[Any]) -> pd.Series[Any]:
-    """Return a column of texts without spaces around, and with decimal points if all are numbers."""
+    """Return a column of texts without spaces around, and with decimal points if all are
+    numbers.
+    """
     words = column.dropna().astype(str)
     if words.str.fullmatch(_NUMBER).all() and words.str.contains(",", regex=False).any():
         return pd.to_numeric(column.astype(str).str.replace(",", ".", regex=False))
@@ -130,7 +137,9 @@ def _split(line: str) -> tuple[str, list[str]]:
 
 
 def _header(stream: TextIO, topic: str) -> tuple[list[str], str, int]:
-    """Return the names of the columns, their separator, and the number of the first row's line, or later."""
+    """Return the names of the columns, their separator, and the number of the first row's line, or
+    later.
+    """
     above: list[str] = []
     for k, line in enumerate(iter(lambda: stream.readline(FIRST_LINE), "")):
         if not line.strip():

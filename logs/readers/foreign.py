@@ -27,7 +27,9 @@ _NUSCENES = ("sample.json", "ego_pose.json", "scene.json", "sample_annotation.js
 
 
 class _Sign(NamedTuple):
-    """A format: its name, whether a path is of it (by its first bytes and, of a folder, its names), and the remedy."""
+    """A format: its name, whether a path is of it (by its first bytes and, of a folder, its names),
+    and the remedy.
+    """
 
     what: str
     fits: Callable[[Path, bytes, Sequence[str]], bool]
@@ -50,7 +52,9 @@ def _tables(path: Path) -> set[str]:
 
 
 def _named(pattern: str) -> Callable[[Path, bytes, Sequence[str]], bool]:
-    """Return a test for files whose name has a part that matches `pattern`, and folders that hold such files."""
+    """Return a test for files whose name has a part that matches `pattern`, and folders that hold
+    such files.
+    """
     part = re.compile(pattern, re.IGNORECASE)
 
     def fits(path: Path, begin: bytes, names: Sequence[str]) -> bool:
@@ -105,7 +109,9 @@ SIGNS = (
 
 
 def known_format(path: Path) -> LogError | None:
-    """Return the error for a path of a format in `SIGNS`; None if it is of none of them, or cannot be read."""
+    """Return the error for a path of a format in `SIGNS`; None if it is of none of them, or cannot
+    be read.
+    """
     names, begin = list[str](), b""
     try:
         if path.is_dir():
@@ -124,7 +130,9 @@ def known_format(path: Path) -> LogError | None:
 
 
 def foreign(path: Path) -> LogError:
-    """Return the error for a path that no reader claims: what it contains, and how to convert it."""
+    """Return the error for a path that no reader claims: what it contains, and how to convert
+    it.
+    """
     if not path.exists():
         return LogError("no such file or folder", file=path)
     try:
@@ -133,7 +141,10 @@ def foreign(path: Path) -> LogError:
             return known
         if path.is_dir():
             names = sorted(entry.name for entry in path.iterdir())
-            what = f"not a log that replan reads; the folder holds {listed(names, _SHOWN) or 'nothing'}"
+            what = (
+                "not a log that replan reads; the folder holds "
+                f"{listed(names, _SHOWN) or 'nothing'}"
+            )
             return LogError(what, file=path, remedy=FORMATS)
         with path.open("rb") as stream:
             begin = stream.read(8)
@@ -142,11 +153,18 @@ def foreign(path: Path) -> LogError:
     except OSError as error:
         return LogError(f"cannot be read: {error.strerror or error}", file=path)
     if path.suffix in SUFFIXES:
-        what = f"a table with the columns {', '.join(header_of(path)[:12]) or '(none)'} is not a log by itself"
+        what = (
+            f"a table with the columns {', '.join(header_of(path)[:12]) or '(none)'} is not a "
+            "log by itself"
+        )
         remedy = (
-            "the table of an ego is ego.csv in a folder of its own; a table of tracks has t, id, x, y, or names them in"
+            "the table of an ego is ego.csv in a folder of its own; a table of tracks has t, id, "
+            "x, y, or names them in"
             " [log.columns]"
         )
         return LogError(what, file=path, remedy=remedy)
-    what = f"not a log that replan reads; a {path.suffix or 'nameless'} file that begins with {begin!r}"
+    what = (
+        f"not a log that replan reads; a {path.suffix or 'nameless'} file that begins with "
+        f"{begin!r}"
+    )
     return LogError(what, file=path, remedy=FORMATS)

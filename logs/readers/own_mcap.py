@@ -2,9 +2,10 @@
 
 The native reader is tried last and claims every .mcap file: its errors name what the file lacks.
 
-A bare OSI trace (`.osi`) is a sequence of messages, each a little-endian length and a GroundTruth or SensorView. By the
-naming convention of OSI, the file name contains `_gt_` or `_sv_`. Without either, the messages are SensorViews if the
-first one, parsed as a SensorView, contains ground truth. ASAM's own package (`osi-python`) reads the messages.
+A bare OSI trace (`.osi`) is a sequence of messages, each a little-endian length and a GroundTruth
+or SensorView. By the naming convention of OSI, the file name contains `_gt_` or `_sv_`. Without
+either, the messages are SensorViews if the first one, parsed as a SensorView, contains ground
+truth. ASAM's own package (`osi-python`) reads the messages.
 """
 
 from __future__ import annotations
@@ -62,7 +63,9 @@ NAMED = {"_gt_": GROUND_TRUTH, "_sv_": SENSOR_VIEW}
 
 
 def trace_of(path: Path) -> Stream:
-    """Return the messages of a trace as a topic, timed by their numbers; LogError if it is no such sequence."""
+    """Return the messages of a trace as a topic, timed by their numbers; LogError if it is no such
+    sequence.
+    """
     from google.protobuf.message import DecodeError
     from osi3 import osi_sensorview_pb2
     from osi3.osi_sensorview_pb2 import SensorView

@@ -1,16 +1,20 @@
 """Makes ego states from recorded poses, tracks from recorded boxes, and computes with rotations.
 
-Boxes. A track's size is the median of its boxes. An object (cone, barrier, sign) whose boxes stay within `STAYS_M` of
-their median for `SEEN_S` or longer is static, at that median. Vehicles and people are never static: while the
-ego drives past a parked car, it cannot know that the car will stay parked.
+Boxes. A track's size is the median of its boxes. An object (cone, barrier, sign) whose boxes stay
+within `STAYS_M` of their median for `SEEN_S` or longer is static, at that median. Vehicles and
+people are never static: while the ego drives past a parked car, it cannot know that the car will
+stay parked.
 
-Poses. If the log has no speed, it is derived. Recorded poses jitter by centimetres at 100 Hz and more, so differences
-of neighbours are useless. At each state, a parabola is fitted to the poses of the `WINDOW_S` before it, and to no later
-pose:
+Poses. If the log has no speed, it is derived. Recorded poses jitter by centimetres at 100 Hz and
+more, so differences of neighbours are useless. At each state, a parabola is fitted to the poses of
+the `WINDOW_S` before it, and to no later pose:
 
-(1) min over c of  sum_i |p_i - c_0 - c_1 tau_i - c_2 tau_i^2|^2,    tau_i = t_i - t_k in [-WINDOW_S, 0]
-    v = c_1 . h,  a = 2 c_2 . h,  yaw rate w = c_1 of the heading,   h the unit vector of the heading
-(2) with fewer than `ENOUGH` poses, or poses that span less than `SPAN_S`: a straight line, and a = 0
+(1) min over c of  sum_i |p_i - c_0 - c_1 tau_i - c_2 tau_i^2|^2,
+        tau_i = t_i - t_k in [-WINDOW_S, 0]
+    v = c_1 . h,  a = 2 c_2 . h,  yaw rate w = c_1 of the heading,
+        h the unit vector of the heading
+(2) with fewer than `ENOUGH` poses, or poses that span less than `SPAN_S`: a straight line,
+        and a = 0
 (3) an ego that moved less than `STILL_M` in the last `STILL_S`, or opposite to v, stands: v = a = 0
 (4) kappa = w / v; below `ROLLING_MPS` the previous value, initially 0
 
@@ -44,14 +48,19 @@ def is_unit(q: FloatArray) -> BoolArray:
 
 
 def unit_of_wxyz(q: FloatArray) -> FloatArray:
-    """Convert quaternions (w, x, y, z) to unit ones (x, y, z, w), `(n, 4)`; ValueError beyond `ROUNDED`."""
+    """Convert quaternions (w, x, y, z) to unit ones (x, y, z, w), `(n, 4)`; ValueError beyond
+    `ROUNDED`.
+    """
     if not is_unit(q).all():
         raise ValueError("an orientation is not a quaternion of unit length")
     return np.roll(q / np.sqrt((q * q).sum(axis=1, keepdims=True)), -1, axis=1)
 
 
 def unit_or_identity(q: FloatArray) -> FloatArray:
-    """Normalise quaternions `(n, 4)`; those of length 0, which senders leave empty, become the identity."""
+    """Normalise quaternions `(n, 4)`.
+
+    Those of length 0, which senders leave empty, become the identity.
+    """
     size = np.linalg.norm(q, axis=1, keepdims=True)
     return np.where(
         size > 1e-9, q / np.where(size > 1e-9, size, 1.0), np.array([0.0, 0.0, 0.0, 1.0])
@@ -94,7 +103,9 @@ SOONEST_S = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class RecordedBoxes(Columns):
-    """All boxes of a log, `(m,)` each: time s, owner (index into `names`), centre m, rad, m, m/s (NaN: unknown)."""
+    """All boxes of a log, `(m,)` each: time s, owner (index into `names`), centre m, rad, m, m/s
+    (NaN: unknown).
+    """
 
     names: tuple[str, ...]
     kinds: tuple[AgentKind, ...]
@@ -122,7 +133,8 @@ def ordered(boxes: RecordedBoxes, notes: list[str]) -> RecordedBoxes:
     )
     if not finite.all():
         notes.append(
-            f"{(~finite).sum()} of {len(finite)} boxes have a pose that is not finite and are left out."
+            f"{(~finite).sum()} of {len(finite)} boxes have a pose that is not finite and are left "
+            "out."
         )
     boxes = boxes.taken(finite)
     boxes = boxes.taken(np.lexsort((boxes.t, boxes.owner)))
@@ -157,14 +169,16 @@ def tracks_of(boxes: RecordedBoxes, notes: list[str]) -> Tracks:
     unsized = ~np.isfinite(sizes).all(axis=1)
     if unsized.any():
         notes.append(
-            f"{unsized.sum()} of {len(there)} road users have no size: that usual for their kind is assumed."
+            f"{unsized.sum()} of {len(there)} road users have no size: that usual for their kind "
+            "is assumed."
         )
         sizes[unsized] = [
             USUAL_SIZE_M[kind] for kind, lacks in zip(kinds, unsized, strict=True) if lacks
         ]
     if static.any():
         notes.append(
-            f"{static.sum()} objects (cones, barriers, signs) stay within {STAYS_M} m and are taken as standing there."
+            f"{static.sum()} objects (cones, barriers, signs) stay within {STAYS_M} m and are "
+            "taken as standing there."
         )
     pose = (boxes.t, boxes.x, boxes.y, boxes.yaw, boxes.vx, boxes.vy)
     offsets = np.r_[0, ends]
@@ -182,22 +196,25 @@ def tracks_of(boxes: RecordedBoxes, notes: list[str]) -> Tracks:
 # Poses
 
 WINDOW_S = 0.5
-"""Window of the fit, s: in shorter ones acceleration is noise (Argoverse 2: 99 % below 8.6 m/s2 at 0.1 s, 3.1 at
-0.5)."""
+"""Window of the fit, s: in shorter ones acceleration is noise (Argoverse 2: 99 % below 8.6 m/s2 at
+0.1 s, 3.1 at 0.5)."""
 ENOUGH = 5
 SPAN_S = 0.3
 ROLLING_MPS = 0.5
 STILL_M, STILL_S = 0.05, 0.3
-"""Bounds of a stand (3): after a stop the parabola overshoots, to -0.3 m/s after braking with 3 m/s2."""
+"""Bounds of a stand (3): after a stop the parabola overshoots, to -0.3 m/s after braking with 3
+m/s2.
+"""
 STATE_S = 0.1
-"""Ego states are kept at the frames of the boxes and, if those are twice this time apart or more, at this interval,
-s."""
+"""Ego states are kept at the frames of the boxes and, if those are twice this time apart or more,
+at this interval, s."""
 APART_S = 0.03
 """Least time between two states, s."""
 
 
 def fitted(t: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return first and second derivative (1) of `values` `(n, c)` at each time `(n,)`, s, from samples up to it.
+    """Return first and second derivative (1) of `values` `(n, c)` at each time `(n,)`, s, from
+    samples up to it.
 
     The second is NaN where (2) applies; both are NaN at the first sample.
     """
@@ -233,14 +250,18 @@ def fitted(t: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def nearest(times: Any, wanted: Any) -> IntArray:
-    """Return the row of increasing `times` `(n,)` nearest to each of `wanted` `(k,)`; of two, the later one."""
+    """Return the row of increasing `times` `(n,)` nearest to each of `wanted` `(k,)`.
+
+    Of two, the later one.
+    """
     after = np.clip(np.searchsorted(times, wanted), 0, len(times) - 1)
     earlier = np.maximum(after - 1, 0)
     return np.where(np.abs(times[earlier] - wanted) < np.abs(times[after] - wanted), earlier, after)
 
 
 def kept(times: FloatArray, frames: FloatArray) -> IntArray:
-    """Return the states to keep: the nearest to each frame (s), and between frames one every `STATE_S`.
+    """Return the states to keep: the nearest to each frame (s), and between frames one every
+    `STATE_S`.
 
     Without frames, it is one every `STATE_S`.
     """
@@ -261,7 +282,9 @@ def kept(times: FloatArray, frames: FloatArray) -> IntArray:
 def from_second(
     index: IntArray, times: FloatArray, first: FloatArray, notes: list[str]
 ) -> IntArray:
-    """Return the states after the first frame; `first` holds its time, s, and is empty without frames."""
+    """Return the states after the first frame; `first` holds its time, s, and is empty without
+    frames.
+    """
     begin = int(np.argmin(np.abs(times[index] - first[0]))) + 1 if len(first) else 1
     if begin + 1 >= len(index):
         return index
@@ -274,7 +297,8 @@ def from_second(
 def from_start(
     whole: Trajectory, index: IntArray, boxes: RecordedBoxes
 ) -> tuple[Trajectory, RecordedBoxes, FloatArray]:
-    """Shift time and origin to the first state of `index`; return these states, the boxes, and the origin `(2,)`.
+    """Shift time and origin to the first state of `index`; return these states, the boxes, and the
+    origin `(2,)`.
 
     Times are rounded to whole nanoseconds, as in logs.
     """
@@ -312,7 +336,8 @@ def driven(
     v, a = (first[:, :2] * ahead).sum(axis=1), (second[:, :2] * ahead).sum(axis=1)
     v[0] = v[1] if len(v) > 1 else 0.0
     notes.append(
-        f"The ego's speed, acceleration and curvature are derived: parabolas fitted to the poses of the {WINDOW_S} s"
+        "The ego's speed, acceleration and curvature are derived: parabolas fitted to the poses "
+        f"of the {WINDOW_S} s"
         " before each state."
     )
     columns = {

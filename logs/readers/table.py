@@ -1,16 +1,19 @@
 """Tables: pandas frames, CSV and Parquet files.
 
-    ego      t, x, y, yaw    and, where known, v, a, kappa, steer, throttle, brake          one row per state
-    agents   t, id, x, y     and, where known, yaw, vx, vy or v, length, width, kind      one row per agent and time
+    ego      t, x, y, yaw    and, where known, v, a, kappa, steer, throttle, brake          one row
+             per state
+    agents   t, id, x, y     and, where known, yaw, vx, vy or v, length, width, kind      one row
+             per agent and time
 
-t is in seconds (any zero), a date and time, or a time of day (`columns`); it may be given as t_ns, t_us or t_ms.
-Positions are world coordinates in metres, of the ego's rear axle (or its box centre: `ego_point`) and the agents' box
-centres; angles in rad, counter-clockwise from x; speeds in m/s. A quaternion qx, qy, qz, qw may replace yaw. Names and
-units of columns: `columns`. Missing columns are derived and noted (`replan.logs.complete`): the ego's v, the agents' yaw
-and velocity by backward differences, sizes by kind.
+t is in seconds (any zero), a date and time, or a time of day (`columns`); it may be given as t_ns,
+t_us or t_ms. Positions are world coordinates in metres, of the ego's rear axle (or its box centre:
+`ego_point`) and the agents' box centres; angles in rad, counter-clockwise from x; speeds in m/s. A
+quaternion qx, qy, qz, qw may replace yaw. Names and units of columns: `columns`. Missing columns
+are derived and noted (`replan.logs.complete`): the ego's v, the agents' yaw and velocity by
+backward differences, sizes by kind.
 
-A log on disk is a folder that holds `ego.csv` or `ego.parquet` and, beside it, `agents.csv` or `agents.parquet`
-(`csv_table`). A table of tracks without an ego is a log, too: `track_table`.
+A log on disk is a folder that holds `ego.csv` or `ego.parquet` and, beside it, `agents.csv` or
+`agents.parquet` (`csv_table`). A table of tracks without an ego is a log, too: `track_table`.
 """
 
 from __future__ import annotations
@@ -58,29 +61,35 @@ def from_frames(
     traffic: Spans | None = None,
     ego_point: str = "",
 ) -> Scenario:
-    """Make a scenario from tables of the ego and of the other road users (units and frames: docs/logs.md).
+    """Make a scenario from tables of the ego and of the other road users (units and frames:
+    docs/logs.md).
 
     Args:
-        ego: One row per state, in any order: t, x, y, yaw; where known v, a, kappa, steer, throttle, brake. Or the id
-            of the agent that becomes the ego: it is taken out of `agents`, whose columns may be those of a data set.
-        agents: One row per agent and time: t, id, x, y; where known yaw, vx, vy or v, length, width, kind. None: there
-            are no other road users.
+        ego: One row per state, in any order: t, x, y, yaw; where known v, a, kappa, steer,
+            throttle, brake. Or the id of the agent that becomes the ego: it is taken out of
+            `agents`, whose columns may be those of a data set.
+        agents: One row per agent and time: t, id, x, y; where known yaw, vx, vy or v, length,
+            width, kind. None: there are no other road users.
         name: Name of the scenario, short and unique within a run.
-        columns: Column of the table, with its unit, by replan's name: for both tables ("v"), or for one ("ego.v",
-            "agents.v"). Columns that are not listed must have replan's names.
-        road: The road in the tables' coordinates; None: one lane along the driven path, with a note.
+        columns: Column of the table, with its unit, by replan's name: for both tables ("v"), or for
+            one ("ego.v", "agents.v"). Columns that are not listed must have replan's names.
+        road: The road in the tables' coordinates; None: one lane along the driven path, with a
+            note.
         goal: The goal in the tables' coordinates, or None.
         vehicle: The ego's vehicle; None: that of the agent's size or the default car, with a note.
-        tags: Words by which gates and reports group; "recorded" or "synthetic" tells whether a person drove.
+        tags: Words by which gates and reports group; "recorded" or "synthetic" tells whether a
+            person drove.
         source: Origin of the data.
         licence: Licence of the data.
-        traffic: When the other agents were observed, s since the first ego row; None: inferred from their rows.
-        ego_point: Point of the ego whose position the table has: "rear_axle" or "centre" (of its box); "": "rear_axle",
-            of an agent "centre".
+        traffic: When the other agents were observed, s since the first ego row; None: inferred from
+            their rows.
+        ego_point: Point of the ego whose position the table has: "rear_axle" or "centre" (of its
+            box); "": "rear_axle", of an agent "centre".
 
     Raises:
-        LogError: A column is missing or not numeric, a unit or kind is unknown, a value is not finite, two rows of an
-            agent have the same time, the clock restarts within the rows, or no agent has that id.
+        LogError: A column is missing or not numeric, a unit or kind is unknown, a value is not
+            finite, two rows of an agent have the same time, the clock restarts within the rows, or
+            no agent has that id.
     """
     notes = list[str]()
     if not isinstance(ego, pd.DataFrame):
@@ -199,7 +208,8 @@ def _tracks(
     turns = table.yaw()
     if turns is None:
         notes.append(
-            "The log has no headings of the agents: they are those of the way come, the first of the way that they"
+            "The log has no headings of the agents: they are those of the way come, the first of "
+            "the way that they"
             " then go."
         )
         turns = np.empty(len(x))
@@ -236,14 +246,18 @@ def _tracks(
 def _file(folder: Path, name: str) -> Path | None:
     """Return the file of table `name` in a log's folder, or None; LogError as in `beside`.
 
-    A file of that name with another suffix raises LogError, as its content would silently be left out.
+    A file of that name with another suffix raises LogError, as its content would silently be left
+    out.
     """
     path = beside(folder, [f"{name}{suffix}" for suffix in SUFFIXES])
     others = sorted(
         each.name for each in folder.iterdir() if each.name.casefold().partition(".")[0] == name
     )
     if path is None and others:
-        what = f"{others[0]} is not read: a table is {' or '.join(f'{name}{suffix}' for suffix in SUFFIXES)}"
+        what = (
+            f"{others[0]} is not read: a table is "
+            f"{' or '.join(f'{name}{suffix}' for suffix in SUFFIXES)}"
+        )
         raise LogError(what, topic=others[0], remedy="convert it, or remove it from the folder")
     return path
 

@@ -1,16 +1,17 @@
-"""Tables of tracks without an ego: one of the road users becomes the ego, the others are the agents.
+"""Tables of tracks without an ego: one of the road users becomes the ego, the others are the
+agents.
 
-`DATA_SETS` has one row per public data set that is published as such tables: names and units of its columns, the point
-of a vehicle whose position it has, and where its frame rate is. Other tables have replan's names of columns, or those
-of `[log.columns]`, and positions of box centres.
+`DATA_SETS` has one row per public data set that is published as such tables: names and units of its
+columns, the point of a vehicle whose position it has, and where its frame rate is. Other tables
+have replan's names of columns, or those of `[log.columns]`, and positions of box centres.
 
 (1) upper left corner (highD: x right, y down): centre = (x + length / 2, -(y + width / 2))
 (2) front centre (NGSIM):                       centre = p - length / 2 (cos yaw, sin yaw)
 (3) without headings: the direction of the way come over at least `HEADED_M`
 
-The ego's rear axle is behind the centre of its box as in the default car, in proportion to its length. Its
-acceleration, its curvature and, where the table has none, its speed come from parabolas through its positions
-(`recorded.driven`).
+The ego's rear axle is behind the centre of its box as in the default car, in proportion to its
+length. Its acceleration, its curvature and, where the table has none, its speed come from parabolas
+through its positions (`recorded.driven`).
 """
 
 from __future__ import annotations
@@ -40,10 +41,12 @@ class DataSet(NamedTuple):
     """How a data set writes its tables of tracks."""
 
     name: str  # its name
-    # its column, with the unit, by replan's name; all must be there for a table to be of this data set
+    # its column, with the unit, by replan's name; all must be there for a table to be of this data
+    # set
     columns: Mapping[str, str]
     point: str = "centre"  # point of the position: "centre", "front" (2) or "corner" (1)
-    # part of the table's name, and what replaces it in that of a file beside it; `META`: frame rate and kinds
+    # part of the table's name, and what replaces it in that of a file beside it; `META`: frame rate
+    # and kinds
     sides: tuple[tuple[str, str], ...] = ()
     recording: str = ""  # column that tells recordings apart if a table holds several
     ego: str = ""  # the road user that is the ego if no other is named
@@ -120,7 +123,9 @@ DATA_SETS = (
         kinds=dict.fromkeys(("av", "agent", "others"), "car"),
     ),
 )
-"""The data sets: NGSIM's positions are of the front centre, in feet (FHWA-HRT-06-137); Argoverse 1's have no sizes."""
+"""The data sets: NGSIM's positions are of the front centre, in feet (FHWA-HRT-06-137); Argoverse
+1's have no sizes.
+"""
 ALIASES = {
     "vehicle": "car",
     "person": "pedestrian",
@@ -145,7 +150,10 @@ _SHOWN = 8
 
 
 class TakenEgo(NamedTuple):
-    """The ego that was taken from a table of tracks; both tables have replan's names and units, and box centres."""
+    """The ego that was taken from a table of tracks.
+
+    Both tables have replan's names and units, and box centres.
+    """
 
     ego: pd.DataFrame
     agents: pd.DataFrame
@@ -162,10 +170,12 @@ def taken_ego(
     given: Mapping[str, str],
     vehicle: VehicleParameters | None,
 ) -> TakenEgo:
-    """Take a road user out of a table of tracks; LogError as in `from_frames`, or with those who drove farthest.
+    """Take a road user out of a table of tracks; LogError as in `from_frames`, or with those who
+    drove farthest.
 
-    `ego` is its id, or its word for the kind if only one road user has it; "": that of the data set. The columns that
-    are `given` by replan's name win over those of the data set. `vehicle` None: one of the road user's size.
+    `ego` is its id, or its word for the kind if only one road user has it; "": that of the data
+    set. The columns that are `given` by replan's name win over those of the data set. `vehicle`
+    None: one of the road user's size.
     """
     if frame is None or not len(frame):
         raise LogError("the table has no rows", topic="agents", remedy="give a table of tracks")
@@ -179,7 +189,10 @@ def taken_ego(
     )
     check_names(given, {"agents": frame})
     if data.recording in frame and frame[data.recording].nunique() > 1:
-        what = f"the table holds {frame[data.recording].nunique()} recordings, whose ids differ ({data.recording})"
+        what = (
+            f"the table holds {frame[data.recording].nunique()} recordings, whose ids differ "
+            f"({data.recording})"
+        )
         raise LogError(what, topic="agents", remedy=f"keep the rows of one {data.recording}")
     table = NamedColumns(
         frame,
@@ -211,7 +224,8 @@ def taken_ego(
     if vehicle is None and np.isfinite(length + width):
         vehicle = assumed_car({"length": length, "width": width}, notes)
         notes.append(
-            f"The ego is agent {ego}, {length:.2f} x {width:.2f} m. Its wheelbase of {vehicle.wheelbase:.2f} m and its"
+            f"The ego is agent {ego}, {length:.2f} x {width:.2f} m. Its wheelbase of "
+            f"{vehicle.wheelbase:.2f} m and its"
             " rear axle are assumed: as in the default car, in proportion to the length."
         )
     shown = (t >= -BEFORE_S) & (t <= t[its[-1]])
@@ -248,7 +262,9 @@ def _states(
     kinds: list[AgentKind],
     notes: list[str],
 ) -> dict[str, FloatArray]:
-    """Return position of the box centre, heading, velocity and size of each row, `(n,)`; NaN where unknown."""
+    """Return position of the box centre, heading, velocity and size of each row, `(n,)`; NaN where
+    unknown.
+    """
     unknown = np.full(len(order), np.nan)
     names = ("x", "y", "vx", "vy", "length", "width")
     state = {
@@ -272,7 +288,8 @@ def _states(
     lacking = ~np.isfinite(state["yaw"])
     if lacking.any():  # (3)
         notes.append(
-            f"Headings that the table lacks are the direction of the last {HEADED_M:g} m of the way."
+            f"Headings that the table lacks are the direction of the last {HEADED_M:g} m of the "
+            "way."
         )
         state["yaw"] = np.where(
             lacking, headings(offsets, state["x"], state["y"], HEADED_M), state["yaw"]
@@ -281,7 +298,8 @@ def _states(
     if data.point == "front":  # (2)
         state["x"], state["y"] = state["x"] - 0.5 * length * cos, state["y"] - 0.5 * length * sin
         notes.append(
-            "Positions are the middles of the front bumpers: they are moved back to the centres of the boxes."
+            "Positions are the middles of the front bumpers: they are moved back to the centres of "
+            "the boxes."
         )
     if table.has("v") and not (table.has("vx") and table.has("vy")):
         v = table.numbers("v")[order]
@@ -292,7 +310,10 @@ def _states(
 def _ego_states(
     table: NamedColumns, ns: Any, t: FloatArray, state: dict[str, FloatArray], notes: list[str]
 ) -> pd.DataFrame:
-    """Return the table of the ego; what is not stated comes from parabolas through its positions."""
+    """Return the table of the ego.
+
+    What is not stated comes from parabolas through its positions.
+    """
     if table.yaw() is None and np.hypot(np.ptp(state["x"]), np.ptp(state["y"])) < HEADED_M:
         what = f"the ego moves less than {HEADED_M:g} m and has no heading"
         raise LogError(what, topic="agents", remedy="name another agent with --ego")
@@ -303,7 +324,8 @@ def _ego_states(
     fit = driven(t, state["x"], state["y"], state["yaw"], [])
     v = state["vx"] * np.cos(state["yaw"]) + state["vy"] * np.sin(state["yaw"])
     notes.append(
-        f"The ego's {'' if np.isfinite(v).all() else 'speed, '}acceleration and curvature are derived: parabolas fitted"
+        f"The ego's {'' if np.isfinite(v).all() else 'speed, '}acceleration and curvature are "
+        "derived: parabolas fitted"
         " to its positions before each state."
     )
     return pd.DataFrame(
@@ -371,7 +393,10 @@ def names_of(table: NamedColumns) -> Any:
 
 
 def headings(offsets: Any, x: FloatArray, y: FloatArray, least: float) -> FloatArray:
-    """Return each agent's direction of motion over at least `least` m; first samples get the first known direction."""
+    """Return each agent's direction of motion over at least `least` m.
+
+    First samples get the first known direction.
+    """
     yaw = np.zeros(len(x))
     for first, end in pairwise(offsets):
         at, known = first, False
@@ -413,7 +438,9 @@ def data_set_of(header: Iterable[str]) -> DataSet | None:
 
 
 def claims(path: Path, columns: Mapping[str, str] | None = None) -> bool:
-    """Return whether a path is a table of tracks: a file with known columns, or a folder with only agents."""
+    """Return whether a path is a table of tracks: a file with known columns, or a folder with only
+    agents.
+    """
     if path.is_dir():
         held = [any((path / f"{name}{suffix}").is_file() for suffix in SUFFIXES) for name in NAMES]
         return held == [False, True]
@@ -439,7 +466,9 @@ def files(path: Path) -> tuple[Path, ...]:
 
 
 def load(path: Path, columns: Mapping[str, str]) -> tuple[pd.DataFrame, dict[str, str]]:
-    """Load a table of tracks with the files beside it, and `columns` with the time of a frame; LogError without."""
+    """Load a table of tracks with the files beside it, and `columns` with the time of a frame;
+    LogError without.
+    """
     frame, columns = load_table(path), dict(columns)
     data = data_set_of(map(str, frame.columns))
     if data is None:
@@ -464,7 +493,10 @@ def load(path: Path, columns: Mapping[str, str]) -> tuple[pd.DataFrame, dict[str
             else np.nan
         )
         if not rate > 0.0:
-            what = f"the frame rate of {data.name} is in ..._recordingMeta.csv beside the table, which does not have it"
+            what = (
+                f"the frame rate of {data.name} is in ..._recordingMeta.csv beside the table, "
+                "which does not have it"
+            )
             remedy = 'copy that file there, or name the rate: [log.columns] t = "frame [25 Hz]"'
             raise LogError(what, topic=path.name, remedy=remedy)
         columns["t"] = f"frame [{rate} Hz]"

@@ -1,8 +1,9 @@
-"""Detected boxes: constants by group, overlap of boxes, and boxes of a frame that show the same object.
+"""Detected boxes: constants by group, overlap of boxes, and boxes of a frame that show the same
+object.
 
-Most constants have one value each for vehicles, persons (on foot or riding) and clusters, whose kind is unknown and
-whose parts split and merge. Constants without another source were measured on 13 city drives at 10 Hz (SFA and cluster
-detectors of Autoware Mini).
+Most constants have one value each for vehicles, persons (on foot or riding) and clusters, whose
+kind is unknown and whose parts split and merge. Constants without another source were measured on
+13 city drives at 10 Hz (SFA and cluster detectors of Autoware Mini).
 """
 
 from __future__ import annotations
@@ -20,24 +21,28 @@ from replan.logs.shapes import corners
 
 VEHICLE, PERSON, CLUSTER = 0, 1, 2
 NOISE, ACCEL = frozen([0.30, 0.20, 0.35]), frozen([3.0, 1.5, 1.5])
-"""Standard deviations of a centre, m, of which most drifts slowly (rms 0.22 to 0.30 m of standing cars), and of the
-acceleration over `STEP_S`, m/s2 (Autoware's tracker: 0.35 g along, 0.15 g across cars, 0.3 g for pedestrians)."""
+"""Standard deviations of a centre, m, of which most drifts slowly (rms 0.22 to 0.30 m of standing
+cars), and of the acceleration over `STEP_S`, m/s2 (Autoware's tracker: 0.35 g along, 0.15 g across
+cars, 0.3 g for pedestrians)."""
 STILL, SLOW, FAST = frozen([1.2, 0.6, 2.0]), frozen([0.6, 0.3, 0.6]), frozen([1.5, 0.5, 1.0])
-"""By group: a track that moves less between its first and last third never moves, m; a slower object stands, m/s; a
-faster object has a known direction of motion, m/s."""
+"""By group: a track that moves less between its first and last third never moves, m; a slower
+object stands, m/s; a faster object has a known direction of motion, m/s."""
 STEP_S = 0.1
 """The period over which `ACCEL` is constant."""
 DENSITY = frozen(ACCEL**2 * STEP_S)
 """Spectral density of the acceleration, m2/s3."""
 SLIDES = 0.75
-"""A cluster stands unless it moves by more than this share of its length: the visible part of a standing object
-changes."""
+"""A cluster stands unless it moves by more than this share of its length: the visible part of a
+standing object changes."""
 SURE, UNSURE_NOISE, LEAST_SIZE_M = 0.4, 1.5, 0.1
-"""Boxes with a score below `SURE` have `UNSURE_NOISE` times the noise. `LEAST_SIZE_M`: least side of a box, m."""
+"""Boxes with a score below `SURE` have `UNSURE_NOISE` times the noise.
+
+`LEAST_SIZE_M`: least side of a box, m.
+"""
 TWIN_SHARE, TWIN_PART, OTHER_PART = 0.1, 0.5, 0.7
-"""Two boxes show one object if they share more than `TWIN_SHARE` of their union, or `TWIN_PART` of the smaller box
-(SimpleTrack removes at 0.25). For two persons, who walk close together, only the part of the smaller box decides; for a
-person and a vehicle, only `OTHER_PART`."""
+"""Two boxes show one object if they share more than `TWIN_SHARE` of their union, or `TWIN_PART` of
+the smaller box (SimpleTrack removes at 0.25). For two persons, who walk close together, only the
+part of the smaller box decides; for a person and a vehicle, only `OTHER_PART`."""
 _PERSONS, _CLUSTERS = (
     among(*(kind for kind in AgentKind if kind.is_vulnerable)),
     among(AgentKind.OBJECT),
@@ -48,10 +53,12 @@ _USUAL = frozen([USUAL_SIZE_M[kind] for kind in AgentKind])
 
 @dataclass(frozen=True, eq=False)
 class Boxes(Columns):
-    """Detections in a defined order within each frame, with missing values filled in: columns of `Detections` `(m,)`.
+    """Detections in a defined order within each frame, with missing values filled in: columns of
+    `Detections` `(m,)`.
 
-    `source` are indices of the detections, `frame` indices of the frames, `group` is as above, `noise` is the standard
-    deviation of the centre, m. The longer side of a cluster is its length; a score of 0 is NaN.
+    `source` are indices of the detections, `frame` indices of the frames, `group` is as above,
+    `noise` is the standard deviation of the centre, m. The longer side of a cluster is its length;
+    a score of 0 is NaN.
     """
 
     source: IntArray
@@ -88,7 +95,9 @@ class Boxes(Columns):
         width: FloatArray,
         score: FloatArray,
     ) -> Boxes:
-        """Make the boxes of the columns of detections, in an order that does not depend on theirs within a frame."""
+        """Make the boxes of the columns of detections, in an order that does not depend on theirs
+        within a frame.
+        """
         order = np.lexsort((length, yaw, y, x, codes, t))
         t, x, y, yaw, score = (column[order] for column in (t, x, y, yaw, score))
         codes, sizes = codes[order], np.column_stack([length, width])[order]
@@ -107,7 +116,9 @@ class Boxes(Columns):
 
 @kernel
 def shared_area(one: FloatArray, two: FloatArray) -> float:
-    """Return the common area of two boxes `(5,)`, m2, by clipping one with the other (Sutherland, Hodgman, 1974)."""
+    """Return the common area of two boxes `(5,)`, m2, by clipping one with the other (Sutherland,
+    Hodgman, 1974).
+    """
     dx, dy = two[0] - one[0], two[1] - one[1]
     if hypot(dx, dy) >= 0.5 * (hypot(one[3], one[4]) + hypot(two[3], two[4])):
         return 0.0
@@ -137,7 +148,9 @@ def shared_area(one: FloatArray, two: FloatArray) -> float:
 def shares(
     t: FloatArray, boxes: FloatArray, times: FloatArray, others: FloatArray, part: float
 ) -> BoolArray:
-    """Return at which t `(k,)` the boxes in `boxes` `(k, 5)` and `others` share more than `part` of the smaller."""
+    """Return at which t `(k,)` the boxes in `boxes` `(k, 5)` and `others` share more than `part` of
+    the smaller.
+    """
     out, j = np.zeros(len(t), np.bool_), 0
     for i in range(len(t)):
         while j < len(times) and times[j] < t[i]:
@@ -149,9 +162,11 @@ def shares(
 
 
 def stronger_twins(boxes: Boxes) -> IntArray:
-    """Return for each box the better box of the same object in its frame `(m,)`; -1 if there is none.
+    """Return for each box the better box of the same object in its frame `(m,)`; -1 if there is
+    none.
 
-    The higher score is better; if scores are equal or missing, the larger box. Scored or not, clusters rank lower by 1.
+    The higher score is better; if scores are equal or missing, the larger box. Scored or not,
+    clusters rank lower by 1.
     """
     strength = np.where(boxes.group < CLUSTER, 1.0, 0.0) + np.nan_to_num(boxes.score)
     order = np.lexsort((-boxes.length * boxes.width, -strength, boxes.frame))
@@ -161,7 +176,9 @@ def stronger_twins(boxes: Boxes) -> IntArray:
 
 @kernel
 def _stronger(order: IntArray, frame: IntArray, pose: FloatArray, group: IntArray) -> IntArray:
-    """Compute `stronger_twins` of boxes `pose` `(m, 5)` in `frame` `(m,)`; `order`: by frame, strongest first."""
+    """Compute `stronger_twins` of boxes `pose` `(m, 5)` in `frame` `(m,)`; `order`: by frame,
+    strongest first.
+    """
     out = np.full(len(pose), -1)
     for i in range(len(order)):
         a = order[i]

@@ -1,12 +1,14 @@
-"""Raw detections, whether their ids are identities, the changes of a repair that makes tracks of them, and their names.
+"""Raw detections, whether their ids are identities, the changes of a repair that makes tracks of
+them, and their names.
 
 Names. A repair makes its tracks with the whole log; the tracker's tracks are causal:
 
-(1) a causal track belongs to the repaired track whose box was nearest to its own, within `NEAR_M`, in most frames up to
-    now; a causal track that was near no repaired track is not a road user
-(2) a repaired track gets the name of the causal track that belonged to it in most frames; other causal tracks of the
-    same road user, after a loss, keep their own names. A repaired track without a causal track gets a new name; a
-    static road user keeps its name, with a suffix if a causal track has it
+(1) a causal track belongs to the repaired track whose box was nearest to its own, within `NEAR_M`,
+    in most frames up to now; a causal track that was near no repaired track is not a road user
+(2) a repaired track gets the name of the causal track that belonged to it in most frames; other
+    causal tracks of the same road user, after a loss, keep their own names. A repaired track
+    without a causal track gets a new name; a static road user keeps its name, with a suffix if a
+    causal track has it
 """
 
 from __future__ import annotations
@@ -27,12 +29,14 @@ from replan.logs.tracks import Tracks
 
 @dataclass(frozen=True, eq=False)
 class Detections:
-    """Boxes of all frames, flat, in order of time: `(m,)` each, world frame, m, rad, m/s. Equal times are one frame.
+    """Boxes of all frames, flat, in order of time: `(m,)` each, world frame, m, rad, m/s. Equal
+    times are one frame.
 
     Attributes:
         t: s since the scenario's start, not decreasing; each is one of `frames`.
         frames: `(k,)` times of all frames, frames without boxes included, strictly increasing.
-        ids: The log's names, which need not identify one object over time; "" where the log has none.
+        ids: The log's names, which need not identify one object over time; "" where the log has
+            none.
         codes: Kinds as numbers (`codes_of`).
         x: Box centre; `y` likewise; `yaw` of the box.
         length: Length of the box, NaN where unknown; `width` likewise.
@@ -40,7 +44,8 @@ class Detections:
         score: The detector's confidence, 0 to 1; NaN where unknown.
 
     Raises:
-        ValueError: Shapes disagree, times decrease, a box belongs to no frame, or a pose is not finite.
+        ValueError: Shapes disagree, times decrease, a box belongs to no frame, or a pose is not
+            finite.
     """
 
     t: FloatArray
@@ -112,8 +117,9 @@ _BOXES = tuple(each.name for each in fields(Detections) if each.name not in ("id
 class TrackChange:
     """One change that a repair made."""
 
-    # "joined" (detections became a track), "removed" (a track, or boxes that overlap a track), "extended" (a track
-    # beyond its detections), "relabelled" (its kind), "turned" (reversed fronts) or "shrunk" (its box)
+    # "joined" (detections became a track), "removed" (a track, or boxes that overlap a track),
+    # "extended" (a track beyond its detections), "relabelled" (its kind), "turned" (reversed
+    # fronts) or "shrunk" (its box)
     what: str
     agent: str  # id in the repaired tracks or in `Repair.removed`
     begin: float  # first time of the change, s; `end` is the last
@@ -134,8 +140,8 @@ class Repair:
 
     detections: Detections  # the detections as read
     removed: Tracks  # removed tracks, under ids that no repaired track has; for drawing
-    # Whether a sample of the repaired tracks `(m,)` lies before the first or after the last detection of its track.
-    # Samples that fill a gap between two detections are not marked.
+    # Whether a sample of the repaired tracks `(m,)` lies before the first or after the last
+    # detection of its track. Samples that fill a gap between two detections are not marked.
     extended: BoolArray
     # Changes in the order of the repaired tracks, then of the removed ones
     changes: tuple[TrackChange, ...]
@@ -173,17 +179,22 @@ _SENTENCES = {
 # Identities and names
 
 STEP_S, FASTEST_MPS, JUMPS = 0.5, 60.0, 0.02
-"""Ids are not identities if more than `JUMPS` of the steps of equal ids within `STEP_S` are faster than `FASTEST_MPS`,
-or if more than this share of the boxes has the same id as another box of the frame."""
+"""Ids are not identities if more than `JUMPS` of the steps of equal ids within `STEP_S` are faster
+than `FASTEST_MPS`, or if more than this share of the boxes has the same id as another box of the
+frame."""
 SHORT_S, FLICKER, LEAST_IDS = 1.0, 0.5, 10
 """Road users flicker if more than half of at least ten ids are seen for less than a second."""
 NEAR_M = 2.5
-"""Half of a car's length, m: covers the drift of detected centres and the error of extrapolating lost agents."""
+"""Half of a car's length, m: covers the drift of detected centres and the error of extrapolating
+lost agents.
+"""
 UNTRACKED = "untracked"
 
 
 def needs_repair(detections: Detections) -> str | None:
-    """Return why the detections must be repaired, in a sentence; None if they are tracks already."""
+    """Return why the detections must be repaired, in a sentence; None if they are tracks
+    already.
+    """
     if not any(detections.ids):
         return "The log gives its detections no ids." if len(detections) else None
     why = no_identities(detections.ids, detections.t, detections.x, detections.y)
@@ -202,7 +213,9 @@ def needs_repair(detections: Detections) -> str | None:
 
 
 def no_identities(ids: Sequence[str], t: FloatArray, x: FloatArray, y: FloatArray) -> str | None:
-    """Return why the ids of boxes `(m,)` at the frame times t `(m,)`, s, are not identities; None if they are."""
+    """Return why the ids of boxes `(m,)` at the frame times t `(m,)`, s, are not identities; None
+    if they are.
+    """
     codes = np.unique(np.array(ids), return_inverse=True)[1]
     order = np.lexsort((t, codes))
     same, dt = np.diff(codes[order]) == 0, np.diff(t[order])
@@ -226,7 +239,10 @@ class Owners:
         self.votes: dict[str, Counter[str]] = defaultdict(Counter)
 
     def of(self, known: Agents, log: Agents) -> list[str]:
-        """Return the log's name of each known agent, "" if it has none; both arguments are states at the same time."""
+        """Return the log's name of each known agent, "" if it has none.
+
+        Both arguments are states at the same time.
+        """
         away = np.hypot(known.x[:, None] - log.x, known.y[:, None] - log.y)
         for name, row in zip(known.ids, away if len(log) else (), strict=bool(len(log))):
             nearest = int(np.argmin(row))
@@ -235,7 +251,10 @@ class Owners:
         return [self.owner(name) for name in known.ids]
 
     def owner(self, name: str) -> str:
-        """Return the log's track that owns a causal track; the first of several with equal votes."""
+        """Return the log's track that owns a causal track.
+
+        The first of several with equal votes.
+        """
         votes = self.votes[name]
         return max(votes, key=votes.__getitem__, default="")
 

@@ -1,13 +1,15 @@
-"""Makes tracks from raw detections with the whole log, for metrics, traffic and drawing (not causal).
+"""Makes tracks from raw detections with the whole log, for metrics, traffic and drawing (not
+causal).
 
 1. twins     keep the best of the boxes of a frame that show one object (`boxes`)
 2. join      detections to tracks, frame by frame (`tracker`)
 3. stitch    tracks whose ends meet across a gap (`users`)
-4. smooth    forward and backward, with less weight for outliers; standing users have no speed (`users`)
+4. smooth    forward and backward, with less weight for outliers; standing users have no speed
+             (`users`)
 5. vote      kind, size, front (`users`)
-6. remove    users seen too rarely, with impossible motion, in the place of a better one, or where the ego drove; a box
-             that the ego only grazes, within the noise of boxes, is shrunk; of a track that the ego meets for a moment,
-             only the longest part without contact stays
+6. remove    users seen too rarely, with impossible motion, in the place of a better one, or where
+             the ego drove; a box that the ego only grazes, within the noise of boxes, is shrunk; of
+             a track that the ego meets for a moment, only the longest part without contact stays
 7. extend    users who stand at the edge of sight
 """
 
@@ -40,33 +42,45 @@ from replan.logs.tracks import SAMPLE_COLUMNS, Tracks
 from replan.logs.vehicle import VehicleParameters
 
 STEADY, STEADY_MPS = 3, 5.0
-"""Index of the group of road users with a constant speed above `STEADY_MPS`, m/s. They are in sight for a few frames
-only, and clutter does not move along a line."""
+"""Index of the group of road users with a constant speed above `STEADY_MPS`, m/s. They are in sight
+for a few frames only, and clutter does not move along a line."""
 LEAST_TIME, LEAST_COUNT = frozen([0.7, 0.7, 1.5, 0.25]), frozen([5, 5, 10, 4])
 LEAST_SCORE, LEAST_SEEN = frozen([2.5, 2.0, 0.0, 1.2]), frozen([0.3, 0.3, 0.6, 0.15])
-"""By group, least evidence of a road user: time, s, number of detections, sum of scores (clutter lasts 0.1 to 0.5 s),
-and the share of frames in which a moving one is detected (measured: 0.93 close by to 0.69 at 90 m)."""
+"""By group, least evidence of a road user: time, s, number of detections, sum of scores (clutter
+lasts 0.1 to 0.5 s), and the share of frames in which a moving one is detected (measured: 0.93 close
+by to 0.69 at 90 m)."""
 SURE_SCORE = 1.2
-"""From this multiple of `LEAST_SCORE` on, no least time is required: some users appear only at the ends of the log."""
+"""From this multiple of `LEAST_SCORE` on, no least time is required: some users appear only at the
+ends of the log.
+"""
 SIDEWAYS_RAD, SIDEWAYS_MPS, SIDEWAYS_COUNT = np.radians(35.0), 2.0, 2
-"""A vehicle that moves this far off its axis consists of parts of several objects: yaw is exact to 3 to 4 degrees."""
+"""A vehicle that moves this far off its axis consists of parts of several objects: yaw is exact to
+3 to 4 degrees.
+"""
 SAME_PART, SAME_SHARE = 0.3, 0.33
-"""Two tracks are one object if they share more than `SAME_PART` of the smaller box for more than `SAME_SHARE` of the
-time; for a person and a vehicle the part is `OTHER_PART`, as people stand close to cars."""
+"""Two tracks are one object if they share more than `SAME_PART` of the smaller box for more than
+`SAME_SHARE` of the time; for a person and a vehicle the part is `OTHER_PART`, as people stand close
+to cars."""
 BEFORE_S = 2.0
 """A standing object does not vanish within this time before the ego arrives, s."""
 GRAZE_M, LEAST_SIDE, MOMENT = 0.3, 0.5, 0.2
-"""A box is too large by at most `GRAZE_M`, and no side shrinks below the share `LEAST_SIDE`; a track that overlaps the
-ego in more than the share `MOMENT` of its samples is not a road user."""
+"""A box is too large by at most `GRAZE_M`, and no side shrinks below the share `LEAST_SIDE`; a
+track that overlaps the ego in more than the share `MOMENT` of its samples is not a road user."""
 ROOM_M, PASSING_S = 0.2, 0.02
-"""The recorded driver keeps at least this from what stands, m; it is looked at every `PASSING_S`, s."""
+"""The recorded driver keeps at least this from what stands, m.
+
+It is looked at every `PASSING_S`, s.
+"""
 RANGE_M, RANGE_SIDE_M, EXTEND_S, EXTEND_STILL_MPS = 42.0, 20.0, 10.0, 0.2
-"""Sight ends about 50 m ahead and 25 m to the side. A user who stands at the first (last) sight beyond `RANGE_M` ahead
-or `RANGE_SIDE_M` aside is assumed to stand there before (after), for `EXTEND_S` at most."""
+"""Sight ends about 50 m ahead and 25 m to the side. A user who stands at the first (last) sight
+beyond `RANGE_M` ahead or `RANGE_SIDE_M` aside is assumed to stand there before (after), for
+`EXTEND_S` at most."""
 
 
 def detections_of(tracks: Tracks) -> Detections:
-    """Return the samples of tracks as detections without scores, so that any log can be repaired."""
+    """Return the samples of tracks as detections without scores, so that any log can be
+    repaired.
+    """
     order = np.lexsort((tracks.owner, tracks.t))
     columns = {name: getattr(tracks, name)[order] for name in SAMPLE_COLUMNS}
     who = tracks.owner[order]
@@ -86,8 +100,9 @@ def repair(
 ) -> tuple[Tracks, Repair]:
     """Make tracks from raw detections, and record all changes. Not causal: it uses the whole log.
 
-    `ego` is the drive of the log (rear axle): far boxes have less weight, and objects in its way are removed. A track
-    keeps the id of the log if exactly its detections have this id; else its id is a number in order of birth.
+    `ego` is the drive of the log (rear axle): far boxes have less weight, and objects in its way
+    are removed. A track keeps the id of the log if exactly its detections have this id; else its id
+    is a number in order of birth.
     """
     every, frames = detections.boxes, detections.frames
     twin_of = stronger_twins(every)
@@ -150,7 +165,8 @@ def _road_users(
 ) -> tuple[list[User], list[tuple[User, str]]]:
     """Return the road users of pieces with enough evidence, and the removed ones with reasons.
 
-    A user in the place of a better one is removed; its detections before and after the better one's go to that one.
+    A user in the place of a better one is removed; its detections before and after the better one's
+    go to that one.
     """
     every = [user_of(piece, boxes, ego) for piece in pieces]
     reasons = [_trouble(user, boxes) for user in every]
@@ -251,7 +267,9 @@ def _tracks(users: Sequence[User], ids: Sequence[str]) -> Tracks:
 
 
 def _trouble(user: User, boxes: Boxes) -> str | None:
-    """Return why a piece has too little evidence of a road user, or moves unlike a vehicle; None if it is one."""
+    """Return why a piece has too little evidence of a road user, or moves unlike a vehicle; None if
+    it is one.
+    """
     piece, score = user.piece, boxes.score[user.piece.rows]
     group, count, span = piece.group, len(piece.rows), piece.t[-1] - piece.t[0]
     row = group
@@ -266,7 +284,10 @@ def _trouble(user: User, boxes: Boxes) -> str | None:
     if count < LEAST_COUNT[row] or (span < LEAST_TIME[row] - 1e-6 and not sure):
         return f"Seen {count} times within {span:.1f} s: too little for a road user."
     if np.isfinite(score).all() and score.sum() < LEAST_SCORE[row]:
-        return f"The scores of its {count} detections sum up to {score.sum():.1f}: too little for a road user."
+        return (
+            f"The scores of its {count} detections sum up to {score.sum():.1f}: too little for "
+            "a road user."
+        )
     seen = count / len(piece.t)
     if not piece.still and seen < LEAST_SEEN[row]:
         return f"Moves, and was seen in {seen:.0%} of the frames only."
@@ -278,13 +299,17 @@ def _trouble(user: User, boxes: Boxes) -> str | None:
     median = float(np.median(np.abs(askew - np.pi * np.round(askew / np.pi))))
     if median <= SIDEWAYS_RAD:
         return None
-    return f"A {user.kind.value} that moves {np.degrees(median):.0f} degrees off its axis: parts of several objects."
+    return (
+        f"A {user.kind.value} that moves {np.degrees(median):.0f} degrees off its axis: parts "
+        "of several objects."
+    )
 
 
 def _depths(
     t: FloatArray, boxes: FloatArray, ego: Trajectory, vehicle: VehicleParameters, room: float = 0.0
 ) -> FloatArray:
-    """Return how deep boxes `(k, 5)` overlap the ego's, larger by `room` on all sides, at t `(k,)`, m.
+    """Return how deep boxes `(k, 5)` overlap the ego's, larger by `room` on all sides, at t `(k,)`,
+    m.
 
     It is 0 if they are apart, or if the log has no ego then.
     """
@@ -302,7 +327,9 @@ def _depths(
 
 
 def _beside_ego(user: User, ego: Trajectory, vehicle: VehicleParameters) -> tuple[User | None, str]:
-    """Check a road user against the ego's drive: return it, shrunk or cut, or None, and the reason."""
+    """Check a road user against the ego's drive: return it, shrunk or cut, or None, and the
+    reason.
+    """
     t, boxes = user.t, user.poses
     if user.piece.still:
         t = np.arange(max(t[0] - BEFORE_S, ego.t[0]), min(t[-1] + BEFORE_S, ego.t[-1]), PASSING_S)
@@ -345,7 +372,8 @@ def _extend_standing(
     ego: Trajectory,
     vehicle: VehicleParameters,
 ) -> User:
-    """Extend a user who stands at the edge of sight to times before the first (after the last) detection.
+    """Extend a user who stands at the edge of sight to times before the first (after the last)
+    detection.
 
     The extension ends where the ego, or another one of `users`, is in that place.
     """

@@ -1,35 +1,42 @@
-"""Joins detections to tracks frame by frame, with a filter; a causal tracker makes road users for planners of them.
+"""Joins detections to tracks frame by frame, with a filter; a causal tracker makes road users for
+planners of them.
 
-A constant-velocity Kalman filter joins, tracks and smooths. Per axis, with the covariance C = (pp, pv, vv) of position
-m and velocity m/s, white acceleration of density q, m2/s3:
+A constant-velocity Kalman filter joins, tracks and smooths. Per axis, with the covariance C = (pp,
+pv, vv) of position m and velocity m/s, white acceleration of density q, m2/s3:
 (1) pp += 2 d pv + d^2 vv + q d^3/3,  pv += d vv + q d^2/2,  vv += q d;  d s between samples
-(2) update by a position with variance r: gains kp = pp / (pp + r), kv = pv / (pp + r);  C -= k k' (pp + r)
+(2) update by a position with variance r: gains kp = pp / (pp + r), kv = pv / (pp + r);
+        C -= k k' (pp + r)
 (3) update by a stand: (2) for the velocity 0 with variance `STAND_MPS`^2, with vv and pp exchanged
-(4) backward pass: G = C F' C-^-1,  x += G (x_next - x-_next)  (Rauch, Tung, Striebel, AIAA Journal 3, 1965)
+(4) backward pass: G = C F' C-^-1,  x += G (x_next - x-_next)
+        (Rauch, Tung, Striebel, AIAA Journal 3, 1965)
 
-The noise of positions and of acceleration is the same on both axes of a box; only the uncertainty of the first velocity
-differs: a vehicle moves along its axis. Along the axes of the first box, the two coordinates are therefore independent,
-with one covariance each, and no matrix is inverted.
+The noise of positions and of acceleration is the same on both axes of a box; only the uncertainty
+of the first velocity differs: a vehicle moves along its axis. Along the axes of the first box, the
+two coordinates are therefore independent, with one covariance each, and no matrix is inverted.
 
 Assignment:
 
-(5) m = e' S^-1 e with the detection's offset e from the predicted place of the track and its covariance S; a detection
-    beyond `GATE`, or farther away than the `REACH` of the groups, is another object
-(6) cost = m + ln det S + `OTHER_GROUP` if the group differs + `OTHER_SIZE` |ln of the sizes' ratio|: the frame's
-    detections are assigned to the tracks with the least sum (Hungarian method)
+(5) m = e' S^-1 e with the detection's offset e from the predicted place of the track
+        and its covariance S; a detection beyond `GATE`, or farther away than the `REACH` of the
+        groups, is another object
+(6) cost = m + ln det S + `OTHER_GROUP` if the group differs + `OTHER_SIZE` |ln
+        of the sizes' ratio|: the frame's detections are assigned to the tracks with the least sum
+        (Hungarian method)
 
 Only frames up to the present one are used; the offline repair joins detections in this way, too.
 
 Tracker:
 
-(7) a track is reported once it has the evidence that its group requires (`BIRTH_TIME`, `BIRTH_COUNT`, `BIRTH_SCORE`),
-    until it was not seen for `KEEP_STILL_S` (standing), `KEEP_S` (moving), or `KEEP_YOUNG_S` (moving, with at most
-    `FEW` detections)
-(8) it stands if a line fitted to its detections of the last `WINDOW_S` has a speed below `SLOW`, and the filter's speed
-    is below `FILTER_SLOW` times that: over shorter times, the drift of boxes looks like motion
-(9) kind, length and width: votes of its detections, by score; axis of the box: averaged with `YAW_MEMORY`; front: the
-    direction of motion, or of most headings
-(10) between frames, and while it is not seen, it is extrapolated with its velocity, whose deviation grows
+(7) a track is reported once it has the evidence that its group requires (`BIRTH_TIME`,
+    `BIRTH_COUNT`, `BIRTH_SCORE`), until it was not seen for `KEEP_STILL_S` (standing), `KEEP_S`
+    (moving), or `KEEP_YOUNG_S` (moving, with at most `FEW` detections)
+(8) it stands if a line fitted to its detections of the last `WINDOW_S` has a speed below `SLOW`,
+    and the filter's speed is below `FILTER_SLOW` times that: over shorter times, the drift of boxes
+    looks like motion
+(9) kind, length and width: votes of its detections, by score; axis of the box: averaged with
+    `YAW_MEMORY`; front: the direction of motion, or of most headings
+(10) between frames, and while it is not seen, it is extrapolated with its velocity, whose deviation
+     grows
 """
 
 from __future__ import annotations
@@ -59,7 +66,9 @@ from replan.logs.repair.detected_boxes import (
 )
 
 STAND_MPS, FIRST_MPS = 0.02, 10.0
-"""Standard deviations of the velocity of a standing agent, and of the first sample of a smoothed track."""
+"""Standard deviations of the velocity of a standing agent, and of the first sample of a smoothed
+track.
+"""
 X, Y, VX, VY, COS, SIN, ALONG, ACROSS, WIDTH = 0, 1, 2, 3, 4, 5, 6, 9, 12
 """Columns of states `(n, WIDTH)`; three each from `ALONG` and from `ACROSS` hold C."""
 
@@ -111,7 +120,8 @@ def update_one(state: FloatArray, x: float, y: float, r: float) -> None:
 def smoothed(
     t: FloatArray, z: FloatArray, r: FloatArray, q: float, stands: BoolArray
 ) -> FloatArray:
-    """Smooth positions z `(n, 2)` (NaN: not seen) with variances r `(n,)` at t `(n,)`; return x, y, vx, vy `(n, 4)`.
+    """Smooth positions z `(n, 2)` (NaN: not seen) with variances r `(n,)` at t `(n,)`; return x, y,
+    vx, vy `(n, 4)`.
 
     `stands` `(n,)` marks times at which the velocity is 0. The first row of z must be a position.
     """
@@ -160,7 +170,9 @@ FIRST_ALONG, FIRST_ACROSS = frozen([10.0, 2.5, 3.0]), frozen([1.5, 2.5, 3.0])
 """Standard deviations of the speed at the first detection along and across the box, m/s: without
 them, 29 % of the vehicle tracks began with a step above 2.5 m, 18 % sideways."""
 REACH = frozen([4.0, 1.5, 1.5])
-"""A detection farther from a track's predicted place is another object, m; Autoware's gates are 2 m."""
+"""A detection farther from a track's predicted place is another object, m; Autoware's gates are 2
+m.
+"""
 GATE = 13.8
 """The 99.9 % quantile of chi squared with 2 degrees of freedom."""
 OTHER_GROUP, OTHER_SIZE, MOST_GROWTH, SIZE_MEMORY = 6.0, 2.0, 1.2, 0.8
@@ -169,8 +181,8 @@ OTHER_GROUP, OTHER_SIZE, MOST_GROWTH, SIZE_MEMORY = 6.0, 2.0, 1.2, 0.8
 Sizes may differ by a factor of up to e^`MOST_GROWTH`.
 """
 AGE_S, YOUNG_AGE_S, YOUNG = 2.0, 0.35, 3
-"""A track ends when it is not seen for `AGE_S`, or for `YOUNG_AGE_S` if it has at most `YOUNG` detections. A track that
-was detected in the previous frame does not end."""
+"""A track ends when it is not seen for `AGE_S`, or for `YOUNG_AGE_S` if it has at most `YOUNG`
+detections. A track that was detected in the previous frame does not end."""
 _NEVER = 1e6
 _TRACK = np.dtype(
     [
@@ -183,20 +195,24 @@ _TRACK = np.dtype(
         ("missed", np.int64),
     ]
 )
-"""Filter, group, size (shorter side first), number in order of birth, last time seen, detections, frames missed
-since."""
+"""Filter, group, size (shorter side first), number in order of birth, last time seen, detections,
+frames missed since."""
 
 
 @dataclass
 class Association:
-    """The state between two frames: the known `tracks` `(n,)`, the last frame's time, s, and the number of names."""
+    """The state between two frames: the known `tracks` `(n,)`, the last frame's time, s, and the
+    number of names.
+    """
 
     tracks: NDArray[np.void] = field(default_factory=lambda: np.zeros(0, _TRACK))
     time: float = 0.0
     count: int = 0
 
     def steps(self, boxes: Boxes, frames: FloatArray) -> Iterator[tuple[float, slice, IntArray]]:
-        """Yield for each frame its time, s, its detections among the boxes, and the names of their tracks."""
+        """Yield for each frame its time, s, its detections among the boxes, and the names of their
+        tracks.
+        """
         ends = np.searchsorted(boxes.frame, np.arange(len(frames) + 1))
         for k, t in enumerate(frames.tolist()):
             rows = slice(int(ends[k]), int(ends[k + 1]))
@@ -267,9 +283,11 @@ def _costs(
     seen_sizes: FloatArray,
     variance: FloatArray,
 ) -> FloatArray:
-    """Return the cost (6) of each pair of track and detection `(n, k)`; `_NEVER` if they are different objects.
+    """Return the cost (6) of each pair of track and detection `(n, k)`; `_NEVER` if they are
+    different objects.
 
-    Tracks: `states`, their groups `known`, `sizes`; detections: `place`, their groups `seen`, `seen_sizes`, `variance`.
+    Tracks: `states`, their groups `known`, `sizes`; detections: `place`, their groups `seen`,
+    `seen_sizes`, `variance`.
     """
     out = np.full((len(states), len(place)), _NEVER)
     for i in range(len(states)):
@@ -362,8 +380,8 @@ class _Track:
 class Tracked:
     """The road users known after each frame: `agents[k]` at `frames[k]` s, not extrapolated.
 
-    `growth[k]` `(n,)`: growth rate of the variance of their velocities, m2/s3; `patience[k]` `(n,)`: time for which
-    they are reported without a detection, s.
+    `growth[k]` `(n,)`: growth rate of the variance of their velocities, m2/s3; `patience[k]`
+    `(n,)`: time for which they are reported without a detection, s.
     """
 
     frames: tuple[float, ...]
@@ -372,7 +390,9 @@ class Tracked:
     patience: tuple[FloatArray, ...]
 
     def at(self, t: float) -> Agents:
-        """Return the road users as known at t, s: those of the last frame not later than t, extrapolated (10)."""
+        """Return the road users as known at t, s: those of the last frame not later than t,
+        extrapolated (10).
+        """
         k = bisect_right(self.frames, t + 1e-9) - 1
         if k < 0:
             return _agents([], [], [])
@@ -389,7 +409,9 @@ class Tracked:
 
 
 def tracked(every: Boxes, frames: FloatArray) -> Tracked:
-    """Track detected boxes: return the road users known after each of the `frames`, s, without later frames."""
+    """Track detected boxes: return the road users known after each of the `frames`, s, without
+    later frames.
+    """
     boxes = every.taken(np.flatnonzero(stronger_twins(every) < 0))
     joining, tracks, out = Association(), dict[int, _Track](), []
     for t, rows, names in joining.steps(boxes, frames):

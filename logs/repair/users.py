@@ -1,4 +1,6 @@
-"""Smooths joined detections, joins pieces of one road user, and finds its kind, size and front by votes."""
+"""Smooths joined detections, joins pieces of one road user, and finds its kind, size and front by
+votes.
+"""
 
 from __future__ import annotations
 
@@ -29,37 +31,47 @@ SMOOTH_DENSITY = 0.45 * DENSITY
 """Density for smoothing: errors of moving speeds are a fifth smaller than with `DENSITY`
 (tests/support/track_score.py)."""
 LEAST_NOISE_M, DRIFT, NOISE_COUNT = 0.05, 3.0, 8
-"""Noise of a track: `DRIFT` times the jitter of its boxes about the line between their neighbours, because slow drift,
-which this does not show, is three times the jitter (0.30 m to 0.09 m). The group's noise is the upper bound, and the
-noise of tracks with fewer than `NOISE_COUNT` boxes."""
+"""Noise of a track: `DRIFT` times the jitter of its boxes about the line between their neighbours,
+because slow drift, which this does not show, is three times the jitter (0.30 m to 0.09 m). The
+group's noise is the upper bound, and the noise of tracks with fewer than `NOISE_COUNT` boxes."""
 OUTLIER, OUTLIER_WEIGHT = 2.5, 2.0
-"""A box farther off the smooth path than `OUTLIER` standard deviations gets a standard deviation larger in
-proportion."""
+"""A box farther off the smooth path than `OUTLIER` standard deviations gets a standard deviation
+larger in proportion."""
 STAND_S, SPREAD = 1.0, 1.3
-"""Shortest stand, s: over shorter times, the drift of a box looks like motion. Nine in ten boxes of a standing object
-lie within `SPREAD` times `STILL`."""
+"""Shortest stand, s: over shorter times, the drift of a box looks like motion. Nine in ten boxes of
+a standing object lie within `SPREAD` times `STILL`."""
 STITCH_S, STITCH_STILL_S, STANDS_S = 3.0, 8.0, 0.6
-"""Longest gap between two pieces of one road user, s; the same for two standing pieces. For standing pieces, the
-allowed miss grows for `STANDS_S` only: beyond, it would reach the next car in a queue."""
+"""Longest gap between two pieces of one road user, s; the same for two standing pieces. For
+standing pieces, the allowed miss grows for `STANDS_S` only: beyond, it would reach the next car in
+a queue."""
 MEET, TURN = (
     np.array([(1.0, 0.8), (0.7, 0.5), (0.7, 0.3)]),
     np.array([(3.0, 2.0), (1.5, 1.0), (1.5, 0.5)]),
 )
-"""By group: two pieces are one if they meet within this distance in the middle of their gap, m, plus m per second of
-gap, and if their velocities differ by less than this, m/s, plus m/s per second of gap."""
+"""By group: two pieces are one if they meet within this distance in the middle of their gap, m,
+plus m per second of gap, and if their velocities differ by less than this, m/s, plus m/s per second
+of gap."""
 STITCH_GROWTH, CHANGE_MPS, GAP_WORTH = 0.8, 0.3, 0.1
-"""Sizes agree within a factor of e^0.8. Costs of 1 m/s and of 1 s; the whole allowed miss, or a factor of e, costs
-1."""
+"""Sizes agree within a factor of e^0.8. Costs of 1 m/s and of 1 s; the whole allowed miss, or a
+factor of e, costs 1."""
 FEW = 4
 """A piece of fewer detections has no reliable velocity."""
 FAR_M = 20.0
 """Distance at which a vote has half the weight of one close by, m."""
 RIDES_MPS, RIDES_M = 3.3, 8.0
-"""A "pedestrian" with a faster median speed over more than this is a rider: joggers run 2.5 to 3 m/s."""
+"""A "pedestrian" with a faster median speed over more than this is a rider: joggers run 2.5 to 3
+m/s.
+"""
 REVERSE_MPS, HEADINGS_AGREE = 4.0, 0.9
-"""Vehicles reverse no faster, m/s. If a smaller share of a slow vehicle's headings agrees, it moves forward."""
+"""Vehicles reverse no faster, m/s.
+
+If a smaller share of a slow vehicle's headings agrees, it moves forward.
+"""
 YAW_S, YAW_OFF = 0.4, 0.6
-"""Headings are averaged over this, s; a heading farther from the vehicle's course is ignored, rad."""
+"""Headings are averaged over this, s.
+
+A heading farther from the vehicle's course is ignored, rad.
+"""
 _KINDS = tuple(AgentKind)
 
 
@@ -67,7 +79,8 @@ _KINDS = tuple(AgentKind)
 class Piece:
     """A road user's motion on every frame from the first to the last detection, `(k,)`."""
 
-    # its boxes, in order of time; `seen` are the indices of their frames, `group` is their group by votes
+    # its boxes, in order of time; `seen` are the indices of their frames, `group` is their group by
+    # votes
     rows: IntArray
     seen: IntArray
     group: int
@@ -104,7 +117,8 @@ def fitted(rows: IntArray, boxes: Boxes, frames: FloatArray) -> Piece:
         at = t[seen]
         share = ((at[1:-1] - at[:-2]) / (at[2:] - at[:-2]))[:, None]
         bent = xy[1:-1] - xy[:-2] - share * (xy[2:] - xy[:-2])
-        # sum of two squares of normal variables of variance r (1 + share^2 + (1 - share)^2): median 2 ln 2 of it
+        # sum of two squares of normal variables of variance r (1 + share^2 + (1 - share)^2): median
+        # 2 ln 2 of it
         squares = (bent**2).sum(axis=1) / (1.0 + share**2 + (1.0 - share) ** 2)[:, 0]
         noise = float(
             np.clip(DRIFT * np.sqrt(np.median(squares) / (2.0 * np.log(2.0))), LEAST_NOISE_M, noise)
@@ -233,11 +247,13 @@ def user_of(piece: Piece, boxes: Boxes, ego: Trajectory) -> User:
 def _headings(
     piece: Piece, path: FloatArray, yaw: FloatArray, weight: FloatArray
 ) -> tuple[FloatArray, int]:
-    """Return the heading at each time `(k,)`, and the number of detected headings `yaw` with front and back exchanged.
+    """Return the heading at each time `(k,)`, and the number of detected headings `yaw` with front
+    and back exchanged.
 
-    The axis is that of the boxes. The front is the direction of motion; without motion, that of most headings. A
-    person's heading is the direction of motion, as headings of their boxes are inexact (16 to 33 degrees); so is that
-    of a cluster that rides: the box fitted to its points is more than 10 degrees off in 30 % of its samples.
+    The axis is that of the boxes. The front is the direction of motion; without motion, that of
+    most headings. A person's heading is the direction of motion, as headings of their boxes are
+    inexact (16 to 33 degrees); so is that of a cluster that rides: the box fitted to its points is
+    more than 10 degrees off in 30 % of its samples.
     """
     speed = np.hypot(path[:, 2], path[:, 3])
     fast = np.flatnonzero(speed > FAST[piece.group])

@@ -1,7 +1,7 @@
 """Judging: gates (`gates`), their verdicts (`verdicts`), and excuses for broken bounds (`excuses`).
 
-`aggregate` summarises many logs. `verdicts` also adds rows about ensembles and gates to the table, and judges late
-plans.
+`aggregate` summarises many logs. `verdicts` also adds rows about ensembles and gates to the table,
+and judges late plans.
 """
 
 from replan.metrics.judge.excuses import (

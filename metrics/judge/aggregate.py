@@ -1,17 +1,21 @@
-"""Summarises many logs: mean, median, worst and total of every metric, and the share of logs that pass, by group.
+"""Summarises many logs: mean, median, worst and total of every metric, and the share of logs that
+pass, by group.
 
-Groups are the suite (all logs), each family, each tag, and each dataset. `groups` returns a row per group, planner,
-loop and metric, and per group and planner the row `PASS`: the share of its logs that pass.
+Groups are the suite (all logs), each family, each tag, and each dataset. `groups` returns a row per
+group, planner, loop and metric, and per group and planner the row `PASS`: the share of its logs
+that pass.
 
-With passed = logs that the gates pass, n = logs of the group, p = passed / n, z = `Z`, the share's interval is
+With passed = logs that the gates pass, n = logs of the group, p = passed / n, z = `Z`, the share's
+interval is
 
 (1)  (p + z^2 / 2n +- z sqrt(p (1 - p) / n + z^2 / 4n^2)) / (1 + z^2 / n)
 
-(Wilson, J. Am. Stat. Assoc. 22 (1927) 209; recommended for few trials by Brown, Cai, DasGupta, Statistical Science 16
-(2001) 101). It assumes that the logs are a random sample of those that the group represents.
+(Wilson, J. Am. Stat. Assoc. 22 (1927) 209; recommended for few trials by Brown, Cai, DasGupta,
+Statistical Science 16 (2001) 101). It assumes that the logs are a random sample of those that the
+group represents.
 
-n counts every log of the run. A log that could not be evaluated counts against the planner like a failed log; an
-inconclusive log is not a pass either, and is counted separately.
+n counts every log of the run. A log that could not be evaluated counts against the planner like a
+failed log; an inconclusive log is not a pass either, and is counted separately.
 """
 
 from __future__ import annotations
@@ -79,7 +83,10 @@ def wilson(passed: int, n: int) -> tuple[float, float]:
 
 
 def membership(labels: Mapping[str, LogLabels]) -> dict[tuple[str, str], tuple[str, ...]]:
-    """Return the logs of each (kind, group): suite, families, tags, datasets, by name; a log may have no family."""
+    """Return the logs of each (kind, group): suite, families, tags, datasets, by name.
+
+    A log may have no family.
+    """
     found: dict[tuple[str, str], list[str]] = {(SUITE, ""): list(labels)}
     for kind, words in (
         ("family", {log: (of.family,) for log, of in labels.items()}),
@@ -98,13 +105,15 @@ def standings(
     asked: Sequence[tuple[str, str]],
     crashed: Collection[tuple[str, str | None, str | None]] = (),
 ) -> pd.DataFrame:
-    """Return the standing of each log with each planner: a row per log, planner and mode, with one of `STANDINGS`.
+    """Return the standing of each log with each planner: a row per log, planner and mode, with one
+    of `STANDINGS`.
 
     Args:
         verdicts: Outcomes of gates: columns log, planner, mode, outcome.
         drives: The drives: columns log, planner, mode, oracle.
         logs: All logs of the run, including those that could not be read.
-        asked: Planners and modes of the run; an oracle that no gate judges has no standing, nor a loop without gates.
+        asked: Planners and modes of the run; an oracle that no gate judges has no standing, nor a
+            loop without gates.
         crashed: Log, planner and mode of drives that could not be evaluated; None: any.
     """
     outcomes: dict[tuple[str, str, str], set[str]] = {}
@@ -168,10 +177,12 @@ def pass_shares(stand: pd.DataFrame, labels: Mapping[str, LogLabels]) -> pd.Data
 def groups(
     table: pd.DataFrame, stand: pd.DataFrame, labels: Mapping[str, LogLabels]
 ) -> pd.DataFrame:
-    """Return `COLUMNS` per group, planner, mode and metric, and the shares that pass; sorted, suite first.
+    """Return `COLUMNS` per group, planner, mode and metric, and the shares that pass; sorted, suite
+    first.
 
-    `table` has rows of `replan.metrics.evaluate` (not of reference drives), `stand` of `standings`. `worst` follows the
-    metric's direction, NaN if it has none; `missing` is the number of logs of the group without a value.
+    `table` has rows of `replan.metrics.evaluate` (not of reference drives), `stand` of `standings`.
+    `worst` follows the metric's direction, NaN if it has none; `missing` is the number of logs of
+    the group without a value.
     """
     table = table[table["mode"].isin(["open", "closed"]) & table["log"].isin(list(labels))]
     row, logs = pd.factorize(table["log"], sort=True)

@@ -1,17 +1,18 @@
 """Whether a log tells drivers apart: bad reference drives, judged by the gates of the run.
 
-A planner that passes a log has shown something only if a bad driver fails it. `replan.replay.loop.reference_drives` drives
-three in the traffic of each run: `PARKED` brakes to a stop and stays, `CREEPING` goes on at `CREEPS_MPS`, `BLIND`
-drives its route as if the road were empty. With the gates of the run on the metrics of `BAD_DRIVERS`, without excuses,
-since a planner that passes needs none:
+A planner that passes a log has shown something only if a bad driver fails it.
+`replan.replay.loop.reference_drives` drives three in the traffic of each run: `PARKED` brakes to a
+stop and stays, `CREEPING` goes on at `CREEPS_MPS`, `BLIND` drives its route as if the road were
+empty. With the gates of the run on the metrics of `BAD_DRIVERS`, without excuses, since a planner
+that passes needs none:
 
-(1) discrimination.parked = 1 if the parked drive breaks a bound, else 0: the log is too easy, and a pass says nothing;
-    discrimination.creeping is the same of the creeping drive
-(2) discrimination.blind  = 1 if the blind drive breaks a bound, else 0: nothing was in the way, no road user, light or
-    sign; a pass says that the planner drives a free road
+(1) discrimination.parked = 1 if the parked drive breaks a bound, else 0: the log is too easy,
+        and a pass says nothing; discrimination.creeping is the same of the creeping drive
+(2) discrimination.blind  = 1 if the blind drive breaks a bound, else 0: nothing was in the way,
+        no road user, light or sign; a pass says that the planner drives a free road
 
-Gates can ask for them like for any metric. A share of logs with an interaction is a gate on (2) with
-`over = "pass_share"`.
+Gates can ask for them like for any metric. A share of logs with an interaction is a gate on (2)
+with `over = "pass_share"`.
 """
 
 from __future__ import annotations
@@ -56,7 +57,9 @@ CREEPS_MPS = 2.0
 
 @dataclass(frozen=True)
 class BadDriver:
-    """A planner that a log should fail, its settings, the metrics that judge it, and what a log is that it passes."""
+    """A planner that a log should fail, its settings, the metrics that judge it, and what a log is
+    that it passes.
+    """
 
     planner: str
     settings: Mapping[str, object]

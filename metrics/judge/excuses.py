@@ -1,33 +1,39 @@
-"""When a value is no evidence about a planner: excused, not reached by a yardstick, lacking evidence, or marginal.
+"""When a value is no evidence about a planner: excused, not reached by a yardstick, lacking
+evidence, or marginal.
 
-A value out of bounds is excused by a reference drive of `EXCUSED` that breaks the same bound in the same event: the
-values are about the same road user or object, at most `SAME_S` apart, and the planner's is not clearly worse (`WORSE`).
-In comfort an event without a road user excuses nothing; but if the careful driver collides with the road user, how
-far out of bounds does not matter, since a planner that avoids the collision brakes for longer, unless the recorded
-driver stays within the bound. A collision is not excused where the careful driver of UN R157
-collides more slowly by more than `SLOWER_MPS`. The careful driver, who only brakes, excuses nothing that the route
-follower avoids. A fallback is excused where both come too near to a road user (`TOO_NEAR`) at that time. In the first
-`SAME_S` of a drive the route follower excuses, too, since there the log's start state breaks the bound. A replayed road
-user that drives into the ego (`replay_contact`) also excuses progress, and safety values about that road user. Progress
-is also excused if the collision that ended the drive is excused, or if a phantom of the log stops the route follower
-too. A drive in which the planner failed is never excused.
+A value out of bounds is excused by a reference drive of `EXCUSED` that breaks the same bound in the
+same event: the values are about the same road user or object, at most `SAME_S` apart, and the
+planner's is not clearly worse (`WORSE`). In comfort an event without a road user excuses nothing;
+but if the careful driver collides with the road user, how far out of bounds does not matter, since
+a planner that avoids the collision brakes for longer, unless the recorded driver stays within the
+bound. A collision is not excused where the careful driver of UN R157 collides more slowly by more
+than `SLOWER_MPS`. The careful driver, who only brakes, excuses nothing that the route follower
+avoids. A fallback is excused where both come too near to a road user (`TOO_NEAR`) at that time. In
+the first `SAME_S` of a drive the route follower excuses, too, since there the log's start state
+breaks the bound. A replayed road user that drives into the ego (`replay_contact`) also excuses
+progress, and safety values about that road user. Progress is also excused if the collision that
+ended the drive is excused, or if a phantom of the log stops the route follower too. A drive in
+which the planner failed is never excused.
 
-The goal is not asked of a drive to which no lanes lead (`GOAL_ROUTE`), nor progress of a drive that ended at its goal
-after almost nothing (`COVERED`).
+The goal is not asked of a drive to which no lanes lead (`GOAL_ROUTE`), nor progress of a drive that
+ended at its goal after almost nothing (`COVERED`).
 
-The yardsticks of a `reachable` gate are the recorded driver, and the route follower if its drive passes the gates on
-safety and rules; either only where the traffic was recorded for most of its drive. So a verdict does not depend on the
-other planners of the run. The follower is asked for drives that `needs_follower` names. The careful driver is no
-yardstick, because it ignores traffic rules.
+The yardsticks of a `reachable` gate are the recorded driver, and the route follower if its drive
+passes the gates on safety and rules; either only where the traffic was recorded for most of its
+drive. So a verdict does not depend on the other planners of the run. The follower is asked for
+drives that `needs_follower` names. The careful driver is no yardstick, because it ignores traffic
+rules.
 
-Marginal: could the outcome of a gate change if the road users of the log were sampled at another rate? A sample is up
-to one interval d old when the next one arrives, and a speed from two samples is as old as their midpoint, so values are
-late by (1) tau = 1.5 d. A value is marginal if it is no farther from its bound than it can change in that time:
+Marginal: could the outcome of a gate change if the road users of the log were sampled at another
+rate? A sample is up to one interval d old when the next one arrives, and a speed from two samples
+is as old as their midpoint, so values are late by (1) tau = 1.5 d. A value is marginal if it is no
+farther from its bound than it can change in that time:
 (2) times, s: tau; distances, m: a tau^2 / 2 with a = `HARD_MPS2`, as hard as cars brake.
 
-A gate that allows no time beyond a bound depends on the extreme value: `ttc.time_below_950ms <= 0` is marginal if
-`ttc.min` is near 0.95 s. A gate that allows some time depends on that time itself. This is tested for metrics about
-other road users, and for comfort, because the braking of a planner depends on when it sees them.
+A gate that allows no time beyond a bound depends on the extreme value: `ttc.time_below_950ms <= 0`
+is marginal if `ttc.min` is near 0.95 s. A gate that allows some time depends on that time itself.
+This is tested for metrics about other road users, and for comfort, because the braking of a planner
+depends on when it sees them.
 """
 
 from __future__ import annotations
@@ -50,17 +56,21 @@ REFERENCES = {
     CAREFUL: "the careful driver",
     FOLLOWER: "the route follower",
 }
-"""Planner names of these rows: the log's own driver; the careful driver of UN R157, which only brakes and ignores
-traffic rules; and the route follower, which steers and obeys the rules (`replan.replay.loop.reference_drives`)."""
+"""Planner names of these rows: the log's own driver; the careful driver of UN R157, which only
+brakes and ignores traffic rules; and the route follower, which steers and obeys the rules
+(`replan.replay.loop.reference_drives`)."""
 # A collision ends a drive: if it is excused, so is progress
 NO_COLLISION = Gate("collision_at_fault.count", max=0.0)
 TOO_NEAR = Gate("ttc.min", min=CLOSE_S)
 FALLBACKS = "fallback.rate"
 CLEAN = (NO_COLLISION, TOO_NEAR, Gate(FALLBACKS, max=0.0), Gate("goal.final", min=1.0))
-"""The follower is a reference of the drives that break one of these: it takes time, and others need none."""
+"""The follower is a reference of the drives that break one of these: it takes time, and others need
+none.
+"""
 SAME_S, SLOWER_MPS, WORSE = 2.0, 1.0, 1.5
-"""A value at another time (`CC_TTC_S` of the careful driver), or a clearly harder impact, is another event. A value
-that is more than `WORSE` times as far out of bounds as the reference drive's is not explained by the same event."""
+"""A value at another time (`CC_TTC_S` of the careful driver), or a clearly harder impact, is
+another event. A value that is more than `WORSE` times as far out of bounds as the reference drive's
+is not explained by the same event."""
 COVERED, GOAL_ROUTE = Gate("covered.final", min=LEAST_COVERED), Gate("goal_route.final", min=1.0)
 REPLAY_CONTACT, IMPACT, PHANTOMS = (
     "replay_contact.final",
@@ -92,7 +102,9 @@ _MARKED = frozenset({*OF_OTHERS, *(metric.name for metric in GROUPS["comfort"])}
 
 
 class MetricRow(NamedTuple):
-    """A row of the table; `about`: the road user or object that its value is about, with the full id ("car 12")."""
+    """A row of the table; `about`: the road user or object that its value is about, with the full
+    id ("car 12").
+    """
 
     value: float
     available: bool
@@ -112,7 +124,10 @@ NOTHING = MetricRow(nan, False, "not measured", "", nan)
 
 @dataclass(frozen=True, eq=False, slots=True)
 class DrivesTable:
-    """The table of a run: rows by (planner, mode), log and metric; its oracles, crashed drives and `LAWFUL` gates."""
+    """The table of a run: rows by (planner, mode), log and metric.
+
+    Its oracles, crashed drives and `LAWFUL` gates.
+    """
 
     rows: Mapping[tuple[str, str], Mapping[str, Mapping[str, MetricRow]]]
     oracles: frozenset[str]
@@ -135,7 +150,9 @@ class GateCase:
         return self.drives.rows[self.planner, self.mode].get(self.log, {}).get(metric, NOTHING)
 
     def reference(self, planner: str, metric: str) -> MetricRow:
-        """Return a row of a reference drive of the log; `NOTHING` if the table has none, or it is not asked for."""
+        """Return a row of a reference drive of the log; `NOTHING` if the table has none, or it is
+        not asked for.
+        """
         if planner == FOLLOWER and not needs_follower(
             {gate.metric: self.value(gate.metric) for gate in CLEAN}
         ):
@@ -154,7 +171,9 @@ class GateCase:
 
 
 def needs_follower(values: Mapping[str, float]) -> bool:
-    """Return whether the route follower is a reference of a drive with these values; NaN where it has none."""
+    """Return whether the route follower is a reference of a drive with these values; NaN where it
+    has none.
+    """
     return any(gate.margin(values.get(gate.metric, nan)) < 0.0 for gate in CLEAN)
 
 
@@ -164,7 +183,10 @@ def group_of(gate: Gate) -> str:
 
 
 def lacking_evidence(case: GateCase) -> str:
-    """Return why a value within the bounds is no pass (too little evidence); empty if there is enough evidence."""
+    """Return why a value within the bounds is no pass (too little evidence).
+
+    Empty if there is enough evidence.
+    """
     gate, share = case.gate, case.row(f"evidence.{case.gate.evidence}.share")
     if not share.known or share.value >= gate.min_evidence:
         return ""
@@ -175,7 +197,10 @@ def lacking_evidence(case: GateCase) -> str:
 
 
 def excuse(case: GateCase) -> str:
-    """Return why a value out of bounds is no evidence against the planner; empty if it is evidence."""
+    """Return why a value out of bounds is no evidence against the planner.
+
+    Empty if it is evidence.
+    """
     gate, group, row = case.gate, group_of(case.gate), case.row(case.gate.metric)
     if case.crashed:
         return ""
@@ -231,7 +256,9 @@ def _any_yardstick_holds(case: GateCase) -> bool:
 
 
 def _excuse_by_reference(gate: Gate, case: GateCase) -> str:
-    """Return which reference drive breaks the bound in the same event (module docstring), as text; empty: none."""
+    """Return which reference drive breaks the bound in the same event (module docstring), as text;
+    empty: none.
+    """
     row, group = case.row(gate.metric), group_of(gate)
     if group == "comfort" and (met := _met_by_careful(gate, case)):
         return met
@@ -254,12 +281,17 @@ def _excuse_by_reference(gate: Gate, case: GateCase) -> str:
             and gate.margin(row.value) >= WORSE * gate.margin(found.value)
         ):
             about = f" ({found.reason})" if found.reason else ""
-            return f"{REFERENCES[planner]} breaks {gate} too: {found.value:.4g}{unit_of(found.unit)}{about}"
+            return (
+                f"{REFERENCES[planner]} breaks {gate} too: "
+                f"{found.value:.4g}{unit_of(found.unit)}{about}"
+            )
     return ""
 
 
 def _met_by_careful(gate: Gate, case: GateCase) -> str:
-    """Return the collision of the careful driver with the road user that a comfort value is about; empty: none."""
+    """Return the collision of the careful driver with the road user that a comfort value is about;
+    empty: none.
+    """
     row, met, driver = (
         case.row(gate.metric),
         case.reference(CAREFUL, NO_COLLISION.metric),
@@ -276,19 +308,25 @@ def _met_by_careful(gate: Gate, case: GateCase) -> str:
 
 
 def _excuse_fallback(case: GateCase) -> str:
-    """Return the reason if the careful driver and the route follower come too near to a road user at that time."""
+    """Return the reason if the careful driver and the route follower come too near to a road user
+    at that time.
+    """
     when = case.row(FALLBACKS).time_s
     rows = [case.reference(planner, TOO_NEAR.metric) for planner in (CAREFUL, FOLLOWER)]
     if all(
         row.known and TOO_NEAR.margin(row.value) < 0.0 and abs(row.time_s - when) <= SAME_S
         for row in rows
     ):
-        return f"{REFERENCES[CAREFUL]} and {REFERENCES[FOLLOWER]} break {TOO_NEAR} then, too ({rows[0].reason})"
+        return (
+            f"{REFERENCES[CAREFUL]} and {REFERENCES[FOLLOWER]} break {TOO_NEAR} then, too "
+            f"({rows[0].reason})"
+        )
     return ""
 
 
 def marginal(gate: Gate, value_of: Callable[[str], float]) -> str:
-    """Return why a gate's outcome on a drive is marginal: "marginal: at 5 Hz ..."; empty if it is not.
+    """Return why a gate's outcome on a drive is marginal: "marginal: at 5 Hz ..."; empty if it is
+    not.
 
     `value_of` returns the drive's value by its name in the table ("ttc.min"); NaN if there is none.
     """

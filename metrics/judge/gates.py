@@ -1,7 +1,9 @@
-"""Gates (thresholds on the table) and rules of comparison, from a TOML file; docs/gates.md explains all keys.
+"""Gates (thresholds on the table) and rules of comparison, from a TOML file; docs/gates.md explains
+all keys.
 
-The file contains tables [[gate]], whose keys are the attributes of `Gate` (judged by `verdicts`). It may contain tables
-[[compare]] with the attributes of `GateRule`: how much worse than a baseline a candidate may be (`replan.metrics.comparison`).
+The file contains tables [[gate]], whose keys are the attributes of `Gate` (judged by `verdicts`).
+It may contain tables [[compare]] with the attributes of `GateRule`: how much worse than a baseline
+a candidate may be (`replan.metrics.comparison`).
 """
 
 from __future__ import annotations
@@ -50,18 +52,21 @@ class Gate:
 
     Attributes:
         metric: A name of the table's column `metric`.
-        min: Least allowed value; `max` is the greatest. Bounds are inclusive; a gate has one or both.
+        min: Least allowed value; `max` is the greatest. Bounds are inclusive; a gate has one or
+            both.
         mode: "open" or "closed"; None: each mode that has the metric.
         tags: Only logs that have all of these; `families`, `datasets`: one of these.
         planner: None: every planner, oracles excepted.
-        over: What must be within the bounds: every log ("worst"), a statistic of the logs ("mean", "median", "sum"), or
-            a share of the logs ("pass_share"): at least `min_share`; with `confident`, also the lower end of its 95 %
-            interval.
+        over: What must be within the bounds: every log ("worst"), a statistic of the logs ("mean",
+            "median", "sum"), or a share of the logs ("pass_share"): at least `min_share`; with
+            `confident`, also the lower end of its 95 % interval.
         per: A verdict for each "family", "tag" or "dataset" by itself.
-        min_logs: How many logs must be judged; `max_missing`: the share of the logs that may be without evidence.
+        min_logs: How many logs must be judged; `max_missing`: the share of the logs that may be
+            without evidence.
         optional: Logs without the value are NOT ASKED.
         reachable: A broken bound is inconclusive if no yardstick stays within it (`excuses`).
-        evidence: Kind of evidence (`EVIDENCE`) that a pass needs over at least `min_evidence` of the driven time.
+        evidence: Kind of evidence (`EVIDENCE`) that a pass needs over at least `min_evidence` of
+            the driven time.
         broken: What a broken bound means, "fail" or "inconclusive"; `reason` is shown with it.
     """
 
@@ -99,9 +104,10 @@ class Gate:
             f'mode is {self.mode!r}, not "open" or "closed"': self.mode
             in (None, *(mode.value for mode in Mode)),
             f"over is {self.over!r}, not one of {', '.join(OVER)}": self.over in OVER,
-            'over = "pass_share" needs min_share; min_share and confident need over = "pass_share"': shared
-            is (self.min_share is not None)
-            and (shared or not self.confident),
+            (
+                'over = "pass_share" needs min_share; min_share and confident need over = '
+                '"pass_share"'
+            ): shared is (self.min_share is not None) and (shared or not self.confident),
             f"min_share is {share:g}, not a share above 0": 0.0 < share <= 1.0,
             "confident: no number of logs makes a share of 1 sure": not self.confident
             or share < 1.0,
@@ -184,14 +190,16 @@ class GateRule:
     """One rule: exactly one of `RULE_KINDS`.
 
     Attributes:
-        metric: A name of the table's column `metric`, which may not rise by more than `max_increase` or fall by more
-            than `max_decrease`, in its unit; over the logs its "mean" or "median", or no log ("worst").
+        metric: A name of the table's column `metric`, which may not rise by more than
+            `max_increase` or fall by more than `max_decrease`, in its unit; over the logs its
+            "mean" or "median", or no log ("worst").
         significant: The rule is broken only if the interval of the mean change excludes 0.
-        max_flips: The number of gates that may change from PASS or NOT ASKED to FAIL; `gate`: only gates on this
-            metric.
+        max_flips: The number of gates that may change from PASS or NOT ASKED to FAIL; `gate`: only
+            gates on this metric.
         max_missing: The number of drives of the baseline that may be missing in the candidate.
         mode: Only this mode; `planner`, `tags` likewise.
-        optional: There is no verdict if no log has the metric; otherwise the verdict is INCONCLUSIVE then.
+        optional: There is no verdict if no log has the metric; otherwise the verdict is
+            INCONCLUSIVE then.
         reason: Shown with the verdict.
     """
 
@@ -251,7 +259,10 @@ class GateRule:
         if self.max_missing is not None:
             return f"at most {self.max_missing} drives missing"
         if self.max_flips is not None:
-            return f"at most {self.max_flips} flips to FAIL{f' of {self.gate}' if self.gate else ''}{scope}"
+            return (
+                f"at most {self.max_flips} flips to "
+                f"FAIL{f' of {self.gate}' if self.gate else ''}{scope}"
+            )
         word = "rises" if self.sign > 0.0 else "falls"
         sure = ", where significant" if self.significant else ""
         return f"{self.over} {self.metric} {word} by at most {self.limit:g}{sure}{scope}"
@@ -267,8 +278,8 @@ PACKAGED: Mapping[str, Path | None] = {
 def load_gates(path: Path | None, *, metrics: Mapping[str, Metric] = METRICS) -> Gates:
     """Load the gates of a TOML file; None: the packaged default.
 
-    ConfigError if the file cannot be read, a key or metric is unknown, or bounds are missing or contradictory; it
-    names file and gate.
+    ConfigError if the file cannot be read, a key or metric is unknown, or bounds are missing or
+    contradictory; it names file and gate.
     """
     source, gates = _read_tables(path, "gate", Gate, metrics)
     if not gates:
@@ -281,7 +292,8 @@ def load_rules(
 ) -> tuple[GateRule, ...]:
     """Load the rules of a TOML file; the packaged rules if it has none, or for None.
 
-    ConfigError if the file cannot be read, a key or metric is unknown, or a rule is contradictory; names file and rule.
+    ConfigError if the file cannot be read, a key or metric is unknown, or a rule is contradictory;
+    names file and rule.
     """
     return (
         _read_tables(path, "compare", GateRule, metrics)[1]
@@ -292,9 +304,11 @@ def load_rules(
 def _read_tables(
     path: Path | None, kind: str, rule: type[R], metrics: Mapping[str, Metric]
 ) -> tuple[str, tuple[R, ...]]:
-    """Return the name of a file of gates (None: the packaged one), and its tables [[gate]] or [[compare]] as objects.
+    """Return the name of a file of gates (None: the packaged one), and its tables [[gate]] or
+    [[compare]] as objects.
 
-    ConfigError if the file cannot be read, has other tables, or a table has an invalid key, value or metric.
+    ConfigError if the file cannot be read, has other tables, or a table has an invalid key, value
+    or metric.
     """
     source = "default gates" if path is None else str(path)
     content = read_toml(Path(__file__).with_name("default_gates.toml") if path is None else path)

@@ -2,47 +2,60 @@
 
 The outcome of a gate on a log is the first of these that applies:
 
-    INCONCLUSIVE    the log could not be evaluated, or has no value (or NaN) although the gate is not optional
+    INCONCLUSIVE    the log could not be evaluated, or has no value (or NaN) although the gate is
+                    not optional
     NOT ASKED       the gate is optional and the log has no value; the reason is that of the metric
-    INCONCLUSIVE    the value is within the bounds, but the drive crashed, or less than `min_evidence` of it has the
-                    evidence that the gate names (`evidence.PART.share`): traffic, lights, limit or lane
+    INCONCLUSIVE    the value is within the bounds, but the drive crashed, or less than
+                    `min_evidence` of it has the
+                    evidence that the gate names (`evidence.PART.share`): traffic, lights, limit or
+                    lane
     PASS            the value is within the bounds, or the gate judges the sum over all logs
-    INCONCLUSIVE    the value is out of bounds, the gate is `reachable`, and no yardstick stays within the bound
-    INCONCLUSIVE    the value is out of bounds, but excused or marginal (`excuses`), or `broken = "inconclusive"`
+    INCONCLUSIVE    the value is out of bounds, the gate is `reachable`, and no yardstick stays
+                    within the bound
+    INCONCLUSIVE    the value is out of bounds, but excused or marginal (`excuses`),
+        or `broken = "inconclusive"`
     FAIL            the value is out of bounds
 
-The reason of a pass, too, states if it is marginal: another sampling rate of the log might change it.
+The reason of a pass, too, states if it is marginal: another sampling rate of the log might change
+it.
 
-Over all logs, a gate has a verdict per planner and mode, and per group if it has `per`. A log is judged if it passes or
-fails, inconclusive without evidence (no value, or excused), and missing if it could not be evaluated, crashed or has no
-result. What must be within the bound:
+Over all logs, a gate has a verdict per planner and mode, and per group if it has `per`. A log is
+judged if it passes or fails, inconclusive without evidence (no value, or excused), and missing if
+it could not be evaluated, crashed or has no result. What must be within the bound:
 
     worst           every judged log
     mean, median    that of the judged logs
     sum             the sum over all values
-    pass_share      each log by itself, in `min_share` of the logs: passed / (passed + failed + inconclusive + missing)
+    pass_share      each log by itself, in `min_share` of the logs: passed / (passed + failed +
+                    inconclusive + missing)
 
 and the verdict is the first of these:
 
-    FAIL            the bound is broken; pass_share: the share is below `min_share` even if all inconclusive logs passed
-    INCONCLUSIVE    any log is missing (except pass_share, which counts it as failed); fewer than `min_logs` were
-                    judged; more than `max_missing` of the logs are inconclusive or missing; the share is below
-                    `min_share`; or with `confident` the lower end of its 95 % interval is (`aggregate`, (1))
+    FAIL            the bound is broken; pass_share: the share is below `min_share` even if all
+                    inconclusive logs passed
+    INCONCLUSIVE    any log is missing (except pass_share, which counts it as failed); fewer than
+                    `min_logs` were
+                    judged; more than `max_missing` of the logs are inconclusive or missing; the
+                    share is below `min_share`; or with `confident` the lower end of its 95 %
+                    interval is (`aggregate`, (1))
     PASS            else
 
-FAIL becomes INCONCLUSIVE if the gate has `broken = "inconclusive"`. If no log is judged, the verdict is INCONCLUSIVE.
-An optional gate is NOT ASKED if all its logs are NOT ASKED, and has no verdict if the run has no such metric. Filters
-that match no log, and planners that are not in the run, are INCONCLUSIVE even then, since they are most likely
-misspelt.
+FAIL becomes INCONCLUSIVE if the gate has `broken = "inconclusive"`. If no log is judged, the
+verdict is INCONCLUSIVE. An optional gate is NOT ASKED if all its logs are NOT ASKED, and has no
+verdict if the run has no such metric. Filters that match no log, and planners that are not in the
+run, are INCONCLUSIVE even then, since they are most likely misspelt.
 
-Gates also add rows to the table: whether a verdict is robust or fragile, and the share of gates that were asked. A
-member is the log driven again under one perturbation (`replan.run.sources`); its verdict on a planner in one mode is
-the worst outcome of the gates. The unperturbed drive is one of the members:
+Gates also add rows to the table: whether a verdict is robust or fragile, and the share of gates
+that were asked. A member is the log driven again under one perturbation (`replan.run.sources`); its
+verdict on a planner in one mode is the worst outcome of the gates. The unperturbed drive is one of
+the members:
 
 (1) ensemble.pass_share = members that pass / members
-(2) ensemble.fragile    = 1 if the verdict of any member differs from the unperturbed drive's, else 0
+(2) ensemble.fragile
+        = 1 if the verdict of any member differs from the unperturbed drive's, else 0
 
-Late plans are judged likewise. They depend on wall-clock time, so they are not in the table of metrics.
+Late plans are judged likewise. They depend on wall-clock time, so they are not in the table of
+metrics.
 """
 
 from __future__ import annotations
@@ -99,7 +112,9 @@ DRIVE = ["log", "planner", "mode"]
 
 @dataclass(frozen=True, slots=True)
 class LogOutcome:
-    """The outcome of a gate on one log; `why`: the reason if inconclusive or not asked, or what the value is about."""
+    """The outcome of a gate on one log; `why`: the reason if inconclusive or not asked, or what the
+    value is about.
+    """
 
     log: str
     outcome: Outcome
@@ -125,7 +140,8 @@ class Verdict:
     reason: str  # One sentence that names planner, worst log, value and time
     planner: str = ""  # "" if no planner could be judged; `mode` likewise
     mode: str = ""
-    # The judged value (the statistic `over` the logs, or the worst log's value); NaN if there is none
+    # The judged value (the statistic `over` the logs, or the worst log's value); NaN if there is
+    # none
     value: float = nan
     log: str = ""  # The worst log; "" if there is none
     time_s: float = nan  # The time of its value; NaN if it has no time
@@ -143,9 +159,10 @@ def judge(
 ) -> tuple[Verdict, ...]:
     """Return the verdicts on a table of `evaluate` rows, in the order of the gates.
 
-    `table`: the rows of all logs, planners and modes, including reference drives. `labels`: labels of all logs of the
-    run, so that logs without rows are detected. `failed`: reason by log, for logs that could not be evaluated.
-    `crashed`: reason by log, planner and mode, for drives that crashed.
+    `table`: the rows of all logs, planners and modes, including reference drives. `labels`: labels
+    of all logs of the run, so that logs without rows are detected. `failed`: reason by log, for
+    logs that could not be evaluated. `crashed`: reason by log, planner and mode, for drives that
+    crashed.
     """
     rows: dict[tuple[str, str], dict[str, dict[str, MetricRow]]] = {}
     columns = ("planner", "mode", "log", "metric", *MetricRow._fields)
@@ -171,7 +188,10 @@ def judge(
 
 
 def outcomes(verdicts: Sequence[Verdict]) -> pd.DataFrame:
-    """Return the outcome of each gate on each log as `OUTCOME_COLUMNS`; one row even if a log is in several groups."""
+    """Return the outcome of each gate on each log as `OUTCOME_COLUMNS`.
+
+    One row even if a log is in several groups.
+    """
     found = [
         (
             str(v.gate),
@@ -306,7 +326,9 @@ def _judge_log(case: GateCase, failed: Mapping[str, str]) -> LogOutcome:
 def _judge_drive(
     gate: Gate, drive: tuple[str, str], logs: Sequence[LogOutcome], group: str
 ) -> Verdict:
-    """Return the verdict on one planner and mode; NOT ASKED if the gate is optional and no log was asked."""
+    """Return the verdict on one planner and mode; NOT ASKED if the gate is optional and no log was
+    asked.
+    """
     planner, mode = drive
     who = f"{planner}, {mode} loop" + (f", {group}" if group else "")
     nothing = Verdict(gate, Outcome.INCONCLUSIVE, "", planner, mode, logs=tuple(logs), group=group)
@@ -329,7 +351,10 @@ def _judge_drive(
         ran = count_logs(len(found) - len(missing))
         aside = f"; no evidence in {len(without)} of {ran} ({without[0].log}: {without[0].why})"
     if missing:
-        aside += f"; {count_logs(len(missing))} could not be evaluated ({missing[0].log}: {missing[0].why})"
+        aside += (
+            f"; {count_logs(len(missing))} could not be evaluated ({missing[0].log}: "
+            f"{missing[0].why})"
+        )
     unclear = next(iter((*without, *missing)), None)
     if not judged:
         where = found[0] if unclear is None else unclear
@@ -360,7 +385,9 @@ def _judge_drive(
 def _judge_value(
     gate: Gate, judged: Sequence[LogOutcome], bad: LogOutcome, *, lacking: bool
 ) -> tuple[float, Outcome, str]:
-    """Return value, outcome and reason: "gap.min = 0.31 m, below 0.5, on log X at 3.20 s (car 7)"."""
+    """Return value, outcome and reason: "gap.min = 0.31 m, below 0.5, on log X at 3.20 s (car
+    7)".
+    """
     how: Mapping[str, Callable[[list[float]], Any]] = {
         "mean": np.mean,
         "median": np.median,
@@ -416,7 +443,8 @@ def _judge_share(
 def with_ensemble(
     table: pd.DataFrame, members: pd.DataFrame, gates: Gates, labels: Mapping[str, LogLabels]
 ) -> pd.DataFrame:
-    """Add the rows (1) and (2) to the table of unperturbed drives; the drives of `members` are numbered from 1.
+    """Add the rows (1) and (2) to the table of unperturbed drives; the drives of `members` are
+    numbered from 1.
 
     Gates on `ensemble` itself are left out.
     """
@@ -459,7 +487,9 @@ def with_ensemble(
 
 
 def with_asked(table: pd.DataFrame, gates: Gates, labels: Mapping[str, LogLabels]) -> pd.DataFrame:
-    """Add the row `asked.share` of each drive to the table: the share of the other gates that were asked."""
+    """Add the row `asked.share` of each drive to the table: the share of the other gates that were
+    asked.
+    """
     rules = replace(
         gates, gates=tuple(gate for gate in gates.gates if not gate.metric.startswith(ASKED.name))
     )
@@ -501,12 +531,12 @@ def _drive_outcomes(
 def deadline_misses(timings: pd.DataFrame, deadline_s: float) -> pd.DataFrame:
     """Count the plans of each drive that took longer than a deadline.
 
-    `timings`: columns log, planner, mode, t_s, stage, seconds; the stage "total" is a whole plan. `deadline_s`: a plan
-    that takes longer has missed it, s; ValueError unless above 0.
+    `timings`: columns log, planner, mode, t_s, stage, seconds; the stage "total" is a whole plan.
+    `deadline_s`: a plan that takes longer has missed it, s; ValueError unless above 0.
 
     Returns:
-        `MISS_COLUMNS` of each log, planner and mode in the order of `timings`: plans made, misses, their share, the
-        longest time of a plan, and the time of its frame.
+        `MISS_COLUMNS` of each log, planner and mode in the order of `timings`: plans made, misses,
+        their share, the longest time of a plan, and the time of its frame.
     """
     if not deadline_s > 0.0:
         raise ValueError(f"a deadline of {deadline_s} s")
@@ -531,10 +561,16 @@ def deadline_misses(timings: pd.DataFrame, deadline_s: float) -> pd.DataFrame:
 def judge_deadline(
     timings: pd.DataFrame, deadline_s: float, labels: Mapping[str, LogLabels]
 ) -> tuple[Verdict, ...]:
-    """The verdicts on the share of late plans, at most `MAX_LATE` in each drive; arguments as of `deadline_misses`."""
+    """The verdicts on the share of late plans, at most `MAX_LATE` in each drive.
+
+    Arguments as of `deadline_misses`.
+    """
     late = deadline_misses(timings, deadline_s)
     why = [
-        f"{row.misses} of {row.plans} plans took longer than {deadline_s:g} s, one {row.worst_s:.3g} s"
+        (
+            f"{row.misses} of {row.plans} plans took longer than {deadline_s:g} s, one "
+            f"{row.worst_s:.3g} s"
+        )
         for row in late.itertuples()
     ]
     table = late[DRIVE].assign(

@@ -1,19 +1,22 @@
 """Arrival at a goal that names a time or a speed, or that lies beside the middle of the lane.
 
-With the goal region from s_0 to s_1 along the lane, the ego at station s at time t, the goal's times [t_0, t_1] and
-speeds up to v_1:
+With the goal region from s_0 to s_1 along the lane, the ego at station s at time t, the goal's
+times [t_0, t_1] and speeds up to v_1:
 
 (1) v <= v_1 within the region
-(2) v <= (s_1 - s) / (t_0 - t)     where the fastest permitted driving would leave the region before t_0: too early
+(2) v <= (s_1 - s) / (t_0 - t)
+        where the fastest permitted driving would leave the region before t_0: too early
 (3) in a hurry                     where it would not enter the region by t_1 - `HASTE_S`: too late
 
-The fastest permitted driving is at the speed limit, reached with comfortable acceleration. (1) and (2) hold with a
-reserve: `ROOM_MPS` of speed, a quarter of the region (`END_M` of the road) and `ROOM_S`. (2) never demands less than
-`LEAST` of the limit: an ego much slower than the traffic is in its way. In a hurry the ego keeps `HURRIED_GAP_S` to its
-leader instead of its usual time gap, and the speed limit. Where a goal has a time but no region, s_1 is the end of the
-road, and an ego that is too early stops before it.
+The fastest permitted driving is at the speed limit, reached with comfortable acceleration. (1) and
+(2) hold with a reserve: `ROOM_MPS` of speed, a quarter of the region (`END_M` of the road) and
+`ROOM_S`. (2) never demands less than `LEAST` of the limit: an ego much slower than the traffic is
+in its way. In a hurry the ego keeps `HURRIED_GAP_S` to its leader instead of its usual time gap,
+and the speed limit. Where a goal has a time but no region, s_1 is the end of the road, and an ego
+that is too early stops before it.
 
-(4) l_0(s) + m <= l <= l_1(s) - m      where the region is from l_0 to l_1 beside the line at station s; m = `SIDE_M`
+(4) l_0(s) + m <= l <= l_1(s) - m
+        where the region is from l_0 to l_1 beside the line at station s; m = `SIDE_M`
 """
 
 from __future__ import annotations
@@ -54,8 +57,8 @@ NO_SIDES = np.empty((3, 0))  # (4) where there is no region
 class SpeedTarget:
     """The demands of the goal on the speed now.
 
-    A `cap`, m/s, up to the station `until`, m; whether the ego is `hurried`; how much too late it would be, s; the
-    station that it must not pass yet, m.
+    A `cap`, m/s, up to the station `until`, m; whether the ego is `hurried`; how much too late it
+    would be, s; the station that it must not pass yet, m.
     """
 
     cap: float = np.inf
@@ -66,7 +69,10 @@ class SpeedTarget:
 
 
 class GoalWindow:
-    """The goal along one reference line, for a comfortable acceleration; without a `goal` it demands nothing."""
+    """The goal along one reference line, for a comfortable acceleration.
+
+    Without a `goal` it demands nothing.
+    """
 
     def __init__(
         self,
@@ -88,7 +94,9 @@ class GoalWindow:
 
     @property
     def slow_zone(self) -> tuple[float, float, float] | None:
-        """(1): stations, m, between which the rear axle keeps the goal's speed, and that speed, m/s; or None."""
+        """(1): stations, m, between which the rear axle keeps the goal's speed, and that speed,
+        m/s; or None.
+        """
         if self._goal is None or self._goal.v is None or not np.isfinite(self._region).all():
             return None
         fastest = max(self._goal.v[1], 0.0)
@@ -96,7 +104,10 @@ class GoalWindow:
         return float(begin), float(self._region[1]), max(fastest - ROOM_MPS, 0.5 * fastest)  # (1)
 
     def sides(self, begin: float, end: float) -> FloatArray:
-        """Rows station, least and greatest offset `(3, n)` of (4), m; empty if there are none between two stations."""
+        """Rows station, least and greatest offset `(3, n)` of (4), m.
+
+        Empty if there are none between two stations.
+        """
         at = self._sides[0]
         return self._sides if len(at) and at[0] <= end and begin <= at[-1] else NO_SIDES
 
@@ -135,7 +146,9 @@ class GoalWindow:
         return SpeedTarget(max((inner - s) / (opens - t), slowly), end)  # (2)
 
     def _late(self, t: float, s: float, v: float, begin: float, last: float) -> float:
-        """Lateness of the ego at station `begin` after `last`, s; -inf if it is past `begin` or `last` has passed."""
+        """Lateness of the ego at station `begin` after `last`, s; -inf if it is past `begin` or
+        `last` has passed.
+        """
         return t + self._least_time(s, begin, v) - last if s < begin and t < last else -np.inf
 
     def _least_time(self, s: float, to: float, v: float) -> float:
@@ -147,7 +160,10 @@ class GoalWindow:
 def _least_time(
     knots: FloatArray, limit: FloatArray, s: float, to: float, v: float, accel: float
 ) -> float:
-    """Integrate the time, s, in equal steps; `limit` at knots `(n,)`, m/s. It adds in eight sums, as NumPy does."""
+    """Integrate the time, s, in equal steps; `limit` at knots `(n,)`, m/s.
+
+    It adds in eight sums, as NumPy does.
+    """
     step, last, sums = (to - s) / STEPS, len(knots) - 1, np.zeros(8)
     before = s
     for i in range(STEPS):
@@ -163,7 +179,9 @@ def _least_time(
 
 
 def _region(goal: Goal, reference: ReferencePath, beside: float) -> FloatArray:
-    """First and last station of the goal's regions, m; NaN where all are farther than `beside` from the line."""
+    """First and last station of the goal's regions, m; NaN where all are farther than `beside` from
+    the line.
+    """
     found = [
         reference.line.project(float(x), float(y)) for region in goal.regions for x, y in region
     ]

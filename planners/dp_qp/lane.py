@@ -3,11 +3,12 @@
 The cost of a candidate adds terms in seconds, weighted as `LaneConfig` says:
 
 (1) time lost     = (distance on a free road - distance planned) / speed limit, over the horizon
-(2) lane changes  = n (route_s + urgency_s u),  u from 0 to 1 as the ego comes near the place where the first is due, or
-                    the goal's last time; dead_end_s where the goal cannot be reached from the lane
+(2) lane changes  = n (route_s + urgency_s u),
+        u from 0 to 1 as the ego comes near the place where the first is due, or the goal's last
+        time; dead_end_s where the goal cannot be reached from the lane
 (3) change        = change_s for a lane that the ego does not drive in
-(4) braking       = hard_s where comfortable braking cannot keep the distance, failed_s where no braking can, or a stage
-                    failed
+(4) braking       = hard_s where comfortable braking cannot keep the distance,
+        failed_s where no braking can, or a stage failed
 (5) late          = lateness at the goal, after its last time, at the lane's speed limit
 
 Settings of `dp_qp`: of its stages, of the choice between lanes, and of the planner as a whole.
@@ -59,9 +60,11 @@ class PassWay:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class LaneMemory:
-    """Memory of the previous frames in one lane; a frame without a previous plan has `LaneMemory()`.
+    """Memory of the previous frames in one lane; a frame without a previous plan has
+    `LaneMemory()`.
 
-    Time `t` of the last plan, s; the `place` of its start, None if unknown; the memory of both stages and of the rules.
+    Time `t` of the last plan, s; the `place` of its start, None if unknown; the memory of both
+    stages and of the rules.
     """
 
     t: float = -inf
@@ -165,8 +168,8 @@ class LanePlanner:
     ) -> tuple[LanePlan, LaneMemory]:
         """Plan path and speed from the scene's start, with costs; and the new memory.
 
-        `name` is "keep" for the lane that the ego drives in; `past` are the moving agents that the plan is to pass. A
-        path that does not pass the nearest of them gets no speed.
+        `name` is "keep" for the lane that the ego drives in; `past` are the moving agents that the
+        plan is to pass. A path that does not pass the nearest of them gets no speed.
         """
         t, start, config = scene.frame.t, scene.start, self._config
         if not 0.0 <= t - memory.t <= FORGET_S:
@@ -203,7 +206,9 @@ class LanePlanner:
         return plan, LaneMemory(t, scene.place, path_memory, speed_memory, rules)
 
     def least_costs(self, name: str, scene: Scene, target: SpeedTarget | None = None) -> CostTerms:
-        """(2), (3) and (5) of a plan in this lane, without planning it: it costs no less, except for time gained."""
+        """(2), (3) and (5) of a plan in this lane, without planning it: it costs no less, except
+        for time gained.
+        """
         lane, start, config = self.lane, scene.start, self._config
         target = target or self._goal.target(scene.frame.t, scene.s, start.v)
         route = 0.0 if lane.changes == 0 else config.dead_end_s
@@ -227,9 +232,11 @@ class LaneConfig:
     """Settings of the lane choice; costs are in seconds of equivalent time.
 
     Attributes:
-        hysteresis_s: Amount by which another lane, or passing, must be cheaper than keeping the lane.
+        hysteresis_s: Amount by which another lane, or passing, must be cheaper than keeping the
+            lane.
         look_s: Time lost to other agents from which the neighbouring lanes are planned.
-        dwell_s: No further change and no new attempt to pass within this time, unless the lane fails.
+        dwell_s: No further change and no new attempt to pass within this time, unless the lane
+            fails.
         route_s: Cost of a lane change that the route needs.
         urgency_s: Cost that is added to it as the change becomes due.
         due_s: Changes are urgent where less than this time per change is left until they are due.
@@ -267,8 +274,10 @@ class DpQpConfig:
         lane: The choice between lanes, and of passing.
         rules: Settings of the traffic rules.
         solver: Solver of the path and speed QPs: "interior_point", "osqp" or "piqp".
-        stitch_m: The plan starts on the previous one where the ego is nearer to it than this; else at the ego.
-        stitch_mps: The plan starts on the previous one where the ego's speed is nearer to its speed than this.
+        stitch_m: The plan starts on the previous one where the ego is nearer to it than this; else
+            at the ego.
+        stitch_mps: The plan starts on the previous one where the ego's speed is nearer to its speed
+            than this.
     """
 
     path: PathConfig = field(default_factory=PathConfig)

@@ -1,21 +1,25 @@
 """The planner: start, candidate lanes, choice, trajectory; or the fallback and its reason.
 
-It keeps the lane, passes within it, or changes: by cost with hysteresis and a safety protocol (paper, section II-F).
+It keeps the lane, passes within it, or changes: by cost with hysteresis and a safety protocol
+(paper, section II-F).
 
-The neighbouring lanes are planned where the route needs a change, a slow agent is ahead, or the plan in the lane is not
-comfortable (while a change is under way, only then: it may be aborted). The ego changes to a neighbouring lane that is
-cheaper by `hysteresis_s` if it endangers no agent on it:
+The neighbouring lanes are planned where the route needs a change, a slow agent is ahead, or the
+plan in the lane is not comfortable (while a change is under way, only then: it may be aborted). The
+ego changes to a neighbouring lane that is cheaper by `hysteresis_s` if it endangers no agent on it:
 
-(1) gap behind >= MIN_GAP_M + REACTION_S max(0, v_a - v) + max(0, v_a - v)^2 / (2 YIELD_MPS2)      for each follower
+(1) gap behind >= MIN_GAP_M + REACTION_S max(0, v_a - v) + max(0, v_a - v)^2 / (2 YIELD_MPS2)
+        for each follower
 (2) no agent beside the ego, from MIN_GAP_M behind its rear to MIN_GAP_M before its front
 (3) the lane's own S-T graph contains the agents ahead; the plan must not need hard braking
 
-The plan that keeps the lane follows slower agents. A second plan of the same lane passes them where `path.passing`
-allows it ("nudge" in the paper): it must be comfortable and cheaper by `hysteresis_s`; once it is under way, it may not
-be dearer by more than that. Its path and speed are found in turns, at most `TURNS` in one frame: the first turn assumes
-the speed on a free road, the next the speed of the turn before; later frames start from the plan of the last frame. It
-is a plan only if, at its own speed, it gets past the nearest agent within the predictions. It may borrow the lane on
-the passing side where (1) and (2) hold for it; once the ego is over the marking, others see it and they need not hold.
+The plan that keeps the lane follows slower agents. A second plan of the same lane passes them where
+`path.passing` allows it ("nudge" in the paper): it must be comfortable and cheaper by
+`hysteresis_s`; once it is under way, it may not be dearer by more than that. Its path and speed are
+found in turns, at most `TURNS` in one frame: the first turn assumes the speed on a free road, the
+next the speed of the turn before; later frames start from the plan of the last frame. It is a plan
+only if, at its own speed, it gets past the nearest agent within the predictions. It may borrow the
+lane on the passing side where (1) and (2) hold for it; once the ego is over the marking, others see
+it and they need not hold.
 """
 
 from __future__ import annotations
@@ -64,7 +68,8 @@ from replan.planners.rules.rulebook import YIELD_MPS2
 class PlannerMemory:
     """The planner's memory; a frame without a previous plan has a new one.
 
-    The lane that the ego drives in, and when it `changed` to it, s; the memory of each lane, and of passing in it.
+    The lane that the ego drives in, and when it `changed` to it, s; the memory of each lane, and of
+    passing in it.
     """
 
     driven: LaneSequence
@@ -118,7 +123,10 @@ class DpQp:
         )
 
     def _choose(self, frame: Frame, start: EgoState) -> tuple[LanePlan, tuple[Artefact, ...]]:
-        """The plan in the best lane; neighbouring lanes are planned only where they may be cheaper."""
+        """The plan in the best lane.
+
+        Neighbouring lanes are planned only where they may be cheaper.
+        """
         memory, config = self._memory, self._config
         planner, before = (
             self._planner(memory.driven),
@@ -173,7 +181,9 @@ SETTLED_M = 1.0  # The turns end when the last one has moved each box by less th
 
 
 def worth_looking(keep: LanePlan, config: LaneConfig, *, since_change: float) -> bool:
-    """Whether to plan the neighbouring lanes, by the plan in the lane and the time (s) since the last change."""
+    """Whether to plan the neighbouring lanes, by the plan in the lane and the time (s) since the
+    last change.
+    """
     if abs(keep.scene.l) > INSIDE_M:  # a change is under way
         return not keep.is_comfortable
     slow = keep.time_lost > config.look_s and since_change > config.dwell_s
@@ -183,11 +193,16 @@ def worth_looking(keep: LanePlan, config: LaneConfig, *, since_change: float) ->
 def hopeless(
     name: str, scene: Scene, least: CostTerms, keep: LanePlan, hysteresis_s: float
 ) -> LaneOption | None:
-    """Why a neighbouring lane that costs `least` or more need not be planned; None if it must be."""
+    """Why a neighbouring lane that costs `least` or more need not be planned; None if it must
+    be.
+    """
     cost = sum(value for _, value in least.terms)
     against = ""
     if not cost < keep.cost - hysteresis_s:
-        against = f"costs at least {cost:.1f} s, {keep.name} {keep.cost:.1f} s: not {hysteresis_s:.1f} s better"
+        against = (
+            f"costs at least {cost:.1f} s, {keep.name} {keep.cost:.1f} s: not "
+            f"{hysteresis_s:.1f} s better"
+        )
     elif abs(scene.l) > INSIDE_M:
         against = _unsafe(scene)
     return LaneOption(name, least.terms, against) if against else None
@@ -249,16 +264,21 @@ def endangered(scene: Scene, beside: str = "") -> str:
         needed = MIN_GAP_M + REACTION_S * closing + closing**2 / (2.0 * YIELD_MPS2)  # (1)
         gap = scene.rear - head
         if gap < needed:
-            return f"{scene.name(i)} is {gap:.1f} m behind and {closing:.1f} m/s faster: needs {needed:.1f} m"
+            return (
+                f"{scene.name(i)} is {gap:.1f} m behind and {closing:.1f} m/s faster: needs "
+                f"{needed:.1f} m"
+            )
     return ""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PassMemory:
-    """Memory of passing slower agents in one lane: time `t` of the last frame that considered it, s, and those passed.
+    """Memory of passing slower agents in one lane: time `t` of the last frame that considered it,
+    s, and those passed.
 
-    `given_up`: when the ego gave up passing an agent, s; `stations`: those of the last passing plan at the times of the
-    predictions since `t` `(k,)`, m; `lane`: memory of the passing plans, not of those that keep the lane.
+    `given_up`: when the ego gave up passing an agent, s; `stations`: those of the last passing plan
+    at the times of the predictions since `t` `(k,)`, m; `lane`: memory of the passing plans, not of
+    those that keep the lane.
     """
 
     t: float = -inf
@@ -276,7 +296,10 @@ def passing(
     *,
     passes_left: bool,
 ) -> tuple[LanePlan, tuple[Artefact, ...], PassMemory]:
-    """The plan that passes slower agents if it is better, else `keep`; the options considered; the memory."""
+    """The plan that passes slower agents if it is better, else `keep`.
+
+    The options considered; the memory.
+    """
     scene, t, hysteresis = keep.scene, keep.scene.frame.t, config.lane.hysteresis_s
     if not 0.0 <= t - memory.t <= FORGET_S:
         memory = PassMemory()
@@ -323,7 +346,9 @@ def _plan_past(
     *,
     passes_left: bool,
 ) -> tuple[LanePlan | None, frozenset[str], PassMemory]:
-    """The plan past the nearest agent, all agents that it passes, the memory; None where there is no such plan."""
+    """The plan past the nearest agent, all agents that it passes, the memory; None where there is
+    no such plan.
+    """
     scene, t, lane = keep.scene, keep.scene.frame.predictions.t, memory.lane
     if not who:
         return None, frozenset(), replace(memory, stations=None)
@@ -371,6 +396,9 @@ def _plan_past(
 
 
 def _carried_on(known: FloatArray, stations: FloatArray, t: FloatArray) -> FloatArray:
-    """Interpolate stations `(n,)` at `known` times to other times `(k,)`; after the last, at the last speed."""
+    """Interpolate stations `(n,)` at `known` times to other times `(k,)`.
+
+    After the last, at the last speed.
+    """
     speed = (stations[-1] - stations[-2]) / (known[-1] - known[-2])
     return np.asarray(np.interp(t, known, stations) + speed * np.maximum(t - known[-1], 0.0))

@@ -1,14 +1,16 @@
-"""The planned path as a fine polyline in the world, from knots of the path QP; and the shape of lateral moves.
+"""The planned path as a fine polyline in the world, from knots of the path QP; and the shape of
+lateral moves.
 
-Exact transform from the Frenet frame of the reference line (Werling et al., ICRA 2010), with D = 1 - kappa_r l and
-tan d = l' / D:
+Exact transform from the Frenet frame of the reference line (Werling et al., ICRA 2010), with D = 1
+- kappa_r l and tan d = l' / D:
 
 (1) p = r(s) + l n(s)              (2) yaw = yaw_r + d
 (3) kappa = ((l'' + (kappa_r' l + kappa_r l') tan d) cos^2 d / D + kappa_r) cos d / D
 
 The quintic between two states, the second at rest, is the shape of every lateral move:
 
-(4) l(d) = l0 + l0' d + l0'' d^2 / 2 + c3 d^3 + c4 d^4 + c5 d^5     with (l, l', l'')(length) = (l1, 0, 0)
+(4) l(d) = l0 + l0' d + l0'' d^2 / 2 + c3 d^3 + c4 d^4 + c5 d^5
+        with (l, l', l'')(length) = (l1, 0, 0)
 """
 
 from __future__ import annotations
@@ -61,7 +63,10 @@ def _fine_path(
     sharpest: float,
     until: float,
 ) -> tuple[FloatArray, float]:
-    """Rows sigma, x, y, yaw, kappa, s `(6, m)` of the path with knots `(3, n)` of l, l', l''; its shift, m."""
+    """Rows sigma, x, y, yaw, kappa, s `(6, m)` of the path with knots `(3, n)` of l, l', l''.
+
+    Its shift, m.
+    """
     n, shift = offsets.shape[1], 0.0
     for i in range(n):
         if s0 + step * i < s0 + SHIFT_AHEAD_M:
@@ -97,10 +102,12 @@ def _fine_path(
 def drivable_path(
     line: ReferenceLine, s0: float, step: float, offsets: FloatArray, sharpest: float, until: float
 ) -> tuple[Path, float]:
-    """The path through knots of (l, l', l'') `(3, n)`, `step` m apart from station `s0`, and its shift, m.
+    """The path through knots of (l, l', l'') `(3, n)`, `step` m apart from station `s0`, and its
+    shift, m.
 
-    It ends at station `until`, or where it bends more than `sharpest`, 1/m, farther than `AT_START_M` from its start.
-    The shift is the largest change of the offset within `SHIFT_AHEAD_M`.
+    It ends at station `until`, or where it bends more than `sharpest`, 1/m, farther than
+    `AT_START_M` from its start. The shift is the largest change of the offset within
+    `SHIFT_AHEAD_M`.
     """
     parts = max(1, ceil(step / FINE_M))
     rows, shift = _fine_path(
@@ -159,7 +166,8 @@ def states_on_path(
     kappa: FloatArray,
     stations: FloatArray,
 ) -> FloatArray:
-    """Rows x, y, yaw, kappa `(4, n)` at arc lengths `(n,)`: cubic Hermite in the position, linear in yaw and kappa.
+    """Rows x, y, yaw, kappa `(4, n)` at arc lengths `(n,)`: cubic Hermite in the position, linear
+    in yaw and kappa.
 
     Beyond the end the path continues straight.
     """
@@ -200,7 +208,9 @@ def quintic(
 
 @inner_kernel
 def interpolated(x: float, xp: FloatArray, fp: FloatArray) -> float:
-    """Return `np.interp` of one number, to the bit: `fp` `(n,)` over increasing `xp`, constant outside."""
+    """Return `np.interp` of one number, to the bit: `fp` `(n,)` over increasing `xp`, constant
+    outside.
+    """
     last = len(xp) - 1
     if x >= xp[last]:
         return fp[last]

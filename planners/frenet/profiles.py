@@ -1,14 +1,18 @@
-"""Speed profiles along a path: the limit with its curves, driving at it, and braking; and the plan when a stage fails.
+"""Speed profiles along a path: the limit with its curves, driving at it, and braking; and the plan
+when a stage fails.
 
-(1) v(sigma) = min(limit, sqrt(a_lat / |kappa|)), lowered so that it can be reached with a comfortable deceleration b:
+(1) v(sigma) = min(limit, sqrt(a_lat / |kappa|)),
+        lowered so that it can be reached with a comfortable deceleration b:
     v(sigma)^2 <= v(sigma + d)^2 + 2 b d
-(2) cruising: the speed follows (1) with bounded acceleration and jerk, with no other road user in the way
+(2) cruising: the speed follows (1) with bounded acceleration and jerk, with no other road user in
+    the way
 (3) braking: jerk-limited to a deceleration, held, and released before standstill:  b^2 <= 2 jerk v
 
 When a stage fails, the plan is
 
 1. the rest of the previous plan, if it lasts `MIN_REST_S` without a collision
-2. a stop along its path (or straight on where there is none) with comfortable limits, if that is free of collisions
+2. a stop along its path (or straight on where there is none) with comfortable limits, if that is
+free of collisions
 3. a stop with the hardest braking
 """
 
@@ -89,10 +93,11 @@ def limit_profile(
 
 @kernel
 def braking(v0: float, a0: float, decel: float, jerk: float, step: float, knots: int) -> FloatArray:
-    """Rows s, v, a `(3, knots)` of braking to a stop: jerk-limited to `-decel`, then held, then standing.
+    """Rows s, v, a `(3, knots)` of braking to a stop: jerk-limited to `-decel`, then held, then
+    standing.
 
-    The stop itself is eased: the next deceleration b is not more than the jerk can release before standstill,
-    b^2 <= 2 jerk v' with the speed v' = v + step (a - b) / 2 that it leaves.
+    The stop itself is eased: the next deceleration b is not more than the jerk can release before
+    standstill, b^2 <= 2 jerk v' with the speed v' = v + step (a - b) / 2 that it leaves.
     """
     out = np.zeros((3, knots))
     s, v, a, half = 0.0, v0, a0, 0.5 * jerk * step
@@ -143,7 +148,9 @@ MIN_REST_S = 3.0  # The ego drives the rest of the previous plan if it lasts at 
 
 
 def trajectory_along(path: Path, profile: FloatArray, t: float) -> Trajectory:
-    """The trajectory of a speed profile, rows s, v, a `(3, n)` every 0.1 s from time `t`, along a path."""
+    """The trajectory of a speed profile, rows s, v, a `(3, n)` every 0.1 s from time `t`, along a
+    path.
+    """
     rows = _trajectory_rows(
         path.sigma, path.x, path.y, path.yaw, path.kappa, np.ascontiguousarray(profile), t
     )
@@ -171,7 +178,9 @@ def _trajectory_rows(
 
 
 class Stops(NamedTuple):
-    """Limits of a comfortable and of the hardest stop, and the number of steps of `STEP_S` in the plan of a stop."""
+    """Limits of a comfortable and of the hardest stop, and the number of steps of `STEP_S` in the
+    plan of a stop.
+    """
 
     comfortable: SpeedLimits = COMFORT
     hardest: SpeedLimits = EMERGENCY
@@ -191,7 +200,9 @@ def fall_back(
     vehicle: VehicleParameters,
     stops: Stops = USUAL_STOPS,
 ) -> Plan:
-    """The fallback ladder of the module docstring; `path` is that of this frame, if there is one."""
+    """The fallback ladder of the module docstring; `path` is that of this frame, if there is
+    one.
+    """
     rest, old = None, frame.previous.trajectory if frame.previous is not None else None
     if old is not None and old.t[-1] - frame.t >= MIN_REST_S and old.t[0] <= frame.t:
         rest = old.resampled(np.r_[frame.t, old.t[old.t > frame.t + 1e-6]])

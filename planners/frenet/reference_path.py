@@ -1,23 +1,29 @@
 """Reference path: the reference line of a route, with the free width and the speed limit along it.
 
-The centre lines of the route are joined (a lane change is blended over its length) and smoothed by a QP over points
-p_i, equally spaced on the raw line r_i:
+The centre lines of the route are joined (a lane change is blended over its length) and smoothed by
+a QP over points p_i, equally spaced on the raw line r_i:
 
-(1) minimise  w sum |p_{i-1} - 2 p_i + p_{i+1}|^2 + sum |p_i - r_i|^2     subject to |p_i - r_i| <= MAX_SHIFT_M
-(2) p_i = r_i + l_i n_i + t_i m_i,   |l_i| <= ACROSS MAX_SHIFT_M,   |t_i| <= sqrt(1 - ACROSS^2) MAX_SHIFT_M
+(1) minimise  w sum |p_{i-1} - 2 p_i + p_{i+1}|^2 + sum |p_i - r_i|^2
+        subject to |p_i - r_i| <= MAX_SHIFT_M
+(2) p_i = r_i + l_i n_i + t_i m_i,   |l_i| <= ACROSS MAX_SHIFT_M,
+        |t_i| <= sqrt(1 - ACROSS^2) MAX_SHIFT_M
 
-(discrete bending energy: the FEM-position-deviation smoother of Apollo's reference lines) with the normal n_i and the
-tangent m_i of the raw line: bounds (2) keep the norm in (1), and rotate and mirror with the world, which bounds on x
-and y do not. The shift is larger where the line would otherwise bend more than the car can steer. The lateral extents
-of the lanes are where their boundaries cross the normals of the smoothed line.
+(discrete bending energy: the FEM-position-deviation smoother of Apollo's reference lines) with the
+normal n_i and the tangent m_i of the raw line: bounds (2) keep the norm in (1), and rotate and
+mirror with the world, which bounds on x and y do not. The shift is larger where the line would
+otherwise bend more than the car can steer. The lateral extents of the lanes are where their
+boundaries cross the normals of the smoothed line.
 
-Candidate lanes: the ego's lane and its neighbours, each with its own reference line (paper, section II-F).
+Candidate lanes: the ego's lane and its neighbours, each with its own reference line (paper, section
+II-F).
 
-A lane sequence is a lane with the lanes that continue it without a lane change, chosen so that the goal stays near.
-Its value for the route follows from the cost to go of its lanes (`route.costs_to_go`):
+A lane sequence is a lane with the lanes that continue it without a lane change, chosen so that the
+goal stays near. Its value for the route follows from the cost to go of its lanes
+(`route.costs_to_go`):
 
 (3) changes(sequence)  = lane changes between it and the goal
-(4) change_by(sequence) = station at which its last lane ends from which the first of these changes is possible
+(4) change_by(sequence) = station at which its last lane ends from which the first of these changes
+        is possible
 """
 
 from __future__ import annotations
@@ -45,13 +51,17 @@ from replan.planners.solver import QuadraticProgram
 SPACING_M = 2.0  # Spacing of the points of (1), m
 BENDING_WEIGHT = 50.0  # w of (1)
 MAX_SHIFT_M = 0.3
-"""Largest shift, m: about the mean over all headings that bounds of 0.25 m on x and y permit across a line (0.32)."""
+"""Largest shift, m: about the mean over all headings that bounds of 0.25 m on x and y permit across
+a line (0.32).
+"""
 BEND = np.array([1.0, -2.0, 1.0])  # Coefficients of three points in the bending term of (1)
 # Share of the shift that a point may make across the line; the rest is along it, as a sharp corner
 # needs
 ACROSS = 0.97
 HARDER = ((0.5, 200.0), (0.75, 1000.0), (1.0, 1000.0), (1.5, 3000.0))
-"""Shift (m) and bending weight of further attempts, where the line bends more than a car can steer."""
+"""Shift (m) and bending weight of further attempts, where the line bends more than a car can
+steer.
+"""
 LOCK_SHARE = 0.9  # Share of the steering lock that a reference line may need
 EDGE_M = 0.1  # Distance of the car to the lane's edge that a shift keeps, m
 BEYOND_M = 300.0  # Length of the line after the route, m; a plan of 8 s at 130 km/h is shorter
@@ -62,7 +72,9 @@ JOINT_M = 0.6  # Boundaries nearer than this are one marking, m
 
 
 class CrossSections(NamedTuple):
-    """The road across stations `(k,)`: edges as in `ReferencePath`, speed limit (m/s), curvature of the line (1/m)."""
+    """The road across stations `(k,)`: edges as in `ReferencePath`, speed limit (m/s), curvature of
+    the line (1/m).
+    """
 
     lane_right: FloatArray
     road_right: FloatArray
@@ -76,10 +88,14 @@ class CrossSections(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ReferencePath:
-    """A reference line and the road along it; arrays `(n,)` over `line.s`, offsets l in m, positive left."""
+    """A reference line and the road along it.
+
+    Arrays `(n,)` over `line.s`, offsets l in m, positive left.
+    """
 
     line: ReferenceLine  # The line; it continues straight beyond its ends
-    # Left edge of the route's own lane (of both lanes during a lane change); `lane_right` < 0 likewise
+    # Left edge of the route's own lane (of both lanes during a lane change); `lane_right` < 0
+    # likewise
     lane_left: FloatArray
     lane_right: FloatArray
     # Left edge of the same-direction lanes that can be reached from there; `road_right` likewise
@@ -87,8 +103,8 @@ class ReferencePath:
     road_right: FloatArray
     limit: FloatArray  # Speed limit, m/s
     lanes: tuple[int, ...] = ()  # The lanes that it leads along, in driving order
-    # Left edge of the lane of the opposite direction that adjoins `road_left` where the marking may be crossed, else
-    # `road_left`; `facing_right` likewise; None without such a lane
+    # Left edge of the lane of the opposite direction that adjoins `road_left` where the marking may
+    # be crossed, else `road_left`; `facing_right` likewise; None without such a lane
     facing_left: FloatArray | None = None
     facing_right: FloatArray | None = None
     # Stations before which traffic may have to wait: where lanes part or meet, m
@@ -147,7 +163,10 @@ def write_sections(knots: FloatArray, table: FloatArray, s: FloatArray, out: Flo
 def make_reference_path(
     road: Road, route: tuple[int, ...], ego: EgoState, car: VehicleParameters | None = None
 ) -> ReferencePath:
-    """The reference path of a route for an ego at its start; a `car` can follow it if the lanes are wide enough."""
+    """The reference path of a route for an ego at its start.
+
+    A `car` can follow it if the lanes are wide enough.
+    """
     lanes, line = make_line(road, route, ego, car)
     extents = _lane_extents(road, line)
     lane_left, lane_right, limit = _own_lane(road, line, lanes, extents)
@@ -195,7 +214,8 @@ def make_reference_path(
 def make_line(
     road: Road, route: tuple[int, ...], ego: EgoState, car: VehicleParameters | None = None
 ) -> tuple[tuple[int, ...], ReferenceLine]:
-    """The lanes of a route, extended straight on for `BEYOND_M` or to the end of the map, and the line along them.
+    """The lanes of a route, extended straight on for `BEYOND_M` or to the end of the map, and the
+    line along them.
 
     The line is smoothed more where the car could not follow it and the lanes are wide enough.
     """
@@ -243,7 +263,10 @@ def _sharpest(line: ReferenceLine) -> float:
 def smooth_points(
     points: FloatArray, max_shift: float = MAX_SHIFT_M, weight: float = BENDING_WEIGHT
 ) -> FloatArray:
-    """The polyline `(n, 2)`, equally spaced and smoothed by (1); unchanged if it is too short or the QP fails."""
+    """The polyline `(n, 2)`, equally spaced and smoothed by (1).
+
+    Unchanged if it is too short or the QP fails.
+    """
     chord = arc_lengths(*points.T)
     count = floor(chord[-1] / SPACING_M + 0.5 - TIE) + 1
     if count < 4:
@@ -277,7 +300,9 @@ def smooth_points(
 
 
 def _blend_centers(group: list[Lane], ego: EgoState | None) -> FloatArray:
-    """The centre line of lanes side by side: from the first to the last lane, over the rest of their length."""
+    """The centre line of lanes side by side: from the first to the last lane, over the rest of
+    their length.
+    """
     if len(group) == 1:
         return group[0].center
     u = np.linspace(0.0, 1.0, max(2, floor(group[0].length + TIE) + 1))
@@ -300,7 +325,10 @@ def _blend_centers(group: list[Lane], ego: EgoState | None) -> FloatArray:
 
 @kernel
 def _crossings(xy: FloatArray, yaw: FloatArray, boundary: FloatArray, reach: float) -> FloatArray:
-    """Offsets l `(n,)` at which the normals at points cross a polyline, each the nearest; nan beyond `reach`."""
+    """Offsets l `(n,)` at which the normals at points cross a polyline, each the nearest.
+
+    Nan beyond `reach`.
+    """
     out = np.full(len(yaw), np.nan)
     low_x, high_x = boundary[:, 0].min() - reach - 1.0, boundary[:, 0].max() + reach + 1.0
     low_y, high_y = boundary[:, 1].min() - reach - 1.0, boundary[:, 1].max() + reach + 1.0
@@ -329,7 +357,8 @@ def _crossings(xy: FloatArray, yaw: FloatArray, boundary: FloatArray, reach: flo
 def _lane_extents(
     road: Road, line: ReferenceLine, *, opposite: bool = False
 ) -> dict[int, tuple[FloatArray, FloatArray]]:
-    """Per drivable lane near the line: offsets `(n,)` of its left and right boundary, NaN where it is not beside.
+    """Per drivable lane near the line: offsets `(n,)` of its left and right boundary, NaN where it
+    is not beside.
 
     Lanes of the line's direction or of the `opposite` one, whose left boundary lies to the right.
     """
@@ -380,7 +409,8 @@ def _own_lane(
 def _one_lane_further(
     edge: FloatArray, beside: list[tuple[FloatArray, FloatArray, bool, bool]]
 ) -> FloatArray:
-    """The edge `(n,)` moved out over the adjoining lanes, where both lanes permit crossing their common marking.
+    """The edge `(n,)` moved out over the adjoining lanes, where both lanes permit crossing their
+    common marking.
 
     `beside` has the inner and outer edge `(n,)` of each lane, and whether each may be crossed.
     """
@@ -395,7 +425,10 @@ def _one_lane_further(
 
 
 def _fill_nan(values: FloatArray, default: float) -> FloatArray:
-    """Replace NaN by linear interpolation, beyond the ends by the nearest value; all NaN: by the default."""
+    """Replace NaN by linear interpolation, beyond the ends by the nearest value.
+
+    All NaN: by the default.
+    """
     known = np.isfinite(values)
     if not known.any():
         return np.full(len(values), default)
@@ -432,7 +465,9 @@ class LaneSequences:
         self._start, self._car = context.start, context.vehicle
 
     def start(self, ego: EgoState) -> LaneSequence:
-        """The first sequence: that of the lane nearest to the goal among the lanes under the ego."""
+        """The first sequence: that of the lane nearest to the goal among the lanes under the
+        ego.
+        """
         under = start_lanes(self._road, ego)[: None if self._to_go else 1]
         best = min(under, key=lambda lane: (*_rank(self._to_go.get(lane)), under.index(lane)))
         return self.of(best)
@@ -448,7 +483,9 @@ class LaneSequences:
     def beside(
         self, sequence: LaneSequence, station: float
     ) -> tuple[tuple[str, LaneSequence], ...]:
-        """The neighbours ("left" or "right") of a sequence at a station whose marking may be crossed."""
+        """The neighbours ("left" or "right") of a sequence at a station whose marking may be
+        crossed.
+        """
         ends = np.cumsum([self._road.lanes[lane].length for lane in sequence.lanes])
         here = min(int(np.searchsorted(ends, station + TIE)), len(sequence.lanes) - 1)
         lane = self._road.lanes[sequence.lanes[here]]
@@ -467,7 +504,9 @@ class LaneSequences:
         )
 
     def _make_sequence(self, lane: int) -> LaneSequence:
-        """The sequence of a lane: on towards the goal, straight on if no successor leads there, and back behind it."""
+        """The sequence of a lane: on towards the goal, straight on if no successor leads there, and
+        back behind it.
+        """
         onward, length = [lane], 0.0
         while length < BEYOND_M:
             leading = [i for i in self._road.lanes[onward[-1]].successors if i in self._to_go]

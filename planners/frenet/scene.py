@@ -1,14 +1,18 @@
-"""The scene: one frame in one lane, computed once for all stages; the start of a plan; what takes parts of the lane.
+"""The scene: one frame in one lane, computed once for all stages; the start of a plan; what takes
+parts of the lane.
 
-For an agent whose centre projects to station s of the reference line, with the line's heading yaw_r there,
+For an agent whose centre projects to station s of the reference line, with the line's heading yaw_r
+there,
 
-(1) v_s = vx cos yaw_r + vy sin yaw_r,  v_l = vy cos yaw_r - vx sin yaw_r             along and across the line
+(1) v_s = vx cos yaw_r + vy sin yaw_r,  v_l = vy cos yaw_r - vx sin yaw_r
+        along and across the line
 (2) turn = yaw - yaw_r, a principal value
 
-A standing car, a cyclist or a red light takes a part of the lane for a time. It is an `Occupancy`: a box of stations
-and offsets with the time until which it lasts. The path passes boxes or stops before them; for the speed stage they are
-stations that the ego must not pass (`StBoundaries.with_stops`). Moving agents take the path by their predicted
-footprints (`st_boundaries`).
+A standing car, a cyclist or a red light takes a part of the lane for a time. It is an `Occupancy`:
+a box of stations and offsets with the time until which it lasts. The path passes boxes or stops
+before them; for the speed stage they are stations that the ego must not pass
+(`StBoundaries.with_stops`). Moving agents take the path by their predicted footprints
+(`st_boundaries`).
 """
 
 from __future__ import annotations
@@ -40,12 +44,19 @@ from replan.planners.frenet.reference_path import (
 STITCH_M = 0.5  # A plan starts on the previous one where the ego is nearer to it than this, m ...
 STITCH_MPS = 1.0  # ... and its speed nearer than this, m/s.
 WINDOW_SHARE = 1.5
-"""An agent's foot point is searched ahead of and behind the ego's within this times their distance ..."""
+"""An agent's foot point is searched ahead of and behind the ego's within this times their distance
+...
+"""
 WINDOW_M = (80.0, 370.0)
-"""... plus the first, m, but at most the second, m, so that it is not on another branch of a winding road."""
+"""... plus the first, m, but at most the second, m, so that it is not on another branch of a
+winding road.
+"""
 FOOT_M = 30.0  # The ego's foot point is searched within this distance of its expected station, m
 STANDING_MPS = 0.5
-"""An agent slower than this stands, m/s: the path passes it, or the ego stops; the speed stage does not follow it."""
+"""An agent slower than this stands, m/s: the path passes it, or the ego stops.
+
+The speed stage does not follow it.
+"""
 UNLIKELY = 0.2  # A predicted hypothesis that is not more probable than this is unlikely
 TRACK_M = 1.0  # The ego keeps its track where its offset changes by less than this, m
 TRACK_ROOM_M = 0.3  # An agent beside the ego's track by more than this is not in it, m
@@ -55,7 +66,9 @@ VULNERABLE = among(*(kind for kind in AgentKind if kind.is_vulnerable))
 
 
 class AgentsAlong(NamedTuple):
-    """The agents along the reference path, `(n,)` each: station and offset of the centre, m, (1), m/s, and (2), rad."""
+    """The agents along the reference path, `(n,)` each: station and offset of the centre, m, (1),
+    m/s, and (2), rad.
+    """
 
     s: FloatArray
     l: FloatArray  # noqa: E741
@@ -113,7 +126,8 @@ class Scene:
     bodies: Bodies
     agents: AgentsAlong
     across: FloatArray
-    # Speeds of the agents `(n,)`, m/s; which of them are `standing`, and which `vulnerable` (walk or ride)
+    # Speeds of the agents `(n,)`, m/s; which of them are `standing`, and which `vulnerable` (walk
+    # or ride)
     speed: FloatArray
     standing: BoolArray
     vulnerable: BoolArray
@@ -161,7 +175,10 @@ def scene_of(
     vehicle: VehicleParameters,
     last: StartPlace | None = None,
 ) -> Scene:
-    """The scene of a frame for a plan from `start`; its foot point is searched as far on from `last` as it moved."""
+    """The scene of a frame for a plan from `start`.
+
+    Its foot point is searched as far on from `last` as it moved.
+    """
     line, agents = reference.line, frame.agents
     bodies = Bodies(
         agents.x, agents.y, agents.yaw, agents.vx, agents.vy, agents.length, agents.width
@@ -206,9 +223,11 @@ def place_agents(
     near: float,
     within: float,
 ) -> tuple[float, float, float, FloatArray]:
-    """Station and offset of the ego, the speed limit there, and rows `AgentsAlong`, speed, `CrossSections` `(14, n)`.
+    """Station and offset of the ego, the speed limit there, and rows `AgentsAlong`, speed,
+    `CrossSections` `(14, n)`.
 
-    The ego's foot point is searched up to `within` m from the station `near`; `table` is that of a reference path.
+    The ego's foot point is searched up to `within` m from the station `near`; `table` is that of a
+    reference path.
     """
     s_ego, l_ego = line_project(knots, coef, ego[0], ego[1], near, within)
     x, y, vx, vy = bodies.x, bodies.y, bodies.vx, bodies.vy
@@ -229,7 +248,8 @@ def place_agents(
 def behind(scene: Scene, *, keeps_track: bool) -> BoolArray:
     """Which agents `(n,)` follow the ego, so that they must react to it and not the ego to them.
 
-    Where the ego keeps its track, all agents behind it in its direction follow; where it changes, those in its track.
+    Where the ego keeps its track, all agents behind it in its direction follow; where it changes,
+    those in its track.
     """
     agents, ego = scene.agents, (scene.rear, scene.l, scene.frame.ego.yaw, scene.vehicle.width)
     return _follow(agents.s, agents.l, scene.bodies, scene.standing, ego, keeps_track)
@@ -244,7 +264,10 @@ def _follow(
     ego: tuple[float, float, float, float],
     keeps_track: bool,
 ) -> BoolArray:
-    """`behind` of agents at these stations and offsets; the ego's station of the rear, offset, yaw and width."""
+    """`behind` of agents at these stations and offsets.
+
+    The ego's station of the rear, offset, yaw and width.
+    """
     out = np.zeros(len(s), np.bool_)
     rear, l_ego, yaw_ego, width = ego
     for i in range(len(s)):
@@ -258,7 +281,9 @@ def _follow(
 def start_of(
     frame: Frame, stitch_m: float = STITCH_M, stitch_mps: float = STITCH_MPS
 ) -> tuple[EgoState, PlanStart]:
-    """The state at which the plan of a frame begins: on the previous plan if the ego is near it, else at the ego."""
+    """The state at which the plan of a frame begins: on the previous plan if the ego is near it,
+    else at the ego.
+    """
     if frame.previous is not None:
         old = frame.previous.trajectory.at(frame.t)
         near = hypot(old.x - frame.ego.x, old.y - frame.ego.y) <= stitch_m
@@ -315,7 +340,9 @@ class Occupancy:
 def on_reference(
     stops: tuple[Occupancy, ...], s: float, vehicle: VehicleParameters
 ) -> tuple[Occupancy, ...]:
-    """Stops as distances ahead of a rear axle at station `s` that keeps to the reference line, m, not negative."""
+    """Stops as distances ahead of a rear axle at station `s` that keeps to the reference line, m,
+    not negative.
+    """
     here = s + vehicle.axle_to_front
     return tuple(
         replace(stop, s_from=max(stop.s_from - here, 0.0), aim=max(stop.aim - here, 0.0))
@@ -337,12 +364,16 @@ def on_path(
 
 
 def open_end(stops: Sequence[Occupancy]) -> float:
-    """Station at which the ego should come to rest for the first stop that is not known to end, m; inf without one."""
+    """Station at which the ego should come to rest for the first stop that is not known to end, m;
+    inf without one.
+    """
     return min((stop.aim for stop in stops if not isfinite(stop.until)), default=inf)
 
 
 def upper_bound(stops: Sequence[Occupancy], times: FloatArray, length: float) -> FloatArray:
-    """Greatest station `(n,)` that stops on a path allow at times `(n,)`, m; `length` where there is none."""
+    """Greatest station `(n,)` that stops on a path allow at times `(n,)`, m; `length` where there
+    is none.
+    """
     upper = np.full(len(times), length)
     for stop in stops:
         upper = np.where(times < stop.until, np.minimum(upper, stop.s_from), upper)

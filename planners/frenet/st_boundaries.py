@@ -2,20 +2,24 @@
 
 The ego's footprint is swept along the planned path and tested against each predicted footprint:
 
-(1) taken(agent, t) = { sigma : box of the ego at path(sigma), widened by a margin, overlaps the agent's box at t }
+(1) taken(agent, t) = { sigma : box of the ego at path(sigma), widened by a margin,
+        overlaps the agent's box at t }
 
-which is an interval [lower, upper] of stations of the rear axle for each time sample. Corners and the curvature of the
-path are exact, since the boxes themselves are tested: at the path's points, and between two of them by bisection.
-Single boxes are tested only where envelopes of `PART` points of the path and `SAMPLES` samples of a prediction touch.
-Where no prediction comes near the path, no boxes are computed.
+which is an interval [lower, upper] of stations of the rear axle for each time sample. Corners and
+the curvature of the path are exact, since the boxes themselves are tested: at the path's points,
+and between two of them by bisection. Single boxes are tested only where envelopes of `PART` points
+of the path and `SAMPLES` samples of a prediction touch. Where no prediction comes near the path, no
+boxes are computed.
 
-(2) An agent that crosses may come sooner by `early_s` and leave later by `late_s`: the first and the last interval are
-    extended in time, less where the event is near and so more certain.
-(3) The agent's speed along the path is the component of its velocity along the path's heading where it enters the path.
-(4) Decision for a profile s(t): overtake where it passes above the middle of all intervals; else stop for agents that
-    stand, follow those that move along the path with more than the share `ALONG` of their speed, yield to all others.
-(5) Braking gives a vehicle that comes towards the ego no more room beside it, so that it needs only the margin of what
-    the path passes on purpose.
+(2) An agent that crosses may come sooner by `early_s` and leave later by `late_s`: the first and
+    the last interval are extended in time, less where the event is near and so more certain.
+(3) The agent's speed along the path is the component of its velocity along the path's heading where
+    it enters the path.
+(4) Decision for a profile s(t): overtake where it passes above the middle of all intervals; else
+    stop for agents that stand, follow those that move along the path with more than the share
+    `ALONG` of their speed, yield to all others.
+(5) Braking gives a vehicle that comes towards the ego no more room beside it, so that it needs only
+    the margin of what the path passes on purpose.
 """
 
 from __future__ import annotations
@@ -36,14 +40,20 @@ from replan.planners.frenet.path import Path
 from replan.planners.frenet.scene import STANDING_MPS, Bodies, Futures, Occupancy, Scene
 
 ALONG = 0.8
-"""An agent with this share of its speed along the path is followed, not yielded to; at 45 degrees it crosses."""
+"""An agent with this share of its speed along the path is followed, not yielded to.
+
+At 45 degrees it crosses.
+"""
 # A vehicle that is turned against the lane by more than this comes towards the ego, rad
 ONCOMING_RAD = 0.75 * pi
 # Halvings of the path's spacing, about 0.4 m, in the search for the edge of an interval
 HALVINGS = 4
 JUMP = 0.999  # Share of a gap that the search skips, so that rounding does not skip a touch
 PART, SAMPLES = 16, 8
-"""Number of points of the path, and of samples of a prediction, in one envelope; envelopes are tested first."""
+"""Number of points of the path, and of samples of a prediction, in one envelope.
+
+Envelopes are tested first.
+"""
 ROUNDING_M = 1e-6  # Envelopes nearer than this touch, m
 # The decisions (4) ...
 KINDS = (DecisionKind.OVERTAKE, DecisionKind.STOP, DecisionKind.FOLLOW, DecisionKind.YIELD)
@@ -59,8 +69,10 @@ class StGraphConfig:
         vulnerable_margin_m: Margin to pedestrians and riders.
         passed_margin_m: Margin to an obstacle that the path passes on purpose.
         step_s: Time between two samples.
-        early_s: An agent that crosses may come sooner by this, at most by a third of the time left until then.
-        late_s: An agent that crosses may leave later by this, at most by half of the time left until then.
+        early_s: An agent that crosses may come sooner by this, at most by a third of the time left
+            until then.
+        late_s: An agent that crosses may leave later by this, at most by half of the time left
+            until then.
     """
 
     margin_m: float = 0.3
@@ -113,7 +125,10 @@ class StBoundaries:
 
     @property
     def step(self) -> float:
-        """Time between two samples, s; the predictions may be coarser than `StGraphConfig.step_s`."""
+        """Time between two samples, s.
+
+        The predictions may be coarser than `StGraphConfig.step_s`.
+        """
         return float(self.t[1] - self.t[0]) if len(self.t) > 1 else np.inf
 
     @property
@@ -144,7 +159,8 @@ def st_boundaries(
 ) -> StBoundaries:
     """The intervals (1) of all predictions except those of agents to `skip` `(agents,)`.
 
-    Agents that the path passes on purpose (`passed`, their ids) have the smallest margin, and oncoming vehicles (5).
+    Agents that the path passes on purpose (`passed`, their ids) have the smallest margin, and
+    oncoming vehicles (5).
     """
     agents, futures, car = scene.frame.agents, scene.futures, scene.vehicle
     stride = (
@@ -182,12 +198,18 @@ def decide(
 
 
 def decide_speed(blocks: StBoundaries, scene: Scene, s: FloatArray) -> tuple[Decision, ...]:
-    """Decide (4) for each row and a profile `(k,)` at the boundaries' times; the reason has when and where."""
+    """Decide (4) for each row and a profile `(k,)` at the boundaries' times.
+
+    The reason has when and where.
+    """
     found, agents = [], scene.frame.agents
     codes = decide(blocks.lower, blocks.upper, blocks.speed, scene.speed[blocks.agent], s)
     for code, who, lower in zip(codes, blocks.agent, blocks.lower, strict=True):
         taken = np.flatnonzero(np.isfinite(lower))
-        times = f"from {blocks.t[taken[0]]:.1f} s to {blocks.t[taken[-1]]:.1f} s, from {lower[taken[0]]:.1f} m on"
+        times = (
+            f"from {blocks.t[taken[0]]:.1f} s to {blocks.t[taken[-1]]:.1f} s, from "
+            f"{lower[taken[0]]:.1f} m on"
+        )
         reason = f"{agents.kinds[who].value} takes the path {times}"
         found.append(Decision(agents.ids[who], KINDS[code], "speed", reason))
     return tuple(found)
@@ -226,7 +248,9 @@ class SweptPath(NamedTuple):
 
 
 class Roles(NamedTuple):
-    """Which agents `(agents,)` the sweep skips, which walk or ride, which need the smallest margin."""
+    """Which agents `(agents,)` the sweep skips, which walk or ride, which need the smallest
+    margin.
+    """
 
     skipped: BoolArray
     vulnerable: BoolArray
@@ -257,7 +281,9 @@ def sweep(
     now: float,
     stride: int,
 ) -> tuple[FloatArray, IntArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """The fields of `StBoundaries` for the predictions that take the path, at times `stride` samples apart."""
+    """The fields of `StBoundaries` for the predictions that take the path, at times `stride`
+    samples apart.
+    """
     t = futures.t[::stride] - now
     x, y, yaw, size = futures.x, futures.y, futures.yaw, len(futures.agent)
     rows, speed = np.empty(size, np.int64), np.empty(size)
@@ -320,8 +346,8 @@ def _takes(
 ) -> bool:
     """Write the intervals (1) `(k,)` of one prediction; return whether there are any.
 
-    Boxes are tested only on those parts of the path whose envelope meets that of some samples of the prediction; an
-    agent that does not move is tested once.
+    Boxes are tested only on those parts of the path whose envelope meets that of some samples of
+    the prediction; an agent that does not move is tested once.
     """
     taken = False
     around = _envelopes(other, np.int64(SAMPLES), other_size[0], other_size[1])
@@ -357,7 +383,10 @@ def _takes(
 def _ego_boxes(
     way: SweptPath, count: int, rear_to_center: float, radius: float
 ) -> tuple[FloatArray, float]:
-    """Rows x, y, cos yaw, sin yaw, yaw `(5, count)` of the ego's box along a path; the greatest step of a point."""
+    """Rows x, y, cos yaw, sin yaw, yaw `(5, count)` of the ego's box along a path.
+
+    The greatest step of a point.
+    """
     out = np.empty((5, count))
     moved = 1e-6
     for j in range(count):
@@ -374,8 +403,9 @@ def _ego_boxes(
 def _envelopes(boxes: FloatArray, every: np.int64, length: float, width: float) -> FloatArray:
     """Boxes around groups of a sequence: rows x, y, cos yaw, sin yaw, half length, half width.
 
-    The sequence has the rows x, y, cos yaw, sin yaw; all boxes have one size. An envelope has the heading of its middle
-    box. `every` is not a literal, since numba would compile the function for each value.
+    The sequence has the rows x, y, cos yaw, sin yaw; all boxes have one size. An envelope has the
+    heading of its middle box. `every` is not a literal, since numba would compile the function for
+    each value.
     """
     out = np.empty((6, (boxes.shape[1] + every - 1) // every))
     for e in range(out.shape[1]):
@@ -417,7 +447,9 @@ def _touch(
     width: float,
     other: tuple[float, float, float, float, float, float],
 ) -> bool:
-    """Whether boxes x, y, cos yaw, sin yaw, half length, half width touch (`replan.logs.shapes`, (1))."""
+    """Whether boxes x, y, cos yaw, sin yaw, half length, half width touch (`replan.logs.shapes`,
+    (1)).
+    """
     dx, dy = other[0] - x, other[1] - y
     straight, across = abs(c * other[2] + s * other[3]), abs(c * other[3] - s * other[2])
     return bool(
@@ -437,10 +469,11 @@ def _first_met(
     size: tuple[float, float],
     other: tuple[float, float, float, float, float, float],
 ) -> int:
-    """The first point from `begin` to `end`, exclusive, forwards or backwards, at which the ego meets a box; -1: none.
+    """The first point from `begin` to `end`, exclusive, forwards or backwards, at which the ego
+    meets a box; -1: none.
 
-    It skips points at which the gap cannot have closed: from one to the next no point of the ego's box moves farther
-    than `moved` m. The `other` box is x, y, cos yaw, sin yaw, length, width.
+    It skips points at which the gap cannot have closed: from one to the next no point of the ego's
+    box moves farther than `moved` m. The `other` box is x, y, cos yaw, sin yaw, length, width.
     """
     j, step = begin, 1 if end > begin else -1
     while (end - j) * step > 0:
@@ -473,7 +506,9 @@ def _edge(
     size: tuple[float, float],
     other: tuple[float, float, float, float, float, float],
 ) -> float:
-    """The station next to point `met`, which overlaps, towards point `free`, at which the ego does not overlap."""
+    """The station next to point `met`, which overlaps, towards point `free`, at which the ego does
+    not overlap.
+    """
     if free < 0 or free >= boxes.shape[1]:
         return sigma[met]
     low, high = 0.0, 1.0  # share of the way from `met` to `free`: overlaps at low, not at high

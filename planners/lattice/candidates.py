@@ -2,27 +2,31 @@
 
 Longitudinal, from (s, s_dot, s_ddot) at the start:
 
-(1) keep a speed: quartic s(t) to (s_dot, s_ddot) = (v1, 0) at T, s free            least integral of jerk^2
-(2) reach a point (stop, follow): quintic s(t) to (s1, v1, 0) at T                  least integral of jerk^2
-    after T both continue with v1
+(1) keep a speed: quartic s(t) to (s_dot, s_ddot) = (v1, 0) at T, s free
+        least integral of jerk^2
+(2) reach a point (stop, follow): quintic s(t) to (s1, v1, 0) at T
+        least integral of jerk^2 after T both continue with v1
 
 Lateral, from (l, l', l'') at the start:
 
 (3) quintic l(s) to (l1, 0, 0) over D = max(s(T_l) - s(0), `LEAST_M`), then l1
 
-(Werling et al., ICRA 2010; l over s is its form for low speeds. It is used at all speeds here, since at constant speed
-it is the same polynomial as l over t, and needs no switch.) Cost of a pair, where Delta s is the distance by
-which it misses its wanted point:
+(Werling et al., ICRA 2010; l over s is its form for low speeds. It is used at all speeds here,
+since at constant speed it is the same polynomial as l over t, and needs no switch.) Cost of a pair,
+where Delta s is the distance by which it misses its wanted point:
 
-(4) J = K_LAT (k_j J_l + k_u T_l + k_l l1^2) + k_j J_s + k_t T + k_v (v1 - v_wanted)^2 + k_s (Delta s)^2 + k_gap H
+(4) J = K_LAT (k_j J_l + k_u T_l + k_l l1^2) + k_j J_s + k_t T + k_v (v1 - v_wanted)^2
+        + k_s (Delta s)^2 + k_gap H
     J_s = integral of s_dddot^2 dt
     J_l = (D / T_l)^5 integral of l'''^2 ds, which is the integral of l_dddot^2 dt at constant speed
-(5) H = mean over the horizon, sum over the agents on the track of l1, of  max(0, 1 - gap / (g0 + tau v))^2: the missing
-    share of the wanted gap to the agent ahead, and, where the track changes, to the agent behind
+(5) H = mean over the horizon, sum over the agents on the track of l1, of
+        max(0, 1 - gap / (g0 + tau v))^2: the missing share of the wanted gap to the agent ahead,
+        and, where the track changes, to the agent behind
 
-Where the traffic rules demand a stop soon, v_wanted is 0, and Delta s is the distance by which a pair ends before that
-place. All terms but H are Werling's. Without H, a pair that ends a hand's breadth behind its leader would be as good as
-any. A pair must keep bounds of speed and acceleration, the curvature, the road, and a distance from all agents.
+Where the traffic rules demand a stop soon, v_wanted is 0, and Delta s is the distance by which a
+pair ends before that place. All terms but H are Werling's. Without H, a pair that ends a hand's
+breadth behind its leader would be as good as any. A pair must keep bounds of speed and
+acceleration, the curvature, the road, and a distance from all agents.
 """
 
 from __future__ import annotations
@@ -108,7 +112,10 @@ def third_square(c3: float, c4: float, c5: float, T: float) -> float:
 
 @kernel
 def evaluate_polynomial(c: FloatArray, T: float, x: float) -> tuple[float, float, float]:
-    """Value, first and second derivative of a polynomial `(6,)` at x; beyond T it continues linearly."""
+    """Value, first and second derivative of a polynomial `(6,)` at x.
+
+    Beyond T it continues linearly.
+    """
     u = min(x, T)
     value = ((((c[5] * u + c[4]) * u + c[3]) * u + c[2]) * u + c[1]) * u + c[0]
     first = (((5.0 * c[5] * u + 4.0 * c[4]) * u + 3.0 * c[3]) * u + 2.0 * c[2]) * u + c[1]
@@ -128,7 +135,9 @@ def sample_polynomials(lon: FloatArray, T: FloatArray, steps: int) -> FloatArray
 
 @kernel
 def squared_jerks(coef: FloatArray, T: FloatArray) -> FloatArray:
-    """Integral of the squared third derivative of each polynomial `(m, 6)` over its duration `(m,)`."""
+    """Integral of the squared third derivative of each polynomial `(m, 6)` over its duration
+    `(m,)`.
+    """
     out = np.empty(len(T))
     for i in range(len(T)):
         out[i] = third_square(coef[i, 3], coef[i, 4], coef[i, 5], T[i])
@@ -151,10 +160,11 @@ def states(
     D: float,
     motion: FloatArray,
 ) -> FloatArray:
-    """Rows x, y, yaw, v, a, kappa, l, turn, 1 - kappa l `(9, k)` of a candidate (`replan.planners.frenet.path`, (1) to (3)).
+    """Rows x, y, yaw, v, a, kappa, l, turn, 1 - kappa l `(9, k)` of a candidate
+    (`replan.planners.frenet.path`, (1) to (3)).
 
-    a = s_ddot R / cos d + s_dot^2 / cos d (R tan d (kappa R / cos d - kappa_r) - (kappa_r' l + kappa_r l'))
-    with R = 1 - kappa_r l and d the heading off the line.
+    a = s_ddot R / cos d + s_dot^2 / cos d (R tan d (kappa R / cos d - kappa_r) - (kappa_r' l +
+    kappa_r l')) with R = 1 - kappa_r l and d the heading off the line.
     """
     out = np.empty((9, motion.shape[1]))
     for k in range(motion.shape[1]):
@@ -192,9 +202,10 @@ def speed_faults(
 ) -> IntArray:
     """Per longitudinal candidate, s from the start, s_dot, s_ddot `(m, 3, k)`, its first fault.
 
-    `limit` is that at stations `grid`, uniform; `allowed` a speed that is always allowed at each time `(k,)`, since an
-    ego that starts too fast has to slow down; `upper` the distance that the traffic rules permit `(k,)`, m from the
-    start; `bounds` the greatest acceleration, the greatest deceleration, and the permitted excess over the limit.
+    `limit` is that at stations `grid`, uniform; `allowed` a speed that is always allowed at each
+    time `(k,)`, since an ego that starts too fast has to slow down; `upper` the distance that the
+    traffic rules permit `(k,)`, m from the start; `bounds` the greatest acceleration, the greatest
+    deceleration, and the permitted excess over the limit.
     """
     out = np.zeros(len(motion), np.int64)
     h = grid[1] - grid[0]
@@ -247,10 +258,11 @@ class NearFutures(NamedTuple):
 
 
 class Longitudinal(NamedTuple):
-    """Longitudinal polynomials that keep the limits, m of them: coefficients `(m, 6)`, lowest power first.
+    """Longitudinal polynomials that keep the limits, m of them: coefficients `(m, 6)`, lowest power
+    first.
 
-    Durations T, s, end speeds v1, m/s, distances by which they miss their wanted point, m, and the index of their end
-    offset, -1 for any: `(m,)` each.
+    Durations T, s, end speeds v1, m/s, distances by which they miss their wanted point, m, and the
+    index of their end offset, -1 for any: `(m,)` each.
     """
 
     coef: FloatArray
@@ -261,7 +273,9 @@ class Longitudinal(NamedTuple):
 
 
 class Pairs(NamedTuple):
-    """Candidates, n of them: a row of `Longitudinal` with an end offset and a length of the lateral move."""
+    """Candidates, n of them: a row of `Longitudinal` with an end offset and a length of the lateral
+    move.
+    """
 
     lon: Longitudinal  # The longitudinal polynomials; `row` `(n,)` index into them
     row: IntArray
@@ -275,7 +289,8 @@ class Pairs(NamedTuple):
 
 
 class Room(NamedTuple):
-    """Where the rear axle may be: stations of the reference line `(n,)`, uniform, m, its coefficients `(n-1, 8)`.
+    """Where the rear axle may be: stations of the reference line `(n,)`, uniform, m, its
+    coefficients `(n-1, 8)`.
 
     Also the greatest and the least offset at these stations `(n,)`, m.
     """
@@ -287,7 +302,9 @@ class Room(NamedTuple):
 
 
 class EgoLimits(NamedTuple):
-    """The ego's box and limits: distance from rear axle to centre, length, width (m), curvature (1/m), a_lat (m/s2)."""
+    """The ego's box and limits: distance from rear axle to centre, length, width (m), curvature
+    (1/m), a_lat (m/s2).
+    """
 
     rear_to_center: float
     length: float
@@ -331,9 +348,11 @@ def drive_fault(
     skip: BoolArray,
     ego: EgoLimits,
 ) -> int:
-    """The first fault of a candidate's `states` `(9, k)` and s, s_dot, s_ddot `(3, k)` over time, 0 without one.
+    """The first fault of a candidate's `states` `(9, k)` and s, s_dot, s_ddot `(3, k)` over time, 0
+    without one.
 
-    A bound that the start violates may stay violated by as much as at the start, but not more. `skip`: ignored agents.
+    A bound that the start violates may stay violated by as much as at the start, but not more.
+    `skip`: ignored agents.
     """
     out = _outside(at[6, 0], s0, room.knots, room.left, room.right) + 0.02
     kappa_max = max(ego.max_kappa, abs(at[5, 0]) + 0.01)
@@ -365,7 +384,9 @@ def first_feasible(
     others: NearFutures,
     body: EgoLimits,
 ) -> tuple[int, IntArray]:
-    """The first pair in `order` without a fault, -1 if there is none, and the number of pairs found with each fault."""
+    """The first pair in `order` without a fault, -1 if there is none, and the number of pairs found
+    with each fault.
+    """
     found, start = np.zeros(FAULTS, np.int64), np.array(ego.lateral)
     for pair in order:
         i = pairs.row[pair]
@@ -392,7 +413,9 @@ def futures_frenet(
     sizes: FloatArray,
     s_ego: float,
 ) -> FloatArray:
-    """Predictions `(n, k)` in the Frenet frame: s, l, half length along s, half width along l `(4, n, k)`."""
+    """Predictions `(n, k)` in the Frenet frame: s, l, half length along s, half width along l
+    `(4, n, k)`.
+    """
     out = np.empty((4, x.shape[0], x.shape[1]))
     for i in range(len(x)):
         guess, window = s_ego, 150.0
@@ -419,10 +442,12 @@ def headway(
     wanted: FloatArray,
     changes: bool,
 ) -> FloatArray:
-    """(5) of longitudinal candidates `(m, 3, k)`, as in `sample_polynomials`, on the track at offset `l1`: `(m,)`.
+    """(5) of longitudinal candidates `(m, 3, k)`, as in `sample_polynomials`, on the track at
+    offset `l1`: `(m,)`.
 
-    `others` are `futures_frenet`, `behind` is as in `NearFutures`; `box` has the distances from the rear axle to front
-    and rear, and half the width, m; `wanted` is g0, tau; `changes`: whether the track is not the ego's.
+    `others` are `futures_frenet`, `behind` is as in `NearFutures`; `box` has the distances from the
+    rear axle to front and rear, and half the width, m; `wanted` is g0, tau; `changes`: whether the
+    track is not the ego's.
     """
     out = np.zeros(len(motion))
     for j in range(others.shape[1]):
@@ -447,7 +472,8 @@ def headway(
 def lateral_costs(
     motion: FloatArray, start: FloatArray, l1: float, T: FloatArray, weights: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """The lateral part of (4), without K_LAT, and the lengths D, of the pairs with durations `T` `(p,)`: `(m, p)` each.
+    """The lateral part of (4), without K_LAT, and the lengths D, of the pairs with durations `T`
+    `(p,)`: `(m, p)` each.
 
     `start` is l, l', l''; `weights` are k_j, k_u, k_l.
     """

@@ -1,6 +1,7 @@
 """The planner: start, scene, pairs, the first feasible pair in order of cost; or the fallback.
 
-The module also selects the polynomials to try, and makes the artefacts of a plan: both graphs, decisions, costs.
+The module also selects the polynomials to try, and makes the artefacts of a plan: both graphs,
+decisions, costs.
 """
 
 from __future__ import annotations
@@ -108,7 +109,8 @@ class LatticeConfig:
         w_point: Weight of the squared distance to a stopping point (k_s).
         w_gap: Weight of a gap that is smaller than the wanted one (k_gap).
         w_lateral: Weight of the lateral part (K_LAT).
-        w_lateral_time: Weight of the lateral duration (k_u); small, so that an offset of `offset_spacing_m` is undone.
+        w_lateral_time: Weight of the lateral duration (k_u); small, so that an offset of
+            `offset_spacing_m` is undone.
         standstill_gap_m: Wanted gap at standstill (g0).
         time_gap_s: Wanted time gap (tau).
         accel_mps2: Greatest acceleration.
@@ -174,7 +176,10 @@ def ego_frenet(scene: Scene) -> FrenetStart:
 
 
 def futures_of(scene: Scene, ego: FrenetStart, config: LatticeConfig) -> NearFutures:
-    """The predicted agents of a scene on the plan's grid of times; before and after the predictions they stay."""
+    """The predicted agents of a scene on the plan's grid of times.
+
+    Before and after the predictions they stay.
+    """
     frame, start, line, car = scene.frame, scene.start, scene.reference.line, scene.vehicle
     agents, futures = frame.agents, frame.predictions
     reach = HORIZON_STEPS * STEP_S * (ego.speed + 3.0) + NEAR_M  # farther than the ego can get
@@ -212,7 +217,8 @@ def futures_of(scene: Scene, ego: FrenetStart, config: LatticeConfig) -> NearFut
 
 
 class Sampler:
-    """Makes the pairs along one reference: `limit` is the speed limit along its line, curves included, m/s.
+    """Makes the pairs along one reference: `limit` is the speed limit along its line, curves
+    included, m/s.
 
     `left` is the greatest offset of the rear axle along it, m, `right` the least.
     """
@@ -241,7 +247,9 @@ class Sampler:
     def pairs(
         self, ego: FrenetStart, futures: NearFutures, stops: Sequence[Occupancy] = ()
     ) -> Pairs:
-        """All longitudinal polynomials that keep limits and stops, each with all lateral ones of its tracks."""
+        """All longitudinal polynomials that keep limits and stops, each with all lateral ones of
+        its tracks.
+        """
         config, stations, aim = self._config, self._reference.line.s, open_end(stops)
         spacing, there = config.offset_spacing_m, ego.s + 2.0 * ego.speed + 10.0
         left, right = (float(np.interp(there, stations, edge)) for edge in (self.left, self.right))
@@ -284,9 +292,11 @@ class Sampler:
         return self._pair_candidates(ego, futures, kept, motion[fit], offsets, wanted, counts)
 
     def _keeping(self, ego: FrenetStart, wanted: float, aim: float) -> list[Row]:
-        """Polynomials to speeds up to the wanted one, to the ego's own speed, and to rest, from gentle to hard braking.
+        """Polynomials to speeds up to the wanted one, to the ego's own speed, and to rest, from
+        gentle to hard braking.
 
-        Where the rules demand a stop at `aim`, m (inf: none), rows that end before it miss it; further rows reach it.
+        Where the rules demand a stop at `aim`, m (inf: none), rows that end before it miss it;
+        further rows reach it.
         """
         config, rows = self._config, list[Row]()
         speeds = [*np.linspace(0.0, wanted, config.speeds), min(ego.speed, wanted)]
@@ -392,10 +402,12 @@ class Sampler:
 
 
 class Lattice:
-    """Chooses among pairs of polynomials; its memory is the last station and the memory of the rules.
+    """Chooses among pairs of polynomials; its memory is the last station and the memory of the
+    rules.
 
-    Where no pair is feasible, it uses the ladder of `replan.planners.frenet.profiles`: the rest of the previous plan, else a
-    comfortable stop, else a hard one. Agents behind are ignored while the ego keeps its track.
+    Where no pair is feasible, it uses the ladder of `replan.planners.frenet.profiles`: the rest of
+    the previous plan, else a comfortable stop, else a hard one. Agents behind are ignored while the
+    ego keeps its track.
     """
 
     def __init__(self, context: PlannerContext, config: LatticeConfig | None = None) -> None:
@@ -410,7 +422,10 @@ class Lattice:
         )
 
     def plan(self, frame: Frame) -> Plan:
-        """Return the cheapest feasible pair (the first of equals); else the fallback and the reason."""
+        """Return the cheapest feasible pair (the first of equals).
+
+        Else the fallback and the reason.
+        """
         scene, start_kind = self._tracker.scene(frame)
         if frame.previous is None:
             self._memory = RuleMemory()
@@ -485,7 +500,8 @@ class ChosenPair:
 def artefacts(chosen: ChosenPair, config: LatticeConfig) -> tuple[Artefact, ...]:
     """Graphs, decisions and costs of the chosen pair.
 
-    Each agent that stands in the middle of the road and that the ego passes has a decision with the side.
+    Each agent that stands in the middle of the road and that the ego passes has a decision with the
+    side.
     """
     scene, ego, motion, passed = chosen.scene, chosen.ego, chosen.motion, dict[str, Decision]()
     half, l1 = 0.5 * scene.vehicle.width, float(chosen.pairs.l1[chosen.pair])
@@ -496,7 +512,10 @@ def artefacts(chosen: ChosenPair, config: LatticeConfig) -> tuple[Artefact, ...]
             beside = float(np.interp(s - ego.s, motion[0], chosen.at[6]))
             kind = DecisionKind.NUDGE_LEFT if beside > l else DecisionKind.NUDGE_RIGHT
             gap = abs(beside - l) - half_l - half
-            reason = f"stands in the middle of the lane: passed with {gap:.2f} m at the end offset {l1:.1f} m"
+            reason = (
+                f"stands in the middle of the lane: passed with {gap:.2f} m at the end offset "
+                f"{l1:.1f} m"
+            )
             passed[scene.frame.agents.ids[i]] = Decision(
                 scene.frame.agents.ids[i], kind, "path", reason
             )
@@ -531,7 +550,9 @@ def artefacts(chosen: ChosenPair, config: LatticeConfig) -> tuple[Artefact, ...]
 
 
 def _graph_along(chosen: ChosenPair, config: LatticeConfig) -> tuple[Artefact, ...]:
-    """The S-T graph along the planned path, and the decisions to follow, yield to or overtake agents."""
+    """The S-T graph along the planned path, and the decisions to follow, yield to or overtake
+    agents.
+    """
     scene, at, futures = chosen.scene, chosen.at, chosen.futures
     way, d = path_through(at[0], at[1], at[2], at[5]), np.arange(1.0, 30.0)
     sigma, yaw = np.r_[way.sigma, way.sigma[-1] + d], way.yaw[-1]  # straight on, to show its leader

@@ -1,4 +1,6 @@
-"""PDM-Closed: it proposes, simulates and scores IDM drivers on several tracks, and drives the best one."""
+"""PDM-Closed: it proposes, simulates and scores IDM drivers on several tracks, and drives the best
+one.
+"""
 
 from replan.planners.pdm.planner import Pdm, PdmConfig
 

@@ -1,28 +1,36 @@
-"""PDM-Closed: it proposes drivers on several tracks, simulates and scores them (`score`), and drives the best one.
+"""PDM-Closed: it proposes drivers on several tracks, simulates and scores them (`score`), and
+drives the best one.
 
-A driver with the wanted speed v0 drives along a track, from the projection of the ego on it (IDM as in PDM-Closed):
+A driver with the wanted speed v0 drives along a track, from the projection of the ego on it (IDM as
+in PDM-Closed):
 
 (1) dv/dt = a (1 - (v / v0)^delta - (s* / max(gap, s0))^2), kept within [-b, a]
     s*    = s0 + v T + v (v - v_lead) / (2 sqrt(a b))
 
-The leader is the nearest one on the track whose centre is ahead of the rear axle. The ego follows such a proposal with
-the two-stage LQR of nuPlan, which looks `AHEAD` steps of h = `STEP_S` ahead. Longitudinal, with the
-proposal's speed v_r then:
+The leader is the nearest one on the track whose centre is ahead of the rear axle. The ego follows
+such a proposal with the two-stage LQR of nuPlan, which looks `AHEAD` steps of h = `STEP_S` ahead.
+Longitudinal, with the proposal's speed v_r then:
 
-(2) a = N q (v_r - v) / (N^2 q + 1), N = h `AHEAD`; where both are below `STOPPING_MPS`: (v_r - v) / 2, no steering
+(2) a = N q (v_r - v) / (N^2 q + 1), N = h `AHEAD`; where both are below `STOPPING_MPS`:
+        (v_r - v) / 2, no steering
 
-Lateral: e and psi are the offset and the heading from the proposal's pose, kappa_k its curvature, v_k = v + k h a:
+Lateral: e and psi are the offset and the heading from the proposal's pose, kappa_k its curvature,
+v_k = v + k h a:
 
-(3) e_k+1 = e_k + h v_k psi_k,   psi_k+1 = psi_k + h v_k (steer_k / L - kappa_k),   steer_k+1 = steer_k + h u
+(3) e_k+1 = e_k + h v_k psi_k,   psi_k+1 = psi_k + h v_k (steer_k / L - kappa_k),
+        steer_k+1 = steer_k + h u
     the constant rate u minimises  e_N^2 + 10 psi_N^2 + u^2  after `AHEAD` steps
 
-The car is a kinematic bicycle with lags (the planner's own model; `replan.replay.vehicle` has those of the simulation):
+The car is a kinematic bicycle with lags (the planner's own model; `replan.replay.vehicle` has those
+of the simulation):
 
-(4) a <- a + h / (h + 0.2 s) (a_wanted - a),   steer <- steer + h / (h + 0.05 s) h u,   v <- v + h a >= 0
+(4) a <- a + h / (h + 0.2 s) (a_wanted - a),   steer <- steer + h / (h + 0.05 s) h u,
+        v <- v + h a >= 0
     yaw' = v tan(steer) / L, x and y by the midpoint rule
 
-Source: Dauner, Hallgarten, Geiger, Chitta, "Parting with Misconceptions about Learning-based Vehicle Motion Planning",
-CoRL 2023 (arXiv 2306.07962); parameters from its code, autonomousvision/tuplan_garage. Differences: docs/peers.md.
+Source: Dauner, Hallgarten, Geiger, Chitta, "Parting with Misconceptions about Learning-based
+Vehicle Motion Planning", CoRL 2023 (arXiv 2306.07962); parameters from its code,
+autonomousvision/tuplan_garage. Differences: docs/peers.md.
 """
 
 from __future__ import annotations
@@ -72,8 +80,8 @@ from replan.planners.pdm.proposal_score import PARTS, WHY_NOT, Scores, scores
 from replan.planners.rules import Rulebook, RuleMemory
 
 KNOT_M, BEYOND_M, LOOKED_UP_S = 2.0, 30.0, 0.2
-"""Spacing of the knots of a track, m; length of a track beyond the way at the speed limit, m; time step of the
-predictions of agents, s."""
+"""Spacing of the knots of a track, m; length of a track beyond the way at the speed limit, m; time
+step of the predictions of agents, s."""
 BODIES = StGraphConfig(
     margin_m=0.0, vulnerable_margin_m=0.0, step_s=LOOKED_UP_S, early_s=0.0, late_s=0.0
 )
@@ -102,7 +110,8 @@ class PdmConfig:
         w_progress: Weight of progress in the score.
         w_ttc: Weight of the time to collision in the score.
         w_comfort: Weight of comfort in the score.
-        brake_within_s: The ego brakes where the best proposal has a contact at fault within this time.
+        brake_within_s: The ego brakes where the best proposal has a contact at fault within this
+            time.
         brake_below_mps: It brakes so only where it is not faster than this.
         brake_mps2: Deceleration of this braking, positive.
     """
@@ -137,7 +146,9 @@ class PdmConfig:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Track:
-    """A path along the route at an offset, agents and stops on it, drivers' profiles s, v `(n, 2, HORIZON_KNOTS)`."""
+    """A path along the route at an offset, agents and stops on it, drivers' profiles s, v
+    `(n, 2, HORIZON_KNOTS)`.
+    """
 
     offset: float
     path: Path
@@ -147,7 +158,10 @@ class Track:
 
 
 class Pdm:
-    """Drives the best of its simulated proposals; its memory is the last station and the memory of the rules."""
+    """Drives the best of its simulated proposals.
+
+    Its memory is the last station and the memory of the rules.
+    """
 
     def __init__(self, context: PlannerContext, config: PdmConfig | None = None) -> None:
         c = self._config = config or PdmConfig()
@@ -160,7 +174,9 @@ class Pdm:
         self._driver = Driver(c.accel_mps2, c.decel_mps2, c.headway_s, c.min_gap_m, c.exponent)
 
     def plan(self, frame: Frame) -> Plan:
-        """Return the simulated drive along the best proposal (the first of equals), or a stop off the route's frame."""
+        """Return the simulated drive along the best proposal (the first of equals), or a stop off
+        the route's frame.
+        """
         c, car = self._config, self._vehicle
         scene, start_kind = self._tracker.scene(
             replace(frame, predictions=constant_velocity(frame))
@@ -234,7 +250,9 @@ class Pdm:
     def _artefacts(
         self, scene: Scene, track: Track, row: int, found: Scores, chosen: int
     ) -> tuple[Artefact, ...]:
-        """Both graphs of the chosen proposal, its leaders, the score terms of all, why others were not chosen."""
+        """Both graphs of the chosen proposal, its leaders, the score terms of all, why others were
+        not chosen.
+        """
         named = [
             f"{share:g} of the limit, {at:+g} m"
             for at in self._offsets
@@ -328,8 +346,8 @@ def drive_track(
 ) -> FloatArray:
     """Rows s, v `(n, 2, HORIZON_KNOTS)` of a driver per wanted speed `(n,)`, m/s, along one track.
 
-    `t` `(k,)`, `lower`, `upper` `(m, k)` and `speed` `(m,)` are those of `StBoundaries`; `center` is the distance from
-    the rear axle to the box's centre, m.
+    `t` `(k,)`, `lower`, `upper` `(m, k)` and `speed` `(m,)` are those of `StBoundaries`; `center`
+    is the distance from the rear axle to the box's centre, m.
     """
     out = np.empty((len(speeds), 2, HORIZON_KNOTS))
     for n in range(len(speeds)):
@@ -350,7 +368,9 @@ def drive_track(
 def track_proposal(
     path: Path, profile: FloatArray, start: EgoState, car: VehicleParameters, knots: int
 ) -> FloatArray:
-    """Simulate the ego on a proposal (`follow_proposal`): a profile s, v `(2, HORIZON_KNOTS)` on a path."""
+    """Simulate the ego on a proposal (`follow_proposal`): a profile s, v `(2, HORIZON_KNOTS)` on a
+    path.
+    """
     pose = states_on_path(
         path.sigma, path.x, path.y, path.yaw, path.kappa, np.ascontiguousarray(profile[0])
     )
@@ -371,7 +391,8 @@ def follow_proposal(
 ) -> FloatArray:
     """Rows x, y, yaw, v, a, kappa `(6, knots)` of the ego that follows a proposal.
 
-    The proposal has the rows x, y, yaw, kappa `(4, n)` and the `speed` `(n,)`; `start` is x, y, yaw, v, a, steer.
+    The proposal has the rows x, y, yaw, kappa `(4, n)` and the `speed` `(n,)`; `start` is x, y,
+    yaw, v, a, steer.
     """
     out, last = np.empty((6, knots)), pose.shape[1] - 1
     x, y, yaw, v, a, steer = start

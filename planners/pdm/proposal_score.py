@@ -1,20 +1,27 @@
-"""The score of simulated proposals: nuPlan's closed-loop metrics over the proposal, as in PDM-Closed.
+"""The score of simulated proposals: nuPlan's closed-loop metrics over the proposal, as in
+PDM-Closed.
 
 (1) score = collision direction drivable (5 progress + 5 ttc + 2 comfort) / 12
 
-    collision   0 with a contact at fault (1/2 with an object): with a standing agent, with the ego's front, or with its
-                side while it is out of its lane; agents that touch the ego at the start are ignored, and so is an agent
-                after a first contact that is not the ego's fault
-    drivable    0 where a corner is more than `OFF_M` farther off the road than the farthest corner at the start
-    direction   1/2, 0 where the centre drives more than 2 m, 6 m beside the lanes of the ego's direction
-    progress    way of the centre along the route times the first three factors, relative to that of the best proposal;
+    collision   0 with a contact at fault (1/2 with an object): with a standing agent, with the
+                ego's front, or with its side while it is out of its lane; agents that touch the ego
+                at the start are ignored, and so is an agent after a first contact that is not the
+                ego's fault
+    drivable    0 where a corner is more than `OFF_M` farther off the road than the farthest corner
+                at the start
+    direction   1/2, 0 where the centre drives more than 2 m, 6 m beside the lanes of the ego's
+                direction
+    progress    way of the centre along the route times the first three factors, relative to that of
+                the best proposal;
                 where that is 0.1 m or less: 1 for each proposal whose factors are not 0
-    ttc         0 where the ego's box, extrapolated straight for 0, 0.3, 0.6 or 0.9 s, touches an agent not behind it
+    ttc         0 where the ego's box, extrapolated straight for 0, 0.3, 0.6 or 0.9 s, touches an
+                agent not behind it
     comfort     1 where six signals are within nuPlan's bounds, after Savitzky-Golay filters
 
-The agents keep their velocity. The road is that along the route: the ego's lane (`lane_left`, `lane_right`), those of
-its direction (`road_...`), and that of the opposite direction where its marking may be crossed (`facing_...`). An
-offset from the route's line starts at the projection of the ego's centre, to second order in the corner's distance d:
+The agents keep their velocity. The road is that along the route: the ego's lane (`lane_left`,
+`lane_right`), those of its direction (`road_...`), and that of the opposite direction where its
+marking may be crossed (`facing_...`). An offset from the route's line starts at the projection of
+the ego's centre, to second order in the corner's distance d:
 
 (2) l = l_c + (the corner's distance across the line) - kappa d^2 / 2
 """
@@ -43,14 +50,19 @@ AGAINST_M = 2.0, 6.0
 # Where the best proposal does not progress more than this, progress is not compared, m
 LEAST_WAY_M = 0.1
 STOPPED_MPS = 0.05
-"""Agents up to this speed stand, as nuPlan judges contacts, m/s; below a tenth of it the ego's `ttc` is 1."""
+"""Agents up to this speed stand, as nuPlan judges contacts, m/s.
+
+Below a tenth of it the ego's `ttc` is 1.
+"""
 BEHIND = cos(np.deg2rad(150.0))
 """An agent more than 150 degrees off the heading, seen from the rear axle, is behind: cosine."""
 CARRIED = (0, 3, 6, 9)  # Steps by which `ttc` extrapolates the ego straight ahead
 BOUNDS = frozen(
     [(-4.05, 2.40), (-4.89, 4.89), (-8.37, 8.37), (-4.13, 4.13), (-1.93, 1.93), (-0.95, 0.95)]
 )
-"""Bounds of a, v^2 kappa (m/s2), the rates of their norm, of a (m/s3), of the yaw rate (rad/s2), the yaw (rad/s)."""
+"""Bounds of a, v^2 kappa (m/s2), the rates of their norm, of a (m/s3), of the yaw rate (rad/s2),
+the yaw (rad/s).
+"""
 PARTS = (
     "no collision",
     "driving direction",
@@ -73,9 +85,11 @@ OBJECTS = among(AgentKind.OBJECT)
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Scores:
-    """Scores of n proposals: `PARTS` `(6, n)`, each 0 to 1, and the last three weighted `(3, n)`, the terms of (1).
+    """Scores of n proposals: `PARTS` `(6, n)`, each 0 to 1, and the last three weighted `(3, n)`,
+    the terms of (1).
 
-    `contact` `(n,)` is the time of the first contact at fault, s, or inf; `agent` `(n,)` is its agent's index, or -1.
+    `contact` `(n,)` is the time of the first contact at fault, s, or inf; `agent` `(n,)` is its
+    agent's index, or -1.
     """
 
     parts: FloatArray
@@ -90,7 +104,9 @@ class Scores:
 
 
 class EgoSize(NamedTuple):
-    """The ego's length and width, and the distances from its rear axle to its centre and front, m."""
+    """The ego's length and width, and the distances from its rear axle to its centre and front,
+    m.
+    """
 
     length: float
     width: float
@@ -101,7 +117,8 @@ class EgoSize(NamedTuple):
 def scores(
     states: FloatArray, scene: Scene, near: IntArray, weights: tuple[float, float, float]
 ) -> Scores:
-    """Score proposals: x, y, yaw, v, a, kappa of the rear axle `(n, 6, k)`, every 0.1 s from the scene's start.
+    """Score proposals: x, y, yaw, v, a, kappa of the rear axle `(n, 6, k)`, every 0.1 s from the
+    scene's start.
 
     `near` are the indices of the agents to consider, `weights` those of progress, ttc and comfort.
     """
@@ -136,9 +153,11 @@ def _on_road(
     s_start: float,
     ego: EgoSize,
 ) -> tuple[FloatArray, BoolArray, FloatArray, FloatArray]:
-    """Per proposal and step `(n, k)`: the distance off the road, m, and whether the ego is out of its lane.
+    """Per proposal and step `(n, k)`: the distance off the road, m, and whether the ego is out of
+    its lane.
 
-    Per proposal `(n,)`: the longest way of the centre beside the lanes of its direction, and its way along the line, m.
+    Per proposal `(n,)`: the longest way of the centre beside the lanes of its direction, and its
+    way along the line, m.
     """
     count, steps = states.shape[0], states.shape[2]
     off, beside = np.zeros((count, steps)), np.zeros((count, steps), np.bool_)
@@ -182,9 +201,11 @@ def _on_road(
 def _meetings(
     states: FloatArray, moving: FloatArray, objects: BoolArray, astray: BoolArray, ego: EgoSize
 ) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
-    """Per proposal: step and agent of the first contact at fault (-1 without one), `collision` and `ttc` of (1).
+    """Per proposal: step and agent of the first contact at fault (-1 without one), `collision` and
+    `ttc` of (1).
 
-    `moving` is x, y, yaw, vx, vy, length, width of the agents `(7, m)`; `astray` where the ego is out of its lane.
+    `moving` is x, y, yaw, vx, vy, length, width of the agents `(7, m)`; `astray` where the ego is
+    out of its lane.
     """
     count = len(states)
     step, hit, collision, ttc = (
@@ -209,7 +230,9 @@ def _meetings(
 
 @inner_kernel
 def _meets(states: FloatArray, k: int, ahead: int, other: FloatArray, ego: EgoSize) -> int:
-    """Whether the ego, extrapolated from step k by `ahead` steps, touches an agent: 1; -1 if it is behind; else 0."""
+    """Whether the ego, extrapolated from step k by `ahead` steps, touches an agent: 1; -1 if it is
+    behind; else 0.
+    """
     c, s, t, way = (
         cos(states[2, k]),
         sin(states[2, k]),
@@ -282,8 +305,8 @@ def comfortable(states: FloatArray) -> BoolArray:
 def _filters(k: int) -> tuple[FloatArray, ...]:
     """Savitzky-Golay filters of nuPlan and PDM as matrices `(k, k)`, applied from the right.
 
-    They smooth an acceleration, give its slope over the whole proposal, smooth an acceleration over the whole proposal,
-    and give the first and second derivative of the yaw.
+    They smooth an acceleration, give its slope over the whole proposal, smooth an acceleration over
+    the whole proposal, and give the first and second derivative of the yaw.
     """
     # Imported here: it takes longer to import than all planners
     from scipy.signal import savgol_filter

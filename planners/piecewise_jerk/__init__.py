@@ -1,1 +1,3 @@
-"""Piecewise-jerk QPs, over station and over time: problem, interior-point solver, interface to all solvers."""
+"""Piecewise-jerk QPs, over station and over time: problem, interior-point solver, interface to all
+solvers.
+"""

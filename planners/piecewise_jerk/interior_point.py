@@ -2,39 +2,48 @@
 
 `problem` defines the rows (its (7)), the fixed coefficients (its (8)), and the QP (its (9)):
 
-(3) minimise  1/2 sum q (y - r)^2 + 1/2 sum e^2 / give    subject to   y = A c,   lower <= y + e <= upper
+(3) minimise  1/2 sum q (y - r)^2 + 1/2 sum e^2 / give    subject to   y = A c,
+        lower <= y + e <= upper
 
-Each bound has a slack z >= 0 and a multiplier f >= 0; force = f_lower - f_upper on a row; sign = 1 for lower and -1
-for upper bounds. KKT conditions (Nocedal & Wright, "Numerical Optimization", 2006, ch. 16.6):
+Each bound has a slack z >= 0 and a multiplier f >= 0; force = f_lower - f_upper on a row; sign = 1
+for lower and -1 for upper bounds. KKT conditions (Nocedal & Wright, "Numerical Optimization", 2006,
+ch. 16.6):
 
 (4) dual:            A' (q (y - r) - force) = 0   (rows of the free coefficients),   e = give force
 (5) primal:          sign (y + e - bound) - z = 0
 (6) complementary:   z f = 0
 
-Newton's step for (4), (5), (6) with the target z f -> sigma mu, eliminated down to the coefficients, where t is the
-right-hand side of a row and W its barrier's curvature. The matrix has 4 bands: L D L', O(n).
+Newton's step for (4), (5), (6) with the target z f -> sigma mu, eliminated down to the
+coefficients, where t is the right-hand side of a row and W its barrier's curvature. The matrix has
+4 bands: L D L', O(n).
 
 (7) (A' (q + W~) A) dc = A' t~ - (A' (q (y - r) - force)),   W = sum f / z,   W~ = W / (1 + give W),
-    t = - sum sign (product + f primal) / z,   t~ = t / (1 + give W),   product = z f [+ dz df - sigma mu]
-    (with `PROXIMAL` more give, in the step alone)
-(8) dy = A dc,   d force = t~ - W~ dy,   dz = sign (dy + give d force) + primal,   df = - (product + f dz) / z
+    t = - sum sign (product + f primal) / z,   t~ = t / (1 + give W),
+        product = z f [+ dz df - sigma mu] (with `PROXIMAL` more give, in the step alone)
+(8) dy = A dc,   d force = t~ - W~ dy,   dz = sign (dy + give d force) + primal,
+        df = - (product + f dz) / z
 
-Mehrotra's predictor-corrector ("On the implementation of a primal-dual interior point method", 1992): the step with
-sigma = 0 shows how far the boundary is. Then
+Mehrotra's predictor-corrector ("On the implementation of a primal-dual interior point method",
+1992): the step with sigma = 0 shows how far the boundary is. Then
 
-(9) sigma = (mu after that step / mu)^3, its second-order term dz df is added to the product, and the step goes 0.995 of
-    the way to the boundary. Its primal and dual lengths differ, which is faster, until the gap is nearly closed; then
-    they are equal, so that the residual of (4) falls (always where rows give way: there e = give force couples them)
+(9) sigma = (mu after that step / mu)^3, its second-order term dz df is added to the product,
+        and the step goes 0.995 of the way to the boundary. Its primal and dual lengths differ,
+        which is faster, until the gap is nearly closed; then
+    they are equal, so that the residual of (4) falls (always where rows give way: there e
+        = give force couples them)
 
-The first point is the optimum without bounds, which costs one factorisation. In most frames it violates no bound by
-more than the residual of (5) may be, and is the solution.
+The first point is the optimum without bounds, which costs one factorisation. In most frames it
+violates no bound by more than the residual of (5) may be, and is the solution.
 
-(10) Stop: at the optimum the duality gap bounds the distance, 1/2 |x - x*|^2 <= sum z f (the cost is that convex in
+(10) Stop: at the optimum the duality gap bounds the distance,
+         1/2 |x - x*|^2 <= sum z f (the cost is that convex in
      x): so sum z f <= 1/2 accuracy^2, and the residuals of (4), (5) are small.
 (11) Infeasible (Farkas): forces with A' force = 0 on the free coefficients, give force = 0 and
-     sum sign f bound > force' A c_fixed  contradict every c. The two terms may be as small as `FARKAS` instead of 0.
+     sum sign f bound > force' A c_fixed
+         contradict every c. The two terms may be as small as `FARKAS` instead of 0.
 
-Each solve starts cold: a solution depends on its problem alone. A mirrored problem has exactly the mirrored solution.
+Each solve starts cold: a solution depends on its problem alone. A mirrored problem has exactly the
+mirrored solution.
 """
 
 from __future__ import annotations
@@ -73,20 +82,22 @@ STATUS = {
 }
 """The status codes in words."""
 ACCURACY_M = 1e-4
-"""Distance from the optimum in (10), far below what a car can steer. Where bounds are nearly equal, residuals and
-`NARROW_M` add to it (measured: benchmarks/README.md)."""
+"""Distance from the optimum in (10), far below what a car can steer. Where bounds are nearly equal,
+residuals and `NARROW_M` add to it (measured: benchmarks/README.md)."""
 # Several times the iterations that problems from roads need (benchmarks/README.md)
 MAX_ITERATIONS = 60
 RESIDUAL = 1e-2  # Greatest residuals of (4) and (5) in a solution, as a share of the accuracy
 FARKAS = 1e-7
-"""Residual of the forces in (11), as a share of the contradiction, which holds for coefficients up to 1 / this, m."""
+"""Residual of the forces in (11), as a share of the contradiction, which holds for coefficients up
+to 1 / this, m.
+"""
 TO_BOUNDARY = 0.995  # Share of the way to the boundary that a step goes (9)
 NEARLY = 1e3  # The gap is nearly closed where it is less than this multiple of the accuracy squared
 # Least target of the products z f, as a share of what (10) needs: smaller ones only lose digits
 FLOOR = 0.1
 PROXIMAL = 1e-10
-"""The give of every row in a step: the matrix stays positive definite in floating point, and the solution is the same
-(proximal method of multipliers) ..."""
+"""The give of every row in a step: the matrix stays positive definite in floating point, and the
+solution is the same (proximal method of multipliers) ..."""
 # ... it is smaller where its product with the largest multiplier would exceed this, m.
 PROXIMAL_M = 1e-6
 START_SHARE = 0.1  # First slacks are at least this share of the distance between two bounds ...
@@ -96,7 +107,9 @@ START_MU = 1.0  # First products z f, m2
 
 
 class Point(NamedTuple):
-    """An iterate, or a step: c `(m + 3,)`, y and force `(N,)`, slacks z and multipliers f `(2, N)`."""
+    """An iterate, or a step: c `(m + 3,)`, y and force `(N,)`, slacks z and multipliers f
+    `(2, N)`.
+    """
 
     c: FloatArray
     y: FloatArray
@@ -217,7 +230,10 @@ def _fault(problem: PiecewiseJerkProblem) -> int:
 
 @inner_kernel
 def _to_free_optimum(rows: Rows, point: Point, newton: Newton, step: Point) -> float:
-    """Move c and y to the optimum without bounds; the residual of (4) there, inf where the matrix is not finite."""
+    """Move c and y to the optimum without bounds.
+
+    The residual of (4) there, inf where the matrix is not finite.
+    """
     multiply(rows.stencil, rows.cost, newton.band)
     if not factorise(newton.band):
         return np.inf
@@ -274,7 +290,10 @@ def _largest(values: FloatArray) -> float:
 
 @inner_kernel
 def _residuals(rows: Rows, point: Point, newton: Newton) -> tuple[float, float, float]:
-    """Write residuals (4), (5) and products (6); return the largest of (5), of (4), and the sum of the products."""
+    """Write residuals (4), (5) and products (6).
+
+    Return the largest of (5), of (4), and the sum of the products.
+    """
     y, force, slack, multiplier = point.y, point.force, point.slack, point.multiplier
     give, bound, primal, product = rows.give, rows.bound, newton.primal, newton.product
     size = len(y)
@@ -324,7 +343,10 @@ def _verdict(
 
 @inner_kernel
 def _assemble(rows: Rows, point: Point, newton: Newton, proximal: float) -> None:
-    """Write the matrix of (7) by its lower diagonals; the fixed coefficients get rows of the identity."""
+    """Write the matrix of (7) by its lower diagonals.
+
+    The fixed coefficients get rows of the identity.
+    """
     slack, multiplier, inverse = point.slack, point.multiplier, newton.inverse
     softening, stiffness, push = newton.softening, newton.stiffness, newton.push
     cost, give = rows.cost, rows.give
@@ -377,7 +399,9 @@ def _direction(rows: Rows, point: Point, newton: Newton, step: Point, proximal: 
 def _step_lengths(
     point: Point, newton: Newton, step: Point, share: float, together: bool
 ) -> tuple[float, float]:
-    """Primal and dual share of a step up to which slacks and multipliers stay positive, times `share`; 1 at most."""
+    """Primal and dual share of a step up to which slacks and multipliers stay positive, times
+    `share`; 1 at most.
+    """
     slack, multiplier, inverse = step.slack, step.multiplier, newton.inverse
     below, above, pull, push = 0.5, 0.5, 0.5, 0.5  # four independent chains of operations
     for i in range(slack.shape[1]):

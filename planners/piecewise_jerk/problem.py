@@ -1,34 +1,42 @@
-"""The piecewise-jerk QP: a curve x(t) at n knots, its third derivative constant between two knots; and as a B-spline.
+"""The piecewise-jerk QP: a curve x(t) at n knots, its third derivative constant between two knots;
+and as a B-spline.
 
-The path QP (x = offset, t = station) and the speed QP (x = station, t = time) are both of this form (Zhang et al.,
-"Optimal Vehicle Path Planning Using Quadratic Optimization for Baidu Apollo Open Platform", 2020). With the step h:
+The path QP (x = offset, t = station) and the speed QP (x = station, t = time) are both of this form
+(Zhang et al., "Optimal Vehicle Path Planning Using Quadratic Optimization for Baidu Apollo Open
+Platform", 2020). With the step h:
 
 (1) x'_{i+1} = x'_i + h/2 (x''_i + x''_{i+1})
 (2) x_{i+1}  = x_i + h x'_i + h^2/3 x''_i + h^2/6 x''_{i+1}
 (3) x'''_i   = (x''_{i+1} - x''_i) / h
 (4) minimise   sum_i w_x (x_i - r_i)^2 + w_dx (x'_i - r'_i)^2 + w_ddx x''_i^2 + w_dddx x'''_i^2
-(5) subject to the start (x_0, x'_0, x''_0), and lower <= row <= upper, i = 1 .. n-1, of the rows x, x', x'' and
-    x + lead_j x' (a point `lead` ahead of the one that follows the curve), and of x'''_i, i = 0 .. n-2
+(5) subject to the start (x_0, x'_0, x''_0), and lower <= row <= upper, i = 1 .. n-1, of the rows x,
+        x', x'' and
+    x + lead_j x' (a point `lead` ahead of the one that follows the curve), and of x'''_i, i = 0 ..
+        n-2
 (6) softly: the rows x and x + lead_j x' are replaced by row + e, and soft e^2 is added to the cost
 
 Units: x in m, t in m or s; the cost has no unit.
 
-Such a curve is a cubic B-spline with uniform knots. Its coefficients c_0 .. c_{n+1} fulfil the dynamics (1), (2) by
-themselves, and each row of its bounds reads four neighbours:
+Such a curve is a cubic B-spline with uniform knots. Its coefficients c_0 .. c_{n+1} fulfil the
+dynamics (1), (2) by themselves, and each row of its bounds reads four neighbours:
 
 (7) x_i       = (c_i + 4 c_{i+1} + c_{i+2}) / 6              h x'_i      = (c_{i+2} - c_i) / 2
-    h^2 x''_i = c_i - 2 c_{i+1} + c_{i+2}                    h^3 x'''_i  = c_{i+3} - 3 c_{i+2} + 3 c_{i+1} - c_i
-(8) the start fixes c_0, c_1, c_2:  c_1 = x_0 - h^2 x''_0 / 6,   c_0, c_2 = x_0 -+ h x'_0 + h^2 x''_0 / 3
+    h^2 x''_i = c_i - 2 c_{i+1} + c_{i+2}                    h^3 x'''_i
+        = c_{i+3} - 3 c_{i+2} + 3 c_{i+1} - c_i
+(8) the start fixes c_0, c_1, c_2:  c_1 = x_0 - h^2 x''_0 / 6,
+        c_0, c_2 = x_0 -+ h x'_0 + h^2 x''_0 / 3
 
-Scaled by 1, h, h^2, h^3 all rows are of the size of x. A is the matrix of (7). The cost is divided by a lower
-bound of its curvature in x, so that it is the square of a distance (m2), and the problem is
+Scaled by 1, h, h^2, h^3 all rows are of the size of x. A is the matrix of (7). The cost is divided
+by a lower bound of its curvature in x, so that it is the square of a distance (m2), and the problem
+is
 
-(9) minimise  1/2 sum q (y - r)^2 + 1/2 sum e^2 / give    subject to   y = A c,   lower <= y + e <= upper
+(9) minimise  1/2 sum q (y - r)^2 + 1/2 sum e^2 / give    subject to   y = A c,
+        lower <= y + e <= upper
 
 over all rows; give = 0 (thus e = 0) for rows that do not give way.
 
-The matrix A' diagonal A is symmetric with four bands, stored by its lower diagonals. Where it is positive definite,
-factors and solution take O(n):
+The matrix A' diagonal A is symmetric with four bands, stored by its lower diagonals. Where it is
+positive definite, factors and solution take O(n):
 
 (10) M = L D L',   L u = b,   D v = u,   L' x = v
 """
@@ -48,7 +56,10 @@ X, DX, DDX, DDDX, LEADS = 0, 1, 2, 3, 4  # Rows of the bounds; rows x + lead x' 
 NARROW_M = 1e-6
 FAR_M = 1e6  # Scaled bounds are clipped to +- this, m
 ROUNDING, HUGE = 1e-15, 1e128
-"""Pivots that are less than this share of their diagonal are rounding errors; a huge one replaces them."""
+"""Pivots that are less than this share of their diagonal are rounding errors.
+
+A huge one replaces them.
+"""
 
 
 class Weights(NamedTuple):
@@ -61,15 +72,19 @@ class Weights(NamedTuple):
 
 
 class PiecewiseJerkProblem(NamedTuple):
-    """One problem (4)-(6); k leads, n knots. Also an argument of kernels: arrays C-contiguous, float64, writeable."""
+    """One problem (4)-(6); k leads, n knots.
+
+    Also an argument of kernels: arrays C-contiguous, float64, writeable.
+    """
 
     step: float  # h > 0
     leads: FloatArray  # Lead of each further row `(k,)`
     start: FloatArray  # x, x', x'' at the first knot `(3,)`
     weights: Weights  # Weights of (4), not negative, at least one positive
     references: FloatArray  # r and r' `(2, n)`
-    # Bounds of the rows x, x', x'', x''', x + lead x' `(4 + k, n)`, -inf for none. The solvers do not read those at the
-    # first knot, which is the start, except that of x''', nor the last of x'''.
+    # Bounds of the rows x, x', x'', x''', x + lead x' `(4 + k, n)`, -inf for none. The solvers do
+    # not read those at the first knot, which is the start, except that of x''', nor the last of
+    # x'''.
     lower: FloatArray
     upper: FloatArray  # Likewise, inf for none
     soft: float  # Weight in (6), with which the corridor gives way; 0: it does not
@@ -77,7 +92,8 @@ class PiecewiseJerkProblem(NamedTuple):
 
 @kernel
 def largest_violation(problem: PiecewiseJerkProblem, curve: FloatArray) -> float:
-    """Largest violation of (1), (2), (5) by a curve x, x', x'' `(3, n)`, in the row's units; nan if it is not finite.
+    """Largest violation of (1), (2), (5) by a curve x, x', x'' `(3, n)`, in the row's units; nan if
+    it is not finite.
 
     Rows that give way in (6) are left out.
     """
@@ -141,7 +157,8 @@ def rows_of(problem: PiecewiseJerkProblem) -> Rows:
     for k in range(4, kinds):
         for i in range(4):
             stencil[k, i] = stencil[0, i] + problem.leads[k - 4] / h * stencil[1, i]
-    # curvature of the cost in x: |x_j|^2 <= m^(2k-1) sum_i |scaled row i of kind k|^2, by Cauchy and Schwarz
+    # curvature of the cost in x: |x_j|^2 <= m^(2k-1) sum_i |scaled row i of kind k|^2, by Cauchy
+    # and Schwarz
     unit = max(curvature[0], curvature[1] / m, curvature[2] / m**3, curvature[3] / m**5)
     cost, wanted, give = np.zeros(kinds * m), np.zeros(kinds * m), np.zeros(kinds * m)
     bound = np.empty((2, kinds * m))
@@ -165,7 +182,10 @@ def rows_of(problem: PiecewiseJerkProblem) -> Rows:
 
 @inner_kernel
 def coast(problem: PiecewiseJerkProblem, c: FloatArray) -> None:
-    """Write the coefficients `(m + 3,)` of a curve that keeps x' after the start; the first three are those of (8)."""
+    """Write the coefficients `(m + 3,)` of a curve that keeps x' after the start.
+
+    The first three are those of (8).
+    """
     h = problem.step
     x, dx, ddx = problem.start[0], h * problem.start[1], h * h * problem.start[2]
     c[0], c[1], c[2] = x - dx + ddx / 3.0, x - ddx / 6.0, x + dx + ddx / 3.0  # (8)
@@ -201,7 +221,9 @@ def gather(stencil: FloatArray, of_rows: FloatArray, out: FloatArray) -> None:
 
 @inner_kernel
 def multiply(stencil: FloatArray, diagonal: FloatArray, band: FloatArray) -> None:
-    """Write A' diagonal A by its lower diagonals, with rows of the identity for the fixed coefficients."""
+    """Write A' diagonal A by its lower diagonals, with rows of the identity for the fixed
+    coefficients.
+    """
     m = band.shape[1] - 3
     band[:] = 0.0
     for k in range(len(stencil)):
@@ -232,10 +254,12 @@ def curve_of(c: FloatArray, h: float) -> FloatArray:
 
 @inner_kernel
 def factorise(band: FloatArray) -> bool:
-    """L D L' (10) in place: D in the first row, L below the diagonal in the others; False where a number is not finite.
+    """L D L' (10) in place: D in the first row, L below the diagonal in the others; False where a
+    number is not finite.
 
-    A pivot that is only rounding error becomes `HUGE`, so that its coefficient does not move (Wright, "Modified
-    Cholesky factorizations in interior-point algorithms for linear programming", 1999).
+    A pivot that is only rounding error becomes `HUGE`, so that its coefficient does not move
+    (Wright, "Modified Cholesky factorizations in interior-point algorithms for linear programming",
+    1999).
     """
     size = band.shape[1]
     diagonal = band[0].copy()

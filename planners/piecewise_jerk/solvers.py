@@ -1,7 +1,8 @@
-"""The interface to the solvers of piecewise-jerk QPs. They start cold: an answer depends on its problem alone.
+"""The interface to the solvers of piecewise-jerk QPs. They start cold: an answer depends on its
+problem alone.
 
-`interior_point` is replan's own (default). `osqp` and `piqp` solve the sparse form through `replan.planners.solver`: OSQP
-(ADMM), with PIQP where OSQP runs out of iterations, or PIQP alone.
+`interior_point` is replan's own (default). `osqp` and `piqp` solve the sparse form through
+`replan.planners.solver`: OSQP (ADMM), with PIQP where OSQP runs out of iterations, or PIQP alone.
 """
 
 from __future__ import annotations
@@ -40,7 +41,8 @@ def check_solver(name: str) -> None:
 def solve(
     problem: PiecewiseJerkProblem, solver: str = DEFAULT, *, stage: str, tolerance: float
 ) -> QPResult:
-    """Solve a problem: its curve x = (x, x', x'') `(3 n,)`, and the solver's report, which names the `stage`.
+    """Solve a problem: its curve x = (x, x', x'') `(3 n,)`, and the solver's report, which names
+    the `stage`.
 
     `tolerance` is the largest violation of a bound in a solution, in the units of the row.
     """
@@ -63,7 +65,10 @@ _RECORDED: ContextVar[list[SolvedProblem] | None] = ContextVar("recorded", defau
 
 @contextmanager
 def record_problems() -> Iterator[list[SolvedProblem]]:
-    """Record all problems that are solved in the body, and their answers, for debugging; results do not change."""
+    """Record all problems that are solved in the body, and their answers, for debugging.
+
+    Results do not change.
+    """
     asked: list[SolvedProblem] = []
     token = _RECORDED.set(asked)
     try:
@@ -92,7 +97,10 @@ def _sparse(
 
 @lru_cache(maxsize=64)
 def _program(kind: Structure, stage: str, config: QPConfig) -> QuadraticProgram:
-    """The workspace of a structure; each solve in it is fresh, so that it does not depend on earlier ones."""
+    """The workspace of a structure.
+
+    Each solve in it is fresh, so that it does not depend on earlier ones.
+    """
     form = matrices(kind)
     return QuadraticProgram(
         stage, form.P, form.A, equalities=form.equalities, scale=form.sizes, config=config
@@ -122,7 +130,9 @@ class Structure(NamedTuple):
 
 
 class Matrices(NamedTuple):
-    """P and A of the sparse form, the number of its equalities (the first rows), the typical size of each unknown."""
+    """P and A of the sparse form, the number of its equalities (the first rows), the typical size
+    of each unknown.
+    """
 
     P: sparse.csc_matrix
     A: sparse.csc_matrix
@@ -140,10 +150,11 @@ def structure(problem: PiecewiseJerkProblem) -> Structure:
 
 @lru_cache(maxsize=64)
 def matrices(kind: Structure) -> Matrices:
-    """The sparse form: minimise 1/2 z' P z + q' z subject to l <= A z <= u, z = (x, x', x'') and, softly, the shifts e.
+    """The sparse form: minimise 1/2 z' P z + q' z subject to l <= A z <= u, z = (x, x', x'') and,
+    softly, the shifts e.
 
-    Rows of A: (1), (2) of `problem`, the start, then (5) in the order x, x', x'', x''', x + lead x'. P and q are
-    divided by w_x where that is positive.
+    Rows of A: (1), (2) of `problem`, the start, then (5) in the order x, x', x'', x''', x + lead
+    x'. P and q are divided by w_x where that is positive.
     """
     n, h = kind.knots, kind.step
     now, then = sparse.eye(n - 1, n), sparse.eye(n - 1, n, k=1)

@@ -6,22 +6,25 @@ Lines, with the distance d(b, j) in which the ego stops with deceleration b and 
 (2) yellow                   stop where `COMFORT` stops before the line; else drive on
 (3) stop sign                come to rest (`REST_MPS`) within `NEAR_M` before the line once, then go
 
-Zones: the ego would be in a zone from t_in to t_out, driving freely behind the agent ahead of it; it waits unless for
-each window (a, b) in which others take the zone
+Zones: the ego would be in a zone from t_in to t_out, driving freely behind the agent ahead of it;
+it waits unless for each window (a, b) in which others take the zone
 
 (4) t_out + c + x <= a    or    b + AFTER_S <= t_in    (lanes that merge: a + FOLLOW_S <= t_in)
 
-c is the post-encroachment time, `CLEAR_S` before a vehicle: below 1.5 s an encounter is critical (criticality metrics
-catalogue, Westhofen et al. 2023), and with the time to clear a lane from rest it makes gaps between the critical ones
-of HCM 2010 (4.1 s for a left turn from the major road, 7.1 s from the minor one); `WALK_CLEAR_S` before a pedestrian.
-Where the lanes merge, the ego is out of the way when its rear is in the zone, and x is what the one behind needs to
-brake to the ego's speed at `YIELD_MPS2`: x = (v - v_ego)^2 / (2 v YIELD_MPS2). A gap that the ego has taken
-needs `KEPT_S` less. The wait ends when (4) holds both for an ego that enters at speed and for one that leaves as from
-rest; it has no end if that is not within the horizon. The ego does not enter a zone without room for it behind. A stop
-that comes too late for `COMFORT` (priority lane) or `HARD` (crosswalk) is not demanded: the S-T graph has the agents.
+c is the post-encroachment time, `CLEAR_S` before a vehicle: below 1.5 s an encounter is critical
+(criticality metrics catalogue, Westhofen et al. 2023), and with the time to clear a lane from rest
+it makes gaps between the critical ones of HCM 2010 (4.1 s for a left turn from the major road, 7.1
+s from the minor one); `WALK_CLEAR_S` before a pedestrian. Where the lanes merge, the ego is out of
+the way when its rear is in the zone, and x is what the one behind needs to brake to the ego's speed
+at `YIELD_MPS2`: x = (v - v_ego)^2 / (2 v YIELD_MPS2). A gap that the ego has taken needs `KEPT_S`
+less. The wait ends when (4) holds both for an ego that enters at speed and for one that leaves as
+from rest; it has no end if that is not within the horizon. The ego does not enter a zone without
+room for it behind. A stop that comes too late for `COMFORT` (priority lane) or `HARD` (crosswalk)
+is not demanded: the S-T graph has the agents.
 
-Memory (`RuleMemory`): the lines that the ego stops for, until it is `OVER_M` over them, and the zones, while `HARD`
-can; the stop signs at which it came to rest; the zones whose gap it took; since when it stands before a crosswalk.
+Memory (`RuleMemory`): the lines that the ego stops for, until it is `OVER_M` over them, and the
+zones, while `HARD` can; the stop signs at which it came to rest; the zones whose gap it took; since
+when it stands before a crosswalk.
 """
 
 from __future__ import annotations
@@ -55,7 +58,10 @@ from replan.planners.rules.zones import (
 )
 
 COMFORT = 2.8, 2.8
-"""Deceleration (m/s2) and jerk (m/s3) with which the ego stops where it comfortably can; below ITE's 3.05 m/s2."""
+"""Deceleration (m/s2) and jerk (m/s3) with which the ego stops where it comfortably can.
+
+Below ITE's 3.05 m/s2.
+"""
 HARD = 7.0, 12.0  # Deceleration (m/s2) and jerk (m/s3) with which the ego stops where it must
 REST_MPS = 0.1  # The ego is at rest below this, m/s
 # The ego has stopped at a stop sign if it came to rest within this distance before the line, m
@@ -88,7 +94,8 @@ class RulesConfig:
     """Settings of the rules.
 
     Attributes:
-        patience_s: How long a standing ego waits for a pedestrian who stands at a crosswalk and does not begin to walk.
+        patience_s: How long a standing ego waits for a pedestrian who stands at a crosswalk and
+            does not begin to walk.
     """
 
     patience_s: float = 3.0
@@ -113,7 +120,8 @@ class RuleMemory:
 class _Visit:
     """The data of one frame: the scene, the agents that the path passes, the memory.
 
-    `leader` is the agent ahead in the ego's way: station of its rear, m, speed, m/s, index; inf, 0, -1 without one.
+    `leader` is the agent ahead in the ego's way: station of its rear, m, speed, m/s, index; inf, 0,
+    -1 without one.
     """
 
     scene: Scene
@@ -145,7 +153,9 @@ class _Visit:
 
 
 class Rulebook:
-    """The rules along one reference path (module docstring), for an ego with the planner's accelerations in curves."""
+    """The rules along one reference path (module docstring), for an ego with the planner's
+    accelerations in curves.
+    """
 
     def __init__(
         self,
@@ -171,14 +181,17 @@ class Rulebook:
 
     @property
     def places(self) -> tuple[float, ...]:
-        """Stations at which the ego may have to wait or others cross, m: stop lines, begins and ends of zones."""
+        """Stations at which the ego may have to wait or others cross, m: stop lines, begins and
+        ends of zones.
+        """
         zones = [station for zone in self._zones for station in (zone.s_in, zone.s_out)]
         return (*(line.s for line in self._lines), *zones)
 
     def stops(
         self, scene: Scene, memory: RuleMemory, passed: frozenset[str] = frozenset()
     ) -> tuple[tuple[Occupancy, ...], RuleMemory]:
-        """The stops for a plan from the scene's start, in driving order, for the ego's front; and the new memory.
+        """The stops for a plan from the scene's start, in driving order, for the ego's front; and
+        the new memory.
 
         Agents that the path passes (`passed`) do not take the room behind a zone.
         """
@@ -220,7 +233,9 @@ class Rulebook:
         return _stop(line.s, visit, inf, name, DecisionKind.STOP, reason) if stops else None
 
     def _at_zones(self, visit: _Visit, barrier: float) -> Iterator[Occupancy]:
-        """The stops before the zones that the ego reaches before `barrier`, the first stop at a line."""
+        """The stops before the zones that the ego reaches before `barrier`, the first stop at a
+        line.
+        """
         scene, front, v = visit.scene, visit.scene.front, visit.scene.start.v
         near = []
         for zone in self._zones:
@@ -261,7 +276,10 @@ class Rulebook:
     def _at_zone(
         self, zone: Zone, visit: _Visit, sooner: FloatArray, later: FloatArray
     ) -> Occupancy | None:
-        """The stop before a zone (4); the ego enters as in the motion `sooner`, leaves as in `later` (rows s, v)."""
+        """The stop before a zone (4).
+
+        The ego enters as in the motion `sooner`, leaves as in `later` (rows s, v).
+        """
         scene, front = visit.scene, visit.scene.front
         held, late = zone.name in visit.stopping, isinstance(zone.by, Walk)
         t_in, t_out = self._passage(zone, front, sooner)[0], self._passage(zone, front, later)[1]
@@ -308,9 +326,11 @@ class Rulebook:
         return cruising(ahead, limit, v, a, GO_MPS2, COMFORT[0], GO_MPS3, STEP_S, HORIZON_KNOTS)
 
     def _passage(self, zone: Zone, front: float, motion: FloatArray) -> tuple[float, float]:
-        """When the ego's front enters a zone and its rear is out of the way, s; inf: after the horizon.
+        """When the ego's front enters a zone and its rear is out of the way, s; inf: after the
+        horizon.
 
-        Where the lanes merge it is out of the way when its rear is in the zone: from then on it is the leader.
+        Where the lanes merge it is out of the way when its rear is in the zone: from then on it is
+        the leader.
         """
         end = zone.s_in if _merges(zone) else zone.s_out
         return _when(motion, zone.s_in - front), _when(motion, end + self._vehicle.length - front)
@@ -337,7 +357,8 @@ class Rulebook:
     def _release(
         self, zone: Zone, visit: _Visit, taken: tuple[ZoneTime, ...], motion: FloatArray
     ) -> float:
-        """When the ego may pass the place where it waits, s: (4) holds for all windows, at speed and from rest.
+        """When the ego may pass the place where it waits, s: (4) holds for all windows, at speed
+        and from rest.
 
         inf if it does not within the horizon.
         """
@@ -361,7 +382,10 @@ def _merges(zone: Zone) -> bool:
 
 
 def _gone(zone: Zone, window: ZoneTime) -> float:
-    """Time from which the ego may enter a zone after an agent, s; where lanes merge, it follows the agent."""
+    """Time from which the ego may enter a zone after an agent, s.
+
+    Where lanes merge, it follows the agent.
+    """
     if _merges(zone):
         return window.begin + FOLLOW_S  # (4)
     return window.end + (AFTER_S if isinstance(zone.by, Priority) else 0.0)
@@ -378,7 +402,9 @@ def _stop(
 
 
 def _when(motion: FloatArray, distance: float) -> float:
-    """Time at which a motion, rows s, v, has covered a distance (m), s; 0 for none, inf if it is not covered."""
+    """Time at which a motion, rows s, v, has covered a distance (m), s; 0 for none, inf if it is
+    not covered.
+    """
     if distance <= 0.0:
         return 0.0
     k = int(np.searchsorted(motion[0], distance))

@@ -1,23 +1,31 @@
-"""The rules of the road along one reference: its stop lines, the zones where other road users go first, and when.
+"""The rules of the road along one reference: its stop lines, the zones where other road users go
+first, and when.
 
-A zone is the stretch of the reference line on which the ego's body would obstruct road users with priority:
+A zone is the stretch of the reference line on which the ego's body would obstruct road users with
+priority:
 
-(1) crosswalk:       stations at which the ego's body, `SIDE_M` wider on each side, is over the polygon
-(2) priority lane:   stations at which the reference line is nearer than w / 2 + `HALF_CAR_M` + `SIDE_M` to the middle
-                     of a lane that the ego's lane yields to
+(1) crosswalk:       stations at which the ego's body, `SIDE_M` wider on each side, is over the
+                     polygon
+(2) priority lane:   stations at which the reference line is nearer than w / 2 + `HALF_CAR_M` +
+                     `SIDE_M` to the middle of a lane that the ego's lane yields to
 
-The ego waits before the first of several zones if it does not fit between them, and so not on a crosswalk nor where
-lanes cross. Agents take a zone in time windows, which follow from their positions and predictions.
+The ego waits before the first of several zones if it does not fit between them, and so not on a
+crosswalk nor where lanes cross. Agents take a zone in time windows, which follow from their
+positions and predictions.
 
-Crosswalk: a pedestrian who is on it, or within `EDGE_M` of it and walks towards it, takes it while one of their
-hypotheses is in the ego's half, widened by `KEPT_M` on each side. A pedestrian who stands there takes it for an unknown
-time: from when a hypothesis enters it, else as if they started now with `START_MPS` in the direction that they face.
+Crosswalk: a pedestrian who is on it, or within `EDGE_M` of it and walks towards it, takes it while
+one of their hypotheses is in the ego's half, widened by `KEPT_M` on each side. A pedestrian who
+stands there takes it for an unknown
+time: from when a hypothesis enters it, else as if they started now with `START_MPS` in the
+direction that they face.
 
 Priority lane: a vehicle on it or on a lane that leads to it, in its direction, takes the zone
 
-(3) while the box of a hypothesis touches the zone, if all that do so have a probability of `UNLIKELY` together
-(4) on the priority lane itself also from (p_in - front) / v to (p_out - rear) / v: it may be predicted to leave the
-    lane, but stay on it; one that stands in the zone takes it until it has left
+(3) while the box of a hypothesis touches the zone, if all that do so have a probability of
+    `UNLIKELY` together
+(4) on the priority lane itself also from (p_in - front) / v to (p_out - rear) / v: it may be
+    predicted to leave the lane, but stay on it; one that stands in the zone takes it until it has
+    left
 
 A vehicle that a red light holds on its way there takes no zone.
 """
@@ -65,7 +73,9 @@ ASKEW_RAD = 1.0  # A vehicle drives along a lane where its heading differs less 
 
 @dataclass(frozen=True, slots=True)
 class StopLineAhead:
-    """A stop line that applies to the reference path, at the station `s` that the front must not pass, m."""
+    """A stop line that applies to the reference path, at the station `s` that the front must not
+    pass, m.
+    """
 
     id: int
     s: float
@@ -104,12 +114,15 @@ class Zone:
     by: Walk | Priority  # The crosswalk or lane whose users go first
     s_in: float  # Station at which the front enters it, m; `s_out` at which the rear leaves it
     s_out: float
-    # Stations that the front does not pass while it waits, in driving order; the first one ahead applies
+    # Stations that the front does not pass while it waits, in driving order; the first one ahead
+    # applies
     holds: tuple[float, ...] = ()
 
 
 def lines_along(road: Road, reference: ReferencePath, width: float) -> tuple[StopLineAhead, ...]:
-    """The stop lines of a reference path that lights or stop signs may make the ego stop at, in driving order."""
+    """The stop lines of a reference path that lights or stop signs may make the ego stop at, in
+    driving order.
+    """
     found = [
         (mark, _stop_station(mark, reference.line, width)) for mark in _marks(road, reference.lanes)
     ]
@@ -126,7 +139,8 @@ def zones_along(
 ) -> tuple[Zone, ...]:
     """The zones of a reference path in driving order, with their `holds`.
 
-    These are the stop lines before the group of zones, the begin of the group, and that of the zone.
+    These are the stop lines before the group of zones, the begin of the group, and that of the
+    zone.
     """
     line, half, zones = reference.line, 0.5 * vehicle.width + SIDE_M, list[Zone]()
     for crosswalk in road.crosswalks:
@@ -181,7 +195,9 @@ def _marks(road: Road, lanes: tuple[int, ...]) -> Iterator[StopLine]:
 
 
 def _stop_station(mark: StopLine, line: ReferenceLine, width: float) -> float | None:
-    """The station at which a front `width` m wide first comes over a stop line; None where it passes beside it."""
+    """The station at which a front `width` m wide first comes over a stop line; None where it
+    passes beside it.
+    """
     x, y = mark.points.mean(axis=0)
     middle, _ = line.project(x, y)
     (s0, l0), (s1, l1) = (line.project(x, y, middle, 10.0) for x, y in mark.points)
@@ -257,7 +273,9 @@ def _conflict(line: ReferenceLine, lane: Lane, other: Lane, width: float) -> Zon
 def _feeds(
     road: Road, lane: int, before: Mapping[int, list[int]], own: Iterable[int]
 ) -> dict[int, tuple[int, ...]]:
-    """The lanes that lead to a lane within `FEED_M`, but not the ego's own, with the lights on the way to it."""
+    """The lanes that lead to a lane within `FEED_M`, but not the ego's own, with the lights on the
+    way to it.
+    """
     found: dict[int, tuple[int, ...]] = {lane: ()}
     queue, taken = [(lane, 0.0)], set(own)
     while queue:
@@ -278,7 +296,9 @@ def _feeds(
 
 
 def turned(lane: Lane, x: float, y: float, yaw: float) -> float:
-    """Angle between a heading and the lane's at the centre point nearest to (x, y), rad, not negative."""
+    """Angle between a heading and the lane's at the centre point nearest to (x, y), rad, not
+    negative.
+    """
     i = min(
         int(np.argmin((lane.center[:, 0] - x) ** 2 + (lane.center[:, 1] - y) ** 2)),
         len(lane.center) - 2,
@@ -289,7 +309,9 @@ def turned(lane: Lane, x: float, y: float, yaw: float) -> float:
 
 @kernel
 def distances(points: FloatArray, line: FloatArray) -> FloatArray:
-    """Distance `(n,)` of each point `(n, 2)` from a polyline `(k, 2)`, m, which may be one point."""
+    """Distance `(n,)` of each point `(n, 2)` from a polyline `(k, 2)`, m, which may be one
+    point.
+    """
     out = np.empty(len(points))
     for i in range(len(points)):
         x, y = points[i, 0], points[i, 1]
@@ -303,7 +325,10 @@ def distances(points: FloatArray, line: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class ZoneTime:
-    """An agent takes a zone from `begin` to `end`, s after the frame's time; inf: the end is not known."""
+    """An agent takes a zone from `begin` to `end`, s after the frame's time.
+
+    Inf: the end is not known.
+    """
 
     begin: float
     end: float
@@ -324,7 +349,9 @@ def windows(zone: Zone, line: ReferenceLine, road: Road, frame: Frame) -> tuple[
 
 
 def _walking(zone: Zone, walk: Walk, line: ReferenceLine, frame: Frame) -> Iterator[ZoneTime]:
-    """Windows of the pedestrians who are on a crosswalk, or near it and do not walk along or away from it."""
+    """Windows of the pedestrians who are on a crosswalk, or near it and do not walk along or away
+    from it.
+    """
     futures, agents, polygon, ahead = (
         frame.predictions,
         frame.agents,
@@ -371,7 +398,10 @@ def _on_half(
 
 
 def _driving(priority: Priority, road: Road, frame: Frame) -> Iterator[ZoneTime]:
-    """Windows of the vehicles that may take the zone, by the lane that they are on; the priority lane comes first."""
+    """Windows of the vehicles that may take the zone, by the lane that they are on.
+
+    The priority lane comes first.
+    """
     agents, futures = frame.agents, frame.predictions
     taken: set[int] = set()
     for lane_id, lights in priority.feeds.items():
@@ -432,7 +462,10 @@ def _passage(priority: Priority, i: int, frame: Frame) -> Iterator[ZoneTime]:
 
 
 def _span(taken: BoolArray, ahead: FloatArray, i: int, frame: Frame) -> Iterator[ZoneTime]:
-    """The window from the first to the last taken time; it has no end if that is the last time of the predictions."""
+    """The window from the first to the last taken time.
+
+    It has no end if that is the last time of the predictions.
+    """
     at = np.flatnonzero(taken)
     if len(at):
         end = inf if at[-1] == len(ahead) - 1 else float(ahead[at[-1]])
@@ -443,7 +476,9 @@ def _span(taken: BoolArray, ahead: FloatArray, i: int, frame: Frame) -> Iterator
 def _boxes_touched(
     boxes: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, size: FloatArray
 ) -> BoolArray:
-    """Which boxes at `(n, k)` poses of one size (length, width) overlap any of the `boxes` `(m, 5)`."""
+    """Which boxes at `(n, k)` poses of one size (length, width) overlap any of the `boxes`
+    `(m, 5)`.
+    """
     out = np.zeros(x.shape, np.bool_)
     for i in range(x.shape[0]):
         for k in range(x.shape[1]):

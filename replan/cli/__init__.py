@@ -4,7 +4,8 @@ Commands by subject:
 
 evaluate.py    drive: evaluate, vary, paper, calibrate
 search.py      search: falsify, tune, diagnose
-report.py      the end of a run, reports, shards put together, run against run: merge, report, compare, baseline
+report.py      the end of a run, reports, shards put together, run against run: merge, report,
+               compare, baseline
 score.py       the scores of nuPlan and NAVSIM: score
 logs.py        read and write logs: synth, convert, repair, inspect, salvage, export
 one_drive.py   look at one drive: view, plot, explain, frame
@@ -52,11 +53,16 @@ PANELS = {
 group_commands(PANELS)
 
 COLLECTED_EVERY = 10_000
-"""New objects between two garbage collections: with Python's 700, they took 1/12 of the time to a first verdict."""
+"""New objects between two garbage collections: with Python's 700, they took 1/12 of the time to a
+first verdict.
+"""
 
 
 def main() -> None:
-    """Run the command line; ends the process with its exit code, which is `INTERNAL` for a bug in replan."""
+    """Run the command line.
+
+    Ends the process with its exit code, which is `INTERNAL` for a bug in replan.
+    """
     end_at_once()
     import gc
 

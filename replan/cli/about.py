@@ -18,15 +18,20 @@ def listed(
         str | None,
         typer.Argument(
             metavar="[KIND|NAME]",
-            help="A kind (planners, metrics ...), or a name: idm, my_pkg.mine:Mine. Default: the kinds.",
+            help=(
+                "A kind (planners, metrics ...), or a name: idm, my_pkg.mine:Mine. Default: the "
+                "kinds."
+            ),
             autocompletion=completion("listed"),
         ),
     ] = None,
     as_json: opt.Json = False,
 ) -> None:
-    """List the names of a kind, each with one line and its place in the code; or a name, with its settings.
+    """List the names of a kind, each with one line and its place in the code; or a name, with its
+    settings.
 
-    A setting has its key for --set, its default, unit, permitted range with the other defaults, and meaning.
+    A setting has its key for --set, its default, unit, permitted range with the other defaults, and
+    meaning.
 
     [bold]Examples[/bold]
 
@@ -95,7 +100,8 @@ def warmup(
 ) -> None:
     """Compile the kernels that a run needs, and keep them, so that the first log starts at once.
 
-    They are kept in NUMBA_CACHE_DIR, else beside the installed code, else in the user's cache folder: docs/ci.md.
+    They are kept in NUMBA_CACHE_DIR, else beside the installed code, else in the user's cache
+    folder: docs/ci.md.
 
     [bold]Examples[/bold]
 

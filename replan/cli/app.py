@@ -26,8 +26,11 @@ if TYPE_CHECKING:
 
 app = typer.Typer(
     name="replan",
-    help="Replay driving logs through a planner, open loop and closed loop, and judge the drives.\n\n"
-    "Start with [bold]replan evaluate[/bold]: without logs it drives the built-in suite.",
+    help=(
+        "Replay driving logs through a planner, open loop and closed loop, and judge the "
+        "drives.\n\n"
+        "Start with [bold]replan evaluate[/bold]: without logs it drives the built-in suite."
+    ),
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
@@ -39,7 +42,9 @@ FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # Error numbers of a full disk
 
 @contextmanager
 def handle_errors() -> Iterator[None]:
-    """Turn errors that a user can correct into one line and an exit code; Ctrl-C and SIGTERM into 130."""
+    """Turn errors that a user can correct into one line and an exit code; Ctrl-C and SIGTERM into
+    130.
+    """
     try:
         with as_exception():
             yield
@@ -97,7 +102,9 @@ class StrictCommand(TyperCommand):
 
 
 def group_commands(panels: Mapping[str, Sequence[str]]) -> None:
-    """Show the commands, now strict, in the help in these groups and this order; KeyError if one has no group."""
+    """Show the commands, now strict, in the help in these groups and this order; KeyError if one
+    has no group.
+    """
     places = {name: panel for panel, names in panels.items() for name in names}
     order = {name: place for place, name in enumerate(places)}
     for command in app.registered_commands:
@@ -130,7 +137,9 @@ def bug(error: Exception) -> NoReturn:
 
 
 def say(text: object = "", *, err: bool = False) -> None:
-    """Print to stdout or stderr, with control characters made visible, so that none reaches the terminal."""
+    """Print to stdout or stderr, with control characters made visible, so that none reaches the
+    terminal.
+    """
     from replan.draw.report.console import visible
 
     typer.echo(visible(text), err=err)
@@ -146,7 +155,9 @@ def say_sentences(lines: Iterable[str]) -> None:
 
 
 def console_of(width: int) -> SafeConsole:
-    """The console of stdout for tables; `width` characters wide if stdout is not a terminal and COLUMNS is not set."""
+    """The console of stdout for tables; `width` characters wide if stdout is not a terminal and
+    COLUMNS is not set.
+    """
     from replan.draw.report.console import SafeConsole
 
     wide = None if sys.stdout.isatty() or "COLUMNS" in os.environ else width
@@ -169,7 +180,9 @@ def say_error(message: str) -> None:
 
 
 def say_json(document: Any) -> None:
-    """Print one JSON document to stdout: dataclasses as objects, tables as lists of rows, NaN as null."""
+    """Print one JSON document to stdout: dataclasses as objects, tables as lists of rows, NaN as
+    null.
+    """
     import json
 
     ascii_only = "utf" not in (sys.stdout.encoding or "").lower()  # else "?" would be written
@@ -215,7 +228,10 @@ def _root(
 
 
 def worker_count(workers: int | None) -> int:
-    """The number of worker processes of `--workers`; by default one for each core that this process may use."""
+    """The number of worker processes of `--workers`.
+
+    By default one for each core that this process may use.
+    """
     if workers is not None:
         return workers
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -1,14 +1,18 @@
-"""`replan convert | repair | export`: logs of any format to native MCAP, the table of repairs, CommonRoad solutions.
+"""`replan convert | repair | export`: logs of any format to native MCAP, the table of repairs,
+CommonRoad solutions.
 
-CommonRoad solution: the ego's states at the scenario's time steps, of the kinematic single track model KS, in which the
-position is the centre of gravity, b behind it the rear axle (commonroad-vehicle-models):
+CommonRoad solution: the ego's states at the scenario's time steps, of the kinematic single track
+model KS, in which the position is the centre of gravity, b behind it the rear axle
+(commonroad-vehicle-models):
 
 (1) p = r + b (cos yaw, sin yaw),   b = wheelbase - cog_to_front,   r the rear axle in the world
-(2) A drive that reaches the goal between two steps is extended to the next one with the last acceleration and
+(2) A drive that reaches the goal between two steps is extended to the next one
+        with the last acceleration and
     steering angle: s = v h + a h^2 / 2, yaw' = yaw + s tan(steer) / wheelbase
 
-CommonRoad's checker integrates the model between the states: it accepts what such a vehicle drove, so the drive must be
-one of `--vehicle kinematic_bicycle` with the numbers of one of CommonRoad's vehicles.
+CommonRoad's checker integrates the model between the states: it accepts what such a vehicle drove,
+so the drive must be one of `--vehicle kinematic_bicycle` with the numbers of one of CommonRoad's
+vehicles.
 """
 
 from __future__ import annotations
@@ -65,7 +69,10 @@ def listing() -> Iterator[str]:
     for reader in readers():
         keys = f"; [log] {', '.join(reader.settings)}" if reader.settings else ""
         yield f"{reader.name:{width}}  {reader.summary} ({reader.looks_for}{keys})"
-    yield f"Yours: a replan.Reader, as module:NAME or by an entry point of the group {READER.group}; docs/extend.md."
+    yield (
+        "Yours: a replan.Reader, as module:NAME or by an entry point of the group "
+        f"{READER.group}; docs/extend.md."
+    )
 
 
 def table() -> list[dict[str, Any]]:
@@ -83,12 +90,14 @@ def convert_all(
     say: Callable[[str], None],
     say_error: Callable[[str], None],
 ) -> bool:
-    """Write logs as native MCAP, into `out` if its suffix is .mcap, else into that folder; return whether all are read.
+    """Write logs as native MCAP, into `out` if its suffix is .mcap, else into that folder; return
+    whether all are read.
 
-    With `foxglove` they get channels that Foxglove draws. If the first name is not a path but the name of a reader,
-    that reader reads all files, whatever their names. ConfigError, with nothing written, if a path does not exist,
-    there is nothing to convert, several logs are to go into one file, a log would be written over itself or another, or
-    the package for Foxglove is not installed; OutputError if a log cannot be written.
+    With `foxglove` they get channels that Foxglove draws. If the first name is not a path but the
+    name of a reader, that reader reads all files, whatever their names. ConfigError, with nothing
+    written, if a path does not exist, there is nothing to convert, several logs are to go into one
+    file, a log would be written over itself or another, or the package for Foxglove is not
+    installed; OutputError if a log cannot be written.
     """
     reader = None
     first = str(logs[0])
@@ -104,7 +113,8 @@ def convert_all(
     for name, log in zip(names, found, strict=True):
         if last[name] != log:
             raise ConfigError(
-                f"{log} and {last[name]} would both become {out / name}; convert them into two folders"
+                f"{log} and {last[name]} would both become {out / name}; convert them into two "
+                "folders"
             )
     channels = _channels(foxglove=foxglove)
     all_read = True
@@ -125,7 +135,9 @@ def convert_all(
 
 
 def _channels(*, foxglove: bool) -> Callable[[Scenario], Iterable[Entry]]:
-    """What is written beside a log: nothing, or what Foxglove draws; ConfigError if its package is not installed."""
+    """What is written beside a log: nothing, or what Foxglove draws; ConfigError if its package is
+    not installed.
+    """
     if not foxglove:
         return lambda scenario: ()
     from replan.draw.foxglove import scenario_channels
@@ -137,7 +149,10 @@ def _channels(*, foxglove: bool) -> Callable[[Scenario], Iterable[Entry]]:
 def _logs_at(
     path: Path, asked: Reader | None, settings: LogSettings, say: Callable[[str], None]
 ) -> Iterator[Path]:
-    """The log, or those of a folder; files named like logs that no reader claims are named as left out."""
+    """The log, or those of a folder.
+
+    Files named like logs that no reader claims are named as left out.
+    """
     if not path.exists():
         raise ConfigError(f"{path}: no such file or folder")
     if asked is not None or not path.is_dir() or reader_of(path, settings) is not None:
@@ -161,10 +176,11 @@ def _is_ours(logs: Iterable[tuple[Path, Reader | None]]) -> Callable[[Path], boo
 
 
 def repair_log(log: Path, target: Path, table: Path | None, settings: LogSettings) -> Scenario:
-    """Read a log, write it as native MCAP, and its changes as CSV; the scenario, whose `repair` may be None.
+    """Read a log, write it as native MCAP, and its changes as CSV; the scenario, whose `repair` may
+    be None.
 
-    ConfigError, with nothing written, if there is no such log, or a file of it would be overwritten; LogError if the
-    log cannot be read; OutputError if a file cannot be written.
+    ConfigError, with nothing written, if there is no such log, or a file of it would be
+    overwritten; LogError if the log cannot be read; OutputError if a file cannot be written.
     """
     if not log.exists():
         raise ConfigError(f"{log}: no such file or folder")
@@ -194,14 +210,22 @@ def changes(scenario: Scenario) -> tuple[TrackChange, ...]:
 def changes_as_text(scenario: Scenario) -> Iterator[str]:
     """The changes as text, one line each."""
     if scenario.repair is None:
-        yield "    not repaired: the log's road users are tracks already (--repair on does it all the same)"
+        yield (
+            "    not repaired: the log's road users are tracks already (--repair on does it all "
+            "the same)"
+        )
     width = max((len(change.agent) for change in changes(scenario)), default=0)
     for change in changes(scenario):
-        yield f"    {change.what:10} {change.agent:{width}} {change.begin:7.2f} to {change.end:7.2f} s  {change.why}"
+        yield (
+            f"    {change.what:10} {change.agent:{width}} {change.begin:7.2f} to "
+            f"{change.end:7.2f} s  {change.why}"
+        )
 
 
 def unrepaired(log: Path, settings: LogSettings, scenario: Scenario) -> Scenario | None:
-    """The log of a repaired scenario as it was before the repair; None if the log has no tracks of its own."""
+    """The log of a repaired scenario as it was before the repair; None if the log has no tracks of
+    its own.
+    """
     if scenario.repair is None:
         return None
     raw = read_log(log, replace(settings, repair="off"))
@@ -218,8 +242,8 @@ VERSION = "2020a"
 def commonroad_solution(trace: Path, cost: str = COSTS[0]) -> str:
     """The solution file of a closed drive over a CommonRoad scenario, XML.
 
-    `trace`: `closed.mcap` of a result folder. `cost`: the cost function that the benchmark id names. LogError if the
-    file is not such a trace, or its vehicle is not one of CommonRoad's.
+    `trace`: `closed.mcap` of a result folder. `cost`: the cost function that the benchmark id
+    names. LogError if the file is not such a trace, or its vehicle is not one of CommonRoad's.
     """
     try:
         scenario = read_scenario(trace)
@@ -229,7 +253,8 @@ def commonroad_solution(trace: Path, cost: str = COSTS[0]) -> str:
 
 
 def solutions(run: Path, cost: str = COSTS[0]) -> tuple[dict[str, str], list[str]]:
-    """The solution files of the closed drives of a run by name, and why other closed drives have none.
+    """The solution files of the closed drives of a run by name, and why other closed drives have
+    none.
 
     ConfigError if the path is not a result folder.
     """

@@ -24,7 +24,10 @@ def evaluate(
     logs: Annotated[
         list[Path] | None,
         typer.Argument(
-            help="Logs of any format (replan convert --formats), or folders of them. Default: the built-in suite."
+            help=(
+                "Logs of any format (replan convert --formats), or folders of them. Default: the "
+                "built-in suite."
+            )
         ),
     ] = None,
     planner: Annotated[
@@ -223,14 +226,15 @@ def vary(
     as_json: opt.Json = False,
     quiet: opt.Quiet = False,
 ) -> None:
-    """Vary one log: a surface of pass and fail over one or two parameters, as a table and a picture.
+    """Vary one log: a surface of pass and fail over one or two parameters, as a table and a
+    picture.
 
     [bold]Examples[/bold]
 
-      replan vary paper/crossing_pedestrian --vary time=-2:2:9 --vary speed=0.5:1.5:9 -o results/crossing
-      replan vary my_bag --list-agents
-      replan vary my_bag --agent 17 --vary time=-2:2:9 -p dp_qp
-      replan vary my_log.mcap --vary standing_car=20:80:7 --vary ego_speed=0.5:1.5:5
+      replan vary paper/crossing_pedestrian --vary time=-2:2:9 --vary speed=0.5:1.5:9 -o
+      results/crossing replan vary my_bag --list-agents replan vary my_bag --agent 17 --vary
+      time=-2:2:9 -p dp_qp replan vary my_log.mcap --vary standing_car=20:80:7 --vary
+      ego_speed=0.5:1.5:5
     """
     from replan.experiments.conflict import opened, question_about
     from replan.experiments.surface import vary as evaluate_surface
@@ -284,7 +288,8 @@ def engine_of(name: str, address: str | None, workers: int | None) -> Engine:
 
         if workers == 0:
             raise ConfigError(
-                "--workers 0 drives in this process, and --engine ray on a cluster: leave one of them out"
+                "--workers 0 drives in this process, and --engine ray on a cluster: leave one of "
+                "them out"
             )
         return OnRay(address or "", workers)
     if address is not None:
@@ -298,7 +303,10 @@ def paper(
     vehicle: Annotated[
         list[str] | None,
         typer.Option(
-            help="Vehicle model of figures and tables, repeatable: the first has the figures. Default: single_track."
+            help=(
+                "Vehicle model of figures and tables, repeatable: the first has the figures. "
+                "Default: single_track."
+            )
         ),
     ] = None,
     roads: Annotated[
@@ -306,7 +314,8 @@ def paper(
     ] = 50,
     workers: opt.Workers = None,
 ) -> None:
-    """Run the experiments of the paper: its figures 9, 10 and 12, recordings, controllers compared, pedestrians.
+    """Run the experiments of the paper: its figures 9, 10 and 12, recordings, controllers compared,
+    pedestrians.
 
     This takes a few minutes. docs/paper.md compares the results with the paper.
     """
@@ -334,7 +343,9 @@ def calibrate(
         Path | None, opt.config_option("TOML file of a run: its \\[vehicle].")
     ] = None,
 ) -> None:
-    """Write and plot the table acceleration x speed -> throttle or brake, from the vehicle's own model."""
+    """Write and plot the table acceleration x speed -> throttle or brake, from the vehicle's own
+    model.
+    """
     from replan.run.calibrate import calibrate as write
 
     for path in write(out, vehicle, car, config):

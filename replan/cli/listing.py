@@ -1,14 +1,17 @@
-"""Lists all that replan knows by name, each with one line and its place in the code. `replan list` prints it.
+"""Lists all that replan knows by name, each with one line and its place in the code. `replan list`
+prints it.
 
-The lines come from the code: for a class or function, the first line of its docstring; for a metric, family, reader or
-suite, its summary; for a car, the first comment of its file.
+The lines come from the code: for a class or function, the first line of its docstring; for a
+metric, family, reader or suite, its summary; for a car, the first comment of its file.
 
 The settings of a planner, controller, vehicle model ... come from its code, too:
 
 key, default    the field of its dataclass, or its keyword; the key is that of `--set`
 unit            from the last part of the name (`UNITS`)
-range           the numbers that the dataclass accepts, with all other settings at their defaults: found by trying
-meaning         the entry of the docstring: under "Attributes" of the dataclass, "Args" of a class or function
+range           the numbers that the dataclass accepts, with all other settings at their defaults:
+                found by trying
+meaning         the entry of the docstring: under "Attributes" of the dataclass, "Args" of a class
+                or function
 """
 
 from __future__ import annotations
@@ -192,11 +195,16 @@ UNITS: Mapping[str, str] = {
     "kg": "kg",
     "gb": "GB",
 }
-"""Units by the last part of a name (`time_gap_s`); a weight (`w_s`) has the unit of its cost, which no name gives."""
+"""Units by the last part of a name (`time_gap_s`).
+
+A weight (`w_s`) has the unit of its cost, which no name gives.
+"""
 
 SIGNS = {"minimum": ">=", "exclusiveMinimum": ">", "maximum": "<=", "exclusiveMaximum": "<"}
 FAR, FAR_WHOLE, FINE = 1e9, 20_000, 1e-9
-"""Largest values that are tried, of numbers and of whole numbers, and the relative error of a bound."""
+"""Largest values that are tried, of numbers and of whole numbers, and the relative error of a
+bound.
+"""
 
 ANY = ExtensionKind[Callable[..., Any]]("extension", "extensions", {})
 """Finds what a user names as module:NAME, of any kind."""
@@ -209,7 +217,8 @@ class ListedSetting:
     key: str  # Its key for `--set`
     default: Any  # Its value if it is not set; None also if it has to be set
     unit: str  # Its unit; "" for a number without one, a weight, a text
-    # Its bounds, named as in JSON Schema ("minimum", "exclusiveMinimum", ...); empty: none is checked
+    # Its bounds, named as in JSON Schema ("minimum", "exclusiveMinimum", ...); empty: none is
+    # checked
     range: Mapping[str, float]
     meaning: str
     group: str = ""  # What its table is for; "" without one
@@ -240,7 +249,10 @@ def settings_of(part: Part) -> tuple[ListedSetting, ...]:
 
 
 def _of_dataclass(config: Any, where: str, group: str = "") -> Iterator[ListedSetting]:
-    """The settings of a dataclass, then those of its tables; a class instead of an instance has no defaults."""
+    """The settings of a dataclass, then those of its tables.
+
+    A class instead of an instance has no defaults.
+    """
     items = [item for item in fields(config) if item.metadata.get("key", item.init)]
     values = [
         (item.name, getattr(config, item.name, None), dotted(where, item.name)) for item in items
@@ -266,7 +278,10 @@ def unit(name: str) -> str:
 
 
 def accepted(config: Any, name: str) -> dict[str, float]:
-    """The bounds of a number, or of each number of a tuple, that the dataclass checks; see `ListedSetting.range`."""
+    """The bounds of a number, or of each number of a tuple, that the dataclass checks.
+
+    See `ListedSetting.range`.
+    """
     default = getattr(config, name, None)
     good, several = (
         (default[0], len(default)) if isinstance(default, tuple) and default else (default, 0)
@@ -287,7 +302,8 @@ def accepted(config: Any, name: str) -> dict[str, float]:
 
 
 def _edge(accepts: Callable[[float], bool], good: float, sign: int) -> float | None:
-    """The last number below or above a good one that is accepted, or the first that is not; None if there is none.
+    """The last number below or above a good one that is accepted, or the first that is not; None if
+    there is none.
 
     It is found by bisection; whole numbers go in steps of two, as some must be odd.
     """
@@ -304,7 +320,10 @@ def _edge(accepts: Callable[[float], bool], good: float, sign: int) -> float | N
 
 
 def setting_lines(found: Iterable[ListedSetting]) -> list[str]:
-    """The settings for a terminal: key and default as `--set` takes them, unit and range; below, the meaning."""
+    """The settings for a terminal: key and default as `--set` takes them, unit and range.
+
+    Below, the meaning.
+    """
     shown, group = list[str](), ""
     for one in found:
         if one.group != group:

@@ -69,7 +69,8 @@ def synth(
         return
     if bool(names) == bool(suite) or out is None:
         raise ConfigError(
-            "name a family (or all) or a --suite, and a folder: replan synth all -o my_logs; see --list"
+            "name a family (or all) or a --suite, and a folder: replan synth all -o my_logs; see "
+            "--list"
         )
     if suite and settings:
         raise ConfigError(
@@ -157,7 +158,8 @@ def repair(
     repair: opt.Repair = None,
     config: opt.Settings = None,
 ) -> None:
-    """Make tracks of a log's raw detections, and list what was joined, removed and extended, and why.
+    """Make tracks of a log's raw detections, and list what was joined, removed and extended, and
+    why.
 
     [bold]Example[/bold]
 
@@ -261,14 +263,16 @@ def commonroad_solution(
     ],
     cost: Annotated[str, typer.Option(help="Cost function that the benchmark id names.")] = "JB1",
 ) -> None:
-    """Write the closed drives over CommonRoad scenarios as CommonRoad solutions, for CommonRoad's own checker.
+    """Write the closed drives over CommonRoad scenarios as CommonRoad solutions, for CommonRoad's
+    own checker.
 
-    For a run, drives over other logs are skipped and named; exit code 3 if no drive could be written.
+    For a run, drives over other logs are skipped and named; exit code 3 if no drive could be
+    written.
 
     [bold]Example[/bold]
 
-      replan evaluate USA_US101-6_1_T-1.xml --vehicle kinematic_bicycle --car bmw_320i -o results/us101
-      replan export commonroad-solution results/us101 -o solutions
+      replan evaluate USA_US101-6_1_T-1.xml --vehicle kinematic_bicycle --car bmw_320i -o
+      results/us101 replan export commonroad-solution results/us101 -o solutions
     """
     from replan.cli.convert import COSTS, commonroad_solution as solution, solutions
     from replan.results.tables import write_text

@@ -1,4 +1,6 @@
-"""`replan mine | query | cut | suite | coverage`: find, in hours of logs, the moments that matter."""
+"""`replan mine | query | cut | suite | coverage`: find, in hours of logs, the moments that
+matter.
+"""
 
 from __future__ import annotations
 
@@ -59,10 +61,11 @@ def mine(
     as_json: opt.Json = False,
     quiet: opt.Quiet = False,
 ) -> None:
-    """Find what happened in logs, without driving: cut-ins, crossings, hard braking, near misses and more.
+    """Find what happened in logs, without driving: cut-ins, crossings, hard braking, near misses
+    and more.
 
-    Writes events.parquet, logs.parquet and health.parquet (docs/results.md). Exit code 3: a log could not be read; the
-    others were.
+    Writes events.parquet, logs.parquet and health.parquet (docs/results.md). Exit code 3: a log
+    could not be read; the others were.
 
     [bold]Examples[/bold]
 
@@ -81,7 +84,8 @@ def mine(
 
     if not logs and suite is None:
         raise ConfigError(
-            "name logs, or logs of the catalogue with --suite: replan mine my_bags/ -o results/mined"
+            "name logs, or logs of the catalogue with --suite: replan mine my_bags/ -o "
+            "results/mined"
         )
 
     planners = list(dict.fromkeys(planner or []))
@@ -137,14 +141,16 @@ def query(
     ] = None,
     as_json: opt.Json = False,
 ) -> None:
-    r"""Ask a result folder in SQL: events, metrics, verdicts, frames, health and more as views, read only.
+    r"""Ask a result folder in SQL: events, metrics, verdicts, frames, health and more as views,
+    read only.
 
     The views and their columns: docs/results.md. Needs DuckDB: pip install 'replan\[improve]'.
 
     [bold]Examples[/bold]
 
-      replan query results/mined "SELECT log, t_from_s FROM events WHERE kind = 'cut_in' AND value < 10"
-      replan query results/run-001 "SELECT log, value FROM metrics WHERE metric = 'ttc.min' ORDER BY value" -o ttc.csv
+      replan query results/mined "SELECT log, t_from_s FROM events WHERE kind = 'cut_in' AND value <
+      10" replan query results/run-001 "SELECT log, value FROM metrics WHERE metric = 'ttc.min'
+      ORDER BY value" -o ttc.csv
     """
     from replan.mine.query import query as ask
     from replan.run.claim import rows_file
@@ -177,8 +183,8 @@ def cut(
 
     [bold]Examples[/bold]
 
-      replan cut results/mined --where "kind = 'pedestrian_crossing'" --before 5 --after 8 -o moments
-      replan cut results/run-001 --table verdicts --where "outcome = 'fail'" -o failures
+      replan cut results/mined --where "kind = 'pedestrian_crossing'" --before 5 --after 8 -o
+      moments replan cut results/run-001 --table verdicts --where "outcome = 'fail'" -o failures
     """
     from replan.mine.query import cut_logs, moments
 
@@ -188,7 +194,8 @@ def cut(
 
 @app.command()
 def suite(run: Mined, out: Annotated[Path, opt.out_option("The FILE.toml to write.")]) -> None:
-    """Choose the fewest mined logs that have all kinds of events, roads, road users and speeds found.
+    """Choose the fewest mined logs that have all kinds of events, roads, road users and speeds
+    found.
 
     [bold]Examples[/bold]
 
@@ -206,7 +213,8 @@ def suite(run: Mined, out: Annotated[Path, opt.out_option("The FILE.toml to writ
         write(chosen, begun_in(run, [one.source for one in chosen]))
     cells = sum(one.adds for one in chosen)
     say(
-        f"{out}: {counted(len(chosen), 'log')} of {len(mined.logs)} with all {counted(cells, 'cell')}"
+        f"{out}: {counted(len(chosen), 'log')} of {len(mined.logs)} with all "
+        f"{counted(cells, 'cell')}"
     )
 
 

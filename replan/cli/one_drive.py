@@ -1,4 +1,6 @@
-"""`replan view | plot | explain | frame`: look at one drive of a run: the named one, otherwise the worst."""
+"""`replan view | plot | explain | frame`: look at one drive of a run: the named one, otherwise the
+worst.
+"""
 
 from __future__ import annotations
 
@@ -32,8 +34,8 @@ def matching_drives(
 ) -> list[DriveResult]:
     """The drives of a run that fit some options.
 
-    `log`: name of a log, or a part of it (`named_logs`); None: any. `planner`: name of a planner; None: any. `mode`:
-    "open" or "closed"; "both" and None: either. ConfigError if none fits.
+    `log`: name of a log, or a part of it (`named_logs`); None: any. `planner`: name of a planner;
+    None: any. `mode`: "open" or "closed"; "both" and None: either. ConfigError if none fits.
     """
     from replan.results.load import named_logs
 
@@ -70,8 +72,8 @@ def chosen_drive(
 def worst_drive(results: Results, drives: Sequence[DriveResult], options: str) -> ChosenDrive:
     """The worst of some drives of a run; the remark gives the options that select another drive.
 
-    Worst is the first in the reports (`Overview.ranked`); of two loops, the one in which a gate failed, otherwise the
-    closed one.
+    Worst is the first in the reports (`Overview.ranked`); of two loops, the one in which a gate
+    failed, otherwise the closed one.
     """
     from replan.draw.report.overview import overview
 
@@ -163,7 +165,8 @@ def view(
         raise ConfigError(f"--layout {layout}: there are {', '.join(LAYOUTS)}")
     if at is not None and screenshot is None:
         raise ConfigError(
-            "--at is the time of a picture: give --screenshot FILE.png, too; for a video, --from and --to"
+            "--at is the time of a picture: give --screenshot FILE.png, too; for a video, --from "
+            "and --to"
         )
     drawn = screenshot is not None or video is not None
     which = (log, planner, None if mode == "both" else mode)
@@ -209,7 +212,10 @@ def _files(
     *,
     one: bool,
 ) -> tuple[list[Path], str]:
-    """The recordings to open, made as `save` or in `scratch`; with `one` only the worst, and a remark that names it."""
+    """The recordings to open, made as `save` or in `scratch`.
+
+    With `one` only the worst, and a remark that names it.
+    """
     from replan.core.files import check_named
     from replan.draw.drawn_results import load
     from replan.draw.view import choose_pair, save_log, save_pair, to_open
@@ -238,7 +244,8 @@ def _files(
         return [recording], ""
     if save is not None:
         raise ConfigError(
-            f"--save writes the recording of a log or of two drives; {target} has its recordings already"
+            f"--save writes the recording of a log or of two drives; {target} has its recordings "
+            "already"
         )
     if target.is_file():
         return [target], ""
@@ -278,7 +285,8 @@ def _recordings(target: Path, which: Which) -> list[Path]:
     found = sorted(file for file in files if file.is_file())
     if not found:
         raise ConfigError(
-            f"{target}: these drives have no recording; replan evaluate without --no-recording writes them"
+            f"{target}: these drives have no recording; replan evaluate without --no-recording "
+            "writes them"
         )
     return found
 
@@ -307,7 +315,9 @@ def plot(
         str,
         typer.Option(
             autocompletion=completion("chart"),
-            help="What is drawn: scene, st, sl, curves, decisions, all, or module:NAME of your own.",
+            help=(
+                "What is drawn: scene, st, sl, curves, decisions, all, or module:NAME of your own."
+            ),
         ),
     ] = "all",
     out: Annotated[
@@ -320,7 +330,8 @@ def plot(
         int, typer.Option(min=200, max=8000, help="Width of the picture, pixels.")
     ] = 1400,
 ) -> None:
-    """Draw a drive as SVG or PNG: scene, S-T and S-L graph, curves, decisions. Or several of one log together.
+    """Draw a drive as SVG or PNG: scene, S-T and S-L graph, curves, decisions. Or several of one
+    log together.
 
     [bold]Examples[/bold]
 
@@ -373,7 +384,8 @@ def explain(
     ] = False,
     as_json: opt.Json = False,
 ) -> None:
-    """Print why a drive slows down: when, for which road user, the alternatives and their costs (docs/why.md).
+    """Print why a drive slows down: when, for which road user, the alternatives and their costs
+    (docs/why.md).
 
     [bold]Examples[/bold]
 
@@ -386,7 +398,10 @@ def explain(
 
     chosen = chosen_drive(load(result), log, planner, mode)
     drive = chosen.drive
-    ended = f"{chosen.drive.title}: {drive.info['end']} after {drive.info['t_end_s']:.2f} s{chosen.remark}"
+    ended = (
+        f"{chosen.drive.title}: {drive.info['end']} after {drive.info['t_end_s']:.2f} "
+        f"s{chosen.remark}"
+    )
     if at is None and not every and not as_json:
         say_sentences([ended, *map(drive.scenario.short_names, summary(drive))])
         say("more: --at T for one instant, --all for every change of a decision")
@@ -418,7 +433,8 @@ def frame(
         bool, typer.Option("--debug", help="Open the debugger before the frame is planned.")
     ] = False,
 ) -> None:
-    """Drive up to a frame again, in one process, and plan it with a report: stages, times, sizes, residuals.
+    """Drive up to a frame again, in one process, and plan it with a report: stages, times, sizes,
+    residuals.
 
     [bold]Examples[/bold]
 
@@ -434,7 +450,8 @@ def frame(
     results = load(result)
     if planner is not None and planner not in (there := set(results.drives["planner"])):
         raise ConfigError(
-            f"no drive of '{planner}' in the run ({', '.join(sorted(there))}); to plan with it: --with"
+            f"no drive of '{planner}' in the run ({', '.join(sorted(there))}); to plan with it: "
+            "--with"
         )
     chosen = chosen_drive(results, log, planner, mode)
     with nullcontext() if dump is None else claimed_file(dump, (".msgpack",)):

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from replan.config import RunConfig
     from replan.logs.scenario import Scenario
 
-# names for shell completion ------------------------------------------------------------------------------------------
+# names for shell completion -----------------------------------------------------------------------
 
 OTHER_NAMES: Mapping[str, Callable[[], Iterable[str]]] = {
     "car": lambda: loaded("replan.logs.vehicle:vehicle_names")(),
@@ -28,7 +28,10 @@ OTHER_NAMES: Mapping[str, Callable[[], Iterable[str]]] = {
         name for option in (*PARTS, "car", "chart", "suite", "kind") for name in names(option)
     ],
 }
-"""The names that are of no kind of part; each table is imported when it is asked for, as this takes long."""
+"""The names that are of no kind of part.
+
+Each table is imported when it is asked for, as this takes long.
+"""
 
 
 def names(option: str) -> tuple[str, ...]:
@@ -42,7 +45,10 @@ def completion(option: str) -> Callable[[str], list[str]]:
 
 
 def complete_setting(incomplete: str) -> list[str]:
-    """The keys that `--set` takes, each with "="; tables of planners, controllers ... with a name and "."."""
+    """The keys that `--set` takes, each with "="; tables of planners, controllers ...
+
+    with a name and ".".
+    """
     from replan.config import RunConfig
     from replan.core.settings import dotted_keys
 
@@ -59,7 +65,7 @@ def complete_setting(incomplete: str) -> list[str]:
     return [key for key in keys if key.startswith(incomplete) and key != incomplete]
 
 
-# options of several commands -----------------------------------------------------------------------------------------
+# options of several commands ----------------------------------------------------------------------
 
 LOGS, LOOP, JUDGE, OUTPUT, RUNNING = "Logs", "Drive", "Judge", "Output", "Run"
 """The groups in which the options of `replan evaluate` are shown."""
@@ -68,9 +74,9 @@ LOGS, LOOP, JUDGE, OUTPUT, RUNNING = "Logs", "Drive", "Judge", "Output", "Run"
 def option(panel: str | None, words: str, *names: str, complete: str = "", **more: Any) -> Any:
     """A `typer.Option` in a group of the help.
 
-    `panel`: the group; None: the default group. `names`: the spellings of the option; by default made from its
-    parameter. `complete`: the names for shell completion: the name of a kind of part, or a key of `OTHER_NAMES`.
-    `more`: further arguments of `typer.Option`.
+    `panel`: the group; None: the default group. `names`: the spellings of the option; by default
+    made from its parameter. `complete`: the names for shell completion: the name of a kind of part,
+    or a key of `OTHER_NAMES`. `more`: further arguments of `typer.Option`.
     """
     if complete:
         more = {"metavar": "NAME", **more, "autocompletion": completion(complete)}
@@ -79,12 +85,16 @@ def option(panel: str | None, words: str, *names: str, complete: str = "", **mor
 
 
 def planner_option(panel: str | None, words: str) -> Any:
-    """The option --planner, -p of a command: planners to drive, or of a run the drives of these planners."""
+    """The option --planner, -p of a command: planners to drive, or of a run the drives of these
+    planners.
+    """
     return option(panel, words, "--planner", "-p", complete="planner")
 
 
 def log_option(panel: str | None, words: str) -> Any:
-    """The option --log of a command: logs of a run by name or a part of it (`replan.results.load.named_logs`)."""
+    """The option --log of a command: logs of a run by name or a part of it
+    (`replan.results.load.named_logs`).
+    """
     return option(panel, words, "--log", metavar="NAME")
 
 
@@ -94,7 +104,9 @@ def at_option(words: str) -> Any:
 
 
 def local_path(place: Path | None) -> Path | None:
-    """The callback of an option or argument that names what a command writes: a URL ends the command."""
+    """The callback of an option or argument that names what a command writes: a URL ends the
+    command.
+    """
     try:
         return None if place is None else on_this_machine(place)
     # Not by `handle_errors`: what follows it is not interrupted any more
@@ -221,17 +233,19 @@ def say_agents(scenario: Scenario, *, as_json: bool) -> None:
     say_json(found) if as_json else say("\n".join(lines(found, scenario.short_names)))
 
 
-# options as a run's configuration ------------------------------------------------------------------------------------
+# options as a run's configuration -----------------------------------------------------------------
 
 
 def run_config(
     config: Path | None, options: Mapping[str, Any], words: Sequence[str] = ()
 ) -> RunConfig:
-    """The configuration of a run: the file, overridden by the options, overridden by the words of `--set`.
+    """The configuration of a run: the file, overridden by the options, overridden by the words of
+    `--set`.
 
-    `config`: a TOML file, or None. `options`: a table like that of the file; None and empty lists are options that were
-    not given. `words`: "KEY=VALUE" each, with a dotted key and a TOML value; a value that is not TOML is taken as text.
-    ConfigError if a key is unknown, a value is wrong, or the file cannot be read.
+    `config`: a TOML file, or None. `options`: a table like that of the file; None and empty lists
+    are options that were not given. `words`: "KEY=VALUE" each, with a dotted key and a TOML value;
+    a value that is not TOML is taken as text. ConfigError if a key is unknown, a value is wrong, or
+    the file cannot be read.
     """
     from replan.config import RunConfig, load_run
     from replan.core.settings import dotted_keys, merged, set_table

@@ -1,4 +1,5 @@
-"""Progress of a run: a bar on a terminal, else occasional lines; errors as they occur; after Ctrl-C, how to continue.
+"""Progress of a run: a bar on a terminal, else occasional lines; errors as they occur; after
+Ctrl-C, how to continue.
 
 All of it goes to stderr, so that stdout has the report alone.
 """
@@ -23,11 +24,18 @@ from replan.results.log_result import LogResult
 from replan.run.sources import Selection
 
 QUIET_S, REFRESH_S = 20.0, 2.0
-"""Longest time without output, s; on a terminal, the bar's text is renewed after the second time, s."""
+"""Longest time without output, s.
+
+On a terminal, the bar's text is renewed after the second time, s.
+"""
 LONGEST_KERNEL_S = 60.0
-"""Kernels are taken to be compiled until this time after the last one, s: one may take that long on a busy machine."""
+"""Kernels are taken to be compiled until this time after the last one, s: one may take that long on
+a busy machine.
+"""
 LEAST_S, MOST_S = 5.0, 60.0
-"""Without a terminal, a line is printed after each tenth of the logs, at least 5 s apart, and at least each minute."""
+"""Without a terminal, a line is printed after each tenth of the logs, at least 5 s apart, and at
+least each minute.
+"""
 
 
 @dataclass
@@ -51,9 +59,11 @@ class Pace:
     def step(
         self, now: float, *, driven: bool, cost: float = 1.0, compiled: bool = False
     ) -> str | None:
-        """Count a log that ended at `now`, s; return the line to print, if any. The last log has none.
+        """Count a log that ended at `now`, s; return the line to print, if any. The last log has
+        none.
 
-        The time since the last log counts for nothing if kernels were `compiled` in it: others do not need it again.
+        The time since the last log counts for nothing if kernels were `compiled` in it: others do
+        not need it again.
         """
         if compiled:
             self.begin, driven = self.begin + now - self.ended, False
@@ -72,7 +82,9 @@ class Pace:
         return f"{self.done} of {counted(self.total, 'log')}, {self.rest(now)}"
 
     def rest(self, now: float) -> str:
-        """Rate and remaining time, by expected costs as the longest logs come first; "" before a log was driven."""
+        """Rate and remaining time, by expected costs as the longest logs come first; "" before a
+        log was driven.
+        """
         if not self.spent:
             return ""
         elapsed = max(now - self.begin, 1e-9)
@@ -125,8 +137,9 @@ def progress(
 ) -> Iterator[tuple[Callable[[Selection, Path], None], Callable[[LogResult], None]]]:
     """The functions to call when a run begins and when each log ends.
 
-    KeyboardInterrupt is raised again with a message about the finished logs and how to continue. `quiet`: print errors
-    only. `verbose`: print each log as it ends, with its time and how its drives ended.
+    KeyboardInterrupt is raised again with a message about the finished logs and how to continue.
+    `quiet`: print errors only. `verbose`: print each log as it ends, with its time and how its
+    drives ended.
     """
     rest = TextColumn("{task.fields[rest]}")
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), rest
@@ -195,6 +208,7 @@ def progress(
                 raise KeyboardInterrupt("interrupted: no log was started") from None
             out, pace = begun[0]
             raise KeyboardInterrupt(
-                f"interrupted: {pace.done} of {counted(pace.total, 'log')} are finished in {out}, and no tables are"
+                f"interrupted: {pace.done} of {counted(pace.total, 'log')} are finished in {out}, "
+                "and no tables are"
                 f" written; to continue, give the same command with --out {out} --resume"
             ) from None

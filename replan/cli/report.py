@@ -1,4 +1,6 @@
-"""`replan merge | report | compare | baseline`, and the end of a run: reports, output, the exit code."""
+"""`replan merge | report | compare | baseline`, and the end of a run: reports, output, the exit
+code.
+"""
 
 from __future__ import annotations
 
@@ -20,13 +22,16 @@ if TYPE_CHECKING:
     from replan.metrics.comparison import Comparison
 
 EXIT_CODES = (
-    "Exit codes: 0 all gates pass; 1 a gate failed; 2 wrong usage or configuration; 3 a log or planner could not be"
-    " evaluated (the others were); 4 inconclusive: a gate had nothing to judge; 70 a bug in replan; 130 interrupted."
+    "Exit codes: 0 all gates pass; 1 a gate failed; 2 wrong usage or configuration; 3 a log or "
+    "planner could not be"
+    " evaluated (the others were); 4 inconclusive: a gate had nothing to judge; 70 a bug in "
+    "replan; 130 interrupted."
 )
 
 
 def load_baseline(path: Path, run: RunConfig, gates: Path | None, out: Path | None) -> Run:
-    """Read the run to compare with, and the rules, before anything is driven, so that an error in them is found first.
+    """Read the run to compare with, and the rules, before anything is driven, so that an error in
+    them is found first.
 
     ConfigError if one of them cannot be read, or the baseline lies in the result folder.
     """
@@ -52,8 +57,8 @@ def finish_run(
 ) -> int:
     """Write the reports of a run, print its report, and return the exit code.
 
-    `url`: the URL to which the results are sent; "" if they stay in their folder. `gates`: the file of thresholds and
-    rules; None: the packaged ones.
+    `url`: the URL to which the results are sent; "" if they stay in their folder. `gates`: the file
+    of thresholds and rules; None: the packaged ones.
     """
     from replan.api import finished
     from replan.draw.report.sections import document, last_line, print_ending, print_report
@@ -71,7 +76,8 @@ def finish_run(
         console = console_of(110)
         if results.resumed:
             say(
-                f"Resumed: {results.resumed} of {len(results.logs)} logs are those of the interrupted run"
+                f"Resumed: {results.resumed} of {len(results.logs)} logs are those of the "
+                "interrupted run"
             )
         print_report(over, console, results.path, ending=False)
         if comparison is not None:
@@ -91,10 +97,11 @@ def merge(
     as_json: opt.Json = False,
     quiet: opt.Quiet = False,
 ) -> None:
-    """Put the shards of a run together and judge it: the tables are those of a run without shards, byte for byte.
+    """Put the shards of a run together and judge it: the tables are those of a run without shards,
+    byte for byte.
 
-    Times are a clock's (timings.parquet): they are those of the shards. Shards of other logs, gates, settings or code,
-    that overlap, or of which one is missing, are refused.
+    Times are a clock's (timings.parquet): they are those of the shards. Shards of other logs,
+    gates, settings or code, that overlap, or of which one is missing, are refused.
 
     [bold]Example[/bold]
 
@@ -139,12 +146,15 @@ def report(
         Path | None, opt.out_option("Folder for the reports. Default: the results'.")
     ] = None,
 ) -> None:
-    """Write the reports of a finished run: report.html, report.md, and junit.xml (a test per log and gate).
+    """Write the reports of a finished run: report.html, report.md, and junit.xml (a test per log
+    and gate).
 
-    The HTML is one file that opens from disk: tables, charts, and a page for each of the 100 worst drives.
+    The HTML is one file that opens from disk: tables, charts, and a page for each of the 100 worst
+    drives.
 
-    `replan evaluate` and `replan merge` write them too. In CI the Markdown is also appended to the summary of the step
-    (GITHUB_STEP_SUMMARY). Exit code 0 if they are written, whatever the verdicts; `replan compare` judges.
+    `replan evaluate` and `replan merge` write them too. In CI the Markdown is also appended to the
+    summary of the step (GITHUB_STEP_SUMMARY). Exit code 0 if they are written, whatever the
+    verdicts; `replan compare` judges.
 
     [bold]Examples[/bold]
 
@@ -187,7 +197,8 @@ def report(
 
 
 COMPARE_CODES = (
-    "Exit codes: 0 no rule of comparison is broken; 1 one is; 2 wrong usage; 3 a run cannot be read; 4 inconclusive:"
+    "Exit codes: 0 no rule of comparison is broken; 1 one is; 2 wrong usage; 3 a run cannot be "
+    "read; 4 inconclusive:"
     " nothing to compare, or a rule had nothing to judge."
 )
 
@@ -204,7 +215,8 @@ def compare(
         list[str] | None,
         opt.planner_option(
             None,
-            "Drives of this planner; given twice: the first of the baseline, the second of the candidate.",
+            "Drives of this planner; given twice: the first of the baseline, the second of the "
+            "candidate.",
         ),
     ] = None,
     gates: Annotated[
@@ -224,7 +236,8 @@ def compare(
         ),
     ] = False,
 ) -> None:
-    """Compare two runs, or two planners of one run: what got better or worse, and the first frame that differs.
+    """Compare two runs, or two planners of one run: what got better or worse, and the first frame
+    that differs.
 
     [bold]Examples[/bold]
 

@@ -1,8 +1,11 @@
 """Writes a drive with raw detections as a ROS 2 bag: poses of the ego, detected objects, the goal.
 
-    /localization/kinematic_state    nav_msgs/msg/Odometry, frames map and base_link, the ego's samples
-    /detection/detected_objects      autoware_msgs/msg/DetectedObjectArray, in map: pose, size, label, score, id
-    /planning/goal                   geometry_msgs/msg/PoseStamped: the pose at which the logged ego reaches the goal
+    /localization/kinematic_state    nav_msgs/msg/Odometry, frames map and base_link, the ego's
+                                     samples
+    /detection/detected_objects      autoware_msgs/msg/DetectedObjectArray, in map: pose, size,
+                                     label, score, id
+    /planning/goal                   geometry_msgs/msg/PoseStamped: the pose at which the logged ego
+                                     reaches the goal
     /clock                           rosgraph_msgs/msg/Clock: because the drive is simulated
 
 Velocities and scores that a detector does not give are 0. Lanes are not in a bag.
@@ -41,8 +44,10 @@ LABELS = {
 HEIGHT_M = 1.6
 DEFINITIONS = {
     "autoware_msgs/msg/DetectedObject": (
-        "std_msgs/Header header\nuint32 id\nstring label\nfloat32 score\nbool valid\ngeometry_msgs/Pose pose\n"
-        "geometry_msgs/Vector3 dimensions\ngeometry_msgs/Twist velocity\ngeometry_msgs/PolygonStamped convex_hull\n"
+        "std_msgs/Header header\nuint32 id\nstring label\nfloat32 score\nbool "
+        "valid\ngeometry_msgs/Pose pose\n"
+        "geometry_msgs/Vector3 dimensions\ngeometry_msgs/Twist "
+        "velocity\ngeometry_msgs/PolygonStamped convex_hull\n"
         "bool velocity_reliable\n"
     ),
     "autoware_msgs/msg/DetectedObjectArray": "std_msgs/Header header\nDetectedObject[] objects\n",
@@ -52,14 +57,16 @@ Row = tuple[str, str, int, dict[str, Any]]  # Topic, type, log time ns, fields
 
 
 def write_bag(path: Path, scenario: Scenario) -> None:
-    """Write the folder of a bag, completely or not at all; only a bag that was written here is replaced.
+    """Write the folder of a bag, completely or not at all; only a bag that was written here is
+    replaced.
 
-    ConfigError if the scenario has no raw detections, or something else has this name; OutputError if the bag cannot be
-    written.
+    ConfigError if the scenario has no raw detections, or something else has this name; OutputError
+    if the bag cannot be written.
     """
     if scenario.detections is None:
         raise ConfigError(
-            f"{scenario.name} has tracks and no raw detections: a bag holds those (synth raw --as ros2)"
+            f"{scenario.name} has tracks and no raw detections: a bag holds those (synth raw --as "
+            "ros2)"
         )
     card = path / "metadata.yaml"
     if path.exists() and not (card.is_file() and b"replan synth" in card.read_bytes()):
@@ -93,7 +100,9 @@ def write_bag(path: Path, scenario: Scenario) -> None:
 
 
 def message(kind: str, types: Any, **values: Any) -> Any:
-    """A message with some fields set (nested messages as dicts, arrays as lists), all others zero."""
+    """A message with some fields set (nested messages as dicts, arrays as lists), all others
+    zero.
+    """
     fields = {
         name: _value(desc, values.pop(name, None), types) for name, desc in types.fielddefs[kind][1]
     }

@@ -45,10 +45,12 @@ def score(
     quiet: opt.Quiet = False,
     as_json: opt.Json = False,
 ) -> None:
-    """Score drives and plans as nuPlan and NAVSIM do: a row for each scene, the means, and what cannot be exact.
+    """Score drives and plans as nuPlan and NAVSIM do: a row for each scene, the means, and what
+    cannot be exact.
 
-    nuplan-cls scores the closed loop of a run; the others its plans of the open loop every 0.5 s, or the
-    trajectories of a file in windows of 4 s. Which number compares with what: docs/leaderboards.md.
+    nuplan-cls scores the closed loop of a run; the others its plans of the open loop every 0.5 s,
+    or the trajectories of a file in windows of 4 s. Which number compares with what:
+    docs/leaderboards.md.
 
     [bold]Examples[/bold]
 

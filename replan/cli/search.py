@@ -1,4 +1,6 @@
-"""`replan falsify | tune | diagnose`: find the mildest failure of a planner, better settings, causes of failures."""
+"""`replan falsify | tune | diagnose`: find the mildest failure of a planner, better settings,
+causes of failures.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,8 @@ from replan.core.errors import ConfigError
 
 SHOWN = 20  # Largest number of trials of a Pareto front that are printed; pareto.csv has all
 FALSIFY_CODES = (
-    "Exit codes: 0 no such case found; 1 one is found: falsified; 2 wrong usage or configuration; 3 the recorded case"
+    "Exit codes: 0 no such case found; 1 one is found: falsified; 2 wrong usage or configuration; "
+    "3 the recorded case"
     " could not be driven; 130 interrupted."
 )
 
@@ -37,7 +40,8 @@ def falsify(
         list[str] | None,
         option(
             LOGS,
-            "NAME=LOW:HIGH, repeatable: what replan vary --list names, or a parameter of the family.",
+            "NAME=LOW:HIGH, repeatable: what replan vary --list names, or a parameter of the "
+            "family.",
         ),
     ] = None,
     scale: Annotated[
@@ -67,7 +71,8 @@ def falsify(
     as_json: opt.Json = False,
     quiet: opt.Quiet = False,
 ) -> None:
-    """Find the mildest variation of a log in which a planner fails its gates and the careful driver does not.
+    """Find the mildest variation of a log in which a planner fails its gates and the careful driver
+    does not.
 
     [bold]Examples[/bold]
 
@@ -127,7 +132,8 @@ def falsify(
 
 
 TUNE_CODES = (
-    "Exit codes: 0 the chosen settings are better on the held-out logs; 1 they are not; 2 wrong usage or configuration;"
+    "Exit codes: 0 the chosen settings are better on the held-out logs; 1 they are not; 2 wrong "
+    "usage or configuration;"
     " 3 a log or the planner cannot be read; 130 interrupted."
 )
 
@@ -176,13 +182,14 @@ def tune(
     as_json: opt.Json = False,
     quiet: opt.Quiet = False,
 ) -> None:
-    """Search settings of a planner on a part of the logs, and judge them on the others against the defaults.
+    """Search settings of a planner on a part of the logs, and judge them on the others against the
+    defaults.
 
     [bold]Examples[/bold]
 
-      replan tune -p dp_qp --space space.toml my_logs/ --objective route_progress.final --objective lon_jerk_state.p95
-      replan tune -p idm --space space.toml --suite full --trials 100 -o results/tuned
-      replan evaluate my_logs/ --config results/tuned/best.toml
+      replan tune -p dp_qp --space space.toml my_logs/ --objective route_progress.final --objective
+      lon_jerk_state.p95 replan tune -p idm --space space.toml --suite full --trials 100 -o
+      results/tuned replan evaluate my_logs/ --config results/tuned/best.toml
     """
     from replan.cli.evaluate import engine_of
     from replan.cli.report import print_tables
@@ -226,7 +233,8 @@ def tune(
 
 
 DIAGNOSE_CODES = (
-    "Exit codes: 0 the diagnosis is done; 2 wrong usage; 3 a drive cannot be driven again, the others are diagnosed;"
+    "Exit codes: 0 the diagnosis is done; 2 wrong usage; 3 a drive cannot be driven again, the "
+    "others are diagnosed;"
     " 130 interrupted: --resume goes on."
 )
 
@@ -259,7 +267,8 @@ def diagnose(
     as_json: opt.Json = False,
     quiet: opt.Quiet = False,
 ) -> None:
-    """Find out why drives fail: drive them again with one thing changed, and see what turns FAIL into PASS.
+    """Find out why drives fail: drive them again with one thing changed, and see what turns FAIL
+    into PASS.
 
     [bold]Examples[/bold]
 

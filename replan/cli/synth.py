@@ -1,4 +1,7 @@
-"""Catalogue -> MCAP: synthesised logs with their parameters in the metadata; and a description of the catalogue."""
+"""Catalogue -> MCAP: synthesised logs with their parameters in the metadata.
+
+And a description of the catalogue.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +37,8 @@ def _files(out: Path) -> AbstractContextManager[Callable[[str], Path]]:
 
 
 def chosen(names: Sequence[str]) -> tuple[Family, ...]:
-    """The families of these names; "all" is every one, a group ("paper") all of its own, "module:NAME" a user's.
+    """The families of these names; "all" is every one, a group ("paper") all of its own,
+    "module:NAME" a user's.
 
     ConfigError if no family or group has the name.
     """
@@ -54,10 +58,11 @@ def chosen(names: Sequence[str]) -> tuple[Family, ...]:
 def synthesise(
     families: Sequence[Family], out: Path, parameters: Mapping[str, float], form: str = NATIVE
 ) -> Generator[Path]:
-    """Write one log per family into `out`, as GROUP/NAME.mcap or, of the form ROS2, as the bag GROUP/NAME.
+    """Write one log per family into `out`, as GROUP/NAME.mcap or, of the form ROS2, as the bag
+    GROUP/NAME.
 
-    Yields each path when it is written.
-    ConfigError if a family has no such parameter, its values allow no careful drive, or it does not exist in this form.
+    Yields each path when it is written. ConfigError if a family has no such parameter, its values
+    allow no careful drive, or it does not exist in this form.
     """
     scenarios = [family.scenario(**parameters) for family in families]
     with _files(out) as place:
@@ -66,7 +71,8 @@ def synthesise(
 
 
 def write_suite(name: str, out: Path, form: str = NATIVE) -> Generator[Path]:
-    """Write the logs of a suite (or of a family or group, all cells) into `out`, and last their table, `TABLE`.
+    """Write the logs of a suite (or of a family or group, all cells) into `out`, and last their
+    table, `TABLE`.
 
     ConfigError if no suite, family or group has this name, or a log does not exist in this form.
     """
@@ -102,7 +108,9 @@ def _written(one: Scenario, place: Callable[[str], Path], form: str) -> Path:
 
 
 def listed() -> Iterator[str]:
-    """Families with parameters and the size of their grids, then the suites: lines for the terminal."""
+    """Families with parameters and the size of their grids, then the suites: lines for the
+    terminal.
+    """
     for family in families().values():
         grid = f"\n    grid of {_count(family)}: {_grid(family)}" if family.grid else ""
         yield f"{family.name}: {family.summary}\n    {_defaults(family)}{grid}"
@@ -194,21 +202,33 @@ and the standard were not read.
 
 `python -m studies.catalogue -o OUT --suite full` drives a suite and draws, per family and cell, what became
 of it beside the careful driver.
-"""
+"""  # noqa: E501
 SUITES_SAID = """A suite is a prefix of one order of all cells (seed {seed}), so that a smaller one is part of
 a larger. Each family gives a cell first, then about as many as the root of how many it has, each the farthest in its
-grid from those before it (`logs/catalogue/__init__.py`)."""
+grid from those before it (`logs/catalogue/__init__.py`)."""  # noqa: E501
 ABOUT: Mapping[str, str] = {
     "paper": "The tests of the paper. The paper gives no numbers; these are a passenger car's.",
     "everyday": "Everyday driving and traffic rules.",
     "pedestrian": "Pedestrians who do more than cross.",
-    "raw": "Road users as a detector sees them: jitter with drift, gaps, ids that are no identities, twins, reversed "
-    "fronts, clutter. The logs hold detections; tracks are made of them where they are read.",
-    "euro_ncap": "An ego that keeps its speed would meet the target 6 s after the start (CCRb, which brakes: later). "
-    "Not here: reversing (CPRA), pedestrians at turns (CPTA), the head-on lane change (CCFhol).",
+    "raw": (
+        "Road users as a detector sees them: jitter with drift, gaps, ids that are no "
+        "identities, twins, reversed "
+        "fronts, clutter. The logs hold detections; tracks are made of them where they are read."
+    ),
+    "euro_ncap": (
+        "An ego that keeps its speed would meet the target 6 s after the start (CCRb, "
+        "which brakes: later). "
+        "Not here: reversing (CPRA), pedestrians at turns (CPTA), the head-on lane change (CCFhol)."
+    ),
     "unece_r157": "Automated lane keeping at up to 60 km/h. Unavoidable cells are part of it.",
-    "iso3888": "The lanes between the cones as one lane; wider in the gaps, where the standard has no bound.",
-    "faults": "Logs with faults of perception (scene 0 the crossing pedestrian, 1 a lead, 2 a cut-in), of the ego's "
-    "start, and of lanes.",
+    "iso3888": (
+        "The lanes between the cones as one lane; wider in the gaps, where the standard has "
+        "no bound."
+    ),
+    "faults": (
+        "Logs with faults of perception (scene 0 the crossing pedestrian, 1 a lead, 2 a "
+        "cut-in), of the ego's "
+        "start, and of lanes."
+    ),
 }
 """One or two sentences on each group."""

@@ -1,1 +1,3 @@
-"""What all other packages stand on: arrays, errors, files, kernels, extensions, memory, names, settings as tables."""
+"""What all other packages stand on: arrays, errors, files, kernels, extensions, memory, names,
+settings as tables.
+"""

@@ -1,4 +1,6 @@
-"""Types of arrays, read-only arrays, columns, lengths and nearest points of polylines, the tolerance of comparisons."""
+"""Types of arrays, read-only arrays, columns, lengths and nearest points of polylines, the
+tolerance of comparisons.
+"""
 
 from __future__ import annotations
 
@@ -17,13 +19,17 @@ Points = np.ndarray[tuple[int, int], np.dtype[np.floating[Any]]]
 TIE = 1e-6
 """Decisions treat lengths (m), times (s), angles, ratios and costs that differ by less as equal.
 
-It is far above rounding and far below any measurement. Round figures are common in maps and scenarios, so thresholds
-must not lie exactly on them: each comparison is shifted by this, in the direction that its code shows.
+It is far above rounding and far below any measurement. Round figures are common in maps and
+scenarios, so thresholds must not lie exactly on them: each comparison is shifted by this, in the
+direction that its code shows.
 """
 
 
 class Columns:
-    """A data class of columns with a row per sample, arrays and lists `(n,)`; its other fields hold for all rows."""
+    """A data class of columns with a row per sample, arrays and lists `(n,)`.
+
+    Its other fields hold for all rows.
+    """
 
     def taken(self, rows: Any) -> Self:
         """Return the rows that an array of indices, or of booleans for arrays only, selects."""
@@ -45,7 +51,9 @@ def arc_lengths(x: FloatArray, y: FloatArray) -> FloatArray:
 
 
 def foot_on(line: FloatArray, point: FloatArray) -> tuple[int, FloatArray]:
-    """Return the segment of a polyline `(n, 2)` that is nearest to a point `(2,)`, and the nearest point on it."""
+    """Return the segment of a polyline `(n, 2)` that is nearest to a point `(2,)`, and the nearest
+    point on it.
+    """
     steps = np.diff(line, axis=0)
     squares = np.maximum(np.einsum("ij,ij->i", steps, steps), 1e-18)
     along = np.clip(np.einsum("ij,ij->i", point - line[:-1], steps) / squares, 0.0, 1.0)
@@ -55,15 +63,19 @@ def foot_on(line: FloatArray, point: FloatArray) -> tuple[int, FloatArray]:
 
 
 def station_on(line: FloatArray, point: FloatArray) -> float:
-    """Return the length of a polyline `(n, 2)` up to its point that is nearest to a point `(2,)`, m."""
+    """Return the length of a polyline `(n, 2)` up to its point that is nearest to a point `(2,)`,
+    m.
+    """
     i, foot = foot_on(line, point)
     return float(np.hypot(*np.diff(line[: i + 1], axis=0).T).sum() + np.hypot(*(foot - line[i])))
 
 
 def frozen(values: object, dtype: Any = np.float64) -> NDArray[Any]:
-    """Return a contiguous array of `values` over an immutable buffer (bytes): a copy unless it is such an array.
+    """Return a contiguous array of `values` over an immutable buffer (bytes): a copy unless it is
+    such an array.
 
-    `flags.writeable` of such an array cannot be set again, so that a planner cannot change its inputs.
+    `flags.writeable` of such an array cannot be set again, so that a planner cannot change its
+    inputs.
     """
     array: NDArray[Any] = np.ascontiguousarray(values, dtype=dtype)
     owner: object = array

@@ -1,4 +1,7 @@
-"""Reads columns of Arrow IPC (feather) and Parquet files as arrays; any bytes give a table or a LogError."""
+"""Reads columns of Arrow IPC (feather) and Parquet files as arrays.
+
+Any bytes give a table or a LogError.
+"""
 
 from __future__ import annotations
 
@@ -62,7 +65,10 @@ def reading(path: Path) -> Iterator[None]:
 
 
 def ipc_table(path: Path, columns: Sequence[str] = ()) -> Any:
-    """Read an Arrow IPC file with at least these columns; it is validated fully, so that all offsets are valid."""
+    """Read an Arrow IPC file with at least these columns.
+
+    It is validated fully, so that all offsets are valid.
+    """
     with reading(path):
         with pa.OSFile(str(path)) as stream, pa.ipc.open_file(stream) as file:
             _demand(path, columns, file.schema.names)
@@ -145,7 +151,8 @@ def words(table: Any, name: str) -> tuple[IntArray, list[str]]:
 
 
 def vectors(column: Any, size: int) -> FloatArray:
-    """Return a column of lists `(n, size)`; missing lists are NaN, and so are numbers beyond `LARGEST`.
+    """Return a column of lists `(n, size)`; missing lists are NaN, and so are numbers beyond
+    `LARGEST`.
 
     Flattening drops the undefined content of missing lists: the mask restores the rows.
     """

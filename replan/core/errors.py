@@ -67,14 +67,18 @@ class LogError(ReplanError):
         return " ".join((f"{line}; {self.remedy}" if self.remedy else line).split())
 
     def at(self, file: str | Path) -> LogError:
-        """Return a copy of the error that names the file: the code that decodes a message does not know the file."""
+        """Return a copy of the error that names the file: the code that decodes a message does not
+        know the file.
+        """
         return LogError(
             self.what, file=file, topic=self.topic, time_ns=self.time_ns, remedy=self.remedy
         )
 
 
 class PlannerError(ReplanError):
-    """A planner cannot be loaded, or broke its contract: it raised, or returned an object that is not a plan."""
+    """A planner cannot be loaded, or broke its contract: it raised, or returned an object that is
+    not a plan.
+    """
 
 
 class ConfigError(ReplanError):
@@ -86,7 +90,8 @@ class OutputError(ReplanError):
 
     Args:
         what: The file and the problem.
-        remedy: What the user can do; set by the outermost folder that is claimed (`replan.run.claim`).
+        remedy: What the user can do; set by the outermost folder that is claimed
+            (`replan.run.claim`).
     """
 
     def __init__(self, what: str, remedy: str = "") -> None:
@@ -107,7 +112,9 @@ def writing(path: Path) -> Iterator[None]:
 
 @contextmanager
 def reading(kinds: tuple[type[Exception], ...] = (ValueError,), **place: Any) -> Iterator[None]:
-    """Turn an error of `kinds` in the `with` block into a LogError, with `place` as the arguments of `LogError`."""
+    """Turn an error of `kinds` in the `with` block into a LogError, with `place` as the arguments
+    of `LogError`.
+    """
     try:
         yield
     except kinds as error:
@@ -129,7 +136,9 @@ LONGEST_MESSAGE = 400
 
 
 def of_users(error: BaseException) -> bool:
-    """Return whether the traceback of an exception contains code that belongs neither to replan nor to a library."""
+    """Return whether the traceback of an exception contains code that belongs neither to replan nor
+    to a library.
+    """
     return any(_is_users(place.filename) for place in extract_tb(error.__traceback__))
 
 
@@ -138,7 +147,9 @@ def _is_users(file: str) -> bool:
 
 
 def raised(error: BaseException, *, of: Callable[..., Any] | None = None) -> str:
-    """Describe an exception in one line, with the innermost line of the user's code, else that of the function `of`."""
+    """Describe an exception in one line, with the innermost line of the user's code, else that of
+    the function `of`.
+    """
     try:
         words = " ".join(str(error)[: 10 * LONGEST_MESSAGE].split())
     except Exception:  # the user's exception class may raise in its `__str__`
@@ -156,7 +167,9 @@ def raised(error: BaseException, *, of: Callable[..., Any] | None = None) -> str
 
 
 def unknown_name(kind: str, name: str, known: Iterable[str], within: str = "") -> ConfigError:
-    """Return the error for an unknown name, with the nearest or all known names; `within`: prefix ("loop.")."""
+    """Return the error for an unknown name, with the nearest or all known names; `within`: prefix
+    ("loop.").
+    """
     names = sorted(known)
     near = get_close_matches(name, names, n=1, cutoff=0.6)
     hint = (

@@ -1,8 +1,10 @@
-"""Loads planners, metrics, vehicles, controllers, readers ... by name, those of users included (docs/extend.md).
+"""Loads planners, metrics, vehicles, controllers, readers ... by name, those of users included
+(docs/extend.md).
 
 An extension of a kind is named as
 
-    NAME           a built-in one, or an entry point of the group `replan.KINDS` ("replan.controllers")
+    NAME           a built-in one, or an entry point of the group `replan.KINDS`
+                   ("replan.controllers")
     module:NAME    an attribute of a module
 
 A module is looked for in Python's path, in its order, then in the working directory:
@@ -12,8 +14,8 @@ A module is looked for in Python's path, in its order, then in the working direc
 3. the standard library and installed packages
 4. the working directory
 
-Processes of planners, workers and notebooks search the same places. The working directory comes last, so that no file
-in it hides a library that replan imports.
+Processes of planners, workers and notebooks search the same places. The working directory comes
+last, so that no file in it hides a library that replan imports.
 """
 
 from __future__ import annotations
@@ -42,7 +44,9 @@ def a_callable(thing: object) -> str:
 
 
 def an_instance(cls: type, called: str) -> Callable[[object], str]:
-    """Return a check that a value is an instance of a class; `called` is the name under which users import it."""
+    """Return a check that a value is an instance of a class; `called` is the name under which users
+    import it.
+    """
     return lambda thing: (
         "" if isinstance(thing, cls) else f"is a {type(thing).__name__}, not a {called}"
     )
@@ -55,7 +59,8 @@ class ExtensionKind(Generic[T]):
     name: str  # its name in messages ("controller")
     plural: str  # its name in `replan list` and in the group of entry points ("controllers")
     builtin: Mapping[str, T]  # the extensions that come with replan, by name
-    # function that describes the fault of a loaded object, in words that follow its name; "": no fault
+    # function that describes the fault of a loaded object, in words that follow its name; "": no
+    # fault
     wrong: Callable[[object], str] = a_callable
     # exception to raise if a module cannot be imported or lacks the name
     error: type[ConfigError] | type[PlannerError] = ConfigError
@@ -95,7 +100,9 @@ class ExtensionKind(Generic[T]):
         return thing
 
     def _offered(self, module: ModuleType) -> list[str]:
-        """Return the extensions in a module: of `__all__`, else its own names, and imports under another name."""
+        """Return the extensions in a module: of `__all__`, else its own names, and imports under
+        another name.
+        """
         there, public = [], getattr(module, "__all__", None)
         for key, offered in vars(module).items():
             imported = getattr(offered, "__module__", module.__name__) != module.__name__
@@ -107,7 +114,9 @@ class ExtensionKind(Generic[T]):
         return there
 
     def place(self, spec: str) -> tuple[str, str]:
-        """Return module and attribute of an extension that is not built in; ConfigError if `spec` is unknown."""
+        """Return module and attribute of an extension that is not built in; ConfigError if `spec`
+        is unknown.
+        """
         if ":" not in spec:
             entries = self.entries()
             if spec not in entries:
@@ -128,7 +137,8 @@ class ExtensionKind(Generic[T]):
         for entry in _installed_entry_points(self.group, tuple(sys.path)):
             if entry.name in self.builtin or entry.name in found:
                 raise ConfigError(
-                    f"there are two {self.plural} called '{entry.name}'; rename or uninstall {entry.value}"
+                    f"there are two {self.plural} called '{entry.name}'; rename or uninstall "
+                    f"{entry.value}"
                 )
             found[entry.name] = entry
         return found
@@ -157,12 +167,17 @@ class ExtensionKind(Generic[T]):
         )
 
     def _cause(self, error: BaseException, module: str) -> str:
-        """Return why the user's module cannot be imported, and the remedy if a module is missing."""
+        """Return why the user's module cannot be imported, and the remedy if a module is
+        missing.
+        """
         if not isinstance(error, ModuleNotFoundError) or not error.name or present_name(error.name):
             return raised(error)
         # The module itself is missing, not one that it imports
         if f"{module}.".startswith(f"{error.name}."):
-            return f"No module named '{error.name}' in {_places_tried(error.name)}; set PYTHONPATH or install its package"
+            return (
+                f"No module named '{error.name}' in {_places_tried(error.name)}; set PYTHONPATH "
+                "or install its package"
+            )
         package, _, member = error.name.partition(".")
         return raised(error) + (
             "" if member else f"; install '{package}' for {sys.executable}, or set PYTHONPATH"
@@ -171,7 +186,9 @@ class ExtensionKind(Generic[T]):
 
 @cache
 def _installed_entry_points(group: str, path: tuple[str, ...]) -> tuple[EntryPoint, ...]:
-    """Return the entry points of a group, sorted by name; `path` (`sys.path`) is the key of the cache."""
+    """Return the entry points of a group, sorted by name; `path` (`sys.path`) is the key of the
+    cache.
+    """
     return tuple(sorted(entry_points(group=group), key=lambda each: (each.name, each.value)))
 
 
@@ -183,7 +200,9 @@ def _search_here() -> None:
 
 
 def _present(module: str) -> str:
-    """Return the present name of a module of replan that is named as before version 0.2, unless the user has one."""
+    """Return the present name of a module of replan that is named as before version 0.2, unless the
+    user has one.
+    """
     name = present_name(module)
     if not name:
         return module
@@ -195,7 +214,9 @@ def _present(module: str) -> str:
 
 
 def _places_tried(module: str) -> str:
-    """Return where a module was looked for, in order: the folders of its package, or those of the Python path."""
+    """Return where a module was looked for, in order: the folders of its package, or those of the
+    Python path.
+    """
     package = sys.modules.get(module.rpartition(".")[0])
     if package is not None:
         return ", ".join(getattr(package, "__path__", [f"{package.__name__}, which is no package"]))

@@ -1,10 +1,12 @@
 """Checks files that users name before they are opened; lists, fetches and writes files at URLs.
 
-Named pipes, which may never end, and deeply nested tables, which can exhaust the stack, are refused.
+Named pipes, which may never end, and deeply nested tables, which can exhaust the stack, are
+refused.
 
-A URL (`s3://`, `gs://`, and all others that fsspec supports) may replace a path. It may also be a `Path`, which drops a
-slash ("s3:/bucket/key"). `file://` is a local path. Credentials come from the environment as fsspec documents
-(AWS_ACCESS_KEY_ID, AWS_ENDPOINT_URL ...); they are never options, and never stored in a file of a run.
+A URL (`s3://`, `gs://`, and all others that fsspec supports) may replace a path. It may also be a
+`Path`, which drops a slash ("s3:/bucket/key"). `file://` is a local path. Credentials come from the
+environment as fsspec documents (AWS_ACCESS_KEY_ID, AWS_ENDPOINT_URL ...); they are never options,
+and never stored in a file of a run.
 """
 
 from __future__ import annotations
@@ -29,7 +31,9 @@ DEEPEST_TOML = 16
 """Deepest nesting of tables and lists: no key that replan reads is deeper than 5."""
 _PART = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+"""
 _LONG_KEY = re.compile(rf"(?<![\w-])(?:{_PART}\.[ \t]*+){{{DEEPEST_TOML}}}")
-"""Matches a dotted key with more parts: `tomllib` takes quadratic time, seconds for 20,000 parts."""
+"""Matches a dotted key with more parts: `tomllib` takes quadratic time, seconds for 20,000
+parts.
+"""
 SPECIAL = (
     (stat.S_ISFIFO, "a named pipe"),
     (stat.S_ISSOCK, "a socket"),
@@ -46,7 +50,9 @@ _VERSIONS = ("ETag", "etag", "md5Hash", "LastModified", "last_modified", "mtime"
 
 
 def special_kind(path: Path) -> str:
-    """Return the kind of a path if it is no file or folder ("a named pipe"); "" otherwise, or if nothing exists."""
+    """Return the kind of a path if it is no file or folder ("a named pipe"); "" otherwise, or if
+    nothing exists.
+    """
     try:
         mode = path.stat().st_mode
     except (OSError, ValueError):
@@ -55,11 +61,12 @@ def special_kind(path: Path) -> str:
 
 
 def beside(folder: Path, names: Sequence[str]) -> Path | None:
-    """Return the optional file of a log's folder that has one of the `names`; None if there is none.
+    """Return the optional file of a log's folder that has one of the `names`; None if there is
+    none.
 
     Raises:
-        LogError: The entry is not a file, several of the names exist, or a name differs from these by case only (its
-            content would silently be left out).
+        LogError: The entry is not a file, several of the names exist, or a name differs from these
+            by case only (its content would silently be left out).
     """
     try:
         held = {entry.name for entry in folder.iterdir()}
@@ -90,7 +97,9 @@ def beside(folder: Path, names: Sequence[str]) -> Path | None:
 
 
 def check_regular(*paths: Path) -> None:
-    """Raise LogError for pipes, sockets and devices, which may block or never end, broken links, Git LFS pointers."""
+    """Raise LogError for pipes, sockets and devices, which may block or never end, broken links,
+    Git LFS pointers.
+    """
     for path in paths:
         kind = special_kind(path)
         if kind:
@@ -104,7 +113,9 @@ def check_regular(*paths: Path) -> None:
 
 
 def _is_pointer(path: Path) -> bool:
-    """Return whether a file stands for one that Git LFS has not fetched; False if it cannot be read."""
+    """Return whether a file stands for one that Git LFS has not fetched; False if it cannot be
+    read.
+    """
     try:
         if not path.is_file() or path.stat().st_size > MOST_POINTER_BYTES:
             return False
@@ -115,7 +126,9 @@ def _is_pointer(path: Path) -> bool:
 
 
 def refuse_doctype(target: object, name: str, public: str | None, system: str | None) -> None:
-    """Refuse a document type declaration, in which entities could grow without bound: a method of a parser's target."""
+    """Refuse a document type declaration, in which entities could grow without bound: a method of a
+    parser's target.
+    """
     raise LogError(
         "it has a document type declaration, which maps do not need",
         remedy="remove the declaration",
@@ -125,10 +138,12 @@ def refuse_doctype(target: object, name: str, public: str | None, system: str | 
 def read_xml(
     path: Path, what: str = "complete XML", target: Any = None, *, largest: int = 1 << 30
 ) -> Any:
-    """Parse an XML file in pieces; return its root element, or what the `target` of the parser returns.
+    """Parse an XML file in pieces; return its root element, or what the `target` of the parser
+    returns.
 
     Raises:
-        LogError: It cannot be read, has more than `largest` bytes, is not `what`, or has a document type declaration.
+        LogError: It cannot be read, has more than `largest` bytes, is not `what`, or has a document
+            type declaration.
     """
     from xml.etree.ElementTree import ParseError, TreeBuilder, XMLParser
 
@@ -163,7 +178,9 @@ def check_named(path: Path) -> None:
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """The tables of a TOML file; ConfigError if it cannot be read, is not TOML, too large or nested too deeply."""
+    """The tables of a TOML file; ConfigError if it cannot be read, is not TOML, too large or nested
+    too deeply.
+    """
     try:
         check_named(path)
         size = path.stat().st_size
@@ -232,7 +249,9 @@ def on_this_machine(place: Path | str) -> Path:
 
 
 def listed(url: str) -> tuple[RemoteFile, ...]:
-    """Return the file at a URL, or all files under it, sorted, or none; ConfigError if it cannot be listed."""
+    """Return the file at a URL, or all files under it, sorted, or none; ConfigError if it cannot be
+    listed.
+    """
     with _remote(url, ConfigError) as (system, path):
         system.invalidate_cache()
         found: dict[str, Any] = system.find(path, detail=True)
@@ -254,7 +273,9 @@ def listed(url: str) -> tuple[RemoteFile, ...]:
 
 
 def heads(files: Sequence[RemoteFile], size: int) -> list[bytes]:
-    """Return the first `size` bytes of each file, fetched together; ConfigError if a file cannot be fetched."""
+    """Return the first `size` bytes of each file, fetched together; ConfigError if a file cannot be
+    fetched.
+    """
     if not files:
         return []
     with _remote(files[0].url, ConfigError) as (system, _):
@@ -272,10 +293,15 @@ def heads(files: Sequence[RemoteFile], size: int) -> list[bytes]:
 
 
 def fetch(files: Sequence[RemoteFile], folder: Path) -> None:
-    """Copy files under their names into a folder; LogError if one is gone or has changed, or the disk is full."""
+    """Copy files under their names into a folder; LogError if one is gone or has changed, or the
+    disk is full.
+    """
     need, free = sum(file.size for file in files), shutil.disk_usage(folder).free
     if need > free:
-        what = f"{need / 1e6:.0f} MB have to be fetched, {free / 1e6:.0f} MB are free in {folder.parent}"
+        what = (
+            f"{need / 1e6:.0f} MB have to be fetched, {free / 1e6:.0f} MB are free in "
+            f"{folder.parent}"
+        )
         raise LogError(
             what, file=files[0].url, remedy="set TMPDIR to a folder with enough free space"
         )
@@ -291,7 +317,10 @@ def fetch(files: Sequence[RemoteFile], folder: Path) -> None:
 
 
 def ranged(file: RemoteFile) -> Callable[[int, int], bytes]:
-    """Return a function that fetches the bytes of a file between two offsets; it raises LogError if it fails."""
+    """Return a function that fetches the bytes of a file between two offsets.
+
+    It raises LogError if it fails.
+    """
 
     def fetched(begin: int, end: int) -> bytes:
         with _remote(file.url, LogError) as (system, path):
@@ -308,7 +337,10 @@ def put(content: Path, url: str) -> None:
 
 
 def put_new(content: bytes, url: str) -> bool:
-    """Write bytes to a URL unless a file exists; return whether it wrote. ConfigError if the write fails."""
+    """Write bytes to a URL unless a file exists; return whether it wrote.
+
+    ConfigError if the write fails.
+    """
     with _remote(url, ConfigError) as (system, path):
         try:
             system.pipe_file(path, content, mode="create")
@@ -332,7 +364,8 @@ def remove(urls: Sequence[str]) -> None:
 
 
 class Near:
-    """A local `path` for a `place`, a path or URL; the local copy of a URL is removed together with this object.
+    """A local `path` for a `place`, a path or URL; the local copy of a URL is removed together with
+    this object.
 
     Of a folder, files with the suffixes `but` (".rrd") are not copied.
 
@@ -374,7 +407,10 @@ def here(place: Path | str) -> Iterator[Path]:
 
 @contextmanager
 def _remote(url: str, kind: type[ReplanError]) -> Iterator[tuple[Any, str]]:
-    """The file system of a URL, and the path in it; any error of its library becomes a one-line one of class `kind`."""
+    """The file system of a URL, and the path in it.
+
+    Any error of its library becomes a one-line one of class `kind`.
+    """
     try:
         from fsspec.core import url_to_fs
     except ImportError:
@@ -392,7 +428,10 @@ def _remote(url: str, kind: type[ReplanError]) -> Iterator[tuple[Any, str]]:
     except Exception as error:
         # Those of botocore
         if isinstance(error, PermissionError) or "Credentials" in type(error).__name__:
-            hint = "set what fsspec documents for it in the environment (S3: AWS_ACCESS_KEY_ID, AWS_PROFILE)"
+            hint = (
+                "set what fsspec documents for it in the environment (S3: AWS_ACCESS_KEY_ID, "
+                "AWS_PROFILE)"
+            )
             raise kind(f"{url}: no permission: {error}; {hint}") from None
         what = " ".join(str(error).split())[:200]
         raise kind(

@@ -1,6 +1,8 @@
-"""The names of before version 0.2, when `logs`, `metrics`, `planners` and `replay` were packages of their own.
+"""The names of before version 0.2, when `logs`, `metrics`, `planners` and `replay` were packages of
+their own.
 
-Files of that time name a built-in part by its module ("planners.idm:Idm"), and scripts import from it.
+Files of that time name a built-in part by its module ("planners.idm:Idm"), and scripts import from
+it.
 """
 
 from __future__ import annotations
@@ -25,19 +27,26 @@ def present_name(module: str) -> str:
 
 
 class FormerNames(MetaPathFinder):
-    """Finds nothing. Asked after all other finders, it adds the present name to the error of an import that fails."""
+    """Finds nothing. Asked after all other finders, it adds the present name to the error of an
+    import that fails.
+    """
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None = None, target: object = None
     ) -> None:
-        """Return None; ModuleNotFoundError, with the remedy, for a former name of a module of replan."""
+        """Return None; ModuleNotFoundError, with the remedy, for a former name of a module of
+        replan.
+        """
         name = present_name(fullname)
         if name:
             raise _error(fullname, name)
 
 
 def explain_former_names() -> None:
-    """Let failing imports of former names say the present ones; imports that succeed are not touched."""
+    """Let failing imports of former names say the present ones.
+
+    Imports that succeed are not touched.
+    """
     if not any(isinstance(finder, FormerNames) for finder in sys.meta_path):
         sys.meta_path.append(FormerNames())
 
@@ -45,7 +54,8 @@ def explain_former_names() -> None:
 def refuse_copy(name: str, package: str) -> None:
     """Raise ModuleNotFoundError if a package of replan is imported under another name.
 
-    In the root of a clone Python finds the folder `logs` as `logs`; that would give every class of `replan.logs` twice.
+    In the root of a clone Python finds the folder `logs` as `logs`; that would give every class of
+    `replan.logs` twice.
     """
     if name != package:
         raise _error(name, package)

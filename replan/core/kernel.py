@@ -1,8 +1,9 @@
-"""The decorators of compiled kernels; how much of their machine code is on disk, was compiled, and where it is.
+"""The decorators of compiled kernels; how much of their machine code is on disk, was compiled, and
+where it is.
 
-A kernel is a pure module-level function of scalars and arrays. `kernel` compiles it with numba: cached on disk
-(`replan.core.kernel_compiler`), IEEE arithmetic (no fastmath), division by zero gives inf or nan as in NumPy.
-`NUMBA_DISABLE_JIT=1` runs the same source as plain Python.
+A kernel is a pure module-level function of scalars and arrays. `kernel` compiles it with numba:
+cached on disk (`replan.core.kernel_compiler`), IEEE arithmetic (no fastmath), division by zero
+gives inf or nan as in NumPy. `NUMBA_DISABLE_JIT=1` runs the same source as plain Python.
 """
 
 from __future__ import annotations
@@ -25,10 +26,11 @@ from numba.core import codegen, event
 from replan.core.kernel_compiler import KernelIndex, compile_less
 
 PORTABLE = "x86-64-v3"
-"""The target processor of kernels if the machine supports it and the user chose none (`NUMBA_CPU_NAME`).
+"""The target processor of kernels if the machine supports it and the user chose none
+(`NUMBA_CPU_NAME`).
 
-Intel since Haswell (2013) and AMD since Excavator (2015) support it. Machine code for it can be shipped and gives the
-same results on all of them.
+Intel since Haswell (2013) and AMD since Excavator (2015) support it. Machine code for it can be
+shipped and gives the same results on all of them.
 """
 PORTABLE_HAS = frozenset({"+avx2", "+bmi", "+bmi2", "+f16c", "+fma", "+lzcnt", "+movbe", "+xsave"})
 """Its features beyond x86-64-v2, by LLVM's names (x86-64 psABI 1.0, table 3.1)."""
@@ -63,7 +65,9 @@ def inner_kernel(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def _compile_kernel(function: Callable[P, R], **unlisted: Any) -> Callable[P, R]:
-    """Compile, and cache the machine code on disk if possible; `unlisted`: options that numba's type stubs lack."""
+    """Compile, and cache the machine code on disk if possible; `unlisted`: options that numba's
+    type stubs lack.
+    """
     options: Any = {"error_model": "numpy", **unlisted}
     try:
         compiled = njit(cache=True, **options)(function)
@@ -90,8 +94,10 @@ def warn_not_kept() -> None:
     """Warn once, and not in workers, that each process compiles the kernels again."""
     if multiprocessing.parent_process() is None:
         sys.stderr.write(
-            "note: compiled kernels cannot be kept (no folder for them can be written, or the disk is full): each"
-            " process compiles them anew, which takes about a minute; set NUMBA_CACHE_DIR to a folder with room\n"
+            "note: compiled kernels cannot be kept (no folder for them can be written, or the disk "
+            "is full): each"
+            " process compiles them anew, which takes about a minute; set NUMBA_CACHE_DIR to a "
+            "folder with room\n"
         )
 
 
@@ -119,7 +125,10 @@ cast("Any", event).register("numba:compile", _NoCollection())
 # Machine code on disk
 
 COLD = 0.1
-"""Share of the imported kernels below which the cache counts as cold; the smallest runs need more."""
+"""Share of the imported kernels below which the cache counts as cold.
+
+The smallest runs need more.
+"""
 
 
 def _is_stored(kernel: Any) -> bool:
@@ -149,7 +158,9 @@ class KernelWatch:
         return self.known - len(self._missing)
 
     def look(self) -> int:
-        """Count again, and return how many of the kernels that were missing have been compiled since the last look."""
+        """Count again, and return how many of the kernels that were missing have been compiled
+        since the last look.
+        """
         before, self.known = self.known, len(STORED)
         left = [each for each in self._missing if not _is_stored(each)]
         compiled = len(self._missing) - len(left)

@@ -1,26 +1,30 @@
-"""The compilation of kernels with numba: work that is left out, and the cache of machine code on disk.
+"""The compilation of kernels with numba: work that is left out, and the cache of machine code on
+disk.
 
-Changes of numba's compiler leave out work of which the result is not used. It optimises each compiled function and
-generates machine code for it. A function that only compiled functions call does not need this: LLVM links its code into
-its callers. Such functions are numba's own (`np.empty` and so on), which each process compiles again, and ours that
-`replan.core.kernel.inner_kernel` marks. Changes:
+Changes of numba's compiler leave out work of which the result is not used. It optimises each
+compiled function and generates machine code for it. A function that only compiled functions call
+does not need this: LLVM links its code into its callers. Such functions are numba's own (`np.empty`
+and so on), which each process compiles again, and ours that `replan.core.kernel.inner_kernel`
+marks. Changes:
 
 1. A function is optimised and gets machine code only when Python needs its address.
 2. A function without a wrapper for Python has none for C either.
 3. LLVM's passes over single functions are left out, because its passes over the module repeat them.
-4. Compiler options, which are part of each key of numba's caches of types, are compared by those that were set.
+4. Compiler options, which are part of each key of numba's caches of types, are compared by those
+that were set.
 5. Numba reports no event when it enters or leaves LLVM, some 300,000 times: there is no listener.
 6. The variables of an instruction are not searched in its numbers, names and source locations.
 
-Together they save more than a fifth of the time. Results do not depend on them: LLVM may not reorder floating-point
-arithmetic.
+Together they save more than a fifth of the time. Results do not depend on them: LLVM may not
+reorder floating-point arithmetic.
 
-Machine code is kept in `NUMBA_CACHE_DIR`, else in `__pycache__` beside the sources, else in the user's cache folder. A
-wheel may ship it in `__pycache__` (`./dev wheel`). It is valid for one version of Python and numba, one processor
-(`replan.core.kernel.PORTABLE`), and one hash (`stamp`) of everything that it depends on: the kernel's code, the kernels that
-it calls, and module constants; docstrings and line numbers are not among them. Numba compares only the kernel's own
-file, although it compiles called kernels and module constants into the code; when those change, numba would run stale
-machine code.
+Machine code is kept in `NUMBA_CACHE_DIR`, else in `__pycache__` beside the sources, else in the
+user's cache folder. A wheel may ship it in `__pycache__` (`./dev wheel`). It is valid for one
+version of Python and numba, one processor (`replan.core.kernel.PORTABLE`), and one hash (`stamp`)
+of everything that it depends on: the kernel's code, the kernels that it calls, and module
+constants; docstrings and line numbers are not among them. Numba compares only the kernel's own
+file, although it compiles called kernels and module constants into the code; when those change,
+numba would run stale machine code.
 """
 
 from __future__ import annotations
@@ -44,7 +48,10 @@ from numba.core.caching import IndexDataCacheFile
 from numba.core.dispatcher import Dispatcher
 
 KNOWN = ((0, 61), (0, 68))
-"""The first and last version of numba whose internals are changed here; others are left as they are."""
+"""The first and last version of numba whose internals are changed here.
+
+Others are left as they are.
+"""
 
 LINKED = "linked"
 """The kind of stored code that was not finalized; numba's own are "object" and "bitcode"."""
@@ -58,7 +65,9 @@ _lookup: Any = environment.lookup_environment
 
 
 class KernelLibrary(_Library):  # type: ignore[misc]
-    """The code of one compiled function: linked with what it calls, and finalized when its address is needed."""
+    """The code of one compiled function: linked with what it calls, and finalized when its address
+    is needed.
+    """
 
     _linked = False
     _linking_libraries: list[Any]
@@ -76,8 +85,8 @@ class KernelLibrary(_Library):  # type: ignore[misc]
     def _tidy(self) -> None:
         """Remove dead code, so that less is linked into callers.
 
-        Numba loads the address of each called Python object and does not use it; code with such an address, which is
-        valid in this process only, cannot be stored.
+        Numba loads the address of each called Python object and does not use it; code with such an
+        address, which is valid in this process only, cannot be stored.
         """
         passes, builder = llvm.create_new_module_pass_manager(), self._codegen._pass_builder()
         passes.add_sroa_pass()
@@ -92,7 +101,9 @@ class KernelLibrary(_Library):  # type: ignore[misc]
         super().finalize()
 
     def _ensure_finalized(self) -> None:
-        """Only link: of numba's methods that call this, `get_pointer_to_function` alone needs machine code."""
+        """Only link: of numba's methods that call this, `get_pointer_to_function` alone needs
+        machine code.
+        """
         self._link()
 
     def get_pointer_to_function(self, name: str) -> int:
@@ -123,7 +134,9 @@ class KernelLibrary(_Library):  # type: ignore[misc]
                 self._codegen.set_env(name, held)
 
     def serialize_using_object_code(self) -> Any:
-        """The name, the kind and the code to store: machine code if there is any, otherwise LLVM's, for callers."""
+        """The name, the kind and the code to store: machine code if there is any, otherwise LLVM's,
+        for callers.
+        """
         self._link()
         if self._finalized:
             return super().serialize_using_object_code()
@@ -148,7 +161,9 @@ def _set_environment(generator: Any, name: str, environment: Any) -> None:
 
 
 def _lower(lowering: Any, state: Any) -> Any:
-    """Numba's lowering pass: without a wrapper for C where there is none for Python, but for callbacks in C."""
+    """Numba's lowering pass: without a wrapper for C where there is none for Python, but for
+    callbacks in C.
+    """
     if state.flags.no_cpython_wrapper and not state.flags.no_compile:
         state.flags = state.flags.copy()
         state.flags.no_cfunc_wrapper = True
@@ -156,7 +171,9 @@ def _lower(lowering: Any, state: Any) -> Any:
 
 
 def _same_options(one: Any, other: Any) -> Any:
-    """Numba's comparison of compiler options, of those that were set on either side: the others have their defaults."""
+    """Numba's comparison of compiler options, of those that were set on either side: the others
+    have their defaults.
+    """
     if not isinstance(other, _Options):
         return NotImplemented
     if type(one) is not type(other):
@@ -169,14 +186,19 @@ def _same_options(one: Any, other: Any) -> Any:
 
 
 def _variables(instruction: Any, value: Any) -> Any:
-    """Numba's search for the variables in a part of an instruction; names, numbers and source locations have none."""
+    """Numba's search for the variables in a part of an instruction.
+
+    Names, numbers and source locations have none.
+    """
     if isinstance(value, _PLAIN):
         return []
     return [value] if type(value) is ir.Var else _rec_list_vars(instruction, value)
 
 
 def _drop_events() -> None:
-    """Remove numba's callbacks from LLVM's lock, unless they are recorded (`NUMBA_CHROME_TRACE`)."""
+    """Remove numba's callbacks from LLVM's lock, unless they are recorded
+    (`NUMBA_CHROME_TRACE`).
+    """
     callbacks = llvm.ffi.lib._lock._cblist
     if not cast("Any", numba.config).CHROME_TRACE:
         callbacks[:] = [each for each in callbacks if each[0].__module__ != base.__name__]
@@ -191,7 +213,9 @@ _PLAIN = (str, int, float, type(None), ir.Loc)
 
 
 def compile_less() -> None:
-    """Change numba, for this process and before it compiles anything, if its version is one that is known."""
+    """Change numba, for this process and before it compiles anything, if its version is one that is
+    known.
+    """
     if KNOWN[0] <= numba.version_info[:2] <= KNOWN[1]:
         _Generator._library_class = KernelLibrary
         _Generator.set_env = _set_environment
@@ -211,7 +235,9 @@ _LINE = re.compile(r"-\d+(?=\.py\d+)")
 
 @cache
 def stamp(kernel: Any) -> str:
-    """Return the SHA-256, in hexadecimal, of all inputs of the machine code of a kernel (a numba dispatcher)."""
+    """Return the SHA-256, in hexadecimal, of all inputs of the machine code of a kernel (a numba
+    dispatcher).
+    """
     digest = sha256(f"{LINKED} {sorted(kernel.targetoptions.items())!r}".encode())
     for part in _parts_of_kernel(kernel.py_func, {kernel}):
         digest.update(f"{part}\n".encode())
@@ -219,7 +245,10 @@ def stamp(kernel: Any) -> str:
 
 
 def _parts_of_kernel(function: FunctionType, seen: set[Any]) -> Iterator[str]:
-    """Yield a function's code and the values of its globals; kernels in `seen` are skipped, new ones added."""
+    """Yield a function's code and the values of its globals.
+
+    Kernels in `seen` are skipped, new ones added.
+    """
     # numba finds machine code by this name
     yield f"{function.__module__}.{function.__qualname__} {_as_text(function.__defaults__)}"
     yield from (
@@ -257,7 +286,9 @@ def _codes(code: CodeType) -> Iterator[CodeType]:
 
 
 def _hinted_classes(hints: dict[str, Any], names: dict[str, Any]) -> Iterator[type]:
-    """Yield the classes in annotations: a kernel's machine code depends on the layout of their fields."""
+    """Yield the classes in annotations: a kernel's machine code depends on the layout of their
+    fields.
+    """
     for hint in hints.values():
         text = getattr(hint, "__forward_arg__", hint)
         found = (
@@ -295,10 +326,12 @@ def _as_text(value: Any) -> str:
 class KernelIndex(IndexDataCacheFile):
     """Numba's index of a kernel's machine code on disk, valid while `stamp` is unchanged.
 
-    A file of machine code is named by a hash of its stamp and argument types. Numba numbers the files instead, so that
-    two processes that compile a kernel for different arguments at once may overwrite each other's file.
+    A file of machine code is named by a hash of its stamp and argument types. Numba numbers the
+    files instead, so that two processes that compile a kernel for different arguments at once may
+    overwrite each other's file.
 
-    If the folder lacks the code, it is searched beside the source, where a wheel may have installed it.
+    If the folder lacks the code, it is searched beside the source, where a wheel may have installed
+    it.
     """
 
     def __init__(self, kernel: Any, folder: str | None = None) -> None:
@@ -332,7 +365,9 @@ class KernelIndex(IndexDataCacheFile):
             return {}
 
     def save(self, key: Any, data: Any) -> None:
-        """Store the machine code for one argument signature, and delete code with another `stamp`."""
+        """Store the machine code for one argument signature, and delete code with another
+        `stamp`.
+        """
         kept = self._load_index()
         if not kept:
             self._clear()
@@ -368,7 +403,8 @@ class _ShippedLocator(caching.InTreeCacheLocator):
 def _check_folder(folder: str) -> None:
     """Create the folder for machine code; OSError if it is not usable.
 
-    It must be writable. A `NUMBA_CACHE_DIR` that holds kernels need only be readable (a read-only container image).
+    It must be writable. A `NUMBA_CACHE_DIR` that holds kernels need only be readable (a read-only
+    container image).
     """
     chosen = cast("Any", numba.config).CACHE_DIR
     if (

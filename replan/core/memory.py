@@ -1,7 +1,8 @@
-"""Limits the memory of a process: an unnamed file for data that are rarely read, and the return of free memory.
+"""Limits the memory of a process: an unnamed file for data that are rarely read, and the return of
+free memory.
 
-After a stage of a run, the C library keeps fragmented free memory, and Arrow keeps a pool. For a drive of an hour both
-take 100 to 200 MB, in addition to the memory of the next stage.
+After a stage of a run, the C library keeps fragmented free memory, and Arrow keeps a pool. For a
+drive of an hour both take 100 to 200 MB, in addition to the memory of the next stage.
 """
 
 from __future__ import annotations

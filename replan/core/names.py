@@ -1,11 +1,13 @@
-"""Formats names and counts for messages: short names of road users, printable text, "2 agents", "a, b and 3 more".
+"""Formats names and counts for messages: short names of road users, printable text, "2 agents", "a,
+b and 3 more".
 
-For the id "car 23f7a1c8-0d5e-4b8e-9a53-6a3ef1f0c2b4" in a log, the short name is "car 23f7". Sentences and pictures
-show short names. Files, and columns of tables that hold an id, keep the whole id. Only codes are shortened: runs of
-more than `LONGEST` hexadecimal digits and dashes, with at least one digit (UUIDs, tokens, long numbers). A code is a
-whole id or a part of one ("copy of 23f7"). The short name of a code is its shortest prefix of at least `LEAST`
-characters with which no other id or code begins. Suffixes are used instead where they are shorter by about a character
-or more on average.
+For the id "car 23f7a1c8-0d5e-4b8e-9a53-6a3ef1f0c2b4" in a log, the short name is "car 23f7".
+Sentences and pictures show short names. Files, and columns of tables that hold an id, keep the
+whole id. Only codes are shortened: runs of more than `LONGEST` hexadecimal digits and dashes, with
+at least one digit (UUIDs, tokens, long numbers). A code is a whole id or a part of one ("copy of
+23f7"). The short name of a code is its shortest prefix of at least `LEAST` characters with which no
+other id or code begins. Suffixes are used instead where they are shorter by about a character or
+more on average.
 """
 
 from __future__ import annotations
@@ -23,9 +25,11 @@ _CODE = re.compile(
 
 
 class ShortNames:
-    """The short names of one drive, from the ids of all its road users in any order (`Scenario.short_names`).
+    """The short names of one drive, from the ids of all its road users in any order
+    (`Scenario.short_names`).
 
-    No two ids have the same short name: if two short names were equal, all ids of the drive stay whole.
+    No two ids have the same short name: if two short names were equal, all ids of the drive stay
+    whole.
     """
 
     def __init__(self, ids: Iterable[str]) -> None:
@@ -52,7 +56,9 @@ class ShortNames:
 
 
 def _prefixes(words: list[str]) -> dict[str, str]:
-    """Map each code among the sorted words to its shortest prefix with which no other word begins."""
+    """Map each code among the sorted words to its shortest prefix with which no other word
+    begins.
+    """
     shared = [0, *(sum(takewhile(bool, map(eq, *pair))) for pair in pairwise(words)), 0]
     least = [max(LEAST, 1 + max(pair)) for pair in pairwise(shared)]
     return {
@@ -86,7 +92,10 @@ _UNSEEN = [
 VISIBLE = (
     {code: 0x2400 + code for code in range(32)} | {0x7F: 0x2421} | dict.fromkeys(_UNSEEN, 0xFFFD)
 )
-"""Maps control characters to their pictures (escape: U+241B); those of C1 and of text direction to U+FFFD."""
+"""Maps control characters to their pictures (escape: U+241B).
+
+Those of C1 and of text direction to U+FFFD.
+"""
 LONGEST_NAME = 120
 """Greatest number of characters of a name; longer names are cut."""
 

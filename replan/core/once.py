@@ -15,8 +15,9 @@ R = TypeVar("R")
 def last(count: int) -> Callable[[Callable[Concatenate[K, P], R]], Callable[Concatenate[K, P], R]]:
     """Cache the results of a function: the newest `count` results for each first argument.
 
-    The first argument (a trace, a scenario, a road) owns the results and is held weakly: its results live as long as it
-    does. The other arguments are compared by value. A result must not refer to the first argument.
+    The first argument (a trace, a scenario, a road) owns the results and is held weakly: its
+    results live as long as it does. The other arguments are compared by value. A result must not
+    refer to the first argument.
     """
 
     def decorate(function: Callable[Concatenate[K, P], R]) -> Callable[Concatenate[K, P], R]:
@@ -38,5 +39,7 @@ def last(count: int) -> Callable[[Callable[Concatenate[K, P], R]], Callable[Conc
 
 
 def once(function: Callable[Concatenate[K, P], R]) -> Callable[Concatenate[K, P], R]:
-    """Cache a function that is called again for one drive or road, so that it runs once per arguments: `last(64)`."""
+    """Cache a function that is called again for one drive or road, so that it runs once per
+    arguments: `last(64)`.
+    """
     return last(64)(function)

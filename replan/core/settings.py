@@ -1,4 +1,6 @@
-"""Converts a table of a run's file or of `--set` into dataclasses: keys, defaults and types are checked."""
+"""Converts a table of a run's file or of `--set` into dataclasses: keys, defaults and types are
+checked.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,8 @@ Table = Mapping[str, Any]
 
 
 def strict(cls: type[T], table: Mapping[str, Any], where: str = "") -> T:
-    """Convert a table to a dataclass, nested tables included: what one does not name keeps its default.
+    """Convert a table to a dataclass, nested tables included: what one does not name keeps its
+    default.
 
     Args:
         cls: A dataclass; its own checks (`__post_init__`) are run.
@@ -53,7 +56,8 @@ def converted(value: Any, kind: type[T], where: str) -> T:
     try:
         return msgspec.convert(value, kind)
     except msgspec.ValidationError as error:
-        # "Expected `float`, got `str` - at `$.loop.period`" becomes "loop.period: expected float, got str"
+        # "Expected `float`, got `str` - at `$.loop.period`" becomes "loop.period: expected float,
+        # got str"
         what, _, place = str(error).replace("`", "").partition(" - at ")
         what = what[:1].lower() + what[1:] if what.startswith("Expected") else what
         names = place.removeprefix("$").removeprefix(".")
@@ -106,7 +110,9 @@ def dotted(where: str, key: str) -> str:
 
 
 def dotted_keys(cls: type, where: str = "") -> Iterator[str]:
-    """Yield all keys of the table that mirrors a dataclass, dotted for sub-tables ("loop.plan_period_s")."""
+    """Yield all keys of the table that mirrors a dataclass, dotted for sub-tables
+    ("loop.plan_period_s").
+    """
     hints = get_type_hints(cls)
     for item in fields(cls):
         if item.metadata.get("key", item.init):
@@ -137,7 +143,8 @@ def flat(table: Table, where: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def set_table(words: Iterable[str]) -> dict[str, Any]:
-    """Parse words "KEY=VALUE" to a table: the key is dotted as in TOML, the value is TOML or plain text.
+    """Parse words "KEY=VALUE" to a table: the key is dotted as in TOML, the value is TOML or plain
+    text.
 
     Raises:
         ConfigError: A word is not of this form.
@@ -160,7 +167,9 @@ def set_table(words: Iterable[str]) -> dict[str, Any]:
 
 
 def meaning(thing: Any, name: str) -> str:
-    """The entry of a field or keyword in the docstring of a class (and its bases) or function; "" if it has none."""
+    """The entry of a field or keyword in the docstring of a class (and its bases) or function; ""
+    if it has none.
+    """
     while isinstance(thing, partial):
         thing = thing.func
     cls = thing if isinstance(thing, type) else type(thing) if is_dataclass(thing) else None

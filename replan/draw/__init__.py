@@ -1,1 +1,3 @@
-"""One drawing model (`model`), shown as recordings (`recording`), charts (`charts`) and reports (`report`)."""
+"""One drawing model (`model`), shown as recordings (`recording`), charts (`charts`) and reports
+(`report`).
+"""

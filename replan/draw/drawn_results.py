@@ -1,8 +1,10 @@
-"""Reads a result folder: every table of a run as a tidy frame, every drive with its plans (`replan.load`).
+"""Reads a result folder: every table of a run as a tidy frame, every drive with its plans
+(`replan.load`).
 
 result = load("results/run-001")
 result.metrics                                   # one row per log, planner, mode and metric
-result.drive("paper/free_road").plan(at=6.5)     # the plan that was driven at 6.5 s, with its internals as arrays
+result.drive("paper/free_road").plan(at=6.5)     # the plan that was driven at 6.5 s, with its
+                                                 internals as arrays
 result.drive("paper/free_road").plot(at=6.5)     # its picture
 """
 
@@ -23,7 +25,8 @@ def load(path: Path | str) -> Results:
     """The results of a run.
 
     Args:
-        path: The result folder, or its URL: its files except recordings are fetched, and kept as long as the results.
+        path: The result folder, or its URL: its files except recordings are fetched, and kept as
+            long as the results.
 
     Raises:
         ConfigError: The path is not a result folder, or is of another version.
@@ -43,7 +46,8 @@ class Results(StoredRun):
     Attributes:
         path: The result folder.
         summary: The contents of summary.json: version, outcome, exit code, logs, gates, failures.
-        resumed: Number of logs that `evaluate_logs` kept from an interrupted run; 0 for loaded results.
+        resumed: Number of logs that `evaluate_logs` kept from an interrupted run; 0 for loaded
+            results.
     """
 
     def drive(self, log: str, planner: str | None = None, mode: str = "closed") -> DriveResult:
@@ -76,7 +80,8 @@ class DriveResult(StoredDrive):
         *,
         beside: Sequence[DriveResult] = (),
     ) -> Chart:
-        """A picture of the drive, which shows itself in a notebook; `str(chart.alone("light"))` is SVG.
+        """A picture of the drive, which shows itself in a notebook; `str(chart.alone("light"))` is
+        SVG.
 
         Args:
             at: Time, s since the scenario's start; None: the worst moment.
@@ -85,7 +90,8 @@ class DriveResult(StoredDrive):
             beside: Other drives of the log to show in the same picture, at the same moment.
 
         Raises:
-            ConfigError: There is no such chart, or no plan at this time; or the others are of another log, or too many.
+            ConfigError: There is no such chart, or no plan at this time; or the others are of
+                another log, or too many.
         """
         # here: the tables are read sooner without
         from replan.draw.charts.layout import charts_of, together

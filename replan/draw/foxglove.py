@@ -1,18 +1,24 @@
-"""Channels with Foxglove's well-known schemas, beside the native ones of a log or a trace (`--foxglove`).
+"""Channels with Foxglove's well-known schemas, beside the native ones of a log or a trace
+(`--foxglove`).
 
-    /foxglove/road        SceneUpdate     once: lanes by their boundaries, crosswalks, the goal's regions
-    /foxglove/stop_lines  SceneUpdate     stop lines in the colours of their lights, whenever one changes
+    /foxglove/road        SceneUpdate     once: lanes by their boundaries, crosswalks, the goal's
+                          regions
+    /foxglove/stop_lines  SceneUpdate     stop lines in the colours of their lights, whenever one
+                          changes
     /foxglove/obstacles   SceneUpdate     once: agents that never move
-    /foxglove/agents      SceneUpdate     all other agents, as boxes with their names, coloured by kind
+    /foxglove/agents      SceneUpdate     all other agents, as boxes with their names, coloured by
+                          kind
     /foxglove/tf          FrameTransform  `BASE` (the ego's rear axle) in `MAP`
     /foxglove/ego         SceneUpdate     once: the ego's box, bound to `BASE`
-    /foxglove/onboard, /foxglove/plan    PosesInFrame    plans of the log's own planner, and of the trace
+    /foxglove/onboard, /foxglove/plan    PosesInFrame    plans of the log's own planner, and of the
+                                         trace
     /foxglove/plan_line   SceneUpdate     the plans of the trace as lines
-    /foxglove/events      Log             the begin of each event that `replan mine` finds in the log
+    /foxglove/events      Log             the begin of each event that `replan mine` finds in the
+                          log
 
-The messages are Protobuf, from Foxglove's own package (extra
-`foxglove`). `MAP` has the coordinates of the log, relative to its origin; the
-ground is z = 0. Each message replaces the whole content of its topic, so that a viewer may jump to any time.
+The messages are Protobuf, from Foxglove's own package (extra `foxglove`). `MAP` has the coordinates
+of the log, relative to its origin; the ground is z = 0. Each message replaces the whole content of
+its topic, so that a viewer may jump to any time.
 """
 
 from __future__ import annotations
@@ -87,7 +93,8 @@ def scenario_channels(scenario: Scenario, markers: Sequence[Marker] = ()) -> Ite
             Log(timestamp=_stamp(time), level=Log.INFO, message=one.words, name=one.kind),
         )
     yield from _road(scenario)
-    # write agents that never move once, the others at each time at which one of them was sampled and at the end
+    # write agents that never move once, the others at each time at which one of them was sampled
+    # and at the end
     tracks, ego, vehicle, short = (
         scenario.tracks,
         scenario.ego,
@@ -150,7 +157,8 @@ def trace_channels(trace: Trace, scenario: Scenario) -> Iterator[Entry]:
 def _road(scenario: Scenario) -> Iterator[Entry]:
     """The road once, and all stop lines at the start and whenever a light changes.
 
-    Lanes by boundaries (white, grey if they may be crossed, yellow to opposite lanes), crosswalks and the goal.
+    Lanes by boundaries (white, grey if they may be crossed, yellow to opposite lanes), crosswalks
+    and the goal.
     """
     start, road, entities = scenario.start_ns, scenario.road, list[SceneEntity]()
     for lane in road.lanes.values():
@@ -227,7 +235,9 @@ def _plans(topic: str, plans: Sequence[tuple[float, Trajectory]], start: int) ->
 
 
 def _thin_times(t: FloatArray) -> FloatArray:
-    """Thin increasing times: keep the first one, and each that is at least `STEP_S` after the last kept one."""
+    """Thin increasing times: keep the first one, and each that is at least `STEP_S` after the last
+    kept one.
+    """
     kept = [-np.inf]
     for time in t.tolist():
         if time >= kept[-1] + STEP_S - 1e-9:

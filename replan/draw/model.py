@@ -1,7 +1,8 @@
 """The drawing model: what recordings, charts and reports show, each in its own way.
 
-Axes; curves over time; S-T and S-L graphs, in their units; the agents that are drawn in full. The values are
-columns of the trace, the scenario, the timings and the series of the metrics; nothing else is computed.
+Axes; curves over time; S-T and S-L graphs, in their units; the agents that are drawn in full. The
+values are columns of the trace, the scenario, the timings and the series of the metrics; nothing
+else is computed.
 """
 
 from __future__ import annotations
@@ -41,7 +42,9 @@ if TYPE_CHECKING:
 
 
 def nice_step(span: float, most: int) -> float:
-    """The smallest of 1, 2, 2.5, 5 times a power of ten that divides a span into at most `most` parts."""
+    """The smallest of 1, 2, 2.5, 5 times a power of ten that divides a span into at most `most`
+    parts.
+    """
     rough = max(span, 1e-9) / most
     unit = 10.0 ** floor(log10(rough))
     return float(
@@ -67,7 +70,9 @@ Span = tuple[float, float]
 
 
 def widened(low: float, high: float, least: float, room: float = 0.06) -> Span:
-    """A range with a margin, never shorter than `least`, so that a constant value looks constant."""
+    """A range with a margin, never shorter than `least`, so that a constant value looks
+    constant.
+    """
     half = max((0.5 + room) * (high - low), 0.5 * least)
     return 0.5 * (low + high) - half, 0.5 * (low + high) + half
 
@@ -88,7 +93,10 @@ BLUE, YELLOW, RED, GREEN, VIOLET, TEAL, PINK, GREY = SERIES = (
 DIM = 0xFFFFFF78  # Mask that makes a colour more transparent: `RED & DIM`
 
 Steps = Callable[[str], tuple[FloatArray, FloatArray]]
-"""Maps the name of a metric to its times and values `(n,)`; both are empty if it was not measured."""
+"""Maps the name of a metric to its times and values `(n,)`.
+
+Both are empty if it was not measured.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,7 +167,10 @@ class Panel:
 
 
 def _panels_with_values(*panels: Panel) -> list[Panel]:
-    """The panels with only those curves that have a finite value; panels without such a curve are omitted."""
+    """The panels with only those curves that have a finite value.
+
+    Panels without such a curve are omitted.
+    """
     kept = (
         replace(panel, curves=tuple(curve for curve in panel.curves if len(curve.known)))
         for panel in panels
@@ -170,7 +181,10 @@ def _panels_with_values(*panels: Panel) -> list[Panel]:
 def _columns(
     some: object | None, *curves: tuple[str, str, str, int], asked: bool = False
 ) -> tuple[Curve, ...]:
-    """Curves of an object with columns, each as name, legend, column and colour; empty if the object is None."""
+    """Curves of an object with columns, each as name, legend, column and colour.
+
+    Empty if the object is None.
+    """
     if some is None:
         return ()
     t: FloatArray = some.t  # type: ignore[attr-defined]
@@ -216,15 +230,17 @@ MEASURED = (
 def panels(trace: Trace, scenario: Scenario, steps: Steps) -> list[Panel]:
     """The panels of a drive or a log: all that have a finite value.
 
-    Open loop: each plan is one step. What plans asked for is drawn if the trace has all plans; otherwise the speed of
-    the plan in force of a closed loop is the ego's minus the tracking error. The log is drawn unless its ego is that of
-    the drive, as in the scenario of a trace file.
+    Open loop: each plan is one step. What plans asked for is drawn if the trace has all plans;
+    otherwise the speed of the plan in force of a closed loop is the ego's minus the tracking error.
+    The log is drawn unless its ego is that of the drive, as in the scenario of a trace file.
     """
 
     def measured(
         legend: str, metric: str, colour: int = BLUE, *, gaps: bool = False, spiky: bool = False
     ) -> Curve:
-        """A metric per step, without missing values; `gaps` breaks the curve where values are missing for over 1 s."""
+        """A metric per step, without missing values; `gaps` breaks the curve where values are
+        missing for over 1 s.
+        """
         t, values = steps(metric)
         known = np.isfinite(values)
         t, values = t[known], values[known]
@@ -453,7 +469,10 @@ def _limit(trace: Trace, scenario: Scenario) -> Curve:
 
 
 def _predicted(trace: Trace, column: str) -> list[Curve]:
-    """Closed loop: the plan in force. Open loop (each plan starts at the log): values that older plans predicted."""
+    """Closed loop: the plan in force.
+
+    Open loop (each plan starts at the log): values that older plans predicted.
+    """
     if not trace.frames:
         return []
     if trace.mode is Mode.CLOSED:
@@ -493,7 +512,8 @@ def stage_panel(timings: Sequence[StageTime], names: dict[str, str]) -> list[Pan
 
 
 def compared_panels(drives: Mapping[str, Sequence[Panel]]) -> list[Panel]:
-    """The panels of several drives by name, as one panel for each curve, with a curve of each drive that has it.
+    """The panels of several drives by name, as one panel for each curve, with a curve of each drive
+    that has it.
 
     What was planned, asked for, allowed or logged is left out.
     """
@@ -596,9 +616,11 @@ class DrawnGraph:
 
 
 def graph_axes(graphs: Sequence[DrawnGraph], kind: GraphKind) -> tuple[Span, Span] | None:
-    """Axes for some graphs, x relative to the begin of each: with all solutions and the near ends of obstacles.
+    """Axes for some graphs, x relative to the begin of each: with all solutions and the near ends
+    of obstacles.
 
-    They may cut off far obstacles and bounds of the corridor. None if there is neither solution nor obstacle.
+    They may cut off far obstacles and bounds of the corridor. None if there is neither solution nor
+    obstacle.
     """
     solved = [
         line - [graph.begin, 0.0] for graph in graphs for line in (graph.qp, graph.dp) if len(line)
@@ -663,7 +685,8 @@ def in_full(
     about: Container[str],
     ego: tuple[float, float],
 ) -> IntArray:
-    """Rows of the agents drawn in full, increasing: the `NEAREST` within `NEAR_M`, and those with a decision.
+    """Rows of the agents drawn in full, increasing: the `NEAREST` within `NEAR_M`, and those with a
+    decision.
 
     `ids`: `(n,)`. `x`: world coordinate, m, `(n,)`. `y`: world coordinate, m, `(n,)`.
     """

@@ -1,11 +1,13 @@
-"""Open recordings in the Rerun viewer: a recording, a log, or all recordings of a result folder, with an index.
+"""Open recordings in the Rerun viewer: a recording, a log, or all recordings of a result folder,
+with an index.
 
-The index lists the drives, the worst first as in the reports (`Overview.ranked`), each with a link that opens its
-recording.
+The index lists the drives, the worst first as in the reports (`Overview.ranked`), each with a link
+that opens its recording.
 
-Two drives of one log share a window: both scenes and graphs, their curves together, and their first difference. The
-chunks of both recordings go under `A` and `B`; the curves of the difference (B minus A while both drive) and the
-page about the first difference (`replan.explain.first_difference`) are added.
+Two drives of one log share a window: both scenes and graphs, their curves together, and their first
+difference. The chunks of both recordings go under `A` and `B`; the curves of the difference (B
+minus A while both drive) and the page about the first difference
+(`replan.explain.first_difference`) are added.
 
 (1) gap   = sqrt((x_B - x_A)^2 + (y_B - y_A)^2)      between the reference points, m
 (2) v, a  = v_B - v_A, a_B - a_A                     m/s, m/s2
@@ -68,12 +70,16 @@ from replan.logs.scenario import Scenario
 from replan.logs.trace import Trace
 from replan.results.load import named_logs
 
-ELSEWHERE = "copy the .rrd to a machine with one and open it there with `rerun FILE.rrd`, or add --web to see it in a browser"
+ELSEWHERE = (
+    "copy the .rrd to a machine with one and open it there with `rerun FILE.rrd`, or add "
+    "--web to see it in a browser"
+)
 MOST = 12  # Recordings opened at once: each takes memory in the viewer; the index has links to all
 
 
 def write_index(path: Path, folder: Path, most: int) -> list[Path]:
-    """Write the index of a folder; returns the recordings of the worst drives, at most `most`, the worst last.
+    """Write the index of a folder; returns the recordings of the worst drives, at most `most`, the
+    worst last.
 
     The viewer shows the recording that was opened last, and lists recordings by name.
     ConfigError if the folder is not a result folder; OutputError if the file cannot be written.
@@ -84,7 +90,10 @@ def write_index(path: Path, folder: Path, most: int) -> list[Path]:
     lines = [f"# {cell(over.outcome)}: {counted(len(rows), 'drive')}, worst first", ""]
     there = sum(bool(row.recording) for row in rows)
     click = " A click on the name of a log opens its recording." if there else ""
-    beside = f"Open beside this page: {len(opened)} of {counted(there, 'recording')}, those of the worst drives."
+    beside = (
+        f"Open beside this page: {len(opened)} of {counted(there, 'recording')}, those of the "
+        "worst drives."
+    )
     lines.append(beside + click)
     if there > len(opened):
         lines += [
@@ -123,23 +132,25 @@ def write_index(path: Path, folder: Path, most: int) -> list[Path]:
 def recordings(target: Path, log: str | None = None) -> list[Path]:
     """The recordings of a folder, sorted by path.
 
-    `log`: name of a log or its folder: only recordings whose path contains it. ConfigError if there are no such
-    recordings.
+    `log`: name of a log or its folder: only recordings whose path contains it. ConfigError if there
+    are no such recordings.
     """
     found = sorted(target.rglob("*.rrd"))
     if not found:
         raise ConfigError(
-            f"{target}: no recording (*.rrd) in it; `replan evaluate` without --no-recording writes them"
+            f"{target}: no recording (*.rrd) in it; `replan evaluate` without --no-recording "
+            "writes them"
         )
     named = {file.relative_to(target).as_posix(): file for file in found}
     return found if log is None else [named[name] for name in named_logs(log, named)]
 
 
 def to_open(target: Path, found: list[Path], folder: Path, *, index: bool) -> list[Path]:
-    """The files to open: the recordings of a folder, at most `MOST`, or the index and those of the worst drives.
+    """The files to open: the recordings of a folder, at most `MOST`, or the index and those of the
+    worst drives.
 
-    `target`: a folder of results, or any folder with recordings. `index`: whether to write and open the index of a
-    result folder. ConfigError if there are too many.
+    `target`: a folder of results, or any folder with recordings. `index`: whether to write and open
+    the index of a result folder. ConfigError if there are too many.
     """
     if index:
         page = folder / "index.rrd"
@@ -153,7 +164,8 @@ def to_open(target: Path, found: list[Path], folder: Path, *, index: bool) -> li
 
 
 def choose_pair(one: Path, two: Path, found: list[Path], others: list[Path]) -> tuple[Path, Path]:
-    """The recordings of two drives: two files, or those in `found` and `others` at the same place in two folders.
+    """The recordings of two drives: two files, or those in `found` and `others` at the same place
+    in two folders.
 
     ConfigError if there is no such pair, or there are several.
     """
@@ -171,7 +183,8 @@ def choose_pair(one: Path, two: Path, found: list[Path], others: list[Path]) -> 
     if len(both) > 1:
         some = ", ".join(str(file) for file in both[:4])
         raise ConfigError(
-            f"{len(both)} recordings are in both ({some} ...): name a drive with --log, --planner and --mode"
+            f"{len(both)} recordings are in both ({some} ...): name a drive with --log, --planner "
+            "and --mode"
         )
     return first[both[0]], second[both[0]]
 
@@ -209,8 +222,9 @@ def save_log(
 def show(files: list[Path], memory_limit: str, *, web: bool = False, port: int = 9090) -> None:
     """Run the viewer on recordings until it is closed; it listens on this machine only.
 
-    `memory_limit`: memory of the viewer ("2GB", "50%"). `port`: port of the page, with `web`. ConfigError if the port
-    is in use; ReplanError if there is no display, or the viewer ended with an error (no graphics driver).
+    `memory_limit`: memory of the viewer ("2GB", "50%"). `port`: port of the page, with `web`.
+    ConfigError if the port is in use; ReplanError if there is no display, or the viewer ended with
+    an error (no graphics driver).
     """
     if (
         not web
@@ -222,7 +236,8 @@ def show(files: list[Path], memory_limit: str, *, web: bool = False, port: int =
         )
     if web and in_use(port):
         raise ConfigError(
-            f"port {port} is in use; close what uses it (another viewer?), or name another with --port"
+            f"port {port} is in use; close what uses it (another viewer?), or name another with "
+            "--port"
         )
     command = [sys.executable, "-m", "rerun", "--bind", LOOPBACK, "--port", str(free_port())]
     command += ["--memory-limit", memory_limit]
@@ -231,7 +246,8 @@ def show(files: list[Path], memory_limit: str, *, web: bool = False, port: int =
         code = subprocess.run([*command, *map(str, files)], env=variables, check=False).returncode
     if code:
         raise ReplanError(
-            f"the viewer ended with an error (above); without a display or graphics driver, {ELSEWHERE}"
+            "the viewer ended with an error (above); without a display or graphics driver, "
+            f"{ELSEWHERE}"
         )
 
 
@@ -301,7 +317,10 @@ def write_pair(
         sentence = f"The egos are never more than {APART_M:g} m apart."
         if len(far):
             first, most = t[far[0]], np.nanmax(values["gap"])
-            sentence = f"The egos are more than {APART_M:g} m apart from t = {first:.2f} s on, at most {most:.1f} m."
+            sentence = (
+                f"The egos are more than {APART_M:g} m apart from t = {first:.2f} s on, at "
+                f"most {most:.1f} m."
+            )
         words += ["", sentence]
         tape.static("parting", rr.TextDocument(document(words), media_type=MARKDOWN))
         if where is not None:  # a mark on the curves of the difference
@@ -317,7 +336,9 @@ def write_pair(
 
 
 def difference(one: Trace, two: Trace) -> tuple[FloatArray, dict[str, FloatArray]]:
-    """Times `(n,)` of the longer drive and differences `(n,)` by name, NaN after the end of the other: (1), (2)."""
+    """Times `(n,)` of the longer drive and differences `(n,)` by name, NaN after the end of the
+    other: (1), (2).
+    """
     a, b = one.ego, two.ego
     t = a.t if a.t[-1] >= b.t[-1] else b.t
     first, second = (

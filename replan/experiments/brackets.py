@@ -1,4 +1,6 @@
-"""Pairs of points between which a surface changes from pass to another outcome, and their bisection."""
+"""Pairs of points between which a surface changes from pass to another outcome, and their
+bisection.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +46,10 @@ class Bracket:
 
 
 def brackets(outcomes: Mapping[Cell, str]) -> tuple[Bracket, ...]:
-    """Neighbouring cells `(x, *row)` that differ in whether they pass; a cell with an error ends no bracket."""
+    """Neighbouring cells `(x, *row)` that differ in whether they pass.
+
+    A cell with an error ends no bracket.
+    """
     found = []
     for row in sorted({cell[1:] for cell in outcomes}):
         line = sorted((cell[0], outcome) for cell, outcome in outcomes.items() if cell[1:] == row)
@@ -57,7 +62,9 @@ def brackets(outcomes: Mapping[Cell, str]) -> tuple[Bracket, ...]:
 def bisect_brackets(
     found: Sequence[Bracket], evaluate: Callable[[Sequence[Cell]], Sequence[str]], resolution: float
 ) -> tuple[Bracket, ...]:
-    """The brackets halved until they are no wider than `resolution`; `evaluate` gives the outcomes of cells."""
+    """The brackets halved until they are no wider than `resolution`; `evaluate` gives the outcomes
+    of cells.
+    """
     current = list(found)
     while True:
         wide = [

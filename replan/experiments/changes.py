@@ -1,4 +1,5 @@
-"""The changes with which failing drives are driven again, and the cause to which the passing ones point.
+"""The changes with which failing drives are driven again, and the cause to which the passing ones
+point.
 
 The changes are rows of TOML tables; the built-in ones are in `changes.toml`.
 
@@ -11,13 +12,15 @@ default = ["loop.plan_delay_s"]             # keys that are set to their default
 set.loop = { traffic = "time" }             # keys that are set
 planner = "dp_qp"                           # only for this planner; left out: for all
 
-(1) a change counts     the drive passes with it, and with no part of it that points to another cause
-(2) cause               what the changes that count point to, those of the first rank of `RANKS` in which one counts;
-                        "prediction or control" where they point to several
-(3) fragile             it passes with a perturbation that should change nothing (`replan.run.sources`): then no change
-                        shows anything, and the cause is not found
-(4) unavoidable         with every change it fails a gate that it failed before, and the careful driver of UN R157 does
-                        not avoid the contact either
+(1) a change counts     the drive passes with it, and with no part of it that points to another
+                        cause
+(2) cause               what the changes that count point to, those of the first rank of `RANKS` in
+                        which one counts; "prediction or control" where they point to several
+(3) fragile             it passes with a perturbation that should change nothing
+                        (`replan.run.sources`): then no change shows anything, and the cause is not
+                        found
+(4) unavoidable         with every change it fails a gate that it failed before, and the careful
+                        driver of UN R157 does not avoid the contact either
 (5) not found           it passes with no change, and (4) does not hold
 """
 
@@ -40,7 +43,9 @@ from replan.run.checks import checked
 BUILT_IN = Path(__file__).with_name("changes.toml")
 NOT_FOUND, UNAVOIDABLE = "not found", "unavoidable"
 RANKS = ("default", "ideal", "limits", "planner")
-"""The order in which a cause is searched: settings that differ from the defaults before possible improvements."""
+"""The order in which a cause is searched: settings that differ from the defaults before possible
+improvements.
+"""
 
 
 @dataclass(frozen=True)
@@ -109,7 +114,9 @@ def load_changes(path: Path | None = None) -> tuple[TriedChange, ...]:
 
 
 def driven(run: RunConfig, planner: str) -> RunConfig:
-    """The part of a run to drive: the closed loop of one planner, with internals for the first difference."""
+    """The part of a run to drive: the closed loop of one planner, with internals for the first
+    difference.
+    """
     own = {planner: run.planner.get(planner, {})}
     return closed(run, planners=(planner,), planner=own, **{**QUIET, "internals": "summary"})
 
@@ -117,7 +124,9 @@ def driven(run: RunConfig, planner: str) -> RunConfig:
 def changed_runs(
     changes: Sequence[TriedChange], run: RunConfig
 ) -> tuple[tuple[ChangedRun, ...], dict[str, str]]:
-    """The changes that alter a run of one planner, each once, and the reasons why others cannot be applied."""
+    """The changes that alter a run of one planner, each once, and the reasons why others cannot be
+    applied.
+    """
     run = checked(run)[0]
     table = dump_run(run)
     base = dict(flat(tomllib.loads(table)))
@@ -169,9 +178,11 @@ def cause_of(
     *,
     avoidable: bool = True,
 ) -> FailureCause:
-    """The cause of a drive, from the changes that were driven, and those and the perturbations with which it passes.
+    """The cause of a drive, from the changes that were driven, and those and the perturbations with
+    which it passes.
 
-    `avoidable`: the careful driver avoids the contact, or there is none, or the gates hold with a change.
+    `avoidable`: the careful driver avoids the contact, or there is none, or the gates hold with a
+    change.
     """
     if fragile:
         return FailureCause(NOT_FOUND, fragile=tuple(fragile))  # (3)

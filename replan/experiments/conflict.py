@@ -1,10 +1,13 @@
-"""The agents of a log by their least distance to the ego, and the one in conflict with it, to choose which to vary.
+"""The agents of a log by their least distance to the ego, and the one in conflict with it, to
+choose which to vary.
 
-(1) PET = |t_j - t_i|, the least over the ego's boxes i and an agent's boxes j that overlap (`replan.metrics.encounters`), of
-    pedestrians, and of others whose headings differ by 30 degrees or more, because an agent that follows does not cross
-(2) TTC = least time until the boxes touch at constant velocity vectors (`replan.logs.shapes`), within `SOON_S`; of agents
-    ahead of an ego that drives
-(3) conflict = min(PET, TTC), s; NaN if an agent neither overlaps the ego's way nor is on a course to it
+(1) PET = |t_j - t_i|, the least over the ego's boxes i and an agent's boxes j
+        that overlap (`replan.metrics.encounters`), of pedestrians, and of others whose headings
+        differ by 30 degrees or more, because an agent that follows does not cross
+(2) TTC = least time until the boxes touch at constant velocity vectors (`replan.logs.shapes`),
+        within `SOON_S`; of agents ahead of an ego that drives
+(3) conflict = min(PET, TTC), s; NaN if an agent neither overlaps the ego's way nor
+        is on a course to it
 """
 
 from __future__ import annotations
@@ -56,7 +59,8 @@ class Encounter:
     """One road user and the ego.
 
     Attributes:
-        t_from: First time at which they are tracked, s; `t_to` the last; for static objects, those of the log.
+        t_from: First time at which they are tracked, s; `t_to` the last; for static objects, those
+            of the log.
         way: Distance from the first to the last position, m.
         least: Least distance between both boxes, m; negative if they overlap.
         at: Time of the least distance, s.
@@ -74,7 +78,8 @@ class Encounter:
 
 
 def prepared(scenario: Scenario) -> Scenario:
-    """The scenario prepared for variation: without phantoms, and with a goal at the end of its drive if it has none.
+    """The scenario prepared for variation: without phantoms, and with a goal at the end of its
+    drive if it has none.
 
     Both need the recorded drive, which a varied log no longer contains.
     """
@@ -106,7 +111,8 @@ def opened(name: str, settings: LogSettings) -> tuple[Scenario, Family | None]:
 
 
 def encounters(scenario: Scenario) -> tuple[Encounter, ...]:
-    """All road users that are present while the ego drives as logged (without a logged drive: the careful driver).
+    """All road users that are present while the ego drives as logged (without a logged drive: the
+    careful driver).
 
     The nearest first.
     """
@@ -151,7 +157,9 @@ def encounters(scenario: Scenario) -> tuple[Encounter, ...]:
 def _conflict(
     boxes: FloatArray, t: FloatArray, car: EgoOutline, others: OtherBoxes, i: int, angle: float
 ) -> float:
-    """Conflict (3) of the ego's boxes at times t and agent i, whose heading must differ by `angle` to cross."""
+    """Conflict (3) of the ego's boxes at times t and agent i, whose heading must differ by `angle`
+    to cross.
+    """
     pose, (length, width), least = others.pose[:, i], others.size[i].tolist(), inf
     mine, theirs = may_meet(boxes, car, others, i)
     if len(mine) and len(theirs) and np.ptp(pose[0, theirs]) + np.ptp(pose[1, theirs]) > 0.0:
@@ -178,9 +186,11 @@ def _conflict(
 
 
 def conflicting_agent(scenario: Scenario) -> str:
-    """The agent in conflict with the ego: the moving one with the least (3), of equal ones the nearest.
+    """The agent in conflict with the ego: the moving one with the least (3), of equal ones the
+    nearest.
 
-    If no moving agent has a conflict, the nearest moving one; if none moves, the same of all agents.
+    If no moving agent has a conflict, the nearest moving one; if none moves, the same of all
+    agents.
 
     Raises:
         ConfigError: There is no agent.
@@ -197,7 +207,8 @@ def conflicting_agent(scenario: Scenario) -> str:
 def question_about(
     scenario: Scenario, words: Sequence[str], agents: Sequence[str], resolution: float | None
 ) -> SurfaceQuestion:
-    """The question of `--vary` about agents, named by whole id or short name; by default the one in conflict.
+    """The question of `--vary` about agents, named by whole id or short name; by default the one in
+    conflict.
 
     Raises:
         ConfigError: As `replan.experiments.question.question` and `conflicting_agent`.
@@ -215,8 +226,12 @@ def lines(found: tuple[Encounter, ...], short: ShortNames) -> list[str]:
     width = max([len(short(one.agent)) for one in found[:SHOWN]], default=5)
     rows = [f"{'agent':{width}}  kind        from     to    way  nearest     at  conflict"]
     rows += [
-        f"{short(one.agent):{width}}  {one.kind:10} {one.t_from:5.1f}  {one.t_to:5.1f}  {one.way:5.1f}"
-        f"  {one.least:7.2f}  {one.at:5.1f}  {'none' if isnan(one.conflict) else f'{one.conflict:.1f}':>8}"
+        (
+            f"{short(one.agent):{width}}  {one.kind:10} {one.t_from:5.1f}  {one.t_to:5.1f}  "
+            f"{one.way:5.1f}"
+            f"  {one.least:7.2f}  {one.at:5.1f}  "
+            f"{'none' if isnan(one.conflict) else f'{one.conflict:.1f}':>8}"
+        )
         for one in found[:SHOWN]
     ]
     rows[0] += "   [s, s, m, m, s, s]"

@@ -1,10 +1,12 @@
 """A diagnosis: the failing drives of a run, driven again with one change.
 
     OUT/logs/                 the logs of the failing drives
-    OUT/changes/NAME/         results with a change, as `replan compare` and `replan view` take them; first "as_it_was"
+    OUT/changes/NAME/         results with a change, as `replan compare` and `replan view` take
+                              them; first "as_it_was"
     OUT/study.jsonl           the drives; `--resume` continues from it
 
-and the files of `replan.experiments.findings`. The same run gives the same diagnosis at any number of workers.
+and the files of `replan.experiments.findings`. The same run gives the same diagnosis at any number
+of workers.
 """
 
 from __future__ import annotations
@@ -69,7 +71,9 @@ from replan.run.sources import PERTURBATIONS, perturbed
 KIND = "diagnose"
 CONTENTS = FolderContents(KIND, ("diagnosis.*", "changes.csv", "changes", "logs"))
 CONTROLS = ("tiny", "start", "noise")
-"""Perturbations (`replan.run.sources`) with which a drive must also fail, so that a change is conclusive."""
+"""Perturbations (`replan.run.sources`) with which a drive must also fail, so that a change is
+conclusive.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,8 +123,8 @@ def question(
     """The question, checked.
 
     Raises:
-        ConfigError: There is no such planner or log in the run, the run has several planners and none is named, or it
-            has no closed loop.
+        ConfigError: There is no such planner or log in the run, the run has several planners and
+            none is named, or it has no closed loop.
     """
     run = results.run
     if planner is None and len(run.planners) > 1:
@@ -145,9 +149,9 @@ def diagnose(
 ) -> Diagnosis:
     """Drive the failing drives of a run again with each change, and write the findings into `out`.
 
-    `Diagnosis.not_driven` has the drives that cannot be driven again. For the first drive of each cluster, the smallest
-    change of one of the `settings` with which it passes is searched. The other arguments are those of
-    `replan.experiments`.
+    `Diagnosis.not_driven` has the drives that cannot be driven again. For the first drive of each
+    cluster, the smallest change of one of the `settings` with which it passes is searched. The
+    other arguments are those of `replan.experiments`.
 
     Raises:
         ConfigError: The folder must not be written, or there is nothing to resume.
@@ -161,7 +165,8 @@ def diagnose(
         )
         failing = trials.failing
         say(
-            f"{counted(len(failing), 'failing drive')} of {asked.planner}{lost}, {counted(len(runs), 'change')}"
+            f"{counted(len(failing), 'failing drive')} of {asked.planner}{lost}, "
+            f"{counted(len(runs), 'change')}"
         )
         for k, run in enumerate(runs if failing else ()):
             passing = sum(one["passes"] for one in trials.drive(run).values())
@@ -219,7 +224,10 @@ class _DiagnosisDrives:
         self.answers: dict[str, dict[str, Any]] = {}
 
     def _file(self, name: str) -> Path:
-        """The path of a written log, by its folder, which is unique; names without special characters are not."""
+        """The path of a written log, by its folder, which is unique.
+
+        Names without special characters are not.
+        """
         return self._out / "logs" / f"{self._logs['folder'].astype(str)[name]}.mcap"
 
     def _scenario(self, name: str) -> Scenario:
@@ -276,7 +284,9 @@ class _DiagnosisDrives:
         return self._drives[name]
 
     def drive(self, run: ChangedRun) -> dict[str, Any]:
-        """Drive the failing drives with a change, and return the results by log, which are also kept in `answers`."""
+        """Drive the failing drives with a change, and return the results by log, which are also
+        kept in `answers`.
+        """
         row = self._study.row(run.change.name, lambda: {"drives": self._drive_failing(run)})
         self.answers[run.change.name] = row["drives"]
         return self.answers[run.change.name]
@@ -307,7 +317,9 @@ class _DiagnosisDrives:
         return answers
 
     def _against(self, name: str, made: DrivenLogs) -> str | None:
-        """Why a drive is not mended by a change with which it fails none of its gates; "" if it is; else None."""
+        """Why a drive is not mended by a change with which it fails none of its gates; "" if it is;
+        else None.
+        """
         base, file = self._base_rows[name], self.files[name]
         rows, who = made.of(file), base["about"].partition(" ")[2]
         if still_failing(base["gates"], rows):
@@ -414,7 +426,9 @@ class _DiagnosisDrives:
         )
 
     def remedy(self, name: str, settings: Sequence[Setting], say: Callable[[str], None]) -> Remedy:
-        """The smallest change of a setting with which a drive passes, and its effect on the other drives."""
+        """The smallest change of a setting with which a drive passes, and its effect on the other
+        drives.
+        """
         file = self.files[name]
 
         def drives(setting: Setting, value: Value, files: Sequence[Path]) -> DrivenLogs:
@@ -428,7 +442,8 @@ class _DiagnosisDrives:
                 key, lambda: {"passes": self._mended(name, drives(setting, value, [file]))}
             )
             say(
-                f"{name}: {'passes' if row['passes'] else 'fails'} with {setting.key} = {shown(value)}"
+                f"{name}: {'passes' if row['passes'] else 'fails'} with {setting.key} = "
+                f"{shown(value)}"
             )
             return bool(row["passes"])
 
@@ -464,7 +479,9 @@ class _DiagnosisDrives:
 
 
 def _is_cut(base: Mapping[str, Any], made: DrivenLogs, file: Path) -> bool:
-    """Whether a drive ended too early to be compared with the failing one, of which `base` is the row."""
+    """Whether a drive ended too early to be compared with the failing one, of which `base` is the
+    row.
+    """
     until = base["lasted"] if base["time_s"] is None else base["time_s"]
     return cut_short(base["end"], until, made.ended(file), made.lasted(file))
 

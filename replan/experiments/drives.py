@@ -1,10 +1,10 @@
 """Failing drives, driven again with changes and judged by the gates of their run.
 
-A drive passes with a change if no gate fails, no gate that it failed before is inconclusive, no peak of a metric of the
-gates that it failed is worse (`worse_peak`: one that stays beyond a bound for less time, but three times as far, is not
-mended), and it is not cut short (`cut_short`: what it would have failed later is not known). The gates are the same for
-every change: a drive with the true futures of road users is judged as any other, and another planner as the one that
-failed.
+A drive passes with a change if no gate fails, no gate that it failed before is inconclusive, no
+peak of a metric of the gates that it failed is worse (`worse_peak`: one that stays beyond a bound
+for less time, but three times as far, is not mended), and it is not cut short (`cut_short`: what it
+would have failed later is not known). The gates are the same for every change: a drive with the
+true futures of road users is judged as any other, and another planner as the one that failed.
 """
 
 from __future__ import annotations
@@ -36,7 +36,10 @@ from replan.run.judging import gates_of
 
 INCONCLUSIVE = Outcome.INCONCLUSIVE.value
 PEAKS: Mapping[str, Direction] = {"max": "higher", "max_abs": "higher", "min": "lower"}
-"""Reductions that are extremes; of a metric for which this direction is better, an extreme is not a peak."""
+"""Reductions that are extremes.
+
+Of a metric for which this direction is better, an extreme is not a peak.
+"""
 WORSE = 0.1
 """A peak is worse if it is this share farther out."""
 CUT = tuple(end.value for end in GRAVE)
@@ -94,7 +97,8 @@ class DrivenLogs:
         return float(self.trial(file).drive["t_end_s"]) if file.name in self.driven else 0.0
 
     def peaks(self, file: Path, gates: Sequence[str], until: float = inf) -> dict[str, float]:
-        """The extreme values of the metrics of some gates, those whose excess is worse: `PEAKS`, by name.
+        """The extreme values of the metrics of some gates, those whose excess is worse: `PEAKS`, by
+        name.
 
         An extreme after `until`, s, is left out.
         """
@@ -114,7 +118,9 @@ class DrivenLogs:
         return found
 
     def about(self, file: Path, metric: str) -> str:
-        """The road user or object that the value of a metric is about: "pedestrian 17"; "" if it is unknown."""
+        """The road user or object that the value of a metric is about: "pedestrian 17"; "" if it is
+        unknown.
+        """
         rows = self.drive(file).metrics
         about = rows.loc[rows["metric"] == metric, "about"].dropna()
         return str(about.iloc[0]) if len(about) else ""
@@ -147,7 +153,9 @@ def as_driven(results: Results, planner: str) -> DrivenLogs:
 
 
 def judged(results: Results, names: Mapping[str, str], rules: Gates) -> pd.DataFrame:
-    """The `DrivenLogs.outcomes` of a run of one planner, judged as if it were no oracle; `names` as in `DrivenLogs`."""
+    """The `DrivenLogs.outcomes` of a run of one planner, judged as if it were no oracle; `names` as
+    in `DrivenLogs`.
+    """
     planner = results.run.planners[0]
     crashes = results.failures.dropna(subset=["planner", "mode"])
     columns = (crashes[name].astype(str) for name in ("log", "planner", "mode", "message"))
@@ -174,12 +182,16 @@ def still_failing(before: Sequence[str], rows: pd.DataFrame) -> tuple[str, ...]:
 
 
 def passes(before: Sequence[str], rows: pd.DataFrame) -> bool:
-    """Whether a drive fails no gate, and none of the gates that it failed before is inconclusive."""
+    """Whether a drive fails no gate, and none of the gates that it failed before is
+    inconclusive.
+    """
     return not still_failing(before, rows) and not failed_gates(rows)
 
 
 def worse_peak(before: Mapping[str, float], now: Mapping[str, float]) -> str:
-    """The first peak (`DrivenLogs.peaks`) that is farther out than before by `WORSE` of it; "" if none is."""
+    """The first peak (`DrivenLogs.peaks`) that is farther out than before by `WORSE` of it; "" if
+    none is.
+    """
     out = {name: now[name] - value for name, value in before.items() if name in now}
     signs = {name: -1.0 if name.endswith(".min") else 1.0 for name in out}
     return next(
@@ -188,7 +200,8 @@ def worse_peak(before: Mapping[str, float], now: Mapping[str, float]) -> str:
 
 
 def cut_short(before: str, until: float, now: str, lasted: float) -> bool:
-    """Whether a drive with a change, which ended at `lasted`, s, with `now`, ended too early (`CUT`) to be compared.
+    """Whether a drive with a change, which ended at `lasted`, s, with `now`, ended too early
+    (`CUT`) to be compared.
 
     The failing drive failed at `until`, s, and ended with `before`.
     """
@@ -196,7 +209,10 @@ def cut_short(before: str, until: float, now: str, lasted: float) -> bool:
 
 
 def parting(one: DriveResult, two: DriveResult) -> dict[str, Any]:
-    """The first difference of two drives: time (s), stage and description; empty if there is none."""
+    """The first difference of two drives: time (s), stage and description.
+
+    Empty if there is none.
+    """
     part = first_difference if one.planner == two.planner else planners_part
     try:
         found = part(one.trace, two.trace)

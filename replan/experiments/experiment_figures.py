@@ -1,4 +1,6 @@
-"""The pictures of `replan vary`, `falsify` and `tune`: every outcome has a letter or a sign, and a colour."""
+"""The pictures of `replan vary`, `falsify` and `tune`: every outcome has a letter or a sign, and a
+colour.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +44,10 @@ CELL_PX, WIDE_PX, HIGH_PX = (96.0, 48.0), 620.0, 420.0
 def surface_figure(
     table: pd.DataFrame, edges: Sequence[Bracket], question: SurfaceQuestion, title: str
 ) -> Chart:
-    """The surface; each cell with its letter, the least gap, an x if the drive ended in a contact, and a gate."""
+    """The surface.
+
+    Each cell with its letter, the least gap, an x if the drive ended in a contact, and a gate.
+    """
     cells, x = table[table["part"] == "grid"], question.axes[0]
     y = question.axes[1] if len(question.axes) > 1 else None
     ys, half_x = y.values if y else (0.0,), 0.5 * x.spacing
@@ -116,9 +121,11 @@ def _recorded_point(question: SurfaceQuestion) -> tuple[float, ...] | None:
 def falsify_figure(
     table: pd.DataFrame, axes: Sequence[SearchAxis], case: Mapping[str, Any], title: str
 ) -> Chart:
-    """The trials over the two axes that the case moves most (without a case: the first two); lines of equal distance.
+    """The trials over the two axes that the case moves most (without a case: the first two); lines
+    of equal distance.
 
-    The table has a row per trial: a column per axis, `outcome`; `case` is the row of the mildest case, or empty.
+    The table has a row per trial: a column per axis, `outcome`; `case` is the row of the mildest
+    case, or empty.
     """
     by_step = sorted(
         axes, key=lambda axis: -abs(case.get(axis.name, axis.origin) - axis.origin) / axis.scale
@@ -168,10 +175,11 @@ def _ring(plane: Plane, x: float, y: float) -> str:
 def pareto_figure(
     table: pd.DataFrame, metrics: Sequence[str], chosen: Mapping[str, Any], title: str
 ) -> Chart:
-    """The gains of all trials in the first two objectives; a single objective is drawn over the trial number.
+    """The gains of all trials in the first two objectives; a single objective is drawn over the
+    trial number.
 
-    The table has a row per trial: `gain METRIC` for each objective, `feasible`, `pareto`; `chosen` is the row of the
-    chosen trial, or empty.
+    The table has a row per trial: `gain METRIC` for each objective, `feasible`, `pareto`; `chosen`
+    is the row of the chosen trial, or empty.
     """
     names = [f"gain {name}" for name in metrics]
     x, y = ("trial", names[0]) if len(names) == 1 else (names[0], names[1])

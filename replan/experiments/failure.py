@@ -1,18 +1,25 @@
 """Describes a failing drive in words that are made only of its numbers.
 
-F is the failing drive, P the one that passes with the change that points to the cause. Both are compared up to t_x,
-when the first gate fails, or the end of the shorter one.
+F is the failing drive, P the one that passes with the change that points to the cause. Both are
+compared up to t_x, when the first gate fails, or the end of the shorter one.
 
-(1) t_a        = begin of the last stretch up to t_x in which P is slower than F by more than APART_MPS
-(2) b(D, t)    = begin of the first braking of D (a <= BRAKES_MPS2 while it moves) that has not ended at t
-(3) t_P, t_F   = b(P, t_a), b(F, t_P);  hardest_F and hardest_P are the least accelerations from t_P to t_x
-(4) late       = t_F - t_P >= LATE_S; no t_F at all: F does not brake. Asked where F is APART_M ahead of P at t_x
+(1) t_a        = begin of the last stretch up to t_x in which P is slower than F by more
+        than APART_MPS
+(2) b(D, t)
+        = begin of the first braking of D (a <= BRAKES_MPS2 while it moves) that has not ended at t
+(3) t_P, t_F   = b(P, t_a), b(F, t_P);
+        hardest_F and hardest_P are the least accelerations from t_P to t_x
+(4) late       = t_F - t_P >= LATE_S; no t_F at all: F does not brake.
+        Asked where F is APART_M ahead of P at t_x
 (5) left       = how far P's path is to the left of F's place at t_x; asked where (4) is not
-(6) predicted  = way of the most probable future of the road user in F's frame at t_P, else AHEAD_S before t_x, up to
-                 the last predicted time that their track reaches, at most AHEAD_S;  moved = as they move in F
-(7) lost       = time lost to P ((9) of `replan.metrics.progress`); without P, to the recorded driver, else to the steady speed
-                 that reaches the goal when its time ends: to the first cause for which the plan is not as fast. What is
-                 made up is taken off the last one
+(6) predicted  = way of the most probable future of the road user in F's frame at t_P,
+        else AHEAD_S before t_x, up to
+                 the last predicted time that their track reaches, at most AHEAD_S;
+                     moved = as they move in F
+(7) lost       = time lost to P ((9) of `replan.metrics.progress`); without P,
+        to the recorded driver, else to the steady speed that reaches the goal when its time ends:
+        to the first cause for which the plan is not as fast. What is made up is taken off the last
+        one
 """
 
 from __future__ import annotations
@@ -35,11 +42,15 @@ BRAKES_MPS2, WEAKER_MPS2, MOVES_MPS = -0.5, 0.5, 0.1
 APART_MPS, APART_M, LATE_S = 0.5, 0.3, 0.2
 AHEAD_S, SAME_S = 3.0, 1e-6
 MISSED_M = 1.0
-"""A road user shown or predicted this far from their true place is treated as shown or predicted elsewhere."""
+"""A road user shown or predicted this far from their true place is treated as shown or predicted
+elsewhere.
+"""
 STAYS_M = 0.5
 """A road user that moves less than this within `AHEAD_S` stands."""
 FORCED_MPS2 = 3.0
-"""A road user who brakes harder than this for the ego is forced to (UN R79, 5.6.4.7: a critical lane change)."""
+"""A road user who brakes harder than this for the ego is forced to (UN R79, 5.6.4.7: a critical
+lane change).
+"""
 REACTIONS = ("forced_braking", "braked_behind")
 """Metrics of what road users behind the ego do because of it."""
 SOMEONE = "a road user"
@@ -100,7 +111,8 @@ OUTCOMES = {
 
 @dataclass(frozen=True)
 class DriveDifference:
-    """The failing drive compared with the one that passes: equations (1) to (5); None if a value does not exist.
+    """The failing drive compared with the one that passes: equations (1) to (5); None if a value
+    does not exist.
 
     Attributes:
         ahead_m: Distance of F ahead of P at t_x, m.
@@ -237,7 +249,10 @@ class Foresight:
 
     @property
     def error(self) -> tuple[str, str]:
-        """The error in words that follow a noun (" predicted to stand"), and the numbers; empty if none is known."""
+        """The error in words that follow a noun (" predicted to stand"), and the numbers.
+
+        Empty if none is known.
+        """
         if not self.is_seen:
             return " not seen", f"not seen at {self.at_s:.1f} s"
         if self.seen_off_m > MISSED_M:
@@ -247,7 +262,10 @@ class Foresight:
             )
         if self.off_m <= MISSED_M:
             return "", ""
-        moves = f"predicted to move {self.predicted_m:.1f} m in {self.ahead_s:.1f} s, moves {self.moved_m:.1f} m"
+        moves = (
+            f"predicted to move {self.predicted_m:.1f} m in {self.ahead_s:.1f} s, moves "
+            f"{self.moved_m:.1f} m"
+        )
         numbers = f"{moves}, {self.off_m:.1f} m from there"
         if self.predicted_m < STAYS_M:
             return " predicted to stand", numbers
@@ -281,7 +299,9 @@ class Wait:
 
 
 def waits(found: Sequence[Account], lost: Sequence[float]) -> list[Wait]:
-    """The time that is lost (7), by cause, from the accounts of plans and the time lost in each; the most first."""
+    """The time that is lost (7), by cause, from the accounts of plans and the time lost in each;
+    the most first.
+    """
     spent: dict[str, Wait] = {}
     last = ""
     for one, seconds in zip(found, lost, strict=True):
@@ -308,7 +328,8 @@ class GoalMiss:
     """Where a drive comes nearest to its goal's place.
 
     Attributes:
-        ahead_m: How far the nearest point of the place is ahead of the middle of the ego; `left_m` to its left.
+        ahead_m: How far the nearest point of the place is ahead of the middle of the ego; `left_m`
+            to its left.
         left_m: How far it is to the left.
         unmet: What is missed then: "place", "time", "speed", "heading".
     """
@@ -361,10 +382,12 @@ class DriveFailure:
 
     Attributes:
         gate: The first gate that it fails, of `metric`.
-        who: Kind and short name of the road user that this is about: "pedestrian 17"; "" if there is none.
+        who: Kind and short name of the road user that this is about: "pedestrian 17"; "" if there
+            is none.
         lane: "left" or "right": the lane change that is under way then; "" if there is none.
         difference: The difference from the drive that passes.
-        brakes_for: Whether its plan names the road user as a reason to slow down when it begins to brake.
+        brakes_for: Whether its plan names the road user as a reason to slow down when it begins to
+            brake.
         foresight: The perception and prediction of the road user.
         missed: Where it misses its goal, if the metric is how far it gets.
     """
@@ -380,7 +403,9 @@ class DriveFailure:
 
     @property
     def behaviour(self) -> tuple[str, str]:
-        """The miss of the goal, else the difference from the drive that passes, in words, and the numbers."""
+        """The miss of the goal, else the difference from the drive that passes, in words, and the
+        numbers.
+        """
         return self.difference.behaviour if self.missed is None else self.missed.behaviour
 
     @property
@@ -396,7 +421,9 @@ class DriveFailure:
 
     @property
     def sentence(self) -> str:
-        """The failure without names and numbers: the same sentence for all drives that fail in this way."""
+        """The failure without names and numbers: the same sentence for all drives that fail in this
+        way.
+        """
         template = OUTCOMES.get(self.metric.partition(".")[0], f"fails {self.gate}")
         behaviour, them = self.behaviour[0], "it" if self.kind == "object" else "them"
         who = (

@@ -1,28 +1,35 @@
-"""A falsification: the mildest variation in which a planner fails and the reference driver does not, and its files.
+"""A falsification: the mildest variation in which a planner fails and the reference driver does
+not, and its files.
 
     OUT/falsify.json         the question, the result, and the printed sentences
     OUT/study.jsonl          the trials, a line each; `--resume` goes on from it
     OUT/trials.parquet, .csv the same as a table
     OUT/falsify.png          the trials over the two axes that the case moves most
-    OUT/case.mcap            the mildest failing case as a native log; OUT/case/ its results with a recording
+    OUT/case.mcap            the mildest failing case as a native log; OUT/case/ its results with a
+                             recording
 
-The same subject, configuration and seed give the same bytes at any number of workers (the folder `case` holds times).
+The same subject, configuration and seed give the same bytes at any number of workers (the folder
+`case` holds times).
 
-A point counts if the planner fails a gate (FAIL of `replan.metrics.judge`, which excludes excused values) that the reference
-driver keeps:
+A point counts if the planner fails a gate (FAIL of `replan.metrics.judge`, which excludes excused
+values) that the reference driver keeps:
 
-    the careful driver of UN R157   has no contact that it does not avoid (`reference_cc`), and its own drive holds the
-                                    bound of the gate, where it is measured on it (safety, progress, comfort)
+    the careful driver of UN R157   has no contact that it does not avoid (`reference_cc`), and its
+                                    own drive holds the bound of the gate, where it is measured on
+                                    it (safety, progress, comfort)
     another planner                 fails no gate at all, and drives the log to an end
 
-(1) score = distance / D                 where the point counts; D is the distance of the box's farthest corner
+(1) score = distance / D
+        where the point counts; D is the distance of the box's farthest corner
 (2) score = 1 + robustness               where the planner passes, or is judged inconclusive
 (3) score = 2 + distance / D             where the reference driver fails, too
 (4) score = 3 + distance / D             where there is no such scenario, or it could not be driven
 (5) robustness = 1 - (mean over the gates of (1 + m)^-4)^(1/4)
-    m = how far the value is within the bound, in bounds, 0 where it is not within; of a gate that allows no time beyond
-    a bound (`ttc.time_below_950ms <= 0`) the extreme value and that bound are taken (`ttc.min`, 0.95 s); gates without
-    a value, or with a bound of 0 that is of a count, are left out
+    m = how far the value is within the bound, in bounds, 0 where it is not within;
+        of a gate that allows no time beyond
+    a bound (`ttc.time_below_950ms <= 0`) the extreme value and that bound
+        are taken (`ttc.min`, 0.95 s); gates without a value, or with a bound of 0 that is of a
+        count, are left out
 """
 
 from __future__ import annotations
@@ -116,7 +123,9 @@ class FalsifyQuestion:
 
     @property
     def inputs(self) -> dict[str, Any]:
-        """The inputs that identify a falsification with its run, except the budget and the resolution."""
+        """The inputs that identify a falsification with its run, except the budget and the
+        resolution.
+        """
         return {
             "log": self.subject.name,
             "agents": list(self.subject.agents),
@@ -136,7 +145,8 @@ class TriedPoint:
 
     Attributes:
         outcome: One of the outcomes above; "fail" is a point that counts.
-        gates: The failed gates that count; if the point does not count, all gates that the planner fails.
+        gates: The failed gates that count; if the point does not count, all gates that the planner
+            fails.
         why: The reason of the first of them, otherwise the reason why there is no verdict.
         end: How the planner's drive ended.
         robustness: The value of (5); NaN if no gate has a value.
@@ -252,11 +262,15 @@ class Falsified:
         drives = ", ".join(f"{n} {WORDS.get(name, name)}" for name, n in counts.most_common())
         tried = f"{counted(len(self.table), 'drive')}: {drives}."
         if found.is_spent:
-            tried += f" The budget of {counted(asked.budget, 'drive')} ended the search: --budget N --resume goes on."
+            tried += (
+                f" The budget of {counted(asked.budget, 'drive')} ended the search: --budget "
+                "N --resume goes on."
+            )
         if found.point is None:
             over = ", ".join(f"{axis.name} {axis.low:g} to {axis.high:g}" for axis in asked.axes)
             return [
-                f"No case found in which {asked.planner} fails and {asked_of(asked.against)} does not ({over}).",
+                f"No case found in which {asked.planner} fails and {asked_of(asked.against)} does "
+                f"not ({over}).",
                 tried,
             ]
         moved = [
@@ -266,7 +280,8 @@ class Falsified:
         ]
         place = f"at {', '.join(moved)}" if moved else "as recorded"
         said = [
-            f"{asked.planner} fails at distance {found.distance:.3f} from {asked.subject.name}, {place}, and"
+            f"{asked.planner} fails at distance {found.distance:.3f} from {asked.subject.name}, "
+            f"{place}, and"
             f" {asked_of(asked.against)} does not: {self.case['gates']}."
         ]
         value, why = self.case["value"], self.case["why"]
@@ -305,7 +320,8 @@ def falsify(
     """Search, and write the result into `out`; the arguments are those of `replan.experiments`.
 
     Raises:
-        ConfigError: A wrong setting, a folder that must not be written, nothing to resume, or cmaes is not installed.
+        ConfigError: A wrong setting, a folder that must not be written, nothing to resume, or cmaes
+            is not installed.
         LogError: The recorded case could not be driven.
         PlannerError: The planner cannot be loaded.
     """
@@ -337,7 +353,9 @@ def falsify(
 
 
 class SearchDrives:
-    """Evaluates points batch by batch (`replan.experiments.mildest.Evaluate`), and keeps their rows."""
+    """Evaluates points batch by batch (`replan.experiments.mildest.Evaluate`), and keeps their
+    rows.
+    """
 
     def __init__(
         self,
@@ -359,7 +377,10 @@ class SearchDrives:
         self.rows: list[dict[str, Any]] = []
 
     def __call__(self, points: Sequence[Point], part: str) -> list[ScoredPoint]:
-        """As `replan.experiments.mildest.Evaluate`; points in the study file are not driven again."""
+        """As `replan.experiments.mildest.Evaluate`.
+
+        Points in the study file are not driven again.
+        """
         new = [point for point in points if self._study.known(_key(point)) is None]
         if new:
             cases = zip(new, self._drive_points(new), strict=True)

@@ -67,7 +67,8 @@ class Found:
     Attributes:
         time_s: Time at which it fails the first of them; NaN if unknown.
         beyond: Excess over the bound of that gate; NaN if unknown.
-        parts: First difference of the drive with the change that points to the cause: t_s, stage, what.
+        parts: First difference of the drive with the change that points to the cause: t_s, stage,
+            what.
         because: The reason why the planner slowed down there, from its explanation.
         passing: Names of all changes with which it passes.
         waits: The time lost by cause, if it gets too little far.
@@ -88,7 +89,9 @@ class Found:
 
     @property
     def look_s(self) -> float:
-        """The time to look at first: of a drive that gets too little far, when it first loses much time, or parts."""
+        """The time to look at first: of a drive that gets too little far, when it first loses much
+        time, or parts.
+        """
         if self.waits:
             return min(
                 one.since_s for one in self.waits if one.seconds >= MUCH * self.waits[0].seconds
@@ -137,7 +140,8 @@ class Diagnosis:
         runs: The changes that were driven.
         refused: Changes that cannot be applied to the run, with the reasons.
         answers: The result by change and log: passes, gates, end, parts.
-        remedies: The smallest change of a setting for the first drive of each cluster, if settings are given.
+        remedies: The smallest change of a setting for the first drive of each cluster, if settings
+            are given.
         open_loop: Logs that fail gates in the open loop, which is not diagnosed, and these gates.
     """
 
@@ -159,7 +163,9 @@ class Diagnosis:
         return 3 if self.not_driven else 0
 
     def clusters(self) -> list[tuple[Found, ...]]:
-        """Groups of drives with the same cause, changes and failure: the largest first, in each the worst first."""
+        """Groups of drives with the same cause, changes and failure: the largest first, in each the
+        worst first.
+        """
         found: dict[tuple[Any, ...], list[Found]] = {}
         for one in self.drives:
             found.setdefault((one.cause.name, one.cause.changes, one.failure.sentence), []).append(
@@ -173,11 +179,17 @@ class Diagnosis:
         """The evidence for a cause."""
         words = {run.change.name: f"{run.change.words} ({settings_of(run)})" for run in self.runs}
         if cause.fragile:
-            return f"fragile: passes with a perturbation that should change nothing ({', '.join(cause.fragile)})"
+            return (
+                "fragile: passes with a perturbation that should change nothing "
+                f"({', '.join(cause.fragile)})"
+            )
         if cause.changes:
             return f"passes {', '.join(words[name] for name in cause.changes)}"
         if cause.name == UNAVOIDABLE:
-            return "passes with no change, and the careful driver of UN R157 does not avoid the contact"
+            return (
+                "passes with no change, and the careful driver of UN R157 does not avoid the "
+                "contact"
+            )
         return f"passes with none of {counted(len(self.runs), 'change')}"
 
     def lines(self) -> list[str]:
@@ -200,7 +212,8 @@ class Diagnosis:
                 at = f" --at {first.look_s:.1f}" if isfinite(first.look_s) else ""
                 look = f"replan explain {self.run} --log {first.log} -p {self.planner}{at}"
                 said.append(
-                    f"  Next: {look}; try its settings (--space FILE) or your own changes (--changes FILE)."
+                    f"  Next: {look}; try its settings (--space FILE) or your own changes "
+                    "(--changes FILE)."
                 )
         if not self.drives and not self.not_driven:
             gone = f" ({counted(len(self.not_failing), 'drive')} of the run failed and passes now)"
@@ -214,8 +227,12 @@ class Diagnosis:
         ]
         said += [one.line() for one in self.remedies]
         said += [
-            f"Fails in the open loop, which is not diagnosed: {name}: {', '.join(gates)}; look at it: replan explain"
-            f" {self.run} --log {name} --mode open"
+            (
+                f"Fails in the open loop, which is not diagnosed: {name}: {', '.join(gates)}; look "
+                "at "
+                "it: replan explain"
+                f" {self.run} --log {name} --mode open"
+            )
             for name, gates in self.open_loop.items()
         ]
         return [*said, *(f"Not tried: {name}: {why}." for name, why in self.refused.items())]
@@ -303,7 +320,9 @@ class Diagnosis:
             return
         changes = [run.change for run in self.runs]
         yield "\n## With one thing changed\n"
-        yield "A drive that passes with a change is marked x. A cause is looked for from the left.\n"
+        yield (
+            "A drive that passes with a change is marked x. A cause is looked for from the left.\n"
+        )
         yield f"| drive | cause | {' | '.join(change.name for change in changes)} |"
         yield "|---|---|" + "---|" * len(changes)
         for one in self.drives:

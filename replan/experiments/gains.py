@@ -1,25 +1,28 @@
-"""Training and held-out logs; the gain of a run over the defaults, and whether it is more than chance.
+"""Training and held-out logs; the gain of a run over the defaults, and whether it is more than
+chance.
 
 For a log i and an objective j, which is a row of the table of metrics with a better direction:
 
-(1) gain_ij = +-(value_ij - default_ij) / scale_j    0 where the difference is rounding (`replan.metrics.comparison`, (1)), and
-                                                     where one of both runs has no value
+(1) gain_ij = +-(value_ij - default_ij) / scale_j
+        0 where the difference is rounding (`replan.metrics.comparison`, (1)), and where one of both
+        runs has no value
 (2) scale_j = mean over the training logs of |default_ij|; 1 where that is 0
 (3) objective_j = mean over the training logs of gain_ij, which is maximised
 (4) feasible: no more failed verdicts and failed drives on the training logs than with the defaults
-(5) chosen = the feasible trial with the greatest sum over j of (3), if that is above 0; of equals the first. It is on
-    the Pareto front
-(6) better = over the held-out logs, the 95 % interval of the mean of sum over j of gain_ij is above 0: a paired
-    percentile bootstrap over logs, seeded, of `LEAST_LOGS` logs at least (`replan.metrics.comparison`, (5) and (6))
+(5) chosen = the feasible trial with the greatest sum over j of (3), if that is above 0;
+        of equals the first. It is on the Pareto front
+(6) better = over the held-out logs, the 95 % interval of the mean of sum over j of gain_ij
+        is above 0: a paired percentile bootstrap over logs, seeded, of `LEAST_LOGS` logs at least
+        (`replan.metrics.comparison`, (5) and (6))
 
-Logs are put in the order of their stratum (the family, else the dataset, else none), then of the SHA-256 of their name.
-The k-th log in this order, from 0, is held out if
+Logs are put in the order of their stratum (the family, else the dataset, else none), then of the
+SHA-256 of their name. The k-th log in this order, from 0, is held out if
 
 (7) floor((k + 1) share) > floor(k share)
 
-a systematic sample: every stratum gives about its share, and floor(n share) logs are held out in all. The sample does
-    not depend on time, seed or order of arguments. Adding a log may change which logs of its stratum and of later
-    strata are held out.
+a systematic sample: every stratum gives about its share, and floor(n share) logs are held out in
+    all. The sample does not depend on time, seed or order of arguments. Adding a log may change
+    which logs of its stratum and of later strata are held out.
 """
 
 from __future__ import annotations
@@ -44,7 +47,9 @@ LEAST_LOGS = MIN_SIGNIFICANT
 SLACK = 1e-9
 """Tolerance so that rounding does not change floor(): 0.3 of ten logs are three."""
 DEFAULT_OBJECTIVES = ("plan_score.mean", "lon_jerk_state.p95")
-"""Progress, safety and rules of the plans as NAVSIM weighs them (EPDMS), and comfort as it is driven."""
+"""Progress, safety and rules of the plans as NAVSIM weighs them (EPDMS), and comfort as it is
+driven.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +71,8 @@ def objectives(names: Sequence[str], metrics: Mapping[str, Metric]) -> tuple[Obj
     """The objectives of these names.
 
     Raises:
-        ConfigError: No metric has a row of this name, or it has no better direction; a name is duplicate.
+        ConfigError: No metric has a row of this name, or it has no better direction; a name is
+            duplicate.
     """
     known: dict[str, Objective | None] = {}
     for metric in metrics.values():
@@ -154,7 +160,10 @@ class MeanGain:
         """One sentence."""
         word = "more than chance" if self.holds else "not more than chance"
         interval = f"[{self.low:+.4f}, {self.high:+.4f}]"
-        return f"mean gain {self.mean:+.4f}, 95 % interval {interval}, over {self.logs} held-out logs: {word}"
+        return (
+            f"mean gain {self.mean:+.4f}, 95 % interval {interval}, over {self.logs} held-out "
+            f"logs: {word}"
+        )
 
 
 def mean_gain(gain: FloatArray) -> MeanGain:
@@ -165,7 +174,9 @@ def mean_gain(gain: FloatArray) -> MeanGain:
 
 
 def is_dominated(one: FloatArray, others: FloatArray) -> bool:
-    """Whether one of the others `(m, j)` is at least as good in each objective, and better in one."""
+    """Whether one of the others `(m, j)` is at least as good in each objective, and better in
+    one.
+    """
     return bool(((others >= one).all(axis=1) & (others > one).any(axis=1)).any())
 
 

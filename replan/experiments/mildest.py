@@ -1,21 +1,28 @@
 """The search for the failing point with the least distance from the origin, with few evaluations.
 
-Points are in units of the scales ((1) of `search_subject`), in a box that holds the origin. A point has a score, less
-is better, and counts (the planner fails there, avoidably) or not. The parts of a search, in order:
+Points are in units of the scales ((1) of `search_subject`), in a box that holds the origin. A point
+has a score, less is better, and counts (the planner fails there, avoidably) or not. The parts of a
+search, in order:
 
     recorded    the origin; if it counts, the search ends
     spread      a quarter of the budget: a Halton sequence over the box, scrambled by the seed
-    cmaes       CMA-ES (Hansen, The CMA Evolution Strategy: A Tutorial, arXiv:1604.00772) in generations of `BATCH`,
-                from the best point; it restarts there if `PATIENCE` generations found nothing better
-    fewer       the mildest point with one axis after the other at its recorded value, as long as one of them counts
-    line        between the mildest point and the origin: `BATCH` points over the bracket, then over the part that goes
-                from not counting to counting nearest to the origin, until it is no longer than the resolution
+    cmaes       CMA-ES (Hansen, The CMA Evolution Strategy: A Tutorial, arXiv:1604.00772) in
+                generations of `BATCH`,
+                from the best point; it restarts there if `PATIENCE` generations found nothing
+                better
+    fewer       the mildest point with one axis after the other at its recorded value, as long as
+                one of them counts
+    line        between the mildest point and the origin: `BATCH` points over the bracket, then over
+                the part that goes
+                from not counting to counting nearest to the origin, until it is no longer than the
+                resolution
 
-As soon as a point of distance d counts, no point beyond it can be milder: those that are farther than `PULL` d are
-pulled in to that distance along their direction. So each evaluation tests whether a milder case counts there.
+As soon as a point of distance d counts, no point beyond it can be milder: those that are farther
+than `PULL` d are pulled in to that distance along their direction. So each evaluation tests whether
+a milder case counts there.
 
-All points of a batch are known before the first of them is evaluated, and the size of a batch is fixed: the result
-depends only on the seed.
+All points of a batch are known before the first of them is evaluated, and the size of a batch is
+fixed: the result depends only on the seed.
 """
 
 from __future__ import annotations
@@ -36,7 +43,10 @@ PULL = 15.0 / 16.0
 SPREAD = 0.25
 """Share of the budget for the spread points."""
 WIDE, NARROW = 0.25, 0.3
-"""First standard deviation of CMA-ES, as a share of the box's sides; after a point counts, of its distance."""
+"""First standard deviation of CMA-ES, as a share of the box's sides.
+
+After a point counts, of its distance.
+"""
 DIGITS = 4
 """Points are rounded to this many decimals: a ten-thousandth of a scale."""
 LEAST_BUDGET = 16
@@ -63,9 +73,10 @@ class Mildest:
     Attributes:
         point: The mildest point that counts; None if none was found.
         distance: Its distance; inf if there is none.
-        passes: The greatest distance below it, on the line to the origin, at which a point was evaluated and does not
-            count; NaN if there is none (the origin itself counts).
-        is_spent: Whether the budget ended the search: too little of it is left for the next evaluations.
+        passes: The greatest distance below it, on the line to the origin, at which a point was
+            evaluated and does not count; NaN if there is none (the origin itself counts).
+        is_spent: Whether the budget ended the search: too little of it is left for the next
+            evaluations.
     """
 
     point: Point | None
@@ -129,8 +140,8 @@ def search(
 ) -> Mildest:
     """The mildest point that counts, with at most `budget` evaluations.
 
-    The box has the least and greatest value of each axis `(2, n)`, with the origin within it; the bracket on the line
-    to the origin is made as narrow as the resolution.
+    The box has the least and greatest value of each axis `(2, n)`, with the origin within it; the
+    bracket on the line to the origin is made as narrow as the resolution.
 
     Raises:
         ConfigError: The budget is too small, or cmaes is not installed.
@@ -188,7 +199,9 @@ def cma_class(budget: int) -> Any:
 
 
 def _generations(trials: _EvaluatedPoints, cma: Any, seed: int, reserve: int) -> None:
-    """One run of CMA-ES: until it finds nothing better, or a first point counts (then the next one is narrower)."""
+    """One run of CMA-ES: until it finds nothing better, or a first point counts (then the next one
+    is narrower).
+    """
     counted = trials.mildest() is not None
     sides = (
         np.full(trials.box.shape[1], trials.distance) if counted else trials.box[1] - trials.box[0]
@@ -212,7 +225,10 @@ def _generations(trials: _EvaluatedPoints, cma: Any, seed: int, reserve: int) ->
 
 
 def _approach_origin(trials: _EvaluatedPoints, resolution: float) -> None:
-    """Set as many axes of the mildest point as possible to the origin; then narrow the bracket to the origin."""
+    """Set as many axes of the mildest point as possible to the origin.
+
+    Then narrow the bracket to the origin.
+    """
     before = inf
     while trials.distance < before:
         before, point = trials.distance, np.array(trials.mildest())

@@ -1,9 +1,9 @@
 """The trials of a tuning: optuna chooses the settings to try next, and gets the result of each.
 
-Trials are made one after the other, by optuna's multi-objective TPE (Ozaki et al., J. Artif. Intell. Res. 73,
-2022), with the gates as a constraint ((4) of `gains`). So the trials depend only on the seed and on the results of
-earlier trials. The first one is the default, if it is in the space. Settings that are refused together are a trial that
-failed.
+Trials are made one after the other, by optuna's multi-objective TPE (Ozaki et al., J. Artif.
+Intell. Res. 73, 2022), with the gates as a constraint ((4) of `gains`). So the trials depend only
+on the seed and on the results of earlier trials. The first one is the default, if it is in the
+space. Settings that are refused together are a trial that failed.
 """
 
 from __future__ import annotations
@@ -47,14 +47,18 @@ class TuningInputs:
 
     @cached_property
     def driven(self) -> RunConfig:
-        """The defaults as they are driven: the loops that the objectives need, without recordings."""
+        """The defaults as they are driven: the loops that the objectives need, without
+        recordings.
+        """
         mode: RunMode = "both" if any(one.mode == "open" for one in self.objectives) else "closed"
         return replace(
             self.run, mode=mode, recording=False, internals="none", deadline_s=0.0, ensemble=0
         )
 
     def head(self, logs: Mapping[str, str]) -> dict[str, Any]:
-        """The inputs that identify a tuning, except the number of trials; `logs` are the identities by name."""
+        """The inputs that identify a tuning, except the number of trials; `logs` are the identities
+        by name.
+        """
         inputs = {
             "seed": self.seed,
             "share": self.share,

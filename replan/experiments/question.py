@@ -1,4 +1,6 @@
-"""The question of a surface: `name=low:high:count` is an axis, `name=value` applies to all cells."""
+"""The question of a surface: `name=low:high:count` is an axis, `name=value` applies to all
+cells.
+"""
 
 from __future__ import annotations
 
@@ -74,7 +76,9 @@ class SurfaceQuestion:
 
     @property
     def varies_agents(self) -> bool:
-        """Whether agents must be named: a variation changes agents, and no variation inserts its agent."""
+        """Whether agents must be named: a variation changes agents, and no variation inserts its
+        agent.
+        """
         return vary_agents([*self.fixed, *(axis.name for axis in self.axes)])
 
 
@@ -85,7 +89,9 @@ def vary_agents(names: Iterable[str]) -> bool:
 
 
 def check_agents(agents: Sequence[str], known: Collection[str], *, required: bool = False) -> None:
-    """Raise ConfigError if an agent to vary is not known, or if one is required and none is named."""
+    """Raise ConfigError if an agent to vary is not known, or if one is required and none is
+    named.
+    """
     missing = [agent for agent in agents if agent not in known]
     if missing or (required and not agents):
         what = f"no agent is called '{missing[0]}'" if missing else "no agent is named"
@@ -98,8 +104,8 @@ def question(
     """Parse the words of `--vary`.
 
     Raises:
-        ConfigError: A word is not of this form, a name is unknown or duplicate, a value out of range, no or more
-            than two axes, a resolution that is not positive.
+        ConfigError: A word is not of this form, a name is unknown or duplicate, a value out of
+            range, no or more than two axes, a resolution that is not positive.
     """
     axes: list[Axis] = []
     fixed: dict[str, float] = {}

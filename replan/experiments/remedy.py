@@ -1,10 +1,13 @@
-"""The smallest change of one setting with which a drive passes, by bisection, and the drives that it breaks.
+"""The smallest change of one setting with which a drive passes, by bisection, and the drives that
+it breaks.
 
-    (1) u = |value - default| / (high - low)       of a setting with `log`: of the logarithms; of choices: 1
+    (1) u = |value - default| / (high - low)
+            of a setting with `log`: of the logarithms; of choices: 1
 
-Each end of a setting's range is driven; if the drive passes there, the way from the default is halved `STEPS` times.
-The change with the least u is driven on all logs of the run. Between the default and an end the drive may pass, fail
-and pass again: the change passes, and a smaller one may, too.
+Each end of a setting's range is driven; if the drive passes there, the way from the default is
+halved `STEPS` times. The change with the least u is driven on all logs of the run. Between the
+default and an end the drive may pass, fail and pass again: the change passes, and a smaller one
+may, too.
 """
 
 from __future__ import annotations
@@ -49,8 +52,10 @@ class Remedy:
             return f"Remedy: with no setting of the space alone does {self.log} pass."
         breaks = f"breaks {', '.join(self.broken)}" if self.broken else "breaks none"
         return (
-            f"Remedy: {self.key} = {shown(self.now)} instead of {shown(self.was)} is the smallest change found with"
-            f" which {self.log} passes; of {counted(self.drives, 'drive')} it mends {len(self.mended)} and {breaks}."
+            f"Remedy: {self.key} = {shown(self.now)} instead of {shown(self.was)} is the smallest "
+            "change found with"
+            f" which {self.log} passes; of {counted(self.drives, 'drive')} it mends "
+            f"{len(self.mended)} and {breaks}."
         )
 
 

@@ -1,22 +1,27 @@
-"""The subject of a falsification and its axes; their scales define a distance from the recorded case.
+"""The subject of a falsification and its axes; their scales define a distance from the recorded
+case.
 
-The subject is a recorded log or a family of the catalogue; a point of the axes makes a scenario of it. For a log, and
-for a family with a variation as an axis, every point is a varied log (`replan.logs.edit.variations.varied`), even the recorded
-point: only the start of the ego's log is kept. If all axes are parameters of a family, a point is the scenario that the
-family builds.
+The subject is a recorded log or a family of the catalogue; a point of the axes makes a scenario of
+it. For a log, and for a family with a variation as an axis, every point is a varied log
+(`replan.logs.edit.variations.varied`), even the recorded point: only the start of the ego's log is
+kept. If all axes are parameters of a family, a point is the scenario that the family builds.
 
 (1) u_i = (value_i - origin_i) / scale_i
 (2) distance = sqrt(sum of u_i^2)
 
-The origin is the recorded value: the neutral value of a variation, the default of a family's parameter. An agent that
-was not recorded (`pedestrian`, `standing_car`, `copy`) has none: its origin is the end HIGH of the range.
+The origin is the recorded value: the neutral value of a variation, the default of a family's
+parameter. An agent that was not recorded (`pedestrian`, `standing_car`, `copy`) has none: its
+origin is the end HIGH of the range.
 
 The scales are about the differences between two drives on two days (`SCALES`, docs/falsify.md):
 
-    time, copy and *_s      1 s: a driver who notices late and reacts (UN R157, Annex 4, Appendix 3: 0.4 s + 0.75 s)
-    speed, speeds           0.2 of the recorded one: of adults who cross, from the mean of 1.45 m/s to the 15th
+    time, copy and *_s      1 s: a driver who notices late and reacts (UN R157, Annex 4, Appendix 3:
+                            0.4 s + 0.75 s)
+    speed, speeds           0.2 of the recorded one: of adults who cross, from the mean of 1.45 m/s
+                            to the 15th
                             percentile of 1.15 m/s (Fitzpatrick et al., TCRP Report 112, 2006)
-    ego_speed, ego speeds   0.1 of the recorded one: the excess that a speedometer may show (UN R39, without its 4 km/h)
+    ego_speed, ego speeds   0.1 of the recorded one: the excess that a speedometer may show (UN R39,
+                            without its 4 km/h)
     side, lateral ways      0.375 m: the wandering zone in a lane of UN R157's careful driver
     ego_start, other ways   5 m: the length of a car
     pedestrian, standing_car  10 m: the distance that an ego at 36 km/h drives in 1 s
@@ -146,8 +151,9 @@ def search_axes(
         with_agents: Whether the scenario has agents to vary.
 
     Raises:
-        ConfigError: A word is not of this form, a name is unknown, duplicate, a choice or without a scale, a range does
-            not contain the recorded value or is out of bounds, or there are too many axes.
+        ConfigError: A word is not of this form, a name is unknown, duplicate, a choice or without a
+            scale, a range does not contain the recorded value or is out of bounds, or there are too
+            many axes.
     """
     ranges: dict[str, tuple[float, float]] = {}
     for word in words:
@@ -194,13 +200,15 @@ def _axis(
         usual = _parameter_scale(name, origin)
         if scale is None and usual is None:
             raise ConfigError(
-                f"--axis {name}: it has no scale by its name; say how large a step is: --scale {name}=1"
+                f"--axis {name}: it has no scale by its name; say how large a step is: --scale "
+                f"{name}=1"
             )
     elif name in VARIATIONS:
         variation = VARIATIONS[name]
         if variation.is_choice:
             raise ConfigError(
-                f"--axis {name}: is a choice and has no distance; use replan vary --vary {name}=0:1:2"
+                f"--axis {name}: is a choice and has no distance; use replan vary --vary "
+                f"{name}=0:1:2"
             )
         for value in (low, high):
             variation.check(value)
@@ -242,7 +250,8 @@ class SearchSubject:
     """The log or family that is searched.
 
     Attributes:
-        scenario: The recorded scenario, or that of the family with its defaults; prepared for variations.
+        scenario: The recorded scenario, or that of the family with its defaults; prepared for
+            variations.
         family: The family; None for a log.
         agents: Ids of the varied agents; empty if there are none, or if the agent is inserted.
     """
@@ -281,7 +290,10 @@ class SearchSubject:
 
 
 def subject_of(name: str, settings: LogSettings) -> SearchSubject:
-    """The log at a path or URL, or the family of a name; errors as `replan.experiments.conflict.opened`."""
+    """The log at a path or URL, or the family of a name.
+
+    Errors as `replan.experiments.conflict.opened`.
+    """
     scenario, family = opened(name, settings)
     return SearchSubject(name if family else scenario.name, scenario, family)
 
@@ -289,7 +301,8 @@ def subject_of(name: str, settings: LogSettings) -> SearchSubject:
 def agents_of(
     subject: SearchSubject, axes: Sequence[SearchAxis], named: Sequence[str]
 ) -> tuple[str, ...]:
-    """The agents to vary: the named ones, otherwise the one in conflict with the ego, if an axis needs one.
+    """The agents to vary: the named ones, otherwise the one in conflict with the ego, if an axis
+    needs one.
 
     Raises:
         ConfigError: A named agent does not exist, or there is no agent.

@@ -4,8 +4,9 @@
     planner.dp_qp.lane.dwell_s = { low = 1.0, high = 5.0, step = 0.5 }
     planner.dp_qp.solver = { choices = ["piqp", "osqp"] }
 
-A setting whose default is a whole number takes whole numbers. All settings are checked before anything is driven: the
-configured object must accept each end of each range, with all other settings at their defaults.
+A setting whose default is a whole number takes whole numbers. All settings are checked before
+anything is driven: the configured object must accept each end of each range, with all other
+settings at their defaults.
 """
 
 from __future__ import annotations
@@ -80,8 +81,10 @@ class Setting:
                 "log and step do not go together": not self.log or self.step is None,
                 "step must be positive and at most high - low": self.step is None
                 or 0.0 < self.step <= self.high - self.low,
-                f"its default is the whole number {self.default!r}: low, high and step must be whole, too": not self.is_whole
-                or all(float(value).is_integer() for value in numbers),
+                (
+                    f"its default is the whole number {self.default!r}: low, high and step must be "
+                    "whole, too"
+                ): not self.is_whole or all(float(value).is_integer() for value in numbers),
             }
         )
 
@@ -139,7 +142,8 @@ def load_space(path: Path, run: RunConfig) -> tuple[Setting, ...]:
     """The settings of a file, in its order; the run is not resolved.
 
     Raises:
-        ConfigError: The file is unreadable or empty, or it has an unknown key, an invalid range, or a refused value.
+        ConfigError: The file is unreadable or empty, or it has an unknown key, an invalid range, or
+            a refused value.
     """
     table = read_toml(path)
     try:
@@ -183,7 +187,8 @@ def _settings(
         )
         if not plain or not isinstance(entry.get("log", False), bool):
             raise ConfigError(
-                f"{key}: choices is a list of numbers, texts or true and false, and log is true or false"
+                f"{key}: choices is a list of numbers, texts or true and false, and log is true or "
+                "false"
             )
         yield Setting(path, default, **{**entry, "choices": tuple(choices)})
 

@@ -1,19 +1,23 @@
-"""Evaluates a surface, the outcome of a drive over a grid of parameters (cells), and the edges where it changes.
+"""Evaluates a surface, the outcome of a drive over a grid of parameters (cells), and the edges
+where it changes.
 
     OUT/vary.json              the question
-    OUT/logs/                  the varied logs: `replan evaluate --mode closed` of one gives the outcome of its cell
+    OUT/logs/                  the varied logs: `replan evaluate --mode closed` of one gives the
+                               outcome of its cell
     OUT/grid/, OUT/edge-1/ ... results of the cells, and of the points between them, as `replan evaluate` leaves them
-    OUT/surface.parquet, .csv  a row per point: parameters, outcome, gates, least gap, contact, careful driver
+    OUT/surface.parquet, .csv  a row per point: parameters, outcome, gates, least gap, contact,
+                               careful driver
     OUT/edges.csv              where rows change from pass to another outcome
     OUT/surface.png            the picture
 
-The outcome of a point is the worst outcome of the gates on its log: "pass", "fail" or "inconclusive". An inconclusive
-point where the careful driver of UN R157 collides is "unavoidable"; "error" is a point that could not be made or
-driven. Points without a log, and logs that cannot be driven, do not stop the others.
+The outcome of a point is the worst outcome of the gates on its log: "pass", "fail" or
+"inconclusive". An inconclusive point where the careful driver of UN R157 collides is "unavoidable";
+"error" is a point that could not be made or driven. Points without a log, and logs that cannot be
+driven, do not stop the others.
 
-The change of a row from pass to another outcome is found by bisection between two cells, in all rows at once, so that
-the points of a round are evaluated in parallel.
-"""
+The change of a row from pass to another outcome is found by bisection between two cells, in all
+rows at once, so that the points of a round are evaluated in parallel.
+"""  # noqa: E501
 
 from __future__ import annotations
 
@@ -50,7 +54,7 @@ CONTENTS = FolderContents("vary", (CARD, "logs", "grid", "edge-*", "surface.*", 
 _CONTACTS = (EndReason.COLLISION.value, EndReason.REPLAY_CONTACT.value)
 
 
-# surface ----------------------------------------------------------------------------------------------------------
+# surface ------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +90,8 @@ class VaryResult:
                 f"{first.name} {edge.low:.6g} ({edge.at_low}) and {edge.high:.6g} ({edge.at_high})"
             )
             lines.append(
-                f"edge at {row}between {between}{'' if edge.is_open else ', not narrower: an error between'}"
+                f"edge at {row}between "
+                f"{between}{'' if edge.is_open else ', not narrower: an error between'}"
             )
         broken = self.table[self.table["outcome"] == ERROR]
         lines += [
@@ -107,8 +112,8 @@ def vary(
 ) -> VaryResult:
     """Evaluate a surface of a scenario, which is `prepared`, and write it into `out`.
 
-    Only the closed loop of one planner is run, and log settings are not applied again. The arguments are those of
-    `replan.experiments`.
+    Only the closed loop of one planner is run, and log settings are not applied again. The
+    arguments are those of `replan.experiments`.
 
     Raises:
         ConfigError: A wrong setting, an unknown agent, a folder with foreign files, or in use.
@@ -142,7 +147,7 @@ def vary(
         return result
 
 
-# points -----------------------------------------------------------------------------------------------------------
+# points -------------------------------------------------------------------------------------------
 
 
 @dataclass
@@ -162,7 +167,10 @@ class _Rounds:
         self.count = 0
 
     def between(self, cells: Sequence[Cell]) -> list[str]:
-        """Evaluate a round of points between cells in a folder of its own; return their outcomes."""
+        """Evaluate a round of points between cells in a folder of its own.
+
+        Return their outcomes.
+        """
         self.count += 1
         return self.evaluate(cells, f"edge-{self.count}")
 
@@ -230,7 +238,7 @@ def _judge_cell(trial: Trial) -> dict[str, Any]:
     }
 
 
-# files ------------------------------------------------------------------------------------------------------------
+# files --------------------------------------------------------------------------------------------
 
 
 def _write(result: VaryResult, scenario: Scenario, planner: str) -> None:

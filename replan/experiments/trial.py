@@ -1,7 +1,9 @@
-"""A trial: a scenario made for an experiment, driven in closed loop, and read from the tables of its run.
+"""A trial: a scenario made for an experiment, driven in closed loop, and read from the tables of
+its run.
 
 one_planner, closed   the configuration with which trials are driven
-drive_made            scenarios -> files -> `evaluate_logs` -> `Trial`, or the reason why there is none
+drive_made            scenarios -> files -> `evaluate_logs` -> `Trial`, or the reason why there is
+                      none
 scratch_folder        a folder of results that are read once
 write_table           a table of trials as Parquet and CSV
 """
@@ -42,7 +44,9 @@ def one_planner(run: RunConfig, experiment: str) -> str:
 
 
 def closed(run: RunConfig, **changes: Any) -> RunConfig:
-    """The run in closed loop, on logs that are read already, without what costs time and says nothing about one log."""
+    """The run in closed loop, on logs that are read already, without what costs time and says
+    nothing about one log.
+    """
     bare = replace(run, mode=MODE, log=LogSettings(), deadline_s=0.0, ensemble=0)
     return replace(bare, **changes)
 
@@ -94,7 +98,9 @@ class Trial:
 
     @cached_property
     def metrics(self) -> pd.DataFrame:
-        """The rows of metrics.parquet that have a value, by metric: of the drive, and of the careful driver."""
+        """The rows of metrics.parquet that have a value, by metric: of the drive, and of the
+        careful driver.
+        """
         rows = self.results.metrics
         mine = (rows["planner"] == self.planner) & (rows["mode"] == MODE)
         reference = (rows["planner"] == CAREFUL) & (rows["mode"] == REFERENCE)
@@ -127,10 +133,12 @@ def drive_made(
     workers: int,
     resume: bool = False,
 ) -> list[Trial | str]:
-    """Write scenarios, drive them, and return for each its trial, or the reason why it could not be made or driven.
+    """Write scenarios, drive them, and return for each its trial, or the reason why it could not be
+    made or driven.
 
     Args:
-        makes: The function that makes the scenario of each file; it raises LogError if there is no such scenario.
+        makes: The function that makes the scenario of each file; it raises LogError if there is no
+            such scenario.
         run: The configuration; the trials are of its first planner.
         out: The result folder.
         workers: Number of processes; 0: this process.

@@ -1,15 +1,17 @@
-"""A tuning: settings that are better than the defaults, judged on logs that were not searched, and its files.
+"""A tuning: settings that are better than the defaults, judged on logs that were not searched, and
+its files.
 
     OUT/tune.json            the inputs, the result, and the printed sentences
     OUT/study.jsonl          the trials, a line each; `--resume` goes on from it
     OUT/trials.parquet, .csv the same as a table; OUT/pareto.csv, .png the trials that no other trial beats
     OUT/best.toml            the chosen settings, for `--config`
     OUT/training/            results with the defaults on the training logs
-    OUT/held_out/default/, OUT/held_out/chosen/      results on the held-out logs, as `replan compare` takes them
+    OUT/held_out/default/, OUT/held_out/chosen/      results on the held-out logs, as
+        `replan compare` takes them
 
-Trials are made one after the other (`optuna_trials`), and the logs of a trial are driven in parallel: the same logs,
-space and seed give the same trials at any number of workers.
-"""
+Trials are made one after the other (`optuna_trials`), and the logs of a trial are driven in
+parallel: the same logs, space and seed give the same trials at any number of workers.
+"""  # noqa: E501
 
 from __future__ import annotations
 
@@ -118,7 +120,9 @@ class Tuned:
 
     @property
     def passed(self) -> bool:
-        """Whether the chosen settings are better on the held-out logs, and break no rule of comparison."""
+        """Whether the chosen settings are better on the held-out logs, and break no rule of
+        comparison.
+        """
         if self.better is None or self.comparison is None:
             return False
         return self.better.holds and self.comparison.exit_code != 1
@@ -132,7 +136,10 @@ class Tuned:
         """The result in sentences."""
         feasible = int(self.table["feasible"].sum())
         refused = int((self.table["refused"] != "").sum())
-        tried = f"{counted(len(self.table), 'trial')} on {counted(len(self.logs.training), 'training log')}"
+        tried = (
+            f"{counted(len(self.table), 'trial')} on "
+            f"{counted(len(self.logs.training), 'training log')}"
+        )
         aside = f", {refused} refused by the configuration" if refused else ""
         said = [f"{tried}: {feasible} feasible{aside}."]
         if self.better is None or self.comparison is None:
@@ -142,7 +149,8 @@ class Tuned:
             ]
         gain = float(self.chosen["total"])
         said.append(
-            f"Chosen is trial {self.chosen['trial']}: {listed(self.plan.settings, self.values)}; gain {gain:+.4f}."
+            f"Chosen is trial {self.chosen['trial']}: {listed(self.plan.settings, self.values)}; "
+            f"gain {gain:+.4f}."
         )
         said.append(f"Held out: {self.better}.")
         broken = [
@@ -150,7 +158,10 @@ class Tuned:
         ]
         said += [f"Broken: {verdict.rule}: {verdict.reason}." for verdict in broken]
         if self.passed:
-            word = "PASS: the chosen settings are better on the held-out logs, and no rule of comparison is broken."
+            word = (
+                "PASS: the chosen settings are better on the held-out logs, and no rule of "
+                "comparison is broken."
+            )
         elif not self.better.holds:
             word = "FAIL: they are not better on the held-out logs."
         else:
@@ -167,11 +178,12 @@ def tune(
     resume: bool = False,
     say: Callable[[str], None] = lambda line: None,
 ) -> Tuned:
-    """Search, judge on the held-out logs, and write the results into `out`; arguments as in `replan.experiments`.
+    """Search, judge on the held-out logs, and write the results into `out`; arguments as in
+    `replan.experiments`.
 
     Raises:
-        ConfigError: A wrong setting, too few logs, no point of the space is accepted, a folder that must not be
-            written, nothing to resume, or optuna is not installed.
+        ConfigError: A wrong setting, too few logs, no point of the space is accepted, a folder that
+            must not be written, nothing to resume, or optuna is not installed.
         LogError: A log cannot be read.
         PlannerError: The planner cannot be loaded.
     """
@@ -191,7 +203,7 @@ def tune(
         return _run_search(plan, logs, study, _Driver(out, engine, resume), say)
 
 
-# logs -------------------------------------------------------------------------------------------------------------
+# logs ---------------------------------------------------------------------------------------------
 
 
 def _sorted_logs(selection: Selection, out: Path, share: float) -> Logs:
@@ -210,7 +222,8 @@ def _sorted_logs(selection: Selection, out: Path, share: float) -> Logs:
         name = scenario.name
         if name in labels:
             raise ConfigError(
-                f"two logs are called '{name}' ({places[name]}, {source.label}); leave one of them out"
+                f"two logs are called '{name}' ({places[name]}, {source.label}); leave one of them "
+                "out"
             )
         labels[name] = LogLabels(scenario.family, scenario.dataset, scenario.tags)
         synthesised = out / "logs" / f"{sha256(name.encode()).hexdigest()[:16]}.mcap"
@@ -220,8 +233,10 @@ def _sorted_logs(selection: Selection, out: Path, share: float) -> Logs:
     logs = Logs(places, identities, {name: stratum(one) for name, one in labels.items()}, held)
     if len(held) < LEAST_LOGS:
         raise ConfigError(
-            f"--held-out {share:g} of {counted(len(labels), 'log')} holds out {len(held)}, and on fewer than"
-            f" {LEAST_LOGS} no difference is more than chance: name more logs, or hold out more of them"
+            f"--held-out {share:g} of {counted(len(labels), 'log')} holds out {len(held)}, and on "
+            "fewer than"
+            f" {LEAST_LOGS} no difference is more than chance: name more logs, or hold out more of "
+            "them"
         )
     if not logs.training:
         raise ConfigError(
@@ -239,7 +254,10 @@ class _Driver:
     resume: bool
 
     def kept(self, logs: Sequence[Path | str], run: RunConfig, folder: str) -> Results:
-        """The results of a run whose files are kept; logs that an interrupted tuning finished are not driven again."""
+        """The results of a run whose files are kept.
+
+        Logs that an interrupted tuning finished are not driven again.
+        """
         place = self.out / folder
         place.parent.mkdir(parents=True, exist_ok=True)
         return evaluate_logs(
@@ -258,14 +276,15 @@ class _Driver:
             return asked(evaluate_logs(logs, run, scratch, engine=self.engine))
 
 
-# trials -----------------------------------------------------------------------------------------------------------
+# trials -------------------------------------------------------------------------------------------
 
 
 def _run_search(
     plan: TuningInputs, logs: Logs, study: Study, driver: _Driver, say: Callable[[str], None]
 ) -> Tuned:
     say(
-        f"{counted(len(logs.training), 'training log')}, {len(logs.held)} held out; first the defaults"
+        f"{counted(len(logs.training), 'training log')}, {len(logs.held)} held out; first the "
+        "defaults"
     )
     names, where = logs.training, logs.at(logs.training)
     default = run_scores(driver.kept(where, plan.driven, "training"), names, plan.objectives)
@@ -307,7 +326,7 @@ def _run_search(
     return result
 
 
-# the end ----------------------------------------------------------------------------------------------------------
+# the end ------------------------------------------------------------------------------------------
 
 
 def _judge_held_out(
@@ -343,7 +362,10 @@ def _write(result: Tuned, default: RunScores) -> None:
     write_table(out, "trials", table)
     front = table[table["pareto"]].sort_values("total", ascending=False, kind="stable")
     write_csv(out / "pareto.csv", front)
-    title = f"{plan.run.planners[0]}: {counted(len(table), 'trial')} on {counted(len(result.logs.training), 'log')}"
+    title = (
+        f"{plan.run.planners[0]}: {counted(len(table), 'trial')} on "
+        f"{counted(len(result.logs.training), 'log')}"
+    )
     pareto_figure(table, [one.metric for one in plan.objectives], result.chosen, title).save(
         out / "pareto.png"
     )

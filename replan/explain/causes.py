@@ -1,27 +1,31 @@
-"""The causes for which a plan slows down, stands or crawls: the conflicts and violations if it did not.
+"""The causes for which a plan slows down, stands or crawls: the conflicts and violations if it did
+not.
 
-The causes are found from public data: the plan, the frame, the predictions, the road. The plan is "held": continued
-along its way at constant speed (`replan.explain.course`); each cause gives the consequence, and the least constant
-deceleration that avoids it. A
-decision of the planner is its cause only if the numbers confirm it; all other causes are inferred.
+The causes are found from public data: the plan, the frame, the predictions, the road. The plan is
+"held": continued along its way at constant speed (`replan.explain.course`); each cause gives the
+consequence, and the least constant deceleration that avoids it. A decision of the planner is its
+cause only if the numbers confirm it; all other causes are inferred.
 
 (1) agent   met, or followed too near (`replan.explain.course`)
-(2) stop    a stop line with a light or sign that requires it, or another obstacle in the S-T graph that the planner
+(2) stop    a stop line with a light or sign that requires it, or another obstacle in the S-T graph
+            that the planner
 stops for
 (3) limit   the speed limit along the way is lower than the speed that is held, by `OVER_MPS`
 (4) curve   v^2 |kappa| > `CURVE_MPS2` somewhere along the way
 (5) goal    the goal is reached before its time, too fast, or passed although the plan stops at it
 (6) end     the map ends on the way, and the plan stops before it
-(7) word    the planner's STOP or YIELD for an agent near the way that the ego would not meet, or for an object without
-    a position
-(8) beside  the planner's FOLLOW of an agent within `BESIDE_M` who would not be met, where none of these needs so much
-(9) passed  none of these, but a planner's OVERTAKE of an agent near the way: the plan brakes before it overtakes
-(10) begun  none of these, and the plan brakes hardest at its start and less before it stands: it eases a braking that
-    began in an earlier plan
+(7) word    the planner's STOP or YIELD for an agent near the way that the ego would not meet, or
+            for an object without a position
+(8) beside  the planner's FOLLOW of an agent within `BESIDE_M` who would not be met, where none of
+            these needs so much
+(9) passed  none of these, but a planner's OVERTAKE of an agent near the way: the plan brakes before
+            it overtakes
+(10) begun  none of these, and the plan brakes hardest at its start and less before it stands: it
+            eases a braking that began in an earlier plan
 
-A cause accounts for the braking if the planner named it, or if it needs `SHARE` of the hardest braking of the plan, or
-that braking is below `FELT_MPS2`. Causes that do not account for it come last; if none does, (8), (9), (10), or that no
-cause was found, comes first.
+A cause accounts for the braking if the planner named it, or if it needs `SHARE` of the hardest
+braking of the plan, or that braking is below `FELT_MPS2`. Causes that do not account for it come
+last; if none does, (8), (9), (10), or that no cause was found, comes first.
 """
 
 from __future__ import annotations
@@ -57,9 +61,13 @@ from replan.replay.loop_config import LoopConfig
 STAYS_BEHIND = (DecisionKind.STOP, DecisionKind.YIELD, DecisionKind.FOLLOW)
 OVER_MPS = 0.3
 CURVE_MPS2 = 2.5
-"""Lateral acceleration above which a curve is a reason to be slower: below what planners allow themselves (3.0)."""
+"""Lateral acceleration above which a curve is a reason to be slower: below what planners allow
+themselves (3.0).
+"""
 SOON_S = 1.0
-"""A limit or curve nearer than this is treated as this far away, because no driver brakes instantly."""
+"""A limit or curve nearer than this is treated as this far away, because no driver brakes
+instantly.
+"""
 LEAST_MPS2 = 0.05
 """A limit, curve or goal that requires less deceleration is not a cause."""
 MOST_MPS2 = 9.81
@@ -67,17 +75,24 @@ MOST_MPS2 = 9.81
 GOAL_ROOM_M = 10.0
 """A plan that stops at most this far before the end of the goal's region stops for the goal."""
 SHARE = 1.0 / 3.0
-"""A plan that keeps a constant deceleration with limited jerk brakes about twice as hard at its peak."""
+"""A plan that keeps a constant deceleration with limited jerk brakes about twice as hard at its
+peak.
+"""
 FELT_MPS2 = 1.5
 """Weaker braking is accounted for by any cause."""
 SAME_M = 0.1
 """An obstacle of the S-T graph whose lower station changes by less than this is standing."""
 BESIDE_M = 1.0
-"""Largest distance between the boxes of the ego and an agent who may come into its way from beside it."""
+"""Largest distance between the boxes of the ego and an agent who may come into its way from beside
+it.
+"""
 NEAR_M = 3.0
 """Largest distance from the way of an agent that is near it."""
 KEEP, PASSING, PASS = "keep", "passing", "pass: "
-"""The lane option of the current lane; the stage that compares passing with following; the prefix of its reasons."""
+"""The lane option of the current lane.
+
+The stage that compares passing with following; the prefix of its reasons.
+"""
 
 
 class CauseKind(Enum):
@@ -100,21 +115,24 @@ class Cause:
     """A cause, with the numbers of its sentence; NaN if a number does not apply.
 
     Attributes:
-        who: The agent, stop line or obstacle; FALLBACK: the status; GOAL: "time", "speed" or "place".
+        who: The agent, stop line or obstacle; FALLBACK: the status; GOAL: "time", "speed" or
+            "place".
         decision: The planner's decision about it ("follow"); empty if there is none.
         reason: The planner's reason for the decision.
         inferred: Whether the planner did not name it.
-        hold_mps: The speed that is held; for a plan that stands or crawls, the speed that it would reach.
+        hold_mps: The speed that is held; for a plan that stands or crawls, the speed that it would
+            reach.
         away_m: AGENT, and WORD of an agent beside: distance between the boxes now.
         time_s: Time at which it would be met or reached, s from the frame.
         distance_m: Distance that the ego would have driven until then, m.
         need_mps2: The least constant deceleration that avoids it.
-        value: LIMIT: the limit, m/s; CURVE: the lateral acceleration, m/s2; GOAL: its time, s, or speed, m/s; BEGUN:
-            the acceleration that the plan starts with, m/s2; NONE: the hardest
+        value: LIMIT: the limit, m/s; CURVE: the lateral acceleration, m/s2; GOAL: its time, s, or
+            speed, m/s; BEGUN: the acceleration that the plan starts with, m/s2; NONE: the hardest
             deceleration, m/s2, if others are too weak.
         left_m: AGENT: the least gap of the plan behind them, m.
         left_at_s: AGENT: time of the least gap, s from the frame.
-        is_met: AGENT: whether they would be met; otherwise they would be followed too near, or are only in the way.
+        is_met: AGENT: whether they would be met; otherwise they would be followed too near, or are
+            only in the way.
     """
 
     kind: CauseKind
@@ -134,7 +152,9 @@ class Cause:
 
     @property
     def rank(self) -> tuple[bool, bool, float, float]:
-        """Sort key: causes with numbers before decisions alone, named before inferred, by deceleration, by time."""
+        """Sort key: causes with numbers before decisions alone, named before inferred, by
+        deceleration, by time.
+        """
         need = self.need_mps2 if isfinite(self.need_mps2) else MOST_MPS2 if self.is_met else 0.0
         return (
             self.kind is CauseKind.WORD,
@@ -151,12 +171,14 @@ class Cause:
 
 @dataclass(frozen=True, slots=True)
 class Account:
-    """The action of a plan and its causes: those that the planner named first, then by required deceleration.
+    """The action of a plan and its causes: those that the planner named first, then by required
+    deceleration.
 
     Attributes:
         course: The action of the plan.
         predicted: Whether the predictions of the other agents were available.
-        causes: Causes of slowing down or standing; empty if it does neither. The kind is NONE if no cause was found.
+        causes: Causes of slowing down or standing; empty if it does neither. The kind is NONE if no
+            cause was found.
         not_passed: The reasons that the planner reports for not passing the agent in the way.
     """
 
@@ -176,8 +198,8 @@ def accounts(
 ) -> Iterator[Account]:
     """The account of each frame of a drive; arguments as `planner_inputs`.
 
-    `wanted` has a speed for each frame, m/s: why a plan is not that fast is then asked also where it does not brake;
-    NaN, or none: it is not.
+    `wanted` has a speed for each frame, m/s: why a plan is not that fast is then asked also where
+    it does not brake; NaN, or none: it is not.
     """
     explainer, inputs = Explainer(scenario), planner_inputs(trace, scenario, loop, earlier)
     return (
@@ -235,7 +257,9 @@ class Explainer:
         self._scenario, self._ways = scenario, Ways(scenario)
 
     def account(self, frame: PlannerInput, wanted: float = nan) -> Account:
-        """Why the plan of a frame slows down or stands, or is not as fast as a wanted speed, m/s."""
+        """Why the plan of a frame slows down or stands, or is not as fast as a wanted speed,
+        m/s.
+        """
         plan = frame.planned.plan
         course = Course.of(plan)
         predicted = frame.predictions is not None
@@ -328,7 +352,9 @@ def _met_agent(one: Meeting, case: _Case) -> Cause:
 
 
 def _stops(case: _Case) -> Iterator[Cause]:
-    """(2): stop lines of the road, and other obstacles of the S-T graph that the planner decided to stop for."""
+    """(2): stop lines of the road, and other obstacles of the S-T graph that the planner decided to
+    stop for.
+    """
     front, lanes, lights = (
         case.scenario.vehicle.axle_to_front,
         set(case.way.lanes),
@@ -460,7 +486,10 @@ def _beside(case: _Case) -> Iterator[Cause]:
 
 
 def _passed_or_begun(case: _Case) -> list[Cause]:
-    """(9): agents that the plan overtakes; otherwise (10): braking that began in an earlier plan."""
+    """(9): agents that the plan overtakes.
+
+    Otherwise (10): braking that began in an earlier plan.
+    """
     passed = [
         Cause(CauseKind.WORD, each.agent, each.kind.value, each.reason, True, case.held.v)
         for each in case.plan.internals
@@ -483,7 +512,9 @@ def _passed_or_begun(case: _Case) -> list[Cause]:
 
 
 def not_passed(plan: Plan) -> tuple[str, ...]:
-    """The reasons that the planner reports for passing no agent: within the lane, then by each other lane."""
+    """The reasons that the planner reports for passing no agent: within the lane, then by each
+    other lane.
+    """
     lanes = [each for each in plan.internals if isinstance(each, LaneOption)]
     if any(not each.against and each.name != KEEP for each in lanes):
         return ()

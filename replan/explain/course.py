@@ -1,25 +1,33 @@
-"""The action of a plan, its way, its motion if it did not slow down, and the agents that it would meet then.
+"""The action of a plan, its way, its motion if it did not slow down, and the agents that it would
+meet then.
 
-With the time t from the frame and the arc length s along the plan's path, m, the plan is held from `t_b` on:
+With the time t from the frame and the arc length s along the plan's path, m, the plan is held from
+`t_b` on:
 
 (1) t_b    = the first time at which the plan brakes by `BRAKES_MPS2` or more while it moves
 (2) s_h(t) = s(t) for t <= t_b,  s(t_b) + v(t_b) (t - t_b) after it
-(3) s_h(t) = v_0 t + t^2 START_MPS2 / 2 up to `START_TO_MPS`, then at that speed: for a plan that stands or crawls, as
-    if it drove off now; likewise up to a speed that is wanted, for a plan that does not brake
+(3) s_h(t) = v_0 t + t^2 START_MPS2 / 2 up to `START_TO_MPS`, then at that speed:
+        for a plan that stands or crawls, as if it drove off now; likewise up to a speed that is
+        wanted, for a plan that does not brake
 
-A plan that stops has a path that ends before its reason to stop. The way goes on from there along the reference line of
-the lane that the ego is in (the one nearest to the goal), at the lateral offset of the end of the path; it goes
-straight on where the path ends farther than `LEFT_M` from that line, or across it.
+A plan that stops has a path that ends before its reason to stop. The way goes on from there along
+the reference line of the lane that the ego is in (the one nearest to the goal), at the lateral
+offset of the end of the path; it goes straight on where the path ends farther than `LEFT_M` from
+that line, or across it.
 
-The agents' predicted boxes are swept along the way against the ego's. For each prediction (`sweep` of
-`replan.planners.frenet.st_boundaries`, without any margin of time), [lower(t), upper(t)] are the stations at which the ego's
-box, widened by `MARGIN_M` (`VULNERABLE_MARGIN_M` for pedestrians and riders) on either side, overlaps the agent's.
-After the last prediction all agents go straight on.
+The agents' predicted boxes are swept along the way against the ego's. For each prediction (`sweep`
+of `replan.planners.frenet.st_boundaries`, without any margin of time), [lower(t), upper(t)] are the
+stations at which the ego's box, widened by `MARGIN_M` (`VULNERABLE_MARGIN_M` for pedestrians and
+riders) on either side, overlaps the agent's. After the last prediction all agents go straight on.
 
-(4) met at the first t with  lower(t) - GAP_M < s_h(t) < upper(t),  unless their centre is behind the ego's then
-(5) else, if they go along the way: followed from the first t with  s_h(t) > lower(t) - HEADWAY_S v_h
-(6) need = the least constant deceleration from t_b on that stays GAP_M behind them at all times from (4) on:
-    max over t of 2 (v_h T - room) / T^2, and v_h^2 / (2 room) where it stops before t;  T = t - t_b,
+(4) met at the first t with  lower(t) - GAP_M < s_h(t) < upper(t),  unless their centre is behind
+                             the ego's then
+(5) else, if they go along the way: followed from the first t with  s_h(t) > lower(t) - HEADWAY_S
+    v_h
+(6) need = the least constant deceleration from t_b on that stays GAP_M behind them
+        at all times from (4) on:
+    max over t of 2 (v_h T - room) / T^2, and v_h^2 / (2 room) where it stops before t;
+        T = t - t_b,
     room = lower(t) - s(t_b) - GAP_M, half of lower(t) - s(t_b) where that is more
 """
 
@@ -50,17 +58,23 @@ from replan.planners.frenet.scene import (
 from replan.planners.frenet.st_boundaries import ALONG, Roles, Swept, SweptPath, sweep
 
 BRAKES_MPS2 = -0.3
-"""A plan brakes if its acceleration is at most this: weaker braking is comfortable (ISO 2631-1: below 0.315 m/s2)."""
+"""A plan brakes if its acceleration is at most this: weaker braking is comfortable (ISO 2631-1:
+below 0.315 m/s2).
+"""
 STANDING_MPS = 0.1
 CRAWL_MPS = 2.0
-"""A plan that stays below this speed and neither speeds up nor brakes crawls: as fast as a pedestrian walks."""
+"""A plan that stays below this speed and neither speeds up nor brakes crawls: as fast as a
+pedestrian walks.
+"""
 START_MPS2, START_TO_MPS = 1.0, 5.0
 """How an ego that stands or crawls is assumed to drive off (3)."""
 STEP_S = 0.1
 LOOK_S = 12.0
 """The plan is held for this long: half as long again as the default horizon of predictions."""
 EASE_MPS2 = 0.75
-"""The plan is held at least for the distance of a stop with this deceleration: half of that of planners far ahead."""
+"""The plan is held at least for the distance of a stop with this deceleration: half of that of
+planners far ahead.
+"""
 SPACING_M = 0.5
 """Distance of two points of a way."""
 LEFT_M, ACROSS_RAD = 5.0, radians(60.0)
@@ -110,7 +124,9 @@ class Course:
 
     @property
     def is_asked(self) -> bool:
-        """Whether there is something to explain: it brakes at some time as it drives forward, or stands, or crawls."""
+        """Whether there is something to explain: it brakes at some time as it drives forward, or
+        stands, or crawls.
+        """
         return self.is_slow or bool(np.isfinite(self.t_brakes))
 
     @classmethod
@@ -201,14 +217,19 @@ class Held:
         return cls(t, s, planned, begin, s_from, v, False)
 
     def when(self, s: float) -> float:
-        """The time at which an arc length is reached, s from the frame; beyond `t`, at the speed that is held."""
+        """The time at which an arc length is reached, s from the frame.
+
+        Beyond `t`, at the speed that is held.
+        """
         return float(np.interp(s, self.s, self.t)) + max(s - float(self.s[-1]), 0.0) / max(
             self.v, STANDING_MPS
         )
 
     @property
     def is_start(self) -> bool:
-        """Whether it drives off without a wanted speed: then limits, curves and followed agents are no reasons."""
+        """Whether it drives off without a wanted speed: then limits, curves and followed agents are
+        no reasons.
+        """
         return self.drives_off and self.v <= START_TO_MPS
 
     @property
@@ -218,7 +239,9 @@ class Held:
         return max(float(self.s[-1]), far)
 
     def need(self, ahead: float) -> float:
-        """The least constant deceleration to stop within `ahead` m of the plan's start, m/s2; NaN if it stands."""
+        """The least constant deceleration to stop within `ahead` m of the plan's start, m/s2; NaN
+        if it stands.
+        """
         room = ahead - self.s_from
         return self.v**2 / (2.0 * room) if room > 0.0 and not self.drives_off else np.nan
 
@@ -240,7 +263,8 @@ class PlanWay:
         x, y: World, m.
         yaw: Without jumps, rad.
         kappa: 1/m.
-        limit: Speed limit of the lane that the ego is in, m/s; NaN where the way is not near its reference line.
+        limit: Speed limit of the lane that the ego is in, m/s; NaN where the way is not near its
+            reference line.
         end: Arc length at which the map of that lane ends, m; inf if it is beyond the way.
         lanes: The lanes of that line.
     """
@@ -260,7 +284,10 @@ class PlanWay:
 
 
 class Ways:
-    """Makes the ways of the plans of one drive; it caches the reference lines of the scenario's lanes."""
+    """Makes the ways of the plans of one drive.
+
+    It caches the reference lines of the scenario's lanes.
+    """
 
     def __init__(self, scenario: Scenario) -> None:
         start = scenario.ego.state(0)
@@ -319,7 +346,9 @@ class Ways:
 
 MARGIN_M, VULNERABLE_MARGIN_M = 0.3, 0.6
 GAP_M = 2.0
-"""An ego that comes nearer than this behind an agent has met them: the gap at standstill (IDM's s0)."""
+"""An ego that comes nearer than this behind an agent has met them: the gap at standstill (IDM's
+s0).
+"""
 HEADWAY_S = 2.0
 """Least time headway of a follower: the two-second rule."""
 TOO_LATE_M = 0.1
@@ -332,9 +361,11 @@ class Meeting:
 
     Attributes:
         away_m: Distance between the boxes now, m.
-        time_s: Time of (4) or (5), s from the frame; NaN if neither occurs, and the agent is only in the way.
+        time_s: Time of (4) or (5), s from the frame; NaN if neither occurs, and the agent is only
+            in the way.
         distance_m: Distance that the ego would have driven until then, m.
-        need_mps2: (6); NaN if the ego stands or crawls, for (5), and if it is too late to stay behind.
+        need_mps2: (6); NaN if the ego stands or crawls, for (5), and if it is too late to stay
+            behind.
         left_m: The least gap of the plan itself behind them, m; NaN if it is not behind them.
         left_at_s: Time of the least gap, s from the frame.
         is_met: Whether (4) occurs.
@@ -358,7 +389,8 @@ def meetings(
     car: VehicleParameters,
     passed: BoolArray,
 ) -> list[Meeting]:
-    """One meeting for each agent that occupies a part of the way: the one of its most demanding prediction.
+    """One meeting for each agent that occupies a part of the way: the one of its most demanding
+    prediction.
 
     The way is long enough for the plan; agents that are `passed` `(agents,)` have no margin.
     """
@@ -394,7 +426,9 @@ def meetings(
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Taken:
-    """A prediction's part of a way: agent, rows x, y, yaw `(3, k)`, stations `(k,)`, speed along the way, m/s."""
+    """A prediction's part of a way: agent, rows x, y, yaw `(3, k)`, stations `(k,)`, speed along
+    the way, m/s.
+    """
 
     agent: int
     pose: FloatArray
@@ -404,7 +438,9 @@ class _Taken:
 
 
 def fine(futures: Predictions) -> tuple[FloatArray, FloatArray]:
-    """Times `(k,)` for `LOOK_S`, s, and the poses x, y, yaw `(3, n, k)` there: linear in between, straight on after."""
+    """Times `(k,)` for `LOOK_S`, s, and the poses x, y, yaw `(3, n, k)` there: linear in between,
+    straight on after.
+    """
     t = futures.t
     times = t[0] + STEP_S * np.arange(round(LOOK_S / STEP_S) + 1)
     poses = np.stack([futures.x, futures.y, np.unwrap(futures.yaw, axis=1)])
@@ -420,7 +456,10 @@ def fine(futures: Predictions) -> tuple[FloatArray, FloatArray]:
 
 
 def _order(one: Meeting) -> tuple[bool, bool, float, float]:
-    """Sort key, the most demanding first: met too late, met by need, met sooner; then followed too near."""
+    """Sort key, the most demanding first: met too late, met by need, met sooner.
+
+    Then followed too near.
+    """
     late = one.is_met and np.isnan(one.need_mps2)
     return (
         not one.is_met,

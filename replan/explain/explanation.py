@@ -1,4 +1,5 @@
-"""A plan in words: the causes of slowing down, the decisions about agents, the alternatives, the costs.
+"""A plan in words: the causes of slowing down, the decisions about agents, the alternatives, the
+costs.
 
 `replan explain`, the page "why" of a recording and the HTML report show the same `Explanation`.
 """
@@ -56,7 +57,9 @@ NOISE = 1e-6
 SHOWS = 1e-3
 """A term with a smaller share does not show in the three digits of the sum."""
 BOUND_M = 6.0
-"""Largest distance at which an obstacle bounds a solution, because planners keep a gap to obstacles."""
+"""Largest distance at which an obstacle bounds a solution, because planners keep a gap to
+obstacles.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,7 +119,9 @@ class Explanation:
 
     @classmethod
     def of(cls, frame: PlannedFrame, account: Account, *, bounds: bool = True) -> Explanation:
-        """The explanation of a frame's plan; `bounds=False` skips the search for active bounds, which takes time."""
+        """The explanation of a frame's plan; `bounds=False` skips the search for active bounds,
+        which takes time.
+        """
         plan, because = frame.plan, sentences(account)
         decisions = list(
             {(d.agent, d.kind, d.stage): d for d in reversed(_artefacts(plan, Decision))}.values()
@@ -141,7 +146,10 @@ class Explanation:
         )
 
     def sections(self) -> Iterator[Section]:
-        """All decisions, alternatives, costs and solver reports, as lines of plain text; empty sections are omitted."""
+        """All decisions, alternatives, costs and solver reports, as lines of plain text.
+
+        Empty sections are omitted.
+        """
         decided = [
             (
                 f"{d.agent}: {d.kind.value}",
@@ -171,7 +179,8 @@ class Explanation:
             (
                 "" if r.solved else f"{r.stage}: not solved",
                 f"{f'{r.stage}: ' if r.solved else ', '}{r.status},"
-                f" {counted(r.iterations, 'iteration')}, residuals {_residual(r.primal_residual)} (primal),"
+                f" {counted(r.iterations, 'iteration')}, residuals {_residual(r.primal_residual)} "
+                "(primal),"
                 f" {_residual(r.dual_residual)} (dual)",
             )
             for r in self.solvers
@@ -206,7 +215,10 @@ def explained(drive: StoredDrive, at: float | None = None) -> list[Explanation]:
 def changes(
     trace: Trace, scenario: Scenario, loop: LoopConfig | None = None
 ) -> Iterator[Explanation]:
-    """The frames at which the status, lane, a decision or the first cause changes; arguments as `accounts`."""
+    """The frames at which the status, lane, a decision or the first cause changes.
+
+    Arguments as `accounts`.
+    """
     before: Any = None
     for frame, account in zip(trace.frames, accounts(trace, scenario, loop), strict=True):
         first = account.causes[0] if account.causes else None
@@ -230,7 +242,8 @@ MOST_PHASES = 8
 
 
 def summary(drive: StoredDrive) -> list[str]:
-    """The phases of a drive with fallbacks and the hardest planned braking, in the order of time, a line each.
+    """The phases of a drive with fallbacks and the hardest planned braking, in the order of time, a
+    line each.
 
     A phase is consecutive plans with the same action and first cause. Errors as `explained`.
     """
@@ -293,7 +306,7 @@ def _residual(value: float) -> str:
     return f"{value:.1e}" if np.isfinite(value) else "unknown"
 
 
-# decisions and lanes in a word ------------------------------------------------------------------------------------
+# decisions and lanes in a word --------------------------------------------------------------------
 
 
 def longitudinal(plan: Plan) -> str:
@@ -303,7 +316,9 @@ def longitudinal(plan: Plan) -> str:
 
 
 def lateral(plan: Plan) -> str:
-    """The decisions of a plan about the side on which obstacles are passed; `NO_NUDGE` if there is none."""
+    """The decisions of a plan about the side on which obstacles are passed; `NO_NUDGE` if there is
+    none.
+    """
     kinds = {decision.kind for decision in _artefacts(plan, Decision)}
     left, right = DecisionKind.NUDGE_LEFT in kinds, DecisionKind.NUDGE_RIGHT in kinds
     if left and right:
@@ -343,7 +358,7 @@ def format_option(option: LaneOption) -> str:
     return f"{option.cost:.1f} s" + (f" ({terms})" if terms else "")
 
 
-# costs and bounds -------------------------------------------------------------------------------------------------
+# costs and bounds ---------------------------------------------------------------------------------
 
 
 def format_terms(terms: Sequence[tuple[str, float]]) -> str:
@@ -359,13 +374,19 @@ def format_terms(terms: Sequence[tuple[str, float]]) -> str:
 
 
 def main_terms(terms: Sequence[tuple[str, float]]) -> list[tuple[str, float]]:
-    """The terms that show in their sum, without numerical noise; values that are not finite are kept."""
+    """The terms that show in their sum, without numerical noise.
+
+    Values that are not finite are kept.
+    """
     least = max(NOISE, SHOWS * sum(abs(value) for _, value in terms if isfinite(value)))
     return [(name, value) for name, value in terms if abs(value) > least or not isfinite(value)]
 
 
 def touched(plan: Plan) -> Iterator[Touch]:
-    """The stretches in which the solutions of a plan's graphs touch a bound; their given start is ignored."""
+    """The stretches in which the solutions of a plan's graphs touch a bound.
+
+    Their given start is ignored.
+    """
     for graph in plan.internals:
         if not isinstance(graph, Graph) or graph.corridor is None or len(graph.qp) < 2:
             continue

@@ -1,20 +1,23 @@
-"""The first difference of two drives of one log, in the order of cause and effect; when two planners part.
+"""The first difference of two drives of one log, in the order of cause and effect; when two
+planners part.
 
-Within a frame: input (agents, ego), predictions, route, lane choice, path DP (sides and available space), path QP, S-T
-graph, speed DP (order of passing, and available space), speed QP, plan; then, at the control rate, the command and the
-motion of the car. An earlier difference comes before a later one. For a planner without internals it is its input or
-its plan.
+Within a frame: input (agents, ego), predictions, route, lane choice, path DP (sides and available
+space), path QP, S-T graph, speed DP (order of passing, and available space), speed QP, plan; then,
+at the control rate, the command and the motion of the car. An earlier difference comes before a
+later one. For a planner without internals it is its input or its plan.
 
-(1) different = something differs by more than TOLERANCE, or in a word (the agents, a decision, a lane, an end)
+(1) different = something differs by more than TOLERANCE,
+        or in a word (the agents, a decision, a lane, an end)
 (2) first     = the first value that differs by more than FINE, by time, then by `STAGES`
 
-(2) looks closer than (1): a plan that is off by half a millimetre is the cause of a car that is off by two, and not the
-other way round.
+(2) looks closer than (1): a plan that is off by half a millimetre is the cause of a car that is off
+by two, and not the other way round.
 
-Two planners differ in some number from the first frame on. They part at the first time at which their drives (in open
-loop: their plans, AHEAD_S after each frame) differ enough to matter:
+Two planners differ in some number from the first frame on. They part at the first time at which
+their drives (in open loop: their plans, AHEAD_S after each frame) differ enough to matter:
 
-(3) parted = the speeds differ by more than PARTED_MPS, or the places by more than PARTED_M across the first one's way
+(3) parted = the speeds differ by more than PARTED_MPS,
+        or the places by more than PARTED_M across the first one's way
 """
 
 from __future__ import annotations
@@ -44,9 +47,14 @@ from replan.logs.plan import (
 from replan.logs.trace import Mode, PlannedFrame, Trace
 
 TOLERANCE = 1e-3
-"""Tolerance in m, rad, m/s, and pedal positions, 0 to 1: a millimetre is less than any metric resolves."""
+"""Tolerance in m, rad, m/s, and pedal positions, 0 to 1: a millimetre is less than any metric
+resolves.
+"""
 FINE = 1e-8
-"""In the same units; just above rounding (1e-9 m in the grid of a city), so that causes are separated from effects."""
+"""In the same units.
+
+Just above rounding (1e-9 m in the grid of a city), so that causes are separated from effects.
+"""
 SAME_TIME_S = 1e-6
 
 STAGES = (
@@ -64,10 +72,12 @@ STAGES = (
     "controller",
     "end",
 )
-"""Stages in their order at one instant: earlier commands moved the car; its next command follows the plan.
+"""Stages in their order at one instant: earlier commands moved the car; its next command follows
+the plan.
 
-Those from route to speed QP are the graphs, lanes and decisions of `replan.logs.trace`. Stages that a planner names itself, in
-its decisions, costs and candidates, come before the plan, in the order of their first mention.
+Those from route to speed QP are the graphs, lanes and decisions of `replan.logs.trace`. Stages that
+a planner names itself, in its decisions, costs and candidates, come before the plan, in the order
+of their first mention.
 """
 
 
@@ -88,7 +98,9 @@ class FirstDifference:
 
 @dataclass(frozen=True, slots=True)
 class _Difference:
-    """A value that differs: the size of the difference (inf for words), its stage, and its description."""
+    """A value that differs: the size of the difference (inf for words), its stage, and its
+    description.
+    """
 
     t: float
     stage: str
@@ -103,7 +115,9 @@ class _Difference:
 
 
 def first_difference(one: Trace, two: Trace) -> FirstDifference | None:
-    """The first difference of two drives of one log, from the first to the second; None if there is none (1)."""
+    """The first difference of two drives of one log, from the first to the second; None if there is
+    none (1).
+    """
     n = _together(one.ego.t, two.ego.t)
     t, moved = one.ego.t[:n], "vehicle" if one.mode is Mode.CLOSED else "input frame"
     found: list[_Difference] = []
@@ -151,7 +165,9 @@ def _rows(
     what: str,
     unit: str,
 ) -> Iterator[_Difference]:
-    """The first row beyond FINE, and the first beyond TOLERANCE; `stages` of the first row, and of the others."""
+    """The first row beyond FINE, and the first beyond TOLERANCE; `stages` of the first row, and of
+    the others.
+    """
     one, two = columns
     size = _sizes(one, two)
     for bound in (FINE, TOLERANCE):
@@ -168,7 +184,7 @@ def _together(one: FloatArray, two: FloatArray) -> int:
     return int(apart[0]) if len(apart) else n
 
 
-# frame by frame ---------------------------------------------------------------------------------------------------
+# frame by frame -----------------------------------------------------------------------------------
 
 
 def _frame_differences(one: Trace, two: Trace) -> Iterator[list[_Difference]]:
@@ -285,13 +301,15 @@ def _plan_differences(before: PlannedFrame, now: PlannedFrame) -> _Found:
         )
 
 
-# inside a planner -------------------------------------------------------------------------------------------------
+# inside a planner ---------------------------------------------------------------------------------
 
 
 def _inside(
     before: PlannedFrame, now: PlannedFrame, kept: set[type]
 ) -> Iterator[tuple[str, _Found]]:
-    """Differences of stage artefacts, if both plans have some; `kept`: the kinds of graphs that both traces have."""
+    """Differences of stage artefacts, if both plans have some; `kept`: the kinds of graphs that
+    both traces have.
+    """
     one, two = tuple(before.plan.internals), tuple(now.plan.internals)
     if not one or not two:
         return
@@ -351,7 +369,9 @@ def _graphs(
 
 
 def _room(one: Graph, two: Graph, value: str, at: str, *, moves: bool) -> _Found:
-    """Differences of the obstacles (`moves=False` only), of the choice of the DP, and of the available space."""
+    """Differences of the obstacles (`moves=False` only), of the choice of the DP, and of the
+    available space.
+    """
     if not moves:
         yield from _outlines(one, two)
     sides = [{item.agent: item.decision.value for item in graph.obstacles} for graph in (one, two)]
@@ -417,7 +437,7 @@ def _count_differences(one: Sequence[object], two: Sequence[object], stage: str)
     yield from _largest(columns[0], columns[1], names.__getitem__, "")
 
 
-# numbers and words ------------------------------------------------------------------------------------------------
+# numbers and words --------------------------------------------------------------------------------
 
 
 def _sizes(one: FloatArray, two: FloatArray) -> FloatArray:
@@ -439,7 +459,9 @@ def _largest(one: FloatArray, two: FloatArray, place: Callable[[int], str], unit
 
 
 def _curve(one: FloatArray, two: FloatArray, value: str, at: str) -> _Found:
-    """Curves `(n, 2)` of a value, m, over a time or station, formatted by `at`: where both exist, then their ends."""
+    """Curves `(n, 2)` of a value, m, over a time or station, formatted by `at`: where both exist,
+    then their ends.
+    """
     if not len(one) or not len(two):
         if len(one) != len(two):
             yield inf, partial(str, f"{value}: {'none' if len(two) == 0 else 'there now'}")
@@ -481,7 +503,9 @@ LATERAL = (DecisionKind.NUDGE_LEFT, DecisionKind.NUDGE_RIGHT)
 
 
 def planners_part(one: Trace, two: Trace) -> FirstDifference | None:
-    """The first time at which two planners part (3), with the decision of each; None if they never do."""
+    """The first time at which two planners part (3), with the decision of each; None if they never
+    do.
+    """
     for old, new in zip(one.frames, two.frames, strict=False):
         t, states = old.t, []
         for trace, frame in ((one, old), (two, new)):
@@ -510,5 +534,8 @@ def decided(plan: Plan) -> str:
     for kind in (*LONGITUDINAL, *LATERAL):
         agents = list(dict.fromkeys(item.agent for item in decisions if item.kind is kind))
         if agents:
-            return f"{kind.value} {agents[0]}{f' and {len(agents) - 1} more' if len(agents) > 1 else ''}"
+            return (
+                f"{kind.value} "
+                f"{agents[0]}{f' and {len(agents) - 1} more' if len(agents) > 1 else ''}"
+            )
     return plan.status.value if plan.status.is_fallback else "nothing decided"

@@ -1,8 +1,9 @@
-"""The input of the planner in each frame of a drive, and the actual motion of the agents in its S-T graph.
+"""The input of the planner in each frame of a drive, and the actual motion of the agents in its S-T
+graph.
 
-A trace in memory keeps the predictions at `KEPT_STEP_S`; its file keeps fewer, without headings. For a trace that was
-read from a file, the predictions are therefore made again with the settings of the loop, and thinned as in memory: the
-numbers are the same.
+A trace in memory keeps the predictions at `KEPT_STEP_S`; its file keeps fewer, without headings.
+For a trace that was read from a file, the predictions are therefore made again with the settings of
+the loop, and thinned as in memory: the numbers are the same.
 """
 
 from __future__ import annotations
@@ -56,8 +57,8 @@ def planner_inputs(
 ) -> Iterator[PlannerInput]:
     """The planner's input at each frame of a trace.
 
-    A trace that was read from a file needs the settings of its loop, and the times of frames `earlier` than its own, s,
-    which a sensor model remembers.
+    A trace that was read from a file needs the settings of its loop, and the times of frames
+    `earlier` than its own, s, which a sensor model remembers.
     """
     perception = None if loop is None else Perception(scenario, loop)
     if perception is not None and loop is not None and not shows_truth(loop.perception, scenario):
@@ -78,7 +79,10 @@ def planner_inputs(
 
 
 def agents_shown(trace: Trace, t: float) -> Agents:
-    """The agents as they were shown to the planner in the frame at `t`; their order is not that of the frame."""
+    """The agents as they were shown to the planner in the frame at `t`.
+
+    Their order is not that of the frame.
+    """
     some = trace.perceived
     if some is None:
         return trace.agents.perceived(t)
@@ -90,11 +94,12 @@ def agents_shown(trace: Trace, t: float) -> Agents:
 
 
 def actual_occupancy(trace: Trace, scenario: Scenario) -> Iterator[list[FloatArray]]:
-    """For each frame, where the agents that its S-T graph decides about were on the path, as they really drove.
+    """For each frame, where the agents that its S-T graph decides about were on the path, as they
+    really drove.
 
-    The boxes of the trace (linear between its samples) are swept against the ego's box along the path of the plan and
-    `BEYOND_M` straight on from its end, without any margin. A difference from an obstacle of the graph is therefore an
-    error of the prediction, or the margin of the planner.
+    The boxes of the trace (linear between its samples) are swept against the ego's box along the
+    path of the plan and `BEYOND_M` straight on from its end, without any margin. A difference from
+    an obstacle of the graph is therefore an error of the prediction, or the margin of the planner.
 
     Yields:
         Outlines `(k, 2)`: time from the frame, s, and station along the path from the ego, m.
@@ -125,7 +130,9 @@ def actual_occupancy(trace: Trace, scenario: Scenario) -> Iterator[list[FloatArr
 def _outline(
     tracks: Tracks, i: int, frame: PlannedFrame, way: FloatArray, end: float, ego: Swept
 ) -> FloatArray | None:
-    """The outline of an agent on the path until the drive, its log or the plan ends; None if it is never on it."""
+    """The outline of an agent on the path until the drive, its log or the plan ends; None if it is
+    never on it.
+    """
     own = slice(int(tracks.offsets[i]), int(tracks.offsets[i + 1]))
     last = min(
         end,

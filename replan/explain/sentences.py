@@ -1,4 +1,6 @@
-"""The causes of a plan in words: each sentence is made of the numbers of one `Cause`, and of nothing else."""
+"""The causes of a plan in words: each sentence is made of the numbers of one `Cause`, and of
+nothing else.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,10 @@ OPENINGS = {Action.STANDS: "Stands", Action.CRAWLS: "Crawls", Action.SLOWS: "Slo
 
 
 def sentences(account: Account) -> list[str]:
-    """The causes of slowing down, standing or crawling, the first one first; empty if there is no cause or fallback."""
+    """The causes of slowing down, standing or crawling, the first one first.
+
+    Empty if there is no cause or fallback.
+    """
     failed = [cause for cause in account.causes if cause.kind is CauseKind.FALLBACK]
     rest = conflicts(account)
     lines = [f"Fallback: {_join(cause.who, cause.reason)}." for cause in failed]
@@ -49,9 +54,11 @@ def sentences(account: Account) -> list[str]:
             nothing = "the trace does not hold the predictions that the planner used."
             if account.predicted:
                 nothing = (
-                    f"{_describe_held_plan(account, cause)} it would meet no road user ahead of it within"
+                    f"{_describe_held_plan(account, cause)} it would meet no road user ahead of it "
+                    "within"
                     f" {cause.time_s:.0f} s, and"
-                    f" no limit, curve, stop line, goal or end of the road within {cause.distance_m:.0f} m requires"
+                    " no limit, curve, stop line, goal or end of the road within "
+                    f"{cause.distance_m:.0f} m requires"
                     f" braking.{near}"
                 )
             lines.append(f"{opening}; no cause found: {nothing}")
@@ -75,7 +82,9 @@ def sentences(account: Account) -> list[str]:
 
 
 def brief(account: Account) -> str:
-    """The first cause in a few words: "for 12 (follow), which takes 1.7 m/s²"; "" if there is none."""
+    """The first cause in a few words: "for 12 (follow), which takes 1.7 m/s²"; "" if there is
+    none.
+    """
     if not account.causes:
         return ""
     cause = account.causes[0]
@@ -84,11 +93,16 @@ def brief(account: Account) -> str:
     if cause.kind is CauseKind.NONE:
         return "no cause found"
     takes = f", which takes {cause.need_mps2:.1f} m/s²" if isfinite(cause.need_mps2) else ""
-    return f"for {NAMES.get(cause.kind, cause.who)} ({'inferred' if cause.inferred else cause.decision}){takes}"
+    return (
+        f"for {NAMES.get(cause.kind, cause.who)} "
+        f"({'inferred' if cause.inferred else cause.decision}){takes}"
+    )
 
 
 def conflicts(account: Account) -> list[Cause]:
-    """The causes except fallbacks, one for each conflict: an agent in the reason of an earlier stop is not repeated."""
+    """The causes except fallbacks, one for each conflict: an agent in the reason of an earlier stop
+    is not repeated.
+    """
     kept: list[Cause] = []
     named: set[str] = set()
     causes = [cause for cause in account.causes if cause.kind is not CauseKind.FALLBACK]
@@ -97,8 +111,9 @@ def conflicts(account: Account) -> list[Cause]:
         if cause.who not in named:
             kept.append(cause)
         if cause.kind is CauseKind.STOP:
-            # if a reason names several agents, the last one is taken: the first may be a common noun; many agents are
-            # called by a number, and a number with a fraction is a measurement
+            # if a reason names several agents, the last one is taken: the first may be a common
+            # noun; many agents are called by a number, and a number with a fraction is a
+            # measurement
             found = {
                 hit.start(): who
                 for who in filter(None, agents)
@@ -150,13 +165,19 @@ def _numbers(account: Account, cause: Cause) -> str:
             return _join(across, _describe_needed_braking("slowing down for it", cause))
         case CauseKind.GOAL:
             goal = {
-                "time": f"{held} it is passed in {cause.time_s:.1f} s, but its time begins at t = {cause.value:.1f} s",
+                "time": (
+                    f"{held} it is passed in {cause.time_s:.1f} s, but its time begins at t = "
+                    f"{cause.value:.1f} s"
+                ),
                 "speed": f"at most {cause.value:.1f} m/s, instead of {cause.hold_mps:.1f} m/s",
                 "place": "the plan stops at it",
             }[cause.who]
             return _join(f"{place}, {goal}", _describe_needed_braking("that", cause))
         case CauseKind.BEGUN:
-            return f"the plan starts at {cause.value:.1f} m/s², as the ego moves, and releases it in {cause.time_s:.1f} s"
+            return (
+                f"the plan starts at {cause.value:.1f} m/s², as the ego moves, and releases it "
+                f"in {cause.time_s:.1f} s"
+            )
         case CauseKind.ROAD_END:
             return _join(
                 f"the map ends {place}", _describe_needed_braking("stopping before it", cause)

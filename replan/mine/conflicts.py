@@ -1,15 +1,18 @@
 """Events of two road users that use the same place: near misses, and which of them yields.
 
-A road user and the ego conflict where their boxes take the same place at different times, the ego's at step i and the
-other's at step j of the grid; for vehicles with headings that differ by 30 degrees or more. With the pair of least time
+A road user and the ego conflict where their boxes take the same place at different times, the ego's
+at step i and the other's at step j of the grid; for vehicles with headings that differ by 30
+degrees or more. With the pair of least time
 
 (1) PET = |t_j - t_i|
 
-and the first one there goes first. The second one has yielded if it slowed down before the first one was there, and at
-the speed that it had before it slowed down it would have come less than `CLOSE_S` after the first one, or before it.
+and the first one there goes first. The second one has yielded if it slowed down before the first
+one was there, and at the speed that it had before it slowed down it would have come less than
+`CLOSE_S` after the first one, or before it.
 
-They are on a collision course while the time to collision TTC (`replan.metrics.safety`) is below its critical value. With the
-relative speed u, the braking that just avoids the contact, with boxes that may be off by `DEEP_M`, is
+They are on a collision course while the time to collision TTC (`replan.metrics.safety`) is below
+its critical value. With the relative speed u, the braking that just avoids the contact, with boxes
+that may be off by `DEEP_M`, is
 
 (2) needed = u^2 / (2 (u TTC + DEEP_M))
 
@@ -39,8 +42,8 @@ from replan.mine.road_users import ALONG
 COURSE_S = 0.3
 """Least duration of a collision course."""
 NEAR_S, NEAR_M = 2.0, 1.0
-"""A collision course is a near miss if it needs hard braking (2), and in NEAR_S after it they come within NEAR_M or
-one brakes hard."""
+"""A collision course is a near miss if it needs hard braking (2), and in NEAR_S after it they come
+within NEAR_M or one brakes hard."""
 WINDOW_S = 10.0
 """Largest time between two road users at a place that are in conflict."""
 CLOSE_S = 1.0
@@ -48,7 +51,9 @@ CLOSE_S = 1.0
 BEFORE_S = 10.0
 """A road user that yields slows down within this time before the other one is there."""
 SLOWED_MPS, SLOWED = 1.0, 0.3
-"""Least decrease of the speed of a road user that yields: absolute, m/s, and as a share of its speed before."""
+"""Least decrease of the speed of a road user that yields: absolute, m/s, and as a share of its
+speed before.
+"""
 MOVES_MPS = 0.5
 """Slower road users stand."""
 SUDDEN = "they are first seen as they touch"
@@ -145,7 +150,9 @@ def _step_of_slowing(v: FloatArray, way: FloatArray, first: int, at: int) -> int
 
 @once
 def _conflicts(log: DrivenLog) -> tuple[tuple[Neighbour, int, int], ...]:
-    """Each road user in conflict with the ego, with the steps of the ego and of the other at the least PET."""
+    """Each road user in conflict with the ego, with the steps of the ego and of the other at the
+    least PET.
+    """
     found = []
     size = np.array([log.car.length, log.car.width])
     low, high = log.boxes[:2].min(axis=1) - 10.0, log.boxes[:2].max(axis=1) + 10.0
@@ -177,7 +184,9 @@ def _least_encroachment(
     angle: float,
     window: int,
 ) -> tuple[int, int]:
-    """(1): the ego's step i and the other's step j of the least |i - j| <= window, the first of equals; -1: none."""
+    """(1): the ego's step i and the other's step j of the least |i - j| <= window, the first of
+    equals; -1: none.
+    """
     best, found_i, found_j = window + 1, -1, -1
     reach = 0.5 * (hypot(car[0], car[1]) + hypot(size[0], size[1]))
     for m in range(len(k)):
@@ -212,7 +221,10 @@ def _courses(
     size: FloatArray,
     horizon: float,
 ) -> FloatArray:
-    """TTC (`replan.metrics.safety`), s, and (2), m/s2, `(2, m)` with one road user; inf and 0 beyond the horizon, s."""
+    """TTC (`replan.metrics.safety`), s, and (2), m/s2, `(2, m)` with one road user.
+
+    Inf and 0 beyond the horizon, s.
+    """
     out = np.zeros((2, len(k)))
     out[0] = inf
     reach = 0.5 * (hypot(car.length, car.width) + hypot(size[0], size[1]))
@@ -258,7 +270,8 @@ def _courses(
 def _rooms(
     ego: FloatArray, car: EgoOutline, pose: FloatArray, k: IntArray, size: FloatArray
 ) -> FloatArray:
-    """Distance of the boxes of the ego `(5, n)` at the steps `k` and of a road user `(5, m)`, m, `(m,)`.
+    """Distance of the boxes of the ego `(5, n)` at the steps `k` and of a road user `(5, m)`, m,
+    `(m,)`.
 
     Minus how deep they overlap; inf where their circles are more than `NEAR_M` apart.
     """
@@ -276,7 +289,8 @@ CONFLICTS = (
     EventKind(
         "contact",
         _contact,
-        "The boxes of the ego and a road user overlap, but for phantoms (docs/verdict.md). While they do.",
+        "The boxes of the ego and a road user overlap, but for phantoms (docs/verdict.md). While "
+        "they do.",
         "speed of the two against each other at first",
         "m/s",
         "",
@@ -285,9 +299,12 @@ CONFLICTS = (
     EventKind(
         "near_miss_ttc",
         _near_miss_ttc,
-        f"For {COURSE_S} s the time to collision is below {TTC_S} s, at constant velocity and as the two turn, and to"
-        f" avoid the contact needs {HARD_MPS2:g} m/s2 of braking or more; until {NEAR_S:g} s later the two come within"
-        f" {NEAR_M:g} m, or one of them, but for a vehicle beside the band, brakes with {HARD_MPS2:g} m/s2 or more.",
+        f"For {COURSE_S} s the time to collision is below {TTC_S} s, at constant velocity and as "
+        "the two turn, and to"
+        f" avoid the contact needs {HARD_MPS2:g} m/s2 of braking or more; until {NEAR_S:g} s later "
+        "the two come within"
+        f" {NEAR_M:g} m, or one of them, but for a vehicle beside the band, brakes with "
+        f"{HARD_MPS2:g} m/s2 or more.",
         "least TTC",
         "s",
         "TTC and required deceleration: criticality metrics catalogue, Westhofen et al. 2023",
@@ -296,7 +313,8 @@ CONFLICTS = (
     EventKind(
         "near_miss_pet",
         _near_miss_pet,
-        f"The ego, moving, and another road user take the same place within {PET_S:g} s. From the first to the second.",
+        f"The ego, moving, and another road user take the same place within {PET_S:g} s. From the "
+        "first to the second.",
         "PET",
         "s",
         "Allen, Shin, Cooper, Transp. Res. Rec. 667 (1978); the bound is that of the metric pet",
@@ -304,8 +322,10 @@ CONFLICTS = (
     EventKind(
         "ego_yields",
         _ego_yields,
-        f"The ego slows down by {SLOWED_MPS:g} m/s and {SLOWED:.0%} or more before another road user takes a place on"
-        f" its way, and comes there up to {WINDOW_S:g} s later; at the speed before it would have come before the other"
+        f"The ego slows down by {SLOWED_MPS:g} m/s and {SLOWED:.0%} or more before another road "
+        "user takes a place on"
+        f" its way, and comes there up to {WINDOW_S:g} s later; at the speed before it would have "
+        "come before the other"
         f" or less than {CLOSE_S:g} s after. From when it begins to slow down until it is there.",
         "PET",
         "s",

@@ -1,12 +1,13 @@
 """Coverage: the cells of a set of logs, and the fewest logs that together have all of them.
 
-A cell is an event's kind, road, kind of road user and range of speed. The set of all possible cells is unknown, so the
-gaps of a set are the cells of another set that it lacks, by default those of the catalogue, whose families can be
-synthesised: a gap names the family that fills it.
+A cell is an event's kind, road, kind of road user and range of speed. The set of all possible cells
+is unknown, so the gaps of a set are the cells of another set that it lacks, by default those of the
+catalogue, whose families can be synthesised: a gap names the family that fills it.
 
-`replan suite` chooses by greedy set cover (Chvatal, Math. Oper. Res. 4, 1979: within ln n + 1 of the smallest): the
-next log is the one with most cells that no chosen log has; of equal ones that in which a blind driver fails, then the
-shorter, then the first by name. A log that a parked driver passes is left out, since it tells no drivers apart.
+`replan suite` chooses by greedy set cover (Chvatal, Math. Oper. Res. 4, 1979: within ln n + 1 of
+the smallest): the next log is the one with most cells that no chosen log has; of equal ones that in
+which a blind driver fails, then the shorter, then the first by name. A log that a parked driver
+passes is left out, since it tells no drivers apart.
 """
 
 from __future__ import annotations
@@ -45,7 +46,9 @@ CELL_PX, NAMES_PX = (70.0, 20.0), 150.0
 
 
 def cells(events: pd.DataFrame) -> pd.DataFrame:
-    """The cells of some events, a row each: `CELL`, numbers of events and logs, and the log with most events."""
+    """The cells of some events, a row each: `CELL`, numbers of events and logs, and the log with
+    most events.
+    """
     rows = []
     for key, group in events.groupby(list(CELL), sort=True):
         counts = group["log"].value_counts()
@@ -55,7 +58,9 @@ def cells(events: pd.DataFrame) -> pd.DataFrame:
 
 
 def gaps(have: pd.DataFrame, other: pd.DataFrame) -> pd.DataFrame:
-    """The cells of `other` that `have` lacks, as `cells` has them; `example` is a log of the other set."""
+    """The cells of `other` that `have` lacks, as `cells` has them; `example` is a log of the other
+    set.
+    """
     joined = other.merge(have[list(CELL)], on=list(CELL), how="left", indicator=True)
     return joined[joined["_merge"] == "left_only"].drop(columns="_merge").reset_index(drop=True)
 
@@ -102,14 +107,18 @@ COVERAGE = FolderContents("coverage", ("coverage.csv", "coverage.png"), resumes=
 
 
 def write_coverage(out: Path, events: pd.DataFrame, rows: pd.DataFrame) -> None:
-    """Write coverage.csv and coverage.png into a folder of mined logs; OutputError if that fails."""
+    """Write coverage.csv and coverage.png into a folder of mined logs; OutputError if that
+    fails.
+    """
     write_csv(out / "coverage.csv", rows)
     title = f"{counted(len(events), 'event')} in {counted(events['log'].nunique(), 'log')}"
     figure(events, title).save(out / "coverage.png")
 
 
 def lines(have: pd.DataFrame, missing: pd.DataFrame, source: str) -> list[str]:
-    """The cells in words: their number, and the gaps by kind with a log of `source` that fills each."""
+    """The cells in words: their number, and the gaps by kind with a log of `source` that fills
+    each.
+    """
     found = [
         f"{counted(len(have), 'cell')} covered; {counted(len(missing), 'cell')} of {source} not"
     ]
@@ -119,14 +128,16 @@ def lines(have: pd.DataFrame, missing: pd.DataFrame, source: str) -> list[str]:
     return found
 
 
-# the fewest logs --------------------------------------------------------------------------------------------------
+# the fewest logs ----------------------------------------------------------------------------------
 
 Cell = tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class ChosenLog:
-    """A log of the suite, the number of cells that it adds to the logs before it, and what a blind driver breaks."""
+    """A log of the suite, the number of cells that it adds to the logs before it, and what a blind
+    driver breaks.
+    """
 
     log: str
     source: str
@@ -139,7 +150,8 @@ def smallest_cover(
 ) -> list[str]:
     """Logs that together have all cells, in the order in which they are chosen.
 
-    Of logs that add equally many cells the one with the least cost is chosen: without interaction, length in s.
+    Of logs that add equally many cells the one with the least cost is chosen: without interaction,
+    length in s.
     """
     left = set().union(*cells.values()) if cells else set()
     chosen: list[str] = []
@@ -154,7 +166,8 @@ def suite_of(mined: Mined) -> list[ChosenLog]:
     """The suite of mined logs.
 
     Raises:
-        ConfigError: No event was found in a log that tells drivers apart: there is nothing to cover.
+        ConfigError: No event was found in a log that tells drivers apart: there is nothing to
+            cover.
     """
     of_log = mined.logs.set_index("log")
     apart = (of_log["parked_breaks"] != "") & (of_log["creeping_breaks"] != "")
@@ -181,7 +194,8 @@ def suite_of(mined: Mined) -> list[ChosenLog]:
 
 @contextmanager
 def suite_writer(out: Path) -> Iterator[Callable[[Sequence[ChosenLog], Path], None]]:
-    """The function that writes a suite as TOML into a claimed file, with paths relative to the file.
+    """The function that writes a suite as TOML into a claimed file, with paths relative to the
+    file.
 
     It takes the logs, and the directory to which relative sources refer.
 
@@ -202,7 +216,8 @@ def suite_writer(out: Path) -> Iterator[Callable[[Sequence[ChosenLog], Path], No
                     else "no interaction"
                 )
                 lines.append(
-                    f"# {visible_name(one.log, inf)}: {counted(one.adds, 'cell')}; {visible_name(what, inf)}"
+                    f"# {visible_name(one.log, inf)}: {counted(one.adds, 'cell')}; "
+                    f"{visible_name(what, inf)}"
                 )
             write_text(out, "\n".join([*lines, tomli_w.dumps({"logs": places})]))
 

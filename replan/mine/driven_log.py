@@ -1,16 +1,18 @@
 """Event kinds, and a log prepared for finding them: on a time grid, in the frame of the ego's path.
 
-An `EventKind` finds `Event`s in a `DrivenLog`: one function (log) -> events, and one row of `replan.mine.kinds`. A kind
-of your own is an `EventKind` in a module, named as "module:NAME" (`replan mine --kind module:NAME`) or by an entry
-point of the group `replan.events`.
+An `EventKind` finds `Event`s in a `DrivenLog`: one function (log) -> events, and one row of
+`replan.mine.kinds`. A kind of your own is an `EventKind` in a module, named as "module:NAME"
+(`replan mine --kind module:NAME`) or by an entry point of the group `replan.events`.
 
-The path is the way that the recorded rear axle took, as a reference line (straight on before its begin and beyond its
-end). It contains the log's future, because mining looks at a whole log; no planner sees it. With a road user's box
-centre at (s, l) on that path and its heading turned by d against it:
+The path is the way that the recorded rear axle took, as a reference line (straight on before its
+begin and beyond its end). It contains the log's future, because mining looks at a whole log; no
+planner sees it. With a road user's box centre at (s, l) on that path and its heading turned by d
+against it:
 
 (1) half_s = (|cos d| length + |sin d| width) / 2     half_l = (|sin d| length + |cos d| width) / 2
 (2) rear, front = s -+ half_s     low, high = l -+ half_l
-(3) the band: |l| <= half of the ego's width; a box reaches into it where low < half and high > -half
+(3) the band: |l| <= half of the ego's width; a box reaches into it where low < half
+        and high > -half
 
 A road user is examined at the steps of the grid at which the log has it within `NEAR_M` of the ego.
 """
@@ -34,7 +36,9 @@ from replan.metrics.metric import Unavailable, rate_of_change
 
 NEAR_M = 80.0
 SEARCH_M, FOLLOW_M = 120.0, 15.0
-"""The first foot is searched within SEARCH_M of the ego's station, each later one within FOLLOW_M of the last."""
+"""The first foot is searched within SEARCH_M of the ego's station, each later one within FOLLOW_M
+of the last.
+"""
 OWN_M = 10.0
 """The ego's foot is searched within this of the one before."""
 SHORT_M = 2.0
@@ -78,7 +82,8 @@ class EventKind:
 
     Attributes:
         name: One word, as in the column `kind` of events.parquet.
-        find: The events of a log in any order; raises Unavailable if the log lacks the required data.
+        find: The events of a log in any order; raises Unavailable if the log lacks the required
+            data.
         meaning: Its definition, begin and end, with its thresholds.
         measures: The meaning of `Event.value`; empty if that is NaN.
         unit: Unit of the value: "m", "s", "m/s", "m/s2", "1".
@@ -113,7 +118,8 @@ class Neighbour:
         pose: `(5, m)` x, y (box centre, m), yaw (rad), vx, vy (m/s), world.
         accel: `(m,)` rate of its speed, m/s2; `turn` of its velocity's direction, rad/s.
         size: Length and width, m.
-        s: `(m,)` station of its box centre on the ego's path, m; `l` its offset, positive to the left.
+        s: `(m,)` station of its box centre on the ego's path, m; `l` its offset, positive to the
+            left.
         along: `(m,)` cosine of the angle between its heading and the path.
         half_s: `(m,)` (1), m; `half_l` likewise.
     """
@@ -146,11 +152,13 @@ class DrivenLog:
     """A log on a grid of `replan.metrics.boxes.GRID_S`.
 
     Args:
-        scenario: The scenario as it was read; phantoms (`replan.metrics.boxes.phantoms`) are left out.
+        scenario: The scenario as it was read; phantoms (`replan.metrics.boxes.phantoms`) are left
+            out.
 
     Attributes:
         t: `(n,)` s since the scenario's start.
-        boxes: `(5, n)` the ego's box centre, heading and velocity vector (`replan.metrics.boxes.ego_boxes`).
+        boxes: `(5, n)` the ego's box centre, heading and velocity vector
+            (`replan.metrics.boxes.ego_boxes`).
         half: Half of the ego's width, m.
         path: The way of the rear axle.
         station: `(n,)` of the rear axle on it, m.
@@ -219,7 +227,9 @@ class DrivenLog:
 
     @cached_property
     def jumps(self) -> BoolArray:
-        """Steps within `FELT_S` of a change of the ego's velocity beyond `TYRES_MPS2` or `MOTOR_MPS2`, `(n,)`."""
+        """Steps within `FELT_S` of a change of the ego's velocity beyond `TYRES_MPS2` or
+        `MOTOR_MPS2`, `(n,)`.
+        """
         east, north = self.ego.v * np.cos(self.ego.yaw), self.ego.v * np.sin(self.ego.yaw)
         beyond = np.hypot(np.diff(east), np.diff(north)) > TYRES_MPS2 * GRID_S
         beyond |= np.diff(np.abs(self.ego.v)) > MOTOR_MPS2 * GRID_S
@@ -228,7 +238,8 @@ class DrivenLog:
 
     @cached_property
     def lead(self) -> tuple[IntArray, FloatArray]:
-        """Per step, the index in `neighbours` of the nearest one ahead in the band (-1: none), and the gap, m (or NaN).
+        """Per step, the index in `neighbours` of the nearest one ahead in the band (-1: none), and
+        the gap, m (or NaN).
 
         A road user that comes towards the ego is not a lead.
         """
@@ -264,11 +275,15 @@ class DrivenLog:
         return Event(float(self.t[i]), float(self.t[j]), float(value), (one.id,), what, doubt)
 
     def gap_to(self, one: Neighbour) -> FloatArray:
-        """`(m,)` way along the path from the ego's front bumper to a road user's nearest part ahead, m."""
+        """`(m,)` way along the path from the ego's front bumper to a road user's nearest part
+        ahead, m.
+        """
         return one.s - one.half_s - self.front[one.k]
 
     def reached(self, s: FloatArray) -> FloatArray:
-        """Times at which the ego's front bumper reaches stations `(m,)`, s; NaN if it starts beyond or never does."""
+        """Times at which the ego's front bumper reaches stations `(m,)`, s; NaN if it starts beyond
+        or never does.
+        """
         front = np.maximum.accumulate(self.front)
         at = np.searchsorted(front, s)
         inside = (at > 0) & (at < len(front))
@@ -282,7 +297,8 @@ def runs(
 
     Args:
         marked: `(m,)`.
-        k: `(m,)` the steps of the places: a run ends where a step is missing. None: no step is missing.
+        k: `(m,)` the steps of the places: a run ends where a step is missing. None: no step is
+            missing.
         least: Least number of places of a run.
         hole: Up to this many consecutive unmarked places do not end a run.
     """
@@ -320,7 +336,9 @@ def _own_stations(knots: FloatArray, coef: FloatArray, x: FloatArray, y: FloatAr
 def _on_path(
     knots: FloatArray, coef: FloatArray, k: IntArray, station: FloatArray, pose: FloatArray
 ) -> FloatArray:
-    """Station, offset and heading against the path `(3, m)` of poses `(5, m)` at the steps `k` `(m,)`."""
+    """Station, offset and heading against the path `(3, m)` of poses `(5, m)` at the steps `k`
+    `(m,)`.
+    """
     out, s = np.empty((3, len(k))), 0.0
     for i in range(len(k)):
         fresh = i == 0 or k[i] > k[i - 1] + 1

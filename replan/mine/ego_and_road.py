@@ -1,7 +1,8 @@
 """Events of the ego alone: its motion, and its behaviour at elements of the map and at lights.
 
-The lane that the ego is on at a step contains its box centre and leads its way (`replan.logs.route.on_lane`). If several lanes
-do, the ego stays on its lane, then takes a successor of it, then a neighbour, always the one that fits for longest.
+The lane that the ego is on at a step contains its box centre and leads its way
+(`replan.logs.route.on_lane`). If several lanes do, the ego stays on its lane, then takes a
+successor of it, then a neighbour, always the one that fits for longest.
 """
 
 from __future__ import annotations
@@ -83,7 +84,9 @@ def _neighbours(road: Road, lane: int) -> set[int]:
 
 
 def crosses_others(road: Road, x: float, y: float) -> bool:
-    """Whether lanes cross at a point: drivable lanes of directions that differ by 30 to 150 degrees."""
+    """Whether lanes cross at a point: drivable lanes of directions that differ by 30 to 150
+    degrees.
+    """
     headings = [_heading_at(lane, x, y) for lane in road.lanes_at(x, y) if lane.drivable]
     bends = [abs(wrap(a - b)) for i, a in enumerate(headings) for b in headings[:i]]
     return any(CROSSING_RAD < bend < np.pi - CROSSING_RAD for bend in bends)
@@ -97,7 +100,9 @@ def _heading_at(lane: Lane, x: float, y: float) -> float:
 
 
 def in_roundabout(road: Road, lane: Lane) -> bool:
-    """Whether a lane is part of a circle of lanes: no longer than `ROUNDABOUT_M`, and round within `ROUND`."""
+    """Whether a lane is part of a circle of lanes: no longer than `ROUNDABOUT_M`, and round within
+    `ROUND`.
+    """
     waiting: list[tuple[int, float, tuple[int, ...]]] = [(lane.id, 0.0, ())]
     seen: set[int] = set()
     while waiting:
@@ -163,7 +168,9 @@ def _lane_change(log: DrivenLog) -> Iterable[Event] | Unavailable:
 
 
 def _turns(log: DrivenLog) -> Iterator[tuple[float, float, float]]:
-    """Stretches of the path that turn by `TURN_RAD` or more to one side: first station, last station, and angle."""
+    """Stretches of the path that turn by `TURN_RAD` or more to one side: first station, last
+    station, and angle.
+    """
     s, kappa = log.path.s, log.path.kappa
     for sign in (1.0, -1.0):
         bent = sign * kappa > TURN_KAPPA
@@ -334,7 +341,8 @@ EGO_AND_ROAD = (
     EventKind(
         "lane_change",
         _lane_change,
-        f"The ego's box centre comes from a lane to its neighbour and stays there for {STAYS_S:g} s. From"
+        f"The ego's box centre comes from a lane to its neighbour and stays there for {STAYS_S:g} "
+        "s. From"
         f" {CHANGE_S:g} s before to {CHANGE_S:g} s after; `what` is the side.",
         "speed",
         "m/s",
@@ -343,17 +351,21 @@ EGO_AND_ROAD = (
     EventKind(
         "unprotected_turn",
         _unprotected_turn,
-        f"The ego turns by 45 degrees or more, tighter than {1.0 / TURN_KAPPA:g} m, where lanes cross, and no stop line"
-        f" with a light lies on its way from {LIGHT_BEFORE_M:g} m before the turn. While its box is in the turn; `what`"
+        f"The ego turns by 45 degrees or more, tighter than {1.0 / TURN_KAPPA:g} m, where lanes "
+        "cross, and no stop line"
+        f" with a light lies on its way from {LIGHT_BEFORE_M:g} m before the turn. While its box "
+        "is in the turn; `what`"
         " is the side.",
         "angle, positive to the left",
         "rad",
-        "nuPlan's scenario tags (starting_unprotected_cross_turn, starting_unprotected_noncross_turn)",
+        "nuPlan's scenario tags (starting_unprotected_cross_turn, "
+        "starting_unprotected_noncross_turn)",
     ),
     EventKind(
         "merge",
         _merge,
-        f"The ego comes to a lane into which another lane leads from about the same direction, and a vehicle is on that"
+        "The ego comes to a lane into which another lane leads from about the same direction, and "
+        "a vehicle is on that"
         f" other lane within {MERGE_S:g} s and {MERGE_M:g} m.",
         "least distance of the centres",
         "m",
@@ -370,7 +382,8 @@ EGO_AND_ROAD = (
     EventKind(
         "red_light",
         _red_light,
-        f"A stop line with a red light lies up to {LIGHT_BEFORE_M:g} m ahead on the ego's path, for 0.5 s; `what` is"
+        f"A stop line with a red light lies up to {LIGHT_BEFORE_M:g} m ahead on the ego's path, "
+        "for 0.5 s; `what` is"
         " the line.",
         "least speed",
         "m/s",
@@ -379,7 +392,8 @@ EGO_AND_ROAD = (
     EventKind(
         "stop_sign",
         _stop_sign,
-        f"A stop line with a stop sign lies up to {STOP_BEFORE_M:g} m ahead on the ego's path; `what` is the line.",
+        f"A stop line with a stop sign lies up to {STOP_BEFORE_M:g} m ahead on the ego's path; "
+        "`what` is the line.",
         "least speed",
         "m/s",
         "nuPlan's scenario tags (on_stopline_stop_sign)",
@@ -387,7 +401,8 @@ EGO_AND_ROAD = (
     EventKind(
         "crosswalk",
         _crosswalk,
-        "The ego's box is on a crosswalk; the agents are the pedestrians within 3 m of it; `what` is the crosswalk.",
+        "The ego's box is on a crosswalk; the agents are the pedestrians within 3 m of it; `what` "
+        "is the crosswalk.",
         "speed when it comes there",
         "m/s",
         "nuPlan's scenario tags (traversing_crosswalk)",

@@ -1,8 +1,9 @@
-"""The events of mined logs to look at: events.html, a table with a picture of each, which sorts and filters.
+"""The events of mined logs to look at: events.html, a table with a picture of each, which sorts and
+filters.
 
-A picture shows the scene at the middle of the event, with the road users that took part in red, and below it the speeds
-of the ego and of the main one around it. The pictures are files in events/, drawn as a log is mined: at most
-`MOST_OF_A_KIND` of a log and kind.
+A picture shows the scene at the middle of the event, with the road users that took part in red, and
+below it the speeds of the ego and of the main one around it. The pictures are files in events/,
+drawn as a log is mined: at most `MOST_OF_A_KIND` of a log and kind.
 """
 
 from __future__ import annotations
@@ -35,7 +36,9 @@ MOST_OF_A_KIND = 5
 MOST_ROWS = 2000
 """Largest number of events on the page; events.parquet has all."""
 AROUND_S = 3.0
-"""The speeds are drawn, and the shown command drives, from this long before the event to as long after it."""
+"""The speeds are drawn, and the shown command drives, from this long before the event to as long
+after it.
+"""
 
 
 def draw_events(
@@ -114,7 +117,8 @@ def event_picture(scenario: Scenario, trace: Trace, row: Mapping[str, Any]) -> C
 
 
 def write_events_page(folder: Path, events: pd.DataFrame, logs: pd.DataFrame) -> None:
-    """Write events.html into a result folder with the pictures: a row per event, the first `MOST_ROWS`.
+    """Write events.html into a result folder with the pictures: a row per event, the first
+    `MOST_ROWS`.
 
     Raises:
         OutputError: The page cannot be written.

@@ -1,8 +1,9 @@
 """The table of event kinds, the events of a planner over a log, and their page docs/events.md.
 
-A planner plans open loop: events say where its plans differ from the recorded drive, fall back, or flip, by the metrics
-of plans (`replan.metrics.plans`). A frame differs if its plan misses the recorded drive within 3 s (`miss.3s`), and flips if
-it is more than `FLIP_M` to the side of the plan before it (`plan_change_lateral`).
+A planner plans open loop: events say where its plans differ from the recorded drive, fall back, or
+flip, by the metrics of plans (`replan.metrics.plans`). A frame differs if its plan misses the
+recorded drive within 3 s (`miss.3s`), and flips if it is more than `FLIP_M` to the side of the plan
+before it (`plan_change_lateral`).
 """
 
 from __future__ import annotations
@@ -48,7 +49,8 @@ PLAN_KINDS: Mapping[str, EventKind] = MappingProxyType(
             EventKind(
                 "plan_differs",
                 _of_planners,
-                f"The plan is more than {MISS_M[HORIZON_S]:g} m from what was driven within {HORIZON_S} s.",
+                f"The plan is more than {MISS_M[HORIZON_S]:g} m from what was driven within "
+                f"{HORIZON_S} s.",
                 f"greatest distance at {HORIZON_S} s",
                 "m",
                 "nuPlan, planner_miss_rate_within_bound",
@@ -109,7 +111,7 @@ Each kind is one small function over a log that is laid out on a grid of 0.1 s (
 is the way that the recorded ego took, *the band* a strip along it as wide as the ego. A column of
 [events.parquet](results.md) says what a kind measures. Where a log lacks what a kind needs, or holds no drive, the kind
 is not looked for, and `logs.parquet` says so.
-"""
+"""  # noqa: E501
 OWN = """
 ## A kind of your own
 
@@ -135,7 +137,7 @@ It is named on the command line, or found by an entry point of the group
 replan synth everyday/crosswalk -o my_logs
 replan mine my_logs --kind my_kinds:CREEPS -o results/mined
 ```
-"""
+"""  # noqa: E501
 
 
 def page() -> str:
@@ -152,4 +154,7 @@ def _rows(kinds: Iterable[EventKind]) -> Iterator[str]:
         value = (
             f"{kind.measures}, {kind.unit}" if kind.measures and kind.unit != "1" else kind.measures
         )
-        yield f"| `{kind.name}` | {kind.meaning} | {value} | {kind.doubted} | {kind.source or 'replan'} |"
+        yield (
+            f"| `{kind.name}` | {kind.meaning} | {value} | {kind.doubted} | "
+            f"{kind.source or 'replan'} |"
+        )

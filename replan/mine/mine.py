@@ -1,9 +1,10 @@
 """`replan mine`: finds events in logs, without a planner, and writes them as tables.
 
-A log that cannot be read is left out: its row of logs.parquet has the reason. If the log has no drive, or lacks data
-that a kind needs (lanes, crosswalks, lights), the kind is not searched, and logs.parquet names it, because "not found"
-differs from "not searched". The tables do not depend on the number of workers. What is found in a log is added to
-study.jsonl as the log ends, so that `--resume` mines the others only.
+A log that cannot be read is left out: its row of logs.parquet has the reason. If the log has no
+drive, or lacks data that a kind needs (lanes, crosswalks, lights), the kind is not searched, and
+logs.parquet names it, because "not found" differs from "not searched". The tables do not depend on
+the number of workers. What is found in a log is added to study.jsonl as the log ends, so that
+`--resume` mines the others only.
 """
 
 from __future__ import annotations
@@ -135,7 +136,8 @@ def mine(
         kinds: "module:NAME" of kinds of your own, beside the built-in ones.
         planners: Planners that plan open loop over each log: the kinds of `replan.mine.kinds`.
         workers: Number of child processes; 0: this process.
-        study: Has what is found in logs that need not be mined again, and gets what is found in the others.
+        study: Has what is found in logs that need not be mined again, and gets what is found in the
+            others.
         pictures: Folder for pictures of events; None: none are drawn.
         on_log: Called when each log ends, in order of ending.
 
@@ -210,10 +212,12 @@ def mine_into(
     resume: bool = False,
     on_log: Callable[[MinedLog], None] = lambda log: None,
 ) -> tuple[Path, Mined]:
-    """Find events in logs, as `mine`, and write the tables into a folder of their own (None: the next free one).
+    """Find events in logs, as `mine`, and write the tables into a folder of their own (None: the
+    next free one).
 
     Raises:
-        ConfigError: A kind or planner is unknown, the folder must not be written, or there is nothing to resume.
+        ConfigError: A kind or planner is unknown, the folder must not be written, or there is
+            nothing to resume.
         OutputError: The disk is full.
     """
     stamp = stamp_of(run, [(EVENT_KIND, name) for name in kinds])
@@ -338,7 +342,10 @@ def mine_log(
 
 
 def markers(scenario: Scenario) -> tuple[Marker, ...]:
-    """The events of the built-in kinds in a log, for its recording; a log without a drive has none."""
+    """The events of the built-in kinds in a log, for its recording.
+
+    A log without a drive has none.
+    """
     if len(scenario.ego) < 2:
         return ()
     log, made = DrivenLog(scenario), list[Marker]()
@@ -367,7 +374,9 @@ def _plain(row: Mapping[Any, Any]) -> dict[str, Any]:
 
 
 def _load_kinds(kinds: Sequence[str]) -> tuple[EventKind, ...]:
-    """The built-in kinds and the named ones; ConfigError if one is unknown, or has the name of another."""
+    """The built-in kinds and the named ones; ConfigError if one is unknown, or has the name of
+    another.
+    """
     return (*KINDS.values(), *(EVENT_KIND.find(name) for name in kinds if name not in KINDS))
 
 

@@ -1,14 +1,17 @@
-"""`replan query`: SQL over the tables of a result folder, read only; `replan cut`: the moments that it finds, as logs.
+"""`replan query`: SQL over the tables of a result folder, read only; `replan cut`: the moments that
+it finds, as logs.
 
-The views are the tables of docs/results.md under their names without suffix: for a run `metrics`, `verdicts`, `groups`,
-`health`, `timings`, `frames`, `logs`, `drives`, `gates`, `failures`, `decisions`; for mined logs `events`, `logs`,
-`health`. Only those whose names are in the query are read. DuckDB runs one SELECT in memory, with its access to files,
-networks and extensions locked: a query can read only these views. Memory, the space of its own temporary folder, time
-and the size of the result are limited.
+The views are the tables of docs/results.md under their names without suffix: for a run `metrics`,
+`verdicts`, `groups`, `health`, `timings`, `frames`, `logs`, `drives`, `gates`, `failures`,
+`decisions`; for mined logs `events`, `logs`, `health`. Only those whose names are in the query are
+read. DuckDB runs one SELECT in memory, with its access to files, networks and extensions locked: a
+query can read only these views. Memory, the space of its own temporary folder, time and the size of
+the result are limited.
 
-A row of a query gives a log and a moment: its columns `t_from_s` and `t_to_s`, or `time_s`, or `t_s`. Moments of one
-log that overlap after `before` and `after` are added are merged. The cut log is native, with its origin in its metadata
-("cut.of", "cut.from_s", "cut.to_s", and the kinds of its events in "cut.kinds").
+A row of a query gives a log and a moment: its columns `t_from_s` and `t_to_s`, or `time_s`, or
+`t_s`. Moments of one log that overlap after `before` and `after` are added are merged. The cut log
+is native, with its origin in its metadata ("cut.of", "cut.from_s", "cut.to_s", and the kinds of its
+events in "cut.kinds").
 """
 
 from __future__ import annotations
@@ -61,7 +64,9 @@ LOCKED = (
     "SET lock_configuration = true",
 )
 MEMORY_GB, SPILLED_GB, RESULT_GB, TIME_S = 2, 20, 1, 300.0
-"""Limits of a query: memory of DuckDB, disk space where that is not enough, memory of the result, time."""
+"""Limits of a query: memory of DuckDB, disk space where that is not enough, memory of the result,
+time.
+"""
 SMALLER = "ask for less, or open the Parquet files with DuckDB itself"
 ROWS = 50
 """Chunks of rows that are fetched at once; a chunk has 2048 rows."""
@@ -84,10 +89,12 @@ def views(folder: Path) -> Mapping[str, Callable[[], pd.DataFrame]]:
 
 
 def query(folder: Path, sql: str) -> pd.DataFrame:
-    """The result rows of one SELECT over the `views` of the result folder of a run or of `replan mine`.
+    """The result rows of one SELECT over the `views` of the result folder of a run or of
+    `replan mine`.
 
     Raises:
-        ConfigError: DuckDB is not installed, the SQL is invalid or not a SELECT, or it needs access that is locked.
+        ConfigError: DuckDB is not installed, the SQL is invalid or not a SELECT, or it needs access
+            that is locked.
         LogError: A table is damaged.
     """
     try:
@@ -131,7 +138,10 @@ def query(folder: Path, sql: str) -> pd.DataFrame:
             if late:
                 words = f"it takes more than {TIME_S:g} s; {SMALLER}"
             elif isinstance(error, duckdb.OutOfMemoryException):
-                words = f"it needs more than {MEMORY_GB} GB of memory and {SPILLED_GB} GB of disk: {SMALLER} ({words})"
+                words = (
+                    f"it needs more than {MEMORY_GB} GB of memory and {SPILLED_GB} GB of disk: "
+                    f"{SMALLER} ({words})"
+                )
             elif isinstance(error, duckdb.CatalogException):
                 words = f"{words.partition(' Did you mean')[0]} The views are {', '.join(known)}"
             raise ConfigError(f"the query cannot be run: {words}") from None
@@ -140,7 +150,7 @@ def query(folder: Path, sql: str) -> pd.DataFrame:
     return pd.concat(parts[:-1] or parts, ignore_index=True)
 
 
-# moments as logs ----------------------------------------------------------------------------------------------------
+# moments as logs ----------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -160,7 +170,8 @@ class FoundMoment:
 def moments(
     folder: Path, where: str, table: str = "events", before: float = 5.0, after: float = 8.0
 ) -> list[FoundMoment]:
-    """The moments that a condition, in SQL over the columns of a view, selects, sorted by log and begin.
+    """The moments that a condition, in SQL over the columns of a view, selects, sorted by log and
+    begin.
 
     `before` and `after`, s, are added to each row.
 
@@ -172,7 +183,8 @@ def moments(
         raise unknown_name("view", table, known)
     if not where.strip():
         raise ConfigError(
-            "--where is empty: give a condition, for example \"kind = 'cut_in'\"; true takes all rows"
+            "--where is empty: give a condition, for example \"kind = 'cut_in'\"; true takes all "
+            "rows"
         )
     rows = query(folder, f'SELECT * FROM "{table}" WHERE ({where})')
     times = next((pair for pair in TIMES if set(pair) <= set(rows.columns)), None)
@@ -204,8 +216,8 @@ def cut_logs(
 ) -> Iterator[Path]:
     """Write a native log per moment into a folder; yields each file when it is written.
 
-    `folder` has the results that name the logs; `out` is new, empty, or has earlier cuts, which are replaced or, with
-    `resume`, gone on with.
+    `folder` has the results that name the logs; `out` is new, empty, or has earlier cuts, which are
+    replaced or, with `resume`, gone on with.
 
     Raises:
         ConfigError: A log was moved, the folder must not be written, or there is nothing to resume.

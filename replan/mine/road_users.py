@@ -1,6 +1,7 @@
 """Events with another road user, as it moves in the frame of the ego's path (`DrivenLog`).
 
-A road user that follows, overtakes or cuts in moves along the path: its heading is within 45 degrees of it.
+A road user that follows, overtakes or cuts in moves along the path: its heading is within 45
+degrees of it.
 """
 
 from __future__ import annotations
@@ -32,27 +33,37 @@ MOVES_MPS, WALKS_MPS = 1.0, 0.3
 HOLE_S = 0.5
 """Longest interruption of one event."""
 AROUND_S = 1.0
-"""Time for which a cut-in is out of the band before and in it afterwards; for cut-outs the other way round."""
+"""Time for which a cut-in is out of the band before and in it afterwards.
+
+For cut-outs the other way round.
+"""
 HEADWAY_S, HEADWAY_M = 3.0, 10.0
-"""Largest distance ahead of a moving ego of a cut-in or cut-out: as a time, or in m at low speed."""
+"""Largest distance ahead of a moving ego of a cut-in or cut-out: as a time, or in m at low
+speed.
+"""
 BRAKES_MPS2, BRAKES_S = 3.0, 0.3
 SLOWS_MPS2, SLOWS_S = 0.5, 1.0
 SLOWED_MPS, SLOWED = 1.0, 0.3
-"""Least decrease of the ego's speed behind a lead: absolute, m/s, and as a share of its speed before."""
+"""Least decrease of the ego's speed behind a lead: absolute, m/s, and as a share of its speed
+before.
+"""
 LEAD_S, LEAD_M = 4.0, 15.0
 QUEUE, QUEUE_MPS, QUEUE_GAP_M, QUEUE_AHEAD_M, QUEUE_S = 3, 0.5, 15.0, 60.0, 2.0
 ONCOMING_AHEAD_M, ONCOMING_S, HEAD_ON = 60.0, 1.0, float(np.cos(np.pi / 9.0))
 CYCLIST_BESIDE_M, CYCLIST_AHEAD_M, CYCLIST_S = 2.0, 30.0, 1.0
 PASS_MPS, PASS_M, PASS_VULNERABLE_M = 3.0, 0.5, 1.5
 CROSSING_S, CROSSING_AHEAD_M, WAITS_MPS = 8.0, 15.0, 2.0
-"""A crossing concerns the ego if it gets there within CROSSING_S, or waits within CROSSING_AHEAD_M before it."""
+"""A crossing concerns the ego if it gets there within CROSSING_S, or waits within CROSSING_AHEAD_M
+before it.
+"""
 BESIDE_CROSSWALK_M = 2.0
 
 _VEHICLES = (AgentKind.CAR, AgentKind.TRUCK, AgentKind.BUS, AgentKind.MOTORCYCLE)
 
 
 def _changes(flags: BoolArray, one: Neighbour, before: int, after: int) -> Iterator[int]:
-    """Places at which a mark begins, after `before` unmarked steps and with `after` marked ones, all consecutive.
+    """Places at which a mark begins, after `before` unmarked steps and with `after` marked ones,
+    all consecutive.
 
     For a road user that is lost before `after` steps, half of them are enough.
     """
@@ -67,7 +78,9 @@ def _changes(flags: BoolArray, one: Neighbour, before: int, after: int) -> Itera
 
 
 def _near_ahead(log: DrivenLog, one: Neighbour, j: int) -> bool:
-    """Whether a road user is near enough ahead of the moving ego that its change of lane concerns the ego."""
+    """Whether a road user is near enough ahead of the moving ego that its change of lane concerns
+    the ego.
+    """
     gap, v = float(log.gap_to(one)[j]), float(log.ego.v[one.k[j]])
     return (
         0.0 < gap <= max(HEADWAY_S * v, HEADWAY_M)
@@ -77,7 +90,8 @@ def _near_ahead(log: DrivenLog, one: Neighbour, j: int) -> bool:
 
 
 def _moved_aside(one: Neighbour, j: int) -> bool:
-    """Whether it was its own motion that changed its place in the band: more than half a metre across its heading.
+    """Whether it was its own motion that changed its place in the band: more than half a metre
+    across its heading.
 
     A change because the path bends away from a road user that goes straight on is ignored.
     """
@@ -265,8 +279,10 @@ ROAD_USERS = (
     EventKind(
         "cut_in",
         _cut_in,
-        f"A vehicle or cyclist that moves along the ego's path comes sideways into the ego's band ahead of it, {_NEAR},"
-        f" after {AROUND_S:g} s outside, and stays for {AROUND_S:g} s. From then, for {AROUND_S:g} s.",
+        "A vehicle or cyclist that moves along the ego's path comes sideways into the ego's band "
+        f"ahead of it, {_NEAR},"
+        f" after {AROUND_S:g} s outside, and stays for {AROUND_S:g} s. From then, for {AROUND_S:g} "
+        "s.",
         "gap when it comes in",
         "m",
         "UN R157 (cutting-in vehicle); Waymo's scenario tags (cut-ins)",
@@ -274,7 +290,8 @@ ROAD_USERS = (
     EventKind(
         "cut_out",
         _cut_out,
-        f"The lead, {_NEAR} ahead, leaves the band sideways after {AROUND_S:g} s in it, and stays out for"
+        f"The lead, {_NEAR} ahead, leaves the band sideways after {AROUND_S:g} s in it, and stays "
+        "out for"
         f" {AROUND_S:g} s. From {AROUND_S:g} s before it is out.",
         "gap when it is out",
         "m",
@@ -283,7 +300,8 @@ ROAD_USERS = (
     EventKind(
         "lead_braking",
         _lead_braking,
-        f"The lead, within {LEAD_S:g} s or {LEAD_M:g} m, brakes with {BRAKES_MPS2:g} m/s2 or more for {BRAKES_S} s.",
+        f"The lead, within {LEAD_S:g} s or {LEAD_M:g} m, brakes with {BRAKES_MPS2:g} m/s2 or more "
+        f"for {BRAKES_S} s.",
         "its least acceleration",
         "m/s2",
         "UN R157 (braking lead); the bound is ours",
@@ -292,7 +310,8 @@ ROAD_USERS = (
     EventKind(
         "ego_slows",
         _ego_slows,
-        f"The ego slows down by {SLOWED_MPS:g} m/s and {SLOWED:.0%} or more, with {SLOWS_MPS2:g} m/s2 for"
+        f"The ego slows down by {SLOWED_MPS:g} m/s and {SLOWED:.0%} or more, with {SLOWS_MPS2:g} "
+        "m/s2 for"
         f" {SLOWS_S:g} s, behind a lead within {LEAD_S:g} s or {LEAD_M:g} m for most of it.",
         "decrease of its speed",
         "m/s",
@@ -301,7 +320,8 @@ ROAD_USERS = (
     EventKind(
         "standing_queue",
         _standing_queue,
-        f"{QUEUE} vehicles or more stand (below {QUEUE_MPS} m/s) one behind the other in the band, less than"
+        f"{QUEUE} vehicles or more stand (below {QUEUE_MPS} m/s) one behind the other in the band, "
+        "less than"
         f" {QUEUE_GAP_M:g} m apart, the first within {QUEUE_AHEAD_M:g} m ahead, for {QUEUE_S:g} s.",
         "how many",
         "1",
@@ -310,7 +330,8 @@ ROAD_USERS = (
     EventKind(
         "oncoming",
         _oncoming,
-        f"A vehicle or cyclist comes towards the ego in its band, heading within 20 degrees of the opposite direction,"
+        "A vehicle or cyclist comes towards the ego in its band, heading within 20 degrees of the "
+        "opposite direction,"
         f" less than {ONCOMING_AHEAD_M:g} m ahead, for {ONCOMING_S:g} s.",
         "least gap",
         "m",
@@ -319,7 +340,8 @@ ROAD_USERS = (
     EventKind(
         "cyclist_along",
         _cyclist_along,
-        f"A cyclist rides in the ego's direction, beside it or up to {CYCLIST_AHEAD_M:g} m ahead, less than"
+        f"A cyclist rides in the ego's direction, beside it or up to {CYCLIST_AHEAD_M:g} m ahead, "
+        "less than"
         f" {CYCLIST_BESIDE_M:g} m beside the band, for {CYCLIST_S:g} s.",
         "least room to the side",
         "m",
@@ -328,7 +350,8 @@ ROAD_USERS = (
     EventKind(
         "close_pass",
         _close_pass,
-        f"The ego passes, faster than {PASS_MPS:g} m/s, with less than {PASS_M} m of room to the side, or less than"
+        f"The ego passes, faster than {PASS_MPS:g} m/s, with less than {PASS_M} m of room to the "
+        "side, or less than"
         f" {PASS_VULNERABLE_M} m to a pedestrian or rider.",
         "least room",
         "m",
@@ -337,8 +360,10 @@ ROAD_USERS = (
     EventKind(
         "pedestrian_crossing",
         _crossing,
-        f"A pedestrian walks into the band ahead of the ego, which comes there within {CROSSING_S:g} s, or waits"
-        f" (below {WAITS_MPS:g} m/s) less than {CROSSING_AHEAD_M:g} m before it. While they are in the band.",
+        "A pedestrian walks into the band ahead of the ego, which comes there within "
+        f"{CROSSING_S:g} s, or waits"
+        f" (below {WAITS_MPS:g} m/s) less than {CROSSING_AHEAD_M:g} m before it. While they are in "
+        "the band.",
         "least gap",
         "m",
         "nuPlan's scenario tags (near_pedestrian_on_crosswalk, waiting_for_pedestrian_to_cross)",
@@ -354,7 +379,8 @@ ROAD_USERS = (
     EventKind(
         "jaywalking",
         partial(_crossing, off_crosswalks=True),
-        f"A pedestrian crossing with the pedestrian more than {BESIDE_CROSSWALK_M:g} m from any crosswalk for most of"
+        f"A pedestrian crossing with the pedestrian more than {BESIDE_CROSSWALK_M:g} m from any "
+        "crosswalk for most of"
         " it; asked where the map has crosswalks.",
         "least gap",
         "m",

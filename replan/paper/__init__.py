@@ -1,1 +1,3 @@
-"""The experiments of the paper: figures, a comparison of controllers, variations of the pedestrian (`replan paper`)."""
+"""The experiments of the paper: figures, a comparison of controllers, variations of the pedestrian
+(`replan paper`).
+"""

@@ -1,17 +1,20 @@
-"""Compares controllers: each vehicle model follows manoeuvres that are given as plans, without a planner.
+"""Compares controllers: each vehicle model follows manoeuvres that are given as plans, without a
+planner.
 
     python -m replan.paper.manoeuvres [--vehicle NAME ...] [--controller NAME ...] [--roads 50] [--robustness]
         [--car NAME] [--entry-speed] [--csv FILE]
 
-Tracking only: the whole reference is one plan, known in advance; the vehicle starts on it. "roads" are seeded roads of
-15 s with up to 3 m/s2 of lateral acceleration, in one row: the RMS over all roads, and the maxima of the worst one. A
-drive that is LOST_M off its path is lost and ends there; its errors are those until then.
+Tracking only: the whole reference is one plan, known in advance; the vehicle starts on it. "roads"
+are seeded roads of 15 s with up to 3 m/s2 of lateral acceleration, in one row: the RMS over all
+roads, and the maxima of the worst one. A drive that is LOST_M off its path is lost and ends there;
+its errors are those until then.
 
-The path y(x) of the rear axle through the tracks of ISO 3888 (`replan.logs.catalogue.iso3888`) minimises the integral of
-y''^2 + W y'''^2 with the body between the cones:
+The path y(x) of the rear axle through the tracks of ISO 3888 (`replan.logs.catalogue.iso3888`)
+minimises the integral of y''^2 + W y'''^2 with the body between the cones:
 
-(1) lower(x + d) + b / 2 <= y(x) + d y'(x) <= upper(x + d) - b / 2        d from the rear to the front bumper
-"""
+(1) lower(x + d) + b / 2 <= y(x) + d y'(x) <= upper(x + d) - b / 2
+        d from the rear to the front bumper
+"""  # noqa: E501
 
 from __future__ import annotations
 
@@ -48,7 +51,9 @@ SPARE_M = 0.1
 def cones_hit(
     places: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, car: VehicleParameters
 ) -> int:
-    """The number of cones that the vehicle's box touched, from the states of its rear axle `(m,)`."""
+    """The number of cones that the vehicle's box touched, from the states of its rear axle
+    `(m,)`.
+    """
     dx, dy = places[:, 0, None] - x, places[:, 1, None] - y
     along, left = dx * np.cos(yaw) + dy * np.sin(yaw), dy * np.cos(yaw) - dx * np.sin(yaw)
     inside = (
@@ -129,7 +134,9 @@ def along_curvature(
     v: Callable[[FloatArray], FloatArray],
     duration: float,
 ) -> Trajectory:
-    """The drive from the origin with curvature `kappa(station)` and speed `v(time)`, integrated finely."""
+    """The drive from the origin with curvature `kappa(station)` and speed `v(time)`, integrated
+    finely.
+    """
     fine = 100
     t = np.arange(round(duration / SAMPLE_S) * fine + 1) * SAMPLE_S / fine
     speed = v(t)
@@ -144,7 +151,9 @@ def along_curvature(
 
 
 def along_arcs(stations: FloatArray, kappa: FloatArray, v: float, after: float) -> Trajectory:
-    """The drive at `v` m/s with curvatures `(n,)`, linear between stations `(n,)`, until `after` m behind the last."""
+    """The drive at `v` m/s with curvatures `(n,)`, linear between stations `(n,)`, until `after` m
+    behind the last.
+    """
     return along_curvature(
         lambda s: np.interp(s, stations, kappa),
         lambda t: np.full_like(t, v),
@@ -153,7 +162,9 @@ def along_arcs(stations: FloatArray, kappa: FloatArray, v: float, after: float) 
 
 
 def along_points(points: FloatArray, speed: float, slowing: float, ahead: float) -> Trajectory:
-    """The drive along a path y(x) `(n, 2)` that is `ahead` m long at `speed` m/s and then slows down, m/s2."""
+    """The drive along a path y(x) `(n, 2)` that is `ahead` m long at `speed` m/s and then slows
+    down, m/s2.
+    """
     spline = make_interp_spline(points[:, 0], points[:, 1], k=5)
     x = np.linspace(points[0, 0], points[-1, 0], 20 * len(points))
     slope, bend = spline(x, 1), spline(x, 2)
@@ -188,7 +199,10 @@ def turn(radius: float, v: float) -> Manoeuvre:
 
 
 def stop_and_start(v: float) -> Manoeuvre:
-    """In a wide curve: from `v` to a stop in 6 s, 3 s of standing, up again in 8 s; smooth accelerations."""
+    """In a wide curve: from `v` to a stop in 6 s, 3 s of standing, up again in 8 s.
+
+    Smooth accelerations.
+    """
 
     def speed(t: FloatArray) -> FloatArray:
         down, up = np.clip((t - 2.0) / 6.0, 0.0, 1.0), np.clip((t - 11.0) / 8.0, 0.0, 1.0)
@@ -215,7 +229,9 @@ def obstacle_avoidance(car: VehicleParameters, kmh: float = 50.0) -> Manoeuvre:
 
 
 def road(seed: int) -> Manoeuvre:
-    """A road of arcs with up to ALAT_MPS2 laterally, joined by clothoids of 1 to 2 s, at a speed that wavers."""
+    """A road of arcs with up to ALAT_MPS2 laterally, joined by clothoids of 1 to 2 s, at a speed
+    that wavers.
+    """
     rng = np.random.default_rng(seed)
     v, swing = rng.uniform(6.0, 25.0), rng.uniform(0.0, 0.1)
     fastest = v * (1.0 + swing)
@@ -326,7 +342,9 @@ VARIANTS: dict[str, tuple[Mapping[str, float], int]] = {
     "tyre stiffness -30 %": ({"tyre_stiffness": 0.7}, 0),
     "delay +100 ms": ({}, 10),
 }
-"""Variants of the robustness table: factors on plant parameters, and the delay of commands in control periods."""
+"""Variants of the robustness table: factors on plant parameters, and the delay of commands in
+control periods.
+"""
 
 
 def compare(
@@ -369,7 +387,8 @@ def compare(
 
 
 def fastest_clean(controller: str, vehicle: str, car: VehicleParameters) -> float:
-    """The highest entry speed of ISO 3888-2 up to which no cone is hit, km/h, in steps of 1 from 30 to FASTEST_KMH.
+    """The highest entry speed of ISO 3888-2 up to which no cone is hit, km/h, in steps of 1 from 30
+    to FASTEST_KMH.
 
     A lost drive is treated as a hit; NaN if there is a hit at 30 km/h.
     """

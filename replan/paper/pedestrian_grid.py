@@ -1,19 +1,23 @@
-"""The paper's crossing pedestrian, varied: speed of the ego, speed of the walker, and when the walker arrives.
+"""The paper's crossing pedestrian, varied: speed of the ego, speed of the walker, and when the
+walker arrives.
 
-Each cell is `paper/crossing_pedestrian` with another speed, another walk and another distance. Only the first ego state
-of the log is used, because a careful driver cannot avoid contact in every cell.
+Each cell is `paper/crossing_pedestrian` with another speed, another walk and another distance. Only
+the first ego state of the log is used, because a careful driver cannot avoid contact in every cell.
 
-A cell is judged by the options of a point mass: keep its speed, or brake and stay behind the walker.
-The two boxes meet at right angles; f(t) is the front bumper's way from the walker's nearer side, and the walker is
-within the ego's width from t_in to t_out:
+A cell is judged by the options of a point mass: keep its speed, or brake and stay behind the
+walker. The two boxes meet at right angles; f(t) is the front bumper's way from the walker's nearer
+side, and the walker is within the ego's width from t_in to t_out:
 
-(1) keeping its speed avoids him   <=>  f(t_out) <= 0  or  f(t_in) >= ego length + walker width      f = v t - g
-(2) braking avoids him             <=>  f(t_out) <= 0                f = v t_b - g + s(t - t_b) from t_b on
-(3) s(u) = v u - j u^3 / 6 while u <= b / j, then with b until standstill                      b, j: deceleration, jerk
+(1) keeping its speed avoids him   <=>  f(t_out) <= 0  or  f(t_in) >= ego length + walker width
+        f = v t - g
+(2) braking avoids him             <=>  f(t_out) <= 0
+        f = v t_b - g + s(t - t_b) from t_b on
+(3) s(u) = v u - j u^3 / 6 while u <= b / j, then with b until standstill
+        b, j: deceleration, jerk
 (4) t_b = start of the walk + REACTION_S + dead time and lag of the brake
 
-(b, j) are the planner's stated limits, comfortable or hard. With no time to react, (2) is the limit of
-braking: in the first frame the walker's speed is unknown.
+(b, j) are the planner's stated limits, comfortable or hard. With no time to react, (2) is the limit
+of braking: in the first frame the walker's speed is unknown.
 """
 
 from __future__ import annotations
@@ -58,8 +62,8 @@ class GridCrossing:
 
     ego_kmh: float
     walker_mps: float
-    # Time at which the walker is in the middle of the lane, minus the time at which the front bumper of an ego that
-    # keeps its speed reaches the walker's line
+    # Time at which the walker is in the middle of the lane, minus the time at which the front
+    # bumper of an ego that keeps its speed reaches the walker's line
     late_s: float
 
     @property
@@ -90,7 +94,9 @@ def crossing(cell: GridCrossing) -> Scenario:
 
 
 def walker_within(scenario: Scenario, margin: float) -> tuple[float, float]:
-    """First and last time at which the walker is within the ego's width and `margin` on each side, s."""
+    """First and last time at which the walker is within the ego's width and `margin` on each side,
+    s.
+    """
     track = scenario.tracks
     reach = 0.5 * (scenario.vehicle.width + ADULT[0]) + margin
     entry, leave = (float(np.interp(side, track.y, track.t)) for side in (-reach, reach))
@@ -108,7 +114,9 @@ def braked(u: float, v: float, limits: SpeedLimits) -> float:
 
 @dataclass(frozen=True)
 class Avoidable:
-    """Whether a point mass avoids contact in a cell: by (1), and by (2) with comfortable and with hard braking."""
+    """Whether a point mass avoids contact in a cell: by (1), and by (2) with comfortable and with
+    hard braking.
+    """
 
     keeping_speed: bool
     comfortable: bool
@@ -135,7 +143,10 @@ def avoidable(cell: GridCrossing) -> Avoidable:
 
 
 def braking_intervals(trace: Trace) -> list[tuple[float, float]]:
-    """Begin and end of each interval in which the brake was commanded, s; short releases are bridged."""
+    """Begin and end of each interval in which the brake was commanded, s.
+
+    Short releases are bridged.
+    """
     if trace.commands is None:
         return []
     pressed = np.r_[False, trace.commands.brake > PRESSED, False]
@@ -152,7 +163,10 @@ def braking_intervals(trace: Trace) -> list[tuple[float, float]]:
 
 
 def braking_for_walker(trace: Trace, scenario: Scenario) -> tuple[float, list[tuple[float, float]]]:
-    """When the walker has left the path with the planner's margin, s; the `braking_intervals` that begin before."""
+    """When the walker has left the path with the planner's margin, s.
+
+    The `braking_intervals` that begin before.
+    """
     clear = walker_within(scenario, StGraphConfig().vulnerable_margin_m)[1]
     return clear, [one for one in braking_intervals(trace) if one[0] < clear]
 
@@ -230,7 +244,8 @@ def grid(
     workers: int = 0,
     on_cell: Callable[[int], None] = lambda done: None,
 ) -> pd.DataFrame:
-    """The table, a row per cell in their order; the same whatever the number of `workers` (0: in this process).
+    """The table, a row per cell in their order; the same whatever the number of `workers` (0: in
+    this process).
 
     PlannerError if a worker died.
     """

@@ -1,17 +1,22 @@
-"""Runs the paper's experiments: figures, recordings, the comparison of controllers, variations of the pedestrian.
+"""Runs the paper's experiments: figures, recordings, the comparison of controllers, variations of
+the pedestrian.
 
-    OUT/fig09_path.png            planned and driven path on paper/free_road, lateral error over station
-    OUT/fig10_st.png              scene and S-T graph before, while and after the pedestrian blocks the path
+    OUT/fig09_path.png            planned and driven path on paper/free_road, lateral error over
+                                  station
+    OUT/fig10_st.png              scene and S-T graph before, while and after the pedestrian blocks
+                                  the path
     OUT/fig12_pedals.png          throttle, brake and speed, the braking marked
     OUT/free_road.rrd             the recordings, for `replan view`
     OUT/crossing_pedestrian.rrd
-    OUT/manoeuvres.csv            controllers x manoeuvres, without a planner (replan.paper.manoeuvres)
+    OUT/manoeuvres.csv            controllers x manoeuvres, without a planner
+                                  (replan.paper.manoeuvres)
     OUT/scenarios.csv             controllers x the paper's scenarios, with the planner
     OUT/pedestrian_grid.csv       and .png: the pedestrian varied (replan.paper.pedestrian_grid)
     OUT/paper.md                  all of it on one page
 
-The files contain no measured times except the planner's stage times in the recordings: two runs otherwise give the same
-bytes. Each file is written under a temporary name and renamed. docs/paper.md compares the results with the paper.
+The files contain no measured times except the planner's stage times in the recordings: two runs
+otherwise give the same bytes. Each file is written under a temporary name and renamed.
+docs/paper.md compares the results with the paper.
 """
 
 from __future__ import annotations
@@ -62,10 +67,11 @@ AROUND_M = 10.0
 def path_figure(
     traces: Sequence[tuple[str, Trace]], planned: FloatArray, scenario: Scenario
 ) -> Chart:
-    """Fig. 9: planned and driven path, and below them the lateral error over station, because the paths coincide.
+    """Fig. 9: planned and driven path, and below them the lateral error over station, because the
+    paths coincide.
 
-    `traces`: controllers and drives; the path of the first drive and the errors of all drives are drawn. `planned`:
-    points `(n, 2)` of the plans of the first drive.
+    `traces`: controllers and drives; the path of the first drive and the errors of all drives are
+    drawn. `planned`: points `(n, 2)` of the plans of the first drive.
     """
     name, first = traces[0]
     x, y = (
@@ -117,8 +123,8 @@ def pedals_figure(
 ) -> Chart:
     """Fig. 12: throttle, brake and speed over time; braking intervals shaded, with their duration.
 
-    `braking`: begin and end of each braking interval, s. `clear`: time at which the walker has left the path, s.
-    `limits`: limits of the time axis, s.
+    `braking`: begin and end of each braking interval, s. `clear`: time at which the walker has left
+    the path, s. `limits`: limits of the time axis, s.
     """
     asked, done = trace.commands, trace.actuation
     if asked is None or done is None:
@@ -174,7 +180,10 @@ MAP_PX = 260.0, 210.0
 
 
 def grid_figure(table: pd.DataFrame) -> Chart:
-    """The pedestrian grid as heat maps: a row per quantity, a column per speed of the ego; letters are verdicts."""
+    """The pedestrian grid as heat maps: a row per quantity, a column per speed of the ego.
+
+    Letters are verdicts.
+    """
     speeds, charts = sorted(table["ego_kmh"].unique()), list[Chart]()
     for column, title, limits in QUANTITIES:
         for speed in speeds:
@@ -307,7 +316,8 @@ def free_road(out: Path, vehicle: str) -> dict[str, str]:
         assert trace.tracking is not None, "closed loops have tracking errors"
         off = 1e3 * trace.tracking.lateral
         facts[f"lateral error, {name}"] = (
-            f"{np.sqrt(np.mean(off**2)):.1f} mm RMS, {np.abs(off).max():.1f} mm at most; ended by: {trace.end.value}"
+            f"{np.sqrt(np.mean(off**2)):.1f} mm RMS, {np.abs(off).max():.1f} mm at most; ended by: "
+            f"{trace.end.value}"
         )
     return facts
 
@@ -326,7 +336,9 @@ def crossing_pedestrian(out: Path, vehicle: str) -> dict[str, str]:
         out / "crossing_pedestrian.rrd", made, scenario, *evaluate_with_series(trace, scenario)
     )
     return {
-        "path blocked in the S-T graph": f"from {moments[0][1].t:.1f} s until {moments[-1][1].t:.1f} s",
+        (
+            "path blocked in the S-T graph"
+        ): f"from {moments[0][1].t:.1f} s until {moments[-1][1].t:.1f} s",
         "braking": ", ".join(
             f"{begin:.2f} to {end:.2f} s ({end - begin:.2f} s)" for begin, end in braking
         )
@@ -338,7 +350,9 @@ def crossing_pedestrian(out: Path, vehicle: str) -> dict[str, str]:
 
 
 def planned_points(trace: Trace) -> FloatArray:
-    """Positions `(n, 2)` of the rear axle by the plan in force at each time of the drive, m, without plan delay."""
+    """Positions `(n, 2)` of the rear axle by the plan in force at each time of the drive, m,
+    without plan delay.
+    """
     starts = np.array([frame.t for frame in trace.frames])
     owner = np.searchsorted(starts, trace.ego.t + 1e-9) - 1
     points = [
@@ -349,7 +363,8 @@ def planned_points(trace: Trace) -> FloatArray:
 
 
 def blocked_moments(frames: Sequence[PlannedFrame]) -> list[tuple[str, PlannedFrame]]:
-    """The first frame in which an agent is in the S-T graph, the middle one, and the first one after the last.
+    """The first frame in which an agent is in the S-T graph, the middle one, and the first one
+    after the last.
 
     ConfigError if no agent is ever in the S-T graph, or one is until the end.
     """
@@ -380,7 +395,10 @@ SCENARIO_COLUMNS: dict[str, str] = {
 
 
 def scenario_table(vehicles: Sequence[str]) -> pd.DataFrame:
-    """A row per vehicle model, scenario of the paper and controller; last the perfect vehicle, as the bound."""
+    """A row per vehicle model, scenario of the paper and controller.
+
+    Last the perfect vehicle, as the bound.
+    """
     wanted = {name.partition(".")[0] for name in SCENARIO_COLUMNS.values()}
     metrics = {name: METRICS[name] for name in METRICS if name in wanted}
     pairs = [
@@ -451,7 +469,8 @@ def _page(
     return "\n\n".join(
         [
             "# The paper's experiments",
-            "Made by `replan paper`. Recordings: `replan view free_road.rrd`, `replan view crossing_pedestrian.rrd`.",
+            "Made by `replan paper`. Recordings: `replan view free_road.rrd`, `replan view "
+            "crossing_pedestrian.rrd`.",
             "## Fig. 9: planned and driven path",
             "![planned and driven path](fig09_path.png)",
             lists[0],

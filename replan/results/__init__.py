@@ -1,1 +1,3 @@
-"""The files of a run: those of each log, the tables of the run, and functions that read them back (`load`)."""
+"""The files of a run: those of each log, the tables of the run, and functions that read them back
+(`load`).
+"""

@@ -1,7 +1,9 @@
-"""The tables of a run in its result folder, and the traces of its drives (`replan.draw.drawn_results` adds pictures).
+"""The tables of a run in its result folder, and the traces of its drives
+(`replan.draw.drawn_results` adds pictures).
 
-A table is read when it is first used. All tables about drives have the columns log, planner and mode; docs/results.md
-describes each column. `SCHEMA_VERSION` increases when a column changes its meaning or is removed.
+A table is read when it is first used. All tables about drives have the columns log, planner and
+mode; docs/results.md describes each column. `SCHEMA_VERSION` increases when a column changes its
+meaning or is removed.
 """
 
 from __future__ import annotations
@@ -95,7 +97,8 @@ def stored(near: Near, kind: type[Run]) -> Run:
     }
     if len(set(names)) < len(names) or len(keys) < len(drives):
         raise ConfigError(
-            f"{file}: names a log or a drive twice, or a drive with the name of another log; {AGAIN}"
+            f"{file}: names a log or a drive twice, or a drive with the name of another log; "
+            f"{AGAIN}"
         )
     whole = {"logs": card.logs, "failures": card.failures}  # with defaults
     results = kind(folder, summary | msgspec.json.decode(msgspec.json.encode(whole)), near)
@@ -116,7 +119,8 @@ class StoredRun:
     Attributes:
         path: The result folder.
         summary: The contents of summary.json: version, outcome, exit code, logs, gates, failures.
-        resumed: Number of logs that `evaluate_logs` kept from an interrupted run; 0 for loaded results.
+        resumed: Number of logs that `evaluate_logs` kept from an interrupted run; 0 for loaded
+            results.
     """
 
     path: Path
@@ -156,12 +160,16 @@ class StoredRun:
 
     @cached_property
     def groups(self) -> pd.DataFrame:
-        """A row per group of logs, planner, mode and metric (`replan.metrics.judge.aggregate`); "pass": how many logs pass."""
+        """A row per group of logs, planner, mode and metric (`replan.metrics.judge.aggregate`);
+        "pass": how many logs pass.
+        """
         return self._table("groups.parquet")
 
     @cached_property
     def gates(self) -> pd.DataFrame:
-        """A row per gate, planner, mode and group: the outcome over all logs; `gate` is its rule as text."""
+        """A row per gate, planner, mode and group: the outcome over all logs; `gate` is its rule as
+        text.
+        """
         rows = [
             {"group": "", **verdict, "gate": verdict["rule"]} for verdict in self.summary["gates"]
         ]
@@ -170,7 +178,9 @@ class StoredRun:
 
     @cached_property
     def logs(self) -> pd.DataFrame:
-        """A row per log: where it comes from, hash, tags (a list), its folder; "" if it could not be read."""
+        """A row per log: where it comes from, hash, tags (a list), its folder; "" if it could not
+        be read.
+        """
         return pd.DataFrame(self.summary["logs"], columns=names_of("logs"))
 
     @cached_property
@@ -188,7 +198,9 @@ class StoredRun:
 
     @cached_property
     def drives(self) -> pd.DataFrame:
-        """A row per log, planner and mode: why the drive ended, and its files (a list, relative to the folder)."""
+        """A row per log, planner and mode: why the drive ended, and its files (a list, relative to
+        the folder).
+        """
         rows = [drive for log in self.summary["logs"] for drive in log["drives"]]
         return pd.DataFrame(rows, columns=names_of("drives"))
 
@@ -254,7 +266,10 @@ class StoredRun:
         gates = ", ".join(
             f"{counts[name]} {name}" for name in ("fail", "inconclusive", "pass") if name in counts
         )
-        return f"<{self.path}: {self.outcome}; {counted(len(self.drives), 'drive')}; gates: {gates or 'none'}>"
+        return (
+            f"<{self.path}: {self.outcome}; {counted(len(self.drives), 'drive')}; gates: "
+            f"{gates or 'none'}>"
+        )
 
     def _repr_html_(self) -> str:
         """The results in a notebook: the gates that do not pass, else all."""
@@ -355,7 +370,9 @@ class StoredDrive:
 
     @property
     def trace(self) -> Trace:
-        """The drive: ego, road users, plans with the internals that were kept; LogError if it is damaged."""
+        """The drive: ego, road users, plans with the internals that were kept; LogError if it is
+        damaged.
+        """
         return self._read[0]
 
     @property
@@ -405,7 +422,8 @@ class StoredDrive:
 
 
 def named_logs(name: str, logs: Iterable[str]) -> list[str]:
-    """The logs of a run that a name means: the log of this name, otherwise those with it in their names.
+    """The logs of a run that a name means: the log of this name, otherwise those with it in their
+    names.
 
     Names are compared as words of letters and digits, so that the name of a log's folder also fits.
     ConfigError if there is none.

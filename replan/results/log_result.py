@@ -1,12 +1,13 @@
-"""The result of one log, in memory and in the log's folder: `log.json`, its tables, and the steps of its metrics.
+"""The result of one log, in memory and in the log's folder: `log.json`, its tables, and the steps
+of its metrics.
 
-A folder exists only when it is complete (it is renamed from a temporary name), so that a resumed run can use it
-unchanged. The tables of a run are always made from tables that are read back from the folders, so that they are the
-same, byte for byte, with and without an interruption.
+A folder exists only when it is complete (it is renamed from a temporary name), so that a resumed
+run can use it unchanged. The tables of a run are always made from tables that are read back from
+the folders, so that they are the same, byte for byte, with and without an interruption.
 
-frames.parquet is sorted by planner, loop and metric; the metrics are measured in another order, and an hour takes half
-a gigabyte. So they are stored in a file (`StepsFile`) until all are complete, and are written in groups of about
-`GROUP_ROWS` rows, which depend only on the values.
+frames.parquet is sorted by planner, loop and metric; the metrics are measured in another order, and
+an hour takes half a gigabyte. So they are stored in a file (`StepsFile`) until all are complete,
+and are written in groups of about `GROUP_ROWS` rows, which depend only on the values.
 """
 
 from __future__ import annotations
@@ -130,7 +131,8 @@ class LogResult:
     seconds: float = nan
     # The reason why the result could not be written, which stops the run; empty if it was written
     stopped: str = ""
-    # Whether the folder is that of another log of the run with the same content; this one was not driven
+    # Whether the folder is that of another log of the run with the same content; this one was not
+    # driven
     twin: bool = False
 
     def record(self) -> dict[str, Any]:
@@ -150,10 +152,14 @@ class LogResult:
 
 @dataclass(frozen=True, eq=False)
 class LogTables:
-    """The tables of one log; they are only in its folder, so that a run over many logs keeps none of them in memory."""
+    """The tables of one log.
+
+    They are only in its folder, so that a run over many logs keeps none of them in memory.
+    """
 
     metrics: pd.DataFrame  # Rows of `replan.metrics.evaluate`
-    # Rows of `replan.metrics.evaluate` of the ensemble's drives, with `MEMBER` and `PERTURBATION`; mostly empty
+    # Rows of `replan.metrics.evaluate` of the ensemble's drives, with `MEMBER` and `PERTURBATION`;
+    # mostly empty
     members: pd.DataFrame
     health: pd.DataFrame  # Rows of `replan.metrics.health.table`: findings about the log
     timings: pd.DataFrame  # Rows of timings.parquet
@@ -172,8 +178,8 @@ def write_result(
 ) -> None:
     """Write a result into its (still unfinished) folder.
 
-    `folder`: the folder, which already contains the files of the drives. `identity`: identity of the input
-    (`LogSource.identity`).
+    `folder`: the folder, which already contains the files of the drives. `identity`: identity of
+    the input (`LogSource.identity`).
     """
     write_parquet(folder / METRICS, tables.metrics)
     write_parquet(folder / TIMINGS, tables.timings)
@@ -190,7 +196,9 @@ def write_result(
 
 
 def load_result(folder: Path) -> tuple[LogResult, str, Stamp] | None:
-    """Read the result in a log's folder, its input and its stamp; None if the folder is not complete."""
+    """Read the result in a log's folder, its input and its stamp; None if the folder is not
+    complete.
+    """
     try:
         _, card = read_json(folder / LOG_CARD, LogFileCard)
         for name in (METRICS, HEALTH, *([MEMBERS] if (folder / MEMBERS).exists() else [])):
@@ -215,7 +223,10 @@ def load_result(folder: Path) -> tuple[LogResult, str, Stamp] | None:
 
 
 def table_of(out: Path, results: Iterable[LogResult], name: str) -> pd.DataFrame:
-    """A table of all logs, from their folders in `out`, under their names in the run; empty if no log has it."""
+    """A table of all logs, from their folders in `out`, under their names in the run.
+
+    Empty if no log has it.
+    """
     tables: list[pa.Table] = []
     for result in results:
         file = out / result.folder / name

@@ -1,11 +1,13 @@
-"""The schema of the tables of a run: written tables have these columns; reading by it; docs/results.md is made from it.
+"""The schema of the tables of a run: written tables have these columns; reading by it;
+docs/results.md is made from it.
 
 python -c 'from replan.results.schema import markdown; print(markdown())' > docs/results.md
 
-Files of results are read here only: what passes may be used without further checks. Results may come from another
-person, or be damaged. A JSON file is checked against its type, a table against its schema: version, columns, types,
-values that are missing or infinite, words that are none of the known ones. Names of folders and files are plain names:
-nothing outside of the results is read or written.
+Files of results are read here only: what passes may be used without further checks. Results may
+come from another person, or be damaged. A JSON file is checked against its type, a table against
+its schema: version, columns, types, values that are missing or infinite, words that are none of the
+known ones. Names of folders and files are plain names: nothing outside of the results is read or
+written.
 """
 
 from __future__ import annotations
@@ -105,7 +107,8 @@ _METRICS = _columns(
 )
 TABLES: dict[str, Table] = {
     "metrics.parquet": _table(
-        "A row per log, planner, mode and metric. `metrics.csv` is the same. In a log's folder: of that log.",
+        "A row per log, planner, mode and metric. `metrics.csv` is the same. In a log's folder: of "
+        "that log.",
         ("schema_version", "count", "of all these tables; not in a log's folder"),
         *_METRICS,
     ),
@@ -128,7 +131,8 @@ TABLES: dict[str, Table] = {
         ("high", "number", "the gate's upper bound; NaN: none", nan),
     ),
     "groups.parquet": _table(
-        "A row per group of logs, planner, mode and metric; metric `pass` is the share of the logs that pass.",
+        "A row per group of logs, planner, mode and metric; metric `pass` is the share of the logs "
+        "that pass.",
         ("kind", "text", "of group: `suite` (all logs), `family`, `tag`, `dataset`"),
         ("group", "text", "its name"),
         ("planner", "text", "as in metrics.parquet"),
@@ -243,13 +247,17 @@ TABLES: dict[str, Table] = {
         ("value", "number", "in the metric's unit; NaN: this step has none"),
     ),
     "ensemble.parquet": _table(
-        "In a log's folder, with `--ensemble N`: the metrics of the log driven again in worlds that should not matter.",
+        "In a log's folder, with `--ensemble N`: the metrics of the log driven again in worlds "
+        "that should not matter.",
         *_METRICS,
         ("member", "count", "from 1"),
         ("perturbation", "text", "what was changed (`replan/run/sources.py`)"),
     ),
 }
-"""Tables by file name; the text gives the difference between a file of a run and one of a log with the same name."""
+"""Tables by file name.
+
+The text gives the difference between a file of a run and one of a log with the same name.
+"""
 
 FRAMES: dict[str, Table] = {
     "logs": _table(
@@ -275,7 +283,8 @@ FRAMES: dict[str, Table] = {
         ("files", "list", "trace and recording, relative to the result folder"),
     ),
     "gates": _table(
-        "A row per gate, planner and mode: what all logs say together; none where a shard was driven.",
+        "A row per gate, planner and mode: what all logs say together; none where a shard was "
+        "driven.",
         ("gate", "text", "the rule as text"),
         ("planner", "text", "the one that the worst value is of"),
         ("mode", "text", "likewise"),
@@ -318,7 +327,8 @@ def arrow_schema(file: str) -> pa.Schema:
 
 
 def arrow(file: str, table: pd.DataFrame) -> pa.Table:
-    """The table with the types of its schema, even without rows; other files get the types of pandas.
+    """The table with the types of its schema, even without rows; other files get the types of
+    pandas.
 
     KeyError if it has a column that the schema does not know.
     """
@@ -336,7 +346,10 @@ def pa_type(kind: str) -> pa.DataType:
 
 
 def is_of_kind(type_: pa.DataType, kind: str) -> bool:
-    """Whether a column of a Parquet file has the type of a kind of column; texts may be stored as words."""
+    """Whether a column of a Parquet file has the type of a kind of column.
+
+    Texts may be stored as words.
+    """
     if kind == "list":
         return pa.types.is_list(type_) and type_.value_type in _TEXTS
     if kind == "text":
@@ -420,7 +433,7 @@ list(plan.internals)  # S-T and S-L graphs, decisions, costs: logs/plan.py
 | `LOG-HASH/timings.parquet` | below | no: a clock |
 | `LOG-HASH/log.json` | the log's card: hash, tags, notes, drives, failures, version and code of replan | yes |
 | `LOG-HASH/log.mcap` | the log, where it was no MCAP file | yes |
-"""
+"""  # noqa: E501
 
 BELOW = """
 
@@ -450,8 +463,8 @@ T = TypeVar("T")
 def read_json(file: Path, kind: type[T], again: str = AGAIN) -> tuple[dict[str, Any], T]:
     """The contents of a JSON file, as they are and as a type.
 
-    `kind`: the type of its contents, a Struct; further keys are allowed. ConfigError if it cannot be read, is of
-    another version, or not of the type.
+    `kind`: the type of its contents, a Struct; further keys are allowed. ConfigError if it cannot
+    be read, is of another version, or not of the type.
     """
     try:
         check_regular(file)
@@ -480,10 +493,11 @@ def checked(file: Path, found: Any, kind: type[T], again: str) -> tuple[dict[str
 def read_table(
     file: Path, without: Sequence[str] = (), again: str = AGAIN, *, words: Sequence[str] = ()
 ) -> pa.Table:
-    """A table, checked by the schema of its name; columns that the schema does not know are left out.
+    """A table, checked by the schema of its name; columns that the schema does not know are left
+    out.
 
-    `words`: columns of few different texts, which are read as dictionaries. LogError if it cannot be read, or is not as
-    replan writes it; ConfigError if it is of another version.
+    `words`: columns of few different texts, which are read as dictionaries. LogError if it cannot
+    be read, or is not as replan writes it; ConfigError if it is of another version.
     """
     check_regular(file)
     try:
@@ -509,7 +523,10 @@ def read_table(
 def check_table(
     table: pa.Table, file: Path, name: str, without: Sequence[str] = (), again: str = AGAIN
 ) -> None:
-    """Raise LogError unless a table is as the schema of a file's name says; columns `without` may be missing."""
+    """Raise LogError unless a table is as the schema of a file's name says.
+
+    Columns `without` may be missing.
+    """
 
     def refuse(what: str) -> NoReturn:
         raise LogError(what, file=file, remedy=again)

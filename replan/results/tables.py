@@ -1,21 +1,28 @@
 """The tables and files of a run, and the folder that they are in.
 
-    OUT/metrics.parquet, .csv   one row per log, planner, mode and metric reduction     the same for the same inputs
-    OUT/verdicts.parquet        one row per gate, log, planner and mode: the outcome on this log    likewise
-    OUT/groups.parquet          one row per group of logs, planner, mode and metric: mean, median, worst   likewise
-    OUT/timings.parquet         log, planner, mode, t_s, stage, seconds                 not the same twice
+    OUT/metrics.parquet, .csv   one row per log, planner, mode and metric reduction     the same for
+                                the same inputs
+    OUT/verdicts.parquet        one row per gate, log, planner and mode: the outcome on this
+                                log    likewise
+    OUT/groups.parquet          one row per group of logs, planner, mode and metric: mean, median,
+                                worst   likewise
+    OUT/timings.parquet         log, planner, mode, t_s, stage, seconds                 not the same
+                                twice
     OUT/summary.json            outcome, gates, drives, failures
     OUT/report.md, junit.xml    the reports, by `replan evaluate` and `replan report`
     OUT/run.toml                the resolved configuration
-    OUT/origin.json             the directory in which the run was started: where its logs are (`replan.run.output`)
+    OUT/origin.json             the directory in which the run was started: where its logs are
+                                (`replan.run.output`)
     OUT/shard.json              only in a shard: its number and its run (`replan.run.shards`)
-    OUT/LOG-HASH/               per log: open.mcap, open.rrd, closed.mcap, closed.rrd, frames.parquet, and what the
-                                tables above are made of: metrics.parquet, timings.parquet, log.json; ensemble.parquet
-                                (with several planners open.PLANNER.mcap and so on; log.mcap where the log was no MCAP)
+    OUT/LOG-HASH/               per log: open.mcap, open.rrd, closed.mcap, closed.rrd,
+                                frames.parquet, and what the
+                                tables above are made of: metrics.parquet, timings.parquet,
+                                log.json; ensemble.parquet (with several planners open.PLANNER.mcap
+                                and so on; log.mcap where the log was no MCAP)
 
-`metrics.*`, `verdicts.*`, `groups.*` and `frames.parquet` contain no measured times, paths or machines, and are sorted:
-two runs give the same bytes, with any number of workers and interruptions. Every file is written
-under a temporary name and renamed.
+`metrics.*`, `verdicts.*`, `groups.*` and `frames.parquet` contain no measured times, paths or
+machines, and are sorted: two runs give the same bytes, with any number of workers and
+interruptions. Every file is written under a temporary name and renamed.
 """
 
 from __future__ import annotations
@@ -80,13 +87,17 @@ LONGEST_SAFE = 80  # Longest name of a file that is made of the name of a log, w
 
 
 def safe_name(name: str, digest: str = "") -> str:
-    """A folder or file name: letters, digits, dot, dash and underscore, at most 80, then `-` and 8 of the digest."""
+    """A folder or file name: letters, digits, dot, dash and underscore, at most 80, then `-` and 8
+    of the digest.
+    """
     safe = (re.sub(r"[^A-Za-z0-9._-]+", "_", name).strip("._") or "log")[:LONGEST_SAFE]
     return f"{safe}-{digest[:8]}" if digest else safe
 
 
 def safe_names(names: Iterable[str]) -> dict[str, str]:
-    """A `safe_name` for each of some names, no two equal: names that would be get a hash of the whole name."""
+    """A `safe_name` for each of some names, no two equal: names that would be get a hash of the
+    whole name.
+    """
     names = list(dict.fromkeys(names))
     counts = Counter(safe_name(name).lower() for name in names)  # some file systems ignore case
     short = {name: safe_name(name) for name in names}
@@ -99,7 +110,9 @@ def safe_names(names: Iterable[str]) -> dict[str, str]:
 
 
 def write_file(path: Path, write: Callable[[Path], object]) -> None:
-    """Let `write` fill a temporary file beside `path`, then rename it: `path` is complete or missing (OutputError)."""
+    """Let `write` fill a temporary file beside `path`, then rename it: `path` is complete or
+    missing (OutputError).
+    """
     partial = path.with_name(f"{PARTIAL}{path.name}")
     try:
         with writing(path):
@@ -112,7 +125,9 @@ def write_file(path: Path, write: Callable[[Path], object]) -> None:
 
 
 def finish_folder(partial: Path, folder: Path) -> bool:
-    """Rename a finished folder; False if `folder` is there: that of another log with the same content (OutputError)."""
+    """Rename a finished folder; False if `folder` is there: that of another log with the same
+    content (OutputError).
+    """
     with writing(folder):
         try:
             partial.rename(folder)
@@ -124,7 +139,10 @@ def finish_folder(partial: Path, folder: Path) -> bool:
 
 
 def write_folder(folder: Path, fill: Callable[[Path], object]) -> bool:
-    """Let `fill` make a folder under a temporary name, which is then renamed; returns and raises as `finish_folder`."""
+    """Let `fill` make a folder under a temporary name, which is then renamed.
+
+    Returns and raises as `finish_folder`.
+    """
     partial = folder.with_name(f"{PARTIAL}{folder.name}")
     try:
         with writing(folder):
@@ -135,7 +153,9 @@ def write_folder(folder: Path, fill: Callable[[Path], object]) -> bool:
 
 
 def write_png(path: Path, data: bytes) -> None:
-    """Write a PNG file, completely or not at all, with `PNG_MARK` behind its first chunk (8 + 25 bytes)."""
+    """Write a PNG file, completely or not at all, with `PNG_MARK` behind its first chunk (8 + 25
+    bytes).
+    """
     mark = (len(PNG_MARK) - 4).to_bytes(4) + PNG_MARK + crc32(PNG_MARK).to_bytes(4)
     write_file(path, lambda partial: partial.write_bytes(data[:33] + mark + data[33:]))
 

@@ -1,8 +1,9 @@
-"""Many logs: select (`sources`), evaluate in workers (`evaluate`, `pool`, `one_log`), judge and write (`judging`).
+"""Many logs: select (`sources`), evaluate in workers (`evaluate`, `pool`, `one_log`), judge and
+write (`judging`).
 
-`resume` continues an interrupted run; `replan.results.log_result` reads its finished logs from disk.
-Several machines may each drive a part of a run; `shards` merges the parts. The result folder is locked while it is
-written, and may be at a URL (`output`).
+`resume` continues an interrupted run; `replan.results.log_result` reads its finished logs from
+disk. Several machines may each drive a part of a run; `shards` merges the parts. The result folder
+is locked while it is written, and may be at a URL (`output`).
 
 from replan.run import evaluate_logs
 from replan.config import RunConfig

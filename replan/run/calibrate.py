@@ -28,9 +28,10 @@ def calibrate(
 ) -> tuple[Path, Path]:
     """Write `calibration.csv` and `.png` of a vehicle into a folder.
 
-    `out`: the folder; it is created if needed. `car`: name of a set of parameters in `logs/vehicles`; None: that of the
-    configuration, else the default vehicle. `config`: a run's configuration, of which [vehicle] is used. ConfigError if
-    a name is unknown, the model has no power train, or the folder must not be written.
+    `out`: the folder; it is created if needed. `car`: name of a set of parameters in
+    `logs/vehicles`; None: that of the configuration, else the default vehicle. `config`: a run's
+    configuration, of which [vehicle] is used. ConfigError if a name is unknown, the model has no
+    power train, or the folder must not be written.
     """
     if model == "perfect":
         raise ConfigError("the perfect vehicle has no pedals: there is nothing to calibrate")

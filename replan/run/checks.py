@@ -1,4 +1,7 @@
-"""Checks a run's configuration before anything is driven. An error here gives exit code 2: nothing was run."""
+"""Checks a run's configuration before anything is driven.
+
+An error here gives exit code 2: nothing was run.
+"""
 
 from __future__ import annotations
 
@@ -24,14 +27,17 @@ from replan.results.log_result import Failure
 SCENE = "paper/crossing_pedestrian"
 REFUSALS = (ValueError, TypeError)  # The errors with which a factory refuses a setting
 _OF_THE_LOG = ("length", "wheelbase", "rear_overhang")
-"""Plant parameters that are not checked here: whether they are consistent depends on the log's vehicle."""
+"""Plant parameters that are not checked here: whether they are consistent depends on the log's
+vehicle.
+"""
 
 
 def checked(run: RunConfig) -> tuple[RunConfig, tuple[Failure, ...]]:
-    """The run with the planners that can be loaded, their settings resolved, and the failures of the others.
+    """The run with the planners that can be loaded, their settings resolved, and the failures of
+    the others.
 
-    ConfigError if a name, a planner's keyword or a key of the plant is unknown or missing, a value is refused, or the
-    package for Foxglove is not installed; PlannerError if no planner is left.
+    ConfigError if a name, a planner's keyword or a key of the plant is unknown or missing, a value
+    is refused, or the package for Foxglove is not installed; PlannerError if no planner is left.
     """
     tables: dict[str, Any] = {kind.table: _resolve_choice(kind, run) for kind in OF_LOOP.values()}
     run = replace(run, **tables)
@@ -65,7 +71,9 @@ def checked(run: RunConfig) -> tuple[RunConfig, tuple[Failure, ...]]:
 
 
 def _resolve_choice(kind: PartKind, run: RunConfig) -> Mapping[str, Mapping[str, Any]]:
-    """The settings, with defaults, of the choice for a key of [loop]; ConfigError if its name or a setting is wrong."""
+    """The settings, with defaults, of the choice for a key of [loop]; ConfigError if its name or a
+    setting is wrong.
+    """
     tables, chosen = getattr(run, kind.table), getattr(run.loop, kind.name)
     for name, table in tables.items():
         if name in kind.builtin or name == chosen:
@@ -81,7 +89,10 @@ def _resolve_choice(kind: PartKind, run: RunConfig) -> Mapping[str, Mapping[str,
 
 
 def _resolve_planner(planner: str, run: RunConfig) -> dict[str, Any]:
-    """The planner's table with its defaults, resolved where the planner will run; checks that it can be built."""
+    """The planner's table with its defaults, resolved where the planner will run.
+
+    Checks that it can be built.
+    """
     table, apart = run.planner.get(planner, {}), run.loop.apart
     if is_apart(planner, apart):
         return describe_planner(planner, table, apart)
@@ -93,7 +104,10 @@ def _resolve_planner(planner: str, run: RunConfig) -> dict[str, Any]:
 
 
 def _check_plant(run: RunConfig) -> None:
-    """Refuse a vehicle, plant or controller that no log can have; the log's own numbers are not known yet."""
+    """Refuse a vehicle, plant or controller that no log can have.
+
+    The log's own numbers are not known yet.
+    """
     default = VehicleParameters()
     vehicle = run.driven(default) if "set" in run.vehicle else default
     loop = run.drive_loop
@@ -110,9 +124,11 @@ def _check_plant(run: RunConfig) -> None:
 
 
 def _check_simulation_extensions(run: RunConfig) -> None:
-    """Raise ConfigError if the user's traffic, perception or prediction refuses its settings on a built-in log.
+    """Raise ConfigError if the user's traffic, perception or prediction refuses its settings on a
+    built-in log.
 
-    An error that it also raises with default settings may be due to that log, and is left to the user's own logs.
+    An error that it also raises with default settings may be due to that log, and is left to the
+    user's own logs.
     """
     loop, scene = run.drive_loop, cache(lambda: scenario(SCENE))
 
@@ -138,7 +154,9 @@ def _check_simulation_extensions(run: RunConfig) -> None:
 
 
 def _refusal(make: Callable[[Any], object], factory: Any) -> BaseException | None:
-    """The error with which the user's code refuses a setting; None if it raises no error, or another kind of error."""
+    """The error with which the user's code refuses a setting; None if it raises no error, or
+    another kind of error.
+    """
     try:
         make(factory)
     except ConfigError:

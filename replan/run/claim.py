@@ -1,12 +1,14 @@
-"""What a command may write: a folder or a file of its own, claimed before any work. All commands that write use this.
+"""What a command may write: a folder or a file of its own, claimed before any work. All commands
+that write use this.
 
-A folder is claimed if it is new, empty, or has only what the same command writes (`FolderContents`); a file, if it is
-new or has the command's own header, and does not lie in a result folder. Files may also be claimed among others, in a
-folder that several commands write (`claimed_files`). All are locked while the command runs, so that of two commands at
-once the second is refused. A URL is refused, except by `replan evaluate` and `replan merge`.
+A folder is claimed if it is new, empty, or has only what the same command writes
+(`FolderContents`); a file, if it is new or has the command's own header, and does not lie in a
+result folder. Files may also be claimed among others, in a folder that several commands write
+(`claimed_files`). All are locked while the command runs, so that of two commands at once the second
+is refused. A URL is refused, except by `replan evaluate` and `replan merge`.
 
-If the disk is full or the command is interrupted, the error says how to go on: of folders in folders (a tuning drives
-runs), the outermost one counts, since it is the one that the user named.
+If the disk is full or the command is interrupted, the error says how to go on: of folders in
+folders (a tuning drives runs), the outermost one counts, since it is the one that the user named.
 
 `rows_file` is a claimed file of a table: CSV, Parquet or JSON, by the suffix.
 """
@@ -47,7 +49,9 @@ MARKS: Mapping[str, bytes] = {
 }
 """What files of replan hold, and others of the same kind do not, by the end of their names."""
 STUDY = "study.jsonl"
-"""The file of a study (`replan.run.resume`): its first line names the command that wrote the folder."""
+"""The file of a study (`replan.run.resume`): its first line names the command that wrote the
+folder.
+"""
 
 
 @dataclass(frozen=True)
@@ -96,8 +100,8 @@ def claimed_folder(
 ) -> Iterator[Path]:
     """The locked folder of a command; None: the next free one.
 
-    ConfigError if it must not be written, another command writes it, or `resume` without a folder. OutputError if the
-    disk is full, and KeyboardInterrupt, with the way to go on.
+    ConfigError if it must not be written, another command writes it, or `resume` without a folder.
+    OutputError if the disk is full, and KeyboardInterrupt, with the way to go on.
     """
     if resume and out is None:
         raise ConfigError("name the folder that is to be resumed with --out")
@@ -135,9 +139,11 @@ def is_marked(file: Path) -> bool:
 def claimed_files(
     out: Path, suffixes: Sequence[str], is_ours: Callable[[Path], bool] = is_marked
 ) -> Iterator[Callable[[str], Path]]:
-    """The function that gives the path of a file by its name: `out` if that is a file, else a file in the folder `out`.
+    """The function that gives the path of a file by its name: `out` if that is a file, else a file
+    in the folder `out`.
 
-    The folder is locked, and may have other files. Raises as `claimed_file`, the function as `check_file`.
+    The folder is locked, and may have other files. Raises as `claimed_file`, the function as
+    `check_file`.
     """
     if out.suffix in suffixes and not out.is_dir():
         with claimed_file(out, suffixes, is_ours):
@@ -153,7 +159,8 @@ def claimed_file(
 ) -> Iterator[Path]:
     """The locked file of a command, which the body writes; its folder is created.
 
-    ConfigError as `check_file`, or if another command writes it; OutputError if it cannot be written.
+    ConfigError as `check_file`, or if another command writes it; OutputError if it cannot be
+    written.
     """
     check_file(path, suffixes, is_ours)
     with locked(path.with_name(f".{path.name}{LOCK}"), path):
@@ -161,10 +168,11 @@ def claimed_file(
 
 
 def check_file(path: Path, suffixes: Sequence[str], is_ours: Callable[[Path], bool]) -> Path:
-    """Return the path of a file, of which the folder is created; ConfigError if a command must not write it.
+    """Return the path of a file, of which the folder is created; ConfigError if a command must not
+    write it.
 
-    `is_ours`: whether an earlier file has the header of the command; it is then replaced. It may raise OSError or
-    ValueError.
+    `is_ours`: whether an earlier file has the header of the command; it is then replaced. It may
+    raise OSError or ValueError.
     """
     path = on_this_machine(path)
     if path.suffix not in suffixes:
@@ -173,7 +181,8 @@ def check_file(path: Path, suffixes: Sequence[str], is_ours: Callable[[Path], bo
     results = result_folder_of(path)
     if results is not None:
         raise ConfigError(
-            f"{path}: lies in the results {results}, which have no other files; give --out another place"
+            f"{path}: lies in the results {results}, which have no other files; give --out another "
+            "place"
         )
     try:
         ours = not path.exists() or is_ours(path)

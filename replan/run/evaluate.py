@@ -1,19 +1,21 @@
-"""A run over many logs, from the selection to the tables: `evaluate_logs`, which `replan evaluate` calls.
+"""A run over many logs, from the selection to the tables: `evaluate_logs`, which `replan evaluate`
+calls.
 
-Engines drive the logs: in this process, in processes of this machine, or on a Ray cluster, with the same results.
+Engines drive the logs: in this process, in processes of this machine, or on a Ray cluster, with the
+same results.
 
-An engine applies a function to items and yields the result of each as it ends, in any order; if a worker dies, the
-result of its item is `WorkerLost`, and no other item is affected. The function writes a log's folder into the result
-folder if the workers share that with the driver (`Local`); otherwise its result contains the folder
-(`replan.run.on_ray`).
+An engine applies a function to items and yields the result of each as it ends, in any order; if a
+worker dies, the result of its item is `WorkerLost`, and no other item is affected. The function
+writes a log's folder into the result folder if the workers share that with the driver (`Local`);
+otherwise its result contains the folder (`replan.run.on_ray`).
 
-Items are started by their expected duration, the longest first (Graham, SIAM J. Appl. Math. 17, 1969: within
-4/3 - 1/(3 m) of the shortest makespan on m workers), so that no long log begins last. An item is a log, or the logs
-that are driven in lock step.
+Items are started by their expected duration, the longest first (Graham, SIAM J. Appl. Math. 17,
+1969: within 4/3 - 1/(3 m) of the shortest makespan on m workers), so that no long log begins last.
+An item is a log, or the logs that are driven in lock step.
 
-While no machine code is on disk, the first log of a run is driven alone, so that kernels that all logs need are
-compiled once. It begins with the reference drives and their metrics; meanwhile a second process plans over some
-built-in scenes (`compile_planning`).
+While no machine code is on disk, the first log of a run is driven alone, so that kernels that all
+logs need are compiled once. It begins with the reference drives and their metrics; meanwhile a
+second process plans over some built-in scenes (`compile_planning`).
 """
 
 from __future__ import annotations
@@ -72,21 +74,26 @@ def evaluate_logs(
     Args:
         logs: Files and folders; none: the built-in suite.
         run: Planners, loops, gates; None: all defaults.
-        out: Result folder: new, empty, or results of an earlier run, which are replaced; None: `results/run-NNN`.
-        workers: Number of child processes; 0 evaluates in this process. Results do not depend on it.
+        out: Result folder: new, empty, or results of an earlier run, which are replaced; None:
+            `results/run-NNN`.
+        workers: Number of child processes; 0 evaluates in this process. Results do not depend on
+            it.
         engine: Where the logs are driven, with the same results; None: `workers` of this machine.
-        resume: Keep the results of logs that an interrupted run into `out` has finished (`replan.run.resume`); the
-            tables are the same, byte for byte, as those of a run that was never interrupted.
+        resume: Keep the results of logs that an interrupted run into `out` has finished
+            (`replan.run.resume`); the tables are the same, byte for byte, as those of a run that
+            was never interrupted.
         window: Split each log into windows of this length, s; each is a log of its own.
         every: Time between the begins of two windows, s; None: `window`.
-        suite: Instead of logs: a suite of the catalogue, or a family or group of it with all its cells.
+        suite: Instead of logs: a suite of the catalogue, or a family or group of it with all its
+            cells.
         shard: Drive this part of the logs only; `replan.run.shards` judges all parts together.
         on_start: Called once with the selection and the result folder.
         on_log: Called as each log ends, in order of ending.
 
     Raises:
-        ConfigError: No logs, an unknown name, gates that cannot be read, a folder that replan must not write, no run
-            that can be resumed with these logs, this configuration and this code; another run writes into `out`.
+        ConfigError: No logs, an unknown name, gates that cannot be read, a folder that replan must
+            not write, no run that can be resumed with these logs, this configuration and this code;
+            another run writes into `out`.
         PlannerError: None of the planners can be loaded.
         OutputError: The disk is full; finished logs are kept for `resume`.
     """
@@ -132,15 +139,18 @@ def _check_batch(engine: Engine, window: float | None, shard: Shard | None) -> N
     """Raise ConfigError for options that do not work with logs in lock step."""
     if not isinstance(engine, Local):
         raise ConfigError(
-            "loop.apart.batch drives logs together on this machine only: leave out --engine or the batch"
+            "loop.apart.batch drives logs together on this machine only: leave out --engine or the "
+            "batch"
         )
     if shard is not None:
         raise ConfigError(
-            "loop.apart.batch drives the logs of a run together, and --shard separates them: leave out one of them"
+            "loop.apart.batch drives the logs of a run together, and --shard separates them: leave "
+            "out one of them"
         )
     if window is not None:
         raise ConfigError(
-            "loop.apart.batch with --window would show a planner later windows of the log: leave out one of them"
+            "loop.apart.batch with --window would show a planner later windows of the log: leave "
+            "out one of them"
         )
 
 
@@ -151,7 +161,9 @@ def selected(
     suite: str | None,
     every: float | None = None,
 ) -> Selection:
-    """The logs of a run, from arguments of `evaluate_logs`; ConfigError if there are none, or arguments conflict."""
+    """The logs of a run, from arguments of `evaluate_logs`; ConfigError if there are none, or
+    arguments conflict.
+    """
     if run.log.map and not Path(run.log.map).is_file():
         raise ConfigError(f"{run.log.map}: no such map")
     if suite is not None and suite.endswith(".toml") and not logs:
@@ -160,7 +172,8 @@ def selected(
         return select(logs, run.log, window, every)
     if window is not None or run.log != LogSettings():
         raise ConfigError(
-            "[log] settings and --window are not for the built-in suites; name logs, or leave them out"
+            "[log] settings and --window are not for the built-in suites; name logs, or leave them "
+            "out"
         )
     if suite is None:
         return builtin_suite()
@@ -247,14 +260,19 @@ class Local:
 
 
 def teams_of(count: int, batch: int) -> list[range]:
-    """Indices of the logs that are evaluated together, in teams of one log, or of `batch` consecutive logs."""
+    """Indices of the logs that are evaluated together, in teams of one log, or of `batch`
+    consecutive logs.
+    """
     size = max(batch, 1)
     return [range(begin, min(begin + size, count)) for begin in range(0, count, size)]
 
 
 @dataclass(frozen=True)
 class Job:
-    """`evaluate_log` with all arguments except the log; a process that calls it loads a planner's module once."""
+    """`evaluate_log` with all arguments except the log.
+
+    A process that calls it loads a planner's module once.
+    """
 
     run: RunConfig
     out: Path
@@ -273,7 +291,9 @@ def longest_first(
     drive: Callable[[Sequence[T]], Iterator[tuple[int, R]]],
     expected_s: Callable[[T], float],
 ) -> Iterator[tuple[int, R]]:
-    """Pass the items to `drive` by expected cost, and yield its results under the indices that they have here."""
+    """Pass the items to `drive` by expected cost, and yield its results under the indices that they
+    have here.
+    """
     order = sorted(range(len(items)), key=lambda index: -expected_s(items[index]))
     for place, ended in drive([items[index] for index in order]):
         yield order[place], ended

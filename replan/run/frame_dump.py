@@ -1,15 +1,18 @@
-"""One planning frame: as a file (input of the planner since the start of its drive, plan, QPs), and planned again.
+"""One planning frame: as a file (input of the planner since the start of its drive, plan, QPs), and
+planned again.
 
-A dump is one MessagePack map with the fields of `File`. Context, frames and plan are the messages of
-`replan.replay.planner_process.messages` (docs/planners_apart.md): little-endian float64 columns, so that values are read back
-to the bit. A planner has memory, so a dump contains all frames up to the one of interest; in open loop, where each
-frame starts with fresh memory, it contains only that one.
+A dump is one MessagePack map with the fields of `File`. Context, frames and plan are the messages
+of `replan.replay.planner_process.messages` (docs/planners_apart.md): little-endian float64 columns,
+so that values are read back to the bit. A planner has memory, so a dump contains all frames up to
+the one of interest; in open loop, where each frame starts with fresh memory, it contains only that
+one.
 
     dump = load(Path("frame.msgpack"))
     dump.frame.agents.ids, dump.problems[0].lower
     assert (dump.planned().trajectory.x == dump.plan.trajectory.x).all()
 
-`replan frame` plans a frame of a run again in this process: the drive up to it, its plan, times and QPs.
+`replan frame` plans a frame of a run again in this process: the drive up to it, its plan, times and
+QPs.
 """
 
 from __future__ import annotations
@@ -51,7 +54,9 @@ VERSION = 1
 
 
 class DumpedProblem(msgspec.Struct):
-    """`replan.planners.piecewise_jerk.problem.PiecewiseJerkProblem`, and the curve x, x', x'' `(3 n,)` that solves it."""
+    """`replan.planners.piecewise_jerk.problem.PiecewiseJerkProblem`, and the curve x, x', x''
+    `(3 n,)` that solves it.
+    """
 
     report: SolverReport  # The solver's report; its stage names the caller
     numbers: list[float]  # step, soft, and the weights x, dx, ddx, dddx
@@ -78,7 +83,10 @@ class File(msgspec.Struct):
 
 @dataclass(frozen=True, eq=False)
 class FrameDump:
-    """A dump as objects, with the attributes of `File`; the clock of the context measures nothing."""
+    """A dump as objects, with the attributes of `File`.
+
+    The clock of the context measures nothing.
+    """
 
     log: str
     planner: str
@@ -94,7 +102,10 @@ class FrameDump:
         return self.frames[-1]
 
     def planned(self) -> Plan:
-        """The plan made anew in this process, by a planner that gets all frames; its errors are not caught."""
+        """The plan made anew in this process, by a planner that gets all frames.
+
+        Its errors are not caught.
+        """
         planner = planner_part(self.planner, self.config).build(self.context)
         for frame in self.frames[:-1]:
             planner.plan(frame)
@@ -176,7 +187,10 @@ SAME_TIME_S = 1e-6
 
 
 class WatchedPlanning(Planning):
-    """A planning that keeps its frames, and the QPs of the last; a debugger opens at the frame of `stop_s`."""
+    """A planning that keeps its frames, and the QPs of the last.
+
+    A debugger opens at the frame of `stop_s`.
+    """
 
     def __init__(self, stop_s: float, *arguments: Any, **keywords: Any) -> None:
         super().__init__(*arguments, **keywords)
@@ -209,15 +223,17 @@ def replan_frame(
 ) -> ReplannedFrame:
     """Drive up to a frame as the run did, in this process, and plan it again.
 
-    `at`: time, s; the last frame that is not later is planned again. `planner`: another planner, which gets this frame
-    only; None: the drive's own. `debug`: open the debugger before the frame is planned. ConfigError if there is no such
-    frame, the log was moved or changed, or the planner is a program or an oracle; PlannerError if the planner raised.
+    `at`: time, s; the last frame that is not later is planned again. `planner`: another planner,
+    which gets this frame only; None: the drive's own. `debug`: open the debugger before the frame
+    is planned. ConfigError if there is no such frame, the log was moved or changed, or the planner
+    is a program or an oracle; PlannerError if the planner raised.
     """
     run, recorded = drive.result.run, drive.frame(at)
     for spec in (drive.planner, planner or drive.planner):
         if is_foreign(spec) or spec in PLANNER.oracles:
             raise ConfigError(
-                f"planner '{spec}': only Python planners that are not oracles can plan a frame again"
+                f"planner '{spec}': only Python planners that are not oracles can plan a frame "
+                "again"
             )
     row = drive.result.logs.set_index("log").loc[drive.log].to_dict()
     scenario = scenario_of(drive.result.path, row, run.log)
@@ -300,14 +316,18 @@ def _plan_with(
 def report_of(again: ReplannedFrame) -> Iterator[str]:
     """The report for debugging the frame."""
     dump, frame, plan = again.dump, again.dump.frame, again.dump.plan
-    yield f"{dump.log}, {dump.planner}, frame at {frame.t:.3f} s ({len(dump.frames)} since the planner was built)"
+    yield (
+        f"{dump.log}, {dump.planner}, frame at {frame.t:.3f} s ({len(dump.frames)} since the "
+        "planner was built)"
+    )
     if again.is_same is not None:
         yield "  the plan is the one in the results" + (
             ", to the bit" if again.is_same else ": NO, it is another"
         )
     futures = frame.predictions
     yield (
-        f"  ego {frame.ego.x:.2f}, {frame.ego.y:.2f} m, {frame.ego.v:.2f} m/s, {frame.ego.a:.2f} m/s²; "
+        f"  ego {frame.ego.x:.2f}, {frame.ego.y:.2f} m, {frame.ego.v:.2f} m/s, {frame.ego.a:.2f} "
+        "m/s²; "
         f"{counted(len(frame.agents), 'agent')}, {counted(len(futures), 'prediction')} of"
         f" {counted(len(futures.t), 'sample')} ({futures.method})"
     )
@@ -320,7 +340,8 @@ def report_of(again: ReplannedFrame) -> Iterator[str]:
         outcome = "solved" if report.solved else "NOT SOLVED"
         yield (
             f"  {report.stage}: {3 * knots} unknowns, {2 * (knots - 1) + 3} equalities,"
-            f" {counted(bounds, 'finite bound')}, {counted(leads, 'lead')}; {outcome} ({report.status}),"
+            f" {counted(bounds, 'finite bound')}, {counted(leads, 'lead')}; {outcome} "
+            f"({report.status}),"
             f" {counted(report.iterations, 'iteration')}, residuals {report.primal_residual:.1e},"
             f" {report.dual_residual:.1e}"
         )

@@ -1,8 +1,8 @@
 """The end of a run: judges its logs by the gates, and writes its tables and its summary.
 
-run.toml is the resolved configuration of a run, each setting with its meaning from the code, as in `replan list NAME`:
-entries of docstrings. Settings of parts that are not built in have none, as their modules may only be loaded where they
-run.
+run.toml is the resolved configuration of a run, each setting with its meaning from the code, as in
+`replan list NAME`: entries of docstrings. Settings of parts that are not built in have none, as
+their modules may only be loaded where they run.
 """
 
 from __future__ import annotations
@@ -59,7 +59,9 @@ from replan.run.sources import LogSource, Selection
 
 
 def gates_of(run: RunConfig, path: Path | None) -> Gates:
-    """The gates in a file, or the packaged gates for the loops of the run; ConfigError as `load_gates`."""
+    """The gates in a file, or the packaged gates for the loops of the run; ConfigError as
+    `load_gates`.
+    """
     gates = load_gates(path, metrics=all_metrics(run))
     return gates.asked_of(mode.value for mode in run.modes) if path is None else gates
 
@@ -77,9 +79,10 @@ def judge_and_write(
 ) -> Results:
     """Judge the results of a run (those of a shard are not judged), and write its tables.
 
-    `out`: the result folder, which contains the folders of the logs; the tables are written into it. `results`: the
-    result of each log, in the order of the selection. `failures`: failures that are not about a log. `resumed`: number
-    of logs whose results are from an interrupted run. `shard`: the part of the run; "" for the whole run.
+    `out`: the result folder, which contains the folders of the logs; the tables are written into
+    it. `results`: the result of each log, in the order of the selection. `failures`: failures that
+    are not about a log. `resumed`: number of logs whose results are from an interrupted run.
+    `shard`: the part of the run; "" for the whole run.
     """
     selection, results = _without_twins(selection, results)
     names, distinct = Counter(result.name for result in results), list[LogResult]()
@@ -139,7 +142,9 @@ def judge_and_write(
 def _without_twins(
     selection: Selection, results: Sequence[LogResult]
 ) -> tuple[Selection, tuple[LogResult, ...]]:
-    """Leave out logs whose folder is that of an earlier one: their content is the same, and one was driven for both."""
+    """Leave out logs whose folder is that of an earlier one: their content is the same, and one was
+    driven for both.
+    """
     driven = {result.folder: result for result in results if not result.twin}
     first: dict[str, str] = {}
     kept, sources, dropped = list[LogResult](), list[LogSource](), list(selection.dropped)
@@ -163,7 +168,10 @@ def _write_summary(
     errors: Sequence[Failure],
     shard: str,
 ) -> None:
-    """Write summary.json; its verdicts have no rows by log, which are in verdicts.parquet; NaN is null."""
+    """Write summary.json.
+
+    Its verdicts have no rows by log, which are in verdicts.parquet; NaN is null.
+    """
     code = exit_code_of(errors, None if shard else [verdict.outcome for verdict in verdicts])
     gates: list[dict[str, Any]] = []
     for verdict in verdicts:
@@ -187,10 +195,11 @@ def _write_summary(
 
 
 def exit_code_of(failures: Iterable[Failure], outcomes: Iterable[Outcome] | None) -> int:
-    """Exit code of a run: 0 pass, 1 a gate failed, 2 configuration, 3 not all could be evaluated, 4 inconclusive.
+    """Exit code of a run: 0 pass, 1 a gate failed, 2 configuration, 3 not all could be evaluated, 4
+    inconclusive.
 
-    `failures`: logs and drives that could not be evaluated. `outcomes`: outcomes of the gates; None: the run is not
-    judged, and 0 means that it is complete.
+    `failures`: logs and drives that could not be evaluated. `outcomes`: outcomes of the gates;
+    None: the run is not judged, and 0 means that it is complete.
     """
     codes = {failure.exit_code for failure in failures}
     if codes:
@@ -204,14 +213,18 @@ def exit_code_of(failures: Iterable[Failure], outcomes: Iterable[Outcome] | None
 
 
 def explained(run: RunConfig, folder: Path) -> str:
-    """The text of run.toml in a folder; `load_run` reads it as that of `dump_run`: a path of gates begins there."""
+    """The text of run.toml in a folder; `load_run` reads it as that of `dump_run`: a path of gates
+    begins there.
+    """
     if run.gates not in PACKAGED:
         run = replace(run, gates=os.path.relpath(run.gates, folder))
     return f"{HEADER}{chr(10).join(_lines(tomllib.loads(dump_run(run)), RunConfig, ''))}\n"
 
 
 def _lines(table: Mapping[str, Any], of: Any, where: str) -> Iterator[str]:
-    """The lines of a table, whose keys are fields of a dataclass or keywords of a factory; None: they are not known."""
+    """The lines of a table, whose keys are fields of a dataclass or keywords of a factory; None:
+    they are not known.
+    """
     for key, value in table.items():
         if not isinstance(value, Mapping):
             line, about = (

@@ -1,14 +1,15 @@
-"""Drives the logs of a run on a Ray cluster: one task per log, which is retried if a worker or its node dies.
+"""Drives the logs of a run on a Ray cluster: one task per log, which is retried if a worker or its
+node dies.
 
-A node needs the same Python and replan as this machine; the user's own planners and metrics are sent (`code_of`).
-It writes a log's folder into its own scratch folder, and sends the files back with the result; this machine
-writes them under a temporary name and renames them, as a local worker does. The number of tasks in flight is
-bounded, so that neither the
-scheduler nor this process holds more than a few logs of a run of any size.
+A node needs the same Python and replan as this machine; the user's own planners and metrics are
+sent (`code_of`). It writes a log's folder into its own scratch folder, and sends the files back
+with the result; this machine writes them under a temporary name and renames them, as a local worker
+does. The number of tasks in flight is bounded, so that neither the scheduler nor this process holds
+more than a few logs of a run of any size.
 
-One task has one log: the overhead of a task is milliseconds (docs/scale.md), a log takes a second or more, and only the
-logs of a node that dies are retried. The processes that run the tasks are kept by Ray, so that
-kernels are loaded once in each.
+One task has one log: the overhead of a task is milliseconds (docs/scale.md), a log takes a second
+or more, and only the logs of a node that dies are retried. The processes that run the tasks are
+kept by Ray, so that kernels are loaded once in each.
 """
 
 from __future__ import annotations
@@ -45,7 +46,10 @@ from replan.run.sources import LogSource
 T = TypeVar("T")
 
 RETRIES = 3
-"""Retries of a task whose worker or node died (Ray's own default); an error that replan raises is not retried."""
+"""Retries of a task whose worker or node died (Ray's own default).
+
+An error that replan raises is not retried.
+"""
 # Tasks in flight per core of the cluster: each core has its next one waiting, and an autoscaler
 # sees a queue
 AHEAD = 2
@@ -54,8 +58,8 @@ BEGIN = (
     "`ray start --head` begins a cluster; versions of Ray and Python must be the same on all nodes"
 )
 ALONE = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0", "RAY_USAGE_STATS_ENABLED": "0"}
-"""Environment of Ray on this machine, read when Ray is imported: it listens on the loopback address only (the first
-variable, on any system), and sends no usage statistics."""
+"""Environment of Ray on this machine, read when Ray is imported: it listens on the loopback address
+only (the first variable, on any system), and sends no usage statistics."""
 LONGEST_SESSION_PATH = 25
 LEFT_OUT = ("__pycache__", ".*", "*.pyc")
 
@@ -66,7 +70,8 @@ class OnRay:
 
     # Its address ("auto", "HOST:6379", "ray://HOST:10001"); "": one on this machine, for this run
     address: str = ""
-    # Largest number of tasks in flight, and cores of a cluster on this machine. None: by the cluster's cores.
+    # Largest number of tasks in flight, and cores of a cluster on this machine. None: by the
+    # cluster's cores.
     workers: int | None = None
 
     def evaluate(
@@ -74,8 +79,8 @@ class OnRay:
     ) -> Iterator[tuple[int, LogResult | WorkerLost]]:
         """As `Engine.evaluate`.
 
-        ConfigError if Ray is not installed, the cluster cannot be reached, or its Python differs; OutputError if a
-        folder cannot be written on this machine.
+        ConfigError if Ray is not installed, the cluster cannot be reached, or its Python differs;
+        OutputError if a folder cannot be written on this machine.
         """
         absolute = [
             source if source.path is None else replace(source, path=source.path.absolute())
@@ -102,7 +107,10 @@ class OnRay:
 
     @contextmanager
     def _ray_connection(self, run: RunConfig) -> Iterator[Any]:
-        """Ray, with a connection for the time of the run; an existing connection of the caller is used."""
+        """Ray, with a connection for the time of the run.
+
+        An existing connection of the caller is used.
+        """
         if not self.address:
             os.environ.update(ALONE | os.environ)
         try:
@@ -184,7 +192,10 @@ class OnRay:
                             str(error).strip().partition("\n")[0],
                             f"{RETRIES + 1} tries",
                         )
-                        why = f"lost on the cluster after {tries}: {type(error).__name__}: {first_line}"
+                        why = (
+                            f"lost on the cluster after {tries}: {type(error).__name__}: "
+                            f"{first_line}"
+                        )
                         yield index, WorkerLost(why)
         finally:
             for reference in flying:
@@ -194,9 +205,9 @@ class OnRay:
 def code_of(run: RunConfig, folder: Path) -> Path:
     """A copy of the user's code that a run names, for the nodes, in `folder`; returns `folder`.
 
-    For each planner, metric, controller ... "module:NAME" that is not installed, it contains the whole package (with
-    weights), or the file; and the other modules beside it, which it may import. For "exec:COMMAND" it contains the
-    local files that the command names.
+    For each planner, metric, controller ... "module:NAME" that is not installed, it contains the
+    whole package (with weights), or the file; and the other modules beside it, which it may import.
+    For "exec:COMMAND" it contains the local files that the command names.
     """
     here = str(Path.cwd())
     for name in (*run.planners, *run.metrics, *_of_loop(run), run.log.reader):
@@ -249,7 +260,10 @@ def _on_node(
     theirs, wrong = _stamp_here(run.planners, run.metrics, _of_loop(run), run.log.reader), ""
     if theirs != stamp:  # the node has other code than this machine
         what = f"node {platform.node()} has replan {theirs.replan} with code {theirs.code[:8]}"
-        wrong = f"{source.label}: {what}; install there what is here: {stamp.replan} with code {stamp.code[:8]}"
+        wrong = (
+            f"{source.label}: {what}; install there what is here: {stamp.replan} with code "
+            f"{stamp.code[:8]}"
+        )
     elif source.path is not None and not source.path.exists():
         remedy = "logs on a cluster must lie in a folder that all nodes share, or be named by URL"
         wrong = str(
@@ -279,4 +293,6 @@ def _stamp_here(
 
 
 _settled = cache(freeze_gc)
-"""Freezes garbage collection once in each process, after its first log: by then all kernels are loaded."""
+"""Freezes garbage collection once in each process, after its first log: by then all kernels are
+loaded.
+"""

@@ -1,6 +1,8 @@
-"""Evaluates one log in a worker: log -> drives -> tables -> files. It returns errors instead of raising them.
+"""Evaluates one log in a worker: log -> drives -> tables -> files. It returns errors instead of
+raising them.
 
-The files of a log are written into a folder with a temporary name, which is renamed when all files are complete.
+The files of a log are written into a folder with a temporary name, which is renamed when all files
+are complete.
 """
 
 from __future__ import annotations
@@ -94,7 +96,10 @@ class _Progress:
             self.failures.append(Failure(self.log, line, *place, traceback=traceback.format_exc()))
 
     def broken(self, planner: str, mode: Mode) -> metrics.OnError:
-        """The function that records a metric of this drive that raises; no other metric is affected."""
+        """The function that records a metric of this drive that raises.
+
+        No other metric is affected.
+        """
 
         def noted(metric: Metric, reason: str, error: BaseException) -> None:
             ours = METRICS.get(metric.name) is metric
@@ -113,8 +118,8 @@ class _Progress:
 def evaluate_log(source: LogSource, run: RunConfig, out: Path, stamp: Stamp) -> LogResult:
     """Drive one log with each planner in each mode, measure, and write the log's folder into `out`.
 
-    If it cannot be written (full disk), `LogResult.stopped` gives the error, and the partial folder is removed. If
-    another log has the same content, the result is its twin (`LogResult.twin`).
+    If it cannot be written (full disk), `LogResult.stopped` gives the error, and the partial folder
+    is removed. If another log has the same content, the result is its twin (`LogResult.twin`).
     """
     progress, begin = _Progress(source.label), perf_counter()
     partial = out / f"{PARTIAL}{sha256(source.label.encode()).hexdigest()[:16]}-{os.getpid()}"
@@ -155,7 +160,9 @@ def evaluate_log(source: LogSource, run: RunConfig, out: Path, stamp: Stamp) -> 
 
 
 def all_metrics(run: RunConfig) -> Mapping[str, Metric]:
-    """The built-in metrics and the run's own; ConfigError if a metric cannot be loaded, or has the name of another."""
+    """The built-in metrics and the run's own; ConfigError if a metric cannot be loaded, or has the
+    name of another.
+    """
     found = dict(METRICS)
     for metric in map(load_metric, run.metrics):
         if metric.name in found:
@@ -167,7 +174,8 @@ def all_metrics(run: RunConfig) -> Mapping[str, Metric]:
 def _describe_log(
     source: LogSource, scenario: Scenario, folder: Path, run: RunConfig
 ) -> tuple[LogResult, pd.DataFrame]:
-    """The log by name and content, and its health; other logs than native and OSI MCAP are written as `log.mcap`.
+    """The log by name and content, and its health; other logs than native and OSI MCAP are written
+    as `log.mcap`.
 
     The hash of the content ignores channels for Foxglove.
     """
@@ -245,7 +253,9 @@ def _drive_one(
     progress: _Progress,
     steps: StepsFile,
 ) -> tuple[Trace, tuple[Mark, ...]]:
-    """Drive, measure and write one planner in one loop: the trace as `file`.mcap, its recording as `file`.rrd."""
+    """Drive, measure and write one planner in one loop: the trace as `file`.mcap, its recording as
+    `file`.rrd.
+    """
     drive = _probe_determinism(
         _drive_log(scenario, place, run, keep=run.keep_internals), scenario, place, run
     )
@@ -312,7 +322,9 @@ def _drive_log(
 def _probe_determinism(
     drive: Drive, scenario: Scenario, place: _DriveSpec, run: RunConfig
 ) -> Drive:
-    """The drive, with a note if its planner is the user's own and not deterministic (`RunConfig.repeat_s`)."""
+    """The drive, with a note if its planner is the user's own and not deterministic
+    (`RunConfig.repeat_s`).
+    """
     planner, until_s = drive.trace.planner, float(scenario.ego.t[0]) + run.repeat_s
     if not run.repeat_s or drive.trace.oracle or is_built_in(planner) or not drive.trace.frames:
         return drive

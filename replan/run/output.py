@@ -1,22 +1,24 @@
 """The place of the results of a run: a folder that it locks, or a URL; and the place of its logs.
 
-A folder is locked by the operating system's lock on the file `.lock` in it: it is released when the process ends for
-any reason, and works between containers that share a folder, and between machines on network file systems. If a file
-system has no locks, the file itself is the lock: a lock of a process of this machine that has ended is taken over, a
-lock of another machine is not.
+A folder is locked by the operating system's lock on the file `.lock` in it: it is released when the
+process ends for any reason, and works between containers that share a folder, and between machines
+on network file systems. If a file system has no locks, the file itself is the lock: a lock of a
+process of this machine that has ended is taken over, a lock of another machine is not.
 
-A result folder at a URL is a folder of this machine while the run lasts, from which each log's folder is sent. At any
-time the URL has the files that an interrupted run would have left: `run.toml`, and the folders of the finished logs,
-each with its card `log.json` written last; a folder without a card is incomplete and is not used. Tables and reports
-follow at the end. `--resume` first fetches the files at the URL. Files of an earlier run are removed when the first log
-is sent: a run that cannot begin (a name is wrong, a log is missing) removes nothing. The object `.lock` is written only
-if it does not exist, which S3 (conditional writes) and Google's store do in one step. No object store releases a lock
-when its holder ends: a lock of a process of this machine that has ended is taken over; a lock of another machine is
-named in the error, and must be removed by hand.
+A result folder at a URL is a folder of this machine while the run lasts, from which each log's
+folder is sent. At any time the URL has the files that an interrupted run would have left:
+`run.toml`, and the folders of the finished logs, each with its card `log.json` written last; a
+folder without a card is incomplete and is not used. Tables and reports follow at the end.
+`--resume` first fetches the files at the URL. Files of an earlier run are removed when the first
+log is sent: a run that cannot begin (a name is wrong, a log is missing) removes nothing. The object
+`.lock` is written only if it does not exist, which S3 (conditional writes) and Google's store do in
+one step. No object store releases a lock when its holder ends: a lock of a process of this machine
+that has ended is taken over; a lock of another machine is named in the error, and must be removed
+by hand.
 
-`origin.json` gives the directory in which a run was started. Logs are named as they were given, mostly relative to that
-directory. It is stored relative to the results, for results that are moved together with their logs, and as an absolute
-path, for results that are moved without them.
+`origin.json` gives the directory in which a run was started. Logs are named as they were given,
+mostly relative to that directory. It is stored relative to the results, for results that are moved
+together with their logs, and as an absolute path, for results that are moved without them.
 """
 
 from __future__ import annotations
@@ -67,8 +69,8 @@ _FAR = 1 << 30
 def held(out: Path) -> Iterator[None]:
     """Lock the folder, and create it if needed; the lock file is removed afterwards.
 
-    ConfigError if another run has locked it (with process, host and time), it cannot be created or written to, or it is
-    a URL.
+    ConfigError if another run has locked it (with process, host and time), it cannot be created or
+    written to, or it is a URL.
     """
     on_this_machine(out)
     made = not out.exists()
@@ -87,7 +89,9 @@ def held(out: Path) -> Iterator[None]:
 
 @contextmanager
 def locked(path: Path, what: Path) -> Iterator[None]:
-    """Lock a folder or file `what` by the lock file at `path`, which is removed afterwards; ConfigError as `held`."""
+    """Lock a folder or file `what` by the lock file at `path`, which is removed afterwards;
+    ConfigError as `held`.
+    """
     try:
         handle = _lock(path, what)
     except OSError as error:
@@ -181,7 +185,9 @@ def has_ended(card: dict[str, Any]) -> bool:
 
 
 def _start_of_process(pid: int) -> str:
-    """Start time of a process in system ticks, which differs for another process with this number; "" if unknown."""
+    """Start time of a process in system ticks, which differs for another process with this number;
+    "" if unknown.
+    """
     try:
         return Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[19]
     except (OSError, IndexError):
@@ -245,10 +251,11 @@ class OutputLocation:
 
 @contextmanager
 def output_location(out: Path | str | None, *, resume: bool = False) -> Iterator[OutputLocation]:
-    """A place for a run's results; a URL is locked, and its contents are fetched (`resume`) or replaced.
+    """A place for a run's results; a URL is locked, and its contents are fetched (`resume`) or
+    replaced.
 
-    ConfigError if another run writes there, its contents are not results, or it cannot be written. OutputError if the
-    connection is lost; finished logs are kept for `resume`.
+    ConfigError if another run writes there, its contents are not results, or it cannot be written.
+    OutputError if the connection is lost; finished logs are kept for `resume`.
     """
     url = "" if out is None else url_of(out)
     if not url:
@@ -288,7 +295,8 @@ def _open_url(url: str, folder: Path, *, resume: bool) -> OutputLocation:
         foreign += files
     if foreign:
         raise ConfigError(
-            f"{url}: contains {foreign[0].name}, not a replan result; give --out a new or empty place"
+            f"{url}: contains {foreign[0].name}, not a replan result; give --out a new or empty "
+            "place"
         )
     whole = [file for file in logs if file.name.partition("/")[0] in cards] if resume else []
     kept = [*whole, *(file for file in files if resume and file.name == "run.toml")]
@@ -296,7 +304,8 @@ def _open_url(url: str, folder: Path, *, resume: bool) -> OutputLocation:
         folder.mkdir()
         fetch(kept, folder)
     there = {file.name: (folder / file.name).stat().st_mtime_ns for file in kept}
-    # cards are removed first, so that no incomplete folder looks complete; run.toml, which identifies results, last
+    # cards are removed first, so that no incomplete folder looks complete; run.toml, which
+    # identifies results, last
     order = sorted(
         files,
         key=lambda file: (file.name == "run.toml", not file.name.endswith(LOG_CARD), file.name),
@@ -312,7 +321,9 @@ class Origin(msgspec.Struct):
 
 
 def write_origin(out: Path, begun: Path | None = None) -> None:
-    """Record in the results where the run was started (None: the working directory); OutputError if that fails."""
+    """Record in the results where the run was started (None: the working directory); OutputError if
+    that fails.
+    """
     here = begun or Path.cwd()
     try:
         seen = Path(os.path.relpath(here, out.resolve())).as_posix()
@@ -322,14 +333,17 @@ def write_origin(out: Path, begun: Path | None = None) -> None:
 
 
 def begun_in(out: Path, sources: Iterable[str]) -> Path:
-    """The directory in which a run was started: the first from which one of its logs is found, else the current one."""
+    """The directory in which a run was started: the first from which one of its logs is found, else
+    the current one.
+    """
     logs = [local_path(source) for source in sources if not url_of(source)]
     seen = (place for place in _directories(out) if any((place / log).exists() for log in logs))
     return Path(os.path.normpath(next(seen, Path.cwd())))
 
 
 def scenario_of(out: Path, row: Mapping[Any, Any], settings: LogSettings) -> Scenario:
-    """The driven part of the log of a row of `Results.logs`: of the copy in the results, otherwise of the original.
+    """The driven part of the log of a row of `Results.logs`: of the copy in the results, otherwise
+    of the original.
 
     ConfigError if the log was moved or changed; LogError if the log cannot be read.
     """
@@ -344,8 +358,8 @@ def scenario_of(out: Path, row: Mapping[Any, Any], settings: LogSettings) -> Sce
 def log_of(out: Path, source: str, digest: str, settings: LogSettings) -> Scenario:
     """The original log that a run read.
 
-    `source`: the log's path or URL as it was given. `digest`: SHA-256 of its bytes. ConfigError if the log was moved or
-    changed; LogError if the log cannot be read.
+    `source`: the log's path or URL as it was given. `digest`: SHA-256 of its bytes. ConfigError if
+    the log was moved or changed; LogError if the log cannot be read.
     """
     if url_of(source):
         found = select([source], settings).sources[0]
@@ -374,7 +388,9 @@ def log_of(out: Path, source: str, digest: str, settings: LogSettings) -> Scenar
 
 
 def _directories(out: Path) -> list[Path]:
-    """The directories to which the paths of a run may be relative, in the order in which they are tried."""
+    """The directories to which the paths of a run may be relative, in the order in which they are
+    tried.
+    """
     if not (out / ORIGIN).is_file():  # results of an older replan
         return [Path.cwd()]
     _, card = read_json(out / ORIGIN, Origin)

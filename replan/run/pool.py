@@ -1,7 +1,8 @@
 """A pool of worker processes that survives the death of a worker.
 
-Each worker is a fresh interpreter (`spawn`: nothing of numba, Arrow or Rerun is forked) that serves many items, one at
-a time. If a worker is killed or crashes, only its current item is lost, and a new worker replaces it.
+Each worker is a fresh interpreter (`spawn`: nothing of numba, Arrow or Rerun is forked) that serves
+many items, one at a time. If a worker is killed or crashes, only its current item is lost, and a
+new worker replaces it.
 """
 
 from __future__ import annotations
@@ -68,13 +69,15 @@ def run_all(
     one_first: bool = False,
     meanwhile: Callable[[], object] | None = None,
 ) -> Iterator[tuple[int, R | WorkerLost]]:
-    """Apply a module-level function to items in child processes; yields `(index, result)` as they end.
+    """Apply a module-level function to items in child processes; yields `(index, result)` as they
+    end.
 
     Args:
         function: Picklable; an exception in it ends its worker, so it should return its errors.
         items: Picklable; handed out in order.
         workers: Number of child processes, at least 1.
-        one_first: The last item is processed alone before the others, so that files that all need are made only once.
+        one_first: The last item is processed alone before the others, so that files that all need
+            are made only once.
         meanwhile: Picklable; called once, beside that item, in a process of its own.
 
     Closing the iterator, or an exception in its consumer (KeyboardInterrupt), kills the workers.
@@ -138,7 +141,10 @@ def _dismiss(worker: _Worker[T, R]) -> None:
 
 
 def _serve(pipe: Connection, function: Callable[[Any], Any]) -> None:
-    """The child: answer items until the pipe is closed. The parent handles Ctrl-C, and the child ends with it."""
+    """The child: answer items until the pipe is closed.
+
+    The parent handles Ctrl-C, and the child ends with it.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     freeze_gc()
@@ -164,7 +170,9 @@ def freeze_gc() -> None:
 
 
 def _end_with_parent() -> None:
-    """End this child when its parent is killed, so that it does not go on writing into the folder of the run."""
+    """End this child when its parent is killed, so that it does not go on writing into the folder
+    of the run.
+    """
     parent = multiprocessing.parent_process()
     if parent is not None:
         wait([parent.sentinel])

@@ -1,14 +1,15 @@
 """Continues an interrupted run or study: the results of logs whose folders are complete are kept.
 
-A folder is kept if it was made from the same input (name and bytes) under the same configuration, version and source of
-replan and of extensions of users (planners, metrics, ...); gates may differ, because they are applied at the end.
-Any other content of the folder is an error: no log is evaluated again silently, and results of other runs are not mixed
-in.
+A folder is kept if it was made from the same input (name and bytes) under the same configuration,
+version and source of replan and of extensions of users (planners, metrics, ...); gates may differ,
+because they are applied at the end. Any other content of the folder is an error: no log is
+evaluated again silently, and results of other runs are not mixed in.
 
-The file of a study is JSON lines, first the head with the inputs, then a line per trial. A line is added as each batch
-ends, with a checksum of what it says: a trial that was edited is refused. The last line, if an interruption has cut it,
-is left out. A search is deterministic: with `--resume` it makes the same trials again, and those in the file are not
-driven a second time. So it gives the same bytes as a search that was never interrupted.
+The file of a study is JSON lines, first the head with the inputs, then a line per trial. A line is
+added as each batch ends, with a checksum of what it says: a trial that was edited is refused. The
+last line, if an interruption has cut it, is left out. A search is deterministic: with `--resume` it
+makes the same trials again, and those in the file are not driven a second time. So it gives the
+same bytes as a search that was never interrupted.
 """
 
 from __future__ import annotations
@@ -44,7 +45,9 @@ START_OVER = "leave out --resume to start over"
 
 
 def stamp_of(run: RunConfig, also: Iterable[tuple[ExtensionKind[Any], str]] = ()) -> Stamp:
-    """Version, and hash of the source files of replan and of the modules that the run names, and `also` these names."""
+    """Version, and hash of the source files of replan and of the modules that the run names, and
+    `also` these names.
+    """
     digest = sha256()
     for folder in own_folders():
         for file in sorted(folder.rglob("*.py")):
@@ -72,9 +75,11 @@ def stamp_of(run: RunConfig, also: Iterable[tuple[ExtensionKind[Any], str]] = ()
 def finished(
     out: Path, sources: Sequence[LogSource], run: RunConfig, stamp: Stamp
 ) -> dict[int, LogResult]:
-    """The results that an interrupted run left in `out`, by index of their source; removes unfinished folders.
+    """The results that an interrupted run left in `out`, by index of their source; removes
+    unfinished folders.
 
-    ConfigError if `out` is not an interrupted run of these logs with this configuration and this code.
+    ConfigError if `out` is not an interrupted run of these logs with this configuration and this
+    code.
     """
     folders = [folder for folder in sorted(out.iterdir()) if (folder / LOG_CARD).is_file()]
     if folders or (out / "run.toml").is_file():
@@ -83,7 +88,8 @@ def finished(
         )
         if changed:
             raise ConfigError(
-                f"{out}: was begun with another configuration: {changed}; give the same options, or {START_OVER}"
+                f"{out}: was begun with another configuration: {changed}; give the same options, "
+                f"or {START_OVER}"
             )
     found = {
         folder: load_result(folder) for folder in folders if not folder.name.startswith(PARTIAL)
@@ -101,7 +107,8 @@ def finished(
             raise ConfigError(f"{out}: was begun with {with_what}; {START_OVER}")
         if identity not in inputs:
             raise ConfigError(
-                f"{out}: holds results of {result.source}, which is not among the logs or has changed; name the same"
+                f"{out}: holds results of {result.source}, which is not among the logs or has "
+                "changed; name the same"
                 f" logs as before, or {START_OVER}"
             )
         results[inputs[identity]] = replace(result, source=sources[inputs[identity]].label)
@@ -115,7 +122,10 @@ def finished(
 
 
 def identity_of(source: LogSource) -> str:
-    """The identity of a source; its label if it cannot be read (the evaluation then reports the reason)."""
+    """The identity of a source.
+
+    Its label if it cannot be read (the evaluation then reports the reason).
+    """
     try:
         return source.identity()
     except LogError:
@@ -123,7 +133,9 @@ def identity_of(source: LogSource) -> str:
 
 
 def changes(before: Mapping[str, Any], now: Mapping[str, Any], besides: str = "") -> str:
-    """The keys, except `besides`, in which two configurations differ, in words; "" if there are none."""
+    """The keys, except `besides`, in which two configurations differ, in words; "" if there are
+    none.
+    """
     was, now = dict(flat(before)), dict(flat(now))
     changed = [
         key
@@ -143,7 +155,9 @@ CHECKSUM = "crc32"  # The key of the checksum of a trial's line
 
 
 def study_head(kind: str, run: RunConfig, inputs: Mapping[str, Any]) -> dict[str, Any]:
-    """The head of a study: its kind, the versions of replan and the code, its own inputs (JSON types), its run."""
+    """The head of a study: its kind, the versions of replan and the code, its own inputs (JSON
+    types), its run.
+    """
     stamp = stamp_of(run)
     return {
         "study": kind,
@@ -157,9 +171,9 @@ def study_head(kind: str, run: RunConfig, inputs: Mapping[str, Any]) -> dict[str
 class Study:
     """The trials of a study, by key.
 
-    `out`: the folder, which is claimed (`replan.run.claim`). `head`: the inputs, as JSON types: a study with another
-    head is a different study. `resume`: use the trials in the file; otherwise the folder is emptied. ConfigError if the
-    folder contains no study that can be resumed.
+    `out`: the folder, which is claimed (`replan.run.claim`). `head`: the inputs, as JSON types: a
+    study with another head is a different study. `resume`: use the trials in the file; otherwise
+    the folder is emptied. ConfigError if the folder contains no study that can be resumed.
     """
 
     def __init__(self, out: Path, head: Mapping[str, Any], *, resume: bool) -> None:

@@ -1,14 +1,16 @@
-"""Splits a run over machines: shard i of n drives every n-th log, and `merge` makes the tables of all shards.
+"""Splits a run over machines: shard i of n drives every n-th log, and `merge` makes the tables of
+all shards.
 
-The i-th of n shards (from 1) has the logs i, i + n, i + 2n, ... of the selection. The logs of a folder are in the order
-of their names and those of a suite with its families mixed, so that logs of one kind, which take about the same time,
-are distributed evenly; and the shard of a log depends only on its position.
+The i-th of n shards (from 1) has the logs i, i + n, i + 2n, ... of the selection. The logs of a
+folder are in the order of their names and those of a suite with its families mixed, so that logs of
+one kind, which take about the same time, are distributed evenly; and the shard of a log depends
+only on its position.
 
-A shard measures and does not judge: a gate's outcome on a part (a mean, a share, missing logs) need not hold for all.
-Its folder also holds `shard.json`: the number of the shard, all logs of the run, the gates, and the failures of logs
-without a folder. The tables of all shards are made from the folders of the logs, as by `--resume`: they are equal, byte
-for byte, to those of a run that drives all logs itself, except for measured times: `timings.parquet`, and the verdicts
-on `deadline_s`.
+A shard measures and does not judge: a gate's outcome on a part (a mean, a share, missing logs) need
+not hold for all. Its folder also holds `shard.json`: the number of the shard, all logs of the run,
+the gates, and the failures of logs without a folder. The tables of all shards are made from the
+folders of the logs, as by `--resume`: they are equal, byte for byte, to those of a run that drives
+all logs itself, except for measured times: `timings.parquet`, and the verdicts on `deadline_s`.
 """
 
 from __future__ import annotations
@@ -86,8 +88,8 @@ def write_card(
 ) -> None:
     """Write `shard.json` into a shard's folder, which marks it as complete.
 
-    `stamp`: version and code on which the results depend. `results`: results in the order of the shard's logs, under
-    the names in their own folders.
+    `stamp`: version and code on which the results depend. `results`: results in the order of the
+    shard's logs, under the names in their own folders.
     """
     card: dict[str, Any] = {
         **asdict(shard),
@@ -134,7 +136,9 @@ class ShardCard(msgspec.Struct):
 
 @dataclass(frozen=True, eq=False)
 class ShardContents:
-    """A complete shard: its folder, the contents of its `shard.json`, and the results of its logs, in their order."""
+    """A complete shard: its folder, the contents of its `shard.json`, and the results of its logs,
+    in their order.
+    """
 
     folder: Path
     card: ShardCard
@@ -154,10 +158,11 @@ class ShardContents:
 def merge(folders: Sequence[Path | str], out: Path | str) -> Results:
     """Judge the logs of all shards together and write one result folder.
 
-    `folders`: folders of all shards of a run (`evaluate_logs(shard=...)`), in any order. `out`: result folder: new,
-    empty, or results of an earlier run, which are replaced. ConfigError if a folder is not a complete shard; the shards
-    are of different runs (logs, configuration, gates, version, code), or of another version or code than this replan;
-    one is duplicate or missing; `out` must not be written, or is in use. OutputError if the disk is full.
+    `folders`: folders of all shards of a run (`evaluate_logs(shard=...)`), in any order. `out`:
+    result folder: new, empty, or results of an earlier run, which are replaced. ConfigError if a
+    folder is not a complete shard; the shards are of different runs (logs, configuration, gates,
+    version, code), or of another version or code than this replan; one is duplicate or missing;
+    `out` must not be written, or is in use. OutputError if the disk is full.
     """
     found, out = _read_parts([Path(folder) for folder in folders]), Path(out)
     for part in found:
@@ -186,7 +191,10 @@ def merge(folders: Sequence[Path | str], out: Path | str) -> Results:
 
 @contextmanager
 def gates_in(shard: Path) -> Iterator[Path | None]:
-    """The gates of a shard as a temporary file; None: the packaged ones. ConfigError if the shard is not complete."""
+    """The gates of a shard as a temporary file; None: the packaged ones.
+
+    ConfigError if the shard is not complete.
+    """
     text = _card(shard).gates
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "gates.toml"
@@ -195,7 +203,9 @@ def gates_in(shard: Path) -> Iterator[Path | None]:
 
 
 def _read_parts(folders: Sequence[Path]) -> tuple[ShardContents, ...]:
-    """The shards in these folders, by number; ConfigError unless all are of one run and of this replan, each once."""
+    """The shards in these folders, by number; ConfigError unless all are of one run and of this
+    replan, each once.
+    """
     if not folders:
         raise ConfigError("name the folders of all shards: replan merge SHARD1 SHARD2 ... -o OUT")
     found = sorted(
@@ -261,7 +271,8 @@ def _read_part(folder: Path) -> ShardContents:
         content = load_result(folder / log.folder)
         if content is None:
             raise ConfigError(
-                f"{folder}: the folder {log.folder} in it is not there or not whole; copy the shard again"
+                f"{folder}: the folder {log.folder} in it is not there or not whole; copy the "
+                "shard again"
             )
         results.append(replace(content[0], source=log.source))
     found = ShardContents(folder, card, tuple(results))
@@ -277,7 +288,9 @@ def _describe(stamp: Stamp) -> str:
 
 
 def _link_or_copy(source: str, target: str) -> str:
-    """Make a hard link if the file system has them, because files of a log's folder never change; otherwise copy."""
+    """Make a hard link if the file system has them, because files of a log's folder never change;
+    otherwise copy.
+    """
     with suppress(OSError):
         os.link(source, target)
         return target

@@ -1,6 +1,8 @@
-"""Selects the logs of a run: files, folders, or the built-in suite; and the numbers found, kept and left out.
+"""Selects the logs of a run: files, folders, or the built-in suite; and the numbers found, kept and
+left out.
 
-An empty selection is an error that names the searched formats: it must not look like a run without failures.
+An empty selection is an error that names the searched formats: it must not look like a run without
+failures.
 
 The members of an ensemble are worlds in which a verdict should be the same:
 
@@ -12,7 +14,8 @@ The members of an ensemble are worlds in which a verdict should be the same:
     noise    Gaussian errors of 2 cm on the agents' positions
     rate     ego and agents sampled at 5 Hz, the rate of the slowest logs of recorded traffic in use
 
-A member's random numbers are seeded by the log's name and the member's number, so that they are the same in every run.
+A member's random numbers are seeded by the log's name and the member's number, so that they are the
+same in every run.
 """
 
 from __future__ import annotations
@@ -71,13 +74,22 @@ BYTES_PER_S: Mapping[str, float] = {
     "123d": 165e3,
     "argoverse2": 65e3,
 }
-"""Bytes per second of drive by format, medians of logs that we have; only for the order in which logs are driven."""
+"""Bytes per second of drive by format, medians of logs that we have.
+
+Only for the order in which logs are driven.
+"""
 _OTHER_BYTES_PER_S = 50e3
 
 LOOKED_INTO = (".xml", ".bag", ".db3", ".yaml", ".mcap", ".csv")
-"""Suffixes of files whose first bytes readers check to recognise a log; other files are recognised by name."""
+"""Suffixes of files whose first bytes readers check to recognise a log.
+
+Other files are recognised by name.
+"""
 HEAD_BYTES = 4096
-SUITE_HEADER = "# A suite of logs, written by `replan suite`; give it to --suite. Paths are relative to this file."
+SUITE_HEADER = (
+    "# A suite of logs, written by `replan suite`; give it to --suite. Paths are "
+    "relative to this file."
+)
 """First line of a suite's file."""
 
 
@@ -147,7 +159,9 @@ class LogSource:
 
     @property
     def expected_s(self) -> float:
-        """Approximate length of the drive, s, from the log's size; 0 for the catalogue, whose logs do not exist yet."""
+        """Approximate length of the drive, s, from the log's size; 0 for the catalogue, whose logs
+        do not exist yet.
+        """
         if self.settings.end < inf:
             return self.settings.end - self.settings.begin
         if self.path is None:
@@ -163,14 +177,19 @@ class LogSource:
 
     @property
     def is_mcap(self) -> bool:
-        """Whether it is a native or OSI MCAP that is read without settings, so that the results need no copy of it."""
+        """Whether it is a native or OSI MCAP that is read without settings, so that the results
+        need no copy of it.
+        """
         reader = None if self.path is None else reader_of(self.path, self.settings)
         return reader is not None and reader.name == "native" and self.settings == LogSettings()
 
 
 @dataclass(frozen=True)
 class Selection:
-    """The logs of a run; as text, the numbers found and kept, and the reasons why others were left out."""
+    """The logs of a run.
+
+    As text, the numbers found and kept, and the reasons why others were left out.
+    """
 
     sources: tuple[LogSource, ...]  # The kept logs, in the given order (folders: sorted by path)
     dropped: tuple[str, ...] = ()  # The reasons why others were left out, one line each
@@ -186,12 +205,15 @@ def builtin_suite() -> Selection:
 
 
 def named_suite(name: str) -> Selection:
-    """A suite of the catalogue, or all cells of one of its families or groups; ConfigError if nothing has this name."""
+    """A suite of the catalogue, or all cells of one of its families or groups; ConfigError if
+    nothing has this name.
+    """
     return Selection(tuple(LogSource(label) for label in suite(name)))
 
 
 def suite_file(path: Path) -> list[Path | str]:
-    """The logs that a suite's file names: TOML with one key, `logs`, a list of paths (relative to the file) or URLs.
+    """The logs that a suite's file names: TOML with one key, `logs`, a list of paths (relative to
+    the file) or URLs.
 
     ConfigError if it cannot be read, or has other keys.
     """
@@ -216,10 +238,10 @@ def select(
 ) -> Selection:
     """The logs in files and folders, of all formats in `replan.logs.readers`.
 
-    A folder that is not a log is searched for logs. Results of earlier runs, hidden files and second copies of a log
-    are left out: the same bytes, or the same drive in another container or under another name, if the reader knows
-    its span without reading it. With `window`, each log is split into windows of this length, s, that begin every
-    `every` s (by default `window`).
+    A folder that is not a log is searched for logs. Results of earlier runs, hidden files and
+    second copies of a log are left out: the same bytes, or the same drive in another container or
+    under another name, if the reader knows its span without reading it. With `window`, each log is
+    split into windows of this length, s, that begin every `every` s (by default `window`).
     ConfigError if a path does not exist, no reader knows its format, or no log is left.
     """
     settings = settings or LogSettings()
@@ -280,13 +302,19 @@ def select(
 
 @dataclass
 class _Drives:
-    """The drives of logs, whatever their names and containers. Only logs with the same span (ns) are read."""
+    """The drives of logs, whatever their names and containers.
+
+    Only logs with the same span (ns) are read.
+    """
 
     by_span: dict[tuple[float, float], list[LogSource]] = field(default_factory=dict)
     contents: dict[str, str] = field(default_factory=dict)
 
     def twin_of(self, source: LogSource) -> LogSource | None:
-        """Return the earlier log with the same drive; if there is none, this log is kept for later ones."""
+        """Return the earlier log with the same drive.
+
+        If there is none, this log is kept for later ones.
+        """
         reader = None if source.path is None else reader_of(source.path, source.settings)
         span = None if reader is None or source.path is None else reader.span(source.path)
         if span is None:
@@ -300,7 +328,10 @@ class _Drives:
         return twin
 
     def _content(self, source: LogSource) -> str:
-        """Hash of what the log holds; its label if it cannot be read, for which the evaluation gives the reason."""
+        """Hash of what the log holds.
+
+        Its label if it cannot be read, for which the evaluation gives the reason.
+        """
         if source.label not in self.contents:
             self.contents[source.label] = source.label
             with suppress(LogError), tempfile.TemporaryDirectory(prefix="replan-") as scratch:
@@ -313,7 +344,9 @@ class _Drives:
 
 
 def _remote(url: str, settings: LogSettings) -> Iterator[tuple[LogSource, str]]:
-    """The logs at a URL, found in a folder with the same file names and only the bytes that readers check."""
+    """The logs at a URL, found in a folder with the same file names and only the bytes that readers
+    check.
+    """
     files = listed(url)
     if not files:
         raise ConfigError(f"{url}: no such file or folder")
@@ -377,7 +410,9 @@ def _logs(path: Path, settings: LogSettings) -> Iterator[tuple[Path, str]]:
 
 
 def log_hash(path: Path, settings: LogSettings | None = None) -> str:
-    """SHA-256 of a log's bytes: of its file, or of the names and hashes of its files (maps may be elsewhere)."""
+    """SHA-256 of a log's bytes: of its file, or of the names and hashes of its files (maps may be
+    elsewhere).
+    """
     reader = reader_of(path, settings)
     try:
         files = (path,) if reader is None else reader.files(path)
@@ -443,7 +478,9 @@ PERTURBATIONS: Mapping[str, Callable[[Scenario, np.random.Generator], Scenario]]
 
 
 def perturbed(scenario: Scenario, member: int) -> tuple[str, Scenario]:
-    """Member `member` (from 1) of a log's ensemble: the name of the perturbation and the scenario; kinds alternate."""
+    """Member `member` (from 1) of a log's ensemble: the name of the perturbation and the scenario;
+    kinds alternate.
+    """
     name = list(PERTURBATIONS)[(member - 1) % len(PERTURBATIONS)]
     seed = int.from_bytes(hashlib.sha256(f"{scenario.name} {member}".encode()).digest()[:8], "big")
     return name, PERTURBATIONS[name](scenario, np.random.default_rng(seed))

@@ -1,4 +1,6 @@
-"""`replan warmup` compiles kernels: it drives, measures and records built-in logs in a folder that is then deleted."""
+"""`replan warmup` compiles kernels: it drives, measures and records built-in logs in a folder that
+is then deleted.
+"""
 
 from __future__ import annotations
 
@@ -29,9 +31,13 @@ SCENES = (
     "everyday/pull_outs",
     "raw/crossing",
 )
-"""Scenes with walkers, cyclists, cars that pull out, obstacles, junctions, lights, raw detections: as in the suite."""
+"""Scenes with walkers, cyclists, cars that pull out, obstacles, junctions, lights, raw detections:
+as in the suite.
+"""
 OF_A_CHOICE = ("everyday/traffic_light", "everyday/junction", "raw/crossing")
-"""Scenes that need all kernels of one choice beside the default: a stop, others from the side, raw detections."""
+"""Scenes that need all kernels of one choice beside the default: a stop, others from the side, raw
+detections.
+"""
 
 
 @dataclass(frozen=True)
@@ -45,11 +51,15 @@ class Warmed:
 
 
 ELSEWHERE = ("multibody", "recorded")
-"""Choices that are left out: the first has no kernels and an optional package; "auto" uses the second for raw logs."""
+"""Choices that are left out: the first has no kernels and an optional package; "auto" uses the
+second for raw logs.
+"""
 
 
 def everything() -> Iterator[tuple[RunConfig, Sequence[str]]]:
-    """Runs, and their scenes, that need all built-in kernels: of all planners, and of each other choice in turn."""
+    """Runs, and their scenes, that need all built-in kernels: of all planners, and of each other
+    choice in turn.
+    """
     yield RunConfig(planners=PLANNER.causal), SCENES
     apart = RunConfig(mode="closed", recording=False, internals="none")
     yield replace(apart, planner={"dp_qp": {"solver": "osqp"}}), OF_A_CHOICE
@@ -63,8 +73,8 @@ def everything() -> Iterator[tuple[RunConfig, Sequence[str]]]:
 def warm_up(runs: Iterable[tuple[RunConfig, Sequence[str]]]) -> Warmed:
     """Compile the kernels that runs need on built-in logs, in this process.
 
-    ConfigError and PlannerError as `replan.run.evaluate_logs`; OutputError if the disk is too full for the files of the
-    drives.
+    ConfigError and PlannerError as `replan.run.evaluate_logs`; OutputError if the disk is too full
+    for the files of the drives.
     """
     begin = perf_counter()
     failures: list[Failure] = []

@@ -1,42 +1,52 @@
-"""NAVSIM's scores of a plan of 4 s: PDMS (v1) and EPDMS (v2), part by part as navsim 0a380a90 and its branch v1.1 do.
+"""NAVSIM's scores of a plan of 4 s: PDMS (v1) and EPDMS (v2), part by part as navsim 0a380a90 and
+its branch v1.1 do.
 
-A window begins at a state of the log's ego. The plan, linear between its eight poses, is driven by `simulated`; so is
-the plan of PDM-Closed (`yardstick`). The 41 states at 10 Hz are judged beside the others as logged (`scene`):
+A window begins at a state of the log's ego. The plan, linear between its eight poses, is driven by
+`simulated`; so is the plan of PDM-Closed (`yardstick`). The 41 states at 10 Hz are judged beside
+the others as logged (`scene`):
 
     NC   1, 1/2, 0: at-fault contact with an object, with another agent. Kinds and fault as in
-         `replan.metrics.driving_scores`, but what stands is what stood when first seen, and astray is: off the road, or the
-         corners in several lanes and all four in none. A contact without fault ends the agent; one at the start does in
-         v2
+         `replan.metrics.driving_scores`, but what stands is what stood when first seen, and astray
+         is: off the road, or the corners in several lanes and all four in none. A contact without
+         fault ends the agent; one at the start does in v2
     DAC  0 where a corner is on no lane, intersection or other drivable area
-    DDC  1, 1/2, 0: in a span of 1 s the centre drives less than 2 m, 6 m, more off the route's lanes and intersections
+    DDC  1, 1/2, 0: in a span of 1 s the centre drives less than 2 m, 6 m, more off the route's
+         lanes and intersections
     TLC  0 where the ego touches a lane of the route behind a red light
-    TTC  0 if the ego, moved on along its heading for 0, .3, .6, .9 s, touches an agent where that then is, seen as in
+    TTC  0 if the ego, moved on along its heading for 0, .3, .6, .9 s, touches an agent where that
+         then is, seen as in
          `replan.metrics.driving_scores`; the first contact with another agent ends that
-    LK   0 where the centre is above 0.5 m off PDM-Closed's centre line in 20 states in a row, intersections left out
-    EP   own way along that line over the greater of the own and PDM-Closed's, both times their multipliers; 1 up to 5 m
+    LK   0 where the centre is above 0.5 m off PDM-Closed's centre line in 20 states in a row,
+         intersections left out
+    EP   own way along that line over the greater of the own and PDM-Closed's, both times their
+         multipliers; 1 up to 5 m
     HC   1 where nuPlan's six signals keep their bounds, with 1.5 s of recorded past before (v2)
-    EC   1 where acceleration, jerk, yaw rate and its rate of this and the plan 0.5 s earlier differ by at most
+    EC   1 where acceleration, jerk, yaw rate and its rate of this and the plan 0.5 s earlier differ
+         by at most
          `EC_BOUNDS` (root mean squares); without such a plan the weight leaves
 
-The boxes that are judged have the size of nuPlan's car (`NUPLAN_CAR`), as in the original, whatever the log's car is.
-Human filter: a part in which the log's driver, tracked alike, has 0 is 1; their EP, HC and EC are never 0. Before
-2025-09-29 the filter changed the columns but not the score ("old filter").
+The boxes that are judged have the size of nuPlan's car (`NUPLAN_CAR`), as in the original, whatever
+the log's car is. Human filter: a part in which the log's driver, tracked alike, has 0 is 1; their
+EP, HC and EC are never 0. Before 2025-09-29 the filter changed the columns but not the score ("old
+filter").
 
-NAVSIM drives a plan by nuPlan's two-stage LQR and a kinematic bicycle with lags, at 10 Hz. The tracker knows a plan's
-poses alone. It fits speeds v_k and curvatures kappa_k to the displacements d_k and turns theta_k between them, h =
-`STEP_S`:
+NAVSIM drives a plan by nuPlan's two-stage LQR and a kinematic bicycle with lags, at 10 Hz. The
+tracker knows a plan's poses alone. It fits speeds v_k and curvatures kappa_k to the displacements
+d_k and turns theta_k between them, h = `STEP_S`:
 
 (1) d_k = h v_k (cos yaw_k, sin yaw_k),   v_k = v_0 + h (a_0 + ... + a_(k-1))
-    least squares + `JERK_PENALTY` (a_0^2 + ... + a_(n-4)^2 + (a_(n-2) - a_(n-3))^2): meant are the differences of all,
-    but the original's -1 overwrite its +1 except in the last row
+    least squares + `JERK_PENALTY` (a_0^2 + ... + a_(n-4)^2 + (a_(n-2) - a_(n-3))^2):
+        meant are the differences of all, but the original's -1 overwrite its +1 except in the last
+        row
 (2) theta_k = h v_k kappa_k,   kappa_k = kappa_0 + h (c_0 + ...)
     least squares + `CURVATURE_PENALTY` sum of c_k^2 + 1e-10 kappa_0^2
 
-Then, as in `replan.planners.pdm.planner` (2), (3) with those v and kappa, and its (4) with the Euler rule: positions, heading
-and steering move with the speed, heading and steering before the step. NAVSIM's tracker has the wheelbase of nuPlan's
-car (`NUPLAN_WHEELBASE_M`) whatever the car is.
+Then, as in `replan.planners.pdm.planner` (2), (3) with those v and kappa, and its (4) with the
+Euler rule: positions, heading and steering move with the speed, heading and steering before the
+step. NAVSIM's tracker has the wheelbase of nuPlan's car (`NUPLAN_WHEELBASE_M`) whatever the car is.
 
-Source: autonomousvision/navsim 0a380a90, planner/pdm_planner/simulation (Apache-2.0; formulae only).
+Source: autonomousvision/navsim 0a380a90, planner/pdm_planner/simulation (Apache-2.0; formulae
+only).
 """
 
 from __future__ import annotations
@@ -159,7 +169,9 @@ VERSIONS: Mapping[str, Version] = MappingProxyType(
 
 @dataclass(frozen=True, eq=False)
 class Ground:
-    """The map of a window: lanes, route, PDM-Closed's first lane and centre line, the red lanes at each step."""
+    """The map of a window: lanes, route, PDM-Closed's first lane and centre line, the red lanes at
+    each step.
+    """
 
     lanes: DrivableLanes
     route: RoadblockRoute
@@ -197,7 +209,8 @@ class ScoredWindow:
 def window(scenario: Scenario, t: float) -> ScoredWindow:
     """Return the window of a log that begins at `t`, s.
 
-    ConfigError if the log has no lanes, its driver is on none of them, or it does not last for 4 s more.
+    ConfigError if the log has no lanes, its driver is on none of them, or it does not last for 4 s
+    more.
     """
     lanes = None if scenario.road.source is RoadSource.DRIVEN_PATH else lane_map(scenario.road)
     if lanes is None:
@@ -205,7 +218,8 @@ def window(scenario: Scenario, t: float) -> ScoredWindow:
     first, last = float(scenario.ego.t[0]), float(scenario.ego.t[-1])
     if not first - 1e-6 <= t <= last - HORIZON_S + 1e-2:
         raise ConfigError(
-            f"{scenario.name}: no window of {HORIZON_S:g} s begins at {t:.3f} s: the log's drive lasts from"
+            f"{scenario.name}: no window of {HORIZON_S:g} s begins at {t:.3f} s: the log's drive "
+            "lasts from"
             f" {first:.1f} to {last:.1f} s; choose times up to {last - HORIZON_S:.1f} s"
         )
     route, ego = (
@@ -240,7 +254,9 @@ def human_poses(at: ScoredWindow) -> FloatArray:
 def judged(
     states: FloatArray, others: WindowAgents, ground: Ground, version: Version
 ) -> tuple[dict[str, float], float]:
-    """Return the parts of tracked states `(41, 9)` except EP, HC, EC, and the way along the centre line, m."""
+    """Return the parts of tracked states `(41, 9)` except EP, HC, EC, and the way along the centre
+    line, m.
+    """
     car, lanes, n = NUPLAN_CAR, ground.lanes, len(states)
     yaw = np.ascontiguousarray(states[:, YAW])
     x, y = states[:, X] + car.axle * np.cos(yaw), states[:, Y] + car.axle * np.sin(yaw)
@@ -290,7 +306,9 @@ def _meetings(
     wide: BoolArray,
     ttc_steps: int,
 ) -> tuple[float, bool]:
-    """Return NC, and whether the ego comes too close in time to an agent; `box` is its centre `(2, k)`."""
+    """Return NC, and whether the ego comes too close in time to an agent; `box` is its centre
+    `(2, k)`.
+    """
     car, score, close = NUPLAN_CAR, 1.0, False
     for i in range(len(others.size)):
         length, width = others.size[i, 0], others.size[i, 1]
@@ -367,7 +385,9 @@ def history_comfort(at: ScoredWindow, states: FloatArray, version: Version) -> f
 
 
 def _past(at: ScoredWindow) -> FloatArray:
-    """Return the recorded states `(n, 9)` from 1.5 to 0.2 s before: the original leaves out the last one."""
+    """Return the recorded states `(n, 9)` from 1.5 to 0.2 s before: the original leaves out the
+    last one.
+    """
     log = at.scenario.ego
     known = at.t + POSE_S * np.arange(-3, 1)
     known = np.unique(np.clip(known, log.t[0], log.t[-1]))
@@ -396,7 +416,9 @@ def extended_comfort(now: FloatArray, before: FloatArray, steps: int) -> float:
 JERK_PENALTY, CURVATURE_PENALTY, FIRST_PENALTY = 1e-4, 1e-2, 1e-10
 MAX_STEER, NUPLAN_WHEELBASE_M = pi / 3.0, 3.089
 X, Y, YAW, V, A, LATERAL, STEER, TURN, TURN_RATE = range(9)
-"""Columns of a state: rear axle, speed, acceleration, lateral acceleration, steering angle, yaw rate and its rate."""
+"""Columns of a state: rear axle, speed, acceleration, lateral acceleration, steering angle, yaw
+rate and its rate.
+"""
 
 
 def fitted(poses: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -422,7 +444,9 @@ def fitted(poses: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def simulated(poses: FloatArray, start: FloatArray, wheelbase: float) -> FloatArray:
-    """Return the states `(n, 9)` of the car that follows poses `(n, 3)` from the state `start` `(9,)`."""
+    """Return the states `(n, 9)` of the car that follows poses `(n, 3)` from the state `start`
+    `(9,)`.
+    """
     speed, kappa = fitted(poses)
     return _follow(np.ascontiguousarray(poses), speed, kappa, start, wheelbase)
 

@@ -1,21 +1,24 @@
-"""The tables of `replan score`: a row for each scene or drive, with the original's columns, and a summary.
+"""The tables of `replan score`: a row for each scene or drive, with the original's columns, and a
+summary.
 
-NAVSIM v2's two stages: a plan counts as much as what follows from where it ends (pseudo-simulation).
+NAVSIM v2's two stages: a plan counts as much as what follows from where it ends
+(pseudo-simulation).
 
-A window of stage one has follow-up scenes, each the window of a log that begins where a drive may be 4 s later. With d
-from the plan's last pose to the begin of scene k, in the map's plane,
+A window of stage one has follow-up scenes, each the window of a log that begins where a drive may
+be 4 s later. With d from the plan's last pose to the begin of scene k, in the map's plane,
 
 (1) w_k = exp(-d_k^2 / (2 `SIGMA2`)), divided by their sum; where that is 0, all are equal
 (2) combined = mean over the windows of stage one of (score x sum_k w_k score_k)
 
-The windows of both stages come in pairs 0.5 s apart; both of a pair have the same EC. Source: navsim 0a380a90,
-scene_aggregator.py and run_pdm_score.py.
+The windows of both stages come in pairs 0.5 s apart; both of a pair have the same EC. Source:
+navsim 0a380a90, scene_aggregator.py and run_pdm_score.py.
 
-The trajectories to be scored are those of a table, or the plans of a run's open loop. A table (CSV or Parquet) has a
-row for each pose: `log` (its name or file), `t_s` (begin of the window, s from the log's begin), `x`, `y`, `yaw` (rear
-axle, m, rad), the eight poses of a window every 0.5 s, in order or with `after_s`. `drive` (else `planner`) separates
-several agents; `token` is copied to the scores. `stage_one` names, by its token, the window of which a window is a
-follow-up scene (`two_stages`); empty: none.
+The trajectories to be scored are those of a table, or the plans of a run's open loop. A table (CSV
+or Parquet) has a row for each pose: `log` (its name or file), `t_s` (begin of the window, s from
+the log's begin), `x`, `y`, `yaw` (rear axle, m, rad), the eight poses of a window every 0.5 s, in
+order or with `after_s`. `drive` (else `planner`) separates several agents; `token` is copied to the
+scores. `stage_one` names, by its token, the window of which a window is a follow-up scene
+(`two_stages`); empty: none.
 """
 
 from __future__ import annotations
@@ -74,7 +77,9 @@ TIME_ONLY = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class ScoreTable:
-    """Rows by scene or drive, a summary row for each agent, and what cannot be exact for these logs and why."""
+    """Rows by scene or drive, a summary row for each agent, and what cannot be exact for these logs
+    and why.
+    """
 
     rows: pd.DataFrame
     inexact: tuple[str, ...]
@@ -91,7 +96,8 @@ def nuplan_table(results: Results) -> ScoreTable:
     ]
     if found.empty:
         raise ConfigError(
-            f"{results.path}: no closed drive with the metric nuplan_closed; evaluate with --mode closed"
+            f"{results.path}: no closed drive with the metric nuplan_closed; evaluate with --mode "
+            "closed"
         )
     part = found["metric"].str.split(".").str[1]
     wide = found.assign(part=part).pivot_table(
@@ -130,7 +136,8 @@ def navsim_table(
 ) -> ScoreTable:
     """Return NAVSIM's scores of plans.
 
-    `name`: a name of `VERSIONS`. ConfigError if there are no plans, or a window does not fit its log.
+    `name`: a name of `VERSIONS`. ConfigError if there are no plans, or a window does not fit its
+    log.
     """
     if not asked:
         raise ConfigError(
@@ -180,7 +187,9 @@ def navsim_table(
 
 
 def _with_means(rows: pd.DataFrame, name: str, agent: str, word: str) -> pd.DataFrame:
-    """Return the rows with one more for each agent: the means of the columns over rows that have a value."""
+    """Return the rows with one more for each agent: the means of the columns over rows that have a
+    value.
+    """
     parts = [
         column
         for column in rows.columns
@@ -216,28 +225,55 @@ def _navsim_notes(
         yield "stage two: its road users drive as logged; NAVSIM lets vehicles react, by its IDM"
         first = rows[rows[STAGE] == 1]
         if alone := int((~first["token"].isin(rows[FOLLOWS])).sum()):
-            yield f"{COMBINED}: {alone} of {len(first)} windows of stage one have no follow-up scene: left out"
+            yield (
+                f"{COMBINED}: {alone} of {len(first)} windows of stage one have no follow-up "
+                "scene: left out"
+            )
     if guessed := sum(not road.route for road in roads):
-        yield f"route: {guessed} of {len(used)} logs name none: the lanes of their driver, and straight on"
+        yield (
+            f"route: {guessed} of {len(used)} logs name none: the lanes of their driver, and "
+            "straight on"
+        )
     if car:
-        yield f"vehicle: the ego of {len(car)} of {len(used)} logs is not nuPlan's Pacifica, whose box NAVSIM judges"
+        yield (
+            f"vehicle: the ego of {len(car)} of {len(used)} logs is not nuPlan's Pacifica, whose "
+            "box NAVSIM judges"
+        )
     if lights and name != "navsim-v1":
-        yield f"traffic_light_compliance: {lights} of {len(used)} logs have no traffic lights: it is 1"
+        yield (
+            f"traffic_light_compliance: {lights} of {len(used)} logs have no traffic lights: it "
+            "is 1"
+        )
     if limits:
-        yield f"ego_progress: {limits} of {len(used)} logs state no speed limit: PDM-Closed drives up to 15 m/s"
+        yield (
+            f"ego_progress: {limits} of {len(used)} logs state no speed limit: PDM-Closed drives "
+            "up to 15 m/s"
+        )
     if areas:
-        yield f"drivable_area_compliance: {areas} of {len(used)} logs have no drivable ground beside their lanes"
+        yield (
+            f"drivable_area_compliance: {areas} of {len(used)} logs have no drivable ground "
+            "beside their lanes"
+        )
     if marked:
-        yield f"intersections: {marked} of {len(used)} logs mark none: lanes that cross others are taken for them"
+        yield (
+            f"intersections: {marked} of {len(used)} logs mark none: lanes that cross others are "
+            "taken for them"
+        )
     if past and name != "navsim-v1":
-        yield f"history_comfort: {past} of {len(asked)} windows have less than {PAST_S:g} s of recorded past"
+        yield (
+            f"history_comfort: {past} of {len(asked)} windows have less than {PAST_S:g} s of "
+            "recorded past"
+        )
     alone = (
         int(rows["two_frame_extended_comfort"].isna().sum())
         if "two_frame_extended_comfort" in rows
         else 0
     )
     if alone:
-        yield f"two_frame_extended_comfort: {alone} of {len(asked)} windows have no plan 0.5 s earlier: no weight"
+        yield (
+            f"two_frame_extended_comfort: {alone} of {len(asked)} windows have no plan 0.5 s "
+            "earlier: no weight"
+        )
 
 
 SIGMA2 = 0.1  # Variance of (1), m2
@@ -249,7 +285,9 @@ STAGE_ONE, STAGE_TWO, COMBINED = (
 
 
 def weights(end: FloatArray, begins: FloatArray) -> FloatArray:
-    """Return the weights (1) `(n,)` of scenes: the plan ends at `end` `(2,)`, they begin at `begins` `(n, 2)`."""
+    """Return the weights (1) `(n,)` of scenes: the plan ends at `end` `(2,)`, they begin at
+    `begins` `(n, 2)`.
+    """
     found = np.exp(-((begins - end) ** 2).sum(axis=1) / (2.0 * SIGMA2))
     return found / found.sum() if found.sum() > 1e-8 else np.full(len(begins), 1.0 / len(begins))
 
@@ -267,7 +305,8 @@ def two_stages(
     twice = rows[rows.duplicated(["agent", "token"])]
     if len(twice):
         raise ConfigError(
-            f"token {twice['token'].iloc[0]}: two windows have it; stage_one needs tokens that differ"
+            f"token {twice['token'].iloc[0]}: two windows have it; stage_one needs tokens that "
+            "differ"
         )
     first = {
         (one.drive, token): one
@@ -278,7 +317,8 @@ def two_stages(
         agent, token = map(str, key)
         if (agent, token) not in first:
             raise ConfigError(
-                f"stage_one: {agent or 'the agent'} has no window of stage one with the token {token}"
+                f"stage_one: {agent or 'the agent'} has no window of stage one with the token "
+                f"{token}"
             )
         before = first[agent, token]
         scenes = [(logs[asked[k].log], asked[k].t) for k in group.index]
@@ -291,7 +331,9 @@ def two_stages(
 
 
 def with_stages(rows: pd.DataFrame) -> pd.DataFrame:
-    """Return the rows with three more for each agent: the means of stage one and of stage two, and the product (2)."""
+    """Return the rows with three more for each agent: the means of stage one and of stage two, and
+    the product (2).
+    """
     parts = [
         name
         for name in rows.columns
@@ -336,7 +378,8 @@ def read_table(path: Path) -> pd.DataFrame:
     check_regular(path)
     if path.suffix not in (".csv", ".parquet"):
         raise ConfigError(
-            f"{path}: write trajectories as .csv or .parquet; pickles are not read: they execute code"
+            f"{path}: write trajectories as .csv or .parquet; pickles are not read: they execute "
+            "code"
         )
     try:
         table = pd.read_csv(path) if path.suffix == ".csv" else pd.read_parquet(path)
@@ -373,8 +416,9 @@ def read_table(path: Path) -> pd.DataFrame:
 def of_table(path: Path, logs: Mapping[str, Scenario], *, relative: bool) -> list[Asked]:
     """Return the plans of a file, for logs by name.
 
-    `relative`: whether poses are relative to the ego at the begin of their window. ConfigError as `read_table`, or if a
-    window has not eight poses, or one that is `FARTHEST_M` away, or a log is unknown.
+    `relative`: whether poses are relative to the ego at the begin of their window. ConfigError as
+    `read_table`, or if a window has not eight poses, or one that is `FARTHEST_M` away, or a log is
+    unknown.
     """
     table = read_table(path)
     known = {name: log for log in logs for name in (log, safe_name(log), Path(log).stem)}
@@ -398,7 +442,8 @@ def of_table(path: Path, logs: Mapping[str, Scenario], *, relative: bool) -> lis
                 window["after_s"], expected, atol=1e-3
             ):
                 raise ConfigError(
-                    f"{where}: after_s must be {expected[0]:g}, {expected[1]:g}, ... {expected[-1]:g} s"
+                    f"{where}: after_s must be {expected[0]:g}, {expected[1]:g}, ... "
+                    f"{expected[-1]:g} s"
                 )
             poses = window[["x", "y", "yaw"]].to_numpy(np.float64)
             name = known[log]

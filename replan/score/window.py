@@ -1,4 +1,6 @@
-"""What NAVSIM's scores see of a log in one window: the lanes and the route, the other road users, the red lights."""
+"""What NAVSIM's scores see of a log in one window: the lanes and the route, the other road users,
+the red lights.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,9 @@ STEP_S, SAMPLE_S, NEAR_M, BEYOND_M = 0.1, 0.5, 100.0, 100.0
 
 @dataclass(frozen=True, eq=False)
 class RoadblockRoute:
-    """The roadblocks that the log's driver comes through and those beyond, in order, and their lanes (by index)."""
+    """The roadblocks that the log's driver comes through and those beyond, in order, and their
+    lanes (by index).
+    """
 
     blocks: tuple[int, ...]
     lanes: frozenset[int]
@@ -100,8 +104,8 @@ def center_line(
 ) -> tuple[int, Polyline]:
     """Return the lane at which PDM-Closed begins, and its centre line to the end of the route.
 
-    The lane is the best aligned one of the route under the rear axle, else the nearest one; the way is the shortest by
-    successors on the route, else the longest chain of them.
+    The lane is the best aligned one of the route under the rear axle, else the nearest one; the way
+    is the shortest by successors on the route, else the longest chain of them.
     """
     ends = {}
     for i in route.lanes:
@@ -148,7 +152,9 @@ class WindowAgents(NamedTuple):
     size: FloatArray
 
     def apart(self, box: tuple[float, float, float, float, float]) -> WindowAgents:
-        """Return them without those that touch the ego's box (centre x, y, yaw, length, width) at the first step."""
+        """Return them without those that touch the ego's box (centre x, y, yaw, length, width) at
+        the first step.
+        """
         touching = [
             bool(self.there[i, 0]) and overlap(*box, *self.pose[:, i, 0], *self.size[i])
             for i in range(len(self.size))
@@ -167,7 +173,10 @@ def _movable(tracks: Tracks) -> BoolArray:
 
 
 def logged_others(scenario: Scenario, t: float, lasts: float) -> WindowAgents:
-    """Return the road users as logged: samples every 0.5 s, linear between; one that is seen once stays."""
+    """Return the road users as logged: samples every 0.5 s, linear between.
+
+    One that is seen once stays.
+    """
     tracks, samples = scenario.tracks, t + SAMPLE_S * np.arange(round(lasts / SAMPLE_S) + 1)
     found, steps = others_at(tracks, samples), round(lasts / STEP_S) + 1
     fine = STEP_S * np.arange(steps)
@@ -184,7 +193,9 @@ def logged_others(scenario: Scenario, t: float, lasts: float) -> WindowAgents:
 
 
 def predicted_others(scenario: Scenario, t: float, x: float, y: float, steps: int) -> WindowAgents:
-    """Return the road users within `NEAR_M` as PDM-Closed predicts them: at constant speed ahead, every 0.2 s."""
+    """Return the road users within `NEAR_M` as PDM-Closed predicts them: at constant speed ahead,
+    every 0.2 s.
+    """
     now, agent = others_at(scenario.tracks, np.array([t])), _movable(scenario.tracks)
     px, py, yaw, vx, vy = np.nan_to_num(now.pose[:, :, 0])
     speed = np.where(agent, np.hypot(vx, vy), 0.0)
@@ -245,7 +256,9 @@ def _box_to_segment(
 def in_corridor(
     line: FloatArray, half: float, x: float, y: float, yaw: float, length: float, width: float
 ) -> bool:
-    """Whether a box touches the corridor of `half` m to both sides of a polyline, and beyond its ends."""
+    """Whether a box touches the corridor of `half` m to both sides of a polyline, and beyond its
+    ends.
+    """
     last = len(line) - 1
     for k in range(last):
         dx, dy = line[k + 1, 0] - line[k, 0], line[k + 1, 1] - line[k, 1]

@@ -1,15 +1,18 @@
-"""The score of a plan in a window of NAVSIM, beside PDM-Closed and the log's driver (`navsim` has the parts).
+"""The score of a plan in a window of NAVSIM, beside PDM-Closed and the log's driver (`navsim` has
+the parts).
 
-PDM-Closed as NAVSIM runs it beside each plan: fifteen IDM drivers on three lines, the best by NAVSIM's own parts. On
-the centre line and 1 m to both sides of it, five drivers with 0.2 to 1 times the limit of the first lane (15 m/s
-without one), from the projection of the rear axle and with the ego's speed: `replan.planners.pdm.planner` (1), Euler steps of
-0.1 s, no bound on the speed below. They know road users within 100 m at constant speed, and lanes behind red lights as
-standing. Every other step looks for the leader: of those that touch the corridor of the car's width and are ahead, the
-nearest to the car's box; without one, the end of the line. The first step has a leader at a gap of 1 m that stands: the
-original's array is still empty.
+PDM-Closed as NAVSIM runs it beside each plan: fifteen IDM drivers on three lines, the best by
+NAVSIM's own parts. On the centre line and 1 m to both sides of it, five drivers with 0.2 to 1 times
+the limit of the first lane (15 m/s without one), from the projection of the rear axle and with the
+ego's speed: `replan.planners.pdm.planner` (1), Euler steps of 0.1 s, no bound on the speed below.
+They know road users within 100 m at constant speed, and lanes behind red lights as standing. Every
+other step looks for the leader: of those that touch the corridor of the car's width and are ahead,
+the nearest to the car's box; without one, the end of the line. The first step has a leader at a gap
+of 1 m that stands: the original's array is still empty.
 
-Each is driven by `navsim.simulated` and judged by `navsim.judged` among the predictions; the score leaves out EC, and
-HC is 1 in v2. `replan.planners.pdm` is a planner after the same paper: it obeys signs and crosswalks, and reacts at once.
+Each is driven by `navsim.simulated` and judged by `navsim.judged` among the predictions; the score
+leaves out EC, and HC is 1 in v2. `replan.planners.pdm` is a planner after the same paper: it obeys
+signs and crosswalks, and reacts at once.
 """
 
 from __future__ import annotations
@@ -60,7 +63,10 @@ OFFSETS_M = (0.0, -1.0, 1.0)
 
 
 def plan_of(at: ScoredWindow, version: Version) -> FloatArray:
-    """Return the poses x, y, yaw `(41, 3)` of the best proposal in a window; of equals the first."""
+    """Return the poses x, y, yaw `(41, 3)` of the best proposal in a window.
+
+    Of equals the first.
+    """
     car, own = at.scenario.vehicle, car_of(at.scenario)
     others = predicted_others(at.scenario, at.t, *at.box[:2], KNOTS + 2).apart(at.box)
     proposals = [
@@ -118,7 +124,9 @@ def _proposals(
 
 
 def _in_the_way(at: ScoredWindow, corridor: FloatArray, car: EgoOutline) -> list[FloatArray]:
-    """Return the outlines of lanes with a red light that touch the corridor, without one that holds the ego's box."""
+    """Return the outlines of lanes with a red light that touch the corridor, without one that holds
+    the ego's box.
+    """
     outlines = [at.ground.lanes.lanes[i].polygon for i in sorted(at.ground.red[0])]
     out = []
     for outline in outlines:
@@ -250,7 +258,8 @@ def scored(
     before: ScoredPlan | None = None,
     beside: Yardstick | None = None,
 ) -> ScoredPlan:
-    """Score a plan: eight poses x, y, yaw of the rear axle `(8, 3)`, every 0.5 s from the window's begin.
+    """Score a plan: eight poses x, y, yaw of the rear axle `(8, 3)`, every 0.5 s from the window's
+    begin.
 
     `before` is the plan of 0.5 s earlier; `beside` is `yardstick(at, version)`, if it is known.
     """

@@ -1,7 +1,7 @@
 """Follows a plan: a Plan and the ego's state give a Command.
 
-A law that only steers or only drives is a half of `SplitController` (`split`). Speed control is a dual-loop PID, except
-for "mpc" and "pid" (a single loop).
+A law that only steers or only drives is a half of `SplitController` (`split`). Speed control is a
+dual-loop PID, except for "mpc" and "pid" (a single loop).
 """
 
 from __future__ import annotations
@@ -28,7 +28,9 @@ ControllerFactory = Callable[..., Controller]
 
 
 def split_controller(summary: str, steers: int, drives: int = DUAL_LOOP) -> ControllerFactory:
-    """The factory of a controller of two laws (`split_law`); `replan list controllers` shows the summary."""
+    """The factory of a controller of two laws (`split_law`); `replan list controllers` shows the
+    summary.
+    """
 
     def build(parameters: VehicleParameters, powertrain: Powertrain, period: float) -> Controller:
         return SplitController(split_law(steers, parameters, powertrain, period, drives=drives))
@@ -53,7 +55,8 @@ def mpc_or_dlqr(
 
 
 dlqr_pid = split_controller(
-    "Steering by DLQR on the dynamic model (the kinematic one where the tyres are rigid), speed by dual-loop PID.",
+    "Steering by DLQR on the dynamic model (the kinematic one where the tyres are rigid), speed by "
+    "dual-loop PID.",
     DLQR,
 )
 dlqr_kinematic_pid = split_controller(

@@ -7,28 +7,34 @@
     G <- G + A (I + G H)^-1 G A'
     H <- H + A' H (I + G H)^-1 A      from H = Q; H -> P, its error squared in each round
 
-R grows with the lateral acceleration that a steering angle makes: below v_0 the error decays over a distance, above it
-over a time. K is tabulated over speed and interpolated; below the first speed of the table, where steering has little
-effect, its first row is used.
+R grows with the lateral acceleration that a steering angle makes: below v_0 the error decays over a
+distance, above it over a time. K is tabulated over speed and interpolated; below the first speed of
+the table, where steering has little effect, its first row is used.
 
-(4) is structured doubling: Chu, Fan, Lin, Wang, Structure-preserving algorithms for periodic discrete-time algebraic
-Riccati equations, Int. J. Control 77 (2004), section 3. All speeds are solved at once, because library solvers for one
-equation take a hundred times longer when the threads of their linear algebra compete for busy cores.
+(4) is structured doubling: Chu, Fan, Lin, Wang, Structure-preserving algorithms for periodic
+discrete-time algebraic Riccati equations, Int. J. Control 77 (2004), section 3. All speeds are
+solved at once, because library solvers for one equation take a hundred times longer when the
+threads of their linear algebra compete for busy cores.
 
-Where the tyres slip, the model is the paper's four-state error model with the steering's lag: state x = (e_d m, e_d'
-m/s, e_phi rad, e_phi' rad/s, e_steer rad) at the rear axle, input u = commanded steer, each minus that of exact
-following; (2)-(3) of `replan.replay.control.lateral_model` with (steer)' = (u - steer) / lag.
+Where the tyres slip, the model is the paper's four-state error model with the steering's lag: state
+x = (e_d m, e_d' m/s, e_phi rad, e_phi' rad/s, e_steer rad) at the rear axle, input u = commanded
+steer, each minus that of exact following; (2)-(3) of `replan.replay.control.lateral_model` with
+(steer)' = (u - steer) / lag.
 
-(5) x[k+1] = A x[k] + B u[k]          exact for an input held over a period (ZOH); other forms can be compared
-(6) command = feed-forward - K x, both for when the command takes effect, where the steering is late (`estimation`)
+(5) x[k+1] = A x[k] + B u[k]
+        exact for an input held over a period (ZOH); other forms can be compared
+(6) command = feed-forward - K x, both for when the command takes effect,
+        where the steering is late (`estimation`)
 (7) feed-forward = the command of exact following (`lateral_model` (6)-(7)), read ahead on the path
-(8) of exact following: heading e_phi = p_0 kappa, its rate r = v kappa + p_0 kappa', its wheel angle
+(8) of exact following: heading e_phi = p_0 kappa, its rate r = v kappa + p_0 kappa',
+        its wheel angle
 
-With (8) in x, -K x holds the k_3 term of the feed-forward: on a constant curve all errors vanish. p and d take the slip
-that the tyres have shown (`estimation`), so that they vanish for other tyres and loads too.
+With (8) in x, -K x holds the k_3 term of the feed-forward: on a constant curve all errors vanish. p
+and d take the slip that the tyres have shown (`estimation`), so that they vanish for other tyres
+and loads too.
 
-With rigid tyres, e_d' and e_phi' follow from the others: x = (e_lat, e_yaw, e_steer); wheelbase L, steering lag T
-(Rajamani, Vehicle Dynamics and Control, 2.5; the lag added):
+With rigid tyres, e_d' and e_phi' follow from the others: x = (e_lat, e_yaw, e_steer); wheelbase L,
+steering lag T (Rajamani, Vehicle Dynamics and Control, 2.5; the lag added):
 
 (9)  d(e_lat)/dt = v e_yaw,   d(e_yaw)/dt = v / L e_steer,   d(e_steer)/dt = (u - e_steer) / T
 (10) exact for an input held over dt (ZOH), (9) integrated from the last up:
@@ -36,8 +42,9 @@ With rigid tyres, e_d' and e_phi' follow from the others: x = (e_lat, e_yaw, e_s
      e_yaw+ = e_yaw + v / L (i e_steer + (dt - i) u)                             i = T (1 - r)
      e_lat+ = e_lat + v dt e_yaw + v^2 / L (j e_steer + (dt^2 / 2 - j) u)        j = T (dt - i)
 (11) steer command = atan(L kappa(s + v (T + dt / 2))) - K x
-     The curvature is read ahead by the steering's lag and half a period of the hold: to first order, the wheel then
-     has the angle of the path at the foot point s, and on a constant curve every error is 0 in the steady state.
+     The curvature is read ahead by the steering's lag and half a period of the hold: to first
+     order, the wheel then has the angle of the path at the foot point s, and on a constant curve
+     every error is 0 in the steady state.
 """
 
 from __future__ import annotations
@@ -110,7 +117,9 @@ class DlqrConfig:
 
 
 class Regulators(NamedTuple):
-    """A solved (1)-(3) at each of k speeds: A `(k, n, n)`, B `(k, n, 1)`, Q, R, P, and the gain K `(k, 1, n)`."""
+    """A solved (1)-(3) at each of k speeds: A `(k, n, n)`, B `(k, n, 1)`, Q, R, P, and the gain K
+    `(k, 1, n)`.
+    """
 
     A: FloatArray
     B: FloatArray
@@ -123,7 +132,8 @@ class Regulators(NamedTuple):
 def regulators(
     speeds: Sequence[float], p: VehicleParameters, period: float, config: DlqrConfig
 ) -> Regulators:
-    """The regulators (1)-(3) of a vehicle at speeds `(k,)`, m/s: five states, or three where its tyres are rigid.
+    """The regulators (1)-(3) of a vehicle at speeds `(k,)`, m/s: five states, or three where its
+    tyres are rigid.
 
     Raises:
         ConfigError: The weights, or a speed of 0, allow no stable gain.
@@ -179,9 +189,11 @@ def rolling_model(
 
 
 def solve_riccati(A: FloatArray, B: FloatArray, Q: FloatArray, R: FloatArray) -> FloatArray:
-    """The stabilising P `(k, n, n)` of k equations (2): A like P, B `(k, n, m)`, Q `(n, n)` >= 0, R `(k, m, m)` > 0.
+    """The stabilising P `(k, n, n)` of k equations (2): A like P, B `(k, n, m)`, Q `(n, n)` >= 0, R
+    `(k, m, m)` > 0.
 
-    All NaN where the rounds do not converge: (A, B) cannot be stabilised, or Q does not see an unstable mode.
+    All NaN where the rounds do not converge: (A, B) cannot be stabilised, or Q does not see an
+    unstable mode.
     """
     out, left, eye = np.full_like(A, np.nan), np.arange(len(A)), np.eye(A.shape[-1])
     G, H = B @ np.linalg.solve(R, np.ascontiguousarray(B.mT)), np.broadcast_to(Q, A.shape)
@@ -214,7 +226,9 @@ def gain_table(p: VehicleParameters, period: float, config: DlqrConfig) -> Float
 
 @kernel
 def gain(gains: FloatArray, v: float, column: int) -> float:
-    """Return an entry of K at a speed, m/s, linear between the table's rows, constant beyond its ends."""
+    """Return an entry of K at a speed, m/s, linear between the table's rows, constant beyond its
+    ends.
+    """
     i, u = at_speed(gains, v)
     return gains[i, column] + u * (gains[i + 1, column] - gains[i, column])
 
@@ -230,7 +244,8 @@ class DlqrLaw(NamedTuple):
         wheelbase: m.
         max_steer: rad.
         lag: Of the steering, s.
-        commands: Whether this law's output is the command; otherwise another controller reports the steering.
+        commands: Whether this law's output is the command; otherwise another controller reports the
+            steering.
     """
 
     gains: FloatArray

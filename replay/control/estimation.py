@@ -1,29 +1,35 @@
 """Estimates the slip of the tyres and the delay of the steering while driving.
 
-Slip is the compliance of each axle against that of the parameters. With F the lateral force of an axle and alpha the
-slip angle that it shows (`lateral_model` (1)), over one period:
+Slip is the compliance of each axle against that of the parameters. With F the lateral force of an
+axle and alpha the slip angle that it shows (`lateral_model` (1)), over one period:
 
 (1) F_r = (a m (v_lat' + v r) + (a b m - I) r') / L,      F_f = (I r' + b F_r) / a
 (2) alpha_f = steer - (v_lat + L r) / v,       alpha_r = -v_lat / v
-(3) ratio' = GAIN phi (alpha - ratio phi) / (PHI_0^2 + phi^2),   phi = F / C        normalised gradient, from ratio = 1
+(3) ratio' = GAIN phi (alpha - ratio phi) / (PHI_0^2 + phi^2),   phi = F / C
+        normalised gradient, from ratio = 1
 
-So a heavier car, softer or saturated tyres, or another vehicle model cause no steady error and need no retuning. On a
-straight there is no slip to learn from, so the ratios do not change. With rigid tyres phi = 0 and the ratios stay.
+So a heavier car, softer or saturated tyres, or another vehicle model cause no steady error and need
+no retuning. On a straight there is no slip to learn from, so the ratios do not change. With rigid
+tyres phi = 0 and the ratios stay.
 
-The actuator's model gives the wheel angle w under the commands so far. Where commands act late by an unknown time d (a
-slow bus, a slower actuator), the measured angle is w(t - d):
+The actuator's model gives the wheel angle w under the commands so far. Where commands act late by
+an unknown time d (a slow bus, a slower actuator), the measured angle is w(t - d):
 
-(4) w' = clip((command - w) / lag, -max_rate, max_rate)                             exact for a held command
-(5) o' = (measured - w(t - d) - o) / OFFSET_S                                       other errors of the model
-(6) d' = -GAIN w'(t - d) (measured - w(t - d) - o) / (RATE_0^2 + w'(t - d)^2)       normalised gradient, from d = 0
+(4) w' = clip((command - w) / lag, -max_rate, max_rate)
+        exact for a held command
+(5) o' = (measured - w(t - d) - o) / OFFSET_S
+        other errors of the model
+(6) d' = -GAIN w'(t - d) (measured - w(t - d) - o) / (RATE_0^2 + w'(t - d)^2)
+        normalised gradient, from d = 0
 
-Nothing is learned while the wheel rests. Only the steering's delay is learned; the pedals' is not. Source of (3) and
-(6): Ioannou and Sun, Robust Adaptive Control, 4.3.
+Nothing is learned while the wheel rests. Only the steering's delay is learned; the pedals' is not.
+Source of (3) and (6): Ioannou and Sun, Robust Adaptive Control, 4.3.
 
-A command given now meets the ego as it is d later. Until then the wheel moves as (4) says, whatever is commanded, and
-the deviation from exact following of the path (`lateral_table`) with it:
+A command given now meets the ego as it is d later. Until then the wheel moves as (4) says, whatever
+is commanded, and the deviation from exact following of the path (`lateral_table`) with it:
 
-(7) y[k+1] = A y[k] + B (wheel[k], wheel[k+1]) - the same of exact following,  d / period times     a Smith predictor
+(7) y[k+1] = A y[k] + B (wheel[k], wheel[k+1]) - the same of exact following,  d / period times
+        a Smith predictor
 """
 
 from __future__ import annotations
@@ -75,7 +81,10 @@ class SlipModel(NamedTuple):
 
 
 class SlipState(NamedTuple):
-    """The ratios of both axles; values of the previous period: v_lat, r, alpha_f, alpha_r, NaN if there are none."""
+    """The ratios of both axles.
+
+    Values of the previous period: v_lat, r, alpha_f, alpha_r, NaN if there are none.
+    """
 
     front: float
     rear: float
@@ -237,8 +246,8 @@ def predicted(
 ) -> Lateral:
     """Return the deviation when a present command takes effect.
 
-    `y` is the deviation now; `foot` the station of the ego's foot point, m; `v` its speed, m/s; `angle` the series of
-    exact following (`following_at`).
+    `y` is the deviation now; `foot` the station of the ego's foot point, m; `v` its speed, m/s;
+    `angle` the series of exact following (`following_at`).
     """
     n, h, table = periods(state, model), model.period, model.table
     if n == 0:
@@ -261,7 +270,8 @@ def predicted(
 
 
 class SteeringDelay:
-    """Estimates the delay (4)-(7) from the measured (`observe`) and commanded (`record`) wheel angle, once per period.
+    """Estimates the delay (4)-(7) from the measured (`observe`) and commanded (`record`) wheel
+    angle, once per period.
 
     Attributes:
         model: The parameters.

@@ -6,17 +6,20 @@ Pure pursuit drives the circle through a point of the path ahead, and ignores cu
 (2) alpha = bearing from the rear axle to the path's point at that distance, against the heading
 (3) steer = atan(2 L sin(alpha) / ahead)
 
-Stanley points the front wheels along the path and towards it. At the middle of the front axle, with its foot point on
-the path:
+Stanley points the front wheels along the path and towards it. At the middle of the front axle, with
+its foot point on the path:
 
-(4) steer = (path's heading - yaw) - atan(gain e_lat / (softening + v))          e_lat positive left of the path
+(4) steer = (path's heading - yaw) - atan(gain e_lat / (softening + v))
+        e_lat positive left of the path
 
-Sources of (1)-(3): Coulter, Implementation of the Pure Pursuit Path Tracking Algorithm, CMU-RI-TR-92-01; look-ahead by
-speed as in Snider, Automatic Steering Methods for Autonomous Automobile Path Tracking, CMU-RI-TR-09-08. The distance
-is the shortest, in steps of 0.1 s of driving, that keeps every manoeuvre of `replan.paper.manoeuvres` stable on the
-single-track vehicle. Of (4): Thrun et al., Stanley: The Robot that Won the DARPA Grand Challenge, J. Field Robotics 23
-(2006), eq. 5; the softening: Hoffmann et al., Autonomous Automobile Trajectory Tracking for Off-Road Driving, ACC 2007.
-Of the gains 1, 1.5, 2 and 2.5, tried on the same manoeuvres, 2 is the best (2.5 loses ISO 3888-2).
+Sources of (1)-(3): Coulter, Implementation of the Pure Pursuit Path Tracking Algorithm,
+CMU-RI-TR-92-01; look-ahead by speed as in Snider, Automatic Steering Methods for Autonomous
+Automobile Path Tracking, CMU-RI-TR-09-08. The distance is the shortest, in steps of 0.1 s of
+driving, that keeps every manoeuvre of `replan.paper.manoeuvres` stable on the single-track vehicle.
+Of (4): Thrun et al., Stanley: The Robot that Won the DARPA Grand Challenge, J. Field Robotics 23
+(2006), eq. 5; the softening: Hoffmann et al., Autonomous Automobile Trajectory Tracking for
+Off-Road Driving, ACC 2007. Of the gains 1, 1.5, 2 and 2.5, tried on the same manoeuvres, 2 is the
+best (2.5 loses ISO 3888-2).
 """
 
 from __future__ import annotations
@@ -32,7 +35,9 @@ from replan.replay.vehicle.plan_path import Deviation, path_foot, path_point
 
 
 class PursuitLaw(NamedTuple):
-    """The numbers of (1)-(3): wheelbase m, max_steer rad, time s, shortest and longest distance m."""
+    """The numbers of (1)-(3): wheelbase m, max_steer rad, time s, shortest and longest distance
+    m.
+    """
 
     wheelbase: float
     max_steer: float

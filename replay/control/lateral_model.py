@@ -1,32 +1,45 @@
-"""The lateral motion against a path: the dynamic bicycle of the paper, in corrected form, and its limit of rigid tyres.
+"""The lateral motion against a path: the dynamic bicycle of the paper, in corrected form, and its
+limit of rigid tyres.
 
-Front steering, small angles, constant speed v. Slip angles to the left positive, stiffness of an axle C > 0, centre of
-gravity a behind the front and b before the rear axle, L = a + b, kappa the curvature of the path:
+Front steering, small angles, constant speed v. Slip angles to the left positive, stiffness of an
+axle C > 0, centre of gravity a behind the front and b before the rear axle, L = a + b, kappa the
+curvature of the path:
 
 (1) F_f = C_f (steer - (v_y + a r) / v),   F_r = -C_r (v_y - b r) / v
     m (v_y' + v r) = F_f + F_r,   I r' = a F_f - b F_r
-(2) x = (e_d, e_d', e_phi, e_phi') at the centre of gravity,   x' = A x + B steer + E v kappa,   the paper's eq. 4-9:
+(2) x = (e_d, e_d', e_phi, e_phi') at the centre of gravity,   x' = A x + B steer + E v kappa,
+        the paper's eq. 4-9:
     A = [[0, 1, 0, 0], [0, -(C_f + C_r)/(m v), (C_f + C_r)/m, (b C_r - a C_f)/(m v)],
          [0, 0, 0, 1], [0, (b C_r - a C_f)/(I v), (a C_f - b C_r)/I, -(a^2 C_f + b^2 C_r)/(I v)]]
-    B = (0, C_f/m, 0, a C_f/I)',   E = (0, (b C_r - a C_f)/(m v) - v, 0, -(a^2 C_f + b^2 C_r)/(I v))'
+    B = (0, C_f/m, 0, a C_f/I)',
+        E = (0, (b C_r - a C_f)/(m v) - v, 0, -(a^2 C_f + b^2 C_r)/(I v))'
     (The paper leaves out -v in E and has signs of two conventions in one equation.)
-(3) The ego's reference point is the rear axle, b behind on the same path: e_phi(rear) = e_phi(centre) + b kappa,
-    e_d(rear) = e_d(centre) - b e_phi(centre) - b^2 kappa / 2: a change of coordinates of (2), T and S kappa.
+(3) The ego's reference point is the rear axle, b behind on the same path:
+        e_phi(rear) = e_phi(centre) + b kappa,
+    e_d(rear) = e_d(centre) - b e_phi(centre) - b^2 kappa / 2: a change of coordinates of (2),
+        T and S kappa.
 (4) Following the path exactly (e_d = 0 at the rear axle) takes, with time derivatives of kappa,
-        e_phi = sum of p_i kappa^(i), steer = sum of d_i kappa^(i), by (1) with v_lat = -v e_phi, r = v kappa + e_phi':
+        e_phi = sum of p_i kappa^(i), steer = sum of d_i kappa^(i), by (1) with v_lat = -v e_phi,
+            r = v kappa + e_phi':
     p_0 = a m v^2 / (L C_r),   p_i = (a b m - I) r_(i-1) / (L C_r),   r_0 = v,   r_i = p_(i-1)
-    d_i = (I r_(i-1) + b C_r p_i) / (a C_f) - p_i + L r_i / v           front slip, rear slip, rolling
-    d_0 = L + (m v^2 / L) (b / C_f - a / C_r): understeer; e_phi = p_0 kappa is why a constant curve needs the k_3 term.
-(5) Rigid tyres, C = inf: p = 0, steer = L kappa, e_d' = v e_phi, e_phi' = v steer / L - v kappa (kinematic bicycle).
+    d_i = (I r_(i-1) + b C_r p_i) / (a C_f) - p_i + L r_i / v
+        front slip, rear slip, rolling
+    d_0 = L + (m v^2 / L) (b / C_f - a / C_r): understeer;
+        e_phi = p_0 kappa is why a constant curve needs the k_3 term.
+(5) Rigid tyres, C = inf: p = 0, steer = L kappa, e_d' = v e_phi,
+        e_phi' = v steer / L - v kappa (kinematic bicycle).
 
-The feed-forward of exact following along a path, by (4) tabulated over speed, with the slip that was learned:
+The feed-forward of exact following along a path, by (4) tabulated over speed, with the slip that
+was learned:
 
-(6) steer(t) = d_0 kappa + d_1 kappa' + d_2 kappa'' = d_0 kappa(t + d_1 / d_0) + (d_2 - d_1^2 / (2 d_0)) kappa''
-(7) of a command that the steering follows with lag T and that is held for h, (1 + T D) exp(h D / 2) times (6):
+(6) steer(t) = d_0 kappa + d_1 kappa' + d_2 kappa'' = d_0 kappa(t + d_1 / d_0) + (d_2 - d_1^2
+        / (2 d_0)) kappa''
+(7) of a command that the steering follows with lag T and that is held for h,
+        (1 + T D) exp(h D / 2) times (6):
         d_1 + (T + h / 2) d_0        d_2 + (T + h / 2) d_1 + (T h / 2 + h^2 / 8) d_0
 
-The shift in time reads the curvature ahead and differentiates nothing; kappa'' is a difference over 2 SPREAD_S, which
-smooths the kinks of a sampled plan. Times are stations at the present speed.
+The shift in time reads the curvature ahead and differentiates nothing; kappa'' is a difference over
+2 SPREAD_S, which smooths the kinks of a sampled plan. Times are stations at the present speed.
 
 Sources: Rajamani, Vehicle Dynamics and Control, 2.3-2.5, 3.1-3.2 (with C = 2 C_alpha).
 """
@@ -66,7 +79,9 @@ def with_rigid_tyres(p: VehicleParameters) -> VehicleParameters:
 
 
 def error_model(v: float, p: VehicleParameters) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """A `(4, 4)`, B `(4,)` and E `(4,)` of (2) at the centre of gravity, `v` > 0; E is per path yaw rate v kappa."""
+    """A `(4, 4)`, B `(4,)` and E `(4,)` of (2) at the centre of gravity, `v` > 0; E is per path yaw
+    rate v kappa.
+    """
     a, b = p.cog_to_front, p.wheelbase - p.cog_to_front
     m, inertia, front, rear = p.mass, p.yaw_inertia, p.cornering_front, p.cornering_rear
     both, moment, turning = front + rear, b * rear - a * front, a * a * front + b * b * rear
@@ -96,7 +111,9 @@ def at_rear_axle(
 
 
 def with_steering(A: FloatArray, B: FloatArray, lag: float) -> tuple[FloatArray, FloatArray]:
-    """The model with its steering angle as a fifth state that follows the command u: steer' = (u - steer) / lag."""
+    """The model with its steering angle as a fifth state that follows the command u: steer' = (u -
+    steer) / lag.
+    """
     n = len(A)
     lagged = np.zeros((n + 1, n + 1))
     lagged[:n, :n], lagged[:n, n], lagged[n, n] = A, B, -1.0 / lag
@@ -104,7 +121,9 @@ def with_steering(A: FloatArray, B: FloatArray, lag: float) -> tuple[FloatArray,
 
 
 def held(A: FloatArray, B: FloatArray, period: float) -> tuple[FloatArray, FloatArray]:
-    """The exact discrete model of x' = A x + B u for inputs held over `period` (ZOH), B `(n, m)`."""
+    """The exact discrete model of x' = A x + B u for inputs held over `period` (ZOH), B
+    `(n, m)`.
+    """
     n, m = B.shape
     block = np.zeros((n + m, n + m))
     block[:n, :n], block[:n, n:] = A, B
@@ -113,7 +132,9 @@ def held(A: FloatArray, B: FloatArray, period: float) -> tuple[FloatArray, Float
 
 
 def paper_form(A: FloatArray, B: FloatArray, period: float) -> tuple[FloatArray, FloatArray]:
-    """The paper's eq. 11 as printed: the midpoint rule for A, but a forward step for B, which does not fit it."""
+    """The paper's eq. 11 as printed: the midpoint rule for A, but a forward step for B, which does
+    not fit it.
+    """
     eye = np.eye(len(A))
     return np.linalg.solve(eye - 0.5 * period * A, eye + 0.5 * period * A), period * B
 
@@ -125,9 +146,11 @@ def bilinear(A: FloatArray, B: FloatArray, period: float) -> tuple[FloatArray, F
 
 
 def following(v: float, p: VehicleParameters) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the series (4) at `v` > 0 m/s, i = 0, 1, 2, split by cause: rear slip, front slip, rolling.
+    """Return the series (4) at `v` > 0 m/s, i = 0, 1, 2, split by cause: rear slip, front slip,
+    rolling.
 
-    p_i = rear_i and d_i = front_i - rear_i + rolling_i, in rad m s^i; slips are in proportion to compliances.
+    p_i = rear_i and d_i = front_i - rear_i + rolling_i, in rad m s^i; slips are in proportion to
+    compliances.
     """
     length, rolling = p.wheelbase, np.array([p.wheelbase, 0.0, 0.0])
     if has_rigid_tyres(p):
@@ -145,7 +168,9 @@ def following(v: float, p: VehicleParameters) -> tuple[FloatArray, FloatArray, F
 
 
 def body_model(v: float, p: VehicleParameters) -> tuple[FloatArray, FloatArray]:
-    """(1) at the rear axle: A `(2, 2)` and B `(2,)` of (v_lat, r)' = A (v_lat, r) + B steer, finite tyres, `v` > 0."""
+    """(1) at the rear axle: A `(2, 2)` and B `(2,)` of (v_lat, r)' = A (v_lat, r) + B steer, finite
+    tyres, `v` > 0.
+    """
     a, b = p.cog_to_front, p.wheelbase - p.cog_to_front
     forces = np.array(
         [
@@ -171,7 +196,9 @@ def table_speeds() -> FloatArray:
 
 @kernel
 def at_speed(table: FloatArray, v: float) -> tuple[int, float]:
-    """Return the row of a table over `table_speeds` and the share of the next row, limited at the ends."""
+    """Return the row of a table over `table_speeds` and the share of the next row, limited at the
+    ends.
+    """
     place = min(max(v / SPEED_STEP_MPS - 1.0, 0.0), len(table) - 1.0)
     i = min(int(place), len(table) - 2)
     return i, place - i
@@ -181,8 +208,9 @@ def at_speed(table: FloatArray, v: float) -> tuple[int, float]:
 def lateral_table(p: VehicleParameters, h: float) -> FloatArray:
     """The motion against a path under a held steer rate, at `table_speeds` `(n, 5, 6)`.
 
-    A and B over `h` s of (e_d, v_lat, e_phi, r, steer), each minus that of exact following: e_d' = v_lat + v e_phi,
-    e_phi' = r, (v_lat, r)' = body_model(v). With rigid tyres v_lat = 0 and r = v steer / L.
+    A and B over `h` s of (e_d, v_lat, e_phi, r, steer), each minus that of exact following: e_d' =
+    v_lat + v e_phi, e_phi' = r, (v_lat, r)' = body_model(v). With rigid tyres v_lat = 0 and r = v
+    steer / L.
     """
     tables = np.zeros((len(table_speeds()), 5, 6))
     for out, v in zip(tables, table_speeds().tolist(), strict=True):
@@ -217,7 +245,9 @@ def slip_table(p: VehicleParameters) -> FloatArray:
 def following_at(
     slips: FloatArray, wheelbase: float, ratios: tuple[float, float], v: float
 ) -> tuple[float, SteerSeries]:
-    """p_0 rad m and the series d of exact following; `ratios` of front and rear compliance (`Slip`)."""
+    """p_0 rad m and the series d of exact following; `ratios` of front and rear compliance
+    (`Slip`).
+    """
     i, u = at_speed(slips, v)
     rear = ratios[1] * (slips[i, 0] + u * (slips[i + 1, 0] - slips[i, 0]))
     front = ratios[0] * (slips[i, 1] + u * (slips[i + 1, 1] - slips[i, 1]))
@@ -236,7 +266,9 @@ def command_series(d: SteerSeries, lag: float, hold: float) -> SteerSeries:
 
 @kernel
 def within(knots: FloatArray, s: float, reach: float) -> float:
-    """The station nearest to `s` with `reach` m of path on both sides: a plan often begins at the ego."""
+    """The station nearest to `s` with `reach` m of path on both sides: a plan often begins at the
+    ego.
+    """
     return max(min(s, knots[-1, 0] - reach), knots[0, 0] + reach)
 
 

@@ -1,24 +1,28 @@
 """Model predictive control: trajectory tracking of lateral and longitudinal motion together.
 
 (1) J = sum over k of |xi_k|^2_Q + |u_k|^2_R_u + |u_k - u_(k-1)|^2_R_du        the paper's eq. 17
-    The paper calls R_u the weight of the change and R_u_rate that of the magnitude; the names here say what they weigh.
-(2) subject to the prediction and limits of `replan.replay.control.mpc_model` (deviations from exact following of the plan)
+    The paper calls R_u the weight of the change and R_u_rate that of the magnitude; the names here
+    say what they weigh.
+(2) subject to the prediction and limits of `replan.replay.control.mpc_model` (deviations from exact
+    following of the plan)
 
-The plan is resampled by quintic polynomials (`mpc_model` (7)). The weights apply to the differences from the inputs of
-exact following, because weights on the inputs themselves would pull the ego off a plan that accelerates.
+The plan is resampled by quintic polynomials (`mpc_model` (7)). The weights apply to the differences
+from the inputs of exact following, because weights on the inputs themselves would pull the ego off
+a plan that accelerates.
 
-One solve per `period_s` (20 Hz), warm-started; between two the steering goes on at the solved rate and the acceleration
-is held. The actuators' lag is in the prediction of the acceleration and is inverted for the steering and the plan:
+One solve per `period_s` (20 Hz), warm-started; between two the steering goes on at the solved rate
+and the acceleration is held. The actuators' lag is in the prediction of the acceleration and is
+inverted for the steering and the plan:
 
 (3) steer command   = that of exact following + steer_0 + w (tau + lag + period / 2)
 (4) acceleration    = a_plan, led by the pedal's dead time and lag (`pedals` (3)), + a
 
-The prediction starts when a present command takes effect (`estimation`: the delay is learned), with the wheel angle of
-the actuator's model under the commands so far. A controller that started from the measured angle would take back
-commands that a late actuator has not executed yet.
+The prediction starts when a present command takes effect (`estimation`: the delay is learned), with
+the wheel angle of the actuator's model under the commands so far. A controller that started from
+the measured angle would take back commands that a late actuator has not executed yet.
 
-A plan has times, so a plan that arrives late is followed from its present station. Without a solution, DLQR and
-dual-loop PID command until the next solve; `notes` report how often and why.
+A plan has times, so a plan that arrives late is followed from its present station. Without a
+solution, DLQR and dual-loop PID command until the next solve; `notes` report how often and why.
 """
 
 from __future__ import annotations
@@ -91,10 +95,12 @@ class MpcConfig:
         steer_weight: Weight of the squared deviation of the steering angle (sigma), 1/rad2.
         accel_weight: Weight of the squared deviation of the acceleration, (s2/m)2.
         steer_rate_weight: Weight of the squared deviation of the steering rate (w), (s/rad)2.
-        accel_change_weight: Weight of the squared change of the acceleration from step to step, (s2/m)2.
+        accel_change_weight: Weight of the squared change of the acceleration from step to step,
+            (s2/m)2.
         steer_rate_change_weight: Weight of the squared change of w from step to step, (s/rad)2.
         terminal: Factor on the weights of errors at the last step.
-        speed_mps: The weights of the steering grow with the speed over this one (v_0 of the prediction's (3)).
+        speed_mps: The weights of the steering grow with the speed over this one (v_0 of the
+            prediction's (3)).
         friction_share: Share of the tyres' friction that may be used.
     """
 
@@ -156,7 +162,10 @@ class MpcConfig:
 
 
 class TrackingProgram:
-    """(1)-(2) as a quadratic program in (u_0, xi_1, u_1, ... xi_n); set up once, refilled at each solve."""
+    """(1)-(2) as a quadratic program in (u_0, xi_1, u_1, ...
+
+    xi_n); set up once, refilled at each solve.
+    """
 
     def __init__(self, config: MpcConfig) -> None:
         self._config = config
@@ -220,7 +229,9 @@ def cost_matrix(config: MpcConfig) -> sparse.csc_matrix:
 
 
 def _pattern(n: int) -> tuple[sparse.csc_matrix, IntArray]:
-    """The program's matrix with entries of usual size, and for each the place among all entries (`packed`)."""
+    """The program's matrix with entries of usual size, and for each the place among all entries
+    (`packed`).
+    """
     rows, columns, places, sizes = [], [], [], []
 
     def put(row: int, column: int, place: int, size: float = 0.1) -> None:

@@ -1,28 +1,34 @@
-"""The MPC's prediction: deviations from exact following of the plan, linear and time-varying along it.
+"""The MPC's prediction: deviations from exact following of the plan, linear and time-varying along
+it.
 
-xi = (e_s m, e_v m/s, e_a m/s2, e_d m, v_lat m/s, e_phi rad, r rad/s, sigma), u = (a m/s2, w): each minus that of
-exact following (`lateral_model` (4), with the slip that was learned); input a is the commanded acceleration, w the
-steer rate.
+xi = (e_s m, e_v m/s, e_a m/s2, e_d m, v_lat m/s, e_phi rad, r rad/s, sigma), u = (a m/s2, w): each
+minus that of exact following (`lateral_model` (4), with the slip that was learned); input a is the
+commanded acceleration, w the steer rate.
 
-(1) e_s' = e_v,   e_v' = e_a,   e_a' = (a - e_a) / lag                             lag of the pedal that the plan takes
-    (not e_v + v kappa e_d: with that term the controller would cut corners to make up for lost time)
+(1) e_s' = e_v,   e_v' = e_a,   e_a' = (a - e_a) / lag
+        lag of the pedal that the plan takes (not e_v + v kappa e_d: with that term the controller
+        would cut corners to make up for lost time)
 (2) e_d' = v_lat + v e_phi,   e_phi' = r,   (v_lat, r)' = body_model(v),   steer' = w
 (3) sigma = g steer,  w <- g w,  g = 1 + (v / v_0)^2             so that one weight suits all speeds
 (4) xi[k+1] = A_k xi[k] + B_k u[k]       exact for inputs held over h; (2) from a table over speed
-(5) |steer| <= max_steer, |steer'| <= max_steer_rate, a within the power train's: of the whole motion, plan included
-(6) cos(j pi / 4) a_long + sin(j pi / 4) a_lat <= mu g cos(pi / 8), j = 0..7: the polygon within the friction circle,
+(5) |steer| <= max_steer, |steer'| <= max_steer_rate, a within the power train's:
+        of the whole motion, plan included
+(6) cos(j pi / 4) a_long + sin(j pi / 4) a_lat <= mu g cos(pi / 8), j = 0..7:
+        the polygon within the friction circle,
     a_lat = v^2 kappa + v^2 steer / d_0
 
-The plan is entered at the ego's foot point: station s_0 + the way driven at v_k, which goes from the ego's speed to the
-plan's in SETTLE_S.
+The plan is entered at the ego's foot point: station s_0 + the way driven at v_k, which goes from
+the ego's speed to the plan's in SETTLE_S.
 
-Before, it is resampled by quintic polynomials, the paper's eq. 16: between two samples, in x and in y of their own,
+Before, it is resampled by quintic polynomials, the paper's eq. 16: between two samples, in x and in
+y of their own,
 
 (7) f(t) = a_0 + a_1 (t - t_i) + ... + a_5 (t - t_i)^5        (the paper prints a_6 for a_5)
 
-matches position, velocity (v cos yaw, v sin yaw) and acceleration (a along, v^2 kappa across) at both samples: it is
-C2 there. Heading and speed are those of f'; below SLOW_MPS they have no direction, and the headings of the samples are
-used. Curvature is linear: f'' would give it with the rounding of the positions over h^2.
+matches position, velocity (v cos yaw, v sin yaw) and acceleration (a along, v^2 kappa across) at
+both samples: it is C2 there. Heading and speed are those of f'; below SLOW_MPS they have no
+direction, and the headings of the samples are used. Curvature is linear: f'' would give it with the
+rounding of the positions over h^2.
 """
 
 from __future__ import annotations
@@ -68,11 +74,13 @@ def entered(
     h: float,
     n: int,
 ) -> FloatArray:
-    """The plan as it will be driven, `(n + 1, 7)`: v, kappa, a, commanded a, steer, d_0, lag of the pedal in use.
+    """The plan as it will be driven, `(n + 1, 7)`: v, kappa, a, commanded a, steer, d_0, lag of the
+    pedal in use.
 
-    `slips` is from `slip_table`; `ratios` are the learned compliances of front and rear axle; `lags` those of throttle
-    and brake, s, and the acceleration below which the brake is in use, m/s2; `foot` is the station of the ego's foot
-    point at `t`, m; `v` its speed, m/s; `n` steps of `h` s.
+    `slips` is from `slip_table`; `ratios` are the learned compliances of front and rear axle;
+    `lags` those of throttle and brake, s, and the acceleration below which the brake is in use,
+    m/s2; `foot` is the station of the ego's foot point at `t`, m; `v` its speed, m/s; `n` steps of
+    `h` s.
     """
     out = np.empty((n + 1, 7))
     _, planned, _ = timed(times, t)
@@ -137,9 +145,11 @@ def limits(
     v_0: float,
     h: float,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(5)-(6) for the deviations: lower and upper bounds `(n, LIMITS)`, polygon rows `(n, SIDES, 2)` of (e_a, sigma).
+    """(5)-(6) for the deviations: lower and upper bounds `(n, LIMITS)`, polygon rows
+    `(n, SIDES, 2)` of (e_a, sigma).
 
-    `along` is from `entered`; `grip` is mu g, m/s2; `steering` max_steer, rad, max_steer_rate, rad/s; `v_0` as (3).
+    `along` is from `entered`; `grip` is mu g, m/s2; `steering` max_steer, rad, max_steer_rate,
+    rad/s; `v_0` as (3).
     """
     n = len(along) - 1
     lower, upper = np.full((n, LIMITS), -np.inf), np.empty((n, LIMITS))
@@ -164,7 +174,9 @@ def limits(
 
 @kernel
 def packed(A: FloatArray, B: FloatArray, sides: FloatArray, places: IntArray) -> FloatArray:
-    """The entries of the program's matrix in the order of `places` (indices into all entries, then 1)."""
+    """The entries of the program's matrix in the order of `places` (indices into all entries, then
+    1).
+    """
     n = len(A)
     entries = np.ones(n * STEP_SIZE + 1)
     at = 0
@@ -190,7 +202,9 @@ def packed(A: FloatArray, B: FloatArray, sides: FloatArray, places: IntArray) ->
 def quintic(
     p0: float, v0: float, a0: float, p1: float, v1: float, a1: float, h: float, tau: float
 ) -> tuple[float, float, float]:
-    """Value, first and second derivative of (7) at `tau` in [0, 1], from those at both ends of `h` s."""
+    """Value, first and second derivative of (7) at `tau` in [0, 1], from those at both ends of `h`
+    s.
+    """
     v0, a0, v1, a1 = h * v0, h * h * a0, h * v1, h * h * a1
     rise = p1 - p0 - v0 - 0.5 * a0
     slope, bend = v1 - v0 - a0, a1 - a0
@@ -205,7 +219,9 @@ def quintic(
 
 @kernel
 def resample(columns: FloatArray, t: FloatArray) -> FloatArray:
-    """`(7, m)`: t, x, y, yaw, v, a, kappa at the times t, of a plan's columns `(7, n)`, n > 1, within its span."""
+    """`(7, m)`: t, x, y, yaw, v, a, kappa at the times t, of a plan's columns `(7, n)`, n > 1,
+    within its span.
+    """
     out = np.empty((7, len(t)))
     i = 0
     for k in range(len(t)):

@@ -1,32 +1,41 @@
-"""Converts acceleration to pedals by inverting the powertrain, one pedal at a time; ends and holds stops.
+"""Converts acceleration to pedals by inverting the powertrain, one pedal at a time; ends and holds
+stops.
 
 (1) throttle = (a - coasting(v)) / full_throttle(v)        while driving, not below 0
 (2) brake    = (coasting(v) - a) / full_brake(v)           while braking, not below 0
 
-The pedal changes only when `a` is HYSTERESIS_MPS2 beyond coasting on the other side; until then, the pedal in use is
-released. So the pedals are never pressed together, and do not alternate due to noise around coasting.
+The pedal changes only when `a` is HYSTERESIS_MPS2 beyond coasting on the other side; until then,
+the pedal in use is released. So the pedals are never pressed together, and do not alternate due to
+noise around coasting.
 
-The pedal's dead time d and lag T are inverted. A plan that begins now cannot be met before d has passed. The deficit is
-then made up over CATCH_UP_S, because making it up at once would add jerk to the plan's. Over a period h:
+The pedal's dead time d and lag T are inverted. A plan that begins now cannot be met before d has
+passed. The deficit is then made up over CATCH_UP_S, because making it up at once would add jerk to
+the plan's. Over a period h:
 
-(3) m+ = m + a(t + d + h) - a(t + d) + h (a(t + d) - m) / CATCH_UP_S,   a_command = m + (m+ - m) / (1 - exp(-h / T))
-    limited so that it never presses the other pedal, unless the plan requires that
+(3) m+ = m + a(t + d + h) - a(t + d) + h (a(t + d) - m) / CATCH_UP_S,
+        a_command = m + (m+ - m) / (1 - exp(-h / T)) limited so that it never presses the other
+        pedal, unless the plan requires that
 
-A planned stop ends softly: a deceleration b that lasted until standstill would drop to 0 abruptly. From the
-speed v on at which it can be released with the jerk j, it follows v = j u^2 / 2, b = j u, with u s left; that is b^3 /
-(24 j^2) longer, so
+A planned stop ends softly: a deceleration b that lasted until standstill would drop to 0 abruptly.
+From the speed v on at which it can be released with the jerk j, it follows v = j u^2 / 2, b = j u,
+with u s left; that is b^3 / (24 j^2) longer, so
 
-(4) j = max(GENTLE_MPS3, sqrt(b^3 / (24 LONGER_M))),   a_command = -j max(sqrt(2 v / j) - d - LAGS T, 0) + o
-    o' = -HARDER_PER_S (b_v + a), from 0, while it slows down by less than half of b_v = sqrt(2 j v): an unknown slope
+(4) j = max(GENTLE_MPS3, sqrt(b^3 / (24 LONGER_M))),
+        a_command = -j max(sqrt(2 v / j) - d - LAGS T, 0) + o
+    o' = -HARDER_PER_S (b_v + a), from 0, while it slows down by less than half
+        of b_v = sqrt(2 j v): an unknown slope
 
-The calibration table: acceleration x speed -> pedals, as the vehicle's own model has it in steady state.
+The calibration table: acceleration x speed -> pedals, as the vehicle's own model has it in steady
+state.
 
 (5) pedal(a, v) > 0: throttle, < 0: brake;  beyond = a - coasting(v)
-    pedal = beyond / full_throttle(v) where beyond >= 0, beyond / full_brake(v) where it is negative; NaN out of reach
+    pedal = beyond / full_throttle(v) where beyond >= 0,
+        beyond / full_brake(v) where it is negative; NaN out of reach
 
-Such a table is measured on a car whose drive train cannot be inverted. Here the power train is known and linear in the
-pedal at each speed, so controllers use the exact inverse, without interpolation errors or a file that must match the
-vehicle. The table is for inspection, and for driving a real car.
+Such a table is measured on a car whose drive train cannot be inverted. Here the power train is
+known and linear in the pedal at each speed, so controllers use the exact inverse, without
+interpolation errors or a file that must match the vehicle. The table is for inspection, and for
+driving a real car.
 """
 
 from __future__ import annotations
@@ -58,7 +67,9 @@ LONGER_M = 0.06
 """By how much the soft end (4) lengthens a stop; the residue of the lag adds as much again."""
 HARDER_PER_S = 3.0
 LAGS = 1.1
-"""Lead of (4), in lags of the brake: slightly early, because braking that remains at standstill is a jerk."""
+"""Lead of (4), in lags of the brake: slightly early, because braking that remains at standstill is
+a jerk.
+"""
 CATCH_UP_S = 0.3
 STEEPEST_MPS3 = 15.0
 """Faster changes of a plan's acceleration are steps, which (3) does not follow."""
@@ -102,7 +113,10 @@ def press(
 
 @kernel
 def hold(state: PedalState, v: float, a: float) -> tuple[float, float, PedalState]:
-    """Throttle and brake that hold a standstill; both 0 while the car still slows down by itself, `v` m/s, `a` m/s2."""
+    """Throttle and brake that hold a standstill.
+
+    Both 0 while the car still slows down by itself, `v` m/s, `a` m/s2.
+    """
     holding = state.holding or v < STILL_MPS or a > -SLOWING_MPS2
     return 0.0, HOLDING_BRAKE if holding else 0.0, PedalState(True, holding)
 
@@ -111,7 +125,8 @@ def hold(state: PedalState, v: float, a: float) -> tuple[float, float, PedalStat
 def compensated(
     m: float, train: PedalMap, times: FloatArray, t: float, v: float, h: float
 ) -> tuple[float, float]:
-    """Return the acceleration to command at `t` (s), speed `v` (m/s), for a period `h`, to get the plan's; and m+ (3).
+    """Return the acceleration to command at `t` (s), speed `v` (m/s), for a period `h`, to get the
+    plan's; and m+ (3).
 
     `m` is m of (3), m/s2; NaN: nothing has been commanded yet.
     """
@@ -141,7 +156,9 @@ def eased(
     wanted: float,
     h: float,
 ) -> tuple[float, StopState]:
-    """Soften the end of a stop (4): return the acceleration to command at `t`, `v`, `a` instead of `wanted`, m/s2."""
+    """Soften the end of a stop (4): return the acceleration to command at `t`, `v`, `a` instead of
+    `wanted`, m/s2.
+    """
     v, late, jerk, offset = (
         max(v, 0.0),
         train.brake_delay + LAGS * train.brake_lag,
@@ -164,7 +181,9 @@ def eased(
 
 @kernel
 def stands(standing: bool, v: float, t: float, times: FloatArray) -> bool:
-    """Return whether to hold the vehicle at speed `v` (m/s) and time `t` (s); `standing`: it has been held."""
+    """Return whether to hold the vehicle at speed `v` (m/s) and time `t` (s); `standing`: it has
+    been held.
+    """
     wanted = max(timed(times, t)[1], timed(times, t + LOOK_AHEAD_S)[1])
     return wanted <= LEAVING_MPS if standing else v < STANDING_MPS and wanted <= STANDING_MPS
 
@@ -204,7 +223,9 @@ class Calibration:
         return cls(speed, acceleration, np.where(np.abs(pedal) <= 1.0, pedal, np.nan))
 
     def at(self, acceleration: float, v: float) -> tuple[float, float]:
-        """Return throttle and brake by bilinear interpolation, constant beyond its ends; NaN if unreachable."""
+        """Return throttle and brake by bilinear interpolation, constant beyond its ends; NaN if
+        unreachable.
+        """
         i, u = _place(self.acceleration, acceleration)
         j, w = _place(self.speed, v)
         corners = self.pedal[i : i + 2, j : j + 2]
@@ -214,7 +235,10 @@ class Calibration:
         ) if pedal == pedal else pedal
 
     def save(self, path: Path) -> None:
-        """Write the table as CSV: a row per acceleration, a column per speed; empty out of the vehicle's reach."""
+        """Write the table as CSV: a row per acceleration, a column per speed.
+
+        Empty out of the vehicle's reach.
+        """
         with path.open("w", newline="", encoding="utf-8") as file:
             writer = csv.writer(file)
             writer.writerow(["acceleration_mps2", *(f"{v:g}_mps" for v in self.speed)])
@@ -225,6 +249,8 @@ class Calibration:
 
 
 def _place(grid: FloatArray, value: float) -> tuple[int, float]:
-    """Return the cell of a value in an increasing grid, and the share of the next node, 0 to 1, limited at the ends."""
+    """Return the cell of a value in an increasing grid, and the share of the next node, 0 to 1,
+    limited at the ends.
+    """
     i = int(np.clip(np.searchsorted(grid, value, side="right") - 1, 0, len(grid) - 2))
     return i, float(np.clip((value - grid[i]) / (grid[i + 1] - grid[i]), 0.0, 1.0))

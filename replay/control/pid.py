@@ -1,22 +1,26 @@
-"""PID controllers: the dual-loop PID of the speed, and one PID each for steering and speed, the simplest controller.
+"""PID controllers: the dual-loop PID of the speed, and one PID each for steering and speed, the
+simplest controller.
 
 Dual loop, station error -> speed -> acceleration:
 
-(1) v_wanted = v_plan - clip(station_gain * e_station, -station_limit, station_limit)     outer loop, e = ego - plan
+(1) v_wanted = v_plan - clip(station_gain * e_station, -station_limit, station_limit)
+        outer loop, e = ego - plan
 (2) e        = v_wanted - v
-(3) a        = a_plan + kp e + ki int(e) dt            inner loop; a_plan led by the pedal's lag (`pedals` (3))
-(4) a within what the vehicle can do at this speed; the integral is frozen while it would push a further out of these
-    limits (conditional integration), which prevents windup.
+(3) a        = a_plan + kp e + ki int(e) dt
+        inner loop; a_plan led by the pedal's lag (`pedals` (3))
+(4) a within what the vehicle can do at this speed; the integral is frozen while it would push a
+    further out of these limits (conditional integration), which prevents windup.
 
 One PID each, without a model or feed-forward:
 
-(5) steer = -(kp e + ki int(e) dt + kd e') / (1 + (v / v_0)^2)     e = lateral error at the rear axle, e' = v sin(e_phi)
+(5) steer = -(kp e + ki int(e) dt + kd e') / (1 + (v / v_0)^2)
+        e = lateral error at the rear axle, e' = v sin(e_phi)
 (6) a     = kp e + ki int(e) dt + kd e'                             e = v_plan - v
 
-Their integrals are frozen as in (4). Source: Astrom and Hagglund, Advanced PID Control, 3.5; the gain of (5) falls
-with speed as the curvature that a lateral acceleration allows. The gains are a compromise of a few tried on
-`replan.paper.manoeuvres` with the single-track vehicle: (0.6, 0.4, 0.25) loses ISO 3888-1 as well as -2, (0.2, 0.15,
-0.3) loses none but is twice as far off on roads.
+Their integrals are frozen as in (4). Source: Astrom and Hagglund, Advanced PID Control, 3.5; the
+gain of (5) falls with speed as the curvature that a lateral acceleration allows. The gains are a
+compromise of a few tried on `replan.paper.manoeuvres` with the single-track vehicle: (0.6, 0.4,
+0.25) loses ISO 3888-1 as well as -2, (0.2, 0.15, 0.3) loses none but is twice as far off on roads.
 """
 
 from __future__ import annotations
@@ -57,7 +61,10 @@ SINGLE_LOOP_KD = 0.05
 
 
 class SpeedState(NamedTuple):
-    """The integral of the speed error, m; m of `pedals` (3), m/s2, and the last error, m/s: both NaN at first."""
+    """The integral of the speed error, m.
+
+    M of `pedals` (3), m/s2, and the last error, m/s: both NaN at first.
+    """
 
     integral: float
     m: float
@@ -90,7 +97,10 @@ def accelerate_dual_loop(
 def limited(
     wanted: float, error: float, integral: float, train: PedalMap, v: float, period: float
 ) -> tuple[float, float]:
-    """Limit `wanted`, m/s2, to what the vehicle can do at `v`, m/s; also return the integral, m, after a period, s."""
+    """Limit `wanted`, m/s2, to what the vehicle can do at `v`, m/s.
+
+    Also return the integral, m, after a period, s.
+    """
     lowest, highest = reach(train, v)
     if (wanted < highest or error < 0.0) and (wanted > lowest or error > 0.0):
         integral += period * error  # (4)

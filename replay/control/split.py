@@ -1,8 +1,8 @@
 """A controller of two laws: one steers, the other controls speed; at a standstill neither is used.
 
-It is one compiled step, so that the loop can run it for a whole plan period without coming back to Python
-(`replan.replay.loop.plan_period`). `SplitLaw` selects the laws and holds their parameters. To add a law, write its kernel, add
-its parameters here, and add a branch to `steer` or `control`.
+It is one compiled step, so that the loop can run it for a whole plan period without coming back to
+Python (`replan.replay.loop.plan_period`). `SplitLaw` selects the laws and holds their parameters.
+To add a law, write its kernel, add its parameters here, and add a branch to `steer` or `control`.
 """
 
 from __future__ import annotations
@@ -77,7 +77,9 @@ MEMORY, DELAY = 18, slice(15, 18)
 
 
 class SplitLaw(NamedTuple):
-    """The laws for steering (DLQR ...) and speed (DUAL_LOOP ...), the parameters of all laws, and the pedal map."""
+    """The laws for steering (DLQR ...) and speed (DUAL_LOOP ...), the parameters of all laws, and
+    the pedal map.
+    """
 
     steers: int
     drives: int
@@ -105,7 +107,9 @@ class SplitState(NamedTuple):
 def steer(
     law: SplitLaw, state: SplitState, now: MotionState, off: Deviation, knots: FloatArray
 ) -> tuple[float, float, DlqrState]:
-    """Return the front wheel angle to command, rad, the new steering integral and the new state of the DLQR."""
+    """Return the front wheel angle to command, rad, the new steering integral and the new state of
+    the DLQR.
+    """
     if law.steers == DLQR:
         angle, known = steer_slipping(law.dlqr, state.dlqr, now, off, knots)
         return angle, state.steer_integral, known
@@ -132,7 +136,8 @@ def control(
 ) -> tuple[float, float, float, SplitState]:
     """Return steer, throttle and brake for the next control period, and the new state.
 
-    A stop ends softly; while the vehicle is held at a standstill, the brake is on and the steering stays where it is.
+    A stop ends softly; while the vehicle is held at a standstill, the brake is on and the steering
+    stays where it is.
     """
     if stands(state.standing, now.v, now.t, times):  # forget the wheel angle and the integrals
         throttle, brake, pedal = hold(state.pedal, now.v, now.a)

@@ -1,1 +1,3 @@
-"""Run the loops: open and closed loop, perception, planning, the end of a drive, reference drives."""
+"""Run the loops: open and closed loop, perception, planning, the end of a drive, reference
+drives.
+"""

@@ -33,14 +33,15 @@ def run_closed_loop(
 ) -> Drive:
     """Drive a scenario with a planner, with the plan period and the control period of `config`.
 
-    The ego starts as logged and is then moved by the vehicle model; `config.traffic` moves the others. The planner's
-    internals are only built if they are kept. The last frame is at `until_s`, s since the scenario's start.
-    `seat` builds the object that calls the planner.
+    The ego starts as logged and is then moved by the vehicle model; `config.traffic` moves the
+    others. The planner's internals are only built if they are kept. The last frame is at `until_s`,
+    s since the scenario's start. `seat` builds the object that calls the planner.
 
     Raises:
         LogError: The log ends before the first control step.
         ConfigError: A name of `config` or a keyword of the planner is unknown.
-        PlannerError: The planner cannot be loaded or built. (One that fails while driving ends the drive.)
+        PlannerError: The planner cannot be loaded or built. (One that fails while driving ends the
+            drive.)
     """
     setup = SimulationSetup.of(scenario, config, until_s)
     world, latency = setup.world(), Latency(config.plan_delay_steps)

@@ -1,4 +1,7 @@
-"""Open loop: plans from the logged state at each frame of a grid over the logged drive; the ego is not moved."""
+"""Open loop: plans from the logged state at each frame of a grid over the logged drive.
+
+The ego is not moved.
+"""
 
 from __future__ import annotations
 
@@ -32,14 +35,15 @@ def run_open_loop(
 ) -> Drive:
     """Plan at every `config.plan_period_s` of the ego's log, from its first sample to its last.
 
-    Between two samples of the log, the earlier one is extrapolated: no later sample is used. The planner's
-    memory is fresh at every frame (`Frame.previous` is None). The planner's internals are only built where they
-    are kept. The last frame is at `until_s`, s since the scenario's start.
+    Between two samples of the log, the earlier one is extrapolated: no later sample is used. The
+    planner's memory is fresh at every frame (`Frame.previous` is None). The planner's internals are
+    only built where they are kept. The last frame is at `until_s`, s since the scenario's start.
     `seat` builds the object that calls the planner.
 
     Raises:
         ConfigError: A name of `config` or a keyword of the planner is unknown.
-        PlannerError: The planner cannot be loaded or built. (One that fails at a frame ends the loop there.)
+        PlannerError: The planner cannot be loaded or built. (One that fails at a frame ends the
+            loop there.)
     """
     every = frame_times(scenario.ego, config.plan_period_ns)
     grid = every[:1] + [t for t in every[1:] if t <= until_s]
@@ -80,6 +84,9 @@ def run_open_loop(
 
 
 def frame_times(log: Trajectory, period_ns: int) -> list[float]:
-    """Return the frame times of a log, s: from its first sample to its last at most; at least one frame."""
+    """Return the frame times of a log, s: from its first sample to its last at most.
+
+    At least one frame.
+    """
     first, last = round(float(log.t[0]) * 1e9), round(float(log.t[-1]) * 1e9)
     return [ns / 1e9 for ns in range(first, last + 1, period_ns)]

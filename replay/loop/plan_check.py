@@ -1,21 +1,26 @@
 """Checks the plans of all planners except oracles: start at the ego, consistency, and drivability.
 
-With p_i, v_i, yaw_i, kappa_i, a_i the samples of a plan, d_i = |p_(i+1) - p_i|, dt_i = t_(i+1) - t_i, h_i the direction
-of p_(i+1) - p_i (reversed when driving backwards), and a bar for the mean of a column over a step:
+With p_i, v_i, yaw_i, kappa_i, a_i the samples of a plan, d_i = |p_(i+1) - p_i|, dt_i = t_(i+1) -
+t_i, h_i the direction of p_(i+1) - p_i (reversed when driving backwards), and a bar for the mean of
+a column over a step:
 
 (0) size         n <= MOST_POINTS
-(1) start        p_0 and v_0 are those of the ego, or of the plan being driven where it is near the ego, within START;
-                 v_0 may be 0 where the ego reverses by no more than SWING_MPS
+(1) start        p_0 and v_0 are those of the ego, or of the plan being driven where it is near the
+                 ego, within START; v_0 may be 0 where the ego reverses by no more than SWING_MPS
 (2) speed        | d_i / dt_i - |v|bar_i | <= SPEED_MPS
-(3) heading      | wrap(h_i - yaw_bar_i) | <= YAW_RAD                                        where d_i >= STEP_M
-(4) curvature    | wrap(h_i - h_(i-1)) / (0.5 (d_i + d_(i-1))) - kappa_i | v_i^2 <= LATERAL_MPS2       likewise
+(3) heading      | wrap(h_i - yaw_bar_i) | <= YAW_RAD
+        where d_i >= STEP_M
+(4) curvature    | wrap(h_i - h_(i-1)) / (0.5 (d_i + d_(i-1))) - kappa_i | v_i^2 <= LATERAL_MPS2
+        likewise
 (5) acceleration | v(t + 0.5 s) - v(t) - integral of a | <= ACCEL_MPS
-(6) possible     d_i / dt_i and hypot(dv/dt, v^2 kappa) within POSSIBLE, with v and kappa of the positions
+(6) possible
+        d_i / dt_i and hypot(dv/dt, v^2 kappa) within POSSIBLE, with v and kappa of the positions
 
-A plan that breaks (2) to (5) is driven and judged by its positions: the other columns are recomputed from them, and its
-status is CORRECTED. A plan that breaks (0), (1) or (6) is refused: the previous plan continues, which is a fallback.
-The bounds of (1) to (5) are two to ten times the deviations of `dp_qp`, `idm` and `lattice` over the built-in suite and
-recorded logs. The bounds of (6) are far beyond a road car, so that a plan that is merely too fast is driven and judged.
+A plan that breaks (2) to (5) is driven and judged by its positions: the other columns are
+recomputed from them, and its status is CORRECTED. A plan that breaks (0), (1) or (6) is refused:
+the previous plan continues, which is a fallback. The bounds of (1) to (5) are two to ten times the
+deviations of `dp_qp`, `idm` and `lattice` over the built-in suite and recorded logs. The bounds of
+(6) are far beyond a road car, so that a plan that is merely too fast is driven and judged.
 """
 
 from __future__ import annotations
@@ -35,9 +40,13 @@ from replan.replay.planner_process.messages import LONGEST_REASON, MOST_POINTS, 
 
 START_M, START_MPS = 0.03, 0.05
 SWING_MPS = 0.3
-"""The recorded speed of a stopping ego can fall below 0 by this (filters, fits): a plan may start at 0 then."""
+"""The recorded speed of a stopping ego can fall below 0 by this (filters, fits): a plan may start
+at 0 then.
+"""
 NEAR_M = 1.0
-"""A plan may start on the plan being driven if the ego is at most this far from it (built-in planners: 0.5 m)."""
+"""A plan may start on the plan being driven if the ego is at most this far from it (built-in
+planners: 0.5 m).
+"""
 SPEED_MPS, YAW_RAD, LATERAL_MPS2, ACCEL_MPS = 1.0, 0.1, 2.5, 1.0
 STEP_M = 0.1
 """Shorter steps have no direction."""
@@ -45,7 +54,10 @@ WINDOW_S = 0.5
 POSSIBLE_MPS, POSSIBLE_MPS2 = 100.0, 20.0
 """Bounds of (6): 360 km/h; tyres of road cars allow about 10 m/s2."""
 REST_S = 0.5
-"""The plan being driven continues if it lasts at least this long; else the ego brakes on its arc by `BRAKE_MPS2`."""
+"""The plan being driven continues if it lasts at least this long.
+
+Else the ego brakes on its arc by `BRAKE_MPS2`.
+"""
 BRAKE_MPS2 = 4.0
 
 
@@ -63,7 +75,10 @@ def checked(plan: Plan, frame: Frame) -> Plan:
         elif off.heading > YAW_RAD:
             lie = f"its heading is {off.heading:.2f} rad off its positions"
         elif off.lateral > LATERAL_MPS2:
-            lie = f"its curvature is off its positions by {off.lateral:.1f} m/s2 of lateral acceleration"
+            lie = (
+                f"its curvature is off its positions by {off.lateral:.1f} m/s2 of lateral "
+                "acceleration"
+            )
         elif off.accel > ACCEL_MPS:
             lie = f"its acceleration is {off.accel:.1f} m/s off its speed over 0.5 s"
         if lie:
@@ -111,7 +126,10 @@ def _start_fault(trajectory: Trajectory, frame: Frame) -> str:
         starts += [old] if _distance_between(old, frame.ego) <= NEAR_M else []
     nearest = min(starts, key=lambda start: _distance_between(start, first))
     if _distance_between(nearest, first) > START_M:
-        return f"it starts {_distance_between(nearest, first):.2f} m from the ego and from the plan being driven"
+        return (
+            f"it starts {_distance_between(nearest, first):.2f} m from the ego and from the "
+            "plan being driven"
+        )
     speeds = [start.v for start in starts] + [
         0.0 for start in starts if -SWING_MPS <= start.v < 0.0
     ]
@@ -125,7 +143,8 @@ def _distance_between(one: EgoState, two: EgoState) -> float:
 
 
 class Off(NamedTuple):
-    """The greatest left side of each condition in the module docstring over a plan; 0 if no step is judged.
+    """The greatest left side of each condition in the module docstring over a plan; 0 if no step is
+    judged.
 
     Attributes:
         speed: Of (2), m/s.
@@ -190,10 +209,12 @@ def measured_off(
 
 
 def of_positions(plan: Trajectory) -> Trajectory:
-    """Return the plan with heading, speed, acceleration and curvature from its positions; the first speed is kept.
+    """Return the plan with heading, speed, acceleration and curvature from its positions; the first
+    speed is kept.
 
-    Each sample has the mean of its adjacent steps. A step below `STEP_M` has the direction of the previous step, or
-    initially the plan's first heading. The sign of the plan's speed decides whether a step is driven in reverse.
+    Each sample has the mean of its adjacent steps. A step below `STEP_M` has the direction of the
+    previous step, or initially the plan's first heading. The sign of the plan's speed decides
+    whether a step is driven in reverse.
     """
     dx, dy = np.diff(plan.x), np.diff(plan.y)
     d, way = np.hypot(dx, dy), np.arctan2(dy, dx)

@@ -1,17 +1,19 @@
-"""The compiled inner loop of a closed-loop drive: controller and vehicle run from plan to plan and fill the trace.
+"""The compiled inner loop of a closed-loop drive: controller and vehicle run from plan to plan and
+fill the trace.
 
-Planning time is modelled without a clock, so that repeated drives are equal (`Latency`). A step reads
-row k of the trace (`replan.replay.vehicle.base`) and writes row k + 1:
+Planning time is modelled without a clock, so that repeated drives are equal (`Latency`). A step
+reads row k of the trace (`replan.replay.vehicle.base`) and writes row k + 1:
 
 (1) errors = the motion of row k against the plan
-(2) command, memory = control(law, memory, motion, errors, plan)            `replan.replay.control.split.control_row`
+(2) command, memory = control(law, memory, motion, errors, plan)
+        `replan.replay.control.split.control_row`
 (3) row k: command, errors
 (4) motion, state = step(state, command, dt)                                the vehicle's own kernel
 (5) row k + 1: motion, actuation
 
-A pair of controller and vehicle in RUNS is run by one kernel over all steps; any other pair of controller and vehicle
-takes one step at a time through their methods, into the same rows. To add a compiled vehicle, write its kernel (4) and
-add a line to RUNS.
+A pair of controller and vehicle in RUNS is run by one kernel over all steps; any other pair of
+controller and vehicle takes one step at a time through their methods, into the same rows. To add a
+compiled vehicle, write its kernel (4) and add a line to RUNS.
 """
 
 from __future__ import annotations
@@ -54,7 +56,8 @@ EGO = slice(0, len(TRAJECTORY_COLUMNS))
 
 
 class Latency:
-    """Delays plans: each is driven from `delay` control steps after its frame; the first one at once.
+    """Delays plans: each is driven from `delay` control steps after its frame; the first one at
+    once.
 
     Args:
         delay: Steps, not negative.
@@ -78,7 +81,9 @@ class Latency:
         self.driven = self.driven or plan
 
     def changes(self, step: int) -> int:
-        """The first step after `step` at which another plan may take effect; `NO_STEP` if none is pending."""
+        """The first step after `step` at which another plan may take effect; `NO_STEP` if none is
+        pending.
+        """
         return next((due for due, _ in self._coming if due > step), NO_STEP)
 
     def at(self, step: int) -> Plan:
@@ -126,7 +131,9 @@ def run_single_track(
     numbers: Plain,
     state: tuple[Plain, Plain, Plain],
 ) -> tuple[Plain, Plain, Plain]:
-    """Run `count` steps of a single-track vehicle from row `first`; `state`: of vehicle, gearbox, brake commands."""
+    """Run `count` steps of a single-track vehicle from row `first`; `state`: of vehicle, gearbox,
+    brake commands.
+    """
     law, car = named_law(laws), named_car(numbers)
     s, box, line = single_track.SingleTrackState(*state[0]), Gearbox(*state[1]), Pending(*state[2])
     for k in range(first, first + count):
@@ -216,7 +223,9 @@ class PlanPeriod:
         self.most_steps = UNLIMITED_STEPS if self._run else 1
 
     def run(self, plan: Plan, rows: FloatArray, first: int, count: int) -> None:
-        """Drive `count` control steps along the plan, from row `first`, which holds motion and actuation."""
+        """Drive `count` control steps along the plan, from row `first`, which holds motion and
+        actuation.
+        """
         path = self._tracker.path(plan)
         if self._run:
             self._run(self._controller, self._vehicle, path, rows, first, count, self._period)

@@ -1,9 +1,10 @@
-"""Builds, calls and times the planner of one scenario, checks its plans, and tests whether it is deterministic.
+"""Builds, calls and times the planner of one scenario, checks its plans, and tests whether it is
+deterministic.
 
-The start of a drive is driven twice, each time with a newly built planner. The worlds are equal, so the plans must be
-equal bit for bit: a difference comes from the planner (random numbers, a clock, the order of a set, race conditions).
-It becomes a note of the drive and a mark in the reports, because the results of a nondeterministic planner are those of
-a single try.
+The start of a drive is driven twice, each time with a newly built planner. The worlds are equal, so
+the plans must be equal bit for bit: a difference comes from the planner (random numbers, a clock,
+the order of a set, race conditions). It becomes a note of the drive and a mark in the reports,
+because the results of a nondeterministic planner are those of a single try.
 """
 
 from __future__ import annotations
@@ -37,7 +38,8 @@ from replan.replay.planner_process.planner_config import (
 )
 
 DRIVEN_PATH_NOTE = (
-    "the road is the driven path: the planner knows where the log's driver went; open-loop errors across the path say"
+    "the road is the driven path: the planner knows where the log's driver went; open-loop errors "
+    "across the path say"
     " nothing"
 )
 
@@ -47,11 +49,14 @@ class Planning:
 
     Args:
         scenario: The scenario; only an oracle receives it.
-        spec: A name in `replan.replay.parts.PLANNER`, "module:Class", "exec:COMMAND" or "tcp://HOST:PORT".
-        planner_config: Keywords of the planner; its configuration table where it runs in a process of its own.
+        spec: A name in `replan.replay.parts.PLANNER`, "module:Class", "exec:COMMAND" or
+            "tcp://HOST:PORT".
+        planner_config: Keywords of the planner; its configuration table where it runs in a process
+            of its own.
         config: Configuration of the loop.
         start: The ego at the first frame.
-        keep_internals: Whether the plans keep the planner's internals, in addition to its solvers' reports.
+        keep_internals: Whether the plans keep the planner's internals, in addition to its solvers'
+            reports.
         place: Key of the drive.
 
     Attributes:
@@ -86,7 +91,8 @@ class Planning:
                 not apart and not is_built_in(spec),
             ),
             Mark.BATCHED: (
-                f"the planner's process was shared with other logs, up to {config.apart.batch} in all",
+                f"the planner's process was shared with other logs, up to {config.apart.batch} in "
+                "all",
                 apart and current_log() is not None,
             ),
         }
@@ -137,10 +143,11 @@ class Planning:
         return self._watch.times
 
     def plan(self, frame: Frame) -> Plan:
-        """Return the checked plan for a frame (`replan.replay.loop.plan_check`), with the internals to keep.
+        """Return the checked plan for a frame (`replan.replay.loop.plan_check`), with the internals
+        to keep.
 
-        The builders of internals refer to the frame, and the frame to the previous plan: they are resolved or dropped
-        here.
+        The builders of internals refer to the frame, and the frame to the previous plan: they are
+        resolved or dropped here.
 
         Raises:
             PlannerError: The planner raised, or its answer is not a plan.
@@ -167,7 +174,10 @@ Seat = Callable[..., Planning]
 
 
 def _breach(plan: object, frame: Frame) -> str:
-    """Return how an answer of the planner breaks its contract, or ""; a Trajectory is always finite and increasing."""
+    """Return how an answer of the planner breaks its contract, or "".
+
+    A Trajectory is always finite and increasing.
+    """
     if not isinstance(plan, Plan):
         return f"it returned {type(plan).__name__} instead of a Plan"
     first = float(plan.trajectory.t[0])
@@ -199,7 +209,9 @@ def marked_random(drive: Drive, found: str) -> Drive:
 
 
 def nondeterminism(trace: Trace, again: Trace, until_s: float) -> str:
-    """Return where and by how much two equal drives differ, as a sentence; "" if they do not, up to `until_s`."""
+    """Return where and by how much two equal drives differ, as a sentence; "" if they do not, up to
+    `until_s`.
+    """
     first, second = (
         [frame for frame in one.frames if frame.t <= until_s] for one in (trace, again)
     )

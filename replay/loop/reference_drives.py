@@ -1,20 +1,23 @@
 """Reference drives: how other drivers drive a log, measured like every other drive.
 
     "driver"     the ego as logged, among the others as logged, if the log holds a drive
-    "careful"    the careful driver of UN R157 (`replan.metrics.reference_drivers`) from the log's first state along the lane
-    "follower"   the route follower: the planner `idm` in a perfect car, which accelerates, steers along its route,
-                 follows others and obeys the rules, among the traffic of the run
+    "careful"    the careful driver of UN R157 (`replan.metrics.reference_drivers`) from the log's
+                 first state along the lane
+    "follower"   the route follower: the planner `idm` in a perfect car, which accelerates, steers
+                 along its route, follows others and obeys the rules, among the traffic of the run
 
-They end like a planner's drive: in the goal, or when a road user touches them. Their rows have the mode "reference" and
-are marked as oracles; `replan.metrics.judge` uses them to decide whether a broken bound is evidence against a planner. For the
-driver of a synthesised log only progress is measured, so such a log excuses no collision. The follower excuses none
-either. Its progress is measured until its time to collision falls below `replan.metrics.safety.CLOSE_S`; after that it is no
-yardstick. Because it takes time, the follower is driven only if the log holds no drive as a yardstick of progress, or
-if a planner of the run misses the goal.
+They end like a planner's drive: in the goal, or when a road user touches them. Their rows have the
+mode "reference" and are marked as oracles; `replan.metrics.judge` uses them to decide whether a
+broken bound is evidence against a planner. For the driver of a synthesised log only progress is
+measured, so such a log excuses no collision. The follower excuses none either. Its progress is
+measured until its time to collision falls below `replan.metrics.safety.CLOSE_S`; after that it is
+no yardstick. Because it takes time, the follower is driven only if the log holds no drive as a
+yardstick of progress, or if a planner of the run misses the goal.
 
-The reference drivers of `replan.metrics.reference_drivers.DRIVERS` also judge each scenario; their verdicts go into its
-`references` (`with_avoidability`). Their line is the reference line of the planners' route up to its first lane change;
-from there on the driver keeps its lane, like that of UN R157.
+The reference drivers of `replan.metrics.reference_drivers.DRIVERS` also judge each scenario; their
+verdicts go into its `references` (`with_avoidability`). Their line is the reference line of the
+planners' route up to its first lane change; from there on the driver keeps its lane, like that of
+UN R157.
 """
 
 from __future__ import annotations
@@ -56,7 +59,9 @@ from replan.replay.loop_config import DEFAULT_LOOP, LoopConfig
 SHORTEST = 2
 """A log with fewer ego states holds no drive."""
 FOLLOWER_PERIODS_S = 0.5, 0.05
-"""Plan and control period of the follower: long, because its plans are smooth and a yardstick should be cheap."""
+"""Plan and control period of the follower: long, because its plans are smooth and a yardstick
+should be cheap.
+"""
 
 
 BAD_PERIODS_S = 4.0, 0.2
@@ -64,7 +69,10 @@ BAD_PERIODS_S = 4.0, 0.2
 
 
 def reference_line(scenario: Scenario) -> ReferenceLine:
-    """Return the line from the log's first state along its lane towards the goal; straight without a lane."""
+    """Return the line from the log's first state along its lane towards the goal.
+
+    Straight without a lane.
+    """
     return _line(scenario.road, scenario.ego.state(0), scenario.goal)
 
 
@@ -91,7 +99,8 @@ def with_follower(scenario: Scenario, loop: LoopConfig) -> tuple[Scenario, pd.Da
 
     Args:
         scenario: What is driven.
-        loop: Configuration of the run, for its traffic; the car is perfect, and the follower perceives ground truth.
+        loop: Configuration of the run, for its traffic; the car is perfect, and the follower
+            perceives ground truth.
     """
     trace = _drive_in_traffic(scenario, "idm", FOLLOWER, loop)
     ttc = TTC.found(trace, scenario)
@@ -112,7 +121,10 @@ def _drive_in_traffic(
     periods_s: tuple[float, float] = FOLLOWER_PERIODS_S,
     settings: Mapping[str, object] = MappingProxyType({}),
 ) -> Trace:
-    """Drive a built-in planner in a perfect car among the traffic of the run; the trace has no plans."""
+    """Drive a built-in planner in a perfect car among the traffic of the run.
+
+    The trace has no plans.
+    """
     traffic = {key: table for key, table in loop.settings.items() if key == "traffic"}
     same = LoopConfig(*periods_s, vehicle="perfect", traffic=loop.traffic, settings=traffic)
     driven = run_closed_loop(
@@ -122,7 +134,8 @@ def _drive_in_traffic(
 
 
 def discriminating_tables(scenario: Scenario, loop: LoopConfig) -> list[pd.DataFrame]:
-    """Return the rows of the drives that a log should fail (`replan.metrics.judge.discrimination.BAD_DRIVERS`), in order.
+    """Return the rows of the drives that a log should fail
+    (`replan.metrics.judge.discrimination.BAD_DRIVERS`), in order.
 
     A log that is shorter than their control period has none.
     """
@@ -139,7 +152,8 @@ def discriminating_tables(scenario: Scenario, loop: LoopConfig) -> list[pd.DataF
 
 
 def discriminate(scenario: Scenario, loop: LoopConfig = DEFAULT_LOOP) -> tuple[Discrimination, ...]:
-    """Return whether the bad drivers break a packaged gate of a log, in the part of it that is driven.
+    """Return whether the bad drivers break a packaged gate of a log, in the part of it that is
+    driven.
 
     Nothing is returned for a log that only reverses, or that is too short to be driven.
     """
@@ -163,7 +177,9 @@ def discriminate(scenario: Scenario, loop: LoopConfig = DEFAULT_LOOP) -> tuple[D
 
 
 def with_references(scenario: Scenario, loop: LoopConfig) -> tuple[Scenario, list[pd.DataFrame]]:
-    """Return the scenario and the rows of its reference drives, with the follower if the log holds no drive."""
+    """Return the scenario and the rows of its reference drives, with the follower if the log holds
+    no drive.
+    """
     follower = []
     if len(scenario.ego) < SHORTEST:
         scenario, rows = with_follower(scenario, loop)
@@ -174,7 +190,9 @@ def with_references(scenario: Scenario, loop: LoopConfig) -> tuple[Scenario, lis
 def late_follower(
     tables: Sequence[pd.DataFrame], scenario: Scenario, loop: LoopConfig
 ) -> list[pd.DataFrame]:
-    """Return the rows of the follower if they are missing, and a closed drive in the tables of a log needs it."""
+    """Return the rows of the follower if they are missing, and a closed drive in the tables of a
+    log needs it.
+    """
     values: dict[str, dict[str, float]] = {}
     asked = {gate.metric for gate in CLEAN}
     for table in tables:
@@ -203,7 +221,10 @@ def _measure_drives(
 
 
 def reference_table(scenario: Scenario) -> pd.DataFrame:
-    """Return the rows of the log's own and the careful driver; columns as of `replan.metrics.evaluate`."""
+    """Return the rows of the log's own and the careful driver.
+
+    Columns as of `replan.metrics.evaluate`.
+    """
     groups = {
         DRIVER: ("safety", "rules", "progress") if scenario.is_recorded else ("progress",),
         CAREFUL: ("safety", "progress", "comfort"),  # the careful driver knows no rules

@@ -1,4 +1,6 @@
-"""The setup of a closed loop: vehicle, controller, traffic and the steps of its clock, as configured."""
+"""The setup of a closed loop: vehicle, controller, traffic and the steps of its clock, as
+configured.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,8 @@ class SimulationSetup:
         vehicle: At the log's first ego state, moving as it did.
         controller: Knows the vehicle's parameters, not its hidden state.
         traffic: Moves the other road users.
-        steps: Control periods from the ego's first sample to the end of the log, or to the last requested step.
+        steps: Control periods from the ego's first sample to the end of the log, or to the last
+            requested step.
         steps_per_plan: Control steps between two frames.
         period: Control period, s.
         assumptions: Assumptions about the start, the vehicle and the road, one sentence each.
@@ -53,13 +56,15 @@ class SimulationSetup:
 
         Raises:
             LogError: The log ends before the first step.
-            ConfigError: No vehicle, controller or traffic of that name, or the plant's table is wrong.
+            ConfigError: No vehicle, controller or traffic of that name, or the plant's table is
+                wrong.
         """
         start_ns = round(float(scenario.ego.t[0]) * 1e9)
         steps = (round(scenario.duration * 1e9) - start_ns) // config.control_period_ns
         if steps < 1:
             raise LogError(
-                f"{scenario.name}: the log ends at the ego's first sample, so that there is nothing to drive",
+                f"{scenario.name}: the log ends at the ego's first sample, so that there is "
+                "nothing to drive",
                 remedy="a closed loop needs a log of at least one control period",
             )
         start = replace(
@@ -77,7 +82,10 @@ class SimulationSetup:
             steps = min(steps, max(1, floor((scenario.ego.t[-1] - start.t) / period + ROUNDING)))
         if floor((known - start.t) / period + ROUNDING) < steps:
             steps = max(1, floor((known - start.t) / period + ROUNDING))
-            end = f"traffic is recorded until {known:.1f} s of {scenario.duration:.1f} s, and the drive ends with it"
+            end = (
+                f"traffic is recorded until {known:.1f} s of {scenario.duration:.1f} s, and the "
+                "drive ends with it"
+            )
         model = config.part("vehicle")
         vehicle = build_vehicle(model, scenario.vehicle, start, config.plant)
         believed = build_vehicle(model, scenario.vehicle, start, {}) if config.plant else vehicle
@@ -106,7 +114,9 @@ class SimulationSetup:
         return PlanPeriod(self.controller, self.vehicle, self.period)
 
     def horizon(self, step: int, most: int) -> int:
-        """Return the next step with a frame or a reaction of the traffic, at most `most` after `step`."""
+        """Return the next step with a frame or a reaction of the traffic, at most `most` after
+        `step`.
+        """
         frame = step - step % self.steps_per_plan + self.steps_per_plan
         ahead = (self.traffic.due - self.vehicle.state.t) / self.period
         reacts = step + max(ceil(ahead - ROUNDING), 1) if ahead < most else self.steps
@@ -133,7 +143,8 @@ def _notes(scenario: Scenario, config: LoopConfig) -> list[str]:
     first = scenario.ego.state(0)
     if first.v < 0.0:
         notes.append(
-            f"the log starts in reverse at {-first.v:.1f} m/s: the vehicle model starts from a standstill"
+            f"the log starts in reverse at {-first.v:.1f} m/s: the vehicle model starts from a "
+            "standstill"
         )
     if scenario.road.source is RoadSource.DRIVEN_PATH:
         notes.append("the log has no lanes: whether the ego leaves the road is not judged")

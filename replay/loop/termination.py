@@ -1,7 +1,9 @@
-"""Ends a closed loop: goal, collision, off the road. The loop itself ends at the log's end or a planner failure.
+"""Ends a closed loop: goal, collision, off the road. The loop itself ends at the log's end or a
+planner failure.
 
-The metrics' rule of fault (`replan.metrics.safety.classify`) decides whether a contact is a collision of the ego or a replayed
-agent ran into it. Of several simultaneous contacts, one at fault makes it a collision.
+The metrics' rule of fault (`replan.metrics.safety.classify`) decides whether a contact is a
+collision of the ego or a replayed agent ran into it. Of several simultaneous contacts, one at fault
+makes it a collision.
 """
 
 from __future__ import annotations
@@ -28,7 +30,10 @@ from replan.replay.vehicle.base import state_at
 from replan.replay.world import AgentBoxes, EgoBox, agent_boxes, box_center, ego_box, touched
 
 CRACK_M = 0.5
-"""A car farther than this from every drivable lane is off the road; adjoining lanes may leave small gaps."""
+"""A car farther than this from every drivable lane is off the road.
+
+Adjoining lanes may leave small gaps.
+"""
 
 
 class Outlines(NamedTuple):
@@ -53,7 +58,8 @@ def outline_distance(x: float, y: float, polygon: FloatArray) -> float:
 
 @kernel
 def metres_off(lanes: Outlines, on: int, x: float, y: float) -> tuple[float, int]:
-    """Return the distance of a point to the nearest lane, m (0 before its first lane), and the last lane it was on.
+    """Return the distance of a point to the nearest lane, m (0 before its first lane), and the last
+    lane it was on.
 
     `on` is the last lane that it was on; -1: it has not been on any lane.
     """
@@ -82,10 +88,12 @@ def first_event(
     lanes: Outlines,
     on: int,
 ) -> tuple[int, bool, float, int]:
-    """The first of the rows from `first` to before `end` at which a drive may end (`end`: none), and what is there.
+    """The first of the rows from `first` to before `end` at which a drive may end (`end`: none),
+    and what is there.
 
-    `goal`: least and greatest x, least and greatest y, m; `lanes` and `on` as in `metres_off`. Returns the row, whether
-    an agent is touched there, metres off the lanes there, and the last lane that the ego was on.
+    `goal`: least and greatest x, least and greatest y, m; `lanes` and `on` as in `metres_off`.
+    Returns the row, whether an agent is touched there, metres off the lanes there, and the last
+    lane that the ego was on.
     """
     contact, _ = touched(rows, first, end, car, agents)
     for k in range(first, min(contact + 1, end)):
@@ -111,7 +119,8 @@ class Termination:
 
     Args:
         scenario: The scenario.
-        goal: Where the drive should end, and its way (`replan.metrics.arrival.goal_of`); None: nowhere.
+        goal: Where the drive should end, and its way (`replan.metrics.arrival.goal_of`); None:
+            nowhere.
         start: The ego at the start, so that it is known whether it begins on the road.
     """
 
@@ -147,7 +156,8 @@ class Termination:
         self._agents = agent_boxes(self._tracks)
 
     def first(self, rows: FloatArray, first: int, end: int, tracks: Tracks) -> Ended | None:
-        """Return the first end within the rows from `first` (at least 1) to before `end`; None if the drive goes on.
+        """Return the first end within the rows from `first` (at least 1) to before `end`; None if
+        the drive goes on.
 
         At one row, a collision has priority over the goal, and the goal over leaving the road.
         """

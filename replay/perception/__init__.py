@@ -1,7 +1,7 @@
 """Makes the frames that the planner sees from the World.
 
-A frame contains no later samples, with one exception: the prediction "oracle" is the log's own future, the upper bound
-for better predictions. Such a drive is marked as that of an oracle.
+A frame contains no later samples, with one exception: the prediction "oracle" is the log's own
+future, the upper bound for better predictions. Such a drive is marked as that of an oracle.
 """
 
 from __future__ import annotations
@@ -48,17 +48,19 @@ class GroundTruth:
 class Recorded:
     """Shows the agents of one drive as the recorded perception detected them.
 
-    The tracker is causal (`replan.logs.repair.tracker`), and so are its names; a repaired track has the name that the tracker
-    uses longest for it (`replan.logs.repair.detections`). The detections are those of the log, but in closed loop the traffic
-    moves the others differently. Known road users are therefore shown at their positions in the world,
+    The tracker is causal (`replan.logs.repair.tracker`), and so are its names; a repaired track has
+    the name that the tracker uses longest for it (`replan.logs.repair.detections`). The detections
+    are those of the log, but in closed loop the traffic moves the others differently. Known road
+    users are therefore shown at their positions in the world,
 
-    (1) shown = tracked + (world - log),   of x, y, yaw, vx, vy at the frame's time; both as `Tracks.perceived`
+    (1) shown = tracked + (world - log),
+            of x, y, yaw, vx, vy at the frame's time; both as `Tracks.perceived`
 
-    - A track that belongs to no road user of the log is a false alarm of the recorded perception; it is shown
-      unchanged.
+    - A track that belongs to no road user of the log is a false alarm of the recorded perception;
+      it is shown unchanged.
     - An agent that is present now in the log but not in the world is not shown.
-    - An agent that is present now in the world but not in the log (inserted, or later than recorded), and a static
-      agent, is shown as in ground truth: it has no detections.
+    - An agent that is present now in the world but not in the log (inserted, or later than
+      recorded), and a static agent, is shown as in ground truth: it has no detections.
 
     Later data are used only to find the road user of a track: the log's tracks are smoothed.
 
@@ -132,7 +134,9 @@ def auto(scenario: Scenario, config: LoopConfig) -> Sight:
 
 
 def ground_truth(scenario: Scenario, config: LoopConfig) -> Sight:
-    """Every agent at its last sample not later than the frame's time, extrapolated with its velocity."""
+    """Every agent at its last sample not later than the frame's time, extrapolated with its
+    velocity.
+    """
     return GroundTruth().see
 
 
@@ -179,7 +183,9 @@ class Perception:
         self.notes = tuple(notes)
 
     def frame(self, world: World, previous: Plan | None) -> Frame:
-        """Return the frame at the world's time; `previous`: the plan being driven (None: open loop, or start)."""
+        """Return the frame at the world's time; `previous`: the plan being driven (None: open loop,
+        or start).
+        """
         agents, visibility = self._sight(world)
         if not self._true:
             self._shown.append((world.ego.t, agents))
@@ -236,7 +242,8 @@ def logged_futures(log: Tracks, agents: Agents, t: FloatArray) -> Predictions:
 
     Args:
         log: The tracks of the log; after its track, an agent keeps its last velocity.
-        agents: Those that are present; one that the log does not have (a false alarm) keeps its present velocity.
+        agents: Those that are present; one that the log does not have (a false alarm) keeps its
+            present velocity.
         t: Times `(k,)`, s.
     """
     index = {name: i for i, name in enumerate(log.ids)}

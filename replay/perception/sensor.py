@@ -1,17 +1,20 @@
 """A sensor on the ego's roof: range, field of view, occlusion by others, noise, drop-outs, latency.
 
-At each frame it measures the other road users. An agent is measured if enough of `POINTS` points of its box
-(corners, middles of the sides, centre) are within range and field of view and not behind another's box (`VISIBLE`);
-pedestrians and riders occlude no others. Then, per agent:
+At each frame it measures the other road users. An agent is measured if enough of `POINTS` points of
+its box (corners, middles of the sides, centre) are within range and field of view and not behind
+another's box (`VISIBLE`); pedestrians and riders occlude no others. Then, per agent:
 
-(1) x + n_1 e_along + n_2 e_left,  yaw + n_3,  v + n_4 e_along + n_5 e_left        n_i normal, in the agent's own axes
-(2) not measured in slots of `dropout_s`, each with probability `dropout`; each agent's slots have a phase of their own
+(1) x + n_1 e_along + n_2 e_left,  yaw + n_3,  v + n_4 e_along + n_5 e_left        n_i normal, in
+                                   the agent's own axes
+(2) not measured in slots of `dropout_s`, each with probability `dropout`; each agent's slots have a
+    phase of their own
 
-and it reaches the planner `latency_s` later, extrapolated with the measured velocity. An agent that is no longer
-measured is extrapolated from its last measurement for `coast_s`, as by a tracker. The first measurement is available at
-once, as if the sensor had run before the log began.
+and it reaches the planner `latency_s` later, extrapolated with the measured velocity. An agent that
+is no longer measured is extrapolated from its last measurement for `coast_s`, as by a tracker. The
+first measurement is available at once, as if the sensor had run before the log began.
 
-Every random draw is a pure function of scenario, seed, agent and time, independent of other agents and their order.
+Every random draw is a pure function of scenario, seed, agent and time, independent of other agents
+and their order.
 """
 
 from __future__ import annotations
@@ -65,7 +68,9 @@ class Sensor:
         self._boxes_around = NearbyTracks()
 
     def see(self, world: World) -> tuple[Agents, Visibility]:
-        """Return the agents as they reach the planner at the world's time, and the ground visible to the sensor."""
+        """Return the agents as they reach the planner at the world's time, and the ground visible
+        to the sensor.
+        """
         now = world.ego.t
         self._made.append(self._measure(world))
         due = now - self._config.latency_s + 1e-9
@@ -77,7 +82,8 @@ class Sensor:
         for made in arrived:
             if made.t >= oldest:
                 newest.update({name: (made, i) for i, name in enumerate(made.agents.ids)})
-        # ages count from the first measurement since an agent was last lost; unknown for those in the first frame
+        # ages count from the first measurement since an agent was last lost; unknown for those in
+        # the first frame
         first, known = self._since is None, self._since or {}
         self._since = {
             name: known.get(name, nan if first else m.t) for name, (m, _) in newest.items()
@@ -145,7 +151,9 @@ class Sensor:
 
 @inner_kernel
 def _crosses(ax: float, ay: float, bx: float, by: float, box: FloatArray) -> bool:
-    """Return whether the segment from a to b touches a box (x, y, yaw, length, width): slabs in the box's axes."""
+    """Return whether the segment from a to b touches a box (x, y, yaw, length, width): slabs in the
+    box's axes.
+    """
     c, s = cos(box[2]), sin(box[2])
     px, py = (ax - box[0]) * c + (ay - box[1]) * s, (ay - box[1]) * c - (ax - box[0]) * s
     dx, dy = (bx - ax) * c + (by - ay) * s, (by - ay) * c - (bx - ax) * s
@@ -171,7 +179,9 @@ def _boxes_around(boxes: FloatArray, x: float, y: float) -> BoolArray:
 
 @kernel
 def _seen_shares(boxes: FloatArray, hiding: BoolArray, view: FloatArray) -> FloatArray:
-    """Return the share of each box's points that a sensor (x, y, yaw, range, field of view) sees `(n,)`."""
+    """Return the share of each box's points that a sensor (x, y, yaw, range, field of view) sees
+    `(n,)`.
+    """
     n = len(boxes)
     out, points = np.zeros(n), np.empty((POINTS, 2))
     for i in range(n):
@@ -197,7 +207,9 @@ def _seen_shares(boxes: FloatArray, hiding: BoolArray, view: FloatArray) -> Floa
 
 @kernel
 def _shadows(boxes: FloatArray, view: FloatArray) -> FloatArray:
-    """Return the ground hidden behind boxes within range `(k, 4, 2)`: near right, far right, far left, near left."""
+    """Return the ground hidden behind boxes within range `(k, 4, 2)`: near right, far right, far
+    left, near left.
+    """
     out, count = np.empty((len(boxes), 4, 2)), 0
     for i in range(len(boxes)):
         dx, dy = boxes[i, 0] - view[0], boxes[i, 1] - view[1]

@@ -1,4 +1,6 @@
-"""Messages over a pair of file descriptors, with deadlines: 4 bytes of length (little-endian), then MessagePack."""
+"""Messages over a pair of file descriptors, with deadlines: 4 bytes of length (little-endian), then
+MessagePack.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,9 @@ T = TypeVar("T")
 
 HEADER = struct.Struct("<I")
 PIPE_BYTES = 1 << 20
-"""Size of a pipe, which holds a whole frame (the default is 64 KiB; Linux allows 1 MiB without privileges)."""
+"""Size of a pipe, which holds a whole frame (the default is 64 KiB; Linux allows 1 MiB without
+privileges).
+"""
 PRINTED_BYTES = 4096  # Number of last bytes of the planner's output that are kept
 
 
@@ -37,8 +41,9 @@ class GarbageError(Exception):
 class Channel(Generic[T]):
     """Sends any message, and receives messages of one type.
 
-    `into`: descriptor from which the other side reads. `stderr`: descriptor to which it prints, read meanwhile so that
-    it never blocks; -1: none. `patient`: whether this side waits without deadlines, as a planner does.
+    `into`: descriptor from which the other side reads. `stderr`: descriptor to which it prints,
+    read meanwhile so that it never blocks; -1: none. `patient`: whether this side waits without
+    deadlines, as a planner does.
     """
 
     def __init__(
@@ -58,8 +63,8 @@ class Channel(Generic[T]):
     def send(self, message: msgspec.Struct, deadline: float = float("inf")) -> None:
         """Send a message before the deadline (of `time.monotonic`).
 
-        LateError if the other side did not take it in time; GoneError if it has closed the channel; TypeError if a
-        value cannot be sent.
+        LateError if the other side did not take it in time; GoneError if it has closed the channel;
+        TypeError if a value cannot be sent.
         """
         payload = self._encoder.encode(message)
         left = [memoryview(HEADER.pack(len(payload))), memoryview(payload)]
@@ -79,8 +84,8 @@ class Channel(Generic[T]):
     def receive(self, deadline: float = float("inf")) -> T:
         """The next message before the deadline.
 
-        LateError if it did not come in time, or was not decoded by then; GoneError if the channel was closed;
-        GarbageError if it is not a message of the type.
+        LateError if it did not come in time, or was not decoded by then; GoneError if the channel
+        was closed; GarbageError if it is not a message of the type.
         """
         self._read(HEADER.size, deadline)
         (size,) = HEADER.unpack_from(self._buffer)
@@ -103,7 +108,10 @@ class Channel(Generic[T]):
         return found
 
     def _read(self, size: int, deadline: float) -> None:
-        """Read until `size` bytes are in the buffer; further bytes are kept for the next message."""
+        """Read until `size` bytes are in the buffer.
+
+        Further bytes are kept for the next message.
+        """
         if size > len(self._buffer):
             self._buffer = self._buffer.ljust(size, b"\0")
         while self._filled < size:

@@ -1,7 +1,7 @@
 """A Python planner in its process: it is built from a context, and answers frames with plans.
 
-Its stdin and stdout carry the messages of `replan.replay.planner_process.messages`. The planner's code cannot use them: its
-output goes to stderr, whose last lines are shown if it fails.
+Its stdin and stdout carry the messages of `replan.replay.planner_process.messages`. The planner's
+code cannot use them: its output goes to stderr, whose last lines are shown if it fails.
 """
 
 from __future__ import annotations
@@ -39,7 +39,8 @@ def main() -> None:
 
 
 def load(planner: str, settings: bytes) -> None:
-    """Load the shared parts of all drives of a planner: its module, and the data that its class prepares (`prepared`).
+    """Load the shared parts of all drives of a planner: its module, and the data that its class
+    prepares (`prepared`).
 
     `planner`: "module:Class". `settings`: its table in the configuration, MessagePack.
     """
@@ -64,12 +65,16 @@ def _redirect_streams() -> None:
 
 
 def warm() -> None:
-    """Load the kernel that every plan needs: starting the compiler takes 0.2 s, once instead of in each process."""
+    """Load the kernel that every plan needs: starting the compiler takes 0.2 s, once instead of in
+    each process.
+    """
     Trajectory(*np.arange(14.0).reshape(7, 2))
 
 
 class PlannerServer:
-    """Answers the messages to one planner, or to the planners of several logs that plan together; has their clock."""
+    """Answers the messages to one planner, or to the planners of several logs that plan together;
+    has their clock.
+    """
 
     def __init__(self, channel: Channel[Any]) -> None:
         self._channel, self._watch = channel, Stopwatch()
@@ -115,7 +120,10 @@ class PlannerServer:
             part = planner_part(question.planner, question.config)
             table = part.resolved()
             if question.batch and of_class(part.factory, "plan_batch") is None:
-                remedy = "add the class method plan_batch(cls, frames, planners), or leave out loop.apart.batch"
+                remedy = (
+                    "add the class method plan_batch(cls, frames, planners), or leave out "
+                    "loop.apart.batch"
+                )
                 raise ConfigError(f"planner '{question.planner}' has no plan_batch: {remedy}")
             return messages.Described(table)
         if isinstance(question, messages.Hellos):

@@ -1,10 +1,12 @@
-"""A planner in another process, as a loop uses it: frames are sent, plans are received, each within a time limit.
+"""A planner in another process, as a loop uses it: frames are sent, plans are received, each within
+a time limit.
 
-With `loop.apart.batch`, several logs are in lock step: the frames of one step are sent to one planner's process
-together. Each log is evaluated in a thread. One thread runs at a time, until its drive sends a request to the planner;
-then the next one runs. So code that drives, measures or writes needs no locks, and the results depend on no clock. When
-all logs wait, their requests are answered: first the frames of the current drive (one planner, one loop, the same step
-in each log). If no log waits for a plan, the first of the drives for which logs wait begins.
+With `loop.apart.batch`, several logs are in lock step: the frames of one step are sent to one
+planner's process together. Each log is evaluated in a thread. One thread runs at a time, until its
+drive sends a request to the planner; then the next one runs. So code that drives, measures or
+writes needs no locks, and the results depend on no clock. When all logs wait, their requests are
+answered: first the frames of the current drive (one planner, one loop, the same step in each log).
+If no log waits for a plan, the first of the drives for which logs wait begins.
 """
 
 from __future__ import annotations
@@ -45,7 +47,9 @@ class PlannerConnection(Protocol):
     """Sends messages to a planner and receives its answers."""
 
     def ask(self, message: Any, limit: float, when: str) -> messages.Answer:
-        """The answer within `limit` seconds; FaultError, with `when` in its sentence, if there is none."""
+        """The answer within `limit` seconds; FaultError, with `when` in its sentence, if there is
+        none.
+        """
         ...
 
     def fault(self, what: str) -> FaultError:
@@ -71,7 +75,9 @@ _of_thread = threading.local()
 
 
 def current_log() -> CurrentLog | None:
-    """The log that is evaluated in this thread together with others; None if it is evaluated alone."""
+    """The log that is evaluated in this thread together with others; None if it is evaluated
+    alone.
+    """
     log: CurrentLog | None = getattr(_of_thread, "log", None)
     return log
 
@@ -82,7 +88,10 @@ def set_current_log(log: CurrentLog) -> None:
 
 
 class Node:
-    """A running planner that is reached over TCP; the counterpart of `Process`, without a process to end."""
+    """A running planner that is reached over TCP.
+
+    The counterpart of `Process`, without a process to end.
+    """
 
     def __init__(self, spec: str, within_s: float) -> None:
         try:
@@ -114,11 +123,13 @@ def _open(spec: str, limits: PlannerProcessConfig, load: Load | None = None) -> 
 
 
 class Connection:
-    """The connection to a planner that is started or reached for one drive, or for a batch of drives.
+    """The connection to a planner that is started or reached for one drive, or for a batch of
+    drives.
 
-    `spec`: "module:Class", "exec:COMMAND" or "tcp://HOST:PORT". `load`: the module and settings that a Python planner
-    loads. `drives`: number of drives that it serves; the time limit of a drive is multiplied by it. ConfigError if the
-    command or address is invalid; FaultError if the node cannot be reached.
+    `spec`: "module:Class", "exec:COMMAND" or "tcp://HOST:PORT". `load`: the module and settings
+    that a Python planner loads. `drives`: number of drives that it serves; the time limit of a
+    drive is multiplied by it. ConfigError if the command or address is invalid; FaultError if the
+    node cannot be reached.
     """
 
     def __init__(
@@ -160,8 +171,8 @@ class Connection:
 class ApartPlanner:
     """A planner in another process.
 
-    ConfigError if the planner does not take such settings; PlannerError if it cannot be loaded; FaultError if it cannot
-    be built.
+    ConfigError if the planner does not take such settings; PlannerError if it cannot be loaded;
+    FaultError if it cannot be built.
 
     Args:
         spec: "module:Class", "exec:COMMAND" or "tcp://HOST:PORT".
@@ -230,7 +241,8 @@ class ApartPlanner:
             raise self._connection.fault(f"{broken}: {clean_text(str(error))}") from None
         if time.monotonic() - begin > limit:
             raise self._connection.fault(
-                f"needed more than {limit:g} s, reading of its plan included, at t = {frame.t:.2f} s"
+                f"needed more than {limit:g} s, reading of its plan included, at t = {frame.t:.2f} "
+                "s"
             )
         for stage, seconds in answer.laps.items():
             self._watch.took(stage, seconds)
@@ -250,10 +262,11 @@ class ApartPlanner:
 def describe_planner(
     spec: str, table: Mapping[str, object], limits: PlannerProcessConfig
 ) -> dict[str, Any]:
-    """The planner's table with all defaults; unchanged for programs and nodes, whose defaults are unknown.
+    """The planner's table with all defaults; unchanged for programs and nodes, whose defaults are
+    unknown.
 
-    ConfigError if a key is unknown, a value has the wrong type, the command or address is invalid; PlannerError if the
-    planner cannot be loaded.
+    ConfigError if a key is unknown, a value has the wrong type, the command or address is invalid;
+    PlannerError if the planner cannot be loaded.
     """
     if is_foreign(spec):
         (command_of if spec.startswith("exec:") else address_of)(spec)
@@ -292,7 +305,9 @@ def describe_planner(
 
 
 def command_of(spec: str) -> list[str]:
-    """The words of "exec:COMMAND", split as a shell would split them; ConfigError if there is no such program."""
+    """The words of "exec:COMMAND", split as a shell would split them; ConfigError if there is no
+    such program.
+    """
     try:
         words = shlex.split(spec.removeprefix("exec:"))
     except ValueError as error:
@@ -324,7 +339,9 @@ def last_words(printed: bytes) -> str:
 
 
 def clean_text(text: str) -> str:
-    """A planner's text for messages of replan: one line of limited length, without control characters."""
+    """A planner's text for messages of replan: one line of limited length, without control
+    characters.
+    """
     return "".join(
         each if each.isprintable() else "?" for each in " ".join(messages.shortened(text).split())
     )
@@ -363,7 +380,10 @@ class BatchLog(Generic[R]):
         self._thread = threading.Thread(target=copy_context().run, args=(self._run,), daemon=True)
 
     def run_on(self) -> None:
-        """Run until the log sends a request or has ended; exceptions of its evaluation are raised here."""
+        """Run until the log sends a request or has ended.
+
+        Exceptions of its evaluation are raised here.
+        """
         if self._thread.ident is None:
             self._thread.start()
         else:
@@ -384,7 +404,9 @@ class BatchLog(Generic[R]):
     def connect(
         self, place: DriveKey, limits: PlannerProcessConfig, load: Load, watch: Stopwatch
     ) -> PlannerConnection:
-        """The connection of one of the log's drives; `watch` does not count the time that other logs take."""
+        """The connection of one of the log's drives; `watch` does not count the time that other
+        logs take.
+        """
 
         def ask(message: Any, limit: float) -> messages.Answer:
             begin = time.perf_counter()
@@ -415,12 +437,17 @@ class BatchLog(Generic[R]):
 
 @dataclass(frozen=True, eq=False)
 class BatchConnection:
-    """The `PlannerConnection` of a drive to a process that it shares: a fault of this drive does not end the others."""
+    """The `PlannerConnection` of a drive to a process that it shares: a fault of this drive does
+    not end the others.
+    """
 
     answer: Callable[[Any, float], messages.Answer]
 
     def ask(self, message: Any, limit: float, when: str) -> messages.Answer:
-        """See `PlannerConnection.ask`; the step takes the place of `when`, as the logs have different times."""
+        """See `PlannerConnection.ask`.
+
+        The step takes the place of `when`, as the logs have different times.
+        """
         return self.answer(message, limit)
 
     def fault(self, what: str) -> FaultError:
@@ -454,7 +481,10 @@ class BatchSession:
         self._answer(logs, frames, f"in step {self._steps} of drives {self._together}")
 
     def _answer(self, logs: Sequence[BatchLog[Any]], message: Any, when: str) -> None:
-        """Send a message for all these logs, and give each its answer; if it fails, all get the failure."""
+        """Send a message for all these logs, and give each its answer.
+
+        If it fails, all get the failure.
+        """
         begin = time.perf_counter()
         answer: messages.Answer | FaultError
         try:
@@ -477,7 +507,10 @@ class BatchSession:
 
 
 def in_lockstep(tasks: Sequence[Callable[[], R]]) -> list[R]:
-    """Run tasks that each evaluate a log, and return their results; shared planners plan for all of them."""
+    """Run tasks that each evaluate a log, and return their results.
+
+    Shared planners plan for all of them.
+    """
     logs = [BatchLog(task) for task in tasks]
     session: BatchSession | None = None
     try:

@@ -1,26 +1,34 @@
-"""A small process with loaded modules and without logs, from which the planners' processes are forked.
+"""A small process with loaded modules and without logs, from which the planners' processes are
+forked.
 
-    python -P -m replan.replay.planner_process.launcher      its control socket is its stdin; replan starts it
+    python -P -m replan.replay.planner_process.launcher      its control socket is its stdin; replan
+        starts it
     (`replan.replay.planner_process.processes`)
 
-It has imported what every Python planner needs, and never holds a frame, so that a process for a drive starts in
-milliseconds and has no data of earlier drives. The control socket carries JSON, one message a line:
+It has imported what every Python planner needs, and never holds a frame, so that a process for a
+drive starts in milliseconds and has no data of earlier drives. The control socket carries JSON, one
+message a line:
 
-    {"start": KEY, "argv": [...] or null, "memory": bytes or 0}    with three descriptors: stdin, stdout, stderr of it
-    {"start": KEY, "load": [planner, settings], "memory": ...}     with one: the control socket of a template
+    {"start": KEY, "argv": [...] or null, "memory": bytes or 0}    with three descriptors: stdin,
+        stdout, stderr of it
+    {"start": KEY, "load": [planner, settings], "memory": ...}     with one: the control socket of a
+        template
     {"kill": KEY}                                    the process and its group
-    {"ended": KEY, "status": wait status}            the reply, once for each process that was started
+    {"ended": KEY, "status": wait status}            the reply, once for each process that was
+        started
 
-`argv` null is a Python planner (`replan.replay.planner_process.child`), else a program. When the control socket closes, all
-are killed.
+`argv` null is a Python planner (`replan.replay.planner_process.child`), else a program. When the
+control socket closes, all are killed.
 
-A template is a fork of this process that has also loaded a planner's module (`child.load`): it sends `{"unfit":
-reason}`, and if the reason is empty, it serves requests as this process does, on its own control socket. Threads, open
-files and connections, and own processes make it unfit, because a fork would share them between drives, or break them.
+A template is a fork of this process that has also loaded a planner's module (`child.load`): it
+sends `{"unfit": reason}`, and if the reason is empty, it serves requests as this process does, on
+its own control socket. Threads, open files and connections, and own processes make it unfit,
+because a fork would share them between drives, or break them.
 
-A planner may start processes in their own sessions, outside of its process group. On Linux each of these processes is a
-subreaper (`prctl`): orphans become its children. So a planner's process keeps its descendants as long as it runs; when
-it has ended, those that are left become children of this process, which kills them.
+A planner may start processes in their own sessions, outside of its process group. On Linux each of
+these processes is a subreaper (`prctl`): orphans become its children. So a planner's process keeps
+its descendants as long as it runs; when it has ended, those that are left become children of this
+process, which kills them.
 """
 
 from __future__ import annotations
@@ -45,7 +53,10 @@ from replan.core.errors import raised
 from replan.replay.planner_process import child
 
 PDEATHSIG, CHILD_SUBREAPER = 1, 36
-"""Options of `prctl` (Linux): the signal when the parent dies; whether orphans become children of the process."""
+"""Options of `prctl` (Linux): the signal when the parent dies.
+
+Whether orphans become children of the process.
+"""
 ENDING_S = 2.0  # Time limit for a template to end with all its processes when this process ends, s
 
 
@@ -65,7 +76,8 @@ class ForkServer:
     """Serves the requests on a control socket: forks processes and kills them."""
 
     control: socket.socket
-    # Whether a fork keeps the state of `random`, which the planner's module may have set, and which Python reseeds
+    # Whether a fork keeps the state of `random`, which the planner's module may have set, and which
+    # Python reseeds
     seed: bool = False
     # The requests of running processes, by process id
     live: dict[int, dict[str, Any]] = field(default_factory=dict)
@@ -152,7 +164,10 @@ class ForkServer:
 
 
 def children() -> set[int]:
-    """Processes whose parent is this one, as Linux lists them; none on other systems, where it adopts no orphans."""
+    """Processes whose parent is this one, as Linux lists them.
+
+    None on other systems, where it adopts no orphans.
+    """
     found = set[int]()
     for task in Path("/proc/self/task").glob("*/stat"):
         found |= {int(word) for word in (task.parent / "children").read_text().split()}
@@ -166,7 +181,9 @@ def _kill(pid: int) -> None:
 
 
 def _become(request: dict[str, Any], given: list[int], parent: int) -> NoReturn:
-    """The planner's process, or a template of it, after the fork; `parent` is the process that has forked."""
+    """The planner's process, or a template of it, after the fork; `parent` is the process that has
+    forked.
+    """
     code = 1
     try:
         os.setsid()
@@ -234,7 +251,10 @@ def _unfit(before: set[int]) -> str:
 
 
 def _threads() -> int:
-    """The number of threads of this process; on other systems than Linux, of those that Python knows."""
+    """The number of threads of this process.
+
+    On other systems than Linux, of those that Python knows.
+    """
     tasks = Path("/proc/self/task")
     return len(list(tasks.iterdir())) if tasks.is_dir() else threading.active_count()
 
@@ -258,7 +278,9 @@ def _execute(argv: list[str]) -> NoReturn:
 
 
 def _limit(memory: int) -> None:
-    """Bound the memory, write no core file, and be killed first if the system runs out of memory (Linux)."""
+    """Bound the memory, write no core file, and be killed first if the system runs out of memory
+    (Linux).
+    """
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     if memory:
         resource.setrlimit(resource.RLIMIT_DATA, (memory, memory))

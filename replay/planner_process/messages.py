@@ -1,17 +1,20 @@
 """The messages between replan and a planner in another process, version 1.
 
-On the wire each is 4 bytes, the length of the rest (little-endian, unsigned), and a MessagePack map of the fields
-below; "type" names the message. Replan sends the first message:
+On the wire each is 4 bytes, the length of the rest (little-endian, unsigned), and a MessagePack map
+of the fields below; "type" names the message. Replan sends the first message:
 
-    replan   hello                 frame          frame         ...  closes the channel: the drive is over
+    replan   hello                 frame          frame         ...  closes the channel: the drive
+             is over
     planner         ready | failed       plan           plan | failed
 
-A column is a MessagePack binary of little-endian float64, or (from the planner) an array of numbers; points are x, y
-after one another. Frames, units and signs are those of `logs`: world frame, SI, the ego's reference point is its rear
-axle, an agent's the centre of its box. A reader skips the fields that it does not know, and a planner should, too.
+A column is a MessagePack binary of little-endian float64, or (from the planner) an array of
+numbers; points are x, y after one another. Frames, units and signs are those of `logs`: world
+frame, SI, the ego's reference point is its rear axle, an agent's the centre of its box. A reader
+skips the fields that it does not know, and a planner should, too.
 
-Lanes, stop lines, crosswalks, goals, the ego's state, the vehicle and the visibility are the nouns themselves, with
-arrays as columns (`replan.logs.codec`). The other nouns have a message here, because some of their fields are not sent.
+Lanes, stop lines, crosswalks, goals, the ego's state, the vehicle and the visibility are the nouns
+themselves, with arrays as columns (`replan.logs.codec`). The other nouns have a message here,
+because some of their fields are not sent.
 """
 
 from __future__ import annotations
@@ -41,7 +44,9 @@ from replan.logs.vehicle import VehicleParameters
 
 SCHEMA_VERSION = 1
 LARGEST_BYTES = 64 << 20
-"""The largest length of a planner's message: any four text characters, read as a length, exceed it."""
+"""The largest length of a planner's message: any four text characters, read as a length, exceed
+it.
+"""
 MOST_POINTS = (
     # States of a trajectory: 100 s at 100 Hz. A longer plan is refused
     # (`replan.replay.loop.plan_check`).
@@ -50,7 +55,10 @@ MOST_POINTS = (
 LONGEST_REASON = 1000  # Characters of a reason or an error message. A longer one is cut and marked.
 MOST_STAGES = 100  # Stages of a plan; `dp_qp` has about 10
 LARGEST_INSIDE_BYTES = 8 << 20
-"""Largest size of the internals and timings of one plan, as MessagePack; those of `dp_qp` have about 10 KiB."""
+"""Largest size of the internals and timings of one plan, as MessagePack.
+
+Those of `dp_qp` have about 10 KiB.
+"""
 
 
 class Road(msgspec.Struct):
@@ -65,7 +73,10 @@ class Road(msgspec.Struct):
 
 
 class Context(msgspec.Struct):
-    """`replan.logs.frame.PlannerContext`: constant in a drive. Older planners do not read `goal.alternatives`."""
+    """`replan.logs.frame.PlannerContext`: constant in a drive.
+
+    Older planners do not read `goal.alternatives`.
+    """
 
     road: Road
     goal: Goal | None
@@ -76,7 +87,10 @@ class Context(msgspec.Struct):
 
 
 class Hello(msgspec.Struct, tag="hello"):
-    """The drive begins; answered by `Ready`. `config` is the planner's table; `keep_internals` asks for internals."""
+    """The drive begins; answered by `Ready`.
+
+    `config` is the planner's table; `keep_internals` asks for internals.
+    """
 
     schema: int
     planner: str
@@ -86,7 +100,10 @@ class Hello(msgspec.Struct, tag="hello"):
 
 
 class Describe(msgspec.Struct, tag="describe"):
-    """Before any drive, to Python planners only: checks that it loads and can plan a batch; asks for its settings."""
+    """Before any drive, to Python planners only: checks that it loads and can plan a batch.
+
+    Asks for its settings.
+    """
 
     planner: str
     config: dict[str, Any]
@@ -94,7 +111,8 @@ class Describe(msgspec.Struct, tag="describe"):
 
 
 class Agents(msgspec.Struct):
-    """`replan.logs.agents.Agents`: columns `(n,)`; the last three are empty if they are unknown for all agents.
+    """`replan.logs.agents.Agents`: columns `(n,)`; the last three are empty if they are unknown for
+    all agents.
 
     Versions of replan before `age` did not send them, and planners of that time do not read them.
     """
@@ -116,7 +134,9 @@ class Agents(msgspec.Struct):
 
 
 class Predictions(msgspec.Struct):
-    """`replan.logs.frame.Predictions`: x, y, yaw row by row `(n, k)`; `agent` are places in `Agents`."""
+    """`replan.logs.frame.Predictions`: x, y, yaw row by row `(n, k)`; `agent` are places in
+    `Agents`.
+    """
 
     t: bytes
     agent: list[int]
@@ -162,7 +182,8 @@ class Plan(msgspec.Struct, tag="plan", omit_defaults=True):
 
     Attributes:
         trajectory: The trajectory from the frame's time on.
-        status: planned, previous, comfortable_stop, hard_stop or refused: all but the first need a reason.
+        status: planned, previous, comfortable_stop, hard_stop or refused: all but the first need a
+            reason.
         reason: The reason, in one sentence.
         start: ego or previous_plan.
         laps: Durations of stages by name, s.
@@ -178,7 +199,9 @@ class Plan(msgspec.Struct, tag="plan", omit_defaults=True):
 
 
 class Frame(msgspec.Struct, tag="frame"):
-    """`replan.logs.frame.Frame`: answered by `Plan`; `previous` is the plan being driven, without its internals."""
+    """`replan.logs.frame.Frame`: answered by `Plan`; `previous` is the plan being driven, without
+    its internals.
+    """
 
     t: float
     ego: EgoState
@@ -215,13 +238,19 @@ class Failed(msgspec.Struct, tag="failed"):
 
 
 class Hellos(msgspec.Struct, tag="hellos"):
-    """To Python planners only: the drives of several logs begin; answered by `Answers`, or `Failed` for all."""
+    """To Python planners only: the drives of several logs begin.
+
+    Answered by `Answers`, or `Failed` for all.
+    """
 
     each: list[Hello]
 
 
 class Frames(msgspec.Struct, tag="frames"):
-    """To Python planners only: a step of these drives (`seats` are places in `Hellos`); answered as `Hellos`."""
+    """To Python planners only: a step of these drives (`seats` are places in `Hellos`).
+
+    Answered as `Hellos`.
+    """
 
     seats: list[int]
     each: list[Frame]
@@ -238,7 +267,9 @@ Answer = Ready | Described | Plan | Failed | Answers
 
 
 def encode(message: object) -> bytes:
-    """Encode a message, or a struct with messages, as MessagePack; TypeError if a value cannot be sent."""
+    """Encode a message, or a struct with messages, as MessagePack; TypeError if a value cannot be
+    sent.
+    """
     return msgspec.msgpack.encode(message, enc_hook=array_as_bytes)
 
 
@@ -309,8 +340,8 @@ def plan_message(
 def plan_of(message: Plan) -> nouns.Plan:
     """The plan of a message.
 
-    ValueError if `Trajectory` refuses it, its status or start is unknown, it has too many stages, or its inside does
-    not fit or is too large.
+    ValueError if `Trajectory` refuses it, its status or start is unknown, it has too many stages,
+    or its inside does not fit or is too large.
     """
     size = (
         len(msgspec.msgpack.encode((message.laps, message.inside)))
@@ -326,7 +357,8 @@ def plan_of(message: Plan) -> nouns.Plan:
     for name, known in (("status", nouns.PlanStatus), ("start", nouns.PlanStart)):
         if getattr(message, name).upper() not in known.__members__:
             raise ValueError(
-                f"{name} '{getattr(message, name)}' is none of {', '.join(known.__members__).lower()}"
+                f"{name} '{getattr(message, name)}' is none of "
+                f"{', '.join(known.__members__).lower()}"
             )
     columns = (unpacked(getattr(message.trajectory, name)) for name in TRAJECTORY_COLUMNS)
     status, start = nouns.PlanStatus[message.status.upper()], nouns.PlanStart[message.start.upper()]

@@ -1,4 +1,6 @@
-"""Finds the factory of a named planner, where it runs, and the keywords of its configuration table."""
+"""Finds the factory of a named planner, where it runs, and the keywords of its configuration
+table.
+"""
 
 from __future__ import annotations
 
@@ -31,16 +33,21 @@ def is_apart(spec: str, apart: PlannerProcessConfig) -> bool:
 
 
 def planner_part(spec: str, settings: Mapping[str, Any] = MappingProxyType({})) -> Part:
-    """The planner or oracle of a name, loaded into Python; ConfigError if it is a program or a node."""
+    """The planner or oracle of a name, loaded into Python; ConfigError if it is a program or a
+    node.
+    """
     if spec.partition(":")[0] in ("exec", "tcp"):
         raise ConfigError(
-            f"planner '{spec}': write exec:COMMAND or tcp://HOST:PORT; neither is loaded into Python"
+            f"planner '{spec}': write exec:COMMAND or tcp://HOST:PORT; neither is loaded into "
+            "Python"
         )
     return Part(PLANNER, spec, settings)
 
 
 def of_class(factory: Factory, name: str) -> Callable[..., Any] | None:
-    """A class method or static method of a planner class; None if it has none, or only an instance method."""
+    """A class method or static method of a planner class; None if it has none, or only an instance
+    method.
+    """
     shared = isinstance(getattr_static(factory, name, None), classmethod | staticmethod)
     return getattr(factory, name) if shared else None
 
@@ -52,8 +59,9 @@ _prepared: dict[Factory, Mapping[str, Any]] = {}
 def prepared(spec: str, keywords: Mapping[str, Any]) -> Factory:
     """The factory of the planner, after it has loaded the data that all its drives share.
 
-    A class may have a class method `prepare(**keywords)`, which gets the keywords of the planner before it is built
-    with them. It is called once per process, and once in the process from which those of drives are forked.
+    A class may have a class method `prepare(**keywords)`, which gets the keywords of the planner
+    before it is built with them. It is called once per process, and once in the process from which
+    those of drives are forked.
     """
     factory = planner_part(spec).factory
     prepare = of_class(factory, "prepare")

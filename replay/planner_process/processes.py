@@ -1,9 +1,10 @@
-"""The worker's side of the launcher: it starts a process for a planner within milliseconds, and ends it.
+"""The worker's side of the launcher: it starts a process for a planner within milliseconds, and
+ends it.
 
-One launcher serves a worker as long as its Python path, folder and environment do not change; it ends with the worker,
-and so do all processes that it has started. Within a run (`set_template_run`) the drives of a planner are forked from a
-template, which has loaded its module once; if there cannot be a template, from the launcher, and each loads the module
-itself.
+One launcher serves a worker as long as its Python path, folder and environment do not change; it
+ends with the worker, and so do all processes that it has started. Within a run (`set_template_run`)
+the drives of a planner are forked from a template, which has loaded its module once; if there
+cannot be a template, from the launcher, and each loads the module itself.
 """
 
 from __future__ import annotations
@@ -47,10 +48,15 @@ ENVIRONMENT = (
     "VIRTUAL_ENV",
     "COVERAGE_",
 )
-"""Environment variables, or prefixes of their names, that are passed on, because programs need them to start."""
+"""Environment variables, or prefixes of their names, that are passed on, because programs need them
+to start.
+"""
 GRACE_S = 1.0  # Time limit for a planner to end by itself after its drive, s
 KILLED_S = 10.0
-"""Time limit for the system to report the end of a killed process, s; on a busy machine, that takes seconds."""
+"""Time limit for the system to report the end of a killed process, s.
+
+On a busy machine, that takes seconds.
+"""
 
 
 @dataclass(frozen=True)
@@ -59,8 +65,8 @@ class Load:
 
     planner: str  # "module:Class"
     settings: bytes  # Its table in the configuration, MessagePack
-    # Whether it serves the second drive of a log's start (`replan.replay.loop.planning`). That has a template of its own, as a
-    # module may draw or read something else each time it is imported.
+    # Whether it serves the second drive of a log's start (`replan.replay.loop.planning`). That has
+    # a template of its own, as a module may draw or read something else each time it is imported.
     again: bool = False
 
 
@@ -82,7 +88,10 @@ class Process:
         self.channel.close()
 
     def ending(self) -> str:
-        """How the process ended, in words. A process that has only closed its output is killed first."""
+        """How the process ended, in words.
+
+        A process that has only closed its output is killed first.
+        """
         status = self._forks.status(self._key, GRACE_S)
         runs = status is None
         # It runs, or its end is not reported yet: a signal does not change the status of that
@@ -105,9 +114,10 @@ def start_process(
 ) -> Process:
     """A new process of a program or of a Python planner (`replan.replay.planner_process.child`).
 
-    `argv`: the program and its arguments; None: a Python planner. `limits`: limits of its memory, and of the time to
-    load its template. `load`: the planner of its template, within a run; None: it starts without a template.
-    ConfigError if the system cannot pass descriptors between processes.
+    `argv`: the program and its arguments; None: a Python planner. `limits`: limits of its memory,
+    and of the time to load its template. `load`: the planner of its template, within a run; None:
+    it starts without a template. ConfigError if the system cannot pass descriptors between
+    processes.
     """
     if not hasattr(socket, "send_fds"):
         raise ConfigError(
@@ -138,8 +148,8 @@ def start_process(
 def set_template_run(run: str) -> None:
     """From now on, load a planner's module once in this process for all drives of a run.
 
-    `run`: its name. Templates of another run are dropped, as the files may have changed since. "": no run; each drive
-    loads the module itself.
+    `run`: its name. Templates of another run are dropped, as the files may have changed since. "":
+    no run; each drive loads the module itself.
     """
     if _warm.get("run", "") != run:
         _warm["run"] = run
@@ -230,7 +240,9 @@ class ForkClient:
 
 
 class Launcher:
-    """The process of `replan.replay.planner_process.launcher`, and its templates by what they load."""
+    """The process of `replan.replay.planner_process.launcher`, and its templates by what they
+    load.
+    """
 
     def __init__(self, environment: Mapping[str, str]) -> None:
         control, theirs = socket.socketpair()
@@ -252,7 +264,9 @@ class Launcher:
         return self.close.alive and self._process.poll() is None
 
     def template(self, load: Load, limits: PlannerProcessConfig) -> ForkClient | None:
-        """The template that has loaded a planner; None if that takes too long, or it must not be forked."""
+        """The template that has loaded a planner; None if that takes too long, or it must not be
+        forked.
+        """
         found = self.templates.get(load)
         if found is not None and self.forks.status(found.key, 0.0) is not None:
             del self.templates[load]  # it has died
@@ -287,4 +301,6 @@ def _end_launcher(
 # Held while a process is started: threads that start planners at once share the launcher
 _starting = threading.Lock()
 _warm: dict[str, Any] = {}
-"""State of this process: `launcher`; `for`: the settings that it was started with; `run`: the current run."""
+"""State of this process: `launcher`; `for`: the settings that it was started with; `run`: the
+current run.
+"""

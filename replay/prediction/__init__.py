@@ -1,8 +1,10 @@
-"""Predicts the futures of the other road users at a frame; the loop puts them into `Frame.predictions`.
+"""Predicts the futures of the other road users at a frame; the loop puts them into
+`Frame.predictions`.
 
-A predictor receives only the lanes and the agents as perceived at one instant: it has no memory and no access to the
-log. Its settings are keywords. To add one, write a function and list it in `replan.replay.parts`; `replan list predictions`
-shows the first line of its docstring. "oracle", the log's own future, is made by `replan.replay.perception`.
+A predictor receives only the lanes and the agents as perceived at one instant: it has no memory and
+no access to the log. Its settings are keywords. To add one, write a function and list it in
+`replan.replay.parts`; `replan list predictions` shows the first line of its docstring. "oracle",
+the log's own future, is made by `replan.replay.perception`.
 """
 
 from __future__ import annotations
@@ -44,7 +46,9 @@ def pedestrian(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
 
 
 def lanes_and_pedestrians(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
-    """Vehicles follow their lanes, pedestrians go on, stop or turn back, others keep a constant turn rate."""
+    """Vehicles follow their lanes, pedestrians go on, stop or turn back, others keep a constant
+    turn rate.
+    """
     return _instead(everybody(agents, t, lanes), walkers(agents, t, lanes))
 
 
@@ -58,9 +62,11 @@ def predict(
     lanes: LaneMap = NO_LANES,
     predictor: Predictor | None = None,
 ) -> Predictions:
-    """Predict the futures of `agents`, perceived at `t`, on the grid t, t + step, ... t + horizon (s).
+    """Predict the futures of `agents`, perceived at `t`, on the grid t, t + step, ... t + horizon
+    (s).
 
-    Every agent has at least one hypothesis; each begins at the agent's position. They are in the order of the agents.
+    Every agent has at least one hypothesis; each begins at the agent's position. They are in the
+    order of the agents.
 
     Args:
         agents: The agents as perceived.
@@ -68,7 +74,8 @@ def predict(
         horizon: Length of the prediction, s.
         step: Time between two samples, s.
         method: Its name, or "module:function".
-        lanes: `LaneMap.of(road)`, made once per scenario; by default no lanes are known, and no agent follows one.
+        lanes: `LaneMap.of(road)`, made once per scenario; by default no lanes are known, and no
+            agent follows one.
         predictor: The predictor of the name `method`, if it is already loaded.
 
     Raises:
@@ -84,7 +91,9 @@ def predict(
 
 
 def _instead(general: Predictions, special: Predictions) -> Predictions:
-    """Return `general`, with the hypotheses of the agents in `special` replaced by those of `special`."""
+    """Return `general`, with the hypotheses of the agents in `special` replaced by those of
+    `special`.
+    """
     rest = np.flatnonzero(~np.isin(general.agent, special.agent))
     agent = np.r_[general.agent[rest], special.agent]
     order = np.argsort(agent, kind="stable")

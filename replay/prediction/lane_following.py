@@ -1,21 +1,25 @@
 """Predicts vehicles that follow their lanes.
 
-A vehicle is on the lanes that contain its centre and have its direction (`lane_map.matches`). If its lateral motion
-takes it over the marking within `CHANGE_S`, it is assigned to the neighbouring lane, and so completes the lane change.
-From a lane it continues into the successors, with one hypothesis per successor that is possible at its speed.
+A vehicle is on the lanes that contain its centre and have its direction (`lane_map.matches`). If
+its lateral motion takes it over the marking within `CHANGE_S`, it is assigned to the neighbouring
+lane, and so completes the lane change. From a lane it continues into the successors, with one
+hypothesis per successor that is possible at its speed.
 
 Along the lane, with station s, offset l, speed v, lane curvature kappa; theta = distance / v_0:
 
-(1) v = v_0 + a_0 T_a (1 - exp(-t / T_a)), not negative: the acceleration decays; and v^2 <= A / |kappa| where a
-    deceleration of B suffices for it
-(2) l goes from l_0 to l_end = l_0 + l_dot T as the lateral speed decays with T: l = l_end - l_dot T exp(-theta / T);
+(1) v = v_0 + a_0 T_a (1 - exp(-t / T_a)), not negative: the acceleration decays;
+        and v^2 <= A / |kappa| where a deceleration of B suffices for it
+(2) l goes from l_0 to l_end = l_0 + l_dot T as the lateral speed decays with T:
+        l = l_end - l_dot T exp(-theta / T);
     l_end is limited so that the vehicle's side stays within the marking: with e_0 = l_0 - l_end
-    l = l_end + (e_0 + (l_dot + e_0 / T) theta) exp(-theta / T)                          (the same, without the limit)
-(3) the heading is the lane's plus atan2(l_dot, s_dot) plus the initial difference, which fades over `TURN_M`
+    l = l_end + (e_0 + (l_dot + e_0 / T) theta) exp(-theta / T)
+        (the same, without the limit)
+(3) the heading is the lane's plus atan2(l_dot, s_dot) plus the initial difference, which fades over
+    `TURN_M`
 
-Weights: exp(-m / 2) for a lane of misfit m (`matches`), exp(-|w| / `TURN_RAD`) for a branch that turns by w. Hypotheses
-below `LEAST` are dropped; those of an agent sum to 1. Vehicles off the lanes, against them or in reverse, bicycles and
-pedestrians follow no lane.
+Weights: exp(-m / 2) for a lane of misfit m (`matches`), exp(-|w| / `TURN_RAD`) for a branch that
+turns by w. Hypotheses below `LEAST` are dropped; those of an agent sum to 1. Vehicles off the
+lanes, against them or in reverse, bicycles and pedestrians follow no lane.
 """
 
 from __future__ import annotations
@@ -64,7 +68,9 @@ HARDEST_MPS2 = 4.0
 TURN_M, TURN_RAD = 5.0, 1.5
 LEAST = 0.1
 WAYS, MATCHED, DEEPEST = 4, 3, 48
-"""Greatest numbers of hypotheses of an agent, of lanes that it may be on, and of lanes in a sequence."""
+"""Greatest numbers of hypotheses of an agent, of lanes that it may be on, and of lanes in a
+sequence.
+"""
 KNOT_M, FAR_M = 2.0, 1e6
 FOLLOWING = (AgentKind.CAR, AgentKind.TRUCK, AgentKind.BUS, AgentKind.MOTORCYCLE)
 FOLLOW = among(*FOLLOWING)
@@ -76,7 +82,10 @@ def followers(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
 
 
 def everybody(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
-    """Vehicles follow their lanes; all that follow none keep a constant turn rate, pedestrians go straight on."""
+    """Vehicles follow their lanes.
+
+    All that follow none keep a constant turn rate, pedestrians go straight on.
+    """
     return _predict_vehicles(agents, t, lanes, others=True)
 
 
@@ -112,10 +121,12 @@ class LaneWays(NamedTuple):
 def _predict_all(
     map_: LaneSamples, codes: IntArray, rows: FloatArray, t: FloatArray, others: bool
 ) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Return hypotheses in the order of the agents: agent `(h,)`, probability `(h,)`, rows x, y, yaw `(3, h, k)`.
+    """Return hypotheses in the order of the agents: agent `(h,)`, probability `(h,)`, rows x, y,
+    yaw `(3, h, k)`.
 
-    `rows` `(n, 9)`: the agents (`COLUMNS`), whose yaw rates are limited in place; `t` `(k,)`: times, s, from now on.
-    `others`: whether agents without a lane keep a constant turn rate; otherwise they are left out.
+    `rows` `(n, 9)`: the agents (`COLUMNS`), whose yaw rates are limited in place; `t` `(k,)`:
+    times, s, from now on. `others`: whether agents without a lane keep a constant turn rate;
+    otherwise they are left out.
     """
     n, most, follows, ahead = len(codes), 0, FOLLOW[codes], t - t[0]
     for i in range(n):
@@ -171,7 +182,10 @@ def _copy_way(ways: LaneWays, h: int, to: LaneWays, k: int, share: float) -> Non
 
 @inner_kernel
 def _find_ways(map_: LaneSamples, vehicle: FloatArray, horizon: float, ways: LaneWays) -> int:
-    """Find the lane sequences that a vehicle (`COLUMNS`) may drive within the horizon (s); return their number."""
+    """Find the lane sequences that a vehicle (`COLUMNS`) may drive within the horizon (s).
+
+    Return their number.
+    """
     lanes, found = np.empty(MATCHED, np.int64), np.empty((MATCHED, 4))
     count = matches(map_, vehicle[X], vehicle[Y], vehicle[YAW], lanes, found)
     speed = hypot(vehicle[VX], vehicle[VY])
@@ -212,7 +226,9 @@ def _find_ways(map_: LaneSamples, vehicle: FloatArray, horizon: float, ways: Lan
 def _velocity_along_lane(
     map_: LaneSamples, lane: int, s: float, vehicle: FloatArray
 ) -> tuple[float, float]:
-    """Return the velocity of a vehicle along and across (to the left of) a lane at its foot, m/s."""
+    """Return the velocity of a vehicle along and across (to the left of) a lane at its foot,
+    m/s.
+    """
     yaw = lane_point(map_, lane, s)[2]
     cosine, sine = cos(yaw), sin(yaw)
     return vehicle[VX] * cosine + vehicle[VY] * sine, vehicle[VY] * cosine - vehicle[VX] * sine
@@ -233,7 +249,10 @@ def _turn(map_: LaneSamples, lane: int, s: float) -> float:
 def _extend_way(
     map_: LaneSamples, h: int, made: int, reach: float, speed: float, ways: LaneWays
 ) -> int:
-    """Extend sequence `h` to `reach` m from its start; forks add sequences. Return the number of sequences."""
+    """Extend sequence `h` to `reach` m from its start; forks add sequences.
+
+    Return the number of sequences.
+    """
     lanes, depth, share = ways.lanes, ways.depth, ways.share
     covered = -ways.start[h, 0]
     for d in range(depth[h]):
@@ -266,7 +285,10 @@ def _extend_way(
 
 @inner_kernel
 def _weight(map_: LaneSamples, lane: int, speed: float, away: float) -> float:
-    """Return the weight of a branch that begins `away` m ahead; almost 0 if the vehicle is too fast for it."""
+    """Return the weight of a branch that begins `away` m ahead.
+
+    Almost 0 if the vehicle is too fast for it.
+    """
     weight = exp(-_turn(map_, lane, 0.0) / TURN_RAD)
     tightest = map_.tightest[lane]
     if (
@@ -292,7 +314,10 @@ def _on_way(map_: LaneSamples, way: IntArray, s: float) -> tuple[float, float, f
 
 @inner_kernel
 def _in_bends(map_: LaneSamples, way: IntArray, s: float, speed: float, reach: float) -> FloatArray:
-    """Return the squared speeds that the bends allow (1), every `KNOT_M` from station `s`; not above `speed`."""
+    """Return the squared speeds that the bends allow (1), every `KNOT_M` from station `s`.
+
+    Not above `speed`.
+    """
     count = int(reach / KNOT_M) + 2
     square = np.empty(count)
     for i in range(count):
@@ -346,7 +371,10 @@ def _roll_out(
     dying: FloatArray,
     out: FloatArray,
 ) -> None:
-    """Follow a lane sequence (1)-(3): write rows x, y, yaw `(3, k)` to `out`; the first is the vehicle's pose."""
+    """Follow a lane sequence (1)-(3): write rows x, y, yaw `(3, k)` to `out`.
+
+    The first is the vehicle's pose.
+    """
     s, left, half = start[0], start[1], start[2]
     along, across = _velocity_along_lane(map_, way[0], s, vehicle)
     speed = max(along, 0.0)

@@ -1,8 +1,10 @@
 """The lanes of a road as flat arrays, made once per scenario, and the kernels that query them.
 
-A lane's centre line is resampled to about `SPACING_M`; a point at station s and offset l (to the left) of a lane is
+A lane's centre line is resampled to about `SPACING_M`; a point at station s and offset l (to the
+left) of a lane is
 
-(1) p = r(s) + l n(s)      r and the heading of its tangent interpolated linearly between samples, n turned left of it
+(1) p = r(s) + l n(s)
+        r and the heading of its tangent interpolated linearly between samples, n turned left of it
 """
 
 from __future__ import annotations
@@ -31,7 +33,9 @@ ASKEW_RAD = 0.25 * pi
 
 ROAD_STEP_M = 0.25
 OUTSIDE = 100.0
-"""Additional misfit of a lane that does not contain the box's centre: it is used only if no lane contains it."""
+"""Additional misfit of a lane that does not contain the box's centre: it is used only if no lane
+contains it.
+"""
 
 
 class LaneSamples(NamedTuple):
@@ -40,12 +44,16 @@ class LaneSamples(NamedTuple):
     Attributes:
         first: `(n + 1,)`.
         step: `(n,)` m between two samples; the samples of a lane are equally spaced.
-        tightest: `(n,)` greatest curvature, 1/m, not negative; `widest` half of the greatest width, m.
+        tightest: `(n,)` greatest curvature, 1/m, not negative; `widest` half of the greatest width,
+            m.
         pose: Rows x, y, yaw (continuous within a lane), kappa, half of the lane's width `(5, m)`.
-        box: `(n, 4)` least x, y, greatest x, y of the centre line widened by half of the lane's width.
-        next_first: `(n + 1,)`: lane i continues in the lanes `following[next_first[i] : next_first[i + 1]]`.
+        box: `(n, 4)` least x, y, greatest x, y of the centre line widened by half of the lane's
+            width.
+        next_first: `(n + 1,)`: lane i continues in the lanes
+            `following[next_first[i] : next_first[i + 1]]`.
         following: Indices of lanes.
-        beside: `(n, 2)` index of the lane to the left and to the right in the same direction, -1: none.
+        beside: `(n, 2)` index of the lane to the left and to the right in the same direction, -1:
+            none.
     """
 
     first: IntArray
@@ -71,7 +79,10 @@ class LaneMap:
 
     @classmethod
     def of(cls, road: Road) -> LaneMap:
-        """Return the drivable lanes of a road; made once and shared by perception and traffic of all its drives."""
+        """Return the drivable lanes of a road.
+
+        Made once and shared by perception and traffic of all its drives.
+        """
         return cls(_arrays(road))
 
     @classmethod
@@ -130,7 +141,10 @@ def _arrays(road: Road) -> LaneSamples:
 
 @kernel
 def lane_point(map_: LaneSamples, lane: int, s: float) -> tuple[float, float, float, float]:
-    """Return x, y, yaw, kappa of a lane's centre line at station `s`; it is straight beyond its ends."""
+    """Return x, y, yaw, kappa of a lane's centre line at station `s`.
+
+    It is straight beyond its ends.
+    """
     first, last = map_.first[lane], map_.first[lane + 1] - 1
     u = s / map_.step[lane]
     i = min(max(int(u), 0), last - first - 1)
@@ -151,9 +165,10 @@ def lane_project(
 ) -> tuple[float, float, float]:
     """Return station, offset to the left and half of the lane's width (m) at the foot of a point.
 
-    The foot is the nearest point of the polyline; beyond the lane's ends the station is outside of [0, length]. If the
-    polyline is farther away than `within` m, the offset is inf. The search skips samples that cannot be nearer than the
-    best one or `within`, since neighbours are at most one step apart.
+    The foot is the nearest point of the polyline; beyond the lane's ends the station is outside of
+    [0, length]. If the polyline is farther away than `within` m, the offset is inf. The search
+    skips samples that cannot be nearer than the best one or `within`, since neighbours are at most
+    one step apart.
     """
     first, last, step = map_.first[lane], map_.first[lane + 1] - 1, map_.step[lane]
     best, nearest, i = first, within + step, first
@@ -190,7 +205,8 @@ def lane_project(
 def matches(
     map_: LaneSamples, x: float, y: float, yaw: float, lanes: IntArray, found: FloatArray
 ) -> int:
-    """Find the lanes that a vehicle may be driving on, by misfit; of equal lanes (on a marking), the first comes first.
+    """Find the lanes that a vehicle may be driving on, by misfit; of equal lanes (on a marking),
+    the first comes first.
 
     Args:
         map_: The lanes.
@@ -198,8 +214,8 @@ def matches(
         y: m.
         yaw: Heading.
         lanes: Out `(k,)`: their indices.
-        found: Out `(k, 4)`: station, offset, half of the lane's width, and misfit: (l / half)^2 + (heading difference /
-            0.3 rad)^2, plus `OUTSIDE` if the lane does not contain the point.
+        found: Out `(k, 4)`: station, offset, half of the lane's width, and misfit: (l / half)^2 +
+            (heading difference / 0.3 rad)^2, plus `OUTSIDE` if the lane does not contain the point.
 
     Returns:
         The number of lanes found, at most k.
@@ -242,7 +258,9 @@ def matches(
 def road_ahead(
     map_: LaneSamples, x: float, y: float, toward_x: float, toward_y: float, reach: float
 ) -> float:
-    """Return the distance to the first lane in a direction (unit vector), m: 0 on a lane, inf if none within reach."""
+    """Return the distance to the first lane in a direction (unit vector), m: 0 on a lane, inf if
+    none within reach.
+    """
     steps = int(reach / ROAD_STEP_M) + 1
     for k in range(steps):
         px, py = x + k * ROAD_STEP_M * toward_x, y + k * ROAD_STEP_M * toward_y

@@ -1,23 +1,29 @@
-"""Futures of road users that follow no lane: straight, along a circle; several hypotheses for each pedestrian.
+"""Futures of road users that follow no lane: straight, along a circle; several hypotheses for each
+pedestrian.
 
 (1) constant velocity: p(t + tau) = p(t) + v(t) tau with constant heading
-(2) constant turn rate and velocity: the velocity vector turns with the yaw rate w, so the motion in tau is a chord of
-    length |v| tau sin(h) / h in the direction of v turned by h = w tau / 2; the heading turns by w tau
+(2) constant turn rate and velocity: the velocity vector turns with the yaw rate w,
+        so the motion in tau is a chord of
+    length |v| tau sin(h) / h in the direction of v turned by h = w tau / 2;
+        the heading turns by w tau
 
-Pedestrians go on, stop, or turn back. The hypotheses and their probabilities depend on what the pedestrian does and
-where (`SHARES`): walk on a lane, walk towards a lane that they reach within `LOOK_S`, walk elsewhere, stand on a lane,
-stand elsewhere. A pedestrian slows if its acceleration is below `SLOWING_MPS2` (backward difference). The shares are
-cautious assumptions, not fitted to data: most pedestrians on the road go on; those who slow down at the kerb mostly
-wait there; those who have just stopped may start again.
+Pedestrians go on, stop, or turn back. The hypotheses and their probabilities depend on what the
+pedestrian does and where (`SHARES`): walk on a lane, walk towards a lane that they reach within
+`LOOK_S`, walk elsewhere, stand on a lane, stand elsewhere. A pedestrian slows if its acceleration
+is below `SLOWING_MPS2` (backward difference). The shares are cautious assumptions, not fitted to
+data: most pedestrians on the road go on; those who slow down at the kerb mostly wait there; those
+who have just stopped may start again.
 
-The hypotheses, with the speed v at the frame (walking: from `WALKING_MPS` on), the direction of the velocity (or of the
-heading, if standing), and the time tau since the frame:
+The hypotheses, with the speed v at the frame (walking: from `WALKING_MPS` on), the direction of the
+velocity (or of the heading, if standing), and the time tau since the frame:
 
     goes on       at v; standing pedestrians start after `REACTION_S` at `START_MPS`
-    stops         brakes with `BRAKE_MPS2`; on the way to a lane, stops `KERB_M` before it, if braking allows
+    stops         brakes with `BRAKE_MPS2`; on the way to a lane, stops `KERB_M` before it, if
+                  braking allows
     turns back    stops as above, waits `PAUSE_S`, walks back at v, at least at `START_MPS`
 
-(3) walked(tau) = v tau until tau_b = D / v - v / (2 b), then braking with b to a stop at the distance D
+(3) walked(tau) = v tau until tau_b = D / v - v / (2 b),
+        then braking with b to a stop at the distance D
 """
 
 from __future__ import annotations
@@ -34,7 +40,9 @@ from replan.logs.frame import Predictions
 from replan.replay.prediction.lane_map import LaneMap, road_ahead
 
 COLUMNS = X, Y, YAW, VX, VY, RATE, WIDTH, ACCEL, COURSE = range(9)
-"""Columns of road users in kernels: pose, velocity, yaw rate, width, acceleration, direction of the velocity."""
+"""Columns of road users in kernels: pose, velocity, yaw rate, width, acceleration, direction of the
+velocity.
+"""
 SLOWEST_MPS = 1.0
 """Below this speed, changes of the heading are mostly noise: the turn rate is taken as zero."""
 MAX_LATERAL_MPS2 = 5.0
@@ -42,7 +50,9 @@ MAX_LATERAL_MPS2 = 5.0
 MAX_KAPPA = 0.2
 """Greatest curvature of a vehicle's path, 1/m."""
 ON_FOOT = among(AgentKind.PEDESTRIAN, AgentKind.OBJECT)
-"""Whether a kind (by code) turns on the spot or not at all: its yaw rate does not predict its path."""
+"""Whether a kind (by code) turns on the spot or not at all: its yaw rate does not predict its
+path.
+"""
 
 WALKING_MPS = 0.3
 SLOWING_MPS2 = -0.4
@@ -53,7 +63,9 @@ REACTION_S, START_MPS, PAUSE_S = 0.5, 1.2, 0.5
 
 
 def constant_velocity(agents: Agents, t: FloatArray) -> Predictions:
-    """Predict straight motion with the velocity vector (1): one hypothesis of probability 1 per agent."""
+    """Predict straight motion with the velocity vector (1): one hypothesis of probability 1 per
+    agent.
+    """
     ahead = t - t[0]
     n = len(agents)
     return Predictions(
@@ -69,14 +81,17 @@ def constant_velocity(agents: Agents, t: FloatArray) -> Predictions:
 
 @inner_kernel
 def turn_rate(code: int, speed: float, yaw_rate: float) -> float:
-    """Return the yaw rate to continue, rad/s: that of moving vehicles and bicycles, limited to what they can turn."""
+    """Return the yaw rate to continue, rad/s: that of moving vehicles and bicycles, limited to what
+    they can turn.
+    """
     most = min(MAX_LATERAL_MPS2 / max(speed, SLOWEST_MPS), MAX_KAPPA * speed)
     return 0.0 if ON_FOOT[code] or speed < SLOWEST_MPS else min(max(yaw_rate, -most), most)
 
 
 @inner_kernel
 def turned(one: FloatArray, ahead: FloatArray, out: FloatArray) -> None:
-    """Predict motion along a circle (2): rows x, y, yaw `(3, k)` in `out` of a road user (`COLUMNS`).
+    """Predict motion along a circle (2): rows x, y, yaw `(3, k)` in `out` of a road user
+    (`COLUMNS`).
 
     `ahead` `(k,)`: times from now, s.
     """
@@ -112,7 +127,9 @@ SHARES: dict[tuple[PedestrianPlace, bool], tuple[float, float, float]] = {
     (PedestrianPlace.STANDING, False): (0.0, 1.0, 0.0),
     (PedestrianPlace.STANDING, True): (0.2, 0.8, 0.0),
 }
-"""Probabilities of going on, stopping (or staying) and turning back, by place and whether the pedestrian slows."""
+"""Probabilities of going on, stopping (or staying) and turning back, by place and whether the
+pedestrian slows.
+"""
 
 
 def walkers(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:

@@ -19,7 +19,10 @@ class Traffic(Protocol):
 
     @property
     def due(self) -> float:
-        """The next time at which they react to the ego, s; `step` changes nothing before. inf: they never react."""
+        """The next time at which they react to the ego, s; `step` changes nothing before.
+
+        inf: they never react.
+        """
         ...
 
     @property
@@ -28,10 +31,12 @@ class Traffic(Protocol):
         ...
 
     def step(self, ego: EgoState) -> Tracks:
-        """Return the tracks of the others up to `ego.t`; they may react to the ego's states up to then.
+        """Return the tracks of the others up to `ego.t`; they may react to the ego's states up to
+        then.
 
-        The tracks may reach beyond `ego.t`; readers use only what is known at that time (`Tracks.perceived`). They may
-        contain only the road users around that time (`replan.logs.nearby_tracks.Recent`); the drive stores their `whole`.
+        The tracks may reach beyond `ego.t`; readers use only what is known at that time
+        (`Tracks.perceived`). They may contain only the road users around that time
+        (`replan.logs.nearby_tracks.Recent`); the drive stores their `whole`.
         """
         ...
 
@@ -51,16 +56,20 @@ class ReplayedByTime:
 
 
 def give_way(scenario: Scenario) -> Traffic:
-    """As in the log, but road users give way to an ego that they would hit from behind or that has the right of way."""
+    """As in the log, but road users give way to an ego that they would hit from behind or that has
+    the right of way.
+    """
     return Reactive(scenario, GIVE_WAY)
 
 
 TRAFFIC_NOTES: dict[str, tuple[str, ...]] = {
     "ego_position": (
-        "the others are where they were when the logged ego was where the ego is; their time is its place",
+        "the others are where they were when the logged ego was where the ego is; their time is "
+        "its place",
     ),
     "reactive": (
-        "the others react: vehicles keep to their logged paths, behind whoever is on them; late ones stop at red",
+        "the others react: vehicles keep to their logged paths, behind whoever is on them; late "
+        "ones stop at red",
     ),
 }
 """Notes for readers of the results on kinds of traffic that differ from the log."""

@@ -1,27 +1,32 @@
 """The leader on a path, and the acceleration behind it.
 
-Leader: the first agent that the vehicle's box, moved along its path, would touch within `LOOK_M` + `LOOK_S` v, with the
-agents' boxes held where they are; boxes that touch already do not count. With the gap s until they touch, the vehicle's
-speed v, the leader's speed v_l and acceleration a_l along the path (Kesting, Treiber, Helbing, Phil. Trans. R. Soc. A
-368, 2010, "enhanced IDM"; the cap of the deceleration is ours):
+Leader: the first agent that the vehicle's box, moved along its path, would touch within `LOOK_M` +
+`LOOK_S` v, with the agents' boxes held where they are; boxes that touch already do not count. With
+the gap s until they touch, the vehicle's speed v, the leader's speed v_l and acceleration a_l along
+the path (Kesting, Treiber, Helbing, Phil. Trans. R. Soc. A 368, 2010, "enhanced IDM"; the cap of
+the deceleration is ours):
 
 (1) s*    = s0 + max(0, v T + v (v - v_l) / (2 sqrt(a b)))
 (2) a_idm = a (1 - (s* / s)^2)
-(3) a_cah = v^2 a_l / (v_l^2 - 2 s a_l)        if v_l (v - v_l) <= -2 s a_l,     a_l cut to a at most
+(3) a_cah = v^2 a_l / (v_l^2 - 2 s a_l)        if v_l (v - v_l) <= -2 s a_l,
+        a_l cut to a at most
           = a_l - max(0, v - v_l)^2 / (2 s)    else
 (4) dv/dt = a_idm                              if a_idm >= a_cah
-          = (1 - c) a_idm + c (a_cah + b tanh((a_idm - a_cah) / b))   else, and not below -`HARDEST_MPS2`
+          = (1 - c) a_idm + c (a_cah + b tanh((a_idm - a_cah) / b))
+              else, and not below -`HARDEST_MPS2`
 
-The ego is ahead of a vehicle where it is touched so, with its heading within `ASKEW_RAD` of the path's heading h there,
-not reversing along h, and with its rearmost corner before the vehicle's front bumper: with the vector d from the
-vehicle's centre, moved to the touch, to the ego's, the angle q between h and the ego's heading, the lengths L and the
-ego's width W,
+The ego is ahead of a vehicle where it is touched so, with its heading within `ASKEW_RAD` of the
+path's heading h there, not reversing along h, and with its rearmost corner before the vehicle's
+front bumper: with the vector d from the vehicle's centre, moved to the touch, to the ego's, the
+angle q between h and the ego's heading, the lengths L and the ego's width W,
 
 (5) s + d . h - (L_ego |cos q| + W_ego |sin q|) / 2 - L / 2 > 0
 
-A vehicle that goes on as in its log drives into its leader where, within `LOOK_S`, its way w in the log is so long that
+A vehicle that goes on as in its log drives into its leader where, within `LOOK_S`, its way w in the
+log is so long that
 
-(6) w(tau) >= s - `ROOM_M` + v_l tau + min(a_l, 0) tau^2 / 2        (the last two no longer than until it stands)
+(6) w(tau) >= s - `ROOM_M` + v_l tau + min(a_l, 0) tau^2 / 2
+        (the last two no longer than until it stands)
 """
 
 from __future__ import annotations
@@ -43,14 +48,19 @@ HARDEST_MPS2 = CC_BRAKE_MPS2
 """0.774 g, as the careful driver of UN R157 brakes."""
 LOOK_M, LOOK_S = 20.0, 5.0
 BRUSH_M, EGO_BRUSH_M = 0.2, -0.3
-"""Reduction of a vehicle's width in the search of the leader, as logged boxes may brush; negative for the ego."""
+"""Reduction of a vehicle's width in the search of the leader, as logged boxes may brush.
+
+Negative for the ego.
+"""
 ASKEW_RAD, ROOM_M = 0.25 * pi, 0.5
 STANDING_MPS = 0.1
 """A logged road user at a lower speed stands."""
 TOUCHING_M = 0.1
 """Least gap in (2) and (3)."""
 ARRIVED_M = 1e-6
-"""Tolerance of arrival: rounding must not decide whether a vehicle has reached the place where its log stands."""
+"""Tolerance of arrival: rounding must not decide whether a vehicle has reached the place where its
+log stands.
+"""
 FINE_M = 1.0
 """Step of the box along the path; the contact is then halved down to `FINE_M` / 32."""
 
@@ -79,7 +89,10 @@ def places(who: IntArray, some: IntArray) -> IntArray:
 
 @inner_kernel
 def sample_at(paths: Paths, i: int, phase: float) -> int:
-    """The last sample of path i not later than its phase; the first of its samples, where there is none."""
+    """The last sample of path i not later than its phase.
+
+    The first of its samples, where there is none.
+    """
     first, end = paths.first[i], paths.end[i]
     return max(first, first + np.searchsorted(paths.t[first:end], phase, side="right") - 1)
 
@@ -101,7 +114,9 @@ class TrafficScene(NamedTuple):
 
 
 class Leaders(NamedTuple):
-    """Per vehicle `(n,)`: gap to the leader (inf: none), its speed and acceleration along the path."""
+    """Per vehicle `(n,)`: gap to the leader (inf: none), its speed and acceleration along the
+    path.
+    """
 
     gap: FloatArray
     speed: FloatArray
@@ -161,7 +176,10 @@ def covered(paths: Paths, phase: FloatArray, span: float) -> FloatArray:
 
 @inner_kernel
 def moved_on(paths: Paths, phase: FloatArray, way: FloatArray, now: float) -> FloatArray:
-    """Return the phases after `way` m of each path `(n,)`; standstills of the log are skipped, but not beyond `now`."""
+    """Return the phases after `way` m of each path `(n,)`.
+
+    Standstills of the log are skipped, but not beyond `now`.
+    """
     t, x, y = paths.t, paths.x, paths.y
     out = phase.copy()
     for i in range(len(phase)):
@@ -264,7 +282,8 @@ def leaders(
     heeds: BoolArray,
     scene: TrafficScene,
 ) -> Leaders:
-    """The leaders of the vehicles `whose` `(n,)` at their phases; pairs that are both on their logs are ignored.
+    """The leaders of the vehicles `whose` `(n,)` at their phases; pairs that are both on their logs
+    are ignored.
 
     The ego leads only the vehicles for which `heeds` `(n,)` holds.
     """
@@ -297,7 +316,9 @@ def leaders(
 def _first_touched(
     paths: Paths, i: int, phase: float, reach: float, boxes: FloatArray, near: IntArray
 ) -> tuple[float, int, float, float, float]:
-    """Distance along path i to the first touch, the agent (-1: none within reach), and the box's x, y, yaw there."""
+    """Distance along path i to the first touch, the agent (-1: none within reach), and the box's x,
+    y, yaw there.
+    """
     k = sample_at(paths, i, phase)
     begin, leap = boxes[i].copy(), np.zeros(3)
     # Half of length and width: more than half of the diagonal
@@ -349,7 +370,9 @@ def _box_after(box: FloatArray, leap: FloatArray, u: float) -> FloatArray:
 def _touch_at(
     begin: FloatArray, leap: FloatArray, low: float, high: float, other: FloatArray, narrower: float
 ) -> float:
-    """The last part of a leap, between `low` (apart) and `high` (touching), at which the boxes are still apart."""
+    """The last part of a leap, between `low` (apart) and `high` (touching), at which the boxes are
+    still apart.
+    """
     for _ in range(5):
         middle = 0.5 * (low + high)
         if _touch(_box_after(begin, leap, middle), other, narrower):

@@ -1,10 +1,12 @@
-"""One period of the reacting traffic as one kernel: leaders, which agents become late, and how far each one drives.
+"""One period of the reacting traffic as one kernel: leaders, which agents become late, and how far
+each one drives.
 
-`replan.replay.traffic.reactive` explains the model. The kernels write the arrays of `Phases` in place. `n` counts the agents
-that may be in the scene (`Coming`): in a long log, a step computes these only.
+`replan.replay.traffic.reactive` explains the model. The kernels write the arrays of `Phases` in
+place. `n` counts the agents that may be in the scene (`Coming`): in a long log, a step computes
+these only.
 
-(1) who = road users whose log has begun, and static ones, without those that have left for good: not in the scene,
-    not waiting to enter, and past the end of their log
+(1) who = road users whose log has begun, and static ones, without those that have left for good:
+        not in the scene, not waiting to enter, and past the end of their log
 
 The other road users have no effect: they are neither present nor entering.
 """
@@ -42,7 +44,10 @@ SAME_MPS = 1e-6
 
 
 class ReplayedAgents(NamedTuple):
-    """The replayed agents: paths; sizes, whether they react, when their paths and their logs end, `(n,)` each."""
+    """The replayed agents: paths.
+
+    Sizes, whether they react, when their paths and their logs end, `(n,)` each.
+    """
 
     tracks: LoggedTracks
     length: FloatArray
@@ -89,7 +94,9 @@ class Phases(NamedTuple):
 
 
 Ego = tuple[float, float, float, float, float, float, float, float, bool]
-"""x, y, yaw of the ego's box, length, width, velocity x, y, acceleration, and whether it is where the log has it."""
+"""x, y, yaw of the ego's box, length, width, velocity x, y, acceleration, and whether it is where
+the log has it.
+"""
 
 
 class Coming:
@@ -118,7 +125,10 @@ class Coming:
 
     @property
     def all(self) -> Phases:
-        """The states of all agents `(n,)`; those outside of `who` have their last or their first state."""
+        """The states of all agents `(n,)`.
+
+        Those outside of `who` have their last or their first state.
+        """
         for whole, part in zip(self._states, self.now, strict=True):
             whole[self.who] = part
         return self._states
@@ -186,7 +196,8 @@ def scene_of(agents: ReplayedAgents, now: Phases, ego: Ego) -> TrafficScene:
 def leaders_of(
     agents: ReplayedAgents, now: Phases, ego: Ego, whose: BoolArray, t: float, longest: float
 ) -> Leaders:
-    """The leaders of the agents `whose` `(n,)`; the ego leads an agent once it has been ahead of it for `longest` s.
+    """The leaders of the agents `whose` `(n,)`; the ego leads an agent once it has been ahead of it
+    for `longest` s.
 
     At t = -inf that time has passed already; with `longest` NaN the ego may lead every agent.
     """
@@ -217,9 +228,9 @@ def advance(
 ) -> None:
     """Move all agents by one period from `t`, then let others in (`enter`).
 
-    `held` `(n,)` are the greatest accelerations that lights allow, m/s2; `room` `(n,)` the distances to where agents
-    must wait for the ego, m (inf: they need not). With `only_needed`, an agent on its log reacts only where it would
-    drive into its leader.
+    `held` `(n,)` are the greatest accelerations that lights allow, m/s2; `room` `(n,)` the
+    distances to where agents must wait for the ego, m (inf: they need not). With `only_needed`, an
+    agent on its log reacts only where it would drive into its leader.
     """
     n, until = len(now.phase), t + PERIOD_S
     logged = logged_speeds(agents, now)
@@ -269,7 +280,8 @@ def enter(
 ) -> None:
     """Let in the agents whose log begins by `t` and whose place is free, and sample all (`sample`).
 
-    Late agents leave the scene at `gone`, s. `longest` is as in `leaders_of`, `pose` and `here` as in `sample`.
+    Late agents leave the scene at `gone`, s. `longest` is as in `leaders_of`, `pose` and `here` as
+    in `sample`.
     """
     n, first, comes = len(now.phase), agents.tracks.first, False
     coming = np.zeros(n, np.bool_)
@@ -329,7 +341,9 @@ def enters(agents: ReplayedAgents, now: Phases, i: int, t: float) -> bool:
 def wanted_speed(
     v: float, found: Leaders, i: int, held: float, room: float, logged: float, needed: bool
 ) -> tuple[float, bool]:
-    """The speed of agent i after a period by leader, lights and right of way, and whether this takes it off its log."""
+    """The speed of agent i after a period by leader, lights and right of way, and whether this
+    takes it off its log.
+    """
     gap, pull, slower = found.gap[i], ACCEL_MPS2, False
     if isfinite(gap):
         pull = enhanced_idm(v, gap, found.speed[i], found.accel[i])
@@ -346,7 +360,9 @@ def wanted_speed(
 
 @inner_kernel
 def sample(agents: ReplayedAgents, now: Phases, pose: FloatArray, here: BoolArray) -> None:
-    """Write poses and presence (`phase_replay.play`): the log at the phases, played at a rate of 1 at most."""
+    """Write poses and presence (`phase_replay.play`): the log at the phases, played at a rate of 1
+    at most.
+    """
     logged = logged_speeds(agents, now)
     rates = np.ones(len(logged))
     for i in range(len(logged)):

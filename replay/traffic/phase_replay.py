@@ -1,20 +1,23 @@
 """The log's tracks, each replayed at its own log time; the kinds of traffic share this.
 
-At phase tau (a log time, s), an agent has the log's pose at tau, interpolated. Replayed at rate r (phase per time), its
-velocity is r times the logged one. The replay is sampled every `PERIOD_S`, one sample ahead of the ego: the sample at
-t + PERIOD_S depends on what is known at t. An agent on its log keeps the log's samples; of the others, only samples
-in which they are present are kept, so that memory grows with what is in the scene and not with the length of the log.
+At phase tau (a log time, s), an agent has the log's pose at tau, interpolated. Replayed at rate r
+(phase per time), its velocity is r times the logged one. The replay is sampled every `PERIOD_S`,
+one sample ahead of the ego: the sample at t + PERIOD_S depends on what is known at t. An agent on
+its log keeps the log's samples; of the others, only samples in which they are present are kept, so
+that memory grows with what is in the scene and not with the length of the log.
 
-By the ego's position (`ReplayedByEgoPosition`), the log's encounters are kept, whatever the ego's speed. With the ego's
-station s on its logged path, all others are at the log time (phase) at which the logged ego was at s:
+By the ego's position (`ReplayedByEgoPosition`), the log's encounters are kept, whatever the ego's
+speed. With the ego's station s on its logged path, all others are at the log time (phase) at which
+the logged ego was at s:
 
 (1) target = tau(s) + delta        tau(s): the first log time at which the logged ego had come to s
 (2) the phase follows the target, never back, and at most `FASTEST` times as fast as time
 (3) where the logged path ends, the phase goes on with time
 
-The ego itself is not changed. Once it has stood for `STUCK_S`, the phase goes on with time, so that the road user that
-it waits for can leave (otherwise ego and world would wait forever). Then delta is the time by which the
-phase exceeds the last log time at which the logged ego was within `NEAR_M` of s: later encounters are delayed by it.
+The ego itself is not changed. Once it has stood for `STUCK_S`, the phase goes on with time, so that
+the road user that it waits for can leave (otherwise ego and world would wait forever). Then delta
+is the time by which the phase exceeds the last log time at which the logged ego was within `NEAR_M`
+of s: later encounters are delayed by it.
 """
 
 from __future__ import annotations
@@ -45,9 +48,11 @@ SHORTEST_M = 1.0
 
 
 class LoggedTracks(NamedTuple):
-    """`Tracks` as kernels take them, or some of them: `(k,)` per track, `(m,)` per sample of the whole.
+    """`Tracks` as kernels take them, or some of them: `(k,)` per track, `(m,)` per sample of the
+    whole.
 
-    A track has the samples `first` to before `end`; columns: x, y, yaw, vx, vy `(5, m)`; the rest is as in `Tracks`.
+    A track has the samples `first` to before `end`; columns: x, y, yaw, vx, vy `(5, m)`; the rest
+    is as in `Tracks`.
     """
 
     first: IntArray
@@ -71,7 +76,9 @@ def logged_tracks(log: Tracks, vx: FloatArray, vy: FloatArray) -> LoggedTracks:
 
 
 class ReplaySample(NamedTuple):
-    """One sample: time, s, tracks `(k,)`, increasing, x, y, yaw, vx, vy `(5, k)`, and which are present `(k,)`."""
+    """One sample: time, s, tracks `(k,)`, increasing, x, y, yaw, vx, vy `(5, k)`, and which are
+    present `(k,)`.
+    """
 
     t: float
     who: IntArray
@@ -112,10 +119,12 @@ class PhaseReplay:
         return self._rows[-1].pose, self._rows[-1].there
 
     def tracks(self, since: FloatArray) -> Tracks:
-        """The log's samples before `since` `(n,)`, s, and the replayed ones from then on; inf: the log as it is.
+        """The log's samples before `since` `(n,)`, s, and the replayed ones from then on; inf: the
+        log as it is.
 
-        If `since` of a track was inf at the last call, it may not be before the last row of that call. If any agent is
-        off its log, the result holds the tracks around the last row; its `whole` has all tracks.
+        If `since` of a track was inf at the last call, it may not be before the last row of that
+        call. If any agent is off its log, the result holds the tracks around the last row; its
+        `whole` has all tracks.
         """
         since = np.where(self._own.static, np.inf, since)
         wanted = since < np.inf
@@ -157,7 +166,9 @@ class PhaseReplay:
     def _columns(
         self, since: FloatArray, who: IntArray, first: IntArray, end: IntArray, some: slice
     ) -> tuple[Any, ...]:
-        """The columns of `Tracks`: the log's samples `first` to before `end` of `who`, and `some` replayed ones."""
+        """The columns of `Tracks`: the log's samples `first` to before `end` of `who`, and `some`
+        replayed ones.
+        """
         played = np.searchsorted(who, self._who[some])
         rows, sizes = _merge_samples(
             self._logged_own, since[who], first, end, played, self._played[some]
@@ -172,7 +183,9 @@ class PhaseReplay:
 
 @once
 def _with_velocities(path: Tracks) -> tuple[LoggedTracks, Tracks]:
-    """The tracks for kernels, with the velocities of their motion, and as tracks of the same memory."""
+    """The tracks for kernels, with the velocities of their motion, and as tracks of the same
+    memory.
+    """
     owner, last = np.repeat(np.arange(len(path)), np.diff(path.offsets)), np.arange(len(path.t))
     vx, vy = path.velocity(owner, last) if len(path) else (path.vx, path.vy)
     logged = logged_tracks(path, vx, vy)
@@ -184,7 +197,8 @@ def _with_velocities(path: Tracks) -> tuple[LoggedTracks, Tracks]:
 def played(
     log: LoggedTracks, i: int, phase: float
 ) -> tuple[float, float, float, float, float, bool]:
-    """x, y, yaw (interpolated), vx, vy (of the last sample) of a track at a phase, and whether it has a log there.
+    """x, y, yaw (interpolated), vx, vy (of the last sample) of a track at a phase, and whether it
+    has a log there.
 
     In a gap of a track (`replan.logs.observed`) its agent is not present.
     """
@@ -212,7 +226,9 @@ def play(
     pose: FloatArray,
     here: BoolArray,
 ) -> None:
-    """Write the agents at their phases, velocities times the rates, into `pose` `(5, n)` and `here` `(n,)`."""
+    """Write the agents at their phases, velocities times the rates, into `pose` `(5, n)` and `here`
+    `(n,)`.
+    """
     for i in range(len(phase)):
         x, y, yaw, vx, vy, has_log = played(log, i, phase[i])
         pose[0, i], pose[1, i], pose[2, i] = x, y, yaw
@@ -229,10 +245,11 @@ def _merge_samples(
     who: IntArray,
     played: FloatArray,
 ) -> tuple[FloatArray, IntArray]:
-    """Rows t, x, y, yaw, vx, vy `(6, samples)` of some tracks one after the other, and how many samples each has.
+    """Rows t, x, y, yaw, vx, vy `(6, samples)` of some tracks one after the other, and how many
+    samples each has.
 
-    First the log's samples from `first` to before `end` `(k,)` that are before `since` `(k,)`, s; then the replayed
-    rows `played` `(m, 6)` of the tracks `who` `(m,)`, in the order of time.
+    First the log's samples from `first` to before `end` `(k,)` that are before `since` `(k,)`, s;
+    then the replayed rows `played` `(m, 6)` of the tracks `who` `(m,)`, in the order of time.
     """
     n = len(since)
     begin, kept = np.zeros(n, np.int64), np.zeros(n, np.int64)
@@ -270,7 +287,8 @@ class ReplayedByEgoPosition:
         points = thinned(np.column_stack([log.x, log.y]), SHORTEST_M)
         if len(points) < 2:
             raise LogError(
-                f"{scenario.name}: the logged ego does not move, so that its position tells no time",
+                f"{scenario.name}: the logged ego does not move, so that its position tells no "
+                "time",
                 remedy="take traffic 'time' or 'reactive'",
             )
         self._line = ReferenceLine.through(points)

@@ -1,31 +1,37 @@
-"""The other road users react along their logged paths, each at its own log time, by one of two rules (`ReactionRule`).
+"""The other road users react along their logged paths, each at its own log time, by one of two
+rules (`ReactionRule`).
 
-Agent i has a log time (phase) tau_i of its own. Its place is the log's at tau_i, so that it never leaves its path.
-Where its log ends, a late agent follows the most probable lane for `BEYOND_M`; an agent on time leaves the scene as in
-the log. Where the recording of the traffic ends (`Scenario.traffic_spans`), late agents leave the scene too: else one
-that gave way would drive on alone after all others have vanished. An agent is never faster than the log at its place,
-and never ahead of its log.
+Agent i has a log time (phase) tau_i of its own. Its place is the log's at tau_i, so that it never
+leaves its path. Where its log ends, a late agent follows the most probable lane for `BEYOND_M`; an
+agent on time leaves the scene as in the log. Where the recording of the traffic ends
+(`Scenario.traffic_spans`), late agents leave the scene too: else one that gave way would drive on
+alone after all others have vanished. An agent is never faster than the log at its place, and never
+ahead of its log.
 
-Undisturbed, tau_i = t: the log's own samples, to the bit. An agent is disturbed once its leader requires a lower speed
-than the log's. Pairs of agents that are both on their logs are ignored, because real drivers keep other gaps than a
-model does; the ego is on its log while it is within `EGO_M` of it. A late agent makes up time while its log stands.
-`replan.replay.traffic.leaders` defines leader and acceleration. Late agents also stop at closed lights (`right_of_way`);
-agents on their logs pass them as they did, red ones included. An agent that enters the scene waits while an agent that
-is off its log is in its place, and enters no faster than it can brake for its leader.
+Undisturbed, tau_i = t: the log's own samples, to the bit. An agent is disturbed once its leader
+requires a lower speed than the log's. Pairs of agents that are both on their logs are ignored,
+because real drivers keep other gaps than a model does; the ego is on its log while it is within
+`EGO_M` of it. A late agent makes up time while its log stands. `replan.replay.traffic.leaders`
+defines leader and acceleration. Late agents also stop at closed lights (`right_of_way`); agents on
+their logs pass them as they did, red ones included. An agent that enters the scene waits while an
+agent that is off its log is in its place, and enters no faster than it can brake for its leader.
 
-"reactive": vehicles drive behind every road user on their path, the ego included, wherever it comes from.
+"reactive": vehicles drive behind every road user on their path, the ego included, wherever it comes
+from.
 
-"give_way": vehicles and riders drive as in the log unless they would then hit the ego, or an agent that is late because
-of the ego, and only where the ego may expect them to react:
+"give_way": vehicles and riders drive as in the log unless they would then hit the ego, or an agent
+that is late because of the ego, and only where the ego may expect them to react:
 
-(1) the ego has been ahead (`leaders` (5)) for `CC_REACT_S` without a break, the reaction time of the careful driver
-    of UN R157; for an agent that starts or enters behind the ego, this time has passed already
+(1) the ego has been ahead (`leaders` (5)) for `CC_REACT_S` without a break, the reaction time of
+    the careful driver of UN R157; for an agent that starts or enters behind the ego, this time has
+    passed already
 (2) the agent would drive into it if it went on as in the log (`leaders` (6))
 (3) or the agent comes from a lane that yields to the ego's (`right_of_way`)
 (4) it brakes as its leader requires, with 0.774 g at most (the same driver)
 
-So an ego that cuts in more closely than a careful driver would, crosses without the right of way, or blocks oncoming
-traffic is hit as in the log. Pedestrians and objects are replayed by time; with "reactive", bicycles too.
+So an ego that cuts in more closely than a careful driver would, crosses without the right of way,
+or blocks oncoming traffic is hit as in the log. Pedestrians and objects are replayed by time; with
+"reactive", bicycles too.
 """
 
 from __future__ import annotations
@@ -66,7 +72,8 @@ class ReactionRule:
 
     Attributes:
         kinds: The kinds that react.
-        only_ahead: Agents react to the ego only after it has been ahead for this time, s; None: always.
+        only_ahead: Agents react to the ego only after it has been ahead for this time, s; None:
+            always.
         only_needed: An agent on its log reacts only where it would drive into its leader.
         yields: Whether agents on lanes that yield to the ego's wait for it.
     """
@@ -84,7 +91,8 @@ GIVE_WAY = ReactionRule(
 
 
 class Reactive:
-    """Road users that react along their logged paths, as `rule` says; those that are late stop at red lights.
+    """Road users that react along their logged paths, as `rule` says; those that are late stop at
+    red lights.
 
     Args:
         scenario: Its tracks, road, lights and ego.
@@ -158,12 +166,15 @@ class Reactive:
             return ()
         more = [f"{len(who) - NAMED} more"] if len(who) > NAMED else []
         return (
-            f"not as in the log because of the ego (since when, hardest braking): {'; '.join(named + more)}",
+            "not as in the log because of the ego (since when, hardest braking): "
+            f"{'; '.join(named + more)}",
         )
 
 
 def extended(log: Tracks, road: Road) -> Tracks:
-    """The tracks, and after the end of each vehicle's log where its lane most probably leads it, `BEYOND_M` far."""
+    """The tracks, and after the end of each vehicle's log where its lane most probably leads it,
+    `BEYOND_M` far.
+    """
     return _extended(log, road) if len(log) and len(LaneMap.of(road)) else log
 
 

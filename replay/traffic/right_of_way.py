@@ -1,29 +1,33 @@
-"""Traffic lights and right of way for agents that drive by the model: a standing leader is placed where they wait.
+"""Traffic lights and right of way for agents that drive by the model: a standing leader is placed
+where they wait.
 
-A stop line is on a vehicle's path where the middle of its front bumper first crosses it in the lane's direction, at
-most `ASIDE_M` beside its ends, on a way that the line applies to. With the gap s to it and the speed v, a stop takes
-the deceleration
+A stop line is on a vehicle's path where the middle of its front bumper first crosses it in the
+lane's direction, at most `ASIDE_M` beside its ends, on a way that the line applies to. With the gap
+s to it and the speed v, a stop takes the deceleration
 
 (1) b = v^2 / (2 s)
 
-At yellow, a vehicle stops if that takes no more than `DECEL_MPS2`; at red, and at red and yellow, no more than
-`HARDEST_MPS2`. It stops by `replan.replay.traffic.leaders` (4) until the light opens (green, off). A vehicle that could not
-stop drives on, whatever the light shows next, unless something else slows it down until `DECEL_MPS2` suffices.
+At yellow, a vehicle stops if that takes no more than `DECEL_MPS2`; at red, and at red and yellow,
+no more than `HARDEST_MPS2`. It stops by `replan.replay.traffic.leaders` (4) until the light opens
+(green, off). A vehicle that could not stop drives on, whatever the light shows next, unless
+something else slows it down until `DECEL_MPS2` suffices.
 
-Until the log leaves its own last standstill before a line, the vehicle stops there as logged, and no line keeps it from
-being on time again. Stop signs are as in the log: the late vehicle slows down where it did.
+Until the log leaves its own last standstill before a line, the vehicle stops there as logged, and
+no line keeps it from being on time again. Stop signs are as in the log: the late vehicle slows down
+where it did.
 
-An agent on a lane that yields (`Lane.yields_to`) waits for the ego on a lane with priority. The ego is predicted along
-its lanes (`replan.replay.prediction`, every way that it may take) for `LOOK_AHEAD_S`. It has the right of way at its boxes on
-a lane with priority. An agent that is on the yielding lane, or comes to it, goes on as in its log, but no
-faster than its speed v allows: with the distance s from here and a = `leaders.ACCEL_MPS2`, it arrives after
+An agent on a lane that yields (`Lane.yields_to`) waits for the ego on a lane with priority. The ego
+is predicted along its lanes (`replan.replay.prediction`, every way that it may take) for
+`LOOK_AHEAD_S`. It has the right of way at its boxes on a lane with priority. An agent that is on
+the yielding lane, or comes to it, goes on as in its log, but no faster than its speed v allows:
+with the distance s from here and a = `leaders.ACCEL_MPS2`, it arrives after
 
 (2) tau(s) = max(time of the log to there, (sqrt(v^2 + 2 a s) - v) / a)
 
-It waits where its box would reach such a place within `SERIOUS_S` before or after the ego (a post-encroachment time
-below 1 s violates the right of way: `replan.metrics.traffic_rules`), if it can stop with `leaders.HARDEST_MPS2` before all of
-the ego's way, held by right or not: a standing leader is placed there. An agent that cannot stop, or is there already,
-drives on.
+It waits where its box would reach such a place within `SERIOUS_S` before or after the ego (a
+post-encroachment time below 1 s violates the right of way: `replan.metrics.traffic_rules`), if it
+can stop with `leaders.HARDEST_MPS2` before all of the ego's way, held by right or not: a standing
+leader is placed there. An agent that cannot stop, or is there already, drives on.
 """
 
 from __future__ import annotations
@@ -63,11 +67,15 @@ from replan.replay.traffic.phase_replay import PERIOD_S
 from replan.replay.world import ROUNDING_M, box_center
 
 LOOK_AHEAD_S, STEP_S = 6.0, 0.25
-"""Horizon of the ego's prediction (a stop from 13.9 m/s with 3 m/s2 takes 4.6 s), and the time between two boxes."""
+"""Horizon of the ego's prediction (a stop from 13.9 m/s with 3 m/s2 takes 4.6 s), and the time
+between two boxes.
+"""
 
 
 class Crossing(NamedTuple):
-    """Where a path crosses a line: agent, light, station along all paths (m), end of its last standstill (s)."""
+    """Where a path crosses a line: agent, light, station along all paths (m), end of its last
+    standstill (s).
+    """
 
     owner: int
     light: int
@@ -76,7 +84,8 @@ class Crossing(NamedTuple):
 
 
 class RedLights:
-    """Stops agents at closed lights; remembers which agents stop for which line, and which could not.
+    """Stops agents at closed lights; remembers which agents stop for which line, and which could
+    not.
 
     Args:
         scenario: Its road and lights.
@@ -103,7 +112,9 @@ class RedLights:
     def accelerations(
         self, t: float, who: IntArray, phase: FloatArray, speed: FloatArray, whose: BoolArray
     ) -> FloatArray:
-        """The greatest accelerations `(k,)` that lights allow the agents `who` (those `whose`) from `t` on, m/s2."""
+        """The greatest accelerations `(k,)` that lights allow the agents `who` (those `whose`) from
+        `t` on, m/s2.
+        """
         out = np.full(len(phase), ACCEL_MPS2)
         if not len(self._owner):
             return out
@@ -132,7 +143,10 @@ class RedLights:
 
 
 def _stations(paths: Tracks) -> FloatArray:
-    """Length `(samples,)` along all paths, one after the other, m; only differences within one path are meaningful."""
+    """Length `(samples,)` along all paths, one after the other, m.
+
+    Only differences within one path are meaningful.
+    """
     return arc_lengths(paths.x, paths.y) if len(paths.t) else np.empty(0)
 
 
@@ -140,7 +154,9 @@ def _stations(paths: Tracks) -> FloatArray:
 def _crossings(
     paths: Tracks, road: Road, signals: tuple[TrafficLight, ...], who: tuple[int, ...]
 ) -> tuple[Crossing, ...]:
-    """Where the paths of `who` cross lines that apply to them: also where a way is on no lane after the line."""
+    """Where the paths of `who` cross lines that apply to them: also where a way is on no lane after
+    the line.
+    """
     found = []
     owner = np.repeat(np.arange(len(paths)), np.diff(paths.offsets))
     within = (owner[1:] == owner[:-1]) & np.isin(owner[1:], who)
@@ -207,7 +223,9 @@ def _gaps(
 
 
 class YieldingWay(NamedTuple):
-    """An agent's way over a yielding lane: its index, the lanes with priority, when its log leaves the lane (s)."""
+    """An agent's way over a yielding lane: its index, the lanes with priority, when its log leaves
+    the lane (s).
+    """
 
     owner: int
     first: tuple[int, ...]
@@ -233,7 +251,9 @@ class Yielding:
     def gaps(
         self, ego: EgoState, who: IntArray, phase: FloatArray, speed: FloatArray, whose: BoolArray
     ) -> FloatArray:
-        """Distance of the tracks `who` (those `whose`) to where they must wait for the ego `(k,)`, m; inf: no wait."""
+        """Distance of the tracks `who` (those `whose`) to where they must wait for the ego `(k,)`,
+        m; inf: no wait.
+        """
         out = np.full(len(phase), np.inf)
         if not self._ways:
             return out
@@ -297,7 +317,9 @@ def _wait(
     by_right: BoolArray,
     size: FloatArray,
 ) -> float:
-    """Distance of agent i to the first of the boxes `(4, k)` if it must and can wait for one, m; else inf."""
+    """Distance of agent i to the first of the boxes `(4, k)` if it must and can wait for one, m;
+    else inf.
+    """
     station, clear, place, meets = 0.0, 0.0, np.inf, False
     c2, s2 = np.cos(boxes[3]), np.sin(boxes[3])
     near = 0.5 * (hypot(own[0], own[1]) + hypot(size[0], size[1])) + ROUNDING_M

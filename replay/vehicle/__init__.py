@@ -1,8 +1,9 @@
 """Moves the ego: a Command and a time step give the next EgoState.
 
-A plant's table (`LoopConfig.plant`) holds properties of the vehicle that are hidden from planner and controller:
-VehicleParameters by name (mass, tyre_friction, ...: a mismatch on purpose) and keywords of the model (tyre, grade,
-...). A changed mass keeps the forces of motor, brakes and drag, unless they are changed as well.
+A plant's table (`LoopConfig.plant`) holds properties of the vehicle that are hidden from planner
+and controller: VehicleParameters by name (mass, tyre_friction, ...: a mismatch on purpose) and
+keywords of the model (tyre, grade, ...). A changed mass keeps the forces of motor, brakes and drag,
+unless they are changed as well.
 """
 
 from __future__ import annotations
@@ -29,7 +30,8 @@ def build_vehicle(
     """The vehicle at its start, with the plant's own parameters and keywords.
 
     Raises:
-        ConfigError: A key is neither a parameter nor a keyword of this model, or a value is refused.
+        ConfigError: A key is neither a parameter nor a keyword of this model, or a value is
+            refused.
     """
     numbers, keywords = split_plant(plant)
     known = [

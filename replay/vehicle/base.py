@@ -1,11 +1,13 @@
 """The interfaces of vehicle models and controllers: one method each.
 
-A vehicle owns its hidden state (actuators, slip) and is built per drive as `Class(parameters, start)`, already moving
-as `start` does. Its longitudinal plant is a `Powertrain`, which controllers may invert. The loop also needs two
-properties: whether its tyres slip, and whether it follows plans by itself.
+A vehicle owns its hidden state (actuators, slip) and is built per drive as
+`Class(parameters, start)`, already moving as `start` does. Its longitudinal plant is a
+`Powertrain`, which controllers may invert. The loop also needs two properties: whether its tyres
+slip, and whether it follows plans by itself.
 
-A trace has one row per control step, which kernels and recorder share: the ego's motion and the actuation at its time,
-what is commanded from then on, and the errors against the plan that is driven then.
+A trace has one row per control step, which kernels and recorder share: the ego's motion and the
+actuation at its time, what is commanded from then on, and the errors against the plan that is
+driven then.
 """
 
 from __future__ import annotations
@@ -21,7 +23,9 @@ from replan.replay.vehicle.pedal_map import PedalMap
 from replan.replay.vehicle.plan_path import Deviation
 
 Plain = tuple[Any, ...]
-"""Named tuples as plain ones: a named one costs a microsecond each time that it goes into a kernel or comes out."""
+"""Named tuples as plain ones: a named one costs a microsecond each time that it goes into a kernel
+or comes out.
+"""
 
 
 def plain(named: Any) -> Any:
@@ -61,7 +65,10 @@ def motion_of(state: EgoState) -> MotionState:
 
 
 MOTION, COMMAND, ACTUATION, ERRORS = slice(0, 10), slice(10, 13), slice(13, 16), slice(16, 20)
-"""Columns of a trace's row: `MotionState`; steer, throttle, brake twice; lateral to station of `Deviation`."""
+"""Columns of a trace's row: `MotionState`.
+
+Steer, throttle, brake twice; lateral to station of `Deviation`.
+"""
 COLUMNS = 20
 
 
@@ -121,7 +128,10 @@ class Powertrain(Protocol):
         ...
 
     def full_brake(self, v: float) -> float:
-        """What full brake takes from coasting at `v`, m/s2, positive; in proportion to the pedal."""
+        """What full brake takes from coasting at `v`, m/s2, positive.
+
+        In proportion to the pedal.
+        """
         ...
 
 
@@ -161,21 +171,26 @@ class Vehicle(Protocol):
         ...
 
     def step(self, command: Command, dt: float) -> EgoState:
-        """Hold the command for `dt` (s, positive); the state after that, its time a whole nanosecond."""
+        """Hold the command for `dt` (s, positive).
+
+        The state after that, its time a whole nanosecond.
+        """
         ...
 
 
 class Controller(Protocol):
     """Turns a plan into steering and pedals.
 
-    A controller is built per drive as `factory(parameters, powertrain, period)` and is called at the control rate. Its
-    memory (integrators, pedal in use, standstill) lives in the object. It may read the plan, the ego's state and the
-    numbers of the vehicle: not the world.
+    A controller is built per drive as `factory(parameters, powertrain, period)` and is called at
+    the control rate. Its memory (integrators, pedal in use, standstill) lives in the object. It may
+    read the plan, the ego's state and the numbers of the vehicle: not the world.
     """
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes for the trace about the drive so far, such as that a fallback controller took over."""
+        """Notes for the trace about the drive so far, such as that a fallback controller took
+        over.
+        """
         ...
 
     def control(self, state: EgoState, plan: Plan) -> Command:

@@ -1,24 +1,32 @@
-"""The drive train: pedals -> motor torque -> gears -> wheels; brakes; resistances; and the actuators.
+"""The drive train: pedals -> motor torque -> gears -> wheels; brakes; resistances; and the
+actuators.
 
-Over speed v, per kg of vehicle, from the motor map T_g(v) = torque at speed v gear_g / radius (below idle the clutch or
-converter slips: the torque is that of idle; above the last speed of the map there is none):
+Over speed v, per kg of vehicle, from the motor map T_g(v) = torque at speed v gear_g / radius
+(below idle the clutch or converter slips: the torque is that of idle; above the last speed of the
+map there is none):
 
-(1) force_g(v)  = T_g(v) gear_g efficiency / (radius mass)       one gear;  most(v) = max over the gears
-(2) overrun(v)  = motor_overrun gear_top / (radius mass)         closed throttle: the gearbox coasts in its top gear;
-                                                                 below idle it fades to 0 at standstill
-(3) drive       = min(p (most + overrun) - overrun, force_g)     throttle p: a share of what this speed allows
-(4) brake       = q max_decel                                    brake q, shared between the axles by their loads
-(5) dp/dt = (p_command - p) / throttle_lag,  dq/dt = (q_command - q) / brake_lag,  q_command late by brake_delay
+(1) force_g(v)  = T_g(v) gear_g efficiency / (radius mass)       one gear;
+        most(v) = max over the gears
+(2) overrun(v)  = motor_overrun gear_top / (radius mass)
+        closed throttle: the gearbox coasts in its top gear; below idle it fades to 0 at standstill
+(3) drive       = min(p (most + overrun) - overrun, force_g)
+        throttle p: a share of what this speed allows
+(4) brake       = q max_decel
+        brake q, shared between the axles by their loads
+(5) dp/dt = (p_command - p) / throttle_lag,  dq/dt = (q_command - q) / brake_lag,
+        q_command late by brake_delay
 (6) resist      = rolling + drag v^2
-(7) d(steer)/dt = clip((command - steer) / steer_lag, -max_rate, max_rate)      |command| <= max_steer
+(7) d(steer)/dt = clip((command - steer) / steer_lag, -max_rate, max_rate)
+        |command| <= max_steer
 
-So the acceleration is linear in each pedal at a given speed, as in drive-by-wire; the gear only limits it (a kick-down
-takes time). Without a motor description, force = min(max_accel, max_power / v) and overrun = 0.
-The inertia of motor and wheels is neglected.
+So the acceleration is linear in each pedal at a given speed, as in drive-by-wire; the gear only
+limits it (a kick-down takes time). Without a motor description, force = min(max_accel, max_power /
+v) and overrun = 0. The inertia of motor and wheels is neglected.
 
-Shifting: the highest gear with RESERVE above the wanted force and the motor above CRUISE times idle; up at the earliest
-MIN_HOLD_S after the last shift, down when the gear cannot give what is wanted or the motor falls below LUG times idle.
-While a shift lasts (shift_time) the throttle is cut to SHIFT_THROTTLE of the command.
+Shifting: the highest gear with RESERVE above the wanted force and the motor above CRUISE times
+idle; up at the earliest MIN_HOLD_S after the last shift, down when the gear cannot give what is
+wanted or the motor falls below LUG times idle. While a shift lasts (shift_time) the throttle is cut
+to SHIFT_THROTTLE of the command.
 """
 
 from __future__ import annotations
@@ -115,7 +123,10 @@ def steer_rate(steer: float, command: float, steering: Steering) -> float:
 
 @kernel
 def wanted_force(v: float, throttle: float, drive: DriveTables) -> float:
-    """Return the acceleration that a throttle requests from the motor, m/s2; negative in overrun."""
+    """Return the acceleration that a throttle requests from the motor, m/s2.
+
+    Negative in overrun.
+    """
     overrun = at_speed(drive.overrun, v)
     return throttle * (at_speed(drive.most, v) + overrun) - overrun  # (3)
 
@@ -169,7 +180,10 @@ def commanded(line: Pending, command: float) -> Pending:
 
 @kernel
 def next_span(line: Pending, end_ns: int) -> tuple[float, float, Pending]:
-    """How long the value in effect stays, not beyond `end_ns`, s; the value; the line after that."""
+    """How long the value in effect stays, not beyond `end_ns`, s.
+
+    The value; the line after that.
+    """
     value, waiting = line.value, line.waiting
     while waiting > 0 and line.arrival_ns[0] < end_ns:
         arrival, held = line.arrival_ns[0], value
@@ -208,7 +222,10 @@ def with_room(line: Pending, dt_ns: int) -> Pending:
 
 
 def spans(line: Pending, command: float, dt: float) -> tuple[list[tuple[float, float]], Pending]:
-    """Apply a command for `dt` s; return the values in effect meanwhile with their durations, s, and the line."""
+    """Apply a command for `dt` s.
+
+    Return the values in effect meanwhile with their durations, s, and the line.
+    """
     dt_ns = round(dt * 1e9)
     line = commanded(with_room(line, dt_ns), command)
     end, found = line.now_ns + dt_ns, []
@@ -220,7 +237,8 @@ def spans(line: Pending, command: float, dt: float) -> tuple[list[tuple[float, f
 
 @dataclass(frozen=True)
 class Drivetrain:
-    """The drive train of `VehicleParameters` in steady state; see `replan.replay.vehicle.base.Powertrain`.
+    """The drive train of `VehicleParameters` in steady state; see
+    `replan.replay.vehicle.base.Powertrain`.
 
     It assumes a level road; grades are not part of the drive train.
     """

@@ -1,28 +1,35 @@
-"""The kinematic bicycle at the rear axle, with steering and pedals that lag; its rear wheels may steer as well.
+"""The kinematic bicycle at the rear axle, with steering and pedals that lag; its rear wheels may
+steer as well.
 
-With front and rear wheel angles df and dr, speed v along the body, wheelbase L; no wheel slips sideways:
+With front and rear wheel angles df and dr, speed v along the body, wheelbase L; no wheel slips
+sideways:
 
 (1) dx/dt   = v cos(yaw) - v_lat sin(yaw)
-(2) dy/dt   = v sin(yaw) + v_lat cos(yaw),        v_lat = v tan(dr) at the rear axle, the reference point
+(2) dy/dt   = v sin(yaw) + v_lat cos(yaw),
+        v_lat = v tan(dr) at the rear axle, the reference point
 (3) dyaw/dt = v (tan(df) - tan(dr)) / L
 (4) d(df)/dt                                      replan.replay.vehicle.drivetrain (7)
 (5) dv/dt, d(throttle)/dt, d(brake)/dt            replan.replay.vehicle.pedal_map
-(6) dr = rear_ratio df                            geared: 0 for a car; negative: against each other, turns more tightly
-(7) kappa = cos(dr) (tan(df) - tan(dr)) / L       of the path driven with the wheels held where they are
+(6) dr = rear_ratio df
+        geared: 0 for a car; negative: against each other, turns more tightly
+(7) kappa = cos(dr) (tan(df) - tan(dr)) / L
+        of the path driven with the wheels held where they are
 
-At the centre of gravity (lf, lr to the axles) the same motion reads x' = V cos(yaw + beta), y' = V sin(yaw + beta),
-yaw' = V cos(beta) (tan df - tan dr) / L with beta = atan((lf tan dr + lr tan df) / L), v = V cos(beta). That is the
-paper's equation 1, corrected: it has yaw = V (tan df + tan dr) / L, where the dot, cos(beta) and the sign of the rear
-wheels are missing; its wheels would slip.
+At the centre of gravity (lf, lr to the axles) the same motion reads x' = V cos(yaw + beta), y' = V
+sin(yaw + beta), yaw' = V cos(beta) (tan df - tan dr) / L with beta = atan((lf tan dr + lr tan df) /
+L), v = V cos(beta). That is the paper's equation 1, corrected: it has yaw = V (tan df + tan dr) /
+L, where the dot, cos(beta) and the sign of the rear wheels are missing; its wheels would slip.
 
-Wheels roll without slip (Rajamani, Vehicle Dynamics and Control, 2.2; without rear steering the reference point at the
-rear axle makes its slip angle 0): there is no friction limit in it, so it follows any curvature at any speed.
+Wheels roll without slip (Rajamani, Vehicle Dynamics and Control, 2.2; without rear steering the
+reference point at the rear axle makes its slip angle 0): there is no friction limit in it, so it
+follows any curvature at any speed.
 
-Integration: Runge-Kutta of order 4 in sub-steps of at most 10 ms and at most half the shortest lag. Coming to a stand
-is an event within the sub-step: until then it rolls, from then on it stands.
+Integration: Runge-Kutta of order 4 in sub-steps of at most 10 ms and at most half the shortest lag.
+Coming to a stand is an event within the sub-step: until then it rolls, from then on it stands.
 
-The perfect vehicle is always at its plan's state, so that only planning is judged: the upper bound for controllers. It
-is its own controller: it returns the command that a kinematic bicycle without lags would need.
+The perfect vehicle is always at its plan's state, so that only planning is judged: the upper bound
+for controllers. It is its own controller: it returns the command that a kinematic bicycle without
+lags would need.
 """
 
 from __future__ import annotations
@@ -65,7 +72,9 @@ class BicycleState(NamedTuple):
 
 
 class Kinematics(NamedTuple):
-    """What the kernels take of a vehicle: wheelbase m, rear_ratio, actuators, drive, longest sub-step s."""
+    """What the kernels take of a vehicle: wheelbase m, rear_ratio, actuators, drive, longest
+    sub-step s.
+    """
 
     wheelbase: float
     rear_ratio: float
@@ -135,7 +144,9 @@ def runge_kutta(
 def advance(
     state: BicycleState, command: tuple[float, float, float], car: Kinematics, dt: float, steps: int
 ) -> BicycleState:
-    """The state after holding `command` (steer, throttle, brake) for `dt` s, in `steps` equal sub-steps."""
+    """The state after holding `command` (steer, throttle, brake) for `dt` s, in `steps` equal
+    sub-steps.
+    """
     h = dt / steps
     for _ in range(steps):
         rolling = is_rolling(state.v, state.throttle, state.brake, car.limits)
@@ -168,7 +179,10 @@ def motion(s: BicycleState, t: float, car: Kinematics) -> MotionState:
 def step(
     state: BicycleState, command: tuple[float, float, float], car: Kinematics, t: float, dt: float
 ) -> tuple[BicycleState, MotionState]:
-    """State and motion after holding `command` for `dt` s from `t` on; the time a whole nanosecond."""
+    """State and motion after holding `command` for `dt` s from `t` on.
+
+    The time a whole nanosecond.
+    """
     state = advance(state, command, car, dt, ceil(dt / car.substep - 1e-9))
     return state, motion(state, round((t + dt) * 1e9) / 1e9, car)
 
@@ -240,7 +254,10 @@ class KinematicBicycle:
 
 
 REAR_RATIO = -0.2
-"""Of "kinematic_rear_steer": the rear wheels turn against the front ones by a fifth; few real axles can."""
+"""Of "kinematic_rear_steer": the rear wheels turn against the front ones by a fifth.
+
+Few real axles can.
+"""
 rear_steer = partial(KinematicBicycle, rear_ratio=REAR_RATIO)
 
 

@@ -1,24 +1,28 @@
-"""The 29-state multi-body model of commonroad-vehicle-models, driven by replan's pedals and steering: reference plant.
+"""The 29-state multi-body model of commonroad-vehicle-models, driven by replan's pedals and
+steering: reference plant.
 
-Sprung and unsprung masses, roll, pitch, four wheels that spin, magic formula with combined slip and camber (Althoff and
-Wuersching, "CommonRoad: Vehicle Models", 2020, section 9). The package implements all of this; replan adds the
-following:
+Sprung and unsprung masses, roll, pitch, four wheels that spin, magic formula with combined slip and
+camber (Althoff and Wuersching, "CommonRoad: Vehicle Models", 2020, section 9). The package
+implements all of this; replan adds the following:
 
-- Its inputs, steering rate and acceleration, come from replan's actuators and drive train (drivetrain.py):
-  (1) u = drive - rolling - drag v^2 - brake, a torque at the wheels; held over a sub-step.
-- It has no anti-lock brakes and no traction control: (2) drive and brake are kept below SHARE of what the axle that
-  gives way first can bear, less by the lateral acceleration (friction circle).
-- Its wheels are stiff at low speed, it has no standstill, it divides by the speed ahead of each wheel, and its tyres
-  pull at the road where they leave it, until it diverges. So where the slowest wheel goes ahead (4) slower than
-  SLOW_MPS (at low speed, in a spin), or a wheel bears nothing (5), the vehicle is the single-track model of the same
-  numbers. It comes back, with its body level, from LEAVE_MPS on and with slip angles below CALM.
-- Suspension, track and tyres are those of the package's vehicle that is nearest in mass; mass, yaw inertia, axle
-  distances and friction are those of VehicleParameters. Level road only.
+- Its inputs, steering rate and acceleration, come from replan's actuators and drive train
+  (drivetrain.py): (1) u = drive - rolling - drag v^2 - brake, a torque at the wheels; held over a
+  sub-step.
+- It has no anti-lock brakes and no traction control: (2) drive and brake are kept below SHARE of
+  what the axle that gives way first can bear, less by the lateral acceleration (friction circle).
+- Its wheels are stiff at low speed, it has no standstill, it divides by the speed ahead of each
+  wheel, and its tyres pull at the road where they leave it, until it diverges. So where the slowest
+  wheel goes ahead (4) slower than SLOW_MPS (at low speed, in a spin), or a wheel bears nothing (5),
+  the vehicle is the single-track model of the same numbers. It comes back, with its body level,
+  from LEAVE_MPS on and with slip angles below CALM.
+- Suspension, track and tyres are those of the package's vehicle that is nearest in mass; mass, yaw
+  inertia, axle distances and friction are those of VehicleParameters. Level road only.
 
 Integration: Runge-Kutta of order 4, sub-steps of 1 ms, shorter where the wheels' slip asks for it:
 (3) h <= STABLE u I_w / (K_x R^2), K_x = p_kx1 times the static load of a wheel, u = vx
 (4) ahead = min(vx, vx cos(steer) + (vy + a r) sin(steer)) - T |r| / 2        T: the wider track
-(5) deflection of a tyre = z_u + R (cos(phi_u) - 1) +- T sin(phi_u) / 2 <= 0         of its axle's unsprung mass
+(5) deflection of a tyre = z_u + R (cos(phi_u) - 1) +- T sin(phi_u) / 2 <= 0
+        of its axle's unsprung mass
 """
 
 from __future__ import annotations
@@ -79,7 +83,8 @@ class Multibody:
         tyre_stiffness: Factor on the package's cornering stiffness.
 
     Raises:
-        ConfigError: The package commonroad-vehicle-models is not installed, or a keyword has no such value.
+        ConfigError: The package commonroad-vehicle-models is not installed, or a keyword has no
+            such value.
     """
 
     has_rigid_tyres = False
@@ -158,7 +163,8 @@ class Multibody:
                 )
 
     def _drive(self, body: list[float], held: tuple[float, float, float], span: float) -> float:
-        """Sub-steps of the package's model; the actuators are exact over each (commands are constant).
+        """Sub-steps of the package's model; the actuators are exact over each (commands are
+        constant).
 
         Returns:
             How much of the span is left where the model is not valid any more, s.
@@ -225,7 +231,8 @@ class Multibody:
 
 
 def package_parameters(p: VehicleParameters, tyre_stiffness: float = 1.0) -> Any:
-    """Return the package's vehicle nearest in mass, with the mass, inertia, axle distances and friction of `p`.
+    """Return the package's vehicle nearest in mass, with the mass, inertia, axle distances and
+    friction of `p`.
 
     Raises:
         ConfigError: The stiffness is not positive.
@@ -252,13 +259,18 @@ def package_parameters(p: VehicleParameters, tyre_stiffness: float = 1.0) -> Any
 def slowest_wheel(
     vx: float, vy: float, r: float, steer: float, reach: tuple[float, float]
 ) -> float:
-    """How fast the slowest wheel goes ahead (4), m/s; `reach`: to the front axle, half of the track, m."""
+    """How fast the slowest wheel goes ahead (4), m/s; `reach`: to the front axle, half of the
+    track, m.
+    """
     front = vx * cos(steer) + (vy + reach[0] * r) * sin(steer)
     return min(vx, front) - reach[1] * abs(r)  # (4)
 
 
 def least_deflection(body: list[float], q: Any) -> float:
-    """The least deflection of the four tyres (5), m; not positive where a wheel is off the ground."""
+    """The least deflection of the four tyres (5), m.
+
+    Not positive where a wheel is off the ground.
+    """
     axles = ((q.T_f, body[FRONT_ROLL], body[FRONT_Z]), (q.T_r, body[REAR_ROLL], body[REAR_Z]))
     return min(
         float(z + q.R_w * (cos(roll) - 1.0) - 0.5 * track * abs(sin(roll)))
@@ -267,7 +279,9 @@ def least_deflection(body: list[float], q: Any) -> float:
 
 
 def _limits(car: SingleTrackCar, q: Any) -> tuple[float, float]:
-    """The greatest drive and brake (2) on a straight road, m/s2; T_se and T_sb are the shares of the front."""
+    """The greatest drive and brake (2) on a straight road, m/s2; T_se and T_sb are the shares of
+    the front.
+    """
     wheelbase, mu = car.a + car.b, car.front.friction
     lift = mu * car.height / wheelbase
 

@@ -1,19 +1,22 @@
-"""Pedals to acceleration: the map in steady state that a controller inverts, and the powertrain of simple vehicles.
+"""Pedals to acceleration: the map in steady state that a controller inverts, and the powertrain of
+simple vehicles.
 
 In steady state:
 
 (1) coasting(v)      = -(rolling + drag v |v| + overrun(v))
-(2) full_throttle(v) = min(max_accel, max_power / |v|), or where a motor is described most(v) + overrun(v)
+(2) full_throttle(v) = min(max_accel, max_power / |v|),
+        or where a motor is described most(v) + overrun(v)
 (3) full_brake(v)    = max_decel
 
-A powertrain limited by grip and power, with brakes, drag and rolling resistance; throttle p and brake q as the
-actuators have them, 0 to 1:
+A powertrain limited by grip and power, with brakes, drag and rolling resistance; throttle p and
+brake q as the actuators have them, 0 to 1:
 
 (4) dp/dt = (p_command - p) / throttle_lag         dq/dt = (q_command - q) / brake_lag
 (5) drive  = p min(max_accel, max_power / v)
 (6) resist = rolling + q max_decel                 friction: opposes motion, never causes it
 (7) dv/dt  = drive - resist - drag v^2             while rolling (v > 0, or drive > resist)
-    dv/dt  = 0                                     at standstill, held by friction: no creep, no reversing
+    dv/dt  = 0
+        at standstill, held by friction: no creep, no reversing
 """
 
 from __future__ import annotations
@@ -41,7 +44,8 @@ class PedalMap(NamedTuple):
         max_decel: m/s2.
         rolling: m/s2.
         drag: 1/m.
-        most: `(n,)` the motor's greatest force over speed 0, SPEED_STEP_MPS, ... in its best gear, m/s2; empty: (2).
+        most: `(n,)` the motor's greatest force over speed 0, SPEED_STEP_MPS, ... in its best gear,
+            m/s2; empty: (2).
         overrun: `(n,)` m/s2 at the same speeds.
         throttle_lag: s.
         brake_lag: s.
@@ -139,7 +143,10 @@ def rolling_acceleration(v: float, throttle: float, brake: float, limits: Limits
 
 @dataclass(frozen=True)
 class PedalPowertrain:
-    """The powertrain of `VehicleParameters` in steady state (5)-(7); see `replan.replay.vehicle.base.Powertrain`."""
+    """The powertrain of `VehicleParameters` in steady state (5)-(7).
+
+    See `replan.replay.vehicle.base.Powertrain`.
+    """
 
     parameters: VehicleParameters
 

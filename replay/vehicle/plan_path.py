@@ -1,11 +1,14 @@
-"""A plan as a path with stations, and the ego's deviation from it, for controllers, perfect vehicle and trace.
+"""A plan as a path with stations, and the ego's deviation from it, for controllers, perfect vehicle
+and trace.
 
-The path's station is the arc length driven forward; positions between two samples are cubic in the station (Hermite,
-along their headings), headings and curvatures linear. Standing and measurement noise do not increase the station:
+The path's station is the arc length driven forward; positions between two samples are cubic in the
+station (Hermite, along their headings), headings and curvatures linear. Standing and measurement
+noise do not increase the station:
 
 (1) ds_i    = chord_i . heading_i * h / sin(h)          arc over a chord, h = half of the turn
 (2) station = running maximum of the sum of ds_i
-(3) foot:     (p - r(s)) . r'(s) = 0, by Newton from the nearest knot within WINDOW_M of where the plan is now
+(3) foot:     (p - r(s)) . r'(s) = 0, by Newton from the nearest knot within WINDOW_M of
+        where the plan is now
 (4) lateral = (p - r(s)) x heading(s), positive left of the path
 (5) station error = s - station(t);   speed error = v - v(t);   heading error = yaw - heading(s)
 
@@ -29,11 +32,15 @@ from replan.logs.states import EgoState, Trajectory, wrap
 WINDOW_M = 20.0
 """Largest distance between the foot and where the plan is now, along the path, m."""
 KNOT_SPACING_M = 0.05
-"""Nearer knots are left out, m: at such distances the heading is more accurate than the positions."""
+"""Nearer knots are left out, m: at such distances the heading is more accurate than the
+positions.
+"""
 
 
 class Deviation(NamedTuple):
-    """The ego against its plan at one instant (3)-(5): m, rad, m/s; `foot` is the station of the ego's foot point."""
+    """The ego against its plan at one instant (3)-(5): m, rad, m/s; `foot` is the station of the
+    ego's foot point.
+    """
 
     lateral: float
     heading: float
@@ -65,7 +72,10 @@ def path_columns(
     a: FloatArray,
     kappa: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """`times` and `knots` of `PlanPath`, of a plan's columns `(n,)`; knots are KNOT_SPACING_M apart at least."""
+    """`times` and `knots` of `PlanPath`, of a plan's columns `(n,)`.
+
+    Knots are KNOT_SPACING_M apart at least.
+    """
     station = plan_stations(x, y, yaw)
     times, knots = np.empty((len(t), 4)), np.empty((len(t), 5))
     count = 0
@@ -108,7 +118,10 @@ class PlanPath:
 
 @kernel
 def timed(times: FloatArray, t: float) -> tuple[float, float, float]:
-    """Station, m (cubic, by the speeds), speed and acceleration (linear) at `t`; constant speed beyond the end."""
+    """Station, m (cubic, by the speeds), speed and acceleration (linear) at `t`.
+
+    Constant speed beyond the end.
+    """
     last = len(times) - 1
     if t >= times[last, 0]:
         return times[last, 1] + times[last, 2] * (t - times[last, 0]), times[last, 2], 0.0
@@ -129,7 +142,10 @@ def hermite(p0: float, p1: float, d0: float, d1: float, u: float) -> float:
 
 @kernel
 def path_point(knots: FloatArray, s: float) -> tuple[float, float, float, float]:
-    """x, y, yaw, kappa at station `s`, m; straight on beyond the ends (where the curvature is the end's)."""
+    """x, y, yaw, kappa at station `s`, m.
+
+    Straight on beyond the ends (where the curvature is the end's).
+    """
     last = len(knots) - 1
     if last == 0 or s <= knots[0, 0] or s >= knots[last, 0]:
         k = 0 if last == 0 or s <= knots[0, 0] else last
@@ -186,7 +202,8 @@ def deviation(
 
 
 class Tracker:
-    """Keeps the path of the plan being driven, so that a plan is prepared once and not at each command.
+    """Keeps the path of the plan being driven, so that a plan is prepared once and not at each
+    command.
 
     Args:
         prepare: Converts the planned trajectory to the one to follow.

@@ -1,29 +1,37 @@
-"""The dynamic single-track model: two axles with tyres, load transfer, drive train; from standstill to the limit.
+"""The dynamic single-track model: two axles with tyres, load transfer, drive train; from standstill
+to the limit.
 
-Position and heading of the rear axle; vx, vy of the centre of gravity in the body's frame, a and b from it to the front
-and rear axle, wheelbase L, height h, grade angle g (uphill positive, along the vehicle's way wherever it turns):
+Position and heading of the rear axle; vx, vy of the centre of gravity in the body's frame, a and b
+from it to the front and rear axle, wheelbase L, height h, grade angle g (uphill positive, along the
+vehicle's way wherever it turns):
 
-(1) dx/dt = vx cos(yaw) - v_lat sin(yaw),  dy/dt = vx sin(yaw) + v_lat cos(yaw),  v_lat = vy - b r,  dyaw/dt = r
+(1) dx/dt = vx cos(yaw) - v_lat sin(yaw),  dy/dt = vx sin(yaw) + v_lat cos(yaw),  v_lat = vy - b r,
+        dyaw/dt = r
 (2) dvx/dt = (Fxf cos(steer) - Fyf sin(steer) + Fxr) / m - drag vx |vx| - G sin(g) + r vy
 (3) dvy/dt = (Fyf cos(steer) + Fxf sin(steer) + Fyr) / m - r vx
 (4) dr/dt  = (a (Fyf cos(steer) + Fxf sin(steer)) - b Fyr) / I
-(5) slip   = v_left / floor(v_ahead)                     of each wheel, in its own directions; tan of the slip angle
+(5) slip   = v_left / floor(v_ahead)
+        of each wheel, in its own directions; tan of the slip angle
     floor(u) = |u| from SLIP_MPS on, below it (u^2 / SLIP_MPS + SLIP_MPS) / 2
-(6) load   = (m G cos(g) b - m ax h) / L in front, a and + at the rear; ax is what the pedals ask, at most mu G
-(7) Fx     = m (share of the drive - share of the friction (rolling + brake) along the motion);  Fx, Fy by tyres (6)-(7)
-    of the friction the rear axle takes REAR_BRAKE of what its share of the load is, the front the rest
+(6) load   = (m G cos(g) b - m ax h) / L in front, a and + at the rear; ax is what the pedals ask,
+        at most mu G
+(7) Fx     = m (share of the drive - share of the friction (rolling + brake) along the motion);
+        Fx, Fy by tyres (6)-(7) of the friction the rear axle takes REAR_BRAKE of what its share of
+        the load is, the front the rest
 (8) d(steer)/dt, d(throttle)/dt, d(brake)/dt             drivetrain (5), (7)
 
-Low speed: with the floor (5) a tyre is a damper against sideways motion of its wheel. The slower, the more exactly the
-wheels roll without slip, so that the model tends to the kinematic bicycle and stays defined at standstill (the floor is
-that of Pacejka, Tire and Vehicle Dynamics, 7.2.3, with a smooth joint). From SLIP_MPS on nothing is changed.
+Low speed: with the floor (5) a tyre is a damper against sideways motion of its wheel. The slower,
+the more exactly the wheels roll without slip, so that the model tends to the kinematic bicycle and
+stays defined at standstill (the floor is that of Pacejka, Tire and Vehicle Dynamics, 7.2.3, with a
+smooth joint). From SLIP_MPS on nothing is changed.
 
-Standstill: friction (rolling, brake) and a hill holder keep it exactly; it leaves only forwards. While the vehicle
-slides sideways, brakes and rolling resistance oppose each wheel's own motion.
+Standstill: friction (rolling, brake) and a hill holder keep it exactly; it leaves only forwards.
+While the vehicle slides sideways, brakes and rolling resistance oppose each wheel's own motion.
 
-Integration: Runge-Kutta of order 4; sub-steps of at most 10 ms, half the shortest lag, and STABLE over the trace of the
-lateral dynamics, (Cf + Cr) / (m u) + (a^2 Cf + b^2 Cr) / (I u) with u = floor(vx). Coming to a standstill is an event
-within the sub-step. Gear shifts are decided once per sub-step.
+Integration: Runge-Kutta of order 4; sub-steps of at most 10 ms, half the shortest lag, and STABLE
+over the trace of the lateral dynamics, (Cf + Cr) / (m u) + (a^2 Cf + b^2 Cr) / (I u) with u =
+floor(vx). Coming to a standstill is an event within the sub-step. Gear shifts are decided once per
+sub-step.
 """
 
 from __future__ import annotations
@@ -63,7 +71,10 @@ STABLE = 1.25
 
 
 class SingleTrackState(NamedTuple):
-    """Rear axle x, y m; yaw rad; vx, vy of the centre of gravity m/s; r rad/s; steer rad; throttle, brake 0 to 1."""
+    """Rear axle x, y m.
+
+    Yaw rad; vx, vy of the centre of gravity m/s; r rad/s; steer rad; throttle, brake 0 to 1.
+    """
 
     x: float
     y: float
@@ -138,7 +149,9 @@ def slides(s: SingleTrackState, car: SingleTrackCar) -> bool:
 
 @inner_kernel
 def along(u: float, direction: float) -> float:
-    """How a wheel moves, for friction: as the vehicle does, or where that slides (0) by its own speed u, m/s."""
+    """How a wheel moves, for friction: as the vehicle does, or where that slides (0) by its own
+    speed u, m/s.
+    """
     return direction if direction != 0.0 else min(max(u / TURNOVER_MPS, -1.0), 1.0)
 
 
@@ -288,7 +301,9 @@ def advance(
     dt: float,
     steps: int,
 ) -> tuple[SingleTrackState, Gearbox]:
-    """State and gearbox after holding `command` (steer, throttle, brake) for `dt` s, in `steps` equal sub-steps."""
+    """State and gearbox after holding `command` (steer, throttle, brake) for `dt` s, in `steps`
+    equal sub-steps.
+    """
     h = dt / steps
     for _ in range(steps):
         asked = (command[0], throttle_target(command[1], box), command[2])
@@ -315,8 +330,9 @@ def motion(
 ) -> MotionState:
     """The motion at `t` under a command.
 
-    The curvature is that of the rear axle's path while the vehicle moves faster than 2 SLIP_MPS, that of the wheel
-    angle below SLIP_MPS, and in between a mixture, because a path has no curvature at standstill.
+    The curvature is that of the rear axle's path while the vehicle moves faster than 2 SLIP_MPS,
+    that of the wheel angle below SLIP_MPS, and in between a mixture, because a path has no
+    curvature at standstill.
     """
     k = rate(s, command, is_moving(s, box.gear, car), heading_of(s, car), box.gear, car)
     v_lat = s.vy - car.b * s.r
@@ -339,7 +355,9 @@ def step(
     t: float,
     dt: float,
 ) -> tuple[SingleTrackState, Gearbox, Pending, MotionState]:
-    """State, gearbox, brake commands on their way and motion after holding `command` for `dt` s from `t` on."""
+    """State, gearbox, brake commands on their way and motion after holding `command` for `dt` s
+    from `t` on.
+    """
     end = line.now_ns + round(dt * 1e9)
     line = commanded(line, command[2])
     held = command
@@ -357,9 +375,9 @@ class SingleTrack:
 
     Args:
         parameters: Of the ego.
-        start: Where and how fast it moves at first. It corners steadily along the start's curvature (as far as the
-            tyres allow), so steering, slip and yaw rate come from the model and not from the start. It is not driven in
-            reverse: a negative speed is taken as 0.
+        start: Where and how fast it moves at first. It corners steadily along the start's curvature
+            (as far as the tyres allow), so steering, slip and yaw rate come from the model and not
+            from the start. It is not driven in reverse: a negative speed is taken as 0.
         tyre: Name in `replan.replay.vehicle.tyres.TYRES`.
         tyre_stiffness: Factor on the cornering stiffness.
         grade: Rise over run, positive uphill.
@@ -453,7 +471,9 @@ def car_of(
 
 
 def cornering(car: SingleTrackCar, start: EgoState, train: Drivetrain) -> SingleTrackState:
-    """The steady state at the start's speed, curvature and acceleration, each as far as the vehicle can."""
+    """The steady state at the start's speed, curvature and acceleration, each as far as the vehicle
+    can.
+    """
     v = max(float(start.v), 0.0)
     r = v * float(start.kappa)
     steer = atan((car.a + car.b) * start.kappa)

@@ -1,29 +1,35 @@
-"""Tyres: the lateral force of an axle over slip and load, its reduction by braking and driving, and tyre use.
+"""Tyres: the lateral force of an axle over slip and load, its reduction by braking and driving, and
+tyre use.
 
-With slip angle alpha (positive where the wheel moves to its left), axle load F, static load F0, cornering stiffness C0
-at F0, peak friction mu, load sensitivity q:
+With slip angle alpha (positive where the wheel moves to its left), axle load F, static load F0,
+cornering stiffness C0 at F0, peak friction mu, load sensitivity q:
 
 (1) grip = 1 - q (F / F0 - 1)                       not below MIN_GRIP
 (2) C = C0 F / F0 grip,   D = mu F grip             stiffness and peak, both by the load
 (3) linear    Fy = -C alpha                         without friction limit: for analysis
-(4) fiala     Fy = -C z + C^2 / (3 D) |z| z - C^3 / (27 D^2) z^3      z = tan(alpha), |z| < 3 D / C; else -D sign(z)
-(5) pacejka   Fy = -D sin(S atan(B alpha - E (B alpha - atan(B alpha))))     B = C / (S D), shape S, curvature E
-(6) |Fx| <= share D                                 anti-lock brakes and traction control hold the rest; less at the
-                                                    rear (REAR_SHARE, FRONT_SHARE), so that the front slides first
+(4) fiala     Fy = -C z + C^2 / (3 D) |z| z - C^3 / (27 D^2) z^3
+        z = tan(alpha), |z| < 3 D / C; else -D sign(z)
+(5) pacejka   Fy = -D sin(S atan(B alpha - E (B alpha - atan(B alpha))))
+        B = C / (S D), shape S, curvature E
+(6) |Fx| <= share D
+        anti-lock brakes and traction control hold the rest; less at the rear (REAR_SHARE,
+        FRONT_SHARE), so that the front slides first
 (7) Fy <- Fy sqrt(1 - (Fx / D)^2)                   friction circle; (6)-(7) not for the linear tyre
 
 How the tyres are used, from the motion of a drive at the control rate:
 
-(8)  a_rear  = course - yaw                            of the rear axle, where the ego's reference point is; rad
+(8)  a_rear  = course - yaw
+         of the rear axle, where the ego's reference point is; rad
 (9)  a_front = atan(tan a_rear + L r / v) - steer      r = v kappa, L the wheelbase; rad
-(10) use     = sqrt(a^2 + (v^2 kappa)^2) / (mu g)      1: the tyres can give no more (friction circle)
+(10) use     = sqrt(a^2 + (v^2 kappa)^2) / (mu g)
+         1: the tyres can give no more (friction circle)
 
-The course is that of the positions (central differences: a simulated drive has no noise). Below `SLOWEST_MPS` slip
-angles are meaningless: NaN.
+The course is that of the positions (central differences: a simulated drive has no noise). Below
+`SLOWEST_MPS` slip angles are meaningless: NaN.
 
-Sources: (4) Fiala 1954 as in Pacejka, Tire and Vehicle Dynamics, 3.2.2, a brush tyre with parabolic pressure; (5)
-Pacejka, ibid. 4.3.1, pure lateral slip without camber, by which an axle's two wheels are one; (8)-(9) Rajamani, Vehicle
-Dynamics and Control, 2.3.
+Sources: (4) Fiala 1954 as in Pacejka, Tire and Vehicle Dynamics, 3.2.2, a brush tyre with parabolic
+pressure; (5) Pacejka, ibid. 4.3.1, pure lateral slip without camber, by which an axle's two wheels
+are one; (8)-(9) Rajamani, Vehicle Dynamics and Control, 2.3.
 """
 
 from __future__ import annotations
@@ -147,7 +153,8 @@ def axle_tyres(parameters: VehicleParameters, kind: str, stiffness: float) -> tu
 
 
 def slip_for(force: float, load: float, tyre: Tyre) -> float:
-    """tan(alpha) that gives a lateral force, N, at a load, N: `lateral_force` inverted on its rising side.
+    """tan(alpha) that gives a lateral force, N, at a load, N: `lateral_force` inverted on its
+    rising side.
 
     Forces beyond 0.95 of the peak are taken as that; an axle off the ground has no slip.
     """
@@ -166,7 +173,9 @@ def slip_for(force: float, load: float, tyre: Tyre) -> float:
 
 @dataclass(frozen=True, eq=False)
 class TyreUse:
-    """`(n,)` each, at the times of the drive: slip angles, rad, positive where a wheel moves to its left; (10)."""
+    """`(n,)` each, at the times of the drive: slip angles, rad, positive where a wheel moves to its
+    left; (10).
+    """
 
     front: FloatArray
     rear: FloatArray
@@ -174,7 +183,9 @@ class TyreUse:
 
 
 def tyre_use(ego: Trajectory, done: Controls, car: VehicleParameters) -> TyreUse:
-    """Tyre use of a drive of at least two states, from its motion and actuation at the same times."""
+    """Tyre use of a drive of at least two states, from its motion and actuation at the same
+    times.
+    """
     vx, vy = np.gradient(ego.x, ego.t), np.gradient(ego.y, ego.t)
     rear = np.angle(np.exp(1j * (np.arctan2(vy, vx) - ego.yaw)))  # (8)
     rear = np.where(ego.v >= SLOWEST_MPS, rear, np.nan)

@@ -1,4 +1,7 @@
-"""What a user names is looked at before it is opened: pipes, devices, tables without end; files of a store."""
+"""What a user names is looked at before it is opened: pipes, devices, tables without end.
+
+Files of a store.
+"""
 
 import os
 import signal

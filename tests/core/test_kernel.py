@@ -230,14 +230,17 @@ def times(x: float) -> float:
     return {factor} * x
 
 print(times(2.0), compiled_count())
-"""
+"""  # noqa: E501
 
 
 @pytest.mark.slow
 def test_code_beside_the_sources_is_found_where_they_are_copied_and_only_what_it_is_for(
     tmp_path: Path,
 ) -> None:
-    """As a wheel brings it: at another place, read-only, another folder chosen; not for another processor or code."""
+    """As a wheel brings it: at another place, read-only, another folder chosen.
+
+    Not for another processor or code.
+    """
     built, used, other = tmp_path / "built", tmp_path / "used", tmp_path / "other"
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     for name in ("NUMBA_DISABLE_JIT", "NUMBA_CACHE_DIR", "NUMBA_CPU_NAME"):
@@ -268,7 +271,9 @@ def test_code_beside_the_sources_is_found_where_they_are_copied_and_only_what_it
 def test_two_processes_that_compile_at_once_never_find_the_code_of_each_other(
     tmp_path: Path,
 ) -> None:
-    """Law over the orders in which two processes look, keep the index, and keep the code of their own arguments."""
+    """Law over the orders in which two processes look, keep the index, and keep the code of their
+    own arguments.
+    """
     compiled = cast("Any", wrap)
     for order in itertools.permutations(
         ("look a", "data a", "index a", "look b", "data b", "index b")

@@ -59,7 +59,10 @@ def test_only_what_python_calls_has_machine_code() -> None:
 
 @pytest.mark.filterwarnings("ignore:First-class function")
 def test_functions_that_a_user_compiles_work_as_ever() -> None:
-    """A function as an argument needs the wrapper for C; a closure, a generator and a callback are compiled apart."""
+    """A function as an argument needs the wrapper for C.
+
+    A closure, a generator and a callback are compiled apart.
+    """
 
     @numba.njit("f8(f8)")
     def twice(x: float) -> float:

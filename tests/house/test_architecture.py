@@ -1,4 +1,7 @@
-"""docs/architecture.md lists the files on the way of one log; no circle of modules; names that mean one thing."""
+"""docs/architecture.md lists the files on the way of one log.
+
+No circle of modules; names that mean one thing.
+"""
 
 import ast
 import json
@@ -46,11 +49,13 @@ except SystemExit as end:
     code = end.code
 sys.setprofile(None)
 print(json.dumps({"code": code, "found": {file: sorted(callers - {""}) for file, callers in found.items()}}))
-"""
+"""  # noqa: E501
 
 
 def test_the_way_of_one_log_is_the_files_that_the_page_lists(tmp_path: Path) -> None:
-    """Law: each listed file is called, and between the command and its first call there are listed files only."""
+    """Law: each listed file is called, and between the command and its first call there are listed
+    files only.
+    """
     page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
     steps = page[page.index("## One log through") : page.index("## Where is")]
     listed = set(re.findall(r"`([\w/]+\.py)`", steps))
@@ -80,7 +85,7 @@ GRAPH = """
 import grimp, json, sys
 graph = grimp.build_graph(*sys.argv[1:], cache_dir=None)
 print(json.dumps({module: sorted(graph.find_modules_directly_imported_by(module)) for module in graph.modules}))
-"""
+"""  # noqa: E501
 """Run in build/ns, where the packages lie under their names (`.ci/links.py`)."""
 
 
@@ -102,7 +107,9 @@ def test_no_circle_of_packages_is_ignored() -> None:
 
 PACKAGES = ("logs", "metrics", "planners", "replay", "replan")
 MESSAGES = ("logs/mcap/native.py", "replay/planner_process/messages.py")
-"""Their classes are nouns on the wire: they have the nouns' names, and are used with the module's name before them."""
+"""Their classes are nouns on the wire: they have the nouns' names, and are used with the module's
+name before them.
+"""
 ROLES = {
     "__init__.py",
     "base.py",

@@ -1,4 +1,6 @@
-"""The files for CI systems: what their jobs run is run here, in their order, with two small logs and a fake runner."""
+"""The files for CI systems: what their jobs run is run here, in their order, with two small logs
+and a fake runner.
+"""
 
 import json
 import os
@@ -30,12 +32,14 @@ case "$*" in
     "-m pip "*) for word in "$@"; do echo "$word"; done >> "$INSTALLED" ;;
     *) exec {shlex.quote(sys.executable)} "$@" ;;
 esac
-"""
+"""  # noqa: E501
 
 
 @pytest.fixture
 def runner(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder with two logs and gates that one of them fails, and a Python that installs nothing."""
+    """A folder with two logs and gates that one of them fails, and a Python that installs
+    nothing.
+    """
     (tmp_path / "my logs").mkdir()
     write_scenario(tmp_path / "my logs" / "a.mcap", short("test/a", v=10.0))
     write_scenario(tmp_path / "my logs" / "b.mcap", short("test/b", v=8.0))
@@ -60,7 +64,9 @@ def bash(script: str, where: Path, env: Mapping[str, str]) -> subprocess.Complet
 
 
 class Workflow:
-    """Runs the steps of the action as GitHub does: expressions, conditions, outputs, environment."""
+    """Runs the steps of the action as GitHub does: expressions, conditions, outputs,
+    environment.
+    """
 
     def __init__(self, folder: Path, cached: str = "", **inputs: str) -> None:
         given = {name.replace("_", "-"): value for name, value in inputs.items()}

@@ -1,9 +1,11 @@
-"""What README and documentation show is run: commands and programs of a page in order, in a folder of its own.
+"""What README and documentation show is run: commands and programs of a page in order, in a folder
+of its own.
 
 Every file, module, option and link that they name exists.
 
-A block that is not run says why in a comment before it, `<!-- not run: REASON -->`; a command that ends with another
-exit code than 0 says so behind it, `# exit code 1`. A program is a file whose name is its first line.
+A block that is not run says why in a comment before it, `<!-- not run: REASON -->`; a command that
+ends with another exit code than 0 says so behind it, `# exit code 1`. A program is a file whose
+name is its first line.
 """
 
 import re
@@ -73,7 +75,9 @@ def named(page: Path) -> str:
 
 
 FIRST = ("README.md", "docs/start.md")
-"""The pages that a newcomer follows first: their commands run on every change, those of the others at night."""
+"""The pages that a newcomer follows first: their commands run on every change, those of the others
+at night.
+"""
 
 
 def with_commands() -> list[Any]:
@@ -150,7 +154,9 @@ def test_programs_and_settings_are_whole(page: Path, desk: Path) -> None:
 
 
 def test_every_program_of_a_page_is_run() -> None:
-    """A named program is run by a command of its page, or is a module that a command or another program names."""
+    """A named program is run by a command of its page, or is a module that a command or another
+    program names.
+    """
     for page in PAGES:
         said = " ".join(" ".join(words) for words, _ in commands(page))
         programs = [
@@ -165,7 +171,9 @@ def test_every_program_of_a_page_is_run() -> None:
 
 
 def shown_commands(page: Path) -> Iterator[list[str]]:
-    """The words of every `replan ...` of a page, run or not: in blocks, indented, and in the text."""
+    """The words of every `replan ...` of a page, run or not: in blocks, indented, and in the
+    text.
+    """
     text = page.read_text(encoding="utf-8").replace("\\\n", " ")
     fenced = "\n".join(block.text for block in blocks(page, "sh")).replace("\\\n", " ")
     lines = re.findall(r"^ *(replan .+)$", fenced, re.MULTILINE) + re.findall(
@@ -205,7 +213,7 @@ def test_shown_code_is_fenced_as_a_language() -> None:
         assert not re.search(r"^ *```(?:bash|shell|console|py)$", text, re.MULTILINE), page.name
 
 
-# names of files, modules, options and anchors that the pages show ---------------------------------------------------
+# names of files, modules, options and anchors that the pages show ---------------------------------
 
 FOLDERS = (
     ".ci",
@@ -233,7 +241,9 @@ ENDINGS = ("csv", "parquet", "md", "json", "toml", "whl", "opendrive", "s3", "ra
 
 
 def code_names(page: Path) -> Iterator[str]:
-    """What stands in backticks in the text, what commands run as a Python file or module, and what `:::` documents."""
+    """What stands in backticks in the text, what commands run as a Python file or module, and what
+    `:::` documents.
+    """
     text = page.read_text(encoding="utf-8")
     yield from (name for line in CODE.findall(FENCE.sub("", text)) for name in line.split())
     yield from re.findall(r"(?:python (?:-m )?|^::: )([\w./]+)", text, re.MULTILINE)

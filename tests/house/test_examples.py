@@ -1,4 +1,7 @@
-"""The metric measures what it says; the notebook runs, shows what it says, and is kept without outputs."""
+"""The metric measures what it says.
+
+The notebook runs, shows what it says, and is kept without outputs.
+"""
 
 import ast
 import importlib

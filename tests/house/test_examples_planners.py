@@ -1,4 +1,6 @@
-"""The examples of planners that are programs: over stdin and stdout, over TCP, in Python and in C++."""
+"""The examples of planners that are programs: over stdin and stdout, over TCP, in Python and in
+C++.
+"""
 
 import shutil
 import subprocess

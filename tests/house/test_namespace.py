@@ -1,4 +1,6 @@
-"""One top-level package: a user's `planners/`, `metrics.py`, `logs/` and `replay.py` are theirs, from a clone and a wheel."""
+"""One top-level package: a user's `planners/`, `metrics.py`, `logs/` and `replay.py` are theirs,
+from a clone and a wheel.
+"""
 
 import json
 import os
@@ -51,20 +53,25 @@ FILES = {
     "metrics.py": "WEIGHT = 1.0\n",
     "replay.py": "NAME = 'theirs'\n",
     "utils/geometry.py": "def half(x):\n    return x / 2.0\n",
-    "test_mine.py": "from planners.mine import Mine\nimport replan\n\n\n"
-    "def test_contract():\n    replan.check_planner('planners.mine:Mine')\n    assert callable(Mine)\n",
+    "test_mine.py": (
+        "from planners.mine import Mine\nimport replan\n\n\n"
+        "def test_contract():\n    replan.check_planner('planners.mine:Mine')\n    assert "
+        "callable(Mine)\n"
+    ),
 }
 DRIVE = """
 if __name__ == "__main__":
     result = replan.evaluate("logs/a.mcap", planners=["planners.mine:Mine"], out={out!r}, recording=False, workers={workers})
     assert result.failures.empty, result.failures
     print(sorted(set(result.drives["planner"])))
-"""
+"""  # noqa: E501
 
 
 @pytest.fixture(scope="module")
 def repository(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A team's repository with a package, two modules, a namespace package and a data folder of our former names."""
+    """A team's repository with a package, two modules, a namespace package and a data folder of our
+    former names.
+    """
     folder = tmp_path_factory.mktemp("team")
     for name, text in FILES.items():
         (folder / name).parent.mkdir(exist_ok=True)
@@ -77,7 +84,9 @@ def repository(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The wheel of this tree, built from a copy: a build writes into its tree, and other tests may build, too."""
+    """The wheel of this tree, built from a copy: a build writes into its tree, and other tests may
+    build, too.
+    """
     folder, tree = tmp_path_factory.mktemp("wheel"), tmp_path_factory.mktemp("tree")
     for name in files_of_tree():
         (tree / name).parent.mkdir(parents=True, exist_ok=True)
@@ -125,7 +134,10 @@ def files_of_tree() -> list[str]:
 
 
 def dependencies() -> list[str]:
-    """The folders with the packages of this environment; their .pth files (of the editable install) are not read."""
+    """The folders with the packages of this environment.
+
+    Their .pth files (of the editable install) are not read.
+    """
     return [entry for entry in sys.path if entry.endswith(("site-packages", "dist-packages"))]
 
 
@@ -155,7 +167,9 @@ def python(request: pytest.FixtureRequest) -> Path:
 
 
 def run(repository: Path, *words: object, code: int = 0) -> str:
-    """What a command prints in the repository, where nothing but the installation leads to replan."""
+    """What a command prints in the repository, where nothing but the installation leads to
+    replan.
+    """
     environment = {
         name: value
         for name, value in os.environ.items()
@@ -203,7 +217,10 @@ def test_the_wheel_has_one_top_level_package_and_all_files_of_the_tree(wheel: Pa
 def test_a_script_imports_its_own_and_ours_in_any_order(
     python: Path, repository: Path, order: str
 ) -> None:
-    script = f"{order}\nimport metrics, replay, logs\nprint(metrics.__file__, replay.__file__, *logs.__path__)"
+    script = (
+        f"{order}\nimport metrics, replay, logs\nprint(metrics.__file__, replay.__file__, "
+        "*logs.__path__)"
+    )
     (repository / "script.py").write_text(script, encoding="utf-8")
     shown = run(repository, python, "script.py").split()
     assert shown == [str(repository / name) for name in ("metrics.py", "replay.py", "logs")]
@@ -277,14 +294,20 @@ def test_a_script_a_module_and_pytest_use_it(
 
 
 def test_the_folders_of_a_clone_are_never_a_second_copy(repository: Path) -> None:
-    """In the clone's root `import logs` is one line that names the package; in a user's folder it is theirs."""
+    """In the clone's root `import logs` is one line that names the package.
+
+    In a user's folder it is theirs.
+    """
     for name in OURS:
         shown = run(ROOT, sys.executable, "-c", f"import {name}", code=1).strip().splitlines()[-1]
         assert shown.startswith(
             f"ModuleNotFoundError: No module named '{name}': it is 'replan.{name}' now;"
         )
     assert "." not in TOOLS["pytest"]["ini_options"]["pythonpath"]
-    same = "import replan; from replan.logs.plan import Plan; assert Plan is replan.Plan; import logs; print(*logs.__path__)"
+    same = (
+        "import replan; from replan.logs.plan import Plan; assert Plan is replan.Plan; import "
+        "logs; print(*logs.__path__)"
+    )
     assert run(repository, sys.executable, "-c", same).split() == [str(repository / "logs")]
 
 
@@ -336,7 +359,10 @@ def test_it_is_installed_and_removed_beside_a_distribution_with_those_top_level_
     for name in ("planners", "metrics"):
         (team / name).mkdir(parents=True)
         (team / name / "__init__.py").write_text(f"NAME = 'team {name}'\n", encoding="utf-8")
-    project = '[project]\nname = "team"\nversion = "1.0"\n[tool.setuptools]\npackages = ["planners", "metrics"]\n'
+    project = (
+        '[project]\nname = "team"\nversion = "1.0"\n[tool.setuptools]\npackages = '
+        '["planners", "metrics"]\n'
+    )
     (team / "pyproject.toml").write_text(project, encoding="utf-8")
     venv.create(tmp_path / "venv", with_pip=True, symlinks=True)
     python = tmp_path / "venv" / "bin" / "python"
@@ -358,7 +384,10 @@ def test_it_is_installed_and_removed_beside_a_distribution_with_those_top_level_
     run(tmp_path, *pip, "install", "--no-index", "--no-deps", *tmp_path.glob("*.whl"), wheel)
     site = Path(run(tmp_path, python, "-c", SITE).strip())
     (site / "beside.pth").write_text("\n".join(dependencies()) + "\n", encoding="utf-8")
-    both = "import planners, metrics, replan.planners.idm, replan.metrics; print(planners.NAME, metrics.NAME)"
+    both = (
+        "import planners, metrics, replan.planners.idm, replan.metrics; print(planners.NAME, "
+        "metrics.NAME)"
+    )
     assert run(tmp_path, python, "-c", both).strip() == "team planners team metrics"
     run(tmp_path, *pip, "uninstall", "--yes", "replan")
     assert not (site / "replan").exists()

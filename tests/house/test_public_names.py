@@ -1,4 +1,6 @@
-"""The public names: `import replan` has them, types and the page agree, and importing them is quick."""
+"""The public names: `import replan` has them, types and the page agree, and importing them is
+quick.
+"""
 
 import subprocess
 import sys

@@ -1,4 +1,6 @@
-"""What README, CHANGELOG and constraints say is so; `test_docs.py` runs what README and documentation show."""
+"""What README, CHANGELOG and constraints say is so; `test_docs.py` runs what README and
+documentation show.
+"""
 
 import re
 import subprocess

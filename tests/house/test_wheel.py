@@ -1,4 +1,6 @@
-"""The wheel with machine code: what `.ci/wheel.py` packs can be installed, and says for which Python it is."""
+"""The wheel with machine code: what `.ci/wheel.py` packs can be installed, and says for which
+Python it is.
+"""
 
 import base64
 import csv

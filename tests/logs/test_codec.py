@@ -1,4 +1,6 @@
-"""The codec of the nouns: what is read is what was written, and the fields of messages on the wire stay."""
+"""The codec of the nouns: what is read is what was written, and the fields of messages on the wire
+stay.
+"""
 
 import msgspec
 import numpy as np
@@ -17,8 +19,11 @@ from replan.replay.planner_process import messages
 
 FIELDS = {
     "Road": "lanes source drives_on_right default_speed_limit stop_lines crosswalks",
-    "lanes": "id left right successors left_neighbour right_neighbour left_opposite speed_limit drivable left_crossable"
-    " right_crossable kind right_opposite yields_to",
+    "lanes": (
+        "id left right successors left_neighbour right_neighbour left_opposite speed_limit "
+        "drivable left_crossable"
+        " right_crossable kind right_opposite yields_to"
+    ),
     "stop_lines": "id lane points light must_stop towards",
     "crosswalks": "id polygon",
     "goal": "regions t v yaw alternatives way",

@@ -1,4 +1,7 @@
-"""Units and frames of a log: refused, or chosen with a note, at any rate; a right log is not touched."""
+"""Units and frames of a log: refused, or chosen with a note, at any rate.
+
+A right log is not touched.
+"""
 
 from dataclasses import replace
 

@@ -1,4 +1,7 @@
-"""The part of a drive that a planner can drive. Drives are made of pieces: curvature, way, speed (below 0: reverse)."""
+"""The part of a drive that a planner can drive.
+
+Drives are made of pieces: curvature, way, speed (below 0: reverse).
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -92,7 +95,10 @@ def test_the_part_to_drive_is_the_first_that_goes_forward(
 
 
 def test_the_times_of_a_reversal_are_those_between_the_standstills() -> None:
-    """30 m forward, 4 s at rest, 20 m back, as a car park sees it; the lane's limit is that of the way forward."""
+    """30 m forward, 4 s at rest, 20 m back, as a car park sees it.
+
+    The lane's limit is that of the way forward.
+    """
     t = np.arange(0.0, 30.0, 0.1)
     v = np.interp(t, [0, 2, 8, 10, 14, 16, 22, 24, 30], [0, 4, 4, 0, 0, -2.5, -2.5, 0, 0])
     table = pd.DataFrame(
@@ -116,7 +122,9 @@ def test_reversals_do_not_depend_on_the_frame(turn: float, shift: float, mirrore
 
 
 def test_what_is_no_reverse_gear_does_not_end_the_lane() -> None:
-    """A roll back of 0.7 m, a correction of the localisation by 4 m at speed, a drift of 3 m within 5 min at rest."""
+    """A roll back of 0.7 m, a correction of the localisation by 4 m at speed, a drift of 3 m within
+    5 min at rest.
+    """
     rolls = driven((0.0, 50.0, 6.0), STAND, (0.0, 0.7, -0.5), (0.0, 50.0, 6.0)).ego
     ahead = driven((0.0, 100.0, 10.0)).ego
     corrected = replace(ahead, x=ahead.x - 4.0 * (ahead.t > 6.0))
@@ -150,7 +158,10 @@ def test_on_the_lanes_of_a_map_all_is_driven() -> None:
 
 
 def test_a_part_has_a_lane_of_its_own(tmp_path: Path) -> None:
-    """The first nine seconds alone, as a log of their own; from a table and from a converted log."""
+    """The first nine seconds alone, as a log of their own.
+
+    From a table and from a converted log.
+    """
     table = ego(*FORWARD_BACK)
     alone = from_frames(table[table.t < 9.0 + 1e-6], name="drive")
     (tmp_path / "log").mkdir()

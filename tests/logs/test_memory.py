@@ -1,4 +1,6 @@
-"""What a long drive keeps in memory: its frames come back as they were, a part of its tracks answers as the whole."""
+"""What a long drive keeps in memory: its frames come back as they were, a part of its tracks
+answers as the whole.
+"""
 
 import pickle
 from dataclasses import fields, replace
@@ -90,7 +92,10 @@ CAR = VehicleParameters()
 
 
 def come_and_go(seed: int, count: int = 12) -> Tracks:
-    """Tracks that begin and end anywhere, at rates of 20 to 0.7 Hz that may change, with gaps; one is static."""
+    """Tracks that begin and end anywhere, at rates of 20 to 0.7 Hz that may change, with gaps.
+
+    One is static.
+    """
     rng = np.random.default_rng(seed)
     t = []
     for _ in range(count):

@@ -1,4 +1,6 @@
-"""The estimated motion of the others: laws of noise, rate and frame, and what happens at abrupt changes."""
+"""The estimated motion of the others: laws of noise, rate and frame, and what happens at abrupt
+changes.
+"""
 
 from dataclasses import replace
 from math import cos, sin
@@ -120,7 +122,10 @@ def test_a_braking_leads_deceleration_is_found(
 def test_the_yaw_rate_of_who_drives_a_circle_is_found(
     rate: float, side: float, sigma: float, error: float
 ) -> None:
-    """8 m/s on 20 m: 0.4 rad/s, half a second away from the track's ends; one that stands in noise hardly turns."""
+    """8 m/s on 20 m: 0.4 rad/s, half a second away from the track's ends.
+
+    One that stands in noise hardly turns.
+    """
     t = times(rate, 6.0)
     x, y = 20.0 * np.sin(0.4 * t), side * 20.0 * (1.0 - np.cos(0.4 * t))
     inside = (t > 0.5) & (t < 5.5)

@@ -1,4 +1,6 @@
-"""When a log's traffic was observed: laws of streams and of inference, then examples, writing and cutting."""
+"""When a log's traffic was observed: laws of streams and of inference, then examples, writing and
+cutting.
+"""
 
 from dataclasses import replace
 from itertools import pairwise

@@ -25,7 +25,9 @@ def wavy(seed: int, n: int = 30) -> np.ndarray:
 
 
 def there_and_back(line: ReferenceLine, s: float, share: float) -> float:
-    """Largest error of (s, l) after a trip to the world, l as a share of the regular width (at most 4 m)."""
+    """Largest error of (s, l) after a trip to the world, l as a share of the regular width (at most
+    4 m).
+    """
     near = slice(*np.searchsorted(line.s, [s - 8.0, s + 8.0]))
     kappa = max([1e-9, *np.abs(line.kappa[near])])
     l = share * min(4.0, 0.8 / kappa)  # noqa: E741

@@ -48,7 +48,9 @@ def ways(road: Road, path: tuple[int, ...], cost: float, target: int) -> Iterato
 
 @st.composite
 def graphs(draw: st.DrawFn) -> Road:
-    """Lanes 0 .. 6 of random lengths side by side, 100 m apart, with random successors and neighbours."""
+    """Lanes 0 .. 6 of random lengths side by side, 100 m apart, with random successors and
+    neighbours.
+    """
     ids = st.integers(0, 7)
     found = {}
     for i in range(7):
@@ -144,7 +146,10 @@ def test_straight_on_is_the_successor_that_turns_least() -> None:
 
 
 def known_distances(road: Road, targets: frozenset[int]) -> dict[int, float]:
-    """The least cost from each lane to the targets, by scipy's shortest paths; those that have one."""
+    """The least cost from each lane to the targets, by scipy's shortest paths.
+
+    Those that have one.
+    """
     ids = sorted(i for i, lane in road.lanes.items() if lane.drivable)
     at = {lane: k for k, lane in enumerate(ids)}
     price: dict[tuple[int, int], float] = {}

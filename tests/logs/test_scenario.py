@@ -22,7 +22,10 @@ COLUMNS = ("t", "x", "y", "yaw", "vx", "vy")
 
 
 def ragged(seed: int) -> Tracks:
-    """A handful of tracks of random lengths and rates; some velocities are not known, one obstacle is static."""
+    """A handful of tracks of random lengths and rates.
+
+    Some velocities are not known, one obstacle is static.
+    """
     rng = np.random.default_rng(seed)
     counts = rng.integers(1, 12, 5)
     t = [rng.uniform(-0.5, 2.0) + np.cumsum(rng.uniform(0.05, 0.45, n)) for n in counts]
@@ -65,7 +68,10 @@ def one_car(t: list[float], x: list[float], /, **changes: object) -> Tracks:
 
 
 def truncated(tracks: Tracks, time: float) -> Tracks:
-    """Without the samples later than `time`; static obstacles, known from the start, keep their first sample."""
+    """Without the samples later than `time`.
+
+    Static obstacles, known from the start, keep their first sample.
+    """
     keep = tracks.t <= time
     keep[tracks.offsets[:-1][tracks.static]] = True
     return tracks.taken(keep)

@@ -125,7 +125,9 @@ def test_invariant_under_turning_shifting_and_mirroring(
 
 
 def _closest(one: Box, two: Box, v1: tuple, v2: tuple) -> float:
-    """How nearly the outcome turns over: |margin| by which a slightly larger box changes the answer."""
+    """How nearly the outcome turns over: |margin| by which a slightly larger box changes the
+    answer.
+    """
     a, b = (time_to_contact(grown(one, by), v1, two, v2) for by in (1e-4, -1e-4))
     return inf if (a == inf) == (b == inf) and (a == b or abs(a - b) < 1.0) else 0.0
 

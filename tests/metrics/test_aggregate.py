@@ -1,4 +1,6 @@
-"""Many logs as one: Wilson's interval against scipy, groups against what pandas says, lost logs count against."""
+"""Many logs as one: Wilson's interval against scipy, groups against what pandas says, lost logs
+count against.
+"""
 
 import numpy as np
 import pandas as pd

@@ -54,7 +54,9 @@ def eight(rounds: int, radius: float = 25.0) -> np.ndarray:
 
 
 def there_and_back(length: float) -> np.ndarray:
-    """Out on y = 0, a turn of 8 m radius, back on y = 16 m and over to 3.5 m: it ends beside its start."""
+    """Out on y = 0, a turn of 8 m radius, back on y = 16 m and over to 3.5 m: it ends beside its
+    start.
+    """
     turn = np.linspace(-0.5 * np.pi, 0.5 * np.pi, 60)
     back = [[length, 16.0], [60.0, 16.0], [40.0, 3.5], [0.0, 3.5]]
     return np.vstack(
@@ -91,7 +93,9 @@ WAYS = st.one_of(
 @settings(max_examples=25, deadline=None)
 @given(WAYS)
 def test_the_logs_driver_arrives_at_the_end_of_its_drive_and_not_before(points: np.ndarray) -> None:
-    """The goal that is made from a drive's end counts within a goal's length of the end, however often it is passed."""
+    """The goal that is made from a drive's end counts within a goal's length of the end, however
+    often it is passed.
+    """
     log = driven_path(points)
     at = first_arrival(log)
     gain = gain_along(route_of(log), log.ego).metres

@@ -1,4 +1,6 @@
-"""Boxes on a grid in pieces or agent by agent, and phantoms: boxes in which the recorded ego stands."""
+"""Boxes on a grid in pieces or agent by agent, and phantoms: boxes in which the recorded ego
+stands.
+"""
 
 from dataclasses import replace
 

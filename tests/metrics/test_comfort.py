@@ -77,7 +77,10 @@ def test_a_circle_has_constant_lateral_acceleration_and_yaw_rate(v: float, kappa
 def test_quiet_driving_before_or_after_a_slam_changes_nothing(
     slam: float, quiet: int, before: bool
 ) -> None:
-    """Row 15: p99 falls to 0 in a longer drive; the time out of bounds and the worst episode stay."""
+    """Row 15: p99 falls to 0 in a longer drive.
+
+    The time out of bounds and the worst episode stay.
+    """
 
     def slammed(pre: float, post: float) -> pd.Series:
         t = grid(pre + slam + post, 0.05)
@@ -108,7 +111,8 @@ def test_the_worst_episode_is_the_longest_and_not_the_sum() -> None:
 
 
 def test_turning_the_acceleration_is_jerk() -> None:
-    """|A| = 3 m/s2 turning with 0.5 Hz: |dA/dt| = 2 pi 0.5 3 = 9.42, over 0.1 s 2 * 3 sin(pi 0.05) / 0.1 = 9.39.
+    """|A| = 3 m/s2 turning with 0.5 Hz: |dA/dt| = 2 pi 0.5 3 = 9.42, over 0.1 s 2 * 3 sin(pi 0.05)
+    / 0.1 = 9.39.
 
     nuPlan's d|A|/dt sees 0.
     """
@@ -126,8 +130,8 @@ def signal(a: np.ndarray, t: np.ndarray) -> pd.Series:
 
 
 def test_nuplans_filter_reads_what_nuplans_code_reads() -> None:
-    """At 10 Hz: a ramp of 6 m/s3 to -3 m/s2 is 2.91, or 6.27 where the log ends with it; a tap of -5 m/s2 for 0.3 s is
-    2.80; -3 to 2 m/s2 in 0.5 s is 4.84 along, and 1.63 of |a|."""
+    """At 10 Hz: a ramp of 6 m/s3 to -3 m/s2 is 2.91, or 6.27 where the log ends with it; a tap of
+    -5 m/s2 for 0.3 s is 2.80; -3 to 2 m/s2 in 0.5 s is 4.84 along, and 1.63 of |a|."""
     t = grid(20.0, 0.1)
     ramp = -np.clip(6.0 * (t - 8.0), 0.0, 3.0)
     assert signal(ramp, t)["lon_jerk_nuplan.max_abs"] == pytest.approx(2.906, abs=1e-3)
@@ -159,7 +163,9 @@ def steered(t: np.ndarray, a: np.ndarray, aside: np.ndarray) -> Trajectory:
 @pytest.mark.parametrize("rate", [5.0, 10.0, 20.0])
 @pytest.mark.parametrize("seed", range(3))
 def test_the_jitter_of_a_recorded_drive_is_not_abrupt(rate: float, seed: float) -> None:
-    """0.5 m/s2 of noise in both accelerations: the unfiltered signals are beyond the bounds for seconds."""
+    """0.5 m/s2 of noise in both accelerations: the unfiltered signals are beyond the bounds for
+    seconds.
+    """
     t, rng = grid(15.0, 1.0 / rate), np.random.default_rng(seed)
     calm = 1.5 * np.sin(0.4 * t)
     table = judged(steered(t, *(calm + 0.5 * rng.standard_normal((2, len(t))))))["value"]
@@ -193,7 +199,9 @@ def test_recorded_humans_are_not_abrupt(name: str, shared_data: Path) -> None:
 
 
 def test_the_road_user_that_the_ego_brakes_for_is_named_although_the_filter_is_early() -> None:
-    """A car appears at 2 s, the ego brakes from then on: the filtered jerk is beyond its bound before."""
+    """A car appears at 2 s, the ego brakes from then on: the filtered jerk is beyond its bound
+    before.
+    """
     t = grid(6.0, 0.1)
     ego = along(t, 10.0, a=np.where((t >= 2.0) & (t < 3.2), -8.0, 0.0))
     log = scenario(
@@ -209,7 +217,10 @@ def test_the_road_user_that_the_ego_brakes_for_is_named_although_the_filter_is_e
 
 
 def test_r79_reads_half_of_a_short_ramp() -> None:
-    """A ramp of 6 m/s3 for 0.5 s: 3.2 after low-pass and moving mean; a tap of 5 m/s2 for 0.3 s: 2.7."""
+    """A ramp of 6 m/s3 for 0.5 s: 3.2 after low-pass and moving mean.
+
+    A tap of 5 m/s2 for 0.3 s: 2.7.
+    """
     t, v = grid(12.0), 20.0
     for lateral, expected in (
         (np.clip(6.0 * (t - 4.0), 0.0, 3.0), 3.2),

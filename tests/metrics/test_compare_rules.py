@@ -136,7 +136,9 @@ def test_windows_of_a_recording_count_together_and_the_mean_is_that_of_all(
 
 
 def test_intervals_cover_the_mean_as_often_as_they_say() -> None:
-    """500 samples of 20 from a normal distribution: 95 % intervals, of a percentile bootstrap 92 % (Efron 1993)."""
+    """500 samples of 20 from a normal distribution: 95 % intervals, of a percentile bootstrap 92 %
+    (Efron 1993).
+    """
     low, high = intervals(np.random.default_rng(1).normal(0.3, 1.0, (500, 20)))
     assert 0.90 <= np.mean((low <= 0.3) & (high >= 0.3)) <= 0.96
 
@@ -177,7 +179,9 @@ def test_worst_regressions_come_first_with_their_moment() -> None:
 
 
 def test_both_sides_are_judged_by_the_same_gates_and_the_same_careful_driver() -> None:
-    """A careful driver who comes as near excuses both runs, whichever of them they were driven with."""
+    """A careful driver who comes as near excuses both runs, whichever of them they were driven
+    with.
+    """
     careful = row("a1", 0.1, planner="careful", mode="reference")
     gaps = (row("a1", 0.3), row("a1", 0.2))
     one, two = side("old", gaps[0]), side("new", gaps[1], careful)

@@ -1,4 +1,6 @@
-"""TTC at constant acceleration, closest encounters, post-encroachment time, TTC to the vulnerable, severity."""
+"""TTC at constant acceleration, closest encounters, post-encroachment time, TTC to the vulnerable,
+severity.
+"""
 
 from dataclasses import replace
 
@@ -75,8 +77,9 @@ def test_accelerated_contact_is_the_first_touch(seed: int) -> None:
 
 
 def test_accelerated_time_to_contact_sees_the_braking_lead() -> None:
-    """At t = 0.5 s of a lead at 10 m/s that brakes with 3 m/s2 from 0 on, 30 m ahead of 15 m/s: at 8.5 m/s and
-    30 + 4.625 - 7.5 = 27.125 m: 6.5 t + 1.5 t^2 = 27.125: t = 2.606; at constant speed 4.17 s."""
+    """At t = 0.5 s of a lead at 10 m/s that brakes with 3 m/s2 from 0 on, 30 m ahead of 15 m/s: at
+    8.5 m/s and 30 + 4.625 - 7.5 = 27.125 m: 6.5 t + 1.5 t^2 = 27.125: t = 2.606; at constant speed
+    4.17 s."""
     braking = (
         "7",
         AgentKind.CAR,
@@ -113,9 +116,10 @@ def test_the_closest_encounter_is_the_least_of_all_times(seed: int) -> None:
     ("start", "part", "word"), [(-14.0, "ego_first", "second"), (1.8, "ego_second", "first")]
 )
 def test_post_encroachment_time_at_a_crossing(start: float, part: str, word: str) -> None:
-    """A box 2 x 2 m crosses at x = 20, 2 m/s upwards: it is in the ego's band while |y| < 0.805 + 1 = 1.805 m. From
-    y = -14 it takes the band at 6.0975 s; the ego, 10 m/s, has its tail past x = 21 at (21 + 0.9) / 10 = 2.19 s: 3.91.
-    From y = 1.8 it is out at 0.0025 s; the ego's nose is at x = 19 at (19 - 3.608) / 10 = 1.54 s."""
+    """A box 2 x 2 m crosses at x = 20, 2 m/s upwards: it is in the ego's band while |y| < 0.805 + 1
+    = 1.805 m. From y = -14 it takes the band at 6.0975 s; the ego, 10 m/s, has its tail past x = 21
+    at (21 + 0.9) / 10 = 2.19 s: 3.91. From y = 1.8 it is out at 0.0025 s; the ego's nose is at x =
+    19 at (19 - 3.608) / 10 = 1.54 s."""
     box = ("7", AgentKind.CAR, (2.0, 2.0), moving(20.0, start, 0.0, 2.0))
     table = judged(world(10.0, box, seconds=8.0))
     expected = {"ego_first": (14.0 - 1.805) / 2.0 - 2.19, "ego_second": 1.5392}[part]
@@ -127,7 +131,10 @@ def test_post_encroachment_time_at_a_crossing(start: float, part: str, word: str
 
 
 def test_a_pedestrian_crosses_whatever_the_boxs_heading() -> None:
-    """0.6 m, 1 m/s from y = -3, in the band (0.805 + 0.3) from 1.895 s on; the tail is past 10.3 m after 1.12 s."""
+    """0.6 m, 1 m/s from y = -3, in the band (0.805 + 0.3) from 1.895 s on.
+
+    The tail is past 10.3 m after 1.12 s.
+    """
     found = judged(world(10.0, walker(10.0, -3.0, 1.0))).loc["pet.crossing.min"]
     assert found["value"] == pytest.approx(1.895 - 1.12, abs=0.2)
     assert found["reason"] == "pedestrian p second"
@@ -143,7 +150,10 @@ def test_who_follows_has_a_post_encroachment_time_and_does_not_cross() -> None:
 
 
 def test_the_vulnerable_have_a_time_to_collision_of_their_own() -> None:
-    """The car ahead is nearer in time: (20 - 0) / 10 = 2 s; the pedestrian in front of it: (30 - 0.3) / 10 = 2.97 s."""
+    """The car ahead is nearer in time: (20 - 0) / 10 = 2 s.
+
+    The pedestrian in front of it: (30 - 0.3) / 10 = 2.97 s.
+    """
     log = world(
         10.0, car(NOSE + 22.25, 0.0, 0.0, yaw=0.0), walker(NOSE + 30.0, -0.5, 0.1), seconds=0.1
     )
@@ -155,8 +165,9 @@ def test_the_vulnerable_have_a_time_to_collision_of_their_own() -> None:
 
 
 def test_at_a_collision_at_fault_ttc_is_zero_and_its_time_counts() -> None:
-    """In reverse, 3 m/s, into a car that stands 2 m behind: those behind have no TTC, but the touch after 0.667 s is
-    the ego's fault. The drive ends with it: the last step stands for half of its 0.01 s."""
+    """In reverse, 3 m/s, into a car that stands 2 m behind: those behind have no TTC, but the touch
+    after 0.667 s is the ego's fault. The drive ends with it: the last step stands for half of its
+    0.01 s."""
     log = scenario(along(grid(0.67), -3.0), [car(-TAIL - 2.25 - 2.0, 0.0, 0.0, yaw=0.0)])
     table = judged(log)
     assert table.loc["collision_at_fault.count", "value"] == 1
@@ -166,15 +177,18 @@ def test_at_a_collision_at_fault_ttc_is_zero_and_its_time_counts() -> None:
 
 
 def test_time_exposed_and_time_integrated() -> None:
-    """Standing car, 10 m/s, the drive ends 0.5 s before the touch: TTC from 1.5 to 0.5 s: 1 s exposed, and the integral
-    of 1.5 - TTC is 1 / 2 s^2."""
+    """Standing car, 10 m/s, the drive ends 0.5 s before the touch: TTC from 1.5 to 0.5 s: 1 s
+    exposed, and the integral of 1.5 - TTC is 1 / 2 s^2."""
     table = judged(world(10.0, car(NOSE + 2.25 + 35.0, 0.0, 0.0, yaw=0.0), seconds=3.0))
     assert table.loc["ttc.time_below_1500ms", "value"] == pytest.approx(1.0, abs=0.011)
     assert table.loc["ttc.integrated_1500ms", "value"] == pytest.approx(0.5, abs=0.011)
 
 
 def test_the_severity_of_a_collision() -> None:
-    """10 into 2 m/s from behind: 8 m/s; the ego's delta-v 8 * 1500 / (1500 + 1093.3) = 4.627 m/s."""
+    """10 into 2 m/s from behind: 8 m/s.
+
+    The ego's delta-v 8 * 1500 / (1500 + 1093.3) = 4.627 m/s.
+    """
     log = world(10.0, car(20.0, 0.0, 2.0))
     table = judged(log)
     row = table.loc["collision_severity.impact_speed.max"]

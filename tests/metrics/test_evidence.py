@@ -104,7 +104,9 @@ def test_a_drive_may_end_with_the_evidence_and_says_so() -> None:
 
 
 def test_a_blind_drive_among_traffic_that_ends_at_once_has_no_evidence(tmp_path: Path) -> None:
-    """Constant speed meets nobody, since nobody is there: nothing that a safety gate could rest on."""
+    """Constant speed meets nobody, since nobody is there: nothing that a safety gate could rest
+    on.
+    """
     cars = [vehicle(20 + i, driving(20.0 * i, 4.0, 10.0, steps=2)) for i in range(4)]
     log = read_commonroad(
         written(tmp_path, lane(1), lane(2, y=4.0), *cars, problem(9, 0.0, 0.0, 10.0))
@@ -117,7 +119,9 @@ def test_a_blind_drive_among_traffic_that_ends_at_once_has_no_evidence(tmp_path:
 
 @pytest.mark.slow
 def test_published_files_have_the_evidence_that_their_traffic_gives(shared_data: Path) -> None:
-    """Files whose traffic is a snapshot have next to none, those whose traffic is recorded have all of it."""
+    """Files whose traffic is a snapshot have next to none, those whose traffic is recorded have all
+    of it.
+    """
     files = sorted((shared_data / "commonroad_traps").glob("*.xml"))
     whole = sorted((shared_data / "commonroad").glob("*.xml"))[::15]
     if not files or not whole:

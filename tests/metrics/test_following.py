@@ -1,4 +1,6 @@
-"""Lead, headway, required braking and steering, the following gap of UN R157: hand-computed, and their laws."""
+"""Lead, headway, required braking and steering, the following gap of UN R157: hand-computed, and
+their laws.
+"""
 
 from dataclasses import replace
 from math import pi
@@ -39,7 +41,10 @@ MINE = {metric.name: metric for metric in GROUPS["safety"] if metric.name in NEW
 def lead(
     gap: float, v: float, decel: float = 0.0, y: float = 0.0, kind: AgentKind = AgentKind.CAR
 ) -> Agent:
-    """`gap` m ahead of the bumper of an ego that starts at 0; brakes from t = 0 on, until it stands."""
+    """`gap` m ahead of the bumper of an ego that starts at 0.
+
+    Brakes from t = 0 on, until it stands.
+    """
 
     def motion(t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         rolls = np.minimum(t, v / decel) if decel else t
@@ -64,7 +69,10 @@ def at(log: Scenario, name: str, t: float) -> float:
 
 
 def test_the_lead_is_the_nearest_in_the_band_and_not_who_is_beside_behind_or_coming() -> None:
-    """Band: 0.805 m to each side; a car 1.8 m wide at y = 1.70 reaches to 0.80, at 1.71 only to 0.81."""
+    """Band: 0.805 m to each side.
+
+    A car 1.8 m wide at y = 1.70 reaches to 0.80, at 1.71 only to 0.81.
+    """
     behind = ("b", AgentKind.CAR, CAR, moving(-8.0, 0.0, 10.0, 0.0))
     coming = ("c", AgentKind.CAR, CAR, moving(30.0, 0.0, -5.0, 0.0))
     far, near = replace_id(lead(40.0, 10.0), "far"), replace_id(lead(20.0, 10.0, y=1.70), "near")
@@ -83,7 +91,9 @@ def replace_id(agent: Agent, name: str) -> Agent:
 
 @given(st.floats(-0.12, 0.12), st.floats(5.0, 60.0), st.floats(-0.75, 0.75))
 def test_the_path_bends_with_the_ego(kappa: float, s: float, aside: float) -> None:
-    """A small box at (s, l) of a circle is in the band up to a quarter of a turn, at its near edge."""
+    """A small box at (s, l) of a circle is in the band up to a quarter of a turn, at its near
+    edge.
+    """
     if abs(kappa) < 1e-3 or abs(kappa) * s > 0.5 * pi - 0.05:
         return
     radius, turn = 1.0 / kappa - aside, kappa * s
@@ -98,7 +108,9 @@ def test_the_path_bends_with_the_ego(kappa: float, s: float, aside: float) -> No
 
 
 def test_who_crosses_is_a_lead_while_in_the_band() -> None:
-    """0.6 m wide, 1 m/s from y = -2: reaches -0.805 after (2 - 0.805 - 0.3) / 1 = 0.895 s, leaves after 3.105 s."""
+    """0.6 m wide, 1 m/s from y = -2: reaches -0.805 after (2 - 0.805 - 0.3) / 1 = 0.895 s, leaves
+    after 3.105 s.
+    """
     walker = ("p", AgentKind.PEDESTRIAN, (0.6, 0.6), moving(60.0, -2.0, 0.0, 1.0, 0.0))
     log = world(5.0, walker, seconds=4.0)
     found = ahead_of(drive(log), log)
@@ -106,7 +118,10 @@ def test_who_crosses_is_a_lead_while_in_the_band() -> None:
 
 
 def test_headway_time_headway_and_drac() -> None:
-    """The scene of a published library: 15 and 10 m/s, 30 m apart. THW = 30/15, DRAC = 25/60; after 1 s 25 m."""
+    """The scene of a published library: 15 and 10 m/s, 30 m apart.
+
+    THW = 30/15, DRAC = 25/60; after 1 s 25 m.
+    """
     log = world(15.0, lead(30.0, 10.0))
     assert (at(log, "headway", 0.0), at(log, "thw", 0.0)) == (
         pytest.approx(30.0),
@@ -144,7 +159,9 @@ def test_required_deceleration_is_the_least_that_does_not_touch(
 
 
 def test_steering_past_a_standing_car() -> None:
-    """10 m/s, 20 m: T = 2 s, the car from -0.9 to 0.9 m: 2 (0.9 + 0.805) / 4 = 0.8525 m/s2, over 8."""
+    """10 m/s, 20 m: T = 2 s, the car from -0.9 to 0.9 m: 2 (0.9 + 0.805) / 4 = 0.8525 m/s2,
+    over 8.
+    """
     log = world(10.0, lead(20.0, 0.0), seconds=0.1)
     assert at(log, "stn", 0.0) == pytest.approx(0.8525 / 8.0)
     # To the right: 0.805 - (0.5 - 0.9) = 1.205

@@ -31,7 +31,7 @@ def verdict(gate: Gate, rows: pd.DataFrame, **how: object) -> Verdict:
 
 AT_LEAST = Gate("gap.min", min=0.5)
 
-# judging ----------------------------------------------------------------------------------------------------------
+# judging ------------------------------------------------------------------------------------------
 
 
 @given(
@@ -65,7 +65,8 @@ def test_a_failure_names_worst_log_value_time_planner_and_whom() -> None:
     assert (found.outcome, found.planner, found.mode, found.log) == (FAIL, "dp_qp", "closed", "b")
     assert (found.value, found.time_s) == (0.12, 1.5)
     assert found.reason == (
-        "dp_qp, closed loop: gap.min = 0.12 m, below 0.5, on b at 1.50 s (car 7); broken in 2 of 3 logs"
+        "dp_qp, closed loop: gap.min = 0.12 m, below 0.5, on b at 1.50 s (car 7); broken in 2 of 3 "
+        "logs"
     )
 
 
@@ -130,7 +131,7 @@ def test_a_misspelt_tag_or_planner_does_not_make_an_optional_gate_vanish() -> No
     assert "planner dp_pq, did you mean 'dp_qp'?" in planner.reason
 
 
-# evidence ---------------------------------------------------------------------------------------------------------
+# evidence -----------------------------------------------------------------------------------------
 
 
 def reference(planner: str, value: float, **changes: object) -> dict[str, object]:
@@ -316,7 +317,9 @@ def test_nothing_excuses_a_drive_in_which_the_planner_failed(metric: str) -> Non
     [("", "", FAIL), ("car 7a", "car 7b", FAIL), ("car 7a", "car 7a", INCONCLUSIVE)],
 )
 def test_hard_braking_for_nothing_is_not_excused(mine: str, careful: str, outcome: Outcome) -> None:
-    """At 3 s, where the careful driver brakes as hard: for nothing, for another car or the same by the whole id."""
+    """At 3 s, where the careful driver brakes as hard: for nothing, for another car or the same by
+    the whole id.
+    """
     rows = (
         row("a", 0.1, reason="car 7", about=mine),
         reference("careful", 0.1, reason="car 7", about=careful),
@@ -518,9 +521,11 @@ def gates(tmp_path: Path, text: str) -> Gates:
 def test_a_file_is_read(tmp_path: Path) -> None:
     found = gates(
         tmp_path,
-        '[[gate]]\nmetric = "gap_vulnerable.min"\nmin = 0.5\nmax = 9\nmode = "closed"\ntags = ["pedestrian"]\n'
+        '[[gate]]\nmetric = "gap_vulnerable.min"\nmin = 0.5\nmax = 9\nmode = "closed"\ntags = '
+        '["pedestrian"]\n'
         'planner = "dp_qp"\nover = "mean"\nmin_logs = 2\nreason = "keep away"\n\n'
-        '[[gate]]\nmetric = "qp_iterations.path.max"\nmax = 4000\n[[gate]]\nmetric = "ade.3s.mean"\nmax = 2\n',
+        '[[gate]]\nmetric = "qp_iterations.path.max"\nmax = 4000\n[[gate]]\nmetric = '
+        '"ade.3s.mean"\nmax = 2\n',
     )
     assert found.source.endswith("gates.toml")
     assert found.gates[0] == Gate(
@@ -588,11 +593,13 @@ def test_gates_on_metrics_of_ones_own(tmp_path: Path) -> None:
     assert len(load_gates(tmp_path / "mine.toml", metrics=mine).gates) == 1
 
 
-# the default ------------------------------------------------------------------------------------------------------
+# the default --------------------------------------------------------------------------------------
 
 
 def test_the_default_gates_judge_any_closed_loop_drive() -> None:
-    """Whatever a log lacks (others, lanes, goal), none of them but those on plans is left without a value by it."""
+    """Whatever a log lacks (others, lanes, goal), none of them but those on plans is left without a
+    value by it.
+    """
     default = load_gates(None)
     needs_plans = ("plan_", "fallback")
     log = scenario(along(grid(3.0), 10.0))

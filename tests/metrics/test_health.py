@@ -1,4 +1,6 @@
-"""A log's health: each fault that is planted is found, where it was planted, and a clean log has none."""
+"""A log's health: each fault that is planted is found, where it was planted, and a clean log has
+none.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace

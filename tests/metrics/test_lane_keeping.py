@@ -80,7 +80,10 @@ def test_two_visits_are_two_episodes() -> None:
 
 
 def test_where_lanes_cross_nothing_is_asked() -> None:
-    """A lane across at x = 40 .. 50 m, from left to right: in it the ego drives neither against nor off a lane."""
+    """A lane across at x = 40 ..
+
+    50 m, from left to right: in it the ego drives neither against nor off a lane.
+    """
     y = np.array([-60.0, 60.0])
     across = Lane(7, np.column_stack([np.full(2, 40.0), y]), np.column_stack([np.full(2, 50.0), y]))
     road = replace(LOG.road, lanes={**LOG.road.lanes, 7: across})

@@ -1,4 +1,6 @@
-"""The vocabulary of metrics, their table and pages, and all metrics of drives that hardly are any."""
+"""The vocabulary of metrics, their table and pages, and all metrics of drives that hardly are
+any.
+"""
 
 import gc
 import weakref
@@ -122,7 +124,7 @@ def test_bad_series_are_refused() -> None:
         Series(np.zeros(1), np.zeros(1), ("a", "b"))
 
 
-# the table --------------------------------------------------------------------------------------------------------
+# the table ----------------------------------------------------------------------------------------
 
 
 def test_the_table_has_the_columns_and_one_row_per_reduction() -> None:
@@ -302,7 +304,9 @@ def test_all_metrics_of_a_drive_that_hardly_is_one_have_a_value_or_a_reason(
 
 
 def test_the_instant_of_contact_counts() -> None:
-    """Row 20: at 30 m/s and 0.01 s only the last step, with which the drive ends, is nearer than 0.2 m."""
+    """Row 20: at 30 m/s and 0.01 s only the last step, with which the drive ends, is nearer than
+    0.2 m.
+    """
     ego = along(grid(1.0), 30.0)
     rear = float(ego.x[-1]) + LOG.vehicle.axle_to_front
     stands = ("7", AgentKind.CAR, (4.0, 1.8), moving(rear + 2.0 - 0.01, 0.0, 0.0, 0.0, 0.0))

@@ -1,4 +1,7 @@
-"""Needless braking, standing and steering; false braking has no cause, missed braking leaves out what it asks for."""
+"""Needless braking, standing and steering.
+
+False braking has no cause, missed braking leaves out what it asks for.
+"""
 
 from dataclasses import replace
 
@@ -95,7 +98,10 @@ CALLED_FOR = {
 def test_a_goal_that_can_be_driven_through_is_no_reason_to_stop(
     time: tuple[float, float] | None,
 ) -> None:
-    """Its near end is at the stop, its far end 150 m ahead; by its time the ego could be 20 m farther."""
+    """Its near end is at the stop, its far end 150 m ahead.
+
+    By its time the ego could be 20 m farther.
+    """
     lost, stood, _ = measured(
         replace(LOG, goal=goal_from(112.0, 260.0, **({"t": time} if time else {}))), STOP
     )

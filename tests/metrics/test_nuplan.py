@@ -1,4 +1,6 @@
-"""nuPlan's closed-loop score: equal to the devkit's own values, and the same in a turned or mirrored world."""
+"""nuPlan's closed-loop score: equal to the devkit's own values, and the same in a turned or
+mirrored world.
+"""
 
 from dataclasses import replace
 from functools import cache
@@ -37,7 +39,9 @@ def parts(world: Scenario, ego: Trajectory) -> dict[str, float]:
 
 
 def compared(folder: Path, mine: str, logs: object) -> pd.DataFrame:
-    """The absolute differences from the devkit's values, a row for each trajectory of the logs that `mine` matches."""
+    """The absolute differences from the devkit's values, a row for each trajectory of the logs that
+    `mine` matches.
+    """
     trajectories = pd.read_parquet(folder / "nuplan_trajectories.parquet")
     values = pd.read_csv(folder / "nuplan_original.csv").set_index("trajectory")
     rows = {}
@@ -70,7 +74,10 @@ T = grid(10.0, 0.1)
 
 
 def test_agents_that_appear_in_contact_are_judged_and_later_ones_are_not_close() -> None:
-    """A car that stands 40 m ahead: at fault, ttc 0. One that rear-ends the ego: neither, though they go on."""
+    """A car that stands 40 m ahead: at fault, ttc 0.
+
+    One that rear-ends the ego: neither, though they go on.
+    """
     world = scenario(
         along(T, 10.0),
         [("7", AgentKind.CAR, (4.5, 1.8), moving(40.0, 0.0, 0.0, 0.0, 0.0))],

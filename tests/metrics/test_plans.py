@@ -128,7 +128,10 @@ def test_one_good_plan_among_many_of_one_state_is_no_good_average() -> None:
 def test_a_plan_misses_where_it_is_beyond_the_bound_of_the_horizon(
     off: float, missed: tuple[int, ...]
 ) -> None:
-    """Bounds 2, 4, 6, 8, 16 m; half of the frames are off, once and only once on their way, 0.5 s after the frame."""
+    """Bounds 2, 4, 6, 8, 16 m.
+
+    Half of the frames are off, once and only once on their way, 0.5 s after the frame.
+    """
 
     def aside(plan: Trajectory) -> Trajectory:
         return replace(plan, y=plan.y + np.where(np.abs(plan.t - plan.t[0] - 0.5) < 0.01, off, 0.0))
@@ -185,7 +188,8 @@ def test_plans_that_go_on_have_no_difference(mode: Mode) -> None:
 
 
 def test_a_change_of_mind_in_jerk_yaw_rate_and_yaw_acceleration() -> None:
-    """a = 2 t: seen from the plan at 1 s, t = 0.5 .. 4.5 s of the one before, rms 5.5 m/s2; the jerk's 2 is less.
+    """a = 2 t: seen from the plan at 1 s, t = 0.5 .. 4.5 s of the one before, rms 5.5 m/s2; the
+    jerk's 2 is less.
 
     A yaw rate of 0.05 rad/s is half its bound.
     """

@@ -73,7 +73,10 @@ def test_circles_gain_nothing(radius: float, turns: int, left: bool) -> None:
 
 @given(st.floats(20.0, 400.0), st.integers(1, 99))
 def test_a_leap_gains_no_more_than_the_car_could_drive(leap: float, at: int) -> None:
-    """Row 13: teleports were counted in full (137.8). In the step of the leap, 2 * 10 m/s * 0.1 s = 2 m count."""
+    """Row 13: teleports were counted in full (137.8).
+
+    In the step of the leap, 2 * 10 m/s * 0.1 s = 2 m count.
+    """
     t = grid(10.0, 0.1)
     ego = along(t, 10.0)
     ego = replace(ego, x=ego.x + np.where(np.arange(101) >= at, leap, 0.0))
@@ -151,7 +154,10 @@ def test_driving_back_is_negative_and_nuplans_score_is_then_zero() -> None:
 
 
 def test_reaching_the_goal_before_the_log_does_is_enough() -> None:
-    """The goal is at 35 m, the log's driver gained 50 m; the lanes' route to it is 35 m less the axle's distance."""
+    """The goal is at 35 m, the log's driver gained 50 m.
+
+    The lanes' route to it is 35 m less the axle's distance.
+    """
     log = replace(
         LOG, goal=Goal((np.array([[35.0, -2.0], [40.0, -2.0], [40.0, 2.0], [35.0, 2.0]]),))
     )
@@ -189,7 +195,9 @@ def test_without_a_logged_drive_the_route_follower_is_the_yardstick() -> None:
 
 
 def test_a_goal_that_is_a_time_only_asks_for_progress() -> None:
-    """A log of 12 s at 10 m/s whose goal begins after 5 s: a drive of 50 m has come as far as its driver then had."""
+    """A log of 12 s at 10 m/s whose goal begins after 5 s: a drive of 50 m has come as far as its
+    driver then had.
+    """
     log = scenario(along(grid(12.0), 10.0), goal=Goal(t=(5.0, 6.0)))
     for speed in (10.0, 5.0, 0.0):
         table = judged(log, along(grid(5.0), speed), end=EndReason.GOAL)
@@ -214,7 +222,9 @@ def test_a_goal_that_no_vehicle_reaches_is_not_asked_by_name(
 
 
 def test_progress_leads_around_bends_and_over_lane_changes() -> None:
-    """A quarter circle of 60 m, driven a lane (3.5 m) inside of the log's path: the stations are the same."""
+    """A quarter circle of 60 m, driven a lane (3.5 m) inside of the log's path: the stations are
+    the same.
+    """
     angle = np.linspace(0.0, 0.5 * np.pi, 200)
     t = angle * 60.0 / 10.0
 
@@ -249,7 +259,8 @@ def test_progress_leads_around_bends_and_over_lane_changes() -> None:
 
 
 def test_a_lane_change_in_the_middle_of_the_route_is_no_leap() -> None:
-    """Lanes 0, 1 from -100 m and 2, 3 from 100 m on; the goal is in 3: the line changes over within 20 m.
+    """Lanes 0, 1 from -100 m and 2, 3 from 100 m on; the goal is in 3: the line changes over within
+    20 m.
 
     A car that changes 40 m later, and is a lane aside until then, gains what it drives.
     """
@@ -310,7 +321,8 @@ def test_speed_above_the_limit() -> None:
     assert table.loc["speed_excess.max", "time_s"] == pytest.approx(3.0)
     assert table.loc["speed_excess.time_above_1mps", "value"] == pytest.approx(2.0, abs=0.02)
     assert table.loc["speed_excess.share_above_1mps", "value"] == pytest.approx(0.5, abs=0.01)
-    # 9, 10, 11, 12, 12 m/s at 0 .. 4 s, limit 10: the excess integrates to 0.5 * 2 * 2 + 2 * 1 = 4 m in 4 s
+    # 9, 10, 11, 12, 12 m/s at 0 .. 4 s, limit 10: the excess integrates to 0.5 * 2 * 2 + 2 * 1 = 4
+    # m in 4 s
     assert table.loc["speed_excess.compliance", "value"] == pytest.approx(
         1.0 - 4.0 / (2.23 * 4.0), abs=0.01
     )

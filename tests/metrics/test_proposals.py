@@ -102,13 +102,18 @@ def test_the_end_of_a_plan_is_judged_at_any_rate(period: float) -> None:
 
 @pytest.mark.parametrize("mode", Mode)
 def test_a_plan_may_change_because_of_what_appears(mode: Mode) -> None:
-    """The first 2 s of plans go straight on, then 1 s of them stop, then they go on: two changes in 12 s."""
+    """The first 2 s of plans go straight on, then 1 s of them stop, then they go on: two changes in
+    12 s.
+    """
     assert not broken(judged(frames(bend=lambda i: stop if 20 <= i < 30 else None), mode=mode))
 
 
 @pytest.mark.parametrize("mode", Mode)
 def test_contact_is_charged_by_fault(mode: Mode) -> None:
-    """A car stands 30 m ahead of a 10 m/s drive in the next lane; plans swing into it. Another comes from behind."""
+    """A car stands 30 m ahead of a 10 m/s drive in the next lane; plans swing into it.
+
+    Another comes from behind.
+    """
     stands = (
         "7",
         AgentKind.CAR,

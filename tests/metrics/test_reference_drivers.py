@@ -1,4 +1,6 @@
-"""Reference drivers against closed forms, the tendencies of the regulation's grids, and what must not count."""
+"""Reference drivers against closed forms, the tendencies of the regulation's grids, and what must
+not count.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -50,7 +52,9 @@ def standing(gap: float, **more: object) -> dict[str, object]:
 
 
 def stopping_distance(v: float) -> float:
-    """From the begin of the careful driver's braking: a ramp of constant jerk, then a constant deceleration."""
+    """From the begin of the careful driver's braking: a ramp of constant jerk, then a constant
+    deceleration.
+    """
     ramp = CC_BRAKE_MPS2 / JERK_MPS3
     slower = v - 0.5 * JERK_MPS3 * ramp**2
     assert slower > 0.0
@@ -70,7 +74,10 @@ def test_cc_begins_to_brake_before_an_obstacle_at_ttc_two_seconds(v: float) -> N
 
 @given(st.floats(5.0, 22.0))
 def test_the_nearest_avoidable_obstacle_is_the_distance_of_reaction_and_braking(v: float) -> None:
-    """0.4 s and 0.75 s of reaction; the released pedal takes off 0.12 m, 0.3 m/s, and the begin of the ramp."""
+    """0.4 s and 0.75 s of reaction.
+
+    The released pedal takes off 0.12 m, 0.3 m/s, and the begin of the ramp.
+    """
     least, released = (
         1.15 * v + stopping_distance(v),
         0.12 + (0.3 / CC_BRAKE_MPS2 + 0.4 / JERK_MPS3) * v,
@@ -105,7 +112,9 @@ def test_fuzzy_measures_are_1_at_unsafe_and_0_at_safe(v: float) -> None:
 
 
 def cut_in(v: float, gap: float, slower: float, lateral: float) -> Scenario:
-    """A car changes from the left lane to the ego's with a constant lateral speed; `gap` when it begins, after 1 s."""
+    """A car changes from the left lane to the ego's with a constant lateral speed; `gap` when it
+    begins, after 1 s.
+    """
     u = v - slower
     x = NOSE + v * 1.0 + gap + 2.15 + u * (T - 1.0)
     y = np.clip(3.5 - lateral * np.maximum(T - 1.0, 0.0), 0.0, 3.5)
@@ -229,7 +238,9 @@ def test_a_pedestrian_who_is_gone_in_time_is_no_hazard() -> None:
 
 
 def crossing(v: float, at: float, speed: float, begins: float, *, sideways: bool) -> Scenario:
-    """A car that crosses the line from the right; `sideways` as a box that is as wide as it is long, not turned."""
+    """A car that crosses the line from the right; `sideways` as a box that is as wide as it is
+    long, not turned.
+    """
     y = -12.0 + speed * np.maximum(T - begins, 0.0)
     size = {"length": 1.9, "width": 4.3} if sideways else SIZE
     return log(
@@ -242,7 +253,9 @@ def crossing(v: float, at: float, speed: float, begins: float, *, sideways: bool
 def test_who_crosses_is_in_the_way_for_their_length_alone(
     v: float, at: float, speed: float, begins: float
 ) -> None:
-    """The same box on the same way gets the same verdict, whichever of its sides is called its length."""
+    """The same box on the same way gets the same verdict, whichever of its sides is called its
+    length.
+    """
     long, wide = (
         careful_driver(crossing(v, at, speed, begins, sideways=one), LINE) for one in (False, True)
     )
@@ -302,7 +315,10 @@ def test_the_verdict_is_on_the_car_that_is_driven() -> None:
 @settings(max_examples=20)
 @given(st.floats(6.0, 22.0), st.floats(10.0, 80.0))
 def test_the_margin_before_an_obstacle_is_the_gap_that_is_left(v: float, gap: float) -> None:
-    """Avoided: where it stands. Not avoided: how far it would have come into it, at most as deep as the boxes are."""
+    """Avoided: where it stands.
+
+    Not avoided: how far it would have come into it, at most as deep as the boxes are.
+    """
     verdict, stop = (
         careful_driver(log(v, standing(gap)), LINE),
         careful_drive(log(v, standing(gap + 60.0)), LINE),
@@ -320,7 +336,9 @@ def test_the_margin_before_an_obstacle_is_the_gap_that_is_left(v: float, gap: fl
 
 
 def test_the_margin_passes_through_0_where_the_verdict_changes() -> None:
-    """50 km/h before an obstacle 20 to 40 m ahead, every 10 cm: it does not jump, but for the steps of the clock."""
+    """50 km/h before an obstacle 20 to 40 m ahead, every 10 cm: it does not jump, but for the steps
+    of the clock.
+    """
     v = 50.0 * KMH
     gaps = np.arange(18.0, 40.0, 0.1)
     found = [careful_driver(log(v, standing(gap)), LINE) for gap in gaps]

@@ -1,4 +1,7 @@
-"""RSS: distances, dangerous situations and proper responses, by hand. Parameters: rho 0.75, 3, 6, 6, 1, 1, 0.3."""
+"""RSS: distances, dangerous situations and proper responses, by hand.
+
+Parameters: rho 0.75, 3, 6, 6, 1, 1, 0.3.
+"""
 
 import numpy as np
 import pandas as pd
@@ -33,8 +36,8 @@ def steps(log: Scenario, name: str) -> pd.Series:
 
 
 def test_the_longitudinal_distance() -> None:
-    """15 behind 10 m/s: 11.25 + 0.84375 + 17.25^2 / 12 - 100 / 12 = 28.5573; 15 behind 15: 18.1406; oncoming at 10:
-    36.890625 + 7.5 + 0.84375 + 12.25^2 / 12 = 57.7396; a much faster lead: 0."""
+    """15 behind 10 m/s: 11.25 + 0.84375 + 17.25^2 / 12 - 100 / 12 = 28.5573; 15 behind 15: 18.1406;
+    oncoming at 10: 36.890625 + 7.5 + 0.84375 + 12.25^2 / 12 = 57.7396; a much faster lead: 0."""
     assert longitudinal_distance(15.0, 10.0) == pytest.approx(28.557291667)
     assert longitudinal_distance(15.0, 15.0) == pytest.approx(18.140625)
     assert longitudinal_distance(15.0, -10.0) == pytest.approx(
@@ -44,8 +47,9 @@ def test_the_longitudinal_distance() -> None:
 
 
 def test_the_lateral_distance() -> None:
-    """Each for itself: 0.375 * 0.75 + 0.75^2 / 2 = 0.5625; both 1.125, and 0.3. Nearing at 1 m/s: 1.375 * 0.75 +
-    1.75^2 / 2 = 2.5625. Leaving at 1 m/s: -0.625 * 0.75 - 0.25^2 / 2 = -0.5: 0.3625; at 3 m/s only 0.3 remain."""
+    """Each for itself: 0.375 * 0.75 + 0.75^2 / 2 = 0.5625; both 1.125, and 0.3. Nearing at 1 m/s:
+    1.375 * 0.75 + 1.75^2 / 2 = 2.5625. Leaving at 1 m/s: -0.625 * 0.75 - 0.25^2 / 2 = -0.5: 0.3625;
+    at 3 m/s only 0.3 remain."""
     assert lateral_distance(0.0, True) == pytest.approx(1.425)
     assert lateral_distance(0.0, False) == pytest.approx(0.8625)
     assert lateral_distance(1.0, True) == pytest.approx(0.3 + 0.5625 + 2.5625)
@@ -54,8 +58,8 @@ def test_the_lateral_distance() -> None:
 
 
 def test_the_margin_is_the_greater_of_both() -> None:
-    """40 m behind 10 m/s with 15: 40 - 28.557 ahead; beside at 3 m: 3 - 0.9 - 0.805 - 1.425 = -0.13 m, so 0 m ahead is
-    dangerous there, and at 3.5 m it is not."""
+    """40 m behind 10 m/s with 15: 40 - 28.557 ahead; beside at 3 m: 3 - 0.9 - 0.805 - 1.425 = -0.13
+    m, so 0 m ahead is dangerous there, and at 3.5 m it is not."""
     log = world(15.0, car(40.0, 10.0), seconds=0.2)
     assert steps(log, "rss_margin")[0.0] == pytest.approx(40.0 - 28.557291667)
     beside = world(15.0, car(-4.0, 15.0, y=3.0), seconds=0.2)
@@ -109,8 +113,9 @@ def test_within_rho_the_ego_may_accelerate_up_to_its_greatest() -> None:
 
 
 def cut_in(drift: float) -> Scenario:
-    """A car ahead and aside comes nearer at 0.5 m/s: the lateral distance becomes unsafe last, after 0.99 s: then
-    0.3 + 0.5625 + 0.875 * 0.75 + 1.25^2 / 2 = 2.3 m are asked for. From 1.2 s on the ego heads `drift` rad to it."""
+    """A car ahead and aside comes nearer at 0.5 m/s: the lateral distance becomes unsafe last,
+    after 0.99 s: then 0.3 + 0.5625 + 0.875 * 0.75 + 1.25^2 / 2 = 2.3 m are asked for. From 1.2 s on
+    the ego heads `drift` rad to it."""
     t = grid(2.5)
     yaw = np.where(t < 1.2, 0.0, drift)
     y = np.r_[0.0, np.cumsum(15.0 * np.sin(yaw[1:])) * 0.01]
@@ -122,7 +127,10 @@ def cut_in(drift: float) -> Scenario:
 def test_a_danger_from_the_side_asks_for_no_brake_but_not_to_drift_nearer(
     drift: float, proper: bool
 ) -> None:
-    """0.03 rad at 15 m/s are 0.45 m/s to the car; allowed is what it was at rho, less 1 m/s per s."""
+    """0.03 rad at 15 m/s are 0.45 m/s to the car.
+
+    Allowed is what it was at rho, less 1 m/s per s.
+    """
     found = table(cut_in(drift))
     assert found.loc["rss_margin.time_dangerous", "time_s"] == pytest.approx(1.0)
     assert bool(found.loc["rss_improper.time", "value"] == 0.0) is proper

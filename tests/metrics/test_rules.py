@@ -82,7 +82,7 @@ def value(log: Scenario, name: str, trace: Trace | None = None) -> float:
     return float(found.value[name])
 
 
-# what is not there ------------------------------------------------------------------------------------------------
+# what is not there --------------------------------------------------------------------------------
 
 
 def test_a_log_without_rules_has_none_of_the_metrics_and_is_told_why() -> None:
@@ -98,7 +98,7 @@ def test_a_log_without_rules_has_none_of_the_metrics_and_is_told_why() -> None:
         assert found.reason[name] == reason
 
 
-# red lights -------------------------------------------------------------------------------------------------------
+# red lights ---------------------------------------------------------------------------------------
 
 
 @given(st.floats(5.0, 15.0), st.floats(0.5, 8.0))
@@ -169,7 +169,7 @@ def test_a_neighbours_line_is_not_the_egos() -> None:
     assert value(log, "red_light.count") == 0.0
 
 
-# stop signs -------------------------------------------------------------------------------------------------------
+# stop signs ---------------------------------------------------------------------------------------
 
 
 def stop_at(front: float, slowest: float) -> Callable[[np.ndarray], np.ndarray]:
@@ -204,7 +204,7 @@ def test_a_drive_that_begins_at_the_line_may_have_stopped_before() -> None:
     assert value(log, "stop_sign.count") == 0.0
 
 
-# crosswalks -------------------------------------------------------------------------------------------------------
+# crosswalks ---------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -238,7 +238,7 @@ def test_who_waits_before_the_crosswalk_fails_nothing() -> None:
     assert value(log, "crosswalk.count") == 0.0
 
 
-# right of way -----------------------------------------------------------------------------------------------------
+# right of way -------------------------------------------------------------------------------------
 
 
 def crossing() -> Road:
@@ -262,7 +262,10 @@ def met(delay: float, *, speed: float = 10.0) -> Scenario:
 
 @given(st.floats(0.8, 4.0))
 def test_the_gap_is_the_time_between_leaving_and_taking(delay: float) -> None:
-    """The ego's rear leaves the other's track (2.254 + 0.9) m after the crossing; the other is there as far before."""
+    """The ego's rear leaves the other's track (2.254 + 0.9) m after the crossing.
+
+    The other is there as far before.
+    """
     expected = delay - (2.254 + 0.9 + 2.25 + 0.805) / 10.0
     assert value(met(delay), "priority_gap.min") == pytest.approx(expected, abs=0.15)
     assert value(met(delay), "priority_gap.below_1s") == float(
@@ -295,7 +298,7 @@ def test_an_assumed_right_of_way_is_a_metric_of_its_own() -> None:
     assert not rows(log).available["priority_gap_assumed.min"]
 
 
-# all of them ------------------------------------------------------------------------------------------------------
+# all of them --------------------------------------------------------------------------------------
 
 
 def everything() -> Scenario:
@@ -335,7 +338,7 @@ def test_the_series_counts_where_the_table_says() -> None:
         assert mine.t_s[mine.value > 0.0].iloc[0] == table.time_s[f"{name}.count"]
 
 
-# gates ------------------------------------------------------------------------------------------------------------
+# gates --------------------------------------------------------------------------------------------
 
 
 def test_the_default_gates_ask_for_the_rules_where_a_log_has_them() -> None:
@@ -360,7 +363,9 @@ def judged(log: Scenario, ego: Trajectory) -> pd.DataFrame:
 
 
 def after(gap: float) -> Trajectory:
-    """A drive at 12 m/s whose tail leaves the pedestrian's way `gap` s before the pedestrian takes it."""
+    """A drive at 12 m/s whose tail leaves the pedestrian's way `gap` s before the pedestrian takes
+    it.
+    """
     taken = 6.3 - HALF / 1.4
     return along(TIMES, 12.0, x=60.25 + TAIL - 12.0 * (taken - gap))
 

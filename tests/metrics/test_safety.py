@@ -47,7 +47,7 @@ def judged(log: Scenario, **changes: object) -> pd.DataFrame:
     return evaluate(drive(log, **changes), log).set_index("metric")
 
 
-# the others on a grid ---------------------------------------------------------------------------------------------
+# the others on a grid -----------------------------------------------------------------------------
 
 
 def test_others_on_a_grid_are_the_truth_at_each_time() -> None:
@@ -89,7 +89,7 @@ def test_the_centre_of_a_turning_ego_moves_sideways_too(kappa: float, v: float, 
     )
 
 
-# collisions -------------------------------------------------------------------------------------------------------
+# collisions ---------------------------------------------------------------------------------------
 
 KINDS = [
     ("a standing car ahead", 10.0, car(30.0, 0.0, 0.0, yaw=0.0), ContactKind.STOPPED_TRACK, True),
@@ -144,7 +144,9 @@ def test_kinds_of_collision(
 def test_who_runs_into_a_slowing_ego_from_behind_did_not_stand(
     kind: AgentKind, stops: bool
 ) -> None:
-    """Neither one whose kind a detector does not know, nor one that stops 2 cm behind, where its boxes jitter."""
+    """Neither one whose kind a detector does not know, nor one that stops 2 cm behind, where its
+    boxes jitter.
+    """
     t = grid(10.0, 0.1)
     ego = along(t, np.maximum(6.0 - t, 0.06))
     tail = ego.x + TAIL - 0.5 * CAR[0]
@@ -234,7 +236,7 @@ def test_gap_and_ttc_are_the_least_over_all_agents(seed: int) -> None:
         )
 
 
-# gaps -------------------------------------------------------------------------------------------------------------
+# gaps ---------------------------------------------------------------------------------------------
 
 
 def test_gap_to_the_vulnerable_is_apart() -> None:
@@ -252,11 +254,13 @@ def test_gap_to_the_vulnerable_is_apart() -> None:
     assert table.loc["gap_vulnerable.min", "value"] == table.loc["gap.min", "value"]
 
 
-# time to collision ------------------------------------------------------------------------------------------------
+# time to collision --------------------------------------------------------------------------------
 
 
 def test_a_pedestrian_who_crosses_counts_with_the_velocity_vector() -> None:
-    """The box is turned along the road, the walk goes across it: heading times speed would miss it."""
+    """The box is turned along the road, the walk goes across it: heading times speed would miss
+    it.
+    """
     walker = ("7", AgentKind.PEDESTRIAN, (0.6, 0.6), moving(20.0 + NOSE, -4.0, 0.0, 2.0, 0.0))
     table = judged(world(10.0, walker, seconds=0.5))
     assert table.loc["ttc.min", "available"]
@@ -273,7 +277,10 @@ def test_those_behind_and_a_standing_ego_have_no_ttc() -> None:
 def circling(
     t: FloatArray, radius: float, v: float, begin: float = 0.0
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """x, y, yaw of who drives around (0, radius), from `begin` rad on; a negative v goes the other way round."""
+    """x, y, yaw of who drives around (0, radius), from `begin` rad on.
+
+    A negative v goes the other way round.
+    """
     angle = begin + v / abs(radius) * t
     side = np.sign(radius)
     return (
@@ -286,7 +293,10 @@ def circling(
 def curve(
     radius: float, mine: float, theirs: float, aside: float, begin: float, rate: float = 20.0
 ) -> Scenario:
-    """The ego on a circle, and a car on one `aside` m outside, `begin` rad ahead; both rear axles on their circles."""
+    """The ego on a circle, and a car on one `aside` m outside, `begin` rad ahead.
+
+    Both rear axles on their circles.
+    """
     t = grid(1.2, 0.05)
     x, y, yaw = circling(t, radius, mine)
     ego = Trajectory(t, x, y, yaw, mine + 0 * t, 0 * t, 1.0 / radius + 0 * t)
@@ -306,8 +316,8 @@ def curve(
 @pytest.mark.parametrize("rate", [5.0, 10.0, 20.0])
 @pytest.mark.parametrize("radius", [12.0, -12.0])
 def test_who_turns_is_on_no_course_to_those_in_the_next_lane(radius: float, rate: float) -> None:
-    """6 m/s on 12 m towards a car that comes with 5 m/s in the next lane outside: straight on they touch in less than
-    0.95 s. The turned, shifted and delayed scene has the same times."""
+    """6 m/s on 12 m towards a car that comes with 5 m/s in the next lane outside: straight on they
+    touch in less than 0.95 s. The turned, shifted and delayed scene has the same times."""
     log = curve(radius, 6.0, -5.0, 3.3, 0.9, rate)
     (least, straight), _ = least_contact_times(drive(log), log, False)
     assert np.nanmin(straight) < 0.95
@@ -362,8 +372,9 @@ def test_ttc_is_never_less_than_the_straight_time(seed: int) -> None:
 
 
 def test_who_runs_into_the_ego_has_no_ttc_from_then_on() -> None:
-    """A faster car in the next lane drives into the ego's rear corner, not behind by nuPlan's 150 degrees, and goes on
-    beside it: no fault, no TTC. nuPlan never asks: it is not ahead, and the ego keeps its lane."""
+    """A faster car in the next lane drives into the ego's rear corner, not behind by nuPlan's 150
+    degrees, and goes on beside it: no fault, no TTC. nuPlan never asks: it is not ahead, and the
+    ego keeps its lane."""
     log = world(5.0, car(-6.0, 2.6, 9.0, -0.9, yaw=0.0), seconds=3.0, road=straight_road(lanes=2))
     (contact,) = contacts(drive(log), log)
     assert not contact.at_fault
@@ -372,7 +383,7 @@ def test_who_runs_into_the_ego_has_no_ttc_from_then_on() -> None:
     assert judged(log).loc["nuplan_closed.ttc.final", "value"] == 1.0
 
 
-# off the road -----------------------------------------------------------------------------------------------------
+# off the road -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
@@ -391,7 +402,9 @@ def test_a_corner_off_the_lane(side: float) -> None:
 
 
 def test_a_kerb_between_the_corners_is_off_the_road() -> None:
-    """A kerb's square corner reaches to y = 0.2 m into the side of an ego whose four corners are on the lane."""
+    """A kerb's square corner reaches to y = 0.2 m into the side of an ego whose four corners are on
+    the lane.
+    """
     x, edge = np.array([-100.0, 8.0, 10.0, 12.0, 500.0]), np.array([2.2, 2.2, 0.2, 2.2, 2.2])
     lane = Lane(0, np.column_stack([x, edge]), np.column_stack([x, np.full(5, -2.0)]))
     t = grid(1.0)
@@ -482,7 +495,7 @@ def test_distance_off_many_lanes_is_the_least_of_all(seed: int) -> None:
         assert found == (0.0 if road.is_drivable(px, py) else pytest.approx(min(edges), abs=1e-9))
 
 
-# invariances ------------------------------------------------------------------------------------------------------
+# invariances --------------------------------------------------------------------------------------
 
 SAFETY = (
     "collision",
@@ -545,7 +558,7 @@ def test_where_a_drive_is_cut_changes_no_step_before() -> None:
         assert a.tobytes() == b.tobytes(), name
 
 
-# plans in open loop -----------------------------------------------------------------------------------------------
+# plans in open loop -------------------------------------------------------------------------------
 
 
 def opened(log: Scenario, **how: object) -> pd.DataFrame:

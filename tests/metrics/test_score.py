@@ -46,7 +46,9 @@ def test_the_logs_own_drive_has_full_marks() -> None:
 
 
 def test_parts_that_lose_marks() -> None:
-    """Half of the log's way, 1.115 m/s too fast (half of 2.23), braking with 5 m/s2: each alone, by hand."""
+    """Half of the log's way, 1.115 m/s too fast (half of 2.23), braking with 5 m/s2: each alone, by
+    hand.
+    """
     half = totals(judged(log(), along(T, 5.0)))
     # progress 0.5: (2.5 + 5 + 4 + 2) / 16, 0.5
     expected = {"nuplan_closed": 13.5 / 16, "carla": 0.5}
@@ -62,7 +64,10 @@ def test_parts_that_lose_marks() -> None:
 
 
 def test_what_is_hit_counts_by_its_kind() -> None:
-    """The ego drives into something that stands 50 m ahead; 42 m of 100 m are driven. ttc is 0: it is at fault."""
+    """The ego drives into something that stands 50 m ahead; 42 m of 100 m are driven.
+
+    ttc is 0: it is at fault.
+    """
     for kind, nuplan, carla in (
         (AgentKind.OBJECT, 0.5, 0.65),
         (AgentKind.CAR, 0.0, 0.6),
@@ -123,7 +128,10 @@ def test_what_is_missing_is_the_reason() -> None:
 
 
 def test_nuplans_open_loop_score() -> None:
-    """Plans 7 m aside: within 8 m, but beyond the 6 m of a miss at 3 s. Turned by 0.9 rad: both headings fail."""
+    """Plans 7 m aside: within 8 m, but beyond the 6 m of a miss at 3 s.
+
+    Turned by 0.9 rad: both headings fail.
+    """
 
     def opened(horizon: float, **bend: float) -> pd.DataFrame:
         def bent(plan: Trajectory) -> Trajectory:

@@ -1,4 +1,6 @@
-"""Offsets that are kept, swings of the speed, lane changes for nothing, braking before a follower, fast curves."""
+"""Offsets that are kept, swings of the speed, lane changes for nothing, braking before a follower,
+fast curves.
+"""
 
 from dataclasses import replace
 

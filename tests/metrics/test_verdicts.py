@@ -1,4 +1,7 @@
-"""Verdicts over many logs: means, shares, groups; ensembles, late plans, marginal values; logs that tell nothing."""
+"""Verdicts over many logs: means, shares, groups.
+
+Ensembles, late plans, marginal values; logs that tell nothing.
+"""
 
 import re
 from collections.abc import Callable, Mapping
@@ -78,7 +81,7 @@ def share(least: float, *, confident: bool = False, max_missing: float = 0.5) ->
     )
 
 
-# one value over the logs ------------------------------------------------------------------------------------------
+# one value over the logs --------------------------------------------------------------------------
 
 
 @given(
@@ -113,7 +116,7 @@ def test_a_lost_log_is_no_pass_over_the_logs_either(over: str) -> None:
     assert verdict(gate, {"a": 1.0, "b": None}).outcome is INCONCLUSIVE  # half are without a value
 
 
-# share of passes --------------------------------------------------------------------------------------------------
+# share of passes ----------------------------------------------------------------------------------
 
 
 @given(
@@ -182,7 +185,7 @@ def test_to_be_sure_of_95_percent_takes_73_passes(n: int, outcome: Outcome) -> N
     assert ("not surely" in found.reason) == (outcome is INCONCLUSIVE)
 
 
-# which logs -------------------------------------------------------------------------------------------------------
+# which logs ---------------------------------------------------------------------------------------
 
 LABELS = {
     "a": LogLabels("cut_in", "one", ("car", "wet")),
@@ -239,7 +242,8 @@ def test_a_file_may_ask_all_of_it(tmp_path: Path) -> None:
     path = tmp_path / "gates.toml"
     path.write_text(
         f'[[gate]]\nmetric = "{DRIVEN}"\nover = "sum"\nmin = 3600\n'
-        '[[gate]]\nmetric = "gap.min"\nmin = 0.5\nover = "pass_share"\nmin_share = 0.95\nconfident = true\n'
+        '[[gate]]\nmetric = "gap.min"\nmin = 0.5\nover = "pass_share"\nmin_share = 0.95\nconfident '
+        "= true\n"
         'families = ["cut_in"]\ndatasets = ["one"]\nper = "tag"\n'
     )
     assert [str(gate) for gate in load_gates(path).gates] == [
@@ -424,7 +428,9 @@ def test_what_is_not_about_others_or_far_from_its_bound_is_not_marginal() -> Non
 
 @pytest.mark.parametrize("rate", [5.0, 10.0, 20.0])
 def test_the_time_to_collision_of_one_drive_does_not_hang_on_the_rate(rate: float) -> None:
-    """A pedestrian walks in, and a car ahead brakes: the same drive among agents at another rate, within (2)."""
+    """A pedestrian walks in, and a car ahead brakes: the same drive among agents at another rate,
+    within (2).
+    """
     t = grid(6.0, 0.05)
     walker = ("p", AgentKind.PEDESTRIAN, (0.6, 0.6), moving(45.0, -6.0, 0.0, 1.5))
     lead = (
@@ -453,7 +459,9 @@ RULES = Gates((PROGRESS, CRASH, EASY), "test")
 
 
 def made(progress: float, **bad: float) -> pd.DataFrame:
-    """A drive of dp_qp with this progress, and the reference drives: progress of the parked, contacts of the blind."""
+    """A drive of dp_qp with this progress, and the reference drives: progress of the parked,
+    contacts of the blind.
+    """
     of = {PARKED: PROGRESS.metric, BLIND: CRASH.metric}
     references = (
         row("a", value, planner=planner, mode="reference", oracle=True, metric=of[planner])

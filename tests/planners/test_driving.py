@@ -1,4 +1,6 @@
-"""What every planner that follows a lane does among others: one table of scenes for IDM, PDM and the lattice."""
+"""What every planner that follows a lane does among others: one table of scenes for IDM, PDM and
+the lattice.
+"""
 
 from collections.abc import Callable
 

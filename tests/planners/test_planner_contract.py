@@ -1,4 +1,5 @@
-"""The contract of a planner, executable: every planner of the table, on scenarios made by hand and of the catalogue.
+"""The contract of a planner, executable: every planner of the table, on scenarios made by hand and
+of the catalogue.
 
 The laws are those of `replan.contract`; for a planner of your own, call `replan.check_planner`.
 """
@@ -29,7 +30,9 @@ from replan.replay.planner_process.planner_config import planner_part
 
 
 def busy_street() -> Scenario:
-    """An S-curve with a slower car ahead, a parked car at the edge and a pedestrian who walks across."""
+    """An S-curve with a slower car ahead, a parked car at the edge and a pedestrian who walks
+    across.
+    """
     ego = drive(s_curve, 12.0, 10.0)
     lead = drive(s_curve, 8.0, 10.0)
     parked, t = ego.at(8.0), np.arange(0.0, 10.01, 0.1)

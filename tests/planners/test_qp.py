@@ -1,4 +1,6 @@
-"""QP solvers behind one door: answers satisfy the optimality conditions, and what is not solved is not called so."""
+"""QP solvers behind one door: answers satisfy the optimality conditions, and what is not solved is
+not called so.
+"""
 
 import numpy as np
 import pytest
@@ -49,7 +51,9 @@ def cost(P: sparse.csc_matrix, q: FloatArray, x: FloatArray) -> float:
 def stationarity(
     P: sparse.csc_matrix, A: sparse.csc_matrix, data: Vectors, x: FloatArray, active: float
 ) -> float:
-    """Least |P x + q + A' y| over multipliers of the right sign at the bounds that x touches within `active`."""
+    """Least |P x + q + A' y| over multipliers of the right sign at the bounds that x touches within
+    `active`.
+    """
     q, lower, upper = data
     value = A @ x
     push = A.toarray()[value >= upper - active], -A.toarray()[value <= lower + active]
@@ -196,7 +200,9 @@ def other_numbers(A: sparse.csc_matrix, seed: int) -> sparse.csc_matrix:
 def test_new_numbers_in_the_matrix_are_a_new_problem(
     config: QPConfig, matrix: int, vector: int, before: list[int]
 ) -> None:
-    """With the cost of a program built for it, and the same bits whatever numbers were in it before."""
+    """With the cost of a program built for it, and the same bits whatever numbers were in it
+    before.
+    """
     used, P, A = program(matrix, config)
     wanted = other_numbers(A, vector)
     data = vectors(wanted, vector)

@@ -1,4 +1,7 @@
-"""Runs compared from their folders and from a baseline's file; the command line; planted regressions."""
+"""Runs compared from their folders and from a baseline's file.
+
+The command line; planted regressions.
+"""
 
 import json
 import re

@@ -250,7 +250,9 @@ def test_a_keyword_of_a_part_has_its_type(value: str) -> None:
 
 @given(st.sampled_from(PLANNER.causal), st.floats(0.05, 0.5))
 def test_a_run_file_explains_every_setting_and_is_the_same_run(name: str, period: float) -> None:
-    """Law: it is read as the configuration, and each setting of a built-in part has its meaning beside it."""
+    """Law: it is read as the configuration, and each setting of a built-in part has its meaning
+    beside it.
+    """
     run = checked(RunConfig(planners=(name,), loop=LoopConfig(plan_period_s=round(period, 2))))[0]
     text = explained(run, Path())
     assert tomllib.loads(text) == tomllib.loads(dump_run(run))

@@ -1,4 +1,6 @@
-"""The checks of contracts: quiet about what keeps its contract, and each rule is named when it is broken alone."""
+"""The checks of contracts: quiet about what keeps its contract, and each rule is named when it is
+broken alone.
+"""
 
 from pathlib import Path
 

@@ -1,4 +1,6 @@
-"""Whatever is chosen by name may be a user's: examples/extend is run as it stands, and by entry points."""
+"""Whatever is chosen by name may be a user's: examples/extend is run as it stands, and by entry
+points.
+"""
 
 import runpy
 import shutil
@@ -436,7 +438,10 @@ GAINS = """def it(*_, gain: float = 1.0):
 
 @pytest.mark.parametrize("key", OF_LOOP)
 def test_what_cannot_be_built_is_named_before_anything_is_driven(desk: Path, key: str) -> None:
-    """With its settings; and with none, where it is built without a log, which may be what it lacks."""
+    """With its settings.
+
+    And with none, where it is built without a log, which may be what it lacks.
+    """
     Path("my_gains.py").write_text(GAINS, encoding="utf-8")
     name = "my_gains:it"
     refused = rf"{key} '{name}' cannot be built: (ValueError|KeyError): .*\(my_gains\.py:"

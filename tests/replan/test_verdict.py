@@ -1,4 +1,6 @@
-"""The verdict as a whole: adversaries are caught, and what others did is not held against a planner."""
+"""The verdict as a whole: adversaries are caught, and what others did is not held against a
+planner.
+"""
 
 import re
 from dataclasses import replace
@@ -128,7 +130,10 @@ def test_a_blind_speeder_on_a_crossing_without_a_map_is_failed_for_the_pedestria
 def test_an_assumed_limit_is_judged_with_a_margin(
     v: float, road: Road | None, outcome: Outcome
 ) -> None:
-    """Without a map and on lanes without a limit; not where a lane has one, and not beside the lanes."""
+    """Without a map and on lanes without a limit.
+
+    Not where a lane has one, and not beside the lanes.
+    """
     log = crossing_without_a_map()
     log = log if road is None else replace(log, road=road)
     verdicts = judge(
@@ -170,7 +175,9 @@ def test_the_default_traffic_gives_way_and_the_verdict_is_on_the_planner() -> No
 
 
 def test_a_phantom_ends_no_drive_and_is_named() -> None:
-    """A recorded ego at 10 m/s, and a box that stands on its way from 2 s on: it was driven through."""
+    """A recorded ego at 10 m/s, and a box that stands on its way from 2 s on: it was driven
+    through.
+    """
     t = grid(2.0, 0.1)
     box = ("9", AgentKind.CAR, (4.0, 1.8), lambda t: (0 * t + 30.0, 0 * t, 0 * t))
     log = scenario(along(grid(4.0, 0.1), 10.0), [box], metadata={}, tags=("recorded",))
@@ -218,7 +225,9 @@ def test_only_a_recorded_driver_says_what_may_be_asked(recorded: bool) -> None:
 
 
 def test_a_short_log_before_a_red_light_is_measured_by_a_driver_that_stops_there() -> None:
-    """The last 3 s before the log's driver stands at the light, its first state alone: no more way is asked for."""
+    """The last 3 s before the log's driver stands at the light, its first state alone: no more way
+    is asked for.
+    """
     whole = CATALOGUE["everyday/traffic_light"].scenario()
     stands = float(whole.ego.t[np.argmax(whole.ego.v < 0.1)])
     log = cut(whole, stands - 3.0, stands)
@@ -259,7 +268,9 @@ def test_a_fallback_before_a_phantom_is_not_held_against_the_planner() -> None:
 
 @pytest.mark.slow
 def test_turning_right_before_an_oncoming_car_is_no_near_collision(shared_data: Path) -> None:
-    """3.5 m/s, a car in the next lane comes the other way: straight on they would touch in less than 0.95 s."""
+    """3.5 m/s, a car in the next lane comes the other way: straight on they would touch in less
+    than 0.95 s.
+    """
     log = read_log(shared_data / "verdict2" / "ttc_false_alarm_lohmar" / "DEU_Lohmar-40_1_T-1.xml")
     (drive,), verdicts = driven(log, "dp_qp", Mode.CLOSED)
     assert np.nanmin(least_contact_times(drive.trace, log, False)[0][1]) < 0.95
@@ -269,7 +280,10 @@ def test_turning_right_before_an_oncoming_car_is_no_near_collision(shared_data: 
 
 @pytest.mark.parametrize("closing", [True, False])
 def test_hard_braking_is_about_the_road_user_that_it_is_for(closing: bool) -> None:
-    """10 m/s towards a car that stands 25 m ahead, -6 m/s2 from 1 s on; or the same on a free road, for nothing."""
+    """10 m/s towards a car that stands 25 m ahead, -6 m/s2 from 1 s on.
+
+    Or the same on a free road, for nothing.
+    """
     t = grid(3.0)
     v = np.maximum(10.0 - 6.0 * np.maximum(t - 1.0, 0.0), 0.0)
     ego = replace(

@@ -1,4 +1,6 @@
-"""The picture of a suite: what a cell is called, and that every cell is in the table, the page and the picture."""
+"""The picture of a suite: what a cell is called, and that every cell is in the table, the page and
+the picture.
+"""
 
 import json
 from pathlib import Path
@@ -22,7 +24,9 @@ AVOIDS = {"reference_cc.applies": 1.0, "reference_cc.avoids": 1.0}
 def results(
     folder: Path, logs: dict[str, tuple[dict[str, float], float | None, str | None]]
 ) -> Path:
-    """A result folder: per log the planner's values, the careful driver's impact, and the gate that failed."""
+    """A result folder: per log the planner's values, the careful driver's impact, and the gate that
+    failed.
+    """
     folder.mkdir()
     rows = [
         (log, "dp_qp", "closed", name, value)

@@ -1,4 +1,6 @@
-"""The table of planners over CommonRoad scenarios: what is counted, of which drives, and whose goal is within reach."""
+"""The table of planners over CommonRoad scenarios: what is counted, of which drives, and whose goal
+is within reach.
+"""
 
 from dataclasses import replace
 from pathlib import Path

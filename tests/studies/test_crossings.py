@@ -26,7 +26,9 @@ def drive(v: np.ndarray) -> Trajectory:
 
 
 def scene(v: np.ndarray, walks_at: float = 60.0) -> Scenario:
-    """Who drives like `v`, and a pedestrian who is on the path at x = `walks_at` from about 5 to 7 s."""
+    """Who drives like `v`, and a pedestrian who is on the path at x = `walks_at` from about 5 to 7
+    s.
+    """
     zero = np.zeros_like(T)
     walker = Tracks(
         ("w",),

@@ -1,4 +1,6 @@
-"""Perturbed drives: the way there and back, what is counted, and a planner that does depend on the compass."""
+"""Perturbed drives: the way there and back, what is counted, and a planner that does depend on the
+compass.
+"""
 
 from dataclasses import replace
 from pathlib import Path

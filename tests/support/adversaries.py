@@ -169,7 +169,10 @@ class Capped(Idm):
         self._free = self._tracker.reference
 
     def wish(self, t: float) -> float | FloatArray:
-        """The greatest speed that it wishes for at a time, m/s; or that at each station of the line."""
+        """The greatest speed that it wishes for at a time, m/s.
+
+        Or that at each station of the line.
+        """
         raise NotImplementedError
 
     def plan(self, frame: Frame) -> Plan:
@@ -406,7 +409,10 @@ class Teleport(Idm):
 
 
 class WildEnd(Idm):
-    """Its plans follow `idm` for `until_s`, then swing 12 m to the left; the next plan puts the swing off."""
+    """Its plans follow `idm` for `until_s`, then swing 12 m to the left.
+
+    The next plan puts the swing off.
+    """
 
     until_s = 1.2
 
@@ -515,7 +521,11 @@ class Adversary:
 
 
 def overtaken(behind: float) -> Scenario:
-    """Two lanes; the logged ego drives 10 m/s on the right one, a car `behind` m behind it 15 m/s on the left one."""
+    """Two lanes.
+
+    The logged ego drives 10 m/s on the right one, a car `behind` m behind it 15 m/s on the left
+    one.
+    """
     follower = ("7", AgentKind.CAR, (4.5, 1.8), moving(-behind, 3.5, 15.0, 0.0))
     return scenario(along(grid(12.0, 0.1), 10.0), [follower], road=straight_road(lanes=2))
 

@@ -1,4 +1,6 @@
-"""What holds for every reader: any bytes are a scenario or a LogError, and a scenario survives native MCAP."""
+"""What holds for every reader: any bytes are a scenario or a LogError, and a scenario survives
+native MCAP.
+"""
 
 from dataclasses import replace
 from pathlib import Path

@@ -1,4 +1,7 @@
-"""A zoo of planners that must not harm anything but their own drive; run as `bad_planners:NAME`, each kept apart."""
+"""A zoo of planners that must not harm anything but their own drive.
+
+Run as `bad_planners:NAME`, each kept apart.
+"""
 
 import gc
 import os
@@ -147,7 +150,9 @@ class Daemon(Raises):
 
 
 class Detaches(Raises):
-    """Leaves processes behind in sessions of their own, one of them twice forked, which ignore SIGTERM."""
+    """Leaves processes behind in sessions of their own, one of them twice forked, which ignore
+    SIGTERM.
+    """
 
     def bad(self, frame: Frame) -> object:
         ignore = "trap '' TERM INT HUP; echo $$ >>detached; exec sleep 98765"

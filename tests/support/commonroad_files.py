@@ -3,7 +3,10 @@
 from math import cos, sin
 from pathlib import Path
 
-HEAD = '<commonRoad timeStepSize="0.1" commonRoadVersion="{version}" benchmarkID="{benchmark}" source="{source}" {more}>'
+HEAD = (
+    '<commonRoad timeStepSize="0.1" commonRoadVersion="{version}" benchmarkID="{benchmark}" '
+    'source="{source}" {more}>'
+)
 
 
 def points(*xy: tuple[float, float]) -> str:

@@ -1,4 +1,6 @@
-"""Planners, metrics and readers that break one rule of `replan.contract` each, and are named for it."""
+"""Planners, metrics and readers that break one rule of `replan.contract` each, and are named for
+it.
+"""
 
 import os
 import sys

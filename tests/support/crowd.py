@@ -1,4 +1,6 @@
-"""A street of 20 s: an ego that drives by, cars that drive, turn, stop and stand, people who walk and ride."""
+"""A street of 20 s: an ego that drives by, cars that drive, turn, stop and stand, people who walk
+and ride.
+"""
 
 from dataclasses import dataclass
 

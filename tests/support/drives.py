@@ -1,4 +1,6 @@
-"""Hand-made drives and scenarios for the tests of metrics: small builders, no numbers of their own."""
+"""Hand-made drives and scenarios for the tests of metrics: small builders, no numbers of their
+own.
+"""
 
 from collections.abc import Callable, Sequence
 
@@ -138,7 +140,9 @@ def controls(
 
 
 def moved(world: Scenario, turn: float, dx: float, dy: float, *, mirror: bool = False) -> Scenario:
-    """The whole scene mirrored at the x axis (driving side too), then turned about the origin, then shifted."""
+    """The whole scene mirrored at the x axis (driving side too), then turned about the origin, then
+    shifted.
+    """
     return transform.moved(transform.mirrored(world) if mirror else world, dx, dy, turn)
 
 

@@ -219,4 +219,7 @@ EDITS = {
     ".parquet": _edit_table,
     ".mcap": _edit_log,
 }
-"""What edits a file with its checks in mind, by the end of its name; other files get other bytes."""
+"""What edits a file with its checks in mind, by the end of its name.
+
+Other files get other bytes.
+"""

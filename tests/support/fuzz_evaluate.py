@@ -1,15 +1,18 @@
 """Hostile logs through `evaluate`.
 
-Logs of the formats that the tests write are damaged one by one: bytes flipped, overwritten by telling values, cut off,
-cut out, doubled, swapped; single messages, values or columns, where a checksum or a parser would keep every other
-change from the reader; files emptied, replaced by a folder, a link that leads nowhere, a pipe or a device, renamed, in
-another encoding, with doubled or shuffled rows, another clock, other separators, control characters in names. Each is
-evaluated by the command line in a process of its own, in both loops. It may be judged (exit code 0, 1 or 4, with a
-verdict on the terminal) or refused (2 or 3, with one line that says why). It may not
+Logs of the formats that the tests write are damaged one by one: bytes flipped, overwritten by
+telling values, cut off, cut out, doubled, swapped; single messages, values or columns, where a
+checksum or a parser would keep every other change from the reader; files emptied, replaced by a
+folder, a link that leads nowhere, a pipe or a device, renamed, in another encoding, with doubled or
+shuffled rows, another clock, other separators, control characters in names. Each is evaluated by
+the command line in a process of its own, in both loops. It may be judged (exit code 0, 1 or 4, with
+a verdict on the terminal) or refused (2 or 3, with one line that says why). It may not
 
-    crash   end with a traceback, "a bug in replan", another exit code, or 0, 1 or 4 without a verdict
+    crash   end with a traceback, "a bug in replan", another exit code, or 0, 1 or 4 without a
+            verdict
     hang    take longer than `MOST_S`
-    lose    be judged with fewer agents than the input has, without a note that the whole log does not have
+    lose    be judged with fewer agents than the input has, without a note that the whole log does
+            not have
 
 What may not happen is printed with the seed that makes it again.
 """
@@ -155,7 +158,9 @@ def damaged(raw: bytes, rng: np.random.Generator, kinds: int = 7) -> bytes:
 
 
 def values_damaged(raw: bytes, rng: np.random.Generator) -> bytes:
-    """Some numbers and texts of XML, JSON or CSV replaced by others of the file or by telling ones, or lines lost."""
+    """Some numbers and texts of XML, JSON or CSV replaced by others of the file or by telling ones,
+    or lines lost.
+    """
     found = list(VALUE.finditer(raw))
     out = raw
     for k in sorted(rng.integers(0, len(found), int(rng.integers(1, 4))).tolist(), reverse=True):
@@ -176,7 +181,9 @@ def values_damaged(raw: bytes, rng: np.random.Generator) -> bytes:
 
 
 def columns_damaged(raw: bytes, rng: np.random.Generator) -> bytes:
-    """A column of an Arrow or Parquet file lost, emptied, of another type, or with telling values; or rows lost."""
+    """A column of an Arrow or Parquet file lost, emptied, of another type, or with telling values;
+    or rows lost.
+    """
     parquet = raw.startswith(b"PAR1")
     table = pq.read_table(BytesIO(raw)) if parquet else pa.ipc.open_file(raw).read_all()
     at, kind = int(rng.integers(0, table.num_columns)), int(rng.integers(0, 6))
@@ -226,7 +233,9 @@ def _spoilt(values: list[Any], kind: Any, rng: np.random.Generator) -> Any:
 
 
 def rewritten(raw: bytes, change: Callable[[int, Any, Any], Iterable[tuple[int, bytes]]]) -> bytes:
-    """An MCAP file that is whole, with other messages: `change(k, channel, message)` gives log times and contents."""
+    """An MCAP file that is whole, with other messages: `change(k, channel, message)` gives log
+    times and contents.
+    """
     reader = make_reader(BytesIO(raw))
     out, schemas, channels = BytesIO(), dict[int, int](), dict[int, int]()
     writer: Any = Writer(out, compression=CompressionType.NONE)
@@ -299,7 +308,10 @@ def lines_of(raw: bytes) -> list[bytes]:
 
 
 def cells_damaged(raw: bytes, rng: np.random.Generator) -> bytes:
-    """One column of a CSV file, in one row or in all, with a hostile value; or a hostile name of an agent."""
+    """One column of a CSV file, in one row or in all, with a hostile value.
+
+    Or a hostile name of an agent.
+    """
     rows = [line.rstrip(b"\r\n").split(b",") for line in lines_of(raw)]
     k = int(rng.integers(0, len(rows[0])))
     values = NAMES if rows[0][k] in (b"id", b"kind") else HOSTILE
@@ -311,7 +323,10 @@ def cells_damaged(raw: bytes, rng: np.random.Generator) -> bytes:
 
 
 def rows_damaged(raw: bytes, rng: np.random.Generator) -> bytes:
-    """Rows shuffled, doubled, lost, or with another clock; columns lost or exchanged; other separators and units."""
+    """Rows shuffled, doubled, lost, or with another clock.
+
+    Columns lost or exchanged; other separators and units.
+    """
     head, *rest = lines_of(raw)
     kind = int(rng.integers(0, 9))
     if kind == 0:
@@ -344,7 +359,10 @@ def rows_damaged(raw: bytes, rng: np.random.Generator) -> bytes:
 
 
 def encoded_otherwise(raw: bytes, rng: np.random.Generator) -> bytes:
-    """A text in UTF-16, UTF-32 or with a mark in front; of bytes that are no text, some replaced."""
+    """A text in UTF-16, UTF-32 or with a mark in front.
+
+    Of bytes that are no text, some replaced.
+    """
     words = raw.decode("utf-8", "replace")
     return words.encode(("utf-16", "utf-32", "utf-8-sig", "utf-16-le")[int(rng.integers(0, 4))])
 
@@ -385,7 +403,9 @@ FILES: tuple[Replace, ...] = (emptied, made_a_folder, made_a_link, made_a_pipe, 
 
 @dataclass(frozen=True)
 class Case:
-    """A log of a format: the folder that is copied, the log in it, the files that are damaged, and how."""
+    """A log of a format: the folder that is copied, the log in it, the files that are damaged, and
+    how.
+    """
 
     name: str
     folder: Path
@@ -446,7 +466,9 @@ def spoil(case: Case, work: Path, rng: np.random.Generator) -> str:
 
 
 def agents_in(case: Case, path: Path) -> int | None:
-    """How many agents a log has, counted without replan; None where that is not done for its format."""
+    """How many agents a log has, counted without replan; None where that is not done for its
+    format.
+    """
     if not case.name.startswith("table"):
         return None
     found = [file for file in path.iterdir() if file.name.casefold().startswith("agents")]
@@ -458,7 +480,9 @@ def agents_in(case: Case, path: Path) -> int | None:
 
 
 def evaluated(path: Path, out: Path, said: Path) -> tuple[str, str]:
-    """The command line on a log in a child process: outcome without a look at agents, and what was said."""
+    """The command line on a log in a child process: outcome without a look at agents, and what was
+    said.
+    """
     child = os.fork()
     if child == 0:
         resource.setrlimit(resource.RLIMIT_AS, (ADDRESSES, ADDRESSES))
@@ -550,7 +574,8 @@ def campaign(chosen: Sequence[Case], count: int, seed: int, folder: Path) -> Cou
         took = time.monotonic() - began
         if outcome not in GOOD:
             print(
-                f"--- {case.name}, seed {seed}, input {k}, {what}, {took:.1f} s: {outcome}\n{words}\n",
+                f"--- {case.name}, seed {seed}, input {k}, {what}, {took:.1f} s: "
+                f"{outcome}\n{words}\n",
                 flush=True,
             )
         for place in (work, out):

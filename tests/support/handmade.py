@@ -35,7 +35,9 @@ def drive(
     duration: float,
     step: float = 0.1,
 ) -> Trajectory:
-    """A drive from the origin along a curvature profile, integrated finely enough to be exact for tests."""
+    """A drive from the origin along a curvature profile, integrated finely enough to be exact for
+    tests.
+    """
     fine = 200
     t = np.arange(round(duration / step) * fine + 1) * step / fine
     speed = np.full_like(t, v) if isinstance(v, float | int) else v(t)
@@ -114,9 +116,11 @@ def scenario(
 
 
 def crossing_without_a_map(top: float = 11.4, walks: float = 1.4) -> Scenario:
-    """A recorded driver slows down for a pedestrian, who crosses 60 m ahead, and goes on behind them; no lanes.
+    """A recorded driver slows down for a pedestrian, who crosses 60 m ahead, and goes on behind
+    them; no lanes.
 
-    From `top` m/s down to 2 m/s at a crossing, and up again; a box of the pedestrian every 0.1 s, with `walks` m/s.
+    From `top` m/s down to 2 m/s at a crossing, and up again; a box of the pedestrian every 0.1 s,
+    with `walks` m/s.
     """
     t = np.arange(0.0, 20.05, 0.1)
     v = np.interp(t, [0.0, 1.0, 5.5, 11.0, 15.0], [top, top, 2.0, 2.0, top])

@@ -12,7 +12,10 @@ KINDS = {"roomy": 1.0, "tight": 0.02, "nearly infeasible": 1e-5, "soft": 0.02}
 
 
 def curve_of(rng: np.random.Generator, n: int, h: float) -> FloatArray:
-    """Rows x, x', x'' `(3, n)` of a curve of a few metres; its third derivative is a sum of slow waves."""
+    """Rows x, x', x'' `(3, n)` of a curve of a few metres.
+
+    Its third derivative is a sum of slow waves.
+    """
     t, length = np.linspace(0.0, 1.0, n - 1), h * n
     jerk = (
         10.0
@@ -32,7 +35,9 @@ def curve_of(rng: np.random.Generator, n: int, h: float) -> FloatArray:
 
 
 def made(kind: str, seed: int, shift: float = 0.0) -> PiecewiseJerkProblem:
-    """A problem around a curve that keeps all bounds; `shift` moves two of x inwards by so many rooms."""
+    """A problem around a curve that keeps all bounds; `shift` moves two of x inwards by so many
+    rooms.
+    """
     rng, room = np.random.default_rng(seed), KINDS[kind]
     n, h = int(rng.integers(12, 60)), float(np.exp(rng.uniform(np.log(0.05), np.log(5.0))))
     leads, curve = rng.uniform(0.0, 4.0 * h, rng.integers(0, 3)), curve_of(rng, n, h)

@@ -69,7 +69,10 @@ class MapWriter:
             f'<tag k="local_x" v="{x!r}"/><tag k="local_y" v="{y!r}"/></node>'
             for (x, y), name in self.nodes.items()
         )
-        return f"<?xml version='1.0'?>\n<osm version=\"0.6\">{''.join(nodes)}{''.join(self.parts)}</osm>\n"
+        return (
+            "<?xml version='1.0'?>\n<osm "
+            f'version="0.6">{"".join(nodes)}{"".join(self.parts)}</osm>\n'
+        )
 
     def write(self, path: Path) -> Path:
         """Write the file; its path."""
@@ -94,7 +97,10 @@ def driven_along(
 
 
 def through(road: Road, first: int, length: float, turn: int = 0) -> tuple[list[int], FloatArray]:
-    """Lanes that follow on a lane for a length, m, taking the successor at place `turn`; their centre lines as one."""
+    """Lanes that follow on a lane for a length, m, taking the successor at place `turn`.
+
+    Their centre lines as one.
+    """
     lanes = [first]
     while sum(road.lanes[i].length for i in lanes) < length and road.lanes[lanes[-1]].successors:
         after = road.lanes[lanes[-1]].successors
@@ -104,12 +110,14 @@ def through(road: Road, first: int, length: float, turn: int = 0) -> tuple[list[
 
 
 def crossroads() -> tuple[MapWriter, dict[str, int]]:
-    """A road to the east with two lanes that way and one back, a side road from the south that yields, and rules.
+    """A road to the east with two lanes that way and one back, a side road from the south that
+    yields, and rules.
 
-    Lanes by name: "west 1" (left) and "west 2" (right) lead from x = 0 to 60 into "inner 1" and "inner 2" to 72 and
-    "east 1" and "east 2" to 150; "back" comes from x = 150 to 72; "side" comes from y = -60 to -8 and "turn" leads from
-    it into "east 2". "walk" is a crosswalk over x = 130 to 134, "bikes" a bicycle lane beside "east 2".
-    A car park of 10 m by 10 m is at (85, 15); "turn" lies in an intersection area of 12 m by 12 m at (66, -2).
+    Lanes by name: "west 1" (left) and "west 2" (right) lead from x = 0 to 60 into "inner 1" and
+    "inner 2" to 72 and "east 1" and "east 2" to 150; "back" comes from x = 150 to 72; "side" comes
+    from y = -60 to -8 and "turn" leads from it into "east 2". "walk" is a crosswalk over x = 130 to
+    134, "bikes" a bicycle lane beside "east 2". A car park of 10 m by 10 m is at (85, 15); "turn"
+    lies in an intersection area of 12 m by 12 m at (66, -2).
     """
     m, lanes = MapWriter(), {}
     rows = {y: f"{y}" for y in (8.0, 4.0, 0.0, -4.0)}

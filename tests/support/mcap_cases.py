@@ -1,4 +1,6 @@
-"""Scenarios for the tests of logs in MCAP: one with everything in it, random ones, and files written by hand."""
+"""Scenarios for the tests of logs in MCAP: one with everything in it, random ones, and files
+written by hand.
+"""
 
 import json
 from collections.abc import Iterable, Mapping
@@ -30,7 +32,9 @@ def seconds(ns: Iterable[int]) -> np.ndarray:
 
 
 def rich_scenario(n: int = 30) -> Scenario:
-    """Everything that a log can hold: ragged tracks on their own clocks, an obstacle, lanes, rules, goal, controls."""
+    """Everything that a log can hold: ragged tracks on their own clocks, an obstacle, lanes, rules,
+    goal, controls.
+    """
     t = seconds(100_000_000 * k for k in range(n))
     ego = Trajectory(
         t, 8.0 * t, np.sin(t), 0.1 * np.cos(t), 8.0 + 0.1 * t, 0.1 + 0.0 * t, 0.01 * np.sin(t)
@@ -114,7 +118,9 @@ def rich_scenario(n: int = 30) -> Scenario:
 
 
 def repaired_scenario() -> Scenario:
-    """The rich one, as if its tracks were made of detections: frames without boxes, a removed track, marks, changes."""
+    """The rich one, as if its tracks were made of detections: frames without boxes, a removed
+    track, marks, changes.
+    """
     scenario = rich_scenario()
     n = len(scenario.ego)
     frames = seconds(100_000_000 * k - 300_000_000 for k in range(n + 3))

@@ -12,7 +12,9 @@ ROOT = Path(__file__).parents[2]
 
 
 def started(*words: object, cwd: Path, **more: Any) -> subprocess.Popen[str]:
-    """`replan WORDS` in a session of its own, with the code and the Python path of the tests; `more` is of Popen."""
+    """`replan WORDS` in a session of its own, with the code and the Python path of the tests;
+    `more` is of Popen.
+    """
     return subprocess.Popen(
         [sys.executable, "-m", "replan", *map(str, words)],
         cwd=cwd,

@@ -1,4 +1,6 @@
-"""Small 123D and Argoverse 2 logs as their tools write them, by plain pyarrow: a straight street of two lanes."""
+"""Small 123D and Argoverse 2 logs as their tools write them, by plain pyarrow: a straight street of
+two lanes.
+"""
 
 import json
 import struct
@@ -82,7 +84,9 @@ def lane(x: tuple[float, float], y: float, **features: Any) -> dict[str, Any]:
 
 
 def street(**inner: Any) -> list[tuple[int, int, dict[str, Any], bytes]]:
-    """Lane 1 to 2 (inside a crossing) to 3 eastwards, 9 beside 1 westwards, a stop zone before 2, a solid line."""
+    """Lane 1 to 2 (inside a crossing) to 3 eastwards, 9 beside 1 westwards, a stop zone before 2, a
+    solid line.
+    """
     zone = packed(
         [
             [58.0, -1.75, 0.0],
@@ -121,7 +125,9 @@ def street(**inner: Any) -> list[tuple[int, int, dict[str, Any], bytes]]:
 def write_123d(
     folder: Path, n: int = 30, *, velocities: bool = True, camera: bool = True, **about: Any
 ) -> Path:
-    """A log at 10 Hz: the ego at 8 m/s on lane 1, a car ahead at 5 + t m/s, a cone that is seen from 1 s on."""
+    """A log at 10 Hz: the ego at 8 m/s on lane 1, a car ahead at 5 + t m/s, a cone that is seen
+    from 1 s on.
+    """
     t = 0.1 * np.arange(n)
     times = pa.array(START_US + (1e6 * t).round().astype(np.int64))
     key, boxes = "ego_state_se3", "box_detections_se3"
@@ -180,7 +186,9 @@ def write_123d(
 
 
 def write_av2(folder: Path, n: int = 30) -> Path:
-    """A sensor log: poses at 100 Hz of an ego at 8 m/s to the north, a car beside it, a stray box of the ego itself."""
+    """A sensor log: poses at 100 Hz of an ego at 8 m/s to the north, a car beside it, a stray box
+    of the ego itself.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     stamps = 10**17 + 10_000_000 * np.arange(10 * n)
     north = 200.0 + 8.0 * 0.01 * np.arange(10 * n)
@@ -265,7 +273,9 @@ def write_av2_map(path: Path) -> None:
 
 
 def write_forecasting(folder: Path, n: int = 110) -> Path:
-    """A motion-forecasting scenario: the recording car at 8 m/s to the north, a bus ahead of it, a bollard."""
+    """A motion-forecasting scenario: the recording car at 8 m/s to the north, a bus ahead of it, a
+    bollard.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     rows = []
     for step in range(n):

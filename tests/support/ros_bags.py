@@ -1,4 +1,6 @@
-"""Bags written by rosbags: a drive on an arc among two cars and a pedestrian, as Autoware and others would log it."""
+"""Bags written by rosbags: a drive on an arc among two cars and a pedestrian, as Autoware and
+others would log it.
+"""
 
 from collections.abc import Callable, Iterable
 from copy import deepcopy
@@ -66,7 +68,9 @@ def ego_pose(t: float) -> tuple[float, float, float]:
 
 
 def objects_at(t: float) -> list[tuple[str, int, float, float, float, float, float, float]]:
-    """Name, Autoware label, x, y, yaw, speed, length, width in the map: two cars and a pedestrian."""
+    """Name, Autoware label, x, y, yaw, speed, length, width in the map: two cars and a
+    pedestrian.
+    """
     x, y, _ = ego_pose(0.0)
     return [
         ("ahead", 1, x + 30.0 + 6.0 * t, y + 4.0, 0.0, 6.0, 4.4, 1.8),
@@ -148,7 +152,9 @@ def to_frame(
 def autoware_objects(
     kind: str, topic: str, frame: str = "map", shape: int = 0, late_ns: int = 80_000_000
 ) -> list[Row]:
-    """TrackedObjects, PredictedObjects or DetectedObjects of either package, in the map or in base_link."""
+    """TrackedObjects, PredictedObjects or DetectedObjects of either package, in the map or in
+    base_link.
+    """
     prefix = "initial_" if "Predicted" in kind else ""
     out = []
     for ns in times(OBJECTS_HZ):
@@ -192,7 +198,9 @@ def _shape(shape: int, length: float, width: float) -> dict[str, Any]:
 
 
 def later(rows: Iterable[Row], log_s: float, stamp_s: float) -> list[Row]:
-    """The messages recorded `log_s` later, with stamps `stamp_s` later (transforms: each its own)."""
+    """The messages recorded `log_s` later, with stamps `stamp_s` later (transforms: each its
+    own).
+    """
     out = []
     for topic, kind, time, each in rows:
         each = deepcopy(each)

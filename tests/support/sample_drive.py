@@ -1,8 +1,8 @@
 """A hand-made drive with full internals, so that recordings can be tested without a planner.
 
-An S-curve of three lanes (two in the ego's direction, one oncoming). The ego follows a lead car, passes a parked car on
-the left and brakes for a pedestrian who is in its path from 9 s to 11.5 s. The numbers are made up but agree with each
-other: what the graphs show is what the ego then does.
+An S-curve of three lanes (two in the ego's direction, one oncoming). The ego follows a lead car,
+passes a parked car on the left and brakes for a pedestrian who is in its path from 9 s to 11.5 s.
+The numbers are made up but agree with each other: what the graphs show is what the ego then does.
 """
 
 import numpy as np
@@ -99,7 +99,9 @@ def trajectory(t: FloatArray, t_world: FloatArray) -> Trajectory:
 
 
 def tracks(extra: int = 0, pedestrian: str = "ped 7") -> Tracks:
-    """The lead car, the parked car, the pedestrian, an oncoming truck, and `extra` cars further on."""
+    """The lead car, the parked car, the pedestrian, an oncoming truck, and `extra` cars further
+    on.
+    """
     t = np.arange(0.0, END_S + 0.01, 0.1)
     lead = np.interp(t, FINE, STATION) + 22.0 + 0.8 * t
     walk = np.interp(t, [0.0, BLOCKED[0] - 3.5, BLOCKED[1], END_S], [-7.0, -7.0, 3.0, 6.5])

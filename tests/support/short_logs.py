@@ -35,7 +35,9 @@ def past_parked(name: str, x: float, *others: dict[str, object]) -> Scenario:
 
 
 def free_and_blocked() -> tuple[Scenario, Scenario]:
-    """Not quite three seconds each: no one is there, and a car parked where a careful driver still stops."""
+    """Not quite three seconds each: no one is there, and a car parked where a careful driver still
+    stops.
+    """
     ego = drive(straight, 8.0, 2.9)
     free = scenario(ego, road=lanes_along(ego), goal=Goal((square(27.0, 0.0, 4.0),)))
     wall = tracks(track("wall", [0.0], [24.0], [0.0], static=True))

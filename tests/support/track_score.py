@@ -1,6 +1,7 @@
 """How well tracks show the road users that there were: HOTA, IDF1, errors, ghosts, lost ones.
 
-HOTA (Luiten et al., IJCV 129, 2021) with the similarity 1 - distance / 2 m; IDF1 (Ristani et al., 2016) within 1 m.
+HOTA (Luiten et al., IJCV 129, 2021) with the similarity 1 - distance / 2 m; IDF1 (Ristani et al.,
+2016) within 1 m.
 
     python tests/support/track_score.py LOG ...
 
@@ -29,8 +30,9 @@ REACH_M, NEAR_M = 2.0, 15.0
 LEAST_FRAMES = 10
 """Who is in sight for fewer frames need not be found."""
 FOUND, SEEN = 0.3, 3
-"""A road user found in a smaller share of its frames is lost; a track that is one for less is a ghost. One detected
-less often cannot be found; one found in a smaller share of the frames in which it was detected is missed."""
+"""A road user found in a smaller share of its frames is lost; a track that is one for less is a
+ghost. One detected less often cannot be found; one found in a smaller share of the frames in which
+it was detected is missed."""
 
 
 @dataclass(frozen=True)
@@ -63,8 +65,8 @@ class Points:
 
 
 def true_points(scenario: Scenario, seen: Sight) -> tuple[Points, Points]:
-    """Those in sight for long enough; and whoever need not be found, as others hide them they are no road users or
-    not there for long."""
+    """Those in sight for long enough; and whoever need not be found, as others hide them they are
+    no road users or not there for long."""
     visible = np.bincount(seen.agent[~seen.hidden], minlength=len(scenario.tracks)) >= LEAST_FRAMES
     users = np.array([kind is not AgentKind.OBJECT for kind in scenario.tracks.kinds])
     asked = (visible & users)[seen.agent] & ~seen.hidden
@@ -87,7 +89,9 @@ def found_points(tracks: Tracks, frames: FloatArray, extended: FloatArray) -> Po
 
 
 def _asked(true: Points, found: Points, other: Points) -> Points:
-    """What was found but for those that show `other`, and none of the true ones: they count neither way."""
+    """What was found but for those that show `other`, and none of the true ones: they count neither
+    way.
+    """
     keep = np.ones(len(found.who), np.bool_)
     for k in np.unique(other.frame).tolist():
         _, rows, s = _similar(true, found, k)

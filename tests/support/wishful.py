@@ -1,7 +1,8 @@
-"""A planner with a setting that matters, one that does not, and metrics of both, for searches of settings.
+"""A planner with a setting that matters, one that does not, and metrics of both, for searches of
+settings.
 
-`Wishful` drives straight on and changes to the speed `speed_mps`; `idle` does nothing. The metric `wish` is how far the
-speed is from the best one, `noise` is a number of the log's name alone.
+`Wishful` drives straight on and changes to the speed `speed_mps`; `idle` does nothing. The metric
+`wish` is how far the speed is from the best one, `noise` is a number of the log's name alone.
 """
 
 from hashlib import sha256

@@ -1,4 +1,6 @@
-"""Small worlds for the tests of planners: roads, others that move by a formula, scenes, and a perfect follower."""
+"""Small worlds for the tests of planners: roads, others that move by a formula, scenes, and a
+perfect follower.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
@@ -157,7 +159,10 @@ START = EgoState(0.0, 0.0, 0.0, 0.0, 8.0)
 def reference(
     road: Road | FloatArray, count: int = 1, *, ego: EgoState = START, lane: int | None = None
 ) -> ReferencePath:
-    """The reference path from an ego on a road, or on `count` lanes along points; of one lane only, if it is named."""
+    """The reference path from an ego on a road, or on `count` lanes along points.
+
+    Of one lane only, if it is named.
+    """
     road = road if isinstance(road, Road) else lanes(road, count)
     route = find_route(road, ego, None) if lane is None else (lane,)
     return make_reference_path(road, route, ego, CAR)
@@ -187,7 +192,9 @@ def path_of(kappa: FloatArray, spacing: float) -> Path:
 def view(
     now: Scene, path: Path, *, targets: tuple[PassTarget, ...] = (), **more: object
 ) -> PathView:
-    """What a producer of speed caps is given for a path on which all agents are met, with braking of 6 m/s2."""
+    """What a producer of speed caps is given for a path on which all agents are met, with braking
+    of 6 m/s2.
+    """
     none = np.zeros(len(now.frame.agents), np.bool_)
     taken = st_boundaries(now, path, none, frozenset(), StGraphConfig())
     task = SpeedTask(
@@ -282,7 +289,9 @@ def decided(plan: Plan, name: str, stage: str) -> DecisionKind | None:
 def check_mirrored(
     planner: Callable[[PlannerContext], Planner], made: Scenario, *, atol: float
 ) -> None:
-    """In the mirrored world a planner plans the mirror image, at the start and later on the log's drive."""
+    """In the mirrored world a planner plans the mirror image, at the start and later on the log's
+    drive.
+    """
     plans = []
     for world in (made, mirrored(made)):
         start = logged_ego(world.ego, world.vehicle, 0.0)
@@ -305,7 +314,9 @@ def controlled(
     start: EgoState | None = None,
     plant: VehicleParameters = CAR,
 ) -> tuple[list[Command], list[EgoState], FloatArray]:
-    """Commands, states (one more) and errors (`Deviation`) of a plan followed at 100 Hz without replanning."""
+    """Commands, states (one more) and errors (`Deviation`) of a plan followed at 100 Hz without
+    replanning.
+    """
     car = VEHICLE.builtin[vehicle](plant, start or plan.state(0))
     driver, one, path = (
         controller_of(car, CAR, Part(CONTROLLER, controller), 0.01),

@@ -1,4 +1,6 @@
-"""Along the lane on which the drive begins, as fast as its limit, and slower behind whoever is ahead on it."""
+"""Along the lane on which the drive begins, as fast as its limit, and slower behind whoever is
+ahead on it.
+"""
 
 from __future__ import annotations
 

@@ -1,15 +1,18 @@
-"""CommonRoad scenarios, XML of 2018b and 2020a: `document` parses the file, this module makes the Scenario.
+"""CommonRoad scenarios, XML of 2018b and 2020a: `document` parses the file, this module makes the
+Scenario.
 
 The ego is one of these:
 
 (1) `ego="ID"`: that vehicle of the traffic; its goal is where its log ends.
-(2) A planning problem whose recorded driver is in the file: an obstacle that is at the problem's start position at its
-    start step; or, as the MONA files number them, obstacle `problem - 90000` whose log begins at the start position
-    with the start speed (some of these files give the step as 0: then the obstacle's own step counts).
+(2) A planning problem whose recorded driver is in the file: an obstacle that is at the problem's
+    start position at its start step; or, as the MONA files number them, obstacle `problem - 90000`
+    whose log begins at the start position with the start speed (some of these files give the step
+    as 0: then the obstacle's own step counts).
 (3) Else a problem of which only the start is known.
 
-t = 0 is the ego's first sample. The log lasts to the last moment at which the goal may be reached, without such a time
-to the traffic's last sample, and never less than the ego's log. Traffic may end earlier (`Scenario.traffic`).
+t = 0 is the ego's first sample. The log lasts to the last moment at which the goal may be reached,
+without such a time to the traffic's last sample, and never less than the ego's log. Traffic may end
+earlier (`Scenario.traffic`).
 """
 
 from __future__ import annotations
@@ -47,7 +50,9 @@ MONA_PROBLEM_OFFSET = 90_000
 SHORT_S = 3.0
 """If the recorded drive is shorter, a note names the other planning problems, s."""
 LAST_PLACE_M = 4.0
-"""Half the length of the rectangle about the ego's last box centre that stands for a goal, and its whole width."""
+"""Half the length of the rectangle about the ego's last box centre that stands for a goal, and its
+whole width.
+"""
 _CANNOT_DRIVE = (AgentKind.PEDESTRIAN, AgentKind.OBJECT)
 _SOURCES = (
     ("ngsim", "recorded", ("ngsim", "next generation simulation")),
@@ -61,7 +66,9 @@ _SOURCES = (
 
 
 class _Ego(NamedTuple):
-    """The ego: its obstacle (None: only the start is known), its problem (None: the user chose an obstacle)."""
+    """The ego: its obstacle (None: only the start is known), its problem (None: the user chose an
+    obstacle).
+    """
 
     obstacle: Obstacle | None
     problem: PlanningProblem | None
@@ -71,10 +78,11 @@ class _Ego(NamedTuple):
 def read_commonroad(
     path: str | Path, *, problem: int | None = None, ego: str | None = None
 ) -> Scenario:
-    """Read a CommonRoad scenario (module docstring); LogError if there is none, or no such problem or vehicle.
+    """Read a CommonRoad scenario (module docstring); LogError if there is none, or no such problem
+    or vehicle.
 
-    `problem` is the id of the planning problem, or its place in the file, from 1 (default: the first); `ego` the id of
-    the obstacle to take as ego instead.
+    `problem` is the id of the planning problem, or its place in the file, from 1 (default: the
+    first); `ego` the id of the obstacle to take as ego instead.
     """
     path = Path(path)
     document, headings = turned(parse(path))
@@ -105,7 +113,8 @@ def read_commonroad(
         ]
         if longer:
             notes.append(
-                f"the recorded drive lasts {lasts:.1f} s only; other planning problems: {', '.join(longer)}"
+                f"the recorded drive lasts {lasts:.1f} s only; other planning problems: "
+                f"{', '.join(longer)}"
             )
     name = path.name.removesuffix(".xml") + (f"_ego{ego}" if ego is not None else "")
     if problem is not None and chosen.problem is not None:
@@ -144,7 +153,10 @@ def _by_problem(document: Document, number: int | None) -> _Ego:
         same = o.id == problem.id - MONA_PROBLEM_OFFSET and abs(first[4] - problem.start[4]) < 0.1
         if same and _is_near(first, x, y) and not o.static and len(o.states) > 1:
             late = (first[0] - step) * document.dt
-            note = f"the problem starts at step {step:g}, its recorded driver {late:.1f} s later: taken"
+            note = (
+                f"the problem starts at step {step:g}, its recorded driver {late:.1f} s later: "
+                "taken"
+            )
             return _Ego(o, problem, (note,))
     if any(not o.static and _is_near(o.states[0], x, y) for o in document.obstacles):
         return _Ego(None, problem, ("a vehicle of the traffic appears later where the ego starts",))
@@ -234,7 +246,9 @@ def _drive(
     vehicle: VehicleParameters,
     origin: tuple[float, float],
 ) -> tuple[Trajectory, tuple[str, ...]]:
-    """The ego log at the rear axle, or its only known state; `obstacle` is that of `chosen`, trimmed."""
+    """The ego log at the rear axle, or its only known state; `obstacle` is that of `chosen`,
+    trimmed.
+    """
     if obstacle is not None:
         driven, notes = ego_log(obstacle, dt, vehicle, origin)
         size = f"{vehicle.length:.2f} x {vehicle.width:.2f} m"
@@ -252,7 +266,10 @@ def _drive(
     kappa = problem.yaw_rate / v if v > 1.0 and not isnan(problem.yaw_rate) else 0.0
     kappa = min(max(kappa, -vehicle.max_kappa), vehicle.max_kappa)
     columns = (0.0, x, y, yaw, v, 0.0 if isnan(a) else a, kappa)
-    note = f"only the start of the ego is known (planning problem {problem.id}): no drive to compare with"
+    note = (
+        f"only the start of the ego is known (planning problem {problem.id}): no drive to "
+        "compare with"
+    )
     return Trajectory(*(np.array([value]) for value in columns)), (note,)
 
 
@@ -285,13 +302,17 @@ def _goal(
         return None, tuple(notes)
     if len(problem.goals) > 1:
         notes.append(
-            f"the problem has {len(problem.goals)} goals: any of them counts, each with its own bounds"
+            f"the problem has {len(problem.goals)} goals: any of them counts, each with its own "
+            "bounds"
         )
     return Goal.any_of(goals), tuple(notes)
 
 
 def _labels(document: Document, chosen: _Ego) -> tuple[tuple[str, ...], dict[str, str]]:
-    """The tags: "commonroad", the kind of source where it is known, and the file's own; and the metadata."""
+    """The tags: "commonroad", the kind of source where it is known, and the file's own.
+
+    And the metadata.
+    """
     text = f"{document.source} {document.benchmark}".lower()
     simulated = ("synthetic",) if "simulated" in document.tags else ()
     words = next(

@@ -1,14 +1,16 @@
-"""CommonRoad XML (versions 2018b and 2020a) as plain records, in the coordinates and time steps of the file.
+"""CommonRoad XML (versions 2018b and 2020a) as plain records, in the coordinates and time steps of
+the file.
 
-Source of the format: CommonRoad, "XML format documentation", versions 2018b and 2020a; commonroad-io,
-`TrafficLight.get_state_at_time_step`. The other modules of this package decide what a record means for a Scenario. A
-light repeats its cycle for ever, its first element beginning at step `offset`:
+Source of the format: CommonRoad, "XML format documentation", versions 2018b and 2020a;
+commonroad-io, `TrafficLight.get_state_at_time_step`. The other modules of this package decide what
+a record means for a Scenario. A light repeats its cycle for ever, its first element beginning at
+step `offset`:
 
-(1) it shows the element that holds the phase (step - offset) mod (sum of the durations), each from its begin to before
-    its end
+(1) it shows the element that holds the phase (step - offset) mod (sum of the durations),
+        each from its begin to before its end
 
-Functions that read an element take its place in the file for the error, and raise LogError where a value is missing or
-is no number.
+Functions that read an element take its place in the file for the error, and raise LogError where a
+value is missing or is no number.
 """
 
 from __future__ import annotations
@@ -34,7 +36,9 @@ LARGEST = 1e9
 
 
 def number(text: str | None, place: str) -> float:
-    """The number in a text; LogError where the text is not a number, or the number is implausible."""
+    """The number in a text; LogError where the text is not a number, or the number is
+    implausible.
+    """
     try:
         value = float(text or "")
     except ValueError:
@@ -123,7 +127,9 @@ READ_SIGNS = STOP_SIGNS | YIELD_SIGNS | PRIORITY_SIGNS
 
 @dataclass(frozen=True)
 class LightCycle:
-    """A traffic light: its cycle of colours and durations (time steps), (1), and the turns that it is for."""
+    """A traffic light: its cycle of colours and durations (time steps), (1), and the turns that it
+    is for.
+    """
 
     id: int
     cycle: tuple[tuple[Colour, float], ...]  # colours with durations; empty if the file has none
@@ -132,7 +138,9 @@ class LightCycle:
     active: bool  # whether the light is in use; an inactive light is OFF
 
     def changes(self, first: float, last: float) -> list[tuple[float, Colour]]:
-        """Steps and colours by (1), from `first` on: what it shows then, and each element that begins until `last`."""
+        """Steps and colours by (1), from `first` on: what it shows then, and each element that
+        begins until `last`.
+        """
         if not self.active or not self.cycle:
             return [(first, Colour.OFF)]
         ends = list(accumulate(duration for _, duration in self.cycle))
@@ -149,7 +157,9 @@ class LightCycle:
 
 @dataclass(frozen=True, eq=False)
 class Stop:
-    """A lanelet's stop line: its ends `(2, 2)`, m, or None (at the lanelet's end), and its lights and signs."""
+    """A lanelet's stop line: its ends `(2, 2)`, m, or None (at the lanelet's end), and its lights
+    and signs.
+    """
 
     ends: FloatArray | None
     lights: tuple[int, ...]
@@ -168,7 +178,8 @@ class Incoming:
 class Intersection:
     """An intersection; `crossings` are lanelets on which pedestrians cross.
 
-    The references "isLeftOf" are not read: files use them in both senses, so sides follow from the geometry.
+    The references "isLeftOf" are not read: files use them in both senses, so sides follow from the
+    geometry.
     """
 
     incomings: tuple[Incoming, ...]
@@ -176,7 +187,9 @@ class Intersection:
 
 
 class OccupiedSet(NamedTuple):
-    """Outlines `(k, 2)` that a road user may occupy from one time step to another (an instant: until the next set)."""
+    """Outlines `(k, 2)` that a road user may occupy from one time step to another (an instant:
+    until the next set).
+    """
 
     first: float
     last: float
@@ -185,7 +198,9 @@ class OccupiedSet(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Lanelet:
-    """One lanelet: boundaries `(n, 2)` as in the file (counts may differ), references, `speed` m/s or NaN."""
+    """One lanelet: boundaries `(n, 2)` as in the file (counts may differ), references, `speed` m/s
+    or NaN.
+    """
 
     id: int
     left: FloatArray
@@ -203,7 +218,9 @@ class Lanelet:
 
 @dataclass(frozen=True, eq=False)
 class Obstacle:
-    """One obstacle: its box and states `(n, 6)` of the box centre: step, x, y, yaw, v, a (NaN where not given)."""
+    """One obstacle: its box and states `(n, 6)` of the box centre: step, x, y, yaw, v, a (NaN where
+    not given).
+    """
 
     id: int
     type: str
@@ -211,7 +228,8 @@ class Obstacle:
     length: float
     width: float
     states: FloatArray
-    # where it may be, if the file gives no states but the first: its occupancy set, that state first
+    # where it may be, if the file gives no states but the first: its occupancy set, that state
+    # first
     sets: tuple[OccupiedSet, ...] = ()
 
 
@@ -228,7 +246,9 @@ class GoalState:
 
 @dataclass(frozen=True, eq=False)
 class PlanningProblem:
-    """One planning problem: the initial state `(6,)` (columns as in `Obstacle`), its yaw rate, the goals."""
+    """One planning problem: the initial state `(6,)` (columns as in `Obstacle`), its yaw rate, the
+    goals.
+    """
 
     id: int
     start: FloatArray
@@ -238,7 +258,9 @@ class PlanningProblem:
 
 @dataclass(frozen=True, eq=False)
 class Document:
-    """A whole file; `dt` is the time step, s; `notes` name what the file holds and a Scenario does not."""
+    """A whole file; `dt` is the time step, s; `notes` name what the file holds and a Scenario does
+    not.
+    """
 
     benchmark: str
     version: str
@@ -258,12 +280,16 @@ class Document:
 
     @property
     def country(self) -> str:
-        """Three letters of the benchmark id ("C-DEU_..." -> "DEU"); "ZAM" is the format's no-man's-land."""
+        """Three letters of the benchmark id ("C-DEU_..." -> "DEU"); "ZAM" is the format's
+        no-man's-land.
+        """
         return self.benchmark.removeprefix("C-")[:3]
 
 
 def parse(path: Path) -> Document:
-    """Read a file; LogError if it is not CommonRoad or of another version, or an element is missing or no number."""
+    """Read a file; LogError if it is not CommonRoad or of another version, or an element is missing
+    or no number.
+    """
     with in_file(path):
         return _document(read_xml(path))
 
@@ -309,7 +335,8 @@ def _document(root: Element) -> Document:
     ]
     if sets:
         notes.append(
-            f"obstacles {', '.join(sets)} have an occupancy set: boxes that cover it stand where they may be"
+            f"obstacles {', '.join(sets)} have an occupancy set: boxes that cover it stand where "
+            "they may be"
         )
     lanelets = tuple(_lanelet(e, limits) for e in root.findall("lanelet"))
     if not lanelets:
@@ -428,7 +455,9 @@ def _lanelet(element: Element, limits: Mapping[int, float]) -> Lanelet:
 
 
 def _outline(shape: Element, place: str) -> FloatArray:
-    """Corners `(k, 2)` of a rectangle, circle (24 of them) or polygon in the frame that it is given in."""
+    """Corners `(k, 2)` of a rectangle, circle (24 of them) or polygon in the frame that it is given
+    in.
+    """
     if shape.tag == "polygon":
         points = points_in(shape, place)
         if len(points) > 1 and (points[0] == points[-1]).all():
@@ -458,7 +487,10 @@ def _rectangle(shape: Element, place: str) -> tuple[float, float, float]:
 
 
 def _state(element: Element, place: str, *, needs_yaw: bool) -> tuple[float, ...]:
-    """One row of the states of an `Obstacle`; the shape that bounds an uncertain position counts by its centre."""
+    """One row of the states of an `Obstacle`.
+
+    The shape that bounds an uncertain position counts by its centre.
+    """
     step = middle(element, "time", place)
     yaw = middle(element, "orientation", place)
     if step != step:

@@ -1,34 +1,40 @@
-"""Makes a road from CommonRoad lanelets, lights, signs and intersections: limits, stop lines, right of way, lights.
+"""Makes a road from CommonRoad lanelets, lights, signs and intersections: limits, stop lines, right
+of way, lights.
 
 Speed limits. A limit that the file does not give is assumed, and the scenario says so:
 
-(1) by the kind of road: highway 130 km/h (USA: 65 mph), country 100, ramps 80, urban and all else 50;
-(2) raised to the 85th percentile of the speeds driven on those lanes at the start, rounded up to 10 km/h, where that is
-    more: the speed by which traffic engineers set limits (V85), so that a motorway which the map calls "urban" keeps
-    its pace. Congested traffic never lowers (1); what comes later does not count: a planner would know it in advance;
-(3) raised to the middle of the goal's speeds, but at most a quarter more than the least of them, rounded up to 10 km/h,
-    where even that is more than (1) and (2) and the goal lies on such a lane: it disproves the assumption.
+(1) by the kind of road: highway 130 km/h (USA: 65 mph), country 100, ramps 80, urban and all else
+    50;
+(2) raised to the 85th percentile of the speeds driven on those lanes at the start, rounded up to 10
+    km/h, where that is more: the speed by which traffic engineers set limits (V85), so that a
+    motorway which the map calls "urban" keeps its pace. Congested traffic never lowers (1); what
+    comes later does not count: a planner would know it in advance;
+(3) raised to the middle of the goal's speeds, but at most a quarter more than the least of them,
+    rounded up to 10 km/h, where even that is more than (1) and (2) and the goal lies on such a
+    lane: it disproves the assumption.
 
-Stop lines. A lanelet's stop line lies where its points say, else at the lanelet's end; one without the element has a
-stop line there if a light or a sign to give way is named on it (and no more on the lanelet after it). A light applies
-to the turns of its direction: those of the intersection's incoming, else by the change of heading on the successor. If
-several lights of a lanelet apply to one turn, the one with the fewest turns decides; while it is dark (a green arrow
-that is not lit), the next one decides. Signs are ignored if a light is active.
+Stop lines. A lanelet's stop line lies where its points say, else at the lanelet's end; one without
+the element has a stop line there if a light or a sign to give way is named on it (and no more on
+the lanelet after it). A light applies to the turns of its direction: those of the intersection's
+incoming, else by the change of heading on the successor. If several lights of a lanelet apply to
+one turn, the one with the fewest turns decides; while it is dark (a green arrow that is not lit),
+the next one decides. Signs are ignored if a light is active.
 
-Right of way, between the lanes inside an intersection of two different incomings, where cars on their two centre lines
-would touch (`CAR_WIDTH_M`). Inside ("inner") are the lanes that follow an incoming and begin nearer to the middle
-than the farthest end of an incoming; a lane that both incomings lead to lies behind their conflict. A lane waits
+Right of way, between the lanes inside an intersection of two different incomings, where cars on
+their two centre lines would touch (`CAR_WIDTH_M`). Inside ("inner") are the lanes that follow an
+incoming and begin nearer to the middle than the farthest end of an incoming; a lane that both
+incomings lead to lies behind their conflict. A lane waits
 
 (4) if its sign ranks lower: stop or yield < none < priority road;
-(5) else, where neither incoming has a light and their headings differ by 30 to 135 degrees: whose carriageway has fewer
-    lanes, since multi-lane roads do not wait without a sign; else, where traffic keeps right, to whose right the
-    other one comes from (Vienna Convention on Road Traffic, 18.4 a). If no incoming has a sign, this is an
-    assumption, with a note;
-(6) else, if it turns left and the other one comes from opposite (more than 135 degrees) and goes straight or right;
-    where traffic keeps left, left and right change places.
+(5) else, where neither incoming has a light and their headings differ by 30 to 135 degrees: whose
+    carriageway has fewer lanes, since multi-lane roads do not wait without a sign; else, where
+    traffic keeps right, to whose right the other one comes from (Vienna Convention on Road Traffic,
+    18.4 a). If no incoming has a sign, this is an assumption, with a note;
+(6) else, if it turns left and the other one comes from opposite (more than 135 degrees) and goes
+    straight or right; where traffic keeps left, left and right change places.
 
-Between two lit incomings the lights decide instead of (4) and (5). Without signs, incomings that merge at less than
-30 degrees have no right of way.
+Between two lit incomings the lights decide instead of (4) and (5). Without signs, incomings that
+merge at less than 30 degrees have no right of way.
 """
 
 from __future__ import annotations
@@ -68,8 +74,12 @@ NOT_DRIVABLE = {
 }
 NOT_CROSSABLE = {"solid", "broad_solid", "solid_solid", "curb"}
 LEFT_HAND_COUNTRIES = frozenset(
-    "AUS BGD BHS BRB BRN BTN BWA CYP FJI GBR GUY HKG IDN IMN IND IRL JAM JPN KEN LKA LSO MAC MDV "  # noqa: SIM905
-    "MLT MOZ MUS MWI MYS NAM NPL NZL PAK PNG SGP SUR SWZ SYC THA TLS TTO TZA UGA ZAF ZMB ZWE".split()
+    (
+        "AUS BGD BHS BRB BRN BTN BWA CYP FJI GBR GUY HKG IDN IMN IND IRL JAM JPN KEN LKA LSO MAC "
+        "MDV "  # noqa: SIM905
+        "MLT MOZ MUS MWI MYS NAM NPL NZL PAK PNG SGP SUR SWZ SYC THA TLS TTO TZA UGA ZAF ZMB "
+        "ZWE"
+    ).split()
 )
 KPH = 1.0 / 3.6
 _HIGHWAY = {"highway", "interstate", "mainCarriageWay"}
@@ -90,8 +100,8 @@ def road_of(
 ) -> tuple[Road, tuple[str, ...]]:
     """Make the road, `origin` subtracted from all points, m, and notes on assumptions.
 
-    `driven` are positions and speeds of the traffic at the start `(m, 3)`, file coordinates, m and m/s, for (2); the
-    goals of the `problem` may ask for a speed (3).
+    `driven` are positions and speeds of the traffic at the start `(m, 3)`, file coordinates, m and
+    m/s, for (2); the goals of the `problem` may ask for a speed (3).
     """
     lanes, notes = {}, []
     for lanelet in document.lanelets:
@@ -143,7 +153,10 @@ def road_of(
 
 
 def _crossable(marking: str, *, near: int) -> bool:
-    """Whether a marking may be crossed from the lane; of a double line the near one counts ("solid_dashed")."""
+    """Whether a marking may be crossed from the lane.
+
+    Of a double line the near one counts ("solid_dashed").
+    """
     parts = marking.split("_")
     if set(parts) == {"solid", "dashed"}:
         return parts[near] == "dashed"
@@ -158,7 +171,9 @@ def _with_defaults(
     problem: PlanningProblem | None,
     notes: list[str],
 ) -> Road:
-    """The road with (1) to (3): the commonest default is the road's, others stand on their lanes."""
+    """The road with (1) to (3): the commonest default is the road's, others stand on their
+    lanes.
+    """
     missing: defaultdict[str, list[Lane]] = defaultdict(list)
     drivable = [lane for lane in road.lanes.values() if lane.drivable]
     for lane in drivable:
@@ -238,7 +253,9 @@ Heads = Mapping[int, tuple[int, ...]]
 
 @dataclass(frozen=True)
 class _Approach:
-    """An incoming: heading at its end (rad), lanes, rank of its signs (4), whether it is lit, turns by inner lane."""
+    """An incoming: heading at its end (rad), lanes, rank of its signs (4), whether it is lit, turns
+    by inner lane.
+    """
 
     heading: float
     width: int
@@ -249,7 +266,9 @@ class _Approach:
 
 @dataclass(frozen=True, eq=False)
 class _Line:
-    """A stop line before it has an id; `chain`: the file's lights that it obeys, in order of priority."""
+    """A stop line before it has an id; `chain`: the file's lights that it obeys, in order of
+    priority.
+    """
 
     lane: int
     ends: FloatArray
@@ -267,7 +286,8 @@ def with_rules(
     for lanelet in document.lanelets:
         if lanelet.id in road.lanes:
             lines += _lines(document, lanelet, road.lanes[lanelet.id], turns, origin)
-    # a light of the scenario for each chain: its first one's id, or beyond all ids where that is taken
+    # a light of the scenario for each chain: its first one's id, or beyond all ids where that is
+    # taken
     names: dict[tuple[int, ...], int] = {}
     free = 1 + max((light.id for light in document.lights), default=0)
     for chain in dict.fromkeys(line.chain for line in lines if line.chain):
@@ -294,7 +314,8 @@ def with_rules(
     unused = known - {i for chain in names for i in chain}
     if unused:
         notes.append(
-            f"traffic lights {_comma_list(unused)} are ignored: no lane that goes their way names them"
+            f"traffic lights {_comma_list(unused)} are ignored: no lane that goes their way names "
+            "them"
         )
     dark = {light.id for light in document.lights if light.active and not light.cycle}
     if dark:
@@ -318,7 +339,9 @@ def _comma_list(names: Iterable[int]) -> str:
 
 
 def _turns(document: Document, road: Road) -> dict[tuple[int, int], str]:
-    """Return the turn by lanelet and successor: from the intersections, else by the change of heading."""
+    """Return the turn by lanelet and successor: from the intersections, else by the change of
+    heading.
+    """
     found = {
         (lanelet, successor): turn
         for intersection in document.intersections
@@ -414,7 +437,9 @@ def lights_of(
 def _right_of_way(
     document: Document, road: Road, turns: Turns
 ) -> tuple[dict[int, set[int]], frozenset[int], list[str]]:
-    """Return the lanes with right of way by inner lane, the inner lanes that yield by assumption, and notes."""
+    """Return the lanes with right of way by inner lane, the inner lanes that yield by assumption,
+    and notes.
+    """
     waits, by_assumption = dict[int, set[int]](), set[int]()
     assumed, total = 0, len(document.intersections)
     across = "left" if road.drives_on_right else "right"
@@ -467,7 +492,10 @@ def _right_of_way(
 def _approach(
     document: Document, road: Road, incoming: Incoming, turns: Turns, zone: Collection[int]
 ) -> _Approach | None:
-    """Make an incoming's approach from its drivable lanes, or None. `zone`: the lanes inside the intersection."""
+    """Make an incoming's approach from its drivable lanes, or None.
+
+    `zone`: the lanes inside the intersection.
+    """
     drivable = {lane.id for lane in road.lanes.values() if lane.drivable}
     lanes = [road.lanes[i] for i in incoming.lanelets if i in drivable]
     if not lanes:
@@ -509,7 +537,9 @@ def _approach(
 
 
 def meet(one: FloatArray, other: FloatArray) -> bool:
-    """Whether cars on two centre lines `(n, 2)` would touch somewhere: their lines come nearer than a car is wide."""
+    """Whether cars on two centre lines `(n, 2)` would touch somewhere: their lines come nearer than
+    a car is wide.
+    """
     first, second = dense(one, SPACING_M), dense(other, SPACING_M)
     apart = np.hypot(*(first[:, None, :] - second[None, :, :]).transpose(2, 0, 1))
     return bool(apart.min() < CAR_WIDTH_M)

@@ -1,14 +1,18 @@
 """Covers the occupancy sets of CommonRoad obstacles with boxes.
 
-A set is the area that a road user may occupy at a step: growing polygons, not a pose. Tracks have boxes of one size, so
-each set becomes boxes of its own, which stand from its time until that of the next set (or over its interval). They are
-objects: replayed by time, never reacting, with no speed. The initial state is the first set.
+A set is the area that a road user may occupy at a step: growing polygons, not a pose. Tracks have
+boxes of one size, so each set becomes boxes of its own, which stand from its time until that of the
+next set (or over its interval). They are objects: replayed by time, never reacting, with no speed.
+The initial state is the first set.
 
 A polygon is covered from outside, so that a vehicle that touches the set touches a box:
 
-(1) box = the smallest rectangle along one of the edges of the polygon's convex hull (one of these has the least area)
-(2) excess = (area of the box - area of the polygon) / length of the box, m: how much wider than the polygon it is
-(3) where that exceeds `EXCESS_M` and the box is longer than `SHORTEST_M`, the polygon is cut across its middle
+(1) box = the smallest rectangle along one of the edges
+        of the polygon's convex hull (one of these has the least area)
+(2) excess = (area of the box - area of the polygon) / length of the box, m:
+        how much wider than the polygon it is
+(3) where that exceeds `EXCESS_M` and the box is longer than `SHORTEST_M`, the polygon is cut across
+    its middle
 """
 
 from __future__ import annotations
@@ -69,7 +73,9 @@ def covering(outline: FloatArray, cuts: int = DEEPEST) -> Iterator[Box]:
 
 
 def standing(sets: Sequence[OccupiedSet]) -> Iterator[tuple[str, float, float, Box]]:
-    """Name within its road user, first and last time step, and box of each part of its sets (module docstring)."""
+    """Name within its road user, first and last time step, and box of each part of its sets (module
+    docstring).
+    """
     steps = sorted({one.first for one in sets})
     usual = steps[-1] - steps[-2] if len(steps) > 1 else 1.0
     until = dict(zip(steps, [*steps[1:], steps[-1] + usual], strict=True))

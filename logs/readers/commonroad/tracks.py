@@ -1,23 +1,26 @@
 """Makes tracks and the ego's log from CommonRoad obstacles: corrects headings, chooses velocities.
 
-Headings. Some recordings give headings against true north and positions on a map grid, so that all vehicles seem to
-drive askew by the same angle (MONA: 1.93 degrees, the grid convergence of UTM zone 32 at Munich).
+Headings. Some recordings give headings against true north and positions on a map grid, so that all
+vehicles seem to drive askew by the same angle (MONA: 1.93 degrees, the grid convergence of UTM zone
+32 at Munich).
 
-(1) offset = median over vehicles of median(direction of motion - heading), added where it exceeds `_ASKEW` and four of
-    five vehicles agree with it within `_ASKEW`.
+(1) offset = median over vehicles of median(direction of motion - heading),
+        added where it exceeds `_ASKEW` and four of five vehicles agree with it within `_ASKEW`.
 
-Velocities. Stored speeds agree with the positions in some files and not in others (SUMO co-simulations), and
-differences of positions are noisy (NGSIM). Both candidates use no later sample than their own:
+Velocities. Stored speeds agree with the positions in some files and not in others (SUMO
+co-simulations), and differences of positions are noisy (NGSIM). Both candidates use no later sample
+than their own:
 
 (2) v cos(yaw), v sin(yaw) with the stored speed v     or     (p_k - p_{k-1}) / (t_k - t_{k-1})
 
-The one with the smaller mean error of a constant-velocity prediction 1 s ahead, over all the file's traffic, is taken
-for the whole file. A first sample has no difference: its stored speed is used.
+The one with the smaller mean error of a constant-velocity prediction 1 s ahead, over all the file's
+traffic, is taken for the whole file. A first sample has no difference: its stored speed is used.
 
-Ego log. The rear axle is the box centre minus `axle_to_center` along the heading (positions are exact). Speed and
-acceleration as stored; where 5 % of the stored speeds are off by more than 1 m/s, by central differences. Curvature is
-the slope of heading over distance, and acceleration, where it is not stored, that of speed over time: least squares
-within `WINDOW_S` to both sides. An ego log is ground truth and not seen by planners: central windows are allowed.
+Ego log. The rear axle is the box centre minus `axle_to_center` along the heading (positions are
+exact). Speed and acceleration as stored; where 5 % of the stored speeds are off by more than 1 m/s,
+by central differences. Curvature is the slope of heading over distance, and acceleration, where it
+is not stored, that of speed over time: least squares within `WINDOW_S` to both sides. An ego log is
+ground truth and not seen by planners: central windows are allowed.
 """
 
 from __future__ import annotations
@@ -77,7 +80,10 @@ def turned(document: Document) -> tuple[Document, tuple[str, ...]]:
             for g in problem.goals
         )
         problems.append(replace(problem, start=problem.start + turn, goals=tuple(goals)))
-    note = f"headings are turned by {np.degrees(offset):.2f} deg: {len(medians)} vehicles drive askew by that angle"
+    note = (
+        f"headings are turned by {np.degrees(offset):.2f} deg: {len(medians)} vehicles drive "
+        "askew by that angle"
+    )
     return replace(document, obstacles=obstacles, problems=tuple(problems)), (note,)
 
 
@@ -101,14 +107,19 @@ def velocities(document: Document) -> tuple[dict[int, FloatArray], tuple[str, ..
     rule = (
         "backward differences of positions" if by_difference else "stored speeds along the headings"
     )
-    note = f"agents' velocities are {rule} (error 1 s ahead {min(errors):.2f} m, the other way {max(errors):.2f} m)"
+    note = (
+        f"agents' velocities are {rule} (error 1 s ahead {min(errors):.2f} m, the other way "
+        f"{max(errors):.2f} m)"
+    )
     return found, (note,)
 
 
 def _prediction_error(
     obstacles: Sequence[Obstacle], velocity: Sequence[FloatArray], dt: float
 ) -> float:
-    """Mean distance to the truth of a constant-velocity prediction over 1 s, m; NaN where no track is that long."""
+    """Mean distance to the truth of a constant-velocity prediction over 1 s, m; NaN where no track
+    is that long.
+    """
     ahead, errors = max(1, round(1.0 / dt)), []
     for obstacle, v in zip(obstacles, velocity, strict=True):
         step, p = obstacle.states[:, 0], obstacle.states[:, 1:3]
@@ -127,8 +138,8 @@ def tracks_of(
 ) -> Tracks:
     """The traffic from time step `start` on, which becomes t = 0; obstacle `without` is the ego.
 
-    `velocity` is that of `velocities`; `origin`, m, is subtracted from positions. Samples before `start` are left out
-    (their differences are in the velocities); static obstacles stay.
+    `velocity` is that of `velocities`; `origin`, m, is subtracted from positions. Samples before
+    `start` are left out (their differences are in the velocities); static obstacles stay.
     """
     found: list[tuple[str, AgentKind, float, float, bool, FloatArray]] = []
     for o in document.obstacles:
@@ -172,7 +183,9 @@ def tracks_of(
 
 
 def sized(obstacle: Obstacle) -> VehicleParameters:
-    """The default vehicle at an obstacle's size: axles in proportion to its length, radius of gyration too."""
+    """The default vehicle at an obstacle's size: axles in proportion to its length, radius of
+    gyration too.
+    """
     base = VehicleParameters()
     ratio = obstacle.length / base.length
     return replace(
@@ -187,11 +200,13 @@ def sized(obstacle: Obstacle) -> VehicleParameters:
 
 
 def trimmed(obstacle: Obstacle, dt: float) -> tuple[Obstacle, tuple[str, ...]]:
-    """Drop a first or last sample whose position contradicts the speed; return the obstacle and notes.
+    """Drop a first or last sample whose position contradicts the speed; return the obstacle and
+    notes.
 
-    Recordings clip a vehicle's first position to the edge of their view: it then covers the first step at a third of
-    its speed (MONA), or a simulator writes the first state twice. A sample contradicts the speed where the step to it
-    is off by more than 2 m/s, and the next step by less than 1 m/s.
+    Recordings clip a vehicle's first position to the edge of their view: it then covers the first
+    step at a third of its speed (MONA), or a simulator writes the first state twice. A sample
+    contradicts the speed where the step to it is off by more than 2 m/s, and the next step by less
+    than 1 m/s.
     """
     states, notes = obstacle.states, []
     for where, end in (("first", slice(1, None)), ("last", slice(None, -1))):
@@ -211,7 +226,9 @@ def trimmed(obstacle: Obstacle, dt: float) -> tuple[Obstacle, tuple[str, ...]]:
 def ego_log(
     obstacle: Obstacle, dt: float, vehicle: VehicleParameters, origin: tuple[float, float]
 ) -> tuple[Trajectory, tuple[str, ...]]:
-    """Return the obstacle's drive at its rear axle, t = 0 at its first sample, and notes on assumptions."""
+    """Return the obstacle's drive at its rear axle, t = 0 at its first sample, and notes on
+    assumptions.
+    """
     step, cx, cy, yaw, v, a = obstacle.states.T
     t = np.round((step - step[0]) * dt, 9)
     x = cx - origin[0] - vehicle.axle_to_center * np.cos(yaw)
@@ -233,7 +250,9 @@ def ego_log(
 
 
 def _slopes(x: FloatArray, y: FloatArray, t: FloatArray, least: float) -> FloatArray:
-    """Least-squares slope dy/dx at each sample over `WINDOW_S` to both sides; 0 where x spans less than `least`."""
+    """Least-squares slope dy/dx at each sample over `WINDOW_S` to both sides; 0 where x spans less
+    than `least`.
+    """
     out = np.zeros(len(x))
     for i in range(len(x)):
         near = np.abs(t - t[i]) <= WINDOW_S + 1e-9

@@ -1,10 +1,12 @@
-"""Reads ROS 2 bags (rosbag2: MCAP and SQLite, one file or a folder with metadata.yaml) and ROS 1 bags, without ROS.
+"""Reads ROS 2 bags (rosbag2: MCAP and SQLite, one file or a folder with metadata.yaml) and ROS 1
+bags, without ROS.
 
-Only `bag` uses rosbags. A folder with `metadata.yaml` is one bag, split over its files; `.mcap` and `.db3` alone are
-bags of ROS 2, `.bag` of ROS 1. Message definitions come from the file; if it has none, from `definitions.msg` (Autoware
-and other packages) and from those of the distribution in rosbags. If the file has an index, only the chunks of the
-requested times and topics are read. A SQLite bag whose recorder did not close it has messages in a journal beside it:
-both are read, through a copy.
+Only `bag` uses rosbags. A folder with `metadata.yaml` is one bag, split over its files; `.mcap` and
+`.db3` alone are bags of ROS 2, `.bag` of ROS 1. Message definitions come from the file; if it has
+none, from `definitions.msg` (Autoware and other packages) and from those of the distribution in
+rosbags. If the file has an index, only the chunks of the requested times and topics are read. A
+SQLite bag whose recorder did not close it has messages in a journal beside it: both are read,
+through a copy.
 """
 
 from __future__ import annotations
@@ -52,7 +54,9 @@ def _span(path: Path) -> tuple[float, float] | None:
 
 
 def _contents(path: Path) -> LogContents:
-    """Return the topics with their numbers of messages, and first and last times if the bag is small."""
+    """Return the topics with their numbers of messages, and first and last times if the bag is
+    small.
+    """
     try:
         small = sum(each.stat().st_size for each in bag_files(path)) <= LISTED_BYTES
         with opened(path) as bag:

@@ -31,11 +31,15 @@ LISTED_BYTES = 1 << 28
 COPY_AGAIN = "copy or record it again"
 LAST_TIME_NS = 2**63 - 1
 MAX_CHUNK_BYTES = 1 << 30
-"""Largest decompressed chunk of a bag, bytes: rosbag2 writes 768 KiB, the largest known are 100 MiB."""
+"""Largest decompressed chunk of a bag, bytes: rosbag2 writes 768 KiB, the largest known are 100
+MiB.
+"""
 LARGEST_DEFINITION = 1 << 18
 """Longest text of a message definition: Autoware's longest have some 20,000 characters."""
 _CHUNK_HEAD_BYTES, _FRAME_HEAD_BYTES = 9 + 40, 18
-"""Size of an MCAP chunk's head without the name of the compression, and greatest size of a zstd frame's head."""
+"""Size of an MCAP chunk's head without the name of the compression, and greatest size of a zstd
+frame's head.
+"""
 TIMES: Types = {
     f"builtin_interfaces/msg/{name}": (
         [],
@@ -45,13 +49,15 @@ TIMES: Types = {
 }
 """Definitions of times: primitive types in ROS 1, messages in ROS 2."""
 DAMAGE = (Exception,)
-"""Exceptions of rosbags and the decompressors on damaged bytes; they have no common base (AssertionError, KeyError
-...)."""
+"""Exceptions of rosbags and the decompressors on damaged bytes; they have no common base
+(AssertionError, KeyError ...)."""
 
 
 @dataclass(frozen=True)
 class Topic:
-    """A topic: `kind` is its message type in ROS 2 form (pkg/msg/Type), `count` its number of messages."""
+    """A topic: `kind` is its message type in ROS 2 form (pkg/msg/Type), `count` its number of
+    messages.
+    """
 
     name: str
     kind: str
@@ -73,7 +79,9 @@ class Bag:
     _types: dict[str, Types] = field(default_factory=dict)
 
     def types_of(self, topic: Topic) -> Types:
-        """Return the definitions of a topic's type and the types in it, by name; LogError if none can be used."""
+        """Return the definitions of a topic's type and the types in it, by name; LogError if none
+        can be used.
+        """
         from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
         if topic.name in self._types:
@@ -89,7 +97,10 @@ class Bag:
                 name, _, body = part.partition("\n")
                 types |= get_types_from_msg(body, name.removeprefix("MSG: ").strip())
         elif len(own.data) > LARGEST_DEFINITION:
-            what = f"the definition of {topic.kind} has {len(own.data)} characters, at most {LARGEST_DEFINITION} are"
+            what = (
+                f"the definition of {topic.kind} has {len(own.data)} characters, at most "
+                f"{LARGEST_DEFINITION} are"
+            )
             raise LogError(f"{what} read", topic=topic.name, remedy=SIMPLIFY)
         else:
             try:
@@ -102,10 +113,16 @@ class Bag:
                     for part in [part.partition("\n")[2] for part in idl] or [own.data]:
                         types |= get_types_from_idl(part)
             except DAMAGE as error:
-                what = f"the definition of {topic.kind} in the file cannot be used ({_describe(error)})"
+                what = (
+                    f"the definition of {topic.kind} in the file cannot be used "
+                    f"({_describe(error)})"
+                )
                 raise LogError(what, topic=topic.name, remedy=COPY_AGAIN) from None
         if topic.kind not in types:
-            what = f"the log does not define its message type {topic.kind}, and replan does not know it"
+            what = (
+                f"the log does not define its message type {topic.kind}, and replan does not "
+                "know it"
+            )
             raise LogError(
                 what, topic=topic.name, remedy="record as MCAP, which holds the definitions"
             )
@@ -119,7 +136,9 @@ class Bag:
     def read(
         self, topic: Topic, wanted: Wanted, begin: int | None = None, end: int | None = None
     ) -> tuple[IntArray, list[tuple[Any, ...]]]:
-        """Return log times `(n,)` ns, sorted, and wanted fields from `begin` to `end`, ns; LogError if damaged."""
+        """Return log times `(n,)` ns, sorted, and wanted fields from `begin` to `end`, ns; LogError
+        if damaged.
+        """
         try:
             walk = decoder(self.types_of(topic), topic.kind, wanted, cdr=self.is_ros2)
         except LogError as error:
@@ -139,7 +158,9 @@ class Bag:
     def raw(
         self, topic: Topic, begin: int | None = None, end: int | None = None
     ) -> Iterator[tuple[int, bytes]]:
-        """Yield log time and bytes of the messages from `begin` to `end`, ns, inclusive; LogError if damaged."""
+        """Yield log time and bytes of the messages from `begin` to `end`, ns, inclusive; LogError
+        if damaged.
+        """
         last: int | None = None
         try:
             for _, time, raw in self._messages(
@@ -156,7 +177,10 @@ class Bag:
         except LogError:
             raise
         except DAMAGE as error:
-            what = f"the file is damaged{'' if last is None else ' after this time'} ({_describe(error)})"
+            what = (
+                f"the file is damaged{'' if last is None else ' after this time'} "
+                f"({_describe(error)})"
+            )
             raise LogError(what, topic=topic.name, time_ns=last, remedy=COPY_AGAIN) from None
 
 

@@ -1,24 +1,28 @@
 """Reads the ego's poses and speed from their topics, and derives motion from jittering positions.
 
-Poses, in this order: nav_msgs/Odometry in the map frame; the chain of transforms from the map to the car; Odometry in
-another frame; PoseStamped with or without covariance. Of several topics of a kind, the one with most messages is used,
-then the first by name. Speed: that of the odometry; else of a topic of velocities; else derived from the poses. A topic
-of speeds or accelerations is used if it has no gap over `COVERS_S`; a pose gets its last value.
+Poses, in this order: nav_msgs/Odometry in the map frame; the chain of transforms from the map to
+the car; Odometry in another frame; PoseStamped with or without covariance. Of several topics of a
+kind, the one with most messages is used, then the first by name. Speed: that of the odometry; else
+of a topic of velocities; else derived from the poses. A topic of speeds or accelerations is used if
+it has no gap over `COVERS_S`; a pose gets its last value.
 
-Motion is derived causally, by least squares over a short backward window. With u = t_i - t_k <= 0 the times of the
-samples in the window relative to its last one k, per coordinate
+Motion is derived causally, by least squares over a short backward window. With u = t_i - t_k <= 0
+the times of the samples in the window relative to its last one k, per coordinate
 
-(1) z(u) = z_k + z'_k u + z''_k u^2 / 2   fitted to the samples with u >= -W: z'_k is the rate, z''_k its change
+(1) z(u) = z_k + z'_k u + z''_k u^2 / 2
+        fitted to the samples with u >= -W: z'_k is the rate, z''_k its change
 
-A parabola has no lag while the acceleration is constant; its end is noisier than that of a line. With 1.5 cm of noise
-at 50 Hz and W = 0.6 s the standard deviation of the speed is 0.06 m/s (difference of two samples: 1.1 m/s), of the
-acceleration 0.2 m/s2. Where the window holds fewer than `PARABOLA` samples, a straight line is fitted. With sigma the
-noise of a position, the rate of a straight line has the standard deviation
+A parabola has no lag while the acceleration is constant; its end is noisier than that of a line.
+With 1.5 cm of noise at 50 Hz and W = 0.6 s the standard deviation of the speed is 0.06 m/s
+(difference of two samples: 1.1 m/s), of the acceleration 0.2 m/s2. Where the window holds fewer
+than `PARABOLA` samples, a straight line is fitted. With sigma the noise of a position, the rate of
+a straight line has the standard deviation
 
 (2) sigma_z' = sigma / sqrt(sum (u_i - mean u)^2)
 
-Odometry of a sensor's frame (child_frame_id) becomes that of the base where the bag's transforms lead there. With p, q
-the base in the sensor's frame, P, Q the sensor's pose, v, w the velocity and turn rate in its axes
+Odometry of a sensor's frame (child_frame_id) becomes that of the base where the bag's transforms
+lead there. With p, q the base in the sensor's frame, P, Q the sensor's pose, v, w the velocity and
+turn rate in its axes
 
 (3) P_base = P + Q p Q*,  Q_base = Q q,  v_base = q* (v + w x p) q
 """
@@ -67,7 +71,9 @@ POSITION = (*(f"position.{axis}" for axis in "xyz"), *(f"orientation.{axis}" for
 
 @dataclass(frozen=True, eq=False)
 class BagPart:
-    """The messages of a bag that are read: those from `begin` to `end`, log times in ns (None: no bound)."""
+    """The messages of a bag that are read: those from `begin` to `end`, log times in ns (None: no
+    bound).
+    """
 
     bag: Bag
     settings: LogSettings
@@ -78,7 +84,10 @@ class BagPart:
     drive: bool = False  # whether the bounds are those of one of several drives in the bag
 
     def topics(self, kinds: Mapping[str, object] | tuple[str, ...], role: str) -> list[Topic]:
-        """Return the topics of these types with messages, most first; or that of the settings, or a LogError."""
+        """Return the topics of these types with messages, most first.
+
+        Or that of the settings, or a LogError.
+        """
         wanted = self.settings.topics.get(role, "")
         if wanted == NONE:
             return []
@@ -92,7 +101,10 @@ class BagPart:
                 what = f"the topic for {role!r} " + (
                     "is not in the log" if there is None else f"has the type {there}"
                 )
-                remedy = f"for this role the log has {', '.join(t.name for t in fitting) or 'none'}; '-' takes none"
+                remedy = (
+                    "for this role the log has "
+                    f"{', '.join(t.name for t in fitting) or 'none'}; '-' takes none"
+                )
                 raise LogError(what, topic=wanted, remedy=remedy)
             return named
         return sorted(fitting, key=lambda topic: (-topic.count, topic.name))
@@ -100,7 +112,9 @@ class BagPart:
     def read(
         self, topic: Topic, wanted: Wanted, stamp: Wanted = STAMP
     ) -> tuple[IntArray, IntArray, list[Any]]:
-        """Return log times and stamps `(n,)`, ns, of a topic's messages, and rows: seconds, nanoseconds, `wanted`."""
+        """Return log times and stamps `(n,)`, ns, of a topic's messages, and rows: seconds,
+        nanoseconds, `wanted`.
+        """
         log, rows = self.bag.read(topic, (*stamp, *wanted), self.begin, self.end)
         return (
             log,
@@ -111,7 +125,10 @@ class BagPart:
 
 @dataclass(frozen=True, eq=False)
 class Edge:
-    """Transforms as logged: log times and stamps `(n,)` ns, poses `(n, 3)`, `(n, 4)`; whether they never change."""
+    """Transforms as logged: log times and stamps `(n,)` ns, poses `(n, 3)`, `(n, 4)`.
+
+    Whether they never change.
+    """
 
     log: IntArray
     stamps: IntArray
@@ -125,9 +142,11 @@ Edges = Mapping[tuple[str, str], Edge]
 
 @dataclass(frozen=True, eq=False)
 class EgoLog:
-    """The logged ego: source, clock, frames, poses and speed `(n,)`; the speed is NaN where it must be derived.
+    """The logged ego: source, clock, frames, poses and speed `(n,)`; the speed is NaN where it must
+    be derived.
 
-    `restarts` are the log times, ns, at which another drive begins, because the clock of the topic `restarted` does.
+    `restarts` are the log times, ns, at which another drive begins, because the clock of the topic
+    `restarted` does.
     """
 
     source: str
@@ -141,7 +160,9 @@ class EgoLog:
     restarted: str
 
     def in_map(self, poses: Poses, frame: str) -> Poses:
-        """Return poses in a frame, as a message names it, as poses in the frame `map`; "" is that frame."""
+        """Return poses in a frame, as a message names it, as poses in the frame `map`; "" is that
+        frame.
+        """
         name = frame.lstrip("/")
         return (
             poses
@@ -183,7 +204,9 @@ def _edge(rows: list[tuple[float, ...]], static: bool) -> Edge:
 
 
 def _map_frame(edges: Edges, named: str, settings: LogSettings) -> str:
-    """Return the frame of the scenario: as set, else "map" or similar, else the frame of the ego's poses."""
+    """Return the frame of the scenario: as set, else "map" or similar, else the frame of the ego's
+    poses.
+    """
     if "map" in settings.frames:
         return settings.frames["map"]
     names = {name for edge in edges for name in edge} | {named}
@@ -244,7 +267,9 @@ def read_ego(part: BagPart) -> EgoLog:
 
 
 def _restarts(part: BagPart, source: str, edge: Edge) -> tuple[IntArray, str]:
-    """Return when another drive begins in the bag, log times in ns: by the ego's stamps, else by /clock; the topic."""
+    """Return when another drive begins in the bag, log times in ns: by the ego's stamps, else by
+    /clock; the topic.
+    """
     found = {source: restarts(edge.log, edge.stamps)}
     for topic in part.bag.topics:
         if topic.kind == schemas.CLOCK and topic.count and not len(found[source]):
@@ -263,7 +288,9 @@ def _six(path: str) -> tuple[str, ...]:
 
 
 def _odometry(part: BagPart, edges: Edges) -> _Found | None:
-    """Return the topic of odometry or poses of the ego; None: transforms are better, or there is no such topic."""
+    """Return the topic of odometry or poses of the ego; None: transforms are better, or there is no
+    such topic.
+    """
     kinds = {**dict.fromkeys(schemas.ODOMETRY, "pose.pose"), **schemas.POSES}
     settings = part.settings
     topics = [topic for topic in part.topics(kinds, "ego") if topic.count >= LEAST_POSES]
@@ -333,7 +360,9 @@ def _from_topic(part: BagPart, found: _Found, edges: Edges) -> EgoLog:
 
 
 def _own_frames(frames: FrameTree, world: Set[str]) -> FrameTree:
-    """Return the car's own frames: each stays within `RIGID_M` of one place in its parent, and none is the world's."""
+    """Return the car's own frames: each stays within `RIGID_M` of one place in its parent, and none
+    is the world's.
+    """
     own = [(*pair, poses) for pair, poses in frames.edges.items() if not world & set(pair)]
     return FrameTree(each for each in own if np.ptp(each[2].p, axis=0).max() < RIGID_M)
 
@@ -341,19 +370,25 @@ def _own_frames(frames: FrameTree, world: Set[str]) -> FrameTree:
 def _base_of(
     topic: str, child: str, own: FrameTree, settings: LogSettings, notes: list[str]
 ) -> str:
-    """Return the frame of the rear axle: as set, if transforms lead there (else a LogError), or of `BASE_NAMES`."""
+    """Return the frame of the rear axle: as set, if transforms lead there (else a LogError), or of
+    `BASE_NAMES`.
+    """
     asked = settings.frames.get("base", "")
     if not child:
         if asked:
             notes.append(
-                f"{topic} does not name the frame of its poses: they are taken as those of '{asked}', as set."
+                f"{topic} does not name the frame of its poses: they are taken as those of "
+                f"'{asked}', as set."
             )
         return asked or "base_link"
     base = next(
         (name for name in ((asked,) if asked else BASE_NAMES) if own.connects(child, name)), ""
     )
     if asked and not base:
-        what = f"the poses are those of frame {child!r}, and no transform leads from there to {asked!r}"
+        what = (
+            f"the poses are those of frame {child!r}, and no transform leads from there to "
+            f"{asked!r}"
+        )
         raise LogError(
             what,
             topic=topic,
@@ -361,17 +396,20 @@ def _base_of(
         )
     if not base:
         notes.append(
-            f"{topic} has the poses of frame '{child}', which is taken as the rear axle: no transform leads on."
+            f"{topic} has the poses of frame '{child}', which is taken as the rear axle: no "
+            "transform leads on."
         )
     elif base != child:
         notes.append(
-            f"{topic} has the poses of frame '{child}': transforms of the bag move them to '{base}'."
+            f"{topic} has the poses of frame '{child}': transforms of the bag move them to "
+            f"'{base}'."
         )
     return base or child
 
 
 def _moved(twist: FloatArray, at: Poses) -> FloatArray:
-    """Return velocities and turn rates `(n, 6)` at another place of a body, in its axes; NaN if they are constant.
+    """Return velocities and turn rates `(n, 6)` at another place of a body, in its axes; NaN if
+    they are constant.
 
     Accelerations too, without their centripetal part.
     """
@@ -398,7 +436,10 @@ def _frames(edges: Edges, clock: Clock, notes: list[str]) -> FrameTree:
 def _no_ego(bag: Bag) -> LogError:
     held = sorted({topic.kind.replace("/msg/", "/") for topic in bag.topics if topic.count})
     what = f"nothing in the bag says where the ego is; it holds {', '.join(held) or 'no messages'}"
-    remedy = "needed are /tf from map to base_link, nav_msgs/Odometry or geometry_msgs/PoseStamped (log.topics.ego)"
+    remedy = (
+        "needed are /tf from map to base_link, nav_msgs/Odometry or geometry_msgs/PoseStamped "
+        "(log.topics.ego)"
+    )
     return LogError(what, remedy=remedy)
 
 
@@ -414,7 +455,8 @@ class Signal:
 def signal(part: BagPart, kinds: Mapping[str, str], role: str, ego: EgoLog) -> Signal | None:
     """Read the topic of a role as numbers; None if no topic has at least two messages.
 
-    A twist or acceleration in the frame of a sensor becomes that of the ego's base where transforms lead there.
+    A twist or acceleration in the frame of a sensor becomes that of the ego's base where transforms
+    lead there.
     """
     for topic in part.topics(kinds, role):
         if topic.count < LEAST_POSES and role not in part.settings.topics:
@@ -438,7 +480,8 @@ def signal(part: BagPart, kinds: Mapping[str, str], role: str, ego: EgoLog) -> S
             at = own.poses(frame, ego.base, log, HELD)
             values = _moved(np.array([row[3:] for row in rows], dtype=np.float64), at)[:, 0]
             part.notes.append(
-                f"{topic.name} is of frame '{frame}': transforms of the bag move it to '{ego.base}'."
+                f"{topic.name} is of frame '{frame}': transforms of the bag move it to "
+                f"'{ego.base}'."
             )
         good = np.isfinite(values)
         if not good.any():
@@ -450,7 +493,10 @@ def signal(part: BagPart, kinds: Mapping[str, str], role: str, ego: EgoLog) -> S
 
 
 def at_poses(some: Signal | None, t: IntArray, word: str, notes: list[str]) -> FloatArray:
-    """Return the signal's last value at each pose `(n,)`; all NaN, with a note, if it does not cover all poses."""
+    """Return the signal's last value at each pose `(n,)`.
+
+    All NaN, with a note, if it does not cover all poses.
+    """
     out = np.full(len(t), np.nan)
     if some is None:
         return out
@@ -464,9 +510,11 @@ def at_poses(some: Signal | None, t: IntArray, word: str, notes: list[str]) -> F
 
 
 def states(ego: EgoLog, v: FloatArray, a: FloatArray, notes: list[str]) -> dict[str, FloatArray]:
-    """Return columns x, y, yaw, v, a, kappa `(n,)` of all poses; kappa is derived, and v and a where they are NaN.
+    """Return columns x, y, yaw, v, a, kappa `(n,)` of all poses; kappa is derived, and v and a
+    where they are NaN.
 
-    In the first `WARM_UP_S` of the log, a derived speed has too few poses: `begin_of` leaves them out.
+    In the first `WARM_UP_S` of the log, a derived speed has too few poses: `begin_of` leaves them
+    out.
     """
     seconds = (ego.poses.t - ego.poses.t[0]) / 1e9
     x, y = ego.poses.p[:, 0], ego.poses.p[:, 1]
@@ -492,7 +540,8 @@ def states(ego: EgoLog, v: FloatArray, a: FloatArray, notes: list[str]) -> dict[
         if not np.isfinite(column).all()
     ]
     notes.append(
-        f"The log has no ego {' and no ego '.join([*lacking, 'curvature'])}: derived from the poses of the last"
+        f"The log has no ego {' and no ego '.join([*lacking, 'curvature'])}: derived from the "
+        "poses of the last"
         f" {window[0]:.2g} s (least squares, no later pose)."
     )
     v = np.where(np.isfinite(v), v, derived_v)
@@ -507,7 +556,9 @@ def states(ego: EgoLog, v: FloatArray, a: FloatArray, notes: list[str]) -> dict[
 
 
 def begin_of(ego: EgoLog, v: FloatArray) -> int:
-    """Return the first pose that becomes a state: pose 0, or the first after `WARM_UP_S` if the speed is derived."""
+    """Return the first pose that becomes a state: pose 0, or the first after `WARM_UP_S` if the
+    speed is derived.
+    """
     if np.isfinite(v).all():
         return 0
     t = ego.poses.t
@@ -522,7 +573,9 @@ PARABOLA = 5
 STANDS_MPS = 0.05
 """Slower cars stand, m/s: the localisation of a standing car moves at such speeds."""
 AGENT_WINDOW_S, OBJECT_WINDOW_S = 0.5, 1.0
-"""Windows for boxes of road users and of objects at 10 Hz, s: outlines of clusters jump by decimetres."""
+"""Windows for boxes of road users and of objects at 10 Hz, s: outlines of clusters jump by
+decimetres.
+"""
 
 
 def spread(t: FloatArray, first: IntArray, window: FloatArray) -> FloatArray:
@@ -542,10 +595,11 @@ def spread(t: FloatArray, first: IntArray, window: FloatArray) -> FloatArray:
 def rates(
     t: FloatArray, values: FloatArray, first: IntArray, window: FloatArray, *, parabola: bool
 ) -> tuple[FloatArray, FloatArray]:
-    """Fit (1), or straight lines, at every sample: return rates and their changes of `values`, all `(c, n)`.
+    """Fit (1), or straight lines, at every sample: return rates and their changes of `values`, all
+    `(c, n)`.
 
-    `t` `(n,)`, s, rises where `first`, the first sample that may be in the window, is the same; `window` is W `(n,)`,
-    s. A lone sample has NaN.
+    `t` `(n,)`, s, rises where `first`, the first sample that may be in the window, is the same;
+    `window` is W `(n,)`, s. A lone sample has NaN.
     """
     begin = np.maximum(first, _begins(t, first, window))
     rows = np.arange(len(t))

@@ -1,15 +1,17 @@
 """Decodes selected fields of serialised ROS messages, without objects for the other fields.
 
-A message type is compiled once into a Python function that walks the bytes: unwanted fields are skipped, and runs of
-numbers of one size are unpacked at once. This takes a tenth of the steps of objects for all nested messages, as objects
-of perception have point clouds, images, predicted paths and covariances that no scenario needs.
+A message type is compiled once into a Python function that walks the bytes: unwanted fields are
+skipped, and runs of numbers of one size are unpacked at once. This takes a tenth of the steps of
+objects for all nested messages, as objects of perception have point clouds, images, predicted paths
+and covariances that no scenario needs.
 
-Layouts: CDR as ROS 2 writes it (XCDR1: a number lies at a multiple of its size after the 4 bytes of the encapsulation
-header; a string ends in NUL) and ROS 1 (nothing is aligned, little endian, a Header begins with its sequence number).
+Layouts: CDR as ROS 2 writes it (XCDR1: a number lies at a multiple of its size after the 4 bytes of
+the encapsulation header; a string ends in NUL) and ROS 1 (nothing is aligned, little endian, a
+Header begins with its sequence number).
 
-`wanted` is a tuple of dotted names; an item `(name, wanted)` selects fields of a list of messages. The result is a
-tuple in the same order, with a list of such tuples for a list of messages, and a plain list for a list of numbers or
-texts, which is selected by `(name, ())`.
+`wanted` is a tuple of dotted names; an item `(name, wanted)` selects fields of a list of messages.
+The result is a tuple in the same order, with a list of such tuples for a list of messages, and a
+plain list for a list of numbers or texts, which is selected by `(name, ())`.
 """
 
 from __future__ import annotations
@@ -47,9 +49,13 @@ HEADER = "std_msgs/msg/Header"
 TEXT = "string"
 _DEEPEST = 24
 MOST_FIELDS = 10_000
-"""Greatest number of fields of a message, nested messages included: Autoware's largest types have some 100."""
+"""Greatest number of fields of a message, nested messages included: Autoware's largest types have
+some 100.
+"""
 MOST_FIXED_BYTES = 1 << 30
-"""Largest list of fixed length, bytes: no message is longer (`replan.logs.readers.ros.bag.MAX_CHUNK_BYTES`)."""
+"""Largest list of fixed length, bytes: no message is longer
+(`replan.logs.readers.ros.bag.MAX_CHUNK_BYTES`).
+"""
 SIMPLIFY = "record the topic with a simpler message type, or leave it out of the bag"
 ENDS = {0: ">", 1: "<"}
 """Byte order by the second byte of the encapsulation header of plain XCDR1."""
@@ -69,9 +75,11 @@ def has_field(types: Types, kind: str, path: str) -> bool:
 def decoder(
     types: Types, kind: str, wanted: Wanted, *, cdr: bool
 ) -> Callable[[bytes], tuple[Any, ...]]:
-    """Return a function that decodes the wanted fields of messages of a type from bytes; LogError if it has none.
+    """Return a function that decodes the wanted fields of messages of a type from bytes; LogError
+    if it has none.
 
-    The function raises `struct.error`, `IndexError` or `ValueError` on bytes that are not such a message.
+    The function raises `struct.error`, `IndexError` or `ValueError` on bytes that are not such a
+    message.
     """
     made: dict[str, Callable[[bytes], tuple[Any, ...]]] = {}
     for end in ("<", ">") if cdr else ("<",):
@@ -205,7 +213,10 @@ class _Code:
         self.known = size if self.cdr else 1
 
     def count(self) -> str:
-        """Walk the length of a list or text and return its name; the code checks it against the remaining bytes."""
+        """Walk the length of a list or text and return its name.
+
+        The code checks it against the remaining bytes.
+        """
         self.flush()
         self.align(4)
         name = self.name()
@@ -274,7 +285,9 @@ class _Code:
         return {i: name for i, name, _ in lists}
 
     def body(self, desc: Any, lists: tuple[tuple[str, Wanted], ...], level: int) -> None:
-        """The loop over a list's elements: each is walked, and what is wanted of it appended to the `lists`."""
+        """The loop over a list's elements: each is walked, and what is wanted of it appended to the
+        `lists`.
+        """
         self.depth += 1
         self.known = 1
         self.line("if p > len(b): raise ValueError('the message is cut off')")
@@ -293,7 +306,10 @@ class _Code:
         self.known = 1
 
     def uniform(self, desc: Any, level: int) -> tuple[int, int] | None:
-        """(size, how many) of the numbers that an element consists of, if they are of one size; else None."""
+        """(size, how many) of the numbers that an element consists of, if they are of one size.
+
+        Else None.
+        """
         node, what = desc
         if level > _DEEPEST or node == SEQUENCE:
             return None
@@ -323,7 +339,10 @@ def _check_fixed(size: int) -> None:
 
 
 def _lacks_sequence(types: Types, kind: str) -> bool:
-    """Return whether a type is a Header without a sequence number (ROS 2); in ROS 1 the bytes begin with it."""
+    """Return whether a type is a Header without a sequence number (ROS 2).
+
+    In ROS 1 the bytes begin with it.
+    """
     return kind == HEADER and types[HEADER][1][0][0] != "seq"
 
 

@@ -1,22 +1,26 @@
 """The tree of coordinate frames of a bag, and the clock of its messages.
 
-Frames. `/tf` and `/tf_static` are the edges. With q the rotation (`replan.logs.readers.recorded`) and p the translation of
-a child in its parent, a chain of two edges is
+Frames. `/tf` and `/tf_static` are the edges. With q the rotation (`replan.logs.readers.recorded`)
+and p the translation of a child in its parent, a chain of two edges is
 
 (1) p = p1 + q1 p2 q1*,   q = q1 q2
 
-The pose of a frame at a time is that of the edges' samples: `held` is the last one not later; `between` is the straight
-line (and the normalised mean of the quaternions) between the two around that time, to place what a moving sensor saw.
+The pose of a frame at a time is that of the edges' samples: `held` is the last one not later;
+`between` is the straight line (and the normalised mean of the quaternions) between the two around
+that time, to place what a moving sensor saw.
 
-Clock. A message has the log time of its record, and may have a stamp of its sender in the header. A stamp is the time
-of the measurement. Log times are later by the time of computation, and jitter: differences of positions by log time are
-useless if several messages are written at once. So stamps are used if all messages of a topic have one. A topic whose
-stamps are from another clock than the ego's is read by log time.
+Clock. A message has the log time of its record, and may have a stamp of its sender in the header. A
+stamp is the time of the measurement. Log times are later by the time of computation, and jitter:
+differences of positions by log time are useless if several messages are written at once. So stamps
+are used if all messages of a topic have one. A topic whose stamps are from another clock than the
+ego's is read by log time.
 
-A sender's clock restarts where stamps go back while log times go on, and do not come back to where they were: a
-simulator that began anew, or a bag that was played in a loop. Stale messages go back too, but newer ones follow.
+A sender's clock restarts where stamps go back while log times go on, and do not come back to where
+they were: a simulator that began anew, or a bag that was played in a loop. Stale messages go back
+too, but newer ones follow.
 
-(2) t_stamp(log) = the ego's stamp, interpolated over the ego's log time: for messages without a stamp
+(2) t_stamp(log) = the ego's stamp, interpolated over the ego's log time:
+        for messages without a stamp
 """
 
 from __future__ import annotations
@@ -36,7 +40,10 @@ HELD, BETWEEN = "held", "between"
 
 @dataclass(frozen=True, eq=False)
 class Poses:
-    """Poses of a frame in another: times `(n,)` ns, rising; positions `(n, 3)` m; quaternions `(n, 4)` x, y, z, w."""
+    """Poses of a frame in another: times `(n,)` ns, rising.
+
+    Positions `(n, 3)` m; quaternions `(n, 4)` x, y, z, w.
+    """
 
     t: IntArray
     p: FloatArray
@@ -63,7 +70,10 @@ def inverse(a: Poses) -> Poses:
 
 
 def sampled(poses: Poses, t: IntArray, how: str) -> Poses:
-    """Sample poses at other times `(m,)` ns; the first (last) pose applies before the first (after the last) sample."""
+    """Sample poses at other times `(m,)` ns.
+
+    The first (last) pose applies before the first (after the last) sample.
+    """
     before = np.clip(np.searchsorted(poses.t, t, side="right") - 1, 0, len(poses) - 1)
     if how == HELD:
         return Poses(t, poses.p[before], poses.q[before])
@@ -80,7 +90,9 @@ def sampled(poses: Poses, t: IntArray, how: str) -> Poses:
 
 
 class FrameTree:
-    """The tree of frames, of edges (parent, child, poses of the child in the parent), each pair once."""
+    """The tree of frames, of edges (parent, child, poses of the child in the parent), each pair
+    once.
+    """
 
     def __init__(self, edges: Iterable[tuple[str, str, Poses]]) -> None:
         self.edges = {(parent, child): poses for parent, child, poses in edges if len(poses)}
@@ -105,11 +117,16 @@ class FrameTree:
         return bool(set(self.path(one)) & set(self.path(other)))
 
     def chain(self, above: str, below: str) -> list[tuple[str, str, bool]]:
-        """Return the edges between frames: (parent, child, whether it goes down); LogError if there are none."""
+        """Return the edges between frames: (parent, child, whether it goes down); LogError if there
+        are none.
+        """
         up, down = self.path(above), self.path(below)
         meet = next((name for name in up if name in down), None)
         if meet is None:
-            what = f"no transform leads from frame {above!r} to {below!r}; there are {', '.join(self.names) or 'none'}"
+            what = (
+                f"no transform leads from frame {above!r} to {below!r}; there are "
+                f"{', '.join(self.names) or 'none'}"
+            )
             raise LogError(what, topic="/tf", remedy="name the log's own under frames (map, base)")
         climbed = [(self.parents[name], name, False) for name in up[: up.index(meet)]]
         return climbed + [
@@ -126,7 +143,9 @@ class FrameTree:
         return out
 
     def times(self, above: str, below: str) -> IntArray:
-        """Return the times of the chain's edge with most samples, ns, from when all moving edges are known."""
+        """Return the times of the chain's edge with most samples, ns, from when all moving edges
+        are known.
+        """
         edges = [self.edges[parent, child] for parent, child, _ in self.chain(above, below)]
         moving = [edge for edge in edges if len(edge) > 1]
         if not moving:
@@ -136,8 +155,8 @@ class FrameTree:
 
 
 OTHER_CLOCK_S = 1.0
-"""Topics with a larger median offset from the ego's clock are stamped by another clock; messages that differ by more
-from their topic's median are stale, s."""
+"""Topics with a larger median offset from the ego's clock are stamped by another clock; messages
+that differ by more from their topic's median are stale, s."""
 LASTS_S = 0.2
 """A restarted clock goes on for this time at least, s; fewer messages at a log's end are stale."""
 RETURNS_S = 10.0
@@ -151,7 +170,10 @@ _DROPOUTS_SHOWN = 3
 
 @dataclass(frozen=True, eq=False)
 class Clock:
-    """Converts log times to the scenario's clock, ns, by increasing samples (2) of both; empty: both are the same."""
+    """Converts log times to the scenario's clock, ns, by increasing samples (2) of both.
+
+    Empty: both are the same.
+    """
 
     log: IntArray
     stamp: IntArray
@@ -176,7 +198,9 @@ def stamped(stamps: IntArray) -> bool:
 
 
 def restarts(log: IntArray, stamps: IntArray) -> IntArray:
-    """Return the log times, ns, rising, at which the clock of a topic's stamps begins anew; `log` is sorted."""
+    """Return the log times, ns, rising, at which the clock of a topic's stamps begins anew; `log`
+    is sorted.
+    """
     out, begin, much = list[int](), 0, round(1e9 * OTHER_CLOCK_S)
     if not stamped(stamps) or log[-1] - log[0] < 1e9 * LASTS_S:
         return np.empty(0, np.int64)
@@ -191,7 +215,9 @@ def restarts(log: IntArray, stamps: IntArray) -> IntArray:
 
 
 def clock_of(log: IntArray, stamps: IntArray, choice: str) -> Clock:
-    """Return the scenario's clock: the stamps of the ego's messages, or the log times by choice or without stamps."""
+    """Return the scenario's clock: the stamps of the ego's messages, or the log times by choice or
+    without stamps.
+    """
     if choice == "log" or not stamped(stamps):
         return LOG_CLOCK
     rising = np.flatnonzero(np.diff(log, prepend=log[0] - 1) > 0)
@@ -201,10 +227,11 @@ def clock_of(log: IntArray, stamps: IntArray, choice: str) -> Clock:
 def times_of(
     topic: str, log: IntArray, stamps: IntArray, clock: Clock, notes: list[str]
 ) -> tuple[IntArray, IntArray]:
-    """Return the times of a topic's messages `(k,)` ns, strictly increasing, and the indices of the messages `(k,)`.
+    """Return the times of a topic's messages `(k,)` ns, strictly increasing, and the indices of the
+    messages `(k,)`.
 
-    Stale messages (delays (2) more than `OTHER_CLOCK_S` off the topic's median) are left out; of several messages with
-    the same time, the last recorded one is kept.
+    Stale messages (delays (2) more than `OTHER_CLOCK_S` off the topic's median) are left out; of
+    several messages with the same time, the last recorded one is kept.
     """
     keep = np.arange(len(log))
     if not len(clock.log) or not stamped(stamps):
@@ -217,7 +244,10 @@ def times_of(
         if abs(usual) > OTHER_CLOCK_S or not len(near) or len(again):
             what = f"The stamps of {topic} are of another clock than the ego's ({usual:+.1f} s)"
             if len(again):
-                what = f"The clock of {topic} restarts {(again[0] - clock.log[0]) / 1e9:.2f} s after the first pose"
+                what = (
+                    f"The clock of {topic} restarts {(again[0] - clock.log[0]) / 1e9:.2f} s "
+                    "after the first pose"
+                )
             notes.append(f"{what}: its log times count.")
             times = clock(log)
         else:
@@ -225,7 +255,8 @@ def times_of(
             if len(keep) < len(log):
                 worst = float(np.abs(late - usual).max())
                 notes.append(
-                    f"{len(log) - len(keep)} of {len(log)} messages of {topic} are stale, by up to {worst:.1f} s, and"
+                    f"{len(log) - len(keep)} of {len(log)} messages of {topic} are stale, by up to "
+                    f"{worst:.1f} s, and"
                     " left out."
                 )
             times = stamps[keep]
@@ -242,7 +273,8 @@ def describe_timing(topic: str, log: IntArray, stamps: IntArray, start_ns: int) 
         usual, worst = float(np.median(late)), float(late[np.argmax(np.abs(late))])
         if max(abs(usual), abs(worst)) > REPORTED_S:
             out.append(
-                f"{topic} is recorded {usual:.3f} s after its stamps (median), at most {worst:.3f} s."
+                f"{topic} is recorded {usual:.3f} s after its stamps (median), at most {worst:.3f} "
+                "s."
             )
     if len(log) > 2:
         apart = np.diff(log) / 1e9
@@ -251,6 +283,7 @@ def describe_timing(topic: str, log: IntArray, stamps: IntArray, start_ns: int) 
         if len(lost):
             places = [f"{apart[i]:.2f} s from {(log[i] - start_ns) / 1e9:.2f} s" for i in lost]
             out.append(
-                f"{topic} drops out: nothing for {listed(places, _DROPOUTS_SHOWN)} (usually every {usual:.3f} s)."
+                f"{topic} drops out: nothing for {listed(places, _DROPOUTS_SHOWN)} (usually every "
+                f"{usual:.3f} s)."
             )
     return out

@@ -1,12 +1,14 @@
-"""Reads the objects in the messages of one topic, with their velocity and size, as `Samples` in the map frame.
+"""Reads the objects in the messages of one topic, with their velocity and size, as `Samples` in the
+map frame.
 
-(1) p_map = T_map,frame(t) p_frame with the transform at the time of the message; heading that of the rotated x axis
-(2) velocity: rotated from the object's frame or the message's into the map. If the type does not define the frame, or
-    the data contradict it, the frame that fits the displacement (`replan.logs.conventions`) is used; if neither fits, no
-    velocity is
+(1) p_map = T_map,frame(t) p_frame with the transform at the time of the message;
+        heading that of the rotated x axis
+(2) velocity: rotated from the object's frame or the message's into the map. If the type does not
+    define the frame, or the data contradict it, the frame that fits the displacement
+    (`replan.logs.conventions`) is used; if neither fits, no velocity is
 
-An outline without a box (cluster, polygon) becomes the smallest rectangle around it, one side of which lies along an
-edge of its hull.
+An outline without a box (cluster, polygon) becomes the smallest rectangle around it, one side of
+which lies along an edge of its hull.
 """
 
 from __future__ import annotations
@@ -34,7 +36,9 @@ LEAST_SIZE_M = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Messages:
-    """Messages of a topic of objects: log times and stamps `(n,)` ns, frames, objects; `names`: where fields begin."""
+    """Messages of a topic of objects: log times and stamps `(n,)` ns, frames, objects; `names`:
+    where fields begin.
+    """
 
     log: IntArray
     stamps: IntArray
@@ -98,7 +102,9 @@ def samples_of(
     notes: list[str],
     id_notes: list[str],
 ) -> Samples:
-    """The objects of the messages `chosen` `(k,)` at times t `(k,)` ns, in the map frame `frame` by (1)."""
+    """The objects of the messages `chosen` `(k,)` at times t `(k,)` ns, in the map frame `frame` by
+    (1).
+    """
     items = [messages.items[i] for i in chosen]
     owner = np.repeat(np.arange(len(items)), [len(item) for item in items])
     rows = [item for some in items for item in some]
@@ -221,7 +227,9 @@ def _kinds(held: _Fields, schema: ObjectSchema) -> tuple[list[AgentKind], BoolAr
 def _sizes(
     held: _Fields, schema: ObjectSchema, world: Poses, turn: Poses | None, kinds: list[AgentKind]
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, BoolArray]:
-    """Lengths, widths, centres `(m, 2)`, headings, and whether the box is a rectangle around an outline."""
+    """Lengths, widths, centres `(m, 2)`, headings, and whether the box is a rectangle around an
+    outline.
+    """
     n = len(kinds)
     size = held.numbers("size", 2) if "size" in held else np.full((n, 2), np.nan)
     if "solid" in held:  # 1 box, 2 sphere (radius), 3 and 4 cylinder and cone (height, radius)
@@ -265,7 +273,9 @@ def _sizes(
 def _frame_of_twist(
     samples: Samples, in_frame: FloatArray, schema: ObjectSchema, t: IntArray, notes: list[str]
 ) -> str | None:
-    """The frame of the velocities by (2): "object" (those of `samples`) or "frame" `(m, 2)`; None: unused."""
+    """The frame of the velocities by (2): "object" (those of `samples`) or "frame" `(m, 2)`; None:
+    unused.
+    """
     if not np.isfinite(samples.vx).any():
         notes.append("The log has no velocities of objects.")
         return None
@@ -284,13 +294,15 @@ def _frame_of_twist(
     words = {"object": "object's own frame", "frame": "message's frame"}
     if misfit > MISFIT:
         notes.append(
-            f"The logged velocities of objects do not fit their displacement (median difference {misfit:.0%} of the"
+            "The logged velocities of objects do not fit their displacement (median difference "
+            f"{misfit:.0%} of the"
             " speed) and are not used."
         )
         return None
     if schema.twist_frame == "log" or best != schema.twist_frame:
         notes.append(
-            f"Velocities of objects are in the {words[best]}: they fit the displacement within {misfit:.0%}."
+            f"Velocities of objects are in the {words[best]}: they fit the displacement within "
+            f"{misfit:.0%}."
         )
     return best
 
@@ -299,10 +311,11 @@ _ROWS = 2000
 
 
 def smallest_rectangles(outlines: list[list[tuple[float, float]]]) -> FloatArray:
-    """Rows (centre x, y, yaw, length, width) of the smallest rectangles around `n` outlines `(n, 5)`.
+    """Rows (centre x, y, yaw, length, width) of the smallest rectangles around `n` outlines
+    `(n, 5)`.
 
-    `length >= width`; yaw within a half turn. An outline is a convex polygon of two points or more; for others the
-    rectangles along its edges are compared, of which one is near the smallest.
+    `length >= width`; yaw within a half turn. An outline is a convex polygon of two points or more;
+    for others the rectangles along its edges are compared, of which one is near the smallest.
     """
     most = max(map(len, outlines), default=0)
     padded = np.array(

@@ -1,17 +1,21 @@
-"""Reads a bag as a scenario: chooses topics, clock and part; reads lights, goal, steering and on-board plans.
+"""Reads a bag as a scenario: chooses topics, clock and part; reads lights, goal, steering and
+on-board plans.
 
-For a part between `begin` and `end` only the messages around it are read: from `DETECTED_S` before it where the bag has
-detections that may be repaired, else from `HISTORY_S` before it, which show who is present and how they move; and the
-first seconds of the log, which define t = 0 and the origin. Where the log's clock is faster or slower than the senders'
-(a simulation slower than real time), log times do not define a part, and all messages are read.
+For a part between `begin` and `end` only the messages around it are read: from `DETECTED_S` before
+it where the bag has detections that may be repaired, else from `HISTORY_S` before it, which show
+who is present and how they move; and the first seconds of the log, which define t = 0 and the
+origin. Where the log's clock is faster or slower than the senders' (a simulation slower than real
+time), log times do not define a part, and all messages are read.
 
-A bag in which the ego's clock restarts holds several drives, of which one is read: that to which the part between
-`begin` and `end` belongs, which then are seconds of the bag's recording.
+A bag in which the ego's clock restarts holds several drives, of which one is read: that to which
+the part between `begin` and `end` belongs, which then are seconds of the bag's recording.
 
-On-board plans whose points have no times (Autoware leaves `time_from_start` at 0) are timed by their speeds:
+On-board plans whose points have no times (Autoware leaves `time_from_start` at 0) are timed by
+their speeds:
 
-(1) t_(i+1) = t_i + 2 d_i / (v_i + v_(i+1)),  d_i the distance of two points; where both are below `CREEPS_MPS` the plan
-    stands. The time of the point nearest to the ego is that of the message
+(1) t_(i+1) = t_i + 2 d_i / (v_i + v_(i+1)),
+        d_i the distance of two points; where both are below `CREEPS_MPS` the plan stands. The time
+        of the point nearest to the ego is that of the message
 """
 
 from __future__ import annotations
@@ -67,11 +71,16 @@ from replan.logs.vehicle import VEHICLE_ASSUMED, VehicleParameters, assumed_car
 HEAD_S = 2.0
 """Time at the log's begin that is read to find t = 0 if only a later part is wanted, s."""
 MARGIN_S = 1.0
-"""Messages may be recorded this much later than they are stamped; read on both sides of the wanted part."""
+"""Messages may be recorded this much later than they are stamped.
+
+Read on both sides of the wanted part.
+"""
 
 
 def read_bag(path: Path, settings: LogSettings) -> Scenario:
-    """The scenario in a bag, or its part around the settings' begin and end; LogError without an ego in it."""
+    """The scenario in a bag, or its part around the settings' begin and end; LogError without an
+    ego in it.
+    """
     for key, roles in ROLES.items():
         wrong = sorted(set(getattr(settings, key)) - set(roles))
         if wrong:
@@ -151,7 +160,9 @@ def _scenario(path: Path, bag: Bag, settings: LogSettings) -> Scenario:
 def _part_to_read(
     bag: Bag, settings: LogSettings
 ) -> tuple[BagPart, EgoLog, int | None, FloatArray]:
-    """What is read of a bag, its ego, and of a later part t = 0, ns, and origin; LogError for several drives."""
+    """What is read of a bag, its ego, and of a later part t = 0, ns, and origin; LogError for
+    several drives.
+    """
     whole = part = BagPart(bag, settings)
     start: int | None = None
     origin: FloatArray = np.zeros(2)
@@ -173,7 +184,9 @@ def _part_to_read(
 
 
 def _drive_to_read(whole: BagPart, ego: EgoLog) -> BagPart:
-    """Of several drives in a bag, that between the settings' begin and end, or all by log time, or a LogError."""
+    """Of several drives in a bag, that between the settings' begin and end, or all by log time, or
+    a LogError.
+    """
     bag, settings = whole.bag, whole.settings
     at = ((ego.restarts - bag.start_ns) / 1e9).tolist()
     count = {2: "two", 3: "three", 4: "four"}.get(len(at) + 1, str(len(at) + 1))
@@ -197,7 +210,9 @@ def _drive_to_read(whole: BagPart, ego: EgoLog) -> BagPart:
 
 
 def _part_by_log_time(whole: BagPart) -> tuple[BagPart, int | None, FloatArray, Clock]:
-    """The messages around the settings' begin and end, the time of t = 0, the origin, and the log's first clock."""
+    """The messages around the settings' begin and end, the time of t = 0, the origin, and the log's
+    first clock.
+    """
     bag, settings, unknown = whole.bag, whole.settings, (whole, None, np.zeros(2), LOG_CLOCK)
     head = BagPart(bag, settings, None, bag.start_ns + round(1e9 * HEAD_S))
     try:
@@ -257,7 +272,8 @@ def _tracks(
     topic = topics[0]
     if len(topics) > 1:
         notes.append(
-            f"The others are those of {topic.name}, not of {', '.join(each.name for each in topics[1:])}:"
+            f"The others are those of {topic.name}, not of "
+            f"{', '.join(each.name for each in topics[1:])}:"
             " tracked before predicted before detected, then most messages."
         )
     messages = read_messages(part, topic)
@@ -272,7 +288,10 @@ def _tracks(
             messages, schemas.OBJECTS[topic.kind], chosen, t, ego.frames, ego.map, notes, id_notes
         )
     except LogError as error:
-        remedy = "name the log's own frames under log.frames, or leave the objects out by log.topics.agents = '-'"
+        remedy = (
+            "name the log's own frames under log.frames, or leave the objects out by "
+            "log.topics.agents = '-'"
+        )
         raise LogError(error.what, topic=topic.name, remedy=remedy) from None
     x, y, since = samples.x - origin[0], samples.y - origin[1], (t - start) / 1e9
     found = replace(samples, x=x, y=y).detections(since)
@@ -331,7 +350,8 @@ def lights(part: BagPart, ego: EgoLog, t0: int) -> tuple[TrafficLight, ...]:
         out.append(TrafficLight(int(light), (t - t0) / 1e9, tuple(by_time.values())))
     if out:
         notes.append(
-            f"{len(out)} traffic lights of {topic.name} are named by its {schema.ids[place]}; which lane obeys which"
+            f"{len(out)} traffic lights of {topic.name} are named by its {schema.ids[place]}; "
+            "which lane obeys which"
             " the log does not say: without a map that names them no stop line belongs to them."
         )
     return tuple(out)
@@ -360,7 +380,9 @@ def _colour(item: tuple[object, ...], schema: schemas.LightSchema) -> Colour:
 def goal(
     part: BagPart, ego: EgoLog, begin_ns: int, origin: FloatArray, vehicle: VehicleParameters
 ) -> Goal | None:
-    """The place around the log's goal pose: the newest at the begin (ns, log time), else the first one."""
+    """The place around the log's goal pose: the newest at the begin (ns, log time), else the first
+    one.
+    """
     topics, notes = part.topics(schemas.GOALS, "goal"), part.notes
     if "goal" not in part.settings.topics:
         topics = [
@@ -384,12 +406,14 @@ def goal(
     yaw, ahead = float(pose.yaw[0]), vehicle.axle_to_center
     others = f"; its {len(good) - 1} other goals are not used" if len(good) > 1 else ""
     notes.append(
-        f"The goal is {GOAL_LENGTH_M:g} m by {GOAL_WIDTH_M:g} m around the pose of {topic.name}{others}."
+        f"The goal is {GOAL_LENGTH_M:g} m by {GOAL_WIDTH_M:g} m around the pose of "
+        f"{topic.name}{others}."
     )
     late = (sec * 1_000_000_000 + nsec - log[k]) / 1e9
     if sec and late > LATE_GOAL_S:
         notes.append(
-            f"The goal's stamp is {late:.1f} s after its record: it was set when it was known where the drive led."
+            f"The goal's stamp is {late:.1f} s after its record: it was set when it was known "
+            "where the drive led."
         )
     return Goal.around(x + ahead * cos(yaw), y + ahead * sin(yaw), yaw)
 

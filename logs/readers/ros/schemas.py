@@ -1,7 +1,8 @@
 """Tables of the known message types and of the fields in them.
 
 Sources: the definitions of autoware_msgs (Autoware.AI and Autoware Mini), autoware_perception_msgs,
-autoware_auto_perception_msgs, derived_object_msgs and vision_msgs; labels as their constants and users write them.
+autoware_auto_perception_msgs, derived_object_msgs and vision_msgs; labels as their constants and
+users write them.
 """
 
 from __future__ import annotations
@@ -54,7 +55,10 @@ WORDS = (
     ("taxi", CAR),
     ("vehicle", CAR),
 )
-"""A label has the kind of the first word that it contains; labels with none of the words are objects."""
+"""A label has the kind of the first word that it contains.
+
+Labels with none of the words are objects.
+"""
 NO_CARS = ("cart", "cardboard", "carton")
 
 
@@ -68,7 +72,9 @@ def kind_of_word(label: str) -> AgentKind:
 
 @dataclass(frozen=True)
 class ObjectSchema:
-    """Names of the fields of objects in a message type; "": the type has none; `a|b`: the first that exists."""
+    """Names of the fields of objects in a message type; "": the type has none; `a|b`: the first
+    that exists.
+    """
 
     items: str  # list of objects
     # pose; `twist` is the velocity, in the frame `twist_frame`: "object", "frame" or "log" (the
@@ -146,7 +152,9 @@ OBJECTS = {
         score="hypothesis.score|score",
     ),
 }
-"""Schemas by message type; `RANK` is the order of preference: tracked before predicted before detected objects."""
+"""Schemas by message type; `RANK` is the order of preference: tracked before predicted before
+detected objects.
+"""
 RANK = (
     "TrackedObjects",
     "PredictedObjects",
@@ -191,7 +199,9 @@ CLOCK = "rosgraph_msgs/msg/Clock"
 
 @dataclass(frozen=True)
 class LightSchema:
-    """Names of the fields of lights in a message type: the list, the ids in order of preference, the list of lamps."""
+    """Names of the fields of lights in a message type: the list, the ids in order of preference,
+    the list of lamps.
+    """
 
     items: str
     ids: tuple[str, ...]

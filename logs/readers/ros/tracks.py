@@ -1,12 +1,13 @@
 """Finds the identities of objects over time, and makes tracks with one box, kind and front each.
 
-Identities. Where perception numbers the entries of each list anew (`replan.logs.repair.detections`), ids are no identities.
-Then the objects of a frame are assigned to those known so far, by the least sum of distances to the positions expected
-from earlier samples. Outlines of clusters split and merge: an outline whose size differs from that with which an object
+Identities. Where perception numbers the entries of each list anew
+(`replan.logs.repair.detections`), ids are no identities. Then the objects of a frame are assigned
+to those known so far, by the least sum of distances to the positions expected from earlier samples.
+Outlines of clusters split and merge: an outline whose size differs from that with which an object
 began is another object, since a box has one size.
 
-Tracks. A log has a box in each frame, a Scenario one for each agent: the median of its sizes, and the kind that it had
-most often. Where the log has no velocities, they are derived.
+Tracks. A log has a box in each frame, a Scenario one for each agent: the median of its sizes, and
+the kind that it had most often. Where the log has no velocities, they are derived.
 """
 
 from __future__ import annotations
@@ -33,18 +34,20 @@ NOISE_M = {
     AgentKind.BUS: 0.17,
 }
 NOISE_OTHERS_M, NOISES = 0.1, 2.0
-"""Noise of box centres (root mean square in the 13 drives of Tartu); a derived velocity counts from `NOISES` times the
-standard deviation that follows on: an object that was seen twice 0.1 s apart is not yet known to move."""
+"""Noise of box centres (root mean square in the 13 drives of Tartu); a derived velocity counts from
+`NOISES` times the standard deviation that follows on: an object that was seen twice 0.1 s apart is
+not yet known to move."""
 MOVES_MPS = 1.0
 """Only faster objects show their front, m/s."""
 
 
 @dataclass(frozen=True, eq=False)
 class Samples(Columns):
-    """Objects of all frames, `(m,)` each: message, id, kind, pose in the map, velocity, size (NaN: not known).
+    """Objects of all frames, `(m,)` each: message, id, kind, pose in the map, velocity, size (NaN:
+    not known).
 
-    `ids` are those of the log, "" where it gives none; `score` is 0 to 1, NaN where it is not known; `names` are
-    identities, None until they are asked for (`identified`).
+    `ids` are those of the log, "" where it gives none; `score` is 0 to 1, NaN where it is not
+    known; `names` are identities, None until they are asked for (`identified`).
     """
 
     message: IntArray
@@ -73,7 +76,10 @@ class Samples(Columns):
 
 
 def identified(samples: Samples, t: IntArray, notes: list[str]) -> Samples:
-    """The samples with names that are identities, each once a frame; t `(k,)` ns are the times of the messages."""
+    """The samples with names that are identities, each once a frame.
+
+    T `(k,)` ns are the times of the messages.
+    """
     if samples.names is not None:
         return samples
     seconds, with_ids = (t[samples.message] - t[:1]) / 1e9, any(samples.ids)
@@ -86,7 +92,8 @@ def identified(samples: Samples, t: IntArray, notes: list[str]) -> Samples:
     why = "are no identities (they jump)" if with_ids else "are not there"
     count = int(names.max(initial=0))
     notes.append(
-        f"Ids of objects {why}: objects are joined from frame to frame by position, to {count} tracks."
+        f"Ids of objects {why}: objects are joined from frame to frame by position, to {count} "
+        "tracks."
     )
     return replace(samples, names=[str(name) for name in names])
 
@@ -164,9 +171,11 @@ def _one_front(
     kinds: tuple[AgentKind, ...],
     notes: list[str],
 ) -> FloatArray:
-    """Headings of boxes whose front and back change places, so that none turns round from one sample to the next.
+    """Headings of boxes whose front and back change places, so that none turns round from one
+    sample to the next.
 
-    The front is the direction of motion of most samples; for a standing agent, the direction of most headings.
+    The front is the direction of motion of most samples; for a standing agent, the direction of
+    most headings.
     """
     out, turned = yaw.copy(), 0
     for part, kind in zip(parts, kinds, strict=True):
@@ -203,7 +212,10 @@ def _fill_velocities(
     counts: IntArray,
     notes: list[str],
 ) -> tuple[FloatArray, FloatArray]:
-    """The logged velocities, and where there are none the motion over a backward window; a first sample has none."""
+    """The logged velocities, and where there are none the motion over a backward window.
+
+    A first sample has none.
+    """
     missing = ~(np.isfinite(samples.vx) & np.isfinite(samples.vy))
     if not missing.any():
         return samples.vx, samples.vy
@@ -216,8 +228,10 @@ def _fill_velocities(
     explained = NOISES * noise >= np.hypot(*found) * spread(t, first, np.repeat(windows, counts))
     found = np.where(explained, 0.0, found)
     notes.append(
-        f"Velocities of objects ({missing.mean():.0%} of the samples) are derived from their positions in the last"
-        f" {AGENT_WINDOW_S} s (for objects that are not road users: the last {OBJECT_WINDOW_S:g} s). Motion within the"
+        f"Velocities of objects ({missing.mean():.0%} of the samples) are derived from their "
+        "positions in the last"
+        f" {AGENT_WINDOW_S} s (for objects that are not road users: the last {OBJECT_WINDOW_S:g} "
+        "s). Motion within the"
         " noise of positions counts as standing."
     )
     return np.where(missing, found[0], samples.vx), np.where(missing, found[1], samples.vy)
@@ -225,7 +239,9 @@ def _fill_velocities(
 
 REACH_M = {AgentKind.PEDESTRIAN: 1.0, AgentKind.OBJECT: 1.5}
 REACH_OTHERS_M = 2.0
-"""Largest distance of an object from its expected place, m: noise of its centre and acceleration."""
+"""Largest distance of an object from its expected place, m: noise of its centre and
+acceleration.
+"""
 UNKNOWN_MPS = {AgentKind.PEDESTRIAN: 2.5, AgentKind.OBJECT: 5.0}
 UNKNOWN_OTHERS_MPS = 20.0
 """Additional distance per second after a first sample, whose velocity is unknown, m/s."""
@@ -234,7 +250,9 @@ OTHER_KIND_M = 1.0
 LOST_S = 1.0
 """A road user not seen for longer is no longer expected."""
 OTHER_SIZE_M, OTHER_SIZE = 0.5, 0.25
-"""An outline is another object's if its size differs by more than both, m and as a share of the larger one."""
+"""An outline is another object's if its size differs by more than both, m and as a share of the
+larger one.
+"""
 MEMORY = 5
 """Number of last samples from which the velocity is computed."""
 _FAR = 1e6
@@ -242,7 +260,9 @@ _FAR = 1e6
 
 @dataclass
 class _Known:
-    """A known object: its name and kind, the size with which it began, and its last samples (t, x, y)."""
+    """A known object: its name and kind, the size with which it began, and its last samples (t, x,
+    y).
+    """
 
     name: int
     kind: AgentKind
@@ -250,7 +270,9 @@ class _Known:
     past: list[tuple[float, float, float]] = field(default_factory=list)
 
     def expected(self, now: float) -> tuple[float, float]:
-        """Return its expected place: the last one, extrapolated with the velocity over its last samples."""
+        """Return its expected place: the last one, extrapolated with the velocity over its last
+        samples.
+        """
         (t0, x0, y0), (t1, x1, y1) = self.past[0], self.past[-1]
         if t1 <= t0:
             return x1, y1
@@ -266,7 +288,8 @@ def joined(
     kinds: Sequence[AgentKind],
     sizes: FloatArray,
 ) -> IntArray:
-    """Names `(m,)`, numbered by first appearance, of samples in frames `(m,)`, rising, at times `t` `(m,)`, s.
+    """Names `(m,)`, numbered by first appearance, of samples in frames `(m,)`, rising, at times `t`
+    `(m,)`, s.
 
     `sizes` `(m, 2)`: length and width of outlines, NaN for samples with a box.
     """

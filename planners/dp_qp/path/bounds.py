@@ -1,13 +1,16 @@
-"""Path bounds: the agents in the way, the sides on which they are passed, and the corridor that remains.
+"""Path bounds: the agents in the way, the sides on which they are passed, and the corridor that
+remains.
 
-The path passes only agents that stand, or move slowly along the lane (`passing`); the S-T graph has the other moving
-agents. (The path DP, coarser than `corridor`, moves the rear axle past boxes grown by the ego's length.)
+The path passes only agents that stand, or move slowly along the lane (`passing`); the S-T graph has
+the other moving agents. (The path DP, coarser than `corridor`, moves the rear axle past boxes grown
+by the ego's length.)
 
-(1) nudge left of an obstacle:  lower >= its left side + half width + clearance     over its stations
+(1) nudge left of an obstacle:  lower >= its left side + half width + clearance
+        over its stations
     nudge right:                upper <= its right side - half width - clearance
 
-A bound that steering cannot keep from the start is loosened to what steering can keep (`corridor`); where the path then
-does not clear an agent, the ego stops before it (`check_clearance`).
+A bound that steering cannot keep from the start is loosened to what steering can keep (`corridor`);
+where the path then does not clear an agent, the ego stops before it (`check_clearance`).
 """
 
 from __future__ import annotations
@@ -46,9 +49,12 @@ class CorridorConfig:
         min_clearance_m: Least such distance, where there is no more space; with less the ego stops.
         edge_m: Distance to the lane's edge.
         gap_m: Distance ahead of and behind an obstacle, added to its length.
-        neighbour_behind_m: A neighbouring lane may be borrowed if no agent moves on it up to this far behind the ego.
-        neighbour_ahead_m: A neighbouring lane may be borrowed if no agent moves on it up to this far ahead of the ego.
-        facing_margin_s: The facing lane may be borrowed if no agent comes within this time after the ego has left it.
+        neighbour_behind_m: A neighbouring lane may be borrowed if no agent moves on it up to this
+            far behind the ego.
+        neighbour_ahead_m: A neighbouring lane may be borrowed if no agent moves on it up to this
+            far ahead of the ego.
+        facing_margin_s: The facing lane may be borrowed if no agent comes within this time after
+            the ego has left it.
         patience_s: The facing lane may be used to pass a vehicle that has stood for this long.
     """
 
@@ -102,7 +108,9 @@ class PathBounds:
     def room(
         self, obstacles: Sequence[Occupancy], vehicle: VehicleParameters, config: CorridorConfig
     ) -> list[list[float]]:
-        """Greatest lower and least upper bound where a point of the ego is beside each obstacle, else -inf, inf."""
+        """Greatest lower and least upper bound where a point of the ego is beside each obstacle,
+        else -inf, inf.
+        """
         return room_beside(
             self.s, self.lower, self.upper, _boxes(obstacles), self.gap(vehicle, config)
         ).tolist()
@@ -110,7 +118,8 @@ class PathBounds:
     def gap(self, vehicle: VehicleParameters, config: CorridorConfig) -> float:
         """Distance before and behind an obstacle at which the ego still counts as beside it, m.
 
-        Half the distance between two points of the ego, or the rear overhang, plus `gap_m` or the knots' spacing.
+        Half the distance between two points of the ego, or the rear overhang, plus `gap_m` or the
+        knots' spacing.
         """
         between = max(0.5 * vehicle.axle_to_front / max(len(self.s) - 1, 1), vehicle.rear_overhang)
         return between + max(config.gap_m, float(self.s[0, 1] - self.s[0, 0]))
@@ -119,7 +128,8 @@ class PathBounds:
 def standing_obstacles(
     scene: Scene, length: float, *, facing: bool = False
 ) -> tuple[Occupancy, ...]:
-    """The standing agents beside or ahead of the ego, up to `length` m, that stand on the road or near its edge.
+    """The standing agents beside or ahead of the ego, up to `length` m, that stand on the road or
+    near its edge.
 
     With `facing`, the facing lane is part of the road.
     """
@@ -153,11 +163,13 @@ def _standing_boxes(
     right: FloatArray,
     near: tuple[float, float, float],
 ) -> tuple[IntArray, FloatArray]:
-    """The agents that stand on the road or near its edge `(b,)`; their stations and offsets, from and to `(b, 4)`, m.
+    """The agents that stand on the road or near its edge `(b,)`; their stations and offsets, from
+    and to `(b, 4)`, m.
 
-    The extents come from the projections of the corners and of the middles of the sides, since a curve bulges between
-    corners. `s` are the stations of all agents `(n,)`, `left` and `right` the road's edges there, `near` a point x, y
-    and the radius around it in which agents are considered, m.
+    The extents come from the projections of the corners and of the middles of the sides, since a
+    curve bulges between corners. `s` are the stations of all agents `(n,)`, `left` and `right` the
+    road's edges there, `near` a point x, y and the radius around it in which agents are considered,
+    m.
     """
     x, y, length = bodies.x, bodies.y, bodies.length
     rows, boxes = np.empty(len(x), np.int64), np.empty((len(x), 4))
@@ -182,7 +194,8 @@ def _standing_boxes(
 
 
 def borrowed_road(way: InTheWay, speed: float, vehicle: VehicleParameters) -> Borrowed:
-    """The road beside the lane that the ego uses to pass obstacles at this speed: a free neighbouring lane.
+    """The road beside the lane that the ego uses to pass obstacles at this speed: a free
+    neighbouring lane.
 
     It uses the facing lane, too, for obstacles that it may pass there.
     """
@@ -203,7 +216,9 @@ def lane_bounds(
     vehicle: VehicleParameters,
     config: CorridorConfig,
 ) -> PathBounds:
-    """(1) of `corridor` at stations of any shape, for an ego that passes obstacles at this speed."""
+    """(1) of `corridor` at stations of any shape, for an ego that passes obstacles at this
+    speed.
+    """
     side = 0.5 * vehicle.width + config.edge_m
     edges = lane_edges(
         reference.line.s, reference.table, s.ravel(), borrowed_road(way, speed, vehicle), side
@@ -212,13 +227,17 @@ def lane_bounds(
 
 
 def swing_span(box: Occupancy, speed: float, vehicle: VehicleParameters) -> tuple[float, float]:
-    """The stations, m, between which the ego leaves its lane to pass an obstacle and is back in it."""
+    """The stations, m, between which the ego leaves its lane to pass an obstacle and is back in
+    it.
+    """
     swing = max(15.0, 2.5 * speed)
     return box.s_from - vehicle.axle_to_front - swing, box.s_to + vehicle.rear_overhang + swing
 
 
 def free_sides(scene: Scene, config: CorridorConfig) -> tuple[bool, bool]:
-    """Whether the reachable road left and right of the own lane is free of moving agents near the ego."""
+    """Whether the reachable road left and right of the own lane is free of moving agents near the
+    ego.
+    """
     ahead = scene.agents.s - scene.s
     near = (
         ~scene.standing & (ahead > -config.neighbour_behind_m) & (ahead < config.neighbour_ahead_m)
@@ -234,7 +253,9 @@ def free_sides(scene: Scene, config: CorridorConfig) -> tuple[bool, bool]:
 def side_gaps(
     box: Occupancy, lower: float, upper: float, vehicle: VehicleParameters
 ) -> tuple[float, float]:
-    """The space beside an ego that passes a box between two bounds of its axis, on the left and right, m."""
+    """The space beside an ego that passes a box between two bounds of its axis, on the left and
+    right, m.
+    """
     side = 0.5 * vehicle.width
     return upper - box.l_to - side, box.l_from - side - lower
 
@@ -243,8 +264,8 @@ def side_gaps(
 class SideChoice:
     """The options for one obstacle, before a decision is made.
 
-    `left` is the space beside an ego that passes it on its left, m, `right` that on its right; `settled` is the
-    decision where there is no choice; None if the obstacle can be passed.
+    `left` is the space beside an ego that passes it on its left, m, `right` that on its right;
+    `settled` is the decision where there is no choice; None if the obstacle can be passed.
     """
 
     box: Occupancy
@@ -259,7 +280,10 @@ class SideChoice:
     def decided(
         self, goes_left: bool, costs: tuple[float, float] | None, config: CorridorConfig
     ) -> Decision:
-        """The decision for a side, or for the other if there is no space; costs of left and right for the reason."""
+        """The decision for a side, or for the other if there is no space.
+
+        Costs of left and right for the reason.
+        """
         if self.settled is not None:
             return self.settled
         if (self.left if goes_left else self.right) < config.min_clearance_m:
@@ -304,7 +328,10 @@ def narrow_bounds(
     vehicle: VehicleParameters,
     config: CorridorConfig,
 ) -> tuple[PathBounds, tuple[Decision, ...]]:
-    """The bounds (1); an obstacle that would close them becomes a stop. Without obstacles to pass they stay."""
+    """The bounds (1); an obstacle that would close them becomes a stop.
+
+    Without obstacles to pass they stay.
+    """
     if not any(decision.kind in SIDES for decision in decisions):
         return space, decisions
     (lower, upper), room, closed = narrowed_beside(
@@ -331,7 +358,8 @@ def check_clearance(
     vehicle: VehicleParameters,
     config: CorridorConfig,
 ) -> tuple[dict[str, float], tuple[Decision, ...]]:
-    """The space between a path and each agent that it passes, m; `path` has the offsets of its points as both bounds.
+    """The space between a path and each agent that it passes, m; `path` has the offsets of its
+    points as both bounds.
 
     Also the decisions, with a stop for each agent that it does not clear.
     """
@@ -353,7 +381,10 @@ def check_clearance(
 
 
 def _boxes(obstacles: Sequence[Occupancy], decisions: Sequence[Decision] = ()) -> FloatArray:
-    """Obstacles in the form that kernels take (`corridor.narrowed_beside`); without decisions the side is 0."""
+    """Obstacles in the form that kernels take (`corridor.narrowed_beside`).
+
+    Without decisions the side is 0.
+    """
     ways = [SIDES.get(decision.kind, 0.0) for decision in decisions] or [0.0] * len(obstacles)
     both = zip(obstacles, ways, strict=True)
     return np.array([(box.s_from, box.s_to, box.l_from, box.l_to, way) for box, way in both])

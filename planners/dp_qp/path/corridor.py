@@ -1,27 +1,35 @@
-"""The corridor of the path QP: the space that the road leaves the ego, as far as steering can keep it.
+"""The corridor of the path QP: the space that the road leaves the ego, as far as steering can keep
+it.
 
-The bounds hold for points of the ego's axis from the rear axle to the front bumper, each at its own station, so that
-its corners stay in the bounds widened by half its width. They are built in these steps:
+The bounds hold for points of the ego's axis from the rear axle to the front bumper, each at its own
+station, so that its corners stay in the bounds widened by half its width. They are built in these
+steps:
 
-(1) `within_lane`   lower <= l <= upper, the lane (or, beside an obstacle, the reachable road) less half the ego's
+(1) `within_lane`   lower <= l <= upper, the lane (or, beside an obstacle, the reachable road) less
+        half the ego's
                     width, and 1 - kappa l >= MIN_REGULAR: short of the centre of a turn
 (2) `_for_the_nose` wider where the ego's nose needs it in a sharp turn
 (3) `_towards`      within the sides of the goal region, or as near to them as possible
-(4) `_widen_bounds`      where the ego is outside the lane: holding a quintic from its state back into it
-(5) `loosen_bounds` to the reach (8) of comfortable steering, where a bound asks for more; of hard steering where
-                    comfort would leave the road's room by more than `FORCED_M` and that leaves it by less
+(4) `_widen_bounds`      where the ego is outside the lane: holding a quintic from its state back
+                         into it
+(5) `loosen_bounds` to the reach (8) of comfortable steering, where a bound asks for more; of hard
+                    steering where comfort would leave the road's room by more than `FORCED_M` and
+                    that leaves it by less
 
-`bounds` narrows it beside obstacles. With the expected speed v(s) along the reference line, the curvature K at the
-steering lock, and the steering rate d(delta)/dt, steering keeps
+`bounds` narrows it beside obstacles. With the expected speed v(s) along the reference line, the
+curvature K at the steering lock, and the steering rate d(delta)/dt, steering keeps
 
 (6) |kappa| <= min(K, a_lat / v^2)           (7) |kappa'| <= rate / (wheelbase v)
 
-For a path at offset l the curvature is kappa_r / (1 - kappa_r l) + l'' / (1 - kappa_r l)^2 where l' is small.
+For a path at offset l the curvature is kappa_r / (1 - kappa_r l) + l'' / (1 - kappa_r l)^2 where l'
+is small.
 
-(8) The reach: l, l' and l'' of steering to one side as hard as (6) and (7) permit. A bound beyond the reach cannot be
-    kept; it is loosened to the reach, so that a path is found; the S-T graph has the agents that this path meets.
+(8) The reach: l, l' and l'' of steering to one side as hard as (6) and (7) permit. A bound beyond
+    the reach cannot be kept; it is loosened to the reach, so that a path is found; the S-T graph
+    has the agents that this path meets.
 
-A point of the ego's axis `lead` m before the rear axle has the offset, from the reference line at s + lead,
+A point of the ego's axis `lead` m before the rear axle has the offset, from the reference line at s
++ lead,
 
 (9) l + lead l' - swing,      swing = (sqrt(1 + (kappa_r lead)^2) - 1) / kappa_r
 """
@@ -40,10 +48,13 @@ from replan.planners.frenet.reference_path import CrossSections, sections
 from replan.planners.piecewise_jerk.problem import DDDX, DDX, DX, LEADS, X
 
 KNOT, LIMIT, KAPPA = 0, 1, 2
-"""Rows of `RoadAhead.along`: station of a knot, m; speed limit, m/s; curvature of the reference line, 1/m."""
+"""Rows of `RoadAhead.along`: station of a knot, m.
+
+Speed limit, m/s; curvature of the reference line, 1/m.
+"""
 S, SWING, LOWER, UPPER, LEAST, MOST = 0, 1, 2, 3, 4, 5
-"""Rows of `RoadAhead.points`: stations, m; how far the points swing out (9), m; bounds (1) to (4) of
-their offsets, m; the same without (3), m."""
+"""Rows of `RoadAhead.points`: stations, m; how far the points swing out (9), m; bounds (1) to (4)
+of their offsets, m; the same without (3), m."""
 MAX_DL = 1.0  # Bound of l': 45 degrees off the reference line
 # Hard steering is considered where comfortable steering would leave the lane by more than this, m
 FORCED_M = 0.3
@@ -52,17 +63,23 @@ BULGE = 0.03
 NEARLY_M = 0.5  # A goal farther outside the corridor than this is not a goal of this lane, m
 LEFT_M = 0.1  # Width that the corridor keeps where the goal is outside of it, m
 NEAR_GOAL_M = 15.0
-"""Where an agent stands within this of the goal, the ego passes it as usual and (3) does not apply, m."""
+"""Where an agent stands within this of the goal, the ego passes it as usual and (3) does not apply,
+m.
+"""
 HERE = np.empty(0)  # Argument `near` of `loosen_bounds`: the path is near the reference line
 COMFORT = frozen(np.array([4.0, 3.0, 1.8]))
-"""Lateral acceleration that a path may need, braking and acceleration of the expected speed, m/s2 ..."""
+"""Lateral acceleration that a path may need, braking and acceleration of the expected speed, m/s2
+...
+"""
 # ... and those where comfort would leave the lane by more than `FORCED_M`.
 HARD = frozen(np.array([6.0, 5.0, 0.0]))
 SHARPEST = 1.0  # Largest rate of the curvature, 1/m2, however slow the ego is
 SHARE = 0.8  # Share of the bounds that the reach (8) uses; the rest lets the path be smooth
 SLOWEST_MPS = 1.0  # Least v in (6) and (7), m/s
 AHEAD = 1.0 / 3.0
-"""The swing (9) is that of the curvature at s + lead / 3: exact to second order where the curvature rises linearly."""
+"""The swing (9) is that of the curvature at s + lead / 3: exact to second order where the curvature
+rises linearly.
+"""
 
 
 class EgoInLane(NamedTuple):
@@ -77,8 +94,8 @@ class EgoInLane(NamedTuple):
 class Borrowed(NamedTuple):
     """The road beside the lane that the ego may use.
 
-    `spans` `(b, 3)`: station from, to, m, and 1 for the neighbouring lane, 2 for the facing one, too; which lanes are
-    free.
+    `spans` `(b, 3)`: station from, to, m, and 1 for the neighbouring lane, 2 for the facing one,
+    too; which lanes are free.
     """
 
     spans: FloatArray
@@ -108,7 +125,8 @@ def road_ahead(
     sides: FloatArray,
     standing: FloatArray,
 ) -> RoadAhead:
-    """(1) to (5) at n knots, `step` m apart, along a reference line's stations and a reference path's table.
+    """(1) to (5) at n knots, `step` m apart, along a reference line's stations and a reference
+    path's table.
 
     `sides` of the goal `(3, m)` are those of `GoalWindow.sides`; (3) is left out where an agent
     that stands (`standing`: stations from, to `(c, 2)`, m) is near the goal.
@@ -242,7 +260,9 @@ def _at(s: float, stations: FloatArray, values: FloatArray) -> float:
 
 @inner_kernel
 def _widen_bounds(s: FloatArray, lower: FloatArray, upper: FloatArray, start: FloatArray) -> None:
-    """Apply (4) in place to bounds `(points, n)` at stations of that shape, for a start as in `EgoInLane`."""
+    """Apply (4) in place to bounds `(points, n)` at stations of that shape, for a start as in
+    `EgoInLane`.
+    """
     l0, dl0, ddl0, speed = start[1], start[2], start[3], start[4]
     ahead = l0 + dl0 * min(5.0, 0.5 * speed)
     if lower[0, 0] <= l0 <= upper[0, 0] and lower[0, 0] <= ahead <= upper[0, 0]:
@@ -274,10 +294,12 @@ def loosen_bounds(
     step: float,
     middle: float,
 ) -> tuple[FloatArray, FloatArray]:
-    """References and rows of the path QP (`RoadAhead`) for bounds `(points, n)`, loosened to what steering reaches (5).
+    """References and rows of the path QP (`RoadAhead`) for bounds `(points, n)`, loosened to what
+    steering reaches (5).
 
-    The bounds of the curvature hold at the offsets `near` `(n,)`; with `HERE`, at offsets as near to the reference line
-    as the bounds permit. The references are `middle` times the sum of the bounds (`qp`, (1) and (5)).
+    The bounds of the curvature hold at the offsets `near` `(n,)`; with `HERE`, at offsets as near
+    to the reference line as the bounds permit. The references are `middle` times the sum of the
+    bounds (`qp`, (1) and (5)).
     """
     n = lower.shape[1]
     references, rows = np.zeros((2, n)), np.zeros((2, 3 + len(ego.leads), n))
@@ -329,7 +351,8 @@ def loosen_bounds(
 def room_beside(
     s: FloatArray, lower: FloatArray, upper: FloatArray, boxes: FloatArray, gap: float
 ) -> FloatArray:
-    """Greatest lower and least upper bound `(b, 2)` at the stations beside boxes `(b, 5)`; -inf, inf without any.
+    """Greatest lower and least upper bound `(b, 2)` at the stations beside boxes `(b, 5)`; -inf,
+    inf without any.
 
     Bounds `(points, n)` at stations of that shape; boxes as in `narrowed_beside`.
     """
@@ -357,9 +380,10 @@ def narrowed_beside(
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Narrow bounds `(2, points, n)` so that they keep clear of boxes, one after the other.
 
-    Boxes `(b, 5)`: station from, to, offset from, to, m; 1 to pass on the left, -1 on the right, 0 not at all. `gap` is
-    kept ahead of and behind a box, `clearance` beside it, or nearly all of the space if that is at least `least`, m;
-    `side` is half the ego's width. Returns the bounds, the space beside the ego `(b,)`, m, and which boxes close them.
+    Boxes `(b, 5)`: station from, to, offset from, to, m; 1 to pass on the left, -1 on the right, 0
+    not at all. `gap` is kept ahead of and behind a box, `clearance` beside it, or nearly all of the
+    space if that is at least `least`, m; `side` is half the ego's width. Returns the bounds, the
+    space beside the ego `(b,)`, m, and which boxes close them.
     """
     out = np.empty((2, s.shape[0], s.shape[1]))
     out[0], out[1] = lower, upper
@@ -402,7 +426,9 @@ def expected_speed(
     decel: float,
     lateral: float,
 ) -> FloatArray:
-    """Speed `(n,)` at stations `step` m apart, m/s: that of limit and curves, braking with `decel` at most."""
+    """Speed `(n,)` at stations `step` m apart, m/s: that of limit and curves, braking with `decel`
+    at most.
+    """
     out = np.empty(len(limit))
     for i in range(len(limit)):
         out[i] = min(limit[i], sqrt(lateral / max(abs(kappa[i]), 1e-6)))
@@ -431,7 +457,9 @@ def _bend_bounds(bend: float, kappa: float, offset: float) -> tuple[float, float
 def _reach(
     start: FloatArray, aim: FloatArray, low: FloatArray, high: FloatArray, step: float
 ) -> FloatArray:
-    """Rows l, l', l'' `(3, n)` of (8): l'' goes to `aim` `(n,)` as fast as the bounds of its rate `(n - 1,)` permit."""
+    """Rows l, l', l'' `(3, n)` of (8): l'' goes to `aim` `(n,)` as fast as the bounds of its rate
+    `(n - 1,)` permit.
+    """
     n = len(aim)
     out = np.empty((3, n))
     out[:, 0] = start[:3]
@@ -454,16 +482,18 @@ def steering_bounds(
     car: FloatArray,
     limits: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Bounds of l'' `(2, n)` and of its rate `(2, n - 1)`, and the reach (8) to the left and to the right `(3, n)`.
+    """Bounds of l'' `(2, n)` and of its rate `(2, n - 1)`, and the reach (8) to the left and to the
+    right `(3, n)`.
 
     Args:
-        start: l, l', l'' and the speed (m/s) at the first knot; the bounds of l'' are widened to the reach from there.
+        start: l, l', l'' and the speed (m/s) at the first knot; the bounds of l'' are widened to
+            the reach from there.
         limit: Speed limit at the knots `(n,)`, m/s.
         kappa: Curvature of the reference line there `(n,)`, 1/m.
         offset: Offsets near which the path is `(n,)`, m.
         step: Distance between two knots, m.
-        car: Curvature at the lock, 1/m, its rate over time, 1/(m s), and the lateral acceleration for which the speed
-            stage slows down in curves, m/s2.
+        car: Curvature at the lock, 1/m, its rate over time, 1/(m s), and the lateral acceleration
+            for which the speed stage slows down in curves, m/s2.
         limits: `COMFORT` or `HARD`.
     """
     n = len(limit)

@@ -1,20 +1,23 @@
 """Path DP: the side of each obstacle, by dynamic programming over sampled points of the S-L plane.
 
-Columns at stations S_i, rows at offsets L_k; nodes have l' = l'' = 0, so an edge between columns is the quintic
+Columns at stations S_i, rows at offsets L_k; nodes have l' = l'' = 0, so an edge between columns is
+the quintic
 
 (1) l(u) = l_j + (l_k - l_j) (10 u^3 - 15 u^4 + 6 u^5),   u = (s - S_i) / (S_{i+1} - S_i)
 
-and only the first edge, from the ego's (l, l', l''), is a general quintic. Cost of an edge, sampled at equal steps:
+and only the first edge, from the ego's (l, l', l''), is a general quintic. Cost of an edge, sampled
+at equal steps:
 
 (2) sum over samples  w_ref l^2 + w_dl l'^2 + w_ddl l''^2 + obstacle(s, l) + corridor(s, l)
-(3) obstacle = COLLISION inside a box grown by the ego's half width, w_near (1 - gap / reach)^2 within `reach` of it,
-    and w_switch beside it on the other side than in the previous plan, so that the side changes only for a gain
+(3) obstacle = COLLISION inside a box grown by the ego's half width,
+        w_near (1 - gap / reach)^2 within `reach` of it, and w_switch beside it on the other side
+        than in the previous plan, so that the side changes only for a gain
 
 (4) cost[i, k] = min over j  cost[i-1, j] + edge(j, k)
 
-(paper, section II-F, Fig. 6). Backwards likewise; the sum of both is the least cost of a path through a node, and
-so of passing an obstacle on one side. Ties (within `TIE`) go to the first row: rows are ordered from the passing
-side.
+(paper, section II-F, Fig. 6). Backwards likewise; the sum of both is the least cost of a path
+through a node, and so of passing an obstacle on one side. Ties (within `TIE`) go to the first row:
+rows are ordered from the passing side.
 """
 
 from __future__ import annotations
@@ -97,10 +100,11 @@ class PathDpConfig:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SlGrid:
-    """The solved grid: stations of the columns `(n,)`, m, offsets of the rows `(k,)`, m; s, l, l', l'' of the start.
+    """The solved grid: stations of the columns `(n,)`, m, offsets of the rows `(k,)`, m; s, l, l',
+    l'' of the start.
 
-    `cost` to come `(n, k)`, the chosen row per column, and the least cost of passing each obstacle left and right
-    `(b, 2)`.
+    `cost` to come `(n, k)`, the chosen row per column, and the least cost of passing each obstacle
+    left and right `(b, 2)`.
     """
 
     stations: FloatArray
@@ -127,7 +131,8 @@ def solve_path_dp(
     room: Callable[[FloatArray], tuple[FloatArray, FloatArray]],
     config: PathDpConfig,
 ) -> SlGrid:
-    """Solve the grid over stations `(n,)` and offsets `(k,)`, from `start` (s, l, l', l''), past `boxes` `(b, 5)`.
+    """Solve the grid over stations `(n,)` and offsets `(k,)`, from `start` (s, l, l', l''), past
+    `boxes` `(b, 5)`.
 
     `room` returns the bounds of the offsets at stations; see `path_dp`.
     """
@@ -158,7 +163,10 @@ def _edge(
     weights: PathDpWeights,
     best: float,
 ) -> float:
-    """Cost (2) of an edge; it stops once this exceeds `best`. Corridor bounds `(columns, SAMPLES)` at the samples."""
+    """Cost (2) of an edge; it stops once this exceeds `best`.
+
+    Corridor bounds `(columns, SAMPLES)` at the samples.
+    """
     length = s1 - s0
     c3, c4, c5 = quintic(l0, dl0, ddl0, l1, length)
     step = length / SAMPLES
@@ -206,7 +214,8 @@ def path_dp(
         stations: `(n,)` m, ahead of the start.
         offsets: `(k,)` m.
         start: s, l, l', l'' of the ego.
-        boxes: `(b, 5)` obstacles: s from, s to, l from, l to, grown by the ego; last side: 1 left, -1 right.
+        boxes: `(b, 5)` obstacles: s from, s to, l from, l to, grown by the ego; last side: 1 left,
+            -1 right.
         lower: `(n, SAMPLES)` corridor at the samples of the edge into each column.
         upper: `(n, SAMPLES)`.
         weights: Weights of (2) and (3).
@@ -284,7 +293,10 @@ def path_dp_to_go(
     upper: FloatArray,
     weights: PathDpWeights,
 ) -> FloatArray:
-    """Least cost `(n, k)` from a node to the grid's end: (4) backwards; arguments as in `path_dp`."""
+    """Least cost `(n, k)` from a node to the grid's end: (4) backwards.
+
+    Arguments as in `path_dp`.
+    """
     n, k = len(stations), len(offsets)
     cost = np.zeros((n, k))
     for i in range(n - 1, 0, -1):
@@ -317,9 +329,11 @@ def path_dp_to_go(
 def side_costs(
     stations: FloatArray, offsets: FloatArray, through: FloatArray, boxes: FloatArray
 ) -> FloatArray:
-    """Least cost `(b, 2)` of passing each box on its left and on its right, at the column next to its middle.
+    """Least cost `(b, 2)` of passing each box on its left and on its right, at the column next to
+    its middle.
 
-    `through` `(n, k)` is the least cost of a path through each node; inf where no row is on that side.
+    `through` `(n, k)` is the least cost of a path through each node; inf where no row is on that
+    side.
     """
     out = np.full((len(boxes), 2), np.inf)
     for b in range(len(boxes)):

@@ -1,28 +1,34 @@
 """Which moving or blocking agents the path passes, where, and on which lane.
 
-Pedestrians and cyclists along the lane, slower than the ego: their position while the ego passes depends on the ego's
-    speed, and the permitted speed (`caps.passing_caps`) depends on the room that the path leaves. Path and speed are
-    therefore planned in turns (`choice`). With s(t) the stations of the ego's rear axle, as of the last plan,
+Pedestrians and cyclists along the lane, slower than the ego: their position while the ego passes
+    depends on the ego's speed, and the permitted speed (`caps.passing_caps`) depends on the room
+    that the path leaves. Path and speed are therefore planned in turns (`choice`). With s(t) the
+    stations of the ego's rear axle, as of the last plan,
 
-(1) beside   = the times at which the ego's front is past their rear, less `NEAR_M`, and its rear not past their front
-(2) box      = the stations and offsets at which they are predicted while the ego is beside them, and their offset now;
-               `ASIDE_M` wider on both sides
+(1) beside   = the times at which the ego's front is past their rear, less `NEAR_M`,
+        and its rear not past their front
+(2) box      = the stations and offsets at which they are predicted while the ego is beside them,
+        and their offset now; `ASIDE_M` wider on both sides
 
-The ego follows an agent that it cannot pass before the predictions end, or could pass only near a place where lanes
-part or meet, where it may have to wait, or where others cross. Once it is beside an agent, the ego cannot turn back.
+The ego follows an agent that it cannot pass before the predictions end, or could pass only near a
+place where lanes part or meet, where it may have to wait, or where others cross. Once it is beside
+an agent, the ego cannot turn back.
 
-An agent that blocks the lane and leaves no room on either side of the road, and is in no queue, is passed on the lane
-of the opposite direction where the marking between may be crossed and, for the whole stretch from where the ego leaves
-its lane to where it is back,
+An agent that blocks the lane and leaves no room on either side of the road, and is in no queue, is
+passed on the lane of the opposite direction where the marking between may be crossed and, for the
+whole stretch from where the ego leaves its lane to where it is back,
 
-(3) no agent is predicted on the oncoming lane there until the ego is back, and `facing_margin_s` more; and no standing
-    agent there leaves too little room for the ego, because more agents may be behind it,
-(4) (BACK_M behind the obstacle - s) / max(v, PASSING_MPS) + facing_margin_s <= horizon of the predictions.
+(3) no agent is predicted on the oncoming lane there until the ego is back, and `facing_margin_s`
+    more; and no standing agent there leaves too little room for the ego, because more agents may be
+    behind it,
+(4) (BACK_M behind the obstacle - s) / max(v, PASSING_MPS) + facing_margin_s <= horizon
+        of the predictions.
 
-Otherwise the ego waits `WAIT_M` before it, from where it can still steer round it. For an agent along the lane, (4)
-takes the time at which the plan reaches the place, and the sensor must
+Otherwise the ego waits `WAIT_M` before it, from where it can still steer round it. For an agent
+along the lane, (4) takes the time at which the plan reaches the place, and the sensor must
 
-(5) see the oncoming lane far enough that a vehicle beyond it, at the speed limit, cannot violate (3) (StVO, 5 (2)).
+(5) see the oncoming lane far enough that a vehicle beyond it, at the speed limit, cannot violate
+    (3) (StVO, 5 (2)).
 """
 
 from __future__ import annotations
@@ -56,10 +62,11 @@ PASSED = among(AgentKind.PEDESTRIAN, AgentKind.BICYCLE)
 SLOW_MPS = 7.0  # The ego follows faster agents, m/s
 NEAR_M = 2.0  # Distance behind an agent from which the ego counts as beside it (1), m
 ASIDE_M = 0.9
-"""Space on both sides of an agent (2), m: with the path's clearance 1.5 m, as German law requires in towns (StVO, 5
-(4)); where there is less space, 1.15 m.
+"""Space on both sides of an agent (2), m: with the path's clearance 1.5 m, as German law requires
+in towns (StVO, 5 (4)); where there is less space, 1.15 m.
 
-A plan that passes keeps this space. If the ego keeps its lane, only `caps.passing_caps` limits its speed.
+A plan that passes keeps this space. If the ego keeps its lane, only `caps.passing_caps` limits its
+speed.
 """
 ROAD_RIGHT, ROAD_LEFT = (
     CrossSections._fields.index("road_right"),
@@ -85,10 +92,11 @@ ROOM_M = 0.5  # The ego waits for the oncoming lane only if that leaves this muc
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PassTarget:
-    """A road user along the lane, slower than the ego, that the ego passes: its index, and its positions meanwhile.
+    """A road user along the lane, slower than the ego, that the ego passes: its index, and its
+    positions meanwhile.
 
-    `box` is the part of the lane that it takes while the ego is beside it; `begin` and `end` are the first and last
-    station of the ego's rear axle then, m; `places` its positions `(n, 2)`, m.
+    `box` is the part of the lane that it takes while the ego is beside it; `begin` and `end` are
+    the first and last station of the ego's rear axle then, m; `places` its positions `(n, 2)`, m.
     """
 
     agent: int
@@ -101,7 +109,8 @@ class PassTarget:
 def find_slow_agents(scene: Scene, passed: frozenset[str] = frozenset()) -> list[int]:
     """The agents ahead of the ego or beside it that walk or ride along the road in its direction.
 
-    Agents that the ego is passing (`passed`) may be faster, or turn further aside, by the factor `SLACK`.
+    Agents that the ego is passing (`passed`) may be faster, or turn further aside, by the factor
+    `SLACK`.
     """
     agents, ego = scene.frame.agents, scene.frame.ego
     may = PASSED[agents.codes] & ~scene.standing
@@ -130,7 +139,9 @@ def _goes_along(
     bodies: Bodies,
     ego: tuple[float, float, float],
 ) -> BoolArray:
-    """Which of the agents `may` `(n,)` move along the lane, each with its slack; `ego` is x, y, station of the rear."""
+    """Which of the agents `may` `(n,)` move along the lane, each with its slack; `ego` is x, y,
+    station of the rear.
+    """
     out = np.zeros(len(may), np.bool_)
     for i in range(len(may)):
         near, half = (
@@ -146,10 +157,11 @@ def _goes_along(
 def pass_targets(
     scene: Scene, who: Sequence[int], stations: FloatArray, passed: frozenset[str] = frozenset()
 ) -> tuple[PassTarget, ...]:
-    """The boxes (2) of the agents `who`, for an ego at `stations` `(k,)` at the times of the predictions.
+    """The boxes (2) of the agents `who`, for an ego at `stations` `(k,)` at the times of the
+    predictions.
 
-    Agents that the ego does not come beside, or does not pass before the last of these times, are left out; unless it
-    is passing them already, it must be past them `SPARE_S` earlier.
+    Agents that the ego does not come beside, or does not pass before the last of these times, are
+    left out; unless it is passing them already, it must be past them `SPARE_S` earlier.
     """
     agents, futures, line, car, found = (
         scene.frame.agents,
@@ -175,10 +187,11 @@ def pass_targets(
 
 
 class Passer(NamedTuple):
-    """The ego that passes: the times to evaluate `(m,)`, s, and its stations at the times of the predictions, m.
+    """The ego that passes: the times to evaluate `(m,)`, s, and its stations at the times of the
+    predictions, m.
 
-    Its station now, the distances from its rear axle to its front and to its rear, m; the time before the last one by
-    which it must be past the agents, s.
+    Its station now, the distances from its rear axle to its front and to its rear, m; the time
+    before the last one by which it must be past the agents, s.
     """
 
     t: FloatArray
@@ -199,11 +212,13 @@ def _boxes_along(
     size: tuple[float, float],
     ego: Passer,
 ) -> tuple[tuple[float, float, float, float], tuple[float, float], FloatArray]:
-    """(1) and (2) of an agent and its length and width, m, along a reference line's `knots`, `coef` and headings.
+    """(1) and (2) of an agent and its length and width, m, along a reference line's `knots`, `coef`
+    and headings.
 
     Returns:
-        Least and greatest station and offset of the agent; first and last station of the ego beside it, infinite where
-        the ego does not get there or is past it too late; the agent's positions then `(n, 2)`.
+        Least and greatest station and offset of the agent; first and last station of the ego beside
+        it, infinite where the ego does not get there or is past it too late; the agent's positions
+        then `(n, 2)`.
     """
     s_from, s_to, l_from, l_to, begin, end = inf, -inf, inf, -inf, inf, -inf
     t, stations, (length, width) = ego.t, ego.stations, size
@@ -257,8 +272,9 @@ def obstacles_to_pass(
 ) -> InTheWay:
     """The input of the path stage, for an ego as in `pass_targets`.
 
-    Agents that the ego would pass too near to one of the `places`, m, are left out; for an agent that it is passing
-    already, the ego may be back in its lane nearer to one. `sides`: whether the ego may borrow the road left and right.
+    Agents that the ego would pass too near to one of the `places`, m, are left out; for an agent
+    that it is passing already, the ego may be back in its lane nearer to one. `sides`: whether the
+    ego may borrow the road left and right.
     """
     boxes = []
     for box in (one.box for one in found):
@@ -276,7 +292,9 @@ def obstacles_to_pass(
 
 @kernel
 def free_stations(t: FloatArray, s_ego: float, v: float, limit: float) -> FloatArray:
-    """Stations at times `(k,)` from the first on of an ego that reaches a limit with `GAIN_MPS2` and keeps it."""
+    """Stations at times `(k,)` from the first on of an ego that reaches a limit with `GAIN_MPS2`
+    and keeps it.
+    """
     out, total, before = np.empty(len(t)), 0.0, v
     for k in range(len(t)):
         at = t[k] - t[0]
@@ -315,7 +333,9 @@ def find_blocking(
     vehicle: VehicleParameters,
     config: CorridorConfig,
 ) -> tuple[Occupancy, ...]:
-    """The obstacles that leave the ego no room on either side of the road, without those in a queue."""
+    """The obstacles that leave the ego no room on either side of the road, without those in a
+    queue.
+    """
     found = []
     for box, (lower, upper) in zip(obstacles, space.room(obstacles, vehicle, config), strict=True):
         touches = (
@@ -343,10 +363,12 @@ def passed_by_oncoming_lane(
     config: CorridorConfig,
     stations: FloatArray | None = None,
 ) -> frozenset[str]:
-    """The agents that the ego may pass on the oncoming lane: it stays free until the ego is back, and some time more.
+    """The agents that the ego may pass on the oncoming lane: it stays free until the ego is back,
+    and some time more.
 
-    The time is that of an ego at `stations` `(k,)` at the times of the predictions; None: of one that drives at least
-    `PASSING_MPS`. It must not be longer than the predictions. An ego beside the obstacle can no longer turn back.
+    The time is that of an ego at `stations` `(k,)` at the times of the predictions; None: of one
+    that drives at least `PASSING_MPS`. It must not be longer than the predictions. An ego beside
+    the obstacle can no longer turn back.
     """
     if not blocked:
         return frozenset()
@@ -402,7 +424,9 @@ def passed_by_oncoming_lane(
 
 
 def _in_sight(scene: Scene, place: float, lasts: float) -> bool:
-    """Whether (5) holds for an ego that is back in its lane at a place (m) and safe after `lasts` s."""
+    """Whether (5) holds for an ego that is back in its lane at a place (m) and safe after `lasts`
+    s.
+    """
     view, reference = scene.frame.visibility, scene.reference
     if view is None:
         return True
@@ -422,7 +446,10 @@ def _in_sight(scene: Scene, place: float, lasts: float) -> bool:
 
 
 def waiting_place(scene: Scene, blocked: tuple[Occupancy, ...], passed: frozenset[str]) -> float:
-    """Station of the rear axle to wait at for the oncoming lane, m; inf if there is none or no need to wait."""
+    """Station of the rear axle to wait at for the oncoming lane, m.
+
+    Inf if there is none or no need to wait.
+    """
     car, waits = scene.vehicle, [box for box in blocked if box.agent not in passed]
     gaps = widest_gaps(scene.reference, waits, oncoming=True)
     places = [

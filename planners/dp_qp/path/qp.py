@@ -4,21 +4,22 @@ Unknown l, l', l'' at knots s_i, step h, piecewise-constant l''' (`replan.planne
 Minimise J_1 + ... + J_5 with
 
 (1) J_1 = w_ref  sum l_i^2                       the reference line
-(2) J_2 = w_dl   sum l'_i^2                      The paper prints (sum l')^2, which telescopes to the end points and
+(2) J_2 = w_dl   sum l'_i^2
+        The paper prints (sum l')^2, which telescopes to the end points and
 (3) J_3 = w_ddl  sum l''_i^2                     does not see oscillation.
 (4) J_4 = w_dddl sum (l''_{i+1} - l''_i)^2 / h^2
 (5) J_5 = w_mid  sum (l_i - (l_min,i + l_max,i) / 2)^2
 
-subject to the start (l, l', l''), bounds of l' and l'', of l''', and, for each of the ego's points `lead` m before the
-rear axle (itself the first, lead 0),
+subject to the start (l, l', l''), bounds of l' and l'', of l''', and, for each of the ego's points
+`lead` m before the rear axle (itself the first, lead 0),
 
 (6) l_min,k <= l + lead_k l' <= l_max,k
 
-Where a corridor has no solution, the problem is solved again with (6) softened: a shift e of each bound costs
-OUTSIDE e^2, so that the path leaves the corridor as little as it must.
+Where a corridor has no solution, the problem is solved again with (6) softened: a shift e of each
+bound costs OUTSIDE e^2, so that the path leaves the corridor as little as it must.
 
-The weights grow with the length that a lane shift takes at the speed: w_dl = (a/2)^2, w_ddl = a^4, w_dddl = (0.7 a)^6
-with the settling length a (m).
+The weights grow with the length that a lane shift takes at the speed: w_dl = (a/2)^2, w_ddl = a^4,
+w_dddl = (0.7 a)^6 with the settling length a (m).
 """
 
 from __future__ import annotations
@@ -45,7 +46,8 @@ class PathQpConfig:
         knots: Number of knots.
         w_ref: Weight of the squared offset from the reference line, 1/m2.
         w_mid: Weight of the squared distance to the middle of the corridor, 1/m2.
-        settle_s: Length of a lane shift per speed; the weights of the path's derivatives grow with it.
+        settle_s: Length of a lane shift per speed; the weights of the path's derivatives grow with
+            it.
         min_settle_m: Least length of a lane shift.
     """
 
@@ -92,9 +94,11 @@ class PathQp:
     def stated(
         self, start: FloatArray, references: FloatArray, rows: FloatArray
     ) -> PiecewiseJerkProblem:
-        """The problem (1)-(6) for a start (l, l', l'') `(3,)`, with references and rows from `corridor.loosen_bounds`.
+        """The problem (1)-(6) for a start (l, l', l'') `(3,)`, with references and rows from
+        `corridor.loosen_bounds`.
 
-        (1) and (5) together are one square about a point between them: `middle` times the sum of the bounds.
+        (1) and (5) together are one square about a point between them:
+                `middle` times the sum of the bounds.
         """
         return PiecewiseJerkProblem(
             self.step, self._ahead, start, self._weights, references, rows[0], rows[1], 0.0

@@ -50,11 +50,16 @@ from replan.planners.piecewise_jerk.solvers import DEFAULT
 from replan.planners.solver import QPResult
 
 LENGTHS_M = (60.0, 90.0, 130.0, 180.0, 250.0, 340.0)
-"""Path lengths, m; the shortest that holds the horizon at the present speed is used, so that weights stay constant."""
+"""Path lengths, m.
+
+The shortest that holds the horizon at the present speed is used, so that weights stay constant.
+"""
 # Deceleration with which the ego stops where it waits for the oncoming lane, m/s2
 WAITING_MPS2 = 2.0
 JUNCTION_M = 40.0
-"""An agent that stands within this before a place where lanes part or meet waits, and the ego does not pass it, m."""
+"""An agent that stands within this before a place where lanes part or meet waits, and the ego does
+not pass it, m.
+"""
 RELINEARISED = 2  # Greatest number of further solutions of a path that cannot keep its bounds
 MOVED_M = 0.02  # A further solution that moves the path by less than this is the last, m
 # A path ends where its curvature is more than this multiple of that at the steering lock
@@ -73,7 +78,9 @@ class PathConfig:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PathMemory:
-    """The time since which each agent has stood in the way, s, and the side of the last path: 1 left, -1 right."""
+    """The time since which each agent has stood in the way, s, and the side of the last path: 1
+    left, -1 right.
+    """
 
     standing: Mapping[str, float] = field(default_factory=dict)
     sides: Mapping[str, float] = field(default_factory=dict)
@@ -83,8 +90,9 @@ class PathMemory:
 class ChosenPath:
     """The result of the path stage; where the QP failed, no path, and the reason.
 
-    `passed`: the space between the path and each agent that it passes on purpose, m; `shift`: the largest change of
-    the offset from the reference line within `SHIFT_AHEAD_M`, m; `artefacts` makes the artefacts of `Plan.internals`.
+    `passed`: the space between the path and each agent that it passes on purpose, m; `shift`: the
+    largest change of the offset from the reference line within `SHIFT_AHEAD_M`, m; `artefacts`
+    makes the artefacts of `Plan.internals`.
     """
 
     path: Path | None
@@ -97,7 +105,8 @@ class ChosenPath:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Task:
-    """The input of the path QP: the start, the road, and the problem in its corridor without obstacles.
+    """The input of the path QP: the start, the road, and the problem in its corridor without
+    obstacles.
 
     `space` holds the bounds of the ego's points `(points, knots)`.
     """
@@ -111,9 +120,11 @@ class _Task:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Found:
-    """The solution of the path QP: `offsets` l, l', l'' `(3, knots)`, None if it failed, of the solver's `x`.
+    """The solution of the path QP: `offsets` l, l', l'' `(3, knots)`, None if it failed, of the
+    solver's `x`.
 
-    `narrow` are the bounds of `problem`, the last that was solved; `rooms` is that of `bounds.check_clearance`.
+    `narrow` are the bounds of `problem`, the last that was solved; `rooms` is that of
+    `bounds.check_clearance`.
     """
 
     offsets: FloatArray | None
@@ -149,7 +160,10 @@ class PathStage:
     def choose(
         self, scene: Scene, memory: PathMemory, moving: InTheWay | None = None
     ) -> tuple[ChosenPath, PathMemory]:
-        """Choose the path from the scene's start, which also passes the `moving` agents; and the new memory."""
+        """Choose the path from the scene's start, which also passes the `moving` agents.
+
+        And the new memory.
+        """
         if scene.trouble:
             return ChosenPath(None, scene.trouble, {}, 0.0, (), tuple), PathMemory()
         task, way, standing = self._task(scene, memory.standing, moving)
@@ -187,7 +201,8 @@ class PathStage:
     def _task(
         self, scene: Scene, before: Mapping[str, float], moving: InTheWay | None
     ) -> tuple[_Task, InTheWay, Mapping[str, float]]:
-        """The corridor without obstacles, the agents in the way, and the time since which each has stood there.
+        """The corridor without obstacles, the agents in the way, and the time since which each has
+        stood there.
 
         The path keeps the goal's sides unless a standing agent is near.
         """
@@ -230,7 +245,10 @@ class PathStage:
     def _solve_within_bounds(
         self, task: _Task, obstacles: tuple[Occupancy, ...], decisions: tuple[Decision, ...]
     ) -> _Found:
-        """The path in the bounds, else as little outside as possible; then without the agents that it cannot clear."""
+        """The path in the bounds, else as little outside as possible.
+
+        Then without the agents that it cannot clear.
+        """
         config, car = self._config.corridor, self._vehicle
         reports: tuple[SolverReport, ...] = ()
         while True:
@@ -257,9 +275,11 @@ class PathStage:
     def _softly(
         self, task: _Task, space: PathBounds, problem: PiecewiseJerkProblem
     ) -> tuple[QPResult, PiecewiseJerkProblem, tuple[SolverReport, ...]]:
-        """The path that leaves its bounds as little as it must, the problem that it solves, and all reports.
+        """The path that leaves its bounds as little as it must, the problem that it solves, and all
+        reports.
 
-        It is solved again at most `RELINEARISED` times, with the curvature's bounds at its own offsets.
+        It is solved again at most `RELINEARISED` times, with the curvature's bounds at its own
+        offsets.
         """
         result = task.program.solve(problem, softly=True)
         reports: tuple[SolverReport, ...] = (result.report,)
@@ -276,7 +296,10 @@ class PathStage:
         return result, problem, reports
 
     def _problem(self, task: _Task, space: PathBounds, near: FloatArray) -> PiecewiseJerkProblem:
-        """The path QP in bounds, loosened to what steering can keep; the curvature's bounds are at offsets `near`."""
+        """The path QP in bounds, loosened to what steering can keep.
+
+        The curvature's bounds are at offsets `near`.
+        """
         road, program = task.road, task.program
         asked = loosen_bounds(
             road.along,
@@ -293,7 +316,9 @@ class PathStage:
     def _in_the_way(
         self, scene: Scene, length: float, standing: Mapping[str, float]
     ) -> tuple[InTheWay, Mapping[str, float]]:
-        """The agents in the way, the free road beside the lane, and the time since which each agent has stood there."""
+        """The agents in the way, the free road beside the lane, and the time since which each agent
+        has stood there.
+        """
         config, car, agents = self._config.corridor, self._vehicle, scene.frame.agents
         obstacles = bounds.standing_obstacles(scene, length)
         since = {box.agent: standing.get(box.agent, scene.frame.t) for box in obstacles}
@@ -325,7 +350,10 @@ class PathStage:
     def _sides(
         self, scene: Scene, task: _Task, way: InTheWay, before: Mapping[str, float]
     ) -> tuple[SlGrid | None, tuple[Decision, ...]]:
-        """The side on which each obstacle is passed; the path DP runs only where one has space on both sides."""
+        """The side on which each obstacle is passed.
+
+        The path DP runs only where one has space on both sides.
+        """
         config, car, columns = self._config.corridor, self._vehicle, self._config.dp.columns
         choices = bounds.side_choices(way.obstacles, task.space, car, config)
         if not any(choice.is_open(config.min_clearance_m) for choice in choices):
@@ -364,7 +392,10 @@ class PathStage:
         return grid, tuple(decisions)
 
     def _graph(self, road: RoadAhead, way: InTheWay, grid: SlGrid | None, found: _Found) -> SlGraph:
-        """The S-L graph, with the DP where it ran; its corridor at the knots contains the bounds of all points."""
+        """The S-L graph, with the DP where it ran.
+
+        Its corridor at the knots contains the bounds of all points.
+        """
         offsets, knots, at = found.offsets, road.along[KNOT], found.narrow.s
         points = [X, *range(LEADS, len(found.problem.lower))]
         lower, upper = (

@@ -1,32 +1,40 @@
-"""Speed caps: every reason to drive slower than the road allows is a stretch of the path with a speed.
+"""Speed caps: every reason to drive slower than the road allows is a stretch of the path with a
+speed.
 
 (1) limit(sigma) = min(road(sigma), v of the caps with s_from < sigma <= s_to)
-(2) The profile keeps a cap that is a bound exactly; it may exceed other limits by a little (`speed.problem`).
+(2) The profile keeps a cap that is a bound exactly; it may exceed other limits by a little
+    (`speed.problem`).
 
-A producer is a function `caps(view: PathView) -> tuple[SpeedCap, ...]`; a new one is one line in `OWN` or `OTHERS`.
+A producer is a function `caps(view: PathView) -> tuple[SpeedCap, ...]`; a new one is one line in
+`OWN` or `OTHERS`.
 
-Most producers compute how fast the ego may pass an agent that may come into its way with the speed w (`CautionConfig`:
-UN R157 requires that pedestrians of up to 5 km/h are avoided) from d m beside its side, which takes d / w. The ego with
-its front x before the agent passes first, or it stops:
+Most producers compute how fast the ego may pass an agent that may come into its way with the speed
+w (`CautionConfig`: UN R157 requires that pedestrians of up to 5 km/h are avoided) from d m beside
+its side, which takes d / w. The ego with its front x before the agent passes first, or it stops:
 
-(3) x / v <= d / w                        (4) v T + v^2 / (2 b) <= x              T: reaction, b: deceleration
+(3) x / v <= d / w                        (4) v T + v^2 / (2 b) <= x
+        T: reaction, b: deceleration
 
-There is an x at which it can do neither if the greatest x of (3) is less than the least of (4), so that
+There is an x at which it can do neither if the greatest x of (3) is less than the least of (4), so
+that
 
 (5) v <= max(2 b (d / w - T), `LEAST_MPS`)
 
-keeps the ego safe at any x; at `LEAST_MPS` it creeps past in any case. The cap applies while the front is beside the
-agent; before that, the limit is lowered so that the ego reaches the cap comfortably (`profiles.limit_profile`). It
-applies to agents that move along the lane (from the stopping distance before them), to pedestrians and riders who came
-to the path and stand beside it now, and to people who may step out of hidden ground: ground in the shadow of slow or
-standing agents, but not where an agent is. There d is less by the radius of a person. Hidden ground is that of the
-present frame; as the ego comes nearer, more is visible and the limit rises. Beyond the sensor's range nothing is
-visible: there (4) alone limits the speed, with the range as x.
+keeps the ego safe at any x; at `LEAST_MPS` it creeps past in any case. The cap applies while the
+front is beside the agent; before that, the limit is lowered so that the ego reaches the cap
+comfortably (`profiles.limit_profile`). It applies to agents that move along the lane (from the
+stopping distance before them), to pedestrians and riders who came to the path and stand beside it
+now, and to people who may step out of hidden ground: ground in the shadow of slow or standing
+agents, but not where an agent is. There d is less by the radius of a person. Hidden ground is that
+of the present frame; as the ego comes nearer, more is visible and the limit rises. Beyond the
+sensor's range nothing is visible: there (4) alone limits the speed, with the range as x.
 
-(6) v <= v_limit max(d / `ROOM_M`, `NUDGE_SHARE`)     beside standing agents, where the path leaves less than `ROOM_M`
-    (the share is Apollo's `static_obs_nudge_speed_ratio`)
-(7) v <= sqrt(`SWERVE_MPS2` / |kappa - kappa_r|)      where the path swerves from the reference line to pass agents that
-    the ego could follow instead
+(6) v <= v_limit max(d / `ROOM_M`, `NUDGE_SHARE`)
+        beside standing agents, where the path leaves less than `ROOM_M` (the share is Apollo's
+        `static_obs_nudge_speed_ratio`)
+(7) v <= sqrt(`SWERVE_MPS2` / |kappa - kappa_r|)
+        where the path swerves from the reference line to pass agents that the ego could follow
+        instead
 """
 
 from __future__ import annotations
@@ -60,7 +68,10 @@ PERSON_M = 0.3  # Radius of a person who steps out of hidden ground, m
 LOOK_M = 60.0
 STEP_M = 1.0  # ... in steps of this, m.
 SIDE_M = 0.25 * np.arange(1, 15)
-"""Distances from the ego's side at which ground is tested, m; ground beyond the last does not limit a car's speed."""
+"""Distances from the ego's side at which ground is tested, m.
+
+Ground beyond the last does not limit a car's speed.
+"""
 ROOM_M = 0.5  # Space beside standing agents with which the ego passes at the speed limit (6), m
 NUDGE_SHARE = 0.6  # Least share of the speed limit in (6)
 SWERVE_MPS2 = 1.6  # Lateral acceleration of a swerve (7), m/s2
@@ -71,9 +82,11 @@ class CautionConfig:
     """How the ego prepares for road users who may come into its way.
 
     Attributes:
-        walk_mps: Speed of a person who steps out or sets off: 5 km/h, up to which UN R157 requires to avoid them.
+        walk_mps: Speed of a person who steps out or sets off: 5 km/h, up to which UN R157 requires
+            to avoid them.
         ride_mps: Lateral speed of a rider along the lane who swerves into the way.
-        hesitates_s: Time for which a person who came to the path and stands beside it may set off again.
+        hesitates_s: Time for which a person who came to the path and stands beside it may set off
+            again.
     """
 
     walk_mps: float = 5.0 / 3.6
@@ -106,7 +119,8 @@ class SpeedTask:
     passed: Mapping[str, float]
     skip: BoolArray  # Which agents follow the ego `(agents,)`
     stops: tuple[Occupancy, ...]  # The stops that the rules demand on the path
-    # Agents along the lane that the ego comes beside; `is_pass`: whether the path swings out for them
+    # Agents along the lane that the ego comes beside; `is_pass`: whether the path swings out for
+    # them
     targets: tuple[PassTarget, ...]
     is_pass: bool
     goal: GoalWindow  # The goal along the lane; `target`: its demands now
@@ -129,7 +143,10 @@ class PathView:
     caution: CautionConfig
 
     def arc(self, s: float) -> float:
-        """The arc length at a station of the reference path, m; extrapolated beyond the path's ends."""
+        """The arc length at a station of the reference path, m.
+
+        Extrapolated beyond the path's ends.
+        """
         at, sigma = self.path.s, self.path.sigma
         return (
             float(np.interp(s, at, sigma))
@@ -140,7 +157,9 @@ class PathView:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class LoweredLimit:
-    """A speed limit along a path `(m,)`, m/s, where the profile keeps it exactly `(m,)`, and the decisions."""
+    """A speed limit along a path `(m,)`, m/s, where the profile keeps it exactly `(m,)`, and the
+    decisions.
+    """
 
     v: FloatArray
     is_bound: BoolArray
@@ -148,7 +167,10 @@ class LoweredLimit:
 
 
 def lower_limit(sigma: FloatArray, road: LoweredLimit, caps: Sequence[SpeedCap]) -> LoweredLimit:
-    """The limit (1) along a path `(m,)`; a decision for each agent whose cap lowers it noticeably, by the lowest."""
+    """The limit (1) along a path `(m,)`.
+
+    A decision for each agent whose cap lowers it noticeably, by the lowest.
+    """
     if not caps:
         return road
     v, bound = road.v.copy(), road.is_bound.copy()
@@ -168,7 +190,9 @@ def lower_limit(sigma: FloatArray, road: LoweredLimit, caps: Sequence[SpeedCap])
 
 
 def avoidable_speed(d: float, w: float, decel: float) -> float:
-    """(5): the speed, m/s, at which the ego passes first or stops for an agent from `d` m aside at `w` m/s."""
+    """(5): the speed, m/s, at which the ego passes first or stops for an agent from `d` m aside at
+    `w` m/s.
+    """
     return max(2.0 * decel * (d / w - REACTION_S), LEAST_MPS)  # (5)
 
 
@@ -178,7 +202,9 @@ def stopping_speed(x: float, decel: float) -> float:
 
 
 def goal_and_rules_caps(view: PathView) -> tuple[SpeedCap, ...]:
-    """Caps that keep the goal's time, the speed in its region (`goal_window`) and the first open stop."""
+    """Caps that keep the goal's time, the speed in its region (`goal_window`) and the first open
+    stop.
+    """
     target, found = view.task.target, []
     if target.cap < inf:
         found.append(SpeedCap(-inf, view.arc(target.until), target.cap, is_bound=False))
@@ -197,7 +223,8 @@ def goal_and_rules_caps(view: PathView) -> tuple[SpeedCap, ...]:
 def passing_caps(view: PathView) -> tuple[SpeedCap, ...]:
     """(6) beside standing agents that are passed, (5) beside agents that go along the lane.
 
-    An agent along the lane that is nearer to the path than the margin has no cap: the ego follows it, by the S-T graph.
+    An agent along the lane that is nearer to the path than the margin has no cap: the ego follows
+    it, by the S-T graph.
     """
     scene, path, agents, found = view.scene, view.path, view.scene.frame.agents, []
     for name, d in view.task.passed.items():
@@ -224,13 +251,18 @@ def passing_caps(view: PathView) -> tuple[SpeedCap, ...]:
             d, view.caution.ride_mps if is_rider else view.caution.walk_mps, view.hard_mps2
         )
         begin = view.arc(one.begin - (v * REACTION_S + v * v / (2.0 * view.hard_mps2)))
-        reason = f"goes along the lane: passed with {d:.1f} m and at {v:.1f} m/s, so that the ego could stop for them"
+        reason = (
+            f"goes along the lane: passed with {d:.1f} m and at {v:.1f} m/s, so that the ego "
+            "could stop for them"
+        )
         found.append(SpeedCap(begin, view.arc(one.end + NEAR_M), v, agents.ids[one.agent], reason))
     return tuple(found)
 
 
 def swerve_caps(view: PathView) -> tuple[SpeedCap, ...]:
-    """(7) at each point of a path that passes an agent that moves, where it is below the road's limit."""
+    """(7) at each point of a path that passes an agent that moves, where it is below the road's
+    limit.
+    """
     if not view.task.is_pass:
         return ()
     path, line = view.path, view.scene.reference.line
@@ -258,7 +290,9 @@ def came_to_path(
 
 
 def hesitation_caps(view: PathView) -> tuple[SpeedCap, ...]:
-    """(5) beside each agent that came to the path, does not take it now, and stands: it may set off at any moment."""
+    """(5) beside each agent that came to the path, does not take it now, and stands: it may set off
+    at any moment.
+    """
     if not view.came:
         return ()
     scene, path, agents, found = view.scene, view.path, view.scene.frame.agents, []
@@ -282,7 +316,9 @@ def hesitation_caps(view: PathView) -> tuple[SpeedCap, ...]:
 
 
 def hidden_ground_caps(view: PathView) -> tuple[SpeedCap, ...]:
-    """(5) beside hidden ground, up to the first agent that takes the path; (4) for the sensor's range."""
+    """(5) beside hidden ground, up to the first agent that takes the path; (4) for the sensor's
+    range.
+    """
     seen, scene = view.scene.frame.visibility, view.scene
     if seen is None:
         return ()
@@ -316,9 +352,11 @@ def hidden_beside(
     until: float,
     walk: float,
 ) -> list[Hidden]:
-    """The nearest hidden ground on either side of the path, at most one per point, from the front to `until` m.
+    """The nearest hidden ground on either side of the path, at most one per point, from the front
+    to `until` m.
 
-    Shadows of agents that are faster than `walk`, m/s, are left out: pedestrians do not come out behind them.
+    Shadows of agents that are faster than `walk`, m/s, are left out: pedestrians do not come out
+    behind them.
     """
     shadows = view.shadows
     if len(agents):

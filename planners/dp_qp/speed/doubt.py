@@ -1,24 +1,31 @@
-"""How likely it is that a road user will take the path, and how the speed stage acts on unlikely cases.
+"""How likely it is that a road user will take the path, and how the speed stage acts on unlikely
+cases.
 
 A row of the S-T boundaries has the weight p = p_said p_exist p_enter, with
 
 (1) p_said = min(q / (2 UNLIKELY), 1)                     q: probability of the predicted hypothesis
-(2) p_exist = min(age / `AGE_S`, 1) exp(-(unseen - u0) / `UNSEEN_S`)     u0: that of the agent seen most recently
-(3) p_enter = Phi((w m - d) / sqrt(`PLACE_M`^2 + (sigma t)^2) - 1),  m = u - u^2 / 2 t_b,  u = min(t, t_b),  t_b = v / b
+(2) p_exist = min(age / `AGE_S`, 1) exp(-(unseen - u0) / `UNSEEN_S`)
+        u0: that of the agent seen most recently
+(3) p_enter = Phi((w m - d) / sqrt(`PLACE_M`^2 + (sigma t)^2) - 1),  m = u - u^2 / 2 t_b,
+        u = min(t, t_b),  t_b = v / b
 
-d is the distance between the agent's side and the strip of the path that it enters, w its velocity towards the strip, t
-the time when it leaves it, sigma the standard deviation of the velocity, at least `DRIFT_MPS`. An agent of speed v that
-brakes with b, as in (6), stands after t_b: who brakes before the path lets the ego go. For an agent that walks towards
-the path, (3) and the factor of the age in (2) are 1, so that being new or slow is no doubt. (3) is also 1 for an agent
-that walks away or is in the strip; (2) and (3) are 1 for one that takes the path now.
+d is the distance between the agent's side and the strip of the path that it enters, w its velocity
+towards the strip, t the time when it leaves it, sigma the standard deviation of the velocity, at
+least `DRIFT_MPS`. An agent of speed v that brakes with b, as in (6), stands after t_b: who brakes
+before the path lets the ego go. For an agent that walks towards the path, (3) and the factor of the
+age in (2) are 1, so that being new or slow is no doubt. (3) is also 1 for an agent that walks away
+or is in the strip; (2) and (3) are 1 for one that takes the path now.
 
-(4) Rows of p >= `CERTAIN` bind. Other rows are safe where a stop with `SHARED_MPS2`, `SHARED_S` from now, stays behind
-    them, or the planned profile clears them. The rest, above `NEGLIGIBLE`, binds only as far as comfortable braking can
-    keep it.
-(5) The same holds for vehicles from behind, from the side or from ahead that are not in the way now, where comfortable
-    braking does not keep the bounds, and either p_turn < `SURE` or full braking would not avoid them. p_turn is p with
-    (`TURN_MPS2` t^2 / 2)^2 more under the root of (3): until then they may turn, as roads bend and drivers yield.
-(6) An agent that is followed and brakes is assumed to brake to a stop, with a deceleration less by `ERROR_MPS2`.
+(4) Rows of p >= `CERTAIN` bind. Other rows are safe where a stop with `SHARED_MPS2`,
+        `SHARED_S` from now, stays behind them, or the planned profile clears them. The rest, above
+        `NEGLIGIBLE`, binds only as far as comfortable braking can keep it.
+(5) The same holds for vehicles from behind, from the side or from ahead that are not
+        in the way now, where comfortable braking does not keep the bounds, and either p_turn <
+        `SURE` or full braking would not avoid them. p_turn is p with
+    (`TURN_MPS2` t^2 / 2)^2 more under the root of (3): until then they may turn,
+        as roads bend and drivers yield.
+(6) An agent that is followed and brakes is assumed to brake to a stop, with a deceleration less by
+    `ERROR_MPS2`.
 """
 
 from __future__ import annotations
@@ -47,7 +54,9 @@ SHARED_MPS2, SHARED_S = 3.0, 0.5
 # Error of a measured deceleration, and the greatest deceleration that is used, m/s2
 ERROR_MPS2, MOST_MPS2 = 0.5, 8.0
 WALKERS = among(AgentKind.PEDESTRIAN, AgentKind.OBJECT)
-"""Kinds, by code, that walk when they are slow: an agent that a detector cannot classify may be on foot."""
+"""Kinds, by code, that walk when they are slow: an agent that a detector cannot classify may be on
+foot.
+"""
 
 
 class Seen(NamedTuple):
@@ -98,7 +107,9 @@ def _weights(
     stations: FloatArray,
     ego: tuple[float, float],
 ) -> FloatArray:
-    """`weights`; `t` to `said` belong to the rows, `knots` and `coef` to the reference; `ego`: front and width, m."""
+    """`weights`; `t` to `said` belong to the rows, `knots` and `coef` to the reference; `ego`:
+    front and width, m.
+    """
     out, last = np.empty((2, len(agent))), inf
     age, unseen, walks, length, width = (
         seen.age,
@@ -138,7 +149,9 @@ def _weights(
 
 
 def from_beside(scene: Scene, rows: StBoundaries) -> BoolArray:
-    """Which rows `(n,)` are those of (5): of vehicles not in the way now, except those ahead in the ego's direction."""
+    """Which rows `(n,)` are those of (5): of vehicles not in the way now, except those ahead in the
+    ego's direction.
+    """
     agents, along = scene.frame.agents, scene.agents
     aside = (along.s + 0.5 * agents.length < scene.front) | (along.v_s < np.abs(along.v_l))
     return (aside & ~_walks(scene))[rows.agent] & np.isnan(rows.lower[:, 0])
@@ -168,6 +181,8 @@ def extend_braking(scene: Scene, rows: StBoundaries) -> StBoundaries:
 
 
 def relax_rows(rows: StBoundaries, which: BoolArray, stop: FloatArray, gap: float) -> StBoundaries:
-    """Apply (4), (5): rows `which` `(n,)` bind only as far as a comfortable stop `(k,)` can keep the gap."""
+    """Apply (4), (5): rows `which` `(n,)` bind only as far as a comfortable stop `(k,)` can keep
+    the gap.
+    """
     lower = np.where(which[:, None], np.maximum(rows.lower, stop + gap), rows.lower)
     return replace(rows, lower=lower, upper=np.maximum(rows.upper, lower))

@@ -1,19 +1,24 @@
-"""Speed DP: the order of passing, by dynamic programming over the S-T graph (paper, section II-F, Fig. 8).
+"""Speed DP: the order of passing, by dynamic programming over the S-T graph (paper, section II-F,
+Fig. 8).
 
-Columns every second, rows every half metre; an edge has the speed v = ds / dt and, with the speed and acceleration of
-the best way to its first node, an acceleration and a jerk (as in Apollo's EM planner; with them the problem is not
-quite Markov). Cost of an edge:
+Columns every second, rows every half metre; an edge has the speed v = ds / dt and, with the speed
+and acceleration of the best way to its first node, an acceleration and a jerk (as in Apollo's EM
+planner; with them the problem is not quite Markov). Cost of an edge:
 
-(1) w_t max(dt - T(s_k) + T(s_j), 0) + w_v (v - v_limit)^2 above the limit + w_a a^2 + w_j jerk^2 + mean over the
-    edge of map(t, s), where T(s) = integral of ds / v_limit: w_t is the weight of the time that the edge loses
-(2) map = COLLISION within `gap_m` of a blocked interval; w_near (1 - gap / wanted)^2 where the gap before or behind it
+(1) w_t max(dt - T(s_k) + T(s_j), 0) + w_v (v - v_limit)^2 above the limit + w_a a^2 + w_j jerk^2
+        + mean over the
+    edge of map(t, s), where T(s) = integral of ds / v_limit:
+        w_t is the weight of the time that the edge loses
+(2) map = COLLISION within `gap_m` of a blocked interval;
+        w_near (1 - gap / wanted)^2 where the gap before or behind it
     is less than wanted = d_0 + tau v_agent
-(3) cost[i, k] = min over j  cost[i-1, j] + edge(j, k); ties (within `TIE`: time lost early or late costs
-    the same) go to the smaller s
+(3) cost[i, k] = min over j
+        cost[i-1, j] + edge(j, k); ties (within `TIE`: time lost early or late costs the same) go to
+        the smaller s
 
-With the squared distance to the limit as a cost, the ego would linger before a faster road rather than be slow on it;
-the total of the lost time does not depend on where it is lost. Row and column spacing go together: a step of one row
-in one column is ds / dt^2 = 0.5 m/s2.
+With the squared distance to the limit as a cost, the ego would linger before a faster road rather
+than be slow on it; the total of the lost time does not depend on where it is lost. Row and column
+spacing go together: a step of one row in one column is ds / dt^2 = 0.5 m/s2.
 """
 
 from __future__ import annotations
@@ -30,14 +35,19 @@ from replan.core.kernel import inner_kernel, kernel
 # Cost of a second inside a blocked interval (2): more than all other costs together
 COLLISION = 1e5
 LIKELY = 300.0
-"""The best solution rarely costs more than this: dearer ones are searched only if there is no cheaper one."""
+"""The best solution rarely costs more than this: dearer ones are searched only if there is no
+cheaper one.
+"""
 DT_S = 1.0  # Distance between two columns, s
 DS_M = 0.5  # Distance between two rows, m
 SLOWEST_MPS = 0.5  # Least speed limit in the computation of lost time, m/s
 
 
 class SpeedDpWeights(NamedTuple):
-    """Weights of (1): lost time, speed over the limit, acceleration, jerk; and the limits of an edge, m/s2."""
+    """Weights of (1): lost time, speed over the limit, acceleration, jerk.
+
+    And the limits of an edge, m/s2.
+    """
 
     time: float
     over: float
@@ -99,7 +109,9 @@ def cost_map(
     wanted: tuple[float, float],
     w_near: float,
 ) -> FloatArray:
-    """The map (2) `(k, rows)` of blocked intervals `(n, k)`; `wanted` = (standstill gap, time gap)."""
+    """The map (2) `(k, rows)` of blocked intervals `(n, k)`; `wanted` = (standstill gap, time
+    gap).
+    """
     out = np.zeros((lower.shape[1], rows))
     for i in range(len(lower)):
         space = wanted[0] + wanted[1] * max(speed[i], 0.0)
@@ -121,7 +133,9 @@ def cost_map(
 
 @inner_kernel
 def _within_reach(low: float, high: float, space: float, rows: int) -> tuple[int, int]:
-    """The first and the last row that is at most `space` m before or behind an interval, or one more."""
+    """The first and the last row that is at most `space` m before or behind an interval, or one
+    more.
+    """
     return max(0, int((low - space) / DS_M)), min(rows - 1, int((high + space) / DS_M) + 1)
 
 
@@ -135,7 +149,9 @@ def occupied_rows(
     per_column: int,
     columns: int,
 ) -> IntArray:
-    """First and last row where the map (2) is not 0 during the edge to each next column `(columns, 2)`."""
+    """First and last row where the map (2) is not 0 during the edge to each next column
+    `(columns, 2)`.
+    """
     found = np.empty((columns, 2), np.int64)
     for column in range(columns):
         found[column, 0], found[column, 1] = rows, -1
@@ -162,17 +178,21 @@ def speed_dp(
     weights: SpeedDpWeights,
     worth: float,
 ) -> tuple[FloatArray, IntArray]:
-    """Solve (3): the cost to come `(columns + 1, rows)`, and the chosen row per column `(columns + 1,)`.
+    """Solve (3): the cost to come `(columns + 1, rows)`, and the chosen row per column
+    `(columns + 1,)`.
 
     Args:
-        occupancy: The map (2) `(k, rows)`, `per_column` time samples to a column, the first at t = 0.
-        occupied: First and last row where it is not zero, for each column after the start `(columns, 2)`.
+        occupancy: The map (2) `(k, rows)`, `per_column` time samples to a column, the first at t =
+            0.
+        occupied: First and last row where it is not zero, for each column after the start
+            `(columns, 2)`.
         per_column: Time samples of `occupancy` per column.
         limit: Speed limit at the rows `(rows,)`, m/s.
         start: Speed and acceleration of the ego.
         weights: Weights of (1), and the limits of an edge.
-        worth: Nodes that cost this or more are not continued. Costs do not fall along a solution, so any value that
-            exceeds the cost of the best one by more than the ties gives the same result.
+        worth: Nodes that cost this or more are not continued. Costs do not fall along a solution,
+            so any value that exceeds the cost of the best one by more than the ties gives the same
+            result.
     """
     rows, columns = len(limit), len(occupied)
     needed = np.zeros(rows)

@@ -1,13 +1,16 @@
 """The speed QP's problem: the limit ahead, the speed DP where it decides, references and bounds.
 
-(1) Limit: that of the path with its caps, 0 from `standstill_gap` before the first standing agent in the way, including
-    curves and comfortable braking (`profiles.limit_profile`)
-(2) References: driving at the limit (`profiles.cruising`), not ahead of the speed DP where an agent moves
-(3) Bounds of s: `gap` below agents that the ego yields to, `gap` above those that it overtakes, and before the stops
-(4) Bound of v: the limit at the reference plus `SPEED_ROOM_MPS`, but at least the braking that leads there
+(1) Limit: that of the path with its caps, 0 from `standstill_gap` before the first standing agent
+    in the way, including curves and comfortable braking (`profiles.limit_profile`)
+(2) References: driving at the limit (`profiles.cruising`), not ahead of the speed DP where an agent
+    moves
+(3) Bounds of s: `gap` below agents that the ego yields to, `gap` above those that it overtakes, and
+    before the stops
+(4) Bound of v: the limit at the reference plus `SPEED_ROOM_MPS`, but at least the braking that
+    leads there
 
-The speed DP is left out where it decides nothing: where all agents in the way stand and are there at t = 0, ahead of
-the ego, and no stop is known to end.
+The speed DP is left out where it decides nothing: where all agents in the way stand and are there
+at t = 0, ahead of the ego, and no stop is known to end.
 """
 
 from __future__ import annotations
@@ -35,9 +38,14 @@ from replan.planners.frenet.scene import STANDING_MPS
 from replan.planners.frenet.st_boundaries import OVERTAKE, YIELD, decide
 
 SPEED_ROOM_MPS = 0.8
-"""Excess of the bound of v over the limit, m/s, so that the profile is smooth; a cap that is a bound has none."""
+"""Excess of the bound of v over the limit, m/s, so that the profile is smooth.
+
+A cap that is a bound has none.
+"""
 TILT_MPS2 = 4.0
-"""Lateral acceleration above which the ego brakes for a curve with comfort's limits, not with `ease_mps2`, m/s2."""
+"""Lateral acceleration above which the ego brakes for a curve with comfort's limits, not with
+`ease_mps2`, m/s2.
+"""
 STAY_M = 0.05  # Least upper bound of s, so that standing still is always allowed, m
 
 
@@ -87,7 +95,8 @@ class BuiltProblem(NamedTuple):
     problem: SpeedProblem
     kinds: IntArray  # Codes of the decisions about the boundaries `(n,)` (`st_boundaries`, (4))
     free_m: float  # Distance that the ego would drive with no road user in the way, m
-    # Cost of the speed DP's grid `(columns + 1, rows)`, complete if `is_drawn`; empty where the DP did not run
+    # Cost of the speed DP's grid `(columns + 1, rows)`, complete if `is_drawn`; empty where the DP
+    # did not run
     cost: FloatArray
     chosen: IntArray  # The DP's rows `(columns + 1,)`
     # The DP's stations at the profile's knots `(knots,)`, m; zeros where it did not run
@@ -103,7 +112,8 @@ def build_problem(
     is_drawn: bool,
     settings: Settings,
 ) -> BuiltProblem:
-    """Build the problem on a path from `start` (speed, acceleration); `time_gap`: wanted gap per speed of an agent, s.
+    """Build the problem on a path from `start` (speed, acceleration); `time_gap`: wanted gap per
+    speed of an agent, s.
 
     `is_drawn`: whether the speed DP also runs where it decides nothing, with all of its costs.
     """
@@ -251,7 +261,10 @@ def _speed_bound(
 def _station_bounds(
     taken: Taken, kinds: IntArray, length: float, settings: Settings
 ) -> tuple[FloatArray, FloatArray]:
-    """Bounds of s `(knots,)` (3); of two samples equally near to a knot it takes the stricter one."""
+    """Bounds of s `(knots,)` (3).
+
+    Of two samples equally near to a knot it takes the stricter one.
+    """
     t, lower, upper, stops = taken.t, taken.lower, taken.upper, taken.stops
     low, high = np.zeros(settings.knots), np.full(settings.knots, length)
     reach = (0.5 * (t[1] - t[0]) if len(t) > 1 else inf) + 1e-9

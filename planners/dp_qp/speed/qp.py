@@ -1,24 +1,27 @@
 """Speed QP: the smoothest speed profile between the bounds that the speed DP decided.
 
-Unknown s, v, a at knots every 0.1 s, piecewise-constant jerk (`replan.planners.piecewise_jerk`). Minimise
+Unknown s, v, a at knots every 0.1 s, piecewise-constant jerk (`replan.planners.piecewise_jerk`).
+Minimise
 
 (1) sum w_s (s - s_ref)^2 + w_v (v - v_ref)^2 + w_a a^2 + w_j jerk^2
 
-subject to s_lower(t) <= s <= s_upper(t) from the decisions, 0 <= v <= v_limit (`replan.planners.frenet.profiles`, (1)), a and
-jerk limits, and the start.
+subject to s_lower(t) <= s <= s_upper(t) from the decisions, 0 <= v <= v_limit
+(`replan.planners.frenet.profiles`, (1)), a and jerk limits, and the start.
 
-(2) `braking` takes the mildest limits of acceleration and jerk with which braking keeps s_upper, so that the problem
-    has a solution. Braking that is harder than comfort may be released with `RELEASE_MPS3`, down to comfort.
+(2) `braking` takes the mildest limits of acceleration and jerk with which braking keeps s_upper, so
+    that the problem has a solution. Braking that is harder than comfort may be released with
+    `RELEASE_MPS3`, down to comfort.
 
 How hard to brake is a ladder of limits; the ego drives with the first that keeps the bounds:
 
-(3) Comfortable limits, smoothed by the QP; first with their reserve, then with less, then with half of the gap.
+(3) Comfortable limits, smoothed by the QP; first with their reserve, then with less, then with half
+    of the gap.
 (4) Hard limits, the mildest with which braking keeps the bounds.
-(5) Full braking (`UTMOST_MPS3`) where it keeps some of the gap or does not touch, else driving on where that does not
-    touch, else full braking.
+(5) Full braking (`UTMOST_MPS3`) where it keeps some of the gap or does not touch, else driving on
+    where that does not touch, else full braking.
 
-Where a QP was tried without a solution, only rungs with a QP remain; where an agent is to be overtaken, none remains,
-since another deceleration does not help.
+Where a QP was tried without a solution, only rungs with a QP remain; where an agent is to be
+overtaken, none remains, since another deceleration does not help.
 """
 
 from __future__ import annotations
@@ -92,7 +95,10 @@ class SpeedQpConfig:
             raise ValueError("speed QP needs at least 11 knots and positive limits")
 
     def ladder(self) -> tuple[SpeedLimits, ...]:
-        """From comfort to emergency, so that braking is no harder than needed; jerk rises later than braking."""
+        """From comfort to emergency, so that braking is no harder than needed.
+
+        Jerk rises later than braking.
+        """
         low, high = self.comfort, self.emergency
         decel, jerk = high.decel_mps2 - low.decel_mps2, high.jerk_mps3 - low.jerk_mps3
         between = (
@@ -151,10 +157,11 @@ class SpeedQp:
 
 @kernel
 def rows_of(problem: SpeedProblem, limits: KnotLimits, comfort: float) -> Rows:
-    """Start s, v, a `(3,)`, references of s and v `(2, n)`, lower and upper bounds of s, v, a, jerk `(4, n)`.
+    """Start s, v, a `(3,)`, references of s and v `(2, n)`, lower and upper bounds of s, v, a, jerk
+    `(4, n)`.
 
-    The bounds of the acceleration contain that of the start, and return from it with half of the jerk. `comfort`:
-    deceleration, m/s2; harder braking may be released (2).
+    The bounds of the acceleration contain that of the start, and return from it with half of the
+    jerk. `comfort`: deceleration, m/s2; harder braking may be released (2).
     """
     n, a0 = len(problem.upper), problem.start[1]
     lower, upper, references = np.zeros((4, n)), np.empty((4, n)), np.empty((2, n))
@@ -183,8 +190,9 @@ def ease_problem(
 ) -> tuple[bool, SpeedProblem, Rows]:
     """Whether braking with a share of the limits keeps the bounds, and the QP for it.
 
-    The gap may shrink by `given` m, but not beyond the path's end. The start's deceleration is reduced until the jerk
-    can release it before the ego would reverse; the bounds contain the braking profile.
+    The gap may shrink by `given` m, but not beyond the path's end. The start's deceleration is
+    reduced until the jerk can release it before the ego would reverse; the bounds contain the
+    braking profile.
     """
     v0 = problem.start[0]
     a0 = max(problem.start[1], -sqrt(2.0 * 0.9 * limits.jerk * v0))
@@ -200,7 +208,8 @@ def ease_problem(
 
 @kernel
 def tidy_profile(x: FloatArray) -> FloatArray:
-    """Remove the solver's residual motion from a profile x = (s, v, a) `(3 n,)`; returns rows `(3, n)`.
+    """Remove the solver's residual motion from a profile x = (s, v, a) `(3 n,)`; returns rows
+    `(3, n)`.
 
     The result never moves backwards, and is exactly at rest where it rests.
     """
@@ -236,10 +245,11 @@ Attempts = tuple[tuple[SpeedProblem, QPResult], ...]  # QPs that were tried, wit
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SolvedSpeed:
-    """The speed found: rows s, v, a `(3, knots)`, or None; the reason why it is not comfortable, or is None.
+    """The speed found: rows s, v, a `(3, knots)`, or None; the reason why it is not comfortable, or
+    is None.
 
-    Whether it keeps the bounds by (3) or (4), whether no profile avoids a contact, whether it brakes as hard as it can,
-    and the QPs that were tried, with their results.
+    Whether it keeps the bounds by (3) or (4), whether no profile avoids a contact, whether it
+    brakes as hard as it can, and the QPs that were tried, with their results.
     """
 
     profile: FloatArray | None
@@ -256,7 +266,8 @@ class SolvedSpeed:
 
 
 class Rung(NamedTuple):
-    """A rung: braking with a share of limits keeps the bounds, with the gap reduced by `given`, m; the QP smooths it.
+    """A rung: braking with a share of limits keeps the bounds, with the gap reduced by `given`, m;
+    the QP smooths it.
 
     `after_full`: whether it may follow full braking, which continues until the whole gap is kept.
     """
@@ -269,7 +280,9 @@ class Rung(NamedTuple):
 
 
 class BrakingLadder:
-    """The rungs of (3) and (4), the loop over them, and (5), for problems whose upper bounds include a gap, m."""
+    """The rungs of (3) and (4), the loop over them, and (5), for problems whose upper bounds
+    include a gap, m.
+    """
 
     def __init__(
         self, config: SpeedQpConfig, gap_m: float, most_mps2: float, solver: str = DEFAULT
@@ -304,8 +317,8 @@ class BrakingLadder:
     ) -> SolvedSpeed:
         """Find the profile of a frame.
 
-        `taken` returns the S-T boundaries with other margins, stops included; `braked_fully`: whether the ego braked as
-        hard as it can in the frame before.
+        `taken` returns the S-T boundaries with other margins, stops included; `braked_fully`:
+        whether the ego braked as hard as it can in the frame before.
         """
         tried: list[tuple[SpeedProblem, QPResult]] = []
         for rung in self._rungs:

@@ -1,7 +1,8 @@
-"""Speed stage: S-T boundaries, caps -> speed DP (order of passing) -> bounds -> speed QP (profile), and the S-T graph.
+"""Speed stage: S-T boundaries, caps -> speed DP (order of passing) -> bounds -> speed QP (profile),
+and the S-T graph.
 
-`doubt` decides how far a prediction binds. An agent that the ego yielded to stays first, unless the ego could be first
-with `CHANGE_S` to spare.
+`doubt` decides how far a prediction binds. An agent that the ego yielded to stays first, unless the
+ego could be first with `CHANGE_S` to spare.
 """
 
 from __future__ import annotations
@@ -70,12 +71,16 @@ from replan.planners.piecewise_jerk.solvers import DEFAULT
 # Delay with which the ego must still be first to overtake an agent that it yielded to, s
 CHANGE_S = 0.5
 FIRST_S = 1.0
-"""The same for an agent that crosses, if braking with `LETS_MPS2` is enough to yield: it may come sooner, s."""
+"""The same for an agent that crosses, if braking with `LETS_MPS2` is enough to yield: it may come
+sooner, s.
+"""
 # Deceleration with which the ego yields to a vehicle, and to a pedestrian or rider, m/s2
 LETS_MPS2 = 3.0, 4.5
 DOUBTED = "that is doubted: comfortable braking is all that is done"
 ORDERS = {DecisionKind.YIELD: ("yielding", 1e6), DecisionKind.OVERTAKE: ("going first", -1e6)}
-"""The orders of passing between which the speed DP decides: name, and the bound (m) that leaves only this order."""
+"""The orders of passing between which the speed DP decides: name, and the bound (m) that leaves
+only this order.
+"""
 COLLIDES = 0.01 * COLLISION  # A solution of the DP that costs more is inside a blocked interval
 NO_STOPS = np.empty((0, 2))  # No stops
 DRAWN_ROWS = 4  # Step between the grid's rows in the S-T graph: a picture does not need more
@@ -93,7 +98,9 @@ class SpeedConfig:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SpeedMemory:
-    """Memory of the speed stage: whether it braked fully, when agents came to the path, s, and those it yielded to."""
+    """Memory of the speed stage: whether it braked fully, when agents came to the path, s, and
+    those it yielded to.
+    """
 
     braked_fully: bool = False
     came: Mapping[str, float] = field(default_factory=dict)
@@ -102,10 +109,11 @@ class SpeedMemory:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class ChosenSpeed:
-    """The result of the speed stage: rows s, v, a `(3, knots)` every 0.1 s, or None; the reason if not comfortable.
+    """The result of the speed stage: rows s, v, a `(3, knots)` every 0.1 s, or None; the reason if
+    not comfortable.
 
-    `unavoidable`: whether even the hardest braking would meet an agent; `free_m`: the station at the horizon's end on a
-    free road, m; `artefacts` makes them when it is called.
+    `unavoidable`: whether even the hardest braking would meet an agent; `free_m`: the station at
+    the horizon's end on a free road, m; `artefacts` makes them when it is called.
     """
 
     profile: FloatArray | None
@@ -118,7 +126,8 @@ class ChosenSpeed:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Way:
-    """The input of a plan: the scene on its path, the limits there and decisions of the caps, the stops, the memory.
+    """The input of a plan: the scene on its path, the limits there and decisions of the caps, the
+    stops, the memory.
 
     `taken` returns the boundaries of some agents with other margins, stops included.
     """
@@ -223,7 +232,9 @@ class SpeedStage:
         return chosen, SpeedMemory(solved.is_full, came, waits)
 
     def _plan_with_doubt(self, way: _Way, found: StBoundaries) -> tuple[_Planned, StBoundaries]:
-        """The speed that keeps the rows as far as they bind (`doubt`), and the rows that do not bind."""
+        """The speed that keeps the rows as far as they bind (`doubt`), and the rows that do not
+        bind.
+        """
         if not len(found):
             return self._plan_within(way, found), found
         scene = way.view.scene
@@ -264,9 +275,11 @@ class SpeedStage:
     def _plan_within(
         self, way: _Way, blocks: StBoundaries, sure: IntArray | None = None
     ) -> _Planned:
-        """The speed that keeps these boundaries; those of the agents `sure` (None: all) with other margins, too.
+        """The speed that keeps these boundaries; those of the agents `sure` (None: all) with other
+        margins, too.
 
-        The ego goes first before agents that cross with `FIRST_S` to spare, or it yields if `LETS_MPS2` is enough.
+        The ego goes first before agents that cross with `FIRST_S` to spare, or it yields if
+        `LETS_MPS2` is enough.
         """
         scene, n = way.view.scene, len(blocks)
         total = scene.speed[blocks.agent]
@@ -281,9 +294,11 @@ class SpeedStage:
         return planned
 
     def _yield_to_late(self, way: _Way, planned: _Planned, spare: FloatArray) -> _Planned:
-        """The speed that yields to each agent that it overtakes but would not stay clear of `spare` s `(n,)` later.
+        """The speed that yields to each agent that it overtakes but would not stay clear of `spare`
+        s `(n,)` later.
 
-        The DP alone does not know that, since its jerk is coarse. Without a solution it yields to all.
+        The DP alone does not know that, since its jerk is coarse. Without a solution it yields to
+        all.
         """
         ids, blocks = way.view.scene.frame.agents.ids, planned.blocks
         while (late := planned.built.kinds == OVERTAKE).any():
@@ -396,7 +411,9 @@ class SpeedStage:
         kind: DecisionKind,
         known: Mapping[DecisionKind, float],
     ) -> str:
-        """The distance by which the solution clears a boundary, and the cost of each order in the speed DP."""
+        """The distance by which the solution clears a boundary, and the cost of each order in the
+        speed DP.
+        """
         blocks, profile, costs = planned.blocks, planned.solved.profile, dict(known)
         took = np.isfinite(blocks.lower[i])
         for order, (_, bound) in ORDERS.items():

@@ -1,6 +1,8 @@
-"""Charts as SVG: the pictures of a drive and of a run, in one style, for the HTML report and `replan plot`.
+"""Charts as SVG: the pictures of a drive and of a run, in one style, for the HTML report and
+`replan plot`.
 
-canvas.py    style, elements, simplification, `Chart`    axes.py      plot areas with a scale and ticks
+canvas.py    style, elements, simplification, `Chart`    axes.py      plot areas with a scale and
+             ticks
 subject.py   the data of a drive's pictures, when to look at it, and when gates broke
 bird_view.py, curves.py                                  the pictures of a drive
 layout.py    their names and places, charts of users, several charts as one file, SVG or PNG

@@ -29,7 +29,9 @@ from replan.draw.model import Span, ticks
 Ticks = Sequence[tuple[float, str]]  # Words at values
 
 LEFT_PX, RIGHT_PX, TOP_PX, BOTTOM_PX = 46.0, 10.0, 38.0, 30.0
-"""Margins of a plot area: for y ticks, for the last x tick, for title and legend, for x ticks and their title."""
+"""Margins of a plot area: for y ticks, for the last x tick, for title and legend, for x ticks and
+their title.
+"""
 FAINT = 0.08  # Opacity of a box of the value 0
 # Smallest distance between ticks in x and in y if there are more than two ticks, pixels
 TICK_PX = 62.0, 30.0
@@ -75,7 +77,9 @@ class Plane:
     def box(
         self, x: Span, y: Span, kind: str, about: str = "", opacity: float = 1.0, gap: float = 0.0
     ) -> str:
-        """A box from lower to upper values, `gap` pixels smaller on each side; `about` is its tooltip."""
+        """A box from lower to upper values, `gap` pixels smaller on each side; `about` is its
+        tooltip.
+        """
         (left, right), (low, high) = (
             self.at_x(np.array(x)).tolist(),
             self.at_y(np.array(y)).tolist(),
@@ -92,7 +96,10 @@ class Plane:
         return text(float(self.at_x(x)), float(self.at_y(y)) + down, words, kind)
 
     def heat(self, x: Span, y: Span, value: float, limits: Span) -> str:
-        """A box whose colour tells a value: blue the more, the nearer to the upper limit; red below 0."""
+        """A box whose colour tells a value: blue the more, the nearer to the upper limit.
+
+        Red below 0.
+        """
         share = abs(value) / (limits[0] if value < 0.0 else limits[1])
         return self.box(
             x,
@@ -136,7 +143,10 @@ class Plane:
             rows_at += text(
                 -5.0, float(self.at_y(value)) + 3.5, shown, about="" if shown == word else word
             )
-        plot = f'<path class="grid" d="{columns}{rows}"/>{inside}<path class="axis" d="M0 0V{px(high)}H{px(wide)}"/>'
+        plot = (
+            f'<path class="grid" d="{columns}{rows}"/>{inside}<path class="axis" d="M0 '
+            f'0V{px(high)}H{px(wide)}"/>'
+        )
         words = f'<g class="tick mid">{columns_at}</g><g class="tick end">{rows_at}</g>{over}'
         titles = text(self.left + wide, self.height - 3.0, x_title, "tick end")
         titles += text(2.0, self.top - 10.0, y_title, "tick") if y_title else ""
@@ -161,7 +171,9 @@ class Plane:
         y_ticks: Ticks | None = None,
         over: str = "",
     ) -> Chart:
-        """A chart of this plot area: a title (or the longer `head`), and a legend in as many rows as it needs."""
+        """A chart of this plot area: a title (or the longer `head`), and a legend in as many rows
+        as it needs.
+        """
         begin = 2.0 + LETTER_PX * len(y_title) + 14.0 if y_title else min(self.left, LEFT_PX)
         rows = legend_rows(entries, self.width - begin)
         more = LEGEND_PX * max(len(rows) - 1, 0)
@@ -179,7 +191,9 @@ class Plane:
 def rows_plane(
     names: Sequence[str], x: Span, width: float, row: float, *, top: float = TOP_PX, most: float
 ) -> tuple[Plane, Ticks]:
-    """A plot area with rows of a height, from the top down, and their names at the left, at most `most` pixels wide."""
+    """A plot area with rows of a height, from the top down, and their names at the left, at most
+    `most` pixels wide.
+    """
     high = float(len(names))
     needed = max((LETTER_PX * len(name) + 10.0 for name in names), default=LEFT_PX)
     plane = Plane(

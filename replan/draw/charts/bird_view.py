@@ -1,6 +1,8 @@
-"""The scene from above at an instant, ahead to the right: road, ego, other road users, driven path and plan.
+"""The scene from above at an instant, ahead to the right: road, ego, other road users, driven path
+and plan.
 
-(1) p' = R(-yaw) (p - p_ego),  yaw and p_ego those of the ego's rear axle at the instant: x' ahead, y' to the left, m
+(1) p' = R(-yaw) (p - p_ego),
+        yaw and p_ego those of the ego's rear axle at the instant: x' ahead, y' to the left, m
 """
 
 from __future__ import annotations
@@ -37,7 +39,9 @@ from replan.replay.world import box_center
 
 WIDTH_PX, HEIGHT_PX = 440.0, 226.0
 BEHIND_M, AHEAD_M, AHEAD_S, MOST_M = 14.0, 46.0, 3.0, 130.0
-"""The visible part: `BEHIND_M` behind the ego, and `AHEAD_S` times its speed ahead, from `AHEAD_M` to `MOST_M`."""
+"""The visible part: `BEHIND_M` behind the ego, and `AHEAD_S` times its speed ahead, from `AHEAD_M`
+to `MOST_M`.
+"""
 ARROW_S = 1.0
 SLOW_MPS = 0.3
 SMALL_PX = 3.2  # An agent that would be smaller is drawn as a dot of this radius
@@ -50,9 +54,11 @@ APART_S = 0.05  # Instants that are nearer than this are drawn once
 
 
 def scene(subject: SceneSubject, t: float, word: str, about: Collection[str] = ()) -> Chart:
-    """The scene at a time; `word` names that time ("start", "worst moment", "end"), `about` road users to point out.
+    """The scene at a time; `word` names that time ("start", "worst moment", "end"), `about` road
+    users to point out.
 
-    Of several drives, the road users are those of the first; an ego whose drive has ended is where it ended.
+    Of several drives, the road users are those of the first; an ego whose drive has ended is where
+    it ended.
     """
     drives = subject.drives
     states = [
@@ -87,7 +93,10 @@ def scene(subject: SceneSubject, t: float, word: str, about: Collection[str] = (
     names = _names(view, agents, subject, named, about, planned=planned)
     entries, x_title = [("area", "ego", "ego")], "ahead of the rear axle [m]"
     if several:
-        x_title = f"ahead of the rear axle of {shortened(next(iter(drives)), NAME_PX)} [m]; road users as in its drive"
+        x_title = (
+            f"ahead of the rear axle of {shortened(next(iter(drives)), NAME_PX)} [m]; road "
+            "users as in its drive"
+        )
         named_kinds = zip(DRIVES, legend_words(list(drives), WIDTH_PX - 190.0), strict=False)
         entries = [("line", kind, name) for kind, name in named_kinds]
     entries += [("area", "other", "moves"), ("area", "still", "stands")]
@@ -125,7 +134,9 @@ def _local(ego: EgoState, points: FloatArray) -> FloatArray:
 
 
 def _plane(ego: EgoState, shown: Sequence[EgoState]) -> Plane:
-    """The visible part: around and ahead of the ego, and around other egos that are nearer than `FAR_M`."""
+    """The visible part: around and ahead of the ego, and around other egos that are nearer than
+    `FAR_M`.
+    """
     others = _local(ego, np.array([(one.x, one.y) for one in shown]))
     others = others[np.hypot(others[:, 0], others[:, 1]) < FAR_M]
     ahead = min(max(AHEAD_M, AHEAD_S * abs(ego.v)), MOST_M)
@@ -236,7 +247,10 @@ def _box(view: View, subject: SceneSubject, ego: EgoState) -> str:
 
 
 def _other(view: View, agents: Agents, i: int, *, pointed: bool) -> str:
-    """A box, or a dot for pedestrians and small boxes; a moving agent has a line to its position in one second."""
+    """A box, or a dot for pedestrians and small boxes.
+
+    A moving agent has a line to its position in one second.
+    """
     box = view.of(
         corners(
             *(float(c[i]) for c in (agents.x, agents.y, agents.yaw, agents.length, agents.width))
@@ -264,7 +278,10 @@ def _names(
     *,
     planned: bool,
 ) -> str:
-    """Names of egos, then ids of agents: those with a decision, then the nearest; without those that would overlap."""
+    """Names of egos, then ids of agents: those with a decision, then the nearest.
+
+    Without those that would overlap.
+    """
     wide, high = view.plane.inner
     about = decided(subject.frame.plan) if planned and subject.frame is not None else {}
     first = pointed or about

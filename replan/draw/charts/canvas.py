@@ -1,12 +1,12 @@
 """The layer under the charts: one style, and SVG elements as text, with few and short numbers.
 
-Roles are colours for a light and a dark background. The hues are those of Okabe and Ito (2008), which people with any
-colour vision can distinguish, lighter on the dark background. No meaning depends on colour alone: lines differ in dash,
-marks in shape, and everything has a label.
+Roles are colours for a light and a dark background. The hues are those of Okabe and Ito (2008),
+which people with any colour vision can distinguish, lighter on the dark background. No meaning
+depends on colour alone: lines differ in dash, marks in shape, and everything has a label.
 
-Coordinates are CSS pixels, x to the right and y down, rounded to a tenth; points that do not move a line by more than
-`KEPT_PX` are dropped. Elements are styled by class names only, and there is no script and no id, so that any number of
-charts can be in one page.
+Coordinates are CSS pixels, x to the right and y down, rounded to a tenth; points that do not move a
+line by more than `KEPT_PX` are dropped. Elements are styled by class names only, and there is no
+script and no id, so that any number of charts can be in one page.
 """
 
 from __future__ import annotations
@@ -70,7 +70,9 @@ DARK = MappingProxyType(
         "focus": "#7cc8f5",
     }
 )
-"""Roles by name: `ego` blue, `plan` green, `other` road users orange, `rare` purple, `bad` vermilion."""
+"""Roles by name: `ego` blue, `plan` green, `other` road users orange, `rare` purple, `bad`
+vermilion.
+"""
 
 FONT = "'DejaVu Sans', Verdana, 'Segoe UI', system-ui, sans-serif"
 RULES = """
@@ -156,14 +158,19 @@ RULES = """
 .chart .wide{stroke:$other;stroke-opacity:.6;stroke-width:6;stroke-linecap:round}
 .chart .worse{stroke:$bad;stroke-width:1.6}
 .chart .better{stroke:$good;stroke-width:1.6;stroke-dasharray:4 2}
-""".replace("FONT", FONT)
+""".replace("FONT", FONT)  # noqa: E501
 
 DRIVES = ("one", "two", "three", "four")
-"""Classes of the drives in one picture: colour and dash of their lines, colour of the ego in a group of the class."""
+"""Classes of the drives in one picture: colour and dash of their lines, colour of the ego in a
+group of the class.
+"""
 
 
 def roles(theme: Theme) -> str:
-    """The CSS custom properties of the theme "auto", which follows the reader's system; empty for a fixed theme."""
+    """The CSS custom properties of the theme "auto", which follows the reader's system.
+
+    Empty for a fixed theme.
+    """
     if theme != "auto":
         return ""
     light, dark = (
@@ -229,13 +236,15 @@ class Chart:
         size = f'width="{wide:g}" height="{wide * self.height / self.width:.6g}"'
         return (
             f'<svg xmlns="http://www.w3.org/2000/svg" class="chart" {size} '
-            f'viewBox="0 0 {px(self.width)} {px(self.height)}"><title>{escape(printable(self.title))}</title>'
+            f'viewBox="0 0 {px(self.width)} '
+            f'{px(self.height)}"><title>{escape(printable(self.title))}</title>'
             f"<desc>{escape(printable(self.says))}</desc><style>{stylesheet(theme)}</style>"
             f'<rect class="ground" width="100%" height="100%"/>{self.body}</svg>\n'
         )
 
     def save(self, path: Path | str, *, theme: Theme = "light", width: float | None = None) -> None:
-        """Write the picture in the format of the path's suffix. The same picture gives the same bytes.
+        """Write the picture in the format of the path's suffix. The same picture gives the same
+        bytes.
 
         Args:
             path: The file; it ends with .png or .svg.
@@ -316,7 +325,9 @@ def _path(moves: str, kind: str) -> str:
 
 
 def _moves(points: FloatArray, closed: bool) -> str:
-    """The commands of a path: a start, then steps between rounded points, so that rounding errors do not accumulate."""
+    """The commands of a path: a start, then steps between rounded points, so that rounding errors
+    do not accumulate.
+    """
     shown = np.clip(points, -FAR_PX, FAR_PX)
     tenths = np.rint(10.0 * shown[simplified(shown)]).astype(np.int64)
     first, steps = tenths[0].tolist(), np.diff(tenths, axis=0)
@@ -330,12 +341,16 @@ def _moves(points: FloatArray, closed: bool) -> str:
 
 
 def _after(tenths: int) -> str:
-    """The second number of a pair, after a space unless its minus sign separates it from the first."""
+    """The second number of a pair, after a space unless its minus sign separates it from the
+    first.
+    """
     return _tenths(tenths) if tenths < 0 else f" {_tenths(tenths)}"
 
 
 def simplified(points: FloatArray) -> IntArray:
-    """Which points of a line `(n, 2)` draw it within `KEPT_PX` (Douglas and Peucker 1973), level by level."""
+    """Which points of a line `(n, 2)` draw it within `KEPT_PX` (Douglas and Peucker 1973), level by
+    level.
+    """
     kept = [np.array([0, len(points) - 1] if len(points) > 1 else [0])]
     begin, end = kept[0][:-1], kept[0][1:]
     while True:
@@ -380,7 +395,9 @@ def cut_line(points: FloatArray, width: float, height: float) -> list[FloatArray
 
 
 def cut_outline(points: FloatArray, width: float, height: float) -> FloatArray:
-    """An outline `(n, 2)` cut at a plot area and a little around it (Sutherland and Hodgman 1974)."""
+    """An outline `(n, 2)` cut at a plot area and a little around it (Sutherland and Hodgman
+    1974).
+    """
     x, y = (-AROUND_PX, width + AROUND_PX), (-AROUND_PX, height + AROUND_PX)
     for axis, bound, sign in ((0, x[0], 1), (0, x[1], -1), (1, y[0], 1), (1, y[1], -1)):
         inside = sign * (points[:, axis] - bound)
@@ -422,14 +439,18 @@ def dot(x: float, y: float, radius: float, kind: str, about: str = "") -> str:
 
 
 def text(x: float, y: float, words: str, kind: str = "", *, about: str = "") -> str:
-    """Words that begin at x (class "end": words that end at x; "mid": words that are centred at x)."""
+    """Words that begin at x (class "end": words that end at x; "mid": words that are centred at
+    x).
+    """
     title = f"<title>{escape(about)}</title>" if about else ""
     style = f' class="{kind}"' if kind else ""
     return f'<text{style} x="{px(x)}" y="{px(y)}">{escape(printable(words))}{title}</text>'
 
 
 def printable(words: str) -> str:
-    """The words in one line, without control characters (names of logs and agents come from outside)."""
+    """The words in one line, without control characters (names of logs and agents come from
+    outside).
+    """
     return "".join(c if c.isprintable() else " " for c in words)
 
 
@@ -462,7 +483,9 @@ SAMPLE_PX = 34.0  # Width of an entry of a legend without its word, pixels
 
 
 def legend_words(words: Sequence[str], most: float) -> list[str]:
-    """Words for a legend of this width: as they are if they fit, otherwise each shortened to its share."""
+    """Words for a legend of this width: as they are if they fit, otherwise each shortened to its
+    share.
+    """
     if sum(SAMPLE_PX + LETTER_PX * len(word) for word in words) <= most:
         return list(words)
     return [shortened(word, most / len(words) - SAMPLE_PX) for word in words]

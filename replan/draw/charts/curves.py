@@ -1,7 +1,8 @@
 """Charts over time, and the graphs of a plan.
 
-Over time: panels of curves, in which the times of failed gates are shaded, and rows of the plan's status, each road
-user with a decision, and each broken gate. S-T and S-L graph: the corridor, the obstacles and the solutions.
+Over time: panels of curves, in which the times of failed gates are shaded, and rows of the plan's
+status, each road user with a decision, and each broken gate. S-T and S-L graph: the corridor, the
+obstacles and the solutions.
 """
 
 from __future__ import annotations
@@ -46,7 +47,10 @@ NAME_PX = 90.0  # Largest width of a drive's name before a warning, pixels
 
 
 def curves(subject: Subject) -> list[Chart]:
-    """All panels of a drive that have something to show; of several drives, a panel for each of their curves."""
+    """All panels of a drive that have something to show.
+
+    Of several drives, a panel for each of their curves.
+    """
     charts, drives = [], subject.drives
     found = {  # the trace has one plan only
         name: [
@@ -90,8 +94,8 @@ def panel_chart(
 ) -> Chart:
     """The curves of a panel.
 
-    `panel`: the panel; curves without a class are not drawn. `shaded`: intervals that are shaded, each with a word
-    above, and in a tooltip why. `size`: pixels.
+    `panel`: the panel; curves without a class are not drawn. `shaded`: intervals that are shaded,
+    each with a word above, and in a tooltip why. `size`: pixels.
     """
     plane = Plane(x, panel.range, *size)
     shown = list(zip(panel.curves, kinds, strict=False))
@@ -171,8 +175,8 @@ class SpanRow:
 def decided(plans: Sequence[PlanSummary], end: float, short: Callable[[str], str]) -> list[SpanRow]:
     """The decisions other than "ignore" about each agent, in the order of the first decision.
 
-    A decision holds until the next frame; consecutive frames with the same decision are one span with the first reason.
-    `short` shortens the names of agents.
+    A decision holds until the next frame; consecutive frames with the same decision are one span
+    with the first reason. `short` shortens the names of agents.
     """
     rows: dict[str, list[Span]] = {}
     for plan, stop in _until(plans, end):
@@ -349,7 +353,10 @@ def plan_graph(subject: SceneSubject, kind: GraphKind, why: str) -> Chart:
 
 
 def _labels(plane: Plane, graph: DrawnGraph, short: ShortNames) -> str:
-    """Labels with agent and decision at the visible part of each outline, ignored agents last; overlaps move down."""
+    """Labels with agent and decision at the visible part of each outline, ignored agents last.
+
+    Overlaps move down.
+    """
     wide, high = plane.inner
     out, taken = [], list[float]()
     for some in sorted(graph.obstacles, key=lambda one: one.is_ignored)[:MAX_LABELS]:

@@ -1,7 +1,8 @@
 """The charts of a drive by name, their places in its page, and charts of users ("module:NAME").
 
-A chart is a function: `draw(subject) -> Chart`, or several. Charts of users come after the pictures. A chart that
-raises is replaced by its error, and nothing else is affected. Several charts are written as one SVG or PNG.
+A chart is a function: `draw(subject) -> Chart`, or several. Charts of users come after the
+pictures. A chart that raises is replaced by its error, and nothing else is affected. Several charts
+are written as one SVG or PNG.
 """
 
 from __future__ import annotations
@@ -44,8 +45,9 @@ BROKEN, BROKEN_PX = "broken", (440.0, 40.0)
 def placed(subject: Subject, own: Sequence[str] = ()) -> dict[str, list[Chart]]:
     """All charts of a drive by their places.
 
-    `own`: charts of users ("module:NAME"), in addition to those of entry points. ConfigError if a chart of users cannot
-    be loaded; ValueError if a built-in chart has no place in `LAYOUT`, so that it would not be shown.
+    `own`: charts of users ("module:NAME"), in addition to those of entry points. ConfigError if a
+    chart of users cannot be loaded; ValueError if a built-in chart has no place in `LAYOUT`, so
+    that it would not be shown.
     """
     nowhere = set(CHARTS) - {name for names in LAYOUT.values() for name in names}
     if nowhere:
@@ -59,7 +61,10 @@ def placed(subject: Subject, own: Sequence[str] = ()) -> dict[str, list[Chart]]:
 
 
 def drawn(subject: Subject, name: str) -> list[Chart]:
-    """Draw the charts of a name; a failed one is a placeholder with its error. ConfigError as `ExtensionKind.find`."""
+    """Draw the charts of a name; a failed one is a placeholder with its error.
+
+    ConfigError as `ExtensionKind.find`.
+    """
     draw = CHART.find(name)
     try:
         charts: Any = draw(subject)
@@ -83,9 +88,11 @@ ALL = "all"
 
 
 def charts_of(seen: Subject, kind: str, width: float) -> list[Chart]:
-    """The charts of one name (see `CHART`), or of all names (`ALL`), for a picture of this width in pixels.
+    """The charts of one name (see `CHART`), or of all names (`ALL`), for a picture of this width in
+    pixels.
 
-    Of several drives, each chart shows all (`TOGETHER`), or there is one for each, side by side where they fit.
+    Of several drives, each chart shows all (`TOGETHER`), or there is one for each, side by side
+    where they fit.
     """
     found = list[Chart]()
     for name in CHART.names() if kind == ALL else (kind,):

@@ -1,4 +1,5 @@
-"""The subject of a drive's pictures: its tables, its trace, one moment in it, and the times at which it broke gates.
+"""The subject of a drive's pictures: its tables, its trace, one moment in it, and the times at
+which it broke gates.
 
 Other drives of the same log may be shown beside it, at the same moment.
 
@@ -63,7 +64,8 @@ class Violation:
 
 
 def worst_moment(drive: StoredDrive) -> Moment:
-    """The time of the worst failed gate, otherwise of the least TTC or gap, otherwise the middle of the drive.
+    """The time of the worst failed gate, otherwise of the least TTC or gap, otherwise the middle of
+    the drive.
 
     Gates of safety and rules are worse than others; among equals, the first in the file of gates.
     """
@@ -91,7 +93,9 @@ def worst_moment(drive: StoredDrive) -> Moment:
 
 
 def gravity(row: str) -> int:
-    """The place of a gate in `GRAVE`, by the metric of the row that it judges, otherwise by the group of the metric."""
+    """The place of a gate in `GRAVE`, by the metric of the row that it judges, otherwise by the
+    group of the metric.
+    """
     metric = row.partition(".")[0]
     return next(
         (i for i, word in enumerate(GRAVE) if word in (metric, _GROUP.get(metric, ""))), len(GRAVE)
@@ -107,7 +111,8 @@ def violations(drive: StoredDrive) -> list[Violation]:
         t, values = drive.steps(series)
         known = np.isfinite(values)
         t, values = t[known], values[known]
-        # the bounds that steps break: those of the reduction, otherwise those of the rule; infinite if there are none
+        # the bounds that steps break: those of the reduction, otherwise those of the rule; infinite
+        # if there are none
         metric = METRICS.get(series.partition(".")[0])
         how = (
             next((some for some in metric.reductions if some.name == reduction), None)
@@ -169,7 +174,9 @@ class Subject(SceneSubject):
 
     @cached_property
     def drives(self) -> Mapping[str, Subject]:
-        """All drives by their names in legends: the planner, and loop and run where these differ."""
+        """All drives by their names in legends: the planner, and loop and run where these
+        differ.
+        """
         some = (self, *self.beside)
         for name in NAMES:
             named = {name(one.drive): one for one in some}
@@ -203,7 +210,10 @@ class Subject(SceneSubject):
 
     @cached_property
     def because(self) -> tuple[str, ...]:
-        """The action of the plan at the moment, and its causes, in sentences; empty if there is no plan."""
+        """The action of the plan at the moment, and its causes, in sentences.
+
+        Empty if there is no plan.
+        """
         if self.frame is None:
             return ()
         earlier = [one.t for one in self.plans if one.t < self.frame.t]
@@ -226,15 +236,16 @@ def subject(
 ) -> Subject:
     """A drive at a time, or at its worst moment, and other drives of the same log beside it.
 
-    ConfigError if `at` is outside the time span of the drive; a drive is of another log or given twice, or there are
-    too many. LogError if a trace is damaged.
+    ConfigError if `at` is outside the time span of the drive; a drive is of another log or given
+    twice, or there are too many. LogError if a trace is damaged.
     """
     moment = worst_moment(drive) if at is None else Moment(at, ASKED)
     trace, scenario, plans = read_moment(drive.trace_file, moment.t)
     begin, end = float(trace.ego.t[0]), float(trace.ego.t[-1])
     if not (isfinite(moment.t) and begin - 1e-9 <= moment.t <= end + 1e-9):
         raise ConfigError(
-            f"{drive.log}, {drive.planner}, {drive.mode} loop: --at {moment.t:g} is not in its {begin:g} to {end:g} s"
+            f"{drive.log}, {drive.planner}, {drive.mode} loop: --at {moment.t:g} is not in its "
+            f"{begin:g} to {end:g} s"
         )
     for other in beside:
         if other.log != drive.log:

@@ -1,6 +1,8 @@
-"""Recordings: a drive or a log as one .rrd file with its views in it. The only package that writes with rerun.
+"""Recordings: a drive or a log as one .rrd file with its views in it. The only package that writes
+with rerun.
 
-Import this package only where something is drawn: it loads the viewer's library. It draws, and computes nothing.
+Import this package only where something is drawn: it loads the viewer's library. It draws, and
+computes nothing.
 """
 
 from __future__ import annotations
@@ -39,7 +41,9 @@ __all__ = ["write_log_recording", "write_recording"]
 
 SCENE_STEP_S = 0.1
 PART, SAMPLE = 500, 1000
-"""The number of frames that are drawn at once, and the largest number of frames that determine the axes of graphs."""
+"""The number of frames that are drawn at once, and the largest number of frames that determine the
+axes of graphs.
+"""
 
 
 def write_recording(
@@ -51,9 +55,10 @@ def write_recording(
 ) -> None:
     """Write one drive as a recording: scene, graphs, curves, decisions and the reasons for them.
 
-    `path`: the .rrd file; it appears only when it is complete. `table`: rows of `replan.metrics.evaluate` for this trace;
-    None: no metrics in the summary. `steps`: rows of `metrics.series` for this trace; None: no curves of metrics.
-    OutputError if the file cannot be written.
+    `path`: the .rrd file; it appears only when it is complete. `table`: rows of
+    `replan.metrics.evaluate` for this trace; None: no metrics in the summary. `steps`: rows of
+    `metrics.series` for this trace; None: no curves of metrics. OutputError if the file cannot be
+    written.
     """
     whole, trace = drive.trace, replace(drive.trace, frames=light(drive.trace.frames))
     times = scene_times(trace, float(trace.ego.t[-1]))
@@ -108,7 +113,9 @@ def _draw_part(
     planned: Instants,
     axes: Mapping[GraphKind, Axes],
 ) -> None:
-    """Draw agents, plans and graphs of some frames, so that only these frames of a long drive are in memory."""
+    """Draw agents, plans and graphs of some frames, so that only these frames of a long drive are
+    in memory.
+    """
     frames = whole.frames[int(planned.frame[0]) : int(planned.frame[-1]) + 1]
     begin = min([float(instants.t[0]), *(frame.t for frame in frames[:1])])
     end = max([float(instants.t[-1]), *(float(frame.plan.trajectory.t[-1]) for frame in frames)])
@@ -130,7 +137,8 @@ def _draw_part(
 
 
 def write_log_recording(path: Path, scenario: Scenario, markers: Sequence[Marker] = ()) -> None:
-    """Write a log by itself: the scene, the ego's speed, acceleration and steering, and markers on the timeline.
+    """Write a log by itself: the scene, the ego's speed, acceleration and steering, and markers on
+    the timeline.
 
     OutputError if the file cannot be written.
     """
@@ -170,7 +178,9 @@ def write_log_recording(path: Path, scenario: Scenario, markers: Sequence[Marker
 
 
 def scene_times(trace: Trace, end: float) -> FloatArray:
-    """Times at which the scene is drawn: every frame, every `SCENE_STEP_S` where frames are rarer, and the end."""
+    """Times at which the scene is drawn: every frame, every `SCENE_STEP_S` where frames are rarer,
+    and the end.
+    """
     start = float(trace.ego.t[0])
     frames = np.array([frame.t for frame in trace.frames])
     grid = start + SCENE_STEP_S * np.arange(int(np.floor((end - start) / SCENE_STEP_S + 1e-9)) + 1)

@@ -39,7 +39,9 @@ MARKING = 0xB4B4B4FF
 OPPOSITE = 0xE6BE3CFF
 GOAL = 0x50D278FF
 WORDS_LUMINANCE = 0.22
-"""The largest luminance of text: its contrast to plates of 0.012 and 0.81 is above 3 (WCAG's least for large text)."""
+"""The largest luminance of text: its contrast to plates of 0.012 and 0.81 is above 3 (WCAG's least
+for large text).
+"""
 GAMMA = 2.2
 
 KINDS = {
@@ -85,7 +87,9 @@ def luminance(colour: int) -> float:
 
 
 def of_words(colour: int) -> int:
-    """The colour, darkened to at most `WORDS_LUMINANCE`, for a label on a plate that is dark or light by theme."""
+    """The colour, darkened to at most `WORDS_LUMINANCE`, for a label on a plate that is dark or
+    light by theme.
+    """
     share = min(1.0, (WORDS_LUMINANCE / max(luminance(colour), 1e-9)) ** (1.0 / GAMMA))
     red, green, blue = (round(share * ((colour >> shift) & 255)) for shift in (24, 16, 8))
     return (red << 24) | (green << 16) | (blue << 8) | (colour & 255)

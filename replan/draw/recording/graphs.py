@@ -1,10 +1,12 @@
 """S-T and S-L graphs, frame by frame: the space that a stage searched, and its solutions.
 
-The viewer has no x-y plot, but it has 2D views: the data keep their units (s, m), and a transform above them scales an
-axis range to a plot area of `WIDTH` x `HEIGHT` view units with y up. The determinant of that scale has size 1, so that
-line widths in view units are not scaled. The axes are fixed for a recording, so that its frames can be compared.
+The viewer has no x-y plot, but it has 2D views: the data keep their units (s, m), and a transform
+above them scales an axis range to a plot area of `WIDTH` x `HEIGHT` view units with y up. The
+determinant of that scale has size 1, so that line widths in view units are not scaled. The axes are
+fixed for a recording, so that its frames can be compared.
 
-The S-L graph scrolls: its stations are those of the reference line, and the window begins where the graph begins.
+The S-L graph scrolls: its stations are those of the reference line, and the window begins where the
+graph begins.
 """
 
 from __future__ import annotations
@@ -100,7 +102,9 @@ def draw_graph(
 
 @dataclass(frozen=True, eq=False)
 class _Sheet:
-    """The graphs of a recording while they are drawn; `offsets` `(frames,)`: the x at which each frame begins."""
+    """The graphs of a recording while they are drawn; `offsets` `(frames,)`: the x at which each
+    frame begins.
+    """
 
     tape: Tape
     instants: Instants
@@ -182,7 +186,10 @@ class _Sheet:
         )
 
     def draw_corridor(self) -> None:
-        """Both bounds as lines and the space between them as a light fill; infinite bounds lie on the border."""
+        """Both bounds as lines and the space between them as a light fill.
+
+        Infinite bounds lie on the border.
+        """
         lines: list[FloatArray] = []
         owner: list[int] = []
         for i, graph in enumerate(self.graphs):
@@ -211,8 +218,8 @@ class _Sheet:
     def draw_grid(self) -> None:
         """The reached and visible nodes, coloured by relative cost, 0 to 1.
 
-        The relative cost is c / (c + median), where c is the cost above that of the cheapest node of the same column: a
-        ranking of alternatives, which a few huge costs do not flatten.
+        The relative cost is c / (c + median), where c is the cost above that of the cheapest node
+        of the same column: a ranking of alternatives, which a few huge costs do not flatten.
         """
         axes = self.axes
         nodes, costs = [NO_POINTS] * len(self.graphs), [np.empty(0)]
@@ -243,7 +250,9 @@ class _Sheet:
         )
 
     def draw_obstacles(self) -> None:
-        """Obstacles filled and outlined in the colour of the decision, labelled with agent and decision."""
+        """Obstacles filled and outlined in the colour of the decision, labelled with agent and
+        decision.
+        """
         shown = [
             (i, obstacle)
             for i, graph in enumerate(self.graphs)
@@ -279,7 +288,10 @@ class _Sheet:
     def _draw_labels(
         self, shown: Sequence[tuple[int, DrawnObstacle]], filled: FloatArray, owner: IntArray
     ) -> None:
-        """Label each visible obstacle, ignored ones only as `FEW_LABELS` allows; overlapping labels are moved apart."""
+        """Label each visible obstacle, ignored ones only as `FEW_LABELS` allows.
+
+        Overlapping labels are moved apart.
+        """
         begins = np.searchsorted(owner, np.arange(len(shown) + 1))
         rows: list[list[tuple[FloatArray, str, int]]] = [[] for _ in range(len(self.instants))]
         for k, (i, obstacle) in enumerate(shown):
@@ -323,7 +335,9 @@ class _Sheet:
     def _fill(
         self, outlines: Sequence[FloatArray], offsets: FloatArray, spacing: float
     ) -> tuple[FloatArray, IntArray]:
-        """Strokes `(k, 2, 2)` that fill outlines in the units of the graph, and the outline of each."""
+        """Strokes `(k, 2, 2)` that fill outlines in the units of the graph, and the outline of
+        each.
+        """
         relative = [
             outline - [offset, 0.0] for outline, offset in zip(outlines, offsets, strict=True)
         ]
@@ -342,7 +356,9 @@ class _Sheet:
         *,
         wide: float = 1.0,
     ) -> None:
-        """Draw strokes `(k, 2, 2)`, each in its colour, 1.5 times as wide as their distance, so that no gaps show."""
+        """Draw strokes `(k, 2, 2)`, each in its colour, 1.5 times as wide as their distance, so
+        that no gaps show.
+        """
         counts, pairs = np.bincount(frame, minlength=len(self.instants)), np.full(len(filled), 2)
         style = dict[str, Any](radii=[0.75 * wide * STROKE], draw_order=-5.0)
         self.tape.lines(
@@ -353,7 +369,9 @@ class _Sheet:
 def draw_occupancy(
     tape: Tape, instants: Instants, outlines: Sequence[Sequence[FloatArray]], axes: Axes
 ) -> None:
-    """Draw the outlines of the agents in the S-T graphs as they really drove; `outlines` has a list per frame."""
+    """Draw the outlines of the agents in the S-T graphs as they really drove; `outlines` has a list
+    per frame.
+    """
     flat = [outline for some in outlines for outline in some]
     frame = np.repeat(np.arange(len(outlines)), [len(some) for some in outlines])
     points, lengths = joined(flat, 2)
@@ -374,9 +392,11 @@ def _label_style(colour: int | None) -> rr.Points2D:
 
 
 def label_position(strokes: FloatArray, letters: int, axes: Axes) -> FloatArray:
-    """The position of a label that does not cover its obstacle: above its left end, otherwise below it.
+    """The position of a label that does not cover its obstacle: above its left end, otherwise below
+    it.
 
-    `strokes`: visible part `(k, 2, 2)` of the obstacle, from left to right, x relative to the begin of the graph.
+    `strokes`: visible part `(k, 2, 2)` of the obstacle, from left to right, x relative to the begin
+    of the graph.
     """
     kx, ky = axes.scale
     half, tall = 0.5 * LETTER * letters / kx, LABEL_GAP / ky
@@ -389,10 +409,11 @@ def label_position(strokes: FloatArray, letters: int, axes: Axes) -> FloatArray:
 
 
 def spread_labels(points: FloatArray, lengths: Sequence[int], axes: Axes) -> FloatArray:
-    """Label positions `(n, 2)` moved up, then down from the top, until no two labels cover each other.
+    """Label positions `(n, 2)` moved up, then down from the top, until no two labels cover each
+    other.
 
-    `points`: the preferred positions, in units of the graph. `lengths`: the numbers of characters of the labels.
-    `axes`: the axes, which give the scale and the upper border.
+    `points`: the preferred positions, in units of the graph. `lengths`: the numbers of characters
+    of the labels. `axes`: the axes, which give the scale and the upper border.
     """
     kx, ky = axes.scale
     out, order = points.copy(), np.argsort(points[:, 1], kind="stable")

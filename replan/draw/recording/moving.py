@@ -1,11 +1,15 @@
-"""The scene: ego, agents, plan and log over time, in the world frame, and the agents from the planner's point of view.
+"""The scene: ego, agents, plan and log over time, in the world frame, and the agents from the
+planner's point of view.
 
-The camera follows the ego: a view whose origin is the entity `world/ego` moves with it. Agents are drawn at their
-true positions (`Tracks.truth`), the ego as it drove. Logs have no heights: each kind has a typical one.
+The camera follows the ego: a view whose origin is the entity `world/ego` moves with it. Agents are
+drawn at their true positions (`Tracks.truth`), the ego as it drove. Logs have no heights: each kind
+has a typical one.
 
-world/predictions     the predicted path of each hypothesis, the likelier the brighter, to the horizon
+world/predictions     the predicted path of each hypothesis, the likelier the brighter, to the
+                      horizon
 world/perceived       boxes as they were shown to the planner, if they differ from the true ones
-world/sensor          the rim of the sensor's range and field of view, and the hidden ground within it, hatched
+world/sensor          the rim of the sensor's range and field of view, and the hidden ground within
+                      it, hatched
 """
 
 from __future__ import annotations
@@ -48,7 +52,10 @@ HEIGHTS = {
 EGO_HEIGHT = 1.4
 FAINT = 60  # Opacity of agents that are not drawn in full, of 255
 LABEL_M, EYE_BACK_M, LABEL_RISE = 2.7, 18.0, 0.03
-"""Height of a label from above; distance of the eye behind the ego; rise of a name per metre from the eye."""
+"""Height of a label from above.
+
+Distance of the eye behind the ego; rise of a name per metre from the eye.
+"""
 PLAN_POINTS = 60
 # For agents farther from the ego than this, neither predictions nor missing detections are shown
 NEAR_M = 90.0
@@ -164,7 +171,10 @@ def draw_moving(
 
 
 def _poses_at(ego: Trajectory, t: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Positions `(n, 2)` and headings `(n,)` at times; outside the span, those of the nearest end."""
+    """Positions `(n, 2)` and headings `(n,)` at times.
+
+    Outside the span, those of the nearest end.
+    """
     x, y, yaw = (np.interp(t, ego.t, column) for column in (ego.x, ego.y, ego.yaw))
     return np.column_stack([x, y]), yaw
 
@@ -203,7 +213,10 @@ def draw_frames(
     colour: int,
     px: float,
 ) -> None:
-    """Wireframe boxes of agents at instants, with lines of `px` pixels; their labels are visible on hover."""
+    """Wireframe boxes of agents at instants, with lines of `px` pixels.
+
+    Their labels are visible on hover.
+    """
     x, y, yaw, length, width = (
         np.concatenate([getattr(some, name) for some in shown])
         for name in ("x", "y", "yaw", "length", "width")
@@ -228,7 +241,10 @@ def _draw_kind(
     full: Sequence[IntArray],
     instants: Instants,
 ) -> None:
-    """Boxes of one kind of agent, faint if they are not drawn in full; their ids are visible on hover."""
+    """Boxes of one kind of agent, faint if they are not drawn in full.
+
+    Their ids are visible on hover.
+    """
     chosen = [
         np.array([i for i, k in enumerate(some.kinds) if k is kind], dtype=np.int64)
         for some in agents
@@ -268,10 +284,12 @@ def _draw_names(
     ego: FloatArray,
     instants: Instants,
 ) -> None:
-    """Ids of the agents that are drawn in full, with the decision in its colour; `ego` `(n, 3)` x, y, yaw.
+    """Ids of the agents that are drawn in full, with the decision in its colour; `ego` `(n, 3)` x,
+    y, yaw.
 
-    A name is beyond its agent, as seen from the ego, so that it hides no part of it. A label hangs below its point, so
-    the point is raised by the height of the label, as seen from above and from behind the ego.
+    A name is beyond its agent, as seen from the ego, so that it hides no part of it. A label hangs
+    below its point, so the point is raised by the height of the label, as seen from above and from
+    behind the ego.
     """
     points, words, colour = list[tuple[float, float, float]](), list[str](), list[int]()
     for some, rows, about, (x, y, yaw) in zip(agents, full, here, ego.tolist(), strict=True):
@@ -301,7 +319,9 @@ def _draw_names(
 
 
 def draw_others(tape: Tape, trace: Trace, frames: Instants) -> None:
-    """Draw predictions, perceived agents and the sensor, if the trace has them, one row per frame."""
+    """Draw predictions, perceived agents and the sensor, if the trace has them, one row per
+    frame.
+    """
     if any(frame.predictions is not None for frame in trace.frames):
         known = [trace.agents] if trace.perceived is None else [trace.perceived, trace.agents]
         kinds = {
@@ -325,7 +345,8 @@ def draw_others(tape: Tape, trace: Trace, frames: Instants) -> None:
             "world/predictions", frames, drawn, lengths, per_frame, colour_of, radii=[pixels(1.2)]
         )
     if trace.frames and (len(trace.agents) or trace.perceived is not None):
-        # with a sensor model: all agents that it shows; without one: agents that are extrapolated after their log ended
+        # with a sensor model: all agents that it shows; without one: agents that are extrapolated
+        # after their log ended
         shown = [perceived_only(trace, float(t)) for t in frames.t]
         labels = [plain(f"{tape.short(name)} as perceived") for some in shown for name in some.ids]
         if labels:
@@ -350,7 +371,9 @@ def draw_others(tape: Tape, trace: Trace, frames: Instants) -> None:
 
 
 def futures(frame: PlannedFrame, x: float, y: float) -> list[tuple[str, float, FloatArray]]:
-    """Agent, probability and path `(k, 2)` of each hypothesis that moves, for the agents that are drawn in full."""
+    """Agent, probability and path `(k, 2)` of each hypothesis that moves, for the agents that are
+    drawn in full.
+    """
     some = frame.predictions
     if some is None or not len(some) or not len(some.t):
         return []
@@ -375,7 +398,9 @@ def futures(frame: PlannedFrame, x: float, y: float) -> list[tuple[str, float, F
 
 
 def perceived_only(trace: Trace, t: float) -> Agents:
-    """The agents that were shown to the planner in the frame at `t`, and are not drawn as true boxes."""
+    """The agents that were shown to the planner in the frame at `t`, and are not drawn as true
+    boxes.
+    """
     known, there = (
         agents_shown(trace, t),
         set(trace.agents.ids_at(t) if trace.perceived is None else ()),
@@ -386,7 +411,9 @@ def perceived_only(trace: Trace, t: float) -> Agents:
 
 
 def unseen(trace: Trace, t: float) -> list[tuple[str, float]]:
-    """The agents within `NEAR_M` of the ego at `t` that were not shown to the planner, and their distances, m."""
+    """The agents within `NEAR_M` of the ego at `t` that were not shown to the planner, and their
+    distances, m.
+    """
     if trace.perceived is None:
         return []
     there, shown, ego = trace.agents.truth(t), set(perceived_only(trace, t).ids), trace.ego
@@ -400,7 +427,10 @@ def unseen(trace: Trace, t: float) -> list[tuple[str, float]]:
 
 
 def rim(seen: Visibility) -> list[FloatArray]:
-    """The rim of the sensor's range within its field of view; with two sides if that is less than a circle."""
+    """The rim of the sensor's range within its field of view.
+
+    With two sides if that is less than a circle.
+    """
     half = min(0.5 * seen.field_of_view, pi)
     angles = seen.yaw + np.linspace(-half, half, 2 + ceil(2.0 * half / ARC_STEP))
     edge = np.column_stack(
@@ -411,7 +441,9 @@ def rim(seen: Visibility) -> list[FloatArray]:
 
 
 def hatching(seen: Visibility) -> list[FloatArray]:
-    """Lines of sight behind occluding agents: from the near edge of the shadow to the end of the range."""
+    """Lines of sight behind occluding agents: from the near edge of the shadow to the end of the
+    range.
+    """
     lines: list[FloatArray] = []
     for near_right, _, _, near_left in seen.shadows:
         right, left = (atan2(y - seen.y, x - seen.x) for x, y in (near_right, near_left))

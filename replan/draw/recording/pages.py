@@ -1,4 +1,6 @@
-"""The pages of a recording: the reasons for each plan, its costs, recent events, and a summary of the drive."""
+"""The pages of a recording: the reasons for each plan, its costs, recent events, and a summary of
+the drive.
+"""
 
 from __future__ import annotations
 
@@ -83,7 +85,8 @@ def why(
     if change is not None:
         lines += [
             "",
-            f"**Changes lane to the {change.name}** since t = {change.t:.2f} s: {cell(change.reason)}",
+            f"**Changes lane to the {change.name}** since t = {change.t:.2f} s: "
+            f"{cell(change.reason)}",
         ]
     for sentence in explained.because:
         first, colon, rest = sentence.partition(": ")
@@ -97,7 +100,8 @@ def why(
         )
     if course.a_least < BRAKES_MPS2:
         moves.append(
-            f"hardest braking {course.a_least:.1f} m/s² at t = {explained.t + course.t_hardest:.1f} s"
+            f"hardest braking {course.a_least:.1f} m/s² at t = "
+            f"{explained.t + course.t_hardest:.1f} s"
         )
     lines += ["", f"{'; '.join(moves)}. Starts {plan.start.value}."]
     if missing:
@@ -127,7 +131,8 @@ def _sections(explained: Explanation, chosen: Callable[[Section], bool]) -> list
 
 
 def draw_events(tape: Tape, found: Sequence[TimedEvent], frames: Instants) -> None:
-    """Draw one line of the log view per event, and at the time of each event a page of recent events.
+    """Draw one line of the log view per event, and at the time of each event a page of recent
+    events.
 
     A page has the newest event first; grave events are bold.
     """
@@ -137,7 +142,10 @@ def draw_events(tape: Tape, found: Sequence[TimedEvent], frames: Instants) -> No
     for t in changes:
         past = [event for event in found if event.t <= t + 1e-9]
         rows = [
-            f"- **{event.t:.1f} s** {cell(event.words) if event.level == 'INFO' else f'**{cell(event.words)}**'}"
+            (
+                f"- **{event.t:.1f} s** "
+                f"{cell(event.words) if event.level == 'INFO' else f'**{cell(event.words)}**'}"
+            )
             for event in past[::-1][:MOST_RECENT]
         ]
         pages.append(document(rows or ["nothing yet"]))
@@ -149,7 +157,7 @@ def draw_events(tape: Tape, found: Sequence[TimedEvent], frames: Instants) -> No
     tape.rows("events", instants, shown)
 
 
-# the summary ------------------------------------------------------------------------------------------------------
+# the summary --------------------------------------------------------------------------------------
 
 
 def draw_summary(tape: Tape, lines: Iterable[str]) -> None:
@@ -221,19 +229,25 @@ def legend(trace: Trace) -> list[str]:
         isinstance(artefact, Graph) for frame in trace.frames for artefact in frame.plan.internals
     )
     scene = [
-        "- Scene: the ego and its driven path are blue; the plan is red (standing) to green (fastest), with a dot per "
+        "- Scene: the ego and its driven path are blue; the plan is red (standing) to green "
+        "(fastest), with a dot per "
         "second",
-        "- Agents: cars are orange, trucks and buses dark orange, pedestrians pink, riders violet, objects grey; "
+        "- Agents: cars are orange, trucks and buses dark orange, pedestrians pink, riders violet, "
+        "objects grey; "
         "an arrow shows the displacement in one second",
-        "- Thin lines from agents: their predictions as shown to the planner, likelier ones brighter",
-        "- Teal boxes: agents where the planner saw them (through a sensor model, or carried on after the end of their "
+        "- Thin lines from agents: their predictions as shown to the planner, likelier ones "
+        "brighter",
+        "- Teal boxes: agents where the planner saw them (through a sensor model, or carried on "
+        "after the end of their "
         "log); teal rim: the range of the sensor; violet lines: hidden ground",
     ]
     graph = [
-        "- Graphs: the nodes of the grid are blue (cheapest of their column) to yellow, without those that were not "
+        "- Graphs: the nodes of the grid are blue (cheapest of their column) to yellow, without "
+        "those that were not "
         "reached; DP yellow, QP light blue, corridor green",
         "- Pink outlines in the S-T graph: where its agents really drove, without margin",
-        "- Obstacles have the colour of the decision: stop and yield red, follow orange, overtake green, nudge violet, "
+        "- Obstacles have the colour of the decision: stop and yield red, follow orange, overtake "
+        "green, nudge violet, "
         "ignore grey",
     ]
     return ["## Legend", "", *scene, *(graph if graphs else []), ""]

@@ -1,18 +1,19 @@
 """The Rerun viewer: how it is started, and pictures and videos of a recording without a display.
 
-The viewer listens on this machine only, and sends nothing to
-another. Version 0.41 asks two servers for newer versions, and no
-setting prevents it. Its HTTP client obeys the usual proxy variables, so they name a proxy that refuses every
-connection: the viewer does not even look up the servers' names.
+The viewer listens on this machine only, and sends nothing to another. Version 0.41 asks two servers
+for newer versions, and no setting prevents it. Its HTTP client obeys the usual proxy variables, so
+they name a proxy that refuses every connection: the viewer does not even look up the servers'
+names.
 
-Pictures are screenshots of the real viewer, which runs headless on a local port. It draws asynchronously: a picture is
-complete when two screenshots in a row are equal. It needs a Vulkan driver; a software one is enough (Mesa's lavapipe).
+Pictures are screenshots of the real viewer, which runs headless on a local port. It draws
+asynchronously: a picture is complete when two screenshots in a row are equal. It needs a Vulkan
+driver; a software one is enough (Mesa's lavapipe).
 
-A picture has no header (menu, warnings about the driver) and no time panel; the tabs that hold its contents are open.
-A headless viewer reads no theme from its settings, and its client cannot set one: the viewer's own
-server for agents (MCP: one JSON message per line on stdin and stdout) clicks on the theme in the
-settings. Videos are made of pictures, by Pillow (.gif,
-.png) or by ffmpeg if it is installed.
+A picture has no header (menu, warnings about the driver) and no time panel; the tabs that hold its
+contents are open. A headless viewer reads no theme from its settings, and its client cannot set
+one: the viewer's own server for agents (MCP: one JSON message per line on stdin and stdout) clicks
+on the theme in the settings. Videos are made of pictures, by Pillow (.gif, .png) or by ffmpeg if it
+is installed.
 """
 
 from __future__ import annotations
@@ -60,9 +61,11 @@ SETTINGS = {
 
 @contextmanager
 def environment(**more: str) -> Iterator[dict[str, str]]:
-    """The environment of a viewer: no analytics, no network, temporary files in a folder that is removed at the end.
+    """The environment of a viewer: no analytics, no network, temporary files in a folder that is
+    removed at the end.
 
-    The user's own settings of the viewer are not changed. On Windows the viewer reads them in any environment.
+    The user's own settings of the viewer are not changed. On Windows the viewer reads them in any
+    environment.
     """
     with tempfile.TemporaryDirectory(prefix="replan-viewer-") as folder:
         variable, below = (
@@ -111,7 +114,9 @@ FRAMES_PER_S = 10.0  # The usual planning rate
 BY_PILLOW, BY_FFMPEG = (".gif",), (".mp4", ".mkv", ".mov", ".webm")
 """Suffixes of videos that Pillow writes, and those that need ffmpeg."""
 EVEN = "pad=ceil(iw/2)*2:ceil(ih/2)*2"
-"""Filter of ffmpeg for even width and height: most players need colours with half the resolution."""
+"""Filter of ffmpeg for even width and height: most players need colours with half the
+resolution.
+"""
 
 DRIVERS = (
     "/usr/share/vulkan/icd.d",
@@ -144,13 +149,15 @@ def take_pictures(
 ) -> list[str]:
     """Take pictures of a recording.
 
-    ConfigError if there is no such layout or view, or the size is invalid; ScreenshotError if there is no graphics
-    driver, the viewer died, or a picture never settled; OutputError if a picture cannot be written.
+    ConfigError if there is no such layout or view, or the size is invalid; ScreenshotError if there
+    is no graphics driver, the viewer died, or a picture never settled; OutputError if a picture
+    cannot be written.
 
     `size`: size of a picture of the whole window, pixels: WIDTHxHEIGHT.
 
     Returns:
-        The viewer's reports about its views after the last picture, one line each; empty for a healthy recording.
+        The viewer's reports about its views after the last picture, one line each; empty for a
+            healthy recording.
     """
     if re.fullmatch(r"[1-9]\d{2,3}x[1-9]\d{2,3}", size) is None:
         raise ConfigError(f"--size {size}: WIDTHxHEIGHT in pixels, for example 1920x1080")
@@ -176,11 +183,12 @@ def take_pictures(
 
 
 def arranged(kept: Blueprint, layout: str, view: str | None) -> tuple[Blueprint, str | None]:
-    """A blueprint without header and time panel, in which the tabs that hold a layout or a view of it are open.
+    """A blueprint without header and time panel, in which the tabs that hold a layout or a view of
+    it are open.
 
-    `kept`: the blueprint as the viewer reports it: fields by entity and archetype. `layout`: one of `LAYOUTS`. `view`:
-    name of a view; if several have it, the one in the layout, otherwise the first. ConfigError if there is no such
-    layout or view.
+    `kept`: the blueprint as the viewer reports it: fields by entity and archetype. `layout`: one of
+    `LAYOUTS`. `view`: name of a view; if several have it, the one in the layout, otherwise the
+    first. ConfigError if there is no such layout or view.
 
     Returns:
         The blueprint, and the view's id.
@@ -204,7 +212,8 @@ def arranged(kept: Blueprint, layout: str, view: str | None) -> tuple[Blueprint,
     layouts = {title.lower(): name for name, title in titles.items() if title.lower() in LAYOUTS}
     if layout != LAYOUTS[0] and layout not in layouts:
         raise ConfigError(
-            f"this recording has no layout {layout!r}; there are: {', '.join(sorted(layouts)) or 'one'}"
+            f"this recording has no layout {layout!r}; there are: "
+            f"{', '.join(sorted(layouts)) or 'one'}"
         )
     target = layouts.get(layout)
     if view is not None:
@@ -310,10 +319,15 @@ def _viewer(size: str, theme: Theme) -> Iterator[tuple[Any, Callable[[], None]]]
 
 
 def _why_ended(said: str) -> str:
-    """Describe the end of the viewer: without a Vulkan driver it cannot draw, and its output does not say so."""
+    """Describe the end of the viewer: without a Vulkan driver it cannot draw, and its output does
+    not say so.
+    """
     folders = [Path(place) for place in DRIVERS]
     if sys.platform == "linux" and not any(next(folder.glob("*.json"), None) for folder in folders):
-        return "it cannot draw, as there is no Vulkan driver; install one (Debian, Ubuntu: mesa-vulkan-drivers)"
+        return (
+            "it cannot draw, as there is no Vulkan driver; install one (Debian, Ubuntu: "
+            "mesa-vulkan-drivers)"
+        )
     lines = said.splitlines()
     first = next((k for k, line in enumerate(lines) if "panicked" in line), max(len(lines) - 5, 0))
     return " ".join(" ".join(lines[first : first + 5]).split())[:400]
@@ -382,11 +396,14 @@ def click_theme(
     return str(result.get("content", done.stderr)) if result.get("isError", True) else ""
 
 
-# videos -----------------------------------------------------------------------------------------------------------
+# videos -------------------------------------------------------------------------------------------
 
 
 def span(recording: Path) -> tuple[float, float]:
-    """The first and the last time of a recording, s; raises ConfigError if no data in it have a time."""
+    """The first and the last time of a recording, s.
+
+    Raises ConfigError if no data in it have a time.
+    """
     batches = [
         chunk.to_record_batch()
         for chunk in RrdReader(str(recording)).stream().to_chunks()
@@ -414,14 +431,15 @@ def film(
 ) -> int:
     """Write the video of a recording; returns the number of its frames.
 
-    `out`: the video file; its suffix gives the format. `begin`: start, s; None: that of the recording; `end` likewise.
-    `layout`: one of `LAYOUTS`. `size`: pixels: WIDTHxHEIGHT. ConfigError if there is no such layout, no time in the
-    span, or no ffmpeg for this ending; ReplanError if ffmpeg fails, or the viewer does; OutputError if the video cannot
-    be written.
+    `out`: the video file; its suffix gives the format. `begin`: start, s; None: that of the
+    recording; `end` likewise. `layout`: one of `LAYOUTS`. `size`: pixels: WIDTHxHEIGHT. ConfigError
+    if there is no such layout, no time in the span, or no ffmpeg for this ending; ReplanError if
+    ffmpeg fails, or the viewer does; OutputError if the video cannot be written.
     """
     if out.suffix not in BY_PILLOW and shutil.which("ffmpeg") is None:
         raise ConfigError(
-            f"{out}: ffmpeg is not installed here; it writes {out.suffix or 'videos'}, or name a FILE.gif"
+            f"{out}: ffmpeg is not installed here; it writes {out.suffix or 'videos'}, or name a "
+            "FILE.gif"
         )
     first, last = span(recording)
     begin, end = first if begin is None else begin, last if end is None else end

@@ -1,7 +1,8 @@
-"""The parts of a recording over time (panels of curves with axes and legends, rows of states), and layouts of views.
+"""The parts of a recording over time (panels of curves with axes and legends, rows of states), and
+layouts of views.
 
-The rows are the plan's status, decisions, the choice of lane, the lane under the ego, and the end. Layouts leave out
-empty views.
+The rows are the plan's status, decisions, the choice of lane, the lane under the ego, and the end.
+Layouts leave out empty views.
 """
 
 from __future__ import annotations
@@ -70,10 +71,11 @@ def draw_panels(tape: Tape, panels: Iterable[Panel], frames: FloatArray) -> None
 
 
 def plot(panel: Panel, **more: Any) -> rrb.TimeSeriesView:
-    """A panel as a view; `more` replaces arguments of the view if the curves are not below the panel's entity.
+    """A panel as a view; `more` replaces arguments of the view if the curves are not below the
+    panel's entity.
 
-    The axis has at least two numbers. The legend is in the corner in which it hides the least of the curves; ties go to
-    the first in `CORNERS`.
+    The axis has at least two numbers. The legend is in the corner in which it hides the least of
+    the curves; ties go to the first in `CORNERS`.
     """
     (low, high), wide, tall = with_two_numbers(*panel.range), *LEGEND
     begin, end = (
@@ -135,7 +137,9 @@ NAMED = (0x5A6478FF, 0x46505FFF)  # Alternating colours of states that are not i
 OFF_LANES, NOTHING = "off the lanes", "none"
 NOT_COMPARED, COMPARED = "keep", "keep: others compared"
 LETTER, MARGIN = 0.0125, 0.015
-"""Width of a letter of a state's label, and of the margin around a label, as shares of the whole drive."""
+"""Width of a letter of a state's label, and of the margin around a label, as shares of the whole
+drive.
+"""
 STATE_COLOURS = {
     **{kind.value: colours.DECISIONS[kind] for kind in DecisionKind},
     FREE_DRIVE: 0x3C6EAAFF,
@@ -166,7 +170,9 @@ class StateRow:
 
 
 def state_lanes(trace: Trace, road: Road) -> list[StateRow]:
-    """Plan status, decisions and choice of lane (if the planner reports them), the lane under the ego, the end."""
+    """Plan status, decisions and choice of lane (if the planner reports them), the lane under the
+    ego, the end.
+    """
     t = [frame.t for frame in trace.frames]
     plans = [frame.plan for frame in trace.frames]
     lanes = [StateRow.of(PLAN, t, [STATUS_WORDS[plan.status] for plan in plans])]
@@ -187,7 +193,9 @@ def state_lanes(trace: Trace, road: Road) -> list[StateRow]:
 
 
 def marker_lanes(markers: Sequence[Marker], end: float) -> list[StateRow]:
-    """A row per kind of marker: what it is about while it lasts, else nothing; `end` of the log, s."""
+    """A row per kind of marker: what it is about while it lasts, else nothing; `end` of the
+    log, s.
+    """
     rows = []
     for kind in dict.fromkeys(one.kind for one in markers):
         mine = sorted((one for one in markers if one.kind == kind), key=lambda one: one.begin)
@@ -205,7 +213,10 @@ def marker_lanes(markers: Sequence[Marker], end: float) -> list[StateRow]:
 
 
 def draw_lanes(tape: Tape, lanes: Sequence[StateRow], frames: FloatArray) -> None:
-    """Draw coloured rows of states; a state too short for its label has no label, and a space after its value."""
+    """Draw coloured rows of states.
+
+    A state too short for its label has no label, and a space after its value.
+    """
     end = max((lane.t[-1] for lane in lanes), default=0.0)
     tape.static(SPACER, rr.TextDocument(" "))
     for lane in lanes:
@@ -236,7 +247,9 @@ class LaneChange:
 def changes_under_way(
     frames: Sequence[PlannedFrame], lanes: Sequence[int | None]
 ) -> list[LaneChange | None]:
-    """For each frame the lane change that is under way: from its decision until the ego has left its lane."""
+    """For each frame the lane change that is under way: from its decision until the ego has left
+    its lane.
+    """
     out: list[LaneChange | None] = []
     change, left = None, None
     for frame, lane in zip(frames, lanes, strict=True):
@@ -250,7 +263,9 @@ def changes_under_way(
 
 
 def choices(frames: Sequence[PlannedFrame], lanes: Sequence[int | None]) -> list[str]:
-    """For the row of states: whether the lane is kept, compared with others, or a change is under way."""
+    """For the row of states: whether the lane is kept, compared with others, or a change is under
+    way.
+    """
     return [
         f"change {change.name}"
         if change
@@ -262,7 +277,10 @@ def choices(frames: Sequence[PlannedFrame], lanes: Sequence[int | None]) -> list
 
 
 def lanes_driven(trace: Trace, road: Road) -> list[int | None]:
-    """The drivable lane under the ego's reference point at each frame; if lanes overlap, its last or a successor."""
+    """The drivable lane under the ego's reference point at each frame.
+
+    If lanes overlap, its last or a successor.
+    """
     if road.source is not RoadSource.LANES:
         return [None] * len(trace.frames)
     out = list[int | None]()
@@ -311,12 +329,17 @@ ROWS = {
         (("friction",), 1.0),
     ),
 }
-"""Panels of each layout in order, and their shares of the height; the panels of one row are tabs of one place."""
+"""Panels of each layout in order, and their shares of the height.
+
+The panels of one row are tabs of one place.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class RecordingContents:
-    """The contents of a recording: panels, graphs, rows of states, pages, and the corners of the map `(2, 2)`."""
+    """The contents of a recording: panels, graphs, rows of states, pages, and the corners of the
+    map `(2, 2)`.
+    """
 
     panels: Sequence[Panel]
     graphs: Sequence[Axes]
@@ -335,7 +358,9 @@ NUMBERS = 0.032
 
 
 def blueprint(contents: RecordingContents) -> rrb.Blueprint:
-    """The layouts as tabs; ValueError if a panel is in no row of `ROWS`, so that it would not be shown."""
+    """The layouts as tabs; ValueError if a panel is in no row of `ROWS`, so that it would not be
+    shown.
+    """
     panels = {panel.name: panel for panel in contents.panels}
     nowhere = set(panels) - {name for rows in ROWS.values() for names, _ in rows for name in names}
     if nowhere:
@@ -516,6 +541,8 @@ def state_view(name: str, lanes: Sequence[str], under: str = "") -> rrb.StateTim
 
 
 def lanes_beside_numbers(lanes: rrb.Container | rrb.View, under: str = "") -> rrb.Container:
-    """Rows of states with an empty view on their left, so that their time axis is aligned with that of the curves."""
+    """Rows of states with an empty view on their left, so that their time axis is aligned with that
+    of the curves.
+    """
     room = rrb.TextDocumentView(origin=f"{under}/{SPACER}", name=" ", titlebar=False)
     return rrb.Horizontal(room, lanes, column_shares=[NUMBERS, 1.0 - NUMBERS])

@@ -59,10 +59,11 @@ def dashes(line: FloatArray) -> list[FloatArray]:
 
 
 def draw_road(tape: Tape, road: Road) -> None:
-    """Surfaces, edges (white), markings between lanes (broken if they may be crossed), lines to opposite lanes.
+    """Surfaces, edges (white), markings between lanes (broken if they may be crossed), lines to
+    opposite lanes.
 
-    If lanes overlap, as in a junction, their edges are not edges of the road, and are drawn faint. Stop lines are
-    white, those of a stop sign red; crosswalks are hatched.
+    If lanes overlap, as in a junction, their edges are not edges of the road, and are drawn faint.
+    Stop lines are white, those of a stop sign red; crosswalks are hatched.
     """
     lanes = tuple(road.lanes.values())
     for entity, some, colour, z in (
@@ -110,7 +111,8 @@ def draw_road(tape: Tape, road: Road) -> None:
 
 
 def draw_lights(tape: Tape, scenario: Scenario, instants: Instants) -> None:
-    """The lights as lamps above the middles of their stop lines, in their colours; grey: unknown, or off.
+    """The lights as lamps above the middles of their stop lines, in their colours; grey: unknown,
+    or off.
 
     A row is written when a colour changes.
     """
@@ -139,7 +141,9 @@ def draw_lights(tape: Tape, scenario: Scenario, instants: Instants) -> None:
 
 
 def _edges(lanes: Sequence[Lane], road: Road) -> Iterator[tuple[bool, FloatArray]]:
-    """The boundaries without a lane beside them, in pieces, and whether a piece lies on another lane."""
+    """The boundaries without a lane beside them, in pieces, and whether a piece lies on another
+    lane.
+    """
     sides = [
         (owner, line, side)
         for owner, lane in enumerate(lanes)

@@ -1,13 +1,17 @@
-"""A recording as a file, written in columns (rows of instances at instants, on both timelines); its text and fills.
+"""A recording as a file, written in columns (rows of instances at instants, on both timelines); its
+text and fills.
 
-A row may hold any number of instances, 0 included (then the entity is empty at that instant). The counts of the rows
-must add up to the number of instances: a wrong sum would lose rows silently, so it is an error here.
+A row may hold any number of instances, 0 included (then the entity is empty at that instant). The
+counts of the rows must add up to the number of instances: a wrong sum would lose rows silently, so
+it is an error here.
 
-A glyph that the viewer's font lacks terminates the headless viewer, so every text goes through `plain` (one line),
-`cell` (one line inside Markdown) or `document` (Markdown that replan wrote). Many names come from users.
+A glyph that the viewer's font lacks terminates the headless viewer, so every text goes through
+`plain` (one line), `cell` (one line inside Markdown) or `document` (Markdown that replan wrote).
+Many names come from users.
 
-The viewer's 2D views draw lines, not areas: an outline is filled with strokes. It is cut by vertical lines of equal
-distance; between its first and second crossing, third and fourth, and so on, the line is inside (even-odd rule).
+The viewer's 2D views draw lines, not areas: an outline is filled with strokes. It is cut by
+vertical lines of equal distance; between its first and second crossing, third and fourth, and so
+on, the line is inside (even-odd rule).
 """
 
 from __future__ import annotations
@@ -55,7 +59,10 @@ def cell(text: object) -> str:
 
 
 def document(lines: Iterable[str]) -> str:
-    """Markdown that replan wrote, made drawable; names from users in it must have been escaped by `cell`."""
+    """Markdown that replan wrote, made drawable.
+
+    Names from users in it must have been escaped by `cell`.
+    """
     return "\n".join(map(_drawable, lines))
 
 
@@ -125,7 +132,9 @@ CHUNK_BYTES = 1 << 20
 
 @dataclass(frozen=True, eq=False)
 class Instants:
-    """Instants of rows: `t` `(n,)` s since the scenario's start, and the index `(n,)` of the frame then in force."""
+    """Instants of rows: `t` `(n,)` s since the scenario's start, and the index `(n,)` of the frame
+    then in force.
+    """
 
     t: FloatArray
     frame: IntArray
@@ -144,7 +153,10 @@ class Instants:
         return Instants(self.t[mine], self.frame[mine])
 
     def columns(self) -> list[rr.TimeColumn]:
-        """Both timelines; times are rounded to the nanosecond (the viewer's own conversion truncates)."""
+        """Both timelines.
+
+        Times are rounded to the nanosecond (the viewer's own conversion truncates).
+        """
         nanoseconds = np.round(self.t * 1e9).astype("timedelta64[ns]")
         return [
             rr.TimeColumn(SIM_TIME, duration=nanoseconds),
@@ -197,7 +209,9 @@ class Tape:
         shades: PackedArray | None = None,
         **style: Any,
     ) -> None:
-        """Write rows of line strips: runs of `lengths` points `(m, 2)` or `(m, 3)`, with `shades`, all in `style`."""
+        """Write rows of line strips: runs of `lengths` points `(m, 2)` or `(m, 3)`, with `shades`,
+        all in `style`.
+        """
         kind = rr.LineStrips2D if points.shape[1] == 2 else rr.LineStrips3D
         self.static(entity, kind.from_fields(**style))
         self.rows(
@@ -206,7 +220,9 @@ class Tape:
 
 
 def strips(points: FloatArray, lengths: Sequence[int] | IntArray) -> pa.Array:
-    """Line strips for the viewer: consecutive runs of `lengths` points out of `(m, 2)` or `(m, 3)`."""
+    """Line strips for the viewer: consecutive runs of `lengths` points out of `(m, 2)` or
+    `(m, 3)`.
+    """
     dimension = points.shape[1]
     flat = pa.array(np.ascontiguousarray(points, dtype=np.float32).reshape(-1))
     offsets = pa.array(np.r_[0, np.cumsum(lengths)].astype(np.int32))
@@ -236,7 +252,8 @@ def recording_file(
     layout: rrb.Blueprint,
     short: ShortNames = NO_NAMES,
 ) -> Iterator[Tape]:
-    """An open recording under a temporary name, renamed when it is complete; errors of the library are raised.
+    """An open recording under a temporary name, renamed when it is complete; errors of the library
+    are raised.
 
     Its texts use the names `short`. OutputError if the file cannot be written.
     """
@@ -266,11 +283,12 @@ def recording_file(
 
 @contextmanager
 def _outlet(file: Path) -> Iterator[Path]:
-    """The path to which the library writes; its stream must be disconnected inside, then `file` holds all data.
+    """The path to which the library writes; its stream must be disconnected inside, then `file`
+    holds all data.
 
-    The library itself raises nothing if a disk is full: it leaves a truncated file, or waits forever. Here it writes to
-    a pipe, which is always read to its end, and an OSError from writing the file is raised. Without pipes in the file
-    system (Windows) the library writes the file.
+    The library itself raises nothing if a disk is full: it leaves a truncated file, or waits
+    forever. Here it writes to a pipe, which is always read to its end, and an OSError from writing
+    the file is raised. Without pipes in the file system (Windows) the library writes the file.
     """
     if not hasattr(os, "mkfifo"):
         yield file
@@ -315,7 +333,9 @@ class PlaneWindow:
 
 
 def _edges(points: FloatArray, lengths: IntArray) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Both ends `(m, 2)` of the edges of closed outlines, and the outline `(m,)` that each belongs to."""
+    """Both ends `(m, 2)` of the edges of closed outlines, and the outline `(m,)` that each belongs
+    to.
+    """
     owner = np.repeat(np.arange(len(lengths)), lengths)
     last = np.cumsum(lengths) - 1
     after = np.arange(len(points)) + 1
@@ -328,11 +348,12 @@ def strokes(
 ) -> tuple[FloatArray, IntArray]:
     """The vertical strokes that fill closed outlines inside a window.
 
-    `points`: `(m, 2)` corners, outline after outline. `lengths`: `(n,)` corners of each outline, at least 1. `window`:
-    the visible part; strokes lie on its vertical lines and end at its borders.
+    `points`: `(m, 2)` corners, outline after outline. `lengths`: `(n,)` corners of each outline, at
+    least 1. `window`: the visible part; strokes lie on its vertical lines and end at its borders.
 
     Returns:
-        The strokes `(k, 2, 2)` from bottom to top, and the outline `(k,)` of each, sorted by outline, then x, then y.
+        The strokes `(k, 2, 2)` from bottom to top, and the outline `(k,)` of each, sorted by
+            outline, then x, then y.
     """
     start, end, owner = _edges(points, lengths)
     columns = max(1, round((window.x[1] - window.x[0]) / spacing))
@@ -361,7 +382,9 @@ def strokes(
 def outline_segments(
     points: FloatArray, lengths: IntArray, window: PlaneWindow
 ) -> tuple[FloatArray, IntArray]:
-    """The edges of closed outlines cut to a window (Liang and Barsky, 1984): `(k, 2, 2)`, and the outline of each."""
+    """The edges of closed outlines cut to a window (Liang and Barsky, 1984): `(k, 2, 2)`, and the
+    outline of each.
+    """
     start, end, owner = _edges(points, lengths)
     delta = end - start
     enter, leave = np.zeros(len(start)), np.ones(len(start))

@@ -1,4 +1,6 @@
-"""Output to the terminal: text from logs, planners and messages cannot move the cursor or set a colour."""
+"""Output to the terminal: text from logs, planners and messages cannot move the cursor or set a
+colour.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,10 @@ def visible(text: object) -> str:
 
 
 def wrapped(line: str, width: int) -> str:
-    """The line, wrapped at spaces to a width, with two more spaces before each further line; words stay whole."""
+    """The line, wrapped at spaces to a width, with two more spaces before each further line.
+
+    Words stay whole.
+    """
     deeper = " " * (len(line) - len(line.lstrip(" ")) + 2)
     return textwrap.fill(
         line, width, subsequent_indent=deeper, break_long_words=False, break_on_hyphens=False
@@ -48,7 +53,9 @@ class LastingFile(io.FileIO):
     """An open descriptor that discards data after its reader has exited, or after it was closed."""
 
     def write(self, data: Any, /) -> int:
-        """Write as FileIO does, but do not raise EPIPE and EBADF: from then on, the descriptor is the null device."""
+        """Write as FileIO does, but do not raise EPIPE and EBADF: from then on, the descriptor is
+        the null device.
+        """
         try:
             return super().write(data)
         except OSError as error:
@@ -59,10 +66,11 @@ class LastingFile(io.FileIO):
 
 
 def lasting_streams() -> None:
-    """Make stdout and stderr safe to write to; characters that the encoding of a terminal lacks become "?".
+    """Make stdout and stderr safe to write to; characters that the encoding of a terminal lacks
+    become "?".
 
-    Standard descriptors that are closed are opened on the null device: otherwise a result file could get the number of
-    one, and printed text would be written into it.
+    Standard descriptors that are closed are opened on the null device: otherwise a result file
+    could get the number of one, and printed text would be written into it.
     """
     for fd in range(3):
         try:

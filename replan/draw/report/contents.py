@@ -75,13 +75,17 @@ COLUMNS = (
     MetricColumn("jerk\n[s]", JERK_S, "closed", "{:.1f}".format, lambda value: value > 1.0),
     MetricColumn("fall\nback", "fallback.rate", "closed", percent, lambda value: value > 0.0),
 )
-"""Columns of the open loop first; the end of the closed loop is shown before the columns of the closed loop."""
+"""Columns of the open loop first.
+
+The end of the closed loop is shown before the columns of the closed loop.
+"""
 
 FREE = "*"  # Mark of a pass without an interaction (`replan.metrics.judge.discrimination`)
 LEGEND = (
     (
         "open",
-        "open loop: the log drives, plans are compared with it; ADE 3 s: mean distance of plan and log over 3 s.",
+        "open loop: the log drives, plans are compared with it; ADE 3 s: mean distance of plan and "
+        "log over 3 s.",
     ),
     (
         "closed",
@@ -89,19 +93,23 @@ LEGEND = (
     ),
     (
         "closed",
-        "closed loop: the planner drives; route done: of what the log's driver (else the route follower) does in all;",
+        "closed loop: the planner drives; route done: of what the log's driver (else the route "
+        "follower) does in all;",
     ),
     (
         "closed",
-        "TTC: least time to a collision; off plan: largest lateral distance; jerk: s beyond 4.13 m/s3, filtered.",
+        "TTC: least time to a collision; off plan: largest lateral distance; jerk: s beyond 4.13 "
+        "m/s3, filtered.",
     ),
     (
         "",
-        "verdict: the worst outcome of the gates, and how many of them were asked; inconclusive: no evidence.",
+        "verdict: the worst outcome of the gates, and how many of them were asked; inconclusive: "
+        "no evidence.",
     ),
     (
         "",
-        "fall back: share of frames in which the planner could not plan.  - : not available (why: metrics.csv).",
+        "fall back: share of frames in which the planner could not plan.  - : not available (why: "
+        "metrics.csv).",
     ),
 )
 """The loop ("": either) and the text of each line."""
@@ -197,7 +205,9 @@ class DriveRow:
 
     @property
     def rank(self) -> tuple[int, int, int, str, str]:
-        """Sort key, the worst drive first: verdict, gravest failed gate, most marked cells, name of log and planner."""
+        """Sort key, the worst drive first: verdict, gravest failed gate, most marked cells, name of
+        log and planner.
+        """
         marked = self.end.bad + sum(cell.bad for cell in self.cells)
         return WEIGHT[self.verdict], self.gravity, -marked, self.log, self.planner
 
@@ -233,7 +243,9 @@ class GateRow:
 
 @dataclass(frozen=True)
 class PassShare:
-    """The number of logs of a group that pass, with the 95 % interval of the share (`replan.metrics.judge.aggregate`)."""
+    """The number of logs of a group that pass, with the 95 % interval of the share
+    (`replan.metrics.judge.aggregate`).
+    """
 
     kind: str  # "suite", "family", "tag" or "dataset"; `group` is its name, "" for the suite
     group: str
@@ -263,7 +275,9 @@ class PassShare:
 
 
 def over_all_logs(shares: Iterable[PassShare]) -> tuple[PassShare, ...]:
-    """The pass shares over all logs, one per planner: of both loops together where both were run."""
+    """The pass shares over all logs, one per planner: of both loops together where both were
+    run.
+    """
     mine = [share for share in shares if share.kind == SUITE]
     together = {share.planner for share in mine if share.mode == BOTH}
     return tuple(share for share in mine if share.mode == BOTH or share.planner not in together)
@@ -291,7 +305,9 @@ class Answer:
 
 @dataclass(frozen=True)
 class Coverage:
-    """The time and distance that were driven or planned along; `km` is NaN in open loop, where nothing is driven."""
+    """The time and distance that were driven or planned along; `km` is NaN in open loop, where
+    nothing is driven.
+    """
 
     planner: str
     mode: str
@@ -313,7 +329,9 @@ class Coverage:
 
 @dataclass(frozen=True)
 class Interactions:
-    """The logs that a planner passes in the closed loop, and in how many of them something was in its way."""
+    """The logs that a planner passes in the closed loop, and in how many of them something was in
+    its way.
+    """
 
     planner: str
     passed: int
@@ -323,13 +341,17 @@ class Interactions:
     def text(self) -> str:
         """One line."""
         return (
-            f"{self.planner}: {self.in_the_way} of {counted(self.passed, 'pass')} rest on an interaction;"
+            f"{self.planner}: {self.in_the_way} of {counted(self.passed, 'pass')} rest on an "
+            "interaction;"
             " a blind driver passes the others, too"
         )
 
 
 def worst_flips(comparison: Comparison) -> pd.DataFrame:
-    """The verdicts that changed: new failures first, then gates that no longer fail; the closed loop first."""
+    """The verdicts that changed: new failures first, then gates that no longer fail.
+
+    The closed loop first.
+    """
     flips = comparison.flips
     rank = (
         4
@@ -342,7 +364,9 @@ def worst_flips(comparison: Comparison) -> pd.DataFrame:
 
 @dataclass(frozen=True)
 class StageQuantiles:
-    """The time of a stage: quantiles over all frames of both loops, ms, and its share of the whole plan."""
+    """The time of a stage: quantiles over all frames of both loops, ms, and its share of the whole
+    plan.
+    """
 
     planner: str
     stage: str
@@ -390,7 +414,9 @@ class Overview:
 
     @property
     def ranked(self) -> tuple[DriveRow, ...]:
-        """The drives, the worst first: the one ranking of all reports, of `replan view` and of pictures of a run."""
+        """The drives, the worst first: the one ranking of all reports, of `replan view` and of
+        pictures of a run.
+        """
         return tuple(sorted(self.drives, key=lambda row: row.rank))
 
     @property
@@ -400,7 +426,9 @@ class Overview:
 
     @property
     def first(self) -> tuple[DriveRow, ...]:
-        """The drives to look at first: the worst of those that do not pass, at most `MOST_FIRST`."""
+        """The drives to look at first: the worst of those that do not pass, at most
+        `MOST_FIRST`.
+        """
         return tuple(row for row in self.ranked[:MOST_FIRST] if row.verdict != Outcome.PASS.value)
 
     @property
@@ -410,7 +438,10 @@ class Overview:
 
     @property
     def first_closed(self) -> int:
-        """The index of the first column of the closed loop; the end of its drive comes before it."""
+        """The index of the first column of the closed loop.
+
+        The end of its drive comes before it.
+        """
         return next(
             (i for i, column in enumerate(self.columns) if column.mode == "closed"),
             len(self.columns),
@@ -423,7 +454,9 @@ class Overview:
 
     @property
     def grouped(self) -> tuple[PassShare, ...]:
-        """The pass shares of groups of at least two logs, but not all, over the loops that were run, sorted."""
+        """The pass shares of groups of at least two logs, but not all, over the loops that were
+        run, sorted.
+        """
         modes = {share.planner: share.mode for share in self.whole}
         mine = [
             share

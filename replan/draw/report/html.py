@@ -1,8 +1,10 @@
-"""The report as one HTML file: it opens from disk, makes no request to any network, and is readable without script.
+"""The report as one HTML file: it opens from disk, makes no request to any network, and is readable
+without script.
 
-It has an overview, a comparison if there is a baseline, and a page per drive; charts of pass shares, of distributions
-over the logs, and of changes of metrics. The page, its style and its script are in templates/ (jinja2, everything
-escaped). An error in one part removes that part, never the report.
+It has an overview, a comparison if there is a baseline, and a page per drive; charts of pass
+shares, of distributions over the logs, and of changes of metrics. The page, its style and its
+script are in templates/ (jinja2, everything escaped). An error in one part removes that part, never
+the report.
 """
 
 from __future__ import annotations
@@ -59,8 +61,8 @@ class Attempts:
     def __call__(self, what: str, make: Callable[[], T], instead: T) -> T:
         """The result of `make`; if it raises, `instead`, and a sentence in `broken`.
 
-        ConfigError as `make`: the user named something that does not exist; OutputError as `make`: nothing can be
-        written.
+        ConfigError as `make`: the user named something that does not exist; OutputError as `make`:
+        nothing can be written.
         """
         try:
             return make()
@@ -79,8 +81,9 @@ def write_html(
 
     OutputError if the file cannot be written.
 
-    `overview`: the overview of the results, with its comparison, if there is one. `path`: the file; links to recordings
-    are relative to it. `drives`: the number of drives with a page, the worst first; the table has all of them.
+    `overview`: the overview of the results, with its comparison, if there is one. `path`: the file;
+    links to recordings are relative to it. `drives`: the number of drives with a page, the worst
+    first; the table has all of them.
 
     Returns:
         A sentence for each chart that could not be drawn, with the number of drives.
@@ -159,7 +162,10 @@ def _markup(chart: Chart) -> Markup:
 
 
 def _moved(comparison: Comparison) -> list[Markup]:
-    """A chart for each of the metrics, planners and loops with the largest changes; those of gates come first."""
+    """A chart for each of the metrics, planners and loops with the largest changes.
+
+    Those of gates come first.
+    """
     pairs = comparison.pairs
     both = pairs[pairs["baseline"].notna() & pairs["candidate"].notna() & (pairs["delta"] != 0.0)]
     both = both[both["worse"].notna()]
@@ -221,12 +227,14 @@ def _environment() -> Environment:
     return found
 
 
-# the page of a drive -------------------------------------------------------------------------------------------------
+# the page of a drive ------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Recording:
-    """A file to open: its name and loop, a link relative to the page, and the command that opens it."""
+    """A file to open: its name and loop, a link relative to the page, and the command that opens
+    it.
+    """
 
     name: str
     mode: str
@@ -282,7 +290,8 @@ class DrivePage:
 
 
 def drive_page(results: Results, row: DriveRow, anchor: str, page: Path) -> DrivePage:
-    """The page of a log and a planner; the pictures are of the loop in which a gate failed, the closed one first.
+    """The page of a log and a planner; the pictures are of the loop in which a gate failed, the
+    closed one first.
 
     `page`: the file of the report: links are relative to it.
     """
@@ -391,7 +400,9 @@ FEW = 5  # A box of quartiles is drawn for more values than this
 
 
 def pass_shares(shares: Sequence[PassShare], planners: int) -> Chart:
-    """The share of logs that pass, with its 95 % interval, by group: a dot, a whisker, and counts."""
+    """The share of logs that pass, with its 95 % interval, by group: a dot, a whisker, and
+    counts.
+    """
     shown = shares[:MAX_SHARES]
     names = [f"{share.name}, {share.planner}" if planners > 1 else share.name for share in shown]
     plane, ticks = _rows(names, (-2.0, 102.0), width=WIDE_PX)
@@ -455,7 +466,10 @@ def distributions(columns: Sequence[MetricColumn], drives: Sequence[DriveRow]) -
                 marks += dot(x, middle + offset, 2.6, "speck", f"{strip[n][1]}: {some[n]:.4g}")
         title = f"{column.words}, {column.mode} loop"
         says = f"{title}: " + "; ".join(
-            f"{name}: {some.min():.3g} to {some.max():.3g}, median {np.median(some):.3g}, {counted(len(some), 'log')}"
+            (
+                f"{name}: {some.min():.3g} to {some.max():.3g}, median {np.median(some):.3g}, "
+                f"{counted(len(some), 'log')}"
+            )
             for name, some in zip(names, values, strict=True)
         )
         x_title = f"{column.metric}, a dot a log"
@@ -468,7 +482,8 @@ def distributions(columns: Sequence[MetricColumn], drives: Sequence[DriveRow]) -
 def moved(pairs: pd.DataFrame, title: str) -> Chart:
     """One metric from baseline to candidate, the worst regression first.
 
-    `pairs`: rows of `Comparison.pairs` of one metric, with both values. `title`: title of the chart.
+    `pairs`: rows of `Comparison.pairs` of one metric, with both values. `title`: title of the
+    chart.
     """
     shown = pairs.sort_values(["worse", "log"], ascending=[False, True], kind="stable").head(
         MAX_PAIRS

@@ -1,10 +1,11 @@
-"""The overview of a run, as plain words and numbers; terminal, Markdown and HTML render it, and nothing else.
+"""The overview of a run, as plain words and numbers; terminal, Markdown and HTML render it, and
+nothing else.
 
 result = load("results/run-001")
 print_report(overview(result), Console(), result.path)
 
-It contains no times of day, only the planning times of the run, and no path outside of the result folder: the reports
-of a folder are the same, byte for byte, wherever the folder is.
+It contains no times of day, only the planning times of the run, and no path outside of the result
+folder: the reports of a folder are the same, byte for byte, wherever the folder is.
 """
 
 from __future__ import annotations
@@ -55,7 +56,9 @@ from replan.replay.drive import Mark
 from replan.results.tables import OUTCOMES
 
 EXIT_WEIGHT = (2, 3, 1, 4, 0)
-"""Exit codes by priority: several codes are combined into the first in this order (3 beats 1 beats 4)."""
+"""Exit codes by priority: several codes are combined into the first in this order (3 beats 1 beats
+4).
+"""
 
 Key = tuple[str, str]  # Log and planner
 
@@ -67,8 +70,9 @@ def overview(
 ) -> Overview:
     """The overview of a finished run.
 
-    `results`: the results, from `replan.draw.drawn_results.load`. `comparison`: the comparison with a baseline; outcome
-    and exit code are then the worse of both. `diagnosis`: the contents of diagnosis.json of the run.
+    `results`: the results, from `replan.draw.drawn_results.load`. `comparison`: the comparison with
+    a baseline; outcome and exit code are then the worse of both. `diagnosis`: the contents of
+    diagnosis.json of the run.
     """
     code = combined((results.exit_code, comparison.exit_code if comparison else 0))
     found = results.metrics[results.metrics["available"].astype(bool)]
@@ -147,7 +151,9 @@ def overview(
 
 
 def log_outcomes(results: Results) -> pd.DataFrame:
-    """The verdict of each gate on each log, `Results.verdicts`, and of the deadline, if there is one."""
+    """The verdict of each gate on each log, `Results.verdicts`, and of the deadline, if there is
+    one.
+    """
     deadline_s = results.run.deadline_s
     late = judge_deadline(results.timings, deadline_s, results.labels) if deadline_s > 0.0 else ()
     return (
@@ -178,7 +184,9 @@ def combined(codes: Iterable[int]) -> int:
 
 
 def marked(drives: Sequence[Any]) -> str:
-    """The name of the planner of drives, with marks: oracle, trusted, batched, not deterministic."""
+    """The name of the planner of drives, with marks: oracle, trusted, batched, not
+    deterministic.
+    """
     marks = ["oracle"] if any(drive.oracle for drive in drives) else []
     marks += [mark.value for mark in Mark if any(mark.value in drive.marks for drive in drives)]
     return " ".join([str(drives[0].planner), *(f"({mark})" for mark in marks)])
@@ -189,7 +197,7 @@ Values = Mapping[tuple[str, str, str, str], float]  # Values by log, planner, mo
 OverLogs = Mapping[tuple[str, str, str], list[float]]
 
 
-# drives ---------------------------------------------------------------------------------------------------------------
+# drives -------------------------------------------------------------------------------------------
 
 
 def _drives(
@@ -262,7 +270,9 @@ SHORT = {
 def _of_planners(
     results: Results, over_logs: OverLogs, planners: Sequence[str]
 ) -> tuple[list[tuple[str, tuple[str, ...]]], list[StageQuantiles], list[Coverage]]:
-    """All drives of each planner: the metrics of `COMPARED`, the times of the stages, and the coverage."""
+    """All drives of each planner: the metrics of `COMPARED`, the times of the stages, and the
+    coverage.
+    """
     compared = [
         (
             label,
@@ -296,7 +306,9 @@ def _of_planners(
 def _answers(
     planners: Mapping[Any, str], shares: Sequence[PassShare], over_logs: OverLogs
 ) -> Iterator[Answer]:
-    """The answer of each planner: its pass share over the loops that were run, and `ANSWERED` where available."""
+    """The answer of each planner: its pass share over the loops that were run, and `ANSWERED` where
+    available.
+    """
     share_of = {share.planner: share for share in over_all_logs(shares)}
     for planner, shown in planners.items():
         found = ((over_logs.get((planner, "closed", metric)), words) for metric, words in ANSWERED)
@@ -306,7 +318,9 @@ def _answers(
 
 
 def _interactions(stand: pd.DataFrame, values: Values) -> Iterator[Interactions]:
-    """The passes of each planner in the closed loop, and those of logs that the blind driver fails."""
+    """The passes of each planner in the closed loop, and those of logs that the blind driver
+    fails.
+    """
     closed = stand[stand["mode"] == Mode.CLOSED.value]
     for planner, mine in closed.groupby("planner", sort=False):
         passed = [str(log) for log in mine.loc[mine["standing"] == "passed", "log"]]
@@ -318,11 +332,13 @@ def _interactions(stand: pd.DataFrame, values: Values) -> Iterator[Interactions]
         yield Interactions(str(planner), len(passed), len(kept))
 
 
-# gates ----------------------------------------------------------------------------------------------------------------
+# gates --------------------------------------------------------------------------------------------
 
 
 def _gates(results: Results, verdicts: pd.DataFrame) -> tuple[tuple[GateRow, ...], list[str]]:
-    """The verdicts, and the gates that do not apply to some drives, most drives first, with the commonest reason."""
+    """The verdicts, and the gates that do not apply to some drives, most drives first, with the
+    commonest reason.
+    """
     units = dict(zip(results.metrics["metric"], results.metrics["unit"], strict=True))
     found: dict[tuple[str, str, str], dict[str, str]] = {}
     names = ["gate", "log", "planner", "mode", "outcome"]
@@ -409,7 +425,7 @@ def _gates(results: Results, verdicts: pd.DataFrame) -> tuple[tuple[GateRow, ...
     return tuple(sorted(rows, key=lambda row: WEIGHT[row.outcome])), not_asked
 
 
-# notes -----------------------------------------------------------------------------------------------------------
+# notes --------------------------------------------------------------------------------------------
 
 
 def _notes(logs: Sequence[Mapping[str, Any]]) -> Iterator[str]:

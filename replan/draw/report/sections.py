@@ -5,8 +5,9 @@
 
 A new part of the reports is one function here.
 
-Reports for a terminal are ASCII only (no symbols that a terminal may lack); they fit 80 columns, and use more if there
-are more. The sections come in reverse, so that the answer stands last, where it is seen.
+Reports for a terminal are ASCII only (no symbols that a terminal may lack); they fit 80 columns,
+and use more if there are more. The sections come in reverse, so that the answer stands last, where
+it is seen.
 """
 
 from __future__ import annotations
@@ -41,7 +42,9 @@ from replan.metrics.judge.verdicts import DRIVE
 
 MOST_ROWS = 30  # Largest number of drives in a terminal
 MOST_PAIRS, MOST_GROUPS = 50, 80
-"""Largest numbers of regressions and improvements, and of means over groups of logs, that are kept."""
+"""Largest numbers of regressions and improvements, and of means over groups of logs, that are
+kept.
+"""
 
 
 @dataclass(frozen=True)
@@ -95,7 +98,7 @@ def _outcome(word: str, more: str = "") -> Cell:
     return Cell(f"{word}{more}" if word else NOTHING, outcome=word)
 
 
-# a run ------------------------------------------------------------------------------------------------------------
+# a run --------------------------------------------------------------------------------------------
 
 
 def run_sections(over: Overview) -> list[ReportSection]:
@@ -292,7 +295,7 @@ def _latency(over: Overview) -> Iterator[ReportSection]:
     )
 
 
-# a comparison -----------------------------------------------------------------------------------------------------
+# a comparison -------------------------------------------------------------------------------------
 
 
 def comparison_sections(found: Comparison) -> list[ReportSection]:
@@ -363,7 +366,10 @@ def _flips(found: Comparison, *, several: bool) -> ReportSection:
     if not rows:
         return ReportSection("Flips", says=("No verdict changed.",))
     count = {word: int((flips["after"] == word).sum()) for word in ("fail", "pass")}
-    title = f"Flips: {count['fail']} to FAIL, {count['pass']} to pass, {len(flips) - sum(count.values())} others"
+    title = (
+        f"Flips: {count['fail']} to FAIL, {count['pass']} to pass, "
+        f"{len(flips) - sum(count.values())} others"
+    )
     return ReportSection(title, columns, rows, says=found.by_loop, most=20, rest="--json")
 
 
@@ -386,7 +392,8 @@ def _pairs(title: str, pairs: pd.DataFrame, *, several: bool) -> ReportSection:
 
 
 def _means(found: Comparison, *, several: bool) -> ReportSection:
-    """Metrics with a gate or a significant change over the suite, and those with both over groups of logs.
+    """Metrics with a gate or a significant change over the suite, and those with both over groups
+    of logs.
 
     For each metric, only the reduction that changed most is shown.
     """
@@ -484,7 +491,9 @@ Watch = Callable[[str, str, str], str]
 
 
 def print_report(over: Overview, console: Console, folder: Path, *, ending: bool = True) -> None:
-    """Print the report on the results in a folder; `ending=False` leaves its last lines to `print_ending`."""
+    """Print the report on the results in a folder; `ending=False` leaves its last lines to
+    `print_ending`.
+    """
     console.print(Group(*_rendered(run_sections(over)[::-1])))
     if ending:
         print_ending(over, console, folder)
@@ -537,7 +546,9 @@ def print_comparison(
 
 
 def _rendered(sections: Sequence[ReportSection]) -> Iterator[RenderableType]:
-    """The sections as tables and lists, each with its title, the number of what is left out, and where that is."""
+    """The sections as tables and lists, each with its title, the number of what is left out, and
+    where that is.
+    """
     for section in sections:
         parts = list[RenderableType]()
         if section.rows:

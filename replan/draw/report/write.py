@@ -1,24 +1,29 @@
-"""The reports of a result folder, as files: report.md, junit.xml, report.html, and the summary of a step in CI.
+"""The reports of a result folder, as files: report.md, junit.xml, report.html, and the summary of a
+step in CI.
 
-They are made from the results on disk, so that they can be made for any folder, and contain no path outside of the
-folder and no time of day: the same results give the same bytes, wherever the folder is.
+They are made from the results on disk, so that they can be made for any folder, and contain no path
+outside of the folder and no time of day: the same results give the same bytes, wherever the folder
+is.
 
-JUnit, which CI systems show: a test per log and gate, a suite per planner and loop. In it, `classname` is
-PLANNER.LOOP.LOG and `name` the rule of the gate:
+JUnit, which CI systems show: a test per log and gate, a suite per planner and loop. In it,
+`classname` is PLANNER.LOOP.LOG and `name` the rule of the gate:
 
     failure     the log breaks the gate's bound
     skipped     it is inconclusive
-    error       the log could not be driven to the end, or not at all: one test "evaluated" per log, whose time is the
+    error       the log could not be driven to the end, or not at all: one test "evaluated" per log,
+                whose time is the
                 simulated time of the drive
 
-A verdict on all logs together (a mean, a share of passes, too little evidence) is a test of the class PLANNER.LOOP.all
-logs, or of its group; a single log does not fail such a gate. There is also a suite "run" for failures and gates
-without a planner, and with a baseline a suite "compare" for its rules. So a test fails if `replan` ends with 1, and has
-an error if it ends with 3. Ant's schema requires a timestamp and a host, which are `TIMESTAMP` and "localhost".
-Elements and attributes are those that the schemas of Ant and Jenkins have in common.
+A verdict on all logs together (a mean, a share of passes, too little evidence) is a test of the
+class PLANNER.LOOP.all logs, or of its group; a single log does not fail such a gate. There is also
+a suite "run" for failures and gates without a planner, and with a baseline a suite "compare" for
+its rules. So a test fails if `replan` ends with 1, and has an error if it ends with 3. Ant's schema
+requires a timestamp and a host, which are `TIMESTAMP` and "localhost". Elements and attributes are
+those that the schemas of Ant and Jenkins have in common.
 
-The Markdown is GitHub's, with the sections of `replan.draw.report.sections`. Names of logs, planners and road users may
-contain anything: `_text` escapes Markdown in them. Long parts are folded.
+The Markdown is GitHub's, with the sections of `replan.draw.report.sections`. Names of logs,
+planners and road users may contain anything: `_text` escapes Markdown in them. Long parts are
+folded.
 """
 
 from __future__ import annotations
@@ -88,7 +93,10 @@ def junit(results: Results, over: Overview) -> str:
     for i, (name, cases) in enumerate((name, cases) for name, cases in suites if cases):
         root.append(_suite(i, name, cases, over))
     ElementTree.indent(root)
-    return f'<?xml version="1.0" encoding="UTF-8"?>\n{ElementTree.tostring(root, encoding="unicode")}\n'
+    return (
+        '<?xml version="1.0" '
+        f'encoding="UTF-8"?>\n{ElementTree.tostring(root, encoding="unicode")}\n'
+    )
 
 
 def _of_drives(
@@ -182,10 +190,12 @@ MARKDOWN, JUNIT, HTML = REPORTS
 def write_reports(results: Results, over: Overview, out: Path) -> Overview:
     """Write the reports of a run, and the summary of the CI step if there is one.
 
-    `out`: folder for the reports; created if needed. report.md has links only if it is the result folder.
+    `out`: folder for the reports; created if needed. report.md has links only if it is the result
+    folder.
 
     Returns:
-        The overview, with the charts and files that could not be made: an error in one affects no other.
+        The overview, with the charts and files that could not be made: an error in one affects no
+            other.
     """
     with writing(out):
         out.mkdir(parents=True, exist_ok=True)
@@ -215,8 +225,8 @@ MAX_OPEN = 25  # Longest table or list that is not folded
 def markdown(over: Overview, *, links: Iterable[str] | None = ()) -> str:
     """The report.
 
-    `links`: files beside the report to link to first ("report.html"), before those of the drives; None: no links at
-    all, for a report by itself.
+    `links`: files beside the report to link to first ("report.html"), before those of the drives;
+    None: no links at all, for a report by itself.
     """
     parts = [f"# replan: {over.outcome}"]
     if not over.shard:
@@ -287,7 +297,10 @@ def _cell(cell: Cell, *, linked: bool) -> str:
 
 
 def append_step_summary(over: Overview, environment: Mapping[str, str] = os.environ) -> None:
-    """Append the report to the summary of the CI step, if there is one; shortened to GitHub's limit."""
+    """Append the report to the summary of the CI step, if there is one.
+
+    Shortened to GitHub's limit.
+    """
     name = environment.get(STEP_SUMMARY)
     if name:
         path = Path(name)
@@ -297,7 +310,10 @@ def append_step_summary(over: Overview, environment: Mapping[str, str] = os.envi
 
 
 def shortened(text: str, most: int) -> str:
-    """The text, if it has no more than `most` bytes; otherwise the lines that fit, and a sentence about the rest."""
+    """The text, if it has no more than `most` bytes.
+
+    Otherwise the lines that fit, and a sentence about the rest.
+    """
     if len(text.encode()) <= most:
         return text
     end = "\n\nThis report is shortened: all of it is in report.md of the result folder.\n"
@@ -309,7 +325,7 @@ def shortened(text: str, most: int) -> str:
     return head + folded + end
 
 
-# Markdown ---------------------------------------------------------------------------------------------------------
+# Markdown -----------------------------------------------------------------------------------------
 
 
 def _text(words: str) -> str:

@@ -26,7 +26,9 @@ everywhere = pytest.mark.parametrize("name", list(CATALOGUE))
 
 @everywhere
 def test_the_logged_drive_is_consistent(name: str) -> None:
-    """Poses, speed, acceleration and curvature tell one story, with bounded acceleration and jerk."""
+    """Poses, speed, acceleration and curvature tell one story, with bounded acceleration and
+    jerk.
+    """
     ego = SCENARIOS[name].ego
     dt = np.diff(ego.t)
     np.testing.assert_allclose(dt, 0.1, atol=1e-9)
@@ -290,7 +292,9 @@ def way(scenario: Scenario, k: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndar
 def test_a_walk_goes_its_legs_with_ramps(
     distances: list[float], speeds: list[float], pauses: list[float], *, flowing: bool
 ) -> None:
-    """It ends after all its legs, is never faster than the fastest, and changes its speed within 0.4 s."""
+    """It ends after all its legs, is never faster than the fastest, and changes its speed within
+    0.4 s.
+    """
     legs: list[Leg] = []
     for length, speed, pause in zip(distances, speeds, pauses, strict=False):
         begin = (legs[-1].slows if flowing else legs[-1].end + pause) if legs else 1.0

@@ -1,4 +1,6 @@
-"""Families with published grids, and the suites: what is asked is what the publications say, and always the same."""
+"""Families with published grids, and the suites: what is asked is what the publications say, and
+always the same.
+"""
 
 import json
 from dataclasses import replace

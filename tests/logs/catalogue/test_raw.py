@@ -1,4 +1,6 @@
-"""Drives as a detector sees them: what their logs hold, how well they are repaired, the same drive in each form."""
+"""Drives as a detector sees them: what their logs hold, how well they are repaired, the same drive
+in each form.
+"""
 
 from pathlib import Path
 

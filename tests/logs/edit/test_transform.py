@@ -43,7 +43,9 @@ PLACES = ("left", "right", "points", "polygon", "regions")
 
 @cache
 def world(name: str) -> Scenario:
-    """A family's log with a goal whose heading is bounded, controls and an origin, so that every field is filled."""
+    """A family's log with a goal whose heading is bounded, controls and an origin, so that every
+    field is filled.
+    """
     log = CATALOGUE[name].scenario()
     regions = log.goal.regions if log.goal is not None else ()
     square = np.array([[90.0, -3.0], [99.0, -3.0], [99.0, 3.0]])
@@ -154,7 +156,9 @@ def test_mirroring_twice_is_the_identity(name: str) -> None:
 
 
 def crooked() -> Scenario:
-    """A scenario with everything that has a side: neighbours, opposite lanes, markings, steering, goal, rules."""
+    """A scenario with everything that has a side: neighbours, opposite lanes, markings, steering,
+    goal, rules.
+    """
     square = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 3.0], [0.0, 3.0]])
     lane = Lane(
         1,

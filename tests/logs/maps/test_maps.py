@@ -1,4 +1,6 @@
-"""Maps in the place of a log's road: Lanelet2 read as Lanelet2 reads it, projections, and which map fits a drive."""
+"""Maps in the place of a log's road: Lanelet2 read as Lanelet2 reads it, projections, and which map
+fits a drive.
+"""
 
 from dataclasses import replace
 from math import cos, hypot, nan, pi, radians, sin
@@ -39,7 +41,9 @@ ORACLE = {
         (-1657.352, 4926.134, -1668.736, 4931.766),
     ),
 }
-"""Of lanelet2 1.2.3: origin, lanelets, follow relations, length of all, sums of the first points' coordinates."""
+"""Of lanelet2 1.2.3: origin, lanelets, follow relations, length of all, sums of the first points'
+coordinates.
+"""
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +68,7 @@ def logged(scenario: Scenario, tmp_path: Path) -> Path:
     return path
 
 
-# Lanelet2: what the oracle says of the same file --------------------------------------------------------------------
+# Lanelet2: what the oracle says of the same file --------------------------------------------------
 
 
 def test_lanes_follow_and_lie_beside_each_other_as_in_lanelet2(read: MapFile) -> None:
@@ -284,7 +288,7 @@ def test_real_maps_against_lanelet2(name: str, shared_data: Path) -> None:
     assert sums == pytest.approx(first, abs=2e-3)
 
 
-# geometry -----------------------------------------------------------------------------------------------------------
+# geometry -----------------------------------------------------------------------------------------
 
 
 @given(
@@ -298,7 +302,9 @@ def test_real_maps_against_lanelet2(name: str, shared_data: Path) -> None:
 def test_paired_points_lie_across_a_bend(
     radius: float, angle: float, width: float, n: int, m: int
 ) -> None:
-    """On concentric arcs of any sampling every pair is as far apart as the lane is wide, and the middle is an arc."""
+    """On concentric arcs of any sampling every pair is as far apart as the lane is wide, and the
+    middle is an arc.
+    """
     assume(radius > 2.0 * width)
     turns = [np.linspace(0.0, angle, count) for count in (n + 40, m + 40)]
     left, right = (
@@ -339,7 +345,7 @@ def lanelet2_bounds(
     )
 
 
-# projections --------------------------------------------------------------------------------------------------------
+# projections --------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -361,7 +367,9 @@ def test_projections_agree_with_lanelet2(
 
 
 def test_mgrs_squares() -> None:
-    """38SMB 4484 is the middle of Baghdad, 18SUJ 23394 07395 the White House (published examples)."""
+    """38SMB 4484 is the middle of Baghdad, 18SUJ 23394 07395 the White House (published
+    examples).
+    """
     white_house = np.array([[38.8977, -77.0365]])
     assert parse_projection("18SUJ")(white_house)[0] == pytest.approx([23394, 7395], abs=20.0)
     assert parse_projection("mgrs")(white_house)[0] == pytest.approx(
@@ -373,7 +381,9 @@ def test_mgrs_squares() -> None:
 
 @given(st.floats(-80.0, 80.0), st.floats(-2.9, 2.9), st.integers(1, 60))
 def test_utm_is_conformal_and_of_its_scale(lat: float, off: float, zone: int) -> None:
-    """A metre north and a metre east are as long as each other, at right angles, 0.9996 to 1.0015 long."""
+    """A metre north and a metre east are as long as each other, at right angles, 0.9996 to 1.0015
+    long.
+    """
     lon, d = 6.0 * zone - 183.0 + off, 1e-4
     here, north, east = utm(
         np.array([[lat, lon], [lat + d, lon], [lat, lon + d]]), zone, north=True
@@ -387,7 +397,10 @@ def test_utm_is_conformal_and_of_its_scale(lat: float, off: float, zone: int) ->
 
 
 def test_where_points_are(crossing: Path, tmp_path: Path) -> None:
-    """Local coordinates, else what lies beside the map says, else CARLA's null island; the settings win."""
+    """Local coordinates, else what lies beside the map says, else CARLA's null island.
+
+    The settings win.
+    """
     plain = read_map(crossing)
     assert plain.frame == "local_x and local_y"
     text = crossing.read_text(encoding="utf-8").replace("local_x", "local_e")
@@ -398,7 +411,8 @@ def test_where_points_are(crossing: Path, tmp_path: Path) -> None:
     lane = NAMES["east 1"]
     assert np.abs(assumed.road.lanes[lane].left - plain.road.lanes[lane].left).max() < 1e-3
     (tmp_path / "map_projector_info.yaml").write_text(
-        "projector_type: LocalCartesianUTM\nmap_origin:\n  latitude: 0.0 # here\n  longitude: 0.0\n",
+        "projector_type: LocalCartesianUTM\nmap_origin:\n  latitude: 0.0 # here\n  longitude: "
+        "0.0\n",
         encoding="utf-8",
     )
     said = read_map(path)
@@ -414,7 +428,7 @@ def test_where_points_are(crossing: Path, tmp_path: Path) -> None:
     assert Projection("mgrs", square="54SUE")  # as Autoware's sample map
 
 
-# a map under a drive ------------------------------------------------------------------------------------------------
+# a map under a drive ------------------------------------------------------------------------------
 
 
 def test_the_map_takes_the_place_of_the_road(crossing: Path, tmp_path: Path) -> None:
@@ -449,7 +463,10 @@ def test_the_map_takes_the_place_of_the_road(crossing: Path, tmp_path: Path) -> 
 
 def test_a_map_of_elsewhere_is_refused_with_the_distance(crossing: Path, tmp_path: Path) -> None:
     log = logged(straight((5.0, 500.0), (140.0, 500.0)), tmp_path)
-    words = r"map .*crossroads\.osm does not fit the drive: 0 % .* at least 50 % must; the nearest lane is 49\d m away"
+    words = (
+        r"map .*crossroads\.osm does not fit the drive: 0 % .* at least 50 % must; the nearest "
+        r"lane is 49\d m away"
+    )
     with pytest.raises(LogError, match=words) as error:
         read_log(log, LogSettings(map=str(crossing)))
     assert error.value.file == log and "map_origin" in str(error.value)

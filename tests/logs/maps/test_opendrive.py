@@ -1,4 +1,7 @@
-"""OpenDRIVE maps in the place of a log's road, by pyxodr; skipped where the extra `opendrive` is not installed."""
+"""OpenDRIVE maps in the place of a log's road, by pyxodr.
+
+Skipped where the extra `opendrive` is not installed.
+"""
 
 from importlib.util import find_spec
 from pathlib import Path
@@ -28,13 +31,13 @@ LANES = """
   <link><successor id="-1"/></link></lane>
   <lane id="-2" type="driving"><width sOffset="0" a="3.0" b="0" c="0" d="0"/></lane>
   <lane id="-3" type="sidewalk"><width sOffset="0" a="2.0" b="0" c="0" d="0"/></lane></right>
-</laneSection>"""
+</laneSection>"""  # noqa: E501
 MAP = f"""<OpenDRIVE><header revMajor="1" revMinor="4"/>
 <road name="" length="100" id="7" junction="-1"><link/>
  <type s="0" type="town"><speed max="50" unit="km/h"/></type>
  <planView><geometry s="0" x="10" y="20" hdg="0" length="50"><line/></geometry>
   <geometry s="50" x="60" y="20" hdg="0" length="50"><arc curvature="{CURVATURE}"/></geometry></planView>
- <lanes>{LANES}</lanes><signals><signal id="1"/></signals></road></OpenDRIVE>"""
+ <lanes>{LANES}</lanes><signals><signal id="1"/></signals></road></OpenDRIVE>"""  # noqa: E501
 
 
 def _written(tmp_path: Path, text: str = MAP) -> Path:
@@ -151,7 +154,10 @@ def _section(s: float, lane: str = LANE) -> str:
 
 
 def _road(name: str, plan: str, lanes: str = _section(0.0), link: str = "") -> str:
-    return f'<road id="{name}" length="9"><link>{link}</link><planView>{plan}</planView><lanes>{lanes}</lanes></road>'
+    return (
+        f'<road id="{name}" '
+        f'length="9"><link>{link}</link><planView>{plan}</planView><lanes>{lanes}</lanes></road>'
+    )
 
 
 def _read(tmp_path: Path, *roads: str, begin: str = "<OpenDRIVE>") -> MapFile:

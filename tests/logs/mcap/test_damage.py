@@ -1,4 +1,6 @@
-"""Damaged, foreign and wrong logs: one LogError line with file, topic, time and remedy, and never anything else."""
+"""Damaged, foreign and wrong logs: one LogError line with file, topic, time and remedy, and never
+anything else.
+"""
 
 import itertools
 import math

@@ -1,4 +1,6 @@
-"""ASAM OSI logs: with a small descriptor made here, and the recorded ones where they are at hand."""
+"""ASAM OSI logs: with a small descriptor made here, and the recorded ones where they are at
+hand.
+"""
 
 import math
 from itertools import pairwise
@@ -39,23 +41,37 @@ MESSAGES = {
     "Base": "dimension:Size position:Vector orientation:Angles velocity:Vector acceleration:Vector",
     "Attributes": "bbcenter_to_rear:Vector bbcenter_to_front:Vector",
     "VehicleClass": "type:Vehicle",
-    "Moving": "id:Id base:Base type:Kind vehicle_attributes:Attributes vehicle_classification:VehicleClass",
+    "Moving": (
+        "id:Id base:Base type:Kind vehicle_attributes:Attributes "
+        "vehicle_classification:VehicleClass"
+    ),
     "StandingClass": "type:Standing",
     "Stationary": "id:Id base:Base classification:StandingClass",
     "Pairing": "antecessor_lane_id:Id successor_lane_id:Id",
-    "LaneClass": "type:LaneType centerline:Vector* centerline_is_driving_direction:bool left_adjacent_lane_id:Id*"
-    " right_adjacent_lane_id:Id* lane_pairing:Pairing* left_lane_boundary_id:Id* right_lane_boundary_id:Id*",
+    "LaneClass": (
+        "type:LaneType centerline:Vector* centerline_is_driving_direction:bool "
+        "left_adjacent_lane_id:Id*"
+        " right_adjacent_lane_id:Id* lane_pairing:Pairing* left_lane_boundary_id:Id* "
+        "right_lane_boundary_id:Id*"
+    ),
     "Lane": "id:Id classification:LaneClass",
     "Point": "position:Vector",
     "BoundaryClass": "type:Line",
     "Boundary": "id:Id boundary_line:Point* classification:BoundaryClass",
     "LogicalBoundary": "id:Id boundary_line:Point*",
     "Link": "other_lane_id:Id",
-    "LogicalLane": "id:Id type:LogicalType move_direction:Move right_adjacent_lane:Link* left_adjacent_lane:Link*"
-    " right_boundary_id:Id* left_boundary_id:Id* predecessor_lane:Link* successor_lane:Link*",
-    "GroundTruth": "timestamp:Timestamp host_vehicle_id:Id moving_object:Moving* stationary_object:Stationary*"
-    " lane:Lane* lane_boundary:Boundary* logical_lane:LogicalLane* logical_lane_boundary:LogicalBoundary*"
-    " traffic_light:Id*",
+    "LogicalLane": (
+        "id:Id type:LogicalType move_direction:Move right_adjacent_lane:Link* "
+        "left_adjacent_lane:Link*"
+        " right_boundary_id:Id* left_boundary_id:Id* predecessor_lane:Link* successor_lane:Link*"
+    ),
+    "GroundTruth": (
+        "timestamp:Timestamp host_vehicle_id:Id moving_object:Moving* "
+        "stationary_object:Stationary*"
+        " lane:Lane* lane_boundary:Boundary* logical_lane:LogicalLane* "
+        "logical_lane_boundary:LogicalBoundary*"
+        " traffic_light:Id*"
+    ),
     "SensorView": "global_ground_truth:GroundTruth",
 }
 
@@ -182,7 +198,10 @@ def test_ego_is_moved_to_its_rear_axle_and_to_a_local_origin(tmp_path: Path) -> 
 
 
 def test_speed_and_acceleration_at_the_rear_axle_of_a_circle(tmp_path: Path) -> None:
-    """Rear axle on a circle of 20 m at 5 m/s: the centre is faster and accelerates inward; the axle does neither."""
+    """Rear axle on a circle of 20 m at 5 m/s: the centre is faster and accelerates inward.
+
+    The axle does neither.
+    """
     d, radius, v = 1.4, 20.0, 5.0
     messages = []
     for k in range(21):

@@ -1,4 +1,6 @@
-"""Laws of the native log: write -> read is the identity, same bytes, no half files, readable by others; its page."""
+"""Laws of the native log: write -> read is the identity, same bytes, no half files, readable by
+others; its page.
+"""
 
 import json
 from dataclasses import fields, replace

@@ -1,4 +1,7 @@
-"""Salvage keeps what is whole and names what was lost; a part by the index is the scenario of the whole, cut."""
+"""Salvage keeps what is whole and names what was lost.
+
+A part by the index is the scenario of the whole, cut.
+"""
 
 import struct
 import zlib

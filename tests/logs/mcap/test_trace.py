@@ -1,4 +1,6 @@
-"""A trace is a log that we drove: read again it is the drive, and what was planned stands beside it."""
+"""A trace is a log that we drove: read again it is the drive, and what was planned stands beside
+it.
+"""
 
 import json
 from dataclasses import replace

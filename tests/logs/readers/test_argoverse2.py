@@ -1,4 +1,6 @@
-"""Argoverse 2 as published: sensor logs and motion-forecasting scenarios, whole, without parts, and damaged."""
+"""Argoverse 2 as published: sensor logs and motion-forecasting scenarios, whole, without parts, and
+damaged.
+"""
 
 from pathlib import Path
 

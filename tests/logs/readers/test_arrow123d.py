@@ -1,4 +1,6 @@
-"""123D logs and maps: what the files say arrives, nothing of the future does, damage is an error that names it."""
+"""123D logs and maps: what the files say arrives, nothing of the future does, damage is an error
+that names it.
+"""
 
 import json
 from dataclasses import replace
@@ -272,7 +274,10 @@ def test_early_connectors_of_nuplan_are_put_right(tmp_path: Path) -> None:
 
 
 def test_the_route_of_nuplan_is_the_lanes_of_its_groups(tmp_path: Path) -> None:
-    """Groups in the route's order; a group without lanes here, and a name that is no number, name none."""
+    """Groups in the route's order.
+
+    A group without lanes here, and a name that is no number, name none.
+    """
     groups = {1: 71, 2: 72, 3: 73, 9: 73}
     objects = [(i, layer, {**f, "lane_group_id": groups.get(i)}, g) for i, layer, f, g in street()]
     write_map(tmp_path / "maps" / "nuplan" / "nuplan_here.arrow", objects)
@@ -507,7 +512,9 @@ def _same_lanes(one: Scenario, two: Scenario) -> None:
 
 
 def test_an_asynchronous_log_is_read_as_the_poses_are(shared_data: Path) -> None:
-    """Its ego rows are those of the feather file, rounded to microseconds: the same states come out."""
+    """Its ego rows are those of the feather file, rounded to microseconds: the same states come
+    out.
+    """
     one = read_log(shared_data / "argoverse2" / B)
     two = read_log(real_log(shared_data, "av2_async", B))
     assert len(one.ego) == len(two.ego) == 155

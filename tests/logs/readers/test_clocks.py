@@ -1,4 +1,6 @@
-"""Times of rows: dates and times of day, clocks that start again, and rows that are merely unsorted."""
+"""Times of rows: dates and times of day, clocks that start again, and rows that are merely
+unsorted.
+"""
 
 from pathlib import Path
 from typing import Any

@@ -1,4 +1,7 @@
-"""comma2k19: a segment made here goes where it was made to go; the recorded one where it is at hand."""
+"""comma2k19: a segment made here goes where it was made to go.
+
+The recorded one where it is at hand.
+"""
 
 from pathlib import Path
 
@@ -21,7 +24,9 @@ def segment(
     latitude: float = 0.6,
     longitude: float = -2.1,
 ) -> Path:
-    """A straight drive at a heading from east, at a place on the earth (a sphere is near enough for a start)."""
+    """A straight drive at a heading from east, at a place on the earth (a sphere is near enough for
+    a start).
+    """
     start = SEMI_MAJOR_M * np.array(
         [
             np.cos(latitude) * np.cos(longitude),

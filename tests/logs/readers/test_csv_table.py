@@ -31,7 +31,9 @@ def text(
     line: str = "\n",
     decimal: str = ".",
 ) -> str:
-    """The table as text: lines before it, spaces around the mark, ends of the rows and of the header."""
+    """The table as text: lines before it, spaces around the mark, ends of the rows and of the
+    header.
+    """
     join = f"{space}{mark}{space}" if mark != " " else mark
     rows = [join.join(f"{value:.4f}".replace(".", decimal) for value in row) + end for row in ROWS]
     return line.join([before + join.join(NAMES) + head_end, *rows, ""])

@@ -1,4 +1,7 @@
-"""Bare OSI traces, written here with ASAM's own package; the recorded ones where they are at hand."""
+"""Bare OSI traces, written here with ASAM's own package.
+
+The recorded ones where they are at hand.
+"""
 
 import struct
 from pathlib import Path

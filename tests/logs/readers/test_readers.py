@@ -1,4 +1,6 @@
-"""The table of readers: one claims a log, foreign ones are sent on, a part of a log is that part."""
+"""The table of readers: one claims a log, foreign ones are sent on, a part of a log is that
+part.
+"""
 
 import sys
 from dataclasses import replace
@@ -173,7 +175,9 @@ def test_a_reader_from_outside_reads_its_format_everywhere(installed: Any, tmp_p
 def test_a_part_and_its_conversion_are_the_same_to_the_last_bit(
     tmp_path: Path, begin: float, length: float
 ) -> None:
-    """Else `convert` and `evaluate` would give other metrics than `evaluate` of the log as it is."""
+    """Else `convert` and `evaluate` would give other metrics than `evaluate` of the log as it
+    is.
+    """
     write_scenario(tmp_path / "log.mcap", SCENARIO)
     part = read_log(tmp_path / "log.mcap", LogSettings(begin=begin, end=begin + length))
     write_scenario(tmp_path / "part.mcap", part)

@@ -1,4 +1,7 @@
-"""`[log] repair` on native logs: raw ones, clean ones, parts of both; and the command that does it."""
+"""`[log] repair` on native logs: raw ones, clean ones, parts of both.
+
+And the command that does it.
+"""
 
 import csv
 from dataclasses import replace
@@ -55,7 +58,10 @@ def made(log: Path) -> Scenario:
 
 
 def drivers(*offsets: float, turn: float = 0.0) -> Tracks:
-    """Cars that go along x, those on the left against it, turned about the origin; one more crosses, one parks."""
+    """Cars that go along x, those on the left against it, turned about the origin.
+
+    One more crosses, one parks.
+    """
     t = np.arange(0.0, 4.0, 0.1)
     ways = [(10.0 + 5.0 * np.sign(-y) * t, y + 0.0 * t, 5.0 * np.sign(-y), 0.0) for y in offsets]
     ways += [(30.0 + 0.0 * t, 4.0 * t - 8.0, 0.0, 4.0), (20.0 + 0.0 * t, 2.5 + 0.0 * t, 0.0, 0.0)]

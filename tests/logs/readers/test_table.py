@@ -1,4 +1,7 @@
-"""Tables in: from pandas frames, from CSV and Parquet, with other names and units; what is wrong is named."""
+"""Tables in: from pandas frames, from CSV and Parquet, with other names and units.
+
+What is wrong is named.
+"""
 
 import os
 import re
@@ -170,7 +173,9 @@ def test_wrong_tables_are_one_clear_line(
 
 @pytest.mark.parametrize(("zero", "start_s"), [(0.0, 100.0), (100.0, 0.5), (105.0, 0.5)])
 def test_the_zero_of_times_may_lie_anywhere(tmp_path: Path, zero: float, start_s: float) -> None:
-    """The others begin half a second before the ego: whatever is negative, all stay where they were and are written."""
+    """The others begin half a second before the ego: whatever is negative, all stay where they were
+    and are written.
+    """
     scenario = from_frames(ego(t=ego().t - zero), agents(t=agents().t - 0.5 - zero))
     assert scenario.start_ns == round(1e9 * start_s)
     moved = from_frames(ego(), agents(t=agents().t - 0.5)).tracks.t

@@ -1,4 +1,6 @@
-"""Tables of tracks in the shapes of public data sets: one road user becomes the ego, the others stay agents."""
+"""Tables of tracks in the shapes of public data sets: one road user becomes the ego, the others
+stay agents.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -20,7 +22,10 @@ SIZES = {"1": (4.5, 1.8), "2": (12.0, 2.5), "3": (4.0, 1.7)}
 
 
 def truth(rate: float = 25.0, *, straight: bool = False) -> pd.DataFrame:
-    """Two vehicles one after the other and an oncoming one, 12 s, box centres; on arcs, or along x as on a motorway."""
+    """Two vehicles one after the other and an oncoming one, 12 s, box centres.
+
+    On arcs, or along x as on a motorway.
+    """
     rows = []
     for name, (start, v, y) in {
         "1": (0.0, 20.0, -4.0),

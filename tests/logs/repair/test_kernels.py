@@ -1,4 +1,7 @@
-"""The smoother is the least squares that it says; shared areas, twins; the tracker on a street of known drives."""
+"""The smoother is the least squares that it says.
+
+Shared areas, twins; the tracker on a street of known drives.
+"""
 
 from dataclasses import replace
 from functools import cache
@@ -26,7 +29,9 @@ Q = 1.6
 
 
 def least_squares(t: FloatArray, z: FloatArray, r: FloatArray, stands: BoolArray) -> FloatArray:
-    """The most likely positions and velocities `(n, 2)` of one axis, by one large system of equations."""
+    """The most likely positions and velocities `(n, 2)` of one axis, by one large system of
+    equations.
+    """
     n = len(t)
     rows, values = [], []
 

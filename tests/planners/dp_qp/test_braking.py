@@ -1,4 +1,6 @@
-"""How hard to brake: bounds are kept, the mildest rung that holds is driven, hard braking waits only where it may."""
+"""How hard to brake: bounds are kept, the mildest rung that holds is driven, hard braking waits
+only where it may.
+"""
 
 import numpy as np
 import pytest
@@ -116,7 +118,10 @@ def test_the_end_of_the_path_is_not_driven_over_where_braking_can_keep_it(end: f
 
 
 def test_braking_that_ends_in_the_way_before_an_agent_comes_does_not_avoid_them() -> None:
-    """The hardest stop comes to rest beyond their way just before they take it; driving on is past it by far more."""
+    """The hardest stop comes to rest beyond their way just before they take it.
+
+    Driving on is past it by far more.
+    """
     v, stop = 10.0, CONFIG.emergency.braking((10.0, 0.0), CONFIG.knots)[0]
     blocks = blocked(stop[-1] - 4.0, stop[-1] - 0.3, 2.0, 6.0)
     assert not blocks.meets(T, stop) and not blocks.leave(T, stop, 0.0)
@@ -125,7 +130,9 @@ def test_braking_that_ends_in_the_way_before_an_agent_comes_does_not_avoid_them(
 
 
 def test_full_braking_goes_on_until_the_whole_gap_is_kept() -> None:
-    """The hardest planned braking would leave half of the gap: enough to begin with, not enough to go back to."""
+    """The hardest planned braking would leave half of the gap: enough to begin with, not enough to
+    go back to.
+    """
     v = 12.0
     hard = CONFIG.emergency.braking((v, 0.0), CONFIG.knots, share=0.97)[0, -1]
     half, none = (
@@ -144,7 +151,8 @@ HARDER = [
 
 
 def mildest(v: float, s: float) -> str:
-    """What of the ladder holds first behind who stands from station `s` on, by braking alone: the reason's first words.
+    """What of the ladder holds first behind who stands from station `s` on, by braking alone: the
+    reason's first words.
 
     Driving on is none of it: who stands there for the whole horizon is met.
     """
@@ -193,7 +201,9 @@ def test_every_rung_is_the_mildest_somewhere() -> None:
 
 @pytest.mark.parametrize("v", [4.0, 4.5, 7.5, 10.0])
 def test_a_rung_that_holds_has_a_profile(v: float) -> None:
-    """At all distances about those where the hardest braking ends: what braking keeps, the QP keeps."""
+    """At all distances about those where the hardest braking ends: what braking keeps, the QP
+    keeps.
+    """
     stop = float(CONFIG.emergency.braking((v, 0.0), CONFIG.knots)[0, -1])
     found = [solved(v, blocked(stop + more, END, 0.0, 8.0)) for more in np.arange(-0.5, 4.0, 0.1)]
     assert sum(len(one.reports) for one in found) > 20

@@ -1,4 +1,6 @@
-"""Worlds at the edge: whatever they are like, a plan comes back that starts where it says and says what it is."""
+"""Worlds at the edge: whatever they are like, a plan comes back that starts where it says and says
+what it is.
+"""
 
 from collections.abc import Sequence
 
@@ -35,7 +37,10 @@ def planned(road: Road, ego: EgoState, others: Sequence[Other] = ()) -> tuple[Fr
 
 
 def assert_honest(now: Frame, plan: Plan) -> None:
-    """It starts at the ego (up to the solver's tolerance), keeps the steering lock; a fallback has a reason."""
+    """It starts at the ego (up to the solver's tolerance), keeps the steering lock.
+
+    A fallback has a reason.
+    """
     way = plan.trajectory
     assert (way.t[0], way.x[0], way.y[0]) == pytest.approx((now.t, now.ego.x, now.ego.y), abs=2e-2)
     assert np.cos(way.yaw[0] - now.ego.yaw) == pytest.approx(1.0, abs=1e-3)
@@ -53,7 +58,9 @@ def turn(radius: float, angle: float = 0.5 * np.pi) -> FloatArray:
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_a_loop_beyond_a_full_turn_is_driven_round(side: float) -> None:
-    """One and a half turns: the line comes past itself, and the ego goes on along it and not across."""
+    """One and a half turns: the line comes past itself, and the ego goes on along it and not
+    across.
+    """
     radius = 15.0
     points = curve((30.0, 0.0), (3.0 * np.pi * radius, side / radius), (60.0, 0.0))
     drive = followed(lanes(points), EgoState(0.0, 2.0, 0.0, 0.0, 6.0), seconds=24.0)
@@ -94,7 +101,10 @@ def test_an_obstacle_in_the_centre_of_the_turn_is_driven_round(radius: float) ->
 def test_an_ego_off_the_line_and_off_its_heading_comes_back(
     l: float, off: float, v: float, bend: float
 ) -> None:  # noqa: E741
-    """From 2 m beside and 60 degrees across, at any speed; at walking pace it ends up along the line."""
+    """From 2 m beside and 60 degrees across, at any speed.
+
+    At walking pace it ends up along the line.
+    """
     road = lanes(curve((200.0, bend), step=2.0), 2)
     now, plan = planned(road, EgoState(0.0, 1.0, l, np.radians(off), v))
     assert_honest(now, plan)
@@ -128,7 +138,9 @@ def test_a_lane_without_width_is_driven_along_its_middle(width: float, v: float)
 def test_between_two_parked_cars_it_drives_through_or_stops_before(
     spare: float, l: float, v: float
 ) -> None:  # noqa: E741
-    """The gap is the ego's width and `spare` to each side: never a touch, and a stop is reported."""
+    """The gap is the ego's width and `spare` to each side: never a touch, and a stop is
+    reported.
+    """
     half = 0.5 * CAR.width + spare
     pair = [standing("left", 50.0, l + half + 0.9), standing("right", 50.0, l - half - 0.9)]
     drive = followed(

@@ -1,4 +1,7 @@
-"""The whole planner: laws of mirrored, moved and truncated worlds; what it does about others, and in trouble."""
+"""The whole planner: laws of mirrored, moved and truncated worlds.
+
+What it does about others, and in trouble.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -67,7 +70,9 @@ def assert_same(one: Plan, two: Plan) -> None:
 
 
 def assert_sound(plan: Plan) -> None:
-    """A trajectory that a car can be asked to drive: forward, along its heading, with the acceleration that it says."""
+    """A trajectory that a car can be asked to drive: forward, along its heading, with the
+    acceleration that it says.
+    """
     assert not plan.status.is_fallback or plan.reason
     t, x, y, yaw, v, a, kappa = (column(plan, name) for name in TRAJECTORY_COLUMNS)
     assert (v >= 0.0).all() and np.isfinite(kappa).all()
@@ -80,7 +85,9 @@ def assert_sound(plan: Plan) -> None:
 
 
 def plans_in(scenario: Scenario, *, every: int, closed: bool) -> list[Plan]:
-    """Plans from the logged states, or of a closed loop without tracking errors, each `every` frames."""
+    """Plans from the logged states, or of a closed loop without tracking errors, each `every`
+    frames.
+    """
     context = PlannerContext(
         scenario.road, scenario.goal, scenario.vehicle, PERIOD, scenario.ego.state(0)
     )
@@ -116,7 +123,8 @@ def test_a_mirrored_world_has_the_mirrored_plan(
 ) -> None:
     """Bit by bit: sums and products do not know a sign, and ties go to the passing side.
 
-    Where the road turns by 90 degrees, the sine of an angle and of its mirror image round differently.
+    Where the road turns by 90 degrees, the sine of an angle and of its mirror image round
+    differently.
     """
     log, plans = catalogue[name]
     atol = 1e-6 if name == "everyday/bend" else 0.0
@@ -172,7 +180,9 @@ CROWD = (
 
 
 def test_a_planner_without_a_previous_plan_remembers_nothing() -> None:
-    """After a drive with other speeds, solver failures and lengths, the plan is that of a new planner, bit by bit."""
+    """After a drive with other speeds, solver failures and lengths, the plan is that of a new
+    planner, bit by bit.
+    """
     used = planner(TWO, EGO)
     for now, _ in followed(TWO, replace(EGO, v=12.0), CROWD, seconds=3.0, build=lambda *_: used):
         assert now is not None
@@ -336,7 +346,9 @@ def test_an_agent_that_the_ego_cannot_pass_first_is_let_go() -> None:
 def test_the_ego_goes_first_with_time_to_spare_only(
     x: float, spare: float, expected: DecisionKind, side: float
 ) -> None:
-    """`spare`: when the walker takes the ego's strip, s after the ego has left the place at its speed."""
+    """`spare`: when the walker takes the ego's strip, s after the ego has left the place at its
+    speed.
+    """
     walks, margins = 1.4, 0.5 * CAR.width + 0.6 + 0.3
     ego = replace(EGO, v=13.0)
     leaves = (x + CAR.rear_overhang + 0.3) / ego.v
@@ -376,7 +388,9 @@ def test_the_ego_follows_at_the_leads_speed() -> None:
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_parked_cars_are_passed_on_the_free_side(side: float) -> None:
-    """The first reaches in from the right by half a metre, the second from the left (and mirrored)."""
+    """The first reaches in from the right by half a metre, the second from the left (and
+    mirrored).
+    """
     others = [standing("first", 50.0, -side * 2.15), standing("second", 100.0, side * 2.15)]
     drive = followed(ONE, EGO, others, seconds=16.0)
     expected = NUDGES if side > 0.0 else NUDGES[::-1]
@@ -546,7 +560,9 @@ def test_what_cannot_be_avoided_is_braked_for_and_reported() -> None:
 
 
 def perhaps(ahead: float, share: float) -> Frame:
-    """A pedestrian who stands beside the lane, `ahead` m away, and walks onto the path with a probability."""
+    """A pedestrian who stands beside the lane, `ahead` m away, and walks onto the path with a
+    probability.
+    """
     t = np.linspace(0.0, 8.0, 81)
     here = frame(
         EGO,

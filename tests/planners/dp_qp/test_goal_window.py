@@ -148,7 +148,9 @@ def test_of_two_regions_the_one_in_the_lane_is_met_and_between_them_the_middle_i
 
 
 def driven(window: tuple[float, float], speeds: tuple[float, float]) -> Trace:
-    """paper/free_road, whose ego drives 12 m/s, with a small goal 130 m away in its first straight and left turn."""
+    """paper/free_road, whose ego drives 12 m/s, with a small goal 130 m away in its first straight
+    and left turn.
+    """
     scenario = CATALOGUE["paper/free_road"].scenario()
     ego = scenario.ego
     k = int(np.searchsorted(np.cumsum(np.hypot(np.diff(ego.x), np.diff(ego.y))), 60.0))
@@ -176,7 +178,10 @@ def test_the_ego_arrives_in_the_window_at_the_speed(
 
 @pytest.mark.parametrize("last", [6.0, pytest.param(40.0, marks=pytest.mark.slow)])
 def test_a_goal_in_the_next_lane_is_met_in_time_though_that_lane_is_slower(last: float) -> None:
-    """Keeping the lane would be faster; the sooner the goal's time is over, the more a change is worth."""
+    """Keeping the lane would be faster.
+
+    The sooner the goal's time is over, the more a change is worth.
+    """
     road = lanes(along_x(-100.0, 900.0), 2, limit=25.0)
     square = np.array([[-100.0, 1.75], [900.0, 1.75], [900.0, 5.25], [-100.0, 5.25]])
     t = np.arange(0.0, last + 0.05, 0.1)

@@ -27,8 +27,9 @@ from replan.replay.loop_config import LoopConfig
 SOON_S, SOON_MPS = 2.0, 0.06
 """What is driven soon keeps the speed, but for the QP's tolerance."""
 LATER_MPS = 0.4
-"""A plan for later may be faster by this: the QP's bound of v at a time is that at the station of its reference then,
-which may be past the capped stretch before the ego is. It is planned anew before the ego is there."""
+"""A plan for later may be faster by this: the QP's bound of v at a time is that at the station of
+its reference then, which may be past the capped stretch before the ego is. It is planned anew
+before the ego is there."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,9 @@ class Passage:
 
 @dataclass(frozen=True)
 class Recorded:
-    """A planned speed and the least of the caps that guarantee something along its path `(m,)`, m/s; inf: none."""
+    """A planned speed and the least of the caps that guarantee something along its path `(m,)`,
+    m/s; inf: none.
+    """
 
     path: Path
     caps: FloatArray
@@ -49,7 +52,9 @@ class Recorded:
     profile: FloatArray
 
     def passages(self) -> Iterator[Passage]:
-        """Of the places for which the ego is not too fast already to brake as gently as it does for any limit."""
+        """Of the places for which the ego is not too fast already to brake as gently as it does for
+        any limit.
+        """
         config, (s, v, _), times = (
             SpeedQpConfig(),
             self.profile,

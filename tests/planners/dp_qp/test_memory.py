@@ -96,7 +96,10 @@ def found(plan: LanePlan) -> tuple[object, ...]:
 def test_the_same_scene_and_memory_give_the_same_plan_and_memory(
     others: Sequence[Other], remembered: set[str]
 ) -> None:
-    """All along a drive, in a lane and past who is slower in it; what went in is what it was, to the last bit."""
+    """All along a drive, in a lane and past who is slower in it.
+
+    What went in is what it was, to the last bit.
+    """
     driver, other = lane_planner(), lane_planner()
     memory, past, ego, kept = LaneMemory(), PassMemory(), EGO, set()
     for k in range(40):

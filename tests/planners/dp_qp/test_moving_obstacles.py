@@ -1,4 +1,7 @@
-"""Who goes slowly along the lane is passed with room, at a speed that goes with it; where there is none, followed."""
+"""Who goes slowly along the lane is passed with room, at a speed that goes with it.
+
+Where there is none, followed.
+"""
 
 import re
 from dataclasses import dataclass, replace
@@ -111,7 +114,9 @@ def test_who_cannot_be_passed_within_the_predictions_is_not_passed() -> None:
 
 @given(st.floats(1.0, 3.0), st.sampled_from([AgentKind.BICYCLE, AgentKind.PEDESTRIAN]))
 def test_the_more_room_the_faster_and_beside_them_only(room: float, kind: AgentKind) -> None:
-    """Who comes into the way with w is passed, or the ego stops before them: wherever it is when they do."""
+    """Who comes into the way with w is passed, or the ego stops before them: wherever it is when
+    they do.
+    """
     y = -room - 0.5 * (CAR.width + WIDTH)
     now = scene(
         COURSE,

@@ -1,4 +1,6 @@
-"""The oncoming lane: borrowed to pass who blocks the lane, where no one comes and the marking may be crossed."""
+"""The oncoming lane: borrowed to pass who blocks the lane, where no one comes and the marking may
+be crossed.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -56,7 +58,9 @@ def test_a_solid_marking_is_not_crossed() -> None:
 
 
 def test_it_waits_for_who_comes_and_passes_then() -> None:
-    """Far enough behind the obstacle to steer round it, in its own lane as long as the other has not passed."""
+    """Far enough behind the obstacle to steer round it, in its own lane as long as the other has
+    not passed.
+    """
     coming = driving("coming", 150.0, 3.5, -10.0)
     drive = driven(two_way(), [THING, coming], 26.0)
     waiting = [now.ego for now, _ in drive if now.t < 10.0]
@@ -79,7 +83,10 @@ def test_a_parked_car_is_passed_once_it_has_stood_for_long() -> None:
 def test_it_is_not_passed_where_another_fills_the_oncoming_lane(
     right: bool, aside: float, passes: bool
 ) -> None:
-    """Behind a car that stands there may be more that it hides; a narrow one at the edge leaves room between."""
+    """Behind a car that stands there may be more that it hides.
+
+    A narrow one at the edge leaves room between.
+    """
     side = aside if right else -aside
     others = [standing("parked", 38.0, 0.0, width=3.0), standing("other", 25.0, side, width=0.9)]
     now = scene(reference(two_way(right=right), lane=0), EGO, others)

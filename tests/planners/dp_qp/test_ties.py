@@ -1,4 +1,6 @@
-"""Rounding decides nothing: errors of 1e-9 on everything move a plan by less than 1e-6, round figures or not."""
+"""Rounding decides nothing: errors of 1e-9 on everything move a plan by less than 1e-6, round
+figures or not.
+"""
 
 from dataclasses import replace
 
@@ -26,7 +28,9 @@ TINY, SAME = 1e-9, 1e-6
 
 
 def parted(one: Plan, two: Plan, turn: float = 0.0) -> float:
-    """Largest difference of two plans in place and speed; `two` was made in a world turned by `turn`."""
+    """Largest difference of two plans in place and speed; `two` was made in a world turned by
+    `turn`.
+    """
     a, b = one.trajectory, two.trajectory
     assert (one.status, one.start, len(a)) == (two.status, two.start, len(b))
     x, y = np.cos(turn) * b.x + np.sin(turn) * b.y, np.cos(turn) * b.y - np.sin(turn) * b.x
@@ -69,7 +73,9 @@ _ROUND = st.tuples(
 def test_worlds_of_round_figures_are_like_their_neighbours(
     count: int, v: float, others: list[tuple[float, float, float]]
 ) -> None:
-    """Others at x, y with a speed along x: on markings, beside the ego, at the ends of the grids."""
+    """Others at x, y with a speed along x: on markings, beside the ego, at the ends of the
+    grids.
+    """
     cars = [
         (f"{i}", AgentKind.CAR, (4.5, 1.8), moving(x, y, speed, 0.0, 0.0))
         for i, (x, y, speed) in enumerate(others)
@@ -111,7 +117,9 @@ def test_two_sides_that_cost_the_same_are_passed_on_the_passing_side() -> None:
 
 
 def test_a_lane_that_only_touches_the_goal_does_not_lead_there() -> None:
-    """Lanes end where a goal made of lanes begins: which of them hold it must not be left to rounding."""
+    """Lanes end where a goal made of lanes begins: which of them hold it must not be left to
+    rounding.
+    """
     x = along_x(0.0, 40.0)
     road = Road({i: strip(i, x + np.array([40.0 * i, 0.0]), successors=(i + 1,)) for i in range(3)})
     for off in (-TINY, 0.0, TINY):

@@ -1,4 +1,6 @@
-"""Speed profiles: the limit can be driven, cruising follows it, braking keeps its limits and its distance."""
+"""Speed profiles: the limit can be driven, cruising follows it, braking keeps its limits and its
+distance.
+"""
 
 import numpy as np
 import pytest
@@ -72,7 +74,10 @@ def test_braking_keeps_its_limits_and_ends_at_rest(
 def test_braking_takes_the_distance_of_the_closed_form(
     v0: float, decel: float, jerk: float
 ) -> None:
-    """Jerk to the full deceleration, hold, jerk to rest; where the speed is too low for it, jerk and jerk."""
+    """Jerk to the full deceleration, hold, jerk to rest.
+
+    Where the speed is too low for it, jerk and jerk.
+    """
     assume(decel >= jerk * STEP_S)  # the ramp takes a step at least: a profile knows no shorter one
     held = v0 >= decel**2 / jerk
     expected = (

@@ -27,7 +27,9 @@ def reference(road: Road, ego: EgoState = EGO) -> ReferencePath:
 
 
 def at(line: ReferencePath, x: float) -> tuple[float, float, float, float, float]:
-    """Right road edge, right and left lane edge, left road edge, limit beside a place near the x axis."""
+    """Right road edge, right and left lane edge, left road edge, limit beside a place near the x
+    axis.
+    """
     s, _ = line.line.project(x, 0.0)
     columns = (line.road_right, line.lane_right, line.lane_left, line.road_left, line.limit)
     return tuple(float(np.interp(s, line.line.s, column)) for column in columns)  # type: ignore[return-value]
@@ -207,7 +209,10 @@ def test_a_circular_lane_is_followed_once_round_and_not_for_ever() -> None:
 def test_a_kinked_lane_is_smoothed_until_a_car_can_be_steered_along(
     turn: float, possible: bool
 ) -> None:
-    """As far as its width allows; in a lane hardly wider than the car the line stays where it is."""
+    """As far as its width allows.
+
+    In a lane hardly wider than the car the line stays where it is.
+    """
     yaw, leg = np.radians(turn), np.arange(0.0, 40.0, 1.0)[:, None]
     kinked = np.vstack([leg * [1.0, 0.0], [40.0, 0.0] + leg * [np.cos(yaw), np.sin(yaw)]])
 

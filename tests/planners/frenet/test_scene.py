@@ -42,7 +42,9 @@ FINE = np.array([COURSE.line.point(s, 0.0) for s in np.arange(0.0, COURSE.line.l
 def world(
     rows: list[tuple[float, float, float, float, AgentKind]], by: FloatArray, course: ReferencePath
 ) -> Scene:
-    """Agents at (s, l, turn, speed) of the first course, all of it multiplied by a matrix, along another course."""
+    """Agents at (s, l, turn, speed) of the first course, all of it multiplied by a matrix, along
+    another course.
+    """
     others = [placed(f"it{i}", *row, by) for i, row in enumerate(rows)]
     x, y, yaw, *_ = placed("ego", 20.0, 0.3, 0.05, 8.0, AgentKind.CAR, by).at(0.0)
     return scene(course, EgoState(0.0, x, y, yaw, 8.0), others)

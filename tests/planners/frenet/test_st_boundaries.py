@@ -1,4 +1,6 @@
-"""S-T boundaries: swept boxes = brute force, margins and uncertain times only add, stops are rows."""
+"""S-T boundaries: swept boxes = brute force, margins and uncertain times only add, stops are
+rows.
+"""
 
 from dataclasses import replace
 
@@ -53,7 +55,9 @@ def margin_of(other: Other) -> float:
 
 
 def met(path: Path, other: Other, t: float, margin: float) -> FloatArray:
-    """The stations of the path's points at which the ego's box, widened, overlaps the other's at time t."""
+    """The stations of the path's points at which the ego's box, widened, overlaps the other's at
+    time t.
+    """
     x, y, yaw, _, _ = other.at(t)
     reach = CAR.axle_to_center
     found = [
@@ -220,7 +224,9 @@ def crowd(rows: list[tuple[float, float, float, float, bool]]) -> Scene:
 def test_who_is_not_met_with_wide_margins_is_not_met_with_narrow_ones(
     rows: list[tuple[float, float, float, float, bool]], narrow: StGraphConfig, passed: bool
 ) -> None:
-    """So that with narrower margins only those are swept again who were found: the same rows, bit by bit."""
+    """So that with narrower margins only those are swept again who were found: the same rows, bit
+    by bit.
+    """
     now, none = crowd(rows), np.zeros(len(rows), np.bool_)
     names = frozenset(now.frame.agents.ids[:2]) if passed else frozenset()
     found = st_boundaries(now, STRAIGHT, none, names, StGraphConfig())

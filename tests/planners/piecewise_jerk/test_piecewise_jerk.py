@@ -1,4 +1,6 @@
-"""Piecewise-jerk QPs: optimal by KKT, infeasible where a linear program says so, the same by every solver."""
+"""Piecewise-jerk QPs: optimal by KKT, infeasible where a linear program says so, the same by every
+solver.
+"""
 
 import os
 import subprocess
@@ -74,7 +76,10 @@ def feasible(problem: PiecewiseJerkProblem, room: float) -> bool:
 
 
 def stationarity(form: Form, z: FloatArray) -> float:
-    """Least |P z + q + A' y| over multipliers y of the right sign at the bounds that z touches; relative."""
+    """Least |P z + q + A' y| over multipliers y of the right sign at the bounds that z touches.
+
+    Relative.
+    """
     value, size = form.A @ z, np.abs(form.A).max(axis=1).toarray().ravel()
     push = (
         form.A.toarray()[value >= form.high - 1e-4 * size],

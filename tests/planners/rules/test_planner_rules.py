@@ -1,4 +1,7 @@
-"""Traffic rules: lights, stop signs, crosswalks, right of way; the rulebook itself, and the planners that obey it."""
+"""Traffic rules: lights, stop signs, crosswalks, right of way.
+
+The rulebook itself, and the planners that obey it.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -51,7 +54,10 @@ def along_y(begin: float, end: float) -> FloatArray:
 
 
 def junction(*lines: StopLine, mirror: bool = False) -> Road:
-    """The ego's lanes 0, 1, 2 along x; from the right, lanes 10, 11, 12 along y; where they meet, 11 goes first."""
+    """The ego's lanes 0, 1, 2 along x.
+
+    From the right, lanes 10, 11, 12 along y; where they meet, 11 goes first.
+    """
     lanes = {
         0: strip(0, along_x(-50.0, 94.0), successors=(1,)),
         1: strip(1, along_x(94.0, 106.0), successors=(2,), yields_to=(11,)),
@@ -353,7 +359,10 @@ def test_a_large_gap_is_taken_and_a_small_one_not(name: str) -> None:
 
 
 def merging() -> Road:
-    """The ego's lanes 0 and 1 along x; lane 10, which goes first, comes from the right and goes on as lane 1 too."""
+    """The ego's lanes 0 and 1 along x.
+
+    Lane 10, which goes first, comes from the right and goes on as lane 1 too.
+    """
     u = np.linspace(0.0, 1.0, 60)[:, None]
     bend = (1.0 - u) ** 2 * (60.0, -40.0) + 2.0 * u * (1.0 - u) * (80.0, 0.0) + u**2 * (100.0, 0.0)
     return Road(
@@ -407,7 +416,8 @@ STANDS = waiter("p", 102.0, -6.6, yaw=0.5 * np.pi)
         (CROSSWALK, 85.0, 10.0, [walker("p", 110.0, -4.0, 1.2)], Colour.OFF, False),
         (CROSSWALK, 80.0, 12.0, [STANDS], Colour.OFF, False),  # is not braked for hard
         (CROSSWALK, 80.0, 12.0, [walker("p", 102.0, -5.0, 1.2)], Colour.OFF, True),
-        # The ego's rear is in the lane after 3.5 s, at the end of the zone after 4.4 s; the other comes after 5.2 s.
+        # The ego's rear is in the lane after 3.5 s, at the end of the zone after 4.4 s; the other
+        # comes after 5.2 s.
         (merging(), 60.0, 10.0, [towards(0.5)], Colour.OFF, False),
         (merging(), 60.0, 10.0, [towards(-7.0)], Colour.OFF, True),
         # A gap of 1.5 s after the ego
@@ -470,7 +480,10 @@ def test_no_stop_where_lanes_cross() -> None:
 def test_who_stands_at_the_edge_does_not_keep_the_ego_before_a_crosswalk_for_ever(
     who: Other,
 ) -> None:
-    """A parked car behind it that the path passes; a pedestrian who stands half on the lane's edge."""
+    """A parked car behind it that the path passes.
+
+    A pedestrian who stands half on the lane's edge.
+    """
     trajectory, _ = drive(
         "dp_qp",
         straight(crosswalks=[WALK]),

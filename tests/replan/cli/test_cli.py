@@ -125,7 +125,8 @@ def test_exit_2(
 ) -> None:
     module(
         "needy",
-        "class Needy:\n    def __init__(self, context, *, path): ...\n    def plan(self, frame): ...\n",
+        "class Needy:\n    def __init__(self, context, *, path): ...\n    def plan(self, frame): "
+        "...\n",
     )
     (tmp_path / "empty").mkdir()
     (tmp_path / "foreign").mkdir()

@@ -28,7 +28,9 @@ GATES = {
     "inconclusive": 'metric = "gap.min"\nmin = 0.5',
     "tag": 'metric = "fallback.rate"\nmax = 0\ntags = ["rian"]',
     "hour": 'metric = "coverage.driven_s.final"\nmin = 3600\nover = "sum"',
-    "sure": 'metric = "fallback.rate"\nmax = 0\nover = "pass_share"\nmin_share = 0.9\nconfident = true',
+    "sure": (
+        'metric = "fallback.rate"\nmax = 0\nover = "pass_share"\nmin_share = 0.9\nconfident = true'
+    ),
     "key": 'metric = "fallback.rate"\nmaximum = 0',
 }
 
@@ -182,7 +184,7 @@ if "{moment}" == "exit":
 sys.argv = ["replan", "list"]
 from replan.__main__ import main
 main()
-"""
+"""  # noqa: E501
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="its signals end a process")

@@ -1,4 +1,6 @@
-"""A closed drive as a CommonRoad solution: states at the scenario's steps, of a vehicle that CommonRoad knows."""
+"""A closed drive as a CommonRoad solution: states at the scenario's steps, of a vehicle that
+CommonRoad knows.
+"""
 
 from dataclasses import replace
 from pathlib import Path

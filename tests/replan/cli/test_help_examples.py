@@ -22,8 +22,14 @@ from replan.logs.mcap import write_scenario
 pytestmark = pytest.mark.nightly
 pytest.importorskip("duckdb")
 pytest.importorskip("optuna")
-PLANNER = "from replan.planners.constant_speed import ConstantSpeed\n\n\nclass MyPlanner(ConstantSpeed):\n    pass\n"
-GATES = '[[gate]]\nmetric = "collision_at_fault.count"\nmax = 0\n\n[[compare]]\nmetric = "ttc.min"\nmax_decrease = 9\n'
+PLANNER = (
+    "from replan.planners.constant_speed import ConstantSpeed\n\n\nclass "
+    "MyPlanner(ConstantSpeed):\n    pass\n"
+)
+GATES = (
+    '[[gate]]\nmetric = "collision_at_fault.count"\nmax = 0\n\n[[compare]]\nmetric = '
+    '"ttc.min"\nmax_decrease = 9\n'
+)
 SPACE = "[loop]\nplan_period_s = { low = 0.1, high = 0.3 }\n"
 WORDS = {
     "my_bags/": "my_logs",
@@ -33,7 +39,8 @@ WORDS = {
 }
 """Names in the examples, and what stands for them here."""
 SHOWN = re.compile(
-    r"replan (view results/\S+( results/\S+)?( --log \S+| -p idm --mode closed)?$|view .*--screenshot)"
+    r"replan (view results/\S+( results/\S+)?( --log \S+| -p idm --mode closed)?$|view "
+    r".*--screenshot)"
 )
 """Examples that need a display."""
 LONG = (

@@ -1,4 +1,6 @@
-"""`replan list NAME`: every setting has a key that --set takes, a default, a unit and a meaning, all from the code."""
+"""`replan list NAME`: every setting has a key that --set takes, a default, a unit and a meaning,
+all from the code.
+"""
 
 import json
 from collections.abc import Callable

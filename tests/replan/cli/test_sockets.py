@@ -1,4 +1,6 @@
-"""Nothing leaves this machine, and nothing of it can be reached from elsewhere: sockets are watched."""
+"""Nothing leaves this machine, and nothing of it can be reached from elsewhere: sockets are
+watched.
+"""
 
 import os
 import re
@@ -54,7 +56,10 @@ def sockets(pid: int) -> set[tuple[str, str, str]]:
 
 
 def abroad(found: set[tuple[str, str, str]]) -> set[tuple[str, str, str]]:
-    """Those that are bound or connected to something else than this machine; all zeros is no address yet."""
+    """Those that are bound or connected to something else than this machine.
+
+    All zeros is no address yet.
+    """
     return {
         one
         for one in found
@@ -146,7 +151,10 @@ def test_the_trace_of_calls_shows_a_connection(tmp_path: Path) -> None:
     assert called(
         'connect(3, {sa_family=AF_INET, sin_port=htons(53), sin_addr=inet_addr("10.0.0.1")}, 16)'
     )
-    ipv6 = 'connect(3, {sa_family=AF_INET6, sin6_port=htons(1), inet_pton(AF_INET6, "2001:db8::1", &sin6_addr)}, 28)'
+    ipv6 = (
+        'connect(3, {sa_family=AF_INET6, sin6_port=htons(1), inet_pton(AF_INET6, "2001:db8::1", '
+        "&sin6_addr)}, 28)"
+    )
     assert called(ipv6) == {"2001:db8::1"}
 
 
@@ -173,7 +181,9 @@ def test_the_trace_of_calls_shows_a_connection(tmp_path: Path) -> None:
 def test_system_calls_of_a_command_name_no_other_machine(
     logs: Path, tmp_path: Path, words: list[str]
 ) -> None:
-    """Run in a network namespace without a route, where the user may make one: there the command must work, too."""
+    """Run in a network namespace without a route, where the user may make one: there the command
+    must work, too.
+    """
     if shutil.which("strace") is None:
         pytest.skip("strace is not installed (Debian: strace): connections cannot be watched")
     if "view" in words:
@@ -215,7 +225,7 @@ import fcntl, socket, struct
 from contextlib import suppress
 with socket.socket() as link, suppress(PermissionError):  # in a namespace of its own the loopback device is down
     fcntl.ioctl(link, 0x8914, struct.pack("16sh14x", b"lo", 0x1 | 0x40))  # SIOCSIFFLAGS: up, running
-"""
+"""  # noqa: E501
 
 
 def needs_a_driver() -> None:

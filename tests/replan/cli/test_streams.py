@@ -14,7 +14,9 @@ REPLAN = f"{sys.executable} -P -c 'from replan.cli import main; main()'"
 
 
 def shell(words: str, place: Path) -> tuple[int, str]:
-    """Exit code of `replan` in a shell's words (REPLAN stands for it), and what the shell still prints."""
+    """Exit code of `replan` in a shell's words (REPLAN stands for it), and what the shell still
+    prints.
+    """
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     line = f"set -o pipefail; {words.replace('REPLAN', REPLAN)}"
     done = subprocess.run(

@@ -1,4 +1,6 @@
-"""The command line for people and scripts: lists, JSON on stdout, quiet and verbose, progress, completion, speed."""
+"""The command line for people and scripts: lists, JSON on stdout, quiet and verbose, progress,
+completion, speed.
+"""
 
 import json
 import os

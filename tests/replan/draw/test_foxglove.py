@@ -1,6 +1,8 @@
-"""Foxglove's channels beside the native ones: what they show is the scenario, and no reader of replan sees them.
+"""Foxglove's channels beside the native ones: what they show is the scenario, and no reader of
+replan sees them.
 
-Decoded by the mcap project's own protobuf decoder, from the schemas in the file. Skipped without the extra `foxglove`.
+Decoded by the mcap project's own protobuf decoder, from the schemas in the file. Skipped without
+the extra `foxglove`.
 """
 
 import sys
@@ -182,7 +184,9 @@ def test_the_road_is_drawn_as_it_is_and_stop_lines_in_the_colour_of_their_light(
 
 @needs_schemas
 def test_every_message_shows_all_of_its_topic(tmp_path: Path) -> None:
-    """A viewer that jumps shows the last message before: it removes what is older, and nothing of its own."""
+    """A viewer that jumps shows the last message before: it removes what is older, and nothing of
+    its own.
+    """
     for topic, messages in decoded(written(tmp_path / "fox.mcap", rich_scenario())).items():
         for time, message in messages:
             if message.DESCRIPTOR.name == "SceneUpdate" and topic != "/foxglove/ego":

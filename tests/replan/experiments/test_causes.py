@@ -109,7 +109,10 @@ def test_a_change_that_a_run_refuses_is_named_with_the_reason() -> None:
     assert not found and "no_such_key" in refused["worse"]
 
 
-ROW = '[[change]]\nname = "{0}"\nwords = "so"\ncause = "prediction"\nrank = "{1}"\nset.loop = {{ traffic = "time" }}\n'
+ROW = (
+    '[[change]]\nname = "{0}"\nwords = "so"\ncause = "prediction"\nrank = "{1}"\nset.loop = {{ '
+    'traffic = "time" }}\n'
+)
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,9 @@ WEAK = "[planner.idm]\ndecel_mps2 = 0.3\nhardest_mps2 = 0.5\n"
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run of `idm` with weak brakes over a free road, a blocked one, and a blocked one whose log is gone since."""
+    """A run of `idm` with weak brakes over a free road, a blocked one, and a blocked one whose log
+    is gone since.
+    """
     out = tmp_path_factory.mktemp("diagnose")
     (out / "logs").mkdir()
     free, blocked = free_and_blocked()
@@ -100,9 +102,9 @@ def test_the_planted_cause_is_named_and_the_table_holds_what_is_said(found: Path
     (one,) = said["drives"]
     difference = one["failure"]["difference"]
     assert (
-        f"{-difference['hardest_mps2']:.1f} m/s² instead of {-difference['would_hardest_mps2']:.1f} m/s²"
-        in place
-    )
+        f"{-difference['hardest_mps2']:.1f} m/s² instead of "
+        f"{-difference['would_hardest_mps2']:.1f} m/s²"
+    ) in place
     assert (
         difference["hardest_mps2"] > -0.6
         and one["failure"]["who"] == "car wall"

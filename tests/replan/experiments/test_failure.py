@@ -1,4 +1,6 @@
-"""What goes wrong in a failing drive: the words are those of the numbers, and the numbers those of the drives."""
+"""What goes wrong in a failing drive: the words are those of the numbers, and the numbers those of
+the drives.
+"""
 
 from dataclasses import replace
 from math import inf, nan
@@ -145,7 +147,9 @@ def test_a_deed_in_numbers(
 
 
 def shown(speed: float, predicted: float, off: float = 0.0, *, seen: bool = True) -> Trace:
-    """A pedestrian who walks across, predicted at 1 s to walk at another speed, and shown beside their place."""
+    """A pedestrian who walks across, predicted at 1 s to walk at another speed, and shown beside
+    their place.
+    """
     log = scenario(
         LOG.ego,
         [
@@ -265,7 +269,7 @@ def test_a_lane_change_is_that_of_the_plan() -> None:
     assert [lane_change(trace, at) for at in (0.5, 1.5)] == ["", "left"]
 
 
-# where the time went ----------------------------------------------------------------------------------------------
+# where the time went ------------------------------------------------------------------------------
 
 
 @given(

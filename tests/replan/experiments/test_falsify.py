@@ -23,7 +23,9 @@ pytest.importorskip(
 )
 COLLISION = 'metric = "collision_at_fault.count"\nmode = "closed"\nmax = 0'
 GAP = 'metric = "gap.min"\nmode = "closed"\nmin = 0.05'
-"""At less, the careful driver fails as well: they pass as near, and brake for who is in their way only."""
+"""At less, the careful driver fails as well: they pass as near, and brake for who is in their way
+only.
+"""
 
 
 def log() -> Scenario:

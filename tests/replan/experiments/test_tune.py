@@ -1,4 +1,7 @@
-"""`replan tune`: planted better settings are found, noise is not; trials, files, resume, and wrong words."""
+"""`replan tune`: planted better settings are found, noise is not.
+
+Trials, files, resume, and wrong words.
+"""
 
 import json
 import sys

@@ -62,7 +62,10 @@ def crosses(name: str) -> dict[str, object]:
 
 @pytest.fixture(scope="module")
 def result(tmp_path_factory: pytest.TempPathFactory) -> VaryResult:
-    """Constant speed past the car, pushed towards its lane; an ego start that is off the road is one of the cells."""
+    """Constant speed past the car, pushed towards its lane.
+
+    An ego start that is off the road is one of the cells.
+    """
     out = tmp_path_factory.mktemp("vary")
     write_gates(out / "gates.toml", COLLISION)
     asked = question(["side=-4:0:3", "ego_start=-3:1:2"], ["17"], 0.25)

@@ -1,4 +1,6 @@
-"""A drive in words, one frame planned again, and where the agents really were: the words match the run."""
+"""A drive in words, one frame planned again, and where the agents really were: the words match the
+run.
+"""
 
 import json
 from collections.abc import Mapping
@@ -49,7 +51,9 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
 
 
 def test_a_run_read_back_is_explained_as_it_was_when_driven(results: Results) -> None:
-    """The recording explains the drive in memory, `explain` the one on the disk: the same accounts."""
+    """The recording explains the drive in memory, `explain` the one on the disk: the same
+    accounts.
+    """
     driven = run_closed_loop(log(), "dp_qp").trace
     read = results.drive(LOG, "dp_qp")
     again = list(accounts(read.trace, read.scenario, results.run.drive_loop))

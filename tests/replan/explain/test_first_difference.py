@@ -1,4 +1,7 @@
-"""Where two drives part: what is changed in one frame is found in that frame, in its stage; where two planners part."""
+"""Where two drives part: what is changed in one frame is found in that frame, in its stage.
+
+Where two planners part.
+"""
 
 from collections.abc import Callable
 from dataclasses import fields, replace

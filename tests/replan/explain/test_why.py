@@ -1,4 +1,7 @@
-"""Why a plan slows down: no sentence contradicts the numbers beside it, for whatever planner; and a few by hand."""
+"""Why a plan slows down: no sentence contradicts the numbers beside it, for whatever planner.
+
+And a few by hand.
+"""
 
 import re
 from dataclasses import fields, replace
@@ -68,7 +71,8 @@ class SlowDown:
         )
 
 
-# ------------------------------------------------------------------------------------------------------ the law
+# ------------------------------------------------------------------------------------------------------
+# the law
 
 
 def boxes(case: PlannerInput) -> tuple[FloatArray, FloatArray]:
@@ -80,9 +84,11 @@ def boxes(case: PlannerInput) -> tuple[FloatArray, FloatArray]:
 
 
 def gaps(case: PlannerInput, held: FloatArray, way: PlanWay, world: Scenario) -> FloatArray:
-    """Between the ego's box at arc lengths `(k,)` and each prediction `(n, k)`, m; NaN where its centre is behind.
+    """Between the ego's box at arc lengths `(k,)` and each prediction `(n, k)`, m; NaN where its
+    centre is behind.
 
-    Who touches the ego from behind is behind from then on: a predicted follower drives through a held ego.
+    Who touches the ego from behind is behind from then on: a predicted follower drives through a
+    held ego.
     """
     poses, sizes = boxes(case)
     car = world.vehicle
@@ -203,7 +209,9 @@ def check_others(case: PlannerInput, causes: list[Cause], held: Held, away: Floa
 
 
 def check_numbers(sentence: str, cause: Cause, account: Account) -> None:
-    """Each number in a sentence is one of the cause's within its rounding, or a constant that is stated."""
+    """Each number in a sentence is one of the cause's within its rounding, or a constant that is
+    stated.
+    """
     for words in (cause.reason, cause.who, cause.decision):
         sentence = sentence.replace(words, "") if words else sentence
     numbers = [
@@ -252,7 +260,8 @@ def test_no_sentence_contradicts_the_numbers_anywhere(name: str, planner: str) -
         check_drive(name, planner, mode)
 
 
-# ------------------------------------------------------------------------------------------------------ by hand
+# ------------------------------------------------------------------------------------------------------
+# by hand
 
 
 def world_with(*others: dict[str, object], speed: float = 10.0, **more: object) -> Scenario:
@@ -290,7 +299,9 @@ def steady(world: Scenario) -> Plan:
 def test_why_a_steady_plan_is_not_faster_is_asked_where_a_speed_is_wanted(
     away: float, drives: float, limit: float, kind: CauseKind
 ) -> None:
-    """At the wanted 15 m/s a car that stands is met, and one as fast is followed by less than 2 s; at 2.5 m/s not."""
+    """At the wanted 15 m/s a car that stands is met, and one as fast is followed by less than 2 s;
+    at 2.5 m/s not.
+    """
     t = np.array([0.0, 1.0])
     ahead = track("ahead", t, away + drives * t, 0.0 * t, vx=drives + 0.0 * t, vy=0.0 * t)
     others = (ahead,) if isfinite(away) else ()
@@ -312,7 +323,9 @@ def braking(world: Scenario, internals: tuple[Decision, ...] = ()) -> Plan:
 
 
 def test_with_a_car_ahead_it_is_the_car_and_inferred() -> None:
-    """10 m/s, rear bumper at 30 - 2.25: the front, at the axle's distance, is within 2 m after so much road."""
+    """10 m/s, rear bumper at 30 - 2.25: the front, at the axle's distance, is within 2 m after so
+    much road.
+    """
     world = world_with(track("stopped", [0.0], [30.0], [0.0], static=True))
     account = why_of(world, braking(world))
     (cause,) = account.causes
@@ -381,7 +394,10 @@ def test_who_is_overtaken_near_the_way_is_inferred_where_nothing_else_is_found(
     )
     (cause,) = account.causes
     assert cause.kind is kind and cause.inferred
-    said = "Slows down for walks (inferred; the planner decided: overtake): steps out later; near its way, but not met"
+    said = (
+        "Slows down for walks (inferred; the planner decided: overtake): steps out later; near "
+        "its way, but not met"
+    )
     assert (sentences(account) == [f"{said} at 10.0 m/s."]) is (kind is CauseKind.WORD)
 
 
@@ -514,7 +530,9 @@ def test_who_stands_would_meet_somebody_if_it_drove_off() -> None:
 def test_braking_as_much_as_is_needed_stays_behind(
     speed: float, ahead: float, theirs: float
 ) -> None:
-    """An agent that goes on along the lane: with `need` the ego never comes nearer than the gap, with less it does."""
+    """An agent that goes on along the lane: with `need` the ego never comes nearer than the gap,
+    with less it does.
+    """
     t = np.arange(0.0, 1.01, 0.1)
     still = [0.0] * len(t)
     lead = track(

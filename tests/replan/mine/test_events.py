@@ -1,4 +1,6 @@
-"""Kinds of events: each finds what it is made for and nothing beside it, wherever in the world the log lies."""
+"""Kinds of events: each finds what it is made for and nothing beside it, wherever in the world the
+log lies.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace

@@ -196,7 +196,10 @@ def test_the_tables_of_a_run_are_views_too(tmp_path: Path) -> None:
         "--no-recording",
     )
     replan("evaluate", *words, "--out", tmp_path / "run", "--workers", 0)
-    sql = "SELECT count(*) AS n FROM metrics JOIN drives USING (log, planner, mode) WHERE metric = 'ttc.min'"
+    sql = (
+        "SELECT count(*) AS n FROM metrics JOIN drives USING (log, planner, mode) WHERE metric = "
+        "'ttc.min'"
+    )
     assert json.loads(replan("query", tmp_path / "run", sql, "--json").stdout) == [{"n": 1}]
     assert "The views are metrics, verdicts" in one_error(
         replan("query", tmp_path / "run", "SELECT * FROM events")

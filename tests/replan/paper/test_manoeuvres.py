@@ -1,4 +1,6 @@
-"""The manoeuvres: tracks that a car fits through, references that are what they say, and the aims of the table."""
+"""The manoeuvres: tracks that a car fits through, references that are what they say, and the aims
+of the table.
+"""
 
 from dataclasses import replace
 

@@ -1,4 +1,6 @@
-"""The paper's experiments: laws of the avoidability, the grid's cells, the figures, and the whole command (slow)."""
+"""The paper's experiments: laws of the avoidability, the grid's cells, the figures, and the whole
+command (slow).
+"""
 
 from dataclasses import replace
 from pathlib import Path

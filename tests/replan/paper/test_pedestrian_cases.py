@@ -1,20 +1,24 @@
-"""The nine cases of pedestrians who cross, in closed loop with constant-velocity prediction: what must hold of each.
+"""The nine cases of pedestrians who cross, in closed loop with constant-velocity prediction: what
+must hold of each.
 
-Every scenario is a family of the catalogue with other parameters; of the log only the first ego state is taken, since
-a careful driver cannot avoid every one. A walker is IN THE WAY while his box is within the ego's width and `MARGIN_M`
-on each side, and the rear bumper has not passed him. A CONFLICT lasts while somebody is in the way or walks towards it,
-and `RELEASE_S` longer, but not into the next; those who are in the way together are one conflict. The laws:
+Every scenario is a family of the catalogue with other parameters; of the log only the first ego
+state is taken, since a careful driver cannot avoid every one. A walker is IN THE WAY while his box
+is within the ego's width and `MARGIN_M` on each side, and the rear bumper has not passed him. A
+CONFLICT lasts while somebody is in the way or walks towards it, and `RELEASE_S` longer, but not
+into the next; those who are in the way together are one conflict. The laws:
 
-contact         a collision that a point mass avoids by keeping its speed or by braking hard: (1) and (2) of
-                `pedestrian_grid`, with no time to react; by the case's parameters, and in a later conflict from the
-                state in which it began
-creep           while somebody stands on the lane ahead: once the ego rests it does not move by more than `CREEP_M`, and
-                below `SLOW_MPS` it covers no more than `ROLL_M`, a stop with 0.25 m/s2
-oscillation     the acceleration that the pedals command, where it is beyond +-`DEAD_BAND_MPS2`, changes its sign no
-                more than `CHANGES` times per conflict: braking and driving on again are two changes if the ego was
-                accelerating before. The brake that holds a standstill counts as braking
-late release    the brake that was pressed while somebody was in the way is still pressed `RELEASE_S` after the last is
-                out of it for good, as in `pedestrian_grid`
+contact         a collision that a point mass avoids by keeping its speed or by braking hard: (1)
+                and (2) of `pedestrian_grid`, with no time to react; by the case's parameters, and
+                in a later conflict from the state in which it began
+creep           while somebody stands on the lane ahead: once the ego rests it does not move by more
+                than `CREEP_M`, and below `SLOW_MPS` it covers no more than `ROLL_M`, a stop with
+                0.25 m/s2
+oscillation     the acceleration that the pedals command, where it is beyond +-`DEAD_BAND_MPS2`,
+                changes its sign no more than `CHANGES` times per conflict: braking and driving on
+                again are two changes if the ego was accelerating before. The brake that holds a
+                standstill counts as braking
+late release    the brake that was pressed while somebody was in the way is still pressed
+                `RELEASE_S` after the last is out of it for good, as in `pedestrian_grid`
 both pedals     throttle and brake are pressed together
 no goal         the drive ends neither at its goal nor in a collision
 """
@@ -78,14 +82,18 @@ def varied(row: str, family: str, **values: tuple[float, ...]) -> list[Case]:
 def crossings(
     row: str, ego_kmh: tuple[float, ...], walker: tuple[float, ...], late: tuple[float, ...]
 ) -> list[Case]:
-    """The paper's crossing by when the walker is in the middle of the lane, as in `pedestrian_grid`."""
+    """The paper's crossing by when the walker is in the middle of the lane, as in
+    `pedestrian_grid`.
+    """
     cells = (GridCrossing(*one) for one in product(ego_kmh, walker, late))
     return [Case(row, PAPER, tuple(cell.parameters.items())) for cell in cells]
 
 
 @dataclass(frozen=True, eq=False)
 class Walk:
-    """A walker at times `(n,)`: box centre, half extents along and across the lane, speed, velocity across."""
+    """A walker at times `(n,)`: box centre, half extents along and across the lane, speed, velocity
+    across.
+    """
 
     x: np.ndarray
     y: np.ndarray
@@ -116,7 +124,9 @@ def walks(scenario: Scenario, t: np.ndarray) -> list[Walk]:
 
 
 def meets_nobody(scenario: Scenario, t: np.ndarray, rear_axle: np.ndarray) -> bool:
-    """Whether an ego with its rear axle at these stations of the lane `(n,)` at times `(n,)` overlaps no walker."""
+    """Whether an ego with its rear axle at these stations of the lane `(n,)` at times `(n,)`
+    overlaps no walker.
+    """
     front, rear = (
         rear_axle + scenario.vehicle.axle_to_front,
         rear_axle - scenario.vehicle.rear_overhang,
@@ -138,7 +148,10 @@ def sets_off(scenario: Scenario) -> float:
 
 
 def helps(scenario: Scenario, t: float, x: float, v: float) -> bool:
-    """Whether keeping the speed `v`, or hard braking from `t` on, meets nobody; the rear axle is at `x`."""
+    """Whether keeping the speed `v`, or hard braking from `t` on, meets nobody.
+
+    The rear axle is at `x`.
+    """
     car, u = scenario.vehicle, np.arange(0.0, scenario.duration - t, 0.02)
     dead = car.brake_delay + car.brake_lag
     slowed = [
@@ -193,8 +206,8 @@ class Judged:
     def avoidable(self) -> bool:
         """Whether keeping the speed or braking hard helps, in the last conflict.
 
-        In a first one by the parameters: an ego that kept its speed until he set off. In a later one, of which nobody
-        knew, from the state in which it began.
+        In a first one by the parameters: an ego that kept its speed until he set off. In a later
+        one, of which nobody knew, from the state in which it began.
         """
         ego, off, conflicts = self.scenario.ego.state(0), sets_off(self.scenario), self.conflicts()
         if len(conflicts) == 1:
@@ -205,7 +218,9 @@ class Judged:
         )
 
     def changes(self) -> tuple[int, int]:
-        """How often the commanded acceleration changes its sign during conflicts, and how often it may."""
+        """How often the commanded acceleration changes its sign during conflicts, and how often it
+        may.
+        """
         commands, car, v = self.trace.commands, self.scenario.vehicle, self.trace.ego.v
         assert commands is not None
         asked = (
@@ -230,7 +245,9 @@ class Judged:
         return runs(np.any(each, axis=0))
 
     def crept(self) -> tuple[float, float]:
-        """The farthest that the ego moved after it rested, and that it moved slowly, while somebody stood, m."""
+        """The farthest that the ego moved after it rested, and that it moved slowly, while somebody
+        stood, m.
+        """
         ego, farthest, slowly = self.trace.ego, 0.0, 0.0
         for first, end in self.stands():
             x, v = ego.x[first:end], ego.v[first:end]
@@ -246,7 +263,10 @@ class Judged:
         )
 
     def released(self) -> float:
-        """How long after the way was clear the brake was released, s; not positive where it was not pressed then."""
+        """How long after the way was clear the brake was released, s.
+
+        Not positive where it was not pressed then.
+        """
         taken = np.flatnonzero(self.in_the_way())
         if not len(taken):
             return 0.0
@@ -409,7 +429,10 @@ def test_the_papers_crossing_is_comfortable(walker: float) -> None:
 
 @pytest.mark.parametrize("changed", [{}, {"distance_m": 15.0}])
 def test_with_a_sensor_the_child_is_not_seen_before_it_runs_out(changed: dict[str, float]) -> None:
-    """It is behind the small car until 4.5 s; the ego has slowed down before, and nobody is touched."""
+    """It is behind the small car until 4.5 s.
+
+    The ego has slowed down before, and nobody is touched.
+    """
     drive = judged(
         Case("PD-5", "pedestrian/runs_out", tuple(changed.items())),
         replace(LOOP, perception="sensor"),

@@ -1,4 +1,6 @@
-"""Edited results: one line and a documented exit code, and nothing outside of the output is touched."""
+"""Edited results: one line and a documented exit code, and nothing outside of the output is
+touched.
+"""
 
 import json
 import random
@@ -28,7 +30,8 @@ COMMANDS = {
         "report {it} -o {out}",
         "compare {it} {run} --no-first-difference",
         "cut {it} --table verdicts --where true -o {out}",
-        "query {it} 'SELECT count(*) AS n FROM metrics, verdicts, groups, logs, drives, gates, failures'",
+        "query {it} 'SELECT count(*) AS n FROM metrics, verdicts, groups, logs, drives, gates, "
+        "failures'",
         "query {it} 'SELECT max(value) AS v FROM frames'",
         "query {it} 'SELECT max(seconds) AS s FROM timings'",
         "diagnose {it} -o {out} --workers 0",

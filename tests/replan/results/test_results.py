@@ -1,4 +1,6 @@
-"""A result folder read back: its tables are those that were written, its drives those that were driven."""
+"""A result folder read back: its tables are those that were written, its drives those that were
+driven.
+"""
 
 import shutil
 from pathlib import Path
@@ -182,7 +184,9 @@ NEWER = {
 def test_files_of_before_a_column_are_read_with_its_value_of_then(
     name: str, tmp_path: Path
 ) -> None:
-    """Law: a table without its newer columns is read as one in which each row has their `older` value."""
+    """Law: a table without its newer columns is read as one in which each row has their `older`
+    value.
+    """
     values = {
         "text": "a",
         "number": 1.0,

@@ -1,4 +1,6 @@
-"""Whose numbers are driven with: a known vehicle by option or by configuration, in a run and in the calibration."""
+"""Whose numbers are driven with: a known vehicle by option or by configuration, in a run and in the
+calibration.
+"""
 
 import tomllib
 from pathlib import Path

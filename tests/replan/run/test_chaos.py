@@ -1,4 +1,6 @@
-"""Chaos: killed workers and runs, a full disk, damaged logs and several resumes change no byte of the tables."""
+"""Chaos: killed workers and runs, a full disk, damaged logs and several resumes change no byte of
+the tables.
+"""
 
 import json
 import os

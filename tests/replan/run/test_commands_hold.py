@@ -1,7 +1,9 @@
-"""What commands write holds: all commands (rows) by what may go wrong (columns). A cell is a test, or says why not.
+"""What commands write holds: all commands (rows) by what may go wrong (columns). A cell is a test,
+or says why not.
 
-A file's columns beside these: which byte of it a full disk cuts (test_full_disk.py). Kills at random times:
-test_killed_commands.py, `python -m studies.kills`. URLs that are written: test_urls.py. Locks: test_lock.py.
+A file's columns beside these: which byte of it a full disk cuts (test_full_disk.py). Kills at
+random times: test_killed_commands.py, `python -m studies.kills`. URLs that are written:
+test_urls.py. Locks: test_lock.py.
 """
 
 import errno
@@ -35,7 +37,10 @@ pytest.importorskip("duckdb")
 pytest.importorskip("optuna")
 ROOT = Path(__file__).parents[3]
 URL, WORK = "url", "work"
-"""Columns with a stated no: refused URLs; and all in which a command works: full, interrupted, again."""
+"""Columns with a stated no: refused URLs.
+
+And all in which a command works: full, interrupted, again.
+"""
 WRITTEN = {URL: "it is written there: test_urls.py"}
 SLOW, NIGHTLY = (pytest.mark.slow,), (pytest.mark.slow, pytest.mark.nightly)
 VIEWER = {WORK: "needs a graphics driver; the file is claimed and written as that of --save"}
@@ -80,12 +85,14 @@ ROWS = {
         resumes=True,
     ),
     "falsify": Row(
-        "falsify {place}/blocked.mcap -p idm --workers 0 --axis ego_speed=0.9:1.1 --budget 16 -o OUT",
+        "falsify {place}/blocked.mcap -p idm --workers 0 --axis ego_speed=0.9:1.1 --budget 16 -o "
+        "OUT",
         resumes=True,
         marks=SLOW,
     ),
     "tune": Row(
-        "tune {place}/many -p idm --space {place}/space.toml --trials 1 --held-out 0.75 --workers 0 -o OUT",
+        "tune {place}/many -p idm --space {place}/space.toml --trials 1 --held-out 0.75 --workers "
+        "0 -o OUT",
         resumes=True,
         marks=SLOW,
     ),
@@ -125,7 +132,9 @@ READS = {
     "inspect": "prints",
     "compare": "prints",
     "explain": "prints",
-    "warmup": "writes the cache of kernels, each file whole: tests/core/test_kernel.py, test_warmup.py",
+    "warmup": (
+        "writes the cache of kernels, each file whole: tests/core/test_kernel.py, test_warmup.py"
+    ),
 }
 """The commands that write nothing of the user's."""
 FILES = [name for name, row in ROWS.items() if row.ending]
@@ -143,7 +152,10 @@ def rows(column: str) -> list[Any]:
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two logs, a run of both, a shard of it, both mined; eight logs; a damaged one; a drive of CommonRoad's."""
+    """Two logs, a run of both, a shard of it, both mined.
+
+    Eight logs; a damaged one; a drive of CommonRoad's.
+    """
     place = tmp_path_factory.mktemp("hold")
     for folder in (place, place / "logs"):
         write_free_and_blocked(folder)
@@ -365,7 +377,9 @@ def left(folder: Path) -> list[Path]:
 
 @dataclass
 class Whole:
-    """An undisturbed run of a command: what it writes, its exit code, its largest file, and the files it renames."""
+    """An undisturbed run of a command: what it writes, its exit code, its largest file, and the
+    files it renames.
+    """
 
     out: Path
     contents: dict[str, bytes]

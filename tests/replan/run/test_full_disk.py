@@ -1,4 +1,6 @@
-"""A full disk, at any byte: one line that names the file, no cut file under a final name, and --resume goes on."""
+"""A full disk, at any byte: one line that names the file, no cut file under a final name, and
+--resume goes on.
+"""
 
 from collections.abc import Callable
 from contextlib import closing
@@ -95,7 +97,9 @@ def test_a_file_is_whole_or_not_there(
     "size", [3000, *(pytest.param(size, marks=pytest.mark.slow) for size in (0, 300, 9000))]
 )
 def test_a_run_ends_in_one_line_and_is_resumed(logs: Path, tmp_path: Path, size: int) -> None:
-    """At 0 bytes nothing can be begun, then the run's settings, the drives of a log, the tables of the run."""
+    """At 0 bytes nothing can be begun, then the run's settings, the drives of a log, the tables of
+    the run.
+    """
     whole = run(logs, tmp_path / "whole", QUICK)
     words = ["evaluate", str(logs), "-p", "constant_speed", "--workers", "0", "--no-recording"]
     out = tmp_path / "out"

@@ -1,4 +1,6 @@
-"""Hostile logs through the command line: judged with a verdict or refused in a line, never anything else."""
+"""Hostile logs through the command line: judged with a verdict or refused in a line, never anything
+else.
+"""
 
 from pathlib import Path
 

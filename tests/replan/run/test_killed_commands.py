@@ -1,4 +1,6 @@
-"""Commands that are killed or interrupted at any time, and run again: the same bytes, and nothing is left behind."""
+"""Commands that are killed or interrupted at any time, and run again: the same bytes, and nothing
+is left behind.
+"""
 
 import random
 import shlex
@@ -19,11 +21,19 @@ pytestmark = [
     pytest.mark.skipif(sys.platform != "linux", reason="processes are read from /proc"),
 ]
 COMMANDS = {
-    "evaluate": "evaluate logs -p constant_speed --workers 2 --no-recording --no-report -o out --resume",
+    "evaluate": (
+        "evaluate logs -p constant_speed --workers 2 --no-recording --no-report -o out --resume"
+    ),
     "mine": "mine logs --workers 2 -o out --resume",
     "cut": "cut mined --where true --before 0.5 --after 0.5 -o out --resume",
-    "vary": "vary logs/free.mcap -p constant_speed --workers 0 --vary ego_speed=0.9:1.1:3 -o out --resume",
-    "falsify": "falsify logs/blocked.mcap -p idm --workers 0 --axis ego_speed=0.9:1.1 --budget 16 -o out --resume",
+    "vary": (
+        "vary logs/free.mcap -p constant_speed --workers 0 --vary ego_speed=0.9:1.1:3 -o out "
+        "--resume"
+    ),
+    "falsify": (
+        "falsify logs/blocked.mcap -p idm --workers 0 --axis ego_speed=0.9:1.1 --budget 16 "
+        "-o out --resume"
+    ),
     "diagnose": "diagnose run --workers 0 -o out --resume",
     "report": "report run -o out",
     "query": "query mined 'SELECT * FROM range(300000)' -o out.csv",
@@ -36,7 +46,10 @@ SIGNALS = (signal.SIGKILL, signal.SIGINT, signal.SIGTERM)
 
 
 def finished(place: Path, words: str) -> tuple[int, str]:
-    """Exit code and errors; a command that cannot be resumed, because nothing was begun, is started anew."""
+    """Exit code and errors.
+
+    A command that cannot be resumed, because nothing was begun, is started anew.
+    """
     run = started(*shlex.split(words), cwd=place)
     errors = run.communicate(timeout=300)[1]
     if run.returncode == 2 and "no study to resume" in errors:
@@ -79,7 +92,10 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
-ALWAYS = 'import replan\n\nKIND = replan.EventKind("always", lambda log: [replan.Event(0.5, 1.5, 1.0)], "Always.", "one")\n'
+ALWAYS = (
+    'import replan\n\nKIND = replan.EventKind("always", lambda log: [replan.Event(0.5, 1.5, '
+    '1.0)], "Always.", "one")\n'
+)
 
 
 def cleared(place: Path) -> None:
@@ -88,7 +104,10 @@ def cleared(place: Path) -> None:
 
 
 def strike(place: Path, words: str, rng: random.Random, whole_s: float) -> None:
-    """End a command at a random time by a random signal; it leaves no process, and no line that speaks of a bug."""
+    """End a command at a random time by a random signal.
+
+    It leaves no process, and no line that speaks of a bug.
+    """
     run, number = started(*shlex.split(words), cwd=place), rng.choice(SIGNALS)
     try:
         run.wait(rng.uniform(0.3, whole_s))

@@ -61,7 +61,9 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def slow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The folder into which a planner, a module beside which is imported, says that a drive has begun."""
+    """The folder into which a planner, a module beside which is imported, says that a drive has
+    begun.
+    """
     said = tmp_path / "said"
     said.mkdir()
     code = tmp_path / "code"
@@ -153,7 +155,7 @@ with OnRay(workers=1)._ray_connection(RunConfig()) as ray:
     assert ray.get(ray.remote(lambda: os.environ["RAY_USAGE_STATS_ENABLED"]).remote()) == "0"
     print(*listening() - before)
 print(*Path(sys.argv[1]).iterdir())
-"""
+"""  # noqa: E501
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="sockets are read from /proc")

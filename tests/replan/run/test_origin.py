@@ -1,4 +1,7 @@
-"""Results know where their logs are: read from any directory, moved with or without them; another log is refused."""
+"""Results know where their logs are: read from any directory, moved with or without them.
+
+Another log is refused.
+"""
 
 import shutil
 from pathlib import Path

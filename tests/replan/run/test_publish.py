@@ -1,4 +1,6 @@
-"""Results at a store that is in memory: what goes there, and when that of an earlier run goes away."""
+"""Results at a store that is in memory: what goes there, and when that of an earlier run goes
+away.
+"""
 
 import json
 from collections.abc import Iterator

@@ -1,4 +1,6 @@
-"""A run that was interrupted goes on where it was, and its tables are those of a run that was never interrupted."""
+"""A run that was interrupted goes on where it was, and its tables are those of a run that was never
+interrupted.
+"""
 
 import json
 import shutil
@@ -36,7 +38,7 @@ class Patient(ConstantSpeed):
                 (folder / "writing").rename(folder / "waiting")
             time.sleep(0.02)
         return super().plan(frame)
-'''
+'''  # noqa: E501
 CONFIG = replace(QUICK, planners=("constant_speed", "patient:Patient"))
 """The logs are a, b, c; only in b is anybody else."""
 
@@ -61,7 +63,10 @@ def resumed(
 def interrupted(
     logs: Path, folder: Path, stop: signal.Signals, workers: int
 ) -> subprocess.CompletedProcess[str]:
-    """A run of the command line that is stopped while it waits in the middle log; its results are in `out`."""
+    """A run of the command line that is stopped while it waits in the middle log.
+
+    Its results are in `out`.
+    """
     planners = [word for name in CONFIG.planners for word in ("-p", name)]
     words = ["evaluate", logs, *planners, "--no-recording", "-o", "out", "--workers", workers]
     process = started(*words, cwd=folder)

@@ -1,4 +1,7 @@
-"""A run in shards, merged, is the run without shards, byte for byte; a log that is selected twice is driven once."""
+"""A run in shards, merged, is the run without shards, byte for byte.
+
+A log that is selected twice is driven once.
+"""
 
 import json
 import shutil
@@ -225,7 +228,10 @@ OPEN = replace(QUICK, mode="open")
 
 @pytest.fixture(scope="module")
 def twice(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A bag as a folder, as its file, renamed, as SQLite and as ROS 1; another drive with the same times and name."""
+    """A bag as a folder, as its file, renamed, as SQLite and as ROS 1.
+
+    Another drive with the same times and name.
+    """
     root = tmp_path_factory.mktemp("twice")
     rows = bags.odometry(duration=3.0)
     bags.write_ros2(root / "a" / "drive", rows)
@@ -261,7 +267,9 @@ def test_the_same_drive_in_any_container_is_left_out_by_name(twice: Path) -> Non
 
 @pytest.fixture(scope="module")
 def converted(twice: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A bag and its conversion, of which only the content of the results shows that they are the same; and another."""
+    """A bag and its conversion, of which only the content of the results shows that they are the
+    same; and another.
+    """
     root = tmp_path_factory.mktemp("converted")
     shutil.copytree(twice / "a" / "drive", root / "a" / "drive")
     (root / "b").mkdir()

@@ -1,4 +1,7 @@
-"""Logs and results at an S3-compatible server: the bytes of local ones; what is wrong there is one line."""
+"""Logs and results at an S3-compatible server: the bytes of local ones.
+
+What is wrong there is one line.
+"""
 
 import json
 import socket
@@ -145,7 +148,9 @@ def test_results_at_a_url_are_those_of_a_folder_and_are_resumed(
 def test_a_run_that_is_killed_as_it_sends_is_resumed(
     bucket: Any, logs: Path, tmp_path: Path, objects: int
 ) -> None:
-    """A run is killed after some objects are sent: `--resume` takes over its lock and gives the same bytes."""
+    """A run is killed after some objects are sent: `--resume` takes over its lock and gives the
+    same bytes.
+    """
     code = replan("evaluate", str(logs), *QUICK, "-o", "here").exit_code
     words = ("evaluate", str(logs), *QUICK, "-o", "s3://fleet/results/one")
     running, until = started(*words, cwd=tmp_path), time.monotonic() + 120.0

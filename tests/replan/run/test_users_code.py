@@ -1,4 +1,6 @@
-"""A user's metric or planner that raises or gives nonsense costs itself only, and is named with file and line."""
+"""A user's metric or planner that raises or gives nonsense costs itself only, and is named with
+file and line.
+"""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -20,7 +22,7 @@ def metric(name, measure, reductions=(MEAN, MAX), **more):
     return Metric(name, "m", "none", (Mode.OPEN, Mode.CLOSED), measure, reductions, "For a test.", **more)
 
 SOUND = metric("sound", lambda trace, scenario: Series(trace.ego.t, trace.ego.x))
-"""
+"""  # noqa: E501
 BAD = {
     "raises": "def bad(trace, scenario):\n    return 1 / 0",
     "in_numpy": "def bad(trace, scenario):\n    return np.linalg.inv(np.zeros((2, 2)))",
@@ -30,7 +32,9 @@ BAD = {
     "infinite": "def bad(trace, scenario):\n    return Series(trace.ego.t, trace.ego.x + np.inf)",
     "length": "def bad(trace, scenario):\n    return Series(trace.ego.t, trace.ego.x[1:])",
     "nan_time": "def bad(trace, scenario):\n    return Series(trace.ego.t * np.nan, trace.ego.x)",
-    "words": "def bad(trace, scenario):\n    return Series(trace.ego.t, np.full(len(trace.ego.t), 'x'))",
+    "words": (
+        "def bad(trace, scenario):\n    return Series(trace.ego.t, np.full(len(trace.ego.t), 'x'))"
+    ),
     "part": "def bad(trace, scenario):\n    return {'a': [1.0]}",
     "reason": "def bad(trace, scenario):\n    return Unavailable(None)",
     "writes": "def bad(trace, scenario):\n    trace.ego.x[0] = 9.0",

@@ -1,4 +1,6 @@
-"""Kernels compiled beforehand: what a folder of them needs to be of use, and when it is said that there are none."""
+"""Kernels compiled beforehand: what a folder of them needs to be of use, and when it is said that
+there are none.
+"""
 
 import os
 import shutil
@@ -26,11 +28,13 @@ watch = kernel.KernelWatch()
 cold, corners = kernel.is_cache_cold(), shapes.corners(1.0, 2.0, 0.5, 4.0, 2.0).tolist()
 print(watch.stored == 0 and cold, corners, kernel.compiled_count() > 0, watch.look() == 0 and watch.stored == 0)
 print(gc.isenabled())
-"""
+"""  # noqa: E501
 
 
 def _asked(folder: Path, **more: str) -> tuple[list[str], str]:
-    """What a fresh process says with its kernels in a folder, none beside the sources: its lines, and stderr."""
+    """What a fresh process says with its kernels in a folder, none beside the sources: its lines,
+    and stderr.
+    """
     copy = folder.parent / "copy"
     for source, package in (("replan", "replan"), ("logs", "replan/logs")):
         shutil.copytree(
@@ -95,6 +99,9 @@ def test_beside_the_first_item_another_process_does_other_work(
 
 @pytest.mark.slow
 def test_the_head_start_compiles_what_a_plan_needs() -> None:
-    """Without an error, of all built-in planners; a planner of a user is left to its own process."""
+    """Without an error, of all built-in planners.
+
+    A planner of a user is left to its own process.
+    """
     names = (*PLANNER.causal, "nobody:Knows", "logged")
     compile_planning(RunConfig(planners=names))

@@ -1,4 +1,7 @@
-"""NAVSIM's scores: equal to the original's own values; laws; the human's trajectory; the versions."""
+"""NAVSIM's scores: equal to the original's own values.
+
+Laws; the human's trajectory; the versions.
+"""
 
 from dataclasses import replace
 from functools import cache
@@ -69,7 +72,10 @@ def test_parts_and_scores_are_those_of_the_original() -> None:
 
 
 def test_extended_comfort_is_that_of_the_original() -> None:
-    """The planners of idm and constant_speed have not changed since the values were computed; dp_qp may."""
+    """The planners of idm and constant_speed have not changed since the values were computed.
+
+    Dp_qp may.
+    """
     values = pd.read_csv(VALUES / "navsim_original.csv")
     values = values[values.drive.str.contains("idm|constant_speed")]
     for row in values.itertuples():
@@ -103,7 +109,8 @@ def test_scores_do_not_change_with_the_world(turn: float, shift: float, t: float
         turned = one(moved(log(name), shift, -shift, turn), t, placed)
         assert turned.parts == pytest.approx(whole.parts, abs=1e-5, nan_ok=True)
         flipped = one(mirrored(log(name)), t, plan * [1.0, -1.0, -1.0])
-        # the proposals beside the centre line change their order: of equal ones the other may be the first
+        # the proposals beside the centre line change their order: of equal ones the other may be
+        # the first
         assert flipped.parts == pytest.approx(whole.parts, abs=0.05, nan_ok=True)
 
 
@@ -120,7 +127,10 @@ def test_a_longer_log_does_not_change_a_windows_score() -> None:
 
 
 def test_a_route_that_the_log_names_is_the_route() -> None:
-    """Naming the lanes of the driver's route changes nothing; lanes beyond its begin alone lose the score."""
+    """Naming the lanes of the driver's route changes nothing.
+
+    Lanes beyond its begin alone lose the score.
+    """
     name, drive, t = "everyday_junction", "everyday_junction__dp_qp", 6.0
     whole = one(log(name), t, poses(drive, t))
     ground = window(log(name), t).ground
@@ -138,7 +148,9 @@ def test_a_route_that_the_log_names_is_the_route() -> None:
 
 
 def test_the_humans_trajectory_is_excused_what_it_does() -> None:
-    """A human who drives over a red light: their own trajectory, and any other that does so too, is not marked down."""
+    """A human who drives over a red light: their own trajectory, and any other that does so too, is
+    not marked down.
+    """
     light = catalogue("everyday/traffic_light")
     red = replace(light, lights=(TrafficLight(1, np.zeros(1), (Colour.RED,)),))
     # The driver waits, and goes on at what was green
@@ -150,7 +162,10 @@ def test_the_humans_trajectory_is_excused_what_it_does() -> None:
 
 
 def test_red_lights_and_the_old_filter() -> None:
-    """Over a red light at which the human stops: no score. Off the road with a human who is, too: by version."""
+    """Over a red light at which the human stops: no score.
+
+    Off the road with a human who is, too: by version.
+    """
     light = catalogue("everyday/traffic_light")
     t = float(light.ego.t[np.argmax(light.ego.v < 0.1)]) - 4.5
     ego = light.ego.resampled(np.array([t])).state(0)

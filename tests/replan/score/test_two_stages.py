@@ -58,7 +58,9 @@ def log() -> Scenario:
 
 @cache
 def shifted() -> Scenario:
-    """The log in other coordinates of one map, 0.3 m to the left of where its driver was: another follow-up scene."""
+    """The log in other coordinates of one map, 0.3 m to the left of where its driver was: another
+    follow-up scene.
+    """
     origin = 200.0, -40.0
     placed = moved(
         replace(log(), ego=replace(log().ego, y=log().ego.y + 0.3)), -origin[0], -origin[1], 0.0

@@ -38,7 +38,10 @@ def assert_lawful(commands: list[Command]) -> None:
     ],
 )
 def test_every_controller_follows_every_logged_drive(name: str, family: str) -> None:
-    """Finite, within the limits, one pedal at a time; and the car is still on its drive in the end."""
+    """Finite, within the limits, one pedal at a time.
+
+    And the car is still on its drive in the end.
+    """
     logged = CATALOGUE[family].scenario().ego
     if len(logged) < 2:
         pytest.skip("the family has no drive, only a start")

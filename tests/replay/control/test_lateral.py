@@ -1,4 +1,7 @@
-"""The lateral model and the DLQR: laws of the linear plant, then the nonlinear one; steering that comes late."""
+"""The lateral model and the DLQR: laws of the linear plant, then the nonlinear one.
+
+Steering that comes late.
+"""
 
 from collections import deque
 from dataclasses import replace
@@ -217,7 +220,8 @@ def test_stiff_tyres_give_the_kinematic_gains() -> None:
     for v in (2.0, 10.0, 20.0):
         K = regulator(v, stiff).K[0]
         k = regulator(v, ROLLING).K[0]
-        # e_d' = v e_phi and e_phi' = v / L e_steer: their gains are the heading's and the steering's
+        # e_d' = v e_phi and e_phi' = v / L e_steer: their gains are the heading's and the
+        # steering's
         merged = [K[0], K[2] + v * K[1], K[4] + v / CAR.wheelbase * K[3]]
         np.testing.assert_allclose(merged, k, rtol=2e-2)
 
@@ -269,7 +273,9 @@ def test_the_series_solves_the_equations_of_motion(v: float, pace: float) -> Non
 
 @pytest.mark.parametrize(("radius", "v"), [(50.0, 10.0), (200.0, 20.0), (-250.0, 25.0)])
 def test_steady_error_on_the_linear_plant_is_zero(radius: float, v: float) -> None:
-    """The radii and speeds of limits.md (iv), where a feed-forward without k_3 leaves 23 to 51 mm."""
+    """The radii and speeds of limits.md (iv), where a feed-forward without k_3 leaves 23 to 51
+    mm.
+    """
     A, col, E = at_rear_axle(error_model(v, CAR), v, CAR)
     (p0, d), K = following_at(slip_table(CAR), CAR.wheelbase, (1.0, 1.0), v), gains_at(v)
     gain, kappa = np.array(K[:4]), 1.0 / radius
@@ -420,7 +426,9 @@ def test_a_stop_in_which_somebody_turns_the_wheel_disturbs_nothing_learned(turne
 
 @pytest.mark.parametrize("v", [4.0, 15.0])
 def test_the_deviation_is_led_as_the_continuous_model_moves(v: float) -> None:
-    """Against small Euler steps of (v_lat, r, e_phi, e_d) under the wheel angles that are on their way."""
+    """Against small Euler steps of (v_lat, r, e_phi, e_d) under the wheel angles that are on their
+    way.
+    """
     path, slips = PlanPath.of(drive(s_curve, v, 20.0)), slip_table(CAR)
     steering = SteeringDelay(CAR, PERIOD)
     steering.observe(0.0)

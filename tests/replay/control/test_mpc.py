@@ -1,4 +1,6 @@
-"""The MPC: its reference, its model, its optimum, its limits, and what it does without a solution."""
+"""The MPC: its reference, its model, its optimum, its limits, and what it does without a
+solution.
+"""
 
 import numpy as np
 import pytest

@@ -1,4 +1,7 @@
-"""Pedals: one at a time, the power train inverted, its lag too; stops that end softly and near, standstill held."""
+"""Pedals: one at a time, the power train inverted, its lag too.
+
+Stops that end softly and near, standstill held.
+"""
 
 import csv
 from pathlib import Path
@@ -36,7 +39,10 @@ PERIOD = 0.01
 
 
 def braked(v: float, decel: float, jerk: float, *, soft: bool = True) -> Trajectory:
-    """A second at `v`, then braking to a stop; its end released with the same jerk, or not at all."""
+    """A second at `v`, then braking to a stop.
+
+    Its end released with the same jerk, or not at all.
+    """
     h = 1e-3
     t = np.arange(0.0, 1.0 + v / decel + 2.0 * decel / jerk + 3.0, h)
     a, speed = np.zeros(len(t)), np.full(len(t), v)
@@ -100,7 +106,9 @@ def test_the_lead_asks_for_no_other_pedal_than_the_plan(before: float, after: fl
 
 
 def point_mass(decel: float, v: float, slope: float = 0.0) -> tuple[float, float, float]:
-    """A mass with dead time and lag, braked by `decel` until it stands: how far, the last deceleration, how long."""
+    """A mass with dead time and lag, braked by `decel` until it stands: how far, the last
+    deceleration, how long.
+    """
     t = np.array([0.0, 0.01, 100.0])
     standing = PlanPath.of(Trajectory(t, *(np.zeros(3) for _ in range(6))))
     stop, x, a = NO_STOP, 0.0, -decel
@@ -143,7 +151,10 @@ def test_where_the_plan_goes_on_nothing_is_eased() -> None:
 def test_a_hard_stop_is_as_hard_as_planned(
     controller: str, v: float, decel: float, jerk: float, *, soft: bool
 ) -> None:
-    """Peak deceleration, jerk as the metric has it, and where it stands; a stop planned without release is released."""
+    """Peak deceleration, jerk as the metric has it, and where it stands.
+
+    A stop planned without release is released.
+    """
     plan = braked(v, decel, jerk, soft=soft)
     seen = follow(Manoeuvre("stop", plan), controller, "single_track", CAR).columns
     a = seen["a"]

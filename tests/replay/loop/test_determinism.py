@@ -40,7 +40,7 @@ class Failing(ConstantSpeed):
         if frame.t > 1.95:
             open("second", "w").close()
         return super().plan(frame)
-'''
+'''  # noqa: E501
 
 
 @pytest.fixture

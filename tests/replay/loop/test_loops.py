@@ -1,4 +1,6 @@
-"""The loops: why a drive ends, that it is the same twice, and that the log's own plan has no error."""
+"""The loops: why a drive ends, that it is the same twice, and that the log's own plan has no
+error.
+"""
 
 import sys
 from collections.abc import Callable, Iterator

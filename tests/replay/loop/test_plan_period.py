@@ -1,4 +1,7 @@
-"""The compiled loop: the same as its parts one step after the other; plans that are driven later than made."""
+"""The compiled loop: the same as its parts one step after the other.
+
+Plans that are driven later than made.
+"""
 
 from functools import cache
 from itertools import pairwise

@@ -1,4 +1,6 @@
-"""Where a drive ends does not depend on how many rows are looked at at once, and is what Goal and contact say."""
+"""Where a drive ends does not depend on how many rows are looked at at once, and is what Goal and
+contact say.
+"""
 
 from dataclasses import replace
 
@@ -75,7 +77,9 @@ def test_all_ends_occur() -> None:
 
 
 def test_a_drive_may_go_on_to_the_end_of_the_logs_drive() -> None:
-    """Into a wall and through it, past the goal, and no further than the log's driver, though the log lasts longer."""
+    """Into a wall and through it, past the goal, and no further than the log's driver, though the
+    log lasts longer.
+    """
     wall = tracks(track("wall", [0.0], [30.0], [0.0], static=True))
     log = replace(
         scenario(WAY, agents=wall, road=lanes_along(WAY)),

@@ -1,4 +1,6 @@
-"""What the planner is shown: nothing of later, all of it with ground truth, and what a sensor leaves of it."""
+"""What the planner is shown: nothing of later, all of it with ground truth, and what a sensor
+leaves of it.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -136,7 +138,9 @@ T = np.arange(0.0, 6.01, 0.1)
 
 
 def passing() -> Scenario:
-    """Two cars beside each other's lanes, and one that is only in the detections, for two seconds."""
+    """Two cars beside each other's lanes, and one that is only in the detections, for two
+    seconds.
+    """
     log = made(
         track("1", T, 20.0 + 8.0 * T, 0.0 * T + 3.5), track("2", T, 60.0 - 5.0 * T, 0.0 * T - 3.5)
     )

@@ -1,4 +1,6 @@
-"""Planners in a process of their own: the same results, and whatever they do costs their own drive only."""
+"""Planners in a process of their own: the same results, and whatever they do costs their own drive
+only.
+"""
 
 import signal
 import sys
@@ -99,7 +101,9 @@ def test_what_is_driven_does_not_depend_on_the_process(
 def test_threads_that_start_planners_at_once_share_one_launcher(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Before, each of the first threads had a launcher of its own, which ended as the next one began."""
+    """Before, each of the first threads had a launcher of its own, which ended as the next one
+    began.
+    """
     monkeypatch.setattr("replan.replay.planner_process.processes._warm", {})
     program = f"exec:{sys.executable} {Path(__file__).parents[3] / 'examples' / 'planner_exec.py'}"
     with ThreadPoolExecutor(12) as pool:
@@ -116,12 +120,17 @@ SAID = {
     "Loops": "did not answer within 0.4 s at t = 0.50 s",
     "Allocates": "raised at 0.50 s: MemoryError: Unable to allocate",
     "SysExits": "raised at 0.50 s: SystemExit: 3 (bad_planners.py:",
-    "Exits": "exited at t = 0.50 s: its process ended with code 7; it printed last: going?[31m home",
+    "Exits": (
+        "exited at t = 0.50 s: its process ended with code 7; it printed last: going?[31m home"
+    ),
     "ExitsWell": "exited at t = 0.50 s: its process ended with code 0",
     "Segfaults": "exited at t = 0.50 s: its process was killed (SIGSEGV)",
     "Closes": "exited at t = 0.50 s: it closed its output",
     "Babbles": "sent an invalid message at t = 0.50 s: ",
-    "Writes": "raised at 0.50 s: ValueError: cannot set WRITEABLE flag to True of this array (bad_planners.py:",
+    "Writes": (
+        "raised at 0.50 s: ValueError: cannot set WRITEABLE flag to True of this array "
+        "(bad_planners.py:"
+    ),
     "Daemon": "did not answer within 0.4 s at t = 0.50 s",
     "Shows": "broke its contract at 0.50 s: its inside has 20000",
     "Stages": "broke its contract at 0.50 s: it names 1001 stages, more than 100",
@@ -279,7 +288,10 @@ def test_a_run_that_ends_takes_a_planner_along_that_hangs(
     tmp_path: Path, how: signal.Signals, workers: str
 ) -> None:
     write_scenario(tmp_path / "log.mcap", short_log())
-    words = "evaluate log.mcap -p bad_planners:Hangs --set loop.apart.plan_timeout_s=1000 -o out --workers"
+    words = (
+        "evaluate log.mcap -p bad_planners:Hangs --set loop.apart.plan_timeout_s=1000 -o out "
+        "--workers"
+    )
     with started(*words.split(), workers, cwd=tmp_path) as run:
         while not (tmp_path / "hangs").exists():
             assert run.poll() is None

@@ -1,4 +1,6 @@
-"""Logs in lock step (`loop.apart.batch`): the answers of a planner that plans them one by one do not change."""
+"""Logs in lock step (`loop.apart.batch`): the answers of a planner that plans them one by one do
+not change.
+"""
 
 import shutil
 from collections.abc import Callable
@@ -125,7 +127,7 @@ def cut(name: str, end: float) -> object:
 ONE_FAILS = """
 answers = [planner.plan(frame) for planner, frame in zip(planners, frames, strict=True)]
 return [ValueError("no way ahead") if f.t > 0.45 and len(f.agents.ids) else a for f, a in zip(frames, answers)]
-"""
+"""  # noqa: E501
 FAILS: dict[str, tuple[str, str, list[bool], str]] = {
     "one": ("", ONE_FAILS, [False, True, False], "raised at 0.50 s: ValueError: no way ahead"),
     "raises_all": (

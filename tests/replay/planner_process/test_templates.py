@@ -1,4 +1,7 @@
-"""What a planner's module loads, it loads once in a worker; the drives still know nothing of each other."""
+"""What a planner's module loads, it loads once in a worker.
+
+The drives still know nothing of each other.
+"""
 
 import os
 import subprocess
@@ -111,7 +114,10 @@ def test_what_a_drive_leaves_behind_the_next_does_not_find() -> None:
 
 
 UNFIT = {
-    "threads": "import threading, time\nthreading.Thread(target=time.sleep, args=(1e6,), daemon=True).start()",
+    "threads": (
+        "import threading, time\nthreading.Thread(target=time.sleep, args=(1e6,), "
+        "daemon=True).start()"
+    ),
     "files": "kept = open(__file__)",
     "processes": "import subprocess, sys\nsubprocess.Popen(['sleep', '1e6'])",
 }
@@ -165,7 +171,7 @@ PREPARED = """
         def plan(self, frame):
             import dataclasses
             return super().plan(dataclasses.replace(frame, ego=dataclasses.replace(frame.ego, v=self.v)))
-    """
+    """  # noqa: E501
 
 
 def test_a_class_prepares_itself_once_and_everywhere_alike() -> None:
@@ -206,7 +212,7 @@ DRAWN = """
         def plan(self, frame):
             import dataclasses
             return super().plan(dataclasses.replace(frame, ego=dataclasses.replace(frame.ego, kappa=bend)))
-    """
+    """  # noqa: E501
 
 
 @pytest.mark.slow

@@ -234,7 +234,9 @@ def test_constant_velocity_keeps_velocity_and_heading(states: list[tuple[float, 
 def test_who_drives_a_circle_in_the_log_is_predicted_on_it(
     v: float, kappa: float, yaw: float
 ) -> None:
-    """Yaw rate by backward differences, then the arc: exact, as long as it is within what a vehicle can turn."""
+    """Yaw rate by backward differences, then the arc: exact, as long as it is within what a vehicle
+    can turn.
+    """
     rate = np.clip(v * kappa, -4.9 / v, 4.9 / v)
     t = np.arange(0.0, 3.0, 0.1)
     r = v / rate if abs(rate) > 1e-8 else np.inf

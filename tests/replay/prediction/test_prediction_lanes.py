@@ -1,4 +1,6 @@
-"""Lane following and pedestrians: what a future on lanes must keep, and who has which hypotheses."""
+"""Lane following and pedestrians: what a future on lanes must keep, and who has which
+hypotheses.
+"""
 
 from dataclasses import replace
 

@@ -1,4 +1,6 @@
-"""Traffic: the log where nobody disturbs it, nobody drives through the ego, and encounters by the ego's position."""
+"""Traffic: the log where nobody disturbs it, nobody drives through the ego, and encounters by the
+ego's position.
+"""
 
 import tracemalloc
 from collections.abc import Callable
@@ -248,7 +250,9 @@ def test_traffic_turns_moves_and_mirrors_with_the_world(
 def test_nobody_drives_into_an_ego_that_brakes(
     mode: str, v: float, behind: float, decel: float
 ) -> None:
-    """Someone with a gap from which braking within the limits is possible follows, and stops behind."""
+    """Someone with a gap from which braking within the limits is possible follows, and stops
+    behind.
+    """
     gap = behind - 4.5 / 2 - 0.9
     stops_in = v * 0.2 + v**2 / (2 * 0.9 * HARDEST_MPS2) - v**2 / (2 * decel)
     log = made(car("b", -behind, v=v), v=v)
@@ -380,7 +384,9 @@ def test_enhanced_idm_rests_at_its_desired_gap(v: float) -> None:
 
 
 def beside_then_before(at: float, x: float, v: float, *, swerve_s: float = 0.6) -> Egos:
-    """An ego in the left lane that changes at `at` into the right lane, where its centre would then be `x` at t = 0."""
+    """An ego in the left lane that changes at `at` into the right lane, where its centre would then
+    be `x` at t = 0.
+    """
     egos = []
     for t in T:
         u = min(max((t - at) / swerve_s, 0.0), 1.0)
@@ -427,7 +433,10 @@ def test_nobody_brakes_harder_than_a_careful_driver_and_those_behind_give_way_to
 def test_who_cuts_in_with_room_is_let_in_and_who_does_not_leave_a_careful_driver_time_is_hit() -> (
     None
 ):
-    """The ego is 4 m/s slower. With the reaction of 0.75 s and 0.774 g a driver needs 3.0 m + 1.1 m."""
+    """The ego is 4 m/s slower.
+
+    With the reaction of 0.75 s and 0.774 g a driver needs 3.0 m + 1.1 m.
+    """
     log = made(car("b", 0.0))
     with_room, close = (
         beside_then_before(3.0, 12.0 + room + 4.5 / 2 + 4.5 / 2, 6.0) for room in (9.0, 1.5)
@@ -497,7 +506,10 @@ CROSS = np.array([70.75, 0.0])
 
 
 def from_the_side_road(arrives: float, v: float = 8.0, road: Road = MAIN) -> Scenario:
-    """Someone drives across the main road, over its middle at `arrives`; the logged ego is far away."""
+    """Someone drives across the main road, over its middle at `arrives`.
+
+    The logged ego is far away.
+    """
     return replace(made(car("s", CROSS[0] - v * arrives, v=v)), road=road)
 
 
@@ -542,7 +554,9 @@ LINE = 40.0
 
 
 def delayed(t: float) -> float:
-    """The speed of an ego that holds up who is behind it, and leaves the scene before a light does."""
+    """The speed of an ego that holds up who is behind it, and leaves the scene before a light
+    does.
+    """
     return 5.0 if t < 2.5 else 16.0
 
 
@@ -660,7 +674,9 @@ def test_a_line_for_another_way_does_not_hold_him(towards: tuple[int, ...], stop
 @given(st.floats(4.0, 16.0))
 @settings(max_examples=10)
 def test_an_encounter_is_kept_whatever_the_speed(v: float) -> None:
-    """Someone crosses 60 m ahead as the logged ego comes to 50 m: so he does for a slower or faster one."""
+    """Someone crosses 60 m ahead as the logged ego comes to 50 m: so he does for a slower or faster
+    one.
+    """
     log = made(track("x", T, np.full(len(T), 60.0), 10.0 - 2.0 * T, kind=AgentKind.PEDESTRIAN))
     egos = at_speed(lambda t: v)
     moved = run(log, "ego_position", egos)
@@ -746,7 +762,10 @@ def test_recorded_traffic_is_reproduced_and_spares_a_braking_ego(shared_data: Pa
 
 @pytest.mark.slow
 def test_memory_is_that_of_who_is_late_and_not_of_all_at_all_times() -> None:
-    """100 cars over 600 samples are 2.4 MB of poses; with one late car less than 0.3 MB are held."""
+    """100 cars over 600 samples are 2.4 MB of poses.
+
+    With one late car less than 0.3 MB are held.
+    """
     t = np.arange(0.0, 60.5, 0.5)
     log = tracks(*(track(str(i), t, t, np.full(121, 10.0 * i)) for i in range(100)))
     replay, since, everybody = PhaseReplay(log), np.r_[1.0, np.full(99, np.inf)], np.arange(100)

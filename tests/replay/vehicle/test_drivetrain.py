@@ -30,7 +30,9 @@ BMW = CARS["bmw_320i"]
 
 @given(st.sampled_from(NAMES), st.floats(0.5, 40.0), st.floats(-1.0, 1.0))
 def test_the_inverse_gives_the_acceleration_back(name: str, v: float, share: float) -> None:
-    """A pedal computed from an acceleration gives that acceleration in steady state, in the gear for it."""
+    """A pedal computed from an acceleration gives that acceleration in steady state, in the gear
+    for it.
+    """
     train = Drivetrain(CARS[name])
     reach = train.full_throttle(v) if share > 0.0 else train.full_brake(v)
     wanted = train.coasting(v) + share * reach
@@ -109,7 +111,10 @@ def test_a_kick_down_takes_its_time() -> None:
 
 @given(st.lists(st.tuples(st.floats(0.0, 45.0), st.floats(0.0, 1.0)), min_size=2, max_size=30))
 def test_gears_do_not_hunt(demands: list[tuple[float, float]]) -> None:
-    """Between two shifts up there is at least MIN_HOLD_S, whatever is asked for; a gear always exists."""
+    """Between two shifts up there is at least MIN_HOLD_S, whatever is asked for.
+
+    A gear always exists.
+    """
     tables, box, ups, t = Drivetrain(BMW).tables, Gearbox(0, 0.0, MIN_HOLD_S), [], 0.0
     for v, throttle in demands:
         for _ in range(20):

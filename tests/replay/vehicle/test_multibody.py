@@ -1,4 +1,7 @@
-"""The multi-body plant: it stands, drives, brakes, corners as the single-track model does; says what it needs."""
+"""The multi-body plant: it stands, drives, brakes, corners as the single-track model does.
+
+Says what it needs.
+"""
 
 import sys
 from dataclasses import replace
@@ -35,7 +38,9 @@ def test_absent_package_is_an_error_with_its_remedy(monkeypatch: pytest.MonkeyPa
 
 @pytest.mark.parametrize("v", [10.0, 20.0])
 def test_it_corners_like_the_single_track_model(v: float) -> None:
-    """A slalom of 2 m/s2: yaw rates within 20 % of the peak (it rolls, and its wheels camber), the same way round."""
+    """A slalom of 2 m/s2: yaw rates within 20 % of the peak (it rolls, and its wheels camber), the
+    same way round.
+    """
     one, two = SingleTrack(BMW, start(v)), Multibody(BMW, start(v))
     rates, speeds = [], []
     for k in range(200):

@@ -1,4 +1,6 @@
-"""The dynamic single-track model: laws, analytic cornering, limits, standstill, agreement with CommonRoad's models."""
+"""The dynamic single-track model: laws, analytic cornering, limits, standstill, agreement with
+CommonRoad's models.
+"""
 
 from dataclasses import replace
 from math import atan2, cos, hypot, sin, sqrt, tan
@@ -66,7 +68,9 @@ def test_integration_is_of_order_four(tyre: str) -> None:
 @pytest.mark.parametrize("v", [5.0, 15.0, 30.0])
 @pytest.mark.parametrize("stiffness", [1.0, 0.7])
 def test_steady_cornering_is_that_of_the_understeer_gradient(v: float, stiffness: float) -> None:
-    """Yaw rate v steer / (L + K v^2), side slip at the rear axle -m a a_y / (L C_r); K by the linear theory."""
+    """Yaw rate v steer / (L + K v^2), side slip at the rear axle -m a a_y / (L C_r); K by the
+    linear theory.
+    """
     car = SingleTrack(FREE, start(v), tyre="linear", tyre_stiffness=stiffness)
     for _ in range(800):
         state = car.step(Command(1e-3, 0.0, 0.0), 0.01)
@@ -233,7 +237,10 @@ def test_braking_stops_and_never_reverses(v: float, steer: float, brake: float) 
     ],
 )
 def test_full_brake_in_a_curve_does_not_spin_it(name: str, mu: float) -> None:
-    """With the steering wheel held. (The van, tall and with stiffness in proportion to load, needs a driver at 1.0.)"""
+    """With the steering wheel held.
+
+    (The van, tall and with stiffness in proportion to load, needs a driver at 1.0.)
+    """
     p = replace(vehicle_parameters(name), tyre_friction=mu)
     car = SingleTrack(p, start(20.0, 0.35 * mu * GRAVITY / 400.0))
     for _ in range(700):
@@ -306,7 +313,9 @@ def test_sub_steps_are_short_enough_at_every_speed() -> None:
 
 
 def test_the_reference_point_is_the_rear_axle() -> None:
-    """Positions add up to the velocities of the rear axle, and kappa is the curvature of its path."""
+    """Positions add up to the velocities of the rear axle, and kappa is the curvature of its
+    path.
+    """
     car = SingleTrack(BMW, start(15.0))
     states = [car.step(Command(0.05 * sin(0.02 * k), 0.1, 0.0), 0.01) for k in range(300)]
     x, y = np.array([s.x for s in states]), np.array([s.y for s in states])
@@ -331,7 +340,8 @@ def test_keywords_are_checked() -> None:
 def side_by_side(
     rates: Any, begin: list[float], q: Any, tyre: str, amplitude: float, v: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Four seconds of a 0.5 Hz slalom in our model, and the package's model with the same steering and acceleration.
+    """Four seconds of a 0.5 Hz slalom in our model, and the package's model with the same steering
+    and acceleration.
 
     Columns of both: centre of gravity x and y, yaw, yaw rate, side slip.
     """
@@ -374,7 +384,8 @@ def test_the_linear_tyre_agrees_with_commonroads_single_track(amplitude: float) 
 def test_the_magic_formula_agrees_with_commonroads_drift_model() -> None:
     """At 4 m/s2 lateral: within 1 % of the peak yaw rate, 3 % of the slip angle, 2 cm to the side.
 
-    Along the road they differ, since the drift model takes the given acceleration as that of its wheels.
+    Along the road they differ, since the drift model takes the given acceleration as that of its
+    wheels.
     """
     rates = pytest.importorskip(
         "vehiclemodels.vehicle_dynamics_std", reason=REASON

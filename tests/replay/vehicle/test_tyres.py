@@ -1,4 +1,7 @@
-"""Tyres: symmetry, the friction circle, initial slope, peak, load; slip and friction of motions that are known."""
+"""Tyres: symmetry, the friction circle, initial slope, peak, load.
+
+Slip and friction of motions that are known.
+"""
 
 from dataclasses import replace
 from math import atan, hypot, radians, tan

@@ -125,7 +125,10 @@ def test_any_lag_is_integrated_stably(lag: float) -> None:
 
 @pytest.mark.parametrize("name", [name for name in VEHICLE.builtin if name != "perfect"])
 def test_every_vehicle_turns_with_its_steering_and_is_deterministic(name: str) -> None:
-    """The contract of the seam, for models to come as well; the perfect vehicle is steered by its plan."""
+    """The contract of the seam, for models to come as well.
+
+    The perfect vehicle is steered by its plan.
+    """
     if name == "multibody":
         pytest.importorskip("vehiclemodels", reason="needs the package commonroad-vehicle-models")
 
@@ -144,7 +147,10 @@ def test_every_vehicle_turns_with_its_steering_and_is_deterministic(name: str) -
 def test_it_is_the_corrected_equation_at_the_centre_of_mass(
     v: float, steer: float, ratio: float, yaw: float
 ) -> None:
-    """x' = V cos(yaw + beta), y' = V sin(yaw + beta), yaw' = V cos(beta) (tan df - tan dr) / L; no wheel slips."""
+    """x' = V cos(yaw + beta), y' = V sin(yaw + beta), yaw' = V cos(beta) (tan df - tan dr) / L.
+
+    No wheel slips.
+    """
     state = BicycleState(0.0, 0.0, yaw, v, steer, 0.0, 0.0)
     rate = derivative(state, (0.0, 0.0, 0.0), True, kinematics_of(CAR, ratio))
     lf, lr = CAR.cog_to_front, CAR.cog_to_rear

@@ -1,4 +1,6 @@
-"""CommonRoad XML -> Scenario: laws on written snippets, examples of every shape, errors, and the recorded files."""
+"""CommonRoad XML -> Scenario: laws on written snippets, examples of every shape, errors, and the
+recorded files.
+"""
 
 from dataclasses import replace
 from math import cos, pi, sin
@@ -48,7 +50,10 @@ from replan.logs.scenario import Scenario
 def test_a_straight_drive_is_itself(
     tmp_path: Path, x: float, y: float, yaw: float, length: float, v: float
 ) -> None:
-    """Box centre = origin + rear axle + axle_to_center along the heading, exactly; v constant, a = kappa = 0."""
+    """Box centre = origin + rear axle + axle_to_center along the heading, exactly.
+
+    V constant, a = kappa = 0.
+    """
     shape = f"<rectangle><length>{length!r}</length><width>2.0</width></rectangle>"
     rows = driving(x, y, v, yaw=yaw)
     scenario = read_commonroad(written(tmp_path, straight(1), vehicle(7, rows, shape)), ego="7")
@@ -69,7 +74,9 @@ def test_a_straight_drive_is_itself(
 @settings(max_examples=20)
 @given(radius=st.floats(20.0, 500.0), v=st.floats(3.0, 20.0), sign=st.sampled_from([1.0, -1.0]))
 def test_a_circle_has_its_curvature(radius: float, v: float, sign: float) -> None:
-    """A rear axle on a circle: the log's kappa is 1/R, and the box centres go back to the same axle positions."""
+    """A rear axle on a circle: the log's kappa is 1/R, and the box centres go back to the same axle
+    positions.
+    """
     t = 0.1 * np.arange(40)
     yaw = sign * v * t / radius
     rear = np.column_stack([radius * np.sin(np.abs(yaw)), sign * radius * (1.0 - np.cos(yaw))])
@@ -103,7 +110,10 @@ def test_velocities_are_causal(tmp_path: Path, askew: float, cut: int) -> None:
 @given(offset=st.floats(-0.2, 0.2))
 @settings(max_examples=20, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_common_heading_error_is_removed(tmp_path: Path, offset: float) -> None:
-    """Vehicles that all drive askew by one angle are turned by it; below half a degree nothing is touched."""
+    """Vehicles that all drive askew by one angle are turned by it.
+
+    Below half a degree nothing is touched.
+    """
     cars = [
         vehicle(i, [(*row[:3], offset, row[4]) for row in driving(0.0, 3.0 * i, 8.0 + i)])
         for i in range(6)
@@ -119,7 +129,9 @@ def test_common_heading_error_is_removed(tmp_path: Path, offset: float) -> None:
 
 
 def test_the_better_velocity_is_taken(tmp_path: Path) -> None:
-    """A wrong stored speed loses against differences, noisy positions lose against a right stored speed."""
+    """A wrong stored speed loses against differences, noisy positions lose against a right stored
+    speed.
+    """
     wrong = written(
         tmp_path, straight(1), vehicle(3, [(*row[:4], 17.0) for row in driving(0.0, 0.0, 8.0)])
     )
@@ -144,14 +156,18 @@ def test_road_neighbours_types_limits_and_markings(tmp_path: Path) -> None:
         tmp_path,
         straight(
             1,
-            inner='<successor ref="4"/><adjacentLeft ref="2" drivingDir="same"/><adjacentRight ref="5" '
-            'drivingDir="opposite"/><laneletType>urban</laneletType><trafficSignRef ref="9"/>',
+            inner=(
+                '<successor ref="4"/><adjacentLeft ref="2" drivingDir="same"/><adjacentRight '
+                'ref="5" '
+                'drivingDir="opposite"/><laneletType>urban</laneletType><trafficSignRef ref="9"/>'
+            ),
             marks=("dashed", "solid"),
         ),
         straight(
             2,
             4.0,
-            '<adjacentRight ref="1" drivingDir="same"/><adjacentLeft ref="6" drivingDir="opposite"/>',
+            '<adjacentRight ref="1" drivingDir="same"/><adjacentLeft ref="6" '
+            'drivingDir="opposite"/>',
         ),
         straight(4, 20.0, "<laneletType>sidewalk</laneletType>"),
         straight(5, -4.0, "<userOneWay>bicycle</userOneWay>"),
@@ -339,7 +355,8 @@ def test_version_2018b_with_intervals_and_speed_limits(tmp_path: Path) -> None:
         f"</center></rectangle></position>{middle('orientation', 0.1, 0.3)}{exact('time', 0)}{middle('velocity', 4, 6)}"
     )
     obstacle = (
-        '<obstacle id="5"><role>dynamic</role><type>truck</type><shape><rectangle><length>8</length><width>2.5</width>'
+        "<obstacle "
+        'id="5"><role>dynamic</role><type>truck</type><shape><rectangle><length>8</length><width>2.5</width>'
         f"</rectangle></shape><initialState>{uncertain}</initialState><trajectory>{state(1, 30.5, 1.0, 0.2, 5.0)}"
         "</trajectory></obstacle>"
     )
@@ -408,7 +425,9 @@ def test_the_recorded_driver_leaves_the_traffic_and_time_begins_with_him(tmp_pat
 
 
 def test_goals_keep_their_own_bounds(tmp_path: Path) -> None:
-    """A goal at rest near by and one at any speed far away: passing the near one at speed reaches neither."""
+    """A goal at rest near by and one at any speed far away: passing the near one at speed reaches
+    neither.
+    """
     shape = "<rectangle><length>20</length><width>4</width><center><x>{}</x><y>0</y></center></rectangle>"
     place = f"<position>{shape}</position>"
     rest = "<velocity><intervalStart>0.0</intervalStart><intervalEnd>0.0</intervalEnd></velocity>"

@@ -1,4 +1,6 @@
-"""CommonRoad traffic rules: lights against independent arithmetic, who goes first, stop lines, recorded files."""
+"""CommonRoad traffic rules: lights against independent arithmetic, who goes first, stop lines,
+recorded files.
+"""
 
 from math import cos, pi, sin
 from pathlib import Path
@@ -25,7 +27,10 @@ def light(name: int, cycle: list[tuple[str, int]], offset: int = 0, more: str = 
     parts = "".join(
         f"<cycleElement><duration>{n}</duration><color>{c}</color></cycleElement>" for c, n in cycle
     )
-    return f'<trafficLight id="{name}"><cycle>{parts}<timeOffset>{offset}</timeOffset></cycle>{more}</trafficLight>'
+    return (
+        "<trafficLight "
+        f'id="{name}"><cycle>{parts}<timeOffset>{offset}</timeOffset></cycle>{more}</trafficLight>'
+    )
 
 
 def sign(name: int, kind: str) -> str:
@@ -60,8 +65,9 @@ def crossing(
 ) -> tuple[str, ...]:
     """Roads of one lane each way that meet; whoever comes from side k has side k + 1 on his right.
 
-    Lanelets: 10 + k leads in from side k, 20 + k leads out to it; the inner one is 100 + 10 k + (1 left, 2 straight,
-    3 right), in `pieces` pieces, of which the later ones are 1000, 2000, ... more; `shown` is put into lanelet 10 + k.
+    Lanelets: 10 + k leads in from side k, 20 + k leads out to it; the inner one is 100 + 10 k + (1
+    left, 2 straight, 3 right), in `pieces` pieces, of which the later ones are 1000, 2000, ...
+    more; `shown` is put into lanelet 10 + k.
     """
     parts, incomings = [], []
     words = {LEFT: "Left", STRAIGHT: "Straight", RIGHT: "Right"}
@@ -120,7 +126,9 @@ def inner(k: int, *turned: int) -> set[int]:
 def test_a_light_shows_its_cycle(
     tmp_path: Path, cycle: list[tuple[str, int]], offset: int, first: int
 ) -> None:
-    """Against the rule in the format's own words: the cycle is written out step by step, and begins at its offset."""
+    """Against the rule in the format's own words: the cycle is written out step by step, and begins
+    at its offset.
+    """
     written_out = [colour for colour, steps in cycle for _ in range(steps)]
     file = written(
         tmp_path,

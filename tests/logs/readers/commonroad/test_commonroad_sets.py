@@ -1,4 +1,6 @@
-"""Occupancy sets: boxes that cover them from outside, closely, and stand as long as their set does."""
+"""Occupancy sets: boxes that cover them from outside, closely, and stand as long as their set
+does.
+"""
 
 from math import pi
 from pathlib import Path
@@ -88,7 +90,9 @@ def occupancy(step: int, low: float, high: float) -> str:
 
 
 def test_a_set_that_grows_over_the_way_is_met_at_its_time(tmp_path: Path) -> None:
-    """From 60 m ahead it reaches back to 20 m at 1.5 s, when the ego's front, at 10 m/s, is there already."""
+    """From 60 m ahead it reaches back to 20 m at 1.5 s, when the ego's front, at 10 m/s, is there
+    already.
+    """
     sets = "".join(occupancy(k, 60.0 if k < 15 else 15.0, 64.0) for k in range(1, 30))
     first = state(0, 62.0, 0.0, 0.0, 0.0, tag="initialState")
     other = (

@@ -1,4 +1,6 @@
-"""Bags with several drives (a clock restarts), with journals beside them, and with poses of a sensor's frame."""
+"""Bags with several drives (a clock restarts), with journals beside them, and with poses of a
+sensor's frame.
+"""
 
 import sqlite3
 from math import pi
@@ -23,7 +25,9 @@ S = 1_000_000_000
 
 
 def check_drive(scenario: Scenario, origin: tuple[float, float] = (0.0, 0.0)) -> None:
-    """The ego is on the arc at its stamps, the arc's begin moved to `origin`, at the arc's speed."""
+    """The ego is on the arc at its stamps, the arc's begin moved to `origin`, at the arc's
+    speed.
+    """
     truth = np.array([ego_pose(t) for t in scenario.ego.t + seconds(scenario.start_ns)])
     assert scenario.ego.x + scenario.origin[0] - origin[0] == pytest.approx(truth[:, 0], abs=1e-4)
     assert scenario.ego.y + scenario.origin[1] - origin[1] == pytest.approx(truth[:, 1], abs=1e-4)
@@ -71,7 +75,9 @@ def drive(by: str, until_s: float, group: int) -> list[Row]:
 def test_a_drive_is_chosen_where_the_clock_restarts(
     by: str, first: float, second: float, tmp_path: Path
 ) -> None:
-    """A simulator that began anew after 6 s, elsewhere: no drive is read as both, and each can be read."""
+    """A simulator that began anew after 6 s, elsewhere: no drive is read as both, and each can be
+    read.
+    """
     rows = drive(by, first, 1) + apart(bags.later(drive(by, second, 2), 6.0, 0.0), 43.0)
     path = bags.write_ros2(tmp_path / "bag", rows)
     topic = "/localization/kinematic_state" if by == "odometry" else "/tf"
@@ -171,7 +177,9 @@ def test_a_clock_of_the_others_that_restarts_is_said_and_nothing_is_lost(tmp_pat
 def test_jitter_and_any_pace_is_no_restart(
     steps: list[float], late: list[float], pace: float
 ) -> None:
-    """Messages that are each recorded up to 1 s (of their clock) late, in the order of their recording."""
+    """Messages that are each recorded up to 1 s (of their clock) late, in the order of their
+    recording.
+    """
     sent = START_NS + np.cumsum(np.rint(1e9 * np.array(steps)).astype(np.int64))
     log = sent + np.rint(1e9 * np.array(late[: len(steps)])).astype(np.int64)
     order = np.argsort(log, kind="stable")
@@ -237,7 +245,9 @@ def sensor(
     twist: bool = True,
     axes: float = 0.0,
 ) -> list[Row]:
-    """Odometry of a frame that lies at `placed` (x, y, yaw) in the base, with the velocity there, in its axes."""
+    """Odometry of a frame that lies at `placed` (x, y, yaw) in the base, with the velocity there,
+    in its axes.
+    """
     x, y, yaw = placed
     out, turn = [], SPEED / bags.RADIUS if turning else 0.0
     velocity = np.array([SPEED - turn * y, turn * x])
@@ -375,7 +385,9 @@ def test_without_a_transform_the_frame_is_named_or_refused_where_another_is_set(
 
 
 def test_transforms_through_the_world_move_nothing(tmp_path: Path) -> None:
-    """Localisation by transforms and raw GNSS as odometry: their difference is an error, and no place on the car."""
+    """Localisation by transforms and raw GNSS as odometry: their difference is an error, and no
+    place on the car.
+    """
     gnss = [row for row in sensor("gnss_link", (0.0, 0.0, 0.0)) if row]
     both = bags.transforms() + gnss
     for _, kind, ns, each in bags.transforms():

@@ -1,4 +1,7 @@
-"""Bags of ROS 2 and ROS 1: what rosbags wrote comes back as it was driven; whatever the bytes, a log or a LogError."""
+"""Bags of ROS 2 and ROS 1: what rosbags wrote comes back as it was driven.
+
+Whatever the bytes, a log or a LogError.
+"""
 
 import shutil
 import sqlite3
@@ -100,7 +103,9 @@ numbers = st.floats(-1e9, 1e9, width=32)
 
 @st.composite
 def detections(draw: st.DrawFn) -> dict[str, Any]:
-    """A DetectedObjectArray with texts and lists of any length, so that nothing lies where it did before."""
+    """A DetectedObjectArray with texts and lists of any length, so that nothing lies where it did
+    before.
+    """
     items = [
         {
             "header": header(draw(st.integers(0, 2**60)), draw(st.text("abc", max_size=5))),
@@ -415,7 +420,9 @@ def test_a_transform_without_a_finite_value_is_none(tmp_path: Path) -> None:
 
 
 def test_a_simulations_clock_may_run_slower(tmp_path: Path) -> None:
-    """Stamps of simulated time, recorded at half its pace: the drive is as stamped, a part of it too."""
+    """Stamps of simulated time, recorded at half its pace: the drive is as stamped, a part of it
+    too.
+    """
     rows = [
         (a, b, START_NS + 50_000_000_000 + 2 * (t - START_NS), m) for a, b, t, m in bags.odometry()
     ]
@@ -561,7 +568,10 @@ def test_the_on_board_plan_is_a_planner(everything: Scenario, mode: str) -> None
 
 
 def test_nothing_of_a_later_on_board_plan_is_known(everything: Scenario) -> None:
-    """A plan is answered from when it was known on; a log whose later plans are others gets the same answers before."""
+    """A plan is answered from when it was known on.
+
+    A log whose later plans are others gets the same answers before.
+    """
     later = tuple(
         each
         if each.known < 3.0
@@ -898,7 +908,9 @@ def test_any_bytes_give_a_log_or_a_log_error(
 
 
 def test_a_frame_that_inflates_beyond_its_index_is_refused(tmp_path: Path) -> None:
-    """The index says a few bytes, the zstd frame says 8 GiB: it is refused before it is inflated."""
+    """The index says a few bytes, the zstd frame says 8 GiB: it is refused before it is
+    inflated.
+    """
     rows = [row for row in bags.odometry() if row[2] < START_NS + 1_000_000_000]
     file = next(bags.write_ros2(tmp_path / "bag", rows).glob("*.mcap"))
     raw = file.read_bytes()

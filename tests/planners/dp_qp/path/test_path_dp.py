@@ -1,4 +1,6 @@
-"""Path DP: it is brute force, mirrored where the world is, smooth, and its ties go to the passing side."""
+"""Path DP: it is brute force, mirrored where the world is, smooth, and its ties go to the passing
+side.
+"""
 
 from itertools import product
 
@@ -94,7 +96,9 @@ def test_dynamic_programming_is_brute_force(seed: int) -> None:
 @given(SEED)
 @settings(max_examples=30)
 def test_what_comes_and_what_goes_add_up(seed: int) -> None:
-    """The best path costs as much as the best through a node of any column, and as the better of two sides."""
+    """The best path costs as much as the best through a node of any column, and as the better of
+    two sides.
+    """
     stations, offsets, start, boxes, lower, upper = grid(seed)
     cost, _ = path_dp(stations, offsets, start, boxes, lower, upper, WEIGHTS)
     through = cost + path_dp_to_go(stations, offsets, boxes, lower, upper, WEIGHTS)

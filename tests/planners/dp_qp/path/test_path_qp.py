@@ -1,4 +1,6 @@
-"""Path QP: it keeps its bounds at the least cost, leaves a closed corridor as little as it must, and can be steered."""
+"""Path QP: it keeps its bounds at the least cost, leaves a closed corridor as little as it must,
+and can be steered.
+"""
 
 import numpy as np
 import pytest
@@ -50,7 +52,9 @@ def asked(
     bend: FloatArray,
     rate: FloatArray,
 ) -> PiecewiseJerkProblem:
-    """A problem with bounds of the points `(points, knots)`, and of the first to third derivative `(2, knots)`."""
+    """A problem with bounds of the points `(points, knots)`, and of the first to third derivative
+    `(2, knots)`.
+    """
     rows = np.array(
         [[at[0], slope[i], bend[i], rate[i], at[1]] for i, at in enumerate((lower, upper))]
     )
@@ -114,7 +118,9 @@ def test_the_path_qp_keeps_its_bounds_and_finds_the_least_cost(seed: int) -> Non
 def test_every_step_towards_another_path_of_the_corridor_costs_more(
     seed: int, low: float, high: float
 ) -> None:
-    """The variational inequality of a convex problem: what a narrower corridor allows is allowed, but not better."""
+    """The variational inequality of a convex problem: what a narrower corridor allows is allowed,
+    but not better.
+    """
     problem = path_problem(seed)
     middle = 0.5 * (problem.lower[X] + problem.upper[X])
     best = SURE.solve(problem)
@@ -141,7 +147,10 @@ def test_a_closed_corridor_is_reported() -> None:
 @given(SEED)
 @settings(max_examples=10)
 def test_a_softened_corridor_is_left_as_little_as_it_must(seed: int) -> None:
-    """Where it is open hardly at all; where it is closed to both sides alike, and steering keeps its bounds."""
+    """Where it is open hardly at all.
+
+    Where it is closed to both sides alike, and steering keeps its bounds.
+    """
     free = OWN.solve(path_problem(seed), softly=True)
     shut = OWN.solve(closed(seed), softly=True)
     assert free.report.solved and shut.report.solved
@@ -160,7 +169,9 @@ def test_a_softened_corridor_is_left_as_little_as_it_must(seed: int) -> None:
 def test_a_corridor_loosened_to_the_reach_can_be_kept(
     l0: float, dl0: float, ddl0: float, v: float, seed: int
 ) -> None:
-    """Whatever one bound asks for, with the lateral acceleration and the steering rate of the speed."""
+    """Whatever one bound asks for, with the lateral acceleration and the steering rate of the
+    speed.
+    """
     rng = np.random.default_rng(seed)
     s, leads = np.linspace(0.0, LENGTH, KNOTS), np.array(AHEAD)[:, None]
     upper = np.interp(s + leads, np.linspace(0.0, LENGTH, 8), rng.uniform(0.2, 4.0, 8))

@@ -1,4 +1,6 @@
-"""Path stage: the room and who stands in it, the side that is taken, and the corridor that the path keeps."""
+"""Path stage: the room and who stands in it, the side that is taken, and the corridor that the path
+keeps.
+"""
 
 from collections.abc import Sequence
 
@@ -128,7 +130,9 @@ GOES_LEFT, GOES_RIGHT = 5.0, -5.0
 def test_a_side_is_taken_only_where_there_is_room(
     middle: float, width: float, aim: float, step: float
 ) -> None:
-    """And the corridor that it leaves keeps the clearance along the whole obstacle, whatever the knots' spacing."""
+    """And the corridor that it leaves keeps the clearance along the whole obstacle, whatever the
+    knots' spacing.
+    """
     box = Occupancy("it", 40.0, 44.5, middle - 0.5 * width, middle + 0.5 * width)
     space = room(-2.0, 3.0, step)
     decision = side_choices((box,), space, CAR, GAPS)[0].decided(aim == GOES_LEFT, None, GAPS)
@@ -235,9 +239,11 @@ def graph_of(found: ChosenPath) -> SlGraph:
 
 
 def outside(along: ReferencePath, found: ChosenPath) -> FloatArray:
-    """By how much each corner of the ego is outside the reported corridor along the path `(points, 4)`, m.
+    """By how much each corner of the ego is outside the reported corridor along the path
+    `(points, 4)`, m.
 
-    Beyond its end, which a corner in front of the rear axle passes before the path ends, there is no corridor: -inf.
+    Beyond its end, which a corner in front of the rear axle passes before the path ends, there is
+    no corridor: -inf.
     """
     path, corridor_ = found.path, graph_of(found).corridor
     assert path is not None and corridor_ is not None
@@ -270,7 +276,9 @@ PARKED = st.lists(
 def world(
     bends: list[tuple[float, float]], parked: list[tuple[float, float, float]]
 ) -> tuple[ReferencePath, list[Other]]:
-    """Two lanes along a winding road, the first the reference's, and others standing at (s, l, yaw)."""
+    """Two lanes along a winding road, the first the reference's, and others standing at (s, l,
+    yaw).
+    """
     ends = np.cumsum([0.0, 30.0] + [length for length, _ in bends])
     kappa = np.interp(np.arange(0.0, ends[-1] + 150.0), ends, [0.0, 0.0] + [k for _, k in bends])
     along = reference(curve(*[(1.0, float(k)) for k in kappa]), 2)
@@ -309,7 +317,9 @@ def side_taken(
     v: float,
     config: PathDpConfig = CONFIG.dp,  # noqa: E741
 ) -> tuple[DecisionKind, PathMemory]:
-    """The decision about a narrow obstacle `l` m left of the middle of three lanes, and what is remembered of it."""
+    """The decision about a narrow obstacle `l` m left of the middle of three lanes, and what is
+    remembered of it.
+    """
     now = scene(
         MIDDLE, EgoState(0.0, 30.0, 3.5, 0.0, v), [standing("it", 60.0, 3.5 + l, width=0.8)]
     )
@@ -346,7 +356,9 @@ def test_a_good_reason_changes_the_side() -> None:
 def test_a_swerve_needs_no_more_than_comfortable_lateral_acceleration(
     ahead: float, l: float, v: float
 ) -> None:  # noqa: E741
-    """Nor more than the lock, nor a faster turn of the wheels, at the speed that may be expected."""
+    """Nor more than the lock, nor a faster turn of the wheels, at the speed that may be
+    expected.
+    """
     ego = EgoState(0.0, 30.0, 3.5, 0.0, v)
     found = chosen(MIDDLE, ego, [standing("it", 30.0 + ahead, 3.5 + l)])
     assert found.path is not None
@@ -364,7 +376,9 @@ def test_a_swerve_needs_no_more_than_comfortable_lateral_acceleration(
 
 
 def test_an_obstacle_too_near_to_swerve_is_a_stop() -> None:
-    """At 14 m/s, 8 m before the bumper: the path cannot clear it, says so, and the speed stage meets it."""
+    """At 14 m/s, 8 m before the bumper: the path cannot clear it, says so, and the speed stage
+    meets it.
+    """
     found = chosen(MIDDLE, EgoState(0.0, 30.0, 3.5, 0.0, 14.0), [standing("it", 44.0, 3.5)])
     decisions = [item for item in found.artefacts() if isinstance(item, Decision)]
     assert [item.kind for item in decisions] == [

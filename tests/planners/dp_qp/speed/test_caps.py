@@ -1,4 +1,7 @@
-"""Speed caps: the limit is their minimum, a new case is one producer; what both orders of passing cost."""
+"""Speed caps: the limit is their minimum, a new case is one producer.
+
+What both orders of passing cost.
+"""
 
 import re
 from dataclasses import replace
@@ -112,7 +115,9 @@ X = 0.5 * np.arange(200)
 
 
 def seen(d: float, ahead: float, kind: AgentKind) -> PathView:
-    """Hidden ground, an agent who came to the path, and one who goes along the lane, `d` m beside the ego."""
+    """Hidden ground, an agent who came to the path, and one who goes along the lane, `d` m beside
+    the ego.
+    """
     side, x = 0.5 * CAR.width + d, EGO.x + ahead
     corners = np.array([[x, side], [x + 20.0, side], [x + 20.0, side + 5.0], [x, side + 5.0]])
     sight = Visibility(EGO.x, 0.0, 0.0, 100.0, 2.0 * np.pi, corners[None])

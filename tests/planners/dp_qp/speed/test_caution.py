@@ -1,4 +1,6 @@
-"""Speed beside hidden ground, and beside who came to the path and stands: who steps out is avoided."""
+"""Speed beside hidden ground, and beside who came to the path and stands: who steps out is
+avoided.
+"""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -168,7 +170,9 @@ def looked(
 def after(
     x: float, d: float, t: float, kind: AgentKind = AgentKind.PEDESTRIAN, *, remembers: bool = True
 ) -> LoweredLimit:
-    """The limit `t` s after they walked towards the path, when they stand `d` m beside the ego's side."""
+    """The limit `t` s after they walked towards the path, when they stand `d` m beside the ego's
+    side.
+    """
     y = -(0.5 * CAR.width + d + 0.5 * SIZE)
     _, came = looked(walker(x, y - 0.5, 1.2, kind))
     return looked(walker(x, y, 0.0, kind), t, came if remembers else {})[0]

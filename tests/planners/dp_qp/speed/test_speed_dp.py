@@ -42,7 +42,9 @@ def edge(
     weights: SpeedDpWeights,
     per_column: int,
 ) -> tuple[float, float, float]:
-    """Cost (1) of one edge, its speed and acceleration, written down from the module's docstring."""
+    """Cost (1) of one edge, its speed and acceleration, written down from the module's
+    docstring.
+    """
     j, k = rows
     v = (k - j) * DS_M
     a, over = v - before[0], max(v - limit[k], 0.0)
@@ -91,7 +93,9 @@ def solved(
 @given(SEED)
 @settings(max_examples=25)
 def test_dynamic_programming_is_brute_force(seed: int) -> None:
-    """Without weights on acceleration and jerk the problem is Markov, so that nothing is cheaper than the DP."""
+    """Without weights on acceleration and jerk the problem is Markov, so that nothing is cheaper
+    than the DP.
+    """
     occupancy, limit, start = speed_grid(seed)
     weights = SpeedDpWeights(
         time=30.0, over=3.0, accel=0.0, jerk=0.0, max_accel=100.0, max_decel=100.0
@@ -132,7 +136,9 @@ def test_the_chosen_way_costs_what_the_grid_says(seed: int) -> None:
 def test_a_faster_road_ahead_does_not_hold_the_ego_back(
     slow: float, faster: float, where: float, share: float
 ) -> None:
-    """An empty road on which the limit rises is driven about as far as one on which it does not, or farther."""
+    """An empty road on which the limit rises is driven about as far as one on which it does not, or
+    farther.
+    """
     rows, weights = 300, WEIGHTS
     free, start = np.zeros((41, rows)), (share * slow, 0.0)
     level = np.full(rows, slow)

@@ -13,7 +13,9 @@ CONFIG = SpeedQpConfig()
 
 
 def speed_problem(seed: int) -> SpeedProblem:
-    """A start that can brake for the bound: a limit, and an agent ahead who drives at constant speed."""
+    """A start that can brake for the bound: a limit, and an agent ahead who drives at constant
+    speed.
+    """
     rng = np.random.default_rng(seed)
     t = STEP_S * np.arange(CONFIG.knots)
     v0, limit = rng.uniform(0.0, 14.0), rng.uniform(8.0, 15.0)

@@ -1,4 +1,7 @@
-"""Recordings: laws of text, fills and axes; then what is in the file, read back; then that the viewer shows it."""
+"""Recordings: laws of text, fills and axes.
+
+Then what is in the file, read back; then that the viewer shows it.
+"""
 
 import os
 from dataclasses import replace
@@ -163,7 +166,8 @@ def test_covered_ignores_the_own_polygon() -> None:
     ]
 
 
-# --------------------------------------------------------------------------------------------------- reading back
+# ---------------------------------------------------------------------------------------------------
+# reading back
 
 
 TABLE = pd.DataFrame(
@@ -571,7 +575,8 @@ def test_many_decisions_are_counted_not_listed() -> None:
     assert "- **wall: stop** (speed): ahead" in page and "and 286 more" in page
 
 
-# -------------------------------------------------------------------------------------------------------- viewer
+# --------------------------------------------------------------------------------------------------------
+# viewer
 
 DRIVERS = ("/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d")
 

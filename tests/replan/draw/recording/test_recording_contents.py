@@ -1,4 +1,7 @@
-"""What a recording tells: the others as the planner was shown them, lanes, why, the road; two drives in one."""
+"""What a recording tells: the others as the planner was shown them, lanes, why, the road.
+
+Two drives in one.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -98,7 +101,8 @@ def test_the_rim_of_the_sensor_is_the_edge_of_what_it_sees(view: float, reach: f
     assert seen.hides(1.001 * corners).all()
 
 
-# -------------------------------------------------------------------------------------------- a drive by a sensor
+# -------------------------------------------------------------------------------------------- a
+# drive by a sensor
 
 
 @pytest.fixture(scope="module")
@@ -209,7 +213,8 @@ def test_who_was_not_seen_is_named_with_the_distance() -> None:
     assert "**Not seen by the sensor:**" in text and "car 12 (" in text
 
 
-# ------------------------------------------------------------------------------------------------- lanes and why
+# -------------------------------------------------------------------------------------------------
+# lanes and why
 
 
 def compared(frame: PlannedFrame, name: str, against: str) -> PlannedFrame:

@@ -1,4 +1,6 @@
-"""Charts: lines drawn as near as said and no nearer, axes with numbers, moments and violations that the tables have."""
+"""Charts: lines drawn as near as said and no nearer, axes with numbers, moments and violations that
+the tables have.
+"""
 
 import re
 import xml.etree.ElementTree as ET
@@ -54,7 +56,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Results:
     return evaluate_logs((), config, tmp_path_factory.mktemp("results") / "run", suite=LOG)
 
 
-# the layer under the charts ---------------------------------------------------------------------------------------
+# the layer under the charts -----------------------------------------------------------------------
 
 
 @given(LINES)
@@ -163,7 +165,7 @@ def _contrast(one: str, two: str) -> float:
     return (high + 0.05) / (low + 0.05)
 
 
-# when to look -------------------------------------------------------------------------------------------------------
+# when to look -------------------------------------------------------------------------------------
 
 
 def drive(
@@ -273,7 +275,7 @@ def test_violations_are_the_steps_that_the_gate_counts() -> None:
     }
 
 
-# a drive ------------------------------------------------------------------------------------------------------------
+# a drive ------------------------------------------------------------------------------------------
 
 
 def said(*kinds: DecisionKind | None) -> list[PlanSummary]:
@@ -400,7 +402,9 @@ def test_a_chart_alone_is_a_file_with_its_style() -> None:
 
 
 def test_the_gravest_failure_is_looked_at_first() -> None:
-    """Whatever the order in the file of gates: a collision, then safety, rules, progress, and all else."""
+    """Whatever the order in the file of gates: a collision, then safety, rules, progress, and all
+    else.
+    """
     rules = [
         "fallback.rate <= 0.01",
         "lon_accel.worst_episode <= 1 [closed]",

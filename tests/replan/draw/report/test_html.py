@@ -1,4 +1,7 @@
-"""The HTML report: one file that asks for nothing, whatever logs are called; every drive is in it."""
+"""The HTML report: one file that asks for nothing, whatever logs are called.
+
+Every drive is in it.
+"""
 
 import re
 from dataclasses import replace
@@ -48,7 +51,9 @@ class Page(HTMLParser):
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
-    """Three logs of not quite three seconds, two planners, one log with a name and an agent that are no friends."""
+    """Three logs of not quite three seconds, two planners, one log with a name and an agent that
+    are no friends.
+    """
     folder = tmp_path_factory.mktemp("logs")
     ego = drive(straight, 8.0, 2.9)
     free = scenario(ego, road=lanes_along(ego), goal=Goal((square(27.0, 0.0, 4.0),)))
@@ -191,7 +196,10 @@ def test_a_damaged_trace_costs_its_pictures_only(results: Results, tmp_path: Pat
 def test_what_fails_in_a_report_costs_itself(
     results: Results, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A chart, an account, a page: each may raise; the page says what failed, the other reports and verdicts stay."""
+    """A chart, an account, a page: each may raise.
+
+    The page says what failed, the other reports and verdicts stay.
+    """
 
     def fails(*args: object, **keywords: object) -> object:
         raise MemoryError("Unable to allocate 99.3 GiB")

@@ -1,4 +1,6 @@
-"""Reports: JUnit XML against its schema and another parser, Markdown through a parser, the terminal with any name."""
+"""Reports: JUnit XML against its schema and another parser, Markdown through a parser, the terminal
+with any name.
+"""
 
 import os
 import shutil
@@ -205,8 +207,10 @@ def test_a_planner_that_crashes_is_an_error_and_counts_against(
 ) -> None:
     monkeypatch.syspath_prepend(str(tmp_path))
     (tmp_path / "crashing.py").write_text(
-        "from replan.planners.constant_speed import ConstantSpeed\n\n\nclass Crashing(ConstantSpeed):\n"
-        "    def plan(self, frame):\n        if len(frame.agents):\n            raise RuntimeError('out of ideas')\n"
+        "from replan.planners.constant_speed import ConstantSpeed\n\n\nclass "
+        "Crashing(ConstantSpeed):\n"
+        "    def plan(self, frame):\n        if len(frame.agents):\n            raise "
+        "RuntimeError('out of ideas')\n"
         "        return super().plan(frame)\n"
     )
     (tmp_path / "gates.toml").write_text('[[gate]]\nmetric = "coverage.log_s.final"\nmin = 1\n')
@@ -254,7 +258,7 @@ class _OVER:  # what a suite needs of an overview
     replan, config = "1", "2"
 
 
-# Markdown ---------------------------------------------------------------------------------------------------------
+# Markdown -----------------------------------------------------------------------------------------
 
 
 def tables(text: str) -> list[list[list[str]]]:

@@ -588,7 +588,7 @@ class ReferenceLine:
             )
         return line_project(self.s, self.coef, float(x), float(y), float(near), float(window))
 
-    def point(self, s: float, l: float) -> tuple[float, float]:  # noqa: E741
+    def point(self, s: float, l: float) -> tuple[float, float]:
         """World point of Frenet coordinates (1)."""
         x, y, yaw, _ = self.frame(s)
         return float(x - l * np.sin(yaw)), float(y + l * np.cos(yaw))

@@ -168,7 +168,7 @@ def _follow(
 ) -> Follower:
     path, (length, width) = ReferenceLine.through(points, SPACING_M), size
     front = _on_path(path, *pose[:2, there])[0] + 0.5 * length
-    s, l = np.stack([_on_path(path, *xy) for xy in outline[:, :, there]], axis=1)  # noqa: E741
+    s, l = np.stack([_on_path(path, *xy) for xy in outline[:, :, there]], axis=1)
     deep = 0.5 * width - np.maximum(l.min(axis=0), -l.max(axis=0))
     ahead = (s.max(axis=0) > front) & (
         s.min(axis=0) < np.minimum(front + NEAR_M, path.length + BEYOND_M)

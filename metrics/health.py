@@ -251,11 +251,11 @@ def report(scenario: Scenario, raw: Scenario | None = None) -> list[str]:
     ]
     if raw is not None:
         was = Counter(one.kind.value for one in findings(raw))
+        kinds = ", ".join(f"{count} {kind}" for kind, count in was.most_common())
         out += [
             f"repair: {len(raw.tracks)} tracks and {was.total()} findings before,"
             f" {len(scenario.tracks)} and {len(found)} after",
-            "    before: "
-            f"{', '.join(f'{count} {kind}' for kind, count in was.most_common()) or 'nothing found'}",
+            f"    before: {kinds or 'nothing found'}",
         ]
     for kind, same in _by_kind(found).items():
         out.append(f"  {kind.value}: {kind.effect}")

@@ -148,7 +148,7 @@ class Reasons:
 
     t: FloatArray
     v: FloatArray
-    l: FloatArray  # noqa: E741
+    l: FloatArray
     slow: BoolArray  # Whether it has a reason to be slower
     stand: BoolArray  # Whether it has a reason to stand
     # Whether it has a reason to change its offset; `beside`: a road user is one; `change`: its lane
@@ -161,7 +161,7 @@ class Reasons:
 def reasons(trace: Trace, scenario: Scenario) -> Reasons:
     """Find the reasons of the ego at each step."""
     ego, line = grid_of(trace), route_of(scenario).line
-    s, l = line_project_many(line.s, line.coef, ego.x, ego.y, 0.0, WINDOW_M).T  # noqa: E741
+    s, l = line_project_many(line.s, line.coef, ego.x, ego.y, 0.0, WINDOW_M).T
     front = s + scenario.vehicle.axle_to_front
     slow, stand, steer, change = np.zeros((4, len(s)), np.bool_)
     for begin, end, active, near in _places_to_stop(trace, scenario, ego.t, line):
@@ -225,7 +225,7 @@ def _agents_as_reasons(
     s: FloatArray,
     l: FloatArray,
     v: FloatArray,
-    line: ReferenceLine,  # noqa: E741
+    line: ReferenceLine,
     scenario: Scenario,
 ) -> Iterator[BoolArray]:
     """Yield for each road user the steps at which it is a reason to brake, to stand, to steer, to

@@ -270,7 +270,7 @@ def _observe(
         out[i, 0] = np.nan
         if not others.there[i, k] or hypot(pose[0, i, k] - x, pose[1, i, k] - y) > NEAR_M:
             continue
-        at, l = line_project(knots, coef, pose[0, i, k], pose[1, i, k], s, NEAR_M)  # noqa: E741
+        at, l = line_project(knots, coef, pose[0, i, k], pose[1, i, k], s, NEAR_M)
         yaw_r = line_frame(knots, coef, at)[2]
         turn, vx, vy = pose[2, i, k] - yaw_r, pose[3, i, k], pose[4, i, k]
         u, w = vx * cos(yaw_r) + vy * sin(yaw_r), vy * cos(yaw_r) - vx * sin(yaw_r)
@@ -471,7 +471,7 @@ def _drive(
     for k in range(steps):
         out[0, k], out[1, k], out[2, k] = s, v, a
         u = min((s - start[0]) / max(RETURN_S * start[2], 10.0), 1.0)
-        l = start[1] * (1.0 - u * u * (3.0 - 2.0 * u))  # noqa: E741
+        l = start[1] * (1.0 - u * u * (3.0 - 2.0 * u))
         x, y, yaw, _ = line_frame(knots, coef, s)
         x, y = x - l * sin(yaw), y + l * cos(yaw)
         hit = _first_touch((x, y, yaw, v), k, car, others, left_out)

@@ -305,10 +305,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except ReplanError as error:
         parser.error(str(error))
     except KeyboardInterrupt:
-        print(
+        print(  # noqa: T201
             "interrupted: finished logs are kept; to go on give the same command with --resume",
             file=sys.stderr,
-        )  # noqa: T201
+        )
         return 130
     print(markdown(table))  # noqa: T201
     return 0

@@ -29,7 +29,7 @@ from mkdocs.structure.pages import Page
 ROOT = Path(__file__).parents[2]
 OUTWARD = re.compile(r"\]\(((?:\.\./)+[^)#\s]+)(#[^)\s]*)?\)")
 LOADED = re.compile(
-    r"""<(?:script|img|iframe|source|link rel="(?:stylesheet|preconnect)")[^>]*(?:src|href)="?(?:https?:)?//[^>]*>"""
+    r"""<(?:script|img|iframe|source|link rel="(?:stylesheet|preconnect)")[^>]*(?:src|href)="?(?:https?:)?//[^>]*>"""  # noqa: E501
 )
 FENCES = {
     ".py": "python",

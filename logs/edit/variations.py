@@ -169,10 +169,11 @@ def varied(scenario: Scenario, agents: Sequence[str], values: Mapping[str, float
     kept = {key: text for key, text in scenario.metadata.items() if key != "expected_decisions"}
     # No sample before log time 0
     early = -min(0, now.start_ns + round(1e9 * float(now.tracks.t.min(initial=0.0))))
+    values = ",".join(f"{name}={value:.10g}" for name, value in ordered.items())
     return replace(
         now,
         start_ns=now.start_ns + early,
-        name=f"{scenario.name}~{','.join(f'{name}={value:.10g}' for name, value in ordered.items())}",
+        name=f"{scenario.name}~{values}",
         controls=None,
         onboard=(),
         tags=tuple(dict.fromkeys((*(tag for tag in scenario.tags if tag != "recorded"), VARIED))),
@@ -388,7 +389,7 @@ def pedestrian(scenario: Scenario, agents: Sequence[str], value: float) -> Scena
     start, car = scenario.ego.state(0), scenario.vehicle
     meet = start.t + max(value - car.axle_to_front, 0.0) / max(start.v, LEAST_MPS)
     t = np.arange(-AROUND_S, scenario.duration + AROUND_S, RATE_S)
-    l = np.clip(WALK_MPS * (t - meet), -KERB_M, KERB_M)  # noqa: E741
+    l = np.clip(WALK_MPS * (t - meet), -KERB_M, KERB_M)
     v = np.where(np.abs(l) < KERB_M, WALK_MPS, 0.0)
     rows = [
         t,

@@ -183,7 +183,7 @@ def way_points(way: Element, rows: Mapping[int, int]) -> Points:
 
 def oriented(left: Bound, right: Bound, xy: FloatArray) -> tuple[Bound, Bound]:
     """Return the boundaries in the direction of the lane, by (1) and (2)."""
-    l, r = xy[list(left.points)], xy[list(right.points)]  # noqa: E741
+    l, r = xy[list(left.points)], xy[list(right.points)]
     if hypot(*(l[0] - r[0])) + hypot(*(l[-1] - r[-1])) > hypot(*(l[0] - r[-1])) + hypot(
         *(l[-1] - r[0])
     ):
@@ -202,7 +202,7 @@ def paired(left: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArray]
     """
     a, b = (divided(line, LONGEST_PIECE_M, MOST) for line in (left, right))
     i, j = _pairs(a, b)
-    l, r = a[i], b[j]  # noqa: E741
+    l, r = a[i], b[j]
     center, last, keep = 0.5 * (l + r), len(l) - 1, [0]
     for k in range(1, last + 1):
         if hypot(*(center[k] - center[keep[-1]])) >= SHORTEST_PIECE_M:

@@ -282,7 +282,8 @@ def _read(path: Path, settings: LogSettings) -> Scenario:
     vehicle, point = settings.vehicle() if settings.car else None, settings.ego_point
     if ego is None and agents is not None:
         frame, columns = track_table.load(agents, settings.columns)
-        name = f"{path.stem if agents == path else path.name}{'_ego' * bool(settings.ego)}{settings.ego}"
+        name = path.stem if agents == path else path.name
+        name += f"_ego{settings.ego}" if settings.ego else ""
         tags = ("recorded", "table")
         return from_frames(
             settings.ego,

@@ -78,7 +78,7 @@ def _fine_path(
         jerk = (offsets[2, i + 1] - offsets[2, i]) / step
         ddl = offsets[2, i] + d * jerk
         dl = offsets[1, i] + d * (offsets[2, i] + 0.5 * d * jerk)
-        l = offsets[0, i] + d * (offsets[1, i] + d * (0.5 * offsets[2, i] + d * jerk / 6.0))  # noqa: E741
+        l = offsets[0, i] + d * (offsets[1, i] + d * (0.5 * offsets[2, i] + d * jerk / 6.0))
         s = s0 + step * i + d
         x, y, yaw_r, kappa_r = line_frame(knots, coef, s)
         dkappa_r = line_curvature(knots, coef, s + 0.25) - line_curvature(knots, coef, s - 0.25)
@@ -129,7 +129,7 @@ def path_through(x: FloatArray, y: FloatArray, yaw: FloatArray, kappa: FloatArra
     return Path(sigma, x, y, yaw, kappa, sigma)
 
 
-def out_of_frame(line: ReferenceLine, state: EgoState, s: float, l: float) -> str:  # noqa: E741
+def out_of_frame(line: ReferenceLine, state: EgoState, s: float, l: float) -> str:
     """Why a state with foot point (s, l) has no l', l'' in the Frenet frame; empty if it has."""
     _, _, yaw_r, kappa_r = line.frame(s)
     turn = abs(wrap(state.yaw - yaw_r))
@@ -142,7 +142,7 @@ def out_of_frame(line: ReferenceLine, state: EgoState, s: float, l: float) -> st
 
 def frenet_start(
     line: ReferenceLine, state: EgoState, s: float, l: float
-) -> tuple[float, float, float]:  # noqa: E741
+) -> tuple[float, float, float]:
     """l, l', l'' of a state whose foot point is (s, l): the inverse of (2) and (3).
 
     Only for states for which `out_of_frame` is empty.

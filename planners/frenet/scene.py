@@ -71,7 +71,7 @@ class AgentsAlong(NamedTuple):
     """
 
     s: FloatArray
-    l: FloatArray  # noqa: E741
+    l: FloatArray
     v_s: FloatArray
     v_l: FloatArray
     turn: FloatArray
@@ -117,7 +117,7 @@ class Scene:
     reference: ReferencePath
     vehicle: VehicleParameters
     s: float  # Station of the start, m; `l` its offset, m
-    l: float  # noqa: E741
+    l: float
     trouble: str  # Why the start has no l', l'' in the Frenet frame; empty if it has
     frenet: tuple[float, float, float]  # l, l', l'' of the start; zeros where there is `trouble`
     limit: float  # The lane's speed limit at the start, m/s
@@ -187,7 +187,7 @@ def scene_of(
     if last is not None:
         moved = hypot(start.x - last.x, start.y - last.y)
         search = last.s + moved, FOOT_M + moved
-    s, l, limit, rows = place_agents(  # noqa: E741
+    s, l, limit, rows = place_agents(
         line.s, line.coef, reference.table, reference.limit, bodies, (start.x, start.y), *search
     )
     trouble = out_of_frame(line, start, s, l)
@@ -234,7 +234,7 @@ def place_agents(
     out = np.empty((14, len(x)))
     for i in range(len(x)):
         window = min(WINDOW_M[0] + WINDOW_SHARE * hypot(x[i] - ego[0], y[i] - ego[1]), WINDOW_M[1])
-        s, l = line_project(knots, coef, x[i], y[i], s_ego, window)  # noqa: E741
+        s, l = line_project(knots, coef, x[i], y[i], s_ego, window)
         along = line_frame(knots, coef, s)[2]
         out[0, i], out[1, i] = s, l
         out[2, i] = vx[i] * cos(along) + vy[i] * sin(along)  # (1)
@@ -260,7 +260,7 @@ def _follow(
     s: FloatArray,
     l: FloatArray,
     bodies: Bodies,
-    standing: BoolArray,  # noqa: E741
+    standing: BoolArray,
     ego: tuple[float, float, float, float],
     keeps_track: bool,
 ) -> BoolArray:

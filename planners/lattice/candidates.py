@@ -169,7 +169,7 @@ def states(
     out = np.empty((9, motion.shape[1]))
     for k in range(motion.shape[1]):
         ahead = motion[0, k]
-        l, dl, ddl = evaluate_polynomial(lateral, D, ahead)  # noqa: E741
+        l, dl, ddl = evaluate_polynomial(lateral, D, ahead)
         x, y, yaw_r, kappa_r = line_frame(knots, coef, s0 + ahead)
         s = s0 + ahead
         dkappa_r = 2.0 * (
@@ -229,7 +229,7 @@ def speed_faults(
 
 
 @inner_kernel
-def _outside(l: float, s: float, grid: FloatArray, left: FloatArray, right: FloatArray) -> float:  # noqa: E741
+def _outside(l: float, s: float, grid: FloatArray, left: FloatArray, right: FloatArray) -> float:
     """Distance of an offset outside the edges at station s, m."""
     at = min(max(int((s - grid[0]) / (grid[1] - grid[0])), 0), len(grid) - 1)
     return max(l - left[at], right[at] - l, 0.0)
@@ -420,7 +420,7 @@ def futures_frenet(
     for i in range(len(x)):
         guess, window = s_ego, 150.0
         for k in range(x.shape[1]):
-            s, l = line_project(knots, coef, x[i, k], y[i, k], guess, window)  # noqa: E741
+            s, l = line_project(knots, coef, x[i, k], y[i, k], guess, window)
             guess, window = s, 25.0
             turn = yaw[i, k] - line_frame(knots, coef, s)[2]
             c, d = abs(cos(turn)), abs(sin(turn))

@@ -326,7 +326,7 @@ class Sampler:
             min(round(T / (STRIDE * STEP_S)), futures.frenet.shape[2] - 1)
             for T in config.durations_s
         ]
-        s, l, half_s, half_l = futures.frenet[:, :, samples]  # noqa: E741
+        s, l, half_s, half_l = futures.frenet[:, :, samples]
         is_ahead = ((futures.frenet[0, :, 0] > ego.s) & ~futures.behind[0])[:, None]
         for track, offset in enumerate(offsets.tolist()):
             on_track = np.abs(l - offset) < half_l + (0.5 * car.width + config.margin_m)
@@ -506,7 +506,7 @@ def artefacts(chosen: ChosenPair, config: LatticeConfig) -> tuple[Artefact, ...]
     scene, ego, motion, passed = chosen.scene, chosen.ego, chosen.motion, dict[str, Decision]()
     half, l1 = 0.5 * scene.vehicle.width, float(chosen.pairs.l1[chosen.pair])
     for j, i in enumerate(chosen.futures.agent):
-        s, l, half_s, half_l = chosen.futures.frenet[:, j, 0]  # noqa: E741
+        s, l, half_s, half_l = chosen.futures.frenet[:, j, 0]
         reached = ego.s < s and s + half_s < ego.s + motion[0, -1]
         if scene.standing[i] and reached and abs(l) < half_l + half + config.margin_m:
             beside = float(np.interp(s - ego.s, motion[0], chosen.at[6]))
@@ -528,7 +528,7 @@ def artefacts(chosen: ChosenPair, config: LatticeConfig) -> tuple[Artefact, ...]
         for edge in (lane.road_right + half, lane.road_left - half)
     ]
     for j, i in enumerate(chosen.futures.agent):
-        s_mid, l, half_s, half_l = chosen.futures.frenet[:, j, 0]  # noqa: E741
+        s_mid, l, half_s, half_l = chosen.futures.frenet[:, j, 0]
         if scene.standing[i] and abs(l) < 10.0:
             name = scene.frame.agents.ids[i]
             outline = np.array(

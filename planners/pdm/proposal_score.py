@@ -161,7 +161,7 @@ def _on_road(
     """
     count, steps = states.shape[0], states.shape[2]
     off, beside = np.zeros((count, steps)), np.zeros((count, steps), np.bool_)
-    against, way, at, l = np.zeros(count), np.zeros(count), np.empty(5), np.empty(5)  # noqa: E741
+    against, way, at, l = np.zeros(count), np.zeros(count), np.empty(5), np.empty(5)
     for n in range(count):
         guess, stretch, first, x_before, y_before = s_start + ego.center, 0.0, 0.0, 0.0, 0.0
         for k in range(steps):

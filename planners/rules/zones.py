@@ -158,7 +158,7 @@ def zones_along(
             for k in np.flatnonzero(near)
             if any(
                 inside(x[k] - l * d[k], y[k] + l * c[k], polygon) for l in (0.0, half, -half)
-            )  # (1)  # noqa: E741
+            )  # (1)
         ]
         if over:
             middle = 0.5 * (over[0] + over[-1])
@@ -392,7 +392,7 @@ def _on_half(
 ) -> BoolArray:
     """Which points `(k,)` of a way lie on the ego's half of a crosswalk."""
     frenet = line_project_many(line.s, line.coef, x, y, zone.s_in, 30.0)
-    s, l = frenet[:, 0], frenet[:, 1]  # noqa: E741
+    s, l = frenet[:, 0], frenet[:, 1]
     along = (s > zone.s_in - EDGE_M) & (s < zone.s_out + EDGE_M)
     return np.asarray(along & (l > walk.right - KEPT_M) & (l < walk.left + KEPT_M))
 

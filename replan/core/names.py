@@ -20,7 +20,7 @@ from operator import eq
 LONGEST, LEAST = 8, 4
 """Characters: a longer code is shortened, to this many at least."""
 _CODE = re.compile(
-    rf"(?<![0-9A-Za-z-])(?=[A-Fa-f-]*[0-9])[0-9A-Fa-f][0-9A-Fa-f-]{{{LONGEST - 1},}}[0-9A-Fa-f](?![0-9A-Za-z-])"
+    rf"(?<![0-9A-Za-z-])(?=[A-Fa-f-]*[0-9])[0-9A-Fa-f][0-9A-Fa-f-]{{{LONGEST - 1},}}[0-9A-Fa-f](?![0-9A-Za-z-])"  # noqa: E501
 )
 
 

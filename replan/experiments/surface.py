@@ -198,7 +198,8 @@ class _Rounds:
 def _file_name(values: Mapping[str, float]) -> str:
     """A name that no other values have, also where it is shortened."""
     words = ",".join(f"{name}={value:.10g}" for name, value in values.items())
-    return f"{safe_name(words, sha256(words.encode()).hexdigest() if len(words) > LONGEST_SAFE else '')}.mcap"
+    digest = sha256(words.encode()).hexdigest() if len(words) > LONGEST_SAFE else ""
+    return f"{safe_name(words, digest)}.mcap"
 
 
 def _error_row(why: str) -> dict[str, Any]:

@@ -308,7 +308,7 @@ class Ways:
             if length > 0.0
             else np.empty(0)
         )
-        s, l = lane.line.project(last.x, last.y, near + float(own[0, -1]), 50.0)  # noqa: E741
+        s, l = lane.line.project(last.x, last.y, near + float(own[0, -1]), 50.0)
         yaw = lane.line.frame(s)[2]
         if abs(l) > LEFT_M or abs(wrap(last.yaw - yaw)) > ACROSS_RAD:  # straight on
             c, sn = np.cos(last.yaw), np.sin(last.yaw)

@@ -133,7 +133,7 @@ class Neighbour:
     turn: FloatArray
     size: tuple[float, float]
     s: FloatArray
-    l: FloatArray  # noqa: E741
+    l: FloatArray
     along: FloatArray
     half_s: FloatArray
     half_l: FloatArray
@@ -343,7 +343,7 @@ def _on_path(
     for i in range(len(k)):
         fresh = i == 0 or k[i] > k[i - 1] + 1
         guess, window = (station[i], SEARCH_M) if fresh else (s, FOLLOW_M)
-        s, l = line_project(knots, coef, pose[0, i], pose[1, i], guess, window)  # noqa: E741
+        s, l = line_project(knots, coef, pose[0, i], pose[1, i], guess, window)
         out[0, i], out[1, i] = s, l
         out[2, i] = wrap(pose[2, i] - line_frame(knots, coef, s)[2])
     return out

@@ -191,7 +191,7 @@ def _lines_on_way(log: DrivenLog) -> Iterator[tuple[StopLine, float]]:
     """The stop lines across the path, each with its station."""
     for line in log.scenario.road.stop_lines:
         x, y = line.points.mean(axis=0).tolist()
-        s, l = log.path.project(x, y)  # noqa: E741
+        s, l = log.path.project(x, y)
         lane = log.scenario.road.lanes[line.lane]
         bend = wrap(_heading_at(lane, x, y) - log.path.frame(s)[2])
         if (

@@ -78,7 +78,7 @@ def times(x: float) -> float:
 
 
 @pytest.mark.slow
-def test_code_on_disk_is_stale_where_a_called_kernel_or_a_constant_has_changed_but_no_docstring_or_line(
+def test_code_on_disk_is_stale_where_a_called_kernel_or_a_constant_has_changed_but_no_docstring_or_line(  # noqa: E501
     tmp_path: Path,
 ) -> None:
     """The file of the outer kernel stays as it is; numba alone would go on with the old code."""

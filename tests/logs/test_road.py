@@ -30,7 +30,7 @@ def there_and_back(line: ReferenceLine, s: float, share: float) -> float:
     """
     near = slice(*np.searchsorted(line.s, [s - 8.0, s + 8.0]))
     kappa = max([1e-9, *np.abs(line.kappa[near])])
-    l = share * min(4.0, 0.8 / kappa)  # noqa: E741
+    l = share * min(4.0, 0.8 / kappa)
     back = line.project(*line.point(s, l), near=s + 1.3, window=10.0)
     return max(abs(back[0] - s), abs(back[1] - l))
 
@@ -75,7 +75,7 @@ def test_curvature_of_a_circle_and_unit_speed(radius: float, left: bool) -> None
 
 @given(st.integers(0, 20), st.floats(0.0, 110.0), st.floats(-3.0, 3.0))
 @settings(max_examples=30)
-def test_projection_is_the_nearest_point(seed: int, s: float, l: float) -> None:  # noqa: E741
+def test_projection_is_the_nearest_point(seed: int, s: float, l: float) -> None:
     line = ReferenceLine.through(wavy(seed))
     x, y = line.point(s, l)
     foot, offset = line.project(x, y)
@@ -88,7 +88,7 @@ def test_projection_is_the_nearest_point(seed: int, s: float, l: float) -> None:
 
 @given(st.integers(0, 20), st.floats(-5.0, 115.0), st.floats(-3.0, 3.0))
 @settings(max_examples=30)
-def test_a_mirrored_line_mirrors_the_offset(seed: int, s: float, l: float) -> None:  # noqa: E741
+def test_a_mirrored_line_mirrors_the_offset(seed: int, s: float, l: float) -> None:
     points = wavy(seed)
     line, mirror = ReferenceLine.through(points), ReferenceLine.through(points * [1.0, -1.0])
     x, y = line.point(s, l)

@@ -50,7 +50,7 @@ def drives(road: Road, ego: EgoState, *others: Other, seconds: float) -> Drive:
 
 def at_speed(
     v: float, *others: Other, l: float = 0.0, road: Road | None = None, a: float = 0.0
-) -> Scores:  # noqa: E741
+) -> Scores:
     """The score of going on straight, 4 s with a constant acceleration until it stands."""
     ego = EgoState(0.0, 0.0, l, 0.0, v, a)
     now = scene(reference(road or lanes(along_x())), ego, others)
@@ -101,7 +101,7 @@ def test_who_wants_to_be_faster_is_never_behind(
 
 
 @given(st.floats(-1.5, 1.5), st.floats(-0.1, 0.1), st.floats(3.0, 25.0))
-def test_an_offset_is_undone(l: float, yaw: float, v: float) -> None:  # noqa: E741
+def test_an_offset_is_undone(l: float, yaw: float, v: float) -> None:
     path = path_of(np.zeros(600), 0.5)
     profile = np.array([v * STEP_S * np.arange(HORIZON_KNOTS), np.full(HORIZON_KNOTS, v)])
     way = track_proposal(path, profile, EgoState(0.0, 0.0, l, yaw, v), CAR, HORIZON_KNOTS)
@@ -110,7 +110,7 @@ def test_an_offset_is_undone(l: float, yaw: float, v: float) -> None:  # noqa: E
 
 @given(st.floats(-1.5, 1.5), st.floats(-0.2, 0.2), SPEED, st.floats(-3.0, 1.5), SPEED)
 def test_what_is_simulated_is_drivable_and_its_mirror_image_mirrored(
-    l: float,  # noqa: E741
+    l: float,
     yaw: float,
     v: float,
     a: float,

@@ -62,7 +62,7 @@ class Along:
 def beside(line: ReferenceLine, s: FloatArray, l0: float, wish: FloatArray) -> FloatArray:
     """Points `(n, 2)` at stations, from the offset l0 over to the wished offsets within 20 m."""
     way = np.minimum((s - s[0]) / 20.0, 1.0)
-    l = wish + (l0 - wish[0]) * (1.0 - way * way * (3.0 - 2.0 * way))  # noqa: E741
+    l = wish + (l0 - wish[0]) * (1.0 - way * way * (3.0 - 2.0 * way))
     return np.array([line.point(*each) for each in zip(s, l, strict=True)])
 
 

@@ -34,7 +34,7 @@ def exact(tag: str, value: float) -> str:
 
 def state(step: int, x: float, y: float, yaw: float, v: float, tag: str = "state") -> str:
     place = f"<position><point><x>{x!r}</x><y>{y!r}</y></point></position>"
-    return f"<{tag}>{place}{exact('orientation', yaw)}{exact('time', step)}{exact('velocity', v)}</{tag}>"
+    return f"<{tag}>{place}{exact('orientation', yaw)}{exact('time', step)}{exact('velocity', v)}</{tag}>"  # noqa: E501
 
 
 RECTANGLE = "<rectangle><length>4.0</length><width>2.0</width></rectangle>"

@@ -47,7 +47,7 @@ def centre_line() -> ReferenceLine:
 LINE = centre_line()
 
 
-def to_world(s: FloatArray, l: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:  # noqa: E741
+def to_world(s: FloatArray, l: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     s = np.asarray(s, dtype=float)
     x, y = np.interp(s, LINE.s, LINE.xy[:, 0]), np.interp(s, LINE.s, LINE.xy[:, 1])
     yaw = np.interp(s, LINE.s, LINE.yaw)

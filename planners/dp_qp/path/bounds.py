@@ -184,7 +184,7 @@ def _standing_boxes(
             px, py = outline[k % 4, 0], outline[k % 4, 1]
             if k >= 4:
                 px, py = 0.5 * (px + outline[(k - 5) % 4, 0]), 0.5 * (py + outline[(k - 5) % 4, 1])
-            guess, l = line_project(knots, coef, px, py, guess, 10.0 + length[i])  # noqa: E741
+            guess, l = line_project(knots, coef, px, py, guess, 10.0 + length[i])
             box[0], box[1] = min(box[0], guess), max(box[1], guess)
             box[2], box[3] = min(box[2], l), max(box[3], l)
         if box[2] < left[i] + NEAR_ROAD_M and box[3] > right[i] - NEAR_ROAD_M:
@@ -244,7 +244,7 @@ def free_sides(scene: Scene, config: CorridorConfig) -> tuple[bool, bool]:
     )
     if not near.any():
         return True, True
-    road, l, half = scene.road, scene.agents.l, 0.5 * scene.bodies.width  # noqa: E741
+    road, l, half = scene.road, scene.agents.l, 0.5 * scene.bodies.width
     on_left = near & (road.lane_left - half < l) & (l < road.road_left + half)
     on_right = near & (road.road_right - half < l) & (l < road.lane_right + half)
     return not on_left.any(), not on_right.any()

@@ -402,7 +402,7 @@ def passed_by_oncoming_lane(
             now, rows = futures.t <= back, (others & ~fits)[futures.agent]
             x, y = futures.x[rows][:, now].ravel(), futures.y[rows][:, now].ravel()
             near = np.hypot(x - frame.ego.x, y - frame.ego.y) < end - scene.s + 30.0
-            s, l = line_project_many(line.s, line.coef, x[near], y[near], scene.s, 250.0).T  # noqa: E741
+            s, l = line_project_many(line.s, line.coef, x[near], y[near], scene.s, 250.0).T
             road, side = scene.reference.at(s), 0.5 * widest
             on_left = (
                 (road.facing_left > road.road_left)

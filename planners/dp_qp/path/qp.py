@@ -106,7 +106,7 @@ class PathQp:
 
     def costs(self, x: FloatArray, problem: PiecewiseJerkProblem) -> CostTerms:
         """(1) to (5) of a path, by term."""
-        l, dl, ddl = x.reshape(3, self.knots)  # noqa: E741
+        l, dl, ddl = x.reshape(3, self.knots)
         middle = 0.5 * (problem.lower[X] + problem.upper[X])
         weights = self._weights
         values = {

@@ -407,7 +407,7 @@ class PathStage:
             high = np.maximum(high, np.interp(at[0], at[k], upper[k], left=-np.inf))
         obstacles = []
         for box, decision in zip(way.obstacles, found.decisions, strict=True):
-            s, l = (box.s_from, box.s_to), (box.l_from, box.l_to)  # noqa: E741
+            s, l = (box.s_from, box.s_to), (box.l_from, box.l_to)
             outline = np.array([(s[0], l[0]), (s[1], l[0]), (s[1], l[1]), (s[0], l[1])])
             obstacles.append(GraphObstacle(box.agent, outline, decision.kind))
         return SlGraph(

@@ -176,7 +176,7 @@ def roles(theme: Theme) -> str:
     light, dark = (
         ";".join(f"--{name}:{value}" for name, value in some.items()) for some in (LIGHT, DARK)
     )
-    return f":root{{color-scheme:light dark;{light}}}@media(prefers-color-scheme:dark){{:root{{{dark}}}}}"
+    return f":root{{color-scheme:light dark;{light}}}@media(prefers-color-scheme:dark){{:root{{{dark}}}}}"  # noqa: E501
 
 
 def filled(rules: str, theme: Theme) -> str:

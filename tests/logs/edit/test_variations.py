@@ -190,7 +190,7 @@ def test_the_ego_starts_on_its_path(way: float, factor: float) -> None:
     ego = drive(s_curve, 8.0, 12.0)
     curved = scenario(ego, road=lanes_along(ego))
     start = varied(curved, (), {"ego_start": way, "ego_speed": factor}).ego.state(0)
-    s, l = driven_line(curved).project(start.x, start.y)  # noqa: E741
+    s, l = driven_line(curved).project(start.x, start.y)
     assert (s, l) == pytest.approx((way, 0.0), abs=1e-6)
     assert start.v == pytest.approx(8.0 * factor)
     assert abs(start.yaw - np.interp(way, 8.0 * ego.t, ego.yaw)) < 0.02

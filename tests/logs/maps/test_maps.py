@@ -277,7 +277,7 @@ def test_real_maps_against_lanelet2(name: str, shared_data: Path) -> None:
         for a in strips
         for l, r, i in begins
         if (l, r) == (a.left.points[-1], a.right.points[-1])
-    }  # noqa: E741
+    }
     assert len(road.lanes) == count and len(shared) == follows
     found = {(lane.id, after) for lane in road.lanes.values() for after in lane.successors}
     assert shared <= found
@@ -311,7 +311,7 @@ def test_paired_points_lie_across_a_bend(
         r * np.column_stack([np.cos(at), np.sin(at)])
         for r, at in zip((radius, radius + width), turns, strict=True)
     )
-    l, r = paired(left, right)  # noqa: E741
+    l, r = paired(left, right)
     piece = max(angle * (radius + width) / 40.0, 0.5)
     apart = np.hypot(*(l - r).T)
     assert apart.min() > 0.98 * width - 0.02 and (apart < hypot(width, piece)).all()
@@ -329,7 +329,7 @@ def test_a_lane_keeps_left_on_the_left_however_its_ways_run(
     xy = np.vstack([left, right])
     a, b = (2, 1, 0) if one else (0, 1, 2), (5, 4, 3) if other else (3, 4, 5)
     named = (b, a) if swapped else (a, b)
-    l, r = lanelet2_bounds(named, xy)  # noqa: E741
+    l, r = lanelet2_bounds(named, xy)
     along = (2, 1, 0) if swapped else (0, 1, 2)
     assert (l, r) == (
         (tuple(i + 3 for i in along), along) if swapped else (along, tuple(i + 3 for i in along))

@@ -100,7 +100,7 @@ def test_an_obstacle_in_the_centre_of_the_turn_is_driven_round(radius: float) ->
 @settings(max_examples=40)
 def test_an_ego_off_the_line_and_off_its_heading_comes_back(
     l: float, off: float, v: float, bend: float
-) -> None:  # noqa: E741
+) -> None:
     """From 2 m beside and 60 degrees across, at any speed.
 
     At walking pace it ends up along the line.
@@ -137,7 +137,7 @@ def test_a_lane_without_width_is_driven_along_its_middle(width: float, v: float)
 @settings(max_examples=6)
 def test_between_two_parked_cars_it_drives_through_or_stops_before(
     spare: float, l: float, v: float
-) -> None:  # noqa: E741
+) -> None:
     """The gap is the ego's width and `spare` to each side: never a touch, and a stop is
     reported.
     """

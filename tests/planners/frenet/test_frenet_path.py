@@ -58,7 +58,7 @@ def smooth_line(bends: list[tuple[float, float]]) -> ReferenceLine:
 @settings(max_examples=60)
 def test_frenet_there_and_back(
     bends: list[tuple[float, float]],
-    l: float,  # noqa: E741
+    l: float,
     dl: float,
     ddl: float,
     s0: float,
@@ -85,7 +85,7 @@ def test_heading_and_curvature_are_those_of_the_points(
     ddl = np.interp(step * np.arange(n), np.arange(0.0, 400.0, 15.0), rng.uniform(-0.02, 0.02, 27))
     dl = np.r_[0.0, np.cumsum(0.5 * step * (ddl[1:] + ddl[:-1]))]
     dl, ddl = dl * 0.2 / max(0.2, np.abs(dl).max()), ddl * 0.2 / max(0.2, np.abs(dl).max())
-    l = np.r_[0.0, np.cumsum(step * dl[:-1] + step**2 * (ddl[:-1] / 3.0 + ddl[1:] / 6.0))]  # noqa: E741
+    l = np.r_[0.0, np.cumsum(step * dl[:-1] + step**2 * (ddl[:-1] / 3.0 + ddl[1:] / 6.0))]
     shrink = 2.0 / max(2.0, np.abs(l).max())
     path = make_path(line, 6.0, step, shrink * np.array([l, dl, ddl]))
     yaw = np.unwrap(np.arctan2(np.diff(path.y), np.diff(path.x)))

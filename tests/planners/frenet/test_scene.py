@@ -52,7 +52,7 @@ def world(
 
 def placed(
     name: str, s: float, l: float, turn: float, v: float, kind: AgentKind, by: FloatArray
-) -> Other:  # noqa: E741
+) -> Other:
     yaw = COURSE.line.frame(s)[2] + turn
     (x, y), (vx, vy) = by @ COURSE.line.point(s, l), by @ (v * np.cos(yaw), v * np.sin(yaw))
     yaw = np.arctan2(by[1, 0], by[0, 0]) + np.sign(np.linalg.det(by)) * yaw

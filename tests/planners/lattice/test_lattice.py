@@ -142,7 +142,7 @@ def test_states_are_those_of_a_moving_point(
     lon = np.array([[0.0, v0, 0.0, *keep_speed(v0, 0.0, v1, 6.0)]])
     motion = sample_polynomials(lon, np.array([6.0]), 60)[0]
     lateral = lateral_polynomial(np.array([l0, dl0, 0.0]), 0.5, 50.0)
-    x, y, yaw, v, a, kappa, l = states(LINE.s, LINE.coef, s0, lateral, 50.0, motion)[:7]  # noqa: E741
+    x, y, yaw, v, a, kappa, l = states(LINE.s, LINE.coef, s0, lateral, 50.0, motion)[:7]
     moved = v > 1.0
     vx, vy, t = np.gradient(x, STEP_S), np.gradient(y, STEP_S), slice(2, -2)
     np.testing.assert_allclose(np.hypot(vx, vy)[t], v[t], atol=0.02)

@@ -311,31 +311,68 @@ TURNS_BACK, HESITATES, RUNS_OUT, JAYWALKER, GROUP, ALONG, BOTH_SIDES = (
 )
 NINE = (
     *crossings("PD-1", EGO, (0.8, 1.4, 2.2), (-3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 3.0)),
-    *varied("PD-2", PAPER, ego_speed_mps=(8.33, 10.0, 11.1), pedestrian_speed_mps=(0.75, 0.85, 1.0)),
-    *varied("PD-3", TURNS_BACK, distance_m=(16.0, 33.0), dwell_s=(1.0, 2.5, 4.0), stop_lateral_m=(-0.5, 0.0, 0.5),
-            return_speed_mps=(1.2, 1.8)),
-    *varied("PD-4", HESITATES, ego_speed_mps=(8.3, 10.0), distance_m=(5.0, 15.0, 20.0, 25.0, 30.0),
-            dwell_s=(1.0, 2.0, 3.0)),
-    *varied("PD-5", RUNS_OUT, ego_speed_mps=(5.6, 8.3, 11.1, 13.9), distance_m=(10.0, 15.0, 20.0, 25.6, 30.0, 40.0)),
-    *varied("PD-6", JAYWALKER, angle_deg=(30.0, 45.0, 60.0, 120.0, 135.0, 150.0),
-            distance_m=(15.0, 20.0, 25.0, 30.0, 40.0)),
-    *varied("PD-7", GROUP, pedestrian_speed_mps=(0.8, 1.2, 1.6), distance_m=(15.0, 20.0, 25.0, 31.0)),
-    *varied("PD-8", ALONG, ego_speed_mps=(5.6, 10.0, 13.9), lateral_m=(-0.4, 0.0), leave_s=(7.0, 13.0)),
-    *varied("PD-9", BOTH_SIDES, left_start_s=(1.5, 3.0, 4.5, 6.0, 8.0), distance_m=(15.0, 20.0, 25.0, 31.0, 40.0)),
-)  # fmt: skip
+    *varied(
+        "PD-2", PAPER, ego_speed_mps=(8.33, 10.0, 11.1), pedestrian_speed_mps=(0.75, 0.85, 1.0)
+    ),
+    *varied(
+        "PD-3",
+        TURNS_BACK,
+        distance_m=(16.0, 33.0),
+        dwell_s=(1.0, 2.5, 4.0),
+        stop_lateral_m=(-0.5, 0.0, 0.5),
+        return_speed_mps=(1.2, 1.8),
+    ),
+    *varied(
+        "PD-4",
+        HESITATES,
+        ego_speed_mps=(8.3, 10.0),
+        distance_m=(5.0, 15.0, 20.0, 25.0, 30.0),
+        dwell_s=(1.0, 2.0, 3.0),
+    ),
+    *varied(
+        "PD-5",
+        RUNS_OUT,
+        ego_speed_mps=(5.6, 8.3, 11.1, 13.9),
+        distance_m=(10.0, 15.0, 20.0, 25.6, 30.0, 40.0),
+    ),
+    *varied(
+        "PD-6",
+        JAYWALKER,
+        angle_deg=(30.0, 45.0, 60.0, 120.0, 135.0, 150.0),
+        distance_m=(15.0, 20.0, 25.0, 30.0, 40.0),
+    ),
+    *varied(
+        "PD-7", GROUP, pedestrian_speed_mps=(0.8, 1.2, 1.6), distance_m=(15.0, 20.0, 25.0, 31.0)
+    ),
+    *varied(
+        "PD-8", ALONG, ego_speed_mps=(5.6, 10.0, 13.9), lateral_m=(-0.4, 0.0), leave_s=(7.0, 13.0)
+    ),
+    *varied(
+        "PD-9",
+        BOTH_SIDES,
+        left_start_s=(1.5, 3.0, 4.5, 6.0, 8.0),
+        distance_m=(15.0, 20.0, 25.0, 31.0, 40.0),
+    ),
+)
 """The rows of the table; PD-1 and PD-2 are the paper's crossing."""
 FAST = (
     *crossings("PD-1", EGO, (1.4,), (-1.0, 1.0)),
     *varied("PD-2", PAPER, ego_speed_mps=(10.0,), pedestrian_speed_mps=(0.85, 1.0)),
-    *varied("PD-3", TURNS_BACK, distance_m=(16.0, 33.0), dwell_s=(4.0,), stop_lateral_m=(0.5,),
-            return_speed_mps=(1.2,)),
+    *varied(
+        "PD-3",
+        TURNS_BACK,
+        distance_m=(16.0, 33.0),
+        dwell_s=(4.0,),
+        stop_lateral_m=(0.5,),
+        return_speed_mps=(1.2,),
+    ),
     *varied("PD-4", HESITATES, ego_speed_mps=(10.0,), distance_m=(5.0,), dwell_s=(2.0,)),
     *varied("PD-5", RUNS_OUT, ego_speed_mps=(8.3,), distance_m=(15.0, 25.6)),
     *varied("PD-6", JAYWALKER, angle_deg=(45.0, 135.0), distance_m=(30.0,)),
     *varied("PD-7", GROUP, pedestrian_speed_mps=(1.2,), distance_m=(31.0,)),
     *varied("PD-8", ALONG, ego_speed_mps=(10.0,), lateral_m=(0.0,), leave_s=(7.0,)),
     *varied("PD-9", BOTH_SIDES, left_start_s=(3.0, 4.5), distance_m=(31.0,)),
-)  # fmt: skip
+)
 
 
 @pytest.mark.parametrize("case", FAST, ids=str)

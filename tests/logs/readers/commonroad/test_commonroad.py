@@ -281,7 +281,7 @@ def test_a_goal_on_a_lane_that_asks_for_more_disproves_its_assumed_limit(
     tmp_path: Path, least: float, most: float, on: int, limit: float
 ) -> None:
     """Lane 2 has a sign of its own: a goal there says nothing of lane 1."""
-    wanted = f"<velocity><intervalStart>{least}</intervalStart><intervalEnd>{most}</intervalEnd></velocity>"
+    wanted = f"<velocity><intervalStart>{least}</intervalStart><intervalEnd>{most}</intervalEnd></velocity>"  # noqa: E501
     place = f'<position><lanelet ref="{on}"/></position>'
     file = written(
         tmp_path,
@@ -352,12 +352,12 @@ def test_version_2018b_with_intervals_and_speed_limits(tmp_path: Path) -> None:
 
     uncertain = (
         "<position><rectangle><length>2</length><width>1</width><orientation>0</orientation><center><x>30</x><y>1</y>"
-        f"</center></rectangle></position>{middle('orientation', 0.1, 0.3)}{exact('time', 0)}{middle('velocity', 4, 6)}"
+        f"</center></rectangle></position>{middle('orientation', 0.1, 0.3)}{exact('time', 0)}{middle('velocity', 4, 6)}"  # noqa: E501
     )
     obstacle = (
         "<obstacle "
         'id="5"><role>dynamic</role><type>truck</type><shape><rectangle><length>8</length><width>2.5</width>'
-        f"</rectangle></shape><initialState>{uncertain}</initialState><trajectory>{state(1, 30.5, 1.0, 0.2, 5.0)}"
+        f"</rectangle></shape><initialState>{uncertain}</initialState><trajectory>{state(1, 30.5, 1.0, 0.2, 5.0)}"  # noqa: E501
         "</trajectory></obstacle>"
     )
     file = written(
@@ -428,7 +428,7 @@ def test_goals_keep_their_own_bounds(tmp_path: Path) -> None:
     """A goal at rest near by and one at any speed far away: passing the near one at speed reaches
     neither.
     """
-    shape = "<rectangle><length>20</length><width>4</width><center><x>{}</x><y>0</y></center></rectangle>"
+    shape = "<rectangle><length>20</length><width>4</width><center><x>{}</x><y>0</y></center></rectangle>"  # noqa: E501
     place = f"<position>{shape}</position>"
     rest = "<velocity><intervalStart>0.0</intervalStart><intervalEnd>0.0</intervalEnd></velocity>"
     both = problem(1, 0.0, 0.0, 10.0, place.format(100.0)).replace(

@@ -86,7 +86,7 @@ def test_a_set_stands_until_the_next_one_or_over_its_interval() -> None:
 
 def occupancy(step: int, low: float, high: float) -> str:
     outline = points((low, -1.0), (high, -1.0), (high, 1.0), (low, 1.0), (low, -1.0))
-    return f"<occupancy><shape><polygon>{outline}</polygon></shape><time><exact>{step}</exact></time></occupancy>"
+    return f"<occupancy><shape><polygon>{outline}</polygon></shape><time><exact>{step}</exact></time></occupancy>"  # noqa: E501
 
 
 def test_a_set_that_grows_over_the_way_is_met_at_its_time(tmp_path: Path) -> None:

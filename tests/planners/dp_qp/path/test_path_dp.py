@@ -45,7 +45,7 @@ def grid(
     start = np.array(
         [0.0, rng.uniform(-1.5, 1.5), rng.uniform(-0.2, 0.2), rng.uniform(-0.02, 0.02)]
     )
-    s, l = rng.uniform(5.0, 30.0, 3), rng.uniform(-2.0, 2.0, 3)  # noqa: E741
+    s, l = rng.uniform(5.0, 30.0, 3), rng.uniform(-2.0, 2.0, 3)
     sides = rng.integers(-1, 2, 3)
     boxes = np.column_stack(
         [s, s + rng.uniform(2.0, 8.0, 3), l, l + rng.uniform(0.2, 1.5, 3), sides]
@@ -61,7 +61,7 @@ def edge_cost(
     s0, l0, dl0, ddl0 = first
     step = (s1 - s0) / SAMPLES
     d = step * np.arange(1, SAMPLES + 1)
-    l, dl, ddl = quintic_at(l0, dl0, ddl0, l1, s1 - s0, d)  # noqa: E741
+    l, dl, ddl = quintic_at(l0, dl0, ddl0, l1, s1 - s0, d)
     total = WEIGHTS.ref * l**2 + WEIGHTS.dl * dl**2 + WEIGHTS.ddl * ddl**2
     outside = np.maximum(0.0, np.maximum(lower - l, l - upper))
     total += np.where(outside > 0.0, OUTSIDE * (0.1 + outside), 0.0)
@@ -138,7 +138,7 @@ def test_the_dp_path_goes_through_its_nodes_and_is_smooth(seed: int) -> None:
     at = np.array([path_dp_offset(stations, offsets, chosen, start, s) for s in stations])
     np.testing.assert_allclose(at, offsets[chosen], atol=1e-9)
     fine = np.linspace(0.0, 50.0, 5001)
-    l = np.array([path_dp_offset(stations, offsets, chosen, start, s) for s in fine])  # noqa: E741
+    l = np.array([path_dp_offset(stations, offsets, chosen, start, s) for s in fine])
     assert l[0] == start[1] and l[-1] == offsets[chosen[-1]]
     assert np.abs(np.diff(l, 2)).max() < 1e-4 * 0.5  # l'' stays below 0.5 1/m: no jump, no kink
 

@@ -66,7 +66,7 @@ def asked(
 def cost_of(program: PathQp, x: FloatArray, middle: FloatArray) -> float:
     """J_1 + ... + J_5, written down from the module's docstring."""
     settle = max(1.2 * SPEED, 4.0)
-    l, dl, ddl = x.reshape(3, -1)  # noqa: E741
+    l, dl, ddl = x.reshape(3, -1)
     squares = (np.sum(v**2) for v in (l, dl, ddl, np.diff(ddl) / program.step, l - middle))
     weights = 1.0, (0.5 * settle) ** 2, settle**4, (0.7 * settle) ** 6, 0.1
     return float(sum(w * square for w, square in zip(weights, squares, strict=True)))
@@ -77,14 +77,14 @@ OWN, SURE = (PathQp(LENGTH, SPEED, AHEAD, PathQpConfig(), solver) for solver in 
 
 def points_of(x: FloatArray) -> FloatArray:
     """Offsets `(points, knots)` of the ego's points along a straight line."""
-    l, dl, _ = x.reshape(3, -1)  # noqa: E741
+    l, dl, _ = x.reshape(3, -1)
     return np.asarray(l + np.array(AHEAD)[:, None] * dl)
 
 
 def assert_drivable(
     program: PathQp, x: FloatArray, problem: PiecewiseJerkProblem, slack: float
 ) -> None:
-    l, dl, ddl = x.reshape(3, -1)  # noqa: E741
+    l, dl, ddl = x.reshape(3, -1)
     h = program.step
     np.testing.assert_allclose((l[0], dl[0], ddl[0]), problem.start, atol=slack)
     dddl = np.diff(ddl) / h

@@ -65,7 +65,7 @@ EGO = EgoState(0.0, 0.0, 0.0, 0.0, 8.0)
 @settings(max_examples=40)
 def test_the_box_of_an_obstacle_holds_its_outline(
     s: float, l: float, yaw: float, length: float, width: float
-) -> None:  # noqa: E741
+) -> None:
     line = LEFT_TURN.line
     x, y = line.point(s, l)
     other = standing("it", x, y, yaw, length=length, width=width)
@@ -255,7 +255,7 @@ def outside(along: ReferencePath, found: ChosenPath) -> FloatArray:
                     x + ahead * np.cos(yaw) - side * np.sin(yaw),
                     y + ahead * np.sin(yaw) + side * np.cos(yaw),
                 )
-                there, l = along.line.project(*at, s + ahead, 8.0)  # noqa: E741
+                there, l = along.line.project(*at, s + ahead, 8.0)
                 low, high = (
                     np.interp(there, corridor_.first, v) for v in (corridor_.lower, corridor_.upper)
                 )
@@ -283,7 +283,7 @@ def world(
     kappa = np.interp(np.arange(0.0, ends[-1] + 150.0), ends, [0.0, 0.0] + [k for _, k in bends])
     along = reference(curve(*[(1.0, float(k)) for k in kappa]), 2)
     others = []
-    for i, (s, l, turn) in enumerate(parked):  # noqa: E741
+    for i, (s, l, turn) in enumerate(parked):
         x, y, yaw, _ = (*along.line.point(s, l), *along.line.frame(s)[2:])
         others.append(standing(f"parked {i}", x, y, yaw + turn))
     return along, others
@@ -315,7 +315,7 @@ def side_taken(
     l: float,
     memory: PathMemory,
     v: float,
-    config: PathDpConfig = CONFIG.dp,  # noqa: E741
+    config: PathDpConfig = CONFIG.dp,
 ) -> tuple[DecisionKind, PathMemory]:
     """The decision about a narrow obstacle `l` m left of the middle of three lanes, and what is
     remembered of it.
@@ -330,7 +330,7 @@ def side_taken(
 
 @given(st.floats(-0.1, 0.1), st.floats(-0.1, 0.1), st.floats(3.0, 9.0))
 @settings(max_examples=25, deadline=None)
-def test_the_side_does_not_change_while_nothing_changes(l: float, then: float, v: float) -> None:  # noqa: E741
+def test_the_side_does_not_change_while_nothing_changes(l: float, then: float, v: float) -> None:
     """It may be seen a little further to one side in the next frame."""
     first, memory = side_taken(l, PathMemory(), v)
     assert first in SIDES
@@ -355,7 +355,7 @@ def test_a_good_reason_changes_the_side() -> None:
 @settings(max_examples=30, deadline=None)
 def test_a_swerve_needs_no_more_than_comfortable_lateral_acceleration(
     ahead: float, l: float, v: float
-) -> None:  # noqa: E741
+) -> None:
     """Nor more than the lock, nor a faster turn of the wheels, at the speed that may be
     expected.
     """

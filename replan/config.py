@@ -3,17 +3,17 @@
     planners = ["dp_qp"]             # names, "module:Class", "exec:COMMAND" or "tcp://HOST:PORT"
     mode = "both"                    # "open", "closed" or "both"
     gates = "default"                # or a file of thresholds
-    internals = "summary"
-        # how much of a planner's internals the traces hold: "none", "summary", "full"
+    internals = "summary"            # how much of a planner's internals the traces hold: "none",
+                                     # "summary", "full"
     recording = true                 # write .rrd files
     foxglove = false                 # write channels for Foxglove into logs and traces
     metrics = []                     # your own, in addition to the built-in ones: "module:NAME"
     charts = []                      # likewise, in the report
     ensemble = 0                     # perturbed runs per log (replan.run.sources)
-    repeat_s = 2.0
-        # length of the start that is driven twice, to test determinism of planners
-    deadline_s = 0.0
-        # the longest time of a plan (0.1 at 10 Hz); 0: not judged, as clocks differ
+    repeat_s = 2.0                   # length of the start that is driven twice, to test
+                                     # determinism of planners
+    deadline_s = 0.0                 # the longest time of a plan (0.1 at 10 Hz); 0: not judged, as
+                                     # clocks differ
 
     [log]                            # replan.logs.readers.LogSettings: information that logs lack,
                                      or where they store it
@@ -25,8 +25,8 @@
     [vehicle_model.single_track]     # keywords of the vehicle model; the controller does not know
                                      [loop.plant]
     [vehicle]                        # VehicleParameters: replaces the values of the logs
-    set = "vw_vanagon"
-        # all values of a known vehicle (a file of `logs/vehicles`); other keys override it
+    set = "vw_vanagon"               # all values of a known vehicle (a file of `logs/vehicles`);
+                                     # other keys override it
 
 All keys are optional. An error in a file names file, key and remedy; unknown keys are errors.
 """

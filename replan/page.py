@@ -8,6 +8,7 @@ from __future__ import annotations
 import inspect
 
 import replan
+from replan.core.names import first_paragraph
 
 HEAD = """# `import replan`
 
@@ -61,7 +62,7 @@ def markdown() -> str:
                         arguments.append("*")
                     arguments.append(argument)
             called = f"({', '.join(arguments)})" if inspect.isfunction(thing) else ""
-            first_line = (inspect.getdoc(thing) or "").partition("\n")[0]
+            first_line = first_paragraph(thing)
             if isinstance(thing, replan.Reduction):
                 first_line = f"The reduction `{thing.name}` of a series."
             lines.append(f"- `{name}{called}`: {first_line}")

@@ -237,7 +237,7 @@ def compared(scenario: Scenario, planner: str) -> Row | None:
 def main(argv: Sequence[str] | None = None) -> None:
     """Compare, write the tables, print them."""
     parser = argparse.ArgumentParser(
-        prog="python -m studies.crossings", description=__doc__.splitlines()[0]
+        prog="python -m studies.crossings", description=__doc__.partition("\n\n")[0]
     )
     parser.add_argument("logs", nargs="+", type=Path, help="logs of any format, or folders of them")
     parser.add_argument("-o", "--out", type=Path, required=True, help="folder for the tables")

@@ -173,7 +173,7 @@ def _asked(planner: str) -> dict[str, Any]:
 
 def main(words: Sequence[str] | None = None) -> None:
     """The command line."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n\n")[0])
     parser.add_argument("-o", "--out", type=Path, required=True)
     parser.add_argument("--suite", default="full")
     parser.add_argument("--most", type=int, default=12)

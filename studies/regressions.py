@@ -208,7 +208,7 @@ def row(name: str, comparison: Comparison) -> dict[str, Any]:
 
 def main() -> None:
     """The command line."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n\n")[0])
     parser.add_argument("logs", nargs="*", help="files, or names of the catalogue")
     parser.add_argument("-o", "--out", type=Path, required=True)
     parser.add_argument("--only", nargs="+", choices=list(CHANGES), default=list(CHANGES))

@@ -406,7 +406,7 @@ def changes(before: pd.DataFrame, now: pd.DataFrame) -> pd.DataFrame:
 def main(argv: Sequence[str] | None = None) -> None:
     """Drive, and print the tables."""
     parser = argparse.ArgumentParser(
-        prog="python -m studies.roads", description=__doc__.splitlines()[0]
+        prog="python -m studies.roads", description=__doc__.partition("\n\n")[0]
     )
     parser.add_argument("data", type=Path, nargs="+", help="folders of recorded logs")
     parser.add_argument(

@@ -169,11 +169,11 @@ def varied(scenario: Scenario, agents: Sequence[str], values: Mapping[str, float
     kept = {key: text for key, text in scenario.metadata.items() if key != "expected_decisions"}
     # No sample before log time 0
     early = -min(0, now.start_ns + round(1e9 * float(now.tracks.t.min(initial=0.0))))
-    values = ",".join(f"{name}={value:.10g}" for name, value in ordered.items())
+    suffix = ",".join(f"{name}={value:.10g}" for name, value in ordered.items())
     return replace(
         now,
         start_ns=now.start_ns + early,
-        name=f"{scenario.name}~{values}",
+        name=f"{scenario.name}~{suffix}",
         controls=None,
         onboard=(),
         tags=tuple(dict.fromkeys((*(tag for tag in scenario.tags if tag != "recorded"), VARIED))),

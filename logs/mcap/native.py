@@ -1,16 +1,11 @@
-"""The native scenario log, version 2: one MCAP file is one scenario; JSON messages, their JSON
-Schema in the file.
+"""The native scenario log, version 2: one MCAP file is one scenario; JSON messages, their JSON Schema in the file.
 
-    metadata  replan.scenario
-        format_version, name, source, licence, tags and notes (JSON arrays), start_ns
-                                         (log time of t = 0), duration_s,
-                                             origin_x_m and origin_y_m (what was subtracted from
-                                             world coordinates: all coordinates are relative to it);
-                                             where known traffic_s: when the others were observed,
-                                             [[from, to], ...], s since start_ns (without it, a log
-                                             with an empty message on /agents: while these come)
-              replan.scenario.metadata   other facts about the log, free keys (generator,
-                                         parameters, seed)
+    metadata  replan.scenario            format_version, name, source, licence, tags and notes (JSON arrays), start_ns
+                                         (log time of t = 0), duration_s, origin_x_m and origin_y_m (what was subtracted
+                                         from world coordinates: all coordinates are relative to it); where known
+                                         traffic_s: when the others were observed, [[from, to], ...], s since start_ns
+                                         (without it, a log with an empty message on /agents: while these come)
+              replan.scenario.metadata   other facts about the log, free keys (generator, parameters, seed)
               replan.trace               only in a trace: planner, mode, oracle, end, detail
 
     /ego             Ego           one state a message: required, the rest is optional
@@ -19,36 +14,27 @@ Schema in the file.
     /agents          AgentColumns  where they are: a message holds all those sampled at its log time
     /obstacles       AgentColumns  the same for those that never move; one sample is enough
     /road            Road          once        /goal   Goal   once        /vehicle   Vehicle   once
-    /traffic_lights  LightColumns  what lights show from the log time on; those that do not change
-                     may be left out
-    /onboard         OnboardPlan   a plan that the log's own planner made, at the log time from
-                     which it was known
-    /detections      DetectionColumns  the boxes of a perception, a message a frame, also where it
-                     saw nothing; without
-                                   /repair they are not yet tracks, and whoever reads the log makes
-                                   some of them
-    /repair          Repair        once: /agents are tracks made of /detections, with what was
-                                   changed and why; they are RepairedColumns
+    /traffic_lights  LightColumns  what lights show from the log time on; those that do not change may be left out
+    /onboard         OnboardPlan   a plan that the log's own planner made, at the log time from which it was known
+    /detections      DetectionColumns  the boxes of a perception, a message a frame, also where it saw nothing; without
+                                   /repair they are not yet tracks, and whoever reads the log makes some of them
+    /repair          Repair        once: /agents are tracks made of /detections, with what was changed and why; they
+                                   are RepairedColumns
     /removed, /removed/table       as /agents: tracks that were taken away then; no road users
-    /plan, /command, /actuation, /tracking     only in a trace: what was planned, asked, done,
-                                               missed
-    /perceived       AgentColumns  only in a trace: the others as a sensor showed them to the
-                     planner, once a frame
-    /perceived/table AgentTable    once, where some of those are not in /agents/table or of another
-                                   kind or size there
-    /predictions     Predictions   only in a trace with internals: their futures as the planner was
-                     shown them
+    /plan, /command, /actuation, /tracking     only in a trace: what was planned, asked, done, missed
+    /perceived       AgentColumns  only in a trace: the others as a sensor showed them to the planner, once a frame
+    /perceived/table AgentTable    once, where some of those are not in /agents/table or of another kind or size there
+    /predictions     Predictions   only in a trace with internals: their futures as the planner was shown them
 
-A field is serialised as its name in code plus its unit (`UNITS`). Time is the message's log time,
-integer nanoseconds; a topic's messages stand in order of time. Missing is null (NaN in memory);
-infinity is refused, except in the graphs of a plan, where null stands for "not reached" and "free".
-A version may gain topics and optional fields; its readers skip what they do not know.
+A field is serialised as its name in code plus its unit (`UNITS`). Time is the message's log time, integer nanoseconds;
+a topic's messages stand in order of time. Missing is null (NaN in memory); infinity is refused, except in the graphs of
+a plan, where null stands for "not reached" and "free". A version may gain topics and optional fields; its readers skip
+what they do not know.
 
-Version 2 is version 1 and blocks: on /ego, /controls, /command, /actuation and /tracking a message
-may be an EgoBlock, ControlsBlock or TrackingBlock instead, whose columns hold many samples, each
-with its log time; the message's own is the first one's. Traces are written so (they have 100
-samples a second). A log without blocks says that it is version 1.
-"""
+Version 2 is version 1 and blocks: on /ego, /controls, /command, /actuation and /tracking a message may be an EgoBlock,
+ControlsBlock or TrackingBlock instead, whose columns hold many samples, each with its log time; the message's own is
+the first one's. Traces are written so (they have 100 samples a second). A log without blocks says that it is version 1.
+"""  # noqa: E501
 
 from __future__ import annotations
 

@@ -26,6 +26,7 @@ from typing import Any
 
 from replan.core.errors import ConfigError, ReplanError, unknown_name
 from replan.core.extension import ExtensionKind
+from replan.core.names import first_paragraph
 from replan.core.settings import dotted, meaning
 from replan.draw.charts.layout import CHART
 from replan.logs.catalogue import SUITES, families
@@ -146,7 +147,7 @@ def _first_line(thing: Callable[..., Any]) -> str:
     if isinstance(thing, partial):
         settings = ", ".join(f"{key} {value}" for key, value in thing.keywords.items())
         return f"{_first_line(thing.func)} With {settings}."
-    return (inspect.getdoc(thing) or "").partition("\n")[0]
+    return first_paragraph(thing)
 
 
 def _where(thing: Any) -> str:
@@ -264,7 +265,7 @@ def _of_dataclass(config: Any, where: str, group: str = "") -> Iterator[ListedSe
             )
     for name, value, key in values:
         if is_dataclass(value):
-            about = meaning(config, name) or (inspect.getdoc(value) or "").partition("\n")[0]
+            about = meaning(config, name) or first_paragraph(value)
             yield from _of_dataclass(value, key, about)
 
 

@@ -12,6 +12,7 @@ more on average.
 
 from __future__ import annotations
 
+import inspect
 import re
 from collections.abc import Iterable, Sequence
 from itertools import pairwise, takewhile
@@ -106,3 +107,8 @@ def visible_name(text: str, most: float = LONGEST_NAME) -> str:
         return text
     shown = text.translate(VISIBLE).encode("utf-8", "replace").decode("utf-8")
     return shown if len(shown) <= most else f"{shown[: int(most) - 1]}\u2026"
+
+
+def first_paragraph(thing: object) -> str:
+    """Return the first paragraph of a docstring, in one line; "" if there is none."""
+    return " ".join((inspect.getdoc(thing) or "").partition("\n\n")[0].split())

@@ -1,29 +1,22 @@
 """The tables and files of a run, and the folder that they are in.
 
-    OUT/metrics.parquet, .csv   one row per log, planner, mode and metric reduction     the same for
-                                the same inputs
-    OUT/verdicts.parquet        one row per gate, log, planner and mode: the outcome on this
-                                log    likewise
-    OUT/groups.parquet          one row per group of logs, planner, mode and metric: mean, median,
-                                worst   likewise
-    OUT/timings.parquet         log, planner, mode, t_s, stage, seconds                 not the same
-                                twice
+    OUT/metrics.parquet, .csv   one row per log, planner, mode and metric reduction     the same for the same inputs
+    OUT/verdicts.parquet        one row per gate, log, planner and mode: the outcome on this log    likewise
+    OUT/groups.parquet          one row per group of logs, planner, mode and metric: mean, median, worst   likewise
+    OUT/timings.parquet         log, planner, mode, t_s, stage, seconds                 not the same twice
     OUT/summary.json            outcome, gates, drives, failures
     OUT/report.md, junit.xml    the reports, by `replan evaluate` and `replan report`
     OUT/run.toml                the resolved configuration
-    OUT/origin.json             the directory in which the run was started: where its logs are
-                                (`replan.run.output`)
+    OUT/origin.json             the directory in which the run was started: where its logs are (`replan.run.output`)
     OUT/shard.json              only in a shard: its number and its run (`replan.run.shards`)
-    OUT/LOG-HASH/               per log: open.mcap, open.rrd, closed.mcap, closed.rrd,
-                                frames.parquet, and what the
-                                tables above are made of: metrics.parquet, timings.parquet,
-                                log.json; ensemble.parquet (with several planners open.PLANNER.mcap
-                                and so on; log.mcap where the log was no MCAP)
+    OUT/LOG-HASH/               per log: open.mcap, open.rrd, closed.mcap, closed.rrd, frames.parquet, and what the
+                                tables above are made of: metrics.parquet, timings.parquet, log.json; ensemble.parquet
+                                (with several planners open.PLANNER.mcap and so on; log.mcap where the log was no MCAP)
 
-`metrics.*`, `verdicts.*`, `groups.*` and `frames.parquet` contain no measured times, paths or
-machines, and are sorted: two runs give the same bytes, with any number of workers and
-interruptions. Every file is written under a temporary name and renamed.
-"""
+`metrics.*`, `verdicts.*`, `groups.*` and `frames.parquet` contain no measured times, paths or machines, and are sorted:
+two runs give the same bytes, with any number of workers and interruptions. Every file is written
+under a temporary name and renamed.
+"""  # noqa: E501
 
 from __future__ import annotations
 

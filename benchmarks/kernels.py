@@ -40,7 +40,9 @@ ROOT = Path(__file__).resolve().parents[1]
 LOG_S, PAYS_WITHIN = 20.0, 100.0
 MOST_S = 20.0
 """No more calls of a kernel are repeated after this time, s."""
-ROOMS = ("replay", "metrics", "planners", "logs", "replan")
+PACKAGES = {"replan": "replan"} | {
+    name: f"replan/{name}" for name in ("logs", "metrics", "planners", "replay")
+}
 
 
 def drive(logs: Sequence[str]) -> float:
@@ -97,7 +99,7 @@ class Counted:
 
 def of_modules() -> Iterator[tuple[Any, str, Any]]:
     """Yield module, name and value of the globals of this repository's modules."""
-    for module in [one for name, one in sys.modules.items() if name.split(".")[0] in ROOMS]:
+    for module in [one for name, one in sys.modules.items() if name.split(".")[0] in PACKAGES]:
         for name, value in list(vars(module).items()):
             yield module, name, value
 
@@ -172,10 +174,9 @@ def main() -> None:
         compiled, counted, python = (
             Path(folder) / name for name in ("compiled", "counted", "python")
         )
-        for room in ROOMS:
-            shutil.copytree(
-                ROOT / room, Path(folder) / room, ignore=shutil.ignore_patterns("__pycache__")
-            )
+        without = shutil.ignore_patterns("__pycache__")
+        for name, package in PACKAGES.items():
+            shutil.copytree(ROOT / name, Path(folder) / package, ignore=without, dirs_exist_ok=True)
         parts = (
             ["compile", str(compiled)],
             ["count", str(counted)],

@@ -60,6 +60,18 @@ Seconds "driven", "spent", and "kept": spent with internals.
 """
 
 
+def _packages(checkout: Path) -> Path:
+    """The folder in which Python finds the packages of a checkout.
+
+    Since version 0.2 it has links to them; before, the packages lay at the top.
+    """
+    links = checkout / ".ci" / "links.py"
+    if not links.is_file():
+        return checkout
+    subprocess.run([sys.executable, str(links)], check=True)
+    return checkout / "build" / "ns"
+
+
 class Version:
     """A checkout, measured by its own copy of this file in a process that answers a line with a
     line.
@@ -71,7 +83,7 @@ class Version:
         )
         self._process = subprocess.Popen(
             [sys.executable, str(checkout / "benchmarks" / "versions.py"), "--serve"],
-            env={**os.environ, **threads, "PYTHONPATH": str(checkout)},
+            env={**os.environ, **threads, "PYTHONPATH": str(_packages(checkout))},
             cwd=checkout,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,

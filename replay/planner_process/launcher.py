@@ -9,16 +9,18 @@ It has imported what every Python planner needs, and never holds a frame, so tha
 drive starts in milliseconds and has no data of earlier drives. The control socket carries JSON, one
 message a line:
 
-    {"start": KEY, "argv": [...] or null, "memory": bytes or 0}    with three descriptors: stdin,
-        stdout, stderr of it
-    {"start": KEY, "load": [planner, settings], "memory": ...}     with one: the control socket of a
-        template
-    {"kill": KEY}                                    the process and its group
-    {"ended": KEY, "status": wait status}            the reply, once for each process that was
-        started
+    {"start": KEY, "argv": [...] or null, "path": text or null, "memory": bytes or 0}
+        with three descriptors: stdin, stdout, stderr of it
+    {"start": KEY, "load": [planner, settings], "memory": ...}
+        with one: the control socket of a template
+    {"kill": KEY}
+        the process and its group
+    {"ended": KEY, "status": wait status}
+        the reply, once for each process that was started
 
-`argv` null is a Python planner (`replan.replay.planner_process.child`), else a program. When the
-control socket closes, all are killed.
+`path` is the PYTHONPATH of a program. `argv` null is a Python planner
+(`replan.replay.planner_process.child`), else a program. When the control socket closes, all are
+killed.
 
 A template is a fork of this process that has also loaded a planner's module (`child.load`): it
 sends `{"unfit": reason}`, and if the reason is empty, it serves requests as this process does, on
@@ -213,7 +215,7 @@ def _become(request: dict[str, Any], given: list[int], parent: int) -> NoReturn:
             _at_places(*given)
             _limit(request["memory"])
             if request["argv"] is not None:
-                _execute(request["argv"])
+                _execute(request["argv"], request["path"])
             child.main()
         code = 0
     except BaseException as error:  # the interpreter of the launcher must not go on in the fork
@@ -268,7 +270,11 @@ def _descriptors() -> set[int]:
     return found
 
 
-def _execute(argv: list[str]) -> NoReturn:
+def _execute(argv: list[str], path: str | None) -> NoReturn:
+    """Become a program, with the user's PYTHONPATH: ours leads to packages of another Python."""
+    os.environ.pop("PYTHONPATH")
+    if path is not None:
+        os.environ["PYTHONPATH"] = path
     try:
         os.execvp(argv[0], argv)
     except OSError as error:

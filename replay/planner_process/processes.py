@@ -137,7 +137,11 @@ def start_process(
         if _warm.get("for") != wanted or not _warm["launcher"].alive:
             _warm.update({"for": wanted, "launcher": Launcher(environment)})
         launcher: Launcher = _warm["launcher"]
-        request = {"argv": argv, "memory": round(limits.memory_gb * 1e9)}
+        request = {
+            "argv": argv,
+            "path": os.environ.get("PYTHONPATH"),
+            "memory": round(limits.memory_gb * 1e9),
+        }
         template = launcher.template(load, limits) if load and _warm.get("run") else None
         if template is not None:
             with suppress(OSError):  # it has just died

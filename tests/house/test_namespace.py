@@ -13,6 +13,7 @@ from pathlib import Path
 from zipfile import ZipFile
 
 import pytest
+from command_line import replan
 from short_logs import short
 
 from replan.logs.mcap import write_scenario
@@ -291,6 +292,25 @@ def test_a_script_a_module_and_pytest_use_it(
     assert "1 passed" in run(
         repository, python, "-m", "pytest", "-q", "-p", "no:cacheprovider", "test_mine.py"
     )
+
+
+@pytest.mark.parametrize("theirs", [None, "their_folder"])
+def test_a_program_gets_the_python_path_of_the_user_and_none_of_ours(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, theirs: str | None
+) -> None:
+    """Its Python may be another one, for which our packages are wrong."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("PYTHONPATH", raising=False)
+    if theirs is not None:
+        monkeypatch.setenv("PYTHONPATH", theirs)
+    Path("a.py").write_text(
+        "import os; print(os.environ.get('PYTHONPATH'), file=open('path.txt', 'w'))",
+        encoding="utf-8",
+    )
+    write_scenario(tmp_path / "a.mcap", short("team/a"))
+    words = ("evaluate", "a.mcap", "-p", f"exec:{sys.executable} a.py", "--workers", 0)
+    assert replan(*words, "--mode", "open", "--out", "out").exit_code == 3
+    assert Path("path.txt").read_text(encoding="utf-8").strip() == str(theirs)
 
 
 def test_the_folders_of_a_clone_are_never_a_second_copy(repository: Path) -> None:

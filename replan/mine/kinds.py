@@ -127,7 +127,9 @@ def _creeps(log):
         yield replan.Event(log.t[first], log.t[last], float(log.ego.v[first : last + 1].max()))
 
 
-CREEPS = replan.EventKind("creeps", _creeps, "The ego drives below 1 m/s for 3 s.", "greatest speed", "m/s")
+CREEPS = replan.EventKind(
+    "creeps", _creeps, "The ego drives below 1 m/s for 3 s.", "greatest speed", "m/s"
+)
 ```
 
 It is named on the command line, or found by an entry point of the group
@@ -137,7 +139,7 @@ It is named on the command line, or found by an entry point of the group
 replan synth everyday/crosswalk -o my_logs
 replan mine my_logs --kind my_kinds:CREEPS -o results/mined
 ```
-"""  # noqa: E501
+"""
 
 
 def page() -> str:

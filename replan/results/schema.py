@@ -407,9 +407,11 @@ is `large_string`, numbers are `float64`, also in a table without rows.
 import replan
 
 result = replan.load("results/run-001")  # nothing is read before it is asked for
-result.metrics.query("metric == 'gap.min'")  # pandas frames: metrics, verdicts, groups, health, timings, and below
+# pandas frames: metrics, verdicts, groups, health, timings, and below
+result.metrics.query("metric == 'gap.min'")
 result.frames  # frames.parquet of all logs, with the column log: large
-drive = result.drive("paper/free_road")  # one drive; with several planners: drive(log, planner, mode)
+# one drive; with several planners: drive(log, planner, mode)
+drive = result.drive("paper/free_road")
 drive.series["gap"]  # a metric step by step, by t_s
 plan = drive.plan(at=6.5)  # the plan that was driven at 6.5 s
 plan.trajectory.v  # as arrays

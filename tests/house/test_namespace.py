@@ -156,7 +156,8 @@ def pip_install(site: Path, *what: Path) -> None:
     subprocess.run([*pip, "--target", str(site), *map(str, what)], check=True)
 
 
-PYTHONS = ("clone", pytest.param("wheel", marks=pytest.mark.slow))
+PYTHONS = ("clone", pytest.param("wheel", marks=pytest.mark.nightly))
+"""By day, `.ci/run` drives a planner of a folder `planners/` with a wheel that has its kernels."""
 
 
 @pytest.fixture(params=PYTHONS)

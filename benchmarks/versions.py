@@ -63,7 +63,7 @@ Seconds "driven", "spent", and "kept": spent with internals.
 def _packages(checkout: Path) -> Path:
     """The folder in which Python finds the packages of a checkout.
 
-    Since version 0.2 it has links to them; before, the packages lay at the top.
+    With the one package `replan` these are links; before, the packages lay at the top.
     """
     links = checkout / ".ci" / "links.py"
     if not links.is_file():

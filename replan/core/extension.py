@@ -200,7 +200,7 @@ def _search_here() -> None:
 
 
 def _present(module: str) -> str:
-    """Return the present name of a module of replan that is named as before version 0.2, unless the
+    """Return the present name of a module of replan that has a former name, unless the
     user has one.
     """
     name = present_name(module)

@@ -1,5 +1,5 @@
-"""The names of before version 0.2, when `logs`, `metrics`, `planners` and `replay` were packages of
-their own.
+"""The former names of modules, when `logs`, `metrics`, `planners` and `replay` were top-level
+packages.
 
 Files of that time name a built-in part by its module ("planners.idm:Idm"), and scripts import from
 it.

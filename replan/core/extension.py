@@ -170,7 +170,7 @@ class ExtensionKind(Generic[T]):
         """Return why the user's module cannot be imported, and the remedy if a module is
         missing.
         """
-        if not isinstance(error, ModuleNotFoundError) or not error.name or present_name(error.name):
+        if not isinstance(error, ModuleNotFoundError) or not error.name:
             return raised(error)
         # The module itself is missing, not one that it imports
         if f"{module}.".startswith(f"{error.name}."):
@@ -178,6 +178,8 @@ class ExtensionKind(Generic[T]):
                 f"No module named '{error.name}' in {_places_tried(error.name)}; set PYTHONPATH "
                 "or install its package"
             )
+        if present_name(error.name):  # the error says it
+            return raised(error)
         package, _, member = error.name.partition(".")
         return raised(error) + (
             "" if member else f"; install '{package}' for {sys.executable}, or set PYTHONPATH"

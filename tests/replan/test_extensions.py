@@ -314,6 +314,9 @@ def test_a_module_that_is_not_found_lists_the_places_tried_in_their_order(
         < line.index("site-packages")
         < line.index(f", {desk};")
     )
+    monkeypatch.setattr(sys, "path", [entry for entry in sys.path if entry != str(ROOT)])
+    with pytest.raises(PlannerError, match=r"No module named 'planners' in .*site-packages"):
+        PLANNER.find("planners.of_another_folder:Mine")
     Path("somewhere").mkdir()
     Path("somewhere", "__init__.py").touch()
     with pytest.raises(

@@ -105,7 +105,7 @@ def test_the_report_says_what_the_exit_code_says_and_why(
         (["{free}", "--set", "loop.plant.mass=-1"], "mass must be positive"),
         # Of a planner that is not driven
         (["{free}", "--config", "{wrong_table}"], "planner.dp_qp"),
-        (["{free}", "--planner", "needy:Needy"], "missing a required argument: 'path'"),
+        (["{free}", "--planner", "needy:Needy"], "argument: 'path'"),
         (["{free}", "--out", "{empty}/../foreign"], "not results of `replan evaluate`"),
         (["synth", "paper/free_raod", "-o", "{out}"], "did you mean 'paper/free_road'?"),
         (["synth", "paper/free_road"], "replan synth all -o"),

@@ -10,8 +10,8 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from importlib.resources import files
-from math import tan
-from typing import Any
+from math import inf, tan
+from typing import Any, NamedTuple
 
 from replan.core.errors import unknown_name
 
@@ -167,6 +167,13 @@ class VehicleParameters:
         """Curvature at full steering lock, 1/m."""
         return tan(self.max_steer) / self.wheelbase
 
+    @property
+    def top_speed(self) -> float:
+        """Speed at the top speed of the motor, in the top gear, m/s; inf without a motor."""
+        if not self.gears:
+            return inf
+        return self.motor_speed[-1] / self.gears[-1] * self.wheel_radius
+
     def loaded(self, mass: float) -> VehicleParameters:
         """Return the vehicle with another mass, kg.
 
@@ -180,39 +187,74 @@ class VehicleParameters:
         return replace(self, mass=mass, **scaled)
 
 
+class _Class(NamedTuple):
+    """Vehicles up to a length, m, and the vehicle of `logs/vehicles` that stands for them; "": the
+    default car.
+    """
+
+    longest: float
+    vehicle: str
+    word: str
+
+
+CLASSES = (
+    _Class(2.0, "delivery_robot", "a delivery robot"),
+    _Class(5.4, "", "the default car"),
+    _Class(7.5, "delivery_van", "a delivery van"),
+    _Class(10.5, "truck", "a rigid truck"),
+    _Class(13.5, "city_bus", "a city bus"),
+    _Class(inf, "tractor_semitrailer", "a tractor with a semi-trailer, driven as one body"),
+)
+"""What a vehicle of which only some sizes are known is taken for, by its length."""
+
+
 def assumed_car(sizes: Mapping[str, float], notes: list[str]) -> VehicleParameters:
-    """Make the ego's vehicle of sizes, m; missing ones scale with length. Appends what it assumes
-    to `notes`.
+    """Make the ego's vehicle of sizes, m; missing ones are those of `CLASSES`, in proportion to the
+    length. Appends what it assumes to `notes`.
 
     ValueError if a size is not positive.
     """
-    default = VehicleParameters()
-    length = sizes.get("length", default.length)
-    scale = length / default.length
-    wheelbase = sizes.get("wheelbase", scale * default.wheelbase)
-    overhang = sizes.get("rear_overhang", scale * default.rear_overhang)
+    length = sizes.get("length", VehicleParameters().length)
+    kind = next(kind for kind in CLASSES if length <= kind.longest)
+    usual = vehicle_parameters(kind.vehicle) if kind.vehicle else VehicleParameters()
+    scale = length / usual.length
+    wheelbase = sizes.get("wheelbase", scale * usual.wheelbase)
+    overhang = sizes.get("rear_overhang", scale * usual.rear_overhang)
     if not 0.0 < wheelbase < length:
         notes.append(
-            "The ego's wheelbase does not fit its length: it is that of the default car, in "
+            f"The ego's wheelbase does not fit its length: it is that of {kind.word}, in "
             "proportion."
         )
-        wheelbase = scale * default.wheelbase
+        wheelbase = scale * usual.wheelbase
     if not 0.0 <= overhang <= length - wheelbase:
         notes.append(
-            "The log does not say where the ego's rear axle is in its box: as in the default car, "
+            f"The log does not say where the ego's rear axle is in its box: as in {kind.word}, "
             "assumed."
         )
-        overhang = min(scale * default.rear_overhang, length - wheelbase)
-    notes.append("Masses, tyres and limits of the ego's vehicle are those of the default car.")
-    cog = default.cog_to_front * wheelbase / default.wheelbase
+        overhang = min(scale * usual.rear_overhang, length - wheelbase)
     found: dict[str, Any] = {
         "length": length,
-        "width": sizes.get("width", default.width),
+        "width": sizes.get("width", usual.width),
         "wheelbase": wheelbase,
         "rear_overhang": overhang,
-        "cog_to_front": cog,
+        "cog_to_front": usual.cog_to_front * wheelbase / usual.wheelbase,
     }
-    return replace(default, **found)
+    if not kind.vehicle:
+        notes.append("Masses, tyres and limits of the ego's vehicle are those of the default car.")
+        return replace(usual, **found)
+    weight = scale * found["width"] / usual.width
+    for name in ("mass", "cornering_front", "cornering_rear", "motor_torque", "motor_overrun"):
+        value = getattr(usual, name)
+        found[name] = (
+            tuple(weight * each for each in value) if isinstance(value, tuple) else weight * value
+        )
+    found["yaw_inertia"] = weight * scale**2 * usual.yaw_inertia
+    notes.append(
+        f"The ego's vehicle, {length:.2f} m long, is taken for {kind.word}: wheelbase "
+        f"{wheelbase:.2f} m, rear overhang {overhang:.2f} m, mass {found['mass']:.0f} kg, tyres "
+        "and drive in proportion where they are not stated (--car or [vehicle] states others)."
+    )
+    return replace(usual, **found)
 
 
 def vehicle_names() -> tuple[str, ...]:

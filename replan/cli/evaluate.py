@@ -335,9 +335,7 @@ def calibrate(
     vehicle: Annotated[str, typer.Option(help="Vehicle model.")] = "single_track",
     car: Annotated[
         str | None,
-        typer.Option(
-            help="Whose numbers: bmw_320i, small_electric, vw_vanagon. Default: the default car."
-        ),
+        typer.Option(help="Whose numbers: bmw_320i, city_bus ... Default: the default car."),
     ] = None,
     config: Annotated[
         Path | None, opt.config_option("TOML file of a run: its \\[vehicle].")

@@ -56,6 +56,8 @@ def test_the_inverse_gives_the_acceleration_back(name: str, v: float, share: flo
 def test_the_vehicle_gives_the_acceleration_that_was_asked_for(
     name: str, v: float, acceleration: float
 ) -> None:
+    if v > CARS[name].top_speed:
+        pytest.skip("it does not reach this speed")
     car = SingleTrack(
         replace(CARS[name], throttle_lag=0.01, brake_lag=0.01), EgoState(0.0, 0.0, 0.0, 0.0, v)
     )

@@ -289,6 +289,7 @@ def test_slowly_it_drives_the_kinematic_circle(v: float, steer: float) -> None:
 def test_it_starts_cornering_as_the_log_says(v: float, a: float, lateral: float, name: str) -> None:
     kappa = float(np.clip(lateral / v**2, -0.15, 0.15))
     p = vehicle_parameters(name)
+    assume(v < p.top_speed)
     begin = start(v, kappa, a)
     car = SingleTrack(p, begin)
     assert (car.state.x, car.state.y, car.state.yaw, car.state.v) == (0.0, 0.0, 0.0, v)

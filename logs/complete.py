@@ -30,6 +30,7 @@ import numpy as np
 
 from replan.core.arrays import TIE, FloatArray
 from replan.core.errors import LogError
+from replan.logs.ego_columns import speed_along, with_agreed_columns
 from replan.logs.forward import described, forward_part, reversals
 from replan.logs.road import Road, thinned
 from replan.logs.states import Trajectory
@@ -60,8 +61,7 @@ def derived_speed(
     notes.append(
         "The log has no ego speed: it is derived from the positions by backward differences."
     )
-    v = (np.diff(x) * np.cos(yaw[1:]) + np.diff(y) * np.sin(yaw[1:])) / np.diff(t)
-    return np.r_[v[:1], v] if len(v) else np.zeros(1)
+    return speed_along(t, x, y, yaw)
 
 
 def derived_acceleration(t: FloatArray, v: FloatArray) -> FloatArray:
@@ -80,10 +80,13 @@ def derived_curvature(x: FloatArray, y: FloatArray, yaw: FloatArray, v: FloatArr
 
 
 def completed(columns: dict[str, FloatArray], notes: list[str]) -> Trajectory:
-    """The trajectory of columns t, x, y, yaw, v, a, kappa; NaN in a and kappa is derived, with a
-    note.
+    """The trajectory of columns t, x, y, yaw, v, a, kappa, as they agree
+    (`replan.logs.ego_columns`); NaN in a and kappa is derived, with a note.
     """
+    columns = with_agreed_columns(columns, notes)
     t, x, y, yaw, v = (columns[name] for name in ("t", "x", "y", "yaw", "v"))
+    if np.isnan(v).all():
+        v = derived_speed(t, x, y, yaw, notes)
     derived = {"a": derived_acceleration(t, v), "kappa": derived_curvature(x, y, yaw, v)}
     for name, word in (("a", "acceleration"), ("kappa", "curvature")):
         missing = np.isnan(columns[name])

@@ -1,181 +1,49 @@
 """Checks the units and frames of what a log holds, at any rate: headings, velocities, positions,
 the ego among agents.
 
-The displacement between two samples shows a direction only if it is larger than the noise of
-positions: at 100 Hz, a car at 10 m/s goes 0.1 m in a step. A chord joins two samples of a track
-that are about a metre apart:
-
-(1) from an anchor to the first later sample that is at least `WAY_M` away, which is the next
-    anchor; an anchor moves on if that takes more than `LONGEST_S`, and no chord spans a step of
-    more than `STEP_S`
-(2) the heading of a chord is the mean of those at its ends: on an arc, the chord has that direction
-(3) the misfit of a velocity is |v - d / dt| / |v|, d the displacement of the chord, v the mean of
-    those at its ends
-
-All readers pass through `checked`. It changes data only on clear evidence, and each change is a
-note:
+The direction of motion is that of chords (`replan.logs.chords`). `replan.logs.comparisons` calls
+these checks:
 
     positions  refused if they are degrees of latitude and longitude: in metres the ego hardly
                moves, in degrees it goes as fast as its speed says, or where its heading points
     headings   refused if the direction of motion contradicts them in rad, and agrees with one of
-               `READINGS`
-    ego        an agent that stays in the ego's box (4) is the ego, and left out
-    velocity   agents' velocities in their own axes (forward, left) are rotated into the world if
-               they fit the
-               displacement there only
+               `HEADINGS`; or if they point across the direction of motion all the time
+    steering   converted, or left out, if it contradicts the ego's headings
+               (`replan.logs.ego_columns`)
+    ego        an agent that stays in the ego's box (1) is the ego, and left out
+    boxes      length and width of vehicles are exchanged if most that move along their heading are
+               wider than long
+    velocity   agents' velocities are read in those of `AXES` in which they fit the displacement,
+               and left out if they fit in none
 
-(4) at least `MOST` of its samples lie in the ego's box, which is longer by `LATE_S` of driving at
+(1) at least `MOST` of its samples lie in the ego's box, which is longer by `LATE_S` of driving at
     both ends, while the ego goes `RIDES_M`; without that way, if it has a name of `EGO_NAMES`, or
     lies within `SAME_M` of the ego's rear axle or box centre for the ego's whole log
-
-What only looks wrong is reported by `replan.metrics.health`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 
 import numpy as np
 
 from replan.core.arrays import BoolArray, FloatArray, IntArray
 from replan.core.errors import LogError
-from replan.core.kernel import kernel
 from replan.logs.agents import AgentKind, among
+from replan.logs.chords import ENOUGH, ENOUGH_M, Chords
+from replan.logs.ego_columns import agreed_steering
+from replan.logs.log_settings import AXES, HEADINGS
 from replan.logs.scenario import Scenario
 from replan.logs.states import Trajectory, wrapped
 from replan.logs.tracks import Tracks
 
-WAY_M = 1.0
-"""Least length of a chord, m: more than the noise of positions."""
-LONGEST_S = 5.0
-"""Longest duration of a chord, s: slower motion is the drift of a standing localisation or box."""
-STEP_S = 2.0
-"""Longest step within a chord, s: the way within a longer one is not known."""
 SLIPS_RAD, TURNED_RAD = 0.1, 0.5
 """A heading contradicts the motion where it is off by more than the spread of the directions,
 within these: a mirrored one is off by twice that spread on average; a car slips by less, rad."""
-MOVES_MPS = 1.0
-"""Slower agents do not show the frame of their velocities, m/s."""
-DIFFER = 0.2
-"""Velocities in two frames differ by more than this share of the speed."""
-ENOUGH, ENOUGH_M = 3, 5.0
-"""Fewer chords, or a shorter way, show nothing."""
-
-
-@kernel
-def _chords(offsets: IntArray, t: FloatArray, x: FloatArray, y: FloatArray) -> IntArray:
-    """Return owner, first and last sample of each chord `(3, k)` by (1)."""
-    out, count = np.empty((3, len(t)), np.int64), 0
-    for i in range(len(offsets) - 1):
-        a = offsets[i]
-        for k in range(a + 1, offsets[i + 1]):
-            if t[k] - t[k - 1] > STEP_S:
-                a = k
-            while t[k] - t[a] > LONGEST_S:
-                a += 1
-            if np.hypot(x[k] - x[a], y[k] - y[a]) >= WAY_M:
-                out[0, count], out[1, count], out[2, count] = i, a, k
-                count, a = count + 1, k
-    return out[:, :count].copy()
-
-
-@dataclass(frozen=True, eq=False)
-class Chords:
-    """Chords (1) of paths, `(k,)` each: owner, first and last sample, displacement `d` `(2, k)`, m,
-    within `dt`, s.
-    """
-
-    owner: IntArray
-    first: IntArray
-    last: IntArray
-    d: FloatArray
-    dt: FloatArray
-
-    @classmethod
-    def of(cls, offsets: IntArray, t: FloatArray, x: FloatArray, y: FloatArray) -> Chords:
-        """Return the chords of paths with the samples `offsets[i] : offsets[i + 1]`.
-
-        Their times do not decrease.
-        """
-        # writable: compiled once
-        owner, a, b = _chords(np.array(offsets), np.array(t), np.array(x), np.array(y))
-        return cls(owner, a, b, np.stack([x[b] - x[a], y[b] - y[a]]), t[b] - t[a])
-
-    @classmethod
-    def of_ego(cls, ego: Trajectory) -> Chords:
-        """Return the chords of the ego's drive."""
-        return cls.of(np.array([0, len(ego)]), ego.t, ego.x, ego.y)
-
-    @classmethod
-    def of_tracks(cls, tracks: Tracks) -> Chords:
-        """Return the chords of all road users."""
-        return cls.of(tracks.offsets, tracks.t, tracks.x, tracks.y)
-
-    def taken(self, keep: BoolArray) -> Chords:
-        """Return some of the chords."""
-        return Chords(
-            self.owner[keep], self.first[keep], self.last[keep], self.d[:, keep], self.dt[keep]
-        )
-
-    @cached_property
-    def way(self) -> FloatArray:
-        """Length `(k,)`, m."""
-        return np.asarray(np.hypot(*self.d))
-
-    @cached_property
-    def direction(self) -> FloatArray:
-        """Direction of motion `(k,)`, rad."""
-        return np.asarray(np.arctan2(self.d[1], self.d[0]))
-
-    @property
-    def shows(self) -> bool:
-        """Whether these are enough to judge."""
-        return len(self.way) >= ENOUGH and float(self.way.sum()) >= ENOUGH_M
-
-    def mean(self, values: FloatArray) -> FloatArray:
-        """Return the means of `values` `(..., n)` of samples at both ends of each chord
-        `(..., k)`.
-        """
-        return np.asarray(0.5 * (values[..., self.first] + values[..., self.last]))
-
-    def off(self, yaw: FloatArray) -> FloatArray:
-        """Return by how much the headings (2) of samples `(n,)` are off the direction of each chord
-        `(k,)`, rad.
-        """
-        return wrapped(
-            yaw[self.first] + 0.5 * wrapped(yaw[self.last] - yaw[self.first]) - self.direction
-        )
-
-    def misfits(self, velocities: Mapping[str, FloatArray]) -> dict[str, float] | None:
-        """Return the median misfit (3) of velocities `(2, n)` by frame; None if too few chords show
-        it.
-
-        If enough chords show a difference of the frames, the others do not count.
-        """
-        v = self.mean(np.stack(list(velocities.values())).swapaxes(0, 1))  # (2, frames, k)
-        speed = np.hypot(*v)
-        asked = (speed.min(axis=0) > MOVES_MPS) & (self.dt > 0.0)
-        differ = asked & (np.hypot(*(v - v[:, :1])).max(axis=0) > DIFFER * speed[0])
-        if self.taken(differ).shows:
-            asked = differ
-        if not self.taken(asked).shows:
-            return None
-        off = np.hypot(*(v - (self.d / self.dt)[:, None])[..., asked]) / speed[:, asked]
-        return dict(zip(velocities, np.median(off, axis=1).tolist(), strict=True))
-
-
 # Headings
 
+_VEHICLES = among(AgentKind.CAR, AgentKind.TRUCK, AgentKind.BUS, AgentKind.MOTORCYCLE)
 _SHOWS_HEADING = among(*(kind for kind in AgentKind if kind is not AgentKind.OBJECT))
-READINGS: Mapping[str, tuple[float, float]] = {
-    "degrees": (np.pi / 180.0, 0.0),
-    "degrees clockwise from north": (-np.pi / 180.0, 0.5 * np.pi),
-    "rad clockwise from north": (-1.0, 0.5 * np.pi),
-    "rad clockwise from x": (-1.0, 0.0),
-}
-"""Other conventions of headings: factor and offset, rad, to rad counter-clockwise from x."""
 FITS_RAD, CLOSE = 0.2, 0.25
 """A reading fits where it is off by less than both: an angle, and a share of the spread of the
 directions.
@@ -184,12 +52,16 @@ DENIED, AGREED = 0.3, 0.5
 """Least shares: of the chords that contradict the heading in rad, and of those that fit a reading
 instead.
 """
+ACROSS_RAD, ACROSS_M = 0.8, 10.0
+"""Headings point across the motion if all but `1 - MOST` of the chords are that far off the axis of
+the car, over a way of at least this length: no car slips so.
+"""
 SPREAD_RAD = 0.02
 """With less spread of the directions, a reading cannot be distinguished from a constant error."""
 
 
 def reading_of(yaw: FloatArray, chords: Chords, reverse: BoolArray) -> str:
-    """Return which of `READINGS` the headings `(n,)` have; "" if they fit in rad, or the motion
+    """Return which of `HEADINGS` the headings `(n,)` have; "" if they fit in rad, or the motion
     does not show it.
 
     `reverse` `(k,)` marks chords that were driven backward. Headings beyond a turn, 2 pi, that fit
@@ -204,7 +76,7 @@ def reading_of(yaw: FloatArray, chords: Chords, reverse: BoolArray) -> str:
     if against.mean() < DENIED:
         return ""
     beyond = float(np.median(np.abs(yaw[chords.first]))) > 2.0 * np.pi
-    for name, (factor, offset) in READINGS.items():
+    for name, (factor, offset) in HEADINGS.items():
         sure = beyond and abs(factor) != 1.0
         if sure or spread >= SPREAD_RAD:
             off = np.abs(wrapped(chords.off(offset + factor * yaw) + turned))
@@ -214,6 +86,66 @@ def reading_of(yaw: FloatArray, chords: Chords, reverse: BoolArray) -> str:
             ):
                 return name
     return ""
+
+
+def check_headings(scenario: Scenario, *, is_table: bool) -> Scenario:
+    """Return the scenario; LogError for headings of `HEADINGS`, or across the direction of motion.
+
+    `is_table`: [log] can state their convention.
+    """
+    ego, tracks = scenario.ego, scenario.tracks
+    driven = Chords.of_ego(ego)
+    _check_reading("ego", ego.yaw, driven, driven.mean(ego.v) < 0.0, is_table)
+    _check_across("ego", ego.yaw, driven, is_table)
+    chords = Chords.of_tracks(tracks)
+    chords = chords.taken(_SHOWS_HEADING[tracks.codes][chords.owner])
+    none_reverse = np.zeros(len(chords.owner), np.bool_)
+    _check_reading("agents", tracks.yaw, chords, none_reverse, is_table)
+    vehicles = chords.taken(_VEHICLES[tracks.codes][chords.owner])
+    if len(np.unique(vehicles.owner)) > 1:  # one may have a wrong label
+        _check_across("agents", tracks.yaw, vehicles, is_table)
+    return scenario
+
+
+def _check_reading(
+    topic: str, yaw: FloatArray, chords: Chords, reverse: BoolArray, is_table: bool
+) -> None:
+    """Raise LogError for headings of `HEADINGS`; arguments as in `reading_of`."""
+    reading = reading_of(yaw, chords, reverse)
+    if reading:
+        what = (
+            f"the headings look like {reading}: they fit the direction of motion so, and not in rad"
+        )
+        raise LogError(what, topic=topic, remedy=_heading_remedy(topic, (reading,), is_table))
+
+
+def _check_across(topic: str, yaw: FloatArray, chords: Chords, is_table: bool) -> None:
+    """Raise LogError for headings `(n,)` across the direction of motion all the time."""
+    off = np.abs(chords.off(yaw))
+    across = np.minimum(off, np.pi - off) > ACROSS_RAD
+    if len(off) < ENOUGH or across.mean() < MOST or chords.way[across].sum() < ACROSS_M:
+        return
+    fitting = tuple(
+        name
+        for name, (factor, offset) in HEADINGS.items()
+        if np.median(np.abs(chords.off(offset + factor * yaw))) < FITS_RAD
+    )
+    what = (
+        f"the headings are {np.median(off):.2f} rad off the direction of motion all the time: no "
+        "car drives so"
+    )
+    raise LogError(what, topic=topic, remedy=_heading_remedy(topic, fitting, is_table))
+
+
+def _heading_remedy(topic: str, fitting: tuple[str, ...], is_table: bool) -> str:
+    """Return the remedy for headings that fit in these readings."""
+    if not is_table:
+        return "give them in rad, counter-clockwise from x"
+    stated = " or ".join(f'{topic}_heading = "{name}"' for name in fitting)
+    leave_out = f'leave them out (a table: columns = {{"{topic}.yaw" = "-"}} in [log])'
+    if not stated:
+        return f"correct them, or {leave_out}"
+    return f"state it in [log]: {stated}; or {leave_out}"
 
 
 # Positions
@@ -258,7 +190,7 @@ def are_degrees(
             return True
         headings = [
             paths.yaw,
-            *(offset + factor * paths.yaw for factor, offset in READINGS.values()),
+            *(offset + factor * paths.yaw for factor, offset in HEADINGS.values()),
         ]
         along = max(float(np.mean(np.abs(chords.off(each)) < FITS_RAD)) for each in headings)
         if (
@@ -266,6 +198,22 @@ def are_degrees(
         ):  # the speed is derived, or unknown
             return True
     return False
+
+
+def check_positions(scenario: Scenario) -> Scenario:
+    """Return the scenario; LogError if positions of ego or agents are degrees."""
+    ego, tracks = scenario.ego, scenario.tracks
+    speeds = np.hypot(tracks.vx, tracks.vy)
+    for topic, paths, offsets, v in (
+        ("ego", ego, np.array([0, len(ego)]), np.abs(ego.v)),
+        ("agents", tracks, tracks.offsets, speeds),
+    ):
+        if are_degrees(paths, offsets, v, scenario.origin):
+            remedy = "project them to metres (UTM, or a plane at the start)"
+            raise LogError(
+                "the positions are degrees of latitude and longitude", topic=topic, remedy=remedy
+            )
+    return scenario
 
 
 # The ego among the agents
@@ -279,7 +227,7 @@ EGO_NAMES = frozenset(("ego", "egovehicle", "egocar", "hero", "host", "hostvehic
 
 
 def without_ego(scenario: Scenario) -> Scenario:
-    """Leave out agents that are the ego (4), with a note; the spans of observed traffic stay."""
+    """Leave out agents that are the ego (1), with a note; the spans of observed traffic stay."""
     ego, tracks, car = scenario.ego, scenario.tracks, scenario.vehicle
     if len(ego) < 2 or not len(tracks):
         return scenario
@@ -325,64 +273,130 @@ def without_ego(scenario: Scenario) -> Scenario:
     return replace(scenario, tracks=left, traffic=spans, notes=(*scenario.notes, note))
 
 
-# The frame of velocities
+# Boxes
 
-FITS_ALONE = 0.5
-"""Velocities in another frame fit if their misfit is below this share of that in the world, and by
-`CLEARLY` less.
+WIDER = 1.2
+"""A box's sides are exchanged if it is wider than long by this factor: all but boxes of detectors
+that are nearly square.
 """
-CLEARLY = 0.1
 
 
-def in_world_axes(scenario: Scenario) -> Scenario:
-    """Rotate the agents' velocities from their own axes into the world, with a note, if they fit
-    there only.
+def with_sides(scenario: Scenario) -> Scenario:
+    """Exchange length and width of the vehicles, with a note, if most of those that move along
+    their heading are wider than long.
     """
     tracks = scenario.tracks
-    if not np.isfinite(tracks.vx).any():
+    chords = Chords.of_tracks(tracks)
+    chords = chords.taken(_VEHICLES[tracks.codes][chords.owner])
+    off = np.abs(chords.off(tracks.yaw))
+    along = chords.taken(np.minimum(off, np.pi - off) < TURNED_RAD)
+    ways = np.bincount(along.owner, along.way, len(tracks))
+    moved = ways >= ENOUGH_M
+    wider = tracks.width > WIDER * tracks.length
+    if not moved.any() or wider[moved].mean() < MOST:
         return scenario
-    c, s = np.cos(tracks.yaw), np.sin(tracks.yaw)
-    rotated = np.stack([c * tracks.vx - s * tracks.vy, s * tracks.vx + c * tracks.vy])
-    fits = Chords.of_tracks(tracks).misfits(
-        {"world": np.stack([tracks.vx, tracks.vy]), "own": rotated}
-    )
-    if fits is None or not fits["own"] < min(
-        FITS_ALONE * fits["world"], fits["world"] - CLEARLY, FITS_ALONE
-    ):
-        return scenario
+    vehicles = _VEHICLES[tracks.codes]
     note = (
-        "The velocities of the road users are in their own axes (forward, left) and are rotated "
-        "into the world: they"
-        f" fit the displacement within {fits['own']:.0%}, in world axes {fits['world']:.0%}."
+        f"Length and width of the vehicles are exchanged: {np.count_nonzero(wider & moved)} of "
+        f"{np.count_nonzero(moved)} that move along their heading are wider than long."
     )
-    tracks = replace(tracks, vx=rotated[0], vy=rotated[1])
-    return replace(scenario, tracks=tracks, notes=(*scenario.notes, note))
+    length = np.where(vehicles, tracks.width, tracks.length)
+    width = np.where(vehicles, tracks.length, tracks.width)
+    return replace(
+        scenario,
+        tracks=replace(tracks, length=length, width=width),
+        notes=(*scenario.notes, note),
+    )
 
 
-def checked(scenario: Scenario) -> Scenario:
-    """Check units and frames of a log as a reader made it; LogError for degrees, or headings of
-    `READINGS`.
+# The axes of velocities
+
+FITS_ALONE = 0.5
+"""Velocities in other axes fit if their misfit is below this share of that in the usual ones, and
+by `CLEARLY` less; with a greater misfit than it in all axes, velocities are not used.
+"""
+CLEARLY = 0.1
+KEEP_AXES = 'agents_axes = "world" in [log] takes them as they are'
+
+
+def in_axes(name: str, vx: FloatArray, vy: FloatArray, yaw: FloatArray) -> FloatArray:
+    """Return velocities `(n,)` in axes of `AXES` as velocities in the world, `(2, n)`."""
+    is_own, forward, left = AXES[name]
+    if not is_own:
+        return np.stack([forward * vx, left * vy])
+    c, s = np.cos(yaw), np.sin(yaw)
+    return np.stack([c * forward * vx - s * left * vy, s * forward * vx + c * left * vy])
+
+
+def axes_of(
+    chords: Chords, vx: FloatArray, vy: FloatArray, yaw: FloatArray, usual: str
+) -> tuple[str, float, float] | None:
+    """Return the axes of `AXES` in which velocities `(n,)` fit the displacement, the misfit in
+    them, and in the `usual` ones.
+
+    "" if they fit in none; None if too few chords show it.
     """
-    ego, tracks = scenario.ego, scenario.tracks
-    mine, theirs = Chords.of_ego(ego), Chords.of_tracks(tracks)
-    theirs = theirs.taken(_SHOWS_HEADING[tracks.codes][theirs.owner])
-    for topic, some, chords, offsets, v in (
-        ("ego", ego, mine, np.array([0, len(ego)]), ego.v),
-        ("agents", tracks, theirs, tracks.offsets, np.hypot(tracks.vx, tracks.vy)),
-    ):
-        if are_degrees(some, offsets, np.abs(v), scenario.origin):
-            remedy = "project them to metres (UTM, or a plane at the start)"
-            raise LogError(
-                "the positions are degrees of latitude and longitude", topic=topic, remedy=remedy
-            )
-        reading = reading_of(some.yaw, chords, chords.mean(v) < 0.0)
-        if reading:
-            what = (
-                f"the headings look like {reading}: they fit the direction of motion so, and "
-                "not in rad"
-            )
-            remedy = "give them in rad, counter-clockwise from x"
-            if reading == "degrees":
-                remedy = f'name the unit (of a table: columns = {{"{topic}.yaw" = "yaw [deg]"}})'
-            raise LogError(what, topic=topic, remedy=remedy)
-    return in_world_axes(without_ego(scenario))
+    known = {name: in_axes(name, vx, vy, yaw) for name in AXES}
+    alone = chords.misfits({usual: known[usual]})
+    if alone is None:
+        return None
+    best, misfit, in_usual = "", alone[usual], alone[usual]
+    for name in AXES:
+        fits = chords.misfits({usual: known[usual], name: known[name]})  # where the two differ
+        fit_alone = (
+            min(FITS_ALONE, FITS_ALONE * fits[usual], fits[usual] - CLEARLY) if fits else 0.0
+        )
+        if not fits or not fits[name] < fit_alone:
+            continue
+        beside = chords.misfits({best: known[best], name: known[name]}) if best else None
+        if not best or (beside and beside[name] < beside[best] - CLEARLY):
+            best, misfit, in_usual = name, fits[name], fits[usual]
+    if best:
+        return best, misfit, in_usual
+    return (usual if alone[usual] <= FITS_ALONE else ""), alone[usual], alone[usual]
+
+
+def in_world_axes(scenario: Scenario, axes: str = "") -> Scenario:
+    """Give the agents' velocities in the world, with a note, if they are in other `AXES`: those
+    that are named, else those in which alone they fit. Velocities that fit in none are left out.
+    """
+    tracks = scenario.tracks
+    if not np.isfinite(tracks.vx).any() or axes == "world":
+        return scenario
+    note = f"The velocities of the road users are read in {axes} axes, as set."
+    if not axes:
+        shown = axes_of(Chords.of_tracks(tracks), tracks.vx, tracks.vy, tracks.yaw, "world")
+        if shown is None or shown[0] == "world":
+            return scenario
+        axes, misfit, in_world = shown
+        note = (
+            f"The velocities of the road users are in {axes} axes and are rotated into the world: "
+            f"they fit the displacement within {misfit:.0%}, in world axes {in_world:.0%}"
+            f" ({KEEP_AXES})."
+        )
+    if axes:
+        vx, vy = in_axes(axes, tracks.vx, tracks.vy, tracks.yaw)
+    else:
+        vx = vy = np.full(len(tracks.t), np.nan)
+        note = (
+            "The velocities of the road users do not fit their displacement (median difference "
+            f"{misfit:.0%} of the speed) and are derived from their positions ({KEEP_AXES})."
+        )
+    return replace(scenario, tracks=replace(tracks, vx=vx, vy=vy), notes=(*scenario.notes, note))
+
+
+def with_steering(scenario: Scenario) -> Scenario:
+    """Convert steering angles that contradict the ego's headings, or leave them out, with a
+    note.
+    """
+    controls, ego = scenario.controls, scenario.ego
+    if controls is None or len(ego) < 2 or not np.isfinite(controls.steer).any():
+        return scenario
+    motion = np.interp(controls.t, ego.t, ego.v), np.interp(controls.t, ego.t, ego.yaw)
+    notes = list[str]()
+    steer = agreed_steering(controls.t, controls.steer, motion, scenario.vehicle.wheelbase, notes)
+    if not notes:
+        return scenario
+    return replace(
+        scenario, controls=replace(controls, steer=steer), notes=(*scenario.notes, *notes)
+    )

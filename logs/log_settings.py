@@ -2,18 +2,53 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from math import inf
-from typing import Any
+from math import inf, pi
 
-from replan.core.errors import reading
-from replan.logs.vehicle import VehicleParameters
+from replan.core.errors import LogError
+from replan.logs.agents import AgentKind
+from replan.logs.vehicle import VehicleParameters, assumed_car
 
 SIZES = ("length", "width", "wheelbase", "rear_overhang")
 """Keys of `[log.car]`."""
-EGO_POINTS = ("", "rear_axle", "centre")
-"""Values of `ego_point`."""
+POINTS = ("rear_axle", "centre", "front", "rear")
+"""Values of `ego_point` and `agents_point`: rear axle, centre of the box, middles of its front and
+rear."""
+HEADINGS: Mapping[str, tuple[float, float]] = {
+    "degrees": (pi / 180.0, 0.0),
+    "degrees clockwise from north": (-pi / 180.0, 0.5 * pi),
+    "rad clockwise from north": (-1.0, 0.5 * pi),
+    "rad clockwise from x": (-1.0, 0.0),
+    "degrees clockwise from x": (-pi / 180.0, 0.0),
+    "rad from north": (1.0, 0.5 * pi),
+    "degrees from north": (pi / 180.0, 0.5 * pi),
+}
+"""Conventions of headings: factor and offset, rad, to rad counter-clockwise from x."""
+KMH = 1.0 / 3.6
+AXES: Mapping[str, tuple[bool, float, float]] = {
+    "world": (False, 1.0, 1.0),
+    "own": (True, 1.0, 1.0),
+    "own, y to the right": (True, 1.0, -1.0),
+    "own, x to the rear": (True, -1.0, 1.0),
+    "world, y reversed": (False, 1.0, -1.0),
+    "world, x reversed": (False, -1.0, 1.0),
+    "world, both reversed": (False, -1.0, -1.0),
+    "world, in km/h": (False, KMH, KMH),
+    "own, in km/h": (True, KMH, KMH),
+}
+"""Axes and units of velocities: whether x points along the heading, and the factors of vx and
+vy.
+"""
+CHOICES: Mapping[str, Iterable[str]] = {
+    "ego_point": POINTS,
+    "agents_point": POINTS,
+    "ego_heading": HEADINGS,
+    "agents_heading": HEADINGS,
+    "ego_axes": AXES,
+    "agents_axes": AXES,
+}
+"""Values of the settings that choose a convention; "" leaves the choice to replan."""
 
 
 @dataclass(frozen=True)
@@ -42,8 +77,20 @@ class LogSettings:
             "rear_overhang".
         repair: Whether to make tracks from raw detections: "auto" (if they are not tracks), "on",
             "off".
-        ego_point: Point of the ego whose positions a table has: "rear_axle" or "centre" of its box;
-            "": the rear axle, but the centre if the ego is a road user of a table of tracks.
+        ego_point: Point of the ego whose positions a table has, of `POINTS`: "rear_axle", "centre",
+            "front" or "rear" of its box; "": the rear axle, but the centre if the ego is a road
+            user of a table of tracks.
+        agents_point: Point of the agents whose positions a table has, of `POINTS`; "": the centre.
+        ego_heading: Convention of a table's headings of the ego, of `HEADINGS`; "": rad,
+            counter-clockwise from x. With a unit in the table, name the convention in rad.
+        agents_heading: Convention of a table's headings of the agents.
+        ego_axes: Axes of the ego's velocity in a bag's odometry, of `AXES`; "": its own, but others
+            if it fits its motion in these alone.
+        agents_axes: Axes of the agents' velocities, of `AXES`; "": those of the format, but others
+            if they fit the motion in these alone.
+        clock_ahead_s: Time by which the agents' clock is ahead of the ego's, s; inf: found by the
+            times (`replan.logs.clock_offset`).
+        kinds: replan's kind by the log's word for it ("Tram": "bus"), for words that are not known.
 
     Raises:
         ValueError: A value is not one of those above, a size is not positive, or `end` is not after
@@ -64,6 +111,13 @@ class LogSettings:
     car: Mapping[str, float] = field(default_factory=dict)
     repair: str = "auto"
     ego_point: str = ""
+    agents_point: str = ""
+    ego_heading: str = ""
+    agents_heading: str = ""
+    ego_axes: str = ""
+    agents_axes: str = ""
+    kinds: Mapping[str, str] = field(default_factory=dict)
+    clock_ahead_s: float = inf
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.begin < self.end:
@@ -73,8 +127,14 @@ class LogSettings:
             )
         if self.clock not in ("", "log", "header"):
             raise ValueError(f"clock is {self.clock!r}: log or header")
-        if self.ego_point not in EGO_POINTS:
-            raise ValueError(f"ego_point is {self.ego_point!r}: rear_axle or centre")
+        for key, known in CHOICES.items():
+            value = getattr(self, key)
+            if value not in ("", *known):
+                raise ValueError(f"{key} is {value!r}: {' or '.join(known)}")
+        unknown = set(self.kinds.values()) - {kind.value for kind in AgentKind}
+        if unknown:
+            known_kinds = ", ".join(kind.value for kind in AgentKind)
+            raise ValueError(f"kinds has {min(unknown)!r}: known are {known_kinds}")
         if self.repair not in ("auto", "on", "off"):
             raise ValueError(f"repair is {self.repair!r}: auto, on or off")
         if not set(self.car) <= set(SIZES):
@@ -84,13 +144,23 @@ class LogSettings:
         if not all(value > 0.0 for value in self.car.values()):
             raise ValueError("the sizes in car must be positive")
 
-    def vehicle(self) -> VehicleParameters:
-        """Return the default car with the sizes of `car`; LogError if the sizes do not fit each
-        other.
+    def vehicle(self, notes: list[str]) -> VehicleParameters | None:
+        """Return a vehicle with the sizes of `car`, and the others as usual for its length, with a
+        note (`assumed_car`); None without sizes.
+
+        LogError if the sizes do not fit each other.
         """
-        sizes: dict[str, Any] = dict(self.car)
-        with reading(topic="[log]"):
-            return replace(VehicleParameters(), **sizes)
+        if not self.car:
+            return None
+        vehicle = assumed_car(self.car, notes)
+        odd = {size for size, value in self.car.items() if getattr(vehicle, size) != value}
+        if odd:
+            what = (
+                f"car: a {min(odd)} of {self.car[min(odd)]:g} m does not fit a length of "
+                f"{vehicle.length:g} m"
+            )
+            raise LogError(what, topic="[log]", remedy="correct the sizes, or state all four")
+        return vehicle
 
     def between(self, begin: float, end: float) -> LogSettings:
         """Return the settings for the part of the log from `begin` to `end`, s."""

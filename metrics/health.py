@@ -11,10 +11,13 @@ The ego, between samples k and k + 1, dt apart, d apart, with the speeds v and v
 (3) speed     sum d / sum (|v| + |v'|) dt / 2  off 1 by more than `EGO_SPEED_OFF`, over a way of
               `EGO_WAY_M` at least
 (4) units     the same near a factor of `FACTORS`, within `NEAR`
-(5) heading   the chords of `replan.logs.conventions`, about 1 m each, are more than `TURNED_RAD`
+(5) heading   the chords of `replan.logs.chords`, about 1 m each, are more than `TURNED_RAD`
               off the axis of the car in the median, or over a way of `ASKEW_M`; or opposite to
               heading and speed over a way of `AGAINST_M`; a step of the yaw of more than
               `EGO_FLIP_RAD` within `EGO_GAP_S`
+
+(23) point        the positions are explained by a point that is `POINT_M` or more before or behind
+                  the rear axle (`replan.logs.ego_columns.place_ahead`)
 
 The other road users, between samples of a track:
 
@@ -65,7 +68,9 @@ import pandas as pd
 
 from replan.core.arrays import BoolArray, FloatArray
 from replan.logs.agents import AgentKind, among
-from replan.logs.conventions import ENOUGH, ENOUGH_M, MOVES_MPS, TURNED_RAD, Chords
+from replan.logs.chords import ENOUGH, ENOUGH_M, MOVES_MPS, Chords
+from replan.logs.conventions import TURNED_RAD
+from replan.logs.ego_columns import place_ahead
 from replan.logs.observed import MAX_AGE_S, clipped
 from replan.logs.road import RoadSource
 from replan.logs.scenario import Scenario
@@ -95,6 +100,9 @@ NEAR = 0.04  # Tolerance of a factor, as a share
 CLOSE_S = 0.09  # Speeds and positions are compared at 10 Hz at most
 # Longer than a jump of a localisation; than a tight turn about another point, m
 AGAINST_M, ASKEW_M = 2.0, 10.0
+# Least distance of a point from the rear axle, share of the sideways motion that it explains, and
+# distance from a known point
+POINT_M, POINT_EXPLAINED, POINT_NEAR_M = 0.8, 0.8, 0.5
 EGO_FLIP_RAD = 1.0  # No car turns by more between two samples, rad
 
 # A tracker that loses an agent finds it again within this time, s, and this distance, m
@@ -149,6 +157,10 @@ class FaultKind(Enum):
     EGO_HEADING = (
         "ego heading",
         "lateral errors, and every plan that starts there, rest on a wrong heading",
+    )
+    EGO_POINT = (
+        "ego point",
+        "lateral errors in bends, gaps and contacts are off by that distance",
     )
     AGENT_GAP = (
         "flickering",
@@ -346,6 +358,9 @@ def ego_speed(scenario: Scenario) -> Iterator[Finding]:
     text = (
         f"the ego's positions go {way:.1f} m, its speed {by_speed:.1f} m: {factor:.3g} times as far"
     )
+    rate = round(factor)
+    if rate > 1 and abs(factor / rate - 1.0) < NEAR and (np.diff(ego.t) == 1.0).all():
+        text += f'; the times look like frames of {rate} Hz: columns = {{t = "t [{rate} Hz]"}}'
     unit = next(
         (meaning for known, meaning in FACTORS.items() if abs(factor / known - 1.0) < NEAR), ""
     )
@@ -392,6 +407,26 @@ def ego_heading(scenario: Scenario) -> Iterator[Finding]:
         yield Finding(
             FaultKind.EGO_HEADING, "ego", "", ego.t[k], ego.t[k + 1], turn[k], "rad", text
         )
+
+
+def ego_point(scenario: Scenario) -> Iterator[Finding]:
+    """Find positions of another point than the rear axle (23)."""
+    ego, car = scenario.ego, scenario.vehicle
+    ahead, explained = place_ahead(ego.t, ego.x, ego.y, ego.yaw)
+    if abs(ahead) < POINT_M or explained < POINT_EXPLAINED:
+        return
+    points = {
+        "the centre of its box": car.axle_to_center,
+        "its front bumper": car.axle_to_front,
+        "its front axle": car.wheelbase,
+        "its rear bumper": -car.rear_overhang,
+    }
+    nearest = min(points, key=lambda name: abs(points[name] - ahead))
+    is_near = abs(points[nearest] - ahead) < POINT_NEAR_M
+    side = "before" if ahead > 0.0 else "behind"
+    text = f"the ego's positions move like a point {abs(ahead):.1f} m {side} its rear axle"
+    text += f": {nearest}? (ego_point in [log])" if is_near else ""
+    yield Finding(FaultKind.EGO_POINT, "ego", "", ego.t[0], ego.t[-1], ahead, "m", text)
 
 
 def _degrees(yaw: FloatArray) -> str:
@@ -804,6 +839,7 @@ CHECKS: tuple[Callable[[Scenario], Iterable[Finding]], ...] = (
     ego_jumps,
     ego_speed,
     ego_heading,
+    ego_point,
     flickering,
     id_switches,
     teleports,

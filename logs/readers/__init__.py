@@ -21,11 +21,20 @@ import numpy as np
 from replan.core.errors import ConfigError, LogError, unknown_name
 from replan.core.extension import ExtensionKind, an_instance
 from replan.core.files import check_regular, local_path, special_kind
-from replan.logs.conventions import checked
+from replan.logs.comparisons import checked
 from replan.logs.edit.cut import cut, in_nanoseconds
 from replan.logs.log_settings import LogSettings
 from replan.logs.maps import with_map
-from replan.logs.readers import argoverse2, arrow123d, comma2k19, commonroad, own_mcap, ros, table
+from replan.logs.readers import (
+    argoverse2,
+    arrow123d,
+    comma2k19,
+    commonroad,
+    own_mcap,
+    pose_file,
+    ros,
+    table,
+)
 from replan.logs.readers.admission import admitted, check_clocks, check_road, named, repaired
 from replan.logs.readers.base import Reader
 from replan.logs.readers.foreign import FORMATS, foreign, known_format
@@ -39,6 +48,7 @@ BUILTIN = (
     ros.READER,
     arrow123d.READER,
     argoverse2.READER,
+    pose_file.READER,
     own_mcap.READER,
 )
 """The built-in readers, in the order in which they are tried."""
@@ -46,6 +56,17 @@ READER: ExtensionKind[Reader] = ExtensionKind(
     "reader", "readers", {one.name: one for one in BUILTIN}, an_instance(Reader, "replan.Reader")
 )
 """Finds readers by name: the built-in ones and those of users."""
+CHOICES = (
+    "ego",
+    "problem",
+    "ego_point",
+    "agents_point",
+    "ego_heading",
+    "agents_heading",
+    "ego_axes",
+    "kinds",
+)
+"""Settings that are refused if the format has no choice of them."""
 LONGEST_S = 7 * 86400.0
 """Longest duration of a log, s: times beyond a week have another unit (and time grids would fill
 the memory).
@@ -124,7 +145,7 @@ def read_log(
     if reader is None:
         raise foreign(path)
     try:
-        for key in ("ego", "problem", "ego_point"):
+        for key in CHOICES:
             asked = getattr(settings, key)
             if asked and key not in reader.settings:
                 what = (
@@ -133,7 +154,8 @@ def read_log(
                 raise LogError(what, topic="[log]", remedy=f"leave {key} out")
         check_regular(*(reader.files(path) if path.exists() else ()))
         with np.errstate(all="ignore"):  # absurd numbers are refused as such
-            whole = checked(reader.read(path, settings))
+            is_table = "ego_heading" in reader.settings
+            whole = checked(reader.read(path, settings), settings, is_table=is_table)
             scenario = repaired(whole, settings.repair)
             if not reader.cuts or settings.between(0.0, inf) == settings:
                 scenario = check_clocks(scenario)
@@ -160,10 +182,10 @@ def read_log(
 
 
 def with_tracks(scenario: Scenario, settings: LogSettings) -> Scenario:
-    """Check a scenario without a file (`replan.logs.conventions`), and make tracks from its
+    """Check a scenario without a file (`replan.logs.comparisons`), and make tracks from its
     detections.
     """
-    scenario = checked(scenario)
+    scenario = checked(scenario, settings)
     made = repaired(scenario, settings.repair)
     return made if made.repair is scenario.repair else named(made)
 

@@ -49,6 +49,7 @@ from replan.logs.readers.recorded import (
     is_unit,
     kept,
     nearest,
+    on_level,
     ordered,
     product,
     rotated,
@@ -72,7 +73,12 @@ rear axle.
 """
 LICENCE = "CC BY-NC-SA 4.0 and the terms of Argoverse 2"
 EGO_CATEGORY = "EGO_VEHICLE"
-TURN, PLACE, SIZE = ("qw", "qx", "qy", "qz"), ("tx_m", "ty_m", "tz_m"), ("length_m", "width_m")
+TURN, PLACE, SIZE = (
+    ("qw", "qx", "qy", "qz"),
+    ("tx_m", "ty_m", "tz_m"),
+    ("length_m", "width_m"),
+)
+HEIGHT = "height_m"
 POSE_APART_NS = 20_000_000
 """Largest time between a box and the ego pose that places it, ns."""
 EGO, RATE_HZ, MOST_STEPS = "AV", 10.0, 1_000_000
@@ -180,6 +186,8 @@ def _boxes(
         )
         stamps = whole(table, "timestamp_ns")
         length, width = (numbers(table, name) for name in SIZE)
+        has_height = HEIGHT in table.schema.names
+        height = numbers(table, HEIGHT) if has_height else np.full(len(length), np.nan)
         local, part = (
             np.column_stack([numbers(table, name) for name in names]) for names in (PLACE, TURN)
         )
@@ -224,8 +232,11 @@ def _boxes(
             width[keep],
             unknown,
             unknown,
+            centre[:, 2],
+            height[keep],
         )
-        return RecordedBoxes(tuple(names), kinds, *found), np.unique(stamps)
+        boxes = on_level(RecordedBoxes(tuple(names), kinds, *found), place, notes)
+        return boxes, np.unique(stamps)
 
 
 def _kinds(
@@ -288,7 +299,9 @@ def read_forecasting(path: Path, settings: LogSettings) -> Scenario:
         x, y, yaw, vx, vy = state.T
         unsized = np.full(len(t), np.nan)
         kinds_of = _kinds(owner, kind, kinds, len(names), OBJECT_TYPES)
-        boxes = RecordedBoxes(tuple(names), kinds_of, t, owner, x, y, yaw, unsized, unsized, vx, vy)
+        boxes = RecordedBoxes(
+            tuple(names), kinds_of, t, owner, x, y, yaw, unsized, unsized, vx, vy, unsized, unsized
+        )
         tracks = tracks_of(ordered(boxes.taken(owner != owner[its[0]]), notes), notes)
     notes.append("Places are taken as centres of boxes.")
     return Scenario(

@@ -53,6 +53,7 @@ from replan.logs.readers.recorded import (
     held_curvature,
     is_unit,
     kept,
+    on_level,
     ordered,
     rotated,
     tracks_of,
@@ -222,7 +223,8 @@ def read_123d(folder: Path) -> Scenario:
                 "centred on it."
             )
         vehicle = assumed_car(sizes, notes)
-    boxes, own, seen = _boxes(folder, int(rows.time_us[0]), notes)
+    places = rows.world(rows.part("rear_axle_to_imu_se3"))
+    boxes, own, seen = _boxes(folder, int(rows.time_us[0]), places, notes)
     frames = (frames_us - rows.time_us[0]) / 1e6
     index = kept(drive.t, frames)
     if not (given and own):
@@ -371,9 +373,13 @@ def _differences(
 # Agents
 
 
-def _boxes(folder: Path, first_us: int, notes: list[str]) -> tuple[RecordedBoxes, bool, FloatArray]:
+def _boxes(
+    folder: Path, first_us: int, places: FloatArray, notes: list[str]
+) -> tuple[RecordedBoxes, bool, FloatArray]:
     """Return all boxes, s since `first_us`, whether the log has their velocities, and the times of
     their frames.
+
+    Boxes above or below the ego's `places` `(n, 3)` are left out.
     """
     path = beside(folder, (f"{BOXES}.arrow",))
     if path is None:
@@ -423,8 +429,11 @@ def _boxes(folder: Path, first_us: int, notes: list[str]) -> tuple[RecordedBoxes
         )
         place, yaw = box[:, :2], heading(unit_of_wxyz(box[:, 3:7]))
         x, y, length, width, vx, vy = *place.T, *box[:, 7:9].T, *velocity[:, :2].T
-        found = RecordedBoxes(tuple(names), kinds, t, owner, x, y, yaw, length, width, vx, vy)
-        return ordered(found, notes), own, frames
+        z, height = box[:, 2], box[:, 9]
+        found = RecordedBoxes(
+            tuple(names), kinds, t, owner, x, y, yaw, length, width, vx, vy, z, height
+        )
+        return ordered(on_level(found, places, notes), notes), own, frames
 
 
 def kinds_of(

@@ -69,6 +69,23 @@ def nanoseconds(column: pd.Series[Any], factor: float, topic: str) -> tuple[IntA
     return np.round(seconds * 1e9).astype(np.int64), False
 
 
+EPOCHS = (("ns", 1e17), ("us", 1e14), ("ms", 1e11))
+"""Least time since 1970 in a unit: 1973."""
+STEPS_OF = (("ns", 1e7), ("us", 1e4), ("ms", 10.0))
+"""Least median step in a unit: a log has 100 states a second or fewer, and more than one in ten."""
+
+
+def unit_of_times(values: FloatArray) -> str:
+    """Return the unit of times `(n,)` without a stated one: "s", "ms", "us" or "ns"."""
+    times = np.unique(values[np.isfinite(values)])
+    if not len(times):
+        return "s"
+    size = float(np.median(np.abs(times)))
+    step = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+    by_epoch = next((unit for unit, least in EPOCHS if size >= least), "")
+    return by_epoch or next((unit for unit, least in STEPS_OF if step >= least), "s")
+
+
 def _check_all(good: Any, what: str, topic: str) -> None:
     wrong = np.flatnonzero(~np.asarray(good, np.bool_))
     if len(wrong):
@@ -122,6 +139,37 @@ def continued(
             )
             return ego + period * (ego <= last), agents + period * (agents <= last)
     return ego, agents
+
+
+ROUNDED = 0.2
+"""More equal times than this share are rounded, not repeated rows."""
+
+
+def check_distinct(
+    t: FloatArray, x: FloatArray, y: FloatArray, topic: str, names: Any = None
+) -> None:
+    """Raise LogError if two rows of one road user have the same time.
+
+    `t` `(n,)`, s, does not decrease within a road user; other arguments as in `check_restart`.
+    """
+    same = np.diff(t) <= 0.0
+    if names is not None:
+        same &= names[1:] == names[:-1]
+    if not same.any():
+        return
+    first = int(np.argmax(same))
+    moves = np.hypot(np.diff(x), np.diff(y)) > 0.0
+    if same.mean() > ROUNDED and np.ptp(t) > 0.0 and moves[same].mean() > 0.5:
+        what = f"the times are rounded: {same.sum()} of {len(t)} rows have the time of another one"
+        remedy = (
+            "write them with their decimals, not as 32-bit numbers; or count the rows: "
+            'columns = {t = "frame [10 Hz]"}'
+        )
+        raise LogError(what, topic=topic, remedy=remedy)
+    what = f"two rows have the time {t[first]:g} s"
+    if names is not None:
+        what = f"agent {names[first]} has two rows at {t[first]:g} s"
+    raise LogError(what, topic=topic, remedy="keep one of them")
 
 
 def check_restart(

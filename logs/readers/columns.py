@@ -16,10 +16,13 @@ import pandas as pd
 
 from replan.core.arrays import FloatArray, IntArray
 from replan.core.errors import LogError
-from replan.logs.readers.clocks import nanoseconds
+from replan.logs.log_settings import HEADINGS
+from replan.logs.readers.clocks import nanoseconds, unit_of_times
 from replan.logs.readers.recorded import heading, is_unit
 
 NAMES = ("ego", "agents")
+NONE = "-"
+"""Name of a column in the settings that means: use no column."""
 DIMENSIONS = {
     "length": {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0, "ft": 0.3048},
     "angle": {"rad": 1.0, "deg": np.pi / 180.0, "mrad": 1e-3},
@@ -88,11 +91,13 @@ COLUMNS = (
     "length",
     "width",
     "kind",
+    "z",
+    "height",
     *QUATERNION,
 )
 _DIMENSION = (
     dict.fromkeys(TIMES, "time")
-    | dict.fromkeys(("x", "y", "length", "width"), "length")
+    | dict.fromkeys(("x", "y", "z", "length", "width", "height"), "length")
     | dict.fromkeys(("yaw", "steer"), "angle")
     | dict.fromkeys(("v", "vx", "vy"), "speed")
     | dict.fromkeys(("throttle", "brake"), "share")
@@ -108,8 +113,10 @@ _RATE = re.compile(r"(\d+(?:\.\d+)?) ?(?:Hz|fps)", re.IGNORECASE)
 class NamedColumns:
     """A data frame whose columns are found by replan's names."""
 
-    def __init__(self, frame: pd.DataFrame, name: str, columns: Mapping[str, str]) -> None:
-        self.frame, self.name = frame, name
+    def __init__(
+        self, frame: pd.DataFrame, name: str, columns: Mapping[str, str], heading: str = ""
+    ) -> None:
+        self.frame, self.name, self.heading = frame, name, heading
         self._headers = [(str(header), header) for header in frame.columns]
         given = {
             ours: columns.get(f"{name}.{ours}", columns.get(ours, ours))
@@ -119,13 +126,15 @@ class NamedColumns:
         if not len(frame):
             raise LogError("the table has no rows", topic=name, remedy="give at least one")
 
-    def _find_column(self, ours: str, given: str) -> tuple[Any, float] | None:
-        """Return the table's header of a column and the factor of its unit; None if there is no
-        such column.
+    def _find_column(self, ours: str, given: str) -> tuple[Any, float, bool] | None:
+        """Return the table's header of a column, the factor of its unit, and whether the unit is
+        stated; None if there is no such column.
 
-        The header is `given`, or `given` without its unit, or followed by the header's own unit. If
-        both have a unit, the units must be the same.
+        The header is `given` (`NONE`: no column), or `given` without its unit, or followed by the
+        header's own unit. If both have a unit, the units must be the same.
         """
+        if given == NONE:
+            return None
         name, asked = _split_unit(given)
         exact = [header for text, header in self._headers if text == given]
         whole = [header for text, header in self._headers if text == name]
@@ -154,7 +163,8 @@ class NamedColumns:
                 topic=self.name,
                 remedy="leave that unit out",
             )
-        return found[0], factors[0] if factors else UNITS[TIMES.get(ours, "")]
+        factor = factors[0] if factors else UNITS[TIMES.get(ours, "")]
+        return found[0], factor, bool(factors)
 
     def _factor(self, ours: str, unit: str, header: str) -> float:
         """Return the factor from a unit of a column to replan's; LogError if it is not a unit of
@@ -209,7 +219,8 @@ class NamedColumns:
         without either.
         """
         if self.has("yaw"):
-            return self.numbers("yaw")
+            factor, offset = HEADINGS.get(self.heading, (1.0, 0.0))
+            return offset + factor * self.numbers("yaw")
         if not all(map(self.has, QUATERNION)):
             return None
         turns = np.column_stack([self.numbers(name) for name in QUATERNION])
@@ -222,13 +233,24 @@ class NamedColumns:
             raise LogError(what, topic=self.name, remedy=remedy)
         return heading(turns)
 
-    def times(self) -> tuple[IntArray, bool]:
+    def times(self, notes: list[str]) -> tuple[IntArray, bool]:
         """Return the time of each row `(n,)`, ns, and whether the times are texts of times of
         day.
+
+        The unit of t is found by its steps if the table does not state it, with a note.
         """
-        return nanoseconds(
-            *self.column(next((name for name in TIMES if self.has(name)), "t")), self.name
-        )
+        name = next((name for name in TIMES if self.has(name)), "t")
+        column, factor = self.column(name)
+        header, _, is_stated = self._columns[name] or ("", 0.0, True)
+        if name == "t" and not is_stated and pd.api.types.is_numeric_dtype(column):
+            unit = unit_of_times(column.to_numpy(dtype=np.float64, na_value=np.nan))
+            if unit != "s":
+                notes.append(
+                    f"The times of the {self.name} are taken for {unit}, by their steps "
+                    f'(columns = {{"{self.name}.t" = "{header} [{unit}]"}} states it).'
+                )
+                factor = UNITS[unit]
+        return nanoseconds(column, factor, self.name)
 
 
 def _split_unit(text: str) -> tuple[str, str]:
@@ -280,7 +302,11 @@ def check_names(columns: Mapping[str, str], frames: Mapping[str, pd.DataFrame | 
                 topic="[log]",
                 remedy=f"known: {', '.join(known)}; of one table: ego.v, agents.v ...",
             )
-        if held and not any(table.has(ours) for table in held if of in ("", table.name)):
+        if (
+            given != NONE
+            and held
+            and not any(table.has(ours) for table in held if of in ("", table.name))
+        ):
             raise LogError(
                 f"no table has the column {given} that {key} is read from", topic="[log] columns"
             )

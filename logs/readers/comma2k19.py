@@ -22,6 +22,7 @@ from replan.logs.log_settings import LogSettings
 from replan.logs.readers.base import LogContents, Reader, TopicSummary
 from replan.logs.scenario import Scenario
 from replan.logs.tracks import Tracks
+from replan.logs.vehicle import VehicleParameters
 
 POSE = "global_pose"
 NAMES = (
@@ -124,7 +125,7 @@ def _read(path: Path, settings: LogSettings) -> Scenario:
             tracks=Tracks.empty(),
             road=road_along(ego, notes),
             duration=float(t[-1]),
-            vehicle=settings.vehicle(),
+            vehicle=settings.vehicle(notes) or VehicleParameters(),
             tags=("recorded", "comma2k19"),
             source="comma2k19",
             licence="MIT",

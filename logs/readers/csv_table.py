@@ -1,4 +1,5 @@
-"""Loads CSV and Parquet tables as pandas frames, and refuses rows that do not fit the header.
+"""Loads CSV and Parquet tables, and SUMO's floating car data (XML), as pandas frames, and refuses
+rows that do not fit the header.
 
 The columns of a CSV file are separated by commas, semicolons, tabs, or (if the header has none of
 these) spaces; the first three may be followed by spaces. With all but the comma, numbers may have
@@ -22,8 +23,13 @@ from typing import Any, NamedTuple, TextIO
 import pandas as pd
 
 from replan.core.errors import LogError
+from replan.core.files import read_xml
 
 SUFFIXES = (".csv", ".parquet")
+FCD_SUFFIX, FCD_ROOT = ".xml", "fcd-export"
+"""Floating car data of SUMO: `<timestep time="..."><vehicle id="..." x="..." .../></timestep>`."""
+FCD_BEGIN = 1 << 14
+"""Number of bytes in which the root of an XML file stands."""
 SEPARATORS = (",", ";", "\t")
 _NUMBER = r"\s*[-+]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][-+]?\d+)?\s*"
 FIRST_LINE = 1 << 20
@@ -51,6 +57,8 @@ def load_table(path: Path) -> pd.DataFrame:
     try:
         if path.suffix == ".parquet":
             return pd.read_parquet(path)
+        if path.suffix == FCD_SUFFIX:
+            return _floating_car_data(path)
         layout = _layout(path)
         names = [*layout.names, *(["(trailing)"] if layout.is_longer else [])]
         table = pd.read_csv(
@@ -98,10 +106,38 @@ def header_of(path: Path) -> list[str]:
     try:
         if path.suffix == ".parquet":
             return list(pq.read_schema(path).names)
+        if path.suffix == FCD_SUFFIX:
+            return list(FCD_COLUMNS) if is_floating_car_data(path) else []
         with path.open(encoding="utf-8-sig", newline="") as stream:
             return _header(stream, path.name)[0]
     except (OSError, ValueError, csv.Error, pa.ArrowException, LogError):
         return []
+
+
+FCD_COLUMNS = ("timestep_time", *(f"vehicle_{name}" for name in ("id", "x", "y", "angle", "speed")))
+"""Columns of floating car data that are always there, as SUMO's xml2csv names them."""
+
+
+def is_floating_car_data(path: Path) -> bool:
+    """Return whether a file is SUMO's floating car data; OSError if it cannot be read."""
+    with path.open("rb") as stream:
+        return path.suffix == FCD_SUFFIX and f"<{FCD_ROOT}".encode() in stream.read(FCD_BEGIN)
+
+
+def _floating_car_data(path: Path) -> pd.DataFrame:
+    """Load floating car data as SUMO's xml2csv would: a row for each vehicle or person and time."""
+    rows = list[dict[str, str]]()
+    for timestep in read_xml(path).iter("timestep"):
+        for element in timestep:
+            row = {f"vehicle_{name}": value for name, value in element.attrib.items()}
+            if element.tag == "person":
+                row["vehicle_type"] = "pedestrian"
+            rows.append({"timestep_time": timestep.get("time", ""), **row})
+    table = pd.DataFrame(rows, columns=None if rows else list(FCD_COLUMNS))
+    for name in table.columns:
+        if name not in ("vehicle_id", "vehicle_type", "vehicle_lane"):
+            table[name] = pd.to_numeric(table[name], errors="coerce")
+    return table
 
 
 def _decimals(column: pd.Series[Any]) -> pd.Series[Any]:

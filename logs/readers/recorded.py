@@ -35,6 +35,7 @@ import numpy as np
 from replan.core.arrays import BoolArray, Columns, FloatArray, IntArray
 from replan.logs.agents import USUAL_SIZE_M, AgentKind
 from replan.logs.complete import completed
+from replan.logs.heights import on_the_way
 from replan.logs.states import Trajectory
 from replan.logs.tracks import Tracks
 
@@ -103,8 +104,8 @@ SOONEST_S = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class RecordedBoxes(Columns):
-    """All boxes of a log, `(m,)` each: time s, owner (index into `names`), centre m, rad, m, m/s
-    (NaN: unknown).
+    """All boxes of a log, `(m,)` each: time s, owner (index into `names`), centre m, rad, m, m/s,
+    and the centre's height and the box's, m (NaN: unknown).
     """
 
     names: tuple[str, ...]
@@ -118,12 +119,14 @@ class RecordedBoxes(Columns):
     width: FloatArray
     vx: FloatArray
     vy: FloatArray
+    z: FloatArray
+    height: FloatArray
 
     @classmethod
     def empty(cls) -> RecordedBoxes:
         """No boxes."""
         none = np.empty(0)
-        return cls((), (), none, np.empty(0, np.int64), *(none,) * 7)
+        return cls((), (), none, np.empty(0, np.int64), *(none,) * 9)
 
 
 def ordered(boxes: RecordedBoxes, notes: list[str]) -> RecordedBoxes:
@@ -146,6 +149,15 @@ def ordered(boxes: RecordedBoxes, notes: list[str]) -> RecordedBoxes:
             f"{again.sum()} boxes have the id of another one at the same time and are left out."
         )
     return boxes.taken(~again)
+
+
+def on_level(boxes: RecordedBoxes, places: FloatArray, notes: list[str]) -> RecordedBoxes:
+    """Leave out boxes above or below the ego's places `(n, 3)`, with a note
+    (`replan.logs.heights`).
+    """
+    centres = np.column_stack([boxes.x, boxes.y, boxes.z])
+    names = [boxes.names[i] for i in boxes.owner]
+    return boxes.taken(on_the_way(places, centres, boxes.yaw, boxes.height, names, notes))
 
 
 def tracks_of(boxes: RecordedBoxes, notes: list[str]) -> Tracks:

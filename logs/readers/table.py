@@ -4,6 +4,7 @@
              per state
     agents   t, id, x, y     and, where known, yaw, vx, vy or v, length, width, kind      one row
              per agent and time
+    both     z, and height of the agents, where known (`replan.logs.heights`)
 
 t is in seconds (any zero), a date and time, or a time of day (`columns`); it may be given as t_ns,
 t_us or t_ms. Positions are world coordinates in metres, of the ego's rear axle (or its box centre:
@@ -19,7 +20,9 @@ A log on disk is a folder that holds `ego.csv` or `ego.parquet` and, beside it, 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -27,13 +30,15 @@ import pandas as pd
 from replan.core.arrays import FloatArray
 from replan.core.errors import LogError, reading
 from replan.core.files import beside
-from replan.logs.agents import USUAL_SIZE_M, AgentKind
-from replan.logs.complete import completed, derived_speed, road_along
-from replan.logs.log_settings import EGO_POINTS, LogSettings
+from replan.logs.agents import USUAL_SIZE_M
+from replan.logs.complete import completed, road_along
+from replan.logs.heights import on_the_way
+from replan.logs.kind_words import kinds_of_tracks
+from replan.logs.log_settings import LogSettings
 from replan.logs.observed import Spans
 from replan.logs.readers import track_table
 from replan.logs.readers.base import LogContents, Reader, TopicSummary
-from replan.logs.readers.clocks import check_restart, continued
+from replan.logs.readers.clocks import check_distinct, check_restart, continued
 from replan.logs.readers.columns import NAMES, QUATERNION, NamedColumns, check_names
 from replan.logs.readers.csv_table import SUFFIXES, load_table
 from replan.logs.road import Goal, Road
@@ -60,6 +65,10 @@ def from_frames(
     licence: str = "",
     traffic: Spans | None = None,
     ego_point: str = "",
+    agents_point: str = "",
+    ego_heading: str = "",
+    agents_heading: str = "",
+    kinds: Mapping[str, str] | None = None,
 ) -> Scenario:
     """Make a scenario from tables of the ego and of the other road users (units and frames:
     docs/logs.md).
@@ -83,8 +92,13 @@ def from_frames(
         licence: Licence of the data.
         traffic: When the other agents were observed, s since the first ego row; None: inferred from
             their rows.
-        ego_point: Point of the ego whose position the table has: "rear_axle" or "centre" (of its
-            box); "": "rear_axle", of an agent "centre".
+        ego_point: Point of the ego whose position the table has: "rear_axle", or "centre", "front"
+            or "rear" of its box; "": "rear_axle", of an agent "centre".
+        agents_point: The same of the agents; "": "centre".
+        ego_heading: Convention of the ego's headings ("degrees clockwise from north" ...,
+            `replan.logs.log_settings.HEADINGS`); "": rad, counter-clockwise from x.
+        agents_heading: The same of the agents.
+        kinds: replan's kind by the table's word for it, for words that replan does not know.
 
     Raises:
         LogError: A column is missing or not numeric, a unit or kind is unknown, a value is not
@@ -92,26 +106,29 @@ def from_frames(
             no agent has that id.
     """
     notes = list[str]()
-    if not isinstance(ego, pd.DataFrame):
-        chosen = track_table.taken_ego(agents, str(ego), columns or {}, vehicle)
-        ego, agents, vehicle, notes = chosen.ego, chosen.agents, chosen.vehicle, list(chosen.notes)
-        columns, ego_point, source = {}, ego_point or "centre", source or chosen.data_set
-        traffic = chosen.traffic if traffic is None else traffic
-    if ego_point not in EGO_POINTS:
-        raise LogError(
-            f"ego_point is {ego_point!r}",
-            topic="[log]",
-            remedy=f"known: {', '.join(EGO_POINTS[1:])}",
+    with reading(topic="[log]"):
+        settings = LogSettings(
+            columns=columns or {},
+            ego_point=ego_point,
+            agents_point=agents_point,
+            ego_heading=ego_heading,
+            agents_heading=agents_heading,
+            kinds=kinds or {},
         )
-    check_names(columns or {}, {"ego": ego, "agents": agents})
-    table = NamedColumns(ego, "ego", columns or {})
+    if not isinstance(ego, pd.DataFrame):
+        chosen = track_table.taken_ego(agents, str(ego), settings, vehicle)
+        ego, agents, vehicle, notes = chosen.ego, chosen.agents, chosen.vehicle, list(chosen.notes)
+        settings, source = LogSettings(ego_point=chosen.ego_point), source or chosen.data_set
+        traffic = chosen.traffic if traffic is None else traffic
+    check_names(settings.columns, {"ego": ego, "agents": agents})
+    table = NamedColumns(ego, "ego", settings.columns, settings.ego_heading)
     others = (
-        NamedColumns(agents, "agents", columns or {})
+        NamedColumns(agents, "agents", settings.columns, settings.agents_heading)
         if agents is not None and len(agents)
         else None
     )
-    ns, is_text = table.times()
-    theirs = others.times()[0] if others is not None else np.empty(0, np.int64)
+    ns, is_text = table.times(notes)
+    theirs = others.times(notes)[0] if others is not None else np.empty(0, np.int64)
     ns, theirs = continued(ns, theirs, is_text=is_text, notes=notes)
     start_ns = int(ns.min())
     t = (ns - start_ns) / 1e9
@@ -122,32 +139,28 @@ def from_frames(
         )
     order = np.argsort(t, kind="stable")
     t = t[order]
-    twice = np.flatnonzero(np.diff(t) <= 0.0)
-    if len(twice):
-        raise LogError(
-            f"two rows have the time {t[twice[0]]:g} s", topic="ego", remedy="keep one of them"
-        )
+    check_distinct(t, table.numbers("x")[order], table.numbers("y")[order], "ego")
     origin = np.zeros(2)
     if road is None and goal is None:
         origin = np.round([table.numbers("x")[order[0]], table.numbers("y")[order[0]]])
-    turns = table.yaw()
     state = {key: table.numbers(key)[order] for key in ("x", "y")}
-    state["yaw"] = table.numbers("yaw") if turns is None else turns[order]
+    state["yaw"] = _ego_headings(table, order, state["x"], state["y"], notes)
     car = vehicle or VehicleParameters()
-    ahead = car.axle_to_center if ego_point == "centre" else 0.0
+    ahead = _ahead_of_axle(car)[settings.ego_point]
     state["x"] = state["x"] - origin[0] - ahead * np.cos(state["yaw"])
     state["y"] = state["y"] - origin[1] - ahead * np.sin(state["yaw"])
     for key in ("v", "a", "kappa"):
         state[key] = table.numbers(key)[order] if table.has(key) else np.full(len(t), np.nan)
-    if not table.has("v"):
-        state["v"] = derived_speed(t, state["x"], state["y"], state["yaw"], notes)
     if vehicle is None:
         notes.append(f"{VEHICLE_ASSUMED}.")
     names = "steer", "throttle", "brake"
     with reading(topic="ego"):
         with np.errstate(all="ignore"):  # absurd numbers are refused as such
             driven = completed({"t": t, **state}, notes)
-        tracks = _tracks(others, (theirs - start_ns) / 1e9, origin, notes)
+        places = None
+        if table.has("z"):
+            places = np.column_stack([driven.x, driven.y, table.numbers("z")[order]])
+        tracks = _tracks(others, (theirs - start_ns) / 1e9, origin, places, settings, notes)
         pedals = (
             table.numbers(key)[order] if table.has(key) else np.full(len(t), np.nan)
             for key in names
@@ -168,16 +181,55 @@ def from_frames(
             licence=licence,
             origin=(float(origin[0]), float(origin[1])),
             start_ns=start_ns,
-            metadata={EGO_POSE: CENTRE} if ego_point == "centre" else {},
+            metadata={EGO_POSE: CENTRE} if settings.ego_point == "centre" else {},
             notes=tuple(notes),
             traffic=traffic,
         )
 
 
+def _ahead_of_axle(car: VehicleParameters) -> dict[str, float]:
+    """Return the places of the points `POINTS` before the rear axle, m."""
+    return {
+        "": 0.0,
+        "rear_axle": 0.0,
+        "centre": car.axle_to_center,
+        "front": car.axle_to_front,
+        "rear": -car.rear_overhang,
+    }
+
+
+def _ego_headings(
+    table: NamedColumns, order: Any, x: FloatArray, y: FloatArray, notes: list[str]
+) -> FloatArray:
+    """Return the headings `(n,)` of the ego's rows in the order of their times, rad.
+
+    Without a column, they are the direction of the way, with a note; LogError for an ego that
+    stands.
+    """
+    turns = table.yaw()
+    if turns is not None:
+        return turns[order]
+    if np.hypot(np.ptp(x), np.ptp(y)) < track_table.HEADED_M:
+        table.column("yaw")  # says that it is missing
+    notes.append(
+        f"The log has no headings of the ego: they are the direction of the last "
+        f"{track_table.HEADED_M:g} m of its way."
+    )
+    return track_table.headings(np.array([0, len(x)]), x, y, track_table.HEADED_M)
+
+
 def _tracks(
-    table: NamedColumns | None, t: FloatArray, origin: FloatArray, notes: list[str]
+    table: NamedColumns | None,
+    t: FloatArray,
+    origin: FloatArray,
+    places: FloatArray | None,
+    settings: LogSettings,
+    notes: list[str],
 ) -> Tracks:
-    """Make the tracks of a table with the times `t` `(n,)`, s."""
+    """Make the tracks of a table with the times `t` `(n,)`, s.
+
+    `places` `(k, 3)` are the ego's, None without heights.
+    """
     if table is None:
         return Tracks.empty()
     for name in filter(table.has, ("x", "y", "yaw", *QUATERNION)):
@@ -201,10 +253,7 @@ def _tracks(
     names, t, x, y = names[order], t[order], x[order], y[order]
     first = np.flatnonzero(np.r_[True, names[1:] != names[:-1]])
     offsets = np.r_[first, len(names)]
-    same = np.flatnonzero((np.diff(t) <= 0.0) & (names[1:] == names[:-1]))
-    if len(same):
-        what = f"agent {names[same[0]]} has two rows at {t[same[0]]:g} s"
-        raise LogError(what, topic="agents", remedy="keep one of them")
+    check_distinct(t, x, y, "agents", names)
     turns = table.yaw()
     if turns is None:
         notes.append(
@@ -221,11 +270,8 @@ def _tracks(
     elif table.has("v"):
         v = table.numbers("v")[order]
         vx, vy = v * np.cos(yaw), v * np.sin(yaw)
-    words = table.column("kind")[0].to_numpy()[order][first] if table.has("kind") else ()
-    kinds = tuple(map(track_table.kind_of, words))
-    if not kinds:
-        notes.append("The log does not say what the agents are: they are taken for cars.")
-        kinds = (AgentKind.CAR,) * len(first)
+    words = track_table.words_of(table)[order].tolist()
+    kinds = kinds_of_tracks(words, offsets, settings.kinds, {}, notes)
     sizes = []
     # Median of the agent's rows, else usual size
     for column, name in enumerate(("length", "width")):
@@ -238,9 +284,18 @@ def _tracks(
         else:
             notes.append(f"The log has no {name} of the agents: it is assumed by their kind.")
         sizes.append(size)
+    x, y = track_table.centres(
+        settings.agents_point, x, y, yaw, np.repeat(sizes[0], np.diff(offsets)), notes
+    )
+    keep = np.ones(len(x), np.bool_)
+    if table.has("z") and places is not None:
+        boxes = np.column_stack([x, y, table.numbers("z")[order]])
+        height = table.numbers("height")[order] if table.has("height") else np.full(len(x), np.nan)
+        keep = on_the_way(places, boxes, yaw, height, names.tolist(), notes)
     static = np.zeros(len(first), np.bool_)
     ids = tuple(map(str, names[first]))
-    return Tracks(ids, kinds, sizes[0], sizes[1], static, offsets, t, x, y, yaw, vx, vy)
+    tracks = Tracks(ids, kinds, sizes[0], sizes[1], static, offsets, t, x, y, yaw, vx, vy)
+    return tracks if keep.all() else tracks.taken(keep)
 
 
 def _file(folder: Path, name: str) -> Path | None:
@@ -279,38 +334,40 @@ def _files(path: Path) -> tuple[Path, ...]:
 
 def _read(path: Path, settings: LogSettings) -> Scenario:
     ego, agents = (_file(path, name) for name in NAMES) if path.is_dir() else (None, path)
-    vehicle, point = settings.vehicle() if settings.car else None, settings.ego_point
+    notes = list[str]()
+    vehicle = settings.vehicle(notes)
+    conventions = {
+        name: getattr(settings, name)
+        for name in ("ego_point", "agents_point", "ego_heading", "agents_heading", "kinds")
+    }
+    columns, name = settings.columns, path.name
+    table: pd.DataFrame | str
+    others: pd.DataFrame | None
     if ego is None and agents is not None:
-        frame, columns = track_table.load(agents, settings.columns)
+        table = settings.ego
+        others, columns = track_table.load(agents, settings.columns)
         name = path.stem if agents == path else path.name
         name += f"_ego{settings.ego}" if settings.ego else ""
-        tags = ("recorded", "table")
-        return from_frames(
-            settings.ego,
-            frame,
-            name=name,
-            columns=columns,
-            vehicle=vehicle,
-            tags=tags,
-            ego_point=point,
-        )
-    if ego is None:
+    elif ego is None:
         raise LogError(
             "there is no ego.csv or ego.parquet in it",
             remedy="a table of the ego is what a log needs",
         )
-    if settings.ego:
+    elif settings.ego:
         what = f"ego {settings.ego} is asked for, but {ego.name} has the ego"
         raise LogError(what, topic="[log]", remedy="leave ego out, or move that file away")
-    frames = load_table(ego), None if agents is None else load_table(agents)
-    return from_frames(
-        *frames,
-        name=path.name,
-        columns=settings.columns,
+    else:
+        table, others = load_table(ego), None if agents is None else load_table(agents)
+    scenario = from_frames(
+        table,
+        others,
+        name=name,
+        columns=columns,
         vehicle=vehicle,
         tags=("recorded", "table"),
-        ego_point=point,
+        **conventions,
     )
+    return replace(scenario, notes=(*notes, *scenario.notes))
 
 
 def _contents(path: Path) -> LogContents:
@@ -338,7 +395,16 @@ READER = Reader(
     _read,
     files=_files,
     contents=_contents,
-    settings=("ego", "ego_point", "columns", "car"),
+    settings=(
+        "ego",
+        "ego_point",
+        "agents_point",
+        "ego_heading",
+        "agents_heading",
+        "kinds",
+        "columns",
+        "car",
+    ),
     claims_with=lambda path, settings: (
         bool(settings.columns) and not path.is_dir() and track_table.claims(path, settings.columns)
     ),

@@ -6,7 +6,7 @@ columns, the point of a vehicle whose position it has, and where its frame rate 
 have replan's names of columns, or those of `[log.columns]`, and positions of box centres.
 
 (1) upper left corner (highD: x right, y down): centre = (x + length / 2, -(y + width / 2))
-(2) front centre (NGSIM):                       centre = p - length / 2 (cos yaw, sin yaw)
+(2) front centre (NGSIM, SUMO):                 centre = p - length / 2 (cos yaw, sin yaw)
 (3) without headings: the direction of the way come over at least `HEADED_M`
 
 The ego's rear axle is behind the centre of its box as in the default car, in proportion to its
@@ -29,10 +29,12 @@ from replan.core.errors import LogError
 from replan.core.files import beside
 from replan.core.names import counted
 from replan.logs.agents import USUAL_SIZE_M, AgentKind
+from replan.logs.kind_words import kinds_of_tracks
+from replan.logs.log_settings import LogSettings
 from replan.logs.observed import Spans, of_stream
 from replan.logs.readers.clocks import check_restart, continued
 from replan.logs.readers.columns import NAMES, TIMES, NamedColumns, check_names, holds
-from replan.logs.readers.csv_table import SUFFIXES, header_of, load_table
+from replan.logs.readers.csv_table import FCD_SUFFIX, SUFFIXES, header_of, load_table
 from replan.logs.readers.recorded import driven
 from replan.logs.vehicle import VehicleParameters, assumed_car
 
@@ -52,6 +54,8 @@ class DataSet(NamedTuple):
     ego: str = ""  # the road user that is the ego if no other is named
     # kinds by its words, where these are not known from elsewhere; "car" is assumed for ""
     kinds: Mapping[str, str] = {}
+    optional: Mapping[str, str] = {}  # more of its columns, which a table may lack
+    heading: str = ""  # convention of its headings, of `HEADINGS`
 
 
 META = (("_tracks", "_recordingMeta"), ("_tracks", "_tracksMeta"))
@@ -122,25 +126,24 @@ DATA_SETS = (
         ego="AV",
         kinds=dict.fromkeys(("av", "agent", "others"), "car"),
     ),
+    DataSet(
+        "SUMO",
+        {
+            "t": "timestep_time [s]",
+            "id": "vehicle_id",
+            "x": "vehicle_x",
+            "y": "vehicle_y",
+            "yaw": "vehicle_angle [deg]",
+            "v": "vehicle_speed",
+        },
+        optional={"kind": "vehicle_type"},
+        point="front",
+        heading="rad clockwise from north",
+    ),
 )
 """The data sets: NGSIM's positions are of the front centre, in feet (FHWA-HRT-06-137); Argoverse
 1's have no sizes.
 """
-ALIASES = {
-    "vehicle": "car",
-    "person": "pedestrian",
-    "cyclist": "bicycle",
-    "motorcyclist": "motorcycle",
-    "van": "car",
-    "bike": "bicycle",
-    "motorbike": "motorcycle",
-    "unknown": "object",
-    "static": "object",
-    "trailer": "truck",
-    "truck_bus": "truck",
-    "pedestrian/bicycle": "pedestrian",
-}
-"""Kinds by other common words."""
 HEADED_M = 1.0
 """Constant of (3), m: positions from images are uncertain by 0.1 m, 6 degrees over it."""
 BEFORE_S = 2.0
@@ -152,7 +155,7 @@ _SHOWN = 8
 class TakenEgo(NamedTuple):
     """The ego that was taken from a table of tracks.
 
-    Both tables have replan's names and units, and box centres.
+    Both tables have replan's names and units; the agents' has box centres.
     """
 
     ego: pd.DataFrame
@@ -162,19 +165,20 @@ class TakenEgo(NamedTuple):
     traffic: Spans
     id: str
     data_set: str
+    ego_point: str  # point of the ego whose positions its table has
 
 
 def taken_ego(
     frame: pd.DataFrame | None,
     ego: str,
-    given: Mapping[str, str],
+    settings: LogSettings,
     vehicle: VehicleParameters | None,
 ) -> TakenEgo:
     """Take a road user out of a table of tracks; LogError as in `from_frames`, or with those who
     drove farthest.
 
     `ego` is its id, or its word for the kind if only one road user has it; "": that of the data
-    set. The columns that are `given` by replan's name win over those of the data set. `vehicle`
+    set. Columns, points and headings of the settings win over those of the data set. `vehicle`
     None: one of the road user's size.
     """
     if frame is None or not len(frame):
@@ -187,6 +191,7 @@ def taken_ego(
     frame = frame.rename(
         columns={name: known.get(str(name).lower(), name) for name in frame.columns}
     )
+    given = settings.columns
     check_names(given, {"agents": frame})
     if data.recording in frame and frame[data.recording].nunique() > 1:
         what = (
@@ -197,29 +202,31 @@ def taken_ego(
     table = NamedColumns(
         frame,
         "agents",
-        {**data.columns, **{key.rpartition(".")[2]: name for key, name in given.items()}},
+        {
+            **data.columns,
+            **data.optional,
+            **{key.rpartition(".")[2]: name for key, name in given.items()},
+        },
+        settings.agents_heading or data.heading,
     )
     names, notes = names_of(table), list[str]()
-    ns, is_text = table.times()
+    ns, is_text = table.times(notes)
     ns, _ = continued(ns, np.empty(0, np.int64), is_text=is_text, notes=notes)
     check_restart(ns, table.numbers("x"), table.numbers("y"), "agents", names)
     order = np.lexsort((ns, names))
     names, ns = names[order], ns[order]
     first = np.flatnonzero(np.r_[True, names[1:] != names[:-1]])
     offsets = np.r_[first, len(names)]
-    words = (
-        _texts(table.column("kind")[0])[order] if table.has("kind") else np.full(len(names), "car")
-    )
-    kinds = [kind_of(data.kinds.get(str(word).lower(), word)) for word in words[first]]
-    state = _states(table, data, order, offsets, kinds, notes)
+    words = words_of(table)[order]
+    kinds = list(kinds_of_tracks(words.tolist(), offsets, settings.kinds, data.kinds, notes))
+    point = settings.agents_point or data.point
+    state = _states(table, point, order, offsets, kinds, notes)
     ego = _id(ego or data.ego, names, words, first, kinds, state)
     its = np.flatnonzero(names == ego)
     t = (ns - ns[its[0]]) / 1e9
     if len(its) < 2 or (np.diff(t[its]) <= 0.0).any():
         what = f"agent {ego} has {'one row' if len(its) < 2 else 'two rows of one time'}"
         raise LogError(what, topic="agents", remedy="name another one with --ego")
-    if not table.has("kind"):
-        notes.append("The log does not say what the agents are: they are taken for cars.")
     length, width = (float(np.median(state[name][its])) for name in ("length", "width"))
     if vehicle is None and np.isfinite(length + width):
         vehicle = assumed_car({"length": length, "width": width}, notes)
@@ -251,12 +258,13 @@ def taken_ego(
         of_stream(t[shown]),
         ego,
         data.name,
+        "centre" if point in AHEAD else settings.ego_point or "centre",
     )
 
 
 def _states(
     table: NamedColumns,
-    data: DataSet,
+    point: str,
     order: Any,
     offsets: Any,
     kinds: list[AgentKind],
@@ -277,7 +285,7 @@ def _states(
         np.where(np.isfinite(state[k]), state[k], usual[:, i])
         for i, k in enumerate(("length", "width"))
     )
-    if data.point == "corner":  # (1)
+    if point == "corner":  # (1)
         state["x"] = state["x"] + 0.5 * length
         state["y"], state["vy"] = -(state["y"] + 0.5 * width), -state["vy"]
         notes.append(
@@ -294,17 +302,42 @@ def _states(
         state["yaw"] = np.where(
             lacking, headings(offsets, state["x"], state["y"], HEADED_M), state["yaw"]
         )
+    state["x"], state["y"] = centres(point, state["x"], state["y"], state["yaw"], length, notes)
     cos, sin = np.cos(state["yaw"]), np.sin(state["yaw"])
-    if data.point == "front":  # (2)
-        state["x"], state["y"] = state["x"] - 0.5 * length * cos, state["y"] - 0.5 * length * sin
-        notes.append(
-            "Positions are the middles of the front bumpers: they are moved back to the centres of "
-            "the boxes."
-        )
     if table.has("v") and not (table.has("vx") and table.has("vy")):
         v = table.numbers("v")[order]
         state["vx"], state["vy"] = v * cos, v * sin
     return state
+
+
+AHEAD: Mapping[str, float] = {
+    "front": 0.5,
+    "rear": -0.5,
+    "rear_axle": VehicleParameters().rear_overhang / VehicleParameters().length - 0.5,
+}
+"""Place of a point before the centre of the box, in lengths (2)."""
+_POINT_WORDS = {"front": "middles of the front bumpers", "rear": "middles of the rear bumpers"}
+
+
+def centres(
+    point: str,
+    x: FloatArray,
+    y: FloatArray,
+    yaw: FloatArray,
+    length: FloatArray,
+    notes: list[str],
+) -> tuple[FloatArray, FloatArray]:
+    """Return the centres of boxes whose positions `(n,)` are those of a point of `AHEAD`, with a
+    note; other positions are centres.
+    """
+    if point not in AHEAD:
+        return x, y
+    notes.append(
+        f"Positions are the {_POINT_WORDS.get(point, 'rear axles')}: they are moved to the centres "
+        "of the boxes."
+    )
+    ahead = AHEAD[point] * length
+    return x - ahead * np.cos(yaw), y - ahead * np.sin(yaw)
 
 
 def _ego_states(
@@ -383,6 +416,14 @@ def _texts(column: pd.Series[Any]) -> Any:
     )
 
 
+def words_of(table: NamedColumns) -> Any:
+    """Return the word for the kind of each row `(n,)`; "" where it is empty."""
+    if not table.has("kind"):
+        return np.full(len(table.frame), "")
+    column = table.column("kind")[0]
+    return np.where(column.isna().to_numpy(), "", _texts(column))
+
+
 def names_of(table: NamedColumns) -> Any:
     """Return the id of each row `(n,)`, as text; LogError if a row has none."""
     column = table.column("id")[0]
@@ -410,20 +451,6 @@ def headings(offsets: Any, x: FloatArray, y: FloatArray, least: float) -> FloatA
     return yaw
 
 
-def kind_of(word: Any) -> AgentKind:
-    """Return the kind that a word of a table names; LogError if it is unknown."""
-    if isinstance(word, AgentKind):
-        return word
-    name = str(word).strip().lower()
-    try:
-        return AgentKind(ALIASES.get(name, name))
-    except ValueError:
-        known = ", ".join(kind.value for kind in AgentKind)
-        raise LogError(
-            f"an agent is a {str(word)!r}", topic="agents", remedy=f"known kinds: {known}"
-        ) from None
-
-
 # Files
 
 
@@ -444,7 +471,7 @@ def claims(path: Path, columns: Mapping[str, str] | None = None) -> bool:
     if path.is_dir():
         held = [any((path / f"{name}{suffix}").is_file() for suffix in SUFFIXES) for name in NAMES]
         return held == [False, True]
-    if path.suffix not in SUFFIXES or not path.is_file():
+    if path.suffix not in (*SUFFIXES, FCD_SUFFIX) or not path.is_file():
         return False
     header = header_of(path)
     return data_set_of(header) is not None or (

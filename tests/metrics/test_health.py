@@ -15,7 +15,7 @@ from hypothesis import given, settings, strategies as st
 from replan.config import RunConfig
 from replan.logs.agents import AgentKind
 from replan.logs.catalogue import CATALOGUE
-from replan.logs.conventions import checked
+from replan.logs.comparisons import checked
 from replan.logs.mcap import write_scenario
 from replan.logs.road import Lane, Road, RoadSource
 from replan.logs.rules import Colour, StopLine, TrafficLight

@@ -81,6 +81,6 @@ READER = Reader(
     bag_files,
     _span,
     _contents,
-    ("topics", "frames", "clock", "car"),
+    ("topics", "frames", "clock", "car", "ego_axes"),
     cuts=True,
 )

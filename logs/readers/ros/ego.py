@@ -38,6 +38,9 @@ import numpy as np
 
 from replan.core.arrays import FloatArray, IntArray
 from replan.core.errors import LogError
+from replan.logs.chords import Chords
+from replan.logs.conventions import axes_of, in_axes
+from replan.logs.ego_columns import with_agreed_columns
 from replan.logs.log_settings import LogSettings
 from replan.logs.readers.recorded import held_curvature, rotated, stands, unit_or_identity
 from replan.logs.readers.ros import schemas
@@ -345,7 +348,7 @@ def _from_topic(part: BagPart, found: _Found, edges: Edges) -> EgoLog:
     frames = _frames(
         {pair: each for pair, each in edges.items() if pair[1] not in above}, clock, notes
     )
-    speed = twist[:, 0]
+    speed = _speed_along(twist, poses, settings, topic.name, notes)
     known = frames.edges | turned | {(frame, base): poses}
     frames = FrameTree((parent, name, each) for (parent, name), each in known.items())
     if map_frame != frame and map_frame in frames.path(frame):
@@ -357,6 +360,29 @@ def _from_topic(part: BagPart, found: _Found, edges: Edges) -> EgoLog:
     return EgoLog(
         topic.name, clock, map_frame, base, frames, poses, speed, *_restarts(part, topic.name, edge)
     )
+
+
+def _speed_along(
+    twist: FloatArray, poses: Poses, settings: LogSettings, topic: str, notes: list[str]
+) -> FloatArray:
+    """Return the speed along the heading `(n,)` of velocities `(n, 6)`, in the axes in which they
+    fit the poses.
+    """
+    vx, vy, yaw = twist[:, 0], twist[:, 1], poses.yaw
+    axes = settings.ego_axes
+    if not axes:
+        seconds = (poses.t - poses.t[0]) / 1e9
+        chords = Chords.of(np.array([0, len(seconds)]), seconds, poses.p[:, 0], poses.p[:, 1])
+        shown = axes_of(chords, vx, vy, yaw, "own")
+        if shown is None or shown[0] in ("own", ""):
+            return vx
+        axes, misfit, usual = shown
+        notes.append(
+            f"The velocity of {topic} is in {axes} axes: it fits the poses within {misfit:.0%}, in "
+            f'its own axes {usual:.0%} (ego_axes = "own" in [log] takes it as it is).'
+        )
+    in_world = in_axes(axes, vx, vy, yaw)
+    return in_world[0] * np.cos(yaw) + in_world[1] * np.sin(yaw)
 
 
 def _own_frames(frames: FrameTree, world: Set[str]) -> FrameTree:
@@ -519,6 +545,17 @@ def states(ego: EgoLog, v: FloatArray, a: FloatArray, notes: list[str]) -> dict[
     seconds = (ego.poses.t - ego.poses.t[0]) / 1e9
     x, y = ego.poses.p[:, 0], ego.poses.p[:, 1]
     yaw = np.unwrap(ego.poses.yaw)
+    logged = {
+        "t": seconds,
+        "x": x,
+        "y": y,
+        "yaw": yaw,
+        "v": v,
+        "a": a,
+        "kappa": np.full(len(x), np.nan),
+    }
+    logged = with_agreed_columns(logged, notes)
+    v, a = logged["v"], logged["a"]
     usual = float(np.median(np.diff(seconds))) if len(seconds) > 1 else 0.0
     window = np.full(len(seconds), max(EGO_WINDOW_S, LEAST * usual))
     values = np.array([x - x[0], y - y[0], yaw])

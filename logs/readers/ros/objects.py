@@ -5,7 +5,7 @@ map frame.
         heading that of the rotated x axis
 (2) velocity: rotated from the object's frame or the message's into the map. If the type does not
     define the frame, or the data contradict it, the frame that fits the displacement
-    (`replan.logs.conventions`) is used; if neither fits, no velocity is
+    (`replan.logs.chords`) is used; if neither fits, no velocity is
 
 An outline without a box (cluster, polygon) becomes the smallest rectangle around it, one side of
 which lies along an edge of its hull.
@@ -20,7 +20,9 @@ import numpy as np
 
 from replan.core.arrays import BoolArray, FloatArray, IntArray
 from replan.logs.agents import AgentKind
-from replan.logs.conventions import Chords
+from replan.logs.chords import Chords
+from replan.logs.heights import on_the_way
+from replan.logs.kind_words import kind_of_word
 from replan.logs.readers.recorded import heading, rotated, unit_or_identity
 from replan.logs.readers.ros import schemas
 from replan.logs.readers.ros.bag import Bag, Topic
@@ -62,7 +64,7 @@ def read_messages(part: BagPart, topic: Topic) -> Messages:
     if schema.twist:
         want("twist", *(f"{schema.twist}.linear.{c}" for c in "xyz"))
     if schema.size:
-        want("size", *(f"{schema.size}.{c}" for c in "xy"))
+        want("size", *(f"{schema.size}.{c}" for c in "xyz"))
     for name in ("shape", "trusted", "existence"):
         if getattr(schema, name) and bag.has(topic, item + getattr(schema, name)):
             want(name, getattr(schema, name))
@@ -99,20 +101,20 @@ def samples_of(
     t: IntArray,
     frames: FrameTree,
     frame: str,
+    places: FloatArray,
     notes: list[str],
     id_notes: list[str],
 ) -> Samples:
     """The objects of the messages `chosen` `(k,)` at times t `(k,)` ns, in the map frame `frame` by
     (1).
+
+    Those above or below the ego's `places` `(n, 3)` are left out (`replan.logs.heights`).
     """
     items = [messages.items[i] for i in chosen]
     owner = np.repeat(np.arange(len(items)), [len(item) for item in items])
     rows = [item for some in items for item in some]
     if not rows:
-        none = np.empty(0)
-        return Samples(
-            owner, [], [], none, none, none, none, none, none, none, np.empty(0, np.bool_), none
-        )
+        return _no_samples()
     held = _Fields(list(zip(*rows, strict=True)), messages.names)
     values = held.numbers("pose", 7)
     poses = Poses(t[owner], values[:, :3], unit_or_identity(values[:, 3:]))
@@ -147,7 +149,12 @@ def samples_of(
         )
     if not usable.all():
         notes.append(f"{(~usable).sum()} samples have no finite pose and are left out.")
-    keep = np.flatnonzero(usable & in_the_way)
+    height = held.numbers("size", 3)[:, 2] if "size" in held else np.full(len(rows), np.nan)
+    centres = np.column_stack([moved, world.p[:, 2]])
+    on_level = on_the_way(places, centres, yaw, height, names, notes)
+    keep = np.flatnonzero(usable & in_the_way & on_level)
+    if not len(keep):
+        return _no_samples()
     out = Samples(
         owner,
         names,
@@ -169,6 +176,13 @@ def samples_of(
         return out
     vx, vy = in_frame[keep].T if by == "frame" else np.full((2, len(out)), np.nan)
     return replace(out, vx=vx, vy=vy)
+
+
+def _no_samples() -> Samples:
+    none = np.empty(0)
+    owner = np.empty(0, np.int64)
+    floats = (none,) * 7
+    return Samples(owner, [], [], *floats, np.empty(0, np.bool_), none, names=[])
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,7 +224,7 @@ def _kinds(held: _Fields, schema: ObjectSchema) -> tuple[list[AgentKind], BoolAr
     autoware = schema.classes == "classification"
     table = schemas.AUTOWARE_LABELS if autoware else schemas.DERIVED_LABELS
     kinds = {
-        label: schemas.kind_of_word(label)
+        label: kind_of_word(label) or AgentKind.OBJECT
         if isinstance(label, str)
         else table.get(label, AgentKind.OBJECT)
         for label in set(best)

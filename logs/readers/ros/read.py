@@ -66,7 +66,7 @@ from replan.logs.rules import Colour, TrafficLight
 from replan.logs.scenario import Scenario
 from replan.logs.states import Controls, OnboardPlan, Trajectory
 from replan.logs.tracks import Tracks
-from replan.logs.vehicle import VEHICLE_ASSUMED, VehicleParameters, assumed_car
+from replan.logs.vehicle import VEHICLE_ASSUMED, VehicleParameters
 
 HEAD_S = 2.0
 """Time at the log's begin that is read to find t = 0 if only a later part is wanted, s."""
@@ -105,10 +105,9 @@ def _scenario(path: Path, bag: Bag, settings: LogSettings) -> Scenario:
     if not any(topic.count for topic in bag.topics):
         raise LogError("the bag holds no messages", remedy="record or copy it again")
     about_car = list(bag.notes)
-    vehicle = VehicleParameters()
-    if settings.car:
-        vehicle = assumed_car(settings.car, about_car)
-    else:
+    vehicle = settings.vehicle(about_car)
+    if vehicle is None:
+        vehicle = VehicleParameters()
         about_car.append(f"{VEHICLE_ASSUMED} (set log.car).")
     part, ego, start, origin = _part_to_read(bag, settings)
     notes = part.notes
@@ -285,7 +284,15 @@ def _tracks(
     id_notes: list[str] = []
     try:
         samples = samples_of(
-            messages, schemas.OBJECTS[topic.kind], chosen, t, ego.frames, ego.map, notes, id_notes
+            messages,
+            schemas.OBJECTS[topic.kind],
+            chosen,
+            t,
+            ego.frames,
+            ego.map,
+            ego.poses.p,
+            notes,
+            id_notes,
         )
     except LogError as error:
         remedy = (

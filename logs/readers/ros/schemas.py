@@ -29,45 +29,6 @@ AUTOWARE_LABELS = {
 AUTOWARE_NOT_IN_THE_WAY = (10, 11)
 """Labels of objects that do not block the way: OVER_DRIVABLE, UNDER_DRIVABLE."""
 DERIVED_LABELS = {4: PEDESTRIAN, 5: BICYCLE, 6: CAR, 7: TRUCK, 8: MOTORCYCLE, 9: CAR}
-WORDS = (
-    ("motor", MOTORCYCLE),
-    ("scooter", MOTORCYCLE),
-    ("cycl", BICYCLE),
-    ("bike", BICYCLE),
-    ("rider", BICYCLE),
-    ("pedestrian", PEDESTRIAN),
-    ("person", PEDESTRIAN),
-    ("human", PEDESTRIAN),
-    ("people", PEDESTRIAN),
-    ("child", PEDESTRIAN),
-    ("stroller", PEDESTRIAN),
-    ("wheelchair", PEDESTRIAN),
-    ("animal", PEDESTRIAN),
-    ("truck", TRUCK),
-    ("lorry", TRUCK),
-    ("trailer", TRUCK),
-    ("construction_vehicle", TRUCK),
-    ("bus", BUS),
-    ("tram", BUS),
-    ("train", BUS),
-    ("car", CAR),
-    ("van", CAR),
-    ("taxi", CAR),
-    ("vehicle", CAR),
-)
-"""A label has the kind of the first word that it contains.
-
-Labels with none of the words are objects.
-"""
-NO_CARS = ("cart", "cardboard", "carton")
-
-
-def kind_of_word(label: str) -> AgentKind:
-    """Return the kind of a label in words; OBJECT if it has no known word."""
-    text = label.lower()
-    if any(word in text for word in NO_CARS):
-        return OBJECT
-    return next((kind for word, kind in WORDS if word in text), OBJECT)
 
 
 @dataclass(frozen=True)

@@ -133,7 +133,7 @@ def test_times_may_be_integers_or_dates(unit: str) -> None:
 
 def test_what_is_missing_is_derived_causally_and_noted() -> None:
     bare = from_frames(ego().drop(columns="v"), agents().drop(columns=["yaw", "vx", "vy", "kind"]))
-    assert bare.ego.v == pytest.approx(8.0) and "no ego speed" in bare.notes[0]
+    assert bare.ego.v == pytest.approx(8.0) and "no ego speed" in " ".join(bare.notes)
     walker, car = bare.tracks.samples(0), bare.tracks.samples(1)
     assert bare.tracks.yaw[walker][5:] == pytest.approx(-np.pi / 2) and bare.tracks.yaw[
         car
@@ -147,7 +147,7 @@ def test_what_is_missing_is_derived_causally_and_noted() -> None:
 @pytest.mark.parametrize(
     ("table", "others", "words"),
     [
-        (ego().drop(columns="yaw"), None, "no column yaw; it has t, x, y, v; name it"),
+        (ego(x=0.0, y=0.0).drop(columns="yaw"), None, "no column yaw; it has t, x, y, v; name it"),
         (ego(x="here"), None, "x is not a column of numbers"),
         (ego(y=np.nan), None, "y is not finite"),
         (ego(t=5.0), None, "two rows have the time 0 s; keep one"),
@@ -277,17 +277,34 @@ def test_the_two_tables_may_have_names_of_their_own() -> None:
         )
 
 
-def test_times_in_another_unit_are_refused(tmp_path: Path) -> None:
-    ego = pd.DataFrame(
-        {"t": np.arange(20) * 100_000_000, "x": np.arange(20.0), "y": 0.0, "yaw": 0.0}
-    )
-    ego.to_csv(tmp_path / "ego.csv", index=False)
-    with pytest.raises(
-        LogError,
-        match=r"lasts 1\.9e\+09 s; a drive lasts less than a week: check the units of the times",
-    ):
-        read_log(tmp_path)
-    assert read_log(tmp_path, LogSettings(columns={"t": "t [ns]"})).duration == 1.9
+@pytest.mark.parametrize(("unit", "per_s"), [("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
+@pytest.mark.parametrize("start_s", [0.0, 5.0, 1.7e9])
+@pytest.mark.parametrize("rate", [1.0, 10.0, 50.0])
+def test_times_without_a_unit_are_understood_by_their_steps(
+    tmp_path: Path, unit: str, per_s: float, start_s: float, rate: float
+) -> None:
+    seconds = start_s + np.arange(20) / rate
+    ticks = np.round(seconds * 1e3).astype(np.int64) * round(per_s / 1e3)
+    table = pd.DataFrame({"t": ticks, "x": 8.0 * (seconds - start_s), "y": 0.0, "yaw": 0.0})
+    table.to_csv(tmp_path / "ego.csv", index=False)
+    read = read_log(tmp_path)
+    assert read.duration == pytest.approx(19 / rate)
+    assert any(f"taken for {unit}" in note for note in read.notes)
+    stated = read_log(tmp_path, LogSettings(columns={"ego.t": f"t [{unit}]"}))
+    assert stated.ego.t.tolist() == read.ego.t.tolist()
+    assert not any("taken for" in note and "steps" in note for note in stated.notes)
+
+
+def test_rounded_times_are_named(tmp_path: Path) -> None:
+    t = np.arange(60) / 10
+    table = ego().head(60).assign(t=np.floor(t))
+    with pytest.raises(LogError, match="times are rounded: 54 of 60") as refused:
+        from_frames(table)
+    assert 'columns = {t = "frame [10 Hz]"}' in refused.value.remedy
+    counted = table.rename(columns={"t": "second"}).assign(frame=np.arange(60))
+    counted.to_csv(tmp_path / "ego.csv", index=False)
+    whole = read_log(tmp_path, LogSettings(columns={"t": "frame [10 Hz]"}))
+    np.testing.assert_allclose(whole.ego.t, t, atol=1e-9)
 
 
 def test_the_unit_in_a_header_of_their_own_counts() -> None:

@@ -325,8 +325,8 @@ def test_the_point_of_the_ego_is_a_setting(tmp_path: Path) -> None:
     )
     np.testing.assert_allclose(centres(of_settings[2]), ego[["x", "y"]], atol=1e-9)
     assert of_settings[2].metadata[EGO_POSE] == CENTRE
-    with pytest.raises(ValueError, match="ego_point is 'front'"):
-        LogSettings(ego_point="front")
+    with pytest.raises(ValueError, match="ego_point is 'middle'"):
+        LogSettings(ego_point="middle")
     with pytest.raises(LogError, match=r"ego 1 is asked for, but ego\.csv has the ego"):
         read_log(tmp_path, LogSettings(ego="1"))
 

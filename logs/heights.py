@@ -1,0 +1,132 @@
+"""Finds boxes on another level than the ego's way: on bridges, in tunnels, on other floors.
+
+The ground is that under the ego's own places within `NEAR_M` of a box, at all times: on a hill, and
+where the ego passes under its own way, the box is compared with each of them. A box is
+
+(1) above the way  if its bottom is `ABOVE_M` or more above all that ground, but not `FAR_M`: boxes
+                   of what stands on the ground end there
+(2) below the way  if its top is `BELOW_M` or more below it, but not `FAR_M`
+(3) on the way     otherwise
+
+A road user is left out if `MOST` of its boxes near the way are above it, or below it. Heights of
+single boxes of a detector scatter by a metre and more: boxes without a name stay.
+
+Heights show this only if they have one zero. They are not used, and nothing changes, if
+
+(4) the ego's places are steeper than `STEEPEST` in more than a tenth of the way, as heights of
+    satellites are; or all boxes have one height, as if they had none
+(5) no box near the way is on it, and most of those off it lie along the way: then the zeros differ,
+    as a bridge crosses the way
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from replan.core.arrays import BoolArray, FloatArray
+from replan.core.names import counted, listed
+from replan.logs.states import wrapped
+
+NEAR_M = 15.0
+ABOVE_M, BELOW_M, FAR_M = 2.5, 1.0, 25.0
+MOST = 0.9
+STEEPEST = 0.3
+"""Steepest road, as a slope."""
+SPACING_M = 1.0
+"""Distance of the places of the ego that are looked at, m."""
+HIGH_M = 1.5
+"""Usual height of a box whose height is not known, m."""
+ACROSS_RAD = 0.5
+"""A box lies across the way if its axis is turned by more than this against it."""
+NAMED = 5
+_ROWS = 4096
+
+
+def _thinned(places: FloatArray) -> FloatArray:
+    """Return places `(n, 3)` that are at least `SPACING_M` apart along the way."""
+    way = np.r_[0.0, np.cumsum(np.hypot(*np.diff(places[:, :2], axis=0).T))]
+    return places[np.unique((way // SPACING_M).astype(np.int64), return_index=True)[1]]
+
+
+def _clearance(
+    path: FloatArray, boxes: FloatArray, bottom: FloatArray, top: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return how far boxes `(m, 2)` are above (negative: below) all ground near them, m; 0: they
+    are on it, NaN: far from the way. And the direction of the nearest place, rad.
+    """
+    height, direction = np.full(len(boxes), np.nan), np.zeros(len(boxes))
+    heading = np.arctan2(np.gradient(path[:, 1]), np.gradient(path[:, 0]))
+    for begin in range(0, len(boxes), _ROWS):
+        rows = slice(begin, begin + _ROWS)
+        away = np.hypot(*(boxes[rows, None, axis] - path[None, :, axis] for axis in (0, 1)))
+        near = away <= NEAR_M
+        over = np.where(near, bottom[rows, None] - path[:, 2], np.inf).min(axis=1)
+        under = np.where(near, top[rows, None] - path[:, 2], -np.inf).max(axis=1)
+        level = np.where((over >= ABOVE_M) & (over <= FAR_M), over, 0.0)
+        level = np.where((under <= -BELOW_M) & (under >= -FAR_M), under, level)
+        height[rows] = np.where(near.any(axis=1), level, np.nan)
+        direction[rows] = heading[away.argmin(axis=1)]
+    return height, direction
+
+
+def on_the_way(
+    places: FloatArray,
+    boxes: FloatArray,
+    yaw: FloatArray,
+    height: FloatArray,
+    names: Sequence[str],
+    notes: list[str],
+) -> BoolArray:
+    """Return which boxes `(m,)` are not above or below the ego's way, with a note on the others.
+
+    `places` `(n, 3)` are those of the ego's base over time, `boxes` `(m, 3)` centres, in one world,
+    m; `yaw` rad; `height` m, NaN where unknown; `names` those of the road users, "" where they have
+    none.
+    """
+    keep = np.ones(len(boxes), np.bool_)
+    known = np.isfinite(boxes).all(axis=1)
+    if len(places) < 2 or not np.isfinite(places).all() or not known.any():
+        return keep
+    half = 0.5 * np.where(np.isfinite(height) & (height > 0.0), height, HIGH_M)
+    bottom, top = boxes[:, 2] - half, boxes[:, 2] + half
+    low, high = places[:, 2].min(), places[:, 2].max()
+    if not (known & ((bottom >= low + ABOVE_M) | (top <= high - BELOW_M))).any():
+        return keep
+    path = _thinned(places)
+    steps = np.diff(path, axis=0)
+    steep = np.abs(steps[:, 2]) > STEEPEST * np.hypot(steps[:, 0], steps[:, 1])
+    if len(path) < 2 or steep.mean() > 0.1 or np.ptp(boxes[known, 2]) == 0.0:  # (4)
+        return keep
+    level = np.full(len(boxes), np.nan)
+    direction = np.zeros(len(boxes))
+    level[known], direction[known] = _clearance(path, boxes[known, :2], bottom[known], top[known])
+    off = np.isfinite(level) & (level != 0.0)
+    if not off.any():
+        return keep
+    across = np.abs(np.sin(wrapped(yaw - direction))) > np.sin(ACROSS_RAD)
+    if not (level == 0.0).any() and across[off].mean() < 0.5:  # (5)
+        notes.append(
+            "The heights of the road users are not used: all of them near the way are "
+            f"{np.median(level[off]):+.1f} m off its level."
+        )
+        return keep
+    labels = np.asarray(names, dtype=object).astype(str)
+    near = np.isfinite(level)
+    users, whose = np.unique(labels, return_inverse=True)
+    counts = [
+        np.bincount(whose[some], minlength=len(users)) for some in (near, level > 0, level < 0)
+    ]
+    gone = (counts[0] > 0) & (np.maximum(counts[1], counts[2]) >= MOST * counts[0])
+    gone &= users != ""
+    if not gone.any():
+        return keep
+    keep = ~gone[whose]
+    off &= ~keep
+    notes.append(
+        f"{counted(int(gone.sum()), 'road user')} ({listed(users[gone].tolist(), NAMED)}) above or "
+        "below the ego's way: left out, as on bridges, in tunnels or on other floors "
+        f"({level[off].min():+.1f} to {level[off].max():+.1f} m from its level)."
+    )
+    return keep

@@ -118,6 +118,14 @@ def scenario(name: str) -> Scenario:
     return FAMILY.find(family).scenario(**numbers(words.split(",") if words else (), name))
 
 
+def scenario_name(name: str) -> str:
+    """The name that the scenario of this name has, which does not tell a user's module; raises as
+    `scenario`, but does not build it.
+    """
+    family, _, words = name.partition("@")
+    return FAMILY.find(family).named(numbers(words.split(",") if words else (), name))
+
+
 def numbers(words: Iterable[str], where: str) -> dict[str, float]:
     """Parameters from "key=value" words; ConfigError if a word has no `=`, or its value is not a
     number.

@@ -343,7 +343,7 @@ def plot(
     from replan.draw.charts.layout import charts_of, together
     from replan.draw.charts.subject import subject
     from replan.draw.drawn_results import load
-    from replan.results.tables import safe_name
+    from replan.results.tables import numbered, safe_name
     from replan.run.claim import claimed_files
 
     run, planners = load(result), list(dict.fromkeys(planner or ()))
@@ -364,7 +364,12 @@ def plot(
             )
             say(f"{path}  ({seen.title}, {seen.says}){chosen.remark}")
             return
-        files = [(place(f"{name}-{one.name}{ending}"), one) for one in charts for ending in FORMATS]
+        names = numbered(f"{name}-{one.name}" for one in charts)
+        files = [
+            (place(f"{label}{ending}"), one)
+            for label, one in zip(names, charts, strict=True)
+            for ending in FORMATS
+        ]
         for file, one in files:
             one.save(file, theme=theme.value, width=width)
             say(file)

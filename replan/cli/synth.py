@@ -15,7 +15,17 @@ from typing import Any
 
 from replan.core.errors import unknown_name
 from replan.core.names import counted
-from replan.logs.catalogue import FAMILY, SEED, SUITES, Family, families, groups, scenario, suite
+from replan.logs.catalogue import (
+    FAMILY,
+    SEED,
+    SUITES,
+    Family,
+    families,
+    groups,
+    scenario,
+    scenario_name,
+    suite,
+)
 from replan.logs.mcap import is_written_here, write_scenario
 from replan.logs.scenario import Scenario
 from replan.results.tables import safe_name, write_text
@@ -66,8 +76,9 @@ def synthesise(
     """
     scenarios = [family.scenario(**parameters) for family in families]
     with _files(out) as place:
-        for one in scenarios:
-            yield _written(one, place, form)
+        paths = [place(_file_name(one.name)) for one in scenarios]
+        for path, one in zip(paths, scenarios, strict=True):
+            yield _written(one, path, form)
 
 
 def write_suite(name: str, out: Path, form: str = NATIVE) -> Generator[Path]:
@@ -79,9 +90,10 @@ def write_suite(name: str, out: Path, form: str = NATIVE) -> Generator[Path]:
     rows, labels = [], suite(name)
     with _files(out) as place:
         table_file = place(TABLE)
-        for label in labels:
+        paths = [place(_file_name(scenario_name(label))) for label in labels]
+        for label, log_file in zip(labels, paths, strict=True):
             one = scenario(label)
-            path = _written(one, place, form)
+            path = _written(one, log_file, form)
             family, _, words = label.partition("@")
             file, seed = path.relative_to(out).as_posix(), one.metadata.get("parameter.seed", "")
             accepted = one.metadata.get("expected_decisions", "{}")
@@ -95,9 +107,12 @@ def write_suite(name: str, out: Path, form: str = NATIVE) -> Generator[Path]:
         yield table_file
 
 
-def _written(one: Scenario, place: Callable[[str], Path], form: str) -> Path:
-    group, _, name = one.name.partition("/")
-    path = place(f"{safe_name(group)}/{safe_name(name)}.mcap")
+def _file_name(name: str) -> str:
+    group, _, variant = name.partition("/")
+    return f"{safe_name(group)}/{safe_name(variant)}.mcap"
+
+
+def _written(one: Scenario, path: Path, form: str) -> Path:
     if form == ROS2:
         from replan.cli.ros_bag import write_bag
 

@@ -17,6 +17,10 @@ from replan.logs.edit.variations import VARIATIONS
 
 FINER = 8
 """Default resolution of edges: the distance of two cells divided by this."""
+NAMED_DIGITS = 15
+"""Significant digits of a value in the name of its log: values that are equal with these are one
+value.
+"""
 MOST_AXES, MOST_CELLS = 2, 10_000
 FORM = "write it as NAME=LOW:HIGH:COUNT, or NAME=VALUE for all cells"
 
@@ -132,6 +136,8 @@ def question(
                     f"--vary {word}: a surface has at most {MOST_CELLS} cells; lower COUNT"
                 )
             values = tuple(np.linspace(numbers[0], numbers[1], int(numbers[2])).round(12).tolist())
+            if len({f"{value:.{NAMED_DIGITS}g}" for value in values}) < len(values):
+                raise ConfigError(f"--vary {word}: COUNT values are not apart; lower COUNT")
         else:
             raise ConfigError(f"--vary {word}: {FORM}; LOW below HIGH, COUNT 2 or more")
         for value in values:

@@ -24,7 +24,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
-from hashlib import sha256
 from math import nan
 from pathlib import Path
 from typing import Any
@@ -35,14 +34,14 @@ from replan.config import RunConfig
 from replan.core.names import counted
 from replan.experiments.brackets import ERROR, Bracket, Cell, bisect_brackets, brackets
 from replan.experiments.experiment_figures import surface_figure
-from replan.experiments.question import SurfaceQuestion, check_agents
+from replan.experiments.question import NAMED_DIGITS, SurfaceQuestion, check_agents
 from replan.experiments.trial import Trial, closed, drive_made, one_planner, write_table
 from replan.logs.edit.variations import VARIATIONS, varied
 from replan.logs.scenario import Avoidability, Scenario
 from replan.logs.trace import EndReason
 from replan.metrics.judge.gates import Outcome
 from replan.metrics.reference_drivers import MARGIN
-from replan.results.tables import LONGEST_SAFE, safe_name, write_csv, write_json
+from replan.results.tables import safe_name, write_csv, write_json
 from replan.results.version import replan_version
 from replan.run.claim import FolderContents, claimed_folder
 from replan.run.resume import Study, study_head
@@ -197,9 +196,8 @@ class _Rounds:
 
 def _file_name(values: Mapping[str, float]) -> str:
     """A name that no other values have, also where it is shortened."""
-    words = ",".join(f"{name}={value:.10g}" for name, value in values.items())
-    digest = sha256(words.encode()).hexdigest() if len(words) > LONGEST_SAFE else ""
-    return f"{safe_name(words, digest)}.mcap"
+    words = [f"{name}={value:.{NAMED_DIGITS}g}" for name, value in values.items()]
+    return f"{safe_name(','.join(words))}.mcap"
 
 
 def _error_row(why: str) -> dict[str, Any]:

@@ -77,7 +77,7 @@ def drawn(rows: Iterable[Mapping[str, Any]]) -> Iterator[Mapping[str, Any]]:
 
 def picture_of(row: Mapping[str, Any], digest: str) -> str:
     """The file of an event's picture in the result folder."""
-    parts = (row["kind"], f"{row['t_from_s']:.2f}", *row["agents"][:1], row["planner"])
+    parts = (row["kind"], f"{row['t_from_s']:.2f}", *row["agents"], row["planner"])
     name = safe_name("-".join(str(part) for part in parts if part))
     return f"{PICTURES}/{digest[:12] or safe_name(str(row['log']))}/{name}.svg"
 

@@ -25,10 +25,10 @@ import json
 import re
 import shutil
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from hashlib import sha256
-from itertools import count
+from itertools import chain, count
 from pathlib import Path
 from typing import Any
 from zlib import crc32
@@ -77,14 +77,20 @@ FILES = (*TABLES, *REPORTS)  # The files in a result folder beside the folders o
 KEYS = ["log", "planner", "mode", "metric"]
 TIMING_COLUMNS = names_of("timings.parquet")
 LONGEST_SAFE = 80  # Longest name of a file that is made of the name of a log, without the hash
+DIGITS = 8  # Hexadecimal digits of a hash in a name
 
 
 def safe_name(name: str, digest: str = "") -> str:
     """A folder or file name: letters, digits, dot, dash and underscore, at most 80, then `-` and 8
     of the digest.
+
+    Without a digest, a longer name ends in 8 of the hash of the whole name, instead of its rest.
     """
-    safe = (re.sub(r"[^A-Za-z0-9._-]+", "_", name).strip("._") or "log")[:LONGEST_SAFE]
-    return f"{safe}-{digest[:8]}" if digest else safe
+    safe = re.sub(r"[^A-Za-z0-9._-]+", "_", name).strip("._") or "log"
+    if not digest and len(safe) > LONGEST_SAFE:
+        hashed = sha256(name.encode(errors="surrogatepass")).hexdigest()
+        return f"{safe[: LONGEST_SAFE - DIGITS - 1]}-{hashed[:DIGITS]}"
+    return f"{safe[:LONGEST_SAFE]}-{digest[:DIGITS]}" if digest else safe
 
 
 def safe_names(names: Iterable[str]) -> dict[str, str]:
@@ -97,9 +103,18 @@ def safe_names(names: Iterable[str]) -> dict[str, str]:
     return {
         name: safe
         if counts[safe.lower()] == 1
-        else safe_name(name, sha256(name.encode()).hexdigest())
+        else safe_name(name, sha256(name.encode(errors="surrogatepass")).hexdigest())
         for name, safe in short.items()
     }
+
+
+def numbered(names: Iterable[str]) -> Iterator[str]:
+    """The names, no two equal: one that was there before gets the first free number, from 2."""
+    used: set[str] = set()
+    for name in names:
+        free = chain([name], (f"{name}-{number}" for number in count(2)))
+        used.add(unused := next(label for label in free if label not in used))
+        yield unused
 
 
 def write_file(path: Path, write: Callable[[Path], object]) -> None:

@@ -143,14 +143,23 @@ def claimed_files(
     in the folder `out`.
 
     The folder is locked, and may have other files. Raises as `claimed_file`, the function as
-    `check_file`.
+    `check_file`, or if it gave this path before: call it for all files, then write the first.
     """
-    if out.suffix in suffixes and not out.is_dir():
-        with claimed_file(out, suffixes, is_ours):
-            yield lambda name: out
-    else:
-        with held(out):
-            yield lambda name: check_file(out / name, suffixes, is_ours)
+    is_file = out.suffix in suffixes and not out.is_dir()
+    given: set[Path] = set()
+
+    def place(name: str) -> Path:
+        path = out if is_file else check_file(out / name, suffixes, is_ours)
+        if path in given:
+            raise ConfigError(
+                f"{path}: two files of this command would have this name; "
+                + ("name a folder with -o" if is_file else "write them one by one into two folders")
+            )
+        given.add(path)
+        return path
+
+    with claimed_file(out, suffixes, is_ours) if is_file else held(out):
+        yield place
 
 
 @contextmanager

@@ -64,7 +64,15 @@ from replan.results.log_result import (
     StepsFile,
     write_result,
 )
-from replan.results.tables import KEYS, PARTIAL, TIMING_COLUMNS, finish_folder, joined, safe_name
+from replan.results.tables import (
+    KEYS,
+    PARTIAL,
+    TIMING_COLUMNS,
+    finish_folder,
+    joined,
+    safe_name,
+    safe_names,
+)
 from replan.run.sources import LogSource, file_hash, perturbed
 
 LOOPS = {Mode.OPEN: run_open_loop, Mode.CLOSED: run_closed_loop}
@@ -203,11 +211,12 @@ def _drive_all(
         with progress.attempt():
             scenario, tables = with_references(scenario, run.drive_loop)
             progress.tables += [*tables, *discriminating_tables(scenario, run.drive_loop)]
+    names = safe_names(run.planners)
     with closing(StepsFile(folder)) as steps:
         for place in _places(run):
             with progress.attempt(place.planner, place.mode):
                 loop = place.mode.value
-                stem = loop if len(run.planners) == 1 else f"{loop}.{safe_name(place.planner)}"
+                stem = loop if len(run.planners) == 1 else f"{loop}.{names[place.planner]}"
                 trace, marks = _drive_one(scenario, place, run, folder / stem, progress, steps)
                 if trace.end is EndReason.PLANNER_FAILURE:
                     progress.failures.append(

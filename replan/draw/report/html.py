@@ -42,7 +42,7 @@ from replan.draw.report.sections import comparison_sections, run_sections
 from replan.explain.drive_events import TimedEvent, events
 from replan.metrics.comparison import Comparison
 from replan.metrics.judge.gates import Outcome
-from replan.results.tables import safe_name, write_text
+from replan.results.tables import numbered, safe_name, write_text
 
 T = TypeVar("T")
 
@@ -106,11 +106,9 @@ def write_html(
 
     paged = overview.ranked[:drives]
     anchors, shares = dict[tuple[str, str], str](), [*overview.whole, *overview.grouped]
-    # An id for each page, made of the names, with a number if it would not be unique
-    for row in paged:
-        name = f"drive/{safe_name(row.log)}/{safe_name(row.planner)}"
-        names = (name, *(f"{name}-{k}" for k in range(2, len(paged) + 2)))
-        anchors[row.log, row.planner] = next(one for one in names if one not in anchors.values())
+    names = numbered(f"drive/{safe_name(row.log)}/{safe_name(row.planner)}" for row in paged)
+    for row, name in zip(paged, names, strict=True):
+        anchors[row.log, row.planner] = name
     attempt = Attempts()
     share = attempt(
         "The chart of shares",

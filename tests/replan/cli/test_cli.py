@@ -189,6 +189,32 @@ def test_synth_lists_writes_and_repeats_itself(tmp_path: Path) -> None:
     )
 
 
+def test_synth_keeps_all_digits_of_a_name(tmp_path: Path) -> None:
+    """Logs whose long names differ in the last digit are two files."""
+    common = ("--set", "ego_speed_mps=9.5", "--set", "kerb_distance_m=0.65")
+    for speed in ("0.82", "0.84"):
+        value = ("--set", f"pedestrian_speed_mps={speed}")
+        result = replan("synth", "paper/crossing_pedestrian", "-o", tmp_path, *common, *value)
+        assert result.exit_code == 0, result.output
+    speeds = {
+        read_scenario(path).metadata["parameter.pedestrian_speed_mps"]
+        for path in tmp_path.glob("paper/*.mcap")
+    }
+    assert speeds == {"0.82", "0.84"}
+
+
+@pytest.mark.parametrize("names", [["paper"], ["--suite", "everyday/cut_in"]])
+def test_two_logs_for_one_file_are_refused_before_one_is_written(
+    names: list[str], tmp_path: Path
+) -> None:
+    result = replan("synth", *names, "-o", tmp_path / "one.mcap")
+    assert result.exit_code == 2, result.output
+    assert "one.mcap: two files of this command would have this name; name a folder with -o" in (
+        result.output
+    )
+    assert not list(tmp_path.iterdir())
+
+
 def test_synth_with_parameters_says_so_in_the_log(tmp_path: Path) -> None:
     result = replan("synth", "paper/free_road", "-o", tmp_path, "--set", "ego_speed_mps=9")
     (path,) = tmp_path.rglob("*.mcap")

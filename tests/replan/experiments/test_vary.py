@@ -219,6 +219,7 @@ def test_a_log_without_a_goal_keeps_the_place_where_its_drive_ended() -> None:
         (["tme=0:1:3"], "did you mean 'time'"),
         (["time=0:1:3", "time=2"], "varied twice"),
         (["time=1:0:3"], "LOW below HIGH"),
+        (["time=1:1.000000000001:5"], "COUNT values are not apart; lower COUNT"),
         (["time=0:1:1.5"], "COUNT"),
         (["time=now"], "no number"),
         (["time"], "NAME=LOW:HIGH:COUNT"),

@@ -19,7 +19,7 @@ from replan.logs.mcap import write_scenario
 from replan.logs.readers import LogSettings
 from replan.metrics.judge.gates import Outcome
 from replan.replay.loop_config import PlannerProcessConfig
-from replan.results.tables import safe_name
+from replan.results.tables import LONGEST_SAFE, numbered, safe_name
 from replan.run import evaluate_logs
 from replan.run.claim import RUN
 from replan.run.judging import exit_code_of
@@ -293,6 +293,26 @@ def test_safe_names_are_safe(name: str) -> None:
     assert Path(safe).name == safe
     assert safe.isascii()
     assert safe_name(safe) == safe
+    assert safe_name(safe_name(name)) == safe_name(name)
+
+
+@given(text=st.text(alphabet="ab_.-0123456789", min_size=1, max_size=150), digit=st.integers(0, 9))
+def test_a_name_that_is_cut_stays_distinct(text: str, digit: int) -> None:
+    """The rest of a long name is in a hash; a name that fits is its own file name."""
+    names = [f"x{text}{digit}", f"x{text}{(digit + 1) % 10}"]
+    files = [safe_name(name) for name in names]
+    assert files[0] != files[1]
+    assert all(len(file) <= LONGEST_SAFE for file in files)
+    assert all(
+        file == name for file, name in zip(files, names, strict=True) if len(name) <= LONGEST_SAFE
+    )
+
+
+@given(names=st.lists(st.sampled_from(["a", "a-2", "a-3", "b"]), max_size=8))
+def test_numbered_names_differ_and_first_ones_stay(names: list[str]) -> None:
+    numbers = list(numbered(names))
+    assert len(set(numbers)) == len(names)
+    assert not names or numbers[0] == names[0]
 
 
 @pytest.mark.slow

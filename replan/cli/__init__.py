@@ -16,7 +16,7 @@ app.py         what the commands share
 """
 
 from replan.cli import about, evaluate, logs, mine, one_drive, report, score, search
-from replan.cli.app import app, bug, group_commands
+from replan.cli.app import app, bug, group_commands, say_correctable
 from replan.interruption import end_at_once
 
 __all__ = [
@@ -65,12 +65,19 @@ def main() -> None:
     """
     end_at_once()
     import gc
+    import sys
 
     from replan.draw.report.console import lasting_streams
 
     gc.set_threshold(COLLECTED_EVERY)
     lasting_streams()
     try:
-        app(prog_name="replan")
+        try:
+            app(prog_name="replan")
+        finally:
+            sys.stdout.flush()
     except Exception as error:
-        bug(error)
+        code = say_correctable(error)  # outside of a command: in its help, or as its words are read
+        if code is None:
+            bug(error)
+        sys.exit(code)

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 import typer
 from typer.core import TyperCommand
 
-from replan.core.errors import ConfigError, ReplanError, raised
+from replan.core.errors import ConfigError, ReplanError, bounded, limit_error, raised
 from replan.interruption import EXIT_CODE, as_exception
 
 if TYPE_CHECKING:
@@ -48,17 +48,30 @@ def handle_errors() -> Iterator[None]:
     try:
         with as_exception():
             yield
-    except ReplanError as error:
-        say_error(str(error))
-        raise typer.Exit(2 if isinstance(error, ConfigError) else 3) from None
-    except OSError as error:  # a file that cannot be written, or a full disk
-        full = error.errno in FULL
-        what = f"{error.filename or 'standard output'}: cannot be written: {error.strerror}"
-        say_error(what if full else str(error))
-        raise typer.Exit(3 if full else 2) from None
     except KeyboardInterrupt as interruption:
         say_error(str(interruption) or "interrupted")
         raise typer.Exit(EXIT_CODE) from None
+    except Exception as error:
+        code = say_correctable(error)
+        if code is None:
+            raise
+        raise typer.Exit(code) from None
+
+
+def say_correctable(error: Exception) -> int | None:
+    """Print an error that a user can correct in one line, and return its exit code; None for any
+    other.
+    """
+    known = error if isinstance(error, ReplanError) else limit_error(error)
+    if known is not None:
+        say_error(str(known))
+        return 2 if isinstance(known, ConfigError) else 3
+    if not isinstance(error, OSError):
+        return None
+    full = error.errno in FULL  # a full disk; else a file that cannot be written
+    what = f"{error.filename or 'standard output'}: cannot be written: {error.strerror}"
+    say_error(what if full else bounded(str(error)))
+    return 3 if full else 2
 
 
 class StrictCommand(TyperCommand):

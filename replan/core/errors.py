@@ -4,6 +4,7 @@
      |- LogError                a log cannot be read or evaluated            exit code 3
      |- PlannerError            a planner cannot be loaded, or raised        exit code 3
      |- OutputError             a file cannot be written: a full disk        exit code 3
+     |- LimitError              no more memory, or no more open files        exit code 3
      '- ConfigError             a wrong option, key, threshold or name       exit code 2
 
 The command line prints `str(error)` and never a traceback for these; any other exception is a bug.
@@ -23,9 +24,29 @@ from typing import Any
 
 from replan.core.own_sources import own_folders
 
+LONGEST_ERROR = 2000
+"""Greatest number of characters of an error: of a longer one, the middle is left out."""
+
 
 class ReplanError(Exception):
     """Base class of all errors that a user can cause and correct."""
+
+    def __str__(self) -> str:
+        return bounded(super().__str__())
+
+
+def encodable(text: str) -> str:
+    """Return the text with an escape instead of each character that UTF-8 cannot encode."""
+    return text.encode("utf-8", "backslashreplace").decode("utf-8")
+
+
+def bounded(text: str) -> str:
+    """Return the text, `encodable`, with at most about `LONGEST_ERROR` characters."""
+    text = encodable(text)
+    if len(text) <= LONGEST_ERROR:
+        return text
+    begin, end = text[: LONGEST_ERROR // 2], text[-LONGEST_ERROR // 3 :]
+    return f"{begin} ... ({len(text)} characters) ... {end}"
 
 
 class LogError(ReplanError):
@@ -64,7 +85,7 @@ class LogError(ReplanError):
         if self.time_ns is not None:
             place.append(f"time {self.time_ns / 1e9:.3f} s")
         line = ": ".join(filter(None, [", ".join(place), self.what]))
-        return " ".join((f"{line}; {self.remedy}" if self.remedy else line).split())
+        return bounded(" ".join((f"{line}; {self.remedy}" if self.remedy else line).split()))
 
     def at(self, file: str | Path) -> LogError:
         """Return a copy of the error that names the file: the code that decodes a message does not
@@ -99,12 +120,45 @@ class OutputError(ReplanError):
         super().__init__(f"{what}; {remedy}" if remedy else what)
 
 
+class LimitError(ReplanError):
+    """The memory, or the open files, that the process may have are used up."""
+
+
+_NO_MEMORY = (
+    "failed to map segment",
+    "cannot allocate memory",
+    "can't start new thread",
+    "failed to launch worker thread",
+)
+_NO_FILES = "too many open files"
+"""What libraries say of these limits that raise exceptions of their own."""
+
+
+def limit_error(error: BaseException | None) -> LimitError | None:
+    """Return the LimitError for an exception that the limits of the process cause, itself or as its
+    context; None for any other.
+    """
+    if error is None:
+        return None
+    words = str(error).lower() if isinstance(error, ImportError | OSError | RuntimeError) else ""
+    if _NO_FILES in words:
+        file = getattr(error, "filename", None) or "a file or pipe"
+        raise_it = "raise the limit (`ulimit -n 4096`), or lower --workers"
+        return LimitError(f"{file}: cannot be opened: {_NO_FILES}; {raise_it}")
+    if isinstance(error, MemoryError) or any(part in words for part in _NO_MEMORY):
+        free_it = "close other programs, raise the limit (`ulimit -v`), lower --workers"
+        return LimitError(f"the memory is used up; {free_it}, or shorten the log (--from, --to)")
+    return limit_error(error.__cause__ or error.__context__)
+
+
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
     """Turn an OSError in the `with` block into an OutputError that names the file."""
     try:
         yield
     except OSError as error:
+        if limit := limit_error(error):
+            raise limit from error
         raise OutputError(
             f"{path}: cannot be written: {os.strerror(error.errno) if error.errno else error}"
         ) from error
@@ -164,6 +218,16 @@ def raised(error: BaseException, *, of: Callable[..., Any] | None = None) -> str
         named, theirs = [(error.filename, error.lineno)], []
     file, line = [*places, *named, *theirs][-1] if places or named else ("", 0)
     return f"{type(error).__name__}: {words}" + (f" ({Path(file).name}:{line})" if file else "")
+
+
+def described(error: BaseException, *, of: Callable[..., Any] | None = None) -> str:
+    """Describe an exception as `raised` does, after the one whose it is: of the user's code, of
+    replan, or of the limits of the process.
+    """
+    if limit := limit_error(error):
+        return str(limit)
+    whose = "raised by code that the run names" if of_users(error) else "a bug in replan"
+    return f"{whose}: {raised(error, of=of)}"
 
 
 def unknown_name(kind: str, name: str, known: Iterable[str], within: str = "") -> ConfigError:

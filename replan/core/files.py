@@ -42,11 +42,21 @@ SPECIAL = (
 )
 POINTER, MOST_POINTER_BYTES = b"version https://git-lfs.github.com/spec/", 1024
 """First bytes and largest size of a Git LFS pointer (its specification)."""
+NOT_UTF8, RENAME = "its name is not UTF-8", "rename it"
 WRITE_A_FILE = "write its content to a file and name that"
 # Not a Windows drive: one letter
 _URL = re.compile(r"([a-z][a-z0-9+.-]+):/+(.*)", re.IGNORECASE | re.DOTALL)
 _VERSIONS = ("ETag", "etag", "md5Hash", "LastModified", "last_modified", "mtime", "created")
 """Keys under which file systems state a version of the content, the most reliable first."""
+
+
+def is_utf8(path: Path) -> bool:
+    """Return whether the bytes of a path are UTF-8, as the texts in all files of results are."""
+    try:
+        str(path).encode("utf-8")
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def special_kind(path: Path) -> str:
@@ -104,6 +114,8 @@ def check_regular(*paths: Path) -> None:
         kind = special_kind(path)
         if kind:
             raise LogError(f"is {kind}, not a file", file=path, remedy=WRITE_A_FILE)
+        if not is_utf8(path):
+            raise LogError(NOT_UTF8, file=path, remedy=RENAME)
         if _is_pointer(path):
             raise LogError(
                 "is a Git LFS pointer, not the file",
@@ -175,6 +187,8 @@ def check_named(path: Path) -> None:
     kind = special_kind(path)
     if kind:
         raise ConfigError(f"{path}: is {kind}, not a file; {WRITE_A_FILE}")
+    if not is_utf8(path):
+        raise ConfigError(f"{path}: {NOT_UTF8}; {RENAME}")
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -198,6 +212,8 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise ConfigError(f"{path}: cannot be read: {error}") from None
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{path}: not TOML: {error}") from None
+    except ValueError:  # by int(): its limit of digits
+        raise ConfigError(f"{path}: has a number of thousands of digits; shorten it") from None
     except RecursionError:
         raise _too_deep(path) from None
     left: list[tuple[Any, int]] = [(table, 0)]  # without recursion
@@ -245,7 +261,10 @@ def on_this_machine(place: Path | str) -> Path:
     if url := url_of(place):
         here = "only `replan evaluate` and `replan merge` write to a URL"
         raise ConfigError(f"{url}: {here}; give a path on this machine, and copy it there")
-    return local_path(place)
+    path = local_path(place)
+    if not is_utf8(path):
+        raise ConfigError(f"{path}: {NOT_UTF8}; give another name")
+    return path
 
 
 def listed(url: str) -> tuple[RemoteFile, ...]:

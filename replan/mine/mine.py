@@ -22,7 +22,7 @@ import numpy as np
 import pandas as pd
 
 from replan.config import RunConfig, dump_run
-from replan.core.errors import ConfigError, LogError, ReplanError, of_users, raised
+from replan.core.errors import ConfigError, LogError, ReplanError, described
 from replan.core.kernel import is_cache_cold
 from replan.core.names import counted
 from replan.draw.model import Marker
@@ -273,7 +273,7 @@ def mine_log(
     except ReplanError as error:
         return _not_mined(source.label, str(error))
     except Exception as error:
-        return _not_mined(source.label, f"{source.label}: a bug in replan: {raised(error)}")
+        return _not_mined(source.label, f"{source.label}: {described(error)}")
     not_asked, failures, rows = list[str](), list[str](), list[dict[str, Any]]()
     log = DrivenLog(scenario) if len(scenario.ego) > 1 else None
     for kind in _load_kinds(kinds):
@@ -294,10 +294,8 @@ def mine_log(
                         f"{event!r} is not an Event with a finite value that begins before it ends"
                     )
         except Exception as error:
-            whose = "raised by code that the run names" if of_users(error) else "a bug in replan"
-            failures.append(
-                f"{scenario.name}: event kind '{kind.name}': {whose}: {raised(error, of=kind.find)}"
-            )
+            why = described(error, of=kind.find)
+            failures.append(f"{scenario.name}: event kind '{kind.name}': {why}")
             continue
         rows += [_row(log, kind, event, "") for event in events]
         if isinstance(found, Unavailable):

@@ -169,8 +169,9 @@ def write_png(path: Path, data: bytes) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write `text` as UTF-8, completely or not at all."""
-    write_file(path, lambda partial: partial.write_text(text, encoding="utf-8", newline="\n"))
+    """Write `text` as UTF-8, completely or not at all; characters that it lacks are escaped."""
+    data = text.encode("utf-8", "backslashreplace")
+    write_file(path, lambda partial: partial.write_bytes(data))
 
 
 def write_parquet(path: Path, table: pd.DataFrame) -> None:

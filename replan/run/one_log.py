@@ -29,8 +29,7 @@ from replan.core.errors import (
     OutputError,
     PlannerError,
     ReplanError,
-    of_users,
-    raised,
+    described,
     writing,
 )
 from replan.core.memory import trim_memory
@@ -99,8 +98,7 @@ class _Progress:
             code = 2 if isinstance(error, ConfigError) else 3
             self.failures.append(Failure(self.log, str(error), *place, exit_code=code))
         except (Exception, SystemExit) as error:
-            whose = "raised by code that the run names" if of_users(error) else "a bug in replan"
-            line = f"{self.log}: {whose}: {raised(error)}; traceback in summary.json"
+            line = f"{self.log}: {described(error)}; traceback in summary.json"
             self.failures.append(Failure(self.log, line, *place, traceback=traceback.format_exc()))
 
     def broken(self, planner: str, mode: Mode) -> metrics.OnError:

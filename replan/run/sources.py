@@ -32,7 +32,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from replan.core.errors import ConfigError, LogError
+from replan.core.errors import ConfigError, LogError, encodable
 from replan.core.files import (
     RemoteFile,
     check_regular,
@@ -254,7 +254,9 @@ def select(
             candidates = list(_remote(url, settings))
         else:
             found = _logs(local_path(place), settings)
-            candidates = [(LogSource(str(log), log, settings), reason) for log, reason in found]
+            candidates = [
+                (LogSource(encodable(str(log)), log, settings), reason) for log, reason in found
+            ]
         if not candidates:
             if not url and (known := known_format(local_path(place))) is not None:
                 raise ConfigError(str(known))

@@ -18,9 +18,11 @@ from replan.core.errors import ConfigError, LogError
 from replan.core.files import (
     DEEPEST_TOML,
     LARGEST_TOML_BYTES,
+    check_named,
     check_regular,
     heads,
     listed,
+    on_this_machine,
     read_toml,
 )
 from replan.logs.mcap import read_scenario, write_scenario
@@ -89,6 +91,40 @@ def test_sockets_and_devices_are_refused_and_files_and_folders_are_not(tmp_path:
         check_regular(Path("/dev/zero"))
     with pytest.raises(ConfigError, match="is a device"):
         read_toml(Path("/dev/zero"))
+
+
+def test_names_that_are_not_utf8_are_refused(tmp_path: Path) -> None:
+    log = tmp_path / os.fsdecode(b"drive\xff.csv")
+    try:
+        log.touch()
+    except OSError:
+        pytest.skip("the file system has only UTF-8 names")
+    with pytest.raises(LogError, match=r"drive\\udcff\.csv: its name is not UTF-8; rename it"):
+        check_regular(log)
+    for function in (check_named, on_this_machine):
+        with pytest.raises(ConfigError, match="its name is not UTF-8"):
+            function(log)
+
+
+def test_a_log_with_a_name_that_is_not_utf8_fails_alone(tmp_path: Path) -> None:
+    for name, speed in ((b"a.mcap", 6.0), (b"b\xff.mcap", 7.0)):
+        write_scenario(tmp_path / "a.mcap", short("test/a", v=speed))
+        try:
+            (tmp_path / "a.mcap").rename(tmp_path / os.fsdecode(b"logs-" + name))
+        except OSError:
+            pytest.skip("the file system has only UTF-8 names")
+    options = ("-p", "constant_speed", "--mode", "open", "--workers", "0", "--no-recording")
+    done = replan("evaluate", *tmp_path.glob("logs-*"), *options, "-o", tmp_path / "out")
+    assert done.exit_code == 3, done.output
+    assert "logs-b\\udcff.mcap: its name is not UTF-8; rename it" in done.output.replace("\n", "")
+    assert (tmp_path / "out" / "report.html").exists()
+
+
+def test_an_integer_of_thousands_of_digits_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "run.toml"
+    path.write_text("seed = " + "1" * 100_000)
+    with pytest.raises(ConfigError, match=r"run\.toml: has a number of thousands of digits"):
+        read_toml(path)
     check_regular(tmp_path, Path(__file__), tmp_path / "nothing")
 
 

@@ -18,6 +18,7 @@ from rich.segment import Segment
 
 from replan.core.names import VISIBLE
 
+STDERR = 2  # its descriptor
 _TABLE = {code: sign for code, sign in VISIBLE.items() if chr(code) not in "\n\t"}
 """`VISIBLE` without line ends and tabs."""
 
@@ -50,18 +51,22 @@ class SafeConsole(Console):
 
 
 class LastingFile(io.FileIO):
-    """An open descriptor that discards data after its reader has exited, or after it was closed."""
+    """An open descriptor that discards data after its reader has exited, or after it was closed.
+
+    A full disk is raised once, so that nothing is written again as the process ends.
+    """
 
     def write(self, data: Any, /) -> int:
-        """Write as FileIO does, but do not raise EPIPE and EBADF: from then on, the descriptor is
-        the null device.
+        """Write as FileIO does, but do not raise EPIPE and EBADF, nor anything on stderr: after an
+        error, the descriptor is the null device.
         """
         try:
             return super().write(data)
         except OSError as error:
-            if error.errno not in (errno.EPIPE, errno.EBADF):
+            descriptor = self.fileno()
+            _to_nothing(descriptor)
+            if descriptor != STDERR and error.errno not in (errno.EPIPE, errno.EBADF):
                 raise
-        _to_nothing(self.fileno())
         return memoryview(data).nbytes
 
 
@@ -77,7 +82,7 @@ def lasting_streams() -> None:
             os.fstat(fd)
         except OSError:
             _to_nothing(fd)
-    for name, fd in (("stdout", 1), ("stderr", 2)):
+    for name, fd in (("stdout", 1), ("stderr", STDERR)):
         stream = getattr(sys, name)
         if sys.platform == "win32" and stream is not None:
             stream.reconfigure(errors="replace")
@@ -85,7 +90,7 @@ def lasting_streams() -> None:
         with suppress(ValueError, OSError, AttributeError):
             stream.flush()
         raw = LastingFile(fd, "w", closefd=False)
-        on_line = fd == 2 or raw.isatty()
+        on_line = fd == STDERR or raw.isatty()
         encoding = getattr(stream, "encoding", None) or "utf-8"
         setattr(
             sys,

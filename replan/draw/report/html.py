@@ -27,7 +27,15 @@ import pandas as pd
 from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
 
-from replan.core.errors import ConfigError, LogError, OutputError, ReplanError, raised, writing
+from replan.core.errors import (
+    ConfigError,
+    LogError,
+    OutputError,
+    ReplanError,
+    described,
+    raised,
+    writing,
+)
 from replan.core.names import counted
 from replan.draw.charts import subject
 from replan.draw.charts.axes import Plane, Ticks, rows_plane
@@ -384,7 +392,7 @@ def _subject(drive: DriveResult) -> tuple[Subject | None, str]:
     except ReplanError as error:
         return None, f"no pictures: {error.what if isinstance(error, LogError) else error}"
     except Exception as error:
-        return None, f"no pictures: a bug in replan: {raised(error)}"
+        return None, f"no pictures: {described(error)}"
 
 
 def _relative(file: Path, page: Path) -> str:

@@ -68,6 +68,21 @@ def test_a_run_with_closed_streams_has_its_results_and_exit_code(
 
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no /dev/full")
-def test_a_full_disk_is_still_said(tmp_path: Path) -> None:
-    code, said = shell("REPLAN list --json >/dev/full", tmp_path)
-    assert code == 3 and "standard output: cannot be written: No space left on device" in said
+@pytest.mark.parametrize("words", ["list --json", "--help", "--version"])
+def test_a_full_disk_is_still_said(words: str, tmp_path: Path) -> None:
+    code, said = shell(f"REPLAN {words} >/dev/full", tmp_path)
+    assert code == 3
+    assert said == "error: standard output: cannot be written: No space left on device\n"
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no /dev/full")
+def test_an_error_that_cannot_be_said_has_its_exit_code(tmp_path: Path) -> None:
+    assert shell("REPLAN inspect nowhere 2>/dev/full", tmp_path) == (2, "")
+
+
+@pytest.mark.slow
+def test_too_little_memory_is_said(tmp_path: Path) -> None:
+    code, said = shell("ulimit -v 600000; REPLAN evaluate --suite smoke", tmp_path)
+    assert code == 3, said
+    assert "error: the memory is used up; " in said and "Traceback" not in said

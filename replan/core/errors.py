@@ -20,6 +20,7 @@ from contextlib import contextmanager
 from difflib import get_close_matches
 from pathlib import Path
 from traceback import extract_tb
+from types import FunctionType
 from typing import Any
 
 from replan.core.own_sources import own_folders
@@ -212,8 +213,11 @@ def raised(error: BaseException, *, of: Callable[..., Any] | None = None) -> str
     words = re.sub(r"\b0x[0-9a-f]{6,}\b", "0x...", words)[:LONGEST_MESSAGE]
     places = [(place.filename, place.lineno) for place in extract_tb(error.__traceback__)]
     theirs = [place for place in places if _is_users(place[0])]
-    code = getattr(of, "__code__", None)
-    named = [(code.co_filename, code.co_firstlineno)] if code is not None else []
+    # Attributes of another callable may raise
+    code = of.__code__ if isinstance(of, FunctionType) else None
+    named: list[tuple[str, int | None]] = []
+    if code is not None:
+        named = [(code.co_filename, code.co_firstlineno)]
     if isinstance(error, SyntaxError) and error.filename:
         named, theirs = [(error.filename, error.lineno)], []
     file, line = [*places, *named, *theirs][-1] if places or named else ("", 0)

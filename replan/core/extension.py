@@ -20,6 +20,7 @@ last, so that no file in it hides a library that replan imports.
 
 from __future__ import annotations
 
+import signal
 import sys
 import sysconfig
 from collections.abc import Callable, Mapping
@@ -84,20 +85,27 @@ class ExtensionKind(Generic[T]):
         module, name = self.place(spec)
         _search_here()
         try:
-            loaded = import_module(module)
-        except (Exception, SystemExit) as error:
+            thing, fault = self._loaded(module, name)
+        except BaseException as error:  # a module, its attributes, a lazy object may raise anything
+            if _is_interruption(error):
+                raise
             raise self.error(
                 f"{self.name} '{spec}' cannot be loaded: {self._cause(error, module)}"
             ) from error
-        try:
-            thing: Any = reduce(getattr, name.split("."), loaded)
-        except AttributeError:
-            nearest = unknown_name(f"{self.name} in {loaded.__name__}", name, self._offered(loaded))
-            raise self.error(f"{self.name} '{spec}': {nearest}") from None
-        wrong = self.wrong(thing)
-        if wrong:
-            raise self.error(f"{self.name} '{spec}' {wrong}")
+        if fault:
+            raise self.error(f"{self.name} '{spec}'{fault}")
         return thing
+
+    def _loaded(self, module: str, name: str) -> tuple[Any, str]:
+        """Return the attribute of a module, and why it cannot be used ("" if it can)."""
+        loaded = import_module(module)
+        try:
+            thing = reduce(getattr, name.split("."), loaded)
+        except AttributeError:
+            place = f"{self.name} in {loaded.__name__}"
+            return None, f": {unknown_name(place, name, self._offered(loaded))}"
+        wrong = self.wrong(thing)
+        return thing, f" {wrong}" if wrong else ""
 
     def _offered(self, module: ModuleType) -> list[str]:
         """Return the extensions in a module: of `__all__`, else its own names, and imports under
@@ -184,6 +192,16 @@ class ExtensionKind(Generic[T]):
         return raised(error) + (
             "" if member else f"; install '{package}' for {sys.executable}, or set PYTHONPATH"
         )
+
+
+def _is_interruption(error: BaseException) -> bool:
+    """Return whether an exception may be that of a signal: one of the command line, or, with
+    Python's own handler, any KeyboardInterrupt.
+    """
+    own_handler = signal.getsignal(signal.SIGINT) is not signal.default_int_handler
+    return isinstance(error, KeyboardInterrupt) and not (
+        own_handler and type(error) is KeyboardInterrupt
+    )
 
 
 @cache

@@ -377,6 +377,18 @@ def test_resume_refuses_where_a_setting_or_the_source_has_changed(desk: Path) ->
         evaluate_logs((), run, "out", suite="my_family:PARKED", resume=True)
 
 
+@pytest.mark.parametrize("raises", ["RuntimeError('lazy')", "SystemExit(7)", "KeyboardInterrupt"])
+def test_whatever_a_module_raises_is_an_error_of_loading_it(
+    desk: Path, monkeypatch: pytest.MonkeyPatch, raises: str
+) -> None:
+    """Also as its attributes are read; KeyboardInterrupt only where a signal raises another one."""
+    Path("my_lazy.py").write_text(f"def __getattr__(name):\n    raise {raises}\n", encoding="utf-8")
+    monkeypatch.setattr("replan.core.extension.signal.getsignal", lambda number: None)
+    kind: ExtensionKind[object] = ExtensionKind("thing", "things", {})
+    with pytest.raises(ConfigError, match=r"thing 'my_lazy:mine' cannot be loaded: .*my_lazy.py:2"):
+        kind.find("my_lazy:mine")
+
+
 def test_two_of_one_name_are_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     from importlib.metadata import EntryPoint
 

@@ -23,6 +23,7 @@ from replan.core.extension import ExtensionKind, an_instance
 from replan.core.files import check_regular, local_path, special_kind
 from replan.logs.comparisons import checked
 from replan.logs.edit.cut import cut, in_nanoseconds
+from replan.logs.edit.reach import within_reach
 from replan.logs.log_settings import LogSettings
 from replan.logs.maps import with_map
 from replan.logs.readers import (
@@ -156,6 +157,7 @@ def read_log(
         with np.errstate(all="ignore"):  # absurd numbers are refused as such
             is_table = "ego_heading" in reader.settings
             whole = checked(reader.read(path, settings), settings, is_table=is_table)
+            whole = within_reach(whole)
             scenario = repaired(whole, settings.repair)
             if not reader.cuts or settings.between(0.0, inf) == settings:
                 scenario = check_clocks(scenario)

@@ -20,6 +20,10 @@ VEHICLE_ASSUMED = "The log does not describe the ego's vehicle: a mid-size car i
 
 A converted log keeps the note.
 """
+SIZES_M = (0.01, 100.0)
+"""Smallest and greatest length, width and wheelbase, m, from a model to a road train: with others,
+equations of motion and grids overflow.
+"""
 
 
 @dataclass(frozen=True)
@@ -120,6 +124,13 @@ class VehicleParameters:
         ):
             if not getattr(self, name) > 0.0:
                 raise ValueError(f"vehicle {name} must be positive, got {getattr(self, name)}")
+        low, high = SIZES_M
+        for name in ("length", "width", "wheelbase"):
+            if not low <= getattr(self, name) <= high:
+                raise ValueError(
+                    f"vehicle {name} must lie between {low:g} and {high:g} m, "
+                    f"got {getattr(self, name):g}"
+                )
         if not 0.0 <= self.rear_overhang <= self.length - self.wheelbase:
             raise ValueError("vehicle rear_overhang must lie between 0 and length - wheelbase")
         n = len(self.motor_speed)

@@ -12,6 +12,10 @@ from replan.core.errors import ConfigError
 from replan.logs.observed import MAX_AGE_S
 from replan.replay.parts import OF_LOOP, Part
 
+SHORTEST_S = 1e-4
+"""Shortest period and step, s: 10 kHz is faster than any control of a car."""
+MOST_SAMPLES = 1000
+"""Most samples of a prediction: 100 s at 10 Hz, of each road user in each frame."""
 MOST_TOGETHER = 64
 """Most logs in lock step: their answers, 1 MB each with internals of plans, must fit into one
 message.
@@ -172,8 +176,16 @@ class LoopConfig:
             "prediction_horizon_s",
             "prediction_step_s",
         ):
-            if not 1e-9 <= getattr(self, name) < 1e6:
-                raise ConfigError(f"loop.{name} must be positive, got {getattr(self, name)}")
+            seconds = getattr(self, name)
+            if not SHORTEST_S <= seconds < 1e6:
+                raise ConfigError(
+                    f"loop.{name} must be positive, from {SHORTEST_S:g} to 1e6 s, got {seconds}"
+                )
+        if not self.prediction_horizon_s / self.prediction_step_s <= MOST_SAMPLES:
+            raise ConfigError(
+                f"loop.prediction_step_s ({self.prediction_step_s}) gives more than {MOST_SAMPLES} "
+                f"samples in loop.prediction_horizon_s ({self.prediction_horizon_s}); raise it"
+            )
         if self.prediction == "oracle" and self.traffic != "time":
             raise ConfigError(
                 "loop.prediction 'oracle' uses the log's future, which road users do not follow "

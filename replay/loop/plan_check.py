@@ -4,7 +4,7 @@ With p_i, v_i, yaw_i, kappa_i, a_i the samples of a plan, d_i = |p_(i+1) - p_i|,
 t_i, h_i the direction of p_(i+1) - p_i (reversed when driving backwards), and a bar for the mean of
 a column over a step:
 
-(0) size         n <= MOST_POINTS
+(0) size         n <= MOST_POINTS, dt_i >= LEAST_S
 (1) start        p_0 and v_0 are those of the ego, or of the plan being driven where it is near the
                  ego, within START; v_0 may be 0 where the ego reverses by no more than SWING_MPS
 (2) speed        | d_i / dt_i - |v|bar_i | <= SPEED_MPS
@@ -26,7 +26,7 @@ deviations of `dp_qp`, `idm` and `lattice` over the built-in suite and recorded 
 from __future__ import annotations
 
 from dataclasses import replace
-from math import atan2, hypot, pi
+from math import atan2, hypot, inf, pi
 from typing import NamedTuple
 
 import numpy as np
@@ -39,6 +39,8 @@ from replan.logs.states import EgoState, Trajectory, wrap
 from replan.replay.planner_process.messages import LONGEST_REASON, MOST_POINTS, shortened
 
 START_M, START_MPS = 0.03, 0.05
+LEAST_S = 1e-10
+"""Shortest step: logs hold whole nanoseconds, and speeds over shorter ones overflow."""
 SWING_MPS = 0.3
 """The recorded speed of a stopping ego can fall below 0 by this (filters, fits): a plan may start
 at 0 then.
@@ -70,7 +72,9 @@ def checked(plan: Plan, frame: Frame) -> Plan:
     if not fault and len(trajectory) > 1:
         off = _off(trajectory)
         lie = ""
-        if off.speed > SPEED_MPS:
+        if off.fastest > POSSIBLE_MPS:  # (6), of the positions as they are
+            fault = f"it asks for {off.fastest:.0f} m/s"
+        elif off.speed > SPEED_MPS:
             lie = f"its speed is {off.speed:.1f} m/s off its positions"
         elif off.heading > YAW_RAD:
             lie = f"its heading is {off.heading:.2f} rad off its positions"
@@ -87,9 +91,7 @@ def checked(plan: Plan, frame: Frame) -> Plan:
             status = plan.status if plan.status.is_fallback else PlanStatus.CORRECTED
             reason = "; ".join(filter(None, [plan.reason, lie]))
             plan = replace(plan, trajectory=trajectory, status=status, reason=reason)
-        if off.fastest > POSSIBLE_MPS:  # (6)
-            fault = f"it asks for {off.fastest:.0f} m/s"
-        elif off.hardest > POSSIBLE_MPS2:
+        if not fault and off.hardest > POSSIBLE_MPS2:  # (6)
             fault = f"it asks for an acceleration of {off.hardest:.0f} m/s2"
     if not fault:
         return plan
@@ -118,6 +120,9 @@ def _start_fault(trajectory: Trajectory, frame: Frame) -> str:
     """Return how a plan breaks (0) or (1); empty if it does not."""
     if len(trajectory) > MOST_POINTS:
         return f"it has {len(trajectory)} states, more than {MOST_POINTS}"
+    least_s = np.diff(trajectory.t).min(initial=inf)
+    if least_s < LEAST_S:
+        return f"its states are {least_s:.1e} s apart, less than {LEAST_S:g} s"
     first, starts = trajectory.state(0), [frame.ego]
     if _distance_between(frame.ego, first) <= START_M and abs(frame.ego.v - first.v) <= START_MPS:
         return ""

@@ -90,6 +90,8 @@ def test_a_log_keeps_its_vehicle(name: str, tmp_path: Path) -> None:
             "not neg",
         ),
         ({"tyre_friction": 0.0}, "tyre_friction must be positive"),
+        ({"wheelbase": 1e-12}, "wheelbase must lie between 0.01 and 100 m, got 1e-12"),
+        ({"length": 1e300}, "length must lie between"),
     ],
 )
 def test_numbers_that_make_no_vehicle_are_refused(

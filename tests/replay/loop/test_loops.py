@@ -180,6 +180,10 @@ def test_periods_are_as_configured_and_must_fit() -> None:
         LoopConfig(plan_period_s=0.1, control_period_s=0.03)
     with pytest.raises(ConfigError, match="control_period_s must be positive"):
         LoopConfig(control_period_s=0.0)
+    with pytest.raises(ConfigError, match=r"prediction_step_s must be positive, from 0\.0001 to"):
+        LoopConfig(prediction_step_s=1e-9)
+    with pytest.raises(ConfigError, match=r"gives more than 1000 samples in loop\.prediction_hor"):
+        LoopConfig(prediction_horizon_s=1e5)
     with pytest.raises(ConfigError, match="did you mean 'kinematic_bicycle'"):
         run_closed_loop(
             scenario(drive(straight, 10.0, 2.0)),

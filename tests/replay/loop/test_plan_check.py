@@ -54,6 +54,26 @@ def test_the_columns_follow_from_the_positions(state: EgoState) -> None:
         assert np.allclose(wrapped(found.yaw - plan.yaw)[1:-1], 0.0, atol=1e-6)
 
 
+@pytest.mark.parametrize("step", [5e-324, 1e-300, 1e-12])
+def test_a_plan_of_states_at_one_time_is_refused(step: float) -> None:
+    """Also where it moves so far within that time that its speed overflows."""
+    plan = arcs(ego())
+    times = plan.t.copy()
+    times[:2] = 0.0, step
+    for x in (plan.x, np.where(plan.t > 0.0, 1e300, plan.x)):
+        refused = checked(Plan(replace(plan, t=times, x=x)), frame(ego()))
+        assert refused.status is PlanStatus.REFUSED
+        assert f"its states are {step:.1e} s apart, less than 1e-10 s" in refused.reason
+
+
+def test_a_plan_that_is_too_fast_for_its_columns_is_refused() -> None:
+    plan = arcs(ego())
+    sides = np.where(np.arange(len(plan)) % 2, 1e308, -1e308)
+    sides[0] = plan.y[0]
+    refused = checked(Plan(replace(plan, y=sides)), frame(ego()))
+    assert refused.status is PlanStatus.REFUSED and "it asks for inf m/s" in refused.reason
+
+
 @pytest.mark.parametrize("states", [MOST_POINTS, MOST_POINTS + 1, 1_000_000])
 def test_a_plan_of_too_many_states_is_refused_with_its_size(states: int) -> None:
     plan = checked(Plan(arc(ego(), ego().t + np.linspace(0.0, 8.0, states))), frame(ego()))

@@ -48,7 +48,7 @@ from replan.logs.scenario import Scenario
 from replan.logs.states import TRAJECTORY_COLUMNS, Trajectory
 from replan.logs.trace import EndReason
 from replan.logs.vehicle import vehicle_parameters
-from replan.results.tables import safe_names, write_text
+from replan.results.tables import csv_cell, safe_names, write_text
 from replan.run.claim import claimed_file, claimed_files
 
 CHANGE_COLUMNS = tuple(
@@ -196,7 +196,7 @@ def repair_log(log: Path, target: Path, table: Path | None, settings: LogSetting
             text = StringIO(CHANGES_HEADER)
             text.seek(0, 2)
             csv.writer(text, lineterminator="\n").writerows(
-                (*values, " ".join(sources)) for *values, sources in rows
+                map(csv_cell, (*values, " ".join(sources))) for *values, sources in rows
             )
             write_text(table, text.getvalue())
     return scenario

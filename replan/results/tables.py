@@ -33,6 +33,7 @@ from pathlib import Path
 from typing import Any
 from zlib import crc32
 
+import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -204,11 +205,39 @@ def joined(
     )
 
 
+FORMULA = ("=", "+", "-", "@", "\t", "\r")
+"""Texts that begin with these are formulas for spreadsheets, if they are not numbers."""
+
+
+def is_formula(value: object) -> bool:
+    """Whether a spreadsheet would calculate a cell of CSV with this value."""
+    if not isinstance(value, str) or not value.startswith(FORMULA):
+        return False
+    try:
+        float(value)
+    except ValueError:
+        return True
+    return False
+
+
+def csv_cell(value: object) -> object:
+    """The value of a cell of CSV; an apostrophe makes a text of a formula (`is_formula`)."""
+    return f"'{value}" if is_formula(value) else value
+
+
+def csv_text(table: pd.DataFrame, path: Path, **options: Any) -> None:
+    """Write a table as CSV with cells of `csv_cell`; options as of `DataFrame.to_csv`."""
+    texts = table.copy(deep=False)
+    for name in texts.columns[[not pd.api.types.is_numeric_dtype(kind) for kind in texts.dtypes]]:
+        formulas = texts[name].map(is_formula).to_numpy(np.bool_)
+        if formulas.any():
+            texts[name] = texts[name].mask(formulas, "'" + texts[name].astype(str))
+    texts.to_csv(path, index=False, lineterminator="\n", **options)
+
+
 def write_csv(path: Path, table: pd.DataFrame, **options: Any) -> None:
-    """Write a table as CSV, completely or not at all; options as of `DataFrame.to_csv`."""
-    write_file(
-        path, lambda partial: table.to_csv(partial, index=False, lineterminator="\n", **options)
-    )
+    """Write a table as CSV (`csv_text`), completely or not at all."""
+    write_file(path, lambda partial: csv_text(table, partial, **options))
 
 
 def write_metrics(out: Path, table: pd.DataFrame) -> None:

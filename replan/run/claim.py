@@ -33,6 +33,7 @@ from replan.results.tables import (
     ORIGIN,
     PARTIAL,
     PNG_MARK,
+    csv_text,
     is_ours as is_of_a_run,
     next_free,
     write_file,
@@ -216,7 +217,7 @@ def result_folder_of(path: Path) -> Path | None:
 
 
 WRITERS: Mapping[str, Callable[[pd.DataFrame, Path], object]] = {
-    ".csv": lambda table, path: table.to_csv(path, index=False, lineterminator="\n"),
+    ".csv": csv_text,
     ".parquet": lambda table, path: table.to_parquet(path, index=False),
     ".json": lambda table, path: path.write_text(
         (table.to_json(orient="records", indent=2, double_precision=15) or "[]") + "\n",

@@ -1,5 +1,7 @@
 """Many logs: the same bytes whatever the number of workers; what fails costs only itself."""
 
+import csv
+import tempfile
 from collections.abc import Callable
 from dataclasses import replace
 from itertools import product
@@ -19,7 +21,7 @@ from replan.logs.mcap import write_scenario
 from replan.logs.readers import LogSettings
 from replan.metrics.judge.gates import Outcome
 from replan.replay.loop_config import PlannerProcessConfig
-from replan.results.tables import LONGEST_SAFE, numbered, safe_name
+from replan.results.tables import LONGEST_SAFE, is_formula, numbered, safe_name, write_csv
 from replan.run import evaluate_logs
 from replan.run.claim import RUN
 from replan.run.judging import exit_code_of
@@ -306,6 +308,19 @@ def test_a_name_that_is_cut_stays_distinct(text: str, digit: int) -> None:
     assert all(
         file == name for file, name in zip(files, names, strict=True) if len(name) <= LONGEST_SAFE
     )
+
+
+@given(texts=st.lists(st.text(st.sampled_from("=+-@1.e a'\t"), max_size=4) | st.none(), min_size=1))
+def test_no_cell_of_csv_is_a_formula_and_all_others_stay(texts: list[str | None]) -> None:
+    """A spreadsheet calculates what begins with a sign and is no number."""
+    table = pd.DataFrame({"log": pd.Series(texts, dtype=object), "value": -1.5})
+    with tempfile.TemporaryDirectory() as folder:
+        write_csv(Path(folder, "table.csv"), table)
+        with Path(folder, "table.csv").open(encoding="utf-8", newline="") as stream:
+            cells = [row["log"] for row in csv.DictReader(stream)]
+    for text, cell in zip(texts, cells, strict=True):
+        assert not is_formula(cell)
+        assert cell == (f"'{text}" if is_formula(text) else text or "")
 
 
 @given(names=st.lists(st.sampled_from(["a", "a-2", "a-3", "b"]), max_size=8))

@@ -15,6 +15,7 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from typing import Any, Generic, TypeVar
@@ -89,13 +90,13 @@ def run_all(
     beside = None
     if one_first and meanwhile is not None:
         beside = _CONTEXT.Process(target=_call, args=(meanwhile,), daemon=True)
-        beside.start()
+        _start(beside)
     try:
         while waiting or crew:
             while waiting and len(crew) < (1 if one_first else workers):
                 ours, theirs = _CONTEXT.Pipe()
                 process = _CONTEXT.Process(target=_serve, args=(theirs, function), daemon=True)
-                process.start()
+                _start(process)
                 theirs.close()
                 crew.append(_Worker(process, ours))
                 _hand_out(crew[-1], items, waiting)
@@ -120,9 +121,31 @@ def run_all(
             _dismiss(worker)
 
 
+def _start(process: BaseProcess) -> None:
+    """Start a child, in which Ctrl-C waits until it is ignored: it takes a moment to import.
+
+    In this process, it waits for the start.
+    """
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        process.start()
+        return
+    resource_tracker.ensure_running()  # else the start would do it, and unblock the signal
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        process.start()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _ignore_interrupts() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+
+
 def _call(function: Callable[[], object]) -> None:
     """The child beside the workers; it ends with the parent, too."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _ignore_interrupts()
     threading.Thread(target=_end_with_parent, daemon=True).start()
     function()
 
@@ -145,7 +168,7 @@ def _serve(pipe: Connection, function: Callable[[Any], Any]) -> None:
 
     The parent handles Ctrl-C, and the child ends with it.
     """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _ignore_interrupts()
     threading.Thread(target=_end_with_parent, daemon=True).start()
     freeze_gc()
     served = 0

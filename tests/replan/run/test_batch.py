@@ -1,9 +1,11 @@
 """Many logs: the same bytes whatever the number of workers; what fails costs only itself."""
 
 import csv
+import signal
 import tempfile
 from collections.abc import Callable
 from dataclasses import replace
+from importlib import import_module
 from itertools import product
 from pathlib import Path
 
@@ -328,6 +330,23 @@ def test_numbered_names_differ_and_first_ones_stay(names: list[str]) -> None:
     numbers = list(numbered(names))
     assert len(set(numbers)) == len(names)
     assert not names or numbers[0] == names[0]
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_sigmask"), reason="signals of POSIX")
+def test_a_worker_that_is_interrupted_as_it_imports_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ctrl-C reaches all processes of the terminal; the parent decides."""
+    (tmp_path / "interrupted_import.py").write_text(
+        "import multiprocessing, os, signal\n"
+        "if multiprocessing.parent_process() is not None:\n"
+        "    os.kill(os.getpid(), signal.SIGINT)\n"
+        "def double(item):\n    return 2 * item\n",
+        encoding="utf-8",
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    double = import_module("interrupted_import").double
+    assert list(run_all(double, [21], 1)) == [(0, 42)]
 
 
 @pytest.mark.slow

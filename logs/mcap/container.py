@@ -37,6 +37,13 @@ clouds.
 MOST_BYTES = 4 * 2**30
 """Greatest inflated size of all chunks of a file, which are held in memory."""
 SPLIT = "write smaller chunks, or take a part of the log"
+RECORD_HEAD = struct.Struct("<BQ")  # type and size
+LAST_KIND = 0x0F  # the greatest type of the specification; 0 is none, others are private
+MOST_UNKNOWN = 10_000
+"""Most private records of a file, and of a chunk: each takes the time of a message, and millions of
+empty ones fit into kilobytes.
+"""
+TOO_MANY = f"more than {MOST_UNKNOWN} records of types that MCAP does not define"
 COMPRESSIONS = ("", "zstd", "lz4")
 LAST_TIME_NS = 2**63 - 1
 
@@ -196,7 +203,7 @@ def content_of(path: Path) -> bytes:
 def _records(raw: bytes, streams: dict[str, Stream]) -> Iterator[McapRecord]:
     """The records, those of chunks included; damage becomes a LogError."""
     buffer, total = BytesIO(raw), 0
-    reader = StreamReader(buffer, emit_chunks=True, validate_crcs=True, record_size_limit=len(raw))
+    reader = _Reader(buffer, emit_chunks=True, validate_crcs=True, record_size_limit=len(raw))
     try:
         for record in reader.records:
             if isinstance(record, Chunk):
@@ -263,10 +270,34 @@ def opened(chunk: Chunk) -> list[McapRecord]:
             raise ValueError(
                 f"it states {size} bytes and holds {'more' if len(data) > size else len(data)}"
             )
+        _check_known(data)
         return breakup_chunk(replace(chunk, compression="", data=data), validate_crc=True)
     except DAMAGE as error:
         what = f"the chunk that begins there is damaged ({_name(error)})"
         raise LogError(what, time_ns=time, remedy=remedy) from None
+
+
+class _Reader(StreamReader):
+    """A reader that ends at more than `MOST_UNKNOWN` records of types that MCAP does not define."""
+
+    _unknown = 0
+
+    def _read_record(self, opcode: int, length: int) -> McapRecord | None:
+        self._unknown += not 0 < opcode <= LAST_KIND
+        if self._unknown > MOST_UNKNOWN:
+            raise ValueError(TOO_MANY)
+        return super()._read_record(opcode, length)
+
+
+def _check_known(records: bytes) -> None:
+    """Raise ValueError if records of a chunk have what `_Reader` refuses."""
+    unknown, place = 0, 0
+    while place + RECORD_HEAD.size <= len(records):
+        kind, size = RECORD_HEAD.unpack_from(records, place)
+        unknown += not 0 < kind <= LAST_KIND
+        if unknown > MOST_UNKNOWN:
+            raise ValueError(TOO_MANY)
+        place += RECORD_HEAD.size + size
 
 
 def _name(error: BaseException) -> str:

@@ -4,6 +4,8 @@ anything else.
 
 import itertools
 import math
+import struct
+import time
 from pathlib import Path
 from typing import Any
 
@@ -381,3 +383,20 @@ def test_a_light_that_the_log_does_not_show_is_a_note_told_once(tmp_path: Path) 
     assert read_scenario(path).notes.count(told) == 1
     shown = read_scenario(write_by_hand(path, [*ego_states(), road(stop_lines=[STOP]), shows(0)]))
     assert told not in shown.notes and shown.lights[0].at(0.3) is Colour.RED
+
+
+@pytest.mark.parametrize("in_chunk", [False, True])
+def test_millions_of_records_that_hold_nothing_are_refused_at_once(
+    tmp_path: Path, small_log: bytes, in_chunk: bool
+) -> None:
+    """They are read to a bound, and the messages before them are kept."""
+    records = (b"\x80" + bytes(8)) * 1_000_000
+    if in_chunk:
+        head = struct.pack("<QQQII", 0, 0, len(records), 0, 0) + struct.pack("<Q", len(records))
+        records = b"\x06" + struct.pack("<Q", len(head) + len(records)) + head + records
+    end = 8 + 9 + int.from_bytes(small_log[9:17], "little")
+    path = tmp_path / "log.mcap"
+    path.write_bytes(small_log[:end] + records + small_log[end:])
+    begin = time.process_time()
+    assert "more than 10000 records of types that MCAP does not define" in refusal(path)
+    assert time.process_time() - begin < 2.0

@@ -290,12 +290,14 @@ def leaders(
     n, boxes = len(phase), scene.boxes
     out = Leaders(np.full(n, inf), np.zeros(n), np.zeros(n))
     near = np.empty(n + 1, np.int64)  # agents that may be in the way
+    present = np.flatnonzero(scene.present)
+    off_log = np.flatnonzero(scene.present & ~scene.as_logged)  # mostly few of very many
     for i in range(n):
         if not whose[i]:
             continue
         reach, count = LOOK_M + LOOK_S * speed[i], 0
-        for j in range(n + 1 if heeds[i] else n):
-            if j == i or not scene.present[j] or (scene.as_logged[i] and scene.as_logged[j]):
+        for j in off_log if scene.as_logged[i] else present:
+            if j == i or (j == n and not heeds[i]):
                 continue
             away = hypot(boxes[j, 0] - boxes[i, 0], boxes[j, 1] - boxes[i, 1])
             if away <= reach + boxes[i, 3] + boxes[j, 3] and not _touch(boxes[i], boxes[j], 0.0):
@@ -303,12 +305,12 @@ def leaders(
                 count += 1
         if count == 0:
             continue
-        gap, j, _, _, yaw = _first_touched(paths, i, phase[i], reach, boxes, near[:count])
-        if j >= 0:
-            ahead = scene.motion[j, 0] * cos(yaw) + scene.motion[j, 1] * sin(yaw)
-            pace = hypot(scene.motion[j, 0], scene.motion[j, 1])
+        gap, leader, _, _, yaw = _first_touched(paths, i, phase[i], reach, boxes, near[:count])
+        if leader >= 0:
+            vx, vy, accel = scene.motion[leader]
+            ahead, pace = vx * cos(yaw) + vy * sin(yaw), hypot(vx, vy)
             out.gap[i], out.speed[i] = gap, max(ahead, 0.0)
-            out.accel[i] = scene.motion[j, 2] * ahead / pace if pace > STANDING_MPS else 0.0
+            out.accel[i] = accel * ahead / pace if pace > STANDING_MPS else 0.0
     return out
 
 

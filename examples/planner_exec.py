@@ -68,7 +68,7 @@ def serve(inward: BinaryIO, outward: BinaryIO) -> None:
                 "type": "failed",
                 "message": f"version {message['schema']} of the messages is not known",
             }
-        # message["context"]: road, goal, vehicle; message["config"]: settings
+        # message["context"]: road, goal, vehicle, origin; message["config"]: settings
         elif message["type"] == "hello":
             answer = {"type": "ready", "schema": 1}
         else:

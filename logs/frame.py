@@ -145,6 +145,9 @@ class PlannerContext:
             the time.
         horizon: Shortest horizon of a complete plan, s; a shorter plan is driven and evaluated, but
             is incomplete.
+        origin: The point (0, 0) of the world in the coordinates of the log and its map, m: a point
+            of a map of your own, minus this, is a point of the world
+            (`replan.replay.planner_process.coordinates`).
     """
 
     road: Road
@@ -154,3 +157,4 @@ class PlannerContext:
     start: EgoState
     lap: Callable[[str], None] = _no_clock
     horizon: float = PLAN_HORIZON_S
+    origin: tuple[float, float] = (0.0, 0.0)

@@ -124,6 +124,7 @@ def _facts(scenario: Scenario) -> dict[str, Any]:
         "licence": scenario.licence,
         "tags": scenario.tags,
         "duration": scenario.duration,
+        "origin": scenario.origin,
         "traffic": scenario.traffic_spans,
         "ego_samples": len(ego),
         "ego_span": (float(ego.t[0]), float(ego.t[-1])),
@@ -171,6 +172,7 @@ def _describe_facts(found: dict[str, Any]) -> list[str]:
         f"name: {found['name']}" + (f" [{', '.join(found['tags'])}]" if found["tags"] else ""),
         f"source: {found['source'] or 'not stated'}; licence: {found['licence'] or 'not stated'}",
         f"duration: {found['duration']:.2f} s",
+        "origin: {:.12g}, {:.12g} m, subtracted from all positions".format(*found["origin"]),
         f"ego: {ego}",
         f"agents: {agents or 'none'}; obstacles: {found['obstacles']}; recorded "
         f"{described(found['traffic'])} of"

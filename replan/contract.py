@@ -46,6 +46,12 @@ from replan.replay.loop.planning import Planning, Seat
 from replan.replay.loop_config import LoopConfig
 from replan.replay.parts import Factory
 from replan.replay.perception import Perception
+from replan.replay.planner_process.coordinates import (
+    built,
+    context_in_map,
+    coordinates_of,
+    frame_in_map,
+)
 from replan.replay.planner_process.planner_config import of_class, planner_part
 from replan.replay.world import World, logged_ego
 
@@ -238,7 +244,12 @@ def context_of(scenario: Scenario) -> PlannerContext:
     """Return the context of a planner for a scenario."""
     start = logged_ego(scenario.ego, scenario.vehicle, float(scenario.ego.t[0]))
     return PlannerContext(
-        scenario.road, goal_of(scenario)[0], scenario.vehicle, _CONFIG.plan_period_s, start
+        scenario.road,
+        goal_of(scenario)[0],
+        scenario.vehicle,
+        _CONFIG.plan_period_s,
+        start,
+        origin=scenario.origin,
     )
 
 
@@ -266,7 +277,7 @@ def _check_frames(factory: Factory, scenario: Scenario, found: _Findings) -> Non
     """Check the rules about single frames; the frames of one planner follow each other."""
 
     def build(known: Scenario) -> Planner:
-        return factory(context_of(known))
+        return built(factory, context_of(known))
 
     one, two = (_call(found, "build", scenario.name, build, scenario) for _ in range(2))
     if one is None or two is None:
@@ -380,7 +391,7 @@ def _check_closed_loop(factory: Factory, scenario: Scenario, found: _Findings) -
 
         def __init__(self, *arguments: Any, **keywords: Any) -> None:
             super().__init__(*arguments, **keywords)
-            self._planner = _WatchedPlanner(factory(self.context), scenario.name, found)
+            self._planner = _WatchedPlanner(built(factory, self.context), scenario.name, found)
 
     before = dict(found.found)
     trace = run_closed_loop(
@@ -396,10 +407,12 @@ def _check_batch(factory: Factory, scenario: Scenario, found: _Findings) -> None
     if together is None:
         return
     frames = [frame_of(scenario, t) for t in frame_times_of(scenario)[:2]]
+    context = context_of(scenario)
+    if coordinates_of(factory) == "map":
+        frames = [frame_in_map(frame, context.origin) for frame in frames]
+        context = context_in_map(context)
     where = f"{scenario.name}, plan_batch of {len(frames)} frames"
-    plans = _call(
-        found, "batch", where, together, frames, [factory(context_of(scenario)) for _ in frames]
-    )
+    plans = _call(found, "batch", where, together, frames, [factory(context) for _ in frames])
     if plans is None:
         return
     if not isinstance(plans, list) or len(plans) != len(frames):

@@ -49,6 +49,11 @@ NEAR_M = 1.0
 """A plan may start on the plan being driven if the ego is at most this far from it (built-in
 planners: 0.5 m).
 """
+NEARER = 4.0
+"""A plan that starts so many times nearer to the ego in the map's coordinates than in the world's
+is taken for one in the map's. Not infinitely: the way points of a planner that gets the ego in the
+other coordinates begin somewhere.
+"""
 SPEED_MPS, YAW_RAD, LATERAL_MPS2, ACCEL_MPS = 1.0, 0.1, 2.5, 1.0
 STEP_M = 0.1
 """Shorter steps have no direction."""
@@ -63,12 +68,15 @@ Else the ego brakes on its arc by `BRAKE_MPS2`.
 BRAKE_MPS2 = 4.0
 
 
-def checked(plan: Plan, frame: Frame) -> Plan:
-    """Return the plan as it is driven and judged (module docstring)."""
+def checked(plan: Plan, frame: Frame, origin: tuple[float, float] = (0.0, 0.0)) -> Plan:
+    """Return the plan as it is driven and judged (module docstring).
+
+    `origin` is `PlannerContext.origin`, for the reason of a refusal.
+    """
     trajectory = plan.trajectory
     if len(plan.reason) > LONGEST_REASON:
         plan = replace(plan, reason=shortened(plan.reason))
-    fault = _start_fault(trajectory, frame)
+    fault = _start_fault(trajectory, frame, origin)
     if not fault and len(trajectory) > 1:
         off = _off(trajectory)
         lie = ""
@@ -116,7 +124,7 @@ def checked(plan: Plan, frame: Frame) -> Plan:
     return replace(plan, trajectory=instead, status=PlanStatus.REFUSED, reason=fault, start=start)
 
 
-def _start_fault(trajectory: Trajectory, frame: Frame) -> str:
+def _start_fault(trajectory: Trajectory, frame: Frame, origin: tuple[float, float]) -> str:
     """Return how a plan breaks (0) or (1); empty if it does not."""
     if len(trajectory) > MOST_POINTS:
         return f"it has {len(trajectory)} states, more than {MOST_POINTS}"
@@ -130,11 +138,19 @@ def _start_fault(trajectory: Trajectory, frame: Frame) -> str:
         old = frame.previous.trajectory.at(frame.t)
         starts += [old] if _distance_between(old, frame.ego) <= NEAR_M else []
     nearest = min(starts, key=lambda start: _distance_between(start, first))
-    if _distance_between(nearest, first) > START_M:
-        return (
-            f"it starts {_distance_between(nearest, first):.2f} m from the ego and from the "
-            "plan being driven"
-        )
+    away_m = _distance_between(nearest, first)
+    if away_m > START_M:
+        fault = f"it starts {away_m:.2f} m from the ego and from the plan being driven"
+        in_map = replace(nearest, x=nearest.x + origin[0], y=nearest.y + origin[1])
+        in_map_m = _distance_between(in_map, first)
+        if NEARER * in_map_m < away_m:
+            place = "({:.12g}, {:.12g})".format(*origin)
+            fault += (
+                f"; in the coordinates of the log's map it starts {in_map_m:.2f} m from there: "
+                f"subtract context.origin, {place} here, from the planner's map, or declare "
+                'coordinates = "map" (docs/bring_planner.md)'
+            )
+        return fault
     speeds = [start.v for start in starts] + [
         0.0 for start in starts if -SWING_MPS <= start.v < 0.0
     ]

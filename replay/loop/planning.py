@@ -30,6 +30,7 @@ from replan.replay.loop.plan_check import checked
 from replan.replay.loop_config import LoopConfig
 from replan.replay.parts import PLANNER
 from replan.replay.planner_process.connection import ApartPlanner, FaultError, current_log
+from replan.replay.planner_process.coordinates import InMap, built
 from replan.replay.planner_process.planner_config import (
     is_apart,
     is_built_in,
@@ -110,10 +111,12 @@ class Planning:
         road = scenario.road
         if not is_built_in(spec):  # such a planner could change objects that drives share
             road = replace(road, lanes={i: replace(lane) for i, lane in road.lanes.items()})
-        self.context = PlannerContext(road, goal, scenario.vehicle, period, start, self._watch.lap)
+        self.context = PlannerContext(
+            road, goal, scenario.vehicle, period, start, self._watch.lap, origin=scenario.origin
+        )
         try:
             if apart:
-                self._planner: Planner = ApartPlanner(
+                planner = ApartPlanner(
                     spec,
                     self.context,
                     planner_config,
@@ -122,14 +125,18 @@ class Planning:
                     keep_internals=keep_internals,
                     place=place,
                 )
+                in_map = planner.coordinates == "map"
+                self._planner: Planner = InMap(planner, scenario.origin) if in_map else planner
             else:
                 factory = planner_part(spec).factory
-                arguments = (self.context, scenario) if self.is_oracle else (self.context,)
+                more = (scenario,) if self.is_oracle else ()
                 try:
-                    inspect.signature(factory).bind(*arguments, **planner_config)
+                    inspect.signature(factory).bind(self.context, *more, **planner_config)
                 except TypeError as error:
                     raise ConfigError(f"planner '{spec}' cannot be built: {error}") from None
-                self._planner = prepared(spec, planner_config)(*arguments, **planner_config)
+                self._planner = built(
+                    prepared(spec, planner_config), self.context, more, planner_config
+                )
         except ReplanError:
             raise
         except FaultError as error:
@@ -166,7 +173,8 @@ class Planning:
         fault = _breach(plan, frame)
         if fault:
             raise PlannerError(f"{self._name} broke its contract at {frame.t:.2f} s: {fault}")
-        return (plan if self.is_oracle else checked(plan, frame)).recorded(keep=self._keep)
+        origin = self.context.origin
+        return (plan if self.is_oracle else checked(plan, frame, origin)).recorded(keep=self._keep)
 
 
 Seat = Callable[..., Planning]

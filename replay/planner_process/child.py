@@ -23,6 +23,7 @@ from replan.planners.base import Planner
 from replan.replay.drive import Stopwatch
 from replan.replay.planner_process import messages
 from replan.replay.planner_process.channel import Channel, GoneError
+from replan.replay.planner_process.coordinates import context_in_map, coordinates_of
 from replan.replay.planner_process.planner_config import of_class, planner_part, prepared
 
 
@@ -137,9 +138,11 @@ class PlannerServer:
         keywords = planner_part(hello.planner, hello.config).keywords()
         context = messages.context_of(hello.context, self._watch.lap)
         factory: Any = prepared(hello.planner, keywords)
+        coordinates = coordinates_of(factory)
+        context = context_in_map(context) if coordinates == "map" else context
         self._planners[-1] = factory(context, **keywords)
         self._together, self._keep = of_class(factory, "plan_batch"), hello.keep_internals
-        return messages.Ready()
+        return messages.Ready(coordinates=coordinates)
 
     def _plan_frames(
         self,

@@ -182,6 +182,9 @@ class ApartPlanner:
         watch: Receives the stages of a plan and how long they took, s.
         keep_internals: Whether the internals of its plans are kept.
         place: The key of the drive that it plans.
+
+    Attributes:
+        coordinates: Those of its frames and plans: "world" or "map".
     """
 
     def __init__(
@@ -218,6 +221,7 @@ class ApartPlanner:
         if answer.schema != version:
             what = f"it speaks version {answer.schema} of the messages, replan {version}"
             raise self._connection.fault(f"cannot be built: {what}")
+        self.coordinates = answer.coordinates
 
     def plan(self, frame: Frame) -> Plan:
         """The planner's plan; FaultError if it sends none."""

@@ -41,6 +41,7 @@ from replan.logs.road import Goal, Lane
 from replan.logs.rules import Colour, Crosswalk, StopLine
 from replan.logs.states import TRAJECTORY_COLUMNS, EgoState
 from replan.logs.vehicle import VehicleParameters
+from replan.replay.planner_process.coordinates import Coordinates
 
 SCHEMA_VERSION = 1
 LARGEST_BYTES = 64 << 20
@@ -75,7 +76,7 @@ class Road(msgspec.Struct):
 class Context(msgspec.Struct):
     """`replan.logs.frame.PlannerContext`: constant in a drive.
 
-    Older planners do not read `goal.alternatives`.
+    Older planners do not read `goal.alternatives` and `origin`.
     """
 
     road: Road
@@ -84,6 +85,7 @@ class Context(msgspec.Struct):
     period: float
     start: EgoState
     horizon: float
+    origin: tuple[float, float] = (0.0, 0.0)
 
 
 class Hello(msgspec.Struct, tag="hello"):
@@ -213,9 +215,16 @@ class Frame(msgspec.Struct, tag="frame"):
 
 
 class Ready(msgspec.Struct, tag="ready"):
-    """The planner is built."""
+    """The planner is built.
+
+    Attributes:
+        schema: The version of the messages that it speaks.
+        coordinates: Those of the frames that it gets from now on, and of its plans: "world" or
+            "map".
+    """
 
     schema: int = SCHEMA_VERSION
+    coordinates: Coordinates = "world"
 
 
 class Described(msgspec.Struct, tag="described"):

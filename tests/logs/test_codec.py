@@ -49,10 +49,10 @@ def test_a_noun_comes_back_from_its_message(message: type, noun: type) -> None:
 def test_a_context_is_the_same_on_the_other_side_and_its_fields_stay() -> None:
     sent = messages.encode(messages.context_message(context()))
     again = messages.context_of(messages.decode(sent, messages.Context), print)
-    for name in ("road", "goal", "vehicle", "period", "start", "horizon"):
+    for name in ("road", "goal", "vehicle", "period", "start", "horizon", "origin"):
         assert differences(getattr(context(), name), getattr(again, name)) == []
     plain = msgspec.msgpack.decode(sent)
-    assert list(plain) == ["road", "goal", "vehicle", "period", "start", "horizon"]
+    assert list(plain) == ["road", "goal", "vehicle", "period", "start", "horizon", "origin"]
     assert list(plain["road"]) == FIELDS["Road"].split()
     for name in ("lanes", "stop_lines", "crosswalks"):
         assert list(plain["road"][name][0]) == FIELDS[name].split()

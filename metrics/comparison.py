@@ -255,16 +255,19 @@ def compare(
     flips = _flips(baseline, candidate, gates, changed.keys() | alone)
     flips["marginal"] |= pd.MultiIndex.from_frame(flips[DRIVE]).isin(fragile)
     old, new = baseline.facts, candidate.facts
+    other_logs = _differing_logs(baseline, candidate, "sha256")
     differences = [
         f"{key}: {old[key]} -> {new[key]}" for key in old if key in new and old[key] != new[key]
     ]
+    if other_logs:
+        contents = [f"{log} ({one[:8]} -> {two[:8]})" for log, (one, two) in other_logs.items()]
+        what = "logs of one name with other content (SHA-256)"
+        differences.insert(0, f"{what}: {listed(contents, NAMED)}")
     metrics = [list(dict.fromkeys(side.driven["metric"])) for side in (baseline, candidate)]
-    other_logs = _differing_logs(baseline, candidate, "sha256")
     for what, names in (
         ("settings of the baseline only", [key for key in old if key not in new]),
         ("settings of the candidate only", [key for key in new if key not in old]),
-        ("logs with another SHA-256", other_logs),
-        ("logs with another vehicle", _differing_logs(baseline, candidate, "vehicle")),
+        ("logs with another vehicle", list(_differing_logs(baseline, candidate, "vehicle"))),
         (
             "metrics of another version, not compared",
             [f"{name} ({both})" for name, both in changed.items()],
@@ -413,11 +416,13 @@ def _flips(
     return pd.DataFrame(rows, columns=list(FLIP_COLUMNS)).astype(kinds)
 
 
-def _differing_logs(baseline: Side, candidate: Side, column: str) -> list[str]:
-    """Return the logs of both runs whose values in a column are known and differ."""
+def _differing_logs(baseline: Side, candidate: Side, column: str) -> dict[str, tuple[str, str]]:
+    """Return the logs of both runs whose values in a column are known and differ, with both."""
     both = baseline.logs.merge(candidate.logs, on="log", suffixes=("_b", "_c"))
     one, two = both[f"{column}_b"], both[f"{column}_c"]
-    return list(both.loc[(one != "") & (two != "") & (one != two), "log"])
+    other = (one != "") & (two != "") & (one != two)
+    pairs = zip(one[other], two[other], strict=True)
+    return dict(zip(both.loc[other, "log"], pairs, strict=True))
 
 
 def group_deltas(pairs: pd.DataFrame, labels: Mapping[str, LogLabels]) -> pd.DataFrame:

@@ -81,6 +81,18 @@ def listed(texts: Sequence[str], most: int) -> str:
     return ", ".join(texts[:most]) + (f" and {len(texts) - most} more" if len(texts) > most else "")
 
 
+def told_apart(names: Sequence[str], digests: Sequence[str]) -> list[str]:
+    """The names of logs, of which the first of a name keeps it.
+
+    Each later one gets "@" and the begin of its digest, or its place where it has none.
+    """
+    apart, known = list[str](), set[str]()
+    for place, (name, digest) in enumerate(zip(names, digests, strict=True), 1):
+        apart.append(f"{name}@{digest[:8] or place}" if name in known else name)
+        known.add(name)
+    return apart
+
+
 _UNSEEN = [
     *range(0x80, 0xA0),
     0x61C,

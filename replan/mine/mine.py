@@ -24,7 +24,7 @@ import pandas as pd
 from replan.config import RunConfig, dump_run
 from replan.core.errors import ConfigError, LogError, ReplanError, described
 from replan.core.kernel import is_cache_cold
-from replan.core.names import counted
+from replan.core.names import counted, told_apart
 from replan.draw.model import Marker
 from replan.logs.road import RoadSource
 from replan.logs.scenario import Scenario
@@ -173,15 +173,12 @@ def mine(
             study.add([{"key": keys[index], "mined": asdict(found[index])}])
         on_log(found[index])
     logs = [found[index] for index in sorted(found)]
-    names = Counter(log.name for log in logs)
-    # Logs that share a name get the hash of their content, or their index
-    for place, log in enumerate(logs, 1):
-        if names[log.name] > 1:
-            name = f"{log.name}@{str(log.row['sha256'])[:8] or place}"
-            row, *both = [{**each, "log": name} for each in (log.row, *log.events, *log.health)]
-            logs[place - 1] = MinedLog(
-                name, row, both[: len(log.events)], both[len(log.events) :], log.failures
-            )
+    names = told_apart([log.name for log in logs], [str(log.row["sha256"]) for log in logs])
+    for place, (log, name) in enumerate(zip(logs, names, strict=True)):
+        row, *both = [{**each, "log": name} for each in (log.row, *log.events, *log.health)]
+        logs[place] = MinedLog(
+            name, row, both[: len(log.events)], both[len(log.events) :], log.failures
+        )
     if study is not None:
         study.keep(key for key in keys if study.known(key) is not None)
     events = [row for log in logs for row in log.events]

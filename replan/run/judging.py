@@ -10,10 +10,10 @@ from __future__ import annotations
 import os
 import platform
 import tomllib
-from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, is_dataclass, replace
 from enum import Enum
+from itertools import starmap
 from math import isfinite
 from pathlib import Path
 from typing import Any, get_type_hints
@@ -22,6 +22,7 @@ import pandas as pd
 import tomli_w
 
 from replan.config import HEADER, RunConfig, dump_run
+from replan.core.names import told_apart
 from replan.core.settings import dotted, meaning
 from replan.draw.drawn_results import Results, load
 from replan.logs.vehicle import VehicleParameters
@@ -85,16 +86,8 @@ def judge_and_write(
     `shard`: the part of the run; "" for the whole run.
     """
     selection, results = _without_twins(selection, results)
-    names, distinct = Counter(result.name for result in results), list[LogResult]()
-    for result in results:  # the hash of its content is appended to a name that several logs share
-        if names[result.name] > 1 and result.digest:
-            name = f"{result.name}@{result.digest[:8]}"
-            driven = tuple(replace(drive, log=name) for drive in result.drives)
-            failed = tuple(replace(failure, log=name) for failure in result.failures)
-            distinct.append(replace(result, name=name, drives=driven, failures=failed))
-        else:
-            distinct.append(result)
-    results = tuple(distinct)
+    names = told_apart([result.name for result in results], [result.digest for result in results])
+    results = tuple(starmap(_renamed, zip(results, names, strict=True)))
     table = joined([table_of(out, results, METRICS)], KEYS, COLUMNS).astype(
         {"value": float, "time_s": float}
     )
@@ -137,6 +130,14 @@ def judge_and_write(
     write_parquet(out / "groups.parquet", groups(table, stand, labels))
     _write_summary(out, selection, results, verdicts, errors, shard)
     return replace(load(out), resumed=resumed)
+
+
+def _renamed(result: LogResult, name: str) -> LogResult:
+    if name == result.name:
+        return result
+    drives = tuple(replace(drive, log=name) for drive in result.drives)
+    failures = tuple(replace(failure, log=name) for failure in result.failures)
+    return replace(result, name=name, drives=drives, failures=failures)
 
 
 def _without_twins(

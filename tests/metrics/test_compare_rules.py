@@ -216,8 +216,8 @@ def test_other_inputs_and_other_metrics_are_named() -> None:
     )
     found = compare(one, two, Gates((GAP,), "test"))
     assert found.differences == (
+        "logs of one name with other content (SHA-256): a1 (1 -> 2)",
         "loop.plan_delay_s: 0.0 -> 0.1",
-        "logs with another SHA-256: a1",
         "metrics of another version, not compared: gap.min (1 -> 2)",
         "metrics in the baseline only: thw.min",
     )

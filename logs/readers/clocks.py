@@ -22,6 +22,7 @@ rows, m, in the order of the file, and S the way through them in order of time:
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -39,6 +40,12 @@ SHUFFLED, FEW, STEPS, NEAR = 0.5, 0.1, 5.0, 3.0
 BETWEEN, OFF = 0.25, 0.1
 """Constants of (3) and (4)."""
 _TIME_OF_DAY = r"\d{1,2}:\d{2}:\d{2}(?:[.,]\d+)?"
+_DATE, _ZONE = r"\d{4}[-/]\d", r":\d\d(?:[.,]\d+)?\s*(?:[Zz]|[+-]\d{2}(?::?\d{2})?)$"
+GIVE_ZONE = (
+    "give all times a zone (2024-05-03T10:00:00+02:00; in pandas: "
+    "frame['t'].dt.tz_localize('Europe/Berlin')), or none of them"
+)
+"""Remedy for dates of which some have a time zone."""
 
 
 def nanoseconds(column: pd.Series[Any], factor: float, topic: str) -> tuple[IntArray, bool]:
@@ -84,6 +91,37 @@ def unit_of_times(values: FloatArray) -> str:
     step = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
     by_epoch = next((unit for unit, least in EPOCHS if size >= least), "")
     return by_epoch or next((unit for unit, least in STEPS_OF if step >= least), "s")
+
+
+def names_zone(column: pd.Series[Any], topic: str) -> bool | None:
+    """Return whether the dates of a column have a time zone; None for times that are no dates.
+
+    LogError if some of them have one.
+    """
+    if pd.api.types.is_datetime64_any_dtype(column):
+        return column.dt.tz is not None
+    if pd.api.types.is_numeric_dtype(column) or pd.api.types.is_timedelta64_dtype(column):
+        return None
+    words = column.dropna().astype(str).str.strip()
+    dates = words[words.str.match(_DATE)]
+    if not len(dates):
+        return None
+    zoned = dates.str.contains(_ZONE)
+    if zoned.any() and not zoned.all():
+        what = f"{column.name} has dates with a time zone, and without: {dates[~zoned].iloc[0]!r}"
+        raise LogError(what, topic=topic, remedy=GIVE_ZONE)
+    return bool(zoned.all())
+
+
+def check_zones(zones: Mapping[str, bool | None]) -> None:
+    """Raise LogError if, of the tables by name, one has dates with a time zone and one has dates
+    without: they would be hours apart.
+    """
+    without = next((name for name, zoned in zones.items() if zoned is False), None)
+    zoned = next((name for name, zoned in zones.items() if zoned), None)
+    if without is not None and zoned is not None:
+        what = f"its times have no time zone, those of {zoned} have one"
+        raise LogError(what, topic=without, remedy=GIVE_ZONE)
 
 
 def _check_all(good: Any, what: str, topic: str) -> None:

@@ -17,7 +17,7 @@ import pandas as pd
 from replan.core.arrays import FloatArray, IntArray
 from replan.core.errors import LogError
 from replan.logs.log_settings import HEADINGS
-from replan.logs.readers.clocks import nanoseconds, unit_of_times
+from replan.logs.readers.clocks import names_zone, nanoseconds, unit_of_times
 from replan.logs.readers.recorded import heading, is_unit
 
 NAMES = ("ego", "agents")
@@ -239,7 +239,7 @@ class NamedColumns:
 
         The unit of t is found by its steps if the table does not state it, with a note.
         """
-        name = next((name for name in TIMES if self.has(name)), "t")
+        name = self._time_name()
         column, factor = self.column(name)
         header, _, is_stated = self._columns[name] or ("", 0.0, True)
         if name == "t" and not is_stated and pd.api.types.is_numeric_dtype(column):
@@ -251,6 +251,29 @@ class NamedColumns:
                 )
                 factor = UNITS[unit]
         return nanoseconds(column, factor, self.name)
+
+    def names_zone(self) -> bool | None:
+        """Return whether the times are dates with a time zone; None if they are no dates."""
+        return names_zone(self.column(self._time_name())[0], self.name)
+
+    def _time_name(self) -> str:
+        return next((name for name in TIMES if self.has(name)), "t")
+
+
+def with_index(frame: pd.DataFrame, name: str, columns: Mapping[str, str]) -> pd.DataFrame:
+    """Return a table with the named levels of its index as columns.
+
+    An index of dates or durations is the column t, if the table has no other times.
+    """
+    if not len(frame):
+        return frame
+    levels = [level for level in frame.index.names if level is not None]
+    levels = [level for level in levels if level not in frame.columns]
+    whole = frame.reset_index(level=levels) if levels else frame
+    is_time = isinstance(frame.index, pd.DatetimeIndex | pd.TimedeltaIndex)
+    if is_time and not any(map(NamedColumns(whole, name, columns).has, TIMES)):
+        return frame.assign(t=frame.index)
+    return whole
 
 
 def _split_unit(text: str) -> tuple[str, str]:

@@ -38,8 +38,8 @@ from replan.logs.log_settings import LogSettings
 from replan.logs.observed import Spans
 from replan.logs.readers import track_table
 from replan.logs.readers.base import LogContents, Reader, TopicSummary
-from replan.logs.readers.clocks import check_distinct, check_restart, continued
-from replan.logs.readers.columns import NAMES, QUATERNION, NamedColumns, check_names
+from replan.logs.readers.clocks import check_distinct, check_restart, check_zones, continued
+from replan.logs.readers.columns import NAMES, QUATERNION, NamedColumns, check_names, with_index
 from replan.logs.readers.csv_table import SUFFIXES, load_table
 from replan.logs.road import Goal, Road
 from replan.logs.scenario import CENTRE, EGO_POSE, Scenario
@@ -74,9 +74,9 @@ def from_frames(
     docs/logs.md).
 
     Args:
-        ego: One row per state, in any order: t, x, y, yaw; where known v, a, kappa, steer,
-            throttle, brake. Or the id of the agent that becomes the ego: it is taken out of
-            `agents`, whose columns may be those of a data set.
+        ego: One row per state, in any order: t (a column, or the index), x, y, yaw; where known v,
+            a, kappa, steer, throttle, brake. Or the id of the agent that becomes the ego: it is
+            taken out of `agents`, whose columns may be those of a data set.
         agents: One row per agent and time: t, id, x, y; where known yaw, vx, vy or v, length,
             width, kind. None: there are no other road users.
         name: Name of the scenario, short and unique within a run.
@@ -102,8 +102,8 @@ def from_frames(
 
     Raises:
         LogError: A column is missing or not numeric, a unit or kind is unknown, a value is not
-            finite, two rows of an agent have the same time, the clock restarts within the rows, or
-            no agent has that id.
+            finite, two rows of an agent have the same time, the clock restarts within the rows,
+            some dates have a time zone and some have none, or no agent has that id.
     """
     notes = list[str]()
     with reading(topic="[log]"):
@@ -115,11 +115,13 @@ def from_frames(
             agents_heading=agents_heading,
             kinds=kinds or {},
         )
+    agents = None if agents is None else with_index(agents, "agents", settings.columns)
     if not isinstance(ego, pd.DataFrame):
         chosen = track_table.taken_ego(agents, str(ego), settings, vehicle)
         ego, agents, vehicle, notes = chosen.ego, chosen.agents, chosen.vehicle, list(chosen.notes)
         settings, source = LogSettings(ego_point=chosen.ego_point), source or chosen.data_set
         traffic = chosen.traffic if traffic is None else traffic
+    ego = with_index(ego, "ego", settings.columns)
     check_names(settings.columns, {"ego": ego, "agents": agents})
     table = NamedColumns(ego, "ego", settings.columns, settings.ego_heading)
     others = (
@@ -127,6 +129,7 @@ def from_frames(
         if agents is not None and len(agents)
         else None
     )
+    check_zones({held.name: held.names_zone() for held in (table, others) if held is not None})
     ns, is_text = table.times(notes)
     theirs = others.times(notes)[0] if others is not None else np.empty(0, np.int64)
     ns, theirs = continued(ns, theirs, is_text=is_text, notes=notes)

@@ -131,6 +131,48 @@ def test_times_may_be_integers_or_dates(unit: str) -> None:
         assert scenario.start_ns == 10**18 and scenario.ego.t == pytest.approx(T, abs=1e-9)
 
 
+def test_the_time_may_be_in_the_index() -> None:
+    dates = pd.to_datetime(np.round((1e9 + agents()["t"]) * 1e9).astype(np.int64))
+    stamped = agents(t=dates)
+    whole = from_frames(ego(t=dates[: len(T)]), stamped)
+    plain = from_frames(ego(), agents())
+    cases = [
+        (ego().set_index("t"), agents().set_index(["id", "t"]), {}, plain),
+        (ego().rename(columns={"t": "s"}).set_index("s"), agents(), {"ego.t": "s"}, plain),
+        (
+            ego(t=dates[: len(T)]).set_index("t").rename_axis(None),
+            stamped.set_index("t").rename_axis("stamp"),
+            {},
+            whole,
+        ),
+    ]
+    for own, others, columns, same in cases:
+        made = from_frames(own, others, columns=columns)
+        assert differences(made.ego, same.ego) == [] and made.start_ns == same.start_ns
+        assert differences(made.tracks, same.tracks) == []
+    taken = from_frames("b", agents().set_index("t"))
+    assert differences(taken.ego, from_frames("b", agents()).ego) == []
+
+
+def test_dates_with_and_without_a_time_zone_are_not_mixed() -> None:
+    ticks = np.round((1e9 + T) * 1e9).astype(np.int64)
+    naive = pd.Series(pd.to_datetime(ticks))
+    aware = naive.dt.tz_localize("Europe/Berlin")
+    one = agents().iloc[: len(T)]
+    for own, others, topic in ((aware, naive, "agents"), (naive, aware, "ego")):
+        for texts in (False, True):
+            times = (own.astype(str), others.astype(str)) if texts else (own, others)
+            with pytest.raises(
+                LogError, match=f"topic {topic}: its times have no time zone.*tz_local"
+            ):
+                from_frames(ego(t=times[0]), one.assign(t=times[1]))
+    both = naive.astype(str).where(T < 3.0, naive.astype(str) + "Z")
+    with pytest.raises(LogError, match="dates with a time zone, and without"):
+        from_frames(ego(t=both))
+    for column in (aware, aware.astype(str), naive.astype(str)):
+        assert len(from_frames(ego(t=column), one.assign(t=column)).tracks) == 1
+
+
 def test_what_is_missing_is_derived_causally_and_noted() -> None:
     bare = from_frames(ego().drop(columns="v"), agents().drop(columns=["yaw", "vx", "vy", "kind"]))
     assert bare.ego.v == pytest.approx(8.0) and "no ego speed" in " ".join(bare.notes)

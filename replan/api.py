@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_type_hints
@@ -17,6 +17,7 @@ from replan.draw.drawn_results import Results
 from replan.draw.report.contents import Overview
 from replan.draw.report.overview import overview
 from replan.draw.report.write import write_reports
+from replan.logs.scenario import Scenario
 from replan.metrics.comparison import Comparison
 from replan.run import evaluate_logs
 from replan.run.evaluate import Engine
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
 
 
 def evaluate(
-    logs: Path | str | Sequence[Path | str] = (),
+    logs: Path | str | Scenario | Sequence[Path | str | Scenario] = (),
     *,
     planners: str | type[Planner] | Sequence[str | type[Planner]] | None = None,
     out: Path | str | None = None,
@@ -59,7 +60,8 @@ def evaluate(
     An argument that is left out is as in `config`, else the default of `replan.config.RunConfig`.
 
     Args:
-        logs: Files and folders of any format; none: the built-in suite.
+        logs: Files and folders of any format, and scenarios in memory, of which the results keep
+            a copy; none: the built-in suite.
         planners: Names, "module:Class", "exec:COMMAND", or classes that can be imported.
         out: Result folder: new, empty, or results of an earlier run, which are replaced; None:
             `results/run-NNN`.
@@ -94,10 +96,10 @@ def evaluate(
         OutputError: The disk is full.
     """
     run = load_run(Path(config)) if isinstance(config, (str, Path)) else config or RunConfig()
+    if isinstance(planners, str | type) or not isinstance(planners, Iterable | None):
+        planners = [planners]
     given = {
-        "planners": None
-        if planners is None
-        else tuple(map(named, [planners] if isinstance(planners, (str, type)) else planners)),
+        "planners": None if planners is None else tuple(map(named, planners)),
         "mode": mode,
         "gates": None if gates is None else str(gates),
         "metrics": None if metrics is None else tuple(metrics),
@@ -110,7 +112,7 @@ def evaluate(
         "log": None if log is None else _over(run.log, log, "log"),
     }
     run = _over(run, {key: value for key, value in given.items() if value is not None})
-    places = [logs] if isinstance(logs, (str, Path)) else list(logs)
+    places = [logs] if isinstance(logs, (str, Path, Scenario)) else list(logs)
     before = None if baseline is None else _run(baseline)
     found = evaluate_logs(
         places,
@@ -173,20 +175,29 @@ def _run(of: Results | Path | str) -> Run:
     return of if isinstance(of, Results) else read_run(of)
 
 
-def named(planner: str | type) -> str:
+def named(planner: object) -> str:
     """Return the name by which a worker finds a planner; for a class, "module:Class".
 
     Raises:
-        ConfigError: The class is defined in a script or a notebook, which a worker cannot import.
+        ConfigError: It is an object of a class; or the class is defined in a script or a notebook,
+            which a worker cannot import.
     """
     if isinstance(planner, str):
         return planner
-    if planner.__module__ == "__main__" or "<locals>" in planner.__qualname__:
+    kind: Any = planner if hasattr(planner, "__qualname__") else type(planner)
+    if kind.__module__ == "__main__" or "<locals>" in kind.__qualname__:
         raise ConfigError(
-            f"planner {planner.__qualname__}: put it into a file of its own, which its process can "
+            f"planner {kind.__qualname__}: put it into a file of its own, which its process can "
             "import"
         )
-    return f"{planner.__module__}:{planner.__qualname__}"
+    name = f"{kind.__module__}:{kind.__qualname__}"
+    if kind is not planner:
+        raise ConfigError(
+            f"planner {kind.__qualname__}: is an object, and each drive builds a planner of its "
+            f'own: pass the class, planners=[{kind.__qualname__}], or its name, "{name}"; its '
+            f'keywords are the table [planner."{name}"] of `config`'
+        )
+    return name
 
 
 def _over(config: Any, given: dict[str, Any], where: str = "") -> Any:

@@ -37,6 +37,7 @@ from replan.core.kernel import is_cache_cold
 from replan.draw.drawn_results import Results
 from replan.logs.catalogue import scenario
 from replan.logs.readers import LogSettings
+from replan.logs.scenario import Scenario
 from replan.replay.loop.open_loop import run_open_loop
 from replan.replay.parts import PLANNER
 from replan.replay.planner_process.connection import in_lockstep
@@ -55,7 +56,7 @@ from replan.run.sources import LogSource, Selection, builtin_suite, named_suite,
 
 
 def evaluate_logs(
-    logs: Sequence[Path | str] = (),
+    logs: Sequence[Path | str | Scenario] = (),
     run: RunConfig | None = None,
     out: Path | str | None = None,
     *,
@@ -72,7 +73,7 @@ def evaluate_logs(
     """Drive the planners over logs, measure, judge and write everything into one folder.
 
     Args:
-        logs: Files and folders; none: the built-in suite.
+        logs: Files, folders, and scenarios in memory; none: the built-in suite.
         run: Planners, loops, gates; None: all defaults.
         out: Result folder: new, empty, or results of an earlier run, which are replaced; None:
             `results/run-NNN`.
@@ -155,7 +156,7 @@ def _check_batch(engine: Engine, window: float | None, shard: Shard | None) -> N
 
 
 def selected(
-    logs: Sequence[Path | str],
+    logs: Sequence[Path | str | Scenario],
     run: RunConfig,
     window: float | None,
     suite: str | None,

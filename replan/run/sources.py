@@ -44,6 +44,7 @@ from replan.core.files import (
     read_toml,
     url_of,
 )
+from replan.core.names import told_apart
 from replan.logs.catalogue import BUILTIN, FAMILY, scenario, suite
 from replan.logs.edit.transform import jittered, rotated, sampled, shifted_clock
 from replan.logs.maps import map_files
@@ -107,13 +108,24 @@ class LogSource:
     # Its files if it is named by URL; `fetched` gives it as a path
     remote: tuple[RemoteFile, ...] = ()
     format: str = ""  # Format of a remote log, as known from its name
+    # A scenario in memory, as a native MCAP file; `fetched` gives it as a path
+    content: bytes = field(default=b"", repr=False)
+
+    @classmethod
+    def in_memory(cls, scenario: Scenario, settings: LogSettings) -> LogSource:
+        """The source of a scenario that is in no file."""
+        with tempfile.TemporaryDirectory(prefix="replan-") as scratch:
+            file = Path(scratch, "log.mcap")
+            write_scenario(file, scenario)
+            digest, content = file_hash(file), file.read_bytes()
+        return cls(scenario.name, None, settings, digest, content=content)
 
     def identity(self) -> str:
         """Identifies the input: names and hashes of log and map, or the name; LogError as `read`.
 
         For a remote log, sizes and versions replace the hash, so that it need not be fetched.
         """
-        if self.path is None and not self.remote:
+        if self.path is None and not self.remote and not self.content:
             file = FAMILY.file(self.label.partition("@")[0])
             return f"catalogue {self.label}{f' {file_hash(file)}' if file else ''}"
         settings = self.settings
@@ -122,6 +134,8 @@ class LogSource:
                 settings, map=" ".join(map(file_hash, map_files(Path(settings.map))))
             )
         part = "" if settings == LogSettings() else f" {settings}"
+        if self.content:
+            return f"{self.label} {self.digest}{part}"
         if self.path is None:
             return f"{self._entry} {_version(self.remote) or self.label}{part}"
         return f"{self.path.name} {self.digest or log_hash(self.path, settings)}{part}"
@@ -129,27 +143,31 @@ class LogSource:
     @contextmanager
     def fetched(self) -> Iterator[LogSource]:
         """This log on this machine, within a `with` block; LogError if it cannot be fetched."""
-        if not self.remote:
+        if not self.remote and not self.content:
             yield self
             return
         with tempfile.TemporaryDirectory(prefix="replan-") as scratch:
-            begin, end, (file, *more) = self.settings.begin, self.settings.end, self.remote
-            fetched = False
-            # Its window is enough
-            if self.format == "native" and not more and (begin > 0.0 or end < inf):
-                fetched = write_part(
-                    ranged(file), file.size, begin, end, Path(scratch, self._entry)
-                )
-            if not fetched:
-                fetch(self.remote, Path(scratch))
+            if self.content:
+                Path(scratch, self._entry).write_bytes(self.content)
+            else:
+                self._fetch(Path(scratch))
             try:
                 yield replace(self, path=Path(scratch, self._entry), remote=())
             except LogError as error:
                 raise error.at(self.label) from None
 
+    def _fetch(self, folder: Path) -> None:
+        begin, end, (file, *more) = self.settings.begin, self.settings.end, self.remote
+        fetched = False
+        # Its window is enough
+        if self.format == "native" and not more and (begin > 0.0 or end < inf):
+            fetched = write_part(ranged(file), file.size, begin, end, folder / self._entry)
+        if not fetched:
+            fetch(self.remote, folder)
+
     @property
     def _entry(self) -> str:
-        return self.remote[0].name.partition("/")[0]
+        return self.remote[0].name.partition("/")[0] if self.remote else "log.mcap"
 
     def read(self) -> Scenario:
         """The scenario; LogError if it cannot be read."""
@@ -166,6 +184,8 @@ class LogSource:
             return self.settings.end - self.settings.begin
         if self.path is None:
             size = sum(file.size for file in self.remote)
+            if self.content:
+                return len(self.content) / BYTES_PER_S["native"]
             return size / BYTES_PER_S.get(self.format, _OTHER_BYTES_PER_S)
         reader = reader_of(self.path, self.settings)
         try:
@@ -177,9 +197,11 @@ class LogSource:
 
     @property
     def is_mcap(self) -> bool:
-        """Whether it is a native or OSI MCAP that is read without settings, so that the results
-        need no copy of it.
+        """Whether it is a file of native or OSI MCAP that is read without settings, so that the
+        results need no copy of it.
         """
+        if self.content:
+            return False
         reader = None if self.path is None else reader_of(self.path, self.settings)
         return reader is not None and reader.name == "native" and self.settings == LogSettings()
 
@@ -231,12 +253,12 @@ def suite_file(path: Path) -> list[Path | str]:
 
 
 def select(
-    paths: Sequence[Path | str],
+    logs: Sequence[Path | str | Scenario],
     settings: LogSettings | None = None,
     window: float | None = None,
     every: float | None = None,
 ) -> Selection:
-    """The logs in files and folders, of all formats in `replan.logs.readers`.
+    """The logs in files and folders, of all formats in `replan.logs.readers`, and in memory.
 
     A folder that is not a log is searched for logs. Results of earlier runs, hidden files and
     second copies of a log are left out: the same bytes, or the same drive in another container or
@@ -248,16 +270,18 @@ def select(
     kept: dict[str, LogSource] = {}
     dropped: list[str] = []
     drives = _Drives()
-    for place in paths:
-        url = url_of(place)
-        if url:
+    for place in logs:
+        url = "" if isinstance(place, Scenario) else url_of(place)
+        if isinstance(place, Scenario):
+            candidates = [(LogSource.in_memory(place, settings), "")]
+        elif url:
             candidates = list(_remote(url, settings))
         else:
             found = _logs(local_path(place), settings)
             candidates = [
                 (LogSource(encodable(str(log)), log, settings), reason) for log, reason in found
             ]
-        if not candidates:
+        if not candidates and not isinstance(place, Scenario):
             if not url and (known := known_format(local_path(place))) is not None:
                 raise ConfigError(str(known))
             looked = ", ".join(
@@ -283,7 +307,11 @@ def select(
             else:
                 kept[key] = source
     sources: list[LogSource] = []
-    for source in kept.values():
+    labels = told_apart(
+        [source.label for source in kept.values()], [source.digest for source in kept.values()]
+    )
+    for log, label in zip(kept.values(), labels, strict=True):
+        source = replace(log, label=label)
         parts: Sequence[LogSettings] = (source.settings,)
         if window is None:
             sources.append(source)

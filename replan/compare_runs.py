@@ -152,7 +152,7 @@ def side_of(run: Run) -> Side:
         inputs = {key: value for key, value in settings.items() if key not in NOT_INPUTS}
         facts |= {key: str(value) for key, value in flat(inputs)}
         own = tuple(settings.get("metrics", ()))
-        return Side(run.path.name, run.metrics, logs, facts, failed, crashed, own)
+        return Side(run.path.name, run.measured, logs, facts, failed, crashed, own)
     except (OSError, ValueError, KeyError) as error:
         raise LogError(f"cannot be read as results: {error}", file=run.path) from None
 

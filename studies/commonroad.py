@@ -28,7 +28,7 @@ from replan.config import RunConfig
 from replan.core.errors import ReplanError
 from replan.draw.drawn_results import Results
 from replan.logs.trace import EndReason, Mode
-from replan.metrics.judge import CAREFUL, REFERENCE as JUDGED_BY, worst
+from replan.metrics.judge import CAREFUL, worst
 from replan.metrics.judge.gates import Outcome
 from replan.replay.loop_config import LoopConfig
 from replan.replay.parts import TRAFFIC
@@ -122,10 +122,8 @@ def drives(result: Results, traffic: str) -> pd.DataFrame:
         (rows["jerk_p99_mps3"] > JERK_MPS3) | (rows["lat_accel_max_mps2"] > LATERAL_MPS2)
     )
     logged = rows[(rows["planner"] == REFERENCE) & (rows["goal"] == 1.0)]["log"]
-    careful = (result.metrics["mode"] == JUDGED_BY) & (result.metrics["planner"] == CAREFUL)
-    entered = result.metrics[
-        careful & (result.metrics["metric"] == ROWS["goal"]) & (result.metrics["value"] == 1.0)
-    ]["log"]
+    careful = result.references[result.references["planner"] == CAREFUL]
+    entered = careful[(careful["metric"] == ROWS["goal"]) & (careful["value"] == 1.0)]["log"]
     rows["reachable"] = rows["log"].isin({*logged, *entered})
     outcomes = result.verdicts.groupby(["log", "planner"])["outcome"]
     verdicts = {

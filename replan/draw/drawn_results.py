@@ -3,6 +3,7 @@
 
 result = load("results/run-001")
 result.metrics                                   # one row per log, planner, mode and metric
+result.references                                # likewise, of the reference drives
 result.drive("paper/free_road").plan(at=6.5)     # the plan that was driven at 6.5 s, with its
                                                  internals as arrays
 result.drive("paper/free_road").plot(at=6.5)     # its picture

@@ -160,7 +160,7 @@ def judged(results: Results, names: Mapping[str, str], rules: Gates) -> pd.DataF
     crashes = results.failures.dropna(subset=["planner", "mode"])
     columns = (crashes[name].astype(str) for name in ("log", "planner", "mode", "message"))
     crashed = {(log, who, mode): why for log, who, mode, why in zip(*columns, strict=True)}
-    table = with_asked(results.metrics.assign(oracle=False), rules, results.labels)
+    table = with_asked(results.measured.assign(oracle=False), rules, results.labels)
     unread = dict.fromkeys(results.unread, "not read")
     rows = outcomes(judge(rules, table, results.labels, failed=unread, crashed=crashed))
     rows = rows[(rows["planner"] == planner) & (rows["mode"] != REFERENCE)]

@@ -101,7 +101,7 @@ class Trial:
         """The rows of metrics.parquet that have a value, by metric: of the drive, and of the
         careful driver.
         """
-        rows = self.results.metrics
+        rows = self.results.measured
         mine = (rows["planner"] == self.planner) & (rows["mode"] == MODE)
         reference = (rows["planner"] == CAREFUL) & (rows["mode"] == REFERENCE)
         return rows[(rows["log"] == self.log) & (mine | reference) & rows["available"]]

@@ -30,6 +30,7 @@ from replan.logs.mcap import read_trace
 from replan.logs.plan import Decision, Plan
 from replan.logs.scenario import Scenario
 from replan.logs.trace import PlannedFrame, Trace
+from replan.metrics.judge import REFERENCE
 from replan.metrics.judge.aggregate import LogLabels
 from replan.metrics.judge.gates import Outcome
 from replan.results.log_result import Failure, LogCard
@@ -145,13 +146,25 @@ class StoredRun:
 
     @cached_property
     def metrics(self) -> pd.DataFrame:
-        """A row per log, planner, mode and metric; mode "reference" are the reference drives."""
+        """A row per log, planner, mode and metric, of the planners of the run."""
+        rows = self.measured
+        return rows[rows["mode"] != REFERENCE].reset_index(drop=True)
+
+    @cached_property
+    def references(self) -> pd.DataFrame:
+        """Rows like those of `metrics`, of the reference drives: `planner` is the driver."""
+        rows = self.measured
+        return rows[rows["mode"] == REFERENCE].reset_index(drop=True)
+
+    @cached_property
+    def measured(self) -> pd.DataFrame:
+        """All rows of metrics.parquet: `metrics` and `references`, for judging and comparing."""
         return self._table("metrics.parquet").drop(columns="schema_version")
 
     @cached_property
     def _metric_rows(self) -> dict[Any, Any]:
-        """Row indices of the metrics of each drive."""
-        return dict(self.metrics.groupby(["log", "planner", "mode"], sort=False).indices)
+        """Indices in `measured` of the metrics of each drive."""
+        return dict(self.measured.groupby(["log", "planner", "mode"], sort=False).indices)
 
     @cached_property
     def verdicts(self) -> pd.DataFrame:
@@ -310,7 +323,7 @@ class StoredDrive:
     def metrics(self) -> pd.DataFrame:
         """Its rows of `StoredRun.metrics`."""
         rows = self.result._metric_rows.get((self.log, self.planner, self.mode), [])
-        return self.result.metrics.take(rows).reset_index(drop=True)
+        return self.result.measured.take(rows).reset_index(drop=True)
 
     @cached_property
     def verdicts(self) -> pd.DataFrame:

@@ -409,7 +409,8 @@ import replan
 
 result = replan.load("results/run-001")  # nothing is read before it is asked for
 # pandas frames: metrics, verdicts, groups, health, timings, and below
-result.metrics.query("metric == 'gap.min'")
+result.metrics.query("metric == 'gap.min'")  # of the planners of the run
+result.references  # rows of metrics.parquet of the mode reference: the recorded driver ...
 result.frames  # frames.parquet of all logs, with the column log: large
 # one drive; with several planners: drive(log, planner, mode)
 drive = result.drive("paper/free_road")

@@ -75,7 +75,7 @@ def overview(
     diagnosis.json of the run.
     """
     code = combined((results.exit_code, comparison.exit_code if comparison else 0))
-    found = results.metrics[results.metrics["available"].astype(bool)]
+    found = results.measured[results.measured["available"].astype(bool)]
     ensemble = found[found["metric"] == "ensemble.fragile"]
     keys = zip(found["log"], found["planner"], found["mode"], found["metric"], strict=True)
     values = dict(zip(keys, map(float, found["value"]), strict=True))
@@ -339,7 +339,7 @@ def _gates(results: Results, verdicts: pd.DataFrame) -> tuple[tuple[GateRow, ...
     """The verdicts, and the gates that do not apply to some drives, most drives first, with the
     commonest reason.
     """
-    units = dict(zip(results.metrics["metric"], results.metrics["unit"], strict=True))
+    units = dict(zip(results.measured["metric"], results.measured["unit"], strict=True))
     found: dict[tuple[str, str, str], dict[str, str]] = {}
     names = ["gate", "log", "planner", "mode", "outcome"]
     for gate, log, planner, mode, outcome in verdicts[names].itertuples(index=False):

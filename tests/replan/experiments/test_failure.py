@@ -422,6 +422,9 @@ def test_a_peak_after_the_end_of_the_failing_drive_does_not_count(
     columns = ["log", "planner", "mode", "metric", "value", "time_s", "available"]
     peaks = (("lon_accel.max", 4.0, 9.5), ("lon_accel.max_abs", 5.0, 2.0), ("ttc.min", 1.0, 2.0))
     rows = pd.DataFrame([("log", "idm", "closed", *peak, True) for peak in peaks], columns=columns)
-    results, gate = SimpleNamespace(metrics=rows), SimpleNamespace(metric="lon_accel.worst_episode")
+    results, gate = (
+        SimpleNamespace(measured=rows),
+        SimpleNamespace(metric="lon_accel.worst_episode"),
+    )
     made = DrivenLogs(results, {"a.mcap": "log"}, "idm", {"gate": gate}, rows)  # type: ignore[arg-type, dict-item]
     assert made.peaks(Path("a.mcap"), ["gate"], until).keys() == counted

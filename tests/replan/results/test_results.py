@@ -47,12 +47,26 @@ def test_the_tables_are_those_of_the_run(run: Results) -> None:
     assert result.labels == labels
     stand = standings(result.verdicts, result.drives, [LOG], result.run.drives)
     pd.testing.assert_frame_equal(
-        result.groups, groups(result.metrics, stand, labels), check_dtype=False
+        result.groups, groups(result.measured, stand, labels), check_dtype=False
     )
     assert list(result.logs["family"]) == [LOG] and list(result.logs["dataset"]) == [
         "replan catalogue"
     ]
     assert set(result.frames["log"]) == {LOG} and len(result.timings) == len(run.timings)
+
+
+def test_metrics_are_of_the_planners_and_the_reference_drives_are_apart(run: Results) -> None:
+    """A table of them all mixed the planners' values with those of the reference drivers."""
+    result = load(run.path)
+    assert set(result.metrics["planner"]) == {"dp_qp", "constant_speed"}
+    assert set(result.references["planner"]) >= {"driver", "careful", "parked"}
+    both = pd.concat([result.metrics, result.references])
+    filed = pd.read_parquet(run.path / "metrics.parquet").drop(columns="schema_version")
+    keys = ["log", "planner", "mode", "metric"]
+    pd.testing.assert_frame_equal(both.sort_values(keys, ignore_index=True), filed)
+    peak = result.metrics.query("mode == 'closed'").pivot_table("value", "metric", "planner")
+    own = result.drive(LOG, "dp_qp").metrics.set_index("metric")["value"]
+    assert peak["dp_qp"]["gap.min"] == own["gap.min"]
 
 
 def test_a_drive_has_its_plans_with_their_inside(run: Results) -> None:

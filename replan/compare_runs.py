@@ -53,6 +53,7 @@ NOT_INPUTS = (
     "deadline_s",
     "ensemble",
     "repeat_s",
+    "selection",
 )
 """Keys of a run that change no drive, or whose changes are visible in the set of drives."""
 UNKNOWN = "not known"

@@ -27,12 +27,14 @@
     [vehicle]                        # VehicleParameters: replaces the values of the logs
     set = "vw_vanagon"               # all values of a known vehicle (a file of `logs/vehicles`);
                                      # other keys override it
+    [selection]                      # LogSelection: what is driven where no logs are named
 
 All keys are optional. An error in a file names file, key and remedy; unknown keys are errors.
 """
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
 from enum import Enum
@@ -43,7 +45,7 @@ from typing import Any, Literal
 import tomli_w
 
 from replan.core.errors import ConfigError
-from replan.core.files import read_toml
+from replan.core.files import read_toml, url_of
 from replan.core.names import visible_name
 from replan.core.settings import known_keys, merged, strict
 from replan.logs.log_settings import LogSettings
@@ -61,6 +63,28 @@ HEADER = (
     "# The resolved configuration of a run, written by `replan evaluate`; give it to --config "
     "to run that again.\n"
 )
+
+
+IN_MEMORY = "memory:"
+"""Prefix of a log in `LogSelection` that was a scenario in memory."""
+
+
+@dataclass(frozen=True)
+class LogSelection:
+    """The logs of a run, as its run.toml names them; without any, the built-in suite.
+
+    Attributes:
+        suite: A suite of the catalogue, or a family or group of it.
+        window_s: Length of the windows into which each log is split, s; 0: whole logs.
+        every_s: Time between the begins of two windows, s; 0: `window_s`.
+        logs: SHA-256 of each log by its path, which may be relative to the file, or its version by
+            its URL; "": not known.
+    """
+
+    suite: str = ""
+    window_s: float = 0.0
+    every_s: float = 0.0
+    logs: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -90,6 +114,7 @@ class RunConfig:
             `controller`, `traffic`, `prediction` and `perception` likewise.
         vehicle: Vehicle parameters by name that replace those of the logs; "set" names a known
             vehicle for all of them.
+        selection: The logs to drive where none are named.
     """
 
     planners: tuple[str, ...] = ("dp_qp",)
@@ -112,6 +137,7 @@ class RunConfig:
     prediction: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     perception: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     vehicle: Mapping[str, Any] = field(default_factory=dict)
+    selection: LogSelection = field(default_factory=LogSelection)
 
     def __post_init__(self) -> None:
         if not self.planners:
@@ -191,7 +217,8 @@ def load_run(path: Path | None, changes: Mapping[str, Any] | None = None) -> Run
     """Load the configuration in a TOML file, with changes.
 
     Args:
-        path: The file; None: the defaults. A relative path of `gates` is relative to the file.
+        path: The file; None: the defaults. Relative paths of `gates` and `selection.logs` are
+            relative to the file.
         changes: A table like that of the file, which overrides it key by key.
 
     Raises:
@@ -202,18 +229,34 @@ def load_run(path: Path | None, changes: Mapping[str, Any] | None = None) -> Run
     if path is not None:
         table = dict(read_toml(path))
         try:
-            gates = strict(RunConfig, table).gates
+            stated = strict(RunConfig, table)
         except ConfigError as error:
             raise ConfigError(f"{path}: {error}") from None
+        gates, logs = stated.gates, stated.selection.logs
         table["gates"] = gates if gates in PACKAGED else str(path.parent / gates)
+        if logs:
+            found = {_log_beside(log, path.parent): digest for log, digest in logs.items()}
+            table["selection"] = table["selection"] | {"logs": found}
     return strict(RunConfig, merged(table, changes or {}))
 
 
-def dump_run(run: RunConfig) -> str:
-    """Write the configuration as TOML with all defaults; `load_run` reads it back to an equal
+def _log_beside(log: str, folder: Path) -> str:
+    """A log of a file in a folder: its URL, or its path, below the working directory a relative
     one.
     """
-    return HEADER + tomli_w.dumps(_as_toml_value(run))
+    if url_of(log) or log.startswith(IN_MEMORY):
+        return log
+    path, here = Path(os.path.normpath(Path(os.path.realpath(folder), log))), Path.cwd()
+    return str(path.relative_to(here) if path.is_relative_to(here) else path)
+
+
+def dump_run(run: RunConfig) -> str:
+    """Write the configuration as TOML with all defaults, without the selection of logs; `load_run`
+    reads it back to an equal one.
+    """
+    table = _as_toml_value(run)
+    del table["selection"]
+    return HEADER + tomli_w.dumps(table)
 
 
 def _as_toml_value(value: Any) -> Any:

@@ -427,7 +427,7 @@ list(plan.internals)  # S-T and S-L graphs, decisions, costs: logs/plan.py
 | `metrics.parquet`, `metrics.csv`, `verdicts.parquet`, `groups.parquet`, `health.parquet` | below | yes |
 | `timings.parquet` | below | no: a clock |
 | `summary.json` | version, outcome, exit code, logs and drives, gates, failures | yes, but for Python's version |
-| `run.toml` | the resolved configuration | yes |
+| `run.toml` | the resolved configuration, and the logs with their digests | yes, but for the places of the logs |
 | `origin.json` | the directory in which the run was started, from which its logs are found again | no: a place |
 | `report.md`, `report.html`, `junit.xml` | the reports | yes, but for the planning times in `report.*` |
 | `shard.json` | of a shard: which part of which run it is ([ci.md](ci.md)) | yes |

@@ -6,7 +6,7 @@
     OUT/timings.parquet         log, planner, mode, t_s, stage, seconds                 not the same twice
     OUT/summary.json            outcome, gates, drives, failures
     OUT/report.md, junit.xml    the reports, by `replan evaluate` and `replan report`
-    OUT/run.toml                the resolved configuration
+    OUT/run.toml                the resolved configuration, and the logs with their digests
     OUT/origin.json             the directory in which the run was started: where its logs are (`replan.run.output`)
     OUT/shard.json              only in a shard: its number and its run (`replan.run.shards`)
     OUT/LOG-HASH/               per log: open.mcap, open.rrd, closed.mcap, closed.rrd, frames.parquet, and what the

@@ -24,16 +24,18 @@ import os
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import accumulate
 from pathlib import Path
 from typing import Protocol, TypeVar
 from uuid import uuid4
 
-from replan.config import RunConfig
+from replan.config import IN_MEMORY, LogSelection, RunConfig
 from replan.core.errors import ConfigError, OutputError, ReplanError
+from replan.core.files import url_of
 from replan.core.kernel import is_cache_cold
+from replan.core.names import listed
 from replan.draw.drawn_results import Results
 from replan.logs.catalogue import scenario
 from replan.logs.readers import LogSettings
@@ -120,7 +122,7 @@ def evaluate_logs(
                     remedy = "which is cleared; give --out another folder"
                     raise ConfigError(f"{path}: lies in the result folder {out}, {remedy}")
             emptied(out)
-        write_text(out / "run.toml", explained(run, out))
+        write_text(out / "run.toml", explained(replace(run, selection=whole.chosen), out))
         write_origin(out)
         on_start(selection, out)
         evaluate = partial(engine.evaluate, run=run, out=out, stamp=stamp)
@@ -162,16 +164,35 @@ def selected(
     suite: str | None,
     every: float | None = None,
 ) -> Selection:
-    """The logs of a run, from arguments of `evaluate_logs`; ConfigError if there are none, or
-    arguments conflict.
+    """The logs of a run, from arguments of `evaluate_logs`, else as `run.selection` names them;
+    ConfigError if there are none, arguments conflict, or a log that it names is not as it was.
     """
     if run.log.map and not Path(run.log.map).is_file():
         raise ConfigError(f"{run.log.map}: no such map")
+    stated = LogSelection() if logs or suite is not None else run.selection
+    window, every = window or stated.window_s or None, every or stated.every_s or None
+    suite = stated.suite or None if suite is None else suite
+    if stated.logs:
+        selection = _stated_logs(stated.logs, run.log, window, every)
+    else:
+        selection = _selected(logs, run.log, window, suite, every)
+    named = dict(source.named for source in selection.sources if source.named[0])
+    chosen = LogSelection("" if named else suite or "", window or 0.0, every or 0.0, named)
+    return replace(selection, chosen=chosen)
+
+
+def _selected(
+    logs: Sequence[Path | str | Scenario],
+    settings: LogSettings,
+    window: float | None,
+    suite: str | None,
+    every: float | None,
+) -> Selection:
     if suite is not None and suite.endswith(".toml") and not logs:
         logs, suite = suite_file(Path(suite)), None
     if suite is None and logs:
-        return select(logs, run.log, window, every)
-    if window is not None or run.log != LogSettings():
+        return select(logs, settings, window, every)
+    if window is not None or settings != LogSettings():
         raise ConfigError(
             "[log] settings and --window are not for the built-in suites; name logs, or leave them "
             "out"
@@ -181,6 +202,34 @@ def selected(
     if logs:
         raise ConfigError(f"--suite {suite} selects logs itself: leave out other logs")
     return named_suite(suite)
+
+
+def _stated_logs(
+    logs: Mapping[str, str], settings: LogSettings, window: float | None, every: float | None
+) -> Selection:
+    """The logs that a configuration names; ConfigError if one is not there, or has other
+    content.
+    """
+
+    def refusal(wrong: Sequence[str], what: str) -> ConfigError:
+        count = f"{len(wrong)} of the {len(logs)} logs that the configuration names"
+        names = [log.replace(IN_MEMORY, "in memory was ", 1) for log in wrong]
+        remedy = "put them back, or name the logs to drive"
+        return ConfigError(f"{count} {what}: {listed(names, 3)}; {remedy}")
+
+    gone = [log for log in logs if not (url_of(log) or Path(log).exists())]
+    if gone:
+        raise refusal(gone, "are not there")
+    selection = select(list(logs), settings, window, every)
+    present = dict(source.named for source in selection.sources)
+    changed = [
+        log
+        for log, digest in logs.items()
+        if log not in present or (digest and present[log] not in ("", digest))
+    ]
+    if changed:
+        raise refusal(changed, "have other content now")
+    return selection
 
 
 def _evaluate_rest(

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import platform
+import tempfile
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, is_dataclass, replace
@@ -21,7 +22,8 @@ from typing import Any, get_type_hints
 import pandas as pd
 import tomli_w
 
-from replan.config import HEADER, RunConfig, dump_run
+from replan.config import HEADER, IN_MEMORY, RunConfig, dump_run
+from replan.core.files import url_of
 from replan.core.names import told_apart
 from replan.core.settings import dotted, meaning
 from replan.draw.drawn_results import Results, load
@@ -214,12 +216,29 @@ def exit_code_of(failures: Iterable[Failure], outcomes: Iterable[Outcome] | None
 
 
 def explained(run: RunConfig, folder: Path) -> str:
-    """The text of run.toml in a folder; `load_run` reads it as that of `dump_run`: a path of gates
-    begins there.
+    """The text of run.toml in a folder; `load_run` reads it as that of `dump_run`, with the
+    selection of logs: paths of gates and logs begin there.
     """
     if run.gates not in PACKAGED:
         run = replace(run, gates=os.path.relpath(run.gates, folder))
-    return f"{HEADER}{chr(10).join(_lines(tomllib.loads(dump_run(run)), RunConfig, ''))}\n"
+    table, chosen = tomllib.loads(dump_run(run)), asdict(run.selection)
+    chosen["logs"] = {_path_from(folder, log): digest for log, digest in chosen["logs"].items()}
+    if stated := {key: value for key, value in chosen.items() if value}:
+        table["selection"] = stated
+    return f"{HEADER}{chr(10).join(_lines(table, RunConfig, ''))}\n"
+
+
+def _path_from(folder: Path, log: str) -> str:
+    """The path of a log from a folder; absolute where they are hardly moved together: they have
+    only the root in common, or the folder of temporary files (results that go to a URL).
+    """
+    if url_of(log) or log.startswith(IN_MEMORY):
+        return log
+    path = Path(os.path.normpath(Path(log).absolute()))
+    path, here = Path(os.path.realpath(path.parent), path.name), Path(os.path.realpath(folder))
+    apart = {here.anchor, os.path.realpath(tempfile.gettempdir())}
+    is_near = path.anchor == here.anchor and os.path.commonpath([path, here]) not in apart
+    return Path(os.path.relpath(path, here) if is_near else path).as_posix()
 
 
 def _lines(table: Mapping[str, Any], of: Any, where: str) -> Iterator[str]:

@@ -84,7 +84,7 @@ def finished(
     folders = [folder for folder in sorted(out.iterdir()) if (folder / LOG_CARD).is_file()]
     if folders or (out / "run.toml").is_file():
         changed = changes(
-            read_toml(out / "run.toml"), tomllib.loads(dump_run(run)), besides="gates"
+            read_toml(out / "run.toml"), tomllib.loads(dump_run(run)), ("gates", "selection")
         )
         if changed:
             raise ConfigError(
@@ -132,15 +132,17 @@ def identity_of(source: LogSource) -> str:
         return source.label
 
 
-def changes(before: Mapping[str, Any], now: Mapping[str, Any], besides: str = "") -> str:
-    """The keys, except `besides`, in which two configurations differ, in words; "" if there are
-    none.
+def changes(
+    before: Mapping[str, Any], now: Mapping[str, Any], besides: tuple[str, ...] = ()
+) -> str:
+    """The keys, except `besides` and those in these tables, in which two configurations differ, in
+    words; "" if there are none.
     """
     was, now = dict(flat(before)), dict(flat(now))
     changed = [
         key
         for key in dict.fromkeys([*was, *now])
-        if was.get(key) != now.get(key) and key != besides
+        if was.get(key) != now.get(key) and key.partition(".")[0] not in besides
     ]
     return listed(
         [f"{key} was {_describe(was, key)}, is {_describe(now, key)}" for key in changed], 3

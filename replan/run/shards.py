@@ -226,7 +226,8 @@ def _read_parts(folders: Sequence[Path]) -> tuple[ShardContents, ...]:
             raise ConfigError(
                 f"{both}: driven with {_describe(one.stamp)} and with {_describe(other.stamp)}"
             )
-        changed = changes(read_toml(one.folder / "run.toml"), read_toml(other.folder / "run.toml"))
+        first, second = (read_toml(shard.folder / "run.toml") for shard in (one, other))
+        changed = changes(first, second, ("selection",))
         if changed:
             raise ConfigError(f"{both}: {changed}")
         if one.card.gates != other.card.gates:

@@ -32,6 +32,7 @@ from types import MappingProxyType
 
 import numpy as np
 
+from replan.config import IN_MEMORY, LogSelection
 from replan.core.errors import ConfigError, LogError, encodable
 from replan.core.files import (
     RemoteFile,
@@ -140,6 +141,18 @@ class LogSource:
             return f"{self._entry} {_version(self.remote) or self.label}{part}"
         return f"{self.path.name} {self.digest or log_hash(self.path, settings)}{part}"
 
+    @property
+    def named(self) -> tuple[str, str]:
+        """The place and the digest (of a remote log the version) by which run.toml names it; "" for
+        the catalogue, whose suite is named.
+        """
+        if self.path is not None:
+            return str(self.path), self.digest
+        place = self.label.removesuffix(_window_suffix(self.settings))
+        if self.content:
+            return f"{IN_MEMORY}{place}", self.digest
+        return (place, _version(self.remote)) if self.remote else ("", "")
+
     @contextmanager
     def fetched(self) -> Iterator[LogSource]:
         """This log on this machine, within a `with` block; LogError if it cannot be fetched."""
@@ -215,6 +228,7 @@ class Selection:
 
     sources: tuple[LogSource, ...]  # The kept logs, in the given order (folders: sorted by path)
     dropped: tuple[str, ...] = ()  # The reasons why others were left out, one line each
+    chosen: LogSelection = field(default_factory=LogSelection)  # As run.toml names them
 
     def __str__(self) -> str:
         counts = f"{len(self.sources) + len(self.dropped)} found, {len(self.sources)} kept"
@@ -321,13 +335,17 @@ def select(
             assert near.path is not None
             parts = windows(near.path, source.settings, window, every)
         sources += [
-            replace(source, label=f"{source.label} from {part.begin:g} s", settings=part)
+            replace(source, label=f"{source.label}{_window_suffix(part)}", settings=part)
             for part in parts
         ]
     selection = Selection(tuple(sources), tuple(dropped))
     if not kept:
         raise ConfigError(f"no logs to evaluate: {selection}")
     return selection
+
+
+def _window_suffix(window: LogSettings) -> str:
+    return f" from {window.begin:g} s"
 
 
 @dataclass

@@ -117,14 +117,14 @@ def overview(
         else str(row["message"])
         for row in results.summary["failures"]
     )
+    settings = read_toml(results.path / "run.toml")
+    settings.pop("selection", None)  # the places of logs
     return Overview(
         outcome=str(results.summary["outcome"]) if code == results.exit_code else OUTCOMES[code],
         exit_code=code,
         shard=str(results.summary.get("shard", "")),
         replan=str(results.summary["replan"]),
-        config=sha256(tomli_w.dumps(read_toml(results.path / "run.toml")).encode()).hexdigest()[
-            :12
-        ],
+        config=sha256(tomli_w.dumps(settings).encode()).hexdigest()[:12],
         logs=len(results.logs),
         columns=columns,
         drives=drives,

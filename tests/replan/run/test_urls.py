@@ -89,7 +89,7 @@ def files_of(folder: Path) -> dict[str, bytes]:
     """What must be the same: all but clocks, and where the logs were."""
     names = {"timings.parquet", "summary.json", "log.json", "origin.json"}
     return {
-        str(path.relative_to(folder)): path.read_bytes()
+        str(path.relative_to(folder)): path.read_bytes().partition(b"\n[selection.logs]")[0]
         for path in folder.rglob("*")
         if path.is_file() and path.name not in names
     }

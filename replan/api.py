@@ -9,6 +9,8 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_type_hints
 
+import pandas as pd
+
 from replan.compare_runs import Run, compare_runs, read_run
 from replan.config import Internals, RunConfig, RunMode, load_run
 from replan.core.errors import ConfigError
@@ -112,10 +114,9 @@ def evaluate(
         "log": None if log is None else _over(run.log, log, "log"),
     }
     run = _over(run, {key: value for key, value in given.items() if value is not None})
-    places = [logs] if isinstance(logs, (str, Path, Scenario)) else list(logs)
     before = None if baseline is None else _run(baseline)
     found = evaluate_logs(
-        places,
+        _listed(logs),
         run,
         out,
         workers=workers,
@@ -169,6 +170,19 @@ def compare(
         tuple(planners),
         gates=None if gates is None else Path(gates),
     )
+
+
+def _listed(logs: Any) -> list[Path | str | Scenario]:
+    """One log or several as a list; ConfigError for what is no log."""
+    is_one = isinstance(logs, str | Path | Scenario | pd.DataFrame) or not isinstance(
+        logs, Iterable
+    )
+    several = [logs] if is_one else list(logs)
+    for log in several:
+        if not isinstance(log, str | Path | Scenario):
+            what = f"a log is a path, a URL or a Scenario, not a {type(log).__name__}"
+            raise ConfigError(f"{what}; replan.from_frames makes a Scenario of tables")
+    return several
 
 
 def _run(of: Results | Path | str) -> Run:

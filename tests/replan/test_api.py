@@ -3,6 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
+import pandas as pd
 import pytest
 from bad_planners import Raises as BadPlanner
 from command_line import replan as command
@@ -87,6 +88,13 @@ def test_a_worker_drives_scenarios_in_memory_and_two_of_one_name(tmp_path: Path)
     assert list(made.logs["log"]) == ["test/free", f"test/free@{made.logs['sha256'][1][:8]}"]
     ends = made.drives.set_index("log")["end"]
     assert list(ends) == ["goal reached", "collision"] and not len(made.failures)
+
+
+def test_what_is_no_log_is_refused_with_what_to_pass() -> None:
+    table = pd.DataFrame({"t": [0.0]})
+    for logs in (table, [table], 7):
+        with pytest.raises(replan.ConfigError, match=r"not a (DataFrame|int); replan.from_frames"):
+            replan.evaluate(logs)
 
 
 def test_a_planner_that_is_an_object_is_refused_with_what_to_pass(tmp_path: Path) -> None:

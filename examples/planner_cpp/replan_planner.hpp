@@ -70,9 +70,9 @@ inline bool send(int fd, const json& message) {
 
 }  // namespace detail
 
-// One drive over stdin and stdout. `build` is given the hello message (road, goal, vehicle, settings) and returns what
-// answers a frame message with a plan message; what either throws ends the drive, and its text is shown to the user.
-// What is printed goes to stderr.
+// One drive over stdin and stdout. `build` is given the hello message (road, goal, vehicle, origin, settings) and
+// returns what answers a frame message with a plan message; what either throws ends the drive, and its text is shown to
+// the user. What is printed goes to stderr.
 inline int serve(const std::function<PlanFunction(const json& hello)>& build) {
   const int in = ::dup(0), out = ::dup(1);
   ::dup2(2, 1);

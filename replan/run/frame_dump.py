@@ -45,6 +45,7 @@ from replan.replay.loop.plan_check import checked
 from replan.replay.loop.planning import Planning
 from replan.replay.parts import PLANNER
 from replan.replay.planner_process import messages
+from replan.replay.planner_process.coordinates import built
 from replan.replay.planner_process.planner_config import is_foreign, planner_part
 from replan.results.tables import write_file
 from replan.run.one_log import LOOPS
@@ -106,10 +107,11 @@ class FrameDump:
 
         Its errors are not caught.
         """
-        planner = planner_part(self.planner, self.config).build(self.context)
+        planner = built(planner_part(self.planner, self.config).configured(), self.context)
         for frame in self.frames[:-1]:
             planner.plan(frame)
-        return checked(planner.plan(self.frame), self.frame).recorded(keep=True)
+        plan = checked(planner.plan(self.frame), self.frame, self.context.origin)
+        return plan.recorded(keep=True)
 
 
 def dump(path: Path, one: FrameDump) -> None:
@@ -296,12 +298,12 @@ def _plan_with(
     )
     build = planner_part(planner, table).configured()
     try:
-        made = build(context)
+        made = built(build, context)
         if debug:
             breakpoint()
         with record_problems() as asked:
             clock.start()
-            plan = checked(made.plan(frame), frame).recorded(keep=True)
+            plan = checked(made.plan(frame), frame, context.origin).recorded(keep=True)
             clock.stop(frame.t)
     except Exception as error:
         if isinstance(error, ReplanError) or not of_users(error):

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from types import MappingProxyType
 from typing import Any, Literal, TypeVar, get_args
 
@@ -44,6 +45,8 @@ def coordinates_of(factory: Factory) -> Coordinates:
 
     An attribute of this name that is no text is the planner's own.
     """
+    while isinstance(factory, partial):
+        factory = factory.func
     declared = getattr(factory, "coordinates", "world")
     if isinstance(declared, str) and declared not in get_args(Coordinates):
         raise PlannerError(f'coordinates = "{declared}" in its class is not "world" or "map"')

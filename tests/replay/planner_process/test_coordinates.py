@@ -11,6 +11,7 @@ from handmade import drive, lanes_along, scenario, straight, track, tracks
 from map_planners import IdmInMap
 from worlds import perceive
 
+from replan import evaluate
 from replan.contract import check_planner, context_of
 from replan.core.errors import PlannerError
 from replan.logs.catalogue import scenario as catalogue
@@ -24,6 +25,7 @@ from replan.replay.planner_process import messages
 from replan.replay.planner_process.coordinates import context_in_map, frame_in_map
 from replan.replay.planner_process.messages import context_message, decode, encode
 from replan.replay.world import World
+from replan.run.frame_dump import replan_frame
 
 ROOT = Path(__file__).parents[3]
 FAR = (531_234.0, 6_474_123.0)
@@ -116,6 +118,18 @@ def test_frames_move_there_and_back() -> None:
 
 def test_the_contract_is_checked_in_the_planners_coordinates() -> None:
     check_planner(IdmInMap, scenarios=[replace(catalogue("everyday/follow"), origin=FAR)])
+
+
+def test_a_frame_is_planned_again_in_the_planners_coordinates(tmp_path: Path) -> None:
+    given = {"mode": "closed", "recording": False, "report": False, "out": tmp_path / "run"}
+    made = evaluate(on_the_map(), planners="map_planners:Declares", **given)
+    again = replan_frame(made.drive("log"), 0.5)
+    assert again.is_same
+    np.testing.assert_array_equal(
+        again.dump.planned().trajectory.x, again.dump.plan.trajectory.x, strict=True
+    )
+    other = replan_frame(made.drive("log"), 0.5, "map_planners:IdmInMap").dump.plan
+    assert not other.status.is_fallback
 
 
 def test_inspect_shows_the_origin(tmp_path: Path) -> None:

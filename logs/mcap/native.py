@@ -42,6 +42,7 @@ from collections.abc import Iterator
 from dataclasses import fields
 from enum import Enum
 from functools import cache
+from inspect import cleandoc
 from types import UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
@@ -569,7 +570,7 @@ def markdown() -> str:
         kinds += [part for part in dict.fromkeys(inner) if part not in kinds]
     tables = list[str]()
     for kind in kinds:
-        tables += ["", f"### {kind.__name__}", "", kind.__doc__ or ""]
+        tables += ["", f"### {kind.__name__}", "", cleandoc(kind.__doc__ or "")]
         if kind in BLOCKS:
             tables.append(
                 f"As `{BLOCKS[kind].__name__}`: `log_time_ns`, and a list of each of these."

@@ -296,7 +296,8 @@ def test_what_a_log_says_of_itself_is_not_believed(tmp_path: Path) -> None:
     told = replace(made, references=References(forged, 80.0), metadata={"seed": "7"})
     write_scenario(tmp_path / "log.mcap", told)
     assert read_scenario(tmp_path / "log.mcap").references == References()
-    assert with_avoidability(told).references == with_avoidability(made).references
+    # as texts: a NaN is not equal to itself
+    assert repr(with_avoidability(told).references) == repr(with_avoidability(made).references)
 
 
 def test_the_verdict_is_on_the_car_that_is_driven() -> None:
@@ -306,7 +307,8 @@ def test_the_verdict_is_on_the_car_that_is_driven() -> None:
     assert made.references.verdicts["cc"].outcome is Avoidability.NOT_APPLICABLE
     wide = with_avoidability(replace(made, vehicle=replace(CAR, width=CAR.width + 0.4)))
     assert wide.references.verdicts["cc"].outcome is Avoidability.AVOIDABLE
-    assert with_avoidability(replace(wide, vehicle=CAR)).references == made.references
+    driven = with_avoidability(replace(wide, vehicle=CAR))
+    assert repr(driven.references) == repr(made.references)
 
 
 # --- margins

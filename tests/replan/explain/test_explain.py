@@ -57,7 +57,7 @@ def test_a_run_read_back_is_explained_as_it_was_when_driven(results: Results) ->
     driven = run_closed_loop(log(), "dp_qp").trace
     read = results.drive(LOG, "dp_qp")
     again = list(accounts(read.trace, read.scenario, results.run.drive_loop))
-    assert again == list(accounts(driven, log()))
+    assert repr(again) == repr(list(accounts(driven, log())))  # a NaN is not equal to itself
     assert any(account.causes for account in again)
 
 

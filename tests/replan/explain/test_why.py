@@ -561,7 +561,8 @@ def test_a_drive_read_from_its_file_has_the_same_causes() -> None:
     thinned = replace(
         trace, frames=tuple(replace(frame, predictions=None, agents=()) for frame in frames)
     )
-    assert list(accounts(thinned, world, LoopConfig())) == list(accounts(trace, world))
+    of_file, of_drive = accounts(thinned, world, LoopConfig()), accounts(trace, world)
+    assert repr(list(of_file)) == repr(list(of_drive))  # a NaN is not equal to itself
 
 
 def braking_from(plan: Plan) -> Plan:

@@ -32,7 +32,7 @@ from typing import Protocol, TypeVar
 from uuid import uuid4
 
 from replan.config import IN_MEMORY, LogSelection, RunConfig
-from replan.core.errors import ConfigError, OutputError, ReplanError
+from replan.core.errors import ConfigError, OutputError, ReplanError, encodable
 from replan.core.files import url_of
 from replan.core.kernel import is_cache_cold
 from replan.core.names import listed
@@ -176,7 +176,8 @@ def selected(
         selection = _stated_logs(stated.logs, run.log, window, every)
     else:
         selection = _selected(logs, run.log, window, suite, every)
-    named = dict(source.named for source in selection.sources if source.named[0])
+    sources = (source.named for source in selection.sources)
+    named = {encodable(path): digest for path, digest in sources if path}
     chosen = LogSelection("" if named else suite or "", window or 0.0, every or 0.0, named)
     return replace(selection, chosen=chosen)
 

@@ -32,6 +32,7 @@ from replan.core.arrays import FloatArray, arc_lengths, foot_on, station_on
 from replan.core.errors import LogError, reading
 from replan.logs.agents import USUAL_SIZE_M, AgentKind
 from replan.logs.complete import completed, derived_curvature, derived_speed, road_along, with_limit
+from replan.logs.heights import on_the_way
 from replan.logs.mcap.container import COPY_AGAIN, Stream
 from replan.logs.observed import of_stream
 from replan.logs.road import Lane, Road, paired
@@ -110,7 +111,7 @@ class _OsiMap:
 
 @dataclass
 class _Seen:
-    """All frames by object: its first message, and its rows (frame, x, y, yaw, vx, vy, ax, ay)."""
+    """All frames by object: first message, and rows (frame, x, y, yaw, vx, vy, ax, ay, z)."""
 
     times: list[int] = field(default_factory=list)
     host: int | None = None
@@ -244,7 +245,7 @@ def _decode_stream(stream: Stream) -> _Seen:
             v, a, p = base.velocity, base.acceleration, base.position
             velocity = (v.x, v.y) if base.HasField("velocity") else missing
             acceleration = (a.x, a.y) if base.HasField("acceleration") else missing
-            row = (len(seen.times), p.x, p.y, base.orientation.yaw, *velocity, *acceleration)
+            row = (len(seen.times), p.x, p.y, base.orientation.yaw, *velocity, *acceleration, p.z)
             seen.moving.setdefault(key, item)
             seen.rows.setdefault(key, []).append(row)
         for item in truth.stationary_object:
@@ -315,7 +316,12 @@ def _tracks(
     others = {key: values for key, values in rows.items() if key != seen.host}
     for key, item in standing.items():
         place, yaw = item.base.position, item.base.orientation.yaw
-        others[key] = np.array([(0.0, place.x - origin[0], place.y - origin[1], yaw, 0.0, 0.0)])
+        x, y = place.x - origin[0], place.y - origin[1]
+        others[key] = np.array([(0.0, x, y, yaw, 0.0, 0.0, 0.0, 0.0, place.z)])
+    if seen.host is not None:
+        half = 0.5 * seen.moving[seen.host].base.dimension.height
+        places = rows[seen.host][:, [1, 2, 8]] - [0.0, 0.0, half]
+        others = _on_level(seen, others, places, notes)
     if not others:
         return Tracks.empty()
     kinds = []
@@ -340,6 +346,31 @@ def _tracks(
     static, times = np.array([key in standing for key in others]), t[columns[:, 0].astype(np.int64)]
     ids = tuple(map(str, others))
     return Tracks(ids, tuple(kinds), length, width, static, offsets, times, *columns[:, 1:].T)
+
+
+def _on_level(
+    seen: _Seen, others: dict[int, FloatArray], places: FloatArray, notes: list[str]
+) -> dict[int, FloatArray]:
+    """Leave out objects above or below the host's `places` `(n, 3)`, with a note
+    (`replan.logs.heights`).
+    """
+    if not others:
+        return others
+    messages = {key: seen.standing.get(key) or seen.moving[key] for key in others}
+    high = {key: message.base.dimension.height for key, message in messages.items()}
+    counts = [len(values) for values in others.values()]
+    columns = np.vstack(list(others.values()))
+    names = np.repeat([str(key) for key in others], counts)
+    keep = on_the_way(
+        places,
+        columns[:, [1, 2, 8]],
+        columns[:, 3],
+        np.repeat(list(high.values()), counts),
+        names.tolist(),
+        notes,
+    )
+    stay = set(names[keep].tolist())
+    return {key: values for key, values in others.items() if str(key) in stay}
 
 
 def _enum_name(message: Any, name: str) -> str:

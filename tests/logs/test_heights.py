@@ -3,11 +3,13 @@ changes.
 """
 
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import given, settings, strategies as st
 
 from replan.core.arrays import FloatArray
 from replan.logs.heights import on_the_way
+from replan.logs.readers.table import from_frames
 
 
 def way(slope: float = 0.0, base: float = 0.0) -> FloatArray:
@@ -99,3 +101,18 @@ def test_a_way_that_passes_over_itself_keeps_both_levels() -> None:
     places = np.vstack([lower, climb, upper])
     assert kept(places, crossing(0.75, "low"), crossing(3.95, "high"))[0] == {"low", "high"}
     assert kept(places, crossing(0.75, "low"), crossing(8.5, "roof"))[0] == {"low"}
+
+
+@pytest.mark.parametrize("with_ego", [True, False])
+def test_heights_of_tables_are_read_where_both_have_them(with_ego: bool) -> None:
+    t = np.arange(120) / 10
+    ego = pd.DataFrame({"t": t, "x": 10.0 * t, "y": 0.0, "yaw": 0.0, "v": 10.0})
+    if with_ego:
+        ego["z"] = 231.0
+    lead = pd.DataFrame({"t": t, "id": "lead", "x": 10.0 * t + 25.0, "y": 0.0, "z": 231.8})
+    above = pd.DataFrame({"t": t, "id": "above", "x": 60.0, "y": 6.0 * t - 30.0, "z": 238.8})
+    agents = pd.concat([lead, above], ignore_index=True).assign(height=1.6)
+    scenario = from_frames(ego, agents)
+    assert set(scenario.tracks.ids) == ({"lead"} if with_ego else {"lead", "above"})
+    unused = from_frames(ego, agents, columns={"agents.z": "-"})
+    assert set(unused.tracks.ids) == {"lead", "above"}

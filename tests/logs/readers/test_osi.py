@@ -96,3 +96,25 @@ def test_recorded_traces(name: str, states: int, shared_data: Path) -> None:
     assert (
         len(scenario.ego) == states and len(scenario.tracks) == 1 and len(scenario.road.lanes) == 6
     )
+
+
+@pytest.mark.parametrize(("z", "left"), [(7.2, ()), (-5.5, ()), (0.75, ("11",))])
+def test_what_drives_on_a_bridge_or_in_a_tunnel_is_left_out(
+    z: float, left: tuple[str, ...], tmp_path: Path
+) -> None:
+    messages = []
+    for k in range(STEPS):
+        message = truth(k)
+        for item in message.moving_object:
+            item.base.position.z, item.base.dimension.height = 0.75, 1.5
+        crossing = message.moving_object.add()
+        crossing.CopyFrom(message.moving_object[1])
+        crossing.id.value = 11
+        position = crossing.base.position
+        position.x, position.y, position.z = 112.0, 4.0 + 0.6 * k, z
+        crossing.base.velocity.x, crossing.base.velocity.y = 0.0, 6.0
+        crossing.base.orientation.yaw = 1.5707963
+        messages.append(message)
+    scenario = read_log(trace(tmp_path / "run.osi", messages))
+    assert scenario.tracks.ids == ("9", *left)
+    assert any("above or below the ego's way" in note for note in scenario.notes) is (not left)

@@ -1,4 +1,5 @@
-"""Finds boxes on another level than the ego's way: on bridges, in tunnels, on other floors.
+"""Finds boxes and lanes on another level than the ego's way: on bridges, in tunnels, on other
+floors.
 
 The ground is that under the ego's own places within `NEAR_M` of a box, at all times: on a hill, and
 where the ego passes under its own way, the box is compared with each of them. A box is
@@ -21,13 +22,14 @@ Heights show this only if they have one zero. They are not used, and nothing cha
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from replan.core.arrays import BoolArray, FloatArray
 from replan.core.names import counted, listed
-from replan.logs.states import wrapped
+from replan.logs.road import Lane, Road
+from replan.logs.states import Trajectory, wrap, wrapped
 
 NEAR_M = 15.0
 ABOVE_M, BELOW_M, FAR_M = 2.5, 1.0, 25.0
@@ -130,3 +132,69 @@ def on_the_way(
         f"({level[off].min():+.1f} to {level[off].max():+.1f} m from its level)."
     )
     return keep
+
+
+SPACING_LANE_M = 4.0
+"""Distance of the points of a lane's boundary that are looked at, m."""
+LANE_ALONG_RAD = 0.6
+"""A lane on which the ego drives is turned by less than this against its heading, rad."""
+
+
+def lanes_off_the_way(
+    lanes: Mapping[int, Lane], points: Mapping[int, FloatArray], ego: Trajectory
+) -> dict[int, float]:
+    """Return the lanes above or below the ego's way, and how far, m.
+
+    `points` `(k, 3)` are those of the boundaries of lanes, m. The ground is the height of the lanes
+    that hold the ego's places and point along its heading; where these are on two levels, it is not
+    known. A lane is off the way if it is `ABOVE_M` or more off all ground within `NEAR_M`.
+    """
+    held = {name: _filled(points[name]) for name in lanes if name in points}
+    if not held or np.ptp(np.vstack(list(held.values()))[:, 2]) < ABOVE_M:
+        return {}
+    places = _thinned(np.column_stack([ego.x, ego.y, ego.yaw]))
+    road = Road({name: lanes[name] for name in held})
+    known, own = list[tuple[float, float, float]](), set[int]()
+    for x, y, yaw in places.tolist():
+        along = [
+            lane.id
+            for lane in road.lanes_at(x, y)
+            if abs(wrap(_direction(lane, x, y) - yaw)) < LANE_ALONG_RAD
+        ]
+        heights = [_height_at(held[name], x, y) for name in along]
+        if heights and max(heights) - min(heights) < ABOVE_M:
+            known.append((x, y, float(np.median(heights))))
+            own.update(along)
+    if not known:
+        return {}
+    ground, off = np.array(known), dict[int, float]()
+    for name, corners in held.items():
+        away = np.hypot(*(corners[:, None, axis] - ground[None, :, axis] for axis in (0, 1)))
+        near = away <= NEAR_M
+        if name in own or not near.any():
+            continue
+        apart = (corners[:, None, 2] - ground[None, :, 2])[near]
+        least = float(apart[np.abs(apart).argmin()])
+        if abs(least) >= ABOVE_M and (np.sign(apart) == np.sign(least)).all():
+            off[name] = least
+    return off
+
+
+def _filled(points: FloatArray) -> FloatArray:
+    """Return points `(n, 3)` with more between those that are more than `SPACING_LANE_M` apart."""
+    steps = np.hypot(*np.diff(points[:, :2], axis=0).T)
+    way = np.r_[0.0, np.cumsum(np.maximum(steps, 1e-6))]
+    fine = np.union1d(way, np.arange(0.0, way[-1], SPACING_LANE_M))
+    return np.column_stack([np.interp(fine, way, points[:, axis]) for axis in range(3)])
+
+
+def _direction(lane: Lane, x: float, y: float) -> float:
+    """Return the direction of a lane's centre line at its point nearest to a place, rad."""
+    nearest = int(np.hypot(lane.center[:-1, 0] - x, lane.center[:-1, 1] - y).argmin())
+    dx, dy = lane.center[nearest + 1] - lane.center[nearest]
+    return float(np.arctan2(dy, dx))
+
+
+def _height_at(points: FloatArray, x: float, y: float) -> float:
+    """Return the height of the point `(k, 3)` nearest to a place, m."""
+    return float(points[np.hypot(points[:, 0] - x, points[:, 1] - y).argmin(), 2])

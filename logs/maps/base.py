@@ -18,10 +18,12 @@ from pathlib import Path
 
 import numpy as np
 
-from replan.core.arrays import BoolArray, arc_lengths
+from replan.core.arrays import BoolArray, FloatArray, arc_lengths
 from replan.core.errors import LogError
+from replan.core.names import counted, listed
 from replan.logs.complete import NO_LANES, with_limit
 from replan.logs.edit.transform import placed_road
+from replan.logs.heights import lanes_off_the_way
 from replan.logs.road import Lane, Road, RoadSource
 from replan.logs.route import on_lane
 from replan.logs.scenario import Scenario
@@ -41,6 +43,8 @@ class MapFile:
     notes: tuple[str, ...] = ()  # what was assumed or left out in reading, one sentence each
     # other ids of the lights of its stop lines that logs may use, by the light's id
     aliases: Mapping[int, tuple[int, ...]] = field(default_factory=dict)
+    # points of the boundaries of lanes with heights `(k, 3)`, m, by the lane's id
+    points: Mapping[int, FloatArray] = field(default_factory=dict)
     side_known: bool = True  # whether the map shows on which side traffic drives
 
 
@@ -118,6 +122,8 @@ def on_map(scenario: Scenario, found: MapFile, path: Path, kind: str) -> Scenari
         notes.append(
             f"{path.name} does not show on which side traffic drives: the {side} is assumed."
         )
+    road = _on_level(road, found, scenario, notes)
+    drivable = [lane for lane in road.lanes.values() if lane.drivable]
     missing = sum(not isfinite(lane.speed_limit) for lane in drivable)
     if missing:
         which = (
@@ -136,6 +142,26 @@ def on_map(scenario: Scenario, found: MapFile, path: Path, kind: str) -> Scenari
         notes=tuple(notes),
         lights=tuple(light for light in scenario.lights if light.id in lights),
         metadata={**scenario.metadata, "map": path.name},
+    )
+
+
+def _on_level(road: Road, found: MapFile, scenario: Scenario, notes: list[str]) -> Road:
+    """Leave out lanes above or below the ego's way, and their stop lines, with a note
+    (`replan.logs.heights`).
+    """
+    shift = np.array([*scenario.origin, 0.0])
+    points = {name: corners - shift for name, corners in found.points.items()}
+    off = lanes_off_the_way(road.lanes, points, scenario.ego)
+    if not off:
+        return road
+    names = listed([str(name) for name in sorted(off)], 5)
+    notes.append(
+        f"{counted(len(off), 'lane')} ({names}) above or below the ego's way: left out, as on "
+        f"bridges or in tunnels ({min(off.values()):+.1f} to {max(off.values()):+.1f} m)."
+    )
+    lanes = {name: lane for name, lane in road.lanes.items() if name not in off}
+    return replace(
+        road, lanes=lanes, stop_lines=tuple(line for line in road.stop_lines if line.lane in lanes)
     )
 
 

@@ -74,9 +74,8 @@ def read_lanelet2(path: Path, settings: Mapping[str, str]) -> MapFile:
         nodes, frame, xy = placed_points(osm, path, settings)
         rows = {node.id: k for k, node in enumerate(nodes)}
         strips = strips_of(osm, rows, xy, notes)
-        lanes = lanes_of(
-            osm, strips, np.column_stack([xy, [_height(node) for node in nodes]]), notes
-        )
+        xyz = np.column_stack([xy, [_height(node) for node in nodes]])
+        lanes = lanes_of(osm, strips, xyz, notes)
         if not any(lane.drivable for lane in lanes.values()):
             raise LogError(
                 "no lanelet on which a car may drive",
@@ -121,7 +120,8 @@ def read_lanelet2(path: Path, settings: Mapping[str, str]) -> MapFile:
         if others:
             listed = ", ".join(f"{count} {kind}" for kind, count in sorted(others.items()))
             notes.append(f"Relations that are not read: {listed}.")
-        return MapFile(road, frame, tuple(notes), rules.aliases, bool(votes))
+        points = {s.id: xyz[[*s.left.points, *s.right.points]] for s in strips if s.id in lanes}
+        return MapFile(road, frame, tuple(notes), rules.aliases, points, bool(votes))
 
 
 def _outline(osm: Osm, area: Element, rows: Mapping[int, int]) -> Sequence[int]:

@@ -2,13 +2,18 @@
 changes.
 """
 
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 import pytest
 from hypothesis import given, settings, strategies as st
+from lanelet2_cases import MapWriter, driven_along
 
 from replan.core.arrays import FloatArray
 from replan.logs.heights import on_the_way
+from replan.logs.maps import read_map
+from replan.logs.maps.base import on_map
 from replan.logs.readers.table import from_frames
 
 
@@ -116,3 +121,30 @@ def test_heights_of_tables_are_read_where_both_have_them(with_ego: bool) -> None
     assert set(scenario.tracks.ids) == ({"lead"} if with_ego else {"lead", "above"})
     unused = from_frames(ego, agents, columns={"agents.z": "-"})
     assert set(unused.tracks.ids) == {"lead", "above"}
+
+
+def bridged(z: float, ground: float = 3.0) -> MapWriter:
+    """A road to the east, one that follows on it, and a crossing road at another height."""
+    m = MapWriter()
+    for x0, x1 in ((0.0, 80.0), (80.0, 160.0)):
+        middle = 0.5 * (x0 + x1)
+        sides = [m.way_at(ground, [(x0, y), (middle, y), (x1, y)]) for y in (2.0, -2.0)]
+        m.lanelet(*sides)
+    up = [
+        m.way_at(ground + z, [(x, -50.0), (x, -20.0), (x, 20.0), (x, 50.0)]) for x in (48.0, 52.0)
+    ]
+    m.lanelet(*up)
+    return m
+
+
+@pytest.mark.parametrize(("z", "lanes"), [(6.5, 2), (-5.0, 2), (0.4, 3), (0.0, 3)])
+@pytest.mark.parametrize("ground", [0.0, 214.0])
+def test_lanes_on_a_bridge_are_left_out(
+    z: float, lanes: int, ground: float, tmp_path: Path
+) -> None:
+    path = bridged(z, ground).write(tmp_path / "map.osm")
+    line = np.column_stack([np.arange(2.0, 150.0, 2.0), np.zeros(74)])
+    scenario = on_map(driven_along(line, speed=10.0), read_map(path), path, "Lanelet2")
+    assert len(scenario.road.lanes) == lanes
+    noted = any("above or below the ego's way" in note for note in scenario.notes)
+    assert noted is (lanes == 2)

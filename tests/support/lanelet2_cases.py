@@ -24,12 +24,18 @@ class MapWriter:
     def __init__(self) -> None:
         self.ids = count(1)
         self.nodes: dict[tuple[float, float], int] = {}
+        self.heights: dict[tuple[float, float], float] = {}
         self.parts: list[str] = []
 
     def way(self, points: Xy, **tags: str) -> int:
         """A way through points, m; its id."""
         refs = [self.nodes.setdefault(point, next(self.ids)) for point in points]
         return self._add("way", "".join(f'<nd ref="{ref}"/>' for ref in refs), tags)
+
+    def way_at(self, z: float, points: Xy) -> int:
+        """A way through points at a height, m; its id."""
+        self.heights.update(dict.fromkeys(points, z))
+        return self.way(points)
 
     def relation(self, members: Iterable[tuple[str, str, int]], **tags: str) -> int:
         """A relation of members (kind, role, id); its id."""
@@ -66,13 +72,16 @@ class MapWriter:
         """The file; every node has local_x and local_y, and latitude and longitude near 0."""
         nodes = (
             f'<node id="{name}" lat="{y / NORTH!r}" lon="{x / EAST!r}">'
-            f'<tag k="local_x" v="{x!r}"/><tag k="local_y" v="{y!r}"/></node>'
+            f'<tag k="local_x" v="{x!r}"/><tag k="local_y" v="{y!r}"/>{self._height((x, y))}</node>'
             for (x, y), name in self.nodes.items()
         )
         return (
             "<?xml version='1.0'?>\n<osm "
             f'version="0.6">{"".join(nodes)}{"".join(self.parts)}</osm>\n'
         )
+
+    def _height(self, place: tuple[float, float]) -> str:
+        return f'<tag k="ele" v="{self.heights[place]!r}"/>' if place in self.heights else ""
 
     def write(self, path: Path) -> Path:
         """Write the file; its path."""

@@ -63,7 +63,8 @@ brakes and ignores traffic rules; and the route follower, which steers and obeys
 NO_COLLISION = Gate("collision_at_fault.count", max=0.0)
 TOO_NEAR = Gate("ttc.min", min=CLOSE_S)
 FALLBACKS = "fallback.rate"
-CLEAN = (NO_COLLISION, TOO_NEAR, Gate(FALLBACKS, max=0.0), Gate("goal.final", min=1.0))
+NO_PHANTOM = Gate("phantom.count", max=0.0)
+CLEAN = (NO_COLLISION, TOO_NEAR, Gate(FALLBACKS, max=0.0), Gate("goal.final", min=1.0), NO_PHANTOM)
 """The follower is a reference of the drives that break one of these: it takes time, and others need
 none.
 """
@@ -75,7 +76,7 @@ COVERED, GOAL_ROUTE = Gate("covered.final", min=LEAST_COVERED), Gate("goal_route
 REPLAY_CONTACT, IMPACT, PHANTOMS = (
     "replay_contact.final",
     "collision_severity.impact_speed.max",
-    "phantom.count",
+    NO_PHANTOM.metric,
 )
 TRAFFIC = "evidence.traffic.share"
 EXCUSED: Mapping[str, tuple[str, ...]] = MappingProxyType(

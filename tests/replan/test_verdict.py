@@ -266,6 +266,15 @@ def test_a_fallback_before_a_phantom_is_not_held_against_the_planner() -> None:
         assert table.set_index("metric").loc["fallback.rate", "value"] == pytest.approx(rate)
 
 
+def test_a_planner_that_stops_before_a_phantom_is_not_judged_by_its_progress() -> None:
+    """The recorded ego drives through a box that stands across its lane, as under a bridge."""
+    box = ("9", AgentKind.TRUCK, (12.0, 2.5), lambda t: (0 * t + 70.0, 0 * t, 0 * t + 0.5 * np.pi))
+    log = scenario(along(grid(14.0, 0.1), 10.0), [box], metadata={}, tags=("recorded",))
+    _, verdicts = driven(log, "idm", Mode.CLOSED)
+    progress = [v for v in verdicts if v.gate.metric == "route_progress.final"]
+    assert [v.outcome for v in progress] == [Outcome.INCONCLUSIVE]
+
+
 @pytest.mark.slow
 def test_turning_right_before_an_oncoming_car_is_no_near_collision(shared_data: Path) -> None:
     """3.5 m/s, a car in the next lane comes the other way: straight on they would touch in less

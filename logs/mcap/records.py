@@ -31,6 +31,7 @@ import struct
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from io import BytesIO
+from mmap import mmap
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -49,6 +50,7 @@ from mcap.records import (
     Metadata,
     MetadataIndex,
     Schema,
+    Statistics,
 )
 from mcap.stream_reader import StreamReader
 from mcap.writer import MCAP0_MAGIC, CompressionType, Writer
@@ -145,70 +147,122 @@ def salvage(source: Path, target: Path) -> Salvage:
             file is written.
     """
     raw = content_of(source)
-    report, copy = Salvage(), _Copy()
-    at, last, broken = BEGIN, None, None
-    while at < len(raw):
-        if broken is None and raw[at] == Opcode.DATA_END:
-            break
-        records = _records_at(
-            raw, at, in_step=broken is None, undamaged=not report.lost and broken is None
-        )
-        if records is None:
-            broken = at if broken is None else broken
-            at = _next_chunk(raw, at + 1)
+    report, copy = Salvage(), Catalogue()
+    messages: list[Message] = []
+    for piece in pieces(raw):
+        if isinstance(piece, Lost):
+            report.lost.append(piece)
             continue
-        size, found, is_chunk = records
-        times = [record.log_time for record in found if isinstance(record, Message)]
-        if broken is not None and times:
-            report.lost.append(Lost(broken, at - broken, last, times[0]))
-            broken = None
-        for record in found:
+        for record in piece.records:
             copy.take(record)
-        last = times[-1] if times else last
-        report.chunks += is_chunk
-        report.unchecked += is_chunk and not any(raw[at + CRC.start : at + CRC.stop])
-        at += HEAD + size
-    if broken is not None:
-        report.lost.append(Lost(broken, len(raw) - broken, last, None))
-    _summary(raw, copy)
-    named = [message for message in copy.messages if message.channel_id in copy.channels]
-    report.nameless, report.messages = len(copy.messages) - len(named), len(named)
-    copy.messages = named
+        messages += piece.messages
+        report.chunks += piece.is_chunk
+        checksum = raw[piece.begin + CRC.start : piece.begin + CRC.stop]
+        report.unchecked += piece.is_chunk and not any(checksum)
+    copy.take_summary(raw)
+    named = [message for message in messages if message.channel_id in copy.channels]
+    report.nameless, report.messages = len(messages) - len(named), len(named)
     if not report.messages:
         raise LogError("no intact message is left", file=source, remedy="copy or record it again")
     part = target.with_name(f".{target.name}.part")
     try:
         with writing(target):
             target.parent.mkdir(parents=True, exist_ok=True)
-            copy.write(part)
+            copy.write(part, named)
             part.replace(target)
     finally:
         part.unlink(missing_ok=True)
     return report
 
 
+@dataclass(frozen=True)
+class Intact:
+    """An intact record of a file, from byte `begin`: what it holds, or itself."""
+
+    begin: int
+    opcode: int
+    records: list[McapRecord]
+
+    @property
+    def is_chunk(self) -> bool:
+        """Whether the records are those of a chunk."""
+        return self.opcode == Opcode.CHUNK
+
+    @property
+    def messages(self) -> list[Message]:
+        """The messages, in the order of the file."""
+        return [record for record in self.records if isinstance(record, Message)]
+
+
+def pieces(raw: bytes | mmap) -> Iterator[Intact | Lost]:
+    """Yield what is intact in a file up to its end of data, which is the last piece, and what is
+    lost between.
+    """
+    place, last, broken, damaged = BEGIN, None, None, False
+    while place < len(raw):
+        records = _record_at(raw, place, in_step=broken is None, undamaged=not damaged)
+        if records is None:
+            broken, damaged = place if broken is None else broken, True
+            place = _next_chunk(raw, place + 1)
+            continue
+        size, held = records
+        piece = Intact(place, raw[place], held)
+        times = [message.log_time for message in piece.messages]
+        if broken is not None and times:
+            yield Lost(broken, place - broken, last, times[0])
+            broken = None
+        yield piece
+        if broken is None and piece.opcode == Opcode.DATA_END:
+            return
+        last = times[-1] if times else last
+        place += HEAD + size
+    if broken is not None:
+        yield Lost(broken, len(raw) - broken, last, None)
+
+
 @dataclass
-class _Copy:
+class Catalogue:
+    """What describes the messages of a file; `statistics` as the file states them."""
+
     profile: str = ""
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
-    messages: list[Message] = field(default_factory=list)
     metadata: list[Metadata] = field(default_factory=list)
+    statistics: Statistics | None = None
 
     def take(self, record: McapRecord) -> None:
+        """Add a record, if it is one of these; the first of an id counts."""
         if isinstance(record, Header):
             self.profile = record.profile
         elif isinstance(record, Schema):
             self.schemas.setdefault(record.id, record)
         elif isinstance(record, Channel):
             self.channels.setdefault(record.id, record)
-        elif isinstance(record, Message):
-            self.messages.append(record)
+        elif isinstance(record, Statistics):
+            self.statistics = record
         elif isinstance(record, Metadata) and record not in self.metadata:
             self.metadata.append(record)
 
-    def write(self, path: Path) -> None:
-        """Write the records as an MCAP file, without messages whose channel was lost."""
+    def take_summary(self, raw: bytes | mmap) -> None:
+        """Add what the summary at a file's end describes, as far as it is intact."""
+        footer = len(raw) - BEGIN - HEAD - 20
+        if footer < BEGIN or raw[footer] != Opcode.FOOTER:
+            return
+        place, offsets = struct.unpack_from("<QQ", raw, footer + HEAD)
+        end = min(offsets or footer, footer)
+        while BEGIN <= place < end:
+            size = struct.unpack_from("<Q", raw, place + 1)[0] if place + HEAD <= end else end
+            if place + HEAD + size > end:
+                return
+            if raw[place] in (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS):
+                record = _record_at(raw, place, in_step=True)
+                if record is None:
+                    return
+                self.take(record[1][0])
+            place += HEAD + size
+
+    def write(self, path: Path, messages: Sequence[Message]) -> None:
+        """Write messages of known channels as an MCAP file."""
         with path.open("wb") as file:
             writer: Any = Writer(file, CHUNK_BYTES, CompressionType.ZSTD, enable_data_crcs=True)
             encodings = {schema.encoding for schema in self.schemas.values()}
@@ -225,17 +279,16 @@ class _Copy:
                 channels[old] = writer.register_channel(
                     each.topic, each.message_encoding, schema_id, each.metadata
                 )
-            for message in self.messages:
+            for message in messages:
                 sent = message.log_time, message.data, message.publish_time
                 writer.add_message(channels[message.channel_id], *sent, message.sequence)
             writer.finish()
 
 
-def _records_at(
-    raw: bytes, at: int, *, in_step: bool = False, undamaged: bool = False
-) -> tuple[int, list[McapRecord], bool] | None:
-    """Length of the record at a byte, the records in it, whether it is a chunk; None if there is no
-    intact record.
+def _record_at(
+    raw: bytes | mmap, at: int, *, in_step: bool = False, undamaged: bool = False
+) -> tuple[int, list[McapRecord]] | None:
+    """Length of the record at a byte, and the records in it; None if there is no intact record.
 
     After damage (not `in_step`) only chunks are accepted; messages outside of chunks only while all
     is `undamaged`.
@@ -257,14 +310,20 @@ def _records_at(
                 if isinstance(record, Message)
             ):
                 return None  # the stated times are not those of its messages
-            return size, found, True
+            return size, found
         if not in_step or (code == Opcode.MESSAGE and not undamaged):
             return None
         if code in _PASSED:
-            return size, [], False
-        return size, [_KNOWN[code](body, size)], False
+            return size, []
+        return size, [_KNOWN[code](body, size)]
     except (LogError, KeyError, *DAMAGE):
         return None
+
+
+def messages_at(raw: bytes | mmap, begin: int) -> list[Message]:
+    """Return the messages of the intact record at a byte."""
+    held = _record_at(raw, begin, in_step=True, undamaged=True)
+    return [] if held is None else [each for each in held[1] if isinstance(each, Message)]
 
 
 _KNOWN: dict[int, Any] = {
@@ -273,13 +332,14 @@ _KNOWN: dict[int, Any] = {
     Opcode.CHANNEL: lambda stream, size: Channel.read(stream),
     Opcode.METADATA: lambda stream, size: Metadata.read(stream),
     Opcode.MESSAGE: Message.read,
+    Opcode.STATISTICS: lambda stream, size: Statistics.read(stream),
 }
-"""Records outside of chunks that are kept."""
+"""Records outside of chunks that are kept, or compared with what is kept."""
 _PASSED = frozenset(Opcode) - frozenset(_KNOWN) - {Opcode.CHUNK}
 """Records that are skipped: indexes, attachments, the summary, the footer."""
 
 
-def _next_chunk(raw: bytes, at: int) -> int:
+def _next_chunk(raw: bytes | mmap, at: int) -> int:
     """The next byte at which an intact chunk begins; the file's length if there is none."""
     names = {name.encode() for name in COMPRESSIONS}
     at = raw.find(bytes([Opcode.CHUNK]), at)
@@ -287,32 +347,10 @@ def _next_chunk(raw: bytes, at: int) -> int:
         # Of its compression's name, which is cheap to check before the chunk is opened
         place = at + HEAD + 32
         (size,) = struct.unpack_from("<I", raw, place - 4)
-        if size <= 4 and raw[place : place + size] in names and _records_at(raw, at) is not None:
+        if size <= 4 and raw[place : place + size] in names and _record_at(raw, at) is not None:
             return at
         at = raw.find(bytes([Opcode.CHUNK]), at + 1)
     return len(raw)
-
-
-def _summary(raw: bytes, copy: _Copy) -> None:
-    footer = len(raw) - BEGIN - HEAD - 20
-    if footer < BEGIN or raw[footer] != Opcode.FOOTER:
-        return
-    at, offsets = struct.unpack_from("<QQ", raw, footer + HEAD)
-    end = min(offsets or footer, footer)
-    while BEGIN <= at < end:
-        size = struct.unpack_from("<Q", raw, at + 1)[0] if at + HEAD <= end else end
-        if at + HEAD + size > end:
-            return
-        if raw[at] in (Opcode.SCHEMA, Opcode.CHANNEL):
-            try:
-                copy.take(
-                    _KNOWN[raw[at]](
-                        ReadDataStream(BytesIO(raw[at + HEAD : at + HEAD + size])), size
-                    )
-                )
-            except DAMAGE:
-                return
-        at += HEAD + size
 
 
 def write_part(ranged: Ranged, size: int, begin: float, end: float, path: Path) -> bool:

@@ -18,7 +18,7 @@ from typing import TypeVar
 import msgspec
 from lz4.frame import LZ4FrameDecompressor
 from mcap.exceptions import EndOfFile, InvalidMagic, McapError, RecordLengthLimitExceeded
-from mcap.records import Channel, Chunk, DataEnd, McapRecord, Message, Metadata, Schema
+from mcap.records import Channel, Chunk, DataEnd, McapRecord, Message, Metadata, Schema, Statistics
 from mcap.stream_reader import CRCValidationError, StreamReader, breakup_chunk
 from zstandard import ZstdDecompressor, ZstdError
 
@@ -153,6 +153,11 @@ def read_container(path: Path) -> Container:
         for record in _records(raw, streams):
             if isinstance(record, DataEnd):
                 ended = True
+            if isinstance(record, Statistics):
+                held = sum(map(len, streams.values()))
+                if held < record.message_count:
+                    what = f"it holds {held} messages, and its statistics state"
+                    raise LogError(f"{what} {record.message_count}", remedy=SALVAGE)
             if ended:
                 continue  # the records after it repeat schemas and channels
             if isinstance(record, Schema):
@@ -185,7 +190,7 @@ def read_container(path: Path) -> Container:
                 stream.times.append(record.log_time)
                 stream.payloads.append(record.data)
         if not ended:
-            raise LogError("the file has no end of data record", remedy=COPY_AGAIN)
+            raise LogError("the file has no end of data record", remedy=SALVAGE)
     except LogError as damage:
         error = damage.at(path)
     return Container(path, len(raw), streams, metadata, error)

@@ -192,11 +192,13 @@ def inspect(
     from replan.core.files import here
     from replan.logs.summary import summarise
     from replan.replay.loop.reference_drives import discriminate
+    from replan.run.sources import log_at
 
     with here(log) as near, sign_of_life(progress_lines(), lambda: f"reading {log}"):
         if not near.exists():
             raise ConfigError(f"{log}: no such file or folder")
         settings = run_config(config, {"log": log_table(ego, road_map, begin, end, repair)}).log
+        near = log_at(near, settings)
         summary = summarise(near, settings)
         raw = None if summary.read is None else unrepaired(near, settings, summary.read)
     if as_json:

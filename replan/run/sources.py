@@ -45,6 +45,7 @@ from replan.core.files import (
     read_toml,
     url_of,
 )
+from replan.core.names import listed as first_of
 from replan.core.names import told_apart
 from replan.logs.catalogue import BUILTIN, FAMILY, scenario, suite
 from replan.logs.edit.transform import jittered, rotated, sampled, shifted_clock
@@ -88,6 +89,7 @@ LOOKED_INTO = (".xml", ".bag", ".db3", ".yaml", ".mcap", ".csv")
 Other files are recognised by name.
 """
 HEAD_BYTES = 4096
+_SHOWN = 6
 SUITE_HEADER = (
     "# A suite of logs, written by `replan suite`; give it to --suite. Paths are "
     "relative to this file."
@@ -346,6 +348,26 @@ def select(
 
 def _window_suffix(window: LogSettings) -> str:
     return f" from {window.begin:g} s"
+
+
+def log_at(path: Path, settings: LogSettings) -> Path:
+    """Return the log at a path: of a folder, the one that `select` keeps, if it keeps one; the path
+    if it finds none.
+
+    ConfigError if there are several.
+    """
+    if not path.is_dir() or reader_of(path, settings) is not None:
+        return path
+    try:
+        logs = [source.path for source in select([path], settings).sources]
+    except ConfigError:
+        return path
+    if len(logs) > 1:
+        names = sorted(str(log.relative_to(path)) for log in logs if log is not None)
+        raise ConfigError(
+            f"{path}: a folder of {len(logs)} logs, {first_of(names, _SHOWN)}; name one of them"
+        )
+    return logs[0] or path
 
 
 @dataclass

@@ -19,6 +19,7 @@ from replan.draw.report.overview import overview
 from replan.draw.view import recordings
 from replan.logs.mcap import read_scenario
 from replan.run import evaluate_logs
+from replan.run.sources import select
 
 
 def test_help_names_every_command_and_teaches_by_example() -> None:
@@ -233,6 +234,24 @@ def test_inspect_says_what_a_log_holds(folder: Path, tmp_path: Path) -> None:
     bad.write_bytes(b"not an MCAP file")
     assert replan("inspect", bad).exit_code == 3
     assert replan("inspect", tmp_path / "nowhere.mcap").exit_code == 2
+
+
+def test_inspect_and_evaluate_find_the_same_logs_in_a_folder(folder: Path, tmp_path: Path) -> None:
+    place = tmp_path / "week"
+    place.mkdir()
+    for name in ("first.mcap", "second copy.mcap"):
+        (place / name).write_bytes((folder / "blocked.mcap").read_bytes())
+    shown = replan("inspect", place)
+    assert shown.exit_code == 0 and "test/blocked" in shown.stdout
+    assert len(select([place]).sources) == 1
+    (place / "third.mcap").write_bytes((folder / "free.mcap").read_bytes())
+    several = replan("inspect", place)
+    assert several.exit_code == 2
+    assert "week: a folder of 2 logs, first.mcap, third.mcap; name one of them" in several.stderr
+    assert len(select([place]).sources) == 2
+    (tmp_path / "empty").mkdir()
+    nothing = replan("inspect", tmp_path / "empty")
+    assert nothing.exit_code == 3 and "the folder holds nothing" in nothing.stdout
 
 
 def test_convert_commonroad(shared_data: Path, tmp_path: Path) -> None:

@@ -21,7 +21,7 @@ FORMATS = "`replan convert --formats` lists what replan reads and how a format i
 CONVERT = "convert it with py123d (pip install py123d) and read its logs"
 FRAMES = "and give its poses and objects to replan.from_frames as tables"
 _SHOWN = 8
-_SQLITE = b"SQLite format 3\0"
+_SQLITE, _MCAP = b"SQLite format 3\0", b"\x89MCAP0\r\n"
 _NUPLAN = {"ego_pose", "lidar_pc", "lidar_box", "scenario_tag"}
 _NUSCENES = ("sample.json", "ego_pose.json", "scene.json", "sample_annotation.json")
 
@@ -98,11 +98,9 @@ SIGNS = (
         f"read it with openpilot's tools/lib/logreader.py, {FRAMES}",
     ),
     _Sign(
-        "a rosbag2 folder without metadata.yaml",
-        lambda path, begin, names: (
-            "metadata.yaml" not in names and any(name.endswith(".db3") for name in names)
-        ),
-        "write it with `ros2 bag reindex`, or name one .db3 file",
+        "an MCAP file whose name does not end in .mcap",
+        lambda path, begin, names: begin.startswith(_MCAP) and path.suffix != ".mcap",
+        "rename it to NAME.mcap",
     ),
 )
 """The formats that are known and not read; the first that fits is named."""

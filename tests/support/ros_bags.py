@@ -244,19 +244,20 @@ def write_ros2(
     if compressed and not sqlite:
         writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
     with writer:
-        _write(writer, rows, types, types.serialize_cdr)
+        write_rows(writer, rows, types, types.serialize_cdr)
     return path
 
 
 def write_ros1(path: Path, rows: Iterable[Row], types: Any) -> Path:
     with Writer1(path) as writer:
-        _write(writer, rows, types, types.serialize_ros1)
+        write_rows(writer, rows, types, types.serialize_ros1)
     return path
 
 
-def _write(
+def write_rows(
     writer: Any, rows: Iterable[Row], types: Any, serialised: Callable[[Any, str], Any]
 ) -> None:
+    """Write rows in the order of their times."""
     connections: dict[str, Any] = {}
     for topic, kind, time, each in sorted(rows, key=lambda row: row[2]):
         if topic not in connections:

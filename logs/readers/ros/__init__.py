@@ -1,12 +1,10 @@
-"""Reads ROS 2 bags (rosbag2: MCAP and SQLite, one file or a folder with metadata.yaml) and ROS 1
-bags, without ROS.
+"""Reads ROS 2 bags (rosbag2: MCAP and SQLite, one file or a folder) and ROS 1 bags, without ROS.
 
-Only `bag` uses rosbags. A folder with `metadata.yaml` is one bag, split over its files; `.mcap` and
-`.db3` alone are bags of ROS 2, `.bag` of ROS 1. Message definitions come from the file; if it has
-none, from `definitions.msg` (Autoware and other packages) and from those of the distribution in
-rosbags. If the file has an index, only the chunks of the requested times and topics are read. A
-SQLite bag whose recorder did not close it has messages in a journal beside it: both are read,
-through a copy.
+`storage` opens the files, which it recognises by their content; `bag` makes topics of them. Message
+definitions come from the file; if it has none, from `definitions.msg` (Autoware and other packages)
+and from those of the distribution in rosbags. If the file has an index, only the chunks of the
+requested times and topics are read. A SQLite bag whose recorder did not close it has messages in a
+journal beside it: both are read, through a copy.
 """
 
 from __future__ import annotations
@@ -16,27 +14,20 @@ from pathlib import Path
 from replan.core.errors import LogError
 from replan.logs.log_settings import LogSettings
 from replan.logs.readers.base import LogContents, Reader, TopicSummary
-from replan.logs.readers.ros.bag import BAG, LISTED_BYTES, MAGIC, METADATA, bag_files, opened
+from replan.logs.readers.ros.bag import LISTED_BYTES, opened
+from replan.logs.readers.ros.storage import BAG, METADATA, bag_files, kind_of, parts_of
 from replan.logs.scenario import Scenario
 
 
 def _claims(path: Path) -> bool:
     try:
-        if path.is_dir():
-            metadata = path / METADATA
-            return metadata.is_file() and BAG in metadata.read_bytes()[:4096]
-        magic = MAGIC.get(path.suffix.lower())
-        if magic is None or not path.is_file():
-            return False
-        with path.open("rb") as stream:
-            begin = stream.read(64)
-    except OSError:
+        if not path.is_dir():
+            return path.is_file() and kind_of(path) is not None
+        metadata = path / METADATA
+        is_bag = metadata.is_file() and BAG in metadata.read_bytes()[:4096]
+        return is_bag or bool(parts_of(path))
+    except (OSError, ValueError):
         return False
-    if path.suffix.lower() == ".mcap":
-        return (
-            begin.startswith(magic) and begin[8:9] == b"\x01" and begin[17:25] == b"\x04\0\0\0ros2"
-        )
-    return begin.startswith(magic)
 
 
 def _read(path: Path, settings: LogSettings) -> Scenario:

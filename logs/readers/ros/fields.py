@@ -54,7 +54,7 @@ some 100.
 """
 MOST_FIXED_BYTES = 1 << 30
 """Largest list of fixed length, bytes: no message is longer
-(`replan.logs.readers.ros.bag.MAX_CHUNK_BYTES`).
+(`replan.logs.readers.ros.storage.MAX_CHUNK_BYTES`).
 """
 SIMPLIFY = "record the topic with a simpler message type, or leave it out of the bag"
 ENDS = {0: ">", 1: "<"}

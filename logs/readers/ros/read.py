@@ -103,7 +103,8 @@ ROLES = {
 
 def _scenario(path: Path, bag: Bag, settings: LogSettings) -> Scenario:
     if not any(topic.count for topic in bag.topics):
-        raise LogError("the bag holds no messages", remedy="record or copy it again")
+        what = ": ".join(["the bag holds no messages", *bag.notes]).rstrip(".")
+        raise LogError(what, remedy="record or copy it again")
     about_car = list(bag.notes)
     vehicle = settings.vehicle(about_car)
     if vehicle is None:

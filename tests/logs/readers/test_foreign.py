@@ -5,8 +5,10 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
+from mcap_cases import rich_scenario
 
 from replan.core.errors import ConfigError, LogError
+from replan.logs.mcap import write_scenario
 from replan.logs.readers import LogSettings, foreign, read_log
 from replan.run.sources import select
 
@@ -22,8 +24,8 @@ def database(path: Path, table: str) -> None:
 def made(folder: Path, name: str) -> Path:
     path = folder / name
     path.parent.mkdir(parents=True, exist_ok=True)
-    if name.endswith((".db", ".db3")):
-        database(path, "topics" if name.endswith("3") else "ego_pose")
+    if name.endswith(".db"):
+        database(path, "ego_pose")
     else:
         path.write_text("[]")
     return path
@@ -43,7 +45,6 @@ def made(folder: Path, name: str) -> Path:
         ("demo.record", 0, "Apollo", "cyber_record"),
         ("route/rlog.zst", 0, "openpilot", "logreader"),
         ("a2a0ccea32023010--2023-07-27--13-01-19--0--qlog.bz2", 0, "openpilot", "logreader"),
-        ("bag/bag_0.db3", 1, "metadata.yaml", "ros2 bag reindex"),
         ("ego.csv", 0, "table", "in a folder"),
     ],
 )
@@ -54,9 +55,8 @@ def test_known_formats_have_a_remedy(
     path = (path, *path.parents)[up]
     error = foreign(path)
     assert what in str(error) and remedy in (error.remedy or "") and "\n" not in str(error)
-    if not file.endswith(".db3"):
-        with pytest.raises((ConfigError, LogError), match=what):
-            select([path], LogSettings())
+    with pytest.raises((ConfigError, LogError), match=what):
+        select([path], LogSettings())
 
 
 @pytest.mark.parametrize(
@@ -76,3 +76,11 @@ def test_other_databases_and_tables_are_not_called_nuplan(tmp_path: Path) -> Non
     (tmp_path / "text.db").write_text("not a database")
     for name in ("mine.db", "text.db"):
         assert "nuPlan" not in str(foreign(tmp_path / name))
+
+
+@pytest.mark.parametrize("name", ["drive.bag", "drive", "drive.mcap.bak"])
+def test_a_log_of_replan_that_was_renamed_says_so(name: str, tmp_path: Path) -> None:
+    write_scenario(tmp_path / "drive.mcap", rich_scenario(4))
+    path = (tmp_path / "drive.mcap").rename(tmp_path / name)
+    with pytest.raises(ConfigError, match=r"does not end in \.mcap.*rename it to NAME\.mcap"):
+        select([path])

@@ -13,29 +13,33 @@ from __future__ import annotations
 
 import os
 import re
-import sqlite3
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import ExitStack, closing, contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path, PurePath
-from shutil import copyfile, copyfileobj
+from shutil import copyfileobj
 from tempfile import TemporaryDirectory
 from typing import Any
+from urllib.parse import quote
 
 from zstandard import ZstdDecompressor, ZstdError, frame_content_size
 
 from replan.core.errors import LogError
 from replan.core.names import listed
 from replan.logs.mcap.container import COPY_AGAIN, SALVAGE
+from replan.logs.readers.ros.sqlite_files import (
+    JOURNALS,
+    MAGIC as SQLITE,
+    copy_to_read,
+    has_messages,
+)
 from replan.logs.readers.ros.walked_mcap import MAGIC as MCAP, WalkedMcap, is_ros2_mcap
 
-SQLITE, ROS1, ZSTD = b"SQLite format 3\0", b"#ROSBAG V", b"\x28\xb5\x2f\xfd"
+ROS1, ZSTD = b"#ROSBAG V", b"\x28\xb5\x2f\xfd"
 METADATA = "metadata.yaml"
-JOURNALS = ("-wal", "-journal")
-"""Suffixes of the files beside a SQLite file that hold what was not yet written into it."""
 BAG = b"rosbag2_bagfile_information"
 HEAD_BYTES = 64
 SUFFIXES = (".bag", ".db3", ".mcap")
@@ -47,7 +51,6 @@ MAX_CHUNK_BYTES = 1 << 30
 """Largest decompressed chunk of a bag, bytes: rosbag2 writes 768 KiB, the largest known are 100
 MiB.
 """
-REINDEX = "its recorder was killed: `rosbag reindex` writes its index"
 _CHUNK_HEAD_BYTES, _FRAME_HEAD_BYTES = 9 + 40, 18
 """Size of an MCAP chunk's head without the name of the compression, and greatest size of a zstd
 frame's head.
@@ -76,20 +79,9 @@ def kind_of(path: Path) -> bytes | None:
     except OSError:
         return None
     if begin.startswith(SQLITE):
-        is_bag = path.suffix.lower() == ".db3" or _has_messages(path)
+        is_bag = path.suffix.lower() == ".db3" or has_messages(path)
         return SQLITE if is_bag else None
     return ROS1 if begin.startswith(ROS1) else None
-
-
-def _has_messages(path: Path) -> bool:
-    """Whether a SQLite file has the tables of a bag."""
-    address = f"{path.resolve().as_uri()}?mode=ro&immutable=1"
-    try:
-        with closing(sqlite3.connect(address, uri=True)) as database:
-            database.execute("SELECT timestamp, data, topics.name FROM messages, topics LIMIT 0")
-    except (sqlite3.Error, UnicodeError):
-        return False
-    return True
 
 
 @dataclass(frozen=True)
@@ -135,15 +127,10 @@ def opened_parts(path: Path) -> Iterator[tuple[list[BagFile], list[str]]]:
 def _opened(path: Path, stack: ExitStack, notes: list[str]) -> BagFile:
     """Open a file of a bag, through a copy if it is compressed or has a journal."""
     try:
-        near, is_packed = path, _begins(path, ZSTD)
-        is_unclosed = any(_has_content(Path(f"{path}{suffix}")) for suffix in JOURNALS)
-        if is_packed or is_unclosed:
-            scratch = Path(stack.enter_context(TemporaryDirectory(prefix="replan-")))
-            near = _unpacked(path, scratch) if is_packed else _closed_copy(path, scratch)
-        if is_unclosed:
-            notes.append(
-                f"{path.name} was not closed: its journal beside it is read too, in a copy."
-            )
+        near = _unpacked(path, stack) if _begins(path, ZSTD) else path
+        if _begins(near, SQLITE):
+            near, note = copy_to_read(near, stack)
+            notes += [note] if note else []
         opener = next(opener for magic, opener in _OPENERS.items() if _begins(near, magic))
         part = opener(path, near, stack)
     except LogError as error:
@@ -152,8 +139,7 @@ def _opened(path: Path, stack: ExitStack, notes: list[str]) -> BagFile:
         raise LogError("the file is not one of a bag", file=path, remedy=COPY_AGAIN) from None
     except DAMAGE as error:
         what = f"the bag cannot be opened ({describe(error)})"
-        remedy = REINDEX if "not indexed" in what else COPY_AGAIN
-        raise LogError(what, file=path, remedy=remedy) from None
+        raise LogError(what, file=path, remedy=COPY_AGAIN) from None
     if part.note:
         notes.append(part.note)
     if part.count < part.stated:
@@ -170,23 +156,11 @@ def _has_content(path: Path) -> bool:
     return path.is_file() and path.stat().st_size > 0
 
 
-def _unpacked(file: Path, folder: Path) -> Path:
-    """Decompress a file into a folder."""
-    near = folder / file.stem
+def _unpacked(file: Path, stack: ExitStack) -> Path:
+    """Decompress a file into a folder that lasts as long as `stack`."""
+    near = Path(stack.enter_context(TemporaryDirectory(prefix="replan-")), file.stem)
     with file.open("rb") as packed, near.open("wb") as copy:
         copyfileobj(ZstdDecompressor().stream_reader(packed, read_across_frames=True), copy)
-    return near
-
-
-def _closed_copy(file: Path, folder: Path) -> Path:
-    """Copy a SQLite file with its journals into a folder, and write them into it."""
-    near = folder / file.name
-    for suffix in ("", *JOURNALS):
-        if Path(f"{file}{suffix}").is_file():
-            copyfile(f"{file}{suffix}", f"{near}{suffix}")
-    with closing(sqlite3.connect(near)) as database:
-        # Reads the journal, and leaves one file
-        database.execute("PRAGMA journal_mode = DELETE")
     return near
 
 
@@ -246,7 +220,8 @@ def _check_chunks(path: Path, storage: Any) -> None:
 def _open_sqlite(path: Path, near: Path, stack: ExitStack) -> BagFile:
     from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 
-    storage = Sqlite3Reader(near)
+    # It makes a URI of the path
+    storage = Sqlite3Reader(Path(quote(str(near))))
     storage.open()
     stack.callback(storage.close)
     return _file_of(path, SQLITE, storage, sum(each.msgcount for each in storage.connections))
@@ -261,12 +236,20 @@ def _file_of(path: Path, magic: bytes, storage: Any, count: int) -> BagFile:
 def _open_ros1(path: Path, near: Path, stack: ExitStack) -> BagFile:
     from rosbags.rosbag1 import Reader
 
-    storage = Reader(near)
-    storage.open()
+    storage, note = Reader(near), ""
+    try:
+        storage.open()
+    except DAMAGE:
+        from replan.logs.readers.ros.walked_ros1 import WalkedBag
+
+        storage = WalkedBag(near)
+        storage.open()
+        note = storage.note
     stack.callback(storage.close)
     stated = sum(sum(info.connection_counts.values()) for info in storage.chunk_infos)
     count = sum(each.msgcount for each in storage.connections)
-    return BagFile(path, ROS1, storage, storage.start_time, storage.end_time - 1, count, stated)
+    times = storage.start_time, storage.end_time - 1
+    return BagFile(path, ROS1, storage, *times, count, stated, note)
 
 
 _OPENERS: dict[bytes, Callable[[Path, Path, ExitStack], BagFile]] = {

@@ -103,7 +103,8 @@ class WalkedMcap:
             for channel in catalogue.channels.values()
             if channel.message_encoding == CDR
         )
-        self.note = "" if closed else _describe_end(path.name, self.count, chunks, lost)
+        lost_bytes = 0 if lost is None else lost.size
+        self.note = "" if closed else describe_end(path.name, self.count, chunks, lost_bytes)
 
     def _connection(self, channel: Channel, catalogue: Catalogue, count: int) -> Any:
         """A channel as rosbags describes it."""
@@ -154,8 +155,8 @@ class WalkedMcap:
         self._raw.close()
 
 
-def _describe_end(name: str, messages: int, chunks: int, lost: Lost | None) -> str:
+def describe_end(name: str, messages: int, chunks: int, lost_bytes: int) -> str:
+    """A note on a file without its end: what is read, and what is lost."""
     held = f"{counted(messages, 'message')} of {counted(chunks, 'chunk')} are read"
-    size = 0 if lost is None else lost.size
-    end = f", and the last {size} bytes, which are damaged, are lost" if size else ""
+    end = f", and the last {lost_bytes} bytes, which are damaged, are lost" if lost_bytes else ""
     return f"{name} was not closed: its recorder was killed, or the file is cut off. {held}{end}."

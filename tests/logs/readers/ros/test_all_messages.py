@@ -21,6 +21,7 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType, Writer
 from mcap_cases import differences
 from ros_bags import START_NS, Row, message
+from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer as Writer2
 
 from replan.core.errors import LogError
@@ -238,7 +239,7 @@ def check_prefix(path: Path, tmp_path: Path) -> None:
             salvage(path, tmp_path / "saved.mcap")
             assert len(read_log(tmp_path / "saved.mcap").ego)
         return
-    assert any("was not closed" in note for note in read.notes)
+    assert any("was not closed" in note or "is cut off" in note for note in read.notes)
     held = numbers(path)
     assert all(held.get(topic, 0) <= count for topic, count in ALL.items())
 
@@ -259,13 +260,30 @@ def contents(source: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str
     """The bytes of a file by what is special with it."""
     place = tmp_path_factory.mktemp("contents")
     options: dict[str, dict[str, Any]] = CONTAINERS
-    return {
-        name: packed(source, place / f"{name}.mcap", **options[name]).read_bytes()
-        for name in CONTAINERS
-    }
+    files = {name: packed(source, place / f"{name}.mcap", **options[name]) for name in CONTAINERS}
+    files["SQLite"] = next(bags.write_ros2(place / "sql", drive(), sqlite=True).glob("*.db3"))
+    for compression in (None, *Writer1.CompressionFormat):
+        files[f"ROS 1 {compression}"] = write_ros1(place / f"{compression}.bag", compression)
+    return {name: path.read_bytes() for name, path in files.items()}
 
 
-@given(st.data(), st.sampled_from(sorted(CONTAINERS)), st.booleans())
+def write_ros1(path: Path, compression: Any = None) -> Path:
+    """A ROS 1 bag of several chunks."""
+    types = bags.store(ros1=True)
+    rows = [(t, k, n, message(k, types, **bags.values_of(m))) for t, k, n, m in bags.transforms()]
+    writer = Writer1(path)
+    writer.chunk_threshold = 8_000
+    if compression is not None:
+        writer.set_compression(compression)
+    with writer:
+        bags.write_rows(writer, rows, types, types.serialize_ros1)
+    return path
+
+
+OTHERS = ("SQLite", *(f"ROS 1 {each}" for each in (None, *Writer1.CompressionFormat)))
+
+
+@given(st.data(), st.sampled_from([*CONTAINERS, *OTHERS]), st.booleans())
 @settings(
     max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
@@ -273,6 +291,7 @@ def test_a_file_cut_off_anywhere_is_a_prefix_or_refused(
     contents: dict[str, bytes], tmp_path: Path, data: st.DataObject, name: str, at_a_record: bool
 ) -> None:
     raw = contents[name]
+    at_a_record = at_a_record and name in CONTAINERS
     places = st.sampled_from(records(raw)) if at_a_record else st.integers(0, len(raw) - 1)
     path = tmp_path / "cut.mcap"
     path.write_bytes(raw[: data.draw(places)])
@@ -292,6 +311,53 @@ def test_a_killed_recording_says_what_is_lost(contents: dict[str, bytes], tmp_pa
     assert sum(numbers(path).values()) == count and "damaged" not in read_log(path).notes[0]
     path.write_bytes(raw[: ends[-1]] + bytes(4096))  # as a power cut leaves a file
     assert "the last 4096 bytes" in read_log(path).notes[0]
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_what_is_whole_of_other_files_that_are_cut_off_is_read(
+    name: str, contents: dict[str, bytes], tmp_path: Path
+) -> None:
+    raw, path, held = contents[name], tmp_path / "cut.bag", [0]
+    for part in (0.5, 0.7, 0.9):
+        path.write_bytes(raw[: int(part * len(raw))])
+        assert len(read_log(path).ego) >= 100 * part
+        held.append(sum(numbers(path).values()))
+    assert held == sorted(held) and held[0] < held[1] < held[2]
+    path.write_bytes(raw[:-1])
+    assert "cut.bag" in notes(path)
+
+
+def chunks_of_ros1(raw: bytes) -> list[tuple[int, int]]:
+    """Where the data of the chunks begin and end."""
+    place, chunks = raw.index(b"\n") + 1, []
+    while place < len(raw):
+        header = place + 4 + int.from_bytes(raw[place : place + 4], "little")
+        end = header + 4 + int.from_bytes(raw[header : header + 4], "little")
+        chunks += [(header + 4, end)] if b"op=\x05" in raw[place:header] else []
+        place = end
+    return chunks
+
+
+def test_a_ros1_bag_whose_recorder_was_killed_has_all_whole_messages(
+    contents: dict[str, bytes], tmp_path: Path
+) -> None:
+    """It has no index, and its last chunk does not say how long it is."""
+    raw = bytearray(contents["ROS 1 None"])
+    chunks = chunks_of_ros1(bytes(raw))
+    place = raw.index(b"index_pos=") + len(b"index_pos=")
+    raw[place : place + 8] = bytes(8)
+    begin, end = chunks[-1]
+    raw[begin - 4 : begin] = bytes(4)
+    path = tmp_path / "drive.bag.active"
+    path.write_bytes(raw[:end])
+    assert numbers(path) == all_of(".bag") and f"333 messages of {len(chunks)}" in notes(path)
+    path.write_bytes(raw[: end - 30])
+    assert numbers(path)["/tf"] == ALL["/tf"] - 1
+    begin, _ = chunks[2]
+    raw[begin + 500 : begin + 600] = bytes(100)
+    path.write_bytes(raw[:end])
+    with pytest.raises(LogError, match=r"damaged in the chunk at byte \d+"):
+        read_log(path)
 
 
 def test_damage_before_whole_chunks_is_refused_with_a_remedy_that_works(

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Iterator
+from itertools import islice
 from mmap import ACCESS_READ, mmap
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,6 +24,8 @@ from replan.logs.mcap.records import ROS2_SCHEMAS, Catalogue, Lost, messages_at,
 MAGIC = b"\x89MCAP0\r\n"
 CDR = "cdr"
 _HEADER = b"\x01"
+_LOOKED_AT = 1000
+"""Records among which the first channels of a file must be."""
 _ROS2, _NATIVE = b"\x04\0\0\0ros2", b"\x06\0\0\0replan"
 
 
@@ -40,7 +43,7 @@ def is_ros2_mcap(path: Path, begin: bytes) -> bool:
     catalogue = Catalogue()
     with path.open("rb") as stream, mmap(stream.fileno(), 0, access=ACCESS_READ) as raw:
         catalogue.take_summary(raw)
-        for piece in () if catalogue.channels else pieces(raw):
+        for piece in () if catalogue.channels else islice(pieces(raw), _LOOKED_AT):
             for record in () if isinstance(piece, Lost) else piece.records:
                 catalogue.take(record)
             if catalogue.channels:
@@ -74,6 +77,7 @@ class WalkedMcap:
             self._raw = mmap(stream.fileno(), 0, access=ACCESS_READ)
         self._places: list[_Place] = []
         catalogue, counts, chunks = Catalogue(), Counter[int](), 0
+        shared: dict[frozenset[int], frozenset[int]] = {}  # one in memory, not one a message
         lost = None
         for piece in pieces(self._raw):
             if isinstance(piece, Lost):
@@ -88,7 +92,8 @@ class WalkedMcap:
             counts += held
             if held:
                 times = [message.log_time for message in piece.messages]
-                self._places.append(_Place(piece.begin, min(times), max(times), frozenset(held)))
+                channels = shared.setdefault(frozenset(held), frozenset(held))
+                self._places.append(_Place(piece.begin, min(times), max(times), channels))
         closed = self._raw[-len(MAGIC) :] == MAGIC
         if lost is not None and (closed or lost.before_ns is not None):
             raise LogError(f"the file is damaged: {lost}", file=path, remedy=SALVAGE)

@@ -41,7 +41,10 @@ ALL = {"/tf": 332, "/tf_static": 1, TOPIC: 61}
 
 def drive() -> list[Row]:
     """Six seconds, whose objects are in the frame of a sensor that only /tf_static places."""
-    return bags.transforms() + bags.autoware_objects(TRACKED, TOPIC, "base_link")
+    objects = bags.autoware_objects(TRACKED, TOPIC, "base_link")
+    for _, _, _, each in objects:
+        each.header.frame_id = "lidar"
+    return bags.transforms() + objects
 
 
 def packed(
@@ -437,6 +440,9 @@ def test_parts_without_metadata_are_one_log(kind: str, folder: Path, tmp_path: P
     scenario, one = read_log(place), read_log(folder)
     note = f"Read as one recording, without metadata.yaml: drive_0{kind}"
     assert scenario.notes[0].startswith(note)
+    if kind != ".bag":
+        with pytest.raises(LogError, match="lidar"):
+            read_log(place / f"drive_1{kind}")  # /tf_static is in the first part
     alike = replace(scenario, name=one.name, notes=one.notes, source=one.source)
     assert differences(alike, one) == []
     assert [source.path for source in select([place]).sources] == [place]

@@ -45,8 +45,7 @@ from replan.core.files import (
     read_toml,
     url_of,
 )
-from replan.core.names import listed as first_of
-from replan.core.names import told_apart
+from replan.core.names import listed as first_of, told_apart
 from replan.logs.catalogue import BUILTIN, FAMILY, scenario, suite
 from replan.logs.edit.transform import jittered, rotated, sampled, shifted_clock
 from replan.logs.maps import map_files

@@ -843,6 +843,12 @@ def test_a_part_reads_no_more_than_it_needs(
             def __getattr__(self, name: str) -> Any:
                 return getattr(stream, name)
 
+            def __enter__(self) -> "Counting":
+                return self
+
+            def __exit__(self, *error: object) -> None:
+                stream.close()
+
             def read(self, count: int = -1) -> bytes:
                 nonlocal read
                 data: bytes = raw(count)

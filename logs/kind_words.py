@@ -12,6 +12,8 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import pairwise
 
+import numpy as np
+
 from replan.core.arrays import IntArray
 from replan.core.errors import LogError
 from replan.core.names import counted
@@ -52,10 +54,14 @@ NAMES: Mapping[str, AgentKind] = {
     "vehicle.gazelle.omafiets": BICYCLE,
     "vehicle.diamondback.century": BICYCLE,
     "nonmot": BICYCLE,
-    "dog": PEDESTRIAN,
+    "dog": OBJECT,
+    "mobile_pedestrian_crossing_sign": OBJECT,
     "dontcare": OBJECT,
     "official_signaler": PEDESTRIAN,
-    "wheeled_device": PEDESTRIAN,
+    "wheeled_device": BICYCLE,
+    "heavy_truck": TRUCK,
+    "semitractor": TRUCK,
+    "semitrailer": TRUCK,
 }
 """Kinds by whole words, of which no part decides, or a wrong one."""
 PARTS = (
@@ -123,6 +129,18 @@ def kind_of_word(word: str) -> AgentKind | None:
     if text in NAMES:
         return NAMES[text]
     return next((kind for part, kind in PARTS if part in text), None)
+
+
+def most_common(labels: IntArray, owner: IntArray, count: int) -> IntArray:
+    """Return the most frequent label of each of `count` owners, -1 without one; `labels` and
+    `owner` are `(m,)`.
+    """
+    values, codes = np.unique(labels, return_inverse=True)
+    counts = np.zeros((count, max(len(values), 1)), np.int64)
+    np.add.at(counts, (owner, codes), 1)
+    if not len(values):
+        return np.full(count, -1)
+    return np.where(counts.any(axis=1), values[counts.argmax(axis=1)], -1)
 
 
 def kinds_by_word(

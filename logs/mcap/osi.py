@@ -33,6 +33,7 @@ from replan.core.errors import LogError, reading
 from replan.logs.agents import USUAL_SIZE_M, AgentKind
 from replan.logs.complete import completed, derived_curvature, derived_speed, road_along, with_limit
 from replan.logs.heights import on_the_way
+from replan.logs.kind_words import kind_of_word
 from replan.logs.mcap.container import COPY_AGAIN, Stream
 from replan.logs.observed import of_stream
 from replan.logs.road import Lane, Road, paired
@@ -43,20 +44,10 @@ from replan.logs.vehicle import VehicleParameters, assumed_car
 
 SCHEMAS = ("osi3.GroundTruth", "osi3.SensorView")
 
-KINDS = {
-    "TYPE_HEAVY_TRUCK": AgentKind.TRUCK,
-    "TYPE_SEMITRAILER": AgentKind.TRUCK,
-    "TYPE_TRAILER": AgentKind.TRUCK,
-    "TYPE_SEMITRACTOR": AgentKind.TRUCK,
-    "TYPE_DELIVERY_VAN": AgentKind.TRUCK,
-    "TYPE_BUS": AgentKind.BUS,
-    "TYPE_TRAM": AgentKind.BUS,
-    "TYPE_TRAIN": AgentKind.BUS,
-    "TYPE_MOTORBIKE": AgentKind.MOTORCYCLE,
-    "TYPE_BICYCLE": AgentKind.BICYCLE,
-    "TYPE_STANDUP_SCOOTER": AgentKind.BICYCLE,
-    "TYPE_WHEELCHAIR": AgentKind.PEDESTRIAN,
-}
+VEHICLES = {"TYPE_DELIVERY_VAN": AgentKind.TRUCK, "TYPE_STANDUP_SCOOTER": AgentKind.BICYCLE}
+"""Vehicles whose word means another kind in OSI than elsewhere; others are those of
+`replan.logs.kind_words`.
+"""
 MOST_NAMED = 20
 """Greatest number of objects that an error message lists."""
 NOT_IN_THE_WAY = {"TYPE_BRIDGE", "TYPE_OVERHEAD_STRUCTURE", "TYPE_SPEED_BUMP", "TYPE_CURBSTONE"}
@@ -329,9 +320,8 @@ def _tracks(
         group = "" if key in standing else _enum_name(seen.moving[key], "type")
         kind = AgentKind.PEDESTRIAN if group == "TYPE_PEDESTRIAN" else AgentKind.OBJECT
         if group == "TYPE_VEHICLE":
-            kind = KINDS.get(
-                _enum_name(seen.moving[key].vehicle_classification, "type"), AgentKind.CAR
-            )
+            word = _enum_name(seen.moving[key].vehicle_classification, "type")
+            kind = VEHICLES.get(word) or kind_of_word(word) or AgentKind.CAR
         kinds.append(kind)
     boxes = [
         (standing[key] if key in standing else seen.moving[key]).base.dimension for key in others

@@ -35,6 +35,7 @@ from replan.core.errors import LogError
 from replan.core.files import beside
 from replan.logs.agents import AgentKind
 from replan.logs.complete import completed, road_along, with_limit
+from replan.logs.kind_words import kind_of_word, most_common
 from replan.logs.log_settings import LogSettings
 from replan.logs.maps.strips import LARGEST_M, LaneStrip, lanes_of
 from replan.logs.observed import of_stream
@@ -83,15 +84,6 @@ POSE_APART_NS = 20_000_000
 """Largest time between a box and the ego pose that places it, ns."""
 EGO, RATE_HZ, MOST_STEPS = "AV", 10.0, 1_000_000
 STATE = ("position_x", "position_y", "heading", "velocity_x", "velocity_y")
-OBJECT_TYPES = {
-    "vehicle": AgentKind.CAR,
-    "bus": AgentKind.BUS,
-    "pedestrian": AgentKind.PEDESTRIAN,
-    "cyclist": AgentKind.BICYCLE,
-    "motorcyclist": AgentKind.MOTORCYCLE,
-    "riderless_bicycle": AgentKind.BICYCLE,
-}
-"""Kinds by object type; others ("static", "background", "construction", "unknown") are objects."""
 LANE_TYPES = {"VEHICLE": "surface_street", "BIKE": "bike_lane", "BUS": "bus_lane"}
 """123D's names of lane types, by Argoverse's."""
 POSES = "city_SE3_egovehicle.feather"
@@ -221,7 +213,7 @@ def _boxes(
             notes.append(
                 f"Categories that are not known are taken as objects: {', '.join(foreign)[:200]}."
             )
-        kinds = _kinds(owner, category, categories, len(names), AV2_CATEGORIES)
+        kinds = _kinds(owner, category, categories, len(names))
         found = (
             t,
             owner[keep],
@@ -240,12 +232,12 @@ def _boxes(
 
 
 def _kinds(
-    owner: IntArray, label: IntArray, labels: list[str], count: int, kinds: Mapping[str, AgentKind]
+    owner: IntArray, label: IntArray, labels: list[str], count: int
 ) -> tuple[AgentKind, ...]:
-    """Return the kind of each of `count` road users, by the label of its first row."""
-    there, first = np.unique(owner, return_index=True)
-    word = dict(zip(there.tolist(), (labels[k] for k in label[first]), strict=True))
-    return tuple(kinds.get(word.get(i, ""), AgentKind.OBJECT) for i in range(count))
+    """Return the kind of each of `count` road users, by its most frequent label."""
+    kinds = [kind_of_word(word) or AgentKind.OBJECT for word in labels]
+    chosen = most_common(label, owner, count)
+    return tuple(kinds[code] if code >= 0 else AgentKind.OBJECT for code in chosen)
 
 
 # Motion-forecasting scenarios
@@ -298,7 +290,7 @@ def read_forecasting(path: Path, settings: LogSettings) -> Scenario:
             ego = driven(t[its], x, y, yaw, notes)
         x, y, yaw, vx, vy = state.T
         unsized = np.full(len(t), np.nan)
-        kinds_of = _kinds(owner, kind, kinds, len(names), OBJECT_TYPES)
+        kinds_of = _kinds(owner, kind, kinds, len(names))
         boxes = RecordedBoxes(
             tuple(names), kinds_of, t, owner, x, y, yaw, unsized, unsized, vx, vy, unsized, unsized
         )

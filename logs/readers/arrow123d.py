@@ -40,6 +40,7 @@ from replan.core.errors import LogError
 from replan.core.files import beside
 from replan.logs.agents import AgentKind
 from replan.logs.complete import completed
+from replan.logs.kind_words import kind_of_word, most_common
 from replan.logs.log_settings import LogSettings
 from replan.logs.maps.arrow123d_map import LIGHTS, map_of, road_of
 from replan.logs.observed import of_stream
@@ -100,38 +101,38 @@ _CAR, _TRUCK, _BUS, _MOTORCYCLE, _BICYCLE, _PEDESTRIAN, _OBJECT = AgentKind
 LONG_M = 6.5
 """A vehicle of unspecified type that is longer is a truck, m."""
 
-AV2_CATEGORIES = {
-    "ANIMAL": _OBJECT,
-    "ARTICULATED_BUS": _BUS,
-    "BICYCLE": _BICYCLE,
-    "BICYCLIST": _BICYCLE,
-    "BOLLARD": _OBJECT,
-    "BOX_TRUCK": _TRUCK,
-    "BUS": _BUS,
-    "CONSTRUCTION_BARREL": _OBJECT,
-    "CONSTRUCTION_CONE": _OBJECT,
-    "DOG": _OBJECT,
-    "LARGE_VEHICLE": _TRUCK,
-    "MESSAGE_BOARD_TRAILER": _OBJECT,
-    "MOBILE_PEDESTRIAN_CROSSING_SIGN": _OBJECT,
-    "MOTORCYCLE": _MOTORCYCLE,
-    "MOTORCYCLIST": _MOTORCYCLE,
-    "OFFICIAL_SIGNALER": _PEDESTRIAN,
-    "PEDESTRIAN": _PEDESTRIAN,
-    "RAILED_VEHICLE": _BUS,
-    "REGULAR_VEHICLE": _CAR,
-    "SCHOOL_BUS": _BUS,
-    "SIGN": _OBJECT,
-    "STOP_SIGN": _OBJECT,
-    "STROLLER": _PEDESTRIAN,
-    "TRAFFIC_LIGHT_TRAILER": _OBJECT,
-    "TRUCK": _TRUCK,
-    "TRUCK_CAB": _TRUCK,
-    "VEHICULAR_TRAILER": _TRUCK,
-    "WHEELCHAIR": _PEDESTRIAN,
-    "WHEELED_DEVICE": _BICYCLE,
-    "WHEELED_RIDER": _BICYCLE,
-}
+AV2_CATEGORIES = (
+    "ANIMAL",
+    "ARTICULATED_BUS",
+    "BICYCLE",
+    "BICYCLIST",
+    "BOLLARD",
+    "BOX_TRUCK",
+    "BUS",
+    "CONSTRUCTION_BARREL",
+    "CONSTRUCTION_CONE",
+    "DOG",
+    "LARGE_VEHICLE",
+    "MESSAGE_BOARD_TRAILER",
+    "MOBILE_PEDESTRIAN_CROSSING_SIGN",
+    "MOTORCYCLE",
+    "MOTORCYCLIST",
+    "OFFICIAL_SIGNALER",
+    "PEDESTRIAN",
+    "RAILED_VEHICLE",
+    "REGULAR_VEHICLE",
+    "SCHOOL_BUS",
+    "SIGN",
+    "STOP_SIGN",
+    "STROLLER",
+    "TRAFFIC_LIGHT_TRAILER",
+    "TRUCK",
+    "TRUCK_CAB",
+    "VEHICULAR_TRAILER",
+    "WHEELCHAIR",
+    "WHEELED_DEVICE",
+    "WHEELED_RIDER",
+)
 """Argoverse 2's categories; 123D numbers them in this order."""
 
 KINDS: dict[str, dict[AgentKind, tuple[int, ...]]] = {
@@ -417,10 +418,9 @@ def _boxes(
         velocity[~known | (not own)] = np.nan
         usable = np.isfinite(box).all(axis=1) & is_unit(box[:, 3:7])
         box[~usable, :3], box[~usable, 3:7] = np.nan, (1.0, 0.0, 0.0, 0.0)
-        # The first label and the median length of each
-        label, size = np.full(len(names), -1), np.zeros(len(names))
-        there, first = np.unique(owner, return_index=True)
-        label[there] = labels[first]
+        # The most frequent label and the median length of each
+        label, size = most_common(labels, owner, len(names)), np.zeros(len(names))
+        there = np.unique(owner)
         order = np.argsort(owner, kind="stable")
         parts = np.split(box[order, 7], np.unique(owner[order], return_index=True)[1][1:])
         size[there] = [np.median(lengths) for lengths in parts]
@@ -444,7 +444,7 @@ def kinds_of(
     """
     key = label_class.rsplit(".", 1)[-1]
     if key == _AV2:
-        names = list(AV2_CATEGORIES.values())
+        names = [kind_of_word(name) or _OBJECT for name in AV2_CATEGORIES]
         return tuple(names[i] if 0 <= i < len(names) else _OBJECT for i in labels)
     if key not in KINDS:
         notes.append(

@@ -27,12 +27,12 @@ import numpy as np
 from replan.core.arrays import FloatArray
 from replan.core.errors import LogError
 from replan.logs.agents import AgentKind
+from replan.logs.kind_words import kind_of_word
 from replan.logs.observed import Spans, inferred
 from replan.logs.readers.base import Reader
 from replan.logs.readers.commonroad.document import Document, Obstacle, PlanningProblem, parse
 from replan.logs.readers.commonroad.lanelets import lights_of, road_of, with_rules
 from replan.logs.readers.commonroad.tracks import (
-    KINDS,
     ego_log,
     sized,
     tracks_of,
@@ -91,7 +91,9 @@ def read_commonroad(
             chosen = _by_problem(document, problem)
         else:  # (1)
             can = [o for o in document.obstacles if not o.static and len(o.states) > 1]
-            can = [o for o in can if KINDS.get(o.type, AgentKind.OBJECT) not in _CANNOT_DRIVE]
+            can = [
+                o for o in can if (kind_of_word(o.type) or AgentKind.OBJECT) not in _CANNOT_DRIVE
+            ]
             found = next((o for o in can if str(o.id) == ego), None)
             if found is None:
                 longest = sorted(can, key=lambda o: -len(o.states))[:8]

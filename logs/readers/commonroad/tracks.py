@@ -33,24 +33,13 @@ import numpy as np
 
 from replan.core.arrays import FloatArray
 from replan.logs.agents import AgentKind
+from replan.logs.kind_words import kind_of_word
 from replan.logs.readers.commonroad.document import Document, Obstacle
 from replan.logs.readers.commonroad.occupancy_sets import standing
 from replan.logs.states import Trajectory, wrap
 from replan.logs.tracks import Tracks
 from replan.logs.vehicle import VehicleParameters
 
-KINDS = {
-    "car": AgentKind.CAR,
-    "taxi": AgentKind.CAR,
-    "priorityVehicle": AgentKind.CAR,
-    "parkedVehicle": AgentKind.CAR,
-    "truck": AgentKind.TRUCK,
-    "bus": AgentKind.BUS,
-    "train": AgentKind.BUS,
-    "motorcycle": AgentKind.MOTORCYCLE,
-    "bicycle": AgentKind.BICYCLE,
-    "pedestrian": AgentKind.PEDESTRIAN,
-}
 WINDOW_S = 0.5
 """Half of the window over which the ego log's slopes are fitted."""
 _ASKEW = radians(0.5)
@@ -161,7 +150,7 @@ def tracks_of(
             found.append(
                 (
                     str(o.id),
-                    KINDS.get(o.type, AgentKind.OBJECT),
+                    kind_of_word(o.type) or AgentKind.OBJECT,
                     o.length,
                     o.width,
                     o.static,

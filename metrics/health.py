@@ -102,7 +102,7 @@ CLOSE_S = 0.09  # Speeds and positions are compared at 10 Hz at most
 AGAINST_M, ASKEW_M = 2.0, 10.0
 # Least distance of a point from the rear axle, share of the sideways motion that it explains, and
 # distance from a known point
-POINT_M, POINT_EXPLAINED, POINT_NEAR_M = 0.8, 0.8, 0.5
+POINT_M, POINT_EXPLAINED, POINT_NEAR_M = 0.7, 0.8, 0.5
 EGO_FLIP_RAD = 1.0  # No car turns by more between two samples, rad
 
 # A tracker that loses an agent finds it again within this time, s, and this distance, m

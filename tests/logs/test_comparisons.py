@@ -19,7 +19,7 @@ from replan.core.errors import LogError
 from replan.core.settings import strict
 from replan.logs.comparisons import COMPARISONS, rows
 from replan.logs.log_settings import LogSettings
-from replan.logs.readers import read_log
+from replan.logs.readers import logs_in, read_log
 from replan.logs.scenario import Scenario
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -344,3 +344,30 @@ def test_every_row_has_a_test() -> None:
     }
     assert {row.what for row in COMPARISONS} == set(words)
     assert all(word in own + elsewhere for word in words.values())
+
+
+@pytest.mark.nightly
+def test_recorded_logs_state_nothing_twice_in_contradiction(shared_data: Path) -> None:
+    """Every recorded log that is not an example of a contradiction reads without such a note."""
+    words = re.compile(
+        r"contradict|are exchanged|axes and are|fits the poses|shifted by|not used \("
+    )
+    noted = {}
+    for path, reader in logs_in(shared_data):
+        if reader is None or path.is_relative_to(shared_data / "users"):
+            continue
+        try:
+            notes = read_log(path).notes
+        except LogError:
+            continue
+        noted[path] = [note for note in notes if words.search(note)]
+    assert len(noted) > 100
+    assert not {path: notes for path, notes in noted.items() if notes}
+
+
+def test_sizes_of_a_vehicle_that_do_not_fit_are_refused(tmp_path: Path) -> None:
+    log = saved(tmp_path / "log", drive("bend", 10.0))
+    with pytest.raises(LogError, match=r"a wheelbase of 6 m does not fit a length of 4\.2 m"):
+        read_log(log, LogSettings(car={"length": 4.2, "wheelbase": 6.0}))
+    sizes = {"length": 9.4, "wheelbase": 5.5, "rear_overhang": 2.4}
+    assert read_log(log, LogSettings(car=sizes)).vehicle.wheelbase == 5.5

@@ -356,3 +356,54 @@ def test_findings_go_into_the_results(tmp_path: Path) -> None:
     assert any(note.startswith("Health, ego jump:") for note in result.logs.iloc[0].notes)
     again = evaluate_logs([tmp_path / "log.mcap"], run, tmp_path / "out", resume=True)
     assert again.resumed == 1 and pd.read_parquet(tmp_path / "out" / "health.parquet").equals(found)
+
+
+POINTS = {"centre": 1.354, "front bumper": 3.608, "rear bumper": -0.9}
+
+
+def in_bends(rate: float, ahead: float, noise: float, delay: float = 0.0) -> Trajectory:
+    """A drive through bends whose positions are those of a point `ahead` m of the rear axle, and
+    whose headings are late by `delay` s.
+    """
+    t = np.arange(0.0, 20.0, 0.005)
+    yaw = 0.9 * np.sin(0.4 * t)
+    v = 7.0 + 2.0 * np.sin(0.9 * t)
+    x, y = np.cumsum(v * np.cos(yaw)) * 0.005, np.cumsum(v * np.sin(yaw)) * 0.005
+    keep = slice(None, None, round(200 / rate))
+    rng = np.random.default_rng(5)
+    dx, dy = noise * rng.normal(size=(2, len(t[keep])))
+    place_x, place_y = x + ahead * np.cos(yaw), y + ahead * np.sin(yaw)
+    late = np.interp(t - delay, t, yaw)
+    kappa = 0.36 * np.cos(0.4 * t) / v
+    columns = (late, v, 0.0 * t, kappa)
+    return Trajectory(
+        t[keep], place_x[keep] + dx, place_y[keep] + dy, *(column[keep] for column in columns)
+    )
+
+
+@pytest.mark.parametrize("rate", [5.0, 10.0, 50.0])
+@pytest.mark.parametrize("point", POINTS)
+def test_positions_of_another_point_than_the_rear_axle_are_found(point: str, rate: float) -> None:
+    ego = in_bends(rate, POINTS[point], 0.02)
+    log = Scenario("made", ego, Tracks.empty(), scenario().road, 20.0, tags=("recorded",))
+    (found,) = (one for one in findings(log) if one.kind is FaultKind.EGO_POINT)
+    assert found.value == pytest.approx(POINTS[point], abs=0.15)
+    assert point in found.text and "ego_point" in found.text
+
+
+@pytest.mark.parametrize("rate", [5.0, 10.0, 50.0])
+@pytest.mark.parametrize(("noise", "delay"), [(0.0, 0.0), (0.05, 0.0), (0.02, 0.1), (0.02, 0.2)])
+def test_noise_and_late_headings_are_no_other_point(
+    noise: float, delay: float, rate: float
+) -> None:
+    ego = in_bends(rate, 0.0, noise, delay)
+    log = Scenario("made", ego, Tracks.empty(), scenario().road, 20.0, tags=("recorded",))
+    assert FaultKind.EGO_POINT not in kinds(log)
+
+
+def test_times_that_are_numbers_of_frames_are_named() -> None:
+    t = np.arange(120.0)
+    ego = Trajectory(t, 0.4 * t, 0.0 * t, 0.0 * t, 0.0 * t + 10.0, 0.0 * t, 0.0 * t)
+    log = Scenario("made", ego, Tracks.empty(), scenario().road, 119.0, tags=("recorded",))
+    (found,) = (one for one in findings(log) if "frames of 25 Hz" in one.text)
+    assert 'columns = {t = "t [25 Hz]"}' in found.text

@@ -91,7 +91,7 @@ def test_any_misspelled_key_is_refused_with_the_right_one_named(name: str, extra
             "[vehicle]\nset = 'vw_vanagn'",
             "no vehicle is called 'vw_vanagn'; did you mean 'vw_vanagon'?",
         ),
-        ("[vehicle]\nset = 'lorry'", "known are: bmw_320i, small_electric, vw_vanagon"),
+        ("[vehicle]\nset = 'lorry'", "known are: bmw_320i, city_bus, delivery_robot"),
         ("[vehicle]\nset = 3", "vehicle.set: expected str, got int"),
         (
             "[vehicle]\nset = 'vw_vanagon'\nlength = -4.0",

@@ -56,6 +56,6 @@ def test_an_unknown_vehicle_is_one_line_that_names_the_known_ones(words: list[st
     result = replan(*words)
     assert result.exit_code == 2
     assert (
-        "no vehicle is called 'lorry'; known are: bmw_320i, small_electric, vw_vanagon"
+        "no vehicle is called 'lorry'; known are: bmw_320i, city_bus, delivery_robot"
         in result.output
     )

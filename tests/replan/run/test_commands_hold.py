@@ -494,7 +494,7 @@ def test_an_error_while_writing_is_not_hidden_by_cleaning_up(
     def refuse(*args: object, **more: object) -> None:
         raise OSError(errno.EROFS, os.strerror(errno.EROFS))
 
-    monkeypatch.setattr("pathlib.Path.write_text", refuse)
+    monkeypatch.setattr("pathlib.Path.write_bytes", refuse)
     monkeypatch.setattr("pathlib.Path.unlink", refuse)
     with pytest.raises(OutputError, match=r"file\.txt: cannot be written: Read-only file system"):
         write_text(tmp_path / "file.txt", "x")

@@ -287,8 +287,9 @@ def test_slowly_it_drives_the_kinematic_circle(v: float, steer: float) -> None:
     st.sampled_from(vehicle_names()),
 )
 def test_it_starts_cornering_as_the_log_says(v: float, a: float, lateral: float, name: str) -> None:
-    kappa = float(np.clip(lateral / v**2, -0.15, 0.15))
     p = vehicle_parameters(name)
+    tightest = min(0.15, 0.6 * p.max_kappa)
+    kappa = float(np.clip(lateral / v**2, -tightest, tightest))
     assume(v < p.top_speed)
     begin = start(v, kappa, a)
     car = SingleTrack(p, begin)

@@ -211,7 +211,7 @@ def test_what_fails_in_a_report_costs_itself(
             "replan.draw.charts.subject.accounts",
             "The account of the plan could not be made: MemoryError: Unable",
         ),
-        ("replan.draw.report.html.subject", "no pictures: a bug in replan: MemoryError"),
+        ("replan.draw.report.html.subject", "no pictures: the memory is used up"),
         (
             "replan.draw.report.html.drive_page",
             "The page of a drive could not be made: MemoryError",

@@ -2,8 +2,8 @@
 
 With d the first and d' the last time of the road users after the ego's, s:
 
-(1) a clock      d = d' within `EQUAL_S` or `STEPS` of their intervals, and |d| >= `LEAST_S`: a part
-                 that was not recorded would shift one end only
+(1) a clock      d = d' within `EQUAL_S` or `STEPS` of their intervals, and |d| is at least twice
+                 that and `LEAST_S`: a part that was not recorded would shift one end only
 (2) is certain   if d is a difference of known clocks (`KNOWN_S`, or whole quarters of an hour):
                  then the times are shifted, with a note
 (3) is asked     otherwise, and if only d' is a difference of `KNOWN_S` while d is not smaller: the
@@ -22,6 +22,8 @@ from replan.logs.scenario import Scenario
 
 EQUAL_S, STEPS = 0.3, 3.0
 LEAST_S = 1.0
+LARGEST_ERROR_S = 1.0
+"""A known difference of clocks is met within this time at any rate, s."""
 SHORTEST_S = 5.0
 """Shorter logs show no clock, s."""
 KNOWN_S = {
@@ -37,17 +39,15 @@ QUARTER_S, LARGEST_ZONE_S = 900.0, 14 * 3600.0
 
 
 def _known_offset(offset: float, tolerance: float) -> tuple[str, float] | None:
-    """Return the clocks that are an offset apart, s, and their exact difference; None if none
-    are known.
+    """Return the clocks whose difference is nearest to an offset, s, and that difference; None if
+    it is farther off than the tolerance.
     """
-    for name, ahead in KNOWN_S.items():
-        for known in (ahead, -ahead):
-            if abs(offset - known) <= tolerance:
-                return name, known
     zone = QUARTER_S * round(offset / QUARTER_S)
-    if 0.0 < abs(zone) <= LARGEST_ZONE_S and abs(offset - zone) <= tolerance:
-        return f"a time zone of {zone / 3600.0:+g} h", zone
-    return None
+    known = [(name, sign * ahead) for name, ahead in KNOWN_S.items() for sign in (1.0, -1.0)]
+    if 0.0 < abs(zone) <= LARGEST_ZONE_S:
+        known.append((f"a time zone of {zone / 3600.0:+g} h", zone))
+    nearest = min(known, key=lambda entry: abs(entry[1] - offset))
+    return nearest if abs(nearest[1] - offset) <= tolerance else None
 
 
 def on_one_clock(scenario: Scenario, ahead_s: float) -> Scenario:
@@ -71,9 +71,9 @@ def on_one_clock(scenario: Scenario, ahead_s: float) -> Scenario:
         if late is None or begins < ends - tolerance or ends < 0.0:
             return scenario
         raise _question(f"end {ends:.1f} s after the ego's, as {late[0]}", late[1])
-    if abs(offset) < LEAST_S:
+    if abs(offset) < max(LEAST_S, 2.0 * tolerance):
         return scenario
-    known = _known_offset(offset, tolerance)
+    known = _known_offset(offset, min(tolerance, LARGEST_ERROR_S))
     if known is None:
         raise _question(f"begin and end {offset:.1f} s after the ego's", round(offset, 3))
     name, exact = known

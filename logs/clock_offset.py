@@ -88,7 +88,7 @@ def _question(what: str, offset: float) -> LogError:
     return LogError(
         f"the times of the road users {what}: another clock?",
         topic="agents",
-        remedy=f"say so in [log]: clock_ahead_s = {offset:g}, or clock_ahead_s = 0 if they are "
+        remedy=f"state it in [log]: clock_ahead_s = {offset:g}, or clock_ahead_s = 0 if they are "
         "right",
     )
 

@@ -66,7 +66,18 @@ _STEERING_WHEELS = {f"the steering wheel's, {k} times as large": 1.0 / k for k i
 
 @dataclass(frozen=True)
 class EgoColumn:
-    """A column that the motion shows, too: its word, (5)'s limits, and its readings by name."""
+    """A column that the motion shows, too.
+
+    Attributes:
+        word: The column in words; `shown_by` is what shows it.
+        least: Windows in which R and S are smaller do not count, in the unit of R.
+        denied: Misfit (5) from which the column contradicts the motion.
+        fits: Misfit below which a reading fits.
+        ignored: Misfit from which a column of no known reading is not used.
+        readings: Other meanings of the column, by name.
+        remedy: The settings that leave the column out, in words.
+        keeps_scale: Whether a column in proportion to the motion is kept: the times may be wrong.
+    """
 
     word: str
     shown_by: str
@@ -76,19 +87,19 @@ class EgoColumn:
     ignored: float
     readings: Readings
     remedy: str
-    keeps_scale: bool = False  # a column that is proportional is kept: the times may be wrong
+    keeps_scale: bool = False
 
 
 EGO_COLUMNS: Mapping[str, EgoColumn] = MappingProxyType(
     {
         "v": EgoColumn(
-            "speed",
-            "positions",
-            1.0,
-            0.3,
-            0.15,
-            0.6,
-            {
+            word="speed",
+            shown_by="positions",
+            least=1.0,
+            denied=0.3,
+            fits=0.15,
+            ignored=0.6,
+            readings={
                 **_SIGN,
                 "in km/h": _times(1.0 / 3.6),
                 "in mph": _times(0.44704),
@@ -96,43 +107,43 @@ EGO_COLUMNS: Mapping[str, EgoColumn] = MappingProxyType(
                 "in ft/s": _times(0.3048),
                 "in cm/s": _times(0.01),
             },
-            '"-" under topics.speed or columns.v leaves it out',
+            remedy='"-" under topics.speed or columns.v leaves it out',
             keeps_scale=True,
         ),
         "a": EgoColumn(
-            "acceleration",
-            "speed",
-            0.5,
-            0.8,
-            0.4,
-            0.9,
-            {**_SIGN, "in g": _times(9.80665), "in cm/s2": _times(0.01)},
-            '"-" under topics.acceleration or columns.a leaves it out',
+            word="acceleration",
+            shown_by="speed",
+            least=0.5,
+            denied=0.8,
+            fits=0.4,
+            ignored=0.9,
+            readings={**_SIGN, "in g": _times(9.80665), "in cm/s2": _times(0.01)},
+            remedy='"-" under topics.acceleration or columns.a leaves it out',
         ),
         "kappa": EgoColumn(
-            "curvature",
-            "headings",
-            0.03,
-            0.8,
-            0.4,
-            0.9,
-            {
+            word="curvature",
+            shown_by="headings",
+            least=0.03,
+            denied=0.8,
+            fits=0.4,
+            ignored=0.9,
+            readings={
                 **_SIGN,
                 "as the radius": _inverse,
                 "as the radius with the other sign": lambda column, v: -_inverse(column, v),
                 "in degrees": _times(np.pi / 180.0),
                 "as the yaw rate": _over_speed,
             },
-            '"-" under columns.kappa leaves it out',
+            remedy='"-" under columns.kappa leaves it out',
         ),
         "steer": EgoColumn(
-            "steering angle",
-            "headings",
-            0.03,
-            0.8,
-            0.4,
-            0.9,
-            {
+            word="steering angle",
+            shown_by="headings",
+            least=0.03,
+            denied=0.8,
+            fits=0.4,
+            ignored=0.9,
+            readings={
                 **_SIGN,
                 "in degrees": _times(np.pi / 180.0),
                 "in degrees with the other sign": _times(-np.pi / 180.0),
@@ -142,7 +153,7 @@ EGO_COLUMNS: Mapping[str, EgoColumn] = MappingProxyType(
                     for name, share in _STEERING_WHEELS.items()
                 },
             },
-            '"-" under topics.steering or columns.steer leaves it out',
+            remedy='"-" under topics.steering or columns.steer leaves it out',
         ),
     }
 )

@@ -173,7 +173,7 @@ def compare(
 
 
 def _listed(logs: Any) -> list[Path | str | Scenario]:
-    """One log or several as a list; ConfigError for what is no log."""
+    """One log or several as a list; ConfigError for anything else."""
     is_one = isinstance(logs, str | Path | Scenario | pd.DataFrame) or not isinstance(
         logs, Iterable
     )

@@ -50,7 +50,7 @@ NEAR_M = 1.0
 planners: 0.5 m).
 """
 NEARER = 4.0
-"""A plan that starts so many times nearer to the ego in the map's coordinates than in the world's
+"""A plan that starts this many times nearer to the ego in the map's coordinates than in the world's
 is taken for one in the map's. Not infinitely: the way points of a planner that gets the ego in the
 other coordinates begin somewhere.
 """

@@ -56,68 +56,74 @@ class LogSettings:
     """The `[log]` table of a run: data that logs lack, or where logs have them. Readers use the
     keys of their format.
 
-    Attributes:
-        ego: Id of the road user to use as the ego; "": the log's ego.
-        problem: Planning problem of a CommonRoad file, by id or by number from 1; 0: the first.
-        reader: The reader to try first: a format's name, or "module:NAME" of a reader of your own.
-        map: Path of a map that replaces the log's (Lanelet2 .osm, 123D map.arrow, OpenDRIVE .xodr);
-            "": the log's own.
-        map_origin: Origin of that map's coordinates, if the map does not state it
-            (`replan.logs.maps.projections.FORMS`).
-        begin: Seconds after the log's first ego state at which the scenario begins.
-        end: Seconds after the log's first ego state at which it ends; inf: with the log.
-        clock: Times of messages: "log" for times of recording, "header" for stamps of the sender;
-            "": chosen by the reader, with a note.
-        topics: Topic or file by role ("ego", "speed", "acceleration", "agents", "lights", "goal",
-            "plan", "steering" ...), to override the choice by type; "-": none.
-        frames: Name of the log's frame by role: "map" and "base" (rear axle) of transforms.
-        columns: Name of a table's column by replan's name ("x": "pos_east_m"; for one table
-            "ego.x", "agents.x").
-        car: Sizes of the ego, m, if the log has none: "length", "width", "wheelbase",
-            "rear_overhang".
-        repair: Whether to make tracks from raw detections: "auto" (if they are not tracks), "on",
-            "off".
-        ego_point: Point of the ego whose positions a table has, of `POINTS`: "rear_axle", "centre",
-            "front" or "rear" of its box; "": the rear axle, but the centre if the ego is a road
-            user of a table of tracks.
-        agents_point: Point of the agents whose positions a table has, of `POINTS`; "": the centre.
-        ego_heading: Convention of a table's headings of the ego, of `HEADINGS`; "": rad,
-            counter-clockwise from x. With a unit in the table, name the convention in rad.
-        agents_heading: Convention of a table's headings of the agents.
-        ego_axes: Axes of the ego's velocity in a bag's odometry, of `AXES`; "": its own, but others
-            if it fits its motion in these alone.
-        agents_axes: Axes of the agents' velocities, of `AXES`; "": those of the format, but others
-            if they fit the motion in these alone.
-        clock_ahead_s: Time by which the agents' clock is ahead of the ego's, s; inf: found by the
-            times (`replan.logs.clock_offset`).
-        kinds: replan's kind by the log's word for it ("Tram": "bus"), for words that are not known.
-
     Raises:
         ValueError: A value is not one of those above, a size is not positive, or `end` is not after
             `begin`.
     """
 
     ego: str = ""
+    """Id of the road user to use as the ego; "": the log's ego."""
     problem: int = 0
+    """Planning problem of a CommonRoad file, by id or by number from 1; 0: the first."""
     reader: str = ""
+    """The reader to try first: a format's name, or "module:NAME" of a reader of your own."""
     map: str = ""
+    """Path of a map that replaces the log's (Lanelet2 .osm, 123D map.arrow, OpenDRIVE .xodr); "":
+    the log's own.
+    """
     map_origin: str = ""
+    """Origin of that map's coordinates, if the map does not state it
+    (`replan.logs.maps.projections.FORMS`).
+    """
     begin: float = 0.0
+    """Seconds after the log's first ego state at which the scenario begins."""
     end: float = inf
+    """Seconds after the log's first ego state at which it ends; inf: with the log."""
     clock: str = ""
+    """Times of messages: "log" for times of recording, "header" for stamps of the sender; "":
+    chosen by the reader, with a note.
+    """
     topics: Mapping[str, str] = field(default_factory=dict)
+    """Topic or file by role ("ego", "speed", "acceleration", "agents", "lights", "goal", "plan",
+    "steering" ...), to override the choice by type; "-": none.
+    """
     frames: Mapping[str, str] = field(default_factory=dict)
+    """Name of the log's frame by role: "map" and "base" (rear axle) of transforms."""
     columns: Mapping[str, str] = field(default_factory=dict)
+    """Name of a table's column by replan's name ("x": "pos_east_m"; for one table "ego.x",
+    "agents.x").
+    """
     car: Mapping[str, float] = field(default_factory=dict)
+    """Sizes of the ego, m, if the log has none: "length", "width", "wheelbase", "rear_overhang"."""
     repair: str = "auto"
+    """Whether to make tracks from raw detections: "auto" (if they are not tracks), "on", "off"."""
     ego_point: str = ""
+    """Point of the ego whose positions a table has, of `POINTS`: "rear_axle", "centre", "front" or
+    "rear" of its box; "": the rear axle, but the centre if the ego is a road user of a table of
+    tracks.
+    """
     agents_point: str = ""
+    """Point of the agents whose positions a table has, of `POINTS`; "": the centre."""
     ego_heading: str = ""
+    """Convention of a table's headings of the ego, of `HEADINGS`; "": rad, counter-clockwise from
+    x. With a unit in the table, name the convention in rad.
+    """
     agents_heading: str = ""
+    """Convention of a table's headings of the agents."""
     ego_axes: str = ""
+    """Axes of the ego's velocity in a bag's odometry, of `AXES`; "": its own, but others if it fits
+    its motion in these alone.
+    """
     agents_axes: str = ""
+    """Axes of the agents' velocities, of `AXES`; "": those of the format, but others if they fit
+    the motion in these alone.
+    """
     kinds: Mapping[str, str] = field(default_factory=dict)
+    """replan's kind by the log's word for it ("Tram": "bus"), for words that are not known."""
     clock_ahead_s: float = inf
+    """Time by which the agents' clock is ahead of the ego's, s; inf: found by the times
+    (`replan.logs.clock_offset`).
+    """
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.begin < self.end:

@@ -34,82 +34,82 @@ class VehicleParameters:
     (vehicle 2); cornering stiffness (with the compliance of steering and suspension), actuator lags
     and pedal maxima are round figures of a passenger car.
 
-    Attributes:
-        length: Bumper to bumper, m.
-        width: m, without mirrors.
-        wheelbase: m.
-        rear_overhang: Rear axle to rear bumper, m.
-        mass: Mass, kg.
-        yaw_inertia: Moment of inertia about the vertical axis, kg m2.
-        cog_to_front: Centre of gravity to front axle, m.
-        cornering_front: Cornering stiffness of the front axle at its static load, N/rad, positive.
-        cornering_rear: Cornering stiffness of the rear axle likewise.
-        max_steer: Front wheel angle, rad.
-        max_steer_rate: rad/s.
-        steer_lag: Time constant of the steering, s.
-        max_accel: Acceleration at full throttle from standstill, m/s2.
-        max_power: Power at the wheels, W per kg of mass: without a described motor, full throttle
-            gives min(max_accel, max_power / v).
-        max_decel: Deceleration at full brake, m/s2, positive.
-        throttle_lag: Time constant of the throttle, s.
-        brake_lag: Time constant of the brake, s.
-        drag: Aerodynamic deceleration per v squared, 1/m.
-        rolling: Rolling deceleration, m/s2.
-        cog_height: Centre of gravity above the ground, m.
-        tyre_friction: Peak of tyre force over load, on a dry road.
-        tyre_shape: C of the magic formula of the lateral force.
-        tyre_curvature: E of the magic formula.
-        tyre_load_sensitivity: Relative loss of friction and stiffness per load, per relative rise
-            of load over static.
-        brake_delay: Dead time from the brake pedal to the first deceleration, s.
-        drive_front_share: Share of the drive at the front axle, 0 to 1.
-        wheel_radius: Rolling radius, m.
-        gears: Motor speed over wheel speed (gear times axle ratio), lowest gear first; a motor
-            without a gearbox has one ratio.
-        motor_speed: Speeds at which the motor is described, rad/s, increasing; the first is idle.
-            Empty: no motor is described.
-        motor_torque: Torque at full throttle at those speeds, N m.
-        motor_overrun: Drag (or recuperation) at closed throttle at those speeds, N m, positive.
-        drive_efficiency: Efficiency from motor to wheels, 0 to 1.
-        shift_time: Duration of a gear shift, s.
-
     Raises:
         ValueError: A value is out of its range, or the motor is described in part only.
     """
 
     length: float = 4.508
+    """Bumper to bumper, m."""
     width: float = 1.610
+    """m, without mirrors."""
     wheelbase: float = 2.578904
+    """m."""
     rear_overhang: float = 0.9
+    """Rear axle to rear bumper, m."""
     mass: float = 1093.3
+    """Mass, kg."""
     yaw_inertia: float = 1791.6
+    """Moment of inertia about the vertical axis, kg m2."""
     cog_to_front: float = 1.156195
+    """Centre of gravity to front axle, m."""
     cornering_front: float = 66_000.0
+    """Cornering stiffness of the front axle at its static load, N/rad, positive."""
     cornering_rear: float = 61_000.0
+    """Cornering stiffness of the rear axle likewise."""
     max_steer: float = 0.61
+    """Front wheel angle, rad."""
     max_steer_rate: float = 0.4
+    """rad/s."""
     steer_lag: float = 0.1
+    """Time constant of the steering, s."""
     max_accel: float = 4.5
+    """Acceleration at full throttle from standstill, m/s2."""
     max_power: float = 80.0
+    """Power at the wheels, W per kg of mass: without a described motor, full throttle gives
+    min(max_accel, max_power / v).
+    """
     max_decel: float = 9.0
+    """Deceleration at full brake, m/s2, positive."""
     throttle_lag: float = 0.2
+    """Time constant of the throttle, s."""
     brake_lag: float = 0.1
+    """Time constant of the brake, s."""
     drag: float = 4.0e-4
+    """Aerodynamic deceleration per v squared, 1/m."""
     rolling: float = 0.12
+    """Rolling deceleration, m/s2."""
     cog_height: float = 0.574869
+    """Centre of gravity above the ground, m."""
     tyre_friction: float = 1.0489
+    """Peak of tyre force over load, on a dry road."""
     tyre_shape: float = 1.3507
+    """C of the magic formula of the lateral force."""
     tyre_curvature: float = -0.0074722
+    """E of the magic formula."""
     tyre_load_sensitivity: float = 0.0
+    """Relative loss of friction and stiffness per load, per relative rise of load over static."""
     brake_delay: float = 0.05
+    """Dead time from the brake pedal to the first deceleration, s."""
     drive_front_share: float = 0.0
+    """Share of the drive at the front axle, 0 to 1."""
     wheel_radius: float = 0.344
+    """Rolling radius, m."""
     gears: tuple[float, ...] = ()
+    """Motor speed over wheel speed (gear times axle ratio), lowest gear first; a motor without a
+    gearbox has one ratio.
+    """
     motor_speed: tuple[float, ...] = ()
+    """Speeds at which the motor is described, rad/s, increasing; the first is idle. Empty: no motor
+    is described.
+    """
     motor_torque: tuple[float, ...] = ()
+    """Torque at full throttle at those speeds, N m."""
     motor_overrun: tuple[float, ...] = ()
+    """Drag (or recuperation) at closed throttle at those speeds, N m, positive."""
     drive_efficiency: float = 0.9
+    """Efficiency from motor to wheels, 0 to 1."""
     shift_time: float = 0.2
+    """Duration of a gear shift, s."""
 
     def __post_init__(self) -> None:
         for name in (

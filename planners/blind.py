@@ -16,8 +16,10 @@ and curves of its lanes, without road users, lights, stop lines, crosswalks, and
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Annotated
 
 import numpy as np
+from msgspec import Meta
 
 from replan.core.once import once
 from replan.logs.frame import Frame, PlannerContext, Predictions
@@ -67,10 +69,15 @@ class Parked:
 
     Args:
         context: As every planner's.
-        speed_mps: The desired speed, m/s; not negative.
+        speed_mps: As annotated, m/s.
     """
 
-    def __init__(self, context: PlannerContext, *, speed_mps: float = 0.0) -> None:
+    def __init__(
+        self,
+        context: PlannerContext,
+        *,
+        speed_mps: Annotated[float, Meta(ge=0.0, description="The desired speed.")] = 0.0,
+    ) -> None:
         if not speed_mps >= 0.0:
             raise ValueError(f"speed_mps is {speed_mps:g}, below 0")
         self._blind, self._desired = Blind(context), speed_mps

@@ -7,7 +7,10 @@ Copy this file, rename the class, change `plan`, and run it without touching thi
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
+from msgspec import Meta
 
 from replan.core.arrays import FloatArray
 from replan.logs.frame import Frame, PlannerContext
@@ -21,15 +24,19 @@ class ConstantSpeed:
     Args:
         context: The constant inputs: `context.road`, `context.goal`, `context.vehicle`,
             `context.period`.
-        horizon_s: How far the plan reaches, s.
-        step_s: Time between two samples of the plan, s.
+        horizon_s: As annotated; `step_s` likewise.
 
     Every keyword after the context is a key of `[planner.NAME]` in a run's configuration: give it a
-    default, a name with its unit, and a line above, which `replan list NAME` prints.
+    default and a name with its unit. Range and description are optional: `replan list NAME` prints
+    them, and values out of the range are refused.
     """
 
     def __init__(
-        self, context: PlannerContext, *, horizon_s: float = 8.0, step_s: float = 0.1
+        self,
+        context: PlannerContext,
+        *,
+        horizon_s: Annotated[float, Meta(gt=0.0, description="How far the plan reaches.")] = 8.0,
+        step_s: Annotated[float, Meta(gt=0.0, description="Time between two samples.")] = 0.1,
     ) -> None:
         # A planner is built once per scenario. Memory (warm starts, hysteresis) belongs in the
         # object; set it here.

@@ -30,6 +30,7 @@ import numpy as np
 
 from replan.core.arrays import FloatArray, IntArray
 from replan.core.kernel import kernel
+from replan.core.settings import Config, Positive
 from replan.logs.frame import Frame, PlannerContext
 from replan.logs.plan import Artefact, Corridor, Internals, Plan, SlGraph, StGraph
 from replan.logs.states import EgoState
@@ -62,36 +63,29 @@ EXACT = StGraphConfig(early_s=0.0, late_s=0.0)
 
 
 @dataclass(frozen=True)
-class IdmConfig:
-    """Settings of `idm`; names of (1) to (4) in brackets.
+class IdmConfig(Config):
+    """Settings of `idm`; names of (1) to (4) in brackets."""
 
-    Attributes:
-        accel_mps2: Greatest acceleration (a).
-        decel_mps2: Comfortable deceleration (b), positive.
-        time_gap_s: Time gap to the leader (T).
-        standstill_gap_m: Gap to the leader where both stand (s0).
-        hardest_mps2: Bound of the deceleration, positive.
-        jerk_mps3: Bound of the jerk; IDM itself has none.
-        curve_accel_mps2: Lateral acceleration in curves.
-        ease_mps2: Deceleration towards a lower limit or a curve.
-        ahead_s: An agent that is predicted on the path within this time is a leader now.
-        return_s: Time in which the ego returns from an offset to the reference line.
-    """
-
-    accel_mps2: float = 1.4
-    decel_mps2: float = 2.0
-    time_gap_s: float = 1.5
-    standstill_gap_m: float = 2.0
-    hardest_mps2: float = 8.0
-    jerk_mps3: float = 8.0
-    curve_accel_mps2: float = 3.0
-    ease_mps2: float = 1.5
-    ahead_s: float = 2.5
-    return_s: float = 4.0
-
-    def __post_init__(self) -> None:
-        if not min(vars(self).values()) > 0.0:
-            raise ValueError("idm settings must be positive")
+    accel_mps2: Positive = 1.4
+    """Greatest acceleration (a)."""
+    decel_mps2: Positive = 2.0
+    """Comfortable deceleration (b), positive."""
+    time_gap_s: Positive = 1.5
+    """Time gap to the leader (T)."""
+    standstill_gap_m: Positive = 2.0
+    """Gap to the leader where both stand (s0)."""
+    hardest_mps2: Positive = 8.0
+    """Bound of the deceleration, positive."""
+    jerk_mps3: Positive = 8.0
+    """Bound of the jerk; IDM itself has none."""
+    curve_accel_mps2: Positive = 3.0
+    """Lateral acceleration in curves."""
+    ease_mps2: Positive = 1.5
+    """Deceleration towards a lower limit or a curve."""
+    ahead_s: Positive = 2.5
+    """An agent that is predicted on the path within this time is a leader now."""
+    return_s: Positive = 4.0
+    """Time in which the ego returns from an offset to the reference line."""
 
 
 class Idm:

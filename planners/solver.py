@@ -14,13 +14,16 @@ module checks the bounds again.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 import osqp
 import piqp
+from msgspec import Meta
 from scipy import sparse
 
 from replan.core.arrays import FloatArray, IntArray
+from replan.core.settings import Config, Positive
 from replan.logs.plan import SolverReport
 
 SOLVED = 1  # OSQP's status of a solved problem
@@ -35,30 +38,17 @@ WORDS = {
 
 
 @dataclass(frozen=True)
-class QPConfig:
-    """Settings of the solvers.
+class QPConfig(Config):
+    """Settings of the solvers."""
 
-    Attributes:
-        eps: Absolute and relative tolerance of OSQP.
-        max_iterations: Iterations of OSQP before PIQP solves the problem; 0: PIQP solves it at
-            once.
-        check_every: Iterations between two tests for convergence.
-        tolerance: Largest violation of a bound in a solution, in the units of the row.
-    """
-
-    eps: float = 1e-4
-    max_iterations: int = 60
-    check_every: int = 10
-    tolerance: float = 2e-2
-
-    def __post_init__(self) -> None:
-        if not (
-            self.eps > 0.0
-            and self.max_iterations >= 0
-            and self.check_every > 0
-            and self.tolerance > 0.0
-        ):
-            raise ValueError("QP settings must be positive, max_iterations not negative")
+    eps: Positive = 1e-4
+    """Absolute and relative tolerance of OSQP."""
+    max_iterations: Annotated[int, Meta(ge=0)] = 60
+    """Iterations of OSQP before PIQP solves the problem; 0: PIQP solves it at once."""
+    check_every: Annotated[int, Meta(ge=1)] = 10
+    """Iterations between two tests for convergence."""
+    tolerance: Positive = 2e-2
+    """Largest violation of a bound in a solution, in the units of the row."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -40,14 +40,15 @@ from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
 from enum import Enum
 from math import inf
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import tomli_w
+from msgspec import Meta
 
 from replan.core.errors import ConfigError
 from replan.core.files import read_toml, url_of
 from replan.core.names import visible_name
-from replan.core.settings import known_keys, merged, strict
+from replan.core.settings import Config, known_keys, merged, strict
 from replan.logs.log_settings import LogSettings
 from replan.logs.trace import Mode
 from replan.logs.vehicle import VehicleParameters, vehicle_parameters
@@ -70,76 +71,75 @@ IN_MEMORY = "memory:"
 
 
 @dataclass(frozen=True)
-class LogSelection:
-    """The logs of a run, as its run.toml names them; without any, the built-in suite.
-
-    Attributes:
-        suite: A suite of the catalogue, or a family or group of it.
-        window_s: Length of the windows into which each log is split, s; 0: whole logs.
-        every_s: Time between the begins of two windows, s; 0: `window_s`.
-        logs: SHA-256 of each log by its path, which may be relative to the file, or its version by
-            its URL; "": not known.
-    """
+class LogSelection(Config):
+    """The logs of a run, as its run.toml names them; without any, the built-in suite."""
 
     suite: str = ""
+    """A suite of the catalogue, or a family or group of it."""
     window_s: float = 0.0
+    """Length of the windows into which each log is split, s; 0: whole logs."""
     every_s: float = 0.0
+    """Time between the begins of two windows, s; 0: `window_s`."""
     logs: Mapping[str, str] = field(default_factory=dict)
+    """SHA-256 of each log by its path, which may be relative to the file, or its version by its
+    URL; "": not known.
+    """
 
 
 @dataclass(frozen=True)
-class RunConfig:
-    """One run: its planners, loops, gates and settings.
-
-    Attributes:
-        planners: Names as `replan.replay.loop.planning.Planning` takes them; one column of the
-            results each.
-        mode: Which loops are run.
-        gates: "default" or "safety" (packaged thresholds), or the path of a TOML file.
-        internals: How much of the planner's internals is kept in the traces.
-        recording: Whether Rerun recordings are written.
-        foxglove: Whether the logs and traces that are written get channels for Foxglove
-            (`replan.draw.foxglove`).
-        metrics: "module:NAME" of metrics from outside, measured beside the built-in ones.
-        charts: "module:NAME" of charts from outside, drawn in the report beside the built-in ones.
-        ensemble: How many times each log is driven again under a perturbation
-            (`replan.run.sources`).
-        repeat_s: Length of the start of a drive that is driven twice if the planner is not built in
-            (`replan.replay.loop.planning`), s; 0: no test.
-        deadline_s: At most 1 % of a drive's plans may take longer, s; 0: not judged.
-        log: How logs are read.
-        loop: Periods and limits of the loops.
-        planner: Keywords of each planner, by the name given in `planners`.
-        vehicle_model: Keywords of each vehicle model, by the name given in `loop.vehicle`;
-            `controller`, `traffic`, `prediction` and `perception` likewise.
-        vehicle: Vehicle parameters by name that replace those of the logs; "set" names a known
-            vehicle for all of them.
-        selection: The logs to drive where none are named.
-    """
+class RunConfig(Config):
+    """One run: its planners, loops, gates and settings."""
 
     planners: tuple[str, ...] = ("dp_qp",)
+    """Names as `replan.replay.loop.planning.Planning` takes them; one column of the results each.
+    """
     mode: RunMode = "both"
+    """Which loops are run."""
     gates: str = "default"
+    """"default" or "safety" (packaged thresholds), or the path of a TOML file."""
     internals: Internals = "summary"
+    """How much of the planner's internals is kept in the traces."""
     recording: bool = True
+    """Whether Rerun recordings are written."""
     foxglove: bool = False
+    """Whether the logs and traces that are written get channels for Foxglove
+    (`replan.draw.foxglove`).
+    """
     metrics: tuple[str, ...] = ()
+    """"module:NAME" of metrics from outside, measured beside the built-in ones."""
     charts: tuple[str, ...] = ()
-    ensemble: int = 0
+    """"module:NAME" of charts from outside, drawn in the report beside the built-in ones."""
+    ensemble: Annotated[int, Meta(ge=0, lt=1_000_000)] = 0
+    """How many times each log is driven again under a perturbation (`replan.run.sources`)."""
     repeat_s: float = 2.0
-    deadline_s: float = 0.0
+    """Length of the start of a drive that is driven twice if the planner is not built in
+    (`replan.replay.loop.planning`), s; 0: no test.
+    """
+    deadline_s: Annotated[float, Meta(ge=0.0, lt=1e6)] = 0.0
+    """At most 1 % of a drive's plans may take longer, s; 0: not judged."""
     log: LogSettings = field(default_factory=LogSettings)
+    """How logs are read."""
     loop: LoopConfig = field(default_factory=LoopConfig)
+    """Periods and limits of the loops."""
     planner: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    """Keywords of each planner, by the name given in `planners`."""
     vehicle_model: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    """Keywords of each vehicle model, by the name given in `loop.vehicle`; `controller`, `traffic`,
+    `prediction` and `perception` likewise.
+    """
     controller: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     traffic: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     prediction: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     perception: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     vehicle: Mapping[str, Any] = field(default_factory=dict)
+    """Vehicle parameters by name that replace those of the logs; "set" names a known vehicle for
+    all of them.
+    """
     selection: LogSelection = field(default_factory=LogSelection)
+    """The logs to drive where none are named."""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not self.planners:
             raise ConfigError("planners: name at least one planner")
         if len(set(self.planners)) < len(self.planners):
@@ -149,9 +149,6 @@ class RunConfig:
         for name in self.planners:
             if visible_name(name, inf) != name:
                 raise ConfigError(f"planners: {visible_name(name)} has control characters in it")
-        for name in ("ensemble", "deadline_s"):
-            if not 0.0 <= getattr(self, name) < 1e6:
-                raise ConfigError(f"{name} must not be negative, got {getattr(self, name)}")
         known_keys(
             self.vehicle, ("set", *(item.name for item in fields(VehicleParameters))), "vehicle"
         )

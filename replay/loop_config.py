@@ -6,9 +6,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated, Any
+
+from msgspec import Meta
 
 from replan.core.errors import ConfigError
+from replan.core.settings import Config
 from replan.logs.observed import MAX_AGE_S
 from replan.replay.parts import OF_LOOP, Part
 
@@ -22,165 +25,126 @@ message.
 """
 
 
-@dataclass(frozen=True)
-class SensorConfig:
-    """The abilities of a sensor; the defaults are round values for the lidars and cameras of a car.
+LARGEST = 1e6
+"""Bound of times, distances and deviations, which nothing sensible reaches."""
+Reach = Annotated[float, Meta(gt=0.0, lt=LARGEST)]
+Limited = Annotated[float, Meta(ge=0.0, lt=LARGEST)]
+Period = Annotated[float, Meta(ge=SHORTEST_S, lt=LARGEST)]
 
-    Attributes:
-        range_m: Agents farther away are not seen.
-        field_of_view_deg: Angle of view, centred on the ego's heading; 360 covers all directions.
-        occlusion: Whether road users hide others behind them.
-        position_noise_m: Standard deviation of positions along and across the agent's heading, for
-            each measurement.
-        yaw_noise_deg: Standard deviation of headings.
-        velocity_noise_mps: Standard deviation of velocities along and across the agent's heading.
-        latency_s: Time from the measurement to the planner; counted in whole frames.
-        dropout: Probability that an agent is not measured in a slot.
-        dropout_s: Length of the slots.
-        coast_s: How long an agent that is no longer measured is extrapolated.
-        seed: Seed of the random draws.
+
+@dataclass(frozen=True)
+class SensorConfig(Config):
+    """The abilities of a sensor; the defaults are round values for the lidars and cameras of a car.
 
     Raises:
         ConfigError: A value is out of its range.
     """
 
-    range_m: float = 100.0
-    field_of_view_deg: float = 360.0
+    range_m: Reach = 100.0
+    """Agents farther away are not seen."""
+    field_of_view_deg: Reach = 360.0
+    """Angle of view, centred on the ego's heading; 360 covers all directions."""
     occlusion: bool = True
-    position_noise_m: float = 0.1
-    yaw_noise_deg: float = 1.0
-    velocity_noise_mps: float = 0.1
-    latency_s: float = 0.1
-    dropout: float = 0.02
-    dropout_s: float = 0.3
-    coast_s: float = MAX_AGE_S
+    """Whether road users hide others behind them."""
+    position_noise_m: Limited = 0.1
+    """Standard deviation of positions along and across the agent's heading, for each measurement.
+    """
+    yaw_noise_deg: Limited = 1.0
+    """Standard deviation of headings."""
+    velocity_noise_mps: Limited = 0.1
+    """Standard deviation of velocities along and across the agent's heading."""
+    latency_s: Limited = 0.1
+    """Time from the measurement to the planner; counted in whole frames."""
+    dropout: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.02
+    """Probability that an agent is not measured in a slot."""
+    dropout_s: Reach = 0.3
+    """Length of the slots."""
+    coast_s: Limited = MAX_AGE_S
+    """How long an agent that is no longer measured is extrapolated."""
     seed: int = 0
-
-    def __post_init__(self) -> None:
-        for name in ("range_m", "field_of_view_deg", "dropout_s"):
-            if not 0.0 < getattr(self, name) < 1e6:
-                raise ConfigError(f"loop.sensor.{name} must be positive, got {getattr(self, name)}")
-        for name in (
-            "position_noise_m",
-            "yaw_noise_deg",
-            "velocity_noise_mps",
-            "latency_s",
-            "coast_s",
-        ):
-            if not 0.0 <= getattr(self, name) < 1e6:
-                raise ConfigError(
-                    f"loop.sensor.{name} must not be negative, got {getattr(self, name)}"
-                )
-        if not 0.0 <= self.dropout <= 1.0:
-            raise ConfigError(f"loop.sensor.dropout is a probability, got {self.dropout}")
+    """Seed of the random draws."""
 
 
 @dataclass(frozen=True)
-class PlannerProcessConfig:
+class PlannerProcessConfig(Config):
     """How planners that are not built in are isolated (docs/planners_apart.md).
-
-    Attributes:
-        trust: Planners named "module:Class" run in the process that holds the log: faster, and
-            without limits.
-        plan_timeout_s: Longest time for a plan.
-        start_timeout_s: Longest time to build the planner, and for its first plan (kernels,
-            models).
-        log_timeout_s: Longest time for all plans of a drive; 0: no limit.
-        memory_gb: Largest memory of the planner's process; 0: no limit.
-        environment: Variables that it receives besides
-            `replan.replay.planner_process.processes.ENVIRONMENT`.
-        batch: Number of logs in lock step, whose frames are planned together (`plan_batch`); 0:
-            each log by itself.
 
     Raises:
         ConfigError: A limit is negative, a timeout is 0, or `batch` is too large.
     """
 
     trust: bool = False
-    plan_timeout_s: float = 10.0
-    start_timeout_s: float = 60.0
-    log_timeout_s: float = 0.0
-    memory_gb: float = 8.0
+    """Planners named "module:Class" run in the process that holds the log: faster, and without
+    limits.
+    """
+    plan_timeout_s: Annotated[float, Meta(ge=1e-3, lt=LARGEST)] = 10.0
+    """Longest time for a plan."""
+    start_timeout_s: Annotated[float, Meta(ge=1e-3, lt=LARGEST)] = 60.0
+    """Longest time to build the planner, and for its first plan (kernels, models)."""
+    log_timeout_s: Limited = 0.0
+    """Longest time for all plans of a drive; 0: no limit."""
+    memory_gb: Limited = 8.0
+    """Largest memory of the planner's process; 0: no limit."""
     environment: tuple[str, ...] = ()
-    batch: int = 0
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.batch <= MOST_TOGETHER:
-            raise ConfigError(
-                f"loop.apart.batch must be from 0 to {MOST_TOGETHER}, got {self.batch}"
-            )
-        for name in ("plan_timeout_s", "start_timeout_s"):
-            if not 1e-3 <= getattr(self, name) < 1e6:
-                raise ConfigError(f"loop.apart.{name} must be positive, got {getattr(self, name)}")
-        for name in ("log_timeout_s", "memory_gb"):
-            if not 0.0 <= getattr(self, name) < 1e6:
-                raise ConfigError(
-                    f"loop.apart.{name} must not be negative, got {getattr(self, name)}"
-                )
+    """Variables that it receives besides `replan.replay.planner_process.processes.ENVIRONMENT`."""
+    batch: Annotated[int, Meta(ge=0, le=MOST_TOGETHER)] = 0
+    """Number of logs in lock step, whose frames are planned together (`plan_batch`); 0: each log by
+    itself.
+    """
 
 
 @dataclass(frozen=True)
-class LoopConfig:
+class LoopConfig(Config):
     """How the loops run.
-
-    Attributes:
-        plan_period_s: Time between two frames.
-        control_period_s: Time between two commands; the plan period is a multiple of it.
-        vehicle: Name of a vehicle model (`replan.replay.parts`), or "module:Class", as for all
-            names here (docs/extend.md).
-        plant: Properties of the vehicle model that are hidden from planner and controller:
-            VehicleParameters by name, and keywords of the model
-            (`replan.replay.vehicle.build_vehicle`).
-        controller: Name of a controller; the vehicle "perfect" needs none.
-        traffic: Name of how the others move.
-        plan_delay_s: Time from a frame until its plan is driven (the computing time), in whole
-            control periods.
-        perception: Name of what the planner sees.
-        sensor: Abilities of the sensor, for the perception "sensor".
-        prediction: Name of a predictor; "oracle" is the log's own future, with traffic "time".
-        prediction_horizon_s: How far the others are predicted.
-        prediction_step_s: Time between two samples of a prediction.
-        end_with_evidence: A closed drive ends when the recording of the log's traffic ends
-            (`Scenario.traffic_spans`).
-        drives_on: A closed drive goes on to the end of the log's drive, through contacts, goals and
-            off the road, as in nuPlan (`replan score`).
-        apart: How planners that are not built in are isolated.
-        settings: Keywords of the named parts, by key; not a key of the file: `RunConfig.drive_loop`
-            fills it in.
 
     Raises:
         ConfigError: A period is not positive, or the periods do not fit.
     """
 
-    plan_period_s: float = 0.1
-    control_period_s: float = 0.01
+    plan_period_s: Period = 0.1
+    """Time between two frames."""
+    control_period_s: Period = 0.01
+    """Time between two commands; the plan period is a multiple of it."""
     vehicle: str = "kinematic_bicycle"
+    """Name of a vehicle model (`replan.replay.parts`), or "module:Class", as for all names here
+    (docs/extend.md).
+    """
     controller: str = "dlqr_pid"
+    """Name of a controller; the vehicle "perfect" needs none."""
     traffic: str = "give_way"
+    """Name of how the others move."""
     prediction: str = "lane_following"
-    prediction_horizon_s: float = 8.0
-    prediction_step_s: float = 0.1
+    """Name of a predictor; "oracle" is the log's own future, with traffic "time"."""
+    prediction_horizon_s: Period = 8.0
+    """How far the others are predicted."""
+    prediction_step_s: Period = 0.1
+    """Time between two samples of a prediction."""
     plant: Mapping[str, float | str] = field(default_factory=dict)
-    plan_delay_s: float = 0.0
+    """Properties of the vehicle model that are hidden from planner and controller:
+    VehicleParameters by name, and keywords of the model (`replan.replay.vehicle.build_vehicle`).
+    """
+    plan_delay_s: Limited = 0.0
+    """Time from a frame until its plan is driven (the computing time), in whole control periods."""
     perception: str = "ground_truth"
+    """Name of what the planner sees."""
     sensor: SensorConfig = field(default_factory=SensorConfig)
+    """Abilities of the sensor, for the perception "sensor"."""
     end_with_evidence: bool = False
+    """A closed drive ends when the recording of the log's traffic ends (`Scenario.traffic_spans`).
+    """
     drives_on: bool = False
+    """A closed drive goes on to the end of the log's drive, through contacts, goals and off the
+    road, as in nuPlan (`replan score`).
+    """
     apart: PlannerProcessConfig = field(default_factory=PlannerProcessConfig)
+    """How planners that are not built in are isolated."""
     settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict, metadata={"key": False})
+    """Keywords of the named parts, by key; not a key of the file: `RunConfig.drive_loop` fills it
+    in.
+    """
 
     def __post_init__(self) -> None:
-        for name in (
-            "plan_period_s",
-            "control_period_s",
-            "prediction_horizon_s",
-            "prediction_step_s",
-        ):
-            seconds = getattr(self, name)
-            if not SHORTEST_S <= seconds < 1e6:
-                raise ConfigError(
-                    f"loop.{name} must be positive, from {SHORTEST_S:g} to 1e6 s, got {seconds}"
-                )
+        super().__post_init__()
         if not self.prediction_horizon_s / self.prediction_step_s <= MOST_SAMPLES:
             raise ConfigError(
                 f"loop.prediction_step_s ({self.prediction_step_s}) gives more than {MOST_SAMPLES} "
@@ -192,8 +156,6 @@ class LoopConfig:
                 "with loop.traffic"
                 f" '{self.traffic}'; take traffic 'time' (--traffic time)"
             )
-        if not 0.0 <= self.plan_delay_s < 1e6:
-            raise ConfigError(f"loop.plan_delay_s must not be negative, got {self.plan_delay_s}")
         if round(self.plan_delay_s * 1e9) % self.control_period_ns:
             raise ConfigError(
                 f"loop.plan_delay_s ({self.plan_delay_s}) must be a multiple of"

@@ -10,7 +10,10 @@ table marks them.
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
+from msgspec import Meta
 
 from replan.core.errors import PlannerError
 from replan.logs.frame import Frame, PlannerContext
@@ -18,6 +21,15 @@ from replan.logs.plan import Plan, PlanStart, PlanStatus
 from replan.logs.scenario import Scenario
 from replan.logs.states import TRAJECTORY_COLUMNS, Trajectory
 from replan.planners.constant_speed import arc
+
+Horizon = Annotated[float, Meta(gt=0.0, description="How far the plan reaches.")]
+Age = Annotated[
+    float,
+    Meta(
+        ge=0.0,
+        description="Greatest age of a plan; with an older one, speed and curvature are kept.",
+    ),
+]
 
 
 class Logged:
@@ -30,11 +42,11 @@ class Logged:
     Args:
         context: As every planner's.
         scenario: The whole log.
-        horizon_s: How far the plan reaches, s.
+        horizon_s: As annotated, s.
     """
 
     def __init__(
-        self, context: PlannerContext, scenario: Scenario, *, horizon_s: float = 8.0
+        self, context: PlannerContext, scenario: Scenario, *, horizon_s: Horizon = 8.0
     ) -> None:
         self._log = scenario.ego
         self._horizon = horizon_s
@@ -68,16 +80,13 @@ class Onboard:
     Args:
         context: As every planner's.
         scenario: The whole log; plans made after a frame are not used in it.
-        oldest_s: Greatest age of a plan, s; with an older one, the car keeps its speed and
-            curvature.
+        oldest_s: As annotated, s.
 
     Raises:
         PlannerError: The log has no on-board plans.
     """
 
-    def __init__(
-        self, context: PlannerContext, scenario: Scenario, *, oldest_s: float = 1.0
-    ) -> None:
+    def __init__(self, context: PlannerContext, scenario: Scenario, *, oldest_s: Age = 1.0) -> None:
         if not scenario.onboard:
             raise PlannerError(
                 f"{scenario.name} has no on-board plans: 'onboard' needs a log that holds them"

@@ -16,16 +16,16 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, is_dataclass
 from functools import partial, reduce
 from importlib import import_module
-from typing import Any, get_args, get_type_hints
+from typing import Annotated, Any, get_args, get_origin
 
 from replan.core.errors import ConfigError, PlannerError
 from replan.core.extension import ExtensionKind
-from replan.core.settings import Table, converted, dotted, known_keys, strict
+from replan.core.settings import Table, converted, dotted, known_keys, strict, types_of
 
 Factory = Callable[..., Any]
 
-PLAIN: Mapping[str, type] = {kind.__name__: kind for kind in (float, int, bool, str)}
-"""Types of keywords that are checked, by their names in annotations."""
+PLAIN = (float, int, bool, str)
+"""Types of keywords that are checked."""
 
 
 class Places(Mapping[str, Factory]):
@@ -261,12 +261,12 @@ class Part:
         parameters = inspect.signature(factory).parameters.values()
         if not any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters):
             known_keys(table, [p.name for p in parameters if p.kind is p.KEYWORD_ONLY], self.where)
-        kinds = {
-            p.name: PLAIN.get(getattr(p.annotation, "__name__", p.annotation)) for p in parameters
-        }
-        for name, kind in kinds.items():
-            if name in table and kind is not None:
-                converted(table[name], kind, dotted(self.where, name))
+        kinds = types_of(factory)
+        for name, value in table.items():
+            kind: Any = kinds.get(name)
+            plain = get_args(kind)[0] if get_origin(kind) is Annotated else kind
+            if plain in PLAIN:
+                converted(value, kind, dotted(self.where, name))
         return dict(table)
 
     def resolved(self) -> dict[str, Any]:
@@ -327,12 +327,8 @@ def config_class(factory: Factory) -> type | None:
     parameter = inspect.signature(factory).parameters.get("config")
     if parameter is None or parameter.default is parameter.empty:
         return None
-    target = factory.__init__ if isinstance(factory, type) else factory  # type: ignore[misc]
-    try:
-        hint = get_type_hints(target).get("config")
-    except (NameError, TypeError):  # annotations only for type checkers; a callable object
-        return None
-    found = [
+    hint = types_of(factory).get("config")
+    classes = [
         kind for kind in (hint, *get_args(hint)) if isinstance(kind, type) and is_dataclass(kind)
     ]
-    return found[0] if found else None
+    return classes[0] if classes else None

@@ -28,6 +28,7 @@ import numpy as np
 
 from replan.core.arrays import FloatArray
 from replan.core.kernel import kernel
+from replan.core.settings import Config, Positive
 from replan.logs.frame import Frame
 from replan.logs.plan import Artefact, Plan, PlanStart, PlanStatus
 from replan.logs.shapes import overlap
@@ -47,18 +48,15 @@ class KnotLimits(NamedTuple):
 
 
 @dataclass(frozen=True)
-class SpeedLimits:
-    """Acceleration and jerk that a profile may use.
+class SpeedLimits(Config):
+    """Acceleration and jerk that a profile may use."""
 
-    Attributes:
-        accel_mps2: Greatest acceleration.
-        decel_mps2: Greatest deceleration, positive.
-        jerk_mps3: Greatest jerk, in both directions.
-    """
-
-    accel_mps2: float
-    decel_mps2: float
-    jerk_mps3: float
+    accel_mps2: Positive
+    """Greatest acceleration."""
+    decel_mps2: Positive
+    """Greatest deceleration, positive."""
+    jerk_mps3: Positive
+    """Greatest jerk, in both directions."""
 
     @cached_property
     def columns(self) -> KnotLimits:

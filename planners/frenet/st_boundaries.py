@@ -33,6 +33,7 @@ import numpy as np
 
 from replan.core.arrays import BoolArray, FloatArray, IntArray
 from replan.core.kernel import inner_kernel, kernel
+from replan.core.settings import Config, NotNegative, Positive
 from replan.logs.plan import Decision, DecisionKind, GraphObstacle
 from replan.logs.shapes import axis_gap
 from replan.logs.states import wrap
@@ -61,30 +62,24 @@ OVERTAKE, STOP, FOLLOW, YIELD = range(len(KINDS))  # ... and their codes.
 
 
 @dataclass(frozen=True)
-class StGraphConfig:
-    """Margins of the swept footprint, added to each side of the ego, m.
+class StGraphConfig(Config):
+    """Margins of the swept footprint, added to each side of the ego, m."""
 
-    Attributes:
-        margin_m: Margin to vehicles and objects.
-        vulnerable_margin_m: Margin to pedestrians and riders.
-        passed_margin_m: Margin to an obstacle that the path passes on purpose.
-        step_s: Time between two samples.
-        early_s: An agent that crosses may come sooner by this, at most by a third of the time left
-            until then.
-        late_s: An agent that crosses may leave later by this, at most by half of the time left
-            until then.
+    margin_m: NotNegative = 0.3
+    """Margin to vehicles and objects."""
+    vulnerable_margin_m: NotNegative = 0.6
+    """Margin to pedestrians and riders."""
+    passed_margin_m: NotNegative = 0.1
+    """Margin to an obstacle that the path passes on purpose."""
+    step_s: Positive = 0.1
+    """Time between two samples."""
+    early_s: NotNegative = 0.4
+    """An agent that crosses may come sooner by this, at most by a third of the time left until
+    then.
     """
-
-    margin_m: float = 0.3
-    vulnerable_margin_m: float = 0.6
-    passed_margin_m: float = 0.1
-    step_s: float = 0.1
-    early_s: float = 0.4
-    late_s: float = 0.6
-
-    def __post_init__(self) -> None:
-        if not self.step_s > 0.0:
-            raise ValueError("step_s must be positive")
+    late_s: NotNegative = 0.6
+    """An agent that crosses may leave later by this, at most by half of the time left until then.
+    """
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -9,10 +9,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import cos, floor, tan
+from typing import Annotated
 
 import numpy as np
+from msgspec import Meta
 
 from replan.core.arrays import FloatArray, IntArray, arc_lengths
+from replan.core.settings import Config, NotNegative, Positive
 from replan.logs.frame import Frame, PlannerContext
 from replan.logs.plan import (
     Artefact,
@@ -93,69 +96,60 @@ Row = tuple[float, float, float, float, float, float, float]
 """A longitudinal polynomial: c3, c4, c5, duration, end speed, missed distance, track or -1."""
 
 
+Durations = Annotated[tuple[Annotated[float, Meta(ge=STEP_S)], ...], Meta(min_length=1)]
+"""Durations of polynomials, s."""
+
+
 @dataclass(frozen=True)
-class LatticeConfig:
-    """Settings of `lattice`; in brackets the names of `candidates`, (4) and (5).
+class LatticeConfig(Config):
+    """Settings of `lattice`; in brackets the names of `candidates`, (4) and (5)."""
 
-    Attributes:
-        speeds: Number of end speeds between 0 and the wanted one.
-        durations_s: Durations of longitudinal polynomials (T).
-        lateral_durations_s: Durations of lateral polynomials (T_l).
-        offset_spacing_m: Distance between two end offsets.
-        w_jerk: Weight of the squared jerk (k_j).
-        w_time: Weight of the duration (k_t).
-        w_offset: Weight of the squared offset at the end (k_l).
-        w_speed: Weight of the squared difference from the wanted speed (k_v).
-        w_point: Weight of the squared distance to a stopping point (k_s).
-        w_gap: Weight of a gap that is smaller than the wanted one (k_gap).
-        w_lateral: Weight of the lateral part (K_LAT).
-        w_lateral_time: Weight of the lateral duration (k_u); small, so that an offset of
-            `offset_spacing_m` is undone.
-        standstill_gap_m: Wanted gap at standstill (g0).
-        time_gap_s: Wanted time gap (tau).
-        accel_mps2: Greatest acceleration.
-        decel_mps2: Greatest deceleration, positive.
-        lat_accel_mps2: Greatest lateral acceleration.
-        curve_accel_mps2: Lateral acceleration of the wanted speed in curves.
-        ease_mps2: Deceleration towards lower limits and curves.
-        margin_m: Distance to vehicles and objects.
-        vulnerable_margin_m: Distance to pedestrians and riders.
-        edge_m: Distance to the road's edge.
+    speeds: Annotated[int, Meta(ge=2)] = 8
+    """Number of end speeds between 0 and the wanted one."""
+    durations_s: Durations = (2.0, 3.0, 4.0, 6.0, 8.0)
+    """Durations of longitudinal polynomials (T)."""
+    lateral_durations_s: Durations = (2.5, 4.0, 6.0)
+    """Durations of lateral polynomials (T_l)."""
+    offset_spacing_m: Positive = 0.5
+    """Distance between two end offsets."""
+    w_jerk: NotNegative = 1.0
+    """Weight of the squared jerk (k_j)."""
+    w_time: NotNegative = 1.0
+    """Weight of the duration (k_t)."""
+    w_offset: NotNegative = 2.0
+    """Weight of the squared offset at the end (k_l)."""
+    w_speed: NotNegative = 1.0
+    """Weight of the squared difference from the wanted speed (k_v)."""
+    w_point: NotNegative = 0.1
+    """Weight of the squared distance to a stopping point (k_s)."""
+    w_gap: NotNegative = 150.0
+    """Weight of a gap that is smaller than the wanted one (k_gap)."""
+    w_lateral: NotNegative = 1.0
+    """Weight of the lateral part (K_LAT)."""
+    w_lateral_time: NotNegative = 0.1
+    """Weight of the lateral duration (k_u); small, so that an offset of `offset_spacing_m` is
+    undone.
     """
-
-    speeds: int = 8
-    durations_s: tuple[float, ...] = (2.0, 3.0, 4.0, 6.0, 8.0)
-    lateral_durations_s: tuple[float, ...] = (2.5, 4.0, 6.0)
-    offset_spacing_m: float = 0.5
-    w_jerk: float = 1.0
-    w_time: float = 1.0
-    w_offset: float = 2.0
-    w_speed: float = 1.0
-    w_point: float = 0.1
-    w_gap: float = 150.0
-    w_lateral: float = 1.0
-    w_lateral_time: float = 0.1
-    standstill_gap_m: float = 2.0
-    time_gap_s: float = 1.2
-    accel_mps2: float = 2.5
-    decel_mps2: float = 7.5
-    lat_accel_mps2: float = 4.0
-    curve_accel_mps2: float = 2.5
-    ease_mps2: float = 1.5
-    margin_m: float = 0.3
-    vulnerable_margin_m: float = 0.5
-    edge_m: float = 0.1
-
-    def __post_init__(self) -> None:
-        if (
-            self.speeds < 2
-            or not self.durations_s
-            or not self.lateral_durations_s
-            or not self.offset_spacing_m > 0.0
-        ):
-            raise ValueError("lattice needs two speeds, durations and a positive offset_spacing_m")
-        if min((*self.durations_s, *self.lateral_durations_s)) < STEP_S:
-            raise ValueError(f"lattice durations must be at least {STEP_S} s")
+    standstill_gap_m: NotNegative = 2.0
+    """Wanted gap at standstill (g0)."""
+    time_gap_s: NotNegative = 1.2
+    """Wanted time gap (tau)."""
+    accel_mps2: NotNegative = 2.5
+    """Greatest acceleration."""
+    decel_mps2: NotNegative = 7.5
+    """Greatest deceleration, positive."""
+    lat_accel_mps2: NotNegative = 4.0
+    """Greatest lateral acceleration."""
+    curve_accel_mps2: NotNegative = 2.5
+    """Lateral acceleration of the wanted speed in curves."""
+    ease_mps2: NotNegative = 1.5
+    """Deceleration towards lower limits and curves."""
+    margin_m: NotNegative = 0.3
+    """Distance to vehicles and objects."""
+    vulnerable_margin_m: NotNegative = 0.5
+    """Distance to pedestrians and riders."""
+    edge_m: NotNegative = 0.1
+    """Distance to the road's edge."""
 
 
 def ego_frenet(scene: Scene) -> FrenetStart:

@@ -38,12 +38,14 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, replace
 from math import atan, atan2, ceil, cos, inf, sin, sqrt, tan
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
+from msgspec import Meta
 
 from replan.core.arrays import BoolArray, FloatArray
 from replan.core.kernel import kernel
+from replan.core.settings import Config, Positive
 from replan.logs.frame import Frame, PlannerContext, Predictions
 from replan.logs.plan import (
     Artefact,
@@ -94,54 +96,39 @@ STOPPING_MPS, STOPPING_GAIN, ACCEL_LAG_S, STEER_LAG_S = 0.2, 0.5, 0.2, 0.05
 
 
 @dataclass(frozen=True)
-class PdmConfig:
-    """Settings of `pdm`, as published; in brackets the names in (1).
+class PdmConfig(Config):
+    """Settings of `pdm`, as published; in brackets the names in (1)."""
 
-    Attributes:
-        speed_shares: Wanted speeds (v0), as shares of the speed limit where the ego is.
-        offsets_m: Tracks to either side of the middle of the route, beside the one in the middle.
-        min_gap_m: Gap to the leader at standstill (s0).
-        headway_s: Time gap to the leader (T).
-        accel_mps2: Greatest acceleration (a).
-        decel_mps2: Greatest deceleration (b), positive.
-        exponent: Exponent of the term for the free road (delta).
-        horizon_s: How long proposals are simulated and scored.
-        radius_m: Only the traffic rules consider agents farther away than this.
-        w_progress: Weight of progress in the score.
-        w_ttc: Weight of the time to collision in the score.
-        w_comfort: Weight of comfort in the score.
-        brake_within_s: The ego brakes where the best proposal has a contact at fault within this
-            time.
-        brake_below_mps: It brakes so only where it is not faster than this.
-        brake_mps2: Deceleration of this braking, positive.
-    """
-
-    speed_shares: tuple[float, ...] = (0.2, 0.4, 0.6, 0.8, 1.0)
-    offsets_m: tuple[float, ...] = (1.0,)
-    min_gap_m: float = 1.0
-    headway_s: float = 1.5
-    accel_mps2: float = 1.5
-    decel_mps2: float = 3.0
-    exponent: float = 10.0
-    horizon_s: float = 4.0
-    radius_m: float = 50.0
-    w_progress: float = 5.0
-    w_ttc: float = 5.0
-    w_comfort: float = 2.0
-    brake_within_s: float = 2.0
-    brake_below_mps: float = 5.0
-    brake_mps2: float = 4.05
-
-    def __post_init__(self) -> None:
-        numbers = {name: value for name, value in vars(self).items() if isinstance(value, float)}
-        if not (
-            self.speed_shares and min(*numbers.values(), *self.speed_shares, *self.offsets_m) > 0.0
-        ):
-            raise ValueError(
-                "pdm settings must be positive, and there must be a share of the speed limit"
-            )
-        if not 1.0 <= self.horizon_s <= HORIZON_STEPS * STEP_S:
-            raise ValueError(f"pdm's horizon_s must be 1 to {HORIZON_STEPS * STEP_S:g} s")
+    speed_shares: Annotated[tuple[Positive, ...], Meta(min_length=1)] = (0.2, 0.4, 0.6, 0.8, 1.0)
+    """Wanted speeds (v0), as shares of the speed limit where the ego is."""
+    offsets_m: tuple[Positive, ...] = (1.0,)
+    """Tracks to either side of the middle of the route, beside the one in the middle."""
+    min_gap_m: Positive = 1.0
+    """Gap to the leader at standstill (s0)."""
+    headway_s: Positive = 1.5
+    """Time gap to the leader (T)."""
+    accel_mps2: Positive = 1.5
+    """Greatest acceleration (a)."""
+    decel_mps2: Positive = 3.0
+    """Greatest deceleration (b), positive."""
+    exponent: Positive = 10.0
+    """Exponent of the term for the free road (delta)."""
+    horizon_s: Annotated[float, Meta(ge=1.0, le=HORIZON_STEPS * STEP_S)] = 4.0
+    """How long proposals are simulated and scored."""
+    radius_m: Positive = 50.0
+    """Only the traffic rules consider agents farther away than this."""
+    w_progress: Positive = 5.0
+    """Weight of progress in the score."""
+    w_ttc: Positive = 5.0
+    """Weight of the time to collision in the score."""
+    w_comfort: Positive = 2.0
+    """Weight of comfort in the score."""
+    brake_within_s: Positive = 2.0
+    """The ego brakes where the best proposal has a contact at fault within this time."""
+    brake_below_mps: Positive = 5.0
+    """It brakes so only where it is not faster than this."""
+    brake_mps2: Positive = 4.05
+    """Deceleration of this braking, positive."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)

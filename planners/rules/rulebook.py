@@ -37,6 +37,7 @@ from math import inf, isfinite
 import numpy as np
 
 from replan.core.arrays import TIE, FloatArray
+from replan.core.settings import Config, NotNegative
 from replan.logs.plan import DecisionKind
 from replan.logs.road import Road
 from replan.logs.rules import RED, Colour
@@ -90,19 +91,13 @@ ROLLING_MPS = 1.0
 
 
 @dataclass(frozen=True)
-class RulesConfig:
-    """Settings of the rules.
+class RulesConfig(Config):
+    """Settings of the rules."""
 
-    Attributes:
-        patience_s: How long a standing ego waits for a pedestrian who stands at a crosswalk and
-            does not begin to walk.
+    patience_s: NotNegative = 3.0
+    """How long a standing ego waits for a pedestrian who stands at a crosswalk and does not begin
+    to walk.
     """
-
-    patience_s: float = 3.0
-
-    def __post_init__(self) -> None:
-        if not self.patience_s >= 0.0:
-            raise ValueError("patience_s must not be negative")
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,10 +8,8 @@ The settings of a planner, controller, vehicle model ... come from its code, too
 
 key, default    the field of its dataclass, or its keyword; the key is that of `--set`
 unit            from the last part of the name (`UNITS`)
-range           the numbers that the dataclass accepts, with all other settings at their defaults:
-                found by trying
-meaning         the entry of the docstring: under "Attributes" of the dataclass, "Args" of a class
-                or function
+range           from the annotation
+meaning         the string below the field, or the description in the keyword's annotation
 """
 
 from __future__ import annotations
@@ -19,15 +17,15 @@ from __future__ import annotations
 import inspect
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
+from dataclasses import MISSING, dataclass, fields, is_dataclass
 from functools import partial
 from importlib.resources import files
 from typing import Any
 
-from replan.core.errors import ConfigError, ReplanError, unknown_name
+from replan.core.errors import ConfigError, unknown_name
 from replan.core.extension import ExtensionKind
 from replan.core.names import first_paragraph
-from replan.core.settings import dotted, meaning
+from replan.core.settings import bounds_of, dotted, meaning, types_of
 from replan.draw.charts.layout import CHART
 from replan.logs.catalogue import SUITES, families
 from replan.logs.readers import readers
@@ -202,10 +200,6 @@ A weight (`w_s`) has the unit of its cost, which no name gives.
 """
 
 SIGNS = {"minimum": ">=", "exclusiveMinimum": ">", "maximum": "<=", "exclusiveMaximum": "<"}
-FAR, FAR_WHOLE, FINE = 1e9, 20_000, 1e-9
-"""Largest values that are tried, of numbers and of whole numbers, and the relative error of a
-bound.
-"""
 
 ANY = ExtensionKind[Callable[..., Any]]("extension", "extensions", {})
 """Finds what a user names as module:NAME, of any kind."""
@@ -218,9 +212,7 @@ class ListedSetting:
     key: str  # Its key for `--set`
     default: Any  # Its value if it is not set; None also if it has to be set
     unit: str  # Its unit; "" for a number without one, a weight, a text
-    # Its bounds, named as in JSON Schema ("minimum", "exclusiveMinimum", ...); empty: none is
-    # checked
-    range: Mapping[str, float]
+    range: Mapping[str, float]  # Its bounds, named as in JSON Schema; empty: none is checked
     meaning: str
     group: str = ""  # What its table is for; "" without one
 
@@ -237,12 +229,13 @@ def settings_of(part: Part) -> tuple[ListedSetting, ...]:
     keywords = [
         p for p in inspect.signature(factory).parameters.values() if p.kind is p.KEYWORD_ONLY
     ]
+    types = types_of(factory)
     return tuple(
         ListedSetting(
             dotted(where, p.name),
             None if p.default is p.empty else p.default,
             unit(p.name),
-            {},
+            bounds_of(types.get(p.name)),
             meaning(factory, p.name),
         )
         for p in keywords
@@ -258,10 +251,11 @@ def _of_dataclass(config: Any, where: str, group: str = "") -> Iterator[ListedSe
     values = [
         (item.name, getattr(config, item.name, None), dotted(where, item.name)) for item in items
     ]
+    types = types_of(config if isinstance(config, type) else type(config))
     for name, value, key in values:
         if not is_dataclass(value):
             yield ListedSetting(
-                key, value, unit(name), accepted(config, name), meaning(config, name), group
+                key, value, unit(name), bounds_of(types[name]), meaning(config, name), group
             )
     for name, value, key in values:
         if is_dataclass(value):
@@ -276,48 +270,6 @@ def unit(name: str) -> str:
         if name.startswith("w_")
         else UNITS.get(name.rpartition("_")[2] if "_" in name else "", "")
     )
-
-
-def accepted(config: Any, name: str) -> dict[str, float]:
-    """The bounds of a number, or of each number of a tuple, that the dataclass checks.
-
-    See `ListedSetting.range`.
-    """
-    default = getattr(config, name, None)
-    good, several = (
-        (default[0], len(default)) if isinstance(default, tuple) and default else (default, 0)
-    )
-    if isinstance(config, type) or isinstance(good, bool) or not isinstance(good, int | float):
-        return {}
-
-    def accepts(value: float) -> bool:
-        try:
-            replace(config, **{name: (value,) * several if several else value})
-        except (ReplanError, ValueError, ArithmeticError, TypeError):
-            return False
-        return True
-
-    edges = {"inimum": _edge(accepts, good, -1), "aximum": _edge(accepts, good, 1)}
-    found = {key: edge for key, edge in edges.items() if edge is not None}
-    return {f"m{key}" if accepts(edge) else f"exclusiveM{key}": edge for key, edge in found.items()}
-
-
-def _edge(accepts: Callable[[float], bool], good: float, sign: int) -> float | None:
-    """The last number below or above a good one that is accepted, or the first that is not; None if
-    there is none.
-
-    It is found by bisection; whole numbers go in steps of two, as some must be odd.
-    """
-    whole = isinstance(good, int)
-    bad = good + 2 * sign * FAR_WHOLE if whole else sign * FAR
-    if accepts(bad) or not accepts(good):
-        return None
-    while abs(bad - good) > (2 if whole else FINE * max(1.0, abs(good))):
-        middle = good + 2 * ((bad - good) // 4) if whole else 0.5 * (good + bad)
-        good, bad = (middle, bad) if accepts(middle) else (good, middle)
-    if whole:
-        return good + sign if accepts(good + sign) else good
-    return float(f"{round(good, 8):.7g}") + 0.0
 
 
 def setting_lines(found: Iterable[ListedSetting]) -> list[str]:

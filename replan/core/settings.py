@@ -1,24 +1,82 @@
-"""Converts a table of a run's file or of `--set` into dataclasses: keys, defaults and types are
-checked.
+"""Settings: dataclasses (`Config`), and the tables of a run's file or of `--set` that fill them.
+
+A field states its type and range in its annotation (`Positive`, or `Annotated` with a
+`msgspec.Meta`), its unit in the last part of its name, and its meaning in the string below it.
+Checks, messages, `replan list`, completion and run.toml read them from there. A keyword of a
+function states them in its annotation: `Annotated[float, Meta(gt=0.0, description="...")]`.
 """
 
 from __future__ import annotations
 
+import ast
 import inspect
 import json
-import re
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import MISSING, asdict, fields, is_dataclass
-from functools import partial
-from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+from collections.abc import Hashable, Iterable, Iterator, Mapping
+from dataclasses import MISSING, asdict, dataclass, fields, is_dataclass
+from functools import cache, partial
+from itertools import pairwise
+from textwrap import dedent
+from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import msgspec
+from msgspec import Meta
+from msgspec.inspect import type_info
 
 from replan.core.errors import ConfigError, unknown_name
 
 T = TypeVar("T")
 Table = Mapping[str, Any]
+Positive = Annotated[float, Meta(gt=0.0)]
+NotNegative = Annotated[float, Meta(ge=0.0)]
+BOUNDS = {"ge": "minimum", "gt": "exclusiveMinimum", "le": "maximum", "lt": "exclusiveMaximum"}
+"""Names of a number's bounds in JSON Schema, by those of `msgspec.Meta`."""
+
+
+@dataclass(frozen=True)
+class Config:
+    """Settings, whose values lie within the ranges of their annotations.
+
+    Raises:
+        ConfigError: A value does not.
+    """
+
+    def __post_init__(self) -> None:
+        for name, kind in types_of(type(self)).items():  # type: ignore[arg-type]
+            if _is_limited(kind):
+                value = getattr(self, name)
+                of_numpy = getattr(value, "item", None)
+                converted(value if of_numpy is None else of_numpy(), kind, name)
+
+
+@cache
+def types_of(thing: Hashable) -> dict[str, Any]:
+    """The types of a dataclass's fields, or of a factory's keywords, ranges included.
+
+    A class of keywords has them in its constructor. A callable whose annotations cannot be resolved
+    (names that only type checkers import) has none.
+    """
+    has_fields = isinstance(thing, type) and is_dataclass(thing)
+    target = thing.__init__ if isinstance(thing, type) and not has_fields else thing  # type: ignore[misc]
+    try:
+        return get_type_hints(target, include_extras=True)
+    except (NameError, TypeError):
+        return {}
+
+
+def _is_limited(kind: Any) -> bool:
+    """Whether a type, or that of a tuple's elements, states a range."""
+    return any(get_origin(part) is Annotated for part in (kind, *get_args(kind)))
+
+
+def bounds_of(kind: Any) -> dict[str, float]:
+    """The bounds of a number, or of each number of a tuple, named as in JSON Schema."""
+    if not _is_limited(kind):
+        return {}
+    number = type_info(kind)
+    number = getattr(number, "item_type", number)
+    stated = {name: getattr(number, key, None) for key, name in BOUNDS.items()}
+    return {name: bound for name, bound in stated.items() if bound is not None}
 
 
 def strict(cls: type[T], table: Mapping[str, Any], where: str = "") -> T:
@@ -58,13 +116,25 @@ def converted(value: Any, kind: type[T], where: str) -> T:
     except msgspec.ValidationError as error:
         # "Expected `float`, got `str` - at `$.loop.period`" becomes "loop.period: expected float,
         # got str"
-        what, _, place = str(error).replace("`", "").partition(" - at ")
-        what = what[:1].lower() + what[1:] if what.startswith("Expected") else what
+        problem, _, place = str(error).replace("`", "").partition(" - at ")
         names = place.removeprefix("$").removeprefix(".")
         key = ".".join(filter(None, [where, names]))
+        if problem.startswith("Expected"):
+            problem = problem[:1].lower() + problem[1:]
+            refused = _value_at(value, names)
+            if ", got" not in problem and isinstance(refused, int | float):
+                problem += f", got {refused}"
         choices = _choices(kind, names)
-        what = f"{what}; known are: {', '.join(map(str, choices))}" if choices else what
-        raise ConfigError(f"{key}: {what}" if key else what) from None
+        if choices:
+            problem += f"; known are: {', '.join(map(str, choices))}"
+        raise ConfigError(f"{key}: {problem}" if key else problem) from None
+
+
+def _value_at(value: Any, place: str) -> Any:
+    """The value at a place ("loop.mode") of a table; None if there is none."""
+    for name in filter(None, place.split(".")):
+        value = value.get(name) if isinstance(value, Mapping) else None
+    return value
 
 
 def _choices(kind: Any, place: str) -> tuple[Any, ...]:
@@ -167,17 +237,28 @@ def set_table(words: Iterable[str]) -> dict[str, Any]:
 
 
 def meaning(thing: Any, name: str) -> str:
-    """The entry of a field or keyword in the docstring of a class (and its bases) or function; ""
-    if it has none.
-    """
+    """What a field of a dataclass, or a keyword of a factory, means; "" if it is not stated."""
     while isinstance(thing, partial):
         thing = thing.func
-    cls = thing if isinstance(thing, type) else type(thing) if is_dataclass(thing) else None
-    places = [thing] if cls is None else [*cls.__mro__, cls.__init__]  # type: ignore[misc]
-    for doc in map(inspect.getdoc, places):
-        found = re.search(
-            rf"^ +{name}(?: \([^)\n]*\))?: (.*(?:\n {{8,}}.*)*)", doc or "", re.MULTILINE
-        )
-        if found:
-            return " ".join(found[1].split())
-    return ""
+    cls = thing if isinstance(thing, type) else type(thing)
+    if is_dataclass(cls):
+        return next((texts[name] for texts in map(_field_texts, cls.__mro__) if name in texts), "")
+    notes = getattr(types_of(thing).get(name), "__metadata__", ())
+    return next((note.description or "" for note in notes if isinstance(note, Meta)), "")
+
+
+@cache
+def _field_texts(cls: type) -> dict[str, str]:
+    """The string below each field of a class."""
+    if not is_dataclass(cls):
+        return {}
+    (definition,) = ast.parse(dedent(inspect.getsource(cls))).body
+    texts = {}
+    for node, after in pairwise(definition.body):  # type: ignore[attr-defined]
+        match node, after:
+            case (
+                ast.AnnAssign(target=ast.Name(id=name)),
+                ast.Expr(value=ast.Constant(value=str(text))),
+            ):
+                texts[name] = " ".join(text.split())
+    return texts

@@ -60,6 +60,7 @@ import numpy as np
 from replan.core.arrays import FloatArray, frozen
 from replan.core.errors import ConfigError, unknown_name
 from replan.core.kernel import inner_kernel, kernel
+from replan.core.settings import Config, NotNegative, Positive
 from replan.logs.vehicle import VehicleParameters
 from replan.replay.control import estimation
 from replan.replay.control.estimation import DelayModel, DelayState, SlipModel, SlipState
@@ -85,33 +86,26 @@ MAX_ROUNDS = 60
 
 
 @dataclass(frozen=True)
-class DlqrConfig:
-    """Weights of the regulator and the form of (5); with rigid tyres, the rates have no weight.
+class DlqrConfig(Config):
+    """Weights of the regulator and the form of (5); with rigid tyres, the rates have no weight."""
 
-    Attributes:
-        lateral_weight: 1/m2.
-        lateral_rate_weight: (s/m)2.
-        heading_weight: 1/rad2.
-        heading_rate_weight: (s/rad)2.
-        steer_weight: Of u, 1/rad2.
-        speed_mps: v_0 of the regulator's R.
-        discretisation: Name in `replan.replay.control.lateral_model.DISCRETISATIONS`.
-    """
-
-    lateral_weight: float = 1.0
-    lateral_rate_weight: float = 0.0
-    heading_weight: float = 1.0
-    heading_rate_weight: float = 0.0
-    steer_weight: float = 40.0
-    speed_mps: float = 12.0
+    lateral_weight: Positive = 1.0
+    """1/m2."""
+    lateral_rate_weight: NotNegative = 0.0
+    """(s/m)2."""
+    heading_weight: NotNegative = 1.0
+    """1/rad2."""
+    heading_rate_weight: NotNegative = 0.0
+    """(s/rad)2."""
+    steer_weight: Positive = 40.0
+    """Of u, 1/rad2."""
+    speed_mps: Positive = 12.0
+    """v_0 of the regulator's R."""
     discretisation: str = "zoh"
+    """Name in `replan.replay.control.lateral_model.DISCRETISATIONS`."""
 
     def __post_init__(self) -> None:
-        weights = (self.lateral_rate_weight, self.heading_weight, self.heading_rate_weight)
-        if not (self.lateral_weight > 0.0 and min(weights) >= 0.0):
-            raise ConfigError("DLQR: lateral_weight must be positive and no weight negative")
-        if not (self.steer_weight > 0.0 and self.speed_mps > 0.0):
-            raise ConfigError("DLQR: steer_weight and speed_mps must be positive")
+        super().__post_init__()
         if self.discretisation not in DISCRETISATIONS:
             raise unknown_name("discretisation", self.discretisation, DISCRETISATIONS)
 

@@ -30,12 +30,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import partial
 from math import nan
+from typing import Annotated
 
 import numpy as np
+from msgspec import Meta
 from scipy import sparse
 
 from replan.core.arrays import FloatArray, IntArray
-from replan.core.errors import ConfigError
+from replan.core.settings import Config, NotNegative, Positive
 from replan.logs.plan import Plan
 from replan.logs.states import Command, EgoState
 from replan.logs.vehicle import VehicleParameters
@@ -81,59 +83,40 @@ SCALE = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.3, 1.0, 0.3])
 
 
 @dataclass(frozen=True)
-class MpcConfig:
-    """Horizon and weights of (1).
+class MpcConfig(Config):
+    """Horizon and weights of (1)."""
 
-    Attributes:
-        steps: Number of steps of the horizon.
-        step_s: Length of a step of the prediction.
-        period_s: Time between two solves.
-        station_weight: Weight of the squared error along the path, 1/m2.
-        speed_weight: Weight of the squared error of the speed, (s/m)2.
-        lateral_weight: Weight of the squared error across the path, 1/m2.
-        heading_weight: Weight of the squared error of the heading, 1/rad2.
-        steer_weight: Weight of the squared deviation of the steering angle (sigma), 1/rad2.
-        accel_weight: Weight of the squared deviation of the acceleration, (s2/m)2.
-        steer_rate_weight: Weight of the squared deviation of the steering rate (w), (s/rad)2.
-        accel_change_weight: Weight of the squared change of the acceleration from step to step,
-            (s2/m)2.
-        steer_rate_change_weight: Weight of the squared change of w from step to step, (s/rad)2.
-        terminal: Factor on the weights of errors at the last step.
-        speed_mps: The weights of the steering grow with the speed over this one (v_0 of the
-            prediction's (3)).
-        friction_share: Share of the tyres' friction that may be used.
+    steps: Annotated[int, Meta(ge=2)] = 20
+    """Number of steps of the horizon."""
+    step_s: Positive = 0.1
+    """Length of a step of the prediction."""
+    period_s: Positive = 0.05
+    """Time between two solves."""
+    station_weight: NotNegative = 1.0
+    """Weight of the squared error along the path, 1/m2."""
+    speed_weight: NotNegative = 1.0
+    """Weight of the squared error of the speed, (s/m)2."""
+    lateral_weight: Positive = 1.0
+    """Weight of the squared error across the path, 1/m2."""
+    heading_weight: NotNegative = 1.0
+    """Weight of the squared error of the heading, 1/rad2."""
+    steer_weight: NotNegative = 40.0
+    """Weight of the squared deviation of the steering angle (sigma), 1/rad2."""
+    accel_weight: NotNegative = 0.5
+    """Weight of the squared deviation of the acceleration, (s2/m)2."""
+    steer_rate_weight: NotNegative = 0.1
+    """Weight of the squared deviation of the steering rate (w), (s/rad)2."""
+    accel_change_weight: NotNegative = 0.5
+    """Weight of the squared change of the acceleration from step to step, (s2/m)2."""
+    steer_rate_change_weight: NotNegative = 0.02
+    """Weight of the squared change of w from step to step, (s/rad)2."""
+    terminal: NotNegative = 5.0
+    """Factor on the weights of errors at the last step."""
+    speed_mps: Positive = 12.0
+    """The weights of the steering grow with the speed over this one (v_0 of the prediction's (3)).
     """
-
-    steps: int = 20
-    step_s: float = 0.1
-    period_s: float = 0.05
-    station_weight: float = 1.0
-    speed_weight: float = 1.0
-    lateral_weight: float = 1.0
-    heading_weight: float = 1.0
-    steer_weight: float = 40.0
-    accel_weight: float = 0.5
-    steer_rate_weight: float = 0.1
-    accel_change_weight: float = 0.5
-    steer_rate_change_weight: float = 0.02
-    terminal: float = 5.0
-    speed_mps: float = 12.0
-    friction_share: float = 0.95
-
-    def __post_init__(self) -> None:
-        if not (
-            self.steps > 1 and self.step_s > 0.0 and self.period_s > 0.0 and self.speed_mps > 0.0
-        ):
-            raise ConfigError(
-                "MPC: steps must be at least 2, step_s, period_s and speed_mps positive"
-            )
-        if (
-            min(self.state_weights + self.input_weights + self.change_weights) < 0.0
-            or not self.lateral_weight > 0.0
-        ):
-            raise ConfigError("MPC: lateral_weight must be positive and no weight negative")
-        if not 0.0 < self.friction_share <= 1.0:
-            raise ConfigError("MPC: friction_share must lie between 0 and 1")
+    friction_share: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.95
+    """Share of the tyres' friction that may be used."""
 
     @property
     def state_weights(self) -> tuple[float, ...]:

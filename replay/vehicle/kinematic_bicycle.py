@@ -36,7 +36,9 @@ from __future__ import annotations
 
 from functools import partial
 from math import atan, ceil, cos, sin, tan
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
+
+from msgspec import Meta
 
 from replan.core.arrays import FloatArray
 from replan.core.errors import ConfigError
@@ -53,6 +55,10 @@ from replan.replay.vehicle.pedal_map import (
     rolling_acceleration,
 )
 from replan.replay.vehicle.plan_path import PlanPath, Tracker, path_point
+
+RearRatio = Annotated[
+    float, Meta(ge=-1.0, lt=1.0, description="Rear wheel angle per front wheel angle.")
+]
 
 MAX_SUBSTEP_S = 0.01
 KAPPA_TOLERANCE_PM = 1e-12
@@ -196,7 +202,7 @@ class KinematicBicycle:
         parameters: Of the ego.
         start: Initial motion; steering and pedals are set to match it. It is not driven in
             reverse: a negative speed is taken as 0.
-        rear_ratio: Rear wheel angle per front wheel angle, from -1 to below 1.
+        rear_ratio: As annotated.
 
     Attributes:
         model: The numbers of (1)-(7); `numbers` likewise, as plain tuples.
@@ -210,7 +216,7 @@ class KinematicBicycle:
     own_controller: Controller | None = None
 
     def __init__(
-        self, parameters: VehicleParameters, start: EgoState, *, rear_ratio: float = 0.0
+        self, parameters: VehicleParameters, start: EgoState, *, rear_ratio: RearRatio = 0.0
     ) -> None:
         if not -1.0 <= rear_ratio < 1.0:
             raise ConfigError(f"rear_ratio must be at least -1 and below 1, got {rear_ratio}")

@@ -58,7 +58,7 @@ from replan.replay.vehicle.single_track import (
     motion,
     substeps,
 )
-from replan.replay.vehicle.tyres import GRAVITY
+from replan.replay.vehicle.tyres import GRAVITY, TyreStiffness
 
 SLOW_MPS, LEAVE_MPS, CALM = 1.0, 1.5, 0.1
 SUBSTEP_S = 1e-3
@@ -80,7 +80,7 @@ class Multibody:
     Args:
         parameters: Of the ego.
         start: As `SingleTrack`.
-        tyre_stiffness: Factor on the package's cornering stiffness.
+        tyre_stiffness: As annotated.
 
     Raises:
         ConfigError: The package commonroad-vehicle-models is not installed, or a keyword has no
@@ -91,7 +91,7 @@ class Multibody:
     own_controller: Controller | None = None
 
     def __init__(
-        self, parameters: VehicleParameters, start: EgoState, *, tyre_stiffness: float = 1.0
+        self, parameters: VehicleParameters, start: EgoState, *, tyre_stiffness: TyreStiffness = 1.0
     ) -> None:
         self.powertrain = Drivetrain(parameters)
         try:

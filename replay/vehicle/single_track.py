@@ -37,7 +37,9 @@ sub-step.
 from __future__ import annotations
 
 from math import atan, atan2, ceil, cos, sin, sqrt, tan
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
+
+from msgspec import Meta
 
 from replan.core.kernel import inner_kernel, kernel
 from replan.logs.states import Command, EgoState
@@ -60,7 +62,14 @@ from replan.replay.vehicle.drivetrain import (
     with_room,
 )
 from replan.replay.vehicle.kinematic_bicycle import MAX_SUBSTEP_S
-from replan.replay.vehicle.tyres import GRAVITY, Tyre, axle_force, axle_tyres, slip_for
+from replan.replay.vehicle.tyres import (
+    GRAVITY,
+    Tyre,
+    TyreStiffness,
+    axle_force,
+    axle_tyres,
+    slip_for,
+)
 
 SLIP_MPS = 1.0
 SLIDING_MPS = 0.5
@@ -378,9 +387,7 @@ class SingleTrack:
         start: Where and how fast it moves at first. It corners steadily along the start's curvature
             (as far as the tyres allow), so steering, slip and yaw rate come from the model and not
             from the start. It is not driven in reverse: a negative speed is taken as 0.
-        tyre: Name in `replan.replay.vehicle.tyres.TYRES`.
-        tyre_stiffness: Factor on the cornering stiffness.
-        grade: Rise over run, positive uphill.
+        tyre: As annotated; `tyre_stiffness` and `grade` likewise.
 
     Attributes:
         model: The numbers of (1)-(8); `numbers` likewise, as plain tuples.
@@ -398,9 +405,11 @@ class SingleTrack:
         parameters: VehicleParameters,
         start: EgoState,
         *,
-        tyre: str = "pacejka",
-        tyre_stiffness: float = 1.0,
-        grade: float = 0.0,
+        tyre: Annotated[
+            str, Meta(description="Name in `replan.replay.vehicle.tyres.TYRES`.")
+        ] = "pacejka",
+        tyre_stiffness: TyreStiffness = 1.0,
+        grade: Annotated[float, Meta(description="Rise over run, positive uphill.")] = 0.0,
     ) -> None:
         self.powertrain = Drivetrain(parameters)
         self.model = car_of(

@@ -36,15 +36,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import atan, sin, sqrt
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
+from msgspec import Meta
 
 from replan.core.arrays import FloatArray
 from replan.core.errors import ConfigError, unknown_name
 from replan.core.kernel import kernel
 from replan.logs.states import Controls, Trajectory
 from replan.logs.vehicle import VehicleParameters
+
+TyreStiffness = Annotated[float, Meta(gt=0.0, description="Factor on the cornering stiffness.")]
 
 GRAVITY = 9.81
 LINEAR, FIALA, PACEJKA = 0, 1, 2

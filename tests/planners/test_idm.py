@@ -116,8 +116,3 @@ def test_the_graph_holds_the_leader_and_the_profile() -> None:
     assert [obstacle.agent for obstacle in graph.obstacles] == ["lead"]
     assert graph.corridor is not None
     assert (graph.qp[:, 1] <= graph.corridor.upper + 1e-6).all()
-
-
-def test_settings_must_be_positive() -> None:
-    with pytest.raises(ValueError, match="positive"):
-        IdmConfig(time_gap_s=0.0)

@@ -229,11 +229,3 @@ def test_numbers_that_do_not_fit_are_refused() -> None:
         solver.refill(A.data[:-1])
     with pytest.raises(ValueError, match="finite"):
         solver.refill(np.full(len(A.data), np.nan))
-
-
-@pytest.mark.parametrize(
-    "wrong", [{"eps": 0.0}, {"max_iterations": -1}, {"tolerance": float("nan")}]
-)
-def test_settings_are_checked(wrong: dict[str, float]) -> None:
-    with pytest.raises(ValueError, match="positive"):
-        QPConfig(**wrong)  # type: ignore[arg-type]

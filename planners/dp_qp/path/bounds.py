@@ -22,7 +22,9 @@ from math import hypot
 import numpy as np
 
 from replan.core.arrays import BoolArray, FloatArray, IntArray
+from replan.core.errors import ConfigError
 from replan.core.kernel import kernel
+from replan.core.settings import Config, NotNegative
 from replan.logs.plan import Decision, DecisionKind
 from replan.logs.road import line_project
 from replan.logs.shapes import corners
@@ -41,35 +43,35 @@ NOTHING = Borrowed(np.empty((0, 3)), left=True, right=True)  # No road beside th
 
 
 @dataclass(frozen=True)
-class CorridorConfig:
-    """Distances that the path keeps.
+class CorridorConfig(Config):
+    """Distances that the path keeps."""
 
-    Attributes:
-        clearance_m: Distance to an obstacle that the path passes.
-        min_clearance_m: Least such distance, where there is no more space; with less the ego stops.
-        edge_m: Distance to the lane's edge.
-        gap_m: Distance ahead of and behind an obstacle, added to its length.
-        neighbour_behind_m: A neighbouring lane may be borrowed if no agent moves on it up to this
-            far behind the ego.
-        neighbour_ahead_m: A neighbouring lane may be borrowed if no agent moves on it up to this
-            far ahead of the ego.
-        facing_margin_s: The facing lane may be borrowed if no agent comes within this time after
-            the ego has left it.
-        patience_s: The facing lane may be used to pass a vehicle that has stood for this long.
+    clearance_m: NotNegative = 0.6
+    """Distance to an obstacle that the path passes."""
+    min_clearance_m: NotNegative = 0.25
+    """Least such distance, where there is no more space; with less the ego stops."""
+    edge_m: NotNegative = 0.25
+    """Distance to the lane's edge."""
+    gap_m: NotNegative = 1.0
+    """Distance ahead of and behind an obstacle, added to its length."""
+    neighbour_behind_m: NotNegative = 40.0
+    """A neighbouring lane may be borrowed if no agent moves on it up to this far behind the ego."""
+    neighbour_ahead_m: NotNegative = 60.0
+    """A neighbouring lane may be borrowed if no agent moves on it up to this far ahead of the ego.
     """
-
-    clearance_m: float = 0.6
-    min_clearance_m: float = 0.25
-    edge_m: float = 0.25
-    gap_m: float = 1.0
-    neighbour_behind_m: float = 40.0
-    neighbour_ahead_m: float = 60.0
-    facing_margin_s: float = 1.0
-    patience_s: float = 5.0
+    facing_margin_s: NotNegative = 1.0
+    """The facing lane may be borrowed if no agent comes within this time after the ego has left it.
+    """
+    patience_s: NotNegative = 5.0
+    """The facing lane may be used to pass a vehicle that has stood for this long."""
 
     def __post_init__(self) -> None:
-        if not 0.0 <= self.min_clearance_m <= self.clearance_m:
-            raise ValueError("min_clearance_m must lie between 0 and clearance_m")
+        super().__post_init__()
+        if not self.min_clearance_m <= self.clearance_m:
+            raise ConfigError(
+                f"min_clearance_m ({self.min_clearance_m}) must not exceed clearance_m "
+                f"({self.clearance_m})"
+            )
 
 
 @dataclass(frozen=True, eq=False, slots=True)

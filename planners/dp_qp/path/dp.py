@@ -24,12 +24,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
+from msgspec import Meta
 
 from replan.core.arrays import TIE, FloatArray, IntArray
+from replan.core.errors import ConfigError
 from replan.core.kernel import inner_kernel, kernel
+from replan.core.settings import Config, NotNegative, Positive
 from replan.planners.frenet.path import quintic
 
 COLLISION = 1e4  # Cost of a metre of way inside a box (3): more than any detour
@@ -53,36 +56,32 @@ class PathDpWeights(NamedTuple):
 
 
 @dataclass(frozen=True)
-class PathDpConfig:
-    """Grid and weights of the path DP.
+class PathDpConfig(Config):
+    """Grid and weights of the path DP."""
 
-    Attributes:
-        columns: Stations of the grid.
-        rows: Offsets of the grid, odd, so that one is the reference line.
-        row_spacing_m: Distance between two offsets.
-        w_ref: Weight of the squared offset from the reference line.
-        w_dl: Weight of the squared slope of the path, l'.
-        w_ddl: Weight of the squared second derivative of the path, l''.
-        w_near: Weight of coming near an obstacle.
-        reach_m: Distance from which an obstacle has no cost.
-        w_switch: Cost per m of passing an obstacle on the other side than before.
-    """
-
-    columns: int = 10
-    rows: int = 21
-    row_spacing_m: float = 0.5
-    w_ref: float = 0.05
-    w_dl: float = 20.0
-    w_ddl: float = 500.0
-    w_near: float = 2.0
-    reach_m: float = 1.0
-    w_switch: float = 2.0
+    columns: Annotated[int, Meta(ge=2)] = 10
+    """Stations of the grid."""
+    rows: Annotated[int, Meta(ge=3)] = 21
+    """Offsets of the grid, odd, so that one is the reference line."""
+    row_spacing_m: Positive = 0.5
+    """Distance between two offsets."""
+    w_ref: NotNegative = 0.05
+    """Weight of the squared offset from the reference line."""
+    w_dl: NotNegative = 20.0
+    """Weight of the squared slope of the path, l'."""
+    w_ddl: NotNegative = 500.0
+    """Weight of the squared second derivative of the path, l''."""
+    w_near: NotNegative = 2.0
+    """Weight of coming near an obstacle."""
+    reach_m: NotNegative = 1.0
+    """Distance from which an obstacle has no cost."""
+    w_switch: NotNegative = 2.0
+    """Cost per m of passing an obstacle on the other side than before."""
 
     def __post_init__(self) -> None:
-        if self.columns < 2 or self.rows < 3 or self.rows % 2 == 0 or not self.row_spacing_m > 0.0:
-            raise ValueError(
-                "path DP needs 2 columns, an odd number of rows >= 3 and a positive spacing"
-            )
+        super().__post_init__()
+        if self.rows % 2 == 0:
+            raise ConfigError(f"rows: path DP needs an odd number, got {self.rows}")
 
     @property
     def weights(self) -> PathDpWeights:

@@ -25,10 +25,13 @@ w_dddl = (0.7 a)^6 with the settling length a (m).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from msgspec import Meta
 
 from replan.core.arrays import FloatArray
+from replan.core.settings import Config, NotNegative, Positive
 from replan.logs.plan import CostTerms
 from replan.planners.piecewise_jerk.problem import PiecewiseJerkProblem, Weights, X
 from replan.planners.piecewise_jerk.solvers import DEFAULT, solve
@@ -39,27 +42,19 @@ TOLERANCE = 1e-2  # Largest violation of a bound in a solution, in the units of 
 
 
 @dataclass(frozen=True)
-class PathQpConfig:
-    """Knots and weights of the path QP.
+class PathQpConfig(Config):
+    """Knots and weights of the path QP."""
 
-    Attributes:
-        knots: Number of knots.
-        w_ref: Weight of the squared offset from the reference line, 1/m2.
-        w_mid: Weight of the squared distance to the middle of the corridor, 1/m2.
-        settle_s: Length of a lane shift per speed; the weights of the path's derivatives grow with
-            it.
-        min_settle_m: Least length of a lane shift.
-    """
-
-    knots: int = 80
-    w_ref: float = 1.0
-    w_mid: float = 0.1
-    settle_s: float = 1.2
-    min_settle_m: float = 4.0
-
-    def __post_init__(self) -> None:
-        if self.knots < 10 or not (self.w_ref > 0.0 and self.w_mid >= 0.0 and self.settle_s > 0.0):
-            raise ValueError("path QP needs at least 10 knots and positive weights")
+    knots: Annotated[int, Meta(ge=10)] = 80
+    """Number of knots."""
+    w_ref: Positive = 1.0
+    """Weight of the squared offset from the reference line, 1/m2."""
+    w_mid: NotNegative = 0.1
+    """Weight of the squared distance to the middle of the corridor, 1/m2."""
+    settle_s: Positive = 1.2
+    """Length of a lane shift per speed; the weights of the path's derivatives grow with it."""
+    min_settle_m: NotNegative = 4.0
+    """Least length of a lane shift."""
 
 
 class PathQp:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from replan.core.arrays import TIE, FloatArray
+from replan.core.settings import Config
 from replan.logs.agents import AgentKind
 from replan.logs.frame import PlannerContext
 from replan.logs.plan import (
@@ -68,7 +69,7 @@ NO_ONE = np.empty((0, 2))  # Begin and end of no standing agent, stations
 
 
 @dataclass(frozen=True)
-class PathConfig:
+class PathConfig(Config):
     """Settings of the path stage, by part."""
 
     dp: PathDpConfig = field(default_factory=PathDpConfig)

@@ -48,6 +48,7 @@ import numpy as np
 
 from replan.core.arrays import TIE, BoolArray, FloatArray
 from replan.core.kernel import kernel
+from replan.core.settings import Config, NotNegative, Positive
 from replan.logs.agents import AgentKind, Agents
 from replan.logs.frame import Visibility
 from replan.logs.plan import Decision, DecisionKind
@@ -78,24 +79,17 @@ SWERVE_MPS2 = 1.6  # Lateral acceleration of a swerve (7), m/s2
 
 
 @dataclass(frozen=True)
-class CautionConfig:
-    """How the ego prepares for road users who may come into its way.
+class CautionConfig(Config):
+    """How the ego prepares for road users who may come into its way."""
 
-    Attributes:
-        walk_mps: Speed of a person who steps out or sets off: 5 km/h, up to which UN R157 requires
-            to avoid them.
-        ride_mps: Lateral speed of a rider along the lane who swerves into the way.
-        hesitates_s: Time for which a person who came to the path and stands beside it may set off
-            again.
+    walk_mps: Positive = 5.0 / 3.6
+    """Speed of a person who steps out or sets off: 5 km/h, up to which UN R157 requires to avoid
+    them.
     """
-
-    walk_mps: float = 5.0 / 3.6
-    ride_mps: float = 0.8
-    hesitates_s: float = 5.0
-
-    def __post_init__(self) -> None:
-        if not min(self.walk_mps, self.ride_mps) > 0.0:
-            raise ValueError("walk_mps and ride_mps must be positive")
+    ride_mps: Positive = 0.8
+    """Lateral speed of a rider along the lane who swerves into the way."""
+    hesitates_s: NotNegative = 5.0
+    """Time for which a person who came to the path and stands beside it may set off again."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,12 +25,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import inf
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
+from msgspec import Meta
 
 from replan.core.arrays import TIE, FloatArray, IntArray
 from replan.core.kernel import inner_kernel, kernel
+from replan.core.settings import Config, NotNegative, Positive
 
 # Cost of a second inside a blocked interval (2): more than all other costs together
 COLLISION = 1e5
@@ -58,34 +60,31 @@ class SpeedDpWeights(NamedTuple):
 
 
 @dataclass(frozen=True)
-class SpeedDpConfig:
-    """Weights and limits of the speed DP.
+class SpeedDpConfig(Config):
+    """Weights and limits of the speed DP."""
 
-    Attributes:
-        columns: Columns of the grid, one second apart.
-        w_t: Weight of the time lost against driving at the limit.
-        w_v: Weight of the squared speed above the limit.
-        w_a: Weight of the squared acceleration.
-        w_j: Weight of the squared jerk.
-        w_near: Weight of a gap that is smaller than the wanted one.
-        gap_m: Smallest gap to a blocked interval.
-        standstill_gap_m: Wanted gap to an agent that stands.
-        time_gap_s: Wanted gap per speed of the agent.
-        max_accel_mps2: Greatest acceleration between two columns.
-        max_decel_mps2: Greatest deceleration between two columns, positive.
-    """
-
-    columns: int = 8
-    w_t: float = 30.0
-    w_v: float = 3.0
-    w_a: float = 1.0
-    w_j: float = 0.5
-    w_near: float = 30.0
-    gap_m: float = 1.0
-    standstill_gap_m: float = 3.0
-    time_gap_s: float = 1.2
-    max_accel_mps2: float = 2.0
-    max_decel_mps2: float = 7.0
+    columns: Annotated[int, Meta(ge=2)] = 8
+    """Columns of the grid, one second apart."""
+    w_t: NotNegative = 30.0
+    """Weight of the time lost against driving at the limit."""
+    w_v: NotNegative = 3.0
+    """Weight of the squared speed above the limit."""
+    w_a: NotNegative = 1.0
+    """Weight of the squared acceleration."""
+    w_j: NotNegative = 0.5
+    """Weight of the squared jerk."""
+    w_near: NotNegative = 30.0
+    """Weight of a gap that is smaller than the wanted one."""
+    gap_m: NotNegative = 1.0
+    """Smallest gap to a blocked interval."""
+    standstill_gap_m: NotNegative = 3.0
+    """Wanted gap to an agent that stands."""
+    time_gap_s: NotNegative = 1.2
+    """Wanted gap per speed of the agent."""
+    max_accel_mps2: Positive = 2.0
+    """Greatest acceleration between two columns."""
+    max_decel_mps2: Positive = 7.0
+    """Greatest deceleration between two columns, positive."""
 
     @property
     def weights(self) -> SpeedDpWeights:
@@ -93,10 +92,6 @@ class SpeedDpConfig:
         return SpeedDpWeights(
             self.w_t, self.w_v, self.w_a, self.w_j, self.max_accel_mps2, self.max_decel_mps2
         )
-
-    def __post_init__(self) -> None:
-        if self.columns < 2 or not (self.max_accel_mps2 > 0.0 and self.max_decel_mps2 > 0.0):
-            raise ValueError("speed DP needs 2 columns and positive limits")
 
 
 @kernel

@@ -29,12 +29,15 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import inf, sqrt
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
+from msgspec import Meta
 
 from replan.core.arrays import FloatArray
+from replan.core.errors import ConfigError
 from replan.core.kernel import kernel
+from replan.core.settings import Config, NotNegative, Positive
 from replan.logs.plan import CostTerms, SolverReport
 from replan.planners.frenet.profiles import (
     COMFORT,
@@ -60,39 +63,32 @@ RELEASE_MPS3 = 15.0  # Jerk with which braking that is harder than comfort may b
 
 
 @dataclass(frozen=True)
-class SpeedQpConfig:
-    """Weights and limits of the speed QP.
+class SpeedQpConfig(Config):
+    """Weights and limits of the speed QP."""
 
-    Attributes:
-        knots: Number of knots, 0.1 s apart.
-        w_s: Weight of the squared distance to the reference station.
-        w_v: Weight of the squared difference from the reference speed.
-        w_a: Weight of the squared acceleration.
-        w_j: Weight of the squared jerk.
-        comfort: Limits to try first.
-        emergency: Limits where comfort cannot keep a bound.
-        curve_accel_mps2: Greatest lateral acceleration in curves.
-        ease_mps2: Deceleration towards lower limits and curves.
-    """
-
-    knots: int = 81
-    w_s: float = 0.2
-    w_v: float = 1.0
-    w_a: float = 2.0
-    w_j: float = 3.0
+    knots: Annotated[int, Meta(ge=11)] = 81
+    """Number of knots, 0.1 s apart."""
+    w_s: NotNegative = 0.2
+    """Weight of the squared distance to the reference station."""
+    w_v: NotNegative = 1.0
+    """Weight of the squared difference from the reference speed."""
+    w_a: NotNegative = 2.0
+    """Weight of the squared acceleration."""
+    w_j: NotNegative = 3.0
+    """Weight of the squared jerk."""
     comfort: SpeedLimits = COMFORT
+    """Limits to try first."""
     emergency: SpeedLimits = EMERGENCY
-    curve_accel_mps2: float = 3.0
-    ease_mps2: float = 1.5
+    """Limits where comfort cannot keep a bound."""
+    curve_accel_mps2: Positive = 3.0
+    """Greatest lateral acceleration in curves."""
+    ease_mps2: Positive = 1.5
+    """Deceleration towards lower limits and curves."""
 
     def __post_init__(self) -> None:
-        weights = self.w_s, self.w_v, self.w_a, self.w_j
-        if min(weights) < 0.0 or not max(weights) > 0.0:
-            raise ValueError(
-                "the weights of the speed QP must not be negative, and one of them positive"
-            )
-        if self.knots < 11 or not (self.curve_accel_mps2 > 0.0 and self.ease_mps2 > 0.0):
-            raise ValueError("speed QP needs at least 11 knots and positive limits")
+        super().__post_init__()
+        if not max(self.w_s, self.w_v, self.w_a, self.w_j) > 0.0:
+            raise ConfigError("speed QP: one of w_s, w_v, w_a and w_j must be positive")
 
     def ladder(self) -> tuple[SpeedLimits, ...]:
         """From comfort to emergency, so that braking is no harder than needed.

@@ -14,6 +14,7 @@ from functools import partial
 import numpy as np
 
 from replan.core.arrays import BoolArray, FloatArray, IntArray
+from replan.core.settings import Config
 from replan.logs.frame import PlannerContext
 from replan.logs.plan import (
     Artefact,
@@ -87,7 +88,7 @@ DRAWN_ROWS = 4  # Step between the grid's rows in the S-T graph: a picture does 
 
 
 @dataclass(frozen=True)
-class SpeedConfig:
+class SpeedConfig(Config):
     """Settings of the speed stage, by part."""
 
     graph: StGraphConfig = field(default_factory=StGraphConfig)

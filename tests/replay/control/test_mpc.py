@@ -8,7 +8,6 @@ from handmade import drive, s_curve, straight
 from hypothesis import given, settings, strategies as st
 from scipy import sparse
 
-from replan.core.errors import ConfigError
 from replan.logs.plan import Plan
 from replan.logs.states import Command, EgoState, Trajectory
 from replan.logs.vehicle import VehicleParameters
@@ -236,12 +235,3 @@ def test_where_there_is_no_solution_the_fallback_drives_and_it_is_told() -> None
     fine = Plan(drive(straight, 10.0, 6.0))
     back = mpc.control(EgoState(0.0, 0.0, 0.0, 0.0, 10.0), fine)
     assert back.steer == 0.123, "it drives until the next solve"
-
-
-def test_settings_that_make_no_sense_are_refused() -> None:
-    with pytest.raises(ConfigError, match="friction_share"):
-        MpcConfig(friction_share=1.5)
-    with pytest.raises(ConfigError, match="no weight negative"):
-        MpcConfig(steer_rate_weight=-1.0)
-    with pytest.raises(ConfigError, match="at least 2"):
-        MpcConfig(steps=1)

@@ -178,9 +178,9 @@ def test_periods_are_as_configured_and_must_fit() -> None:
     assert len(trace.ego) == 101 and len(trace.frames) == 10
     with pytest.raises(ConfigError, match="multiple"):
         LoopConfig(plan_period_s=0.1, control_period_s=0.03)
-    with pytest.raises(ConfigError, match="control_period_s must be positive"):
+    with pytest.raises(ConfigError, match="control_period_s"):
         LoopConfig(control_period_s=0.0)
-    with pytest.raises(ConfigError, match=r"prediction_step_s must be positive, from 0\.0001 to"):
+    with pytest.raises(ConfigError, match="prediction_step_s"):
         LoopConfig(prediction_step_s=1e-9)
     with pytest.raises(ConfigError, match=r"gives more than 1000 samples in loop\.prediction_hor"):
         LoopConfig(prediction_horizon_s=1e5)

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings, strategies as st
 
 from replan.core.arrays import FloatArray
+from replan.core.errors import ConfigError
 from replan.planners.dp_qp.path.dp import (
     COLLISION,
     OUTSIDE,
@@ -144,5 +145,5 @@ def test_the_dp_path_goes_through_its_nodes_and_is_smooth(seed: int) -> None:
 
 
 def test_an_even_number_of_rows_is_refused() -> None:
-    with pytest.raises(ValueError, match="odd"):
+    with pytest.raises(ConfigError, match="odd"):
         PathDpConfig(rows=10)

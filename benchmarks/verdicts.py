@@ -22,7 +22,7 @@ import pandas as pd
 from scipy.interpolate import PchipInterpolator
 
 from replan.logs.catalogue import CATALOGUE
-from replan.logs.road import ReferenceLine
+from replan.logs.reference_line import ReferenceLine
 from replan.logs.scenario import Avoidability, DriverVerdict, Scenario
 from replan.logs.tracks import Tracks
 from replan.metrics.reference_drivers import DRIVERS

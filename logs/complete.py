@@ -32,7 +32,8 @@ from replan.core.arrays import TIE, FloatArray
 from replan.core.errors import LogError
 from replan.logs.ego_columns import speed_along, with_agreed_columns
 from replan.logs.forward import described, forward_part, reversals
-from replan.logs.road import Road, thinned
+from replan.logs.polylines import thinned
+from replan.logs.road import Road
 from replan.logs.states import Trajectory
 from replan.logs.tracks import Tracks
 

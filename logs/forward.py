@@ -31,7 +31,8 @@ from replan.core.arrays import FloatArray
 from replan.core.errors import LogError
 from replan.core.names import listed
 from replan.core.once import once
-from replan.logs.road import RoadSource, thinned
+from replan.logs.polylines import thinned
+from replan.logs.road import RoadSource
 from replan.logs.scenario import Scenario
 from replan.logs.states import Trajectory, wrapped
 

@@ -27,9 +27,10 @@ from math import atan2, cos, hypot, inf, pi, sin
 
 import numpy as np
 
-from replan.core.arrays import TIE, BoolArray, FloatArray, arc_lengths, frozen
+from replan.core.arrays import TIE, BoolArray, FloatArray, frozen
 from replan.core.kernel import kernel
-from replan.logs.road import Goal, Lane, Road, inside, nearest
+from replan.logs.polylines import first_nearest, nearest, sampled
+from replan.logs.road import Goal, Lane, Road, inside
 from replan.logs.shapes import point_segment
 from replan.logs.states import EgoState, Trajectory, wrap
 
@@ -139,8 +140,6 @@ def goal_lanes(road: Road, goal: Goal | None) -> frozenset[int]:
 
 AWAY_M = 5.0
 """A driver who leaves the goal by less than this and comes back has not been away, m."""
-LAP_M = 1.0
-"""Two laps of a lane that are this far apart, or less, are one place, m."""
 
 
 class GoalFault(Enum):
@@ -250,25 +249,6 @@ def counting_stay(goal: Goal, drive: Trajectory, ahead: float) -> tuple[int, int
     begins = [1] if len(stays) > 1 and stays[0][0] == 0 else []
     k = max((*again, *begins), default=0)
     return (stays[k - 1][1], stays[k][0]) if k else None
-
-
-def sampled(line: FloatArray) -> FloatArray:
-    """Return a line `(n, 2)` with further points, so that there is one every 1 m."""
-    chord = arc_lengths(*line.T)
-    at = np.union1d(chord, np.arange(0.0, chord[-1], 1.0))
-    return np.column_stack([np.interp(at, chord, line[:, k]) for k in (0, 1)])
-
-
-def first_nearest(line: FloatArray, x: float, y: float) -> int:
-    """Return the index of the point of a line `(n, 2)` nearest to (x, y).
-
-    Of several laps, on the first one.
-    """
-    away = np.hypot(line[:, 0] - x, line[:, 1] - y)
-    near = away <= away.min() + LAP_M
-    first = int(np.argmax(near))
-    end = first + int(np.argmin(near[first:])) if not near[first:].all() else len(line)
-    return first + int(np.argmin(away[first:end]))
 
 
 def _meets(line: FloatArray, regions: tuple[FloatArray, ...]) -> bool:

@@ -44,7 +44,9 @@ import numpy as np
 
 from replan.core.arrays import BoolArray, FloatArray, IntArray
 from replan.logs.agents import AgentKind
-from replan.logs.road import ReferenceLine, Road, RoadSource, line_project_many, nearest, thinned
+from replan.logs.polylines import nearest, thinned
+from replan.logs.reference_line import ReferenceLine, line_project_many
+from replan.logs.road import Road, RoadSource
 from replan.logs.scenario import Scenario
 from replan.logs.shapes import corners
 from replan.logs.states import Trajectory, wrap

@@ -73,7 +73,7 @@ import numpy as np
 from replan.core.arrays import BoolArray, FloatArray, arc_lengths
 from replan.core.kernel import kernel
 from replan.core.once import once
-from replan.logs.road import ReferenceLine, line_project_many
+from replan.logs.reference_line import ReferenceLine, line_project_many
 from replan.logs.rules import Colour
 from replan.logs.scenario import Scenario
 from replan.logs.states import Trajectory

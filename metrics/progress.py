@@ -66,16 +66,10 @@ import numpy as np
 from replan.core.arrays import FloatArray, arc_lengths
 from replan.core.once import last
 from replan.logs.complete import MIN_PATH
-from replan.logs.road import (
-    Goal,
-    ReferenceLine,
-    Road,
-    RoadSource,
-    inside,
-    line_project_many,
-    thinned,
-)
-from replan.logs.route import counting_stay, find_route, first_nearest, straight_on
+from replan.logs.polylines import first_nearest, thinned
+from replan.logs.reference_line import ReferenceLine, line_project_many
+from replan.logs.road import Goal, Road, RoadSource, inside
+from replan.logs.route import counting_stay, find_route, straight_on
 from replan.logs.scenario import Scenario
 from replan.logs.shapes import point_segment
 from replan.logs.states import Trajectory

@@ -71,7 +71,7 @@ import numpy as np
 
 from replan.core.arrays import BoolArray, FloatArray
 from replan.core.kernel import inner_kernel, kernel
-from replan.logs.road import ReferenceLine, line_frame, line_project
+from replan.logs.reference_line import ReferenceLine, line_frame, line_project
 from replan.logs.scenario import Avoidability, DriverVerdict, Scenario
 from replan.logs.shapes import clearance
 from replan.logs.states import EgoState

@@ -54,7 +54,8 @@ if TYPE_CHECKING:
     )
     from replan.logs.readers import LogSettings, Reader, read_log
     from replan.logs.readers.table import from_frames
-    from replan.logs.road import Goal, Lane, ReferenceLine, Road, RoadSource
+    from replan.logs.reference_line import ReferenceLine
+    from replan.logs.road import Goal, Lane, Road, RoadSource
     from replan.logs.rules import Colour, Crosswalk, StopLine, TrafficLight
     from replan.logs.scenario import Scenario
     from replan.logs.states import Command, Controls, EgoState, Trajectory
@@ -189,7 +190,8 @@ _NAMES = {
     ),
     "replan.logs.readers": "LogSettings Reader read_log",
     "replan.logs.readers.table": "from_frames",
-    "replan.logs.road": "Goal Lane ReferenceLine Road RoadSource",
+    "replan.logs.reference_line": "ReferenceLine",
+    "replan.logs.road": "Goal Lane Road RoadSource",
     "replan.logs.rules": "Colour Crosswalk StopLine TrafficLight",
     "replan.logs.scenario": "Scenario",
     "replan.logs.states": "Command Controls EgoState Trajectory",

@@ -33,8 +33,8 @@ import pandas as pd
 from replan.core.arrays import FloatArray
 from replan.core.errors import ReplanError
 from replan.logs.agents import AgentKind
+from replan.logs.polylines import thinned
 from replan.logs.readers import LogSettings
-from replan.logs.road import thinned
 from replan.logs.scenario import Scenario
 from replan.logs.states import Trajectory
 from replan.logs.trace import EndReason, Trace

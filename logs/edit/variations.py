@@ -38,7 +38,8 @@ from replan.core.arrays import BoolArray, FloatArray
 from replan.core.errors import ConfigError, LogError, unknown_name
 from replan.logs.agents import USUAL_SIZE_M, AgentKind
 from replan.logs.observed import MAX_AGE_S
-from replan.logs.road import ReferenceLine, thinned
+from replan.logs.polylines import thinned
+from replan.logs.reference_line import ReferenceLine
 from replan.logs.scenario import Scenario
 from replan.logs.shapes import overlap
 from replan.logs.states import Trajectory

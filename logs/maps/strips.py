@@ -15,7 +15,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from replan.core.arrays import FloatArray, arc_lengths, foot_on
-from replan.logs.road import Lane, paired
+from replan.logs.polylines import paired
+from replan.logs.road import Lane
 
 LARGEST_M = 1e7
 """A larger coordinate is not valid: UTM northings end at 1e7."""

@@ -36,7 +36,8 @@ from replan.logs.heights import on_the_way
 from replan.logs.kind_words import kind_of_word
 from replan.logs.mcap.container import COPY_AGAIN, Stream
 from replan.logs.observed import of_stream
-from replan.logs.road import Lane, Road, paired
+from replan.logs.polylines import paired
+from replan.logs.road import Lane, Road
 from replan.logs.scenario import Scenario
 from replan.logs.states import Trajectory
 from replan.logs.tracks import Tracks

@@ -22,7 +22,7 @@ import numpy as np
 
 from replan.core.arrays import FloatArray, arc_lengths
 from replan.core.kernel import inner_kernel, kernel
-from replan.logs.road import ReferenceLine, line_curvature, line_frame
+from replan.logs.reference_line import ReferenceLine, line_curvature, line_frame
 from replan.logs.states import EgoState, wrap
 
 FINE_M = 0.5  # Greatest spacing of the points of a path, m

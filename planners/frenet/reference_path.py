@@ -42,7 +42,9 @@ from replan.core.arrays import TIE, FloatArray, arc_lengths, frozen
 from replan.core.kernel import inner_kernel, kernel
 from replan.core.once import once
 from replan.logs.frame import PlannerContext
-from replan.logs.road import Lane, ReferenceLine, Road, nearest, predecessors, thinned
+from replan.logs.polylines import nearest, thinned
+from replan.logs.reference_line import ReferenceLine
+from replan.logs.road import Lane, Road, predecessors
 from replan.logs.route import CostToGo, costs_to_go, start_lanes, straight_on
 from replan.logs.states import EgoState
 from replan.logs.vehicle import VehicleParameters

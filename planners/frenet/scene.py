@@ -29,7 +29,7 @@ from replan.core.kernel import kernel
 from replan.logs.agents import AgentKind, among
 from replan.logs.frame import Frame, PlannerContext
 from replan.logs.plan import Decision, DecisionKind, PlanStart
-from replan.logs.road import line_frame, line_project
+from replan.logs.reference_line import line_frame, line_project
 from replan.logs.route import find_route
 from replan.logs.states import EgoState, wrap
 from replan.logs.vehicle import VehicleParameters

@@ -39,7 +39,7 @@ import numpy as np
 
 from replan.core.arrays import BoolArray, FloatArray, IntArray
 from replan.core.kernel import inner_kernel, kernel
-from replan.logs.road import line_curvature, line_frame, line_project
+from replan.logs.reference_line import line_curvature, line_frame, line_project
 from replan.logs.shapes import overlap
 from replan.logs.states import wrap
 from replan.planners.frenet.path import MAX_TURN, MIN_REGULAR, quintic

@@ -38,7 +38,7 @@ import numpy as np
 from replan.core.arrays import BoolArray, FloatArray, IntArray, frozen
 from replan.core.kernel import inner_kernel, kernel
 from replan.logs.agents import AgentKind, among
-from replan.logs.road import line_frame, line_project
+from replan.logs.reference_line import line_frame, line_project
 from replan.logs.shapes import overlap
 from replan.planners.frenet.profiles import STEP_S
 from replan.planners.frenet.reference_path import sections

@@ -43,7 +43,7 @@ from replan.core.arrays import BoolArray, FloatArray, arc_lengths, frozen
 from replan.logs.agents import Agents
 from replan.logs.frame import PlannerContext, Predictions
 from replan.logs.plan import Plan
-from replan.logs.road import line_project_many
+from replan.logs.reference_line import line_project_many
 from replan.logs.scenario import Scenario
 from replan.logs.shapes import distance
 from replan.logs.states import Trajectory, wrap

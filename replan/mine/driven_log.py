@@ -28,7 +28,8 @@ import numpy as np
 from replan.core.arrays import BoolArray, FloatArray, IntArray, arc_lengths
 from replan.core.kernel import kernel
 from replan.logs.agents import AgentKind
-from replan.logs.road import ReferenceLine, line_frame, line_project, thinned
+from replan.logs.polylines import thinned
+from replan.logs.reference_line import ReferenceLine, line_frame, line_project
 from replan.logs.scenario import Scenario
 from replan.logs.states import Trajectory, wrap
 from replan.metrics.boxes import GRID_S, car_of, ego_boxes, in_spans, phantoms, without_phantoms

@@ -34,7 +34,8 @@ from replan import metrics
 from replan.core.errors import LogError
 from replan.core.once import once
 from replan.logs.forward import drivable_part
-from replan.logs.road import Goal, ReferenceLine, Road
+from replan.logs.reference_line import ReferenceLine
+from replan.logs.road import Goal, Road
 from replan.logs.route import find_route
 from replan.logs.scenario import References, Scenario
 from replan.logs.states import TRAJECTORY_COLUMNS, EgoState, Trajectory

@@ -33,7 +33,8 @@ from replan.core.errors import LogError
 from replan.core.kernel import kernel
 from replan.core.once import once
 from replan.logs.nearby_tracks import BACK_S, Recent, Spans, heads
-from replan.logs.road import ReferenceLine, thinned
+from replan.logs.polylines import thinned
+from replan.logs.reference_line import ReferenceLine
 from replan.logs.scenario import Scenario
 from replan.logs.states import EgoState
 from replan.logs.tracks import Tracks

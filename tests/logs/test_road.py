@@ -5,7 +5,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from replan.logs.road import Goal, Lane, ReferenceLine, Road, RoadSource, inside, thinned
+from replan.logs.polylines import thinned
+from replan.logs.reference_line import ReferenceLine
+from replan.logs.road import Goal, Lane, Road, RoadSource, inside
 from replan.logs.shapes import point_segment
 from replan.logs.states import wrap
 

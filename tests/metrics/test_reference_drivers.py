@@ -14,7 +14,7 @@ from hypothesis import given, settings, strategies as st
 from replan.core.arrays import FloatArray
 from replan.logs.agents import AgentKind
 from replan.logs.mcap import read_scenario, write_scenario
-from replan.logs.road import ReferenceLine
+from replan.logs.reference_line import ReferenceLine
 from replan.logs.scenario import Avoidability, DriverVerdict, References, Scenario
 from replan.logs.trace import EndReason, Mode, Trace
 from replan.metrics import evaluate

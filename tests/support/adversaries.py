@@ -16,7 +16,8 @@ from replan.logs.agents import AgentKind
 from replan.logs.catalogue import CATALOGUE
 from replan.logs.frame import Frame, PlannerContext, Predictions
 from replan.logs.plan import Plan
-from replan.logs.road import ReferenceLine, Road
+from replan.logs.reference_line import ReferenceLine
+from replan.logs.road import Road
 from replan.logs.rules import Colour, StopLine
 from replan.logs.scenario import Scenario
 from replan.logs.states import EgoState, Trajectory

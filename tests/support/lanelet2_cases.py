@@ -8,7 +8,8 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from replan.core.arrays import FloatArray
-from replan.logs.road import ReferenceLine, Road
+from replan.logs.reference_line import ReferenceLine
+from replan.logs.road import Road
 from replan.logs.scenario import Scenario
 from replan.logs.states import Trajectory
 from replan.logs.tracks import Tracks

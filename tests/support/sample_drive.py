@@ -23,7 +23,8 @@ from replan.logs.plan import (
     SolverReport,
     StGraph,
 )
-from replan.logs.road import Goal, Lane, ReferenceLine, Road
+from replan.logs.reference_line import ReferenceLine
+from replan.logs.road import Goal, Lane, Road
 from replan.logs.scenario import Scenario
 from replan.logs.states import Controls, Trajectory
 from replan.logs.trace import EndReason, Mode, PlannedFrame, Trace, TrackingErrors

@@ -26,7 +26,7 @@ from replan.core.errors import ConfigError
 from replan.core.kernel import kernel
 from replan.core.settings import Config, NotNegative
 from replan.logs.plan import Decision, DecisionKind
-from replan.logs.road import line_project
+from replan.logs.reference_line import line_project
 from replan.logs.shapes import corners
 from replan.logs.vehicle import VehicleParameters
 from replan.planners.dp_qp.path.corridor import Borrowed, lane_edges, narrowed_beside, room_beside

@@ -43,7 +43,7 @@ import numpy as np
 from replan.core.arrays import BoolArray, FloatArray
 from replan.core.kernel import kernel
 from replan.logs.agents import AgentKind, among
-from replan.logs.road import line_project, line_project_many
+from replan.logs.reference_line import line_project, line_project_many
 from replan.logs.vehicle import VehicleParameters
 from replan.planners.dp_qp.path.bounds import (
     CorridorConfig,

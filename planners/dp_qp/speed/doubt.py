@@ -39,7 +39,7 @@ import numpy as np
 from replan.core.arrays import TIE, BoolArray, FloatArray, IntArray
 from replan.core.kernel import kernel
 from replan.logs.agents import AgentKind, among
-from replan.logs.road import line_frame
+from replan.logs.reference_line import line_frame
 from replan.planners.frenet.path import Path
 from replan.planners.frenet.scene import STANDING_MPS, UNLIKELY, AgentsAlong, Bodies, Scene
 from replan.planners.frenet.st_boundaries import ALONG, StBoundaries, SweptPath

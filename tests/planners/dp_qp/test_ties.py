@@ -15,7 +15,9 @@ from replan.logs.catalogue import CATALOGUE
 from replan.logs.edit.transform import jittered, rotated
 from replan.logs.frame import Frame, PlannerContext
 from replan.logs.plan import Plan
-from replan.logs.road import Goal, ReferenceLine, Road, nearest, thinned
+from replan.logs.polylines import nearest, thinned
+from replan.logs.reference_line import ReferenceLine
+from replan.logs.road import Goal, Road
 from replan.logs.route import find_route, goal_lanes, start_lanes, straight_on
 from replan.logs.scenario import Scenario
 from replan.logs.states import EgoState

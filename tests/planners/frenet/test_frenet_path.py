@@ -6,7 +6,7 @@ from hypothesis import assume, given, settings, strategies as st
 from worlds import curve
 
 from replan.core.arrays import FloatArray
-from replan.logs.road import ReferenceLine
+from replan.logs.reference_line import ReferenceLine
 from replan.logs.states import EgoState
 from replan.planners.frenet.path import (
     Path,

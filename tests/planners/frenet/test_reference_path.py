@@ -6,7 +6,8 @@ from hypothesis import given, settings, strategies as st
 from worlds import CAR, along_x, beside, curve, lanes, strip
 
 from replan.core.arrays import FloatArray
-from replan.logs.road import Lane, ReferenceLine, Road
+from replan.logs.reference_line import ReferenceLine
+from replan.logs.road import Lane, Road
 from replan.logs.route import find_route
 from replan.logs.states import EgoState
 from replan.logs.vehicle import VehicleParameters

@@ -231,10 +231,10 @@ def vary(
 
     [bold]Examples[/bold]
 
-      replan vary paper/crossing_pedestrian --vary time=-2:2:9 --vary speed=0.5:1.5:9 -o
-      results/crossing replan vary my_bag --list-agents replan vary my_bag --agent 17 --vary
-      time=-2:2:9 -p dp_qp replan vary my_log.mcap --vary standing_car=20:80:7 --vary
-      ego_speed=0.5:1.5:5
+      replan vary paper/crossing_pedestrian --vary time=-2:2:9 --vary speed=0.5:1.5:9 -o crossing
+      replan vary my_bag --list-agents
+      replan vary my_bag --agent 17 --vary time=-2:2:9 -p dp_qp
+      replan vary my_log.mcap --vary standing_car=20:80:7 --vary ego_speed=0.5:1.5:5
     """
     from replan.experiments.conflict import opened, question_about
     from replan.experiments.surface import vary as evaluate_surface

@@ -273,8 +273,8 @@ def commonroad_solution(
 
     [bold]Example[/bold]
 
-      replan evaluate USA_US101-6_1_T-1.xml --vehicle kinematic_bicycle --car bmw_320i -o
-      results/us101 replan export commonroad-solution results/us101 -o solutions
+      replan evaluate USA_US101-6_1_T-1.xml --car bmw_320i -o results/us101
+      replan export commonroad-solution results/us101 -o solutions
     """
     from replan.cli.convert import COSTS, commonroad_solution as solution, solutions
     from replan.results.tables import write_text

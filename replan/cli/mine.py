@@ -148,9 +148,8 @@ def query(
 
     [bold]Examples[/bold]
 
-      replan query results/mined "SELECT log, t_from_s FROM events WHERE kind = 'cut_in' AND value <
-      10" replan query results/run-001 "SELECT log, value FROM metrics WHERE metric = 'ttc.min'
-      ORDER BY value" -o ttc.csv
+      replan query results/mined "SELECT log, t_from_s FROM events WHERE kind = 'cut_in'"
+      replan query results/run-001 "SELECT log, value FROM metrics ORDER BY value" -o values.csv
     """
     from replan.mine.query import query as ask
     from replan.run.claim import rows_file
@@ -183,8 +182,8 @@ def cut(
 
     [bold]Examples[/bold]
 
-      replan cut results/mined --where "kind = 'pedestrian_crossing'" --before 5 --after 8 -o
-      moments replan cut results/run-001 --table verdicts --where "outcome = 'fail'" -o failures
+      replan cut results/mined --where "kind = 'pedestrian_crossing'" --before 5 -o moments
+      replan cut results/run-001 --table verdicts --where "outcome = 'fail'" -o failures
     """
     from replan.mine.query import cut_logs, moments
 

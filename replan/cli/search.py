@@ -187,9 +187,9 @@ def tune(
 
     [bold]Examples[/bold]
 
-      replan tune -p dp_qp --space space.toml my_logs/ --objective route_progress.final --objective
-      lon_jerk_state.p95 replan tune -p idm --space space.toml --suite full --trials 100 -o
-      results/tuned replan evaluate my_logs/ --config results/tuned/best.toml
+      replan tune -p dp_qp --space space.toml my_logs/ --objective lon_jerk_state.p95
+      replan tune -p idm --space space.toml --suite full --trials 100 -o results/tuned
+      replan evaluate my_logs/ --config results/tuned/best.toml
     """
     from replan.cli.evaluate import engine_of
     from replan.cli.report import print_tables

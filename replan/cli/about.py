@@ -42,14 +42,14 @@ def listed(
     from replan.cli import listing
 
     if name is None:
-        found: Any = (
+        entries: Any = (
             {kind: listing.entries(kind) for kind in listing.KINDS} if as_json else listing.counts()
         )
     elif name in listing.KINDS:
-        found = listing.entries(name) if as_json else listing.lines(listing.entries(name))
+        entries = listing.entries(name) if as_json else listing.lines(listing.entries(name))
     else:
-        found = listing.described(name) if as_json else listing.page(listing.described(name))
-    say_json(found) if as_json else say("\n".join(found))
+        entries = listing.described(name) if as_json else listing.page(listing.described(name))
+    say_json(entries) if as_json else say("\n".join(entries))
 
 
 @app.command()
@@ -76,8 +76,8 @@ def metrics(
     )
 
     if as_json:
-        found = [metric_facts(metric) for group in GROUPS.values() for metric in group]
-        say_json(found if name is None else metric_facts(load_metric(name)))
+        facts = [metric_facts(metric) for group in GROUPS.values() for metric in group]
+        say_json(facts if name is None else metric_facts(load_metric(name)))
     elif name is not None:
         say(metric_page(load_metric(name)))
     else:
@@ -115,20 +115,20 @@ def warmup(
     if not quiet:
         say("compiling kernels (a minute or two; seconds if they were compiled before)", err=True)
     with sign_of_life(progress_lines(quiet=quiet), with_kernels(lambda: "driving built-in logs")):
-        done = warm_up([(run, SCENES), *(everything() if every else ())])
-    for failure in done.failures:
+        warmed = warm_up([(run, SCENES), *(everything() if every else ())])
+    for failure in warmed.failures:
         say_error(failure.message)
-    where = "nowhere: no folder can be written" if done.folder is None else done.folder
+    where = "nowhere: no folder can be written" if warmed.folder is None else warmed.folder
     if as_json:
         say_json(
             {
-                "seconds": done.seconds,
-                "compiled": done.compiled,
-                "folder": done.folder,
-                "failures": done.failures,
+                "seconds": warmed.seconds,
+                "compiled": warmed.compiled,
+                "folder": warmed.folder,
+                "failures": warmed.failures,
             }
         )
     elif not quiet:
-        say(f"{done.compiled} kernels compiled, {done.seconds:.1f} s; kept in: {where}")
-    if done.failures:
+        say(f"{warmed.compiled} kernels compiled, {warmed.seconds:.1f} s; kept in: {where}")
+    if warmed.failures:
         raise typer.Exit(3)

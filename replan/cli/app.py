@@ -6,6 +6,7 @@ import errno
 import os
 import shutil
 import sys
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
@@ -62,15 +63,15 @@ def say_correctable(error: Exception) -> int | None:
     """Print an error that a user can correct in one line, and return its exit code; None for any
     other.
     """
-    known = error if isinstance(error, ReplanError) else limit_error(error)
-    if known is not None:
-        say_error(str(known))
-        return 2 if isinstance(known, ConfigError) else 3
+    correctable = error if isinstance(error, ReplanError) else limit_error(error)
+    if correctable is not None:
+        say_error(str(correctable))
+        return 2 if isinstance(correctable, ConfigError) else 3
     if not isinstance(error, OSError):
         return None
     full = error.errno in FULL  # a full disk; else a file that cannot be written
-    what = f"{error.filename or 'standard output'}: cannot be written: {error.strerror}"
-    say_error(what if full else bounded(str(error)))
+    problem = f"{error.filename or 'standard output'}: cannot be written: {error.strerror}"
+    say_error(problem if full else bounded(str(error)))
     return 3 if full else 2
 
 
@@ -84,31 +85,25 @@ class StrictCommand(TyperCommand):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """The words, parsed; UsageError if an option would lose a value."""
-        options: Any = [one for one in self.params if one.param_type_name == "option"]
-        values = {
-            name: one
-            for one in options
-            if not one.is_flag
-            for name in (*one.opts, *one.secondary_opts)
-        }
-        given: list[Any] = []
-        left = iter(args)
-        for word in left:
+        options: dict[str, Any] = {}
+        for parameter in self.params:
+            if parameter.param_type_name == "option" and not getattr(parameter, "is_flag", False):
+                names = (*parameter.opts, *parameter.secondary_opts)
+                options |= dict.fromkeys(names, parameter)
+        times = Counter[Any]()
+        words = iter(args)
+        for word in words:
             if word == "--":
                 break
-            long = word.startswith("--")
-            name, joined = (
-                word.partition("=")[0] if long else word[:2],
-                "=" in word if long else len(word) > 2,
-            )
-            if name in values:
-                given.append(values[name])
-                if not joined:
-                    next(left, None)
-        for one in given:
-            if not one.multiple and given.count(one) > 1:
+            name = word.partition("=")[0] if word.startswith("--") else word[:2]
+            if name in options:
+                times[options[name]] += 1
+                if word == name:  # its value is the next word
+                    next(words, None)
+        for option, number in times.items():
+            if number > 1 and not option.multiple:
                 raise typer.BadParameter(
-                    f"takes one value, and is given {given.count(one)} times", ctx, param=one
+                    f"takes one value, and is given {number} times", ctx, param=option
                 )
         parsed: list[str] = super().parse_args(ctx, args)
         return parsed
@@ -119,7 +114,7 @@ def group_commands(panels: Mapping[str, Sequence[str]]) -> None:
     has no group.
     """
     places = {name: panel for panel, names in panels.items() for name in names}
-    order = {name: place for place, name in enumerate(places)}
+    order = {name: position for position, name in enumerate(places)}
     for command in app.registered_commands:
         command.rich_help_panel = places[_name_of(command)]
         command.cls = StrictCommand

@@ -52,7 +52,8 @@ from replan.results.tables import csv_cell, safe_names, write_text
 from replan.run.claim import claimed_file, claimed_files
 
 CHANGE_COLUMNS = tuple(
-    {"begin": "t_from_s", "end": "t_to_s"}.get(each.name, each.name) for each in fields(TrackChange)
+    {"begin": "t_from_s", "end": "t_to_s"}.get(column.name, column.name)
+    for column in fields(TrackChange)
 )
 """Columns of the table: the fields of `replan.logs.repair.detections.TrackChange`."""
 CHANGES_HEADER = ",".join(CHANGE_COLUMNS) + "\n"
@@ -101,16 +102,20 @@ def convert_all(
     """
     reader = None
     first = str(logs[0])
-    if not logs[0].exists() and (":" in first or first in {each.name for each in readers()}):
+    if not logs[0].exists() and (
+        ":" in first or first in {known_reader.name for known_reader in readers()}
+    ):
         reader, logs = reader_called(first), logs[1:]
-    found = [log for path in logs for log in _logs_at(path, reader, settings, say)]
-    if not found:
+    sources = [log for path in logs for log in _logs_at(path, reader, settings, say)]
+    if not sources:
         raise ConfigError("no logs to convert; `replan convert --formats` lists what replan reads")
-    if out.suffix == ".mcap" and len(found) > 1:
-        raise ConfigError(f"{len(found)} logs do not go into one log: give a folder with -o")
-    names = [f"{log.name if log.is_dir() else log.stem.removesuffix('.cr')}.mcap" for log in found]
-    last = dict(zip(names, found, strict=True))
-    for name, log in zip(names, found, strict=True):
+    if out.suffix == ".mcap" and len(sources) > 1:
+        raise ConfigError(f"{len(sources)} logs do not go into one log: give a folder with -o")
+    names = [
+        f"{log.name if log.is_dir() else log.stem.removesuffix('.cr')}.mcap" for log in sources
+    ]
+    last = dict(zip(names, sources, strict=True))
+    for name, log in zip(names, sources, strict=True):
         if last[name] != log:
             raise ConfigError(
                 f"{log} and {last[name]} would both become {out / name}; convert them into two "
@@ -119,10 +124,10 @@ def convert_all(
     channels = _channels(foxglove=foxglove)
     all_read = True
     with claimed_files(
-        out, (".mcap",), _is_ours((log, reader_of(log, settings)) for log in found)
-    ) as place:
-        targets = [place(name) for name in names]
-        for log, target in zip(found, targets, strict=True):
+        out, (".mcap",), _is_ours((log, reader_of(log, settings)) for log in sources)
+    ) as path_of:
+        targets = [path_of(name) for name in names]
+        for log, target in zip(sources, targets, strict=True):
             try:
                 scenario = read_log(log, settings, reader)
                 write_scenario(target, scenario, beside=channels(scenario))
@@ -172,7 +177,11 @@ def _is_ours(logs: Iterable[tuple[Path, Reader | None]]) -> Callable[[Path], boo
         for log, reader in logs
         for file in ((log,) if reader is None else reader.files(log))
     }
-    return lambda file: os.path.realpath(file) not in read and is_written_here(file)
+
+    def is_ours(file: Path) -> bool:
+        return os.path.realpath(file) not in read and is_written_here(file)
+
+    return is_ours
 
 
 def repair_log(log: Path, target: Path, table: Path | None, settings: LogSettings) -> Scenario:
@@ -258,7 +267,7 @@ def solutions(run: Path, cost: str = COSTS[0]) -> tuple[dict[str, str], list[str
 
     ConfigError if the path is not a result folder.
     """
-    results, found, skipped = load(run), dict[str, str](), list[str]()
+    results, files, skipped = load(run), dict[str, str](), list[str]()
     closed = results.drives.loc[results.drives["mode"] == "closed", ["log", "planner"]]
     several = closed["planner"].nunique() > 1
     labels = {
@@ -269,10 +278,10 @@ def solutions(run: Path, cost: str = COSTS[0]) -> tuple[dict[str, str], list[str
     for (log, planner), label in labels.items():
         try:
             drive = results.drive(log, planner, "closed")
-            found[f"{names[label]}.xml"] = commonroad_solution(drive.trace_file, cost)
+            files[f"{names[label]}.xml"] = commonroad_solution(drive.trace_file, cost)
         except LogError as error:
             skipped.append(str(error))
-    return found, skipped
+    return files, skipped
 
 
 def _solution(scenario: Scenario, cost: str) -> str:
@@ -284,7 +293,12 @@ def _solution(scenario: Scenario, cost: str) -> str:
     sizes = ((vehicle_parameters(name), number) for name, number in TYPES.items())
     size = (car.length, car.width, car.wheelbase)
     kind = next(
-        (number for one, number in sizes if (one.length, one.width, one.wheelbase) == size), None
+        (
+            number
+            for parameters, number in sizes
+            if (parameters.length, parameters.width, parameters.wheelbase) == size
+        ),
+        None,
     )
     if kind is None:
         remedy = f"drive with --vehicle kinematic_bicycle --car {' or '.join(TYPES)}"
@@ -324,18 +338,18 @@ def _solution(scenario: Scenario, cost: str) -> str:
 def _carried_on(scenario: Scenario, dt: float) -> Trajectory:
     """The drive, extended to the next time step (2)."""
     ego, last = scenario.ego, scenario.ego.state(-1)
-    left = dt * np.ceil(last.t / dt - 1e-6) - last.t
-    if left < 1e-6:
+    remaining_s = dt * np.ceil(last.t / dt - 1e-6) - last.t
+    if remaining_s < 1e-6:
         return ego
-    s = max(last.v * left + 0.5 * last.a * left**2, 0.0)
+    s = max(last.v * remaining_s + 0.5 * last.a * remaining_s**2, 0.0)
     yaw = last.yaw + s * last.kappa
     middle = 0.5 * (last.yaw + yaw)
     state = (
-        last.t + left,
+        last.t + remaining_s,
         last.x + s * np.cos(middle),
         last.y + s * np.sin(middle),
         yaw,
-        max(last.v + last.a * left, 0.0),
+        max(last.v + last.a * remaining_s, 0.0),
         last.a,
         last.kappa,
     )

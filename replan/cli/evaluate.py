@@ -258,12 +258,12 @@ def vary(
     if list_agents:
         opt.say_agents(scenario, as_json=as_json)
         return
-    asked = question_about(scenario, variation or [], agent or [], resolution)
+    question = question_about(scenario, variation or [], agent or [], resolution)
     say_progress = progress_lines(quiet=quiet)
-    if asked.agents:
-        say_progress(f"varied: {', '.join(map(scenario.short_names, asked.agents))}")
+    if question.agents:
+        say_progress(f"varied: {', '.join(map(scenario.short_names, question.agents))}")
     result = evaluate_surface(
-        scenario, asked, run, out, workers=worker_count(workers), resume=resume, say=say_progress
+        scenario, question, run, out, workers=worker_count(workers), resume=resume, say=say_progress
     )
     if as_json:
         say_json(

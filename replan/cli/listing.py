@@ -69,42 +69,50 @@ def described(name: str) -> list[DescribedName]:
     """
     if all(name.partition(":")):
         thing = ANY.find(name)
-        found = {
+        listed = {
             kind.plural: _entries_of_code({name: thing})
             for kind in PARTS.values()
             if kind.fits(thing)
         }
     else:
-        found = {kind: (one for one in entries(kind) if one.name == name) for kind in KINDS}
+        listed = {kind: (entry for entry in entries(kind) if entry.name == name) for kind in KINDS}
     parts = {kind.plural: Part(kind, name) for kind in PARTS.values()}
     all_of = [
         DescribedName(
-            kind, one.name, one.says, one.where, settings_of(parts[kind]) if kind in parts else None
+            kind,
+            entry.name,
+            entry.says,
+            entry.where,
+            settings_of(parts[kind]) if kind in parts else None,
         )
-        for kind, some in found.items()
-        for one in some
+        for kind, listed_names in listed.items()
+        for entry in listed_names
     ]
     if not all_of:
         if ":" in name:
             raise ConfigError(f"'{name}' takes the arguments of no {', '.join(PARTS)}")
         raise unknown_name(
-            "kind or name", name, [*KINDS, *(one.name for kind in parts for one in entries(kind))]
+            "kind or name",
+            name,
+            [*KINDS, *(entry.name for kind in parts for entry in entries(kind))],
         )
     return all_of
 
 
-def page(found: Iterable[DescribedName]) -> list[str]:
+def page(entries: Iterable[DescribedName]) -> list[str]:
     """Names with their settings for a terminal."""
     shown = list[str]()
-    for one in found:
-        settings = ["no settings"] if one.settings == () else setting_lines(one.settings or ())
-        shown += [f"{one.name} ({one.kind}): {one.says}", f"    {one.where}", *settings]
+    for entry in entries:
+        settings = ["no settings"] if entry.settings == () else setting_lines(entry.settings or ())
+        shown += [f"{entry.name} ({entry.kind}): {entry.says}", f"    {entry.where}", *settings]
     return shown
 
 
-def lines(found: Iterable[ListedName]) -> list[str]:
+def lines(names: Iterable[ListedName]) -> list[str]:
     """The entries for a terminal: a line each, and its place in the code below it."""
-    return [line for one in found for line in (f"{one.name}: {one.says}", f"    {one.where}")]
+    return [
+        line for entry in names for line in (f"{entry.name}: {entry.says}", f"    {entry.where}")
+    ]
 
 
 def counts() -> list[str]:
@@ -114,9 +122,11 @@ def counts() -> list[str]:
 
 
 def _parts(kind: str) -> Iterator[ListedName]:
-    for one in _entries_of_code(_all(PARTS[kind])):
-        oracle = one.name in PARTS[kind].oracles
-        yield ListedName(one.name, f"{one.says} (oracle)" if oracle else one.says, one.where)
+    for entry in _entries_of_code(_all(PARTS[kind])):
+        oracle = entry.name in PARTS[kind].oracles
+        yield ListedName(
+            entry.name, f"{entry.says} (oracle)" if oracle else entry.says, entry.where
+        )
 
 
 def _entries_of_code(table: Mapping[str, Callable[..., Any]]) -> Iterator[ListedName]:
@@ -159,6 +169,26 @@ def _where(thing: Any) -> str:
         return str(thing.__module__)
 
 
+def _metrics() -> Iterator[ListedName]:
+    for name, metric in _all(METRIC).items():
+        yield ListedName(name, metric.meaning, _where(metric.measure))
+
+
+def _families() -> Iterator[ListedName]:
+    for name, family in families().items():
+        yield ListedName(name, family.summary, _where(family.build))
+
+
+def _suites() -> Iterator[ListedName]:
+    for name, log_suite in SUITES.items():
+        yield ListedName(name, log_suite.summary, "replan.logs.catalogue")
+
+
+def _readers() -> Iterator[ListedName]:
+    for reader in readers():
+        yield ListedName(reader.name, reader.summary, _where(reader.read))
+
+
 KINDS: Mapping[str, Callable[[], Iterable[ListedName]]] = {
     "planners": lambda: _parts("planner"),
     "controllers": lambda: _parts("controller"),
@@ -168,16 +198,10 @@ KINDS: Mapping[str, Callable[[], Iterable[ListedName]]] = {
     "predictions": lambda: _parts("prediction"),
     "perceptions": lambda: _parts("perception"),
     "charts": lambda: _entries_of_code(_all(CHART)),
-    "metrics": lambda: (
-        ListedName(name, one.meaning, _where(one.measure)) for name, one in _all(METRIC).items()
-    ),
-    "families": lambda: (
-        ListedName(name, one.summary, _where(one.build)) for name, one in families().items()
-    ),
-    "suites": lambda: (
-        ListedName(name, one.summary, "replan.logs.catalogue") for name, one in SUITES.items()
-    ),
-    "readers": lambda: (ListedName(one.name, one.summary, _where(one.read)) for one in readers()),
+    "metrics": _metrics,
+    "families": _families,
+    "suites": _suites,
+    "readers": _readers,
 }
 """The kinds of names, in the order of `replan list`."""
 
@@ -265,32 +289,32 @@ def _of_dataclass(config: Any, where: str, group: str = "") -> Iterator[ListedSe
 
 def unit(name: str) -> str:
     """The unit in a name; "" if there is none."""
-    return (
-        ""
-        if name.startswith("w_")
-        else UNITS.get(name.rpartition("_")[2] if "_" in name else "", "")
-    )
+    stem, _, last = name.rpartition("_")
+    return UNITS.get(last, "") if stem and not name.startswith("w_") else ""
 
 
-def setting_lines(found: Iterable[ListedSetting]) -> list[str]:
+def setting_lines(settings: Iterable[ListedSetting]) -> list[str]:
     """The settings for a terminal: key and default as `--set` takes them, unit and range.
 
     Below, the meaning.
     """
     shown, group = list[str](), ""
-    for one in found:
-        if one.group != group:
-            group = one.group
+    for setting in settings:
+        if setting.group != group:
+            group = setting.group
             shown += ["", group]
-        value = "..." if one.default is None else json.dumps(one.default)
+        value = "..." if setting.default is None else json.dumps(setting.default)
         about = ", ".join(
             filter(
                 None,
-                (one.unit, *(f"{SIGNS[name]} {edge:.10g}" for name, edge in one.range.items())),
+                (
+                    setting.unit,
+                    *(f"{SIGNS[name]} {edge:.10g}" for name, edge in setting.range.items()),
+                ),
             )
         )
         shown += [
-            f"{one.key}={value}" + (f"  [{about}]" if about else ""),
-            *([f"    {one.meaning}"] if one.meaning else ()),
+            f"{setting.key}={value}" + (f"  [{about}]" if about else ""),
+            *([f"    {setting.meaning}"] if setting.meaning else ()),
         ]
     return shown

@@ -139,8 +139,8 @@ def convert(
     options = log_table(ego, road_map, begin, end, repair)
     settings = run_config(config, {"log": {**options, "problem": problem}}).log
     with sign_of_life(progress_lines(), lambda: "converting"):
-        done = convert_all(logs, out, settings, foxglove=foxglove, say=say, say_error=say_error)
-    if not done:
+        all_read = convert_all(logs, out, settings, foxglove=foxglove, say=say, say_error=say_error)
+    if not all_read:
         raise typer.Exit(3)
 
 
@@ -213,7 +213,9 @@ def inspect(
             "health": health,
             "before_repair": before,
         }
-        document |= {"discrimination": {one.driver: str(one.breaks or "") for one in apart}}
+        document |= {
+            "discrimination": {driver.driver: str(driver.breaks or "") for driver in apart}
+        }
         say_json(document)
         raise typer.Exit(0 if summary.error is None else 3)
     say("\n".join(summary.lines()))
@@ -224,7 +226,7 @@ def inspect(
 
         with sign_of_life(progress_lines(), lambda: f"checking {log}"):
             say("\n".join(report(summary.read, raw)))
-            say("\n".join(f"drivers: {one.text}" for one in discriminate(summary.read)))
+            say("\n".join(f"drivers: {driver.text}" for driver in discriminate(summary.read)))
 
 
 @app.command()
@@ -238,9 +240,11 @@ def salvage(
 
     if not damaged.is_file():
         raise ConfigError(f"{damaged}: no such file")
-    with claimed_file(
-        out, (".mcap",), lambda file: is_salvaged(file) and not file.samefile(damaged)
-    ):
+
+    def is_ours(file: Path) -> bool:
+        return is_salvaged(file) and not file.samefile(damaged)
+
+    with claimed_file(out, (".mcap",), is_ours):
         say("\n".join([str(out), *(f"    {line}" for line in save(damaged, out).lines())]))
 
 
@@ -282,14 +286,14 @@ def commonroad_solution(
 
     if cost not in COSTS:
         raise unknown_name("cost function", cost, COSTS)
-    with claimed_files(out, (".xml",)) as place:
+    with claimed_files(out, (".xml",)) as path_of:
         if run.is_dir():
-            found, skipped = solutions(run, cost)
+            files, skipped = solutions(run, cost)
             for line in skipped:
                 say(f"skipped {line}", err=True)
         else:
-            found = {f"{run.parent.name}.xml": solution(run, cost)}
-        texts = {place(name): text for name, text in found.items()}
+            files = {f"{run.parent.name}.xml": solution(run, cost)}
+        texts = {path_of(name): text for name, text in files.items()}
         for file, text in texts.items():
             write_text(file, text)
             say(file)

@@ -96,15 +96,15 @@ def mine(
 
         run, _ = checked(run)
     selection = selected(logs or [], run, None, suite)
-    done: list[MinedLog] = []
+    mined_logs: list[MinedLog] = []
 
     def ended(log: MinedLog) -> None:
-        done.append(log)
+        mined_logs.append(log)
         for line in log.failures:
             say_error(line)
 
     def progress() -> str:
-        return f"mined {len(done)} of {len(selection.sources)} logs"
+        return f"mined {len(mined_logs)} of {len(selection.sources)} logs"
 
     kinds, count = tuple(kind or ()), worker_count(workers)
     with sign_of_life(progress_lines(quiet=quiet), with_kernels(progress)):
@@ -209,8 +209,8 @@ def suite(run: Mined, out: Annotated[Path, opt.out_option("The FILE.toml to writ
     with suite_writer(out) as write:
         mined = read_mined(run)
         chosen = suite_of(mined)
-        write(chosen, begun_in(run, [one.source for one in chosen]))
-    cells = sum(one.adds for one in chosen)
+        write(chosen, begun_in(run, [scene.source for scene in chosen]))
+    cells = sum(scene.adds for scene in chosen)
     say(
         f"{out}: {counted(len(chosen), 'log')} of {len(mined.logs)} with all "
         f"{counted(cells, 'cell')}"

@@ -40,8 +40,8 @@ def matching_drives(
     from replan.results.load import named_logs
 
     table = results.drives
-    asked = {"log": log, "planner": planner, "mode": None if mode == "both" else mode}
-    for column, value in asked.items():
+    wanted = {"log": log, "planner": planner, "mode": None if mode == "both" else mode}
+    for column, value in wanted.items():
         if value is not None:
             if column == "log":
                 allowed = named_logs(value, table["log"])
@@ -64,8 +64,8 @@ def chosen_drive(
     results: Results, log: str | None, planner: str | None, mode: opt.Loop | None
 ) -> ChosenDrive:
     """The worst of the matching drives (`matching_drives`), as `worst_drive`."""
-    asked = {"log": log, "planner": planner, "mode": mode}
-    others = ", ".join(f"--{name}" for name, value in asked.items() if value is None)
+    options = {"log": log, "planner": planner, "mode": mode}
+    others = ", ".join(f"--{name}" for name, value in options.items() if value is None)
     return worst_drive(results, matching_drives(results, log, planner, mode), others or "--log")
 
 
@@ -79,7 +79,9 @@ def worst_drive(results: Results, drives: Sequence[DriveResult], options: str) -
 
     if len(drives) == 1:
         return ChosenDrive(drives[0], "")
-    rows = {(row.log, row.planner): place for place, row in enumerate(overview(results).ranked)}
+    rows = {
+        (row.log, row.planner): position for position, row in enumerate(overview(results).ranked)
+    }
 
     def rank(drive: DriveResult) -> tuple[int, bool, bool]:
         failed = bool((drive.verdicts["outcome"] == "fail").any())
@@ -171,19 +173,19 @@ def view(
     drawn = screenshot is not None or video is not None
     which = (log, planner, None if mode == "both" else mode)
     with ExitStack() as claims:
-        for place, suffixes in (
+        for target_file, suffixes in (
             (save, (".rrd",)),
             (screenshot, (".png",)),
             (video, BY_PILLOW + BY_FFMPEG),
         ):
-            if place is not None:
-                claims.enter_context(claimed_file(place, suffixes))
+            if target_file is not None:
+                claims.enter_context(claimed_file(target_file, suffixes))
         scratch = claims.enter_context(tempfile.TemporaryDirectory())
         span = (None, None) if video is not None else (begin, end)
         settings = run_config(config, {"log": log_table(ego, road_map, *span, repair)}).log
         copies = [Near(target) for target in targets]
         files, remark = _files(
-            [copy.path for copy in copies], which, Path(scratch), settings, save, one=drawn
+            [copy.path for copy in copies], which, Path(scratch), settings, save, only_worst=drawn
         )
         if save is not None:
             say(save)
@@ -210,11 +212,11 @@ def _files(
     settings: LogSettings,
     save: Path | None,
     *,
-    one: bool,
+    only_worst: bool,
 ) -> tuple[list[Path], str]:
     """The recordings to open, made as `save` or in `scratch`.
 
-    With `one` only the worst, and a remark that names it.
+    With `only_worst` only the worst, and a remark that names it.
     """
     from replan.core.files import check_named
     from replan.draw.drawn_results import load
@@ -231,11 +233,11 @@ def _files(
     if any(which) and all(target.is_file() for target in targets):
         raise ConfigError("--log, --planner and --mode choose drives of a folder of results")
     if len(targets) == 2:
-        both = choose_pair(
+        pair = choose_pair(
             targets[0], targets[1], *(_recordings(target, which) for target in targets)
         )
         recording = save or scratch / "pair.rrd"
-        save_pair(recording, both)
+        save_pair(recording, pair)
         return [recording], ""
     (target,) = targets
     if target.suffix != ".rrd" and (target.is_file() or reader_of(target) is not None):
@@ -249,20 +251,20 @@ def _files(
         )
     if target.is_file():
         return [target], ""
-    found, judged = _recordings(target, which), (target / "summary.json").is_file()
-    if not one:
-        return to_open(target, found, scratch, index=judged and not any(which)), ""
-    if len(found) == 1:
-        return found, ""
+    files, judged = _recordings(target, which), (target / "summary.json").is_file()
+    if not only_worst:
+        return to_open(target, files, scratch, index=judged and not any(which)), ""
+    if len(files) == 1:
+        return files, ""
     if not judged:
-        raise ConfigError(f"{target}: {len(found)} recordings; name one, for example {found[0]}")
+        raise ConfigError(f"{target}: {len(files)} recordings; name one, for example {files[0]}")
     results = load(target)
-    there = [
+    drives = [
         drive
         for drive in matching_drives(results, *which)
-        if drive.trace_file.with_suffix(".rrd") in found
+        if drive.trace_file.with_suffix(".rrd") in files
     ]
-    worst = worst_drive(results, there, "--log, --planner, --mode, or name a recording")
+    worst = worst_drive(results, drives, "--log, --planner, --mode, or name a recording")
     return [worst.drive.trace_file.with_suffix(".rrd")], f"  {worst.drive.title}{worst.remark}"
 
 
@@ -282,13 +284,13 @@ def _recordings(target: Path, which: Which) -> list[Path]:
     files = [
         drive.trace_file.with_suffix(".rrd") for drive in matching_drives(load(target), *which)
     ]
-    found = sorted(file for file in files if file.is_file())
-    if not found:
+    existing = sorted(file for file in files if file.is_file())
+    if not existing:
         raise ConfigError(
             f"{target}: these drives have no recording; replan evaluate without --no-recording "
             "writes them"
         )
-    return found
+    return existing
 
 
 class Look(StrEnum):
@@ -349,29 +351,29 @@ def plot(
     run, planners = load(result), list(dict.fromkeys(planner or ()))
     chosen = chosen_drive(run, log, next(iter(planners), None), mode)
     drive = chosen.drive
-    seen = subject(drive, at, [run.drive(drive.log, other, drive.mode) for other in planners[1:]])
+    drawn = subject(drive, at, [run.drive(drive.log, other, drive.mode) for other in planners[1:]])
     name = "-".join(
         [safe_name(drive.log), *map(safe_name, planners or [drive.planner]), drive.mode]
     )
     path = Path(f"{name}-{safe_name(chart)}.png") if out is None else out
     if path.suffix not in ("", *FORMATS) and not path.is_dir():
         raise ConfigError(f"{path}: a picture ends with .png or .svg, a folder has no ending")
-    with claimed_files(path, FORMATS) as place:
-        charts = charts_of(seen, chart, width)
+    with claimed_files(path, FORMATS) as path_of:
+        charts = charts_of(drawn, chart, width)
         if path.suffix in FORMATS and not path.is_dir():
-            together(charts, seen.title, seen.says, width).save(
+            together(charts, drawn.title, drawn.says, width).save(
                 path, theme=theme.value, width=width
             )
-            say(f"{path}  ({seen.title}, {seen.says}){chosen.remark}")
+            say(f"{path}  ({drawn.title}, {drawn.says}){chosen.remark}")
             return
-        names = numbered(f"{name}-{one.name}" for one in charts)
+        names = numbered(f"{name}-{drawing.name}" for drawing in charts)
         files = [
-            (place(f"{label}{ending}"), one)
-            for label, one in zip(names, charts, strict=True)
+            (path_of(f"{label}{ending}"), drawing)
+            for label, drawing in zip(names, charts, strict=True)
             for ending in FORMATS
         ]
-        for file, one in files:
-            one.save(file, theme=theme.value, width=width)
+        for file, drawing in files:
+            drawing.save(file, theme=theme.value, width=width)
             say(file)
 
 
@@ -411,13 +413,15 @@ def explain(
         say_sentences([ended, *map(drive.scenario.short_names, summary(drive))])
         say("more: --at T for one instant, --all for every change of a decision")
         return
-    found = explained(drive, at)
+    explanations = explained(drive, at)
     if as_json:
-        say_json({"log": drive.log, "planner": drive.planner, "mode": drive.mode, "frames": found})
+        say_json(
+            {"log": drive.log, "planner": drive.planner, "mode": drive.mode, "frames": explanations}
+        )
         return
     say(ended)
-    for one in found:
-        say_sentences(["", *map(drive.scenario.short_names, lines_of(one))])
+    for explanation in explanations:
+        say_sentences(["", *map(drive.scenario.short_names, lines_of(explanation))])
 
 
 @app.command()
@@ -453,9 +457,9 @@ def frame(
     from replan.run.frame_dump import dump as write_dump, replan_frame, report_of
 
     results = load(result)
-    if planner is not None and planner not in (there := set(results.drives["planner"])):
+    if planner is not None and planner not in (driven := set(results.drives["planner"])):
         raise ConfigError(
-            f"no drive of '{planner}' in the run ({', '.join(sorted(there))}); to plan with it: "
+            f"no drive of '{planner}' in the run ({', '.join(sorted(driven))}); to plan with it: "
             "--with"
         )
     chosen = chosen_drive(results, log, planner, mode)

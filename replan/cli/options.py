@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -24,9 +25,7 @@ OTHER_NAMES: Mapping[str, Callable[[], Iterable[str]]] = {
     "chart": lambda: (*loaded("replan.draw.charts.layout:CHARTS"), "all"),
     "suite": lambda: loaded("replan.logs.catalogue:SUITES"),
     "kind": lambda: loaded("replan.cli.listing:KINDS"),
-    "listed": lambda: [
-        name for option in (*PARTS, "car", "chart", "suite", "kind") for name in names(option)
-    ],
+    "listed": lambda: chain.from_iterable(map(names, (*PARTS, "car", "chart", "suite", "kind"))),
 }
 """The names that are of no kind of part.
 
@@ -41,7 +40,11 @@ def names(option: str) -> tuple[str, ...]:
 
 def completion(option: str) -> Callable[[str], list[str]]:
     """The function for `typer.Option(autocompletion=...)`."""
-    return lambda incomplete: [name for name in names(option) if name.startswith(incomplete)]
+
+    def complete(incomplete: str) -> list[str]:
+        return [name for name in names(option) if name.startswith(incomplete)]
+
+    return complete
 
 
 def complete_setting(incomplete: str) -> list[str]:
@@ -54,12 +57,12 @@ def complete_setting(incomplete: str) -> list[str]:
 
     tables = {kind.table: kind for kind in PARTS.values()}
     keys: list[str] = []
-    table, _, rest = incomplete.partition(".")
+    table, _, part_of_key = incomplete.partition(".")
     for name in tables[table].builtin if table in tables else ():
-        if rest.startswith(f"{name}."):  # this one is imported, with its settings
+        if part_of_key.startswith(f"{name}."):  # this one is imported, with its settings
             from replan.cli.listing import settings_of
 
-            keys += [f"{one.key}=" for one in settings_of(Part(tables[table], name))]
+            keys += [f"{setting.key}=" for setting in settings_of(Part(tables[table], name))]
     for key in dotted_keys(RunConfig):
         keys += [f"{key}.{name}." for name in tables[key].builtin] if key in tables else [f"{key}="]
     return [key for key in keys if key.startswith(incomplete) and key != incomplete]
@@ -67,11 +70,15 @@ def complete_setting(incomplete: str) -> list[str]:
 
 # options of several commands ----------------------------------------------------------------------
 
-LOGS, LOOP, JUDGE, OUTPUT, RUNNING = "Logs", "Drive", "Judge", "Output", "Run"
+LOGS = "Logs"
+LOOP = "Drive"
+JUDGE = "Judge"
+OUTPUT = "Output"
+RUNNING = "Run"
 """The groups in which the options of `replan evaluate` are shown."""
 
 
-def option(panel: str | None, words: str, *names: str, complete: str = "", **more: Any) -> Any:
+def option(panel: str | None, words: str, *names: str, complete: str = "", **arguments: Any) -> Any:
     """A `typer.Option` in a group of the help.
 
     `panel`: the group; None: the default group. `names`: the spellings of the option; by default
@@ -79,9 +86,9 @@ def option(panel: str | None, words: str, *names: str, complete: str = "", **mor
     or a key of `OTHER_NAMES`. `more`: further arguments of `typer.Option`.
     """
     if complete:
-        more = {"metavar": "NAME", **more, "autocompletion": completion(complete)}
+        arguments = {"metavar": "NAME", **arguments, "autocompletion": completion(complete)}
     make: Any = typer.Option
-    return make(*names, rich_help_panel=panel, help=words, **more)
+    return make(*names, rich_help_panel=panel, help=words, **arguments)
 
 
 def planner_option(panel: str | None, words: str) -> Any:
@@ -229,8 +236,8 @@ def say_agents(scenario: Scenario, *, as_json: bool) -> None:
     """Print the agents of a log, the nearest first."""
     from replan.experiments.conflict import encounters, lines
 
-    found = encounters(scenario)
-    say_json(found) if as_json else say("\n".join(lines(found, scenario.short_names)))
+    agents = encounters(scenario)
+    say_json(agents) if as_json else say("\n".join(lines(agents, scenario.short_names)))
 
 
 # options as a run's configuration -----------------------------------------------------------------
@@ -253,18 +260,18 @@ def run_config(
     changed = set_table(words)
     keys = list(dotted_keys(RunConfig))
     for key in changed:
-        if not any(key == known.partition(".")[0] for known in keys):
+        if not any(key == dotted_key.partition(".")[0] for dotted_key in keys):
             raise unknown_name("key", key, keys)
     return load_run(config, merged(_without_defaults(options), changed))
 
 
 def _without_defaults(options: Mapping[str, Any]) -> dict[str, Any]:
-    given = {key: value for key, value in options.items() if value is not None and value != []}
-    as_text = {key: str(value) for key, value in given.items() if isinstance(value, Path)}
+    stated = {key: value for key, value in options.items() if value is not None and value != []}
+    as_text = {key: str(value) for key, value in stated.items() if isinstance(value, Path)}
     tables = {
-        key: _without_defaults(value) for key, value in given.items() if isinstance(value, Mapping)
+        key: _without_defaults(value) for key, value in stated.items() if isinstance(value, Mapping)
     }
-    return {**given, **as_text, **tables}
+    return {**stated, **as_text, **tables}
 
 
 def log_table(

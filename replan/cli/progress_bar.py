@@ -46,7 +46,7 @@ class Pace:
     # Time at which the first log was started, s; later by the time in which kernels were compiled
     begin: float
     left: float  # Expected cost of the logs that have not ended, in the unit of `step`'s `cost`
-    done: int = 0  # Number of logs that have ended
+    ended_logs: int = 0  # Number of logs that have ended
     driven: int = 0  # Number of them that were driven in this run
     spent: float = 0.0  # Expected cost of the logs that were driven
     ended: float = 0.0  # Time at which the last log ended, s
@@ -68,18 +68,16 @@ class Pace:
         if compiled:
             self.begin, driven = self.begin + now - self.ended, False
         self.ended = now
-        self.done, self.driven, self.left = (
-            self.done + 1,
-            self.driven + driven,
-            max(self.left - cost, 0.0),
-        )
+        self.ended_logs += 1
+        self.driven += driven
+        self.left = max(self.left - cost, 0.0)
         self.spent += cost * driven
-        tenth = 10 * self.done // self.total
+        tenth = 10 * self.ended_logs // self.total
         due = now - self.last >= (LEAST_S if tenth > self.tenth else MOST_S)
-        if not due or self.done == self.total or not self.driven:
+        if not due or self.ended_logs == self.total or not self.driven:
             return None
         self.last, self.tenth = now, tenth
-        return f"{self.done} of {counted(self.total, 'log')}, {self.rest(now)}"
+        return f"{self.ended_logs} of {counted(self.total, 'log')}, {self.rest(now)}"
 
     def rest(self, now: float) -> str:
         """Rate and remaining time, by expected costs as the longest logs come first; "" before a
@@ -185,14 +183,14 @@ def progress(
                 ends += (
                     [f"{len(result.failures)} could not be evaluated"] if result.failures else []
                 )
-                say(f"{pace.done} of {pace.total}  {result.name}  {took}  {'; '.join(ends)}")
+                say(f"{pace.ended_logs} of {pace.total}  {result.name}  {took}  {'; '.join(ends)}")
             elif not on_terminal:
                 say(line)
 
         def state() -> str:
             if not begun:
                 return "looking for logs"
-            return f"{begun[0][1].done} of {counted(begun[0][1].total, 'log')}"
+            return f"{begun[0][1].ended_logs} of {counted(begun[0][1].total, 'log')}"
 
         def describe(line: str) -> None:
             bar.update(task, description=line)
@@ -206,9 +204,9 @@ def progress(
         except KeyboardInterrupt:
             if not begun:
                 raise KeyboardInterrupt("interrupted: no log was started") from None
-            out, pace = begun[0]
+            folder, pace = begun[0]
             raise KeyboardInterrupt(
-                f"interrupted: {pace.done} of {counted(pace.total, 'log')} are finished in {out}, "
-                "and no tables are"
-                f" written; to continue, give the same command with --out {out} --resume"
+                f"interrupted: {pace.ended_logs} of {counted(pace.total, 'log')} are finished in {folder}, "
+                "and no tables are written; to continue, give the same command with "
+                f"--out {folder} --resume"
             ) from None

@@ -63,15 +63,15 @@ def finish_run(
     from replan.api import finished
     from replan.draw.report.sections import document, last_line, print_ending, print_report
 
-    place, over = url or str(results.path), finished(results, before, gates, report=report)
+    location, over = url or str(results.path), finished(results, before, gates, report=report)
     comparison = over.comparison
     if as_json:
-        more = {} if comparison is None else {"comparison": document(comparison)}
-        say_json({"results": place, **results.summary, **more})
+        compared = {} if comparison is None else {"comparison": document(comparison)}
+        say_json({"results": location, **results.summary, **compared})
     elif quiet:
         if comparison is not None:
             say(last_line(comparison, alone=False))
-        say(f"Outcome: {over.outcome.upper()} (exit code {over.exit_code}); results: {place}")
+        say(f"Outcome: {over.outcome.upper()} (exit code {over.exit_code}); results: {location}")
     else:
         console = console_of(110)
         if results.resumed:
@@ -82,7 +82,7 @@ def finish_run(
         print_report(over, console, results.path, ending=False)
         if comparison is not None:
             print_tables(comparison, results, alone=False)
-        print_ending(over, console, results.path, place)
+        print_ending(over, console, results.path, location)
     return over.exit_code
 
 
@@ -119,11 +119,11 @@ def merge(
         gates = near.enter_context(gates_in(folders[0]))
         run = load_run(folders[0] / "run.toml")
         before = None if baseline is None else load_baseline(baseline, run, gates, out)
-        place = near.enter_context(output_location(out))
-        assert place.folder is not None
-        result = merged(folders, place.folder)
+        location = near.enter_context(output_location(out))
+        assert location.folder is not None
+        result = merged(folders, location.folder)
         show = {"as_json": as_json, "quiet": quiet, "report": not no_report}
-        code = finish_run(result, before, place.url, gates, **show)
+        code = finish_run(result, before, location.url, gates, **show)
     raise typer.Exit(code)
 
 
@@ -177,19 +177,19 @@ def report(
         raise ConfigError(
             "--gates names rules of comparison: give what to compare with, --baseline RUN, too"
         )
-    found = load(results)
-    folder = out or found.path
-    beside = folder.resolve() == found.path.resolve()
+    run = load(results)
+    folder = out or run.path
+    beside = folder.resolve() == run.path.resolve()
     with (
         held(folder)
         if beside
         else claimed_folder(folder, FolderContents("report", REPORTS, resumes=False))
     ):
         comparison = (
-            None if baseline is None else compare_runs(read_run(baseline), found, gates=gates)
+            None if baseline is None else compare_runs(read_run(baseline), run, gates=gates)
         )
-        why = None if diagnosis is None else read_diagnosis(diagnosis, found)
-        written = write_reports(found, overview(found, comparison, why), folder)
+        why = None if diagnosis is None else read_diagnosis(diagnosis, run)
+        written = write_reports(run, overview(run, comparison, why), folder)
     for name in REPORTS:
         say(folder / name)
     for line in written.broken:
@@ -253,10 +253,10 @@ def compare(
         raise ConfigError(
             "name two runs, or one run and two planners: replan compare RESULT -p idm -p dp_qp"
         )
-    most = 0 if no_first_difference else MOST_PARTINGS
+    partings = 0 if no_first_difference else MOST_PARTINGS
     candidate = read_run(runs[-1])
     baseline = read_run(runs[0]) if len(runs) == 2 else candidate
-    comparison = compare_runs(baseline, candidate, planners, gates=gates, partings=most)
+    comparison = compare_runs(baseline, candidate, planners, gates=gates, partings=partings)
     if as_json:
         say_json(document(comparison))
     else:

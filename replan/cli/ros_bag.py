@@ -112,17 +112,17 @@ def message(kind: str, types: Any, **values: Any) -> Any:
 
 
 def _value(desc: Any, value: Any, types: Any) -> Any:
-    node, what = desc
+    node, kind = desc
     if node == Nodetype.BASE:
-        zero = {"string": "", "bool": False}.get(what[0], 0)
+        zero = {"string": "", "bool": False}.get(kind[0], 0)
         return zero if value is None else value
     if node == Nodetype.NAME:
-        return message(what, types, **(value or {}))
-    inner, length = what[0], what[1] if node == Nodetype.ARRAY else 0
+        return message(kind, types, **(value or {}))
+    inner, length = kind[0], kind[1] if node == Nodetype.ARRAY else 0
     if inner[0] == Nodetype.BASE and inner[1][0] != "string":
         dtype = {"byte": "uint8", "char": "uint8", "octet": "uint8"}.get(inner[1][0], inner[1][0])
         return np.asarray(np.zeros(length) if value is None else value, dtype=dtype)
-    return [_value(inner, each, types) for each in value or []]
+    return [_value(inner, element, types) for element in value or []]
 
 
 def pose(x: float, y: float, yaw: float) -> dict[str, Any]:
@@ -138,7 +138,7 @@ def _ns(scenario: Scenario, t: float) -> int:
     return (scenario.start_ns or START_NS) + round(1e9 * t)
 
 
-def _rows(scenario: Scenario, found: Detections) -> Iterator[Row]:
+def _rows(scenario: Scenario, detections: Detections) -> Iterator[Row]:
     """The messages of the ego, of the detected objects, and of the goal if the drive reaches it."""
     for i in range(len(scenario.ego)):
         state, ns = scenario.ego.state(i), _ns(scenario, float(scenario.ego.t[i]))
@@ -149,20 +149,24 @@ def _rows(scenario: Scenario, found: Detections) -> Iterator[Row]:
         named = {"header": _header(ns), "child_frame_id": "base_link", **where}
         yield "/localization/kinematic_state", "nav_msgs/msg/Odometry", ns, named
         yield "/clock", "rosgraph_msgs/msg/Clock", ns, {"clock": _header(ns)["stamp"]}
-    kinds, ends = found.kinds, np.searchsorted(found.t, found.frames, side="right")
-    for k, t in enumerate(found.frames.tolist()):
+    kinds, ends = detections.kinds, np.searchsorted(detections.t, detections.frames, side="right")
+    for k, t in enumerate(detections.frames.tolist()):
         ns, items = _ns(scenario, t), []
-        for i in range(int(np.searchsorted(found.t, t)), int(ends[k])):
-            score = float(found.score[i])
+        for i in range(int(np.searchsorted(detections.t, t)), int(ends[k])):
+            score = float(detections.score[i])
             items.append(
                 {
                     "header": _header(ns),
-                    "id": int(found.ids[i]),
+                    "id": int(detections.ids[i]),
                     "label": LABELS[kinds[i]],
                     "valid": True,
                     "score": score if isfinite(score) else 0.0,
-                    "pose": pose(found.x[i], found.y[i], found.yaw[i]),
-                    "dimensions": {"x": found.length[i], "y": found.width[i], "z": HEIGHT_M},
+                    "pose": pose(detections.x[i], detections.y[i], detections.yaw[i]),
+                    "dimensions": {
+                        "x": detections.length[i],
+                        "y": detections.width[i],
+                        "z": HEIGHT_M,
+                    },
                 }
             )
         values = {"header": _header(ns), "objects": items}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -70,15 +71,16 @@ def score(
                 )
             table = nuplan_table(_run(targets))
         else:
-            asked, logs = _plans(targets, trajectories, relative=relative)
-            line, done = progress_lines(quiet=quiet), [0]
+            plans, logs = _plans(targets, trajectories, relative=relative)
+            print_line = progress_lines(quiet=quiet)
+            scored = count(1)
 
             def on_plan() -> None:
-                done[0] += 1
-                if done[0] % 200 == 0:
-                    line(f"scored {done[0]} of {len(asked)} plans")
+                number = next(scored)
+                if number % 200 == 0:
+                    print_line(f"scored {number} of {len(plans)} plans")
 
-            table = navsim_table(name, asked, logs, on_plan)
+            table = navsim_table(name, plans, logs, on_plan)
         if write is not None:
             write(table.rows)
         if as_json:
@@ -121,7 +123,7 @@ def _plans(
     from replan.run.sources import select
     from replan.score.score_table import of_table, of_trace
 
-    asked: list[Asked] = []
+    plans: list[Asked] = []
     logs: dict[str, Scenario] = {}
     if len(targets) == 1 and (targets[0] / "summary.json").is_file():
         results = load(targets[0])
@@ -134,7 +136,7 @@ def _plans(
             if trajectories is None or log not in logs:
                 drive = results.drive(log, planner, "open")
                 logs.setdefault(log, drive.scenario)
-                asked += of_trace(drive.trace, logs[log])
+                plans += of_trace(drive.trace, logs[log])
     elif trajectories is None:
         raise ConfigError(
             f"{targets[0]}: is no folder of results; score logs with --trajectories FILE"
@@ -144,5 +146,5 @@ def _plans(
             scenario = source.read()
             logs[scenario.name] = scenario
     return (
-        asked if trajectories is None else of_table(trajectories, logs, relative=relative)
+        plans if trajectories is None else of_table(trajectories, logs, relative=relative)
     ), logs

@@ -108,10 +108,10 @@ def falsify(
     )
     agents = agents_of(subject, axes, agent or [])
     question = FalsifyQuestion(subject.of(agents), axes, run, against, budget, seed, resolution)
-    whose, say_progress = ", ".join(question.subject.short_agents), progress_lines(quiet=quiet)
-    say_progress(
-        f"varied: {', '.join(axis.name for axis in axes)}{f' of {whose}' if whose else ''}"
-    )
+    say_progress = progress_lines(quiet=quiet)
+    varied = ", ".join(axis.name for axis in axes)
+    names = ", ".join(question.subject.short_agents)
+    say_progress(f"varied: {varied} of {names}" if names else f"varied: {varied}")
     result = falsified(
         question, out, workers=worker_count(workers), resume=resume, say=say_progress
     )
@@ -203,8 +203,8 @@ def tune(
 
     options = {"planners": [planner], "metrics": metric, "gates": gates}
     run = run_config(config, options, settings or ())
-    asked = objectives(objective or DEFAULT_OBJECTIVES, all_metrics(run))
-    plan = TuningInputs(run, load_space(space, run), asked, trials, seed, held_out)
+    chosen = objectives(objective or DEFAULT_OBJECTIVES, all_metrics(run))
+    plan = TuningInputs(run, load_space(space, run), chosen, trials, seed, held_out)
     selection = selected(logs or [], run, None, suite)
     driven_on = engine_of(engine, address, workers)
     result = tuned(
@@ -281,10 +281,10 @@ def diagnose(
     from replan.experiments.diagnose import diagnose as diagnosed, question
     from replan.experiments.space import load_space
 
-    asked = question(load(run), planner, log or (), load_changes(changes))
-    settings = () if space is None else load_space(space, asked.run)
+    drives = question(load(run), planner, log or (), load_changes(changes))
+    settings = () if space is None else load_space(space, drives.run)
     count, say_progress = worker_count(workers), progress_lines(quiet=quiet)
-    result = diagnosed(asked, out, settings, workers=count, resume=resume, say=say_progress)
+    result = diagnosed(drives, out, settings, workers=count, resume=resume, say=say_progress)
     if as_json:
         say_json({**result.document(), "results": str(result.out)})
     else:

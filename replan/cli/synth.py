@@ -39,11 +39,11 @@ COLUMNS = ("log", "file", "family", "parameters", "seed", "tags", "accepted_deci
 
 def _files(out: Path) -> AbstractContextManager[Callable[[str], Path]]:
     """The claimed files of a folder: logs of replan, and the table of a suite."""
-    return claimed_files(
-        out,
-        (".mcap", ".csv"),
-        lambda file: is_written_here(file) or file.read_text().startswith(",".join(COLUMNS)),
-    )
+
+    def is_ours(file: Path) -> bool:
+        return is_written_here(file) or file.read_text().startswith(",".join(COLUMNS))
+
+    return claimed_files(out, (".mcap", ".csv"), is_ours)
 
 
 def chosen(names: Sequence[str]) -> tuple[Family, ...]:
@@ -52,17 +52,19 @@ def chosen(names: Sequence[str]) -> tuple[Family, ...]:
 
     ConfigError if no family or group has the name.
     """
-    found: dict[str, Family] = {}
-    known = families()
+    families_by_name: dict[str, Family] = {}
+    all_families = families()
     for name in names:
         own = {name: FAMILY.find(name)} if ":" in name else {}
         matches = own or {
-            key: one for key, one in known.items() if name in ("all", key, key.partition("/")[0])
+            key: family
+            for key, family in all_families.items()
+            if name in ("all", key, key.partition("/")[0])
         }
         if not matches:
-            raise unknown_name("family", name, [*known, "all"])
-        found.update(matches)
-    return tuple(found.values())
+            raise unknown_name("family", name, [*all_families, "all"])
+        families_by_name.update(matches)
+    return tuple(families_by_name.values())
 
 
 def synthesise(
@@ -75,10 +77,10 @@ def synthesise(
     allow no careful drive, or it does not exist in this form.
     """
     scenarios = [family.scenario(**parameters) for family in families]
-    with _files(out) as place:
-        paths = [place(_file_name(one.name)) for one in scenarios]
-        for path, one in zip(paths, scenarios, strict=True):
-            yield _written(one, path, form)
+    with _files(out) as path_of:
+        paths = [path_of(_file_name(log.name)) for log in scenarios]
+        for path, log in zip(paths, scenarios, strict=True):
+            yield _written(log, path, form)
 
 
 def write_suite(name: str, out: Path, form: str = NATIVE) -> Generator[Path]:
@@ -88,17 +90,17 @@ def write_suite(name: str, out: Path, form: str = NATIVE) -> Generator[Path]:
     ConfigError if no suite, family or group has this name, or a log does not exist in this form.
     """
     rows, labels = [], suite(name)
-    with _files(out) as place:
-        table_file = place(TABLE)
-        paths = [place(_file_name(scenario_name(label))) for label in labels]
+    with _files(out) as path_of:
+        table_file = path_of(TABLE)
+        paths = [path_of(_file_name(scenario_name(label))) for label in labels]
         for label, log_file in zip(labels, paths, strict=True):
-            one = scenario(label)
-            path = _written(one, log_file, form)
+            log = scenario(label)
+            path = _written(log, log_file, form)
             family, _, words = label.partition("@")
-            file, seed = path.relative_to(out).as_posix(), one.metadata.get("parameter.seed", "")
-            accepted = one.metadata.get("expected_decisions", "{}")
+            file, seed = path.relative_to(out).as_posix(), log.metadata.get("parameter.seed", "")
+            accepted = log.metadata.get("expected_decisions", "{}")
             rows.append(
-                (label, file, family, words.replace(",", " "), seed, " ".join(one.tags), accepted)
+                (label, file, family, words.replace(",", " "), seed, " ".join(log.tags), accepted)
             )
             yield path
         text = io.StringIO()
@@ -112,13 +114,13 @@ def _file_name(name: str) -> str:
     return f"{safe_name(group)}/{safe_name(variant)}.mcap"
 
 
-def _written(one: Scenario, path: Path, form: str) -> Path:
+def _written(log: Scenario, path: Path, form: str) -> Path:
     if form == ROS2:
         from replan.cli.ros_bag import write_bag
 
-        write_bag(path := path.with_suffix(""), one)
+        write_bag(path := path.with_suffix(""), log)
         return path
-    write_scenario(path, one)
+    write_scenario(path, log)
     return path
 
 
@@ -129,21 +131,22 @@ def listed() -> Iterator[str]:
     for family in families().values():
         grid = f"\n    grid of {_count(family)}: {_grid(family)}" if family.grid else ""
         yield f"{family.name}: {family.summary}\n    {_defaults(family)}{grid}"
-    for name, one in SUITES.items():
-        yield f"--suite {name}: {counted(one.size, 'log')}; {one.summary}"
+    for name, log_suite in SUITES.items():
+        yield f"--suite {name}: {counted(log_suite.size, 'log')}; {log_suite.summary}"
 
 
 def table() -> dict[str, Any]:
     """The content of `listed`, as data."""
     keys = ("name", "summary", "parameters", "grid", "tags", "source")
-    found = [
-        {key: getattr(one, key) for key in keys} | {"cells": _count(one)}
-        for one in families().values()
+    families_table = [
+        {key: getattr(family, key) for key in keys} | {"cells": _count(family)}
+        for family in families().values()
     ]
     suites = [
-        {"name": name, "size": one.size, "summary": one.summary} for name, one in SUITES.items()
+        {"name": name, "size": log_suite.size, "summary": log_suite.summary}
+        for name, log_suite in SUITES.items()
     ]
-    return {"families": found, "suites": suites}
+    return {"families": families_table, "suites": suites}
 
 
 def _count(family: Family) -> int:
@@ -156,10 +159,9 @@ def _grid(family: Family) -> str:
     for key, values in family.grid.items():
         steps = {round(b - a, 9) for a, b in pairwise(values)}
         shown = [f"{value:g}" for value in values]
-        few = len(values) < 5 or len(steps) > 1
-        parts.append(
-            f"{key} {', '.join(shown) if few else f'{shown[0]}, {shown[1]} ... {shown[-1]}'}"
-        )
+        if len(shown) > 4 and len(steps) == 1:
+            shown = [f"{shown[0]}", f"{shown[1]} ... {shown[-1]}"]
+        parts.append(f"{key} {', '.join(shown)}")
     return "; ".join(parts)
 
 
@@ -172,13 +174,14 @@ def markdown_page() -> str:
             "| family | what happens | cells | grid (else the defaults) |",
             "|---|---|---|---|",
         ]
-        for one in group:
+        for family in group:
             lines.append(
-                f"| `{one.name}` | {one.summary} | {_count(one)} | {_grid(one) or _defaults(one)} |"
+                f"| `{family.name}` | {family.summary} | {_count(family)} "
+                f"| {_grid(family) or _defaults(family)} |"
             )
-        sources = dict.fromkeys(one.source for one in group if one.source)
+        sources = dict.fromkeys(family.source for family in group if family.source)
         parts.append("\n".join([*lines, "", *(f"Source: {source}." for source in sources)]))
-    rows = [f"| `{name}` | {one.size} | {one.summary} |" for name, one in SUITES.items()]
+    rows = [f"| `{name}` | {suite.size} | {suite.summary} |" for name, suite in SUITES.items()]
     suites = [
         "## Suites",
         "",

@@ -206,7 +206,7 @@ def progress(
                 raise KeyboardInterrupt("interrupted: no log was started") from None
             folder, pace = begun[0]
             raise KeyboardInterrupt(
-                f"interrupted: {pace.ended_logs} of {counted(pace.total, 'log')} are finished in {folder}, "
-                "and no tables are written; to continue, give the same command with "
+                f"interrupted: {pace.ended_logs} of {counted(pace.total, 'log')} are finished in "
+                f"{folder}, and no tables are written; to continue, give the same command with "
                 f"--out {folder} --resume"
             ) from None

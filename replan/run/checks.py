@@ -57,17 +57,17 @@ def checked(run: RunConfig) -> tuple[RunConfig, tuple[Failure, ...]]:
 
         for chart in run.charts:
             CHART.find(chart)
-    left: dict[str, Mapping[str, Any]] = {}
+    usable: dict[str, Mapping[str, Any]] = {}
     errors: list[PlannerError] = []
     for planner in run.planners:
         try:
-            left[planner] = _resolve_planner(planner, run)
+            usable[planner] = _resolve_planner(planner, run)
         except PlannerError as error:
             errors.append(error)
-    if not left:
+    if not usable:
         raise errors[0]
     failures = tuple(Failure("", str(error)) for error in errors)
-    return replace(run, planners=tuple(left), planner=left), failures
+    return replace(run, planners=tuple(usable), planner=usable), failures
 
 
 def _resolve_choice(kind: PartKind, run: RunConfig) -> Mapping[str, Mapping[str, Any]]:
@@ -84,8 +84,8 @@ def _resolve_choice(kind: PartKind, run: RunConfig) -> Mapping[str, Mapping[str,
         kind.find(chosen)
     except ConfigError as error:
         raise ConfigError(f"loop.{kind.name}: {error}") from None
-    found = Part(kind, chosen, tables.get(chosen, {})).resolved()
-    return {chosen: found} if found else {}
+    settings = Part(kind, chosen, tables.get(chosen, {})).resolved()
+    return {chosen: settings} if settings else {}
 
 
 def _resolve_planner(planner: str, run: RunConfig) -> dict[str, Any]:

@@ -82,6 +82,8 @@ class FolderContents:
         return partial or any(entry.match(pattern) for pattern in (STUDY, *self.names))
 
 
+LONGEST_HEAD = 16_777_216
+"""Greatest length of a study's first line that is read, bytes."""
 RUN = FolderContents("evaluate", is_ours=is_of_a_run)
 MERGED = FolderContents("merge", is_ours=is_of_a_run, resumes=False)
 
@@ -90,7 +92,7 @@ def study_of(out: Path) -> str:
     """The command of the study in a folder; "" if there is none."""
     try:
         with (out / STUDY).open(encoding="utf-8") as stream:
-            return str(json.loads(stream.readline(1 << 24))["study"])
+            return str(json.loads(stream.readline(LONGEST_HEAD))["study"])
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return ""
 
@@ -108,15 +110,15 @@ def claimed_folder(
         raise ConfigError("name the folder that is to be resumed with --out")
     folder = next_free() if out is None else on_this_machine(out)
     how = f"give the same command with --out {folder}{' --resume' if contents.resumes else ''}"
-    kept = "what is finished is kept" if contents.resumes else "nothing is kept"
+    consequence = "what is finished is kept" if contents.resumes else "nothing is kept"
     try:
         with held(folder):
             contents.check(folder)
             yield folder
     except OutputError as error:
-        raise OutputError(error.what, f"{kept}: make room, and {how}") from error
+        raise OutputError(error.what, f"{consequence}: make room, and {how}") from error
     except KeyboardInterrupt:
-        raise KeyboardInterrupt(f"interrupted: {kept}; to continue, {how}") from None
+        raise KeyboardInterrupt(f"interrupted: {consequence}; to continue, {how}") from None
     finally:
         if out is None:
             with suppress(OSError):  # it has contents, as it should have
@@ -147,16 +149,16 @@ def claimed_files(
     `check_file`, or if it gave this path before: call it for all files, then write the first.
     """
     is_file = out.suffix in suffixes and not out.is_dir()
-    given: set[Path] = set()
+    claimed: set[Path] = set()
 
     def place(name: str) -> Path:
         path = out if is_file else check_file(out / name, suffixes, is_ours)
-        if path in given:
+        if path in claimed:
             raise ConfigError(
                 f"{path}: two files of this command would have this name; "
                 + ("name a folder with -o" if is_file else "write them one by one into two folders")
             )
-        given.add(path)
+        claimed.add(path)
         return path
 
     with claimed_file(out, suffixes, is_ours) if is_file else held(out):
@@ -216,13 +218,15 @@ def result_folder_of(path: Path) -> Path | None:
     return None
 
 
+def _write_json(table: pd.DataFrame, path: Path) -> None:
+    text = table.to_json(orient="records", indent=2, double_precision=15) or "[]"
+    path.write_text(f"{text}\n", encoding="utf-8")
+
+
 WRITERS: Mapping[str, Callable[[pd.DataFrame, Path], object]] = {
     ".csv": csv_text,
     ".parquet": lambda table, path: table.to_parquet(path, index=False),
-    ".json": lambda table, path: path.write_text(
-        (table.to_json(orient="records", indent=2, double_precision=15) or "[]") + "\n",
-        encoding="utf-8",
-    ),
+    ".json": _write_json,
 }
 """Functions that write rows, by the suffix of the file."""
 

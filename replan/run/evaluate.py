@@ -108,33 +108,41 @@ def evaluate_logs(
         _check_batch(engine, window, shard)
     run, failures = checked(run)
     stamp = stamp_of(run)
-    with claimed_folder(out, RUN, resume=resume) as out:
-        done = finished(out, selection.sources, run, stamp) if resume else {}
+    with claimed_folder(out, RUN, resume=resume) as folder:
+        finished_before = finished(folder, selection.sources, run, stamp) if resume else {}
         for team in teams_of(len(selection.sources), run.loop.apart.batch):
-            if any(index not in done for index in team):  # logs in lock step are evaluated together
-                for index in done.keys() & set(team):
-                    shutil.rmtree(out / done.pop(index).folder)
-        if not done:
+            # Logs in lock step are evaluated together
+            if not finished_before.keys() >= set(team):
+                for index in finished_before.keys() & set(team):
+                    shutil.rmtree(folder / finished_before.pop(index).folder)
+        if not finished_before:
             read = [source.path for source in selection.sources if source.path is not None]
             read += [Path(run.log.map)] if run.log.map else []
             for path in read:
-                if Path(os.path.realpath(path)).is_relative_to(out.resolve()):
+                if Path(os.path.realpath(path)).is_relative_to(folder.resolve()):
                     remedy = "which is cleared; give --out another folder"
-                    raise ConfigError(f"{path}: lies in the result folder {out}, {remedy}")
-            emptied(out)
-        write_text(out / "run.toml", explained(replace(run, selection=whole.chosen), out))
-        write_origin(out)
-        on_start(selection, out)
-        evaluate = partial(engine.evaluate, run=run, out=out, stamp=stamp)
+                    raise ConfigError(f"{path}: lies in the result folder {folder}, {remedy}")
+            emptied(folder)
+        write_text(folder / "run.toml", explained(replace(run, selection=whole.chosen), folder))
+        write_origin(folder)
+        on_start(selection, folder)
+        evaluate = partial(engine.evaluate, run=run, out=folder, stamp=stamp)
         try:
-            results = _evaluate_rest(selection.sources, evaluate, done, on_log)
+            results = _evaluate_rest(selection.sources, evaluate, finished_before, on_log)
         finally:
-            clear_partial(out)
+            clear_partial(folder)
         if shard is not None:
-            write_card(out, shard, whole, run, stamp, failures, results)
+            write_card(folder, shard, whole, run, stamp, failures, results)
         part = "" if shard is None else str(shard)
         return judge_and_write(
-            out, run, selection, results, gates, failures, resumed=len(done), shard=part
+            folder,
+            run,
+            selection,
+            results,
+            gates,
+            failures,
+            resumed=len(finished_before),
+            shard=part,
         )
 
 
@@ -212,11 +220,11 @@ def _stated_logs(
     content.
     """
 
-    def refusal(wrong: Sequence[str], what: str) -> ConfigError:
+    def refusal(wrong: Sequence[str], problem: str) -> ConfigError:
         count = f"{len(wrong)} of the {len(logs)} logs that the configuration names"
         names = [log.replace(IN_MEMORY, "in memory was ", 1) for log in wrong]
         remedy = "put them back, or name the logs to drive"
-        return ConfigError(f"{count} {what}: {listed(names, 3)}; {remedy}")
+        return ConfigError(f"{count} {problem}: {listed(names, 3)}; {remedy}")
 
     gone = [log for log in logs if not (url_of(log) or Path(log).exists())]
     if gone:
@@ -236,19 +244,19 @@ def _stated_logs(
 def _evaluate_rest(
     sources: Sequence[LogSource],
     evaluate: Callable[[Sequence[LogSource]], Iterator[tuple[int, LogResult | WorkerLost]]],
-    done: Mapping[int, LogResult],
+    finished_before: Mapping[int, LogResult],
     on_log: Callable[[LogResult], None],
 ) -> tuple[LogResult, ...]:
     """The results in the order of the logs; `on_log` is called for those in `done` first.
 
     OutputError if the disk is full.
     """
-    results = dict(done)
-    for result in done.values():
+    results = dict(finished_before)
+    for result in finished_before.values():
         on_log(result)
-    left = [index for index in range(len(sources)) if index not in done]
-    for place, ended in evaluate([sources[index] for index in left]):
-        index = left[place]
+    remaining = [index for index in range(len(sources)) if index not in finished_before]
+    for position, ended in evaluate([sources[index] for index in remaining]):
+        index = remaining[position]
         if isinstance(ended, WorkerLost):
             label = sources[index].label
             ended = LogResult(
@@ -304,10 +312,14 @@ class Local:
             one_first=is_cache_cold(),
             meanwhile=partial(compile_planning, run) if self.workers > 1 else None,
         )
-        ended = longest_first(teams, drive, lambda team: sum(source.expected_s for source in team))
+        ended = longest_first(teams, drive, _expected_s)
         for index, results in ended:
             every = [results] * len(teams[index]) if isinstance(results, WorkerLost) else results
             yield from enumerate(every, begins[index])
+
+
+def _expected_s(team: Sequence[LogSource]) -> float:
+    return sum(source.expected_s for source in team)
 
 
 def teams_of(count: int, batch: int) -> list[range]:
@@ -326,14 +338,16 @@ class Job:
     """
 
     run: RunConfig
-    out: Path
+    folder: Path  # The result folder
     stamp: Stamp  # See `evaluate_log`
     name: str = field(default_factory=lambda: uuid4().hex)  # A name that no other run has
 
     def __call__(self, team: Sequence[LogSource]) -> list[LogResult]:
         """Evaluate each log of a team; in lock step if `LoopConfig.apart.batch` is set."""
         set_template_run(self.name)
-        tasks = [partial(evaluate_log, source, self.run, self.out, self.stamp) for source in team]
+        tasks = [
+            partial(evaluate_log, source, self.run, self.folder, self.stamp) for source in team
+        ]
         return in_lockstep(tasks) if self.run.loop.apart.batch else [task() for task in tasks]
 
 
@@ -346,8 +360,8 @@ def longest_first(
     have here.
     """
     order = sorted(range(len(items)), key=lambda index: -expected_s(items[index]))
-    for place, ended in drive([items[index] for index in order]):
-        yield order[place], ended
+    for position, ended in drive([items[index] for index in order]):
+        yield order[position], ended
 
 
 FIRST_SCENES = (

@@ -114,10 +114,10 @@ class FrameDump:
         return plan.recorded(keep=True)
 
 
-def dump(path: Path, one: FrameDump) -> None:
+def dump(path: Path, frame_dump: FrameDump) -> None:
     """Write a dump; OutputError if the file cannot be written."""
     problems = []
-    for problem, result in one.problems:
+    for problem, result in frame_dump.problems:
         arrays = {
             name: packed(getattr(problem, name))
             for name in ("leads", "start", "references", "lower", "upper")
@@ -128,12 +128,12 @@ def dump(path: Path, one: FrameDump) -> None:
         )
     file = File(
         version=VERSION,
-        log=one.log,
-        planner=one.planner,
-        config=dict(one.config),
-        context=messages.context_message(one.context),
-        frames=[messages.frame_message(frame) for frame in one.frames],
-        plan=messages.plan_message(one.plan, inside=True),
+        log=frame_dump.log,
+        planner=frame_dump.planner,
+        config=dict(frame_dump.config),
+        context=messages.context_message(frame_dump.context),
+        frames=[messages.frame_message(frame) for frame in frame_dump.frames],
+        plan=messages.plan_message(frame_dump.plan, inside=True),
         problems=problems,
     )
     data = messages.encode(file)
@@ -243,17 +243,19 @@ def replan_frame(
         scenario.in_vehicle(run.driven(scenario.vehicle)),
         run.planner.get(drive.planner, {}),
     )
-    watch, made = _drive_up_to(drive, scenario, recorded.t, debug=debug and planner is None)
+    watch, drive_again = _drive_up_to(drive, scenario, recorded.t, debug=debug and planner is None)
     if planner is not None:
         return _plan_with(drive, scenario, watch, planner, debug=debug)
     last = watch.frames[-1]
     frames = tuple(watch.frames) if last.previous is not None else (last,)
-    plan = made.trace.frames[-1].plan
+    plan = drive_again.trace.frames[-1].plan
     dump = FrameDump(
         drive.log, drive.planner, table, watch.context, frames, plan, tuple(watch.asked)
     )
     seconds = {
-        time.stage: time.seconds for time in made.timings if abs(time.t - last.t) < SAME_TIME_S
+        time.stage: time.seconds
+        for time in drive_again.timings
+        if abs(time.t - last.t) < SAME_TIME_S
     }
     new, old = plan.trajectory, recorded.plan.trajectory
     # A trace without internals has only every few samples
@@ -278,13 +280,13 @@ def _drive_up_to(
     keywords = planner_part(drive.planner, run.planner.get(drive.planner, {})).keywords()
     config = replace(run.drive_loop, apart=replace(run.loop.apart, trust=True))
     loop = LOOPS[drive.trace.mode]
-    made = loop(
+    drive_again = loop(
         scenario, drive.planner, planner_config=keywords, config=config, until_s=until_s, seat=seat
     )
-    if not made.trace.frames or abs(made.trace.frames[-1].t - until_s) > SAME_TIME_S:
-        reason = made.trace.detail or made.trace.end.value
+    if not drive_again.trace.frames or abs(drive_again.trace.frames[-1].t - until_s) > SAME_TIME_S:
+        reason = drive_again.trace.detail or drive_again.trace.end.value
         raise PlannerError(f"{drive.log}: there is no plan at {until_s:.2f} s: {reason}")
-    return seats[0], made
+    return seats[0], drive_again
 
 
 def _plan_with(
@@ -298,12 +300,12 @@ def _plan_with(
     )
     build = planner_part(planner, table).configured()
     try:
-        made = built(build, context)
+        instance = built(build, context)
         if debug:
             breakpoint()
-        with record_problems() as asked:
+        with record_problems() as problems:
             clock.start()
-            plan = checked(made.plan(frame), frame, context.origin).recorded(keep=True)
+            plan = checked(instance.plan(frame), frame, context.origin).recorded(keep=True)
             clock.stop(frame.t)
     except Exception as error:
         if isinstance(error, ReplanError) or not of_users(error):
@@ -311,7 +313,7 @@ def _plan_with(
         raise PlannerError(
             f"planner '{planner}' raised at {frame.t:.2f} s: {raised(error)}"
         ) from error
-    dump = FrameDump(drive.log, planner, table, context, (frame,), plan, tuple(asked))
+    dump = FrameDump(drive.log, planner, table, context, (frame,), plan, tuple(problems))
     return ReplannedFrame(scenario, dump, {time.stage: time.seconds for time in clock.times}, None)
 
 
@@ -335,8 +337,8 @@ def report_of(again: ReplannedFrame) -> Iterator[str]:
     )
     stages = ", ".join(f"{stage} {1e3 * seconds:.2f}" for stage, seconds in again.seconds.items())
     yield f"  stages [ms, with compiling]: {stages}"
-    for asked in dump.problems:
-        problem, report = asked.problem, asked.result.report
+    for solved in dump.problems:
+        problem, report = solved.problem, solved.result.report
         knots, leads = problem.lower.shape[1], len(problem.leads)
         bounds = int((abs(problem.lower) < 1e9).sum() + (abs(problem.upper) < 1e9).sum())
         outcome = "solved" if report.solved else "NOT SOLVED"
@@ -348,7 +350,9 @@ def report_of(again: ReplannedFrame) -> Iterator[str]:
             f" {report.dual_residual:.1e}"
         )
     for report in (
-        each for each in plan.internals if isinstance(each, SolverReport) and not dump.problems
+        artefact
+        for artefact in plan.internals
+        if isinstance(artefact, SolverReport) and not dump.problems
     ):
         yield f"  {report.stage}: {report.status}, {counted(report.iterations, 'iteration')}"
     yield ""

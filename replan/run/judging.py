@@ -107,9 +107,9 @@ def judge_and_write(
     if not shard:
         unread = {result.name: "see the errors" for result in results if not result.digest}
         crashed = {
-            (one.log, one.planner, one.mode): one.message
-            for one in errors
-            if one.planner and one.mode
+            (failure.log, failure.planner, failure.mode): failure.message
+            for failure in errors
+            if failure.planner and failure.mode
         }
         verdicts = tuple(judge(gates, table, read, failed=unread, crashed=crashed))
         if run.deadline_s > 0.0:
@@ -120,14 +120,18 @@ def judge_and_write(
             )
     errors = [*failures, *errors]
     write_metrics(out, table)
-    found = table_of(out, results, HEALTH)
-    write_parquet(out / HEALTH, found if len(found) else health.table("", ()))
+    findings = table_of(out, results, HEALTH)
+    write_parquet(out / HEALTH, findings if len(findings) else health.table("", ()))
     rows = outcomes([verdict for verdict in verdicts if verdict.gate.metric != LATE])
     write_parquet(out / "verdicts.parquet", rows)
     records = [asdict(drive) for result in results for drive in result.drives]
     drives = pd.DataFrame(records, columns=["log", "planner", "mode", "oracle"])
     stand = standings(
-        rows, drives, list(labels), run.drives, [(one.log, one.planner, one.mode) for one in errors]
+        rows,
+        drives,
+        list(labels),
+        run.drives,
+        [(failure.log, failure.planner, failure.mode) for failure in errors],
     )
     write_parquet(out / "groups.parquet", groups(table, stand, labels))
     _write_summary(out, selection, results, verdicts, errors, shard)
@@ -150,7 +154,7 @@ def _without_twins(
     """
     driven = {result.folder: result for result in results if not result.twin}
     first: dict[str, str] = {}
-    kept, sources, dropped = list[LogResult](), list[LogSource](), list(selection.dropped)
+    first_results, sources, dropped = list[LogResult](), list[LogSource](), list(selection.dropped)
     for source, result in zip(selection.sources, results, strict=True):
         if result.folder in first:
             dropped.append(f"{source.label}: the same log as {first[result.folder]}")
@@ -158,9 +162,9 @@ def _without_twins(
         if result.folder:
             first[result.folder] = source.label
             result = replace(driven.get(result.folder, result), source=source.label)
-        kept.append(result)
+        first_results.append(result)
         sources.append(source)
-    return Selection(tuple(sources), tuple(dropped)), tuple(kept)
+    return Selection(tuple(sources), tuple(dropped)), tuple(first_results)
 
 
 def _write_summary(
@@ -209,10 +213,10 @@ def exit_code_of(failures: Iterable[Failure], outcomes: Iterable[Outcome] | None
         return 2 if 2 in codes else 3
     if outcomes is None:
         return 0
-    asked = set(outcomes) - {Outcome.NOT_ASKED}
-    if Outcome.FAIL in asked:
+    relevant = set(outcomes) - {Outcome.NOT_ASKED}
+    if Outcome.FAIL in relevant:
         return 1
-    return 4 if Outcome.INCONCLUSIVE in asked or not asked else 0
+    return 4 if Outcome.INCONCLUSIVE in relevant or not relevant else 0
 
 
 def explained(run: RunConfig, folder: Path) -> str:
@@ -235,10 +239,10 @@ def _path_from(folder: Path, log: str) -> str:
     if url_of(log) or log.startswith(IN_MEMORY):
         return log
     path = Path(os.path.normpath(Path(log).absolute()))
-    path, here = Path(os.path.realpath(path.parent), path.name), Path(os.path.realpath(folder))
-    apart = {here.anchor, os.path.realpath(tempfile.gettempdir())}
-    is_near = path.anchor == here.anchor and os.path.commonpath([path, here]) not in apart
-    return Path(os.path.relpath(path, here) if is_near else path).as_posix()
+    path, beside = Path(os.path.realpath(path.parent), path.name), Path(os.path.realpath(folder))
+    apart = {beside.anchor, os.path.realpath(tempfile.gettempdir())}
+    is_near = path.anchor == beside.anchor and os.path.commonpath([path, beside]) not in apart
+    return Path(os.path.relpath(path, beside) if is_near else path).as_posix()
 
 
 def _lines(table: Mapping[str, Any], of: Any, where: str) -> Iterator[str]:
@@ -247,23 +251,18 @@ def _lines(table: Mapping[str, Any], of: Any, where: str) -> Iterator[str]:
     """
     for key, value in table.items():
         if not isinstance(value, Mapping):
-            line, about = (
-                tomli_w.dumps({key: value}).rstrip("\n"),
-                "" if of is None else meaning(of, key),
-            )
-            yield (
-                f"{line}  # {about}"
-                if about and "\n" not in line
-                else f"# {about}\n{line}"
-                if about
-                else line
-            )
+            line = tomli_w.dumps({key: value}).rstrip("\n")
+            about = "" if of is None else meaning(of, key)
+            if not about:
+                yield line
+            else:
+                yield f"# {about}\n{line}" if "\n" in line else f"{line}  # {about}"
     for key, value in table.items():
         if isinstance(value, Mapping):
-            place = dotted(where, key)
+            table_name = dotted(where, key)
             if not value or not all(isinstance(item, Mapping) for item in value.values()):
-                yield f"\n[{place}]"
-            yield from _lines(value, _described(of, key, where), place)
+                yield f"\n[{table_name}]"
+            yield from _lines(value, _described(of, key, where), table_name)
 
 
 def _described(of: Any, key: str, where: str) -> Any:

@@ -92,7 +92,7 @@ class OnRay:
             for index, answer in longest_first(
                 absolute,
                 lambda ordered: self._stream_results(
-                    ray, lambda one: task.remote(one, job), ordered
+                    ray, lambda source: task.remote(source, job), ordered
                 ),
                 lambda source: source.expected_s,
             ):
@@ -125,8 +125,8 @@ class OnRay:
             try:
                 socket.create_connection((host, int(port)), CONNECT_S).close()
             except OSError as error:
-                what = f"no connection: {error.strerror or error}"
-                raise ConfigError(f"--address {self.address}: {what}; {BEGIN}") from None
+                problem = f"no connection: {error.strerror or error}"
+                raise ConfigError(f"--address {self.address}: {problem}; {BEGIN}") from None
         # paths of Ray's sockets in the folder of its session have at most 107 bytes
         short = (
             "/tmp"
@@ -155,9 +155,9 @@ class OnRay:
             # Of many kinds: no cluster there, another version of Ray or of Python
             except Exception as error:
                 where = f"--address {self.address}" if self.address else "Ray on this machine"
-                said = str(error).strip().partition("\n")[0]
+                first_line = str(error).strip().partition("\n")[0]
                 raise ConfigError(
-                    f"{where}: no connection: {type(error).__name__}: {said}; {BEGIN}"
+                    f"{where}: no connection: {type(error).__name__}: {first_line}; {BEGIN}"
                 ) from None
             try:
                 yield ray
@@ -171,8 +171,8 @@ class OnRay:
         waiting, flying = iter(enumerate(items)), dict[Any, int]()
         try:
             while True:
-                most = self.workers or max(1, AHEAD * int(ray.cluster_resources().get("CPU", 1)))
-                while len(flying) < most and (following := next(waiting, None)) is not None:
+                limit = self.workers or max(1, AHEAD * int(ray.cluster_resources().get("CPU", 1)))
+                while len(flying) < limit and (following := next(waiting, None)) is not None:
                     flying[submit(following[1])] = following[0]
                 if not flying:
                     return
@@ -209,7 +209,7 @@ def code_of(run: RunConfig, folder: Path) -> Path:
     whole package (with weights), or the file; and the other modules beside it, which it may import.
     For "exec:COMMAND" it contains the local files that the command names.
     """
-    here = str(Path.cwd())
+    directory = str(Path.cwd())
     for name in (*run.planners, *run.metrics, *_of_loop(run), run.log.reader):
         if name.startswith("exec:"):
             for word in command_of(name):
@@ -219,8 +219,8 @@ def code_of(run: RunConfig, folder: Path) -> Path:
         module, separator, _ = name.partition(":")
         if not separator:
             continue
-        if here not in sys.path:
-            sys.path.append(here)
+        if directory not in sys.path:
+            sys.path.append(directory)
         spec = importlib.util.find_spec(module.partition(".")[0])
         if spec is None or not spec.origin:
             continue
@@ -229,13 +229,13 @@ def code_of(run: RunConfig, folder: Path) -> Path:
             map(file.is_relative_to, own_folders())
         ):
             continue  # installed, or part of replan
-        place = file.parent if spec.submodule_search_locations else file
-        for beside in place.parent.glob("*.py"):
+        code = file.parent if spec.submodule_search_locations else file
+        for beside in code.parent.glob("*.py"):
             shutil.copy2(beside, folder / beside.name)
-        if place.is_dir():
+        if code.is_dir():
             shutil.copytree(
-                place,
-                folder / place.name,
+                code,
+                folder / code.name,
                 ignore=shutil.ignore_patterns(*LEFT_OUT),
                 dirs_exist_ok=True,
             )
@@ -257,11 +257,13 @@ def _on_node(
 ) -> tuple[LogResult, dict[str, bytes]]:
     """A task: a log's result, and the files of its folder by their names in the result folder."""
     run, stamp, name = job
-    theirs, wrong = _stamp_here(run.planners, run.metrics, _of_loop(run), run.log.reader), ""
-    if theirs != stamp:  # the node has other code than this machine
-        what = f"node {platform.node()} has replan {theirs.replan} with code {theirs.code[:8]}"
+    node_stamp, wrong = _stamp_here(run.planners, run.metrics, _of_loop(run), run.log.reader), ""
+    if node_stamp != stamp:  # the node has other code than this machine
+        difference = (
+            f"node {platform.node()} has replan {node_stamp.replan} with code {node_stamp.code[:8]}"
+        )
         wrong = (
-            f"{source.label}: {what}; install there what is here: {stamp.replan} with code "
+            f"{source.label}: {difference}; install there what is here: {stamp.replan} with code "
             f"{stamp.code[:8]}"
         )
     elif source.path is not None and not source.path.exists():

@@ -89,17 +89,17 @@ class _Progress:
     @contextmanager
     def attempt(self, planner: str | None = None, mode: Mode | None = None) -> Iterator[None]:
         """Turn an exception in the block into a failure of this log, planner and mode."""
-        place = (planner, mode.value if mode else None)
+        where = (planner, mode.value if mode else None)
         try:
             yield
         except OutputError:
             raise
         except ReplanError as error:
             code = 2 if isinstance(error, ConfigError) else 3
-            self.failures.append(Failure(self.log, str(error), *place, exit_code=code))
+            self.failures.append(Failure(self.log, str(error), *where, exit_code=code))
         except (Exception, SystemExit) as error:
             line = f"{self.log}: {described(error)}; traceback in summary.json"
-            self.failures.append(Failure(self.log, line, *place, traceback=traceback.format_exc()))
+            self.failures.append(Failure(self.log, line, *where, traceback=traceback.format_exc()))
 
     def broken(self, planner: str, mode: Mode) -> metrics.OnError:
         """The function that records a metric of this drive that raises.
@@ -110,11 +110,13 @@ class _Progress:
         def noted(metric: Metric, reason: str, error: BaseException) -> None:
             ours = METRICS.get(metric.name) is metric
             name = f"the metric '{metric.name}'"
-            what = f"a bug in replan: {name} raised" if ours else f"{name} is not available"
-            line = f"{self.log}: {what}: {reason}; traceback in summary.json"
-            known = {(one.message, one.planner, one.mode) for one in self.failures}
+            problem = f"a bug in replan: {name} raised" if ours else f"{name} is not available"
+            line = f"{self.log}: {problem}: {reason}; traceback in summary.json"
+            reported = {
+                (failure.message, failure.planner, failure.mode) for failure in self.failures
+            }
             # Only once for all reductions and ensemble members
-            if (line, planner, mode.value) not in known:
+            if (line, planner, mode.value) not in reported:
                 trace = "".join(traceback.format_exception(error))
                 self.failures.append(Failure(self.log, line, planner, mode.value, traceback=trace))
 
@@ -129,14 +131,14 @@ def evaluate_log(source: LogSource, run: RunConfig, out: Path, stamp: Stamp) -> 
     """
     progress, begin = _Progress(source.label), perf_counter()
     partial = out / f"{PARTIAL}{sha256(source.label.encode()).hexdigest()[:16]}-{os.getpid()}"
-    done: LogResult | None = None
+    finished: LogResult | None = None
     try:
         with writing(partial):
             partial.mkdir()
         with progress.attempt(), source.fetched() as near:
             identity = source.identity()
             scenario = near.read()
-            result, found = _describe_log(near, scenario, partial, run)
+            result, health_table = _describe_log(near, scenario, partial, run)
             progress.log = scenario.name
             if (out / result.folder).exists():
                 return replace(result, twin=True, seconds=perf_counter() - begin)
@@ -152,16 +154,16 @@ def evaluate_log(source: LogSource, run: RunConfig, out: Path, stamp: Stamp) -> 
             tables = LogTables(
                 metrics=joined(progress.tables, KEYS, metrics.COLUMNS),
                 members=joined(progress.members, [MEMBER, *KEYS]),
-                health=found,
+                health=health_table,
                 timings=joined(progress.timings, TIMING_COLUMNS[:4], TIMING_COLUMNS),
             )
             write_result(partial, result, tables, identity, stamp)
-            done = replace(result, twin=not finish_folder(partial, out / result.folder))
+            finished = replace(result, twin=not finish_folder(partial, out / result.folder))
     except OutputError as error:
         return LogResult(source.label, progress.log, stopped=str(error))
     finally:
         shutil.rmtree(partial, ignore_errors=True)
-    result = done or LogResult(source.label, progress.log)
+    result = finished or LogResult(source.label, progress.log)
     return replace(result, failures=tuple(progress.failures), seconds=perf_counter() - begin)
 
 
@@ -169,12 +171,12 @@ def all_metrics(run: RunConfig) -> Mapping[str, Metric]:
     """The built-in metrics and the run's own; ConfigError if a metric cannot be loaded, or has the
     name of another.
     """
-    found = dict(METRICS)
+    by_name = dict(METRICS)
     for metric in map(load_metric, run.metrics):
-        if metric.name in found:
+        if metric.name in by_name:
             raise ConfigError(f"there are two metrics called '{metric.name}'; rename yours")
-        found[metric.name] = metric
-    return found
+        by_name[metric.name] = metric
+    return by_name
 
 
 def _describe_log(
@@ -195,9 +197,9 @@ def _describe_log(
 
         write_scenario(path, scenario, beside=scenario_channels(scenario))
     name = safe_name(scenario.name, digest)
-    found = health.findings(scenario)
-    notes = (*map(scenario.short_names, scenario.notes), *health.sentences(found))
-    table = health.table(scenario.name, found)
+    findings = health.findings(scenario)
+    notes = (*map(scenario.short_names, scenario.notes), *health.sentences(findings))
+    table = health.table(scenario.name, findings)
     groups = scenario.family, scenario.dataset, scenario.tags
     return LogResult(source.label, scenario.name, digest, name, *groups, notes), table
 
@@ -211,14 +213,14 @@ def _drive_all(
             progress.tables += [*tables, *discriminating_tables(scenario, run.drive_loop)]
     names = safe_names(run.planners)
     with closing(StepsFile(folder)) as steps:
-        for place in _places(run):
-            with progress.attempt(place.planner, place.mode):
-                loop = place.mode.value
-                stem = loop if len(run.planners) == 1 else f"{loop}.{names[place.planner]}"
-                trace, marks = _drive_one(scenario, place, run, folder / stem, progress, steps)
+        for spec in _places(run):
+            with progress.attempt(spec.planner, spec.mode):
+                loop = spec.mode.value
+                stem = loop if len(run.planners) == 1 else f"{loop}.{names[spec.planner]}"
+                trace, marks = _drive_one(scenario, spec, run, folder / stem, progress, steps)
                 if trace.end is EndReason.PLANNER_FAILURE:
                     progress.failures.append(
-                        Failure(progress.log, trace.detail, place.planner, loop)
+                        Failure(progress.log, trace.detail, spec.planner, loop)
                     )
                 files = tuple(f"{final}/{file.name}" for file in sorted(folder.glob(f"{stem}.*")))
                 record = DriveRecord(
@@ -254,7 +256,7 @@ def _places(run: RunConfig, member: int = 0) -> Iterator[_DriveSpec]:
 
 def _drive_one(
     scenario: Scenario,
-    place: _DriveSpec,
+    spec: _DriveSpec,
     run: RunConfig,
     file: Path,
     progress: _Progress,
@@ -264,20 +266,20 @@ def _drive_one(
     `file`.rrd.
     """
     drive = _probe_determinism(
-        _drive_log(scenario, place, run, keep=run.keep_internals), scenario, place, run
+        _drive_log(scenario, spec, run, keep=run.keep_internals), scenario, spec, run
     )
-    found: dict[str, Steps] = {}
+    stored: dict[str, Steps] = {}
 
     def put(name: str, series: metrics.Series) -> None:
-        found[name] = steps.put(name, series)
+        stored[name] = steps.put(name, series)
 
-    broken = progress.broken(place.planner, place.mode)
+    broken = progress.broken(spec.planner, spec.mode)
     _free_memory(drive.trace)
     table = metrics.evaluate(
         drive.trace, scenario, metrics=all_metrics(run), broken=broken, found=put
     )
     _free_memory(drive.trace)
-    steps.add(drive.trace.planner, place.mode.value, tuple(found.values()))
+    steps.add(drive.trace.planner, spec.mode.value, tuple(stored.values()))
     progress.tables.append(table)
     timings = {
         "log": drive.trace.scenario,
@@ -288,8 +290,8 @@ def _drive_one(
         "seconds": [lap.seconds for lap in drive.timings],
     }
     progress.timings.append(pd.DataFrame(timings, columns=TIMING_COLUMNS))
-    with progress.attempt(place.planner, place.mode):
-        shown = steps.table([found[name] for name in MEASURED if name in found])
+    with progress.attempt(spec.planner, spec.mode):
+        shown = steps.table([stored[name] for name in MEASURED if name in stored])
         beside: Iterable[Entry] = ()
         if run.foxglove:
             from replan.draw.foxglove import trace_channels
@@ -313,22 +315,20 @@ def _free_memory(trace: Trace) -> None:
 
 
 def _drive_log(
-    scenario: Scenario, place: _DriveSpec, run: RunConfig, *, keep: bool, until_s: float = inf
+    scenario: Scenario, spec: _DriveSpec, run: RunConfig, *, keep: bool, until_s: float = inf
 ) -> Drive:
-    return LOOPS[place.mode](
+    return LOOPS[spec.mode](
         scenario,
-        place.planner,
-        planner_config=run.planner_keywords(place.planner),
+        spec.planner,
+        planner_config=run.planner_keywords(spec.planner),
         config=run.drive_loop,
         keep_internals=keep,
         until_s=until_s,
-        seat=partial(Planning, place=place.key),
+        seat=partial(Planning, place=spec.key),
     )
 
 
-def _probe_determinism(
-    drive: Drive, scenario: Scenario, place: _DriveSpec, run: RunConfig
-) -> Drive:
+def _probe_determinism(drive: Drive, scenario: Scenario, spec: _DriveSpec, run: RunConfig) -> Drive:
     """The drive, with a note if its planner is the user's own and not deterministic
     (`RunConfig.repeat_s`).
     """
@@ -336,7 +336,7 @@ def _probe_determinism(
     if not run.repeat_s or drive.trace.oracle or is_built_in(planner) or not drive.trace.frames:
         return drive
     try:
-        second = place._replace(key=replace(place.key, again=True))
+        second = spec._replace(key=replace(spec.key, again=True))
         again = _drive_log(scenario, second, run, keep=False, until_s=until_s).trace
     except PlannerError as error:
         return marked_random(drive, f"{planner}, driven twice: it can be built only once: {error}")
@@ -351,10 +351,10 @@ def _drive_member(scenario: Scenario, run: RunConfig, member: int, progress: _Pr
     tables: list[pd.DataFrame] = []
     if Mode.CLOSED in run.modes:
         other, tables = with_references(other, run.drive_loop)
-    for place in _places(run, member):
-        with progress.attempt(place.planner, place.mode):
-            drive = _drive_log(other, place, run, keep=bool(run.metrics))
-            noted = progress.broken(place.planner, place.mode)
+    for spec in _places(run, member):
+        with progress.attempt(spec.planner, spec.mode):
+            drive = _drive_log(other, spec, run, keep=bool(run.metrics))
+            noted = progress.broken(spec.planner, spec.mode)
             tables.append(metrics.evaluate(drive.trace, other, metrics=measures, broken=noted))
     tables += late_follower(tables, other, run.drive_loop)
     progress.members.extend(table.assign(member=member, perturbation=name) for table in tables)

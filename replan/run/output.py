@@ -40,6 +40,7 @@ import msgspec
 
 from replan.core.errors import ConfigError, ReplanError, writing
 from replan.core.files import (
+    RemoteFile,
     content,
     fetch,
     listed,
@@ -62,7 +63,8 @@ from replan.run.sources import LogSource, log_hash, select
 _NO_LOCKS = (errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP, errno.EINVAL)
 _CARD_BYTES = 4096
 # Windows locks bytes, which then cannot be read: this byte is behind all written bytes
-_FAR = 1 << 30
+_FAR = 1_073_741_824
+_START_TICKS = 19  # Field of /proc/PID/stat after the process's name
 
 
 @contextmanager
@@ -73,7 +75,7 @@ def held(out: Path) -> Iterator[None]:
     written to, or it is a URL.
     """
     on_this_machine(out)
-    made = not out.exists()
+    is_new = not out.exists()
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -82,7 +84,7 @@ def held(out: Path) -> Iterator[None]:
         with locked(out / LOCK, out):
             yield
     finally:
-        if made:
+        if is_new:
             with suppress(OSError):  # it has contents, as it should have
                 out.rmdir()
 
@@ -131,9 +133,9 @@ def _lock(path: Path, what: Path) -> int:
             wait = "wait for it, or give --out another place"
             if not card:
                 raise ConfigError(f"{what}: another run writes it just now; {wait}")
-            who = f"process {card['pid']} on {card['host']} since {card['since']}"
+            owner = f"process {card['pid']} on {card['host']} since {card['since']}"
             raise ConfigError(
-                f"{what}: another run writes it ({who}); {wait}; if it has ended: rm {path}"
+                f"{what}: another run writes it ({owner}); {wait}; if it has ended: rm {path}"
             )
         with suppress(FileNotFoundError):
             if os.path.samestat(os.fstat(handle), path.stat()):
@@ -189,7 +191,12 @@ def _start_of_process(pid: int) -> str:
     "" if unknown.
     """
     try:
-        return Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[19]
+        return (
+            Path(f"/proc/{pid}/stat")
+            .read_text(encoding="utf-8")
+            .rpartition(")")[2]
+            .split()[_START_TICKS]
+        )
     except (OSError, IndexError):
         return ""
 
@@ -201,7 +208,7 @@ class OutputLocation:
     folder: Path | None  # The folder on this machine; None: the next free one
     url: str = ""  # The URL to which it is sent; "" if there is none
     # Write times of the files that are at the URL already; they are sent again only if written anew
-    there: dict[str, int] = field(default_factory=dict)
+    sent: dict[str, int] = field(default_factory=dict)
     # Files at the URL that are removed before anything is sent
     old: list[str] = field(default_factory=list)
 
@@ -216,11 +223,9 @@ class OutputLocation:
     def keep(self, result: LogResult) -> None:
         """Send a log's folder, and `run.toml` before the first one; OutputError if that fails."""
         if self.url and self.folder is not None and result.folder:
-            files = sorted(
-                (self.folder / result.folder).iterdir(),
-                key=lambda path: (path.name == LOG_CARD, path.name),
-            )
-            self._send([self.folder / "run.toml", *files])
+            log_folder = self.folder / result.folder
+            files = sorted(path for path in log_folder.iterdir() if path.name != LOG_CARD)
+            self._send([self.folder / "run.toml", *files, log_folder / LOG_CARD])
 
     def finish(self) -> None:
         """Send all files that are not at the URL yet; OutputError if that fails."""
@@ -244,9 +249,9 @@ class OutputLocation:
         self.old = []
         for path in files:
             name, written = path.relative_to(self.folder).as_posix(), path.stat().st_mtime_ns
-            if self.there.get(name) != written:
+            if self.sent.get(name) != written:
                 put(path, f"{self.url}/{name}")
-                self.there[name] = written
+                self.sent[name] = written
 
 
 @contextmanager
@@ -268,17 +273,19 @@ def output_location(out: Path | str | None, *, resume: bool = False) -> Iterator
         except ValueError:
             holder = {}
         if not has_ended(holder):
-            who = f"process {holder.get('pid')} on {holder.get('host')} since {holder.get('since')}"
+            owner = (
+                f"process {holder.get('pid')} on {holder.get('host')} since {holder.get('since')}"
+            )
             remedy = f"wait for it, or give --out another place; if it has ended, remove {lock}"
-            raise ConfigError(f"{url}: another run writes into it ({who}); {remedy}")
+            raise ConfigError(f"{url}: another run writes into it ({owner}); {remedy}")
         remove([lock])
     try:
         with tempfile.TemporaryDirectory(prefix="replan-") as scratch:
             folder = Path(scratch, "results")
-            place = _open_url(url, folder, resume=resume)
+            location = _open_url(url, folder, resume=resume)
             try:
-                yield place
-                place.finish()
+                yield location
+                location.finish()
             except (ReplanError, KeyboardInterrupt) as error:
                 raise type(error)(str(error).replace(str(folder), url)) from error
     finally:
@@ -299,18 +306,20 @@ def _open_url(url: str, folder: Path, *, resume: bool) -> OutputLocation:
             "place"
         )
     whole = [file for file in logs if file.name.partition("/")[0] in cards] if resume else []
-    kept = [*whole, *(file for file in files if resume and file.name == "run.toml")]
-    if kept:
+    fetched = [*whole, *(file for file in files if resume and file.name == "run.toml")]
+    if fetched:
         folder.mkdir()
-        fetch(kept, folder)
-    there = {file.name: (folder / file.name).stat().st_mtime_ns for file in kept}
-    # cards are removed first, so that no incomplete folder looks complete; run.toml, which
-    # identifies results, last
-    order = sorted(
-        files,
-        key=lambda file: (file.name == "run.toml", not file.name.endswith(LOG_CARD), file.name),
-    )
-    return OutputLocation(folder, url, there, [file.url for file in order if file not in kept])
+        fetch(fetched, folder)
+    sent = {file.name: (folder / file.name).stat().st_mtime_ns for file in fetched}
+
+    def order_of_removal(file: RemoteFile) -> tuple[bool, bool, str]:
+        """Cards first, so that no incomplete folder looks complete; run.toml, which identifies
+        results, last.
+        """
+        return file.name == "run.toml", not file.name.endswith(LOG_CARD), file.name
+
+    order = sorted(files, key=order_of_removal)
+    return OutputLocation(folder, url, sent, [file.url for file in order if file not in fetched])
 
 
 class Origin(msgspec.Struct):
@@ -324,12 +333,12 @@ def write_origin(out: Path, begun: Path | None = None) -> None:
     """Record in the results where the run was started (None: the working directory); OutputError if
     that fails.
     """
-    here = begun or Path.cwd()
+    directory = begun or Path.cwd()
     try:
-        seen = Path(os.path.relpath(here, out.resolve())).as_posix()
+        from_results = Path(os.path.relpath(directory, out.resolve())).as_posix()
     except ValueError:  # on another drive of Windows
-        seen = ""
-    write_json(out / ORIGIN, {"directory": str(here), "from_results": seen})
+        from_results = ""
+    write_json(out / ORIGIN, {"directory": str(directory), "from_results": from_results})
 
 
 def begun_in(out: Path, sources: Iterable[str]) -> Path:
@@ -337,8 +346,12 @@ def begun_in(out: Path, sources: Iterable[str]) -> Path:
     the current one.
     """
     logs = [local_path(source) for source in sources if not url_of(source)]
-    seen = (place for place in _directories(out) if any((place / log).exists() for log in logs))
-    return Path(os.path.normpath(next(seen, Path.cwd())))
+    directories = (
+        directory
+        for directory in _directories(out)
+        if any((directory / log).exists() for log in logs)
+    )
+    return Path(os.path.normpath(next(directories, Path.cwd())))
 
 
 def scenario_of(out: Path, row: Mapping[Any, Any], settings: LogSettings) -> Scenario:
@@ -362,27 +375,37 @@ def log_of(out: Path, source: str, digest: str, settings: LogSettings) -> Scenar
     the log was moved or changed; LogError if the log cannot be read.
     """
     if url_of(source):
-        found = select([source], settings).sources[0]
+        log = select([source], settings).sources[0]
     else:
         places = list(
             dict.fromkeys(
-                Path(os.path.normpath(place / local_path(source))) for place in _directories(out)
+                Path(os.path.normpath(directory / local_path(source)))
+                for directory in _directories(out)
             )
         )
-        there = [LogSource(str(place), place, settings) for place in places if place.exists()]
-        if not there:
+        candidates = [
+            LogSource(str(directory), directory, settings)
+            for directory in places
+            if directory.exists()
+        ]
+        if not candidates:
             where = " nor at ".join(map(str, places))
             raise ConfigError(
                 f"{source}: the log of these results is not at {where}; put it back there"
             )
-        found = next(
-            (one for one in there if one.path and log_hash(one.path, settings) == digest), there[0]
+        log = next(
+            (
+                candidate
+                for candidate in candidates
+                if candidate.path and log_hash(candidate.path, settings) == digest
+            ),
+            candidates[0],
         )
-    with found.fetched() as near:
+    with log.fetched() as near:
         assert near.path is not None
         if log_hash(near.path, settings) != digest:
             raise ConfigError(
-                f"{found.label}: is no longer the log of these results: its bytes differ"
+                f"{log.label}: is no longer the log of these results: its bytes differ"
             )
         return near.read()
 
@@ -394,5 +417,5 @@ def _directories(out: Path) -> list[Path]:
     if not (out / ORIGIN).is_file():  # results of an older replan
         return [Path.cwd()]
     _, card = read_json(out / ORIGIN, Origin)
-    seen = [out.resolve() / card.from_results] if card.from_results else []
-    return [*seen, Path(card.directory), Path.cwd()]
+    from_results = [out.resolve() / card.from_results] if card.from_results else []
+    return [*from_results, Path(card.directory), Path.cwd()]

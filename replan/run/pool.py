@@ -94,14 +94,14 @@ def run_all(
     try:
         while waiting or crew:
             while waiting and len(crew) < (1 if one_first else workers):
-                ours, theirs = _CONTEXT.Pipe()
-                process = _CONTEXT.Process(target=_serve, args=(theirs, function), daemon=True)
+                parent_end, child_end = _CONTEXT.Pipe()
+                process = _CONTEXT.Process(target=_serve, args=(child_end, function), daemon=True)
                 _start(process)
-                theirs.close()
-                crew.append(_Worker(process, ours))
+                child_end.close()
+                crew.append(_Worker(process, parent_end))
                 _hand_out(crew[-1], items, waiting)
             answered = wait([worker.pipe for worker in crew])
-            for worker in [each for each in crew if each.pipe in answered]:
+            for worker in [worker for worker in crew if worker.pipe in answered]:
                 index, result = worker.item, worker.take()
                 worker.item = None
                 if waiting and not isinstance(result, WorkerLost):

@@ -57,8 +57,8 @@ def stamp_of(run: RunConfig, also: Iterable[tuple[ExtensionKind[Any], str]] = ()
     for name in run.planners:
         if name.startswith("exec:"):
             words = command_of(name)
-            found = [Path(shutil.which(words[0]) or words[0]), *map(Path, words[1:])]
-            own += [file for file in found if file.is_file()]
+            files = [Path(shutil.which(words[0]) or words[0]), *map(Path, words[1:])]
+            own += [file for file in files if file.is_file()]
         elif not name.startswith("tcp:") and (source := PLANNER.file(name)) is not None:
             own.append(source)
     named: list[tuple[ExtensionKind[Any], str]] = [(METRIC, name) for name in run.metrics]
@@ -91,12 +91,12 @@ def finished(
                 f"{out}: was begun with another configuration: {changed}; give the same options, "
                 f"or {START_OVER}"
             )
-    found = {
+    contents = {
         folder: load_result(folder) for folder in folders if not folder.name.startswith(PARTIAL)
     }
     inputs = {identity_of(source): index for index, source in enumerate(sources)}
     results: dict[int, LogResult] = {}
-    for content in found.values():
+    for content in contents.values():
         if content is None:
             continue
         result, identity, was = content
@@ -113,7 +113,7 @@ def finished(
             )
         results[inputs[identity]] = replace(result, source=sources[inputs[identity]].label)
     clear_partial(out)
-    for folder in (folder for folder, content in found.items() if content is None):
+    for folder in (folder for folder, content in contents.items() if content is None):
         shutil.rmtree(folder)
     for name in FILES:  # the tables are written anew at the end
         if name != "run.toml":

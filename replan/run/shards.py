@@ -164,29 +164,33 @@ def merge(folders: Sequence[Path | str], out: Path | str) -> Results:
     version, code), or of another version or code than this replan; one is duplicate or missing;
     `out` must not be written, or is in use. OutputError if the disk is full.
     """
-    found, out = _read_parts([Path(folder) for folder in folders]), Path(out)
-    for part in found:
-        theirs, ours = part.folder.resolve(), out.resolve()
-        if theirs.is_relative_to(ours) or ours.is_relative_to(theirs):
+    parts, result_folder = _read_parts([Path(folder) for folder in folders]), Path(out)
+    for part in parts:
+        shard_folder, target = part.folder.resolve(), result_folder.resolve()
+        if shard_folder.is_relative_to(target) or target.is_relative_to(shard_folder):
             raise ConfigError(f"{out}: the shard {part.folder} lies there; give -o another folder")
-    run = load_run(found[0].folder / "run.toml")
-    with gates_in(found[0].folder) as path:
+    run = load_run(parts[0].folder / "run.toml")
+    with gates_in(parts[0].folder) as path:
         gates = gates_of(run, path)
-    with claimed_folder(out, MERGED):
-        emptied(out)
-        write_text(out / "run.toml", explained(run, out))
-        write_origin(out, begun_in(found[0].folder, (result.source for result in found[0].results)))
+    with claimed_folder(result_folder, MERGED):
+        emptied(result_folder)
+        write_text(result_folder / "run.toml", explained(run, result_folder))
+        write_origin(
+            result_folder, begun_in(parts[0].folder, (result.source for result in parts[0].results))
+        )
         placed: dict[int, LogResult] = {}
-        for part in found:
+        for part in parts:
             placed.update(zip(part.shard.places(len(part.card.inputs)), part.results, strict=True))
             for folder in (result.folder for result in part.results if result.folder):
                 copy = partial(shutil.copytree, part.folder / folder, copy_function=_link_or_copy)
-                write_folder(out / folder, copy)  # twins in two shards: the first counts
-        results = tuple(placed[place] for place in range(len(placed)))
+                write_folder(result_folder / folder, copy)  # twins in two shards: the first counts
+        results = tuple(placed[position] for position in range(len(placed)))
         # Labels only: no log is read again
         sources = tuple(LogSource(result.source) for result in results)
-        selection = Selection(sources, found[0].card.logs_left_out)
-        return judge_and_write(out, run, selection, results, gates, found[0].card.failures)
+        selection = Selection(sources, parts[0].card.logs_left_out)
+        return judge_and_write(
+            result_folder, run, selection, results, gates, parts[0].card.failures
+        )
 
 
 @contextmanager
@@ -208,32 +212,33 @@ def _read_parts(folders: Sequence[Path]) -> tuple[ShardContents, ...]:
     """
     if not folders:
         raise ConfigError("name the folders of all shards: replan merge SHARD1 SHARD2 ... -o OUT")
-    found = sorted(
+    parts = sorted(
         (_read_part(folder) for folder in folders),
-        key=lambda one: (one.shard.number, str(one.folder)),
+        key=lambda part: (part.shard.number, str(part.folder)),
     )
-    one = found[0]
-    for other in found[1:]:
-        both = f"{one.folder} and {other.folder} are not of one run"
-        if one.shard.of != other.shard.of:
-            raise ConfigError(f"{both}: shard {one.shard} and shard {other.shard}")
-        if one.card.inputs != other.card.inputs:
-            mine, theirs = Counter(one.card.inputs), Counter(other.card.inputs)
-            differing = [*(mine - theirs), *(theirs - mine)] or ["their order"]
-            counts = f"{len(one.card.inputs)} and {counted(len(other.card.inputs), 'log')}"
-            raise ConfigError(f"{both}: {counts}; they differ in {differing[0]}")
-        if one.stamp != other.stamp:
-            raise ConfigError(
-                f"{both}: driven with {_describe(one.stamp)} and with {_describe(other.stamp)}"
-            )
-        first, second = (read_toml(shard.folder / "run.toml") for shard in (one, other))
-        changed = changes(first, second, ("selection",))
+    first = parts[0]
+    for other in parts[1:]:
+        not_one_run = f"{first.folder} and {other.folder} are not of one run"
+        if first.shard.of != other.shard.of:
+            raise ConfigError(f"{not_one_run}: shard {first.shard} and shard {other.shard}")
+        if first.card.inputs != other.card.inputs:
+            first_inputs, other_inputs = Counter(first.card.inputs), Counter(other.card.inputs)
+            differing = [*(first_inputs - other_inputs), *(other_inputs - first_inputs)] or [
+                "their order"
+            ]
+            counts = f"{len(first.card.inputs)} and {counted(len(other.card.inputs), 'log')}"
+            raise ConfigError(f"{not_one_run}: {counts}; they differ in {differing[0]}")
+        if first.stamp != other.stamp:
+            stamps = f"{_describe(first.stamp)} and with {_describe(other.stamp)}"
+            raise ConfigError(f"{not_one_run}: driven with {stamps}")
+        first_run, other_run = (read_toml(part.folder / "run.toml") for part in (first, other))
+        changed = changes(first_run, other_run, ("selection",))
         if changed:
-            raise ConfigError(f"{both}: {changed}")
-        if one.card.gates != other.card.gates:
-            raise ConfigError(f"{both}: their gates are not the same")
-    of, numbers = one.shard.of, Counter(part.shard.number for part in found)
-    twice = [part for part in found if numbers[part.shard.number] > 1]
+            raise ConfigError(f"{not_one_run}: {changed}")
+        if first.card.gates != other.card.gates:
+            raise ConfigError(f"{not_one_run}: their gates are not the same")
+    of, numbers = first.shard.of, Counter(part.shard.number for part in parts)
+    twice = [part for part in parts if numbers[part.shard.number] > 1]
     if twice:
         raise ConfigError(
             f"{twice[0].folder} and {twice[1].folder} are both shard {twice[0].shard}"
@@ -241,18 +246,18 @@ def _read_parts(folders: Sequence[Path]) -> tuple[ShardContents, ...]:
     missing = [str(Shard(number, of)) for number in range(1, of + 1) if number not in numbers]
     if missing:
         raise ConfigError(
-            f"shards are missing: {', '.join(missing)}; given are {len(found)} of {of}"
+            f"shards are missing: {', '.join(missing)}; given are {len(parts)} of {of}"
         )
-    run = load_run(one.folder / "run.toml")
+    run = load_run(first.folder / "run.toml")
     for planner in run.planners:
         if not is_foreign(planner):
             _ = planner_part(planner).factory  # raises an error that names a missing package
     now = stamp_of(run)
-    if now != one.stamp:
+    if now != first.stamp:
         raise ConfigError(
-            f"{one.folder}: was driven with {_describe(one.stamp)}, this is {_describe(now)}"
+            f"{first.folder}: was driven with {_describe(first.stamp)}, this is {_describe(now)}"
         )
-    return tuple(found)
+    return tuple(parts)
 
 
 def _card(folder: Path) -> ShardCard:
@@ -276,12 +281,12 @@ def _read_part(folder: Path) -> ShardContents:
                 "shard again"
             )
         results.append(replace(content[0], source=log.source))
-    found = ShardContents(folder, card, tuple(results))
-    if len(found.shard.places(len(card.inputs))) != len(results):
+    contents = ShardContents(folder, card, tuple(results))
+    if len(contents.shard.places(len(card.inputs))) != len(results):
         raise ConfigError(
-            f"{folder / SHARD_CARD}: has not the logs of shard {found.shard}; copy the shard again"
+            f"{folder / SHARD_CARD}: has not the logs of shard {contents.shard}; copy it again"
         )
-    return found
+    return contents
 
 
 def _describe(stamp: Stamp) -> str:

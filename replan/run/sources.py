@@ -149,10 +149,10 @@ class LogSource:
         """
         if self.path is not None:
             return str(self.path), self.digest
-        place = self.label.removesuffix(_window_suffix(self.settings))
+        label = self.label.removesuffix(_window_suffix(self.settings))
         if self.content:
-            return f"{IN_MEMORY}{place}", self.digest
-        return (place, _version(self.remote)) if self.remote else ("", "")
+            return f"{IN_MEMORY}{label}", self.digest
+        return (label, _version(self.remote)) if self.remote else ("", "")
 
     @contextmanager
     def fetched(self) -> Iterator[LogSource]:
@@ -171,10 +171,10 @@ class LogSource:
                 raise error.at(self.label) from None
 
     def _fetch(self, folder: Path) -> None:
-        begin, end, (file, *more) = self.settings.begin, self.settings.end, self.remote
+        begin, end, (file, *others) = self.settings.begin, self.settings.end, self.remote
         fetched = False
         # Its window is enough
-        if self.format == "native" and not more and (begin > 0.0 or end < inf):
+        if self.format == "native" and not others and (begin > 0.0 or end < inf):
             fetched = write_part(ranged(file), file.size, begin, end, folder / self._entry)
         if not fetched:
             fetch(self.remote, folder)
@@ -282,28 +282,29 @@ def select(
     ConfigError if a path does not exist, no reader knows its format, or no log is left.
     """
     settings = settings or LogSettings()
-    kept: dict[str, LogSource] = {}
+    first_sources: dict[str, LogSource] = {}
     dropped: list[str] = []
     drives = _Drives()
-    for place in logs:
-        url = "" if isinstance(place, Scenario) else url_of(place)
-        if isinstance(place, Scenario):
-            candidates = [(LogSource.in_memory(place, settings), "")]
+    for log_given in logs:
+        url = "" if isinstance(log_given, Scenario) else url_of(log_given)
+        if isinstance(log_given, Scenario):
+            candidates = [(LogSource.in_memory(log_given, settings), "")]
         elif url:
             candidates = list(_remote(url, settings))
         else:
-            found = _logs(local_path(place), settings)
             candidates = [
-                (LogSource(encodable(str(log)), log, settings), reason) for log, reason in found
+                (LogSource(encodable(str(path)), path, settings), reason)
+                for path, reason in _logs(local_path(log_given), settings)
             ]
-        if not candidates and not isinstance(place, Scenario):
-            if not url and (known := known_format(local_path(place))) is not None:
-                raise ConfigError(str(known))
+        if not candidates and not isinstance(log_given, Scenario):
+            if not url and (foreign_format := known_format(local_path(log_given))) is not None:
+                raise ConfigError(str(foreign_format))
             looked = ", ".join(
                 dict.fromkeys(reader.looks_for for reader in readers(settings.reader))
             )
             raise ConfigError(
-                f"{url or place}: no logs in this folder; looked for {looked}, 0 found; {FORMATS}"
+                f"{url or log_given}: no logs in this folder; looked for {looked}, 0 found; "
+                f"{FORMATS}"
             )
         for log, reason in candidates:
             source = log
@@ -315,17 +316,18 @@ def select(
                 or source.digest
                 or (os.path.realpath(log.path) if log.path else log.label)
             )
-            if not reason and (twin := kept.get(key) or drives.twin_of(source)):
+            if not reason and (twin := first_sources.get(key) or drives.twin_of(source)):
                 reason = f"the same log as {twin.label}"
             if reason:
                 dropped.append(f"{log.label}: {reason}")
             else:
-                kept[key] = source
+                first_sources[key] = source
     sources: list[LogSource] = []
     labels = told_apart(
-        [source.label for source in kept.values()], [source.digest for source in kept.values()]
+        [source.label for source in first_sources.values()],
+        [source.digest for source in first_sources.values()],
     )
-    for log, label in zip(kept.values(), labels, strict=True):
+    for log, label in zip(first_sources.values(), labels, strict=True):
         source = replace(log, label=label)
         parts: Sequence[LogSettings] = (source.settings,)
         if window is None:
@@ -340,7 +342,7 @@ def select(
             for part in parts
         ]
     selection = Selection(tuple(sources), tuple(dropped))
-    if not kept:
+    if not first_sources:
         raise ConfigError(f"no logs to evaluate: {selection}")
     return selection
 
@@ -422,10 +424,10 @@ def _remote(url: str, settings: LogSettings) -> Iterator[tuple[LogSource, str]]:
     with tempfile.TemporaryDirectory(prefix="replan-") as scratch:
         root = Path(scratch, url.rpartition("/")[2])
         is_file = files[0].url == url
-        at = {root if is_file else root / file.name: file for file in files}
+        files_by_path = {root if is_file else root / file.name: file for file in files}
         looked = [file for file in files if Path(file.name).suffix.lower() in LOOKED_INTO]
         begins = dict(zip(looked, heads(looked, HEAD_BYTES), strict=True))
-        for path, file in at.items():
+        for path, file in files_by_path.items():
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(begins.get(file, b""))
         for log, reason in _logs(root, settings):
@@ -433,14 +435,17 @@ def _remote(url: str, settings: LogSettings) -> Iterator[tuple[LogSource, str]]:
             names = log.relative_to(root.parent).as_posix().removeprefix(root.name)
             try:
                 needed = [
-                    path for path in (() if reader is None else reader.files(log)) if path in at
+                    path
+                    for path in (() if reader is None else reader.files(log))
+                    if path in files_by_path
                 ]
             except Exception:  # a reader that treats empty files as damaged
                 needed = []
             if not needed or not all(path.is_relative_to(log.parent) for path in needed):
-                needed = [path for path in at if path == log or path.is_relative_to(log)]
+                needed = [path for path in files_by_path if path == log or path.is_relative_to(log)]
             parts = [
-                replace(at[path], name=path.relative_to(log.parent).as_posix()) for path in needed
+                replace(files_by_path[path], name=path.relative_to(log.parent).as_posix())
+                for path in needed
             ]
             yield (
                 LogSource(
@@ -508,7 +513,10 @@ def file_hash(path: Path) -> str:
         raise LogError(f"cannot be read: {error.strerror}", file=path) from None
 
 
-START_M, NOISE_M, TINY, RATE_HZ = 0.05, 0.02, 1e-9, 5.0
+START_M = 0.05
+NOISE_M = 0.02
+TINY = 1e-9
+RATE_HZ = 5.0
 DAY_NS = 86_400_000_000_000
 
 

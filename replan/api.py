@@ -100,7 +100,7 @@ def evaluate(
     run = load_run(Path(config)) if isinstance(config, (str, Path)) else config or RunConfig()
     if isinstance(planners, str | type) or not isinstance(planners, Iterable | None):
         planners = [planners]
-    given = {
+    changes = {
         "planners": None if planners is None else tuple(map(named, planners)),
         "mode": mode,
         "gates": None if gates is None else str(gates),
@@ -113,9 +113,9 @@ def evaluate(
         "loop": None if loop is None else _over(run.loop, loop, "loop"),
         "log": None if log is None else _over(run.log, log, "log"),
     }
-    run = _over(run, {key: value for key, value in given.items() if value is not None})
+    run = _over(run, {key: value for key, value in changes.items() if value is not None})
     before = None if baseline is None else _run(baseline)
-    found = evaluate_logs(
+    results = evaluate_logs(
         _listed(logs),
         run,
         out,
@@ -128,8 +128,8 @@ def evaluate(
         shard=None if shard is None else Shard.parsed(shard),
     )
     if report:
-        finished(found, before, run.gates_path)
-    return found
+        finished(results, before, run.gates_path)
+    return results
 
 
 def finished(
@@ -180,8 +180,8 @@ def _listed(logs: Any) -> list[Path | str | Scenario]:
     several = [logs] if is_one else list(logs)
     for log in several:
         if not isinstance(log, str | Path | Scenario):
-            what = f"a log is a path, a URL or a Scenario, not a {type(log).__name__}"
-            raise ConfigError(f"{what}; replan.from_frames makes a Scenario of tables")
+            problem = f"a log is a path, a URL or a Scenario, not a {type(log).__name__}"
+            raise ConfigError(f"{problem}; replan.from_frames makes a Scenario of tables")
     return several
 
 
@@ -214,13 +214,13 @@ def named(planner: object) -> str:
     return name
 
 
-def _over(config: Any, given: dict[str, Any], where: str = "") -> Any:
+def _over(config: Any, changes: dict[str, Any], where: str = "") -> Any:
     """Return a configuration with keys replaced; ConfigError if a key is unknown, or a value has
     the wrong type.
     """
-    known_keys(given, [item.name for item in fields(config)], where)
+    known_keys(changes, [item.name for item in fields(config)], where)
     kinds = get_type_hints(type(config))
     return replace(
         config,
-        **{key: converted(value, kinds[key], dotted(where, key)) for key, value in given.items()},
+        **{key: converted(value, kinds[key], dotted(where, key)) for key, value in changes.items()},
     )

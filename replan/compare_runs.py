@@ -215,22 +215,25 @@ def compare_runs(
         LogError: The tables of a run are damaged.
     """
     pair = (planners[0], planners[-1]) if planners else None
-    one, two = side_of(baseline), side_of(candidate)
-    own = (load_metric(spec) for spec in dict.fromkeys((*one.metrics, *two.metrics)))
-    known = {**METRICS, **{metric.name: metric for metric in own}}
-    common = set(_driven_planners(one)) & set(_driven_planners(two))
+    before, after = side_of(baseline), side_of(candidate)
+    own = (load_metric(spec) for spec in dict.fromkeys((*before.metrics, *after.metrics)))
+    metrics = {**METRICS, **{metric.name: metric for metric in own}}
+    common = set(_driven_planners(before)) & set(_driven_planners(after))
     if pair is not None:  # under one name that both sides share
-        if one.label == two.label:
-            one, two = (
-                replace(one, label=f"{one.label}: {pair[0]}"),
-                replace(two, label=f"{two.label}: {pair[1]}"),
+        if before.label == after.label:
+            before, after = (
+                replace(before, label=f"{before.label}: {pair[0]}"),
+                replace(after, label=f"{after.label}: {pair[1]}"),
             )
         name = pair[0] if pair[0] == pair[1] else " -> ".join(pair)
-        one, two = _select_planner(one, pair[0], name), _select_planner(two, pair[1], name)
+        before, after = (
+            _select_planner(before, pair[0], name),
+            _select_planner(after, pair[1], name),
+        )
         common = {pair[0]} & {pair[1]}
     # Without settings of planners of only one side
     settings = tuple(f"planner.{planner}." for planner in common)
-    one, two = (
+    before, after = (
         replace(
             side,
             facts={
@@ -239,13 +242,13 @@ def compare_runs(
                 if not key.startswith("planner.") or key.startswith(settings)
             },
         )
-        for side in (one, two)
+        for side in (before, after)
     )
-    rules = (*load_rules(gates, metrics=known), *more)
+    rules = (*load_rules(gates, metrics=metrics), *more)
     comparison = compare(
-        one, two, load_gates(gates, metrics=known), {rule.metric for rule in rules} - {""}
+        before, after, load_gates(gates, metrics=metrics), {rule.metric for rule in rules} - {""}
     )
-    comparison = judge_rules(rules, comparison, one.labels | two.labels)
+    comparison = judge_rules(rules, comparison, before.labels | after.labels)
     if not (isinstance(baseline, Results) and isinstance(candidate, Results) and partings):
         return comparison
     return _with_first_differences(comparison, (baseline, candidate), pair, partings)
@@ -263,15 +266,15 @@ def _select_planner(side: Side, planner: str, name: str) -> Side:
     if planner not in _driven_planners(side):
         raise unknown_name("planner (in the run)", planner, _driven_planners(side))
     table = side.table
-    mine = table[table["planner"] == planner].assign(planner=name)
-    mine = mine if name == planner else mine.assign(oracle=False)
+    rows = table[table["planner"] == planner].assign(planner=name)
+    rows = rows if name == planner else rows.assign(oracle=False)
     references = table[table["mode"] == REFERENCE]
     crashed = tuple((log, name, mode) for log, driven, mode in side.crashed if driven == planner)
-    return replace(side, table=pd.concat([mine, references], ignore_index=True), crashed=crashed)
+    return replace(side, table=pd.concat([rows, references], ignore_index=True), crashed=crashed)
 
 
 def _with_first_differences(
-    comparison: Comparison, both: tuple[Results, Results], pair: tuple[str, str] | None, most: int
+    comparison: Comparison, runs: tuple[Results, Results], pair: tuple[str, str] | None, limit: int
 ) -> Comparison:
     """Add first differences to the comparison: of drives with flips first, then of the worst
     regressions.
@@ -283,31 +286,31 @@ def _with_first_differences(
         names = pair or (planner, planner)
         files = [
             results.drive(log, name, mode).trace_file
-            for results, name in zip(both, names, strict=True)
+            for results, name in zip(runs, names, strict=True)
         ]
         if all(file.is_file() for file in files) and files[0].read_bytes() == files[1].read_bytes():
             continue
         looked += 1
-        if looked > most:
+        if looked > limit:
             continue
         try:
-            one, two = (read_trace(file)[0] for file in files)
+            first, second = (read_trace(file)[0] for file in files)
         except LogError as error:
             rows.append((log, planner, mode, nan, UNKNOWN, f"a trace cannot be read: {error}"))
             continue
-        found, parted = (
-            first_difference(one, two),
-            planners_part(one, two) if names[0] != names[1] else None,
+        difference, parted = (
+            first_difference(first, second),
+            planners_part(first, second) if names[0] != names[1] else None,
         )
-        if found is not None:  # for two planners, at the time at which their drives differ
-            at, what = (
-                (parted.t, f"{parted.what}; first difference: {found.what}")
+        if difference is not None:  # for two planners, at the time at which their drives differ
+            time, description = (
+                (parted.t, f"{parted.what}; first difference: {difference.what}")
                 if parted
-                else (found.t, found.what)
+                else (difference.t, difference.what)
             )
-            rows.append((log, planner, mode, at, found.stage, what))
+            rows.append((log, planner, mode, time, difference.stage, description))
     table = pd.DataFrame(rows, columns=list(PARTING_COLUMNS)).astype({"t_s": float})
-    return replace(comparison, partings=table, not_looked_at=max(looked - most, 0))
+    return replace(comparison, partings=table, not_looked_at=max(looked - limit, 0))
 
 
 def view_command(run: Run, log: str, planner: str, mode: str) -> str:

@@ -232,8 +232,8 @@ def load_run(path: Path | None, changes: Mapping[str, Any] | None = None) -> Run
         gates, logs = stated.gates, stated.selection.logs
         table["gates"] = gates if gates in PACKAGED else str(path.parent / gates)
         if logs:
-            found = {_log_beside(log, path.parent): digest for log, digest in logs.items()}
-            table["selection"] = table["selection"] | {"logs": found}
+            selected = {_log_beside(log, path.parent): digest for log, digest in logs.items()}
+            table["selection"] = table["selection"] | {"logs": selected}
     return strict(RunConfig, merged(table, changes or {}))
 
 
@@ -243,8 +243,8 @@ def _log_beside(log: str, folder: Path) -> str:
     """
     if url_of(log) or log.startswith(IN_MEMORY):
         return log
-    path, here = Path(os.path.normpath(Path(os.path.realpath(folder), log))), Path.cwd()
-    return str(path.relative_to(here) if path.is_relative_to(here) else path)
+    path, directory = Path(os.path.normpath(Path(os.path.realpath(folder), log))), Path.cwd()
+    return str(path.relative_to(directory) if path.is_relative_to(directory) else path)
 
 
 def dump_run(run: RunConfig) -> str:

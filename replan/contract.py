@@ -136,65 +136,68 @@ class _Findings:
     """The first breach of each rule."""
 
     def __init__(self, rules: Mapping[str, str]) -> None:
-        self._rules, self.found = rules, dict[str, str]()
+        self._rules, self.breaches = rules, dict[str, str]()
 
-    def add(self, rule: str, where: str, what: str) -> None:
-        self.found.setdefault(rule, f"{where}: {what}; {self._rules[rule]}")
+    def add(self, rule: str, where: str, breach: str) -> None:
+        self.breaches.setdefault(rule, f"{where}: {breach}; {self._rules[rule]}")
 
     def report(self, subject: str) -> None:
         """Raise the ContractError, with the rules in the order of their table, if any is broken."""
-        if self.found:
+        if self.breaches:
             raise ContractError(
-                subject, {rule: self.found[rule] for rule in self._rules if rule in self.found}
+                subject,
+                {rule: self.breaches[rule] for rule in self._rules if rule in self.breaches},
             )
 
 
 def _call(
-    found: _Findings, rule: str, where: str, function: Callable[..., T], *arguments: Any
+    findings: _Findings, rule: str, where: str, function: Callable[..., T], *arguments: Any
 ) -> T | None:
     """Call a function of the user's; None if it raises, which breaks the rule."""
     try:
         return function(*arguments)
     except (Exception, SystemExit) as error:
-        found.add(rule, where, f"it raised {raised(error, of=function)}")
+        findings.add(rule, where, f"it raised {raised(error, of=function)}")
         return None
 
 
-def _difference(one: object, two: object) -> str:
+def _difference(first: object, second: object) -> str:
     """Return the first place where two things differ ("agents.x"), or "": equal to the bit."""
-    for a, b in zip_longest(_leaves(one), _leaves(two)):
+    for a, b in zip_longest(_leaves(first), _leaves(second)):
         if a != b:
             return (a or b or ("",))[0] or "itself"
     return ""
 
 
-def _leaves(thing: object, at: str = "") -> Iterator[tuple[str, object]]:
+def _leaves(thing: object, path: str = "") -> Iterator[tuple[str, object]]:
     """Yield all numbers, texts and arrays within a thing, with their places."""
     if isinstance(thing, np.ndarray) and thing.dtype != object:
-        yield at, (thing.shape, thing.dtype.str, thing.tobytes())
+        yield path, (thing.shape, thing.dtype.str, thing.tobytes())
     elif is_dataclass(thing) and not isinstance(thing, type):
         for field in fields(thing):
-            yield from _leaves(getattr(thing, field.name, None), f"{at}.{field.name}".lstrip("."))
+            yield from _leaves(getattr(thing, field.name, None), f"{path}.{field.name}".lstrip("."))
     elif isinstance(thing, Mapping):
         for key, value in thing.items():
-            yield from _leaves(value, f"{at}[{key!r}]")
+            yield from _leaves(value, f"{path}[{key!r}]")
     elif isinstance(thing, Sequence) and not isinstance(thing, str | bytes):
-        yield at, len(thing)
+        yield path, len(thing)
         for k, value in enumerate(thing):
-            yield from _leaves(value, f"{at}[{k}]")
+            yield from _leaves(value, f"{path}[{k}]")
     elif isinstance(thing, float | np.floating):
-        yield at, float(thing).hex()
+        yield path, float(thing).hex()
     else:
         yield (
-            at,
+            path,
             thing
             if isinstance(thing, str | bytes | int | Enum | None)
             else type(thing).__qualname__,
         )
 
 
-def _scenarios(given: Iterable[Scenario] | None) -> list[Scenario]:
-    return [catalogue_scenario(name) for name in SCENARIOS] if given is None else list(given)
+def _scenarios(scenarios: Iterable[Scenario] | None) -> list[Scenario]:
+    return (
+        [catalogue_scenario(name) for name in SCENARIOS] if scenarios is None else list(scenarios)
+    )
 
 
 # planners -----------------------------------------------------------------------------------------
@@ -219,17 +222,17 @@ def check_planner(planner: Factory | str, *, scenarios: Iterable[Scenario] | Non
         PlannerError: The planner cannot be loaded.
     """
     factory = planner_part(planner).factory if isinstance(planner, str) else planner
-    found = _Findings(PLANNER_RULES)
+    findings = _Findings(PLANNER_RULES)
     prepare = of_class(factory, "prepare")
     if prepare is not None:
         prepare()
     for scenario in _scenarios(scenarios):
-        _check_frames(factory, scenario, found)
+        _check_frames(factory, scenario, findings)
         # With these no drive goes on
-        if not {"build", "answer", "time", "reason"} & found.found.keys():
-            _check_closed_loop(factory, scenario, found)
-            _check_batch(factory, scenario, found)
-    found.report(f"planner {_name_of(planner)}")
+        if not {"build", "answer", "time", "reason"} & findings.breaches.keys():
+            _check_closed_loop(factory, scenario, findings)
+            _check_batch(factory, scenario, findings)
+    findings.report(f"planner {_name_of(planner)}")
 
 
 def _name_of(extension: object) -> str:
@@ -273,43 +276,43 @@ def until(tracks: Tracks, t: float) -> Tracks:
     return tracks.taken(keep)
 
 
-def _check_frames(factory: Factory, scenario: Scenario, found: _Findings) -> None:
+def _check_frames(factory: Factory, scenario: Scenario, findings: _Findings) -> None:
     """Check the rules about single frames; the frames of one planner follow each other."""
 
-    def build(known: Scenario) -> Planner:
-        return built(factory, context_of(known))
+    def build(seen_scenario: Scenario) -> Planner:
+        return built(factory, context_of(seen_scenario))
 
-    one, two = (_call(found, "build", scenario.name, build, scenario) for _ in range(2))
-    if one is None or two is None:
+    first, second = (_call(findings, "build", scenario.name, build, scenario) for _ in range(2))
+    if first is None or second is None:
         return
     for t in frame_times_of(scenario):
         where = f"{scenario.name}, {t:.2f} s"
         frame, again = frame_of(scenario, t), frame_of(scenario, t)
-        plan = _call(found, "answer", where, one.plan, frame)
-        check_plan(plan, frame, where, found)
+        plan = _call(findings, "answer", where, first.plan, frame)
+        check_plan(plan, frame, where, findings)
         changed = _difference(frame, again)
         if changed:
-            found.add("frame", where, f"it changed frame.{changed}")
-        other = _call(found, "answer", where, two.plan, again)
+            findings.add("frame", where, f"it changed frame.{changed}")
+        other = _call(findings, "answer", where, second.plan, again)
         if changed or not isinstance(plan, Plan) or not isinstance(other, Plan):
             return
         differs = _plans_differ(plan, other)
         if differs:
-            found.add(
+            findings.add(
                 "deterministic", where, f"two planners with the same frames differ: {differs}"
             )
-        if "deterministic" not in found.found:
-            new = _call(found, "memory", where, _plan_anew, build, scenario, t)
+        if "deterministic" not in findings.breaches:
+            new = _call(findings, "memory", where, _plan_anew, build, scenario, t)
             differs = _plans_differ(plan, new, ROUNDING) if new else ""
             if differs:
-                found.add(
+                findings.add(
                     "memory",
                     where,
                     f"a planner that saw earlier frames and a new one differ: {differs}",
                 )
-            changes = _call(found, "future", where, future_changes, build, scenario, t)
+            changes = _call(findings, "future", where, future_changes, build, scenario, t)
             if changes:
-                found.add(
+                findings.add(
                     "future", where, f"samples of agents after the frame change the plan: {changes}"
                 )
 
@@ -324,60 +327,63 @@ def future_changes(build: Build, scenario: Scenario, t: float) -> str:
     return _plans_differ(_plan_anew(build, scenario, t), _plan_anew(build, without, t))
 
 
-def _plans_differ(one: Plan, two: Plan, tolerance: float = 0.0) -> str:
+def _plans_differ(first: Plan, second: Plan, tolerance: float = 0.0) -> str:
     """Return how two plans differ by more than the tolerance, or ""."""
-    if one.status is not two.status:
-        return f"the plans are '{one.status.value}' and '{two.status.value}'"
-    a, b = one.trajectory, two.trajectory
+    if first.status is not second.status:
+        return f"the plans are '{first.status.value}' and '{second.status.value}'"
+    a, b = first.trajectory, second.trajectory
     if len(a) != len(b):
         return f"the plans have {len(a)} and {len(b)} states"
     worst = {
         name: float(np.max(np.abs(getattr(a, name) - getattr(b, name))))
         for name in TRAJECTORY_COLUMNS
     }
-    name = next((name for name, most in worst.items() if most > tolerance), "")
+    name = next((name for name, largest in worst.items() if largest > tolerance), "")
     return f"{name} by up to {worst[name]:.3g}" if name else ""
 
 
-def check_plan(plan: object, frame: Frame, where: str, found: _Findings) -> None:
+def check_plan(plan: object, frame: Frame, where: str, findings: _Findings) -> None:
     """Check what holds for every plan.
 
     A trajectory is finite and its times increase (`Trajectory`).
     """
     if not isinstance(plan, Plan):
-        found.add("answer", where, f"it returned {type(plan).__name__}")
+        findings.add("answer", where, f"it returned {type(plan).__name__}")
         return
-    way = plan.trajectory
-    if abs(float(way.t[0]) - frame.t) > 1e-6:
-        found.add("time", where, f"the trajectory begins at {way.t[0]:.2f} s")
+    trajectory = plan.trajectory
+    if abs(float(trajectory.t[0]) - frame.t) > 1e-6:
+        findings.add("time", where, f"the trajectory begins at {trajectory.t[0]:.2f} s")
         return
     if plan.status.is_fallback and not plan.reason:
-        found.add("reason", where, f"the status is '{plan.status.value}', without a reason")
+        findings.add("reason", where, f"the status is '{plan.status.value}', without a reason")
     begins, on = frame.ego, "the ego"
     if plan.start is PlanStart.PREVIOUS_PLAN:
         if frame.previous is None:
-            found.add("start", where, "it starts on a previous plan, and there is none")
+            findings.add("start", where, "it starts on a previous plan, and there is none")
             return
         begins, on = frame.previous.trajectory.at(frame.t), "the previous plan"
-    away, faster = hypot(way.x[0] - begins.x, way.y[0] - begins.y), float(way.v[0]) - begins.v
+    away, faster = (
+        hypot(trajectory.x[0] - begins.x, trajectory.y[0] - begins.y),
+        float(trajectory.v[0]) - begins.v,
+    )
     # As `replan.replay.loop.plan_check` (1)
-    stopped = way.v[0] == 0.0 and -SWING_MPS <= begins.v < 0.0
+    stopped = trajectory.v[0] == 0.0 and -SWING_MPS <= begins.v < 0.0
     if away > START_M or (abs(faster) > START_MPS and not stopped):
-        found.add("start", where, f"it starts {away:.2f} m and {faster:+.2f} m/s off {on}")
+        findings.add("start", where, f"it starts {away:.2f} m and {faster:+.2f} m/s off {on}")
         return
-    if way.t[-1] < frame.t + PLAN_HORIZON_S - 1e-6:
-        found.add("horizon", where, f"the plan ends after {way.t[-1] - frame.t:.2f} s")
+    if trajectory.t[-1] < frame.t + PLAN_HORIZON_S - 1e-6:
+        findings.add("horizon", where, f"the plan ends after {trajectory.t[-1] - frame.t:.2f} s")
     driven = checked(plan, frame)
     if driven.status is not plan.status:
         rule = "columns" if driven.status is PlanStatus.CORRECTED else "drivable"
-        found.add(rule, where, driven.reason)
+        findings.add(rule, where, driven.reason)
 
 
 class _WatchedPlanner:
     """A planner whose plans are checked as it makes them."""
 
-    def __init__(self, planner: Planner, name: str, found: _Findings) -> None:
-        self._planner, self._name, self._found = planner, name, found
+    def __init__(self, planner: Planner, name: str, findings: _Findings) -> None:
+        self._planner, self._name, self._found = planner, name, findings
 
     def plan(self, frame: Frame) -> Plan:
         plan = self._planner.plan(frame)
@@ -385,23 +391,23 @@ class _WatchedPlanner:
         return plan
 
 
-def _check_closed_loop(factory: Factory, scenario: Scenario, found: _Findings) -> None:
+def _check_closed_loop(factory: Factory, scenario: Scenario, findings: _Findings) -> None:
     class Seat(Planning):
         """Calls the planner that is checked."""
 
         def __init__(self, *arguments: Any, **keywords: Any) -> None:
             super().__init__(*arguments, **keywords)
-            self._planner = _WatchedPlanner(built(factory, self.context), scenario.name, found)
+            self._planner = _WatchedPlanner(built(factory, self.context), scenario.name, findings)
 
-    before = dict(found.found)
+    before = dict(findings.breaches)
     trace = run_closed_loop(
         scenario, "constant_speed", config=_CONFIG, until_s=CLOSED_S, seat=Seat
     ).trace
-    if trace.end is EndReason.PLANNER_FAILURE and found.found == before:
-        found.add("answer", f"{scenario.name}, closed loop", trace.detail)
+    if trace.end is EndReason.PLANNER_FAILURE and findings.breaches == before:
+        findings.add("answer", f"{scenario.name}, closed loop", trace.detail)
 
 
-def _check_batch(factory: Factory, scenario: Scenario, found: _Findings) -> None:
+def _check_batch(factory: Factory, scenario: Scenario, findings: _Findings) -> None:
     """Check that `plan_batch`, if there is one, plans each of two frames."""
     together = of_class(factory, "plan_batch")
     if together is None:
@@ -412,16 +418,16 @@ def _check_batch(factory: Factory, scenario: Scenario, found: _Findings) -> None
         frames = [frame_in_map(frame, context.origin) for frame in frames]
         context = context_in_map(context)
     where = f"{scenario.name}, plan_batch of {len(frames)} frames"
-    plans = _call(found, "batch", where, together, frames, [factory(context) for _ in frames])
+    plans = _call(findings, "batch", where, together, frames, [factory(context) for _ in frames])
     if plans is None:
         return
     if not isinstance(plans, list) or len(plans) != len(frames):
-        found.add(
+        findings.add(
             "batch", where, f"it returned {type(plans).__name__}, not a list of {len(frames)} plans"
         )
         return
     for plan, frame in zip(plans, frames, strict=True):
-        check_plan(plan, frame, f"{where}, {frame.t:.2f} s", found)
+        check_plan(plan, frame, f"{where}, {frame.t:.2f} s", findings)
 
 
 # metrics ------------------------------------------------------------------------------------------
@@ -494,7 +500,7 @@ def check_metric_on(metric: Metric, drives: Sequence[MetricDrive]) -> None:
     Raises:
         ContractError: A rule is broken.
     """
-    found = _Findings(METRIC_RULES)
+    findings = _Findings(METRIC_RULES)
     judged = [(trace, scenario) for trace, scenario in drives if trace.mode in metric.modes]
     results, failed = list[object](), dict[Mode, dict[str, str]]()
     for trace, scenario in judged:
@@ -508,68 +514,70 @@ def check_metric_on(metric: Metric, drives: Sequence[MetricDrive]) -> None:
             )
             measured = None
         else:
-            _check_measured(metric, measured, trace, where, found)
+            _check_measured(metric, measured, trace, where, findings)
         if before != [*_leaves((trace, scenario))]:
-            found.add("inputs", where, "it changed the trace or the scenario")
+            findings.add("inputs", where, "it changed the trace or the scenario")
         results.append(measured)
     for mode, places in failed.items():
         never = len(failed) < len(metric.modes) and len(places) == sum(
             trace.mode is mode for trace, _ in judged
         )
-        found.add("modes" if never else "answer", *next(iter(places.items())))
-    if not {"answer", "modes", "inputs"} & found.found.keys():
+        findings.add("modes" if never else "answer", *next(iter(places.items())))
+    if not {"answer", "modes", "inputs"} & findings.breaches.keys():
         for (trace, scenario), first in zip(reversed(judged), reversed(results), strict=True):
             where = f"{scenario.name}, {trace.mode.value} loop"
-            again = _call(found, "pure", where, metric.measure, replace(trace), replace(scenario))
+            again = _call(
+                findings, "pure", where, metric.measure, replace(trace), replace(scenario)
+            )
             differs = _difference(first, again)
             if differs:
-                found.add("pure", where, f"measured twice, it differs in {differs}")
-    found.report(f"metric {metric.name}")
+                findings.add("pure", where, f"measured twice, it differs in {differs}")
+    findings.report(f"metric {metric.name}")
 
 
 def _check_measured(
-    metric: Metric, measured: object, trace: Trace, where: str, found: _Findings
+    metric: Metric, measured: object, trace: Trace, where: str, findings: _Findings
 ) -> None:
     parts: Mapping[Any, object] = measured if isinstance(measured, Mapping) else {"": measured}
     strange = set(parts) - set(metric.parts) if metric.parts != ("*",) else set()
     if isinstance(measured, Mapping) and strange:
-        found.add("parts", where, f"it returned the part {min(map(repr, strange))}")
+        findings.add("parts", where, f"it returned the part {min(map(repr, strange))}")
     if isinstance(measured, Series) and metric.parts:
-        found.add("parts", where, "it returned one series")
-    for part, one in parts.items():
-        place = f"{where}, part {part}" if part else where
-        if isinstance(one, Series):
-            _check_series(metric, one, trace, place, found)
-        elif not isinstance(one, Unavailable):
-            found.add("answer", place, f"it returned {type(one).__name__}")
-        elif not isinstance(one.reason, str) or not one.reason.strip():
-            found.add("reason", place, "it is unavailable without a reason")
+        findings.add("parts", where, "it returned one series")
+    for part, answer in parts.items():
+        which = f"{where}, part {part}" if part else where
+        if isinstance(answer, Series):
+            _check_series(metric, answer, trace, which, findings)
+        elif not isinstance(answer, Unavailable):
+            findings.add("answer", which, f"it returned {type(answer).__name__}")
+        elif not isinstance(answer.reason, str) or not answer.reason.strip():
+            findings.add("reason", which, "it is unavailable without a reason")
         elif not metric.needs:
-            found.add("needs", place, f"it is unavailable: {one.reason}")
+            findings.add("needs", which, f"it is unavailable: {answer.reason}")
 
 
 def _check_series(
-    metric: Metric, series: Series, trace: Trace, where: str, found: _Findings
+    metric: Metric, series: Series, trace: Trace, where: str, findings: _Findings
 ) -> None:
     first, last = float(trace.ego.t[0]), float(trace.ego.t[-1])
     if series.t[0] < first - 1e-6 or series.t[-1] > last + 1e-6 or (np.diff(series.t) <= 0.0).any():
-        found.add(
+        findings.add(
             "times",
             where,
             f"its times are {series.t[0]:.2f} to {series.t[-1]:.2f} s, the drive's {last:.2f} s",
         )
     if not series.known.any():
         if not series.missing.strip():
-            found.add("reason", where, "no step has a value, and `missing` is empty")
+            findings.add("reason", where, "no step has a value, and `missing` is empty")
         elif not metric.needs and any(reduction.empty is None for reduction in metric.reductions):
-            found.add("needs", where, f"it is unavailable: {series.missing}")
+            findings.add("needs", where, f"it is unavailable: {series.missing}")
         return
     for reduction in metric.reductions:
-        reduced = _call(found, "answer", f"{where}, {reduction.name}", reduction.reduce, series)
+        reduced = _call(findings, "answer", f"{where}, {reduction.name}", reduction.reduce, series)
         if reduced is not None:
             value, step = reduced
             if not isfinite(value) or not -1 <= step < len(series.t):
-                found.add("finite", where, f"{reduction.name} is {value} at step {step}")
+                findings.add("finite", where, f"{reduction.name} is {value} at step {step}")
 
 
 # readers ------------------------------------------------------------------------------------------
@@ -596,54 +604,60 @@ def check_reader(
         LogError: There is no such log.
     """
     reader = READER.find(reader) if isinstance(reader, str) else reader
-    path, settings, found = local_path(path), settings or LogSettings(), _Findings(READER_RULES)
+    path, settings, findings = local_path(path), settings or LogSettings(), _Findings(READER_RULES)
     beside = _entries(path)
-    claimed = _call(found, "claims", path.name, reader.claims, path)
+    claimed = _call(findings, "claims", path.name, reader.claims, path)
     if claimed is False and not reader.claims_with(path, settings):
-        found.add("claims", path.name, "it does not claim the log")
-    files = _call(found, "files", path.name, reader.files, path) or ()
+        findings.add("claims", path.name, "it does not claim the log")
+    files = _call(findings, "files", path.name, reader.files, path) or ()
     if not files or not all(file.is_file() for file in files) or reader.files(path) != files:
-        found.add(
+        findings.add(
             "files",
             path.name,
             f"its {len(files)} files do not all exist, or differ when asked again",
         )
         files = ()
-    _call(found, "contents", path.name, reader.contents, path)
-    _check_read(reader, path, settings, found)
+    _call(findings, "contents", path.name, reader.contents, path)
+    _check_read(reader, path, settings, findings)
     with TemporaryDirectory() as folder:
-        _check_foreign(reader, Path(folder), found)
+        _check_foreign(reader, Path(folder), findings)
     for file in files[:: max(1, len(files) // MOST_DAMAGED)]:
         for share in (0.0, 0.5):
             with TemporaryDirectory() as folder:
                 _check_damaged(
-                    reader, _damaged(path, files, file, share, Path(folder)), share, settings, found
+                    reader,
+                    _damaged(path, files, file, share, Path(folder)),
+                    share,
+                    settings,
+                    findings,
                 )
     changed = sorted({name for name, _ in beside ^ _entries(path)})
     if changed:
-        found.add("beside", path.name, f"it wrote {changed[0]}")
-    found.report(f"reader {reader.name}")
+        findings.add("beside", path.name, f"it wrote {changed[0]}")
+    findings.report(f"reader {reader.name}")
 
 
-def _check_read(reader: Reader, path: Path, settings: LogSettings, found: _Findings) -> None:
+def _check_read(reader: Reader, path: Path, settings: LogSettings, findings: _Findings) -> None:
     with np.errstate(all="ignore"):  # as `read_log`
-        one = _call(found, "read", path.name, reader.read, path, settings)
-        if one is None or not isinstance(one, Scenario):
-            found.add("read", path.name, f"it returned {type(one).__name__}")
+        scenario = _call(findings, "read", path.name, reader.read, path, settings)
+        if scenario is None or not isinstance(scenario, Scenario):
+            findings.add("read", path.name, f"it returned {type(scenario).__name__}")
             return
-        differs = _difference(one, _call(found, "same", path.name, reader.read, path, settings))
+        differs = _difference(
+            scenario, _call(findings, "same", path.name, reader.read, path, settings)
+        )
     if differs:
-        found.add("same", path.name, f"read twice, it differs in {differs}")
-    _call(found, "admitted", path.name, lambda: read_log(path, settings, reader))
+        findings.add("same", path.name, f"read twice, it differs in {differs}")
+    _call(findings, "admitted", path.name, lambda: read_log(path, settings, reader))
 
 
-def _check_foreign(reader: Reader, folder: Path, found: _Findings) -> None:
+def _check_foreign(reader: Reader, folder: Path, findings: _Findings) -> None:
     """Check that it claims no path of another kind."""
     (folder / "notes.of-no-format").write_bytes(b"no log\n")
     (folder / "empty").mkdir()
     for name in ("notes.of-no-format", "empty", "missing.of-no-format"):
-        if _call(found, "claims", name, reader.claims, folder / name):
-            found.add("claims", name, "it claims a path that is no log of its format")
+        if _call(findings, "claims", name, reader.claims, folder / name):
+            findings.add("claims", name, "it claims a path that is no log of its format")
 
 
 def _damaged(path: Path, files: Sequence[Path], file: Path, share: float, folder: Path) -> Path:
@@ -651,40 +665,40 @@ def _damaged(path: Path, files: Sequence[Path], file: Path, share: float, folder
 
     Return the copy.
     """
-    root = Path(commonpath([path.parent, *(each.parent for each in files)]))
-    for each in files:
-        copy = folder / each.relative_to(root)
+    root = Path(commonpath([path.parent, *(log_file.parent for log_file in files)]))
+    for log_file in files:
+        copy = folder / log_file.relative_to(root)
         copy.parent.mkdir(parents=True, exist_ok=True)
-        content = each.read_bytes()
-        copy.write_bytes(content[: int(share * len(content))] if each == file else content)
+        content = log_file.read_bytes()
+        copy.write_bytes(content[: int(share * len(content))] if log_file == file else content)
     return folder / path.relative_to(root)
 
 
 def _check_damaged(
-    reader: Reader, path: Path, share: float, settings: LogSettings, found: _Findings
+    reader: Reader, path: Path, share: float, settings: LogSettings, findings: _Findings
 ) -> None:
     """Check what is raised for a damaged copy of the log, and that nothing is written beside it."""
     where, before = f"{path.name} with {share:.0%} of a file", _entries(path)
-    _call(found, "claims", where, reader.claims, path)
-    _call(found, "contents", where, reader.contents, path)
+    _call(findings, "claims", where, reader.claims, path)
+    _call(findings, "contents", where, reader.contents, path)
     try:
         with np.errstate(all="ignore"):
             reader.read(path, settings)
     except (LogError, ConfigError):
         pass
     except (Exception, SystemExit) as error:
-        found.add("damaged", where, f"it raised {raised(error, of=reader.read)}")
+        findings.add("damaged", where, f"it raised {raised(error, of=reader.read)}")
     else:
         if share == 0.0 and path.is_file():
-            found.add("damaged", where, "it read a drive from an empty file")
+            findings.add("damaged", where, "it read a drive from an empty file")
     if before != _entries(path):
-        found.add("beside", where, "it wrote a file")
+        findings.add("beside", where, "it wrote a file")
 
 
 def _entries(path: Path) -> set[tuple[str, int]]:
     within = path.rglob("*") if path.is_dir() else ()
     return {
-        (str(each), each.stat().st_size)
-        for each in (*path.parent.iterdir(), *within)
-        if each.is_file()
+        (str(entry), entry.stat().st_size)
+        for entry in (*path.parent.iterdir(), *within)
+        if entry.is_file()
     }

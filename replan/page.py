@@ -57,8 +57,8 @@ def markdown() -> str:
         for name in names.split():
             thing, arguments = getattr(replan, name), list[str]()
             if inspect.isfunction(thing):
-                for argument, one in inspect.signature(thing).parameters.items():
-                    if one.kind is one.KEYWORD_ONLY and "*" not in arguments:
+                for argument, parameter in inspect.signature(thing).parameters.items():
+                    if parameter.kind is parameter.KEYWORD_ONLY and "*" not in arguments:
                         arguments.append("*")
                     arguments.append(argument)
             called = f"({', '.join(arguments)})" if inspect.isfunction(thing) else ""

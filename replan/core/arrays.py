@@ -33,15 +33,13 @@ class Columns:
 
     def taken(self, rows: Any) -> Self:
         """Return the rows that an array of indices, or of booleans for arrays only, selects."""
-        held: dict[str, Any] = {each.name: getattr(self, each.name) for each in fields(self)}  # type: ignore[arg-type]
-        columns = {
-            name: column[rows] for name, column in held.items() if isinstance(column, np.ndarray)
-        }
-        lists = {
-            name: [column[i] for i in rows]
-            for name, column in held.items()
-            if isinstance(column, list)
-        }
+        columns, lists = {}, {}
+        for field in fields(self):  # type: ignore[arg-type]
+            column = getattr(self, field.name)
+            if isinstance(column, np.ndarray):
+                columns[field.name] = column[rows]
+            elif isinstance(column, list):
+                lists[field.name] = [column[i] for i in rows]
         return replace(self, **columns, **lists)  # type: ignore[type-var]
 
 

@@ -55,13 +55,13 @@ def reading(path: Path) -> Iterator[None]:
             )
         raise error from None
     except _WRONG as error:
-        what = (
+        problem = (
             str(error)
             if isinstance(error, OSError | pa.ArrowException)
             else f"{type(error).__name__}: {error}"
         )
-        what = f"cannot be read: {' '.join(what.split())[:200]}"
-        raise LogError(what, topic=path.name, remedy=COPY_AGAIN) from None
+        problem = f"cannot be read: {' '.join(problem.split())[:200]}"
+        raise LogError(problem, topic=path.name, remedy=COPY_AGAIN) from None
 
 
 def ipc_table(path: Path, columns: Sequence[str] = ()) -> Any:
@@ -92,11 +92,11 @@ def parquet_table(path: Path, columns: Sequence[str]) -> Any:
         return _checked_table(table)
 
 
-def _demand(path: Path, columns: Sequence[str], there: Sequence[str]) -> None:
-    lacking = [name for name in columns if name not in there]
+def _demand(path: Path, columns: Sequence[str], present: Sequence[str]) -> None:
+    lacking = [name for name in columns if name not in present]
     if lacking:
         raise LogError(
-            f"column {lacking[0]} is missing; there are {', '.join(there[:12]) or 'none'}",
+            f"column {lacking[0]} is missing; there are {', '.join(present[:12]) or 'none'}",
             topic=path.name,
         )
 
@@ -111,8 +111,8 @@ def _checked_table(table: Any) -> Any:
 def metadata_of(table: Any) -> dict[Any, Any]:
     """Return the metadata of a 123D file; {} if it has none."""
     packed = (table.schema.metadata or {}).get(METADATA)
-    found = msgspec.msgpack.decode(packed) if packed is not None else {}
-    return found if isinstance(found, dict) else {}
+    metadata = msgspec.msgpack.decode(packed) if packed is not None else {}
+    return metadata if isinstance(metadata, dict) else {}
 
 
 def array_of(value: Any) -> FloatArray:
@@ -159,13 +159,13 @@ def vectors(column: Any, size: int) -> FloatArray:
     array = _one(column)
     if not pa.types.is_fixed_size_list(array.type) or array.type.list_size != size:
         raise ValueError(f"lists of {size} numbers were expected, found {array.type}")
-    out = np.full((len(array), size), np.nan)
-    there = ~np.asarray(array.is_null())
-    out[there] = np.asarray(
+    values = np.full((len(array), size), np.nan)
+    present = ~np.asarray(array.is_null())
+    values[present] = np.asarray(
         array.flatten().cast(pa.float64()).to_numpy(zero_copy_only=False)
     ).reshape(-1, size)
-    out[~(np.abs(out) <= LARGEST)] = np.nan
-    return out
+    values[~(np.abs(values) <= LARGEST)] = np.nan
+    return values
 
 
 class Lists:
@@ -205,13 +205,9 @@ class Lists:
 def _one(column: Any) -> Any:
     if not isinstance(column, pa.ChunkedArray):
         return column
-    return (
-        column.chunk(0)
-        if column.num_chunks == 1
-        else pa.concat_arrays(column.chunks)
-        if column.num_chunks
-        else (pa.array([], type=column.type))
-    )
+    if not column.num_chunks:
+        return pa.array([], type=column.type)
+    return column.chunk(0) if column.num_chunks == 1 else pa.concat_arrays(column.chunks)
 
 
 def _codes_and_names(array: Any) -> tuple[IntArray, list[str]]:

@@ -70,22 +70,20 @@ class LogError(ReplanError):
         time_ns: int | None = None,
         remedy: str | None = None,
     ) -> None:
-        self.what, self.file, self.topic, self.time_ns, self.remedy = (
-            what,
-            file,
-            topic,
-            time_ns,
-            remedy,
-        )
+        self.what = what
+        self.file = file
+        self.topic = topic
+        self.time_ns = time_ns
+        self.remedy = remedy
         super().__init__(what)
 
     def __str__(self) -> str:
-        place = [str(self.file)] if self.file is not None else []
+        parts = [str(self.file)] if self.file is not None else []
         if self.topic is not None:
-            place.append(f"topic {self.topic}")
+            parts.append(f"topic {self.topic}")
         if self.time_ns is not None:
-            place.append(f"time {self.time_ns / 1e9:.3f} s")
-        line = ": ".join(filter(None, [", ".join(place), self.what]))
+            parts.append(f"time {self.time_ns / 1e9:.3f} s")
+        line = ": ".join(filter(None, [", ".join(parts), self.what]))
         return bounded(" ".join((f"{line}; {self.remedy}" if self.remedy else line).split()))
 
     def at(self, file: str | Path) -> LogError:
@@ -194,7 +192,7 @@ def of_users(error: BaseException) -> bool:
     """Return whether the traceback of an exception contains code that belongs neither to replan nor
     to a library.
     """
-    return any(_is_users(place.filename) for place in extract_tb(error.__traceback__))
+    return any(_is_users(frame.filename) for frame in extract_tb(error.__traceback__))
 
 
 def _is_users(file: str) -> bool:
@@ -211,16 +209,15 @@ def raised(error: BaseException, *, of: Callable[..., Any] | None = None) -> str
         words = "(its message cannot be read)"
     # Addresses differ from run to run
     words = re.sub(r"\b0x[0-9a-f]{6,}\b", "0x...", words)[:LONGEST_MESSAGE]
-    places = [(place.filename, place.lineno) for place in extract_tb(error.__traceback__)]
-    theirs = [place for place in places if _is_users(place[0])]
-    # Attributes of another callable may raise
-    code = of.__code__ if isinstance(of, FunctionType) else None
-    named: list[tuple[str, int | None]] = []
-    if code is not None:
-        named = [(code.co_filename, code.co_firstlineno)]
+    places = [(frame.filename, frame.lineno) for frame in extract_tb(error.__traceback__)]
+    of_the_user = [place for place in places if _is_users(place[0])]
     if isinstance(error, SyntaxError) and error.filename:
-        named, theirs = [(error.filename, error.lineno)], []
-    file, line = [*places, *named, *theirs][-1] if places or named else ("", 0)
+        places = [(error.filename, error.lineno)]
+    elif of_the_user:
+        places = of_the_user
+    elif isinstance(of, FunctionType):  # attributes of another callable may raise
+        places = [(of.__code__.co_filename, of.__code__.co_firstlineno)]
+    file, line = places[-1] if places else ("", 0)
     return f"{type(error).__name__}: {words}" + (f" ({Path(file).name}:{line})" if file else "")
 
 
@@ -230,8 +227,8 @@ def described(error: BaseException, *, of: Callable[..., Any] | None = None) -> 
     """
     if limit := limit_error(error):
         return str(limit)
-    whose = "raised by code that the run names" if of_users(error) else "a bug in replan"
-    return f"{whose}: {raised(error, of=of)}"
+    origin = "raised by code that the run names" if of_users(error) else "a bug in replan"
+    return f"{origin}: {raised(error, of=of)}"
 
 
 def unknown_name(kind: str, name: str, known: Iterable[str], within: str = "") -> ConfigError:

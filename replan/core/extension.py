@@ -48,9 +48,11 @@ def an_instance(cls: type, called: str) -> Callable[[object], str]:
     """Return a check that a value is an instance of a class; `called` is the name under which users
     import it.
     """
-    return lambda thing: (
-        "" if isinstance(thing, cls) else f"is a {type(thing).__name__}, not a {called}"
-    )
+
+    def fault_of(thing: object) -> str:
+        return "" if isinstance(thing, cls) else f"is a {type(thing).__name__}, not a {called}"
+
+    return fault_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,8 +104,8 @@ class ExtensionKind(Generic[T]):
         try:
             thing = reduce(getattr, name.split("."), loaded)
         except AttributeError:
-            place = f"{self.name} in {loaded.__name__}"
-            return None, f": {unknown_name(place, name, self._offered(loaded))}"
+            scope = f"{self.name} in {loaded.__name__}"
+            return None, f": {unknown_name(scope, name, self._offered(loaded))}"
         wrong = self.wrong(thing)
         return thing, f" {wrong}" if wrong else ""
 
@@ -111,15 +113,15 @@ class ExtensionKind(Generic[T]):
         """Return the extensions in a module: of `__all__`, else its own names, and imports under
         another name.
         """
-        there, public = [], getattr(module, "__all__", None)
+        names, public = [], getattr(module, "__all__", None)
         for key, offered in vars(module).items():
             imported = getattr(offered, "__module__", module.__name__) != module.__name__
             own = not key.startswith("_") and not (
                 imported and getattr(offered, "__name__", "") == key
             )
             if (own if public is None else key in public) and not self.wrong(offered):
-                there.append(key)
-        return there
+                names.append(key)
+        return names
 
     def place(self, spec: str) -> tuple[str, str]:
         """Return module and attribute of an extension that is not built in; ConfigError if `spec`
@@ -141,15 +143,15 @@ class ExtensionKind(Generic[T]):
 
     def entries(self) -> dict[str, EntryPoint]:
         """Return the entry points by name; ConfigError if two extensions have the same name."""
-        found: dict[str, EntryPoint] = {}
+        by_name: dict[str, EntryPoint] = {}
         for entry in _installed_entry_points(self.group, tuple(sys.path)):
-            if entry.name in self.builtin or entry.name in found:
+            if entry.name in self.builtin or entry.name in by_name:
                 raise ConfigError(
                     f"there are two {self.plural} called '{entry.name}'; rename or uninstall "
                     f"{entry.value}"
                 )
-            found[entry.name] = entry
-        return found
+            by_name[entry.name] = entry
+        return by_name
 
     def installed(self) -> dict[str, T]:
         """Return the objects of the entry points, by name; errors as in `find`."""
@@ -165,12 +167,14 @@ class ExtensionKind(Generic[T]):
             return None
         _search_here()
         try:
-            found = find_spec(self.place(spec)[0])
+            spec_of_module = find_spec(self.place(spec)[0])
         except ImportError:
             return None
         return (
-            Path(found.origin)
-            if found is not None and found.origin and Path(found.origin).is_file()
+            Path(spec_of_module.origin)
+            if spec_of_module is not None
+            and spec_of_module.origin
+            and Path(spec_of_module.origin).is_file()
             else None
         )
 
@@ -209,14 +213,14 @@ def _installed_entry_points(group: str, path: tuple[str, ...]) -> tuple[EntryPoi
     """Return the entry points of a group, sorted by name; `path` (`sys.path`) is the key of the
     cache.
     """
-    return tuple(sorted(entry_points(group=group), key=lambda each: (each.name, each.value)))
+    return tuple(sorted(entry_points(group=group), key=lambda entry: (entry.name, entry.value)))
 
 
 def _search_here() -> None:
     """Search the working directory last."""
-    here = str(Path.cwd())
-    if here not in sys.path:
-        sys.path.append(here)
+    directory = str(Path.cwd())
+    if directory not in sys.path:
+        sys.path.append(directory)
 
 
 def _present(module: str) -> str:

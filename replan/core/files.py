@@ -25,8 +25,10 @@ from typing import Any
 
 from replan.core.errors import ConfigError, LogError, OutputError, ReplanError
 
-LARGEST_TOML_BYTES = 1 << 20
+LARGEST_TOML_BYTES = 1_048_576
 """Largest size of a configuration or gates file: the largest files in use have some 10 KiB."""
+LARGEST_XML_BYTES = 1_073_741_824
+"""Largest size of a map."""
 DEEPEST_TOML = 16
 """Deepest nesting of tables and lists: no key that replan reads is deeper than 5."""
 _PART = r"""(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+"""
@@ -79,23 +81,23 @@ def beside(folder: Path, names: Sequence[str]) -> Path | None:
             by case only (its content would silently be left out).
     """
     try:
-        held = {entry.name for entry in folder.iterdir()}
+        entries = {entry.name for entry in folder.iterdir()}
     except OSError as error:
         raise LogError(f"the folder cannot be read: {error.strerror}", file=folder) from None
-    found = [name for name in names if name in held]
-    known = {name.casefold(): name for name in names}
-    for name in sorted(held - set(names)):
-        if name.casefold() in known:
-            meant = known[name.casefold()]
-            what = f"{name} is not read: the file's name is {meant}"
-            raise LogError(what, topic=name, remedy=f"rename it to {meant}")
-    if len(found) > 1:
+    present = [name for name in names if name in entries]
+    by_folded_name = {name.casefold(): name for name in names}
+    for name in sorted(entries - set(names)):
+        if name.casefold() in by_folded_name:
+            meant = by_folded_name[name.casefold()]
+            problem = f"{name} is not read: the file's name is {meant}"
+            raise LogError(problem, topic=name, remedy=f"rename it to {meant}")
+    if len(present) > 1:
         raise LogError(
-            f"{' and '.join(found)} are both there", topic=found[0], remedy="keep one of them"
+            f"{' and '.join(present)} are both there", topic=present[0], remedy="keep one of them"
         )
-    if not found:
+    if not present:
         return None
-    path = folder / found[0]
+    path = folder / present[0]
     if not path.is_file():
         remedy = "put a file there, or remove it if there is none"
         raise LogError(
@@ -148,7 +150,7 @@ def refuse_doctype(target: object, name: str, public: str | None, system: str | 
 
 
 def read_xml(
-    path: Path, what: str = "complete XML", target: Any = None, *, largest: int = 1 << 30
+    path: Path, what: str = "complete XML", target: Any = None, *, largest: int = LARGEST_XML_BYTES
 ) -> Any:
     """Parse an XML file in pieces; return its root element, or what the `target` of the parser
     returns.
@@ -216,13 +218,13 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise ConfigError(f"{path}: has a number of thousands of digits; shorten it") from None
     except RecursionError:
         raise _too_deep(path) from None
-    left: list[tuple[Any, int]] = [(table, 0)]  # without recursion
-    while left:
-        value, depth = left.pop()
+    stack: list[tuple[Any, int]] = [(table, 0)]  # without recursion
+    while stack:
+        value, depth = stack.pop()
         if depth > DEEPEST_TOML:
             raise _too_deep(path)
         inner = value.values() if isinstance(value, dict) else value
-        left += [(each, depth + 1) for each in inner if isinstance(each, dict | list)]
+        stack += [(item, depth + 1) for item in inner if isinstance(item, dict | list)]
     return table
 
 
@@ -242,25 +244,25 @@ class RemoteFile:
 
 def url_of(place: Path | str) -> str:
     """Return the URL of a path or URL; "" if it is a local path."""
-    found = _URL.fullmatch(str(place).replace("\\", "/"))
+    match = _URL.fullmatch(str(place).replace("\\", "/"))
     return (
-        f"{found[1].lower()}://{found[2]}".rstrip("/")
-        if found and found[1].lower() != "file"
+        f"{match[1].lower()}://{match[2]}".rstrip("/")
+        if match and match[1].lower() != "file"
         else ""
     )
 
 
 def local_path(place: Path | str) -> Path:
     """Return the local path of a path or of `file:///...`."""
-    found = _URL.fullmatch(str(place))
-    return Path(f"/{found[2]}") if found and found[1].lower() == "file" else Path(place)
+    match = _URL.fullmatch(str(place))
+    return Path(f"/{match[2]}") if match and match[1].lower() == "file" else Path(place)
 
 
 def on_this_machine(place: Path | str) -> Path:
     """Return the local path to which a command writes; ConfigError if it is a URL."""
     if url := url_of(place):
-        here = "only `replan evaluate` and `replan merge` write to a URL"
-        raise ConfigError(f"{url}: {here}; give a path on this machine, and copy it there")
+        reason = "only `replan evaluate` and `replan merge` write to a URL"
+        raise ConfigError(f"{url}: {reason}; give a path on this machine, and copy it there")
     path = local_path(place)
     if not is_utf8(path):
         raise ConfigError(f"{path}: {NOT_UTF8}; give another name")
@@ -273,10 +275,10 @@ def listed(url: str) -> tuple[RemoteFile, ...]:
     """
     with _remote(url, ConfigError) as (system, path):
         system.invalidate_cache()
-        found: dict[str, Any] = system.find(path, detail=True)
+        entries: dict[str, Any] = system.find(path, detail=True)
     base = path.rstrip("/")
     files = []
-    for key, info in sorted(found.items()):
+    for key, info in sorted(entries.items()):
         name = key.removeprefix(base).lstrip("/") or Path(base).name
         if ".." in name.split("/"):
             raise ConfigError(
@@ -299,16 +301,16 @@ def heads(files: Sequence[RemoteFile], size: int) -> list[bytes]:
         return []
     with _remote(files[0].url, ConfigError) as (system, _):
         ends = [min(size, file.size) for file in files]
-        found: list[bytes | Exception] = system.cat_ranges(
+        fetched: list[bytes | Exception] = system.cat_ranges(
             [system._strip_protocol(file.url) for file in files], [0] * len(ends), ends
         )
-    out = []
-    for file, head in zip(files, found, strict=True):
+    contents = []
+    for file, head in zip(files, fetched, strict=True):
         with _remote(file.url, ConfigError):
             if isinstance(head, Exception):
                 raise head
-            out.append(head)
-    return out
+            contents.append(head)
+    return contents
 
 
 def fetch(files: Sequence[RemoteFile], folder: Path) -> None:
@@ -317,12 +319,12 @@ def fetch(files: Sequence[RemoteFile], folder: Path) -> None:
     """
     need, free = sum(file.size for file in files), shutil.disk_usage(folder).free
     if need > free:
-        what = (
+        problem = (
             f"{need / 1e6:.0f} MB have to be fetched, {free / 1e6:.0f} MB are free in "
             f"{folder.parent}"
         )
         raise LogError(
-            what, file=files[0].url, remedy="set TMPDIR to a folder with enough free space"
+            problem, file=files[0].url, remedy="set TMPDIR to a folder with enough free space"
         )
     for file in files:
         target = folder / file.name
@@ -343,8 +345,8 @@ def ranged(file: RemoteFile) -> Callable[[int, int], bytes]:
 
     def fetched(begin: int, end: int) -> bytes:
         with _remote(file.url, LogError) as (system, path):
-            found: bytes = system.cat_file(path, start=begin, end=end)
-            return found
+            part: bytes = system.cat_file(path, start=begin, end=end)
+            return part
 
     return fetched
 
@@ -371,8 +373,8 @@ def put_new(content: bytes, url: str) -> bool:
 def content(url: str) -> bytes:
     """Return the content of the file at a URL; ConfigError if it cannot be read."""
     with _remote(url, ConfigError) as (system, path):
-        found: bytes = system.cat_file(path)
-        return found
+        whole: bytes = system.cat_file(path)
+        return whole
 
 
 def remove(urls: Sequence[str]) -> None:
@@ -452,7 +454,7 @@ def _remote(url: str, kind: type[ReplanError]) -> Iterator[tuple[Any, str]]:
                 "AWS_PROFILE)"
             )
             raise kind(f"{url}: no permission: {error}; {hint}") from None
-        what = " ".join(str(error).split())[:200]
+        problem = " ".join(str(error).split())[:200]
         raise kind(
-            f"{url}: no connection or an error there: {type(error).__name__}: {what}; try again"
+            f"{url}: no connection or an error there: {type(error).__name__}: {problem}; try again"
         ) from None

@@ -20,10 +20,10 @@ def present_name(module: str) -> str:
     if module.partition(".")[0] not in BESIDE:
         return ""
     try:
-        found = find_spec(f"replan.{module}")
+        spec = find_spec(f"replan.{module}")
     except ImportError:  # its package is a module now, or gone
         return ""
-    return f"replan.{module}" if found else ""
+    return f"replan.{module}" if spec else ""
 
 
 class FormerNames(MetaPathFinder):

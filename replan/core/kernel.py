@@ -162,10 +162,14 @@ class KernelWatch:
         since the last look.
         """
         before, self.known = self.known, len(STORED)
-        left = [each for each in self._missing if not _is_stored(each)]
-        compiled = len(self._missing) - len(left)
-        self._missing = left + [
-            each for each in STORED[before : self.known] if not _is_stored(each)
+        missing = [
+            compiled_kernel for compiled_kernel in self._missing if not _is_stored(compiled_kernel)
+        ]
+        compiled = len(self._missing) - len(missing)
+        self._missing = missing + [
+            compiled_kernel
+            for compiled_kernel in STORED[before : self.known]
+            if not _is_stored(compiled_kernel)
         ]
         return compiled
 

@@ -38,22 +38,22 @@ class ShortNames:
         words = sorted({word for name in self._ids for word in _CODE.findall(name) or [name]})
         ends = _prefixes(sorted(word[::-1] for word in words))
         suffixes = {word[::-1]: short[::-1] for word, short in ends.items()}
-        found = _prefixes(words), suffixes
-        self._of = min(found, key=lambda short: sum(map(len, short.values())) // max(len(short), 1))
+        candidates = _prefixes(words), suffixes
+        self._of = min(
+            candidates, key=lambda short: sum(map(len, short.values())) // max(len(short), 1)
+        )
         if len({self(name) for name in self._ids}) < len(self._ids):
             self._of = {}
 
     def __call__(self, text: str) -> str:
         """Return an id, or a text that contains ids, with each id replaced by its short name."""
-        return _CODE.sub(lambda found: self._of.get(found[0], found[0]), text)
+        return _CODE.sub(lambda match: self._of.get(match[0], match[0]), text)
 
     def whole(self, name: str) -> str:
         """Return the id that has this short name; the name itself if it is an id or is unknown."""
-        return (
-            name
-            if name in self._ids
-            else next((each for each in self._ids if self(each) == name), name)
-        )
+        if name in self._ids:
+            return name
+        return next((whole_name for whole_name in self._ids if self(whole_name) == name), name)
 
 
 def _prefixes(words: list[str]) -> dict[str, str]:
@@ -69,11 +69,9 @@ def _prefixes(words: list[str]) -> dict[str, str]:
 
 def counted(count: int, thing: str) -> str:
     """Return a count with its noun: "1 agent", "2 agents", "0 buses"."""
-    return (
-        f"{count} {thing}"
-        if count == 1
-        else f"{count} {thing}{'es' if thing.endswith(('s', 'x', 'ch')) else 's'}"
-    )
+    if count == 1:
+        return f"1 {thing}"
+    return f"{count} {thing}{'es' if thing.endswith(('s', 'x', 'ch')) else 's'}"
 
 
 def listed(texts: Sequence[str], most: int) -> str:
@@ -86,10 +84,10 @@ def told_apart(names: Sequence[str], digests: Sequence[str]) -> list[str]:
 
     Each later one gets "@" and the begin of its digest, or its place where it has none.
     """
-    apart, known = list[str](), set[str]()
-    for place, (name, digest) in enumerate(zip(names, digests, strict=True), 1):
-        apart.append(f"{name}@{digest[:8] or place}" if name in known else name)
-        known.add(name)
+    apart, used = list[str](), set[str]()
+    for number, (name, digest) in enumerate(zip(names, digests, strict=True), 1):
+        apart.append(f"{name}@{digest[:8] or number}" if name in used else name)
+        used.add(name)
     return apart
 
 

@@ -21,17 +21,17 @@ def last(count: int) -> Callable[[Callable[Concatenate[K, P], R]], Callable[Conc
     """
 
     def decorate(function: Callable[Concatenate[K, P], R]) -> Callable[Concatenate[K, P], R]:
-        kept: WeakKeyDictionary[Any, dict[Hashable, R]] = WeakKeyDictionary()
+        results_by_owner: WeakKeyDictionary[Any, dict[Hashable, R]] = WeakKeyDictionary()
 
         @wraps(function)
         def remembered(owner: K, /, *args: P.args, **kwargs: P.kwargs) -> R:
-            known, key = kept.setdefault(owner, {}), (args, *kwargs.items())
-            if key not in known:
-                found = function(owner, *args, **kwargs)
-                if len(known) >= count:
-                    known.pop(next(iter(known)))
-                known[key] = found
-            return known[key]
+            results, key = results_by_owner.setdefault(owner, {}), (args, *kwargs.items())
+            if key not in results:
+                result = function(owner, *args, **kwargs)
+                if len(results) >= count:
+                    results.pop(next(iter(results)))
+                results[key] = result
+            return results[key]
 
         return remembered
 

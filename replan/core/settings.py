@@ -116,8 +116,8 @@ def converted(value: Any, kind: type[T], where: str) -> T:
     except msgspec.ValidationError as error:
         # "Expected `float`, got `str` - at `$.loop.period`" becomes "loop.period: expected float,
         # got str"
-        problem, _, place = str(error).replace("`", "").partition(" - at ")
-        names = place.removeprefix("$").removeprefix(".")
+        problem, _, path = str(error).replace("`", "").partition(" - at ")
+        names = path.removeprefix("$").removeprefix(".")
         key = ".".join(filter(None, [where, names]))
         if problem.startswith("Expected"):
             problem = problem[:1].lower() + problem[1:]
@@ -130,16 +130,16 @@ def converted(value: Any, kind: type[T], where: str) -> T:
         raise ConfigError(f"{key}: {problem}" if key else problem) from None
 
 
-def _value_at(value: Any, place: str) -> Any:
+def _value_at(value: Any, path: str) -> Any:
     """The value at a place ("loop.mode") of a table; None if there is none."""
-    for name in filter(None, place.split(".")):
+    for name in filter(None, path.split(".")):
         value = value.get(name) if isinstance(value, Mapping) else None
     return value
 
 
-def _choices(kind: Any, place: str) -> tuple[Any, ...]:
+def _choices(kind: Any, path: str) -> tuple[Any, ...]:
     """The values that a type allows at a place ("loop.mode"), if they are listed."""
-    for name in filter(None, place.split(".")):
+    for name in filter(None, path.split(".")):
         kind = (
             get_type_hints(kind).get(name)
             if isinstance(kind, type) and is_dataclass(kind)

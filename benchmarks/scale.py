@@ -2,7 +2,7 @@
 run needs per log.
 
 python -m benchmarks.scale curve       a quarter of the suite "smoke" by 0, 1, 2 workers and on Ray
-                                       (docs/scale.md)
+                                       (docs/use.md)
 python -m benchmarks.scale overhead    a task that does nothing and returns the folder of a log
 python -m benchmarks.scale end         `judge_and_write` on N logs: seconds and peak memory of this
                                        process

@@ -3,7 +3,7 @@ one pass.
 
     replan evaluate LOG LOG --planner net_planner:Net --set loop.apart.batch=2
 
-The network is random: it shows where yours goes (docs/planners_apart.md).
+The network is random: it shows where yours goes (docs/bring_planner.md).
 """
 
 import numpy as np

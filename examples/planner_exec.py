@@ -7,7 +7,7 @@ ahead.
         as a node:
     replan evaluate LOGS --planner tcp://127.0.0.1:7000
 
-The messages are those of docs/planners_apart.md: 4 bytes of length, then MessagePack, for which any
+The messages are those of docs/bring_planner.md: 4 bytes of length, then MessagePack, for which any
 package will do.
 """
 

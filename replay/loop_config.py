@@ -67,7 +67,7 @@ class SensorConfig(Config):
 
 @dataclass(frozen=True)
 class PlannerProcessConfig(Config):
-    """How planners that are not built in are isolated (docs/planners_apart.md).
+    """How planners that are not built in are isolated (docs/bring_planner.md).
 
     Raises:
         ConfigError: A limit is negative, a timeout is 0, or `batch` is too large.

@@ -51,7 +51,7 @@ def score(
 
     nuplan-cls scores the closed loop of a run; the others its plans of the open loop every 0.5 s,
     or the trajectories of a file in windows of 4 s. Which number compares with what:
-    docs/leaderboards.md.
+    docs/peers.md.
 
     [bold]Examples[/bold]
 

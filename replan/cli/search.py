@@ -251,7 +251,7 @@ def diagnose(
     ] = None,
     changes: Annotated[
         Path | None,
-        option(LOOP, "TOML file of further changes to try (docs/diagnose.md).", metavar="FILE"),
+        option(LOOP, "TOML file of further changes to try (docs/experiments.md).", metavar="FILE"),
     ] = None,
     space: Annotated[
         Path | None,

@@ -13,7 +13,7 @@ The origin is the recorded value: the neutral value of a variation, the default 
 parameter. An agent that was not recorded (`pedestrian`, `standing_car`, `copy`) has none: its
 origin is the end HIGH of the range.
 
-The scales are about the differences between two drives on two days (`SCALES`, docs/falsify.md):
+The scales are about the differences between two drives on two days (`SCALES`, docs/experiments.md):
 
     time, copy and *_s      1 s: a driver who notices late and reacts (UN R157, Annex 4, Appendix 3:
                             0.4 s + 0.75 s)

@@ -289,7 +289,7 @@ CONFLICTS = (
     EventKind(
         "contact",
         _contact,
-        "The boxes of the ego and a road user overlap, but for phantoms (docs/verdict.md). While "
+        "The boxes of the ego and a road user overlap, but for phantoms (docs/gates.md). While "
         "they do.",
         "speed of the two against each other at first",
         "m/s",

@@ -2,7 +2,7 @@
 planned again.
 
 A dump is one MessagePack map with the fields of `File`. Context, frames and plan are the messages
-of `replan.replay.planner_process.messages` (docs/planners_apart.md): little-endian float64 columns,
+of `replan.replay.planner_process.messages` (docs/bring_planner.md): little-endian float64 columns,
 so that values are read back to the bit. A planner has memory, so a dump contains all frames up to
 the one of interest; in open loop, where each frame starts with fresh memory, it contains only that
 one.

@@ -7,7 +7,7 @@ with the result; this machine writes them under a temporary name and renames the
 does. The number of tasks in flight is bounded, so that neither the scheduler nor this process holds
 more than a few logs of a run of any size.
 
-One task has one log: the overhead of a task is milliseconds (docs/scale.md), a log takes a second
+One task has one log: the overhead of a task is milliseconds (docs/use.md), a log takes a second
 or more, and only the logs of a node that dies are retried. The processes that run the tasks are
 kept by Ray, so that kernels are loaded once in each.
 """

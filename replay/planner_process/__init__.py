@@ -1,7 +1,7 @@
 """Planners in separate processes: a planner that is not built in has its own process, and receives
 only frames.
 
-schema      the messages (docs/planners_apart.md describes each field), and their conversion
+schema      the messages (docs/bring_planner.md describes each field), and their conversion
 channel     messages over file descriptors, with deadlines
 launcher    a small warm process per worker from which planners' processes are forked, and templates
             of them

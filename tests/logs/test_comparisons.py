@@ -319,7 +319,7 @@ def test_the_point_of_positions_is_stated(point: str, tmp_path: Path) -> None:
 
 
 def test_the_documented_table_is_that_of_the_code() -> None:
-    text = (DOCS / "raw_logs.md").read_text(encoding="utf-8")
+    text = (DOCS / "logs.md").read_text(encoding="utf-8")
     for row in rows():
         assert f"| {' | '.join(row)} |" in text
 

@@ -34,7 +34,9 @@ from replan.logs.scenario import Scenario
 from replan.logs.states import Trajectory
 from replan.logs.trace import EndReason, Mode, Trace
 from replan.logs.tracks import Tracks
-from replan.metrics import progress, safety, traffic_rules
+from replan.metrics.lane_position import wrong_way
+from replan.metrics.off_road import off_road
+from replan.metrics.speed_limits import speed_excess
 from replan.replay.loop.closed_loop import run_closed_loop
 from replan.replay.loop.open_loop import run_open_loop
 from replan.replay.loop.reference_drives import reference_table, with_avoidability
@@ -44,7 +46,7 @@ from replan.run.sources import LogSource
 
 PASSES = 4
 LENGTHS_S = (28.0, 120.0, 600.0)
-GROWING = (safety.OFF_ROAD, progress.SPEED_EXCESS, traffic_rules.WRONG_WAY)
+GROWING = (off_road, speed_excess, wrong_way)
 
 
 def best_ms(act: Callable[[], Any], passes: int = PASSES) -> float:

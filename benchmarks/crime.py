@@ -125,7 +125,7 @@ def ours(files: list[Path]) -> pd.DataFrame:
 def _rows(scenario: Any, dt: float) -> Iterator[dict[str, object]]:
     from replan.logs.trace import EndReason, Mode, Trace
     from replan.metrics import METRICS
-    from replan.metrics.following import ahead_of
+    from replan.metrics.lead import ahead_of
 
     trace = Trace(
         scenario.name,

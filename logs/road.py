@@ -123,7 +123,7 @@ class Road:
         stop_lines: Lines at which lights and signs make a car stop.
         crosswalks: Areas in which pedestrians have the right of way.
         areas: Other ground on which a car may drive (drivable areas, car parks), polygons `(k, 2)`;
-            only the scores of `replan.metrics.driving_scores` and `replan.score` use it.
+            only the scores of `replan.metrics.nuplan_closed_loop` and `replan.score` use it.
         route: Lanes of the route that the log names, in its order; empty: it names none.
         assumed_limits: Lanes whose speed limit is assumed, because the log states none.
         assumed_priority: Lanes that yield by assumption, because neither a sign nor a light gives

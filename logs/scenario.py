@@ -51,7 +51,7 @@ class DriverVerdict:
     # id of the agent that the driver touches, else of the one that it would touch without braking;
     # "": none
     agent: str = ""
-    margin: float = nan  # (6) of `replan.metrics.reference_drivers`, m; NaN without an agent
+    margin: float = nan  # (1) of `replan.metrics.reference_drivers`, m; NaN without an agent
     marginal: bool = False  # whether a small change would change the verdict
 
 

@@ -5,17 +5,20 @@ A goal is a place and the way to it: on a ring, a drive passes the place where i
 ends there.
 
 (1) arrived = the state satisfies the goal, and gain >= way
-        (gain (c) and way (d) of `replan.metrics.progress`)
+        (gain (c) and way (d) of `replan.metrics.route_gain`)
 (2) The log names no goal: the place where its drive ended is the goal if its driver's gain L
         is 10 m or more.
     way = min(`NEARLY` L, L - 5 m), and at least (d)
 (3) goal_route = 0 if the goal cannot be driven to (`replan.logs.route.GoalFault`)
         and the drive did not drive to it, else 1
+(4) a goal is unreachable if it is farther than a vehicle drives in the time, accelerating at 9.81
+    m/s2 up to 70 m/s
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from math import cos, sin
 
 import numpy as np
@@ -24,18 +27,14 @@ from replan.core.arrays import FloatArray
 from replan.logs.road import GOAL_LENGTH_M, Goal
 from replan.logs.route import GoalFault, goal_fault, visits
 from replan.logs.scenario import Scenario
+from replan.logs.shapes import point_segment
 from replan.logs.states import TRAJECTORY_COLUMNS, Trajectory
-from replan.logs.trace import EndReason, Mode, Trace
-from replan.metrics import metric
-from replan.metrics.metric import Measured, Metric, Series, Unavailable
-from replan.metrics.progress import (
-    FLOOR_M,
-    LEAST_COVERED,
-    ProgressLine,
-    gain_along,
-    route_of,
-    way_of,
-)
+from replan.logs.trace import EndReason, Trace
+from replan.metrics.boxes import ego_boxes
+from replan.metrics.metric import Measured, Series, Unavailable, metric
+from replan.metrics.progress import FLOOR_M, LEAST_COVERED, is_time_only
+from replan.metrics.reductions import FINAL
+from replan.metrics.route_gain import ProgressLine, gain_along, route_of, way_of
 
 SHORTEST_DRIVE_M = 10.0
 """The end of a drive becomes the goal only if the log's driver gains at least this along the
@@ -45,6 +44,8 @@ NEARLY = 0.9
 """Share of the log's gain from which on the end of its drive counts as the goal: a drive that cuts
 corners, or whose position jumps, gains a little less than the log's driver."""
 NO_GOAL_NOTE = "the log names no goal: the place where its drive ended is the goal"
+MISSED_STEPS = 500  # Steps of a drive that are looked at for what it missed
+REACH_MPS2, REACH_MPS = 9.81, 70.0  # No road vehicle exceeds these (adhesion of 1 g)
 
 
 def goal_of(scenario: Scenario) -> tuple[Goal | None, str]:
@@ -124,26 +125,102 @@ class Arrival:
         return self._gain >= self._goal.way
 
 
-def _goal_route(trace: Trace, scenario: Scenario) -> Measured:
+_arrival_metric = partial(metric, unit="1", better="higher", reductions=(FINAL,))
+
+
+@_arrival_metric(needs="a log that names a goal")
+def goal_route(trace: Trace, scenario: Scenario) -> Measured:
+    """1 if lanes lead from the ego's start to the goal that the log names, or if the drive arrived
+    there; 0 if not, or if the drive begins at the goal.
+
+    Formula: 1 if there is a way to drive, else 0
+    """
     if scenario.goal is None:
-        return Unavailable("the log names no goal")
+        return _NO_GOAL
     fault = fault_of(scenario)
-    there = fault is None or (trace.end is EndReason.GOAL and fault is not GoalFault.AT_START)
-    return Series(
-        trace.ego.t[-1:], np.array([float(there)]), ("" if fault is None else fault.value,)
+    arrived = trace.end is EndReason.GOAL and fault is not GoalFault.AT_START
+    label = "" if fault is None else fault.value
+    return _at_end(trace, float(fault is None or arrived), label)
+
+
+@_arrival_metric(
+    parameters=(f"reach {REACH_MPS2} m/s2 up to {REACH_MPS:g} m/s",),
+    needs="a goal that is a place, and that a vehicle can reach in the time",
+    version=2,
+)
+def goal(trace: Trace, scenario: Scenario) -> Measured:
+    """1 if the drive ended at the goal.
+
+    Formula: 1 if it ended there, else 0
+    """
+    place = scenario.goal
+    if place is None:
+        return _NO_GOAL
+    if is_time_only(place):
+        return Unavailable("the goal is a time only: progress along the route is asked instead")
+    if trace.end is EndReason.GOAL:
+        return _at_end(trace, 1.0, _end_of(trace))
+    if place.t and place.t[0] > scenario.duration:
+        return Unavailable(
+            f"the log ends at {scenario.duration:.1f} s, and the goal begins at {place.t[0]:.1f} s"
+        )
+    return _too_far(scenario, place) or _missed(trace, scenario, place)
+
+
+@_arrival_metric()
+def completed(trace: Trace, scenario: Scenario) -> Measured:
+    """1 if the drive ended at the goal or the log's end.
+
+    Formula: 1 if it ended so, else 0
+    """
+    ended = trace.end in (EndReason.GOAL, EndReason.END_OF_LOG)
+    return _at_end(trace, float(ended), _end_of(trace))
+
+
+_NO_GOAL = Unavailable("the log names no goal")
+
+
+def _at_end(trace: Trace, value: float, label: str) -> Series:
+    return Series(trace.ego.t[-1:], np.array([value]), (label,))
+
+
+def _end_of(trace: Trace) -> str:
+    return ": ".join(filter(None, [trace.end.value, trace.detail]))
+
+
+def _too_far(scenario: Scenario, place: Goal) -> Unavailable | None:
+    """Return why no vehicle reaches a goal in its time (4); None if one may."""
+    start, first = scenario.ego.state(0), float(scenario.ego.t[0])
+    x, y = start.ahead(scenario.vehicle.axle_to_center)
+    if not place.regions or place.holds_place(x, y):
+        return None
+    edges = [
+        (corner, following)
+        for region in place.regions
+        for corner, following in zip(region, np.roll(region, -1, axis=0), strict=True)
+    ]
+    away = min(point_segment(x, y, *corner, *following) for corner, following in edges)
+    last = min(scenario.duration, place.t[1] if place.t else scenario.duration)
+    top, time = max(start.v, REACH_MPS), last - first
+    faster = min(time, (top - start.v) / REACH_MPS2)
+    reach = start.v * faster + 0.5 * REACH_MPS2 * faster**2 + top * (time - faster)
+    if away <= reach:
+        return None
+    return Unavailable(
+        f"no vehicle reaches the goal: {away:.0f} m in {time:.1f} s from {start.v:.1f} m/s"
     )
 
 
-GOAL_ROUTE = Metric(
-    "goal_route",
-    "1",
-    "higher",
-    (Mode.CLOSED,),
-    _goal_route,
-    (metric.FINAL,),
-    "1 if lanes lead from the ego's start to the goal that the log names, or if the drive arrived "
-    "there; 0 if not, or"
-    " if the drive begins at the goal.",
-    formula="1 if there is a way to drive, else 0",
-    needs="a log that names a goal",
-)
+def _missed(trace: Trace, scenario: Scenario, goal: Goal) -> Series:
+    """Return 0, and what the drive missed of the goal at the step at which it missed the fewest
+    conditions.
+    """
+    x, y = ego_boxes(trace.ego, scenario)[:2]
+    steps = np.unique(np.linspace(0, len(x) - 1, MISSED_STEPS).round().astype(int))
+    states = np.stack([trace.ego.t, x, y, trace.ego.yaw, trace.ego.v], axis=1)[steps]
+    missed = min(
+        (goal.unmet(*state) for state in states.tolist()),
+        key=lambda names: (len(names), "place" in names),
+    )
+    label = f"{trace.end.value}: {' and '.join(missed) or 'the way to it'} of the goal missed"
+    return Series(trace.ego.t[-1:], np.zeros(1), (label,))

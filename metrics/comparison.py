@@ -49,7 +49,7 @@ import pandas as pd
 
 from replan.core.arrays import BoolArray, FloatArray, IntArray
 from replan.core.names import listed
-from replan.metrics.evidence import ENSEMBLE
+from replan.metrics import evidence
 from replan.metrics.judge.aggregate import SUITE, LogLabels, membership
 from replan.metrics.judge.excuses import REFERENCE
 from replan.metrics.judge.gates import GateRule, Gates, Outcome, count_logs, unit_of
@@ -243,7 +243,7 @@ def compare(
     }
     alone = set(baseline.driven["metric"]) ^ set(candidate.driven["metric"])
     valued = set(baseline.driven.loc[baseline.driven["available"].astype(bool), "metric"])
-    ensemble = baseline.table[baseline.table["metric"] == f"{ENSEMBLE.name}.fragile"]
+    ensemble = baseline.table[baseline.table["metric"] == f"{evidence.ensemble.name}.fragile"]
     fragile = pd.MultiIndex.from_frame(ensemble.loc[ensemble["value"] > 0.0, DRIVE])
     bounds = dict.fromkeys(also, 0.0)
     for gate in gates.gates:

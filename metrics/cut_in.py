@@ -50,10 +50,11 @@ from replan.logs.road import Road, RoadSource
 from replan.logs.scenario import Scenario
 from replan.logs.shapes import corners
 from replan.logs.states import Trajectory, wrap
-from replan.logs.trace import Mode, Trace
+from replan.logs.trace import Trace
 from replan.logs.tracks import Tracks
 from replan.metrics.boxes import GRID_S, OtherBoxes, each, ego_boxes, name_of, some_at
-from replan.metrics.metric import MAX, Measured, Metric, Series, Unavailable
+from replan.metrics.metric import Measured, Series, Unavailable, metric
+from replan.metrics.reductions import MAX
 
 SPACING_M, CHORD_M, BEYOND_M = 2.0, 4.0, 10.0
 NEAR_M = 60.0
@@ -355,32 +356,25 @@ def unseen(failing: Trace, passing: Trace, logged: Tracks, who: str, until: floa
     return bool((np.hypot(*(now.pose[:2, 0] - then.pose[:2, 0]))[both] <= AS_LOGGED_M).all())
 
 
-def _forced_braking(trace: Trace, scenario: Scenario) -> Measured:
-    if len(trace.ego) < 2:
-        return Unavailable("the drive holds one ego state only")
-    found = entries(trace.ego, trace.agents, scenario)
-    return worst_forced(
-        trace, found, scenario, "the ego entered its path", "the ego entered no follower's path"
-    )
-
-
-FORCED_BRAKING = Metric(
-    "forced_braking",
-    "m/s2",
-    "lower",
-    (Mode.CLOSED,),
-    _forced_braking,
-    (MAX,),
-    "Deceleration that the ego forces on a follower into whose path it comes: what the follower "
-    "needs to stay behind"
-    " it, and where the traffic reacts at least how much harder than in the log the follower "
-    "brakes.",
-    "UN R79, 5.6.4.7: above 3 m/s2 a lane change is critical; UN R157, 5.2.5.2 for the reaction "
-    "time",
-    formula=(
-        "least b that keeps a follower, which brakes with b 0.35 s after the entry, behind the "
-        "ego for 5 s"
-    ),
+@metric(
+    unit="m/s2",
+    better="lower",
+    reductions=(MAX,),
     parameters=(f"reaction {REACT_S} s", f"horizon {HORIZON_S:g} s", f"at most {MOST_MPS2} m/s2"),
     needs="a follower whose path the ego enters",
+    source="UN R79, 5.6.4.7: above 3 m/s2 a lane change is critical; UN R157, 5.2.5.2 for the "
+    "reaction time",
 )
+def forced_braking(trace: Trace, scenario: Scenario) -> Measured:
+    """Deceleration that the ego forces on a follower into whose path it comes: what the follower
+    needs to stay behind it, and where the traffic reacts at least how much harder than in the log
+    the follower brakes.
+
+    Formula: least b that keeps a follower, which brakes with b 0.35 s after the entry, behind the
+    ego for 5 s
+    """
+    if len(trace.ego) < 2:
+        return Unavailable("the drive holds one ego state only")
+    stays = entries(trace.ego, trace.agents, scenario)
+    missing = "the ego entered no follower's path"
+    return worst_forced(trace, stays, scenario, "the ego entered its path", missing)

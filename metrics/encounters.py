@@ -22,7 +22,6 @@ Eggert, Proc. IEEE ITSC 2014, for (2); Allen, Shin, Cooper, Transp. Res. Rec. 66
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from functools import partial
 from math import cos, hypot, inf, pi, sin
 from typing import NamedTuple
@@ -36,7 +35,7 @@ from replan.logs.agents import AgentKind
 from replan.logs.scenario import Scenario
 from replan.logs.shapes import corners, distance, overlap, time_to_contact
 from replan.logs.states import wrap
-from replan.logs.trace import Mode, Trace
+from replan.logs.trace import Trace
 from replan.metrics.boxes import (
     GRID_S,
     NO_TTC_MPS,
@@ -52,9 +51,10 @@ from replan.metrics.boxes import (
     name_of,
     nearest,
 )
-from replan.metrics.metric import MIN, Measured, Metric, Series, time_below
-from replan.metrics.safety import CATALOGUE
+from replan.metrics.metric import Measured, Parts, Series, metric
+from replan.metrics.reductions import MIN, time_below
 
+CATALOGUE = "criticality metrics catalogue, Westhofen et al., Arch. Comput. Methods Eng. 30 (2023)"
 HORIZON_S = 10.0
 PIECE_S = 0.1
 CROSSING_RAD = pi / 6.0
@@ -277,17 +277,69 @@ def encroachment(
     return out
 
 
-def _ttc_accelerated(trace: Trace, scenario: Scenario) -> Measured:
+_GRID = f"every {GRID_S:g} s"
+
+
+@metric(
+    unit="s",
+    better="higher",
+    reductions=(MIN, time_below(1.5, "time_below_1500ms")),
+    parameters=(f"horizon {HORIZON_S:g} s", f"pieces of {PIECE_S:g} s", "bound 1.5 s", _GRID),
+    needs="another on a course to touch an ego that drives",
+    source=f"{CATALOGUE}; commonroad-crime asks it of a lead in a lane",
+)
+def ttc_accelerated(trace: Trace, scenario: Scenario) -> Measured:
+    """Least time until boxes touch when all go on along their velocity vectors with their
+    accelerations, none into reverse; not to those behind.
+
+    Formula: v(t) = max(v + a t, 0) of each
+    """
     ego, car = grid_of(trace), car_of(scenario)
-    boxes, forth = ego_boxes(ego, scenario), ego.a * np.where(ego.v < 0.0, -1.0, 1.0)
-    least, agent = nearest(
-        trace.agents,
-        ego.t,
-        lambda k, seen, others: _least_with_acceleration(boxes[:, k], forth[k], car, others),
-    )
-    return Series(
-        ego.t, least, labels_of(trace, agent), f"never on a course to touch within {HORIZON_S:g} s"
-    )
+    boxes, forward = ego_boxes(ego, scenario), ego.a * np.where(ego.v < 0.0, -1.0, 1.0)
+
+    def least_times(
+        steps: slice, present: IntArray, others: OtherBoxes
+    ) -> tuple[FloatArray, IntArray]:
+        return _least_with_acceleration(boxes[:, steps], forward[steps], car, others)
+
+    least, agent = nearest(trace.agents, ego.t, least_times)
+    never = f"never on a course to touch within {HORIZON_S:g} s"
+    return Series(ego.t, least, labels_of(trace, agent), never)
+
+
+_encounter_metric = partial(
+    metric,
+    better="higher",
+    reductions=(MIN,),
+    parameters=(f"horizon {HORIZON_S:g} s", _GRID),
+    source=f"Eggert, Proc. IEEE ITSC 2014; {CATALOGUE}",
+)
+
+
+@_encounter_metric(unit="m", needs="another road user")
+def dce(trace: Trace, scenario: Scenario) -> Measured:
+    """Distance of the closest encounter: the least distance of the boxes within 10 s at constant
+    velocity vectors.
+
+    Formula: min over 0 <= t <= horizon of distance(t)
+    """
+    (distances, _), agent = _encounters(trace, scenario)
+    return Series(grid_of(trace).t, distances, labels_of(trace, agent), _NO_ONE)
+
+
+@_encounter_metric(unit="s", needs="another who comes nearer")
+def ttce(trace: Trace, scenario: Scenario) -> Measured:
+    """Time to the closest encounter (of dce) where that is still to come.
+
+    Formula: argmin over 0 < t <= horizon of distance(t)
+    """
+    (_, times), agent = _encounters(trace, scenario)
+    missing = "no other came nearer" if (agent >= 0).any() else _NO_ONE
+    to_come = np.where(times > 0.0, times, np.nan)
+    return Series(grid_of(trace).t, to_come, labels_of(trace, agent), missing)
+
+
+_NO_ONE = "no other road user in the scene"
 
 
 @once
@@ -299,42 +351,61 @@ def _encounters(trace: Trace, scenario: Scenario) -> tuple[FloatArray, IntArray]
     )
 
 
-def _encounter(trace: Trace, scenario: Scenario, *, row: int) -> Measured:
-    found, agent = _encounters(trace, scenario)
-    value = found[row] if row == 0 else np.where(found[1] > 0.0, found[1], np.nan)
-    nothing = (
-        "no other road user in the scene"
-        if row == 0 or not (agent >= 0).any()
-        else "no other came nearer"
-    )
-    return Series(grid_of(trace).t, value, labels_of(trace, agent), nothing)
+PET_PARTS = {
+    "ego_first": "the ego left no place that another took after it",
+    "ego_second": "the ego took no place that another had left",
+    "crossing": "no other crossed the ego's way",
+}
+"""The parts of PET, and the reason if a part has no value."""
 
 
-def _pet(trace: Trace, scenario: Scenario) -> Mapping[str, Measured]:
+@metric(
+    unit="s",
+    better="higher",
+    reductions=(MIN, time_below(SERIOUS_S, "time_below_1s")),
+    parts=tuple(PET_PARTS),
+    parameters=(
+        _GRID,
+        "crossing: pedestrians, and headings 30 degrees or more apart",
+        f"serious below {SERIOUS_S:g} s",
+    ),
+    needs="a place that both take",
+    source=f"Allen, Shin, Cooper, Transp. Res. Rec. 667 (1978); {CATALOGUE}",
+)
+def pet(trace: Trace, scenario: Scenario) -> Parts:
+    """Post-encroachment time: from one leaving a place to the other taking it; the ego first,
+    second, or either at a crossing.
+
+    Formula: min |t_j - t_i| over overlapping boxes
+    """
     t, boxes, car = grid_of(trace).t, ego_boxes(grid_of(trace), scenario), car_of(scenario)
     best = {part: np.full(len(t), np.nan) for part in PET_PARTS}
     labels = {part: [""] * len(t) for part in PET_PARTS}
     for i, others, row in each(trace.agents, t):
-        mine, theirs = may_meet(boxes, car, others, row)
-        if trace.agents.static[i] or not len(mine) or not len(theirs):
+        ego_steps, other_steps = may_meet(boxes, car, others, row)
+        if trace.agents.static[i] or not len(ego_steps) or not len(other_steps):
             continue
         name, sizes = name_of(trace.agents, i), np.array([car[1:3], others.size[row]])
         poses = np.ascontiguousarray(others.pose[:, row])
         across = 0.0 if trace.agents.kinds[i] is AgentKind.PEDESTRIAN else CROSSING_RAD
-        for angle, after, before in (
+        for angle, first_part, second_part in (
             (0.0, "ego_first", "ego_second"),
             (across, "crossing", "crossing"),
         ):
-            found = encroachment(boxes, mine, poses, theirs, sizes, angle)
+            after, before, _, _ = encroachment(boxes, ego_steps, poses, other_steps, sizes, angle)
             for part, steps, sign, order in (
-                (after, found[0], 1, "second"),
-                (before, found[1], -1, "first"),
+                (first_part, after, 1, "second"),
+                (second_part, before, -1, "first"),
             ):
-                at = np.flatnonzero(steps >= 0)
-                for k, pet in zip(at, np.abs(t[at + sign * steps[at]] - t[at]), strict=True):
-                    if not best[part][k] <= pet:
-                        best[part][k], labels[part][k] = pet, f"{name} {order}"
-    return {part: Series(t, best[part], tuple(labels[part]), PET_PARTS[part]) for part in PET_PARTS}
+                met = np.flatnonzero(steps >= 0)
+                times = np.abs(t[met + sign * steps[met]] - t[met])
+                for k, time in zip(met, times, strict=True):
+                    if not best[part][k] <= time:
+                        best[part][k], labels[part][k] = time, f"{name} {order}"
+    return {
+        part: Series(t, best[part], tuple(labels[part]), missing)
+        for part, missing in PET_PARTS.items()
+    }
 
 
 def may_meet(
@@ -351,74 +422,3 @@ def may_meet(
     mine = ((ego >= low) & (ego <= high)).all(axis=1)
     theirs = ((other >= ego.min(axis=0) - reach) & (other <= ego.max(axis=0) + reach)).all(axis=1)
     return np.flatnonzero(mine), np.flatnonzero(theirs)
-
-
-PET_PARTS = {
-    "ego_first": "the ego left no place that another took after it",
-    "ego_second": "the ego took no place that another had left",
-    "crossing": "no other crossed the ego's way",
-}
-"""The parts of PET, and the reason if a part has no value."""
-_GRID = f"every {GRID_S:g} s"
-TTC_ACCELERATED = Metric(
-    "ttc_accelerated",
-    "s",
-    "higher",
-    (Mode.CLOSED,),
-    _ttc_accelerated,
-    (MIN, time_below(1.5, "time_below_1500ms")),
-    "Least time until boxes touch when all go on along their velocity vectors with their "
-    "accelerations, none into "
-    "reverse; not to those behind.",
-    f"{CATALOGUE}; commonroad-crime asks it of a lead in a lane",
-    formula="v(t) = max(v + a t, 0) of each",
-    parameters=(f"horizon {HORIZON_S:g} s", f"pieces of {PIECE_S:g} s", "bound 1.5 s", _GRID),
-    needs="another on a course to touch an ego that drives",
-)
-DCE = Metric(
-    "dce",
-    "m",
-    "higher",
-    (Mode.CLOSED,),
-    partial(_encounter, row=0),
-    (MIN,),
-    "Distance of the closest encounter: the least distance of the boxes within 10 s at constant "
-    "velocity vectors.",
-    f"Eggert, Proc. IEEE ITSC 2014; {CATALOGUE}",
-    formula="min over 0 <= t <= horizon of distance(t)",
-    parameters=(f"horizon {HORIZON_S:g} s", _GRID),
-    needs="another road user",
-)
-TTCE = Metric(
-    "ttce",
-    "s",
-    "higher",
-    (Mode.CLOSED,),
-    partial(_encounter, row=1),
-    (MIN,),
-    "Time to the closest encounter (of dce) where that is still to come.",
-    f"Eggert, Proc. IEEE ITSC 2014; {CATALOGUE}",
-    formula="argmin over 0 < t <= horizon of distance(t)",
-    parameters=(f"horizon {HORIZON_S:g} s", _GRID),
-    needs="another who comes nearer",
-)
-PET = Metric(
-    "pet",
-    "s",
-    "higher",
-    (Mode.CLOSED,),
-    _pet,
-    (MIN, time_below(SERIOUS_S, "time_below_1s")),
-    "Post-encroachment time: from one leaving a place to the other taking it; the ego first, "
-    "second, or either at a "
-    "crossing.",
-    f"Allen, Shin, Cooper, Transp. Res. Rec. 667 (1978); {CATALOGUE}",
-    formula="min |t_j - t_i| over overlapping boxes",
-    parameters=(
-        _GRID,
-        "crossing: pedestrians, and headings 30 degrees or more apart",
-        f"serious below {SERIOUS_S:g} s",
-    ),
-    parts=tuple(PET_PARTS),
-    needs="a place that both take",
-)

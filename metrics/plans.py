@@ -1,5 +1,4 @@
-"""Plans: their horizon, the differences of successive plans, and their distance from the log's
-drive.
+"""Plans, in both loops: their samples, their horizon, and the differences of successive plans.
 
 For successive frames i-1 and i, at the times t_i, t_i + 0.1 s, ..., t_i + 4 s, for as long as both
 plans last:
@@ -25,29 +24,12 @@ with A = (a, v^2 kappa) of the plans and backward differences over 0.1 s; 1 and 
 
 In open loop, plans start at the log's states, so a plan that the log did not follow also shows as a
 change.
-
-Accuracy, open loop: at each frame of time t_i, plan and log are compared at t_i + 0.1 s, t_i + 0.2
-s, ..., up to a horizon h:
-
-(5) e_k = p_plan(t_i + 0.1 k) - p_log(t_i + 0.1 k),  k = 1 .. 10 h
-        k = 0 is left out: both are equal
-(6) ADE = mean_k |e_k|,  FDE = |e_10h|
-(7) AHE, FHE: the same of |wrap(yaw_plan - yaw_log)|
-(8) along, cross: components of e_10h along and left of the log's heading there
-(9) miss = 1 where max_k |e_k| > bound(h), else 0
-
-Positions are those of the rear axle (nuPlan compares centres). Frames after which the log does not
-last to the horizon are left out. A frame whose plan does not reach the horizon has no value;
-`share` is the share of frames with a value. If the log has no lanes, the planner receives the
-driven path as its road; then (7) and the error across in (8) are unavailable.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
-from types import MappingProxyType
 
 import numpy as np
 
@@ -56,12 +38,11 @@ from replan.core.kernel import kernel
 from replan.core.once import last, once
 from replan.logs.frame import PLAN_HORIZON_S
 from replan.logs.frame_store import light, loaded
-from replan.logs.road import RoadSource
 from replan.logs.scenario import Scenario
-from replan.logs.states import TRAJECTORY_COLUMNS, wrapped
-from replan.logs.trace import Mode, Trace
-from replan.metrics import metric
-from replan.metrics.metric import Measured, Metric, Series, Unavailable, where_followed
+from replan.logs.states import TRAJECTORY_COLUMNS
+from replan.logs.trace import Trace
+from replan.metrics.metric import BOTH_LOOPS, Measured, Series, Unavailable, metric, where_followed
+from replan.metrics.reductions import MAX, MEAN, MIN, P95, RATE, share_beyond
 
 STEP_S = 0.1  # Plans are compared at multiples of this after their frame, s
 SHORT_M = 5.0  # A plan that is shorter in its first 4 s is that of a standing ego (NAVSIM), m
@@ -70,7 +51,6 @@ NO_PLANS = Unavailable("the drive has no plans")
 APART_S, COMPARED_S = 0.5, 4.0
 # (3), SI
 EC_BOUNDS = (("acceleration", 0.7), ("jerk", 0.5), ("yaw rate", 0.1), ("yaw acceleration", 0.1))
-_STANDS = f"successive plans never overlap, or are never longer than {SHORT_M:g} m"
 
 
 def frame_times(trace: Trace) -> FloatArray:
@@ -156,11 +136,50 @@ def _interpolate(
     return out
 
 
+_change_metric = partial(
+    metric,
+    unit="m",
+    better="lower",
+    modes=BOTH_LOOPS,
+    reductions=(MEAN, P95, MAX, share_beyond(1.0, "share_beyond_1m")),
+    parameters=(
+        f"compared {COMPARED_S:g} s",
+        f"step {STEP_S:g} s",
+        f"not of plans up to {SHORT_M:g} m",
+    ),
+    needs="two successive plans that overlap in time",
+    version=2,
+)
+
+
+@_change_metric(source="after NAVSIM's extended comfort")
+def plan_change(trace: Trace, scenario: Scenario) -> Measured:
+    """Mean distance of successive plans at the same times.
+
+    Formula: mean |p_i - p_(i-1)| over t_i .. t_i + 4 s
+    """
+    return _plan_change(trace, scenario, lateral=False)
+
+
+@_change_metric(source="after Autoware's stability")
+def plan_change_lateral(trace: Trace, scenario: Scenario) -> Measured:
+    """Largest lateral distance of successive plans at the same times.
+
+    Formula: max |(p_i - p_(i-1)) across the heading of plan i-1| over t_i .. t_i + 4 s
+    """
+    return _plan_change(trace, scenario, lateral=True)
+
+
 @where_followed
-def _plan_change(trace: Trace, scenario: Scenario, *, which: int) -> Measured:
+def _plan_change(trace: Trace, scenario: Scenario, *, lateral: bool) -> Measured:
     if len(trace.frames) < 2:
         return Unavailable("fewer than two plans")
-    return Series(frame_times(trace)[1:], _differences(trace)[which], missing=_STANDS)
+    change, change_lateral = _differences(trace)
+    return Series(
+        frame_times(trace)[1:],
+        change_lateral if lateral else change,
+        missing=f"successive plans never overlap, or are never longer than {SHORT_M:g} m",
+    )
 
 
 @once
@@ -184,13 +203,30 @@ def _differences(trace: Trace) -> tuple[FloatArray, FloatArray]:
     )
 
 
-def _endpoint_errors(trace: Trace, scenario: Scenario) -> Measured:
-    """Measure (3) at the frames that have another frame 0.5 s before them."""
+@metric(
+    unit="1",
+    better="lower",
+    modes=BOTH_LOOPS,
+    reductions=(MEAN, P95, MAX),
+    parameters=(
+        *(f"bound of {name} {bound:g}" for name, bound in EC_BOUNDS),
+        "compared 4 s",
+        "step 0.1 s",
+    ),
+    needs="two plans 0.5 s apart that overlap in time",
+    source="NAVSIM 0a380a90, extended comfort of EPDMS; there of filtered signals and of one pair",
+)
+def extended_comfort(trace: Trace, scenario: Scenario) -> Measured:
+    """Difference of two plans 0.5 s apart as one would feel it, over its bound: the worst of four;
+    above 1 is a change of mind.
+
+    Formula: max over q of rms(q_i - q_j) / bound(q), t_i - t_j = 0.5 s, q = |A|, d|A|/dt, yaw rate,
+    yaw acceleration
+    """
     t = frame_times(trace)
     earlier = np.searchsorted(t, t - APART_S - 1e-6)
-    later = np.flatnonzero(
-        (t >= APART_S + t[:1] - 1e-6) & (np.abs(t[earlier] - (t - APART_S)) < 1e-6)
-    )
+    lasts = t >= APART_S + t[:1] - 1e-6
+    later = np.flatnonzero(lasts & (np.abs(t[earlier] - (t - APART_S)) < 1e-6))
     if not len(later):
         return Unavailable(f"no two plans are {APART_S} s apart")
     times = times_after(trace, 0, round(COMPARED_S / STEP_S))[later]
@@ -203,12 +239,8 @@ def _endpoint_errors(trace: Trace, scenario: Scenario) -> Measured:
     ratio = np.where(count > 0, np.sqrt(mean), np.nan) / bounds
     known = np.isfinite(ratio).all(axis=0)
     labels = tuple(EC_BOUNDS[q][0] for q in np.argmax(np.where(known, ratio, 0.0), axis=0))
-    return Series(
-        times[:, 0],
-        np.where(known, ratio.max(axis=0), np.nan),
-        labels,
-        "plans 0.5 s apart never overlap",
-    )
+    worst = np.where(known, ratio.max(axis=0), np.nan)
+    return Series(times[:, 0], worst, labels, "plans 0.5 s apart never overlap")
 
 
 def _comfort_quantities(trace: Trace, which: IntArray, times: FloatArray) -> FloatArray:
@@ -222,239 +254,39 @@ def _comfort_quantities(trace: Trace, which: IntArray, times: FloatArray) -> Flo
     return np.stack([size[:, 2:], jerk, yaw_rate, np.diff(yaw, 2, axis=1) / STEP_S**2])
 
 
-def _horizon(trace: Trace, scenario: Scenario) -> Measured:
+@metric(unit="s", better="higher", modes=BOTH_LOOPS, reductions=(MIN, MEAN), needs="plans")
+def plan_horizon(trace: Trace, scenario: Scenario) -> Measured:
+    """How far the plans reach after their frames.
+
+    Formula: t_last - t_i
+    """
     if not trace.frames:
         return NO_PLANS
-    return Series(
-        frame_times(trace),
-        np.array([frame.plan.trajectory.t[-1] - frame.t for frame in trace.frames]),
-    )
+    return Series(frame_times(trace), _horizons(trace))
 
 
-def _complete(trace: Trace, scenario: Scenario) -> Measured:
-    reach, log = _horizon(trace, scenario), scenario.ego
-    if isinstance(reach, Unavailable):
-        return reach
-    covered = (reach.t + PLAN_HORIZON_S <= log.t[-1] + 1e-6) | (len(log) < 2)
-    if not covered.any():
-        return Unavailable(f"the log ends less than {PLAN_HORIZON_S:g} s after every frame")
-    return Series(
-        reach.t[covered], np.where(reach.value[covered] >= PLAN_HORIZON_S - 1e-6, 1.0, 0.0)
-    )
-
-
-_BOTH = (Mode.OPEN, Mode.CLOSED)
-_COMPARED = (
-    f"compared {COMPARED_S:g} s",
-    f"step {STEP_S:g} s",
-    f"not of plans up to {SHORT_M:g} m",
-)
-PLAN_CHANGE, PLAN_CHANGE_LATERAL = (
-    Metric(
-        name,
-        "m",
-        "lower",
-        _BOTH,
-        partial(_plan_change, which=which),
-        (metric.MEAN, metric.P95, metric.MAX, metric.share_beyond(1.0, "share_beyond_1m")),
-        meaning,
-        source,
-        2,
-        formula=formula,
-        parameters=_COMPARED,
-        needs="two successive plans that overlap in time",
-    )
-    for which, (name, source, meaning, formula) in enumerate(
-        (
-            (
-                "plan_change",
-                "after NAVSIM's extended comfort",
-                "Mean distance of successive plans at the same times.",
-                "mean |p_i - p_(i-1)| over t_i .. t_i + 4 s",
-            ),
-            (
-                "plan_change_lateral",
-                "after Autoware's stability",
-                "Largest lateral distance of successive plans at the same times.",
-                "max |(p_i - p_(i-1)) across the heading of plan i-1| over t_i .. t_i + 4 s",
-            ),
-        )
-    )
-)
-EXTENDED_COMFORT = Metric(
-    "extended_comfort",
-    "1",
-    "lower",
-    _BOTH,
-    _endpoint_errors,
-    (metric.MEAN, metric.P95, metric.MAX),
-    "Difference of two plans 0.5 s apart as one would feel it, over its bound: the worst of four; "
-    "above 1 is a change"
-    " of mind.",
-    "NAVSIM 0a380a90, extended comfort of EPDMS; there of filtered signals and of one pair",
-    formula=(
-        "max over q of rms(q_i - q_j) / bound(q), t_i - t_j = 0.5 s, q = |A|, d|A|/dt, yaw "
-        "rate, yaw acceleration"
-    ),
-    parameters=(
-        *(f"bound of {name} {bound:g}" for name, bound in EC_BOUNDS),
-        "compared 4 s",
-        "step 0.1 s",
-    ),
-    needs="two plans 0.5 s apart that overlap in time",
-)
-PLAN_HORIZON = Metric(
-    "plan_horizon",
-    "s",
-    "higher",
-    _BOTH,
-    _horizon,
-    (metric.MIN, metric.MEAN),
-    "How far the plans reach after their frames.",
-    formula="t_last - t_i",
-    needs="plans",
-)
-PLAN_COMPLETE = Metric(
-    "plan_complete",
-    "1",
-    "higher",
-    _BOTH,
-    _complete,
-    (replace(metric.RATE, empty=None),),
-    "Share of the frames whose plan reaches 3 s at least, where the log lasts so long after them.",
-    formula="1 where t_last - t_i >= 3 s, else 0",
+@metric(
+    unit="1",
+    better="higher",
+    modes=BOTH_LOOPS,
+    reductions=(replace(RATE, empty=None),),
     parameters=(f"least {PLAN_HORIZON_S:g} s",),
     needs="plans, and a logged drive of 3 s after some frame or none at all",
 )
+def plan_complete(trace: Trace, scenario: Scenario) -> Measured:
+    """Share of the frames whose plan reaches 3 s at least, where the log lasts so long after them.
 
-
-HORIZONS_S = (1, 3, 5, 8)
-# (9), m by s; nuPlan's from 3 s on
-MISS_M = MappingProxyType({1: 2.0, 2: 4.0, 3: 6.0, 5: 8.0, 8: 16.0})
-# Returns the value of each frame from its errors `(f, k)` up to a horizon
-Pick = Callable[[FloatArray], FloatArray]
-_ACROSS = (1, 3)  # Indices in `_errors` of the errors across the path: lateral and heading
-
-
-@once
-def _errors(
-    trace: Trace, scenario: Scenario
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return errors along and across (m), |e| (m), |heading error| (rad), each `(f, 10 h)` for the
-    longest horizon.
+    Formula: 1 where t_last - t_i >= 3 s, else 0
     """
-    log = scenario.ego
-    times = times_after(trace, 1, round(max(HORIZONS_S) / STEP_S))
-    x, y, yaw = plan_columns(trace, times, ("x", "y", "yaw"))
-    beyond = (times < log.t[0] - 1e-6) | (times > log.t[-1] + 1e-6)
-    log_x, log_y, log_yaw = (np.interp(times, log.t, column) for column in (log.x, log.y, log.yaw))
-    dx, dy = np.where(beyond, np.nan, x - log_x), np.where(beyond, np.nan, y - log_y)
-    along, cross = (
-        dx * np.cos(log_yaw) + dy * np.sin(log_yaw),
-        dy * np.cos(log_yaw) - dx * np.sin(log_yaw),
-    )
-    return along, cross, np.hypot(dx, dy), np.abs(wrapped(np.where(beyond, np.nan, yaw - log_yaw)))
-
-
-def _per_horizon(
-    pick: Pick, which: int, horizons: tuple[int, ...], trace: Trace, scenario: Scenario
-) -> Mapping[str, Measured] | Unavailable:
-    if len(scenario.ego) < 2:
-        return Unavailable("the log holds one ego state only: there is no drive to compare with")
     if not trace.frames:
         return NO_PLANS
-    if which in _ACROSS and scenario.road.source is RoadSource.DRIVEN_PATH:
-        return Unavailable(
-            "the log has no lanes: the road is the driven path, which the planner is given"
-        )
-    errors, t = _errors(trace, scenario)[which], frame_times(trace)
-    found: dict[str, Measured] = {}
-    for h in horizons:
-        covered, missing = t + h <= scenario.ego.t[-1] + 1e-6, f"every plan ends before {h} s"
-        found[f"{h}s"] = Unavailable(f"the log ends less than {h} s after every frame")
-        if covered.any():
-            found[f"{h}s"] = Series(
-                t[covered], pick(errors[covered, : round(h / STEP_S)]), missing=missing
-            )
-    return found
+    t, log = frame_times(trace), scenario.ego
+    lasts = (t + PLAN_HORIZON_S <= log.t[-1] + 1e-6) | (len(log) < 2)
+    if not lasts.any():
+        return Unavailable(f"the log ends less than {PLAN_HORIZON_S:g} s after every frame")
+    complete = _horizons(trace)[lasts] >= PLAN_HORIZON_S - 1e-6
+    return Series(t[lasts], np.where(complete, 1.0, 0.0))
 
 
-_average: Pick = lambda errors: np.asarray(errors.mean(axis=1))  # noqa: E731
-_at_end: Pick = lambda errors: np.abs(errors[:, -1])  # noqa: E731
-
-
-def _missed_frames(errors: FloatArray) -> FloatArray:
-    farthest, bound = errors.max(axis=1), MISS_M[round(errors.shape[1] * STEP_S)]
-    return np.where(np.isfinite(farthest), farthest > bound, np.nan)
-
-
-_NEEDS = "a logged drive that lasts to the horizon after some frame, and plans that reach it"
-ADE, FDE, AHE, FHE, ALONG, CROSS = (
-    Metric(
-        name,
-        unit,
-        "lower",
-        (Mode.OPEN,),
-        partial(_per_horizon, pick, which, HORIZONS_S),
-        (metric.MEAN, metric.MAX, metric.SHARE) if name == "ade" else (metric.MEAN, metric.MAX),
-        f"{meaning}, at the rear axle, up to the horizon.",
-        "nuPlan open loop, at 10 Hz instead of 1 Hz",
-        2,
-        parts=tuple(f"{h}s" for h in HORIZONS_S),
-        formula=formula,
-        parameters=(f"horizons {', '.join(map(str, HORIZONS_S))} s", f"step {STEP_S} s"),
-        needs=_NEEDS,
-    )
-    for name, unit, pick, which, meaning, formula in (
-        ("ade", "m", _average, 2, "Mean distance of plan and log", "mean_k |e_k|, k = 1 .. 10 h"),
-        ("fde", "m", _at_end, 2, "Final distance of plan and log", "|e_10h|"),
-        (
-            "ahe",
-            "rad",
-            _average,
-            3,
-            "Mean heading difference of plan and log, principal value",
-            "mean_k |wrap(yaw_plan - yaw_log)|",
-        ),
-        (
-            "fhe",
-            "rad",
-            _at_end,
-            3,
-            "Final heading difference of plan and log, principal value",
-            "|wrap(yaw_plan - yaw_log)| at h",
-        ),
-        (
-            "along_error",
-            "m",
-            _at_end,
-            0,
-            "Final distance of plan and log along the log's heading",
-            "|e_10h . (cos, sin)|",
-        ),
-        (
-            "cross_error",
-            "m",
-            _at_end,
-            1,
-            "Final distance of plan and log across the log's heading",
-            "|e_10h . (-sin, cos)|",
-        ),
-    )
-)
-MISS = Metric(
-    "miss",
-    "1",
-    "lower",
-    (Mode.OPEN,),
-    partial(_per_horizon, _missed_frames, 2, tuple(MISS_M)),
-    (replace(metric.RATE, empty=None), metric.SHARE),
-    "Share of the frames whose plan is anywhere up to the horizon farther from the log than the "
-    "bound.",
-    "nuPlan devkit e9241677, planner_miss_rate_within_bound (3, 5, 8 s), at 10 Hz and at the rear "
-    "axle",
-    parts=tuple(f"{h}s" for h in MISS_M),
-    formula="1 where max_k |e_k| > bound, else 0",
-    needs=_NEEDS,
-    parameters=tuple(f"bound at {h} s: {bound:g} m" for h, bound in MISS_M.items()),
-)
+def _horizons(trace: Trace) -> FloatArray:
+    return np.array([frame.plan.trajectory.t[-1] - frame.t for frame in trace.frames])

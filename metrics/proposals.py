@@ -48,7 +48,6 @@ from replan.logs.scenario import Scenario
 from replan.logs.shapes import corners
 from replan.logs.trace import Mode, Trace
 from replan.logs.tracks import Tracks
-from replan.metrics import comfort, metric, plans, safety
 from replan.metrics.boxes import (
     NO_TTC_MPS,
     EgoOutline,
@@ -63,27 +62,30 @@ from replan.metrics.boxes import (
     some_at,
     touches,
 )
+from replan.metrics.comfort import NUPLAN_BOUNDS
+from replan.metrics.contacts import KINDS, ContactKind, contact_kind
 from replan.metrics.lanes import keeps_lane
-from replan.metrics.metric import Measured, Metric, Series, Unavailable
+from replan.metrics.metric import BOTH_LOOPS, Measured, Series, Unavailable, metric
+from replan.metrics.off_road import OFF_ROAD_M, box_off_lanes, known_lanes
 from replan.metrics.plans import (
     NO_PLANS,
     SHORT_M,
     STEP_S,
+    extended_comfort,
     frame_times,
     plan_columns,
     plan_way,
     times_after,
 )
-from replan.metrics.safety import contact_kind
+from replan.metrics.reductions import HAVING, MAX, MEAN, MIN, P95, share_beyond, share_while
+from replan.metrics.time_to_collision import CLOSE_S
 
 HORIZON_S, TTC_HORIZON_S = 4.0, 3.0
 STEPS = round(HORIZON_S / STEP_S)
 PIECE = 500  # Plans that are sampled at a time: 1 MB per column
 _COLUMNS = ("x", "y", "yaw", "v", "a", "kappa")
-_NOT_DRIVEN = f"no plan of more than {SHORT_M:g} m is followed by {PLAN_HORIZON_S:g} s of driving"
-_NO_CONTACT = f"no plan has a contact at fault within {HORIZON_S:g} s"
 STOOD, FRONT, SIDE = (
-    safety.KINDS.index(safety.ContactKind[k]) for k in ("STOPPED_TRACK", "ACTIVE_FRONT", "LATERAL")
+    KINDS.index(ContactKind[k]) for k in ("STOPPED_TRACK", "ACTIVE_FRONT", "LATERAL")
 )
 Rows = Mapping[str, NDArray[Any]]
 
@@ -94,7 +96,7 @@ def _measure_plans(trace: Trace, scenario: Scenario) -> Rows:
     agent.
     """
     drive = trace.ego if trace.mode is Mode.CLOSED or len(scenario.ego) < 2 else scenario.ego
-    found, all_times, lanes = [], times_after(trace, 0, STEPS), safety.known_lanes(scenario)
+    found, all_times, lanes = [], times_after(trace, 0, STEPS), known_lanes(scenario)
     for which in np.split(np.arange(len(all_times)), range(PIECE, len(all_times), PIECE)):
         times = all_times[which]
         plan = plan_columns(trace, times, _COLUMNS, which)
@@ -105,7 +107,7 @@ def _measure_plans(trace: Trace, scenario: Scenario) -> Rows:
             x, y, yaw = witnessed[:3, there]
             ahead = scenario.vehicle.axle_to_center
             box = np.stack([x + ahead * np.cos(yaw), y + ahead * np.sin(yaw), yaw])
-            off[there] = safety.box_off_lanes(lanes, box, scenario.vehicle, np.inf)
+            off[there] = box_off_lanes(lanes, box, scenario.vehicle, np.inf)
         x, y, yaw = (np.interp(times, drive.t, column) for column in (drive.x, drive.y, drive.yaw))
         dx, dy = witnessed[0] - x, witnessed[1] - y
         ways = plan_way(witnessed[0], witnessed[1]), plan_way(x, y)
@@ -140,7 +142,7 @@ def _comfort_signals(plan: FloatArray) -> Rows:
     yaw_rate = np.diff(yaw) / STEP_S
     signals = (a, aside, np.diff(a) / STEP_S, jerk / STEP_S, yaw_rate, np.diff(yaw_rate) / STEP_S)
     ratio = []
-    for signal, (_, low, high) in zip(signals, comfort.NUPLAN_BOUNDS.values(), strict=True):
+    for signal, (_, low, high) in zip(signals, NUPLAN_BOUNDS.values(), strict=True):
         ratio.append(np.fmax.reduce(np.where(signal < 0.0, signal / low, signal / high), axis=1))
     largest = [np.fmax.reduce(np.abs(signal), axis=1) for signal in signals[:3]]
     return {
@@ -239,6 +241,15 @@ def _meet_agents(
     return step, hit, ttc, near
 
 
+_plan_metric = partial(
+    metric,
+    modes=BOTH_LOOPS,
+    parameters=(f"horizon {HORIZON_S:g} s", f"step {STEP_S:g} s"),
+    needs="plans",
+    source="after NAVSIM 0a380a90, pdm_scorer",
+)
+
+
 def _series(
     name: str,
     trace: Trace,
@@ -260,185 +271,153 @@ def _series(
     return Series(frame_times(trace), found[name], labels, missing)
 
 
-def _off_road_series(trace: Trace, scenario: Scenario) -> Measured:
-    lanes = safety.known_lanes(scenario)
-    return (
-        lanes if isinstance(lanes, Unavailable) else _series("off", trace, scenario, followed=False)
-    )
+@_plan_metric(unit="s", better="higher", reductions=(HAVING, MIN), version=2)
+def plan_collision(trace: Trace, scenario: Scenario) -> Measured:
+    """Time until a plan has a contact at fault with a road user as it then moved; fault as in
+    collision_at_fault.
+
+    Formula: least t - t_i with a contact at fault
+    """
+    missing = f"no plan has a contact at fault within {HORIZON_S:g} s"
+    return _series("contact", trace, scenario, about="contact_agent", missing=missing)
 
 
-def _comfort(trace: Trace, scenario: Scenario) -> Measured:
+@_plan_metric(
+    unit="m",
+    better="lower",
+    reductions=(MAX, share_beyond(OFF_ROAD_M, "share_beyond_30cm")),
+    needs="plans, lanes in the log",
+)
+def plan_off_road(trace: Trace, scenario: Scenario) -> Measured:
+    """How much farther off the drivable lanes than at its start a plan leads.
+
+    Formula: max over t of off(t) - off(t_i), off the greatest distance of a corner to the lanes
+    """
+    lanes = known_lanes(scenario)
+    if isinstance(lanes, Unavailable):
+        return lanes
+    return _series("off", trace, scenario, followed=False)
+
+
+def _is_close(ttc: FloatArray) -> BoolArray:
+    return ttc <= CLOSE_S
+
+
+@_plan_metric(
+    unit="s", better="higher", reductions=(MIN, share_while(_is_close, "share_below_950ms"))
+)
+def plan_ttc(trace: Trace, scenario: Scenario) -> Measured:
+    """Least time to contact along a plan, straight on; 0 where the plan has a contact at fault.
+
+    Formula: min over t of the time to contact at constant velocity vectors
+    """
+    missing = "no plan is on a course to touch anyone"
+    return _series("ttc", trace, scenario, about="ttc_agent", missing=missing)
+
+
+@_plan_metric(unit="1", better="lower", reductions=(MEAN, P95, share_beyond(1.0, "share_above_1")))
+def plan_comfort(trace: Trace, scenario: Scenario) -> Measured:
+    """The worst of nuPlan's six comfort signals of a plan, over its bound.
+
+    Formula: max over t and q of q / bound(q)
+    """
     if not trace.frames:
         return NO_PLANS
-    found, names = _measure_plans(trace, scenario), tuple(comfort.NUPLAN_BOUNDS)
-    return Series(
-        frame_times(trace), found["comfort"], tuple(names[q] for q in found["signal"].tolist())
-    )
+    rows, names = _measure_plans(trace, scenario), tuple(NUPLAN_BOUNDS)
+    labels = tuple(names[signal] for signal in rows["signal"].tolist())
+    return Series(frame_times(trace), rows["comfort"], labels)
 
 
-def _score(trace: Trace, scenario: Scenario) -> Measured:
-    """Measure the score (7)."""
-    if isinstance(lacking := _series("ttc", trace, scenario), Unavailable):
+@_plan_metric(unit="1", better="higher", reductions=(MEAN, MIN))
+def plan_progress(trace: Trace, scenario: Scenario) -> Measured:
+    """Planned distance over the greater of planned and then driven distance.
+
+    Formula: s / max(s, d); 1 up to 5 m
+    """
+    return _series("progress", trace, scenario)
+
+
+_kept_metric = partial(
+    _plan_metric,
+    unit="m",
+    better="lower",
+    modes=(Mode.CLOSED,),
+    needs=f"a plan that leads, or is followed by, more than {SHORT_M:g} m within {HORIZON_S:g} s, "
+    f"and a drive that goes on for {PLAN_HORIZON_S:g} s after it",
+)
+_NOT_DRIVEN = f"no plan of more than {SHORT_M:g} m is followed by {PLAN_HORIZON_S:g} s of driving"
+
+
+@_kept_metric(reductions=(MEAN, P95, MAX, share_beyond(5.0, "share_beyond_5m")))
+def plan_kept(trace: Trace, scenario: Scenario) -> Measured:
+    """Greatest distance of a plan's states from where the ego then was.
+
+    Formula: max over t of |p_i(t) - p(t)|
+    """
+    return _series("kept", trace, scenario, missing=_NOT_DRIVEN)
+
+
+@_kept_metric(reductions=(MEAN, P95, MAX, share_beyond(2.0, "share_beyond_2m")))
+def plan_kept_lateral(trace: Trace, scenario: Scenario) -> Measured:
+    """Greatest lateral distance of a plan's states from where the ego then was.
+
+    Formula: max over t of |p_i(t) - p(t)| across the ego's heading
+    """
+    return _series("kept_lateral", trace, scenario, missing=_NOT_DRIVEN)
+
+
+@_plan_metric(unit="1", better="higher", reductions=(MEAN, MIN))
+def plan_score(trace: Trace, scenario: Scenario) -> Measured:
+    """A score of each plan's own columns, made after NAVSIM's EPDMS; EPDMS itself: replan score.
+
+    Formula: contact x drivable x (5 ttc + 5 progress + 2 comfort + 2 extended_comfort) / 14
+    """
+    lacking = _series("ttc", trace, scenario)
+    if isinstance(lacking, Unavailable):
         return lacking
-    found, t = _measure_plans(trace, scenario), times_after(trace, 0, 0)[:, 0]
+    rows, t = _measure_plans(trace, scenario), times_after(trace, 0, 0)[:, 0]
     objects = np.array([kind is AgentKind.OBJECT for kind in trace.agents.kinds] + [False])
-    multiplier = np.where(
-        np.isnan(found["contact"]), 1.0, np.where(objects[found["contact_agent"]], 0.5, 0.0)
-    )
-    multiplier = np.where(found["off"] > safety.OFF_ROAD_M, 0.0, multiplier)
+    contact = np.where(objects[rows["contact_agent"]], 0.5, 0.0)
+    multiplier = np.where(np.isnan(rows["contact"]), 1.0, contact)
+    multiplier = np.where(rows["off"] > OFF_ROAD_M, 0.0, multiplier)
     steady = np.full(len(t), np.nan)
-    extended = plans.EXTENDED_COMFORT.found(trace, scenario)
+    extended = extended_comfort(trace, scenario)
     if isinstance(extended, Series):
         steady[np.isin(t, extended.t)] = np.where(extended.known, extended.value <= 1.0, np.nan)
     parts = np.array(
-        [~(found["ttc"] <= safety.CLOSE_S), found["progress"], found["comfort"] <= 1.0, steady],
+        [~(rows["ttc"] <= CLOSE_S), rows["progress"], rows["comfort"] <= 1.0, steady],
         np.float64,
     )
     weights = np.where(np.isfinite(parts), np.array([[5.0], [5.0], [2.0], [2.0]]), 0.0)
-    return Series(
-        t, multiplier * (weights * np.nan_to_num(parts)).sum(axis=0) / weights.sum(axis=0)
-    )
+    mean = (weights * np.nan_to_num(parts)).sum(axis=0) / weights.sum(axis=0)
+    return Series(t, multiplier * mean)
 
 
-_BOTH = (Mode.OPEN, Mode.CLOSED)
-_FOLLOWED = (f"horizon {HORIZON_S:g} s", f"step {STEP_S:g} s")
-_NAVSIM = "after NAVSIM 0a380a90, pdm_scorer"
-PLAN_COLLISION = Metric(
-    "plan_collision",
-    "s",
-    "higher",
-    _BOTH,
-    partial(_series, "contact", about="contact_agent", missing=_NO_CONTACT),
-    (metric.HAVING, metric.MIN),
-    "Time until a plan has a contact at fault with a road user as it then moved; fault as in "
-    "collision_at_fault.",
-    _NAVSIM,
-    2,
-    formula="least t - t_i with a contact at fault",
-    parameters=_FOLLOWED,
-    needs="plans",
-)
-PLAN_OFF_ROAD = Metric(
-    "plan_off_road",
-    "m",
-    "lower",
-    _BOTH,
-    _off_road_series,
-    (metric.MAX, metric.share_beyond(safety.OFF_ROAD_M, "share_beyond_30cm")),
-    "How much farther off the drivable lanes than at its start a plan leads.",
-    _NAVSIM,
-    formula="max over t of off(t) - off(t_i), off the greatest distance of a corner to the lanes",
-    parameters=_FOLLOWED,
-    needs="plans, lanes in the log",
-)
-PLAN_TTC = Metric(
-    "plan_ttc",
-    "s",
-    "higher",
-    _BOTH,
-    partial(_series, "ttc", about="ttc_agent", missing="no plan is on a course to touch anyone"),
-    (metric.MIN, metric.share_while(lambda ttc: ttc <= safety.CLOSE_S, "share_below_950ms")),
-    "Least time to contact along a plan, straight on; 0 where the plan has a contact at fault.",
-    _NAVSIM,
-    formula="min over t of the time to contact at constant velocity vectors",
-    parameters=_FOLLOWED,
-    needs="plans",
-)
-PLAN_COMFORT = Metric(
-    "plan_comfort",
-    "1",
-    "lower",
-    _BOTH,
-    _comfort,
-    (metric.MEAN, metric.P95, metric.share_beyond(1.0, "share_above_1")),
-    "The worst of nuPlan's six comfort signals of a plan, over its bound.",
-    _NAVSIM,
-    formula="max over t and q of q / bound(q)",
-    parameters=_FOLLOWED,
-    needs="plans",
-)
-PLAN_PROGRESS = Metric(
-    "plan_progress",
-    "1",
-    "higher",
-    _BOTH,
-    partial(_series, "progress"),
-    (metric.MEAN, metric.MIN),
-    "Planned distance over the greater of planned and then driven distance.",
-    _NAVSIM,
-    formula="s / max(s, d); 1 up to 5 m",
-    parameters=_FOLLOWED,
-    needs="plans",
-)
-PLAN_KEPT, PLAN_KEPT_LATERAL = (
-    Metric(
-        f"plan_{name}",
-        "m",
-        "lower",
-        (Mode.CLOSED,),
-        partial(_series, name, missing=_NOT_DRIVEN),
-        (
-            metric.MEAN,
-            metric.P95,
-            metric.MAX,
-            metric.share_beyond(bound, f"share_beyond_{bound:g}m"),
-        ),
-        f"Greatest {distance} of a plan's states from where the ego then was.",
-        _NAVSIM,
-        formula=formula,
-        parameters=_FOLLOWED,
-        needs=(
-            f"a plan that leads, or is followed by, more than {SHORT_M:g} m within {HORIZON_S:g} "
-            "s, and a drive that"
-            f" goes on for {PLAN_HORIZON_S:g} s after it"
-        ),
-    )
-    for name, bound, distance, formula in (
-        ("kept", 5.0, "distance", "max over t of |p_i(t) - p(t)|"),
-        (
-            "kept_lateral",
-            2.0,
-            "lateral distance",
-            "max over t of |p_i(t) - p(t)| across the ego's heading",
-        ),
-    )
-)
-PLAN_SCORE = Metric(
-    "plan_score",
-    "1",
-    "higher",
-    _BOTH,
-    _score,
-    (metric.MEAN, metric.MIN),
-    "A score of each plan's own columns, made after NAVSIM's EPDMS; EPDMS itself: replan score.",
-    _NAVSIM,
-    formula="contact x drivable x (5 ttc + 5 progress + 2 comfort + 2 extended_comfort) / 14",
-    parameters=_FOLLOWED,
-    needs="plans",
-)
-PLAN_LON_ACCEL, PLAN_LAT_ACCEL, PLAN_LON_JERK = (
-    Metric(
-        f"plan_{name}",
-        unit,
-        "lower",
-        _BOTH,
-        partial(_series, name, followed=False),
-        (metric.MEAN, metric.P95, metric.MAX),
-        meaning,
-        _NAVSIM,
-        2,
-        formula=formula,
-        parameters=_FOLLOWED,
-        needs="plans",
-    )
-    for name, unit, meaning, formula in (
-        ("lon_accel", "m/s2", "Largest planned acceleration or braking.", "max |a|"),
-        ("lat_accel", "m/s2", "Largest planned lateral acceleration.", "max |v^2 kappa|"),
-        (
-            "lon_jerk",
-            "m/s3",
-            "Largest planned longitudinal jerk, over 0.1 s.",
-            "max |a(t) - a(t - W)| / W",
-        ),
-    )
-)
+_largest_metric = partial(_plan_metric, better="lower", reductions=(MEAN, P95, MAX), version=2)
+
+
+@_largest_metric(unit="m/s2")
+def plan_lon_accel(trace: Trace, scenario: Scenario) -> Measured:
+    """Largest planned acceleration or braking.
+
+    Formula: max |a|
+    """
+    return _series("lon_accel", trace, scenario, followed=False)
+
+
+@_largest_metric(unit="m/s2")
+def plan_lat_accel(trace: Trace, scenario: Scenario) -> Measured:
+    """Largest planned lateral acceleration.
+
+    Formula: max |v^2 kappa|
+    """
+    return _series("lat_accel", trace, scenario, followed=False)
+
+
+@_largest_metric(unit="m/s3")
+def plan_lon_jerk(trace: Trace, scenario: Scenario) -> Measured:
+    """Largest planned longitudinal jerk, over 0.1 s.
+
+    Formula: max |a(t) - a(t - W)| / W
+    """
+    return _series("lon_jerk", trace, scenario, followed=False)

@@ -63,20 +63,8 @@ if TYPE_CHECKING:
     from replan.logs.tracks import Tracks
     from replan.logs.vehicle import VehicleParameters
     from replan.metrics.comparison import Comparison
-    from replan.metrics.metric import (
-        COUNT,
-        FINAL,
-        MAX,
-        MEAN,
-        MIN,
-        RATE,
-        RMS,
-        SHARE,
-        Metric,
-        Reduction,
-        Series,
-        Unavailable,
-    )
+    from replan.metrics.metric import Metric, Reduction, Series, Unavailable, metric
+    from replan.metrics.reductions import COUNT, FINAL, MAX, MEAN, MIN, RATE, RMS, SHARE
     from replan.mine.driven_log import Event, EventKind
     from replan.planners.base import Planner
     from replan.replay.loop_config import LoopConfig
@@ -169,6 +157,7 @@ __all__ = [
     "evaluate",
     "from_frames",
     "load",
+    "metric",
     "read_log",
     "write_log",
 ]
@@ -199,9 +188,8 @@ _NAMES = {
     "replan.logs.tracks": "Tracks",
     "replan.logs.vehicle": "VehicleParameters",
     "replan.metrics.comparison": "Comparison",
-    "replan.metrics.metric": (
-        "COUNT FINAL MAX MEAN MIN Metric RATE RMS Reduction SHARE Series Unavailable"
-    ),
+    "replan.metrics.metric": "Metric Reduction Series Unavailable metric",
+    "replan.metrics.reductions": "COUNT FINAL MAX MEAN MIN RATE RMS SHARE",
     "replan.mine.driven_log": "Event EventKind",
     "replan.planners.base": "Planner",
     "replan.replay.loop_config": "LoopConfig",

@@ -33,7 +33,7 @@ SECTIONS = {
     ): "GridCost SlGraph StGraph GraphObstacle Corridor Candidates CostTerms "
     "LaneOption SolverReport",
     ("What a metric is"): (
-        "Metric Series Reduction MEAN MIN MAX RMS FINAL COUNT RATE SHARE Unavailable Mode "
+        "metric Metric Series Reduction MEAN MIN MAX RMS FINAL COUNT RATE SHARE Unavailable Mode "
         "PlannedFrame "
         "EndReason"
     ),

@@ -60,7 +60,7 @@ from replan.logs.readers import LogSettings, read_log
 from replan.logs.scenario import Scenario
 from replan.logs.trace import EndReason
 from replan.metrics.metric import Series
-from replan.metrics.progress import gain_along, route_of
+from replan.metrics.route_gain import gain_along, route_of
 from replan.paper.reproduce import markdown
 from replan.replay.loop.closed_loop import run_closed_loop
 from replan.results.tables import safe_name, write_file

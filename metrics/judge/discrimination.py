@@ -25,33 +25,16 @@ from types import MappingProxyType
 import pandas as pd
 
 from replan.logs.trace import Mode
-from replan.metrics.evidence import DISCRIMINATION
+from replan.metrics import evidence
 from replan.metrics.judge.aggregate import LogLabels
 from replan.metrics.judge.excuses import REFERENCE
 from replan.metrics.judge.gates import Gate, Gates
 from replan.metrics.judge.verdicts import Values, fill_rows
-from replan.metrics.metric import Metric
-from replan.metrics.needless import NEEDLESS_BRAKING, NEEDLESS_STANDING
-from replan.metrics.progress import COMPLETED, GOAL, ROUTE_PROGRESS
-from replan.metrics.safety import (
-    COLLISION_AT_FAULT,
-    GAP_KEPT,
-    GAP_KEPT_VULNERABLE,
-    PASSING_ROOM,
-    TTC,
-    TTC_VULNERABLE,
-)
-from replan.metrics.traffic_rules import (
-    CROSSWALK,
-    PRIORITY_GAP,
-    RED_LIGHT,
-    STOP_SIGN,
-    YELLOW_LIGHT,
-    YIELDING,
-)
 
 PARKED, CREEPING, BLIND = "parked", "creeping", "blind"
-PARKED_FAILS, BLIND_FAILS = (f"{DISCRIMINATION.name}.{driver}" for driver in (PARKED, BLIND))
+PARKED_FAILS, BLIND_FAILS = (
+    f"{evidence.discrimination.name}.{driver}" for driver in (PARKED, BLIND)
+)
 CREEPS_MPS = 2.0
 
 
@@ -63,24 +46,24 @@ class BadDriver:
 
     planner: str
     settings: Mapping[str, object]
-    judged_by: tuple[Metric, ...]
+    judged_by: tuple[str, ...]
     passes: str
 
 
-_DRIVES = (COMPLETED, GOAL, ROUTE_PROGRESS, NEEDLESS_BRAKING, NEEDLESS_STANDING)
+_DRIVES = ("completed", "goal", "route_progress", "needless_braking", "needless_standing")
 _LOOKS = (
-    COLLISION_AT_FAULT,
-    GAP_KEPT,
-    GAP_KEPT_VULNERABLE,
-    TTC,
-    TTC_VULNERABLE,
-    PASSING_ROOM,
-    RED_LIGHT,
-    YELLOW_LIGHT,
-    STOP_SIGN,
-    CROSSWALK,
-    PRIORITY_GAP,
-    YIELDING,
+    "collision_at_fault",
+    "gap_kept",
+    "gap_kept_vulnerable",
+    "ttc",
+    "ttc_vulnerable",
+    "passing_room",
+    "red_light",
+    "yellow_light",
+    "stop_sign",
+    "crosswalk",
+    "priority_gap",
+    "yielding",
 )
 BAD_DRIVERS: Mapping[str, BadDriver] = MappingProxyType(
     {
@@ -110,14 +93,13 @@ def discrimination(
     driver: str, gates: Gates, labels: LogLabels, values: Mapping[str, float]
 ) -> Discrimination:
     """Judge the drive of a reference driver by its values of metrics; NaN where it has none."""
-    names = {metric.name for metric in BAD_DRIVERS[driver].judged_by}
     asked = (
         gate
         for gate in gates.gates
         if gate.planner is None
         and gate.mode in (None, Mode.CLOSED.value)
         and gate.selects(labels)
-        and gate.metric.partition(".")[0] in names
+        and gate.metric.partition(".")[0] in BAD_DRIVERS[driver].judged_by
     )
     return Discrimination(
         driver,
@@ -140,7 +122,7 @@ def with_discrimination(
         if log in labels:
             found.setdefault(log, []).append(discrimination(driver, gates, labels[log], of))
     drives = table.loc[table["mode"] == Mode.CLOSED.value, ["log", "planner"]].drop_duplicates()
-    closed, name = Mode.CLOSED.value, DISCRIMINATION.name
+    closed, name = Mode.CLOSED.value, evidence.discrimination.name
     values: Values = {
         (log, planner, closed, f"{name}.{one.driver}"): (float(one.breaks is not None), one.text)
         for log, planner in drives.itertuples(index=False)

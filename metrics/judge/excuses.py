@@ -47,7 +47,7 @@ from typing import NamedTuple
 from replan.metrics import GROUPS, METRICS
 from replan.metrics.judge.gates import Gate, unit_of
 from replan.metrics.progress import LEAST_COVERED
-from replan.metrics.safety import CLOSE_S
+from replan.metrics.time_to_collision import CLOSE_S
 
 REFERENCE = "reference"  # Mode of the rows of reference drives
 DRIVER, CAREFUL, FOLLOWER = "driver", "careful", "follower"

@@ -70,7 +70,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from replan.metrics.evidence import ASKED, ENSEMBLE
+from replan.metrics.evidence import asked, ensemble
 from replan.metrics.judge.aggregate import LogLabels, wilson
 from replan.metrics.judge.excuses import (
     LAWFUL,
@@ -452,7 +452,7 @@ def with_ensemble(
         return table
     rules = replace(
         gates,
-        gates=tuple(gate for gate in gates.gates if not gate.metric.startswith(ENSEMBLE.name)),
+        gates=tuple(gate for gate in gates.gates if not gate.metric.startswith(ensemble.name)),
     )
     plain = _drive_outcomes(rules, table, labels)
     found: dict[Drive, list[tuple[Outcome, str]]] = {}
@@ -481,8 +481,8 @@ def with_ensemble(
             for one in (worst(plain[drive].values()), *(one for one, _ in others))
         )
         changes = [change for _, change in others if change]
-        values[*drive, f"{ENSEMBLE.name}.pass_share"] = passed / (len(others) + 1.0), ""  # (1)
-        values[*drive, f"{ENSEMBLE.name}.fragile"] = float(bool(changes)), "; ".join(changes)  # (2)
+        values[*drive, f"{ensemble.name}.pass_share"] = passed / (len(others) + 1.0), ""  # (1)
+        values[*drive, f"{ensemble.name}.fragile"] = float(bool(changes)), "; ".join(changes)  # (2)
     return fill_rows(table, values)
 
 
@@ -491,13 +491,13 @@ def with_asked(table: pd.DataFrame, gates: Gates, labels: Mapping[str, LogLabels
     asked.
     """
     rules = replace(
-        gates, gates=tuple(gate for gate in gates.gates if not gate.metric.startswith(ASKED.name))
+        gates, gates=tuple(gate for gate in gates.gates if not gate.metric.startswith(asked.name))
     )
     values: Values = {}
     for drive, found in _drive_outcomes(rules, table, labels).items():
         missing = [gate for gate, outcome in found.items() if outcome is Outcome.NOT_ASKED]
         reason = f"not asked: {', '.join(missing)}" if missing else ""
-        values[*drive, f"{ASKED.name}.share"] = 1.0 - len(missing) / len(found), reason
+        values[*drive, f"{asked.name}.share"] = 1.0 - len(missing) / len(found), reason
     return fill_rows(table, values)
 
 

@@ -32,7 +32,7 @@ from replan.logs.road import RoadSource
 from replan.logs.scenario import Scenario
 from replan.logs.states import Controls
 from replan.logs.trace import Mode, Trace
-from replan.metrics.comfort import LON_JERK_STATE
+from replan.metrics.comfort import lon_jerk_state
 from replan.replay.vehicle.tyres import tyre_use
 
 if TYPE_CHECKING:
@@ -77,7 +77,7 @@ def widened(low: float, high: float, least: float, room: float = 0.06) -> Span:
     return 0.5 * (low + high) - half, 0.5 * (low + high) + half
 
 
-JERK = LON_JERK_STATE.name
+JERK = lon_jerk_state.name
 SPIKE = 99.5  # Percentile of the absolute values of a spiky curve up to which the axis reaches
 BLUE, YELLOW, RED, GREEN, VIOLET, TEAL, PINK, GREY = SERIES = (
     0x4AB8F5FF,

@@ -50,7 +50,7 @@ SEEN_S = 1.0
 GOING_M = 1.0
 """An agent that moves less than this stands: another time or speed has no effect."""
 SOON_S = 10.0
-"""The horizon of `replan.metrics.safety.TTC`."""
+"""The horizon of `replan.metrics.time_to_collision.ttc`."""
 SHOWN = 40
 
 

@@ -61,7 +61,7 @@ from replan.logs.mcap import write_scenario
 from replan.logs.scenario import Scenario
 from replan.logs.trace import Mode, PlannedFrame
 from replan.metrics.cut_in import made_way, unseen
-from replan.metrics.progress import RoutePace
+from replan.metrics.route_gain import RoutePace
 from replan.results.load import named_logs
 from replan.run.claim import FolderContents, claimed_folder
 from replan.run.output import scenario_of

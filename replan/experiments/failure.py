@@ -16,7 +16,7 @@ compared up to t_x, when the first gate fails, or the end of the shorter one.
         else AHEAD_S before t_x, up to
                  the last predicted time that their track reaches, at most AHEAD_S;
                      moved = as they move in F
-(7) lost       = time lost to P ((9) of `replan.metrics.progress`); without P,
+(7) lost       = time lost to P ((e) of `replan.metrics.route_gain`); without P,
         to the recorded driver, else to the steady speed that reaches the goal when its time ends:
         to the first cause for which the plan is not as fast. What is made up is taken off the last
         one

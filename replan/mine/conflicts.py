@@ -10,9 +10,9 @@ and the first one there goes first. The second one has yielded if it slowed down
 one was there, and at the speed that it had before it slowed down it would have come less than
 `CLOSE_S` after the first one, or before it.
 
-They are on a collision course while the time to collision TTC (`replan.metrics.safety`) is below
-its critical value. With the relative speed u, the braking that just avoids the contact, with boxes
-that may be off by `DEEP_M`, is
+They are on a collision course while the time to collision TTC
+(`replan.metrics.time_to_collision`) is below its critical value. With the relative speed u,
+the braking that just avoids the contact, with boxes that may be off by `DEEP_M`, is
 
 (2) needed = u^2 / (2 (u TTC + DEEP_M))
 
@@ -34,7 +34,7 @@ from replan.logs.shapes import clearance, overlap, time_to_contact, time_to_cont
 from replan.logs.states import wrap
 from replan.metrics.boxes import DEEP_M, GRID_S, NO_TTC_MPS, TURN_S, EgoOutline, is_behind
 from replan.metrics.encounters import CROSSING_RAD, SERIOUS_S as PET_S
-from replan.metrics.safety import TAU_S as TTC_S
+from replan.metrics.time_to_collision import TAU_S as TTC_S
 from replan.mine.driven_log import JUMPS, DrivenLog, Event, EventKind, Neighbour, runs, steps
 from replan.mine.ego_and_road import HARD_MPS2
 from replan.mine.road_users import ALONG
@@ -221,7 +221,7 @@ def _courses(
     size: FloatArray,
     horizon: float,
 ) -> FloatArray:
-    """TTC (`replan.metrics.safety`), s, and (2), m/s2, `(2, m)` with one road user.
+    """TTC (`replan.metrics.time_to_collision`), s, and (2), m/s2, `(2, m)` with one road user.
 
     Inf and 0 beyond the horizon, s.
     """

@@ -1,9 +1,9 @@
 """The table of event kinds, the events of a planner over a log, and their page docs/events.md.
 
 A planner plans open loop: events say where its plans differ from the recorded drive, fall back, or
-flip, by the metrics of plans (`replan.metrics.plans`). A frame differs if its plan misses the
-recorded drive within 3 s (`miss.3s`), and flips if it is more than `FLIP_M` to the side of the plan
-before it (`plan_change_lateral`).
+flip, by the metrics of plans (`replan.metrics.accuracy`, `replan.metrics.plans`). A frame differs
+if its plan misses the recorded drive within 3 s (`miss.3s`), and flips if it is more than
+`FLIP_M` to the side of the plan before it (`plan_change_lateral`).
 """
 
 from __future__ import annotations
@@ -17,8 +17,9 @@ from replan.config import RunConfig
 from replan.core.errors import PlannerError
 from replan.core.extension import ExtensionKind, an_instance
 from replan.logs.trace import EndReason
+from replan.metrics.accuracy import MISS_M, fde, miss
 from replan.metrics.metric import Series
-from replan.metrics.plans import FDE, MISS, MISS_M, PLAN_CHANGE_LATERAL
+from replan.metrics.plans import plan_change_lateral
 from replan.mine.conflicts import CONFLICTS
 from replan.mine.driven_log import DrivenLog, Event, EventKind, runs
 from replan.mine.ego_and_road import EGO_AND_ROAD
@@ -90,13 +91,13 @@ def plan_events(log: DrivenLog, planner: str, run: RunConfig) -> Iterator[tuple[
         reason = trace.frames[first].plan.reason or trace.frames[first].plan.status.value
         yield "plan_falls_back", Event(float(t[first]), float(t[last]), np.nan, what=reason)
     for name, metric, part, bound in (
-        ("plan_differs", MISS, f"{HORIZON_S}s", 0.5),
-        ("plan_flips", PLAN_CHANGE_LATERAL, "", FLIP_M),
+        ("plan_differs", miss, f"{HORIZON_S}s", 0.5),
+        ("plan_flips", plan_change_lateral, "", FLIP_M),
     ):
         found = metric.measured(trace, log.scenario).get(
             f"{metric.name}.{part}" if part else metric.name
         )
-        value = FDE.measured(trace, log.scenario).get(f"fde.{part}") if part else found
+        value = fde.measured(trace, log.scenario).get(f"fde.{part}") if part else found
         if isinstance(found, Series) and isinstance(value, Series):
             for first, last in runs(found.value > bound, hole=2):
                 most = float(np.nanmax(value.value[first : last + 1]))

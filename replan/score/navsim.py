@@ -6,16 +6,16 @@ A window begins at a state of the log's ego. The plan, linear between its eight 
 the others as logged (`scene`):
 
     NC   1, 1/2, 0: at-fault contact with an object, with another agent. Kinds and fault as in
-         `replan.metrics.driving_scores`, but what stands is what stood when first seen, and astray
-         is: off the road, or the corners in several lanes and all four in none. A contact without
-         fault ends the agent; one at the start does in v2
+         `replan.metrics.nuplan_closed_loop`, but what stands is what stood when first seen, and
+         astray is: off the road, or the corners in several lanes and all four in none. A
+         contact without fault ends the agent; one at the start does in v2
     DAC  0 where a corner is on no lane, intersection or other drivable area
     DDC  1, 1/2, 0: in a span of 1 s the centre drives less than 2 m, 6 m, more off the route's
          lanes and intersections
     TLC  0 where the ego touches a lane of the route behind a red light
     TTC  0 if the ego, moved on along its heading for 0, .3, .6, .9 s, touches an agent where that
          then is, seen as in
-         `replan.metrics.driving_scores`; the first contact with another agent ends that
+         `replan.metrics.nuplan_closed_loop`; the first contact with another agent ends that
     LK   0 where the centre is above 0.5 m off PDM-Closed's centre line in 20 states in a row,
          intersections left out
     EP   own way along that line over the greater of the own and PDM-Closed's, both times their
@@ -67,8 +67,8 @@ from replan.logs.shapes import overlap
 from replan.logs.states import wrapped
 from replan.metrics.boxes import BEHIND, NO_TTC_MPS, STANDING_MPS, EgoOutline
 from replan.metrics.comfort import savgol
-from replan.metrics.driving_scores import AHEAD, comfort_signals, comfortable, corners_of
 from replan.metrics.lanes import DrivableLanes, along_line, lane_map
+from replan.metrics.nuplan_closed_loop import AHEAD, comfort_signals, comfortable, corners_of
 from replan.planners.pdm.planner import (
     ACCEL_LAG_S,
     AHEAD as STEPS_AHEAD,
@@ -116,7 +116,7 @@ class Version:
     seen_s: float
     ttc_steps: int
     past: bool  # Whether comfort begins with the recorded past, and is that of the centre
-    # Filters of acceleration and jerk (`replan.metrics.driving_scores.comfort_signals`)
+    # Filters of acceleration and jerk (`replan.metrics.nuplan_closed_loop.comfort_signals`)
     windows: tuple[int, int]
 
 

@@ -23,8 +23,8 @@ from replan.logs.shapes import distance, overlap
 from replan.logs.states import wrap, wrapped
 from replan.logs.tracks import Tracks
 from replan.metrics.boxes import ego_boxes, others_at
-from replan.metrics.driving_scores import route_lanes
 from replan.metrics.lanes import DrivableLanes, along_line
+from replan.metrics.nuplan_closed_loop import route_lanes
 
 STEP_S, SAMPLE_S, NEAR_M, BEYOND_M = 0.1, 0.5, 100.0, 100.0
 

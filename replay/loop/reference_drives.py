@@ -10,9 +10,9 @@ They end like a planner's drive: in the goal, or when a road user touches them. 
 mode "reference" and are marked as oracles; `replan.metrics.judge` uses them to decide whether a
 broken bound is evidence against a planner. For the driver of a synthesised log only progress is
 measured, so such a log excuses no collision. The follower excuses none either. Its progress is
-measured until its time to collision falls below `replan.metrics.safety.CLOSE_S`; after that it is
-no yardstick. Because it takes time, the follower is driven only if the log holds no drive as a
-yardstick of progress, or if a planner of the run misses the goal.
+measured until its time to collision falls below `replan.metrics.time_to_collision.CLOSE_S`; after
+that it is no yardstick. Because it takes time, the follower is driven only if the log holds no
+drive as a yardstick of progress, or if a planner of the run misses the goal.
 
 The reference drivers of `replan.metrics.reference_drivers.DRIVERS` also judge each scenario; their
 verdicts go into its `references` (`with_avoidability`). Their line is the reference line of the
@@ -43,16 +43,18 @@ from replan.logs.trace import EndReason, Mode, Trace
 from replan.metrics import GROUPS, METRICS
 from replan.metrics.arrival import Arrival, goal_of
 from replan.metrics.boxes import ego_boxes, name_of, phantoms, without_phantoms
-from replan.metrics.evidence import EVIDENCE
+from replan.metrics.contacts import contacts
+from replan.metrics.driver_models import STEP_S
+from replan.metrics.evidence import evidence
 from replan.metrics.judge import CAREFUL, DRIVER, FOLLOWER, REFERENCE
 from replan.metrics.judge.aggregate import LogLabels
 from replan.metrics.judge.discrimination import BAD_DRIVERS, Discrimination, discrimination
 from replan.metrics.judge.excuses import CLEAN, needs_follower
 from replan.metrics.judge.gates import load_gates
 from replan.metrics.metric import Series
-from replan.metrics.progress import gain_along, route_of
-from replan.metrics.reference_drivers import DRIVERS, RETURN_S, STEP_S, careful_drive
-from replan.metrics.safety import CLOSE_S, TTC, contacts
+from replan.metrics.reference_drivers import DRIVERS, RETURN_S, careful_drive
+from replan.metrics.route_gain import gain_along, route_of
+from replan.metrics.time_to_collision import CLOSE_S, ttc
 from replan.planners.frenet.reference_path import make_line
 from replan.replay.loop.closed_loop import run_closed_loop
 from replan.replay.loop_config import DEFAULT_LOOP, LoopConfig
@@ -104,8 +106,10 @@ def with_follower(scenario: Scenario, loop: LoopConfig) -> tuple[Scenario, pd.Da
             perceives ground truth.
     """
     trace = _drive_in_traffic(scenario, "idm", FOLLOWER, loop)
-    ttc = TTC.found(trace, scenario)
-    near = np.asarray(ttc.value < CLOSE_S) if isinstance(ttc, Series) else np.zeros(1, np.bool_)
+    times = ttc(trace, scenario)
+    near = np.zeros(1, np.bool_)
+    if isinstance(times, Series):
+        near = np.asarray(times.value < CLOSE_S)
     last = int(np.argmax(near)) if near.any() else -1
     gain = gain_along(route_of(scenario), trace.ego).metres[last]
     scenario = replace(scenario, references=replace(scenario.references, follower_gain=float(gain)))
@@ -146,7 +150,7 @@ def discriminating_tables(scenario: Scenario, loop: LoopConfig) -> list[pd.DataF
     for name, bad in BAD_DRIVERS.items():
         trace = _drive_in_traffic(scenario, bad.planner, name, loop, BAD_PERIODS_S, bad.settings)
         rows = metrics.rows_of(
-            trace, scenario, metrics={metric.name: metric for metric in bad.judged_by}
+            trace, scenario, metrics={name: METRICS[name] for name in bad.judged_by}
         )
         tables.append(metrics.as_table(rows).assign(mode=REFERENCE))
     return tables
@@ -215,7 +219,7 @@ def _measure_drives(
         measures = {
             metric.name: METRICS[metric.name]
             for group in groups
-            for metric in (*GROUPS[group], EVIDENCE)
+            for metric in (*GROUPS[group], evidence)
         }
         rows += metrics.rows_of(trace, scenario, metrics=measures)
     return metrics.as_table(rows).assign(mode=REFERENCE)

@@ -1,7 +1,7 @@
 """Ends a closed loop: goal, collision, off the road. The loop itself ends at the log's end or a
 planner failure.
 
-The metrics' rule of fault (`replan.metrics.safety.classify`) decides whether a contact is a
+The metrics' rule of fault (`replan.metrics.contacts.classify`) decides whether a contact is a
 collision of the ego or a replayed agent ran into it. Of several simultaneous contacts, one at fault
 makes it a collision.
 """
@@ -24,8 +24,8 @@ from replan.logs.trace import EndReason
 from replan.logs.tracks import Tracks
 from replan.metrics.arrival import Arrival
 from replan.metrics.boxes import name_of, phantoms, without_phantoms
+from replan.metrics.contacts import classify
 from replan.metrics.cut_in import LOOK_BACK_S
-from replan.metrics.safety import classify
 from replan.replay.vehicle.base import state_at
 from replan.replay.world import AgentBoxes, EgoBox, agent_boxes, box_center, ego_box, touched
 

@@ -40,7 +40,7 @@ from replan.core.arrays import BoolArray, FloatArray, IntArray
 from replan.core.kernel import inner_kernel, kernel
 from replan.logs.shapes import overlap
 from replan.logs.tracks import Tracks
-from replan.metrics.reference_drivers import CC_BRAKE_MPS2
+from replan.metrics.driver_models import CC_BRAKE_MPS2
 
 ACCEL_MPS2, DECEL_MPS2, TIME_GAP_S, STANDSTILL_M, COOLNESS = 2.0, 3.0, 1.0, 2.0, 0.99
 """a, b, T, s0, c of (1) to (4)."""

@@ -49,7 +49,7 @@ from replan.logs.scenario import Scenario
 from replan.logs.states import EgoState
 from replan.logs.tracks import Tracks
 from replan.metrics.boxes import name_of
-from replan.metrics.reference_drivers import CC_REACT_S
+from replan.metrics.driver_models import CC_REACT_S
 from replan.replay.prediction import LaneMap
 from replan.replay.prediction.lane_following import FOLLOWING, followers
 from replan.replay.traffic.period import Coming, Ego, ReplayedAgents, advance, enter

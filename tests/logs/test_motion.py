@@ -15,7 +15,7 @@ from replan.logs.agents import AgentKind
 from replan.logs.trace import EndReason, Mode, Trace
 from replan.logs.tracks import Tracks
 from replan.metrics.boxes import others_at
-from replan.metrics.safety import TTC
+from replan.metrics.time_to_collision import ttc as ttc_metric
 
 RATES = (5.0, 10.0, 25.0, 50.0, 100.0)
 EGO = drive(straight, 12.0, 6.0, step=0.05)
@@ -48,7 +48,7 @@ def ttc(others: Tracks) -> FloatArray:
     trace = Trace(
         made.name, "p", Mode.CLOSED, False, made.ego, made.tracks, (), EndReason.END_OF_LOG
     )
-    return TTC.measure(trace, made).value
+    return ttc_metric.measure(trace, made).value
 
 
 @pytest.mark.parametrize("rate", RATES)

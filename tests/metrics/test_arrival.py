@@ -24,7 +24,7 @@ from replan.metrics.health import FaultKind, findings
 from replan.metrics.judge import Outcome, judge, load_gates, worst
 from replan.metrics.judge.aggregate import LogLabels
 from replan.metrics.judge.excuses import COVERED, GOAL_ROUTE
-from replan.metrics.progress import gain_along, route_of
+from replan.metrics.route_gain import gain_along, route_of
 
 NAMES = "goal", "route_progress", "completed", "coverage", "covered", "goal_route"
 PROGRESS = {name: METRICS[name] for name in NAMES}

@@ -12,9 +12,9 @@ from replan.logs.road import RoadSource
 from replan.logs.scenario import Scenario
 from replan.logs.states import Trajectory
 from replan.metrics import METRICS
-from replan.metrics.cut_in import BRAKE_MPS2, FORCED_BRAKING, REACT_S, entries
+from replan.metrics.contacts import ContactKind, contacts
+from replan.metrics.cut_in import BRAKE_MPS2, REACT_S, entries, forced_braking
 from replan.metrics.metric import Series
-from replan.metrics.safety import ContactKind, contacts
 
 LENGTH, WIDTH = 4.5, 1.8
 
@@ -121,7 +121,7 @@ def test_a_cut_in_that_brakes_at_once_is_at_fault() -> None:
 def test_forced_braking_is_what_the_follower_needs() -> None:
     ego = changing(grid(12.0, 0.05), 10.0, 1.0)
     log = log_of(ego, follower(-16.0, 15.0))
-    found = FORCED_BRAKING.measure(drive(log), log)
+    found = forced_braking.measure(drive(log), log)
     assert isinstance(found, Series)
     (k,) = np.flatnonzero(found.known)
     t = float(found.t[k])
@@ -133,7 +133,7 @@ def test_forced_braking_is_what_the_follower_needs() -> None:
     gap_kept = METRICS["gap_kept"].measured(drive(alone), alone)["gap_kept"]
     assert isinstance(gap_kept, Series)
     assert gap_kept.missing == "no other road user beside or ahead of an ego that drives"
-    assert not FORCED_BRAKING.measure(drive(alone), alone).known.any()  # type: ignore[union-attr]
+    assert not forced_braking.measure(drive(alone), alone).known.any()  # type: ignore[union-attr]
 
 
 @given(st.floats(-2.0, 5.0), st.floats(0.0, 3.0))
@@ -154,6 +154,6 @@ def test_what_a_follower_brakes_in_the_log_is_not_forced(logged: float, more: fl
         log_of(ego, behind(-20.0, logged)),
         log_of(ego, behind(-21.0, max(logged, 0.0) + more)),
     )
-    found = FORCED_BRAKING.measure(drive(later), log)
+    found = forced_braking.measure(drive(later), log)
     assert isinstance(found, Series)
     assert found.value[found.known] == pytest.approx([more], abs=0.1)

@@ -16,7 +16,7 @@ from replan.logs.shapes import distance
 from replan.logs.tracks import Tracks
 from replan.metrics import GROUPS, evaluate, series
 from replan.metrics.encounters import MovingBox, closest_encounter, time_to_contact_accelerated
-from replan.metrics.safety import MASS_KG, delta_v
+from replan.metrics.severity import MASS_KG, delta_v
 
 MINE = {metric.name: metric for metric in GROUPS["safety"]}
 TAIL = EGO.rear_overhang

@@ -14,7 +14,8 @@ from replan.logs.agents import AgentKind
 from replan.logs.scenario import Scenario
 from replan.logs.states import Trajectory
 from replan.metrics import GROUPS, evaluate, series
-from replan.metrics.following import ahead_of, required_decel, required_gap
+from replan.metrics.following import required_decel, required_gap
+from replan.metrics.lead import ahead_of
 from replan.metrics.metric import Metric
 
 NEW = (

@@ -21,7 +21,8 @@ from replan.logs.road import Goal, RoadSource
 from replan.logs.scenario import Scenario
 from replan.logs.trace import EndReason, Mode, Trace
 from replan.metrics import COLUMNS, METRICS, evaluate, evaluate_with_series, load_metric, series
-from replan.metrics.metric import (
+from replan.metrics.metric import Measured, Metric, Series, Unavailable, rate_of_change
+from replan.metrics.reductions import (
     COUNT,
     FINAL,
     MAX,
@@ -32,11 +33,6 @@ from replan.metrics.metric import (
     P99,
     RATE,
     RMS,
-    Measured,
-    Metric,
-    Series,
-    Unavailable,
-    rate_of_change,
     time_above,
     time_below,
     time_outside,

@@ -18,7 +18,8 @@ from replan.logs.readers import read_log
 from replan.logs.scenario import Scenario
 from replan.logs.states import Trajectory
 from replan.logs.trace import EndReason, Mode, Trace
-from replan.metrics.driving_scores import NUPLAN_CLOSED, closed_loop_parts
+from replan.metrics.driving_scores import NUPLAN_CLOSED
+from replan.metrics.nuplan_closed_loop import closed_loop_parts
 
 VALUES = Path(__file__).parents[1] / "support" / "leaderboards"
 BUILT_IN = {

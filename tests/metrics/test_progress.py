@@ -10,9 +10,9 @@ from replan.logs.road import Goal, Lane, RoadSource
 from replan.logs.scenario import References, Scenario
 from replan.logs.states import Trajectory
 from replan.logs.trace import EndReason, TrackingErrors
-from replan.metrics import GROUPS, evaluate
+from replan.metrics import GROUPS, METRICS, evaluate
 from replan.metrics.metric import Series
-from replan.metrics.progress import GOAL, gain_along, route_of
+from replan.metrics.route_gain import gain_along, route_of
 
 ASKED = {
     metric.name: metric for group in ("progress", "rules", "tracking") for metric in GROUPS[group]
@@ -405,9 +405,9 @@ AHEAD = np.array([[40.0, -2.0], [50.0, -2.0], [50.0, 2.0], [40.0, 2.0]])
 )
 def test_a_missed_goal_tells_what_was_missed(goal: Goal, missed: str) -> None:
     log = replace(scenario(along(grid(12.0, 0.1), 10.0), road=straight_road()), goal=goal)
-    found = GOAL.measure(drive(log), log)
-    assert isinstance(found, Series)
-    assert (found.value[-1], found.labels[-1]) == (
+    series = METRICS["goal"].measure(drive(log), log)
+    assert isinstance(series, Series)
+    assert (series.value[-1], series.labels[-1]) == (
         0.0,
         f"end of the log: {missed} of the goal missed",
     )

@@ -18,15 +18,12 @@ from replan.logs.reference_line import ReferenceLine
 from replan.logs.scenario import Avoidability, DriverVerdict, References, Scenario
 from replan.logs.trace import EndReason, Mode, Trace
 from replan.metrics import evaluate
+from replan.metrics.driver_models import CC_BRAKE_MPS2, STEP_S, fsm_critical, fsm_proactive
 from replan.metrics.reference_drivers import (
-    CC_BRAKE_MPS2,
     JERK_MPS3,
     MARGINAL_M,
-    STEP_S,
     careful_drive,
     careful_driver,
-    fsm_critical,
-    fsm_proactive,
     fuzzy_driver,
 )
 from replan.replay.loop.reference_drives import reference_line, with_avoidability

@@ -12,7 +12,7 @@ from replan.logs.agents import AgentKind
 from replan.logs.scenario import Scenario
 from replan.logs.states import Trajectory
 from replan.metrics import GROUPS, evaluate, series
-from replan.metrics.following import lateral_distance, longitudinal_distance
+from replan.metrics.rss import lateral_distance, longitudinal_distance
 
 MINE = {metric.name: metric for metric in GROUPS["safety"] if metric.name.startswith("rss")}
 

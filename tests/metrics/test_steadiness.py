@@ -27,7 +27,7 @@ from replan.logs.scenario import Scenario
 from replan.logs.states import Trajectory
 from replan.metrics import METRICS, evaluate
 from replan.metrics.cut_in import REACT_S
-from replan.metrics.needless import JUDGED_S, LEAST_S, RETURN_MPS, SETTLES_S
+from replan.metrics.steadiness import JUDGED_S, LEAST_S, RETURN_MPS, SETTLES_S
 
 T = grid(30.0, 0.1)
 ROAD = straight_road(lanes=2, limit=15.0)

@@ -54,7 +54,7 @@ class Held(ConstantSpeed):
     '''Mine.'''
 """
 METRIC = """
-from replan.metrics.metric import MAX
+from replan.metrics.reductions import MAX
 from replan import Metric, Mode, Series
 
 

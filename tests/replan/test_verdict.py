@@ -27,7 +27,7 @@ from replan.metrics.judge import CAREFUL, DRIVER, REFERENCE, Verdict, judge
 from replan.metrics.judge.aggregate import LogLabels
 from replan.metrics.judge.gates import Outcome, load_gates
 from replan.metrics.judge.verdicts import judge_deadline
-from replan.metrics.safety import least_contact_times
+from replan.metrics.time_to_collision import least_contact_times
 from replan.replay.drive import Drive
 from replan.replay.loop.closed_loop import run_closed_loop
 from replan.replay.loop.open_loop import run_open_loop

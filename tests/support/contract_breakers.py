@@ -22,7 +22,8 @@ from replan.logs.rules import Colour
 from replan.logs.scenario import Scenario
 from replan.logs.states import Trajectory
 from replan.logs.trace import Mode, Trace
-from replan.metrics.metric import MEAN, Metric, Reduction, Series, Unavailable
+from replan.metrics.metric import Metric, Reduction, Series, Unavailable
+from replan.metrics.reductions import MEAN
 from replan.planners.constant_speed import ConstantSpeed, arc
 
 AHEAD = np.arange(0.0, 8.0, 0.1)

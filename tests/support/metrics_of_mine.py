@@ -2,7 +2,7 @@
 
 from replan.logs.trace import Mode
 from replan.metrics import Metric, Series
-from replan.metrics.metric import MEAN
+from replan.metrics.reductions import MEAN
 
 MINE = Metric(
     "mine",

@@ -15,7 +15,7 @@ from replan.logs.scenario import Scenario
 from replan.logs.states import Trajectory
 from replan.logs.trace import Mode, Trace
 from replan.metrics import Metric, Series
-from replan.metrics.metric import MEAN
+from replan.metrics.reductions import MEAN
 
 BEST_MPS = 7.0
 STEPS = 0.1 * np.arange(41)

@@ -36,7 +36,7 @@ from replan.logs.states import Trajectory
 from replan.logs.trace import EndReason, PlannedFrame, Trace
 from replan.metrics.cut_in import AS_LOGGED_M, SAME_PLACE_M, made_way, unseen
 from replan.metrics.judge import Outcome, load_gates
-from replan.metrics.progress import RoutePace
+from replan.metrics.route_gain import RoutePace
 
 T = np.arange(0.0, 6.0 + 1e-9, 0.01)
 V = 10.0

@@ -16,7 +16,7 @@ from replan.metrics import METRICS
 HEAD = """
 import numpy as np
 from replan import Metric, Mode, Reduction, Series, Unavailable
-from replan.metrics.metric import MAX, MEAN
+from replan.metrics.reductions import MAX, MEAN
 
 def metric(name, measure, reductions=(MEAN, MAX), **more):
     return Metric(name, "m", "none", (Mode.OPEN, Mode.CLOSED), measure, reductions, "For a test.", **more)

@@ -9,7 +9,7 @@
     foxglove = false                 # write channels for Foxglove into logs and traces
     metrics = []                     # your own, in addition to the built-in ones: "module:NAME"
     charts = []                      # likewise, in the report
-    ensemble = 0                     # perturbed runs per log (replan.run.sources)
+    ensemble = 0                     # perturbed runs per log (replan.run.ensemble)
     repeat_s = 2.0                   # length of the start that is driven twice, to test
                                      # determinism of planners
     deadline_s = 0.0                 # the longest time of a plan (0.1 at 10 Hz); 0: not judged, as
@@ -110,7 +110,7 @@ class RunConfig(Config):
     charts: tuple[str, ...] = ()
     """"module:NAME" of charts from outside, drawn in the report beside the built-in ones."""
     ensemble: Annotated[int, Meta(ge=0, lt=1_000_000)] = 0
-    """How many times each log is driven again under a perturbation (`replan.run.sources`)."""
+    """How many times each log is driven again under a perturbation (`replan.run.ensemble`)."""
     repeat_s: float = 2.0
     """Length of the start of a drive that is driven twice if the planner is not built in
     (`replan.replay.loop.planning`), s; 0: no test.

@@ -47,8 +47,9 @@ from replan.replay.loop.closed_loop import run_closed_loop
 from replan.replay.loop.reference_drives import with_avoidability
 from replan.replay.loop_config import LoopConfig
 from replan.results.tables import write_file
+from replan.run.ensemble import noisy
 from replan.run.pool import WorkerLost, run_all
-from replan.run.sources import LogSource, builtin_suite, noisy, select
+from replan.run.sources import LogSource, builtin_suite, select
 
 TURNS_DEG = (30, 45, 60, 90, 120, 150, 180, 210, 240, 270, 300, 330)
 TINY = 1e-9

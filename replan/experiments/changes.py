@@ -17,7 +17,7 @@ planner = "dp_qp"                           # only for this planner; left out: f
 (2) cause               what the changes that count point to, those of the first rank of `RANKS` in
                         which one counts; "prediction or control" where they point to several
 (3) fragile             it passes with a perturbation that should change nothing
-                        (`replan.run.sources`): then no change shows anything, and the cause is not
+                        (`replan.run.ensemble`): then no change shows anything, and the cause is not
                         found
 (4) unavoidable         with every change it fails a gate that it failed before, and the careful
                         driver of UN R157 does not avoid the contact either

@@ -64,14 +64,14 @@ from replan.metrics.cut_in import made_way, unseen
 from replan.metrics.route_gain import RoutePace
 from replan.results.load import named_logs
 from replan.run.claim import FolderContents, claimed_folder
+from replan.run.ensemble import PERTURBATIONS, perturbed
 from replan.run.output import scenario_of
 from replan.run.resume import Study, study_head
-from replan.run.sources import PERTURBATIONS, perturbed
 
 KIND = "diagnose"
 CONTENTS = FolderContents(KIND, ("diagnosis.*", "changes.csv", "changes", "logs"))
 CONTROLS = ("tiny", "start", "noise")
-"""Perturbations (`replan.run.sources`) with which a drive must also fail, so that a change is
+"""Perturbations (`replan.run.ensemble`) with which a drive must also fail, so that a change is
 conclusive.
 """
 

@@ -72,7 +72,8 @@ from replan.results.tables import (
     safe_name,
     safe_names,
 )
-from replan.run.sources import LogSource, file_hash, perturbed
+from replan.run.ensemble import perturbed
+from replan.run.sources import LogSource, file_hash
 
 LOOPS = {Mode.OPEN: run_open_loop, Mode.CLOSED: run_closed_loop}
 

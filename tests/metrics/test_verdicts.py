@@ -33,7 +33,7 @@ from replan.metrics.judge.excuses import INTERVAL, marginal
 from replan.metrics.judge.gates import Gate, Gates, Outcome, load_gates
 from replan.metrics.judge.verdicts import MISS_COLUMNS, deadline_misses, with_ensemble
 from replan.replay.loop.reference_drives import discriminate
-from replan.run.sources import NOISE_M, PERTURBATIONS, START_M, perturbed
+from replan.run.ensemble import NOISE_M, PERTURBATIONS, START_M, perturbed
 
 PASS, FAIL, INCONCLUSIVE = Outcome.PASS, Outcome.FAIL, Outcome.INCONCLUSIVE
 GAP = "gap.min"

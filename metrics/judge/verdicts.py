@@ -47,8 +47,8 @@ run, are INCONCLUSIVE even then, since they are most likely misspelt.
 
 Gates also add rows to the table: whether a verdict is robust or fragile, and the share of gates
 that were asked. A member is the log driven again under one perturbation (`replan.run.ensemble`);
-its verdict on a planner in one mode is the worst outcome of the gates. The unperturbed drive is one of
-the members:
+its verdict on a planner in one mode is the worst outcome of the gates. The unperturbed drive is
+one of the members:
 
 (1) ensemble.pass_share = members that pass / members
 (2) ensemble.fragile

@@ -16,8 +16,7 @@ from replan.config import Internals, RunConfig, RunMode, load_run
 from replan.core.errors import ConfigError
 from replan.core.settings import converted, dotted, known_keys
 from replan.draw.drawn_results import Results
-from replan.draw.report.contents import Overview
-from replan.draw.report.overview import overview
+from replan.draw.report.overview import Overview, overview
 from replan.draw.report.write import write_reports
 from replan.logs.scenario import Scenario
 from replan.metrics.comparison import Comparison
@@ -141,7 +140,7 @@ def finished(
     with held(results.path):
         comparison = None if before is None else compare_runs(before, results, gates=gates)
         over = overview(results, comparison)
-        return write_reports(results, over, results.path) if report else over
+        return write_reports(over, results.path) if report else over
 
 
 def compare(

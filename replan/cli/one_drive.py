@@ -72,7 +72,7 @@ def chosen_drive(
 def worst_drive(results: Results, drives: Sequence[DriveResult], options: str) -> ChosenDrive:
     """The worst of some drives of a run; the remark gives the options that select another drive.
 
-    Worst is the first in the reports (`Overview.ranked`); of two loops, the one in which a gate
+    Worst is the first in the reports (`Overview.drives`); of two loops, the one in which a gate
     failed, otherwise the closed one.
     """
     from replan.draw.report.overview import overview
@@ -80,7 +80,7 @@ def worst_drive(results: Results, drives: Sequence[DriveResult], options: str) -
     if len(drives) == 1:
         return ChosenDrive(drives[0], "")
     rows = {
-        (row.log, row.planner): position for position, row in enumerate(overview(results).ranked)
+        (row.log, row.planner): position for position, row in enumerate(overview(results).drives)
     }
 
     def rank(drive: DriveResult) -> tuple[int, bool, bool]:

@@ -61,7 +61,8 @@ def finish_run(
     of thresholds and rules; None: the packaged ones.
     """
     from replan.api import finished
-    from replan.draw.report.sections import document, last_line, print_ending, print_report
+    from replan.draw.report.comparison_sections import document, last_line
+    from replan.draw.report.terminal import print_ending, print_report
 
     location, over = url or str(results.path), finished(results, before, gates, report=report)
     comparison = over.comparison
@@ -189,7 +190,7 @@ def report(
             None if baseline is None else compare_runs(read_run(baseline), run, gates=gates)
         )
         why = None if diagnosis is None else read_diagnosis(diagnosis, run)
-        written = write_reports(run, overview(run, comparison, why), folder)
+        written = write_reports(overview(run, comparison, why), folder)
     for name in REPORTS:
         say(folder / name)
     for line in written.broken:
@@ -246,7 +247,7 @@ def compare(
       replan compare results/run-001 --planner idm --planner dp_qp
     """
     from replan.compare_runs import MOST_PARTINGS, compare_runs, read_run
-    from replan.draw.report.sections import document
+    from replan.draw.report.comparison_sections import document
 
     planners = tuple(planner or ())
     if len(planners) > 2 or len(runs) > 2 or (len(runs) == 1 and len(planners) != 2):
@@ -267,7 +268,7 @@ def compare(
 def print_tables(comparison: Comparison, candidate: Run, *, alone: bool = True) -> None:
     """Print a comparison as tables; `alone`: its exit code is that of the command."""
     from replan.compare_runs import view_command
-    from replan.draw.report.sections import print_comparison
+    from replan.draw.report.terminal import print_comparison
 
     print_comparison(
         comparison, console_of(130), lambda *drive: view_command(candidate, *drive), alone=alone

@@ -85,7 +85,7 @@ def write_index(path: Path, folder: Path, most: int) -> list[Path]:
     ConfigError if the folder is not a result folder; OutputError if the file cannot be written.
     """
     over = overview(load(folder))
-    rows = over.ranked
+    rows = over.drives
     opened = [row for row in rows if row.recording][:most]
     lines = [f"# {cell(over.outcome)}: {counted(len(rows), 'drive')}, worst first", ""]
     there = sum(bool(row.recording) for row in rows)
@@ -112,7 +112,7 @@ def write_index(path: Path, folder: Path, most: int) -> list[Path]:
                 row.shown,
                 row.verdict or "not judged",
                 row.end.text,
-                *(c.text for c in row.cells),
+                *(column.cell(row).text for column in over.columns),
             )
         )
     lines += table(("log", "planner", "gates", "end", *names), body)

@@ -25,7 +25,7 @@ from replan.draw.charts.canvas import Chart, stacked
 from replan.draw.charts.curves import Span, panel_chart
 from replan.draw.charts.subject import Moment, SceneSubject
 from replan.draw.model import Curve, Panel
-from replan.draw.report.html import rendered
+from replan.draw.report.rendering import rendered
 from replan.logs.scenario import Scenario
 from replan.logs.trace import EndReason, Mode, Trace
 from replan.results.tables import safe_name, write_text

@@ -44,7 +44,7 @@ from mcap.writer import CompressionType, Writer
 from mcap_cases import rich_scenario
 
 from replan.cli import main as replan
-from replan.draw.report import overview, sections, write
+from replan.draw.report import overview, terminal, write
 from replan.logs.mcap import read_scenario, write_scenario
 from replan.logs.readers import read_log
 from replan.run import evaluate_logs  # imported here, so that no child has to
@@ -114,7 +114,7 @@ NAMES = (
     b"'",
     b"nan",
 )
-IMPORTED = evaluate_logs, overview, sections, write
+IMPORTED = evaluate_logs, overview, terminal, write
 
 
 def place(raw: bytes, rng: np.random.Generator) -> int:

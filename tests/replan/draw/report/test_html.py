@@ -72,7 +72,7 @@ def content(results: Results, tmp_path_factory: pytest.TempPathFactory) -> str:
     path = tmp_path_factory.mktemp("page") / "report.html"
     runs = read_run(results.path)
     compared = compare_runs(runs, runs, planners=("constant_speed", "dp_qp"))
-    write_html(overview(results, compared), results, path)
+    write_html(overview(results, compared), path)
     return path.read_text(encoding="utf-8")
 
 
@@ -140,7 +140,7 @@ def test_what_it_says_is_what_the_run_says(page: Page, results: Results) -> None
     over = overview(results)
     for said in (
         *(row.rule for row in over.gates),
-        *(line.text for line in over.coverage),
+        *(row.finding for row in over.gates if not row.log),
         over.config,
     ):
         assert said in text
@@ -156,13 +156,12 @@ def test_what_it_says_is_what_the_run_says(page: Page, results: Results) -> None
 
 @pytest.mark.slow
 def test_same_run_same_bytes_wherever_it_is(results: Results, tmp_path: Path) -> None:
-    over = overview(results)
     for name in ("a", "b"):
-        write_html(over, load(results.path), tmp_path / name / "report.html")
+        write_html(overview(load(results.path)), tmp_path / name / "report.html")
     first, second = ((tmp_path / name / "report.html").read_bytes() for name in ("a", "b"))
     assert first == second and str(tmp_path.parent.parent).encode() not in first
     beside = results.path / "report.html"
-    write_html(over, results, beside)
+    write_html(overview(results), beside)
     assert (
         b'href="test_free-' in beside.read_bytes() and b"replan plot . --log" in beside.read_bytes()
     )
@@ -171,7 +170,7 @@ def test_same_run_same_bytes_wherever_it_is(results: Results, tmp_path: Path) ->
 def test_a_drive_costs_less_than_fifty_kilobytes(results: Results, tmp_path: Path) -> None:
     over, sizes = overview(results), []
     for drives in (1, 6):
-        write_html(over, results, tmp_path / "report.html", drives=drives)
+        write_html(over, tmp_path / "report.html", drives=drives)
         sizes.append((tmp_path / "report.html").stat().st_size)
         said = "The worst 1 of 6 have a page" in (tmp_path / "report.html").read_text(
             encoding="utf-8"
@@ -185,7 +184,7 @@ def test_a_damaged_trace_costs_its_pictures_only(results: Results, tmp_path: Pat
     whole = trace.read_bytes()
     try:
         trace.write_bytes(whole[: len(whole) // 2])
-        write_html(overview(results), load(results.path), tmp_path / "report.html")
+        write_html(overview(load(results.path)), tmp_path / "report.html")
     finally:
         trace.write_bytes(whole)
     assert "no pictures: the file is cut off or damaged" in (tmp_path / "report.html").read_text(
@@ -205,13 +204,13 @@ def test_what_fails_in_a_report_costs_itself(
         raise MemoryError("Unable to allocate 99.3 GiB")
 
     before = overview(results)
-    assert not write_reports(results, before, tmp_path / "whole").broken
+    assert not write_reports(before, tmp_path / "whole").broken
     for place, said in (
         (
             "replan.draw.charts.subject.accounts",
             "The account of the plan could not be made: MemoryError: Unable",
         ),
-        ("replan.draw.report.html.subject", "no pictures: the memory is used up"),
+        ("replan.draw.report.drive_page.subject", "no pictures: the memory is used up"),
         (
             "replan.draw.report.html.drive_page",
             "The page of a drive could not be made: MemoryError",
@@ -221,16 +220,16 @@ def test_what_fails_in_a_report_costs_itself(
         with monkeypatch.context() as patch:
             module, _, name = place.rpartition(".")
             patch.setattr(import_module(module), name, fails)
-            over = write_reports(results, before, tmp_path / "run")
+            over = write_reports(before, tmp_path / "run")
         assert said in (tmp_path / "run" / "report.html").read_text(encoding="utf-8") + " ".join(
             over.broken
         )
         assert (over.exit_code, over.outcome) == (before.exit_code, before.outcome)
     monkeypatch.setitem(CHARTS, "curves", fails)
-    over = write_reports(results, before, tmp_path / "run")
+    over = write_reports(before, tmp_path / "run")
     assert any("The chart curves could not be drawn: MemoryError" in line for line in over.broken)
     monkeypatch.setattr("replan.draw.report.write.write_html", fails)
-    over = write_reports(results, before, tmp_path / "none")
+    over = write_reports(before, tmp_path / "none")
     assert over.broken[0].startswith("report.html could not be made: MemoryError")
     assert "report.html could not be made" in (tmp_path / "none" / "report.md").read_text(
         encoding="utf-8"

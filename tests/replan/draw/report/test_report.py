@@ -29,13 +29,15 @@ from replan.config import RunConfig
 from replan.core.names import visible_name
 from replan.draw.drawn_results import Results, load
 from replan.draw.report.console import SafeConsole, visible, wrapped
-from replan.draw.report.contents import MOST_FIRST, Cell
-from replan.draw.report.overview import overview
-from replan.draw.report.sections import ReportColumn, ReportSection, print_report
+from replan.draw.report.overview import MOST_FIRST, overview
+from replan.draw.report.section import Cell, ReportColumn, ReportSection
+from replan.draw.report.terminal import print_report
 from replan.draw.report.write import (
     STEP_BYTES,
+    JunitCase,
     append_step_summary,
     junit,
+    junit_xml,
     markdown,
     section_text,
     shortened,
@@ -100,7 +102,7 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
 
 
 def parsed(results: Results, comparison: Comparison | None = None) -> dict[str, TestSuite]:
-    text = junit(results, overview(results, comparison))
+    text = junit(overview(results, comparison))
     SCHEMA.validate(text)
     return {suite.name: suite for suite in JUnitXml.fromstring(text.encode())}
 
@@ -230,8 +232,7 @@ def test_a_planner_that_crashes_is_an_error_and_counts_against(
     found = evaluate_logs(logs, config, tmp_path / "out")
     over = overview(found)
     assert over.exit_code == 3 and {gate.outcome for gate in over.gates} == {"inconclusive"}
-    (share,) = over.whole
-    assert (share.logs, share.passed, share.missing) == (2, 1, 1)
+    assert over.whole[["logs", "passed", "missing"]].to_numpy().tolist() == [[2, 1, 1]]
     suite = parsed(found)["crashing:Crashing.open"]
     (broken,) = (case for case in suite if case.result and case.name == "evaluated")
     assert isinstance(broken.result[0], Error) and "out of ideas" in broken.result[0].message
@@ -240,22 +241,9 @@ def test_a_planner_that_crashes_is_an_error_and_counts_against(
 
 @given(st.text(max_size=30))
 def test_any_name_is_legal_xml(name: str) -> None:
-    from replan.draw.report.write import JunitCase, _suite
-
-    (found,) = JUnitXml.fromstring(
-        _xml(_suite(0, "suite", [JunitCase(f"x.{name}", f"y{name}", "fail", name)], _OVER))
-    )
-    assert [case.result[0].type for case in found] == ["fail"]
-
-
-def _xml(element: object) -> bytes:
-    from xml.etree import ElementTree
-
-    return ElementTree.tostring(element)  # type: ignore[arg-type]
-
-
-class _OVER:  # what a suite needs of an overview
-    replan, config = "1", "2"
+    case = JunitCase(f"x.{name}", f"y{name}", "fail", name)
+    (suite,) = JUnitXml.fromstring(junit_xml({f"z{name}": [case]}, "1", "2").encode())
+    assert [case.result[0].type for case in suite] == ["fail"]
 
 
 # Markdown -----------------------------------------------------------------------------------------
@@ -294,7 +282,7 @@ def test_markdown_tables_are_those_of_the_overview(results: Results) -> None:
     assert all(row[1].startswith(gate.rule) for row, gate in zip(gates, over.gates, strict=True))
     shares = table(text, "logs")
     assert [row[3] for row in shares[1:3]] == [
-        f"{share.passed} of {share.logs}" for share in over.whole
+        f"{share.passed} of {share.logs}" for share in over.whole.itertuples()
     ]
     assert 0 < len(over.first) <= MOST_FIRST and all(row.verdict != "pass" for row in over.first)
     look = next(line for line in text.splitlines() if line.startswith("Look first at"))
@@ -307,9 +295,8 @@ def test_markdown_tables_are_those_of_the_overview(results: Results) -> None:
 
 def test_of_many_drives_the_worst_are_in_sight(results: Results) -> None:
     over = overview(results)
-    many = replace(
-        over, drives=tuple(replace(over.drives[i % 6], log=f"log{i}") for i in range(60))
-    )
+    rows = [replace(over.drives[i % 6], log=f"log{i}") for i in range(60)]
+    many = replace(over, drives=sorted(rows, key=lambda row: row.rank))
     shown, folded = (rows[1:] for rows in tables(markdown(many)) if rows[0][0] == "log")
     assert (len(shown), len(folded)) == (25, 35)
     weight = {"FAIL": 0, "inconclusive": 1, "-": 2, "pass": 3}
@@ -333,20 +320,14 @@ def test_any_text_stays_itself_in_a_cell(words: str) -> None:
             c if c.isprintable() or c.isspace() else "\N{REPLACEMENT CHARACTER}" for c in words
         ).split()
     )
-    (found,) = tables(
-        section_text(
-            ReportSection(
-                "title", (ReportColumn("a"), ReportColumn("b")), ((Cell(words), Cell("last")),)
-            )
-        )
-    )
-    assert found[1][1] == "last"
-    assert found[1][0] == plain
+    columns = (ReportColumn("a", Cell), ReportColumn("b", lambda row: Cell("last")))
+    ((_, row),) = tables(section_text(ReportSection("title", columns, [words])))
+    assert row == [plain, "last"]
 
 
 def test_links_lead_to_files_that_are_there(results: Results) -> None:
     out = results.path
-    write_reports(results, overview(results), out)
+    write_reports(overview(results), out)
     tokens = MarkdownIt("gfm-like", {"linkify": False}).parse(
         (out / "report.md").read_text(encoding="utf-8")
     )
@@ -423,7 +404,7 @@ def test_a_folder_says_the_same_wherever_it_is(results: Results, tmp_path: Path)
     shutil.copytree(results.path, tmp_path / "elsewhere" / "run")
     both = (results, load(tmp_path / "elsewhere/run"))
     for found in both:
-        write_reports(found, overview(found), found.path)
+        write_reports(overview(found), found.path)
     for before, after in ([found.path / name for found in both] for name in REPORTS):
         assert before.read_bytes() == after.read_bytes()
         for place in (results.path, *{Path(source).parent for source in results.logs["source"]}):

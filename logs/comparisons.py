@@ -1,16 +1,16 @@
 """The table of what a log states twice: how it is compared, and what replan does.
 
-All readers pass through `checked`, which goes through `COMPARISONS` in their order. Rows without a
-check are compared while a log is read, where what contradicts is still at hand; the columns of the
-ego are rows of `replan.logs.ego_columns.EGO_COLUMNS`. Data change only on clear evidence, and each
-change is a note. What only looks wrong is reported by `replan.metrics.health`.
+The scenario of each reader passes `COMPARISONS` in their order. Rows without a function are
+compared while a log is read, where what contradicts is still at hand; the columns of the ego are
+rows of `replan.logs.ego_columns.EGO_COLUMNS`. Data change only on clear evidence, and each change
+is a note. What only looks wrong is reported by `replan.metrics.health`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from typing import NamedTuple
+from collections.abc import Iterator
 
+from replan.logs.checks import Action, LogCheck, Step, of_scenario
 from replan.logs.clock_offset import EQUAL_S, STEPS, on_one_clock
 from replan.logs.conventions import (
     CLEARLY,
@@ -27,100 +27,91 @@ from replan.logs.conventions import (
 )
 from replan.logs.ego_columns import EGO_COLUMNS
 from replan.logs.heights import ABOVE_M, BELOW_M
-from replan.logs.log_settings import LogSettings
-from replan.logs.scenario import Scenario
 
-Check = Callable[[Scenario, LogSettings, bool], Scenario]
-"""Compares in a scenario. The last argument: [log] can state conventions of headings."""
-
-
-class StatedTwice(NamedTuple):
-    """One row: what is compared with what, when they differ, what replan does then, and the
-    setting of [log] that decides; "": none.
-    """
-
-    what: str
-    against: str
-    tolerance: str
-    does: str
-    setting: str
-    check: Check | None = None
-
-
-COMPARISONS = (
-    StatedTwice(
+COMPARISONS: tuple[LogCheck[Step], ...] = (
+    LogCheck(
         "times of a table without a unit",
         "their steps, or the time since 1970",
         "steps of 10 and more are no seconds",
+        Action.REFUSE,
         "ms, us or ns, with a note; refused if most are equal after rounding",
         "columns (t [ms])",
     ),
-    StatedTwice(
+    LogCheck(
         "velocity of an odometry",
         "displacement of its poses",
         f"misfit below {FITS_ALONE:g} times that in its own axes, and {CLEARLY:g} less",
+        Action.REPAIR,
         "read in the axes in which it fits, with a note",
         "ego_axes",
     ),
-    StatedTwice(
+    LogCheck(
         "heights of road users",
         "heights of the ego's way",
         f"{ABOVE_M:g} m above, {BELOW_M:g} m below",
+        Action.REPAIR,
         "left out by name; unused, with a note, where the zeros differ",
         'columns (z = "-")',
     ),
-    StatedTwice(
+    LogCheck(
         "times of the road users",
         "times of the ego",
         f"equal shifts at both ends within {EQUAL_S:g} s or {STEPS:g} intervals",
+        Action.REFUSE,
         "shifted by a known difference of clocks, with a note; else refused",
         "clock_ahead_s",
         lambda scenario, settings, is_table: on_one_clock(scenario, settings.clock_ahead_s),
     ),
-    StatedTwice(
+    LogCheck(
         "positions",
         "speeds and headings",
         "a factor of 2",
+        Action.REFUSE,
         "degrees of latitude and longitude are refused",
         "",
-        lambda scenario, settings, is_table: check_positions(scenario),
+        of_scenario(check_positions),
     ),
-    StatedTwice(
+    LogCheck(
         "headings",
         "direction of motion",
         f"the spread of the directions, at most {TURNED_RAD:g} rad",
+        Action.REFUSE,
         "other conventions, and headings across the motion, are refused",
         "ego_heading, agents_heading",
         lambda scenario, settings, is_table: check_headings(scenario, is_table=is_table),
     ),
-    StatedTwice(
+    LogCheck(
         "steering angle",
         "headings",
         f"misfit of {EGO_COLUMNS['steer'].denied:g}",
+        Action.REPAIR,
         "converted from another sign, degrees or the steering wheel, else left out, with a note",
         "columns (steer), topics (steering)",
-        lambda scenario, settings, is_table: with_steering(scenario),
+        of_scenario(with_steering),
     ),
-    StatedTwice(
+    LogCheck(
         "places of a road user",
         "the ego's box",
         f"{MOST:.0%} of its samples",
+        Action.REPAIR,
         "it is the ego, and left out with a note",
         "ego",
-        lambda scenario, settings, is_table: without_ego(scenario),
+        of_scenario(without_ego),
     ),
-    StatedTwice(
+    LogCheck(
         "length and width of vehicles",
         "their direction of motion",
         f"wider than long by a factor of {WIDER:g}",
+        Action.REPAIR,
         "exchanged, with a note",
         "columns (length, width)",
-        lambda scenario, settings, is_table: with_sides(scenario),
+        of_scenario(with_sides),
     ),
-    StatedTwice(
+    LogCheck(
         "velocities of road users",
         "their displacement",
         f"misfit below {FITS_ALONE:g} times that in the world, and {CLEARLY:g} less",
+        Action.REPAIR,
         "read in the axes in which they fit, else derived, with a note",
         "agents_axes",
         lambda scenario, settings, is_table: in_world_axes(scenario, settings.agents_axes),
@@ -128,25 +119,10 @@ COMPARISONS = (
 )
 
 
-def checked(
-    scenario: Scenario, settings: LogSettings | None = None, *, is_table: bool = True
-) -> Scenario:
-    """Compare what a log, as a reader made it, states twice.
-
-    Raises:
-        LogError: It states two things of which both cannot be true, and which is right is not
-            certain; the remedy names the setting that decides.
-    """
-    for comparison in COMPARISONS:
-        if comparison.check is not None:
-            scenario = comparison.check(scenario, settings or LogSettings(), is_table)
-    return scenario
-
-
 def rows() -> Iterator[tuple[str, str, str, str, str]]:
     """Yield the rows of the table for the documentation, of `COMPARISONS` and `EGO_COLUMNS`."""
     for comparison in COMPARISONS:
-        yield comparison[:5]
+        yield comparison.row()
     for name, column in EGO_COLUMNS.items():
         if name == "steer":
             continue

@@ -2,7 +2,7 @@
 
 The careful driver drives through a scene with bystanders, and `replan.logs.catalogue.detector`
 models the detections from the ego. The log has the detections alone: the reader makes tracks of
-them (`replan.logs.readers.admission`). `TRUE` has the scenes with the true road users, for the
+them (`replan.logs.readers.repaired`). `TRUE` has the scenes with the true road users, for the
 evaluation of a repair. The goal begins `EARLY_M` before the end of the drive, so that a slower ego
 still reaches it.
 """

@@ -21,7 +21,8 @@ import numpy as np
 from replan.core.errors import ConfigError, LogError, unknown_name
 from replan.core.extension import ExtensionKind, an_instance
 from replan.core.files import check_regular, local_path, special_kind
-from replan.logs.comparisons import checked
+from replan.logs.checks import passed
+from replan.logs.comparisons import COMPARISONS
 from replan.logs.edit.cut import cut, in_nanoseconds
 from replan.logs.edit.reach import within_reach
 from replan.logs.log_settings import LogSettings
@@ -36,9 +37,10 @@ from replan.logs.readers import (
     ros,
     table,
 )
-from replan.logs.readers.admission import admitted, check_clocks, check_road, named, repaired
+from replan.logs.readers.admission import CHECKS, CLOCKS, ROAD_CHECKS
 from replan.logs.readers.base import Reader
 from replan.logs.readers.foreign import FORMATS, foreign, known_format
+from replan.logs.readers.repaired import named, repaired
 from replan.logs.scenario import Scenario
 
 BUILTIN = (
@@ -156,11 +158,12 @@ def read_log(
         check_regular(*(reader.files(path) if path.exists() else ()))
         with np.errstate(all="ignore"):  # absurd numbers are refused as such
             is_table = "ego_heading" in reader.settings
-            whole = checked(reader.read(path, settings), settings, is_table=is_table)
+            whole = reader.read(path, settings)
+            whole = passed(whole, COMPARISONS, settings, is_table=is_table)
             whole = within_reach(whole)
             scenario = repaired(whole, settings.repair)
             if not reader.cuts or settings.between(0.0, inf) == settings:
-                scenario = check_clocks(scenario)
+                scenario = passed(scenario, CLOCKS)
             scenario = cut(scenario, settings.begin, settings.end)
             is_named = scenario.repair is whole.repair
             scenario = in_nanoseconds(scenario)
@@ -168,10 +171,10 @@ def read_log(
             if scenario.duration > LONGEST_S:
                 remedy = "a drive lasts less than a week: check the units of the times"
                 raise LogError(f"the log lasts {scenario.duration:g} s", remedy=remedy)
-            scenario = admitted(scenario)
+            scenario = passed(scenario, CHECKS)
             if settings.map:
                 scenario = with_map(scenario, settings)
-            return check_road(scenario)
+            return passed(scenario, ROAD_CHECKS)
     except LogError as error:
         raise error if error.file is not None else error.at(path) from None
     except Exception as error:
@@ -187,7 +190,7 @@ def with_tracks(scenario: Scenario, settings: LogSettings) -> Scenario:
     """Check a scenario without a file (`replan.logs.comparisons`), and make tracks from its
     detections.
     """
-    scenario = checked(scenario, settings)
+    scenario = passed(scenario, COMPARISONS, settings)
     made = repaired(scenario, settings.repair)
     return made if made.repair is scenario.repair else named(made)
 

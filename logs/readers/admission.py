@@ -1,36 +1,14 @@
-"""Checks every log after reading, whatever its format, and repairs raw detections.
-
-    clocks       logs are refused if the times of agents, lights, controls or plans do not overlap
-                 those of the ego
-    magnitudes   logs are refused if the ego, the road or the goal are beyond `LIMITS`; agents'
-                 samples with such a pose
-                 are left out, such a velocity is unknown, and such a size is replaced by the usual
-                 size of the kind
-    names        control characters become visible characters, long names are cut
+"""Checks every log after reading, whatever its format: clocks, magnitudes, names (`CHECKS`).
 
 An error names the topic, the time and the remedy. The scenario's notes list left out or replaced
 data. The limits are far beyond the motion of vehicles: they separate wrong data from rare data.
 Data that are only implausible are evaluated and reported by `replan.metrics.health`.
-
-Repair. `[log] repair` says whether raw detections become tracks:
-
-    "auto"    if a log holds detections that are not tracks (`replan.logs.repair.needs_repair`)
-    "on"      always; in a log of tracks, their samples are the detections, and static road users
-              stay unchanged
-    "off"     never: the reader makes the tracks
-
-If the road is assumed along the driven path, the repaired tracks decide the width of its lane
-(`passed_width`).
-
-The repair precedes the cut of a part, so that a part has the same tracks as the whole log. A reader
-that reads only a part reads `cut.DETECTED_S` more on both sides: the repair then lacks data from
-farther away, and the names of tracks and the choice of "auto" may differ from those of the whole
-log.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Iterator, Mapping
 from dataclasses import fields, replace
 from math import inf, isfinite
 from types import MappingProxyType
@@ -40,15 +18,11 @@ import numpy as np
 
 from replan.core.arrays import BoolArray, FloatArray
 from replan.core.errors import LogError
-from replan.core.names import counted, listed, visible_name
+from replan.core.names import LONGEST_NAME, counted, listed, visible_name
 from replan.logs.agents import USUAL_SIZE_M
-from replan.logs.complete import passed_width
-from replan.logs.edit.cut import framed
-from replan.logs.repair.detections import Detections, named_as_tracked, needs_repair
-from replan.logs.repair.offline import detections_of, repair
-from replan.logs.road import RoadSource
+from replan.logs.checks import Action, LogCheck, Step, of_scenario
+from replan.logs.log_settings import SIZES
 from replan.logs.scenario import Scenario
-from replan.logs.tracks import Tracks
 
 
 class Limit(NamedTuple):
@@ -57,9 +31,14 @@ class Limit(NamedTuple):
     most: float
     unit: str
 
+    def __str__(self) -> str:
+        return f"{self.most:g} {self.unit}".rstrip()
+
 
 WORLD = Limit(1e6, "m")
 """Distance from the ego's first position along x and y: no map of a drive reaches 1000 km."""
+ANY_MAP_M = 1e8
+"""Positions beyond it are of no map projection, m: they are not taken for the zero of a log."""
 SPEED = Limit(150.0, "m/s")
 """540 km/h: more than any road vehicle has reached in traffic or in a race."""
 HEADING = Limit(1e4, "rad")
@@ -96,6 +75,10 @@ ONE_CLOCK = (
     'give both times of one clock (a bag: clock = "log" or "header" in [log]; a table: a '
     "column with its unit)"
 )
+CORRECT_SAMPLE = "correct or remove that sample, or leave that part out with --from and --to"
+
+
+# Clocks
 
 
 def check_clocks(scenario: Scenario) -> Scenario:
@@ -104,40 +87,39 @@ def check_clocks(scenario: Scenario) -> Scenario:
     """
     ego, tracks = scenario.ego, scenario.tracks
     first, last = float(ego.t[0]), float(ego.t[-1]) if len(ego) > 1 else scenario.duration
-    spans = list[tuple[str, float, float]]()
-    moving = tracks.t[~tracks.static[tracks.owner]]
-    if scenario.repair is not None:
-        moving = scenario.repair.detections.t
-    if len(moving):
-        spans.append(("agents", float(moving.min()), float(moving.max())))
-    if scenario.lights:
-        shown = np.concatenate([light.t for light in scenario.lights])
-        spans.append(("traffic lights", float(shown.min()), float(shown.max()) + SHOWN_BEFORE_S))
-    if scenario.controls is not None and len(scenario.controls):
-        spans.append(("controls", float(scenario.controls.t[0]), float(scenario.controls.t[-1])))
-    if scenario.onboard:
-        spans.append(
-            (
-                "onboard plans",
-                scenario.onboard[0].known,
-                scenario.onboard[-1].known + SHOWN_BEFORE_S,
-            )
-        )
-    for topic, begin, end in spans:
+    for topic, begin, end in _spans(scenario):
         if end < first or begin > last:
-            theirs, own = _log_times(scenario, begin, end), _log_times(scenario, first, last)
-            what = f"times from {theirs}, the ego's are from {own}: they do not overlap"
-            raise LogError(what, topic=topic, remedy=ONE_CLOCK)
+            times, own = _log_times(scenario, begin, end), _log_times(scenario, first, last)
+            problem = f"times from {times}, the ego's are from {own}: they do not overlap"
+            raise LogError(problem, topic=topic, remedy=ONE_CLOCK)
     begins, ends = tracks.t[tracks.offsets[:-1]], tracks.t[tracks.offsets[1:] - 1]
-    late = begins > max(last, scenario.duration) + OTHER_CLOCK_S
-    apart = ~tracks.static & (late | (ends < first - OTHER_CLOCK_S))
-    if not apart.any():
+    is_late = begins > max(last, scenario.duration) + OTHER_CLOCK_S
+    is_apart = ~tracks.static & (is_late | (ends < first - OTHER_CLOCK_S))
+    if not is_apart.any():
         return scenario
     note = (
-        f"{_names_of(tracks, apart)} have no sample within {OTHER_CLOCK_S:.0f} s of the ego's "
+        f"{_names_of(scenario, is_apart)} have no sample within {OTHER_CLOCK_S:.0f} s of the ego's "
         "log: never in the scene."
     )
     return replace(scenario, notes=(*scenario.notes, note))
+
+
+def _spans(scenario: Scenario) -> Iterator[tuple[str, float, float]]:
+    """Yield topics other than the ego, with the time from which to which each is valid, s."""
+    tracks = scenario.tracks
+    t = tracks.t[~tracks.static[tracks.owner]]
+    if scenario.repair is not None:
+        t = scenario.repair.detections.t
+    if len(t):
+        yield "agents", float(t.min()), float(t.max())
+    if scenario.lights:
+        t = np.concatenate([light.t for light in scenario.lights])
+        yield "traffic lights", float(t.min()), float(t.max()) + SHOWN_BEFORE_S
+    if scenario.controls is not None and len(scenario.controls):
+        yield "controls", float(scenario.controls.t[0]), float(scenario.controls.t[-1])
+    if scenario.onboard:
+        first, last = scenario.onboard[0].known, scenario.onboard[-1].known
+        yield "onboard plans", first, last + SHOWN_BEFORE_S
 
 
 def _log_times(scenario: Scenario, begin: float, end: float) -> str:
@@ -145,47 +127,21 @@ def _log_times(scenario: Scenario, begin: float, end: float) -> str:
     return f"{start + begin:.3f} to {start + end:.3f} s"
 
 
-def admitted(scenario: Scenario) -> Scenario:
-    """Apply `LIMITS`, and make names printable; LogError if ego, vehicle, goal, controls or a plan
-    is beyond one.
+# Magnitudes
+
+
+def zero_of(scenario: Scenario, name: str) -> float:
+    """Return the zero of a column: for positions the ego's first, unless it is beyond any map
+    projection.
     """
-    ego = scenario.ego
-    _check_columns(scenario, "ego", ego)
-    dt, d = np.diff(ego.t), np.hypot(np.diff(ego.x), np.diff(ego.y))
-    far = np.flatnonzero(~(d <= STEP_M + SPEED.most * dt))
-    if len(far):
-        k = int(far[0])
-        what = f"the position jumps by {d[k]:g} m within {dt[k]:g} s"
-        raise _refusal(scenario, "ego", what, float(ego.t[k + 1]))
-    long = np.flatnonzero(dt > GAP_S)
-    if len(long):
-        k = int(long[0])
-        raise _refusal(
-            scenario, "ego", f"no state for {dt[k]:g} s, longer than {GAP_S:g} s", float(ego.t[k])
-        )
-    if scenario.controls is not None:
-        _check_columns(scenario, "controls", scenario.controls)
-    for plan in scenario.onboard:
-        _check_columns(scenario, "onboard", plan.trajectory)
-    for item in fields(scenario.vehicle):
-        limit = (
-            VEHICLE_M if item.name in ("length", "width", "wheelbase", "rear_overhang") else VEHICLE
-        )
-        values = np.atleast_1d(getattr(scenario.vehicle, item.name))
-        if not (np.abs(values) <= limit.most).all():
-            what = (
-                f"{item.name} is {np.max(np.abs(values)):g}, beyond {limit.most:g} {limit.unit}"
-            ).rstrip()
-            raise LogError(
-                what, topic="vehicle", remedy="correct it, or name the vehicle with --car"
-            )
-    for region in scenario.goal.regions if scenario.goal else ():
-        _check_place(scenario, "goal", np.asarray(region, dtype=np.float64))
-    notes: list[str] = []
-    tracks = _tracks_within(scenario, notes)
-    if notes:
-        scenario = replace(scenario, tracks=tracks, notes=(*scenario.notes, *notes))
-    return printable(scenario)
+    start = scenario.ego.state(0)
+    zero = {"x": start.x, "y": start.y}.get(name, 0.0)
+    return zero if abs(zero) < ANY_MAP_M else 0.0
+
+
+def _refusal(scenario: Scenario, topic: str, problem: str, time: float) -> LogError:
+    time_ns = scenario.start_ns + round(1e9 * time)
+    return LogError(problem, topic=topic, time_ns=time_ns, remedy=CORRECT_SAMPLE)
 
 
 def _check_columns(scenario: Scenario, topic: str, table: Any) -> None:
@@ -194,29 +150,142 @@ def _check_columns(scenario: Scenario, topic: str, table: Any) -> None:
     """
     for name, limit in LIMITS[topic].items():
         column = np.asarray(getattr(table, name))
-        away = np.abs(column - _zero(scenario, name))
-        wrong = np.flatnonzero(~((away <= limit.most) | np.isnan(column)))
+        magnitude = np.abs(column - zero_of(scenario, name))
+        wrong = np.flatnonzero(~((magnitude <= limit.most) | np.isnan(column)))
         if len(wrong):
             value, time = float(column[wrong[0]]), float(table.t[wrong[0]])
-            what = (
-                f"{name} is {value:g} {limit.unit}".rstrip()
-                + f", beyond {limit.most:g} {limit.unit}".rstrip()
-            )
-            raise _refusal(scenario, topic, what, time)
+            problem = f"{name} is {Limit(value, limit.unit)}, beyond {limit}"
+            raise _refusal(scenario, topic, problem, time)
 
 
-def _zero(scenario: Scenario, name: str) -> float:
-    """Return the zero of a column: for positions the ego's first, unless it is beyond any map
-    projection.
+def _check_point(scenario: Scenario, topic: str, points: FloatArray) -> None:
+    """Raise LogError if points `(n, 2)` are farther from the ego's start than `WORLD`."""
+    distance = np.abs(points - [zero_of(scenario, "x"), zero_of(scenario, "y")])
+    if distance.size and not distance.max() <= WORLD.most:
+        problem = f"a point is {distance.max():g} m from the ego's start, beyond {WORLD}"
+        remedy = "give the map and the ego in the same coordinates"
+        raise LogError(problem, topic=topic, remedy=remedy)
+
+
+def check_ego(scenario: Scenario) -> Scenario:
+    """Return the scenario; LogError if states of the ego are beyond their limits."""
+    _check_columns(scenario, "ego", scenario.ego)
+    return scenario
+
+
+def check_steps(scenario: Scenario) -> Scenario:
+    """Return the scenario; LogError for a jump of the ego beyond `STEP_M`, or a gap beyond
+    `GAP_S`.
     """
-    start = scenario.ego.state(0)
-    at = {"x": start.x, "y": start.y}.get(name, 0.0)
-    return at if abs(at) < 1e8 else 0.0
+    ego = scenario.ego
+    dt, d = np.diff(ego.t), np.hypot(np.diff(ego.x), np.diff(ego.y))
+    for k in np.flatnonzero(~(d <= STEP_M + SPEED.most * dt))[:1]:
+        problem = f"the position jumps by {d[k]:g} m within {dt[k]:g} s"
+        raise _refusal(scenario, "ego", problem, float(ego.t[k + 1]))
+    for k in np.flatnonzero(dt > GAP_S)[:1]:
+        problem = f"no state for {dt[k]:g} s, longer than {GAP_S:g} s"
+        raise _refusal(scenario, "ego", problem, float(ego.t[k]))
+    return scenario
 
 
-def _refusal(scenario: Scenario, topic: str, what: str, time: float) -> LogError:
-    remedy = "correct or remove that sample, or leave that part out with --from and --to"
-    return LogError(what, topic=topic, time_ns=scenario.start_ns + round(1e9 * time), remedy=remedy)
+def check_actions(scenario: Scenario) -> Scenario:
+    """Return the scenario; LogError if controls or on-board plans are beyond their limits."""
+    if scenario.controls is not None:
+        _check_columns(scenario, "controls", scenario.controls)
+    for plan in scenario.onboard:
+        _check_columns(scenario, "onboard", plan.trajectory)
+    return scenario
+
+
+def check_vehicle(scenario: Scenario) -> Scenario:
+    """Return the scenario; LogError if a parameter of the ego's vehicle is beyond its limit."""
+    for field in fields(scenario.vehicle):
+        limit = VEHICLE_M if field.name in SIZES else VEHICLE
+        magnitude = np.abs(np.atleast_1d(getattr(scenario.vehicle, field.name)))
+        if not (magnitude <= limit.most).all():
+            problem = f"{field.name} is {np.max(magnitude):g}, beyond {limit}"
+            remedy = "correct it, or name the vehicle with --car"
+            raise LogError(problem, topic="vehicle", remedy=remedy)
+    return scenario
+
+
+def check_goal(scenario: Scenario) -> Scenario:
+    """Return the scenario; LogError if a point of the goal is farther away than `WORLD`."""
+    for region in scenario.goal.regions if scenario.goal else ():
+        _check_point(scenario, "goal", np.asarray(region, dtype=np.float64))
+    return scenario
+
+
+def with_known_speeds(scenario: Scenario) -> Scenario:
+    """Take velocities of road users beyond `SPEED` as not known, with a note."""
+    tracks = scenario.tracks
+    speed = np.hypot(np.nan_to_num(tracks.vx), np.nan_to_num(tracks.vy))  # NaN: not known
+    is_fast = speed > SPEED.most
+    if not is_fast.any():
+        return scenario
+    note = (
+        f"The velocity of {_names_of(scenario, _any_sample(scenario, is_fast))} is up to "
+        f"{speed.max():g} m/s, beyond {SPEED}, at"
+        f" {counted(int(is_fast.sum()), 'sample')}: taken as not known there."
+    )
+    vx, vy = np.where(is_fast, np.nan, tracks.vx), np.where(is_fast, np.nan, tracks.vy)
+    return replace(scenario, tracks=replace(tracks, vx=vx, vy=vy), notes=(*scenario.notes, note))
+
+
+def with_usual_sizes(scenario: Scenario) -> Scenario:
+    """Replace sizes of road users out of `SIZES_M` by those usual for the kind, with a note."""
+    tracks, (least, greatest) = scenario.tracks, SIZES_M
+    is_size = np.minimum(tracks.length, tracks.width) >= least
+    is_odd = ~(is_size & (np.maximum(tracks.length, tracks.width) <= greatest))
+    if not is_odd.any():
+        return scenario
+    note = (
+        f"The size of {_names_of(scenario, is_odd)} is not between {least:g} and {greatest:g} m: "
+        "usual for the kind, assumed."
+    )
+    usual_length, usual_width = np.array([USUAL_SIZE_M[kind] for kind in tracks.kinds]).T
+    tracks = replace(
+        tracks,
+        length=np.where(is_odd, usual_length, tracks.length),
+        width=np.where(is_odd, usual_width, tracks.width),
+    )
+    return replace(scenario, tracks=tracks, notes=(*scenario.notes, note))
+
+
+def with_known_poses(scenario: Scenario) -> Scenario:
+    """Leave out samples of road users with a pose beyond its limit, with a note; LogError if none
+    is left.
+    """
+    tracks, limits = scenario.tracks, LIMITS["agents"]
+    beyond = {
+        name: ~(np.abs(getattr(tracks, name) - zero_of(scenario, name)) <= limit.most)
+        for name, limit in limits.items()
+    }
+    is_wrong = np.logical_or.reduce(list(beyond.values()))
+    if not is_wrong.any():
+        return scenario
+    k = int(np.argmax(is_wrong))
+    name = next(name for name, mask in beyond.items() if mask[k])
+    value = Limit(getattr(tracks, name)[k], limits[name].unit)
+    problem = f"{name} is {value}, beyond {limits[name]}"
+    if is_wrong.all():
+        remedy = "give agents and ego in the same coordinates and units"
+        raise LogError(f"no pose of an agent can be used: {problem}", topic="agents", remedy=remedy)
+    time = (scenario.start_ns / 1e9) + float(tracks.t[k])
+    names = _names_of(scenario, _any_sample(scenario, is_wrong))
+    count = counted(int(is_wrong.sum()), "sample")
+    note = f"{count} of {names} are left out: {problem}, {time:.3f} s."
+    return replace(scenario, tracks=tracks.taken(~is_wrong), notes=(*scenario.notes, note))
+
+
+def _any_sample(scenario: Scenario, mask: BoolArray) -> BoolArray:
+    """Return the road users `(m,)` of which a sample is marked in the mask `(n,)`."""
+    return np.asarray(np.add.reduceat(mask, scenario.tracks.offsets[:-1]) > 0)
+
+
+def _names_of(scenario: Scenario, mask: BoolArray) -> str:
+    names = [visible_name(scenario.tracks.ids[i]) for i in np.flatnonzero(mask)]
+    return f"{counted(len(names), 'road user')} ({listed(names, NAMED)})"
 
 
 def check_road(scenario: Scenario) -> Scenario:
@@ -225,128 +294,28 @@ def check_road(scenario: Scenario) -> Scenario:
     """
     road = scenario.road
     for lane in road.lanes.values():
+        topic = f"road, lane {lane.id}"
         for side in (lane.left, lane.right):
-            _check_place(scenario, f"road, lane {lane.id}", side)
+            _check_point(scenario, topic, side)
         if isfinite(lane.speed_limit) and not 0.0 <= lane.speed_limit <= SPEED.most:
-            raise _limit_refused(f"road, lane {lane.id}", lane.speed_limit)
+            raise _limit_refused(topic, lane.speed_limit)
     if not 0.0 < road.default_speed_limit <= SPEED.most:
         raise _limit_refused("road", road.default_speed_limit)
     return scenario
 
 
 def _limit_refused(topic: str, value: float) -> LogError:
-    what = f"the speed limit is {value:g} m/s, beyond {SPEED.most:g} m/s"
-    return LogError(what, topic=topic, remedy="correct the map, or leave the limit out")
+    problem = f"the speed limit is {value:g} m/s, beyond {SPEED}"
+    return LogError(problem, topic=topic, remedy="correct the map, or leave the limit out")
 
 
-def _check_place(scenario: Scenario, topic: str, points: FloatArray) -> None:
-    """Raise LogError if points `(n, 2)` are farther from the ego's start than `WORLD`."""
-    away = np.abs(points - [_zero(scenario, "x"), _zero(scenario, "y")])
-    if away.size and not away.max() <= WORLD.most:
-        what = f"a point is {away.max():g} m from the ego's start, beyond {WORLD.most:g} m"
-        raise LogError(what, topic=topic, remedy="give the map and the ego in the same coordinates")
-
-
-def _tracks_within(scenario: Scenario, notes: list[str]) -> Tracks:
-    """Leave out or replace samples, velocities and sizes beyond a limit, with notes; LogError if
-    none is left.
-    """
-    tracks = scenario.tracks
-    speed = np.hypot(np.nan_to_num(tracks.vx), np.nan_to_num(tracks.vy))  # NaN: not known
-    fast = speed > SPEED.most
-    if fast.any():
-        whose = np.add.reduceat(fast, tracks.offsets[:-1]) > 0
-        notes.append(
-            f"The velocity of {_names_of(tracks, whose)} is up to {speed.max():g} m/s, beyond "
-            f"{SPEED.most:g} m/s, at"
-            f" {counted(int(fast.sum()), 'sample')}: taken as not known there."
-        )
-        tracks = replace(
-            tracks, vx=np.where(fast, np.nan, tracks.vx), vy=np.where(fast, np.nan, tracks.vy)
-        )
-    low, high = SIZES_M
-    odd = ~(
-        (np.minimum(tracks.length, tracks.width) >= low)
-        & (np.maximum(tracks.length, tracks.width) <= high)
-    )
-    if odd.any():
-        what = f"not between {low:g} and {high:g} m: usual for the kind, assumed"
-        notes.append(f"The size of {_names_of(tracks, odd)} is {what}.")
-        usual = np.array([USUAL_SIZE_M[kind] for kind in tracks.kinds])
-        length, width = (
-            np.where(odd, usual[:, 0], tracks.length),
-            np.where(odd, usual[:, 1], tracks.width),
-        )
-        tracks = replace(tracks, length=length, width=width)
-    columns = {name: getattr(tracks, name) - _zero(scenario, name) for name in LIMITS["agents"]}
-    beyond = {
-        name: ~(np.abs(column) <= LIMITS["agents"][name].most) for name, column in columns.items()
-    }
-    bad = np.logical_or.reduce(list(beyond.values()))
-    if not bad.any():
-        return tracks
-    k = int(np.argmax(bad))
-    name = next(name for name, mask in beyond.items() if mask[k])
-    limit = LIMITS["agents"][name]
-    value = (
-        f"{name} is {getattr(tracks, name)[k]:g} {limit.unit}, beyond {limit.most:g} {limit.unit}"
-    )
-    if bad.all():
-        remedy = "give agents and ego in the same coordinates and units"
-        raise LogError(f"no pose of an agent can be used: {value}", topic="agents", remedy=remedy)
-    whose = np.add.reduceat(bad, tracks.offsets[:-1]) > 0
-    when = (scenario.start_ns / 1e9) + float(tracks.t[k])
-    notes.append(
-        f"{counted(int(bad.sum()), 'sample')} of {_names_of(tracks, whose)} are left out: {value}, "
-        f"{when:.3f} s."
-    )
-    return tracks.taken(~bad)
-
-
-def _detections_within(scenario: Scenario, found: Detections) -> tuple[Detections, tuple[str, ...]]:
-    """Return the detections within the limits of agents, with printable names, and notes on those
-    left out.
-    """
-    beyond = [
-        ~(np.abs(getattr(found, name) - _zero(scenario, name)) <= limit.most)
-        for name, limit in LIMITS["agents"].items()
-    ]
-    bad = np.logical_or.reduce(beyond)
-    notes = (
-        (f"{counted(int(bad.sum()), 'detection')} beyond the limits of poses are left out.",)
-        if bad.any()
-        else ()
-    )
-    found = found.taken(~bad) if bad.any() else found
-    with np.errstate(all="ignore"):
-        fast = np.hypot(np.nan_to_num(found.vx), np.nan_to_num(found.vy)) > SPEED.most
-        odd = [
-            ~((size >= SIZES_M[0]) & (size <= SIZES_M[1])) & ~np.isnan(size)
-            for size in (found.length, found.width)
-        ]
-    vx, vy = np.where(fast, np.nan, found.vx), np.where(fast, np.nan, found.vy)
-    length, width = np.where(odd[0], np.nan, found.length), np.where(odd[1], np.nan, found.width)
-    printable_name = {name: visible_name(name) for name in set(found.ids)}
-    ids = tuple(printable_name[name] for name in found.ids)
-    return replace(found, ids=ids, length=length, width=width, vx=vx, vy=vy), notes
-
-
-def _names_of(tracks: Tracks, whose: BoolArray) -> str:
-    names = [visible_name(tracks.ids[i]) for i in np.flatnonzero(whose)]
-    return f"{counted(len(names), 'road user')} ({listed(names, NAMED)})"
+# Names
 
 
 def printable(scenario: Scenario) -> Scenario:
     """Make all names and texts printable in one line, with a note on changes."""
-    names, taken = [visible_name(name) for name in scenario.tracks.ids], dict[str, int]()
-    distinct = []  # repeated names get a number
-    for name in names:
-        count = taken[name] = taken.get(name, 0) + 1
-        distinct.append(name if count == 1 else f"{name}~{count}")
-    if len(set(distinct)) < len(distinct):
-        distinct = [f"{name}~{i}" for i, name in enumerate(names)]
-    ids = tuple(distinct)
-    texts = {key: visible_name(getattr(scenario, key), inf) for key in ("source", "licence")}
+    tracks, road = scenario.tracks, scenario.road
+    ids = _distinct([visible_name(name) for name in tracks.ids])
     changed: dict[str, Any] = {
         "name": visible_name(scenario.name),
         "tags": tuple(map(visible_name, scenario.tags)),
@@ -354,81 +323,136 @@ def printable(scenario: Scenario) -> Scenario:
             visible_name(key): visible_name(text, inf) for key, text in scenario.metadata.items()
         },
         "notes": tuple(visible_name(note, inf) for note in scenario.notes),
-        **texts,
+        "source": visible_name(scenario.source, inf),
+        "licence": visible_name(scenario.licence, inf),
     }
     changed = {key: value for key, value in changed.items() if value != getattr(scenario, key)}
-    if ids != scenario.tracks.ids:
-        changed["tracks"] = replace(scenario.tracks, ids=ids)
-    road = scenario.road
-    odd = {
+    if ids != tracks.ids:
+        changed["tracks"] = replace(tracks, ids=ids)
+    lanes = {
         i: replace(lane, kind=visible_name(lane.kind))
         for i, lane in road.lanes.items()
         if visible_name(lane.kind) != lane.kind
     }
-    if odd:
-        changed["road"] = replace(road, lanes={**road.lanes, **odd})
+    if lanes:
+        changed["road"] = replace(road, lanes={**road.lanes, **lanes})
     if not changed:
         return scenario
-    count = sum(one != other for one, other in zip(ids, scenario.tracks.ids, strict=True))
-    what = [counted(count, "name") + " of road users"] if count else []
-    what += [f"the {key}" for key in changed if key != "tracks"]
-    note = f"Control characters in {', '.join(what)} are replaced, and long names cut."
+    count = sum(new != old for new, old in zip(ids, tracks.ids, strict=True))
+    places = [counted(count, "name") + " of road users"] if count else []
+    places += [f"the {key}" for key in changed if key != "tracks"]
+    note = f"Control characters in {', '.join(places)} are replaced, and long names cut."
     return replace(scenario, **{**changed, "notes": (*changed.get("notes", scenario.notes), note)})
 
 
-def reason_to_repair(choice: str, found: Detections | None) -> str | None:
-    """Return the reason for a repair of the detections, in a sentence; None: they are not
-    repaired.
-    """
-    if found is None or choice == "off":
-        return None
-    if choice == "on":
-        return "It was asked for."
-    return needs_repair(found)
+def _distinct(names: list[str]) -> tuple[str, ...]:
+    """Return the names, of which repeated ones get a number."""
+    counts, distinct = Counter[str](), list[str]()
+    for name in names:
+        counts[name] += 1
+        distinct.append(name if counts[name] == 1 else f"{name}~{counts[name]}")
+    if len(set(distinct)) < len(distinct):
+        distinct = [f"{name}~{i}" for i, name in enumerate(names)]
+    return tuple(distinct)
 
 
-def repaired(scenario: Scenario, choice: str) -> Scenario:
-    """Make tracks from the scenario's detections as `choice` ("auto", "on", "off") says.
-
-    The result has no `detections`; a repaired scenario has them in its `repair`.
-    """
-    found = scenario.detections
-    if choice == "on" and found is None:
-        if scenario.repair is not None:
-            found = scenario.repair.detections
-        else:
-            tracks = scenario.tracks
-            found = detections_of(tracks.taken(~tracks.static[tracks.owner]))
-    reason = reason_to_repair(choice, found)
-    if found is None or reason is None:
-        return scenario if scenario.detections is None else replace(scenario, detections=None)
-    found, left_out = _detections_within(scenario, framed(found))
-    tracks, made = repair(found, scenario.ego, scenario.vehicle)
-    if scenario.detections is None and scenario.repair is None:
-        # static road users stay, under unused names
-        was, taken = scenario.tracks, {*tracks.ids, *made.removed.ids}
-        stay = was.taken(was.static[was.owner])
-        names = tuple(f"{name}~static" if name in taken else name for name in stay.ids)
-        tracks = tracks.with_more(replace(stay, ids=names))
-        made = replace(
-            made, tracks=tracks, extended=np.r_[made.extended, np.zeros(len(stay.t), np.bool_)]
-        )
-    road, notes = scenario.road, [*scenario.notes, *left_out]
-    if road.source is RoadSource.DRIVEN_PATH and scenario.repair is None:
-        road = passed_width(road, tracks, notes)
-    notes.append(
-        " ".join((f"The road users are made of {len(found)} detections. {reason}", *made.summary()))
-    )
-    return replace(
-        scenario, tracks=tracks, road=road, detections=None, repair=made, notes=tuple(notes)
-    )
-
-
-def named(scenario: Scenario) -> Scenario:
-    """Give the repaired tracks the names of the causal tracker's tracks
-    (`replan.logs.repair.detections`).
-    """
-    made = scenario.repair
-    assert made is not None and made.tracks is scenario.tracks
-    made = named_as_tracked(made)
-    return replace(scenario, tracks=made.tracks, repair=made)
+CLOCKS: tuple[LogCheck[Step], ...] = (
+    LogCheck(
+        "times of road users, lights, controls, plans",
+        "times of the ego",
+        f"no overlap; a road user {OTHER_CLOCK_S:g} s away",
+        Action.REFUSE,
+        "refused; such a road user is noted",
+        "clock",
+        of_scenario(check_clocks),
+    ),
+)
+"""Checks of a whole log, before a part is cut out."""
+CHECKS: tuple[LogCheck[Step], ...] = (
+    LogCheck(
+        "states of the ego",
+        "possible values",
+        ", ".join(f"{name} {limit}" for name, limit in _STATE.items()),
+        Action.REFUSE,
+        "refused",
+        run=of_scenario(check_ego),
+    ),
+    LogCheck(
+        "steps of the ego",
+        "possible values",
+        f"{STEP_M:g} m and {SPEED}; a gap of {GAP_S:g} s",
+        Action.REFUSE,
+        "refused",
+        run=of_scenario(check_steps),
+    ),
+    LogCheck(
+        "controls and on-board plans",
+        "possible values",
+        ", ".join(f"{name} {limit}" for name, limit in _CONTROLS.items()),
+        Action.REFUSE,
+        "refused",
+        run=of_scenario(check_actions),
+    ),
+    LogCheck(
+        "the ego's vehicle",
+        "possible values",
+        f"sizes of {VEHICLE_M}, parameters of {VEHICLE}",
+        Action.REFUSE,
+        "refused",
+        "car",
+        of_scenario(check_vehicle),
+    ),
+    LogCheck(
+        "goal",
+        "possible values",
+        f"{WORLD} from the ego's start",
+        Action.REFUSE,
+        "refused",
+        run=of_scenario(check_goal),
+    ),
+    LogCheck(
+        "velocities of road users",
+        "possible values",
+        str(SPEED),
+        Action.REPAIR,
+        "not known, with a note",
+        run=of_scenario(with_known_speeds),
+    ),
+    LogCheck(
+        "sizes of road users",
+        "possible values",
+        f"{SIZES_M[0]:g} to {SIZES_M[1]:g} m",
+        Action.REPAIR,
+        "replaced by those usual for the kind, with a note",
+        run=of_scenario(with_usual_sizes),
+    ),
+    LogCheck(
+        "poses of road users",
+        "possible values",
+        f"{WORLD} from the ego's start, {HEADING}",
+        Action.REFUSE,
+        "left out, with a note; refused if none is left",
+        run=of_scenario(with_known_poses),
+    ),
+    LogCheck(
+        "names and texts",
+        "printable characters",
+        f"{LONGEST_NAME} characters",
+        Action.REPAIR,
+        "control characters are made visible and long names cut, with a note",
+        run=of_scenario(printable),
+    ),
+)
+"""Checks of the scenario that is driven, after the cut."""
+ROAD_CHECKS: tuple[LogCheck[Step], ...] = (
+    LogCheck(
+        "lanes and speed limits",
+        "possible values",
+        f"{WORLD} from the ego's start, {SPEED}",
+        Action.REFUSE,
+        "refused",
+        "map",
+        of_scenario(check_road),
+    ),
+)
+"""Checks of the road, which may come from another file than the log."""

@@ -13,8 +13,9 @@ from hypothesis import given, settings, strategies as st
 from replan.core.arrays import FloatArray
 from replan.core.errors import LogError
 from replan.logs.agents import AgentKind
+from replan.logs.checks import passed
 from replan.logs.chords import Chords
-from replan.logs.comparisons import checked
+from replan.logs.comparisons import COMPARISONS
 from replan.logs.log_settings import HEADINGS
 from replan.logs.road import Road
 from replan.logs.scenario import Scenario
@@ -62,7 +63,7 @@ def test_a_right_log_is_not_touched(rate: float, yaw0: float, turn: float, noise
     walker = along(ego, 9.0, 6.0, "walker", yaw=ego.yaw + 1.5, kind=AgentKind.PEDESTRIAN)
     for driven in (shaken, backward):
         whole = made(driven, along(ego, 12.0, **world), along(ego, -6.0, name="8"), walker)
-        assert checked(whole) is whole
+        assert passed(whole, COMPARISONS) is whole
     assert np.abs(Chords.of_ego(ego).off(ego.yaw)).max() < 1e-6, (
         "on an arc, the mean heading is the chord's direction"
     )
@@ -78,7 +79,7 @@ def test_headings_in_another_convention_are_refused(
     other = (ego.yaw - offset) / factor
     wrong = made(replace(ego, yaw=other)) if of_ego else made(ego, along(ego, 0.0, 20.0, yaw=other))
     with pytest.raises(LogError, match=f"look like {name}:") as refused:
-        checked(wrong)
+        passed(wrong, COMPARISONS)
     assert refused.value.topic == ("ego" if of_ego else "agents")
 
 
@@ -87,12 +88,12 @@ def test_small_headings_in_degrees_are_refused_and_small_errors_are_not(rate: fl
     straight = arc(rate, 0.0, 1e-6)
     ego = arc(rate, -0.06, 0.01)
     with pytest.raises(LogError, match="look like degrees"):
-        checked(made(replace(ego, yaw=np.degrees(ego.yaw))))
+        passed(made(replace(ego, yaw=np.degrees(ego.yaw))), COMPARISONS)
     for drive in (straight, ego):
         for error in (0.3, 0.6, np.pi):
-            assert checked(made(replace(drive, yaw=drive.yaw + error))).ego.yaw[0] == pytest.approx(
-                drive.yaw[0] + error
-            )
+            assert passed(made(replace(drive, yaw=drive.yaw + error)), COMPARISONS).ego.yaw[
+                0
+            ] == pytest.approx(drive.yaw[0] + error)
 
 
 def places(ego: Trajectory) -> tuple[FloatArray, FloatArray]:
@@ -110,12 +111,12 @@ def test_degrees_of_latitude_are_no_metres(rate: float, with_speed: bool, swappe
     origin = float(np.round(x[0])), float(np.round(y[0]))
     moved = replace(ego, x=x - origin[0], y=y - origin[1], v=ego.v if with_speed else derived)
     with pytest.raises(LogError, match="degrees of latitude and longitude"):
-        checked(made(moved, origin=origin))
+        passed(made(moved, origin=origin), COMPARISONS)
     agents = handmade.track(
         "7", ego.t, x, y, yaw=ego.yaw, vx=ego.v * np.cos(ego.yaw), vy=ego.v * np.sin(ego.yaw)
     )
     with pytest.raises(LogError, match="topic agents: the positions are degrees"):
-        checked(made(ego, agents))
+        passed(made(ego, agents), COMPARISONS)
 
 
 @pytest.mark.parametrize("noise", [0.0, 1e-9, 1e-6, 1e-4, 1e-3, 1e-2])
@@ -123,7 +124,7 @@ def test_an_ego_that_stands_is_not_in_degrees(noise: float) -> None:
     ego, rng = arc(10.0), np.random.default_rng(2)
     x, y = noise * rng.normal(size=(2, len(ego)))
     still = made(replace(ego, x=x, y=y, v=0.0 * ego.v), origin=(48.0, 11.0))
-    assert checked(still) is still
+    assert passed(still, COMPARISONS) is still
 
 
 @given(RATES, st.floats(0.6, 2.0), st.floats(0.0, 0.1))
@@ -134,13 +135,13 @@ def test_velocities_in_own_axes_are_rotated_and_noted(
     ego, rng = arc(rate, yaw0, 0.02), np.random.default_rng(3)
     forward = ego.v + noise * rng.normal(size=len(ego))
     own = made(ego, along(ego, 15.0, vx=forward, vy=0.0 * forward), along(ego, -15.0, name="8"))
-    found = checked(own)
+    found = passed(own, COMPARISONS)
     mine = found.tracks.samples(0)
     assert found.tracks.vx[mine] == pytest.approx(forward * np.cos(ego.yaw))
     assert found.tracks.vy[mine] == pytest.approx(forward * np.sin(ego.yaw))
     assert np.isnan(found.tracks.vx[found.tracks.samples(1)]).all()
     assert len(found.notes) == 1 and "own axes" in found.notes[0]
-    assert checked(found) is found
+    assert passed(found, COMPARISONS) is found
 
 
 def test_the_frame_is_shown_by_those_who_leave_the_x_axis() -> None:
@@ -153,7 +154,7 @@ def test_the_frame_is_shown_by_those_who_leave_the_x_axis() -> None:
         handmade.track(f"w{k}", t, 0.0 * t + 60.0 + k, 1.4 * t - 9.0, vx=1.4, vy=0.0, **walk)
         for k in (0, 2)
     ]
-    found = checked(made(ego, *cars, *walkers)).tracks
+    found = passed(made(ego, *cars, *walkers), COMPARISONS).tracks
     assert found.vy[found.samples(8)] == pytest.approx(1.4) and found.vx[
         found.samples(0)
     ] == pytest.approx(10.0)
@@ -172,11 +173,11 @@ def test_the_ego_among_the_agents_is_left_out(
     ego, rng = arc(rate), np.random.default_rng(4)
     me = along(ego, ahead, name=name)
     me |= {axis: me[axis] + noise * rng.normal(size=len(ego)) for axis in "xy"}  # type: ignore[operator]
-    found = checked(made(ego, me, along(ego, 30.0, name="8")))
+    found = passed(made(ego, me, along(ego, 30.0, name="8")), COMPARISONS)
     assert found.tracks.ids == ("8",) and found.notes == (
         f"{name} among the road users is the ego itself: left out.",
     )
-    alone = checked(made(ego, me))
+    alone = passed(made(ego, me), COMPARISONS)
     assert len(alone.tracks) == 0 and alone.traffic_spans == pytest.approx(
         np.array([[0.0, ego.t[-1]]])
     )
@@ -194,4 +195,4 @@ def test_who_is_near_the_ego_stays() -> None:
         "rides a while", ego.t, *(np.r_[np.full(50, 99.0), late[axis]] for axis in "xy")
     )
     near = made(ego, before, after, beside, standing, rides)
-    assert checked(near) is near
+    assert passed(near, COMPARISONS) is near

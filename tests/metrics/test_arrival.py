@@ -20,7 +20,8 @@ from replan.logs.states import TRAJECTORY_COLUMNS, Trajectory
 from replan.logs.trace import EndReason
 from replan.metrics import METRICS, evaluate
 from replan.metrics.arrival import Arrival, fault_of, goal_of, passed_early
-from replan.metrics.health import FaultKind, findings
+from replan.metrics.faults import FaultKind
+from replan.metrics.health import findings
 from replan.metrics.judge import Outcome, judge, load_gates, worst
 from replan.metrics.judge.aggregate import LogLabels
 from replan.metrics.judge.excuses import COVERED, GOAL_ROUTE

@@ -15,16 +15,19 @@ from hypothesis import given, settings, strategies as st
 from replan.config import RunConfig
 from replan.logs.agents import AgentKind
 from replan.logs.catalogue import CATALOGUE
-from replan.logs.comparisons import checked
+from replan.logs.checks import passed
+from replan.logs.comparisons import COMPARISONS
 from replan.logs.mcap import write_scenario
 from replan.logs.road import Lane, Road, RoadSource
 from replan.logs.rules import Colour, StopLine, TrafficLight
 from replan.logs.scenario import Scenario
 from replan.logs.states import Trajectory
 from replan.logs.tracks import Tracks
-from replan.metrics.health import CHECKS, FaultKind, findings, report
+from replan.metrics.faults import FaultKind
+from replan.metrics.health import CHECKS, findings, report, rows
 from replan.run import evaluate_logs
 
+DOCS = Path(__file__).parents[2] / "docs"
 T = np.arange(0.0, 8.01, 0.1)
 AT = 40
 """Index of the sample after which a fault is planted: 4.0 s."""
@@ -89,7 +92,7 @@ def test_a_clean_log_has_no_findings() -> None:
 @pytest.mark.parametrize("name", sorted(CATALOGUE))
 def test_the_catalogue_is_clean(name: str) -> None:
     made = CATALOGUE[name].scenario()
-    assert findings(made) == () and checked(made) is made
+    assert findings(made) == () and passed(made, COMPARISONS) is made
 
 
 @given(st.floats(0.8, 30.0))
@@ -344,6 +347,12 @@ def test_a_light_that_no_line_names_is_found() -> None:
     )
     (found,) = findings(replace(scenario(lights=tuple(lights)), road=lined))
     assert found.kind is FaultKind.LIGHT and found.who == "5"
+
+
+def test_all_checks_of_a_log_are_documented() -> None:
+    text = (DOCS / "logs.md").read_text(encoding="utf-8")
+    for row in rows():
+        assert f"| {' | '.join(row)} |" in text
 
 
 def test_findings_go_into_the_results(tmp_path: Path) -> None:

@@ -33,8 +33,8 @@ from replan.logs.complete import derived_acceleration, derived_curvature, road_a
 from replan.logs.edit.cut import DETECTED_S, HISTORY_S
 from replan.logs.log_settings import LogSettings
 from replan.logs.observed import Spans, of_stream
-from replan.logs.readers.admission import reason_to_repair
 from replan.logs.readers.recorded import unit_or_identity
+from replan.logs.readers.repaired import reason_to_repair
 from replan.logs.readers.ros import schemas
 from replan.logs.readers.ros.bag import Bag, opened
 from replan.logs.readers.ros.ego import (

@@ -12,9 +12,10 @@ from mcap_cases import rich_scenario
 
 from replan.core.errors import LogError
 from replan.core.names import visible_name
+from replan.logs.checks import passed
 from replan.logs.mcap import write_scenario
 from replan.logs.readers import LogSettings, read_log
-from replan.logs.readers.admission import LIMITS, admitted, check_clocks, check_road, printable
+from replan.logs.readers.admission import CHECKS, LIMITS, check_clocks, check_road, printable
 from replan.logs.scenario import Scenario
 from replan.logs.vehicle import VehicleParameters
 
@@ -38,8 +39,8 @@ def test_an_ego_beyond_a_limit_is_refused_with_topic_and_time(name: str, sign: f
         with pytest.raises(
             LogError, match=rf"topic ego, time [0-9.]+ s: ({name} is|the position jumps)"
         ):
-            admitted(wild)
-    assert admitted(LOG) is LOG
+            passed(wild, CHECKS)
+    assert passed(LOG, CHECKS) is LOG
 
 
 REFUSED: dict[str, tuple[Callable[[Scenario], Scenario], str]] = {
@@ -94,7 +95,7 @@ def test_what_is_wrong_of_an_agent_is_left_out_and_noted(
     value *= 1e290 if name == "yaw" and value == 1e7 else 1.0  # 1e7 rad is still an angle
     k = seed % len(values)
     values[k] = abs(value) if name == "length" else value
-    wild = admitted(replace(LOG, tracks=replace(tracks, **{name: values})))
+    wild = passed(replace(LOG, tracks=replace(tracks, **{name: values})), CHECKS)
     whose = k if name == "length" else int(np.searchsorted(tracks.offsets, k, side="right")) - 1
     assert set(tracks.ids) - set(wild.tracks.ids) <= {tracks.ids[whose]}
     (note,) = wild.notes[len(LOG.notes) :]

@@ -16,7 +16,8 @@ from replan.core.arrays import BoolArray, FloatArray, IntArray, frozen
 from replan.core.kernel import kernel
 from replan.logs.agents import Agents
 from replan.logs.plan import Plan
-from replan.logs.road import Goal, Road, inside
+from replan.logs.polylines import inside
+from replan.logs.road import Goal, Road
 from replan.logs.rules import Colour
 from replan.logs.states import EgoState, wrap
 from replan.logs.vehicle import VehicleParameters

@@ -1,13 +1,14 @@
-"""Polylines: the nearest point, fewer points, more points."""
+"""Polylines and polygons: nearest points, fewer or more points, points inside."""
 
 from __future__ import annotations
 
-from math import hypot
+from math import hypot, inf
 
 import numpy as np
 
-from replan.core.arrays import TIE, FloatArray, IntArray, arc_lengths
+from replan.core.arrays import TIE, BoolArray, FloatArray, IntArray, arc_lengths
 from replan.core.kernel import kernel
+from replan.logs.shapes import point_segment
 
 LAP_M = 1.0
 """Two laps of a lane that are this far apart, or less, are one place, m."""
@@ -84,3 +85,54 @@ def first_nearest(line: FloatArray, x: float, y: float) -> int:
     first = int(np.argmax(near))
     end = first + int(np.argmin(near[first:])) if not near[first:].all() else len(line)
     return first + int(np.argmin(away[first:end]))
+
+
+def bounds(points: FloatArray) -> tuple[float, float, float, float]:
+    """Return least x, y, greatest x, y of points `(n, 2)`."""
+    return (*points.min(axis=0).tolist(), *points.max(axis=0).tolist())
+
+
+@kernel
+def inside(x: float, y: float, polygon: FloatArray) -> bool:
+    """Whether a point lies in a simple polygon `(n, 2)` (even-odd rule)."""
+    is_inside = False
+    j = len(polygon) - 1
+    for i in range(len(polygon)):
+        xi, yi = polygon[i, 0], polygon[i, 1]
+        xj, yj = polygon[j, 0], polygon[j, 1]
+        if (yi > y) != (yj > y) and x < (xj - xi) * (y - yi) / (yj - yi) + xi:
+            is_inside = not is_inside
+        j = i
+    return is_inside
+
+
+def points_inside(polygon: FloatArray, x: FloatArray, y: FloatArray) -> BoolArray:
+    """Return which points `(n,)` lie in a polygon `(k, 2)`.
+
+    Its bounding box excludes most points early.
+    """
+    x_lo, y_lo, x_hi, y_hi = bounds(polygon)
+    within = (x >= x_lo) & (x <= x_hi) & (y >= y_lo) & (y <= y_hi)
+    points = zip(x[within].tolist(), y[within].tolist(), strict=True)
+    within[within] = [inside(*point, polygon) for point in points]
+    return np.asarray(within)
+
+
+@kernel
+def along_line(line: FloatArray, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the station of the nearest point of a polyline `(n, 2)` to each point `(k,)`, and the
+    distance, m.
+    """
+    stations, distances = np.zeros(len(x)), np.full(len(x), inf)
+    for k in range(len(x)):
+        begin = 0.0
+        for j in range(len(line) - 1):
+            ax, ay = line[j, 0], line[j, 1]
+            bx, by = line[j + 1, 0], line[j + 1, 1]
+            length = hypot(bx - ax, by - ay)
+            distance = point_segment(x[k], y[k], ax, ay, bx, by)
+            if distance < distances[k] and length > 0.0:
+                along = ((x[k] - ax) * (bx - ax) + (y[k] - ay) * (by - ay)) / length
+                distances[k], stations[k] = distance, begin + min(max(along, 0.0), length)
+            begin += length
+    return stations, distances

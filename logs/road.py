@@ -11,8 +11,7 @@ from types import MappingProxyType
 import numpy as np
 
 from replan.core.arrays import TIE, FloatArray, Points, frozen
-from replan.core.kernel import kernel
-from replan.logs.polylines import thinned
+from replan.logs.polylines import bounds, inside, thinned
 from replan.logs.rules import Crosswalk, StopLine
 from replan.logs.shapes import corners
 
@@ -83,6 +82,11 @@ class Lane:
         return frozen(np.vstack([self.left, self.right[::-1]]))
 
     @cached_property
+    def box(self) -> tuple[float, float, float, float]:
+        """Bounds of the outline: least x, y, greatest x, y, m."""
+        return bounds(self.polygon)
+
+    @cached_property
     def length(self) -> float:
         """Length of the centre line, m."""
         return float(np.hypot(*np.diff(self.center, axis=0).T).sum())
@@ -95,19 +99,6 @@ def predecessors(lanes: Mapping[int, Lane]) -> dict[int, list[int]]:
         for after in lane.successors:
             out.setdefault(after, []).append(lane.id)
     return out
-
-
-@kernel
-def inside(x: float, y: float, polygon: FloatArray) -> bool:
-    """Whether a point lies in a simple polygon `(n, 2)` (even-odd rule)."""
-    found = False
-    j = len(polygon) - 1
-    for i in range(len(polygon)):
-        xi, yi, xj, yj = polygon[i, 0], polygon[i, 1], polygon[j, 0], polygon[j, 1]
-        if (yi > y) != (yj > y) and x < (xj - xi) * (y - yi) / (yj - yi) + xi:
-            found = not found
-        j = i
-    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,15 +150,22 @@ class Road:
 
     @cached_property
     def _boxes(self) -> tuple[tuple[Lane, ...], FloatArray]:
+        """The lanes, and their boxes as columns `(4, n)`."""
         lanes = tuple(self.lanes.values())
-        bounds = [(*lane.polygon.min(axis=0), *lane.polygon.max(axis=0)) for lane in lanes]
-        return lanes, frozen(np.array(bounds).reshape(-1, 4))
+        return lanes, frozen(np.array([lane.box for lane in lanes]).reshape(-1, 4).T)
+
+    def lanes_near(self, low: FloatArray, high: FloatArray) -> tuple[Lane, ...]:
+        """Return the lanes whose bounding boxes meet the rectangle between two corners `(2,)`, in
+        the order of `lanes`.
+        """
+        lanes, (x_lo, y_lo, x_hi, y_hi) = self._boxes
+        meets = (x_lo <= high[0]) & (low[0] <= x_hi) & (y_lo <= high[1]) & (low[1] <= y_hi)
+        return tuple(lanes[i] for i in np.flatnonzero(meets))
 
     def lanes_at(self, x: float, y: float) -> tuple[Lane, ...]:
         """Return the lanes that contain a point, in the order of `lanes`."""
-        lanes, box = self._boxes
-        near = (box[:, 0] <= x) & (x <= box[:, 2]) & (box[:, 1] <= y) & (y <= box[:, 3])
-        return tuple(lanes[i] for i in np.flatnonzero(near) if inside(x, y, lanes[i].polygon))
+        point = np.array([x, y])
+        return tuple(lane for lane in self.lanes_near(point, point) if inside(x, y, lane.polygon))
 
     def is_drivable(self, x: float, y: float) -> bool:
         """Whether a point lies on a lane that a car may drive on."""

@@ -29,8 +29,8 @@ import numpy as np
 
 from replan.core.arrays import TIE, BoolArray, FloatArray, frozen
 from replan.core.kernel import kernel
-from replan.logs.polylines import first_nearest, nearest, sampled
-from replan.logs.road import Goal, Lane, Road, inside
+from replan.logs.polylines import first_nearest, inside, nearest, sampled
+from replan.logs.road import Goal, Lane, Road
 from replan.logs.shapes import point_segment
 from replan.logs.states import EgoState, Trajectory, wrap
 
@@ -126,13 +126,11 @@ def goal_lanes(road: Road, goal: Goal | None) -> frozenset[int]:
     found: set[int] = set()
     for region in goal.regions if goal is not None else ():
         # Lanes whose centre line, sampled every 1 m, has a point inside the region, not on its edge
-        through = []
-        for lane in road.lanes.values():
-            near = (lane.polygon.max(axis=0) >= region.min(axis=0)) & (
-                lane.polygon.min(axis=0) <= region.max(axis=0)
-            )
-            if lane.drivable and near.all():
-                through += [lane.id] if _meets(sampled(lane.center), (region,)) else []
+        through = [
+            lane.id
+            for lane in road.lanes_near(region.min(axis=0), region.max(axis=0))
+            if lane.drivable and _meets(sampled(lane.center), (region,))
+        ]
         middle = road.lanes_at(*region.mean(axis=0))
         found.update(through or [lane.id for lane in middle if lane.drivable])
     return frozenset(found)

@@ -16,7 +16,7 @@ import numpy as np
 from replan.core.arrays import BoolArray, FloatArray, IntArray
 from replan.core.kernel import kernel
 from replan.logs.agents import AgentKind
-from replan.logs.road import inside
+from replan.logs.polylines import inside
 from replan.logs.rules import Crosswalk
 from replan.logs.scenario import Scenario
 from replan.logs.trace import Trace

@@ -26,11 +26,12 @@ import numpy as np
 from replan.core.arrays import BoolArray, FloatArray
 from replan.logs.observed import described, within
 from replan.logs.plan import PlanStatus
+from replan.logs.polylines import points_inside
 from replan.logs.rules import Colour
 from replan.logs.scenario import Scenario
 from replan.logs.trace import EndReason, Mode, Trace
 from replan.metrics.boxes import ego_boxes, phantoms
-from replan.metrics.lanes import limits_at, mapped_lanes, off_lanes, points_inside, stated_lanes
+from replan.metrics.lanes import limits_at, mapped_lanes, off_lanes, stated_lanes
 from replan.metrics.metric import (
     BOTH_LOOPS,
     Measured,

@@ -4,8 +4,8 @@
     comfort) / 16
 
 The drive is sampled at 10 Hz if it has smaller steps. The route of the ego's centre, and the lanes
-of its corners, are those of `lane_map`. The ego is astray while its corners are neither in one lane
-nor in joined lanes. v is the ego's speed at its centre, u an agent's (of objects: 0):
+of its corners, are those of `devkit_lanes`. The ego is astray while its corners are neither in one
+lane nor in joined lanes. v is the ego's speed at its centre, u an agent's (of objects: 0):
 
     collisions    product over {pedestrians and riders, vehicles, objects} of max(0, 1 - n / (1, 1,
                   2)), n at fault. Each agent counts at its first contact, also if it appears there.
@@ -49,6 +49,7 @@ from replan.core.arrays import BoolArray, FloatArray
 from replan.core.kernel import kernel
 from replan.core.once import once
 from replan.logs.agents import AgentKind
+from replan.logs.polylines import along_line
 from replan.logs.road import RoadSource
 from replan.logs.scenario import Scenario
 from replan.logs.shapes import overlap
@@ -66,7 +67,7 @@ from replan.metrics.boxes import (
     touches,
 )
 from replan.metrics.comfort import NUPLAN_BOUNDS, savgol
-from replan.metrics.lanes import DrivableLanes, Route, along_line, lane_map
+from replan.metrics.devkit_lanes import DevkitLanes, Route, devkit_lanes
 from replan.metrics.metric import Unavailable
 
 AHEAD = cos(30.0 / 180.0 * np.pi)
@@ -92,7 +93,7 @@ def corners_of(
 @once
 def closed_loop_parts(trace: Trace, scenario: Scenario) -> Mapping[str, float] | Unavailable:
     """Return the parts of `NUPLAN_CLOSED` of a drive."""
-    lanes = None if scenario.road.source is RoadSource.DRIVEN_PATH else lane_map(scenario.road)
+    lanes = None if scenario.road.source is RoadSource.DRIVEN_PATH else devkit_lanes(scenario.road)
     if lanes is None:
         return NO_LANES
     ego, car = _at_10_hz(trace.ego), car_of(scenario)
@@ -219,7 +220,7 @@ def _meetings(
 
 
 def _leaves_road(
-    lanes: DrivableLanes, found: Sequence[Sequence[tuple[int, ...]]], x: FloatArray, y: FloatArray
+    lanes: DevkitLanes, found: Sequence[Sequence[tuple[int, ...]]], x: FloatArray, y: FloatArray
 ) -> bool:
     """Return whether a corner `(4, k)` that is on no lane is `OFF_M` off the road."""
     for corner in range(4):
@@ -237,7 +238,7 @@ def _station(line: FloatArray, x: float, y: float) -> float:
 
 
 def _direction(
-    lanes: DrivableLanes, route: Route, x: FloatArray, y: FloatArray, t: FloatArray
+    lanes: DevkitLanes, route: Route, x: FloatArray, y: FloatArray, t: FloatArray
 ) -> float:
     gained, lane, before = np.zeros(len(x)), route[0][:1], np.nan
     for k, here in enumerate(route):
@@ -255,7 +256,7 @@ def _direction(
     return 1.0 if worst < COMPLIANT_M else 0.5 if worst < HALF_M else 0.0
 
 
-def route_lanes(lanes: DrivableLanes, x: FloatArray, y: FloatArray) -> list[int]:
+def route_lanes(lanes: DevkitLanes, x: FloatArray, y: FloatArray) -> list[int]:
     """Return the first lane of each roadblock that a drive of the centre comes through, in
     order.
     """
@@ -270,7 +271,7 @@ def route_lanes(lanes: DrivableLanes, x: FloatArray, y: FloatArray) -> list[int]
     ]
 
 
-def _progress(lanes: DrivableLanes, log: FloatArray, x: FloatArray, y: FloatArray) -> float:
+def _progress(lanes: DevkitLanes, log: FloatArray, x: FloatArray, y: FloatArray) -> float:
     first = route_lanes(lanes, log[0], log[1])
     if not first:
         return 1.0
@@ -278,7 +279,7 @@ def _progress(lanes: DrivableLanes, log: FloatArray, x: FloatArray, y: FloatArra
     return 0.0 if own < -LEAST_M else min(1.0, max(own, LEAST_M) / max(driven, LEAST_M))
 
 
-def _gain(lanes: DrivableLanes, first: Sequence[int], x: FloatArray, y: FloatArray) -> float:
+def _gain(lanes: DevkitLanes, first: Sequence[int], x: FloatArray, y: FloatArray) -> float:
     """Return (2) along the roadblocks of the lanes `first`, m."""
     under, blocks = lanes.under(x, y), np.array(lanes.block)
     inside = [under[blocks == lanes.block[i]].any(axis=0) for i in first]
@@ -310,7 +311,7 @@ def _gain(lanes: DrivableLanes, first: Sequence[int], x: FloatArray, y: FloatArr
 
 
 def _speed_limit(
-    lanes: DrivableLanes, scenario: Scenario, route: Route, speed: FloatArray, t: FloatArray
+    lanes: DevkitLanes, scenario: Scenario, route: Route, speed: FloatArray, t: FloatArray
 ) -> float:
     over = np.zeros(len(t))
     for k, here in enumerate(route):

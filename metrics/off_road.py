@@ -14,12 +14,13 @@ import numpy as np
 
 from replan.core.arrays import FloatArray
 from replan.core.kernel import kernel
+from replan.logs.lane_arrays import LaneArrays
 from replan.logs.road import RoadSource
 from replan.logs.scenario import Scenario
 from replan.logs.trace import Trace
 from replan.logs.vehicle import VehicleParameters
 from replan.metrics.boxes import ego_boxes
-from replan.metrics.lanes import LaneArrays, drivable_lanes, off_lanes
+from replan.metrics.lanes import drivable_lanes, off_lanes
 from replan.metrics.metric import Measured, Series, Unavailable, metric
 from replan.metrics.reductions import MAX, time_above
 

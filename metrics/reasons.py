@@ -32,13 +32,14 @@ import numpy as np
 
 from replan.core.arrays import BoolArray, FloatArray
 from replan.core.once import once
+from replan.logs.polylines import points_inside
 from replan.logs.reference_line import ReferenceLine, line_project_many
 from replan.logs.rules import Colour
 from replan.logs.scenario import Scenario
 from replan.logs.trace import Trace
 from replan.logs.tracks import Tracks
 from replan.metrics.boxes import each, grid_of, phantoms
-from replan.metrics.lanes import drivable_lanes, limits_at, points_inside
+from replan.metrics.lanes import drivable_lanes, limits_at
 from replan.metrics.route_gain import WINDOW_M, route_of
 
 NEAR_M, HEADWAY_S, EASE_MPS2, FARTHEST_M = 10.0, 1.5, 1.5, 150.0

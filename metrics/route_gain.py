@@ -34,9 +34,9 @@ import numpy as np
 
 from replan.core.arrays import FloatArray, arc_lengths
 from replan.core.once import last
-from replan.logs.polylines import first_nearest, thinned
+from replan.logs.polylines import first_nearest, inside, thinned
 from replan.logs.reference_line import ReferenceLine, line_project_many
-from replan.logs.road import Goal, Road, inside
+from replan.logs.road import Goal, Road
 from replan.logs.route import counting_stay, find_route, straight_on
 from replan.logs.scenario import Scenario
 from replan.logs.states import Trajectory

@@ -29,6 +29,7 @@ import numpy as np
 
 from replan.core.arrays import FloatArray
 from replan.core.once import once
+from replan.logs.lane_arrays import LaneArrays
 from replan.logs.scenario import Scenario
 from replan.logs.trace import Trace
 from replan.metrics.boxes import GRID_S, ego_boxes, grid_of
@@ -44,7 +45,7 @@ from replan.metrics.cut_in import (
     needed_deceleration,
     worst_forced,
 )
-from replan.metrics.lanes import NO_LANES, LaneArrays, mapped_lanes, under
+from replan.metrics.lanes import NO_LANES, mapped_lanes, under
 from replan.metrics.metric import Measured, Parts, Reduction, Series, Unavailable, metric
 from replan.metrics.needless import turning_points
 from replan.metrics.reasons import AFTER_S, SLACK_MPS, STANDS_MPS, reasons

@@ -48,7 +48,8 @@ from replan.core.files import beside
 from replan.logs.complete import road_along, with_limit
 from replan.logs.maps.base import MapFile, MapReader
 from replan.logs.maps.strips import LARGEST_M, LONGEST_M, LaneStrip, dense, lanes_of
-from replan.logs.road import IN_JUNCTION, Lane, Road, inside, predecessors
+from replan.logs.polylines import inside
+from replan.logs.road import IN_JUNCTION, Lane, Road, predecessors
 from replan.logs.rules import Colour, Crosswalk, StopLine, TrafficLight
 from replan.logs.states import Trajectory
 

@@ -366,13 +366,8 @@ def _lane_extents(
     """
     low, high = line.xy.min(axis=0) - REACH_M, line.xy.max(axis=0) + REACH_M
     extents = {}
-    for lane in road.lanes.values():
-        outline = lane.polygon
-        if (
-            not lane.drivable
-            or (outline.max(axis=0) < low).any()
-            or (outline.min(axis=0) > high).any()
-        ):
+    for lane in road.lanes_near(low, high):
+        if not lane.drivable:
             continue
         left, right = (
             _crossings(line.xy, line.yaw, side, REACH_M) for side in (lane.left, lane.right)

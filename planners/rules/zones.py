@@ -42,8 +42,9 @@ from replan.core.arrays import BoolArray, FloatArray, arc_lengths
 from replan.core.kernel import kernel
 from replan.logs.agents import AgentKind
 from replan.logs.frame import Frame
+from replan.logs.polylines import inside
 from replan.logs.reference_line import ReferenceLine, line_project_many
-from replan.logs.road import Lane, Road, inside, predecessors
+from replan.logs.road import Lane, Road, predecessors
 from replan.logs.rules import RED, Crosswalk, StopLine
 from replan.logs.shapes import overlap, point_segment
 from replan.logs.states import wrap

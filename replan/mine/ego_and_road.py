@@ -16,7 +16,8 @@ import numpy as np
 from replan.core.arrays import BoolArray, FloatArray
 from replan.core.once import once
 from replan.logs.agents import AgentKind
-from replan.logs.road import Lane, Road, RoadSource, inside, predecessors
+from replan.logs.polylines import inside
+from replan.logs.road import Lane, Road, RoadSource, predecessors
 from replan.logs.route import on_lane
 from replan.logs.rules import RED, StopLine
 from replan.logs.states import wrap

@@ -13,7 +13,7 @@ import numpy as np
 
 from replan.core.arrays import BoolArray
 from replan.logs.agents import AgentKind
-from replan.metrics.lanes import points_inside
+from replan.logs.polylines import points_inside
 from replan.metrics.metric import Unavailable
 from replan.mine.driven_log import (
     FELT_S,

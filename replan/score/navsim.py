@@ -61,13 +61,14 @@ import numpy as np
 from replan.core.arrays import BoolArray, FloatArray
 from replan.core.errors import ConfigError
 from replan.core.kernel import kernel
+from replan.logs.polylines import along_line
 from replan.logs.road import RoadSource
 from replan.logs.scenario import Scenario
 from replan.logs.shapes import overlap
 from replan.logs.states import wrapped
 from replan.metrics.boxes import BEHIND, NO_TTC_MPS, STANDING_MPS, EgoOutline
 from replan.metrics.comfort import savgol
-from replan.metrics.lanes import DrivableLanes, along_line, lane_map
+from replan.metrics.devkit_lanes import DevkitLanes, devkit_lanes
 from replan.metrics.nuplan_closed_loop import AHEAD, comfort_signals, comfortable, corners_of
 from replan.planners.pdm.planner import (
     ACCEL_LAG_S,
@@ -173,7 +174,7 @@ class Ground:
     each step.
     """
 
-    lanes: DrivableLanes
+    lanes: DevkitLanes
     route: RoadblockRoute
     first: int
     center: Polyline
@@ -212,7 +213,7 @@ def window(scenario: Scenario, t: float) -> ScoredWindow:
     ConfigError if the log has no lanes, its driver is on none of them, or it does not last for 4 s
     more.
     """
-    lanes = None if scenario.road.source is RoadSource.DRIVEN_PATH else lane_map(scenario.road)
+    lanes = None if scenario.road.source is RoadSource.DRIVEN_PATH else devkit_lanes(scenario.road)
     if lanes is None:
         raise ConfigError(f"{scenario.name}: {NO_LANES}")
     first, last = float(scenario.ego.t[0]), float(scenario.ego.t[-1])

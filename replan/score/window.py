@@ -15,7 +15,7 @@ from replan.core.arrays import BoolArray, FloatArray, arc_lengths
 from replan.core.kernel import inner_kernel, kernel
 from replan.core.once import once
 from replan.logs.agents import AgentKind
-from replan.logs.road import inside
+from replan.logs.polylines import along_line, inside
 from replan.logs.route import straight_on
 from replan.logs.rules import RED
 from replan.logs.scenario import Scenario
@@ -23,7 +23,7 @@ from replan.logs.shapes import distance, overlap
 from replan.logs.states import wrap, wrapped
 from replan.logs.tracks import Tracks
 from replan.metrics.boxes import ego_boxes, others_at
-from replan.metrics.lanes import DrivableLanes, along_line
+from replan.metrics.devkit_lanes import DevkitLanes
 from replan.metrics.nuplan_closed_loop import route_lanes
 
 STEP_S, SAMPLE_S, NEAR_M, BEYOND_M = 0.1, 0.5, 100.0, 100.0
@@ -40,7 +40,7 @@ class RoadblockRoute:
 
 
 @once
-def route_of(scenario: Scenario, lanes: DrivableLanes) -> RoadblockRoute:
+def route_of(scenario: Scenario, lanes: DevkitLanes) -> RoadblockRoute:
     """Return the route that the log names; else that of its driver, and on straight for `BEYOND_M`.
 
     nuPlan's routes do not end with a log.
@@ -61,7 +61,7 @@ def route_of(scenario: Scenario, lanes: DrivableLanes) -> RoadblockRoute:
     return _through(lanes, blocks)
 
 
-def _through(lanes: DrivableLanes, blocks: Sequence[int]) -> RoadblockRoute:
+def _through(lanes: DevkitLanes, blocks: Sequence[int]) -> RoadblockRoute:
     found = tuple(dict.fromkeys(blocks))
     return RoadblockRoute(
         found, frozenset(i for i, block in enumerate(lanes.block) if block in found)
@@ -100,7 +100,7 @@ class Polyline:
 
 
 def center_line(
-    lanes: DrivableLanes, route: RoadblockRoute, x: float, y: float, yaw: float
+    lanes: DevkitLanes, route: RoadblockRoute, x: float, y: float, yaw: float
 ) -> tuple[int, Polyline]:
     """Return the lane at which PDM-Closed begins, and its centre line to the end of the route.
 
@@ -214,7 +214,7 @@ def predicted_others(scenario: Scenario, t: float, x: float, y: float, steps: in
 
 
 def red_lanes(
-    scenario: Scenario, lanes: DrivableLanes, route: RoadblockRoute, t: float
+    scenario: Scenario, lanes: DevkitLanes, route: RoadblockRoute, t: float
 ) -> frozenset[int]:
     """Return the lanes of the route behind stop lines whose light is red."""
     shown = {light.id: light.at(t) for light in scenario.lights}

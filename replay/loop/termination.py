@@ -16,7 +16,8 @@ import numpy as np
 from replan.core.arrays import FloatArray, IntArray
 from replan.core.kernel import inner_kernel, kernel
 from replan.logs.nearby_tracks import NearbyTracks
-from replan.logs.road import Goal, RoadSource, inside
+from replan.logs.polylines import inside
+from replan.logs.road import Goal, RoadSource
 from replan.logs.scenario import Scenario
 from replan.logs.shapes import point_segment
 from replan.logs.states import TRAJECTORY_COLUMNS, EgoState, Trajectory

@@ -242,7 +242,7 @@ def _length(map_: LaneSamples, lane: int) -> float:
 @inner_kernel
 def _turn(map_: LaneSamples, lane: int, s: float) -> float:
     """Return by how much a lane turns from station `s` to its end, rad, not negative."""
-    return abs(map_.pose[2, map_.first[lane + 1] - 1] - lane_point(map_, lane, s)[2])
+    return abs(map_.yaw[map_.first[lane + 1] - 1] - lane_point(map_, lane, s)[2])
 
 
 @inner_kernel

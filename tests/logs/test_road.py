@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from replan.logs.polylines import thinned
+from replan.logs.polylines import inside, thinned
 from replan.logs.reference_line import ReferenceLine
-from replan.logs.road import Goal, Lane, Road, RoadSource, inside
+from replan.logs.road import Goal, Lane, Road, RoadSource
 from replan.logs.shapes import point_segment
 from replan.logs.states import wrap
 

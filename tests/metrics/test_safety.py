@@ -25,7 +25,8 @@ from hypothesis import given, settings, strategies as st
 
 from replan.core.arrays import FloatArray
 from replan.logs.agents import AgentKind
-from replan.logs.road import Lane, Road, inside
+from replan.logs.polylines import inside
+from replan.logs.road import Lane, Road
 from replan.logs.scenario import Scenario
 from replan.logs.shapes import distance, point_segment, time_to_contact
 from replan.logs.states import Trajectory
@@ -449,7 +450,7 @@ def test_distance_off_the_lanes_is_exact(points: list[tuple[float, float]]) -> N
 
 @given(st.integers(0, 2**32 - 1), st.integers(2, 400))
 @settings(max_examples=8, deadline=None)
-def test_lanes_of_any_length_are_asked_as_if_edge_by_edge(seed: int, count: int) -> None:
+def test_boxes_of_edges_do_not_change_results(seed: int, count: int) -> None:
     rng = np.random.default_rng(seed)
     yaw = np.cumsum(rng.normal(0.0, 0.15, count))
     center = np.cumsum(3.0 * np.column_stack([np.cos(yaw), np.sin(yaw)]), axis=0)
@@ -461,8 +462,8 @@ def test_lanes_of_any_length_are_asked_as_if_edge_by_edge(seed: int, count: int)
     def away(line: FloatArray) -> list[float]:
         return [min(point_segment(*p, *a, *b) for a, b in pairwise(line)) for p in points]
 
-    held = [inside(*p, lanes.points) for p in points]
-    closed = np.vstack([lanes.points[-1:], lanes.points])
+    held = [inside(*p, lanes.outline) for p in points]
+    closed = np.vstack([lanes.outline[-1:], lanes.outline])
     np.testing.assert_array_equal(off_lanes(lanes, *points.T), np.where(held, 0.0, away(closed)))
     np.testing.assert_array_equal(np.isfinite(limits_at(lanes, *points.T)), held)
     left = under(lanes, *points.T, np.zeros(40)).left

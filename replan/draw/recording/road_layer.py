@@ -11,7 +11,8 @@ from replan.core.arrays import BoolArray, FloatArray, IntArray, arc_lengths
 from replan.core.kernel import kernel
 from replan.draw.recording import colours
 from replan.draw.recording.tape import Instants, PlaneWindow, Tape, joined, strips, strokes
-from replan.logs.road import Lane, Road, inside
+from replan.logs.polylines import inside
+from replan.logs.road import Lane, Road
 from replan.logs.rules import Colour
 from replan.logs.scenario import Scenario
 

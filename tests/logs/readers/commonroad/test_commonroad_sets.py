@@ -11,6 +11,7 @@ from commonroad_files import RECTANGLE, points, problem, state, straight, writte
 from hypothesis import given, strategies as st
 
 from replan.logs.agents import AgentKind
+from replan.logs.polylines import inside
 from replan.logs.readers.commonroad import read_commonroad
 from replan.logs.readers.commonroad.document import OccupiedSet
 from replan.logs.readers.commonroad.occupancy_sets import (
@@ -22,7 +23,6 @@ from replan.logs.readers.commonroad.occupancy_sets import (
     smallest_box,
     standing,
 )
-from replan.logs.road import inside
 from replan.replay.loop.closed_loop import run_closed_loop
 
 

@@ -17,6 +17,7 @@ ends there.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from math import cos, sin
@@ -103,19 +104,16 @@ class Arrival:
         self._route: ProgressLine | None = route_of(scenario) if goal.way > 0.0 else None
         self._row, self._station, self._gain = 0, 0.0, 0.0
 
-    def at(self, rows: FloatArray, k: int) -> bool:
-        """Return whether the drive has arrived at row `k`.
-
-        Columns of the rows: `TRAJECTORY_COLUMNS` first.
-        """
-        t, x, y, yaw, v = rows[k, :5].tolist()
+    def at(self, columns: Mapping[str, FloatArray], k: int) -> bool:
+        """Return whether the drive has arrived at sample `k` of its `TRAJECTORY_COLUMNS`."""
+        t, x, y, yaw, v = (float(columns[name][k]) for name in ("t", "x", "y", "yaw", "v"))
         if not self._goal.reached(
             t, x + self._ahead * cos(yaw), y + self._ahead * sin(yaw), yaw, v
         ):
             return False
         if self._route is None:
             return True
-        new = Trajectory(*rows[self._row : k + 1, : len(TRAJECTORY_COLUMNS)].T)
+        new = Trajectory(*(columns[name][self._row : k + 1] for name in TRAJECTORY_COLUMNS))
         found = gain_along(self._route, new, self._station)
         self._row, self._station, self._gain = (
             k,

@@ -61,9 +61,10 @@ from replan.core.arrays import FloatArray, frozen
 from replan.core.errors import ConfigError, unknown_name
 from replan.core.kernel import inner_kernel, kernel
 from replan.core.settings import Config, NotNegative, Positive
+from replan.logs.states import EgoState
 from replan.logs.vehicle import VehicleParameters
 from replan.replay.control import estimation
-from replan.replay.control.estimation import DelayModel, DelayState, SlipModel, SlipState
+from replan.replay.control.estimation import DelayMemory, DelayModel, SlipMemory, SlipModel
 from replan.replay.control.lateral_model import (
     DISCRETISATIONS,
     at_rear_axle,
@@ -78,7 +79,6 @@ from replan.replay.control.lateral_model import (
     with_rigid_tyres,
     with_steering,
 )
-from replan.replay.vehicle.base import MotionState
 from replan.replay.vehicle.drivetrain import SHORTEST_LAG_S
 from replan.replay.vehicle.plan_path import Deviation, path_kappa
 
@@ -231,10 +231,10 @@ class DlqrLaw(NamedTuple):
     """The numbers of (6)-(8) for a vehicle with tyres that slip.
 
     Attributes:
-        gains: From `gain_table`.
-        slips: From `slip_table`.
         slip: Model that estimates the slip.
         delay: Model that estimates the steering's delay.
+        gains: From `gain_table`.
+        slips: From `slip_table`.
         wheelbase: m.
         max_steer: rad.
         lag: Of the steering, s.
@@ -242,21 +242,14 @@ class DlqrLaw(NamedTuple):
             steering.
     """
 
-    gains: FloatArray
-    slips: FloatArray
     slip: SlipModel
     delay: DelayModel
+    gains: FloatArray
+    slips: FloatArray
     wheelbase: float
     max_steer: float
     lag: float
     commands: bool
-
-
-class DlqrState(NamedTuple):
-    """What the controller has learned about the tyres and the steering."""
-
-    slip: SlipState
-    delay: DelayState
 
 
 def dlqr_law(
@@ -264,10 +257,10 @@ def dlqr_law(
 ) -> DlqrLaw:
     """The law for a vehicle whose tyres slip."""
     return DlqrLaw(
-        gain_table(p, period, config or DlqrConfig()),
-        slip_table(p),
         estimation.slip_model(p, period),
         estimation.delay_model(p, period),
+        gain_table(p, period, config or DlqrConfig()),
+        slip_table(p),
         float(p.wheelbase),
         float(p.max_steer),
         max(float(p.steer_lag), SHORTEST_LAG_S),
@@ -275,37 +268,41 @@ def dlqr_law(
     )
 
 
-def dlqr_start(period: float) -> DlqrState:
-    """The state before anything is learned."""
-    return DlqrState(estimation.NO_SLIP, estimation.no_delay(period))
-
-
 @inner_kernel
 def steer_slipping(
-    law: DlqrLaw, state: DlqrState, now: MotionState, off: Deviation, knots: FloatArray
-) -> tuple[float, DlqrState]:
-    """Front wheel angle to command, rad, and the updated state."""
-    v, delay, model = now.v, state.delay, law.delay
+    law: DlqrLaw,
+    slip: SlipMemory,
+    delay: DelayMemory,
+    wheel: FloatArray,
+    now: EgoState,
+    off: Deviation,
+    knots: FloatArray,
+) -> float:
+    """Front wheel angle to command, rad; `wheel` as in `DelayMemory`."""
+    v, model = now.v, law.delay
     if law.commands:
-        delay = estimation.observed(delay, model, now.steer)
-    slip = estimation.learned(state.slip, law.slip, now)
+        estimation.observe(delay, wheel, model, now.steer)
+    estimation.learn(slip, law.slip, now)
     rear, angle = following_at(law.slips, law.wheelbase, (slip.front, slip.rear), v)  # (8)
     y = estimation.lateral_deviation(now, off, knots, rear)
-    lateral, side, heading, turn = estimation.predicted(y, delay, model, knots, off.foot, v, angle)
+    lateral, side, heading, turn = estimation.predicted(
+        y, delay, wheel, model, knots, off.foot, v, angle
+    )
     foot = off.foot + v * delay.delay
-    wheel = estimation.settled_wheel(delay) if estimation.periods(delay, model) else now.steer
+    is_late = estimation.periods(delay, model) > 0
+    steer = estimation.settled_wheel(delay, wheel) if is_late else now.steer
     command = (
         steer_for(knots, foot, v, command_series(angle, law.lag, model.period))  # (7)
         - gain(law.gains, v, 0) * lateral
         - gain(law.gains, v, 1) * (side + v * heading)
         - gain(law.gains, v, 2) * heading
         - gain(law.gains, v, 3) * turn
-        - gain(law.gains, v, 4) * (wheel - steer_for(knots, foot, v, angle))  # (6)
+        - gain(law.gains, v, 4) * (steer - steer_for(knots, foot, v, angle))  # (6)
     )
     command = min(max(command, -law.max_steer), law.max_steer)
     if law.commands:
-        estimation.record(delay, model, command)
-    return command, DlqrState(slip, delay)
+        estimation.record(wheel, model, command)
+    return command
 
 
 class KinematicLaw(NamedTuple):
@@ -327,7 +324,7 @@ def kinematic_law(
 
 
 @inner_kernel
-def steer_rolling(law: KinematicLaw, now: MotionState, off: Deviation, knots: FloatArray) -> float:
+def steer_rolling(law: KinematicLaw, now: EgoState, off: Deviation, knots: FloatArray) -> float:
     """Front wheel angle to command, rad."""
     here = atan(law.wheelbase * path_kappa(knots, off.foot))
     ahead = atan(law.wheelbase * path_kappa(knots, off.foot + now.v * law.preview))

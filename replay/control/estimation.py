@@ -41,6 +41,7 @@ import numpy as np
 
 from replan.core.arrays import FloatArray
 from replan.core.kernel import inner_kernel, kernel
+from replan.logs.states import EgoState
 from replan.logs.vehicle import VehicleParameters
 from replan.replay.control.lateral_model import (
     SteerSeries,
@@ -49,9 +50,9 @@ from replan.replay.control.lateral_model import (
     lateral_table,
     steer_for,
 )
-from replan.replay.vehicle.base import MotionState
 from replan.replay.vehicle.drivetrain import SHORTEST_LAG_S
 from replan.replay.vehicle.plan_path import Deviation, path_kappa
+from replan.replay.vehicle.records import new_record
 
 SLIP_GAIN_PER_S = 16.0
 PHI_0_RAD = 0.005
@@ -65,6 +66,8 @@ LONGEST_S = 0.3
 
 Lateral = tuple[float, float, float, float]
 """e_d m, v_lat m/s, e_phi rad, r rad/s: each minus that of exact following."""
+E_D, V_LAT, E_PHI, R = range(4)
+"""Places of `Lateral`."""
 
 
 class SlipModel(NamedTuple):
@@ -80,21 +83,17 @@ class SlipModel(NamedTuple):
     period: float
 
 
-class SlipState(NamedTuple):
-    """The ratios of both axles.
-
-    Values of the previous period: v_lat, r, alpha_f, alpha_r, NaN if there are none.
+class SlipMemory:
+    """The ratios of both axles, and v_lat, r, alpha_f, alpha_r of the previous period, NaN if there
+    is none. A record.
     """
 
-    front: float
-    rear: float
-    v_lat: float
-    turn: float
-    alpha_front: float
-    alpha_rear: float
-
-
-NO_SLIP = SlipState(1.0, 1.0, nan, nan, nan, nan)
+    front: float = 1.0
+    rear: float = 1.0
+    v_lat: float = nan
+    turn: float = nan
+    alpha_front: float = nan
+    alpha_rear: float = nan
 
 
 def slip_model(p: VehicleParameters, period: float) -> SlipModel:
@@ -113,26 +112,24 @@ def slip_model(p: VehicleParameters, period: float) -> SlipModel:
 
 
 @kernel
-def learned(state: SlipState, car: SlipModel, now: MotionState) -> SlipState:
-    """The state after the motion of one more period."""
+def learn(slip: SlipMemory, car: SlipModel, now: EgoState) -> None:
+    """Take in the motion of one more period."""
     r, v = now.yaw_rate, now.v
     if v < SLOWEST_MPS:
-        return SlipState(state.front, state.rear, nan, nan, nan, nan)
+        slip.v_lat = slip.turn = slip.alpha_front = slip.alpha_rear = nan
+        return
     alpha_front, alpha_rear = now.steer - (now.v_lat + car.wheelbase * r) / v, -now.v_lat / v  # (2)
-    if isnan(state.v_lat):
-        return SlipState(state.front, state.rear, now.v_lat, r, alpha_front, alpha_rear)
-    side, spin = (now.v_lat - state.v_lat) / car.period, (r - state.turn) / car.period
-    across = car.mass * car.a * (side + 0.5 * v * (r + state.turn))
-    rear = (across + (car.a * car.b * car.mass - car.inertia) * spin) / car.wheelbase  # (1)
-    front = (car.inertia * spin + car.b * rear) / car.a
-    return SlipState(
-        nearer(state.front, front / car.front, 0.5 * (alpha_front + state.alpha_front), car.period),
-        nearer(state.rear, rear / car.rear, 0.5 * (alpha_rear + state.alpha_rear), car.period),
-        now.v_lat,
-        r,
-        alpha_front,
-        alpha_rear,
-    )
+    if not isnan(slip.v_lat):
+        side, spin = (now.v_lat - slip.v_lat) / car.period, (r - slip.turn) / car.period
+        across = car.mass * car.a * (side + 0.5 * v * (r + slip.turn))
+        rear = (across + (car.a * car.b * car.mass - car.inertia) * spin) / car.wheelbase  # (1)
+        front = (car.inertia * spin + car.b * rear) / car.a
+        mean_front = 0.5 * (alpha_front + slip.alpha_front)
+        mean_rear = 0.5 * (alpha_rear + slip.alpha_rear)
+        slip.front = nearer(slip.front, front / car.front, mean_front, car.period)
+        slip.rear = nearer(slip.rear, rear / car.rear, mean_rear, car.period)
+    slip.v_lat, slip.turn = now.v_lat, r
+    slip.alpha_front, slip.alpha_rear = alpha_front, alpha_rear
 
 
 @inner_kernel
@@ -159,20 +156,20 @@ class DelayModel(NamedTuple):
     table: FloatArray
 
 
-class DelayState(NamedTuple):
-    """The estimated state of the steering.
+class DelayMemory:
+    """What is known of the steering; a record.
+
+    Beside it goes `wheel` `(k,)`: w of (4) now, one period ago, ... rad; kernels write into it.
 
     Attributes:
-        wheel: `(k,)` w of (4) now, one period ago, ... rad; kernels write into it.
         offset: o of (5), rad.
         delay: d of (6), s.
         known: Whether the wheel's angle is known.
     """
 
-    wheel: FloatArray
-    offset: float
-    delay: float
-    known: bool
+    offset: float = 0.0
+    delay: float = 0.0
+    known: bool = False
 
 
 def delay_model(p: VehicleParameters, period: float) -> DelayModel:
@@ -181,43 +178,43 @@ def delay_model(p: VehicleParameters, period: float) -> DelayModel:
     return DelayModel(float(p.max_steer_rate) * period, share, period, lateral_table(p, period))
 
 
-def no_delay(period: float) -> DelayState:
-    """No delay, until one is learned."""
-    return DelayState(np.zeros(round(LONGEST_S / period) + 2), 0.0, 0.0, False)
+def straight_wheel(period: float) -> FloatArray:
+    """Wheel angles of a past without steering, as long as a delay may be."""
+    return np.zeros(round(LONGEST_S / period) + 2)
 
 
 @inner_kernel
-def periods(state: DelayState, model: DelayModel) -> int:
+def periods(delay: DelayMemory, model: DelayModel) -> int:
     """Whole periods of the delay."""
-    return round(state.delay / model.period)
+    return round(delay.delay / model.period)
 
 
 @kernel
-def settled_wheel(state: DelayState) -> float:
+def settled_wheel(delay: DelayMemory, wheel: FloatArray) -> float:
     """The wheel angle when all that was commanded has arrived, rad."""
-    return state.wheel[0] + state.offset
+    return wheel[0] + delay.offset
 
 
 @kernel
-def observed(state: DelayState, model: DelayModel, measured: float) -> DelayState:
-    """The state after the wheel angle `measured` is observed, rad."""
-    wheel, h = state.wheel, model.period
-    if not state.known:
+def observe(delay: DelayMemory, wheel: FloatArray, model: DelayModel, measured: float) -> None:
+    """Take in the wheel angle `measured` now, rad."""
+    if not delay.known:
         wheel[:] = measured
-        return DelayState(wheel, 0.0, state.delay, True)
-    place = state.delay / h
+        delay.offset, delay.known = 0.0, True
+        return
+    h = model.period
+    place = delay.delay / h
     i = int(place)
     rate = (wheel[i] - wheel[i + 1]) / h
-    error = measured - (wheel[i] - (place - i) * h * rate) - state.offset
-    offset = state.offset + h / OFFSET_S * error  # (5)
+    error = measured - (wheel[i] - (place - i) * h * rate) - delay.offset
+    delay.offset = delay.offset + h / OFFSET_S * error  # (5)
     step = DELAY_GAIN_PER_S * rate * error / (RATE_0_RADPS * RATE_0_RADPS + rate * rate)  # (6)
-    return DelayState(wheel, offset, min(max(state.delay - h * step, 0.0), LONGEST_S), True)
+    delay.delay = min(max(delay.delay - h * step, 0.0), LONGEST_S)
 
 
 @kernel
-def record(state: DelayState, model: DelayModel, command: float) -> None:
+def record(wheel: FloatArray, model: DelayModel, command: float) -> None:
     """Take in `command`, which holds for a period, rad."""
-    wheel = state.wheel
     turned = model.share * (command - wheel[0])
     after = wheel[0] + min(max(turned, -model.most), model.most)  # (4)
     for i in range(len(wheel) - 1, 0, -1):
@@ -226,7 +223,7 @@ def record(state: DelayState, model: DelayModel, command: float) -> None:
 
 
 @kernel
-def lateral_deviation(now: MotionState, off: Deviation, knots: FloatArray, slip: float) -> Lateral:
+def lateral_deviation(now: EgoState, off: Deviation, knots: FloatArray, slip: float) -> Lateral:
     """How far the ego is off exact following of a path now; `slip` is p_0 of `following_at`."""
     v, kappa = now.v, path_kappa(knots, off.foot)
     side = now.v_lat * cos(off.heading) + v * (sin(off.heading) - off.heading)
@@ -237,7 +234,8 @@ def lateral_deviation(now: MotionState, off: Deviation, knots: FloatArray, slip:
 @kernel
 def predicted(
     y: Lateral,
-    state: DelayState,
+    delay: DelayMemory,
+    wheel: FloatArray,
     model: DelayModel,
     knots: FloatArray,
     foot: float,
@@ -249,24 +247,24 @@ def predicted(
     `y` is the deviation now; `foot` the station of the ego's foot point, m; `v` its speed, m/s;
     `angle` the series of exact following (`following_at`).
     """
-    n, h, table = periods(state, model), model.period, model.table
+    n, h, table = periods(delay, model), model.period, model.table
     if n == 0:
         return y
     i, u = at_speed(table, v)
-    wheel = state.wheel[n] + state.offset - steer_for(knots, foot, v, angle)
+    steer = wheel[n] + delay.offset - steer_for(knots, foot, v, angle)
     now, then = np.array(y), np.empty(4)
     for k in range(1, n + 1):  # (7)
-        after = state.wheel[n - k] + state.offset - steer_for(knots, foot + k * h * v, v, angle)
+        after = wheel[n - k] + delay.offset - steer_for(knots, foot + k * h * v, v, angle)
+        inputs = steer, (after - steer) / h
         for row in range(4):
             then[row] = 0.0
             for column in range(6):
                 entry = table[i, row, column] + u * (
                     table[i + 1, row, column] - table[i, row, column]
                 )
-                value = now[column] if column < 4 else wheel if column == 4 else (after - wheel) / h
-                then[row] += entry * value
-        now[:], wheel = then, after
-    return now[0], now[1], now[2], now[3]
+                then[row] += entry * (now[column] if column < 4 else inputs[column - 4])
+        now[:], steer = then, after
+    return now[E_D], now[V_LAT], now[E_PHI], now[R]
 
 
 class SteeringDelay:
@@ -275,36 +273,38 @@ class SteeringDelay:
 
     Attributes:
         model: The parameters.
-        state: The present estimate.
+        delay: The present estimate, a record.
+        wheel: The wheel angles of the model, as in `DelayMemory`.
     """
 
     def __init__(self, parameters: VehicleParameters, period: float) -> None:
-        self.model, self.state = delay_model(parameters, period), no_delay(period)
+        self.model = delay_model(parameters, period)
+        self.delay, self.wheel = new_record(DelayMemory), straight_wheel(period)
 
     @property
     def seconds(self) -> float:
         """The delay d of (6), s."""
-        return self.state.delay
+        return float(self.delay.delay)
 
     @property
-    def wheel(self) -> float:
+    def settled(self) -> float:
         """The wheel angle when all that was commanded has arrived, rad."""
-        return float(settled_wheel(self.state))
+        return float(settled_wheel(self.delay, self.wheel))
 
     def rest(self) -> None:
         """Note that the vehicle is held: the wheel angle is not known until it drives again."""
-        self.state = self.state._replace(known=False)
+        self.delay.known = False
 
     def observe(self, measured: float) -> None:
         """Take in the wheel angle `measured` now, rad."""
-        self.state = observed(self.state, self.model, measured)
+        observe(self.delay, self.wheel, self.model, measured)
 
     def record(self, command: float) -> None:
         """Take in `command`, which holds for a period, rad."""
-        record(self.state, self.model, command)
+        record(self.wheel, self.model, command)
 
     def predict(
         self, y: Lateral, knots: FloatArray, foot: float, v: float, angle: SteerSeries
     ) -> Lateral:
         """Return the deviation when a present command takes effect; arguments as `predicted`."""
-        return predicted(y, self.state, self.model, knots, foot, v, angle)
+        return predicted(y, self.delay, self.wheel, self.model, knots, foot, v, angle)

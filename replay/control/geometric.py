@@ -29,8 +29,7 @@ from typing import NamedTuple
 
 from replan.core.arrays import FloatArray
 from replan.core.kernel import inner_kernel
-from replan.logs.states import wrap
-from replan.replay.vehicle.base import MotionState
+from replan.logs.states import EgoState, wrap
 from replan.replay.vehicle.plan_path import Deviation, path_foot, path_point
 
 
@@ -47,7 +46,7 @@ class PursuitLaw(NamedTuple):
 
 
 @inner_kernel
-def steer_pursuing(law: PursuitLaw, now: MotionState, off: Deviation, knots: FloatArray) -> float:
+def steer_pursuing(law: PursuitLaw, now: EgoState, off: Deviation, knots: FloatArray) -> float:
     """Return the front wheel angle to command, rad."""
     wanted = min(max(law.time * now.v, law.shortest), law.longest)  # (1)
     s = off.foot + wanted
@@ -71,7 +70,7 @@ class StanleyLaw(NamedTuple):
 
 
 @inner_kernel
-def steer_at_front(law: StanleyLaw, now: MotionState, off: Deviation, knots: FloatArray) -> float:
+def steer_at_front(law: StanleyLaw, now: EgoState, off: Deviation, knots: FloatArray) -> float:
     """Return the front wheel angle to command, rad."""
     x, y = now.x + law.wheelbase * cos(now.yaw), now.y + law.wheelbase * sin(now.yaw)
     rx, ry, yaw, _ = path_point(knots, path_foot(knots, x, y, off.foot + law.wheelbase))

@@ -44,10 +44,10 @@ from replan.logs.vehicle import VehicleParameters
 from replan.planners.solver import QPConfig, QPResult, QuadraticProgram
 from replan.replay.control import pedals
 from replan.replay.control.estimation import (
-    NO_SLIP,
+    SlipMemory,
     SteeringDelay,
     lateral_deviation,
-    learned,
+    learn,
     slip_model,
 )
 from replan.replay.control.lateral_model import (
@@ -71,9 +71,10 @@ from replan.replay.control.mpc_model import (
     predicted,
     resampled,
 )
-from replan.replay.vehicle.base import Controller, Powertrain, motion_of
+from replan.replay.vehicle.base import Controller, Powertrain
 from replan.replay.vehicle.drivetrain import SHORTEST_LAG_S
 from replan.replay.vehicle.plan_path import Deviation, PlanPath, Tracker
+from replan.replay.vehicle.records import ego_record, new_record
 from replan.replay.vehicle.tyres import GRAVITY
 
 RESAMPLED_S = 0.05
@@ -283,10 +284,11 @@ class Mpc:
         self._lag = max(parameters.steer_lag, SHORTEST_LAG_S)
         self._every = max(round(self._config.period_s / period), 1)
         self._program = TrackingProgram(self._config)
-        self._slip_model, self._slip = slip_model(parameters, period), NO_SLIP
+        self._slip_model, self._slip = slip_model(parameters, period), new_record(SlipMemory)
         self._delay = delay or SteeringDelay(parameters, period)
         self._tracker = Tracker(partial(resampled, step=RESAMPLED_S))
-        self._pedal, self._stop, self._lead = pedals.NO_PEDAL, pedals.NO_STOP, nan
+        self._pedal, self._stop = new_record(pedals.PedalMemory), new_record(pedals.StopMemory)
+        self._lead = nan
         self._stands, self._solved, self._since = False, False, 0
         self._input: FloatArray = np.zeros(INPUTS)
         self._steer = self._steer_rate = 0.0
@@ -309,10 +311,10 @@ class Mpc:
         if self._stands:
             self._since, self._solved, self._lead, self._input = 0, False, nan, np.zeros(INPUTS)
             self._delay.rest()
-            throttle, brake, self._pedal = pedals.hold(self._pedal, state.v, state.a)
+            throttle, brake = pedals.hold(self._pedal, state.v, state.a)
             return Command(state.steer, throttle, brake)
         off = path.deviation(state)
-        self._slip = learned(self._slip, self._slip_model, motion_of(state))
+        learn(self._slip, self._slip_model, ego_record(state))
         if self._since % self._every == 0:
             self._solve(state, path, off)
         tau = self._period * (self._since % self._every)
@@ -327,17 +329,17 @@ class Mpc:
             steer = min(max(steer, -self._p.max_steer), self._p.max_steer)
             led, self._lead = pedals.compensated(self._lead, train, path.times, t, v, self._period)
             wanted = led + float(self._input[0])  # (4)
-            wanted, self._stop = pedals.eased(
+            wanted = pedals.eased(
                 self._stop, train, path.times, t, v, state.a, wanted, self._period
             )
-            throttle, brake, self._pedal = pedals.press(self._pedal, train, wanted, v)
+            throttle, brake = pedals.press(self._pedal, train, wanted, v)
             command = Command(float(steer), throttle, brake)
         self._delay.record(command.steer)
         return command
 
     @property
     def _ratios(self) -> tuple[float, float]:
-        return self._slip.front, self._slip.rear
+        return float(self._slip.front), float(self._slip.rear)
 
     def _solve(self, state: EgoState, path: PlanPath, off: Deviation) -> None:
         """Solve (1)-(2) from the deviation xi now."""
@@ -363,12 +365,12 @@ class Mpc:
             along, train, grip, (p.max_steer, p.max_steer_rate), config.speed_mps, config.step_s
         )
         slip, angle = following_at(self._slips, p.wheelbase, self._ratios, v)
-        now = lateral_deviation(motion_of(state), off, path.knots, slip)
+        now = lateral_deviation(ego_record(state), off, path.knots, slip)
         y, scale = (
             delay.predict(now, path.knots, off.foot, v, angle),
             1.0 + (v / config.speed_mps) ** 2,
         )
-        sigma = scale * (delay.wheel - along[0, 4])
+        sigma = scale * (delay.settled - along[0, 4])
         xi = np.array([off.station, off.speed, state.a - along[0, 2], *y, sigma])
         result = self._program.solve(xi, self._input, A, B, bounds, fresh=not self._solved)
         self._solved, self._solves = result.report.solved, self._solves + 1

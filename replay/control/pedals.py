@@ -44,7 +44,6 @@ import csv
 from dataclasses import dataclass
 from math import exp, isnan, sqrt
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -79,46 +78,42 @@ ACCELERATIONS_MPS2 = np.arange(-9.0, 5.1, 0.25)
 """Grid of the calibration table."""
 
 
-class PedalState(NamedTuple):
-    """Whether the brake is the pedal in use, and whether it holds a standstill."""
+class PedalMemory:
+    """Whether the brake is the pedal in use, and whether it holds a standstill; a record."""
 
-    braking: bool
-    holding: bool
-
-
-class StopState(NamedTuple):
-    """j m/s3 and o m/s2 of the stop (4) in progress; j = 0: there is none."""
-
-    jerk: float
-    offset: float
+    braking: bool = False
+    holding: bool = False
 
 
-NO_PEDAL, NO_STOP = PedalState(False, False), StopState(0.0, 0.0)
+class StopMemory:
+    """j m/s3 and o m/s2 of the stop (4) in progress; j = 0: there is none. A record."""
+
+    jerk: float = 0.0
+    offset: float = 0.0
 
 
 @kernel
 def press(
-    state: PedalState, train: PedalMap, acceleration: float, v: float
-) -> tuple[float, float, PedalState]:
+    pedal: PedalMemory, train: PedalMap, acceleration: float, v: float
+) -> tuple[float, float]:
     """Return throttle and brake, 0 to 1, for an acceleration (m/s2) at a speed (m/s)."""
     beyond = acceleration - coasting(train, v)
-    braking = beyond < -HYSTERESIS_MPS2 or (state.braking and beyond <= HYSTERESIS_MPS2)
-    throttle = brake = 0.0
-    if braking:
-        brake = min(max(-beyond / train.max_decel, 0.0), 1.0)  # (2)
-    else:
-        throttle = min(max(beyond / full_throttle(train, v), 0.0), 1.0)  # (1)
-    return throttle, brake, PedalState(braking, False)
+    pedal.braking = beyond < -HYSTERESIS_MPS2 or (pedal.braking and beyond <= HYSTERESIS_MPS2)
+    pedal.holding = False
+    if pedal.braking:
+        return 0.0, min(max(-beyond / train.max_decel, 0.0), 1.0)  # (2)
+    return min(max(beyond / full_throttle(train, v), 0.0), 1.0), 0.0  # (1)
 
 
 @kernel
-def hold(state: PedalState, v: float, a: float) -> tuple[float, float, PedalState]:
+def hold(pedal: PedalMemory, v: float, a: float) -> tuple[float, float]:
     """Throttle and brake that hold a standstill.
 
     Both 0 while the car still slows down by itself, `v` m/s, `a` m/s2.
     """
-    holding = state.holding or v < STILL_MPS or a > -SLOWING_MPS2
-    return 0.0, HOLDING_BRAKE if holding else 0.0, PedalState(True, holding)
+    pedal.braking = True
+    pedal.holding = pedal.holding or v < STILL_MPS or a > -SLOWING_MPS2
+    return 0.0, HOLDING_BRAKE if pedal.holding else 0.0
 
 
 @kernel
@@ -147,7 +142,7 @@ def compensated(
 
 @kernel
 def eased(
-    state: StopState,
+    stop: StopMemory,
     train: PedalMap,
     times: FloatArray,
     t: float,
@@ -155,28 +150,23 @@ def eased(
     a: float,
     wanted: float,
     h: float,
-) -> tuple[float, StopState]:
+) -> float:
     """Soften the end of a stop (4): return the acceleration to command at `t`, `v`, `a` instead of
     `wanted`, m/s2.
     """
-    v, late, jerk, offset = (
-        max(v, 0.0),
-        train.brake_delay + LAGS * train.brake_lag,
-        state.jerk,
-        state.offset,
-    )
+    v, late = max(v, 0.0), train.brake_delay + LAGS * train.brake_lag
     if timed(times, t + LOOK_AHEAD_S)[1] > STANDING_MPS:
-        jerk, offset = 0.0, 0.0
-    elif jerk == 0.0 and wanted < 0.0:
+        stop.jerk = stop.offset = 0.0
+    elif stop.jerk == 0.0 and wanted < 0.0:
         gentle = max(GENTLE_MPS3, sqrt(-(wanted**3.0) / (24.0 * LONGER_M)))  # (4)
         if wanted * wanted > 2.0 * gentle * max(v + wanted * late, 0.0):
-            jerk = gentle
-    if jerk == 0.0:
-        return wanted, StopState(jerk, offset)
-    left = sqrt(2.0 * v / jerk)
-    if a > -0.5 * jerk * left:
-        offset -= h * HARDER_PER_S * (jerk * left + a)
-    return offset - jerk * max(left - late, 0.0), StopState(jerk, offset)  # (4)
+            stop.jerk = gentle
+    if stop.jerk == 0.0:
+        return wanted
+    left = sqrt(2.0 * v / stop.jerk)
+    if a > -0.5 * stop.jerk * left:
+        stop.offset -= h * HARDER_PER_S * (stop.jerk * left + a)
+    return stop.offset - stop.jerk * max(left - late, 0.0)  # (4)
 
 
 @kernel

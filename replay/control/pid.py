@@ -30,8 +30,8 @@ from typing import NamedTuple
 
 from replan.core.arrays import FloatArray
 from replan.core.kernel import inner_kernel, kernel
+from replan.logs.states import EgoState
 from replan.replay.control.pedals import compensated
-from replan.replay.vehicle.base import MotionState
 from replan.replay.vehicle.pedal_map import PedalMap, reach
 from replan.replay.vehicle.plan_path import Deviation, timed
 
@@ -60,51 +60,54 @@ SINGLE_LOOP_KD = 0.05
 """kd of (6); its other gains are those of the inner loop (3)."""
 
 
-class SpeedState(NamedTuple):
-    """The integral of the speed error, m.
-
-    M of `pedals` (3), m/s2, and the last error, m/s: both NaN at first.
+class SpeedMemory:
+    """The integral of the speed error, m; m of `pedals` (3), m/s2, and the last error, m/s, both
+    NaN at first. A record.
     """
 
-    integral: float
-    m: float
-    error: float
+    integral: float = 0.0
+    m: float = nan
+    error: float = nan
 
 
-AT_REST = SpeedState(0.0, nan, nan)
+@inner_kernel
+def forget_speed(speed: SpeedMemory) -> None:
+    """Begin anew."""
+    speed.integral = 0.0
+    speed.m = speed.error = nan
 
 
 @kernel
 def accelerate_dual_loop(
     law: SpeedLaw,
-    state: SpeedState,
+    speed: SpeedMemory,
     train: PedalMap,
-    now: MotionState,
+    now: EgoState,
     off: Deviation,
     times: FloatArray,
-) -> tuple[float, SpeedState]:
-    """Acceleration to command, m/s2, and the state after it."""
-    most = law.station_limit
-    v_wanted = timed(times, now.t)[1] - min(max(law.station_gain * off.station, -most), most)  # (1)
+) -> float:
+    """Acceleration to command, m/s2."""
+    limit = law.station_limit
+    v_wanted = timed(times, now.t)[1] - min(
+        max(law.station_gain * off.station, -limit), limit
+    )  # (1)
     error = v_wanted - now.v  # (2)
-    planned, m = compensated(state.m, train, times, now.t, now.v, law.period)
-    wanted = planned + law.kp * error + law.ki * state.integral  # (3)
-    command, integral = limited(wanted, error, state.integral, train, now.v, law.period)
-    return command, SpeedState(integral, m, state.error)
+    planned, speed.m = compensated(speed.m, train, times, now.t, now.v, law.period)
+    wanted = planned + law.kp * error + law.ki * speed.integral  # (3)
+    return limited(wanted, error, speed, train, now.v, law.period)
 
 
 @inner_kernel
 def limited(
-    wanted: float, error: float, integral: float, train: PedalMap, v: float, period: float
-) -> tuple[float, float]:
-    """Limit `wanted`, m/s2, to what the vehicle can do at `v`, m/s.
-
-    Also return the integral, m, after a period, s.
+    wanted: float, error: float, speed: SpeedMemory, train: PedalMap, v: float, period: float
+) -> float:
+    """Limit `wanted`, m/s2, to what the vehicle can do at `v`, m/s, and integrate the error over a
+    period, s.
     """
     lowest, highest = reach(train, v)
     if (wanted < highest or error < 0.0) and (wanted > lowest or error > 0.0):
-        integral += period * error  # (4)
-    return min(max(wanted, lowest), highest), integral
+        speed.integral += period * error  # (4)
+    return min(max(wanted, lowest), highest)
 
 
 class SteeringPidLaw(NamedTuple):
@@ -118,26 +121,32 @@ class SteeringPidLaw(NamedTuple):
     speed: float = 12.0
 
 
+class LateralMemory:
+    """The integral of the lateral error, m s; a record."""
+
+    integral: float = 0.0
+
+
 @inner_kernel
 def steer_by_error(
-    law: SteeringPidLaw, integral: float, now: MotionState, off: Deviation
-) -> tuple[float, float]:
-    """Front wheel angle to command, rad, and the integral of the lateral error after it, m s."""
+    law: SteeringPidLaw, lateral: LateralMemory, now: EgoState, off: Deviation
+) -> float:
+    """Front wheel angle to command, rad."""
     slower = 1.0 + (now.v / law.speed) ** 2
     rate = now.v * sin(off.heading)
-    command = -(law.kp * off.lateral + law.ki * integral + law.kd * rate) / slower  # (5)
+    command = -(law.kp * off.lateral + law.ki * lateral.integral + law.kd * rate) / slower  # (5)
     if abs(command) < law.max_steer or command * off.lateral > 0.0:
-        integral += law.period * off.lateral  # (4)
-    return min(max(command, -law.max_steer), law.max_steer), integral
+        lateral.integral += law.period * off.lateral  # (4)
+    return min(max(command, -law.max_steer), law.max_steer)
 
 
 @inner_kernel
 def accelerate_by_error(
-    law: SpeedLaw, state: SpeedState, train: PedalMap, now: MotionState, off: Deviation
-) -> tuple[float, SpeedState]:
-    """Acceleration to command, m/s2, and the state after it."""
+    law: SpeedLaw, speed: SpeedMemory, train: PedalMap, now: EgoState, off: Deviation
+) -> float:
+    """Acceleration to command, m/s2."""
     error = -off.speed
-    rate = 0.0 if isnan(state.error) else (error - state.error) / law.period
-    wanted = law.kp * error + law.ki * state.integral + law.kd * rate  # (6)
-    command, integral = limited(wanted, error, state.integral, train, now.v, law.period)
-    return command, SpeedState(integral, state.m, error)
+    rate = 0.0 if isnan(speed.error) else (error - speed.error) / law.period
+    speed.error = error
+    wanted = law.kp * error + law.ki * speed.integral + law.kd * rate  # (6)
+    return limited(wanted, error, speed, train, now.v, law.period)

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from math import inf
 from types import MappingProxyType
 
-from replan.core.arrays import FloatArray
 from replan.core.errors import PlannerError
 from replan.logs.plan import Plan
 from replan.logs.scenario import Scenario
@@ -19,6 +18,7 @@ from replan.replay.loop.simulation_setup import SimulationSetup
 from replan.replay.loop.termination import Ended, Termination
 from replan.replay.loop_config import DEFAULT_LOOP, LoopConfig
 from replan.replay.perception import Perception
+from replan.replay.vehicle.records import Records
 
 
 def run_closed_loop(
@@ -96,6 +96,6 @@ def run_closed_loop(
     return Drive(trace, planning.timings, planning.marks)
 
 
-def _never_ends(_rows: FloatArray, _first: int, _end: int, _tracks: Tracks) -> Ended | None:
+def _never_ends(_rows: Records, _first: int, _end: int, _tracks: Tracks) -> Ended | None:
     """`Termination.first` of a drive that goes on whatever happens (`LoopConfig.drives_on`)."""
     return None

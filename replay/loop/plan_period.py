@@ -2,12 +2,12 @@
 fill the trace.
 
 Planning time is modelled without a clock, so that repeated drives are equal (`Latency`). A step
-reads row k of the trace (`replan.replay.vehicle.base`) and writes row k + 1:
+reads row k of the trace (`replan.replay.vehicle.records`) and writes row k + 1:
 
-(1) errors = the motion of row k against the plan
-(2) command, memory = control(law, memory, motion, errors, plan)
+(1) deviation = the motion of row k against the plan
+(2) command, memory = control(law, memory, motion, deviation, plan)
         `replan.replay.control.split.control_row`
-(3) row k: command, errors
+(3) row k: command, deviation
 (4) motion, state = step(state, command, dt)                                the vehicle's own kernel
 (5) row k + 1: motion, actuation
 
@@ -29,30 +29,27 @@ from replan.core.kernel import kernel
 from replan.logs.frame import Frame
 from replan.logs.frame_store import FrameStore
 from replan.logs.plan import Plan
-from replan.logs.states import TRAJECTORY_COLUMNS, Controls, Trajectory
+from replan.logs.states import Controls, Trajectory
 from replan.logs.trace import PlannedFrame, TrackingErrors
 from replan.replay.control.split import SplitController, control_row, named_law
 from replan.replay.vehicle import kinematic_bicycle, single_track
-from replan.replay.vehicle.base import (
-    ACTUATION,
-    COLUMNS,
-    COMMAND,
-    ERRORS,
-    Controller,
+from replan.replay.vehicle.base import Controller, Vehicle
+from replan.replay.vehicle.drivetrain import Gearbox, Pending, with_room
+from replan.replay.vehicle.kinematic_bicycle import BicycleState, KinematicBicycle, Kinematics
+from replan.replay.vehicle.plan_path import PlanPath, Tracker
+from replan.replay.vehicle.records import (
+    STEP,
     Plain,
-    Vehicle,
+    Records,
     state_at,
+    trajectory_of,
     write_motion,
     write_state,
 )
-from replan.replay.vehicle.drivetrain import Gearbox, Pending, with_room
-from replan.replay.vehicle.kinematic_bicycle import KinematicBicycle, Kinematics
-from replan.replay.vehicle.plan_path import PlanPath, Tracker
-from replan.replay.vehicle.single_track import SingleTrack, named_car
+from replan.replay.vehicle.single_track import SingleTrack, SingleTrackState, named_car
 
 UNLIMITED_STEPS = 1 << 30
 NO_STEP = 1 << 62
-EGO = slice(0, len(TRAJECTORY_COLUMNS))
 
 
 class Latency:
@@ -96,54 +93,57 @@ class Latency:
 
 @kernel
 def run_kinematic(
-    laws: Plain,
-    memory: FloatArray,
-    wheel: FloatArray,
-    times: FloatArray,
-    knots: FloatArray,
-    rows: FloatArray,
+    driver: tuple[Plain, Records, FloatArray],
+    path: tuple[FloatArray, FloatArray],
+    rows: Records,
     first: int,
     count: int,
     dt: float,
     numbers: Plain,
-) -> None:
-    """Run `count` steps of a kinematic bicycle from row `first`; its state is in the rows."""
-    law, car = named_law(laws), Kinematics(*numbers)
+    inner: Plain,
+) -> Plain:
+    """Run `count` steps of a kinematic bicycle from row `first`, and return its state after them.
+
+    `driver` and `path` as in `replan.replay.control.split.control_once`.
+    """
+    (laws, memories, wheel), (times, knots) = driver, path
+    law, memory = named_law(laws), memories[0]
+    car, s = Kinematics(*numbers), BicycleState(*inner)
     for k in range(first, first + count):
-        command = control_row(law, memory, wheel, times, knots, rows, k)  # (1)-(3)
-        row = rows[k]
-        s = kinematic_bicycle.BicycleState(row[1], row[2], row[3], row[4], row[7], row[14], row[15])
-        s, now = kinematic_bicycle.step(s, command, car, row[0], dt)  # (4)
-        write_motion(rows[k + 1], now, s.steer, s.throttle, s.brake)  # (5)
+        command = control_row(law, memory, wheel, times, knots, rows[k])  # (1)-(3)
+        s, motion = kinematic_bicycle.step(s, command, car, rows[k].ego.t, dt)  # (4)
+        write_motion(rows[k + 1], motion, s.steer, s.throttle, s.brake)  # (5)
+    return s[:]
 
 
 @kernel
 def run_single_track(
-    laws: Plain,
-    memory: FloatArray,
-    wheel: FloatArray,
-    times: FloatArray,
-    knots: FloatArray,
-    rows: FloatArray,
+    driver: tuple[Plain, Records, FloatArray],
+    path: tuple[FloatArray, FloatArray],
+    rows: Records,
     first: int,
     count: int,
     dt: float,
     numbers: Plain,
-    state: tuple[Plain, Plain, Plain],
+    inner: tuple[Plain, Plain, Plain],
 ) -> tuple[Plain, Plain, Plain]:
-    """Run `count` steps of a single-track vehicle from row `first`; `state`: of vehicle, gearbox,
-    brake commands.
+    """Run `count` steps of a single-track vehicle from row `first`; `inner`: the state of vehicle,
+    gearbox and brake commands, which is returned as it is after them.
     """
-    law, car = named_law(laws), named_car(numbers)
-    s, box, line = single_track.SingleTrackState(*state[0]), Gearbox(*state[1]), Pending(*state[2])
+    (laws, memories, wheel), (times, knots), (body, gearbox, brakes) = driver, path, inner
+    law, memory = named_law(laws), memories[0]
+    car, s = named_car(numbers), SingleTrackState(*body)
+    box, line = Gearbox(*gearbox), Pending(*brakes)
     for k in range(first, first + count):
-        command = control_row(law, memory, wheel, times, knots, rows, k)  # (1)-(3)
-        s, box, line, now = single_track.step(s, box, line, command, car, rows[k, 0], dt)  # (4)
-        write_motion(rows[k + 1], now, s.steer, s.throttle, s.brake)  # (5)
+        command = control_row(law, memory, wheel, times, knots, rows[k])  # (1)-(3)
+        s, box, line, motion = single_track.step(
+            s, box, line, command, car, rows[k].ego.t, dt
+        )  # (4)
+        write_motion(rows[k + 1], motion, s.steer, s.throttle, s.brake)  # (5)
     return s[:], box[:], line[:]
 
 
-Run = Callable[[Any, Any, PlanPath, FloatArray, int, int, float], None]
+Run = Callable[[Any, Any, PlanPath, Records, int, int, float], None]
 """Controller, vehicle, path of the plan, rows, first row, steps, dt."""
 
 
@@ -151,45 +151,31 @@ def _kinematic(
     driver: SplitController,
     car: KinematicBicycle,
     path: PlanPath,
-    rows: FloatArray,
+    rows: Records,
     first: int,
     count: int,
     dt: float,
 ) -> None:
-    memory = driver.laws, driver.memory, driver.wheel
-    run_kinematic(*memory, path.times, path.knots, rows, first, count, dt, car.numbers)
-    car.set_state(state_at(rows, first + count), rows[first + count, ACTUATION])
+    inner = run_kinematic(
+        driver.inputs, path.columns, rows, first, count, dt, car.numbers, car.inner[:]
+    )
+    car.inner, car.state = BicycleState(*inner), state_at(rows, first + count)
 
 
 def _single_track(
     driver: SplitController,
     car: SingleTrack,
     path: PlanPath,
-    rows: FloatArray,
+    rows: Records,
     first: int,
     count: int,
     dt: float,
 ) -> None:
-    memory, line = (
-        (driver.laws, driver.memory, driver.wheel),
-        with_room(car.brakes, round(dt * 1e9)),
+    before = car.inner[:], car.box[:], with_room(car.brakes, round(dt * 1e9))[:]
+    inner, box, brakes = run_single_track(
+        driver.inputs, path.columns, rows, first, count, dt, car.numbers, before
     )
-    inner, box, line_after = run_single_track(
-        *memory,
-        path.times,
-        path.knots,
-        rows,
-        first,
-        count,
-        dt,
-        car.numbers,
-        (car.inner[:], car.box[:], line[:]),
-    )
-    car.inner, car.box, car.brakes = (
-        single_track.SingleTrackState(*inner),
-        Gearbox(*box),
-        Pending(*line_after),
-    )
+    car.inner, car.box, car.brakes = SingleTrackState(*inner), Gearbox(*box), Pending(*brakes)
     car.state = state_at(rows, first + count)
 
 
@@ -222,7 +208,7 @@ class PlanPeriod:
         self._run = RUNS.get((type(controller), type(vehicle)))
         self.most_steps = UNLIMITED_STEPS if self._run else 1
 
-    def run(self, plan: Plan, rows: FloatArray, first: int, count: int) -> None:
+    def run(self, plan: Plan, rows: Records, first: int, count: int) -> None:
         """Drive `count` control steps along the plan, from row `first`, which holds motion and
         actuation.
         """
@@ -232,11 +218,10 @@ class PlanPeriod:
             return
         for k in range(first, first + count):
             command = self._controller.control(self._vehicle.state, plan)
-            rows[k, COMMAND] = command.steer, command.throttle, command.brake
-            rows[k, ERRORS] = path.deviation(state_at(rows, k))[:4]
-            write_state(
-                rows, k + 1, self._vehicle.step(command, self._period), self._vehicle.actuation
-            )
+            rows["command"][k] = command.steer, command.throttle, command.brake
+            rows["deviation"][k] = path.deviation(state_at(rows, k))
+            state = self._vehicle.step(command, self._period)
+            write_state(rows, k + 1, state, self._vehicle.actuation)
 
 
 class TraceRecorder:
@@ -247,13 +232,13 @@ class TraceRecorder:
         vehicle: The vehicle at the start.
 
     Attributes:
-        rows: `(steps + 1, COLUMNS)`; rows of later steps are undefined.
+        rows: `(steps + 1,)` records of type `STEP`; rows of later steps are undefined.
         count: Number of rows, after `close`.
         frames: The plans so far.
     """
 
     def __init__(self, steps: int, vehicle: Vehicle) -> None:
-        self.rows = np.empty((steps + 1, COLUMNS))
+        self.rows: Records = np.empty(steps + 1, STEP)
         self.count = 0
         self.frames = FrameStore()
         write_state(self.rows, 0, vehicle.state, vehicle.actuation)
@@ -269,29 +254,37 @@ class TraceRecorder:
             last: The row.
             plan: The plan that was driven.
         """
-        row, self.count = self.rows[last], last + 1
-        row[COMMAND] = self.rows[last - 1, COMMAND] if last else np.nan
-        row[ERRORS] = np.nan
+        self.count = last + 1
+        self.rows["command"][last] = self.rows["command"][last - 1] if last else np.nan
+        self.rows["deviation"][last] = np.nan
         if plan is not None:
-            row[ERRORS] = PlanPath.of(plan.trajectory).deviation(state_at(self.rows, last))[:4]
+            path = PlanPath.of(plan.trajectory)
+            self.rows["deviation"][last] = path.deviation(state_at(self.rows, last))
 
     @property
     def ego(self) -> Trajectory:
         """The ego's states as driven."""
-        return Trajectory(*self.rows[: self.count, EGO].T)
+        return trajectory_of(self.rows["ego"][: self.count])
 
     @property
     def commands(self) -> Controls:
         """The commands of the controller."""
-        return Controls(self.rows[: self.count, 0], *self.rows[: self.count, COMMAND].T)
+        return self._controls("command")
 
     @property
     def actuation(self) -> Controls:
         """The actuation of the vehicle."""
-        return Controls(self.rows[: self.count, 0], *self.rows[: self.count, ACTUATION].T)
+        return self._controls("actuation")
+
+    def _controls(self, name: str) -> Controls:
+        rows = self.rows[: self.count]
+        return Controls(
+            rows["ego"]["t"], *(rows[name][part] for part in ("steer", "throttle", "brake"))
+        )
 
     @property
     def errors(self) -> TrackingErrors:
         """The tracking errors against the plans."""
-        columns = np.ascontiguousarray(self.rows[: self.count, ERRORS].T)
-        return TrackingErrors(self.ego.t, *columns)
+        off = self.rows["deviation"][: self.count]
+        names = ("lateral", "heading", "speed", "station")
+        return TrackingErrors(self.ego.t, *(np.ascontiguousarray(off[name]) for name in names))

@@ -270,11 +270,9 @@ def _end_drive(name: str, ego: Trajectory, scenario: Scenario) -> Trace:
         for region in goal.regions:
             (low_x, low_y), (high_x, high_y) = region.min(axis=0), region.max(axis=0)
             near |= (x >= low_x) & (x <= high_x) & (y >= low_y) & (y <= high_y)
-        rows, arrival = (
-            np.column_stack([getattr(ego, name) for name in TRAJECTORY_COLUMNS]),
-            Arrival(scenario, goal),
-        )
-        reached = next((k for k in np.flatnonzero(near).tolist() if arrival.at(rows, k)), None)
+        columns = {name: getattr(ego, name) for name in TRAJECTORY_COLUMNS}
+        arrival = Arrival(scenario, goal)
+        reached = next((k for k in np.flatnonzero(near).tolist() if arrival.at(columns, k)), None)
         if reached is not None:
             ends.append((reached, EndReason.GOAL, ""))
     for contact in contacts(whole, scenario)[:1]:

@@ -20,15 +20,16 @@ from replan.logs.polylines import inside
 from replan.logs.road import Goal, RoadSource
 from replan.logs.scenario import Scenario
 from replan.logs.shapes import point_segment
-from replan.logs.states import TRAJECTORY_COLUMNS, EgoState, Trajectory
+from replan.logs.states import TRAJECTORY_COLUMNS, EgoState
 from replan.logs.trace import EndReason
 from replan.logs.tracks import Tracks
 from replan.metrics.arrival import Arrival
 from replan.metrics.boxes import name_of, phantoms, without_phantoms
 from replan.metrics.contacts import classify
 from replan.metrics.cut_in import LOOK_BACK_S
-from replan.replay.vehicle.base import state_at
-from replan.replay.world import AgentBoxes, EgoBox, agent_boxes, box_center, ego_box, touched
+from replan.replay.loop.contacts import AgentBoxes, EgoBox, agent_boxes, ego_box, touched
+from replan.replay.vehicle.records import Records, state_at, trajectory_of
+from replan.replay.world import box_center
 
 CRACK_M = 0.5
 """A car farther than this from every drivable lane is off the road.
@@ -80,7 +81,7 @@ def metres_off(lanes: Outlines, on: int, x: float, y: float) -> tuple[float, int
 
 @kernel
 def first_event(
-    rows: FloatArray,
+    rows: Records,
     first: int,
     end: int,
     car: EgoBox,
@@ -98,7 +99,8 @@ def first_event(
     """
     contact, _ = touched(rows, first, end, car, agents)
     for k in range(first, min(contact + 1, end)):
-        x, y = rows[k, 1] + car.ahead * cos(rows[k, 3]), rows[k, 2] + car.ahead * sin(rows[k, 3])
+        ego = rows[k].ego
+        x, y = ego.x + car.ahead * cos(ego.yaw), ego.y + car.ahead * sin(ego.yaw)
         off, on = metres_off(lanes, on, x, y)
         if k == contact or off > CRACK_M or (goal[0] <= x <= goal[1] and goal[2] <= y <= goal[3]):
             return k, k == contact, off, on
@@ -156,7 +158,7 @@ class Termination:
         self._around, self._tracks = NearbyTracks(), Tracks.empty()
         self._agents = agent_boxes(self._tracks)
 
-    def first(self, rows: FloatArray, first: int, end: int, tracks: Tracks) -> Ended | None:
+    def first(self, rows: Records, first: int, end: int, tracks: Tracks) -> Ended | None:
         """Return the first end within the rows from `first` (at least 1) to before `end`; None if
         the drive goes on.
 
@@ -164,7 +166,8 @@ class Termination:
         """
         if first >= end:
             return None
-        near = self._around.of(tracks, rows[first, 0], rows[end - 1, 0])
+        egos = rows["ego"]
+        near = self._around.of(tracks, egos[first].t, egos[end - 1].t)
         if near is not self._tracks:
             self._tracks, self._agents = near, agent_boxes(near, self._phantoms)
         while first < end:
@@ -174,20 +177,20 @@ class Termination:
             if k >= end:
                 break
             if hit:
-                real, driven = without_phantoms(tracks.whole, self._phantoms), rows[: k + 1]
+                real, driven = without_phantoms(tracks.whole, self._phantoms), egos[: k + 1]
                 # Earlier touches would have ended the drive
-                recent = driven[driven[:, 0] >= rows[k, 0] - LOOK_BACK_S]
-                found = classify(
-                    Trajectory(*recent[:, : len(TRAJECTORY_COLUMNS)].T), real, self._scenario
-                )
+                recent = trajectory_of(driven[driven["t"] >= egos[k].t - LOOK_BACK_S])
+                found = classify(recent, real, self._scenario)
                 worst = max(found, key=lambda touch: touch.at_fault, default=None)
                 if worst is not None:
                     name = name_of(real, worst.agent)
                     if worst.at_fault:
                         return Ended(k, EndReason.COLLISION, name)
                     return Ended(k, EndReason.REPLAY_CONTACT, f"{name}: {worst.kind.value}")
-            if self._arrival is not None and self._arrival.at(rows, k):
-                return Ended(k, EndReason.GOAL, "")
+            if self._arrival is not None:
+                columns = {name: egos[name] for name in TRAJECTORY_COLUMNS}
+                if self._arrival.at(columns, k):
+                    return Ended(k, EndReason.GOAL, "")
             if off > CRACK_M:
                 x, y = box_center(state_at(rows, k), self._scenario.vehicle)
                 return Ended(

@@ -4,111 +4,15 @@ A vehicle owns its hidden state (actuators, slip) and is built per drive as
 `Class(parameters, start)`, already moving as `start` does. Its longitudinal plant is a
 `Powertrain`, which controllers may invert. The loop also needs two properties: whether its tyres
 slip, and whether it follows plans by itself.
-
-A trace has one row per control step, which kernels and recorder share: the ego's motion and the
-actuation at its time, what is commanded from then on, and the errors against the plan that is
-driven then.
 """
 
 from __future__ import annotations
 
-from math import nan
-from typing import Any, NamedTuple, Protocol
+from typing import Protocol
 
-from replan.core.arrays import FloatArray
-from replan.core.kernel import inner_kernel
 from replan.logs.plan import Plan
 from replan.logs.states import Command, EgoState
 from replan.replay.vehicle.pedal_map import PedalMap
-from replan.replay.vehicle.plan_path import Deviation
-
-Plain = tuple[Any, ...]
-"""Named tuples as plain ones: a named one costs a microsecond each time that it goes into a kernel
-or comes out.
-"""
-
-
-def plain(named: Any) -> Any:
-    """Named tuples, also nested ones, as plain tuples; any other value as it is."""
-    return tuple(plain(item) for item in named) if isinstance(named, tuple) else named
-
-
-class MotionState(NamedTuple):
-    """`replan.logs.states.EgoState` as kernels take it, and as the rows of a trace store it."""
-
-    t: float
-    x: float
-    y: float
-    yaw: float
-    v: float
-    a: float
-    kappa: float
-    steer: float
-    yaw_rate: float
-    v_lat: float
-
-
-def motion_of(state: EgoState) -> MotionState:
-    """A state for kernels."""
-    return MotionState(
-        state.t,
-        state.x,
-        state.y,
-        state.yaw,
-        state.v,
-        state.a,
-        state.kappa,
-        state.steer,
-        state.yaw_rate,
-        state.v_lat,
-    )
-
-
-MOTION, COMMAND, ACTUATION, ERRORS = slice(0, 10), slice(10, 13), slice(13, 16), slice(16, 20)
-"""Columns of a trace's row: `MotionState`.
-
-Steer, throttle, brake twice; lateral to station of `Deviation`.
-"""
-COLUMNS = 20
-
-
-@inner_kernel
-def motion_at(rows: FloatArray, k: int) -> MotionState:
-    """The ego's motion at row k."""
-    row = rows[k]
-    return MotionState(
-        row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8], row[9]
-    )
-
-
-@inner_kernel
-def write_motion(
-    row: FloatArray, now: MotionState, steer: float, throttle: float, brake: float
-) -> None:
-    """Write motion and actuation."""
-    row[0], row[1], row[2], row[3], row[4] = now.t, now.x, now.y, now.yaw, now.v
-    row[5], row[6], row[7], row[8], row[9] = now.a, now.kappa, now.steer, now.yaw_rate, now.v_lat
-    row[13], row[14], row[15] = steer, throttle, brake
-
-
-@inner_kernel
-def write_command(
-    row: FloatArray, steer: float, throttle: float, brake: float, off: Deviation
-) -> None:
-    """Write command and errors."""
-    row[10], row[11], row[12] = steer, throttle, brake
-    row[16], row[17], row[18], row[19] = off.lateral, off.heading, off.speed, off.station
-
-
-def write_state(rows: FloatArray, k: int, state: EgoState, actuation: Command) -> None:
-    """Write motion and actuation of row k; what is commanded there is not known yet."""
-    does = actuation.steer, actuation.throttle, actuation.brake
-    rows[k] = (*motion_of(state), nan, nan, nan, *does, nan, nan, nan, nan)
-
-
-def state_at(rows: FloatArray, k: int) -> EgoState:
-    """The ego at row k."""
-    return EgoState(*rows[k, MOTION].tolist())
 
 
 class Powertrain(Protocol):

@@ -40,13 +40,12 @@ from typing import Annotated, NamedTuple
 
 from msgspec import Meta
 
-from replan.core.arrays import FloatArray
 from replan.core.errors import ConfigError
 from replan.core.kernel import inner_kernel, kernel
 from replan.logs.plan import Plan
 from replan.logs.states import Command, EgoState
 from replan.logs.vehicle import VehicleParameters
-from replan.replay.vehicle.base import Controller, MotionState, Plain, plain, steady_pedals
+from replan.replay.vehicle.base import Controller, steady_pedals
 from replan.replay.vehicle.drivetrain import SHORTEST_LAG_S, Steering, steer_rate
 from replan.replay.vehicle.pedal_map import (
     Limits,
@@ -55,6 +54,7 @@ from replan.replay.vehicle.pedal_map import (
     rolling_acceleration,
 )
 from replan.replay.vehicle.plan_path import PlanPath, Tracker, path_point
+from replan.replay.vehicle.records import Motion, Plain, plain
 
 RearRatio = Annotated[
     float, Meta(ge=-1.0, lt=1.0, description="Rear wheel angle per front wheel angle.")
@@ -66,7 +66,9 @@ KAPPA_TOLERANCE_PM = 1e-12
 
 
 class BicycleState(NamedTuple):
-    """Rear axle x, y m; yaw rad; v m/s; front wheel angle rad; throttle, brake 0 to 1."""
+    """What (1)-(5) integrate: rear axle x, y m; yaw rad; v m/s; front wheel angle rad; throttle,
+    brake 0 to 1.
+    """
 
     x: float
     y: float
@@ -169,25 +171,22 @@ def advance(
 
 
 @kernel
-def motion(s: BicycleState, t: float, car: Kinematics) -> MotionState:
+def motion(s: BicycleState, t: float, car: Kinematics) -> Motion:
     """The ego's motion at `t`."""
     a = 0.0
     if is_rolling(s.v, s.throttle, s.brake, car.limits):
         a = rolling_acceleration(s.v, s.throttle, s.brake, car.limits)
     rear, turn = car.rear_ratio * s.steer, turn_per_metre(s.steer, car)
-    # (7)
-    return MotionState(
-        t, s.x, s.y, s.yaw, s.v, a, turn * cos(rear), s.steer, s.v * turn, s.v * tan(rear)
-    )
+    kappa = turn * cos(rear)  # (7)
+    return t, s.x, s.y, s.yaw, s.v, a, kappa, s.steer, s.v * turn, s.v * tan(rear)
 
 
 @kernel
 def step(
     state: BicycleState, command: tuple[float, float, float], car: Kinematics, t: float, dt: float
-) -> tuple[BicycleState, MotionState]:
-    """State and motion after holding `command` for `dt` s from `t` on.
-
-    The time a whole nanosecond.
+) -> tuple[BicycleState, Motion]:
+    """State and motion after holding `command` for `dt` s from `t` on; the time is a whole
+    nanosecond.
     """
     state = advance(state, command, car, dt, ceil(dt / car.substep - 1e-9))
     return state, motion(state, round((t + dt) * 1e9) / 1e9, car)
@@ -244,19 +243,14 @@ class KinematicBicycle:
     @property
     def actuation(self) -> Command:
         """Steering and pedals as they are."""
-        return Command(*self.inner[4:])
+        return Command(self.inner.steer, self.inner.throttle, self.inner.brake)
 
     def step(self, command: Command, dt: float) -> EgoState:
         """Hold the command for `dt` s."""
         held = (float(command.steer), float(command.throttle), float(command.brake))
-        self.inner, now = step(self.inner, held, self.model, self.state.t, dt)
-        self.state = EgoState(*now)
+        self.inner, after = step(self.inner, held, self.model, self.state.t, dt)
+        self.state = EgoState(*after)
         return self.state
-
-    def set_state(self, state: EgoState, actuation: FloatArray) -> None:
-        """Place the vehicle elsewhere, with its actuators at `actuation` `(3,)`."""
-        self.state, does = state, actuation.tolist()
-        self.inner = BicycleState(state.x, state.y, state.yaw, state.v, *does)
 
 
 REAR_RATIO = -0.2

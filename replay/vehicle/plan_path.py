@@ -107,6 +107,11 @@ class PlanPath:
         times.flags.writeable = knots.flags.writeable = False
         return cls(times, knots)
 
+    @property
+    def columns(self) -> tuple[FloatArray, FloatArray]:
+        """`times` and `knots`, for kernels."""
+        return self.times, self.knots
+
     def deviation(self, state: EgoState) -> Deviation:
         """The ego against the plan at `state.t`."""
         return deviation(self.times, self.knots, state.t, state.x, state.y, state.yaw, state.v)

@@ -44,7 +44,7 @@ from msgspec import Meta
 from replan.core.kernel import inner_kernel, kernel
 from replan.logs.states import Command, EgoState
 from replan.logs.vehicle import VehicleParameters
-from replan.replay.vehicle.base import Controller, MotionState, Plain, plain, steady_pedals
+from replan.replay.vehicle.base import Controller, steady_pedals
 from replan.replay.vehicle.drivetrain import (
     SHORTEST_LAG_S,
     DriveTables,
@@ -62,6 +62,7 @@ from replan.replay.vehicle.drivetrain import (
     with_room,
 )
 from replan.replay.vehicle.kinematic_bicycle import MAX_SUBSTEP_S
+from replan.replay.vehicle.records import Motion, Plain, plain
 from replan.replay.vehicle.tyres import (
     GRAVITY,
     Tyre,
@@ -102,15 +103,15 @@ class SingleTrackCar(NamedTuple):
     `substep` is the longest that the actuators' lags allow, s.
     """
 
+    front: Tyre
+    rear: Tyre
+    drive: DriveTables
     mass: float
     inertia: float
     a: float
     b: float
     height: float
-    front: Tyre
-    rear: Tyre
     front_drive: float
-    drive: DriveTables
     steering: Steering
     throttle_lag: float
     brake_lag: float
@@ -120,26 +121,10 @@ class SingleTrackCar(NamedTuple):
 
 
 @inner_kernel
-def named_car(p: Plain) -> SingleTrackCar:
-    """The car that plain tuples hold (`replan.replay.vehicle.base.plain`)."""
-    front, rear, drive = Tyre(*p[5]), Tyre(*p[6]), DriveTables(*p[8])
-    return SingleTrackCar(
-        p[0],
-        p[1],
-        p[2],
-        p[3],
-        p[4],
-        front,
-        rear,
-        p[7],
-        drive,
-        p[9],
-        p[10],
-        p[11],
-        p[12],
-        p[13],
-        p[14],
-    )
+def named_car(numbers: Plain) -> SingleTrackCar:
+    """The car that plain tuples hold (`replan.replay.vehicle.records.plain`)."""
+    front, rear, drive = numbers[:3]
+    return SingleTrackCar(Tyre(*front), Tyre(*rear), DriveTables(*drive), *numbers[3:])
 
 
 @inner_kernel
@@ -336,7 +321,7 @@ def motion(
     command: tuple[float, float, float],
     car: SingleTrackCar,
     t: float,
-) -> MotionState:
+) -> Motion:
     """The motion at `t` under a command.
 
     The curvature is that of the rear axle's path while the vehicle moves faster than 2 SLIP_MPS,
@@ -351,7 +336,7 @@ def motion(
     if share > 0.0:
         ahead, left = k.vx - s.r * v_lat, k.vy - car.b * k.r + s.r * s.vx
         kappa += share * (s.vx * left - v_lat * ahead) / speed**3
-    return MotionState(t, s.x, s.y, s.yaw, s.vx, k.vx, kappa, s.steer, s.r, v_lat)
+    return t, s.x, s.y, s.yaw, s.vx, k.vx, kappa, s.steer, s.r, v_lat
 
 
 @kernel
@@ -363,7 +348,7 @@ def step(
     car: SingleTrackCar,
     t: float,
     dt: float,
-) -> tuple[SingleTrackState, Gearbox, Pending, MotionState]:
+) -> tuple[SingleTrackState, Gearbox, Pending, Motion]:
     """State, gearbox, brake commands on their way and motion after holding `command` for `dt` s
     from `t` on.
     """
@@ -461,15 +446,15 @@ def car_of(
     )
     lags = (max(float(p.throttle_lag), SHORTEST_LAG_S), max(float(p.brake_lag), SHORTEST_LAG_S))
     return SingleTrackCar(
+        front=front,
+        rear=rear,
+        drive=train.tables,
         mass=float(p.mass),
         inertia=float(p.yaw_inertia),
         a=float(p.cog_to_front),
         b=float(p.cog_to_rear),
         height=float(p.cog_height),
-        front=front,
-        rear=rear,
         front_drive=float(p.drive_front_share),
-        drive=train.tables,
         steering=steering,
         throttle_lag=lags[0],
         brake_lag=lags[1],

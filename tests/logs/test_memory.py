@@ -26,7 +26,8 @@ from replan.logs.vehicle import VehicleParameters
 from replan.metrics import evaluate
 from replan.replay.drive import Drive
 from replan.replay.loop.closed_loop import run_closed_loop
-from replan.replay.world import World, contact
+from replan.replay.loop.contacts import contact
+from replan.replay.world import World
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,8 @@ from replan.logs.states import EgoState, Trajectory
 from replan.logs.tracks import Tracks
 from replan.logs.vehicle import VehicleParameters
 from replan.metrics.boxes import others_at
-from replan.replay.world import World, contact
+from replan.replay.loop.contacts import contact
+from replan.replay.world import World
 
 CAR = VehicleParameters()
 

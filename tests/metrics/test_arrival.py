@@ -77,10 +77,10 @@ def driven_path(points: np.ndarray, **more: object) -> Scenario:
 def first_arrival(log: Scenario, ego: Trajectory | None = None) -> int:
     """The first step of a drive at which it has arrived, -1: none."""
     goal, _ = goal_of(log)
-    rows = np.column_stack([getattr(ego or log.ego, name) for name in TRAJECTORY_COLUMNS])
+    columns = {name: getattr(ego or log.ego, name) for name in TRAJECTORY_COLUMNS}
     assert goal is not None
     arrival = Arrival(log, goal)
-    return next((k for k in range(len(rows)) if arrival.at(rows, k)), -1)
+    return next((k for k in range(len(columns["t"])) if arrival.at(columns, k)), -1)
 
 
 WAYS = st.one_of(

@@ -17,8 +17,9 @@ from replan.logs.states import EgoState
 from replan.metrics import boxes
 from replan.metrics.boxes import AROUND_S, each, others_at, phantoms, pieces, without_phantoms
 from replan.replay.loop.closed_loop import run_closed_loop
+from replan.replay.loop.contacts import contact
 from replan.replay.loop.open_loop import run_open_loop
-from replan.replay.world import World, contact
+from replan.replay.world import World
 
 LOGS = ("everyday/junction", "everyday/crosswalk", "pedestrian/group", "everyday/cyclist")
 SIZES = ((40, 7), (1, 1), (900, 250))

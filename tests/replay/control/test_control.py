@@ -10,10 +10,10 @@ from worlds import controlled
 
 from replan.logs.states import EgoState, Trajectory
 from replan.logs.vehicle import VehicleParameters
-from replan.replay.control.pid import AT_REST, SpeedLaw, accelerate_dual_loop
-from replan.replay.vehicle.base import motion_of
+from replan.replay.control.pid import SpeedLaw, SpeedMemory, accelerate_dual_loop
 from replan.replay.vehicle.pedal_map import PedalPowertrain
 from replan.replay.vehicle.plan_path import PlanPath
+from replan.replay.vehicle.records import ego_record, new_record
 
 CAR = VehicleParameters()
 TRAIN = PedalPowertrain(CAR)
@@ -113,20 +113,18 @@ def test_a_loop_is_followed_where_the_plan_is_and_not_where_it_crosses_itself() 
 def test_the_integral_does_not_wind_up() -> None:
     """Ten seconds of an unreachable plan leave no more integral than the first of them."""
     plan = PlanPath.of(drive(np.zeros_like, 40.0, 12.0))
-    law, memory = SpeedLaw(PERIOD), AT_REST
+    law, memory = SpeedLaw(PERIOD), new_record(SpeedMemory)
     for k in range(1000):
         state = EgoState(k * PERIOD, 0.0, 0.0, 0.0, 5.0)
         off = plan.deviation(state)
-        wanted, memory = accelerate_dual_loop(
-            law, memory, TRAIN.pedal_map, motion_of(state), off, plan.times
+        wanted = accelerate_dual_loop(
+            law, memory, TRAIN.pedal_map, ego_record(state), off, plan.times
         )
     assert wanted == pytest.approx(TRAIN.coasting(5.0) + TRAIN.full_throttle(5.0))
     calm = EgoState(10.0, 400.0, 0.0, 0.0, 40.0)
     off = plan.deviation(calm)
-    assert (
-        abs(accelerate_dual_loop(law, memory, TRAIN.pedal_map, motion_of(calm), off, plan.times)[0])
-        < 0.1
-    )
+    wanted = accelerate_dual_loop(law, memory, TRAIN.pedal_map, ego_record(calm), off, plan.times)
+    assert abs(wanted) < 0.1
 
 
 def stop_and_go(t: np.ndarray) -> np.ndarray:

@@ -29,10 +29,10 @@ from replan.replay.control.dlqr import (
 )
 from replan.replay.control.estimation import (
     LONGEST_S,
-    NO_SLIP,
+    SlipMemory,
     SteeringDelay,
     lateral_deviation,
-    learned,
+    learn,
     slip_model,
 )
 from replan.replay.control.lateral_model import (
@@ -51,10 +51,10 @@ from replan.replay.control.lateral_model import (
     with_steering,
 )
 from replan.replay.control.split import DLQR, SplitController, split_law
-from replan.replay.vehicle.base import motion_of
 from replan.replay.vehicle.drivetrain import Drivetrain
 from replan.replay.vehicle.kinematic_bicycle import KinematicBicycle
 from replan.replay.vehicle.plan_path import PlanPath
+from replan.replay.vehicle.records import ego_record, new_record
 
 CAR = VehicleParameters()
 ROLLING = with_rigid_tyres(CAR)
@@ -317,26 +317,27 @@ def test_the_slip_that_was_there_is_learned(stiffness: float) -> None:
         cornering_rear=stiffness * CAR.cornering_rear,
     )
     A, col = held(*(lambda a, b: (a, b[:, None]))(*body_model(15.0, p)), PERIOD)
-    slip, model, q = NO_SLIP, slip_model(CAR, PERIOD), np.zeros(2)
+    slip, model, q = new_record(SlipMemory), slip_model(CAR, PERIOD), np.zeros(2)
     for k in range(600):
         steer = 0.03 * np.sin(0.02 * k)
         now = EgoState(
             k * PERIOD, 0.0, 0.0, 0.0, 15.0, steer=steer, yaw_rate=float(q[1]), v_lat=float(q[0])
         )
-        slip = learned(slip, model, motion_of(now))
+        learn(slip, model, ego_record(now))
         q = A @ q + col[:, 0] * steer
-    assert slip[:2] == pytest.approx((1.0 / stiffness, 1.0 / stiffness), rel=0.03)
+    assert (slip.front, slip.rear) == pytest.approx((1.0 / stiffness,) * 2, rel=0.03)
 
 
 def test_nothing_is_learned_where_there_is_nothing_to_learn_from() -> None:
-    slip, rigid, turn = NO_SLIP, NO_SLIP, {"steer": 0.02, "yaw_rate": 15.0 * 0.02 / CAR.wheelbase}
+    slip, rigid = new_record(SlipMemory), new_record(SlipMemory)
+    turn = {"steer": 0.02, "yaw_rate": 15.0 * 0.02 / CAR.wheelbase}
     for k in range(200):
         straight, turning = (
             EgoState(k * PERIOD, 0.0, 0.0, 0.0, 15.0, **more) for more in ({}, turn)
         )
-        slip = learned(slip, slip_model(CAR, PERIOD), motion_of(straight))
-        rigid = learned(rigid, slip_model(with_rigid_tyres(CAR), PERIOD), motion_of(turning))
-    assert slip[:2] == rigid[:2] == (1.0, 1.0)
+        learn(slip, slip_model(CAR, PERIOD), ego_record(straight))
+        learn(rigid, slip_model(with_rigid_tyres(CAR), PERIOD), ego_record(turning))
+    assert slip.front == slip.rear == rigid.front == rigid.rear == 1.0
 
 
 # --- on the vehicle models
@@ -390,7 +391,7 @@ def test_nothing_is_learned_while_the_wheel_rests_or_the_vehicle_is_held() -> No
     before = late.seconds
     late.rest()
     late.observe(0.4)
-    assert late.seconds == before and late.wheel == pytest.approx(0.4)
+    assert late.seconds == before and late.settled == pytest.approx(0.4)
     assert 0.0 <= late.seconds <= LONGEST_S
 
 
@@ -419,7 +420,7 @@ def test_a_stop_in_which_somebody_turns_the_wheel_disturbs_nothing_learned(turne
                 CAR.max_steer_rate * PERIOD,
             )
         )
-        late.append(controller.state.dlqr.delay.delay)
+        late.append(controller.memory.delay.delay)
     assert late[1050] == pytest.approx(0.1, abs=0.02)
     np.testing.assert_allclose(late[1200:], late[1200], atol=0.02)
 
@@ -434,11 +435,11 @@ def test_the_deviation_is_led_as_the_continuous_model_moves(v: float) -> None:
     steering.observe(0.0)
     for k in range(30):
         steering.record(0.02 + 0.001 * k)
-    steering.state = steering.state._replace(delay=0.1)
+    steering.delay.delay = 0.1
     foot, y = 25.0, (0.1, 0.05, -0.02, 0.03)
     _, angle = following_at(slips, CAR.wheelbase, (1.0, 1.0), v)
     n, grid = 2000, PERIOD * np.arange(11)
-    h, coming = 0.1 / n, steering.state.wheel[10::-1]
+    h, coming = 0.1 / n, steering.wheel[10::-1]
     exact = [steer_for(path.knots, foot + v * s, v, angle) for s in grid]
     e_d, v_lat, e_phi, r = y
     A, B = body_model(v, CAR)
@@ -452,7 +453,7 @@ def test_the_deviation_is_led_as_the_continuous_model_moves(v: float) -> None:
         )
     predicted = steering.predict(y, path.knots, foot, v, angle)
     np.testing.assert_allclose(predicted, (e_d, v_lat, e_phi, r), rtol=2e-2, atol=1e-3)
-    steering.state = steering.state._replace(delay=0.0)
+    steering.delay.delay = 0.0
     assert steering.predict(y, path.knots, foot, v, angle) == y
 
 
@@ -472,5 +473,5 @@ def test_exact_following_has_no_deviation() -> None:
         kappa_rate(path.knots, off.foot, v) == pytest.approx(0.0, abs=1e-9) and at.foot != off.foot
     )
     np.testing.assert_allclose(
-        lateral_deviation(motion_of(state), off, path.knots, slip), 0.0, atol=2e-3
+        lateral_deviation(ego_record(state), off, path.knots, slip), 0.0, atol=2e-3
     )

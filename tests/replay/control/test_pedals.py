@@ -18,9 +18,9 @@ from replan.replay.control.pedals import (
     HOLDING_BRAKE,
     HYSTERESIS_MPS2,
     LONGER_M,
-    NO_PEDAL,
-    NO_STOP,
     Calibration,
+    PedalMemory,
+    StopMemory,
     compensated,
     eased,
     hold,
@@ -29,6 +29,7 @@ from replan.replay.control.pedals import (
 )
 from replan.replay.vehicle.drivetrain import Drivetrain
 from replan.replay.vehicle.plan_path import PlanPath
+from replan.replay.vehicle.records import new_record
 from replan.run.calibrate import picture
 
 CAR = VehicleParameters()
@@ -111,10 +112,10 @@ def point_mass(decel: float, v: float, slope: float = 0.0) -> tuple[float, float
     """
     t = np.array([0.0, 0.01, 100.0])
     standing = PlanPath.of(Trajectory(t, *(np.zeros(3) for _ in range(6))))
-    stop, x, a = NO_STOP, 0.0, -decel
+    stop, x, a = new_record(StopMemory), 0.0, -decel
     coming = [-decel] * round(CAR.brake_delay / PERIOD)
     for k in range(4000):
-        wanted, stop = eased(stop, PEDALS, standing.times, k * PERIOD, v, a, -decel - slope, PERIOD)
+        wanted = eased(stop, PEDALS, standing.times, k * PERIOD, v, a, -decel - slope, PERIOD)
         coming.append(wanted)
         force = coming.pop(0)
         share = 1.0 - np.exp(-PERIOD / CAR.brake_lag)
@@ -140,7 +141,8 @@ def test_a_stop_downhill_is_still_a_stop() -> None:
 def test_where_the_plan_goes_on_nothing_is_eased() -> None:
     t, zero = np.array([0.0, 9.0]), np.zeros(2)
     path = PlanPath.of(Trajectory(t, 3.0 * t, zero, zero, np.array([3.0, 3.0]), zero, zero))
-    assert eased(NO_STOP, PEDALS, path.times, 0.0, 0.5, -7.0, -7.0, PERIOD)[0] == -7.0
+    stop = new_record(StopMemory)
+    assert eased(stop, PEDALS, path.times, 0.0, 0.5, -7.0, -7.0, PERIOD) == -7.0
 
 
 @pytest.mark.parametrize("controller", ["dlqr_pid", "mpc"])
@@ -177,12 +179,11 @@ def test_a_stop_on_a_slope_that_nobody_told_of_is_held(controller: str, grade: f
 
 
 def test_the_brake_is_released_while_the_last_speed_goes_and_then_holds_for_good() -> None:
-    state = NO_PEDAL
+    pedal = new_record(PedalMemory)
     for v, a, held in ((0.08, -0.4, 0.0), (0.08, 0.1, HOLDING_BRAKE), (0.08, -0.4, HOLDING_BRAKE)):
-        throttle, brake, state = hold(state, v, a)
-        assert (throttle, brake) == (0.0, held), "and does not let go again"
-    state = press(state, PEDALS, 1.0, 0.1)[2]
-    assert hold(state, 0.0, 0.0)[:2] == (0.0, HOLDING_BRAKE)
+        assert hold(pedal, v, a) == (0.0, held), "and does not let go again"
+    press(pedal, PEDALS, 1.0, 0.1)
+    assert hold(pedal, 0.0, 0.0) == (0.0, HOLDING_BRAKE)
 
 
 def test_standstill_has_hysteresis() -> None:
@@ -199,9 +200,9 @@ def test_standstill_has_hysteresis() -> None:
 
 @given(st.lists(st.tuples(st.floats(-12.0, 6.0), st.floats(0.0, 40.0)), min_size=1, max_size=60))
 def test_pedals_are_never_on_together(asked: list[tuple[float, float]]) -> None:
-    state = NO_PEDAL
+    pedal = new_record(PedalMemory)
     for acceleration, v in asked:
-        throttle, brake, state = press(state, PEDALS, acceleration, v)
+        throttle, brake = press(pedal, PEDALS, acceleration, v)
         assert 0.0 <= throttle <= 1.0 and 0.0 <= brake <= 1.0
         assert throttle == 0.0 or brake == 0.0
 
@@ -211,15 +212,15 @@ def test_pedals_invert_the_powertrain(v: float, acceleration: float) -> None:
     beyond = acceleration - TRAIN.coasting(v)
     if abs(beyond) <= HYSTERESIS_MPS2 or beyond > TRAIN.full_throttle(v):
         return
-    throttle, brake, _ = press(NO_PEDAL, PEDALS, acceleration, v)
+    throttle, brake = press(new_record(PedalMemory), PEDALS, acceleration, v)
     given_back = TRAIN.coasting(v) + throttle * TRAIN.full_throttle(v) - brake * TRAIN.full_brake(v)
     assert given_back == pytest.approx(acceleration, abs=1e-9)
 
 
 def test_pedals_do_not_alternate_with_noise() -> None:
-    state, rng = NO_PEDAL, np.random.default_rng(2)
+    pedal, rng = new_record(PedalMemory), np.random.default_rng(2)
     for a in TRAIN.coasting(15.0) + rng.uniform(-0.9, 0.9, 500) * HYSTERESIS_MPS2:
-        _, brake, state = press(state, PEDALS, float(a), 15.0)
+        _, brake = press(pedal, PEDALS, float(a), 15.0)
         assert not brake
 
 
@@ -228,7 +229,7 @@ def test_the_table_is_near_the_exact_inverse(v: float, acceleration: float) -> N
     beyond = acceleration - TRAIN.coasting(v)
     if abs(beyond) <= HYSTERESIS_MPS2:
         return
-    pedals = press(NO_PEDAL, PEDALS, acceleration, v)[:2]
+    pedals = press(new_record(PedalMemory), PEDALS, acceleration, v)
     looked_up = TABLE.at(acceleration, v)
     if not np.isnan(looked_up).any():
         assert looked_up == pytest.approx(pedals, abs=0.02)

@@ -29,9 +29,10 @@ from replan.metrics.contacts import contacts
 from replan.planners.constant_speed import ConstantSpeed
 from replan.replay.drive import Drive, Stopwatch
 from replan.replay.loop.closed_loop import run_closed_loop
+from replan.replay.loop.contacts import contact
 from replan.replay.loop.open_loop import frame_times, run_open_loop
 from replan.replay.loop_config import LoopConfig, PlannerProcessConfig
-from replan.replay.world import World, box_center, contact, logged_ego
+from replan.replay.world import World, box_center, logged_ego
 
 BY_TIME = LoopConfig(traffic="time")
 TRUSTED = LoopConfig(apart=PlannerProcessConfig(trust=True))  # so that tests can see into planners

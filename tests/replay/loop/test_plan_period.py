@@ -10,17 +10,19 @@ import numpy as np
 import pytest
 from handmade import drive, s_curve, scenario
 from hypothesis import given, settings, strategies as st
+from numpy.lib.recfunctions import structured_to_unstructured
 
 from replan.core.errors import ConfigError
 from replan.logs.plan import Plan
+from replan.logs.states import Command
 from replan.logs.vehicle import VehicleParameters, vehicle_parameters
 from replan.replay.loop.closed_loop import run_closed_loop
 from replan.replay.loop.plan_period import Latency, PlanPeriod, TraceRecorder
 from replan.replay.loop.simulation_setup import controller_of
 from replan.replay.loop_config import LoopConfig
 from replan.replay.parts import CONTROLLER, VEHICLE, Part
-from replan.replay.vehicle.base import COLUMNS, COMMAND, ERRORS, MOTION
 from replan.replay.vehicle.plan_path import PlanPath
+from replan.replay.vehicle.records import Records, state_at
 
 PERIOD = 0.01
 STEPS = 900
@@ -31,7 +33,7 @@ WAY = drive(
 """Curves, a stop and a start."""
 
 
-def rows_of(vehicle: str, controller: str, cuts: list[int], car: VehicleParameters) -> np.ndarray:
+def rows_of(vehicle: str, controller: str, cuts: list[int], car: VehicleParameters) -> Records:
     """The rows of a drive along WAY, run from cut to cut; each time along a plan of its own."""
     ego = VEHICLE.builtin[vehicle](car, WAY.state(0))
     period = PlanPeriod(controller_of(ego, car, Part(CONTROLLER, controller), PERIOD), ego, PERIOD)
@@ -43,7 +45,7 @@ def rows_of(vehicle: str, controller: str, cuts: list[int], car: VehicleParamete
 
 
 @cache
-def whole(vehicle: str, controller: str) -> np.ndarray:
+def whole(vehicle: str, controller: str) -> Records:
     return rows_of(vehicle, controller, [], vehicle_parameters("bmw_320i"))
 
 
@@ -62,10 +64,9 @@ def test_a_period_is_its_steps_one_after_the_other(vehicle: str, controller: str
     for k in range(STEPS):
         state = ego.state
         command, off = driver.control(state, plan), path.deviation(state)
-        expected = [getattr(state, name) for name in state.__slots__]
-        assert np.array_equal(found[k, MOTION], expected), k
-        assert found[k, COMMAND].tolist() == [command.steer, command.throttle, command.brake], k
-        assert found[k, ERRORS].tolist() == list(off[:4]), k
+        assert state_at(found, k) == state, k
+        assert Command(*found["command"][k].item()) == command, k
+        assert found["deviation"][k].item() == off, k
         ego.step(command, PERIOD)
 
 
@@ -88,9 +89,9 @@ def test_every_row_is_complete_and_the_last_command_stands_at_the_end(
     vehicle: str, controller: str
 ) -> None:
     rows = rows_of(vehicle, controller, [7, 100], VehicleParameters())
-    assert rows.shape == (STEPS + 1, COLUMNS) and np.isfinite(rows).all()
-    assert rows[-1, COMMAND].tolist() == rows[-2, COMMAND].tolist()
-    np.testing.assert_array_equal(np.round(rows[:, 0] / PERIOD), np.arange(STEPS + 1))
+    assert len(rows) == STEPS + 1 and np.isfinite(structured_to_unstructured(rows)).all()
+    assert rows["command"][-1] == rows["command"][-2]
+    np.testing.assert_array_equal(np.round(rows["ego"]["t"] / PERIOD), np.arange(STEPS + 1))
 
 
 @given(st.integers(0, 40), st.integers(1, 12))

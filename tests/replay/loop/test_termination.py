@@ -11,10 +11,11 @@ from hypothesis import given, settings, strategies as st
 from replan.logs.road import Goal
 from replan.logs.trace import EndReason
 from replan.replay.loop.closed_loop import run_closed_loop
+from replan.replay.loop.contacts import contact
 from replan.replay.loop.termination import Ended, Termination
 from replan.replay.loop_config import LoopConfig
-from replan.replay.vehicle.base import COLUMNS, state_at
-from replan.replay.world import World, box_center, contact
+from replan.replay.vehicle.records import STEP, Records, state_at
+from replan.replay.world import World, box_center
 
 WAY = drive(straight, 10.0, 6.0)
 N = 300
@@ -25,15 +26,16 @@ GOAL = Goal.any_of(
 )
 
 
-def rows_of(slope: float, v: float) -> np.ndarray:
+def rows_of(slope: float, v: float) -> Records:
     """A straight drive that leaves the lane's direction by `slope` rad."""
-    rows, s = np.zeros((N, COLUMNS)), v * 0.02 * np.arange(N)
-    rows[:, 0], rows[:, 1], rows[:, 2] = 0.02 * np.arange(N), s * np.cos(slope), s * np.sin(slope)
-    rows[:, 3], rows[:, 4] = slope, v
+    rows, s = np.zeros(N, STEP), v * 0.02 * np.arange(N)
+    ego = rows["ego"]
+    ego["t"], ego["x"], ego["y"] = 0.02 * np.arange(N), s * np.cos(slope), s * np.sin(slope)
+    ego["yaw"], ego["v"] = slope, v
     return rows
 
 
-def found_in(rows: np.ndarray, cuts: list[int]) -> Ended | None:
+def found_in(rows: Records, cuts: list[int]) -> Ended | None:
     termination = Termination(LOG, GOAL, state_at(rows, 0))
     ends = (
         termination.first(rows, a, b, LOG.tracks)

@@ -25,6 +25,7 @@ from replan.logs.scenario import Scenario
 from replan.logs.states import EgoState
 from replan.logs.tracks import Tracks
 from replan.replay.loop.closed_loop import run_closed_loop
+from replan.replay.loop.contacts import contact
 from replan.replay.loop_config import LoopConfig
 from replan.replay.parts import TRAFFIC
 from replan.replay.traffic import Reactive
@@ -36,7 +37,7 @@ from replan.replay.traffic.leaders import (
     enhanced_idm,
 )
 from replan.replay.traffic.phase_replay import PERIOD_S, PhaseReplay
-from replan.replay.world import World, contact, logged_ego
+from replan.replay.world import World, logged_ego
 
 T = np.round(np.arange(0.0, 12.01, 0.1), 9)
 Egos = list[EgoState]

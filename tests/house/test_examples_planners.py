@@ -57,7 +57,7 @@ def test_a_program_and_a_node_drive_as_any_planner(log: Scenario, node: str) -> 
         assert_same(program, reached)
 
 
-def test_what_a_program_prints_last_is_said(tmp_path: Path, log: Scenario) -> None:
+def test_the_error_shows_the_last_lines_of_a_program(tmp_path: Path, log: Scenario) -> None:
     script = tmp_path / "bad.sh"
     script.write_text(
         "#!/bin/sh\nprintf 'no model\\033[2J found\\n' >&2\nexit 4\n", encoding="utf-8"

@@ -372,7 +372,7 @@ def test_a_built_in_part_that_a_file_names_as_before_is_found(tmp_path: Path) ->
 
 
 @pytest.mark.slow
-def test_it_is_installed_and_removed_beside_a_distribution_with_those_top_level_names(
+def test_replan_and_a_distribution_with_common_package_names_leave_each_other_alone(
     wheel: Path, tmp_path: Path
 ) -> None:
     """Theirs and ours work in one environment, and uninstalling ours leaves theirs."""

@@ -99,7 +99,7 @@ def test_the_changelog_names_the_version() -> None:
 
 
 @pytest.mark.parametrize("name", SPARSE | LATER)
-def test_what_is_left_to_the_night_or_to_the_gate_is_a_test(name: str) -> None:
+def test_sparse_tests_exist(name: str) -> None:
     file, _, function = name.partition("::")
     assert f"def {function}(" in (ROOT / "tests" / file).read_text(encoding="utf-8")
 

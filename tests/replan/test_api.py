@@ -90,7 +90,7 @@ def test_a_worker_drives_scenarios_in_memory_and_two_of_one_name(tmp_path: Path)
     assert list(ends) == ["goal reached", "collision"] and not len(made.failures)
 
 
-def test_what_is_no_log_is_refused_with_what_to_pass() -> None:
+def test_an_object_that_is_no_log_is_refused_with_a_remedy() -> None:
     table = pd.DataFrame({"t": [0.0]})
     for logs in (table, [table], 7):
         with pytest.raises(replan.ConfigError, match=r"not a (DataFrame|int); replan.from_frames"):

@@ -108,7 +108,7 @@ def test_a_missing_log_and_an_older_folder(runs: tuple[Path, Path], tmp_path: Pa
     assert of(less, runs[0]).exit_code == 0
 
 
-def test_what_cannot_be_read_is_named(runs: tuple[Path, Path], tmp_path: Path) -> None:
+def test_unreadable_runs_are_named(runs: tuple[Path, Path], tmp_path: Path) -> None:
     damaged, foreign = tmp_path / "damaged.parquet", tmp_path / "foreign.parquet"
     write_baseline(read_run(runs[0]), damaged)
     damaged.write_bytes(damaged.read_bytes()[:-500])

@@ -103,9 +103,7 @@ def test_any_misspelled_key_is_refused_with_the_right_one_named(name: str, extra
         ("mode =", "not TOML"),
     ],
 )
-def test_what_is_wrong_is_one_line_that_names_file_and_key(
-    text: str, said: str, tmp_path: Path
-) -> None:
+def test_a_wrong_key_is_one_line_with_file_and_key(text: str, said: str, tmp_path: Path) -> None:
     path = tmp_path / "run.toml"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(ConfigError) as caught:

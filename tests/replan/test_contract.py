@@ -58,7 +58,7 @@ def test_a_metric_that_breaks_a_rule_is_found_by_it_alone(rule: str, few: list[S
     assert found.value.broken == (rule,)
 
 
-def test_all_built_in_metrics_keep_their_contract(few: list[Scenario]) -> None:
+def test_built_in_metrics_keep_their_contract(few: list[Scenario]) -> None:
     logs = (*few, CATALOGUE["everyday/traffic_light"].scenario())
     drives = contract.metric.metric_drives([cut(log, 0.0, 4.0) for log in logs])
     for metric in (*METRICS.values(), contract_breakers.GOOD):

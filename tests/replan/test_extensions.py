@@ -101,7 +101,7 @@ def installed(desk: Path) -> None:
     readers.readers.cache_clear()
 
 
-def test_what_the_page_shows_drives_and_is_in_the_results(desk: Path) -> None:
+def test_the_parts_of_the_page_drive_and_are_in_the_results(desk: Path) -> None:
     config = load_run(Path("run.toml"))
     result = replan.evaluate(
         suite="my_family:PARKED",
@@ -325,7 +325,7 @@ def test_a_module_that_is_not_found_lists_the_places_tried_in_their_order(
         PLANNER.find("somewhere.mine:Mine")
 
 
-def test_what_lacks_a_member_of_its_protocol_is_refused(desk: Path) -> None:
+def test_a_part_without_a_member_of_its_protocol_is_refused(desk: Path) -> None:
     Path("my_half.py").write_text(
         "class Half:\n    def __init__(self, *given): ...\n", encoding="utf-8"
     )
@@ -403,7 +403,7 @@ def test_two_of_one_name_are_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
             kind.find("b")
 
 
-def test_what_a_module_only_imports_is_not_named_as_its_own(desk: Path) -> None:
+def test_imported_names_are_not_offered_as_a_modules_own(desk: Path) -> None:
     text = "from math import sin\nfrom pathlib import Path\n\ndef mine(): ...\nclass Mine: ...\n"
     Path("my_things.py").write_text(text, encoding="utf-8")
     Path("my_list.py").write_text(
@@ -452,7 +452,7 @@ GAINS = """def it(*_, gain: float = 1.0):
 
 
 @pytest.mark.parametrize("key", OF_LOOP)
-def test_what_cannot_be_built_is_named_before_anything_is_driven(desk: Path, key: str) -> None:
+def test_parts_that_cannot_be_built_are_named_before_the_first_drive(desk: Path, key: str) -> None:
     """With its settings.
 
     And with none, where it is built without a log, which may be what it lacks.

@@ -155,7 +155,7 @@ def followed(**changes: object) -> Scenario:
     return scenario(along(grid(8.0, 0.1), 12.0), [behind], **changes)
 
 
-def test_who_is_hit_from_behind_is_not_failed_for_that() -> None:
+def test_an_ego_that_is_hit_from_behind_does_not_fail() -> None:
     (drive,), verdicts = driven(followed(), "adversaries:Park", Mode.CLOSED, traffic="time")
     assert drive.trace.end is EndReason.REPLAY_CONTACT
     outcomes = {verdict.gate.metric: verdict.outcome for verdict in verdicts}
@@ -193,7 +193,7 @@ def test_a_phantom_ends_no_drive_and_is_named() -> None:
     assert crash.trace.end is EndReason.COLLISION
 
 
-def test_where_only_the_start_is_known_the_route_follower_is_the_yardstick() -> None:
+def test_without_a_recorded_drive_the_route_follower_is_the_yardstick() -> None:
     log = scenario(along(grid(0.0), 12.0), duration=10.0)
     for planner, passes in (("constant_speed", True), ("adversaries:Park", False)):
         _, verdicts = driven(log, planner, Mode.CLOSED)
@@ -240,7 +240,7 @@ def test_a_short_log_before_a_red_light_is_measured_by_a_driver_that_stops_there
 @pytest.mark.parametrize(
     "planner", [pytest.param("adversaries:Park", marks=pytest.mark.slow), "adversaries:Creep"]
 )
-def test_who_survives_until_a_goal_in_time_has_not_arrived(planner: str) -> None:
+def test_waiting_until_the_time_of_a_goal_is_no_arrival(planner: str) -> None:
     log = replace(CATALOGUE["paper/free_road"].scenario(), goal=Goal(t=(10.0, 11.0)))
     (drive,), verdicts = driven(log, planner, Mode.CLOSED)
     assert drive.trace.end is EndReason.GOAL

@@ -114,7 +114,7 @@ def test_three_files_of_three_sources(
     pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "out" / "commonroad.csv"), table)
 
 
-def test_what_is_wrong_with_the_command_is_one_line(
+def test_a_wrong_command_is_an_error_of_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as ended:

@@ -63,7 +63,7 @@ def test_the_crossing_is_where_and_when_someone_was_on_the_path() -> None:
     )
 
 
-def test_who_waits_yields_and_who_does_not_goes_first() -> None:
+def test_waiting_is_yielding_and_driving_on_is_going_first() -> None:
     patient = compared(scene(PATIENT), "logged")
     assert patient is not None and patient.human_yields and patient.planner_yields == "yes"
     assert (

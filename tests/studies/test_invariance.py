@@ -16,7 +16,7 @@ from studies.invariance import COLUMNS, PERTURBATIONS, Job, compare, counted, ma
 
 
 @pytest.mark.parametrize("name", PERTURBATIONS)
-def test_what_is_driven_in_another_world_is_mapped_back(name: str) -> None:
+def test_drives_in_a_transformed_world_are_mapped_back(name: str) -> None:
     log, world = CATALOGUE["everyday/cut_in"].scenario(), PERTURBATIONS[name]
     near = 0.02 if name == "5_hz" else 1e-8  # linear between samples: a d^2 / 8
     assert parted(log.ego, world.back(world.there(log).ego)) < near

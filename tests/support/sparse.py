@@ -80,9 +80,9 @@ LATER = {
     "replan/run/test_commands_hold.py::test_run_again_it_gives_the_same_bytes": 6,  # 5 s, 27
     "replan/run/test_commands_hold.py::test_a_url_is_refused_at_once": 4,  # 8 s, 34
     "replan/run/test_commands_hold.py::test_results_are_never_an_output": 4,  # 4 s, 63
-    "replan/run/test_commands_hold.py::test_of_two_at_once_the_second_is_refused": 4,  # 4 s, 35
+    "replan/run/test_commands_hold.py::test_a_second_command_at_the_same_time_is_refused": 4,  # 4 s, 35
     # 4 s, 34
-    "replan/run/test_commands_hold.py::test_what_the_command_did_not_write_is_refused_and_left": 4,
+    "replan/run/test_commands_hold.py::test_foreign_files_are_refused_and_left_as_they_are": 4,
     "replan/run/test_commands_hold.py::test_a_read_only_place_is_one_line": 4,  # 3 s, 33
     "replan/run/test_commands_hold.py::test_a_folder_of_another_command_is_refused": 4,  # 1 s, 12
     "replan/run/test_commands_hold.py::test_another_ending_is_refused": 4,  # 1 s, 15

@@ -77,7 +77,7 @@ def test_another_vehicle_keeps_the_box_where_the_log_has_it() -> None:
     assert plain.ego.x.tolist() == log.ego.x.tolist()
 
 
-def test_what_is_no_such_drive_is_refused(trace: Path, tmp_path: Path) -> None:
+def test_drives_without_solution_are_refused(trace: Path, tmp_path: Path) -> None:
     write_scenario(tmp_path / "log.mcap", CATALOGUE["everyday/nudge"].scenario())
     with pytest.raises(
         LogError, match=r"no closed drive over a CommonRoad scenario; name closed\.mcap"

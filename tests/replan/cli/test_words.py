@@ -131,7 +131,7 @@ def test_errors_leave_stdout_empty_and_quiet_says_them(folder: Path, tmp_path: P
     ]
 
 
-def test_what_is_left_goes_by_the_length_of_the_logs() -> None:
+def test_remaining_time_follows_the_length_of_the_logs() -> None:
     pace = Pace(12, 0.0, left=2 * 50.0 + 10 * 1.0)
     pace.step(50.0, driven=True, cost=50.0)
     assert pace.step(100.0, driven=True, cost=50.0) == "2 of 12 logs, 1.2 logs/min, about 10 s left"
@@ -250,7 +250,7 @@ def test_a_shell_is_given_names() -> None:
     assert "replan" in python("-m", "replan", "--show-completion", "bash", **named).stdout
 
 
-def test_nothing_is_silent_for_long() -> None:
+def test_every_command_shows_a_sign_of_life() -> None:
     said: list[str] = []
     twice = Event()
 

@@ -278,7 +278,9 @@ def another_command_writes(name: str, out: Path) -> Iterator[None]:
 
 
 @pytest.mark.parametrize("name", ROWS)
-def test_of_two_at_once_the_second_is_refused(place: Path, tmp_path: Path, name: str) -> None:
+def test_a_second_command_at_the_same_time_is_refused(
+    place: Path, tmp_path: Path, name: str
+) -> None:
     out = target(name, tmp_path)
     with another_command_writes(name, out):
         result = replan(*ROWS[name].given(place, out))
@@ -287,7 +289,7 @@ def test_of_two_at_once_the_second_is_refused(place: Path, tmp_path: Path, name:
 
 
 @pytest.mark.parametrize("name", ROWS)
-def test_what_the_command_did_not_write_is_refused_and_left(
+def test_foreign_files_are_refused_and_left_as_they_are(
     place: Path, tmp_path: Path, name: str
 ) -> None:
     row, out = ROWS[name], target(name, tmp_path)

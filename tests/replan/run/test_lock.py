@@ -56,7 +56,7 @@ def test_a_second_run_is_refused_and_says_who_holds_the_folder(
 
 
 @pytest.mark.slow
-def test_nothing_of_the_lock_is_left_and_the_folder_may_be_used_again(
+def test_a_released_lock_leaves_no_file_and_frees_the_folder(
     logs: Path, tmp_path: Path, system: str
 ) -> None:
     for _ in range(2):

@@ -193,9 +193,7 @@ def test_a_log_that_no_node_sees_and_other_code_are_said(
     assert "install there what is here" in result.failures[0].message and not files
 
 
-def test_what_is_sent_is_the_users_code_and_no_more(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_only_the_users_code_is_sent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     mine = tmp_path / "mine"
     (mine / "my_fleet" / "weights").mkdir(parents=True)
     (mine / "my_fleet" / "__init__.py").write_text("")

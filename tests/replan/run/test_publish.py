@@ -67,7 +67,7 @@ def test_the_results_before_go_as_the_first_log_is_sent(store: Any) -> None:
     assert there(store) == {"run.toml": b"#", f"a-1/{LOG_CARD}": b"new"}
 
 
-def test_what_is_driven_again_is_sent_again(store: Any) -> None:
+def test_logs_that_are_driven_again_are_sent_again(store: Any) -> None:
     """`--resume` drives a log again whose folder is not whole: its files have the same names."""
     with output_location(OUT, resume=True) as place:
         assert place.folder is not None
@@ -94,7 +94,7 @@ def test_logs_in_the_place_of_the_results_are_refused(store: Any, tmp_path: Path
     assert there(store).keys() == {*BEFORE, "a-1/log.mcap"}
 
 
-def test_what_is_said_of_results_names_their_url(store: Any, tmp_path: Path) -> None:
+def test_messages_about_remote_results_name_their_url(store: Any, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=f"^{OUT}: no results of a finished run"):
         load(OUT)
     write_scenario(tmp_path / "log.mcap", short("test/a"))

@@ -129,7 +129,7 @@ def begun(whole: Results, tmp_path: Path) -> Path:
     return out
 
 
-def test_what_is_missing_is_evaluated(
+def test_resume_evaluates_the_missing_logs(
     logs: Path, begun: Path, whole: Results, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     before = {
@@ -253,7 +253,7 @@ def test_logs_that_are_missing_or_have_changed_are_refused(
     assert "a.mcap, which is not among the logs or has changed" in refusal(changed, begun)
 
 
-def test_what_no_run_wrote_is_refused_and_an_absent_folder_is_a_new_run(
+def test_resume_refuses_foreign_folders_and_starts_in_absent_ones(
     logs: Path, tmp_path: Path
 ) -> None:
     assert resumed(logs, tmp_path / "new", QUICK).resumed == 0

@@ -78,7 +78,7 @@ def test_each_log_is_in_one_shard_and_shards_differ_by_one_log_at_most(of: int, 
 
 
 @pytest.mark.parametrize("text", ["0/2", "3/2", "1", "a/b", "1/0", "-1/2", "1/2/3"])
-def test_what_is_no_shard_is_said(text: str) -> None:
+def test_a_folder_that_is_no_shard_is_an_error(text: str) -> None:
     with pytest.raises(ConfigError, match="2/5"):
         Shard.parsed(text)
 

@@ -46,7 +46,7 @@ def test_trials_are_known_again_and_another_head_is_refused(tmp_path: Path) -> N
         (None, "", True, "contains no study to resume"),
     ],
 )
-def test_what_is_no_study_is_not_touched(
+def test_a_folder_without_study_is_left_as_it_is(
     tmp_path: Path, name: str | None, text: str, resume: bool, said: str
 ) -> None:
     if name is not None:

@@ -232,7 +232,7 @@ def test_shards_at_urls_are_merged(bucket: Any, logs: Path, tmp_path: Path) -> N
     assert files_of(tmp_path / "here") == files_of(tmp_path / "all")
 
 
-def test_one_run_at_a_time_and_nothing_of_others_is_touched(bucket: Any, logs: Path) -> None:
+def test_a_url_takes_one_run_at_a_time_and_keeps_foreign_files(bucket: Any, logs: Path) -> None:
     held = json.dumps({"pid": 1, "host": "elsewhere", "since": "noon", "started": ""}).encode()
     bucket.pipe("fleet/out/.lock", held)
     refused = replan("evaluate", str(logs), *QUICK, "-o", "s3://fleet/out")
@@ -262,7 +262,7 @@ def test_a_log_that_goes_costs_itself(
 
 
 @pytest.mark.parametrize("words", [("evaluate",), ("inspect",)])
-def test_what_is_not_there_is_one_line(bucket: Any, words: tuple[str, ...]) -> None:
+def test_a_missing_url_is_an_error_of_one_line(bucket: Any, words: tuple[str, ...]) -> None:
     for url in ("s3://fleet/nothing", "s3://no-such-bucket/logs", "nowhere://logs"):
         result = replan(*words, url)
         assert result.exit_code == 2

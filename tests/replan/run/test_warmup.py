@@ -72,7 +72,7 @@ def test_kernels_are_compiled_once_for_a_processor_and_read_where_nothing_can_be
 
 
 @pytest.mark.slow
-def test_of_work_that_all_need_one_worker_does_the_first(tmp_path: Path) -> None:
+def test_one_worker_does_first_what_all_workers_need(tmp_path: Path) -> None:
     ended = [
         index
         for index, _ in run_all(

@@ -95,7 +95,7 @@ def test_a_module_is_loaded_once_in_a_run_and_anew_in_the_next() -> None:
     assert loads("once") == 6, "outside a run each drive loads it"
 
 
-def test_what_a_drive_leaves_behind_the_next_does_not_find() -> None:
+def test_drives_do_not_see_what_earlier_drives_left() -> None:
     kept = """
         import os
         drives = []
@@ -124,7 +124,7 @@ UNFIT = {
 
 
 @pytest.mark.parametrize("name", UNFIT)
-def test_what_a_fork_would_share_is_loaded_by_each_drive(name: str) -> None:
+def test_modules_with_threads_files_or_children_are_loaded_by_each_drive(name: str) -> None:
     planner = written(name, UNFIT[name] + "\n" + MINE)
     for drives in (1, 2):
         assert driven(planner).end is EndReason.END_OF_LOG
@@ -142,7 +142,9 @@ BAD = {
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=[pytest.mark.slow] * (name == "hangs")) for name in BAD]
 )
-def test_a_module_that_cannot_be_loaded_is_said_as_without_a_template(name: str) -> None:
+def test_a_module_that_cannot_be_loaded_gives_the_same_error_with_and_without_template(
+    name: str,
+) -> None:
     planner, said = written(name, BAD[name][0] + "\n" + MINE), list[str]()
     start_timeout_s = 1.0 if name == "hangs" else 60.0
     limits = LoopConfig(apart=PlannerProcessConfig(start_timeout_s=start_timeout_s, memory_gb=2.0))

@@ -29,6 +29,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 from math import nan
 from typing import Annotated
 
@@ -58,16 +59,17 @@ from replan.replay.control.lateral_model import (
     steer_for,
 )
 from replan.replay.control.mpc_model import (
+    E_A,
     INPUTS,
     LIMITS,
     PATTERN_A,
     PATTERN_B,
+    POLYGON,
     SIDES,
+    SIGMA,
     STATES,
-    STEP_SIZE,
     entered,
     limits,
-    packed,
     predicted,
     resampled,
 )
@@ -81,6 +83,11 @@ RESAMPLED_S = 0.05
 WIDTH = INPUTS + STATES
 """Variables of a step: u_k, xi_(k+1)."""
 SCALE = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.3, 1.0, 0.3])
+"""Usual sizes of a step's variables, for the solver."""
+USUAL_DYNAMICS, USUAL_SIDE_MPS2 = 0.1, 30.0
+"""Usual sizes of entries, for the solver: of A and B, and of the lateral acceleration per sigma."""
+ABSENT = -1
+"""The place of an entry that is always 0."""
 
 
 @dataclass(frozen=True)
@@ -188,7 +195,7 @@ class TrackingProgram:
         """
         lower, upper, sides = bounds
         split = len(A) * STATES
-        self._program.refill(packed(A, B, sides, self._places))
+        self._program.refill(_entries(A, B, sides)[self._places])
         self._lower[:STATES] = self._upper[:STATES] = A[0] @ xi
         self._lower[split:], self._upper[split:] = lower.ravel(), upper.ravel()
         self._q[:INPUTS] = -np.array(self._config.change_weights) * before
@@ -213,40 +220,38 @@ def cost_matrix(config: MpcConfig) -> sparse.csc_matrix:
 
 
 def _pattern(n: int) -> tuple[sparse.csc_matrix, IntArray]:
-    """The program's matrix with entries of usual size, and for each the place among all entries
-    (`packed`).
-    """
-    rows, columns, places, sizes = [], [], [], []
+    """The program's matrix with entries of usual size, and the place of each in `_entries`."""
+    counts = np.cumsum([0, n * STATES * INPUTS, n * STATES * STATES, n * SIDES * 2])
+    of_B, of_A, of_sides = (
+        np.arange(first, end).reshape(n, -1, width)
+        for (first, end), width in zip(pairwise(counts), (INPUTS, STATES, 2), strict=True)
+    )
+    of_one = counts[-1]
+    variables = np.arange(n * WIDTH).reshape(n, WIDTH)
+    inputs, states = variables[:, :INPUTS], variables[:, INPUTS:]
+    dynamics = np.arange(n * STATES).reshape(n, STATES)
+    bounds = n * STATES + np.arange(n * LIMITS).reshape(n, LIMITS)
+    polygon = bounds[:, POLYGON:]
 
-    def put(row: int, column: int, place: int, size: float = 0.1) -> None:
-        rows.append(row)
-        columns.append(column)
-        places.append(place)
-        sizes.append(size)
+    places = np.full((n * (STATES + LIMITS), n * WIDTH), ABSENT)
+    places[dynamics[:, :, None], inputs[:, None]] = np.where(PATTERN_B, of_B, ABSENT)
+    places[dynamics[1:, :, None], states[:-1, None]] = np.where(PATTERN_A, of_A[1:], ABSENT)
+    sizes = np.full(places.shape, USUAL_DYNAMICS)
+    limited = np.column_stack([inputs, states[:, SIGMA]])
+    for rows, columns in ((dynamics, states), (bounds[:, :POLYGON], limited)):
+        places[rows, columns], sizes[rows, columns] = of_one, 1.0
+    for side, (state, size) in enumerate(((E_A, 1.0), (SIGMA, USUAL_SIDE_MPS2))):
+        columns = states[:, [state]]
+        places[polygon, columns], sizes[polygon, columns] = of_sides[:, :, side], size
 
-    one = n * STEP_SIZE
-    for k in range(n):
-        first, u = k * STATES, k * WIDTH
-        for i, j in np.argwhere(PATTERN_B):
-            put(first + i, u + j, k * STEP_SIZE + i * INPUTS + j)
-        for i, j in np.argwhere(PATTERN_A):
-            if k:
-                put(first + i, u - STATES + j, k * STEP_SIZE + STATES * INPUTS + i * STATES + j)
-        for i in range(STATES):
-            put(first + i, u + INPUTS + i, one, 1.0)
-        limit = n * STATES + k * LIMITS
-        for i, j in enumerate((0, 1, WIDTH - 1)):
-            put(limit + i, u + j, one, 1.0)
-        for i in range(SIDES):
-            polygon = k * STEP_SIZE + STATES * (INPUTS + STATES) + 2 * i
-            put(limit + 3 + i, u + INPUTS + 2, polygon, 1.0)
-            put(limit + 3 + i, u + WIDTH - 1, polygon + 1, 30.0)
-    shape = (n * (STATES + LIMITS), n * WIDTH)
-    A = sparse.csc_matrix((sizes, (rows, columns)), shape)
-    order = sparse.csc_matrix((np.arange(1.0, len(places) + 1.0), (rows, columns)), shape)
-    A.sort_indices()
-    order.sort_indices()
-    return A, np.array(places, np.int64)[order.data.astype(np.int64) - 1]
+    columns, rows = np.nonzero(places.T != ABSENT)
+    A = sparse.csc_matrix((sizes[rows, columns], (rows, columns)), places.shape)
+    return A, places[rows, columns]
+
+
+def _entries(A: FloatArray, B: FloatArray, sides: FloatArray) -> FloatArray:
+    """The numbers in the program's matrix: of the dynamics, of the polygon, and 1."""
+    return np.concatenate([-B.ravel(), -A.ravel(), sides.ravel(), [1.0]])
 
 
 class Mpc:
@@ -270,17 +275,11 @@ class Mpc:
         delay: SteeringDelay | None = None,
         config: MpcConfig | None = None,
     ) -> None:
-        self._p, self._train, self._period, self._fallback = (
-            parameters,
-            powertrain,
-            period,
-            fallback,
-        )
+        self._p, self._train = parameters, powertrain
+        self._period, self._fallback = period, fallback
         self._config = config or MpcConfig()
-        self._table, self._slips = (
-            lateral_table(parameters, self._config.step_s),
-            slip_table(parameters),
-        )
+        self._table = lateral_table(parameters, self._config.step_s)
+        self._slips = slip_table(parameters)
         self._lag = max(parameters.steer_lag, SHORTEST_LAG_S)
         self._every = max(round(self._config.period_s / period), 1)
         self._program = TrackingProgram(self._config)
@@ -289,10 +288,12 @@ class Mpc:
         self._tracker = Tracker(partial(resampled, step=RESAMPLED_S))
         self._pedal, self._stop = new_record(pedals.PedalMemory), new_record(pedals.StopMemory)
         self._lead = nan
-        self._stands, self._solved, self._since = False, False, 0
+        self._stands = self._solved = False
+        self._since = 0  # control periods since the vehicle drives
         self._input: FloatArray = np.zeros(INPUTS)
         self._steer = self._steer_rate = 0.0
-        self._solves, self._falls, self._first_fall = 0, 0, ""
+        self._solves = self._falls = 0
+        self._first_fall = ""
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -309,7 +310,8 @@ class Mpc:
         other = self._fallback.control(state, plan)
         self._stands = pedals.stands(self._stands, state.v, state.t, path.times)
         if self._stands:
-            self._since, self._solved, self._lead, self._input = 0, False, nan, np.zeros(INPUTS)
+            self._since, self._solved = 0, False
+            self._lead, self._input = nan, np.zeros(INPUTS)
             self._delay.rest()
             throttle, brake = pedals.hold(self._pedal, state.v, state.a)
             return Command(state.steer, throttle, brake)
@@ -366,16 +368,14 @@ class Mpc:
         )
         slip, angle = following_at(self._slips, p.wheelbase, self._ratios, v)
         now = lateral_deviation(ego_record(state), off, path.knots, slip)
-        y, scale = (
-            delay.predict(now, path.knots, off.foot, v, angle),
-            1.0 + (v / config.speed_mps) ** 2,
-        )
-        sigma = scale * (delay.settled - along[0, 4])
-        xi = np.array([off.station, off.speed, state.a - along[0, 2], *y, sigma])
+        y = delay.predict(now, path.knots, off.foot, v, angle)
+        scale = 1.0 + (v / config.speed_mps) ** 2
+        sigma = scale * (delay.settled - along.steer[0])
+        xi = np.array([off.station, off.speed, state.a - along.a[0], *y, sigma])
         result = self._program.solve(xi, self._input, A, B, bounds, fresh=not self._solved)
         self._solved, self._solves = result.report.solved, self._solves + 1
         if not self._solved:
             self._falls += 1
             self._first_fall = self._first_fall or f"at {state.t:.2f} s: {result.report.status}"
         self._input = result.x[:INPUTS].copy()
-        self._steer, self._steer_rate = xi[7] / scale, self._input[1] / scale
+        self._steer, self._steer_rate = xi[SIGMA] / scale, self._input[1] / scale

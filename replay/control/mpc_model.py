@@ -34,10 +34,11 @@ rounding of the positions over h^2.
 from __future__ import annotations
 
 from math import atan2, cos, exp, hypot, pi, sin
+from typing import NamedTuple
 
 import numpy as np
 
-from replan.core.arrays import FloatArray, IntArray, frozen
+from replan.core.arrays import FloatArray, frozen
 from replan.core.kernel import kernel
 from replan.logs.states import Trajectory, wrap
 from replan.replay.control.lateral_model import at_speed, following_at, steer_for
@@ -45,19 +46,44 @@ from replan.replay.vehicle.pedal_map import PedalMap, reach
 from replan.replay.vehicle.plan_path import path_kappa, timed
 
 STATES, INPUTS, SIDES = 8, 2, 8
-LIMITS = 3 + SIDES
-"""Bounded rows of a step: a, w, sigma, the polygon (6)."""
-STEP_SIZE = STATES * INPUTS + STATES * STATES + 2 * SIDES
+E_S, E_V, E_A, E_D, V_LAT, E_PHI, R, SIGMA = range(STATES)
+"""Places in xi."""
+POLYGON = INPUTS + 1
+LIMITS = POLYGON + SIDES
+"""Bounded rows of a step: a, w, sigma, and from POLYGON on the polygon (6)."""
 SETTLE_S = 1.0
 SLOW_MPS = 1.0
 
 _A = np.zeros((STATES, STATES), bool)
-_A[0, [0, 1, 2]] = _A[1, [1, 2]] = _A[2, 2] = _A[3, 3:] = True
-_A[4, [4, 6, 7]] = _A[5, [4, 5, 6, 7]] = _A[6, [4, 6, 7]] = _A[7, 7] = True
+_A[E_S, [E_S, E_V, E_A]] = _A[E_V, [E_V, E_A]] = _A[E_A, E_A] = True
+_A[E_D, E_D:] = _A[E_PHI, V_LAT:] = _A[SIGMA, SIGMA] = True
+_A[V_LAT, [V_LAT, R, SIGMA]] = _A[R, [V_LAT, R, SIGMA]] = True
 _B = np.zeros((STATES, INPUTS), bool)
-_B[:3, 0] = _B[3:, 1] = True
+_B[:E_D, 0] = _B[E_D:, 1] = True
 PATTERN_A, PATTERN_B = frozen(_A, np.bool_), frozen(_B, np.bool_)
 """Where A and B of (4) may differ from 0."""
+
+
+class EnteredPlan(NamedTuple):
+    """The plan as it will be driven, `(n + 1,)` each.
+
+    Attributes:
+        speed: m/s.
+        kappa: 1/m.
+        a: m/s2.
+        command: a of the command, a lag of the pedal later, m/s2.
+        steer: Wheel angle of exact following, rad.
+        d_0: Of `following_at`, rad m.
+        lag: Of the pedal in use, s.
+    """
+
+    speed: FloatArray
+    kappa: FloatArray
+    a: FloatArray
+    command: FloatArray
+    steer: FloatArray
+    d_0: FloatArray
+    lag: FloatArray
 
 
 @kernel
@@ -73,53 +99,49 @@ def entered(
     v: float,
     h: float,
     n: int,
-) -> FloatArray:
-    """The plan as it will be driven, `(n + 1, 7)`: v, kappa, a, commanded a, steer, d_0, lag of the
-    pedal in use.
+) -> EnteredPlan:
+    """The plan as it will be driven from `t` on.
 
     `slips` is from `slip_table`; `ratios` are the learned compliances of front and rear axle;
     `lags` those of throttle and brake, s, and the acceleration below which the brake is in use,
     m/s2; `foot` is the station of the ego's foot point at `t`, m; `v` its speed, m/s; `n` steps of
     `h` s.
     """
-    out = np.empty((n + 1, 7))
+    speeds, kappas, accelerations = np.empty(n + 1), np.empty(n + 1), np.empty(n + 1)
+    commands, steers = np.empty(n + 1), np.empty(n + 1)
+    d_0, pedal_lags = np.empty(n + 1), np.empty(n + 1)
+    throttle_lag, brake_lag, coasting = lags
     _, planned, _ = timed(times, t)
     s, before = foot, v
     for k in range(n + 1):
         _, wanted, a = timed(times, t + k * h)
         speed = max(wanted + (v - planned) * exp(-k * h / SETTLE_S), 0.0)
         s += 0.5 * h * (speed + before) if k > 0 else 0.0
-        lag = lags[0] if a >= lags[2] else lags[1]
+        lag = throttle_lag if a >= coasting else brake_lag
         _, angle = following_at(slips, wheelbase, ratios, speed)
-        out[k] = (
-            speed,
-            path_kappa(knots, s),
-            a,
-            timed(times, t + k * h + lag)[2],
-            steer_for(knots, s, speed, angle),
-            angle[0],
-            lag,
-        )
+        speeds[k], kappas[k], accelerations[k] = speed, path_kappa(knots, s), a
+        commands[k] = timed(times, t + k * h + lag)[2]
+        steers[k], d_0[k], pedal_lags[k] = steer_for(knots, s, speed, angle), angle[0], lag
         before = speed
-    return out
+    return EnteredPlan(speeds, kappas, accelerations, commands, steers, d_0, pedal_lags)
 
 
 @kernel
 def predicted(
-    along: FloatArray, table: FloatArray, v_0: float, h: float
+    along: EnteredPlan, table: FloatArray, v_0: float, h: float
 ) -> tuple[FloatArray, FloatArray]:
     """A `(n, 8, 8)` and B `(n, 8, 2)` of (4)."""
-    n = len(along) - 1
+    n = len(along.speed) - 1
     A, B = np.zeros((n, STATES, STATES)), np.zeros((n, STATES, INPUTS))
     for k in range(n):
-        v, lag = along[k, 0], along[k, 6]
+        v, lag = along.speed[k], along.lag[k]
         decay = exp(-h / lag)
         once = lag * (1.0 - decay)
         twice = lag * (h - once)
-        A[k, 0, 0], A[k, 0, 1], A[k, 0, 2] = 1.0, h, twice  # (1), (4)
-        A[k, 1, 1], A[k, 1, 2], A[k, 2, 2] = 1.0, once, decay
-        B[k, 0, 0], B[k, 1, 0], B[k, 2, 0] = 0.5 * h * h - twice, h - once, 1.0 - decay
-        now, then = 1.0 + (v / v_0) ** 2, 1.0 + (along[k + 1, 0] / v_0) ** 2  # (3)
+        A[k, E_S, E_S], A[k, E_S, E_V], A[k, E_S, E_A] = 1.0, h, twice  # (1), (4)
+        A[k, E_V, E_V], A[k, E_V, E_A], A[k, E_A, E_A] = 1.0, once, decay
+        B[k, E_S, 0], B[k, E_V, 0], B[k, E_A, 0] = 0.5 * h * h - twice, h - once, 1.0 - decay
+        now, then = 1.0 + (v / v_0) ** 2, 1.0 + (along.speed[k + 1] / v_0) ** 2  # (3)
         i, u = at_speed(table, v)
         for row in range(5):
             for column in range(6):
@@ -128,17 +150,17 @@ def predicted(
                 )
                 entry *= then if row == 4 else 1.0
                 if column < 4:
-                    A[k, 3 + row, 3 + column] = entry
+                    A[k, E_D + row, E_D + column] = entry
                 elif column == 4:
-                    A[k, 3 + row, 7] = entry / now
+                    A[k, E_D + row, SIGMA] = entry / now
                 else:
-                    B[k, 3 + row, 1] = entry / now
+                    B[k, E_D + row, 1] = entry / now
     return A, B
 
 
 @kernel
 def limits(
-    along: FloatArray,
+    along: EnteredPlan,
     train: PedalMap,
     grip: float,
     steering: tuple[float, float],
@@ -148,54 +170,27 @@ def limits(
     """(5)-(6) for the deviations: lower and upper bounds `(n, LIMITS)`, polygon rows
     `(n, SIDES, 2)` of (e_a, sigma).
 
-    `along` is from `entered`; `grip` is mu g, m/s2; `steering` max_steer, rad, max_steer_rate,
-    rad/s; `v_0` as (3).
+    `grip` is mu g, m/s2; `steering` max_steer, rad, max_steer_rate, rad/s; `v_0` as (3).
     """
-    n = len(along) - 1
+    n, (max_steer, max_rate) = len(along.speed) - 1, steering
     lower, upper = np.full((n, LIMITS), -np.inf), np.empty((n, LIMITS))
     sides = np.empty((n, SIDES, 2))
     for k in range(n):
-        scale, then = 1.0 + (along[k, 0] / v_0) ** 2, 1.0 + (along[k + 1, 0] / v_0) ** 2
-        turning = (along[k + 1, 4] - along[k, 4]) / h
-        v, steer = along[k + 1, 0], along[k + 1, 4]
-        least, most = reach(train, along[k, 0])
-        lower[k, 0], upper[k, 0] = least - along[k, 3], most - along[k, 3]  # (5)
-        lower[k, 1], upper[k, 1] = scale * (-steering[1] - turning), scale * (steering[1] - turning)
-        lower[k, 2], upper[k, 2] = then * (-steering[0] - steer), then * (steering[0] - steer)
+        v, steer = along.speed[k + 1], along.steer[k + 1]
+        scale, then = 1.0 + (along.speed[k] / v_0) ** 2, 1.0 + (v / v_0) ** 2
+        turning = (steer - along.steer[k]) / h
+        least, most = reach(train, along.speed[k])
+        lower[k, 0], upper[k, 0] = least - along.command[k], most - along.command[k]  # (5)
+        lower[k, 1], upper[k, 1] = scale * (-max_rate - turning), scale * (max_rate - turning)
+        lower[k, 2], upper[k, 2] = then * (-max_steer - steer), then * (max_steer - steer)
         for j in range(SIDES):
             c, s = cos(0.25 * pi * j), sin(0.25 * pi * j)
-            sides[k, j, 0], sides[k, j, 1] = c, s * v * v / (along[k + 1, 5] * then)
+            sides[k, j, 0], sides[k, j, 1] = c, s * v * v / (along.d_0[k + 1] * then)
             # (6)
-            upper[k, 3 + j] = (
-                grip * cos(pi / SIDES) - c * along[k + 1, 2] - s * v * v * along[k + 1, 1]
+            upper[k, POLYGON + j] = (
+                grip * cos(pi / SIDES) - c * along.a[k + 1] - s * v * v * along.kappa[k + 1]
             )
     return lower, upper, sides
-
-
-@kernel
-def packed(A: FloatArray, B: FloatArray, sides: FloatArray, places: IntArray) -> FloatArray:
-    """The entries of the program's matrix in the order of `places` (indices into all entries, then
-    1).
-    """
-    n = len(A)
-    entries = np.ones(n * STEP_SIZE + 1)
-    at = 0
-    for k in range(n):
-        for row in range(STATES):
-            for column in range(INPUTS):
-                entries[at] = -B[k, row, column]
-                at += 1
-        for row in range(STATES):
-            for column in range(STATES):
-                entries[at] = -A[k, row, column]
-                at += 1
-        for side in range(SIDES):
-            entries[at], entries[at + 1] = sides[k, side, 0], sides[k, side, 1]
-            at += 2
-    out = np.empty(len(places))
-    for i in range(len(places)):
-        out[i] = entries[places[i]]
-    return out
 
 
 @kernel
@@ -218,47 +213,46 @@ def quintic(
 
 
 @kernel
-def resample(columns: FloatArray, t: FloatArray) -> FloatArray:
-    """`(7, m)`: t, x, y, yaw, v, a, kappa at the times t, of a plan's columns `(7, n)`, n > 1,
-    within its span.
+def derivatives(yaw: float, v: float, a: float, kappa: float) -> tuple[float, float, float, float]:
+    """Velocity and acceleration in the world: x', y', x'', y''."""
+    c, s, across = cos(yaw), sin(yaw), v * v * kappa
+    return v * c, v * s, a * c - across * s, a * s + across * c
+
+
+@kernel
+def resample(
+    wanted: FloatArray,
+    t: FloatArray,
+    x: FloatArray,
+    y: FloatArray,
+    yaw: FloatArray,
+    v: FloatArray,
+    a: FloatArray,
+    kappa: FloatArray,
+) -> FloatArray:
+    """`(7, m)`: t, x, y, yaw, v, a, kappa at the `wanted` times `(m,)`, of a plan's columns `(n,)`,
+    n > 1, within its span.
     """
-    out = np.empty((7, len(t)))
+    columns = np.empty((7, len(wanted)))
     i = 0
-    for k in range(len(t)):
-        while i < columns.shape[1] - 2 and t[k] >= columns[0, i + 1]:
+    for k in range(len(wanted)):
+        while i < len(t) - 2 and wanted[k] >= t[i + 1]:
             i += 1
-        one, two = columns[:, i], columns[:, i + 1]
-        h = two[0] - one[0]
-        tau = min(max((t[k] - one[0]) / h, 0.0), 1.0)
-        c0, s0, c1, s1 = cos(one[3]), sin(one[3]), cos(two[3]), sin(two[3])
-        n0, n1 = one[4] * one[4] * one[6], two[4] * two[4] * two[6]
-        x, vx, ax = quintic(
-            one[1],
-            one[4] * c0,
-            one[5] * c0 - n0 * s0,
-            two[1],
-            two[4] * c1,
-            two[5] * c1 - n1 * s1,
-            h,
-            tau,
-        )
-        y, vy, ay = quintic(
-            one[2],
-            one[4] * s0,
-            one[5] * s0 + n0 * c0,
-            two[2],
-            two[4] * s1,
-            two[5] * s1 + n1 * c1,
-            h,
-            tau,
-        )
-        yaw, v = one[3] + tau * (two[3] - one[3]), one[4] + tau * (two[4] - one[4])
-        a = one[5] + tau * (two[5] - one[5])
-        if min(one[4], two[4]) > SLOW_MPS:
-            yaw, v = yaw + wrap(atan2(vy, vx) - yaw), hypot(vx, vy)
-            a = (ax * vx + ay * vy) / max(v, 1e-9)
-        out[:, k] = (t[k], x, y, yaw, v, a, one[6] + tau * (two[6] - one[6]))
-    return out
+        j = i + 1
+        h = t[j] - t[i]
+        tau = min(max((wanted[k] - t[i]) / h, 0.0), 1.0)
+        vx0, vy0, ax0, ay0 = derivatives(yaw[i], v[i], a[i], kappa[i])
+        vx1, vy1, ax1, ay1 = derivatives(yaw[j], v[j], a[j], kappa[j])
+        px, vx, ax = quintic(x[i], vx0, ax0, x[j], vx1, ax1, h, tau)
+        py, vy, ay = quintic(y[i], vy0, ay0, y[j], vy1, ay1, h, tau)
+        heading, speed = yaw[i] + tau * (yaw[j] - yaw[i]), v[i] + tau * (v[j] - v[i])
+        along = a[i] + tau * (a[j] - a[i])
+        if min(v[i], v[j]) > SLOW_MPS:
+            heading, speed = heading + wrap(atan2(vy, vx) - heading), hypot(vx, vy)
+            along = (ax * vx + ay * vy) / max(speed, 1e-9)
+        bend = kappa[i] + tau * (kappa[j] - kappa[i])
+        columns[:, k] = (wanted[k], px, py, heading, speed, along, bend)
+    return columns
 
 
 def resampled(plan: Trajectory, step: float) -> Trajectory:
@@ -266,7 +260,7 @@ def resampled(plan: Trajectory, step: float) -> Trajectory:
     if len(plan) < 2:
         return plan
     count = int(np.ceil((plan.t[-1] - plan.t[0]) / step - 1e-6))
-    t = np.r_[plan.t[0] + step * np.arange(count), plan.t[-1]]
-    return Trajectory(
-        *resample(np.stack([plan.t, plan.x, plan.y, plan.yaw, plan.v, plan.a, plan.kappa]), t)
+    wanted = np.r_[plan.t[0] + step * np.arange(count), plan.t[-1]]
+    return Trajectory.of_rows(
+        resample(wanted, plan.t, plan.x, plan.y, plan.yaw, plan.v, plan.a, plan.kappa)
     )

@@ -24,6 +24,7 @@ from replan.replay.control.mpc_model import (
     LIMITS,
     SIDES,
     STATES,
+    EnteredPlan,
     entered,
     limits,
     predicted,
@@ -41,7 +42,7 @@ PERIOD = 0.01
 CONFIG = MpcConfig()
 
 
-def stage(plan: Trajectory, t: float, v: float, car: VehicleParameters = CAR) -> np.ndarray:
+def stage(plan: Trajectory, t: float, v: float, car: VehicleParameters = CAR) -> EnteredPlan:
     """The plan as entered on it at `t` with speed `v`."""
     path = PlanPath.of(plan)
     return entered(
@@ -126,7 +127,7 @@ def test_the_prediction_is_what_the_continuous_model_does(v: float, rigid: bool)
     for _ in range(n):
         _, e_v, e_a, _, v_lat, e_phi, r, sigma = x
         wheel = sigma / scale
-        lag = along[0, 6]
+        lag = along.lag[0]
         side, spin = (
             (0.0, v / car.wheelbase * rate)
             if body is None
@@ -180,12 +181,12 @@ def test_limits_are_respected(lateral: float, heading: float, speed: float) -> N
     assert result.report.solved, result.report.status
     z = result.x.reshape(CONFIG.steps, INPUTS + STATES)
     assert (z[:, 0] <= 1.0 + 0.03).all() and (z[:, 0] >= -3.03).all()
-    scale = 1.0 + (along[:, 0] / CONFIG.speed_mps) ** 2
-    rate = z[:, 1] / scale[:-1] + np.diff(along[:, 4]) / CONFIG.step_s
+    scale = 1.0 + (along.speed / CONFIG.speed_mps) ** 2
+    rate = z[:, 1] / scale[:-1] + np.diff(along.steer) / CONFIG.step_s
     assert np.abs(rate).max() <= CAR.max_steer_rate + 0.03
     steer = z[:, 9] / scale[1:]
-    a_lat = along[1:, 0] ** 2 * (along[1:, 1] + steer / along[1:, 5])
-    assert np.hypot(z[:, 4] + along[1:, 2], a_lat).max() <= grip + 0.2
+    a_lat = along.speed[1:] ** 2 * (along.kappa[1:] + steer / along.d_0[1:])
+    assert np.hypot(z[:, 4] + along.a[1:], a_lat).max() <= grip + 0.2
 
 
 def test_a_warm_start_changes_nothing_but_the_way() -> None:

@@ -1,6 +1,6 @@
 """A metric: how fast the ego drives beside people on foot or on two wheels.
 
-    replan evaluate LOGS --metric passing_speed:PASSING_SPEED
+    replan evaluate LOGS --metric passing_speed:passing_speed
 
 (1) value(t) = v(t) where the middle of such a road user is within REACH_M of the ego's middle line,
         beside its body; NaN in every other step
@@ -10,24 +10,35 @@ from __future__ import annotations
 
 import numpy as np
 
-from replan import MAX, Metric, Mode, Scenario, Series, Trace, Unavailable
+from replan import MAX, Scenario, Series, Trace, Unavailable, metric
 
 REACH_M = 3.0
 """Half of a car's width and the 2 m that German law asks for beside riders out of town (StVO, 5
 (4)).
 """
 STEP_S = 0.1
-"""Steps at which is looked, s."""
+"""Steps at which agents are tested, s."""
 
 
-def _passing_speed(trace: Trace, scenario: Scenario) -> Series | Unavailable:
+@metric(
+    unit="m/s",
+    better="lower",
+    reductions=(MAX,),
+    parameters=(f"beside: within {REACH_M} m",),
+    needs="someone on foot or on two wheels",
+)
+def passing_speed(trace: Trace, scenario: Scenario) -> Series | Unavailable:
+    """Speed while someone on foot or on two wheels is beside the ego, within 3 m.
+
+    Formula: v where one is beside the body, at most 3 m from the middle line
+    """
     if not any(kind.is_vulnerable for kind in trace.agents.kinds):
         return Unavailable("no one on foot or on two wheels in the log")
     ego, car = trace.ego, scenario.vehicle
     t = np.arange(ego.t[0], ego.t[-1], STEP_S)
-    at = np.searchsorted(ego.t, t)
+    rows = np.searchsorted(ego.t, t)
     value, labels = np.full(len(t), np.nan), [""] * len(t)
-    for step, i in enumerate(at):
+    for step, i in enumerate(rows):
         agents = trace.agents.truth(float(ego.t[i]))
         dx, dy = agents.x - ego.x[i], agents.y - ego.y[i]
         ahead = dx * np.cos(ego.yaw[i]) + dy * np.sin(ego.yaw[i])
@@ -42,16 +53,4 @@ def _passing_speed(trace: Trace, scenario: Scenario) -> Series | Unavailable:
         if near.any():  # (1)
             value[step] = ego.v[i]
             labels[step] = agents.ids[int(np.flatnonzero(near)[0])]
-    return Series(ego.t[at], value, tuple(labels), missing="no one was passed")
-
-
-PASSING_SPEED = Metric(
-    "passing_speed",
-    "m/s",
-    "lower",
-    (Mode.CLOSED,),
-    _passing_speed,
-    (MAX,),
-    f"Speed while someone on foot or on two wheels is beside the ego, within {REACH_M} m.",
-    needs="someone on foot or on two wheels",
-)
+    return Series(ego.t[rows], value, tuple(labels), missing="no one was passed")

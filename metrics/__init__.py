@@ -1,8 +1,8 @@
 """Measure a drive with metrics: (Trace, Scenario) -> table.
 
 `evaluate` returns the table, `series` the same numbers step by step. To add a built-in metric,
-define it in one file with the types of `metrics/metric.py` and list it in GROUPS. Load a metric
-from your own package by its name: `load_metric("my_package.mine:METRIC")`.
+define it in one file with the decorator of `metrics/metric.py` and list it in GROUPS. Load a metric
+from your own package by its name: `load_metric("my_package.mine:my_metric")`.
 """
 
 from __future__ import annotations

@@ -51,7 +51,7 @@ from replan.core.arrays import BoolArray, FloatArray, IntArray
 from replan.core.names import listed
 from replan.metrics import evidence
 from replan.metrics.judge.aggregate import SUITE, LogLabels, membership
-from replan.metrics.judge.excuses import REFERENCE
+from replan.metrics.judge.cases import REFERENCE
 from replan.metrics.judge.gates import GateRule, Gates, Outcome, count_logs, unit_of
 from replan.metrics.judge.verdicts import DRIVE, judge, outcomes
 

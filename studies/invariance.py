@@ -41,8 +41,8 @@ from replan.logs.states import Trajectory
 from replan.metrics import evaluate
 from replan.metrics.judge import judge
 from replan.metrics.judge.aggregate import LogLabels
-from replan.metrics.judge.excuses import marginal
 from replan.metrics.judge.gates import Outcome, load_gates
+from replan.metrics.judge.marginality import marginal
 from replan.replay.loop.closed_loop import run_closed_loop
 from replan.replay.loop.reference_drives import with_avoidability
 from replan.replay.loop_config import LoopConfig

@@ -27,7 +27,7 @@ import pandas as pd
 from replan.logs.trace import Mode
 from replan.metrics import evidence
 from replan.metrics.judge.aggregate import LogLabels
-from replan.metrics.judge.excuses import REFERENCE
+from replan.metrics.judge.cases import REFERENCE
 from replan.metrics.judge.gates import Gate, Gates
 from replan.metrics.judge.verdicts import Values, fill_rows
 

@@ -72,18 +72,18 @@ import pandas as pd
 
 from replan.metrics.evidence import asked, ensemble
 from replan.metrics.judge.aggregate import LogLabels, wilson
-from replan.metrics.judge.excuses import (
+from replan.metrics.judge.cases import (
     LAWFUL,
     REFERENCE,
     DrivesTable,
     GateCase,
     MetricRow,
-    excuse,
     group_of,
     lacking_evidence,
-    marginal,
 )
+from replan.metrics.judge.excuses import excuse
 from replan.metrics.judge.gates import Gate, Gates, Outcome, count_logs, meant, unit_of
+from replan.metrics.judge.marginality import marginal
 
 _NO_ENTRIES: Mapping[Any, str] = MappingProxyType({})
 MEMBER, PERTURBATION = "member", "perturbation"  # Additional columns of a table of members

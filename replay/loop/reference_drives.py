@@ -48,8 +48,8 @@ from replan.metrics.driver_models import STEP_S
 from replan.metrics.evidence import evidence
 from replan.metrics.judge import CAREFUL, DRIVER, FOLLOWER, REFERENCE
 from replan.metrics.judge.aggregate import LogLabels
+from replan.metrics.judge.cases import CLEAN, needs_follower
 from replan.metrics.judge.discrimination import BAD_DRIVERS, Discrimination, discrimination
-from replan.metrics.judge.excuses import CLEAN, needs_follower
 from replan.metrics.judge.gates import load_gates
 from replan.metrics.metric import Series
 from replan.metrics.reference_drivers import DRIVERS, RETURN_S, careful_drive

@@ -71,7 +71,7 @@ def test_the_notebook_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
 def test_the_metric_is_the_speed_beside_someone_on_foot(monkeypatch: pytest.MonkeyPatch) -> None:
     """At 8 m/s along x; someone stands 2 m beside the path, then farther off than is looked."""
     monkeypatch.syspath_prepend(str(NOTEBOOK_FILE.parent))
-    metric = importlib.import_module("passing_speed").PASSING_SPEED
+    metric = importlib.import_module("passing_speed").passing_speed
     ego = along(grid(10.0), 8.0)
     for kind, y, value in (("pedestrian", 2.0, 8.0), ("pedestrian", 3.5, None), ("car", 2.0, None)):
         log = scenario(

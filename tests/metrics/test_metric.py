@@ -159,7 +159,7 @@ def test_a_metric_of_ones_own() -> None:
     table = evaluate(drive(log), log, metrics={"mine": MINE, "other": other}).set_index("metric")
     assert table.loc["mine.mean", "value"] == 1.5
     assert table.loc["other.max", "reason"] == "not today"
-    assert load_metric("metrics_of_mine:MINE").name == "mine"
+    assert load_metric("metrics_of_mine:mine").name == "mine"
     assert load_metric("gap") is METRICS["gap"]
 
 

@@ -29,8 +29,8 @@ from replan.metrics.judge.discrimination import (
     PARKED_FAILS,
     with_discrimination,
 )
-from replan.metrics.judge.excuses import INTERVAL, marginal
 from replan.metrics.judge.gates import Gate, Gates, Outcome, load_gates
+from replan.metrics.judge.marginality import INTERVAL, marginal
 from replan.metrics.judge.verdicts import MISS_COLUMNS, deadline_misses, with_ensemble
 from replan.replay.loop.reference_drives import discriminate
 from replan.run.ensemble import NOISE_M, PERTURBATIONS, START_M, perturbed

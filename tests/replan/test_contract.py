@@ -67,7 +67,7 @@ def test_built_in_metrics_keep_their_contract(few: list[Scenario]) -> None:
 
 def test_the_example_keeps_the_contract_of_metrics(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(str(EXAMPLES))
-    replan.check_metric("passing_speed:PASSING_SPEED")
+    replan.check_metric("passing_speed:passing_speed")
 
 
 @pytest.fixture

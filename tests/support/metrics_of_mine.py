@@ -1,15 +1,9 @@
 """A metric as a user would write it."""
 
-from replan.logs.trace import Mode
-from replan.metrics import Metric, Series
-from replan.metrics.reductions import MEAN
+from replan import MEAN, Scenario, Series, Trace, metric
 
-MINE = Metric(
-    "mine",
-    "m",
-    "none",
-    (Mode.CLOSED,),
-    lambda trace, scenario: Series(trace.ego.t, trace.ego.v),
-    (MEAN,),
-    "For a test.",
-)
+
+@metric(unit="m/s", better="none", reductions=(MEAN,))
+def mine(trace: Trace, scenario: Scenario) -> Series:
+    """For a test."""
+    return Series(trace.ego.t, trace.ego.v)

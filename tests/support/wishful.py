@@ -13,8 +13,8 @@ from replan.logs.frame import Frame, PlannerContext
 from replan.logs.plan import Plan
 from replan.logs.scenario import Scenario
 from replan.logs.states import Trajectory
-from replan.logs.trace import Mode, Trace
-from replan.metrics import Metric, Series
+from replan.logs.trace import Trace
+from replan.metrics.metric import Series, metric
 from replan.metrics.reductions import MEAN
 
 BEST_MPS = 7.0
@@ -42,32 +42,15 @@ class Wishful:
         return Plan(Trajectory(frame.t + STEPS, x, y, same, v, a, np.zeros(len(v))))
 
 
-def _wish_missed(trace: Trace, scenario: Scenario) -> Series:
+@metric(unit="m/s", better="lower", reductions=(MEAN,))
+def wish(trace: Trace, scenario: Scenario) -> Series:
+    """Distance of the speed from the best one."""
     return Series(trace.ego.t, np.abs(trace.ego.v - BEST_MPS))
 
 
-def _noise(trace: Trace, scenario: Scenario) -> Series:
-    drawn = np.random.default_rng(int(sha256(scenario.name.encode()).hexdigest()[:8], 16)).normal(
-        10.0, 1.0
-    )
+@metric(unit="1", better="higher", reductions=(MEAN,))
+def noise(trace: Trace, scenario: Scenario) -> Series:
+    """A number that is drawn by the log's name."""
+    seed = int(sha256(scenario.name.encode()).hexdigest()[:8], 16)
+    drawn = np.random.default_rng(seed).normal(10.0, 1.0)
     return Series(trace.ego.t, np.full(len(trace.ego.t), drawn))
-
-
-WISH = Metric(
-    "wish",
-    "m/s",
-    "lower",
-    (Mode.CLOSED,),
-    _wish_missed,
-    (MEAN,),
-    "Distance of the speed from the best one.",
-)
-NOISE = Metric(
-    "noise",
-    "1",
-    "higher",
-    (Mode.CLOSED,),
-    _noise,
-    (MEAN,),
-    "A number that is drawn by the log's name.",
-)

@@ -112,9 +112,9 @@ def words(folder: Path, out: Path, *more: object) -> Sequence[object]:
         folder / "logs",
         *settings,
         "--metric",
-        "wishful:WISH",
+        "wishful:wish",
         "--metric",
-        "wishful:NOISE",
+        "wishful:noise",
         *kept,
         *more,
     )

@@ -1,5 +1,5 @@
-"""Judging: gates (`gates`), their verdicts (`verdicts`), what a gate is judged by (`cases`), excuses
-for broken bounds (`excuses`), and marginal outcomes (`marginality`).
+"""Judging: gates (`gates`), their verdicts (`verdicts`), what a gate is judged by (`cases`),
+excuses for broken bounds (`excuses`), and marginal outcomes (`marginality`).
 
 `aggregate` summarises many logs. `verdicts` also adds rows about ensembles and gates to the table,
 and judges late plans.

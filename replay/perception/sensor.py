@@ -23,6 +23,7 @@ from collections import deque
 from dataclasses import dataclass, replace
 from hashlib import blake2b
 from math import atan2, cos, hypot, nan, pi, radians, sin
+from typing import NamedTuple
 
 import numpy as np
 
@@ -44,6 +45,22 @@ WIDEST_RAD = radians(88.0)
 """Greatest half angle of a shadow: an agent so near hides half of the surroundings."""
 
 
+X, Y, YAW, LENGTH, WIDTH = range(5)
+"""Columns of boxes."""
+NEAR_RIGHT, FAR_RIGHT, FAR_LEFT, NEAR_LEFT = range(4)
+"""Corners of a shadow."""
+
+
+class View(NamedTuple):
+    """Where the sensor is and how much it covers: m, rad."""
+
+    x: float
+    y: float
+    yaw: float
+    range: float
+    field_of_view: float
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class Measurement:
     """The measured agents and the visible ground at the time `t`, s."""
@@ -63,7 +80,7 @@ class Sensor:
 
     def __init__(self, scenario: Scenario, config: SensorConfig) -> None:
         self._name, self._vehicle, self._config = scenario.name, scenario.vehicle, config
-        self._made: deque[Measurement] = deque()
+        self._measurements: deque[Measurement] = deque()
         self._since: dict[str, float] | None = None
         self._boxes_around = NearbyTracks()
 
@@ -72,28 +89,37 @@ class Sensor:
         to the sensor.
         """
         now = world.ego.t
-        self._made.append(self._measure(world))
+        self._measurements.append(self._measure(world))
         due = now - self._config.latency_s + 1e-9
-        arrived = [made for made in self._made if made.t <= due] or [self._made[0]]
+        arrived = [measurement for measurement in self._measurements if measurement.t <= due] or [
+            self._measurements[0]
+        ]
         oldest = arrived[-1].t - self._config.coast_s - 1e-9
-        while self._made[0].t < oldest:
-            self._made.popleft()
+        while self._measurements[0].t < oldest:
+            self._measurements.popleft()
         newest: dict[str, tuple[Measurement, int]] = {}
-        for made in arrived:
-            if made.t >= oldest:
-                newest.update({name: (made, i) for i, name in enumerate(made.agents.ids)})
+        for measurement in arrived:
+            if measurement.t >= oldest:
+                newest.update(
+                    {name: (measurement, i) for i, name in enumerate(measurement.agents.ids)}
+                )
         # ages count from the first measurement since an agent was last lost; unknown for those in
         # the first frame
-        first, known = self._since is None, self._since or {}
+        is_first, known = self._since is None, self._since or {}
         self._since = {
-            name: known.get(name, nan if first else m.t) for name, (m, _) in newest.items()
+            name: known.get(name, nan if is_first else measurement.t)
+            for name, (measurement, _) in newest.items()
         }
         age = np.minimum(now - np.array(list(self._since.values())), OLDEST_S)
-        unseen = np.array([now - m.t for m, _ in newest.values()])
+        unseen = np.array([now - measurement.t for measurement, _ in newest.values()])
         rows = np.array(
-            [[getattr(m.agents, name)[i] for name in NUMBERS] for m, i in newest.values()], float
+            [
+                [getattr(measurement.agents, name)[i] for name in NUMBERS]
+                for measurement, i in newest.values()
+            ],
+            float,
         )
-        kinds = tuple(m.agents.kinds[i] for m, i in newest.values())
+        kinds = tuple(measurement.agents.kinds[i] for measurement, i in newest.values())
         seen = Agents.of_rows(
             tuple(newest), kinds, rows.reshape(-1, len(NUMBERS)).T, codes_of(kinds)
         )
@@ -102,35 +128,38 @@ class Sensor:
         return replace(seen, x=x, y=y, age=age, unseen=unseen), arrived[-1].visibility
 
     def _measure(self, world: World) -> Measurement:
-        t, config = world.ego.t, self._config
-        agents = self._boxes_around.of(world.tracks, t, t).perceived(t)
-        x, y = box_center(world.ego, self._vehicle)
+        ego, config = world.ego, self._config
+        agents = self._boxes_around.of(world.tracks, ego.t, ego.t).perceived(ego.t)
+        x, y = box_center(ego, self._vehicle)
+        field_of_view = radians(config.field_of_view_deg)
+        view = View(float(x), float(y), float(ego.yaw), float(config.range_m), field_of_view)
         boxes = np.column_stack([agents.x, agents.y, agents.yaw, agents.length, agents.width])
         hiding = np.array(
             [config.occlusion and not kind.is_vulnerable for kind in agents.kinds], bool
         )
         hiding &= ~_boxes_around(boxes, x, y)
-        view = np.array([x, y, world.ego.yaw, config.range_m, radians(config.field_of_view_deg)])
         seen = _seen_shares(boxes, hiding, view) >= VISIBLE
         if config.dropout > 0.0:  # (2)
             for i, name in enumerate(agents.ids):
-                slot = int(
-                    (t + self._draws(name, "phase").uniform(0.0, config.dropout_s))
-                    // config.dropout_s
-                )
+                phase = self._draws(name, "phase").uniform(0.0, config.dropout_s)
+                slot = int((ego.t + phase) // config.dropout_s)
                 seen[i] &= self._draws(name, f"slot {slot}").uniform() >= config.dropout
         visibility = Visibility(
-            x, y, world.ego.yaw, config.range_m, view[4], _shadows(boxes[hiding], view)
+            x, y, ego.yaw, config.range_m, field_of_view, _shadows(boxes[hiding], view)
         )
-        agents, stamp = agents.some(np.flatnonzero(seen)), f"noise {round(t * 1e9)}"
+        return Measurement(ego.t, self._noisy(agents.some(np.flatnonzero(seen)), ego.t), visibility)
+
+    def _noisy(self, agents: Agents, t: float) -> Agents:
+        """The agents as measured at `t`, with noise (1)."""
+        config, stamp = self._config, f"noise {round(t * 1e9)}"
         draws = np.array(
             [self._draws(name, stamp).standard_normal(5) for name in agents.ids]
         ).reshape(-1, 5)
         spread = np.array([config.position_noise_m] * 2 + [radians(config.yaw_noise_deg)])
-        ahead, left, turn = (draws[:, :3] * spread).T  # (1)
+        ahead, left, turn = (draws[:, :3] * spread).T
         faster, aside = (draws[:, 3:] * config.velocity_noise_mps).T
         c, s = np.cos(agents.yaw), np.sin(agents.yaw)
-        noisy = replace(
+        return replace(
             agents,
             x=agents.x + ahead * c - left * s,
             y=agents.y + ahead * s + left * c,
@@ -139,7 +168,6 @@ class Sensor:
             vy=agents.vy + faster * s + aside * c,
             velocity_sigma=np.full(len(agents), config.velocity_noise_mps),
         )
-        return Measurement(t, noisy, visibility)
 
     def _draws(self, agent: str, what: str) -> np.random.Generator:
         """The generator of one agent's draws for one purpose."""
@@ -154,80 +182,90 @@ def _crosses(ax: float, ay: float, bx: float, by: float, box: FloatArray) -> boo
     """Return whether the segment from a to b touches a box (x, y, yaw, length, width): slabs in the
     box's axes.
     """
-    c, s = cos(box[2]), sin(box[2])
-    px, py = (ax - box[0]) * c + (ay - box[1]) * s, (ay - box[1]) * c - (ax - box[0]) * s
+    x, y = box[X], box[Y]
+    c, s = cos(box[YAW]), sin(box[YAW])
+    px, py = (ax - x) * c + (ay - y) * s, (ay - y) * c - (ax - x) * s
     dx, dy = (bx - ax) * c + (by - ay) * s, (by - ay) * c - (bx - ax) * s
     first, last = 0.0, 1.0
-    for p, d, half in ((px, dx, 0.5 * box[3]), (py, dy, 0.5 * box[4])):
+    for p, d, half in ((px, dx, 0.5 * box[LENGTH]), (py, dy, 0.5 * box[WIDTH])):
         if abs(d) < 1e-12:
             if abs(p) > half:
                 return False
             continue
-        one, two = (-half - p) / d, (half - p) / d
-        first, last = max(first, min(one, two)), min(last, max(one, two))
+        low, high = (-half - p) / d, (half - p) / d
+        first, last = max(first, min(low, high)), min(last, max(low, high))
     return first <= last
 
 
 @kernel
 def _boxes_around(boxes: FloatArray, x: float, y: float) -> BoolArray:
     """Return which boxes contain the sensor: such an agent is a collision and does not occlude."""
-    out = np.zeros(len(boxes), np.bool_)
+    contains = np.zeros(len(boxes), np.bool_)
     for i in range(len(boxes)):
-        out[i] = _crosses(x, y, x, y, boxes[i])
-    return out
+        contains[i] = _crosses(x, y, x, y, boxes[i])
+    return contains
+
+
+@inner_kernel
+def _points_of(box: FloatArray) -> FloatArray:
+    """Corners, middles of the sides and centre of a box, `(POINTS, 2)`."""
+    points = np.empty((POINTS, 2))
+    points[:4] = corners(box[X], box[Y], box[YAW], box[LENGTH], box[WIDTH])
+    for k in range(4):
+        points[4 + k] = 0.5 * (points[k] + points[(k + 1) % 4])
+    points[POINTS - 1] = box[:YAW]
+    return points
 
 
 @kernel
-def _seen_shares(boxes: FloatArray, hiding: BoolArray, view: FloatArray) -> FloatArray:
-    """Return the share of each box's points that a sensor (x, y, yaw, range, field of view) sees
-    `(n,)`.
-    """
+def _seen_shares(boxes: FloatArray, hiding: BoolArray, view: View) -> FloatArray:
+    """Return the share of each box's points that a sensor sees `(n,)`."""
     n = len(boxes)
-    out, points = np.zeros(n), np.empty((POINTS, 2))
+    shares, away = np.zeros(n), np.empty(n)
     for i in range(n):
-        points[:4] = corners(boxes[i, 0], boxes[i, 1], boxes[i, 2], boxes[i, 3], boxes[i, 4])
-        for k in range(4):
-            points[4 + k] = 0.5 * (points[k] + points[(k + 1) % 4])
-        points[8] = boxes[i, :2]
-        reach = hypot(boxes[i, 0] - view[0], boxes[i, 1] - view[1])
+        away[i] = hypot(boxes[i, X] - view.x, boxes[i, Y] - view.y)
+    for i in range(n):
+        points = _points_of(boxes[i])
         for p in range(POINTS):
-            dx, dy = points[p, 0] - view[0], points[p, 1] - view[1]
-            if hypot(dx, dy) > view[3] or abs(wrap(atan2(dy, dx) - view[2])) > 0.5 * view[4]:
+            px, py = points[p]
+            dx, dy = px - view.x, py - view.y
+            aside = abs(wrap(atan2(dy, dx) - view.yaw))
+            if hypot(dx, dy) > view.range or aside > 0.5 * view.field_of_view:
                 continue
             free = True
             for j in range(n):
-                away = hypot(boxes[j, 0] - view[0], boxes[j, 1] - view[1])
-                between = j != i and hiding[j] and away < reach + boxes[i, 3]
-                if between and _crosses(view[0], view[1], points[p, 0], points[p, 1], boxes[j]):
+                is_nearer = away[j] < away[i] + boxes[i, LENGTH]
+                between = j != i and hiding[j] and is_nearer
+                if between and _crosses(view.x, view.y, px, py, boxes[j]):
                     free = False
                     break
-            out[i] += 1.0 / POINTS if free else 0.0
-    return out
+            shares[i] += 1.0 / POINTS if free else 0.0
+    return shares
 
 
 @kernel
-def _shadows(boxes: FloatArray, view: FloatArray) -> FloatArray:
+def _shadows(boxes: FloatArray, view: View) -> FloatArray:
     """Return the ground hidden behind boxes within range `(k, 4, 2)`: near right, far right, far
     left, near left.
     """
-    out, count = np.empty((len(boxes), 4, 2)), 0
-    for i in range(len(boxes)):
-        dx, dy = boxes[i, 0] - view[0], boxes[i, 1] - view[1]
-        if hypot(dx, dy) - 0.5 * hypot(boxes[i, 3], boxes[i, 4]) > view[3]:
+    shadows, count = np.empty((len(boxes), 4, 2)), 0
+    for box in boxes:
+        dx, dy = box[X] - view.x, box[Y] - view.y
+        if hypot(dx, dy) - 0.5 * hypot(box[LENGTH], box[WIDTH]) > view.range:
             continue
-        middle = atan2(dy, dx)
-        outline = corners(boxes[i, 0], boxes[i, 1], boxes[i, 2], boxes[i, 3], boxes[i, 4])
+        shadow, middle = shadows[count], atan2(dy, dx)
+        outline = corners(box[X], box[Y], box[YAW], box[LENGTH], box[WIDTH])
         right, left = pi, -pi
         for k in range(4):
-            angle = wrap(atan2(outline[k, 1] - view[1], outline[k, 0] - view[0]) - middle)
+            angle = wrap(atan2(outline[k, 1] - view.y, outline[k, 0] - view.x) - middle)
             if angle < right:
-                right, out[count, 0] = angle, outline[k]
+                right, shadow[NEAR_RIGHT] = angle, outline[k]
             if angle > left:
-                left, out[count, 3] = angle, outline[k]
+                left, shadow[NEAR_LEFT] = angle, outline[k]
         half = min(0.5 * (left - right), WIDEST_RAD)
-        far = 1.01 * view[3] / cos(half)
-        for k, angle in ((1, -half), (2, half)):
-            out[count, k, 0] = view[0] + far * cos(middle + 0.5 * (left + right) + angle)
-            out[count, k, 1] = view[1] + far * sin(middle + 0.5 * (left + right) + angle)
+        far = 1.01 * view.range / cos(half)
+        for k, angle in ((FAR_RIGHT, -half), (FAR_LEFT, half)):
+            shadow[k, 0] = view.x + far * cos(middle + 0.5 * (left + right) + angle)
+            shadow[k, 1] = view.y + far * sin(middle + 0.5 * (left + right) + angle)
         count += 1
-    return out[:count]
+    return shadows[:count]

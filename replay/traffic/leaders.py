@@ -32,7 +32,7 @@ log is so long that
 from __future__ import annotations
 
 from math import cos, hypot, inf, pi, sin, sqrt, tanh
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -42,7 +42,8 @@ from replan.logs.shapes import overlap
 from replan.logs.tracks import Tracks
 from replan.metrics.driver_models import CC_BRAKE_MPS2
 
-ACCEL_MPS2, DECEL_MPS2, TIME_GAP_S, STANDSTILL_M, COOLNESS = 2.0, 3.0, 1.0, 2.0, 0.99
+ACCEL_MPS2, DECEL_MPS2 = 2.0, 3.0
+TIME_GAP_S, STANDSTILL_M, COOLNESS = 1.0, 2.0, 0.99
 """a, b, T, s0, c of (1) to (4)."""
 HARDEST_MPS2 = CC_BRAKE_MPS2
 """0.774 g, as the careful driver of UN R157 brakes."""
@@ -65,6 +66,31 @@ FINE_M = 1.0
 """Step of the box along the path; the contact is then halved down to `FINE_M` / 32."""
 
 
+X, Y, YAW, LENGTH, WIDTH = range(5)
+"""Columns of boxes."""
+
+
+class Box(NamedTuple):
+    """A box: its centre, heading and size, m, rad."""
+
+    x: float
+    y: float
+    yaw: float
+    length: float
+    width: float
+
+
+Leap = tuple[float, float, float]
+"""How far a box moves in x, y, m, and turns, rad."""
+
+
+@inner_kernel
+def box_at(boxes: FloatArray, i: int | np.signedinteger[Any]) -> Box:
+    """Row i of boxes `(n, 5)`."""
+    box = boxes[i]
+    return Box(box[X], box[Y], box[YAW], box[LENGTH], box[WIDTH])
+
+
 class Paths(NamedTuple):
     """The logged paths, or some of them: path i owns the samples `first[i] : end[i]`."""
 
@@ -81,10 +107,10 @@ def paths_along(tracks: Tracks) -> Paths:
     return Paths(tracks.offsets[:-1], tracks.offsets[1:], tracks.t, tracks.x, tracks.y, tracks.yaw)
 
 
-def places(who: IntArray, some: IntArray) -> IntArray:
+def places(who: IntArray, wanted: IntArray) -> IntArray:
     """The index of each of `some` `(m,)` in `who` `(k,)`, which increases; -1: not in it."""
-    at = np.searchsorted(who, some)
-    return np.where(np.append(who, -1)[at] == some, at, -1)
+    rows = np.searchsorted(who, wanted)
+    return np.where(np.append(who, -1)[rows] == wanted, rows, -1)
 
 
 @inner_kernel
@@ -133,11 +159,11 @@ def desired_gap(v: float, v_lead: float) -> float:
 @kernel
 def accelerations(speed: FloatArray, leaders: Leaders) -> FloatArray:
     """(4) `(n,)`; without a leader the greatest acceleration."""
-    out = np.full(len(speed), ACCEL_MPS2)
+    accels = np.full(len(speed), ACCEL_MPS2)
     for i in range(len(speed)):
         if np.isfinite(leaders.gap[i]):
-            out[i] = enhanced_idm(speed[i], leaders.gap[i], leaders.speed[i], leaders.accel[i])
-    return out
+            accels[i] = enhanced_idm(speed[i], leaders.gap[i], leaders.speed[i], leaders.accel[i])
+    return accels
 
 
 @kernel
@@ -162,7 +188,7 @@ def enhanced_idm(v: float, gap: float, v_lead: float, a_lead: float) -> float:
 def covered(paths: Paths, phase: FloatArray, span: float) -> FloatArray:
     """Length of each logged path from its phase to `span` s later `(n,)`, m."""
     t, x, y = paths.t, paths.x, paths.y
-    out = np.zeros(len(phase))
+    lengths = np.zeros(len(phase))
     for i in range(len(phase)):
         until = phase[i] + span
         for k in range(sample_at(paths, i, phase[i]), paths.end[i] - 1):
@@ -170,8 +196,8 @@ def covered(paths: Paths, phase: FloatArray, span: float) -> FloatArray:
                 break
             part = min(until, t[k + 1]) - max(phase[i], t[k])
             if part > 0.0:
-                out[i] += part / (t[k + 1] - t[k]) * hypot(x[k + 1] - x[k], y[k + 1] - y[k])
-    return out
+                lengths[i] += part / (t[k + 1] - t[k]) * hypot(x[k + 1] - x[k], y[k + 1] - y[k])
+    return lengths
 
 
 @inner_kernel
@@ -181,44 +207,55 @@ def moved_on(paths: Paths, phase: FloatArray, way: FloatArray, now: float) -> Fl
     Standstills of the log are skipped, but not beyond `now`.
     """
     t, x, y = paths.t, paths.x, paths.y
-    out = phase.copy()
+    phases = phase.copy()
     for i in range(len(phase)):
         left, k, end = way[i], sample_at(paths, i, phase[i] + 1e-12), paths.end[i]
         while k < end - 1:
             speed = hypot(x[k + 1] - x[k], y[k + 1] - y[k]) / (t[k + 1] - t[k])
-            rest = t[k + 1] - out[i]
+            rest = t[k + 1] - phases[i]
             if speed < STANDING_MPS:
                 if t[k + 1] > now:
-                    out[i] = max(out[i], now)
+                    phases[i] = max(phases[i], now)
                     break
-                out[i] = t[k + 1]
+                phases[i] = t[k + 1]
             elif left < speed * rest - ARRIVED_M:
-                out[i] += left / speed
+                phases[i] += left / speed
                 break
             else:
                 left = max(left - speed * rest, 0.0)
-                out[i] = t[k + 1]
+                phases[i] = t[k + 1]
             k += 1
         if k == end - 1 and left > 1e-9:
-            out[i] = t[end - 1] + 1e-3
-    return out
+            phases[i] = t[end - 1] + 1e-3
+    return phases
 
 
 @inner_kernel
 def taken(boxes: FloatArray, coming: BoolArray, others: BoolArray) -> BoolArray:
     """Which boxes `coming` overlap one of the `others`."""
-    out = np.zeros(len(coming), np.bool_)
+    overlaps = np.zeros(len(coming), np.bool_)
     for i in range(len(coming)):
         for j in range(len(boxes)):
-            if coming[i] and others[j] and j != i and _touch(boxes[i], boxes[j], 0.0):
-                out[i] = True
-    return out
+            if coming[i] and others[j] and j != i:
+                overlaps[i] = overlaps[i] or _touch(box_at(boxes, i), box_at(boxes, j), 0.0)
+    return overlaps
 
 
 @inner_kernel
-def _touch(one: FloatArray, two: FloatArray, narrower: float) -> bool:
-    width = max(one[4] - narrower, 0.1)
-    return overlap(one[0], one[1], one[2], one[3], width, two[0], two[1], two[2], two[3], two[4])
+def _touch(box: Box, other: Box, narrower: float) -> bool:
+    width = max(box.width - narrower, 0.1)
+    return overlap(
+        box.x,
+        box.y,
+        box.yaw,
+        box.length,
+        width,
+        other.x,
+        other.y,
+        other.yaw,
+        other.length,
+        other.width,
+    )
 
 
 @inner_kernel
@@ -227,50 +264,48 @@ def ego_ahead(
 ) -> BoolArray:
     """Whether the ego is ahead of each of the vehicles `whose` (5), `(n,)`."""
     n, boxes = len(phase), scene.boxes
-    out, me = np.zeros(n, np.bool_), np.array([n])
+    is_ahead, last = np.zeros(n, np.bool_), np.array([n])
+    ego, (vx, vy, _) = box_at(boxes, n), scene.motion[n]
     for i in range(n):
-        reach = LOOK_M + LOOK_S * speed[i]
-        away = hypot(boxes[n, 0] - boxes[i, 0], boxes[n, 1] - boxes[i, 1])
-        if (
-            not whose[i]
-            or away > reach + boxes[i, 3] + boxes[n, 3]
-            or _touch(boxes[i], boxes[n], 0.0)
-        ):
+        box, reach = box_at(boxes, i), LOOK_M + LOOK_S * speed[i]
+        away = hypot(ego.x - box.x, ego.y - box.y)
+        if not whose[i] or away > reach + box.length + ego.length or _touch(box, ego, 0.0):
             continue
-        gap, j, x, y, yaw = _first_touched(paths, i, phase[i], reach, boxes, me)
-        c, s, askew = cos(yaw), sin(yaw), boxes[n, 2] - yaw
-        half = 0.5 * (boxes[n, 3] * abs(cos(askew)) + boxes[n, 4] * abs(sin(askew)))
-        rear = (boxes[n, 0] - x) * c + (boxes[n, 1] - y) * s - half
-        onward = scene.motion[n, 0] * c + scene.motion[n, 1] * s > -STANDING_MPS
+        gap, touched, place = _first_touched(paths, i, phase[i], reach, boxes, last)
+        c, s, askew = cos(place.yaw), sin(place.yaw), ego.yaw - place.yaw
+        half = 0.5 * (ego.length * abs(cos(askew)) + ego.width * abs(sin(askew)))
+        rear = (ego.x - place.x) * c + (ego.y - place.y) * s - half
+        onward = vx * c + vy * s > -STANDING_MPS
         # (5)
-        out[i] = (
-            j >= 0
+        is_ahead[i] = (
+            touched >= 0
             and onward
             and cos(askew) >= cos(ASKEW_RAD)
-            and gap + rear - 0.5 * boxes[i, 3] > 0.0
+            and gap + rear - 0.5 * box.length > 0.0
         )
-    return out
+    return is_ahead
 
 
 @inner_kernel
 def drives_into(paths: Paths, phase: FloatArray, leaders: Leaders) -> BoolArray:
     """Which vehicles `(n,)`, going on as in the log, drive into their leaders (6)."""
     gap, pace, accel = leaders.gap, leaders.speed, leaders.accel
-    out = np.zeros(len(phase), np.bool_)
+    drives = np.zeros(len(phase), np.bool_)
     for i in range(len(phase)):
         if not np.isfinite(gap[i]):
             continue
-        way, brake = 0.0, max(-accel[i], 0.0)
+        driven_m, brake = 0.0, max(-accel[i], 0.0)
         for k in range(sample_at(paths, i, phase[i]), paths.end[i] - 1):
             start = max(phase[i], paths.t[k])
-            if start > phase[i] + LOOK_S or out[i]:
+            if start > phase[i] + LOOK_S or drives[i]:
                 break
             part = (paths.t[k + 1] - start) / (paths.t[k + 1] - paths.t[k])
-            way += part * hypot(paths.x[k + 1] - paths.x[k], paths.y[k + 1] - paths.y[k])
+            driven_m += part * hypot(paths.x[k + 1] - paths.x[k], paths.y[k + 1] - paths.y[k])
             tau = paths.t[k + 1] - phase[i]
             rolls = min(tau, pace[i] / brake) if brake > 0.0 else tau
-            out[i] = way >= gap[i] - ROOM_M + pace[i] * rolls - 0.5 * brake * rolls * rolls  # (6)
-    return out
+            # (6)
+            drives[i] = driven_m >= gap[i] - ROOM_M + pace[i] * rolls - 0.5 * brake * rolls * rolls
+    return drives
 
 
 @inner_kernel
@@ -288,89 +323,91 @@ def leaders(
     The ego leads only the vehicles for which `heeds` `(n,)` holds.
     """
     n, boxes = len(phase), scene.boxes
-    out = Leaders(np.full(n, inf), np.zeros(n), np.zeros(n))
+    nearest = Leaders(np.full(n, inf), np.zeros(n), np.zeros(n))
     near = np.empty(n + 1, np.int64)  # agents that may be in the way
     present = np.flatnonzero(scene.present)
     off_log = np.flatnonzero(scene.present & ~scene.as_logged)  # mostly few of very many
     for i in range(n):
         if not whose[i]:
             continue
-        reach, count = LOOK_M + LOOK_S * speed[i], 0
+        box, reach, count = box_at(boxes, i), LOOK_M + LOOK_S * speed[i], 0
         for j in off_log if scene.as_logged[i] else present:
             if j == i or (j == n and not heeds[i]):
                 continue
-            away = hypot(boxes[j, 0] - boxes[i, 0], boxes[j, 1] - boxes[i, 1])
-            if away <= reach + boxes[i, 3] + boxes[j, 3] and not _touch(boxes[i], boxes[j], 0.0):
+            other = box_at(boxes, j)
+            away = hypot(other.x - box.x, other.y - box.y)
+            if away <= reach + box.length + other.length and not _touch(box, other, 0.0):
                 near[count] = j
                 count += 1
         if count == 0:
             continue
-        gap, leader, _, _, yaw = _first_touched(paths, i, phase[i], reach, boxes, near[:count])
+        gap, leader, place = _first_touched(paths, i, phase[i], reach, boxes, near[:count])
         if leader >= 0:
             vx, vy, accel = scene.motion[leader]
-            ahead, pace = vx * cos(yaw) + vy * sin(yaw), hypot(vx, vy)
-            out.gap[i], out.speed[i] = gap, max(ahead, 0.0)
-            out.accel[i] = accel * ahead / pace if pace > STANDING_MPS else 0.0
-    return out
+            ahead, pace = vx * cos(place.yaw) + vy * sin(place.yaw), hypot(vx, vy)
+            nearest.gap[i], nearest.speed[i] = gap, max(ahead, 0.0)
+            nearest.accel[i] = accel * ahead / pace if pace > STANDING_MPS else 0.0
+    return nearest
 
 
 @inner_kernel
 def _first_touched(
     paths: Paths, i: int, phase: float, reach: float, boxes: FloatArray, near: IntArray
-) -> tuple[float, int, float, float, float]:
-    """Distance along path i to the first touch, the agent (-1: none within reach), and the box's x,
-    y, yaw there.
+) -> tuple[float, int, Box]:
+    """Distance along path i to the first touch, the agent (-1: none within reach), and the box of i
+    there.
     """
     k = sample_at(paths, i, phase)
-    begin, leap = boxes[i].copy(), np.zeros(3)
+    begin = box_at(boxes, i)
     # Half of length and width: more than half of the diagonal
-    station, own = 0.0, 0.5 * (begin[3] + begin[4]) + 1.0
+    station, own = 0.0, 0.5 * (begin.length + begin.width) + 1.0
     free = 0.0  # the station up to which no other box is within reach
     while k < paths.end[i] - 1 and station < reach:
-        leap[0], leap[1] = paths.x[k + 1] - begin[0], paths.y[k + 1] - begin[1]
-        leap[2] = paths.yaw[k + 1] - begin[2]
+        leap = (
+            paths.x[k + 1] - begin.x,
+            paths.y[k + 1] - begin.y,
+            paths.yaw[k + 1] - begin.yaw,
+        )
         length = hypot(leap[0], leap[1])
         steps = int(length / FINE_M) + 1
         for m in range(1, steps + 1):
-            here = station + m / steps * length
-            if here < free:
+            ahead = station + m / steps * length
+            if ahead < free:
                 continue
-            best, who, apart = 2.0, -1, inf
-            x, y = begin[0] + m / steps * leap[0], begin[1] + m / steps * leap[1]
+            first, agent, apart = 2.0, -1, inf
+            box = _box_after(begin, leap, m / steps)
             for j in near:
                 brush = EGO_BRUSH_M if j == len(boxes) - 1 else BRUSH_M
+                other = box_at(boxes, j)
                 away = (
-                    hypot(boxes[j, 0] - x, boxes[j, 1] - y)
+                    hypot(other.x - box.x, other.y - box.y)
                     - own
-                    - 0.5 * (boxes[j, 3] + boxes[j, 4])
+                    - 0.5 * (other.length + other.width)
                 )
                 apart = min(apart, away)
-                if away <= 0.0 and _touch(_box_after(begin, leap, m / steps), boxes[j], brush):
-                    u = _touch_at(begin, leap, (m - 1.0) / steps, m / steps, boxes[j], brush)
-                    if u < best:
-                        best, who = u, j
-            if who >= 0:
-                there = _box_after(begin, leap, best)
-                return station + best * length, who, there[0], there[1], there[2]
-            free = here + apart
-        begin[0], begin[1], begin[2] = begin[0] + leap[0], begin[1] + leap[1], begin[2] + leap[2]
+                if away <= 0.0 and _touch(box, other, brush):
+                    u = _touch_at(begin, leap, (m - 1.0) / steps, m / steps, other, brush)
+                    if u < first:
+                        first, agent = u, j
+            if agent >= 0:
+                return station + first * length, agent, _box_after(begin, leap, first)
+            free = ahead + apart
+        begin = _box_after(begin, leap, 1.0)
         station += length
         k += 1
-    return inf, -1, 0.0, 0.0, 0.0
+    return inf, -1, begin
 
 
 @inner_kernel
-def _box_after(box: FloatArray, leap: FloatArray, u: float) -> FloatArray:
-    """A box after the part u of a leap (x, y, yaw)."""
-    out = box.copy()
-    for c in range(3):
-        out[c] += u * leap[c]
-    return out
+def _box_after(box: Box, leap: Leap, u: float) -> Box:
+    """A box after the part u of a leap."""
+    dx, dy, turn = leap
+    return Box(box.x + u * dx, box.y + u * dy, box.yaw + u * turn, box.length, box.width)
 
 
 @inner_kernel
 def _touch_at(
-    begin: FloatArray, leap: FloatArray, low: float, high: float, other: FloatArray, narrower: float
+    begin: Box, leap: Leap, low: float, high: float, other: Box, narrower: float
 ) -> float:
     """The last part of a leap, between `low` (apart) and `high` (touching), at which the boxes are
     still apart.

@@ -23,11 +23,16 @@ from replan.core.kernel import inner_kernel, kernel
 from replan.replay.traffic.leaders import (
     ACCEL_MPS2,
     DECEL_MPS2,
+    LENGTH,
     STANDING_MPS,
     STANDSTILL_M,
+    WIDTH,
+    YAW,
     Leaders,
     Paths,
     TrafficScene,
+    X,
+    Y,
     covered,
     desired_gap,
     drives_into,
@@ -72,7 +77,7 @@ class Phases(NamedTuple):
         speed: m/s.
         accel: m/s2.
         late: Whether they are off their log.
-        there: Whether they are in the scene.
+        present: Whether they are in the scene.
         ahead_since: Since when the ego has been ahead of them, s; inf: it is not.
         since: Since when they have been off their log, s; inf: they are on it.
         braked: Their hardest deceleration while late, m/s2.
@@ -82,7 +87,7 @@ class Phases(NamedTuple):
     speed: FloatArray
     accel: FloatArray
     late: BoolArray
-    there: BoolArray
+    present: BoolArray
     ahead_since: FloatArray
     since: FloatArray
     braked: FloatArray
@@ -113,9 +118,9 @@ class Coming:
 
     def __init__(self, every: ReplayedAgents) -> None:
         n = len(every.reacts)
-        late, there, never = np.zeros(n, np.bool_), np.zeros(n, np.bool_), np.full(n, inf)
+        late, present, never = np.zeros(n, np.bool_), np.zeros(n, np.bool_), np.full(n, inf)
         states = Phases(
-            np.zeros(n), np.zeros(n), np.zeros(n), late, there, never, never.copy(), np.zeros(n)
+            np.zeros(n), np.zeros(n), np.zeros(n), late, present, never, never.copy(), np.zeros(n)
         )
         self._every, self._states = every, states  # all on their logs and not in the scene yet
         begins = np.where(every.tracks.static, -np.inf, every.tracks.t[every.tracks.first])
@@ -142,7 +147,7 @@ class Coming:
             now, tracks = self.now, self.agents.tracks
             waits = now.late & (now.phase <= tracks.t[tracks.first] + 1e-9)
             over = now.late | (self.agents.left < t - 1e-9)
-            gone = ~(now.there | tracks.static | waits) & over  # for good
+            gone = ~(now.present | tracks.static | waits) & over  # for good
             self._take(np.sort(np.r_[self.who[~gone], new]))
 
     def _take(self, who: IntArray) -> None:
@@ -172,23 +177,18 @@ def scene_of(agents: ReplayedAgents, now: Phases, ego: Ego) -> TrafficScene:
     present, as_logged = np.ones(n + 1, np.bool_), np.ones(n + 1, np.bool_)
     for i in range(n):
         x, y, yaw, vx, vy, _ = played(agents.tracks, i, now.phase[i])
-        boxes[i, 0], boxes[i, 1], boxes[i, 2] = x, y, yaw
-        boxes[i, 3], boxes[i, 4] = agents.length[i], agents.width[i]
+        boxes[i, X], boxes[i, Y], boxes[i, YAW] = x, y, yaw
+        boxes[i, LENGTH], boxes[i, WIDTH] = agents.length[i], agents.width[i]
         if agents.reacts[i]:
             vx, vy = now.speed[i] * cos(yaw), now.speed[i] * sin(yaw)
-        elif not now.there[i]:
+        elif not now.present[i]:
             vx, vy = vx * 0.0, vy * 0.0
         motion[i, 0], motion[i, 1], motion[i, 2] = vx, vy, now.accel[i]
-        present[i], as_logged[i] = now.there[i] or agents.tracks.static[i], not now.late[i]
-    boxes[n, 0], boxes[n, 1], boxes[n, 2], boxes[n, 3], boxes[n, 4] = (
-        ego[0],
-        ego[1],
-        ego[2],
-        ego[3],
-        ego[4],
-    )
-    motion[n, 0], motion[n, 1], motion[n, 2] = ego[5], ego[6], ego[7]
-    as_logged[n] = ego[8]
+        present[i], as_logged[i] = now.present[i] or agents.tracks.static[i], not now.late[i]
+    x, y, yaw, length, width, vx, vy, accel, as_logged[n] = ego
+    boxes[n, X], boxes[n, Y], boxes[n, YAW] = x, y, yaw
+    boxes[n, LENGTH], boxes[n, WIDTH] = length, width
+    motion[n, 0], motion[n, 1], motion[n, 2] = vx, vy, accel
     return TrafficScene(boxes, motion, present, as_logged)
 
 
@@ -234,33 +234,33 @@ def advance(
     """
     n, until = len(now.phase), t + PERIOD_S
     logged = logged_speeds(agents, now)
-    found = leaders_of(agents, now, ego, now.there & agents.reacts, t, longest)
+    ahead = leaders_of(agents, now, ego, now.present & agents.reacts, t, longest)
     needed = (
-        drives_into(paths_of(agents), now.phase, found) if only_needed else np.ones(n, np.bool_)
+        drives_into(paths_of(agents), now.phase, ahead) if only_needed else np.ones(n, np.bool_)
     )
-    speed, way = np.zeros(n), np.zeros(n)
+    speed, distance = np.zeros(n), np.zeros(n)
     for i in range(n):
         wanted, slower = wanted_speed(
-            now.speed[i], found, i, held[i], room[i], logged[i], needed[i]
+            now.speed[i], ahead, i, held[i], room[i], logged[i], needed[i]
         )
-        if slower and now.there[i] and agents.reacts[i]:
+        if slower and now.present[i] and agents.reacts[i]:
             now.late[i], now.since[i] = True, min(now.since[i], t)
         speed[i] = min(max(wanted, 0.0), logged[i]) if now.late[i] else logged[i]
-        speed[i] = speed[i] if now.there[i] else 0.0
-        way[i] = speed[i] * PERIOD_S
-    phase = moved_on(paths_of(agents), now.phase, way, until)
+        speed[i] = speed[i] if now.present[i] else 0.0
+        distance[i] = speed[i] * PERIOD_S
+    phase = moved_on(paths_of(agents), now.phase, distance, until)
     for i in range(n):
-        waits = now.late[i] and not now.there[i]
+        waits = now.late[i] and not now.present[i]
         if not waits:
             now.phase[i] = phase[i] if now.late[i] else until
         behind = now.phase[i] < until - 1e-9 or speed[i] < logged[i] - SAME_MPS
         now.late[i] = now.late[i] and (waits or behind)
-        now.accel[i] = (speed[i] - now.speed[i]) / PERIOD_S if now.there[i] else 0.0
+        now.accel[i] = (speed[i] - now.speed[i]) / PERIOD_S if now.present[i] else 0.0
         now.braked[i] = max(now.braked[i], -now.accel[i] if now.late[i] else 0.0)
         now.speed[i] = speed[i]
         ends = agents.ends[i] if now.late[i] else agents.left[i]
-        now.there[i] = (
-            now.there[i]
+        now.present[i] = (
+            now.present[i]
             and now.phase[i] <= ends + 1e-9
             and (until <= gone + 1e-9 or not now.late[i])
         )
@@ -301,18 +301,18 @@ def enter(
     free = coming & ~(agents.reacts & occupied)
     for i in range(n):
         if free[i]:
-            now.there[i] = True
+            now.present[i] = True
         elif coming[i]:
             begin = agents.tracks.t[first[i]]
             now.late[i], now.since[i], now.phase[i] = True, min(now.since[i], begin), begin
     logged = logged_speeds(agents, now)
     for i in range(n):
         now.speed[i] = logged[i] if free[i] else now.speed[i]
-    found = leaders_of(agents, now, ego, free & agents.reacts, -inf, longest)
+    ahead = leaders_of(agents, now, ego, free & agents.reacts, -inf, longest)
     for i in range(n):
-        if free[i] and isfinite(found.gap[i]):
+        if free[i] and isfinite(ahead.gap[i]):
             safe = sqrt(
-                found.speed[i] ** 2 + 2.0 * DECEL_MPS2 * max(found.gap[i] - STANDSTILL_M, 0.0)
+                ahead.speed[i] ** 2 + 2.0 * DECEL_MPS2 * max(ahead.gap[i] - STANDSTILL_M, 0.0)
             )
             if safe < logged[i]:
                 now.late[i], now.since[i], now.speed[i] = True, min(now.since[i], t), safe
@@ -324,7 +324,7 @@ def waited(agents: ReplayedAgents, now: Phases, i: int) -> bool:
     """Whether agent i waits outside of the scene because its place was taken."""
     return (
         now.late[i]
-        and not now.there[i]
+        and not now.present[i]
         and now.phase[i] <= agents.tracks.t[agents.tracks.first[i]] + 1e-9
     )
 
@@ -332,24 +332,24 @@ def waited(agents: ReplayedAgents, now: Phases, i: int) -> bool:
 @inner_kernel
 def enters(agents: ReplayedAgents, now: Phases, i: int, t: float) -> bool:
     """Whether agent i is outside of the scene and its log has begun by `t`."""
-    if now.late[i] or now.there[i] or agents.tracks.static[i]:
+    if now.late[i] or now.present[i] or agents.tracks.static[i]:
         return waited(agents, now, i)
     return agents.tracks.t[agents.tracks.first[i]] <= t + 1e-9 and agents.left[i] >= t - 1e-9
 
 
 @inner_kernel
 def wanted_speed(
-    v: float, found: Leaders, i: int, held: float, room: float, logged: float, needed: bool
+    v: float, leaders: Leaders, i: int, held: float, room: float, logged: float, needed: bool
 ) -> tuple[float, bool]:
     """The speed of agent i after a period by leader, lights and right of way, and whether this
     takes it off its log.
     """
-    gap, pull, slower = found.gap[i], ACCEL_MPS2, False
+    gap, pull, slower = leaders.gap[i], ACCEL_MPS2, False
     if isfinite(gap):
-        pull = enhanced_idm(v, gap, found.speed[i], found.accel[i])
+        pull = enhanced_idm(v, gap, leaders.speed[i], leaders.accel[i])
     wanted = v + PERIOD_S * min(pull, held)
     if isfinite(gap):
-        slower = needed and wanted < logged - SAME_MPS and gap < desired_gap(v, found.speed[i])
+        slower = needed and wanted < logged - SAME_MPS and gap < desired_gap(v, leaders.speed[i])
     if isfinite(room):
         wanted = min(wanted, v + PERIOD_S * enhanced_idm(v, room, 0.0, 0.0))
         slower = slower or wanted < logged - SAME_MPS
@@ -368,4 +368,4 @@ def sample(agents: ReplayedAgents, now: Phases, pose: FloatArray, here: BoolArra
     for i in range(len(logged)):
         if now.late[i] and logged[i] > STANDING_MPS:
             rates[i] = min(now.speed[i] / logged[i], 1.0)
-    play(agents.tracks, now.phase, rates, now.there, pose, here)
+    play(agents.tracks, now.phase, rates, now.present, pose, here)

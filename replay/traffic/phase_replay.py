@@ -46,6 +46,8 @@ ROOM = 1024
 FASTEST = 2.0
 STUCK_S, STANDING_MPS, NEAR_M = 2.0, 0.1, 1.5
 SHORTEST_M = 1.0
+VX, VY = 3, 4
+"""Rows of `LoggedTracks.columns` and of poses."""
 
 
 class LoggedTracks(NamedTuple):
@@ -82,9 +84,9 @@ class ReplaySample(NamedTuple):
     """
 
     t: float
-    who: IntArray
+    agents: IntArray
     pose: FloatArray
-    there: BoolArray
+    present: BoolArray
 
 
 class PhaseReplay:
@@ -109,15 +111,15 @@ class PhaseReplay:
 
     def add(self, t: float, who: IntArray, phase: FloatArray, rate: FloatArray) -> None:
         """Sample the tracks `who` `(k,)` at time `t`, at these phases and rates."""
-        there = np.ones(len(who), np.bool_)
-        play(self.logged.some(who), phase, rate, there, *self.row(t, who))
+        present = np.ones(len(who), np.bool_)
+        play(self.logged.some(who), phase, rate, present, *self.row(t, who))
 
     def row(self, t: float, who: IntArray) -> tuple[FloatArray, BoolArray]:
         """Room for a sample of the tracks `who` at the time `t`, as `play` writes it."""
         self._rows.append(
             ReplaySample(t, who, np.empty((5, len(who))), np.empty(len(who), np.bool_))
         )
-        return self._rows[-1].pose, self._rows[-1].there
+        return self._rows[-1].pose, self._rows[-1].present
 
     def tracks(self, since: FloatArray) -> Tracks:
         """The log's samples before `since` `(n,)`, s, and the replayed ones from then on; inf: the
@@ -131,27 +133,29 @@ class PhaseReplay:
         wanted = since < np.inf
         # Keep them of agents off their log; one sample more of those newly off it
         for k, row in enumerate(self._rows):
-            mine = wanted[row.who] & row.there & (row.t >= since[row.who] - 1e-9)
-            which = np.flatnonzero(mine & ~self._taken[row.who] if k < self._seen else mine)
-            begin, self._count = self._count, self._count + len(which)
+            is_replayed = wanted[row.agents] & row.present & (row.t >= since[row.agents] - 1e-9)
+            selected = np.flatnonzero(
+                is_replayed & ~self._taken[row.agents] if k < self._seen else is_replayed
+            )
+            begin, self._count = self._count, self._count + len(selected)
             while self._count > len(self._who):
                 twice = (
                     np.concatenate([old, np.empty_like(old)]) for old in (self._who, self._played)
                 )
                 self._who, self._played = twice
-            self._who[begin : self._count] = row.who[which]
+            self._who[begin : self._count] = row.agents[selected]
             self._played[begin : self._count, 0] = row.t
-            self._played[begin : self._count, 1:] = row.pose[:, which].T
+            self._played[begin : self._count, 1:] = row.pose[:, selected].T
         self._rows, self._seen, self._taken = self._rows[-1:], 1, wanted
         if not self._taken.any():
             return self._own
         now, count = self._rows[-1].t, self._count
         recent = int(np.searchsorted(self._played[:count, 0], now - BACK_S))
-        who, low, high = self._spans.within(now, now)
-        members = np.union1d(who, self._who[recent:count])
+        near, low, high = self._spans.within(now, now)
+        members = np.union1d(near, self._who[recent:count])
         first = self._own.offsets[members]
-        end, at = first.copy(), np.searchsorted(members, who)
-        first[at], end[at] = low, high
+        end, slots = first.copy(), np.searchsorted(members, near)
+        first[slots], end[slots] = low, high
         columns = self._columns(since, members, first, end, slice(recent, count))
         return Recent(*columns, all_of_them=partial(self._all_samples, since, count))
 
@@ -203,19 +207,20 @@ def played(
 
     In a gap of a track (`replan.logs.observed`) its agent is not present.
     """
-    t, columns, first, end = log.t, log.columns, log.first[i], log.end[i]
-    there = log.static[i] or (t[first] <= phase + 1e-9 and phase <= t[end - 1] + 1e-9)
+    t, columns = log.t, log.columns
+    first, end = log.first[i], log.end[i]
+    present = log.static[i] or (t[first] <= phase + 1e-9 and phase <= t[end - 1] + 1e-9)
     k = first
     if not log.static[i]:
         k = max(first + np.searchsorted(t[first:end], phase + 1e-9, side="right") - 1, first)
     u, j = 0.0, min(k + 1, end - 1)
     if j > k and not log.static[i]:
-        there = there and not (log.gap_after[k] and t[k] + 1e-9 < phase < t[j] - 1e-9)
+        present = present and not (log.gap_after[k] and t[k] + 1e-9 < phase < t[j] - 1e-9)
         u = min(max((phase - t[k]) / (t[j] - t[k]), 0.0), 1.0)
     x = columns[0, k] + u * (columns[0, j] - columns[0, k])
     y = columns[1, k] + u * (columns[1, j] - columns[1, k])
     yaw = columns[2, k] + u * (columns[2, j] - columns[2, k])
-    return x, y, yaw, columns[3, k], columns[4, k], there
+    return x, y, yaw, columns[VX, k], columns[VY, k], present
 
 
 @kernel
@@ -223,7 +228,7 @@ def play(
     log: LoggedTracks,
     phase: FloatArray,
     rate: FloatArray,
-    there: BoolArray,
+    present: BoolArray,
     pose: FloatArray,
     here: BoolArray,
 ) -> None:
@@ -233,8 +238,8 @@ def play(
     for i in range(len(phase)):
         x, y, yaw, vx, vy, has_log = played(log, i, phase[i])
         pose[0, i], pose[1, i], pose[2, i] = x, y, yaw
-        pose[3, i], pose[4, i] = vx * rate[i], vy * rate[i]
-        here[i] = has_log and there[i]
+        pose[VX, i], pose[VY, i] = vx * rate[i], vy * rate[i]
+        here[i] = has_log and present[i]
 
 
 @kernel
@@ -243,7 +248,7 @@ def _merge_samples(
     since: FloatArray,
     first: IntArray,
     end: IntArray,
-    who: IntArray,
+    owners: IntArray,
     played: FloatArray,
 ) -> tuple[FloatArray, IntArray]:
     """Rows t, x, y, yaw, vx, vy `(6, samples)` of some tracks one after the other, and how many
@@ -253,21 +258,21 @@ def _merge_samples(
     then the replayed rows `played` `(m, 6)` of the tracks `who` `(m,)`, in the order of time.
     """
     n = len(since)
-    begin, kept = np.zeros(n, np.int64), np.zeros(n, np.int64)
+    begin, before = np.zeros(n, np.int64), np.zeros(n, np.int64)
     for i in range(n):
-        kept[i] = np.searchsorted(log.t[first[i] : end[i]], since[i] - 1e-9, side="left")
-    sizes = kept.copy()
-    for i in who:
+        before[i] = np.searchsorted(log.t[first[i] : end[i]], since[i] - 1e-9, side="left")
+    sizes = before.copy()
+    for i in owners:
         sizes[i] += 1
-    rows, at = np.empty((6, sizes.sum())), 0
+    rows, row = np.empty((6, sizes.sum())), 0
     for i in range(n):
-        low, high = first[i], first[i] + kept[i]
-        rows[0, at : at + kept[i]] = log.t[low:high]
-        rows[1:, at : at + kept[i]] = log.columns[:, low:high]
-        begin[i], at = at + kept[i], at + sizes[i]
-    for k in range(len(who)):
-        rows[:, begin[who[k]]] = played[k]
-        begin[who[k]] += 1
+        low, high = first[i], first[i] + before[i]
+        rows[0, row : row + before[i]] = log.t[low:high]
+        rows[1:, row : row + before[i]] = log.columns[:, low:high]
+        begin[i], row = row + before[i], row + sizes[i]
+    for k in range(len(owners)):
+        rows[:, begin[owners[k]]] = played[k]
+        begin[owners[k]] += 1
     return rows, sizes
 
 
@@ -339,5 +344,5 @@ class ReplayedByEgoPosition:
         return self._tracks
 
     def _add(self, t: float, rate: float) -> None:
-        who = present_between(self._replay.log, self._phase, self._phase)
-        self._replay.add(t, who, np.full(len(who), self._phase), np.full(len(who), rate))
+        agents = present_between(self._replay.log, self._phase, self._phase)
+        self._replay.add(t, agents, np.full(len(agents), self._phase), np.full(len(agents), rate))

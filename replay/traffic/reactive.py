@@ -142,11 +142,11 @@ class Reactive:
             now, self._next = self._next, self._next + PERIOD_S
             self._coming.until(now, self._next)
             sampled = self._replay.row(self._next, self._coming.who)
-            who, agents, states = self._coming.who, self._coming.agents, self._coming.now
-            late = states.late & states.there & agents.reacts
-            held = self._lights.accelerations(now, who, states.phase, states.speed, late)
+            tracks, agents, states = self._coming.who, self._coming.agents, self._coming.now
+            late = states.late & states.present & agents.reacts
+            held = self._lights.accelerations(now, tracks, states.phase, states.speed, late)
             room = self._yielding.gaps(
-                ego, who, states.phase, states.speed, states.there & (not as_logged)
+                ego, tracks, states.phase, states.speed, states.present & (not as_logged)
             )
             needed, gone = self._rule.only_needed, self._gone
             advance(agents, states, box, held, room, now, self._longest, needed, gone, *sampled)
@@ -157,14 +157,15 @@ class Reactive:
     def notes(self) -> tuple[str, ...]:
         """The agents disturbed so far, since when, and how hard they braked."""
         since, braked = self._coming.all.since, self._coming.all.braked
-        who = np.argsort(since, kind="stable")[: int(np.isfinite(since).sum())]
+        disturbed = np.argsort(since, kind="stable")[: int(np.isfinite(since).sum())]
         log = self._replay.log
         named = [
-            f"{name_of(log, i)} from {since[i]:.1f} s, {braked[i]:.1f} m/s2" for i in who[:NAMED]
+            f"{name_of(log, i)} from {since[i]:.1f} s, {braked[i]:.1f} m/s2"
+            for i in disturbed[:NAMED]
         ]
         if not named:
             return ()
-        more = [f"{len(who) - NAMED} more"] if len(who) > NAMED else []
+        more = [f"{len(disturbed) - NAMED} more"] if len(disturbed) > NAMED else []
         return (
             "not as in the log because of the ego (since when, hardest braking): "
             f"{'; '.join(named + more)}",
@@ -186,16 +187,16 @@ def _extended(log: Tracks, road: Road) -> Tracks:
         log.ids, log.kinds, log.length, log.width, log.x[last], log.y[last], log.yaw[last], vx, vy
     )
     ahead = np.arange(0.0, 30.0, 0.5)
-    way = followers(ends, ahead, LaneMap.of(road))
+    onward = followers(ends, ahead, LaneMap.of(road))
     rows = [np.vstack([getattr(log, c)[log.samples(i)] for c in _COLUMNS]) for i in range(len(log))]
-    for i in np.unique(way.agent):
-        mine = np.flatnonzero(way.agent == i)
-        best = mine[np.argmax(way.probability[mine])]
-        x, y = way.x[best], way.y[best]
+    for i in np.unique(onward.agent):
+        ways = np.flatnonzero(onward.agent == i)
+        best = ways[np.argmax(onward.probability[ways])]
+        x, y = onward.x[best], onward.y[best]
         gone = arc_lengths(x, y)
         keep = (gone <= BEYOND_M) & (np.diff(gone, prepend=-1.0) > 0.05) & (ahead > 0.0)
         v = np.gradient(gone, ahead)
-        yaw = way.yaw[best]
+        yaw = onward.yaw[best]
         more = np.vstack([log.t[last[i]] + ahead, x, y, yaw, v * np.cos(yaw), v * np.sin(yaw)])
         if not log.static[i]:
             rows[i] = np.hstack([rows[i], more[:, keep]])

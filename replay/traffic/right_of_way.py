@@ -72,6 +72,10 @@ between two boxes.
 """
 
 
+TIME, X, Y, YAW = range(4)
+"""Rows of the ego's boxes."""
+
+
 class Crossing(NamedTuple):
     """Where a path crosses a line: agent, light, station along all paths (m), end of its last
     standstill (s).
@@ -95,19 +99,17 @@ class RedLights:
 
     def __init__(self, scenario: Scenario, paths: Tracks, reacts: BoolArray) -> None:
         self._lights = scenario.lights
-        who = tuple(np.flatnonzero(reacts).tolist())
-        found = (
-            _crossings(paths, scenario.road, scenario.lights, who)
-            if scenario.lights and len(paths)
-            else ()
-        )
-        self._owner = np.array([one.owner for one in found], np.int64)
-        self._light = np.array([one.light for one in found], np.int64)
-        self._at = np.array([one.station for one in found])
-        self._stands_until = np.array([one.stands_until for one in found])
-        self._paths = leaders.paths_along(paths)
-        self._station = _stations(paths)
-        self._stops, self._passes = np.zeros(len(found), np.bool_), np.zeros(len(found), np.bool_)
+        crossings: tuple[Crossing, ...] = ()
+        if scenario.lights and len(paths):
+            agents = tuple(np.flatnonzero(reacts).tolist())
+            crossings = _crossings(paths, scenario.road, scenario.lights, agents)
+        self._owner = np.array([crossing.owner for crossing in crossings], np.int64)
+        self._light = np.array([crossing.light for crossing in crossings], np.int64)
+        self._line = np.array([crossing.station for crossing in crossings])
+        self._stands_until = np.array([crossing.stands_until for crossing in crossings])
+        self._paths, self._station = leaders.paths_along(paths), _stations(paths)
+        self._stops = np.zeros(len(crossings), np.bool_)
+        self._passes = np.zeros(len(crossings), np.bool_)
 
     def accelerations(
         self, t: float, who: IntArray, phase: FloatArray, speed: FloatArray, whose: BoolArray
@@ -115,31 +117,29 @@ class RedLights:
         """The greatest accelerations `(k,)` that lights allow the agents `who` (those `whose`) from
         `t` on, m/s2.
         """
-        out = np.full(len(phase), ACCEL_MPS2)
+        accels = np.full(len(phase), ACCEL_MPS2)
         if not len(self._owner):
-            return out
-        at = places(who, self._owner)
-        some = np.flatnonzero((at >= 0) & np.append(whose, False)[at])
-        at, stops, passes = at[some], self._stops[some], self._passes[some]
+            return accels
+        agents = places(who, self._owner)
+        near = np.flatnonzero((agents >= 0) & np.append(whose, False)[agents])
+        agents, stops, passes = agents[near], self._stops[near], self._passes[near]
         self._stops[:], self._passes[:] = False, False
-        if not len(some):
-            return out
-        shown = [light.at(t) for light in self._lights]
-        red = np.array([colour in RED for colour in shown])[self._light[some]]
-        yellow = np.array([colour is Colour.YELLOW for colour in shown])[self._light[some]]
-        gap, v = (
-            _gaps(self._paths, self._station, phase[at], self._owner[some], self._at[some]),
-            speed[at],
-        )
+        if not len(near):
+            return accels
+        colours = [light.at(t) for light in self._lights]
+        red = np.array([colour in RED for colour in colours])[self._light[near]]
+        yellow = np.array([colour is Colour.YELLOW for colour in colours])[self._light[near]]
+        v = speed[agents]
+        gap = _gaps(self._paths, self._station, phase[agents], self._owner[near], self._line[near])
         counts = (red | yellow) & (gap > 0.0) & (gap <= leaders.LOOK_M + leaders.LOOK_S * v)
-        counts &= self._stands_until[some] <= t + PERIOD_S + 1e-9
+        counts &= self._stands_until[near] <= t + PERIOD_S + 1e-9
         able = v * v <= 2.0 * gap * np.where(yellow | passes, DECEL_MPS2, HARDEST_MPS2)
         stops = counts & (stops | able)
-        self._stops[some], self._passes[some] = stops, counts & ~stops
+        self._stops[near], self._passes[near] = stops, counts & ~stops
         still = np.zeros(len(gap))
         wanted = leaders.accelerations(v, Leaders(np.where(stops, gap, np.inf), still, still))
-        np.minimum.at(out, at, wanted)
-        return out
+        np.minimum.at(accels, agents, wanted)
+        return accels
 
 
 def _stations(paths: Tracks) -> FloatArray:
@@ -157,7 +157,7 @@ def _crossings(
     """Where the paths of `who` cross lines that apply to them: also where a way is on no lane after
     the line.
     """
-    found = []
+    crossings = []
     owner = np.repeat(np.arange(len(paths)), np.diff(paths.offsets))
     within = (owner[1:] == owner[:-1]) & np.isin(owner[1:], who)
     ahead = 0.5 * paths.length[owner]
@@ -172,54 +172,46 @@ def _crossings(
             continue
         lane, over = road.lanes[line.lane], set[int]()
         half = 0.5 * hypot(*(line.points[1] - line.points[0]))
-        middle, across = (
-            line.points.mean(axis=0),
-            (line.points[1] - line.points[0]) / max(2.0 * half, 1e-9),
-        )
+        middle = line.points.mean(axis=0)
+        across = (line.points[1] - line.points[0]) / max(2.0 * half, 1e-9)
         normal = np.array([across[1], -across[0]])
-        if (
-            turned(lane, float(middle[0]), float(middle[1]), atan2(normal[1], normal[0]))
-            > 0.5 * np.pi
-        ):
+        askew = turned(lane, float(middle[0]), float(middle[1]), atan2(normal[1], normal[0]))
+        if askew > 0.5 * np.pi:
             normal = -normal
         forward, beside = (front - middle) @ normal, (front - middle) @ across
         for k in np.flatnonzero(within & (forward[:-1] < 0.0) & (forward[1:] >= 0.0)).tolist():
             i, u = int(owner[k]), float(forward[k] / (forward[k] - forward[k + 1]))
-            if abs(beside[k] + u * (beside[k + 1] - beside[k])) > half + ASIDE_M:
+            if i in over or abs(beside[k] + u * (beside[k + 1] - beside[k])) > half + ASIDE_M:
                 continue
-            if (
-                i in over
-                or turned(lane, float(front[k, 0]), float(front[k, 1]), float(paths.yaw[k]))
-                >= ASKEW_RAD
-            ):
+            askew = turned(lane, float(front[k, 0]), float(front[k, 1]), float(paths.yaw[k]))
+            if askew >= ASKEW_RAD:
                 continue
             over.add(i)
-            behind = slice(
-                k + 1, int(np.searchsorted(station[: paths.offsets[i + 1]], station[k] + BEHIND_M))
-            )
-            way = paths.x[behind], paths.y[behind], paths.yaw[behind]
+            end = np.searchsorted(station[: paths.offsets[i + 1]], station[k] + BEHIND_M)
+            behind = slice(k + 1, int(end))
+            poses = paths.x[behind], paths.y[behind], paths.yaw[behind]
             ways = [n for n in lane.successors if n in road.lanes]
-            on = {n: int(on_lane(road.lanes[n], *way).sum()) for n in ways if line.towards}
+            on = {n: int(on_lane(road.lanes[n], *poses).sum()) for n in ways if line.towards}
             if not any(on.values()) or max(ways, key=lambda n: (on[n], -n)) in line.towards:
                 stood = np.flatnonzero(stands[paths.offsets[i] : k + 1])
                 until = paths.t[paths.offsets[i] + stood[-1] + 1] if len(stood) else -np.inf
-                at = station[k] + u * (station[k + 1] - station[k])
-                found.append(Crossing(i, lights[line.light], float(at), float(until)))
-    return tuple(found)
+                place = station[k] + u * (station[k + 1] - station[k])
+                crossings.append(Crossing(i, lights[line.light], float(place), float(until)))
+    return tuple(crossings)
 
 
 @kernel
 def _gaps(
-    paths: Paths, station: FloatArray, phase: FloatArray, owner: IntArray, at: FloatArray
+    paths: Paths, station: FloatArray, phase: FloatArray, owner: IntArray, stations: FloatArray
 ) -> FloatArray:
     """Length of path `(k,)` from each owner's phase `(k,)` to the station `at` `(k,)`, m."""
-    out = np.empty(len(owner))
+    gaps = np.empty(len(owner))
     for c in range(len(owner)):
         now = phase[c]
         k = min(sample_at(paths, owner[c], now), paths.end[owner[c]] - 2)
         u = min(max((now - paths.t[k]) / (paths.t[k + 1] - paths.t[k]), 0.0), 1.0)
-        out[c] = at[c] - station[k] - u * (station[k + 1] - station[k])
-    return out
+        gaps[c] = stations[c] - station[k] - u * (station[k + 1] - station[k])
+    return gaps
 
 
 class YieldingWay(NamedTuple):
@@ -245,8 +237,8 @@ class Yielding:
         self._road, self._car, self._tracks = scenario.road, scenario.vehicle, paths
         self._lanes, self._paths = LaneMap.of(scenario.road), leaders.paths_along(paths)
         self._ways = _yielding_ways(paths, scenario.road, tuple(np.flatnonzero(reacts).tolist()))
-        self._owner = np.array([way.owner for way in self._ways], np.int64)
-        self._until = np.array([way.until for way in self._ways])
+        self._owner = np.array([yielding.owner for yielding in self._ways], np.int64)
+        self._until = np.array([yielding.until for yielding in self._ways])
 
     def gaps(
         self, ego: EgoState, who: IntArray, phase: FloatArray, speed: FloatArray, whose: BoolArray
@@ -254,19 +246,19 @@ class Yielding:
         """Distance of the tracks `who` (those `whose`) to where they must wait for the ego `(k,)`,
         m; inf: no wait.
         """
-        out = np.full(len(phase), np.inf)
+        gaps = np.full(len(phase), np.inf)
         if not self._ways:
-            return out
-        at = places(who, self._owner)
-        some = (at >= 0) & np.append(whose, False)[at]
-        some &= np.append(phase, np.nan)[at] <= self._until + 1e-9
-        ways = [(self._ways[k], at[k]) for k in np.flatnonzero(some)]
+            return gaps
+        agents = places(who, self._owner)
+        is_near = (agents >= 0) & np.append(whose, False)[agents]
+        is_near &= np.append(phase, np.nan)[agents] <= self._until + 1e-9
+        ways = [(self._ways[k], agents[k]) for k in np.flatnonzero(is_near)]
         if not ways:
-            return out
+            return gaps
         x, y = box_center(ego, self._car)
         vx, vy = ego.v * cos(ego.yaw), ego.v * sin(ego.yaw)
-        own = (self._car.length, self._car.width, x, y, ego.yaw, vx, vy, ego.yaw_rate, ego.a)
-        now = Agents(("ego",), (AgentKind.CAR,), *(np.array([value]) for value in own))
+        numbers = (self._car.length, self._car.width, x, y, ego.yaw, vx, vy, ego.yaw_rate, ego.a)
+        now = Agents(("ego",), (AgentKind.CAR,), *(np.array([number]) for number in numbers))
         t = np.arange(0.0, LOOK_AHEAD_S + 0.5 * STEP_S, STEP_S)
         ego_ways = followers(now, t, self._lanes)
         pose = ego_ways.x, ego_ways.y, ego_ways.yaw
@@ -274,36 +266,33 @@ class Yielding:
         boxes = np.stack([np.broadcast_to(t, ego_ways.x.shape), *pose]).reshape(4, -1)
         on = {
             k: on_lane(self._road.lanes[k], *boxes[1:])
-            for k in sorted({k for way, _ in ways for k in way.first})
+            for k in sorted({k for yielding, _ in ways for k in yielding.first})
         }
-        size = np.array([self._car.length, self._car.width])
-        for way, k in ways:
-            i = way.owner
-            by_right = np.logical_or.reduce([on[lane] for lane in way.first])
+        size = float(self._car.length), float(self._car.width)
+        for yielding, k in ways:
+            i = yielding.owner
+            by_right = np.logical_or.reduce([on[lane] for lane in yielding.first])
             if by_right.any():
-                mine = np.array([self._tracks.length[i], self._tracks.width[i]])
-                out[k] = min(
-                    out[k], _wait(self._paths, i, phase[k], speed[k], mine, boxes, by_right, size)
-                )
-        return out
+                own = float(self._tracks.length[i]), float(self._tracks.width[i])
+                gap = _wait(self._paths, i, phase[k], speed[k], own, boxes, by_right, size)
+                gaps[k] = min(gaps[k], gap)
+        return gaps
 
 
 @once
-def _yielding_ways(paths: Tracks, road: Road, who: tuple[int, ...]) -> tuple[YieldingWay, ...]:
+def _yielding_ways(paths: Tracks, road: Road, agents: tuple[int, ...]) -> tuple[YieldingWay, ...]:
     """The ways of `who` over lanes that yield."""
-    found = []
-    for i in who:
-        mine = paths.samples(i)
+    ways = []
+    for i in agents:
+        samples = paths.samples(i)
         for lane in road.lanes.values():
             first = tuple(k for k in lane.yields_to if k in road.lanes)
-            on = (
-                on_lane(lane, paths.x[mine], paths.y[mine], paths.yaw[mine])
-                if first
-                else np.zeros(1, np.bool_)
-            )
+            if not first:
+                continue
+            on = on_lane(lane, paths.x[samples], paths.y[samples], paths.yaw[samples])
             if on.any():
-                found.append(YieldingWay(i, first, float(paths.t[mine][on].max())))
-    return tuple(found)
+                ways.append(YieldingWay(i, first, float(paths.t[samples][on].max())))
+    return tuple(ways)
 
 
 @kernel
@@ -312,66 +301,63 @@ def _wait(
     i: int,
     phase: float,
     speed: float,
-    own: FloatArray,
+    own: tuple[float, float],
     boxes: FloatArray,
     by_right: BoolArray,
-    size: FloatArray,
+    size: tuple[float, float],
 ) -> float:
-    """Distance of agent i to the first of the boxes `(4, k)` if it must and can wait for one, m;
-    else inf.
+    """Distance of agent i to the first of the ego's boxes if it must and can wait for one, m; else
+    inf.
+
+    `boxes` `(4, k)`: t, x, y, yaw; `own` and `size`: length and width of agent and ego, m;
+    `by_right` `(k,)`: whether the ego has the right of way in the box.
     """
-    station, clear, place, meets = 0.0, 0.0, np.inf, False
-    c2, s2 = np.cos(boxes[3]), np.sin(boxes[3])
-    near = 0.5 * (hypot(own[0], own[1]) + hypot(size[0], size[1])) + ROUNDING_M
+    clear, place, meets = 0.0, np.inf, False  # clear: the last station without a box
+    station = 0.0
+    times, xs, ys = boxes[TIME], boxes[X], boxes[Y]
+    cosines, sines = np.cos(boxes[YAW]), np.sin(boxes[YAW])
+    (length, width), (ego_length, ego_width) = own, size
+    near = 0.5 * (hypot(length, width) + hypot(ego_length, ego_width)) + ROUNDING_M
     for k in range(sample_at(paths, i, phase), paths.end[i] - 1):
-        span, length = (
-            paths.t[k + 1] - paths.t[k],
-            hypot(paths.x[k + 1] - paths.x[k], paths.y[k + 1] - paths.y[k]),
-        )
-        start = max((phase - paths.t[k]) / span, 0.0)
-        steps = int((1.0 - start) * length / FINE_M) + 1
+        dt, turn = paths.t[k + 1] - paths.t[k], paths.yaw[k + 1] - paths.yaw[k]
+        dx, dy = paths.x[k + 1] - paths.x[k], paths.y[k + 1] - paths.y[k]
+        length_m = hypot(dx, dy)
+        start = max((phase - paths.t[k]) / dt, 0.0)
+        steps = int((1.0 - start) * length_m / FINE_M) + 1
         for m in range(steps + 1):
             u = start + (1.0 - start) * m / steps
-            s = station + (u - start) * length
+            s = station + (u - start) * length_m
             # (2)
             tau = max(
-                paths.t[k] + u * span - phase,
+                paths.t[k] + u * dt - phase,
                 (sqrt(speed * speed + 2.0 * ACCEL_MPS2 * s) - speed) / ACCEL_MPS2,
             )
             if tau > LOOK_AHEAD_S:
                 return _place(speed, place, meets)
-            x, y = (
-                paths.x[k] + u * (paths.x[k + 1] - paths.x[k]),
-                paths.y[k] + u * (paths.y[k + 1] - paths.y[k]),
-            )
-            yaw, free = paths.yaw[k] + u * (paths.yaw[k + 1] - paths.yaw[k]), True
-            c1, s1 = cos(yaw), sin(yaw)
+            x, y, yaw = paths.x[k] + u * dx, paths.y[k] + u * dy, paths.yaw[k] + u * turn
+            c, sine, free = cos(yaw), sin(yaw), True
             for b in range(boxes.shape[1]):
-                if (boxes[1, b] - x) ** 2 + (
-                    boxes[2, b] - y
-                ) ** 2 <= near * near and overlap_turned(
+                if (xs[b] - x) ** 2 + (ys[b] - y) ** 2 <= near * near and overlap_turned(
                     x,
                     y,
-                    c1,
-                    s1,
-                    own[0],
-                    own[1],
-                    boxes[1, b],
-                    boxes[2, b],
-                    c2[b],
-                    s2[b],
-                    size[0],
-                    size[1],
+                    c,
+                    sine,
+                    length,
+                    width,
+                    xs[b],
+                    ys[b],
+                    cosines[b],
+                    sines[b],
+                    ego_length,
+                    ego_width,
                 ):
-                    free, meets = (
-                        False,
-                        meets or (by_right[b] and abs(boxes[0, b] - tau) <= SERIOUS_S),
-                    )
+                    free = False
+                    meets = meets or (by_right[b] and abs(times[b] - tau) <= SERIOUS_S)
             if free and not np.isfinite(place):
                 clear = s
-            elif not free and not np.isfinite(place):
+            elif not np.isfinite(place):
                 place = clear
-        station += (1.0 - start) * length
+        station += (1.0 - start) * length_m
     return _place(speed, place, meets)
 
 

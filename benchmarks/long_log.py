@@ -163,7 +163,7 @@ def measured(
 ) -> None:
     """The stages of one drive, as a worker has them (`replan.run.one_log`)."""
     from replan import metrics
-    from replan.draw.model import MEASURED
+    from replan.draw.panels import MEASURED
     from replan.logs.mcap import write_trace
     from replan.replay.loop.reference_drives import reference_table
     from replan.results.log_result import Steps, StepsFile

@@ -12,7 +12,7 @@ import pandas as pd
 
 from replan.draw.charts.axes import Plane
 from replan.draw.charts.canvas import Chart, Entry, dot
-from replan.draw.model import widened
+from replan.draw.spans import widened
 
 if TYPE_CHECKING:
     from replan.experiments.brackets import Bracket

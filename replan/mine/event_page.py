@@ -24,7 +24,7 @@ from replan.draw.charts.bird_view import scene
 from replan.draw.charts.canvas import Chart, stacked
 from replan.draw.charts.curves import Span, panel_chart
 from replan.draw.charts.subject import Moment, SceneSubject
-from replan.draw.model import Curve, Panel
+from replan.draw.panels import Curve, Panel
 from replan.draw.report.rendering import rendered
 from replan.logs.scenario import Scenario
 from replan.logs.trace import EndReason, Mode, Trace

@@ -37,7 +37,8 @@ from replan.draw.charts.canvas import Chart, stacked
 from replan.draw.charts.curves import KINDS, Span, panel_chart, plan_graph
 from replan.draw.charts.layout import together
 from replan.draw.charts.subject import Moment, SceneSubject
-from replan.draw.model import ST, Curve, Panel
+from replan.draw.panels import Curve, Panel
+from replan.draw.plan_graphs import ST
 from replan.draw.recording import write_recording
 from replan.logs.catalogue import paper
 from replan.logs.plan import StGraph

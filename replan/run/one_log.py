@@ -33,7 +33,7 @@ from replan.core.errors import (
     writing,
 )
 from replan.core.memory import trim_memory
-from replan.draw.model import MEASURED
+from replan.draw.panels import MEASURED
 from replan.logs.forward import drivable_part
 from replan.logs.frame_store import FrameStore
 from replan.logs.mcap import write_scenario, write_trace

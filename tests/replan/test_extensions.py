@@ -422,7 +422,7 @@ def test_a_chart_or_panel_without_a_place_is_an_error(monkeypatch: pytest.Monkey
     import numpy as np
 
     from replan.draw.charts import layout
-    from replan.draw.model import Panel
+    from replan.draw.panels import Panel
     from replan.draw.recording.plots import RecordingContents, blueprint
 
     monkeypatch.setitem(layout.CHARTS, "extra", lambda subject: [])

@@ -24,7 +24,7 @@ from replan.draw.charts.canvas import (
     text,
     window,
 )
-from replan.draw.model import Span, ticks
+from replan.draw.spans import Span, ticks
 
 Ticks = Sequence[tuple[float, str]]  # Words at values
 

@@ -30,7 +30,7 @@ from replan.draw.charts.canvas import (
     text,
 )
 from replan.draw.charts.subject import ASKED, SceneSubject, Subject
-from replan.draw.model import decided, plan_seconds
+from replan.draw.scene import decided, plan_seconds
 from replan.logs.agents import AgentKind, Agents
 from replan.logs.scenario import Scenario
 from replan.logs.shapes import corners

@@ -25,16 +25,8 @@ from replan.draw.charts.canvas import (
     text,
 )
 from replan.draw.charts.subject import SceneSubject, Subject
-from replan.draw.model import (
-    SL,
-    ST,
-    DrawnGraph,
-    GraphKind,
-    Panel,
-    compared_panels,
-    graph_axes,
-    panels,
-)
+from replan.draw.panels import Panel, compared_panels, panels
+from replan.draw.plan_graphs import SL, ST, DrawnGraph, GraphKind, graph_axes
 from replan.explain.explanation import STATUS_WORDS
 from replan.logs.plan import Decision, DecisionKind, PlanStatus, PlanSummary
 

@@ -20,7 +20,7 @@ import numpy as np
 import rerun as rr
 
 from replan.core.arrays import FloatArray, IntArray
-from replan.draw.model import DrawnGraph, DrawnObstacle, GraphKind, Span, graph_axes, ticks
+from replan.draw.plan_graphs import DrawnGraph, DrawnObstacle, GraphKind, graph_axes
 from replan.draw.recording import colours
 from replan.draw.recording.tape import (
     Instants,
@@ -32,6 +32,7 @@ from replan.draw.recording.tape import (
     plain,
     strokes,
 )
+from replan.draw.spans import Span, ticks
 from replan.logs.plan import DecisionKind
 
 WIDTH, HEIGHT = 160.0, 96.0

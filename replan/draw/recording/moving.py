@@ -14,14 +14,16 @@ world/sensor          the rim of the sensor's range and field of view, and the h
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import chain
 from math import atan2, ceil, cos, hypot, pi, sin
 
 import numpy as np
 import rerun as rr
+from numpy.typing import NDArray
 
 from replan.core.arrays import FloatArray, IntArray
-from replan.draw.model import decided, in_full, plan_seconds
 from replan.draw.recording import colours
 from replan.draw.recording.plots import places
 from replan.draw.recording.road_layer import (
@@ -32,8 +34,9 @@ from replan.draw.recording.road_layer import (
     draw_road,
 )
 from replan.draw.recording.tape import REMOVED, Instants, Tape, joined, pixels, plain
+from replan.draw.scene import decided, in_full, plan_seconds
 from replan.explain.planner_input import agents_shown
-from replan.logs.agents import AgentKind, Agents
+from replan.logs.agents import AgentKind, Agents, codes_of
 from replan.logs.frame import Visibility
 from replan.logs.plan import Decision
 from replan.logs.scenario import Scenario
@@ -59,6 +62,7 @@ Distance of the eye behind the ego; rise of a name per metre from the eye.
 PLAN_POINTS = 60
 # For agents farther from the ego than this, neither predictions nor missing detections are shown
 NEAR_M = 90.0
+SLOWEST_MPS = 0.3  # Slower agents have no arrow
 SHORTEST_M = 0.5  # A shorter predicted path is not drawn: the agent stands
 SHADOW_STEP = 0.03  # Angle between two lines of the hatching of hidden ground, rad
 ARC_STEP = 0.1
@@ -105,8 +109,18 @@ def draw_scene(tape: Tape, trace: Trace, scenario: Scenario, instants: Instants)
     if scenario.repair is not None and len(scenario.repair.removed):
         # Hidden by the blueprint at first
         shown = [scenario.repair.removed.perceived(float(t)) for t in instants.t]
-        labels = [plain(name) for some in shown for name in some.ids]
+        labels = [plain(name) for agents in shown for name in agents.ids]
         draw_frames(tape, REMOVED, shown, instants, labels, colours.REMOVED, 0.8)
+
+
+@dataclass(frozen=True, eq=False)
+class SceneInstant:
+    """The agents at one instant, as a scene shows them."""
+
+    agents: Agents
+    full: IntArray  # Rows of the agents that are drawn in full
+    decisions: Mapping[str, Decision]  # The decision about each agent, of the plan in force
+    ego: tuple[float, float, float]  # x, y, yaw
 
 
 def draw_moving(
@@ -116,46 +130,43 @@ def draw_moving(
 
     `kinds` are the kinds of all agents of the drive.
     """
-    agents = [trace.agents.truth(float(t)) for t in instants.t]
     plans = [frame.plan for frame in trace.frames]
-    about = [decided(plan) for plan in plans] or [{}]
+    decisions = [decided(plan) for plan in plans] or [{}]
     begin = int(frames.frame[0]) if plans else 0
-    here = [about[min(int(frame) - begin, len(about) - 1)] for frame in instants.frame]
     xy, yaw = _poses_at(trace.ego, instants.t)
-    full = [
-        in_full(some.ids, some.x, some.y, now, (x, y))
-        for some, now, (x, y) in zip(agents, here, xy, strict=True)
-    ]
+    scene = []
+    for t, frame, (x, y), heading in zip(
+        instants.t, instants.frame, xy.tolist(), yaw.tolist(), strict=True
+    ):
+        agents = trace.agents.truth(float(t))
+        in_force = decisions[min(int(frame) - begin, len(decisions) - 1)]
+        full = in_full(agents.ids, agents.x, agents.y, in_force, (x, y))
+        scene.append(SceneInstant(agents, full, in_force, (x, y, heading)))
     for kind in AgentKind:
         if kind in kinds:
-            _draw_kind(tape, kind, agents, full, instants)
+            _draw_kind(tape, kind, scene, instants)
     # the velocity of each moving agent that is drawn in full, as its displacement in one second
-    moving = [
-        at[np.nan_to_num(some.speed)[at] > 0.3] for some, at in zip(agents, full, strict=True)
-    ]
-    starts, counts = joined(
-        [np.column_stack([some.x, some.y])[at] for some, at in zip(agents, moving, strict=True)], 2
-    )
-    vectors, _ = joined(
-        [np.column_stack([some.vx, some.vy])[at] for some, at in zip(agents, moving, strict=True)],
-        2,
-    )
+    moving = []
+    for instant in scene:
+        shown = instant.agents.some(instant.full)
+        moving.append(shown.some(np.flatnonzero(np.nan_to_num(shown.speed) > SLOWEST_MPS)))
+    starts, counts = joined([np.column_stack([agents.x, agents.y]) for agents in moving], 2)
+    vectors, _ = joined([np.column_stack([agents.vx, agents.vy]) for agents in moving], 2)
     arrows = rr.Arrows3D.columns(origins=at_height(starts, 0.1), vectors=at_height(vectors, 0.0))
     tape.static("world/agents/velocity", rr.Arrows3D.from_fields(colors=[0xFFFFFFA0], radii=[0.05]))
     tape.rows("world/agents/velocity", instants, arrows, counts)
-    _draw_names(tape, agents, full, here, np.column_stack([xy, yaw]), instants)
+    _draw_names(tape, scene, instants)
     if not plans:
         return
     # Each plan as a line in the colours of its speed, with a dot at every full second
     lines, speeds, dots = [], [], []
     for plan in plans:
         path = plan.trajectory
-        at: IntArray = np.unique(
-            np.linspace(0, len(path) - 1, min(len(path), PLAN_POINTS)).round().astype(np.int64)
-        )
-        xy = np.column_stack([path.x[at], path.y[at]])
+        samples = np.linspace(0, len(path) - 1, min(len(path), PLAN_POINTS))
+        rows: IntArray = np.unique(samples.round().astype(np.int64))
+        xy, v = np.column_stack([path.x[rows], path.y[rows]]), path.v[rows]
         lines.append(np.stack([xy[:-1], xy[1:]], axis=1))
-        speeds.append(0.5 * (path.v[at][:-1] + path.v[at][1:]))
+        speeds.append(0.5 * (v[:-1] + v[1:]))
         dots.append(plan_seconds(plan))
     pieces = np.concatenate(lines)
     colour = colours.of_speed(np.concatenate(speeds) / max(1.0, float(trace.ego.v.max())))
@@ -186,8 +197,8 @@ def _draw_log(tape: Tape, trace: Trace, scenario: Scenario, instants: Instants) 
     draw_lines(tape, "world/log/path", [path], colours.GHOST, 0.05, 0.02)
     if trace.commands is None:
         return
-    there = (instants.t >= log.t[0] - 1e-9) & (instants.t <= log.t[-1] + 1e-9)
-    xy, yaw = _poses_at(log, instants.t[there])
+    is_logged = (instants.t >= log.t[0] - 1e-9) & (instants.t <= log.t[-1] + 1e-9)
+    xy, yaw = _poses_at(log, instants.t[is_logged])
     center = xy + vehicle.axle_to_center * np.column_stack([np.cos(yaw), np.sin(yaw)])
     half = np.tile([vehicle.length / 2.0, vehicle.width / 2.0, EGO_HEIGHT / 2.0], (len(xy), 1))
     boxes = rr.Boxes3D.columns(
@@ -201,7 +212,7 @@ def _draw_log(tape: Tape, trace: Trace, scenario: Scenario, instants: Instants) 
         radii=[pixels(0.8)],
     )
     tape.static("world/log/ego", style)
-    tape.rows("world/log/ego", instants, boxes, there.astype(np.int64))
+    tape.rows("world/log/ego", instants, boxes, is_logged.astype(np.int64))
 
 
 def draw_frames(
@@ -217,105 +228,89 @@ def draw_frames(
 
     Their labels are visible on hover.
     """
-    x, y, yaw, length, width = (
-        np.concatenate([getattr(some, name) for some in shown])
-        for name in ("x", "y", "yaw", "length", "width")
-    )
-    boxes = rr.Boxes3D.columns(
-        centers=at_height(np.column_stack([x, y]), EGO_HEIGHT / 2.0),
-        half_sizes=0.5 * np.column_stack([length, width, np.full(len(x), EGO_HEIGHT)]),
-        quaternions=quaternions(yaw),
-        labels=labels,
-    )
+    boxes = _boxes(shown, EGO_HEIGHT, labels)
     style = rr.Boxes3D.from_fields(
         colors=[colour], fill_mode=FRAME_ONLY, radii=[pixels(px)], show_labels=False
     )
     tape.static(entity, style)
-    tape.rows(entity, instants, boxes, [len(some) for some in shown])
+    tape.rows(entity, instants, boxes, [len(agents) for agents in shown])
+
+
+def _boxes(
+    shown: Sequence[Agents],
+    height: float,
+    labels: Sequence[str],
+    shades: NDArray[np.uint32] | None = None,
+) -> rr.ComponentColumnList:
+    """The boxes of the agents of several instants."""
+
+    def column(name: str) -> FloatArray:
+        return np.concatenate([getattr(agents, name) for agents in shown])
+
+    x, y = column("x"), column("y")
+    sizes = np.column_stack([column("length"), column("width"), np.full(len(x), height)])
+    return rr.Boxes3D.columns(
+        centers=at_height(np.column_stack([x, y]), height / 2.0),
+        half_sizes=0.5 * sizes,
+        quaternions=quaternions(column("yaw")),
+        labels=labels,
+        colors=shades,
+    )
 
 
 def _draw_kind(
-    tape: Tape,
-    kind: AgentKind,
-    agents: Sequence[Agents],
-    full: Sequence[IntArray],
-    instants: Instants,
+    tape: Tape, kind: AgentKind, scene: Sequence[SceneInstant], instants: Instants
 ) -> None:
     """Boxes of one kind of agent, faint if they are not drawn in full.
 
     Their ids are visible on hover.
     """
-    chosen = [
-        np.array([i for i, k in enumerate(some.kinds) if k is kind], dtype=np.int64)
-        for some in agents
-    ]
-    x, y, yaw, length, width = (
-        np.concatenate([getattr(some, name)[at] for some, at in zip(agents, chosen, strict=True)])
-        for name in ("x", "y", "yaw", "length", "width")
+    code = codes_of((kind,))[0]
+    rows = [np.flatnonzero(instant.agents.codes == code) for instant in scene]
+    shown = [instant.agents.some(of_kind) for instant, of_kind in zip(scene, rows, strict=True)]
+    is_full = np.concatenate(
+        [np.isin(of_kind, instant.full) for instant, of_kind in zip(scene, rows, strict=True)]
     )
-    height, xy = HEIGHTS[kind], np.column_stack([x, y])
-    half = np.column_stack([length, width, np.full(len(xy), height)]) / 2.0
-    names = {
-        name: plain(tape.short(name)) for name in {name for some in agents for name in some.ids}
-    }
-    labels = [names[some.ids[i]] for some, at in zip(agents, chosen, strict=True) for i in at]
-    seen = np.concatenate([np.isin(at, rows) for at, rows in zip(chosen, full, strict=True)])
-    colour = np.where(
-        seen, colours.KINDS[kind], colours.with_alpha(colours.KINDS[kind], FAINT)
-    ).astype(np.uint32)
-    boxes = rr.Boxes3D.columns(
-        centers=at_height(xy, height / 2.0),
-        half_sizes=half,
-        quaternions=quaternions(yaw),
-        labels=labels,
-        colors=colour,
-    )
-    tape.static(
-        f"world/agents/{kind.value}", rr.Boxes3D.from_fields(fill_mode=FILLED, show_labels=False)
-    )
-    tape.rows(f"world/agents/{kind.value}", instants, boxes, [len(at) for at in chosen])
+    ids = [name for agents in shown for name in agents.ids]
+    labels = {name: plain(tape.short(name)) for name in set(ids)}
+    faint = colours.with_alpha(colours.KINDS[kind], FAINT)
+    shades = np.where(is_full, colours.KINDS[kind], faint).astype(np.uint32)
+    boxes = _boxes(shown, HEIGHTS[kind], [labels[name] for name in ids], shades)
+    entity = f"world/agents/{kind.value}"
+    tape.static(entity, rr.Boxes3D.from_fields(fill_mode=FILLED, show_labels=False))
+    tape.rows(entity, instants, boxes, [len(agents) for agents in shown])
 
 
-def _draw_names(
-    tape: Tape,
-    agents: Sequence[Agents],
-    full: Sequence[IntArray],
-    here: Sequence[dict[str, Decision]],
-    ego: FloatArray,
-    instants: Instants,
-) -> None:
-    """Ids of the agents that are drawn in full, with the decision in its colour; `ego` `(n, 3)` x,
-    y, yaw.
+def _draw_names(tape: Tape, scene: Sequence[SceneInstant], instants: Instants) -> None:
+    """Ids of the agents that are drawn in full, with the decision in its colour.
 
     A name is beyond its agent, as seen from the ego, so that it hides no part of it. A label hangs
     below its point, so the point is raised by the height of the label, as seen from above and from
     behind the ego.
     """
-    points, words, colour = list[tuple[float, float, float]](), list[str](), list[int]()
-    for some, rows, about, (x, y, yaw) in zip(agents, full, here, ego.tolist(), strict=True):
-        for i in rows:
-            decision, name = about.get(some.ids[i]), tape.short(some.ids[i])
-            turn = float(some.yaw[i]) - yaw
-            half = 0.5 * (
-                abs(cos(turn)) * float(some.length[i]) + abs(sin(turn)) * float(some.width[i])
-            )
-            away = hypot(some.x[i] - x, some.y[i] - y) + EYE_BACK_M
-            ahead, up = half + LABEL_M, HEIGHTS[some.kinds[i]] + LABEL_RISE * away
-            points.append(
-                (float(some.x[i] + ahead * cos(yaw)), float(some.y[i] + ahead * sin(yaw)), up)
-            )
-            words.append(plain(f"{name}: {decision.kind.value}" if decision else name))
-            colour.append(
-                colours.of_words(colours.DECISIONS[decision.kind] if decision else colours.TICK)
-            )
+    points, labels, shades = list[tuple[float, float, float]](), list[str](), list[int]()
+    for instant in scene:
+        agents, (ego_x, ego_y, ego_yaw) = instant.agents, instant.ego
+        for row in instant.full:
+            x, y = float(agents.x[row]), float(agents.y[row])
+            turn = float(agents.yaw[row]) - ego_yaw
+            length, width = float(agents.length[row]), float(agents.width[row])
+            ahead_m = 0.5 * (abs(cos(turn)) * length + abs(sin(turn)) * width) + LABEL_M
+            eye_m = hypot(x - ego_x, y - ego_y) + EYE_BACK_M
+            height = HEIGHTS[agents.kinds[row]] + LABEL_RISE * eye_m
+            points.append((x + ahead_m * cos(ego_yaw), y + ahead_m * sin(ego_yaw), height))
+            name, decision = tape.short(agents.ids[row]), instant.decisions.get(agents.ids[row])
+            labels.append(plain(f"{name}: {decision.kind.value}" if decision else name))
+            shade = colours.DECISIONS[decision.kind] if decision else colours.TICK
+            shades.append(colours.of_words(shade))
     entity = "world/agents/names"
     tape.static(entity, rr.Points3D.from_fields(radii=[pixels(0.01)], show_labels=True))
-    shown = rr.Points3D.columns(
+    names = rr.Points3D.columns(
         positions=np.array(points).reshape(-1, 3),
-        labels=words,
-        colors=np.array(colour, dtype=np.uint32),
+        labels=labels,
+        colors=np.array(shades, dtype=np.uint32),
     )
-    tape.rows(entity, instants, shown, [len(rows) for rows in full])
+    tape.rows(entity, instants, names, [len(instant.full) for instant in scene])
 
 
 def draw_others(tape: Tape, trace: Trace, frames: Instants) -> None:
@@ -323,22 +318,20 @@ def draw_others(tape: Tape, trace: Trace, frames: Instants) -> None:
     frame.
     """
     if any(frame.predictions is not None for frame in trace.frames):
-        known = [trace.agents] if trace.perceived is None else [trace.perceived, trace.agents]
-        kinds = {
-            name: kind for each in known for name, kind in zip(each.ids, each.kinds, strict=True)
-        }
+        kinds = dict(zip(trace.agents.ids, trace.agents.kinds, strict=True))
+        if trace.perceived is not None:
+            kinds = dict(zip(trace.perceived.ids, trace.perceived.kinds, strict=True)) | kinds
         paths: list[FloatArray] = []
         shades: list[int] = []
         per_frame: list[int] = []
         for frame, (x, y) in zip(trace.frames, places(trace).tolist(), strict=True):
-            some = futures(frame, x, y)
-            paths += [path for _, _, path in some]
-            for name, p, _ in some:  # unlikely hypotheses stay visible
-                shade = colours.with_alpha(
-                    colours.KINDS[kinds[name]], round(50 + 150 * min(max(p, 0.0), 1.0))
-                )
-                shades.append(shade)
-            per_frame.append(len(some))
+            hypotheses = futures(frame, x, y)
+            for name, probability, path in hypotheses:
+                # unlikely hypotheses stay visible
+                opacity = round(50 + 150 * min(max(probability, 0.0), 1.0))
+                shades.append(colours.with_alpha(colours.KINDS[kinds[name]], opacity))
+                paths.append(path)
+            per_frame.append(len(hypotheses))
         points, lengths = joined(paths, 2)
         drawn, colour_of = at_height(points, LOW), np.array(shades, dtype=np.uint32)
         tape.lines(
@@ -348,7 +341,8 @@ def draw_others(tape: Tape, trace: Trace, frames: Instants) -> None:
         # with a sensor model: all agents that it shows; without one: agents that are extrapolated
         # after their log ended
         shown = [perceived_only(trace, float(t)) for t in frames.t]
-        labels = [plain(f"{tape.short(name)} as perceived") for some in shown for name in some.ids]
+        ids = (name for agents in shown for name in agents.ids)
+        labels = [plain(f"{tape.short(name)} as perceived") for name in ids]
         if labels:
             draw_frames(tape, "world/perceived", shown, frames, labels, colours.PERCEIVED, 1.2)
     if not any(frame.visibility is not None for frame in trace.frames):
@@ -357,8 +351,8 @@ def draw_others(tape: Tape, trace: Trace, frames: Instants) -> None:
         lines = [
             draw(frame.visibility) if frame.visibility is not None else [] for frame in trace.frames
         ]
-        points, lengths = joined([line for some in lines for line in some], 2)
-        counts, drawn = [len(some) for some in lines], at_height(points, LOW / 2)
+        points, lengths = joined(list(chain.from_iterable(lines)), 2)
+        counts, drawn = [len(of_frame) for of_frame in lines], at_height(points, LOW / 2)
         tape.lines(
             f"world/sensor/{name}",
             frames,
@@ -374,26 +368,23 @@ def futures(frame: PlannedFrame, x: float, y: float) -> list[tuple[str, float, F
     """Agent, probability and path `(k, 2)` of each hypothesis that moves, for the agents that are
     drawn in full.
     """
-    some = frame.predictions
-    if some is None or not len(some) or not len(some.t):
+    predictions = frame.predictions
+    if predictions is None or not len(predictions) or not len(predictions.t):
         return []
-    near = np.hypot(some.x[:, 0] - x, some.y[:, 0] - y) <= NEAR_M
-    _, first = np.unique(some.agent, return_index=True)
-    names = [frame.agents[some.agent[i]] for i in first]
-    kept = some.agent[first][
-        in_full(names, some.x[first, 0], some.y[first, 0], decided(frame.plan), (x, y))
-    ]
-    reach = np.hypot(some.x - some.x[:, :1], some.y - some.y[:, :1]).max(axis=1)
-    whose = np.zeros(len(frame.agents), np.bool_)
-    whose[kept] = True
-    rows = np.flatnonzero(near & whose[some.agent] & (reach >= SHORTEST_M))
+    xs, ys = predictions.x, predictions.y
+    near = np.hypot(xs[:, 0] - x, ys[:, 0] - y) <= NEAR_M
+    agents, first = np.unique(predictions.agent, return_index=True)
+    ids = [frame.agents[agent] for agent in agents]
+    full = in_full(ids, xs[first, 0], ys[first, 0], decided(frame.plan), (x, y))
+    reach = np.hypot(xs - xs[:, :1], ys - ys[:, :1]).max(axis=1)
+    is_full = np.isin(predictions.agent, agents[full])
     return [
         (
-            frame.agents[some.agent[i]],
-            float(some.probability[i]),
-            np.column_stack([some.x[i], some.y[i]]),
+            frame.agents[predictions.agent[row]],
+            float(predictions.probability[row]),
+            np.column_stack([xs[row], ys[row]]),
         )
-        for i in rows
+        for row in np.flatnonzero(near & is_full & (reach >= SHORTEST_M))
     ]
 
 
@@ -401,13 +392,10 @@ def perceived_only(trace: Trace, t: float) -> Agents:
     """The agents that were shown to the planner in the frame at `t`, and are not drawn as true
     boxes.
     """
-    known, there = (
-        agents_shown(trace, t),
-        set(trace.agents.ids_at(t) if trace.perceived is None else ()),
-    )
-    return known.some(
-        np.array([i for i, name in enumerate(known.ids) if name not in there], dtype=np.int64)
-    )
+    shown = agents_shown(trace, t)
+    true_boxes = set(trace.agents.ids_at(t) if trace.perceived is None else ())
+    rows = [row for row, name in enumerate(shown.ids) if name not in true_boxes]
+    return shown.some(np.array(rows, dtype=np.int64))
 
 
 def unseen(trace: Trace, t: float) -> list[tuple[str, float]]:
@@ -416,13 +404,13 @@ def unseen(trace: Trace, t: float) -> list[tuple[str, float]]:
     """
     if trace.perceived is None:
         return []
-    there, shown, ego = trace.agents.truth(t), set(perceived_only(trace, t).ids), trace.ego
-    away = np.hypot(there.x - np.interp(t, ego.t, ego.x), there.y - np.interp(t, ego.t, ego.y))
-    near = np.argsort(away, kind="stable")
+    agents, shown, ego = trace.agents.truth(t), set(perceived_only(trace, t).ids), trace.ego
+    x, y = np.interp(t, ego.t, ego.x), np.interp(t, ego.t, ego.y)
+    distances_m = np.hypot(agents.x - x, agents.y - y)
     return [
-        (there.ids[i], float(away[i]))
-        for i in near
-        if away[i] <= NEAR_M and there.ids[i] not in shown
+        (agents.ids[row], float(distances_m[row]))
+        for row in np.argsort(distances_m, kind="stable")
+        if distances_m[row] <= NEAR_M and agents.ids[row] not in shown
     ]
 
 
@@ -436,22 +424,23 @@ def rim(seen: Visibility) -> list[FloatArray]:
     edge = np.column_stack(
         [seen.x + seen.range * np.cos(angles), seen.y + seen.range * np.sin(angles)]
     )
-    here = np.array([[seen.x, seen.y]])
-    return [edge if half >= pi else np.vstack([here, edge, here])]
+    sensor = np.array([[seen.x, seen.y]])
+    return [edge if half >= pi else np.vstack([sensor, edge, sensor])]
 
 
 def hatching(seen: Visibility) -> list[FloatArray]:
     """Lines of sight behind occluding agents: from the near edge of the shadow to the end of the
     range.
     """
-    lines: list[FloatArray] = []
+    lines, sensor = list[FloatArray](), np.array([seen.x, seen.y])
     for near_right, _, _, near_left in seen.shadows:
         right, left = (atan2(y - seen.y, x - seen.x) for x, y in (near_right, near_left))
         width = (left - right) % (2.0 * pi)
         for u in np.linspace(0.0, 1.0, 2 + int(width / SHADOW_STEP)):
             start = near_right + u * (near_left - near_right)
-            away = float(np.hypot(*(start - (seen.x, seen.y))))
-            if 1e-6 < away < seen.range:
-                end = np.array([seen.x, seen.y]) + (start - (seen.x, seen.y)) * (seen.range / away)
+            sight = start - sensor
+            distance_m = float(np.hypot(*sight))
+            if 1e-6 < distance_m < seen.range:
+                end = sensor + sight * (seen.range / distance_m)
                 lines.append(np.stack([start, end]))
     return lines

@@ -17,7 +17,8 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from replan.core.arrays import FloatArray
-from replan.draw.model import SL, ST, Marker, Panel
+from replan.draw.panels import Panel
+from replan.draw.plan_graphs import SL, ST
 from replan.draw.recording import colours
 from replan.draw.recording.graphs import (
     HEIGHT,
@@ -29,6 +30,7 @@ from replan.draw.recording.graphs import (
     Axes,
 )
 from replan.draw.recording.tape import FRAME, REMOVED, SIM_TIME, SPACER, Instants, Tape, plain
+from replan.draw.scene import Marker
 from replan.explain.causes import KEEP
 from replan.explain.explanation import (
     BOTH,

@@ -14,11 +14,11 @@ from replan.core.arrays import FloatArray
 from replan.core.names import counted
 from replan.draw.charts.axes import Plane, Ticks, rows_plane
 from replan.draw.charts.canvas import Chart, dot, line, rect, text
-from replan.draw.model import Span, widened
 from replan.draw.report.drive_table import MetricColumn
 from replan.draw.report.overview import Overview, share_words
 from replan.draw.report.run_sections import group_name
 from replan.draw.report.section import NO_UNIT
+from replan.draw.spans import Span, widened
 from replan.metrics.comparison import Comparison
 
 WIDTH_PX, WIDE_PX, ROW_PX = 440.0, 640.0, 19.0

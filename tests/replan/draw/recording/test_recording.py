@@ -18,7 +18,8 @@ from sample_drive import BLOCKED, LINE, drive, scenario, to_world
 
 from replan.core.arrays import FloatArray
 from replan.core.errors import ConfigError, OutputError
-from replan.draw.model import MEASURED, NEAR_M, NEAREST, ST, Marker, in_full, panels
+from replan.draw.panels import MEASURED, panels
+from replan.draw.plan_graphs import ST
 from replan.draw.recording import colours, scene_times, write_log_recording, write_recording
 from replan.draw.recording.graphs import HEIGHT, LABEL_GAP, LETTER, WIDTH, Axes, spread_labels
 from replan.draw.recording.pages import why
@@ -43,6 +44,7 @@ from replan.draw.recording.tape import (
     plain,
     strokes,
 )
+from replan.draw.scene import NEAR_M, NEAREST, Marker, in_full
 from replan.explain import Explanation, accounts
 from replan.explain.drive_events import events
 from replan.logs.observed import MAX_AGE_S

@@ -39,7 +39,7 @@ from replan.draw.charts.curves import decided, statuses
 from replan.draw.charts.layout import charts_of
 from replan.draw.charts.subject import gravity, violations, worst_moment
 from replan.draw.drawn_results import Results, load
-from replan.draw.model import ticks
+from replan.draw.spans import ticks
 from replan.explain.drive_events import events
 from replan.logs.mcap import read_moment, read_trace
 from replan.logs.plan import Decision, DecisionKind, LaneOption, PlanStatus, PlanSummary

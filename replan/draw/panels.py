@@ -1,33 +1,21 @@
-"""The drawing model: what recordings, charts and reports show, each in its own way.
+"""Panels: curves over time that share an axis, in recordings and charts.
 
-Axes; curves over time; S-T and S-L graphs, in their units; the agents that are drawn in full. The
-values are columns of the trace, the scenario, the timings and the series of the metrics; nothing
-else is computed.
+The values are columns of the trace, the scenario, the timings and the series of the metrics;
+nothing else is computed.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Container, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import ceil, floor, log10
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from replan.core.arrays import FloatArray, IntArray
+from replan.core.arrays import FloatArray
+from replan.draw.spans import Span, widened
 from replan.logs.frame_store import loaded
-from replan.logs.plan import (
-    Corridor,
-    Decision,
-    DecisionKind,
-    Graph,
-    GraphObstacle,
-    GridCost,
-    Plan,
-    SlGraph,
-    StGraph,
-)
 from replan.logs.road import RoadSource
 from replan.logs.scenario import Scenario
 from replan.logs.states import Controls
@@ -39,43 +27,6 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
     from replan.replay.drive import StageTime
-
-
-def nice_step(span: float, most: int) -> float:
-    """The smallest of 1, 2, 2.5, 5 times a power of ten that divides a span into at most `most`
-    parts.
-    """
-    rough = max(span, 1e-9) / most
-    unit = 10.0 ** floor(log10(rough))
-    return float(
-        next(
-            unit * factor
-            for factor in (1.0, 2.0, 2.5, 5.0, 10.0)
-            if unit * factor >= rough * (1.0 - 1e-9)
-        )
-    )
-
-
-def ticks(low: float, high: float, most: int) -> FloatArray:
-    """Multiples of a round step in a range: at least two, about `most` at most."""
-    for bins in range(max(most, 2), 40):
-        step = nice_step(high - low, bins)
-        found = np.arange(ceil(low / step - 1e-9), floor(high / step + 1e-9) + 1) * step
-        if len(found) > 1:
-            return found
-    return np.array([low, high])
-
-
-Span = tuple[float, float]
-
-
-def widened(low: float, high: float, least: float, room: float = 0.06) -> Span:
-    """A range with a margin, never shorter than `least`, so that a constant value looks
-    constant.
-    """
-    half = max((0.5 + room) * (high - low), 0.5 * least)
-    return 0.5 * (low + high) - half, 0.5 * (low + high) + half
-
 
 JERK = lon_jerk_state.name
 SPIKE = 99.5  # Percentile of the absolute values of a spiky curve up to which the axis reaches
@@ -120,21 +71,6 @@ class Curve:
         return self.values[np.isfinite(self.values)]
 
 
-@dataclass(frozen=True)
-class Marker:
-    """A stretch of a log to look at."""
-
-    begin: float  # s since the log's start; `end` likewise
-    end: float
-    kind: str
-    about: str  # Who takes part, and more in words; may be empty
-
-    @property
-    def words(self) -> str:
-        """What happens, in a line: "cut in: car 12 (gap 3.2 m)"."""
-        return ": ".join(filter(None, (self.kind.replace("_", " "), self.about)))
-
-
 @dataclass(frozen=True, eq=False)
 class Panel:
     """Curves that share an axis."""
@@ -171,26 +107,26 @@ def _panels_with_values(*panels: Panel) -> list[Panel]:
 
     Panels without such a curve are omitted.
     """
-    kept = (
+    shown = (
         replace(panel, curves=tuple(curve for curve in panel.curves if len(curve.known)))
         for panel in panels
     )
-    return [panel for panel in kept if panel.curves]
+    return [panel for panel in shown if panel.curves]
 
 
 def _columns(
-    some: object | None, *curves: tuple[str, str, str, int], asked: bool = False
+    series: object | None, *curves: tuple[str, str, str, int], asked: bool = False
 ) -> tuple[Curve, ...]:
     """Curves of an object with columns, each as name, legend, column and colour.
 
     Empty if the object is None.
     """
-    if some is None:
+    if series is None:
         return ()
-    t: FloatArray = some.t  # type: ignore[attr-defined]
+    t: FloatArray = series.t  # type: ignore[attr-defined]
     width = 1.0 if asked else 2.0
     return tuple(
-        Curve(name, legend, t, getattr(some, column), colour, width, asked=asked)
+        Curve(name, legend, t, getattr(series, column), colour, width, asked=asked)
         for name, legend, column, colour in curves
     )
 
@@ -201,8 +137,8 @@ def steps_of(table: DataFrame | None) -> Steps:
     def steps(metric: str) -> tuple[FloatArray, FloatArray]:
         if table is None:
             return np.empty(0), np.empty(0)
-        mine = table[table["metric"] == metric]
-        return mine["t_s"].to_numpy(np.float64), mine["value"].to_numpy(np.float64)
+        rows = table[table["metric"] == metric]
+        return rows["t_s"].to_numpy(np.float64), rows["value"].to_numpy(np.float64)
 
     return steps
 
@@ -249,23 +185,17 @@ def panels(trace: Trace, scenario: Scenario, steps: Steps) -> list[Panel]:
             t, values = np.insert(t, far + 1, t[far]), np.insert(values, far + 1, np.nan)
         return Curve(metric, legend, t, values, colour, spiky=spiky)
 
-    ego, done, asked, errors, logged = (
-        trace.ego,
-        trace.actuation,
-        trace.commands,
-        trace.tracking,
-        scenario.controls,
-    )
+    ego, actuation, asked = trace.ego, trace.actuation, trace.commands
+    errors, logged = trace.tracking, scenario.controls
     end, is_open = float(ego.t[-1]), trace.mode is Mode.OPEN
     log = None if is_open else scenario.ego.between(-np.inf, end)
     log = log if log is not None and len(log) > 1 and not np.array_equal(log.v, ego.v) else None
-    if log is None and done is not None:
+    if log is None and actuation is not None:
         logged = None
     if logged is not None:
-        kept = logged.t <= end
-        logged = Controls(
-            *(getattr(logged, name)[kept] for name in ("t", "steer", "throttle", "brake"))
-        )
+        driven = logged.t <= end
+        columns = (logged.t, logged.steer, logged.throttle, logged.brake)
+        logged = Controls(*(column[driven] for column in columns))
     plan = _predicted(trace, "v")
     if not plan and errors is not None:
         planned = np.interp(errors.t, ego.t, ego.v) - errors.speed
@@ -273,8 +203,8 @@ def panels(trace: Trace, scenario: Scenario, steps: Steps) -> list[Panel]:
     along = replace(measured("along", "lon_accel"), name="ego")
     along = along if len(along.t) else Curve("ego", "along", ego.t, ego.a)
     slips, friction = list[Curve](), list[Curve]()
-    if done is not None and len(ego) > 1:
-        use = tyre_use(ego, done, scenario.vehicle)
+    if actuation is not None and len(ego) > 1:
+        use = tyre_use(ego, actuation, scenario.vehicle)
         slips = [
             Curve("front", "front", ego.t, use.front),
             Curve("rear", "rear", ego.t, use.rear, YELLOW),
@@ -386,7 +316,7 @@ def panels(trace: Trace, scenario: Scenario, steps: Steps) -> list[Panel]:
             "steer",
             "Steering [rad]",
             (
-                *_columns(done, ("done", "done", "steer", BLUE)),
+                *_columns(actuation, ("done", "done", "steer", BLUE)),
                 *_columns(asked, ("asked", "asked", "steer", YELLOW), asked=True),
                 *_columns(logged, ("log", "log", "steer", GREY), asked=True),
             ),
@@ -398,7 +328,7 @@ def panels(trace: Trace, scenario: Scenario, steps: Steps) -> list[Panel]:
             "Pedals [0 to 1]",
             (
                 *_columns(
-                    done,
+                    actuation,
                     ("throttle", "throttle", "throttle", GREEN),
                     ("brake", "brake", "brake", RED),
                 ),
@@ -487,25 +417,25 @@ def _predicted(trace: Trace, column: str) -> list[Curve]:
     curves = []
     for lag, colour in ((1.0, YELLOW), (3.0, VIOLET)):
         plans = ((frame.t + lag, loaded(frame.plan.trajectory)) for frame in trace.frames)
-        found = [
-            (t, np.interp(t, p.t, getattr(p, column)))
-            for t, p in plans
-            if t <= min(p.t[-1], end) + 1e-9
+        points = [
+            (t, np.interp(t, path.t, getattr(path, column)))
+            for t, path in plans
+            if t <= min(path.t[-1], end) + 1e-9
         ]
-        older = np.array(found, dtype=np.float64).reshape(-1, 2)
-        name = f"plan_{lag:.0f}s", f"plan {lag:.0f} s before"
-        curves.append(Curve(*name, older[:, 0], older[:, 1], colour, 1.2, asked=True))
+        times, values = np.array(points, dtype=np.float64).reshape(-1, 2).T
+        name, legend = f"plan_{lag:.0f}s", f"plan {lag:.0f} s before"
+        curves.append(Curve(name, legend, times, values, colour, 1.2, asked=True))
     return curves
 
 
 def stage_panel(timings: Sequence[StageTime], names: dict[str, str]) -> list[Panel]:
     """Milliseconds per stage; "total" is the whole plan. `names`: the entity name of each stage."""
     curves = []
-    for k, (stage, name) in enumerate(sorted(names.items(), key=lambda item: item[0] != "total")):
-        some = sorted((timing.t, timing.seconds) for timing in timings if timing.stage == stage)
-        t, seconds = np.array(some).T
+    for k, stage in enumerate(sorted(names, key="total".__ne__)):
+        points = sorted((timing.t, timing.seconds) for timing in timings if timing.stage == stage)
+        t, seconds = np.array(points).T
         colour, width = (GREY, 2.0) if stage == "total" else (SERIES[k % 7], 1.2)
-        curves.append(Curve(name, stage, t, 1e3 * seconds, colour, width, spiky=True))
+        curves.append(Curve(names[stage], stage, t, 1e3 * seconds, colour, width, spiky=True))
     return _panels_with_values(
         Panel("stages", "Stage times [ms]", tuple(curves), 0.2, charted=False)
     )
@@ -517,190 +447,21 @@ def compared_panels(drives: Mapping[str, Sequence[Panel]]) -> list[Panel]:
 
     What was planned, asked for, allowed or logged is left out.
     """
-    shown = [(name, panel) for name, some in drives.items() for panel in some]
-    found = [(name, panel, one) for name, panel in shown for one in panel.curves if not one.asked]
-    curves = Counter(title for title, _ in {(panel.title, one.name) for _, panel, one in found})
-    panels: dict[tuple[str, str], Panel] = {}
-    for name, panel, one in found:
-        title, part = panel.title, panel.name
-        if curves[title] > 1:
-            what, bracket, unit = title.partition(" [")
-            title, part = f"{what}, {one.legend}{bracket}{unit}", f"{part}_{one.name}"
-        before = panels.get(
-            (panel.title, one.name), replace(panel, name=part, title=title, curves=())
-        )
-        mine = replace(one, name=name, legend=name)
-        panels[panel.title, one.name] = replace(before, curves=(*before.curves, mine))
-    return list(panels.values())
-
-
-@dataclass(frozen=True)
-class GraphKind:
-    """A kind of graph: its names and axes."""
-
-    name: str
-    graph: type[Graph]
-    title: str
-    x_title: str  # Title of the axis, with the unit; `y_title` likewise
-    y_title: str
-    least: float  # The y axis is not shorter than this
-    scrolls: bool  # Whether the graphs of a drive begin at different x
-
-
-ST = GraphKind(
-    "st", StGraph, "S-T graph", "time from the plan [s]", "station along the path [m]", 5.0, False
-)
-SL = GraphKind(
-    "sl",
-    SlGraph,
-    "S-L graph",
-    "station of the reference line [m]",
-    "lateral offset [m], left positive",
-    4.0,
-    True,
-)
-FAR_M = 6.0  # Axes show obstacles and bounds up to this far beyond the solutions
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class DrawnObstacle:
-    """An obstacle with the finite points `(n, 2)`, n >= 1, of its outline."""
-
-    of: GraphObstacle
-    outline: FloatArray
-
-    @property
-    def is_ignored(self) -> bool:
-        """Whether the plan ignores it."""
-        return self.of.decision is DecisionKind.IGNORE
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class DrawnGraph:
-    """A graph."""
-
-    # The first x of the QP solution, otherwise of the DP solution, the grid or the corridor
-    begin: float
-    qp: FloatArray  # Finite points of the QP solution `(n, 2)`
-    dp: FloatArray  # Finite points of the DP solution `(n, 2)`
-    knots: FloatArray  # Points `(k, 2)` of the DP solution at the columns of its grid
-    grid: GridCost | None  # The nodes that the DP searched
-    # The bounds of the QP; None if there are fewer than two stations or times
-    corridor: Corridor | None
-    obstacles: tuple[DrawnObstacle, ...]  # The obstacles that have an outline
-
-    @classmethod
-    def of(cls, plan: Plan, kind: GraphKind) -> DrawnGraph | None:
-        """The first graph of a kind in a plan; None if there is none."""
-        graph = next(
-            (artefact for artefact in plan.internals if isinstance(artefact, kind.graph)), None
-        )
-        if graph is None:
-            return None
-        qp, dp, grid, corridor = finite(graph.qp), finite(graph.dp), graph.grid, graph.corridor
-        firsts = (qp[:, 0], dp[:, 0], *(part.first for part in (grid, corridor) if part))
-        knots = np.empty((0, 2))
-        if grid is not None and len(dp):
-            x = grid.first[(grid.first >= dp[0, 0]) & (grid.first <= dp[-1, 0])]
-            knots = np.column_stack([x, np.interp(x, dp[:, 0], dp[:, 1])])
-        outlines = ((each, finite(each.outline)) for each in graph.obstacles)
-        return cls(
-            next((float(x[0]) for x in firsts if len(x)), 0.0),
-            qp,
-            dp,
-            knots,
-            grid,
-            corridor if corridor is not None and len(corridor.first) > 1 else None,
-            tuple(DrawnObstacle(each, outline) for each, outline in outlines if len(outline)),
-        )
-
-
-def graph_axes(graphs: Sequence[DrawnGraph], kind: GraphKind) -> tuple[Span, Span] | None:
-    """Axes for some graphs, x relative to the begin of each: with all solutions and the near ends
-    of obstacles.
-
-    They may cut off far obstacles and bounds of the corridor. None if there is neither solution nor
-    obstacle.
-    """
-    solved = [
-        line - [graph.begin, 0.0] for graph in graphs for line in (graph.qp, graph.dp) if len(line)
-    ]
-    around = [
-        some.outline - [graph.begin, 0.0]
-        for graph in graphs
-        for some in graph.obstacles
-        if not some.is_ignored
-    ]
-    if not solved and not around:
-        return None
-    points = np.concatenate(solved or around)
-    x = 0.0, max(float(points[:, 0].max()), 1.0)
-    low, high = float(points[:, 1].min()), float(points[:, 1].max())
-    seen = (outline[(outline[:, 0] >= x[0]) & (outline[:, 0] <= x[1]), 1] for outline in around)
-    near: list[FloatArray] = [some for some in seen if len(some)]
-    if kind is ST:
-        top = max(
-            high,
-            min(max([high, *(float(some.min()) + FAR_M for some in near)]), 1.6 * high + 10.0),
-            kind.least,
-        )
-        return x, (min(low, 0.0), 1.05 * top)
-    for graph in graphs:
-        near += [graph.grid.second] if graph.grid else []
-        if graph.corridor is not None:
-            inside = graph.corridor.first <= graph.begin + x[1]
-            sides = (
-                side[inside & np.isfinite(side)]
-                for side in (graph.corridor.lower, graph.corridor.upper)
-            )
-            near += [side for side in sides if len(side)]
-    low = max(min([low, *(float(some.min()) for some in near if len(some))]), low - FAR_M)
-    high = min(max([high, *(float(some.max()) for some in near if len(some))]), high + FAR_M)
-    return x, widened(low, high, kind.least)
-
-
-def finite(points: FloatArray) -> FloatArray:
-    """The finite points `(m, 2)` of a line; an empty array of any shape is an empty line."""
-    shaped = np.asarray(points, dtype=np.float64).reshape(-1, 2)
-    return shaped[np.isfinite(shaped).all(axis=1)]
-
-
-NEAREST = 6
-NEAR_M = 40.0
-
-
-def decided(plan: Plan) -> dict[str, Decision]:
-    """The decision that is shown at each agent: the last one that is not "ignore"."""
-    return {
-        artefact.agent: artefact
-        for artefact in plan.internals
-        if isinstance(artefact, Decision) and artefact.kind is not DecisionKind.IGNORE
-    }
-
-
-def in_full(
-    ids: Sequence[str],
-    x: FloatArray,
-    y: FloatArray,
-    about: Container[str],
-    ego: tuple[float, float],
-) -> IntArray:
-    """Rows of the agents drawn in full, increasing: the `NEAREST` within `NEAR_M`, and those with a
-    decision.
-
-    `ids`: `(n,)`. `x`: world coordinate, m, `(n,)`. `y`: world coordinate, m, `(n,)`.
-    """
-    if len(ids) <= NEAREST:
-        return np.arange(len(ids))
-    away = np.hypot(x - ego[0], y - ego[1])
-    near = {int(i) for i in np.argsort(away, kind="stable")[:NEAREST] if away[i] <= NEAR_M}
-    return np.array(
-        sorted(near | {i for i, name in enumerate(ids) if name in about}), dtype=np.int64
-    )
-
-
-def plan_seconds(plan: Plan) -> FloatArray:
-    """Positions `(n, 2)` of a plan at each full second after its start, m."""
-    path = plan.trajectory
-    t = np.arange(path.t[0] + 1.0, path.t[-1] + 1e-6, 1.0)
-    return np.column_stack([np.interp(t, path.t, path.x), np.interp(t, path.t, path.y)])
+    shown: dict[tuple[str, str], list[tuple[str, Panel, Curve]]] = {}
+    for drive, of_drive in drives.items():
+        for panel in of_drive:
+            for curve in panel.curves:
+                if not curve.asked:
+                    entries = shown.setdefault((panel.title, curve.name), [])
+                    entries.append((drive, panel, curve))
+    curves_of = Counter(title for title, _ in shown)
+    compared = []
+    for (title, name), entries in shown.items():
+        _, panel, first = entries[0]
+        if curves_of[title] > 1:
+            quantity, bracket, unit = title.partition(" [")
+            title = f"{quantity}, {first.legend}{bracket}{unit}"
+            panel = replace(panel, name=f"{panel.name}_{name}")
+        curves = tuple(replace(curve, name=drive, legend=drive) for drive, _, curve in entries)
+        compared.append(replace(panel, title=title, curves=curves))
+    return compared

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from replan.core.arrays import FloatArray, IntArray
-from replan.logs.plan import Decision, DecisionKind, Plan
+from replan.logs.plan import Decision, DecisionKind, Plan, PlanSummary
 
 NEAREST = 6
 NEAR_M = 40.0
@@ -31,7 +31,7 @@ class Marker:
         return ": ".join(filter(None, (self.kind.replace("_", " "), self.about)))
 
 
-def decided(plan: Plan) -> dict[str, Decision]:
+def decided(plan: Plan | PlanSummary) -> dict[str, Decision]:
     """The decision that is shown at each agent: the last one that is not "ignore"."""
     return {
         artefact.agent: artefact

@@ -28,7 +28,8 @@ from replan.draw.spans import Span, ticks
 
 Ticks = Sequence[tuple[float, str]]  # Words at values
 
-LEFT_PX, RIGHT_PX, TOP_PX, BOTTOM_PX = 46.0, 10.0, 38.0, 30.0
+LEFT_PX, RIGHT_PX = 46.0, 10.0
+TOP_PX, BOTTOM_PX = 38.0, 30.0
 """Margins of a plot area: for y ticks, for the last x tick, for title and legend, for x ticks and
 their title.
 """

@@ -38,7 +38,8 @@ from replan.logs.states import EgoState
 from replan.replay.world import box_center
 
 WIDTH_PX, HEIGHT_PX = 440.0, 226.0
-BEHIND_M, AHEAD_M, AHEAD_S, MOST_M = 14.0, 46.0, 3.0, 130.0
+BEHIND_M, AHEAD_M, MOST_M = 14.0, 46.0, 130.0
+AHEAD_S = 3.0
 """The visible part: `BEHIND_M` behind the ego, and `AHEAD_S` times its speed ahead, from `AHEAD_M`
 to `MOST_M`.
 """
@@ -62,31 +63,28 @@ def scene(subject: SceneSubject, t: float, word: str, about: Collection[str] = (
     """
     drives = subject.drives
     states = [
-        one.trace.ego.at(float(np.clip(t, *one.trace.ego.t[[0, -1]]))) for one in drives.values()
+        drive.trace.ego.at(float(np.clip(t, *drive.trace.ego.t[[0, -1]])))
+        for drive in drives.values()
     ]
     ego, several = states[0], len(drives) > 1
     view = View(_plane(ego, states), ego)
     planned = abs(t - subject.moment.t) < 1e-9
     agents = subject.trace.agents.truth(t)
-    ways, boxes = "", ""
-    for one, state, kind in zip(drives.values(), states, DRIVES, strict=False):
-        way, box = (
-            _way(view, one, kind if several else "planned", planned=planned),
-            _box(view, one, state),
-        )
-        ways += f'<g class="{kind}">{way}</g>' if several else way
+    paths, boxes = "", ""
+    for drive, state, kind in zip(drives.values(), states, DRIVES, strict=False):
+        path = _path(view, drive, kind if several else "planned", planned=planned)
+        box = _box(view, drive, state)
+        paths += f'<g class="{kind}">{path}</g>' if several else path
         boxes = (f'<g class="{kind}">{box}</g>' if several else box) + boxes  # the first on top
-    inside = (
-        drawn_road(view, subject.scenario) + (_foreseen(view, subject) if planned else "") + ways
-    )
-    inside += (
-        "".join(_other(view, agents, i, pointed=agents.ids[i] in about) for i in range(len(agents)))
-        + boxes
-    )
+    inside = drawn_road(view, subject.scenario)
+    inside += (_foreseen(view, subject) if planned else "") + paths
+    for row, name in enumerate(agents.ids):
+        inside += _other(view, agents, row, pointed=name in about)
+    inside += boxes
     title, named = f"{word[:1].upper()}{word[1:]}: {t:.2f} s", {}
     if several:
-        for (name, one), state in zip(drives.items(), states, strict=True):
-            does = "ended" if t > one.trace.ego.t[-1] + 1e-6 else f"{state.v:.1f} m/s"
+        for (name, drive), state in zip(drives.items(), states, strict=True):
+            does = "ended" if t > drive.trace.ego.t[-1] + 1e-6 else f"{state.v:.1f} m/s"
             named[f"{shortened(name, NAME_PX)}: {does}"] = state
     else:
         title += f", {ego.v:.1f} m/s"
@@ -105,9 +103,10 @@ def scene(subject: SceneSubject, t: float, word: str, about: Collection[str] = (
         entries += [("line", "planned", "plan, dots: 1 s")] if planned and subject.frame else []
     says = f"Scene, {title}; no other road users"
     if len(agents):
-        away = np.hypot(agents.x - ego.x, agents.y - ego.y)
-        i = int(np.argmin(away))
-        nearest = f"{subject.scenario.short_names(agents.ids[i])}, {away[i]:.0f} m away"
+        distances_m = np.hypot(agents.x - ego.x, agents.y - ego.y)
+        row = int(np.argmin(distances_m))
+        name = subject.scenario.short_names(agents.ids[row])
+        nearest = f"{name}, {distances_m[row]:.0f} m away"
         says = f"Scene, {title}; {len(agents)} other road users, the nearest {nearest}"
     name = f"scene_{word.replace(' ', '_')}"
     axes = dict[str, Any](x_title=x_title, y_title="left [m]", entries=entries, over=names)
@@ -137,13 +136,11 @@ def _plane(ego: EgoState, shown: Sequence[EgoState]) -> Plane:
     """The visible part: around and ahead of the ego, and around other egos that are nearer than
     `FAR_M`.
     """
-    others = _local(ego, np.array([(one.x, one.y) for one in shown]))
+    others = _local(ego, np.array([(state.x, state.y) for state in shown]))
     others = others[np.hypot(others[:, 0], others[:, 1]) < FAR_M]
     ahead = min(max(AHEAD_M, AHEAD_S * abs(ego.v)), MOST_M)
-    low, high = (
-        min(-BEHIND_M, others[:, 0].min() - AROUND_M),
-        max(ahead, others[:, 0].max() + AROUND_M),
-    )
+    low = min(-BEHIND_M, others[:, 0].min() - AROUND_M)
+    high = max(ahead, others[:, 0].max() + AROUND_M)
     plane = Plane((low, high), (-1.0, 1.0), WIDTH_PX, HEIGHT_PX)
     ratio = 0.5 * plane.inner[1] / plane.inner[0]
     half = max(
@@ -179,15 +176,10 @@ class View:
         shown = (self.of(ring) for ring in rings)
         return [cut_outline(ring, *self.plane.inner) for ring in shown if self.sees(ring)]
 
-    def lines(self, some: Iterable[FloatArray]) -> list[FloatArray]:
+    def lines(self, lines: Iterable[FloatArray]) -> list[FloatArray]:
         """Lines of the world as pixels: the parts in and around the plot area."""
-        shown = (self.of(line) for line in some)
-        return [
-            piece
-            for line in shown
-            if self.sees(line)
-            for piece in cut_line(line, *self.plane.inner)
-        ]
+        shown = [pixels for pixels in map(self.of, lines) if self.sees(pixels)]
+        return [piece for pixels in shown for piece in cut_line(pixels, *self.plane.inner)]
 
 
 def drawn_road(view: View, scenario: Scenario) -> str:
@@ -221,7 +213,7 @@ def _foreseen(view: View, subject: SceneSubject) -> str:
     return polylines(view.lines(paths), "foreseen")
 
 
-def _way(view: View, subject: SceneSubject, kind: str, *, planned: bool) -> str:
+def _path(view: View, subject: SceneSubject, kind: str, *, planned: bool) -> str:
     """The driven path, and the newest plan as a line of a kind with a dot per second."""
     driven = subject.trace.ego
     drawn = polylines(view.lines([np.column_stack([driven.x, driven.y])]), "driven")
@@ -246,25 +238,25 @@ def _box(view: View, subject: SceneSubject, ego: EgoState) -> str:
     return area(box[:, 0], box[:, 1], "ego") + polyline(nose[:, 0], nose[:, 1], "nose")
 
 
-def _other(view: View, agents: Agents, i: int, *, pointed: bool) -> str:
+def _other(view: View, agents: Agents, row: int, *, pointed: bool) -> str:
     """A box, or a dot for pedestrians and small boxes.
 
     A moving agent has a line to its position in one second.
     """
-    box = view.of(
-        corners(
-            *(float(c[i]) for c in (agents.x, agents.y, agents.yaw, agents.length, agents.width))
-        )
-    )
+    columns = (agents.x, agents.y, agents.yaw, agents.length, agents.width)
+    box = view.of(corners(*(float(column[row]) for column in columns)))
     if not view.sees(box):
         return ""
-    moving = float(np.nan_to_num(agents.speed[i])) > SLOW_MPS
-    kind = "wrong" if pointed else "other" if moving else "still"
-    here, velocity = np.array([agents.x[i], agents.y[i]]), np.array([agents.vx[i], agents.vy[i]])
-    ends = view.of(np.array([here, here + ARROW_S * velocity]))
+    moving = float(np.nan_to_num(agents.speed[row])) > SLOW_MPS
+    kind = "other" if moving else "still"
+    if pointed:
+        kind = "wrong"
+    center = np.array([agents.x[row], agents.y[row]])
+    velocity = np.array([agents.vx[row], agents.vy[row]])
+    ends = view.of(np.array([center, center + ARROW_S * velocity]))
     arrow = polyline(ends[:, 0], ends[:, 1], "heading") if moving else ""
     small = max(float(np.ptp(box[:, 0])), float(np.ptp(box[:, 1]))) < 2.0 * SMALL_PX
-    if small or agents.kinds[i] is AgentKind.PEDESTRIAN:
+    if small or agents.kinds[row] is AgentKind.PEDESTRIAN:
         return arrow + dot(float(ends[0, 0]), float(ends[0, 1]), SMALL_PX, kind)
     return arrow + area(box[:, 0], box[:, 1], kind)
 
@@ -285,11 +277,12 @@ def _names(
     wide, high = view.plane.inner
     about = decided(subject.frame.plan) if planned and subject.frame is not None else {}
     first = pointed or about
-    at = view.of(np.column_stack([agents.x, agents.y]))
-    away = np.hypot(agents.x - view.ego.x, agents.y - view.ego.y)
-    order = sorted(range(len(agents)), key=lambda i: (agents.ids[i] not in first, float(away[i])))
+    centers = view.of(np.column_stack([agents.x, agents.y]))
+    distances_m = np.hypot(agents.x - view.ego.x, agents.y - view.ego.y)
+    is_second = [name not in first for name in agents.ids]
+    order = np.lexsort((distances_m, is_second))
     placed: list[tuple[float, float, float]] = []
-    out = []
+    labels = []
 
     def place(x: float, y: float, words: str) -> bool:
         half = 0.5 * LETTER_PX * len(words)
@@ -300,26 +293,24 @@ def _names(
         )
         if free:
             placed.append((x, y, half))
-            out.append(text(x, y, words, "name mid"))
+            labels.append(text(x, y, words, "name mid"))
         return free
 
     for name, ego in egos.items():  # at the edge, with its distance, if it is out of view
         ((x, y),) = view.of(np.array([[ego.x, ego.y]])).tolist()
         inside = 0.0 <= x <= wide and 0.0 <= y <= high
-        words = (
-            name
-            if inside
-            else f"{name}, {np.hypot(ego.x - view.ego.x, ego.y - view.ego.y):.0f} m away"
-        )
+        distance_m = np.hypot(ego.x - view.ego.x, ego.y - view.ego.y)
+        words = name if inside else f"{name}, {distance_m:.0f} m away"
         x, y = min(max(x, 0.0), wide), min(max(y, 32.0), high - 32.0)
         any(place(x, y + up, words) for up in (-9.0, 18.0, -21.0, 30.0))
     most = len(placed) + MAX_NAMES
-    for i in order:
-        x, y = at[i].tolist()
-        inside = 0.0 <= x <= wide and 0.0 <= y <= high and away[i] <= max(NAME_M, view.plane.x[1])
+    farthest_m = max(NAME_M, view.plane.x[1])
+    for row in order:
+        name, (x, y) = agents.ids[row], centers[row].tolist()
+        inside = 0.0 <= x <= wide and 0.0 <= y <= high and distances_m[row] <= farthest_m
         if inside and len(placed) < most:
-            decision = f": {about[agents.ids[i]].kind.value}" if agents.ids[i] in about else ""
+            decision = f": {about[name].kind.value}" if name in about else ""
             below = y < 20.0 or (y > 0.5 * high and high - y > 20.0)
-            words = shortened(subject.scenario.short_names(agents.ids[i]), NAME_PX) + decision
+            words = shortened(subject.scenario.short_names(name), NAME_PX) + decision
             place(x, y + 18.0 if below else y - 9.0, words)
-    return "".join(out)
+    return "".join(labels)

@@ -174,7 +174,8 @@ def roles(theme: Theme) -> str:
     if theme != "auto":
         return ""
     light, dark = (
-        ";".join(f"--{name}:{value}" for name, value in some.items()) for some in (LIGHT, DARK)
+        ";".join(f"--{name}:{value}" for name, value in colours.items())
+        for colours in (LIGHT, DARK)
     )
     return f":root{{color-scheme:light dark;{light}}}@media(prefers-color-scheme:dark){{:root{{{dark}}}}}"  # noqa: E501
 
@@ -351,29 +352,27 @@ def simplified(points: FloatArray) -> IntArray:
     """Which points of a line `(n, 2)` draw it within `KEPT_PX` (Douglas and Peucker 1973), level by
     level.
     """
-    kept = [np.array([0, len(points) - 1] if len(points) > 1 else [0])]
-    begin, end = kept[0][:-1], kept[0][1:]
+    ends = np.array([0, len(points) - 1] if len(points) > 1 else [0])
+    levels, begin, end = [ends], ends[:-1], ends[1:]
     while True:
         wide = end - begin > 1
         begin, end = begin[wide], end[wide]
         if not len(begin):
-            return np.sort(np.concatenate(kept))
+            return np.sort(np.concatenate(levels))
         inner = end - begin - 1
         start = np.cumsum(inner) - inner
         owner = np.repeat(np.arange(len(begin)), inner)
-        at = np.arange(len(owner)) + (begin + 1 - start)[owner]
-        from_begin, chord = (
-            points[at] - points[begin][owner],
-            points[end][owner] - points[begin][owner],
-        )
+        index = np.arange(len(owner)) + (begin + 1 - start)[owner]
+        origin = points[begin][owner]
+        from_begin, chord = points[index] - origin, points[end][owner] - origin
         length = np.hypot(chord[:, 0], chord[:, 1])
         across = np.abs(chord[:, 0] * from_begin[:, 1] - chord[:, 1] * from_begin[:, 0])
         distance = np.hypot(from_begin[:, 0], from_begin[:, 1])  # where begin and end coincide
         np.divide(across, length, out=distance, where=length > 0.0)
         worst = np.maximum.reduceat(distance, start)
         hits = np.flatnonzero(distance == worst[owner])
-        split, bent = at[hits[np.searchsorted(hits, start)]], worst > KEPT_PX
-        kept.append(split[bent])
+        split, bent = index[hits[np.searchsorted(hits, start)]], worst > KEPT_PX
+        levels.append(split[bent])
         begin, end = np.r_[begin[bent], split[bent]], np.r_[split[bent], end[bent]]
 
 
@@ -474,9 +473,9 @@ def group(x: float, y: float, inside: str) -> str:
 def stacked(charts: Sequence[Chart], name: str, title: str, says: str) -> Chart:
     """Charts below each other, as one."""
     body, y = "", 0.0
-    for one in charts:
-        body, y = body + group(0.0, y, one.body), y + one.height
-    return Chart(name, title, says, max(one.width for one in charts), y, body)
+    for chart in charts:
+        body, y = body + group(0.0, y, chart.body), y + chart.height
+    return Chart(name, title, says, max(chart.width for chart in charts), y, body)
 
 
 SAMPLE_PX = 34.0  # Width of an entry of a legend without its word, pixels
@@ -498,28 +497,30 @@ Entry = tuple[str, str, str]
 
 def legend_rows(entries: Sequence[Entry], most: float) -> list[list[Entry]]:
     """The entries in rows that are at most so wide, pixels."""
-    rows, at = list[list[Entry]](), most + 1.0
+    rows, width = list[list[Entry]](), most + 1.0
     for entry in entries:
-        needed = SAMPLE_PX + LETTER_PX * len(entry[2])
-        if at + needed > most + 8.0:
-            rows, at = [*rows, []], 0.0
+        _, _, word = entry
+        needed = SAMPLE_PX + LETTER_PX * len(word)
+        if width + needed > most + 8.0:
+            rows.append([])
+            width = 0.0
         rows[-1].append(entry)
-        at += needed
+        width += needed
     return rows
 
 
 def legend(x: float, y: float, entries: Sequence[Entry]) -> str:
     """Samples in a row, each with its word."""
-    out, at = [], x
+    samples = ""
     for element, kind, word in entries:
         if element == "area":
-            out.append(rect(at, y - 8.0, 16.0, 8.0, kind))
+            samples += rect(x, y - 8.0, 16.0, 8.0, kind)
         elif element == "dot":
-            out.append(dot(at + 8.0, y - 4.0, 3.0, kind))
+            samples += dot(x + 8.0, y - 4.0, 3.0, kind)
         elif element == "line":
-            out.append(line(at, y - 3.5, at + 16.0, y - 3.5, kind))
+            samples += line(x, y - 3.5, x + 16.0, y - 3.5, kind)
         else:
-            out.append(text(at + 8.0, y, element, f"sign {kind}"))
-        out.append(text(at + 21.0, y, word, "small"))
-        at += SAMPLE_PX + LETTER_PX * len(word)
-    return "".join(out)
+            samples += text(x + 8.0, y, element, f"sign {kind}")
+        samples += text(x + 21.0, y, word, "small")
+        x += SAMPLE_PX + LETTER_PX * len(word)
+    return samples

@@ -7,8 +7,9 @@ obstacles and the solutions.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from operator import attrgetter
 
 import numpy as np
 
@@ -27,8 +28,9 @@ from replan.draw.charts.canvas import (
 from replan.draw.charts.subject import SceneSubject, Subject
 from replan.draw.panels import Panel, compared_panels, panels
 from replan.draw.plan_graphs import SL, ST, DrawnGraph, GraphKind, graph_axes
+from replan.draw.scene import decided as plan_decisions
 from replan.explain.explanation import STATUS_WORDS
-from replan.logs.plan import Decision, DecisionKind, PlanStatus, PlanSummary
+from replan.logs.plan import PlanStatus, PlanSummary
 
 WIDTH_PX, HEIGHT_PX = 440.0, 168.0
 # Classes of the curves of a panel, in their order: solid, long dashes, dots, thin
@@ -43,34 +45,38 @@ def curves(subject: Subject) -> list[Chart]:
 
     Of several drives, a panel for each of their curves.
     """
-    charts, drives = [], subject.drives
-    found = {  # the trace has one plan only
-        name: [
-            p
-            for p in panels(replace(one.trace, frames=()), one.scenario, one.drive.steps)
-            if p.charted
-        ]
-        for name, one in drives.items()
-    }
-    several, (first, *_) = len(drives) > 1, found.values()
-    kinds = dict(zip(drives, DRIVES, strict=False))
-    begins, ends = zip(*(one.span for one in drives.values()), strict=True)
-    for panel in compared_panels(found) if several else first:
+    drives = subject.drives
+    of_drives = {name: _charted_panels(drive) for name, drive in drives.items()}
+    several = len(drives) > 1
+    classes = dict(zip(drives, DRIVES, strict=False))
+    begins, ends = zip(*(drive.span for drive in drives.values()), strict=True)
+    x = min(begins), max(ends)
+    charts = []
+    for panel in compared_panels(of_drives) if several else of_drives[next(iter(drives))]:
         shaded = [
-            Span(begin, end, f"\u26a0 {of}{some.series}", f"{of}{some.gate}")
-            for name, one in drives.items()
-            for of in [f"{shortened(name, NAME_PX)}: " if several else ""]
-            for some in one.violations
-            if some.series.startswith(panel.about) and panel.about
-            for begin, end in some.spans
+            span
+            for name, drive in drives.items()
+            for span in _broken_spans(drive, panel, f"{shortened(name, NAME_PX)}: " * several)
         ]
-        classes = [kinds[curve.name] for curve in panel.curves] if several else KINDS
-        charts.append(
-            panel_chart(
-                panel, (min(begins), max(ends)), shaded, now=subject.moment.t, kinds=classes
-            )
-        )
+        kinds = [classes[curve.name] for curve in panel.curves] if several else KINDS
+        charts.append(panel_chart(panel, x, shaded, now=subject.moment.t, kinds=kinds))
     return charts
+
+
+def _charted_panels(drive: Subject) -> list[Panel]:
+    # The trace has one plan only
+    trace = replace(drive.trace, frames=())
+    of_drive = panels(trace, drive.scenario, drive.drive.steps)
+    return [panel for panel in of_drive if panel.charted]
+
+
+def _broken_spans(drive: Subject, panel: Panel, prefix: str) -> Iterator[Span]:
+    """The times at which gates about a panel are broken."""
+    for violation in drive.violations:
+        if panel.about and violation.series.startswith(panel.about):
+            word, why = f"\u26a0 {prefix}{violation.series}", f"{prefix}{violation.gate}"
+            for begin, end in violation.spans:
+                yield Span(begin, end, word, why)
 
 
 def panel_chart(
@@ -93,17 +99,17 @@ def panel_chart(
     shown = list(zip(panel.curves, kinds, strict=False))
     wide, high = plane.inner
     inside, words, until = "", "", -np.inf
-    for span in sorted(shaded, key=lambda one: (one.begin, one.end, one.why)):
+    for span in sorted(shaded, key=attrgetter("begin", "end", "why")):
         left, right = plane.at_x(np.array([span.begin, span.end])).tolist()
         left = min(max(left, 0.0), wide - LEAST_PX)
         right = max(right, left + LEAST_PX)
         inside += rect(left, 0.0, right - left, high, shade, span.why)
         inside += line(left, 0.0, left, high, "edge") if span.word else ""
         room = BOLD_PX * len(span.word) + 2.0
-        at = min(left + 2.0, wide - room)
-        if at > until:
-            words += text(at, 9.0, span.word, "warn")
-            until = at + room
+        word_x = min(left + 2.0, wide - room)
+        if word_x > until:
+            words += text(word_x, 9.0, span.word, "warn")
+            until = word_x + room
     # The first on top
     inside += "".join(plane.line(curve.t, curve.values, kind) for curve, kind in shown[::-1])
     inside += "" if now is None else now_line(plane, now)
@@ -112,7 +118,10 @@ def panel_chart(
         head += f", up to {largest:.0f} in single steps"
     named = legend_words([curve.legend for curve, _ in shown], size[0] - LEFT_PX)
     entries = [("line", kind, word) for (_, kind), word in zip(shown, named, strict=True)]
-    spans = [f"{c.legend} {c.known.min():.3g} to {c.known.max():.3g}" for c in panel.curves]
+    spans = [
+        f"{curve.legend} {curve.known.min():.3g} to {curve.known.max():.3g}"
+        for curve in panel.curves
+    ]
     failed = (
         f"; breaks {', '.join(dict.fromkeys(span.why for span in shaded))}"
         if shade == "broken" and shaded
@@ -163,6 +172,11 @@ class SpanRow:
     spans: tuple[Span, ...]
     kind: str = "bar"
 
+    @property
+    def duration_s(self) -> float:
+        """The time of all spans together."""
+        return sum(span.end - span.begin for span in self.spans)
+
 
 def decided(plans: Sequence[PlanSummary], end: float, short: Callable[[str], str]) -> list[SpanRow]:
     """The decisions other than "ignore" about each agent, in the order of the first decision.
@@ -172,14 +186,9 @@ def decided(plans: Sequence[PlanSummary], end: float, short: Callable[[str], str
     """
     rows: dict[str, list[Span]] = {}
     for plan, stop in _until(plans, end):
-        now = [some for some in plan.internals if isinstance(some, Decision)]
-        for one in {
-            some.agent: some for some in now if some.kind is not DecisionKind.IGNORE
-        }.values():
-            _extend(
-                rows.setdefault(one.agent, []),
-                Span(plan.t, stop, one.kind.value, short(one.reason)),
-            )
+        for agent, decision in plan_decisions(plan).items():
+            span = Span(plan.t, stop, decision.kind.value, short(decision.reason))
+            _extend(rows.setdefault(agent, []), span)
     return [SpanRow(short(agent), tuple(spans)) for agent, spans in rows.items()]
 
 
@@ -200,30 +209,29 @@ def _until(plans: Sequence[PlanSummary], end: float) -> Iterable[tuple[PlanSumma
     )
 
 
-def _extend(spans: list[Span], one: Span) -> None:
+def _extend(spans: list[Span], span: Span) -> None:
     """Add a span, or extend the last one if it continues."""
-    if spans and spans[-1].word == one.word and abs(spans[-1].end - one.begin) < 1e-6:
-        spans[-1] = Span(spans[-1].begin, one.end, one.word, spans[-1].why)
+    last = spans[-1] if spans else None
+    if last and last.word == span.word and abs(last.end - span.begin) < 1e-6:
+        spans[-1] = replace(last, end=span.end)
     else:
-        spans.append(one)
+        spans.append(span)
 
 
 def decisions(subject: Subject, width: float = ROWS_PX) -> Chart:
     """Decisions, plan statuses and broken gates as rows over time; `width` in pixels."""
     plans, end = subject.plans, subject.span[1]
     agents = decided(plans, end, subject.scenario.short_names)
-    longest = sorted(agents, key=lambda row: -sum(span.end - span.begin for span in row.spans))[
-        :MAX_ROWS
-    ]
-    broken: dict[str, SpanRow] = {}
-    for some in subject.violations:  # gates of one series (episode and total time, say) are one row
-        spans = tuple(Span(begin, stop, "fails", some.gate) for begin, stop in some.spans)
-        before = broken[some.series].spans if some.series in broken else ()
-        if spans:
-            spans = tuple(dict.fromkeys((*before, *spans))) if before else spans
-            broken[some.series] = SpanRow(some.series, spans, "alarm")
-    status = [statuses(plans, end)] if plans else []
-    rows = [*status, *(row for row in agents if row in longest), *broken.values()]
+    longest = sorted(agents, key=attrgetter("duration_s"), reverse=True)[:MAX_ROWS]
+    # Gates of one series (episode and total time, say) are one row
+    broken: dict[str, dict[Span, None]] = {}
+    for violation in subject.violations:
+        for begin, stop in violation.spans:
+            span = Span(begin, stop, "fails", violation.gate)
+            broken.setdefault(violation.series, {})[span] = None
+    rows = [statuses(plans, end)] if plans else []
+    rows += [row for row in agents if row in longest]
+    rows += [SpanRow(series, tuple(spans), "alarm") for series, spans in broken.items()]
     title = "Decisions, plans and broken gates over time"
     if not rows:
         body = text(2.0, 13.0, title, "title") + text(
@@ -249,7 +257,7 @@ def decisions(subject: Subject, width: float = ROWS_PX) -> Chart:
 
 
 def _bars(plane: Plane, row: SpanRow, k: int) -> str:
-    out, until = [], 0.0
+    elements, until = [], 0.0
     ends = plane.at_x(np.array([[span.begin, span.end] for span in row.spans]))
     for i, (span, (left, right)) in enumerate(zip(row.spans, ends.tolist(), strict=True)):
         left = min(left, plane.inner[0] - LEAST_PX)
@@ -257,17 +265,17 @@ def _bars(plane: Plane, row: SpanRow, k: int) -> str:
         why = f" ({span.why})" if span.why else ""
         about = f"{row.name}: {span.word}, {span.begin:.2f} to {span.end:.2f} s{why}"
         kind = "alarm" if row.kind == "calm" and span.word not in CALM else row.kind
-        out.append(rect(left, y + 3.0, wide, ROW_PX - 6.0, kind, about))
+        elements.append(rect(left, y + 3.0, wide, ROW_PX - 6.0, kind, about))
         needed = LETTER_PX * len(span.word) + 6.0
         after = ends[i + 1, 0] if i + 1 < len(row.spans) else plane.inner[0]
         if wide >= needed or after - left - wide >= needed:
-            at = left + 4.0 if wide >= needed else left + wide + 2.0
-            out.append(text(at, y + 14.0, span.word))
-            until = at + needed
+            word_x = left + 4.0 if wide >= needed else left + wide + 2.0
+            elements.append(text(word_x, y + 14.0, span.word))
+            until = word_x + needed
         elif left - until >= needed:
-            out.append(text(left - 3.0, y + 14.0, span.word, "end"))
+            elements.append(text(left - 3.0, y + 14.0, span.word, "end"))
         until = max(until, left + wide)
-    return "".join(out)
+    return "".join(elements)
 
 
 GRAPH_PX = 440.0, 250.0
@@ -315,23 +323,23 @@ def plan_graph(subject: SceneSubject, kind: GraphKind, why: str) -> Chart:
         inside += plane.area(
             np.r_[graph.corridor.first, graph.corridor.first[::-1]], np.r_[low, high[::-1]], "room"
         )
-    for some in graph.obstacles:
-        if len(some.outline) > 2:
+    for obstacle in graph.obstacles:
+        if len(obstacle.outline) > 2:
+            abscissas, ordinates = obstacle.outline.T
             inside += plane.area(
-                some.outline[:, 0], some.outline[:, 1], "ignored" if some.is_ignored else "thing"
+                abscissas, ordinates, "ignored" if obstacle.is_ignored else "thing"
             )
-    inside += "".join(
-        plane.line(line[:, 0], line[:, 1], name)
-        for line, name in ((graph.dp, "dp"), (graph.qp, "qp"))
-        if len(line)
-    )
+    for points, name in ((graph.dp, "dp"), (graph.qp, "qp")):
+        inside += plane.line(points[:, 0], points[:, 1], name) if len(points) else ""
     entries = (
         (len(graph.qp), ("line", "qp", "QP")),
         (len(graph.dp), ("line", "dp", "DP")),
         (graph.corridor, ("area", "room", "corridor")),
         (graph.obstacles, ("area", "thing", "obstacle")),
     )
-    named = ", ".join(f"{some.of.agent}: {some.of.decision.value}" for some in graph.obstacles)
+    named = ", ".join(
+        f"{obstacle.of.agent}: {obstacle.of.decision.value}" for obstacle in graph.obstacles
+    )
     return plane.chart(
         kind.name,
         title,
@@ -350,24 +358,20 @@ def _labels(plane: Plane, graph: DrawnGraph, short: ShortNames) -> str:
     Overlaps move down.
     """
     wide, high = plane.inner
-    out, taken = [], list[float]()
-    for some in sorted(graph.obstacles, key=lambda one: one.is_ignored)[:MAX_LABELS]:
-        outline = some.outline
-        x, y = (
-            np.clip(plane.at_x(outline[:, 0]), 0.0, wide),
-            np.clip(plane.at_y(outline[:, 1]), 0.0, high),
-        )
-        seen = (outline[:, 0] >= plane.x[0]) & (outline[:, 0] <= plane.x[1])
-        if not seen.any() or y[seen].min() >= high or y[seen].max() <= 0.0:
+    labels, taken = "", list[float]()
+    for obstacle in sorted(graph.obstacles, key=attrgetter("is_ignored"))[:MAX_LABELS]:
+        first, second = obstacle.outline.T
+        in_view = (first >= plane.x[0]) & (first <= plane.x[1])
+        x = np.clip(plane.at_x(first), 0.0, wide)[in_view]
+        y = np.clip(plane.at_y(second), 0.0, high)[in_view]
+        if not len(y) or y.min() >= high or y.max() <= 0.0:
             continue
-        words = shortened(f"{short(some.of.agent)}: {some.of.decision.value}", wide)
-        at_y = 0.5 * (float(y[seen].min()) + float(y[seen].max())) + 4.0
-        while any(abs(at_y - other) < NAME_APART_PX for other in taken):
-            at_y += NAME_APART_PX
-        taken.append(at_y)
+        words = shortened(f"{short(obstacle.of.agent)}: {obstacle.of.decision.value}", wide)
+        label_y = 0.5 * (float(y.min()) + float(y.max())) + 4.0
+        while any(abs(label_y - other) < NAME_APART_PX for other in taken):
+            label_y += NAME_APART_PX
+        taken.append(label_y)
         half = 0.5 * LETTER_PX * len(words)
-        at_x = min(
-            max(0.5 * (float(x[seen].min()) + float(x[seen].max())), half + 2.0), wide - half
-        )
-        out.append(text(at_x, min(max(at_y, 11.0), high - 3.0), words, "name mid"))
-    return "".join(out)
+        label_x = min(max(0.5 * (float(x.min()) + float(x.max())), half + 2.0), wide - half)
+        labels += text(label_x, min(max(label_y, 11.0), high - 3.0), words, "name mid")
+    return labels

@@ -52,12 +52,12 @@ def placed(subject: Subject, own: Sequence[str] = ()) -> dict[str, list[Chart]]:
     nowhere = set(CHARTS) - {name for names in LAYOUT.values() for name in names}
     if nowhere:
         raise ValueError(f"the chart '{min(nowhere)}' has no place in LAYOUT: it would not be seen")
-    found = {
-        place: [one for name in names for one in drawn(subject, name)]
+    places = {
+        place: [chart for name in names for chart in drawn(subject, name)]
         for place, names in LAYOUT.items()
     }
-    found[OWN] += [chart for name in (*CHART.entries(), *own) for chart in drawn(subject, name)]
-    return found
+    places[OWN] += [chart for name in (*CHART.entries(), *own) for chart in drawn(subject, name)]
+    return places
 
 
 def drawn(subject: Subject, name: str) -> list[Chart]:
@@ -69,8 +69,8 @@ def drawn(subject: Subject, name: str) -> list[Chart]:
     try:
         charts: Any = draw(subject)
         charts = list(charts) if isinstance(charts, (list, tuple)) else [charts]
-        wrong = next((type(one).__name__ for one in charts if not isinstance(one, Chart)), "")
-        return [_broken(name, f"returned {wrong} instead of a Chart")] if wrong else charts
+        wrong = [type(chart).__name__ for chart in charts if not isinstance(chart, Chart)]
+        return [_broken(name, f"returned {wrong[0]} instead of a Chart")] if wrong else charts
     except (Exception, SystemExit) as error:
         return [_broken(name, raised(error, of=draw))]
 
@@ -83,7 +83,8 @@ def _broken(name: str, why: str) -> Chart:
     return Chart(BROKEN, name, f"The chart {name} could not be drawn: {why}", width, height, body)
 
 
-COLUMN_PX, GAP_PX, MARGIN_PX, HEAD_PX, NAME_PX = 440.0, 16.0, 14.0, 44.0, 16.0
+COLUMN_PX, GAP_PX, MARGIN_PX = 440.0, 16.0, 14.0
+HEAD_PX, NAME_PX = 44.0, 16.0  # Heights of the title of a picture, and of the name of a drive
 ALL = "all"
 
 
@@ -94,19 +95,20 @@ def charts_of(seen: Subject, kind: str, width: float) -> list[Chart]:
     Of several drives, each chart shows all (`TOGETHER`), or there is one for each, side by side
     where they fit.
     """
-    found = list[Chart]()
+    charts = list[Chart]()
     for name in CHART.names() if kind == ALL else (kind,):
         if name in TOGETHER or not seen.beside:
-            found += _charts(seen, name, width)
+            charts += _charts(seen, name, width)
             continue
-        each = [
-            _under(drive, one)
-            for drive, of in seen.drives.items()
-            for one in _charts(of, name, width)
+        of_drives = [
+            _under(drive, chart)
+            for drive, of_drive in seen.drives.items()
+            for chart in _charts(of_drive, name, width)
         ]
-        row = sum(one.width + GAP_PX for one in each) - GAP_PX
-        found += each if row > row_width(width) or not each else [_row(each, name, row)]
-    return found
+        total = sum(chart.width + GAP_PX for chart in of_drives) - GAP_PX
+        fits = of_drives and total <= row_width(width)
+        charts += [_row(of_drives, name, total)] if fits else of_drives
+    return charts
 
 
 def _charts(seen: Subject, name: str, width: float) -> list[Chart]:
@@ -116,12 +118,11 @@ def _charts(seen: Subject, name: str, width: float) -> list[Chart]:
 def _row(charts: Sequence[Chart], name: str, width: float) -> Chart:
     """Charts side by side, as one."""
     body, x = "", 0.0
-    for one in charts:
-        body, x = body + group(x, 0.0, one.body), x + one.width + GAP_PX
-    title, says = (
-        "; ".join(words) for words in zip(*((one.title, one.says) for one in charts), strict=True)
-    )
-    return Chart(name, title, says, width, max(one.height for one in charts), body)
+    for chart in charts:
+        body, x = body + group(x, 0.0, chart.body), x + chart.width + GAP_PX
+    title = "; ".join(chart.title for chart in charts)
+    says = "; ".join(chart.says for chart in charts)
+    return Chart(name, title, says, width, max(chart.height for chart in charts), body)
 
 
 def _under(drive: str, chart: Chart) -> Chart:
@@ -139,16 +140,16 @@ def row_width(width: float) -> float:
 
 def together(charts: Sequence[Chart], title: str, says: str, width: float) -> Chart:
     """Charts in rows that are at most so wide (pixels), or as one chart, under a title."""
-    placed, full, x, y, row = [], 0.0, 0.0, HEAD_PX, 0.0
+    body, full = "", 0.0
+    x, y, row_height = 0.0, HEAD_PX, 0.0
     for chart in charts:
         if x > 0.0 and x + chart.width > width + 1.0:
-            x, y, row = 0.0, y + row + GAP_PX, 0.0
+            x, y, row_height = 0.0, y + row_height + GAP_PX, 0.0
         full = max(full, x + chart.width)
-        placed.append(group(MARGIN_PX + x, y, chart.body))
-        x, row = x + chart.width + GAP_PX, max(row, chart.height)
+        body += group(MARGIN_PX + x, y, chart.body)
+        x, row_height = x + chart.width + GAP_PX, max(row_height, chart.height)
     head = text(MARGIN_PX, 18.0, shortened(title, full), "title")
     head += text(MARGIN_PX, 34.0, shortened(says, full), "small")
     spoken = f"{title}; {says}: " + "; ".join(chart.title for chart in charts)
-    return Chart(
-        "all", title, spoken, full + 2.0 * MARGIN_PX, y + row + MARGIN_PX, head + "".join(placed)
-    )
+    height = y + row_height + MARGIN_PX
+    return Chart("all", title, spoken, full + 2.0 * MARGIN_PX, height, head + body)

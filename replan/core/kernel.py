@@ -2,7 +2,7 @@
 where it is.
 
 A kernel is a pure module-level function of scalars and arrays. `kernel` compiles it with numba:
-cached on disk (`replan.core.kernel_compiler`), IEEE arithmetic (no fastmath), division by zero
+cached on disk (`replan.core.kernel_cache`), IEEE arithmetic (no fastmath), division by zero
 gives inf or nan as in NumPy. `NUMBA_DISABLE_JIT=1` runs the same source as plain Python.
 """
 
@@ -23,7 +23,7 @@ import numba
 from numba import njit
 from numba.core import codegen, event
 
-from replan.core.kernel_compiler import KernelIndex, compile_less
+from replan.core.kernel_cache import KernelIndex
 
 PORTABLE = "x86-64-v3"
 """The target processor of kernels if the machine supports it and the user chose none
@@ -45,7 +45,6 @@ if (
     and PORTABLE_HAS.issubset(codegen.get_host_cpu_features().split(","))  # type: ignore[no-untyped-call]
 ):
     _CONFIG.CPU_NAME, _CONFIG.CPU_FEATURES = PORTABLE, ""
-compile_less()
 
 STORED: list[Any] = []
 """Numba's dispatchers of all imported kernels that have a cache on disk."""
@@ -162,15 +161,10 @@ class KernelWatch:
         since the last look.
         """
         before, self.known = self.known, len(STORED)
-        missing = [
-            compiled_kernel for compiled_kernel in self._missing if not _is_stored(compiled_kernel)
-        ]
+        missing = [kernel for kernel in self._missing if not _is_stored(kernel)]
         compiled = len(self._missing) - len(missing)
-        self._missing = missing + [
-            compiled_kernel
-            for compiled_kernel in STORED[before : self.known]
-            if not _is_stored(compiled_kernel)
-        ]
+        imported = STORED[before : self.known]
+        self._missing = missing + [kernel for kernel in imported if not _is_stored(kernel)]
         return compiled
 
 

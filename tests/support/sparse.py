@@ -49,10 +49,10 @@ SPARSE = {
     # 22 s
     "logs/repair/test_kernels.py::test_clean_recordings_and_the_catalogue_need_no_repair": 0,
     "logs/test_route.py::test_on_real_lane_graphs_too": 2,  # 9 s, 2
-    "core/test_kernel.py::test_code_on_disk_is_stale_where_a_name_a_field_or_a_member_has_changed": 0,  # 13 s
-    "core/test_kernel.py::"
+    "core/test_kernel_cache.py::test_a_changed_name_field_or_member_is_compiled_anew": 0,  # 13 s
+    "core/test_kernel_cache.py::"
     # 10 s; .ci/run does it
-    "test_code_beside_the_sources_is_found_where_they_are_copied_and_only_what_it_is_for": 0,
+    "test_code_beside_copied_sources_is_used_for_its_source_and_processor_only": 0,
     "studies/test_catalogue.py::test_smoke_runs": 0,  # 30 s
     "studies/test_roads.py::test_the_recorded_driver_makes_its_own_way_and_a_parked_one_does_not": 0,  # 18 s
 }  # fmt: skip

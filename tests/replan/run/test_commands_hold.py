@@ -133,7 +133,8 @@ READS = {
     "compare": "prints",
     "explain": "prints",
     "warmup": (
-        "writes the cache of kernels, each file whole: tests/core/test_kernel.py, test_warmup.py"
+        "writes the cache of kernels, each file whole: tests/core/test_kernel_cache.py, "
+        "test_warmup.py"
     ),
 }
 """The commands that write nothing of the user's."""

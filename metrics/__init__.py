@@ -25,8 +25,8 @@ from replan.logs.trace import Trace
 from replan.metrics import (
     accuracy,
     arrival,
+    collisions,
     comfort,
-    contacts,
     crosswalks,
     cut_in,
     divergence,
@@ -40,10 +40,10 @@ from replan.metrics import (
     needless,
     off_road,
     plans,
+    priority,
     progress,
     proposals,
     reference_drivers,
-    right_of_way,
     rss,
     severity,
     speed_limits,
@@ -82,8 +82,8 @@ GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType(
             accuracy.miss,
         ),
         "safety": (
-            contacts.collision,
-            contacts.collision_at_fault,
+            collisions.collision,
+            collisions.collision_at_fault,
             gaps.gap,
             gaps.gap_vulnerable,
             gaps.gap_kept,
@@ -114,9 +114,9 @@ GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType(
             stop_lines.yellow_light,
             stop_lines.stop_sign,
             crosswalks.crosswalk,
-            right_of_way.priority_gap,
-            right_of_way.priority_gap_assumed,
-            right_of_way.yielding,
+            priority.priority_gap,
+            priority.priority_gap_assumed,
+            priority.yielding,
             cut_in.forced_braking,
             needless.needless_braking,
             needless.needless_standing,
@@ -289,15 +289,16 @@ def evaluate_with_series(
     """Return the tables of `evaluate` and `series`; each metric is measured once."""
     steps_of: dict[str, Series] = {}
     table = evaluate(trace, scenario, metrics=metrics, found=steps_of.__setitem__)
-    found = sorted(steps_of.items(), key=lambda item: item[0])
+    by_name = sorted(steps_of.items(), key=lambda item: item[0])
     none = np.empty(0)
     return table, pd.DataFrame(
         {
-            "t_s": np.concatenate([none, *(steps.t for _, steps in found)]),
+            "t_s": np.concatenate([none, *(steps.t for _, steps in by_name)]),
             "metric": np.repeat(
-                np.array([name for name, _ in found], object), [len(steps.t) for _, steps in found]
+                np.array([name for name, _ in by_name], object),
+                [len(steps.t) for _, steps in by_name],
             ),
-            "value": np.concatenate([none, *(steps.value for _, steps in found)]),
+            "value": np.concatenate([none, *(steps.value for _, steps in by_name)]),
         }
     )
 

@@ -61,10 +61,10 @@ def goal_of(scenario: Scenario) -> tuple[Goal | None, str]:
         return None, ""
     last, ahead = scenario.ego.state(len(scenario.ego) - 1), scenario.vehicle.axle_to_center
     place = Goal.around(*last.ahead(ahead), last.yaw)
-    way = max(
+    least_gain = max(
         way_of(place, scenario.ego, route, ahead), min(NEARLY * gained, gained - GOAL_LENGTH_M)
     )
-    return replace(place, way=way), NO_GOAL_NOTE
+    return replace(place, way=least_gain), NO_GOAL_NOTE
 
 
 def fault_of(scenario: Scenario) -> GoalFault | None:
@@ -114,11 +114,11 @@ class Arrival:
         if self._route is None:
             return True
         new = Trajectory(*(columns[name][self._row : k + 1] for name in TRAJECTORY_COLUMNS))
-        found = gain_along(self._route, new, self._station)
+        gain = gain_along(self._route, new, self._station)
         self._row, self._station, self._gain = (
             k,
-            found.station,
-            self._gain + float(found.metres[-1]),
+            gain.station,
+            self._gain + float(gain.metres[-1]),
         )
         return self._gain >= self._goal.way
 
@@ -216,9 +216,9 @@ def _missed(trace: Trace, scenario: Scenario, goal: Goal) -> Series:
     x, y = ego_boxes(trace.ego, scenario)[:2]
     steps = np.unique(np.linspace(0, len(x) - 1, MISSED_STEPS).round().astype(int))
     states = np.stack([trace.ego.t, x, y, trace.ego.yaw, trace.ego.v], axis=1)[steps]
-    missed = min(
-        (goal.unmet(*state) for state in states.tolist()),
-        key=lambda names: (len(names), "place" in names),
-    )
+    unmet = [goal.unmet(*state) for state in states.tolist()]
+    fewest = min(map(len, unmet))
+    candidates = [names for names in unmet if len(names) == fewest]
+    missed = next((names for names in candidates if "place" not in names), candidates[0])
     label = f"{trace.end.value}: {' and '.join(missed) or 'the way to it'} of the goal missed"
     return Series(trace.ego.t[-1:], np.zeros(1), (label,))

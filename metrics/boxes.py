@@ -41,11 +41,9 @@ STANDING_MPS = 0.05  # nuPlan devkit e9241677: a road user at this speed or belo
 NO_TTC_MPS = 0.005  # Likewise: an ego at this speed or below has no time to collision
 # Time for which turning road users go on turning: they end their turns, and 1.5 s is a critical TTC
 TURN_S = 1.5
-AROUND_S = (
-    # Margin before and after a phantom: above `replan.logs.observed.MAX_GAP_S`, so that every track
-    # gets a gap
-    1.0
-)
+# Margin before and after a phantom: above `replan.logs.observed.MAX_GAP_S`, so that every track
+# gets a gap
+AROUND_S = 1.0
 FINE_S = 0.05  # Time step of the search for phantoms, s
 # Depth that a phantom reaches into the ego's box on each side; a box that only grazes it is no
 # phantom
@@ -84,15 +82,15 @@ def some_at(tracks: Tracks, agents: IntArray, t: FloatArray) -> OtherBoxes:
     """Return `others_at` for the tracks `agents` `(n,)` only."""
     lengths, moved = np.diff(tracks.offsets)[agents], tracks.motion
     offsets = np.r_[0, np.cumsum(lengths)]
-    at = np.repeat(tracks.offsets[agents] - offsets[:-1], lengths) + np.arange(offsets[-1])
+    rows = np.repeat(tracks.offsets[agents] - offsets[:-1], lengths) + np.arange(offsets[-1])
     moves = (moved.vx, moved.vy, moved.accel, moved.turn)
-    columns = np.stack([some[at] for some in (tracks.x, tracks.y, tracks.yaw, *moves)])
-    there, found = _on_grid(
-        offsets, tracks.static[agents], tracks.t[at], tracks.gap_after[at], columns, frozen(t)
+    columns = np.stack([column[rows] for column in (tracks.x, tracks.y, tracks.yaw, *moves)])
+    present, values = _on_grid(
+        offsets, tracks.static[agents], tracks.t[rows], tracks.gap_after[rows], columns, frozen(t)
     )
-    return OtherBoxes(
-        there, found[:5], found[5], found[6], np.column_stack([tracks.length, tracks.width])[agents]
-    )
+    *pose, accel, turn = values
+    size = np.column_stack([tracks.length, tracks.width])[agents]
+    return OtherBoxes(present, values[: len(pose)], accel, turn, size)
 
 
 def pieces(tracks: Tracks, t: FloatArray) -> Iterator[tuple[slice, IntArray, OtherBoxes]]:
@@ -145,9 +143,12 @@ def nearest(
     """Join the results of a kernel over all `pieces`: values `(..., k)` and tracks `(k,)`, -1 where
     there is no row.
     """
-    found = [(seen, *measure(steps, seen, others)) for steps, seen, others in pieces(tracks, t)]
-    agents = [indices_of(seen, rows) for seen, _, rows in found]
-    return np.concatenate([values for _, values, _ in found], axis=-1), np.concatenate(agents)
+    results = [
+        (agents_of_piece, *measure(steps, agents_of_piece, others))
+        for steps, agents_of_piece, others in pieces(tracks, t)
+    ]
+    agents = [indices_of(agents_of_piece, rows) for agents_of_piece, _, rows in results]
+    return np.concatenate([values for _, values, _ in results], axis=-1), np.concatenate(agents)
 
 
 def indices_of(agents: IntArray, rows: IntArray) -> IntArray:
@@ -189,26 +190,26 @@ def _on_grid(
     `(7, n, k)`, else NaN.
     """
     n, k = len(offsets) - 1, len(times)
-    there, out = np.zeros((n, k), np.bool_), np.full((len(columns), n, k), np.nan)
+    present, values = np.zeros((n, k), np.bool_), np.full((len(columns), n, k), np.nan)
     for i in range(n):
         first, last = offsets[i], offsets[i + 1] - 1
-        at = first
+        row = first
         for j in range(k):
             if not static[i]:
                 if t[first] > times[j] + 1e-9 or t[last] < times[j] - 1e-9:
                     continue
-                while at < last and t[at + 1] <= times[j] + 1e-9:
-                    at += 1
-                if gap_after[at] and times[j] > t[at] + 1e-9:
+                while row < last and t[row + 1] <= times[j] + 1e-9:
+                    row += 1
+                if gap_after[row] and times[j] > t[row] + 1e-9:
                     continue
-            there[i, j] = True
+            present[i, j] = True
             u = 0.0
-            if at < last and not static[i]:
-                u = min(max((times[j] - t[at]) / (t[at + 1] - t[at]), 0.0), 1.0)
-            after = at + 1 if u > 0.0 else at
+            if row < last and not static[i]:
+                u = min(max((times[j] - t[row]) / (t[row + 1] - t[row]), 0.0), 1.0)
+            after = row + 1 if u > 0.0 else row
             for c in range(len(columns)):
-                out[c, i, j] = columns[c, at] + u * (columns[c, after] - columns[c, at])
-    return there, out
+                values[c, i, j] = columns[c, row] + u * (columns[c, after] - columns[c, row])
+    return present, values
 
 
 class EgoOutline(NamedTuple):
@@ -295,15 +296,16 @@ def contact_time(
     """`shapes.time_to_contact_turning` of box i at step k and the ego's box (x, y, yaw, vx, vy),
     yaw rate `turn`, s.
     """
+    x, y, yaw, vx, vy = ego
     pose, size = others.pose, others.size
     return time_to_contact_turning(
-        ego[0],
-        ego[1],
-        ego[2],
+        x,
+        y,
+        yaw,
         car.length,
         car.width,
-        ego[3],
-        ego[4],
+        vx,
+        vy,
         turn,
         pose[0, i, k],
         pose[1, i, k],
@@ -346,7 +348,7 @@ def phantoms(scenario: Scenario) -> tuple[Phantom, ...]:
     ego, tracks = scenario.ego, scenario.tracks
     t = np.union1d(ego.t, np.arange(ego.t[0], ego.t[-1], FINE_S))
     boxes, car = ego_boxes(ego.resampled(t), scenario), scenario.vehicle
-    found = []
+    result = []
     for i, steps, others in in_spans(tracks, t):
         size, pose, ego_box = others.size[0], others.pose[:3, 0], boxes[:3, steps]
         reach = 0.5 * (np.hypot(car.length, car.width) + np.hypot(*size))
@@ -370,29 +372,25 @@ def phantoms(scenario: Scenario) -> tuple[Phantom, ...]:
         seen = t[steps][inside]
         # Join runs if margins meet
         for run in np.split(seen, np.flatnonzero(np.diff(seen) > 2.0 * AROUND_S) + 1):
-            before, after = (
-                sampled[sampled <= run[0] - AROUND_S],
-                sampled[sampled >= run[-1] + AROUND_S],
-            )
-            begin, end = (
-                (float(before[-1]) if len(before) else -inf),
-                (float(after[0]) if len(after) else inf),
-            )
-            found.append(Phantom(tracks.ids[i], name_of(tracks, i), begin, end))
-    return tuple(dict.fromkeys(found))
+            before = sampled[sampled <= run[0] - AROUND_S]
+            after = sampled[sampled >= run[-1] + AROUND_S]
+            begin = float(before[-1]) if len(before) else -inf
+            end = float(after[0]) if len(after) else inf
+            result.append(Phantom(tracks.ids[i], name_of(tracks, i), begin, end))
+    return tuple(dict.fromkeys(result))
 
 
-def without_phantoms(tracks: Tracks, found: tuple[Phantom, ...]) -> Tracks:
+def without_phantoms(tracks: Tracks, removed: tuple[Phantom, ...]) -> Tracks:
     """Return the tracks without the samples of phantoms (matched by id).
 
     Without phantoms, the same object.
     """
-    if not found:
+    if not removed:
         return tracks
     owner = np.repeat(np.arange(len(tracks)), np.diff(tracks.offsets))
     keep = np.ones(len(tracks.t), np.bool_)
-    for phantom in found:
+    for phantom in removed:
         if phantom.agent in tracks.ids:
-            mine = owner == tracks.ids.index(phantom.agent)
-            keep &= ~(mine & (phantom.t_from < tracks.t) & (tracks.t < phantom.t_to))
+            of_track = owner == tracks.ids.index(phantom.agent)
+            keep &= ~(of_track & (phantom.t_from < tracks.t) & (tracks.t < phantom.t_to))
     return tracks.taken(keep)

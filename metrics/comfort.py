@@ -63,7 +63,8 @@ CAUSE_S, CAUSE_TTC_S = 2.0, 4.0
 # With fewer than 5 samples, nuPlan's polynomials are undefined
 NUPLAN_STEP_S, NUPLAN_LEAST_S = 0.1, 0.4
 NUPLAN_AHEAD_S = 0.7  # Half of the longest of nuPlan's windows
-R79_STEP_S, R79_MEAN_S, R79_CUT_HZ, R79_ORDER = 0.01, 0.5, 0.5, 4
+R79_STEP_S, R79_MEAN_S = 0.01, 0.5
+R79_CUT_HZ, R79_ORDER = 0.5, 4
 
 
 class Bounds(NamedTuple):

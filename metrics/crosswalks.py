@@ -93,12 +93,12 @@ def _over(ego: FloatArray, car: EgoOutline, polygon: FloatArray) -> BoolArray:
     """Return the steps at which a box (rows x, y, yaw) overlaps a polygon, tested at 9 by 5 points
     of the box.
     """
-    out = np.zeros(ego.shape[1], np.bool_)
+    overlaps = np.zeros(ego.shape[1], np.bool_)
     for k in range(ego.shape[1]):
         c, s = np.cos(ego[2, k]), np.sin(ego[2, k])
         for i in range(45):
             along, left = (i // 5 / 8.0 - 0.5) * car.length, (i % 5 / 4.0 - 0.5) * car.width
             if inside(ego[0, k] + along * c - left * s, ego[1, k] + along * s + left * c, polygon):
-                out[k] = True
+                overlaps[k] = True
                 break
-    return out
+    return overlaps

@@ -85,8 +85,8 @@ def forces_hit(drive: Trajectory, agents: Tracks, agent: int, scenario: Scenario
     """Return (3) for an agent that touches the ego from behind at the last state of a drive."""
     t = float(drive.t[-1])
     recent = drive.between(t - LOOK_BACK_S, t)
-    found = entries(recent, agents.only({agents.ids[agent]}), scenario) if len(recent) > 1 else []
-    return bool(found) and found[-1].until >= t - GRID_S and found[-1].forced > BRAKE_MPS2
+    stays = entries(recent, agents.only({agents.ids[agent]}), scenario) if len(recent) > 1 else []
+    return bool(stays) and stays[-1].until >= t - GRID_S and stays[-1].forced > BRAKE_MPS2
 
 
 def entries(drive: Trajectory, agents: Tracks, scenario: Scenario) -> list[CutInStay]:
@@ -144,19 +144,20 @@ def followers(drive: Trajectory, agents: Tracks, scenario: Scenario) -> Iterator
     )
     c, s = np.cos(boxes[2]), np.sin(boxes[2])
     for i, others, row in each(agents, ego.t):
-        pose, there = others.pose[:, row], np.flatnonzero(others.there[row])
+        pose, steps = others.pose[:, row], np.flatnonzero(others.there[row])
         if (
-            not len(there)
+            not len(steps)
             or agents.static[i]
             or agents.kinds[i] in (AgentKind.PEDESTRIAN, AgentKind.OBJECT)
         ):
             continue
         dx, dy = pose[:2] - boxes[:2]
-        oncoming = pose[3] * c + pose[4] * s <= -0.2 * np.hypot(pose[3], pose[4])
-        points = thinned(pose[:2, there].T, SPACING_M)
+        _, _, _, vx, vy = pose
+        oncoming = vx * c + vy * s <= -0.2 * np.hypot(vx, vy)
+        points = thinned(pose[:2, steps].T, SPACING_M)
         behind = (np.hypot(dx, dy) < NEAR_M) & (dx * c + dy * s < ALONGSIDE_M) & ~oncoming
         if len(points) > 1 and behind.any():
-            yield _follow(i, ego, boxes, outline, there, points, pose, others.size[row])
+            yield _follow(i, ego, boxes, outline, steps, points, pose, others.size[row])
 
 
 def _follow(
@@ -164,14 +165,14 @@ def _follow(
     ego: Trajectory,
     boxes: FloatArray,
     outline: FloatArray,
-    there: IntArray,
+    steps: IntArray,
     points: FloatArray,
     pose: FloatArray,
     size: FloatArray,
 ) -> Follower:
     path, (length, width) = ReferenceLine.through(points, SPACING_M), size
-    front = _on_path(path, *pose[:2, there])[0] + 0.5 * length
-    s, l = np.stack([_on_path(path, *xy) for xy in outline[:, :, there]], axis=1)
+    front = _on_path(path, *pose[:2, steps])[0] + 0.5 * length
+    s, l = np.stack([_on_path(path, *xy) for xy in outline[:, :, steps]], axis=1)
     deep = 0.5 * width - np.maximum(l.min(axis=0), -l.max(axis=0))
     ahead = (s.max(axis=0) > front) & (
         s.min(axis=0) < np.minimum(front + NEAR_M, path.length + BEYOND_M)
@@ -185,13 +186,13 @@ def _follow(
             rear = np.minimum(
                 rear, np.where((share >= 0.0) & (share <= 1.0), s + share * (next_s - s), inf)
             )
-    least, u = rear.min(axis=0), np.hypot(*pose[3:, there])
+    least, u = rear.min(axis=0), np.hypot(*pose[3:, steps])
     rear = np.where(np.isfinite(least), least, s.min(axis=0))
-    goes_on = bool(there[-1] == len(ego) - 1)
+    goes_on = bool(steps[-1] == len(ego) - 1)
     return Follower(
         agent,
-        ego.resampled(ego.t[there]),
-        boxes[:, there],
+        ego.resampled(ego.t[steps]),
+        boxes[:, steps],
         goes_on,
         path,
         length,
@@ -226,14 +227,14 @@ def _stays_in_strip(deep: FloatArray, ahead: BoolArray) -> Iterator[tuple[int, i
     """Yield the first and last step of each stay in the strip that begins with a change from
     outside to inside.
     """
-    out, since = False, -1
+    was_outside, since = False, -1
     for k in range(len(deep)):
         if since >= 0 and deep[k] <= -OUT_M:
             yield since, k - 1
             since = -1
-        if out and ahead[k] and deep[k] >= IN_M:
+        if was_outside and ahead[k] and deep[k] >= IN_M:
             since = k
-        out = ahead[k] and deep[k] < IN_M and (out or deep[k] <= -OUT_M)
+        was_outside = ahead[k] and deep[k] < IN_M and (was_outside or deep[k] <= -OUT_M)
     if since >= 0:
         yield since, len(deep) - 1
 
@@ -242,7 +243,7 @@ def _direction(path: ReferenceLine, s: float) -> float:
     """Return the direction of a path at a station, rad: of the chord from `CHORD_M` before to
     `CHORD_M` after it.
     """
-    (x0, y0), (x1, y1) = (path.frame(at)[:2] for at in (s - CHORD_M, s + CHORD_M))
+    (x0, y0), (x1, y1) = (path.frame(station)[:2] for station in (s - CHORD_M, s + CHORD_M))
     return atan2(y1 - y0, x1 - x0)
 
 
@@ -256,8 +257,8 @@ def _crosses_over(road: Road, box: FloatArray, path: float, follower: float) -> 
     refs = []
     for lane in road.lanes_at(x, y) if road.source is RoadSource.LANES else ():
         if lane.drivable:
-            at = min(nearest(lane.center, x, y), len(lane.center) - 2)
-            dx, dy = lane.center[at + 1] - lane.center[at]
+            step = min(nearest(lane.center, x, y), len(lane.center) - 2)
+            dx, dy = lane.center[step + 1] - lane.center[step]
             refs.append(atan2(dy, dx))
     ego_angle, path_angle = (
         min(abs(wrap(yaw - ref)) for ref in refs or [follower]) for yaw in (yaw, path)
@@ -308,15 +309,16 @@ def worst_forced(
     return Series(t, value, tuple(labels), missing)
 
 
-def made_way(failing: Trace, passing: Trace, who: str, until: float) -> float:
+def made_way(failing: Trace, passing: Trace, road_user: str, until: float) -> float:
     """Return the braking (4) of a road user, m/s2; 0 if one of the drives does not have them."""
-    if who not in failing.agents.ids or who not in passing.agents.ids:
+    if road_user not in failing.agents.ids or road_user not in passing.agents.ids:
         return 0.0
     t = np.arange(
         0.0, min(until, float(failing.ego.t[-1]), float(passing.ego.t[-1])) + 1e-9, GRID_S
     )
     then, now = (
-        some_at(one.agents, np.array([one.agents.ids.index(who)]), t) for one in (failing, passing)
+        some_at(trace.agents, np.array([trace.agents.ids.index(road_user)]), t)
+        for trace in (failing, passing)
     )
     return _greatest(_falls(now) - np.maximum(_falls(then), 0.0))
 
@@ -338,19 +340,23 @@ def _greatest(falls: FloatArray) -> float:
     return float(np.max(falls, initial=0.0, where=np.isfinite(falls)))
 
 
-def unseen(failing: Trace, passing: Trace, logged: Tracks, who: str, until: float) -> bool:
+def unseen(failing: Trace, passing: Trace, logged: Tracks, road_user: str, until: float) -> bool:
     """Return whether a reaction of a road user cannot be seen in a drive (5)."""
-    if who not in passing.agents.ids or who not in logged.ids or passing.ego.t[-1] < until:
+    if (
+        road_user not in passing.agents.ids
+        or road_user not in logged.ids
+        or passing.ego.t[-1] < until
+    ):
         return False
     t = np.arange(0.0, until + 1e-9, GRID_S)
-    egos = [
-        np.interp(t, ego.t, row) for ego in (failing.ego, passing.ego) for row in (ego.x, ego.y)
-    ]
-    if np.hypot(egos[0] - egos[2], egos[1] - egos[3]).max() > SAME_PLACE_M:
+    x, passing_x = (np.interp(t, ego.t, ego.x) for ego in (failing.ego, passing.ego))
+    y, passing_y = (np.interp(t, ego.t, ego.y) for ego in (failing.ego, passing.ego))
+    if np.hypot(x - passing_x, y - passing_y).max() > SAME_PLACE_M:
         return False
     t = np.arange(until, min(until + HORIZON_S, float(passing.ego.t[-1])) + 1e-9, GRID_S)
     now, then = (
-        some_at(agents, np.array([agents.ids.index(who)]), t) for agents in (passing.agents, logged)
+        some_at(agents, np.array([agents.ids.index(road_user)]), t)
+        for agents in (passing.agents, logged)
     )
     both = now.there[0] & then.there[0]
     return bool((np.hypot(*(now.pose[:2, 0] - then.pose[:2, 0]))[both] <= AS_LOGGED_M).all())

@@ -57,7 +57,8 @@ def _distances(trace: Trace, scenario: Scenario) -> tuple[FloatArray, FloatArray
     """
     drive, log = trace.ego, scenario.ego
     x, y, yaw, v = (np.interp(drive.t, log.t, column) for column in (log.x, log.y, log.yaw, log.v))
-    dx, dy, c, s = drive.x - x, drive.y - y, np.cos(yaw), np.sin(yaw)
+    dx, dy = drive.x - x, drive.y - y
+    c, s = np.cos(yaw), np.sin(yaw)
     lasts = np.where(drive.t <= log.t[-1] + 1e-6, 1.0, np.nan)
     along = (c * dx + s * dy) / np.maximum(np.abs(v) * AWAY_S, LENGTH_M)
     return np.hypot(dx, dy) * lasts, along * lasts, (c * dy - s * dx) / WIDTH_M * lasts
@@ -120,13 +121,13 @@ def _displaced_agents(trace: Trace, scenario: Scenario) -> Iterator[tuple[str, B
     """
     log, agents, t = scenario.tracks, trace.agents, trace.ego.t
     index = {name: i for i, name in enumerate(agents.ids)}
-    for i, there, row in each(log, t) if agents is not log else ():
-        at = index.get(log.ids[i], -1)
-        off = there.there[row].copy()
-        if at >= 0:
-            here = some_at(agents, np.array([at]), t)
-            both = here.there[0] & there.there[row]
-            off = here.there[0] != there.there[row]
-            off[both] = np.hypot(*(here.pose[:2, 0] - there.pose[:2, row])[:, both]) > OFF_M
+    for i, logged, row in each(log, t) if agents is not log else ():
+        agent = index.get(log.ids[i], -1)
+        off = logged.there[row].copy()
+        if agent >= 0:
+            moved = some_at(agents, np.array([agent]), t)
+            both = moved.there[0] & logged.there[row]
+            off = moved.there[0] != logged.there[row]
+            off[both] = np.hypot(*(moved.pose[:2, 0] - logged.pose[:2, row])[:, both]) > OFF_M
         if off.any():
             yield name_of(log, i), off

@@ -53,9 +53,12 @@ from replan.metrics.boxes import EgoOutline, OtherBoxes
 
 STEP_S = 0.02  # So short that one more step of braking changes less than noise does, s
 CC_BRAKE_MPS2, CC_RELEASE_MPS2 = 0.774 * 9.81, 0.4
-CC_EVALUATE_S, CC_REACT_S, CC_TTC_S, CC_THW_S = 0.4, 0.75, 2.0, 2.0
-CC_WANDER_M, CC_TOWARDS_MPS, CC_LEAD_MPS2, CC_CLOSING_MPS = 0.375, 0.05, 5.0, 0.5
-FSM_REACT_S, FSM_COMFORT_MPS2, FSM_HARDEST_MPS2, FSM_LEAD_MPS2 = 0.75, 4.0, 6.0, 7.0
+CC_EVALUATE_S, CC_REACT_S = 0.4, 0.75
+CC_TTC_S, CC_THW_S = 2.0, 2.0
+CC_WANDER_M, CC_TOWARDS_MPS = 0.375, 0.05
+CC_LEAD_MPS2, CC_CLOSING_MPS = 5.0, 0.5
+FSM_REACT_S, FSM_LEAD_MPS2 = 0.75, 7.0
+FSM_COMFORT_MPS2, FSM_HARDEST_MPS2 = 4.0, 6.0
 FSM_MARGIN_M, FSM_SAFE_M = 2.0, 2.0
 FSM_AHEAD_S = 0.1
 NEAR_M, ASIDE_M = 150.0, 20.0  # A driver does not look farther ahead or sideways
@@ -71,6 +74,32 @@ class SpeedLine(NamedTuple):
     limits: FloatArray
 
 
+class AgentView(NamedTuple):
+    """What a driver sees of an agent."""
+
+    gap: float  # m, along the line; NaN for agents that are absent, too far away, or not ahead
+    u: float  # m/s, along the line
+    aside: float  # m, lateral gap to the band; negative in it
+    towards: float  # m/s, lateral speed towards the band
+    length: float  # m, extent along the line
+    crosses: float  # 1 or 0
+    width: float  # m, extent across
+
+
+@inner_kernel
+def _view_of(views: FloatArray, i: int) -> AgentView:
+    """Return row i of `observe`."""
+    return AgentView(
+        views[i, 0],
+        views[i, 1],
+        views[i, 2],
+        views[i, 3],
+        views[i, 4],
+        views[i, 5],
+        views[i, 6],
+    )
+
+
 @inner_kernel
 def observe(
     line: SpeedLine,
@@ -80,56 +109,52 @@ def observe(
     car: EgoOutline,
     others: OtherBoxes,
     vulnerable: BoolArray,
-    out: FloatArray,
+    views: FloatArray,
 ) -> None:
-    """Fill the driver's view of each agent at step k, `(n, 7)`.
-
-    Gap, u, lateral gap, lateral speed towards the band, extent along the line, whether it crosses,
-    extent across. The gap is NaN for agents that are absent, too far away, or not ahead. In the
-    band the lateral gap is negative.
-    """
-    knots, coef, pose, size = line.knots, line.coef, others.pose, others.size
+    """Fill the driver's view of each agent at step k, `(n, 7)`: the fields of `AgentView`."""
+    knots, coef = line.knots, line.coef
+    pose, size = others.pose, others.size
     x, y = line_frame(knots, coef, s)[:2]
     for i in range(len(size)):
-        out[i, 0] = np.nan
+        views[i, 0] = np.nan
         if not others.there[i, k] or hypot(pose[0, i, k] - x, pose[1, i, k] - y) > NEAR_M:
             continue
-        at, l = line_project(knots, coef, pose[0, i, k], pose[1, i, k], s, NEAR_M)
-        yaw_r = line_frame(knots, coef, at)[2]
+        station, l = line_project(knots, coef, pose[0, i, k], pose[1, i, k], s, NEAR_M)
+        yaw_r = line_frame(knots, coef, station)[2]
         turn, vx, vy = pose[2, i, k] - yaw_r, pose[3, i, k], pose[4, i, k]
         u, w = vx * cos(yaw_r) + vy * sin(yaw_r), vy * cos(yaw_r) - vx * sin(yaw_r)
         half = 0.5 * (size[i, 0] * abs(cos(turn)) + size[i, 1] * abs(sin(turn)))
         aside = 0.5 * (size[i, 0] * abs(sin(turn)) + size[i, 1] * abs(cos(turn)))
         side = l - l_ego
-        ahead = at - s - car.axle
+        ahead = station - s - car.axle
         if ahead <= 0.0 or abs(side) > ASIDE_M:
             continue
-        out[i, 0], out[i, 1] = ahead - half - 0.5 * car.length, max(u, 0.0)
-        out[i, 2] = abs(side) - aside - 0.5 * car.width
-        out[i, 3], out[i, 4], out[i, 6] = -w if side > 0.0 else w, 2.0 * half, 2.0 * aside
-        out[i, 5] = 1.0 if vulnerable[i] or abs(w) > abs(u) else 0.0
+        views[i, 0], views[i, 1] = ahead - half - 0.5 * car.length, max(u, 0.0)
+        views[i, 2] = abs(side) - aside - 0.5 * car.width
+        views[i, 3], views[i, 4], views[i, 6] = -w if side > 0.0 else w, 2.0 * half, 2.0 * aside
+        views[i, 5] = 1.0 if vulnerable[i] or abs(w) > abs(u) else 0.0
 
 
 @inner_kernel
-def _comes_in(seen: FloatArray, v: float, car: EgoOutline, slack: float, late: float) -> bool:
+def _comes_in(view: AgentView, v: float, car: EgoOutline, slack: float, late: float) -> bool:
     """Return whether an agent beside the band enters it before the ego is past and, if it crosses,
     leaves late enough.
 
     `slack` s are added to the first time; `late` s are subtracted from the first and from the time
     of leaving.
     """
-    gap, u, aside, towards = seen[0], seen[1], seen[2], seen[3]
-    if towards <= 0.0 or v <= u or gap < 0.0:
+    if view.towards <= 0.0 or v <= view.u or view.gap < 0.0:
         return False
-    enters = aside / towards
-    passed = (gap + car.length + seen[4]) / (v - u) + slack - late
-    leaves = (aside + car.width + seen[6]) / towards
-    return enters < passed and not (seen[5] > 0.0 and leaves - late < gap / (v - u))
+    enters = view.aside / view.towards
+    passed = (view.gap + car.length + view.length) / (v - view.u) + slack - late
+    leaves = (view.aside + car.width + view.width) / view.towards
+    leaves_early = view.crosses > 0.0 and leaves - late < view.gap / (v - view.u)
+    return enters < passed and not leaves_early
 
 
 @inner_kernel
 def cc_acceleration(
-    seen: FloatArray,
+    views: FloatArray,
     accel: FloatArray,
     car: EgoOutline,
     v: float,
@@ -143,24 +168,28 @@ def cc_acceleration(
     Update `clock` (how long each agent has been a hazard) and `nearer` (1).
     """
     wish, held = 0.0, False
-    for i in range(len(seen)):
-        nearer[i] = max(nearer[i] + STEP_S * seen[i, 3], 0.0) if np.isfinite(seen[i, 0]) else 0.0
+    for i in range(len(views)):
+        view = _view_of(views, i)
+        ahead = np.isfinite(view.gap)
+        nearer[i] = max(nearer[i] + STEP_S * view.towards, 0.0) if ahead else 0.0
         brakes = accel[i] <= -CC_LEAD_MPS2
+        in_band = view.aside < 0.0
         hazard = False  # (1) to (4)
-        if np.isfinite(seen[i, 0]) and seen[i, 2] < 0.0:
-            hazard = brakes or v - seen[i, 1] > CC_CLOSING_MPS
-        elif np.isfinite(seen[i, 0]) and seen[i, 5] > 0.0:
-            hazard = _comes_in(seen[i], v, car, 0.0, late)
-        elif np.isfinite(seen[i, 0]):
-            hazard = seen[i, 3] > CC_TOWARDS_MPS and nearer[i] > CC_WANDER_M and seen[i, 0] > 0.0
+        if ahead and in_band:
+            hazard = brakes or v - view.u > CC_CLOSING_MPS
+        elif ahead and view.crosses > 0.0:
+            hazard = _comes_in(view, v, car, 0.0, late)
+        elif ahead:
+            cuts_in = view.towards > CC_TOWARDS_MPS and nearer[i] > CC_WANDER_M
+            hazard = cuts_in and view.gap > 0.0
         clock[i] = clock[i] + STEP_S if hazard else 0.0
-        near = seen[i, 2] < 0.0 and seen[i, 0] < 2.0 + CC_THW_S * v
+        near = in_band and view.gap < 2.0 + CC_THW_S * v
         held = held or hazard or near
         if not hazard:
             continue
-        closing = v - seen[i, 1]
-        critical = closing > 0.0 and seen[i, 0] < CC_TTC_S * closing
-        critical = critical or (brakes and seen[i, 2] < 0.0 and seen[i, 0] < CC_THW_S * v)
+        closing = v - view.u
+        critical = closing > 0.0 and view.gap < CC_TTC_S * closing
+        critical = critical or (brakes and in_band and view.gap < CC_THW_S * v)
         if critical and clock[i] > CC_EVALUATE_S + CC_REACT_S + late + 1e-9:
             wish = -CC_BRAKE_MPS2
         elif critical and clock[i] > CC_EVALUATE_S + 1e-9:
@@ -203,19 +232,17 @@ def fsm_critical(gap: float, v: float, u: float, a: float) -> float:
 
 
 @inner_kernel
-def fsm_acceleration(seen: FloatArray, car: EgoOutline, v: float, a: float, late: float) -> float:
+def fsm_acceleration(views: FloatArray, car: EgoOutline, v: float, a: float, late: float) -> float:
     """Return the acceleration of "fsm" without its reaction time."""
     hardest = 0.0
-    for i in range(len(seen)):
-        gap, u = seen[i, 0], seen[i, 1]
-        if not np.isfinite(gap) or not (
-            seen[i, 2] < 0.0 or _comes_in(seen[i], v, car, FSM_AHEAD_S, late)
-        ):
+    for i in range(len(views)):
+        view = _view_of(views, i)
+        if not np.isfinite(view.gap):
             continue
-        deceleration, critical = (
-            FSM_COMFORT_MPS2 * fsm_proactive(gap, v, u),
-            fsm_critical(gap, v, u, a),
-        )
+        if view.aside >= 0.0 and not _comes_in(view, v, car, FSM_AHEAD_S, late):
+            continue
+        deceleration = FSM_COMFORT_MPS2 * fsm_proactive(view.gap, v, view.u)
+        critical = fsm_critical(view.gap, v, view.u, a)
         if critical > 0.0:
             deceleration = FSM_COMFORT_MPS2 + (FSM_HARDEST_MPS2 - FSM_COMFORT_MPS2) * critical
         hardest = max(hardest, deceleration)  # (6)

@@ -37,9 +37,9 @@ from replan.logs.agents import AgentKind
 from replan.logs.scenario import Scenario
 from replan.logs.trace import Mode, Trace
 from replan.metrics.accuracy import ade, ahe, fde, fhe, miss
-from replan.metrics.contacts import ContactKind, contacts
+from replan.metrics.collisions import ContactKind, contacts
 from replan.metrics.lane_position import AGAINST_MPS, wrong_way
-from replan.metrics.metric import Measure, Metric, Parts, Series, Unavailable, metric
+from replan.metrics.metric import Measure, Measured, Metric, Parts, Series, Unavailable, metric
 from replan.metrics.nuplan_closed_loop import closed_loop_parts
 from replan.metrics.off_road import OFF_ROAD_M, off_road
 from replan.metrics.progress import completion
@@ -108,26 +108,27 @@ def _part_of(metric: Metric, judge: Callable[[list[Series]], float]) -> Part:
     return part
 
 
-def _mean_within(bound: float, found: list[Series]) -> bool:
-    values = np.concatenate([series.value[series.known] for series in found])
+def _factor_per_event(factor: float, events: list[Series]) -> float:
+    return factor ** float(np.nansum(events[0].value))
+
+
+def _few_miss(horizons: list[Series]) -> bool:
+    return all(np.mean(~(series.value == 0.0)) <= MISS_SHARE for series in horizons)
+
+
+def _mean_within(bound: float, horizons: list[Series]) -> bool:
+    values = np.concatenate([series.value[series.known] for series in horizons])
     return len(values) > 0 and float(values.mean()) <= bound
 
 
 PARTS: Mapping[str, Part] = MappingProxyType(
     {
-        "completion": _part_of(completion, lambda found: found[0].value[-1]),
+        "completion": _part_of(completion, lambda series: series[0].value[-1]),
         "penalties": _penalties,
-        "red_lights": _part_of(
-            red_light, lambda found: CARLA_RED ** float(np.nansum(found[0].value))
-        ),
-        "stop_signs": _part_of(
-            stop_sign, lambda found: CARLA_STOP ** float(np.nansum(found[0].value))
-        ),
+        "red_lights": _part_of(red_light, partial(_factor_per_event, CARLA_RED)),
+        "stop_signs": _part_of(stop_sign, partial(_factor_per_event, CARLA_STOP)),
         "inside_lanes": _inside_lanes,
-        "miss": _part_of(
-            miss,
-            lambda found: all(np.mean(~(one.value == 0.0)) <= MISS_SHARE for one in found),
-        ),
+        "miss": _part_of(miss, _few_miss),
         "ade": _part_of(ade, partial(_mean_within, NEAR_M)),
         "fde": _part_of(fde, partial(_mean_within, NEAR_M)),
         "ahe": _part_of(ahe, partial(_mean_within, NEAR_RAD)),
@@ -232,11 +233,11 @@ def carla(trace: Trace, scenario: Scenario) -> Parts:
 
 def _score_and_parts(formula: Formula, parts: Mapping[str, Value], trace: Trace) -> Parts:
     """Return a score (1) and its parts as series of one step, the last one."""
-    total, label = combined(formula, parts)
-    values = {"score": total, **{name: parts[name] for name in formula.names}}
-    return {
-        name: value
-        if isinstance(value, Unavailable)
-        else Series(trace.ego.t[-1:], np.array([value]), (label if name == "score" else "",))
-        for name, value in values.items()
-    }
+
+    def at_end(value: Value, label: str = "") -> Measured:
+        if isinstance(value, Unavailable):
+            return value
+        return Series(trace.ego.t[-1:], np.array([value]), (label,))
+
+    score = at_end(*combined(formula, parts))
+    return {"score": score, **{name: at_end(parts[name]) for name in formula.names}}

@@ -103,7 +103,7 @@ def time_to_contact_accelerated(one: MovingBox, two: MovingBox, horizon: float) 
         dx, dy = x2 - x1 + d2 * c2 - d1 * c1, y2 - y1 + d2 * s2 - d1 * s1
         if hypot(dx, dy) - reach <= (e1 - d1) + (e2 - d2):
             u1, u2 = (e1 - d1) / PIECE_S, (e2 - d2) / PIECE_S
-            found = time_to_contact(
+            after_s = time_to_contact(
                 0.0,
                 0.0,
                 yaw1,
@@ -117,8 +117,8 @@ def time_to_contact_accelerated(one: MovingBox, two: MovingBox, horizon: float) 
                 u2 * c2 - u1 * c1,
                 u2 * s2 - u1 * s1,
             )
-            if found <= PIECE_S:
-                return i * PIECE_S + found
+            if after_s <= PIECE_S:
+                return i * PIECE_S + after_s
         d1, d2 = e1, e2
     return inf
 
@@ -141,13 +141,13 @@ def closest_encounter(one: MovingBox, two: MovingBox, horizon: float) -> tuple[f
     )
     square = vx * vx + vy * vy
     if square > 0.0:
-        mine, theirs = (
+        corners1, corners2 = (
             corners(x1, y1, yaw1, length1, width1),
             corners(x2, y2, yaw2, length2, width2),
         )
         for i in range(4):
             for j in range(4):
-                dx, dy = theirs[j, 0] - mine[i, 0], theirs[j, 1] - mine[i, 1]
+                dx, dy = corners2[j, 0] - corners1[i, 0], corners2[j, 1] - corners1[i, 1]
                 t = -(dx * vx + dy * vy) / square
                 apart = hypot(dx + t * vx, dy + t * vy)
                 if 0.0 < t < horizon and (
@@ -160,8 +160,17 @@ def closest_encounter(one: MovingBox, two: MovingBox, horizon: float) -> tuple[f
 @inner_kernel
 def _body(others: OtherBoxes, i: int, k: int, accel: float) -> MovingBox:
     """Return box i at step k."""
-    pose, size = others.pose[:, i, k], others.size[i]
-    return MovingBox(pose[0], pose[1], pose[2], size[0], size[1], pose[3], pose[4], accel)
+    pose, size = others.pose, others.size
+    return MovingBox(
+        pose[0, i, k],
+        pose[1, i, k],
+        pose[2, i, k],
+        size[i, 0],
+        size[i, 1],
+        pose[3, i, k],
+        pose[4, i, k],
+        accel,
+    )
 
 
 @kernel
@@ -172,13 +181,10 @@ def _least_with_acceleration(
     pose, size, steps = others.pose, others.size, others.there.shape[1]
     least, agent = np.full(steps, np.nan), np.full(steps, -1, np.int64)
     for k in range(steps):
-        x, y, yaw, vx, vy = ego[0, k], ego[1, k], ego[2, k], ego[3, k], ego[4, k]
-        rear_x, rear_y, best, v = (
-            x - car.axle * cos(yaw),
-            y - car.axle * sin(yaw),
-            HORIZON_S,
-            hypot(vx, vy),
-        )
+        x, y, yaw = ego[0, k], ego[1, k], ego[2, k]
+        vx, vy = ego[3, k], ego[4, k]
+        rear_x, rear_y = x - car.axle * cos(yaw), y - car.axle * sin(yaw)
+        best, v = HORIZON_S, hypot(vx, vy)
         if v <= NO_TTC_MPS:
             continue
         for i in range(len(size)):
@@ -192,10 +198,10 @@ def _least_with_acceleration(
                 v, ego_accel[k], best
             ) + _distance_travelled(u, a, best):
                 continue
-            one = MovingBox(x, y, yaw, car.length, car.width, vx, vy, ego_accel[k])
-            found = time_to_contact_accelerated(one, _body(others, i, k, a), best)
-            if found < best:
-                best, least[k], agent[k] = found, found, i
+            ego_box = MovingBox(x, y, yaw, car.length, car.width, vx, vy, ego_accel[k])
+            contact_s = time_to_contact_accelerated(ego_box, _body(others, i, k, a), best)
+            if contact_s < best:
+                best, least[k], agent[k] = contact_s, contact_s, i
     return least, agent
 
 
@@ -205,41 +211,35 @@ def _closest(ego: FloatArray, car: EgoOutline, others: OtherBoxes) -> tuple[Floa
     agent's index (-1).
     """
     pose, size, steps = others.pose, others.size, others.there.shape[1]
-    found, agent, reach = (
-        np.full((2, steps), np.nan),
-        np.full(steps, -1, np.int64),
-        0.5 * hypot(car.length, car.width),
-    )
+    closest, agent = np.full((2, steps), np.nan), np.full(steps, -1, np.int64)
+    reach = 0.5 * hypot(car.length, car.width)
     for k in range(steps):
-        x, y, yaw, vx, vy = ego[0, k], ego[1, k], ego[2, k], ego[3, k], ego[4, k]
+        x, y, yaw = ego[0, k], ego[1, k], ego[2, k]
+        vx, vy = ego[3, k], ego[4, k]
         best, when = inf, inf
         for i in range(len(size)):
             if not others.there[i, k]:
                 continue
-            dx, dy, du, dv = (
-                pose[0, i, k] - x,
-                pose[1, i, k] - y,
-                pose[3, i, k] - vx,
-                pose[4, i, k] - vy,
-            )
+            dx, dy = pose[0, i, k] - x, pose[1, i, k] - y
+            du, dv = pose[3, i, k] - vx, pose[4, i, k] - vy
             square = du * du + dv * dv
             t = min(max(-(dx * du + dy * dv) / square, 0.0), HORIZON_S) if square > 0.0 else 0.0
             if hypot(dx + t * du, dy + t * dv) - reach - 0.5 * hypot(size[i, 0], size[i, 1]) > best:
                 continue
-            one = MovingBox(x, y, yaw, car.length, car.width, vx, vy, 0.0)
-            near, after = closest_encounter(one, _body(others, i, k, 0.0), HORIZON_S)
+            ego_box = MovingBox(x, y, yaw, car.length, car.width, vx, vy, 0.0)
+            near, after = closest_encounter(ego_box, _body(others, i, k, 0.0), HORIZON_S)
             if near < best or (near == best and after < when):
                 best, when, agent[k] = near, after, i
-                found[0, k], found[1, k] = near, after
-    return found, agent
+                closest[0, k], closest[1, k] = near, after
+    return closest, agent
 
 
 @kernel
 def encroachment(
     ego: FloatArray,
-    mine: IntArray,
+    ego_steps: IntArray,
     other: FloatArray,
-    theirs: IntArray,
+    other_steps: IntArray,
     sizes: FloatArray,
     angle: float,
 ) -> IntArray:
@@ -250,11 +250,11 @@ def encroachment(
     headings differ by at least `angle` (-1: none), then the numbers of such pairs. `sizes` are
     length and width of both boxes `(2, 2)`.
     """
-    out = np.zeros((4, ego.shape[1]), np.int64)
-    out[:2] = -1
+    result = np.zeros((4, ego.shape[1]), np.int64)
+    result[:2] = -1
     reach = 0.5 * (hypot(sizes[0, 0], sizes[0, 1]) + hypot(sizes[1, 0], sizes[1, 1]))
-    for i in mine:
-        for j in theirs:
+    for i in ego_steps:
+        for j in other_steps:
             if hypot(other[0, j] - ego[0, i], other[1, j] - ego[1, i]) > reach:
                 continue
             if abs(wrap(other[2, j] - ego[2, i])) < angle or not overlap(
@@ -271,10 +271,10 @@ def encroachment(
             ):
                 continue
             order, steps = (0, j - i) if j >= i else (1, i - j)
-            out[2 + order, i] += 1
-            if out[order, i] < 0 or steps < out[order, i]:
-                out[order, i] = steps
-    return out
+            result[2 + order, i] += 1
+            if result[order, i] < 0 or steps < result[order, i]:
+                result[order, i] = steps
+    return result
 
 
 _GRID = f"every {GRID_S:g} s"
@@ -385,7 +385,10 @@ def pet(trace: Trace, scenario: Scenario) -> Parts:
         ego_steps, other_steps = may_meet(boxes, car, others, row)
         if trace.agents.static[i] or not len(ego_steps) or not len(other_steps):
             continue
-        name, sizes = name_of(trace.agents, i), np.array([car[1:3], others.size[row]])
+        name, sizes = (
+            name_of(trace.agents, i),
+            np.array([(car.length, car.width), others.size[row]]),
+        )
         poses = np.ascontiguousarray(others.pose[:, row])
         across = 0.0 if trace.agents.kinds[i] is AgentKind.PEDESTRIAN else CROSSING_RAD
         for angle, first_part, second_part in (
@@ -419,6 +422,8 @@ def may_meet(
         return np.empty(0, np.int64), np.empty(0, np.int64)
     reach = 0.5 * float(np.hypot(car.length, car.width) + np.hypot(*others.size[i]))
     low, high = np.nanmin(other, axis=0) - reach, np.nanmax(other, axis=0) + reach
-    mine = ((ego >= low) & (ego <= high)).all(axis=1)
-    theirs = ((other >= ego.min(axis=0) - reach) & (other <= ego.max(axis=0) + reach)).all(axis=1)
-    return np.flatnonzero(mine), np.flatnonzero(theirs)
+    ego_inside = ((ego >= low) & (ego <= high)).all(axis=1)
+    other_inside = ((other >= ego.min(axis=0) - reach) & (other <= ego.max(axis=0) + reach)).all(
+        axis=1
+    )
+    return np.flatnonzero(ego_inside), np.flatnonzero(other_inside)

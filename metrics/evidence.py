@@ -128,7 +128,7 @@ def evidence(trace: Trace, scenario: Scenario) -> Parts:
 
 
 def _series_of(
-    trace: Trace, known: BoolArray, why: str, needed: BoolArray | None = None
+    trace: Trace, known: BoolArray, lacking_label: str, needed: BoolArray | None = None
 ) -> Evidence:
     """Return the series of one kind of evidence; `why` is the label of steps that need evidence and
     have none.
@@ -136,7 +136,7 @@ def _series_of(
     ego = trace.ego
     needed = np.ones(len(known), np.bool_) if needed is None else needed
     value = np.where(needed, known.astype(np.float64), np.nan)
-    labels = tuple(why if lacking else "" for lacking in (needed & ~known).tolist())
+    labels = tuple(lacking_label if lacking else "" for lacking in (needed & ~known).tolist())
     return Evidence(
         ego.t,
         value,
@@ -159,8 +159,8 @@ def _lights(trace: Trace, scenario: Scenario, x: FloatArray, y: FloatArray) -> M
         light, shown = lights.get(line.light or 0), np.zeros(len(x), np.bool_)
         if light is not None:
             lit = np.array([colour is not Colour.OFF for colour in light.colours])
-            at = np.searchsorted(light.t, trace.ego.t + 1e-9, side="right") - 1
-            shown = (at >= 0) & (lit[np.maximum(at, 0)] | (not lit.any()))
+            sample = np.searchsorted(light.t, trace.ego.t + 1e-9, side="right") - 1
+            shown = (sample >= 0) & (lit[np.maximum(sample, 0)] | (not lit.any()))
         lacking |= {line.light or 0} if (near & ~shown).any() else set()
         needed, known = needed | near, known & (shown | ~near)
     if not needed.any():

@@ -39,8 +39,8 @@ def _gaps(
     ego: FloatArray,
     car: EgoOutline,
     others: OtherBoxes,
-    there: BoolArray,
-    wanted: BoolArray,
+    counted: BoolArray,
+    judged: BoolArray,
     recent: int,
 ) -> tuple[FloatArray, IntArray]:
     """Return for each step the least distance to a wanted agent that is `there` (NaN: none) and its
@@ -48,21 +48,21 @@ def _gaps(
 
     `recent` is the previous nearest agent, which is tried first.
     """
-    pose, size, steps = others.pose, others.size, there.shape[1]
+    pose, size, steps = others.pose, others.size, counted.shape[1]
     gap, nearest = np.full(steps, np.nan), np.full(steps, -1, np.int64)
     for k in range(steps):
         best = inf
         for turn in range(len(size)):
             i = (recent + turn) % len(size)
             x, y, yaw = ego[0, k], ego[1, k], ego[2, k]
-            if not (wanted[i] and there[i, k]) or distance_bound(x, y, car, others, i, k) >= best:
+            if not (judged[i] and counted[i, k]) or distance_bound(x, y, car, others, i, k) >= best:
                 continue
             px, py, heading = pose[0, i, k], pose[1, i, k], pose[2, i, k]
-            found = distance(
+            gap_m = distance(
                 x, y, yaw, car.length, car.width, px, py, heading, size[i, 0], size[i, 1]
             )
-            if found < best or nearest[k] < 0:
-                best, nearest[k], gap[k] = found, i, found
+            if gap_m < best or nearest[k] < 0:
+                best, nearest[k], gap[k] = gap_m, i, gap_m
         recent = max(nearest[k], 0)
     return gap, nearest
 
@@ -74,12 +74,12 @@ def _approachable(
     """Return which agents a moving ego passes or approaches `(n, k)`: not behind, nor moving aside
     at `leaving` m/s.
     """
-    there, pose = others.there, others.pose
-    out = there.copy()
-    for k in range(there.shape[1]):
+    present, pose = others.there, others.pose
+    approachable = present.copy()
+    for k in range(present.shape[1]):
         x, y, yaw = ego[0, k], ego[1, k], ego[2, k]
         stands = hypot(ego[3, k], ego[4, k]) <= STANDING_MPS
-        for i in range(len(there)):
+        for i in range(len(present)):
             behind = is_behind(
                 x - car.axle * cos(yaw), y - car.axle * sin(yaw), yaw, pose[0, i, k], pose[1, i, k]
             )
@@ -87,8 +87,8 @@ def _approachable(
             away = (pose[4, i, k] * cos(yaw) - pose[3, i, k] * sin(yaw)) * (
                 1.0 if left > 0.0 else -1.0
             )
-            out[i, k] = there[i, k] and not stands and not behind and away < leaving
-    return out
+            approachable[i, k] = present[i, k] and not stands and not behind and away < leaving
+    return approachable
 
 
 def judged_agents(trace: Trace, vulnerable_only: bool) -> BoolArray:

@@ -99,12 +99,14 @@ def extent(
     s and l (1).
     """
     c, s = cos(yaw), sin(yaw)
-    near, s_low, s_high, l_low, l_high = np.inf, np.inf, -np.inf, np.inf, -np.inf
+    near = np.inf
+    s_low, s_high = np.inf, -np.inf
+    l_low, l_high = np.inf, -np.inf
     before = np.zeros(2)
     for i in range(4 * PIECES + 1):
-        at, u = (i // PIECES) % 4, (i % PIECES) / PIECES
-        dx = (1.0 - u) * outline[at, 0] + u * outline[(at + 1) % 4, 0] - x
-        dy = (1.0 - u) * outline[at, 1] + u * outline[(at + 1) % 4, 1] - y
+        corner, u = (i // PIECES) % 4, (i % PIECES) / PIECES
+        dx = (1.0 - u) * outline[corner, 0] + u * outline[(corner + 1) % 4, 0] - x
+        dy = (1.0 - u) * outline[corner, 1] + u * outline[(corner + 1) % 4, 1] - y
         along, left = arc_point(kappa, c * dx + s * dy, c * dy - s * dx)
         s_low, s_high = min(s_low, along), max(s_high, along)
         l_low, l_high = min(l_low, left), max(l_high, left)
@@ -134,7 +136,8 @@ def _leads(ego: FloatArray, car: EgoOutline, others: OtherBoxes) -> tuple[FloatA
     half, front = 0.5 * car.width, car.axle + 0.5 * car.length
     rows, agent = np.full((7, steps), np.nan), np.full(steps, -1, np.int64)
     for k in range(steps):
-        x, y, yaw, kappa, best = ego[0, k], ego[1, k], ego[2, k], ego[4, k], np.inf
+        x, y, yaw = ego[0, k], ego[1, k], ego[2, k]
+        kappa, best = ego[4, k], np.inf
         if ego[3, k] < -STANDING_MPS:
             continue
         for i in range(len(size)):

@@ -57,7 +57,8 @@ from replan.metrics.reasons import (
 from replan.metrics.reductions import COUNT, MAX, RATE, worst_episode
 
 SWING_M, CHANGE_M, FALL_MPS = 0.5, 2.0, 0.5
-HARD_MPS2, APART_S, CAUSE_S, CAUSE_M = 3.5, 0.5, 5.0, 0.3
+HARD_MPS2, APART_S = 3.5, 0.5
+CAUSE_S, CAUSE_M = 5.0, 0.3
 SPACING_M = 0.5  # Distance between the boxes of the ego whose union approximates the strip
 TOUCHING_M = 0.5  # Least gap in (6): nearer road users are contacts
 _needless_metric = partial(
@@ -125,10 +126,14 @@ def turning_points(value: FloatArray, least: float) -> list[int]:
         low = k if value[k] < value[low] else low
         high = k if value[k] > value[high] else high
         if rising >= 0 and value[high] - value[k] >= least:
-            turns, rising, low, high = [*turns, high], -1, k, k
+            turns.append(high)
+            rising, low, high = -1, k, k
         elif rising <= 0 and value[k] - value[low] >= least:
-            turns, rising, low, high = [*turns, low], 1, k, k
-    return [*turns, high if rising > 0 else low] if turns else []
+            turns.append(low)
+            rising, low, high = 1, k, k
+    if turns:
+        turns.append(high if rising > 0 else low)
+    return turns
 
 
 def hard_episodes(ego: Trajectory) -> list[int]:

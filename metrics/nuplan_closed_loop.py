@@ -9,7 +9,7 @@ lane nor in joined lanes. v is the ego's speed at its centre, u an agent's (of o
 
     collisions    product over {pedestrians and riders, vehicles, objects} of max(0, 1 - n / (1, 1,
                   2)), n at fault. Each agent counts at its first contact, also if it appears there.
-                  The kinds are those of `contacts`, without its additions. At fault: into what
+                  The kinds are those of `collisions`, without its additions. At fault: into what
                   stands, with the front, with the side while astray
     ttc           0 with a contact at fault, or if both boxes, moved along their headings for 0.1,
         ... 0.9 s, touch.
@@ -73,7 +73,8 @@ from replan.metrics.metric import Unavailable
 AHEAD = cos(30.0 / 180.0 * np.pi)
 CORNERS = 0.5 * np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
 """Front left, rear left, rear right, front right: shares of length and width from the centre."""
-OFF_M, LEAST_M, LEAST_SHARE, EXCESS_MPS = 0.3, 2.0, 0.2, 2.23
+OFF_M, LEAST_M = 0.3, 2.0
+LEAST_SHARE, EXCESS_MPS = 0.2, 2.23
 COMPLIANT_M, HALF_M, DIRECTION_S = 2.0, 6.0, 1.0
 NO_LANES = Unavailable("the log has no lanes: the scores of nuPlan and NAVSIM need them")
 LEAST_STATES, STEP_S = 6, 0.1
@@ -100,8 +101,8 @@ def closed_loop_parts(trace: Trace, scenario: Scenario) -> Mapping[str, float] |
     if min(len(scenario.ego), len(ego)) < LEAST_STATES:
         return SHORT
     boxes = ego_boxes(ego, scenario)
-    x, y, yaw = boxes[:3]
-    speed, corners = np.hypot(boxes[3], boxes[4]), corners_of(x, y, yaw, car)
+    x, y, yaw, vx, vy = boxes
+    speed, corners = np.hypot(vx, vy), corners_of(x, y, yaw, car)
     route, lanes_of_corners = lanes.route(x, y), lanes.corner_routes(*corners)
     astray = np.array([not lanes.in_one(four) for four in lanes_of_corners])
     wide = astray | lanes.in_intersection(ego.x, ego.y)
@@ -109,9 +110,17 @@ def closed_loop_parts(trace: Trace, scenario: Scenario) -> Mapping[str, float] |
     objects = np.array([kind is AgentKind.OBJECT for kind in kinds], np.bool_)
     rear = np.stack([ego.x, ego.y, yaw, speed])
     fault, met, close = np.zeros(len(kinds), np.bool_), np.zeros(len(kinds), np.bool_), False
-    for k, seen, others in pieces(trace.agents, ego.t):
-        some = objects[seen], astray[k], wide[k], met[seen]
-        fault[seen], met[seen], near = _meetings(rear[:, k], boxes[:, k], car, others, *some)
+    for steps, present, others in pieces(trace.agents, ego.t):
+        fault[present], met[present], near = _meetings(
+            rear[:, steps],
+            boxes[:, steps],
+            car,
+            others,
+            objects[present],
+            astray[steps],
+            wide[steps],
+            met[present],
+        )
         close |= near
     hit = [kinds[i] for i in np.flatnonzero(fault)]
     progress = _progress(lanes, ego_boxes(scenario.ego, scenario), x, y)
@@ -163,13 +172,14 @@ def _meetings(
     `rear` is x, y, yaw of the rear axle and the speed `(4, k)`; `wide`: where agents up to 150
     degrees count for ttc; `met`: agents that it has met before.
     """
-    there, pose, size = others.there, others.pose, others.size
-    fault, close = np.zeros(len(there), np.bool_), False
-    for i in range(len(there)):
-        for k in range(there.shape[1]):
-            if met[i] or not there[i, k]:
+    present, pose, size = others.there, others.pose, others.size
+    fault, close = np.zeros(len(present), np.bool_), False
+    for i in range(len(present)):
+        for k in range(present.shape[1]):
+            if met[i] or not present[i, k]:
                 continue
-            x, y, yaw, v = rear[0, k], rear[1, k], rear[2, k], rear[3, k]
+            x, y = rear[0, k], rear[1, k]
+            yaw, v = rear[2, k], rear[3, k]
             px, py, heading = pose[0, i, k], pose[1, i, k], pose[2, i, k]
             u = 0.0 if objects[i] else hypot(pose[3, i, k], pose[4, i, k])
             if touches(box[0, k], box[1, k], yaw, car, others, i, k):
@@ -201,15 +211,15 @@ def _meetings(
             if ahead <= AHEAD * away and (not wide[k] or is_behind(x, y, yaw, px, py)):
                 continue
             for step in range(1, 10):
-                mine, theirs = 0.1 * step * v, 0.1 * step * u
+                ego_way, other_way = 0.1 * step * v, 0.1 * step * u
                 if overlap(
-                    box[0, k] + mine * cos(yaw),
-                    box[1, k] + mine * sin(yaw),
+                    box[0, k] + ego_way * cos(yaw),
+                    box[1, k] + ego_way * sin(yaw),
                     yaw,
                     car.length,
                     car.width,
-                    px + theirs * cos(heading),
-                    py + theirs * sin(heading),
+                    px + other_way * cos(heading),
+                    py + other_way * sin(heading),
                     heading,
                     size[i, 0],
                     size[i, 1],
@@ -220,11 +230,14 @@ def _meetings(
 
 
 def _leaves_road(
-    lanes: DevkitLanes, found: Sequence[Sequence[tuple[int, ...]]], x: FloatArray, y: FloatArray
+    lanes: DevkitLanes,
+    lanes_of_corners: Sequence[Sequence[tuple[int, ...]]],
+    x: FloatArray,
+    y: FloatArray,
 ) -> bool:
     """Return whether a corner `(4, k)` that is on no lane is `OFF_M` off the road."""
     for corner in range(4):
-        lost = np.array([not four[corner] for four in found])
+        lost = np.array([not four[corner] for four in lanes_of_corners])
         if (
             lost.any()
             and not np.isfinite(lanes.off_road(x[corner, lost], y[corner, lost], OFF_M)).all()
@@ -241,19 +254,21 @@ def _direction(
     lanes: DevkitLanes, route: Route, x: FloatArray, y: FloatArray, t: FloatArray
 ) -> float:
     gained, lane, before = np.zeros(len(x)), route[0][:1], np.nan
-    for k, here in enumerate(route):
-        if not here:
+    for k, lane_ids in enumerate(route):
+        if not lane_ids:
             continue
-        if here[:1] == lane:
-            station = _station(lanes.lanes[here[0]].center, x[k], y[k])
+        if lane_ids[:1] == lane:
+            station = _station(lanes.lanes[lane_ids[0]].center, x[k], y[k])
             gained[k] = station - before if np.isfinite(before) and station else 0.0
             before = station
         else:
-            lane, before = here[:1], np.nan
+            lane, before = lane_ids[:1], np.nan
     total, n = np.r_[0.0, np.cumsum(gained)], np.arange(1, len(x) + 1)
     samples = int(DIRECTION_S / np.mean(np.diff(t)) + 1e-9) + 1
     worst = abs(float((total[n] - total[np.maximum(n - samples, 0)]).min()))
-    return 1.0 if worst < COMPLIANT_M else 0.5 if worst < HALF_M else 0.0
+    if worst < COMPLIANT_M:
+        return 1.0
+    return 0.5 if worst < HALF_M else 0.0
 
 
 def route_lanes(lanes: DevkitLanes, x: FloatArray, y: FloatArray) -> list[int]:
@@ -261,13 +276,13 @@ def route_lanes(lanes: DevkitLanes, x: FloatArray, y: FloatArray) -> list[int]:
     order.
     """
     simple: list[tuple[int, ...]] = []
-    for here in lanes.route(x, y):
-        if here and not (simple and set(here) & set(simple[-1])):
-            simple.append(here)
+    for lane_ids in lanes.route(x, y):
+        if lane_ids and not (simple and set(lane_ids) & set(simple[-1])):
+            simple.append(lane_ids)
     return [
-        one[0]
-        for k, one in enumerate(simple)
-        if not k or lanes.block[one[0]] != lanes.block[simple[k - 1][0]]
+        ids[0]
+        for k, ids in enumerate(simple)
+        if not k or lanes.block[ids[0]] != lanes.block[simple[k - 1][0]]
     ]
 
 
@@ -287,21 +302,21 @@ def _gain(lanes: DevkitLanes, first: Sequence[int], x: FloatArray, y: FloatArray
     now, total, last = 0, 0.0, _station(lines[0], x[0], y[0])
     for k in range(1, len(x)):
         if inside[now][k]:
-            here = _station(lines[now], x[k], y[k])
-            total, last = total + here - last, here
+            station = _station(lines[now], x[k], y[k])
+            total, last = total + station - last, station
             continue
         skipped = 0.0
         for then in range(now + 1, len(first)):
             if inside[then][k]:
-                here = _station(lines[then], x[k], y[k])
+                station = _station(lines[then], x[k], y[k])
                 total += (
                     lanes.lanes[first[now]].length
                     - last
                     + skipped
-                    + here
+                    + station
                     - _station(lines[then], *lines[now][-1])
                 )
-                now, last = then, here
+                now, last = then, station
                 break
             if then + 1 < len(first):
                 skipped += _station(lines[then], *lines[then + 1][0]) - _station(
@@ -314,9 +329,9 @@ def _speed_limit(
     lanes: DevkitLanes, scenario: Scenario, route: Route, speed: FloatArray, t: FloatArray
 ) -> float:
     over = np.zeros(len(t))
-    for k, here in enumerate(route):
-        joined = [j for i in here for j in (*lanes.after[i], *lanes.before[i])]
-        asked = joined if here and lanes.connector[here[0]] else here
+    for k, lane_ids in enumerate(route):
+        joined = [j for i in lane_ids for j in (*lanes.after[i], *lanes.before[i])]
+        asked = joined if lane_ids and lanes.connector[lane_ids[0]] else lane_ids
         limits = [scenario.road.stated_limit(lanes.lanes[i].id) for i in asked]
         if limits and np.isfinite(limits).all():
             over[k] = max(0.0, speed[k] - max(limits))

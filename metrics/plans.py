@@ -67,26 +67,26 @@ def times_after(trace: Trace, first: int, last: int) -> FloatArray:
 
 
 def plan_columns(
-    trace: Trace, times: FloatArray, names: tuple[str, ...], which: IntArray | None = None
+    trace: Trace, times: FloatArray, names: tuple[str, ...], frames: IntArray | None = None
 ) -> FloatArray:
     """Return columns `(c, f, k)` of the plans of the frames `which` `(f,)` (None: all) at the times
     `(f, k)`.
 
     Values are linear between the plan's samples, NaN outside the plan.
     """
-    which = np.arange(len(trace.frames)) if which is None else which
-    wanted = np.array([TRAJECTORY_COLUMNS.index(name) for name in names])
-    out = np.empty((len(names), *times.shape))
+    frames = np.arange(len(trace.frames)) if frames is None else frames
+    rows = np.array([TRAJECTORY_COLUMNS.index(name) for name in names])
+    columns = np.empty((len(names), *times.shape))
     for begin in range(0, len(trace.frames), PIECE):
-        some = (which >= begin) & (which < begin + PIECE)
-        if some.any():
-            out[:, some] = _interpolate(
+        in_piece = (frames >= begin) & (frames < begin + PIECE)
+        if in_piece.any():
+            columns[:, in_piece] = _interpolate(
                 *_plan_rows(trace, begin),
-                wanted,
-                which[some] - begin,
-                np.ascontiguousarray(times[some]),
+                rows,
+                frames[in_piece] - begin,
+                np.ascontiguousarray(times[in_piece]),
             )
-    return out
+    return columns
 
 
 def plan_way(x: FloatArray, y: FloatArray) -> FloatArray:
@@ -112,28 +112,28 @@ def _plan_rows(trace: Trace, begin: int) -> tuple[IntArray, FloatArray]:
 
 @kernel
 def _interpolate(
-    offsets: IntArray, rows: FloatArray, wanted: IntArray, which: IntArray, times: FloatArray
+    offsets: IntArray, rows: FloatArray, names: IntArray, frames: IntArray, times: FloatArray
 ) -> FloatArray:
     """Return `plan_columns` of the plans `which` `(f,)`: the rows `wanted`, each as by
     `numpy.interp`.
     """
-    out = np.full((len(wanted), *times.shape), np.nan)
+    columns = np.full((len(names), *times.shape), np.nan)
     for f in range(len(times)):
-        first, end = offsets[which[f]], offsets[which[f] + 1]
+        first, end = offsets[frames[f]], offsets[frames[f] + 1]
         t = rows[0, first:end]
         for k in range(times.shape[1]):
             if times[f, k] < t[0] - 1e-6 or times[f, k] > t[-1] + 1e-6:
                 continue
             now = min(max(times[f, k], t[0]), t[-1])
             j = np.searchsorted(t, now, side="right") - 1
-            for c in range(len(wanted)):
-                column = rows[wanted[c], first:end]
-                out[c, f, k] = column[j]
+            for c in range(len(names)):
+                column = rows[names[c], first:end]
+                columns[c, f, k] = column[j]
                 if t[j] < now:
-                    out[c, f, k] = (column[j + 1] - column[j]) / (t[j + 1] - t[j]) * (
+                    columns[c, f, k] = (column[j + 1] - column[j]) / (t[j + 1] - t[j]) * (
                         now - t[j]
                     ) + column[j]
-    return out
+    return columns
 
 
 _change_metric = partial(
@@ -188,13 +188,14 @@ def _differences(trace: Trace) -> tuple[FloatArray, FloatArray]:
     ego.
     """
     times = times_after(trace, 0, round(COMPARED_S / STEP_S))[1:]
-    all_ = np.arange(len(trace.frames))
+    indices = np.arange(len(trace.frames))
     now, before = (
-        plan_columns(trace, times, ("x", "y", "yaw"), some) for some in (all_[1:], all_[:-1])
+        plan_columns(trace, times, ("x", "y", "yaw"), frames)
+        for frames in (indices[1:], indices[:-1])
     )
     dx, dy = now[:2] - before[:2]
-    way = np.fmax.reduce([np.fmax.reduce(plan_way(*plan[:2]), axis=1) for plan in (now, before)])
-    both = np.isfinite(dx) & (way > SHORT_M)[:, None]
+    length = np.fmax.reduce([np.fmax.reduce(plan_way(*plan[:2]), axis=1) for plan in (now, before)])
+    both = np.isfinite(dx) & (length > SHORT_M)[:, None]
     change = np.where(both, np.hypot(dx, dy), 0.0).sum(axis=1) / np.maximum(both.sum(axis=1), 1)
     aside = np.abs(dy * np.cos(before[2]) - dx * np.sin(before[2]))
     known = both.any(axis=1)

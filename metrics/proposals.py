@@ -62,8 +62,8 @@ from replan.metrics.boxes import (
     some_at,
     touches,
 )
+from replan.metrics.collisions import ACTIVE_FRONT, LATERAL, STOPPED_TRACK, contact_kind
 from replan.metrics.comfort import NUPLAN_BOUNDS
-from replan.metrics.contacts import KINDS, ContactKind, contact_kind
 from replan.metrics.lanes import keeps_lane
 from replan.metrics.metric import BOTH_LOOPS, Measured, Series, Unavailable, metric
 from replan.metrics.off_road import OFF_ROAD_M, box_off_lanes, known_lanes
@@ -84,9 +84,6 @@ HORIZON_S, TTC_HORIZON_S = 4.0, 3.0
 STEPS = round(HORIZON_S / STEP_S)
 PIECE = 500  # Plans that are sampled at a time: 1 MB per column
 _COLUMNS = ("x", "y", "yaw", "v", "a", "kappa")
-STOOD, FRONT, SIDE = (
-    KINDS.index(ContactKind[k]) for k in ("STOPPED_TRACK", "ACTIVE_FRONT", "LATERAL")
-)
 Rows = Mapping[str, NDArray[Any]]
 
 
@@ -96,40 +93,40 @@ def _measure_plans(trace: Trace, scenario: Scenario) -> Rows:
     agent.
     """
     drive = trace.ego if trace.mode is Mode.CLOSED or len(scenario.ego) < 2 else scenario.ego
-    found, all_times, lanes = [], times_after(trace, 0, STEPS), known_lanes(scenario)
-    for which in np.split(np.arange(len(all_times)), range(PIECE, len(all_times), PIECE)):
-        times = all_times[which]
-        plan = plan_columns(trace, times, _COLUMNS, which)
+    by_piece, all_times, lanes = [], times_after(trace, 0, STEPS), known_lanes(scenario)
+    for frames in np.split(np.arange(len(all_times)), range(PIECE, len(all_times), PIECE)):
+        times = all_times[frames]
+        plan = plan_columns(trace, times, _COLUMNS, frames)
         witnessed = np.where(times <= drive.t[-1] + 1e-6, plan, np.nan)
         off = np.full(times.shape, np.nan if isinstance(lanes, Unavailable) else 0.0)  # (2)
         if not isinstance(lanes, Unavailable):
-            there = np.isfinite(witnessed[0])
-            x, y, yaw = witnessed[:3, there]
+            covered = np.isfinite(witnessed[0])
+            x, y, yaw = witnessed[:3, covered]
             ahead = scenario.vehicle.axle_to_center
             box = np.stack([x + ahead * np.cos(yaw), y + ahead * np.sin(yaw), yaw])
-            off[there] = box_off_lanes(lanes, box, scenario.vehicle, np.inf)
+            off[covered] = box_off_lanes(lanes, box, scenario.vehicle, np.inf)
         x, y, yaw = (np.interp(times, drive.t, column) for column in (drive.x, drive.y, drive.yaw))
         dx, dy = witnessed[0] - x, witnessed[1] - y
-        ways = plan_way(witnessed[0], witnessed[1]), plan_way(x, y)
-        planned, driven = (np.fmax.reduce(way + 0.0 * dx, axis=1) for way in ways)
+        lengths = plan_way(witnessed[0], witnessed[1]), plan_way(x, y)
+        planned, driven = (np.fmax.reduce(length + 0.0 * dx, axis=1) for length in lengths)
         best = np.maximum(planned, driven)
         aside = np.abs(dy * np.cos(yaw) - dx * np.sin(yaw))
         lasting = (best > SHORT_M) & (times[:, 0] + PLAN_HORIZON_S <= drive.t[-1] + 1e-6)
-        kept, lateral = (
+        deviation, lateral = (
             np.where(lasting, np.fmax.reduce(d, axis=1), np.nan) for d in (np.hypot(dx, dy), aside)
         )
         progress = np.where(best > SHORT_M, planned / np.maximum(best, SHORT_M), 1.0)
-        found.append(
+        by_piece.append(
             {
                 "off": off.max(axis=1) - off[:, 0],
                 **_comfort_signals(plan),
                 "progress": progress,
-                "kept": kept,
+                "kept": deviation,
                 "kept_lateral": lateral,  # (5), (6)
                 **_contacts_and_ttc(times, witnessed, trace.agents, scenario),
             }
         )
-    return {name: np.concatenate([piece[name] for piece in found]) for name in found[0]}
+    return {name: np.concatenate([piece[name] for piece in by_piece]) for name in by_piece[0]}
 
 
 def _comfort_signals(plan: FloatArray) -> Rows:
@@ -189,55 +186,44 @@ def _meet_agents(
     And the least time to contact below `TTC_HORIZON_S` and its agent; -1 and NaN where there is
     none. `column` `(f, k)` is the step of the others at the plans' steps.
     """
-    frames, there, pose = column.shape[0], others.there, others.pose
+    frames, present, pose = column.shape[0], others.there, others.pose
     step, hit = np.full((2, frames), -1), np.full((2, frames), -1)
     ttc, near = np.full(frames, np.nan), np.full(frames, -1)
     for f in range(frames):
         best = TTC_HORIZON_S
-        for i in range(len(there)):
+        for i in range(len(present)):
             for j in range(column.shape[1]):
-                k, rear_x, rear_y, yaw, v = (
-                    column[f, j],
-                    plan[0, f, j],
-                    plan[1, f, j],
-                    plan[2, f, j],
-                    plan[3, f, j],
-                )
+                k, yaw, v = column[f, j], plan[2, f, j], plan[3, f, j]
+                rear_x, rear_y = plan[0, f, j], plan[1, f, j]
                 if not np.isfinite(rear_x):
                     break
-                if not there[i, k]:
+                if not present[i, k]:
                     continue
                 c, s, turn = cos(yaw), sin(yaw), car.axle * plan[5, f, j] * v
-                x, y, vx, vy = (
-                    rear_x + car.axle * c,
-                    rear_y + car.axle * s,
-                    v * c - turn * s,
-                    v * s + turn * c,
-                )
-                gap, closing = (
-                    distance_bound(x, y, car, others, i, k),
-                    hypot(pose[3, i, k] - vx, pose[4, i, k] - vy),
-                )
+                x, y = rear_x + car.axle * c, rear_y + car.axle * s
+                vx, vy = v * c - turn * s, v * s + turn * c
+                gap = distance_bound(x, y, car, others, i, k)
+                closing = hypot(pose[3, i, k] - vx, pose[4, i, k] - vy)
                 if gap > closing * best:
                     continue
                 if gap <= 0.0 and touches(x, y, yaw, car, others, i, k):
                     before = column[f, max(j - 1, 0)]
-                    if j > 0 and there[i, before]:
-                        was, size = pose[:, i, before], others.size[i]
+                    if j > 0 and present[i, before]:
+                        previous, size = pose[:, i, before], others.size[i]
                         kind = contact_kind(
-                            plan[:4, f, j], car, was, pose[:, i, k], size, objects[i]
+                            plan[:4, f, j], car, previous, pose[:, i, k], size, objects[i]
                         )
-                        row = 0 if kind in (STOOD, FRONT) else 1
-                        if (row == 0 or kind == SIDE) and (step[row, f] < 0 or j < step[row, f]):
+                        row = 0 if kind in (STOPPED_TRACK, ACTIVE_FRONT) else 1
+                        if (row == 0 or kind == LATERAL) and (step[row, f] < 0 or j < step[row, f]):
                             step[row, f], hit[row, f] = j, i
                     break
                 if abs(v) <= NO_TTC_MPS or is_behind(
                     rear_x, rear_y, yaw, pose[0, i, k], pose[1, i, k]
                 ):
                     continue
-                found = contact_time((x, y, yaw, vx, vy), 0.0, car, others, i, k, 0.0)
-                if found < best:
-                    best, ttc[f], near[f] = found, found, i
+                contact_s = contact_time((x, y, yaw, vx, vy), 0.0, car, others, i, k, 0.0)
+                if contact_s < best:
+                    best, ttc[f], near[f] = contact_s, contact_s, i
     return step, hit, ttc, near
 
 
@@ -266,9 +252,9 @@ def _series(
         return Unavailable("the log holds one ego state only: there is no drive to plan along")
     if not trace.frames:
         return NO_PLANS
-    found = _measure_plans(trace, scenario)
-    labels = labels_of(trace, found[about]) if about else ()
-    return Series(frame_times(trace), found[name], labels, missing)
+    rows = _measure_plans(trace, scenario)
+    labels = labels_of(trace, rows[about]) if about else ()
+    return Series(frame_times(trace), rows[name], labels, missing)
 
 
 @_plan_metric(unit="s", better="higher", reductions=(HAVING, MIN), version=2)

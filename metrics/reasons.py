@@ -42,7 +42,8 @@ from replan.metrics.boxes import each, grid_of, phantoms
 from replan.metrics.lanes import drivable_lanes, limits_at
 from replan.metrics.route_gain import WINDOW_M, route_of
 
-NEAR_M, HEADWAY_S, EASE_MPS2, FARTHEST_M = 10.0, 1.5, 1.5, 150.0
+NEAR_M, FARTHEST_M = 10.0, 150.0
+HEADWAY_S, EASE_MPS2 = 1.5, 1.5
 LINE_M = 6.0
 COMING_S, AFTER_S = 6.0, 2.0
 SIDE_M, SIDE_VULNERABLE_M, DRIFT_MPS = 1.0, 2.0, 0.3
@@ -83,7 +84,8 @@ def reasons(trace: Trace, scenario: Scenario) -> Reasons:
         for brakes, stands, beside, far in _agents_as_reasons(
             tracks, ego.t, s, l, ego.v, line, scenario
         ):
-            slow, stand, steer, change = slow | brakes, stand | stands, steer | beside, change | far
+            slow, stand = slow | brakes, stand | stands
+            steer, change = steer | beside, change | far
     goal, early = scenario.goal, np.zeros(len(s), np.bool_)
     # At its speed it would leave the goal before the goal's time
     if goal is not None and goal.t is not None:
@@ -109,14 +111,14 @@ def reasons(trace: Trace, scenario: Scenario) -> Reasons:
     ease = NEAR_M + HEADWAY_S * ego.v  # and the distance to slow down to a cap with `EASE_MPS2`
     first, end = np.searchsorted(line.s, [s, s + FARTHEST_M + NEAR_M])
     for k, v in enumerate(ego.v.tolist()):
-        some = slice(max(int(first[k]) - 1, 0), int(end[k]))
+        window = slice(max(int(first[k]) - 1, 0), int(end[k]))
         far = (
-            line.s[some]
+            line.s[window]
             - s[k]
             - ease[k]
-            - np.maximum(v**2 - caps[some] ** 2, 0.0) / (2.0 * EASE_MPS2)
+            - np.maximum(v**2 - caps[window] ** 2, 0.0) / (2.0 * EASE_MPS2)
         )
-        slow[k] |= off[k] or bool(((v > caps[some] + SLACK_MPS) & (far <= 0.0)).any())
+        slow[k] |= off[k] or bool(((v > caps[window] + SLACK_MPS) & (far <= 0.0)).any())
     curved = np.interp(s, line.s, np.abs(line.kappa)) > 1.0 / CURVE_RADIUS_M
     return Reasons(ego.t, ego.v, l, slow, stand | off, steer | curved, steer, change | off)
 
@@ -140,25 +142,30 @@ def _agents_as_reasons(
     """Yield for each road user the steps at which it is a reason to brake, to stand, to steer, to
     change lanes.
     """
-    car, place = scenario.vehicle, np.stack([np.interp(s, line.s, column) for column in line.xy.T])
+    car, ego_places = (
+        scenario.vehicle,
+        np.stack([np.interp(s, line.s, column) for column in line.xy.T]),
+    )
     for i, others, row in each(tracks, t):
         x, y, yaw, vx, vy = np.nan_to_num(others.pose[:, row])
         length, width = others.size[row]
-        there = others.there[row] & (np.hypot(*(others.pose[:2, row] - place)) < FARTHEST_M)
-        steps = np.flatnonzero(there)
+        near_route = others.there[row] & (
+            np.hypot(*(others.pose[:2, row] - ego_places)) < FARTHEST_M
+        )
+        steps = np.flatnonzero(near_route)
         flags = np.zeros((4, len(t)), np.bool_)
         if len(steps):
             guess = float(s[steps[0]])
-            at, aside = line_project_many(
+            station, aside = line_project_many(
                 line.s, line.coef, x[steps], y[steps], guess, FARTHEST_M
             ).T
-            road = np.interp(at, line.s, line.yaw)
+            road = np.interp(station, line.s, line.yaw)
             turn = yaw[steps] - road
             u = vx[steps] * np.cos(road) + vy[steps] * np.sin(road)
             w = vy[steps] * np.cos(road) - vx[steps] * np.sin(road)
             along = 0.5 * (length * np.abs(np.cos(turn)) + width * np.abs(np.sin(turn)))
             across = 0.5 * (length * np.abs(np.sin(turn)) + width * np.abs(np.cos(turn)))
-            gap = at - along - s[steps] - car.axle_to_front
+            gap = station - along - s[steps] - car.axle_to_front
             side = aside - l[steps]
             room = np.minimum(np.abs(side), np.abs(aside)) - across - 0.5 * car.width
             coming = -w * np.sign(side)
@@ -183,7 +190,7 @@ def _places_to_stop(
     always, route, goal = np.ones(len(t), np.bool_), route_of(scenario), scenario.goal
     lights = {light.id: light for light in scenario.lights}
     for mark in scenario.road.stop_lines:
-        at, aside = line.project(*mark.points.mean(axis=0).tolist())
+        station, aside = line.project(*mark.points.mean(axis=0).tolist())
         if abs(aside) < 0.5 * float(np.hypot(*np.diff(mark.points, axis=0)[0])) + ACROSS_M:
             light = lights.get(mark.light) if mark.light is not None else None
             shut = (
@@ -191,7 +198,7 @@ def _places_to_stop(
                 if light is None
                 else np.array([light.at(now) is not Colour.GREEN for now in t])
             )
-            yield at, at + ACROSS_M, shut, LINE_M
+            yield station, station + ACROSS_M, shut, LINE_M
     zones = []
     # Active while a pedestrian or rider is within `NEAR_M` of its bounding box
     for walk in scenario.road.crosswalks:

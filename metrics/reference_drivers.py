@@ -93,10 +93,10 @@ class ReferenceCourse:
             np.arange(start.t, min(scenario.duration, start.t + LONGEST_S) + 1e-9, STEP_S),
             scenario.tracks,
         )
-        there = present_between(tracks, t[0], t[-1])
-        if len(there) < len(tracks):
+        present = present_between(tracks, t[0], t[-1])
+        if len(present) < len(tracks):
             tracks = tracks.taken(
-                np.isin(np.repeat(np.arange(len(tracks)), np.diff(tracks.offsets)), there)
+                np.isin(np.repeat(np.arange(len(tracks)), np.diff(tracks.offsets)), present)
             )
         eased = SpeedLine(line.s, line.coef, curve_speeds(line.s, line.kappa))
         ego = np.array([*line.project(start.x, start.y), start.v])
@@ -109,10 +109,10 @@ class ReferenceCourse:
         """Drive to the first touch; `least` is the distance to the agent `about`; the driver judges
         `late` s later.
         """
-        rows, *found = _drive(
+        rows, *outcome = _drive(
             driver, self.line, self.start, self.car, self.others, self.vulnerable, about, late
         )
-        return ReferenceDrive(*rows, *found)
+        return ReferenceDrive(*rows, *outcome)
 
 
 def careful_drive(scenario: Scenario, line: ReferenceLine) -> ReferenceDrive:
@@ -139,8 +139,8 @@ def _verdict(
         return DriverVerdict(
             name, Avoidability.NOT_APPLICABLE, reason, margin=passive.least, marginal=marginal
         )
-    found = course.drive(driver, about=passive.agent)
-    agent, margin, end = passive.agent if found.meets < 0 else found.agent, found.least, found.meets
+    drive = course.drive(driver, about=passive.agent)
+    agent, margin, end = passive.agent if drive.meets < 0 else drive.agent, drive.least, drive.meets
     near = min(abs(margin), abs(passive.least)) < MARGINAL_M
     marginal = near or any(
         (course.drive(driver, late=late).meets < 0) != (end < 0) for late in (-JUDGED_S, JUDGED_S)
@@ -153,16 +153,16 @@ def _verdict(
         met = f"which it would meet after {t[passive.meets] - t[0]:.1f} s"
         outcome, reason = Avoidability.AVOIDABLE, f"avoidable {by}: stays clear of {about}, {met}"
     else:
-        met = f"meets {about} after {t[end] - t[0]:.1f} s at {found.v[end]:.1f} m/s"
+        met = f"meets {about} after {t[end] - t[0]:.1f} s at {drive.v[end]:.1f} m/s"
         outcome, reason = Avoidability.UNAVOIDABLE, f"unavoidable {by}: {met}"
-    braking = np.flatnonzero(found.a < -1.0)
+    braking = np.flatnonzero(drive.a < -1.0)
     brakes, meets = (
         float(t[braking[0]]) if len(braking) else nan,
         float(t[end]) if end >= 0 else nan,
     )
-    speed, who = float(found.v[end]), course.tracks.ids[agent]
+    speed, agent_id = float(drive.v[end]), course.tracks.ids[agent]
     return DriverVerdict(
-        name, outcome, reason, brakes, meets, speed, who, margin, marginal=marginal
+        name, outcome, reason, brakes, meets, speed, agent_id, margin, marginal=marginal
     )
 
 
@@ -190,12 +190,14 @@ class ReferenceDrive:
 @kernel
 def curve_speeds(s: FloatArray, kappa: FloatArray) -> FloatArray:
     """Return the speed `(n,)` from which the driver can slow down for each curve ahead, m/s."""
-    out = np.empty(len(s))
+    speeds = np.empty(len(s))
     for i in range(len(s) - 1, -1, -1):
-        out[i] = (CURVE_MPS2 / max(abs(kappa[i]), 1e-9)) ** 0.5
+        speeds[i] = (CURVE_MPS2 / max(abs(kappa[i]), 1e-9)) ** 0.5
         if i < len(s) - 1:
-            out[i] = min(out[i], (out[i + 1] ** 2 + 2.0 * EASE_MPS2 * (s[i + 1] - s[i])) ** 0.5)
-    return out
+            speeds[i] = min(
+                speeds[i], (speeds[i + 1] ** 2 + 2.0 * EASE_MPS2 * (s[i + 1] - s[i])) ** 0.5
+            )
+    return speeds
 
 
 @inner_kernel
@@ -239,10 +241,10 @@ def _least_clearance(
     reach = 0.5 * (hypot(car.length, car.width) + hypot(size[0], size[1]))
     if hypot(pose[0] - cx, pose[1] - cy) - reach >= least:
         return least
-    found = clearance(
+    distance = clearance(
         cx, cy, yaw, car.length, car.width, pose[0], pose[1], pose[2], size[0], size[1]
     )
-    return least if least <= found else found
+    return least if least <= distance else distance
 
 
 @kernel
@@ -262,14 +264,17 @@ def _drive(
     After the first touch the drive continues through the agent until both are apart, to measure the
     depth.
     """
-    knots, coef, there, pose = line.knots, line.coef, others.there, others.pose
-    n, steps = there.shape
-    out, seen = np.zeros((3, steps)), np.full((n, 7), np.nan)
+    knots, coef = line.knots, line.coef
+    present, pose = others.there, others.pose
+    n, steps = present.shape
+    rows, views = np.zeros((3, steps)), np.full((n, 7), np.nan)
     clock, nearer, left_out = np.zeros(n), np.zeros(n), np.zeros(n, np.bool_)
-    s, v, a, waited, braking, meets, least = start[0], start[2], 0.0, 0.0, False, -1, np.nan
+    s, v, a = start[0], start[2], 0.0
+    waited, braking = 0.0, False
+    meets, least = -1, np.nan
     k = 0
     for k in range(steps):
-        out[0, k], out[1, k], out[2, k] = s, v, a
+        rows[0, k], rows[1, k], rows[2, k] = s, v, a
         u = min((s - start[0]) / max(RETURN_S * start[2], 10.0), 1.0)
         l = start[1] * (1.0 - u * u * (3.0 - 2.0 * u))
         x, y, yaw, _ = line_frame(knots, coef, s)
@@ -279,31 +284,31 @@ def _drive(
             meets, about, least = k, hit, np.nan
         apart = np.nan
         for i in range(n):
-            if (i == about or about == ANY) and there[i, k] and not left_out[i]:
+            if (i == about or about == ANY) and present[i, k] and not left_out[i]:
                 apart = _least_clearance(apart, x, y, yaw, car, pose[:, i, k], others.size[i])
         least = least if least <= apart or np.isnan(apart) else apart  # (1)
         if meets >= 0 and not apart <= 0.0:
-            return out[:, : meets + 1], meets, about, least
+            return rows[:, : meets + 1], meets, about, least
         if s >= knots[-1]:
             break
         wish = 0.0
         if driver != PASSIVE:
-            observe(line, k, s, l, car, others, vulnerable, seen)
+            observe(line, k, s, l, car, others, vulnerable, views)
         if driver == CC:
-            wish = cc_acceleration(seen, others.accel[:, k], car, v, clock, nearer, late, braking)
+            wish = cc_acceleration(views, others.accel[:, k], car, v, clock, nearer, late, braking)
             braking = v > 0.0 and wish <= -CC_BRAKE_MPS2
         elif driver == FSM:
-            wish = fsm_acceleration(seen, car, v, a, late)
+            wish = fsm_acceleration(views, car, v, a, late)
             waited = waited + STEP_S if wish < 0.0 else 0.0
             wish = wish if waited > FSM_REACT_S + late + 1e-9 else 0.0
-        at = min(max(int((s - knots[0]) / (knots[1] - knots[0])), 0), len(knots) - 1)
-        if v > line.limits[at]:
+        knot = min(max(int((s - knots[0]) / (knots[1] - knots[0])), 0), len(knots) - 1)
+        if v > line.limits[knot]:
             wish = min(wish, -EASE_MPS2)
         a_next = min(max(wish, a - JERK_MPS3 * STEP_S), a + JERK_MPS3 * STEP_S)
         v_next = max(v + 0.5 * STEP_S * (a + a_next), 0.0)
         s += 0.5 * STEP_S * (v + v_next)
         v, a = v_next, (a_next if v_next > 0.0 else 0.0)
-    return out[:, : (k if meets < 0 else meets) + 1], meets, about if meets >= 0 else -1, least
+    return rows[:, : (k if meets < 0 else meets) + 1], meets, about if meets >= 0 else -1, least
 
 
 def _avoids(series: Series) -> tuple[float, int]:

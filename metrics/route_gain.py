@@ -46,7 +46,8 @@ STRETCH, SLACK_M = 2.0, 0.1
 JOIN_M, CHANGE_M = 10.0, 20.0  # Length of the transition to a lane, and to a neighbouring lane
 # The line follows lanes for this distance beyond the path or goal, then goes straight
 BEYOND_M = 200.0
-AHEAD_M, BEYOND_END_M, SAME_M, LAGS_MPS = 5.0, 1000.0, 1e-6, 0.5
+AHEAD_M, BEYOND_END_M = 5.0, 1000.0
+SAME_M, LAGS_MPS = 1e-6, 0.5
 SHORTEST_M = 10.0  # A shorter drive defines no route
 
 
@@ -101,7 +102,7 @@ def _route(road: Road, log: Trajectory, goal: Goal | None, axle_to_center: float
     line = ReferenceLine.through(np.vstack([path, onward]), SPACING_M)
     driven = float(np.hypot(*np.diff(path, axis=0).T).sum())
     regions = goal.regions if goal else ()
-    way = way_of(goal, log, ProgressLine(line, np.nan), axle_to_center) if goal else 0.0
+    goal_gain = way_of(goal, log, ProgressLine(line, np.nan), axle_to_center) if goal else 0.0
     enters = np.nan
     for s, (x, y) in (
         zip((line.s[1:] - axle_to_center).tolist(), line.xy[1:].tolist(), strict=True)
@@ -110,13 +111,13 @@ def _route(road: Road, log: Trajectory, goal: Goal | None, axle_to_center: float
     ):
         within = any(inside(x, y, region) for region in regions)
         if np.isnan(enters):
-            enters = s if within and s >= way else enters
+            enters = s if within and s >= goal_gain else enters
         elif not within:
-            return ProgressLine(line, max(enters, SPACING_M), way, s)
+            return ProgressLine(line, max(enters, SPACING_M), goal_gain, s)
     if np.isfinite(enters):
-        return ProgressLine(line, max(enters, SPACING_M), way)
+        return ProgressLine(line, max(enters, SPACING_M), goal_gain)
     length = driven if driven >= SHORTEST_M else np.nan
-    return ProgressLine(line, length, way, length)
+    return ProgressLine(line, length, goal_gain, length)
 
 
 def _points_onward(road: Road, log: Trajectory, goal: Goal | None) -> FloatArray:
@@ -201,9 +202,9 @@ class RoutePace:
         """
         if len(scenario.ego) > 1:
             return cls.of(scenario.ego, scenario)
-        way, goal = route_of(scenario).length, scenario.goal
+        length, goal = route_of(scenario).length, scenario.goal
         end = min(scenario.duration, goal.t[1] if goal is not None and goal.t else np.inf)
-        return cls((0.0, way), (0.0, end)) if way > 0.0 and end > 0.0 else None
+        return cls((0.0, length), (0.0, end)) if length > 0.0 and end > 0.0 else None
 
     def lost(
         self, drive: Trajectory, scenario: Scenario, frames: Sequence[float]

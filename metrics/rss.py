@@ -96,15 +96,16 @@ def _margins(
     """Return d_lon - d_lon,min, d_lat - d_lat,min, side (1 left, -1 right) of agent i, `(3, k)`;
     NaN: not judged.
     """
-    there, pose, size = others.there[i], others.pose[:, i], others.size[i]
-    steps, half = len(there), 0.5 * car.width
+    present, pose, size = others.there[i], others.pose[:, i], others.size[i]
+    steps, half = len(present), 0.5 * car.width
     front, rear = car.axle + 0.5 * car.length, car.axle - 0.5 * car.length
-    out = np.full((3, steps), np.nan)
+    margins = np.full((3, steps), np.nan)
     reach = 0.5 * hypot(size[0], size[1])
     for k in range(steps):
-        x, y, yaw, v, kappa = ego[0, k], ego[1, k], ego[2, k], ego[3, k], ego[4, k]
+        x, y, yaw = ego[0, k], ego[1, k], ego[2, k]
+        v, kappa = ego[3, k], ego[4, k]
         if (
-            not there[k]
+            not present[k]
             or v <= STANDING_MPS
             or not within_look(x, y, yaw, kappa, pose[0, k], pose[1, k], reach)
         ):
@@ -117,10 +118,12 @@ def _margins(
         u, left = vx * cos(path) + vy * sin(path), vy * cos(path) - vx * sin(path)
         side = 1.0 if l_low + l_high >= 0.0 else -1.0
         aside = l_low - half if side > 0.0 else -half - l_high
-        out[0, k] = s_low - front - longitudinal_distance(v, u)
-        out[1, k] = aside - lateral_distance(-side * left, movable and hypot(vx, vy) > STANDING_MPS)
-        out[2, k] = side
-    return out
+        margins[0, k] = s_low - front - longitudinal_distance(v, u)
+        margins[1, k] = aside - lateral_distance(
+            -side * left, movable and hypot(vx, vy) > STANDING_MPS
+        )
+        margins[2, k] = side
+    return margins
 
 
 @kernel
@@ -128,7 +131,7 @@ def _improper_response(
     t: FloatArray, ego: FloatArray, accel: FloatArray, margins: FloatArray
 ) -> BoolArray:
     """Return at which steps `(k,)` the response to one agent is not proper (4)."""
-    out = np.zeros(len(t), np.bool_)
+    improper = np.zeros(len(t), np.bool_)
     start, lateral, allowed = -1, False, np.nan
     for k in range(len(t)):
         if not (margins[0, k] < 0.0 and margins[1, k] < 0.0):
@@ -142,7 +145,7 @@ def _improper_response(
             )
         waited = t[k] - t[start] - RHO_S
         if accel[k] > A_MAX_MPS2 + _EPS:
-            out[k] = True
+            improper[k] = True
         elif waited >= -_EPS and lateral:
             c, s, kappa = cos(ego[2, start]), sin(ego[2, start]), ego[4, start]
             dx, dy = ego[0, k] - ego[0, start], ego[1, k] - ego[1, start]
@@ -150,10 +153,10 @@ def _improper_response(
             towards = ego[3, k] * sin(ego[2, k] - ego[2, start] - kappa * along) * margins[2, start]
             if not np.isfinite(allowed):
                 allowed = max(towards, 0.0)
-            out[k] = towards > max(allowed - B_LAT_MPS2 * waited, 0.0) + STANDING_MPS
+            improper[k] = towards > max(allowed - B_LAT_MPS2 * waited, 0.0) + STANDING_MPS
         elif waited >= -_EPS:
-            out[k] = accel[k] > -B_MIN_MPS2 + _EPS
-    return out
+            improper[k] = accel[k] > -B_MIN_MPS2 + _EPS
+    return improper
 
 
 @once
@@ -165,11 +168,11 @@ def _rss(trace: Trace, scenario: Scenario) -> tuple[Series, Series]:
     labels, blamed = [""] * len(ego.t), [""] * len(ego.t)
     for i, others, row in each(trace.agents, ego.t):
         movable = trace.agents.kinds[i] is not AgentKind.OBJECT and not bool(trace.agents.static[i])
-        found = _margins(states, car, others, row, movable)
-        name, least = name_of(trace.agents, i), np.maximum(found[0], found[1])
+        margins = _margins(states, car, others, row, movable)
+        name, least = name_of(trace.agents, i), np.maximum(margins[0], margins[1])
         for k in np.flatnonzero(np.isfinite(least) & ~(margin <= least)):
             margin[k], labels[k] = least[k], name
-        for k in np.flatnonzero(_improper_response(ego.t, states, ego.a, found)):
+        for k in np.flatnonzero(_improper_response(ego.t, states, ego.a, margins)):
             improper[k], blamed[k] = 1.0, name
     nothing = f"no other road user ahead or beside within {LOOK_M:g} m while the ego drove"
     return Series(ego.t, margin, tuple(labels), nothing), Series(ego.t, improper, tuple(blamed))

@@ -2,7 +2,7 @@
 
 At the first touch of each road user, with the velocity vectors v, the ego's mass m_e and that of
 the other's class m_o (`MASS_KG`; an object is immovable; nuPlan assumes 2000 kg for both). Not
-measured for FROM_START (`contacts`):
+measured for FROM_START (`collisions`):
 
 (1) impact speed = |v_e - v_o|, m/s
 (2) delta-v of the ego = m_o / (m_o + m_e) |v_e - v_o|:
@@ -20,7 +20,7 @@ import numpy as np
 from replan.logs.agents import AgentKind
 from replan.logs.scenario import Scenario
 from replan.logs.trace import Trace
-from replan.metrics.contacts import ContactKind, contacts, impact_speed, label
+from replan.metrics.collisions import ContactKind, contacts, impact_speed, label
 from replan.metrics.metric import Parts, Series, metric
 from replan.metrics.reductions import MAX
 

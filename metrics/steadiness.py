@@ -53,7 +53,8 @@ from replan.metrics.reductions import COUNT, MAX, MAX_ABS, durations, first_of
 from replan.metrics.route_gain import gain_along, route_of
 
 FALL_MPS = 0.5
-SETTLES_S, KEPT_S, JUDGED_S, RETURN_MPS = 4.0, 10.0, 8.0, 0.1
+SETTLES_S, RETURN_MPS = 4.0, 0.1
+KEPT_S, JUDGED_S = 10.0, 8.0
 LEAST_S = 20.0
 CALLED_S, CROSSED = 6.0, 0.7
 MEAN_S = 1.0
@@ -129,14 +130,14 @@ def falls(trace: Trace, scenario: Scenario) -> tuple[tuple[float, float], ...]:
     """Return the falls of the speed by `FALL_MPS` or more without a reason, between two turning
     points: s from, to.
     """
-    found, out = reasons(trace, scenario), []
-    for steps in np.split(np.arange(len(found.t)), np.flatnonzero(np.diff(found.slow)) + 1):
-        v = found.v[steps]
-        for a, b in pairwise(turning_points(v, FALL_MPS)) if not found.slow[steps[0]] else ():
+    ego, spans = reasons(trace, scenario), []
+    for steps in np.split(np.arange(len(ego.t)), np.flatnonzero(np.diff(ego.slow)) + 1):
+        v = ego.v[steps]
+        for a, b in pairwise(turning_points(v, FALL_MPS)) if not ego.slow[steps[0]] else ():
             if v[b] < v[a]:
                 begin = a + np.flatnonzero(v[a : b + 1] >= v[a] - SLACK_MPS)[-1]
-                out.append((float(found.t[steps[begin]]), float(found.t[steps[b]])))
-    return tuple(out)
+                spans.append((float(ego.t[steps[begin]]), float(ego.t[steps[b]])))
+    return tuple(spans)
 
 
 @_lane_metric(
@@ -172,10 +173,8 @@ def _crossings(
     """Return where a drive crosses into the lane beside: the first step in it, and the side, 1
     left, -1 right.
     """
-    found = under(
-        lanes, np.ascontiguousarray(x), np.ascontiguousarray(y), np.ascontiguousarray(yaw)
-    )
-    share = np.nan_to_num(found.left / found.half)
+    lane = under(lanes, np.ascontiguousarray(x), np.ascontiguousarray(y), np.ascontiguousarray(yaw))
+    share = np.nan_to_num(lane.left / lane.half)
     steps = np.flatnonzero(
         (share[:-1] * share[1:] < 0.0) & (np.minimum(abs(share[:-1]), abs(share[1:])) > CROSSED)
     )

@@ -22,6 +22,7 @@ from math import hypot
 import numpy as np
 
 from replan.core.arrays import FloatArray, arc_lengths
+from replan.logs.road import Road
 from replan.logs.route import ASIDE_M, BEHIND_M, on_lane
 from replan.logs.rules import RED, Colour, StopLine
 from replan.logs.scenario import Scenario
@@ -142,28 +143,26 @@ def _crossings(line: StopLine, trace: Trace, scenario: Scenario) -> Iterator[int
     which the drive ends.
     """
     road, ego = scenario.road, trace.ego
-    ways = [road.lanes[i] for i in road.lanes[line.lane].successors if i in road.lanes]
+    lanes_behind = [road.lanes[i] for i in road.lanes[line.lane].successors if i in road.lanes]
     ahead, beside = _ahead(line, ego, scenario)
     half = 0.5 * hypot(*(line.points[1] - line.points[0])) + ASIDE_M
     over = (ahead[:-1] < 0.0) & (ahead[1:] >= 0.0) & (np.abs(beside[1:]) <= half)
     for step in (np.flatnonzero(over) + 1).tolist():
         driven = arc_lengths(ego.x[step:], ego.y[step:])
-        at = step + np.unique(
-            np.searchsorted(driven, np.arange(0.0, min(float(driven[-1]), BEHIND_M), 1.0))
-        )
-        x, y = ego_boxes(ego, scenario)[:2, at]
-        on = {way.id: int(on_lane(way, x, y, ego.yaw[at]).sum()) for way in ways}
-        if any(on.values()):
-            counts = not line.towards or max(on, key=lambda way: (on[way], -way)) in line.towards
+        metres = np.arange(0.0, min(float(driven[-1]), BEHIND_M), 1.0)
+        steps = step + np.unique(np.searchsorted(driven, metres))
+        x, y = ego_boxes(ego, scenario)[:2, steps]
+        yaw = ego.yaw[steps]
+        steps_on = {lane.id: int(on_lane(lane, x, y, yaw).sum()) for lane in lanes_behind}
+        if any(steps_on.values()):
+            longest = max(steps_on, key=lambda lane: (steps_on[lane], -lane))
+            applies = not line.towards or longest in line.towards
         else:
-            beyond = any(
-                on_lane(lane, x[-1:], y[-1:], ego.yaw[at[-1:]]).any()
-                for lane in road.lanes.values()
-            )
-            counts = (
-                not ways
-                or not beyond
-                or road.lanes[line.lane] in road.lanes_at(float(x[-1]), float(y[-1]))
-            )
-        if counts:
+            applies = not lanes_behind or not _on_road(road, x[-1:], y[-1:], yaw[-1:])
+            applies = applies or road.lanes[line.lane] in road.lanes_at(float(x[-1]), float(y[-1]))
+        if applies:
             yield step
+
+
+def _on_road(road: Road, x: FloatArray, y: FloatArray, yaw: FloatArray) -> bool:
+    return any(on_lane(lane, x, y, yaw).any() for lane in road.lanes.values())

@@ -9,7 +9,7 @@ of nuPlan and NAVSIM use:
                straight on (`shapes.time_to_contact_turning`): the ego at v kappa, the others as
                estimated (`replan.logs.motion`)
 
-Both up to 10 s; agents behind (as in `contacts`), agents from their first contact on, and a
+Both up to 10 s; agents behind (as in `collisions`), agents from their first contact on, and a
 standing ego (<= 0.005 m/s) have none. At a collision at fault TTC is 0, also with agents behind.
 Each step, including the last, has a duration w_k (`reductions.durations`):
 
@@ -44,7 +44,7 @@ from replan.metrics.boxes import (
     labels_of,
     nearest,
 )
-from replan.metrics.contacts import contacts
+from replan.metrics.collisions import contacts
 from replan.metrics.gaps import judged_agents, no_agents
 from replan.metrics.metric import Measured, Reduction, Series, metric
 from replan.metrics.reductions import MIN, durations, first_of, time_below
@@ -70,13 +70,10 @@ def _contact_times(
     pose, steps = others.pose, others.there.shape[1]
     least, nearest = np.full((2, steps), np.nan), np.full(steps, -1, np.int64)
     for k in range(steps):
-        x, y, yaw, vx, vy = ego[0, k], ego[1, k], ego[2, k], ego[3, k], ego[4, k]
-        rear_x, rear_y, best, straight = (
-            x - car.axle * cos(yaw),
-            y - car.axle * sin(yaw),
-            horizon,
-            horizon,
-        )
+        x, y, yaw = ego[0, k], ego[1, k], ego[2, k]
+        vx, vy = ego[3, k], ego[4, k]
+        rear_x, rear_y = x - car.axle * cos(yaw), y - car.axle * sin(yaw)
+        best, straight = horizon, horizon
         if hypot(vx, vy) <= NO_TTC_MPS:
             continue
         for i in range(len(until)):
@@ -89,15 +86,15 @@ def _contact_times(
             closing = hypot(pose[3, i, k] - vx, pose[4, i, k] - vy)
             if distance_bound(x, y, car, others, i, k) > closing * best:
                 continue
-            found = contact_time((x, y, yaw, vx, vy), turn[k], car, others, i, k, 0.0)
-            if found < straight:
-                straight, least[1, k] = found, found
-            if found < best:
-                found = max(
-                    found, contact_time((x, y, yaw, vx, vy), turn[k], car, others, i, k, TURN_S)
+            contact_s = contact_time((x, y, yaw, vx, vy), turn[k], car, others, i, k, 0.0)
+            if contact_s < straight:
+                straight, least[1, k] = contact_s, contact_s
+            if contact_s < best:
+                contact_s = max(
+                    contact_s, contact_time((x, y, yaw, vx, vy), turn[k], car, others, i, k, TURN_S)
                 )
-            if found < best:
-                best, least[0, k], nearest[k] = found, found, i
+            if contact_s < best:
+                best, least[0, k], nearest[k] = contact_s, contact_s, i
     return least, nearest
 
 

@@ -28,7 +28,8 @@ from replan.explain.first_difference import first_difference, planners_part
 from replan.logs.mcap import read_trace
 from replan.logs.mcap.container import read_container
 from replan.metrics import COLUMNS, METRICS, load_metric
-from replan.metrics.comparison import PARTING_COLUMNS, Comparison, Side, compare, judge_rules
+from replan.metrics.comparison import PARTING_COLUMNS, Comparison, Side, compare
+from replan.metrics.comparison_rules import judge_rules
 from replan.metrics.judge import REFERENCE
 from replan.metrics.judge.gates import GateRule, load_gates, load_rules
 from replan.metrics.judge.verdicts import DRIVE

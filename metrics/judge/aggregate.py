@@ -87,15 +87,17 @@ def membership(labels: Mapping[str, LogLabels]) -> dict[tuple[str, str], tuple[s
 
     A log may have no family.
     """
-    found: dict[tuple[str, str], list[str]] = {(SUITE, ""): list(labels)}
+    groups_of_logs: dict[tuple[str, str], list[str]] = {(SUITE, ""): list(labels)}
     for kind, words in (
         ("family", {log: (of.family,) for log, of in labels.items()}),
         ("tag", {log: of.tags for log, of in labels.items()}),
         ("dataset", {log: (of.dataset,) for log, of in labels.items()}),
     ):
-        for word in sorted({word for mine in words.values() for word in mine if word}):
-            found[kind, word] = [log for log, mine in words.items() if word in mine]
-    return {key: tuple(logs) for key, logs in found.items()}
+        for word in sorted({word for log_words in words.values() for word in log_words if word}):
+            groups_of_logs[kind, word] = [
+                log for log, log_words in words.items() if word in log_words
+            ]
+    return {key: tuple(logs) for key, logs in groups_of_logs.items()}
 
 
 def standings(
@@ -131,14 +133,25 @@ def standings(
         of_run = [mode for name, mode in asked if name == planner]
         modes = [mode for mode in of_run if not loops or None in loops or mode in loops] or of_run
         for log in logs:
-            lost = [mode for of, name, mode in crashed if of == log and name in (None, planner)]
-            each = []
+            lost = [
+                mode
+                for other_log, name, mode in crashed
+                if other_log == log and name in (None, planner)
+            ]
+            results = []
             for mode in modes:
-                found = outcomes.get((log, planner, mode)) or {"inconclusive"}
+                log_outcomes = outcomes.get((log, planner, mode)) or {"inconclusive"}
                 whole = (log, planner, mode) in driven and mode not in lost and None not in lost
-                each.append(min(found if whole else found | {"missing"}, key=STANDINGS.index))
-            rows += [(log, planner, mode, one) for mode, one in zip(modes, each, strict=True)]
-            rows += [(log, planner, BOTH, min(each, key=STANDINGS.index))] if len(modes) > 1 else []
+                results.append(
+                    min(log_outcomes if whole else log_outcomes | {"missing"}, key=STANDINGS.index)
+                )
+            rows += [
+                (log, planner, mode, standing)
+                for mode, standing in zip(modes, results, strict=True)
+            ]
+            rows += (
+                [(log, planner, BOTH, min(results, key=STANDINGS.index))] if len(modes) > 1 else []
+            )
     return pd.DataFrame(rows, columns=["log", "planner", "mode", "standing"])
 
 
@@ -197,21 +210,23 @@ def groups(
     parts = [pass_shares(stand, labels)]
     for (kind, group), members in membership(labels).items() if len(table) else ():
         chosen = np.array([log in members for log in logs])
-        mine, named = value[chosen], logs.to_numpy(object)[chosen]
-        there = np.isfinite(mine)
-        count, total = there.sum(axis=0), np.where(there, mine, 0.0).sum(axis=0)
-        some = count > 0
-        mean, median, worst = (np.full(len(some), np.nan) for _ in range(3))
-        worst_log = np.full(len(some), "", dtype=object)
-        if some.any():
-            mean[some], median[some] = (
-                total[some] / count[some],
-                np.nanmedian(mine[:, some], axis=0),
+        chosen_values, named = value[chosen], logs.to_numpy(object)[chosen]
+        finite = np.isfinite(chosen_values)
+        count, total = finite.sum(axis=0), np.where(finite, chosen_values, 0.0).sum(axis=0)
+        has_values = count > 0
+        mean, median, worst = (np.full(len(has_values), np.nan) for _ in range(3))
+        worst_log = np.full(len(has_values), "", dtype=object)
+        if has_values.any():
+            mean[has_values], median[has_values] = (
+                total[has_values] / count[has_values],
+                np.nanmedian(chosen_values[:, has_values], axis=0),
             )
-        ranked = np.flatnonzero(some & np.isfinite(sign))
+        ranked = np.flatnonzero(has_values & np.isfinite(sign))
         if len(ranked):
-            at = np.where(there[:, ranked], mine[:, ranked] * sign[ranked], -np.inf).argmax(axis=0)
-            worst[ranked], worst_log[ranked] = mine[at, ranked], named[at]
+            worst_rows = np.where(
+                finite[:, ranked], chosen_values[:, ranked] * sign[ranked], -np.inf
+            ).argmax(axis=0)
+            worst[ranked], worst_log[ranked] = chosen_values[worst_rows, ranked], named[worst_rows]
         parts.append(
             columns.assign(
                 kind=kind,
@@ -223,14 +238,14 @@ def groups(
                 median=median,
                 worst=worst,
                 worst_log=worst_log,
-                total=np.where(some, total, np.nan),
+                total=np.where(has_values, total, np.nan),
             )
         )
-    found = _with_types(
+    table_of_groups = _with_types(
         pd.concat([part.reindex(columns=list(COLUMNS)) for part in parts], ignore_index=True)
     )
     order = {kind: i for i, kind in enumerate((SUITE, "family", "tag", "dataset"))}
-    return found.sort_values(
+    return table_of_groups.sort_values(
         _KEY, key=lambda c: c.map(order) if c.name == "kind" else c, ignore_index=True
     )
 

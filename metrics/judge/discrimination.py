@@ -26,10 +26,10 @@ import pandas as pd
 
 from replan.logs.trace import Mode
 from replan.metrics import evidence
+from replan.metrics.judge.added_rows import Values, fill_rows
 from replan.metrics.judge.aggregate import LogLabels
 from replan.metrics.judge.cases import REFERENCE
 from replan.metrics.judge.gates import Gate, Gates
-from replan.metrics.judge.verdicts import Values, fill_rows
 
 PARKED, CREEPING, BLIND = "parked", "creeping", "blind"
 PARKED_FAILS, BLIND_FAILS = (
@@ -117,15 +117,20 @@ def with_discrimination(
         *(bad[name] for name in ("log", "planner", "metric", "value")), strict=True
     ):
         known.setdefault((log, driver), {})[metric] = value
-    found: dict[str, list[Discrimination]] = {}
-    for (log, driver), of in known.items():
+    by_log: dict[str, list[Discrimination]] = {}
+    for (log, driver), log_values in known.items():
         if log in labels:
-            found.setdefault(log, []).append(discrimination(driver, gates, labels[log], of))
+            by_log.setdefault(log, []).append(
+                discrimination(driver, gates, labels[log], log_values)
+            )
     drives = table.loc[table["mode"] == Mode.CLOSED.value, ["log", "planner"]].drop_duplicates()
     closed, name = Mode.CLOSED.value, evidence.discrimination.name
     values: Values = {
-        (log, planner, closed, f"{name}.{one.driver}"): (float(one.breaks is not None), one.text)
+        (log, planner, closed, f"{name}.{result.driver}"): (
+            float(result.breaks is not None),
+            result.text,
+        )
         for log, planner in drives.itertuples(index=False)
-        for one in found.get(log, ())
+        for result in by_log.get(log, ())
     }
     return fill_rows(table, values)

@@ -138,9 +138,11 @@ class Gate:
             *(f"family {word}" for word in self.families),
             *(f"dataset {word}" for word in self.datasets),
         )
-        each = f"per {self.per}" if self.per else ""
+        per_group = f"per {self.per}" if self.per else ""
         scope = "".join(
-            f" [{word}]" for word in (self.mode, *self.tags, *kinds, self.planner, each) if word
+            f" [{word}]"
+            for word in (self.mode, *self.tags, *kinds, self.planner, per_group)
+            if word
         )
         return f"{self.bound}{share}{scope}"
 

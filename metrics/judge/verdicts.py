@@ -44,18 +44,6 @@ FAIL becomes INCONCLUSIVE if the gate has `broken = "inconclusive"`. If no log i
 verdict is INCONCLUSIVE. An optional gate is NOT ASKED if all its logs are NOT ASKED, and has no
 verdict if the run has no such metric. Filters that match no log, and planners that are not in the
 run, are INCONCLUSIVE even then, since they are most likely misspelt.
-
-Gates also add rows to the table: whether a verdict is robust or fragile, and the share of gates
-that were asked. A member is the log driven again under one perturbation (`replan.run.ensemble`);
-its verdict on a planner in one mode is the worst outcome of the gates. The unperturbed drive is
-one of the members:
-
-(1) ensemble.pass_share = members that pass / members
-(2) ensemble.fragile
-        = 1 if the verdict of any member differs from the unperturbed drive's, else 0
-
-Late plans are judged likewise. They depend on wall-clock time, so they are not in the table of
-metrics.
 """
 
 from __future__ import annotations
@@ -70,7 +58,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from replan.metrics.evidence import asked, ensemble
 from replan.metrics.judge.aggregate import LogLabels, wilson
 from replan.metrics.judge.cases import (
     LAWFUL,
@@ -86,10 +73,6 @@ from replan.metrics.judge.gates import Gate, Gates, Outcome, count_logs, meant, 
 from replan.metrics.judge.marginality import marginal
 
 _NO_ENTRIES: Mapping[Any, str] = MappingProxyType({})
-MEMBER, PERTURBATION = "member", "perturbation"  # Additional columns of a table of members
-LATE = "deadline.share"
-MAX_LATE = 0.01  # The share of a drive's plans that may be late
-MISS_COLUMNS = ("log", "planner", "mode", "plans", "misses", "share", "worst_s", "worst_t_s")
 OUTCOME_COLUMNS = (
     "gate",
     "log",
@@ -104,9 +87,6 @@ OUTCOME_COLUMNS = (
     "low",
     "high",
 )
-Drive = tuple[str, str, str]  # Log, planner, mode
-# Value and reason by log, planner, mode and metric
-Values = dict[tuple[str, str, str, str], tuple[float, str]]
 DRIVE = ["log", "planner", "mode"]
 
 
@@ -169,7 +149,7 @@ def judge(
     about = table.get("about", table["reason"]).astype(object)
     # Reasons of older versions of replan contain full ids
     about = about.where(about.notna(), table["reason"])
-    table = table.assign(about=[str(each).partition(":")[0] for each in about])
+    table = table.assign(about=[str(text).partition(":")[0] for text in about])
     for planner, mode, log, metric, *rest in zip(*(table[name] for name in columns), strict=True):
         rows.setdefault((planner, mode), {}).setdefault(log, {})[metric] = MetricRow(*rest)
     lawful = tuple(
@@ -192,27 +172,27 @@ def outcomes(verdicts: Sequence[Verdict]) -> pd.DataFrame:
 
     One row even if a log is in several groups.
     """
-    found = [
+    rows_ = [
         (
-            str(v.gate),
+            str(verdict.gate),
             log.log,
-            v.planner,
-            v.mode,
+            verdict.planner,
+            verdict.mode,
             log.outcome.value,
             log.value,
             log.time_s,
             log.why,
-            v.gate.metric,
-            v.gate.over,
-            v.gate.min,
-            v.gate.max,
+            verdict.gate.metric,
+            verdict.gate.over,
+            verdict.gate.min,
+            verdict.gate.max,
         )
-        for v in verdicts
-        for log in v.logs
+        for verdict in verdicts
+        for log in verdict.logs
     ]
-    rows = pd.DataFrame(found, columns=list(OUTCOME_COLUMNS))
+    rows = pd.DataFrame(rows_, columns=list(OUTCOME_COLUMNS))
     rows = rows.astype(dict.fromkeys(("value", "time_s", "low", "high"), "float64"))
-    twice = [str(v.gate) for v in verdicts if v.gate.per == "tag"]
+    twice = [str(verdict.gate) for verdict in verdicts if verdict.gate.per == "tag"]
     again = rows.duplicated(["gate", "log", "planner", "mode"]) & rows["gate"].isin(twice)
     return rows[~again].reset_index(drop=True)
 
@@ -245,9 +225,11 @@ def _judge_gate(
             "datasets": {mine.dataset for mine in labels.values()},
         }
         filters = []  # "the tags rian, did you mean 'rain'?"
-        for kind, there in known_words.items():
+        for kind, names_of_kind in known_words.items():
             names = [
-                word if word in there else f"{word}{meant(word, sorted(there), cutoff=0.7)}"
+                word
+                if word in names_of_kind
+                else f"{word}{meant(word, sorted(names_of_kind), cutoff=0.7)}"
                 for word in getattr(gate, kind)
             ]
             filters += [f"the {kind} {', '.join(names)}"] if names else []
@@ -330,25 +312,25 @@ def _judge_drive(
     asked.
     """
     planner, mode = drive
-    who = f"{planner}, {mode} loop" + (f", {group}" if group else "")
+    drive_name = f"{planner}, {mode} loop" + (f", {group}" if group else "")
     nothing = Verdict(gate, Outcome.INCONCLUSIVE, "", planner, mode, logs=tuple(logs), group=group)
-    found = [log for log in logs if log.outcome is not Outcome.NOT_ASKED]
-    if not found:
+    asked = [log for log in logs if log.outcome is not Outcome.NOT_ASKED]
+    if not asked:
         why = Counter(log.why for log in logs).most_common(1)
-        reason = f"{who}: no log was asked" + (f" ({why[0][0]})" if why else "")
+        reason = f"{drive_name}: no log was asked" + (f" ({why[0][0]})" if why else "")
         return replace(
             nothing,
             outcome=Outcome.NOT_ASKED if gate.optional else Outcome.INCONCLUSIVE,
             reason=reason,
         )
     judged = [
-        log for log in found if isfinite(log.value) and log.outcome is not Outcome.INCONCLUSIVE
+        log for log in asked if isfinite(log.value) and log.outcome is not Outcome.INCONCLUSIVE
     ]
-    missing = [log for log in found if not log.evaluated]
-    without = [log for log in found if log.outcome is Outcome.INCONCLUSIVE and log.evaluated]
+    missing = [log for log in asked if not log.evaluated]
+    without = [log for log in asked if log.outcome is Outcome.INCONCLUSIVE and log.evaluated]
     aside = ""  # text about logs that could not be judged
     if without:
-        ran = count_logs(len(found) - len(missing))
+        ran = count_logs(len(asked) - len(missing))
         aside = f"; no evidence in {len(without)} of {ran} ({without[0].log}: {without[0].why})"
     if missing:
         aside += (
@@ -357,9 +339,12 @@ def _judge_drive(
         )
     unclear = next(iter((*without, *missing)), None)
     if not judged:
-        where = found[0] if unclear is None else unclear
+        where = asked[0] if unclear is None else unclear
         return replace(
-            nothing, reason=f"{who}: nothing to judge{aside}", log=where.log, time_s=where.time_s
+            nothing,
+            reason=f"{drive_name}: nothing to judge{aside}",
+            log=where.log,
+            time_s=where.time_s,
         )
     bad = min(judged, key=lambda log: gate.margin(log.value))
     few = (
@@ -369,13 +354,13 @@ def _judge_drive(
     )
     lacking = (
         len(judged) < gate.min_logs
-        or len(found) - len(judged) > gate.max_missing * len(found) + 1e-9
+        or len(asked) - len(judged) > gate.max_missing * len(asked) + 1e-9
     )
     if gate.over == "pass_share":
-        value, outcome, what = _judge_share(gate, found, bad, lacking=lacking)
+        value, outcome, summary = _judge_share(gate, asked, bad, lacking=lacking)
     else:
-        value, outcome, what = _judge_value(gate, judged, bad, lacking=bool(lacking or missing))
-    reason = f"{who}: {what}{few}{aside}"
+        value, outcome, summary = _judge_value(gate, judged, bad, lacking=bool(lacking or missing))
+    reason = f"{drive_name}: {summary}{few}{aside}"
     where = bad if outcome is not Outcome.INCONCLUSIVE or unclear is None else unclear
     return replace(
         nothing, outcome=outcome, reason=reason, value=value, log=where.log, time_s=where.time_s
@@ -438,151 +423,3 @@ def _judge_share(
         outcome,
         f"{gate.bound} {share}; worst {bad.value:.4g}{unit_of(bad.unit)} {bad.place}",
     )
-
-
-def with_ensemble(
-    table: pd.DataFrame, members: pd.DataFrame, gates: Gates, labels: Mapping[str, LogLabels]
-) -> pd.DataFrame:
-    """Add the rows (1) and (2) to the table of unperturbed drives; the drives of `members` are
-    numbered from 1.
-
-    Gates on `ensemble` itself are left out.
-    """
-    if members.empty:
-        return table
-    rules = replace(
-        gates,
-        gates=tuple(gate for gate in gates.gates if not gate.metric.startswith(ensemble.name)),
-    )
-    plain = _drive_outcomes(rules, table, labels)
-    found: dict[Drive, list[tuple[Outcome, str]]] = {}
-    for (_, name), rows in members.groupby([MEMBER, PERTURBATION], sort=True):
-        logs = set(rows["log"])
-        members_of = _drive_outcomes(
-            rules, rows, {log: mine for log, mine in labels.items() if log in logs}
-        )
-        for drive, base in plain.items():
-            if drive[0] not in logs:
-                continue
-            now, change = Outcome.INCONCLUSIVE, f"{name}: not evaluated"
-            if (member := members_of.get(drive)) is not None:
-                before, now = worst(base.values()), worst(member.values())
-                gates_of = ", ".join(
-                    gate for gate, outcome in base.items() if member.get(gate) is not outcome
-                )
-                change = (
-                    "" if before is now else f"{name}: {before.value} -> {now.value} ({gates_of})"
-                )
-            found.setdefault(drive, []).append((now, change))
-    values: Values = {}
-    for drive, others in found.items():
-        passed = sum(
-            one is Outcome.PASS
-            for one in (worst(plain[drive].values()), *(one for one, _ in others))
-        )
-        changes = [change for _, change in others if change]
-        values[*drive, f"{ensemble.name}.pass_share"] = passed / (len(others) + 1.0), ""  # (1)
-        values[*drive, f"{ensemble.name}.fragile"] = float(bool(changes)), "; ".join(changes)  # (2)
-    return fill_rows(table, values)
-
-
-def with_asked(table: pd.DataFrame, gates: Gates, labels: Mapping[str, LogLabels]) -> pd.DataFrame:
-    """Add the row `asked.share` of each drive to the table: the share of the other gates that were
-    asked.
-    """
-    rules = replace(
-        gates, gates=tuple(gate for gate in gates.gates if not gate.metric.startswith(asked.name))
-    )
-    values: Values = {}
-    for drive, found in _drive_outcomes(rules, table, labels).items():
-        missing = [gate for gate, outcome in found.items() if outcome is Outcome.NOT_ASKED]
-        reason = f"not asked: {', '.join(missing)}" if missing else ""
-        values[*drive, f"{asked.name}.share"] = 1.0 - len(missing) / len(found), reason
-    return fill_rows(table, values)
-
-
-def fill_rows(table: pd.DataFrame, values: Values) -> pd.DataFrame:
-    """Return the table with these values and reasons filled in."""
-    keys = list(zip(*(table[name] for name in (*DRIVE, "metric")), strict=True))
-    at = table.index[[i for i, key in enumerate(keys) if key in values]]
-    found = [values[key] for key in keys if key in values]
-    out = table.copy()
-    out.loc[at, "value"], out.loc[at, "reason"] = (
-        [value for value, _ in found],
-        [reason for _, reason in found],
-    )
-    out.loc[at, "available"] = True
-    return out
-
-
-def _drive_outcomes(
-    gates: Gates, table: pd.DataFrame, labels: Mapping[str, LogLabels]
-) -> dict[Drive, dict[str, Outcome]]:
-    """Return the outcomes by gate, for each log, planner and mode."""
-    found: dict[Drive, dict[str, Outcome]] = {}
-    table = outcomes(judge(gates, table, labels))
-    for *drive, gate, outcome in zip(
-        *(table[name] for name in (*DRIVE, "gate", "outcome")), strict=True
-    ):
-        found.setdefault((drive[0], drive[1], drive[2]), {})[gate] = Outcome(outcome)
-    return found
-
-
-def deadline_misses(timings: pd.DataFrame, deadline_s: float) -> pd.DataFrame:
-    """Count the plans of each drive that took longer than a deadline.
-
-    `timings`: columns log, planner, mode, t_s, stage, seconds; the stage "total" is a whole plan.
-    `deadline_s`: a plan that takes longer has missed it, s; ValueError unless above 0.
-
-    Returns:
-        `MISS_COLUMNS` of each log, planner and mode in the order of `timings`: plans made, misses,
-        their share, the longest time of a plan, and the time of its frame.
-    """
-    if not deadline_s > 0.0:
-        raise ValueError(f"a deadline of {deadline_s} s")
-    rows = []
-    for drive, plans in timings[timings["stage"] == "total"].groupby(
-        DRIVE, sort=False, observed=True
-    ):
-        late, worst = plans["seconds"] > deadline_s, plans.iloc[int(plans["seconds"].argmax())]
-        rows.append(
-            (
-                *drive,
-                len(plans),
-                int(late.sum()),
-                float(late.mean()),
-                worst["seconds"],
-                worst["t_s"],
-            )
-        )
-    return pd.DataFrame(rows, columns=list(MISS_COLUMNS))
-
-
-def judge_deadline(
-    timings: pd.DataFrame, deadline_s: float, labels: Mapping[str, LogLabels]
-) -> tuple[Verdict, ...]:
-    """The verdicts on the share of late plans, at most `MAX_LATE` in each drive.
-
-    Arguments as of `deadline_misses`.
-    """
-    late = deadline_misses(timings, deadline_s)
-    why = [
-        (
-            f"{row.misses} of {row.plans} plans took longer than {deadline_s:g} s, one "
-            f"{row.worst_s:.3g} s"
-        )
-        for row in late.itertuples()
-    ]
-    table = late[DRIVE].assign(
-        oracle=False,
-        metric=LATE,
-        value=late["share"],
-        unit="1",
-        available=True,
-        reason=why,
-        time_s=late["worst_t_s"],
-    )
-    gate = Gate(
-        LATE, max=MAX_LATE, reason=f"plans are made within {deadline_s:g} s on this machine"
-    )
-    return judge(Gates((gate,), "deadline"), table, labels)

@@ -28,8 +28,8 @@ from replan.explain.first_difference import first_difference, planners_part
 from replan.logs.scenario import Avoidability
 from replan.metrics import METRICS
 from replan.metrics.judge import REFERENCE, Outcome, judge, outcomes
+from replan.metrics.judge.added_rows import with_asked
 from replan.metrics.judge.gates import Gate, Gates
-from replan.metrics.judge.verdicts import with_asked
 from replan.metrics.metric import Direction
 from replan.run.evaluate import evaluate_logs
 from replan.run.judging import gates_of

@@ -4,7 +4,7 @@ chance.
 For a log i and an objective j, which is a row of the table of metrics with a better direction:
 
 (1) gain_ij = +-(value_ij - default_ij) / scale_j
-        0 where the difference is rounding (`replan.metrics.comparison`, (1)), and where one of both
+        0 where the difference is rounding (`replan.metrics.resampling`, (1)), and where one of both
         runs has no value
 (2) scale_j = mean over the training logs of |default_ij|; 1 where that is 0
 (3) objective_j = mean over the training logs of gain_ij, which is maximised
@@ -13,7 +13,7 @@ For a log i and an objective j, which is a row of the table of metrics with a be
         of equals the first. It is on the Pareto front
 (6) better = over the held-out logs, the 95 % interval of the mean of sum over j of gain_ij
         is above 0: a paired percentile bootstrap over logs, seeded, of `LEAST_LOGS` logs at least
-        (`replan.metrics.comparison`, (5) and (6))
+        (`replan.metrics.resampling`, (2) and (3))
 
 Logs are put in the order of their stratum (the family, else the dataset, else none), then of the
 SHA-256 of their name. The k-th log in this order, from 0, is held out if
@@ -39,9 +39,9 @@ from replan.core.errors import ConfigError, unknown_name
 from replan.draw.drawn_results import Results
 from replan.logs.trace import Mode
 from replan.metrics import Metric
-from replan.metrics.comparison import MIN_SIGNIFICANT, intervals, noise
 from replan.metrics.judge.aggregate import LogLabels
 from replan.metrics.judge.gates import Outcome
+from replan.metrics.resampling import MIN_SIGNIFICANT, intervals, noise
 
 LEAST_LOGS = MIN_SIGNIFICANT
 SLACK = 1e-9

@@ -30,10 +30,11 @@ from replan.draw.drawn_results import Results, load
 from replan.logs.vehicle import VehicleParameters
 from replan.metrics import COLUMNS, health
 from replan.metrics.judge import Verdict, judge, outcomes
+from replan.metrics.judge.added_rows import with_asked, with_ensemble
 from replan.metrics.judge.aggregate import LogLabels, groups, standings
+from replan.metrics.judge.deadline import LATE, judge_deadline
 from replan.metrics.judge.discrimination import with_discrimination
 from replan.metrics.judge.gates import PACKAGED, Gates, Outcome, load_gates
-from replan.metrics.judge.verdicts import LATE, judge_deadline, with_asked, with_ensemble
 from replan.replay.parts import PARTS, config_class
 from replan.results.load import TIMING_WORDS
 from replan.results.log_result import (

@@ -41,7 +41,7 @@ from replan.logs.mcap.writer import Entry
 from replan.logs.scenario import Scenario
 from replan.logs.trace import EndReason, Mode, Trace
 from replan.metrics import METRICS, Metric, health, load_metric
-from replan.metrics.judge.verdicts import MEMBER
+from replan.metrics.judge.added_rows import MEMBER
 from replan.replay.drive import Drive, DriveKey, Mark
 from replan.replay.loop.closed_loop import run_closed_loop
 from replan.replay.loop.open_loop import run_open_loop

@@ -43,7 +43,7 @@ from replan.logs.trace import EndReason, Mode, Trace
 from replan.metrics import GROUPS, METRICS
 from replan.metrics.arrival import Arrival, goal_of
 from replan.metrics.boxes import ego_boxes, name_of, phantoms, without_phantoms
-from replan.metrics.contacts import contacts
+from replan.metrics.collisions import contacts
 from replan.metrics.driver_models import STEP_S
 from replan.metrics.evidence import evidence
 from replan.metrics.judge import CAREFUL, DRIVER, FOLLOWER, REFERENCE

@@ -1,7 +1,7 @@
 """Ends a closed loop: goal, collision, off the road. The loop itself ends at the log's end or a
 planner failure.
 
-The metrics' rule of fault (`replan.metrics.contacts.classify`) decides whether a contact is a
+The metrics' rule of fault (`replan.metrics.collisions.classify`) decides whether a contact is a
 collision of the ego or a replayed agent ran into it. Of several simultaneous contacts, one at fault
 makes it a collision.
 """
@@ -25,7 +25,7 @@ from replan.logs.trace import EndReason
 from replan.logs.tracks import Tracks
 from replan.metrics.arrival import Arrival
 from replan.metrics.boxes import name_of, phantoms, without_phantoms
-from replan.metrics.contacts import classify
+from replan.metrics.collisions import classify
 from replan.metrics.cut_in import LOOK_BACK_S
 from replan.replay.loop.contacts import AgentBoxes, EgoBox, agent_boxes, ego_box, touched
 from replan.replay.vehicle.records import Records, state_at, trajectory_of

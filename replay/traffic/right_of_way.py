@@ -25,7 +25,7 @@ with the distance s from here and a = `leaders.ACCEL_MPS2`, it arrives after
 (2) tau(s) = max(time of the log to there, (sqrt(v^2 + 2 a s) - v) / a)
 
 It waits where its box would reach such a place within `SERIOUS_S` before or after the ego (a
-post-encroachment time below 1 s violates the right of way: `replan.metrics.right_of_way`), if it
+post-encroachment time below 1 s violates the right of way: `replan.metrics.priority`), if it
 can stop with `leaders.HARDEST_MPS2` before all of the ego's way, held by right or not: a standing
 leader is placed there. An agent that cannot stop, or is there already, drives on.
 """
@@ -48,7 +48,7 @@ from replan.logs.scenario import Scenario
 from replan.logs.shapes import overlap_turned
 from replan.logs.states import EgoState
 from replan.logs.tracks import Tracks
-from replan.metrics.right_of_way import SERIOUS_S
+from replan.metrics.priority import SERIOUS_S
 from replan.planners.rules.zones import turned
 from replan.replay.prediction import LaneMap
 from replan.replay.prediction.lane_following import followers

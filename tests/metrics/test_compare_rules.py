@@ -10,19 +10,11 @@ from gate_rows import row, table
 from hypothesis import given, settings, strategies as st
 
 from replan.core.errors import ConfigError
-from replan.metrics.comparison import (
-    MIN_PAIRS,
-    MIN_SIGNIFICANT,
-    Comparison,
-    Side,
-    by_recording,
-    compare,
-    intervals,
-    judge_rules,
-    noise,
-)
+from replan.metrics.comparison import Comparison, Side, compare
+from replan.metrics.comparison_rules import judge_rules
 from replan.metrics.judge.aggregate import LogLabels
 from replan.metrics.judge.gates import Gate, GateRule, Gates, Outcome, load_gates, load_rules
+from replan.metrics.resampling import MIN_PAIRS, MIN_SIGNIFICANT, by_recording, intervals, noise
 
 GAP = Gate("gap.min", min=0.5)
 

@@ -12,7 +12,7 @@ from replan.logs.road import RoadSource
 from replan.logs.scenario import Scenario
 from replan.logs.states import Trajectory
 from replan.metrics import METRICS
-from replan.metrics.contacts import ContactKind, contacts
+from replan.metrics.collisions import ContactKind, contacts
 from replan.metrics.cut_in import BRAKE_MPS2, REACT_S, entries, forced_braking
 from replan.metrics.metric import Series
 

@@ -11,9 +11,9 @@ from hypothesis import given, strategies as st
 from replan.core.errors import ConfigError, LogError
 from replan.metrics import METRICS, evaluate
 from replan.metrics.judge import Verdict, judge, outcomes, worst
+from replan.metrics.judge.added_rows import with_asked
 from replan.metrics.judge.aggregate import LogLabels
 from replan.metrics.judge.gates import PACKAGED, Gate, Gates, Outcome, load_gates
-from replan.metrics.judge.verdicts import with_asked
 
 PASS, FAIL, INCONCLUSIVE = Outcome.PASS, Outcome.FAIL, Outcome.INCONCLUSIVE
 

@@ -34,7 +34,7 @@ from replan.logs.trace import Mode
 from replan.logs.tracks import Tracks
 from replan.metrics import evaluate, series
 from replan.metrics.boxes import ego_boxes, others_at
-from replan.metrics.contacts import ContactKind, contacts
+from replan.metrics.collisions import ContactKind, contacts
 from replan.metrics.lanes import drivable_lanes, limits_at, off_lanes, under
 from replan.metrics.off_road import OUTLINE_M
 from replan.metrics.time_to_collision import least_contact_times

@@ -21,7 +21,9 @@ from replan.logs.edit.transform import sampled
 from replan.logs.road import RoadSource
 from replan.metrics import METRICS, evaluate
 from replan.metrics.judge import Verdict, judge, outcomes, worst
+from replan.metrics.judge.added_rows import with_ensemble
 from replan.metrics.judge.aggregate import LogLabels, wilson
+from replan.metrics.judge.deadline import MISS_COLUMNS, deadline_misses
 from replan.metrics.judge.discrimination import (
     BLIND,
     BLIND_FAILS,
@@ -31,7 +33,6 @@ from replan.metrics.judge.discrimination import (
 )
 from replan.metrics.judge.gates import Gate, Gates, Outcome, load_gates
 from replan.metrics.judge.marginality import INTERVAL, marginal
-from replan.metrics.judge.verdicts import MISS_COLUMNS, deadline_misses, with_ensemble
 from replan.replay.loop.reference_drives import discriminate
 from replan.run.ensemble import NOISE_M, PERTURBATIONS, START_M, perturbed
 

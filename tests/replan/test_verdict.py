@@ -25,8 +25,8 @@ from replan.metrics import evaluate
 from replan.metrics.boxes import phantoms
 from replan.metrics.judge import CAREFUL, DRIVER, REFERENCE, Verdict, judge
 from replan.metrics.judge.aggregate import LogLabels
+from replan.metrics.judge.deadline import judge_deadline
 from replan.metrics.judge.gates import Outcome, load_gates
-from replan.metrics.judge.verdicts import judge_deadline
 from replan.metrics.time_to_collision import least_contact_times
 from replan.replay.drive import Drive
 from replan.replay.loop.closed_loop import run_closed_loop

@@ -45,8 +45,8 @@ from replan.metrics.judge.aggregate import (
     pass_shares,
     standings,
 )
+from replan.metrics.judge.deadline import judge_deadline
 from replan.metrics.judge.gates import Outcome
-from replan.metrics.judge.verdicts import judge_deadline
 from replan.results.tables import OUTCOMES
 
 EXIT_WEIGHT = (2, 3, 1, 4, 0)

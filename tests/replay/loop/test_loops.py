@@ -25,7 +25,7 @@ from replan.logs.shapes import overlap
 from replan.logs.states import TRAJECTORY_COLUMNS, EgoState, Trajectory
 from replan.logs.trace import EndReason, Mode, Trace
 from replan.logs.vehicle import VehicleParameters
-from replan.metrics.contacts import contacts
+from replan.metrics.collisions import contacts
 from replan.planners.constant_speed import ConstantSpeed
 from replan.replay.drive import Drive, Stopwatch
 from replan.replay.loop.closed_loop import run_closed_loop

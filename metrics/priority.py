@@ -113,8 +113,10 @@ def priority_gap_assumed(trace: Trace, scenario: Scenario) -> Measured:
 
 def _priority_gap(trace: Trace, scenario: Scenario, *, assumed: bool) -> Measured:
     lanes, guessed = scenario.road.lanes, scenario.road.assumed_priority
-    yields = (lane for lane in lanes.values() if (lane.id in guessed) is assumed)
-    pairs = [(lane, lanes[i]) for lane in yields for i in lane.yields_to if i in lanes]
+    pairs = []
+    for lane in lanes.values():
+        if (lane.id in guessed) is assumed:
+            pairs += [(lane, lanes[i]) for i in lane.yields_to if i in lanes]
     if not pairs:
         return Unavailable(
             "no right of way is assumed" if assumed else "the log names no right of way"
@@ -123,26 +125,28 @@ def _priority_gap(trace: Trace, scenario: Scenario, *, assumed: bool) -> Measure
         return Unavailable("the drive holds one ego state only")
     t = np.arange(float(trace.ego.t[0]), float(trace.ego.t[-1]), GRID_S)
     ego = trace.ego.resampled(t)
-    boxes, car, no_drivers = (
-        ego_boxes(ego, scenario),
-        car_of(scenario),
-        (AgentKind.PEDESTRIAN, AgentKind.OBJECT),
-    )
+    boxes, car = ego_boxes(ego, scenario), car_of(scenario)
+    no_drivers = (AgentKind.PEDESTRIAN, AgentKind.OBJECT)
     gap, labels = np.full(len(t), np.nan), [""] * len(t)
     for lane, first in pairs:
-        mine = _steps_around(on_lane(lane, boxes[0], boxes[1], ego.yaw))
-        for i, others, row in each(trace.agents, t) if mine.any() else ():
+        ego_steps = _steps_around(on_lane(lane, boxes[0], boxes[1], ego.yaw))
+        for i, others, row in each(trace.agents, t) if ego_steps.any() else ():
             if trace.agents.kinds[i] in no_drivers:
                 continue
-            theirs = _steps_around(on_lane(first, *others.pose[:3, row])) & others.there[row]
-            sizes = np.array([car[1:3], others.size[row]])
+            other_steps = _steps_around(on_lane(first, *others.pose[:3, row])) & others.there[row]
+            sizes = np.array([(car.length, car.width), others.size[row]])
             after, _, ego_first, other_first = encroachment(
-                boxes, np.flatnonzero(mine), others.pose[:, row], np.flatnonzero(theirs), sizes, 0.0
+                boxes,
+                np.flatnonzero(ego_steps),
+                others.pose[:, row],
+                np.flatnonzero(other_steps),
+                sizes,
+                0.0,
             )
             step = int(np.argmin(np.where(after >= 0, after, len(after))))
-            found = GRID_S * int(after[step])  # (1)
-            if ego_first.sum() > other_first.sum() and not gap[step] <= found:
-                gap[step], labels[step] = found, name_of(trace.agents, i)
+            gap_s = GRID_S * int(after[step])  # (1)
+            if ego_first.sum() > other_first.sum() and not gap[step] <= gap_s:
+                gap[step], labels[step] = gap_s, name_of(trace.agents, i)
     return Series(t, gap, tuple(labels), "the ego was never ahead of a road user that goes first")
 
 
@@ -150,11 +154,11 @@ def _steps_around(on: BoolArray) -> BoolArray:
     """Mark the steps `(k,)` from `AROUND_S` before the first marked one to `AROUND_S` after the
     last.
     """
-    at = np.flatnonzero(on)
-    found, reach = np.zeros(len(on), np.bool_), round(AROUND_S / GRID_S)
-    if len(at):
-        found[max(at[0] - reach, 0) : at[-1] + reach + 1] = True
-    return found
+    marked = np.flatnonzero(on)
+    around, reach = np.zeros(len(on), np.bool_), round(AROUND_S / GRID_S)
+    if len(marked):
+        around[max(marked[0] - reach, 0) : marked[-1] + reach + 1] = True
+    return around
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -184,12 +188,14 @@ def _meetings(
         kind, pose = tracks.kinds[i], others.pose[:, row]
         if kind is AgentKind.OBJECT:
             continue
-        mine, theirs = may_meet(boxes, car, others, row)
-        theirs = theirs[np.hypot(pose[3, theirs], pose[4, theirs]) >= MOVES_MPS]
+        ego_steps, other_steps = may_meet(boxes, car, others, row)
+        other_steps = other_steps[np.hypot(pose[3, other_steps], pose[4, other_steps]) >= MOVES_MPS]
         after = np.ascontiguousarray(pose[:, first:])
         angle = 0.0 if kind is AgentKind.PEDESTRIAN else CROSSING_RAD
-        sizes = np.array([others.size[row], car[1:3]])
-        steps = encroachment(after, theirs[theirs >= first] - first, boxes, mine, sizes, angle)
+        sizes = np.array([others.size[row], (car.length, car.width)])
+        steps = encroachment(
+            after, other_steps[other_steps >= first] - first, boxes, ego_steps, sizes, angle
+        )
         step = np.flatnonzero((steps[:2] >= 0).any(axis=0))
         if len(step):
             taken, left = np.where(steps[:2, step] >= 0, steps[:2, step] * FINE_S, np.nan)

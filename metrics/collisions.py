@@ -98,11 +98,11 @@ def classify(drive: Trajectory, agents: Tracks, scenario: Scenario) -> tuple[Con
     """
     ego, car = ego_boxes(drive, scenario), car_of(scenario)
     first: dict[int, int] = {}
-    for steps, there, others in pieces(agents, drive.t):
+    for steps, present, others in pieces(agents, drive.t):
         touched = _first_contacts(ego[:, steps], car, others)
         for row in np.flatnonzero(touched >= 0).tolist():
-            first.setdefault(int(there[row]), steps.start + int(touched[row]))
-    found = []
+            first.setdefault(int(present[row]), steps.start + int(touched[row]))
+    collisions = []
     for step, agent in sorted((step, agent) for agent, step in first.items()):
         kind, state = ContactKind.FROM_START, drive.state(step)
         other = some_at(agents, np.array([agent]), drive.t[max(step - 1, 0) : step + 1])
@@ -124,8 +124,15 @@ def classify(drive: Trajectory, agents: Tracks, scenario: Scenario) -> tuple[Con
             fault = not keeps_lane(
                 scenario.road, float(x), float(y), corners(x, y, yaw, car.length, car.width)
             )
-        found.append(Contact(step, agent, kind, fault))
-    return tuple(found)
+        collisions.append(Contact(step, agent, kind, fault))
+    return tuple(collisions)
+
+
+STOPPED_EGO = KINDS.index(ContactKind.STOPPED_EGO)
+STOPPED_TRACK = KINDS.index(ContactKind.STOPPED_TRACK)
+ACTIVE_REAR = KINDS.index(ContactKind.ACTIVE_REAR)
+ACTIVE_FRONT = KINDS.index(ContactKind.ACTIVE_FRONT)
+LATERAL = KINDS.index(ContactKind.LATERAL)
 
 
 @kernel
@@ -142,13 +149,15 @@ def contact_kind(
 
     `rear` are x, y, yaw and v of the ego's rear axle.
     """
-    if abs(rear[3]) <= STANDING_MPS:
-        return 1
     x, y, yaw = rear[0], rear[1], rear[2]
+    v, u = abs(rear[-1]), hypot(pose[-2], pose[-1])
+    length, width = size[0], size[1]
+    if v <= STANDING_MPS:
+        return STOPPED_EGO
     behind = is_behind(x, y, yaw, pose[0], pose[1])
-    if is_object or hypot(pose[3], pose[4]) <= STANDING_MPS:
+    if is_object or u <= STANDING_MPS:
         mid_x, mid_y = x + car.axle * cos(yaw), y + car.axle * sin(yaw)
-        if not behind or overlap(
+        from_behind = behind and not overlap(
             mid_x,
             mid_y,
             yaw,
@@ -157,33 +166,33 @@ def contact_kind(
             before[0],
             before[1],
             before[2],
-            size[0],
-            size[1],
-        ):
-            return 2
+            length,
+            width,
+        )
+        if not from_behind:
+            return STOPPED_TRACK
     if behind:
-        return 3
+        return ACTIVE_REAR
     nose_x, nose_y = x + car.front * cos(yaw), y + car.front * sin(yaw)
-    return (
-        4
-        if overlap(nose_x, nose_y, yaw, 0.0, car.width, pose[0], pose[1], pose[2], size[0], size[1])
-        else 5
+    with_front = overlap(
+        nose_x, nose_y, yaw, 0.0, car.width, pose[0], pose[1], pose[2], length, width
     )
+    return ACTIVE_FRONT if with_front else LATERAL
 
 
 @kernel
 def _first_contacts(ego: FloatArray, car: EgoOutline, others: OtherBoxes) -> IntArray:
     """Return for each agent the first step at which the boxes touch; -1 if they never do."""
-    out = np.full(len(others.size), -1, np.int64)
-    for i in range(len(out)):
+    steps = np.full(len(others.size), -1, np.int64)
+    for i in range(len(steps)):
         for k in range(others.there.shape[1]):
             x, y, yaw = ego[0, k], ego[1, k], ego[2, k]
             if not others.there[i, k] or distance_bound(x, y, car, others, i, k) > 0.0:
                 continue
             if touches(x, y, yaw, car, others, i, k):
-                out[i] = k
+                steps[i] = k
                 break
-    return out
+    return steps
 
 
 def label(contact: Contact, trace: Trace) -> str:
@@ -197,11 +206,12 @@ def impact_speed(contact: Contact, trace: Trace, scenario: Scenario) -> float:
     other = some_at(
         trace.agents, np.array([contact.agent]), trace.ego.t[contact.step : contact.step + 1]
     )
-    mine, theirs = ego_boxes(trace.ego, scenario)[3:, contact.step], other.pose[3:, 0, 0]
-    return float(np.hypot(*(theirs - mine)))
+    _, _, _, vx, vy = ego_boxes(trace.ego, scenario)[:, contact.step]
+    _, _, _, other_vx, other_vy = other.pose[:, 0, 0]
+    return float(np.hypot(other_vx - vx, other_vy - vy))
 
 
-def _counted(found: Iterable[Contact], trace: Trace, scenario: Scenario) -> Series:
+def _counted(collisions: Iterable[Contact], trace: Trace, scenario: Scenario) -> Series:
     """Count contacts at their steps, with the impact speed in the label."""
     return counted(
         trace.ego.t,
@@ -210,7 +220,7 @@ def _counted(found: Iterable[Contact], trace: Trace, scenario: Scenario) -> Seri
                 contact.step,
                 f"{label(contact, trace)}, {impact_speed(contact, trace, scenario):.1f} m/s",
             )
-            for contact in found
+            for contact in collisions
         ),
     )
 

@@ -55,7 +55,7 @@ def goal_of(scenario: Scenario) -> tuple[Goal | None, str]:
     """
     route, goal = route_of(scenario), scenario.goal
     if goal is not None:
-        return goal if goal.way == route.way else replace(goal, way=route.way), ""
+        return goal if goal.way == route.goal_gain else replace(goal, way=route.goal_gain), ""
     gained = float(gain_along(route, scenario.ego).metres[-1])
     if gained < SHORTEST_DRIVE_M:
         return None, ""

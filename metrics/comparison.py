@@ -381,16 +381,20 @@ def _flips(
             continue
         marginal = bool(noise(np.array(before.value), np.array(now.value)))
         when = now.time_s if np.isfinite(now.time_s) else before.time_s
-        values = (
-            before.outcome,
-            now.outcome,
-            before.value,
-            now.value,
-            when,
-            now.reason or before.reason,
-            marginal,
+        *_, gate = key
+        rows.append(
+            (
+                *key,
+                metric[gate],
+                before.outcome,
+                now.outcome,
+                before.value,
+                now.value,
+                when,
+                now.reason or before.reason,
+                marginal,
+            )
         )
-        rows.append((*key, metric[key[3]], *values))
     kinds = {"value_before": float, "value_after": float, "time_s": float, "marginal": bool}
     return pd.DataFrame(rows, columns=list(FLIP_COLUMNS)).astype(kinds)
 

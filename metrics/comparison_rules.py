@@ -62,7 +62,7 @@ def _judge_rule(
         return Outcome.FAIL if len(gone) > rule.limit else Outcome.PASS, reason
     tables = []
     for table in (comparison.pairs, comparison.flips):
-        tags = table["log"].map(lambda log: set(labels[log].tags if log in labels else ()))
+        tags = table["log"].map(lambda log: labels.get(log, LogLabels()).tags)
         selected = tags.map(set(rule.tags).issubset).astype(bool)
         for column, value in (("mode", rule.mode), ("planner", rule.planner)):
             if value is not None:

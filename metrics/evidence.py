@@ -73,17 +73,17 @@ def coverage(trace: Trace, scenario: Scenario) -> Parts | Unavailable:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Evidence(Series):
-    """1 with evidence, 0 without, NaN where no evidence is needed; `way` is the distance of each
+    """1 with evidence, 0 without, NaN where no evidence is needed; `metres` is the distance of each
     step, m.
     """
 
-    way: FloatArray = field(default_factory=partial(np.empty, 0))
+    metres: FloatArray = field(default_factory=partial(np.empty, 0))
 
 
 def _share(series: Series, *, of_way: bool = False) -> tuple[float, int]:
     """Return (1) or (2), and the first step without evidence."""
     known = series.known
-    weight = series.way if of_way and isinstance(series, Evidence) else durations(series.t)
+    weight = series.metres if of_way and isinstance(series, Evidence) else durations(series.t)
     weight = weight if weight[known].sum() > 0.0 else durations(series.t)
     weight = weight if weight[known].sum() > 0.0 else np.ones(len(known))
     return float(np.average(series.value[known], weights=weight[known])), first_of(
@@ -141,7 +141,7 @@ def _series_of(
         ego.t,
         value,
         labels,
-        way=split_to_neighbours(np.hypot(np.diff(ego.x), np.diff(ego.y))),
+        metres=split_to_neighbours(np.hypot(np.diff(ego.x), np.diff(ego.y))),
     )
 
 

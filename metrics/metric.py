@@ -170,6 +170,12 @@ class Metric:
         if broken is not None:
             raise ValueError(f"metric {self.name!r}: {broken}")
 
+    @property
+    def rows(self) -> tuple[str, ...]:
+        """The names of its rows in the table: "gap.min", "ade.3s.mean"; "*" stands for any part."""
+        series = [f"{self.name}.{part}" for part in self.parts] or [self.name]
+        return tuple(f"{name}.{reduction.name}" for name in series for reduction in self.reductions)
+
     def __call__(self, trace: Trace, scenario: Scenario) -> Measured | Parts:
         """Return the result of `measure`, cached for metrics that are made of others.
 

@@ -56,13 +56,13 @@ class ProgressLine:
     """The line (a) of a scenario, from its first state.
 
     `length`, m, ends where the line enters the goal, else at the end of the log's drive; NaN if
-    there is neither. `way` is the gain from which on the goal counts (d), m. `far` ends where the
-    line leaves the goal; inf: nowhere.
+    there is neither. `goal_gain` is the gain from which on the goal counts (d), m. `far` ends where
+    the line leaves the goal; inf: nowhere.
     """
 
     line: ReferenceLine
     length: float
-    way: float = 0.0
+    goal_gain: float = 0.0
     far: float = np.inf
 
     @cached_property

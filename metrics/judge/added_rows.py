@@ -46,7 +46,7 @@ def with_ensemble(
     for (_, name), rows in members.groupby([MEMBER, PERTURBATION], sort=True):
         logs = set(rows["log"])
         members_of = _drive_outcomes(
-            rules, rows, {log: mine for log, mine in labels.items() if log in logs}
+            rules, rows, {log: labels[log] for log in labels if log in logs}
         )
         for drive, base in plain.items():
             if drive[0] not in logs:
@@ -54,22 +54,17 @@ def with_ensemble(
             now, change = Outcome.INCONCLUSIVE, f"{name}: not evaluated"
             if (member := members_of.get(drive)) is not None:
                 before, now = worst(base.values()), worst(member.values())
-                gates_of = ", ".join(
+                changed = [
                     gate for gate, outcome in base.items() if member.get(gate) is not outcome
-                )
-                change = (
-                    "" if before is now else f"{name}: {before.value} -> {now.value} ({gates_of})"
-                )
+                ]
+                change = f"{name}: {before.value} -> {now.value} ({', '.join(changed)})"
+                if before is now:
+                    change = ""
             by_drive.setdefault(drive, []).append((now, change))
     values: Values = {}
     for drive, others in by_drive.items():
-        passed = sum(
-            member_outcome is Outcome.PASS
-            for member_outcome in (
-                worst(plain[drive].values()),
-                *(member_outcome for member_outcome, _ in others),
-            )
-        )
+        member_outcomes = [worst(plain[drive].values()), *(outcome for outcome, _ in others)]
+        passed = member_outcomes.count(Outcome.PASS)
         changes = [change for _, change in others if change]
         values[*drive, f"{ensemble.name}.pass_share"] = passed / (len(others) + 1.0), ""  # (1)
         values[*drive, f"{ensemble.name}.fragile"] = float(bool(changes)), "; ".join(changes)  # (2)
@@ -97,10 +92,8 @@ def fill_rows(table: pd.DataFrame, values: Values) -> pd.DataFrame:
     filled = table.index[[i for i, key in enumerate(keys) if key in values]]
     new_values = [values[key] for key in keys if key in values]
     result = table.copy()
-    result.loc[filled, "value"], result.loc[filled, "reason"] = (
-        [value for value, _ in new_values],
-        [reason for _, reason in new_values],
-    )
+    result.loc[filled, "value"] = [value for value, _ in new_values]
+    result.loc[filled, "reason"] = [reason for _, reason in new_values]
     result.loc[filled, "available"] = True
     return result
 

@@ -22,6 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from math import sqrt
 from typing import Any
 
@@ -51,6 +52,18 @@ COLUMNS = (
     "median",
     "worst",
     "worst_log",
+    "total",
+    "low",
+    "high",
+    "passed",
+    "failed",
+    "inconclusive",
+)
+COUNTS = ("logs", "available", "missing")
+NUMBERS = (
+    "mean",
+    "median",
+    "worst",
     "total",
     "low",
     "high",
@@ -93,7 +106,7 @@ def membership(labels: Mapping[str, LogLabels]) -> dict[tuple[str, str], tuple[s
         ("tag", {log: of.tags for log, of in labels.items()}),
         ("dataset", {log: (of.dataset,) for log, of in labels.items()}),
     ):
-        for word in sorted({word for log_words in words.values() for word in log_words if word}):
+        for word in sorted({*chain.from_iterable(words.values())} - {""}):
             groups_of_logs[kind, word] = [
                 log for log, log_words in words.items() if word in log_words
             ]
@@ -162,8 +175,8 @@ def pass_shares(stand: pd.DataFrame, labels: Mapping[str, LogLabels]) -> pd.Data
         by_log.setdefault((planner, mode), {})[log] = standing
     rows = []
     for (kind, group), logs in membership(labels).items():
-        for (planner, mode), found in by_log.items():
-            count = {word: sum(found[log] == word for log in logs) for word in STANDINGS}
+        for (planner, mode), standing_of in by_log.items():
+            count = {word: sum(standing_of[log] == word for log in logs) for word in STANDINGS}
             low, high = wilson(count["passed"], len(logs))
             share = count["passed"] / len(logs) if logs else np.nan
             rows.append(
@@ -244,17 +257,17 @@ def groups(
     table_of_groups = _with_types(
         pd.concat([part.reindex(columns=list(COLUMNS)) for part in parts], ignore_index=True)
     )
+    return table_of_groups.sort_values(_KEY, key=_in_order, ignore_index=True)
+
+
+def _in_order(column: pd.Series) -> pd.Series:
+    """Return the sort keys of a column: kinds from the suite to the datasets."""
     order = {kind: i for i, kind in enumerate((SUITE, "family", "tag", "dataset"))}
-    return table_of_groups.sort_values(
-        _KEY, key=lambda c: c.map(order) if c.name == "kind" else c, ignore_index=True
-    )
+    return column.map(order) if column.name == "kind" else column
 
 
 def _with_types(rows: pd.DataFrame) -> pd.DataFrame:
-    kinds = dict.fromkeys(("logs", "available", "missing"), "int64") | dict.fromkeys(
-        COLUMNS[10:13], "float64"
-    )
-    kinds |= dict.fromkeys(COLUMNS[14:], "float64")
+    kinds = dict.fromkeys(COUNTS, "int64") | dict.fromkeys(NUMBERS, "float64")
     words: dict[str, Any] = {
         name: rows[name].fillna("").astype(str) for name in COLUMNS if name not in kinds
     }

@@ -318,29 +318,23 @@ def _read_tables(
     tables = content.get(kind, [])
     if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
         raise ConfigError(f"{source}: holds no [[{kind}]]: {kind} is no list of tables")
-    rows = [
-        ".".join(filter(None, (metric.name, part, reduction.name)))
-        for metric in metrics.values()
-        for part in metric.parts or ("",)
-        for reduction in metric.reductions
-    ]
-    found = []
+    rows = [row for metric in metrics.values() for row in metric.rows]
+    loaded = []
     for i, table in enumerate(tables, 1):
         names = [table[key] for key in ("metric", "gate") if isinstance(table.get(key), str)]
         place = f"{source}: {kind} {i}" + "".join(f" ({name})" for name in names)
         _check_keys(table, tuple(field.name for field in fields(rule)), place)
         for name in names:
             words = name.split(".")
-            open_part = (
-                len(words) == 3 and f"{words[0]}.*.{words[2]}" in rows
-            )  # "qp_iterations.*.max" matches all words of its middle part
+            # "qp_iterations.*.max" matches all words of its middle part
+            open_part = len(words) == 3 and f"{words[0]}.*.{words[2]}" in rows
             if name not in rows and not open_part:
                 raise ConfigError(f"{place}: no metric has this name{meant(name, rows)}")
         try:
-            found.append(msgspec.convert(table, rule))
+            loaded.append(msgspec.convert(table, rule))
         except msgspec.ValidationError as error:
             raise ConfigError(f"{place}: {error}") from None
-    return source, tuple(found)
+    return source, tuple(loaded)
 
 
 def _check_keys(table: Mapping[str, Any], keys: Sequence[str], place: str) -> None:

@@ -211,7 +211,7 @@ def _judge_gate(
     failed: Mapping[str, str],
 ) -> list[Verdict]:
     """The verdicts of a gate, by planner, mode and group."""
-    # Labels of a log that failed before they were known: any gate may select it
+    # A log that failed before its labels were known: any gate may select it
     unknown = LogLabels()
     logs = [
         log
@@ -219,55 +219,76 @@ def _judge_gate(
         if gate.selects(labels.get(log, unknown)) or (log in failed and log not in labels)
     ]
     if not logs:
-        known_words = {
-            "tags": {tag for mine in labels.values() for tag in mine.tags},
-            "families": {mine.family for mine in labels.values()},
-            "datasets": {mine.dataset for mine in labels.values()},
-        }
-        filters = []  # "the tags rian, did you mean 'rain'?"
-        for kind, names_of_kind in known_words.items():
-            names = [
-                word
-                if word in names_of_kind
-                else f"{word}{meant(word, sorted(names_of_kind), cutoff=0.7)}"
-                for word in getattr(gate, kind)
-            ]
-            filters += [f"the {kind} {', '.join(names)}"] if names else []
-        reason = f"nothing to judge: no log has {' and '.join(filters) or 'a result'}"
-        return [Verdict(gate, Outcome.INCONCLUSIVE, reason)]
-    asked = [
-        (planner, mode)
-        for planner, mode in drives.rows
-        if (planner not in drives.oracles if gate.planner is None else planner == gate.planner)
-        if mode != REFERENCE and gate.mode in (None, mode)
-    ]
+        return [Verdict(gate, Outcome.INCONCLUSIVE, _no_log_selected(gate, labels))]
+    verdicts = []
+    groups = sorted(_groups_of(gate, logs, labels).items())
+    for drive in _measured_drives(gate, drives):
+        for group, members in groups:
+            outcomes = [_judge_log(GateCase(gate, log, *drive, drives), failed) for log in members]
+            verdicts.append(_judge_drive(gate, drive, outcomes, group))
+    return verdicts or _not_measured(gate, drives, logs, failed)
+
+
+def _no_log_selected(gate: Gate, labels: Mapping[str, LogLabels]) -> str:
+    """Return the reason if the filters match no log: "... the tags rian, did you mean 'rain'?"."""
+    known_words = {
+        "tags": {tag for log_labels in labels.values() for tag in log_labels.tags},
+        "families": {log_labels.family for log_labels in labels.values()},
+        "datasets": {log_labels.dataset for log_labels in labels.values()},
+    }
+    filters = []
+    for kind, known in known_words.items():
+        names = [
+            word if word in known else f"{word}{meant(word, sorted(known), cutoff=0.7)}"
+            for word in getattr(gate, kind)
+        ]
+        filters += [f"the {kind} {', '.join(names)}"] if names else []
+    return f"nothing to judge: no log has {' and '.join(filters) or 'a result'}"
+
+
+def _measured_drives(gate: Gate, drives: DrivesTable) -> list[tuple[str, str]]:
+    """Return the planners and modes that a gate asks, in the modes that have its metric."""
+    asked = []
+    for planner, mode in drives.rows:
+        named = planner == gate.planner
+        if gate.planner is None:
+            named = planner not in drives.oracles
+        if named and mode != REFERENCE and gate.mode in (None, mode):
+            asked.append((planner, mode))
     modes = {
         mode
         for planner, mode in asked
         if any(gate.metric in log for log in drives.rows[planner, mode].values())
     }
-    groups: dict[str, list[str]] = {} if gate.per else {"": logs}
-    for log in logs if gate.per else ():
-        mine = labels.get(log, unknown)
-        words = {"family": (mine.family,), "dataset": (mine.dataset,), "tag": mine.tags}[
-            gate.per or ""
-        ]
-        for word in words or ("",):
-            groups.setdefault(f"{gate.per} {word}" if word else f"{gate.per} not known", []).append(
-                log
-            )
-    if modes:
-        return [
-            _judge_drive(
-                gate,
-                drive,
-                [_judge_log(GateCase(gate, log, *drive, drives), failed) for log in mine],
-                group,
-            )
-            for drive in asked
-            if drive[1] in modes
-            for group, mine in sorted(groups.items())
-        ]
+    return [(planner, mode) for planner, mode in asked if mode in modes]
+
+
+def _groups_of(
+    gate: Gate, logs: Sequence[str], labels: Mapping[str, LogLabels]
+) -> dict[str, list[str]]:
+    """Return the logs by group, "family everyday/cut_in"; one group "" if the gate has no `per`."""
+    if not gate.per:
+        return {"": list(logs)}
+    groups: dict[str, list[str]] = {}
+    for log in logs:
+        log_labels = labels.get(log, LogLabels())
+        words_of = {
+            "family": (log_labels.family,),
+            "dataset": (log_labels.dataset,),
+            "tag": log_labels.tags,
+        }
+        for word in words_of[gate.per] or ("",):
+            group = f"{gate.per} {word}" if word else f"{gate.per} not known"
+            groups.setdefault(group, []).append(log)
+    return groups
+
+
+def _not_measured(
+    gate: Gate, drives: DrivesTable, logs: Sequence[str], failed: Mapping[str, str]
+) -> list[Verdict]:
+    """Return the verdict if no drive has the metric; none if the gate is optional, and its planner
+    is in the run.
+    """
     planners = sorted({planner for planner, mode in drives.rows if mode != REFERENCE})
     near = meant(gate.planner, planners) if gate.planner and gate.planner not in planners else ""
     planner = f"planner {gate.planner}{near}" if gate.planner else "a planner that is no oracle"

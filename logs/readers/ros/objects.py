@@ -26,9 +26,9 @@ from replan.logs.kind_words import kind_of_word
 from replan.logs.readers.recorded import heading, rotated, unit_or_identity
 from replan.logs.readers.ros import schemas
 from replan.logs.readers.ros.bag import Bag, Topic
-from replan.logs.readers.ros.ego import POSITION, BagPart
 from replan.logs.readers.ros.frames import BETWEEN, FrameTree, Poses, composed
-from replan.logs.readers.ros.schemas import ObjectSchema
+from replan.logs.readers.ros.part import BagPart
+from replan.logs.readers.ros.schemas import POSITION, ObjectSchema
 from replan.logs.readers.ros.tracks import Samples, identified
 
 MISFIT = 0.5
@@ -83,9 +83,8 @@ def read_messages(part: BagPart, topic: Topic) -> Messages:
     if schema.solid:
         want("solid", f"{schema.solid}.type", (f"{schema.solid}.dimensions", ()))
     log, stamps, rows = part.read(topic, ("header.frame_id", (schema.items, tuple(wanted))))
-    return Messages(
-        log, stamps, [row[2].lstrip("/") for row in rows], [row[3] for row in rows], names
-    )
+    frames = [frame.lstrip("/") for frame, _ in rows]
+    return Messages(log, stamps, frames, [items for _, items in rows], names)
 
 
 def _first(bag: Bag, topic: Topic, prefix: str, paths: str) -> str:

@@ -37,16 +37,8 @@ from replan.logs.readers.recorded import unit_or_identity
 from replan.logs.readers.repaired import reason_to_repair
 from replan.logs.readers.ros import schemas
 from replan.logs.readers.ros.bag import Bag, opened
-from replan.logs.readers.ros.ego import (
-    POSITION,
-    BagPart,
-    EgoLog,
-    at_poses,
-    begin_of,
-    read_ego,
-    signal,
-    states,
-)
+from replan.logs.readers.ros.ego import EgoLog, read_ego
+from replan.logs.readers.ros.ego_motion import at_poses, begin_of, signal, states
 from replan.logs.readers.ros.frames import (
     HELD,
     LASTS_S,
@@ -58,7 +50,8 @@ from replan.logs.readers.ros.frames import (
     times_of,
 )
 from replan.logs.readers.ros.objects import read_messages, samples_of
-from replan.logs.readers.ros.schemas import STAMP
+from replan.logs.readers.ros.part import BagPart
+from replan.logs.readers.ros.schemas import POSITION, STAMP
 from replan.logs.readers.ros.tracks import identified, tracks_of
 from replan.logs.repair.detections import Detections
 from replan.logs.road import GOAL_LENGTH_M, GOAL_WIDTH_M, Goal
@@ -118,7 +111,7 @@ def _scenario(path: Path, bag: Bag, settings: LogSettings) -> Scenario:
     if start is None:
         first = begin_of(ego, v)
         start, origin = int(ego.poses.t[first]), np.round(ego.poses.p[first, :2])
-        if part.drive:
+        if part.is_drive:
             asked = np.array([bag.start_ns + round(1e9 * settings.begin)])
             start = max(start, int(ego.clock(asked)[0])) - round(1e9 * settings.begin)
     else:
@@ -206,7 +199,7 @@ def _drive_to_read(whole: BagPart, ego: EgoLog) -> BagPart:
     if settings.end < inf:
         end = min(end, bag.start_ns + round(1e9 * settings.end))
     note = f"The {what}; this is number {chosen + 1}, and --from and --to are seconds of the bag."
-    return BagPart(bag, settings, begin, end - 1, [note], drive=True)
+    return BagPart(bag, settings, begin, end - 1, [note], is_drive=True)
 
 
 def _part_by_log_time(whole: BagPart) -> tuple[BagPart, int | None, FloatArray, Clock]:
@@ -337,7 +330,7 @@ def lights(part: BagPart, ego: EgoLog, t0: int) -> tuple[TrafficLight, ...]:
     log, stamps, rows = part.read(topic, ((schema.items, fields),), stamp)
     t, keep = times_of(topic.name, log, stamps, ego.clock, notes)
     notes += describe_timing(topic.name, log, stamps, int(log[0])) if len(log) else []
-    items = [rows[k][2] for k in keep]
+    items = [rows[k][0] for k in keep]
     place = next(
         (i for i in range(len(schema.ids)) if any(each[i] for some in items for each in some)), 0
     )
@@ -401,7 +394,7 @@ def goal(
     topic = topics[0]
     path = schemas.GOALS[topic.kind]
     fields = (*STAMP, "header.frame_id", *(f"{path}.{name}" for name in POSITION))
-    log, rows = part.bag.read(topic, fields, *((part.begin, part.end) if part.drive else ()))
+    log, rows = part.bag.read(topic, fields, *((part.begin, part.end) if part.is_drive else ()))
     good = [k for k, row in enumerate(rows) if np.isfinite(row[3:]).all()]
     if not good:
         return None
@@ -463,7 +456,7 @@ def onboard(part: BagPart, ego: EgoLog, t0: int, origin: FloatArray) -> tuple[On
     if rows:
         several = f" (of {len(topics)} such topics)" if len(topics) > 1 else ""
         timed = (
-            "by their speeds" if not any(p[0] or p[1] for p in rows[0][3]) else "by their own times"
+            "by their speeds" if not any(p[0] or p[1] for p in rows[0][1]) else "by their own times"
         )
         notes.append(
             f"{len(plans)} on-board plans are those of {topic.name}{several}, timed {timed}."
@@ -474,7 +467,7 @@ def onboard(part: BagPart, ego: EgoLog, t0: int, origin: FloatArray) -> tuple[On
 def _plan(
     row: tuple[object, ...], time: int, t0: int, ego: EgoLog, origin: FloatArray
 ) -> Trajectory | None:
-    *_, frame, points = row
+    frame, points = row
     assert isinstance(points, list)
     values = np.array(points, dtype=np.float64).reshape(-1, len(PLAN_POINT))
     values = values[np.isfinite(values).all(axis=1)]

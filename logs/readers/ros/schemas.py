@@ -13,6 +13,7 @@ from replan.logs.agents import AgentKind
 from replan.logs.rules import Colour
 
 STAMP = ("header.stamp.sec", "header.stamp.nanosec")
+POSITION = (*(f"position.{axis}" for axis in "xyz"), *(f"orientation.{axis}" for axis in "xyzw"))
 CAR, TRUCK, BUS, MOTORCYCLE, BICYCLE, PEDESTRIAN, OBJECT = AgentKind
 
 AUTOWARE_LABELS = {
@@ -29,6 +30,11 @@ AUTOWARE_LABELS = {
 AUTOWARE_NOT_IN_THE_WAY = (10, 11)
 """Labels of objects that do not block the way: OVER_DRIVABLE, UNDER_DRIVABLE."""
 DERIVED_LABELS = {4: PEDESTRIAN, 5: BICYCLE, 6: CAR, 7: TRUCK, 8: MOTORCYCLE, 9: CAR}
+
+
+def twist_fields(path: str) -> tuple[str, ...]:
+    """Return the names of the six numbers of a twist or acceleration at a path."""
+    return tuple(f"{path}{part}.{axis}" for part in ("linear", "angular") for axis in "xyz")
 
 
 @dataclass(frozen=True)

@@ -22,10 +22,14 @@ from scipy.optimize import linear_sum_assignment
 
 from replan.core.arrays import BoolArray, Columns, FloatArray, IntArray
 from replan.logs.agents import USUAL_SIZE_M, AgentKind, codes_of
-from replan.logs.readers.ros.ego import AGENT_WINDOW_S, OBJECT_WINDOW_S, rates, spread
+from replan.logs.readers.ros.fits import rates, spread
 from replan.logs.repair.detections import Detections, no_identities
 from replan.logs.tracks import Tracks
 
+AGENT_WINDOW_S, OBJECT_WINDOW_S = 0.5, 1.0
+"""Windows for boxes of road users and of objects at 10 Hz, s: outlines of clusters jump by
+decimetres.
+"""
 NOISE_M = {
     AgentKind.PEDESTRIAN: 0.07,
     AgentKind.BICYCLE: 0.07,

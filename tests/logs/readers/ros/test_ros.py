@@ -42,8 +42,8 @@ from replan.logs.edit.cut import cut
 from replan.logs.mcap import write_scenario
 from replan.logs.readers import LogSettings, read_log, reader_of
 from replan.logs.readers.ros import bag as door
-from replan.logs.readers.ros.ego import rates
 from replan.logs.readers.ros.fields import MOST_FIELDS, decoder
+from replan.logs.readers.ros.fits import rates
 from replan.logs.readers.ros.objects import smallest_rectangles
 from replan.logs.readers.ros.tracks import joined
 from replan.logs.repair.detections import no_identities

@@ -36,7 +36,7 @@ from replan.logs.heights import on_the_way
 from replan.logs.kind_words import kinds_of_tracks
 from replan.logs.log_settings import LogSettings
 from replan.logs.observed import Spans
-from replan.logs.readers import track_table
+from replan.logs.readers import data_sets, track_table
 from replan.logs.readers.base import LogContents, Reader, TopicSummary
 from replan.logs.readers.clocks import check_distinct, check_restart, check_zones, continued
 from replan.logs.readers.columns import NAMES, QUATERNION, NamedColumns, check_names, with_index
@@ -324,14 +324,14 @@ def _claims(path: Path) -> bool:
     try:
         if path.is_dir() and any((path / f"ego{suffix}").is_file() for suffix in SUFFIXES):
             return True
-        return track_table.claims(path)
+        return data_sets.claims(path)
     except OSError:
         return False
 
 
 def _files(path: Path) -> tuple[Path, ...]:
     if not path.is_dir():
-        return track_table.files(path)
+        return data_sets.files(path)
     return tuple(file for name in NAMES if (file := _file(path, name)) is not None)
 
 
@@ -348,7 +348,7 @@ def _read(path: Path, settings: LogSettings) -> Scenario:
     others: pd.DataFrame | None
     if ego is None and agents is not None:
         table = settings.ego
-        others, columns = track_table.load(agents, settings.columns)
+        others, columns = data_sets.load(agents, settings.columns)
         name = path.stem if agents == path else path.name
         name += f"_ego{settings.ego}" if settings.ego else ""
     elif ego is None:
@@ -409,6 +409,6 @@ READER = Reader(
         "car",
     ),
     claims_with=lambda path, settings: (
-        bool(settings.columns) and not path.is_dir() and track_table.claims(path, settings.columns)
+        bool(settings.columns) and not path.is_dir() and data_sets.claims(path, settings.columns)
     ),
 )

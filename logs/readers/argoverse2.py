@@ -39,7 +39,7 @@ from replan.logs.kind_words import kind_of_word, most_common
 from replan.logs.log_settings import LogSettings
 from replan.logs.maps.strips import LARGEST_M, LaneStrip, lanes_of
 from replan.logs.observed import of_stream
-from replan.logs.readers.arrow123d import AV2_CATEGORIES
+from replan.logs.readers.arrow123d_boxes import AV2_CATEGORIES
 from replan.logs.readers.base import LogContents, Reader, TopicSummary
 from replan.logs.readers.recorded import (
     RecordedBoxes,

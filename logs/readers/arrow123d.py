@@ -19,10 +19,6 @@ frame, so that every state has earlier poses.
 
 `route_position.arrow` is the ego's future path, and `custom.*` are fields of single data sets:
 neither is read, but for the route in nuPlan's (`arrow123d_map`).
-
-Labels. The files store a number of the data set's enumeration, and the dotted path of its class
-(`KINDS` has the classes of py123d 0.1.0 to 0.7.0, by the last part of that path). The class is
-never imported. For an unknown class, the kinds are derived from the lengths.
 """
 
 from __future__ import annotations
@@ -35,27 +31,21 @@ from typing import Any
 import numpy as np
 
 from replan.core.arrays import FloatArray, IntArray
-from replan.core.arrow_tables import Lists, ipc_table, metadata_of, reading, vectors, whole
+from replan.core.arrow_tables import ipc_table, metadata_of, reading, vectors, whole
 from replan.core.errors import LogError
-from replan.core.files import beside
-from replan.logs.agents import AgentKind
 from replan.logs.complete import completed
-from replan.logs.kind_words import kind_of_word, most_common
 from replan.logs.log_settings import LogSettings
 from replan.logs.maps.arrow123d_map import LIGHTS, map_of, road_of
 from replan.logs.observed import of_stream
+from replan.logs.readers.arrow123d_boxes import BOXES, is_differenced, read_boxes
 from replan.logs.readers.base import LogContents, Reader, TopicSummary
 from replan.logs.readers.recorded import (
-    RecordedBoxes,
     driven,
     from_second,
     from_start,
     heading,
     held_curvature,
-    is_unit,
     kept,
-    on_level,
-    ordered,
     rotated,
     tracks_of,
     unit_of_wxyz,
@@ -64,17 +54,9 @@ from replan.logs.scenario import Scenario
 from replan.logs.states import Trajectory
 from replan.logs.vehicle import assumed_car
 
-SYNC, EGO, BOXES = "sync.arrow", "ego_state_se3", "box_detections_se3"
+SYNC, EGO = "sync.arrow", "ego_state_se3"
 HEAD_BYTES = 65_536
 """Number of first bytes in which the schema of an old log is recognised."""
-SAME_MPS = 1e-5
-"""Tolerance of equal velocities, m/s: with whole microseconds, differences at 10 m/s are exact
-within 2e-6 m/s.
-"""
-TELLING_MPS = 1e-4
-"""Differences to both sides that are closer than this do not show how a velocity was computed,
-m/s.
-"""
 _RECORDED = (
     "av2",
     "nuplan",
@@ -97,81 +79,6 @@ _LICENCES = {
     "pandaset": "CC BY 4.0 and the terms of PandaSet",
     "wod": "Waymo's, non-commercial",
 }
-_CAR, _TRUCK, _BUS, _MOTORCYCLE, _BICYCLE, _PEDESTRIAN, _OBJECT = AgentKind
-LONG_M = 6.5
-"""A vehicle of unspecified type that is longer is a truck, m."""
-
-AV2_CATEGORIES = (
-    "ANIMAL",
-    "ARTICULATED_BUS",
-    "BICYCLE",
-    "BICYCLIST",
-    "BOLLARD",
-    "BOX_TRUCK",
-    "BUS",
-    "CONSTRUCTION_BARREL",
-    "CONSTRUCTION_CONE",
-    "DOG",
-    "LARGE_VEHICLE",
-    "MESSAGE_BOARD_TRAILER",
-    "MOBILE_PEDESTRIAN_CROSSING_SIGN",
-    "MOTORCYCLE",
-    "MOTORCYCLIST",
-    "OFFICIAL_SIGNALER",
-    "PEDESTRIAN",
-    "RAILED_VEHICLE",
-    "REGULAR_VEHICLE",
-    "SCHOOL_BUS",
-    "SIGN",
-    "STOP_SIGN",
-    "STROLLER",
-    "TRAFFIC_LIGHT_TRAILER",
-    "TRUCK",
-    "TRUCK_CAB",
-    "VEHICULAR_TRAILER",
-    "WHEELCHAIR",
-    "WHEELED_DEVICE",
-    "WHEELED_RIDER",
-)
-"""Argoverse 2's categories; 123D numbers them in this order."""
-
-KINDS: dict[str, dict[AgentKind, tuple[int, ...]]] = {
-    "NuPlanBoxDetectionLabel": {_CAR: (0,), _BICYCLE: (1,), _PEDESTRIAN: (2,)},
-    "NuScenesBoxDetectionLabel": {
-        _CAR: (0, 6),
-        _TRUCK: (1, 4, 5, 7),
-        _BUS: (2, 3),
-        _BICYCLE: (8,),
-        _MOTORCYCLE: (9,),
-        _PEDESTRIAN: (10, 11, 12, 13, 14, 15, 16),
-    },
-    "WODMotionBoxDetectionLabel": {_CAR: (1,), _PEDESTRIAN: (2,), _BICYCLE: (3,)},
-    "WODPerceptionBoxDetectionLabel": {_CAR: (1,), _PEDESTRIAN: (2,), _BICYCLE: (4,)},
-    "PandasetBoxDetectionLabel": {
-        _CAR: (3, 4, 7, 8, 11, 12, 13, 17, 21, 24),
-        _BUS: (25, 26),
-        _BICYCLE: (2, 9, 10),
-        _PEDESTRIAN: (14, 15),
-    },
-    "KITTI360BoxDetectionLabel": {
-        _CAR: (2, 3, 4, 14, 17),
-        _BUS: (15,),
-        _BICYCLE: (0, 6),
-        _PEDESTRIAN: (7, 9),
-    },
-    "PhysicalAIAVBoxDetectionLabel": {
-        _CAR: (0, 2, 3, 4, 8, 11),
-        _BUS: (10,),
-        _BICYCLE: (6,),
-        _PEDESTRIAN: (1,),
-    },
-    "NureasoningBoxDetectionLabel": {_CAR: (0, 7, 8), _BICYCLE: (1, 9, 10), _PEDESTRIAN: (2, 11)},
-    "GriffinBoxDetectionLabel": {_CAR: (1, 2, 3), _BICYCLE: (4, 5), _PEDESTRIAN: (0,)},
-    "TruckDriveBoxDetectionLabel": {_CAR: (1, 4, 5, 6, 8), _BICYCLE: (0,), _PEDESTRIAN: (2,)},
-    "DefaultBoxDetectionLabel": {_CAR: (1,), _BUS: (2,), _BICYCLE: (3,), _PEDESTRIAN: (4,)},
-}
-"""Label numbers by kind and label class; numbers that are not listed are objects."""
-_AV2 = "AV2SensorBoxDetectionLabel"
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,7 +113,7 @@ def read_123d(folder: Path) -> Scenario:
     frames_us, about = read_frames(folder)
     rows = read_ego(folder)
     with reading(folder / f"{EGO}.arrow"):
-        drive, given = _ego(rows, notes)
+        drive, is_logged = _ego(rows, notes)
         names = {"length": "length", "width": "width", "wheelbase": "wheel_base"}
         sizes = {key: float(rows.about.get(name) or 0.0) for key, name in names.items()}
         sizes = {key: value for key, value in sizes.items() if 0.0 < value < 50.0}
@@ -225,10 +132,10 @@ def read_123d(folder: Path) -> Scenario:
             )
         vehicle = assumed_car(sizes, notes)
     places = rows.world(rows.part("rear_axle_to_imu_se3"))
-    boxes, own, seen = _boxes(folder, int(rows.time_us[0]), places, notes)
+    boxes, has_velocities, observed = read_boxes(folder, int(rows.time_us[0]), places, notes)
     frames = (frames_us - rows.time_us[0]) / 1e6
     index = kept(drive.t, frames)
-    if not (given and own):
+    if not (is_logged and has_velocities):
         index = from_second(index, drive.t, frames[:1], notes)
     ego, boxes, origin = from_start(drive, index, boxes)
     start, start_us = float(drive.t[index[0]]), int(rows.time_us[index[0]])
@@ -239,13 +146,10 @@ def read_123d(folder: Path) -> Scenario:
     if (folder / "route_position.arrow").exists():
         notes.append("route_position is the ego's own later path: not read.")
     dataset = str(about.get("dataset") or "")
-    how = (
-        ("recorded",)
-        if dataset.startswith(_RECORDED)
-        else ("synthetic",)
-        if dataset.startswith(_SIMULATED)
-        else ()
-    )
+    tags = ["123d"]
+    tags += ["recorded"] if dataset.startswith(_RECORDED) else []
+    tags += ["synthetic"] if dataset.startswith(_SIMULATED) else []
+    tags += [dataset] if dataset else []
     return Scenario(
         name=str(about.get("log_name") or folder.name),
         ego=ego,
@@ -253,7 +157,7 @@ def read_123d(folder: Path) -> Scenario:
         road=road,
         duration=float(ego.t[-1]),
         vehicle=vehicle,
-        tags=("123d", *how, *((dataset,) if dataset else ())),
+        tags=tuple(tags),
         source=(
             f"123D log of {dataset or 'an unnamed data set'}, written by py123d "
             f"{about.get('version') or '?'}"
@@ -267,7 +171,7 @@ def read_123d(folder: Path) -> Scenario:
         metadata={key: str(about[key]) for key in _ABOUT if about.get(key)},
         notes=tuple(notes),
         lights=lights,
-        traffic=of_stream(seen - start),
+        traffic=of_stream(observed - start),
     )
 
 
@@ -296,17 +200,19 @@ def read_ego(folder: Path) -> EgoRows:
         times = whole(table, f"{EGO}.timestamp_us")
         if not len(times):
             raise LogError("the log has no ego states")
-        times, at = np.unique(times, return_index=True)
-        poses = vectors(table[f"{EGO}.imu_se3"], 7)[at]
+        times, rows = np.unique(times, return_index=True)
+        poses = vectors(table[f"{EGO}.imu_se3"], 7)[rows]
         if not np.isfinite(poses).all():
             k = int(np.argmin(np.isfinite(poses).all(axis=1)))
             raise LogError(
                 "a pose of the ego is missing or not finite", time_ns=1000 * int(times[k])
             )
         name = f"{EGO}.dynamic_state_se3"
-        there = name in table.schema.names
-        dynamic = vectors(table[name], 9)[at] if there else np.full((len(at), 9), np.nan)
-        return EgoRows(times, poses[:, :3], unit_of_wxyz(poses[:, 3:]), dynamic, metadata_of(table))
+        dynamic = np.full((len(rows), 9), np.nan)
+        if name in table.schema.names:
+            dynamic = vectors(table[name], 9)[rows]
+        position, q = np.hsplit(poses, [3])
+        return EgoRows(times, position, unit_of_wxyz(q), dynamic, metadata_of(table))
 
 
 # Ego
@@ -318,147 +224,19 @@ def _ego(rows: EgoRows, notes: list[str]) -> tuple[Trajectory, bool]:
     """
     t = (rows.time_us - rows.time_us[0]) / 1e6
     axle = rows.part("rear_axle_to_imu_se3")
-    place, yaw = rows.world(axle)[:, :2], np.unwrap(heading(rows.q))
-    stored, moving = (
-        rows.dynamic[:, :3],
-        np.isfinite(rows.dynamic[:, [0, 8]]).all() and rows.dynamic[:, :3].any(),
-    )
+    x, y, _ = rows.world(axle).T
+    yaw = np.unwrap(heading(rows.q))
+    velocity, acceleration, turn_rate = np.hsplit(rows.dynamic, 3)
+    vx, ax, yaw_rate = velocity[:, 0], acceleration[:, 0], turn_rate[:, 2]
+    moves = np.isfinite(vx).all() and np.isfinite(yaw_rate).all() and velocity.any()
     owner = np.zeros(len(t), np.int64)
-    if not moving or _is_differenced(t, rows.position, rotated(rows.q, stored), owner):
-        return driven(t, place[:, 0], place[:, 1], yaw, notes), False
-    rate = rows.dynamic[:, 8]
-    v = rows.dynamic[:, 0] - rate * axle[1]
-    a = rows.dynamic[:, 3] - rate**2 * axle[0]
-    columns = {
-        "t": t,
-        "x": place[:, 0],
-        "y": place[:, 1],
-        "yaw": yaw,
-        "v": v,
-        "a": a,
-        "kappa": held_curvature(rate, v),
-    }
+    if not moves or is_differenced(t, rows.position, rotated(rows.q, velocity), owner):
+        return driven(t, x, y, yaw, notes), False
+    v = vx - yaw_rate * axle[1]
+    a = ax - yaw_rate**2 * axle[0]
+    kappa = held_curvature(yaw_rate, v)
+    columns = {"t": t, "x": x, "y": y, "yaw": yaw, "v": v, "a": a, "kappa": kappa}
     return completed(columns, notes), True
-
-
-def _is_differenced(
-    t: FloatArray, place: FloatArray, velocity: FloatArray, owner: IntArray
-) -> bool:
-    """Return whether most world velocities are central differences of the places `(m, 3)`, and
-    first ones forward.
-
-    Samples are ordered by owner and time.
-    """
-    alike = np.r_[False, owner[1:] == owner[:-1], False]
-    inner, first = np.flatnonzero(alike[:-1] & alike[1:]), np.flatnonzero(~alike[:-1] & alike[1:])
-    if not len(inner):
-        return False
-    central, backward = (_differences(t, place, at, inner - 1) for at in (inner + 1, inner))
-    telling = inner[np.abs(central - backward).max(axis=1) > TELLING_MPS]
-    known = np.asarray(np.isfinite(velocity).all(axis=1))
-    telling, first = telling[known[telling]], first[known[first]]
-    if not len(telling) or not len(first):
-        return False
-    away = np.abs(_differences(t, place, telling + 1, telling - 1) - velocity[telling]).max(axis=1)
-    begin = np.abs(_differences(t, place, first + 1, first) - velocity[first]).max(axis=1)
-    return bool(np.median(away) < SAME_MPS and np.median(begin) < SAME_MPS)
-
-
-def _differences(
-    t: FloatArray, place: FloatArray, after: IntArray, earlier: IntArray
-) -> FloatArray:
-    span = np.maximum(t[after] - t[earlier], 1e-6)
-    return np.asarray((place[after] - place[earlier]) / span[:, None])
-
-
-# Agents
-
-
-def _boxes(
-    folder: Path, first_us: int, places: FloatArray, notes: list[str]
-) -> tuple[RecordedBoxes, bool, FloatArray]:
-    """Return all boxes, s since `first_us`, whether the log has their velocities, and the times of
-    their frames.
-
-    Boxes above or below the ego's `places` `(n, 3)` are left out.
-    """
-    path = beside(folder, (f"{BOXES}.arrow",))
-    if path is None:
-        notes.append("The log has no boxes: there are no other road users.")
-        return RecordedBoxes.empty(), True, np.empty(0)
-    columns = [
-        f"{BOXES}.{name}" for name in ("timestamp_us", "bounding_box_se3", "track_token", "label")
-    ]
-    table = ipc_table(path, columns)
-    with reading(path):
-        lists = Lists(table, columns[1])
-        box, labels = vectors(lists.items(columns[1]), 10), lists.numbers(columns[3])
-        owner, names = lists.words(columns[2])
-        frames = (whole(table, columns[0]) - first_us) / 1e6
-        t = frames[lists.row]
-        stored = f"{BOXES}.velocity_3d"
-        has_velocity = stored in table.schema.names
-        velocity: FloatArray = (
-            vectors(lists.items(stored), 3) if has_velocity else np.full((len(t), 3), np.nan)
-        )
-        known, order = np.asarray(np.isfinite(velocity).all(axis=1)), np.lexsort((t, owner))
-        own = False
-        if not np.isfinite(velocity).any() or not velocity[np.isfinite(velocity)].any():
-            notes.append(
-                "The log has no velocities of the other road users: backward differences of their "
-                "places."
-            )
-        elif _is_differenced(t[order], box[order, :3], velocity[order], owner[order]):
-            notes.append(
-                "The velocities of the other road users are differences to the frame after: "
-                "backward ones are taken."
-            )
-        else:
-            own = True
-        velocity[~known | (not own)] = np.nan
-        usable = np.isfinite(box).all(axis=1) & is_unit(box[:, 3:7])
-        box[~usable, :3], box[~usable, 3:7] = np.nan, (1.0, 0.0, 0.0, 0.0)
-        # The most frequent label and the median length of each
-        label, size = most_common(labels, owner, len(names)), np.zeros(len(names))
-        there = np.unique(owner)
-        order = np.argsort(owner, kind="stable")
-        parts = np.split(box[order, 7], np.unique(owner[order], return_index=True)[1][1:])
-        size[there] = [np.median(lengths) for lengths in parts]
-        kinds = kinds_of(
-            str(metadata_of(table).get("box_detection_label_class") or ""), label, size, notes
-        )
-        place, yaw = box[:, :2], heading(unit_of_wxyz(box[:, 3:7]))
-        x, y, length, width, vx, vy = *place.T, *box[:, 7:9].T, *velocity[:, :2].T
-        z, height = box[:, 2], box[:, 9]
-        found = RecordedBoxes(
-            tuple(names), kinds, t, owner, x, y, yaw, length, width, vx, vy, z, height
-        )
-        return ordered(on_level(found, places, notes), notes), own, frames
-
-
-def kinds_of(
-    label_class: str, labels: IntArray, length: FloatArray, notes: list[str]
-) -> tuple[AgentKind, ...]:
-    """Return the kinds of road users `(n,)` by label and, if the label is only "vehicle", by length
-    in m.
-    """
-    key = label_class.rsplit(".", 1)[-1]
-    if key == _AV2:
-        names = [kind_of_word(name) or _OBJECT for name in AV2_CATEGORIES]
-        return tuple(names[i] if 0 <= i < len(names) else _OBJECT for i in labels)
-    if key not in KINDS:
-        notes.append(
-            f"The labels '{key[:60]}' are not known: the kinds of road users are derived from "
-            "their lengths."
-        )
-        sized = [_OBJECT, _PEDESTRIAN, _BICYCLE, _CAR, _TRUCK]
-        return tuple(sized[int(np.searchsorted([0.0, 1.2, 2.7, LONG_M], size))] for size in length)
-    by_number = {number: kind for kind, numbers in KINDS[key].items() for number in numbers}
-    kinds = [by_number.get(int(label), _OBJECT) for label in labels]
-    long = [kind is _CAR and size > LONG_M for kind, size in zip(kinds, length, strict=True)]
-    if any(long):
-        notes.append(f"{sum(long)} vehicles are longer than {LONG_M} m and taken as lorries.")
-    return tuple(_TRUCK if is_long else kind for kind, is_long in zip(kinds, long, strict=True))
 
 
 # The reader
@@ -500,12 +278,13 @@ def _files(path: Path) -> tuple[Path, ...]:
     if not (path.is_dir() or path.name == SYNC):
         return (path,)
     folder = folder_of(path)
-    found = [folder / f"{name}.arrow" for name in ("sync", EGO, BOXES, LIGHTS)]
     try:
-        found.append(map_of(folder, read_frames(folder)[1]) or folder / "map.arrow")
+        map_file = map_of(folder, read_frames(folder)[1]) or folder / "map.arrow"
     except LogError:
-        found.append(folder / "map.arrow")
-    return tuple(file for file in found if file.is_file())
+        map_file = folder / "map.arrow"
+    names = ("sync", EGO, BOXES, LIGHTS)
+    files = (*(folder / f"{name}.arrow" for name in names), map_file)
+    return tuple(file for file in files if file.is_file())
 
 
 def _span(path: Path) -> tuple[float, float] | None:
@@ -522,19 +301,15 @@ def _contents(path: Path) -> LogContents:
         table = ipc_table(folder_of(path) / SYNC, ("sync.timestamp_us",))
         times, about = whole(table, "sync.timestamp_us"), metadata_of(table)
         topics = []
-        for key in (name for name in table.schema.names if not name.startswith("sync.")):
-            own = times[~np.asarray(table[key].is_null())]
-            first, last = (1000 * int(own[0]), 1000 * int(own[-1])) if len(own) else (None, None)
-            topics.append(
-                TopicSummary(
-                    key, key.split(".", maxsplit=1)[0], "arrow", "arrow", len(own), first, last
-                )
-            )
-        what = (
-            f"123D log of {about.get('dataset')}, py123d {about.get('version')}, {len(times)} "
-            "frames"
-        )
-        return LogContents(what, tuple(topics))
+        for key in table.schema.names:
+            modality, _, _ = key.partition(".")
+            if modality == "sync":
+                continue
+            own = (1000 * times[~np.asarray(table[key].is_null())]).tolist()
+            first, last = (own[0], own[-1]) if own else (None, None)
+            topics.append(TopicSummary(key, modality, "arrow", "arrow", len(own), first, last))
+        title = f"123D log of {about.get('dataset')}, py123d {about.get('version')}"
+        return LogContents(f"{title}, {len(times)} frames", tuple(topics))
     except (LogError, ValueError, TypeError, KeyError):
         return LogContents("123D log that cannot be read")
 

@@ -32,7 +32,8 @@ from replan.logs.agents import AgentKind
 from replan.logs.maps.arrow123d_map import LANE, read_objects, road_of_map
 from replan.logs.maps.strips import crossable
 from replan.logs.readers import read_log, reader_of
-from replan.logs.readers.arrow123d import BOXES, READER, read_ego, read_frames
+from replan.logs.readers.arrow123d import READER, read_ego, read_frames
+from replan.logs.readers.arrow123d_boxes import BOXES
 from replan.logs.readers.recorded import fitted, heading, kept, product, rotated, unit_of_wxyz
 from replan.logs.road import RoadSource
 from replan.logs.rules import Colour

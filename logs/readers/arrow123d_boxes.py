@@ -189,7 +189,7 @@ def _velocities(
             "backward ones are taken."
         )
         return unknown, False
-    return np.where(is_finite.all(axis=1)[:, None], velocity, np.nan), True
+    return np.where(is_finite.all(axis=1, keepdims=True), velocity, np.nan), True
 
 
 def _median(values: FloatArray, owner: IntArray, count: int) -> FloatArray:

@@ -49,15 +49,8 @@ import numpy as np
 
 from replan.core.arrays import FloatArray
 from replan.logs.maps.strips import CAR_WIDTH_M, dense, resampled
-from replan.logs.readers.commonroad.document import (
-    PRIORITY_SIGNS,
-    STOP_SIGNS,
-    YIELD_SIGNS,
-    Document,
-    Incoming,
-    Lanelet,
-    PlanningProblem,
-)
+from replan.logs.readers.commonroad.document import PRIORITY_SIGNS, STOP_SIGNS, YIELD_SIGNS
+from replan.logs.readers.commonroad.records import Document, Incoming, Lanelet, PlanningProblem
 from replan.logs.road import Lane, Road
 from replan.logs.rules import Colour, Crosswalk, StopLine, TrafficLight
 from replan.logs.states import wrap

@@ -56,7 +56,10 @@ BUILTIN = (
 )
 """The built-in readers, in the order in which they are tried."""
 READER: ExtensionKind[Reader] = ExtensionKind(
-    "reader", "readers", {one.name: one for one in BUILTIN}, an_instance(Reader, "replan.Reader")
+    "reader",
+    "readers",
+    {reader.name: reader for reader in BUILTIN},
+    an_instance(Reader, "replan.Reader"),
 )
 """Finds readers by name: the built-in ones and those of users."""
 CHOICES = (
@@ -99,18 +102,18 @@ def readers(first: str = "") -> tuple[Reader, ...]:
 
     ConfigError if one cannot be loaded or is not a `Reader`, or two have the same name.
     """
-    found = (*READER.installed().values(), *BUILTIN)
-    found = (*([READER.find(first)] if ":" in first else []), *found)
-    names = [reader.name for reader in found]
+    ordered = (*READER.installed().values(), *BUILTIN)
+    ordered = (*([READER.find(first)] if ":" in first else []), *ordered)
+    names = [reader.name for reader in ordered]
     twice = {name for name in names if names.count(name) > 1}
     if twice:
         raise ConfigError(f"there are two readers called '{min(twice)}'; rename or uninstall one")
     if first and ":" not in first:
-        table = dict(zip(names, found, strict=True))
+        table = dict(zip(names, ordered, strict=True))
         if first not in table:
             raise unknown_name("reader", first, table)
-        found = (table[first], *(reader for reader in found if reader.name != first))
-    return found
+        ordered = (table[first], *(reader for reader in ordered if reader.name != first))
+    return ordered
 
 
 def reader_called(name: str) -> Reader:
@@ -126,10 +129,13 @@ def reader_of(path: Path, settings: LogSettings | None = None) -> Reader | None:
     if special_kind(path):
         return None
     known = readers(settings.reader if settings else "")
-    found = next((reader for reader in known if reader.claims(path)), None)
-    return found or next(
-        (reader for reader in known if settings and reader.claims_with(path, settings)), None
-    )
+    for reader in known:
+        if reader.claims(path):
+            return reader
+    for reader in known:
+        if settings and reader.claims_with(path, settings):
+            return reader
+    return None
 
 
 def read_log(
@@ -151,10 +157,10 @@ def read_log(
         for key in CHOICES:
             asked = getattr(settings, key)
             if asked and key not in reader.settings:
-                what = (
+                problem = (
                     f"{key} {asked} is asked for, but the format {reader.name} has no choice of it"
                 )
-                raise LogError(what, topic="[log]", remedy=f"leave {key} out")
+                raise LogError(problem, topic="[log]", remedy=f"leave {key} out")
         check_regular(*(reader.files(path) if path.exists() else ()))
         with np.errstate(all="ignore"):  # absurd numbers are refused as such
             is_table = "ego_heading" in reader.settings
@@ -180,9 +186,9 @@ def read_log(
     except Exception as error:
         if reader in BUILTIN:
             raise
-        what = f"the reader {reader.name} raised {type(error).__name__}: {error}"
+        problem = f"the reader {reader.name} raised {type(error).__name__}: {error}"
         raise LogError(
-            what, file=path, remedy="its author: raise LogError for a log that cannot be read"
+            problem, file=path, remedy="its author: raise LogError for a log that cannot be read"
         ) from error
 
 
@@ -191,8 +197,8 @@ def with_tracks(scenario: Scenario, settings: LogSettings) -> Scenario:
     detections.
     """
     scenario = passed(scenario, COMPARISONS, settings)
-    made = repaired(scenario, settings.repair)
-    return made if made.repair is scenario.repair else named(made)
+    tracked = repaired(scenario, settings.repair)
+    return tracked if tracked.repair is scenario.repair else named(tracked)
 
 
 def logs_in(
@@ -204,20 +210,20 @@ def logs_in(
     A claimed folder is one log and is not searched.
     """
     for root, folders, files in os.walk(folder):
-        found = {
+        readers_of_paths = {
             Path(root, name): reader_of(Path(root, name), settings) for name in (*folders, *files)
         }
-        folders[:] = sorted(name for name in folders if found[Path(root, name)] is None)
+        folders[:] = sorted(name for name in folders if readers_of_paths[Path(root, name)] is None)
         suffixes = {
             suffix
             for reader in readers(settings.reader if settings else "")
             for suffix in reader.suffixes
         }
-        for path in sorted(found):
-            if found[path] is not None or (
+        for path in sorted(readers_of_paths):
+            if readers_of_paths[path] is not None or (
                 path.name not in folders and path.suffix.lower() in suffixes
             ):
-                yield path, found[path]
+                yield path, readers_of_paths[path]
 
 
 def windows(

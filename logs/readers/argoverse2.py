@@ -95,11 +95,11 @@ SCENARIO = "scenario_*.parquet"
 
 def annotations_of(folder: Path) -> Path | None:
     """Return the file of the boxes: annotations.feather, else the first of annotations*.feather."""
-    found = sorted(
+    files = sorted(
         folder.glob("annotations*.feather"),
         key=lambda path: (path.name != "annotations.feather", path.name),
     )
-    return found[0] if found else None
+    return files[0] if files else None
 
 
 def poses_of(folder: Path) -> tuple[IntArray, FloatArray, FloatArray]:
@@ -109,11 +109,12 @@ def poses_of(folder: Path) -> tuple[IntArray, FloatArray, FloatArray]:
     path = folder / POSES
     table = ipc_table(path, ("timestamp_ns", *TURN, *PLACE))
     with reading(path):
-        times, at = np.unique(whole(table, "timestamp_ns"), return_index=True)
+        times, rows = np.unique(whole(table, "timestamp_ns"), return_index=True)
         if not len(times):
             raise LogError("the log has no ego poses")
         place, turn = (
-            np.column_stack([numbers(table, name)[at] for name in names]) for names in (PLACE, TURN)
+            np.column_stack([numbers(table, name)[rows] for name in names])
+            for names in (PLACE, TURN)
         )
         if not (np.isfinite(place).all() and np.isfinite(turn).all()):
             k = int(np.argmin(np.isfinite(np.hstack([place, turn])).all(axis=1)))
@@ -183,15 +184,16 @@ def _boxes(
         local, part = (
             np.column_stack([numbers(table, name) for name in names]) for names in (PLACE, TURN)
         )
-        at = nearest(times, stamps)
-        near = np.abs(times[at] - stamps) <= POSE_APART_NS
+        rows = nearest(times, stamps)
+        near = np.abs(times[rows] - stamps) <= POSE_APART_NS
         if len(stamps) and not near.any():
             spans = [
-                f"{some.min() / 1e9:.3f} to {some.max() / 1e9:.3f} s" for some in (stamps, times)
+                f"{times_ns.min() / 1e9:.3f} to {times_ns.max() / 1e9:.3f} s"
+                for times_ns in (stamps, times)
             ]
-            what = f"times from {spans[0]}, the ego's are from {spans[1]}: they do not overlap"
+            problem = f"times from {spans[0]}, the ego's are from {spans[1]}: they do not overlap"
             raise LogError(
-                what, file=folder, topic=path.name, remedy="give both times of one clock"
+                problem, file=folder, topic=path.name, remedy="give both times of one clock"
             )
         usable = near & np.isfinite(local).all(axis=1) & is_unit(part)
         if not usable.all():
@@ -205,16 +207,16 @@ def _boxes(
         keep = (
             usable & (np.array([name != EGO_CATEGORY for name in categories], dtype=bool)[category])
         )
-        at = at[keep]
-        centre = place[at] + rotated(turn[at], local[keep])
-        yaw = heading(product(turn[at], unit_of_wxyz(part[keep])))
-        t, unknown = (stamps[keep] - times[0]) / 1e9, np.full(len(at), np.nan)
+        rows = rows[keep]
+        centre = place[rows] + rotated(turn[rows], local[keep])
+        yaw = heading(product(turn[rows], unit_of_wxyz(part[keep])))
+        t, unknown = (stamps[keep] - times[0]) / 1e9, np.full(len(rows), np.nan)
         if foreign:
             notes.append(
                 f"Categories that are not known are taken as objects: {', '.join(foreign)[:200]}."
             )
         kinds = _kinds(owner, category, categories, len(names))
-        found = (
+        boxes_read = (
             t,
             owner[keep],
             centre[:, 0],
@@ -227,7 +229,7 @@ def _boxes(
             centre[:, 2],
             height[keep],
         )
-        boxes = on_level(RecordedBoxes(tuple(names), kinds, *found), place, notes)
+        boxes = on_level(RecordedBoxes(tuple(names), kinds, *boxes_read), place, notes)
         return boxes, np.unique(stamps)
 
 
@@ -257,11 +259,11 @@ def read_forecasting(path: Path, settings: LogSettings) -> Scenario:
         state = np.column_stack([numbers(table, name) for name in STATE])
         name = settings.ego or EGO
         if name not in names:
-            some = ", ".join(names[:8]) or "none"
+            examples = ", ".join(names[:8]) or "none"
             raise LogError(
                 f"there is no track '{name}'",
                 topic="track_id",
-                remedy=f"name the ego; there are {some}",
+                remedy=f"name the ego; there are {examples}",
             )
         its = np.flatnonzero(owner == names.index(name))
         its = its[np.unique(step[its], return_index=True)[1]]
@@ -324,13 +326,13 @@ def scenario_id(table: Path) -> str:
 
 def map_beside(folder: Path, name: str = "*") -> Path | None:
     """Return the map in a log's folder or in its subfolder `map`; None if there is none."""
-    found = sorted(
+    files = sorted(
         (
             *folder.glob(f"map/log_map_archive_{name}.json"),
             *folder.glob(f"log_map_archive_{name}.json"),
         )
     )
-    return found[0] if found else None
+    return files[0] if files else None
 
 
 def road_for(path: Path | None, origin: FloatArray, ego: Trajectory, notes: list[str]) -> Road:
@@ -341,9 +343,9 @@ def road_for(path: Path | None, origin: FloatArray, ego: Trajectory, notes: list
     if path is None:
         return road_along(ego, notes)
     with reading(path):
-        found = msgspec.json.decode(path.read_bytes())
+        content = msgspec.json.decode(path.read_bytes())
         strips, walks = [], []
-        for lane in found["lane_segments"].values():
+        for lane in content["lane_segments"].values():
             kind = LANE_TYPES.get(lane["lane_type"], "undefined")
             strips.append(
                 LaneStrip(
@@ -360,19 +362,19 @@ def road_for(path: Path | None, origin: FloatArray, ego: Trajectory, notes: list
         lanes, keeps_right = lanes_of(strips, notes)
         if not lanes:
             raise LogError("the map has no lanes that can be used")
-        for walk in found.get("pedestrian_crossings", {}).values():  # the area between two edges
-            one, other = (_points(walk[name]) - origin for name in ("edge1", "edge2"))
+        for walk in content.get("pedestrian_crossings", {}).values():  # the area between two edges
+            left_edge, other = (_points(walk[name]) - origin for name in ("edge1", "edge2"))
             if (
-                min(len(one), len(other)) < 2
-                or not (np.abs(np.vstack([one, other])) < LARGEST_M).all()
+                min(len(left_edge), len(other)) < 2
+                or not (np.abs(np.vstack([left_edge, other])) < LARGEST_M).all()
             ):
                 continue
-            if (other[-1] - other[0]) @ (one[-1] - one[0]) > 0.0:
+            if (other[-1] - other[0]) @ (left_edge[-1] - left_edge[0]) > 0.0:
                 other = other[::-1]
-            walks.append(Crosswalk(int(walk["id"]), np.vstack([one, other])))
+            walks.append(Crosswalk(int(walk["id"]), np.vstack([left_edge, other])))
         rings = [
             _points(area["area_boundary"]) - origin
-            for area in found.get("drivable_areas", {}).values()
+            for area in content.get("drivable_areas", {}).values()
         ]
         areas = tuple(ring for ring in rings if len(ring) >= 3 and (np.abs(ring) < LARGEST_M).all())
         road = Road(lanes, drives_on_right=keeps_right, crosswalks=tuple(walks), areas=areas)
@@ -450,8 +452,8 @@ def _contents(path: Path) -> LogContents:
         except (LogError, ValueError):
             continue
         first, last = (int(times.min()), int(times.max())) if len(times) else (None, None)
-        what = "poses" if file.name == POSES else "boxes"
-        topics.append(TopicSummary(file.name, what, "arrow", "feather", len(times), first, last))
+        kind = "poses" if file.name == POSES else "boxes"
+        topics.append(TopicSummary(file.name, kind, "arrow", "feather", len(times), first, last))
     return LogContents("Argoverse 2 sensor log", tuple(topics))
 
 

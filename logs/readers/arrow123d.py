@@ -265,9 +265,9 @@ def folder_of(path: Path) -> Path:
 
 def _read(path: Path, settings: LogSettings) -> Scenario:
     if path.is_file() and path.name != SYNC:
-        what = "a 123D log of py123d 0.0.8 or 0.0.9: one file with other tables"
+        problem = "a 123D log of py123d 0.0.8 or 0.0.9: one file with other tables"
         raise LogError(
-            what, file=path, remedy="convert the data set again with py123d 0.1.0 or newer"
+            problem, file=path, remedy="convert the data set again with py123d 0.1.0 or newer"
         )
     with reading(folder_of(path)):
         return read_123d(folder_of(path))

@@ -108,8 +108,10 @@ def names_zone(column: pd.Series[Any], topic: str) -> bool | None:
         return None
     zoned = dates.str.contains(_ZONE)
     if zoned.any() and not zoned.all():
-        what = f"{column.name} has dates with a time zone, and without: {dates[~zoned].iloc[0]!r}"
-        raise LogError(what, topic=topic, remedy=GIVE_ZONE)
+        problem = (
+            f"{column.name} has dates with a time zone, and without: {dates[~zoned].iloc[0]!r}"
+        )
+        raise LogError(problem, topic=topic, remedy=GIVE_ZONE)
     return bool(zoned.all())
 
 
@@ -120,8 +122,8 @@ def check_zones(zones: Mapping[str, bool | None]) -> None:
     without = next((name for name, zoned in zones.items() if zoned is False), None)
     zoned = next((name for name, zoned in zones.items() if zoned), None)
     if without is not None and zoned is not None:
-        what = f"its times have no time zone, those of {zoned} have one"
-        raise LogError(what, topic=without, remedy=GIVE_ZONE)
+        problem = f"its times have no time zone, those of {zoned} have one"
+        raise LogError(problem, topic=without, remedy=GIVE_ZONE)
 
 
 def _check_all(good: Any, what: str, topic: str) -> None:
@@ -141,12 +143,12 @@ def _of_texts(column: pd.Series[Any], topic: str) -> tuple[IntArray, bool]:
     dates = pd.to_datetime(words.str.replace("/", "-"), format="ISO8601", utc=True, errors="coerce")
     wrong = np.flatnonzero(dates.isna())
     if len(wrong):
-        what = (
+        problem = (
             f"{column.name} is neither a number nor a date and time in row {wrong[0]}: "
             f"{words.iloc[wrong[0]]!r}"
         )
         raise LogError(
-            what[:200],
+            problem[:200],
             topic=topic,
             remedy="write seconds, ISO 8601 (2024-05-03T23:59:55), or HH:MM:SS",
         )
@@ -198,16 +200,18 @@ def check_distinct(
     first = int(np.argmax(same))
     moves = np.hypot(np.diff(x), np.diff(y)) > 0.0
     if same.mean() > ROUNDED and np.ptp(t) > 0.0 and moves[same].mean() > 0.5:
-        what = f"the times are rounded: {same.sum()} of {len(t)} rows have the time of another one"
+        problem = (
+            f"the times are rounded: {same.sum()} of {len(t)} rows have the time of another one"
+        )
         remedy = (
             "write them with their decimals, not as 32-bit numbers; or count the rows: "
             'columns = {t = "frame [10 Hz]"}'
         )
-        raise LogError(what, topic=topic, remedy=remedy)
-    what = f"two rows have the time {t[first]:g} s"
+        raise LogError(problem, topic=topic, remedy=remedy)
+    problem = f"two rows have the time {t[first]:g} s"
     if names is not None:
-        what = f"agent {names[first]} has two rows at {t[first]:g} s"
-    raise LogError(what, topic=topic, remedy="keep one of them")
+        problem = f"agent {names[first]} has two rows at {t[first]:g} s"
+    raise LogError(problem, topic=topic, remedy="keep one of them")
 
 
 def check_restart(
@@ -225,22 +229,29 @@ def check_restart(
     back = steps < 0.0
     if not back.any():
         return
-    ways = [np.hypot(np.diff(x[at]), np.diff(y[at]))[same] for at in (filed, timed)]
-    in_file, in_time = (float(np.nansum(way)) for way in ways)
+    distances_by_order = [
+        np.hypot(np.diff(x[order]), np.diff(y[order]))[same] for order in (filed, timed)
+    ]
+    in_file, in_time = (float(np.nansum(distances)) for distances in distances_by_order)
     more, rounding = in_time - in_file, 1e-9 * (1.0 + in_file)
     is_few = back.mean() < FEW or back.sum() == 1
     is_far = -steps.min() > STEPS * float(np.median(np.abs(steps)))
-    is_near = bool((ways[0][back] <= NEAR * np.nanpercentile(ways[0], 95.0) + rounding).all())
+    is_near = bool(
+        (
+            distances_by_order[0][back]
+            <= NEAR * np.nanpercentile(distances_by_order[0], 95.0) + rounding
+        ).all()
+    )
     is_split = is_few and (more > rounding or (is_far and is_near))
     if more > SHUFFLED * in_file + rounding or is_split or _interleaves(ns, x, y, of, filed, timed):
         k = int(np.flatnonzero(same)[back.argmax()])
         before, row = int(filed[k]), int(filed[k + 1])
-        who = "" if names is None else f" of agent {names[row]}"
-        what = (
-            f"t goes back at row {row}{who} ({ns[before] / 1e9:.12g} to {ns[row] / 1e9:.12g} "
+        owner = "" if names is None else f" of agent {names[row]}"
+        problem = (
+            f"t goes back at row {row}{owner} ({ns[before] / 1e9:.12g} to {ns[row] / 1e9:.12g} "
             "s): the clock restarts"
         )
-        raise LogError(what, topic=topic, remedy="split the file there")
+        raise LogError(problem, topic=topic, remedy="split the file there")
 
 
 def _interleaves(
@@ -249,17 +260,17 @@ def _interleaves(
     """Return whether the rows, in order of time, alternate between two drives (4)."""
     run = np.empty(len(ns), np.int64)
     run[filed] = np.cumsum(np.r_[True, (np.diff(ns[filed]) < 0) | (np.diff(of[filed]) != 0)])
-    before, at, after = timed[:-2], timed[1:-1], timed[2:]
+    before, middle, after = timed[:-2], timed[1:-1], timed[2:]
     alone = (
         (run[before] == run[after])
-        & (run[at] != run[before])
-        & (of[at] == of[before])
+        & (run[middle] != run[before])
+        & (of[middle] == of[before])
         & (ns[after] > ns[before])
     )
     if np.count_nonzero(alone) <= BETWEEN * len(ns):
         return False
-    before, at, after = before[alone], at[alone], after[alone]
-    share = (ns[at] - ns[before]) / (ns[after] - ns[before])
-    off = np.hypot(*(z[at] - z[before] - share * (z[after] - z[before]) for z in (x, y)))
-    way = np.hypot(x[after] - x[before], y[after] - y[before])
-    return bool(np.nanmedian(off) > OFF * np.nanmedian(way) + 1e-6)
+    before, middle, after = before[alone], middle[alone], after[alone]
+    share = (ns[middle] - ns[before]) / (ns[after] - ns[before])
+    off = np.hypot(*(z[middle] - z[before] - share * (z[after] - z[before]) for z in (x, y)))
+    distance = np.hypot(x[after] - x[before], y[after] - y[before])
+    return bool(np.nanmedian(off) > OFF * np.nanmedian(distance) + 1e-6)

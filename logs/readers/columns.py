@@ -118,11 +118,13 @@ class NamedColumns:
     ) -> None:
         self.frame, self.name, self.heading = frame, name, heading
         self._headers = [(str(header), header) for header in frame.columns]
-        given = {
+        names_in_table = {
             ours: columns.get(f"{name}.{ours}", columns.get(ours, ours))
             for ours in (*TIMES, *COLUMNS)
         }
-        self._columns = {ours: self._find_column(ours, theirs) for ours, theirs in given.items()}
+        self._columns = {
+            ours: self._find_column(ours, name) for ours, name in names_in_table.items()
+        }
         if not len(frame):
             raise LogError("the table has no rows", topic=name, remedy="give at least one")
 
@@ -143,15 +145,15 @@ class NamedColumns:
         short += [
             header for header, base, unit in _with_suffix(self._headers, ours) if base == name
         ]
-        found = list(dict.fromkeys(exact or whole or short))
-        if not found:
+        matches = list(dict.fromkeys(exact or whole or short))
+        if not matches:
             return None
-        if len(found) > 1:
-            what = f"{name} may be {' or '.join(map(str, found))}"
+        if len(matches) > 1:
+            problem = f"{name} may be {' or '.join(map(str, matches))}"
             raise LogError(
-                what, topic=self.name, remedy=f'name one: columns = {{{ours} = "{found[0]}"}}'
+                problem, topic=self.name, remedy=f'name one: columns = {{{ours} = "{matches[0]}"}}'
             )
-        held, header = "", str(found[0])
+        held, header = "", str(matches[0])
         if exact or not whole:  # the unit in the header itself
             held = _split_unit(header)[1] or "".join(
                 unit for _, _, unit in _with_suffix([(header, header)], ours)
@@ -159,12 +161,12 @@ class NamedColumns:
         factors = [self._factor(ours, unit, header) for unit in (asked, held) if unit]
         if len(set(factors)) > 1:
             raise LogError(
-                f"{found[0]} is asked for in [{asked}]",
+                f"{matches[0]} is asked for in [{asked}]",
                 topic=self.name,
                 remedy="leave that unit out",
             )
         factor = factors[0] if factors else UNITS[TIMES.get(ours, "")]
-        return found[0], factor, bool(factors)
+        return matches[0], factor, bool(factors)
 
     def _factor(self, ours: str, unit: str, header: str) -> float:
         """Return the factor from a unit of a column to replan's; LogError if it is not a unit of
@@ -179,11 +181,11 @@ class NamedColumns:
         known = DIMENSIONS.get(_DIMENSION.get(ours, ""), {})
         if plain not in known:
             wrong = "is unknown" if plain not in UNITS else f"is none of {ours}"
-            what, names = f"the unit [{unit}] of {header} {wrong}", ", ".join(known) or "none"
+            problem, names = f"the unit [{unit}] of {header} {wrong}", ", ".join(known) or "none"
             remedy = (
                 f'known: {names}; another name is given as columns = {{{ours} = "NAME [unit]"}}'
             )
-            raise LogError(what, topic=self.name, remedy=remedy)
+            raise LogError(problem, topic=self.name, remedy=remedy)
         return UNITS[plain]
 
     def has(self, ours: str) -> bool:
@@ -194,15 +196,15 @@ class NamedColumns:
         """Return a column and the factor to replan's unit; LogError if the table has no such
         column.
         """
-        found = self._columns[ours]
-        if found is None:
+        header = self._columns[ours]
+        if header is None:
             held = ", ".join(map(str, self.frame.columns[:12]))
-            what = f"the table has no column {ours}; it has {held}"
+            problem = f"the table has no column {ours}; it has {held}"
             remedy = f'name it: columns = {{{ours} = "its name [unit]"}}'
             if len(self.frame.columns) == 1:
                 remedy = "separate the columns of the file by commas, semicolons or tabs"
-            raise LogError(what, topic=self.name, remedy=remedy)
-        return self.frame[found[0]], found[1]
+            raise LogError(problem, topic=self.name, remedy=remedy)
+        return self.frame[header[0]], header[1]
 
     def numbers(self, ours: str) -> FloatArray:
         """Return a column in replan's unit `(n,)`; NaN where it is empty."""
@@ -226,11 +228,11 @@ class NamedColumns:
         turns = np.column_stack([self.numbers(name) for name in QUATERNION])
         wrong = np.flatnonzero(~is_unit(turns) & np.isfinite(turns).all(axis=1))
         if len(wrong):
-            what, remedy = (
+            problem, remedy = (
                 f"the quaternion of row {wrong[0]} is not of unit length",
                 "check the order of its columns",
             )
-            raise LogError(what, topic=self.name, remedy=remedy)
+            raise LogError(problem, topic=self.name, remedy=remedy)
         return heading(turns)
 
     def times(self, notes: list[str]) -> tuple[IntArray, bool]:
@@ -316,20 +318,20 @@ def check_names(columns: Mapping[str, str], frames: Mapping[str, pd.DataFrame | 
         for name, frame in frames.items()
         if frame is not None and len(frame)
     ]
-    for key, given in columns.items():
+    for key, names in columns.items():
         of, _, ours = key.rpartition(".")
         if ours not in known or of not in ("", *NAMES):
-            what = f"columns has {key}, which is not a known name"
+            problem = f"columns has {key}, which is not a known name"
             raise LogError(
-                what,
+                problem,
                 topic="[log]",
                 remedy=f"known: {', '.join(known)}; of one table: ego.v, agents.v ...",
             )
         if (
-            given != NONE
+            names != NONE
             and held
             and not any(table.has(ours) for table in held if of in ("", table.name))
         ):
             raise LogError(
-                f"no table has the column {given} that {key} is read from", topic="[log] columns"
+                f"no table has the column {names} that {key} is read from", topic="[log] columns"
             )

@@ -55,9 +55,9 @@ def _array(path: Path, name: str, columns: int) -> FloatArray:
     file = path / POSE / name
     try:
         if file.stat().st_size > MOST_BYTES:
-            what = f"the array has {file.stat().st_size} bytes"
-            raise LogError(what, topic=name, remedy="a segment has poses of one minute")
-        found: Any = np.load(file, allow_pickle=False)
+            problem = f"the array has {file.stat().st_size} bytes"
+            raise LogError(problem, topic=name, remedy="a segment has poses of one minute")
+        array: Any = np.load(file, allow_pickle=False)
     except (
         OSError,
         ValueError,
@@ -68,9 +68,9 @@ def _array(path: Path, name: str, columns: int) -> FloatArray:
         TypeError,
         TokenError,
     ) as error:
-        what = f"the array cannot be read: {' '.join(str(error).split())[:120]}"
-        raise LogError(what, topic=name, remedy="download the segment again") from None
-    array = np.asarray(found)
+        problem = f"the array cannot be read: {' '.join(str(error).split())[:120]}"
+        raise LogError(problem, topic=name, remedy="download the segment again") from None
+    array = np.asarray(array)
     array = array[:, None] if array.ndim == 1 else array
     if (
         array.ndim != 2

@@ -32,7 +32,7 @@ FCD_BEGIN = 1 << 14
 """Number of bytes in which the root of an XML file stands."""
 SEPARATORS = (",", ";", "\t")
 _NUMBER = r"\s*[-+]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][-+]?\d+)?\s*"
-FIRST_LINE = 1 << 20
+FIRST_LINE = 1024**2
 """Number of characters of the first line that are searched for the separator."""
 WRITE_NAMES = "write the names of the columns in the first line"
 
@@ -92,9 +92,9 @@ def load_table(path: Path) -> pd.DataFrame:
         pa.ArrowException,
         OverflowError,
     ) as error:
-        what = " ".join(str(error).split())[:200]
+        problem = " ".join(str(error).split())[:200]
         raise LogError(
-            f"the table cannot be read: {what}", topic=path.name, remedy="write it again"
+            f"the table cannot be read: {problem}", topic=path.name, remedy="write it again"
         ) from None
 
 
@@ -186,13 +186,13 @@ def _header(stream: TextIO, topic: str) -> tuple[list[str], str, int]:
         mark, names = _split(line.rstrip("\r\n"))
         are_numbers = [re.fullmatch(_NUMBER, name) is not None for name in names if name]
         if any(are_numbers):
-            for sign, found in map(_split, reversed(above)):
+            for sign, fields in map(_split, reversed(above)):
                 row = next(_fields(io.StringIO(line), sign))[1]
-                if len(row) - (not row[-1].strip()) == len(found) - (not found[-1]):
-                    return found, sign, k
+                if len(row) - (not row[-1].strip()) == len(fields) - (not fields[-1]):
+                    return fields, sign, k
             if all(are_numbers):
-                what = f"there is no header: the first line is {', '.join(names[:6])}"[:120]
-                raise LogError(what, topic=topic, remedy=WRITE_NAMES)
+                problem = f"there is no header: the first line is {', '.join(names[:6])}"[:120]
+                raise LogError(problem, topic=topic, remedy=WRITE_NAMES)
         return names, mark, k + 1
     raise LogError("the table has no header", topic=topic, remedy=WRITE_NAMES)
 
@@ -215,9 +215,9 @@ def _layout(path: Path) -> _Layout:
             )
             is_longer = is_longer or more
             if len(row) != count and not (more or less):
-                what = f"rows have {len(row)} fields, the header {count}: line {line + 1}"
+                problem = f"rows have {len(row)} fields, the header {count}: line {line + 1}"
                 remedy = "write as many values as names; texts that hold the separator need quotes"
-                raise LogError(what, topic=path.name, remedy=remedy)
+                raise LogError(problem, topic=path.name, remedy=remedy)
     twice = sorted({name for name in names if name and names.count(name) > 1})
     if twice:
         raise LogError(

@@ -31,7 +31,7 @@ class _Sign(NamedTuple):
     and the remedy.
     """
 
-    what: str
+    name: str
     fits: Callable[[Path, bytes, Sequence[str]], bool]
     remedy: str
 
@@ -119,11 +119,11 @@ def known_format(path: Path) -> LogError | None:
                 begin = stream.read(len(_SQLITE))
     except OSError:
         return None
-    found = next(
+    known = next(
         (sign for sign in SIGNS if (names or begin) and sign.fits(path, begin, names)), None
     )
-    return found and LogError(
-        f"{found.what}, which replan does not read", file=path, remedy=found.remedy
+    return known and LogError(
+        f"{known.name}, which replan does not read", file=path, remedy=known.remedy
     )
 
 
@@ -139,11 +139,11 @@ def foreign(path: Path) -> LogError:
             return known
         if path.is_dir():
             names = sorted(entry.name for entry in path.iterdir())
-            what = (
+            problem = (
                 "not a log that replan reads; the folder holds "
                 f"{listed(names, _SHOWN) or 'nothing'}"
             )
-            return LogError(what, file=path, remedy=FORMATS)
+            return LogError(problem, file=path, remedy=FORMATS)
         with path.open("rb") as stream:
             begin = stream.read(8)
     except LogError as error:
@@ -151,7 +151,7 @@ def foreign(path: Path) -> LogError:
     except OSError as error:
         return LogError(f"cannot be read: {error.strerror or error}", file=path)
     if path.suffix in SUFFIXES:
-        what = (
+        problem = (
             f"a table with the columns {', '.join(header_of(path)[:12]) or '(none)'} is not a "
             "log by itself"
         )
@@ -160,9 +160,9 @@ def foreign(path: Path) -> LogError:
             "x, y, or names them in"
             " [log.columns]"
         )
-        return LogError(what, file=path, remedy=remedy)
-    what = (
+        return LogError(problem, file=path, remedy=remedy)
+    problem = (
         f"not a log that replan reads; a {path.suffix or 'nameless'} file that begins with "
         f"{begin!r}"
     )
-    return LogError(what, file=path, remedy=FORMATS)
+    return LogError(problem, file=path, remedy=FORMATS)

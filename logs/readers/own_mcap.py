@@ -26,8 +26,14 @@ def _contents(path: Path) -> LogContents:
     topics = []
     for stream in container.streams.values():
         first, last = (stream.times[0], stream.times[-1]) if len(stream) else (None, None)
-        what = (stream.topic, stream.schema, stream.encoding, stream.schema_encoding, len(stream))
-        topics.append(TopicSummary(*what, first, last))
+        summary = (
+            stream.topic,
+            stream.schema,
+            stream.encoding,
+            stream.schema_encoding,
+            len(stream),
+        )
+        topics.append(TopicSummary(*summary, first, last))
     profile = "not a log that replan reads" if container.streams else "no log"
     of_osi = container.of_schema(*osi.SCHEMAS)
     if of_osi is not None:
@@ -70,14 +76,18 @@ def trace_of(path: Path) -> Stream:
     from osi3 import osi_sensorview_pb2
     from osi3.osi_sensorview_pb2 import SensorView
 
-    raw, payloads, at = content_of(path), list[bytes](), 0
-    while at < len(raw):
-        size = struct.unpack_from("<I", raw, at)[0] if at + LENGTH <= len(raw) else MOST_BYTES
-        if size > min(MOST_BYTES, len(raw) - at - LENGTH):
-            what = f"message {len(payloads)} is cut off or no message, at byte {at}"
-            raise LogError(what, topic=path.name, remedy=COPY_AGAIN)
-        payloads.append(raw[at + LENGTH : at + LENGTH + size])
-        at += LENGTH + size
+    raw, payloads, position = content_of(path), list[bytes](), 0
+    while position < len(raw):
+        size = (
+            struct.unpack_from("<I", raw, position)[0]
+            if position + LENGTH <= len(raw)
+            else MOST_BYTES
+        )
+        if size > min(MOST_BYTES, len(raw) - position - LENGTH):
+            problem = f"message {len(payloads)} is cut off or no message, at byte {position}"
+            raise LogError(problem, topic=path.name, remedy=COPY_AGAIN)
+        payloads.append(raw[position + LENGTH : position + LENGTH + size])
+        position += LENGTH + size
     if not payloads:
         raise LogError("the file is empty", remedy=COPY_AGAIN)
     schema = next((schema for part, schema in NAMED.items() if part in path.name.lower()), "")

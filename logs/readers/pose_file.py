@@ -85,8 +85,8 @@ def _load(path: Path) -> FloatArray:
     try:
         for number, row in _rows(path):
             if rows and len(row) != len(rows[0]):
-                what = f"line {number} has {len(row)} numbers, the first {len(rows[0])}"
-                raise LogError(what, topic=path.name, remedy="write each pose in one line")
+                problem = f"line {number} has {len(row)} numbers, the first {len(rows[0])}"
+                raise LogError(problem, topic=path.name, remedy="write each pose in one line")
             rows.append(row)
     except (OSError, ValueError) as error:
         raise LogError(f"cannot be read: {error}", topic=path.name) from None
@@ -101,8 +101,8 @@ def _times(path: Path, count: int, notes: list[str]) -> FloatArray:
         return KITTI_S * np.arange(count)
     t = _load(file)[:, 0]
     if len(t) != count:
-        what = f"{file.name} has {len(t)} times, {path.name} {count} poses"
-        raise LogError(what, topic=file.name, remedy="take both of one sequence")
+        problem = f"{file.name} has {len(t)} times, {path.name} {count} poses"
+        raise LogError(problem, topic=file.name, remedy="take both of one sequence")
     return t
 
 

@@ -164,10 +164,10 @@ def tracks_of(boxes: RecordedBoxes, notes: list[str]) -> Tracks:
     """Make tracks from `ordered` boxes."""
     if not len(boxes.t):
         return Tracks.empty()
-    there, first = np.unique(boxes.owner, return_index=True)
+    owners, first = np.unique(boxes.owner, return_index=True)
     ends = np.r_[first[1:], len(boxes.t)]
-    kinds = tuple(boxes.kinds[i] for i in there)
-    sizes, static, rows = np.full((len(there), 2), np.nan), np.zeros(len(there), np.bool_), []
+    kinds = tuple(boxes.kinds[i] for i in owners)
+    sizes, static, rows = np.full((len(owners), 2), np.nan), np.zeros(len(owners), np.bool_), []
     for k, (a, b) in enumerate(zip(first, ends, strict=True)):
         x, y, length, width = boxes.x[a:b], boxes.y[a:b], boxes.length[a:b], boxes.width[a:b]
         good = np.isfinite(length) & np.isfinite(width) & (length > 0.0) & (width > 0.0)
@@ -181,7 +181,7 @@ def tracks_of(boxes: RecordedBoxes, notes: list[str]) -> Tracks:
     unsized = ~np.isfinite(sizes).all(axis=1)
     if unsized.any():
         notes.append(
-            f"{unsized.sum()} of {len(there)} road users have no size: that usual for their kind "
+            f"{unsized.sum()} of {len(owners)} road users have no size: that usual for their kind "
             "is assumed."
         )
         sizes[unsized] = [
@@ -195,7 +195,7 @@ def tracks_of(boxes: RecordedBoxes, notes: list[str]) -> Tracks:
     pose = (boxes.t, boxes.x, boxes.y, boxes.yaw, boxes.vx, boxes.vy)
     offsets = np.r_[0, ends]
     return Tracks(
-        tuple(boxes.names[i] for i in there),
+        tuple(boxes.names[i] for i in owners),
         kinds,
         sizes[:, 0],
         sizes[:, 1],
@@ -234,18 +234,18 @@ def fitted(t: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
     moments, sums = np.zeros((5, n)), np.zeros((3, n, c))
     span = np.zeros(n)
     for back in range(n):
-        at = np.arange(back, n)
-        tau = (t[at - back] - t[at]) / WINDOW_S
+        rows = np.arange(back, n)
+        tau = (t[rows - back] - t[rows]) / WINDOW_S
         used = (tau >= -1.0 - 1e-9) | (back == 1)
         if not used.any():
             break
-        at, tau = at[used], tau[used]
-        span[at] = np.maximum(span[at], -tau * WINDOW_S)
-        away = values[at - back] - values[at]
+        rows, tau = rows[used], tau[used]
+        span[rows] = np.maximum(span[rows], -tau * WINDOW_S)
+        away = values[rows - back] - values[rows]
         for k in range(5):
-            moments[k, at] += tau**k
+            moments[k, rows] += tau**k
         for k in range(3):
-            sums[k, at] += (tau**k)[:, None] * away
+            sums[k, rows] += (tau**k)[:, None] * away
     first, second = np.full((n, c), np.nan), np.full((n, c), np.nan)
     curved = (moments[0] >= ENOUGH) & (span >= SPAN_S)
     line = ~curved & (moments[0] >= 2)
@@ -254,10 +254,10 @@ def fitted(t: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
             matrix = np.array(
                 [[moments[i + j, chosen] for j in range(size)] for i in range(size)]
             ).transpose(2, 0, 1)
-            found = np.linalg.solve(matrix, sums[:size, chosen].transpose(1, 0, 2))
-            first[chosen] = found[:, 1] / WINDOW_S
+            solution = np.linalg.solve(matrix, sums[:size, chosen].transpose(1, 0, 2))
+            first[chosen] = solution[:, 1] / WINDOW_S
             if size == 3:
-                second[chosen] = 2.0 * found[:, 2] / WINDOW_S**2
+                second[chosen] = 2.0 * solution[:, 2] / WINDOW_S**2
     return first, second
 
 
@@ -279,16 +279,16 @@ def kept(times: FloatArray, frames: FloatArray) -> IntArray:
     """
     if not len(frames):
         frames = times[[0, -1]]
-    out: list[int] = []
+    rows: list[int] = []
     for i in sorted(set(nearest(times, frames).tolist())):
-        while out and times[i] - times[out[-1]] >= 2.0 * STATE_S - 1e-6:
-            j = int(np.searchsorted(times, times[out[-1]] + STATE_S - 1e-6))
+        while rows and times[i] - times[rows[-1]] >= 2.0 * STATE_S - 1e-6:
+            j = int(np.searchsorted(times, times[rows[-1]] + STATE_S - 1e-6))
             if j >= i or times[i] - times[j] < 0.5 * STATE_S:
                 break
-            out.append(j)
-        if not out or times[i] - times[out[-1]] >= APART_S:
-            out.append(i)
-    return np.array(out, dtype=np.int64)
+            rows.append(j)
+        if not rows or times[i] - times[rows[-1]] >= APART_S:
+            rows.append(i)
+    return np.array(rows, dtype=np.int64)
 
 
 def from_second(

@@ -131,14 +131,18 @@ def from_frames(
     )
     check_zones({held.name: held.names_zone() for held in (table, others) if held is not None})
     ns, is_text = table.times(notes)
-    theirs = others.times(notes)[0] if others is not None else np.empty(0, np.int64)
-    ns, theirs = continued(ns, theirs, is_text=is_text, notes=notes)
+    agents_ns = others.times(notes)[0] if others is not None else np.empty(0, np.int64)
+    ns, agents_ns = continued(ns, agents_ns, is_text=is_text, notes=notes)
     start_ns = int(ns.min())
     t = (ns - start_ns) / 1e9
     check_restart(ns, table.numbers("x"), table.numbers("y"), "ego")
     if others is not None:
         check_restart(
-            theirs, others.numbers("x"), others.numbers("y"), "agents", track_table.names_of(others)
+            agents_ns,
+            others.numbers("x"),
+            others.numbers("y"),
+            "agents",
+            track_table.names_of(others),
         )
     order = np.argsort(t, kind="stable")
     t = t[order]
@@ -163,7 +167,7 @@ def from_frames(
         places = None
         if table.has("z"):
             places = np.column_stack([driven.x, driven.y, table.numbers("z")[order]])
-        tracks = _tracks(others, (theirs - start_ns) / 1e9, origin, places, settings, notes)
+        tracks = _tracks(others, (agents_ns - start_ns) / 1e9, origin, places, settings, notes)
         pedals = (
             table.numbers(key)[order] if table.has(key) else np.full(len(t), np.nan)
             for key in names
@@ -280,10 +284,10 @@ def _tracks(
     for column, name in enumerate(("length", "width")):
         size = np.array([USUAL_SIZE_M[kind][column] for kind in kinds])
         if table.has(name):
-            given = np.array(
+            has_size = np.array(
                 [np.median(part) for part in np.split(table.numbers(name)[order], first[1:])]
             )
-            size = np.where(np.isfinite(given) & (given > 0.0), given, size)
+            size = np.where(np.isfinite(has_size) & (has_size > 0.0), has_size, size)
         else:
             notes.append(f"The log has no {name} of the agents: it is assumed by their kind.")
         sizes.append(size)
@@ -309,14 +313,14 @@ def _file(folder: Path, name: str) -> Path | None:
     """
     path = beside(folder, [f"{name}{suffix}" for suffix in SUFFIXES])
     others = sorted(
-        each.name for each in folder.iterdir() if each.name.casefold().partition(".")[0] == name
+        file.name for file in folder.iterdir() if file.name.casefold().partition(".")[0] == name
     )
     if path is None and others:
-        what = (
+        problem = (
             f"{others[0]} is not read: a table is "
             f"{' or '.join(f'{name}{suffix}' for suffix in SUFFIXES)}"
         )
-        raise LogError(what, topic=others[0], remedy="convert it, or remove it from the folder")
+        raise LogError(problem, topic=others[0], remedy="convert it, or remove it from the folder")
     return path
 
 
@@ -357,8 +361,8 @@ def _read(path: Path, settings: LogSettings) -> Scenario:
             remedy="a table of the ego is what a log needs",
         )
     elif settings.ego:
-        what = f"ego {settings.ego} is asked for, but {ego.name} has the ego"
-        raise LogError(what, topic="[log]", remedy="leave ego out, or move that file away")
+        problem = f"ego {settings.ego} is asked for, but {ego.name} has the ego"
+        raise LogError(problem, topic="[log]", remedy="leave ego out, or move that file away")
     else:
         table, others = load_table(ego), None if agents is None else load_table(agents)
     scenario = from_frames(

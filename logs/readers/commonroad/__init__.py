@@ -95,14 +95,14 @@ def read_commonroad(
             can = [
                 o for o in can if (kind_of_word(o.type) or AgentKind.OBJECT) not in _CANNOT_DRIVE
             ]
-            found = next((o for o in can if str(o.id) == ego), None)
-            if found is None:
+            obstacle = next((o for o in can if str(o.id) == ego), None)
+            if obstacle is None:
                 longest = sorted(can, key=lambda o: -len(o.states))[:8]
                 remedy = f"longest drives: {', '.join(str(o.id) for o in longest) or 'none'}"
-                what = f"no vehicle {ego} with a trajectory in the file"
-                raise LogError(what, topic=f"obstacle {ego}", remedy=remedy)
+                text = f"no vehicle {ego} with a trajectory in the file"
+                raise LogError(text, topic=f"obstacle {ego}", remedy=remedy)
             note = "the ego was taken from the traffic: its goal is the place where its log ends"
-            chosen = _Ego(found, None, (note,))
+            chosen = _Ego(obstacle, None, (note,))
         scenario = _scenario(document, chosen)
     except (LogError, ValueError) as error:
         raise (error if isinstance(error, LogError) else LogError(str(error))).at(path) from error
@@ -136,21 +136,21 @@ def _by_problem(document: Document, number: int | None) -> _Ego:
     by_id = {p.id: p for p in reversed(problems)}
     by_place = dict(enumerate(problems, start=1))
     if number is not None and number not in by_id and number not in by_place:
-        there = ", ".join(str(p.id) for p in problems)
+        ids = ", ".join(str(p.id) for p in problems)
         raise LogError(
-            f"no planning problem {number}", topic="planningProblem", remedy=f"the file has {there}"
+            f"no planning problem {number}", topic="planningProblem", remedy=f"the file has {ids}"
         )
     problem = problems[0] if number is None else by_id.get(number) or by_place[number]
     step, x, y = problem.start[:3]
     for o in document.obstacles:
-        at = np.flatnonzero(np.abs(o.states[:, 0] - step) < 0.5)
+        rows = np.flatnonzero(np.abs(o.states[:, 0] - step) < 0.5)
         if (
             not o.static
-            and len(at)
-            and len(o.states) - at[0] > 1
-            and _is_near(o.states[at[0]], x, y)
+            and len(rows)
+            and len(o.states) - rows[0] > 1
+            and _is_near(o.states[rows[0]], x, y)
         ):
-            return _Ego(replace(o, states=o.states[at[0] :]), problem)
+            return _Ego(replace(o, states=o.states[rows[0] :]), problem)
     for o in document.obstacles:
         first = o.states[0]
         same = o.id == problem.id - MONA_PROBLEM_OFFSET and abs(first[4] - problem.start[4]) < 0.1
@@ -219,7 +219,7 @@ def _scenario(document: Document, chosen: _Ego) -> Scenario:
     traffic: Spans = tuple(
         (0.0, end) for _, end in inferred(tracks.offsets, tracks.static, tracks.t)
     )
-    if all(each.static or each.id == without for each in document.obstacles):
+    if all(obstacle.static or obstacle.id == without for obstacle in document.obstacles):
         traffic = ((0.0, duration),)
     tags, metadata = _labels(document, chosen)
     return Scenario(

@@ -335,7 +335,7 @@ def _turns(document: Document, road: Road) -> dict[tuple[int, int], str]:
     """Return the turn by lanelet and successor: from the intersections, else by the change of
     heading.
     """
-    found = {
+    turns = {
         (lanelet, successor): turn
         for intersection in document.intersections
         for incoming in intersection.incomings
@@ -348,8 +348,8 @@ def _turns(document: Document, road: Road) -> dict[tuple[int, int], str]:
                 ahead = road.lanes[successor].center
                 gained = wrap(_heading(ahead[-2:]) - _heading(ahead[:2]))
                 turn = "straight" if abs(gained) < TURNING else "left" if gained > 0.0 else "right"
-                found.setdefault((lane.id, successor), turn)
-    return found
+                turns.setdefault((lane.id, successor), turn)
+    return turns
 
 
 def _heading(points: FloatArray) -> float:
@@ -395,14 +395,18 @@ def _lines(
         )
         for first in (light for light in meant if len(light.turns) == len(meant[0].turns)):
             goes_dark = not first.active or any(colour is Colour.OFF for colour, _ in first.cycle)
-            others = (each.id for each in meant if goes_dark and len(each.turns) > len(first.turns))
+            others = (
+                light.id for light in meant if goes_dark and len(light.turns) > len(first.turns)
+            )
             governed.setdefault((first.id, *others), []).append(successor)
-    out = []
-    for chain, some in governed.items():
-        towards = () if len(some) == len(successors) else tuple(some)
-        out.append(_Line(lane.id, ends, chain, towards=towards))
+    stop_lines = []
+    for chain, controls in governed.items():
+        towards = () if len(controls) == len(successors) else tuple(controls)
+        stop_lines.append(_Line(lane.id, ends, chain, towards=towards))
     must_stop = bool(kinds & STOP_SIGNS) and not any(light.active for light in lights)
-    return out if out and not must_stop else [*out, _Line(lane.id, ends, must_stop=must_stop)]
+    if must_stop or not stop_lines:
+        stop_lines.append(_Line(lane.id, ends, must_stop=must_stop))
+    return stop_lines
 
 
 def lights_of(
@@ -411,17 +415,17 @@ def lights_of(
     """The lights over the time of the log: t = 0 is step `start`; it lasts `duration` s."""
     last = start + duration / document.dt
     changes = {light.id: light.changes(start, last) for light in document.lights}
-    out = []
+    lights = []
     for name, chain in heads.items():
         shown: list[tuple[float, Colour]] = []
         for step in sorted({step for i in chain for step, _ in changes[i]}):
-            colours = [[each for begin, each in changes[i] if begin <= step][-1] for i in chain]
-            colour = next((each for each in colours if each is not Colour.OFF), Colour.OFF)
+            colours = [[colour for begin, colour in changes[i] if begin <= step][-1] for i in chain]
+            colour = next((colour for colour in colours if colour is not Colour.OFF), Colour.OFF)
             if not shown or shown[-1][1] is not colour:
                 shown.append((step, colour))
         t = np.round([(step - start) * document.dt for step, _ in shown], 9)
-        out.append(TrafficLight(name, t, tuple(colour for _, colour in shown)))
-    return tuple(out)
+        lights.append(TrafficLight(name, t, tuple(colour for _, colour in shown)))
+    return tuple(lights)
 
 
 # right of way
@@ -446,25 +450,25 @@ def _right_of_way(
         radius = float(np.hypot(*(ends - middle).T).max(initial=0.0))
         later = (lane for lane in road.lanes.values() if lane.drivable and lane.id not in leading)
         zone = {lane.id for lane in later if np.hypot(*(lane.center[0] - middle)) < radius}
-        found = (
+        sides = (
             _approach(document, road, incoming, turns, zone) for incoming in intersection.incomings
         )
-        approaches = [approach for approach in found if approach is not None]
+        approaches = [approach for approach in sides if approach is not None]
         unsigned = False
-        for one, other in permutations(approaches, 2):
-            signed = one.rank != other.rank and not (one.lit and other.lit)
-            angle = wrap(other.heading - one.heading)
+        for side, other in permutations(approaches, 2):
+            signed = side.rank != other.rank and not (side.lit and other.lit)
+            angle = wrap(other.heading - side.heading)
             opposite, by_side = abs(angle) > OPPOSITE, False
-            if not (one.lit or other.lit) and MERGING < abs(angle) <= OPPOSITE:  # (5)
-                by_side = one.width < other.width or (
-                    one.width == other.width and road.drives_on_right and angle > 0.0
+            if not (side.lit or other.lit) and MERGING < abs(angle) <= OPPOSITE:  # (5)
+                by_side = side.width < other.width or (
+                    side.width == other.width and road.drives_on_right and angle > 0.0
                 )
-            own = {i: some for i, some in one.inner.items() if i not in other.inner}
-            others = {i: some for i, some in other.inner.items() if i not in one.inner}
+            own = {i: turns_to for i, turns_to in side.inner.items() if i not in other.inner}
+            others = {i: turns_to for i, turns_to in other.inner.items() if i not in side.inner}
             for lane, first in product(own, others):
                 turns_across = opposite and own[lane] == {across} and others[first] != {across}
                 # (4), else (5) or (6)
-                waits_here = one.rank < other.rank if signed else by_side or turns_across
+                waits_here = side.rank < other.rank if signed else by_side or turns_across
                 if waits_here and meet(road.lanes[lane].center, road.lanes[first].center):
                     waits.setdefault(lane, set()).add(first)
                     unsigned = unsigned or by_side
@@ -520,12 +524,15 @@ def _approach(
         if turn not in inner.setdefault(i, set()):
             inner[i].add(turn)
             ahead += [(after, turn) for after in road.lanes[i].successors if after in zone]
+    rank = 2 if kinds & PRIORITY_SIGNS else UNSIGNED
+    if kinds & (STOP_SIGNS | YIELD_SIGNS):
+        rank = 0
     return _Approach(
         atan2(mean[1], mean[0]),
         len(carriageway),
-        0 if kinds & (STOP_SIGNS | YIELD_SIGNS) else 2 if kinds & PRIORITY_SIGNS else UNSIGNED,
+        rank,
         any(i in active for lanelet in lanelets for i in _lights_at(lanelet)),
-        {i: frozenset(some) for i, some in inner.items()},
+        {i: frozenset(turns_to) for i, turns_to in inner.items()},
     )
 
 

@@ -76,13 +76,13 @@ def standing(sets: Sequence[OccupiedSet]) -> Iterator[tuple[str, float, float, B
     """Name within its road user, first and last time step, and box of each part of its sets (module
     docstring).
     """
-    steps = sorted({one.first for one in sets})
+    steps = sorted({occupied.first for occupied in sets})
     usual = steps[-1] - steps[-2] if len(steps) > 1 else 1.0
     until = dict(zip(steps, [*steps[1:], steps[-1] + usual], strict=True))
-    for k, one in enumerate(sets):
-        boxes = [box for outline in one.outlines for box in covering(outline)]
-        last = one.last if one.last > one.first else until[one.first]
-        yield from ((f"set {k} part {i}", one.first, last, box) for i, box in enumerate(boxes))
+    for k, occupied in enumerate(sets):
+        boxes = [box for outline in occupied.outlines for box in covering(outline)]
+        last = occupied.last if occupied.last > occupied.first else until[occupied.first]
+        yield from ((f"set {k} part {i}", occupied.first, last, box) for i, box in enumerate(boxes))
 
 
 def smallest_box(points: FloatArray) -> Box:

@@ -90,9 +90,9 @@ def velocities(document: Document) -> tuple[dict[int, FloatArray], tuple[str, ..
     errors = [_prediction_error(moving, v, document.dt) for v in (stored, backward)]
     by_difference = bool(errors[1] < errors[0]) or any(np.isnan(v).any() for v in stored)
     chosen = backward if by_difference else stored
-    found = {o.id: v for o, v in zip(moving, chosen, strict=True)}
+    velocity_of_id = {o.id: v for o, v in zip(moving, chosen, strict=True)}
     if not np.isfinite(errors).all():
-        return found, ()
+        return velocity_of_id, ()
     rule = (
         "backward differences of positions" if by_difference else "stored speeds along the headings"
     )
@@ -100,7 +100,7 @@ def velocities(document: Document) -> tuple[dict[int, FloatArray], tuple[str, ..
         f"agents' velocities are {rule} (error 1 s ahead {min(errors):.2f} m, the other way "
         f"{max(errors):.2f} m)"
     )
-    return found, (note,)
+    return velocity_of_id, (note,)
 
 
 def _prediction_error(
@@ -130,7 +130,7 @@ def tracks_of(
     `velocity` is that of `velocities`; `origin`, m, is subtracted from positions. Samples before
     `start` are left out (their differences are in the velocities); static obstacles stay.
     """
-    found: list[tuple[str, AgentKind, float, float, bool, FloatArray]] = []
+    tracks: list[tuple[str, AgentKind, float, float, bool, FloatArray]] = []
     for o in document.obstacles:
         later = o.states[:, 0] >= start - 1e-6
         if o.id == without:
@@ -141,13 +141,13 @@ def tracks_of(
                 if last > start:
                     pose = (box.x, box.y, box.yaw, 0.0, 0.0)
                     states = np.array([(max(first, start), *pose), (last, *pose)])
-                    found.append(
+                    tracks.append(
                         (f"{o.id} {name}", AgentKind.OBJECT, box.length, box.width, False, states)
                     )
         elif o.static or later.any():
             v = np.zeros((1, 2)) if o.static else velocity[o.id][later]
             states = np.column_stack([(o.states if o.static else o.states[later])[:, :4], v])
-            found.append(
+            tracks.append(
                 (
                     str(o.id),
                     kind_of_word(o.type) or AgentKind.OBJECT,
@@ -157,11 +157,11 @@ def tracks_of(
                     states,
                 )
             )
-    if not found:
+    if not tracks:
         return Tracks.empty()
-    ids, kinds, length, width, static, rows = zip(*found, strict=True)
-    step, x, y, yaw, vx, vy = np.vstack(rows).T
-    offsets = np.cumsum([0, *map(len, rows)])
+    ids, kinds, length, width, static, samples = zip(*tracks, strict=True)
+    step, x, y, yaw, vx, vy = np.vstack(samples).T
+    offsets = np.cumsum([0, *map(len, samples)])
     t = np.where(
         np.repeat(static, np.diff(offsets)), 0.0, np.round((step - start) * document.dt, 9)
     )
@@ -242,10 +242,10 @@ def _slopes(x: FloatArray, y: FloatArray, t: FloatArray, least: float) -> FloatA
     """Least-squares slope dy/dx at each sample over `WINDOW_S` to both sides; 0 where x spans less
     than `least`.
     """
-    out = np.zeros(len(x))
+    slopes = np.zeros(len(x))
     for i in range(len(x)):
         near = np.abs(t - t[i]) <= WINDOW_S + 1e-9
         dx, dy = x[near] - x[near].mean(), y[near] - y[near].mean()
         if np.ptp(dx) >= least:
-            out[i] = (dx @ dy) / (dx @ dx)
-    return out
+            slopes[i] = (dx @ dy) / (dx @ dx)
+    return slopes

@@ -49,15 +49,17 @@ def _contents(path: Path) -> LogContents:
     small.
     """
     try:
-        small = sum(each.stat().st_size for each in bag_files(path)) <= LISTED_BYTES
+        small = sum(file.stat().st_size for file in bag_files(path)) <= LISTED_BYTES
         with opened(path) as bag:
-            found = []
+            topics = []
             for topic in bag.topics:
                 times = sorted(time for time, _ in bag.raw(topic)) if small else []
                 first, last = (times[0], times[-1]) if times else (None, None)
                 coded = ("cdr", "ros2msg") if bag.is_ros2 else ("ros1", "ros1msg")
-                found.append(TopicSummary(topic.name, topic.kind, *coded, topic.count, first, last))
-            return LogContents("ROS 2 bag" if bag.is_ros2 else "ROS 1 bag", tuple(found))
+                topics.append(
+                    TopicSummary(topic.name, topic.kind, *coded, topic.count, first, last)
+                )
+            return LogContents("ROS 2 bag" if bag.is_ros2 else "ROS 1 bag", tuple(topics))
     except (LogError, OSError):
         return LogContents("ROS bag, damaged")
 

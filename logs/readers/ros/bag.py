@@ -19,7 +19,7 @@ from replan.logs.mcap.container import COPY_AGAIN
 from replan.logs.readers.ros.fields import SIMPLIFY, Types, Wanted, decoder, has_field
 from replan.logs.readers.ros.storage import DAMAGE, ROS1, ZSTD, BagFile, describe, opened_parts
 
-LISTED_BYTES = 1 << 28
+LISTED_BYTES = 256 * 1024**2
 """Largest bag for which `contents` gives times, bytes: the index does not contain them."""
 LAST_TIME_NS = 2**63 - 1
 LARGEST_DEFINITION = 1 << 18
@@ -77,11 +77,11 @@ class Bag:
                 name, _, body = part.partition("\n")
                 types |= get_types_from_msg(body, name.removeprefix("MSG: ").strip())
         elif len(own.data) > LARGEST_DEFINITION:
-            what = (
+            problem = (
                 f"the definition of {topic.kind} has {len(own.data)} characters, at most "
                 f"{LARGEST_DEFINITION} are"
             )
-            raise LogError(f"{what} read", topic=topic.name, remedy=SIMPLIFY)
+            raise LogError(f"{problem} read", topic=topic.name, remedy=SIMPLIFY)
         else:
             try:
                 if own.format.name == "MSG":
@@ -93,17 +93,17 @@ class Bag:
                     for part in [part.partition("\n")[2] for part in idl] or [own.data]:
                         types |= get_types_from_idl(part)
             except DAMAGE as error:
-                what = (
+                problem = (
                     f"the definition of {topic.kind} in the file cannot be used ({describe(error)})"
                 )
-                raise LogError(what, topic=topic.name, remedy=COPY_AGAIN) from None
+                raise LogError(problem, topic=topic.name, remedy=COPY_AGAIN) from None
         if topic.kind not in types:
-            what = (
+            problem = (
                 f"the log does not define its message type {topic.kind}, and replan does not "
                 "know it"
             )
             raise LogError(
-                what, topic=topic.name, remedy="record as MCAP, which holds the definitions"
+                problem, topic=topic.name, remedy="record as MCAP, which holds the definitions"
             )
         self._types[topic.name] = types
         return types
@@ -128,8 +128,8 @@ class Bag:
             try:
                 rows.append(walk(raw))
             except (struct.error, ValueError, IndexError) as error:
-                what = f"a message does not fit its type {topic.kind}: {error}"
-                raise LogError(what, topic=topic.name, time_ns=time, remedy=COPY_AGAIN) from None
+                problem = f"a message does not fit its type {topic.kind}: {error}"
+                raise LogError(problem, topic=topic.name, time_ns=time, remedy=COPY_AGAIN) from None
             times.append(time)
         order = np.argsort(np.array(times, dtype=np.int64), kind="stable")
         return np.array(times, dtype=np.int64)[order], [rows[i] for i in order]
@@ -146,27 +146,29 @@ class Bag:
             try:
                 for time, raw in _messages(part, topic, begin, end):
                     if not 0 <= time <= LAST_TIME_NS:
-                        what = f"log time {time} ns is beyond any clock"
-                        raise LogError(what, topic=topic.name, remedy=COPY_AGAIN)
+                        problem = f"log time {time} ns is beyond any clock"
+                        raise LogError(problem, topic=topic.name, remedy=COPY_AGAIN)
                     last, count = time, count + 1
                     yield time, raw
             except LogError:
                 raise
             except DAMAGE as error:
                 where = "" if last is None else " after this time"
-                what = f"the file is damaged{where} ({describe(error)})"
-                raised = LogError(what, topic=topic.name, time_ns=last, remedy=part.remedy)
+                problem = f"the file is damaged{where} ({describe(error)})"
+                raised = LogError(problem, topic=topic.name, time_ns=last, remedy=part.remedy)
                 raise raised.at(part.path) from None
         if begin is None and end is None and count < topic.count:
-            what = f"{count} of {topic.count} messages can be read"
-            raise LogError(what, topic=topic.name, remedy=self.parts[0].remedy)
+            problem = f"{count} of {topic.count} messages can be read"
+            raise LogError(problem, topic=topic.name, remedy=self.parts[0].remedy)
 
 
 def _messages(
     part: BagFile, topic: Topic, begin: int | None, end: int | None
 ) -> Iterator[tuple[int, bytes]]:
     """Log time and bytes of a topic's messages in a file, decompressed."""
-    connections = [each for each in topic.connections if each.owner is part.storage]
+    connections = [
+        connection for connection in topic.connections if connection.owner is part.storage
+    ]
     if not connections:
         return
     beyond = None if end is None else end + 1
@@ -181,11 +183,13 @@ def opened(path: Path) -> Iterator[Bag]:
     """Open the bag at a path; LogError if it cannot be opened."""
     with opened_parts(path) as (parts, notes):
         connections: dict[tuple[str, str], list[Any]] = {}
-        for each in (each for part in parts for each in part.storage.connections):
-            connections.setdefault((each.topic, each.msgtype), []).append(each)
+        for part in parts:
+            for connection in part.storage.connections:
+                key = connection.topic, connection.msgtype
+                connections.setdefault(key, []).append(connection)
         topics = [
-            Topic(name, kind, sum(each.msgcount for each in some), tuple(some))
-            for (name, kind), some in connections.items()
+            Topic(name, kind, sum(connection.msgcount for connection in same), tuple(same))
+            for (name, kind), same in connections.items()
         ]
         # of one topic and several types, the type with most messages
         most = {

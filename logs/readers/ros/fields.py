@@ -27,7 +27,8 @@ Wanted = tuple[Any, ...]
 """Names, and pairs (name, Wanted)."""
 Types = Mapping[str, tuple[Any, list[tuple[str, Any]]]]
 """Fields of each message type as `rosbags` parses them: (name, (node type, what))."""
-BASE, NAME, ARRAY, SEQUENCE = 1, 2, 3, 4
+BASE, NAME = 1, 2
+ARRAY, SEQUENCE = 3, 4
 """Node types of rosbags."""
 CODES = {
     "bool": "?",
@@ -52,7 +53,7 @@ MOST_FIELDS = 10_000
 """Greatest number of fields of a message, nested messages included: Autoware's largest types have
 some 100.
 """
-MOST_FIXED_BYTES = 1 << 30
+MOST_FIXED_BYTES = 1024**3
 """Largest list of fixed length, bytes: no message is longer
 (`replan.logs.readers.ros.storage.MAX_CHUNK_BYTES`).
 """
@@ -64,8 +65,8 @@ ENDS = {0: ">", 1: "<"}
 def has_field(types: Types, kind: str, path: str) -> bool:
     """Return whether a message type has a field, given by its dotted name, also within lists."""
     name, _, rest = path.partition(".")
-    for found, desc in types.get(kind, ((), []))[1]:
-        if found == name:
+    for field_name, desc in types.get(kind, ((), []))[1]:
+        if field_name == name:
             while desc[0] in (ARRAY, SEQUENCE):
                 desc = desc[1][0]
             return not rest or (desc[0] == NAME and has_field(types, desc[1], rest))
@@ -81,7 +82,7 @@ def decoder(
     The function raises `struct.error`, `IndexError` or `ValueError` on bytes that are not such a
     message.
     """
-    made: dict[str, Callable[[bytes], tuple[Any, ...]]] = {}
+    walks: dict[str, Callable[[bytes], tuple[Any, ...]]] = {}
     for end in ("<", ">") if cdr else ("<",):
         code = _Code(types, end, cdr)
         code.line("def walk(b):")
@@ -93,14 +94,14 @@ def decoder(
         code.line(f"return {answer}")
         space: dict[str, Any] = dict(code.constants)
         exec("\n".join(code.lines), space)
-        made[end] = space["walk"]
+        walks[end] = space["walk"]
     if not cdr:
-        return made["<"]
+        return walks["<"]
 
     def decoded(raw: bytes) -> tuple[Any, ...]:
         if len(raw) < 4 or raw[1] not in ENDS:
             raise ValueError("the message is not encoded as plain CDR")
-        return made[ENDS[raw[1]]](raw[4:])
+        return walks[ENDS[raw[1]]](raw[4:])
 
     return decoded
 
@@ -155,17 +156,19 @@ class _Code:
         for name, desc in self.types[kind][1]:
             self.fields += 1
             if self.fields > MOST_FIELDS:
-                what = (
+                problem = (
                     f"the message type has more than {MOST_FIELDS} fields with all messages in it"
                 )
-                raise LogError(what, remedy=SIMPLIFY)
+                raise LogError(problem, remedy=SIMPLIFY)
             # What is left of each wanted path behind the field's name; "": the field itself
-            here = []
+            wanted_here = []
             for i, w in enumerate(wanted):
                 first, dot, rest = (w if isinstance(w, str) else w[0]).partition(".")
                 if first == name:
-                    here.append((i, rest if isinstance(w, str) else (rest, w[1]) if dot else w[1]))
-            places |= self.value(desc, here, level + 1)
+                    wanted_here.append(
+                        (i, rest if isinstance(w, str) else (rest, w[1]) if dot else w[1])
+                    )
+            places |= self.value(desc, wanted_here, level + 1)
         for i, w in enumerate(wanted):
             if i not in places:
                 lacking = w if isinstance(w, str) else w[0]
@@ -174,17 +177,17 @@ class _Code:
 
     def value(self, desc: Any, wanted: list[tuple[int, Any]], level: int) -> dict[int, str]:
         """Walk one field; return the names of the wanted variables by their index in `wanted`."""
-        node, what = desc
+        node, content = desc
         if node == BASE:
             place, name = (wanted[0][0], self.name()) if wanted else (0, None)
-            self.text(name) if what[0] == TEXT else self.number(what[0], name)
+            self.text(name) if content[0] == TEXT else self.number(content[0], name)
             return {place: name} if name is not None else {}
         if node == NAME:
-            inner = self.message(what, tuple(w for _, w in wanted), level)
+            inner = self.message(content, tuple(w for _, w in wanted), level)
             return {i: inner[k] for k, (i, _) in enumerate(wanted)}
         if node == ARRAY:
-            return self.array(what[0], what[1], wanted, level)
-        return self.sequence(what[0], wanted, level)
+            return self.array(content[0], content[1], wanted, level)
+        return self.sequence(content[0], wanted, level)
 
     def number(self, kind: str, name: str | None) -> None:
         if kind not in CODES:
@@ -310,32 +313,34 @@ class _Code:
 
         Else None.
         """
-        node, what = desc
+        node, content = desc
         if level > _DEEPEST or node == SEQUENCE:
             return None
         if node == BASE:
-            return (struct.calcsize("<" + CODES[what[0]]), 1) if what[0] in CODES else None
+            return (struct.calcsize("<" + CODES[content[0]]), 1) if content[0] in CODES else None
         if node == ARRAY:
-            each = self.uniform(what[0], level + 1)
-            return (each[0], each[1] * what[1]) if each is not None else None
-        if what not in self.types or (not self.cdr and _lacks_sequence(self.types, what)):
+            element = self.uniform(content[0], level + 1)
+            return (element[0], element[1] * content[1]) if element is not None else None
+        if content not in self.types or (not self.cdr and _lacks_sequence(self.types, content)):
             return None
-        if what not in self.uniforms:
-            self.uniforms[what] = None  # of a type that holds itself
-            parts = [self.uniform(part, level + 1) for _, part in self.types[what][1]]
+        if content not in self.uniforms:
+            self.uniforms[content] = None  # of a type that holds itself
+            parts = [self.uniform(part, level + 1) for _, part in self.types[content][1]]
             sizes = {part[0] for part in parts if part is not None and part[1]} or {1}
             if None not in parts and len(sizes) == 1:
-                self.uniforms[what] = (
+                self.uniforms[content] = (
                     sizes.pop(),
                     sum(part[1] for part in parts if part is not None),
                 )
-        return self.uniforms[what]
+        return self.uniforms[content]
 
 
 def _check_fixed(size: int) -> None:
     if size > MOST_FIXED_BYTES:
-        what = f"the message type has a list of fixed length of more than {MOST_FIXED_BYTES} bytes"
-        raise LogError(what, remedy=SIMPLIFY)
+        problem = (
+            f"the message type has a list of fixed length of more than {MOST_FIXED_BYTES} bytes"
+        )
+        raise LogError(problem, remedy=SIMPLIFY)
 
 
 def _lacks_sequence(types: Types, kind: str) -> bool:

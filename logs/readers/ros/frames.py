@@ -107,10 +107,10 @@ class FrameTree:
 
     def path(self, name: str) -> list[str]:
         """Return the frame, its parent, and so on up to the root; a cycle ends the path."""
-        out = [name]
-        while out[-1] in self.parents and self.parents[out[-1]] not in out:
-            out.append(self.parents[out[-1]])
-        return out
+        names = [name]
+        while names[-1] in self.parents and self.parents[names[-1]] not in names:
+            names.append(self.parents[names[-1]])
+        return names
 
     def connects(self, one: str, other: str) -> bool:
         """Return whether transforms lead from a frame to another, or both are the same."""
@@ -123,11 +123,13 @@ class FrameTree:
         up, down = self.path(above), self.path(below)
         meet = next((name for name in up if name in down), None)
         if meet is None:
-            what = (
+            problem = (
                 f"no transform leads from frame {above!r} to {below!r}; there are "
                 f"{', '.join(self.names) or 'none'}"
             )
-            raise LogError(what, topic="/tf", remedy="name the log's own under frames (map, base)")
+            raise LogError(
+                problem, topic="/tf", remedy="name the log's own under frames (map, base)"
+            )
         climbed = [(self.parents[name], name, False) for name in up[: up.index(meet)]]
         return climbed + [
             (self.parents[name], name, True) for name in reversed(down[: down.index(meet)])
@@ -136,11 +138,11 @@ class FrameTree:
     def poses(self, above: str, below: str, t: IntArray, how: str) -> Poses:
         """The pose of frame `below` in `above` at times `(m,)` ns."""
         n = len(t)
-        out = Poses(t, np.zeros((n, 3)), np.tile([0.0, 0.0, 0.0, 1.0], (n, 1)))
+        poses = Poses(t, np.zeros((n, 3)), np.tile([0.0, 0.0, 0.0, 1.0], (n, 1)))
         for parent, child, down in self.chain(above, below):
             step = sampled(self.edges[parent, child], t, how)
-            out = composed(out, step if down else inverse(step))
-        return out
+            poses = composed(poses, step if down else inverse(step))
+        return poses
 
     def times(self, above: str, below: str) -> IntArray:
         """Return the times of the chain's edge with most samples, ns, from when all moving edges
@@ -185,8 +187,8 @@ class Clock:
         since = np.interp(log - self.log[0], self.log - self.log[0], self.stamp - self.stamp[0])
         # integers: floats cannot hold times since an epoch
         inner = self.stamp[0] + np.rint(since).astype(np.int64)
-        out = np.where(log < self.log[0], log - self.log[0] + self.stamp[0], inner)
-        return np.where(log > self.log[-1], log - self.log[-1] + self.stamp[-1], out)
+        times = np.where(log < self.log[0], log - self.log[0] + self.stamp[0], inner)
+        return np.where(log > self.log[-1], log - self.log[-1] + self.stamp[-1], times)
 
 
 LOG_CLOCK = Clock(np.empty(0, np.int64), np.empty(0, np.int64))
@@ -201,7 +203,7 @@ def restarts(log: IntArray, stamps: IntArray) -> IntArray:
     """Return the log times, ns, rising, at which the clock of a topic's stamps begins anew; `log`
     is sorted.
     """
-    out, begin, much = list[int](), 0, round(1e9 * OTHER_CLOCK_S)
+    begins, begin, much = list[int](), 0, round(1e9 * OTHER_CLOCK_S)
     if not stamped(stamps) or log[-1] - log[0] < 1e9 * LASTS_S:
         return np.empty(0, np.int64)
     for k in (np.flatnonzero(np.diff(stamps) < -much) + 1).tolist():
@@ -209,9 +211,9 @@ def restarts(log: IntArray, stamps: IntArray) -> IntArray:
         leaps = np.diff(stamps[k:end]) > np.diff(log[k:end]) + much
         returns = leaps & (stamps[k + 1 : end] > newest - much)
         if not returns.any() and log[-1] - log[k] >= 1e9 * LASTS_S:
-            out.append(int(log[k]))
+            begins.append(int(log[k]))
             begin = k
-    return np.array(out, dtype=np.int64)
+    return np.array(begins, dtype=np.int64)
 
 
 def clock_of(log: IntArray, stamps: IntArray, choice: str) -> Clock:
@@ -242,13 +244,13 @@ def times_of(
         near = np.flatnonzero(np.abs(late - usual) <= OTHER_CLOCK_S)
         again = restarts(log, stamps)
         if abs(usual) > OTHER_CLOCK_S or not len(near) or len(again):
-            what = f"The stamps of {topic} are of another clock than the ego's ({usual:+.1f} s)"
+            problem = f"The stamps of {topic} are of another clock than the ego's ({usual:+.1f} s)"
             if len(again):
-                what = (
+                problem = (
                     f"The clock of {topic} restarts {(again[0] - clock.log[0]) / 1e9:.2f} s "
                     "after the first pose"
                 )
-            notes.append(f"{what}: its log times count.")
+            notes.append(f"{problem}: its log times count.")
             times = clock(log)
         else:
             keep = near
@@ -267,12 +269,12 @@ def times_of(
 
 def describe_timing(topic: str, log: IntArray, stamps: IntArray, start_ns: int) -> list[str]:
     """Describe a topic's delays and drop-outs in sentences, if there are any."""
-    out = []
+    notes = []
     if stamped(stamps):
         late = (log - stamps) / 1e9
         usual, worst = float(np.median(late)), float(late[np.argmax(np.abs(late))])
         if max(abs(usual), abs(worst)) > REPORTED_S:
-            out.append(
+            notes.append(
                 f"{topic} is recorded {usual:.3f} s after its stamps (median), at most {worst:.3f} "
                 "s."
             )
@@ -282,8 +284,8 @@ def describe_timing(topic: str, log: IntArray, stamps: IntArray, start_ns: int) 
         lost = np.flatnonzero(apart > max(DROPOUT_S, DROPOUT_INTERVALS * usual))
         if len(lost):
             places = [f"{apart[i]:.2f} s from {(log[i] - start_ns) / 1e9:.2f} s" for i in lost]
-            out.append(
+            notes.append(
                 f"{topic} drops out: nothing for {listed(places, _DROPOUTS_SHOWN)} (usually every "
                 f"{usual:.3f} s)."
             )
-    return out
+    return notes

@@ -111,7 +111,7 @@ def samples_of(
     """
     items = [messages.items[i] for i in chosen]
     owner = np.repeat(np.arange(len(items)), [len(item) for item in items])
-    rows = [item for some in items for item in some]
+    rows = [item for objects in items for item in objects]
     if not rows:
         return _no_samples()
     held = _Fields(list(zip(*rows, strict=True)), messages.names)
@@ -122,9 +122,9 @@ def samples_of(
     if not all(name in (frame, "") for name in used):
         p, q = np.zeros((len(used), 3)), np.tile([0.0, 0.0, 0.0, 1.0], (len(used), 1))
         for name in sorted(set(used) - {frame, ""}):
-            at = np.array([k for k, each in enumerate(used) if each == name])
-            found = frames.poses(frame, name, t[at], BETWEEN)
-            p[at], q[at] = found.p, found.q
+            rows_in_frame = np.array([k for k, frame_name in enumerate(used) if frame_name == name])
+            frame_poses = frames.poses(frame, name, t[rows_in_frame], BETWEEN)
+            p[rows_in_frame], q[rows_in_frame] = frame_poses.p, frame_poses.q
         turn = Poses(t[owner], p[owner], q[owner])
     world = poses if turn is None else composed(turn, poses)
     kinds, in_the_way, score = _kinds(held, schema)
@@ -136,11 +136,13 @@ def samples_of(
         velocity[:] = np.nan
     finite = np.logical_and.reduce(np.isfinite(np.column_stack([velocity[:, :2], world.p])), axis=1)
     by_frame = rotated(world.q, velocity), velocity if turn is None else rotated(turn.q, velocity)
-    in_object, in_frame = (np.where(finite[:, None], each[:, :2], np.nan) for each in by_frame)
-    ids = list(held.column("id")) if "id" in held else []
-    names = [each.hex() if isinstance(each, bytes) else str(each) for each in ids] or [""] * len(
-        rows
+    in_object, in_frame = (
+        np.where(finite[:, None], velocities[:, :2], np.nan) for velocities in by_frame
     )
+    ids = list(held.column("id")) if "id" in held else []
+    names = [
+        object_id.hex() if isinstance(object_id, bytes) else str(object_id) for object_id in ids
+    ] or [""] * len(rows)
     usable = np.isfinite(moved).all(axis=1) & np.isfinite(yaw)
     if not in_the_way.all():
         notes.append(
@@ -154,7 +156,7 @@ def samples_of(
     keep = np.flatnonzero(usable & in_the_way & on_level)
     if not len(keep):
         return _no_samples()
-    out = Samples(
+    samples = Samples(
         owner,
         names,
         kinds,
@@ -168,13 +170,13 @@ def samples_of(
         turned,
         score,
     ).taken(keep)
-    if np.isfinite(out.vx).any():
-        out = identified(out, t, id_notes)
-    by = _frame_of_twist(out, in_frame[keep], schema, t, notes)
+    if np.isfinite(samples.vx).any():
+        samples = identified(samples, t, id_notes)
+    by = _frame_of_twist(samples, in_frame[keep], schema, t, notes)
     if by == "object":
-        return out
-    vx, vy = in_frame[keep].T if by == "frame" else np.full((2, len(out)), np.nan)
-    return replace(out, vx=vx, vy=vy)
+        return samples
+    vx, vy = in_frame[keep].T if by == "frame" else np.full((2, len(samples)), np.nan)
+    return replace(samples, vx=vx, vy=vy)
 
 
 def _no_samples() -> Samples:
@@ -212,9 +214,9 @@ def _kinds(held: _Fields, schema: ObjectSchema) -> tuple[list[AgentKind], BoolAr
     score = np.full(len(held), np.nan)
     if "classes" in held:
         classes = held.column("classes")
-        best = [max(each, key=lambda c: c[1])[0] if each else "" for each in classes]
+        best = [max(scored, key=lambda c: c[1])[0] if scored else "" for scored in classes]
         score = np.array(
-            [max((c[1] for c in each), default=np.nan) for each in classes], np.float64
+            [max((c[1] for c in scored), default=np.nan) for scored in classes], np.float64
         )
     else:
         best = list(held.column("label"))
@@ -264,21 +266,27 @@ def _sizes(
             if "shape" in held
             else [2 if k is AgentKind.OBJECT else 0 for k in kinds]
         )
-        some = np.array([i for i in range(n) if shapes[i] == 2 and len(outlines[i]) > 2], np.int64)
-        boxes = smallest_rectangles([outlines[i] for i in some]) if len(some) else np.empty((0, 5))
-        centre[some], yaw[some], size[some], turned[some] = (
+        outlined = np.array(
+            [i for i in range(n) if shapes[i] == 2 and len(outlines[i]) > 2], np.int64
+        )
+        boxes = (
+            smallest_rectangles([outlines[i] for i in outlined])
+            if len(outlined)
+            else np.empty((0, 5))
+        )
+        centre[outlined], yaw[outlined], size[outlined], turned[outlined] = (
             boxes[:, :2],
             boxes[:, 2],
             boxes[:, 3:],
             True,
         )
         base = world if schema.outline_frame == "object" else turn
-        if base is not None and len(some):
+        if base is not None and len(outlined):
             half, none = 0.5 * boxes[:, 2], np.zeros(len(boxes))
             turns = np.column_stack([none, none, np.sin(half), np.cos(half)])
-            local = Poses(base.t[some], np.column_stack([boxes[:, :2], none]), turns)
-            placed = composed(Poses(base.t[some], base.p[some], base.q[some]), local)
-            centre[some], yaw[some] = placed.p[:, :2], placed.yaw
+            local = Poses(base.t[outlined], np.column_stack([boxes[:, :2], none]), turns)
+            placed = composed(Poses(base.t[outlined], base.p[outlined], base.q[outlined]), local)
+            centre[outlined], yaw[outlined] = placed.p[:, :2], placed.yaw
     size[~(size >= LEAST_SIZE_M)] = np.nan
     return size[:, 0], size[:, 1], centre, yaw, turned
 

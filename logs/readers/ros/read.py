@@ -96,8 +96,8 @@ ROLES = {
 
 def _scenario(path: Path, bag: Bag, settings: LogSettings) -> Scenario:
     if not any(topic.count for topic in bag.topics):
-        what = ": ".join(["the bag holds no messages", *bag.notes]).rstrip(".")
-        raise LogError(what, remedy="record or copy it again")
+        problem = ": ".join(["the bag holds no messages", *bag.notes]).rstrip(".")
+        raise LogError(problem, remedy="record or copy it again")
     about_car = list(bag.notes)
     vehicle = settings.vehicle(about_car)
     if vehicle is None:
@@ -181,24 +181,26 @@ def _drive_to_read(whole: BagPart, ego: EgoLog) -> BagPart:
     a LogError.
     """
     bag, settings = whole.bag, whole.settings
-    at = ((ego.restarts - bag.start_ns) / 1e9).tolist()
-    count = {2: "two", 3: "three", 4: "four"}.get(len(at) + 1, str(len(at) + 1))
-    times = ", ".join(f"{t:.1f} s" for t in at)
-    what = f"clock of {ego.restarted} restarts at {times} of the bag: {count} drives"
+    restarts_s = ((ego.restarts - bag.start_ns) / 1e9).tolist()
+    count = {2: "two", 3: "three", 4: "four"}.get(len(restarts_s) + 1, str(len(restarts_s) + 1))
+    times = ", ".join(f"{t:.1f} s" for t in restarts_s)
+    problem = f"clock of {ego.restarted} restarts at {times} of the bag: {count} drives"
     if settings.clock == "log":
-        whole.notes.append(f"The {what}, which are joined, because clock = log is set.")
+        whole.notes.append(f"The {problem}, which are joined, because clock = log is set.")
         return whole
-    bounds = pairwise([0.0, *at, (bag.end_ns - bag.start_ns) / 1e9])
+    bounds = pairwise([0.0, *restarts_s, (bag.end_ns - bag.start_ns) / 1e9])
     shared = [min(end, settings.end) - max(begin, settings.begin) for begin, end in bounds]
-    if sum(each > LASTS_S for each in shared) > 1:
+    if sum(overlap_s > LASTS_S for overlap_s in shared) > 1:
         raise LogError(
-            f"the {what}", remedy="--from/--to chooses one, and clock = log in [log] joins them"
+            f"the {problem}", remedy="--from/--to chooses one, and clock = log in [log] joins them"
         )
     chosen = int(np.argmax(shared))
     begin, end = [bag.start_ns, *ego.restarts.tolist(), bag.end_ns + 1][chosen : chosen + 2]
     if settings.end < inf:
         end = min(end, bag.start_ns + round(1e9 * settings.end))
-    note = f"The {what}; this is number {chosen + 1}, and --from and --to are seconds of the bag."
+    note = (
+        f"The {problem}; this is number {chosen + 1}, and --from and --to are seconds of the bag."
+    )
     return BagPart(bag, settings, begin, end - 1, [note], is_drive=True)
 
 
@@ -235,8 +237,8 @@ def _logged_motion(part: BagPart, ego: EgoLog) -> tuple[FloatArray, FloatArray]:
         notes.append(f"The ego's speed is that of {ego.source}.")
     else:
         v = at_poses(signal(part, schemas.SPEEDS, "speed", ego), ego.poses.t, "speed", notes)
-    found = signal(part, schemas.ACCELERATIONS, "acceleration", ego)
-    return v, at_poses(found, ego.poses.t, "acceleration", notes)
+    measured = signal(part, schemas.ACCELERATIONS, "acceleration", ego)
+    return v, at_poses(measured, ego.poses.t, "acceleration", notes)
 
 
 def _tracks(
@@ -266,7 +268,7 @@ def _tracks(
     if len(topics) > 1:
         notes.append(
             f"The others are those of {topic.name}, not of "
-            f"{', '.join(each.name for each in topics[1:])}:"
+            f"{', '.join(topic.name for topic in topics[1:])}:"
             " tracked before predicted before detected, then most messages."
         )
     messages = read_messages(part, topic)
@@ -295,9 +297,9 @@ def _tracks(
         )
         raise LogError(error.what, topic=topic.name, remedy=remedy) from None
     x, y, since = samples.x - origin[0], samples.y - origin[1], (t - start) / 1e9
-    found = replace(samples, x=x, y=y).detections(since)
-    if reason_to_repair(part.settings.repair, found):
-        return Tracks.empty(), found, of_stream(since)
+    detections = replace(samples, x=x, y=y).detections(since)
+    if reason_to_repair(part.settings.repair, detections):
+        return Tracks.empty(), detections, of_stream(since)
     samples = identified(samples, t, id_notes)
     notes += id_notes
     return tracks_of(replace(samples, x=x, y=y), since, notes), None, of_stream(since)
@@ -331,31 +333,30 @@ def lights(part: BagPart, ego: EgoLog, t0: int) -> tuple[TrafficLight, ...]:
     t, keep = times_of(topic.name, log, stamps, ego.clock, notes)
     notes += describe_timing(topic.name, log, stamps, int(log[0])) if len(log) else []
     items = [rows[k][0] for k in keep]
-    place = next(
-        (i for i in range(len(schema.ids)) if any(each[i] for some in items for each in some)), 0
-    )
+    in_message = [row for message in items for row in message]
+    place = next((i for i in range(len(schema.ids)) if any(row[i] for row in in_message)), 0)
     shown: dict[int, list[tuple[int, Colour]]] = {}
     seen: dict[int, int] = {}
-    for time, some in zip(t.tolist(), items, strict=True):
+    for time, message in zip(t.tolist(), items, strict=True):
         for light in [light for light, last in seen.items() if time - last > 1e9 * UNSEEN_S]:
             shown[light].append((seen.pop(light) + round(1e9 * UNSEEN_S), Colour.OFF))
-        for light, colour in {each[place]: _colour(each, schema) for each in some}.items():
+        for light, colour in {row[place]: _colour(row, schema) for row in message}.items():
             seen[light] = time
             states = shown.setdefault(light, [])
             if not states or states[-1][1] is not colour:
                 states.append((time, colour))
-    out = []
+    traffic_lights = []
     for light, states in sorted(shown.items()):
         by_time = dict(sorted(states, key=lambda state: state[0]))
         t = np.array(list(by_time), dtype=np.int64)
-        out.append(TrafficLight(int(light), (t - t0) / 1e9, tuple(by_time.values())))
-    if out:
+        traffic_lights.append(TrafficLight(int(light), (t - t0) / 1e9, tuple(by_time.values())))
+    if traffic_lights:
         notes.append(
-            f"{len(out)} traffic lights of {topic.name} are named by its {schema.ids[place]}; "
-            "which lane obeys which"
+            f"{len(traffic_lights)} traffic lights of {topic.name} are named by its "
+            f"{schema.ids[place]}; which lane obeys which"
             " the log does not say: without a map that names them no stop line belongs to them."
         )
-    return tuple(out)
+    return tuple(traffic_lights)
 
 
 def _colour(item: tuple[object, ...], schema: schemas.LightSchema) -> Colour:
@@ -421,16 +422,16 @@ def goal(
 
 def controls(part: BagPart, ego: EgoLog, t0: int) -> Controls | None:
     """Read the front wheel angle: the measured one, else the commanded one."""
-    found = signal(part, schemas.STEERING, "steering", ego)
+    angle = signal(part, schemas.STEERING, "steering", ego)
     word = "measured"
-    if found is None and "steering" not in part.settings.topics:
-        found = signal(part, schemas.COMMANDED_STEERING, "steering", ego)
+    if angle is None and "steering" not in part.settings.topics:
+        angle = signal(part, schemas.COMMANDED_STEERING, "steering", ego)
         word = "commanded"
-    if found is None:
+    if angle is None:
         return None
-    part.notes.append(f"The front wheel angle is that of {found.topic}, {word}.")
-    nan = np.full(len(found.t), np.nan)
-    return Controls((found.t - t0) / 1e9, found.values, nan, nan)
+    part.notes.append(f"The front wheel angle is that of {angle.topic}, {word}.")
+    nan = np.full(len(angle.t), np.nan)
+    return Controls((angle.t - t0) / 1e9, angle.values, nan, nan)
 
 
 def onboard(part: BagPart, ego: EgoLog, t0: int, origin: FloatArray) -> tuple[OnboardPlan, ...]:
@@ -482,9 +483,9 @@ def _plan(
         # (1); NaN from where the plan stands, but for the point at which it comes to its stand
         t = np.zeros(len(x))
         if len(x) > 1:
-            mean, way = 0.5 * np.abs(v[:-1] + v[1:]), np.hypot(np.diff(x), np.diff(y))
+            mean, distance = 0.5 * np.abs(v[:-1] + v[1:]), np.hypot(np.diff(x), np.diff(y))
             step = np.divide(
-                way, mean, out=np.full(len(way), np.nan), where=mean >= 0.5 * CREEPS_MPS
+                distance, mean, out=np.full(len(distance), np.nan), where=mean >= 0.5 * CREEPS_MPS
             )
             step[step <= 0.0] = np.nan
             t = np.r_[0.0, np.cumsum(step)]

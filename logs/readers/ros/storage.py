@@ -47,7 +47,7 @@ SPLIT_S = 2.0
 """Longest time between two parts of a recording, and longest overlap, s: recorders lose some
 messages at most.
 """
-MAX_CHUNK_BYTES = 1 << 30
+MAX_CHUNK_BYTES = 1024**3
 """Largest decompressed chunk of a bag, bytes: rosbag2 writes 768 KiB, the largest known are 100
 MiB.
 """
@@ -112,8 +112,9 @@ def opened_parts(path: Path) -> Iterator[tuple[list[BagFile], list[str]]]:
         files, stated, notes = _files_of(path) if path.is_dir() else ([path], Counter(), [])
         parts = [_opened(file, stack, notes) for file in files]
         held = Counter[str]()
-        for connection in (each for part in parts for each in part.storage.connections):
-            held[connection.topic] += connection.msgcount
+        for part in parts:
+            for connection in part.storage.connections:
+                held[connection.topic] += connection.msgcount
         lost = [
             f"{topic} {held[topic]} of {count}"
             for topic, count in sorted(stated.items())
@@ -138,8 +139,8 @@ def _opened(path: Path, stack: ExitStack, notes: list[str]) -> BagFile:
     except StopIteration:
         raise LogError("the file is not one of a bag", file=path, remedy=COPY_AGAIN) from None
     except DAMAGE as error:
-        what = f"the bag cannot be opened ({describe(error)})"
-        raise LogError(what, file=path, remedy=COPY_AGAIN) from None
+        problem = f"the bag cannot be opened ({describe(error)})"
+        raise LogError(problem, file=path, remedy=COPY_AGAIN) from None
     if part.note:
         notes.append(part.note)
     if part.count < part.stated:
@@ -213,8 +214,8 @@ def _check_chunks(path: Path, storage: Any) -> None:
                 frame = os.pread(storage.bio.fileno(), _FRAME_HEAD_BYTES, begin)
                 size = max(size, frame_content_size(frame))
         if size > MAX_CHUNK_BYTES:
-            what = f"a chunk of {chunk.compressed_size} bytes would become {size}"
-            raise LogError(what, file=path, time_ns=chunk.message_start_time, remedy=COPY_AGAIN)
+            problem = f"a chunk of {chunk.compressed_size} bytes would become {size}"
+            raise LogError(problem, file=path, time_ns=chunk.message_start_time, remedy=COPY_AGAIN)
 
 
 def _open_sqlite(path: Path, near: Path, stack: ExitStack) -> BagFile:
@@ -224,7 +225,9 @@ def _open_sqlite(path: Path, near: Path, stack: ExitStack) -> BagFile:
     storage = Sqlite3Reader(Path(quote(str(near))))
     storage.open()
     stack.callback(storage.close)
-    return _file_of(path, SQLITE, storage, sum(each.msgcount for each in storage.connections))
+    return _file_of(
+        path, SQLITE, storage, sum(connection.msgcount for connection in storage.connections)
+    )
 
 
 def _file_of(path: Path, magic: bytes, storage: Any, count: int) -> BagFile:
@@ -247,7 +250,7 @@ def _open_ros1(path: Path, near: Path, stack: ExitStack) -> BagFile:
         note = storage.note
     stack.callback(storage.close)
     stated = sum(sum(info.connection_counts.values()) for info in storage.chunk_infos)
-    count = sum(each.msgcount for each in storage.connections)
+    count = sum(connection.msgcount for connection in storage.connections)
     times = storage.start_time, storage.end_time - 1
     return BagFile(path, ROS1, storage, *times, count, stated, note)
 
@@ -272,15 +275,15 @@ def _files_of(folder: Path) -> tuple[list[Path], Counter[str], list[str]]:
         if number := _number(parts[0]):
             notes.append(f"The {number} parts before {parts[0].name} are not in the folder.")
         return files, Counter(), notes
-    there = sorted(filter(_is_storage, bag_files(folder)), key=_number)
+    files_there = sorted(filter(_is_storage, bag_files(folder)), key=_number)
     try:
         names, stated = _metadata(folder)
     except DAMAGE as error:
         note = f"{METADATA} cannot be read ({describe(error)}): all files beside it are read."
-        return there, Counter(), [note]
+        return files_there, Counter(), [note]
     files = [folder / name for name in names if _has_content(folder / name)]
     missing = [folder / name for name in names if folder / name not in files]
-    others = [file for file in there if file.name not in names]
+    others = [file for file in files_there if file.name not in names]
     notes = [f"{METADATA} lists {_listed(missing)}, missing or empty."] if missing else []
     if not files and not others:
         raise LogError(" ".join(notes)[:-1], file=folder, remedy=COPY_AGAIN)

@@ -121,22 +121,22 @@ def tracks_of(samples: Samples, t: FloatArray, notes: list[str]) -> Tracks:
     if twice.any():
         notes.append(f"{int(twice.sum())} samples repeat an id within a frame: the first counts.")
     order = order[~twice]
-    some, codes = samples.taken(order), codes[order]
+    in_order, codes = samples.taken(order), codes[order]
     first = firsts(codes)
     offsets = np.append(np.unique(first), len(codes))
-    seconds = t[some.message]
+    seconds = t[in_order.message]
     parts = [slice(*ends) for ends in pairwise(offsets)]
-    kinds = tuple(Counter(some.kinds[part]).most_common(1)[0][0] for part in parts)
+    kinds = tuple(Counter(in_order.kinds[part]).most_common(1)[0][0] for part in parts)
     # rectangles around outlines may lie on any of four sides: each as the one before
-    yaw, length, width = some.yaw.copy(), some.length.copy(), some.width.copy()
+    yaw, length, width = in_order.yaw.copy(), in_order.length.copy(), in_order.width.copy()
     for part in parts:
         for i in range(part.start + 1, part.stop):
-            if some.turned[i] and some.turned[i - 1]:
+            if in_order.turned[i] and in_order.turned[i - 1]:
                 turns = round((yaw[i - 1] - yaw[i]) / (0.5 * np.pi))
                 yaw[i] += 0.5 * np.pi * turns
                 if turns % 2:
                     length[i], width[i] = width[i], length[i]
-    yaw = _one_front(yaw, some, seconds, parts, kinds, notes)
+    yaw = _one_front(yaw, in_order, seconds, parts, kinds, notes)
     sizes, assumed, varied = np.empty((2, len(parts))), False, False
     for k, part in enumerate(parts):
         for row, column in enumerate((length, width)):
@@ -150,7 +150,7 @@ def tracks_of(samples: Samples, t: FloatArray, notes: list[str]) -> Tracks:
         notes.append(
             "An agent's box is the median of its sizes, its kind the one that it had most often."
         )
-    vx, vy = _fill_velocities(some, seconds, first, kinds, np.diff(offsets), notes)
+    vx, vy = _fill_velocities(in_order, seconds, first, kinds, np.diff(offsets), notes)
     return Tracks(
         tuple(names[order[offsets[:-1]]].tolist()),
         kinds,
@@ -159,8 +159,8 @@ def tracks_of(samples: Samples, t: FloatArray, notes: list[str]) -> Tracks:
         np.zeros(len(parts), np.bool_),
         offsets,
         seconds,
-        some.x,
-        some.y,
+        in_order.x,
+        in_order.y,
         yaw,
         vx,
         vy,
@@ -181,7 +181,7 @@ def _one_front(
     The front is the direction of motion of most samples; for a standing agent, the direction of
     most headings.
     """
-    out, turned = yaw.copy(), 0
+    one_front, turned = yaw.copy(), 0
     for part, kind in zip(parts, kinds, strict=True):
         if kind is AgentKind.PEDESTRIAN or part.stop - part.start < 2:
             continue
@@ -199,13 +199,13 @@ def _one_front(
         backward = (
             np.sum(np.sign(speed[moves])) < 0 if moves.mean() > 0.5 else (half % 2).mean() > 0.5
         )
-        out[part] = own + (np.pi if backward else 0.0)
+        one_front[part] = own + (np.pi if backward else 0.0)
         turned += int(min((half % 2).sum(), len(half) - (half % 2).sum()))
     if turned:
         notes.append(
             f"{turned} samples of objects have front and back exchanged and are turned round."
         )
-    return out
+    return one_front
 
 
 def _fill_velocities(
@@ -227,10 +227,10 @@ def _fill_velocities(
         [OBJECT_WINDOW_S if kind is AgentKind.OBJECT else AGENT_WINDOW_S for kind in kinds]
     )
     values = np.array([samples.x, samples.y])
-    found = rates(t, values, first, np.repeat(windows, counts), parabola=False)[0]
+    velocity = rates(t, values, first, np.repeat(windows, counts), parabola=False)[0]
     noise = np.repeat([NOISE_M.get(kind, NOISE_OTHERS_M) for kind in kinds], counts)
-    explained = NOISES * noise >= np.hypot(*found) * spread(t, first, np.repeat(windows, counts))
-    found = np.where(explained, 0.0, found)
+    explained = NOISES * noise >= np.hypot(*velocity) * spread(t, first, np.repeat(windows, counts))
+    velocity = np.where(explained, 0.0, velocity)
     notes.append(
         f"Velocities of objects ({missing.mean():.0%} of the samples) are derived from their "
         "positions in the last"
@@ -238,7 +238,7 @@ def _fill_velocities(
         "s). Motion within the"
         " noise of positions counts as standing."
     )
-    return np.where(missing, found[0], samples.vx), np.where(missing, found[1], samples.vy)
+    return np.where(missing, velocity[0], samples.vx), np.where(missing, velocity[1], samples.vy)
 
 
 REACH_M = {AgentKind.PEDESTRIAN: 1.0, AgentKind.OBJECT: 1.5}
@@ -304,22 +304,22 @@ def joined(
         if not len(part):
             continue
         now = float(t[part[0]])
-        known = [each for each in known if now - each.past[-1][0] <= LOST_S]
-        found = [-1] * len(part)  # which known object each one is; -1: none
+        known = [track for track in known if now - track.past[-1][0] <= LOST_S]
+        object_of_detection = [-1] * len(part)  # which known object each one is; -1: none
         if known:
-            where, reach = np.array([each.expected(now) for each in known]), np.empty(len(known))
-            for k, each in enumerate(known):
-                reach[k] = REACH_M.get(each.kind, REACH_OTHERS_M)
-                if len(each.past) == 1:
-                    reach[k] += UNKNOWN_MPS.get(each.kind, UNKNOWN_OTHERS_MPS) * (
-                        now - each.past[-1][0]
-                    )
-            away = np.hypot(where[:, 0, None] - x[part], where[:, 1, None] - y[part])
+            expected_x, expected_y = np.array([track.expected(now) for track in known]).T
+            reach = np.empty(len(known))
+            for k, track in enumerate(known):
+                reach[k] = REACH_M.get(track.kind, REACH_OTHERS_M)
+                if len(track.past) == 1:
+                    lost_s = now - track.past[-1][0]
+                    reach[k] += UNKNOWN_MPS.get(track.kind, UNKNOWN_OTHERS_MPS) * lost_s
+            away = np.hypot(expected_x[:, None] - x[part], expected_y[:, None] - y[part])
             near = np.nonzero(away <= reach[:, None])
             codes = codes_of(tuple(kinds[i] for i in part))
-            other = codes_of(tuple(each.kind for each in known))[near[0]] != codes[near[1]]
+            other = codes_of(tuple(track.kind for track in known))[near[0]] != codes[near[1]]
             a, b = (
-                np.sort(np.array([each.size for each in known]))[near[0]],
+                np.sort(np.array([track.size for track in known]))[near[0]],
                 np.sort(sizes[part])[near[1]],
             )
             apart = np.abs(a - b)  # NaN, a size that is not known, may be that of any object
@@ -328,12 +328,12 @@ def joined(
             cost[near] = np.where(alike, away[near] + OTHER_KIND_M * other, _FAR)
             for row, column in zip(*linear_sum_assignment(cost), strict=True):
                 if cost[row, column] < _FAR:
-                    found[column] = int(row)
-        for i, k in zip(part, found, strict=True):
+                    object_of_detection[column] = int(row)
+        for i, k in zip(part, object_of_detection, strict=True):
             if k < 0:
                 k, count = len(known), count + 1
                 known.append(_Known(count, kinds[i], sizes[i]))
-            each = known[k]
-            names[i], each.kind = each.name, kinds[i]
-            each.past = [*each.past[1 - MEMORY :], (now, float(x[i]), float(y[i]))]
+            track = known[k]
+            names[i], track.kind = track.name, kinds[i]
+            track.past = [*track.past[1 - MEMORY :], (now, float(x[i]), float(y[i]))]
     return names

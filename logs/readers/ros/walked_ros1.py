@@ -112,6 +112,6 @@ class WalkedBag(Reader):
             self.chunks[begin] = chunk
             self.chunk_infos.append(ChunkInfo(begin, min(times), max(times) + 1, dict(counts)))
         if end is None and not 0 < place == inner.getbuffer().nbytes:
-            what = f"the file is damaged in the chunk at byte {begin}"
-            raise LogError(what, file=str(self.path), remedy=COPY_AGAIN)
+            problem = f"the file is damaged in the chunk at byte {begin}"
+            raise LogError(problem, file=str(self.path), remedy=COPY_AGAIN)
         return chunk.datapos + (len(packed) if end is None else place)
